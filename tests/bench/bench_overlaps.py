@@ -24,7 +24,7 @@ import numpy as np
 sys.path.insert(0, str(Path(__file__).parents[2]))
 
 from tests.truth.field_grid import PIXEL_UM, SMALL, Grid, Made, make
-from wafer_viewer.model.surface.field_poses import Doubt, Seams, Shifts
+from wafer_viewer.model.surface.field_poses import HeightOffsets, RejectionReason, Shifts
 from wafer_viewer.reconstruct.registration.height_seams import compare
 from wafer_viewer.reconstruct.registration.misplaced_fields import suspects
 from wafer_viewer.reconstruct.registration.pair_registration import register
@@ -64,7 +64,9 @@ def row(name: str, made: Made) -> str:
     )
     off_px, sure = shift_errors(made, shifts)
     off_um, chi = seam_errors(made, seams)
-    doubts = ", ".join(f"{n} {Doubt(d).name.lower()}" for d, n in sorted(Counter(shifts.doubt.tolist()).items()))
+    doubts = ", ".join(
+        f"{n} {RejectionReason(d).name.lower()}" for d, n in sorted(Counter(shifts.doubt.tolist()).items())
+    )
     return (
         f"{name:<28} {len(pairs):>8} | {shift_ms:>5.1f} {rms(off_px):>7.3f} {np.abs(off_px).max():>7.3f} "
         f"{rms(sure):>6.2f} | {seam_ms:>5.1f} {rms(off_um):>7.4f} {chi:>6.2f} | {doubts}; "
@@ -97,7 +99,7 @@ def shift_errors(made: Made, shifts: Shifts) -> tuple[np.ndarray, np.ndarray]:
     return tuple(np.concatenate(off, axis=1))
 
 
-def seam_errors(made: Made, seams: Seams) -> tuple[np.ndarray, float]:
+def seam_errors(made: Made, seams: HeightOffsets) -> tuple[np.ndarray, float]:
     """Errors of z in um, and those of z and slopes over their uncertainties, at the true positions."""
     known = made.known
     odd = np.isin(np.arange(len(made.heights)), (*known.grid.turned, *known.grid.mirrored, *known.grid.foreign))

@@ -21,7 +21,8 @@ import numpy as np
 sys.path.insert(0, str(Path(__file__).parents[2]))
 
 from tests.truth.overlaps import FIELD_UM, PIXEL_UM, seams_of, shifts_of, wafer
-from wafer_viewer.reconstruct.pose_graph.poses import solve_heights, solve_positions
+from wafer_viewer.reconstruct.pose_graph.lateral_poses import solve_positions
+from wafer_viewer.reconstruct.pose_graph.vertical_poses import solve_heights
 
 SIZES = (1_000, 10_000, 100_000, 1_000_000)
 HEADER = (

@@ -38,7 +38,7 @@ from tests.bench.stitch_judge import (
 )
 from tests.bench.tables import Cell, met, show
 from tests.truth.field_grid import Grid, Made, make
-from wafer_viewer.model.surface.field_poses import Doubt, Poses
+from wafer_viewer.model.surface.field_poses import Poses, RejectionReason
 from wafer_viewer.model.surface.height_map import HeightMap
 
 POSITION_GOAL_PX, WORST_GOAL_PX, SPOILT_GOAL_PX = 0.10, 0.5, 0.2
@@ -88,7 +88,7 @@ def positions(quick: bool) -> None:
         limit, worst = goals_px(options)
         told = limit and f"{limit:g} {met(off.rms_px, limit)}", worst and met(off.max_px, worst)
         rows.append((title, *told_px(off), *told))
-        rows[-1] += (int(np.sum(poses.shifts.doubt != Doubt.NONE)), int(poses.left_out.sum()))
+        rows[-1] += (int(np.sum(poses.shifts.doubt != RejectionReason.NONE)), int(poses.left_out.sum()))
         if options:
             made.remove()
     at = make(whole(quick))

@@ -24,13 +24,18 @@ from pathlib import Path
 import msgspec
 
 from wafer_viewer.gui.app import start
-from wafer_viewer.gui.scene.heightfield import Land
-from wafer_viewer.gui.scene.scene_contents import OnShow
+from wafer_viewer.gui.scene.heightfield import HeightField
+from wafer_viewer.gui.scene.scene_contents import DisplayedSurface
 from wafer_viewer.gui.scenes.surface_scene import source_of
 from wafer_viewer.gui.tools.initial_regions import FIRST
 from wafer_viewer.model.region import Region
 from wafer_viewer.model.report import ReportOrder
-from wafer_viewer.session.rendering.render_request import Facts, PaintRequest, Relief, Scale
+from wafer_viewer.session.rendering.render_request import (
+    CoarseHeightField,
+    ColourScale,
+    RenderRequest,
+    SurfaceStatistics,
+)
 from wafer_viewer.session.session import Session
 
 SURFACE_GOAL_S, REPORT_GOAL_S, ANSWER_GOAL_S = 20.0, 90.0, 0.5
@@ -128,10 +133,14 @@ def first_step(session: Session) -> tuple[Region, ...]:
     source = source_of(session.snapshot, 0)
     if source is None:
         raise SystemExit("There is no surface to measure.")
-    facts = msgspec.msgpack.decode(session.paint(PaintRequest(source, "facts")).result(PATIENCE_S), type=Facts)
-    relief = msgspec.msgpack.decode(session.paint(PaintRequest(source, "relief")).result(PATIENCE_S), type=Relief)
-    scale = Scale("height", 0.0, 1.0, 0.0, 1.0, 0.0, 1.0, ())
-    land = Land(relief, OnShow(source, facts, scale, facts.lowest_um, 1.0))
+    facts = msgspec.msgpack.decode(
+        session.paint(RenderRequest(source, "facts")).result(PATIENCE_S), type=SurfaceStatistics
+    )
+    relief = msgspec.msgpack.decode(
+        session.paint(RenderRequest(source, "relief")).result(PATIENCE_S), type=CoarseHeightField
+    )
+    scale = ColourScale("height", 0.0, 1.0, 0.0, 1.0, 0.0, 1.0, ())
+    land = HeightField(relief, DisplayedSurface(source, facts, scale, facts.lowest_um, 1.0))
     x0, y0, x1, y1 = land.bounds_um
     return FIRST["step"](land, ((x0 + x1) / 2, (y0 + y1) / 2))
 

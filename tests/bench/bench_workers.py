@@ -27,7 +27,7 @@ sys.path.insert(0, str(Path(__file__).parents[2]))
 
 from tests.bench.tables import met, show
 from wafer_viewer.compute.local_or_cluster import crew_for
-from wafer_viewer.compute.task_runner import Crew
+from wafer_viewer.compute.task_runner import TaskRunner
 from wafer_viewer.model.acquisition.focus_stack import Frame, FrameStatus
 from wafer_viewer.model.acquisition.plan import FieldGrid, FocusSweep, ScanPlan, Shot
 from wafer_viewer.model.job.job import Job
@@ -95,7 +95,7 @@ def make_dataset(path: Path, n_fields: int, n_frames: int) -> None:
                 writer.frame(Frame(shot=Shot(field.number, k), pulse_count=k, image=image, **at, **about))
 
 
-def show_start(start_s: float, crew: Crew, well: bool, n_empty: int) -> None:
+def show_start(start_s: float, crew: TaskRunner, well: bool, n_empty: int) -> None:
     """From nothing to the first answer of a worker, and what one empty task costs among many."""
     if not well:
         raise SystemExit("The workers do not answer.")
@@ -108,7 +108,7 @@ def show_start(start_s: float, crew: Crew, well: bool, n_empty: int) -> None:
     show("A cluster of one's own, its scheduler in this process", header, rows)
 
 
-def show_speed_up(crew: Crew, items: list[Item], rounds: int) -> None:
+def show_speed_up(crew: TaskRunner, items: list[Item], rounds: int) -> None:
     """The same fields by one process, by two bare ones and by two workers."""
     n = len(items)
     drain(crew, warm, [()] * 2 * WORKERS)
@@ -153,7 +153,7 @@ def bare(n_processes: int) -> Iterator[Pool]:
         yield pool
 
 
-def drain(crew: Crew, task: Callable, items: list) -> list:
+def drain(crew: TaskRunner, task: Callable, items: list) -> list:
     """What a crew makes of all items; the first fault is raised."""
     values = []
     for done in crew.each(task, items):

@@ -162,7 +162,7 @@ def show_compile_times() -> None:
 
 
 def compile_all() -> None:
-    from wafer_viewer.numerics.filters.sliding_filters import (
+    from wafer_viewer.numerics.filters import (
         connected_components,
         line_median,
         median_5x5,

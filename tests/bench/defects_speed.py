@@ -24,11 +24,11 @@ from tests.truth.defects import DEPTH_UM, Plan
 from tests.truth.patterned import scene_of
 from tests.truth.planted import PITCH_PX, PIXEL_UM, Planted, planted
 from wafer_viewer.compute.dask_cluster import client_of
-from wafer_viewer.compute.task_runner import Cluster, Crew, Here
+from wafer_viewer.compute.task_runner import DaskRunner, LocalRunner, TaskRunner
 from wafer_viewer.model.inspection.defect import Inspection
 from wafer_viewer.model.region import Region
 from wafer_viewer.model.surface.height_map import HeightMap, Origin, Provenance, pixel_window
-from wafer_viewer.rigs.virtual.scenes.catalogue import Scene, Window
+from wafer_viewer.rigs.virtual.scenes.catalogue import Scene, SceneWindow
 from wafer_viewer.session.inspection.die_row_tasks import RowHands
 from wafer_viewer.store.mosaic.zarr_mosaic import ZarrMosaic, write_mosaic
 
@@ -84,7 +84,7 @@ class MadePattern:
         rows, cols = whole if region is None else pixel_window(self, region, level)
         n_rows, n_cols = rows.stop - rows.start, cols.stop - cols.start
         x0_um, y0_um = self.x0_um + cols.start * PIXEL_UM, self.y0_um - rows.start * PIXEL_UM
-        sheets = self.scene.raster(Window(x0_um, y0_um, PIXEL_UM, n_rows, n_cols))
+        sheets = self.scene.raster(SceneWindow(x0_um, y0_um, PIXEL_UM, n_rows, n_cols))
         rng = np.random.default_rng((rows.start, cols.start))
         coarse = rng.standard_normal((n_rows // SMOOTH_PX + 1, n_cols // SMOOTH_PX + 1), np.float32)
         noise = NOISE_UM * np.repeat(np.repeat(coarse, SMOOTH_PX, 0), SMOOTH_PX, 1)[:n_rows, :n_cols]
@@ -135,12 +135,12 @@ def row(side_px: int, path: Path, workers: int) -> tuple[str | float | int | Non
 def measured(path: Path, workers: int) -> dict[str, float | int]:
     """One search for dies and defects, kernels compiled before; 1: this process alone."""
     if workers == 1:
-        return timed(path, Here(), list)
+        return timed(path, LocalRunner(), list)
     with client_of(None, workers) as client:
-        return timed(path, Cluster(client), lambda: list(client.run(spent).values()))
+        return timed(path, DaskRunner(client), lambda: list(client.run(spent).values()))
 
 
-def timed(path: Path, crew: Crew, asked: Callable[[], list[tuple[float, float]]]) -> dict[str, float | int]:
+def timed(path: Path, crew: TaskRunner, asked: Callable[[], list[tuple[float, float]]]) -> dict[str, float | int]:
     """asked: seconds of processor and peak of memory of each worker."""
     inspected(made_mosaic(QUICK_PX), crew)
     before = [spent()[0], *(seconds for seconds, _ in asked())]
@@ -161,7 +161,7 @@ def timed(path: Path, crew: Crew, asked: Callable[[], list[tuple[float, float]]]
     return told | ({"worker_gb": max(gigabytes for _, gigabytes in others)} if others else {})
 
 
-def inspected(path: Path, crew: Crew) -> tuple[int, Inspection, float]:
+def inspected(path: Path, crew: TaskRunner) -> tuple[int, Inspection, float]:
     """(pixels, what was found, s that the search for dies took)."""
     from wafer_viewer.measure.defects.inspection import inspect
     from wafer_viewer.measure.dies.die_lattice import find_dies

@@ -30,10 +30,10 @@ from wafer_viewer.model.surface.field_poses import Poses
 from wafer_viewer.model.surface.recipe import Stitching
 from wafer_viewer.reconstruct.blending.stitched_mosaic import StitchedMosaic, blend_window
 from wafer_viewer.reconstruct.focus.field_blocks import on_threads
-from wafer_viewer.reconstruct.pose_graph.poses import solve_heights
+from wafer_viewer.reconstruct.pose_graph.vertical_poses import solve_heights
 from wafer_viewer.reconstruct.registration.height_seams import compare
 from wafer_viewer.reconstruct.registration.pair_registration import register
-from wafer_viewer.reconstruct.stitching import Eyes, find_poses
+from wafer_viewer.reconstruct.stitching import OverlapObservers, find_poses
 from wafer_viewer.store.mosaic.zarr_mosaic import write_mosaic
 
 REGISTERED = Stitching(poses="registered", blend="confidence")
@@ -101,7 +101,7 @@ def anonymous_mb() -> float:
 def found_poses(made: Made, meter: Meter | None = None) -> Poses:
     """Poses from the overlaps, on two threads."""
     meter = meter or Meter()
-    eyes = Eyes(
+    eyes = OverlapObservers(
         lambda pairs: meter("registration", lambda: register(made.heights, pairs, threads=THREADS)),
         lambda pairs, x_um, y_um: meter("seams", lambda: compare(made.heights, pairs, x_um, y_um, threads=THREADS)),
         made.heights.__getitem__,

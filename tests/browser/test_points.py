@@ -28,7 +28,7 @@ from wafer_viewer.draw.number_format import number, share
 from wafer_viewer.gui.scenes.surface_scene import source_of
 from wafer_viewer.gui.surface.points_section import amount
 from wafer_viewer.model.surface.height_map import ORIGIN_TITLES, HeightMap, Origin
-from wafer_viewer.session.rendering.render_request import Facts, PaintRequest
+from wafer_viewer.session.rendering.render_request import RenderRequest, SurfaceStatistics
 from wafer_viewer.session.session import Session
 from wafer_viewer.store.dataset.dataset import Dataset
 
@@ -139,7 +139,7 @@ def test_refused_points_are_drawn_by_reason_and_counted(page: Page, opened: tupl
 def test_the_clip_box_follows_its_balls_and_its_numbers(page: Page, session: Session):
     source = source_of(session.snapshot, 0)
     assert source is not None
-    facts = msgspec.msgpack.decode(session.paint(PaintRequest(source, "facts")).result(WORK_S), type=Facts)
+    facts = msgspec.msgpack.decode(session.paint(RenderRequest(source, "facts")).result(WORK_S), type=SurfaceStatistics)
     go_to(page, "Surface")
     choose(page, "Points")
     head = page.locator(".wv-points")

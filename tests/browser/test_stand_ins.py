@@ -22,7 +22,7 @@ from tests.browser.sessions.stitched_session import GrowingSession, StitchedSess
 from wafer_viewer.model.errors import WaferViewerError
 from wafer_viewer.model.job.review_notes import SavedView
 from wafer_viewer.session.api import SessionApi
-from wafer_viewer.session.files.documents import Papers as TruePapers
+from wafer_viewer.session.files.documents import Documents as TruePapers
 from wafer_viewer.session.session import Session
 
 STAND_INS: dict[str, Callable[[], Any]] = {
@@ -76,14 +76,14 @@ def differences(stand_in: Any, true: type, path: str) -> Iterator[str]:
 
 
 def test_another_signature_or_kind_of_answer_is_a_difference():
-    class Papers(Recording):
+    class Documents(Recording):
         def contents(self) -> dict[str, str]:
             return {}
 
         def keep_picture(self, png: bytes, name: str = "") -> Future[Path]:
             raise NotImplementedError
 
-    found = list(differences(Papers(TruePapers, lambda *_: Future()), TruePapers, "papers"))
+    found = list(differences(Documents(TruePapers, lambda *_: Future()), TruePapers, "papers"))
     assert [line.split("(")[0].split(" ")[0] for line in found] == ["papers.contents", "papers.keep_picture"]
 
 

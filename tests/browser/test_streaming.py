@@ -21,7 +21,7 @@ from wafer_viewer.model.region import Region
 from wafer_viewer.model.surface.height_map import Mosaic, Origin
 from wafer_viewer.session.core.surface_summary import load_summary
 from wafer_viewer.session.measurement.dataset_queries import ReadOut
-from wafer_viewer.session.rendering.render_process import Painter, PaintRequest
+from wafer_viewer.session.rendering.render_process import Painter, RenderRequest
 from wafer_viewer.store.dataset.dataset import Dataset
 
 pytestmark = [
@@ -59,7 +59,7 @@ class StoredSession(FakeSession):
         super().__init__(dataclasses.replace(shown, dataset=data, surface=dataclasses.replace(info, stamp=1)))
         self._mosaic, self._painter = result.mosaic(), Painter()
 
-    def paint(self, request: PaintRequest) -> Future[bytes]:
+    def paint(self, request: RenderRequest) -> Future[bytes]:
         return self._painter.paint(request)
 
     def surface_source(self, show: int) -> Mosaic:

@@ -12,7 +12,7 @@ from tests.support.datasets import worker_tasks
 from wafer_viewer.compute.compute_client import Compute
 from wafer_viewer.compute.local_or_cluster import crew_for
 from wafer_viewer.compute.messages import Progressed
-from wafer_viewer.compute.task_runner import Here
+from wafer_viewer.compute.task_runner import LocalRunner
 from wafer_viewer.model.errors import ComputeError, DatasetError
 from wafer_viewer.session.surface.worker_tasks import warm_up
 
@@ -27,9 +27,9 @@ def cluster():
 def crew(request):
     match request.param:
         case "serial":
-            return Here()
+            return LocalRunner()
         case "threads":
-            return Here(threads=3)
+            return LocalRunner(threads=3)
         case _:
             return request.getfixturevalue("cluster")
 
@@ -80,7 +80,7 @@ def test_a_worker_keeps_freed_memory_for_the_next_array(cluster):
 def test_a_bug_ends_its_task_on_a_worker_and_everything_here(cluster):
     assert "TypeError: seven" in str(next(cluster.each(worker_tasks.square_or_fault, [(7,)])).fault)
     with pytest.raises(TypeError):
-        list(Here().each(worker_tasks.square_or_fault, [(7,)]))
+        list(LocalRunner().each(worker_tasks.square_or_fault, [(7,)]))
 
 
 @pytest.mark.slow

@@ -20,7 +20,7 @@ from wafer_viewer.measure.verdict import (
 )
 from wafer_viewer.model.acquisition.alignment import Alignment
 from wafer_viewer.model.errors import PlanError
-from wafer_viewer.model.job.verdict import Judged, WaferVerdict
+from wafer_viewer.model.job.verdict import FeatureVerdict, WaferVerdict
 from wafer_viewer.model.measurement.feature import Die, Dies, Feature
 from wafer_viewer.model.quantity import Contribution, Length, Quantity
 from wafer_viewer.model.region import Region
@@ -238,5 +238,5 @@ def test_a_step_in_the_older_words_is_the_same_feature():
     """
     assert decode(older, Feature, "older") == BLOCKS
     assert decode(encode(BLOCKS), Feature, "newer") == BLOCKS
-    kept = Judged(feature=BLOCKS, height=Length(value_um=30.0), word="no verdict", why="")
+    kept = FeatureVerdict(feature=BLOCKS, height=Length(value_um=30.0), word="no verdict", why="")
     assert kept.measured == Quantity(value=30.0, unit="um")

@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 from wafer_viewer.model.acquisition.plan import FieldGrid, FocusSweep
 from wafer_viewer.model.acquisition.sample import Sample
 from wafer_viewer.model.errors import ComputeError, PlanError
-from wafer_viewer.model.findings import Findings
+from wafer_viewer.model.findings import MeasurementResults
 from wafer_viewer.model.job.job import Job
 from wafer_viewer.model.measurement.feature import Feature
 from wafer_viewer.model.measurement.measurements import Length, Profile
@@ -105,8 +105,8 @@ def test_findings_of_several_kinds_share_one_file():
     profile = Profile(
         line=line, length_um=10.0, pt=Length(value_um=1.0), rise=Length(value_um=0.5), measured_fraction=1.0
     )
-    findings = Findings(items=(profile,))
-    assert decode(encode(findings, "json"), Findings, "findings.json", "json") == findings
+    findings = MeasurementResults(items=(profile,))
+    assert decode(encode(findings, "json"), MeasurementResults, "findings.json", "json") == findings
 
 
 def test_the_largest_uncertainty_is_doubled_once():

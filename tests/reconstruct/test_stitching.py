@@ -10,7 +10,7 @@ import pytest
 import wafer_viewer as wv
 from tests.truth.field_grid import PIXEL_UM, SMALL, make
 from wafer_viewer.model.errors import ComputeError
-from wafer_viewer.model.surface.field_poses import Doubt
+from wafer_viewer.model.surface.field_poses import RejectionReason
 from wafer_viewer.model.surface.height_map import Provenance
 from wafer_viewer.model.surface.recipe import Recipe, Stitching
 
@@ -121,7 +121,7 @@ def test_without_a_field_there_is_nothing_to_stitch():
 def test_a_search_that_is_too_narrow_is_doubted_and_the_stage_stands(made):
     mosaic = wv.stitch(made.heights, made.fields, Recipe(stitching=Stitching(search_um=0.5)))
     doubt = mosaic.poses.shifts.doubt
-    assert (doubt != Doubt.NONE).sum() > len(doubt) / 2
+    assert (doubt != RejectionReason.NONE).sum() > len(doubt) / 2
 
 
 def _off_px(poses, made) -> np.ndarray:

@@ -17,7 +17,7 @@ from wafer_viewer.model.errors import DatasetError, PlanError, RigError
 from wafer_viewer.rigs.rig_config import RigConfig
 from wafer_viewer.rigs.virtual.rig import virtual_limits
 from wafer_viewer.session.acquisition.rig_messages import Move
-from wafer_viewer.session.coordinator import Conductor
+from wafer_viewer.session.coordinator import SessionCoordinator
 from wafer_viewer.session.session import Session
 from wafer_viewer.session.session_restore import KEPT_IN, NAME
 from wafer_viewer.session.state.snapshot import Typed
@@ -35,7 +35,7 @@ class Program:
         self.rooms = None
 
     def start(self):
-        self.rooms = Conductor(self.folder, RigConfig(), None)
+        self.rooms = SessionCoordinator(self.folder, RigConfig(), None)
         self.rooms.rig.start = lambda: None
         self.do(self.rooms.start)
         return self.now

@@ -6,7 +6,7 @@ import numpy as np
 from scipy.special import ndtr
 
 from tests.support.surfaces import PIXEL_UM, calibration, coordinates, noise_of, surface_of
-from wafer_viewer.measure.edges.search_strip import Strip
+from wafer_viewer.measure.edges.search_strip import SearchStrip
 from wafer_viewer.model.region import Region
 from wafer_viewer.model.surface.height_map import HeightMap
 
@@ -63,10 +63,10 @@ def chipped_edge(chips=((0.0, 9.0),), slope=0.01, rows=160, cols=400, **about):
     return picture(inside, **about)
 
 
-def strip(grey) -> Strip:
+def strip(grey) -> SearchStrip:
     """As search lines along x; one um a pixel, (0, 0) in the middle."""
     rows, cols = grey.shape
-    return Strip.of(grey, 1.0, -(cols - 1) / 2, (rows - 1) / 2)
+    return SearchStrip.of(grey, 1.0, -(cols - 1) / 2, (rows - 1) / 2)
 
 
 def surface(grey, z_um=None, **about) -> HeightMap:

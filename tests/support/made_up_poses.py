@@ -7,7 +7,7 @@ from collections.abc import Mapping, Sequence
 import numpy as np
 
 from wafer_viewer.model.acquisition.plan import Field
-from wafer_viewer.model.surface.field_poses import DOUBT_TITLES, Doubt, Form, Poses, Seams, Shifts
+from wafer_viewer.model.surface.field_poses import DOUBT_TITLES, Form, HeightOffsets, Poses, RejectionReason, Shifts
 from wafer_viewer.session.state.snapshot import StitchingInfo
 
 STAGE_ERROR_UM, Z_ERROR_UM = 2.8, 1.0
@@ -32,7 +32,7 @@ def made_up_poses(
     fields: Sequence[Field],
     width_um: float,
     height_um: float,
-    doubts: Mapping[tuple[int, int], Doubt] | None = None,
+    doubts: Mapping[tuple[int, int], RejectionReason] | None = None,
     left_out: Sequence[int] = (),
     seed: int = 4,
     n_groups: int = 1,
@@ -47,8 +47,8 @@ def made_up_poses(
     doubt = np.zeros(len(pairs), np.uint8)
     for (a, b), reason in (doubts or {}).items():
         doubt[(pairs == (place[a], place[b])).all(axis=1)] = reason
-    doubt[out[pairs].any(axis=1)] = Doubt.UNLIKE
-    believed = doubt == Doubt.NONE
+    doubt[out[pairs].any(axis=1)] = RejectionReason.UNLIKE
+    believed = doubt == RejectionReason.NONE
     u = np.where(out, STAGE_ERROR_UM, rng.uniform(0.04, 0.09, n))
     return Poses(
         numbers=np.array([f.number for f in fields], np.int32),
@@ -75,14 +75,14 @@ def made_up_poses(
 
 def _shifts(pairs: np.ndarray, doubt: np.ndarray, believed: np.ndarray, rng: np.random.Generator) -> Shifts:
     n = len(pairs)
-    off = np.where(believed, 0.03, np.where(doubt == Doubt.BLANK, np.nan, 6.0))
+    off = np.where(believed, 0.03, np.where(doubt == RejectionReason.BLANK, np.nan, 6.0))
     return Shifts(
         first=pairs[:, 0].copy(),
         second=pairs[:, 1].copy(),
         x_um=rng.normal(0, STAGE_ERROR_UM, n),
         y_um=rng.normal(0, STAGE_ERROR_UM, n),
-        u_x_um=np.where(doubt == Doubt.BLANK, np.inf, 0.03),
-        u_y_um=np.where(doubt == Doubt.BLANK, np.inf, 0.03),
+        u_x_um=np.where(doubt == RejectionReason.BLANK, np.inf, 0.03),
+        u_y_um=np.where(doubt == RejectionReason.BLANK, np.inf, 0.03),
         correlation=rng.uniform(0.8, 0.98, n).astype(np.float32),
         by=np.zeros(n, np.uint8),
         doubt=doubt,
@@ -92,9 +92,9 @@ def _shifts(pairs: np.ndarray, doubt: np.ndarray, believed: np.ndarray, rng: np.
     )
 
 
-def _seams(pairs: np.ndarray, believed: np.ndarray, rng: np.random.Generator) -> Seams:
+def _seams(pairs: np.ndarray, believed: np.ndarray, rng: np.random.Generator) -> HeightOffsets:
     n, zero = len(pairs), np.zeros(len(pairs))
-    return Seams(
+    return HeightOffsets(
         first=pairs[:, 0].copy(),
         second=pairs[:, 1].copy(),
         mid_x_um=zero,
@@ -112,7 +112,7 @@ def _seams(pairs: np.ndarray, believed: np.ndarray, rng: np.random.Generator) ->
 
 def stitching_of(poses: Poses, notes: tuple[str, ...] = ()) -> StitchingInfo:
     """The numbers of poses."""
-    counts = {d: int((poses.shifts.doubt == d).sum()) for d in Doubt if d != Doubt.NONE}
+    counts = {d: int((poses.shifts.doubt == d).sum()) for d in RejectionReason if d != RejectionReason.NONE}
     kept = ~poses.left_out
     moved = np.hypot(poses.x_um - poses.stage_x_um, poses.y_um - poses.stage_y_um)[kept]
     steps = np.abs(poses.seams.step_um)

@@ -13,7 +13,7 @@ from wafer_viewer.model.job.job import Job
 from wafer_viewer.model.surface.height_map import HeightMap, Mosaic, Origin
 from wafer_viewer.session.rendering.render_dispatch import paint
 from wafer_viewer.session.rendering.render_refused import PlacedField
-from wafer_viewer.session.rendering.render_request import PaintRequest, Source
+from wafer_viewer.session.rendering.render_request import RenderRequest, SurfaceKey
 from wafer_viewer.session.state.snapshot import FieldState, LatestFrame, OpenDataset, RigStatus, Snapshot, SurfaceInfo
 
 PIXEL_UM = 0.46729
@@ -50,15 +50,15 @@ class MemoryShelf:
     def __init__(self, surfaces: dict[int, HeightMap], stacks: dict[int, FieldStack] | None = None) -> None:
         self.surfaces, self.field_stacks = surfaces, stacks or {}
 
-    def surface(self, source: Source) -> Mosaic:
+    def surface(self, source: SurfaceKey) -> Mosaic:
         return self.surfaces[source.show]
 
-    def fields(self, source: Source) -> list[PlacedField]:
+    def fields(self, source: SurfaceKey) -> list[PlacedField]:
         """The fields of the stitched surface are those that stand beside it."""
         shown = [n for n in self.surfaces if n > 0 and source.show in (0, n)]
         return [PlacedField(lambda n=n: self.surfaces[n], *_place(self.surfaces[n])) for n in shown]
 
-    def stacks(self, source: Source) -> list[FieldStack]:
+    def stacks(self, source: SurfaceKey) -> list[FieldStack]:
         return [self.field_stacks[source.show]] if source.show else list(self.field_stacks.values())
 
 
@@ -68,10 +68,10 @@ class StandIn:
     def __init__(self, shelf: MemoryShelf) -> None:
         self.shelf = shelf
         self.latest_frame: LatestFrame | None = None
-        self.asked: list[PaintRequest] = []
+        self.asked: list[RenderRequest] = []
         self._pool = ThreadPoolExecutor(1)
 
-    def paint(self, request: PaintRequest) -> Future[bytes]:
+    def paint(self, request: RenderRequest) -> Future[bytes]:
         self.asked.append(request)
         return self._pool.submit(paint, self.shelf, request)
 

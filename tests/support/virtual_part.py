@@ -6,7 +6,7 @@ import numpy as np
 from scipy.ndimage import gaussian_filter, maximum_filter, minimum_filter
 
 from wafer_viewer.model.surface.height_map import HeightMap, Origin, Provenance
-from wafer_viewer.rigs.virtual.scenes.catalogue import SCENES, Window
+from wafer_viewer.rigs.virtual.scenes.catalogue import SCENES, SceneWindow
 
 WALL_UM, DARK_GREY = 4.0, 18
 
@@ -18,7 +18,7 @@ def virtual_part(
     sample, rng = SCENES[scene], np.random.default_rng(seed)
     x_um, y_um = sample.tour_center_um
     rows, cols = round(2 * half_um[1] / pixel_um), round(2 * half_um[0] / pixel_um)
-    sheets = sample.raster(Window(x_um - half_um[0], y_um + half_um[1], pixel_um, rows, cols))
+    sheets = sample.raster(SceneWindow(x_um - half_um[0], y_um + half_um[1], pixel_um, rows, cols))
     truth_um, grey = sheets.surface_um(), 250 * sample.gain * sheets.radiance()
     walls = maximum_filter(truth_um, 5) - minimum_filter(truth_um, 5) > WALL_UM
     z = gaussian_filter(truth_um, 1.0) + 0.5 * gaussian_filter(rng.standard_normal(truth_um.shape), 1.2)

@@ -5,14 +5,14 @@ from __future__ import annotations
 import numpy as np
 
 from wafer_viewer.model.surface.height_map import HeightMap, Origin, Provenance
-from wafer_viewer.rigs.virtual.scenes.catalogue import SCENES, Window
+from wafer_viewer.rigs.virtual.scenes.catalogue import SCENES, SceneWindow
 from wafer_viewer.rigs.virtual.scenes.wafer import RADIUS_UM
 
 
 def virtual_wafer(pixel_um: float, noise_um: float = 0.3, unmeasured_fraction: float = 0.02) -> HeightMap:
     half_um, rng = RADIUS_UM + 50, np.random.default_rng(3)
     side = round(2 * half_um / pixel_um)
-    window = Window(-half_um + pixel_um / 2, half_um - pixel_um / 2, pixel_um, side, side)
+    window = SceneWindow(-half_um + pixel_um / 2, half_um - pixel_um / 2, pixel_um, side, side)
     sheets = SCENES["wafer"].raster(window)
     z = sheets.surface_um().astype(np.float32)
     z += noise_um * rng.standard_normal(z.shape).astype(np.float32)

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from wafer_viewer.model.surface.field_poses import Doubt, Numbers, Seams, Shifts
+from wafer_viewer.model.surface.field_poses import HeightOffsets, Numbers, RejectionReason, Shifts
 
 PIXEL_UM = 0.46729
 FIELD_UM = (1440 * PIXEL_UM, 1080 * PIXEL_UM)
@@ -73,7 +73,7 @@ def shifts_of(
     is_blank, is_wrong = np.split(shuffled[: round(blank * e) + round(wrong * e)], [round(blank * e)])
     said[is_wrong] += random.uniform(-SEARCH_PX, SEARCH_PX, (len(is_wrong), 2)) * PIXEL_UM
     u_um, doubt = np.full(e, EDGE_PX * PIXEL_UM), np.zeros(e, np.uint8)
-    u_um[is_blank], doubt[is_blank] = np.inf, Doubt.BLANK
+    u_um[is_blank], doubt[is_blank] = np.inf, RejectionReason.BLANK
     nothing, flat = np.zeros(e), np.zeros(e, np.float32)
     by = np.zeros(e, np.uint8)
     return Shifts(first, second, *said.T, u_um, u_um, flat + 0.9, by, doubt, flat, nothing, nothing), true
@@ -86,7 +86,7 @@ def seams_of(
     wrong: float = 0.0,
     sag_um: tuple[float, float, float] = (0.0, 0.0, 0.0),
     lean: tuple[float, float] = (0.0, 0.0),
-) -> tuple[Seams, Numbers]:
+) -> tuple[HeightOffsets, Numbers]:
     """What heights in the overlaps would say, and by how much those of each field are too high: [n, 3] z and tilts.
 
     wrong: fraction of seams; sag_um: of every field at its corner (x^2, x y, y^2); lean: tilts that all fields share.
@@ -104,7 +104,9 @@ def seams_of(
     said[is_wrong] += random.normal(size=(len(is_wrong), 3)) * (3 * Z_UM, 100 * TILT, 100 * TILT)
     information = sigma[:, :, None] ** -2.0 * np.eye(3)
     flat, n_pixels = np.zeros(len(first), np.float32), np.full(len(first), 170_000, np.int32)
-    return Seams(first, second, middle_x, middle_y, *said.T, information, n_pixels, flat, said[:, 0], 0 * width), poses
+    return HeightOffsets(
+        first, second, middle_x, middle_y, *said.T, information, n_pixels, flat, said[:, 0], 0 * width
+    ), poses
 
 
 def _plane(pose: Numbers, dx: Numbers, dy: Numbers, sag_um: tuple[float, float, float]) -> Numbers:

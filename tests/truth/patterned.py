@@ -14,7 +14,7 @@ from numba import njit
 
 from tests.truth.planted import DEPTH_UM, DIE_UM, PITCH_UM, PIXEL_UM, STREET_PX, Plan, Planted, die_errors
 from wafer_viewer.rigs.virtual.scenes.catalogue import Scene, rectangle
-from wafer_viewer.rigs.virtual.scenes.scene_sheets import Points, Sheets
+from wafer_viewer.rigs.virtual.scenes.scene_sheets import Points, SceneSheets
 from wafer_viewer.rigs.virtual.scenes.shapes import bar, bars, blend, inside
 from wafer_viewer.rigs.virtual.scenes.shapes import rectangle as box
 from wafer_viewer.rigs.virtual.scenes.value_noise import grain
@@ -35,7 +35,7 @@ def scene_of(plan: Plan, what: Sequence[Planted]) -> Scene:
     form = np.array([width_um / 2, height_um / 2, plan.bow_um / radius2, plan.seed * ELSEWHERE_UM, float(plan.seen)])
     listed = np.array([_row(one) for one in what if one.kind in CODES]).reshape(-1, 7)
 
-    def fill(x_um: Points, y_um: Points, footprint_um: float, out: Sheets) -> None:
+    def fill(x_um: Points, y_um: Points, footprint_um: float, out: SceneSheets) -> None:
         room = listed[:, 4] + 2
         near = (listed[:, 1] > x_um.min() - room) & (listed[:, 1] < x_um.max() + room)
         near &= (listed[:, 2] > y_um.min() - room) & (listed[:, 2] < y_um.max() + room)

@@ -25,7 +25,7 @@ NOTHING_SENT = PulseSummary(emitted=0, suppressed=0, quadrature_errors=0, exposu
 
 
 @dataclass(frozen=True, slots=True)
-class Doubt:
+class PassDoubt:
     """Why the frames of a pass cannot be kept, and what to do when that goes on."""
 
     why: str
@@ -42,7 +42,7 @@ class PassResult:
 
     summary: PulseSummary
     pairing: Pairing | None
-    doubts: tuple[Doubt, ...]
+    doubts: tuple[PassDoubt, ...]
     count_mended: int
     stopped: bool
 
@@ -263,29 +263,31 @@ class _Pass:
             )
 
 
-def doubts_of(summary: PulseSummary, pairing: Pairing, axis: Axis, slip: int, rig: Rig) -> tuple[Doubt, ...]:
+def doubts_of(summary: PulseSummary, pairing: Pairing, axis: Axis, slip: int, rig: Rig) -> tuple[PassDoubt, ...]:
     """Everything by which the frames of a pass may not be what they are said to be."""
-    found: list[Doubt] = []
+    found: list[PassDoubt] = []
     if errors := summary.quadrature_errors:
-        found.append(Doubt(f"the pulse box reports {_n(errors, 'quadrature error')} on the {axis} scale", _SCALE))
+        found.append(PassDoubt(f"the pulse box reports {_n(errors, 'quadrature error')} on the {axis} scale", _SCALE))
     if slip:
         off_um = rig.limits.axis(axis).position_um(slip)
         found.append(
-            Doubt(f"its count of the {axis} axis slipped by {_n(slip, 'count')} ({off_um:+.2f} um) in the pass", _SCALE)
+            PassDoubt(
+                f"its count of the {axis} axis slipped by {_n(slip, 'count')} ({off_um:+.2f} um) in the pass", _SCALE
+            )
         )
     if suppressed := summary.suppressed:
-        found.append(Doubt(f"the pulse box suppressed {_n(suppressed, 'pulse')} that came too soon", _SPEED))
+        found.append(PassDoubt(f"the pulse box suppressed {_n(suppressed, 'pulse')} that came too soon", _SPEED))
     least, most = pairing.n_images, pairing.n_images + pairing.n_unexposed
     if not least <= summary.exposures <= most:
         found.append(
-            Doubt(
+            PassDoubt(
                 f"the pulse box saw {_n(summary.exposures, 'exposure')} for {_n(summary.emitted, 'pulse')} and "
                 f"{_n(pairing.n_images, 'image')}",
                 _TRIGGER,
             )
         )
     if pairing.doubt:
-        found.append(Doubt(pairing.doubt, _TRIGGER))
+        found.append(PassDoubt(pairing.doubt, _TRIGGER))
     return tuple(found)
 
 

@@ -71,7 +71,7 @@ class Timing:
 
 
 @dataclass(frozen=True, slots=True)
-class Hole:
+class MissingFrame:
     """A slot without a frame, the scale count of its pulse, and why."""
 
     shot: Shot
@@ -90,7 +90,7 @@ class Pairing:
     strays: images that belong to no pulse; clock: that of the pass, for the next one.
     """
 
-    holes: tuple[Hole, ...]
+    holes: tuple[MissingFrame, ...]
     doubt: str
     n_images: int
     n_unexposed: int
@@ -245,11 +245,11 @@ class Reconciler:
         after = any(0.5 < (i.device_time_us - clock.image_us(last)) / period_us < 1.5 for i in self._waiting)
         return (before and last.number not in taken) or (after and first.number not in taken)
 
-    def _holes(self, revoked: dict[int, float]) -> tuple[Hole, ...]:
+    def _holes(self, revoked: dict[int, float]) -> tuple[MissingFrame, ...]:
         """The slots that have no frame, or none that can be kept."""
         sent = {self._place(pulse) for pulse in self._pulses}
         return tuple(
-            Hole(shot, self._count(i), self._why(i, sent, revoked.get(i)))
+            MissingFrame(shot, self._count(i), self._why(i, sent, revoked.get(i)))
             for i, shot in enumerate(self._leg.shots)
             if i not in self._matches or i in revoked
         )

@@ -6,7 +6,7 @@ from collections.abc import Callable, Container
 from dataclasses import dataclass
 
 from wafer_viewer.acquire.pass_runner import PassResult, device_clock, rest_afterwards, run_pass
-from wafer_viewer.acquire.pulse_reconciliation import DeviceClock, Hole
+from wafer_viewer.acquire.pulse_reconciliation import DeviceClock, MissingFrame
 from wafer_viewer.model.acquisition.devices import Rig
 from wafer_viewer.model.acquisition.focus_stack import Frame
 from wafer_viewer.model.acquisition.plan import Axis, Leg, ScanPlan, Shot
@@ -78,7 +78,7 @@ class _Scan:
         self._taken: set[Shot] = set()
         """Slots with a frame of the pass under way, which counts once that is over."""
         self._kept: set[Shot] = set()
-        self._holes: dict[Shot, Hole] = {}
+        self._holes: dict[Shot, MissingFrame] = {}
         self._repaired = 0
         self._stopped = False
         self._referenced: set[Axis] = set()
@@ -182,7 +182,7 @@ class _Scan:
         for shot in self._taken - {hole.shot for hole in holes}:
             self._keep(shot)
 
-    def _note(self, hole: Hole) -> None:
+    def _note(self, hole: MissingFrame) -> None:
         """Note an empty slot; one that is noted already is told again only where its frame is taken back."""
         if hole.shot not in self._holes or hole.shot in self._taken:
             self._sink.missed(hole.shot, hole.count, hole.why)
@@ -273,18 +273,18 @@ class _Remarks:
         self._totals.setdefault(what, []).append(number)
 
 
-def _untrusted(leg: Leg, result: PassResult) -> list[Hole]:
+def _untrusted(leg: Leg, result: PassResult) -> list[MissingFrame]:
     """Every slot of a pass as an empty one."""
     train, why = leg.train, ", and ".join(doubt.why for doubt in result.doubts)
     step = train.direction * train.counts_per_frame
-    return [Hole(shot, train.first_count + step * i, why) for i, shot in enumerate(leg.shots)]
+    return [MissingFrame(shot, train.first_count + step * i, why) for i, shot in enumerate(leg.shots)]
 
 
 def _times(number: int, what: str) -> str:
     return f"{number} {what}{'' if number == 1 else 's'}"
 
 
-def _still_missing(holes: list[Hole]) -> str:
+def _still_missing(holes: list[MissingFrame]) -> str:
     named = ", ".join(f"field {h.shot.field} frame {h.shot.k} ({h.why})" for h in holes[:NAMED])
     more = f" and {len(holes) - NAMED} more" if len(holes) > NAMED else ""
     return f"After {REPAIRS} repairs {len(holes)} frames are missing: {named}{more}; continue the scan to try again."

@@ -45,7 +45,7 @@ if TYPE_CHECKING:
     from wafer_viewer.model.acquisition.devices import Rig
     from wafer_viewer.model.job.job import Job
     from wafer_viewer.rigs.rig_config import RigConfig
-    from wafer_viewer.session.planning.preflight import Check
+    from wafer_viewer.session.planning.preflight import PreflightCheck
 
 DATA_FOLDER = Path("~/wafer-viewer")
 INTERRUPTED = 130
@@ -136,7 +136,7 @@ def scan(
 
     job = job_of_wafer(plan_file, out, {"wafer_id": wafer, "lot": lot, "operator": operator}, corners)
 
-    def ready(checks: tuple[Check, ...]) -> None:
+    def ready(checks: tuple[PreflightCheck, ...]) -> None:
         print_preflight(checks)
         require_go(checks, confirmed=yes)
 

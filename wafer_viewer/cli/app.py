@@ -14,7 +14,7 @@ PROGRAM = "wafer-viewer"
 REFUSED, INTERRUPTED = 2, 130
 
 
-class Command(NamedTuple):
+class CommandEntry(NamedTuple):
     """A command: its module in this package, its summary, and its function where that has another name."""
 
     module: str
@@ -22,45 +22,49 @@ class Command(NamedTuple):
     function: str | None = None
 
 
-COMMANDS: dict[str, Command] = {
-    "serve": Command("acquisition", "open the viewer in the browser"),
-    "plan": Command("acquisition", "estimate the time of every way to scan a plan; nothing moves"),
-    "scan": Command("acquisition", "scan without the browser, or continue an unfinished scan"),
-    "import": Command("acquisition", "make a dataset of images taken elsewhere, or of a surface file", "import_"),
-    "reconstruct": Command("surface", "make a surface of a focus stack or a dataset, as a file"),
-    "release": Command("jobs", "make a plan a job that operators run with four actions"),
-    "stitch": Command("surface", "make the stitched surface of a dataset"),
-    "measure point": Command("measure", "the height at a point"),
-    "measure distance": Command("measure", "the distance between two points"),
-    "measure step": Command("measure_steps", "the height of one region over another"),
-    "measure groove": Command("measure_steps", "the depth of a groove, or the height of a step, along a line"),
-    "measure angle": Command("measure", "the angle between two faces"),
-    "measure radius": Command("measure", "the radius and the height of a bump or pit"),
-    "measure volume": Command("measure", "area and volume over and under a plane"),
-    "measure flatness": Command("measure", "the flatness of a face"),
-    "measure texture": Command("measure", "the texture of a face"),
-    "measure roughness": Command("measure", "the roughness along a line"),
-    "measure kerf": Command("measure_shapes", "the width of a kerf, on the picture"),
-    "measure die": Command("measure_shapes", "the size of a die, on the picture"),
-    "measure dies": Command("dies", "the lattice of the dies, and which are whole, cut, not scanned or missing"),
-    "measure circle": Command("measure_shapes", "the diameter of something round, on the picture"),
-    "measure chipping": Command("measure_shapes", "the chips along an edge of a die, on the picture"),
-    "measure coplanarity": Command("measure_shapes", "how far bumps lie from one plane, and how high each is"),
-    "measure profile": Command("measure_profile", "sections along lines, rows and columns: numbers, table or picture"),
-    "measure site-range": Command("measure", "front-surface site range, as mounted", "measure_site_range"),
-    "measure gauge": Command("gauge", "check the instrument against certified gauge blocks; history of checks"),
-    "measure rr": Command("gauge", "repeatability and reproducibility of repeated measurements"),
-    "measure defects": Command("defects", "the defects of a patterned wafer, with a status by limits for each die"),
-    "measure verdict": Command("jobs", "whether a wafer is good by the features of its job"),
-    "calibrate z": Command("gauge", "set the z scale by a signed check against gauge blocks"),
-    "compare": Command("compare", "the second of two surfaces minus the first, aligned before"),
-    "report": Command("surface", "write the report of a dataset as one HTML file that prints well"),
-    "why": Command("surface", "why a pixel has its height, or none"),
-    "check": Command("acquisition", "test every checksum of a dataset and name missing frames"),
-    "cluster": Command("acquisition", "make what several machines need to work together"),
-    "convert": Command("surface", "write a surface in another format"),
-    "glossary": Command("acquisition", "what the words of this program mean"),
-    "doctor": Command("acquisition", "what this machine has and lacks, and how to fix it"),
+COMMANDS: dict[str, CommandEntry] = {
+    "serve": CommandEntry("acquisition", "open the viewer in the browser"),
+    "plan": CommandEntry("acquisition", "estimate the time of every way to scan a plan; nothing moves"),
+    "scan": CommandEntry("acquisition", "scan without the browser, or continue an unfinished scan"),
+    "import": CommandEntry("acquisition", "make a dataset of images taken elsewhere, or of a surface file", "import_"),
+    "reconstruct": CommandEntry("surface", "make a surface of a focus stack or a dataset, as a file"),
+    "release": CommandEntry("jobs", "make a plan a job that operators run with four actions"),
+    "stitch": CommandEntry("surface", "make the stitched surface of a dataset"),
+    "measure point": CommandEntry("measure", "the height at a point"),
+    "measure distance": CommandEntry("measure", "the distance between two points"),
+    "measure step": CommandEntry("measure_steps", "the height of one region over another"),
+    "measure groove": CommandEntry("measure_steps", "the depth of a groove, or the height of a step, along a line"),
+    "measure angle": CommandEntry("measure", "the angle between two faces"),
+    "measure radius": CommandEntry("measure", "the radius and the height of a bump or pit"),
+    "measure volume": CommandEntry("measure", "area and volume over and under a plane"),
+    "measure flatness": CommandEntry("measure", "the flatness of a face"),
+    "measure texture": CommandEntry("measure", "the texture of a face"),
+    "measure roughness": CommandEntry("measure", "the roughness along a line"),
+    "measure kerf": CommandEntry("measure_shapes", "the width of a kerf, on the picture"),
+    "measure die": CommandEntry("measure_shapes", "the size of a die, on the picture"),
+    "measure dies": CommandEntry("dies", "the lattice of the dies, and which are whole, cut, not scanned or missing"),
+    "measure circle": CommandEntry("measure_shapes", "the diameter of something round, on the picture"),
+    "measure chipping": CommandEntry("measure_shapes", "the chips along an edge of a die, on the picture"),
+    "measure coplanarity": CommandEntry("measure_shapes", "how far bumps lie from one plane, and how high each is"),
+    "measure profile": CommandEntry(
+        "measure_profile", "sections along lines, rows and columns: numbers, table or picture"
+    ),
+    "measure site-range": CommandEntry("measure", "front-surface site range, as mounted", "measure_site_range"),
+    "measure gauge": CommandEntry("gauge", "check the instrument against certified gauge blocks; history of checks"),
+    "measure rr": CommandEntry("gauge", "repeatability and reproducibility of repeated measurements"),
+    "measure defects": CommandEntry(
+        "defects", "the defects of a patterned wafer, with a status by limits for each die"
+    ),
+    "measure verdict": CommandEntry("jobs", "whether a wafer is good by the features of its job"),
+    "calibrate z": CommandEntry("gauge", "set the z scale by a signed check against gauge blocks"),
+    "compare": CommandEntry("compare", "the second of two surfaces minus the first, aligned before"),
+    "report": CommandEntry("surface", "write the report of a dataset as one HTML file that prints well"),
+    "why": CommandEntry("surface", "why a pixel has its height, or none"),
+    "check": CommandEntry("acquisition", "test every checksum of a dataset and name missing frames"),
+    "cluster": CommandEntry("acquisition", "make what several machines need to work together"),
+    "convert": CommandEntry("surface", "write a surface in another format"),
+    "glossary": CommandEntry("acquisition", "what the words of this program mean"),
+    "doctor": CommandEntry("acquisition", "what this machine has and lacks, and how to fix it"),
 }
 OWN_RECIPE = frozenset({"measure defects"})
 """Commands whose --recipe is not one that makes surfaces: they read it themselves."""

@@ -23,7 +23,7 @@ from wafer_viewer.session.inspection.die_lattice_source import GivenDies
 from wafer_viewer.session.inspection.headless import Wafer, dies_on, inspected, wafer_of
 from wafer_viewer.session.inspection.klarf_overlay import compared, laid_over
 from wafer_viewer.session.state.inspection_resources import product_of
-from wafer_viewer.session.surface.headless import Hire
+from wafer_viewer.session.surface.headless import LocalOrCluster
 
 if TYPE_CHECKING:
     from wafer_viewer.model.inspection.golden_die import GoldenDie
@@ -85,7 +85,7 @@ def measure_defects(
     """
     from wafer_viewer.measure.defects.repeaters import repeated_places
 
-    given, hire = GivenDies(pitch_um, origin_um, size_um, angle_deg, job, as_given), Hire(scheduler, workers)
+    given, hire = GivenDies(pitch_um, origin_um, size_um, angle_deg, job, as_given), LocalOrCluster(scheduler, workers)
     limits = DefectLimits(max_per_die=max_per_die, max_per_mm2=max_per_mm2)
     _require_readable(other)
     wafer = wafer_of(src, result)

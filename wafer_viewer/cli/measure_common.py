@@ -8,7 +8,7 @@ import msgspec
 
 from wafer_viewer.cli.arguments import levelling_from
 from wafer_viewer.cli.output import print_json
-from wafer_viewer.model.findings import AnyFinding
+from wafer_viewer.model.findings import AnyResult
 from wafer_viewer.model.measurement.tool_options import ToolOptions
 from wafer_viewer.model.measurement.tools import ToolName
 from wafer_viewer.model.region import Region
@@ -42,6 +42,6 @@ def surface_over(src: Path, level: tuple[str, ...], field: int, result: str) -> 
     return levelled(surface, levelling), calibrated
 
 
-def print_finding(found: AnyFinding, field: int) -> None:
+def print_finding(found: AnyResult, field: int) -> None:
     """As JSON on standard output."""
     print_json(msgspec.to_builtins(replace(found, show=field)))

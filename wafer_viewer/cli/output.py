@@ -22,8 +22,8 @@ if TYPE_CHECKING:
     from wafer_viewer.model.job.revision_trial import Trial
     from wafer_viewer.model.job.verdict import WaferVerdict
     from wafer_viewer.model.quantity import Quantity
-    from wafer_viewer.session.core.environment_check import Check
-    from wafer_viewer.session.planning.preflight import Check as LookedAt
+    from wafer_viewer.session.core.environment_check import EnvironmentCheck
+    from wafer_viewer.session.planning.preflight import PreflightCheck
     from wafer_viewer.session.state.snapshot import SurfaceInfo
     from wafer_viewer.store.dataset.dataset import CheckReport, Dataset
     from wafer_viewer.store.dataset.digests import Digest
@@ -65,7 +65,7 @@ def plan_facts(plan: ScanPlan) -> dict[str, Any]:
     }
 
 
-def print_preflight(checks: Iterable[LookedAt]) -> None:
+def print_preflight(checks: Iterable[PreflightCheck]) -> None:
     """The lines of the look round before a scan."""
     for check in checks:
         print(f"{check.state:<9} {check.what}: {check.found} {check.mend}".rstrip(), flush=True)
@@ -171,7 +171,7 @@ def print_digests(digests: Iterable[Digest]) -> None:
         print(f"  {digest.sha256}  {digest.what}: {digest.of}")
 
 
-def print_checks(checks: Iterable[Check]) -> int:
+def print_checks(checks: Iterable[EnvironmentCheck]) -> int:
     """One line for each thing looked at, and how to fix it; 1 when there is something to mend."""
     status = 0
     for check in checks:

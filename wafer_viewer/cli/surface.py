@@ -56,12 +56,12 @@ def reconstruct(
         na: Numerical aperture of the objective, in air, where SRC does not say: bounds the width of focus curves.
         wavelength_um: Of the light, for `na`; 0.55 um where it is not given.
     """
-    from wafer_viewer.session.surface.headless import Hire, surface_of
+    from wafer_viewer.session.surface.headless import LocalOrCluster, surface_of
     from wafer_viewer.store.formats.exporters import require_known
 
     require_sources(src)
     require_known(out)
-    hire = Hire(scheduler, workers)
+    hire = LocalOrCluster(scheduler, workers)
     with progress("Reconstruction") as tell:
         surface, info = surface_of(
             src,
@@ -99,9 +99,9 @@ def stitch(
         scheduler: A dask cluster that does the work, tls://HOST:PORT.
         workers: Processes of this machine that do the work; 1 is this one alone. As many as help by default.
     """
-    from wafer_viewer.session.surface.headless import Hire, make_surface, write_poses_of
+    from wafer_viewer.session.surface.headless import LocalOrCluster, make_surface, write_poses_of
 
-    hire = Hire(scheduler, workers)
+    hire = LocalOrCluster(scheduler, workers)
     with progress("Stitching") as tell:
         info = make_surface(dataset, recipe, result, again=again, tell=tell, warn=warn, hire=hire)
     if poses is not None:

@@ -21,12 +21,12 @@ from typing import Any
 from wafer_viewer.model.errors import WaferViewerError
 
 
-class ChildGone(WaferViewerError):
+class ChildDied(WaferViewerError):
     """The process that should have answered has ended."""
 
 
 @dataclass(frozen=True, slots=True)
-class Ask:
+class Request:
     """A verb on its way down, with the number its answer will carry."""
 
     number: int
@@ -34,7 +34,7 @@ class Ask:
 
 
 @dataclass(frozen=True, slots=True)
-class Answer:
+class Reply:
     """What a verb came to: a value, or the error that says why not."""
 
     number: int
@@ -42,7 +42,7 @@ class Answer:
     error: WaferViewerError | None = None
 
 
-class Link:
+class ChildProcess:
     """The viewer's end. The child runs ``target(pipe, *args)``; events arrive on a thread of the link's own."""
 
     def __init__(
@@ -78,7 +78,7 @@ class Link:
             number = next(self._numbers)
             self._waiting[number] = answer
             try:
-                self._pipe.send(Ask(number, verb))
+                self._pipe.send(Request(number, verb))
             except OSError:
                 self._waiting.pop(number).set_exception(_gone())
         return answer
@@ -106,7 +106,7 @@ class Link:
             self._on_gone(self.process.exitcode)
 
     def _take(self, message: Any) -> None:
-        if not isinstance(message, Answer):
+        if not isinstance(message, Reply):
             self._on_event(message)
         elif message.error is not None:
             self._waiting.pop(message.number).set_exception(message.error)
@@ -114,14 +114,14 @@ class Link:
             self._waiting.pop(message.number).set_result(message.value)
 
 
-class ChildEnd:
+class ChildConnection:
     """The child's end of a link."""
 
     def __init__(self, pipe: Connection) -> None:
         self._pipe = pipe
         self._sending = threading.Lock()
 
-    def verbs(self) -> Iterator[Ask]:
+    def verbs(self) -> Iterator[Request]:
         """The verbs as they come, until the viewer closes the pipe or is gone."""
         with contextlib.suppress(EOFError, OSError):
             while (ask := self._pipe.recv()) is not None:
@@ -132,13 +132,13 @@ class ChildEnd:
         with self._sending, contextlib.suppress(OSError):
             self._pipe.send(event)
 
-    def answer(self, ask: Ask, value: Any = None) -> None:
+    def answer(self, ask: Request, value: Any = None) -> None:
         """Say what a verb came to."""
-        self.tell(Answer(ask.number, value))
+        self.tell(Reply(ask.number, value))
 
-    def refuse(self, ask: Ask, error: WaferViewerError) -> None:
+    def refuse(self, ask: Request, error: WaferViewerError) -> None:
         """Say why a verb was not carried out."""
-        self.tell(Answer(ask.number, error=error))
+        self.tell(Reply(ask.number, error=error))
 
 
 def live_in_the_background(niceness: int = 0) -> None:
@@ -149,4 +149,4 @@ def live_in_the_background(niceness: int = 0) -> None:
 
 
 def _gone() -> WaferViewerError:
-    return ChildGone("The process that should do this has ended: try again, it is restarted.")
+    return ChildDied("The process that should do this has ended: try again, it is restarted.")

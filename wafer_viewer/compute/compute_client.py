@@ -7,8 +7,8 @@ from concurrent.futures import Future
 from multiprocessing.connection import Connection
 from typing import Any
 
-from wafer_viewer.compute.child_process import Link
-from wafer_viewer.compute.messages import Cancel, Lead, Run
+from wafer_viewer.compute.child_process import ChildProcess
+from wafer_viewer.compute.messages import Cancel, RunLedTask, RunTask
 from wafer_viewer.compute.task_runner import require_tls
 from wafer_viewer.compute.watched_tasks import Answer, Args, LedTask, WatchedTask
 
@@ -30,21 +30,21 @@ class Compute:
         require_tls(scheduler)
         self._host_args = scheduler, warm_up
         self._on_event, self._on_gone = on_event, on_gone
-        self._link: Link | None = None
+        self._link: ChildProcess | None = None
 
-    def start(self) -> Link:
+    def start(self) -> ChildProcess:
         """The link to a living host."""
         if self._link is None or not self._link.alive:
-            self._link = Link("wafer-viewer compute", _host, self._host_args, self._on_event, self._on_gone)
+            self._link = ChildProcess("wafer-viewer compute", _host, self._host_args, self._on_event, self._on_gone)
         return self._link
 
     def run(self, work: str, task: WatchedTask[*Args, Answer], *args: *Args) -> Future[Answer]:
         """Run ``task(*args, progress=…, should_stop=…)`` on a worker; its errors come out of the future."""
-        return self.start().ask(Run(work, task, args))
+        return self.start().ask(RunTask(work, task, args))
 
     def lead(self, work: str, task: LedTask[*Args, Answer], *args: *Args) -> Future[Answer]:
         """Run ``task(*args, crew=…, progress=…, should_stop=…)`` in the host, which may hand the crew many tasks."""
-        return self.start().ask(Lead(work, task, args))
+        return self.start().ask(RunLedTask(work, task, args))
 
     def cancel(self, work: str) -> None:
         """Tell the tasks of a work to stop."""

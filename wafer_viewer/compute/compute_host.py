@@ -17,10 +17,10 @@ from typing import Any
 
 from distributed import CancelledError, Client, Event, Future
 
-from wafer_viewer.compute.child_process import Ask, ChildEnd, live_in_the_background
+from wafer_viewer.compute.child_process import ChildConnection, Request, live_in_the_background
 from wafer_viewer.compute.dask_cluster import client_of
-from wafer_viewer.compute.messages import Cancel, ComputeAbsent, ComputeUp, ComputeWarm, Lead, Progressed, Run
-from wafer_viewer.compute.task_runner import COUNT_EVERY_S, Cluster, n_local_workers
+from wafer_viewer.compute.messages import Cancel, ComputeAbsent, ComputeUp, ComputeWarm, Progressed, RunLedTask, RunTask
+from wafer_viewer.compute.task_runner import COUNT_EVERY_S, DaskRunner, n_local_workers
 from wafer_viewer.compute.watched_tasks import PROGRESS_TOPIC, run_watched, sparing, stop_sign
 from wafer_viewer.model.errors import ComputeError, WaferViewerError
 
@@ -32,7 +32,7 @@ RUN_PRIORITY = 10
 def run_compute(pipe: Connection, scheduler: str | None, warm_up: Callable[[], None]) -> None:
     """Live as the compute host until the pipe ends."""
     live_in_the_background(NICENESS)
-    end = ChildEnd(pipe)
+    end = ChildConnection(pipe)
     with ExitStack() as until_end:
         try:
             client = until_end.enter_context(client_of(scheduler, n_local_workers()))
@@ -45,14 +45,14 @@ def run_compute(pipe: Connection, scheduler: str | None, warm_up: Callable[[], N
 class Host:
     """Between the pipe and the cluster."""
 
-    def __init__(self, client: Client, end: ChildEnd, warm_up: Callable[[], None]) -> None:
+    def __init__(self, client: Client, end: ChildConnection, warm_up: Callable[[], None]) -> None:
         self._client, self._end, self._warm_up_worker = client, end, warm_up
         self._futures: dict[int, Future[Any]] = {}
         self._warming: list[Future[Any]] = []
         self._leader = ThreadPoolExecutor(1, "lead")  # one after the other: two could write to the same mosaic
         self._stops: dict[str, threading.Event] = {}
         self._closing = threading.Event()
-        self._do = {Run: self._run, Lead: self._lead, Cancel: self._cancel}
+        self._do = {RunTask: self._run, RunLedTask: self._lead, Cancel: self._cancel}
         client.subscribe_topic(PROGRESS_TOPIC, self._progressed)
 
     def work(self) -> None:
@@ -70,7 +70,7 @@ class Host:
 
     def _count(self) -> None:
         """Tell how many workers there are, whenever one joined or left."""
-        crew, told = Cluster(self._client), 0
+        crew, told = DaskRunner(self._client), 0
         with suppress(ComputeError):
             while not self._closing.is_set():
                 if (now := crew.n_hands) != told:
@@ -78,8 +78,8 @@ class Host:
                     told = now
                 self._closing.wait(COUNT_EVERY_S)
 
-    def _run(self, ask: Ask) -> None:
-        verb: Run = ask.verb
+    def _run(self, ask: Request) -> None:
+        verb: RunTask = ask.verb
         key = f"{verb.task.__name__}-{verb.work}-{ask.number}"
         future = self._client.submit(
             run_watched, verb.work, verb.task, verb.args, key=key, pure=False, priority=RUN_PRIORITY
@@ -87,21 +87,21 @@ class Host:
         self._futures[ask.number] = future
         future.add_done_callback(lambda done: self._done(ask, done))
 
-    def _lead(self, ask: Ask) -> None:
-        verb: Lead = ask.verb
+    def _lead(self, ask: Request) -> None:
+        verb: RunLedTask = ask.verb
         stop = self._stops[verb.work] = threading.Event()
-        progress, crew = sparing(partial(self._tell, verb.work)), Cluster(self._client)
+        progress, crew = sparing(partial(self._tell, verb.work)), DaskRunner(self._client)
         led = self._leader.submit(verb.task, *verb.args, crew=crew, progress=progress, should_stop=stop.is_set)
         led.add_done_callback(partial(self._led, ask))
 
-    def _led(self, ask: Ask, done: LocalFuture[Any]) -> None:
+    def _led(self, ask: Request, done: LocalFuture[Any]) -> None:
         self._stops.pop(ask.verb.work, None)
         if done.cancelled() or done.exception() is not None:
             self._end.refuse(ask, _sentence(ask.verb, done))
         else:
             self._end.answer(ask, done.result())
 
-    def _cancel(self, ask: Ask) -> None:
+    def _cancel(self, ask: Request) -> None:
         if stop := self._stops.get(ask.verb.work):
             stop.set()
         Event(stop_sign(ask.verb.work), client=self._client).set()
@@ -114,7 +114,7 @@ class Host:
     def _tell(self, work: str, fraction: float) -> None:
         self._end.tell(Progressed(work, fraction))
 
-    def _done(self, ask: Ask, done: Future[Any]) -> None:
+    def _done(self, ask: Request, done: Future[Any]) -> None:
         self._futures.pop(ask.number)
         if done.status == "finished":
             self._end.answer(ask, done.result())
@@ -136,7 +136,7 @@ class Host:
         return self._client.submit(self._warm_up_worker, workers=[address], pure=False)
 
 
-def _sentence(verb: Run | Lead, done: Future[Any] | LocalFuture[Any]) -> WaferViewerError:
+def _sentence(verb: RunTask | RunLedTask, done: Future[Any] | LocalFuture[Any]) -> WaferViewerError:
     """What went wrong with a task, as an error that the viewer can show."""
     fault = None if done.cancelled() else done.exception()
     if isinstance(fault, WaferViewerError):

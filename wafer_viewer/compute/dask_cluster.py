@@ -17,7 +17,7 @@ from typing import Any
 import dask.config
 from distributed import Client, LocalCluster, Security
 
-from wafer_viewer.compute.task_runner import Cluster
+from wafer_viewer.compute.task_runner import DaskRunner
 from wafer_viewer.model.errors import ComputeError
 
 WORKER_MEMORY = "3GiB"
@@ -90,7 +90,7 @@ def _joined(scheduler: str) -> Generator[Client]:
     with client:
         with _where(scheduler):
             client.wait_for_workers(1, timeout=PATIENCE_S)
-        Cluster(client).require_same_program()
+        DaskRunner(client).require_same_program()
         yield client
 
 

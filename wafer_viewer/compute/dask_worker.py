@@ -25,12 +25,12 @@ if TYPE_CHECKING:
 
 RECORD = "scan.json"
 Outcome = tuple[Any, WaferViewerError | None]
-_FIT_FOR: set[Sight] = set()
+_FIT_FOR: set[WorkerFingerprint] = set()
 """What this worker has looked at and seen: a record of many fields takes long to read."""
 
 
 @dataclass(frozen=True, slots=True)
-class Sight:
+class WorkerFingerprint:
     """What a machine sees: the program's version and marks of its sources and of a dataset's record, "" for none."""
 
     version: str
@@ -39,7 +39,7 @@ class Sight:
     record: str
 
     @classmethod
-    def of(cls, dataset: Path) -> Sight:
+    def of(cls, dataset: Path) -> WorkerFingerprint:
         """What this machine sees of a dataset."""
         record = ""
         with suppress(OSError):
@@ -47,12 +47,12 @@ class Sight:
         return cls(__version__, source_mark(), dataset, record)
 
 
-def why_unfit(wanted: Sight) -> str:
+def why_unfit(wanted: WorkerFingerprint) -> str:
     """Why this machine cannot do the work of one that sees `wanted`, in a sentence; "" where it can."""
     host = socket.gethostname()
     if why := why_other(wanted.version, wanted.sources):
         return why
-    if not (seen := Sight.of(wanted.dataset)).record:
+    if not (seen := WorkerFingerprint.of(wanted.dataset)).record:
         return f"The worker on {host} does not see {wanted.dataset}: mount the shared folder there under the same path."
     if seen.record != wanted.record:
         return f"The worker on {host} sees another dataset at {wanted.dataset}: mount the same folder on both machines."
@@ -85,7 +85,7 @@ def attempt(task: Callable[..., Any], item: tuple[Any, ...]) -> Outcome:
         return None, fault
 
 
-def attempt_if_fit(wanted: Sight | None, task: Callable[..., Any], item: tuple[Any, ...]) -> Outcome:
+def attempt_if_fit(wanted: WorkerFingerprint | None, task: Callable[..., Any], item: tuple[Any, ...]) -> Outcome:
     """`attempt` on a worker; one that is unfit takes no more tasks and leaves this one to the others."""
     if wanted is not None and wanted not in _FIT_FOR:
         if why := why_unfit(wanted):

@@ -10,7 +10,7 @@ if TYPE_CHECKING:
 
 
 @dataclass(frozen=True, slots=True)
-class Run:
+class RunTask:
     """Carry out ``task(*args, progress=…, should_stop=…)`` on a worker. Answered with what it returns."""
 
     work: str
@@ -19,7 +19,7 @@ class Run:
 
 
 @dataclass(frozen=True, slots=True)
-class Lead:
+class RunLedTask:
     """Carry out ``task(*args, crew=…, progress=…, should_stop=…)`` in the host, where it hands the crew many tasks.
 
     Answered with what it returns.

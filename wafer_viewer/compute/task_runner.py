@@ -20,7 +20,15 @@ from typing import TYPE_CHECKING, Any, Protocol
 from uuid import uuid4
 
 from wafer_viewer._version import __version__
-from wafer_viewer.compute.dask_worker import Sight, attempt, attempt_if_fit, source_mark, why_other, why_unfit, works_on
+from wafer_viewer.compute.dask_worker import (
+    WorkerFingerprint,
+    attempt,
+    attempt_if_fit,
+    source_mark,
+    why_other,
+    why_unfit,
+    works_on,
+)
 from wafer_viewer.model.errors import ComputeError, WaferViewerError
 from wafer_viewer.model.progress import ShouldStop
 
@@ -46,7 +54,7 @@ class Done:
     fault: WaferViewerError | None = None
 
 
-class Crew(Protocol):
+class TaskRunner(Protocol):
     """Hands that take tasks."""
 
     @property
@@ -73,7 +81,7 @@ class Crew(Protocol):
         ...
 
 
-class Here:
+class LocalRunner:
     """Hands in this process: one task at a time, which may use all cores, or a few threads with a task each."""
 
     def __init__(self, threads: int = 1) -> None:
@@ -84,7 +92,7 @@ class Here:
         """This process sees what it sees."""
 
     def each(self, task: Task, items: Sequence[Item], *, should_stop: ShouldStop = lambda: False) -> Generator[Done]:
-        """See `Crew`. An error that is no WaferViewerError is raised."""
+        """See `TaskRunner`. An error that is no WaferViewerError is raised."""
         if self.n_hands == 1:
             for index, item in enumerate(items):
                 _require_going(should_stop, index, len(items))
@@ -96,7 +104,7 @@ class Here:
                 yield Done(index, *future.result())
 
 
-class Cluster:
+class DaskRunner:
     """The workers of a dask.distributed cluster. They may die, join and leave meanwhile.
 
     client: synchronous; several threads may share it.
@@ -108,7 +116,7 @@ class Cluster:
         self._client = client
         self._n_hands, self._counted_at = 0, float("-inf")
         self._seen_at = time.monotonic()
-        self._wanted: Sight | None = None
+        self._wanted: WorkerFingerprint | None = None
 
     @property
     def n_hands(self) -> int:
@@ -126,8 +134,8 @@ class Cluster:
         return self._n_hands
 
     def require_sight(self, dataset: Path) -> None:
-        """See `Crew`. A worker that joins later and is unfit takes no tasks and says why on its own terminal."""
-        wanted = Sight.of(dataset.absolute())
+        """See `TaskRunner`. A worker that joins later and is unfit takes no tasks and says why on its own terminal."""
+        wanted = WorkerFingerprint.of(dataset.absolute())
         self._require_well(why_unfit, wanted)
         self._wanted = wanted
 
@@ -136,7 +144,7 @@ class Cluster:
         self._require_well(why_other, __version__, source_mark())
 
     def each(self, task: Task, items: Sequence[Item], *, should_stop: ShouldStop = lambda: False) -> Generator[Done]:
-        """See `Crew`. A task that fails in a way nobody foresaw is Done with a fault as well."""
+        """See `TaskRunner`. A task that fails in a way nobody foresaw is Done with a fault as well."""
         job, suspects = uuid4().hex[:12], list[int]()
         self._seen_at = time.monotonic()
         with closing(self._outcomes(f"{job}-first", task, items, range(len(items)), should_stop)) as outcomes:

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Protocol, TypeVar, TypeVarTuple
 from wafer_viewer.model.progress import Progress, ShouldStop
 
 if TYPE_CHECKING:
-    from wafer_viewer.compute.task_runner import Crew
+    from wafer_viewer.compute.task_runner import TaskRunner
 
 Args = TypeVarTuple("Args")
 Answer = TypeVar("Answer", covariant=True)
@@ -31,7 +31,7 @@ class LedTask(Protocol[*Args, Answer]):
 
     __name__: str
 
-    def __call__(self, *args: *Args, crew: Crew, progress: Progress, should_stop: ShouldStop) -> Answer:
+    def __call__(self, *args: *Args, crew: TaskRunner, progress: Progress, should_stop: ShouldStop) -> Answer:
         """Do it; the answer goes back to the session."""
         ...
 

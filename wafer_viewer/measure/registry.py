@@ -21,7 +21,7 @@ from wafer_viewer.measure.tools.step_height import step_height
 from wafer_viewer.measure.tools.step_profile import step_profile
 from wafer_viewer.measure.tools.volume import area_volume
 from wafer_viewer.model.errors import MeasureError
-from wafer_viewer.model.findings import AnyFinding
+from wafer_viewer.model.findings import AnyResult
 from wafer_viewer.model.measurement.measurements import Profile
 from wafer_viewer.model.measurement.tool_options import ToolOptions, keywords
 from wafer_viewer.model.measurement.tools import TOOLS, ToolName
@@ -33,7 +33,7 @@ def _section(surface: Mosaic, line: Region, *, calibration_valid: bool) -> Profi
     return profile(surface, line, calibration_valid=calibration_valid)[0]
 
 
-MEASUREMENTS: dict[ToolName, Callable[..., AnyFinding]] = {
+MEASUREMENTS: dict[ToolName, Callable[..., AnyResult]] = {
     "profile": _section,
     "point": point_height,
     "distance": distance,
@@ -61,7 +61,7 @@ def measured(
     places: tuple[Region, ...],
     calibration_valid: bool,
     options: ToolOptions | None = None,
-) -> AnyFinding:
+) -> AnyResult:
     """What a tool finds at its places. Raises MeasureError when it asks for another number, or there is no answer."""
     asked = TOOLS[tool].places
     if len(places) != len(asked):

@@ -10,8 +10,8 @@ from wafer_viewer.measure.base.uncertainty_budget import LESS_WITH_REPEATS
 from wafer_viewer.measure.registry import measured
 from wafer_viewer.model.acquisition.alignment import Alignment
 from wafer_viewer.model.errors import MeasureError
-from wafer_viewer.model.findings import AnyFinding
-from wafer_viewer.model.job.verdict import GRAVEST, Judged, JudgedDie, Word
+from wafer_viewer.model.findings import AnyResult
+from wafer_viewer.model.job.verdict import GRAVEST, FeatureVerdict, JudgedDie, Word
 from wafer_viewer.model.measurement.feature import Die, Dies, Feature, on_die
 from wafer_viewer.model.quantity import Length, Quantity
 from wafer_viewer.model.region import Point, Region
@@ -31,7 +31,7 @@ def judge_features(
     *,
     calibration_valid: bool,
     dies: Dies | None = None,
-) -> tuple[Judged, ...]:
+) -> tuple[FeatureVerdict, ...]:
     """Measure every feature that has a place, on each of the dies where it is one of a die, and judge it.
 
     What cannot be measured has no verdict and says why.
@@ -42,28 +42,30 @@ def judge_features(
 
 def judge_at(
     surface: Mosaic, feature: Feature, die: Die | None, alignment: Alignment | None, calibration_valid: bool
-) -> Judged:
+) -> FeatureVerdict:
     """Measure one feature, on one die where it is repeated over dies, and judge it."""
     name = die.name if die is not None else ""
     try:
         found = measured_feature(surface, feature, die, alignment, calibration_valid)
         quantity = quantity_of(found, feature)
     except MeasureError as fault:
-        return Judged(feature=feature, die=name, word="no verdict", why=f"'{feature.name}' was not measured. {fault}")
+        return FeatureVerdict(
+            feature=feature, die=name, word="no verdict", why=f"'{feature.name}' was not measured. {fault}"
+        )
     left_out: tuple[str, ...] = tuple(getattr(found, "not_evaluated", ()))
     return replace(judge(feature, quantity), die=name, not_evaluated=left_out)
 
 
 def measured_feature(
     surface: Mosaic, feature: Feature, die: Die | None, alignment: Alignment | None, calibration_valid: bool
-) -> AnyFinding:
+) -> AnyResult:
     """What a feature's tool finds where the feature lies on the stage. Raises MeasureError where it finds nothing."""
     on_wafer = feature.places if die is None else tuple(on_die(place, die) for place in feature.places)
     on_the_stage = tuple(on_stage(place, alignment) for place in on_wafer)
     return measured(surface, feature.tool, on_the_stage, calibration_valid, feature.options)
 
 
-def quantity_of(found: AnyFinding, feature: Feature) -> Quantity:
+def quantity_of(found: AnyResult, feature: Feature) -> Quantity:
     """The quantity of a feature in what was found. Raises MeasureError where it is not there or in another unit."""
     quantity = named_quantity(found, feature.quantity)
     if quantity.unit != feature.unit:
@@ -73,7 +75,7 @@ def quantity_of(found: AnyFinding, feature: Feature) -> Quantity:
     return quantity
 
 
-def named_quantity(found: AnyFinding, name: str) -> Quantity:
+def named_quantity(found: AnyResult, name: str) -> Quantity:
     """A quantity of a result by the name of its field, the main one without a name. Raises MeasureError for others."""
     if not name:
         return found.main
@@ -85,23 +87,23 @@ def named_quantity(found: AnyFinding, name: str) -> Quantity:
     return quantity.quantity if isinstance(quantity, Length) else quantity
 
 
-def judge(feature: Feature, quantity: Quantity) -> Judged:
+def judge(feature: Feature, quantity: Quantity) -> FeatureVerdict:
     """A quantity against the limits of its feature; a limit that is open is never passed.
 
     Guard band (ISO 14253-1): pass where all of value ± U lies within the limits, fail where all of it lies beyond one,
     else inconclusive. Simple acceptance: the value alone decides. Without an uncertainty neither gives a verdict.
     """
     if quantity.expanded is None:
-        return Judged(feature=feature, measured=quantity, word="no verdict", why=_no_uncertainty(quantity))
+        return FeatureVerdict(feature=feature, measured=quantity, word="no verdict", why=_no_uncertainty(quantity))
     half = quantity.expanded if feature.decision_rule == "guard_band" else 0.0
     low, high = quantity.value - half, quantity.value + half
     least, most = limits_of(feature)
     if least <= low and high <= most:
-        return Judged(feature=feature, measured=quantity, word="pass", why="Within the limits.")
+        return FeatureVerdict(feature=feature, measured=quantity, word="pass", why="Within the limits.")
     if high < least or low > most:
         beyond = "Under the lower limit." if high < least else "Over the upper limit."
-        return Judged(feature=feature, measured=quantity, word="fail", why=beyond)
-    return Judged(feature=feature, measured=quantity, word="inconclusive", why=_undecided(feature, quantity))
+        return FeatureVerdict(feature=feature, measured=quantity, word="fail", why=beyond)
+    return FeatureVerdict(feature=feature, measured=quantity, word="inconclusive", why=_undecided(feature, quantity))
 
 
 def limits_of(feature: Feature) -> tuple[float, float]:
@@ -110,9 +112,9 @@ def limits_of(feature: Feature) -> tuple[float, float]:
     return -math.inf if low is None else low, math.inf if high is None else high
 
 
-def judge_dies(items: Sequence[Judged], dies: Dies | None) -> tuple[JudgedDie, ...]:
+def judge_dies(items: Sequence[FeatureVerdict], dies: Dies | None) -> tuple[JudgedDie, ...]:
     """The word of every die that anything was judged on, by the gravest word of its features."""
-    of_die: dict[str, list[Judged]] = defaultdict(list)
+    of_die: dict[str, list[FeatureVerdict]] = defaultdict(list)
     for item in items:
         of_die[item.die].append(item)
     return tuple(
@@ -129,14 +131,14 @@ def judge_dies(items: Sequence[Judged], dies: Dies | None) -> tuple[JudgedDie, .
     )
 
 
-def overall(items: Sequence[Judged]) -> Word:
+def overall(items: Sequence[FeatureVerdict]) -> Word:
     """The word for all together: fail where any feature fails, pass where all pass; nothing judged is no verdict."""
     words = {item.word for item in items}
     gravest: list[Word] = [word for word in GRAVEST if word in words]
     return gravest[0] if gravest else "no verdict"
 
 
-def what_next(items: Sequence[Judged]) -> str:
+def what_next(items: Sequence[FeatureVerdict]) -> str:
     """What the operator does now."""
     match overall(items):
         case "pass":
@@ -150,7 +152,7 @@ def what_next(items: Sequence[Judged]) -> str:
             return " ".join(reasons) or "The job has no feature with a place to measure: ask the engineer."
 
 
-def scans_needed(item: Judged) -> int | None:
+def scans_needed(item: FeatureVerdict) -> int | None:
     """How many scans, this one included, would decide if their mean stayed here; None where no number would."""
     quantity = item.measured
     if quantity is None or not quantity.budget:
@@ -195,7 +197,7 @@ def _to_nearest_limit(feature: Feature, quantity: Quantity) -> float:
     return min(abs(quantity.value - limit) for limit in limits_of(feature))
 
 
-def _after_inconclusive(items: Sequence[Judged]) -> str:
+def _after_inconclusive(items: Sequence[FeatureVerdict]) -> str:
     needed = [scans_needed(item) for item in items]
     worst = max((n for n in needed if n is not None), default=0)
     if None in needed or worst < 2:

@@ -63,5 +63,5 @@ class DiesNotFound(MeasureError):
         self.brief = brief
 
 
-class HeldByAnother(WaferViewerError):
+class ControlHeldError(WaferViewerError):
     """What only the holder of the controls may ask for."""

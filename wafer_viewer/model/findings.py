@@ -22,7 +22,7 @@ from wafer_viewer.model.measurement.step import StepHeight, StepProfile
 from wafer_viewer.model.measurement.texture import Roughness, Texture
 from wafer_viewer.model.spec import Spec
 
-AnyFinding = (
+AnyResult = (
     Profile
     | PointHeight
     | Distance
@@ -45,8 +45,8 @@ AnyFinding = (
 )
 
 
-class Findings(Spec, frozen=True, kw_only=True):
+class MeasurementResults(Spec, frozen=True, kw_only=True):
     """The list of results of one reconstruction: the file ``findings.json``."""
 
     error: ClassVar[type[WaferViewerError]] = MeasureError
-    items: tuple[AnyFinding, ...] = ()
+    items: tuple[AnyResult, ...] = ()

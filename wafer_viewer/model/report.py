@@ -99,7 +99,7 @@ class Sheet:
 
 
 @dataclass(frozen=True, slots=True)
-class Section:
+class ReportSection:
     """A head, and what stands under it: names with values, a table, pictures, sentences. `empty`: why nothing does.
 
     word: in large type before all else, with the sentence beside it; lines: what is signed.
@@ -131,4 +131,4 @@ class Report:
     below: str
     simulated: bool
     facts: Pairs
-    sections: tuple[Section, ...]
+    sections: tuple[ReportSection, ...]

@@ -17,7 +17,7 @@ from wafer_viewer.reconstruct.cleaning.clean import settle_cleaning
 from wafer_viewer.reconstruct.focus.focus_measures import FOCUS_MEASURES
 from wafer_viewer.reconstruct.focus.noise_thresholds import noise_scores
 from wafer_viewer.reconstruct.focus.peak import Peaks
-from wafer_viewer.reconstruct.focus.peak_search import Bench, Search, search_part
+from wafer_viewer.reconstruct.focus.peak_search import Search, ThreadScratch, search_part
 from wafer_viewer.reconstruct.gates.gate import LEAST_FRAMES, auto_min_confidence, gate_of, origins
 from wafer_viewer.reconstruct.preprocess.camera_noise import camera_of, settled_noise
 from wafer_viewer.reconstruct.preprocess.frames import Frames
@@ -55,7 +55,7 @@ _TILES = 3
 
 
 @dataclass(frozen=True, slots=True)
-class Settled:
+class TunedSearch:
     """A recipe without `auto`, how to search with it, and what the optics resolve along z.
 
     resolution_um is the step of the sweep, or the step that would suit the optics where the sweep is finer than that.
@@ -76,7 +76,7 @@ class FocusWidth:
     notes: tuple[str, ...] = ()
 
 
-def settle(frames: Frames, recipe: Recipe) -> Settled:
+def settle(frames: Frames, recipe: Recipe) -> TunedSearch:
     """Replace every `auto` of a recipe by what the data say."""
     recipe = replace(recipe, noise=settled_noise(frames, recipe.noise))
     found = focus_width(frames, recipe) if recipe.focus_width_um == "auto" else FocusWidth(recipe.focus_width_um)
@@ -89,7 +89,7 @@ def settle(frames: Frames, recipe: Recipe) -> Settled:
     confidence = _min_confidence(recipe, search, frames.n_frames)
     settled = replace(recipe, window=window, focus_width_um=width_um, min_confidence=confidence)
     maps = gated_tiles(frames, settled, search) if settled.heights_have_auto else []
-    return Settled(settle_cleaning(maps, settled, resolution_um), search, resolution_um, found.notes)
+    return TunedSearch(settle_cleaning(maps, settled, resolution_um), search, resolution_um, found.notes)
 
 
 def gated_tiles(frames: Frames, recipe: Recipe, search: Search) -> list[NDArray[np.float32]]:
@@ -164,7 +164,7 @@ def _coverage(frames: Frames, recipe: Recipe, search: Search) -> float:
     )
 
 
-def _clean_widths(bench: Bench, peaks: Peaks, power: float) -> NDArray[np.float32]:
+def _clean_widths(bench: ThreadScratch, peaks: Peaks, power: float) -> NDArray[np.float32]:
     """Widths, in frames, of the curves of a tile that rise over half their top once, within the stack.
 
     Half for a measure that falls as the square of the blur's variance: the width is that of the optics, whatever the
@@ -210,11 +210,11 @@ def _largest_depth_um(pixel_um: float) -> float:
     return WAVELENGTH_UM / aperture**2
 
 
-def _tiles(frames: Frames, search: Search) -> Iterator[tuple[Bench, Peaks]]:
+def _tiles(frames: Frames, search: Search) -> Iterator[tuple[ThreadScratch, Peaks]]:
     """The peaks of a few tiles spread over the field; bench and peaks are used again for the next tile."""
     n_rows, n_cols = frames.shape
     shape = min(_TILE_PX[0], n_rows), min(_TILE_PX[1], n_cols)
-    bench = Bench.make(frames.n_frames, shape, search, frames.dtype)
+    bench = ThreadScratch.make(frames.n_frames, shape, search, frames.dtype)
     peaks = Peaks.empty(shape, bench.block.dtype)
     for top in _starts(n_rows, shape[0]):
         for left in _starts(n_cols, shape[1]):

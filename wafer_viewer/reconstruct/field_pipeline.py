@@ -13,7 +13,7 @@ from wafer_viewer.model.acquisition.plan import Field
 from wafer_viewer.model.surface.height_map import HeightMap, Origin, Provenance
 from wafer_viewer.model.surface.recipe import Recipe
 from wafer_viewer.model.surface.refused_points import RefusedHeights
-from wafer_viewer.reconstruct.auto_tuning import Settled, settle
+from wafer_viewer.reconstruct.auto_tuning import TunedSearch, settle
 from wafer_viewer.reconstruct.cleaning.clean import clean
 from wafer_viewer.reconstruct.cleaning.gap_fill import mark_filled
 from wafer_viewer.reconstruct.focus.peak import Peaks
@@ -22,7 +22,7 @@ from wafer_viewer.reconstruct.focus.window_sampling import coarse_step
 from wafer_viewer.reconstruct.gates import edge_bleeding
 from wafer_viewer.reconstruct.gates.gate import LEAST_FRAMES
 from wafer_viewer.reconstruct.preprocess.frames import Frames, prepare
-from wafer_viewer.reconstruct.validity import Judged, judge
+from wafer_viewer.reconstruct.validity import ValidatedPeaks, judge
 
 ENOUGH_TO_SETTLE = 0.2
 """A field of which a fifth is measured can choose for the fields around it."""
@@ -44,7 +44,7 @@ def reconstruct(
 
 
 def surface_of(
-    stack: FieldStack, frames: Frames, settled: Settled, peaks: Peaks, threads: int | None = None
+    stack: FieldStack, frames: Frames, settled: TunedSearch, peaks: Peaks, threads: int | None = None
 ) -> HeightMap:
     """The height map of searched frames."""
     return cleaned(stack, frames, settled, judge(frames, settled, peaks, threads))
@@ -60,7 +60,7 @@ def speaks_for_scan(surface: HeightMap) -> bool:
     return bool(surface.measured.mean() >= ENOUGH_TO_SETTLE)
 
 
-def cleaned(stack: FieldStack, frames: Frames, settled: Settled, judged: Judged) -> HeightMap:
+def cleaned(stack: FieldStack, frames: Frames, settled: TunedSearch, judged: ValidatedPeaks) -> HeightMap:
     """Smooth, drop outliers, fill small gaps: z_um has all three, z_raw_um only what was dropped."""
     peaks, origin = judged.peaks, judged.origin
     recipe, resolution_um = settled.recipe, settled.resolution_um
@@ -82,7 +82,7 @@ def cleaned(stack: FieldStack, frames: Frames, settled: Settled, judged: Judged)
     )
 
 
-def refused_heights(judged: Judged, origin: NDArray[np.uint8]) -> RefusedHeights:
+def refused_heights(judged: ValidatedPeaks, origin: NDArray[np.uint8]) -> RefusedHeights:
     """Return the heights that gates, outlier removal and the edges of steps refused.
 
     Parameters

@@ -13,7 +13,7 @@ from wafer_viewer.model.surface.recipe import Recipe
 from wafer_viewer.reconstruct.auto_tuning import settle
 from wafer_viewer.reconstruct.field_pipeline import cleaned, settled_recipe
 from wafer_viewer.reconstruct.focus.peak import Peaks
-from wafer_viewer.reconstruct.focus.peak_search import Bench, Search, search_field, search_part
+from wafer_viewer.reconstruct.focus.peak_search import Search, ThreadScratch, search_field, search_part
 from wafer_viewer.reconstruct.preprocess.frames import Frames, prepare, read_block
 from wafer_viewer.reconstruct.validity import judge
 
@@ -69,7 +69,7 @@ def focus_curve(stack: FieldStack, x_um: float, y_um: float, recipe: Recipe = Re
 
 def curve_at(frames: Frames, search: Search, row: int, col: int) -> tuple[NDArray[np.float64], NDArray[np.int64]]:
     """The focus measure of a pixel in each frame, as a share of its largest value, and its grey."""
-    bench = Bench.make(frames.n_frames, (1, 1), search, frames.dtype)
+    bench = ThreadScratch.make(frames.n_frames, (1, 1), search, frames.dtype)
     search_part(frames, slice(row, row + 1), slice(col, col + 1), search, bench, Peaks.empty((1, 1), bench.block.dtype))
     levels = bench.curves.levels[:, 0, 0].astype(np.int64)
     bits, table = bench.spots.bits, bench.spots.table

@@ -16,9 +16,9 @@ from wafer_viewer.model.surface.recipe import Recipe
 from wafer_viewer.reconstruct.auto_tuning import search_of, settle
 from wafer_viewer.reconstruct.field_pipeline import surface_of
 from wafer_viewer.reconstruct.focus.focus_measures import FOCUS_MEASURES
-from wafer_viewer.reconstruct.focus.focus_volume import Source, Volume
-from wafer_viewer.reconstruct.focus.peak import Curves, Peaks
-from wafer_viewer.reconstruct.focus.peak_interpolation import Spots
+from wafer_viewer.reconstruct.focus.focus_volume import StackSource, Volume
+from wafer_viewer.reconstruct.focus.peak import FocusCurves, Peaks
+from wafer_viewer.reconstruct.focus.peak_interpolation import InterpolationScratch
 from wafer_viewer.reconstruct.focus.peak_search import Search, fill_volume, find_peaks, search_field, stripes
 from wafer_viewer.reconstruct.preprocess.frames import Frames, clipped_from, prepare
 
@@ -44,7 +44,9 @@ class LiveField:
         self._peaks = Peaks.empty(images.shape[1:], images.dtype, len(images))
         self._peaks.clipped[:] = 0
         cols = images.shape[2]
-        self._stripes = [(rows, Curves.make(len(images), (_length(rows), cols))) for rows in stripes(images.shape[1])]
+        self._stripes = [
+            (rows, FocusCurves.make(len(images), (_length(rows), cols))) for rows in stripes(images.shape[1])
+        ]
         for _, curves in self._stripes:
             curves.best[:] = 0
             curves.peak[:] = 0
@@ -52,7 +54,7 @@ class LiveField:
         self._best, self._peak, self._clipped = (np.empty(stripe, np.uint16) for _ in range(3))
         measure = FOCUS_MEASURES[self._search.measure]
         self._rows = measure.make_rows(cols, self._search.window, images.dtype)
-        self._spots = Spots.make(cols, measure.table(images.dtype))
+        self._spots = InterpolationScratch.make(cols, measure.table(images.dtype))
         self._came = np.zeros(len(images), np.bool_)
 
     @property
@@ -98,11 +100,11 @@ class LiveField:
             find_peaks(self._source(rows, slots), frames.z_um, search, curves, self._spots, self._peaks.rows(rows))
         return self._peaks
 
-    def _source(self, rows: slice, slots: NDArray[np.int64]) -> Source:
-        return Source.of(self._images, slots, rows.start, 0, clipped_from(WHITE_COUNTS))
+    def _source(self, rows: slice, slots: NDArray[np.int64]) -> StackSource:
+        return StackSource.of(self._images, slots, rows.start, 0, clipped_from(WHITE_COUNTS))
 
 
-def _keep_better(curves: Curves, best: NDArray[np.uint16], peak: NDArray[np.uint16]) -> None:
+def _keep_better(curves: FocusCurves, best: NDArray[np.uint16], peak: NDArray[np.uint16]) -> None:
     """Of two frames that are equally sharp the lower one is the peak, in whatever order they came."""
     better = (best > curves.best) | ((best == curves.best) & (peak < curves.peak))
     np.copyto(curves.best, best, where=better)

@@ -13,13 +13,15 @@ from wafer_viewer.model.acquisition.plan import Field
 from wafer_viewer.model.errors import ComputeError
 from wafer_viewer.model.progress import Progress
 from wafer_viewer.model.spec import replace
-from wafer_viewer.model.surface.field_poses import Form, Poses, Seams, Shifts, no_seams, no_shifts
+from wafer_viewer.model.surface.field_poses import Form, HeightOffsets, Poses, Shifts, no_seams, no_shifts
 from wafer_viewer.model.surface.height_map import HeightMap, Outline
 from wafer_viewer.model.surface.recipe import Recipe, Stitching
 from wafer_viewer.reconstruct.blending.mosaic_layout import layout
 from wafer_viewer.reconstruct.blending.stitched_mosaic import StitchedMosaic, mosaic_provenance, moved_to
-from wafer_viewer.reconstruct.pose_graph.incremental import Known
-from wafer_viewer.reconstruct.pose_graph.poses import Camera, Levels, Positions, solve_heights, solve_positions
+from wafer_viewer.reconstruct.pose_graph.camera_rotation_scale import CameraAxes
+from wafer_viewer.reconstruct.pose_graph.incremental import PreviousSolution
+from wafer_viewer.reconstruct.pose_graph.lateral_poses import Positions, solve_positions
+from wafer_viewer.reconstruct.pose_graph.vertical_poses import VerticalPoses, solve_heights
 from wafer_viewer.reconstruct.registration.height_seams import compare
 from wafer_viewer.reconstruct.registration.misplaced_fields import suspects
 from wafer_viewer.reconstruct.registration.neighbour_pairs import neighbours
@@ -33,7 +35,7 @@ REGISTER_SHARE = 0.8
 
 
 @dataclass(frozen=True, slots=True)
-class Eyes:
+class OverlapObservers:
     """How overlaps are looked at: in memory, or by workers that open the maps themselves.
 
     register(pairs): what overlaps say about x and y; compare(pairs, x_um, y_um): about z, at the centres of all fields;
@@ -41,7 +43,7 @@ class Eyes:
     """
 
     register: Callable[[Pairs], Shifts]
-    compare: Callable[[Pairs, Um, Um], Seams]
+    compare: Callable[[Pairs, Um, Um], HeightOffsets]
     opened: Callable[[int], HeightMap]
 
 
@@ -74,8 +76,8 @@ def find_poses(
     numbers: Sequence[int],
     marks: NDArray[np.int64],
     stitching: Stitching,
-    eyes: Eyes,
-    known: Known | None = None,
+    eyes: OverlapObservers,
+    known: PreviousSolution | None = None,
     *,
     final: bool = True,
 ) -> Poses:
@@ -86,7 +88,7 @@ def find_poses(
     Raises ComputeError when the overlaps contradict the pixel size.
     """
     listed = np.array(numbers, np.int32)
-    known = known or Known.of(None, listed, marks)
+    known = known or PreviousSolution.of(None, listed, marks)
     task = _Task(outlines, stitching, known, None if final else known.unchanged)
     if stitching.poses == "stage":
         return task.at_stage(listed, marks)
@@ -96,7 +98,7 @@ def find_poses(
     left_out = np.isin(np.arange(len(outlines)), suspects(len(outlines), shifts))
     seen = pairs[~left_out[pairs].any(axis=1)]
 
-    def look(pairs: Pairs) -> Seams:
+    def look(pairs: Pairs) -> HeightOffsets:
         return eyes.compare(pairs, positions.x_um, positions.y_um)
 
     levels = task.levels(positions, look(seen) if final else known.seams(seen, look))
@@ -110,7 +112,7 @@ class _Task:
 
     outlines: Sequence[Outline]
     stitching: Stitching
-    known: Known
+    known: PreviousSolution
     fixed: NDArray[np.bool_] | None
 
     def positions(self, shifts: Shifts) -> Positions:
@@ -123,10 +125,10 @@ class _Task:
             stage_error_um=self.stitching.stage_error_um,
             fixed=self.fixed,
             start=(self.known.earlier("x_um", x_um), self.known.earlier("y_um", y_um)),
-            camera=self._form and Camera.of(self._form),
+            camera=self._form and CameraAxes.of(self._form),
         )
 
-    def levels(self, positions: Positions, seams: Seams) -> Levels:
+    def levels(self, positions: Positions, seams: HeightOffsets) -> VerticalPoses:
         first, zero, earlier = self.outlines[0], np.zeros(len(self.outlines)), self.known.earlier
         return solve_heights(
             positions.x_um,
@@ -152,7 +154,7 @@ class _Task:
         marks: NDArray[np.int64],
         left_out: NDArray[np.bool_],
         positions: Positions,
-        levels: Levels,
+        levels: VerticalPoses,
     ) -> Poses:
         stage_x_um, stage_y_um = centres(self.outlines)
         return Poses(
@@ -195,15 +197,15 @@ def centres(outlines: Sequence[Outline]) -> tuple[Um, Um]:
     return np.array(x_um), np.array(y_um)
 
 
-def _eyes_on(heights: Sequence[HeightMap], stitching: Stitching, progress: Progress) -> Eyes:
+def _eyes_on(heights: Sequence[HeightMap], stitching: Stitching, progress: Progress) -> OverlapObservers:
     """Both looks at maps in memory."""
     reach_um = None if stitching.search_um == "auto" else stitching.search_um
 
     def registered(pairs: Pairs) -> Shifts:
         return register(heights, pairs, reach_um, progress=lambda share: progress(REGISTER_SHARE * share))
 
-    def compared(pairs: Pairs, x_um: Um, y_um: Um) -> Seams:
+    def compared(pairs: Pairs, x_um: Um, y_um: Um) -> HeightOffsets:
         rest = 1 - REGISTER_SHARE
         return compare(heights, pairs, x_um, y_um, progress=lambda share: progress(REGISTER_SHARE + rest * share))
 
-    return Eyes(registered, compared, heights.__getitem__)
+    return OverlapObservers(registered, compared, heights.__getitem__)

@@ -11,14 +11,14 @@ from numpy.typing import NDArray
 
 from wafer_viewer.model.surface.focus_curve import Verdict
 from wafer_viewer.model.surface.height_map import Origin
-from wafer_viewer.reconstruct.auto_tuning import GAP_WIDTHS, Settled
+from wafer_viewer.reconstruct.auto_tuning import GAP_WIDTHS, TunedSearch
 from wafer_viewer.reconstruct.focus.noise_thresholds import noise_scores
 from wafer_viewer.reconstruct.focus.peak import Peaks
 from wafer_viewer.reconstruct.focus.peak_search import Search
 from wafer_viewer.reconstruct.focus.wide_window_check import wide_heights
-from wafer_viewer.reconstruct.gates.edge_bleeding import Edges, EdgeSearch, find_edges, judge_edges
-from wafer_viewer.reconstruct.gates.edge_sides import STANDING_GAPS, Side
-from wafer_viewer.reconstruct.gates.gate import LEAST_FRAMES, POWERS, Check, Gate, checks, first_failed, gate_of
+from wafer_viewer.reconstruct.gates.edge_bleeding import BleedingEdges, EdgeSearch, find_edges, judge_edges
+from wafer_viewer.reconstruct.gates.edge_sides import STANDING_GAPS, EdgeSide
+from wafer_viewer.reconstruct.gates.gate import LEAST_FRAMES, POWERS, Gate, GateTest, checks, first_failed, gate_of
 from wafer_viewer.reconstruct.preprocess.frames import Frames, mark_uncovered
 
 WINDOW_STEPS = 1.5
@@ -35,7 +35,7 @@ _BOXES_OF_A_TRIANGLE = np.sqrt(0.5)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Judged:
+class ValidatedPeaks:
     """The peaks of a field with the heights found along walls in place of those that bled, and what became of each.
 
     seen_um: the heights as the search saw them, float32 [row, col]; origin: codes of `Origin` [row, col];
@@ -46,8 +46,8 @@ class Judged:
     peaks: Peaks
     seen_um: NDArray[np.float32]
     origin: NDArray[np.uint8]
-    checks: tuple[Check, ...]
-    edges: Edges | None
+    checks: tuple[GateTest, ...]
+    edges: BleedingEdges | None
     edges_asked: bool
     notes: tuple[str, ...] = ()
 
@@ -56,7 +56,7 @@ class Judged:
         """Where it is known which side of a wall a pixel is on; None where nobody asked."""
         if not self.edges_asked:
             return None
-        return np.zeros(self.origin.shape, np.bool_) if self.edges is None else self.edges.side != Side.AWAY
+        return np.zeros(self.origin.shape, np.bool_) if self.edges is None else self.edges.side != EdgeSide.AWAY
 
     @property
     def bled_um(self) -> NDArray[np.float32] | None:
@@ -70,7 +70,7 @@ class Judged:
         return (*(_verdict(check, row, col) for check in self.checks), *_edge_verdicts(self, row, col))
 
 
-def judge(frames: Frames, settled: Settled, peaks: Peaks, threads: int | None = None) -> Judged:
+def judge(frames: Frames, settled: TunedSearch, peaks: Peaks, threads: int | None = None) -> ValidatedPeaks:
     """Hold the peaks of a field to everything that the recipe asks for. threads: all cores when left out."""
     gate, enough = gate_for(settled, frames.n_frames), frames.n_frames >= LEAST_FRAMES
     compare = np.isfinite(gate.window_tolerance_um)
@@ -83,10 +83,10 @@ def judge(frames: Frames, settled: Settled, peaks: Peaks, threads: int | None = 
     if edges is not None:
         z_um, origin = judge_edges(seen_um, origin, edges)
     notes = _off(settled, frames.n_frames) if not enough else _walls_untested(frames, settled) if how else ()
-    return Judged(dataclasses.replace(peaks, z_um=z_um), seen_um, origin, asked, edges, how is not None, notes)
+    return ValidatedPeaks(dataclasses.replace(peaks, z_um=z_um), seen_um, origin, asked, edges, how is not None, notes)
 
 
-def gate_for(settled: Settled, n_frames: int) -> Gate:
+def gate_for(settled: TunedSearch, n_frames: int) -> Gate:
     """The gate of a settled recipe; windows are compared in stacks that are long enough."""
     recipe, compare = settled.recipe, settled.recipe.compare_windows and n_frames >= LEAST_FRAMES
     return gate_of(
@@ -98,7 +98,7 @@ def gate_for(settled: Settled, n_frames: int) -> Gate:
     )
 
 
-def edge_search(settled: Settled) -> EdgeSearch | None:
+def edge_search(settled: TunedSearch) -> EdgeSearch | None:
     """How the recipe treats edges; None when it does not, or when it believes everything anyway."""
     mode, search = settled.recipe.edges, settled.search
     if mode == "none" or float(settled.recipe.min_confidence) <= 0:
@@ -114,7 +114,7 @@ def window_along(search: Search) -> int:
     return 2 * round((search.window * _BOXES_OF_A_TRIANGLE - 1) / 2) + 1
 
 
-def _off(settled: Settled, n_frames: int) -> tuple[str, ...]:
+def _off(settled: TunedSearch, n_frames: int) -> tuple[str, ...]:
     """What is off in a short stack, though the recipe asks for it."""
     recipe = settled.recipe
     wanted = (
@@ -125,7 +125,7 @@ def _off(settled: Settled, n_frames: int) -> tuple[str, ...]:
     return (f"The stack has {n_frames} frames: in fewer than {LEAST_FRAMES} {off}.",) if off else ()
 
 
-def _walls_untested(frames: Frames, settled: Settled) -> tuple[str, ...]:
+def _walls_untested(frames: Frames, settled: TunedSearch) -> tuple[str, ...]:
     """A sentence where the focus width is too large for walls to show, beside the optics or in the sweep."""
     width_um, depth_um = float(settled.recipe.focus_width_um), frames.depth_of_field_um
     sweep_um, least_um = float(np.ptp(frames.z_um)), STANDING_GAPS * GAP_WIDTHS * width_um
@@ -142,7 +142,7 @@ def _walls_untested(frames: Frames, settled: Settled) -> tuple[str, ...]:
     return ()
 
 
-def _verdict(check: Check, row: int, col: int) -> Verdict:
+def _verdict(check: GateTest, row: int, col: int) -> Verdict:
     return Verdict(
         gate=check.name,
         question=check.question,
@@ -154,13 +154,13 @@ def _verdict(check: Check, row: int, col: int) -> Verdict:
     )
 
 
-def _edge_verdicts(judged: Judged, row: int, col: int) -> tuple[Verdict, ...]:
+def _edge_verdicts(judged: ValidatedPeaks, row: int, col: int) -> tuple[Verdict, ...]:
     """Beside a wall: whether the height is that of the pixel's own side, and what is seen along the wall."""
     edges = judged.edges
-    if edges is None or edges.side[row, col] == Side.AWAY:
+    if edges is None or edges.side[row, col] == EdgeSide.AWAY:
         return ()
     off_um = abs(float(judged.seen_um[row, col]) - float(edges.expected_um[row, col]))
-    known = edges.side[row, col] != Side.OUTLINE
+    known = edges.side[row, col] != EdgeSide.OUTLINE
     beside = Verdict(
         gate="edge",
         question="Is the height that of the surface further from the wall?",
@@ -170,7 +170,7 @@ def _edge_verdicts(judged: Judged, row: int, col: int) -> tuple[Verdict, ...]:
         passed=bool(known and off_um < edges.tolerance_um),
         note=_beside(edges, row, col),
     )
-    if edges.side[row, col] != Side.DARK:
+    if edges.side[row, col] != EdgeSide.DARK:
         return (beside,)
     along = Verdict(
         gate="along",
@@ -183,14 +183,14 @@ def _edge_verdicts(judged: Judged, row: int, col: int) -> tuple[Verdict, ...]:
     return beside, along
 
 
-def _beside(edges: Edges, row: int, col: int) -> str:
+def _beside(edges: BleedingEdges, row: int, col: int) -> str:
     """Where beside the wall a pixel is, and what is missing."""
     where = {
-        Side.DARK: "On the dark side of a wall",
-        Side.BRIGHT: "On the bright side of a wall",
-        Side.OUTLINE: "On the outline of a wall, neither side's for sure",
-    }[Side(int(edges.side[row, col]))]
-    known = np.isfinite(edges.expected_um[row, col]) or edges.side[row, col] == Side.OUTLINE
+        EdgeSide.DARK: "On the dark side of a wall",
+        EdgeSide.BRIGHT: "On the bright side of a wall",
+        EdgeSide.OUTLINE: "On the outline of a wall, neither side's for sure",
+    }[EdgeSide(int(edges.side[row, col]))]
+    known = np.isfinite(edges.expected_um[row, col]) or edges.side[row, col] == EdgeSide.OUTLINE
     return f"{where}." if known else f"{where}, with nothing measured further from it."
 
 

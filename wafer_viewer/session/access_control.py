@@ -7,7 +7,7 @@ from concurrent.futures import Future
 from dataclasses import is_dataclass
 from typing import TYPE_CHECKING, Any, cast
 
-from wafer_viewer.model.errors import HeldByAnother
+from wafer_viewer.model.errors import ControlHeldError
 
 if TYPE_CHECKING:
     from wafer_viewer.session.api import SessionApi
@@ -70,5 +70,5 @@ def _is_group(thing: object) -> bool:
 
 def _refused(why: str) -> Future[Any]:
     refusal: Future[Any] = Future()
-    refusal.set_exception(HeldByAnother(f"{why} Ask for them first: you are only watching."))
+    refusal.set_exception(ControlHeldError(f"{why} Ask for them first: you are only watching."))
     return refusal

@@ -11,7 +11,7 @@ from pathlib import Path
 from typing import Protocol
 
 from wafer_viewer.model.acquisition.focus_stack import Image
-from wafer_viewer.model.findings import AnyFinding
+from wafer_viewer.model.findings import AnyResult
 from wafer_viewer.model.job.job import Job
 from wafer_viewer.model.measurement.levelling import Datum, Levelling
 from wafer_viewer.model.measurement.measurements import Profile, ProfileCurve
@@ -24,7 +24,7 @@ from wafer_viewer.model.surface.height_map import HeightMap, Mosaic
 from wafer_viewer.model.surface.recipe import Recipe
 from wafer_viewer.session.core.control_handover import Control
 from wafer_viewer.session.core.dataset_library import DEFAULT_RESULT
-from wafer_viewer.session.files.documents import Papers
+from wafer_viewer.session.files.documents import Documents
 from wafer_viewer.session.files.file_browser import Browsing
 from wafer_viewer.session.files.file_commands import Exchange
 from wafer_viewer.session.gauge.gauge_commands import GaugeVerbs
@@ -35,7 +35,7 @@ from wafer_viewer.session.measurement.review_notes import NotebookVerbs
 from wafer_viewer.session.measurement.section_commands import Sections
 from wafer_viewer.session.planning.job_commands import JobVerbs
 from wafer_viewer.session.planning.trial_commands import TrialVerbs
-from wafer_viewer.session.rendering.render_request import PaintRequest
+from wafer_viewer.session.rendering.render_request import RenderRequest
 from wafer_viewer.session.state.snapshot import LatestFrame, Snapshot, Typed
 from wafer_viewer.session.surface.comparison_commands import ComparingVerbs
 
@@ -52,7 +52,7 @@ class SessionApi(Protocol):
     sections: Sections
     studies: Studies
     gauge: GaugeVerbs
-    papers: Papers
+    papers: Documents
     exchange: Exchange
     browsing: Browsing
 
@@ -78,13 +78,13 @@ class SessionApi(Protocol):
         show: int = 0,
         levelling: Levelling | None = None,
         options: ToolOptions | None = None,
-    ) -> AnyFinding: ...
+    ) -> AnyResult: ...
     def datum(self, levelling: Levelling, show: int = 0) -> Datum: ...
     def profile(
         self, line: Region, show: int = 0, levelling: Levelling | None = None
     ) -> tuple[Profile, ProfileCurve]: ...
     def read_out(self, x_um: float, y_um: float, show: int = 0) -> ReadOut: ...
-    def paint(self, request: PaintRequest) -> Future[bytes]: ...
+    def paint(self, request: RenderRequest) -> Future[bytes]: ...
     def focus_curve(self, x_um: float, y_um: float, show: int = 0) -> Future[FocusCurve]: ...
 
     # plan
@@ -130,7 +130,7 @@ class SessionApi(Protocol):
     def dismiss(self, fault_id: str) -> Future[None]: ...
 
     # results
-    def keep(self, finding: AnyFinding, thumbnail: bytes | None = None) -> Future[AnyFinding]: ...
+    def keep(self, finding: AnyResult, thumbnail: bytes | None = None) -> Future[AnyResult]: ...
     def rename(self, number: int, name: str) -> Future[None]: ...
     def delete(self, number: int) -> Future[None]: ...
     def undo_findings(self) -> Future[None]: ...

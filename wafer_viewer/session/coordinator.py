@@ -14,45 +14,45 @@ from wafer_viewer.model.errors import DatasetError, WaferViewerError
 from wafer_viewer.model.surface.focus_curve import FocusCurve
 from wafer_viewer.model.surface.recipe import Recipe
 from wafer_viewer.rigs.rig_config import RigConfig
-from wafer_viewer.session.acquisition.rig_client import Instrument, Reports
-from wafer_viewer.session.acquisition.rig_messages import Move, RigReady, SampleSeen, Scan, ScanEnded, Taken
+from wafer_viewer.session.acquisition.rig_client import RigCallbacks, RigClient
+from wafer_viewer.session.acquisition.rig_messages import FrameTaken, Move, OverviewReady, RigReady, Scan, ScanEnded
 from wafer_viewer.session.core.background_work import BackgroundWork
-from wafer_viewer.session.core.command_queue import Desk
+from wafer_viewer.session.core.command_queue import CommandQueue
 from wafer_viewer.session.core.dataset_library import ENDING, Library, free_name, today
-from wafer_viewer.session.core.notifications import Notices
+from wafer_viewer.session.core.notifications import Notifications
 from wafer_viewer.session.files.file_jobs import FileWork
 from wafer_viewer.session.gauge.gauge_controller import GaugeKeeper
 from wafer_viewer.session.inspection.inspection_commands import DefectKeeper
 from wafer_viewer.session.inspection.inspection_files import DefectFilesKeeper
-from wafer_viewer.session.measurement.results import RecordBook
+from wafer_viewer.session.measurement.results import ResultsStore
 from wafer_viewer.session.measurement.review_notes import NotebookKeeper
 from wafer_viewer.session.planning.job_commands import JobKeeper
 from wafer_viewer.session.planning.plan_editor import Drafting, suggested_name
 from wafer_viewer.session.planning.preflight import look_round, require_go
 from wafer_viewer.session.planning.trial_commands import TrialKeeper
 from wafer_viewer.session.planning.verdicts import Judge
-from wafer_viewer.session.session_restore import Reopening
+from wafer_viewer.session.session_restore import SessionRestore
 from wafer_viewer.session.state.snapshot import FieldState, RigStatus, Snapshot
 from wafer_viewer.session.surface.comparison_commands import ComparingKeeper
 from wafer_viewer.session.surface.focus_evidence import focus_curve
 from wafer_viewer.session.surface.reconstruction_queue import Reconstruction
 
 
-class Conductor:
+class SessionCoordinator:
     """Everything here but the constructor and `close` happens on the session's thread."""
 
     def __init__(self, folder: Path, config: RigConfig, scheduler: str | None) -> None:
         self._folder = _made(folder)
         status = RigStatus(name=config.name, simulated=config.kind == "virtual")
-        self.desk = desk = Desk(Snapshot(rig=status, data_folder=self._folder, reopening=True))
-        self.reopening = Reopening(self._folder)
-        self.notices = Notices(desk)
+        self.desk = desk = CommandQueue(Snapshot(rig=status, data_folder=self._folder, reopening=True))
+        self.reopening = SessionRestore(self._folder)
+        self.notices = Notifications(desk)
         self.drafting = Drafting(desk, self._folder)
         self.library = Library(desk, self._folder)
         self.reconstruction = Reconstruction(desk, self.notices, self.library, scheduler)
         self.background = BackgroundWork(desk, self.notices, self.reconstruction.compute)
         self.files = FileWork(desk, self.library, self.background)
-        self.book = RecordBook(desk, self.library)
+        self.book = ResultsStore(desk, self.library)
         self.notebook = NotebookKeeper(desk, self.library)
         self.comparing = ComparingKeeper(desk, self.notices, self.library, self.reconstruction.compute)
         self.defects = DefectKeeper(desk, self.notices, self.library, self.reconstruction.compute)
@@ -61,8 +61,8 @@ class Conductor:
         self.gauge = GaugeKeeper(desk, self.library, self.book, self._folder)
         self.trials = TrialKeeper(desk, self.notices, self.drafting, self.reconstruction.compute)
         self.judge = Judge(desk, self.library, self.notices)
-        reports = Reports(self._rig_ready, self._sample_seen, self._taken, self._field_complete, self._scan_ended)
-        self.rig = Instrument(desk, self.notices, config, reports)
+        reports = RigCallbacks(self._rig_ready, self._sample_seen, self._taken, self._field_complete, self._scan_ended)
+        self.rig = RigClient(desk, self.notices, config, reports)
         self._sample: Sample | None = None
         self._scan_over: Future[None] = Future()
         self._asked = count(1)
@@ -248,7 +248,7 @@ class Conductor:
         self._sample = _sample_of(self.desk.now)
         self.rig.load(self._sample)
 
-    def _sample_seen(self, event: SampleSeen) -> None:
+    def _sample_seen(self, event: OverviewReady) -> None:
         self.desk.change(overview=event.overview)
         self.reconstruction.compute.start()
 
@@ -256,7 +256,7 @@ class Conductor:
         self.drafting.tour = event.tour
         self.drafting.price()
 
-    def _taken(self, event: Taken) -> None:
+    def _taken(self, event: FrameTaken) -> None:
         if not event.progress.finished:
             self.library.taking(event.progress.field.number)
             self.reconstruction.coming(event.progress.field.number)

@@ -7,7 +7,7 @@ from concurrent.futures import Future
 from typing import TYPE_CHECKING
 
 from wafer_viewer.model.acquisition.focus_stack import Image
-from wafer_viewer.model.findings import AnyFinding
+from wafer_viewer.model.findings import AnyResult
 from wafer_viewer.model.measurement.levelling import Datum, Levelling
 from wafer_viewer.model.measurement.measurements import Profile, ProfileCurve
 from wafer_viewer.model.measurement.tool_options import ToolOptions
@@ -15,16 +15,17 @@ from wafer_viewer.model.measurement.tools import ToolName
 from wafer_viewer.model.region import Region
 from wafer_viewer.model.surface.field_poses import Poses
 from wafer_viewer.model.surface.height_map import HeightMap, Mosaic
-from wafer_viewer.session.measurement.dataset_queries import Questions, ReadOut
+from wafer_viewer.session.measurement.dataset_queries import DatasetQueries, ReadOut
 
 if TYPE_CHECKING:
-    from wafer_viewer.session.rendering.render_process import Painter, PaintRequest
+    from wafer_viewer.session.rendering.render_process import Painter
+    from wafer_viewer.session.rendering.render_request import RenderRequest
 
 
-class Asking:
+class QueryApi:
     """The half of a session that changes nothing; its painter comes up with the first picture."""
 
-    def __init__(self, questions: Questions) -> None:
+    def __init__(self, questions: DatasetQueries) -> None:
         self._questions = questions
         self._painter: Painter | None = None
         self._painter_lock = threading.Lock()
@@ -64,7 +65,7 @@ class Asking:
         show: int = 0,
         levelling: Levelling | None = None,
         options: ToolOptions | None = None,
-    ) -> AnyFinding:
+    ) -> AnyResult:
         """What a tool finds at its places, heights read from the stage's zero or as levelled."""
         return self._questions.measuring.measure(tool, places, show, levelling, options)
 
@@ -80,7 +81,7 @@ class Asking:
         """The surface at a point."""
         return self._questions.read_out(x_um, y_um, show)
 
-    def paint(self, request: PaintRequest) -> Future[bytes]:
+    def paint(self, request: RenderRequest) -> Future[bytes]:
         """A picture tile, made in a process of its own."""
         from wafer_viewer.session.rendering.render_process import Painter
 

@@ -10,17 +10,17 @@ from collections.abc import Callable
 from concurrent.futures import Future
 from pathlib import Path
 
-from wafer_viewer.model.findings import AnyFinding
+from wafer_viewer.model.findings import AnyResult
 from wafer_viewer.model.job.job import Job
 from wafer_viewer.model.region import Region
 from wafer_viewer.model.surface.focus_curve import FocusCurve
 from wafer_viewer.model.surface.recipe import Recipe
 from wafer_viewer.rigs.rig_config import RigConfig
 from wafer_viewer.session.acquisition.rig_messages import Move
-from wafer_viewer.session.coordinator import Conductor
+from wafer_viewer.session.coordinator import SessionCoordinator
 from wafer_viewer.session.core.control_handover import Control
 from wafer_viewer.session.core.dataset_library import DEFAULT_RESULT
-from wafer_viewer.session.files.documents import Papers
+from wafer_viewer.session.files.documents import Documents
 from wafer_viewer.session.files.file_browser import Browsing
 from wafer_viewer.session.files.file_commands import Exchange
 from wafer_viewer.session.gauge.gauge_commands import GaugeVerbs
@@ -28,17 +28,17 @@ from wafer_viewer.session.gauge.study_commands import Studies
 from wafer_viewer.session.inspection.inspection_commands import DefectVerbs
 from wafer_viewer.session.inspection.inspection_files import DefectFiles
 from wafer_viewer.session.inspection.reference_views import DefectViews
-from wafer_viewer.session.measurement.dataset_queries import Questions
+from wafer_viewer.session.measurement.dataset_queries import DatasetQueries
 from wafer_viewer.session.measurement.review_notes import NotebookVerbs
 from wafer_viewer.session.measurement.section_commands import Sections
 from wafer_viewer.session.planning.job_commands import JobVerbs
 from wafer_viewer.session.planning.trial_commands import TrialVerbs
-from wafer_viewer.session.queries import Asking
+from wafer_viewer.session.queries import QueryApi
 from wafer_viewer.session.state.snapshot import LatestFrame, Snapshot, Typed
 from wafer_viewer.session.surface.comparison_commands import ComparingVerbs
 
 
-class Session(Asking):
+class Session(QueryApi):
     """One rig, one data folder, one open dataset, shared by all browsers.
 
     rig: None stands for the virtual wafer. scheduler: a dask cluster that runs already, else one of our own is started.
@@ -54,10 +54,10 @@ class Session(Asking):
         scheduler: str | None = None,
         browse: tuple[Path, ...] = (),
     ) -> None:
-        self._rooms = rooms = Conductor(Path(data_folder), rig or RigConfig(), scheduler)
+        self._rooms = rooms = SessionCoordinator(Path(data_folder), rig or RigConfig(), scheduler)
         self._desk, self._do = rooms.desk, rooms.desk.do
         self.browsing = Browsing(rooms.desk.snapshot.data_folder, browse)
-        super().__init__(Questions(rooms.library, lambda: self.snapshot))
+        super().__init__(DatasetQueries(rooms.library, lambda: self.snapshot))
         self.control = Control(rooms.desk)
         self.notebook = NotebookVerbs(self._do, rooms.notebook)
         self.comparing = ComparingVerbs(self._do, rooms.comparing, rooms.library, lambda: self.snapshot)
@@ -68,7 +68,7 @@ class Session(Asking):
         self.sections = Sections(self._questions, lambda: self.snapshot)
         self.studies = Studies()
         self.gauge = GaugeVerbs(self._do, rooms.gauge, self._questions, lambda: self.snapshot)
-        self.papers = Papers(self._do, rooms.library, rooms.files)
+        self.papers = Documents(self._do, rooms.library, rooms.files)
         self.exchange = Exchange(self._do, rooms.desk, rooms.files, rooms.open)
         self._desk.note(rooms.start)
         atexit.register(self.close)
@@ -224,7 +224,7 @@ class Session(Asking):
 
     # ---------------------------------------------------------------- results
 
-    def keep(self, finding: AnyFinding, thumbnail: bytes | None = None) -> Future[AnyFinding]:
+    def keep(self, finding: AnyResult, thumbnail: bytes | None = None) -> Future[AnyResult]:
         """Number, name and keep a measurement, with a small picture of the place, JPEG."""
         return self._do(self._rooms.book.keep, finding, thumbnail)
 

@@ -31,7 +31,7 @@ LARGEST_BYTES = 20_000_000
 log = logging.getLogger(__name__)
 
 
-class Kept(msgspec.Struct, frozen=True, kw_only=True, omit_defaults=True):
+class RestorePoint(msgspec.Struct, frozen=True, kw_only=True, omit_defaults=True):
     """What was open: the dataset's path and which result of it, the plan, what was typed of one that is none yet."""
 
     version: int
@@ -50,10 +50,10 @@ class Kept(msgspec.Struct, frozen=True, kw_only=True, omit_defaults=True):
         return None if self.job is None else decode(msgspec.json.encode(self.job), Job, "The plan", "json")
 
 
-def kept_of(snapshot: Snapshot, result: str) -> Kept:
+def kept_of(snapshot: Snapshot, result: str) -> RestorePoint:
     """What is to be open again of a snapshot; `result` is the name of the result being looked at."""
     draft, data = snapshot.draft, snapshot.dataset
-    return Kept(
+    return RestorePoint(
         version=VERSION,
         dataset=None if data is None else str(data.path),
         result=None if data is None else result,
@@ -62,7 +62,7 @@ def kept_of(snapshot: Snapshot, result: str) -> Kept:
     )
 
 
-class Reopening:
+class SessionRestore:
     """The file: read once at the start, written whenever what is open has changed and then rested.
 
     It is told of changes on one thread, and writes on others. What was not claimed is not written.
@@ -71,7 +71,7 @@ class Reopening:
     def __init__(self, folder: Path) -> None:
         self._path = folder / KEPT_IN / NAME
         self._seen: tuple[object, ...] = ()
-        self._waiting: Kept | None = None
+        self._waiting: RestorePoint | None = None
         self._timer: threading.Timer | None = None
         self._writing = threading.Lock()
         self._held: Lock | None = None
@@ -95,18 +95,18 @@ class Reopening:
             log.warning("What is open will not be remembered: %s", fault)
         return None
 
-    def read(self) -> Kept:
+    def read(self) -> RestorePoint:
         """What was open when the program ended last; empty at the first start.
 
         Raises DatasetError, with the sentence to show, where the file is none that this program can read.
         """
         try:
-            kept = msgspec.json.decode(_small(self._path), type=Kept)
+            kept = msgspec.json.decode(_small(self._path), type=RestorePoint)
             if kept.version != VERSION:
                 raise DatasetError(f"it is of version {kept.version}, this program writes {VERSION}")
             kept.plan()
         except FileNotFoundError:
-            return Kept(version=VERSION)
+            return RestorePoint(version=VERSION)
         except (OSError, msgspec.DecodeError, UnicodeDecodeError, WaferViewerError) as fault:
             raise DatasetError(
                 f"{self._path} cannot be read ({str(fault).rstrip('.')}): the program starts with nothing open. "

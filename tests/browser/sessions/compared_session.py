@@ -10,7 +10,7 @@ import numpy as np
 from tests.browser.recording import Recording
 from tests.browser.sessions.seen_session import SeenSession
 from tests.support.page_stand_in import height_map
-from wafer_viewer.model.surface.comparison import Align, Change, Comparison, Face, Registration, SurfaceName
+from wafer_viewer.model.surface.comparison import Align, Change, Comparison, ComparisonFace, Registration, SurfaceName
 from wafer_viewer.model.surface.height_map import HeightMap
 from wafer_viewer.session.state.comparison_state import Compared
 from wafer_viewer.session.surface.comparison_commands import ComparingVerbs
@@ -67,8 +67,8 @@ def _faces(whole: HeightMap) -> dict[int, HeightMap]:
     second = height_map(whole.z_um + off, *place)
     gap = np.full((whole.shape[0], 40), np.nan)
     return {
-        -Face.DIFFERENCE: height_map(off + 0 * whole.z_um, *place),
-        -Face.FIRST: replace(whole),
-        -Face.SECOND: second,
-        -Face.BESIDE: height_map(np.concatenate([whole.z_um, gap, second.z_um], axis=1), *place),
+        -ComparisonFace.DIFFERENCE: height_map(off + 0 * whole.z_um, *place),
+        -ComparisonFace.FIRST: replace(whole),
+        -ComparisonFace.SECOND: second,
+        -ComparisonFace.BESIDE: height_map(np.concatenate([whole.z_um, gap, second.z_um], axis=1), *place),
     }

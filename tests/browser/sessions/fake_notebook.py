@@ -11,7 +11,7 @@ from tests.browser.recording import Recording
 from wafer_viewer.model.job.review_notes import Judgement, Notebook, SavedView
 from wafer_viewer.model.report import Contents, Holds, ReportOrder
 from wafer_viewer.model.spec import replace
-from wafer_viewer.session.files.documents import Papers
+from wafer_viewer.session.files.documents import Documents
 from wafer_viewer.session.measurement.review_notes import NotebookVerbs
 
 
@@ -81,7 +81,7 @@ class FakePapers(Recording):
     """Pictures and reports go to a folder of a test."""
 
     def __init__(self, session: Any) -> None:
-        super().__init__(Papers, session._done, "papers.")
+        super().__init__(Documents, session._done, "papers.")
         self._session = session
         self.folder, self.pictures_kept = Path(), 0
         self.saved_reports: dict[str, Path] = {}

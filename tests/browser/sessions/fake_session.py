@@ -29,7 +29,7 @@ from wafer_viewer.model.measurement.measurements import Profile, ProfileCurve
 from wafer_viewer.model.measurement.step import StepHeight
 from wafer_viewer.model.quantity import Contribution, Length
 from wafer_viewer.model.region import Region
-from wafer_viewer.model.surface.field_poses import Doubt, Poses
+from wafer_viewer.model.surface.field_poses import Poses, RejectionReason
 from wafer_viewer.model.surface.recipe import Levy, Noise, Outliers, Recipe
 from wafer_viewer.rigs.virtual.rig import CALIBRATION, SETUP, virtual_limits
 from wafer_viewer.session.api import SessionApi
@@ -298,7 +298,7 @@ THE_POSES = made_up_poses(
     _PLAN.fields,
     _PLAN.cols * _PLAN.pixel_um,
     _PLAN.rows * _PLAN.pixel_um,
-    {(4, 5): Doubt.AMBIGUOUS, (7, 8): Doubt.BLANK},
+    {(4, 5): RejectionReason.AMBIGUOUS, (7, 8): RejectionReason.BLANK},
 )
 
 

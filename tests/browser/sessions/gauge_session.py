@@ -17,7 +17,7 @@ from tests.browser.sessions.measuring_session import done as came_to
 from tests.support.page_stand_in import MemoryShelf, StandIn, grid, job_and_plan, snapshot_of
 from wafer_viewer.measure.gauge.run_chart import run_chart
 from wafer_viewer.model.errors import MeasureError
-from wafer_viewer.model.findings import AnyFinding
+from wafer_viewer.model.findings import AnyResult
 from wafer_viewer.model.gauge.gauge_check import (
     Certificate,
     GaugeCheck,
@@ -142,7 +142,7 @@ class GaugeSession(FakeSession):
         show: int = 0,
         levelling: Levelling | None = None,
         options: ToolOptions | None = None,
-    ) -> AnyFinding:
+    ) -> AnyResult:
         return self._measuring.measure(tool, places, show, levelling, options)
 
     def close(self) -> None:

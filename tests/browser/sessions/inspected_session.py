@@ -26,7 +26,7 @@ from wafer_viewer.model.surface.height_map import HeightMap
 from wafer_viewer.session.inspection.inspection_commands import DefectVerbs
 from wafer_viewer.session.inspection.reference_views import DefectViews, Earlier
 from wafer_viewer.session.measurement.section_export import cut
-from wafer_viewer.session.rendering.render_request import Source
+from wafer_viewer.session.rendering.render_request import SurfaceKey
 
 GRID = DieGrid(
     pitch_x_um=PITCH_UM,
@@ -54,7 +54,7 @@ PLANTED: tuple[tuple[DefectClass, int, int, float, float, float, float], ...] = 
 """Class, column, row, place on the die, half its length and its height, um."""
 
 
-EARLIER = Earlier(Source(Path("coupon-06.wafer"), "default", -99, 1), "coupon-06", lambda x_um, y_um: (x_um, y_um))
+EARLIER = Earlier(SurfaceKey(Path("coupon-06.wafer"), "default", -99, 1), "coupon-06", lambda x_um, y_um: (x_um, y_um))
 """The last scan of the wafer."""
 
 

@@ -25,14 +25,14 @@ from tests.support.page_stand_in import (
 )
 from wafer_viewer.measure.gauge.find_faces import find_faces
 from wafer_viewer.model.acquisition.calibration import Calibration
-from wafer_viewer.model.findings import AnyFinding
+from wafer_viewer.model.findings import AnyResult
 from wafer_viewer.model.measurement.levelling import Datum, Levelling
 from wafer_viewer.model.measurement.tool_options import ToolOptions
 from wafer_viewer.model.measurement.tools import ToolName
 from wafer_viewer.model.region import Region
 from wafer_viewer.model.spec import replace
 from wafer_viewer.model.surface.height_map import HeightMap, Origin, Provenance
-from wafer_viewer.session.core.undo_history import History
+from wafer_viewer.session.core.undo_history import UndoHistory
 from wafer_viewer.session.gauge.gauge_commands import GaugeVerbs
 from wafer_viewer.session.measurement.dataset_queries import ReadOut
 from wafer_viewer.session.measurement.measure_commands import Measuring
@@ -60,7 +60,7 @@ class MeasuringSession(FakeSession):
         questions = SimpleNamespace(surface_source=self.surface_source, measuring=self._measuring)
         self.sections = Sections(questions, lambda: self.snapshot)
         self.gauge = _Faces(self)
-        self._kept: History[tuple[AnyFinding, ...]] = History(())
+        self._kept: UndoHistory[tuple[AnyResult, ...]] = UndoHistory(())
 
     def surface_source(self, show: int) -> HeightMap:
         return self.shelf.surfaces[show]
@@ -72,7 +72,7 @@ class MeasuringSession(FakeSession):
         show: int = 0,
         levelling: Levelling | None = None,
         options: ToolOptions | None = None,
-    ) -> AnyFinding:
+    ) -> AnyResult:
         return self._measuring.measure(tool, places, show, levelling, options)
 
     def datum(self, levelling: Levelling, show: int = 0) -> Datum:
@@ -86,7 +86,7 @@ class MeasuringSession(FakeSession):
         z_um = float(at.z_um[0, 0])
         return ReadOut(z_um if np.isfinite(z_um) else None, 0.9, Origin(int(at.origin[0, 0])))
 
-    def keep(self, finding: AnyFinding, thumbnail: bytes | None = None) -> Future[AnyFinding]:
+    def keep(self, finding: AnyResult, thumbnail: bytes | None = None) -> Future[AnyResult]:
         number = 1 + max((f.number for f in self._kept.value), default=0)
         kept = replace(finding, number=number, name=finding.name or f"Result {number}")
         self._put((*self._kept.value, kept))
@@ -114,7 +114,7 @@ class MeasuringSession(FakeSession):
     def close(self) -> None:
         self._painter.close()
 
-    def _put(self, findings: tuple[AnyFinding, ...]) -> None:
+    def _put(self, findings: tuple[AnyResult, ...]) -> None:
         self._kept.put(findings)
         self._tell()
 

@@ -8,7 +8,7 @@ from tests.browser.sessions.operator_session import height_of
 from tests.browser.sessions.stitched_session import StitchedSession
 from tests.support.datasets.released import DIE
 from wafer_viewer.measure.verdict import judge, overall, what_next
-from wafer_viewer.model.job.verdict import Judged, WaferVerdict
+from wafer_viewer.model.job.verdict import FeatureVerdict, WaferVerdict
 from wafer_viewer.model.region import Region
 from wafer_viewer.model.spec import replace
 from wafer_viewer.session.state.operator_state import Operating
@@ -32,6 +32,6 @@ def reviewed_session() -> StitchedSession:
     return session
 
 
-def _judged(name: str, height_um: float, x_um: float) -> Judged:
+def _judged(name: str, height_um: float, x_um: float) -> FeatureVerdict:
     upper, lower = Region.rectangle(x_um, 0, x_um + 40, 40), Region.rectangle(x_um, -60, x_um + 40, -30)
     return judge(replace(DIE, name=name, places=(upper, lower)), height_of(height_um, 0.14))

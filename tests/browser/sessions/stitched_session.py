@@ -19,16 +19,17 @@ from tests.support.page_stand_in import (
     job_and_plan,
     snapshot_of,
 )
-from wafer_viewer.model.surface.field_poses import Doubt, Poses
+from wafer_viewer.model.surface.field_poses import Poses, RejectionReason
 from wafer_viewer.model.surface.height_map import HeightMap, Mosaic
 from wafer_viewer.session.core.changes import with_change
 
 WIDTH_UM, HEIGHT_UM = COLS * PIXEL_UM, ROWS * PIXEL_UM
 PITCH_UM, STREET_UM = 148.0, 26.0
-FEW_DOUBTS = {(5, 8): Doubt.AMBIGUOUS, (6, 9): Doubt.BLANK}
+FEW_DOUBTS = {(5, 8): RejectionReason.AMBIGUOUS, (6, 9): RejectionReason.BLANK}
 MANY_DOUBTS = {
-    (20, 21): Doubt.AMBIGUOUS, (44, 60): Doubt.DISAGREES, (101, 102): Doubt.UNLIKE, (120, 136): Doubt.BLANK,
-    (121, 137): Doubt.BLANK, (121, 122): Doubt.BLANK, (170, 186): Doubt.END_OF_SEARCH,
+    (20, 21): RejectionReason.AMBIGUOUS, (44, 60): RejectionReason.DISAGREES,
+    (101, 102): RejectionReason.UNLIKE, (120, 136): RejectionReason.BLANK,
+    (121, 137): RejectionReason.BLANK, (121, 122): RejectionReason.BLANK, (170, 186): RejectionReason.END_OF_SEARCH,
 }  # fmt: skip
 
 

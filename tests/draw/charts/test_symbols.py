@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import xml.etree.ElementTree as ElementTree
 
-from wafer_viewer.draw.charts.map_marks import Mark, map_marks_svg
+from wafer_viewer.draw.charts.map_marks import MapMark, map_marks_svg
 from wafer_viewer.draw.charts.symbols import SHAPES, symbol, symbol_svg
-from wafer_viewer.draw.charts.wafer_map import Frame
+from wafer_viewer.draw.charts.wafer_map import MapViewport
 
 
 def test_every_shape_is_a_drawing_of_its_own_in_the_colour_asked_for():
@@ -23,8 +23,8 @@ def test_a_sign_stands_at_its_place():
 
 
 def test_a_mark_on_the_map_has_the_shape_of_its_class():
-    frame = Frame((0.0, 0.0, 100.0, 100.0), 200, 200)
-    text = map_marks_svg(frame, (), [Mark(50.0, 50.0, "#008F6B", "D3 <Pattern>", shape="triangle")])
+    frame = MapViewport((0.0, 0.0, 100.0, 100.0), 200, 200)
+    text = map_marks_svg(frame, (), [MapMark(50.0, 50.0, "#008F6B", "D3 <Pattern>", shape="triangle")])
     assert "<path" in text
     assert "translate(100.0 100.0)" in text
     assert "&lt;Pattern&gt;" in text

@@ -7,7 +7,7 @@ from xml.etree import ElementTree
 
 import pytest
 
-from wafer_viewer.draw.charts.map_marks import Mark, map_marks_svg
+from wafer_viewer.draw.charts.map_marks import MapMark, map_marks_svg
 from wafer_viewer.draw.charts.wafer_map import MOST_SINGLE, field_map_svg, map_frame
 from wafer_viewer.model.acquisition.plan import FieldGrid
 
@@ -54,7 +54,7 @@ def test_a_click_is_turned_into_um_by_the_scale_of_the_map():
 
 def test_marks_lie_where_results_are_and_names_cannot_break_out():
     frame = map_frame(fields(), *SIZE_UM)
-    drawing = map_marks_svg(frame, (), [Mark(500.0, -200.0, "red", 'a "<b>" & c', chosen=True)])
+    drawing = map_marks_svg(frame, (), [MapMark(500.0, -200.0, "red", 'a "<b>" & c', chosen=True)])
     root = ElementTree.fromstring(drawing)
     assert root.find(".//title").text == 'a "<b>" & c'
     circles = root.findall(".//circle")

@@ -10,7 +10,7 @@ from tests.support.page_stand_in import height_map
 from wafer_viewer.draw.charts.histogram_html import histogram_html
 from wafer_viewer.draw.colormaps import BRUSH, rgb
 from wafer_viewer.draw.surface.clipping import depth_shade
-from wafer_viewer.draw.surface.display_style import Light, Look
+from wafer_viewer.draw.surface.display_style import DisplayStyle, Light
 from wafer_viewer.draw.surface.texture_baking import bake
 
 PIT = np.s_[20:40, 20:40]
@@ -31,7 +31,7 @@ def test_level_ground_is_light_and_the_foot_of_a_wall_dark():
 
 
 def test_points_of_one_colour_show_their_relief_by_shade_alone():
-    plain = Look(low=-1e6, high=1e6, hillshade=0.0)
+    plain = DisplayStyle(low=-1e6, high=1e6, hillshade=0.0)
     part = height_map(pitted(), 1.0)
     flat = bake(part, plain, Light())[..., :3].astype(int)
     shaded = bake(part, dataclasses.replace(plain, depth_shade=1.0), Light())[..., :3].astype(int)
@@ -42,7 +42,7 @@ def test_points_of_one_colour_show_their_relief_by_shade_alone():
 
 def test_brushed_heights_take_the_colour_of_the_brush_and_no_others_do():
     part = height_map(pitted(), 1.0)
-    plain = Look(low=0.0, high=10.0, hillshade=0.0)
+    plain = DisplayStyle(low=0.0, high=10.0, hillshade=0.0)
     before = bake(part, plain, Light())[..., :3].astype(int)
     lit = bake(part, dataclasses.replace(plain, brush_um=(-1.0, 1.0)), Light())[..., :3].astype(int)
     assert np.abs(lit[PIT] - rgb(BRUSH)).max() <= 0.14 * 255 + 1

@@ -18,7 +18,7 @@ from wafer_viewer.draw.colormaps import COLOUR_MAPS, ELSEWHERE, table
 from wafer_viewer.draw.raster_text import sheet, tag
 from wafer_viewer.draw.surface import mesh
 from wafer_viewer.draw.surface.block_mean import reduced
-from wafer_viewer.draw.surface.display_style import Light, Look
+from wafer_viewer.draw.surface.display_style import DisplayStyle, Light
 from wafer_viewer.draw.surface.glb import painted
 from wafer_viewer.draw.surface.hillshade import light_gain, shade, without_gaps
 from wafer_viewer.draw.surface.mesh import plates
@@ -26,7 +26,7 @@ from wafer_viewer.draw.surface.texture_baking import bake
 from wafer_viewer.draw.surface.tone_curve import as_shown, to_texture
 from wafer_viewer.model.surface.height_map import HeightMap
 
-FLAT = Look(hillshade=0.0, low=0.0, high=10.0)
+FLAT = DisplayStyle(hillshade=0.0, low=0.0, high=10.0)
 
 
 def cone(n: int = 80, hole: bool = False) -> np.ndarray:
@@ -102,7 +102,7 @@ def test_gaps_take_the_nearest_height_and_an_empty_map_is_level() -> None:
 
 @pytest.mark.parametrize("quantity", ["height", "confidence", "slope", "deviation", "grey", "origin"])
 def test_every_quantity_can_be_painted_over_gaps(quantity: str) -> None:
-    look = Look(colour_by=quantity, low=0.0, high=1.0, all_in_focus=0.5)  # pyright: ignore[reportArgumentType]
+    look = DisplayStyle(colour_by=quantity, low=0.0, high=1.0, all_in_focus=0.5)  # pyright: ignore[reportArgumentType]
     picture = bake(height_map(cone(hole=True)), look, Light())
     assert picture.shape == (80, 80, 4)
     assert picture.dtype == np.uint8
@@ -206,7 +206,7 @@ def test_a_difference_is_coloured_where_fields_overlap_and_the_rest_is_grey():
     overlap[:, 20:30], overlap[:, 30:40] = 0.0, 0.5
     z = np.zeros((40, 60), np.float32)
     z[:, 55:] = np.nan
-    picture = bake(with_overlap(z, overlap), Look("overlap", "mako", 0.0, 0.5, hillshade=0.0), Light())
+    picture = bake(with_overlap(z, overlap), DisplayStyle("overlap", "mako", 0.0, 0.5, hillshade=0.0), Light())
     ends = table("mako")[[0, 255]]
     assert (picture[:, 20:30, :3] == ends[0]).all()
     assert (picture[:, 30:40, :3] == ends[1]).all()

@@ -8,15 +8,15 @@ from tests.browser.sessions.inspected_session import PLANTED, found, repeating_s
 from wafer_viewer.draw.charts.die_stack import MOST_MARKS, die_stack_svg, shown
 from wafer_viewer.gui.defects import die_stack_html as stacked
 from wafer_viewer.gui.defects import reference_view_html as beside
-from wafer_viewer.gui.overlays.scene_sheet import Room
+from wafer_viewer.gui.overlays.scene_sheet import SheetRoom
 from wafer_viewer.gui.state.view_state import View
 from wafer_viewer.measure.defects.repeaters import repeated_places
 from wafer_viewer.model.spec import replace
-from wafer_viewer.session.rendering.comparison_views import DiePicture, Seen, SideBySide
+from wafer_viewer.session.rendering.comparison_views import ComparisonView, ComparisonViews, DiePicture
 
 INSPECTION = found(PLANTED)
 DEFECT = INSPECTION.defects[0]
-SMALL, LARGE = Room(626, 390), Room(862, 620)
+SMALL, LARGE = SheetRoom(626, 390), SheetRoom(862, 620)
 
 
 @pytest.fixture(scope="module")
@@ -26,13 +26,13 @@ def repeating():
     return session.snapshot.inspection.inspection
 
 
-def answer(*seen: Seen) -> SideBySide:
+def answer(*seen: ComparisonView) -> ComparisonViews:
     x0, y0, x1, y1 = DEFECT.outline.bounds_um
-    return SideBySide(-2.0, 14.0, 1.0, (x0 - 20, y0 - 20, x1 + 20, y1 + 20), 0.5, seen)
+    return ComparisonViews(-2.0, 14.0, 1.0, (x0 - 20, y0 - 20, x1 + 20, y1 + 20), 0.5, seen)
 
 
 @pytest.mark.parametrize("room", [SMALL, LARGE])
-def test_three_pairs_and_their_bar_fit_the_scene(room: Room):
+def test_three_pairs_and_their_bar_fit_the_scene(room: SheetRoom):
     sizes = beside.Sizes.within(room)
     assert 3 * sizes.width_px + beside.BAR_PX + 3 * beside.GAP_PX + 2 * beside.PAD_PX <= room.width_px
     assert sizes.sheet_px <= room.height_px
@@ -43,9 +43,9 @@ def test_every_pair_says_what_it_is_and_has_the_outline_and_the_same_scale_bar()
     text = beside.sheet(
         DEFECT,
         answer(
-            Seen("here", b"h", b"p"),
-            Seen("dies", b"h", b"p", dies=9),
-            Seen("before", b"h", b"p", name="coupon-06", moved_um=(3.0, -1.5)),
+            ComparisonView("here", b"h", b"p"),
+            ComparisonView("dies", b"h", b"p", dies=9),
+            ComparisonView("before", b"h", b"p", name="coupon-06", moved_um=(3.0, -1.5)),
         ),
         beside.Sizes.within(SMALL),
     )
@@ -58,7 +58,9 @@ def test_every_pair_says_what_it_is_and_has_the_outline_and_the_same_scale_bar()
 
 def test_words_stand_where_there_is_nothing_to_compare_with():
     why = "No earlier scan of wafer <W> with a surface lies in the data folder."
-    text = beside.sheet(DEFECT, answer(Seen("here", b"h"), Seen("before", why_not=why)), beside.Sizes.within(SMALL))
+    text = beside.sheet(
+        DEFECT, answer(ComparisonView("here", b"h"), ComparisonView("before", why_not=why)), beside.Sizes.within(SMALL)
+    )
     assert "wafer &lt;W&gt;" in text
     assert "Not measured here." in text
     assert "Heights over the middle of the place." in text

@@ -8,7 +8,7 @@ from types import SimpleNamespace
 import pytest
 
 from tests.support.made_up_sections import hill, section_of
-from wafer_viewer.gui.measure.live_profiles import Curves
+from wafer_viewer.gui.measure.live_profiles import LiveProfiles
 from wafer_viewer.gui.measure.plot_interaction import CursorMove, told_cursor, told_shares
 from wafer_viewer.gui.measure.profile_line_commands import LineVerbs
 from wafer_viewer.gui.presenters.profile import head
@@ -78,7 +78,7 @@ def measured(page, curves, snapshot=SNAPSHOT):
 
 
 def test_only_the_line_that_moved_is_measured_again(page):
-    curves = Curves(page)
+    curves = LiveProfiles(page)
     assert [a.place for a in measured(page, curves)] == [0, 1]
     page.change(lines=(LINES[0], Region.line(0, -20, 5, 20)), line=1)
     assert [a.place for a in measured(page, curves)] == [1]
@@ -88,14 +88,14 @@ def test_only_the_line_that_moved_is_measured_again(page):
 
 
 def test_a_moved_handle_has_its_curve_before_the_line_is_drawn(page):
-    curves, told = Curves(page), []
+    curves, told = LiveProfiles(page), []
     curves.on_news(lambda: told.append(len(curves.sections)))
     curves.follow()
     assert told == [2]
 
 
 def test_the_active_line_alone_is_compared(page):
-    curves = Curves(page)
+    curves = LiveProfiles(page)
     measured(page, curves)
     page.change(plot=PlotView(cleaned=True))
     assert [(a.place, a.cleaned) for a in measured(page, curves)] == [(0, True)]
@@ -107,7 +107,7 @@ def test_the_active_line_alone_is_compared(page):
 
 def test_where_another_surface_has_no_heights_the_page_says_so(page):
     page.change(plot=PlotView(of=OTHER))
-    curves = Curves(page)
+    curves = LiveProfiles(page)
     measured(page, curves)
     assert curves.problems == ("after has no heights along line A.",)
     assert curves.answer.finding is not None
@@ -116,7 +116,7 @@ def test_where_another_surface_has_no_heights_the_page_says_so(page):
 
 
 def test_nothing_is_measured_while_no_profile_is_looked_at(page):
-    curves = Curves(page)
+    curves = LiveProfiles(page)
     for away in ({"tool": "step"}, {"tool": "profile", "step": "surface"}):
         page.change(**away)
         curves.show(SNAPSHOT, page.view)

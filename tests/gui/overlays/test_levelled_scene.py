@@ -14,16 +14,16 @@ import pytest
 from tests.gui.scenes.test_scene_view import settled, until
 from tests.support.page_stand_in import MemoryShelf, StandIn, grid, height_map, job_and_plan, snapshot_of
 from tests.support.stage_props import Browser
-from wafer_viewer.draw.surface.display_style import Look
+from wafer_viewer.draw.surface.display_style import DisplayStyle
 from wafer_viewer.gui.overlays.hud import ReadOutBox
-from wafer_viewer.gui.scene.scene_contents import OnShow
+from wafer_viewer.gui.scene.scene_contents import DisplayedSurface
 from wafer_viewer.gui.scenes.scene_view import SceneView
 from wafer_viewer.gui.state.view_state import View
 from wafer_viewer.model.measurement.levelling import Datum, Levelling
 from wafer_viewer.model.surface.height_map import Origin
 from wafer_viewer.session.measurement.dataset_queries import ReadOut
 from wafer_viewer.session.rendering.render_dispatch import paint
-from wafer_viewer.session.rendering.render_request import Facts, PaintRequest, Scale, Source
+from wafer_viewer.session.rendering.render_request import ColourScale, RenderRequest, SurfaceKey, SurfaceStatistics
 
 PIXEL_UM, SIDE, TILT = 2.0, 400, 0.05
 BY_PLANE = Levelling(by="plane")
@@ -66,9 +66,9 @@ def scene(browser: Browser, monkeypatch: pytest.MonkeyPatch) -> Iterator[SceneVi
     assert faults == []
 
 
-def on_show(scene: SceneView, view: View) -> OnShow:
+def on_show(scene: SceneView, view: View) -> DisplayedSurface:
     """What the scene says of its colours when it has drawn a view."""
-    heard: list[OnShow] = []
+    heard: list[DisplayedSurface] = []
     scene.on_scale(lambda shown: heard.append(shown) if shown else None)
     scene.draw(SNAPSHOT, view)
     until(lambda: heard)
@@ -164,12 +164,15 @@ def test_a_deviation_from_the_form_leaves_what_is_no_bowl() -> None:
     x = np.linspace(-1, 1, SIDE)
     z = 30 * (x[None, :] ** 2 + 0.5 * x[:, None] ** 2) + 4 * x[None, :] * x[:, None]
     z[100:120, 100:120] += 6.0
-    shelf, source = MemoryShelf({0: height_map(z, PIXEL_UM, 1000.0, -500.0)}), Source(SNAPSHOT.dataset.path, "", 0, 1)
-    facts = msgspec.msgpack.decode(paint(shelf, PaintRequest(source, "facts")), type=Facts)
-    request = PaintRequest(source, "scale", look=Look(colour_by="form"), light=facts.light)
-    scale = msgspec.msgpack.decode(paint(shelf, request), type=Scale)
+    shelf, source = (
+        MemoryShelf({0: height_map(z, PIXEL_UM, 1000.0, -500.0)}),
+        SurfaceKey(SNAPSHOT.dataset.path, "", 0, 1),
+    )
+    facts = msgspec.msgpack.decode(paint(shelf, RenderRequest(source, "facts")), type=SurfaceStatistics)
+    request = RenderRequest(source, "scale", look=DisplayStyle(colour_by="form"), light=facts.light)
+    scale = msgspec.msgpack.decode(paint(shelf, request), type=ColourScale)
     assert max(abs(scale.own_low), scale.p1, -scale.p1, abs(scale.p99)) < 0.01
     flat = msgspec.msgpack.decode(
-        paint(shelf, dataclasses.replace(request, look=Look(colour_by="deviation"))), type=Scale
+        paint(shelf, dataclasses.replace(request, look=DisplayStyle(colour_by="deviation"))), type=ColourScale
     )
     assert flat.p99 > 10

@@ -9,8 +9,8 @@ import pytest
 from tests.browser.sessions import fake_session as fake
 from wafer_viewer.gui.page.background_tasks import job_list, state_of
 from wafer_viewer.gui.state.view_state import View
-from wafer_viewer.session.core.command_queue import Desk
-from wafer_viewer.session.core.notifications import Notices, seconds_left
+from wafer_viewer.session.core.command_queue import CommandQueue
+from wafer_viewer.session.core.notifications import Notifications, seconds_left
 from wafer_viewer.session.state.snapshot import Snapshot, Work
 
 READY = fake.planned()
@@ -53,9 +53,9 @@ def test_time_left_follows_from_what_was_done_since_the_first_word():
 
 
 def test_progress_tells_the_time_left_and_an_end_takes_the_job_off_the_list():
-    desk, now_s = Desk(Snapshot()), [100.0]
+    desk, now_s = CommandQueue(Snapshot()), [100.0]
     try:
-        notices = Notices(desk, lambda: now_s[0])
+        notices = Notifications(desk, lambda: now_s[0])
         work = desk.do(notices.begin, "Stitching", lambda: None, "the first field").result()
         desk.do(notices.progress, work, 0.2).result()
         now_s[0] = 120.0

@@ -11,8 +11,8 @@ from wafer_viewer.gui.presenters import comparison as words
 from wafer_viewer.gui.scenes.surface_scene import source_of
 from wafer_viewer.gui.state.view_state import View
 from wafer_viewer.model.spec import replace
-from wafer_viewer.model.surface.comparison import Face, Registration, SurfaceName, comparison_of, show_of
-from wafer_viewer.session.rendering.render_request import Source
+from wafer_viewer.model.surface.comparison import ComparisonFace, Registration, SurfaceName, comparison_of, show_of
+from wafer_viewer.session.rendering.render_request import SurfaceKey
 
 
 def plain(html: str) -> str:
@@ -62,7 +62,7 @@ def test_what_weakens_a_comparison_is_said():
     assert words.cautions(replace(comparison, calibrated=True), outdated=False) == ""
 
 
-@pytest.mark.parametrize("face", Face)
+@pytest.mark.parametrize("face", ComparisonFace)
 def test_one_number_says_which_comparison_and_what_of_it(face):
     from tests.browser.sessions.compared_session import ComparedSession
 
@@ -71,10 +71,10 @@ def test_one_number_says_which_comparison_and_what_of_it(face):
         show = show_of(2, face)
         assert show < 0
         assert comparison_of(show) == (2, face)
-        source = Source(session.snapshot.dataset.path, "difference-2", -face, 2)
+        source = SurfaceKey(session.snapshot.dataset.path, "difference-2", -face, 2)
         assert source_of(session.snapshot, show) == source
         assert source_of(session.snapshot, show_of(7, face)) is None
-        assert View(show=show).shows_difference == (face is Face.DIFFERENCE)
+        assert View(show=show).shows_difference == (face is ComparisonFace.DIFFERENCE)
     finally:
         session.close()
     assert comparison_of(0) is None

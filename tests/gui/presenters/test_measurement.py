@@ -10,7 +10,7 @@ from wafer_viewer.gui.presenters import measurement as words
 from wafer_viewer.gui.presenters.provenance import ZERO, source
 from wafer_viewer.gui.presenters.result_regions import bounds_of, drawn_of, places_of, tool_of
 from wafer_viewer.gui.scenes.thumbnails import HEIGHT_PX, WIDTH_PX, framed, outlines
-from wafer_viewer.model.findings import AnyFinding
+from wafer_viewer.model.findings import AnyResult
 from wafer_viewer.model.measurement.levelling import PLACES, Levelling
 from wafer_viewer.model.measurement.tools import TOOLS, ToolName
 from wafer_viewer.model.quantity import BudgetLine, Quantity
@@ -42,7 +42,7 @@ SHAPED: dict[ToolName, tuple[Region, ...]] = {
 
 
 @pytest.fixture(scope="module")
-def found() -> dict[ToolName, AnyFinding]:
+def found() -> dict[ToolName, AnyResult]:
     session = MeasuringSession()
     answers = {tool: session.measure(tool, places) for tool, places in PLACES_OF.items()}
     session.close()

@@ -10,11 +10,15 @@ import numpy as np
 from tests.support.made_up_poses import made_up_poses, stitching_of
 from tests.support.page_stand_in import COLS, PIXEL_UM, ROWS, grid
 from wafer_viewer.gui.presenters import stitching as words
-from wafer_viewer.model.surface.field_poses import Doubt
+from wafer_viewer.model.surface.field_poses import RejectionReason
 
 FIELDS = grid(3, 3).fields(0.0)
 SIZE_UM = (COLS * PIXEL_UM, ROWS * PIXEL_UM)
-POSES = made_up_poses(FIELDS, *SIZE_UM, {(4, 5): Doubt.BLANK, (5, 8): Doubt.AMBIGUOUS, (1, 2): Doubt.DISAGREES})
+POSES = made_up_poses(
+    FIELDS,
+    *SIZE_UM,
+    {(4, 5): RejectionReason.BLANK, (5, 8): RejectionReason.AMBIGUOUS, (1, 2): RejectionReason.DISAGREES},
+)
 FOUND = dataclasses.replace(stitching_of(POSES), step_median_um=0.0083, step_p95_um=0.0521, moved_max_um=7.94)
 
 
@@ -61,7 +65,7 @@ def test_many_doubted_overlaps_unfold_and_the_rest_is_counted():
     fields = grid(10, 10).fields(0.0)
     poses = made_up_poses(fields, *SIZE_UM)
     shifts = poses.shifts
-    doubt = np.full(len(shifts.doubt), Doubt.UNLIKE, np.uint8)
+    doubt = np.full(len(shifts.doubt), RejectionReason.UNLIKE, np.uint8)
     all_doubted = dataclasses.replace(poses, shifts=dataclasses.replace(shifts, doubt=doubt))
     said = words.doubted(all_doubted, 0.5)
     assert len(rows_of(said)) == words.LISTED

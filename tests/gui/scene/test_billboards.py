@@ -9,27 +9,27 @@ import viser.transforms as vtf
 from tests.gui.tools.test_places import SIDE_PX, land_of, noise, xy
 from tests.support.stage_props import RecordingScene
 from wafer_viewer.draw.raster_text import tag
-from wafer_viewer.gui.scene.billboards import Sign, corner_on_screen
-from wafer_viewer.gui.scene.camera.camera_presets import FOV_RAD, Pose, direction_of
-from wafer_viewer.gui.scene.heightfield import Land
-from wafer_viewer.gui.scene.view_axes import Gaze
+from wafer_viewer.gui.scene.billboards import Billboard, corner_on_screen
+from wafer_viewer.gui.scene.camera.camera_presets import FOV_RAD, CameraPose, direction_of
+from wafer_viewer.gui.scene.heightfield import HeightField
+from wafer_viewer.gui.scene.view_axes import ViewAxes
 from wafer_viewer.model.region import Region
 
 HEIGHT_PX, WIDTH_PX, HIGH_PX = 850, 900, 26
 VIEWS = ("top", "front", "iso")
 
 
-def walled() -> Land:
+def walled() -> HeightField:
     """A trench along x at y = 150 ± 30 between plateaus 60 um high."""
     return land_of(np.where(np.abs(xy()[1] - 150) < 30, 0.0, 60.0) + noise())
 
 
-def gaze_from(direction: np.ndarray, distance_mm: float = 1.0) -> Gaze:
+def gaze_from(direction: np.ndarray, distance_mm: float = 1.0) -> ViewAxes:
     at = np.array([0.15, 0.15, 0.03])
-    return Gaze.of(Pose(at + direction * distance_mm, at), 2 * distance_mm * np.tan(FOV_RAD / 2) / HEIGHT_PX)
+    return ViewAxes.of(CameraPose(at + direction * distance_mm, at), 2 * distance_mm * np.tan(FOV_RAD / 2) / HEIGHT_PX)
 
 
-def on_screen(gaze: Gaze, places: np.ndarray) -> np.ndarray:
+def on_screen(gaze: ViewAxes, places: np.ndarray) -> np.ndarray:
     """Pixels right of and above the middle of the screen, [n, 2]."""
     right, up, towards = gaze.axes.T
     away = places - gaze.eye
@@ -43,10 +43,10 @@ def test_the_turn_of_a_sign_lays_it_along_the_screen(preset) -> None:
     assert vtf.SO3(np.array(gaze.wxyz)).as_matrix() == pytest.approx(gaze.axes, abs=1e-9)
 
 
-def stand(land: Land, gaze: Gaze, by: np.ndarray, right_px: float) -> np.ndarray:
+def stand(land: HeightField, gaze: ViewAxes, by: np.ndarray, right_px: float) -> np.ndarray:
     """The corners of a sign that was placed: lower left, lower right, upper left, upper right, in scene mm."""
     scene = RecordingScene()
-    sign = Sign(scene, "sign", "Lower", (21, 32, 43), HIGH_PX)  # type: ignore[arg-type]
+    sign = Billboard(scene, "sign", "Lower", (21, 32, 43), HIGH_PX)  # type: ignore[arg-type]
     sign.place(by, land, gaze, right_px)
     (node,) = scene.nodes.values()
     wide_px = tag("Lower", (255, 255, 255), (21, 32, 43), 2 * HIGH_PX).shape[1] / 2

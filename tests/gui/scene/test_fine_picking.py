@@ -10,15 +10,21 @@ import pytest
 
 from tests.support.page_stand_in import MemoryShelf, height_map
 from wafer_viewer.gui.scene.fine_picking import land_nearby
-from wafer_viewer.gui.scene.heightfield import Land
-from wafer_viewer.gui.scene.scene_contents import OnShow
+from wafer_viewer.gui.scene.heightfield import HeightField
+from wafer_viewer.gui.scene.scene_contents import DisplayedSurface
 from wafer_viewer.model.errors import DatasetError
 from wafer_viewer.model.measurement.levelling import Datum
 from wafer_viewer.session.rendering.render_dispatch import paint
-from wafer_viewer.session.rendering.render_request import Facts, PaintRequest, Relief, Scale, Source
+from wafer_viewer.session.rendering.render_request import (
+    CoarseHeightField,
+    ColourScale,
+    RenderRequest,
+    SurfaceKey,
+    SurfaceStatistics,
+)
 
 PIXEL_UM, SIDE = 0.5, 3000
-SOURCE = Source(Path("memory.wafer"), "default", 0, 1)
+SOURCE = SurfaceKey(Path("memory.wafer"), "default", 0, 1)
 TILTED = Datum(powers=((0, 0), (1, 0)), coefficients=(2.0, 0.01))
 
 
@@ -34,11 +40,11 @@ def surface():
 def test_a_click_hits_the_pixel_it_seems_to(surface, datum):
     shelf = MemoryShelf({0: surface})
     facts, scale, relief = (
-        msgspec.msgpack.decode(paint(shelf, PaintRequest(SOURCE, what, datum=datum)), type=kind)  # type: ignore
-        for what, kind in (("facts", Facts), ("scale", Scale), ("relief", Relief))
+        msgspec.msgpack.decode(paint(shelf, RenderRequest(SOURCE, what, datum=datum)), type=kind)  # type: ignore
+        for what, kind in (("facts", SurfaceStatistics), ("scale", ColourScale), ("relief", CoarseHeightField))
     )
-    on_show = OnShow(SOURCE, facts, scale, facts.lowest_um, 3.0, datum)
-    land = Land(relief, on_show)
+    on_show = DisplayedSurface(SOURCE, facts, scale, facts.lowest_um, 3.0, datum)
+    land = HeightField(relief, on_show)
     for x_um in (604.0, 704.2, 985.6):
         over = datum.at(np.float64(x_um), np.float64(-400.0)) if datum else 0.0
         top = np.array([x_um * 1e-3, -0.4, on_show.scene_z(60.0 - float(over))])
@@ -52,10 +58,10 @@ def test_a_click_hits_the_pixel_it_seems_to(surface, datum):
 
 def test_a_surface_that_cannot_be_read_is_hit_where_the_coarse_heights_are(surface):
     shelf = MemoryShelf({0: surface})
-    relief = msgspec.msgpack.decode(paint(shelf, PaintRequest(SOURCE, "relief")), type=Relief)
-    facts = msgspec.msgpack.decode(paint(shelf, PaintRequest(SOURCE, "facts")), type=Facts)
-    scale = Scale("height", 0.0, 1.0, 0.0, 1.0, 0.0, 1.0, ())
-    land = Land(relief, OnShow(SOURCE, facts, scale, 0.0, 1.0))
+    relief = msgspec.msgpack.decode(paint(shelf, RenderRequest(SOURCE, "relief")), type=CoarseHeightField)
+    facts = msgspec.msgpack.decode(paint(shelf, RenderRequest(SOURCE, "facts")), type=SurfaceStatistics)
+    scale = ColourScale("height", 0.0, 1.0, 0.0, 1.0, 0.0, 1.0, ())
+    land = HeightField(relief, DisplayedSurface(SOURCE, facts, scale, 0.0, 1.0))
 
     def gone(show: int):
         raise DatasetError("The surface is gone.")

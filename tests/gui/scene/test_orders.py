@@ -8,10 +8,10 @@ from pathlib import Path
 
 import pytest
 
-from wafer_viewer.gui.scene.reconciler import NotYet, Orders
-from wafer_viewer.session.rendering.render_request import PaintRequest, Source
+from wafer_viewer.gui.scene.reconciler import NotReady, RenderQueue
+from wafer_viewer.session.rendering.render_request import RenderRequest, SurfaceKey
 
-REQUEST = PaintRequest(Source(Path("x"), "default", 5, 1), "points")
+REQUEST = RenderRequest(SurfaceKey(Path("x"), "default", 5, 1), "points")
 
 
 class Painter:
@@ -20,18 +20,18 @@ class Painter:
     def __init__(self) -> None:
         self.futures: list[Future[bytes]] = []
 
-    def paint(self, request: PaintRequest) -> Future[bytes]:
+    def paint(self, request: RenderRequest) -> Future[bytes]:
         self.futures.append(Future())
         return self.futures[-1]
 
 
 def test_what_was_lost_with_the_painter_is_ordered_once_more():
     painter, news = Painter(), []
-    orders = Orders(painter.paint, lambda: news.append("arrived"))
-    with pytest.raises(NotYet):
+    orders = RenderQueue(painter.paint, lambda: news.append("arrived"))
+    with pytest.raises(NotReady):
         orders.outcome(REQUEST)
     painter.futures[0].set_exception(BrokenProcessPool("died"))
-    with pytest.raises(NotYet):
+    with pytest.raises(NotReady):
         orders.outcome(REQUEST)
     painter.futures[1].set_result(b"tile")
     assert orders.outcome(REQUEST).result() == b"tile"
@@ -40,9 +40,9 @@ def test_what_was_lost_with_the_painter_is_ordered_once_more():
 
 def test_a_picture_that_ends_the_painter_twice_is_told():
     painter = Painter()
-    orders = Orders(painter.paint, lambda: None)
+    orders = RenderQueue(painter.paint, lambda: None)
     for attempt in range(2):
-        with pytest.raises(NotYet):
+        with pytest.raises(NotReady):
             orders.outcome(REQUEST)
         painter.futures[attempt].set_exception(BrokenProcessPool("died"))
     assert isinstance(orders.outcome(REQUEST).exception(), BrokenProcessPool)

@@ -10,11 +10,11 @@ from concurrent.futures import Future
 import pytest
 
 from tests.support.stage_props import RecordingScene
-from wafer_viewer.gui.scene.reconciler import Cover, Item, Stage
-from wafer_viewer.gui.scene.send_window import FIRST_BYTES, Gate
-from wafer_viewer.session.rendering.render_request import PaintRequest, Source
+from wafer_viewer.gui.scene.reconciler import SceneItem, SceneReconciler, TileExtent
+from wafer_viewer.gui.scene.send_window import FIRST_BYTES, SendWindow
+from wafer_viewer.session.rendering.render_request import RenderRequest, SurfaceKey
 
-SOURCE = Source(None, "", 0, 1)  # type: ignore[arg-type]
+SOURCE = SurfaceKey(None, "", 0, 1)  # type: ignore[arg-type]
 
 
 class Browser:
@@ -38,15 +38,17 @@ def browser() -> Browser:
 
 
 @pytest.fixture
-def gate(browser: Browser) -> Iterator[Gate]:
-    made = Gate(browser.fence, browser.opened.release)
+def gate(browser: Browser) -> Iterator[SendWindow]:
+    made = SendWindow(browser.fence, browser.opened.release)
     yield made
     browser.gone = True
     browser.answers.release()
     made.close()
 
 
-def test_a_browser_that_does_not_answer_gets_no_more_and_goes_on_when_it_is_back(gate: Gate, browser: Browser) -> None:
+def test_a_browser_that_does_not_answer_gets_no_more_and_goes_on_when_it_is_back(
+    gate: SendWindow, browser: Browser
+) -> None:
     gate.sent(FIRST_BYTES // 2)
     assert gate.is_open
     assert browser.asked.acquire(timeout=20)
@@ -59,7 +61,7 @@ def test_a_browser_that_does_not_answer_gets_no_more_and_goes_on_when_it_is_back
 
 def test_a_slow_browser_is_sent_less_at_a_time(browser: Browser) -> None:
     times = itertools.chain([0.0, 8.0], itertools.repeat(8.0))
-    gate = Gate(browser.fence, browser.opened.release, lambda: next(times))
+    gate = SendWindow(browser.fence, browser.opened.release, lambda: next(times))
     gate.sent(FIRST_BYTES)
     browser.answers.release()
     assert browser.opened.acquire(timeout=20)
@@ -70,19 +72,19 @@ def test_a_slow_browser_is_sent_less_at_a_time(browser: Browser) -> None:
     gate.close()
 
 
-def tile(name: str, rows: tuple[int, int], cols: tuple[int, int], k: int) -> Item:
-    request = PaintRequest(SOURCE, "tile", k=k)
-    return Item(name, request, lambda s, n, d: s.add_glb(n, d), request, cover=Cover("surface", rows, cols))
+def tile(name: str, rows: tuple[int, int], cols: tuple[int, int], k: int) -> SceneItem:
+    request = RenderRequest(SOURCE, "tile", k=k)
+    return SceneItem(name, request, lambda s, n, d: s.add_glb(n, d), request, cover=TileExtent("surface", rows, cols))
 
 
 @pytest.fixture
-def stage(monkeypatch: pytest.MonkeyPatch) -> Callable[[dict[int, Future[bytes]]], Stage]:
+def stage(monkeypatch: pytest.MonkeyPatch) -> Callable[[dict[int, Future[bytes]]], SceneReconciler]:
     monkeypatch.setattr("wafer_viewer.gui.scene.reconciler._GRACE_S", 0.0)
-    return lambda made: Stage(RecordingScene(), lambda r: made.setdefault(r.k, Future()), lambda: None)  # type: ignore
+    return lambda made: SceneReconciler(RecordingScene(), lambda r: made.setdefault(r.k, Future()), lambda: None)  # type: ignore
 
 
 def test_a_tile_leaves_when_others_cover_it_and_not_before(
-    stage: Callable[[dict[int, Future[bytes]]], Stage],
+    stage: Callable[[dict[int, Future[bytes]]], SceneReconciler],
 ) -> None:
     made: dict[int, Future[bytes]] = {}
     stands = stage(made)
@@ -104,9 +106,9 @@ def test_a_tile_leaves_when_others_cover_it_and_not_before(
     assert "right" in stands.names
 
 
-def test_nothing_is_drawn_that_a_full_browser_would_have_to_wait_for(browser: Browser, gate: Gate) -> None:
+def test_nothing_is_drawn_that_a_full_browser_would_have_to_wait_for(browser: Browser, gate: SendWindow) -> None:
     made: dict[int, Future[bytes]] = {}
-    stands = Stage(RecordingScene(), lambda r: made.setdefault(r.k, Future()), lambda: None, gate)  # type: ignore
+    stands = SceneReconciler(RecordingScene(), lambda r: made.setdefault(r.k, Future()), lambda: None, gate)  # type: ignore
     items = [tile("a", (0, 1), (0, 1), 1), tile("b", (0, 1), (1, 2), 2)]
     stands.show(items, 1.0)
     made[1].set_result(b"g" * FIRST_BYTES)

@@ -12,15 +12,19 @@ from hypothesis import strategies as st
 
 from tests.support.made_up_poses import made_up_poses
 from tests.support.page_stand_in import COLS, PIXEL_UM, ROWS, grid
-from wafer_viewer.gui.scene.draped_lines import Drape
+from wafer_viewer.gui.scene.draped_lines import DrapedLines
 from wafer_viewer.gui.scenes.pose_geometry import Fields, in_dashes, round_below, sides
-from wafer_viewer.model.surface.field_poses import Doubt
-from wafer_viewer.session.rendering.render_request import Relief
+from wafer_viewer.model.surface.field_poses import RejectionReason
+from wafer_viewer.session.rendering.render_request import CoarseHeightField
 
 WIDTH_UM, HEIGHT_UM = COLS * PIXEL_UM, ROWS * PIXEL_UM
 FIELDS = grid(3, 4).fields(0.0)
 POSES = made_up_poses(
-    FIELDS, WIDTH_UM, HEIGHT_UM, {(1, 2): Doubt.AMBIGUOUS, (6, 7): Doubt.BLANK, (3, 7): Doubt.UNLIKE}, left_out=(12,)
+    FIELDS,
+    WIDTH_UM,
+    HEIGHT_UM,
+    {(1, 2): RejectionReason.AMBIGUOUS, (6, 7): RejectionReason.BLANK, (3, 7): RejectionReason.UNLIKE},
+    left_out=(12,),
 )
 KEPT = ~POSES.left_out
 
@@ -107,16 +111,18 @@ def test_dashes_cover_their_share_and_begin_at_corners():
     assert {tuple(begin) for begin in dashes[:, 0].round(6)} >= {(0, 0), (100, 0), (100, 40), (0, 40)}
 
 
-def relief(z: np.ndarray, pixel_um: float = 2.0) -> Relief:
+def relief(z: np.ndarray, pixel_um: float = 2.0) -> CoarseHeightField:
     data = (z.astype("<f4").tobytes(), np.ones(z.shape, bool).tobytes())
-    return Relief(*z.shape, pixel_um, 0.0, (z.shape[0] - 1) * pixel_um, *data)
+    return CoarseHeightField(*z.shape, pixel_um, 0.0, (z.shape[0] - 1) * pixel_um, *data)
 
 
 @given(st.integers(0, 2**31), st.floats(3, 60))
 def test_lines_lie_over_the_surface_at_every_place_between_their_corners(seed: int, span_um: float):
     rng = np.random.default_rng(seed)
     z = rng.normal(0, 3, (60, 80)).cumsum(axis=1)
-    drape = Drape(msgspec.msgpack.decode(msgspec.msgpack.encode(relief(z)), type=Relief), -5.0, span_um)
+    drape = DrapedLines(
+        msgspec.msgpack.decode(msgspec.msgpack.encode(relief(z)), type=CoarseHeightField), -5.0, span_um
+    )
     pieces = rng.uniform(0, 110, (6, 2, 2))
     segments = drape.segments(pieces).astype(float)
     share = np.linspace(0, 1, 5)[:, None]  # the places that were looked at
@@ -126,7 +132,7 @@ def test_lines_lie_over_the_surface_at_every_place_between_their_corners(seed: i
 
 
 def test_on_a_flat_picture_everything_lies_flat():
-    drape = Drape(None, 3.0, 10.0)
+    drape = DrapedLines(None, 3.0, 10.0)
     assert (drape.segments(drawn().outlines())[..., 2] == 0).all()
     assert (drape.level(drawn().arrows())[..., 2] == 0).all()
 
@@ -135,5 +141,5 @@ def test_an_arrow_is_straight_over_a_street():
     z = np.zeros((60, 80))
     z[:, 30:50] = 9.0
     figures = np.array([[[[10.0, 50.0], [150.0, 50.0]]]])
-    level = Drape(relief(z), 0.0, 5.0).level(figures)
+    level = DrapedLines(relief(z), 0.0, 5.0).level(figures)
     assert level[..., 2] == pytest.approx(9e-3)

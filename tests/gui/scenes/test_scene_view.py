@@ -28,12 +28,12 @@ from tests.support.page_stand_in import (
     snapshot_of,
 )
 from tests.support.stage_props import Browser, RecordingScene
-from wafer_viewer.draw.surface.display_style import Look
+from wafer_viewer.draw.surface.display_style import DisplayStyle
 from wafer_viewer.gui.scene.camera.camera_presets import Clear, direction_of, fit
 from wafer_viewer.gui.scene.lod.surface_tiles import VERTICES, cut, look_of
 from wafer_viewer.gui.scene.plinth import block_items
-from wafer_viewer.gui.scene.reconciler import Item, Stage
-from wafer_viewer.gui.scene.scene_contents import OnShow
+from wafer_viewer.gui.scene.reconciler import SceneItem, SceneReconciler
+from wafer_viewer.gui.scene.scene_contents import DisplayedSurface
 from wafer_viewer.gui.scenes.scene_view import SceneView
 from wafer_viewer.gui.state.view_state import View
 from wafer_viewer.model.errors import DatasetError
@@ -42,7 +42,7 @@ from wafer_viewer.model.measurement.measurements import PointHeight
 from wafer_viewer.model.quantity import Length
 from wafer_viewer.model.region import Region
 from wafer_viewer.model.surface.height_map import HeightMap
-from wafer_viewer.session.rendering.render_request import Facts, PaintRequest, Scale, Source
+from wafer_viewer.session.rendering.render_request import ColourScale, RenderRequest, SurfaceKey, SurfaceStatistics
 from wafer_viewer.session.state.snapshot import Snapshot
 
 GRID = grid(2, 2)
@@ -216,9 +216,12 @@ def test_what_cannot_be_drawn_is_told_once_and_the_rest_stands(browser: Browser,
 def test_a_stage_draws_what_is_there_and_waits_for_nothing() -> None:
     late: Future[bytes] = Future()
     arrived: list[bool] = []
-    stage = Stage(RecordingScene(), lambda request: late, lambda: arrived.append(True))  # type: ignore[arg-type]
-    request = PaintRequest(Source(None, "", 0, 1), "tile")  # type: ignore[arg-type]
-    items = [Item("a", 1, lambda s, n, d: s.add_glb(n, d)), Item("b", 1, lambda s, n, d: s.add_glb(n, d), request)]
+    stage = SceneReconciler(RecordingScene(), lambda request: late, lambda: arrived.append(True))  # type: ignore[arg-type]
+    request = RenderRequest(SurfaceKey(None, "", 0, 1), "tile")  # type: ignore[arg-type]
+    items = [
+        SceneItem("a", 1, lambda s, n, d: s.add_glb(n, d)),
+        SceneItem("b", 1, lambda s, n, d: s.add_glb(n, d), request),
+    ]
     assert not stage.show(items, 1.0)
     assert stage.names == ("a",)
     late.set_result(b"glTF")
@@ -230,15 +233,15 @@ def test_a_stage_draws_what_is_there_and_waits_for_nothing() -> None:
 def test_orders_no_one_waits_for_are_withdrawn() -> None:
     late: list[Future[bytes]] = []
 
-    def paint(request: PaintRequest) -> Future[bytes]:
+    def paint(request: RenderRequest) -> Future[bytes]:
         late.append(Future())
         return late[-1]
 
-    stage = Stage(RecordingScene(), paint, lambda: None)  # type: ignore[arg-type]
-    source = Source(None, "", 0, 1)  # type: ignore[arg-type]
+    stage = SceneReconciler(RecordingScene(), paint, lambda: None)  # type: ignore[arg-type]
+    source = SurfaceKey(None, "", 0, 1)  # type: ignore[arg-type]
     for colours in ("mako", "batlow"):
-        request = PaintRequest(source, "tile", look=Look(colours=colours))
-        stage.show([Item("t", request, lambda s, n, d: s.add_glb(n, d), request)], 1.0)
+        request = RenderRequest(source, "tile", look=DisplayStyle(colours=colours))
+        stage.show([SceneItem("t", request, lambda s, n, d: s.add_glb(n, d), request)], 1.0)
     assert [future.cancelled() for future in late] == [True, False]
 
 
@@ -247,7 +250,7 @@ def test_orders_no_one_waits_for_are_withdrawn() -> None:
 
 @given(st.integers(50, 20_000), st.integers(50, 20_000))
 def test_a_cut_stays_within_its_budget_and_covers_all(rows: int, cols: int) -> None:
-    facts = Facts(rows, cols, 0.5, 0.0, 0.0, 0, rows, 0, cols, 0.0, 1.0, 0.0, 1.0, 1.0, (0.0, 0.0, 0.0))
+    facts = SurfaceStatistics(rows, cols, 0.5, 0.0, 0.0, 0, rows, 0, cols, 0.0, 1.0, 0.0, 1.0, 1.0, (0.0, 0.0, 0.0))
     part = cut(facts, 2_200_000)
     lattice = (-(-rows // 2**part.level), -(-cols // 2**part.level))
     assert (lattice[0] - 1) * (lattice[1] - 1) <= 2_200_000
@@ -425,7 +428,7 @@ def test_a_view_that_only_echoes_a_drag_does_not_move_the_handles_back(browser: 
 def test_a_click_hits_the_surface_as_it_is_drawn(browser: Browser, scene: SceneView) -> None:
     picked: list[tuple[float, float]] = []
     scene.on_pick(lambda x_um, y_um: picked.append((x_um, y_um)))
-    shown: list[OnShow] = []
+    shown: list[DisplayedSurface] = []
     scene.on_scale(lambda on_show: shown.append(on_show) if on_show else None)
     scene.draw(SNAPSHOT, View(step="surface", exaggeration=10.0))
     settled(scene)
@@ -445,7 +448,7 @@ def test_a_click_into_a_hole_means_what_is_seen_there(
 ) -> None:
     picked: list[tuple[float, float]] = []
     scene.on_pick(lambda x_um, y_um: picked.append((x_um, y_um)))
-    shown: list[OnShow] = []
+    shown: list[DisplayedSurface] = []
     scene.on_scale(lambda on_show: shown.append(on_show) if on_show else None)
     scene.draw(SNAPSHOT, View(step="surface", exaggeration=20.0, colour_by=colour_by))  # pyright: ignore[reportArgumentType]
     settled(scene)
@@ -490,7 +493,7 @@ def test_the_place_that_is_explained_is_marked_on_the_surface(browser: Browser, 
 
 
 def test_origins_are_drawn_in_little_light_for_their_colours_are_looked_up():
-    scale = Scale("origin", 0.0, 1.0, 0.0, 1.0, 0.0, 1.0, ())
+    scale = ColourScale("origin", 0.0, 1.0, 0.0, 1.0, 0.0, 1.0, ())
     shades = [look_of(View(colour_by=by, hillshade=0.8), scale).hillshade for by in ("height", "origin")]
     assert shades == pytest.approx([0.8, 0.2])
 

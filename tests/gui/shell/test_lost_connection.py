@@ -7,10 +7,10 @@ import dataclasses
 import pytest
 
 from tests.browser.sessions import fake_session as fake
-from wafer_viewer.gui.page.browser_info import Told, is_cramped
+from wafer_viewer.gui.page.browser_info import BrowserInfo, is_cramped
 from wafer_viewer.gui.page.header import STEPS, why_not
 from wafer_viewer.gui.shell.lost_connection import kept_over_restart, meanwhile, out_of_reach, state
-from wafer_viewer.gui.state.browser_storage import Layout
+from wafer_viewer.gui.state.browser_storage import PanelLayout
 from wafer_viewer.session.state.snapshot import RigStatus
 
 
@@ -45,7 +45,7 @@ def test_after_a_restart_stands_what_is_kept_and_what_it_waits_for():
     ("window_px", "cramped"), [(0, False), (1024, True), (1143, True), (1144, False), (1600, False)]
 )
 def test_a_scene_under_440_px_is_too_narrow(window_px: int, cramped: bool):
-    assert is_cramped(Told(window=window_px), Layout()) == cramped
+    assert is_cramped(BrowserInfo(window=window_px), PanelLayout()) == cramped
 
 
 def test_every_step_that_is_not_possible_says_why():

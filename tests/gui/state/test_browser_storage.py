@@ -6,10 +6,10 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from wafer_viewer.gui.page.browser_info import Told, layout_of, system_name
+from wafer_viewer.gui.page.browser_info import BrowserInfo, layout_of, system_name
 from wafer_viewer.gui.page.header import STEPS
 from wafer_viewer.gui.state import browser_storage
-from wafer_viewer.gui.state.browser_storage import Layout, Remembered, Self
+from wafer_viewer.gui.state.browser_storage import BrowserIdentity, PanelLayout, Remembered
 from wafer_viewer.gui.state.view_state import View
 from wafer_viewer.model.region import Region
 
@@ -42,14 +42,14 @@ def test_one_choice_of_another_version_costs_the_others_nothing():
 
 @pytest.mark.parametrize("text", ["", "null", "[1]", '{"layout": 3}'])
 def test_a_browser_that_is_not_known_is_a_new_one(text):
-    assert browser_storage.read_self(text) == Self()
+    assert browser_storage.read_self(text) == BrowserIdentity()
 
 
 def test_widths_are_kept_and_a_folded_panel_keeps_the_one_it_had():
-    before = Layout(left_px=300, right_px=404)
-    now = layout_of(Told("Linux x86_64", (266, False), (38, True)), before)
-    assert now == Layout(left_px=262, right_px=404, left_folded=False, right_folded=True)
-    assert layout_of(Told("Linux x86_64", None, None), now) == now
+    before = PanelLayout(left_px=300, right_px=404)
+    now = layout_of(BrowserInfo("Linux x86_64", (266, False), (38, True)), before)
+    assert now == PanelLayout(left_px=262, right_px=404, left_folded=False, right_folded=True)
+    assert layout_of(BrowserInfo("Linux x86_64", None, None), now) == now
 
 
 def test_a_system_is_called_by_its_name():

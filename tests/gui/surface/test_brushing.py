@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from wafer_viewer.gui.scene.camera.camera_presets import Pose, pixel_ray
+from wafer_viewer.gui.scene.camera.camera_presets import CameraPose, pixel_ray
 from wafer_viewer.gui.state.browser_storage import changed, read, write
 from wafer_viewer.gui.state.view_state import View
 from wafer_viewer.gui.surface.heights_section import around, brushed_rows
@@ -96,7 +96,7 @@ def test_the_place_of_a_line_nearest_to_another():
 
 
 def test_the_middle_of_the_picture_is_looked_at_and_its_right_lies_right():
-    pose = Pose(np.array([0.0, -10.0, 0.0]), np.zeros(3))
+    pose = CameraPose(np.array([0.0, -10.0, 0.0]), np.zeros(3))
     assert pixel_ray(pose, 0.5, 2.0, 0.5, 0.5) == pytest.approx([0.0, 1.0, 0.0])
     right_top = pixel_ray(pose, 0.5, 2.0, 1.0, 0.0)
     assert right_top[0] == pytest.approx(2 * np.tan(0.25))

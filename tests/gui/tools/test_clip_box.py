@@ -8,16 +8,24 @@ import msgspec
 import numpy as np
 import pytest
 
-from wafer_viewer.gui.scene.scene_contents import OnShow
+from wafer_viewer.gui.scene.scene_contents import DisplayedSurface
 from wafer_viewer.gui.state.view_state import View
 from wafer_viewer.gui.surface.points_section import counted, refused_legend
-from wafer_viewer.gui.tools.clip_box import Faces, along_axis, ball_mm, corners_mm, pulled
+from wafer_viewer.gui.tools.clip_box import ClipBoxFaces, along_axis, ball_mm, corners_mm, pulled
 from wafer_viewer.model.surface.height_map import ORIGIN_TITLES, Origin
-from wafer_viewer.session.rendering.render_request import Facts, Refused, Scale, Source, Statistics
+from wafer_viewer.session.rendering.render_request import (
+    ColourScale,
+    RefusedCounts,
+    Statistics,
+    SurfaceKey,
+    SurfaceStatistics,
+)
 
-FACTS = Facts(101, 201, 1.0, 0.0, 100.0, 0, 101, 0, 201, -5.0, 20.0, -4.0, 18.0, 1.0, (0.0, 0.0, 0.0))
-ON_SHOW = OnShow(Source(Path("x"), "default", 0, 1), FACTS, Scale("height", *(0.0,) * 6, ()), -5.0, 2.0)
-WHOLE = Faces((0.0, 0.0, 200.0, 100.0), (-5.0, 20.0))
+FACTS = SurfaceStatistics(101, 201, 1.0, 0.0, 100.0, 0, 101, 0, 201, -5.0, 20.0, -4.0, 18.0, 1.0, (0.0, 0.0, 0.0))
+ON_SHOW = DisplayedSurface(
+    SurfaceKey(Path("x"), "default", 0, 1), FACTS, ColourScale("height", *(0.0,) * 6, ()), -5.0, 2.0
+)
+WHOLE = ClipBoxFaces((0.0, 0.0, 200.0, 100.0), (-5.0, 20.0))
 EYE = np.array([0.3, -0.4, 0.5])
 
 
@@ -36,7 +44,7 @@ def test_the_balls_stand_in_the_middle_of_the_faces():
 
 def test_a_ball_goes_to_where_the_pointer_passes_its_axis():
     at = pulled(WHOLE, "x0", EYE, ray_to((0.08, 0.05, 0.025)), ON_SHOW)
-    assert at == Faces((80.0, 0.0, 200.0, 100.0), (-5.0, 20.0))
+    assert at == ClipBoxFaces((80.0, 0.0, 200.0, 100.0), (-5.0, 20.0))
     at = pulled(WHOLE, "z1", EYE, ray_to((0.1, 0.05, 0.03)), ON_SHOW)
     assert at is not None
     assert at.box_um == WHOLE.box_um
@@ -61,7 +69,7 @@ def test_a_ray_along_the_axis_tells_nothing():
 
 def test_refused_points_are_counted_among_all_and_named_by_reason():
     left_out = {"box": 0, "height": 30_000, "confidence": 0, "slab": 0}
-    refused = Refused(80_000, 50_000, left_out, {Origin.NO_TEXTURE: 20_000, Origin.OUTLIER: 30_000}, 4, 1)
+    refused = RefusedCounts(80_000, 50_000, left_out, {Origin.NO_TEXTURE: 20_000, Origin.OUTLIER: 30_000}, 4, 1)
     told = Statistics(
         1000, 1000, 1.0, 900_000, 850_000, 0.9, 0.0, (), 0.0, 1.0, 0.5, 0.1, {**left_out, "height": 50_000}
     )

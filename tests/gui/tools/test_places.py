@@ -11,31 +11,39 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from tests.support.page_stand_in import MemoryShelf, height_map
-from wafer_viewer.gui.scene.heightfield import Land
-from wafer_viewer.gui.scene.scene_contents import OnShow
+from wafer_viewer.gui.scene.heightfield import HeightField
+from wafer_viewer.gui.scene.scene_contents import DisplayedSurface
 from wafer_viewer.gui.tools.initial_regions import FIRST, first_levelling
 from wafer_viewer.gui.tools.region_shapes import SHAPES, WHOLE, outline_of
 from wafer_viewer.gui.tools.region_tools import fits
-from wafer_viewer.gui.widgets.echo_filter import Echoes
+from wafer_viewer.gui.widgets.echo_filter import EchoFilter
 from wafer_viewer.model.measurement.levelling import PLACES
 from wafer_viewer.model.measurement.tools import TOOLS
 from wafer_viewer.model.region import Region
 from wafer_viewer.session.rendering import render_summary
-from wafer_viewer.session.rendering.render_request import Facts, PaintRequest, Relief, Scale, Source
+from wafer_viewer.session.rendering.render_request import (
+    CoarseHeightField,
+    ColourScale,
+    RenderRequest,
+    SurfaceKey,
+    SurfaceStatistics,
+)
 
 SIDE_PX = 300
-SOURCE = Source(None, "", 0, 1)  # type: ignore[arg-type]
+SOURCE = SurfaceKey(None, "", 0, 1)  # type: ignore[arg-type]
 
 
-def land_of(z_um: np.ndarray) -> Land:
+def land_of(z_um: np.ndarray) -> HeightField:
     """A surface with pixels of 1 um, its lower left corner at (0, 0)."""
     import msgspec
 
     shelf = MemoryShelf({0: height_map(z_um, 1.0, 0.0, z_um.shape[0] - 1.0)})
-    facts = msgspec.msgpack.decode(render_summary.facts(shelf, PaintRequest(SOURCE, "facts")), type=Facts)
-    relief = msgspec.msgpack.decode(render_summary.relief(shelf, PaintRequest(SOURCE, "relief")), type=Relief)
-    scale = Scale("height", 0.0, 1.0, 0.0, 1.0, 0.0, 1.0, ())
-    return Land(relief, OnShow(SOURCE, facts, scale, facts.lowest_um, 1.0))
+    facts = msgspec.msgpack.decode(render_summary.facts(shelf, RenderRequest(SOURCE, "facts")), type=SurfaceStatistics)
+    relief = msgspec.msgpack.decode(
+        render_summary.relief(shelf, RenderRequest(SOURCE, "relief")), type=CoarseHeightField
+    )
+    scale = ColourScale("height", 0.0, 1.0, 0.0, 1.0, 0.0, 1.0, ())
+    return HeightField(relief, DisplayedSurface(SOURCE, facts, scale, facts.lowest_um, 1.0))
 
 
 def xy() -> tuple[np.ndarray, np.ndarray]:
@@ -193,7 +201,7 @@ def test_outlines_are_those_of_the_regions() -> None:
 
 
 def test_an_echo_is_heard_once_and_what_was_told_before_it_is_past() -> None:
-    echoes: Echoes[int] = Echoes()
+    echoes: EchoFilter[int] = EchoFilter()
     for value in (1, 2, 3):
         echoes.tell(value)
     assert echoes.is_echo(2)

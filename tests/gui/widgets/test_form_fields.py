@@ -10,7 +10,7 @@ from typing import Any
 import pytest
 
 from wafer_viewer.gui.widgets import controls
-from wafer_viewer.gui.widgets.controls import QUIET_S, Field
+from wafer_viewer.gui.widgets.controls import QUIET_S, BoundInput
 
 
 @dataclass
@@ -54,9 +54,9 @@ def clock(monkeypatch: pytest.MonkeyPatch) -> SimpleNamespace:
     return now
 
 
-def a_field(page: Page) -> tuple[Field[float], Handle]:
+def a_field(page: Page) -> tuple[BoundInput[float], Handle]:
     handle = Handle()
-    return Field(handle, lambda event: None, page, "The report was not changed"), handle
+    return BoundInput(handle, lambda event: None, page, "The report was not changed"), handle
 
 
 def test_it_shows_what_the_session_has(clock: SimpleNamespace):

@@ -5,7 +5,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from wafer_viewer.measure.base.height_samples import Points
+from wafer_viewer.measure.base.height_samples import HeightSamples
 from wafer_viewer.measure.base.robust_plane import fit_plane, least_squares, robust_fit
 from wafer_viewer.measure.base.tile_statistics import tile_means
 from wafer_viewer.model.errors import MeasureError
@@ -22,7 +22,7 @@ def scattered(n=2000, seed=1):
 @settings(max_examples=40)
 def test_a_plane_far_from_the_origin_is_found_exactly(a, b, c):
     _, x_um, y_um = scattered()
-    plane, fit = fit_plane(Points(x_um, y_um, a * x_um + b * y_um + c))
+    plane, fit = fit_plane(HeightSamples(x_um, y_um, a * x_um + b * y_um + c))
     assert (plane.slope_x, plane.slope_y) == pytest.approx((a, b), abs=1e-8)
     np.testing.assert_allclose(plane.at(x_um, y_um), a * x_um + b * y_um + c, atol=1e-5)
     assert fit.kept.mean() > 0.9
@@ -33,7 +33,7 @@ def test_outliers_are_left_out_and_good_points_are_not():
     z_um = 1e-3 * x_um + rng.normal(size=x_um.size)
     bad = rng.random(x_um.size) < 0.2
     z_um[bad] += rng.uniform(20, 80, np.count_nonzero(bad))
-    plane, fit = fit_plane(Points(x_um, y_um, z_um))
+    plane, fit = fit_plane(HeightSamples(x_um, y_um, z_um))
     assert plane.slope_x == pytest.approx(1e-3, abs=4e-4)
     assert plane.at(90_000.0, -40_000.0) == pytest.approx(90, abs=0.15)
     assert not fit.kept[bad].any()
@@ -43,7 +43,7 @@ def test_outliers_are_left_out_and_good_points_are_not():
 def test_heights_in_whole_frames_are_not_taken_for_outliers():
     _, x_um, y_um = scattered()
     z_um = np.where(np.arange(x_um.size) % 5 < 3, 4.0, 8.0)
-    plane, fit = fit_plane(Points(x_um, y_um, z_um))
+    plane, fit = fit_plane(HeightSamples(x_um, y_um, z_um))
     assert fit.kept.all()
     assert plane.z_um == pytest.approx(z_um.mean())
 
@@ -66,7 +66,7 @@ def test_points_that_span_no_plane(n):
 
 def test_tiles_are_means_of_their_part():
     x_um, y_um = (a.ravel() for a in np.meshgrid(np.arange(80.0), np.arange(40.0)))
-    centres, means = tile_means(Points(x_um, y_um, x_um + y_um), x_um, 4)
+    centres, means = tile_means(HeightSamples(x_um, y_um, x_um + y_um), x_um, 4)
     assert len(centres) == 16
     np.testing.assert_allclose(means, centres.x_um)
     np.testing.assert_allclose(centres.z_um, centres.x_um + centres.y_um)
@@ -76,4 +76,4 @@ def test_tiles_are_means_of_their_part():
 def test_nearly_empty_tiles_do_not_count():
     x_um, y_um = (a.ravel() for a in np.meshgrid(np.arange(80.0), np.arange(80.0)))
     sparse = ~((x_um < 20) & (y_um < 20)) | ((x_um == 3) & (y_um == 3))
-    assert len(tile_means(Points(x_um, y_um, x_um).kept(sparse), x_um[sparse], 4)[0]) == 15
+    assert len(tile_means(HeightSamples(x_um, y_um, x_um).kept(sparse), x_um[sparse], 4)[0]) == 15

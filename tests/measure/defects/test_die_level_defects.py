@@ -9,10 +9,10 @@ import pytest
 
 from tests.support.noisy_wafer import wafer
 from tests.support.patterned_surface import Wafer, made
-from wafer_viewer.measure.base.measurement_context import Reading
-from wafer_viewer.measure.defects.cell_comparison import CellResult, Work
+from wafer_viewer.measure.base.measurement_context import MeasurementContext
+from wafer_viewer.measure.defects.cell_comparison import CellResult, ComparisonWork
 from wafer_viewer.measure.defects.die_level_defects import whole_die_defects
-from wafer_viewer.measure.defects.golden_die import Golden
+from wafer_viewer.measure.defects.golden_die import ReferenceDie
 from wafer_viewer.measure.defects.inspection import inspect
 from wafer_viewer.measure.dies.die_cells import CellGrid, source_of
 from wafer_viewer.measure.dies.die_lattice import find_dies
@@ -25,14 +25,18 @@ def dies(**odd: CellResult) -> dict[str, str]:
     """What is said of the dies of a level wafer in which some are odd, by name."""
     of = wafer(1, (3, 4), (60, 80))
     cells = CellGrid.of(of.grid, of.surface.pixel_um)
-    work = Work(
-        source_of(of.surface, "unsmoothed", 2), cells, Golden.nothing(cells.shape, 0.05, 0.01), DefectRecipe(), True
+    work = ComparisonWork(
+        source_of(of.surface, "unsmoothed", 2),
+        cells,
+        ReferenceDie.nothing(cells.shape, 0.05, 0.01),
+        DefectRecipe(),
+        True,
     )
     results = [
         odd.get(f"die{n}", CellResult(place, compared_px=4000, tilt=LEVEL)) for n, place in enumerate(of.grid.places)
     ]
     results = [dataclasses.replace(result, place=place) for result, place in zip(results, of.grid.places, strict=True)]
-    found = whole_die_defects(results, work, Reading.of(of.surface, None, False), None)  # pyright: ignore[reportArgumentType]
+    found = whole_die_defects(results, work, MeasurementContext.of(of.surface, None, False), None)  # pyright: ignore[reportArgumentType]
     return {name: defect.kind for name, defect in found.items()}
 
 

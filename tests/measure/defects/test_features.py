@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from wafer_viewer.measure.defects.classification import classify
 from wafer_viewer.measure.defects.features import shape_of
 from wafer_viewer.measure.defects.outline import Gathered, height_of, outline_of
-from wafer_viewer.measure.defects.segmentation import Piece
+from wafer_viewer.measure.defects.segmentation import DefectPiece
 from wafer_viewer.measure.dies.die_cells import CellGrid
 from wafer_viewer.model.inspection.class_rules import DefectShape
 from wafer_viewer.model.inspection.defect import DefectRecipe
@@ -29,7 +29,7 @@ def gathered(u: Floats, v: Floats, z_um: Floats, clear: Floats, peaks: dict[str,
     """Of one piece on die 1,1, its heights taken as smooth."""
     x_um, y_um = (np.asarray(a, float) for a in GRID.to_stage(1, 1, u, v))
     flat = np.zeros(len(u))
-    piece = Piece(
+    piece = DefectPiece(
         x_um, y_um, u, v, z_um, z_um, flat, clear, (1, 1), np.zeros(len(u), bool), peaks, 0.0, noise_um=NOISE_UM
     )  # fmt: skip
     return Gathered.of([piece])

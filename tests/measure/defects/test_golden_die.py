@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from tests.support.noisy_wafer import PIXEL_UM, SIGMA_UM, Wafer, wafer
-from wafer_viewer.measure.defects.golden_die import Golden, golden_of
+from wafer_viewer.measure.defects.golden_die import ReferenceDie, golden_of
 from wafer_viewer.measure.dies.die_cells import CellGrid, source_of
 
 DIES = (4, 4)
@@ -18,7 +18,7 @@ def made() -> Wafer:
     return wafer(4, DIES, (120, 140))
 
 
-def golden(of: Wafer) -> Golden:
+def golden(of: Wafer) -> ReferenceDie:
     cells = CellGrid.of(of.grid, PIXEL_UM)
     return golden_of(source_of(of.surface, "unsmoothed", 2), cells, of.grid.places)
 

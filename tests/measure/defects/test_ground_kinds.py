@@ -4,15 +4,15 @@ from __future__ import annotations
 
 import numpy as np
 
-from wafer_viewer.measure.defects.golden_die import Golden
+from wafer_viewer.measure.defects.golden_die import ReferenceDie
 from wafer_viewer.measure.defects.ground_kinds import coarser, kinds_of
 
 SHAPE = (60, 80)
 
 
-def golden(z_um: np.ndarray, picture: np.ndarray) -> Golden:
+def golden(z_um: np.ndarray, picture: np.ndarray) -> ReferenceDie:
     one = np.full(SHAPE, 0.1, np.float32)
-    return Golden(z_um.astype(np.float32), one, picture.astype(np.float32), one, 9)
+    return ReferenceDie(z_um.astype(np.float32), one, picture.astype(np.float32), one, 9)
 
 
 def test_a_wall_and_a_line_in_the_picture_are_uneven_and_the_rest_is_plain() -> None:

@@ -7,7 +7,7 @@ import pytest
 
 from wafer_viewer.measure.defects.ground_kinds import KINDS
 from wafer_viewer.measure.defects.matched_filters import BINS
-from wafer_viewer.measure.defects.noise_model import NORMAL_FALL, START, Noise, Planes, as_normal
+from wafer_viewer.measure.defects.noise_model import NORMAL_FALL, START, NoiseModel, Planes, as_normal
 from wafer_viewer.measure.defects.noise_model import noise_of as noise_over
 
 KEY = ("height", 0.0)
@@ -15,7 +15,7 @@ SIDE, CELLS = 200, 6
 PLAIN = np.zeros((SIDE, SIDE), np.uint8)
 
 
-def noise_of(many: list[Planes], kinds: np.ndarray = PLAIN) -> Noise:
+def noise_of(many: list[Planes], kinds: np.ndarray = PLAIN) -> NoiseModel:
     return noise_over(many, kinds, np.ones(BINS, np.float32))
 
 

@@ -11,8 +11,8 @@ import pytest
 from tests.support.patterned_surface import Wafer, made
 from wafer_viewer.measure.dies.die_crops import (
     LEAST_ALIKE,
-    Cut,
-    Patch,
+    DieCrop,
+    DiePatch,
     cut,
     cut_of_golden,
     laid_on,
@@ -43,12 +43,12 @@ def with_particle(wafer: Wafer = WAFER) -> HeightMap:
     return dataclasses.replace(clean, z_um=clean.z_um + bump, z_raw_um=clean.z_raw_um + bump, all_in_focus=grey)
 
 
-def patch(wafer: Wafer = WAFER, half_um: float = 60.0) -> Patch:
+def patch(wafer: Wafer = WAFER, half_um: float = 60.0) -> DiePatch:
     x, y = (float(um) for um in wafer.grid.to_stage(*HERE, U_UM, V_UM))
-    return Patch.of_box(surface(wafer), (x - half_um, y - half_um, x + half_um, y + half_um), 320)
+    return DiePatch.of_box(surface(wafer), (x - half_um, y - half_um, x + half_um, y + half_um), 320)
 
 
-def middle(one: Cut) -> float:
+def middle(one: DieCrop) -> float:
     rows, cols = one.z_um.shape
     return float(np.nanmean(one.z_um[rows // 2 - 1 : rows // 2 + 1, cols // 2 - 1 : cols // 2 + 1]))
 
@@ -115,16 +115,16 @@ def test_a_stored_golden_die_is_read_at_the_place_of_the_die(angle_deg: float):
     golden = GoldenDie(header, ramp, ramp * 0, ramp + 50, ramp * 0)
     seen = cut_of_golden(golden, wafer.grid, HERE, patch(wafer, 20.0))
     assert middle(seen) == pytest.approx(0.1 * U_UM + 0.3 * V_UM, abs=0.05)
-    assert middle(levelled_on(Cut(seen.z_um + 5, seen.picture), seen)) == pytest.approx(middle(seen) + 5, abs=1e-3)
+    assert middle(levelled_on(DieCrop(seen.z_um + 5, seen.picture), seen)) == pytest.approx(middle(seen) + 5, abs=1e-3)
 
 
 def test_a_patch_of_a_large_box_or_a_die_has_few_pixels_and_lies_along_the_die():
     wafer = dataclasses.replace(WAFER, angle_deg=3.0)
     seen = surface(wafer)
-    large = Patch.of_box(seen, (0, 0, 1000, 600), 200)
+    large = DiePatch.of_box(seen, (0, 0, 1000, 600), 200)
     assert max(large.shape) <= 200
     assert large.pixel_um == 8.0
-    die = Patch.of_die(seen, wafer.grid, HERE, 300)
+    die = DiePatch.of_die(seen, wafer.grid, HERE, 300)
     x, y = die.to_stage(np.array([die.shape[0] - 0.5]), np.array([-0.5]))
     assert (float(x[0]), float(y[0])) == pytest.approx(wafer.grid.corner(*HERE), abs=1.5)
     shown = cut(seen, die)

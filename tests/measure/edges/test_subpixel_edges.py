@@ -10,7 +10,7 @@ from tests.support.made_up_pictures import covered, disc, edge, pixels, strip
 from wafer_viewer.measure.base.chain_statistics import alike, chain_u
 from wafer_viewer.measure.base.line_fit import fit_line
 from wafer_viewer.measure.edges.circular_edges import find_circle
-from wafer_viewer.measure.edges.search_strip import Strip
+from wafer_viewer.measure.edges.search_strip import SearchStrip
 from wafer_viewer.measure.edges.straight_edges import find_edge
 from wafer_viewer.measure.edges.subpixel_edges import U_SUBPIXEL_PX
 from wafer_viewer.model.errors import MeasureError
@@ -153,7 +153,7 @@ def test_a_picture_without_one_clear_round_edge_is_one_sentence(picture, sentenc
 
 
 def test_a_strip_knows_where_its_pixels_lie_however_it_is_turned():
-    made = Strip.of(np.arange(12.0).reshape(3, 4), 0.5, 10.0, 20.0)
+    made = SearchStrip.of(np.arange(12.0).reshape(3, 4), 0.5, 10.0, 20.0)
     for one in (made, made.turned, made.reversed, made.turned.reversed, made.part(slice(1, 3), slice(2, 4))):
         line, place = np.indices(one.grey.shape)
         x_um, y_um = one.at(line.astype(float), place.astype(float))

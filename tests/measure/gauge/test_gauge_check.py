@@ -9,7 +9,7 @@ import pytest
 
 from tests.support.gauge_repeats import CALIBRATION, LOWER, UPPER, certificate, repeat, repeats
 from tests.support.surfaces import gauge_blocks, surface_of
-from wafer_viewer.measure.gauge.gauge_budget import Known
+from wafer_viewer.measure.gauge.gauge_budget import KnownTerms
 from wafer_viewer.measure.gauge.gauge_check import en, gauge_check, gauge_repeat, judged, refusal
 from wafer_viewer.model.errors import MeasureError
 from wafer_viewer.model.gauge.gauge_check import GaugeTerms
@@ -88,12 +88,12 @@ def test_the_repeats_bring_their_scatter_with_students_factor():
 
 
 def test_a_scatter_known_from_before_is_pooled_unless_todays_is_much_larger():
-    alone = gauge_check(repeats(400.0), certificate(), known=Known(0.1, 30))
+    alone = gauge_check(repeats(400.0), certificate(), known=KnownTerms(0.1, 30))
     assert u_of(alone, "repeatability") == pytest.approx(0.1 * 2.087 / 2, rel=1e-3)  # t for 30: 2.087
-    pooled = gauge_check(repeats(399.95, 400.05), certificate(), known=Known(0.1, 30))
+    pooled = gauge_check(repeats(399.95, 400.05), certificate(), known=KnownTerms(0.1, 30))
     s_um = math.sqrt((30 * 0.01 + 0.005) / 31)
     assert u_of(pooled, "repeatability") == pytest.approx(s_um / math.sqrt(2) * 2.084 / 2, rel=1e-3)
-    odd = gauge_check(repeats(399.0, 400.0, 401.0), certificate(), known=Known(0.01, 30))
+    odd = gauge_check(repeats(399.0, 400.0, 401.0), certificate(), known=KnownTerms(0.01, 30))
     assert u_of(odd, "repeatability") == pytest.approx(4.527 / 2 / math.sqrt(3), rel=1e-3)
 
 

@@ -13,7 +13,7 @@ from wafer_viewer.measure.tools.circle import circle_size
 from wafer_viewer.measure.tools.die_size import die_size
 from wafer_viewer.measure.tools.kerf import kerf_width
 from wafer_viewer.model.errors import MeasureError
-from wafer_viewer.model.findings import Findings
+from wafer_viewer.model.findings import MeasurementResults
 from wafer_viewer.model.region import Region
 from wafer_viewer.model.spec import replace
 from wafer_viewer.model.surface.height_map import Origin
@@ -151,10 +151,10 @@ def test_a_large_region_is_read_at_a_coarser_level_and_says_so():
 
 def test_findings_survive_their_file_and_stand_in_the_table():
     made, chips = surface(die(seed=1)), chipped()
-    found = Findings(items=(die_size(made, all_of(made)), of_kerf(), chipping(chips, all_of(chips, 4))))
+    found = MeasurementResults(items=(die_size(made, all_of(made)), of_kerf(), chipping(chips, all_of(chips, 4))))
     import msgspec
 
-    assert msgspec.json.decode(msgspec.json.encode(found), type=Findings) == found
+    assert msgspec.json.decode(msgspec.json.encode(found), type=MeasurementResults) == found
     table = findings_csv(found)
     for told in ("die_size,height,", "kerf_width,widest,", "chipping,area,", "chip 1 depth"):
         assert told in table

@@ -5,17 +5,17 @@ from __future__ import annotations
 import numpy as np
 
 from wafer_viewer.model.surface.height_map import Origin
-from wafer_viewer.numerics.grids.affine_resample import Layers, lay
+from wafer_viewer.numerics.grids.affine_resample import ResampledLayers, lay
 
 
-def a_slope(shape=(6, 8)) -> Layers:
+def a_slope(shape=(6, 8)) -> ResampledLayers:
     rows, cols = np.indices(shape, np.float32)
     z = 2 * rows + 3 * cols
-    return Layers(z, z + 1, 1 - 0.01 * cols, (10 * cols).astype(np.uint8), np.zeros(shape, np.uint8))
+    return ResampledLayers(z, z + 1, 1 - 0.01 * cols, (10 * cols).astype(np.uint8), np.zeros(shape, np.uint8))
 
 
-def laid(source: Layers, down: float, right: float) -> Layers:
-    out = Layers(*(np.full_like(layer, 7) for layer in source))
+def laid(source: ResampledLayers, down: float, right: float) -> ResampledLayers:
+    out = ResampledLayers(*(np.full_like(layer, 7) for layer in source))
     lay(source, np.array([[down, 1.0, 0.0], [right, 0.0, 1.0]]), out)
     return out
 
@@ -56,6 +56,6 @@ def test_a_gap_counts_where_it_has_a_share_and_gives_its_reason():
 
 def test_what_is_turned_by_a_quarter_is_read_so():
     source = a_slope((5, 5))
-    out = Layers(*(np.zeros_like(layer) for layer in source))
+    out = ResampledLayers(*(np.zeros_like(layer) for layer in source))
     lay(source, np.array([[0.0, 0.0, 1.0], [4.0, -1.0, 0.0]]), out)
     assert np.array_equal(out.z, source.z.T[::-1])

@@ -8,17 +8,19 @@ from numpy.typing import NDArray
 from scipy.ndimage import affine_transform, gaussian_filter
 
 from wafer_viewer.numerics.registration.block_moments import block_sums, taps
-from wafer_viewer.numerics.registration.subpixel_registration import Picture, align
+from wafer_viewer.numerics.registration.subpixel_registration import RegisteredImage, align
 
 SHAPE = 160, 90
 
 
-def picture(values: NDArray, known: NDArray | None = None, noise: float = 0.1) -> Picture:
+def picture(values: NDArray, known: NDArray | None = None, noise: float = 0.1) -> RegisteredImage:
     mask = np.ones(values.shape) if known is None else known
-    return Picture(values.astype(np.float32), mask.astype(np.float32), noise)
+    return RegisteredImage(values.astype(np.float32), mask.astype(np.float32), noise)
 
 
-def two(off: tuple[float, float], noise: float, noise_blur: float = 0.0, seed: int = 0) -> tuple[Picture, Picture]:
+def two(
+    off: tuple[float, float], noise: float, noise_blur: float = 0.0, seed: int = 0
+) -> tuple[RegisteredImage, RegisteredImage]:
     """A texture and what a camera sees of it that looks `off` further on, each with noise of its own."""
     rng = np.random.default_rng(seed)
     texture = gaussian_filter(rng.normal(size=(SHAPE[0] + 20, SHAPE[1] + 20)), 1.3, mode="wrap")

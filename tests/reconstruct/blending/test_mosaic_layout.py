@@ -10,7 +10,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from wafer_viewer.model.surface.height_map import HeightMap
-from wafer_viewer.reconstruct.blending.mosaic_layout import Layout, layout
+from wafer_viewer.reconstruct.blending.mosaic_layout import MosaicLayout, layout
 from wafer_viewer.reconstruct.blending.stitched_mosaic import blend_window
 from wafer_viewer.reconstruct.blending.window_pieces import pieces
 
@@ -41,12 +41,12 @@ def test_pieces_are_the_window_and_each_is_covered_alike_all_over(
     assert (cover[-1] == 0).sum() == len(rows) * len(cols)
 
 
-def placed(make_map: MakeMap, *corners: tuple[float, float]) -> Layout:
+def placed(make_map: MakeMap, *corners: tuple[float, float]) -> MosaicLayout:
     """Fields whose first pixels lie at (row, col) of the mosaic."""
     return layout([make_map(np.zeros((ROWS, COLS)), col * 0.5, -row * 0.5) for row, col in corners])
 
 
-def ramps_px(laid: Layout, n: int) -> tuple[float, ...]:
+def ramps_px(laid: MosaicLayout, n: int) -> tuple[float, ...]:
     place = laid.place(n)
     assert place is not None
     return place.ramps_px

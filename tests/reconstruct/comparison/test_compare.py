@@ -15,7 +15,7 @@ from wafer_viewer.model.surface.comparison import Registration
 from wafer_viewer.model.surface.height_map import Origin, Provenance
 from wafer_viewer.reconstruct.comparison.compare import compare
 from wafer_viewer.reconstruct.comparison.height_layer_choice import read_as
-from wafer_viewer.reconstruct.comparison.resampled_surface import LaidOver
+from wafer_viewer.reconstruct.comparison.resampled_surface import ResampledMosaic
 
 
 @pytest.fixture(scope="module")
@@ -124,7 +124,7 @@ def test_what_cannot_be_compared_is_refused_with_its_mend(second, align, why):
 
 
 def test_the_second_is_read_at_the_level_that_fits_its_pixels(first):
-    coarse = LaidOver(first, taken(pixel_um=2.0, shape=(240, 320), seed=1), Registration()).window()
+    coarse = ResampledMosaic(first, taken(pixel_um=2.0, shape=(240, 320), seed=1), Registration()).window()
     inside = coarse.z_um[100:300, 150:450] - first.z_um[100:300, 150:450]
     assert abs(np.nanmedian(inside)) < 0.05
     assert coarse.shape == first.shape

@@ -12,7 +12,7 @@ from scipy.ndimage import convolve, uniform_filter
 from wafer_viewer.model.acquisition.focus_stack import FieldStack
 from wafer_viewer.model.surface.recipe import Noise, Recipe
 from wafer_viewer.reconstruct.auto_tuning import settle
-from wafer_viewer.reconstruct.focus.focus_volume import Source, Volume
+from wafer_viewer.reconstruct.focus.focus_volume import StackSource, Volume
 from wafer_viewer.reconstruct.focus.log_laplacian import (
     LEVEL_BITS,
     LEVEL_OFFSET,
@@ -66,7 +66,7 @@ def by_kernel(
     levels, coarse = np.empty((k, *shape), np.uint16), np.empty((0, 1, 1), np.uint16)
     best, peak, clipped = (np.empty(shape, np.uint16) for _ in range(3))
     volume = Volume(levels, best, peak, clipped, coarse)
-    source = Source.of(images, np.arange(k), margin, margin, clipped_counts)
+    source = StackSource.of(images, np.arange(k), margin, margin, clipped_counts)
     log_laplacian_block(
         source, window, Stabiliser.of(camera), lag, LogRows.make(shape[1], window, images.dtype), volume
     )

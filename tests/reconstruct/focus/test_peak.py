@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from wafer_viewer.model.acquisition.focus_stack import FieldStack
 from wafer_viewer.reconstruct.focus.peak import confidence_of, lead_of
-from wafer_viewer.reconstruct.focus.peak_interpolation import PEAKS, Placing, place
+from wafer_viewer.reconstruct.focus.peak_interpolation import PEAKS, PeakInterpolation, place
 from wafer_viewer.reconstruct.focus.peak_search import Search, search_field
 from wafer_viewer.reconstruct.preprocess.frames import prepare
 
@@ -27,8 +27,8 @@ def _rmse(stack: FieldStack, truth: NDArray, estimator: str) -> float:
 NO_FLOOR = -64.0
 
 
-def _by(estimator: str, power: float = 2.0) -> Placing:
-    return Placing(PEAKS[estimator].code, power, gap=4, reach=1)
+def _by(estimator: str, power: float = 2.0) -> PeakInterpolation:
+    return PeakInterpolation(PEAKS[estimator].code, power, gap=4, reach=1)
 
 
 def test_a_tilted_plane_is_found_to_a_fraction_of_a_step(plane_stack: FieldStack, plane_um: NDArray) -> None:

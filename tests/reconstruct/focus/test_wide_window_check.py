@@ -9,7 +9,7 @@ from scipy.ndimage import uniform_filter
 
 from wafer_viewer.model.acquisition.focus_stack import FieldStack
 from wafer_viewer.reconstruct.focus.peak import Peaks
-from wafer_viewer.reconstruct.focus.peak_search import Bench, Search, search_field, search_part
+from wafer_viewer.reconstruct.focus.peak_search import Search, ThreadScratch, search_field, search_part
 from wafer_viewer.reconstruct.focus.wide_window_check import wide_cells, wide_heights
 from wafer_viewer.reconstruct.preprocess.frames import prepare
 
@@ -28,7 +28,7 @@ def stack(request: pytest.FixtureRequest, plane_stack: FieldStack) -> FieldStack
 
 def _levels(stack: FieldStack, search: Search) -> NDArray[np.uint16]:
     frames = prepare(stack)
-    bench = Bench.make(frames.n_frames, frames.shape, search, frames.dtype)
+    bench = ThreadScratch.make(frames.n_frames, frames.shape, search, frames.dtype)
     out = Peaks.empty(frames.shape, frames.dtype)
     search_part(frames, slice(0, frames.shape[0]), slice(0, frames.shape[1]), search, bench, out)
     return bench.curves.levels

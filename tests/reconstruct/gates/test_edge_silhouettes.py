@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 from numpy.typing import NDArray
 from scipy.ndimage import gaussian_filter
 
-from wafer_viewer.reconstruct.focus.focus_volume import Source
+from wafer_viewer.reconstruct.focus.focus_volume import StackSource
 from wafer_viewer.reconstruct.gates.edge_silhouettes import (
     STANDING_CONTRAST,
     Silhouette,
@@ -24,7 +24,7 @@ def by_kernel(images: NDArray, every: int = 1, top: int = 0, bottom: int | None 
     """The maps of some of the rows of images; beyond their border the border pixels repeat."""
     k, n_rows, n_cols = images.shape
     found = Silhouette.empty(((bottom or n_rows) - top, n_cols))
-    source = Source.of(images, np.arange(k), top, 0, 250)
+    source = StackSource.of(images, np.arange(k), top, 0, 250)
     silhouette_block(source, 0, every, DARK_COUNTS, SilhouetteRows.make(n_cols, images.dtype), found)
     return found
 
@@ -72,7 +72,7 @@ def test_frames_in_two_calls_are_as_in_one() -> None:
     images = (np.random.default_rng(3).random((7, 20, 30)) ** 3 * 255).astype(np.uint8)
     found, rows = Silhouette.empty((20, 30)), SilhouetteRows.make(30, images.dtype)
     for first, frames in ((0, np.arange(4)), (4, np.arange(4, 7))):
-        silhouette_block(Source.of(images, frames, 0, 0, 250), first, 2, DARK_COUNTS, rows, found)
+        silhouette_block(StackSource.of(images, frames, 0, 0, 250), first, 2, DARK_COUNTS, rows, found)
     for part, same in zip(found, by_kernel(images, 2), strict=True):
         np.testing.assert_array_equal(part, same)
 

@@ -6,8 +6,8 @@ from dataclasses import replace
 
 import numpy as np
 
-from wafer_viewer.model.surface.field_poses import Doubt, Poses, Shifts, no_seams
-from wafer_viewer.reconstruct.pose_graph.incremental import Known, held_still
+from wafer_viewer.model.surface.field_poses import Poses, RejectionReason, Shifts, no_seams
+from wafer_viewer.reconstruct.pose_graph.incremental import PreviousSolution, held_still
 
 
 def _shifts(pairs: np.ndarray) -> Shifts:
@@ -42,7 +42,7 @@ class _Looker:
 
 def test_only_overlaps_of_new_fields_and_of_those_made_again_are_looked_at():
     earlier = _poses([3, 1, 2], [30, 10, 20], _shifts(np.array([[0, 2], [1, 2]])))
-    known = Known.of(earlier, np.array([1, 2, 3, 4], np.int32), np.array([10, 20, 31, 40]))
+    known = PreviousSolution.of(earlier, np.array([1, 2, 3, 4], np.int32), np.array([10, 20, 31, 40]))
     assert known.unchanged.tolist() == [True, True, False, False]
 
     look = _Looker()
@@ -54,16 +54,18 @@ def test_only_overlaps_of_new_fields_and_of_those_made_again_are_looked_at():
 
 def test_what_an_earlier_solution_did_not_believe_is_judged_anew():
     shifts = _shifts(np.array([[0, 1], [1, 2]]))
-    doubted = replace(shifts, doubt=np.array([Doubt.DISAGREES, Doubt.BLANK], np.uint8))
-    known = Known.of(_poses([1, 2, 3], [1, 1, 1], doubted), np.array([1, 2, 3], np.int32), np.ones(3, np.int64))
+    doubted = replace(shifts, doubt=np.array([RejectionReason.DISAGREES, RejectionReason.BLANK], np.uint8))
+    known = PreviousSolution.of(
+        _poses([1, 2, 3], [1, 1, 1], doubted), np.array([1, 2, 3], np.int32), np.ones(3, np.int64)
+    )
     again = known.shifts(np.array([[0, 1], [1, 2]], np.int32), _Looker())
-    assert again.doubt.tolist() == [Doubt.NONE, Doubt.BLANK]
+    assert again.doubt.tolist() == [RejectionReason.NONE, RejectionReason.BLANK]
 
 
 def test_a_field_that_hardly_moves_stays_where_it_is_drawn():
     numbers, marks = [1, 2, 3, 4, 5], [1, 1, 1, 1, 1]
     earlier = _poses(numbers, marks, _shifts(np.zeros((0, 2), int)))
-    known = Known.of(earlier, np.array(numbers, np.int32), np.array([1, 1, 1, 1, 2]))
+    known = PreviousSolution.of(earlier, np.array(numbers, np.int32), np.array([1, 1, 1, 1, 2]))
     now = replace(
         earlier,
         x_um=np.array([0.04, 0.06, 0.0, 0.0, 0.01]),
@@ -76,7 +78,7 @@ def test_a_field_that_hardly_moves_stays_where_it_is_drawn():
 
 
 def test_without_an_earlier_solution_everything_is_new():
-    known = Known.of(None, np.array([1, 2], np.int32), np.ones(2, np.int64))
+    known = PreviousSolution.of(None, np.array([1, 2], np.int32), np.ones(2, np.int64))
     assert not known.unchanged.any()
     poses = _poses([1, 2], [1, 1], _shifts(np.zeros((0, 2), int)))
     assert held_still(poses, known, 0.5, 400.0)[1].all()
@@ -84,5 +86,5 @@ def test_without_an_earlier_solution_everything_is_new():
 
 def test_what_moved_changed_or_is_gone_is_not_shown_where_it_was():
     earlier = _poses([5, 1, 2, 3], [1, 1, 1, 1], _shifts(np.zeros((0, 2), int)))
-    known = Known.of(earlier, np.array([1, 2, 3], np.int32), np.array([1, 1, 2]))
+    known = PreviousSolution.of(earlier, np.array([1, 2, 3], np.int32), np.array([1, 1, 2]))
     assert known.stale(np.array([False, True, True])).tolist() == [0, 2, 3]

@@ -8,18 +8,18 @@ import numpy as np
 import pytest
 
 from tests.truth.overlaps import FIELD_UM, TILT, Z_UM, Fields, grid, seams_of, wafer
-from wafer_viewer.model.surface.field_poses import Form, Numbers, Seams, selected
+from wafer_viewer.model.surface.field_poses import Form, HeightOffsets, Numbers, selected
 from wafer_viewer.reconstruct.pose_graph import amg_solver
-from wafer_viewer.reconstruct.pose_graph.poses import Levels, solve_heights
+from wafer_viewer.reconstruct.pose_graph.vertical_poses import VerticalPoses, solve_heights
 
 WHOLE = grid(13, 16)
 
 
-def told(fields: Fields, seed: int, **how: object) -> tuple[Seams, Numbers]:
+def told(fields: Fields, seed: int, **how: object) -> tuple[HeightOffsets, Numbers]:
     return seams_of(fields, np.random.default_rng(seed), **how)  # type: ignore[arg-type]
 
 
-def solved(fields: Fields, seams: Seams, **how: object) -> Levels:
+def solved(fields: Fields, seams: HeightOffsets, **how: object) -> VerticalPoses:
     asked = {"z_error_um": "auto", "tilt_error": "auto", "field_size_um": FIELD_UM} | how
     return solve_heights(fields.x_um, fields.y_um, seams, **asked)  # type: ignore[arg-type]
 

@@ -9,9 +9,10 @@ import pytest
 
 from tests.truth.overlaps import PIXEL_UM, STAGE_PX, Fields, grid, shifts_of, wafer
 from wafer_viewer.model.errors import ComputeError
-from wafer_viewer.model.surface.field_poses import Doubt, Form, Numbers, Shifts, selected
+from wafer_viewer.model.surface.field_poses import Form, Numbers, RejectionReason, Shifts, selected
 from wafer_viewer.reconstruct.pose_graph import amg_solver
-from wafer_viewer.reconstruct.pose_graph.poses import Camera, Positions, solve_positions
+from wafer_viewer.reconstruct.pose_graph.camera_rotation_scale import CameraAxes
+from wafer_viewer.reconstruct.pose_graph.lateral_poses import Positions, solve_positions
 
 WHOLE = grid(13, 16)
 
@@ -63,7 +64,7 @@ def test_wrong_and_blank_overlaps_change_little(seed):
     clean, _ = told(WHOLE, seed)
     wrong = np.hypot(shifts.x_um - clean.x_um, shifts.y_um - clean.y_um) > PIXEL_UM
     assert rms(off_px(found, true)) <= 0.2
-    assert np.all(found.shifts.doubt[wrong] == Doubt.DISAGREES)
+    assert np.all(found.shifts.doubt[wrong] == RejectionReason.DISAGREES)
     assert np.all(found.shifts.weight[wrong] < 0.1)
     assert np.all(found.shifts.believed == (~wrong & shifts.believed))
 
@@ -82,8 +83,8 @@ def test_what_an_overlap_doubts_by_itself_does_not_count():
     shifts, _ = told(WHOLE, 4, blank=0.1)
     doubtful = dataclasses.replace(shifts, doubt=np.where(np.arange(len(shifts.doubt)) % 7, 0, 2).astype(np.uint8))
     found = solved(WHOLE, only(doubtful, np.flatnonzero(doubtful.doubt), x_px=3.0))
-    assert np.all(found.shifts.weight[doubtful.doubt == Doubt.UNLIKE] == 0)
-    assert np.all(found.shifts.doubt[doubtful.doubt == Doubt.UNLIKE] == Doubt.UNLIKE)
+    assert np.all(found.shifts.weight[doubtful.doubt == RejectionReason.UNLIKE] == 0)
+    assert np.all(found.shifts.doubt[doubtful.doubt == RejectionReason.UNLIKE] == RejectionReason.UNLIKE)
     assert np.all(found.shifts.weight[np.isinf(shifts.u_x_um)] == 0)
 
 
@@ -114,8 +115,8 @@ def test_one_wrong_overlap_does_not_drag_half_of_the_fields_along_a_known_camera
     shifts, _ = told(fields, seed)
     across = np.flatnonzero((fields.pairs % 8 < 4).sum(axis=1) == 1)
     misled = selected(only(shifts, across[:1], x_px=-38.0), ~np.isin(np.arange(52), across[1:]))
-    found = solved(fields, misled, camera=Camera())
-    assert np.sum(found.shifts.doubt == Doubt.DISAGREES) == 1
+    found = solved(fields, misled, camera=CameraAxes())
+    assert np.sum(found.shifts.doubt == RejectionReason.DISAGREES) == 1
     assert found.group[0] != found.group[7]
     assert found.stage_error_um < 1.4 * STAGE_PX * PIXEL_UM
 
@@ -136,7 +137,7 @@ def test_a_turned_camera_is_found_and_the_surface_lies_along_its_axes():
         WHOLE.x_um.mean(),
         WHOLE.y_um.mean(),
     )
-    assert Camera.of(found.camera.in_form(Form())) == found.camera
+    assert CameraAxes.of(found.camera.in_form(Form())) == found.camera
 
 
 @pytest.mark.parametrize(("rows", "cols"), [(2, 2), (4, 4), (13, 16)])

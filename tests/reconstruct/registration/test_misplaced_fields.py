@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from tests.support.overlapping_tiles import Sample, a_field, a_sample, with_heights
-from wafer_viewer.model.surface.field_poses import Doubt, Shifts
+from wafer_viewer.model.surface.field_poses import RejectionReason, Shifts
 from wafer_viewer.model.surface.height_map import HeightMap
 from wafer_viewer.reconstruct.registration.misplaced_fields import (
     TURNS,
@@ -23,7 +23,7 @@ SHAPE = (120, 140)
 PITCH = (95, 112)
 
 
-def told(edges: list[tuple[int, int, Doubt]]) -> Shifts:
+def told(edges: list[tuple[int, int, RejectionReason]]) -> Shifts:
     first, second, doubt = (np.array(column) for column in zip(*edges, strict=True))
     zeros = np.zeros(len(edges))
     return Shifts(
@@ -42,11 +42,13 @@ def told(edges: list[tuple[int, int, Doubt]]) -> Shifts:
     )
 
 
-def grid_edges(rows: int, cols: int, misfits: set[int], doubt: Doubt = Doubt.UNLIKE) -> list[tuple[int, int, Doubt]]:
+def grid_edges(
+    rows: int, cols: int, misfits: set[int], doubt: RejectionReason = RejectionReason.UNLIKE
+) -> list[tuple[int, int, RejectionReason]]:
     number = np.arange(rows * cols).reshape(rows, cols)
     pairs = [*zip(number[:, :-1].ravel(), number[:, 1:].ravel(), strict=True)]
     pairs += [*zip(number[:-1].ravel(), number[1:].ravel(), strict=True)]
-    return [(a, b, doubt if misfits & {a, b} else Doubt.NONE) for a, b in pairs]
+    return [(a, b, doubt if misfits & {a, b} else RejectionReason.NONE) for a, b in pairs]
 
 
 @pytest.mark.parametrize("misfits", [{4}, {0}, {4, 7}, {0, 8}, set()], ids=str)
@@ -55,33 +57,33 @@ def test_fields_that_fit_none_of_their_neighbours_are_suspects(misfits):
 
 
 def test_blank_and_ambiguous_fields_are_innocent():
-    assert len(suspects(9, told(grid_edges(3, 3, {4}, Doubt.BLANK)))) == 0
-    assert len(suspects(9, told(grid_edges(3, 3, {4}, Doubt.AMBIGUOUS)))) == 0
+    assert len(suspects(9, told(grid_edges(3, 3, {4}, RejectionReason.BLANK)))) == 0
+    assert len(suspects(9, told(grid_edges(3, 3, {4}, RejectionReason.AMBIGUOUS)))) == 0
 
 
 def test_an_ambiguous_overlap_does_not_save_a_field_that_three_speak_against():
     edges = grid_edges(3, 3, {4})
-    edges[2] = (*edges[2][:2], Doubt.AMBIGUOUS)
+    edges[2] = (*edges[2][:2], RejectionReason.AMBIGUOUS)
     assert 4 in edges[2][:2]
     assert suspects(9, told(edges)).tolist() == [4]
 
 
 def test_one_overlap_that_fits_is_enough_to_stay():
     edges = grid_edges(3, 3, {4})
-    edges[2] = (*edges[2][:2], Doubt.NONE)
+    edges[2] = (*edges[2][:2], RejectionReason.NONE)
     assert 4 in edges[2][:2]
     assert len(suspects(9, told(edges))) == 0
 
 
 def test_the_end_of_a_row_is_named_but_stays():
-    edges = [(0, 1, Doubt.NONE), (1, 2, Doubt.NONE), (2, 3, Doubt.UNLIKE)]
+    edges = [(0, 1, RejectionReason.NONE), (1, 2, RejectionReason.NONE), (2, 3, RejectionReason.UNLIKE)]
     assert suspects(4, told(edges)).tolist() == []
     assert loose(4, told(edges)).tolist() == [3]
 
 
 def test_two_datasets_in_one_the_smaller_is_left_out():
     own = [(a, b, d) for a, b, d in grid_edges(4, 4, set()) if (a % 4 == 3) == (b % 4 == 3)]
-    across = [(a, a + 1, Doubt.UNLIKE) for a in (2, 6, 10, 14)]
+    across = [(a, a + 1, RejectionReason.UNLIKE) for a in (2, 6, 10, 14)]
     assert suspects(16, told(own + across)).tolist() == [3, 7, 11, 15]
 
 
@@ -144,7 +146,7 @@ def test_turning_keeps_the_centre(heights):
 
 
 def test_of_two_halves_that_do_not_fit_neither_is_left_out():
-    none, unlike = Doubt.NONE, Doubt.UNLIKE
+    none, unlike = RejectionReason.NONE, RejectionReason.UNLIKE
     halves = told([(0, 1, none), (2, 3, none), (0, 2, unlike), (1, 3, unlike)])
     assert suspects(4, halves).size == 0
     assert loose(4, halves).tolist() == [2, 3]

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from scipy import ndimage
 
 from tests.support.overlapping_tiles import PIXEL_UM, Sample, a_field, a_sample, with_heights, with_picture
-from wafer_viewer.model.surface.field_poses import Doubt, SaidBy
+from wafer_viewer.model.surface.field_poses import ObservationSource, RejectionReason
 from wafer_viewer.model.surface.height_map import HeightMap, Origin
 from wafer_viewer.reconstruct.registration.pair_registration import PairShift, register, register_pair
 
@@ -38,7 +38,7 @@ def error_px(found: PairShift, off_px: tuple[float, float]) -> NDArray:
 @pytest.mark.parametrize("off_px", [(0.0, 0.0), (0.37, -0.5), (-7.4, 11.2), (24.3, 17.8), (-19.6, -31.1)])
 def test_a_shift_is_found_to_a_small_part_of_a_pixel(sample, beside, off_px):
     found = register_pair(*pair(sample, beside, off_px))
-    assert (found.doubt, found.by) == (Doubt.NONE, SaidBy.PICTURE)
+    assert (found.doubt, found.by) == (RejectionReason.NONE, ObservationSource.PICTURE)
     assert np.abs(error_px(found, off_px)).max() < 0.06
     assert found.correlation > 0.9
 
@@ -49,7 +49,7 @@ def test_the_uncertainty_is_that_of_the_errors(sample):
     for n in range(16):
         off = tuple(rng.uniform(-6, 6, 2))
         found = register_pair(*pair(sample, BESIDE, off, seed=10 * n, noise_counts=25.0))
-        assert found.doubt is Doubt.NONE
+        assert found.doubt is RejectionReason.NONE
         normalised.append(error_px(found, off) * PIXEL_UM / np.array([found.u_y_um, found.u_x_um]))
     assert 0.5 < np.sqrt(np.mean(np.square(normalised))) < 1.4
 
@@ -70,7 +70,7 @@ def test_where_the_picture_is_blank_the_heights_tell(sample):
         np.where(rng.random(SHAPE) < 0.1, np.nan, h.z_raw_um + 0.004 * np.arange(SHAPE[1])) for h in (first, second)
     ]
     found = register_pair(*(with_heights(h, z) for h, z in zip((first, second), holes, strict=True)))
-    assert (found.doubt, found.by) == (Doubt.NONE, SaidBy.HEIGHT)
+    assert (found.doubt, found.by) == (RejectionReason.NONE, ObservationSource.HEIGHT)
     assert np.abs(error_px(found, off)).max() < 0.25
 
 
@@ -79,26 +79,26 @@ def test_where_both_are_blank_the_stage_stands(sample, noise_counts):
     rng = np.random.default_rng(0)
     blank = [with_picture(h, 90 + rng.normal(0, noise_counts, SHAPE)) for h in pair(sample, BESIDE, (2.0, 2.0))]
     found = register_pair(*(with_heights(h, np.full(SHAPE, np.nan)) for h in blank))
-    assert (found.doubt, found.by) == (Doubt.BLANK, SaidBy.STAGE)
+    assert (found.doubt, found.by) == (RejectionReason.BLANK, ObservationSource.STAGE)
     assert (found.x_um, found.y_um, found.u_x_um, found.u_y_um) == (0, 0, np.inf, np.inf)
 
 
 def test_another_sample_is_unlike(sample):
     other = a_field(a_sample((460, 520), seed=9), 40, 230, SHAPE)
-    assert register_pair(pair(sample, BESIDE, (0, 0))[0], other).doubt is Doubt.UNLIKE
+    assert register_pair(pair(sample, BESIDE, (0, 0))[0], other).doubt is RejectionReason.UNLIKE
 
 
 @pytest.mark.parametrize("turn", [np.fliplr, np.flipud, lambda a: a[::-1, ::-1]])
 def test_what_is_mirrored_or_turned_is_unlike(sample, turn):
     first, second = pair(sample, BESIDE, (0, 0))
     held = dataclasses.replace(second, all_in_focus=turn(second.all_in_focus), z_raw_um=turn(second.z_raw_um))
-    assert register_pair(first, held).doubt is Doubt.UNLIKE
+    assert register_pair(first, held).doubt is RejectionReason.UNLIKE
 
 
 def test_what_repeats_is_ambiguous(sample):
     rows, cols = np.indices((460, 520))
     lines = Sample(110 + 40 * np.sign(np.sin(rows / 2.2) + np.sin(cols / 1.9)), sample.z_um)
-    assert register_pair(*pair(lines, BESIDE, (1.5, 2.5))).doubt is Doubt.AMBIGUOUS
+    assert register_pair(*pair(lines, BESIDE, (1.5, 2.5))).doubt is RejectionReason.AMBIGUOUS
 
 
 @pytest.mark.parametrize("period_px", [8.6, 12.8, 21.0])
@@ -107,7 +107,7 @@ def test_a_grating_is_never_believed_at_a_wrong_period(sample, period_px):
     grating = Sample(0.3 * sample.grey + 80 + 25 * (np.sin(rows) + np.sin(cols)), sample.z_um)
     for seed, off in enumerate([(1.5, 2.5), (-6.3, 4.1), (9.2, -7.7), (-3.4, -11.0)]):
         found = register_pair(*pair(grating, BESIDE, off, seed=seed))
-        assert found.doubt is Doubt.AMBIGUOUS or np.abs(error_px(found, off)).max() < 0.1
+        assert found.doubt is RejectionReason.AMBIGUOUS or np.abs(error_px(found, off)).max() < 0.1
 
 
 @pytest.mark.parametrize("beside", [BESIDE, BELOW], ids=["beside", "below"])
@@ -116,20 +116,22 @@ def test_lines_in_one_direction_are_ambiguous(sample, beside, noise_counts):
     cols = np.arange(520) / 6
     lines = 110 + 40 * np.clip(8 * (np.sin(cols) + np.sin(cols * 2.3)), -1, 1)
     striped = Sample(np.tile(lines, (460, 1)), sample.z_um)
-    assert register_pair(*pair(striped, beside, (2.0, 3.5), noise_counts=noise_counts)).doubt is Doubt.AMBIGUOUS
+    assert (
+        register_pair(*pair(striped, beside, (2.0, 3.5), noise_counts=noise_counts)).doubt is RejectionReason.AMBIGUOUS
+    )
 
 
 def test_further_than_the_reach_is_not_believed(sample):
     found = register_pair(*pair(sample, BESIDE, (3.0, -20.0)), reach_px=12)
-    assert found.doubt in (Doubt.END_OF_SEARCH, Doubt.UNLIKE)
-    assert register_pair(*pair(sample, BESIDE, (3.0, -20.0)), reach_px=25).doubt is Doubt.NONE
+    assert found.doubt in (RejectionReason.END_OF_SEARCH, RejectionReason.UNLIKE)
+    assert register_pair(*pair(sample, BESIDE, (3.0, -20.0)), reach_px=25).doubt is RejectionReason.NONE
 
 
 def test_without_a_reach_what_fits_nowhere_is_looked_for_further_away():
     sample, off = a_sample((500, 960)), (3.0, -49.0)
     first = a_field(sample, 20, 20, (420, 460))
     found = register_pair(first, a_field(sample, 20, 400, (420, 460), off_px=off, seed=2))
-    assert found.doubt is Doubt.NONE
+    assert found.doubt is RejectionReason.NONE
     assert np.abs(error_px(found, off)).max() < 0.06
 
 
@@ -151,7 +153,7 @@ def test_where_nothing_was_ever_sharp_pictures_may_differ():
     """Two blocks with a gap between them: what is shown of the gap is noise, and says nothing against either field."""
     noise = np.random.default_rng(5)
     pair = [_of_noise(noise, x0_um) for x0_um in (0.0, 270.0)]
-    assert register_pair(*pair).doubt is Doubt.BLANK
+    assert register_pair(*pair).doubt is RejectionReason.BLANK
 
 
 def _of_noise(noise: np.random.Generator, x0_um: float) -> HeightMap:

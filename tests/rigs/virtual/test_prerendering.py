@@ -9,7 +9,7 @@ import pytest
 
 from wafer_viewer.model.acquisition.plan import Field, FocusSweep, Leg, PulseTrain, ScanPlan, Shot
 from wafer_viewer.model.errors import RigError
-from wafer_viewer.rigs.virtual.prerendering import Rehearsal, rehearse
+from wafer_viewer.rigs.virtual.prerendering import PrerenderJob, rehearse
 from wafer_viewer.rigs.virtual.rig import VirtualRig, virtual_limits
 
 LIMITS = virtual_limits(48, 64)
@@ -34,7 +34,7 @@ PLAN = ScanPlan(
     cols=64,
     pixel_um=LIMITS.pixel_um,
 )
-ORDER = Rehearsal(scene="plane", seed=3, limits=LIMITS, plan=PLAN, here_um=(0.0, 0.0, 0.0))
+ORDER = PrerenderJob(scene="plane", seed=3, limits=LIMITS, plan=PLAN, here_um=(0.0, 0.0, 0.0))
 
 
 class NoLive:
@@ -84,7 +84,7 @@ def test_it_can_be_stopped():
 
 
 def test_a_process_that_fails_is_said_in_a_sentence():
-    broken = Rehearsal(scene="moon", seed=3, limits=LIMITS, plan=PLAN, here_um=(0.0, 0.0, 0.0))
+    broken = PrerenderJob(scene="moon", seed=3, limits=LIMITS, plan=PLAN, here_um=(0.0, 0.0, 0.0))
     with pytest.raises(RigError, match=r"beforehand failed .*moon"):
         rehearse(broken, NoLive(), lambda: False)
 

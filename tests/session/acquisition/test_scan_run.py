@@ -9,7 +9,7 @@ import pytest
 
 from wafer_viewer.rigs.virtual.faults import Faults
 from wafer_viewer.rigs.virtual.rig import VirtualRig
-from wafer_viewer.session.acquisition.rig_messages import FieldComplete, Paused, Scan, ScanEnded, ScanFault, Taken
+from wafer_viewer.session.acquisition.rig_messages import FieldComplete, FrameTaken, Paused, Scan, ScanEnded, ScanFault
 from wafer_viewer.session.acquisition.scan_monitor import Steering, clipped_fraction, order_of_fields
 from wafer_viewer.session.acquisition.scan_run import take, writer_of
 from wafer_viewer.session.planning.plan_editor import plan_of
@@ -46,7 +46,7 @@ def test_it_tells_of_every_field_once_and_of_its_end(rig, scan):
         ended = take(scan, rig, writer, told.append, Steering())
     assert ended == ScanEnded(scan.path, stopped=False, n_missing=0, error=None)
     assert sorted(e.number for e in told if isinstance(e, FieldComplete)) == [1, 2, 3]
-    last = [e for e in told if isinstance(e, Taken)][-1]
+    last = [e for e in told if isinstance(e, FrameTaken)][-1]
     assert last.progress.finished
     assert (last.progress.frames_done, last.progress.frames_total, last.progress.seconds_left) == (30, 30, 0.0)
     assert (last.latest.brightest, last.latest.clipped_fraction) == (99, 0.0)
@@ -131,7 +131,7 @@ def test_a_pass_that_slipped_is_told_and_none_of_its_frames_is_counted_as_done(j
     (fault,) = [event.what for event in told if isinstance(event, ScanFault)]
     assert "125 quadrature errors" in fault
     assert sorted(e.number for e in told if isinstance(e, FieldComplete)) == [1, 2, 3]
-    last = [e for e in told if isinstance(e, Taken)][-1].progress
+    last = [e for e in told if isinstance(e, FrameTaken)][-1].progress
     assert (last.frames_done, last.frames_missing) == (30, 0)
     data = Dataset.open(scan.path)
     assert data.check().ok

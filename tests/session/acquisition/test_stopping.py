@@ -10,17 +10,17 @@ from multiprocessing import Pipe
 import numpy as np
 import pytest
 
-from wafer_viewer.compute.child_process import Answer, Ask, ChildEnd
+from wafer_viewer.compute.child_process import ChildConnection, Reply, Request
 from wafer_viewer.model.acquisition.devices import Position
 from wafer_viewer.model.errors import MotionStopped
 from wafer_viewer.rigs.rig_config import RigConfig
 from wafer_viewer.rigs.virtual.rig import VirtualRig
 from wafer_viewer.session.acquisition import rig_client as instrument_module
-from wafer_viewer.session.acquisition.rig_client import Instrument, Reports
-from wafer_viewer.session.acquisition.rig_messages import At, Move, Scan, ScanEnded, Stop
-from wafer_viewer.session.acquisition.rig_process import Operator
-from wafer_viewer.session.core.command_queue import Desk as SessionDesk
-from wafer_viewer.session.core.notifications import Notices
+from wafer_viewer.session.acquisition.rig_client import RigCallbacks, RigClient
+from wafer_viewer.session.acquisition.rig_messages import Move, Scan, ScanEnded, StageMoved, Stop
+from wafer_viewer.session.acquisition.rig_process import RigExecutor
+from wafer_viewer.session.core.command_queue import CommandQueue as SessionDesk
+from wafer_viewer.session.core.notifications import Notifications
 from wafer_viewer.session.planning.plan_editor import plan_of
 from wafer_viewer.session.session import Session
 from wafer_viewer.session.state.snapshot import RigStatus, Snapshot
@@ -44,19 +44,19 @@ class NearEnd:
 
     def ask(self, *asks):
         for number, verb in asks:
-            self.pipe.send(Ask(number, verb))
+            self.pipe.send(Request(number, verb))
 
     def answer(self, number):
         """What came to the asker; what the rig told meanwhile is in `events`."""
         while True:
             assert self.pipe.poll(60.0), f"no answer to {number}"
             message = self.pipe.recv()
-            if isinstance(message, Answer) and message.number == number:
+            if isinstance(message, Reply) and message.number == number:
                 return message
             self.events.append(message)
 
     def where(self):
-        return [event for event in self.events if isinstance(event, At)][-1].position
+        return [event for event in self.events if isinstance(event, StageMoved)][-1].position
 
 
 @pytest.fixture
@@ -69,7 +69,7 @@ def rig():
 @pytest.fixture
 def desk(rig):
     ours, theirs = Pipe()
-    work = threading.Thread(target=Operator(rig, ChildEnd(theirs)).work)
+    work = threading.Thread(target=RigExecutor(rig, ChildConnection(theirs)).work)
     work.start()
     made = NearEnd(ours)
     made.work = work
@@ -135,7 +135,7 @@ def test_a_search_for_the_reference_that_was_broken_off_leaves_it_not_homed(rig,
     on_its_way(rig)
     desk.ask((2, Stop()))
     assert desk.answer(2).value
-    assert [event.homed for event in desk.events if isinstance(event, At)] == [False]
+    assert [event.homed for event in desk.events if isinstance(event, StageMoved)] == [False]
 
 
 class StandingLink:
@@ -154,10 +154,10 @@ class StandingLink:
 @pytest.fixture
 def instrument(monkeypatch):
     """An instrument whose rig is ready and stands still, and its session's desk."""
-    monkeypatch.setattr(instrument_module, "Link", StandingLink)
+    monkeypatch.setattr(instrument_module, "ChildProcess", StandingLink)
     desk = SessionDesk(Snapshot(rig=RigStatus(state="ready", homed=True)))
-    nobody = Reports(*[lambda _: None] * 5)
-    made = Instrument(desk, Notices(desk), RigConfig(), nobody)
+    nobody = RigCallbacks(*[lambda _: None] * 5)
+    made = RigClient(desk, Notifications(desk), RigConfig(), nobody)
     link = desk.do(made.start).result()
     desk.do(desk.change, rig=RigStatus(state="ready", homed=True)).result()
     yield made, desk, link
@@ -169,11 +169,11 @@ def test_it_moves_from_the_first_of_several_moves_to_the_end_of_the_last(instrum
     moves = [desk.do(rig.move_to, Move(x_um=x_um)) for x_um in (1.0, 2.0)]
     desk.wait_until(lambda s: s.rig.state == "moving", 60.0)
     desk.do(lambda: None).result()
-    link.tell(At(Position(1.0, 0.0, 0.0), homed=True))
+    link.tell(StageMoved(Position(1.0, 0.0, 0.0), homed=True))
     link.asked[0][1].set_result(None)
     moves[0].result(60.0)
     assert (desk.snapshot.rig.state, desk.snapshot.rig.x_um) == ("moving", 1.0)
-    link.tell(At(Position(1.5, 0.0, 0.0), homed=False))
+    link.tell(StageMoved(Position(1.5, 0.0, 0.0), homed=False))
     link.asked[1][1].set_exception(MotionStopped.at(1.5, 0.0, 0.0))
     with pytest.raises(MotionStopped):
         moves[1].result(60.0)

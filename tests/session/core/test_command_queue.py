@@ -7,13 +7,13 @@ from pathlib import Path
 import pytest
 
 from wafer_viewer.model.errors import PlanError, WaferViewerError
-from wafer_viewer.session.core.command_queue import ANNOUNCE_EVERY_S, Desk
+from wafer_viewer.session.core.command_queue import ANNOUNCE_EVERY_S, CommandQueue
 from wafer_viewer.session.state.snapshot import Snapshot
 
 
 @pytest.fixture
 def desk():
-    made = Desk(Snapshot())
+    made = CommandQueue(Snapshot())
     yield made
     made.close()
 

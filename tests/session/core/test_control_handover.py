@@ -6,7 +6,7 @@ import pytest
 
 from wafer_viewer.model.errors import WaferViewerError
 from wafer_viewer.session.access_control import FREE, seat
-from wafer_viewer.session.core.command_queue import Desk
+from wafer_viewer.session.core.command_queue import CommandQueue
 from wafer_viewer.session.core.control_handover import ANSWER_S, GRACE_S, Control
 from wafer_viewer.session.session import Session
 from wafer_viewer.session.state.snapshot import Snapshot
@@ -39,7 +39,7 @@ class Hourglass:
 
 @pytest.fixture
 def desk():
-    made = Desk(Snapshot())
+    made = CommandQueue(Snapshot())
     yield made
     made.close()
 

@@ -3,12 +3,12 @@ from __future__ import annotations
 from hypothesis import given
 from hypothesis import strategies as st
 
-from wafer_viewer.session.core.undo_history import DEPTH, History
+from wafer_viewer.session.core.undo_history import DEPTH, UndoHistory
 
 
 @given(st.lists(st.one_of(st.integers(), st.sampled_from(["undo", "redo"]))))
 def test_it_behaves_as_a_list_with_a_cursor(steps):
-    history, values, at = History(None), [None], 0
+    history, values, at = UndoHistory(None), [None], 0
     for step in steps:
         if step == "undo":
             at = max(0, at - 1)
@@ -26,7 +26,7 @@ def test_it_behaves_as_a_list_with_a_cursor(steps):
 
 
 def test_the_oldest_values_are_forgotten():
-    history = History(0)
+    history = UndoHistory(0)
     for i in range(1, DEPTH + 10):
         history.put(i)
     while history.can_undo:
@@ -35,7 +35,7 @@ def test_the_oldest_values_are_forgotten():
 
 
 def test_another_thing_cannot_be_undone():
-    history = History(1)
+    history = UndoHistory(1)
     history.put(2)
     history.restart(3)
     assert (history.value, history.can_undo, history.can_redo) == (3, False, False)

@@ -17,12 +17,12 @@ from wafer_viewer.rigs.virtual.rig import CALIBRATION as RIGS_OWN
 from wafer_viewer.rigs.virtual.rig import VirtualRig
 from wafer_viewer.session.acquisition.rig_messages import Scan
 from wafer_viewer.session.acquisition.scan_run import writer_of
-from wafer_viewer.session.core.command_queue import Desk
+from wafer_viewer.session.core.command_queue import CommandQueue
 from wafer_viewer.session.core.dataset_library import Library
 from wafer_viewer.session.gauge.gauge_commands import GaugeVerbs
 from wafer_viewer.session.gauge.gauge_controller import GaugeKeeper
-from wafer_viewer.session.measurement.dataset_queries import Questions
-from wafer_viewer.session.measurement.results import RecordBook
+from wafer_viewer.session.measurement.dataset_queries import DatasetQueries
+from wafer_viewer.session.measurement.results import ResultsStore
 from wafer_viewer.session.planning.plan_editor import plan_of
 from wafer_viewer.session.session import Session
 from wafer_viewer.session.state.snapshot import RigStatus, Snapshot
@@ -45,11 +45,13 @@ class Bench:
 
     def __init__(self, folder: Path) -> None:
         self.folder = folder
-        self.desk = Desk(Snapshot(data_folder=folder, rig=RigStatus(name=RIG, state="ready", calibration=CALIBRATION)))
+        self.desk = CommandQueue(
+            Snapshot(data_folder=folder, rig=RigStatus(name=RIG, state="ready", calibration=CALIBRATION))
+        )
         self.library = Library(self.desk, folder)
-        self.book = RecordBook(self.desk, self.library)
+        self.book = ResultsStore(self.desk, self.library)
         self.keeper = GaugeKeeper(self.desk, self.library, self.book, folder)
-        questions = Questions(self.library, lambda: self.desk.snapshot)
+        questions = DatasetQueries(self.library, lambda: self.desk.snapshot)
         self.gauge = GaugeVerbs(self.desk.do, self.keeper, questions, lambda: self.desk.snapshot)
 
     def open(self, path: Path) -> None:

@@ -7,7 +7,7 @@ import math
 import pytest
 
 from tests.support.patterned_surface import Wafer, made
-from wafer_viewer.model.acquisition.alignment import Alignment, Mark, Marks
+from wafer_viewer.model.acquisition.alignment import Alignment, AlignmentMark, Marks
 from wafer_viewer.model.acquisition.plan import FieldGrid, FocusSweep
 from wafer_viewer.model.errors import MeasureError
 from wafer_viewer.model.job.job import Job
@@ -16,7 +16,7 @@ from wafer_viewer.model.spec import encode, replace
 from wafer_viewer.session.inspection.die_lattice_source import GivenDies, dies_of_job
 
 WAFER = Wafer(angle_deg=1.0)
-MARKS = Marks(places=(Mark(name="a", x_um=0, y_um=0), Mark(name="b", x_um=900, y_um=900)))
+MARKS = Marks(places=(AlignmentMark(name="a", x_um=0, y_um=0), AlignmentMark(name="b", x_um=900, y_um=900)))
 TURNED = Alignment(rotation_rad=-math.radians(1.0))
 ALIGNED = replace(TURNED, shift_x_um=-TURNED.to_wafer(30, 25)[0], shift_y_um=-TURNED.to_wafer(30, 25)[1])
 DIES = Dies(width_um=173, height_um=121, rows=4, cols=4, pitch_x_um=201.3, pitch_y_um=147.7)

@@ -12,11 +12,11 @@ import pytest
 
 from tests.support.datasets.patterned_dataset import PLANTED, patterned_dataset
 from wafer_viewer.compute.local_or_cluster import crew_for
-from wafer_viewer.compute.task_runner import Crew, Done, Here
-from wafer_viewer.measure.defects.golden_die import Golden
+from wafer_viewer.compute.task_runner import Done, LocalRunner, TaskRunner
+from wafer_viewer.measure.defects.golden_die import ReferenceDie
 from wafer_viewer.measure.defects.inspection import inspect
 from wafer_viewer.measure.defects.matched_filters import BINS
-from wafer_viewer.measure.defects.noise_model import Noise
+from wafer_viewer.measure.defects.noise_model import NoiseModel
 from wafer_viewer.measure.dies import die_cells
 from wafer_viewer.model.errors import ComputeError, DatasetError
 from wafer_viewer.model.inspection.defect import DefectRecipe, Inspection
@@ -25,7 +25,7 @@ from wafer_viewer.session.inspection.die_lattice_source import GivenDies
 from wafer_viewer.session.inspection.die_row_tasks import in_order
 from wafer_viewer.session.inspection.headless import inspected, wafer_of
 from wafer_viewer.session.inspection.inspection_job import inspect_dataset
-from wafer_viewer.session.surface.headless import Hire
+from wafer_viewer.session.surface.headless import LocalOrCluster
 from wafer_viewer.store.dataset.dataset import Dataset
 
 DULL = DefectRecipe(sensitivity=0.25)
@@ -70,7 +70,7 @@ class Elsewhere:
 
 def test_hands_make_no_difference(made, alone):
     assert len(alone.found) == len(PLANTED)
-    for crew in (Here(1), Here(3), Elsewhere()):
+    for crew in (LocalRunner(1), LocalRunner(3), Elsewhere()):
         assert msgspec.to_builtins(by(made, crew)) == msgspec.to_builtins(alone)
 
 
@@ -88,8 +88,8 @@ def test_what_rows_are_compared_with_goes_by_a_file_that_is_gone_afterwards(made
 def test_what_a_killed_inspection_left_behind_is_swept_away(tmp_path):
     left = tmp_path / ".inspection-1f.npz"
     left.touch()
-    quiet = Noise({}, {}, {}, np.zeros((2, 2), np.uint8), np.ones(BINS, np.float32))
-    with die_row_tasks.kept(tmp_path, golden := Golden.nothing((2, 2), 1.0, 1.0), quiet):
+    quiet = NoiseModel({}, {}, {}, np.zeros((2, 2), np.uint8), np.ones(BINS, np.float32))
+    with die_row_tasks.kept(tmp_path, golden := ReferenceDie.nothing((2, 2), 1.0, 1.0), quiet):
         assert left.exists()  # another one is at work
     os.utime(left, (0, 0))
     with die_row_tasks.kept(tmp_path, golden, quiet) as own:
@@ -149,7 +149,8 @@ def test_the_command_lines_workers_find_the_same(made):
     grid = wafer.grid
     given = GivenDies((grid.pitch_x_um, grid.pitch_y_um), (grid.x0_um, grid.y0_um), (grid.width_um, grid.height_um))
     one, two = (
-        inspected(wafer_of(path, "default"), DULL, given, None, "dies", lambda _: None, Hire(workers=n)) for n in (1, 2)
+        inspected(wafer_of(path, "default"), DULL, given, None, "dies", lambda _: None, LocalOrCluster(workers=n))
+        for n in (1, 2)
     )
     assert len(one.found) == len(PLANTED)
     assert msgspec.to_builtins(one) == msgspec.to_builtins(two)
@@ -160,7 +161,7 @@ class Mortal:
 
     threads_each = 1
 
-    def __init__(self, crew: Crew) -> None:
+    def __init__(self, crew: TaskRunner) -> None:
         self.crew, self.killed = crew, 0
 
     @property

@@ -11,9 +11,9 @@ from tests.support.datasets.inspections import defect, inspection
 from wafer_viewer.model.errors import DatasetError, MeasureError, WaferViewerError
 from wafer_viewer.model.inspection.defect import DefectRecipe
 from wafer_viewer.model.spec import replace
-from wafer_viewer.session.core.command_queue import Desk
+from wafer_viewer.session.core.command_queue import CommandQueue
 from wafer_viewer.session.core.dataset_library import Library
-from wafer_viewer.session.core.notifications import Notices
+from wafer_viewer.session.core.notifications import Notifications
 from wafer_viewer.session.inspection.inspection_commands import DefectKeeper
 from wafer_viewer.session.inspection.inspection_job import inspect_dataset, mosaic_mark
 from wafer_viewer.session.state.snapshot import Snapshot
@@ -44,10 +44,10 @@ class Bench:
     """The parts of a session that keep defects, on its thread."""
 
     def __init__(self, folder, path) -> None:
-        self.desk = Desk(Snapshot())
+        self.desk = CommandQueue(Snapshot())
         self.library = Library(self.desk, folder)
         self.hired = Hired()
-        self.keeper = DefectKeeper(self.desk, Notices(self.desk), self.library, self.hired)
+        self.keeper = DefectKeeper(self.desk, Notifications(self.desk), self.library, self.hired)
         self.do(self.keeper.watch)
         self.open(path)
 

@@ -13,15 +13,15 @@ from tests.support.datasets.compared_datasets import two_datasets
 from tests.support.datasets.inspections import GRID, defect, inspection
 from wafer_viewer.model.acquisition.alignment import Alignment
 from wafer_viewer.model.acquisition.sample import Sample
-from wafer_viewer.model.errors import DatasetError, HeldByAnother, MeasureError
+from wafer_viewer.model.errors import ControlHeldError, DatasetError, MeasureError
 from wafer_viewer.model.inspection.defect import DefectRecipe
 from wafer_viewer.model.inspection.defect_limits import DefectLimits
 from wafer_viewer.model.spec import replace
 from wafer_viewer.session.access_control import seat
 from wafer_viewer.session.core.background_work import BackgroundWork
-from wafer_viewer.session.core.command_queue import Desk
+from wafer_viewer.session.core.command_queue import CommandQueue
 from wafer_viewer.session.core.dataset_library import Library
-from wafer_viewer.session.core.notifications import Notices
+from wafer_viewer.session.core.notifications import Notifications
 from wafer_viewer.session.inspection.defect_export import hand_over, keep_golden
 from wafer_viewer.session.inspection.inspection_commands import DefectKeeper, DefectVerbs
 from wafer_viewer.session.inspection.inspection_files import DefectFiles, DefectFilesKeeper
@@ -55,8 +55,8 @@ class Bench:
     """The parts of a session that keep defects and what belongs to them, on its thread."""
 
     def __init__(self, path: Path) -> None:
-        self.folder, self.desk = path.parent, Desk(Snapshot())
-        notices, compute = Notices(self.desk), AtOnce()
+        self.folder, self.desk = path.parent, CommandQueue(Snapshot())
+        notices, compute = Notifications(self.desk), AtOnce()
         self.library = Library(self.desk, self.folder)
         self.defects = DefectKeeper(self.desk, notices, self.library, compute)
         files = BackgroundWork(self.desk, notices, compute)
@@ -245,5 +245,5 @@ def test_one_who_only_watches_may_write_a_file_and_keep_nothing(bench, tmp_path)
     watcher = seat(whole, lambda: "b").defects.files
     assert watcher.write("csv", tmp_path / "w.csv").result(20).exists()
     for asked in (watcher.keep_golden("lx7"), watcher.save_recipe(DefectRecipe(product="LX-7"))):
-        with pytest.raises(HeldByAnother):
+        with pytest.raises(ControlHeldError):
             asked.result(20)

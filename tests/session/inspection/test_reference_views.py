@@ -26,12 +26,12 @@ from wafer_viewer.model.inspection.die_grid import DieStatus
 from wafer_viewer.model.inspection.golden_die import GoldenDie, GoldenHeader
 from wafer_viewer.model.region import Point, Region
 from wafer_viewer.model.spec import replace
-from wafer_viewer.model.surface.comparison import Change, Comparison, Face, Registration, SurfaceName
+from wafer_viewer.model.surface.comparison import Change, Comparison, ComparisonFace, Registration, SurfaceName
 from wafer_viewer.model.surface.height_map import HeightMap, Origin
 from wafer_viewer.session.inspection.reference_views import DefectViews, earlier_scan
-from wafer_viewer.session.rendering.comparison_views import Seen, SideBySide
+from wafer_viewer.session.rendering.comparison_views import ComparisonView, ComparisonViews
 from wafer_viewer.session.rendering.render_process import Painter, paint_from_store
-from wafer_viewer.session.rendering.render_request import Source
+from wafer_viewer.session.rendering.render_request import SurfaceKey
 from wafer_viewer.session.state.comparison_state import Compared
 from wafer_viewer.session.state.inspection_state import InspectionState
 from wafer_viewer.session.state.snapshot import DatasetEntry, Snapshot
@@ -118,7 +118,7 @@ def views(folder: Path, wafer_id: str = "W1", alignment=None, entries=(), **chan
     return DefectViews(painted, lambda: now)
 
 
-def shown(one: SideBySide | None) -> dict[str, Seen]:
+def shown(one: ComparisonViews | None) -> dict[str, ComparisonView]:
     assert one is not None
     return {seen.like: seen for seen in one.seen}
 
@@ -168,7 +168,7 @@ def test_a_comparison_that_is_kept_lays_the_earlier_scan_on(folder: Path):
     now = views(folder)._snapshot()
     kept = dataclasses.replace(now, comparisons=(Compared(1, "difference-second", made_of, 7),))
     found = earlier_scan(kept, kept.dataset)
-    assert found.source == Source(folder / "now.wafer", "difference-second", -Face.SECOND, 7)
+    assert found.source == SurfaceKey(folder / "now.wafer", "difference-second", -ComparisonFace.SECOND, 7)
     assert found.at_um(3.0, 4.0) == (3.0, 4.0)
     outdated = dataclasses.replace(now, comparisons=(Compared(1, "difference-second", made_of, 7, True),))
     assert earlier_scan(outdated, outdated.dataset).source.dataset == folder / "second.wafer"

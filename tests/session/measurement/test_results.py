@@ -11,7 +11,7 @@ from wafer_viewer.model.errors import MeasureError
 from wafer_viewer.model.measurement.measurements import PointHeight, Profile
 from wafer_viewer.model.quantity import Length
 from wafer_viewer.model.region import Region
-from wafer_viewer.session.measurement.results import RecordBook
+from wafer_viewer.session.measurement.results import ResultsStore
 from wafer_viewer.session.state.snapshot import Snapshot
 from wafer_viewer.store.dataset.result import Result
 
@@ -38,7 +38,7 @@ def book(desk, tmp_path):
 
 def opened(desk, folder):
     library = SimpleNamespace(result=Result.of(folder, "default"), shown=desk.now.dataset)
-    made = RecordBook(desk, library)
+    made = ResultsStore(desk, library)
     made.open()
     return made
 

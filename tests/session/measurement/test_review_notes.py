@@ -9,8 +9,8 @@ import pytest
 
 from wafer_viewer.model.errors import DatasetError
 from wafer_viewer.model.job.review_notes import SavedView
-from wafer_viewer.session.core.command_queue import Desk
-from wafer_viewer.session.files.documents import Papers
+from wafer_viewer.session.core.command_queue import CommandQueue
+from wafer_viewer.session.files.documents import Documents
 from wafer_viewer.session.measurement.review_notes import NotebookKeeper, NotebookVerbs
 from wafer_viewer.session.state.snapshot import Snapshot
 from wafer_viewer.store.records.review_notes import read_notebook
@@ -22,7 +22,7 @@ class Bench:
     """A desk, a library with one open dataset, and the notebook on it."""
 
     def __init__(self, folder, read_only=None):
-        self.desk = Desk(Snapshot(dataset=object()))
+        self.desk = CommandQueue(Snapshot(dataset=object()))
         self.folder = folder
         shown = SimpleNamespace(read_only=read_only, path=folder / "coupon.wafer")
         self.library = SimpleNamespace(result=SimpleNamespace(path=folder / "result"), shown=shown)
@@ -100,7 +100,7 @@ def test_a_notebook_that_is_none_is_said_by_its_name(bench):
 
 
 def test_pictures_are_numbered_beside_the_dataset(bench):
-    papers = Papers(bench.desk.do, bench.library, None)
+    papers = Documents(bench.desk.do, bench.library, None)
     first, second = (papers.keep_picture(png).result() for png in (b"one", b"two"))
     assert (first.name, second.name) == ("coupon-picture-1.png", "coupon-picture-2.png")
     assert second.read_bytes() == b"two"

@@ -12,7 +12,7 @@ from wafer_viewer.model.errors import PlanError
 from wafer_viewer.model.spec import decode, encode, replace
 from wafer_viewer.model.surface.recipe import Recipe
 from wafer_viewer.rigs.virtual.rig import CALIBRATION, SETUP, virtual_limits
-from wafer_viewer.session.core.command_queue import Desk
+from wafer_viewer.session.core.command_queue import CommandQueue
 from wafer_viewer.session.planning.job_commands import JobKeeper
 from wafer_viewer.session.planning.job_releases import list_released, write_released
 from wafer_viewer.session.planning.plan_editor import Drafting
@@ -26,7 +26,7 @@ LEFT, RIGHT = (-1990.0, 5.0), (2010.0, 5.0)
 @pytest.fixture
 def desk():
     rig = RigStatus(state="ready", limits=LIMITS, calibration=CALIBRATION, setup=SETUP)
-    made = Desk(Snapshot(rig=rig))
+    made = CommandQueue(Snapshot(rig=rig))
     yield made
     made.close()
 

@@ -10,7 +10,7 @@ from wafer_viewer.model.acquisition.sample import Sample
 from wafer_viewer.model.errors import PlanError
 from wafer_viewer.model.spec import replace
 from wafer_viewer.rigs.virtual.rig import virtual_limits
-from wafer_viewer.session.core.command_queue import Desk
+from wafer_viewer.session.core.command_queue import CommandQueue
 from wafer_viewer.session.planning.plan_editor import RIG_STARTS, Drafting, read_job, suggested_name
 from wafer_viewer.session.state.snapshot import RigStatus, Snapshot
 
@@ -19,7 +19,7 @@ OUTLINE = ((-3000.0, -2000.0), (3000.0, -2000.0), (3000.0, 2000.0), (-3000.0, 20
 
 @pytest.fixture
 def desk():
-    made = Desk(Snapshot(rig=RigStatus(limits=virtual_limits(540, 720), x_um=250.0, y_um=-40.0)))
+    made = CommandQueue(Snapshot(rig=RigStatus(limits=virtual_limits(540, 720), x_um=250.0, y_um=-40.0)))
     yield made
     made.close()
 

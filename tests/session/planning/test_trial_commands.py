@@ -13,8 +13,8 @@ from wafer_viewer.model.errors import ComputeError, DatasetError, PlanError
 from wafer_viewer.model.spec import replace
 from wafer_viewer.model.surface.recipe import Stitching
 from wafer_viewer.rigs.virtual.rig import CALIBRATION, SETUP, virtual_limits
-from wafer_viewer.session.core.command_queue import Desk
-from wafer_viewer.session.core.notifications import Notices
+from wafer_viewer.session.core.command_queue import CommandQueue
+from wafer_viewer.session.core.notifications import Notifications
 from wafer_viewer.session.planning.plan_editor import Drafting
 from wafer_viewer.session.planning.revision_trial import try_job
 from wafer_viewer.session.planning.trial_commands import TrialKeeper
@@ -42,9 +42,9 @@ class Workers:
 @pytest.fixture
 def trials(tmp_path):
     rig = RigStatus(state="ready", limits=virtual_limits(540, 720), calibration=CALIBRATION, setup=SETUP)
-    desk = Desk(Snapshot(rig=rig))
+    desk = CommandQueue(Snapshot(rig=rig))
     drafting = Drafting(desk, tmp_path)
-    keeper = TrialKeeper(desk, Notices(desk), drafting, Workers())
+    keeper = TrialKeeper(desk, Notifications(desk), drafting, Workers())
     keeper.desk, keeper.drafting, keeper.workers = desk, drafting, keeper._compute
     yield keeper
     desk.close()

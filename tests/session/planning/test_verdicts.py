@@ -11,8 +11,8 @@ import pytest
 from tests.browser.sessions import operator_session as day
 from wafer_viewer.model.errors import MeasureError
 from wafer_viewer.model.spec import replace
-from wafer_viewer.session.core.command_queue import Desk
-from wafer_viewer.session.core.notifications import Notices
+from wafer_viewer.session.core.command_queue import CommandQueue
+from wafer_viewer.session.core.notifications import Notifications
 from wafer_viewer.session.planning import verdicts as module
 from wafer_viewer.session.planning.verdicts import Judge
 from wafer_viewer.session.state.operator_state import Operating
@@ -42,10 +42,10 @@ def verdicts(monkeypatch):
 
 @pytest.fixture
 def desk(verdicts):
-    made = Desk(day.judged(None))
+    made = CommandQueue(day.judged(None))
     made.do(made.change, operating=Operating()).result()
     library = SimpleNamespace(dataset=None, result=None, shown=made.now.dataset)
-    judge = Judge(made, library, Notices(made))
+    judge = Judge(made, library, Notifications(made))
     yield made
     verdicts.go.set()
     made.close()

@@ -23,7 +23,13 @@ from wafer_viewer.model.surface.height_map import HeightMap, Origin
 from wafer_viewer.model.surface.refused_points import RefusedHeights
 from wafer_viewer.session.rendering.render_dispatch import paint
 from wafer_viewer.session.rendering.render_refused import PlacedField, placed_fields, points_of
-from wafer_viewer.session.rendering.render_request import PaintRequest, Refused, Source, Statistics, unpack_points
+from wafer_viewer.session.rendering.render_request import (
+    RefusedCounts,
+    RenderRequest,
+    Statistics,
+    SurfaceKey,
+    unpack_points,
+)
 from wafer_viewer.session.surface.stitching_job import bring_up_to_date
 from wafer_viewer.store.dataset.dataset import Dataset
 from wafer_viewer.store.formats.npz_file import read_npz, write_npz
@@ -48,8 +54,8 @@ def field() -> HeightMap:
     )
 
 
-def asked(what: str, show: int = 1, **more: object) -> PaintRequest:
-    return PaintRequest(Source(Path("x"), "default", show, 1), what, refused=True, **more)  # pyright: ignore[reportArgumentType]
+def asked(what: str, show: int = 1, **more: object) -> RenderRequest:
+    return RenderRequest(SurfaceKey(Path("x"), "default", show, 1), what, refused=True, **more)  # pyright: ignore[reportArgumentType]
 
 
 def drawn(shelf: MemoryShelf, **more: object) -> tuple[np.ndarray, np.ndarray]:
@@ -142,7 +148,7 @@ def test_they_are_counted_by_reason_and_read_from_the_datum(field: HeightMap):
     old = counted(MemoryShelf({1: dataclasses.replace(field, refused=None)})).refused
     assert old is not None
     assert (old.n_heights, old.n_fields_without) == (0, 1)
-    assert counted(MemoryShelf({0: field}), 0).refused == Refused(0, 0, dict.fromkeys(CODES, 0), {}, 0, 0)
+    assert counted(MemoryShelf({0: field}), 0).refused == RefusedCounts(0, 0, dict.fromkeys(CODES, 0), {}, 0, 0)
 
 
 def test_in_the_stitched_surface_they_lie_where_their_neighbours_do(tmp_path: Path):
@@ -165,7 +171,7 @@ def test_in_the_stitched_surface_they_lie_where_their_neighbours_do(tmp_path: Pa
     assert isinstance(poses, Poses)
     assert np.hypot(poses.x_um - poses.stage_x_um, poses.y_um - poses.stage_y_um).max() > 1
     mosaic = Dataset.open(path).result("default").mosaic().window()
-    fields = placed_fields(Source(path, "default", 0, 1))
+    fields = placed_fields(SurfaceKey(path, "default", 0, 1))
     assert len(fields) == len(heights)
     off_um = [_beside(mosaic, field) for field in fields]
     halves = [np.nanmedian(half) for off in off_um for half in np.array_split(off, 2)]

@@ -14,12 +14,12 @@ import pytest
 
 from wafer_viewer.model.errors import DatasetError
 from wafer_viewer.session.rendering.render_process import Painter
-from wafer_viewer.session.rendering.render_request import PaintRequest, Source
+from wafer_viewer.session.rendering.render_request import RenderRequest, SurfaceKey
 
-SOURCE = Source(Path("nowhere.wafer"), "default", 0, 1)
+SOURCE = SurfaceKey(Path("nowhere.wafer"), "default", 0, 1)
 
 
-def work(request: PaintRequest) -> bytes:
+def work(request: RenderRequest) -> bytes:
     """What the tests' painter does: say who it is, fail, or die."""
     if request.k == 1:
         raise DatasetError("The frames are gone.")
@@ -35,8 +35,8 @@ def painter() -> Iterator[Painter]:
     made.close()
 
 
-def asked(number: int, k: int = 0) -> PaintRequest:
-    return PaintRequest(SOURCE, "tile", rows=(0, number), k=k)
+def asked(number: int, k: int = 0) -> RenderRequest:
+    return RenderRequest(SOURCE, "tile", rows=(0, number), k=k)
 
 
 def test_pictures_are_made_in_another_process_and_kept(painter: Painter) -> None:

@@ -17,7 +17,7 @@ from wafer_viewer.model.surface.clipping import Clip, Slab
 from wafer_viewer.model.surface.height_map import HeightMap, Origin, PartOfMosaic
 from wafer_viewer.session.rendering import render_statistics
 from wafer_viewer.session.rendering.render_dispatch import paint
-from wafer_viewer.session.rendering.render_request import PaintRequest, Source, Statistics
+from wafer_viewer.session.rendering.render_request import RenderRequest, Statistics, SurfaceKey
 
 PIXEL = 0.5
 ROWS, COLS = 120, 160
@@ -33,7 +33,7 @@ def surface() -> HeightMap:
 
 
 def counted(surface: HeightMap, **asked: object) -> Statistics:
-    request = PaintRequest(Source(Path("x"), "default", 0, 1), "statistics", **asked)  # pyright: ignore[reportArgumentType]
+    request = RenderRequest(SurfaceKey(Path("x"), "default", 0, 1), "statistics", **asked)  # pyright: ignore[reportArgumentType]
     return msgspec.msgpack.decode(paint(MemoryShelf({0: surface}), request), type=Statistics)
 
 

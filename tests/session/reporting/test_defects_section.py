@@ -10,7 +10,7 @@ from tests.support.datasets.inspections import defect, inspection
 from tests.support.datasets.judged_datasets import RESULT, judged_dataset, released_job
 from wafer_viewer.model.inspection.defect import DefectRecipe
 from wafer_viewer.model.inspection.defect_limits import DefectLimits
-from wafer_viewer.model.report import ReportOrder, Section
+from wafer_viewer.model.report import ReportOrder, ReportSection
 from wafer_viewer.session.reporting.report import contents, report_of
 from wafer_viewer.store.dataset.dataset import Dataset
 from wafer_viewer.store.records.inspection_file import write_inspection
@@ -41,7 +41,7 @@ def test_it_tells_dies_classes_and_what_is_not_known(dataset: Path):
     )
     write_inspection(Dataset.open(dataset).result(RESULT).path, found)
     report = report_of(dataset, RESULT, ORDER)
-    section: Section = report.sections[0]
+    section: ReportSection = report.sections[0]
     assert section.table is not None
     assert [row[:3] for row in section.table.rows] == [("1", "particle", "0,0"), ("2", "residue", "0,0")]
     assert [row[-1] for row in section.table.rows] == ["real RB", ""]
@@ -73,5 +73,5 @@ def test_the_limits_of_the_recipe_are_held_and_said(dataset: Path):
     strict = DefectRecipe(limits=DefectLimits(max_per_die=1))
     found = inspection(defect(1, "0,0", 100.0, 50.0), defect(2, "0,0", 200.0, 50.0), recipe=strict)
     write_inspection(Dataset.open(dataset).result(RESULT).path, found)
-    section: Section = report_of(dataset, RESULT, ORDER).sections[0]
+    section: ReportSection = report_of(dataset, RESULT, ORDER).sections[0]
     assert dict(section.pairs)["Limits"] == "not within. More than 1 defect on 1 die: 0,0."

@@ -16,13 +16,13 @@ from wafer_viewer.cli.app import main
 from wafer_viewer.measure.tools.step_height import step_height
 from wafer_viewer.model.acquisition.sample import Sample
 from wafer_viewer.model.errors import ComputeError
-from wafer_viewer.model.findings import Findings
+from wafer_viewer.model.findings import MeasurementResults
 from wafer_viewer.model.job.review_notes import Judgement, Notebook
-from wafer_viewer.model.job.verdict import Judged, WaferVerdict
+from wafer_viewer.model.job.verdict import FeatureVerdict, WaferVerdict
 from wafer_viewer.model.measurement.feature import Feature
 from wafer_viewer.model.quantity import Quantity
 from wafer_viewer.model.region import Region
-from wafer_viewer.model.report import PARTS, Figure, Holds, Report, ReportOrder, Section
+from wafer_viewer.model.report import PARTS, Figure, Holds, Report, ReportOrder, ReportSection
 from wafer_viewer.model.spec import replace
 from wafer_viewer.model.surface.height_map import HeightMap
 from wafer_viewer.session.core.surface_summary import save_summary, summarise
@@ -70,7 +70,7 @@ def dataset(tmp_path_factory) -> Path:
     write_mosaic(result.mosaic_path, made)
     save_summary(result, summarise(result.mosaic(), 2, RESULT))
     step = replace(step_height(made, UPPER, LOWER), name="Die <b>", number=1)
-    result.save_findings(Findings(items=(step,)))
+    result.save_findings(MeasurementResults(items=(step,)))
     write_notebook(result.path, Notebook(judgements=(Judgement(key="result 1", verdict="accepted", note="a burr"),)))
     return path
 
@@ -124,7 +124,7 @@ def test_what_was_measured_and_thought_of_it_stands_on_it(dataset):
 def a_verdict() -> WaferVerdict:
     feature = Feature(name="die", nominal_um=12.0, lower_limit_um=11.0, upper_limit_um=13.0)
     measured = Quantity(value=12.01, unit="um")
-    judged = Judged(feature=feature, measured=measured, word="inconclusive", why="No uncertainty.")
+    judged = FeatureVerdict(feature=feature, measured=measured, word="inconclusive", why="No uncertainty.")
     return WaferVerdict(word="inconclusive", next="Calibrate.", items=(judged,), job="Coupon B")
 
 
@@ -193,8 +193,8 @@ def test_a_part_without_anything_says_so_and_features_count_as_what_they_are(dat
 
 
 def test_a_part_with_nothing_in_it_says_so():
-    empty = Section("Results", empty="No results were kept.")
-    shown = Section("Pictures", figures=(Figure("data:image/jpeg;base64,", "One"),))
+    empty = ReportSection("Results", empty="No results were kept.")
+    shown = ReportSection("Pictures", figures=(Figure("data:image/jpeg;base64,", "One"),))
     text = report_html(Report("a", "b", False, (), (empty, shown)))
     assert "No results were kept." in text
     assert text.count("<figure>") == 1

@@ -14,7 +14,7 @@ from tests.support.datasets.judged_datasets import RESULT, STEP, judged_dataset,
 from tests.support.gauge_repeats import signed
 from wafer_viewer.cli.app import main
 from wafer_viewer.measure.registry import measured
-from wafer_viewer.model.findings import Findings
+from wafer_viewer.model.findings import MeasurementResults
 from wafer_viewer.model.measurement.feature import Die, Dies
 from wafer_viewer.model.measurement.levelling import Levelling
 from wafer_viewer.model.region import Region
@@ -54,7 +54,7 @@ def dataset(tmp_path_factory):
     result = Dataset.open(path).result(RESULT)
     found = [measured(result.mosaic(), tool, places, True) for tool, places in KINDS]
     kept = [replace(finding, number=n, name=f"{KINDS[n - 1][0]} {n}") for n, finding in enumerate(found, 1)]
-    result.save_findings(Findings(items=tuple(kept)))
+    result.save_findings(MeasurementResults(items=tuple(kept)))
     return path
 
 
@@ -162,7 +162,7 @@ def test_heights_over_a_levelled_zero_are_cut_again_from_it(dataset):
     result = Dataset.open(dataset).result(RESULT)
     before = result.findings()
     line = replace(before.items[1], levelling=Levelling(by="region", places=(FACE,)))
-    result.save_findings(Findings(items=(line,)))
+    result.save_findings(MeasurementResults(items=(line,)))
     figure = section(report_of(dataset, RESULT, ReportOrder(parts=("profiles",))), "Profiles").figures[0]
     result.save_findings(before)
     assert "levelled by region" in figure.caption
@@ -173,7 +173,7 @@ def test_a_gauge_check_among_the_results_stands_in_a_table_with_why_it_was_decid
     checked = replace(signed("2026-03-02", 400.1, 400.05), number=7, name="Blocks")
     result = Dataset.open(dataset).result(RESULT)
     before = result.findings()
-    result.save_findings(Findings(items=(checked,)))
+    result.save_findings(MeasurementResults(items=(checked,)))
     report = report_of(dataset, RESULT, ReportOrder(parts=("results", "gauge")))
     result.save_findings(before)
     told = section(report, "Gauge checks")

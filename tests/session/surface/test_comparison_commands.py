@@ -8,7 +8,7 @@ import pytest
 from tests.support.datasets.compared_datasets import BUMP_UM, SHIFT_UM, two_datasets
 from wafer_viewer.model.errors import ComputeError, DatasetError, WaferViewerError
 from wafer_viewer.model.region import Region
-from wafer_viewer.model.surface.comparison import Face, SurfaceName, show_of
+from wafer_viewer.model.surface.comparison import ComparisonFace, SurfaceName, show_of
 from wafer_viewer.session.session import Session
 from wafer_viewer.session.surface.comparison_job import face_of, opened, subtract
 from wafer_viewer.store.dataset.dataset import Dataset
@@ -53,12 +53,14 @@ def test_a_difference_is_a_result_with_a_mosaic_of_its_own(pair, kept):
 
 
 def test_every_face_of_a_comparison_lies_on_the_lattice_of_the_first(pair, kept):
-    first, second, difference = (face_of(pair[0], NAME, f) for f in (Face.FIRST, Face.SECOND, Face.DIFFERENCE))
+    first, second, difference = (
+        face_of(pair[0], NAME, f) for f in (ComparisonFace.FIRST, ComparisonFace.SECOND, ComparisonFace.DIFFERENCE)
+    )
     assert first.shape == second.shape == difference.shape
     place = Region.rectangle(250, 400, 350, 500)
     one, other, off = (s.window(place) for s in (first, second, difference))
     assert np.nanmax(np.abs(other.z_um - one.z_um - off.z_um)) < 1e-4
-    both = face_of(pair[0], NAME, Face.BESIDE)
+    both = face_of(pair[0], NAME, ComparisonFace.BESIDE)
     for level in (0, both.levels - 1):
         part, alone = both.window(None, level), first.window(None, level)
         rows, cols = alone.shape
@@ -113,13 +115,13 @@ def test_the_session_offers_compares_shows_measures_exports_and_removes(tmp_path
         known = session.wait_until(lambda now: now.comparisons and not now.works, patience_s).comparisons
         assert [(c.number, c.name, c.outdated) for c in known] == [(number, "difference-after", False)]
 
-        show = show_of(number, Face.DIFFERENCE)
+        show = show_of(number, ComparisonFace.DIFFERENCE)
         on_pad = session.read_out(100 + 330 + 6, 700 - 220 - 4, show)
         assert on_pad.z_um == pytest.approx(BUMP_UM, abs=0.4)
         pad, round_it = Region.rectangle(420, 465, 450, 485), Region.rectangle(350, 465, 390, 485)
         step = session.measure("step", (pad, round_it), show)
         assert step.height.value_um == pytest.approx(BUMP_UM, abs=0.1)
-        assert session.surface_source(show_of(number, Face.SECOND)).shape == session.mosaic().shape
+        assert session.surface_source(show_of(number, ComparisonFace.SECOND)).shape == session.mosaic().shape
         out = session.export_surface(tmp_path / "off.npz", show).result(patience_s)
         assert out.stat().st_size > 1e6
 

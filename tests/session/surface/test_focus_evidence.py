@@ -8,7 +8,7 @@ import tifffile
 
 from wafer_viewer.model.errors import DatasetError
 from wafer_viewer.model.surface.recipe import Recipe
-from wafer_viewer.session.measurement.dataset_queries import Questions
+from wafer_viewer.session.measurement.dataset_queries import DatasetQueries
 from wafer_viewer.session.surface.focus_evidence import focus_curve
 from wafer_viewer.session.surface.worker_tasks import reconstruct_field
 from wafer_viewer.store.dataset.dataset import Dataset
@@ -72,6 +72,6 @@ def test_the_frame_nearest_to_a_z_is_the_one_that_was_taken_there(taken):
     class Shelf:
         dataset = Dataset.open(taken)
 
-    ask = Questions(Shelf(), lambda: None)
+    ask = DatasetQueries(Shelf(), lambda: None)
     np.testing.assert_array_equal(ask.frame_near(2, 10.7), ask.frame(2, 5))
     np.testing.assert_array_equal(ask.frame_near(2, -50.0), ask.frame(2, 0))

@@ -9,7 +9,7 @@ import pytest
 
 from tests.support.datasets.grid_dataset import REGISTERED, RESULT, add_surfaces, make_dataset
 from tests.truth.field_grid import SMALL, make
-from wafer_viewer.compute.task_runner import Here
+from wafer_viewer.compute.task_runner import LocalRunner
 from wafer_viewer.model.errors import ComputeError, DatasetError
 from wafer_viewer.model.surface.recipe import Recipe, Stitching
 from wafer_viewer.session.surface.stitching_job import bring_up_to_date
@@ -52,11 +52,11 @@ def test_a_mosaic_from_nothing_shows_every_field_where_it_truly_lies(dataset, ma
 
 def test_hands_make_no_difference(dataset, made, tmp_path):
     kept = add_surfaces(dataset, made, range(6))
-    bring_up_to_date(dataset, RESULT, REGISTERED, crew=Here(1))
+    bring_up_to_date(dataset, RESULT, REGISTERED, crew=LocalRunner(1))
     alone = kept.mosaic().window()
     other = make_dataset(tmp_path / "other.wafer", made)
     kept = add_surfaces(other, made, range(6))
-    bring_up_to_date(other, RESULT, REGISTERED, crew=Here(3))
+    bring_up_to_date(other, RESULT, REGISTERED, crew=LocalRunner(3))
     _assert_same(alone, kept.mosaic().window())
 
 

@@ -4,7 +4,7 @@ import pytest
 
 from tests.support.datasets.samples import assert_same_surface, make_job, make_plan, make_surface
 from wafer_viewer.model.errors import DatasetError
-from wafer_viewer.model.findings import Findings
+from wafer_viewer.model.findings import MeasurementResults
 from wafer_viewer.model.measurement.measurements import Length, Profile
 from wafer_viewer.model.region import Region
 from wafer_viewer.model.surface.recipe import Levy, Recipe
@@ -64,14 +64,16 @@ def test_the_mosaic_lies_beside_them(data):
 def test_findings_are_kept_with_their_uncertainty(data):
     line = Region.line(0, 0, 5, 0)
     bare = Length(value_um=1.0, status="uncalibrated")
-    found = Findings(items=(Profile(line=line, length_um=5.0, pt=bare, rise=bare, measured_fraction=1.0, number=1),))
-    assert data.result().findings() == Findings()
+    found = MeasurementResults(
+        items=(Profile(line=line, length_um=5.0, pt=bare, rise=bare, measured_fraction=1.0, number=1),)
+    )
+    assert data.result().findings() == MeasurementResults()
     data.result().save_findings(found)
     assert data.result().findings() == found
 
 
 def test_damaged_findings_are_named(data):
-    data.result().save_findings(Findings())
+    data.result().save_findings(MeasurementResults())
     (data.result().path / "findings.json").write_text("{")
     with pytest.raises(Exception, match=r"findings.json: "):
         data.result().findings()

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from wafer_viewer.model.errors import DatasetError
-from wafer_viewer.model.surface.field_poses import Form, Poses, Seams, Shifts
+from wafer_viewer.model.surface.field_poses import Form, HeightOffsets, Poses, Shifts
 from wafer_viewer.store.mosaic.poses_file import read_poses, write_poses, write_poses_csv
 
 NUMBERS = np.random.default_rng(1)
@@ -24,7 +24,7 @@ def _table(kind: type, n: int, **known: object) -> dict[str, object]:
 
 def some_poses() -> Poses:
     shifts = Shifts(**_table(Shifts, 4))
-    seams = Seams(**_table(Seams, 4, information=NUMBERS.normal(size=(4, 3, 3))))
+    seams = HeightOffsets(**_table(HeightOffsets, 4, information=NUMBERS.normal(size=(4, 3, 3))))
     form = Form(names=("height", "bow"), u_um=(0.5, 0.25), camera_turn=1e-3, u_camera_turn=1e-5)
     return Poses(**_table(Poses, 3, shifts=shifts, seams=seams, form=form, notes=("Field 3 stands alone.",)))
 

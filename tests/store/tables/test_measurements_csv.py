@@ -5,7 +5,7 @@ from __future__ import annotations
 import csv
 import io
 
-from wafer_viewer.model.findings import Findings
+from wafer_viewer.model.findings import MeasurementResults
 from wafer_viewer.model.measurement.levelling import Levelling
 from wafer_viewer.model.measurement.measurements import AreaVolume, Distance
 from wafer_viewer.model.measurement.step import StepHeight
@@ -27,7 +27,7 @@ STEP = {
 
 def table(*findings):
     """The lines of a table by (number of the result, quantity)."""
-    rows = csv.DictReader(io.StringIO(findings_csv(Findings(items=findings))))
+    rows = csv.DictReader(io.StringIO(findings_csv(MeasurementResults(items=findings))))
     return {(int(row["number"]), row["quantity"]): row for row in rows}
 
 

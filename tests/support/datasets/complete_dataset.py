@@ -9,7 +9,7 @@ import numpy as np
 from tests.support.datasets.inspections import defect, inspection
 from tests.support.datasets.samples import CALIBRATION, SUMMARY, make_frame
 from wafer_viewer.model.acquisition.plan import FieldGrid, FocusSweep, ScanPlan, Shot
-from wafer_viewer.model.findings import Findings
+from wafer_viewer.model.findings import MeasurementResults
 from wafer_viewer.model.job.job import Job
 from wafer_viewer.model.job.review_notes import Notebook, SavedView
 from wafer_viewer.model.measurement.feature import Feature
@@ -37,7 +37,7 @@ def complete_dataset(path: Path) -> Path:
     make_surface(path, Recipe(), "default", again=False, tell=silent, warn=print)
     data = Dataset.open(path)
     kept = data.result()
-    kept.save_findings(Findings(items=(_measured(path),)))
+    kept.save_findings(MeasurementResults(items=(_measured(path),)))
     kept.save_thumbnail(1, b"\xff\xd8 a picture \xff\xd9")
     write_notebook(kept.path, Notebook(views=(SavedView(number=1, position_mm=(0, 0, 1), look_at_mm=(0, 0, 0)),)))
     write_inspection(kept.path, inspection(defect(1, "0,0", 100.0, 50.0)))

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from wafer_viewer.model.acquisition.alignment import Mark, Marks
+from wafer_viewer.model.acquisition.alignment import AlignmentMark, Marks
 from wafer_viewer.model.job.job import Job
 from wafer_viewer.model.measurement.feature import Feature
 from wafer_viewer.model.region import Region
@@ -20,7 +20,9 @@ SETTLED = Recipe(
     levy=Levy(n_sigma=3.0, alpha=1.55, iterations=2),
     outliers=Outliers(floor_um=4.39),
 )
-MARKS = Marks(places=(Mark(name="left", x_um=-2000.0, y_um=0.0), Mark(name="right", x_um=2000.0, y_um=0.0)))
+MARKS = Marks(
+    places=(AlignmentMark(name="left", x_um=-2000.0, y_um=0.0), AlignmentMark(name="right", x_um=2000.0, y_um=0.0))
+)
 DIE = Feature(
     name="die over street",
     nominal_um=30.0,

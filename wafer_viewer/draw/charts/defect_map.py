@@ -14,7 +14,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from wafer_viewer.draw.charts.wafer_map import MOST_SINGLE, Frame, Outline
+from wafer_viewer.draw.charts.wafer_map import MOST_SINGLE, MapViewport, Outline
 from wafer_viewer.model.inspection.defect import Inspection
 from wafer_viewer.model.inspection.die_grid import DieGrid, DieStatus
 
@@ -50,7 +50,7 @@ DIE_LOOKS: dict[str, DieLook] = {
 
 
 @dataclass(frozen=True, slots=True)
-class Fill:
+class DieFill:
     """What a die is filled with beside its state: a CSS colour, how strongly, and what is written on it."""
 
     colour: str
@@ -82,15 +82,15 @@ def kinds_text(dies: Sequence[DieStatus]) -> str:
     return ", ".join(f"{n} {kind}{f' ({how})' if how else ''}" for n, kind, how in told)
 
 
-def fills_by_count(counts: Mapping[str, int], colour: str = "var(--fault)") -> dict[str, Fill]:
+def fills_by_count(counts: Mapping[str, int], colour: str = "var(--fault)") -> dict[str, DieFill]:
     """Dies, by name, the stronger the more defects lie on them, with the number."""
     most = max(counts.values(), default=0)
-    return {name: Fill(colour, 0.1 + 0.4 * n / most, f"{n}") for name, n in counts.items() if n}
+    return {name: DieFill(colour, 0.1 + 0.4 * n / most, f"{n}") for name, n in counts.items() if n}
 
 
 def die_frame(
     inspection: Inspection, outline_um: Outline = (), *, width_px: int = 300, most_height_px: int = 300
-) -> Frame | None:
+) -> MapViewport | None:
     """Where stage um lie in the map of the dies; None without dies. It holds the sample where the dies fill most."""
     grid, dies = inspection.grid, inspection.dies
     if grid is None or not dies:
@@ -102,11 +102,16 @@ def die_frame(
         box = min(xs), min(ys), max(xs), max(ys)
     pad = _MARGIN_SHARE * max(box[2] - box[0], box[3] - box[1])
     box = box[0] - pad, box[1] - pad, box[2] + pad, box[3] + pad
-    return Frame(box, width_px, min(most_height_px, max(40.0, width_px * (box[3] - box[1]) / (box[2] - box[0]))))
+    return MapViewport(box, width_px, min(most_height_px, max(40.0, width_px * (box[3] - box[1]) / (box[2] - box[0]))))
 
 
 def die_shapes(
-    frame: Frame, inspection: Inspection, fills: Mapping[str, Fill], *, outline_um: Outline = (), chosen: str = ""
+    frame: MapViewport,
+    inspection: Inspection,
+    fills: Mapping[str, DieFill],
+    *,
+    outline_um: Outline = (),
+    chosen: str = "",
 ) -> str:
     """The dies where they lie on the stage, as pieces of SVG; the one named `chosen` has a heavy edge.
 
@@ -155,7 +160,7 @@ class _DieShape:
     up: Place
 
     @classmethod
-    def of(cls, frame: Frame, grid: DieGrid) -> _DieShape:
+    def of(cls, frame: MapViewport, grid: DieGrid) -> _DieShape:
         c, s = math.cos(grid.angle_rad) * frame.scale, math.sin(grid.angle_rad) * frame.scale
         w, h = max(grid.width_um, 2 / frame.scale), max(grid.height_um, 2 / frame.scale)
         return cls((c * w, -s * w), (-s * h, -c * h))
@@ -175,7 +180,7 @@ class _DieShape:
         ends = ((self.at(place, *a), self.at(place, *b)) for a, b in segments)
         return "".join(f"M{a[0]:.1f} {a[1]:.1f}L{b[0]:.1f} {b[1]:.1f}" for a, b in ends)
 
-    def drawn(self, places: Sequence[Place], look: DieLook, fill: Fill | None = None) -> str:
+    def drawn(self, places: Sequence[Place], look: DieLook, fill: DieFill | None = None) -> str:
         """Dies of one look, as one shape, with the lines across them where there is room."""
         ink = f"var(--{look.ink})"
         colour, opacity = (fill.colour, fill.opacity) if fill is not None else (ink, look.opacity)
@@ -202,7 +207,7 @@ class _DieShape:
 Placed = Sequence[tuple[DieStatus, Place]]
 
 
-def _singly(shape: _DieShape, dies: Placed, fills: Mapping[str, Fill]) -> Iterator[str]:
+def _singly(shape: _DieShape, dies: Placed, fills: Mapping[str, DieFill]) -> Iterator[str]:
     for die, place in dies:
         fill = fills.get(die.name)
         words = " · ".join(dict.fromkeys((die.word, die.state))) if die.state != "whole" else die.word
@@ -212,8 +217,8 @@ def _singly(shape: _DieShape, dies: Placed, fills: Mapping[str, Fill]) -> Iterat
         )
 
 
-def _crowd(shape: _DieShape, dies: Placed, fills: Mapping[str, Fill]) -> Iterator[str]:
-    alike: dict[tuple[str, Fill | None], list[Place]] = {}
+def _crowd(shape: _DieShape, dies: Placed, fills: Mapping[str, DieFill]) -> Iterator[str]:
+    alike: dict[tuple[str, DieFill | None], list[Place]] = {}
     for die, place in dies:
         alike.setdefault((kind_of(die), fills.get(die.name)), []).append(place)
     for (kind, fill), places in alike.items():
@@ -221,7 +226,7 @@ def _crowd(shape: _DieShape, dies: Placed, fills: Mapping[str, Fill]) -> Iterato
         yield "".join(shape.text(place, fill.text) for place in places if fill is not None)
 
 
-def _places(frame: Frame, grid: DieGrid, dies: Sequence[DieStatus]) -> list[Place]:
+def _places(frame: MapViewport, grid: DieGrid, dies: Sequence[DieStatus]) -> list[Place]:
     cols, rows = np.array([die.col for die in dies]), np.array([die.row for die in dies])
     x_um, y_um = grid.to_stage(cols, rows)
     return [(frame.x(x), frame.y(y)) for x, y in zip(x_um.tolist(), y_um.tolist(), strict=True)]
@@ -241,7 +246,7 @@ def _share(box: tuple[float, float, float, float], outline_um: Outline) -> float
     return max((box[2] - box[0]) / max(across, 1e-9), (box[3] - box[1]) / max(up, 1e-9))
 
 
-def _sample(frame: Frame, outline_um: Outline) -> str:
+def _sample(frame: MapViewport, outline_um: Outline) -> str:
     if len(outline_um) < 3:
         return ""
     points = " ".join(f"{frame.x(x):.1f},{frame.y(y):.1f}" for x, y in outline_um)

@@ -8,7 +8,7 @@ from __future__ import annotations
 import html
 from collections.abc import Sequence
 
-from wafer_viewer.draw.charts.wafer_map import Box, Frame
+from wafer_viewer.draw.charts.wafer_map import Box, MapViewport
 from wafer_viewer.model.decision_rule import Word
 from wafer_viewer.model.job.verdict import JudgedDie
 
@@ -39,7 +39,7 @@ def die_map_svg(
     )
 
 
-def _frame(dies: Sequence[JudgedDie], across_um: float, width_px: int, most_height_px: int) -> Frame:
+def _frame(dies: Sequence[JudgedDie], across_um: float, width_px: int, most_height_px: int) -> MapViewport:
     """A frame that holds the dies, and the wafer where it is drawn."""
     half = across_um / 2 if _shows_wafer(dies, across_um) else 0.0
     x0, y0, x1, y1 = _bounds(dies)
@@ -47,7 +47,7 @@ def _frame(dies: Sequence[JudgedDie], across_um: float, width_px: int, most_heig
     pad = _ROUND_SHARE * max(x1 - x0, y1 - y0, 1.0)
     box = (x0 - pad, y0 - pad, x1 + pad, y1 + pad)
     height_px = min(most_height_px, max(40.0, width_px * (box[3] - box[1]) / (box[2] - box[0])))
-    return Frame(box, width_px, height_px)
+    return MapViewport(box, width_px, height_px)
 
 
 def _shows_wafer(dies: Sequence[JudgedDie], across_um: float) -> bool:
@@ -60,13 +60,13 @@ def _bounds(dies: Sequence[JudgedDie]) -> Box:
     return x0, y0, max(die.x_um + die.width_um for die in dies), max(die.y_um + die.height_um for die in dies)
 
 
-def _outline(frame: Frame, across_um: float) -> str:
+def _outline(frame: MapViewport, across_um: float) -> str:
     x, y, r = frame.x(0.0), frame.y(0.0), across_um / 2 * frame.scale
     notch = f'<path d="M{x - 4:.1f} {y + r:.1f}l4 -6l4 6z" fill="var(--ink3)"/>'
     return f'<circle cx="{x:.1f}" cy="{y:.1f}" r="{r:.1f}" fill="var(--fill)" stroke="var(--ink3)"/>{notch}'
 
 
-def _die(frame: Frame, die: JudgedDie) -> str:
+def _die(frame: MapViewport, die: JudgedDie) -> str:
     ink, sign = INKS[die.word]
     x, y = frame.x(die.x_um), frame.y(die.y_um + die.height_um)
     w, h = max(2.0, die.width_um * frame.scale - 1), max(2.0, die.height_um * frame.scale - 1)

@@ -7,7 +7,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 from wafer_viewer.draw.charts.symbols import symbol
-from wafer_viewer.draw.charts.wafer_map import Frame, Outline
+from wafer_viewer.draw.charts.wafer_map import MapViewport, Outline
 
 _LEAST_SEEN_PX = 5.0
 """A view narrower than this is drawn as a cross: its frame would be a dot."""
@@ -16,7 +16,7 @@ _LEAST_AREA_PX = 3.0
 
 
 @dataclass(frozen=True, slots=True)
-class Mark:
+class MapMark:
     """A place on the map, stage um, with colour and shape of its sign and its name; `attributes` make it a button."""
 
     x_um: float
@@ -29,7 +29,7 @@ class Mark:
 
 
 @dataclass(frozen=True, slots=True)
-class Area:
+class MarkedArea:
     """A rectangle on the map, x low, y low, x high, y high in stage um, in a colour; dashed it is not filled."""
 
     box_um: tuple[float, float, float, float]
@@ -38,7 +38,9 @@ class Area:
     dashed: bool = False
 
 
-def map_marks_svg(frame: Frame, seen_um: Outline, marks: Sequence[Mark], areas: Sequence[Area] = ()) -> str:
+def map_marks_svg(
+    frame: MapViewport, seen_um: Outline, marks: Sequence[MapMark], areas: Sequence[MarkedArea] = ()
+) -> str:
     """A drawing of the same size as the map's; `seen_um` are the corners of the ground that the camera sees."""
     shapes = [*(_area(frame, area) for area in areas), *_seen(frame, seen_um)]
     shapes += [*(_mark(frame, mark) for mark in sorted(marks, key=lambda mark: mark.chosen))]
@@ -47,7 +49,7 @@ def map_marks_svg(frame: Frame, seen_um: Outline, marks: Sequence[Mark], areas: 
     return f'<svg {size} class="wv-map-marks" style="display:block">{"".join(shapes)}</svg>' if shapes else ""
 
 
-def _area(frame: Frame, area: Area) -> str:
+def _area(frame: MapViewport, area: MarkedArea) -> str:
     x0, y0, x1, y1 = area.box_um
     left, top = frame.x(x0), frame.y(y1)
     width, height = (max(_LEAST_AREA_PX, v) for v in (frame.x(x1) - left, frame.y(y0) - top))
@@ -57,7 +59,7 @@ def _area(frame: Frame, area: Area) -> str:
     return f"<rect {place} {look}><title>{html.escape(area.name, quote=True)}</title></rect>"
 
 
-def _seen(frame: Frame, corners_um: Outline) -> list[str]:
+def _seen(frame: MapViewport, corners_um: Outline) -> list[str]:
     if len(corners_um) < 3:
         return []
     points = [(frame.x(x), frame.y(y)) for x, y in corners_um]
@@ -69,7 +71,7 @@ def _seen(frame: Frame, corners_um: Outline) -> list[str]:
     return [f'<polygon points="{" ".join(f"{x:.1f},{y:.1f}" for x, y in points)}" {style}/>']
 
 
-def _mark(frame: Frame, mark: Mark) -> str:
+def _mark(frame: MapViewport, mark: MapMark) -> str:
     x, y = frame.x(mark.x_um), frame.y(mark.y_um)
     ring = f'<circle cx="{x:.1f}" cy="{y:.1f}" r="7" fill="none" stroke="var(--ink)" stroke-width="1.6"/>'
     name = html.escape(mark.name, quote=True)

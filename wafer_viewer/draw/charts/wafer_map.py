@@ -17,7 +17,7 @@ Box = tuple[float, float, float, float]
 
 
 @dataclass(frozen=True, slots=True)
-class Ink:
+class FieldStyle:
     """How a field of one state is drawn: colour of edge, opacity of its fill, dashes, weight, a sign by its number."""
 
     edge: str
@@ -28,15 +28,15 @@ class Ink:
     sign: str = ""
 
 
-FIELD_INKS: dict[str, Ink] = {
-    "planned": Ink("accent", 0.10, "planned"),
-    "to come": Ink("ink3", 0.0, "pending", dashed=True),
-    "being taken": Ink("accent", 0.0, "scanning", heavy=True),
-    "taken": Ink("accent", 0.08, "scanned"),
-    "in reconstruction": Ink("accent", 0.14, "reconstructing"),
-    "measured": Ink("accent", 0.30, "measured"),
-    "to repeat": Ink("warn", 0.25, "to repeat", sign="!"),
-    "failed": Ink("bad", 0.22, "failed", sign="×"),
+FIELD_INKS: dict[str, FieldStyle] = {
+    "planned": FieldStyle("accent", 0.10, "planned"),
+    "to come": FieldStyle("ink3", 0.0, "pending", dashed=True),
+    "being taken": FieldStyle("accent", 0.0, "scanning", heavy=True),
+    "taken": FieldStyle("accent", 0.08, "scanned"),
+    "in reconstruction": FieldStyle("accent", 0.14, "reconstructing"),
+    "measured": FieldStyle("accent", 0.30, "measured"),
+    "to repeat": FieldStyle("warn", 0.25, "to repeat", sign="!"),
+    "failed": FieldStyle("bad", 0.22, "failed", sign="×"),
 }
 """By the state's word. A state carries a sign where colour alone would tell it apart."""
 
@@ -51,7 +51,7 @@ _LEAST_FOR_NUMBER_PX = 13
 
 
 @dataclass(frozen=True, slots=True)
-class Frame:
+class MapViewport:
     """Where stage um lie in the picture: x grows to the right, y upwards."""
 
     box: Box
@@ -91,7 +91,7 @@ def map_frame(
     *,
     width_px: int = WIDTH_PX,
     most_height_px: int = MOST_HEIGHT_PX,
-) -> Frame | None:
+) -> MapViewport | None:
     """Where stage um lie in the map of these fields; None where there is nothing to draw."""
     of_fields = _bounds(_corners(fields, field_width_um, field_height_um))
     whole = _bounds([*outline_um, *_corners(fields, field_width_um, field_height_um)])
@@ -141,7 +141,7 @@ def field_map_svg(
     return f"{head}{''.join(parts)}</svg>"
 
 
-def _located(frame: Frame) -> str:
+def _located(frame: MapViewport) -> str:
     """Puts the place of a click, stage um, into ``data-k``."""
     x_um, y_um = frame.um_at(0.0, 0.0)
     return (
@@ -152,7 +152,11 @@ def _located(frame: Frame) -> str:
 
 
 def _singly(
-    frame: Frame, inks: Sequence[tuple[Field, Ink]], size_um: tuple[float, float], selected: int | None, onclick: str
+    frame: MapViewport,
+    inks: Sequence[tuple[Field, FieldStyle]],
+    size_um: tuple[float, float],
+    selected: int | None,
+    onclick: str,
 ) -> str:
     """Every field with its number, the selected one on top."""
     order = sorted(inks, key=lambda of: (of[0].number == selected, of[0].number))
@@ -160,11 +164,15 @@ def _singly(
 
 
 def _crowd(
-    frame: Frame, inks: Sequence[tuple[Field, Ink]], size_um: tuple[float, float], selected: int | None, onclick: str
+    frame: MapViewport,
+    inks: Sequence[tuple[Field, FieldStyle]],
+    size_um: tuple[float, float],
+    selected: int | None,
+    onclick: str,
 ) -> str:
     """Fields too many to be drawn one by one: one shape for each state, and the selected one on top."""
     w, h = (max(0.8, side * frame.scale - 0.3) for side in size_um)
-    shapes: dict[Ink, list[str]] = {}
+    shapes: dict[FieldStyle, list[str]] = {}
     for field, ink in inks:
         x, y = frame.x(field.x_um - size_um[0] / 2), frame.y(field.y_um + size_um[1] / 2)
         shapes.setdefault(ink, []).append(f"M{x:.1f} {y:.1f}h{w:.1f}v{h:.1f}h-{w:.1f}z")
@@ -177,7 +185,7 @@ def _crowd(
     return drawn + _singly(frame, chosen, size_um, selected, onclick)
 
 
-def _sample(frame: Frame, outline_um: Outline, dies_um: Sequence[Outline]) -> str:
+def _sample(frame: MapViewport, outline_um: Outline, dies_um: Sequence[Outline]) -> str:
     """The sample's outline and, inside it, its dies where they are large enough to be seen."""
     if len(outline_um) < 3:
         return ""
@@ -189,7 +197,7 @@ def _sample(frame: Frame, outline_um: Outline, dies_um: Sequence[Outline]) -> st
 
 
 def _field(
-    frame: Frame, field: Field, width_um: float, height_um: float, ink: Ink, selected: bool, onclick: str
+    frame: MapViewport, field: Field, width_um: float, height_um: float, ink: FieldStyle, selected: bool, onclick: str
 ) -> str:
     x, y = frame.x(field.x_um - width_um / 2) + 0.5, frame.y(field.y_um + height_um / 2) + 0.5
     w, h = max(1.0, width_um * frame.scale - 1), max(1.0, height_um * frame.scale - 1)
@@ -202,7 +210,7 @@ def _field(
     )
 
 
-def _box(x: float, y: float, w: float, h: float, ink: Ink, selected: bool) -> str:
+def _box(x: float, y: float, w: float, h: float, ink: FieldStyle, selected: bool) -> str:
     dashes = ' stroke-dasharray="3 3"' if ink.dashed else ""
     weight = 2.6 if ink.heavy or selected else 1.2
     edge = "ink" if selected else ink.edge
@@ -213,7 +221,7 @@ def _box(x: float, y: float, w: float, h: float, ink: Ink, selected: bool) -> st
     )
 
 
-def _number(number: int, ink: Ink, x: float, y: float, room_px: float) -> str:
+def _number(number: int, ink: FieldStyle, x: float, y: float, room_px: float) -> str:
     if room_px < _LEAST_FOR_NUMBER_PX:
         return ""
     size = min(13.0, room_px * 0.62)
@@ -226,10 +234,10 @@ def _number(number: int, ink: Ink, x: float, y: float, room_px: float) -> str:
     )
 
 
-def _inset(frame: Frame, whole: Box, of_fields: Box, outline_um: Outline) -> str:
+def _inset(frame: MapViewport, whole: Box, of_fields: Box, outline_um: Outline) -> str:
     """The whole sample small in the lower right corner, and where on it the fields lie."""
     left, top = frame.width_px - _INSET_PX, frame.height_px - _INSET_PX
-    small = Frame(whole, _INSET_PX, _INSET_PX, left, top)
+    small = MapViewport(whole, _INSET_PX, _INSET_PX, left, top)
     x, y = small.x(of_fields[0]), small.y(of_fields[3])
     w, h = (max(3.0, (of_fields[k + 2] - of_fields[k]) * small.scale) for k in (0, 1))
     return (
@@ -268,13 +276,15 @@ def _padded(box: Box | None, share: float) -> Box:
     return box[0] - pad, box[1] - pad, box[2] + pad, box[3] + pad
 
 
-def _fitted(box: Box, width_px: int, most_height_px: int) -> Frame:
+def _fitted(box: Box, width_px: int, most_height_px: int) -> MapViewport:
     """A frame as wide as the panel, as high as the contents ask for."""
     aspect = (box[3] - box[1]) / max(box[2] - box[0], 1e-9)
-    return Frame(box, width_px, min(most_height_px, max(60.0, (width_px - 2 * _MARGIN_PX) * aspect + 2 * _MARGIN_PX)))
+    return MapViewport(
+        box, width_px, min(most_height_px, max(60.0, (width_px - 2 * _MARGIN_PX) * aspect + 2 * _MARGIN_PX))
+    )
 
 
-def _seen(frame: Frame, die: Outline) -> bool:
+def _seen(frame: MapViewport, die: Outline) -> bool:
     box = _bounds(die)
     if box is None or (box[2] - box[0]) * frame.scale < 3:
         return False
@@ -282,5 +292,5 @@ def _seen(frame: Frame, die: Outline) -> bool:
     return inside_x and frame.y(box[1]) > 0 and frame.y(box[3]) < frame.height_px
 
 
-def _points(frame: Frame, corners: Outline) -> str:
+def _points(frame: MapViewport, corners: Outline) -> str:
     return " ".join(f"{frame.x(x):.1f},{frame.y(y):.1f}" for x, y in corners)

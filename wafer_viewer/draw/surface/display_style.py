@@ -30,7 +30,7 @@ QUANTITIES: dict[Quantity, tuple[str, str]] = {
 
 
 @dataclass(frozen=True, slots=True)
-class Look:
+class DisplayStyle:
     """What the operator chose: the quantity, its colour map and range, the strengths of light and image (0 ... 1).
 
     depth_shade: strength of the shade that hollows get in a point cloud, 0 ... 1; brush_um: heights that light up.

@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from wafer_viewer.draw.colormaps import BRUSH, ELSEWHERE, origin_table, rgb, table
 from wafer_viewer.draw.surface.clipping import depth_shade
-from wafer_viewer.draw.surface.display_style import Form, Light, Look, Plane, Quantity
+from wafer_viewer.draw.surface.display_style import DisplayStyle, Form, Light, Plane, Quantity
 from wafer_viewer.draw.surface.hillshade import Shading, shade, without_gaps
 from wafer_viewer.model.surface.height_map import HeightMap, Origin
 
@@ -64,7 +64,7 @@ VALUES: dict[Quantity, Callable[[HeightMap, Light], NDArray[np.float32]]] = {
 """What each quantity of `QUANTITIES` is at every pixel; NaN where it is not known."""
 
 
-def bake(part: HeightMap, look: Look, light: Light, filled_um: NDArray[np.float32] | None = None) -> Picture:
+def bake(part: HeightMap, look: DisplayStyle, light: Light, filled_um: NDArray[np.float32] | None = None) -> Picture:
     """The picture of a height map as it should appear, uint8 rgba [row, col, 4]; alpha 0 where nothing is drawn.
 
     filled_um: its heights `without_gaps`, for who has them already.
@@ -80,7 +80,7 @@ def bake(part: HeightMap, look: Look, light: Light, filled_um: NDArray[np.float3
     return np.dstack([lit.astype(np.uint8), np.where(shown, 255, 0).astype(np.uint8)])
 
 
-def _coloured(part: HeightMap, look: Look, light: Light, heights: NDArray[np.float32]) -> NDArray[np.float32]:
+def _coloured(part: HeightMap, look: DisplayStyle, light: Light, heights: NDArray[np.float32]) -> NDArray[np.float32]:
     """Colours 0 ... 255 before light; a gap takes its neighbour's, so that filtering at its edge finds no stranger."""
     if look.colour_by == "origin":
         return origin_table()[part.origin].astype(np.float32)
@@ -91,7 +91,7 @@ def _coloured(part: HeightMap, look: Look, light: Light, heights: NDArray[np.flo
     return _by_value(heights if values is part.z_um else without_gaps(values), look)
 
 
-def _by_value(values: NDArray[np.float32], look: Look) -> NDArray[np.float32]:
+def _by_value(values: NDArray[np.float32], look: DisplayStyle) -> NDArray[np.float32]:
     """The colours of a look for values without gaps."""
     place = (values - look.low) / max(look.high - look.low, 1e-12)
     return table(look.colours)[(np.clip(place, 0, 1) * 255).astype(np.uint8)].astype(np.float32)

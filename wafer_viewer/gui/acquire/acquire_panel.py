@@ -17,7 +17,7 @@ from wafer_viewer.gui.page.verdict_section import VerdictSection, awaited
 from wafer_viewer.gui.plan.operator_view import unfold
 from wafer_viewer.gui.state.view_state import View
 from wafer_viewer.gui.widgets import html
-from wafer_viewer.gui.widgets.controls import Cell, button, in_a_row, leading, outlined, set_prop
+from wafer_viewer.gui.widgets.controls import HtmlBlock, button, in_a_row, leading, outlined, set_prop
 from wafer_viewer.gui.widgets.error_guard import guarded
 from wafer_viewer.model.acquisition.focus_stack import Image
 from wafer_viewer.session.state.snapshot import LatestFrame, OpenDataset, ScanProgress, Snapshot
@@ -66,8 +66,8 @@ class AcquirePanel:
 
     def _build(self) -> None:
         page, gui = self._page, self._page.gui
-        self._title = Cell(gui)
-        self._figures = Cell(gui)
+        self._title = HtmlBlock(gui)
+        self._figures = HtmlBlock(gui)
         self._progress = gui.add_progress_bar(0.0)
         self._running = gui.add_folder(None, visible=False)
         with self._running:
@@ -76,15 +76,15 @@ class AcquirePanel:
             halt = guarded(page, NOT_STOPPED)(lambda _: stop(page))
             self._stop = button(gui, "Stop scan", viser.Icon.PLAYER_STOP, halt)
             in_a_row(gui, [self._pause, self._stop], 40)
-            Cell(gui, '<div class="wv-why">Stop halts at once, in software: it is no emergency stop.</div>')
-        self._notes = Cell(gui)
+            HtmlBlock(gui, '<div class="wv-why">Stop halts at once, in software: it is no emergency stop.</div>')
+        self._notes = HtmlBlock(gui)
         self._verdict = VerdictSection(page)
-        self._more = Cell(gui)
-        self._counters = Cell(gui)
-        self._frame_head = Cell(gui)
+        self._more = HtmlBlock(gui)
+        self._counters = HtmlBlock(gui)
+        self._frame_head = HtmlBlock(gui)
         self._image = gui.add_image(np.zeros((3, 4, 3), np.uint8), format="jpeg", jpeg_quality=80, visible=False)
-        self._frame_words = Cell(gui)
-        self._why = Cell(gui)
+        self._frame_words = HtmlBlock(gui)
+        self._why = HtmlBlock(gui)
         self._go_on = button(gui, "Continue the scan", viser.Icon.PLAYER_PLAY, self._continue())
         look = button(gui, "Look at the surface", viser.Icon.CUBE, lambda _: page.change(step="surface"))
         beside = button(gui, "Look at the surface", viser.Icon.CUBE, lambda _: page.change(step="surface"))

@@ -14,7 +14,7 @@ from wafer_viewer.gui.page.dialogs import Dialog
 from wafer_viewer.gui.page.file_dialog import FileList
 from wafer_viewer.gui.page.page import Page
 from wafer_viewer.gui.widgets import html
-from wafer_viewer.gui.widgets.controls import Cell
+from wafer_viewer.gui.widgets.controls import HtmlBlock
 from wafer_viewer.model.errors import DatasetError, MeasureError
 from wafer_viewer.model.inspection.defect import DefectRecipe, Inspection
 from wafer_viewer.model.inspection.golden_die import GoldenHeader
@@ -52,7 +52,7 @@ def export_defects_dialog(page: Page) -> None:
         name = f"{stem}{FORMATS[first][1]}"
         files = FileList(dialog, "any", rows=7, saving=name, ending=Path(name).suffix)
         kind = page.gui.add_dropdown("Format", tuple(FORMATS))
-        said = Cell(page.gui, _lab(LOSES[FORMATS[first][0]]))
+        said = HtmlBlock(page.gui, _lab(LOSES[FORMATS[first][0]]))
 
     @kind.on_update
     def _(_: Any) -> None:
@@ -105,7 +105,7 @@ def golden_dialog(page: Page) -> None:
     named = next((header.name for header in shelf.golden if product and header.product == product), product)
     with dialog.modal:
         name = page.gui.add_text("Name", named)
-        said = Cell(page.gui, _lab(_next_version(page, named)))
+        said = HtmlBlock(page.gui, _lab(_next_version(page, named)))
 
     @name.on_update
     def _(_: Any) -> None:
@@ -169,7 +169,7 @@ def recipes_dialog(page: Page) -> None:
         "The one saved last is applied automatically when a dataset of its product is opened.",
     )
     with dialog.modal:
-        Cell(page.gui, recipe_table(shelf.recipes) + _lab("") + "".join(map(_lab, shelf.problems)))
+        HtmlBlock(page.gui, recipe_table(shelf.recipes) + _lab("") + "".join(map(_lab, shelf.problems)))
 
     def choose(ask: Callable[[Page, DefectRecipe], None], key: str) -> None:
         dialog.close()

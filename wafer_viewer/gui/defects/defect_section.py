@@ -8,7 +8,7 @@ from typing import Any
 
 import viser
 
-from wafer_viewer.draw.surface.display_style import Look
+from wafer_viewer.draw.surface.display_style import DisplayStyle
 from wafer_viewer.gui.defects.defect_dialogs import ERRANDS, recipes_dialog
 from wafer_viewer.gui.defects.exclusion_dialog import STAYS, ExcludedDialog, place_of
 from wafer_viewer.gui.defects.inspection_form import InspectionForm
@@ -30,13 +30,13 @@ from wafer_viewer.gui.state.defect_list_state import SORTS
 from wafer_viewer.gui.state.view_state import View
 from wafer_viewer.gui.widgets import html
 from wafer_viewer.gui.widgets.command import Command, unless
-from wafer_viewer.gui.widgets.controls import Cell, set_prop
+from wafer_viewer.gui.widgets.controls import HtmlBlock, set_prop
 from wafer_viewer.gui.widgets.error_guard import guarded
 from wafer_viewer.model.region import Region
-from wafer_viewer.session.rendering.render_request import PaintRequest
+from wafer_viewer.session.rendering.render_request import RenderRequest
 from wafer_viewer.session.state.snapshot import Snapshot
 
-LAYERS = (Look(), Look(colour_by="grey"))
+LAYERS = (DisplayStyle(), DisplayStyle(colour_by="grey"))
 """Of the thumbnails: heights, and the all-in-focus picture."""
 LEAST_PX = 48
 """A thumbnail shows at least so many pixels of the surface."""
@@ -52,11 +52,11 @@ class DefectSection:
         self._thumbnails = Thumbnails(page)
         self._folder = page.gui.add_folder(None, visible=False)
         with self._folder:
-            self._head = Cell(page.gui)
+            self._head = HtmlBlock(page.gui)
             self.form = InspectionForm(page)
-            self._errands = Cell(page.gui)
+            self._errands = HtmlBlock(page.gui)
             self._other = OtherSection(page, lambda box: self._fly(box))
-            self._list = Cell(page.gui)
+            self._list = HtmlBlock(page.gui)
         page.on_pick("defect-form", lambda _: self.unfold())
         page.on_pick("defect-errand", self._run)
         page.on_pick("defect-excluded", lambda key: self._leave_out(here=key == "here"))
@@ -167,7 +167,7 @@ class DefectSection:
         if source is None or item.box_um is None:
             return ""
         box = framed(_at_least(item.box_um, LEAST_PX * (snapshot.surface.pixel_um if snapshot.surface else 1.0)))
-        requests = (PaintRequest(source, "picture", box_um=box, look=look) for look in LAYERS)
+        requests = (RenderRequest(source, "picture", box_um=box, look=look) for look in LAYERS)
         return "".join(thumbnail(self._thumbnails.painted(request)) for request in requests)
 
 

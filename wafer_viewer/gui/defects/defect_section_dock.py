@@ -11,12 +11,12 @@ from wafer_viewer.gui.page.bottom_panel import BottomPanel
 from wafer_viewer.gui.page.page import Page
 from wafer_viewer.gui.presenters.measurement import whole
 from wafer_viewer.gui.presenters.review.defect_items import chosen_defect
-from wafer_viewer.gui.presenters.review.defect_sections import Cut, cut_through
+from wafer_viewer.gui.presenters.review.defect_sections import DefectCut, cut_through
 from wafer_viewer.gui.state.view_state import View
 from wafer_viewer.gui.widgets import html
-from wafer_viewer.gui.widgets.controls import Cell
+from wafer_viewer.gui.widgets.controls import HtmlBlock
 from wafer_viewer.gui.widgets.error_guard import guarded
-from wafer_viewer.gui.widgets.latest_only import Latest
+from wafer_viewer.gui.widgets.latest_only import LatestOnlyWorker
 from wafer_viewer.model.errors import WaferViewerError
 from wafer_viewer.model.inspection.defect import Defect
 from wafer_viewer.model.measurement.sections import Section, SectionAsked
@@ -30,13 +30,13 @@ class DefectDock:
 
     def __init__(self, page: Page) -> None:
         self._page = page
-        self._worker = Latest("section through a defect")
-        self._asked: tuple[Cut, int] | None = None
+        self._worker = LatestOnlyWorker("section through a defect")
+        self._asked: tuple[DefectCut, int] | None = None
         self._sections: tuple[Section, ...] = ()
         self._problem = ""
         self._panel = BottomPanel(page, "defect")
         with self._panel.tab:
-            self._plot = Cell(page.gui)
+            self._plot = HtmlBlock(page.gui)
         page.on_close(self._worker.close)
 
     def show(self, snapshot: Snapshot, view: View) -> None:
@@ -52,7 +52,7 @@ class DefectDock:
             self._worker.ask(lambda: measure(asked))
         self._plot.show(f'<div class="wv-below">{self._head(defect, cut)}{self._curves()}</div>')
 
-    def _measure(self, asked: tuple[Cut, int]) -> None:
+    def _measure(self, asked: tuple[DefectCut, int]) -> None:
         """On the worker's thread; what comes for a defect that was left meanwhile is dropped."""
         cut, problem = asked[0], ""
         sections: list[Section] = []
@@ -66,7 +66,7 @@ class DefectDock:
             self._sections, self._problem = tuple(sections), problem
             self._page.redraw()
 
-    def _head(self, defect: Defect, cut: Cut) -> str:
+    def _head(self, defect: Defect, cut: DefectCut) -> str:
         words = " ".join(f"<span>{part}</span>" for part in _told(defect, cut, len(self._sections)))
         return f'<div class="wv-dock wv-tight"><b>Profile through the defect</b>{words}</div>'
 
@@ -78,7 +78,7 @@ class DefectDock:
         return profile_plot_html(self._sections, frame_of(self._sections), ())
 
 
-def _told(defect: Defect, cut: Cut, n_curves: int) -> Iterator[str]:
+def _told(defect: Defect, cut: DefectCut, n_curves: int) -> Iterator[str]:
     height = f"height <b>{whole(defect.height.quantity, signed=True)}</b>"
     yield f'{html.chip("A", PROFILE_COLOURS[0])} {height} <span class="dim wv-hint">through the middle</span>'
     if cut.beside and n_curves > 1:

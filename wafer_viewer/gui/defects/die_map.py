@@ -15,8 +15,8 @@ import viser
 
 from wafer_viewer.draw.charts.defect_map import die_frame
 from wafer_viewer.draw.charts.defect_symbols import KINDS
-from wafer_viewer.draw.charts.map_marks import Mark, map_marks_svg
-from wafer_viewer.draw.charts.wafer_map import MOST_HEIGHT_PX, WIDTH_PX, Frame, Outline
+from wafer_viewer.draw.charts.map_marks import MapMark, map_marks_svg
+from wafer_viewer.draw.charts.wafer_map import MOST_HEIGHT_PX, WIDTH_PX, MapViewport, Outline
 from wafer_viewer.gui.page.page import Page
 from wafer_viewer.gui.page.preconditions import elsewhere
 from wafer_viewer.gui.presenters.review.defect_items import chosen_defect, key_of, on_show
@@ -24,7 +24,7 @@ from wafer_viewer.gui.presenters.review.defect_map import BY, map_head, map_html
 from wafer_viewer.gui.state.defect_list_state import listed, next_die, next_kind
 from wafer_viewer.gui.state.view_state import View
 from wafer_viewer.gui.widgets.command import Command, unless
-from wafer_viewer.gui.widgets.controls import Cell, set_prop
+from wafer_viewer.gui.widgets.controls import HtmlBlock, set_prop
 from wafer_viewer.model.inspection.defect import Defect, Inspection
 from wafer_viewer.session.state.snapshot import Snapshot
 
@@ -41,11 +41,11 @@ class DefectMap:
         self._page = page
         self._folder = page.gui.add_folder(None, visible=False)
         with self._folder:
-            self._head, self._over, self._map = (Cell(page.gui) for _ in range(3))
+            self._head, self._over, self._map = (HtmlBlock(page.gui) for _ in range(3))
         self._seen: Callable[[], Outline | None] = lambda: None
         self._go_to: Callable[[str], Any] = lambda _: None
         self._of: tuple[object, ...] | None = None
-        self._frame: Frame | None = None
+        self._frame: MapViewport | None = None
         page.on_pick("defect-map-by", lambda by: self._list_by(map_by=by))
         page.on_pick("defect-kind", lambda kind: self._list_by(kind="" if page.view.defects.kind == kind else kind))
         page.on_pick("defect-all", lambda _: page.change(defects=page.view.defects.widened))
@@ -155,7 +155,7 @@ def _on_map(snapshot: Snapshot, view: View) -> tuple[Defect, ...]:
     return on_show(snapshot.inspection.defects, replace(view.defects, die=""), view.review_filter)
 
 
-def _mark(defect: Defect) -> Mark:
+def _mark(defect: Defect) -> MapMark:
     look = KINDS[defect.seen_as]
     name = f"D{defect.number} · {look.title}"
-    return Mark(defect.center.x_um, defect.center.y_um, look.colour, name, chosen=True, shape=look.shape)
+    return MapMark(defect.center.x_um, defect.center.y_um, look.colour, name, chosen=True, shape=look.shape)

@@ -9,7 +9,7 @@ from wafer_viewer.draw.charts.defect_symbols import KINDS
 from wafer_viewer.draw.charts.die_stack import die_stack_svg, not_drawn, shown
 from wafer_viewer.draw.charts.symbols import symbol_svg
 from wafer_viewer.draw.number_format import number
-from wafer_viewer.gui.overlays.scene_sheet import Room
+from wafer_viewer.gui.overlays.scene_sheet import SheetRoom
 from wafer_viewer.gui.widgets import html
 from wafer_viewer.model.inspection.defect import Inspection
 from wafer_viewer.model.inspection.repeating_defect import LEAST_DIES, RepeatedPlace
@@ -20,7 +20,7 @@ MOST_ROWS = 60
 NO_DIES = "The surface was compared with its form: there are no dies to overlay."
 
 
-def drawing_px(inspection: Inspection, room: Room) -> tuple[int, int]:
+def drawing_px(inspection: Inspection, room: SheetRoom) -> tuple[int, int]:
     """How wide and how high the drawing may be: beside it stands the list."""
     grid = inspection.grid
     aspect = grid.width_um / grid.height_um if grid is not None else 1.0

@@ -18,7 +18,7 @@ from wafer_viewer.gui.state.view_state import View
 from wafer_viewer.gui.widgets import html
 from wafer_viewer.gui.widgets.command import Command, unless
 from wafer_viewer.gui.widgets.error_guard import guarded
-from wafer_viewer.gui.widgets.latest_only import Latest
+from wafer_viewer.gui.widgets.latest_only import LatestOnlyWorker
 from wafer_viewer.model.inspection.defect import Defect, Inspection
 from wafer_viewer.model.inspection.repeating_defect import RepeatedPlace
 from wafer_viewer.session.rendering.comparison_views import DiePicture
@@ -33,7 +33,7 @@ class DefectStack:
     def __init__(self, page: Page, look_at: Callable[[str], None]) -> None:
         self._page, self._look_at = page, look_at
         self._sheet = OverScene(page)
-        self._worker = Latest("dies overlaid")
+        self._worker = LatestOnlyWorker("dies overlaid")
         self._asked: tuple[Any, ...] | None = None
         self._defects: tuple[Defect, ...] = ()
         self._places: tuple[RepeatedPlace, ...] | None = None

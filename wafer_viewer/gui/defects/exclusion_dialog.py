@@ -10,7 +10,7 @@ from wafer_viewer.draw.number_format import number
 from wafer_viewer.gui.page.dialogs import Dialog
 from wafer_viewer.gui.page.page import Page
 from wafer_viewer.gui.widgets import html
-from wafer_viewer.gui.widgets.controls import Cell
+from wafer_viewer.gui.widgets.controls import HtmlBlock
 from wafer_viewer.gui.widgets.number_field import PLACE, OptionalPair
 from wafer_viewer.model.errors import MeasureError
 from wafer_viewer.model.inspection.defect import Defect
@@ -36,7 +36,7 @@ class ExcludedDialog:
         self._areas = (*areas, *proposed)
         dialog = Dialog(page, "Areas left out", BELOW)
         with dialog.modal:
-            self._table = Cell(page.gui, area_table(self._areas))
+            self._table = HtmlBlock(page.gui, area_table(self._areas))
             self._start = OptionalPair(page.gui, "From, µm", between=PLACE, hint=f"Lower left {CORNER}")
             self._end = OptionalPair(page.gui, "To, µm", between=PLACE, hint=f"Upper right {CORNER}")
         page.on_pick("defect-area-change", lambda key: self._change(int(key)))

@@ -25,8 +25,8 @@ from wafer_viewer.gui.presenters.review.inspection_form_values import (
     recipe_of,
 )
 from wafer_viewer.gui.widgets import html
-from wafer_viewer.gui.widgets.controls import Cell, Field, button, in_a_row, set_prop
-from wafer_viewer.gui.widgets.debounce import Edits
+from wafer_viewer.gui.widgets.controls import BoundInput, HtmlBlock, button, in_a_row, set_prop
+from wafer_viewer.gui.widgets.debounce import Debouncer
 from wafer_viewer.gui.widgets.error_guard import guarded, tell_failure
 from wafer_viewer.gui.widgets.number_field import PLACE, OptionalPair
 from wafer_viewer.model.errors import MeasureError
@@ -57,15 +57,15 @@ class InspectionForm:
         gui = page.gui
         self._folder = gui.add_folder(None, visible=False)
         with self._folder:
-            self._said = Cell(gui)
+            self._said = HtmlBlock(gui)
             self._build_search(gui)
-            self._more = Cell(gui)
+            self._more = HtmlBlock(gui)
             self._rest = gui.add_folder(None, visible=False)
             with self._rest:
                 self._build_evidence(gui)
                 self._build_dies(gui)
                 self._build_limits(gui)
-            self._why = Cell(gui)
+            self._why = HtmlBlock(gui)
             begin = guarded(page, FAILED)(lambda _: self.inspect())
             self._begin = button(gui, "Inspect", viser.Icon.SEARCH, begin)
             in_a_row(gui, [self._begin], 34)
@@ -115,11 +115,11 @@ class InspectionForm:
 
     def _build_recipe(self, gui: Any) -> None:
         page = self._page
-        Cell(gui, html.head("Recipe"))
+        HtmlBlock(gui, html.head("Recipe"))
         listed = gui.add_dropdown(
             "Kept as", (NOT_KEPT,), hint="Saved by product; the one saved last is applied automatically"
         )
-        self._recipes: Field[str] = Field(listed, self._choose_recipe, page, "The recipe was not changed")
+        self._recipes: BoundInput[str] = BoundInput(listed, self._choose_recipe, page, "The recipe was not changed")
         self._product = gui.add_text("Product", "", hint="A golden die of another product is refused")
         self._product.on_update(self._redrawing())
         save = button(gui, "Save recipe…", viser.Icon.DEVICE_FLOPPY, self._on("It was not saved", self.save))
@@ -130,18 +130,18 @@ class InspectionForm:
 
     def _build_search(self, gui: Any) -> None:
         self._dial = gui.add_slider("Sensitivity", 0.0, 1.0, 0.05, DefectRecipe().sensitivity, hint=DIAL)
-        self._expected = Cell(gui)
+        self._expected = HtmlBlock(gui)
         self._against = gui.add_dropdown(
             "Compare", AGAINST, hint="A surface with one die has no others to compare with"
         )
-        self._golden = Cell(gui)
+        self._golden = HtmlBlock(gui)
         for widget in (self._dial, self._against):
             widget.on_update(self._redrawing())
 
     def _build_evidence(self, gui: Any) -> None:
         self._evidence = gui.add_dropdown("Look at", tuple(EVIDENCE), hint="Where a defect may show")
         self._scales = gui.add_text("Scales, px", "", hint="Filters at which is looked; 0 is unfiltered, at most 40")
-        self._excluded = Cell(gui)
+        self._excluded = HtmlBlock(gui)
         for widget in (self._evidence, self._scales):
             widget.on_update(self._redrawing())
 
@@ -159,11 +159,11 @@ class InspectionForm:
 
     def _build_limits(self, gui: Any) -> None:
         page, failed = self._page, "The limits were not changed"
-        self._edits = Edits(self._limit, guarded(page, failed))
+        self._edits = Debouncer(self._limit, guarded(page, failed))
         per_die = gui.add_text("Max. per die", "", hint="Defects allowed on a die; empty for no limit")
         per_mm2 = gui.add_text("Max. per mm²", "", hint="Defects allowed in 1 mm²; empty for no limit")
-        self._per_die: Field[str] = Field(per_die, lambda _: self._edits.made(), page, failed)
-        self._per_mm2: Field[str] = Field(per_mm2, lambda _: self._edits.made(), page, failed)
+        self._per_die: BoundInput[str] = BoundInput(per_die, lambda _: self._edits.made(), page, failed)
+        self._per_mm2: BoundInput[str] = BoundInput(per_mm2, lambda _: self._edits.made(), page, failed)
 
     # --- what a person does
 

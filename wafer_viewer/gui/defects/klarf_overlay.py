@@ -4,12 +4,12 @@ from __future__ import annotations
 
 from collections.abc import Callable
 
-from wafer_viewer.draw.charts.map_marks import Mark
+from wafer_viewer.draw.charts.map_marks import MapMark
 from wafer_viewer.draw.number_format import number
 from wafer_viewer.gui.page.page import Page
 from wafer_viewer.gui.presenters.result_regions import Box
 from wafer_viewer.gui.widgets import html
-from wafer_viewer.gui.widgets.controls import Cell
+from wafer_viewer.gui.widgets.controls import HtmlBlock
 from wafer_viewer.model.inspection.defect import Defect
 from wafer_viewer.model.inspection.klarf import KlarfDefect
 from wafer_viewer.session.state.inspection_resources import OtherTool
@@ -27,7 +27,7 @@ class OtherSection:
     def __init__(self, page: Page, fly: Callable[[Box], object]) -> None:
         self._page, self._fly = page, fly
         self._of: tuple[object, object] = None, None
-        self._cell = Cell(page.gui)
+        self._cell = HtmlBlock(page.gui)
         page.on_pick("defect-other", self._go_to)
         page.on_pick("defect-other-away", lambda _: self._take_away())
 
@@ -52,13 +52,13 @@ class OtherSection:
         self._page.ask("The overlay was not removed", self._page.session.defects.files.take_away())
 
 
-def other_marks(other: OtherTool | None) -> list[Mark]:
+def other_marks(other: OtherTool | None) -> list[MapMark]:
     """The places of the other tool on the map: open rings, so that what was found here shows within."""
     if other is None:
         return []
     pairs = list(zip(other.klarf.defects, other.places, strict=True))[:MOST_MARKS]
     return [
-        Mark(
+        MapMark(
             place.points[0].x_um,
             place.points[0].y_um,
             INK,

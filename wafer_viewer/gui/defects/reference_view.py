@@ -16,10 +16,10 @@ from wafer_viewer.gui.state.view_state import OF_DEFECT, View
 from wafer_viewer.gui.widgets import html
 from wafer_viewer.gui.widgets.command import Command, unless
 from wafer_viewer.gui.widgets.error_guard import guarded
-from wafer_viewer.gui.widgets.latest_only import Latest
+from wafer_viewer.gui.widgets.latest_only import LatestOnlyWorker
 from wafer_viewer.model.errors import WaferViewerError
 from wafer_viewer.model.inspection.defect import Defect
-from wafer_viewer.session.rendering.comparison_views import SideBySide
+from wafer_viewer.session.rendering.comparison_views import ComparisonViews
 from wafer_viewer.session.state.snapshot import Snapshot
 
 WAITING_PX = 120
@@ -32,9 +32,9 @@ class DefectBeside:
     def __init__(self, page: Page) -> None:
         self._page = page
         self._sheet = OverScene(page)
-        self._worker = Latest("a defect compared")
+        self._worker = LatestOnlyWorker("a defect compared")
         self._asked: Asked | None = None
-        self._answer: SideBySide | None = None
+        self._answer: ComparisonViews | None = None
         self._told = ""
         page.on_close(self._worker.close)
         page.on_pick("sheet", lambda which: page.change(sheet=which))

@@ -13,11 +13,11 @@ from wafer_viewer.draw.charts.symbols import symbol_svg
 from wafer_viewer.draw.colormaps import css_gradient
 from wafer_viewer.draw.number_format import number, with_unit
 from wafer_viewer.draw.ticks import length_text, round_length, tick_digits, ticks
-from wafer_viewer.gui.overlays.scene_sheet import Room
+from wafer_viewer.gui.overlays.scene_sheet import SheetRoom
 from wafer_viewer.gui.tools.region_shapes import outline_of
 from wafer_viewer.gui.widgets import html
 from wafer_viewer.model.inspection.defect import Defect
-from wafer_viewer.session.rendering.comparison_views import Like, Seen, SideBySide
+from wafer_viewer.session.rendering.comparison_views import ComparisonView, ComparisonViews, Like
 
 TITLES: dict[Like, str] = {"here": "", "dies": "Other dies", "golden": "Golden die", "before": "Last scan"}
 COLUMNS, ASPECT = 3, 4 / 3
@@ -37,7 +37,7 @@ class Sizes:
     sheet_px: int
 
     @classmethod
-    def within(cls, room: Room) -> Sizes:
+    def within(cls, room: SheetRoom) -> Sizes:
         """The largest pictures that the room has place for."""
         rest = HEAD_PX + NAMES_PX + FOOT_PX + 2 * PAD_PX + GAP_PX
         by_width = (room.width_px - 2 * PAD_PX - BAR_PX - COLUMNS * GAP_PX) / COLUMNS
@@ -47,7 +47,7 @@ class Sizes:
         return cls(width, height, 2 * height + rest)
 
 
-def sheet(defect: Defect, answer: SideBySide, sizes: Sizes) -> str:
+def sheet(defect: Defect, answer: ComparisonViews, sizes: Sizes) -> str:
     """The whole sheet."""
     style = (
         f"grid-template-columns:repeat({COLUMNS},{sizes.width_px}px) {BAR_PX}px;"
@@ -67,7 +67,7 @@ def head(defect: Defect) -> str:
     return f'<div class="wv-over-head" style="height:{HEAD_PX}px"><b>{name}</b><span>{away}</span></div>'
 
 
-def _column(place: int, seen: Seen, defect: Defect, answer: SideBySide, sizes: Sizes) -> str:
+def _column(place: int, seen: ComparisonView, defect: Defect, answer: ComparisonViews, sizes: Sizes) -> str:
     title, below = _named(seen, defect, answer.pixel_um)
     names = (
         f'<div style="grid-column:{place};grid-row:1" class="wv-over-name"><b>{html.safe(title)}</b>'
@@ -82,7 +82,7 @@ def _column(place: int, seen: Seen, defect: Defect, answer: SideBySide, sizes: S
     return f'{names}{at}2">{height}{over}</div>{at}3">{picture}{over}</div>'
 
 
-def _named(seen: Seen, defect: Defect, pixel_um: float) -> tuple[str, str]:
+def _named(seen: ComparisonView, defect: Defect, pixel_um: float) -> tuple[str, str]:
     """What a pair of pictures is of."""
     if seen.like == "here":
         return "This place", f"Die {defect.die}" if defect.die else "Outside of the dies"
@@ -92,7 +92,7 @@ def _named(seen: Seen, defect: Defect, pixel_um: float) -> tuple[str, str]:
     return TITLES[seen.like], " · ".join(part for part in (seen.name, of) if part)
 
 
-def _moved(seen: Seen, pixel_um: float) -> str:
+def _moved(seen: ComparisonView, pixel_um: float) -> str:
     away_um = math.hypot(*seen.moved_um)
     return "" if seen.why_not or away_um < _STILL_PX * pixel_um else f"found {with_unit(away_um, 1)} off"
 
@@ -104,7 +104,7 @@ def _image(jpeg: bytes, title: str, what: str) -> str:
     return f'<img alt="{html.safe(title)}, {what}" src="{url}">'
 
 
-def _over(defect: Defect, answer: SideBySide, sizes: Sizes) -> str:
+def _over(defect: Defect, answer: ComparisonViews, sizes: Sizes) -> str:
     """The defect's outline and the scale bar, over a picture."""
     x0, y0, x1, y1 = answer.box_um
     corners = outline_of(defect.outline)
@@ -133,7 +133,7 @@ def _scale_bar(width_um: float, sizes: Sizes) -> str:
     )
 
 
-def _bar(answer: SideBySide, height_px: int) -> str:
+def _bar(answer: ComparisonViews, height_px: int) -> str:
     """The colours of heights, from the middle of what the defect is compared with."""
     low, high = answer.low_um - answer.zero_um, answer.high_um - answer.zero_um
     values = ticks(low, high, max(3, height_px // 40))
@@ -147,7 +147,7 @@ def _bar(answer: SideBySide, height_px: int) -> str:
     )
 
 
-def _foot(answer: SideBySide) -> str:
+def _foot(answer: ComparisonViews) -> str:
     compared = [seen for seen in answer.seen[1:] if not seen.why_not]
     if not compared:
         return "Heights over the middle of the place."

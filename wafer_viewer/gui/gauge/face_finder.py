@@ -8,7 +8,7 @@ from wafer_viewer.gui.page.page import Page
 from wafer_viewer.gui.state.view_state import View
 from wafer_viewer.gui.tools.gauge_regions import by_hand
 from wafer_viewer.gui.widgets.error_guard import guarded
-from wafer_viewer.gui.widgets.latest_only import Latest
+from wafer_viewer.gui.widgets.latest_only import LatestOnlyWorker
 from wafer_viewer.model.errors import WaferViewerError
 from wafer_viewer.session.state.snapshot import Snapshot
 
@@ -24,7 +24,7 @@ class FaceFinder:
 
     def __init__(self, page: Page) -> None:
         self._page = page
-        self._worker = Latest("faces")
+        self._worker = LatestOnlyWorker("faces")
         self._looked_at: Surface | None = None
         self.problem = ""
         self.looking = False

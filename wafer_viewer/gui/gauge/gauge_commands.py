@@ -16,7 +16,7 @@ Lead = Literal["certificate", "measure", "sign", "new"]
 """What leads on: the one filled button."""
 
 
-class GaugeVerbs:
+class GaugeActions:
     """The verbs of a check; one for the page."""
 
     def __init__(self, page: Page, finder: FaceFinder) -> None:

@@ -7,8 +7,8 @@ from typing import Any
 
 from wafer_viewer.gui.page.page import Page
 from wafer_viewer.gui.widgets import html
-from wafer_viewer.gui.widgets.controls import Cell, Field, set_prop
-from wafer_viewer.gui.widgets.debounce import Edits
+from wafer_viewer.gui.widgets.controls import BoundInput, HtmlBlock, set_prop
+from wafer_viewer.gui.widgets.debounce import Debouncer
 from wafer_viewer.gui.widgets.error_guard import guarded
 from wafer_viewer.gui.widgets.number_field import OptionalNumber, text_of
 from wafer_viewer.model.spec import replace
@@ -22,10 +22,10 @@ class TermsSection:
 
     def __init__(self, page: Page) -> None:
         self._page = page
-        self._edits = Edits(self._put, guarded(page, FAILED))
+        self._edits = Debouncer(self._put, guarded(page, FAILED))
         self._folder = page.gui.add_folder(None, visible=False)
         with self._folder:
-            Cell(page.gui, html.head("Terms"))
+            HtmlBlock(page.gui, html.head("Terms"))
             self._fields = {
                 "limit_um": self._number("Limit, ± µm", over=0),
                 "temperature_c": self._number("Blocks, °C"),
@@ -39,9 +39,11 @@ class TermsSection:
         for name, (_, field) in self._fields.items():
             field.show(text_of(getattr(snapshot.gauge.terms, name)))
 
-    def _number(self, label: str, over: float | None = None, whole: bool = False) -> tuple[OptionalNumber, Field[str]]:
+    def _number(
+        self, label: str, over: float | None = None, whole: bool = False
+    ) -> tuple[OptionalNumber, BoundInput[str]]:
         number = OptionalNumber(self._page.gui, label, over=over, whole=whole)
-        return number, Field(number.handle, lambda _: self._edits.made(), self._page, FAILED)
+        return number, BoundInput(number.handle, lambda _: self._edits.made(), self._page, FAILED)
 
     def _put(self) -> Future[Any] | None:
         put_in: dict[str, Any] = {name: number.value for name, (number, _) in self._fields.items()}

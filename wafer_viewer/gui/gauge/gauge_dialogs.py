@@ -15,7 +15,7 @@ from wafer_viewer.gui.page.file_dialog import FileList
 from wafer_viewer.gui.page.page import Page
 from wafer_viewer.gui.presenters.verdict import LOOKS
 from wafer_viewer.gui.widgets import html
-from wafer_viewer.gui.widgets.controls import Cell, duo
+from wafer_viewer.gui.widgets.controls import HtmlBlock, duo
 from wafer_viewer.gui.widgets.number_field import OptionalNumber
 from wafer_viewer.model.errors import MeasureError
 from wafer_viewer.model.gauge.gauge_check import Certificate, GaugeCheck, ScaleCorrection
@@ -45,7 +45,7 @@ def certificate_dialog(page: Page) -> None:
     with dialog.modal:
         files = FileList(dialog, "certificate", rows=3)
         files.add_upload()
-        Cell(page.gui, html.head("Or type it in"))
+        HtmlBlock(page.gui, html.head("Or type it in"))
         form = _form(page, page.session.snapshot.gauge.certificate)
 
     def take() -> None:
@@ -66,7 +66,7 @@ def sign_dialog(page: Page, check: GaugeCheck) -> None:
     error = with_unit(check.deviation.value_um, 3, signed=True)
     told = f'<b style="color:var(--{tone})">{word}</b> · error {error} · {check.n} scan{"" if check.n == 1 else "s"}'
     with dialog.modal:
-        Cell(page.gui, f'<div style="padding:2px 0 8px">{told}</div>')
+        HtmlBlock(page.gui, f'<div style="padding:2px 0 8px">{told}</div>')
         name = page.gui.add_text("Signed by", page.browser.name or _operator(page))
 
     def sign() -> None:
@@ -90,7 +90,7 @@ def correct_dialog(page: Page, offered: ScaleCorrection) -> None:
         ("Set against then", offered.calibration.against),
     ]
     with dialog.modal:
-        Cell(page.gui, html.pairs(pairs) + _warned(offered))
+        HtmlBlock(page.gui, html.pairs(pairs) + _warned(offered))
         name = page.gui.add_text("Done by", page.browser.name or _operator(page))
         why = page.gui.add_text("Reason", "")
 

@@ -8,7 +8,7 @@ from wafer_viewer.gui.page.bottom_panel import BottomPanel
 from wafer_viewer.gui.page.page import Page
 from wafer_viewer.gui.state.view_state import View
 from wafer_viewer.gui.widgets import html
-from wafer_viewer.gui.widgets.controls import Cell
+from wafer_viewer.gui.widgets.controls import HtmlBlock
 from wafer_viewer.model.gauge.run_chart import RunChart
 from wafer_viewer.session.state.snapshot import Snapshot
 
@@ -21,7 +21,7 @@ class GaugeDock:
     def __init__(self, page: Page) -> None:
         self._panel = BottomPanel(page, "gauge")
         with self._panel.tab:
-            self._plot = Cell(page.gui)
+            self._plot = HtmlBlock(page.gui)
 
     def show(self, snapshot: Snapshot, view: View) -> None:
         """Bring the chart up to date."""

@@ -9,7 +9,7 @@ from wafer_viewer.gui.presenters.gauge_procedure import procedure
 from wafer_viewer.gui.presenters.verdict import LOOKS
 from wafer_viewer.gui.state.view_state import View
 from wafer_viewer.gui.widgets import html
-from wafer_viewer.gui.widgets.controls import Cell
+from wafer_viewer.gui.widgets.controls import HtmlBlock
 from wafer_viewer.model.gauge.gauge_check import GaugeCheck, GaugeRecord
 from wafer_viewer.session.state.snapshot import Snapshot
 
@@ -21,7 +21,7 @@ class GaugeList:
 
     def __init__(self, page: Page) -> None:
         self._page = page
-        self._cell = Cell(page.gui)
+        self._cell = HtmlBlock(page.gui)
         page.on_pick("gauge-record", self._choose)
 
     def show(self, snapshot: Snapshot, view: View) -> None:

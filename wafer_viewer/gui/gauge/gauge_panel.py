@@ -8,7 +8,7 @@ from typing import Any
 import viser
 
 from wafer_viewer.gui.gauge.face_finder import FaceFinder
-from wafer_viewer.gui.gauge.gauge_commands import GaugeVerbs
+from wafer_viewer.gui.gauge.gauge_commands import GaugeActions
 from wafer_viewer.gui.gauge.gauge_conditions import TermsSection
 from wafer_viewer.gui.gauge.gauge_list import looked_at
 from wafer_viewer.gui.gauge.study_section import StudySection
@@ -21,7 +21,7 @@ from wafer_viewer.gui.state.view_state import View
 from wafer_viewer.gui.tools.gauge_regions import in_scene
 from wafer_viewer.gui.widgets import html
 from wafer_viewer.gui.widgets.command import Command, unless
-from wafer_viewer.gui.widgets.controls import Cell, button, in_a_row, leading, set_prop
+from wafer_viewer.gui.widgets.controls import HtmlBlock, button, in_a_row, leading, set_prop
 from wafer_viewer.gui.widgets.style import by_id
 from wafer_viewer.model.gauge.gauge_check import GaugeCheck
 from wafer_viewer.model.measurement.step import StepHeight
@@ -40,7 +40,7 @@ class GaugePanel:
         self._page = page
         self.live = Answering(page)
         self.finder = FaceFinder(page)
-        self._verbs = GaugeVerbs(page, self.finder)
+        self._verbs = GaugeActions(page, self.finder)
         page.on_close(self.live.close)
         self._folder = page.gui.add_folder(None, visible=False)
         with self._folder:
@@ -87,16 +87,16 @@ class GaugePanel:
 
     def _build(self) -> None:
         gui, verbs = self._page.gui, self._verbs
-        self._title, self._notes, self._state, self._verdict = (Cell(gui) for _ in range(4))
-        self._paper = Cell(gui)
+        self._title, self._notes, self._state, self._verdict = (HtmlBlock(gui) for _ in range(4))
+        self._paper = HtmlBlock(gui)
         self._terms = TermsSection(self._page)
-        self._sums = Cell(gui)
-        self._scale = Cell(gui)
+        self._sums = HtmlBlock(gui)
+        self._scale = HtmlBlock(gui)
         self._correct = button(gui, "Correct the z scale…", ICON.ARROWS_VERTICAL, lambda _: verbs.correct())
         in_a_row(gui, [self._correct])
         self._studies = StudySection(self._page)
-        Cell(gui, '<div style="height:10px"></div>')
-        self._why = Cell(gui)
+        HtmlBlock(gui, '<div style="height:10px"></div>')
+        self._why = HtmlBlock(gui)
         self._again = button(gui, "Measure again", ICON.REFRESH, lambda _: verbs.measure())
         self._other = button(gui, "Certificate…", ICON.CERTIFICATE, lambda _: verbs.certificate())
         in_a_row(gui, [self._again, self._other], 34)

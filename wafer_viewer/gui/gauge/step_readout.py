@@ -10,17 +10,17 @@ from wafer_viewer.gui.overlays.hud import EDGE_PX
 from wafer_viewer.gui.page.page import Page
 from wafer_viewer.gui.presenters.gauge import day_and_time, large
 from wafer_viewer.gui.state.view_state import View
-from wafer_viewer.gui.widgets.controls import Overlay
+from wafer_viewer.gui.widgets.controls import FloatingPanel
 from wafer_viewer.model.measurement.step import StepHeight
 from wafer_viewer.session.state.snapshot import Snapshot
 
 
-class GaugeGlass:
+class StepReadout:
     """The mean of the repeats; before the first, what lies between the regions; of an earlier check, its own."""
 
     def __init__(self, page: Page, live: Callable[[], Answer]) -> None:
         self._live = live
-        self._glass = Overlay(page.gui, -EDGE_PX, EDGE_PX, 330, 88, align="right")
+        self._glass = FloatingPanel(page.gui, -EDGE_PX, EDGE_PX, 330, 88, align="right")
 
     def show(self, snapshot: Snapshot, view: View) -> None:
         """Bring the figure up to date."""

@@ -11,7 +11,7 @@ from wafer_viewer.gui.page.file_dialog import FileList
 from wafer_viewer.gui.page.page import Page
 from wafer_viewer.gui.presenters.gauge_rr import METHODS, study
 from wafer_viewer.gui.widgets import html
-from wafer_viewer.gui.widgets.controls import Cell, button, in_a_row
+from wafer_viewer.gui.widgets.controls import HtmlBlock, button, in_a_row
 from wafer_viewer.gui.widgets.error_guard import guarded
 from wafer_viewer.gui.widgets.number_field import OptionalNumber
 from wafer_viewer.model.gauge.gauge_rr import Method
@@ -27,7 +27,7 @@ class StudySection:
     def __init__(self, page: Page) -> None:
         self._page = page
         self._told = ""
-        self._cell = Cell(page.gui)
+        self._cell = HtmlBlock(page.gui)
         ask = guarded(page, FAILED)(lambda _: self.ask())
         in_a_row(page.gui, [button(page.gui, "Gauge R&R study…", viser.Icon.TABLE_IMPORT, ask)])
 

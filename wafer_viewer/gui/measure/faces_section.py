@@ -9,9 +9,9 @@ import viser
 from wafer_viewer.gui.page.page import Page
 from wafer_viewer.gui.state.view_state import View
 from wafer_viewer.gui.widgets import html
-from wafer_viewer.gui.widgets.controls import Cell, button, outlined, set_prop
+from wafer_viewer.gui.widgets.controls import HtmlBlock, button, outlined, set_prop
 from wafer_viewer.gui.widgets.error_guard import guarded
-from wafer_viewer.gui.widgets.latest_only import Latest
+from wafer_viewer.gui.widgets.latest_only import LatestOnlyWorker
 from wafer_viewer.model.errors import WaferViewerError
 
 FIND, LOOKING = "Find the faces", "Looking for the faces …"
@@ -22,14 +22,14 @@ class FacesSection:
 
     def __init__(self, page: Page) -> None:
         self._page = page
-        self._worker = Latest("faces of a step")
+        self._worker = LatestOnlyWorker("faces of a step")
         self._looking, self._problem = False, ""
         page.on_close(self._worker.close)
         self._button = button(
             page.gui, FIND, viser.Icon.SEARCH, guarded(page, "The faces were not found")(self._look_for)
         )
         outlined(page.gui, self._button)
-        self._why = Cell(page.gui)
+        self._why = HtmlBlock(page.gui)
 
     def show(self, view: View, *, kept: bool) -> None:
         """Bring the section up to date: there for the step alone, as long as it is not kept."""

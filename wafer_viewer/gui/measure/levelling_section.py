@@ -9,7 +9,7 @@ from wafer_viewer.gui.presenters.provenance import ZERO
 from wafer_viewer.gui.scenes.scene_view import SceneView
 from wafer_viewer.gui.state.view_state import View
 from wafer_viewer.gui.widgets import html
-from wafer_viewer.gui.widgets.controls import Cell, Field, set_prop
+from wafer_viewer.gui.widgets.controls import BoundInput, HtmlBlock, set_prop
 from wafer_viewer.model.measurement.levelling import LevelBy, Levelling
 from wafer_viewer.model.measurement.tools import TOOLS
 
@@ -29,8 +29,8 @@ class LevellingSection:
     def __init__(self, page: Page, scene: SceneView) -> None:
         self._page, self._scene = page, scene
         choice = page.gui.add_dropdown("Heights from", tuple(NAMES))
-        self._choice: Field[str] = Field(choice, self._choose, page, "The zero of heights was not changed")
-        self._told = Cell(page.gui)
+        self._choice: BoundInput[str] = BoundInput(choice, self._choose, page, "The zero of heights was not changed")
+        self._told = HtmlBlock(page.gui)
         page.on_pick("stage-zero", lambda _: page.change(levelling=Levelling(), range_um=None))
 
     def show(self, view: View) -> None:

@@ -8,9 +8,9 @@ from wafer_viewer.gui.page.page import Page
 from wafer_viewer.gui.state.view_state import View
 from wafer_viewer.gui.tools.region_tools import fits
 from wafer_viewer.gui.widgets.error_guard import guarded
-from wafer_viewer.gui.widgets.latest_only import Latest
+from wafer_viewer.gui.widgets.latest_only import LatestOnlyWorker
 from wafer_viewer.model.errors import WaferViewerError
-from wafer_viewer.model.findings import AnyFinding
+from wafer_viewer.model.findings import AnyResult
 from wafer_viewer.model.measurement.tools import TOOLS
 from wafer_viewer.session.state.snapshot import Snapshot
 
@@ -19,7 +19,7 @@ from wafer_viewer.session.state.snapshot import Snapshot
 class Answer:
     """What came of measuring at the handles' places: a result, or why there is none."""
 
-    finding: AnyFinding | None = None
+    finding: AnyResult | None = None
     problem: str = ""
 
 
@@ -28,7 +28,7 @@ class Answering:
 
     def __init__(self, page: Page) -> None:
         self._page = page
-        self._worker = Latest("measure")
+        self._worker = LatestOnlyWorker("measure")
         self._asked: tuple[object, ...] | None = None
         self.answer = Answer()
 

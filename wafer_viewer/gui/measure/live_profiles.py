@@ -9,7 +9,7 @@ from dataclasses import dataclass
 from wafer_viewer.gui.page.page import Page
 from wafer_viewer.gui.state.view_state import View
 from wafer_viewer.gui.widgets.error_guard import guarded
-from wafer_viewer.gui.widgets.latest_only import Latest
+from wafer_viewer.gui.widgets.latest_only import LatestOnlyWorker
 from wafer_viewer.model.errors import WaferViewerError
 from wafer_viewer.model.measurement.measurements import Profile
 from wafer_viewer.model.measurement.section_lines import Gap, gap
@@ -34,12 +34,12 @@ class CurveAnswer:
     problem: str = ""
 
 
-class Curves:
+class LiveProfiles:
     """One curve for each line, and one more where the active line is compared; the plot is drawn as they come."""
 
     def __init__(self, page: Page) -> None:
         self._page = page
-        self._worker = Latest("profile")
+        self._worker = LatestOnlyWorker("profile")
         self._known: dict[SectionAsked, Section | Missing] = {}
         self._asked: object = None
         self._surface: object = None

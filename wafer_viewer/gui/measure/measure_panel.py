@@ -9,7 +9,7 @@ import viser
 from wafer_viewer.gui.measure.faces_section import FacesSection
 from wafer_viewer.gui.measure.levelling_section import LevellingSection
 from wafer_viewer.gui.measure.live_measurement import Answer, Answering
-from wafer_viewer.gui.measure.live_profiles import Curves
+from wafer_viewer.gui.measure.live_profiles import LiveProfiles
 from wafer_viewer.gui.measure.options_section import OptionsSection
 from wafer_viewer.gui.measure.profile_section import ProfileSection
 from wafer_viewer.gui.page.page import Page
@@ -23,9 +23,9 @@ from wafer_viewer.gui.state.view_state import Tool, View
 from wafer_viewer.gui.tools.region_tools import fits
 from wafer_viewer.gui.tools.tool_palette import tool_cards
 from wafer_viewer.gui.widgets import html
-from wafer_viewer.gui.widgets.controls import Cell, button, leading, set_prop
+from wafer_viewer.gui.widgets.controls import HtmlBlock, button, leading, set_prop
 from wafer_viewer.gui.widgets.error_guard import guarded
-from wafer_viewer.model.findings import AnyFinding
+from wafer_viewer.model.findings import AnyResult
 from wafer_viewer.model.measurement.tools import TOOLS
 from wafer_viewer.model.spec import replace
 from wafer_viewer.session.state.snapshot import Snapshot
@@ -40,7 +40,7 @@ WAITS = "The result appears when the handles lie on the surface."
 class MeasurePanel:
     """Every tool, live; a result that is kept goes to the list on the left."""
 
-    def __init__(self, page: Page, scene: SceneView, curves: Curves) -> None:
+    def __init__(self, page: Page, scene: SceneView, curves: LiveProfiles) -> None:
         self._page, self._curves = page, curves
         self._answering = Answering(page)
         self._folder = page.gui.add_folder(None, visible=False)
@@ -88,25 +88,25 @@ class MeasurePanel:
             stays = TOOLS[tool].places == TOOLS[view.tool].places and fits(TOOLS[tool], view.places)
         self._page.change(step="measure", tool=tool, places=view.places if stays else (), selected=None, why=None)
 
-    def _build(self, scene: SceneView, curves: Curves) -> None:
+    def _build(self, scene: SceneView, curves: LiveProfiles) -> None:
         gui = self._page.gui
-        self._title = Cell(gui)
-        self._notes = Cell(gui)
-        self._tools = Cell(gui)
-        self._answer = Cell(gui)
+        self._title = HtmlBlock(gui)
+        self._notes = HtmlBlock(gui)
+        self._tools = HtmlBlock(gui)
+        self._answer = HtmlBlock(gui)
         self._name = gui.add_text("Name", "", visible=False)
         self._level = LevellingSection(self._page, scene)
         self._faces = FacesSection(self._page)
         self._options = OptionsSection(self._page)
         self._profiles = ProfileSection(self._page, curves)
-        self._source = Cell(gui)
-        self._why = Cell(gui)
+        self._source = HtmlBlock(gui)
+        self._why = HtmlBlock(gui)
         self._keep = button(
             gui, "Keep result", viser.Icon.CHECK, guarded(self._page, "The result was not kept")(self._keep_it)
         )
         leading(gui, self._keep)
 
-    def _show_answer(self, view: View, finding: AnyFinding | None, chosen: AnyFinding | None) -> None:
+    def _show_answer(self, view: View, finding: AnyResult | None, chosen: AnyResult | None) -> None:
         if finding is None:
             waits = html.micro(self.answer.problem) or WAITS
             self._answer.show("" if view.tool == "none" else html.empty(waits))
@@ -114,7 +114,7 @@ class MeasurePanel:
         name = f"{words.letter(chosen)} · {chosen.name}" if chosen else "Not kept yet"
         self._answer.show(words.card(finding, name))
 
-    def _show_keep(self, snapshot: Snapshot, view: View, finding: AnyFinding | None, chosen: AnyFinding | None) -> None:
+    def _show_keep(self, snapshot: Snapshot, view: View, finding: AnyResult | None, chosen: AnyResult | None) -> None:
         read_only = snapshot.dataset.read_only if snapshot.dataset else None
         set_prop(self._name, "visible", chosen is None and finding is not None)
         set_prop(self._keep, "visible", chosen is None and view.tool != "none")
@@ -143,7 +143,7 @@ class MeasurePanel:
             return
         name = self._name.value.strip()
 
-        def kept(result: AnyFinding) -> None:
+        def kept(result: AnyResult) -> None:
             self._name.value = ""
             page.change(selected=result.number)
 
@@ -154,7 +154,7 @@ class MeasurePanel:
 _GAP = '<div style="height:8px"></div>'
 
 
-def _rests_on(finding: AnyFinding) -> str:
+def _rests_on(finding: AnyResult) -> str:
     return f"{source(finding)}{words.budget(finding.main)}{not_evaluated(finding)}{_GAP}"
 
 

@@ -9,8 +9,8 @@ from typing import Any
 
 from wafer_viewer.gui.page.page import Page
 from wafer_viewer.gui.state.view_state import Tool, View
-from wafer_viewer.gui.widgets.controls import Field, set_prop
-from wafer_viewer.gui.widgets.debounce import Edits
+from wafer_viewer.gui.widgets.controls import BoundInput, set_prop
+from wafer_viewer.gui.widgets.debounce import Debouncer
 from wafer_viewer.gui.widgets.error_guard import guarded
 from wafer_viewer.gui.widgets.number_field import OptionalNumber, number_of, text_of
 from wafer_viewer.model.measurement.tools import ToolName
@@ -42,7 +42,7 @@ class Pick:
 
 
 @dataclass(frozen=True, slots=True)
-class Number:
+class NumberOption:
     """A number, the unit in its label, that may be left empty; `empty` says what that means, ``empty: no filter``."""
 
     label: str
@@ -63,12 +63,14 @@ class Number:
         return text_of(value)
 
 
-Control = Pick | Number
+Control = Pick | NumberOption
 FORMS = {"Mean": 0, "Plane": 1, "Order 2": 2, "Order 3": 3, "Order 4": 4, "Order 6": 6, "Order 8": 8}
 CONDITIONS = (
-    Number("Repeats s, µm", "conditions.repeatability_um", "Spread of repeated measurements; empty: not known"),
-    Number("Drift u, µm", "conditions.drift_um", "Standard uncertainty by drift; empty: not known"),
-    Number("Sample, °C", "conditions.temperature_c", "Of the sample while it was scanned; empty: not known", None),
+    NumberOption("Repeats s, µm", "conditions.repeatability_um", "Spread of repeated measurements; empty: not known"),
+    NumberOption("Drift u, µm", "conditions.drift_um", "Standard uncertainty by drift; empty: not known"),
+    NumberOption(
+        "Sample, °C", "conditions.temperature_c", "Of the sample while it was scanned; empty: not known", None
+    ),
 )
 BRIGHTNESS = {"Either": "either", "Bright": "bright", "Dark": "dark"}
 CONTROLS: dict[ToolName, tuple[Control, ...]] = {
@@ -100,23 +102,23 @@ CONTROLS: dict[ToolName, tuple[Control, ...]] = {
     ),
     "texture": (
         Pick("Form removed", "form_order", FORMS, "Polynomial of least squares"),
-        Number("S-filter, µm", "s_filter_um", "Removes shorter wavelengths; empty: no filter"),
-        Number("L-filter, µm", "l_filter_um", "Removes longer wavelengths; empty: no filter"),
+        NumberOption("S-filter, µm", "s_filter_um", "Removes shorter wavelengths; empty: no filter"),
+        NumberOption("L-filter, µm", "l_filter_um", "Removes longer wavelengths; empty: no filter"),
     ),
     "roughness": (
-        Number("λc, µm", "lambda_c_um", "Removes longer wavelengths; the sampling length; empty: no filter"),
-        Number("λs, µm", "lambda_s_um", "Removes shorter wavelengths; empty: no filter"),
+        NumberOption("λc, µm", "lambda_c_um", "Removes longer wavelengths; the sampling length; empty: no filter"),
+        NumberOption("λs, µm", "lambda_s_um", "Removes shorter wavelengths; empty: no filter"),
     ),
     "kerf": (Pick("Kerf", "kerf", BRIGHTNESS, "Relative to the ground beside it in the picture"),),
     "die": (Pick("Rim of the die", "die", BRIGHTNESS, "Relative to its surroundings in the picture"),),
     "circle": (Pick("Inside", "inside", BRIGHTNESS, "Relative to the outside in the picture"),),
     "chipping": (
-        Number("Chip over, µm", "limit_um", "Empty: four standard deviations of the edge"),
+        NumberOption("Chip over, µm", "limit_um", "Empty: four standard deviations of the edge"),
         Pick("Die on the", "die", {"Higher side": "auto", "Bright side": "bright", "Dark side": "dark"}),
     ),
     "site_range": (
-        Number("Site width, µm", "width_um", "Empty: a quarter of the region"),
-        Number("Site height, µm", "height_um", "Empty: a quarter of the region"),
+        NumberOption("Site width, µm", "width_um", "Empty: a quarter of the region"),
+        NumberOption("Site height, µm", "height_um", "Empty: a quarter of the region"),
     ),
     "coplanarity": (Pick("Plane", "reference", {"Least squares": "least_squares", "Seating plane": "seating"}),),
 }
@@ -129,12 +131,12 @@ class OptionsSection:
     def __init__(self, page: Page) -> None:
         self._page = page
         self._folders: dict[Tool, Any] = {}
-        self._fields: dict[tuple[Tool, str], tuple[Control, Field[Any]]] = {}
+        self._fields: dict[tuple[Tool, str], tuple[Control, BoundInput[Any]]] = {}
         for tool, controls in CONTROLS.items():
             self._folders[tool] = folder = page.gui.add_folder(None, visible=False)
             with folder:
                 for control in controls:
-                    field = Field(control.build(page.gui), self._hear(tool, control), page, FAILED)
+                    field = BoundInput(control.build(page.gui), self._hear(tool, control), page, FAILED)
                     self._fields[tool, control.field] = control, field
 
     def show(self, view: View, *, kept: bool) -> None:
@@ -153,7 +155,7 @@ class OptionsSection:
 
         if isinstance(control, Pick):
             return lambda _: put()
-        edits = Edits(put, guarded(self._page, FAILED))
+        edits = Debouncer(put, guarded(self._page, FAILED))
         return lambda _: edits.made()
 
 

@@ -10,13 +10,13 @@ from dataclasses import replace
 from wafer_viewer.draw.charts.profile_axes import Ends, ProfileFrame, frame_of
 from wafer_viewer.draw.charts.profile_plot import profile_plot_html
 from wafer_viewer.gui.measure import plot_interaction as pointer
-from wafer_viewer.gui.measure.live_profiles import Curves
+from wafer_viewer.gui.measure.live_profiles import LiveProfiles
 from wafer_viewer.gui.page.bottom_panel import BottomPanel
 from wafer_viewer.gui.page.page import Page
 from wafer_viewer.gui.presenters import profile as words
 from wafer_viewer.gui.state.plot_state import with_cursor
 from wafer_viewer.gui.state.view_state import View
-from wafer_viewer.gui.widgets.controls import Cell
+from wafer_viewer.gui.widgets.controls import HtmlBlock
 from wafer_viewer.model.measurement.section_lines import Gap, gap, next_measured
 from wafer_viewer.model.measurement.sections import Section
 from wafer_viewer.session.state.snapshot import Snapshot
@@ -30,7 +30,7 @@ LEAST_ZOOM_SHARE = 0.01
 class ProfileDock:
     """Head with the figures, the plot, and two cursors on the active line's curve."""
 
-    def __init__(self, page: Page, curves: Curves) -> None:
+    def __init__(self, page: Page, curves: LiveProfiles) -> None:
         self._page, self._curves = page, curves
         self._lock = threading.Lock()
         self._frame = frame_of([])
@@ -42,9 +42,9 @@ class ProfileDock:
         self._rests = 0
         self._panel = BottomPanel(page, "profile")
         with self._panel.tab:
-            self._plot = Cell(page.gui)
-            self._over = Cell(page.gui)
-            self._sliders = Cell(page.gui)
+            self._plot = HtmlBlock(page.gui)
+            self._over = HtmlBlock(page.gui)
+            self._sliders = HtmlBlock(page.gui)
         page.on_pick("line", lambda place: page.change(line=int(place), selected=None))
         page.on_pick(pointer.ZOOM, self._pointed)
         page.on_pick(pointer.CURSOR, self._slide)

@@ -8,15 +8,15 @@ from typing import Any
 
 import viser
 
-from wafer_viewer.gui.measure.live_profiles import Curves
+from wafer_viewer.gui.measure.live_profiles import LiveProfiles
 from wafer_viewer.gui.measure.profile_line_commands import LineVerbs
 from wafer_viewer.gui.page.page import Page
 from wafer_viewer.gui.state.plot_state import PlotView, with_cursor
 from wafer_viewer.gui.state.view_state import View
 from wafer_viewer.gui.widgets import html
-from wafer_viewer.gui.widgets.controls import Cell, Choice, Field, button, duo, in_a_row, set_prop
+from wafer_viewer.gui.widgets.controls import BoundInput, HtmlBlock, ToggleGroup, button, duo, in_a_row, set_prop
 from wafer_viewer.gui.widgets.error_guard import guarded
-from wafer_viewer.gui.widgets.latest_only import Latest
+from wafer_viewer.gui.widgets.latest_only import LatestOnlyWorker
 from wafer_viewer.model.measurement import section_lines
 from wafer_viewer.model.measurement.section_lines import MOST_LINES
 from wafer_viewer.model.measurement.sections import OtherSurface
@@ -34,9 +34,9 @@ ICON = viser.Icon
 class ProfileSection:
     """Shown while profiles are cut."""
 
-    def __init__(self, page: Page, curves: Curves) -> None:
+    def __init__(self, page: Page, curves: LiveProfiles) -> None:
         self._page, self._curves, self._verbs = page, curves, LineVerbs(page)
-        self._worker = Latest("other surfaces")
+        self._worker = LatestOnlyWorker("other surfaces")
         self._others: dict[str, OtherSurface] = {}
         self._listed: object = None
         self._folder = page.gui.add_folder(None, visible=False)
@@ -74,17 +74,17 @@ class ProfileSection:
         duo(gui)
         self._row = self._number("Row", lambda number: verbs.cut_at("row", round(number)), step=1)
         self._column = self._number("Column", lambda number: verbs.cut_at("column", round(number)), step=1)
-        self._numbers = Cell(gui)
+        self._numbers = HtmlBlock(gui)
         self._width = self._number("Width, µm", verbs.widen, step=0.5)
         self._cut_folder = gui.add_folder(None, visible=False)
         with self._cut_folder:
-            self._before = Choice(gui, "Before it", BEFORE, lambda key: self._page.change(before=key))
+            self._before = ToggleGroup(gui, "Before it", BEFORE, lambda key: self._page.change(before=key))
         cursors = gui.add_vector2("Cursors, µm", (0.0, 0.0), step=0.1)
-        self._cursors: Field[tuple[float, float]] = Field(
+        self._cursors: BoundInput[tuple[float, float]] = BoundInput(
             cursors, lambda event: self._put_cursors(event.target.value), self._page, FAILED
         )
         compare = gui.add_dropdown("Compare with", (ALONE, CLEANED), hint=HINT)
-        self._compare: Field[str] = Field(
+        self._compare: BoundInput[str] = BoundInput(
             compare, lambda event: self._choose_other(event.target.value), self._page, FAILED
         )
         self._files = [
@@ -96,9 +96,9 @@ class ProfileSection:
     def _button(self, label: str, icon: Any, act: Callable[[], None]) -> Any:
         return button(self._page.gui, label, icon, guarded(self._page, FAILED)(lambda _: act()))
 
-    def _number(self, label: str, act: Callable[[float], None], step: float) -> Field[float]:
+    def _number(self, label: str, act: Callable[[float], None], step: float) -> BoundInput[float]:
         handle = self._page.gui.add_number(label, 0 if step == 1 else 0.0, min=0, step=step)
-        return Field(handle, lambda event: act(float(event.target.value)), self._page, FAILED)
+        return BoundInput(handle, lambda event: act(float(event.target.value)), self._page, FAILED)
 
     # ---------------------------------------------------------------- bring up to date
 

@@ -16,9 +16,9 @@ from wafer_viewer.gui.presenters.result_regions import Box, bounds_of, places_of
 from wafer_viewer.gui.scenes.thumbnails import Thumbnails
 from wafer_viewer.gui.state.view_state import View
 from wafer_viewer.gui.widgets import html
-from wafer_viewer.gui.widgets.controls import Cell, button, in_a_row, set_prop
+from wafer_viewer.gui.widgets.controls import HtmlBlock, button, in_a_row, set_prop
 from wafer_viewer.gui.widgets.error_guard import guarded
-from wafer_viewer.model.findings import AnyFinding
+from wafer_viewer.model.findings import AnyResult
 from wafer_viewer.session.state.snapshot import Snapshot
 
 ROUND_PLACES = 2.4
@@ -37,7 +37,7 @@ class ResultList:
         gui = page.gui
         self._folder = gui.add_folder(None, visible=False)
         with self._folder:
-            self._list = Cell(gui)
+            self._list = HtmlBlock(gui)
             self._csv = button(gui, "CSV…", viser.Icon.TABLE_EXPORT, self._on("Export failed", self._export))
             self._rename = button(
                 gui, "Rename", viser.Icon.PENCIL, self._on("The name was not changed", self._ask_name)
@@ -93,7 +93,7 @@ class ResultList:
     def _on(self, name: str, act: Any) -> Any:
         return guarded(self._page, name)(lambda _: act())
 
-    def _chosen(self, snapshot: Snapshot, view: View) -> AnyFinding | None:
+    def _chosen(self, snapshot: Snapshot, view: View) -> AnyResult | None:
         return next((f for f in snapshot.findings if f.number == view.selected), None)
 
     def _ask_name(self) -> None:
@@ -121,7 +121,7 @@ class ResultList:
         return html.table(["", "Result", "k = 2"], rows, "  n") + '<div style="height:6px"></div>'
 
 
-def _row(finding: AnyFinding, view: View, thumbnail: str) -> str:
+def _row(finding: AnyResult, view: View, thumbnail: str) -> str:
     colour = sign_colour(finding)
     sign = html.chip(letter(finding), "" if colour == REGION_COLOUR else colour)
     name = f'<span class="wv-cut wv-short" title="{html.safe(finding.name)}">{html.safe(finding.name)}</span>'
@@ -139,13 +139,13 @@ def _row(finding: AnyFinding, view: View, thumbnail: str) -> str:
     )
 
 
-def _elsewhere(finding: AnyFinding, view: View) -> list[str]:
+def _elsewhere(finding: AnyResult, view: View) -> list[str]:
     """What a result was measured on where that is not what is shown."""
     told = [where(finding)] if finding.show != view.show else []
     return told + ([f"zero: {finding.levelling.by}"] if finding.levelling != view.levelling else [])
 
 
-def _as_measured(finding: AnyFinding, view: View) -> dict[str, Any]:
+def _as_measured(finding: AnyResult, view: View) -> dict[str, Any]:
     """What of the view makes it show a result as it was measured."""
     tool, places = tool_of(finding), places_of(finding)
     changes: dict[str, Any] = {"why": None}

@@ -8,8 +8,8 @@ from wafer_viewer.gui.overlays.hud import EDGE_PX
 from wafer_viewer.gui.page.page import Page
 from wafer_viewer.gui.scene.lod.surface_tiles import OWN_COLOURS
 from wafer_viewer.gui.state.view_state import ColourBy, View
-from wafer_viewer.gui.widgets.controls import Overlay
-from wafer_viewer.session.rendering.render_request import Scale
+from wafer_viewer.gui.widgets.controls import FloatingPanel
+from wafer_viewer.session.rendering.render_request import ColourScale
 from wafer_viewer.session.state.snapshot import Snapshot
 
 WIDTH_PX, HEAD_AND_FOOT_PX = 124, 78
@@ -25,8 +25,8 @@ class ColourLegend:
 
     def __init__(self, page: Page) -> None:
         self._page = page
-        self._glass = Overlay(page.gui, -EDGE_PX, EDGE_PX, WIDTH_PX, MOST_BAR_PX + HEAD_AND_FOOT_PX)
-        self._of_origins = Overlay(page.gui, -EDGE_PX, EDGE_PX, 236, _origins_px(1), align="right")
+        self._glass = FloatingPanel(page.gui, -EDGE_PX, EDGE_PX, WIDTH_PX, MOST_BAR_PX + HEAD_AND_FOOT_PX)
+        self._of_origins = FloatingPanel(page.gui, -EDGE_PX, EDGE_PX, 236, _origins_px(1), align="right")
 
     def show(self, snapshot: Snapshot, view: View) -> None:
         """Bring the legend up to date."""
@@ -44,7 +44,7 @@ class ColourLegend:
         return min(MOST_BAR_PX, max(LEAST_BAR_PX, room // 10 * 10))
 
 
-def _foot_px(scale: Scale | None) -> int:
+def _foot_px(scale: ColourScale | None) -> int:
     """Room for what the grey says."""
     return LINE_PX if scale is not None and scale.quantity == "overlap" else 0
 
@@ -54,7 +54,7 @@ def _origins_px(rows: int) -> int:
     return ORIGIN_ROW_PX * rows + ORIGINS_EDGES_PX
 
 
-def _bar(scale: Scale, view: View, quantity: ColourBy, bar_px: int) -> str:
+def _bar(scale: ColourScale, view: View, quantity: ColourBy, bar_px: int) -> str:
     title, unit = QUANTITIES[quantity]
     colours = OWN_COLOURS.get(quantity, view.colours)
     return colour_bar_html(

@@ -14,7 +14,7 @@ from wafer_viewer.gui.page.page import Page
 from wafer_viewer.gui.state.view_state import View
 from wafer_viewer.gui.tools.gauge_regions import in_scene
 from wafer_viewer.gui.widgets import html
-from wafer_viewer.gui.widgets.controls import Overlay
+from wafer_viewer.gui.widgets.controls import FloatingPanel
 from wafer_viewer.model.measurement.levelling import LevelBy
 from wafer_viewer.model.surface.height_map import ORIGIN_TITLES, Origin
 from wafer_viewer.session.measurement.dataset_queries import ReadOut
@@ -41,7 +41,7 @@ class Legend:
     """Top right: what the lines of the plan mean; in Acquire the place of the frame being taken."""
 
     def __init__(self, page: Page) -> None:
-        self._glass = Overlay(page.gui, -EDGE_PX, EDGE_PX, 340, 44, align="right")
+        self._glass = FloatingPanel(page.gui, -EDGE_PX, EDGE_PX, 340, 44, align="right")
 
     def show(self, snapshot: Snapshot, view: View) -> None:
         """Bring the legend up to date."""
@@ -58,7 +58,7 @@ class ScaleBar:
 
     def __init__(self, page: Page, scene: Any) -> None:
         self._scene, self._viewport = scene, page.viewport
-        self._glass = Overlay(page.gui, EDGE_PX, -EDGE_PX, 500, 44)
+        self._glass = FloatingPanel(page.gui, EDGE_PX, -EDGE_PX, 500, 44)
 
     def show(self, snapshot: Snapshot, view: View) -> None:
         """Bring the bar up to date."""
@@ -74,7 +74,7 @@ class ReadOutBox:
 
     def __init__(self, page: Page) -> None:
         self._page = page
-        self._glass = Overlay(page.gui, -EDGE_PX, -EDGE_PX, 420, READ_OUT_PX, align="right")
+        self._glass = FloatingPanel(page.gui, -EDGE_PX, -EDGE_PX, 420, READ_OUT_PX, align="right")
         self._text = ""
         self._of: object = None
 

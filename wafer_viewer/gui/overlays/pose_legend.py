@@ -7,12 +7,12 @@ from collections.abc import Callable
 from wafer_viewer.draw.number_format import number
 from wafer_viewer.gui.overlays.hud import EDGE_PX
 from wafer_viewer.gui.page.page import Page
-from wafer_viewer.gui.scenes.pose_cache import Known, PoseBook
+from wafer_viewer.gui.scenes.pose_cache import CachedPoses, PoseCache
 from wafer_viewer.gui.scenes.pose_geometry import STITCH, Fields
 from wafer_viewer.gui.scenes.pose_overlay import LEAST_STITCH_PX, inks
 from wafer_viewer.gui.scenes.surface_scene import source_of
 from wafer_viewer.gui.state.view_state import View
-from wafer_viewer.gui.widgets.controls import Overlay
+from wafer_viewer.gui.widgets.controls import FloatingPanel
 from wafer_viewer.gui.widgets.html import safe
 from wafer_viewer.session.state.snapshot import OpenDataset, Snapshot
 
@@ -33,10 +33,10 @@ _SIGNS = {
 class PoseLegend:
     """As long as the fields are shown."""
 
-    def __init__(self, page: Page, poses: PoseBook, um_per_pixel: Callable[[], float]) -> None:
+    def __init__(self, page: Page, poses: PoseCache, um_per_pixel: Callable[[], float]) -> None:
         self._poses, self._um_per_pixel = poses, um_per_pixel
-        self._glass = Overlay(page.gui, EDGE_PX, -EDGE_PX - ABOVE_SCALE_PX, WIDTH_PX, ROW_PX)
-        self._known: Known | None = None
+        self._glass = FloatingPanel(page.gui, EDGE_PX, -EDGE_PX - ABOVE_SCALE_PX, WIDTH_PX, ROW_PX)
+        self._known: CachedPoses | None = None
         self._fields: Fields | None = None
         self._rows: list[tuple[str, str]] = []
 
@@ -65,7 +65,7 @@ class PoseLegend:
         return self._fields
 
 
-def fields_of(known: Known, data: OpenDataset) -> Fields | None:
+def fields_of(known: CachedPoses, data: OpenDataset) -> Fields | None:
     """The fields of a dataset as they were placed; None where only the stage tells."""
     if known.poses is None:
         return None

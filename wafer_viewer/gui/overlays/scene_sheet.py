@@ -6,7 +6,7 @@ from dataclasses import dataclass
 
 from wafer_viewer.gui.overlays.hud import EDGE_PX
 from wafer_viewer.gui.page.page import Page
-from wafer_viewer.gui.widgets.controls import Cell, set_prop
+from wafer_viewer.gui.widgets.controls import HtmlBlock, set_prop
 
 FIRST_PX = 892, 640
 """Until the browser has said how large its scene is."""
@@ -15,7 +15,7 @@ BORDER_PX = 18
 
 
 @dataclass(frozen=True, slots=True)
-class Room:
+class SheetRoom:
     """How much of the page a sheet may take."""
 
     width_px: int
@@ -29,16 +29,16 @@ class OverScene:
         self._page = page
         self._panel = page.gui.add_panel(visible=False)
         with self._panel.add_tab("·"):
-            self._cell = Cell(page.gui, padded=False)
+            self._cell = HtmlBlock(page.gui, padded=False)
         self._place = (0, 0)
         self._size = FIRST_PX
         page.viewport.on_change(lambda: self._follow(page.viewport.width_px, page.viewport.height_px))
 
     @property
-    def room(self) -> Room:
+    def room(self) -> SheetRoom:
         """What it may take now."""
         width, height = self._size
-        return Room(max(360, width - 2 * EDGE_PX), max(240, height - 2 * EDGE_PX))
+        return SheetRoom(max(360, width - 2 * EDGE_PX), max(240, height - 2 * EDGE_PX))
 
     def show(self, content: str, height_px: int = 0) -> None:
         """Show `content`, or nothing when it is empty."""

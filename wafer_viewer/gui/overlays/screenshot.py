@@ -17,7 +17,7 @@ from wafer_viewer.gui.page.preconditions import off_surface
 from wafer_viewer.gui.state.view_state import View
 from wafer_viewer.gui.widgets.command import Command, unless
 from wafer_viewer.gui.widgets.error_guard import guarded
-from wafer_viewer.gui.widgets.latest_only import Latest
+from wafer_viewer.gui.widgets.latest_only import LatestOnlyWorker
 from wafer_viewer.gui.widgets.style import RGB_OF_TONE
 from wafer_viewer.model.errors import WaferViewerError
 from wafer_viewer.session.state.snapshot import Snapshot
@@ -36,7 +36,7 @@ class PrintPicture:
 
     def __init__(self, page: Page, scene: SceneView) -> None:
         self._page, self._scene = page, scene
-        self._work = Latest("print picture")
+        self._work = LatestOnlyWorker("print picture")
         self._busy = False
         page.on_close(self._work.close)
         page.on_pick("picture", lambda _: self.take())

@@ -11,7 +11,7 @@ from wafer_viewer.gui.page.page import Page
 from wafer_viewer.gui.state.view_state import View
 from wafer_viewer.gui.tools.tool_palette import GAP, tool_strip
 from wafer_viewer.gui.widgets import html
-from wafer_viewer.gui.widgets.controls import Overlay
+from wafer_viewer.gui.widgets.controls import FloatingPanel
 from wafer_viewer.session.state.snapshot import Snapshot
 
 WAYS_TO_LOOK = (
@@ -31,7 +31,7 @@ class Toolbar:
     """Ways to look have words until the tools need their room."""
 
     def __init__(self, page: Page) -> None:
-        self._glass = Overlay(page.gui, EDGE_PX, EDGE_PX, _WIDTH_PX, _HEIGHT_PX)
+        self._glass = FloatingPanel(page.gui, EDGE_PX, EDGE_PX, _WIDTH_PX, _HEIGHT_PX)
         self._viewport = page.viewport
 
     def show(self, snapshot: Snapshot, view: View) -> None:

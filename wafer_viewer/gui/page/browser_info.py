@@ -12,7 +12,7 @@ from typing import Any
 import msgspec
 
 from wafer_viewer.gui.page.page import Page
-from wafer_viewer.gui.state.browser_storage import Layout
+from wafer_viewer.gui.state.browser_storage import PanelLayout
 from wafer_viewer.gui.state.view_state import View
 from wafer_viewer.gui.widgets.error_guard import guarded
 from wafer_viewer.gui.widgets.html import safe
@@ -73,7 +73,7 @@ window.onresize = tell;
 """
 
 
-class Told(msgspec.Struct, frozen=True):
+class BrowserInfo(msgspec.Struct, frozen=True):
     """A browser's report: of each side panel its width in pixels, and whether it is folded away.
 
     renderer: what draws the scene, empty where the browser does not say; still: whether its user wants less motion.
@@ -89,7 +89,7 @@ class Told(msgspec.Struct, frozen=True):
     scene: tuple[int, int] = (0, 0)
 
 
-class BrowserEar:
+class BrowserEvents:
     """Hears the reports of a page's browser: keeps the layout, and names one after its system.
 
     `left` is the panel at the left side; it and the main panel get the widths they had when the page is first drawn.
@@ -124,7 +124,7 @@ class BrowserEar:
             self._system = None
 
     def _hear(self, text: str) -> None:
-        page, told = self._page, msgspec.json.decode(text, type=Told)
+        page, told = self._page, msgspec.json.decode(text, type=BrowserInfo)
         self._system = system_name(told.system)
         self._can_fly = may_fly(told)
         self._let_fly(self._can_fly)
@@ -138,7 +138,7 @@ class BrowserEar:
             self._make_room(told, layout)
         page.redraw()
 
-    def _make_room(self, told: Told, layout: Layout) -> None:
+    def _make_room(self, told: BrowserInfo, layout: PanelLayout) -> None:
         """Fold the left panel away when the scene gets too narrow, and bring it back when there is room again."""
         if (cramped := is_cramped(told, layout)) == self._cramped:
             return
@@ -149,7 +149,7 @@ class BrowserEar:
             self.left.expand()
 
 
-def restore(layout: Layout, left: Any, right: Any) -> None:
+def restore(layout: PanelLayout, left: Any, right: Any) -> None:
     """Put the panels back to where a browser had them; `left` and `right` are viser's panels."""
     left.set_width(layout.left_px or LEFT_PX)
     right.set_width(layout.right_px or RIGHT_PX)
@@ -159,20 +159,20 @@ def restore(layout: Layout, left: Any, right: Any) -> None:
         right.minimize()
 
 
-def layout_of(told: Told, before: Layout) -> Layout:
+def layout_of(told: BrowserInfo, before: PanelLayout) -> PanelLayout:
     """The layout after a report; a panel that is folded away keeps the width it had."""
     left_px, left_folded = _side(told.left, before.left_px, before.left_folded)
     right_px, right_folded = _side(told.right, before.right_px, before.right_folded)
-    return Layout(left_px, right_px, left_folded, right_folded)
+    return PanelLayout(left_px, right_px, left_folded, right_folded)
 
 
-def is_cramped(told: Told, layout: Layout) -> bool:
+def is_cramped(told: BrowserInfo, layout: PanelLayout) -> bool:
     """Return whether a window leaves too little for the scene between both panels."""
     panels = (layout.left_px or LEFT_PX) + (layout.right_px or RIGHT_PX)
     return 0 < told.window < panels + LEAST_SCENE_PX
 
 
-def may_fly(told: Told) -> bool:
+def may_fly(told: BrowserInfo) -> bool:
     """Whether a browser draws on a graphics card and its user does not want less motion."""
     renderer = told.renderer.lower()
     return not told.still and not any(name in renderer for name in _SOFTWARE)

@@ -15,8 +15,8 @@ from wafer_viewer.gui.page.dialogs import Dialog
 from wafer_viewer.gui.page.page import Page
 from wafer_viewer.gui.state.view_state import View
 from wafer_viewer.gui.widgets import html
-from wafer_viewer.gui.widgets.controls import Cell, bar, unbar
-from wafer_viewer.session.state.control_state import Browser, Hands
+from wafer_viewer.gui.widgets.controls import HtmlBlock, bar, unbar
+from wafer_viewer.session.state.control_state import Browser, ControlState
 from wafer_viewer.session.state.snapshot import Snapshot
 
 HANDS_ON = frozenset(
@@ -55,14 +55,14 @@ _OFF = ",".join(f"[data-pick={what}]" for what in PICKS)
 _STYLE = f"<style>{_OFF}{{opacity:.5;pointer-events:none}}</style>"
 
 
-class HandsOff:
+class ControlLock:
     """Bars a watcher's widgets and says who holds the controls."""
 
     def __init__(self, page: Page) -> None:
         self._page = page
-        self._hands = Hands()
+        self._hands = ControlState()
         self._barred: dict[str, Any] = {}
-        self._strip = Cell(page.gui)
+        self._strip = HtmlBlock(page.gui)
         page.on_close(lambda: self._bar(False))
         page.on_pick("hands", lambda _: hands_dialog(page))
         page.on_pick("hands-ask", lambda _: ask(page))
@@ -88,7 +88,7 @@ class HandsOff:
             unbar(self._barred[uuid])
         self._barred = wanted
 
-    def _tell(self, before: Hands, now: Hands) -> None:
+    def _tell(self, before: ControlState, now: ControlState) -> None:
         page, key = self._page, self._page.browser.key
         if before.holder is not None and before.holder != now.holder and before.browser(key) is not None:
             if now.holds(key):
@@ -103,12 +103,12 @@ class HandsOff:
             page.say(f"{now.name_of(now.holder)} keeps the controls", "Ask again later.", "attention")
 
 
-class Question:
+class ControlRequestPrompt:
     """Tells the holder that somebody asks for the controls, with the two answers."""
 
     def __init__(self, page: Page) -> None:
         self._page = page
-        self._question = Cell(page.gui, padded=False)
+        self._question = HtmlBlock(page.gui, padded=False)
         page.on_pick("hands-over", lambda to: hand_over(page, to))
         page.on_pick("hands-keep", lambda _: page.session.control.keep(page.browser.key))
 
@@ -138,7 +138,7 @@ def hands_dialog(page: Page) -> None:
     holds = hands.holds(key)
     dialog = Dialog(page, "Connected browsers", "One holds the controls; all may look, measure and stop all motion.")
     with dialog.modal:
-        Cell(page.gui, _people(hands, key))
+        HtmlBlock(page.gui, _people(hands, key))
         name = page.gui.add_text("Your name", hands.name_of(key))
 
     def done() -> None:
@@ -168,7 +168,7 @@ def _call(page: Page, name: str) -> None:
         page.remember(replace(page.browser, name=name))
 
 
-def _people(hands: Hands, key: str) -> str:
+def _people(hands: ControlState, key: str) -> str:
     def line(browser: Browser) -> str:
         me = " (this browser)" if browser.key == key else ""
         return html.row([html.safe(browser.name + me), _state(hands, browser, key)], " n")
@@ -176,7 +176,7 @@ def _people(hands: Hands, key: str) -> str:
     return html.table([], [line(browser) for browser in hands.browsers], " n") + '<div style="height:8px"></div>'
 
 
-def _state(hands: Hands, browser: Browser, key: str) -> str:
+def _state(hands: ControlState, browser: Browser, key: str) -> str:
     if hands.holds(browser.key):
         return "<b>holds the controls</b>"
     if not browser.present:
@@ -186,7 +186,7 @@ def _state(hands: Hands, browser: Browser, key: str) -> str:
     return '<span class="dim">watches</span>'
 
 
-def _watching(hands: Hands, key: str) -> str:
+def _watching(hands: ControlState, key: str) -> str:
     """What stands over a watcher's panel."""
     if hands.asking == key:
         end = f'<span class="dim">Asked; {html.safe(hands.name_of(hands.holder))} has {hands.answer_s:.0f} s.</span>'
@@ -197,7 +197,7 @@ def _watching(hands: Hands, key: str) -> str:
     return html.note("busy", hands.why_not(key) or "", "You may look, measure and stop all motion.", end, sign)
 
 
-def _question(hands: Hands) -> str:
+def _question(hands: ControlState) -> str:
     """One who asks, with the two answers; the line under them runs out when the controls pass."""
     name = html.safe(hands.name_of(hands.asking))
     gone_s = max(0.0, time.time() - hands.asked_at)

@@ -12,7 +12,7 @@ import viser
 from wafer_viewer.gui.page.page import Page
 from wafer_viewer.gui.page.tooltips import add_hints
 from wafer_viewer.gui.widgets import html
-from wafer_viewer.gui.widgets.controls import Cell, button, in_a_row
+from wafer_viewer.gui.widgets.controls import HtmlBlock, button, in_a_row
 from wafer_viewer.gui.widgets.error_guard import guarded
 from wafer_viewer.model.errors import WaferViewerError
 from wafer_viewer.model.file_formats import Reading
@@ -32,17 +32,17 @@ class Dialog:
         self.press: Callable[[], None] = lambda: None
         """Does what the button that does it does."""
         with self.modal:
-            Cell(page.gui, f'<div class="wv-sub">{html.safe(below)}</div>')
+            HtmlBlock(page.gui, f'<div class="wv-sub">{html.safe(below)}</div>')
 
     def answers(self, name: str, icon: Any, act: Callable[[], None], failed: str, away: str = "Cancel") -> None:
         """The two buttons at the foot. `act` may raise: the dialog then stays open, so that it can be mended."""
         with self.modal:
-            problem = Cell(self.page.gui)
+            problem = HtmlBlock(self.page.gui)
             leave = button(self.page.gui, away, None, lambda _: self.close())
             self.press = guarded(self.page, failed)(lambda: self._do(act, problem))
             do = button(self.page.gui, name, icon, lambda _: self.press())
             in_a_row(self.page.gui, [leave, do], 38, filled=do)
-            Cell(self.page.gui, _on_key("wv-away", leave) + _on_key("wv-do", do), padded=False)
+            HtmlBlock(self.page.gui, _on_key("wv-away", leave) + _on_key("wv-do", do), padded=False)
         add_hints(self.page.gui)
 
     def way_out(self, name: str) -> None:
@@ -50,14 +50,14 @@ class Dialog:
         with self.modal:
             away = button(self.page.gui, name, None, lambda _: self.close())
             in_a_row(self.page.gui, [away], 36)
-            Cell(self.page.gui, _on_key("wv-away", away), padded=False)
+            HtmlBlock(self.page.gui, _on_key("wv-away", away), padded=False)
 
     def close(self) -> None:
         """Leave the question."""
         if not self.modal.closed:
             self.modal.close()
 
-    def _do(self, act: Callable[[], None], problem: Cell) -> None:
+    def _do(self, act: Callable[[], None], problem: HtmlBlock) -> None:
         try:
             act()
         except KeepOpen:

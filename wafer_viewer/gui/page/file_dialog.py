@@ -21,7 +21,7 @@ from wafer_viewer.draw.number_format import number, size
 from wafer_viewer.gui.page.dialogs import Dialog, KeepOpen, unless_there, when
 from wafer_viewer.gui.page.uploads import put_down
 from wafer_viewer.gui.widgets import html
-from wafer_viewer.gui.widgets.controls import Cell, outlined
+from wafer_viewer.gui.widgets.controls import HtmlBlock, outlined
 from wafer_viewer.gui.widgets.error_guard import guarded
 from wafer_viewer.model.errors import DatasetError, WaferViewerError
 from wafer_viewer.session.files.file_browser import (
@@ -76,12 +76,12 @@ class FileList:
         self._shown: Listing | None = None
         self._sent: dict[str, Path] = {}
         gui = self._page.gui
-        self._places = Cell(gui)
-        self._list = Cell(gui, padded=False)
-        self._looks = Cell(gui, padded=False)
+        self._places = HtmlBlock(gui)
+        self._list = HtmlBlock(gui, padded=False)
+        self._looks = HtmlBlock(gui, padded=False)
         gui.add_html('<div class="wv-file-field"></div>')
         self.field = gui.add_text("File name", saving) if self._saving else gui.add_text("Path", "")
-        self._told = Cell(gui)
+        self._told = HtmlBlock(gui)
         self._listen()
         self.go(self._folder)
 

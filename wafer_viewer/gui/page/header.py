@@ -12,7 +12,7 @@ import viser
 from wafer_viewer.gui.page.status_bar import where
 from wafer_viewer.gui.page.stop import can_stop
 from wafer_viewer.gui.state.view_state import Step, View
-from wafer_viewer.gui.widgets.controls import Cell, Gui, button, set_prop
+from wafer_viewer.gui.widgets.controls import Gui, HtmlBlock, button, set_prop
 from wafer_viewer.gui.widgets.html import icon, pick, safe
 from wafer_viewer.gui.widgets.style import HEADER_PX, LEFT_PX, by_id
 from wafer_viewer.model.gauge.gauge_check import GaugeCheck
@@ -51,7 +51,7 @@ _NAMED_PX: dict[Step, int] = {
 
 
 @dataclass(frozen=True, slots=True)
-class Room:
+class HeaderRoom:
     """How the header is laid out from a window's width on: where the steps begin, and how wide an icon is."""
 
     media: str
@@ -62,8 +62,8 @@ class Room:
 WIDE_PX, MIDDLE_PX = 1500, 1200
 """Windows from which on steps have names, and from which on their icons have more room."""
 ROOMS = (
-    Room(f"(min-width:{MIDDLE_PX}px) and (max-width:{WIDE_PX - 1}px)", LEFT_PX, 52),
-    Room(f"(max-width:{MIDDLE_PX - 1}px)", 218, 42),
+    HeaderRoom(f"(min-width:{MIDDLE_PX}px) and (max-width:{WIDE_PX - 1}px)", LEFT_PX, 52),
+    HeaderRoom(f"(max-width:{MIDDLE_PX - 1}px)", 218, 42),
 )
 _MARK = (
     '<svg width="34" height="34" viewBox="0 0 34 34" aria-hidden="true"><g fill="none" stroke="var(--accent)">'
@@ -143,7 +143,7 @@ class Header:
     def __init__(self, gui: Gui, go_to: Callable[[Step], None], stop: Callable[[], None]) -> None:
         self._stop = button(gui, "Stop", viser.Icon.PLAYER_STOP, lambda _: stop(), disabled=True)
         stop_at = by_id(self._stop._impl.uuid)
-        self._stop_style = Cell(gui, padded=False)
+        self._stop_style = HtmlBlock(gui, padded=False)
         steps: dict[Step, Any] = {
             step: button(gui, TITLES[step], _ICONS[step], lambda _, s=step: go_to(s)) for step in STEPS
         }
@@ -151,9 +151,9 @@ class Header:
         places = _places(stop_at, {step: by_id(uuid) for step, uuid in self._ids.items()})
         gui.add_html(f"<style>{places}</style>")
         self._stop_at = stop_at
-        self._bar = Cell(gui, padded=False)
-        self._style = Cell(gui, padded=False)
-        self._tips = Cell(gui, padded=False)
+        self._bar = HtmlBlock(gui, padded=False)
+        self._style = HtmlBlock(gui, padded=False)
+        self._tips = HtmlBlock(gui, padded=False)
 
     def show(self, snapshot: Snapshot, view: View) -> None:
         """Bring the header up to date."""

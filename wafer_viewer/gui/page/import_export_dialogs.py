@@ -15,7 +15,7 @@ from wafer_viewer.gui.page.file_dialog import FileList
 from wafer_viewer.gui.page.page import Page
 from wafer_viewer.gui.presenters.displayed_surface import name_of
 from wafer_viewer.gui.widgets import html
-from wafer_viewer.gui.widgets.controls import Cell, duo
+from wafer_viewer.gui.widgets.controls import HtmlBlock, duo
 from wafer_viewer.gui.widgets.number_field import OptionalNumber
 from wafer_viewer.model.errors import DatasetError
 from wafer_viewer.model.file_formats import FORMATS, MESH_POINTS, READ, Reading, every_for
@@ -102,7 +102,7 @@ def import_dialog(page: Page) -> None:
         duo(gui)
         name = gui.add_text("Name", "", hint="Of the dataset; empty: that of the folder or file")
         pattern = gui.add_text("Pattern", "", hint="Only for a grid of fields, such as r{row}_c{col}_k{k}.tif")
-        Cell(gui, html.head("Surface file", "where the file does not say it"))
+        HtmlBlock(gui, html.head("Surface file", "where the file does not say it"))
         duo(gui)
         unit = gui.add_text("z unit", "")
         depths = gui.add_checkbox("Depths", False)
@@ -141,7 +141,7 @@ def export_dialog(page: Page) -> None:
         files = FileList(dialog, "any", rows=6, saving=f"{stem}{first}", ending=first)
         kind = page.gui.add_dropdown("Format", tuple(_TITLES))
         every = page.gui.add_number("One pixel in", 1, min=1, max=1000, step=1)
-        said = Cell(page.gui, _said(first, 1, size))
+        said = HtmlBlock(page.gui, _said(first, 1, size))
 
     @kind.on_update
     def _(_: Any) -> None:

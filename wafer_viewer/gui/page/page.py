@@ -12,17 +12,17 @@ from typing import TYPE_CHECKING, Any, Protocol
 
 import viser
 
-from wafer_viewer.gui.scene.scene_contents import OnShow
+from wafer_viewer.gui.scene.scene_contents import DisplayedSurface
 from wafer_viewer.gui.scene.viewport import Viewport
 from wafer_viewer.gui.state import browser_storage
-from wafer_viewer.gui.state.browser_storage import Remembered, Self
+from wafer_viewer.gui.state.browser_storage import BrowserIdentity, Remembered
 from wafer_viewer.gui.state.view_state import ColourBy, View
 from wafer_viewer.gui.widgets.error_guard import guarded, tell_failure
 from wafer_viewer.gui.widgets.html import Tone, icon, micro, note, pick, read_picks, safe
 from wafer_viewer.gui.widgets.style import RGB_OF_TONE
 from wafer_viewer.model.surface.clipping import Box
 from wafer_viewer.session.access_control import seat
-from wafer_viewer.session.rendering.render_request import Scale, Statistics
+from wafer_viewer.session.rendering.render_request import ColourScale, Statistics
 from wafer_viewer.session.state.snapshot import Fault, Snapshot
 
 if TYPE_CHECKING:
@@ -52,7 +52,7 @@ class Page:
         self.gui = client.gui
         self.viewport = Viewport(client.camera)
         self.session = seat(session, lambda: self.browser.key)
-        self.browser = Self()
+        self.browser = BrowserIdentity()
         self.view = View()
         self.recalled = Remembered()
         self._restored = False
@@ -61,8 +61,8 @@ class Page:
         asking.shutdown(wait=False)
         self.notices: tuple[Fault, ...] = ()
         self.as_of_s = 0.0
-        self.scale: Scale | None = None
-        self.on_show: OnShow | None = None
+        self.scale: ColourScale | None = None
+        self.on_show: DisplayedSurface | None = None
         self.statistics: Statistics | None = None
         self.counted_um: Box | None = None
         self.drawn_points = 0
@@ -127,7 +127,7 @@ class Page:
         browser_storage.keep(self.client, before, self.view, str(data.path) if data is not None else "")
         self._due.set()
 
-    def remember(self, browser: Self) -> None:
+    def remember(self, browser: BrowserIdentity) -> None:
         """Another name or layout for this browser, kept over a reload."""
         self.browser = browser
         browser_storage.keep_self(self.client, browser)
@@ -136,7 +136,7 @@ class Page:
         """Draw what changed beside session and view."""
         self._due.set()
 
-    def show_scale(self, on_show: OnShow | None) -> None:
+    def show_scale(self, on_show: DisplayedSurface | None) -> None:
         """Take over what the colours of the scene mean: the colour bar and the range say so."""
         if on_show != self.on_show:
             self.on_show = on_show
@@ -263,7 +263,7 @@ class Page:
             self.browser = recalled.browser
             self.notices = tuple(replace(note, id=f"kept-{k}") for k, note in enumerate(recalled.browser.notes))
         else:
-            self.remember(Self(secrets.token_hex(8)))
+            self.remember(BrowserIdentity(secrets.token_hex(8)))
 
     def _restore(self, snapshot: Snapshot) -> None:
         """Give back, once, what was chosen for the dataset that is open."""

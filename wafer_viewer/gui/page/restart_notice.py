@@ -8,7 +8,7 @@ from wafer_viewer.gui.page.page import Page
 from wafer_viewer.gui.page.status_bar import job_shown, sample
 from wafer_viewer.gui.state.view_state import View
 from wafer_viewer.gui.widgets import html
-from wafer_viewer.gui.widgets.controls import Cell
+from wafer_viewer.gui.widgets.controls import HtmlBlock
 from wafer_viewer.session.state.snapshot import Snapshot
 
 
@@ -16,7 +16,7 @@ class Reopened:
     """Asks whether the sample on the stage is the one that is named, in the steps that move the rig."""
 
     def __init__(self, page: Page) -> None:
-        self._note = Cell(page.gui)
+        self._note = HtmlBlock(page.gui)
         failed = "The sample is not confirmed"
         page.on_pick("confirm-sample", lambda _: page.ask(failed, page.session.jobs.confirm()))
 

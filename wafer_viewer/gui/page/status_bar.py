@@ -11,11 +11,11 @@ from wafer_viewer.gui.page.page import Page
 from wafer_viewer.gui.presenters import stitching
 from wafer_viewer.gui.state.view_state import View
 from wafer_viewer.gui.widgets import html
-from wafer_viewer.gui.widgets.controls import Cell
+from wafer_viewer.gui.widgets.controls import HtmlBlock
 from wafer_viewer.model.acquisition.calibration import Calibration
 from wafer_viewer.model.job.job import Job
 from wafer_viewer.session.rendering.render_request import Statistics
-from wafer_viewer.session.state.control_state import Hands
+from wafer_viewer.session.state.control_state import ControlState
 from wafer_viewer.session.state.snapshot import RigStatus, Snapshot, SurfaceInfo
 
 SOON_DAYS = 14
@@ -40,7 +40,7 @@ class StatusStrip:
 
     def __init__(self, page: Page) -> None:
         self._page = page
-        self._strip = Cell(page.gui, padded=False)
+        self._strip = HtmlBlock(page.gui, padded=False)
 
     def show(self, snapshot: Snapshot, view: View) -> None:
         """Bring the line up to date."""
@@ -151,7 +151,7 @@ def _item(words: str, tone: str, more: str) -> str:
     return f'<span class="{tone}" title="{html.safe(html.micro(tip))}">{html.safe(words)}</span>'
 
 
-def _controls(hands: Hands, key: str) -> str:
+def _controls(hands: ControlState, key: str) -> str:
     """Who holds the controls; a click says who is there."""
     if hands.browser(key) is None:
         return ""

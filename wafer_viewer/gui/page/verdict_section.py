@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from wafer_viewer.gui.page.page import Page
 from wafer_viewer.gui.presenters import verdict as words
-from wafer_viewer.gui.widgets.controls import Cell
+from wafer_viewer.gui.widgets.controls import HtmlBlock
 from wafer_viewer.session.state.snapshot import Snapshot
 
 
@@ -12,7 +12,7 @@ class VerdictSection:
     """Nothing where the job has no feature to judge."""
 
     def __init__(self, page: Page) -> None:
-        self._cell = Cell(page.gui)
+        self._cell = HtmlBlock(page.gui)
 
     def show(self, snapshot: Snapshot) -> None:
         """Bring the section up to date."""

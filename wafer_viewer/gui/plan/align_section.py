@@ -10,7 +10,7 @@ from wafer_viewer.draw.number_format import number, with_unit
 from wafer_viewer.gui.page.page import Page
 from wafer_viewer.gui.plan.alignment_picture import clicked, corner_picture, expected_um
 from wafer_viewer.gui.widgets import html
-from wafer_viewer.gui.widgets.controls import Cell, button, in_a_row, set_prop
+from wafer_viewer.gui.widgets.controls import HtmlBlock, button, in_a_row, set_prop
 from wafer_viewer.gui.widgets.error_guard import guarded
 from wafer_viewer.model.job.job import Job
 from wafer_viewer.session.state.snapshot import Draft, Snapshot
@@ -69,8 +69,8 @@ class AlignSection:
     def __init__(self, aligning: Aligning, title: str) -> None:
         self._aligning, self._title = aligning, title
         page = aligning.page
-        self._head = Cell(page.gui)
-        self._body = Cell(page.gui)
+        self._head = HtmlBlock(page.gui)
+        self._body = HtmlBlock(page.gui)
         self._by_stage = page.gui.add_folder(None, visible=False)
         with self._by_stage:
             go = guarded(page, "The stage did not move")(lambda _: aligning.go())

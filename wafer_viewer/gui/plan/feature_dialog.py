@@ -13,7 +13,7 @@ from wafer_viewer.gui.plan.job_dialogs import edit, required_job
 from wafer_viewer.gui.presenters.result_features import KeptFeature, kept_features
 from wafer_viewer.gui.presenters.verdict import RULES
 from wafer_viewer.gui.widgets import html
-from wafer_viewer.gui.widgets.controls import Cell, duo, set_prop
+from wafer_viewer.gui.widgets.controls import HtmlBlock, duo, set_prop
 from wafer_viewer.gui.widgets.error_guard import guarded
 from wafer_viewer.gui.widgets.number_field import OptionalNumber
 from wafer_viewer.model.errors import PlanError
@@ -60,7 +60,7 @@ class FeatureDialog:
         self._name = gui.add_text("Name", old.name if old else "")
         self._source = gui.add_dropdown("Measured as", (AS_BEFORE if old else BY_HAND, *self._kept))
         self._quantity = gui.add_dropdown("Quantity", ((old.quantity if old else "") or MAIN,))
-        self._what = Cell(gui)
+        self._what = HtmlBlock(gui)
         self._source.on_update(guarded(self._page, STAYS)(lambda _: self._take()))
         self._quantity.on_update(guarded(self._page, STAYS)(lambda _: self._take_quantity()))
 

@@ -14,15 +14,15 @@ from wafer_viewer.gui.page.page import Page
 from wafer_viewer.gui.presenters import preflight
 from wafer_viewer.gui.presenters.revision_trial import before_release
 from wafer_viewer.gui.widgets import html
-from wafer_viewer.gui.widgets.controls import Cell
-from wafer_viewer.model.acquisition.alignment import Mark, Marks
+from wafer_viewer.gui.widgets.controls import HtmlBlock
+from wafer_viewer.model.acquisition.alignment import AlignmentMark, Marks
 from wafer_viewer.model.acquisition.devices import Overview
 from wafer_viewer.model.errors import PlanError
 from wafer_viewer.model.job.job import Job
 from wafer_viewer.model.region import Region
 from wafer_viewer.model.spec import replace
 from wafer_viewer.session.core.dataset_library import DEFAULT_RESULT
-from wafer_viewer.session.planning.preflight import Check
+from wafer_viewer.session.planning.preflight import PreflightCheck
 from wafer_viewer.session.state.operator_state import JobEntry
 from wafer_viewer.session.state.snapshot import Snapshot
 
@@ -34,7 +34,7 @@ def jobs_dialog(page: Page) -> None:
     snapshot = page.session.snapshot
     dialog = Dialog(page, "Released jobs", f"In {snapshot.data_folder / 'jobs'}, or a file elsewhere.")
     with dialog.modal:
-        Cell(page.gui, job_table(snapshot.operating.jobs, "job-in-dialog"))
+        HtmlBlock(page.gui, job_table(snapshot.operating.jobs, "job-in-dialog"))
         files = FileList(dialog, "job", rows=5)
 
     def listed(key: str) -> None:
@@ -67,12 +67,12 @@ def job_table(entries: tuple[JobEntry, ...], what: str) -> str:
     return html.table(["Released job", "Fields", "Features"], [line(entry) for entry in entries], " nn")
 
 
-def start_dialog(page: Page, checks: tuple[Check, ...], start: Callable[[], None]) -> None:
+def start_dialog(page: Page, checks: tuple[PreflightCheck, ...], start: Callable[[], None]) -> None:
     """What a person has to say is meant so, before the scan starts."""
     open_ones = tuple(check for check in checks if check.state != "ok")
     dialog = Dialog(page, "Start anyway?", "The scan can start, but this needs attention:")
     with dialog.modal:
-        Cell(page.gui, preflight.lines(open_ones))
+        HtmlBlock(page.gui, preflight.lines(open_ones))
     dialog.answers("Start", viser.Icon.PLAYER_PLAY, start, "The scan did not start")
 
 
@@ -90,7 +90,7 @@ def corners_dialog(page: Page) -> None:
         limit = gui.add_number("Limit, µm", marks.limit_um, min=0.1, step=0.5)
 
     def keep() -> None:
-        places = tuple(Mark(name=name.value.strip(), x_um=at.value[0], y_um=at.value[1]) for name, at in rows)
+        places = tuple(AlignmentMark(name=name.value.strip(), x_um=at.value[0], y_um=at.value[1]) for name, at in rows)
         edit(page, marks=Marks(places=places, limit_um=limit.value), alignment=None)
 
     dialog.answers("Keep", viser.Icon.CHECK, keep, "The corners were not changed")
@@ -119,7 +119,7 @@ def release_dialog(page: Page) -> None:
     below = "Operators run it with four actions. It cannot be changed afterwards; a change is a new revision."
     dialog, now = Dialog(page, "Release the job", below), page.session.snapshot
     with dialog.modal:
-        Cell(page.gui, before_release(now.operating, trial_is_old(now)))
+        HtmlBlock(page.gui, before_release(now.operating, trial_is_old(now)))
         product = page.gui.add_text("Product", job.product or job.sample.product)
         revision = page.gui.add_text("Revision", job.revision)
 
@@ -159,13 +159,13 @@ def suggested_marks(overview: Overview | None) -> Marks:
     """The outer lower corners of the leftmost and the rightmost die, nearest to the middle; zeros without dies."""
     dies = overview.dies_um if overview is not None else ()
     if len(dies) < 2:
-        return Marks(places=(Mark(name="", x_um=0.0, y_um=0.0), Mark(name="", x_um=0.0, y_um=0.0)))
+        return Marks(places=(AlignmentMark(name="", x_um=0.0, y_um=0.0), AlignmentMark(name="", x_um=0.0, y_um=0.0)))
     boxes = [Region.polygon(*die).bounds_um for die in dies]
     left = min(boxes, key=lambda b: (round(b[0]), abs(b[1] + b[3])))
     right = max(boxes, key=lambda b: (round(b[2]), -abs(b[1] + b[3])))
     return Marks(
         places=(
-            Mark(name="leftmost die, lower left corner", x_um=round(left[0], 1), y_um=round(left[1], 1)),
-            Mark(name="rightmost die, lower right corner", x_um=round(right[2], 1), y_um=round(right[1], 1)),
+            AlignmentMark(name="leftmost die, lower left corner", x_um=round(left[0], 1), y_um=round(left[1], 1)),
+            AlignmentMark(name="rightmost die, lower right corner", x_um=round(right[2], 1), y_um=round(right[1], 1)),
         )
     )

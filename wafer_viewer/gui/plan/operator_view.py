@@ -11,12 +11,12 @@ from wafer_viewer.gui.plan.align_section import Aligning, AlignSection
 from wafer_viewer.gui.presenters import preflight
 from wafer_viewer.gui.state.view_state import View
 from wafer_viewer.gui.widgets import html
-from wafer_viewer.gui.widgets.controls import Cell, Field, duo, set_prop
-from wafer_viewer.gui.widgets.debounce import Edits
+from wafer_viewer.gui.widgets.controls import BoundInput, HtmlBlock, duo, set_prop
+from wafer_viewer.gui.widgets.debounce import Debouncer
 from wafer_viewer.gui.widgets.error_guard import guarded
 from wafer_viewer.model.job.job import Job
 from wafer_viewer.model.spec import replace
-from wafer_viewer.session.planning.preflight import Check
+from wafer_viewer.session.planning.preflight import PreflightCheck
 from wafer_viewer.session.state.snapshot import Snapshot
 
 FAILED = "The names were not changed"
@@ -32,17 +32,17 @@ class OperatorView:
 
     def __init__(self, page: Page, aligning: Aligning) -> None:
         self._page = page
-        self._edits = Edits(self._commit, guarded(page, FAILED))
+        self._edits = Debouncer(self._commit, guarded(page, FAILED))
         self._folder = page.gui.add_folder(None, visible=False)
         with self._folder:
-            self._title = Cell(page.gui)
-            self._notes = Cell(page.gui)
+            self._title = HtmlBlock(page.gui)
+            self._notes = HtmlBlock(page.gui)
             self._build_wafer()
             self._align = AlignSection(aligning, "2 · Align")
-            self._checks = Cell(page.gui)
+            self._checks = HtmlBlock(page.gui)
         page.on_pick("everything", lambda key: page.change(everything=key == "yes"))
 
-    def show(self, snapshot: Snapshot, view: View, checks: tuple[Check, ...]) -> None:
+    def show(self, snapshot: Snapshot, view: View, checks: tuple[PreflightCheck, ...]) -> None:
         """Bring the view up to date; it stands only where the plan is a released job and nobody unfolded the rest."""
         job = snapshot.draft.job
         there = view.step == "plan" and folded(snapshot, view)
@@ -62,15 +62,15 @@ class OperatorView:
 
     def _build_wafer(self) -> None:
         gui = self._page.gui
-        Cell(gui, html.head("1 · Wafer", "type the id or scan its barcode"))
+        HtmlBlock(gui, html.head("1 · Wafer", "type the id or scan its barcode"))
         gui.add_html('<div class="wv-scan"></div>')
         self._wafer_id = self._field(gui.add_text("Wafer id", ""))
         duo(gui)
         self._lot, self._operator = self._field(gui.add_text("Lot", "")), self._field(gui.add_text("Operator", ""))
-        self._focus = Cell(gui, padded=False)
+        self._focus = HtmlBlock(gui, padded=False)
 
-    def _field(self, handle: Any) -> Field[str]:
-        return Field(handle, lambda _: self._edits.made(), self._page, FAILED)
+    def _field(self, handle: Any) -> BoundInput[str]:
+        return BoundInput(handle, lambda _: self._edits.made(), self._page, FAILED)
 
     def _commit(self) -> Future[Any] | None:
         page, job = self._page, self._page.session.snapshot.draft.job

@@ -20,15 +20,15 @@ from wafer_viewer.gui.presenters import plan as words
 from wafer_viewer.gui.presenters import preflight
 from wafer_viewer.gui.state.view_state import View
 from wafer_viewer.gui.widgets import html
-from wafer_viewer.gui.widgets.controls import Cell, Field, button, duo, in_a_row, leading, set_prop
-from wafer_viewer.gui.widgets.debounce import Edits
+from wafer_viewer.gui.widgets.controls import BoundInput, HtmlBlock, button, duo, in_a_row, leading, set_prop
+from wafer_viewer.gui.widgets.debounce import Debouncer
 from wafer_viewer.gui.widgets.error_guard import guarded
 from wafer_viewer.gui.widgets.number_field import OptionalPair
 from wafer_viewer.model.errors import PlanError
 from wafer_viewer.model.spec import replace
 from wafer_viewer.session.core.dataset_library import today
 from wafer_viewer.session.planning.plan_editor import PLAN_ENDING, suggested_name
-from wafer_viewer.session.planning.preflight import Check, look_round, stops
+from wafer_viewer.session.planning.preflight import PreflightCheck, look_round, stops
 from wafer_viewer.session.state.snapshot import Draft, Snapshot, Typed
 
 
@@ -37,7 +37,7 @@ class PlanPanel:
 
     def __init__(self, page: Page) -> None:
         self._page = page
-        self._edits = Edits(self._commit, guarded(page, "The plan was not changed"))
+        self._edits = Debouncer(self._commit, guarded(page, "The plan was not changed"))
         self._typed_range_um: tuple[float, float] | None = None
         self._folder = page.gui.add_folder(None, visible=False)
         with self._folder:
@@ -86,10 +86,10 @@ class PlanPanel:
         page = self._page
         page.ask("The scan did not start", page.session.start_scan(), lambda _: page.change(step="acquire"))
 
-    def _checks(self, snapshot: Snapshot) -> tuple[Check, ...]:
+    def _checks(self, snapshot: Snapshot) -> tuple[PreflightCheck, ...]:
         return look_round(snapshot, self._page.session.latest_frame, today())
 
-    def _why_not(self, snapshot: Snapshot, checks: tuple[Check, ...]) -> str | None:
+    def _why_not(self, snapshot: Snapshot, checks: tuple[PreflightCheck, ...]) -> str | None:
         draft, rig = snapshot.draft, snapshot.rig
         if snapshot.scanning:
             return "a scan is running."
@@ -110,29 +110,29 @@ class PlanPanel:
         self._form = gui.add_folder(None)
         with self._form:
             self._build_form(aligning)
-        self._foot = Cell(gui)
+        self._foot = HtmlBlock(gui)
         self._start = button(gui, "Start scan", viser.Icon.PLAYER_PLAY, self._on("The scan did not start", self.start))
         leading(gui, self._start, 46)
 
     def _build_form(self, aligning: Aligning) -> None:
         gui = self._page.gui
-        self._title = Cell(gui)
-        self._notes = Cell(gui)
-        self._jobs = Cell(gui)
+        self._title = HtmlBlock(gui)
+        self._notes = HtmlBlock(gui)
+        self._jobs = HtmlBlock(gui)
         self._build_sample()
         self._build_grid()
         self._build_sweep()
-        self._strategies = Cell(gui)
+        self._strategies = HtmlBlock(gui)
         save = button(gui, "Save plan…", viser.Icon.DEVICE_FLOPPY, self._on("The plan was not saved", self.save))
         load = button(gui, "Load plan…", viser.Icon.FOLDER_OPEN, lambda _: load_plan_dialog(self._page))
         in_a_row(gui, [save, load])
         self._release = ReleaseSection(self._page)
         self._align = AlignSection(aligning, "Align")
-        self._preflight = Cell(gui)
+        self._preflight = HtmlBlock(gui)
 
     def _build_sample(self) -> None:
         gui = self._page.gui
-        Cell(gui, html.head("Sample"))
+        HtmlBlock(gui, html.head("Sample"))
         self._name = self._field(gui.add_text("Name", ""))
         duo(gui)
         self._lot, self._wafer = self._field(gui.add_text("Lot", "")), self._field(gui.add_text("Wafer", ""))
@@ -143,7 +143,7 @@ class PlanPanel:
 
     def _build_grid(self) -> None:
         gui = self._page.gui
-        self._grid_head = Cell(gui)
+        self._grid_head = HtmlBlock(gui)
         self._grid_fields = gui.add_folder(None, visible=False)
         with self._grid_fields:
             self._columns_rows = self._field(gui.add_vector2("Columns, rows", (1.0, 1.0), min=(1, 1), step=1))
@@ -160,30 +160,32 @@ class PlanPanel:
 
     def _build_sweep(self) -> None:
         gui = self._page.gui
-        self._sweep_head = Cell(gui)
+        self._sweep_head = HtmlBlock(gui)
         self._sweep_fields = gui.add_folder(None, visible=False)
         with self._sweep_fields:
             sweep = gui.add_vector2("From, to, µm", (0.0, 0.0), step=0.5)
-            self._range: Field[tuple[float, float]] = Field(sweep, self._typed, self._page, "The plan was not changed")
+            self._range: BoundInput[tuple[float, float]] = BoundInput(
+                sweep, self._typed, self._page, "The plan was not changed"
+            )
             self._step = self._field(gui.add_number("Step, µm", 1.0, min=0.0, step=0.05))
             self._exposures = self._field(gui.add_text("Exposures, µs", "100"))
-            self._depth = Cell(gui)
+            self._depth = HtmlBlock(gui)
 
     @property
-    def _prepared(self) -> tuple[Field[Any], ...]:
+    def _prepared(self) -> tuple[BoundInput[Any], ...]:
         """What an engineer settles; the other fields are the wafer's names."""
         places = (self._product, self._size, self._columns_rows, self._overlap, self._centre)
         return (*places, self._range, self._step, self._exposures)
 
-    def _field(self, handle: Any) -> Field[Any]:
-        return Field(handle, lambda _: self._edits.made(), self._page, "The plan was not changed")
+    def _field(self, handle: Any) -> BoundInput[Any]:
+        return BoundInput(handle, lambda _: self._edits.made(), self._page, "The plan was not changed")
 
     def _on(self, name: str, verb: Any) -> Any:
         return guarded(self._page, name)(lambda _: verb())
 
     # --- the form
 
-    def _show_everything(self, snapshot: Snapshot, draft: Draft, checks: tuple[Check, ...]) -> None:
+    def _show_everything(self, snapshot: Snapshot, draft: Draft, checks: tuple[PreflightCheck, ...]) -> None:
         if not self._edits.under_way:
             self._show_form(_form_of(draft))
         self._show_words(snapshot, draft)
@@ -199,7 +201,7 @@ class PlanPanel:
         self._preflight.show(preflight.section(checks))
 
     @property
-    def _fields(self) -> dict[str, Field[Any]]:
+    def _fields(self) -> dict[str, BoundInput[Any]]:
         """The fields by the names that a form has for them."""
         return {
             "name": self._name,

@@ -21,7 +21,7 @@ from wafer_viewer.gui.plan.job_dialogs import (
 from wafer_viewer.gui.presenters.revision_trial import trial
 from wafer_viewer.gui.presenters.verdict import RULES, limits
 from wafer_viewer.gui.widgets import html
-from wafer_viewer.gui.widgets.controls import Cell, button, in_a_row, set_prop
+from wafer_viewer.gui.widgets.controls import HtmlBlock, button, in_a_row, set_prop
 from wafer_viewer.gui.widgets.error_guard import guarded
 from wafer_viewer.model.acquisition.alignment import Marks
 from wafer_viewer.model.job.job import Job
@@ -39,14 +39,14 @@ class ReleaseSection:
         gui = page.gui
         self._folder = gui.add_folder("For operators", expand_by_default=False, visible=False)
         with self._folder:
-            self._words = Cell(gui)
+            self._words = HtmlBlock(gui)
             self._buttons = [
                 self._button("Corners…", viser.Icon.MAP_PIN, corners_dialog),
                 self._button("Feature…", viser.Icon.STAIRS_UP, feature_dialog),
                 self._button("Release…", viser.Icon.LOCK, release_dialog),
             ]
             in_a_row(gui, self._buttons, 34)
-            self._tried = Cell(gui)
+            self._tried = HtmlBlock(gui)
             self._try = self._button("Try on wafers…", viser.Icon.HISTORY, trial_dialog)
             self._dies = self._button("Dies…", viser.Icon.GRID_DOTS, dies_dialog)
             in_a_row(gui, [self._dies, self._try], 34)

@@ -4,13 +4,20 @@ from __future__ import annotations
 
 from wafer_viewer.draw.number_format import digits_of_u, number, share, value_and_u, with_unit
 from wafer_viewer.gui.widgets import html
-from wafer_viewer.model.surface.comparison import FOUND_BY, Change, Comparison, Face, Registration, SurfaceName
+from wafer_viewer.model.surface.comparison import (
+    FOUND_BY,
+    Change,
+    Comparison,
+    ComparisonFace,
+    Registration,
+    SurfaceName,
+)
 
-FACES: tuple[tuple[Face, str], ...] = (
-    (Face.DIFFERENCE, "Difference"),
-    (Face.FIRST, "First"),
-    (Face.SECOND, "Second"),
-    (Face.BESIDE, "Both"),
+FACES: tuple[tuple[ComparisonFace, str], ...] = (
+    (ComparisonFace.DIFFERENCE, "Difference"),
+    (ComparisonFace.FIRST, "First"),
+    (ComparisonFace.SECOND, "Second"),
+    (ComparisonFace.BESIDE, "Both"),
 )
 OUTDATED = "One of the surfaces has changed or was deleted: compare again."
 BESIDE_SAID = "The second stands to the right of the first, in the same colours and range."

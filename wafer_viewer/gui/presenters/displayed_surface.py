@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 from wafer_viewer.gui.state.view_state import View
-from wafer_viewer.model.surface.comparison import Face, comparison_of
+from wafer_viewer.model.surface.comparison import ComparisonFace, comparison_of
 
-FACES: dict[Face, str] = {
-    Face.DIFFERENCE: "Second − first",
-    Face.FIRST: "First surface",
-    Face.SECOND: "Second surface",
-    Face.BESIDE: "Both surfaces",
+FACES: dict[ComparisonFace, str] = {
+    ComparisonFace.DIFFERENCE: "Second − first",
+    ComparisonFace.FIRST: "First surface",
+    ComparisonFace.SECOND: "Second surface",
+    ComparisonFace.BESIDE: "Both surfaces",
 }
 PARTS = {"all": "", "view": ", in view", "selection": ", selection"}
 

@@ -25,7 +25,7 @@ TITLES: dict[PointName, str] = {
 
 
 @dataclass(frozen=True, slots=True)
-class Point:
+class ProcedurePoint:
     """One point of the procedure; at: when it was done, ISO 8601 or empty."""
 
     name: PointName
@@ -34,23 +34,23 @@ class Point:
     at: str = ""
 
 
-def points(snapshot: Snapshot) -> tuple[Point, ...]:
+def points(snapshot: Snapshot) -> tuple[ProcedurePoint, ...]:
     """All points of the check that is being made."""
     gauge, data = snapshot.gauge, snapshot.dataset
     said = {tick.point: tick.at for tick in gauge.ticks}
-    by_hand = [Point(name, TITLES[name], name in said, said.get(name, "")) for name in BY_HAND]
+    by_hand = [ProcedurePoint(name, TITLES[name], name in said, said.get(name, "")) for name in BY_HAND]
     scanned = snapshot.surface is not None or bool(gauge.repeats)
     taken = gauge.repeats[-1].taken if gauge.repeats else data.taken if data is not None and scanned else ""
     signed = gauge.signed is not None
     return (
         *by_hand,
-        Point("scan", _scan_title(snapshot), scanned, taken),
-        Point("faces", TITLES["faces"], bool(gauge.repeats) or signed),
-        Point("sign", TITLES["sign"], signed, gauge.signed.at if gauge.signed is not None else ""),
+        ProcedurePoint("scan", _scan_title(snapshot), scanned, taken),
+        ProcedurePoint("faces", TITLES["faces"], bool(gauge.repeats) or signed),
+        ProcedurePoint("sign", TITLES["sign"], signed, gauge.signed.at if gauge.signed is not None else ""),
     )
 
 
-def next_point(snapshot: Snapshot) -> Point | None:
+def next_point(snapshot: Snapshot) -> ProcedurePoint | None:
     """The first that is not done; None when the check is signed."""
     return next((point for point in points(snapshot) if not point.done), None)
 
@@ -71,7 +71,7 @@ def _scan_title(snapshot: Snapshot) -> str:
     )
 
 
-def _row(point: Point, now: bool) -> str:
+def _row(point: ProcedurePoint, now: bool) -> str:
     sign = viser.Icon.CIRCLE_CHECK if point.done else viser.Icon.CIRCLE_DOT if now else viser.Icon.CIRCLE
     tone = "good" if point.done else "accent" if now else "ink3"
     state = "done" if point.done else "next" if now else "to do"

@@ -9,7 +9,7 @@ from wafer_viewer.draw.charts.defect_symbols import KINDS
 from wafer_viewer.draw.colormaps import PROFILE_COLOURS
 from wafer_viewer.draw.number_format import digits_of_u, number, value_and_u, with_unit
 from wafer_viewer.gui.widgets import html
-from wafer_viewer.model.findings import AnyFinding
+from wafer_viewer.model.findings import AnyResult
 from wafer_viewer.model.gauge.gauge_check import GaugeCheck
 from wafer_viewer.model.inspection.defect import Defect
 from wafer_viewer.model.measurement.measurements import AreaVolume, Profile
@@ -65,19 +65,19 @@ _LARGER = {"um2": ((1e5, 1e-6, "mm²"),), "um3": ((1e5, 1e-6, "nl"), (0.0, 1e-3,
 
 
 @dataclass(frozen=True, slots=True)
-class Reading:
+class ReadValue:
     """A quantity as it is read: its factor to the quantity's own unit, and the unit's sign."""
 
     factor: float
     unit: str
 
 
-def reading(quantity: Quantity) -> Reading:
+def reading(quantity: Quantity) -> ReadValue:
     """Volumes read in nl or pl, large areas in mm², all else in the unit they are measured in."""
     for least, factor, unit in _LARGER.get(quantity.unit, ()):
         if abs(quantity.value) >= least:
-            return Reading(factor, unit)
-    return Reading(1.0, UNIT_SIGNS[quantity.unit])
+            return ReadValue(factor, unit)
+    return ReadValue(1.0, UNIT_SIGNS[quantity.unit])
 
 
 def value_texts(quantity: Quantity, *, signed: bool = False) -> tuple[str, str, str]:
@@ -100,12 +100,12 @@ def with_unit_sign(text: str, unit: str) -> str:
     return f"{text}{unit}" if unit == "°" else f"{text}\u202f{unit}"
 
 
-def letter(finding: AnyFinding) -> str:
+def letter(finding: AnyResult) -> str:
     """The sign of a result, P1, S2."""
     return f"{_LETTERS[_tag(finding)]}{finding.number or ''}"
 
 
-def sign_colour(finding: AnyFinding) -> str:
+def sign_colour(finding: AnyResult) -> str:
     """Its colour, the same in list, curve and scene."""
     if isinstance(finding, Profile):
         return PROFILE_COLOURS[0]
@@ -114,14 +114,14 @@ def sign_colour(finding: AnyFinding) -> str:
     return OTHER_COLOUR if isinstance(finding, GaugeCheck) else REGION_COLOUR
 
 
-def of_what(finding: AnyFinding) -> str:
+def of_what(finding: AnyResult) -> str:
     """What the number is that stands for a result; nothing where that is plain."""
     if isinstance(finding, AreaVolume):
         return "below" if finding.main == finding.volume_below else "above"
     return _MAIN.get(_tag(finding), "")
 
 
-def list_text(finding: AnyFinding) -> str:
+def list_text(finding: AnyResult) -> str:
     """Value, uncertainty and unit for the list, as HTML."""
     value, u, unit = value_texts(finding.main, signed=_tag(finding) in _SIGNED)
     beside = f"± {u}" if finding.main.expanded is not None else NO_U.get(finding.main.status, "")
@@ -143,7 +143,7 @@ def answer(name: str, quantity: Quantity, signed: bool = False) -> str:
     )
 
 
-def card(finding: AnyFinding, name: str) -> str:
+def card(finding: AnyResult, name: str) -> str:
     """The answer of a result."""
     named = " · ".join(part for part in (name, of_what(finding)) if part)
     return answer(named, finding.main, _tag(finding) in _SIGNED)
@@ -181,5 +181,5 @@ def _digits(value: float) -> int:
     return max(0, 3 - math.floor(math.log10(abs(value)))) if value else 2
 
 
-def _tag(finding: AnyFinding) -> str:
+def _tag(finding: AnyResult) -> str:
     return str(finding.__struct_config__.tag)

@@ -8,7 +8,7 @@ from typing import Any
 import viser
 
 from wafer_viewer.gui.widgets import html
-from wafer_viewer.session.planning.preflight import Check, State
+from wafer_viewer.session.planning.preflight import PreflightCheck, State
 
 SIGNS: dict[State, tuple[Any, str]] = {
     "ok": (viser.Icon.CIRCLE_CHECK, "ok"),
@@ -17,7 +17,7 @@ SIGNS: dict[State, tuple[Any, str]] = {
 }
 
 
-def section(checks: Sequence[Check], name: str = "Before the start") -> str:
+def section(checks: Sequence[PreflightCheck], name: str = "Before the start") -> str:
     """All lines, under a head that says how many are not fine; nothing where there is no plan yet."""
     if not checks:
         return ""
@@ -26,12 +26,12 @@ def section(checks: Sequence[Check], name: str = "Before the start") -> str:
     return html.head(name, beside) + lines(checks)
 
 
-def lines(checks: Sequence[Check]) -> str:
+def lines(checks: Sequence[PreflightCheck]) -> str:
     """The lines alone."""
     return f'<div class="wv-checks" role="list" aria-label="Preflight">{"".join(map(_line, checks))}</div>'
 
 
-def _line(check: Check) -> str:
+def _line(check: PreflightCheck) -> str:
     sign, word = SIGNS[check.state]
     mend = f" <b>{html.safe(html.micro(check.mend))}</b>" if check.mend else ""
     told = f'<span role="img" aria-label="{word}">{html.icon(sign, 17)}</span>'

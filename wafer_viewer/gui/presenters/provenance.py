@@ -12,7 +12,7 @@ from wafer_viewer.gui.presenters.measurement import averaging, whole
 from wafer_viewer.gui.presenters.site_range import sites
 from wafer_viewer.gui.presenters.texture import roughness, texture
 from wafer_viewer.gui.widgets import html
-from wafer_viewer.model.findings import AnyFinding
+from wafer_viewer.model.findings import AnyResult
 from wafer_viewer.model.gauge.gauge_check import GaugeCheck
 from wafer_viewer.model.measurement.edge_and_bump_shapes import Chipping, CircleSize, Coplanarity, DieSize, KerfWidth
 from wafer_viewer.model.measurement.levelling import LevelBy
@@ -42,13 +42,13 @@ ZERO: dict[LevelBy, str] = {
 Pairs = list[tuple[str, str]]
 
 
-def source(finding: AnyFinding) -> str:
+def source(finding: AnyResult) -> str:
     """Where a result comes from: its regions, its points, the surface it was measured on."""
     body = next((tell(finding) for kind, tell in _TOLD.items() if isinstance(finding, kind)), "")
     return html.head("Where it comes from", "µm") + body + _measured_on(finding)
 
 
-def where(finding: AnyFinding) -> str:
+def where(finding: AnyResult) -> str:
     """The surface a result was measured on."""
     return f"field {finding.show}" if finding.show > 0 else "comparison" if finding.show < 0 else "stitched surface"
 
@@ -166,7 +166,7 @@ def _angle(profile: Profile) -> float:
     return math.degrees(math.atan2(profile.rise.value_um, profile.length_um)) if profile.length_um else math.nan
 
 
-def _measured_on(finding: AnyFinding) -> str:
+def _measured_on(finding: AnyResult) -> str:
     lines = [
         f"On the {where(finding)}: {LAYER_TITLES[finding.surface]}, filter: {finding.filter}.",
         f"Heights are read from {ZERO[finding.levelling.by]}.",

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 
 from wafer_viewer.draw.number_format import number
 from wafer_viewer.model.acquisition.alignment import Alignment
-from wafer_viewer.model.findings import AnyFinding
+from wafer_viewer.model.findings import AnyResult
 from wafer_viewer.model.measurement.tool_options import ToolOptions
 from wafer_viewer.model.measurement.tools import TOOLS, ToolName
 from wafer_viewer.model.quantity import Length, Quantity, Unit
@@ -54,7 +54,7 @@ def kept_features(snapshot: Snapshot) -> dict[str, KeptFeature]:
     return {f"{finding.name} ({number(finding.main.value, 2)})": kept for finding, kept in found if kept is not None}
 
 
-def _feature(finding: AnyFinding, lies: Alignment | None) -> KeptFeature | None:
+def _feature(finding: AnyResult, lies: Alignment | None) -> KeptFeature | None:
     tool = TOOL_OF.get(str(finding.__struct_config__.tag))
     if tool is None or (places := _places(finding, tool)) is None:
         return None
@@ -69,7 +69,7 @@ def _quantity(value: object) -> Quantity | None:
     return value.quantity if isinstance(value, Length) else value if isinstance(value, Quantity) else None
 
 
-def _places(finding: AnyFinding, tool: ToolName) -> tuple[Region, ...] | None:
+def _places(finding: AnyResult, tool: ToolName) -> tuple[Region, ...] | None:
     """The regions that the tool asks for, in its order; None where the result does not hold them."""
     held = (getattr(finding, name) for name in finding.__struct_fields__)
     regions = tuple(value for value in held if isinstance(value, Region))[: len(TOOLS[tool].places)]

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from wafer_viewer.model.findings import AnyFinding
+from wafer_viewer.model.findings import AnyResult
 from wafer_viewer.model.gauge.gauge_check import GaugeCheck
 from wafer_viewer.model.inspection.defect import Defect
 from wafer_viewer.model.measurement.edge_and_bump_shapes import Chipping, CircleSize, Coplanarity, DieSize, KerfWidth
@@ -27,7 +27,7 @@ Box = tuple[float, float, float, float]
 """x low, y low, x high, y high in um."""
 
 
-def tool_of(finding: AnyFinding) -> ToolName | None:
+def tool_of(finding: AnyResult) -> ToolName | None:
     """The tool that measures such a result; None for what no tool of this page does."""
     match finding:
         case Profile():
@@ -68,7 +68,7 @@ def tool_of(finding: AnyFinding) -> ToolName | None:
             return None
 
 
-def places_of(finding: AnyFinding) -> tuple[Region, ...]:
+def places_of(finding: AnyResult) -> tuple[Region, ...]:
     """The places of a result, in the order in which its tool asks for them."""
     match finding:
         case Profile() | Roughness() | StepProfile():
@@ -93,7 +93,7 @@ def places_of(finding: AnyFinding) -> tuple[Region, ...]:
             return (finding.outline,)
 
 
-def drawn_of(finding: AnyFinding) -> tuple[Region, ...]:
+def drawn_of(finding: AnyResult) -> tuple[Region, ...]:
     """What is drawn of a result: its places, all regions of a step, the way of a distance, the edges found."""
     if isinstance(finding, StepHeight):
         return finding.regions
@@ -102,7 +102,7 @@ def drawn_of(finding: AnyFinding) -> tuple[Region, ...]:
     return *places_of(finding), *found_of(finding)
 
 
-def found_of(finding: AnyFinding) -> tuple[Region, ...]:
+def found_of(finding: AnyResult) -> tuple[Region, ...]:
     """The edges that were found at the places of a result."""
     match finding:
         case KerfWidth():
@@ -125,7 +125,7 @@ def way_between(start: Region, end: Region) -> Region:
     return Region.line(a.x_um, a.y_um, b.x_um, b.y_um)
 
 
-def bounds_of(finding: AnyFinding, least_um: float = 0.0) -> Box:
+def bounds_of(finding: AnyResult, least_um: float = 0.0) -> Box:
     """The upright rectangle round all places of a result, at least so wide and high."""
     boxes = [place.bounds_um for place in places_of(finding)]
     x0, y0 = (min(box[k] for box in boxes) for k in (0, 1))

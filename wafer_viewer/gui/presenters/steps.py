@@ -6,7 +6,7 @@ from wafer_viewer.draw.charts.groove_svg import groove_svg
 from wafer_viewer.draw.number_format import number, share, with_unit
 from wafer_viewer.gui.presenters.measurement import averaging, whole
 from wafer_viewer.gui.widgets import html
-from wafer_viewer.model.findings import AnyFinding
+from wafer_viewer.model.findings import AnyResult
 from wafer_viewer.model.measurement.step import StepHeight, StepProfile
 
 
@@ -38,7 +38,7 @@ def groove(finding: StepProfile) -> str:
     return groove_svg(finding) + html.pairs(pairs) + _small(finding.definition)
 
 
-def not_evaluated(finding: AnyFinding) -> str:
+def not_evaluated(finding: AnyResult) -> str:
     """What nothing is known of, and is therefore not in the budget."""
     missing: tuple[str, ...] = getattr(finding, "not_evaluated", ())
     return _small(f"Not evaluated: {', '.join(missing)}.") if missing else ""

@@ -8,7 +8,7 @@ import viser
 from wafer_viewer.draw.number_format import THIN, digits_of_u, number, with_unit
 from wafer_viewer.gui.presenters.recipe import notes
 from wafer_viewer.gui.widgets import html
-from wafer_viewer.model.surface.field_poses import DOUBT_TITLES, Doubt, Poses
+from wafer_viewer.model.surface.field_poses import DOUBT_TITLES, Poses, RejectionReason
 from wafer_viewer.session.state.snapshot import StitchingInfo
 
 BY_STAGE = "Fields are placed by the stage alone: their overlaps were not compared."
@@ -97,7 +97,7 @@ def _doubted_rows(poses: Poses, pixel_um: float) -> list[str]:
     shifts = poses.shifts
     off_um = np.hypot(shifts.residual_x_um, shifts.residual_y_um)
     rows = np.flatnonzero(~shifts.believed)
-    blank = shifts.doubt[rows] == Doubt.BLANK
+    blank = shifts.doubt[rows] == RejectionReason.BLANK
     order = np.lexsort((-np.nan_to_num(off_um[rows], nan=-1.0, posinf=-1.0), blank))
     return [_doubted_row(poses, row, float(off_um[row]), pixel_um) for row in rows[order].tolist()]
 
@@ -105,8 +105,8 @@ def _doubted_rows(poses: Poses, pixel_um: float) -> list[str]:
 def _doubted_row(poses: Poses, row: int, off_um: float, pixel_um: float) -> str:
     shifts = poses.shifts
     first, second = (int(poses.numbers[k]) for k in (shifts.first[row], shifts.second[row]))
-    doubt = Doubt(int(shifts.doubt[row]))
-    off = None if doubt is Doubt.BLANK else off_um
+    doubt = RejectionReason(int(shifts.doubt[row]))
+    off = None if doubt is RejectionReason.BLANK else off_um
     figures = [number(off, 2), number(None if off is None else off / pixel_um, 1)]
     return html.row([f"{first}{THIN}–{THIN}{second}", html.safe(DOUBT_TITLES[doubt]), *figures], "  nn")
 

@@ -11,7 +11,7 @@ from wafer_viewer.draw.charts.die_map import die_map_svg
 from wafer_viewer.draw.number_format import number
 from wafer_viewer.gui.presenters.measurement import reading, value_texts, with_unit_sign
 from wafer_viewer.gui.widgets import html
-from wafer_viewer.model.job.verdict import Judged, WaferVerdict, Word
+from wafer_viewer.model.job.verdict import FeatureVerdict, WaferVerdict, Word
 from wafer_viewer.model.measurement.feature import DecisionRule, Feature
 from wafer_viewer.model.quantity import Quantity
 
@@ -58,7 +58,7 @@ def dies(verdict: WaferVerdict) -> str:
     return html.head("Dies", counts) + f'<div class="wv-map">{die_map_svg(verdict.dies)}</div>'
 
 
-def in_short(item: Judged) -> str:
+def in_short(item: FeatureVerdict) -> str:
     """A feature as a list shows it: its value ± U, and its limits below."""
     return f"{value_and_its_u(item)}<small>{limits(item.feature)}</small>"
 
@@ -79,7 +79,7 @@ def limits(feature: Feature) -> str:
     return with_unit_sign(told, reading(Quantity(value=0.0, unit=feature.unit)).unit)
 
 
-def value_and_its_u(item: Judged) -> str:
+def value_and_its_u(item: FeatureVerdict) -> str:
     """What was measured of a feature, HTML."""
     if item.measured is None:
         return "not measured"
@@ -106,7 +106,7 @@ def _on_dies(verdict: WaferVerdict) -> Iterator[str]:
         yield html.row([html.safe(name), good, limits(first[name]), ""], " nn ")
 
 
-def _row(item: Judged) -> str:
+def _row(item: FeatureVerdict) -> str:
     feature, (word, sign, tone) = item.feature, LOOKS[item.word]
     why = "" if item.word == "pass" else f"<small>{html.safe(html.micro(item.why))}</small>"
     told = (

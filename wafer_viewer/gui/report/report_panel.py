@@ -15,7 +15,7 @@ from wafer_viewer.gui.page.preconditions import no_surface
 from wafer_viewer.gui.state.view_state import View
 from wafer_viewer.gui.widgets import html
 from wafer_viewer.gui.widgets.command import Command, unless
-from wafer_viewer.gui.widgets.controls import Cell, Field, button, in_a_row, leading, set_prop
+from wafer_viewer.gui.widgets.controls import BoundInput, HtmlBlock, button, in_a_row, leading, set_prop
 from wafer_viewer.gui.widgets.error_guard import guarded
 from wafer_viewer.model.report import PART_TITLES, PARTS, Contents, Holds, Part, ReportOrder
 from wafer_viewer.session.files.documents import REPORT, free_path, newest_report
@@ -104,22 +104,22 @@ class ReportPanel:
 
     def _build(self) -> None:
         page, gui = self._page, self._page.gui
-        self._title, self._notes = Cell(gui), Cell(gui)
+        self._title, self._notes = HtmlBlock(gui), HtmlBlock(gui)
         self._name = gui.add_text("Title", "", hint="Heading of the report; without one the dataset's name")
-        Cell(gui, html.head("Contents"))
-        self._boxes: dict[Part, Field[bool]] = {}
-        self._told: dict[Part, Cell] = {}
+        HtmlBlock(gui, html.head("Contents"))
+        self._boxes: dict[Part, BoundInput[bool]] = {}
+        self._told: dict[Part, HtmlBlock] = {}
         for part in PARTS:
             hint = f"Include the section {PART_TITLES[part]}"
             box = gui.add_checkbox(PART_TITLES[part], True, hint=hint)
-            self._boxes[part] = Field(
+            self._boxes[part] = BoundInput(
                 box, lambda event, p=part: self._tick(p, event.target.value), page, "The report was not changed"
             )
-            self._told[part] = Cell(gui)
+            self._told[part] = HtmlBlock(gui)
         failed = guarded(page, "The report was not written")
         self._elsewhere = button(gui, "Save report as…", viser.Icon.DEVICE_FLOPPY, failed(lambda _: self.ask_where()))
         in_a_row(gui, [self._elsewhere], 34)
-        self._outcome = Cell(gui)
+        self._outcome = HtmlBlock(gui)
         self._write = button(
             gui,
             "Write report",

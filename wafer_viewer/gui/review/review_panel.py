@@ -25,12 +25,12 @@ from wafer_viewer.gui.scenes.surface_scene import source_of
 from wafer_viewer.gui.state.view_state import View
 from wafer_viewer.gui.widgets import html
 from wafer_viewer.gui.widgets.command import Command, unless
-from wafer_viewer.gui.widgets.controls import Cell, Choice, Field, button, in_a_row, leading, set_prop
-from wafer_viewer.gui.widgets.debounce import Edits
+from wafer_viewer.gui.widgets.controls import BoundInput, HtmlBlock, ToggleGroup, button, in_a_row, leading, set_prop
+from wafer_viewer.gui.widgets.debounce import Debouncer
 from wafer_viewer.gui.widgets.error_guard import guarded
 from wafer_viewer.model.inspection.defect import DefectClass
 from wafer_viewer.model.job.review_notes import Verdict
-from wafer_viewer.session.rendering.render_request import PaintRequest
+from wafer_viewer.session.rendering.render_request import RenderRequest
 from wafer_viewer.session.state.snapshot import Snapshot
 
 if TYPE_CHECKING:
@@ -47,13 +47,13 @@ class ReviewPanel:
 
     def __init__(self, page: Page, scene: SceneView) -> None:
         self._page, self._scene = page, scene
-        self._pictures: dict[PaintRequest, Future[bytes]] = {}
+        self._pictures: dict[RenderRequest, Future[bytes]] = {}
         self._note_of = ""
-        self._waiting = Cell(page.gui)
+        self._waiting = HtmlBlock(page.gui)
         self._folder = page.gui.add_folder(None, visible=False)
         with self._folder:
             self._build()
-        self._edits = Edits(self._commit_note, guarded(page, "The note was not changed"))
+        self._edits = Debouncer(self._commit_note, guarded(page, "The note was not changed"))
         page.on_pick("review", self.go_to)
         page.on_pick("defect-class", self.classify)
         page.on_pick("review-filter", lambda key: page.change(review_filter=key))
@@ -140,15 +140,17 @@ class ReviewPanel:
 
     def _build(self) -> None:
         page, gui = self._page, self._page.gui
-        self._title, self._notes, self._picture, self._numbers, self._classes = (Cell(gui) for _ in range(5))
-        Cell(gui, html.head("Judgement", "keys Y and N"))
-        self._judgement = Choice(gui, "Decision", JUDGEMENTS, guarded(page, "The judgement was not saved")(self.judge))
+        self._title, self._notes, self._picture, self._numbers, self._classes = (HtmlBlock(gui) for _ in range(5))
+        HtmlBlock(gui, html.head("Judgement", "keys Y and N"))
+        self._judgement = ToggleGroup(
+            gui, "Decision", JUDGEMENTS, guarded(page, "The judgement was not saved")(self.judge)
+        )
         note = gui.add_text("Note", "", hint="Saved with the judgement and shown in the report")
-        self._note: Field[str] = Field(note, lambda _: self._edits.made(), page, "The note was not changed")
+        self._note: BoundInput[str] = BoundInput(note, lambda _: self._edits.made(), page, "The note was not changed")
         self._undo = button(gui, "Undo", viser.Icon.ARROW_BACK_UP, self._taking_back("undo"))
         self._redo = button(gui, "Redo", viser.Icon.ARROW_FORWARD_UP, self._taking_back("redo"))
         in_a_row(gui, [self._undo, self._redo], 30)
-        self._done = Cell(gui)
+        self._done = HtmlBlock(gui)
         on = button(
             gui, "Next", viser.Icon.ARROW_RIGHT, guarded(page, "The item was not changed")(lambda _: self.step(1))
         )
@@ -182,7 +184,7 @@ class ReviewPanel:
         source = source_of(snapshot, item.show)
         if source is None or item.box_um is None:
             return ""
-        request = PaintRequest(source, "picture", box_um=framed(item, snapshot), side_px=PICTURE_PX)
+        request = RenderRequest(source, "picture", box_um=framed(item, snapshot), side_px=PICTURE_PX)
         future = self._pictures.get(request)
         if future is None or future.cancelled():
             future = self._pictures[request] = self._page.session.paint(request)

@@ -10,8 +10,8 @@ from wafer_viewer.draw.raster_text import tag
 from wafer_viewer.draw.surface import mesh
 from wafer_viewer.draw.surface.glb import painted
 from wafer_viewer.gui.scene.camera.camera_presets import Vector
-from wafer_viewer.gui.scene.heightfield import Land
-from wafer_viewer.gui.scene.view_axes import Gaze
+from wafer_viewer.gui.scene.heightfield import HeightField
+from wafer_viewer.gui.scene.view_axes import ViewAxes
 from wafer_viewer.model.region import Region
 
 _FINER = 2
@@ -20,7 +20,7 @@ _WHITE: Rgb = (255, 255, 255)
 _SPARE_PX = 2.0
 
 
-class Sign:
+class Billboard:
     """A word on a plate so many pixels high, beside a place."""
 
     def __init__(self, scene: viser.SceneApi, name: str, text: str, plate: Rgb, high_px: int) -> None:
@@ -30,7 +30,7 @@ class Sign:
         data = painted(flat, picture, blend=True)
         self._node = scene.add_glb(f"/tools/{name}", data, cast_shadow=False, receive_shadow=False)
 
-    def place(self, by: Vector, land: Land, gaze: Gaze, right_px: float, up_px: float = 0.0) -> None:
+    def place(self, by: Vector, land: HeightField, gaze: ViewAxes, right_px: float, up_px: float = 0.0) -> None:
         """Stand so many pixels right (left: below 0) and above a scene point, as far before it as nothing hides it."""
         pixel = gaze.pixel_at(by)
         right, up, _ = gaze.axes.T * pixel
@@ -47,7 +47,7 @@ class Sign:
         self._node.remove()
 
 
-def corner_on_screen(region: Region, land: Land, gaze: Gaze, right: float, up: float) -> Vector:
+def corner_on_screen(region: Region, land: HeightField, gaze: ViewAxes, right: float, up: float) -> Vector:
     """A place at the edge of a region as it is on the screen, in scene mm.
 
     right, up: from -1 (its left or lower edge) to 1.

@@ -10,9 +10,9 @@ import viser
 from numpy.typing import NDArray
 
 from wafer_viewer.draw.colormaps import Rgb
-from wafer_viewer.gui.scene.heightfield import Land, Place
+from wafer_viewer.gui.scene.heightfield import HeightField, Place
 from wafer_viewer.gui.scene.primitives import lines
-from wafer_viewer.gui.scene.view_axes import Gaze
+from wafer_viewer.gui.scene.view_axes import ViewAxes
 
 Dragged = Callable[[str, np.ndarray, bool], None]
 """Called with a handle's name, the scene point under the pointer and whether it was let go there, in order."""
@@ -21,7 +21,7 @@ _WHITE: Rgb = (255, 255, 255)
 _SELECTION: Rgb = (11, 110, 153)
 
 
-class Knob:
+class DragHandle:
     """A ball in its colour on a white one, of the same size on the screen at any distance; dragged where asked for."""
 
     def __init__(
@@ -87,9 +87,9 @@ class PlaceMark:
 
     def __init__(self, scene: viser.SceneApi, colour: Rgb) -> None:
         self.place: Place = (0.0, 0.0)
-        self._knob = Knob(scene, "mark", colour, 5.0)
+        self._knob = DragHandle(scene, "mark", colour, 5.0)
 
-    def draw(self, land: Land, gaze: Gaze) -> None:
+    def draw(self, land: HeightField, gaze: ViewAxes) -> None:
         """Stand on the surface as it is drawn now, or in its hole."""
         x, y = (np.array([v]) for v in self.place)
         at = land.seen_points(x, y, 2 * gaze.mm_per_pixel)[0]
@@ -107,7 +107,7 @@ class DrapedOutline:
         self.box_um = (0.0, 0.0, 0.0, 0.0)
         self._line = CasedLine(scene, "selection", _SELECTION, 2.4)
 
-    def draw(self, land: Land, gaze: Gaze) -> None:
+    def draw(self, land: HeightField, gaze: ViewAxes) -> None:
         """Lie on the surface as it is drawn now."""
         x0, y0, x1, y1 = self.box_um
         corners = np.array([(x0, y0), (x1, y0), (x1, y1), (x0, y1)])

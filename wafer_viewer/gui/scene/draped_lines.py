@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from wafer_viewer.session.rendering.render_request import Relief
+from wafer_viewer.session.rendering.render_request import CoarseHeightField
 
 Floats = NDArray[np.float64]
 _FINE = 4
@@ -13,10 +13,10 @@ _FINE = 4
 _MOST_SEGMENTS = 60_000
 
 
-class Drape:
+class DrapedLines:
     """Heights over `z0_um` in mm; without a relief it is flat. Lines run straight over what is narrower than a span."""
 
-    def __init__(self, relief: Relief | None, z0_um: float, span_um: float) -> None:
+    def __init__(self, relief: CoarseHeightField | None, z0_um: float, span_um: float) -> None:
         self._relief, self._z0_um, self._span_um = relief, z0_um, span_um
         if relief is not None:
             self._z_um = np.frombuffer(relief.z_um, "<f4").reshape(relief.rows, relief.cols)

@@ -7,11 +7,11 @@ from collections.abc import Callable
 
 import numpy as np
 
-from wafer_viewer.gui.scene.heightfield import Box, Floats, Land
+from wafer_viewer.gui.scene.heightfield import Box, Floats, HeightField
 from wafer_viewer.model.errors import WaferViewerError
 from wafer_viewer.model.region import Region
 from wafer_viewer.model.surface.height_map import HeightMap, Mosaic
-from wafer_viewer.session.rendering.render_request import Relief
+from wafer_viewer.session.rendering.render_request import CoarseHeightField
 
 Read = Callable[[int], Mosaic]
 """The surface of a number, 0 the stitched one."""
@@ -19,7 +19,7 @@ _REACH_PX, _MOST_PX = 4, 512
 """So many coarse pixels round where a ray may hit are looked at; so many fine ones in each direction."""
 
 
-def land_nearby(read: Read, land: Land, origin: Floats, direction: Floats) -> Land:
+def land_nearby(read: Read, land: HeightField, origin: Floats, direction: Floats) -> HeightField:
     """The heights under a ray as fine as the surface has them; the coarse ones where it has none finer to read."""
     show, box = land.on_show.source.show, _under(land, origin, direction)
     if show < 0:  # two surfaces compared are as coarse as they are drawn
@@ -33,10 +33,10 @@ def land_nearby(read: Read, land: Land, origin: Floats, direction: Floats) -> La
         part = surface.window(Region.rectangle(*box), min(level, surface.levels - 1))
     except WaferViewerError:
         return land
-    return Land(_relief(part, land), land.on_show, land.holes)
+    return HeightField(_relief(part, land), land.on_show, land.holes)
 
 
-def _under(land: Land, origin: Floats, direction: Floats) -> Box:
+def _under(land: HeightField, origin: Floats, direction: Floats) -> Box:
     """What of the surface, in um, lies under a ray from its highest height down to the ground, and a little more."""
     on_show, reach_um = land.on_show, _REACH_PX * land.pixel_um
     levels = on_show.scene_z(on_show.facts.highest_um), 0.0
@@ -49,11 +49,13 @@ def _under(land: Land, origin: Floats, direction: Floats) -> Box:
     return *low, *high
 
 
-def _relief(part: HeightMap, land: Land) -> Relief:
+def _relief(part: HeightMap, land: HeightField) -> CoarseHeightField:
     """A part of a surface over the datum on show, its gaps as deep as the coarse heights are there."""
     x_um, y_um = (np.asarray(a, np.float64) for a in np.meshgrid(part.x_um, part.y_um))
     datum = land.on_show.datum
     z_um = part.z_um - (datum.at(x_um, y_um) if datum is not None else 0.0)
     there = np.isfinite(z_um)
     z_um = np.where(there, z_um, land.z_um(x_um, y_um))
-    return Relief(*part.shape, part.pixel_um, part.x0_um, part.y0_um, z_um.astype("<f4").tobytes(), there.tobytes())
+    return CoarseHeightField(
+        *part.shape, part.pixel_um, part.x0_um, part.y0_um, z_um.astype("<f4").tobytes(), there.tobytes()
+    )

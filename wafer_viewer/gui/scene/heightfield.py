@@ -7,8 +7,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from wafer_viewer.gui.scene.scene_contents import OnShow
-from wafer_viewer.session.rendering.render_request import Relief
+from wafer_viewer.gui.scene.scene_contents import DisplayedSurface
+from wafer_viewer.session.rendering.render_request import CoarseHeightField
 
 Floats = NDArray[np.float64]
 Place = tuple[float, float]
@@ -23,13 +23,13 @@ _HALVINGS = 14
 _ROUND_PIECES = 160
 
 
-class Land:
+class HeightField:
     """Heights of one surface, and how they are drawn. Places are stage um, rays are scene mm.
 
     holes: whether the ground is seen where nothing is measured.
     """
 
-    def __init__(self, relief: Relief, on_show: OnShow, holes: bool = True) -> None:
+    def __init__(self, relief: CoarseHeightField, on_show: DisplayedSurface, holes: bool = True) -> None:
         self._relief, self.on_show, self._holes = relief, on_show, holes
         shape = (relief.rows, relief.cols)
         self._z_um = np.frombuffer(relief.z_um, "<f4").reshape(shape)
@@ -65,7 +65,7 @@ class Land:
         """x, y in um of coarse pixels: of numbers, numbers; of arrays, arrays."""
         return self._relief.x0_um + col * self.pixel_um, self._relief.y0_um - row * self.pixel_um
 
-    def within(self, box: Box) -> Land:
+    def within(self, box: Box) -> HeightField:
         """What of the surface lies in a box (um); all of it where that is next to nothing."""
         r, (x0, y0, x1, y1) = self._relief, box
         left, right = (round((x - r.x0_um) / r.pixel_um) for x in (x0, x1))
@@ -75,8 +75,8 @@ class Land:
         if min(z.shape) < LEAST_IN_SIGHT_PX or not there.any():
             return self
         x, y = self.place(rows.start, cols.start)
-        part = Relief(z.shape[0], z.shape[1], r.pixel_um, x, y, z.tobytes(), there.tobytes())
-        return Land(part, self.on_show, self._holes)
+        part = CoarseHeightField(z.shape[0], z.shape[1], r.pixel_um, x, y, z.tobytes(), there.tobytes())
+        return HeightField(part, self.on_show, self._holes)
 
     def clamped(self, place: Place) -> Place:
         """The place, or the nearest on the surface; to a hundredth of a micrometre."""

@@ -12,7 +12,7 @@ from wafer_viewer.draw.surface import ground_plane, mesh
 from wafer_viewer.draw.surface.glb import painted
 from wafer_viewer.draw.ticks import ticks
 from wafer_viewer.gui.scene.primitives import Box, lines, lying
-from wafer_viewer.gui.scene.reconciler import Handle, Item
+from wafer_viewer.gui.scene.reconciler import Handle, SceneItem
 from wafer_viewer.gui.scene.scene_theme import colours
 
 _PLINTH_SHARE = 0.062
@@ -31,15 +31,15 @@ def _hatch_mm(box: Box) -> float:
     return _HATCH_SHARE * max(box[2] - box[0], box[3] - box[1])
 
 
-def block_items(box: Box, dark: bool, *, plinth: bool) -> list[Item]:
+def block_items(box: Box, dark: bool, *, plinth: bool) -> list[SceneItem]:
     """Everything round a surface that covers a box, whose lowest height is drawn at 0."""
     depth = plinth_mm(box) if plinth else 2 * _hatch_mm(box)  # level with what lies flat at 0 it would flicker over it
     items = [
-        Item("ground/shadow", (box, dark, depth), partial(_shadow, box=box, dark=dark, z=-depth)),
-        Item("ground/hatch", (box, dark), partial(_hatch, box=box, dark=dark)),
-        Item("ground/scale", (box, dark, depth), partial(_scale_lines, box=box, dark=dark, z=-depth)),
+        SceneItem("ground/shadow", (box, dark, depth), partial(_shadow, box=box, dark=dark, z=-depth)),
+        SceneItem("ground/hatch", (box, dark), partial(_hatch, box=box, dark=dark)),
+        SceneItem("ground/scale", (box, dark, depth), partial(_scale_lines, box=box, dark=dark, z=-depth)),
     ]
-    return items + ([Item("ground/plinth", (box, dark), partial(_plinth, box=box, dark=dark))] if plinth else [])
+    return items + ([SceneItem("ground/plinth", (box, dark), partial(_plinth, box=box, dark=dark))] if plinth else [])
 
 
 def _plinth(scene: viser.SceneApi, name: str, _: bytes, *, box: Box, dark: bool) -> Handle:

@@ -11,14 +11,14 @@ from typing import Any, Protocol, TypeVar, runtime_checkable
 
 import viser
 
-from wafer_viewer.gui.scene.send_window import Gate
-from wafer_viewer.session.rendering.render_request import PaintRequest
+from wafer_viewer.gui.scene.send_window import SendWindow
+from wafer_viewer.session.rendering.render_request import RenderRequest
 
 T = TypeVar("T")
 Handle = Any
 """A viser scene node handle; the kinds share `remove`, and those that are stretched `scale`."""
 Make = Callable[[viser.SceneApi, str, bytes], Handle]
-Paint = Callable[[PaintRequest], "Future[bytes]"]
+Paint = Callable[[RenderRequest], "Future[bytes]"]
 
 _GRACE_S = 0.45
 """How long a tile stays after its successor was sent: the browser unpacks it meanwhile, and nothing flashes."""
@@ -34,14 +34,14 @@ class Settling(Protocol):
 
 
 @dataclass(frozen=True, slots=True)
-class Cover:
+class TileExtent:
     """What an item covers: rows and columns of the surface that its layer shows."""
 
     layer: str
     rows: tuple[int, int]
     cols: tuple[int, int]
 
-    def meets(self, other: Cover) -> bool:
+    def meets(self, other: TileExtent) -> bool:
         """Whether both cover some of the same."""
         return (
             self.layer == other.layer
@@ -53,7 +53,7 @@ class Cover:
 
 
 @dataclass(frozen=True, slots=True)
-class Item:
+class SceneItem:
     """One thing in the scene. Items with the same name and content look alike; make(scene, node name, data) draws it.
 
     With a `request`, data is what the painter made of it. `stretched` items follow the exaggeration of heights. One
@@ -63,9 +63,9 @@ class Item:
     name: str
     content: Hashable
     make: Make
-    request: PaintRequest | None = None
+    request: RenderRequest | None = None
     stretched: bool = False
-    cover: Cover | None = None
+    cover: TileExtent | None = None
 
 
 @dataclass(slots=True)
@@ -73,22 +73,22 @@ class _Drawn:
     content: Hashable
     handle: Handle
     stretched: bool
-    cover: Cover | None
+    cover: TileExtent | None
 
 
-class NotYet(Exception):  # nothing went wrong: no Error in its name
+class NotReady(Exception):  # nothing went wrong: no Error in its name
     """The answer is on its way; the scene is drawn again when it has come."""
 
 
-class Orders:
+class RenderQueue:
     """What was asked of the painter. It never waits: an answer that is not there yet calls `arrived` when it is."""
 
     def __init__(self, paint: Paint, arrived: Callable[[], None]) -> None:
         self._paint, self._arrived = paint, arrived
-        self._open: dict[PaintRequest, Future[bytes]] = {}
-        self._repeated: set[PaintRequest] = set()
+        self._open: dict[RenderRequest, Future[bytes]] = {}
+        self._repeated: set[RenderRequest] = set()
 
-    def outcome(self, request: PaintRequest, taken: bool = True) -> Future[bytes]:
+    def outcome(self, request: RenderRequest, taken: bool = True) -> Future[bytes]:
         """The painter's answer, done. Raises NotYet; what failed is tried again when it is asked for again.
 
         What was lost with the painter's process is ordered once more, from the process that takes its place.
@@ -103,11 +103,11 @@ class Orders:
             if not future.done():
                 future.add_done_callback(lambda done: None if done.cancelled() else self._arrived())
         if not future.done() or not taken:
-            raise NotYet
+            raise NotReady
         self._repeated.discard(request)
         return self._open.pop(request)
 
-    def keep_only(self, wanted: set[PaintRequest]) -> None:
+    def keep_only(self, wanted: set[RenderRequest]) -> None:
         """Withdraw the orders that no one waits for any more."""
         for request in [request for request in self._open if request not in wanted]:
             self._open.pop(request).cancel()
@@ -119,13 +119,13 @@ def _is_lost(future: Future[bytes]) -> bool:
     return future.done() and not future.cancelled() and isinstance(future.exception(), BrokenProcessPool)
 
 
-class Stage:
+class SceneReconciler:
     """The nodes of one browser's scene, by item name. Used from one thread; it never waits."""
 
     def __init__(
-        self, scene: viser.SceneApi, paint: Paint, arrived: Callable[[], None], gate: Gate | None = None
+        self, scene: viser.SceneApi, paint: Paint, arrived: Callable[[], None], gate: SendWindow | None = None
     ) -> None:
-        self._scene, self._orders, self._gate = scene, Orders(paint, arrived), gate
+        self._scene, self._orders, self._gate = scene, RenderQueue(paint, arrived), gate
         self._drawn: dict[str, _Drawn] = {}
         self._leaving: list[tuple[float, Handle]] = []
         self._serial = 0
@@ -136,7 +136,7 @@ class Stage:
         """What is drawn, by item name."""
         return tuple(name for name, drawn in self._drawn.items() if drawn.handle is not None)
 
-    def show(self, items: Sequence[Item], stretch: float) -> bool:
+    def show(self, items: Sequence[SceneItem], stretch: float) -> bool:
         """Draw what is missing and there to be drawn; whether that was all. What is not in the list leaves once
         nothing that would stand in its place is missing.
 
@@ -170,24 +170,24 @@ class Stage:
         self._leaving = [entry for entry in self._leaving if entry[0] > now]
         return min((due for due, _ in self._leaving), default=now) - now if self._leaving else None
 
-    def _clear_away(self, wanted: set[str], waiting: Sequence[Item]) -> None:
+    def _clear_away(self, wanted: set[str], waiting: Sequence[SceneItem]) -> None:
         to_come = [item.cover for item in waiting if item.cover is not None]
         for name in [name for name in self._drawn if name not in wanted]:
             cover = self._drawn[name].cover
             if not waiting or (cover is not None and not any(cover.meets(other) for other in to_come)):
                 self._let_leave(self._drawn.pop(name))
 
-    def _is_drawn(self, item: Item) -> bool:
+    def _is_drawn(self, item: SceneItem) -> bool:
         drawn = self._drawn.get(item.name)
         return drawn is not None and drawn.content == item.content
 
-    def _try(self, item: Item, faults: list[BaseException]) -> bool:
+    def _try(self, item: SceneItem, faults: list[BaseException]) -> bool:
         """Draw an item if what it is made of is there."""
         data = b""
         if item.request is not None:
             try:
                 outcome = self._orders.outcome(item.request, self._gate is None or self._gate.is_open)
-            except NotYet:
+            except NotReady:
                 return False
             fault = outcome.exception()
             data = outcome.result() if fault is None else b""
@@ -195,7 +195,7 @@ class Stage:
         self._draw(item, data)
         return True
 
-    def _draw(self, item: Item, data: bytes) -> None:
+    def _draw(self, item: SceneItem, data: bytes) -> None:
         self._serial += 1
         if self._gate is not None and data:
             self._gate.sent(len(data))

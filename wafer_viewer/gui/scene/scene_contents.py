@@ -8,23 +8,23 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from wafer_viewer.gui.scene.camera.camera_presets import Clear, Vector
-from wafer_viewer.gui.scene.camera.frustum import Sight
+from wafer_viewer.gui.scene.camera.frustum import Frustum
 from wafer_viewer.gui.scene.primitives import Box
-from wafer_viewer.gui.scene.reconciler import Item
+from wafer_viewer.gui.scene.reconciler import SceneItem
 from wafer_viewer.model.measurement.levelling import Datum
-from wafer_viewer.session.rendering.render_request import Facts, Scale, Source
+from wafer_viewer.session.rendering.render_request import ColourScale, SurfaceKey, SurfaceStatistics
 
 
 @dataclass(frozen=True, slots=True)
-class OnShow:
+class DisplayedSurface:
     """The surface in the scene, and how its heights become scene z: (z_um - z0_um) * stretch / 1000.
 
     datum: what heights are taken from, all of them, those in facts and scale too; None: the stage's zero.
     """
 
-    source: Source
-    facts: Facts
-    scale: Scale
+    source: SurfaceKey
+    facts: SurfaceStatistics
+    scale: ColourScale
     z0_um: float
     stretch: float
     datum: Datum | None = None
@@ -51,7 +51,7 @@ class OnShow:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Contents:
+class SceneContents:
     """Everything to be drawn. `rough` is shown first when nothing of the same kind is drawn yet.
 
     seen: further items, by what the camera sees, and how many pixels are drawn for one of the screen.
@@ -59,15 +59,15 @@ class Contents:
     place: the camera goes to `preset` when this changes; corners_mm [n, 3]: what it takes in.
     """
 
-    items: tuple[Item, ...]
+    items: tuple[SceneItem, ...]
     corners_mm: Vector
     place: Hashable
     preset: str = "iso"
     stretch: float = 1.0
-    rough: tuple[Item, ...] = ()
-    on_show: OnShow | None = None
+    rough: tuple[SceneItem, ...] = ()
+    on_show: DisplayedSurface | None = None
     awaits_more: bool = False
-    seen: Callable[[Sight, float], Sequence[Item]] | None = None
+    seen: Callable[[Frustum, float], Sequence[SceneItem]] | None = None
     clear: Clear = field(default_factory=Clear)
 
 
@@ -77,7 +77,7 @@ def corners_of(box: Box, low_mm: float, high_mm: float) -> Vector:
     return np.array([(x, y, z) for x in (x0, x1) for y in (y0, y1) for z in (low_mm, high_mm)], float)
 
 
-def corners_over(bounds_um: Box, shown: Contents) -> Vector:
+def corners_over(bounds_um: Box, shown: SceneContents) -> Vector:
     """The corners of a block over a rectangle of the stage, as high as what is shown."""
     x0, y0, x1, y1 = (side * 1e-3 for side in bounds_um)
     on_show = shown.on_show

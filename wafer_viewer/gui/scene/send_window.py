@@ -16,7 +16,7 @@ Fence = Callable[[], object]
 """Comes back when the browser has taken in all that was sent before; raises RuntimeError when the browser has gone."""
 
 
-class Gate:
+class SendWindow:
     """Counts what is sent. `arrived` is called on another thread when it has opened again."""
 
     def __init__(self, fence: Fence, arrived: Callable[[], None], clock: Callable[[], float] = time.monotonic) -> None:

@@ -7,8 +7,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from wafer_viewer.gui.scene.camera.camera_presets import Pose, Vector, screen_axes
-from wafer_viewer.gui.scene.heightfield import Land
+from wafer_viewer.gui.scene.camera.camera_presets import CameraPose, Vector, screen_axes
+from wafer_viewer.gui.scene.heightfield import HeightField
 
 _STEPS = 40
 _ACROSS, _DOWN = np.linspace(0, 1, 5), np.linspace(0, 1, 2)
@@ -17,7 +17,7 @@ _NEAREST = 0.1
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Gaze:
+class ViewAxes:
     """eye: the camera, scene mm; towards: unit vector to it from the point looked at, `distance_mm` away, where a pixel
     is `mm_per_pixel`."""
 
@@ -27,7 +27,7 @@ class Gaze:
     mm_per_pixel: float
 
     @classmethod
-    def of(cls, pose: Pose, mm_per_pixel: float) -> Gaze:
+    def of(cls, pose: CameraPose, mm_per_pixel: float) -> ViewAxes:
         """That of a camera."""
         distance_mm = float(np.linalg.norm(pose.position - pose.look_at))
         return cls(pose.position, pose.direction, distance_mm, mm_per_pixel)
@@ -51,7 +51,7 @@ class Gaze:
         """How many mm a pixel is there."""
         return self.mm_per_pixel * max(float((self.eye - place) @ self.towards), 0.0) / max(self.distance_mm, 1e-12)
 
-    def before(self, land: Land, corners: Vector, spare_mm: float) -> float:
+    def before(self, land: HeightField, corners: Vector, spare_mm: float) -> float:
         """What share of the way to the camera a picture has to come, for nothing of the surface to stand before it.
 
         corners: its lower left, lower right and upper left, [3, 3] in scene mm. It keeps its place on the screen and

@@ -9,14 +9,14 @@ import numpy as np
 import viser
 
 from wafer_viewer.draw.surface import mesh
-from wafer_viewer.draw.surface.display_style import Look, eight_bit
+from wafer_viewer.draw.surface.display_style import DisplayStyle, eight_bit
 from wafer_viewer.draw.surface.glb import painted
 from wafer_viewer.gui.scene.camera.camera_presets import Clear
-from wafer_viewer.gui.scene.lod.surface_cache import Book
+from wafer_viewer.gui.scene.lod.surface_cache import SurfaceInfoCache
 from wafer_viewer.gui.scene.lod.surface_tiles import Shown, surface_items
 from wafer_viewer.gui.scene.primitives import Box, Group, lines, rectangle, word
-from wafer_viewer.gui.scene.reconciler import Item
-from wafer_viewer.gui.scene.scene_contents import Contents, corners_of
+from wafer_viewer.gui.scene.reconciler import SceneItem
+from wafer_viewer.gui.scene.scene_contents import SceneContents, corners_of
 from wafer_viewer.gui.scene.scene_theme import colours
 from wafer_viewer.gui.scenes.field_outlines import box_edges, field_box, fields_box, flat_items
 from wafer_viewer.gui.scenes.plan_scene import plan_contents
@@ -25,7 +25,7 @@ from wafer_viewer.gui.scenes.surface_scene import result_of
 from wafer_viewer.gui.state.view_state import View
 from wafer_viewer.model.acquisition.focus_stack import Image
 from wafer_viewer.model.acquisition.plan import Field
-from wafer_viewer.session.rendering.render_request import Facts, Source
+from wafer_viewer.session.rendering.render_request import SurfaceKey, SurfaceStatistics
 from wafer_viewer.session.state.snapshot import FieldState, LatestFrame, OpenDataset, Snapshot
 
 _TEXTURE_PIXELS = 1_600_000
@@ -35,13 +35,17 @@ _FRAME_SIDE_PX = 480
 _NOT_TAKEN = (FieldState.TO_COME, FieldState.TO_REPEAT, FieldState.TAKING, FieldState.FAILED)
 
 
-def acquire_contents(book: Book, snapshot: Snapshot, view: View, latest: LatestFrame | None) -> Contents:
+def acquire_contents(
+    book: SurfaceInfoCache, snapshot: Snapshot, view: View, latest: LatestFrame | None
+) -> SceneContents:
     """The fields of the open dataset as far as they are; without one, the plan."""
     data = snapshot.dataset
     if data is None:
         return plan_contents(snapshot, view)
     if not data.fields:  # a surface file: it is drawn as soon as it is read, and the sample on the stage is another
-        return Contents(items=(), corners_mm=corners_of((-1.0, -1.0, 1.0, 1.0), 0.0, 0.0), place=("file", data.path))
+        return SceneContents(
+            items=(), corners_mm=corners_of((-1.0, -1.0, 1.0, 1.0), 0.0, 0.0), place=("file", data.path)
+        )
     size = data.plan.cols * data.plan.pixel_um, data.plan.rows * data.plan.pixel_um
     facts = book.facts_known({n: _source(data, snapshot, n) for n in sorted(data.stamps)})
     z0 = min((f.lowest_um for f in facts.values()), default=min(f.z_start_um for f in data.fields))
@@ -53,7 +57,7 @@ def acquire_contents(book: Book, snapshot: Snapshot, view: View, latest: LatestF
     taken = {number for number, state in data.states.items() if state not in _NOT_TAKEN}
     items += flat_items([f for f in data.fields if f.number not in facts], taken, *size, floor, view.dark)
     items += _finished(data, snapshot, view, facts, z0)
-    return Contents(
+    return SceneContents(
         items=tuple(items),
         corners_mm=corners_of(box, floor, 0.12 * (box[3] - box[1])),
         place=("acquire", data.path),
@@ -63,20 +67,22 @@ def acquire_contents(book: Book, snapshot: Snapshot, view: View, latest: LatestF
     )
 
 
-def _source(data: OpenDataset, snapshot: Snapshot, number: int) -> Source:
-    return Source(data.path, result_of(snapshot), number, data.stamps[number])
+def _source(data: OpenDataset, snapshot: Snapshot, number: int) -> SurfaceKey:
+    return SurfaceKey(data.path, result_of(snapshot), number, data.stamps[number])
 
 
 # ---------------------------------------------------------------- finished fields
 
 
-def _finished(data: OpenDataset, snapshot: Snapshot, view: View, facts: dict[int, Facts], z0_um: float) -> list[Item]:
+def _finished(
+    data: OpenDataset, snapshot: Snapshot, view: View, facts: dict[int, SurfaceStatistics], z0_um: float
+) -> list[SceneItem]:
     if not facts:
         return []
     low, high = _common_range(list(facts.values()))
-    look = Look("height", view.colours, low, high, view.hillshade, view.all_in_focus)
+    look = DisplayStyle("height", view.colours, low, high, view.hillshade, view.all_in_focus)
     pixels = min(_FIELD_PIXELS, _TEXTURE_PIXELS // len(facts))
-    items: list[Item] = []
+    items: list[SceneItem] = []
     for number, fact in facts.items():
         source = _source(data, snapshot, number)
         items += surface_items(Shown(source, fact, fact), look, _solid(view), z0_um, pixels, f"field/{number}")
@@ -88,7 +94,7 @@ def _solid(view: View) -> View:
     return view if view.look == "surface" else View(step="acquire", dark=view.dark)
 
 
-def _common_range(facts: list[Facts]) -> tuple[float, float]:
+def _common_range(facts: list[SurfaceStatistics]) -> tuple[float, float]:
     """One range for all fields, in round steps, so that it seldom moves when a field is added."""
     low, high = min(f.low_um for f in facts), max(f.high_um for f in facts)
     step = max(high - low, 0.5) / 8
@@ -107,7 +113,7 @@ def _live(
     size: tuple[float, float],
     z0_um: float,
     floor_mm: float,
-) -> list[Item]:
+) -> list[SceneItem]:
     """Its box from the lowest to the highest frame, and the latest frame in it at its z."""
     scan = snapshot.scan
     if scan is None or scan.finished or not snapshot.scanning:
@@ -116,7 +122,7 @@ def _live(
     low = (scan.field.z_start_um - z0_um) * stretch
     high = low + data.plan.sweep.range_um * stretch
     items = [
-        Item(
+        SceneItem(
             "live/box", (box, floor_mm, high, view.dark),
             partial(_box, field=scan.field, box=box, low=max(low, floor_mm), high=high, dark=view.dark),
         )
@@ -124,7 +130,7 @@ def _live(
     if latest is not None and latest.field.number == scan.field.number:
         z = (latest.z_um - z0_um) * stretch
         drawn = partial(_frame, image=latest.image, box=box, z=z, dark=view.dark)
-        items.insert(0, Item("live/frame", (latest, z, view.dark), drawn))
+        items.insert(0, SceneItem("live/frame", (latest, z, view.dark), drawn))
     return items
 
 

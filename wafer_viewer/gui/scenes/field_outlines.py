@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from wafer_viewer.draw.number_format import with_unit
 from wafer_viewer.gui.scene.primitives import Box, Group, cased, dashed, lines, lying, rectangle, way, word
-from wafer_viewer.gui.scene.reconciler import Handle, Item
+from wafer_viewer.gui.scene.reconciler import Handle, SceneItem
 from wafer_viewer.gui.scene.scene_theme import colours
 from wafer_viewer.model.acquisition.plan import Field, ScanPlan
 
@@ -37,20 +37,20 @@ def fields_box(fields: Sequence[Field], width_um: float, height_um: float) -> Bo
 
 def planned_items(
     fields: tuple[Field, ...], width_um: float, height_um: float, plan: ScanPlan | None, dark: bool
-) -> list[Item]:
+) -> list[SceneItem]:
     """The grid as it is planned."""
     key, frames = (fields, width_um, height_um, dark), partial(field_box, width_um=width_um, height_um=height_um)
     boxes = [frames(f) for f in fields]
     items = [
-        Item("grid/overlap", key, partial(_overlap, boxes=boxes, dark=dark)),
-        Item("grid/lines", key, partial(_frames, boxes=boxes, dark=dark)),
-        Item("grid/size", key, partial(_size, box=fields_box(fields, width_um, height_um))),
+        SceneItem("grid/overlap", key, partial(_overlap, boxes=boxes, dark=dark)),
+        SceneItem("grid/lines", key, partial(_frames, boxes=boxes, dark=dark)),
+        SceneItem("grid/size", key, partial(_size, box=fields_box(fields, width_um, height_um))),
     ]
     if len(fields) <= _MOST_NUMBERS:
-        items.append(Item("grid/numbers", key, partial(_numbers, fields=fields, boxes=boxes, dark=dark)))
+        items.append(SceneItem("grid/numbers", key, partial(_numbers, fields=fields, boxes=boxes, dark=dark)))
     points = stage_way(plan) if plan is not None else []
     if len(points) > 1:
-        items.append(Item("grid/way", (tuple(points), dark), partial(_way, points=points, unit=_unit(boxes))))
+        items.append(SceneItem("grid/way", (tuple(points), dark), partial(_way, points=points, unit=_unit(boxes))))
     return items
 
 
@@ -139,10 +139,10 @@ def _way(scene: viser.SceneApi, name: str, _: bytes, *, points: list[tuple[float
 
 def flat_items(
     fields: list[Field], taken: set[int], width_um: float, height_um: float, z: float, dark: bool
-) -> list[Item]:
+) -> list[SceneItem]:
     """Fields that have no surface yet, flat on the stage with their numbers: dashed until their frames are taken."""
     return [
-        Item(
+        SceneItem(
             f"flat/{f.number}", (f, f.number in taken, width_um, height_um, z, dark),
             partial(_flat, field=f, box=field_box(f, width_um, height_um), taken=f.number in taken, z=z, dark=dark),
         )

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from wafer_viewer.gui.scene.camera.camera_presets import Clear
 from wafer_viewer.gui.scene.primitives import Box
-from wafer_viewer.gui.scene.scene_contents import Contents, corners_of
+from wafer_viewer.gui.scene.scene_contents import SceneContents, corners_of
 from wafer_viewer.gui.scenes.field_outlines import fields_box, planned_items
 from wafer_viewer.gui.scenes.sample_scene import reach_box, sample_box, sample_items
 from wafer_viewer.gui.state.view_state import View
@@ -16,7 +16,7 @@ _WHOLE_OVER = 0.3
 _AROUND = 0.28
 
 
-def plan_contents(snapshot: Snapshot, view: View) -> Contents:
+def plan_contents(snapshot: Snapshot, view: View) -> SceneContents:
     """The sample, or a bare stage, and the grid."""
     job, plan = snapshot.draft.job, snapshot.draft.plan
     items = sample_items(snapshot, view.dark)
@@ -24,7 +24,7 @@ def plan_contents(snapshot: Snapshot, view: View) -> Contents:
     if job is not None and size is not None:
         items += planned_items(job.all_fields(), *size, plan, view.dark)
     box = _in_sight(snapshot, size)
-    return Contents(
+    return SceneContents(
         items=tuple(items),
         corners_mm=corners_of(box, 0.0, 0.0),
         place=("plan", snapshot.overview is None, job is None),

@@ -10,7 +10,7 @@ import math
 import numpy as np
 from numpy.typing import NDArray
 
-from wafer_viewer.model.surface.field_poses import Doubt, Poses
+from wafer_viewer.model.surface.field_poses import Poses, RejectionReason
 
 Floats = NDArray[np.float64]
 Mask = NDArray[np.bool_]
@@ -112,7 +112,11 @@ class Fields:
     def doubted(self, blank: bool) -> Floats:
         """Boxes of the overlaps that are not believed: with nothing to compare (blank), or for another reason."""
         doubt = self.poses.shifts.doubt
-        which = doubt == Doubt.BLANK if blank else (doubt != Doubt.NONE) & (doubt != Doubt.BLANK)
+        which = (
+            doubt == RejectionReason.BLANK
+            if blank
+            else (doubt != RejectionReason.NONE) & (doubt != RejectionReason.BLANK)
+        )
         return self.overlaps(which)
 
     def overlaps(self, which: Mask) -> Floats:

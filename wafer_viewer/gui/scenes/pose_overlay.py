@@ -15,15 +15,15 @@ from wafer_viewer.draw.colormaps import Rgb
 from wafer_viewer.draw.raster_text import sheet, tag
 from wafer_viewer.draw.surface import mesh
 from wafer_viewer.draw.surface.glb import painted
-from wafer_viewer.gui.scene.draped_lines import Drape
+from wafer_viewer.gui.scene.draped_lines import DrapedLines
 from wafer_viewer.gui.scene.primitives import Layer, Layers, lines
-from wafer_viewer.gui.scene.reconciler import Item
-from wafer_viewer.gui.scene.scene_contents import OnShow
+from wafer_viewer.gui.scene.reconciler import SceneItem
+from wafer_viewer.gui.scene.scene_contents import DisplayedSurface
 from wafer_viewer.gui.scene.scene_theme import colours
-from wafer_viewer.gui.scenes.pose_cache import Known
+from wafer_viewer.gui.scenes.pose_cache import CachedPoses
 from wafer_viewer.gui.scenes.pose_geometry import STITCH, Fields, Floats, in_dashes, sides
-from wafer_viewer.model.surface.field_poses import DOUBT_TITLES, Doubt, Poses
-from wafer_viewer.session.rendering.render_request import PaintRequest, Relief
+from wafer_viewer.model.surface.field_poses import DOUBT_TITLES, Poses, RejectionReason
+from wafer_viewer.session.rendering.render_request import CoarseHeightField, RenderRequest
 
 Place = tuple[float, float]
 Seen = tuple[float, float]
@@ -68,13 +68,17 @@ def inks(dark: bool) -> Inks:
     )
 
 
-def pose_items(known: Known, on_show: OnShow, size_um: tuple[float, float], dark: bool, flat: bool) -> list[Item]:
+def pose_items(
+    known: CachedPoses, on_show: DisplayedSurface, size_um: tuple[float, float], dark: bool, flat: bool
+) -> list[SceneItem]:
     """The overlay as one item, drawn when the painter has told the relief; nothing where only the stage is known."""
     if known.poses is None:
         return []
     make = partial(_overlay, poses=known.poses, size_um=size_um, dark=dark, flat=flat, z0_um=on_show.z0_um)
     content = (known.of, on_show.source, on_show.z0_um, size_um, dark, flat)
-    return [Item("poses", content, make, PaintRequest(on_show.source, "relief", datum=on_show.datum), stretched=True)]
+    return [
+        SceneItem("poses", content, make, RenderRequest(on_show.source, "relief", datum=on_show.datum), stretched=True)
+    ]
 
 
 def _overlay(
@@ -82,7 +86,9 @@ def _overlay(
     *, poses: Poses, size_um: tuple[float, float], dark: bool, flat: bool, z0_um: float,
 ) -> Layers:  # fmt: skip
     fields = Fields(poses, *size_um)
-    drape = Drape(None if flat else msgspec.msgpack.decode(data, type=Relief), z0_um, _SPAN * fields.unit_um)
+    drape = DrapedLines(
+        None if flat else msgspec.msgpack.decode(data, type=CoarseHeightField), z0_um, _SPAN * fields.unit_um
+    )
     pen = _Pen(scene, name, drape, inks(dark).casing, 1.0 if len(poses.numbers) <= _FEW else 0.6)
     _draw(fields, pen, inks(dark))
     return Layers(pen.layers, float(np.ptp(fields.boxes)) * 1e-3 / _SCREEN_PX)
@@ -91,7 +97,7 @@ def _overlay(
 class _Pen:
     """Draws lines and words over the surface in layers; with many fields everything is finer."""
 
-    def __init__(self, scene: viser.SceneApi, name: str, drape: Drape, casing: Rgb, weight: float) -> None:
+    def __init__(self, scene: viser.SceneApi, name: str, drape: DrapedLines, casing: Rgb, weight: float) -> None:
         self._scene, self._name, self._drape, self._casing, self._weight = scene, name, drape, casing, weight
         self.layers: list[Layer] = []
 
@@ -159,10 +165,12 @@ def _names(fields: Fields, pen: _Pen, ink: Inks) -> None:
 def _reasons(fields: Fields, pen: _Pen, ink: Inks) -> None:
     """Why overlaps are not believed, written on them where they are few; the list in the panel has them all."""
     doubt = fields.poses.shifts.doubt
-    rows = np.flatnonzero((doubt != Doubt.NONE) & (doubt != Doubt.BLANK))
+    rows = np.flatnonzero((doubt != RejectionReason.NONE) & (doubt != RejectionReason.BLANK))
     if len(rows) > _MOST_REASONS:
         return
-    found = [(fields.overlaps(np.arange(len(doubt)) == row), DOUBT_TITLES[Doubt(int(doubt[row]))]) for row in rows]
+    found = [
+        (fields.overlaps(np.arange(len(doubt)) == row), DOUBT_TITLES[RejectionReason(int(doubt[row]))]) for row in rows
+    ]
     found = [(box, words) for box, words in found if len(box)]
     middles = np.array([(box[0, :2] + box[0, 2:]) / 2 for box, _ in found]).reshape(-1, 2)
     tags = [tag(words, ink.on_plate, ink.doubt) for _, words in found]

@@ -13,7 +13,7 @@ from PIL import Image, ImageDraw
 from wafer_viewer.draw.colormaps import Rgb
 from wafer_viewer.draw.surface import ground_plane
 from wafer_viewer.gui.scene.primitives import Box, Group, closed, dashed, lines, lying, rectangle
-from wafer_viewer.gui.scene.reconciler import Handle, Item
+from wafer_viewer.gui.scene.reconciler import Handle, SceneItem
 from wafer_viewer.gui.scene.scene_theme import colours
 from wafer_viewer.model.acquisition.devices import Overview
 from wafer_viewer.model.acquisition.rig_limits import RigLimits
@@ -44,20 +44,20 @@ def reach_box(limits: RigLimits | None) -> Box:
     return limits.x.low_um * 1e-3, limits.y.low_um * 1e-3, limits.x.high_um * 1e-3, limits.y.high_um * 1e-3
 
 
-def sample_items(snapshot: Snapshot, dark: bool, z: float = 0.0, *, dimmed: bool = False) -> list[Item]:
+def sample_items(snapshot: Snapshot, dark: bool, z: float = 0.0, *, dimmed: bool = False) -> list[SceneItem]:
     """The overview with its outline and shadow, or the stage's grid."""
     box, overview = sample_box(snapshot), snapshot.overview
     if box is None:
         limits = snapshot.rig.limits
-        return [Item("stage", (limits, dark, z), partial(_stage_grid, box=reach_box(limits), dark=dark, z=z))]
+        return [SceneItem("stage", (limits, dark, z), partial(_stage_grid, box=reach_box(limits), dark=dark, z=z))]
     outline = overview.outline_um if overview is not None and overview.outline_um else _corners_um(box)
     items = [
-        Item("sample/shadow", (outline, dark, z), partial(_shadow, outline=outline, box=box, dark=dark, z=z)),
-        Item("sample/outline", (outline, dark, z), partial(_outline, outline=outline, dark=dark, z=z)),
+        SceneItem("sample/shadow", (outline, dark, z), partial(_shadow, outline=outline, box=box, dark=dark, z=z)),
+        SceneItem("sample/outline", (outline, dark, z), partial(_outline, outline=outline, dark=dark, z=z)),
     ]
     if overview is not None and overview.image is not None:
         picture = partial(_picture, overview=overview, dark=dark, z=z, dimmed=dimmed)
-        items.append(Item("sample/picture", (overview, dark, z, dimmed), picture))
+        items.append(SceneItem("sample/picture", (overview, dark, z, dimmed), picture))
     return items
 
 

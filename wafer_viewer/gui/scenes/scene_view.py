@@ -9,25 +9,25 @@ from typing import Any
 
 import viser
 
-from wafer_viewer.gui.scene.camera.camera_controller import Eye
-from wafer_viewer.gui.scene.camera.camera_presets import Pose
-from wafer_viewer.gui.scene.lod.stable_range import Steady
-from wafer_viewer.gui.scene.lod.surface_cache import Book
+from wafer_viewer.gui.scene.camera.camera_controller import CameraController
+from wafer_viewer.gui.scene.camera.camera_presets import CameraPose
+from wafer_viewer.gui.scene.lod.stable_range import DisplayRangeHysteresis
+from wafer_viewer.gui.scene.lod.surface_cache import SurfaceInfoCache
 from wafer_viewer.gui.scene.lod.surface_tiles import PointTile
 from wafer_viewer.gui.scene.lod.visible_range import Range, range_in_view
 from wafer_viewer.gui.scene.primitives import Box
-from wafer_viewer.gui.scene.reconciler import NotYet, Stage
-from wafer_viewer.gui.scene.scene_contents import Contents, OnShow, corners_over
-from wafer_viewer.gui.scene.send_window import Gate
+from wafer_viewer.gui.scene.reconciler import NotReady, SceneReconciler
+from wafer_viewer.gui.scene.scene_contents import DisplayedSurface, SceneContents, corners_over
+from wafer_viewer.gui.scene.send_window import SendWindow
 from wafer_viewer.gui.scene.viewport import Viewport
 from wafer_viewer.gui.scenes.acquire_scene import acquire_contents
 from wafer_viewer.gui.scenes.plan_scene import plan_contents
-from wafer_viewer.gui.scenes.pose_cache import PoseBook
+from wafer_viewer.gui.scenes.pose_cache import PoseCache
 from wafer_viewer.gui.scenes.surface_scene import marked, only_grew, source_of, surface_contents
 from wafer_viewer.gui.state.view_state import View
 from wafer_viewer.gui.tools.clip_box import Moved
 from wafer_viewer.gui.tools.scene_tools import Tools
-from wafer_viewer.gui.widgets.latest_only import Latest
+from wafer_viewer.gui.widgets.latest_only import LatestOnlyWorker
 from wafer_viewer.model.measurement.levelling import LevelBy, Levelling
 from wafer_viewer.model.region import Region
 from wafer_viewer.session.state.snapshot import Snapshot
@@ -36,7 +36,7 @@ _CAMERA_EVERY_S = 0.1
 _FENCE = "wafer-viewer-fence"
 """What the browser is asked for to hear whether it has taken in what was sent."""
 Wanted = tuple[Snapshot, View]
-Errand = Callable[[Contents], None]
+Errand = Callable[[SceneContents], None]
 """What the camera is to do, given what is on show."""
 
 
@@ -51,7 +51,7 @@ class SceneView:
         client: viser.ClientHandle,
         session: Any,
         on_fault: Callable[[Exception], None] | None = None,
-        poses: PoseBook | None = None,
+        poses: PoseCache | None = None,
         viewport: Viewport | None = None,
     ) -> None:
         self._client, self._session = client, session
@@ -61,24 +61,26 @@ class SceneView:
         self._begun: Wanted | None = None
         self._asked: Hashable = None
         self._more, self._closed, self._settled = False, False, True
-        self._gate = Gate(lambda: client.local_storage.get_item(_FENCE), self._arrived)
-        self._stage = Stage(client.scene, session.paint, self._arrived, self._gate)
-        self._book = Book(session.paint, self._arrived, lambda levelling, show: session.datum(levelling, show))
-        self._poses = poses or PoseBook(lambda: session.poses(), self._on_fault)
+        self._gate = SendWindow(lambda: client.local_storage.get_item(_FENCE), self._arrived)
+        self._stage = SceneReconciler(client.scene, session.paint, self._arrived, self._gate)
+        self._book = SurfaceInfoCache(
+            session.paint, self._arrived, lambda levelling, show: session.datum(levelling, show)
+        )
+        self._poses = poses or PoseCache(lambda: session.poses(), self._on_fault)
         self._poses.on_arrival(self._arrived)
-        self._steady = Steady()
-        self._eye = Eye(client, viewport or Viewport(client.camera))
+        self._steady = DisplayRangeHysteresis()
+        self._eye = CameraController(client, viewport or Viewport(client.camera))
         self._tools = Tools(client, self._eye, lambda show: session.surface_source(show))
-        self._shown: Contents | None = None
+        self._shown: SceneContents | None = None
         self._place: Hashable = None
         self._stands: Hashable = None
         self._handled: object = None
         self._errand: Errand | None = None
-        self._first_pose: Pose | None = None
+        self._first_pose: CameraPose | None = None
         self._print_px: int | None = None
         self._camera_listener: Callable[[], object] = lambda: None
-        self._moves = Latest("camera")
-        self._scale_listener: Callable[[OnShow | None], None] = lambda on_show: None
+        self._moves = LatestOnlyWorker("camera")
+        self._scale_listener: Callable[[DisplayedSurface | None], None] = lambda on_show: None
         self._points_listener: Callable[[int], None] = lambda drawn: None
         self._drawn_points = 0
         client.scene.add_frame("/WorldAxes", visible=False)  # stands before the axes that viser draws for everyone
@@ -105,11 +107,11 @@ class SceneView:
         self._send(lambda shown: self._eye.fly(corners_over(bounds_um, shown)))
 
     @property
-    def pose(self) -> Pose | None:
+    def pose(self) -> CameraPose | None:
         """Where the camera stands, or is flying to; None before there is one."""
         return self._eye.goal if self._place is not None else None
 
-    def go_to(self, pose: Pose) -> None:
+    def go_to(self, pose: CameraPose) -> None:
         """Have the camera stand somewhere, when what is wanted by now is drawn."""
         self._send(lambda _: self._eye.go(pose, flying=True))
 
@@ -117,7 +119,7 @@ class SceneView:
         """Whether the camera may fly; else it jumps."""
         self._eye.let_fly(able)
 
-    def reopen(self, pose: Pose) -> None:
+    def reopen(self, pose: CameraPose) -> None:
         """Where the camera is to stand at first, instead of where it shows everything."""
         self._first_pose = pose
 
@@ -145,7 +147,7 @@ class SceneView:
         """Call back when the camera has moved or the canvas has changed its size, at most ten times a second."""
         self._camera_listener = callback
 
-    def on_scale(self, callback: Callable[[OnShow | None], None]) -> None:
+    def on_scale(self, callback: Callable[[DisplayedSurface | None], None]) -> None:
         """Call back when the colours of the surface on show have changed: what the colour bar shows; None: no bar."""
         self._scale_listener = callback
 
@@ -266,7 +268,7 @@ class SceneView:
         try:
             if wanted is not None:
                 whole = self._draw(*wanted)
-        except NotYet:
+        except NotReady:
             return False
         except Exception as fault:  # noqa: BLE001 - this is the guard of the scene's thread: told, and the scene lives on
             self._on_fault(fault)
@@ -314,7 +316,7 @@ class SceneView:
         """How many pixels are to be drawn for one of the screen."""
         return max(1.0, self._print_px / max(1, self._client.camera.image_width)) if self._print_px else 1.0
 
-    def _contents(self, snapshot: Snapshot, view: View) -> Contents:
+    def _contents(self, snapshot: Snapshot, view: View) -> SceneContents:
         if view.step == "plan":
             return plan_contents(snapshot, view)
         source = source_of(snapshot, view.show) if view.step != "acquire" else None
@@ -322,7 +324,7 @@ class SceneView:
             return surface_contents(self._book, self._steady, self._poses, snapshot, view, source)
         return acquire_contents(self._book, snapshot, view, self._session.latest_frame)
 
-    def _place_camera(self, contents: Contents) -> None:
+    def _place_camera(self, contents: SceneContents) -> None:
         if contents.place != self._place:
             self._eye.frame(contents.corners_mm, contents.preset, contents.clear)
             if self._first_pose is not None:

@@ -10,41 +10,41 @@ import viser
 from wafer_viewer.gui.presenters.review.defect_items import chosen_defect
 from wafer_viewer.gui.scene.camera.camera_presets import Clear
 from wafer_viewer.gui.scene.lod.quadtree import Span
-from wafer_viewer.gui.scene.lod.stable_range import Steady, as_planned
-from wafer_viewer.gui.scene.lod.surface_cache import Book
+from wafer_viewer.gui.scene.lod.stable_range import DisplayRangeHysteresis, as_planned
+from wafer_viewer.gui.scene.lod.surface_cache import SurfaceInfoCache
 from wafer_viewer.gui.scene.lod.surface_tiles import Shown, TiledSurface, add_glb, bounds_mm, look_of
 from wafer_viewer.gui.scene.lod.tile_heights import heights_of
 from wafer_viewer.gui.scene.plinth import block_items, figure_height_mm, plinth_mm
 from wafer_viewer.gui.scene.primitives import Box
-from wafer_viewer.gui.scene.reconciler import Handle, Item
-from wafer_viewer.gui.scene.scene_contents import Contents, OnShow, corners_of
-from wafer_viewer.gui.scenes.pose_cache import PoseBook
+from wafer_viewer.gui.scene.reconciler import Handle, SceneItem
+from wafer_viewer.gui.scene.scene_contents import DisplayedSurface, SceneContents, corners_of
+from wafer_viewer.gui.scenes.pose_cache import PoseCache
 from wafer_viewer.gui.scenes.pose_overlay import pose_items
 from wafer_viewer.gui.state.view_state import View
-from wafer_viewer.model.findings import AnyFinding
+from wafer_viewer.model.findings import AnyResult
 from wafer_viewer.model.measurement.levelling import Datum
-from wafer_viewer.model.surface.comparison import Face, comparison_of
+from wafer_viewer.model.surface.comparison import ComparisonFace, comparison_of
 from wafer_viewer.session.core.changes import stamp_of
-from wafer_viewer.session.rendering.render_request import Facts, PaintRequest, Source
+from wafer_viewer.session.rendering.render_request import RenderRequest, SurfaceKey, SurfaceStatistics
 from wafer_viewer.session.state.snapshot import OpenDataset, Snapshot
 
 
-def source_of(snapshot: Snapshot, show: int) -> Source | None:
+def source_of(snapshot: Snapshot, show: int) -> SurfaceKey | None:
     """The surface a view asks for, None when there is none yet."""
     data = snapshot.dataset
     if data is None:
         return None
     if (asked := comparison_of(show)) is not None:
         found = next((c for c in snapshot.comparisons if c.number == asked[0]), None)
-        return None if found is None else Source(data.path, found.name, -asked[1], found.stamp)
+        return None if found is None else SurfaceKey(data.path, found.name, -asked[1], found.stamp)
     if show:
         stamp = data.stamps.get(show)
-        return None if stamp is None else Source(data.path, result_of(snapshot), show, stamp)
+        return None if stamp is None else SurfaceKey(data.path, result_of(snapshot), show, stamp)
     info = snapshot.surface
-    return None if info is None else Source(data.path, info.result, 0, info.stamp)
+    return None if info is None else SurfaceKey(data.path, info.result, 0, info.stamp)
 
 
-def marked(snapshot: Snapshot, view: View) -> tuple[AnyFinding, ...]:
+def marked(snapshot: Snapshot, view: View) -> tuple[AnyResult, ...]:
     """The findings whose outlines lie on the surface: in a review of defects only the one that is looked at."""
     defect = chosen_defect(snapshot, view.review) if view.step == "review" else None
     return snapshot.findings if defect is None else (defect,)
@@ -68,8 +68,13 @@ def result_of(snapshot: Snapshot) -> str:
 
 
 def surface_contents(
-    book: Book, steady: Steady, poses: PoseBook, snapshot: Snapshot, view: View, source: Source
-) -> Contents:
+    book: SurfaceInfoCache,
+    steady: DisplayRangeHysteresis,
+    poses: PoseCache,
+    snapshot: Snapshot,
+    view: View,
+    source: SurfaceKey,
+) -> SceneContents:
     """The block with its surface, and over it its fields. Raises NotYet when the painter is still to tell of it."""
     basis = _basis(source)
     datum = book.datum(basis, view.levelling)
@@ -78,12 +83,12 @@ def surface_contents(
     shown = _shown(snapshot, source, steady.facts(basis, view, told), datum)
     facts, scale = shown.facts, steady.scale(basis, view, book.scale(basis, view, datum))
     z0 = facts.lowest_um - 0.02 * (facts.high_um - facts.low_um)
-    on_show = OnShow(source, facts, scale, z0, view.exaggeration, datum)
+    on_show = DisplayedSurface(source, facts, scale, z0, view.exaggeration, datum)
     box, solid = bounds_mm(facts), view.look == "surface"
     heights = heights_of(on_show, book.relief_if_known(source, datum))
     tiled = TiledSurface(shown, look_of(view, scale), view, z0, heights if view.look != "plan" else _level)
     ground = block_items(box, view.dark, plinth=solid)
-    return Contents(
+    return SceneContents(
         items=(*ground, *_picture_at_z(snapshot, view, on_show), *_fields(poses, snapshot, view, on_show)),
         seen=tiled.items,
         rough=(*tiled.first_items(), *ground),
@@ -101,7 +106,7 @@ def _level(rows: Span, cols: Span) -> tuple[float, float]:
     return 0.0, 0.0
 
 
-def _shown(snapshot: Snapshot, source: Source, facts: Facts, datum: Datum | None) -> Shown:
+def _shown(snapshot: Snapshot, source: SurfaceKey, facts: SurfaceStatistics, datum: Datum | None) -> Shown:
     """While a scan goes on, the stitched surface has the room of all planned fields, and stays in its place."""
     data, info = snapshot.dataset, snapshot.surface
     if source.show or data is None or info is None:
@@ -110,7 +115,7 @@ def _shown(snapshot: Snapshot, source: Source, facts: Facts, datum: Datum | None
     return Shown(source, as_planned(facts, data.plan) if snapshot.scanning else facts, facts, stamps, datum)
 
 
-def _with_what_there_is(view: View, facts: Facts) -> View:
+def _with_what_there_is(view: View, facts: SurfaceStatistics) -> View:
     """The view, coloured by height where this surface does not have the quantity asked for; a difference as one."""
     if view.shows_difference and view.colour_by == "height":
         return replace(view, colour_by="difference")
@@ -118,19 +123,19 @@ def _with_what_there_is(view: View, facts: Facts) -> View:
     return replace(view, colour_by="height", range_um=None) if lacks else view
 
 
-def _basis(source: Source) -> Source:
+def _basis(source: SurfaceKey) -> SurfaceKey:
     """What a surface is drawn by: the second of a comparison like the first, in the same colours and the same light."""
-    return replace(source, show=-Face.FIRST) if source.show == -Face.SECOND else source
+    return replace(source, show=-ComparisonFace.FIRST) if source.show == -ComparisonFace.SECOND else source
 
 
 def _standing(snapshot: Snapshot, show: int) -> int:
     """What the camera stands before: a comparison lies where its first surface does, but for both side by side."""
     asked = comparison_of(show)
     found = next((c for c in snapshot.comparisons if asked is not None and c.number == asked[0]), None)
-    return show if asked is None or found is None or asked[1] is Face.BESIDE else found.comparison.first.field
+    return show if asked is None or found is None or asked[1] is ComparisonFace.BESIDE else found.comparison.first.field
 
 
-def _fields(poses: PoseBook, snapshot: Snapshot, view: View, on_show: OnShow) -> list[Item]:
+def _fields(poses: PoseCache, snapshot: Snapshot, view: View, on_show: DisplayedSurface) -> list[SceneItem]:
     """Where the fields were placed."""
     data = snapshot.dataset
     known = poses.at(on_show.source) if view.shows_fields and data is not None else None
@@ -140,7 +145,7 @@ def _fields(poses: PoseBook, snapshot: Snapshot, view: View, on_show: OnShow) ->
     return pose_items(known, on_show, size_um, view.dark, flat=view.look == "plan")
 
 
-def _top(on_show: OnShow) -> float:
+def _top(on_show: DisplayedSurface) -> float:
     return on_show.scene_z(on_show.facts.high_um)
 
 
@@ -152,16 +157,16 @@ def _with_figures(box: Box) -> Box:
 # ---------------------------------------------------------------- the picture of one z
 
 
-def _picture_at_z(snapshot: Snapshot, view: View, on_show: OnShow) -> tuple[Item, ...]:
+def _picture_at_z(snapshot: Snapshot, view: View, on_show: DisplayedSurface) -> tuple[SceneItem, ...]:
     """A frame of the field, or the stitched picture at one z, lying at that z; the surface stands out of it."""
     data, source = snapshot.dataset, on_show.source
     if data is None:
         return ()
     if view.show and view.frame_k is not None:
         z_um = frame_z_um(data, view.show, view.frame_k)
-        return (_lying_at(PaintRequest(source, "frame", k=view.frame_k), z_um, view, on_show),)
+        return (_lying_at(RenderRequest(source, "frame", k=view.frame_k), z_um, view, on_show),)
     if not view.show and view.slice_z_um is not None:
-        request = PaintRequest(source, "slice", z_um=view.slice_z_um)
+        request = RenderRequest(source, "slice", z_um=view.slice_z_um)
         return (_lying_at(request, view.slice_z_um, view, on_show),)
     return ()
 
@@ -171,9 +176,9 @@ def frame_z_um(data: OpenDataset, number: int, k: int) -> float:
     return data.plan.sweep.z_um(data.plan.field(number), k)
 
 
-def _lying_at(request: PaintRequest, z_um: float, view: View, on_show: OnShow) -> Item:
+def _lying_at(request: RenderRequest, z_um: float, view: View, on_show: DisplayedSurface) -> SceneItem:
     z_mm = 0.02 * plinth_mm(bounds_mm(on_show.facts)) if view.look == "plan" else on_show.scene_z(z_um)
-    return Item("picture", (request, z_mm), partial(_at_height, z_mm=z_mm), request)
+    return SceneItem("picture", (request, z_mm), partial(_at_height, z_mm=z_mm), request)
 
 
 def _at_height(scene: viser.SceneApi, name: str, data: bytes, *, z_mm: float) -> Handle:

@@ -15,9 +15,9 @@ from wafer_viewer.gui.scenes.surface_scene import source_of
 from wafer_viewer.gui.tools.region_shapes import outline_of
 from wafer_viewer.gui.widgets import html
 from wafer_viewer.model.errors import WaferViewerError
-from wafer_viewer.model.findings import AnyFinding
+from wafer_viewer.model.findings import AnyResult
 from wafer_viewer.model.region import Region
-from wafer_viewer.session.rendering.render_request import PaintRequest
+from wafer_viewer.session.rendering.render_request import RenderRequest
 from wafer_viewer.session.state.snapshot import Snapshot
 
 WIDTH_PX, HEIGHT_PX = 44, 33
@@ -30,15 +30,15 @@ class Thumbnails:
 
     def __init__(self, page: Page) -> None:
         self._page = page
-        self._asked: dict[PaintRequest, Future[bytes]] = {}
+        self._asked: dict[RenderRequest, Future[bytes]] = {}
 
-    def of(self, finding: AnyFinding, snapshot: Snapshot) -> str:
+    def of(self, finding: AnyResult, snapshot: Snapshot) -> str:
         """The picture of a result, its places outlined in its colour, as HTML."""
         request = picture_of(finding, snapshot)
         data = self.painted(request) if request is not None else b""
         return thumbnail(data, outlines(finding, box_of(finding, snapshot)))
 
-    def painted(self, request: PaintRequest) -> bytes:
+    def painted(self, request: RenderRequest) -> bytes:
         """A picture as JPEG; no bytes until it is painted."""
         future = self._asked.get(request)
         if future is None or future.cancelled():
@@ -53,7 +53,7 @@ def thumbnail(jpeg: bytes, over: str = "") -> str:
     return f'<span class="wv-thumb">{image}{over}</span>'
 
 
-def painted(page: Page, finding: AnyFinding, wait_s: float) -> bytes | None:
+def painted(page: Page, finding: AnyResult, wait_s: float) -> bytes | None:
     """The picture to be kept with a result, as JPEG; None where there is none in time. Never on a page's own thread."""
     request = picture_of(finding, page.session.snapshot)
     if request is None:
@@ -64,13 +64,13 @@ def painted(page: Page, finding: AnyFinding, wait_s: float) -> bytes | None:
         return None
 
 
-def picture_of(finding: AnyFinding, snapshot: Snapshot) -> PaintRequest | None:
+def picture_of(finding: AnyResult, snapshot: Snapshot) -> RenderRequest | None:
     """What to ask the painter for; None while the surface that a result was measured on is not there."""
     source = source_of(snapshot, finding.show)
-    return None if source is None else PaintRequest(source, "picture", box_um=box_of(finding, snapshot))
+    return None if source is None else RenderRequest(source, "picture", box_um=box_of(finding, snapshot))
 
 
-def box_of(finding: AnyFinding, snapshot: Snapshot) -> Box:
+def box_of(finding: AnyResult, snapshot: Snapshot) -> Box:
     """What the picture of a result takes in, in um."""
     return framed(bounds_of(finding, _LEAST_PX * (snapshot.surface.pixel_um if snapshot.surface else 1.0)))
 
@@ -83,7 +83,7 @@ def framed(bounds: Box) -> Box:
     return x - width / 2, y - width / aspect / 2, x + width / 2, y + width / aspect / 2
 
 
-def outlines(finding: AnyFinding, box: Box) -> str:
+def outlines(finding: AnyResult, box: Box) -> str:
     """The places of a result over the picture of a box, as SVG."""
     paths = "".join(_path(place, box) for place in drawn_of(finding))
     style = f'style="--tone:{html.safe(sign_colour(finding))}"'

@@ -14,8 +14,8 @@ from wafer_viewer.gui.defects.die_stack_view import DefectStack
 from wafer_viewer.gui.defects.reference_view import DefectBeside
 from wafer_viewer.gui.gauge.gauge_dock import GaugeDock
 from wafer_viewer.gui.gauge.gauge_panel import GaugePanel
-from wafer_viewer.gui.gauge.step_readout import GaugeGlass
-from wafer_viewer.gui.measure.live_profiles import Curves
+from wafer_viewer.gui.gauge.step_readout import StepReadout
+from wafer_viewer.gui.measure.live_profiles import LiveProfiles
 from wafer_viewer.gui.measure.measure_panel import MeasurePanel
 from wafer_viewer.gui.measure.profile_dock import ProfileDock
 from wafer_viewer.gui.overlays.colour_legend import ColourLegend
@@ -24,8 +24,8 @@ from wafer_viewer.gui.overlays.pose_legend import PoseLegend
 from wafer_viewer.gui.overlays.screenshot import PrintPicture
 from wafer_viewer.gui.overlays.toolbar import Toolbar
 from wafer_viewer.gui.page.bottom_panel import room_px
-from wafer_viewer.gui.page.browser_info import BrowserEar
-from wafer_viewer.gui.page.control_handover import HandsOff, Question
+from wafer_viewer.gui.page.browser_info import BrowserEvents
+from wafer_viewer.gui.page.control_handover import ControlLock, ControlRequestPrompt
 from wafer_viewer.gui.page.header import TITLES, Header, possible, why_not
 from wafer_viewer.gui.page.page import Page, Part
 from wafer_viewer.gui.page.restart_notice import Reopened
@@ -36,7 +36,7 @@ from wafer_viewer.gui.page.verdict_section import awaited
 from wafer_viewer.gui.plan.plan_panel import PlanPanel
 from wafer_viewer.gui.report.report_panel import ReportPanel
 from wafer_viewer.gui.review.review_panel import ReviewPanel
-from wafer_viewer.gui.scenes.pose_cache import PoseBook
+from wafer_viewer.gui.scenes.pose_cache import PoseCache
 from wafer_viewer.gui.scenes.scene_view import SceneView
 from wafer_viewer.gui.shell.camera_storage import Viewpoint
 from wafer_viewer.gui.shell.command_palette import Palette
@@ -58,9 +58,9 @@ from wafer_viewer.gui.surface.shown_statistics import ShownStatistics
 from wafer_viewer.gui.surface.surface_panel import SurfacePanel
 from wafer_viewer.gui.tools.gauge_regions import in_scene, take_places
 from wafer_viewer.gui.widgets.command import Command, looking
-from wafer_viewer.gui.widgets.controls import Cell, always_there
+from wafer_viewer.gui.widgets.controls import HtmlBlock, always_there
 from wafer_viewer.gui.widgets.error_guard import guarded, tell_failure
-from wafer_viewer.gui.widgets.latest_only import Latest
+from wafer_viewer.gui.widgets.latest_only import LatestOnlyWorker
 from wafer_viewer.gui.widgets.style import BRAND, RIGHT_PX, sheet
 from wafer_viewer.model.region import Region
 from wafer_viewer.session.state.snapshot import Snapshot
@@ -69,13 +69,13 @@ if TYPE_CHECKING:
     from wafer_viewer.session.api import SessionApi
 
 
-class Frame:
+class PageTheme:
     """The style sheet and viser's theme: light or dark, and the room for the bottom panel."""
 
     def __init__(self, page: Page) -> None:
         self._gui = page.gui
         self._dark: bool | None = None
-        self._sheet = Cell(page.gui, padded=False)
+        self._sheet = HtmlBlock(page.gui, padded=False)
 
     def show(self, snapshot: Snapshot, view: View) -> None:
         """Bring the frame up to date."""
@@ -91,10 +91,10 @@ class Frame:
             )
 
 
-class Drawing:
+class ScenePart:
     """The 3D scene as a part of the page."""
 
-    def __init__(self, scene: SceneView, curves: Curves) -> None:
+    def __init__(self, scene: SceneView, curves: LiveProfiles) -> None:
         self._scene, self._curves = scene, curves
 
     def show(self, snapshot: Snapshot, view: View) -> None:
@@ -103,7 +103,7 @@ class Drawing:
         self._scene.draw(snapshot, in_scene(replace(view, plot=plot), snapshot.surface))
 
 
-class PossibleStep:
+class StepFallback:
     """Leads back to a step there is something to do in: after a reload, or when a dataset is closed."""
 
     def __init__(self, page: Page) -> None:
@@ -130,21 +130,21 @@ def build_page(client: viser.ClientHandle, session: SessionApi) -> Page:
     page.gui.main_panel.dock_right()
     page.gui.main_panel.set_width(RIGHT_PX)
     with always_there(page.gui):
-        frame = Frame(page)
+        frame = PageTheme(page)
         page.add_picks()
-        ear = BrowserEar(page)
+        ear = BrowserEvents(page)
         halt = guarded(page, NOT_STOPPED)(lambda: stop(page))
         header = Header(page.gui, lambda step: go_to(page, step), halt)
-        strip, question, contact, tour = StatusStrip(page), Question(page), Contact(page), TourGuide(page)
+        strip, question, contact, tour = StatusStrip(page), ControlRequestPrompt(page), Contact(page), TourGuide(page)
     left = LeftPanel(page)  # docked before anything is drawn: whenever the scene changes its size it is drawn anew
-    hands, reopened = HandsOff(page), Reopened(page)
-    poses = PoseBook(session.poses, lambda fault: tell_failure(page, "The overlaps are not shown", fault))
+    hands, reopened = ControlLock(page), Reopened(page)
+    poses = PoseCache(session.poses, lambda fault: tell_failure(page, "The overlaps are not shown", fault))
     poses.on_arrival(page.redraw)
     failed = partial(tell_failure, page, "The scene is not complete")
     scene = SceneView(client, session, failed, poses, page.viewport)
     ear.on_motion(scene.let_fly)
-    curves = Curves(page)
-    viewpoint, drawing, welcome = Viewpoint(page, scene), Drawing(scene, curves), Welcome(page)
+    curves = LiveProfiles(page)
+    viewpoint, drawing, welcome = Viewpoint(page, scene), ScenePart(scene, curves), Welcome(page)
     page.show_first([frame, header, welcome, viewpoint, drawing])
     statistics = ShownStatistics(page, scene.seen_um)
     plan, acquire = PlanPanel(page), AcquirePanel(page)
@@ -156,7 +156,7 @@ def build_page(client: viser.ClientHandle, session: SessionApi) -> Page:
     read_out = ReadOutBox(page)
     parts: list[Part] = [
         *(
-            PossibleStep(page),
+            StepFallback(page),
             frame,
             ear,
             header,
@@ -186,7 +186,7 @@ def build_page(client: viser.ClientHandle, session: SessionApi) -> Page:
             DefectDock(page),
             beside,
             stack,
-            GaugeGlass(page, lambda: gauge.live.answer),
+            StepReadout(page, lambda: gauge.live.answer),
         ),
         welcome,
         tour,
@@ -237,7 +237,7 @@ def _listen_to_page(page: Page, scene: SceneView, left: LeftPanel, measure: Meas
     page.on_pick("select", lambda _: page.change(selecting=not page.view.selecting))
 
 
-def _listen_to_lines(page: Page, scene: SceneView, curves: Curves) -> None:
+def _listen_to_lines(page: Page, scene: SceneView, curves: LiveProfiles) -> None:
     def moved(lines: tuple[Region, ...], line: int) -> None:
         page.change(lines=lines, line=line, selected=None)
         curves.follow()
@@ -251,7 +251,7 @@ def _listen_to_lines(page: Page, scene: SceneView, curves: Curves) -> None:
 
 def _listen_to_scene(page: Page, scene: SceneView, read_out: ReadOutBox, why: WhyPanel) -> None:
     """Handles, clicks and the camera; what takes time is answered on a thread of its own."""
-    clicks = Latest("read-out")
+    clicks = LatestOnlyWorker("read-out")
     page.on_close(clicks.close)
     failed = "The surface was not read"
     scene.on_places(guarded(page, failed)(take_places(page)))

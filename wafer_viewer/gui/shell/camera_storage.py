@@ -5,9 +5,9 @@ from __future__ import annotations
 import numpy as np
 
 from wafer_viewer.gui.page.page import Page
-from wafer_viewer.gui.scene.camera.camera_presets import Pose
+from wafer_viewer.gui.scene.camera.camera_presets import CameraPose
 from wafer_viewer.gui.scenes.scene_view import SceneView
-from wafer_viewer.gui.state.browser_storage import Standpoint, keep_standpoint
+from wafer_viewer.gui.state.browser_storage import SavedCamera, keep_standpoint
 from wafer_viewer.gui.state.view_state import View
 from wafer_viewer.session.state.snapshot import Snapshot
 
@@ -19,7 +19,7 @@ class Viewpoint:
 
     def __init__(self, page: Page, scene: SceneView) -> None:
         self._page, self._scene = page, scene
-        self._kept: Standpoint | None = None
+        self._kept: SavedCamera | None = None
 
     def show(self, snapshot: Snapshot, view: View) -> None:
         """Put the camera back at first, and remember it whenever it has moved."""
@@ -27,11 +27,11 @@ class Viewpoint:
         if self._kept is None:
             self._kept = self._page.recalled.standpoint
             if self._kept.of == of:
-                self._scene.reopen(Pose(np.array(self._kept.position_mm), np.array(self._kept.look_at_mm)))
+                self._scene.reopen(CameraPose(np.array(self._kept.position_mm), np.array(self._kept.look_at_mm)))
             return
         pose = self._scene.pose
         if pose is not None and not (of == self._kept.of and _same(pose, self._kept)):
-            self._kept = Standpoint(of, _vector(pose.position), _vector(pose.look_at))
+            self._kept = SavedCamera(of, _vector(pose.position), _vector(pose.look_at))
             keep_standpoint(self._page.client, self._kept)
 
 
@@ -41,7 +41,7 @@ def looked_at(snapshot: Snapshot, view: View) -> str:
     return f"{data.path}" if view.on_surface and data is not None else view.step
 
 
-def _same(pose: Pose, kept: Standpoint) -> bool:
+def _same(pose: CameraPose, kept: SavedCamera) -> bool:
     now = (*_vector(pose.position), *_vector(pose.look_at))
     return all(abs(a - b) < MOVED_MM for a, b in zip(now, (*kept.position_mm, *kept.look_at_mm), strict=True))
 

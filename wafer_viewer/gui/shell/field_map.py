@@ -8,15 +8,15 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import replace
 
-from wafer_viewer.draw.charts.map_marks import Area, Mark, map_marks_svg
-from wafer_viewer.draw.charts.wafer_map import FIELD_INKS, Frame, Ink, Outline, field_map_svg, map_frame
+from wafer_viewer.draw.charts.map_marks import MapMark, MarkedArea, map_marks_svg
+from wafer_viewer.draw.charts.wafer_map import FIELD_INKS, FieldStyle, MapViewport, Outline, field_map_svg, map_frame
 from wafer_viewer.draw.colormaps import BRUSH
 from wafer_viewer.gui.defects.klarf_overlay import other_marks
 from wafer_viewer.gui.presenters.review.review_item import ReviewItem
 from wafer_viewer.gui.presenters.review.review_items import review_items
 from wafer_viewer.gui.state.view_state import View
 from wafer_viewer.gui.widgets import html
-from wafer_viewer.gui.widgets.controls import Cell, Gui
+from wafer_viewer.gui.widgets.controls import Gui, HtmlBlock
 from wafer_viewer.model.acquisition.plan import Field
 from wafer_viewer.session.rendering.render_request import Brushed
 from wafer_viewer.session.state.snapshot import Snapshot
@@ -30,13 +30,13 @@ class FieldMap:
     """The drawing with its legend; it is made again only when something of it has changed."""
 
     def __init__(self, gui: Gui) -> None:
-        Cell(gui, html.head("Map", first=True))
-        self._marks = Cell(gui)
-        self._map = Cell(gui)
+        HtmlBlock(gui, html.head("Map", first=True))
+        self._marks = HtmlBlock(gui)
+        self._map = HtmlBlock(gui)
         self._seen: Callable[[], Outline | None] = lambda: None
         self._brushed: Callable[[], Brushed | None] = lambda: None
         self._of: tuple[object, ...] | None = None
-        self._frame: Frame | None = None
+        self._frame: MapViewport | None = None
 
     def on_seen(self, seen_um: Callable[[], Outline | None]) -> None:
         """Ask this for the part of the ground that the camera sees."""
@@ -145,15 +145,15 @@ def _essence(snapshot: Snapshot, view: View) -> tuple[object, ...]:
     )
 
 
-def _areas(view: View, brushed: Brushed | None) -> list[Area]:
+def _areas(view: View, brushed: Brushed | None) -> list[MarkedArea]:
     """Where brushed heights are, the selection, and the lines of profiles are drawn as results are."""
-    areas = [Area(box, BRUSH, "brushed heights") for box in brushed.places] if brushed and view.brush else []
+    areas = [MarkedArea(box, BRUSH, "brushed heights") for box in brushed.places] if brushed and view.brush else []
     if view.selection is not None and view.step == "surface":
-        areas.append(Area(view.selection, "var(--accent)", "selection", dashed=True))
+        areas.append(MarkedArea(view.selection, "var(--accent)", "selection", dashed=True))
     return areas
 
 
-def _marks(snapshot: Snapshot, view: View) -> list[Mark]:
+def _marks(snapshot: Snapshot, view: View) -> list[MapMark]:
     """Where results are; in Review what is under review."""
     if view.step == "review":
         listed = review_items(snapshot, view.review_filter, view.defects)
@@ -166,7 +166,7 @@ def _marks(snapshot: Snapshot, view: View) -> list[Mark]:
     return [_at(r, r.colour, r.number == view.selected, html.pick("finding", r.number or 0)) for r in results]
 
 
-def _judged(item: ReviewItem, chosen: bool) -> Mark:
+def _judged(item: ReviewItem, chosen: bool) -> MapMark:
     colours = {"open": "var(--ink3)", "accepted": "var(--good)", "rejected": "var(--fault)"}
     verdict = item.judgement.verdict
     if item.defect is not None:
@@ -174,9 +174,9 @@ def _judged(item: ReviewItem, chosen: bool) -> Mark:
     return _at(item, colours[verdict], chosen, html.pick("review", item.key), f", {verdict}")
 
 
-def _at(item: ReviewItem, colour: str, chosen: bool, attributes: str, told: str = "") -> Mark:
+def _at(item: ReviewItem, colour: str, chosen: bool, attributes: str, told: str = "") -> MapMark:
     x0, y0, x1, y1 = item.box_um or (0.0, 0.0, 0.0, 0.0)
-    return Mark((x0 + x1) / 2, (y0 + y1) / 2, colour, f"{item.sign} · {item.title}{told}", chosen, attributes)
+    return MapMark((x0 + x1) / 2, (y0 + y1) / 2, colour, f"{item.sign} · {item.title}{told}", chosen, attributes)
 
 
 def _legend(states: dict[int, str]) -> str:
@@ -185,7 +185,7 @@ def _legend(states: dict[int, str]) -> str:
     return html.legend((_swatch(FIELD_INKS[word]), FIELD_INKS[word].title) for word in shown)
 
 
-def _swatch(ink: Ink) -> str:
+def _swatch(ink: FieldStyle) -> str:
     fill = f"color-mix(in srgb,var(--{ink.edge}) {100 * ink.fill_opacity:.0f}%,transparent)"
     return html.swatch(fill, f"var(--{ink.edge})", ink.dashed)
 

@@ -20,7 +20,7 @@ from wafer_viewer.gui.shell.saved_views import views_html
 from wafer_viewer.gui.state.view_state import View
 from wafer_viewer.gui.surface.compare_section import CompareSection
 from wafer_viewer.gui.widgets import html
-from wafer_viewer.gui.widgets.controls import Cell, button, in_a_row, set_prop
+from wafer_viewer.gui.widgets.controls import HtmlBlock, button, in_a_row, set_prop
 from wafer_viewer.gui.widgets.style import LEFT_PX
 from wafer_viewer.session.state.snapshot import Snapshot
 
@@ -36,10 +36,10 @@ class LeftPanel:
             with self._where:
                 self.map = FieldMap(page.gui)
             self.dies = DefectMap(page)
-            self._works = Cell(page.gui)
-            self._views = Cell(page.gui)
+            self._works = HtmlBlock(page.gui)
+            self._views = HtmlBlock(page.gui)
             self.defects = DefectSection(page)
-            self._review = Cell(page.gui)
+            self._review = HtmlBlock(page.gui)
             self._gauge = GaugeList(page)
             self.compare = CompareSection(page)
             self._build_datasets()
@@ -72,7 +72,7 @@ class LeftPanel:
         page = self._page
         self._datasets = page.gui.add_folder(None, visible=False)
         with self._datasets:
-            self._list = Cell(page.gui)
+            self._list = HtmlBlock(page.gui)
             opener = button(page.gui, "Open…", viser.Icon.FOLDER_OPEN, lambda _: open_dialog(page))
             importer = button(page.gui, "Import…", viser.Icon.PHOTO_PLUS, lambda _: import_dialog(page))
             in_a_row(page.gui, [opener, importer])

@@ -15,7 +15,7 @@ from wafer_viewer.gui.page.page import Page
 from wafer_viewer.gui.page.stop import kept
 from wafer_viewer.gui.state.view_state import View
 from wafer_viewer.gui.widgets import html
-from wafer_viewer.gui.widgets.controls import Cell
+from wafer_viewer.gui.widgets.controls import HtmlBlock
 from wafer_viewer.gui.widgets.static_files import read_static
 from wafer_viewer.session.state.snapshot import RigStatus, Snapshot
 
@@ -32,7 +32,7 @@ class Contact:
         self._page = secrets.token_hex(8)
         self._beats = itertools.count()
         self._words = ""
-        self._cell = Cell(page.gui, padded=False)
+        self._cell = HtmlBlock(page.gui, padded=False)
         self._closed = threading.Event()
         self._lock = threading.Lock()
         page.gui.add_html(f'<img src="data:," alt="" hidden onerror="{html.safe(_script())}">')

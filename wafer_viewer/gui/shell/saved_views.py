@@ -11,7 +11,7 @@ import viser
 from wafer_viewer.gui.page.dialogs import Dialog
 from wafer_viewer.gui.page.page import Page
 from wafer_viewer.gui.page.preconditions import off_surface
-from wafer_viewer.gui.scene.camera.camera_presets import Pose
+from wafer_viewer.gui.scene.camera.camera_presets import CameraPose
 from wafer_viewer.gui.state.view_state import View
 from wafer_viewer.gui.widgets import html
 from wafer_viewer.gui.widgets.command import Command, spoken, unless
@@ -76,7 +76,7 @@ class SavedViews:
         step = page.view.step if page.view.on_surface else "surface"
         page.change(step=step, frame_k=None, slice_z_um=None, why=None, **choices(kept, page.session.snapshot))
         self._scene.draw(page.session.snapshot, page.view)  # before the camera moves: another surface is framed anew
-        self._scene.go_to(Pose(np.array(kept.position_mm), np.array(kept.look_at_mm)))
+        self._scene.go_to(CameraPose(np.array(kept.position_mm), np.array(kept.look_at_mm)))
 
     def _ask_other_name(self, number: int) -> None:
         page, kept = self._page, self._page.session.snapshot.notebook.book.view(number)
@@ -95,7 +95,7 @@ class SavedViews:
         self._page.ask("The view was not changed", self._page.session.notebook.delete_view(number))
 
 
-def saved(view: View, pose: Pose, name: str) -> SavedView:
+def saved(view: View, pose: CameraPose, name: str) -> SavedView:
     """What is kept of a browser's view and its camera."""
     x, y, z = (round(float(mm), 6) for mm in pose.position)
     at_x, at_y, at_z = (round(float(mm), 6) for mm in pose.look_at)

@@ -11,7 +11,7 @@ from wafer_viewer.gui.page.dialogs import Dialog
 from wafer_viewer.gui.page.page import Page
 from wafer_viewer.gui.widgets import html
 from wafer_viewer.gui.widgets.command import Command, Group
-from wafer_viewer.gui.widgets.controls import Cell
+from wafer_viewer.gui.widgets.controls import HtmlBlock
 from wafer_viewer.gui.widgets.number_field import EMPTY
 from wafer_viewer.gui.widgets.static_files import read_static
 from wafer_viewer.model.glossary import Subject, terms_of
@@ -44,7 +44,7 @@ def add_keys_sheet(page: Page, commands: Sequence[Command]) -> Command:
     def show() -> None:
         dialog = Dialog(page, "Keys", "Every command is also in the command palette: Ctrl + K.")
         with dialog.modal:
-            Cell(page.gui, sheet_html(commands))
+            HtmlBlock(page.gui, sheet_html(commands))
         dialog.way_out("Close")
 
     page.on_pick("keys", lambda _: show())
@@ -72,7 +72,7 @@ def glossary_command(page: Page) -> Command:
     def show() -> None:
         dialog = Dialog(page, "Glossary", "The words of this page, of the command line and of reports.")
         with dialog.modal:
-            Cell(page.gui, glossary_html())
+            HtmlBlock(page.gui, glossary_html())
         dialog.way_out("Close")
 
     return Command("Glossary", None, show, group="Page")

@@ -21,7 +21,7 @@ from wafer_viewer.gui.review.review_panel import JUDGEMENTS
 from wafer_viewer.gui.state.view_state import Tour, View
 from wafer_viewer.gui.widgets import html
 from wafer_viewer.gui.widgets.command import Command
-from wafer_viewer.gui.widgets.controls import Cell
+from wafer_viewer.gui.widgets.controls import HtmlBlock
 from wafer_viewer.gui.widgets.error_guard import guarded
 from wafer_viewer.gui.widgets.static_files import read_static
 from wafer_viewer.model.measurement.step import StepHeight
@@ -51,7 +51,7 @@ class TourGuide:
 
     def __init__(self, page: Page) -> None:
         self._page = page
-        self._cell = Cell(page.gui, padded=False)
+        self._cell = HtmlBlock(page.gui, padded=False)
         script = read_static("tour.js")[0]
         page.gui.add_html(f'<img src="data:," alt="" style="display:none" onerror="{html.safe(script)}">')
         page.on_pick("tour", lambda _: self.begin())

@@ -9,7 +9,7 @@ from wafer_viewer.gui.page.page import Page
 from wafer_viewer.gui.state.view_state import View
 from wafer_viewer.gui.widgets import html
 from wafer_viewer.gui.widgets.command import Command
-from wafer_viewer.gui.widgets.controls import Cell, button, leading, outlined, set_prop
+from wafer_viewer.gui.widgets.controls import HtmlBlock, button, leading, outlined, set_prop
 from wafer_viewer.gui.widgets.error_guard import guarded
 from wafer_viewer.session.state.snapshot import Snapshot
 
@@ -29,14 +29,14 @@ class Welcome:
         self._panel = gui.add_panel(visible=False)
         with self._panel.add_tab("Start"):
             gui.add_html('<div class="wv-card"></div>')
-            Cell(gui, _HEAD)
+            HtmlBlock(gui, _HEAD)
             plan = button(
                 gui, "Plan a scan", viser.Icon.LAYOUT_GRID, guarded(page, "There is no plan")(lambda _: self._plan())
             )
             leading(gui, plan, 46, sticky=False)
             outlined(gui, button(gui, "Open a dataset…", viser.Icon.FOLDER_OPEN, lambda _: open_dialog(page)), 42)
             outlined(gui, button(gui, "Import images…", viser.Icon.PHOTO_PLUS, lambda _: import_dialog(page)), 42)
-            self._tour = Cell(gui)
+            self._tour = HtmlBlock(gui)
 
     def show(self, snapshot: Snapshot, view: View) -> None:
         """Show the card or put it away."""

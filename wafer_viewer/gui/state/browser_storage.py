@@ -31,7 +31,7 @@ T = TypeVar("T")
 
 
 @dataclass(frozen=True, slots=True)
-class Layout:
+class PanelLayout:
     """Widths of the panels at the sides in pixels, and which of them are folded away."""
 
     left_px: int | None = None
@@ -41,17 +41,17 @@ class Layout:
 
 
 @dataclass(frozen=True, slots=True)
-class Self:
+class BrowserIdentity:
     """The browser itself: the key by which the session knows it, its name, its panels, and notes not dealt with yet."""
 
     key: str = ""
     name: str = ""
-    layout: Layout = Layout()
+    layout: PanelLayout = PanelLayout()
     notes: tuple[Fault, ...] = ()
 
 
 @dataclass(frozen=True, slots=True)
-class Standpoint:
+class SavedCamera:
     """Where the camera stood, in mm, and what it looked at."""
 
     of: str = ""
@@ -63,11 +63,11 @@ class Standpoint:
 class Remembered:
     """What a browser had: itself, its view, and what it had chosen for the dataset `of`."""
 
-    browser: Self = Self()
+    browser: BrowserIdentity = BrowserIdentity()
     view: View = View()
     of: str = ""
     chosen: dict[str, Any] = field(default_factory=dict)
-    standpoint: Standpoint = Standpoint()
+    standpoint: SavedCamera = SavedCamera()
 
 
 def recall(client: viser.ClientHandle) -> Remembered:
@@ -81,7 +81,7 @@ def recall(client: viser.ClientHandle) -> Remembered:
             view, browser, camera = asking.map(ask, (VIEW_KEY, SELF_KEY, CAMERA_KEY))
     except (RuntimeError, TimeoutError):
         return Remembered()
-    return replace(read(view), browser=read_self(browser), standpoint=_as(_items(camera), Standpoint) or Standpoint())
+    return replace(read(view), browser=read_self(browser), standpoint=_as(_items(camera), SavedCamera) or SavedCamera())
 
 
 def read(text: str) -> Remembered:
@@ -93,9 +93,9 @@ def read(text: str) -> Remembered:
     return Remembered(view=view, of=str(kept.get(OF, "")), chosen=rest)
 
 
-def read_self(text: str) -> Self:
+def read_self(text: str) -> BrowserIdentity:
     """A browser from its text."""
-    return _as(_items(text), Self) or Self()
+    return _as(_items(text), BrowserIdentity) or BrowserIdentity()
 
 
 def write(view: View, of: str) -> str:
@@ -109,12 +109,12 @@ def keep(client: viser.ClientHandle, before: View, after: View, of: str) -> None
         client.local_storage.set_item(VIEW_KEY, write(after, of))
 
 
-def keep_self(client: viser.ClientHandle, browser: Self) -> None:
+def keep_self(client: viser.ClientHandle, browser: BrowserIdentity) -> None:
     """Have the browser remember itself."""
     client.local_storage.set_item(SELF_KEY, msgspec.json.encode(browser).decode())
 
 
-def keep_standpoint(client: viser.ClientHandle, standpoint: Standpoint) -> None:
+def keep_standpoint(client: viser.ClientHandle, standpoint: SavedCamera) -> None:
     """Have the browser remember where the camera stands."""
     client.local_storage.set_item(CAMERA_KEY, msgspec.json.encode(standpoint).decode())
 

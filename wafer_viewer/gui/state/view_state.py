@@ -12,7 +12,7 @@ from wafer_viewer.model.measurement.tool_options import ToolOptions
 from wafer_viewer.model.measurement.tools import ToolName
 from wafer_viewer.model.region import Region
 from wafer_viewer.model.surface.clipping import BeforeSlab, Box, Clip, Slab, Span
-from wafer_viewer.model.surface.comparison import Face, comparison_of
+from wafer_viewer.model.surface.comparison import ComparisonFace, comparison_of
 
 Step = Literal["plan", "acquire", "surface", "measure", "gauge", "review", "report"]
 Look = Literal["surface", "points", "plan"]
@@ -136,7 +136,7 @@ class View:
     def shows_difference(self) -> bool:
         """Whether two surfaces compared are looked at, the second minus the first."""
         asked = comparison_of(self.show)
-        return asked is not None and asked[1] is Face.DIFFERENCE
+        return asked is not None and asked[1] is ComparisonFace.DIFFERENCE
 
     @property
     def active_line(self) -> Region | None:

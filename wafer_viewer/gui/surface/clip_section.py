@@ -9,11 +9,11 @@ from typing import Any
 import viser
 
 from wafer_viewer.gui.page.page import Page
-from wafer_viewer.gui.scene.scene_contents import OnShow
+from wafer_viewer.gui.scene.scene_contents import DisplayedSurface
 from wafer_viewer.gui.state.view_state import View
-from wafer_viewer.gui.tools.clip_box import Faces
+from wafer_viewer.gui.tools.clip_box import ClipBoxFaces
 from wafer_viewer.gui.widgets import html
-from wafer_viewer.gui.widgets.controls import Cell, Field, button, in_a_row, set_prop
+from wafer_viewer.gui.widgets.controls import BoundInput, HtmlBlock, button, in_a_row, set_prop
 from wafer_viewer.gui.widgets.error_guard import guarded
 from wafer_viewer.model.errors import MeasureError
 from wafer_viewer.model.surface.clipping import Box, Span
@@ -32,7 +32,7 @@ class ClipSection:
         gui = page.gui
         self._folder = gui.add_folder(None, visible=False)
         with self._folder:
-            Cell(gui, html.head("Clip box", "Drag its balls, or type"))
+            HtmlBlock(gui, html.head("Clip box", "Drag its balls, or type"))
             self._ends = [self._field(axis) for axis in range(3)]
             place = [
                 self._button("To view", viser.Icon.EYE, seen_um),
@@ -78,9 +78,9 @@ class ClipSection:
             raise MeasureError("The surface is not drawn yet: place the box when it is.")
         return on_show.box_um
 
-    def _field(self, axis: int) -> Field[Any]:
+    def _field(self, axis: int) -> BoundInput[Any]:
         handle = self._page.gui.add_vector2(f"{AXES[axis]}, µm", (0.0, 0.0), step=0.1)
-        return Field(handle, lambda event: self._type(axis, event.target.value), self._page, FAILED)
+        return BoundInput(handle, lambda event: self._type(axis, event.target.value), self._page, FAILED)
 
     def _type(self, axis: int, ends: Ends) -> None:
         low, high = float(ends[0]), float(ends[1])
@@ -106,10 +106,10 @@ class ClipSection:
         self._page.change(clip=replace(self._page.view.clip, **changes))  # pyright: ignore[reportArgumentType]
 
 
-def take_faces(page: Page) -> Callable[[Faces, str], Faces]:
+def take_faces(page: Page) -> Callable[[ClipBoxFaces, str], ClipBoxFaces]:
     """Return what hears of the box dragged in the scene. A face that was never moved goes on clipping nothing."""
 
-    def moved(faces: Faces, key: str) -> Faces:
+    def moved(faces: ClipBoxFaces, key: str) -> ClipBoxFaces:
         clip, on_show = page.view.clip, page.on_show
         if key.startswith("z") and on_show is not None:
             low, high = clip.heights_um or all_heights_um(page, on_show)
@@ -118,12 +118,12 @@ def take_faces(page: Page) -> Callable[[Faces, str], Faces]:
         else:
             clip = replace(clip, box_um=faces.box_um)
         page.change(clip=clip)
-        return Faces(clip.box_um or faces.box_um, clip.heights_um or faces.heights_um)
+        return ClipBoxFaces(clip.box_um or faces.box_um, clip.heights_um or faces.heights_um)
 
     return moved
 
 
-def all_heights_um(page: Page, on_show: OnShow) -> Span:
+def all_heights_um(page: Page, on_show: DisplayedSurface) -> Span:
     """Return the lowest and the highest of all points on show, refused ones among them where they are drawn, um."""
     told = page.statistics
     if told is None or not told.n_heights:

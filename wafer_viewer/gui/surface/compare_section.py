@@ -15,11 +15,18 @@ from wafer_viewer.gui.presenters import comparison as words
 from wafer_viewer.gui.state.view_state import View
 from wafer_viewer.gui.widgets import html
 from wafer_viewer.gui.widgets.command import Command, unless
-from wafer_viewer.gui.widgets.controls import Cell, Choice, button, in_a_row, set_prop
+from wafer_viewer.gui.widgets.controls import HtmlBlock, ToggleGroup, button, in_a_row, set_prop
 from wafer_viewer.gui.widgets.error_guard import guarded
-from wafer_viewer.gui.widgets.latest_only import Latest
+from wafer_viewer.gui.widgets.latest_only import LatestOnlyWorker
 from wafer_viewer.model.errors import DatasetError
-from wafer_viewer.model.surface.comparison import ALIGN_TITLES, Align, Face, SurfaceName, comparison_of, show_of
+from wafer_viewer.model.surface.comparison import (
+    ALIGN_TITLES,
+    Align,
+    ComparisonFace,
+    SurfaceName,
+    comparison_of,
+    show_of,
+)
 from wafer_viewer.session.state.comparison_state import Compared
 from wafer_viewer.session.state.snapshot import Snapshot
 
@@ -35,13 +42,13 @@ class CompareSection:
         self._pairs: dict[str, tuple[SurfaceName, SurfaceName]] = {}
         self._asked: Hashable = None
         self._unfolded = False
-        self._looking = Latest("choices of comparing")
+        self._looking = LatestOnlyWorker("choices of comparing")
         page.on_close(self._looking.close)
         self._folder = page.gui.add_folder(None, visible=False)
         with self._folder:
             self._build()
         page.on_pick("compare-new", lambda _: self.unfold())
-        page.on_pick("compare-look", lambda key: self._look(int(key), Face.DIFFERENCE))
+        page.on_pick("compare-look", lambda key: self._look(int(key), ComparisonFace.DIFFERENCE))
         page.on_pick("compare-remove", lambda key: self._remove(int(key)))
 
     def show(self, snapshot: Snapshot, view: View) -> None:
@@ -79,7 +86,7 @@ class CompareSection:
     def blink(self) -> None:
         """From the first surface to the second and back, through the same eye."""
         if (asked := comparison_of(self._page.view.show)) is not None:
-            self._look(asked[0], Face.FIRST if asked[1] is Face.SECOND else Face.SECOND)
+            self._look(asked[0], ComparisonFace.FIRST if asked[1] is ComparisonFace.SECOND else ComparisonFace.SECOND)
 
     def close(self) -> None:
         """Back to the surface."""
@@ -90,7 +97,7 @@ class CompareSection:
 
     def _build(self) -> None:
         gui = self._page.gui
-        self._list = Cell(gui)
+        self._list = HtmlBlock(gui)
         self._form = gui.add_folder(None, visible=False)
         with self._form:
             self._with: Any = gui.add_dropdown("Compare with", (NOTHING_TO_COMPARE,))
@@ -100,13 +107,13 @@ class CompareSection:
             self._begin_button = button(gui, "Compare", ICON.ARROWS_DIFF, begin, disabled=True)
             other = button(gui, "From a file…", ICON.FOLDER_OPEN, lambda _: self._ask_other())
             in_a_row(gui, [self._begin_button, other], 34)
-            self._why_not = Cell(gui)
+            self._why_not = HtmlBlock(gui)
         self._on_show = gui.add_folder(None, visible=False)
         with self._on_show:
-            self._faces = Choice(gui, "Look at", words.FACES, self._choose_face)
+            self._faces = ToggleGroup(gui, "Look at", words.FACES, self._choose_face)
             close = button(gui, "Close comparison", ICON.X, lambda _: self.close())
             in_a_row(gui, [close])
-            self._told = Cell(gui)
+            self._told = HtmlBlock(gui)
 
     # --- what a person does
 
@@ -139,12 +146,14 @@ class CompareSection:
         done = page.session.comparing.begin(first, second, _align(self._align.value), bool(self._keep_z.value))
         self._unfolded = False
         page.redraw()
-        page.ask("The surfaces were not compared", done, lambda number: self._look(int(number), Face.DIFFERENCE))
+        page.ask(
+            "The surfaces were not compared", done, lambda number: self._look(int(number), ComparisonFace.DIFFERENCE)
+        )
 
-    def _look(self, number: int, face: Face) -> None:
+    def _look(self, number: int, face: ComparisonFace) -> None:
         self._page.change(show=show_of(number, face), range_um=None, frame_k=None, slice_z_um=None, why=None)
 
-    def _choose_face(self, face: Face) -> None:
+    def _choose_face(self, face: ComparisonFace) -> None:
         if (asked := comparison_of(self._page.view.show)) is not None:
             self._look(asked[0], face)
 
@@ -218,9 +227,9 @@ def _row(compared: Compared, chosen: bool) -> str:
     return html.row(cells, " n", html.pick("compare-look", str(compared.number)), "sel" if chosen else "")
 
 
-def _told(known: Compared, face: Face) -> str:
+def _told(known: Compared, face: ComparisonFace) -> str:
     comparison: Any = known.comparison
-    beside = f'<div class="wv-lab">{words.BESIDE_SAID}</div>' if face is Face.BESIDE else ""
+    beside = f'<div class="wv-lab">{words.BESIDE_SAID}</div>' if face is ComparisonFace.BESIDE else ""
     return (
         f'<div class="wv-lab" style="margin-bottom:8px">{html.safe(words.subtracted(comparison))}</div>'
         + beside

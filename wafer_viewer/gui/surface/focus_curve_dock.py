@@ -11,9 +11,9 @@ from wafer_viewer.gui.presenters import focus_evidence as words
 from wafer_viewer.gui.state.view_state import View
 from wafer_viewer.gui.surface.focus_evidence_panel import FAILED, WhyPanel
 from wafer_viewer.gui.widgets import html
-from wafer_viewer.gui.widgets.controls import Cell
+from wafer_viewer.gui.widgets.controls import HtmlBlock
 from wafer_viewer.gui.widgets.error_guard import guarded
-from wafer_viewer.gui.widgets.latest_only import Latest
+from wafer_viewer.gui.widgets.latest_only import LatestOnlyWorker
 from wafer_viewer.gui.widgets.style import PROFILE_PX
 from wafer_viewer.model.surface.focus_curve import FocusCurve
 from wafer_viewer.session.state.snapshot import Snapshot
@@ -30,16 +30,16 @@ class WhyDock:
 
     def __init__(self, page: Page, why: WhyPanel) -> None:
         self._page, self._why = page, why
-        self._worker = Latest("frame")
+        self._worker = LatestOnlyWorker("frame")
         self._curve: FocusCurve | None = None
         self._greys: Greys = 0.0, 1.0
         self._picture = ""
         self._panel = BottomPanel(page, "why")
         with self._panel.tab:
-            self._head = Cell(page.gui)
+            self._head = HtmlBlock(page.gui)
             page.gui.add_html('<div class="wv-why"></div>')
-            self._plot = Cell(page.gui)
-            self._frame = Cell(page.gui)
+            self._plot = HtmlBlock(page.gui)
+            self._frame = HtmlBlock(page.gui)
         page.on_pick("why-frame", lambda z_um: self._look_at(float(z_um)))
         page.on_close(self._worker.close)
 

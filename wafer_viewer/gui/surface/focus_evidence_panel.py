@@ -11,7 +11,7 @@ from wafer_viewer.gui.presenters import focus_evidence as words
 from wafer_viewer.gui.scene.heightfield import Place
 from wafer_viewer.gui.state.view_state import View
 from wafer_viewer.gui.widgets import html
-from wafer_viewer.gui.widgets.controls import Cell, set_prop
+from wafer_viewer.gui.widgets.controls import HtmlBlock, set_prop
 from wafer_viewer.gui.widgets.error_guard import tell_failure
 from wafer_viewer.model.errors import WaferViewerError
 from wafer_viewer.model.surface.focus_curve import FocusCurve
@@ -41,9 +41,9 @@ class WhyPanel:
         self._of: Hashable = None
         self._folder = page.gui.add_folder(None, visible=False)
         with self._folder:
-            self._title = Cell(page.gui)
-            self._notes = Cell(page.gui)
-            self._body = Cell(page.gui)
+            self._title = HtmlBlock(page.gui)
+            self._notes = HtmlBlock(page.gui)
+            self._body = HtmlBlock(page.gui)
         page.on_pick("why", lambda _: self.toggle())
         page.on_pick("why-close", lambda _: self.close())
 

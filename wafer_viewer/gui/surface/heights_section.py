@@ -14,7 +14,7 @@ from wafer_viewer.gui.scene.lod.surface_tiles import OWN_COLOURS
 from wafer_viewer.gui.state.view_state import View
 from wafer_viewer.gui.surface import histogram_pointer as pointer
 from wafer_viewer.gui.widgets import html
-from wafer_viewer.gui.widgets.controls import Cell, Field, button, in_a_row, set_prop
+from wafer_viewer.gui.widgets.controls import BoundInput, HtmlBlock, button, in_a_row, set_prop
 from wafer_viewer.gui.widgets.error_guard import guarded
 from wafer_viewer.model.region import Region
 from wafer_viewer.model.surface.clipping import Box, Span
@@ -33,11 +33,11 @@ class HeightsSection:
         self._page = page
         self._shown: Statistics | None = None
         gui = page.gui
-        self._head = Cell(gui)
-        self._area = Cell(gui)
-        self._bars = Cell(gui)
+        self._head = HtmlBlock(gui)
+        self._area = HtmlBlock(gui)
+        self._bars = HtmlBlock(gui)
         self._brush = self._ends("Brush, µm", self._typed_brush)
-        self._numbers = Cell(gui)
+        self._numbers = HtmlBlock(gui)
         self._keep = button(gui, "Keep only these", viser.Icon.FILTER, guarded(page, FAILED)(lambda _: self._keep_it()))
         self._measure = button(
             gui, "Measure the place", viser.Icon.RULER_MEASURE, guarded(page, FAILED)(lambda _: self._measure_it())
@@ -77,7 +77,7 @@ class HeightsSection:
             return None
         return OWN_COLOURS.get(by, view.colours), scale.low, scale.high
 
-    def _show_ends(self, field: Field[Any], span_um: Span | None, whole_um: Span) -> None:
+    def _show_ends(self, field: BoundInput[Any], span_um: Span | None, whole_um: Span) -> None:
         low, high = span_um or whole_um
         field.show((round(low, _DECIMALS), round(high, _DECIMALS)))
 
@@ -89,9 +89,9 @@ class HeightsSection:
 
     # ---------------------------------------------------------------- what the operator does
 
-    def _ends(self, label: str, act: Any) -> Field[Any]:
+    def _ends(self, label: str, act: Any) -> BoundInput[Any]:
         handle = self._page.gui.add_vector2(label, (0.0, 0.0), step=0.1, visible=False)
-        return Field(handle, lambda event: act(event.target.value), self._page, FAILED)
+        return BoundInput(handle, lambda event: act(event.target.value), self._page, FAILED)
 
     def _dragged(self, key: str) -> None:
         if self._shown is None:

@@ -10,7 +10,7 @@ from wafer_viewer.gui.overlays.hud import EDGE_PX
 from wafer_viewer.gui.page.page import Page
 from wafer_viewer.gui.state.view_state import View
 from wafer_viewer.gui.surface.points_section import counted
-from wafer_viewer.gui.widgets.controls import Overlay
+from wafer_viewer.gui.widgets.controls import FloatingPanel
 from wafer_viewer.session.state.snapshot import Snapshot
 
 _LEAST_PX, _MOST_PX = 230, 760
@@ -23,7 +23,7 @@ class PointCount:
 
     def __init__(self, page: Page) -> None:
         self._page = page
-        self._glass = Overlay(page.gui, EDGE_PX, EDGE_PX + _BELOW_TOOLBAR_PX, _MOST_PX, _LINE_PX + _EDGES_PX)
+        self._glass = FloatingPanel(page.gui, EDGE_PX, EDGE_PX + _BELOW_TOOLBAR_PX, _MOST_PX, _LINE_PX + _EDGES_PX)
 
     def show(self, snapshot: Snapshot, view: View) -> None:
         """Bring the count up to date."""

@@ -10,10 +10,10 @@ from wafer_viewer.draw.number_format import number
 from wafer_viewer.gui.page.page import Page
 from wafer_viewer.gui.state.view_state import View
 from wafer_viewer.gui.widgets import html
-from wafer_viewer.gui.widgets.controls import Cell, Choice, Field, set_prop
+from wafer_viewer.gui.widgets.controls import BoundInput, HtmlBlock, ToggleGroup, set_prop
 from wafer_viewer.model.surface.clipping import LeftOut
 from wafer_viewer.model.surface.height_map import ORIGIN_TITLES, Origin
-from wafer_viewer.session.rendering.render_request import Refused, Statistics
+from wafer_viewer.session.rendering.render_request import RefusedCounts, Statistics
 
 FAILED = "The points were not changed"
 REFUSED: tuple[tuple[bool, str], ...] = ((False, "Hide"), (True, "Show"))
@@ -36,15 +36,15 @@ class PointsSection:
         gui = page.gui
         self._folder = gui.add_folder(None, visible=False)
         with self._folder:
-            self._count = Cell(gui)
+            self._count = HtmlBlock(gui)
             size = gui.add_slider("Size, px", 1.0, 8.0, 0.5, 3.0)
             self._size = self._field(size, lambda px: page.change(point_px=float(px)))
             shade = gui.add_slider("Shade, %", 0.0, 100.0, 5.0, 60.0)
             self._shade = self._field(shade, lambda percent: page.change(depth_shade=percent / 100))
             least = gui.add_slider("At least", 0.0, 1.0, 0.05, 0.0)
             self._least = self._field(least, self._set_least)
-            self._refused = Choice(gui, "Refused points", REFUSED, lambda key: page.change(refused=key))
-            self._legend = Cell(gui)
+            self._refused = ToggleGroup(gui, "Refused points", REFUSED, lambda key: page.change(refused=key))
+            self._legend = HtmlBlock(gui)
 
     def show(self, view: View) -> None:
         """Bring the section up to date."""
@@ -64,8 +64,8 @@ class PointsSection:
         clip = self._page.view.clip
         self._page.change(clip=replace(clip, least_confidence=round(float(least), 3)))
 
-    def _field(self, handle: Any, act: Any) -> Field[Any]:
-        return Field(handle, lambda event: act(event.target.value), self._page, FAILED)
+    def _field(self, handle: Any, act: Any) -> BoundInput[Any]:
+        return BoundInput(handle, lambda event: act(event.target.value), self._page, FAILED)
 
 
 def counted(told: Statistics, drawn: int, view: View) -> str:
@@ -93,7 +93,7 @@ def amount(n: float) -> str:
     return f"{number(n / _KILO, 0 if n >= 9950 else 1)} k" if n >= _KILO else number(n, 0)
 
 
-def refused_legend(refused: Refused) -> str:
+def refused_legend(refused: RefusedCounts) -> str:
     """Each reason in its colour, with how many points it has, the most frequent first; HTML."""
     found = sorted(refused.by_reason.items(), key=lambda item: -item[1])
     rows = "".join(

@@ -11,7 +11,7 @@ from wafer_viewer.gui.page.dialogs import reconstruct_dialog
 from wafer_viewer.gui.page.page import Page
 from wafer_viewer.gui.presenters import recipe as words
 from wafer_viewer.gui.widgets import html
-from wafer_viewer.gui.widgets.controls import Cell, Field, button, in_a_row, set_prop
+from wafer_viewer.gui.widgets.controls import BoundInput, HtmlBlock, button, in_a_row, set_prop
 from wafer_viewer.gui.widgets.error_guard import guarded
 from wafer_viewer.model.spec import replace
 from wafer_viewer.model.surface.recipe import READY_RECIPES, Recipe
@@ -28,9 +28,9 @@ class RecipeSection:
         self._unfolded: set[str] = set()
         self._recipe: Recipe | None = None
         self._of: object = None
-        self._fields: list[tuple[Field[str], dict[str, Any], Callable[[Recipe], Any]]] = []
+        self._fields: list[tuple[BoundInput[str], dict[str, Any], Callable[[Recipe], Any]]] = []
         gui = page.gui
-        self._head = Cell(gui)
+        self._head = HtmlBlock(gui)
         self._form = gui.add_folder(None, visible=False)
         with self._form:
             self._build()
@@ -61,7 +61,7 @@ class RecipeSection:
             "Second window", compare, lambda r: r.compare_windows, lambda r, v: replace(r, compare_windows=v)
         )
         self._edges = self._add("Beside walls", words.EDGES, lambda r: r.edges, lambda r, v: replace(r, edges=v))
-        self._why_not = Cell(gui)
+        self._why_not = HtmlBlock(gui)
         self._add(
             "Smoothing", words.SMOOTHING, lambda r: r.levy.mode, lambda r, v: replace(r, levy=replace(r.levy, mode=v))
         )
@@ -76,15 +76,15 @@ class RecipeSection:
         self._button = button(gui, "Reconstruct again", viser.Icon.REFRESH, again)
         in_a_row(gui, [self._button], 34)
 
-    def _add(self, label: str, names: dict[str, Any], get: Callable[[Recipe], Any], put: Put) -> Field[str]:
+    def _add(self, label: str, names: dict[str, Any], get: Callable[[Recipe], Any], put: Put) -> BoundInput[str]:
         """A choice of the recipe, by the names that the page has for it."""
         field = self._dropdown(label, tuple(names), lambda name: self._choose(put(self._now(), names[name])))
         self._fields.append((field, names, get))
         return field
 
-    def _dropdown(self, label: str, options: tuple[str, ...], act: Callable[[str], None]) -> Field[str]:
+    def _dropdown(self, label: str, options: tuple[str, ...], act: Callable[[str], None]) -> BoundInput[str]:
         dropdown = self._page.gui.add_dropdown(label, options)
-        return Field(dropdown, lambda event: act(event.target.value), self._page, "The recipe was not changed")
+        return BoundInput(dropdown, lambda event: act(event.target.value), self._page, "The recipe was not changed")
 
     # --- choices
 

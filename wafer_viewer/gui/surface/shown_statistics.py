@@ -11,13 +11,13 @@ from dataclasses import replace
 import msgspec
 
 from wafer_viewer.gui.page.page import Page
-from wafer_viewer.gui.scene.reconciler import NotYet, Orders
-from wafer_viewer.gui.scene.scene_contents import OnShow
+from wafer_viewer.gui.scene.reconciler import NotReady, RenderQueue
+from wafer_viewer.gui.scene.scene_contents import DisplayedSurface
 from wafer_viewer.gui.scenes.surface_scene import source_of
 from wafer_viewer.gui.state.view_state import View
 from wafer_viewer.model.errors import WaferViewerError
 from wafer_viewer.model.surface.clipping import Box
-from wafer_viewer.session.rendering.render_request import PaintRequest, Statistics
+from wafer_viewer.session.rendering.render_request import RenderRequest, Statistics
 from wafer_viewer.session.state.snapshot import Snapshot, SurfaceInfo
 
 Corners = tuple[tuple[float, float], ...]
@@ -31,9 +31,9 @@ class ShownStatistics:
 
     def __init__(self, page: Page, seen_um: Callable[[], Corners | None]) -> None:
         self._page, self._seen_um = page, seen_um
-        self._orders = Orders(page.session.paint, page.redraw)
-        self._known: dict[PaintRequest, Statistics] = {}
-        self._of: PaintRequest | None = None
+        self._orders = RenderQueue(page.session.paint, page.redraw)
+        self._known: dict[RenderRequest, Statistics] = {}
+        self._of: RenderRequest | None = None
         self.problem = ""
 
     def show(self, snapshot: Snapshot, view: View) -> None:
@@ -48,7 +48,7 @@ class ShownStatistics:
         self._orders.keep_only({request})
         try:
             self._page.statistics, self._of = self._counted(request), request
-        except NotYet:
+        except NotReady:
             if self._of is None or not _same_part(self._of, request):
                 self._page.statistics = _of_all(snapshot, view)
         except WaferViewerError as fault:
@@ -58,14 +58,14 @@ class ShownStatistics:
         """The part of the surface that is in view; None all of it."""
         return self._box_um(self._page.on_show, replace(self._page.view, counted="view"))
 
-    def _request(self, snapshot: Snapshot, view: View) -> PaintRequest | None:
+    def _request(self, snapshot: Snapshot, view: View) -> RenderRequest | None:
         on_show, source = self._page.on_show, source_of(snapshot, view.show)
         looked_at = view.step in ("surface", "measure") and not snapshot.scanning
         if not looked_at or on_show is None or source is None or on_show.source != source:
             return None
         if view.counted == "selection" and view.selection is None:
             return None
-        return PaintRequest(
+        return RenderRequest(
             source,
             "statistics",
             datum=on_show.datum,
@@ -75,7 +75,7 @@ class ShownStatistics:
             refused=view.draws_refused,
         )
 
-    def _box_um(self, on_show: OnShow | None, view: View) -> Box | None:
+    def _box_um(self, on_show: DisplayedSurface | None, view: View) -> Box | None:
         if view.counted == "selection":
             return view.selection
         corners = self._seen_um() if view.counted == "view" else None
@@ -89,7 +89,7 @@ class ShownStatistics:
         box = max(x0, min(xs)), max(y0, min(ys)), min(x1, max(xs)), min(y1, max(ys))
         return None if box == (x0, y0, x1, y1) else box
 
-    def _counted(self, request: PaintRequest) -> Statistics:
+    def _counted(self, request: RenderRequest) -> Statistics:
         """Raises NotYet, or why it cannot be counted."""
         if request not in self._known:
             told = msgspec.msgpack.decode(self._orders.outcome(request).result(), type=Statistics)
@@ -98,7 +98,7 @@ class ShownStatistics:
         return self._known[request]
 
 
-def _same_part(a: PaintRequest, b: PaintRequest) -> bool:
+def _same_part(a: RenderRequest, b: RenderRequest) -> bool:
     """Whether two requests count the same part, however clipped: until the second is answered the first still fits."""
     return replace(a, clip=b.clip, brush_um=b.brush_um, refused=b.refused) == b
 

@@ -8,7 +8,7 @@ from wafer_viewer.draw.number_format import with_unit
 from wafer_viewer.gui.page.page import Page
 from wafer_viewer.gui.state.view_state import View
 from wafer_viewer.gui.widgets import html
-from wafer_viewer.gui.widgets.controls import Cell, Field, set_prop
+from wafer_viewer.gui.widgets.controls import BoundInput, HtmlBlock, set_prop
 from wafer_viewer.model.acquisition.plan import ScanPlan
 from wafer_viewer.session.state.snapshot import Snapshot
 
@@ -19,8 +19,8 @@ class SliceSection:
     def __init__(self, page: Page) -> None:
         self._page = page
         gui = page.gui
-        self._head = Cell(gui)
-        self._on = Field(gui.add_checkbox("One frame", False), self._switch, page, "The frame was not changed")
+        self._head = HtmlBlock(gui)
+        self._on = BoundInput(gui.add_checkbox("One frame", False), self._switch, page, "The frame was not changed")
         self._frame = self._slider(gui.add_slider("Frame", 1, 3, 1, 1, visible=False), self._choose_frame)
         self._z = self._slider(gui.add_slider("z, µm", 0.0, 1.0, 0.1, 0.0, visible=False), self._choose_z)
 
@@ -47,8 +47,8 @@ class SliceSection:
             set_prop(self._z.handle, "step", plan.sweep.z_step_um)
             self._z.show(view.slice_z_um)
 
-    def _slider(self, handle: Any, act: Any) -> Field[Any]:
-        return Field(handle, act, self._page, "The frame was not changed")
+    def _slider(self, handle: Any, act: Any) -> BoundInput[Any]:
+        return BoundInput(handle, act, self._page, "The frame was not changed")
 
     def _switch(self, event: Any) -> None:
         page, data = self._page, self._page.session.snapshot.dataset

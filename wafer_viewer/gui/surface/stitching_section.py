@@ -4,30 +4,30 @@ from __future__ import annotations
 
 from wafer_viewer.gui.page.page import Page
 from wafer_viewer.gui.presenters import stitching as words
-from wafer_viewer.gui.scenes.pose_cache import PoseBook
+from wafer_viewer.gui.scenes.pose_cache import PoseCache
 from wafer_viewer.gui.scenes.surface_scene import source_of
 from wafer_viewer.gui.state.view_state import View
 from wafer_viewer.gui.widgets import html
-from wafer_viewer.gui.widgets.controls import Cell, Field, set_prop
+from wafer_viewer.gui.widgets.controls import BoundInput, HtmlBlock, set_prop
 from wafer_viewer.session.state.snapshot import Snapshot, SurfaceInfo
 
 
 class StitchingSection:
     """In sight where there is more than one field; overlaps that are not believed are named with the overlay."""
 
-    def __init__(self, page: Page, poses: PoseBook) -> None:
+    def __init__(self, page: Page, poses: PoseCache) -> None:
         self._page, self._poses = page, poses
         self._unfolded = False
         gui = page.gui
         self._folder = gui.add_folder(None, visible=False)
         with self._folder:
-            self._head = Cell(gui)
+            self._head = HtmlBlock(gui)
             gui.add_html('<div class="wv-wide"></div>')
             box = gui.add_checkbox("Fields and overlaps", False, hint="Key O")
-            self._on = Field(
+            self._on = BoundInput(
                 box, lambda event: page.change(fields=bool(event.target.value)), page, "The display was not changed"
             )
-            self._said = Cell(gui)
+            self._said = HtmlBlock(gui)
         page.on_pick("stitching", self._toggle)
 
     def show(self, snapshot: Snapshot, view: View) -> None:

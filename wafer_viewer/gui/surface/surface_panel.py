@@ -15,7 +15,7 @@ from wafer_viewer.gui.page.page import Page
 from wafer_viewer.gui.page.verdict_section import VerdictSection
 from wafer_viewer.gui.presenters.displayed_surface import name_of
 from wafer_viewer.gui.scene.lod.surface_tiles import OWN_COLOURS
-from wafer_viewer.gui.scenes.pose_cache import PoseBook
+from wafer_viewer.gui.scenes.pose_cache import PoseCache
 from wafer_viewer.gui.state.view_state import ColourBy, Counted, View
 from wafer_viewer.gui.surface.clip_section import ClipSection
 from wafer_viewer.gui.surface.heights_section import HeightsSection
@@ -25,7 +25,7 @@ from wafer_viewer.gui.surface.shown_statistics import ShownStatistics
 from wafer_viewer.gui.surface.slice_section import SliceSection
 from wafer_viewer.gui.surface.stitching_section import StitchingSection
 from wafer_viewer.gui.widgets import html
-from wafer_viewer.gui.widgets.controls import Cell, Choice, Field, button, in_a_row, leading, set_prop
+from wafer_viewer.gui.widgets.controls import BoundInput, HtmlBlock, ToggleGroup, button, in_a_row, leading, set_prop
 from wafer_viewer.model.region import Region
 from wafer_viewer.session.rendering.render_request import Statistics
 from wafer_viewer.session.state.snapshot import OpenDataset, Snapshot, SurfaceInfo
@@ -55,7 +55,7 @@ InView = Callable[[Callable[[tuple[float, float]], None]], None]
 class SurfacePanel:
     """Look, colour, light and depth, one z, numbers, recipe, and the way on to measuring."""
 
-    def __init__(self, page: Page, poses: PoseBook, in_view: InView, statistics: ShownStatistics) -> None:
+    def __init__(self, page: Page, poses: PoseCache, in_view: InView, statistics: ShownStatistics) -> None:
         self._page, self._in_view, self._statistics = page, in_view, statistics
         self._poses = poses
         self._folder = page.gui.add_folder(None, visible=False)
@@ -106,10 +106,10 @@ class SurfacePanel:
 
     def _build(self) -> None:
         page, gui = self._page, self._page.gui
-        self._title = Cell(gui)
-        self._notes = Cell(gui)
+        self._title = HtmlBlock(gui)
+        self._notes = HtmlBlock(gui)
         self._verdict = VerdictSection(page)
-        self._look = Choice(gui, "Look", LOOKS, lambda key: page.change(look=key))
+        self._look = ToggleGroup(gui, "Look", LOOKS, lambda key: page.change(look=key))
         self._shown = self._field(gui.add_dropdown("Show", (STITCHED,)), lambda text: self._choose_shown(text))
         self._points = PointsSection(page)
         self._clip = ClipSection(page, self._statistics.seen_um)
@@ -117,9 +117,9 @@ class SurfacePanel:
         self._heights = HeightsSection(page)
         self._build_light()
         self._slice = SliceSection(page)
-        self._head = Cell(gui)
-        self._counted = Choice(gui, "Numbers of", COUNTED, self._count)
-        self._numbers = Cell(gui)
+        self._head = HtmlBlock(gui)
+        self._counted = ToggleGroup(gui, "Numbers of", COUNTED, self._count)
+        self._numbers = HtmlBlock(gui)
         self._of_selection = button(
             gui, "Measure the selection", viser.Icon.RULER_MEASURE, lambda _: self._measure_selection()
         )
@@ -136,7 +136,7 @@ class SurfacePanel:
 
     def _build_colour(self) -> None:
         page, gui = self._page, self._page.gui
-        Cell(gui, html.head("Colour"))
+        HtmlBlock(gui, html.head("Colour"))
         by = gui.add_dropdown("Colour by", tuple(COLOUR_BY))
         self._by = self._field(by, lambda text: page.change(colour_by=COLOUR_BY[text], range_um=None))
         names = {name: key for key, name in COLOUR_MAPS.items()}
@@ -154,7 +154,7 @@ class SurfacePanel:
 
     def _build_light(self) -> None:
         page, gui = self._page, self._page.gui
-        Cell(gui, html.head("Light and depth"))
+        HtmlBlock(gui, html.head("Light and depth"))
         self._height = self._field(
             gui.add_slider("Height, ×", 1.0, 20.0, 0.5, 3.0), lambda times: page.change(exaggeration=float(times))
         )
@@ -163,8 +163,8 @@ class SurfacePanel:
         focus = gui.add_slider("All-in-focus, %", 0.0, 100.0, 5.0, 0.0)
         self._focus = self._field(focus, lambda percent: page.change(all_in_focus=percent / 100))
 
-    def _field(self, handle: Any, act: Callable[[Any], Any]) -> Field[Any]:
-        return Field(handle, lambda event: act(event.target.value), self._page, "The display was not changed")
+    def _field(self, handle: Any, act: Callable[[Any], Any]) -> BoundInput[Any]:
+        return BoundInput(handle, lambda event: act(event.target.value), self._page, "The display was not changed")
 
     # --- choices
 

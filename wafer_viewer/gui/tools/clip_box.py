@@ -10,13 +10,13 @@ import viser
 from numpy.typing import NDArray
 
 from wafer_viewer.draw.colormaps import Rgb
-from wafer_viewer.gui.scene.drag_handles import Dragged, Knob
-from wafer_viewer.gui.scene.heightfield import Land
+from wafer_viewer.gui.scene.drag_handles import Dragged, DragHandle
+from wafer_viewer.gui.scene.heightfield import HeightField
 from wafer_viewer.gui.scene.primitives import dashed, lines
-from wafer_viewer.gui.scene.scene_contents import OnShow, corners_of
-from wafer_viewer.gui.scene.view_axes import Gaze
+from wafer_viewer.gui.scene.scene_contents import DisplayedSurface, corners_of
+from wafer_viewer.gui.scene.view_axes import ViewAxes
 from wafer_viewer.gui.state.view_state import View
-from wafer_viewer.gui.widgets.echo_filter import Echoes
+from wafer_viewer.gui.widgets.echo_filter import EchoFilter
 from wafer_viewer.model.surface.clipping import Box, Span
 
 NAME = "clip"
@@ -32,7 +32,7 @@ _EDGES = np.array([(a, b) for a in range(8) for b in range(a + 1, 8) if bin(a ^ 
 Vector = NDArray[np.float64]
 
 
-class Faces(NamedTuple):
+class ClipBoxFaces(NamedTuple):
     """From where to where a box reaches, um: in the plane of the stage, and in height."""
 
     box_um: Box
@@ -42,7 +42,7 @@ class Faces(NamedTuple):
         """Its low and its high face along an axis."""
         return self.heights_um if axis == 2 else (self.box_um[axis], self.box_um[axis + 2])
 
-    def moved(self, axis: int, side: int, to_um: float) -> Faces:
+    def moved(self, axis: int, side: int, to_um: float) -> ClipBoxFaces:
         """The same with one face elsewhere."""
         if axis == 2:
             low, high = self.heights_um
@@ -52,7 +52,7 @@ class Faces(NamedTuple):
         return self._replace(box_um=(box[0], box[1], box[2], box[3]))
 
 
-Moved = Callable[[Faces, str], Faces]
+Moved = Callable[[ClipBoxFaces, str], ClipBoxFaces]
 """Told of the box and the ball that was dragged, ``x0`` to ``z1``; answers with the box that holds from now on."""
 
 
@@ -61,13 +61,13 @@ class ClipBox:
 
     def __init__(self, scene: viser.SceneApi, dragged: Dragged, moved: Moved) -> None:
         self._scene, self._dragged, self._moved = scene, dragged, moved
-        self._faces: Faces | None = None
-        self._echoes = Echoes[Faces]()
-        self._knobs: dict[str, Knob] = {}
+        self._faces: ClipBoxFaces | None = None
+        self._echoes = EchoFilter[ClipBoxFaces]()
+        self._knobs: dict[str, DragHandle] = {}
         self._edges: viser.LineSegmentsHandle | None = None
         self._dark = False
 
-    def show(self, view: View, on_show: OnShow) -> None:
+    def show(self, view: View, on_show: DisplayedSurface) -> None:
         """Have the box of a view; none where nothing is clipped, or no points are drawn."""
         clip = view.clip
         if view.step != "surface" or view.look != "points" or (clip.box_um is None and clip.heights_um is None):
@@ -76,16 +76,16 @@ class ClipBox:
         if view.dark != self._dark:
             self.remove()
         self._dark = view.dark
-        wanted = Faces(clip.box_um or on_show.box_um, clip.heights_um or on_show.heights_um)
+        wanted = ClipBoxFaces(clip.box_um or on_show.box_um, clip.heights_um or on_show.heights_um)
         if self._faces is None or not self._echoes.is_echo(wanted):
             self._faces = wanted
         for axis in AXES:
             for side in (0, 1):
                 key = f"{axis}{side}"
                 if key not in self._knobs:
-                    self._knobs[key] = Knob(self._scene, f"{NAME}/{key}", _BALL, _BALL_PX, self._dragged)
+                    self._knobs[key] = DragHandle(self._scene, f"{NAME}/{key}", _BALL, _BALL_PX, self._dragged)
 
-    def draw(self, land: Land, gaze: Gaze) -> None:
+    def draw(self, land: HeightField, gaze: ViewAxes) -> None:
         """Stand as the surface is drawn now."""
         if self._faces is None:
             return
@@ -99,7 +99,7 @@ class ClipBox:
         for key, knob in self._knobs.items():
             knob.place(ball_mm(corners, key), pixel, gaze.towards)
 
-    def drag(self, name: str, origin: Vector, direction: Vector, on_show: OnShow) -> None:
+    def drag(self, name: str, origin: Vector, direction: Vector, on_show: DisplayedSurface) -> None:
         """Move the face of the ball of that name, ``clip/x0``, to where a ray of the pointer passes its axis."""
         key = name.split("/")[1]
         if self._faces is None or key not in self._knobs:
@@ -118,7 +118,7 @@ class ClipBox:
         self._echoes.forget()
 
 
-def corners_mm(faces: Faces, on_show: OnShow) -> Vector:
+def corners_mm(faces: ClipBoxFaces, on_show: DisplayedSurface) -> Vector:
     """Return the eight corners in scene mm, [8, 3]; bit 2 of their number is the side in x, bit 1 in y, bit 0 in z."""
     x0, y0, x1, y1 = (v * 1e-3 for v in faces.box_um)
     low, high = (on_show.scene_z(z_um) for z_um in faces.heights_um)
@@ -132,7 +132,9 @@ def ball_mm(corners: Vector, key: str) -> NDArray[np.float32]:
     return corners[on_face].mean(axis=0).astype(np.float32)
 
 
-def pulled(faces: Faces, key: str, origin: Vector, direction: Vector, on_show: OnShow) -> Faces | None:
+def pulled(
+    faces: ClipBoxFaces, key: str, origin: Vector, direction: Vector, on_show: DisplayedSurface
+) -> ClipBoxFaces | None:
     """Return the faces after a ball is dragged to where a ray passes nearest to the axis through it.
 
     Parameters

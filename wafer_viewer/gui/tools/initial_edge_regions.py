@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from wafer_viewer.gui.scene.heightfield import Box, Floats, Land, Place
+from wafer_viewer.gui.scene.heightfield import Box, Floats, HeightField, Place
 from wafer_viewer.gui.tools.surface_landmarks import bump, plateaus, span_um
 from wafer_viewer.model.region import Region
 
@@ -24,7 +24,7 @@ NO_STREET = 0.15
 
 
 @dataclass(frozen=True, slots=True)
-class Die:
+class DieOutline:
     """The outline of a die in um, and the street at each side: left, lower, right, upper; None: nothing beyond."""
 
     box: Box
@@ -47,7 +47,7 @@ class Die:
         return min((street for street in self.streets if street), default=NO_STREET * min(self.size))
 
 
-def die_box(land: Land, near: Place) -> tuple[Region, ...]:
+def die_box(land: HeightField, near: Place) -> tuple[Region, ...]:
     """Round a die, into the streets."""
     die = _die(land, near)
     by = ROUND * die.street
@@ -55,7 +55,7 @@ def die_box(land: Land, near: Place) -> tuple[Region, ...]:
     return (_rectangle(land, (x0 - by, y0 - by, x1 + by, y1 + by)),)
 
 
-def kerf_box(land: Land, near: Place) -> tuple[Region, ...]:
+def kerf_box(land: HeightField, near: Place) -> tuple[Region, ...]:
     """Across a street, the one below where there is one; across the die that stands alone."""
     die = _die(land, near)
     (x0, y0, x1, y1), by = die.box, OVER * die.street
@@ -71,7 +71,7 @@ def kerf_box(land: Land, near: Place) -> tuple[Region, ...]:
     return (_rectangle(land, (x - x_half, y0 - by, x + x_half, y1 + by)),)
 
 
-def edge_box(land: Land, near: Place) -> tuple[Region, ...]:
+def edge_box(land: HeightField, near: Place) -> tuple[Region, ...]:
     """Along the lower edge of a die."""
     die = _die(land, near)
     (x0, y0, x1, _), by = die.box, OVER * die.street
@@ -79,7 +79,7 @@ def edge_box(land: Land, near: Place) -> tuple[Region, ...]:
     return (_rectangle(land, ((x0 + x1) / 2 - half, y0 - by, (x0 + x1) / 2 + half, y0 + by)),)
 
 
-def bumps_box(land: Land, near: Place) -> tuple[Region, ...]:
+def bumps_box(land: HeightField, near: Place) -> tuple[Region, ...]:
     """Inside of a die."""
     die = _die(land, near)
     x0, y0, x1, y1 = die.box
@@ -87,7 +87,7 @@ def bumps_box(land: Land, near: Place) -> tuple[Region, ...]:
     return (_rectangle(land, (x0 + x_in, y0 + y_in, x1 - x_in, y1 - y_in)),)
 
 
-def round_thing(land: Land, near: Place) -> tuple[Region, ...]:
+def round_thing(land: HeightField, near: Place) -> tuple[Region, ...]:
     """Round the nearest of what stands round on the upper level; round what stands out most elsewhere."""
     _, high = _levels(land, near)
     out = _evened(land) > high + STANDS_OUT * span_um(land)
@@ -102,12 +102,12 @@ def round_thing(land: Land, near: Place) -> tuple[Region, ...]:
     return (Region.circle(*land.clamped(((x0 + x1) / 2, (y0 + y1) / 2)), round(radius_um, 2)),)
 
 
-def _rectangle(land: Land, box: Box) -> Region:
+def _rectangle(land: HeightField, box: Box) -> Region:
     x0, y0, x1, y1 = box
     return Region.rectangle(*land.clamped((x0, y0)), *land.clamped((x1, y1)))
 
 
-def _die(land: Land, near: Place) -> Die:
+def _die(land: HeightField, near: Place) -> DieOutline:
     """The whole die nearest to a place; the middle half of what is in sight where there is none."""
     low, high = _levels(land, near)
     over = _evened(land) > (low + high) / 2
@@ -115,12 +115,12 @@ def _die(land: Land, near: Place) -> Die:
     if not found:
         x0, y0, x1, y1 = land.bounds_um
         x, y, half_x, half_y = (x0 + x1) / 2, (y0 + y1) / 2, (x1 - x0) / 4, (y1 - y0) / 4
-        return Die((x - half_x, y - half_y, x + half_x, y + half_y), (None, None, None, None))
+        return DieOutline((x - half_x, y - half_y, x + half_x, y + half_y), (None, None, None, None))
     at = land.inner(near)
     return min(found, key=lambda die: die.away(at))
 
 
-def _evened(land: Land) -> Floats:
+def _evened(land: HeightField) -> Floats:
     """Heights without the tilt that most of the surface has."""
     z = land.heights
     along_x, along_y = (float(np.median(np.diff(z, axis=axis))) for axis in (1, 0))
@@ -128,7 +128,7 @@ def _evened(land: Land) -> Floats:
     return z - along_x * col - along_y * row
 
 
-def _levels(land: Land, near: Place) -> tuple[float, float]:
+def _levels(land: HeightField, near: Place) -> tuple[float, float]:
     """The lower and the upper level of a surface, its tilt apart."""
     upper, lower, _ = plateaus(land, near)
     z, (x0, y0, x1, y1) = _evened(land), land.bounds_um
@@ -160,7 +160,7 @@ def _fill(over: NDArray[np.bool_], rows: slice, cols: slice) -> float:
     return float(over[rows, cols].mean())
 
 
-def _in_um(land: Land, over: NDArray[np.bool_], rows: slice, cols: slice) -> Die:
+def _in_um(land: HeightField, over: NDArray[np.bool_], rows: slice, cols: slice) -> DieOutline:
     x0, y1 = land.place(rows.start - 0.5, cols.start - 0.5)
     x1, y0 = land.place(rows.stop - 0.5, cols.stop - 0.5)
     row, col = (rows.start + rows.stop) // 2, (cols.start + cols.stop) // 2
@@ -171,4 +171,4 @@ def _in_um(land: Land, over: NDArray[np.bool_], rows: slice, cols: slice) -> Die
         over[: rows.start, col][::-1],
     )
     left, lower, right, upper = (float(np.argmax(way)) * land.pixel_um if way.any() else None for way in ways)
-    return Die((float(x0), float(y0), float(x1), float(y1)), (left, lower, right, upper))
+    return DieOutline((float(x0), float(y0), float(x1), float(y1)), (left, lower, right, upper))

@@ -7,7 +7,7 @@ from collections.abc import Iterator
 import numpy as np
 from numpy.typing import NDArray
 
-from wafer_viewer.gui.scene.heightfield import Floats, Land, Place
+from wafer_viewer.gui.scene.heightfield import Floats, HeightField, Place
 from wafer_viewer.gui.tools.surface_landmarks import first_line
 
 SAMPLES = 400
@@ -21,7 +21,7 @@ LEVELS = (10, 90)
 LEAST_MEASURED = 0.9
 
 
-def groove_line(land: Land, near: Place) -> tuple[Place, Place]:
+def groove_line(land: HeightField, near: Place) -> tuple[Place, Place]:
     """Both ends of a line across a groove or ridge; a profile's first line where there is none."""
     widest, found = 0.0, None
     for start, end in _lines(land, land.inner(near)):
@@ -36,7 +36,7 @@ def groove_line(land: Land, near: Place) -> tuple[Place, Place]:
     return begin, end
 
 
-def _lines(land: Land, near: Place) -> Iterator[tuple[Floats, Floats]]:
+def _lines(land: HeightField, near: Place) -> Iterator[tuple[Floats, Floats]]:
     """Right across the surface, along x and along y, from near to far."""
     x0, y0, x1, y1 = land.bounds_um
     for away in np.linspace(0, 1, LINES):
@@ -49,7 +49,7 @@ def _lines(land: Land, near: Place) -> Iterator[tuple[Floats, Floats]]:
                 yield np.array([x, y0]), np.array([x, y1])
 
 
-def _widest(land: Land, start: Floats, end: Floats) -> tuple[Floats, Floats]:
+def _widest(land: HeightField, start: Floats, end: Floats) -> tuple[Floats, Floats]:
     """Both edges of the widest trench or ridge along a line; twice the same place where there is none."""
     share = np.linspace(0, 1, SAMPLES)
     places = start + share[:, None] * (end - start)

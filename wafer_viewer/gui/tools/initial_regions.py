@@ -6,7 +6,7 @@ from collections.abc import Callable
 
 import numpy as np
 
-from wafer_viewer.gui.scene.heightfield import Land, Place
+from wafer_viewer.gui.scene.heightfield import HeightField, Place
 from wafer_viewer.gui.tools.initial_edge_regions import bumps_box, die_box, edge_box, kerf_box, round_thing
 from wafer_viewer.gui.tools.initial_groove import groove_line
 from wafer_viewer.gui.tools.surface_landmarks import (
@@ -30,63 +30,63 @@ _WELL_INSIDE = 0.8
 """The side of a region to begin with, of the square that was found to be even."""
 
 
-def _square(land: Land, at: Place, side_um: float) -> Region:
+def _square(land: HeightField, at: Place, side_um: float) -> Region:
     (x, y), half = at, side_um / 2
     return Region.rectangle(*land.clamped((x - half, y - half)), *land.clamped((x + half, y + half)))
 
 
-def _inside(land: Land, at: Place, side_um: float) -> Region:
+def _inside(land: HeightField, at: Place, side_um: float) -> Region:
     return _square(land, at, _WELL_INSIDE * side_um)
 
 
-def _point(land: Land, near: Place) -> tuple[Region, ...]:
+def _point(land: HeightField, near: Place) -> tuple[Region, ...]:
     return (Region.point(*land.nearest_measured(land.inner(near))),)
 
 
-def _distance(land: Land, near: Place) -> tuple[Region, ...]:
+def _distance(land: HeightField, near: Place) -> tuple[Region, ...]:
     x0, _, x1, _ = land.bounds_um
     x, y = land.inner(near)
     ends = ((x - 0.16 * (x1 - x0), y), (x + 0.16 * (x1 - x0), y))
     return tuple(Region.point(*land.nearest_measured(end)) for end in ends)
 
 
-def _step(land: Land, near: Place) -> tuple[Region, ...]:
+def _step(land: HeightField, near: Place) -> tuple[Region, ...]:
     upper, lower, side_um = plateaus(land, near)
     return _inside(land, upper, side_um), _inside(land, lower, side_um)
 
 
-def _angle(land: Land, near: Place) -> tuple[Region, ...]:
+def _angle(land: HeightField, near: Place) -> tuple[Region, ...]:
     first, second, side_um = two_faces(land, near)
     return _inside(land, first, side_um), _inside(land, second, side_um)
 
 
-def _radius(land: Land, near: Place) -> tuple[Region, ...]:
+def _radius(land: HeightField, near: Place) -> tuple[Region, ...]:
     middle, radius_um = bump(land, near)
     return (Region.circle(*land.clamped(middle), round(radius_um, 2)),)
 
 
-def _volume(land: Land, near: Place) -> tuple[Region, ...]:
+def _volume(land: HeightField, near: Place) -> tuple[Region, ...]:
     middle, radius_um = bump(land, near)
     return (_square(land, middle, 3 * radius_um),)
 
 
-def _face(land: Land, near: Place) -> tuple[Region, ...]:
+def _face(land: HeightField, near: Place) -> tuple[Region, ...]:
     return (_inside(land, *face(land, near)),)
 
 
-def _across_face(land: Land, near: Place) -> tuple[Region, ...]:
+def _across_face(land: HeightField, near: Place) -> tuple[Region, ...]:
     x0, y0, x1, y1 = _inside(land, *face(land, near)).bounds_um
     return (Region.line(x0, (y0 + y1) / 2, x1, (y0 + y1) / 2),)
 
 
-def _most_of_it(land: Land, near: Place) -> tuple[Region, ...]:
+def _most_of_it(land: HeightField, near: Place) -> tuple[Region, ...]:
     """Of what is in sight, all but its border."""
     x0, y0, x1, y1 = land.bounds_um
     in_x, in_y = _BORDER * (x1 - x0), _BORDER * (y1 - y0)
     return (Region.rectangle(*(round(um, 2) for um in (x0 + in_x, y0 + in_y, x1 - in_x, y1 - in_y))),)
 
 
-FIRST: dict[ToolName, Callable[[Land, Place], tuple[Region, ...]]] = {
+FIRST: dict[ToolName, Callable[[HeightField, Place], tuple[Region, ...]]] = {
     "profile": lambda land, near: (Region.line(*(v for end in first_line(land, near) for v in end)),),
     "point": _point,
     "distance": _distance,
@@ -108,7 +108,7 @@ FIRST: dict[ToolName, Callable[[Land, Place], tuple[Region, ...]]] = {
 """First places of each tool, in the order in which it asks for them."""
 
 
-def _three_points(land: Land, near: Place) -> tuple[Region, ...]:
+def _three_points(land: HeightField, near: Place) -> tuple[Region, ...]:
     """Far apart, and where possible all on the level that most of the surface lies on."""
     x0, y0, x1, y1 = land.bounds_um
     wanted = [(x0 + u * (x1 - x0), y0 + v * (y1 - y0)) for u, v in ((0.15, 0.15), (0.85, 0.15), (0.5, 0.85))]
@@ -121,9 +121,12 @@ def _three_points(land: Land, near: Place) -> tuple[Region, ...]:
     return tuple(Region.point(*land.clamped(level.middle(level.nearest(place)))) for place in wanted)
 
 
-_LEVEL_AT: dict[LevelBy, Callable[[Land, Place], tuple[Region, ...]]] = {"three points": _three_points, "region": _face}
+_LEVEL_AT: dict[LevelBy, Callable[[HeightField, Place], tuple[Region, ...]]] = {
+    "three points": _three_points,
+    "region": _face,
+}
 
 
-def first_levelling(by: LevelBy, land: Land, near: Place) -> Levelling:
+def first_levelling(by: LevelBy, land: HeightField, near: Place) -> Levelling:
     """A way of levelling with places to begin with."""
     return Levelling(by=by, places=_LEVEL_AT[by](land, near) if by in _LEVEL_AT else ())

@@ -9,13 +9,13 @@ import numpy as np
 import viser
 
 from wafer_viewer.draw.colormaps import PROFILE_COLOURS, rgb
-from wafer_viewer.gui.scene.billboards import Sign
-from wafer_viewer.gui.scene.drag_handles import CasedLine, Dragged, Knob
-from wafer_viewer.gui.scene.heightfield import Land, Place
-from wafer_viewer.gui.scene.view_axes import Gaze
+from wafer_viewer.gui.scene.billboards import Billboard
+from wafer_viewer.gui.scene.drag_handles import CasedLine, Dragged, DragHandle
+from wafer_viewer.gui.scene.heightfield import HeightField, Place
+from wafer_viewer.gui.scene.view_axes import ViewAxes
 from wafer_viewer.gui.state.view_state import View
 from wafer_viewer.gui.tools.surface_landmarks import first_line
-from wafer_viewer.gui.widgets.echo_filter import Echoes
+from wafer_viewer.gui.widgets.echo_filter import EchoFilter
 from wafer_viewer.model.measurement.section_lines import LETTERS
 from wafer_viewer.model.region import Region
 
@@ -35,8 +35,8 @@ class LineTool:
         colour = rgb(PROFILE_COLOURS[place][1:])
         self.line = line
         self._line = CasedLine(scene, f"profile/{place}", colour, 3.4)
-        self._knobs = [Knob(scene, f"profile/{place}/{end}", colour, 8.5, dragged) for end in (0, 1)]
-        self._sign = Sign(scene, f"profile/{place}/sign", LETTERS[place], colour, _SIGN_PX)
+        self._knobs = [DragHandle(scene, f"profile/{place}/{end}", colour, 8.5, dragged) for end in (0, 1)]
+        self._sign = Billboard(scene, f"profile/{place}/sign", LETTERS[place], colour, _SIGN_PX)
 
     def drag(self, end: int, to: Place) -> None:
         """Move one end."""
@@ -44,7 +44,7 @@ class LineTool:
         places[end] = to
         self.line = Region.line(*places[0], *places[1], self.line.width_um)
 
-    def draw(self, land: Land, gaze: Gaze) -> None:
+    def draw(self, land: HeightField, gaze: ViewAxes) -> None:
         """Lie on the surface as it is drawn now."""
         mm_per_pixel = gaze.mm_per_pixel
         first, last = ((p.x_um, p.y_um) for p in self.line.points)
@@ -67,10 +67,10 @@ class Cursors:
 
     def __init__(self, scene: viser.SceneApi, dragged: Dragged) -> None:
         self._scene, self._dragged = scene, dragged
-        self._knobs: dict[int, Knob] = {}
+        self._knobs: dict[int, DragHandle] = {}
         self.line, self.shares = 0, (0.0, 1.0)
 
-    def draw(self, line: Region, land: Land, gaze: Gaze) -> None:
+    def draw(self, line: Region, land: HeightField, gaze: ViewAxes) -> None:
         """Stand on the surface as it is drawn now."""
         first, last = ((p.x_um, p.y_um) for p in line.points)
         points, _ = land.draped(first, last, 6.5 * gaze.mm_per_pixel)
@@ -79,7 +79,7 @@ class Cursors:
                 self._take_away(number)
                 continue
             if number not in self._knobs:
-                self._knobs[number] = Knob(self._scene, f"cursor/{number}", _CURSOR, _CURSOR_PX, self._dragged)
+                self._knobs[number] = DragHandle(self._scene, f"cursor/{number}", _CURSOR, _CURSOR_PX, self._dragged)
             self._knobs[number].place(points[round(share * (len(points) - 1))], gaze.mm_per_pixel, gaze.towards)
 
     def remove(self) -> None:
@@ -99,11 +99,11 @@ class LineTools:
         self._scene, self._dragged, self._tell = scene, dragged, told
         self._tools: list[LineTool] = []
         self._had_lines = False
-        self._echoes = Echoes[tuple[Region, ...]]()
+        self._echoes = EchoFilter[tuple[Region, ...]]()
         self._cursors = Cursors(scene, dragged)
         self._cursor_moved: CursorMoved = lambda number, share: None
 
-    def show(self, view: View, land: Land, near: Place) -> None:
+    def show(self, view: View, land: HeightField, near: Place) -> None:
         """Have the lines of a view; one that has none gets a first one near a place."""
         if view.lines:
             if not self._echoes.is_echo(view.lines):
@@ -149,7 +149,7 @@ class LineTools:
         place = self._cursors.line
         return self._tools[place].line if place < len(self._tools) else None
 
-    def draw(self, land: Land, gaze: Gaze) -> None:
+    def draw(self, land: HeightField, gaze: ViewAxes) -> None:
         """Lie on the surface as it is drawn now, all of them."""
         for tool in self._tools:
             tool.draw(land, gaze)

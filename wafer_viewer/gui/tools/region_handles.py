@@ -8,10 +8,10 @@ import numpy as np
 import viser
 
 from wafer_viewer.draw.colormaps import Rgb
-from wafer_viewer.gui.scene.billboards import Sign, corner_on_screen
-from wafer_viewer.gui.scene.drag_handles import CasedLine, Dragged, Knob
-from wafer_viewer.gui.scene.heightfield import Land, Place
-from wafer_viewer.gui.scene.view_axes import Gaze
+from wafer_viewer.gui.scene.billboards import Billboard, corner_on_screen
+from wafer_viewer.gui.scene.drag_handles import CasedLine, Dragged, DragHandle
+from wafer_viewer.gui.scene.heightfield import HeightField, Place
+from wafer_viewer.gui.scene.view_axes import ViewAxes
 from wafer_viewer.gui.tools.region_shapes import SHAPES, WHOLE
 from wafer_viewer.model.region import Region
 
@@ -35,16 +35,16 @@ class PlaceHandle:
         self._outline = CasedLine(scene, name, colour, 2.6) if outlined else None
         whole_px = _WHOLE_PX if outlined else _POINT_PX
         self._knobs = {
-            hold: Knob(scene, f"{name}/{hold}", colour, whole_px if hold == WHOLE else _EDGE_PX, dragged)
+            hold: DragHandle(scene, f"{name}/{hold}", colour, whole_px if hold == WHOLE else _EDGE_PX, dragged)
             for hold in self._shape.holds(region)
         }
-        self._sign = Sign(scene, f"{name}/sign", title, colour, _SIGN_PX)
+        self._sign = Billboard(scene, f"{name}/sign", title, colour, _SIGN_PX)
 
-    def pull(self, hold: str, to: Place, land: Land) -> None:
+    def pull(self, hold: str, to: Place, land: HeightField) -> None:
         """One of its handles was moved."""
         self.region = self._shape.pulled(self.region, hold, to, land)
 
-    def draw(self, land: Land, gaze: Gaze) -> None:
+    def draw(self, land: HeightField, gaze: ViewAxes) -> None:
         """Lie on the surface as it is drawn now."""
         mm_per_pixel = gaze.mm_per_pixel
         if self._outline is not None:
@@ -68,7 +68,7 @@ class PlaceHandle:
         side_px = side_um * 1e-3 / max(mm_per_pixel, 1e-12)
         return 1.0 if self._outline is None else min(1.0, max(_LEAST_KNOB, side_px / _ROOMY_PX))
 
-    def _place_sign(self, land: Land, gaze: Gaze) -> None:
+    def _place_sign(self, land: HeightField, gaze: ViewAxes) -> None:
         """The sign stands beside the place, left of it on the screen."""
         left = corner_on_screen(self.region, land, gaze, -1, 0)
         self._sign.place(left, land, gaze, -_BESIDE_PX)
@@ -110,13 +110,13 @@ class Places:
         for handle, region in zip(self._handles, regions, strict=True):
             handle.region = region
 
-    def pull(self, name: str, to: Place, land: Land) -> None:
+    def pull(self, name: str, to: Place, land: HeightField) -> None:
         """A handle of this row, NAME/NUMBER/HOLD, was moved."""
         _, number, hold = name.split("/")
         if int(number) < len(self._handles):
             self._handles[int(number)].pull(hold, to, land)
 
-    def draw(self, land: Land, gaze: Gaze) -> None:
+    def draw(self, land: HeightField, gaze: ViewAxes) -> None:
         """Lie on the surface as it is drawn now."""
         for handle in self._handles:
             handle.draw(land, gaze)

@@ -9,7 +9,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from wafer_viewer.gui.scene.heightfield import Land, Place
+from wafer_viewer.gui.scene.heightfield import HeightField, Place
 from wafer_viewer.model.region import Region, RegionKind
 
 Corners = NDArray[np.float64]
@@ -27,14 +27,14 @@ class Shape:
 
     outline: Callable[[Region], Corners]
     holds: Callable[[Region], dict[str, Place]]
-    pulled: Callable[[Region, str, Place, Land], Region]
+    pulled: Callable[[Region, str, Place, HeightField], Region]
 
 
 def _point_holds(region: Region) -> dict[str, Place]:
     return {WHOLE: (region.points[0].x_um, region.points[0].y_um)}
 
 
-def _point_pulled(region: Region, hold: str, to: Place, land: Land) -> Region:
+def _point_pulled(region: Region, hold: str, to: Place, land: HeightField) -> Region:
     return Region.point(*land.clamped(to))
 
 
@@ -49,7 +49,7 @@ def _rectangle_holds(region: Region) -> dict[str, Place]:
     return {**corners, WHOLE: ((x0 + x1) / 2, (y0 + y1) / 2)}
 
 
-def _rectangle_pulled(region: Region, hold: str, to: Place, land: Land) -> Region:
+def _rectangle_pulled(region: Region, hold: str, to: Place, land: HeightField) -> Region:
     x0, y0, x1, y1 = region.bounds_um
     if hold == WHOLE:
         half = (x1 - x0) / 2, (y1 - y0) / 2
@@ -71,7 +71,7 @@ def _circle_holds(region: Region) -> dict[str, Place]:
     return {"rim": (center.x_um + region.radius_um, center.y_um), WHOLE: (center.x_um, center.y_um)}
 
 
-def _circle_pulled(region: Region, hold: str, to: Place, land: Land) -> Region:
+def _circle_pulled(region: Region, hold: str, to: Place, land: HeightField) -> Region:
     """By its middle it moves; by its rim it grows, as far as it stays on the surface."""
     x0, y0, x1, y1 = land.bounds_um
     center = region.points[0]
@@ -93,7 +93,7 @@ def _line_holds(region: Region) -> dict[str, Place]:
     return {"0": (xa, ya), "1": (xb, yb), WHOLE: ((xa + xb) / 2, (ya + yb) / 2)}
 
 
-def _line_pulled(region: Region, hold: str, to: Place, land: Land) -> Region:
+def _line_pulled(region: Region, hold: str, to: Place, land: HeightField) -> Region:
     """By its middle it moves, by an end it turns and grows."""
     (xa, ya), (xb, yb) = ((p.x_um, p.y_um) for p in region.points)
     if hold == WHOLE:
@@ -107,7 +107,7 @@ def _line_pulled(region: Region, hold: str, to: Place, land: Land) -> Region:
     return line if math.dist(ends[:2], ends[2:]) >= LEAST_PX * land.on_show.facts.pixel_um else region
 
 
-def _kept_inside(to: Place, half: Place, land: Land) -> Place:
+def _kept_inside(to: Place, half: Place, land: HeightField) -> Place:
     """The middle nearest to `to` of what reaches so far to each side and stays on the surface."""
     x0, y0, x1, y1 = land.bounds_um
     return min(max(to[0], x0 + half[0]), x1 - half[0]), min(max(to[1], y0 + half[1]), y1 - half[1])

@@ -7,20 +7,20 @@ from collections.abc import Callable
 import viser
 
 from wafer_viewer.gui.scene.drag_handles import Dragged
-from wafer_viewer.gui.scene.heightfield import Land, Place
+from wafer_viewer.gui.scene.heightfield import HeightField, Place
 from wafer_viewer.gui.scene.scene_theme import colours
-from wafer_viewer.gui.scene.view_axes import Gaze
+from wafer_viewer.gui.scene.view_axes import ViewAxes
 from wafer_viewer.gui.state.view_state import Tool, View
 from wafer_viewer.gui.tools.initial_regions import FIRST
 from wafer_viewer.gui.tools.region_handles import Places
-from wafer_viewer.gui.widgets.echo_filter import Echoes
+from wafer_viewer.gui.widgets.echo_filter import EchoFilter
 from wafer_viewer.model.measurement.levelling import Levelling
 from wafer_viewer.model.measurement.tools import TOOLS, MeasuringTool
 from wafer_viewer.model.region import Region
 from wafer_viewer.model.spec import replace
 
 Told = Callable[[tuple[Region, ...]], None]
-InSight = Callable[[Land], Land]
+InSight = Callable[[HeightField], HeightField]
 LEVEL_SIGNS = {"three points": ("1", "2", "3"), "region": ("Zero",)}
 
 
@@ -32,9 +32,9 @@ class PlaceTools:
         self._tell, self._in_sight = told, in_sight
         self._tool: Tool = "none"
         self._named = False
-        self._echoes: Echoes[tuple[Region, ...]] = Echoes()
+        self._echoes: EchoFilter[tuple[Region, ...]] = EchoFilter()
 
-    def show(self, view: View, land: Land, near: Place) -> None:
+    def show(self, view: View, land: HeightField, near: Place) -> None:
         """Have the places of a view's tool; what only echoes a drag moves nothing back."""
         if view.tool in ("none", "profile"):
             self.remove()
@@ -48,7 +48,7 @@ class PlaceTools:
             self._told()
         self._tool, self._named = view.tool, named
 
-    def drag(self, name: str, to: Place, land: Land, last: bool) -> None:
+    def drag(self, name: str, to: Place, land: HeightField, last: bool) -> None:
         """A handle was moved."""
         self._places.pull(name, to, land)
         self._told()
@@ -59,7 +59,7 @@ class PlaceTools:
             self._places.move((Region.point(*to),))
             self._told()
 
-    def draw(self, land: Land, gaze: Gaze) -> None:
+    def draw(self, land: HeightField, gaze: ViewAxes) -> None:
         """Lie on the surface as it is drawn now."""
         self._places.draw(land, gaze)
 
@@ -83,9 +83,9 @@ class LevelTools:
         self._places = Places(scene, "level", dragged)
         self._tell = told
         self._levelling = Levelling()
-        self._echoes: Echoes[Levelling] = Echoes()
+        self._echoes: EchoFilter[Levelling] = EchoFilter()
 
-    def show(self, view: View, land: Land, near: Place) -> None:
+    def show(self, view: View, land: HeightField, near: Place) -> None:
         """Have the places of a view's levelling."""
         if self._echoes.is_echo(view.levelling):
             return
@@ -93,13 +93,13 @@ class LevelTools:
         signs = LEVEL_SIGNS.get(view.levelling.by, ())
         self._places.become(signs, view.levelling.places, colours(view.dark).mark)
 
-    def drag(self, name: str, to: Place, land: Land, last: bool) -> None:
+    def drag(self, name: str, to: Place, land: HeightField, last: bool) -> None:
         """A handle was moved."""
         self._places.pull(name, to, land)
         if last:
             self._tell(self._echoes.tell(replace(self._levelling, places=self._places.regions)))
 
-    def draw(self, land: Land, gaze: Gaze) -> None:
+    def draw(self, land: HeightField, gaze: ViewAxes) -> None:
         """Lie on the surface as it is drawn now."""
         self._places.draw(land, gaze)
 

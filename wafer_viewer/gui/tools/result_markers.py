@@ -12,14 +12,14 @@ from numpy.typing import NDArray
 from wafer_viewer.draw.colormaps import Rgb, rgb
 from wafer_viewer.gui.presenters.measurement import letter, sign_colour
 from wafer_viewer.gui.presenters.result_regions import drawn_of
-from wafer_viewer.gui.scene.billboards import Sign, corner_on_screen
+from wafer_viewer.gui.scene.billboards import Billboard, corner_on_screen
 from wafer_viewer.gui.scene.drag_handles import CasedLine
-from wafer_viewer.gui.scene.heightfield import Land
+from wafer_viewer.gui.scene.heightfield import HeightField
 from wafer_viewer.gui.scene.scene_theme import colours
-from wafer_viewer.gui.scene.view_axes import Gaze
+from wafer_viewer.gui.scene.view_axes import ViewAxes
 from wafer_viewer.gui.state.view_state import View
 from wafer_viewer.gui.tools.region_shapes import outline_of
-from wafer_viewer.model.findings import AnyFinding
+from wafer_viewer.model.findings import AnyResult
 from wafer_viewer.model.region import Region
 
 MOST_SIGNS = 60
@@ -46,9 +46,9 @@ class KeptMarks:
         self._scene = scene
         self._kept: list[_Kept] = []
         self._lines: dict[Rgb, CasedLine] = {}
-        self._signs: list[Sign] = []
+        self._signs: list[Billboard] = []
 
-    def show(self, findings: Sequence[AnyFinding], view: View) -> None:
+    def show(self, findings: Sequence[AnyResult], view: View) -> None:
         """Have the results that were measured on the surface of a view."""
         kept = [_kept(f, view) for f in findings if f.show == view.show][-MOST_SIGNS:]
         if kept == self._kept:
@@ -58,10 +58,10 @@ class KeptMarks:
         outlined = {one.colour for one in kept if not one.chosen}
         self._lines = {c: CasedLine(self._scene, f"kept/line/{k}", c, _LINE_PX) for k, c in enumerate(outlined)}
         self._signs = [
-            Sign(self._scene, f"kept/sign/{k}", one.sign, one.colour, _SIGN_PX) for k, one in enumerate(kept)
+            Billboard(self._scene, f"kept/sign/{k}", one.sign, one.colour, _SIGN_PX) for k, one in enumerate(kept)
         ]
 
-    def draw(self, land: Land, gaze: Gaze) -> None:
+    def draw(self, land: HeightField, gaze: ViewAxes) -> None:
         """Lie on the surface as it is drawn now."""
         for colour, line in self._lines.items():
             drawn = [p for one in self._kept if one.colour == colour and not one.chosen for p in one.places]
@@ -77,13 +77,13 @@ class KeptMarks:
         self._kept, self._lines, self._signs = [], {}, []
 
 
-def _kept(finding: AnyFinding, view: View) -> _Kept:
+def _kept(finding: AnyResult, view: View) -> _Kept:
     chosen = finding.number == view.selected
     colour = colours(view.dark).mark if chosen else rgb(sign_colour(finding)[1:])
     return _Kept(drawn_of(finding), letter(finding), colour, chosen)
 
 
-def _outline(region: Region, land: Land, mm_per_pixel: float) -> NDArray[np.float32]:
+def _outline(region: Region, land: HeightField, mm_per_pixel: float) -> NDArray[np.float32]:
     """The pieces of an outline, [n, 2, 3]: a line is draped, a point gets a ring."""
     lift = _UP_PX * mm_per_pixel
     if region.kind == "line":
@@ -97,7 +97,7 @@ def _outline(region: Region, land: Land, mm_per_pixel: float) -> NDArray[np.floa
     return land.laid_round(corners, lift)
 
 
-def _place(sign: Sign, region: Region, land: Land, gaze: Gaze) -> None:
+def _place(sign: Billboard, region: Region, land: HeightField, gaze: ViewAxes) -> None:
     """Beside the upper left corner of the place as it is on the screen, of a line beside its end."""
     place = region if region.kind != "line" else Region.point(region.points[1].x_um, region.points[1].y_um)
     corner, up_px = corner_on_screen(place, land, gaze, -1, 1), _ABOVE_PX if region.kind == "point" else _BESIDE_PX

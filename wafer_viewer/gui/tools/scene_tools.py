@@ -8,15 +8,15 @@ from collections.abc import Callable, Sequence
 import numpy as np
 import viser
 
-from wafer_viewer.gui.scene.camera.camera_controller import Eye
-from wafer_viewer.gui.scene.camera.camera_presets import Pose, pixel_ray
+from wafer_viewer.gui.scene.camera.camera_controller import CameraController
+from wafer_viewer.gui.scene.camera.camera_presets import CameraPose, pixel_ray
 from wafer_viewer.gui.scene.drag_handles import DrapedOutline, PlaceMark
 from wafer_viewer.gui.scene.fine_picking import Read, land_nearby
-from wafer_viewer.gui.scene.heightfield import Land, Place
-from wafer_viewer.gui.scene.lod.surface_cache import Book
-from wafer_viewer.gui.scene.scene_contents import OnShow
+from wafer_viewer.gui.scene.heightfield import HeightField, Place
+from wafer_viewer.gui.scene.lod.surface_cache import SurfaceInfoCache
+from wafer_viewer.gui.scene.scene_contents import DisplayedSurface
 from wafer_viewer.gui.scene.scene_theme import colours
-from wafer_viewer.gui.scene.view_axes import Gaze
+from wafer_viewer.gui.scene.view_axes import ViewAxes
 from wafer_viewer.gui.state.view_state import View
 from wafer_viewer.gui.tools.clip_box import NAME as CLIP
 from wafer_viewer.gui.tools.clip_box import ClipBox, Moved
@@ -24,9 +24,9 @@ from wafer_viewer.gui.tools.initial_regions import first_levelling
 from wafer_viewer.gui.tools.profile_lines import CursorMoved, LineTools
 from wafer_viewer.gui.tools.region_tools import LevelTools, PlaceTools
 from wafer_viewer.gui.tools.result_markers import KeptMarks
-from wafer_viewer.gui.widgets.latest_only import Latest
+from wafer_viewer.gui.widgets.latest_only import LatestOnlyWorker
 from wafer_viewer.model.errors import MeasureError
-from wafer_viewer.model.findings import AnyFinding
+from wafer_viewer.model.findings import AnyResult
 from wafer_viewer.model.measurement.levelling import LevelBy, Levelling
 from wafer_viewer.model.region import Region
 from wafer_viewer.model.surface.clipping import Box
@@ -38,9 +38,9 @@ _ON_LINE_PX = 9.0
 class Tools:
     """Handles are moved on a thread of their own, so that a drag is followed while tiles are still coming."""
 
-    def __init__(self, client: viser.ClientHandle, eye: Eye, read: Read) -> None:
+    def __init__(self, client: viser.ClientHandle, eye: CameraController, read: Read) -> None:
         self._client, self._eye, self._read = client, eye, read
-        self._land: Land | None = None
+        self._land: HeightField | None = None
         scene = client.scene
         self._lines = LineTools(scene, self._dragged, lambda lines, line: self._lined(lines, line))
         self._places = PlaceTools(scene, self._dragged, lambda places: self._placed(places), self._in_sight)
@@ -49,7 +49,7 @@ class Tools:
         self._kept = KeptMarks(scene)
         self._mark: PlaceMark | None = None
         self._lock = threading.RLock()
-        self._drags, self._clicks = Latest("drag"), Latest("pick")
+        self._drags, self._clicks = LatestOnlyWorker("drag"), LatestOnlyWorker("pick")
         self._picked: Callable[[float, float], None] | None = None
         self._lined: Callable[[tuple[Region, ...], int], None] = lambda lines, line: None
         self._placed: Callable[[tuple[Region, ...]], None] = lambda places: None
@@ -132,9 +132,11 @@ class Tools:
         self._drags.close()
         self._clicks.close()
 
-    def show(self, view: View, on_show: OnShow | None, book: Book, findings: Sequence[AnyFinding] = ()) -> None:
+    def show(
+        self, view: View, on_show: DisplayedSurface | None, book: SurfaceInfoCache, findings: Sequence[AnyResult] = ()
+    ) -> None:
         """Have the tool of the view on the surface on show and no other, and the results that were kept there."""
-        land = Land(book.relief(on_show), on_show, view.colour_by != "origin") if on_show is not None else None
+        land = HeightField(book.relief(on_show), on_show, view.colour_by != "origin") if on_show is not None else None
         with self._lock:
             self._land = land
             self._show_tools(view, land if view.step in ("measure", "gauge") else None)
@@ -152,7 +154,7 @@ class Tools:
         """The camera has moved: handles keep their size on the screen."""
         self._drags.ask(self._redraw)
 
-    def aim(self, before: Pose) -> None:
+    def aim(self, before: CameraPose) -> None:
         """Have the camera, once it rests where it was, turn about what is in the middle and come no nearer than that.
 
         It looks at a level between the lowest and the highest: nearing that, it would go through what stands higher.
@@ -165,7 +167,7 @@ class Tools:
         if share is not None and pose.is_same(self._eye.pose):  # reading took time, and the camera may be elsewhere
             self._eye.aim(pose.position + direction * share)
 
-    def _show_tools(self, view: View, land: Land | None) -> None:
+    def _show_tools(self, view: View, land: HeightField | None) -> None:
         if land is None or view.tool != "profile":
             self._lines.remove()
         else:
@@ -176,7 +178,7 @@ class Tools:
             else:
                 tool.show(view, land, self._looked_at())
 
-    def _show_mark(self, view: View, land: Land | None) -> None:
+    def _show_mark(self, view: View, land: HeightField | None) -> None:
         place = view.why if view.explains and land is not None else None
         if place is None:
             if self._mark is not None:
@@ -186,7 +188,7 @@ class Tools:
         self._mark = self._mark or PlaceMark(self._client.scene, colours(view.dark).mark)
         self._mark.place = place
 
-    def _show_selection(self, view: View, land: Land | None) -> None:
+    def _show_selection(self, view: View, land: HeightField | None) -> None:
         """The selection's outline, where it is what is counted."""
         box = view.selection if view.step == "surface" and land is not None else None
         if box is None:
@@ -201,7 +203,7 @@ class Tools:
         with self._lock:
             if self._land is None:
                 return
-            gaze = Gaze.of(self._eye.pose, self._eye.um_per_pixel() * 1e-3)
+            gaze = ViewAxes.of(self._eye.pose, self._eye.um_per_pixel() * 1e-3)
             with self._client.atomic():
                 for tool in (self._lines, self._places, self._level, self._kept, self._clip, self._mark, self._outline):
                     if tool is not None:
@@ -258,7 +260,7 @@ class Tools:
         x, y, _ = self._eye.pose.look_at * 1e3
         return float(x), float(y)
 
-    def _in_sight(self, land: Land) -> Land:
+    def _in_sight(self, land: HeightField) -> HeightField:
         """What of a surface lies round the point looked at, as far as the shorter side of the canvas reaches."""
         x, y = self._looked_at()
         reach_um = self._eye.um_per_pixel() * min(self._eye.canvas_px) / 2

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from wafer_viewer.gui.scene.heightfield import Floats, Land, Place
+from wafer_viewer.gui.scene.heightfield import Floats, HeightField, Place
 
 PATCH_SHARES = (1 / 6, 1 / 9, 1 / 12, 1 / 18, 1 / 30)
 """Sides of the squares that faces are looked for with, largest first, as shares of the shorter side."""
@@ -47,7 +47,7 @@ class Patches:
         return len(self.places)
 
 
-def patches(land: Land, share: float) -> Patches:
+def patches(land: HeightField, share: float) -> Patches:
     """The squares with that share of the surface's shorter side, half a side apart."""
     rows, cols = land.heights.shape
     side = max(_LEAST_PATCH_PX, round(min(rows, cols) * share) // 2 * 2)
@@ -72,7 +72,7 @@ def patches(land: Land, share: float) -> Patches:
     )
 
 
-def first_line(land: Land, near: Place) -> tuple[Place, Place]:
+def first_line(land: HeightField, near: Place) -> tuple[Place, Place]:
     """A profile to begin with: along x, near the middle of what is looked at, where it shows most."""
     x0, y0, x1, y1 = land.bounds_um
     x, y = land.inner(near)
@@ -84,7 +84,7 @@ def first_line(land: Land, near: Place) -> tuple[Place, Place]:
     return land.clamped((x - half, best)), land.clamped((x + half, best))
 
 
-def _worth(land: Land, x_um: Floats, y_um: float) -> float:
+def _worth(land: HeightField, x_um: Floats, y_um: float) -> float:
     """How much a row shows: its measured share, more where it climbs; rows that differ by little are alike."""
     y = np.full_like(x_um, y_um)
     there = land.measured(x_um, y)
@@ -94,7 +94,7 @@ def _worth(land: Land, x_um: Floats, y_um: float) -> float:
     return round(float(there.mean()) * (1 + min(climb, 1.5)), 1)
 
 
-def plateaus(land: Land, near: Place) -> tuple[Place, Place, float]:
+def plateaus(land: HeightField, near: Place) -> tuple[Place, Place, float]:
     """Middles of an upper and a lower plateau near a place, and the side of the squares that fit on both.
 
     They are on the two levels that most of the surface lies on, so that a bump on the upper one is none of them.
@@ -112,7 +112,7 @@ def plateaus(land: Land, near: Place) -> tuple[Place, Place, float]:
     return (x, y + 2 * side_um), (x, y - 2 * side_um), side_um
 
 
-def _small(spread: Floats, land: Land) -> NDArray[np.bool_]:
+def _small(spread: Floats, land: HeightField) -> NDArray[np.bool_]:
     """Which spreads are those of flat patches: about as small as the smallest, which are noise alone."""
     if len(spread) == 0:
         return np.zeros(0, bool)
@@ -133,7 +133,7 @@ def _two_levels(levels: Floats, span: float) -> tuple[float, float] | None:
     return min(first, second), max(first, second)
 
 
-def face(land: Land, near: Place) -> tuple[Place, float]:
+def face(land: HeightField, near: Place) -> tuple[Place, float]:
     """The middle of a flat face near a place, and the side of a square that fits on it."""
     for share in PATCH_SHARES:
         found = patches(land, share)
@@ -143,7 +143,7 @@ def face(land: Land, near: Place) -> tuple[Place, float]:
     return land.inner(near), _least_side(land)
 
 
-def two_faces(land: Land, near: Place) -> tuple[Place, Place, float]:
+def two_faces(land: HeightField, near: Place) -> tuple[Place, Place, float]:
     """Middles of the steepest even face and of the levellest one beside it, and the side of the squares."""
     for share in PATCH_SHARES[1:]:
         found = patches(land, share)
@@ -160,7 +160,7 @@ def two_faces(land: Land, near: Place) -> tuple[Place, Place, float]:
     return (x - side_um, y), (x + side_um, y), side_um
 
 
-def bump(land: Land, near: Place) -> tuple[Place, float]:
+def bump(land: HeightField, near: Place) -> tuple[Place, float]:
     """The middle and the radius of what stands out most of surroundings that are even, up or down.
 
     Where nothing does, as among bumps side by side, something small and high near a place.
@@ -175,7 +175,7 @@ def bump(land: Land, near: Place) -> tuple[Place, float]:
     return (middle, radius_um) if middle is not None else (_high(land, near), 1.5 * _LEAST_PATCH_PX * land.pixel_um)
 
 
-def _high(land: Land, near: Place) -> Place:
+def _high(land: HeightField, near: Place) -> Place:
     """A high place near another."""
     side = _LEAST_PATCH_PX
     levels = _box_sums(land.heights - land.on_show.z0_um, (side, side), 1)
@@ -188,7 +188,7 @@ def _high(land: Land, near: Place) -> Place:
     return float(x[best]), float(y[best])
 
 
-def _standing_out(land: Land, side: int) -> tuple[float, Place] | None:
+def _standing_out(land: HeightField, side: int) -> tuple[float, Place] | None:
     """How far the best square of `side` pixels stands out of the ring round it, for the ring's spread, and where."""
     z, wide, step = land.heights - land.on_show.z0_um, 2 * side, max(1, side // 4)
     if min(z.shape) < wide:
@@ -210,12 +210,12 @@ def _standing_out(land: Land, side: int) -> tuple[float, Place] | None:
     return float(out[row, col]), middle
 
 
-def span_um(land: Land) -> float:
+def span_um(land: HeightField) -> float:
     """The range of heights, a few outliers aside."""
     return land.on_show.facts.high_um - land.on_show.facts.low_um
 
 
-def _least_side(land: Land) -> float:
+def _least_side(land: HeightField) -> float:
     return max(_LEAST_PATCH_PX, min(land.heights.shape) * PATCH_SHARES[-1]) * land.pixel_um
 
 

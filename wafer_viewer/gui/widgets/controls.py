@@ -9,7 +9,7 @@ from typing import Any, Generic, Literal, Protocol, TypeVar
 
 import viser
 
-from wafer_viewer.gui.widgets.error_guard import Teller, guarded
+from wafer_viewer.gui.widgets.error_guard import ErrorSink, guarded
 from wafer_viewer.gui.widgets.style import by_id
 
 T = TypeVar("T")
@@ -21,7 +21,7 @@ TIGHT_ROW = 3
 """Buttons in a row from which on there is no room to spare beside their words."""
 
 
-class Cell:
+class HtmlBlock:
     """A piece of HTML on the page."""
 
     def __init__(self, gui: Gui, content: str = "", padded: bool = True) -> None:
@@ -39,7 +39,7 @@ class Cell:
         return f'<div class="wv">{content}</div>' if self._padded and content else content
 
 
-class Drawn(Teller, Protocol):
+class Drawn(ErrorSink, Protocol):
     """A page that is being drawn."""
 
     @property
@@ -48,7 +48,7 @@ class Drawn(Teller, Protocol):
         ...
 
 
-class Field(Generic[T]):
+class BoundInput(Generic[T]):
     """A form widget: `show` gives it the session's value, `on_change` hears what a person puts in.
 
     What is older than the last thing put in is not shown, however long the drawing of it took.
@@ -161,7 +161,7 @@ def duo(gui: Gui) -> None:
     gui.add_html('<div class="wv-duo"></div>')
 
 
-class Choice:
+class ToggleGroup:
     """A button group that shows which one is chosen."""
 
     def __init__(
@@ -171,7 +171,7 @@ class Choice:
         self._titles = [name for _, name in options]
         self._on_change = on_change
         self._mark = f"wv-choice-{id(self)}"
-        self._cell = Cell(gui, self._style(0), padded=False)
+        self._cell = HtmlBlock(gui, self._style(0), padded=False)
         group = gui.add_button_group(label, self._titles)
         group.on_click(self._click)
 
@@ -200,7 +200,7 @@ def always_there(gui: Gui) -> Generator[None]:
     panel.float(x=0, y=0, width=1, height=1)
 
 
-class Overlay:
+class FloatingPanel:
     """A sheet of glass over the scene; negative x, y count from the right and the bottom edge of the scene."""
 
     def __init__(
@@ -209,7 +209,7 @@ class Overlay:
         self._align = align
         self._panel = gui.add_panel(visible=False)
         with self._panel.add_tab("·"):
-            self._cell = Cell(gui, self._framed(""), padded=False)
+            self._cell = HtmlBlock(gui, self._framed(""), padded=False)
         self._place = (x_px, y_px, width_px, height_px)
         self._move()
 

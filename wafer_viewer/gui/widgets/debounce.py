@@ -11,7 +11,7 @@ COMMIT_S = 0.25
 """Edits go to the session when nothing was typed for so long: one number typed is one step of undo."""
 
 
-class Edits:
+class Debouncer:
     """Counts the edits of a form; `commit` hands the form over, with a future where the session is asked.
 
     Until the last edit has arrived the form shows what was typed, however long the typing goes on: the session's

@@ -9,7 +9,7 @@ T = TypeVar("T")
 _MOST = 64
 
 
-class Echoes(Generic[T]):
+class EchoFilter(Generic[T]):
     """Values that were told and may be heard again, in the order in which they were told."""
 
     def __init__(self) -> None:

@@ -14,14 +14,14 @@ from concurrent.futures import CancelledError, Future
 from typing import Any, Protocol
 
 from wafer_viewer.gui.widgets.html import Tone
-from wafer_viewer.model.errors import HeldByAnother, MotionStopped, WaferViewerError
+from wafer_viewer.model.errors import ControlHeldError, MotionStopped, WaferViewerError
 from wafer_viewer.session.state.snapshot import Fault
 
 log = logging.getLogger("wafer_viewer.gui")
 _numbers = itertools.count(1)
 
 
-class Teller(Protocol):
+class ErrorSink(Protocol):
     """Whoever shows the operator a note."""
 
     def tell(self, fault: Fault) -> None:
@@ -33,7 +33,7 @@ class Teller(Protocol):
         ...
 
 
-def guarded(page: Teller, name: str) -> Callable[[Callable[..., Any]], Callable[..., None]]:
+def guarded(page: ErrorSink, name: str) -> Callable[[Callable[..., Any]], Callable[..., None]]:
     """Wrap a callback of the page; `name` is what stopped, such as 'Import stopped'.
 
     A callback that answers with a future (a verb of the session) is watched until that is done.
@@ -55,11 +55,11 @@ def guarded(page: Teller, name: str) -> Callable[[Callable[..., Any]], Callable[
     return wrap
 
 
-def tell_failure(page: Teller, name: str, fault: BaseException) -> None:
+def tell_failure(page: ErrorSink, name: str, fault: BaseException) -> None:
     """Tell the operator, in the program's own sentence where it has one; what was called off needs no words."""
     if isinstance(fault, CancelledError):
         return
-    if isinstance(fault, HeldByAnother):
+    if isinstance(fault, ControlHeldError):
         page.say(name, str(fault), "attention")
         return
     if isinstance(fault, MotionStopped):
@@ -73,7 +73,7 @@ def tell_failure(page: Teller, name: str, fault: BaseException) -> None:
     page.tell(_note(name, f"{what} The session continues; details are in the log."))
 
 
-def _look_at(page: Teller, name: str, done: Future[Any]) -> None:
+def _look_at(page: ErrorSink, name: str, done: Future[Any]) -> None:
     if done.cancelled():
         return
     fault = done.exception()

@@ -6,7 +6,7 @@ import threading
 from collections.abc import Callable
 
 
-class Latest:
+class LatestOnlyWorker:
     """One thread of its own; `ask` never waits, an older question that has not begun is dropped."""
 
     def __init__(self, name: str) -> None:

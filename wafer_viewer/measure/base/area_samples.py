@@ -6,11 +6,11 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from wafer_viewer.measure.base.height_samples import Floats, Points, level_for, require_area
-from wafer_viewer.measure.base.measurement_context import Reading
+from wafer_viewer.measure.base.height_samples import Floats, HeightSamples, level_for, require_area
+from wafer_viewer.measure.base.measurement_context import MeasurementContext
 from wafer_viewer.measure.base.plane_faces import enough_points
 from wafer_viewer.measure.base.region_samples import require_measured
-from wafer_viewer.measure.base.robust_plane import Plane, least_squares, plane_design
+from wafer_viewer.measure.base.robust_plane import LevelPlane, least_squares, plane_design
 from wafer_viewer.model.region import Region
 
 
@@ -18,7 +18,7 @@ from wafer_viewer.model.region import Region
 class Area:
     """The measured points of a region, at which level they were read, the pixel there, the share that is measured."""
 
-    points: Points
+    points: HeightSamples
     level: int
     pixel_um: float
     measured_fraction: float
@@ -29,7 +29,7 @@ class Area:
         return len(self.points) * self.pixel_um**2
 
 
-def area_of(reading: Reading, region: Region, which: str, what: str) -> Area:
+def area_of(reading: MeasurementContext, region: Region, which: str, what: str) -> Area:
     """The heights of a region; what lies off the surface counts as unmeasured.
 
     which, what: as in 'The face … and flatness needs'. Raises MeasureError when the region is a line, lies outside,
@@ -43,9 +43,9 @@ def area_of(reading: Reading, region: Region, which: str, what: str) -> Area:
     return Area(points, level, pixel_um, share)
 
 
-def least_squares_plane(points: Points) -> tuple[Plane, Floats]:
+def least_squares_plane(points: HeightSamples) -> tuple[LevelPlane, Floats]:
     """The plane of least squares through all points, as standards on form and texture ask, and what it leaves."""
     x_um, y_um = float(points.x_um.mean()), float(points.y_um.mean())
     slope_x, slope_y, z_um = least_squares(plane_design(points, (x_um, y_um)), points.z_um).tolist()
-    plane = Plane(x_um, y_um, z_um, slope_x, slope_y)
+    plane = LevelPlane(x_um, y_um, z_um, slope_x, slope_y)
     return plane, points.z_um - np.asarray(plane.at(points.x_um, points.y_um))

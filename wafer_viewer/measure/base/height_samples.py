@@ -13,7 +13,7 @@ from wafer_viewer.model.measurement.measurements import Length
 from wafer_viewer.model.region import Region
 from wafer_viewer.model.surface.height_map import HasLayers, HeightLayer, HeightMap, Heights, Mosaic, Provenance
 from wafer_viewer.model.surface.recipe import Recipe
-from wafer_viewer.model.surface.textured_surface import HasPicture, Pictured, picture_of
+from wafer_viewer.model.surface.textured_surface import ProvidesTexture, TexturedHeights, picture_of
 
 Layer = HeightLayer
 Floats = NDArray[np.float64]
@@ -22,7 +22,7 @@ MAX_PIXELS = 2_000_000
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Points:
+class HeightSamples:
     """Measured points of a region, each array float64 [n], in stage um."""
 
     x_um: Floats
@@ -32,14 +32,14 @@ class Points:
     def __len__(self) -> int:
         return len(self.z_um)
 
-    def kept(self, mask: NDArray[np.bool_]) -> Points:
+    def kept(self, mask: NDArray[np.bool_]) -> HeightSamples:
         """Some of the points."""
-        return Points(self.x_um[mask], self.y_um[mask], self.z_um[mask])
+        return HeightSamples(self.x_um[mask], self.y_um[mask], self.z_um[mask])
 
-    def and_also(self, others: Points) -> Points:
+    def and_also(self, others: HeightSamples) -> HeightSamples:
         """These points, then the others."""
         pairs = ((self.x_um, others.x_um), (self.y_um, others.y_um), (self.z_um, others.z_um))
-        return Points(*(np.concatenate(pair) for pair in pairs))
+        return HeightSamples(*(np.concatenate(pair) for pair in pairs))
 
 
 def layer_of(recipe: Recipe, layer: Layer | None) -> Layer:
@@ -64,23 +64,23 @@ def height_window(surface: Mosaic, layer: Layer, region: Region, level: int) -> 
     return Heights(heights(part, layer), part.pixel_um, part.x0_um, part.y0_um)
 
 
-def pictured_window(surface: Mosaic, layer: Layer, region: Region, level: int = 0) -> Pictured:
+def pictured_window(surface: Mosaic, layer: Layer, region: Region, level: int = 0) -> TexturedHeights:
     """One layer of heights with the picture of the part of a surface that holds a region.
 
     Raises MeasureError when the region lies outside of the surface.
     """
-    if isinstance(surface, HasPicture):
+    if isinstance(surface, ProvidesTexture):
         return surface.pictured(layer, region, level)
     part = surface.window(region, level)
     picture = picture_of(part.all_in_focus, part.origin)
-    return Pictured(heights(part, layer), part.pixel_um, part.x0_um, part.y0_um, picture)
+    return TexturedHeights(heights(part, layer), part.pixel_um, part.x0_um, part.y0_um, picture)
 
 
-def points_in(surface: Mosaic, region: Region, layer: Layer, level: int) -> Points:
+def points_in(surface: Mosaic, region: Region, layer: Layer, level: int) -> HeightSamples:
     """The measured points of a region. Raises MeasureError when the region lies outside of the surface."""
     part = height_window(surface, layer, region, level)
     rows, cols = np.nonzero(np.isfinite(part.z_um) & region.contains(part.x_um[None, :], part.y_um[:, None]))
-    return Points(part.x_um[cols], part.y_um[rows], part.z_um[rows, cols].astype(np.float64))
+    return HeightSamples(part.x_um[cols], part.y_um[rows], part.z_um[rows, cols].astype(np.float64))
 
 
 def level_for(surface: Mosaic, *regions: Region) -> int:

@@ -10,8 +10,8 @@ import numpy as np
 
 from wafer_viewer.measure.base.height_samples import (
     Floats,
+    HeightSamples,
     Layer,
-    Points,
     height_window,
     heights,
     layer_of,
@@ -83,7 +83,7 @@ def _stage(surface: Mosaic, levelling: Levelling, layer: Layer) -> Datum:
 
 def _three_points(surface: Mosaic, levelling: Levelling, layer: Layer) -> Datum:
     at = [_round_point(surface, place, layer) for place in levelling.places]
-    points = Points(*(np.array(column) for column in zip(*at, strict=True)))
+    points = HeightSamples(*(np.array(column) for column in zip(*at, strict=True)))
     return _fitted(points, FLAT)
 
 
@@ -128,7 +128,7 @@ def _round_point(surface: Mosaic, place: Region, layer: Layer) -> tuple[float, f
     return float(near.x_um.mean()), float(near.y_um.mean()), float(np.median(near.z_um))
 
 
-def _whole(surface: Mosaic, layer: Layer) -> Points:
+def _whole(surface: Mosaic, layer: Layer) -> HeightSamples:
     """The measured points of the whole surface, thinned to about FITTED_PIXELS lattice points."""
     pixels = surface.shape[0] * surface.shape[1]
     level = min(surface.levels - 1, max(0, math.ceil(math.log(pixels / FITTED_PIXELS, 4))))
@@ -136,10 +136,10 @@ def _whole(surface: Mosaic, layer: Layer) -> Points:
     step = max(1, math.ceil(math.sqrt(part.shape[0] * part.shape[1] / FITTED_PIXELS)))
     z_um, x_um, y_um = heights(part, layer)[::step, ::step], part.x_um[::step], part.y_um[::step]
     rows, cols = np.nonzero(np.isfinite(z_um))
-    return Points(x_um[cols], y_um[rows], z_um[rows, cols].astype(np.float64))
+    return HeightSamples(x_um[cols], y_um[rows], z_um[rows, cols].astype(np.float64))
 
 
-def _fitted(points: Points, powers: Powers) -> Datum:
+def _fitted(points: HeightSamples, powers: Powers) -> Datum:
     if not len(points):
         raise MeasureError("Nothing was measured where the surface is to be levelled: choose another place or way.")
     center = float(points.x_um.mean()), float(points.y_um.mean())

@@ -16,7 +16,7 @@ Lines = dict[str, float]
 
 
 @dataclass(frozen=True, slots=True)
-class Reading:
+class MeasurementContext:
     """A surface, which of its heights are taken, and whether its calibration holds."""
 
     surface: Mosaic

@@ -8,8 +8,8 @@ from functools import cached_property
 
 import numpy as np
 
-from wafer_viewer.measure.base.height_samples import Floats, Layer, Points, points_in
-from wafer_viewer.measure.base.robust_plane import Plane, fit_plane, plane_design
+from wafer_viewer.measure.base.height_samples import Floats, HeightSamples, Layer, points_in
+from wafer_viewer.measure.base.robust_plane import LevelPlane, fit_plane, plane_design
 from wafer_viewer.measure.base.tile_statistics import Labels, Scatter, Spread, scatter_of, spreads
 from wafer_viewer.model.errors import MeasureError
 from wafer_viewer.model.region import Region
@@ -26,8 +26,8 @@ class Face:
     part: in which of the face's regions each point lies.
     """
 
-    points: Points
-    plane: Plane
+    points: HeightSamples
+    plane: LevelPlane
     residuals_um: Floats
     part: Labels
 
@@ -61,7 +61,7 @@ class Face:
         return scatter_of(self.spreads, gradient)
 
 
-def enough_points(surface: Mosaic, region: Region, layer: Layer, level: int, which: str, what: str) -> Points:
+def enough_points(surface: Mosaic, region: Region, layer: Layer, level: int, which: str, what: str) -> HeightSamples:
     """The measured points of a region. Raises MeasureError when it lies outside or has fewer than 200.
 
     which, what: the region's name and what it is for, as in 'The upper region … and a step height needs'.
@@ -75,7 +75,7 @@ def enough_points(surface: Mosaic, region: Region, layer: Layer, level: int, whi
     return points
 
 
-def face_of(*parts: Points) -> Face:
+def face_of(*parts: HeightSamples) -> Face:
     """The face that points of one or several regions lie on. Raises MeasureError when they span no plane."""
     points = joined(parts)
     plane, fit = fit_plane(points)
@@ -84,7 +84,7 @@ def face_of(*parts: Points) -> Face:
     return Face(kept, plane, kept.z_um - plane.at(kept.x_um, kept.y_um), part)
 
 
-def joined(parts: Sequence[Points]) -> Points:
+def joined(parts: Sequence[HeightSamples]) -> HeightSamples:
     """Points of several regions, one region after the other."""
     whole = parts[0]
     for part in parts[1:]:

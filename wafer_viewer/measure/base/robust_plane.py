@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from wafer_viewer.measure.base.height_samples import Floats, Points
+from wafer_viewer.measure.base.height_samples import Floats, HeightSamples
 from wafer_viewer.model.errors import MeasureError
 
 REJECT_BEYOND = 3.0
@@ -34,7 +34,7 @@ class Fit:
 
 
 @dataclass(frozen=True, slots=True)
-class Plane:
+class LevelPlane:
     """z = z_um + slope_x (x - x_um) + slope_y (y - y_um), about the centroid of its points."""
 
     x_um: float
@@ -89,17 +89,17 @@ def least_squares(design: Floats, values: Floats) -> Floats:
     return np.linalg.solve(normal, scaled.T @ values) / scale
 
 
-def fit_plane(points: Points) -> tuple[Plane, Fit]:
+def fit_plane(points: HeightSamples) -> tuple[LevelPlane, Fit]:
     """A robust plane. Raises MeasureError when the points do not span one."""
     x0_um, y0_um = _centroid(points)
     fit = robust_fit(plane_design(points, (x0_um, y0_um)), points.z_um)
     slope_x, slope_y, z0_um = fit.coefficients.tolist()
-    about = Plane(x0_um, y0_um, z0_um, slope_x, slope_y)
+    about = LevelPlane(x0_um, y0_um, z0_um, slope_x, slope_y)
     x_um, y_um = float(np.mean(points.x_um[fit.kept])), float(np.mean(points.y_um[fit.kept]))
-    return Plane(x_um, y_um, float(about.at(x_um, y_um)), slope_x, slope_y), fit
+    return LevelPlane(x_um, y_um, float(about.at(x_um, y_um)), slope_x, slope_y), fit
 
 
-def plane_design(points: Points, center_um: tuple[float, float]) -> Floats:
+def plane_design(points: HeightSamples, center_um: tuple[float, float]) -> Floats:
     """Columns x, y, 1 about a centre."""
     return np.stack([points.x_um - center_um[0], points.y_um - center_um[1], np.ones(len(points))], axis=1)
 
@@ -109,7 +109,7 @@ def _fit(design: Floats, values: Floats, kept: NDArray[np.bool_]) -> Fit:
     return Fit(coefficients, values - design @ coefficients, kept)
 
 
-def _centroid(points: Points) -> tuple[float, float]:
+def _centroid(points: HeightSamples) -> tuple[float, float]:
     return float(np.mean(points.x_um)), float(np.mean(points.y_um))
 
 

@@ -11,7 +11,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from wafer_viewer.measure.base.height_samples import Floats, Points
+from wafer_viewer.measure.base.height_samples import Floats, HeightSamples
 from wafer_viewer.measure.base.robust_plane import robust_fit
 from wafer_viewer.model.errors import MeasureError
 
@@ -37,12 +37,12 @@ class Cap:
         """The sphere's radius."""
         return 1 / abs(self.curvature)
 
-    def at(self, points: Points) -> Floats:
+    def at(self, points: HeightSamples) -> Floats:
         """Heights of the sphere over points that it reaches."""
         squares = self._squares(points)
         return self.z_um - self.curvature * squares / (1 + self._cosine(squares))
 
-    def slopes(self, points: Points) -> Floats:
+    def slopes(self, points: HeightSamples) -> Floats:
         """How the heights change with x, y, z and curvature, [n, 4]."""
         squares = self._squares(points)
         cosine = self._cosine(squares)
@@ -50,7 +50,7 @@ class Cap:
         along = self.curvature * x / cosine, self.curvature * y / cosine
         return np.stack([*along, np.ones(len(points)), -squares / (cosine * (1 + cosine))], axis=1)
 
-    def reaches(self, points: Points) -> NDArray[np.bool_]:
+    def reaches(self, points: HeightSamples) -> NDArray[np.bool_]:
         """Which points lie over the sphere, not beyond its walls."""
         return np.abs(self.curvature) * np.sqrt(self._squares(points)) < STEEPEST
 
@@ -58,14 +58,14 @@ class Cap:
         """Another sphere, its four numbers changed."""
         return Cap(*(np.array([self.x_um, self.y_um, self.z_um, self.curvature]) + by).tolist())
 
-    def _squares(self, points: Points) -> Floats:
+    def _squares(self, points: HeightSamples) -> Floats:
         return (points.x_um - self.x_um) ** 2 + (points.y_um - self.y_um) ** 2
 
     def _cosine(self, squares: Floats) -> Floats:
         return np.sqrt(1 - self.curvature**2 * squares)
 
 
-def fit_cap(points: Points, start: Cap | None = None) -> tuple[Cap, Points]:
+def fit_cap(points: HeightSamples, start: Cap | None = None) -> tuple[Cap, HeightSamples]:
     """The sphere, and the points that were not rejected; start: one that is nearly it.
 
     Raises MeasureError when no sphere fits.
@@ -82,7 +82,7 @@ def fit_cap(points: Points, start: Cap | None = None) -> tuple[Cap, Points]:
     return cap, kept
 
 
-def _nearer(points: Points, cap: Cap) -> Cap:
+def _nearer(points: HeightSamples, cap: Cap) -> Cap:
     """One step of Gauss and Newton, outliers apart."""
     near = points.kept(cap.reaches(points))
     if len(near) < LEAST_POINTS:
@@ -95,7 +95,7 @@ def no_sphere() -> MeasureError:
     return MeasureError("No sphere fits the heights in the circle: draw it round a single bump or pit.")
 
 
-def _first_guess(points: Points) -> Cap:
+def _first_guess(points: HeightSamples) -> Cap:
     """By a paraboloid: too curved for a steep cap, whose rim is left out then until the sphere reaches it."""
     x_um, y_um = float(points.x_um.mean()), float(points.y_um.mean())
     x, y = points.x_um - x_um, points.y_um - y_um

@@ -15,7 +15,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from wafer_viewer.measure.base.height_samples import Floats, Points
+from wafer_viewer.measure.base.height_samples import Floats, HeightSamples
 
 SIDES = (16, 8, 4)
 """Tiles along each side of a region: each size is twice the one before."""
@@ -61,7 +61,7 @@ class Tiles:
     sums: Floats
 
     @classmethod
-    def of(cls, points: Points, columns: Floats, part: Labels | None = None, side: int = SIDES[0]) -> Tiles:
+    def of(cls, points: HeightSamples, columns: Floats, part: Labels | None = None, side: int = SIDES[0]) -> Tiles:
         """Columns [n, c] of points over side x side tiles; part: in which of several regions each point lies, [n]."""
         labels = np.zeros(len(points), np.intp) if part is None else part
         n = int(labels.max(initial=0)) + 1
@@ -84,14 +84,14 @@ class Tiles:
         return self.sums[full] / self.count[full][:, None]
 
 
-def tile_means(points: Points, residuals: Floats, side: int) -> tuple[Points, Floats]:
+def tile_means(points: HeightSamples, residuals: Floats, side: int) -> tuple[HeightSamples, Floats]:
     """Mean position, height and residual of the points in each of side x side tiles over them; nearly empty ones go."""
     columns = np.stack([points.x_um, points.y_um, points.z_um, residuals], axis=1)
     x_um, y_um, z_um, left = Tiles.of(points, columns, side=side).means.T
-    return Points(x_um, y_um, z_um), left
+    return HeightSamples(x_um, y_um, z_um), left
 
 
-def parameter_u(points: Points, design: Floats, residuals: Floats, gradient: Floats) -> float | None:
+def parameter_u(points: HeightSamples, design: Floats, residuals: Floats, gradient: Floats) -> float | None:
     """Standard uncertainty of gradient [p] times the parameters of a fit of `design` [n, p], by the scatter of tiles.
 
     None when they are too few; widened by Student's t so that an expansion by k = 2 covers 95 %.
@@ -112,7 +112,7 @@ class Spread:
         return Scatter(math.sqrt(max(0.0, float(gradient @ self.covariance @ gradient))), self.freedom)
 
 
-def spreads(points: Points, design: Floats, residuals: Floats, part: Labels | None = None) -> list[Spread]:
+def spreads(points: HeightSamples, design: Floats, residuals: Floats, part: Labels | None = None) -> list[Spread]:
     """By tiles of each size that has enough of them, smallest first; part: in which of several regions points lie."""
     tiles = [Tiles.of(points, np.column_stack([design, residuals]), part)]
     for _ in SIDES[1:]:

@@ -6,13 +6,13 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from wafer_viewer.measure.defects.segmentation import Piece
+from wafer_viewer.measure.defects.segmentation import DefectPiece
 
 NEAR_PX = 8.0
 """Pieces at a border whose pixels are so near are one."""
 
 
-def merged(pieces: Sequence[Piece], pixel_um: float) -> list[list[Piece]]:
+def merged(pieces: Sequence[DefectPiece], pixel_um: float) -> list[list[DefectPiece]]:
     """The pieces in groups, one for each defect."""
     from scipy.sparse import coo_array
     from scipy.sparse.csgraph import connected_components
@@ -30,7 +30,7 @@ def merged(pieces: Sequence[Piece], pixel_um: float) -> list[list[Piece]]:
     first, second = owner[pairs[:, 0]], owner[pairs[:, 1]]
     links = coo_array((np.ones(len(first)), (first, second)), shape=(len(pieces),) * 2)
     n, group = connected_components(links, directed=False)
-    out: list[list[Piece]] = [[] for _ in range(int(n))]
+    out: list[list[DefectPiece]] = [[] for _ in range(int(n))]
     for piece, k in zip(pieces, group, strict=True):
         out[int(k)].append(piece)
     return out

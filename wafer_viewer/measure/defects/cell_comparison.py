@@ -10,10 +10,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from wafer_viewer.measure.defects.background_contrast import against_around, contrast_of, is_plain
-from wafer_viewer.measure.defects.golden_die import LEAST_CONTRAST, Golden, registered, robust_sigma, spaced
+from wafer_viewer.measure.defects.golden_die import LEAST_CONTRAST, ReferenceDie, registered, robust_sigma, spaced
 from wafer_viewer.measure.defects.ground_kinds import kinds_of
 from wafer_viewer.measure.defects.matched_filters import spectrum_of
-from wafer_viewer.measure.defects.noise_model import Noise, noise_of
+from wafer_viewer.measure.defects.noise_model import NoiseModel, noise_of
 from wafer_viewer.measure.defects.scores import (
     Mask,
     Residual,
@@ -24,9 +24,9 @@ from wafer_viewer.measure.defects.scores import (
     residual_of,
     scores_of,
 )
-from wafer_viewer.measure.defects.segmentation import Piece, Where, pieces_of
+from wafer_viewer.measure.defects.segmentation import DefectPiece, Where, pieces_of
 from wafer_viewer.measure.defects.terraces import over_levels
-from wafer_viewer.measure.dies.die_cells import CellGrid, Place, Plane, Read, Shift, Source, Strip
+from wafer_viewer.measure.dies.die_cells import CellGrid, CellSource, CellStrip, Place, Plane, Read, Shift
 from wafer_viewer.model.inspection.defect import DefectRecipe
 
 NOISE_CELLS = 24
@@ -36,13 +36,13 @@ LEAST_MEASURED = 0.02
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Work:
+class ComparisonWork:
     """What every cell is compared with, and how; on_dies: cells are dies, which are registered and flattened; excluded:
     of the pixels of every cell those that are left out."""
 
-    source: Source
+    source: CellSource
     cells: CellGrid
-    golden: Golden
+    golden: ReferenceDie
     recipe: DefectRecipe
     on_dies: bool
     excluded: Mask | None = None
@@ -53,7 +53,7 @@ class CellResult:
     """What one cell showed: its pieces, its histogram of peaks, how it lies, how many pixels were compared or lack."""
 
     place: Place
-    pieces: list[Piece] = field(default_factory=list[Piece])
+    pieces: list[DefectPiece] = field(default_factory=list[DefectPiece])
     peaks: NDArray[np.int64] = field(default_factory=new_counts)
     tilt: tuple[float, float] = (0.0, 0.0)
     offset_um: float = 0.0
@@ -62,13 +62,13 @@ class CellResult:
     differs_fraction: float = 0.0
 
 
-def compared(work: Work, places: Sequence[Place], noise: Noise) -> list[CellResult]:
+def compared(work: ComparisonWork, places: Sequence[Place], noise: NoiseModel) -> list[CellResult]:
     """Cells side by side, each against its reference; the surface is read once for all of them."""
     strip = work.source.strip(work.cells.around_all(places))
     return [CellResult(place) if strip is None else _result(work, strip, place, noise) for place in places]
 
 
-def noise_over(work: Work, places: tuple[Place, ...]) -> Noise:
+def noise_over(work: ComparisonWork, places: tuple[Place, ...]) -> NoiseModel:
     """The usual noise at each scale, over a few of the cells."""
     most = min(NOISE_CELLS, max(LEAST_NOISE_CELLS, NOISE_PIXELS // math.prod(work.cells.shape)))
     read = (_residual(work, work.source, place) for place in spaced(places, most))
@@ -87,7 +87,7 @@ class Plainness:
     plain: bool
 
 
-def plainness_over(source: Source, cells: CellGrid, places: tuple[Place, ...]) -> Plainness:
+def plainness_over(source: CellSource, cells: CellGrid, places: tuple[Place, ...]) -> Plainness:
     """Over a few cells: heights over the form, the picture against what is around each place."""
     sides = slice(0, cells.shape[0]), slice(0, cells.shape[1])
     read = (source.read(cells, place, *sides, (0.0, 0.0)) for place in spaced(places, NOISE_CELLS))
@@ -102,7 +102,7 @@ def _usual(each: NDArray[np.float64]) -> float:
     return float(np.median(known)) if known.size else 1.0
 
 
-def _residual(work: Work, source: Read, place: Place) -> tuple[Residual, Shift] | None:
+def _residual(work: ComparisonWork, source: Read, place: Place) -> tuple[Residual, Shift] | None:
     shift = registered(source, work.cells, place, work.golden) if work.on_dies else (0.0, 0.0)
     if shift is None:
         return None
@@ -117,7 +117,7 @@ def _residual(work: Work, source: Read, place: Place) -> tuple[Residual, Shift] 
     return residual_of(place, cell, work.golden, work.cells.pixel_um, work.on_dies, excluded), shift
 
 
-def _result(work: Work, strip: Strip, place: Place, noise: Noise) -> CellResult:
+def _result(work: ComparisonWork, strip: CellStrip, place: Place, noise: NoiseModel) -> CellResult:
     found = _residual(work, strip, place)
     if found is None:
         return CellResult(place)

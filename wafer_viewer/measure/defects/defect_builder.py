@@ -12,11 +12,11 @@ from typing import Any
 
 import numpy as np
 
-from wafer_viewer.measure.base.measurement_context import Lines, Reading
+from wafer_viewer.measure.base.measurement_context import Lines, MeasurementContext
 from wafer_viewer.measure.defects.classification import classify
 from wafer_viewer.measure.defects.features import shape_of
-from wafer_viewer.measure.defects.outline import Gathered, Mask, Outline, height_of, outline_of
-from wafer_viewer.measure.defects.segmentation import Piece, evidence_of
+from wafer_viewer.measure.defects.outline import DefectOutline, Gathered, Mask, height_of, outline_of
+from wafer_viewer.measure.defects.segmentation import DefectPiece, evidence_of
 from wafer_viewer.measure.dies.die_cells import CellGrid
 from wafer_viewer.model.inspection.defect import RESOLVED_FROM_PX, Defect, DefectRecipe
 from wafer_viewer.model.region import Point, Region
@@ -31,7 +31,7 @@ U_EDGE_PX = 0.5
 
 
 def defect_of(
-    pieces: Sequence[Piece], cells: CellGrid, reading: Reading, recipe: DefectRecipe, on_dies: bool
+    pieces: Sequence[DefectPiece], cells: CellGrid, reading: MeasurementContext, recipe: DefectRecipe, on_dies: bool
 ) -> Defect:
     """One defect from its pieces; on_dies: the cells are dies."""
     whole = Gathered.of(pieces)
@@ -68,7 +68,7 @@ def confidence(score: float, recipe: DefectRecipe, of_class: float) -> float:
     return min(1.0, max(0.0, sure * of_class))
 
 
-def _region(outline: Outline, pixel_um: float) -> Region:
+def _region(outline: DefectOutline, pixel_um: float) -> Region:
     """A circle round what is about round, else the ellipse as a polygon."""
     major, minor = max(outline.major_um, 2 * pixel_um), max(outline.minor_um, 2 * pixel_um)
     if major < 1.3 * minor:
@@ -83,7 +83,7 @@ def _direction(angle_deg: float) -> tuple[float, float]:
     return math.cos(math.radians(angle_deg)), math.sin(math.radians(angle_deg))
 
 
-def _place(outline: Outline, cells: CellGrid, on_dies: bool) -> dict[str, Any]:
+def _place(outline: DefectOutline, cells: CellGrid, on_dies: bool) -> dict[str, Any]:
     """On which die, and where on it."""
     if not on_dies:
         return {"die": "", "in_die": None}
@@ -95,10 +95,10 @@ def _place(outline: Outline, cells: CellGrid, on_dies: bool) -> dict[str, Any]:
 def _sizes(
     whole: Gathered,
     inside: Mask,
-    outline: Outline,
+    outline: DefectOutline,
     height_um: float,
     pixel_um: float,
-    reading: Reading,
+    reading: MeasurementContext,
     resolved: bool,
     wide: bool,
 ) -> dict[str, Any]:
@@ -126,11 +126,11 @@ def _sizes(
     }
 
 
-def _of_length(reading: Reading, length_um: float, edge_um: float) -> Lines:
+def _of_length(reading: MeasurementContext, length_um: float, edge_um: float) -> Lines:
     return {"pixel scale": reading.u_pixel_scale * length_um, "place of the outline": math.sqrt(2) * edge_um}
 
 
-def _narrow(reading: Reading, outline: Outline) -> tuple[str, ...]:
+def _narrow(reading: MeasurementContext, outline: DefectOutline) -> tuple[str, ...]:
     """That its height is a lower bound, where it is narrow against the focus window and that is known."""
     provenance = reading.surface.provenance
     calibration, window = provenance.calibration, provenance.recipe.window
@@ -145,5 +145,5 @@ def _narrow(reading: Reading, outline: Outline) -> tuple[str, ...]:
     )
 
 
-def _notes(reading: Reading, resolved: bool) -> tuple[str, ...]:
+def _notes(reading: MeasurementContext, resolved: bool) -> tuple[str, ...]:
     return (SIZE_NOTE, *(() if resolved else (NOT_RESOLVED,)), *reading.not_in_budget())

@@ -7,10 +7,10 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from wafer_viewer.measure.base.measurement_context import Reading
-from wafer_viewer.measure.defects.cell_comparison import CellResult, Work
+from wafer_viewer.measure.base.measurement_context import MeasurementContext
+from wafer_viewer.measure.defects.cell_comparison import CellResult, ComparisonWork
 from wafer_viewer.measure.defects.classification import classify
-from wafer_viewer.measure.defects.noise_model import Noise
+from wafer_viewer.measure.defects.noise_model import NoiseModel
 from wafer_viewer.model.inspection.class_rules import DefectShape
 from wafer_viewer.model.inspection.defect import Defect
 from wafer_viewer.model.region import Point
@@ -27,7 +27,9 @@ LEAST_COMPARED = 0.5
 """Of what is usually compared of a die: of less it is not said how it lies."""
 
 
-def whole_die_defects(results: Sequence[CellResult], work: Work, reading: Reading, noise: Noise) -> dict[str, Defect]:
+def whole_die_defects(
+    results: Sequence[CellResult], work: ComparisonWork, reading: MeasurementContext, noise: NoiseModel
+) -> dict[str, Defect]:
     """By name: dies that lie lower, higher or at another tilt than the others."""
     seen = _measured_enough(results)
     if len(seen) < LEAST_TO_TELL:
@@ -83,7 +85,12 @@ def _off(values: np.ndarray, least: float) -> tuple[np.ndarray, float]:
 
 
 def _whole(
-    result: CellResult, work: Work, reading: Reading, height_um: float, tilt_mrad: float, score: float
+    result: CellResult,
+    work: ComparisonWork,
+    reading: MeasurementContext,
+    height_um: float,
+    tilt_mrad: float,
+    score: float,
 ) -> Defect:
     grid = work.cells.grid
     x_um, y_um = (float(a) for a in grid.to_stage(*result.place, grid.width_um / 2, grid.height_um / 2))

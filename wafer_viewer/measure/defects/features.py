@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from wafer_viewer.measure.defects.outline import Gathered, Mask, Outline, ellipse_of
+from wafer_viewer.measure.defects.outline import DefectOutline, Gathered, Mask, ellipse_of
 from wafer_viewer.measure.defects.segmentation import evidence_of
 from wafer_viewer.measure.dies.die_cells import CellGrid
 from wafer_viewer.model.inspection.class_rules import DefectShape
@@ -16,7 +16,7 @@ EDGE_PX, CROSSING = 2.0, 0.1
 def shape_of(
     whole: Gathered,
     inside: Mask,
-    outline: Outline,
+    outline: DefectOutline,
     height_um: float,
     cells: CellGrid,
     recipe: DefectRecipe,
@@ -63,7 +63,7 @@ def _picture_ratio(whole: Gathered, pixel_um: float) -> float:
     return max(seen.major_um, pixel_um) / max(seen.minor_um, pixel_um)
 
 
-def _steepness(whole: Gathered, height_um: float, outline: Outline) -> float:
+def _steepness(whole: Gathered, height_um: float, outline: DefectOutline) -> float:
     """The median slope where it is about half as high as its peak, 1 for a cone; 0 where there is none."""
     if height_um == 0:
         return 0.0

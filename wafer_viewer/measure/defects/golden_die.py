@@ -11,7 +11,7 @@ from dataclasses import dataclass, field
 import numpy as np
 from numpy.typing import NDArray
 
-from wafer_viewer.measure.dies.die_cells import MARGIN_PX, REACH_PX, CellGrid, Place, Plane, Read, Shift, Source
+from wafer_viewer.measure.dies.die_cells import MARGIN_PX, REACH_PX, CellGrid, CellSource, Place, Plane, Read, Shift
 from wafer_viewer.measure.dies.die_plane import DiePlane
 from wafer_viewer.model.errors import DiesNotFound
 from wafer_viewer.model.inspection.golden_die import GoldenDie, GoldenHeader
@@ -47,7 +47,7 @@ Cell = tuple[Plane, Plane]
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Golden:
+class ReferenceDie:
     """What cells should be: heights and the picture's logarithm with their spreads, [row, col] of a cell.
 
     n_dies: over how many dies; shifts: how far those lie off their places.
@@ -61,14 +61,14 @@ class Golden:
     shifts: dict[Place, Shift] = field(default_factory=dict[Place, Shift])
 
     @classmethod
-    def nothing(cls, shape: tuple[int, int], spread_um: float, grey_spread: float) -> Golden:
+    def nothing(cls, shape: tuple[int, int], spread_um: float, grey_spread: float) -> ReferenceDie:
         """The form itself, everywhere alike."""
         zero, one = np.zeros(shape, np.float32), np.ones(shape, np.float32)
         return cls(zero, one * np.float32(spread_um), zero, one * np.float32(grey_spread), 0)
 
     @classmethod
-    def stored(cls, die: GoldenDie, cells: CellGrid, dark: float) -> Golden:
-        """A golden die from the store, in grey, as a cell: its streets are not known. dark: as in `Source`."""
+    def stored(cls, die: GoldenDie, cells: CellGrid, dark: float) -> ReferenceDie:
+        """A golden die from the store, in grey, as a cell: its streets are not known. dark: as in `CellSource`."""
         lit = die.picture + np.float32(dark)
         planes = (die.z_um, die.z_spread_um, np.log(lit), np.maximum(die.picture_spread / lit, LEAST_CONTRAST))
         z_um, spread_um, picture, spread = (_with_street(plane, cells) for plane in planes)
@@ -76,7 +76,7 @@ class Golden:
 
 
 @dataclass(frozen=True, slots=True)
-class Pose:
+class DiePose:
     """How far a die lies off its place, (down, right) in pixels, its plane over the typical one, and its brightness."""
 
     shift: Shift
@@ -88,7 +88,7 @@ class Pose:
         return self.plane.seen_from(first_row, 0).off(cell[0]), cell[1] - np.float32(self.brighter)
 
 
-def golden_of(source: Source, cells: CellGrid, places: tuple[Place, ...]) -> Golden:
+def golden_of(source: CellSource, cells: CellGrid, places: tuple[Place, ...]) -> ReferenceDie:
     """The golden cell of the dies at places. Raises MeasureError where fewer than five of them are measured."""
     chosen = spaced(places, MOST_DIES)
     poses = found_poses(source, cells, chosen)
@@ -114,12 +114,13 @@ def golden_of(source: Source, cells: CellGrid, places: tuple[Place, ...]) -> Gol
     spreads = (
         _with_border(_with_edges(spread, layers[2 * k]), layers[2 * k], reach_px) for k, spread in enumerate(steady)
     )
-    return Golden(layers[0], next(spreads), layers[2], next(spreads), len(poses), shifts)
+    return ReferenceDie(layers[0], next(spreads), layers[2], next(spreads), len(poses), shifts)
 
 
-def golden_die(golden: Golden, cells: CellGrid, dark: float, **told: str | bool) -> GoldenDie:
-    """As it is kept: the die without its streets, its picture in grey again. dark: as in `Source`; told: product, name,
-    made_of and the like of the header.
+def golden_die(golden: ReferenceDie, cells: CellGrid, dark: float, **told: str | bool) -> GoldenDie:
+    """Return the golden die as it is saved: without its streets, its image in grey levels again.
+
+    dark: as in `CellSource`; told: product, name, made_of and the like of the header.
     """
     grid, (top, left) = cells.grid, cells.street
     rows, cols = (round(n / cells.pixel_um) for n in (grid.height_um, grid.width_um))
@@ -131,7 +132,7 @@ def golden_die(golden: Golden, cells: CellGrid, dark: float, **told: str | bool)
     return GoldenDie(header, *(np.ascontiguousarray(plane[part]) for plane in planes))
 
 
-def found_poses(source: Source, cells: CellGrid, places: tuple[Place, ...]) -> dict[Place, Pose]:
+def found_poses(source: CellSource, cells: CellGrid, places: tuple[Place, ...]) -> dict[Place, DiePose]:
     """How each die lies against the others; dies whose middle is not measured are left out."""
     patch = _patch(cells.shape)
     strips = {place: source.strip(cells.around(place, *patch, (0.0, 0.0), MARGIN_PX + REACH_PX)) for place in places}
@@ -152,12 +153,12 @@ def found_poses(source: Source, cells: CellGrid, places: tuple[Place, ...]) -> d
     return {place: _pose(shifts[place], cell, model, patch) for place, cell in known.items()} if model else {}
 
 
-def _pose(shift: Shift, cell: Cell, model: Cell, patch: tuple[slice, slice]) -> Pose:
+def _pose(shift: Shift, cell: Cell, model: Cell, patch: tuple[slice, slice]) -> DiePose:
     plane = DiePlane.of(cell[0] - model[0]).seen_from(-patch[0].start, -patch[1].start)
-    return Pose(shift, plane, _median(cell[1] - model[1]))
+    return DiePose(shift, plane, _median(cell[1] - model[1]))
 
 
-def registered(source: Read, cells: CellGrid, place: Place, golden: Golden) -> Shift | None:
+def registered(source: Read, cells: CellGrid, place: Place, golden: ReferenceDie) -> Shift | None:
     """How far one die lies off its place against the golden die, (down, right) in pixels.
 
     By its middle; by all of it where that was not scanned, for a die that is cut by the border lies off its place too.

@@ -6,8 +6,8 @@ import dataclasses
 
 import numpy as np
 
-from wafer_viewer.measure.defects.golden_die import LEAST_DIES, Golden, golden_of, registered, spaced
-from wafer_viewer.measure.dies.die_cells import CellGrid, Place, Plane, Source
+from wafer_viewer.measure.defects.golden_die import LEAST_DIES, ReferenceDie, golden_of, registered, spaced
+from wafer_viewer.measure.dies.die_cells import CellGrid, CellSource, Place, Plane
 from wafer_viewer.model.errors import MeasureError
 
 LAID_BY = 8
@@ -17,8 +17,8 @@ BY_THEMSELVES = "The streets are not in the golden die: each is compared with th
 
 
 def with_own_streets(
-    stored: Golden, source: Source, cells: CellGrid, places: tuple[Place, ...]
-) -> tuple[Golden, tuple[str, ...]]:
+    stored: ReferenceDie, source: CellSource, cells: CellGrid, places: tuple[Place, ...]
+) -> tuple[ReferenceDie, tuple[str, ...]]:
     """A stored golden die between the typical streets of this surface, and what is to be said of these.
 
     Without five measured dies the streets stay unknown.
@@ -35,14 +35,14 @@ def with_own_streets(
     return _beside(stored, own, off), (BY_THEMSELVES,)
 
 
-def streets_known(golden: Golden, cells: CellGrid) -> bool:
+def streets_known(golden: ReferenceDie, cells: CellGrid) -> bool:
     """Whether a cell's reference says anything of its streets, or it has none: by the line beside the die."""
     top, left = cells.street
     beside = golden.z_um[top - 1] if top else golden.z_um[:, left - 1]
     return not (top or left) or bool(np.isfinite(beside).any())
 
 
-def _lies_off(stored: Golden, own: Golden, source: Source, cells: CellGrid) -> np.ndarray | None:
+def _lies_off(stored: ReferenceDie, own: ReferenceDie, source: CellSource, cells: CellGrid) -> np.ndarray | None:
     """How far (down, right) in pixels a place of the stored die lies off the same place of the wafer's own."""
     some = spaced(tuple(own.shifts), LAID_BY)
     laid = {place: registered(source, cells, place, stored) for place in some}
@@ -50,7 +50,7 @@ def _lies_off(stored: Golden, own: Golden, source: Source, cells: CellGrid) -> n
     return np.median(off, axis=0) if off else None
 
 
-def _beside(stored: Golden, own: Golden, off: np.ndarray) -> Golden:
+def _beside(stored: ReferenceDie, own: ReferenceDie, off: np.ndarray) -> ReferenceDie:
     pairs = {
         "z_um": _levelled(_moved(own.z_um, off), stored.z_um),
         "picture": _levelled(_moved(own.picture, off), stored.picture),

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from wafer_viewer.measure.defects.golden_die import Golden
+from wafer_viewer.measure.defects.golden_die import ReferenceDie
 from wafer_viewer.measure.dies.die_cells import Plane
 from wafer_viewer.numerics.filters.sliding_filters import relief
 
@@ -18,7 +18,7 @@ Where no height is known of plain ground nothing was in focus: the picture shows
 Kinds = NDArray[np.uint8]
 
 
-def kinds_of(golden: Golden) -> Kinds:
+def kinds_of(golden: ReferenceDie) -> Kinds:
     """The kind of ground of every pixel of a cell."""
     layers = (golden.picture, golden.picture_spread), (golden.z_um, golden.z_spread_um)
     patterned, walled = (relief(layer, AROUND_PX) > PLAIN_TO * _usual(spread) for layer, spread in layers)

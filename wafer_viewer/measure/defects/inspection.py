@@ -13,19 +13,25 @@ from contextlib import closing
 
 import numpy as np
 
-from wafer_viewer.measure.base.measurement_context import Reading
+from wafer_viewer.measure.base.measurement_context import MeasurementContext
 from wafer_viewer.measure.defects.background_contrast import LEFT_OUT, LOOKED_AT
 from wafer_viewer.measure.defects.border_merge import merged
-from wafer_viewer.measure.defects.cell_comparison import CellResult, Work, compared, noise_over, plainness_over
+from wafer_viewer.measure.defects.cell_comparison import (
+    CellResult,
+    ComparisonWork,
+    compared,
+    noise_over,
+    plainness_over,
+)
 from wafer_viewer.measure.defects.defect_builder import defect_of
 from wafer_viewer.measure.defects.die_level_defects import marked_repeats, whole_die_defects
 from wafer_viewer.measure.defects.exclusion_areas import excluded_of, notes_on
-from wafer_viewer.measure.defects.golden_die import LEAST_DIES, Golden, golden_die, golden_of
+from wafer_viewer.measure.defects.golden_die import LEAST_DIES, ReferenceDie, golden_die, golden_of
 from wafer_viewer.measure.defects.golden_streets import streets_known, with_own_streets
-from wafer_viewer.measure.defects.noise_model import Noise
+from wafer_viewer.measure.defects.noise_model import NoiseModel
 from wafer_viewer.measure.defects.scores import false_counts
 from wafer_viewer.measure.defects.terraces import SEVERAL_LEVELS, WALL_PX, terraced
-from wafer_viewer.measure.dies.die_cells import CellGrid, Place, Source, source_of
+from wafer_viewer.measure.dies.die_cells import CellGrid, CellSource, Place, source_of
 from wafer_viewer.measure.dies.die_status import not_scanned_mm2, statuses, without_bare_rim
 from wafer_viewer.model.errors import DiesNotFound, MeasureError
 from wafer_viewer.model.inspection.defect import Defect, DefectRecipe, Inspection, Reference
@@ -40,7 +46,7 @@ TILE_PX = 1024
 MOST_DEFECTS = 5000
 OTHER_PRODUCT = 0.1
 Row = list[CellResult]
-RowsBy = Callable[[Work, Noise, Sequence[tuple[Place, ...]]], Generator[Row]]
+RowsBy = Callable[[ComparisonWork, NoiseModel, Sequence[tuple[Place, ...]]], Generator[Row]]
 """Hands that do ``compared(work, row, noise)`` for each of the rows, and give what came of it in their order."""
 
 
@@ -66,7 +72,7 @@ def inspect(
     Raises MeasureError where hardly anything is measured, the grid lies beside the surface, the golden die is of
     something else, or the work was stopped.
     """
-    reading = Reading.of(surface, None, calibration_valid)
+    reading = MeasurementContext.of(surface, None, calibration_valid)
     source = source_of(surface, reading.layer, recipe.form_order)
     dies = statuses(surface, grid) if grid is not None else ()
     on_dies = without_bare_rim(grid, dies) if grid is not None else None
@@ -92,7 +98,7 @@ def golden_of_surface(
 
     Raises MeasureError where fewer than five dies are measured.
     """
-    reading = Reading.of(surface, None, True)
+    reading = MeasurementContext.of(surface, None, True)
     source = source_of(surface, reading.layer, recipe.form_order)
     cells = CellGrid.of(without_bare_rim(grid, statuses(surface, grid)), surface.pixel_um)
     told = {"product": recipe.product, "simulated": surface.provenance.simulated, **told}
@@ -100,8 +106,8 @@ def golden_of_surface(
 
 
 def _work(
-    source: Source, grid: DieGrid | None, recipe: DefectRecipe, golden: GoldenDie | None, no_dies: str
-) -> tuple[Work, Reference, tuple[str, ...]]:
+    source: CellSource, grid: DieGrid | None, recipe: DefectRecipe, golden: GoldenDie | None, no_dies: str
+) -> tuple[ComparisonWork, Reference, tuple[str, ...]]:
     """What cells are compared with: a stored golden die, the typical one of the dies, or the form."""
     if grid is None:
         if golden is not None:
@@ -114,8 +120,8 @@ def _work(
     if golden is not None:
         sizes = {"width_um": grid.width_um, "height_um": grid.height_um}
         golden.require_fit(product=recipe.product, pixel_um=source.surface.pixel_um, **sizes)
-        stored, notes = with_own_streets(Golden.stored(golden, cells, source.dark), source, cells, places)
-        return Work(source, cells, stored, recipe, True, excluded), "golden", notes
+        stored, notes = with_own_streets(ReferenceDie.stored(golden, cells, source.dark), source, cells, places)
+        return ComparisonWork(source, cells, stored, recipe, True, excluded), "golden", notes
     if len(places) < LEAST_DIES:
         dies = "1 die" if len(places) == 1 else f"{len(places)} dies"
         return _by_form(source, recipe, f"{dies} found, {LEAST_DIES} needed to compare die to die")
@@ -123,10 +129,10 @@ def _work(
         median = golden_of(source, cells, places)
     except DiesNotFound as few:
         return _by_form(source, recipe, few.brief)
-    return Work(source, cells, median, recipe, True, excluded), "dies", ()
+    return ComparisonWork(source, cells, median, recipe, True, excluded), "dies", ()
 
 
-def _by_form(source: Source, recipe: DefectRecipe, why: str) -> tuple[Work, Reference, tuple[str, ...]]:
+def _by_form(source: CellSource, recipe: DefectRecipe, why: str) -> tuple[ComparisonWork, Reference, tuple[str, ...]]:
     """In squares, against what lies on the form everywhere; the picture, where it is plain, against what is around."""
     surface = source.surface
     rows, cols = surface.shape
@@ -152,7 +158,11 @@ def _by_form(source: Source, recipe: DefectRecipe, why: str) -> tuple[Work, Refe
     if len(source.levels_um) > 1:
         notes.append(SEVERAL_LEVELS.format(len(source.levels_um), WALL_PX))
     seen = recipe if by.plain else replace(recipe, evidence="height")
-    return Work(source, cells, Golden.nothing(cells.shape, by.z_um, by.grey), seen, False), "form", tuple(notes)
+    return (
+        ComparisonWork(source, cells, ReferenceDie.nothing(cells.shape, by.z_um, by.grey), seen, False),
+        "form",
+        tuple(notes),
+    )
 
 
 def _of_the_rim(grid: DieGrid | None, on_dies: DieGrid | None) -> tuple[str, ...]:
@@ -161,7 +171,7 @@ def _of_the_rim(grid: DieGrid | None, on_dies: DieGrid | None) -> tuple[str, ...
     return (f"No die is seen at {places} round the others: nothing was inspected there.",) if bare else ()
 
 
-def _on_surface(source: Source, cells: CellGrid) -> tuple[Place, ...]:
+def _on_surface(source: CellSource, cells: CellGrid) -> tuple[Place, ...]:
     """The dies whose middle lies on the surface. Raises MeasureError where there is none."""
     surface, grid = source.surface, cells.grid
     found: list[Place] = []
@@ -175,7 +185,7 @@ def _on_surface(source: Source, cells: CellGrid) -> tuple[Place, ...]:
     return tuple(found)
 
 
-def _one_by_one(work: Work, noise: Noise, rows: Sequence[tuple[Place, ...]]) -> Generator[Row]:
+def _one_by_one(work: ComparisonWork, noise: NoiseModel, rows: Sequence[tuple[Place, ...]]) -> Generator[Row]:
     return (compared(work, row, noise) for row in rows)
 
 
@@ -201,7 +211,7 @@ def _require_likeness(results: Sequence[CellResult], golden: GoldenDie | None) -
 
 
 def _defects(
-    results: Sequence[CellResult], whole: dict[str, Defect], work: Work, reading: Reading
+    results: Sequence[CellResult], whole: dict[str, Defect], work: ComparisonWork, reading: MeasurementContext
 ) -> tuple[Defect, ...]:
     """Strongest first and numbered, those of a whole die instead of what lies on it."""
     pieces = [
@@ -215,12 +225,12 @@ def _defects(
 
 
 def _inspection(
-    work: Work,
+    work: ComparisonWork,
     results: Sequence[CellResult],
     defects: tuple[Defect, ...],
     reference: Reference,
     notes: tuple[str, ...],
-    reading: Reading,
+    reading: MeasurementContext,
     grid: DieGrid | None,
     dies: Sequence[DieStatus],
 ) -> Inspection:

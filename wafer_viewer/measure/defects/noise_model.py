@@ -37,7 +37,7 @@ LOCAL_FROM_CELLS = 5
 
 
 @dataclass(frozen=True, eq=False)
-class Noise:
+class NoiseModel:
     """By layer and scale: the spread of quotients, and how fast their tail falls, both [KINDS] by kind of ground.
 
     places: how much wider than that it is at each place, for layers that are uneven; kinds: of the ground of each pixel
@@ -70,7 +70,7 @@ class Noise:
         return {key: plane * self.places[key] if key in self.places else plane for key, plane in by_kind.items()}
 
 
-def noise_of(many: Sequence[Planes], kinds: Kinds, spectrum: Spectrum) -> Noise:
+def noise_of(many: Sequence[Planes], kinds: Kinds, spectrum: Spectrum) -> NoiseModel:
     """The usual noise of quotients over some cells.
 
     What is alike along edges adds up at wide scales: there the noise is that of each place, where cells are enough. A
@@ -88,7 +88,7 @@ def noise_of(many: Sequence[Planes], kinds: Kinds, spectrum: Spectrum) -> Noise:
             even = [plane / wider for plane in even]
         narrower = [float(falls[0]) for (layer, _), falls in fall.items() if layer == key[0]]
         fall[key] = _by_kind(lambda on, even=even: _fall(even, on), ground, (narrower or [NORMAL_FALL])[-1])
-    return Noise(spread, fall, places, kinds, spectrum)
+    return NoiseModel(spread, fall, places, kinds, spectrum)
 
 
 def _by_kind(measured: Callable[[Mask], float | None], ground: Kinds, otherwise: float) -> Floats:

@@ -9,7 +9,7 @@ from dataclasses import dataclass, fields, replace
 import numpy as np
 
 from wafer_viewer.measure.defects.matched_filters import SHARP, SOFT
-from wafer_viewer.measure.defects.segmentation import Floats, Mask, Piece, Pixels
+from wafer_viewer.measure.defects.segmentation import DefectPiece, Floats, Mask, Pixels
 
 HALF, PICTURE_SURE = 0.5, 5.5
 """In deviations: what stands out in the picture less may be its noise."""
@@ -25,11 +25,11 @@ CLEAR_PX, APART_PX = 4, 5
 class Gathered(Pixels):
     """The pieces of one defect as one list of pixels; first: the one with the highest score."""
 
-    first: Piece
+    first: DefectPiece
     peaks: dict[str, float]
 
     @classmethod
-    def of(cls, pieces: Sequence[Piece]) -> Gathered:
+    def of(cls, pieces: Sequence[DefectPiece]) -> Gathered:
         """All pixels; what cannot be added up is that of the piece with the highest score."""
         joined = (np.concatenate([getattr(piece, one.name) for piece in pieces]) for one in fields(Pixels))
         layers = {layer for piece in pieces for layer in piece.peaks}
@@ -44,7 +44,7 @@ class Gathered(Pixels):
 
 
 @dataclass(frozen=True, slots=True)
-class Outline:
+class DefectOutline:
     """The ellipse that has the moments of some pixels, and how far they reach along its major axis."""
 
     x_um: float
@@ -102,7 +102,7 @@ def _peak(whole: Gathered, values: Floats) -> float:
     return upper if float(np.median(lying)) >= 0 else lower
 
 
-def outline_of(x_um: Floats, y_um: Floats, pixel_um: float) -> Outline:
+def outline_of(x_um: Floats, y_um: Floats, pixel_um: float) -> DefectOutline:
     """By moments; an own pixel has a moment too. Thin things are as long as they reach, and nothing is longer."""
     one = ellipse_of(x_um, y_um, np.ones(len(x_um)), pixel_um)
     angle = math.radians(one.angle_deg)
@@ -113,7 +113,7 @@ def outline_of(x_um: Floats, y_um: Floats, pixel_um: float) -> Outline:
     return replace(one, major_um=reach, minor_um=min(one.minor_um, one.area_um2 / reach))
 
 
-def ellipse_of(x_um: Floats, y_um: Floats, weight: Floats, pixel_um: float) -> Outline:
+def ellipse_of(x_um: Floats, y_um: Floats, weight: Floats, pixel_um: float) -> DefectOutline:
     """The ellipse with the second moments of weighted pixels."""
     x, y = float(np.average(x_um, weights=weight)), float(np.average(y_um, weights=weight))
     own = pixel_um**2 / 12
@@ -123,4 +123,4 @@ def ellipse_of(x_um: Floats, y_um: Floats, weight: Floats, pixel_um: float) -> O
     middle, half = (xx + yy) / 2, math.hypot((xx - yy) / 2, xy)
     angle = 0.5 * math.atan2(2 * xy, xx - yy)
     major, minor = 4 * math.sqrt(middle + half), 4 * math.sqrt(max(own, middle - half))
-    return Outline(x, y, major, minor, math.degrees(angle), len(x_um) * pixel_um**2)
+    return DefectOutline(x, y, major, minor, math.degrees(angle), len(x_um) * pixel_um**2)

@@ -15,9 +15,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from wafer_viewer.measure.defects.golden_die import Cell, Golden
+from wafer_viewer.measure.defects.golden_die import Cell, ReferenceDie
 from wafer_viewer.measure.defects.matched_filters import SHARP, SOFT, Spectrum, matched, side_of
-from wafer_viewer.measure.defects.noise_model import Noise, Planes
+from wafer_viewer.measure.defects.noise_model import NoiseModel, Planes
 from wafer_viewer.measure.dies.die_cells import Place, Plane
 from wafer_viewer.measure.dies.die_plane import DiePlane
 from wafer_viewer.model.inspection.defect import DefectRecipe, Evidence, FalseCounts
@@ -65,14 +65,14 @@ class Residual:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Scores:
+class DefectScores:
     """Quotients of one cell by layer and scale, each [row, col] of squares of `coarseness` pixels."""
 
     planes: Planes
 
 
 def residual_of(
-    place: Place, cell: Cell, golden: Golden, pixel_um: float, flatten: bool, excluded: Mask | None = None
+    place: Place, cell: Cell, golden: ReferenceDie, pixel_um: float, flatten: bool, excluded: Mask | None = None
 ) -> Residual:
     """A cell less its reference. flatten: the plane of what is left is taken off, and the grey offset."""
     z_um, picture = cell[0] - golden.z_um, cell[1] - golden.picture
@@ -96,12 +96,12 @@ def _less(plane: Plane, excluded: Mask | None) -> Plane:
     return plane if excluded is None else np.where(excluded, np.float32(np.nan), plane)
 
 
-def picture_quotient(residual: Residual, golden: Golden) -> Plane:
+def picture_quotient(residual: Residual, golden: ReferenceDie) -> Plane:
     """The picture's residual over its spread."""
     return np.clip(residual.picture / golden.picture_spread, -LOUDEST, LOUDEST)
 
 
-def quotients(residual: Residual, golden: Golden, recipe: DefectRecipe, spectrum: Spectrum) -> Planes:
+def quotients(residual: Residual, golden: ReferenceDie, recipe: DefectRecipe, spectrum: Spectrum) -> Planes:
     """Residuals over their spread, filtered, by layer and scale; spectrum: of the noise of the picture's."""
     planes: Planes = {}
     if recipe.evidence in ("height", "both"):
@@ -131,14 +131,14 @@ def _sureness(left: Plane) -> Plane:
     return (1 / (1 + np.float32(UNSURE) * (1 - known))).astype(np.float32)
 
 
-def scores_of(planes: Planes, noise: Noise) -> Scores:
+def scores_of(planes: Planes, noise: NoiseModel) -> DefectScores:
     """Quotients in deviations of normal noise."""
     scores = noise.scores(planes)
     for scale in {scale for _, scale in planes}:
         both = [scores[layer, scale] for layer in ("height", SOFT) if (layer, scale) in scores]
         if len(both) == 2:
             scores["joint", scale] = _joint(np.abs(np.nan_to_num(both[0])), np.abs(np.nan_to_num(both[1])))
-    return Scores(scores)
+    return DefectScores(scores)
 
 
 def _joint(first: Plane, second: Plane) -> Plane:
@@ -167,7 +167,7 @@ def new_counts() -> NDArray[np.int64]:
     return np.zeros(round(HISTOGRAM_END / HISTOGRAM_STEP), np.int64)
 
 
-def count(scores: Scores, recipe: DefectRecipe, shape: tuple[int, int], counts: NDArray[np.int64]) -> None:
+def count(scores: DefectScores, recipe: DefectRecipe, shape: tuple[int, int], counts: NDArray[np.int64]) -> None:
     """Add the places of a cell over COUNTED_FROM to a histogram of how far over each reaches, by its layers' limits."""
     highest = np.zeros(shape, np.float32)
     for (layer, scale), plane in scores.planes.items():

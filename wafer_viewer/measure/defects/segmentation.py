@@ -16,9 +16,9 @@ from wafer_viewer.measure.defects.scores import (
     PICTURED,
     SEEKING,
     SHOWING,
+    DefectScores,
     Mask,
     Residual,
-    Scores,
     enlarged,
     limit_of,
     low_of,
@@ -59,7 +59,7 @@ class Pixels:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Piece(Pixels):
+class DefectPiece(Pixels):
     """One place of one cell that differs.
 
     border: whether a pixel lies at the cell's border; peaks: highest quotient by layer; noise_um: of heights here.
@@ -85,7 +85,9 @@ class Where:
     shift: Shift
 
 
-def pieces_of(residual: Residual, scores: Scores, spread_um: Plane, recipe: DefectRecipe, where: Where) -> list[Piece]:
+def pieces_of(
+    residual: Residual, scores: DefectScores, spread_um: Plane, recipe: DefectRecipe, where: Where
+) -> list[DefectPiece]:
     """The places of a cell over the recipe's threshold; spread_um: of its heights from die to die."""
     from scipy.ndimage import find_objects, label
 
@@ -100,7 +102,7 @@ def pieces_of(residual: Residual, scores: Scores, spread_um: Plane, recipe: Defe
     return [piece for piece in found if piece is not None and len(piece.x_um) >= recipe.min_area_px]
 
 
-def _over(scores: Scores, recipe: DefectRecipe, shape: tuple[int, int]) -> tuple[Mask, Mask]:
+def _over(scores: DefectScores, recipe: DefectRecipe, shape: tuple[int, int]) -> tuple[Mask, Mask]:
     """Pixels where something was sought and found, and pixels that show what hangs together with that.
 
     Found: over the low threshold, hanging together with one over the high one, in the same layer with its sign.
@@ -125,7 +127,7 @@ def _crowded(tops: Mask, low: Mask, recipe: DefectRecipe) -> Mask:
     return tops & (uniform_filter(low.astype(np.float32), 3) * 9 >= min(9, recipe.min_area_px) - 0.5)
 
 
-def _showing(scores: Scores, peaks: Mask) -> Mask:
+def _showing(scores: DefectScores, peaks: Mask) -> Mask:
     """What stands out and hangs together with peaks, in whichever layer these were found: as large at any setting."""
     shown = np.zeros(peaks.shape, bool)
     for (layer, scale), plane in scores.planes.items():
@@ -138,7 +140,7 @@ def _showing(scores: Scores, peaks: Mask) -> Mask:
 
 def _piece(
     residual: Residual,
-    scores: Scores,
+    scores: DefectScores,
     spread_um: Plane,
     labels: NDArray[np.int32],
     number: int,
@@ -146,7 +148,7 @@ def _piece(
     masks: tuple[Mask, Mask],
     where: Where,
     recipe: DefectRecipe,
-) -> Piece | None:
+) -> DefectPiece | None:
     rows, cols = (
         slice(max(0, side.start - SPARE_PX), min(n, side.stop + SPARE_PX))
         for side, n in zip(box, labels.shape, strict=True)
@@ -171,12 +173,12 @@ def _piece(
     planes = z_um, smoothed, slope, _clear(scores, rows, cols)
     values, smooth_um, steep, clear = (plane[r, c].astype(float) for plane in planes)
     border, noise_um = _at_border(*at, residual.z_um.shape), _median(spread_um[rows, cols][r, c])
-    return Piece(
+    return DefectPiece(
         x_um, y_um, u_um, v_um, values, smooth_um, steep, clear, residual.place, border, peaks, scale, noise_um
     )
 
 
-def _clear(scores: Scores, rows: slice, cols: slice) -> Plane:
+def _clear(scores: DefectScores, rows: slice, cols: slice) -> Plane:
     """How far a part stands out of the picture at the finest scale; nowhere if the picture is not looked at."""
     shape = rows.stop - rows.start, cols.stop - cols.start
     scales = [scale for layer, scale in scores.planes if layer == "picture" and coarseness(scale) == 1]
@@ -191,7 +193,7 @@ def _median(values: Float32s) -> float:
     return float(np.median(known)) if known.size else 0.0
 
 
-def _best(scores: Scores, inside: Mask, rows: slice, cols: slice) -> tuple[dict[str, float], float]:
+def _best(scores: DefectScores, inside: Mask, rows: slice, cols: slice) -> tuple[dict[str, float], float]:
     """The highest quotient of each layer within a piece, and the scale of the highest of those it was sought by."""
     best: dict[str, tuple[float, float]] = {}
     for (layer, scale), plane in scores.planes.items():

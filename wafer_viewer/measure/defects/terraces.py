@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 
 from wafer_viewer.measure.base.height_samples import Floats
 from wafer_viewer.measure.base.robust_plane import SIGMA_OF_MAD, robust_fit
-from wafer_viewer.measure.dies.die_cells import Plane, Source, form_powers, sample_of
+from wafer_viewer.measure.dies.die_cells import CellSource, Plane, form_powers, sample_of
 from wafer_viewer.model.errors import MeasureError
 from wafer_viewer.model.measurement.levelling import Datum
 from wafer_viewer.model.region import Point
@@ -38,7 +38,7 @@ Labels = NDArray[np.intp]
 Mask = NDArray[np.bool_]
 
 
-def terraced(source: Source, order: int) -> Source:
+def terraced(source: CellSource, order: int) -> CellSource:
     """The source over the form of its levels; as it is where it has one level only."""
     points, _ = sample_of(source.surface, source.layer)
     powers, center = form_powers(order), source.form.center

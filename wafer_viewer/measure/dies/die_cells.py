@@ -16,7 +16,7 @@ from typing import Protocol
 import numpy as np
 from numpy.typing import NDArray
 
-from wafer_viewer.measure.base.height_samples import Layer, Points, heights, pictured_window
+from wafer_viewer.measure.base.height_samples import HeightSamples, Layer, heights, pictured_window
 from wafer_viewer.measure.base.robust_plane import robust_fit
 from wafer_viewer.model.errors import MeasureError
 from wafer_viewer.model.inspection.die_grid import DieGrid
@@ -98,7 +98,7 @@ class Read(Protocol):
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Source:
+class CellSource:
     """A surface as it is inspected: which heights, over which form; dark: the grey added before the logarithm.
 
     levels_um: heights over the form at which most of the surface lies, where it is compared with these.
@@ -115,7 +115,7 @@ class Source:
         strip = self.strip(cells.around(place, rows, cols, shift))
         return None if strip is None else strip.read(cells, place, rows, cols, shift)
 
-    def strip(self, region: Region) -> Strip | None:
+    def strip(self, region: Region) -> CellStrip | None:
         """A part of the surface, held; None where the surface has nothing of it."""
         try:
             part = pictured_window(self.surface, self.layer, region)
@@ -124,11 +124,11 @@ class Source:
         z_um = np.empty(part.z_um.shape, np.float32)
         less_products(part.z_um, *_as_products(self.form, part), z_um)
         picture = np.log(part.picture + np.float32(self.dark))
-        return Strip(z_um, bridged(z_um), picture, part.pixel_um, part.x0_um, part.y0_um)
+        return CellStrip(z_um, bridged(z_um), picture, part.pixel_um, part.x0_um, part.y0_um)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Strip:
+class CellStrip:
     """A part of a surface in memory: heights over the form, the same `bridged`, and the logarithm of the picture."""
 
     z_um: Plane
@@ -160,7 +160,7 @@ def _as_products(form: Datum, part: Heights) -> tuple[NDArray[np.float64], NDArr
     return np.stack([v**j for j in range(highest + 1)]), by_col
 
 
-def source_of(surface: Mosaic, layer: Layer, order: int) -> Source:
+def source_of(surface: Mosaic, layer: Layer, order: int) -> CellSource:
     """A surface with its form found: a polynomial that outliers do not disturb.
 
     Raises MeasureError where too little is measured to find it.
@@ -174,7 +174,7 @@ def source_of(surface: Mosaic, layer: Layer, order: int) -> Source:
     fit = robust_fit(np.stack([u**i * v**j for i, j in powers], axis=1), points.z_um)
     at = Point(x_um=center[0], y_um=center[1])
     datum = Datum(center=at, powers=powers, coefficients=tuple(fit.coefficients.tolist()))
-    return Source(surface, layer, datum, max(1.0, DARK_SHARE * grey))
+    return CellSource(surface, layer, datum, max(1.0, DARK_SHARE * grey))
 
 
 def form_powers(order: int) -> tuple[tuple[int, int], ...]:
@@ -182,7 +182,7 @@ def form_powers(order: int) -> tuple[tuple[int, int], ...]:
     return tuple((i, total - i) for total in range(order, -1, -1) for i in range(total, -1, -1))
 
 
-def sample_of(surface: Mosaic, layer: Layer) -> tuple[Points, float]:
+def sample_of(surface: Mosaic, layer: Layer) -> tuple[HeightSamples, float]:
     """About FORM_POINTS measured pixels of the whole surface, and their usual grey."""
     pixels = surface.shape[0] * surface.shape[1]
     level = min(surface.levels - 1, max(0, math.floor(math.log(max(1.0, pixels / FORM_POINTS), 4))))
@@ -191,7 +191,7 @@ def sample_of(surface: Mosaic, layer: Layer) -> tuple[Points, float]:
     z_um = heights(part, layer)[::step, ::step]
     rows, cols = np.nonzero(np.isfinite(z_um))
     some = part.all_in_focus[::step, ::step][rows, cols]
-    points = Points(part.x_um[::step][cols], part.y_um[::step][rows], z_um[rows, cols].astype(np.float64))
+    points = HeightSamples(part.x_um[::step][cols], part.y_um[::step][rows], z_um[rows, cols].astype(np.float64))
     return points, float(np.median(some)) if some.size else 0.0
 
 
@@ -199,7 +199,7 @@ def _half(street_um: float, pixel_um: float) -> int:
     return round(street_um / 2 / pixel_um)
 
 
-def _way(cells: CellGrid, place: Place, start: Place, part: Strip, shift: Shift) -> NDArray[np.float64]:
+def _way(cells: CellGrid, place: Place, start: Place, part: CellStrip, shift: Shift) -> NDArray[np.float64]:
     """From pixels of a part of a cell to pixels of a part of the surface, as `read_affine` takes it."""
     corner = np.array([0.0, 1.0, 0.0]) + start[0], np.array([0.0, 0.0, 1.0]) + start[1]
     x_um, y_um = cells.to_stage(place, *corner, shift)

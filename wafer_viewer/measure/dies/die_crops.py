@@ -20,7 +20,7 @@ from wafer_viewer.model.region import Region
 from wafer_viewer.model.surface.height_map import HeightMap, Mosaic, Origin
 from wafer_viewer.numerics.grids.die_cell_kernels import bridged, read_affine, typical
 from wafer_viewer.numerics.registration.cross_correlation import contrast, likeness
-from wafer_viewer.numerics.registration.subpixel_registration import Picture, align
+from wafer_viewer.numerics.registration.subpixel_registration import RegisteredImage, align
 
 Plane = NDArray[np.float32]
 Floats = NDArray[np.float64]
@@ -36,7 +36,7 @@ LEAST_POINTS = 50
 
 
 @dataclass(frozen=True, slots=True)
-class Patch:
+class DiePatch:
     """Where pixels are read: about a place of the stage, turned anticlockwise; shape is (rows, cols)."""
 
     x_um: float
@@ -46,20 +46,20 @@ class Patch:
     angle_rad: float = 0.0
 
     @classmethod
-    def of_box(cls, surface: Mosaic, box_um: tuple[float, float, float, float], most_px: int) -> Patch:
+    def of_box(cls, surface: Mosaic, box_um: tuple[float, float, float, float], most_px: int) -> DiePatch:
         """Over a box of the stage (x low, y low, x high, y high), at a level with at most so many pixels a side."""
         x0, y0, x1, y1 = box_um
         return cls._over(surface, ((x0 + x1) / 2, (y0 + y1) / 2), (x1 - x0, y1 - y0), most_px)
 
     @classmethod
-    def of_die(cls, surface: Mosaic, grid: DieGrid, place: Place, most_px: int) -> Patch:
+    def of_die(cls, surface: Mosaic, grid: DieGrid, place: Place, most_px: int) -> DiePatch:
         """Over a die without its streets, along the die's own axes."""
         x_um, y_um = grid.to_stage(*place, grid.width_um / 2, grid.height_um / 2)
         size = grid.width_um, grid.height_um
         return replace(cls._over(surface, (float(x_um), float(y_um)), size, most_px), angle_rad=grid.angle_rad)
 
     @classmethod
-    def _over(cls, surface: Mosaic, at: tuple[float, float], size_um: tuple[float, float], most_px: int) -> Patch:
+    def _over(cls, surface: Mosaic, at: tuple[float, float], size_um: tuple[float, float], most_px: int) -> DiePatch:
         coarser = max(0, math.ceil(math.log2(max(size_um) / surface.pixel_um / most_px)))
         pixel_um = surface.pixel_um * 2**coarser
         cols, rows = (max(8, round(side / pixel_um)) for side in size_um)
@@ -72,13 +72,13 @@ class Patch:
         c, s = math.cos(self.angle_rad), math.sin(self.angle_rad)
         return self.x_um + c * right - s * up, self.y_um + s * right + c * up
 
-    def moved(self, down_px: float, right_px: float) -> Patch:
+    def moved(self, down_px: float, right_px: float) -> DiePatch:
         """The same, so many of its pixels further."""
         rows, cols = (np.array([(n - 1) / 2]) for n in self.shape)
         x_um, y_um = self.to_stage(rows + down_px, cols + right_px)
         return replace(self, x_um=float(x_um[0]), y_um=float(y_um[0]))
 
-    def on_die(self, grid: DieGrid, here: Place, there: Place) -> Patch:
+    def on_die(self, grid: DieGrid, here: Place, there: Place) -> DiePatch:
         """The same place of another die."""
         (xa, ya), (xb, yb) = grid.corner(*here), grid.corner(*there)
         return replace(self, x_um=self.x_um + xb - xa, y_um=self.y_um + yb - ya)
@@ -92,7 +92,7 @@ class Patch:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Cut:
+class DieCrop:
     """What a patch shows: heights in um and grey values, float32 [row, col], NaN where nothing is known."""
 
     z_um: Plane
@@ -105,21 +105,21 @@ class Cut:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Laid:
+class AlignedPatch:
     """A patch read where it lies best on another: the cut, how far it was moved (down, right) in um, how alike."""
 
-    cut: Cut
+    cut: DieCrop
     moved_um: tuple[float, float]
     alike: float
 
 
-def cut(surface: Mosaic, patch: Patch) -> Cut | None:
+def cut(surface: Mosaic, patch: DiePatch) -> DieCrop | None:
     """What a surface shows there; None where it has nothing of it."""
     part = _window(surface, patch, MARGIN_PX)
     return None if part is None else _sampled(part, patch)
 
 
-def laid_on(own: Cut, surface: Mosaic, patch: Patch, reach_px: int) -> Laid | None:
+def laid_on(own: DieCrop, surface: Mosaic, patch: DiePatch, reach_px: int) -> AlignedPatch | None:
     """What a surface shows near a patch, moved by at most so many pixels and levelled so that it lies on `own`.
 
     It is found by the picture, by heights where there is none. Where nothing alike is found it stays where it is, with
@@ -132,19 +132,19 @@ def laid_on(own: Cut, surface: Mosaic, patch: Patch, reach_px: int) -> Laid | No
     lag, alike = _lag(own, there, reach_px)
     moved = patch.moved(-lag[0], -lag[1])
     found = levelled_on(own, _sampled(part, moved) if any(lag) else there)
-    return Laid(found, (-lag[0] * patch.pixel_um, -lag[1] * patch.pixel_um), alike)
+    return AlignedPatch(found, (-lag[0] * patch.pixel_um, -lag[1] * patch.pixel_um), alike)
 
 
-def usual(own: Cut, cuts: Sequence[Cut]) -> Cut:
+def usual(own: DieCrop, cuts: Sequence[DieCrop]) -> DieCrop:
     """The median of several, each levelled on `own`; unknown where less than half of them are known."""
     layers = [np.empty(own.z_um.shape, np.float32) for _ in range(2)]
     for layer, name in zip(layers, ("z_um", "picture"), strict=True):
         stack = np.stack([getattr(one, name) for one in cuts])
         typical(stack, (len(cuts) + 1) // 2, layer, np.empty_like(layer))
-    return Cut(*layers)
+    return DieCrop(*layers)
 
 
-def cut_of_golden(golden: GoldenDie, grid: DieGrid, place: Place, patch: Patch) -> Cut:
+def cut_of_golden(golden: GoldenDie, grid: DieGrid, place: Place, patch: DiePatch) -> DieCrop:
     """What a stored golden die shows where a patch lies on the die at a place of the lattice."""
     pixel_um = golden.header.pixel_um
     c, s = math.cos(grid.angle_rad), math.sin(grid.angle_rad)
@@ -155,15 +155,15 @@ def cut_of_golden(golden: GoldenDie, grid: DieGrid, place: Place, patch: Patch) 
         return (golden.header.height_um - v_um) / pixel_um - 0.5, u_um / pixel_um - 0.5
 
     way = _way(patch, to_pixels)
-    return Cut(_read(golden.z_um, way, patch.shape), _read(golden.picture, way, patch.shape))
+    return DieCrop(_read(golden.z_um, way, patch.shape), _read(golden.picture, way, patch.shape))
 
 
-def levelled_on(own: Cut, other: Cut) -> Cut:
+def levelled_on(own: DieCrop, other: DieCrop) -> DieCrop:
     """The other with the plane taken off by which it differs from its own, and as bright."""
-    return Cut(other.z_um + _difference(own.z_um, other.z_um), other.picture * np.float32(_brighter(own, other)))
+    return DieCrop(other.z_um + _difference(own.z_um, other.z_um), other.picture * np.float32(_brighter(own, other)))
 
 
-def _window(surface: Mosaic, patch: Patch, spare_px: int) -> HeightMap | None:
+def _window(surface: Mosaic, patch: DiePatch, spare_px: int) -> HeightMap | None:
     level = min(surface.levels - 1, max(0, round(math.log2(patch.pixel_um / surface.pixel_um))))
     try:
         part = surface.window(patch.around(spare_px), level)
@@ -172,7 +172,7 @@ def _window(surface: Mosaic, patch: Patch, spare_px: int) -> HeightMap | None:
     return part if 0 not in part.shape else None
 
 
-def _sampled(part: HeightMap, patch: Patch) -> Cut:
+def _sampled(part: HeightMap, patch: DiePatch) -> DieCrop:
     picture = part.all_in_focus.astype(np.float32)
     picture[part.origin == Origin.NOT_COVERED] = np.nan
 
@@ -181,10 +181,10 @@ def _sampled(part: HeightMap, patch: Patch) -> Cut:
 
     way = _way(patch, to_pixels)
     z_um = np.where(part.measured, part.z_um, np.float32(np.nan))
-    return Cut(_read(z_um, way, patch.shape), _read(picture, way, patch.shape))
+    return DieCrop(_read(z_um, way, patch.shape), _read(picture, way, patch.shape))
 
 
-def _way(patch: Patch, to_pixels: Callable[[Floats, Floats], tuple[Floats, Floats]]) -> Floats:
+def _way(patch: DiePatch, to_pixels: Callable[[Floats, Floats], tuple[Floats, Floats]]) -> Floats:
     """From pixels of a patch to those of a raster, as `read_affine` takes it."""
     x_um, y_um = patch.to_stage(np.array([0.0, 1.0, 0.0]), np.array([0.0, 0.0, 1.0]))
     return np.concatenate([[v[0], v[1] - v[0], v[2] - v[0]] for v in to_pixels(x_um, y_um)])
@@ -197,7 +197,7 @@ def _read(plane: Plane, way: Floats, shape: tuple[int, int]) -> Plane:
     return out
 
 
-def _lag(own: Cut, other: Cut, reach_px: int) -> tuple[tuple[float, float], float]:
+def _lag(own: DieCrop, other: DieCrop, reach_px: int) -> tuple[tuple[float, float], float]:
     """By how many pixels (rows, cols) the other is moved to lie on its own place, and how alike both are then."""
     one, two = _telling(own, other)
     if not (one.known.sum() and two.known.sum()):
@@ -227,18 +227,18 @@ def _summit(correlation: Floats, row: int, col: int) -> tuple[int, int]:
         row, col = r0 + int(down), c0 + int(right)
 
 
-def _telling(own: Cut, other: Cut) -> tuple[Picture, Picture]:
+def _telling(own: DieCrop, other: DieCrop) -> tuple[RegisteredImage, RegisteredImage]:
     """What both are compared by: their pictures, their heights where a picture shows nothing."""
     by_picture = all(float(np.nanstd(one.picture)) > 0 for one in (own, other) if np.isfinite(one.picture).any())
     planes = [one.picture if by_picture else one.z_um for one in (own, other)]
     return _picture(planes[0]), _picture(planes[1])
 
 
-def _picture(plane: Plane) -> Picture:
+def _picture(plane: Plane) -> RegisteredImage:
     known = np.isfinite(plane)
     middle = float(np.median(plane[known])) if known.any() else 0.0
     values = np.where(known, plane - np.float32(middle), np.float32(0))
-    return Picture(values.astype(np.float32), known.astype(np.float32), 0.0)
+    return RegisteredImage(values.astype(np.float32), known.astype(np.float32), 0.0)
 
 
 def _difference(own: Plane, other: Plane) -> Plane:
@@ -257,7 +257,7 @@ def _difference(own: Plane, other: Plane) -> Plane:
     return (level + down * r + right * c).astype(np.float32)
 
 
-def _brighter(own: Cut, other: Cut) -> float:
+def _brighter(own: DieCrop, other: DieCrop) -> float:
     both = np.isfinite(own.picture) & np.isfinite(other.picture)
     if not both.any():
         return 1.0

@@ -7,7 +7,7 @@ from typing import Literal
 
 import numpy as np
 
-from wafer_viewer.measure.base.measurement_context import Reading
+from wafer_viewer.measure.base.measurement_context import MeasurementContext
 from wafer_viewer.measure.dies.lattice_evidence import Coarse, Evidence, read_coarse, scanned_bounds
 from wafer_viewer.measure.dies.lattice_refinement import Registered, cells_over, not_alike, refined
 from wafer_viewer.measure.dies.periodicity import Periods, periods_of
@@ -60,7 +60,7 @@ def _require_crossing_streets(grid: DieGrid) -> None:
 
 def pitches(surface: Mosaic, grid: DieGrid, *, calibration_valid: bool = True) -> tuple[Length, Length]:
     """The pitches along x and y with their expanded uncertainties (k = 2): fit of the lattice and pixel scale."""
-    reading = Reading.of(surface, None, calibration_valid)
+    reading = MeasurementContext.of(surface, None, calibration_valid)
     each = grid.pitch_x_um, grid.pitch_y_um
     if grid.by == "given" and not grid.u_pitch_um:
         return Length(value_um=each[0], status="not evaluated"), Length(value_um=each[1], status="not evaluated")

@@ -45,7 +45,7 @@ Bools = NDArray[np.bool_]
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Seen:
+class DieCoverage:
     """Cells of n dies at their places: layers [n, row, col], NaN where unknown, and which were scanned, bool."""
 
     layers: tuple[Float32s, ...]
@@ -111,13 +111,13 @@ def not_scanned_mm2(surface: Mosaic) -> float:
     return share * rows * cols * (surface.pixel_um / 1000) ** 2
 
 
-def _seen(surface: Mosaic, grid: DieGrid, places: Places, lattice: CellLattice) -> Seen:
+def _seen(surface: Mosaic, grid: DieGrid, places: Places, lattice: CellLattice) -> DieCoverage:
     shorter_px = min(grid.pitch_x_um, grid.pitch_y_um) / surface.pixel_um
     level = min(surface.levels - 1, max(0, math.floor(math.log2(max(1.0, shorter_px / DIE_PX)))))
     parts = [_piece(surface, grid, piece, lattice, level) for piece in _pieces(surface, grid, places, level)]
     layers = tuple(np.concatenate([part.layers[k] for part in parts]) for k in range(2))
     rest = (np.concatenate([getattr(part, name) for part in parts]) for name in ("scanned", "x_um", "y_um"))
-    return Seen(layers, *rest)
+    return DieCoverage(layers, *rest)
 
 
 def _pieces(surface: Mosaic, grid: DieGrid, places: Places, level: int) -> Iterator[Places]:
@@ -132,20 +132,20 @@ def _pieces(surface: Mosaic, grid: DieGrid, places: Places, level: int) -> Itera
             yield of_row[first : first + most]
 
 
-def _piece(surface: Mosaic, grid: DieGrid, places: Places, lattice: CellLattice, level: int) -> Seen:
+def _piece(surface: Mosaic, grid: DieGrid, places: Places, lattice: CellLattice, level: int) -> DieCoverage:
     at = np.array(places)[:, :, None, None]
     x_um, y_um = grid.to_stage(at[:, 0], at[:, 1], *lattice.places(grid))
     low_x, low_y, high_x, high_y = bounds_of(surface)
     inside = (x_um >= low_x) & (x_um <= high_x) & (y_um >= low_y) & (y_um <= high_y)
     if not inside.any():
         unknown = np.full(inside.shape, np.nan, np.float32)
-        return Seen((unknown, unknown), inside, x_um, y_um)
+        return DieCoverage((unknown, unknown), inside, x_um, y_um)
     box = Region.rectangle(x_um[inside].min(), y_um[inside].min(), x_um[inside].max(), y_um[inside].max())
     part = pictured_window(surface, layer_of(surface.provenance.recipe, None), box, level)
     rows = np.rint((part.y0_um - y_um) / part.pixel_um).astype(np.intp).clip(0, part.z_um.shape[0] - 1)
     cols = np.rint((x_um - part.x0_um) / part.pixel_um).astype(np.intp).clip(0, part.z_um.shape[1] - 1)
     z_um, picture = (np.where(inside, layer[rows, cols], np.float32(np.nan)) for layer in (part.z_um, part.picture))
-    return Seen((z_um, picture), np.isfinite(picture), x_um, y_um)
+    return DieCoverage((z_um, picture), np.isfinite(picture), x_um, y_um)
 
 
 def _on_die(grid: DieGrid, lattice: CellLattice) -> Bools:
@@ -154,7 +154,7 @@ def _on_die(grid: DieGrid, lattice: CellLattice) -> Bools:
     return (u_um >= 0) & (u_um <= grid.width_um) & (v_um >= 0) & (v_um <= grid.height_um)
 
 
-def _looked_at(seen: Seen, on_die: Bools) -> tuple[Bools, Floats]:
+def _looked_at(seen: DieCoverage, on_die: Bools) -> tuple[Bools, Floats]:
     """Which places hold a die, and how much more of each is unlike the median die than is usual.
 
     A die is there where the layers that show dies well are like the median one, taken together; what is unlike
@@ -171,7 +171,7 @@ def _looked_at(seen: Seen, on_die: Bools) -> tuple[Bools, Floats]:
     return there, best[1] - np.median(best[1][there] if there.any() else best[1])
 
 
-def _without_form(seen: Seen) -> Float32s:
+def _without_form(seen: DieCoverage) -> Float32s:
     """The heights without tilt and bow."""
     z_um = seen.layers[0]
     known = np.isfinite(z_um)

@@ -67,7 +67,7 @@ def periods_of(layers: Sequence[Float32s]) -> Periods:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Repeats:
+class Periodicity:
     """What repeats once all that varies over more than some px is taken off.
 
     An autocorrelation, its peaks, and which of these are periods along x and y that go on over the surface.
@@ -85,7 +85,7 @@ class Repeats:
         return plain, min(shortest(self.right).alike, shortest(self.up).alike)
 
 
-def clearest(layers: Sequence[Float32s], sizes: Sequence[int]) -> Repeats | None:
+def clearest(layers: Sequence[Float32s], sizes: Sequence[int]) -> Periodicity | None:
     """With that of the sizes that shows the period best; None where nothing repeats with any.
 
     What varies slowly, as beyond the rim of a wafer or where dies are missing, makes some multiples of a period more
@@ -95,11 +95,11 @@ def clearest(layers: Sequence[Float32s], sizes: Sequence[int]) -> Repeats | None
     return max((one for one in each if one is not None), key=lambda one: one.clear, default=None)
 
 
-def _repeats(layers: Sequence[Float32s], size: int) -> Repeats | None:
+def _repeats(layers: Sequence[Float32s], size: int) -> Periodicity | None:
     alike = alike_of(layers, size)
     peaks = peaks_of(alike)
     right, up = (lasting(alike, cone(alike, peaks, upright, SEARCHED_DEG)) for upright, _ in AXES)
-    return Repeats(alike, peaks, right, up) if right and up else None
+    return Periodicity(alike, peaks, right, up) if right and up else None
 
 
 def settled(periods: Sequence[Peak], axis: str) -> Peak:

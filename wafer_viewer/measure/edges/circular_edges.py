@@ -13,7 +13,7 @@ from wafer_viewer.measure.base.chain_statistics import chain_u
 from wafer_viewer.measure.base.height_samples import Floats
 from wafer_viewer.measure.base.robust_plane import robust_fit
 from wafer_viewer.measure.edges.edge_search import ALL_ALONG, LEAST_STEEP, SEEN, Sign
-from wafer_viewer.measure.edges.search_strip import Strip
+from wafer_viewer.measure.edges.search_strip import SearchStrip
 from wafer_viewer.measure.edges.straight_edges import AS_STRONG, require_found
 from wafer_viewer.measure.edges.subpixel_edges import Responses, between_pixels, edges_near, peaks, responses
 from wafer_viewer.model.errors import MeasureError
@@ -82,7 +82,7 @@ class RoundEdge:
 
 
 def find_circle(
-    strip: Strip, x_um: float, y_um: float, radius_um: float, signs: tuple[Sign, ...] = (1, -1)
+    strip: SearchStrip, x_um: float, y_um: float, radius_um: float, signs: tuple[Sign, ...] = (1, -1)
 ) -> RoundEdge:
     """The round edge within a circle drawn round it.
 
@@ -107,7 +107,7 @@ class _Rays:
     response: Responses
 
     @classmethod
-    def over(cls, strip: Strip, center: Ring, first: float, last: float) -> _Rays:
+    def over(cls, strip: SearchStrip, center: Ring, first: float, last: float) -> _Rays:
         """Rays a pixel apart on the circle, from one radius to another."""
         n = int(np.clip(2 * math.pi * last, *RAYS))
         angle = np.arange(n, dtype=np.float64) * (2 * math.pi / n)
@@ -220,7 +220,7 @@ def _require_clear(rays: _Rays, best: _Consensus, rival: float) -> None:
         )
 
 
-def _fitted(strip: Strip, start: Ring, sign: Sign) -> RoundEdge:
+def _fitted(strip: SearchStrip, start: Ring, sign: Sign) -> RoundEdge:
     """The circle of least squares through the edge near to a ring, along rays from its own middle."""
     ring, line, place, kept = _nearer(strip, _nearer(strip, start, sign)[0], sign)
     x_um, y_um = (float(v) for v in strip.at(np.array(ring.line), np.array(ring.place)))
@@ -229,7 +229,7 @@ def _fitted(strip: Strip, start: Ring, sign: Sign) -> RoundEdge:
     return RoundEdge(x_um, y_um, ring.radius * strip.pixel_um, sign, angle, off_um, kept)
 
 
-def _nearer(strip: Strip, ring: Ring, sign: Sign) -> tuple[Ring, Floats, Floats, NDArray[np.bool_]]:
+def _nearer(strip: SearchStrip, ring: Ring, sign: Sign) -> tuple[Ring, Floats, Floats, NDArray[np.bool_]]:
     """The circle through the edge points near to one, lines and places of these, and which were kept."""
     rays = _Rays.over(strip, ring, max(1.0, ring.radius - ROOM_PX), ring.radius + ROOM_PX)
     rising, expected = sign * rays.response, np.full(len(rays.angle), ring.radius - rays.first)

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from wafer_viewer.measure.base.height_samples import Floats
 from wafer_viewer.measure.base.robust_plane import SIGMA_OF_MAD
-from wafer_viewer.measure.edges.search_strip import Strip
+from wafer_viewer.measure.edges.search_strip import SearchStrip
 from wafer_viewer.measure.edges.subpixel_edges import SEARCH_SIGMA_PX, Responses, responses
 
 MOST_SLOPE = 0.12
@@ -36,7 +36,7 @@ Sign = Literal[-1, 1]
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Scores:
+class EdgeScores:
     """How steep a straight edge is at each place of the middle line: best over all slopes, [place], with that slope.
 
     bands: means of neighbouring lines, [band, place], and how far the middle of each lies from the middle line.
@@ -101,14 +101,16 @@ class Scores:
         return max(0, min(first, place - BESIDE_PX)), max(last, place + BESIDE_PX + 1)
 
 
-def scores_of(strip: Strip, sign: Sign) -> Scores:
+def scores_of(strip: SearchStrip, sign: Sign) -> EdgeScores:
     """How strong a straight edge of a sign is at every place of the middle search line, whatever its slope."""
     middles, bands = _bands(responses(strip.grey, strip.there, SEARCH_SIGMA_PX), sign)
     n_lines = len(strip.grey)
     slopes = np.linspace(-MOST_SLOPE, MOST_SLOPE, 2 * math.ceil(MOST_SLOPE * n_lines / SLOPE_STEP_PX / 2) + 1)
     found = np.stack([_along(bands, np.round(slope * middles).astype(np.intp)) for slope in slopes])
     which = np.argmax(found, axis=0)
-    return Scores(found[which, np.arange(found.shape[1])].astype(np.float64), slopes[which], n_lines, bands, middles)
+    return EdgeScores(
+        found[which, np.arange(found.shape[1])].astype(np.float64), slopes[which], n_lines, bands, middles
+    )
 
 
 def _bands(response: Responses, sign: Sign) -> tuple[Floats, Responses]:

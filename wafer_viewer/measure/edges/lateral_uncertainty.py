@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 
-from wafer_viewer.measure.base.measurement_context import Reading
+from wafer_viewer.measure.base.measurement_context import MeasurementContext
 from wafer_viewer.measure.edges.subpixel_edges import U_SUBPIXEL_PX
 from wafer_viewer.model.quantity import Length, Quantity
 
@@ -15,13 +15,13 @@ NOT_IN_BUDGET = (
 ON_PICTURE = "Measured on the picture that is in focus everywhere."
 
 
-def notes(reading: Reading, *more: str) -> tuple[str, ...]:
+def notes(reading: MeasurementContext, *more: str) -> tuple[str, ...]:
     """What was measured on, and what budgets leave out; nothing of those where there are none."""
     return (ON_PICTURE, *more, NOT_IN_BUDGET) if reading.calibrated else (ON_PICTURE, *more)
 
 
 def between_edges(
-    reading: Reading, value_um: float, pixel_um: float, scatter_um: float | None, n_edges: int = 2
+    reading: MeasurementContext, value_um: float, pixel_um: float, scatter_um: float | None, n_edges: int = 2
 ) -> Length:
     """A length between edges. scatter_um: its standard uncertainty by their points; None: not known."""
     if scatter_um is None:
@@ -34,7 +34,7 @@ def between_edges(
     return reading.length(value_um, lines)
 
 
-def angle(reading: Reading, value_deg: float, scatter_deg: float | None) -> Quantity:
+def angle(reading: MeasurementContext, value_deg: float, scatter_deg: float | None) -> Quantity:
     """An angle between edges."""
     lines = None if scatter_deg is None else {"scatter of the edge points": scatter_deg}
     return reading.quantity(value_deg, "deg", lines)

@@ -8,9 +8,9 @@ from dataclasses import dataclass
 import numpy as np
 
 from wafer_viewer.measure.base.line_fit import EdgeLine, crossing
-from wafer_viewer.measure.edges.edge_search import BESIDE_PX, Scores, Sign, scores_of
+from wafer_viewer.measure.edges.edge_search import BESIDE_PX, EdgeScores, Sign, scores_of
 from wafer_viewer.measure.edges.lateral_uncertainty import together
-from wafer_viewer.measure.edges.search_strip import Strip
+from wafer_viewer.measure.edges.search_strip import SearchStrip
 from wafer_viewer.measure.edges.straight_edges import AS_STRONG, Found, fitted, follow, no_edge
 from wafer_viewer.model.errors import MeasureError
 from wafer_viewer.model.measurement.edge_and_bump_shapes import Side
@@ -83,7 +83,7 @@ class DieEdges:
         return (self.lines[first].angle_deg + self.lines[second].angle_deg) / 2 + upright_deg
 
 
-def die_edges(strip: Strip, signs: tuple[Sign, ...] = (1, -1)) -> DieEdges:
+def die_edges(strip: SearchStrip, signs: tuple[Sign, ...] = (1, -1)) -> DieEdges:
     """The edges of the one die in a strip whose search lines run along x.
 
     signs: 1 for a die brighter than what is round it. Raises MeasureError where an edge does not stand out, another is
@@ -100,14 +100,14 @@ def die_edges(strip: Strip, signs: tuple[Sign, ...] = (1, -1)) -> DieEdges:
     return DieEdges(**{side: follow(_between(one, corners), sign, first[side].line) for side, one in sides.items()})
 
 
-def _sides(strip: Strip) -> dict[Side, Strip]:
+def _sides(strip: SearchStrip) -> dict[Side, SearchStrip]:
     """The outer part of the strip at each side, its search lines from outside to inside."""
     across, down = strip, strip.turned
-    outer: dict[Side, Strip] = {"left": across, "right": across.reversed, "lower": down.reversed, "upper": down}
+    outer: dict[Side, SearchStrip] = {"left": across, "right": across.reversed, "lower": down.reversed, "upper": down}
     return {side: one.part(slice(0, None), _share(one.grey.shape[1], 0, SEARCHED)) for side, one in outer.items()}
 
 
-def _searched(side: Strip) -> Strip:
+def _searched(side: SearchStrip) -> SearchStrip:
     return side.part(_share(len(side.grey), *FIRST_LINES), slice(0, None))
 
 
@@ -115,7 +115,7 @@ def _share(length: int, low: float, high: float) -> slice:
     return slice(round(low * length), round(high * length))
 
 
-def _first(side: Strip, name: Side, sign: Sign, scores: Scores, others: Scores) -> Found:
+def _first(side: SearchStrip, name: Side, sign: Sign, scores: EdgeScores, others: EdgeScores) -> Found:
     """The outermost edge that is about as strong as the strongest: what is printed on a die lies further in."""
     place, where = scores.first(OUTERMOST), f"on the {name} side of the region"
     if not scores.stands_out(place, only_before=True):
@@ -129,7 +129,7 @@ def _first(side: Strip, name: Side, sign: Sign, scores: Scores, others: Scores) 
     return fitted(side, sign, scores, place)
 
 
-def _between(side: Strip, corners: tuple[tuple[float, float], ...]) -> Strip:
+def _between(side: SearchStrip, corners: tuple[tuple[float, float], ...]) -> SearchStrip:
     """The search lines that cross the edge of a side, apart from those at its corners."""
     across = sorted(float(side.where(np.array(x), np.array(y))[0]) for x, y in corners)
     low, high = across[1], across[2]

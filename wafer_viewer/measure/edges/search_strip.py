@@ -21,7 +21,7 @@ Way = tuple[float, float]
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Strip:
+class SearchStrip:
     """Grey values along search lines, float32 [line, place], and which of them the picture has, bool [line, place].
 
     A pixel lies at `corner_um` + line * `line_um` + place * `place_um`, each (x, y) in stage um.
@@ -34,7 +34,7 @@ class Strip:
     place_um: Way
 
     @classmethod
-    def of(cls, grey: NDArray[np.generic], pixel_um: float, x0_um: float, y0_um: float) -> Strip:
+    def of(cls, grey: NDArray[np.generic], pixel_um: float, x0_um: float, y0_um: float) -> SearchStrip:
         """An image [row, col] with all its pixels; search lines run along x."""
         there = np.ones(grey.shape, bool)
         return cls(grey.astype(np.float32), there, (x0_um, y0_um), (0.0, -pixel_um), (pixel_um, 0.0))
@@ -45,23 +45,23 @@ class Strip:
         return float(np.hypot(*self.place_um))
 
     @property
-    def turned(self) -> Strip:
+    def turned(self) -> SearchStrip:
         """The same with its search lines across those of this one."""
-        return Strip(self.grey.T, self.there.T, self.corner_um, self.place_um, self.line_um)
+        return SearchStrip(self.grey.T, self.there.T, self.corner_um, self.place_um, self.line_um)
 
     @property
-    def reversed(self) -> Strip:
+    def reversed(self) -> SearchStrip:
         """The same with its search lines run through the other way."""
         last = self.grey.shape[1] - 1
         corner = self.corner_um[0] + last * self.place_um[0], self.corner_um[1] + last * self.place_um[1]
         back = -self.place_um[0], -self.place_um[1]
-        return Strip(self.grey[:, ::-1], self.there[:, ::-1], corner, self.line_um, back)
+        return SearchStrip(self.grey[:, ::-1], self.there[:, ::-1], corner, self.line_um, back)
 
-    def part(self, lines: slice, places: slice) -> Strip:
+    def part(self, lines: slice, places: slice) -> SearchStrip:
         """Some lines and places of it, as views; slices need a start and a step of one."""
         x, y = self.at(np.array(float(lines.start or 0)), np.array(float(places.start or 0)))
         grey, there = self.grey[lines, places], self.there[lines, places]
-        return Strip(grey, there, (float(x), float(y)), self.line_um, self.place_um)
+        return SearchStrip(grey, there, (float(x), float(y)), self.line_um, self.place_um)
 
     def at(self, line: Floats, place: Floats) -> tuple[Floats, Floats]:
         """Stage x and y of lines and places, whole or not."""
@@ -76,7 +76,7 @@ class Strip:
         return line, place
 
 
-def read_strip(surface: Mosaic, region: Region, what: str) -> tuple[Strip, int]:
+def read_strip(surface: Mosaic, region: Region, what: str) -> tuple[SearchStrip, int]:
     """The picture of a region, its search lines along x, and the level it was read at.
 
     what: as in 'and a kerf width needs'. Raises MeasureError when the region has no area, lies outside, is smaller than
@@ -98,11 +98,11 @@ def read_strip(surface: Mosaic, region: Region, what: str) -> tuple[Strip, int]:
     return strip, level
 
 
-def strip_of(part: HeightMap) -> Strip:
+def strip_of(part: HeightMap) -> SearchStrip:
     """The picture of a height map, without what no field covers."""
-    image = Strip.of(part.all_in_focus, part.pixel_um, part.x0_um, part.y0_um)
+    image = SearchStrip.of(part.all_in_focus, part.pixel_um, part.x0_um, part.y0_um)
     there = part.origin != Origin.NOT_COVERED
-    return Strip(image.grey, there, image.corner_um, image.line_um, image.place_um)
+    return SearchStrip(image.grey, there, image.corner_um, image.line_um, image.place_um)
 
 
 def require_rectangle(region: Region, what: str) -> None:

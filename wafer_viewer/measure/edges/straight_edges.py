@@ -9,8 +9,8 @@ import numpy as np
 from wafer_viewer.measure.base.height_samples import Floats
 from wafer_viewer.measure.base.line_fit import EdgeLine, fit_line
 from wafer_viewer.measure.base.robust_plane import robust_fit
-from wafer_viewer.measure.edges.edge_search import Scores, Sign, scores_of
-from wafer_viewer.measure.edges.search_strip import Strip
+from wafer_viewer.measure.edges.edge_search import EdgeScores, Sign, scores_of
+from wafer_viewer.measure.edges.search_strip import SearchStrip
 from wafer_viewer.measure.edges.subpixel_edges import EdgePoints, Responses, edges_near, responses
 from wafer_viewer.model.errors import MeasureError
 
@@ -22,7 +22,7 @@ LEAST_FOUND = 0.5
 """Of the search lines: an edge seen on fewer is none."""
 
 
-def edge_points(response: Responses, sign: Sign, scores: Scores, place: int) -> EdgePoints:
+def edge_points(response: Responses, sign: Sign, scores: EdgeScores, place: int) -> EdgePoints:
     """The points of the edge through a place of the middle line. Raises MeasureError when too few lines see it."""
     expected, rising = scores.expected(place), sign * response
     found = edges_near(rising, expected, (REACH_PX, REACH_PX))
@@ -56,7 +56,7 @@ def no_edge(where: str) -> MeasureError:
     return MeasureError(f"No edge stands out {where}: draw the region over one that the picture shows.")
 
 
-def require_clear(scores: Scores, place: int, where: str) -> None:
+def require_clear(scores: EdgeScores, place: int, where: str) -> None:
     """Raises MeasureError when nothing stands out at a place, or another edge is about as strong."""
     if not scores.stands_out(place):
         raise no_edge(where)
@@ -68,13 +68,13 @@ def require_clear(scores: Scores, place: int, where: str) -> None:
         )
 
 
-def fitted(strip: Strip, sign: Sign, scores: Scores, place: int) -> Found:
+def fitted(strip: SearchStrip, sign: Sign, scores: EdgeScores, place: int) -> Found:
     """The edge through a place of the middle line, its points found and a line laid through them."""
     points = edge_points(responses(strip.grey, strip.there), sign, scores, place)
     return Found(sign, points, fit_line(*strip.at(points.line, points.place)))
 
 
-def find_edge(strip: Strip, where: str = "in the region", signs: tuple[Sign, ...] = (1, -1)) -> Found:
+def find_edge(strip: SearchStrip, where: str = "in the region", signs: tuple[Sign, ...] = (1, -1)) -> Found:
     """The strongest straight edge across the search lines of a strip.
 
     signs: which way brightness may go. Raises MeasureError where none stands out, another is about as strong, or too
@@ -92,20 +92,20 @@ def find_edge(strip: Strip, where: str = "in the region", signs: tuple[Sign, ...
     return fitted(strip, sign, scores, place)
 
 
-def find_edge_any_way(strip: Strip) -> tuple[Strip, Found]:
+def find_edge_any_way(strip: SearchStrip) -> tuple[SearchStrip, Found]:
     """The strongest straight edge of a strip, upright or level, and the strip whose search lines cross it.
 
     Raises MeasureError as `find_edge` does.
     """
 
-    def strength(one: Strip) -> float:
+    def strength(one: SearchStrip) -> float:
         return max(float(scores_of(one, sign).best.max()) for sign in (-1, 1))
 
     across = max((strip, strip.turned), key=strength)
     return across, find_edge(across)
 
 
-def follow(strip: Strip, sign: Sign, line: EdgeLine) -> Found:
+def follow(strip: SearchStrip, sign: Sign, line: EdgeLine) -> Found:
     """An edge that is known roughly, on every search line of a strip.
 
     Raises MeasureError when too few search lines see it.
@@ -116,7 +116,7 @@ def follow(strip: Strip, sign: Sign, line: EdgeLine) -> Found:
     return Found(sign, points, fit_line(*strip.at(points.line, points.place)))
 
 
-def expected_on(strip: Strip, line: EdgeLine) -> Floats:
+def expected_on(strip: SearchStrip, line: EdgeLine) -> Floats:
     """Where a line crosses each search line of a strip."""
     (x0, y0), (x1, y1) = line.at(0.0), line.at(1e3 * strip.pixel_um)
     lines, places = strip.where(np.array([x0, x1]), np.array([y0, y1]))

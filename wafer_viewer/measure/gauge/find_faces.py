@@ -13,9 +13,9 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from wafer_viewer.measure.base.height_samples import Floats, Layer, Points, height_window, layer_of
+from wafer_viewer.measure.base.height_samples import Floats, HeightSamples, Layer, height_window, layer_of
 from wafer_viewer.measure.base.robust_plane import SIGMA_OF_MAD, fit_plane
-from wafer_viewer.measure.base.robust_plane import Plane as Fitted
+from wafer_viewer.measure.base.robust_plane import LevelPlane as Fitted
 from wafer_viewer.model.errors import MeasureError
 from wafer_viewer.model.region import Region
 from wafer_viewer.model.surface.height_map import Heights, Mosaic
@@ -64,7 +64,7 @@ class FoundFaces(NamedTuple):
     notes: tuple[str, ...] = ()
 
 
-class Seen(NamedTuple):
+class SeenFace(NamedTuple):
     """The surface on a coarse lattice, heights float64 [row, col], and the points of it that were measured, [n, 3]."""
 
     z_um: Floats
@@ -78,7 +78,7 @@ class Seen(NamedTuple):
         return float(self.x_um[1] - self.x_um[0])
 
 
-class Plane(NamedTuple):
+class LevelPlane(NamedTuple):
     """A plane, and how far off it a point still belongs to it."""
 
     fitted: Fitted
@@ -109,7 +109,7 @@ def find_faces(surface: Mosaic, *, size_px: float = SIZE_PX, layer: Layer | None
     return FoundFaces(_square(at_upper, side_um), _square(at_lower, side_um), _note(side_px, size_px))
 
 
-def _seen(surface: Mosaic, layer: Layer) -> Seen:
+def _seen(surface: Mosaic, layer: Layer) -> SeenFace:
     rows, cols = surface.shape
     level = min(surface.levels - 1, max(0, math.ceil(math.log(rows * cols / LATTICE, 4))))
     part = height_window(surface, layer, _whole(surface), level)
@@ -119,7 +119,7 @@ def _seen(surface: Mosaic, layer: Layer) -> Seen:
     if len(known_rows) < LEAST_POINTS:
         raise MeasureError("Too little of the surface is measured to look for faces: scan it again.")
     points = np.stack([x_um[known_cols], y_um[known_rows], z_um[known_rows, known_cols]], axis=1)
-    return Seen(z_um, x_um, y_um, points)
+    return SeenFace(z_um, x_um, y_um, points)
 
 
 def _whole(surface: Mosaic) -> Region:
@@ -132,7 +132,7 @@ def _thinned(part: Heights, step: int) -> tuple[Floats, Floats, Floats]:
     return part.z_um[::step, ::step].astype(np.float64), part.x_um[::step], part.y_um[::step]
 
 
-def _two_parallel(seen: Seen) -> tuple[Plane, Plane]:
+def _two_parallel(seen: SeenFace) -> tuple[LevelPlane, LevelPlane]:
     planes = _planes(seen)
     if len(planes) != 2:
         count = {0: "no face", 1: "one face"}.get(len(planes), f"{len(planes)} faces or more")
@@ -149,9 +149,9 @@ def _two_parallel(seen: Seen) -> tuple[Plane, Plane]:
     return planes[0], planes[1]
 
 
-def _planes(seen: Seen) -> list[Plane]:
+def _planes(seen: SeenFace) -> list[LevelPlane]:
     """Up to three planes, those with the most points first; each takes its points away from the next."""
-    left, found = seen.points, list[Plane]()
+    left, found = seen.points, list[LevelPlane]()
     least = LEAST_SHARE * len(seen.points)
     while len(left) >= least and len(found) < MOST_PLANES:
         plane = _searched(left, _noise_um(seen.z_um))
@@ -167,7 +167,7 @@ def _planes(seen: Seen) -> list[Plane]:
     return found
 
 
-def _searched(points: Floats, noise_um: float) -> Plane:
+def _searched(points: Floats, noise_um: float) -> LevelPlane:
     """The plane that most points lie on, then fitted to those that do."""
     open3d = _open3d()
     open3d.utility.random.seed(SEED)
@@ -178,11 +178,13 @@ def _searched(points: Floats, noise_um: float) -> Plane:
     band_um = SEARCH_SIGMAS * noise_um
     (a, b, c, d), _ = cloud.segment_plane(distance_threshold=band_um, ransac_n=3, num_iterations=TRIES)
     if abs(c) < STEEP:
-        return Plane(Fitted(x_um, y_um, z_um, 0.0, 0.0), 0.0)
+        return LevelPlane(Fitted(x_um, y_um, z_um, 0.0, 0.0), 0.0)
     rough = Fitted(x_um, y_um, z_um - d / c, -a / c, -b / c)
     for _ in range(2):
-        rough = fit_plane(Points(*points[np.abs(points[:, 2] - rough.at(points[:, 0], points[:, 1])) <= band_um].T))[0]
-    return Plane(rough, band_um)
+        rough = fit_plane(
+            HeightSamples(*points[np.abs(points[:, 2] - rough.at(points[:, 0], points[:, 1])) <= band_um].T)
+        )[0]
+    return LevelPlane(rough, band_um)
 
 
 def _noise_um(z_um: Floats) -> float:
@@ -192,14 +194,14 @@ def _noise_um(z_um: Floats) -> float:
     return max(LEAST_NOISE_UM, SIGMA_OF_MAD / math.sqrt(2) * float(np.nanmedian(np.abs(differ - np.nanmedian(differ)))))
 
 
-def _room_um(seen: Seen, own: Plane, other: Plane, shade_um: float) -> Floats:
+def _room_um(seen: SeenFace, own: LevelPlane, other: LevelPlane, shade_um: float) -> Floats:
     """Half the side of the largest square about each pixel with nothing but its own face, out of the wall's shade."""
     free, wall = (_on(seen, plane) for plane in (own, other))
     to_end_um, to_wall_um = seen.pixel_um * _distance(free, beyond=False), seen.pixel_um * _distance(~wall, beyond=True)
     return np.minimum(to_end_um, to_wall_um - shade_um)
 
 
-def _on(seen: Seen, plane: Plane) -> Mask:
+def _on(seen: SeenFace, plane: LevelPlane) -> Mask:
     """Where most pixels round about lie on a plane: single holes do not count."""
     from scipy.ndimage import uniform_filter
 
@@ -216,7 +218,7 @@ def _distance(mask: Mask, *, beyond: bool) -> Floats:
     return np.asarray(inside, np.float64)[1:-1, 1:-1] - 0.5
 
 
-def _nearest_pair(seen: Seen, upper: Mask, lower: Mask) -> tuple[Place, Place]:
+def _nearest_pair(seen: SeenFace, upper: Mask, lower: Mask) -> tuple[Place, Place]:
     """The places for both squares that lie nearest together, in the middle along the joint: a short lever."""
     above, below = (np.stack([seen.x_um[c], seen.y_um[r]], 1) for r, c in (np.nonzero(m) for m in (upper, lower)))
     at = above.mean(axis=0)

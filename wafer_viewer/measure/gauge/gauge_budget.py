@@ -20,7 +20,7 @@ ODD = 0.99
 
 
 @dataclass(frozen=True, slots=True)
-class Known:
+class KnownTerms:
     """The standard deviation of single scans that earlier checks found, and its degrees of freedom."""
 
     s_um: float
@@ -28,7 +28,7 @@ class Known:
 
 
 def budget_of(
-    repeats: Sequence[GaugeRepeat], certificate: Certificate, terms: GaugeTerms, known: Known | None
+    repeats: Sequence[GaugeRepeat], certificate: Certificate, terms: GaugeTerms, known: KnownTerms | None
 ) -> tuple[GaugeLine, ...]:
     """The lines, standard uncertainties (k = 1); empty where a repeat has no uncertainty."""
     if any(not repeat.height.budget for repeat in repeats):
@@ -85,17 +85,17 @@ def _rms(repeats: Sequence[GaugeRepeat], name: str) -> float:
     return math.sqrt(fmean(squares))
 
 
-def _of_repeats(repeats: Sequence[GaugeRepeat], known: Known | None) -> list[tuple[str, float, Role]]:
+def _of_repeats(repeats: Sequence[GaugeRepeat], known: KnownTerms | None) -> list[tuple[str, float, Role]]:
     """s / sqrt(n), widened by Student's t so that an expansion by k = 2 still covers 95 % with few scans."""
     n = len(repeats)
-    own = Known(stdev(repeat.height.value_um for repeat in repeats), n - 1) if n > 1 else None
+    own = KnownTerms(stdev(repeat.height.value_um for repeat in repeats), n - 1) if n > 1 else None
     pooled = _pooled(own, known)
     if pooled is None:
         return []
     return [(REPEATABILITY, student(pooled.freedom) / 2 * pooled.s_um / math.sqrt(n), "measurement")]
 
 
-def _pooled(own: Known | None, known: Known | None) -> Known | None:
+def _pooled(own: KnownTerms | None, known: KnownTerms | None) -> KnownTerms | None:
     if own is None or known is None:
         return own or known
     from scipy.special import fdtri
@@ -103,7 +103,7 @@ def _pooled(own: Known | None, known: Known | None) -> Known | None:
     if own.s_um**2 > fdtri(own.freedom, known.freedom, ODD) * known.s_um**2:
         return own
     freedom = own.freedom + known.freedom
-    return Known(math.sqrt((own.freedom * own.s_um**2 + known.freedom * known.s_um**2) / freedom), freedom)
+    return KnownTerms(math.sqrt((own.freedom * own.s_um**2 + known.freedom * known.s_um**2) / freedom), freedom)
 
 
 def _of_reference(certificate: Certificate, terms: GaugeTerms) -> list[tuple[str, float, Role]]:

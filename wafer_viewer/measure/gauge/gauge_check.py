@@ -14,7 +14,7 @@ import re
 from collections.abc import Iterable, Sequence
 from statistics import fmean, stdev
 
-from wafer_viewer.measure.gauge.gauge_budget import Known, budget_of, length_of, not_evaluated, reference_at
+from wafer_viewer.measure.gauge.gauge_budget import KnownTerms, budget_of, length_of, not_evaluated, reference_at
 from wafer_viewer.measure.tools.step_height import step_height
 from wafer_viewer.model.acquisition.calibration import Calibration
 from wafer_viewer.model.decision_rule import Word
@@ -71,7 +71,7 @@ def gauge_check(
     certificate: Certificate,
     terms: GaugeTerms = GaugeTerms(),
     *,
-    known: Known | None = None,
+    known: KnownTerms | None = None,
 ) -> GaugeCheck:
     """What repeats say of the instrument; known: the deviation of single scans in earlier checks, pooled with theirs.
 

@@ -10,7 +10,7 @@ from statistics import fmean, variance
 
 import numpy as np
 
-from wafer_viewer.measure.gauge.gauge_budget import Known, student
+from wafer_viewer.measure.gauge.gauge_budget import KnownTerms, student
 from wafer_viewer.model.gauge.gauge_check import GaugeCheck, GaugeRecord
 from wafer_viewer.model.gauge.run_chart import ChartPoint, RunChart
 from wafer_viewer.model.quantity import Contribution, Length
@@ -68,13 +68,13 @@ def same_scale(records: Sequence[GaugeRecord]) -> list[GaugeCheck]:
     return [check for check in checks if _scale(check) == _scale(checks[-1])]
 
 
-def pooled_scatter(records: Sequence[GaugeRecord]) -> Known | None:
+def pooled_scatter(records: Sequence[GaugeRecord]) -> KnownTerms | None:
     """The deviation of single scans within checks, pooled; None with fewer than four degrees of freedom."""
     groups = [[r.height.value_um for r in check.repeats] for check in same_scale(records) if check.n > 1]
     freedom = sum(len(group) - 1 for group in groups)
     if freedom < LEAST_FREEDOM:
         return None
-    return Known(math.sqrt(sum((len(g) - 1) * variance(g) for g in groups) / freedom), freedom)
+    return KnownTerms(math.sqrt(sum((len(g) - 1) * variance(g) for g in groups) / freedom), freedom)
 
 
 def errors_of_scans(checks: Iterable[GaugeCheck]) -> list[float]:

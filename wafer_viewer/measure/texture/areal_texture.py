@@ -8,7 +8,7 @@ import numpy as np
 
 from wafer_viewer.measure.base.area_samples import area_of
 from wafer_viewer.measure.base.height_samples import Floats, Layer
-from wafer_viewer.measure.base.measurement_context import Reading
+from wafer_viewer.measure.base.measurement_context import MeasurementContext
 from wafer_viewer.measure.texture.hybrid_parameters import developed_fraction, root_mean_square_gradient
 from wafer_viewer.measure.texture.material_ratio import bearing
 from wafer_viewer.measure.texture.resolvable_scales import near_noise, unseen_waves
@@ -45,7 +45,7 @@ def texture(
     has fewer than 200 measured points or less than half of its area measured, or is smaller than a filter.
     """
     options = TextureOptions(form_order=form_order, s_filter_um=s_filter_um, l_filter_um=l_filter_um)
-    reading = Reading.of(surface, layer, calibration_valid)
+    reading = MeasurementContext.of(surface, layer, calibration_valid)
     area = area_of(reading, region, "face", "texture")
     z_um = scale_limited(lattice_of(area), area.pixel_um, options)
     left = z_um[np.isfinite(z_um)]
@@ -72,7 +72,7 @@ def texture(
     )
 
 
-def _heights(reading: Reading, left: Floats, sq_um: float, flat: bool) -> dict[str, Any]:
+def _heights(reading: MeasurementContext, left: Floats, sq_um: float, flat: bool) -> dict[str, Any]:
     squares, n = left * left, len(left)
     return {
         "sa": reading.length(float(np.mean(np.abs(left))), None),
@@ -85,7 +85,7 @@ def _heights(reading: Reading, left: Floats, sq_um: float, flat: bool) -> dict[s
     }
 
 
-def _functional(reading: Reading, left: Floats) -> dict[str, Any]:
+def _functional(reading: MeasurementContext, left: Floats) -> dict[str, Any]:
     found = bearing(left)
     return {
         "sk": reading.length(found.sk_um, None),
@@ -96,7 +96,9 @@ def _functional(reading: Reading, left: Floats) -> dict[str, Any]:
     }
 
 
-def _spatial(reading: Reading, z_um: Floats, pixel_um: float, flat: bool) -> tuple[dict[str, Any], tuple[str, ...]]:
+def _spatial(
+    reading: MeasurementContext, z_um: Floats, pixel_um: float, flat: bool
+) -> tuple[dict[str, Any], tuple[str, ...]]:
     """Sal, Str and Std where there are any, and what to say of them."""
     found = None if flat else spatial(z_um)
     if found is None:

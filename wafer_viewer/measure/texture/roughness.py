@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 
 from wafer_viewer.measure.base.height_samples import Floats, Layer
-from wafer_viewer.measure.base.measurement_context import Reading
+from wafer_viewer.measure.base.measurement_context import MeasurementContext
 from wafer_viewer.measure.texture.resolvable_scales import near_noise, unseen_waves
 from wafer_viewer.measure.tools.profile import profile
 from wafer_viewer.model.errors import MeasureError
@@ -75,7 +75,7 @@ def roughness(
     is measured to less than half or in fewer than 20 points a section, or is shorter than a cut-off.
     """
     options = RoughnessOptions(lambda_c_um=lambda_c_um, lambda_s_um=lambda_s_um)
-    reading = Reading.of(surface, layer, calibration_valid)
+    reading = MeasurementContext.of(surface, layer, calibration_valid)
     section, curve = profile(surface, line, calibration_valid=calibration_valid, layer=layer)
     pixel_um = _pixel_um(curve)
     evaluated = _evaluated(curve, pixel_um, options)
@@ -132,7 +132,9 @@ def _in_sections(z_um: Floats, pixel_um: float, cutoff_um: float) -> Evaluated:
     return Evaluated(part - np.nanmean(part), sections, cutoff_um, tuple(notes))
 
 
-def _heights(reading: Reading, evaluated: Evaluated, left: Floats, rq_um: float, flat: bool) -> dict[str, Any]:
+def _heights(
+    reading: MeasurementContext, evaluated: Evaluated, left: Floats, rq_um: float, flat: bool
+) -> dict[str, Any]:
     parts = list(evaluated.split())
     highest, lowest = (float(np.mean([of(part) for part in parts])) for of in (np.max, np.min))
     return {

@@ -7,7 +7,7 @@ import math
 import numpy as np
 
 from wafer_viewer.measure.base.height_samples import Floats, Layer, level_for, require_area
-from wafer_viewer.measure.base.measurement_context import Lines, Reading
+from wafer_viewer.measure.base.measurement_context import Lines, MeasurementContext
 from wafer_viewer.measure.base.plane_faces import Face, enough_points, face_of
 from wafer_viewer.measure.base.robust_plane import plane_design
 from wafer_viewer.measure.base.tile_statistics import parameter_u
@@ -33,7 +33,7 @@ def face_angle(
     """
     require_area(first, "first")
     require_area(second, "second")
-    reading, level = Reading.of(surface, layer, calibration_valid), level_for(surface, first, second)
+    reading, level = MeasurementContext.of(surface, layer, calibration_valid), level_for(surface, first, second)
     a, b = (
         face_of(enough_points(surface, region, reading.layer, level, f"{which} region", "an angle"))
         for region, which in ((first, "first"), (second, "second"))
@@ -66,7 +66,7 @@ def _tilt_deg(face: Face) -> float:
     return math.degrees(math.atan(math.hypot(face.plane.slope_x, face.plane.slope_y)))
 
 
-def _lines(reading: Reading, a: Face, b: Face) -> Lines | None:
+def _lines(reading: MeasurementContext, a: Face, b: Face) -> Lines | None:
     spread = _tilt_u_deg(a), _tilt_u_deg(b)
     if spread[0] is None or spread[1] is None:
         return None

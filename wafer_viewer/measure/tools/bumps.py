@@ -9,8 +9,8 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.ndimage import binary_fill_holes, find_objects, label
 
-from wafer_viewer.measure.base.height_samples import Floats, Points
-from wafer_viewer.measure.base.robust_plane import Plane, plane_design, robust_fit
+from wafer_viewer.measure.base.height_samples import Floats, HeightSamples
+from wafer_viewer.measure.base.robust_plane import LevelPlane, plane_design, robust_fit
 from wafer_viewer.measure.base.sphere_fit import fit_cap
 from wafer_viewer.measure.base.tile_statistics import parameter_u
 from wafer_viewer.model.errors import MeasureError
@@ -82,7 +82,7 @@ def _over_ground(part: Heights, z_um: Floats) -> tuple[Floats, float]:
     What stands out is left out again and again, so that the plane sinks to what lies lowest.
     """
     rows, cols = np.nonzero(np.isfinite(z_um))
-    points = Points(part.x_um[cols], part.y_um[rows], z_um[rows, cols])
+    points = HeightSamples(part.x_um[cols], part.y_um[rows], z_um[rows, cols])
     if len(points) < LEAST_ROUND:
         raise MeasureError("Nothing is measured in the region: move it to where the surface has heights.")
     every = max(1, len(points) // 200_000)
@@ -91,7 +91,7 @@ def _over_ground(part: Heights, z_um: Floats) -> tuple[Floats, float]:
     return z_um - np.asarray(plane.at(part.x_um[None, :], part.y_um[:, None])), noise_um
 
 
-def _ground(points: Points) -> tuple[Plane, float]:
+def _ground(points: HeightSamples) -> tuple[LevelPlane, float]:
     center = float(points.x_um.mean()), float(points.y_um.mean())
     design = plane_design(points, center)
     kept, below = np.ones(len(points), bool), 0.0
@@ -104,7 +104,7 @@ def _ground(points: Points) -> tuple[Plane, float]:
         if np.array_equal(lower, kept) or np.count_nonzero(lower) < LEAST_ROUND:
             break
         kept = lower
-    return Plane(*center, z_um, slope_x, slope_y), below
+    return LevelPlane(*center, z_um, slope_x, slope_y), below
 
 
 def _outlines(over: Floats, noise_um: float) -> tuple[NDArray[np.int32], list[Box]]:
@@ -180,7 +180,7 @@ def _round(
     return float(fit.coefficients[2]), parameter_u(kept, design[fit.kept], left, np.array([0.0, 0.0, 1.0]))
 
 
-def _points(part: Heights, z_um: Floats, box: Box, mask: Mask) -> Points:
+def _points(part: Heights, z_um: Floats, box: Box, mask: Mask) -> HeightSamples:
     """The measured points of a box where a mask holds."""
     rows, cols = np.nonzero(mask & np.isfinite(z_um[box]))
-    return Points(part.x_um[box[1]][cols], part.y_um[box[0]][rows], z_um[box][rows, cols])
+    return HeightSamples(part.x_um[box[1]][cols], part.y_um[box[0]][rows], z_um[box][rows, cols])

@@ -12,10 +12,10 @@ from scipy.ndimage import median_filter
 
 from wafer_viewer.measure.base.height_samples import Floats, Layer, points_in
 from wafer_viewer.measure.base.line_fit import EdgeLine
-from wafer_viewer.measure.base.measurement_context import Reading
+from wafer_viewer.measure.base.measurement_context import MeasurementContext
 from wafer_viewer.measure.base.robust_plane import SIGMA_OF_MAD
 from wafer_viewer.measure.edges.lateral_uncertainty import between_edges, notes
-from wafer_viewer.measure.edges.search_strip import Strip, read_strip, require_rectangle
+from wafer_viewer.measure.edges.search_strip import SearchStrip, read_strip, require_rectangle
 from wafer_viewer.measure.edges.straight_edges import REACH_PX, Found, expected_on, find_edge_any_way, require_found
 from wafer_viewer.measure.edges.subpixel_edges import EdgePoints, edges_near, responses
 from wafer_viewer.model.errors import MeasureError
@@ -97,7 +97,7 @@ def chipping(
     too small, when no edge, or more than one, stands out, or when it is not known on which side the die lies.
     """
     require_rectangle(region, "Chipping")
-    reading = Reading.of(surface, layer, calibration_valid)
+    reading = MeasurementContext.of(surface, layer, calibration_valid)
     strip, level = read_strip(surface, region, "chipping")
     strip, edge = find_edge_any_way(strip)
     if die == "auto":
@@ -128,7 +128,7 @@ def chipping(
     )
 
 
-def edge_depths(strip: Strip, edge: Found, inwards: bool) -> Depths:
+def edge_depths(strip: SearchStrip, edge: Found, inwards: bool) -> Depths:
     """How the edge of a die deviates from its line, from end to end.
 
     inwards: whether the die lies where places along the search lines are larger. On each line the nearest edge counts
@@ -141,20 +141,20 @@ def edge_depths(strip: Strip, edge: Found, inwards: bool) -> Depths:
     return _depths(strip, found, edge.line, inwards)
 
 
-def _depths(strip: Strip, found: EdgePoints, line: EdgeLine, inwards: bool) -> Depths:
+def _depths(strip: SearchStrip, found: EdgePoints, line: EdgeLine, inwards: bool) -> Depths:
     x_um, y_um = strip.at(found.line, found.place)
     off, along = np.asarray(line.off(x_um, y_um)), np.asarray(line.along(x_um, y_um))
     return Depths(along, _behind(strip, line, inwards) * off, x_um, y_um, strip.pixel_um)
 
 
-def _behind(strip: Strip, line: EdgeLine, inwards: bool) -> float:
+def _behind(strip: SearchStrip, line: EdgeLine, inwards: bool) -> float:
     """1 where the die lies to the left of the line, else -1."""
     way = 1 if inwards else -1
     off = float(line.off(line.x_um + way * strip.place_um[0], line.y_um + way * strip.place_um[1]))
     return math.copysign(1.0, off)
 
 
-def _higher_behind(reading: Reading, region: Region, level: int, strip: Strip, edge: Found) -> bool:
+def _higher_behind(reading: MeasurementContext, region: Region, level: int, strip: SearchStrip, edge: Found) -> bool:
     """Whether the surface is higher where places along the search lines are larger."""
     points = points_in(reading.surface, region, reading.layer, level)
     off = _behind(strip, edge.line, True) * np.asarray(edge.line.off(points.x_um, points.y_um))
@@ -173,14 +173,16 @@ def _higher_behind(reading: Reading, region: Region, level: int, strip: Strip, e
     return behind > before
 
 
-def _side(strip: Strip, inwards: bool) -> Side:
+def _side(strip: SearchStrip, inwards: bool) -> Side:
     x, y = (way if inwards else -way for way in strip.place_um)
     if abs(x) > abs(y):
         return "right" if x > 0 else "left"
     return "upper" if y > 0 else "lower"
 
 
-def _area(reading: Reading, chips: tuple[Chip, ...], u_um: float | None, noise_um: float, pixel_um: float) -> Quantity:
+def _area(
+    reading: MeasurementContext, chips: tuple[Chip, ...], u_um: float | None, noise_um: float, pixel_um: float
+) -> Quantity:
     area_um2, length_um = sum(chip.area_um2 for chip in chips), sum(chip.length_um for chip in chips)
     if u_um is None:
         return reading.quantity(area_um2, "um2", None)

@@ -5,7 +5,7 @@ from __future__ import annotations
 from typing import Literal
 
 from wafer_viewer.measure.base.height_samples import Layer
-from wafer_viewer.measure.base.measurement_context import Reading
+from wafer_viewer.measure.base.measurement_context import MeasurementContext
 from wafer_viewer.measure.edges.circular_edges import NEIGHBOURS, ROOM_PX, find_circle
 from wafer_viewer.measure.edges.edge_search import Sign
 from wafer_viewer.measure.edges.lateral_uncertainty import between_edges, notes
@@ -41,7 +41,7 @@ def circle_size(
     """
     if circle.kind != "circle":
         raise MeasureError(f"A diameter is measured in a circle, this region is a {circle.kind}: draw a circle.")
-    reading = Reading.of(surface, layer, calibration_valid)
+    reading = MeasurementContext.of(surface, layer, calibration_valid)
     drawn = circle.points[0]
     room = Region.circle(drawn.x_um, drawn.y_um, ROOM * circle.radius_um + ROOM_PX * surface.pixel_um)
     strip, level = read_strip(surface, room, "a diameter")

@@ -11,7 +11,7 @@ import numpy as np
 from scipy.optimize import linprog
 
 from wafer_viewer.measure.base.height_samples import Floats, Layer, height_window, level_for, require_area
-from wafer_viewer.measure.base.measurement_context import Reading
+from wafer_viewer.measure.base.measurement_context import MeasurementContext
 from wafer_viewer.measure.edges.lateral_uncertainty import together
 from wafer_viewer.measure.tools.bumps import Bumps, Top, find_bumps
 from wafer_viewer.model.errors import MeasureError
@@ -35,7 +35,7 @@ EXTREMES = "Noise draws the extremes apart: the true value is rather smaller."
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Fitted:
+class FittedBump:
     """The plane that tops are compared with, slopes along x and y, how far each top lies over it, square to it."""
 
     slope_x: float
@@ -73,7 +73,7 @@ def coplanarity(
     has no area or lies outside, when no bump stands out, or fewer than four are whole and measured.
     """
     require_area(region, "measured")
-    reading, level = Reading.of(surface, layer, calibration_valid), level_for(surface, region)
+    reading, level = MeasurementContext.of(surface, layer, calibration_valid), level_for(surface, region)
     part = height_window(surface, reading.layer, region, level)
     bumps = find_bumps(part, region.contains(part.x_um[None, :], part.y_um[:, None]))
     _require_enough(bumps)
@@ -103,7 +103,7 @@ def _require_enough(bumps: Bumps) -> None:
         )
 
 
-def least_squares(tops: tuple[Top, ...]) -> Fitted:
+def least_squares(tops: tuple[Top, ...]) -> FittedBump:
     """About the plane of least squares through all tops."""
     places, z_um = _places(tops)
     design = np.column_stack([places, np.ones(len(tops))])
@@ -111,7 +111,7 @@ def least_squares(tops: tuple[Top, ...]) -> Fitted:
     return _over(places, z_um, slope_x, slope_y, zero)
 
 
-def seating(tops: tuple[Top, ...]) -> Fitted:
+def seating(tops: tuple[Top, ...]) -> FittedBump:
     """About the plane that no top lies over and that is nearest to the substrate in the middle of the bumps.
 
     That it touches three tops round the middle is what the linear programme's optimum means.
@@ -124,7 +124,7 @@ def seating(tops: tuple[Top, ...]) -> Fitted:
     return _over(places, z_um, slope_x, slope_y, zero + float(z_um.mean()))
 
 
-PLANES: dict[Reference, Callable[[tuple[Top, ...]], Fitted]] = {"least_squares": least_squares, "seating": seating}
+PLANES: dict[Reference, Callable[[tuple[Top, ...]], FittedBump]] = {"least_squares": least_squares, "seating": seating}
 
 
 def _places(tops: tuple[Top, ...]) -> tuple[Floats, Floats]:
@@ -133,24 +133,24 @@ def _places(tops: tuple[Top, ...]) -> tuple[Floats, Floats]:
     return places - places.mean(axis=0), np.array([top.z_um for top in tops])
 
 
-def _over(places: Floats, z_um: Floats, slope_x: float, slope_y: float, zero: float) -> Fitted:
+def _over(places: Floats, z_um: Floats, slope_x: float, slope_y: float, zero: float) -> FittedBump:
     left = z_um - places @ np.array([slope_x, slope_y]) - zero
-    return Fitted(slope_x, slope_y, left / math.sqrt(1 + slope_x**2 + slope_y**2))
+    return FittedBump(slope_x, slope_y, left / math.sqrt(1 + slope_x**2 + slope_y**2))
 
 
-def _coplanarity(reading: Reading, tops: tuple[Top, ...], fitted: Fitted) -> Length:
+def _coplanarity(reading: MeasurementContext, tops: tuple[Top, ...], fitted: FittedBump) -> Length:
     low, high = (tops[k] for k in fitted.extremes)
     return _length(reading, fitted.range_um, together(low.u_um, high.u_um))
 
 
-def _mean_height(reading: Reading, tops: tuple[Top, ...]) -> Length:
+def _mean_height(reading: MeasurementContext, tops: tuple[Top, ...]) -> Length:
     """Each bump's errors are its own, so their mean is the surer the more there are."""
     whole = together(*(together(top.u_um, top.u_round_um) for top in tops))
     mean_um = float(np.mean([top.height_um for top in tops]))
     return _length(reading, mean_um, None if whole is None else whole / len(tops))
 
 
-def _bump(reading: Reading, top: Top, deviation_um: float) -> Bump:
+def _bump(reading: MeasurementContext, top: Top, deviation_um: float) -> Bump:
     return Bump(
         place=Point(x_um=round(top.x_um, 2), y_um=round(top.y_um, 2)),
         height=_length(reading, top.height_um, together(top.u_um, top.u_round_um)),
@@ -159,7 +159,7 @@ def _bump(reading: Reading, top: Top, deviation_um: float) -> Bump:
     )
 
 
-def _length(reading: Reading, value_um: float, noise_um: float | None) -> Length:
+def _length(reading: MeasurementContext, value_um: float, noise_um: float | None) -> Length:
     if noise_um is None:
         return reading.length(value_um, None)
     lines = {

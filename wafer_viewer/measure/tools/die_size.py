@@ -5,7 +5,7 @@ from __future__ import annotations
 from typing import Literal
 
 from wafer_viewer.measure.base.height_samples import Layer
-from wafer_viewer.measure.base.measurement_context import Reading
+from wafer_viewer.measure.base.measurement_context import MeasurementContext
 from wafer_viewer.measure.edges.edge_search import Sign
 from wafer_viewer.measure.edges.lateral_uncertainty import angle, between_edges, notes
 from wafer_viewer.measure.edges.rectangle_edges import OPPOSITE, die_edges
@@ -36,7 +36,7 @@ def die_size(
     rectangle, lies outside or is too small, or when on one of its sides no edge, or more than one, stands out.
     """
     require_rectangle(region, "A die size")
-    reading = Reading.of(surface, layer, calibration_valid)
+    reading = MeasurementContext.of(surface, layer, calibration_valid)
     strip, level = read_strip(surface, region, "a die size")
     edges = die_edges(strip, SIGNS[die])
     width, height = (

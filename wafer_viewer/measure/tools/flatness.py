@@ -7,8 +7,8 @@ from scipy.optimize import linprog
 from scipy.spatial import ConvexHull
 
 from wafer_viewer.measure.base.area_samples import area_of, least_squares_plane
-from wafer_viewer.measure.base.height_samples import Floats, Layer, Points
-from wafer_viewer.measure.base.measurement_context import Reading
+from wafer_viewer.measure.base.height_samples import Floats, HeightSamples, Layer
+from wafer_viewer.measure.base.measurement_context import MeasurementContext
 from wafer_viewer.model.measurement.measurements import Flatness
 from wafer_viewer.model.region import Region
 from wafer_viewer.model.surface.height_map import Mosaic
@@ -30,7 +30,7 @@ def flatness(
     No uncertainty: how far noise pulls the extremes apart is not evaluated. Raises MeasureError when the region is a
     line, lies outside, or has fewer than 200 measured points or less than half of its area measured.
     """
-    reading = Reading.of(surface, layer, calibration_valid)
+    reading = MeasurementContext.of(surface, layer, calibration_valid)
     area = area_of(reading, region, "face", "flatness")
     _, left = least_squares_plane(area.points)
     low, high = np.percentile(left, BAND)
@@ -47,7 +47,7 @@ def flatness(
     )
 
 
-def minimum_zone(points: Points, left_um: Floats) -> float:
+def minimum_zone(points: HeightSamples, left_um: Floats) -> float:
     """Height in um, along z, of the lowest layer between two parallel planes that holds all points.
 
     left_um: what any plane near to it leaves of the points. Only corners of their convex hull can touch the layer's

@@ -10,11 +10,11 @@ import numpy as np
 
 from wafer_viewer.measure.base.height_samples import Floats, Layer
 from wafer_viewer.measure.base.line_fit import lines_between
-from wafer_viewer.measure.base.measurement_context import Reading
+from wafer_viewer.measure.base.measurement_context import MeasurementContext
 from wafer_viewer.measure.base.robust_plane import SIGMA_OF_MAD
-from wafer_viewer.measure.edges.edge_search import Scores, Sign, scores_of
+from wafer_viewer.measure.edges.edge_search import EdgeScores, Sign, scores_of
 from wafer_viewer.measure.edges.lateral_uncertainty import angle, between_edges, notes, together
-from wafer_viewer.measure.edges.search_strip import Strip, read_strip, require_rectangle
+from wafer_viewer.measure.edges.search_strip import SearchStrip, read_strip, require_rectangle
 from wafer_viewer.measure.edges.straight_edges import AS_STRONG, Found, fitted, no_edge
 from wafer_viewer.measure.edges.subpixel_edges import REACH_PX
 from wafer_viewer.model.errors import MeasureError
@@ -36,7 +36,7 @@ EXTREMES = f"Narrowest and widest are medians of {NEIGHBOURS} neighbouring searc
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Edges:
+class KerfEdges:
     """The two edges of a kerf, as they come along the search lines, and its width on each line that sees both."""
 
     first: Found
@@ -92,7 +92,7 @@ def kerf_width(
     rectangle, lies outside or is too small, or when no pair of edges, or more than one, stands out of it.
     """
     require_rectangle(region, "A kerf width")
-    reading = Reading.of(surface, layer, calibration_valid)
+    reading = MeasurementContext.of(surface, layer, calibration_valid)
     strip, level = read_strip(surface, region, "a kerf width")
     edges = kerf_edges(strip, SIGNS[kerf])
     lowest, highest = edges.extremes_um
@@ -112,7 +112,7 @@ def kerf_width(
     )
 
 
-def kerf_edges(strip: Strip, signs: tuple[Sign, ...] = (1, -1)) -> Edges:
+def kerf_edges(strip: SearchStrip, signs: tuple[Sign, ...] = (1, -1)) -> KerfEdges:
     """The two edges of the kerf in a strip, whichever way it runs. Raises MeasureError where there is no such pair."""
     ways = [_Way.of(one, sign) for one in (strip, strip.turned) for sign in signs]
     best = max(ways, key=lambda way: way.strength)
@@ -124,14 +124,14 @@ def kerf_edges(strip: Strip, signs: tuple[Sign, ...] = (1, -1)) -> Edges:
 class _Way:
     """The strongest pair of edges of opposite signs along the search lines of a strip."""
 
-    strip: Strip
+    strip: SearchStrip
     sign: Sign
-    scores: tuple[Scores, Scores]
+    scores: tuple[EdgeScores, EdgeScores]
     places: tuple[int, int]
     strength: float
 
     @classmethod
-    def of(cls, strip: Strip, sign: Sign) -> _Way:
+    def of(cls, strip: SearchStrip, sign: Sign) -> _Way:
         scores = scores_of(strip, sign), scores_of(strip, 1 if sign < 0 else -1)
         places, strength = _strongest_pair(*scores)
         return cls(strip, sign, scores, places, strength)
@@ -148,17 +148,17 @@ class _Way:
                 "one beside the kerf: draw the region narrower, across one kerf."
             )
 
-    def edges(self) -> Edges:
+    def edges(self) -> KerfEdges:
         other: Sign = 1 if self.sign < 0 else -1
         signs: tuple[Sign, Sign] = (self.sign, other)
         first, second = (
             fitted(self.strip, sign, scores, place)
             for sign, scores, place in zip(signs, self.scores, self.places, strict=True)
         )
-        return Edges(first, second, _widths_um(self.strip, first, second))
+        return KerfEdges(first, second, _widths_um(self.strip, first, second))
 
 
-def _strongest_pair(first: Scores, second: Scores) -> tuple[tuple[int, int], float]:
+def _strongest_pair(first: EdgeScores, second: EdgeScores) -> tuple[tuple[int, int], float]:
     """The places of the first and a later second edge whose geometric mean is largest, and that mean."""
     apart = LEAST_APART_PX
     if len(first.best) <= apart:
@@ -169,7 +169,7 @@ def _strongest_pair(first: Scores, second: Scores) -> tuple[tuple[int, int], flo
     return (int(np.argmax(first.best[: last + 1])), last + apart), math.sqrt(float(strength[last]))
 
 
-def _widths_um(strip: Strip, first: Found, second: Found) -> Floats:
+def _widths_um(strip: SearchStrip, first: Found, second: Found) -> Floats:
     """On each line that sees both edges, square to the kerf."""
     _, one, two = np.intersect1d(first.points.line, second.points.line, return_indices=True)
     if len(one) < 2 * NEIGHBOURS:

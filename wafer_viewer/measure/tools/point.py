@@ -7,8 +7,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from wafer_viewer.measure.base.height_samples import Layer, Points, points_in
-from wafer_viewer.measure.base.measurement_context import Lines, Reading
+from wafer_viewer.measure.base.height_samples import HeightSamples, Layer, points_in
+from wafer_viewer.measure.base.measurement_context import Lines, MeasurementContext
 from wafer_viewer.measure.base.robust_plane import fit_plane
 from wafer_viewer.model.errors import MeasureError
 from wafer_viewer.model.measurement.measurements import Distance, PointHeight
@@ -46,7 +46,7 @@ def point_height(
     layer: heights to measure on, as the surface's recipe says when left out. Without a valid calibration the height
     reads 'uncalibrated'. Raises MeasureError when the region is no point, lies outside or where nothing is measured.
     """
-    reading = Reading.of(surface, layer, calibration_valid)
+    reading = MeasurementContext.of(surface, layer, calibration_valid)
     spot = _spot(reading, place)
     return PointHeight(
         **reading.told(name, 0, *reading.not_in_budget()),
@@ -69,7 +69,7 @@ def distance(
 
     Raises MeasureError as `point_height` does, and where both points are the same.
     """
-    reading = Reading.of(surface, layer, calibration_valid)
+    reading = MeasurementContext.of(surface, layer, calibration_valid)
     a, b = _spot(reading, start), _spot(reading, end)
     lateral_um, dz_um = math.hypot(b.x_um - a.x_um, b.y_um - a.y_um), b.z_um - a.z_um
     if lateral_um == 0:
@@ -89,13 +89,15 @@ def distance(
     )
 
 
-def _slope(reading: Reading, lateral_um: float, dz_um: float, across: Lines, along: Lines | None) -> Quantity:
+def _slope(
+    reading: MeasurementContext, lateral_um: float, dz_um: float, across: Lines, along: Lines | None
+) -> Quantity:
     space2 = lateral_um**2 + dz_um**2
     lines = _joined(across, along, math.degrees(dz_um / space2), math.degrees(lateral_um / space2))
     return reading.quantity(math.degrees(math.atan2(dz_um, lateral_um)), "deg", lines)
 
 
-def _spot(reading: Reading, place: Region) -> Spot:
+def _spot(reading: MeasurementContext, place: Region) -> Spot:
     if place.kind != "point":
         raise MeasureError(f"A height is measured at a point, this region is a {place.kind}: set a point.")
     at, pixel_um = place.points[0], reading.surface.pixel_um
@@ -110,12 +112,12 @@ def _spot(reading: Reading, place: Region) -> Spot:
     return Spot(at.x_um, at.y_um, float(np.median(near.z_um[beside])), _noise_um(near), int(beside.sum()))
 
 
-def _reach_px(reading: Reading) -> int:
+def _reach_px(reading: MeasurementContext) -> int:
     window = reading.surface.provenance.recipe.window
     return NOISE_WINDOWS * (UNKNOWN_WINDOW if window == "auto" else window)
 
 
-def _noise_um(near: Points) -> float | None:
+def _noise_um(near: HeightSamples) -> float | None:
     """Standard deviation of heights about a plane through them, outliers apart."""
     if len(near) < MIN_NOISE_POINTS:
         return None
@@ -124,7 +126,7 @@ def _noise_um(near: Points) -> float | None:
     return float(np.sqrt(np.mean((kept.z_um - plane.at(kept.x_um, kept.y_um)) ** 2)))
 
 
-def _lines(reading: Reading, spot: Spot) -> Lines | None:
+def _lines(reading: MeasurementContext, spot: Spot) -> Lines | None:
     if spot.noise_um is None:
         return None
     return {
@@ -134,7 +136,7 @@ def _lines(reading: Reading, spot: Spot) -> Lines | None:
     }
 
 
-def _lines_along_z(reading: Reading, a: Spot, b: Spot) -> Lines | None:
+def _lines_along_z(reading: MeasurementContext, a: Spot, b: Spot) -> Lines | None:
     if a.noise_um is None or b.noise_um is None:
         return None
     return {

@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from wafer_viewer.measure.base.height_samples import Floats
 from wafer_viewer.measure.base.plane_faces import Face
 from wafer_viewer.measure.base.tile_statistics import SIDES, Tiles
-from wafer_viewer.measure.tools.step_definitions import Faces, Gradients
+from wafer_viewer.measure.tools.step_definitions import LinearFunctional, StepFaces
 from wafer_viewer.model.surface.field_poses import HasPoses, Poses
 from wafer_viewer.model.surface.height_map import HeightMap, Mosaic, ReadThrough
 
@@ -25,7 +25,7 @@ TILT_ERROR = 1e-3
 """Standard deviation of what a field leans by before its overlaps are looked at, um per um: no more than a bound."""
 
 
-class Pulls(NamedTuple):
+class PoseSensitivities(NamedTuple):
     """Places on the surface, and how much a number moves with the height at each: float64 [n]."""
 
     x_um: Floats
@@ -33,13 +33,13 @@ class Pulls(NamedTuple):
     weight: Floats
 
 
-def pulls_of(faces: Faces, of: Gradients) -> Pulls:
+def pulls_of(faces: StepFaces, of: LinearFunctional) -> PoseSensitivities:
     """What a number of two faces is pulled by, at the middles of tiles."""
     pairs = zip(_weights(faces.high, of.high), _weights(faces.low, of.low), strict=True)
-    return Pulls(*(np.concatenate(pair) for pair in pairs))
+    return PoseSensitivities(*(np.concatenate(pair) for pair in pairs))
 
 
-def poses_u_um(surface: Mosaic, pulls: Pulls) -> float | None:
+def poses_u_um(surface: Mosaic, pulls: PoseSensitivities) -> float | None:
     """Standard uncertainty of a number by the poses of the fields that it was seen in.
 
     0 where all was seen in one field; None where nobody knows where the fields lie.
@@ -53,7 +53,7 @@ def poses_u_um(surface: Mosaic, pulls: Pulls) -> float | None:
     return None if poses is None else _of_fields(poses, pulls)
 
 
-def _of_fields(poses: Poses, pulls: Pulls) -> float | None:
+def _of_fields(poses: Poses, pulls: PoseSensitivities) -> float | None:
     x_um, y_um, weight = pulls
     field = _field_of(poses, x_um, y_um)
     if len(np.unique(field)) == 1:

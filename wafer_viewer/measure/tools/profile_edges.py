@@ -21,7 +21,7 @@ ROUNDS = 3
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Sums:
+class SideSums:
     """Running sums over samples of a profile: count, place about the middle, and what a straight line leaves of it."""
 
     n: Floats
@@ -30,7 +30,7 @@ class Sums:
     x_squares: float
 
     @classmethod
-    def of(cls, x: Floats, z: Floats) -> Sums:
+    def of(cls, x: Floats, z: Floats) -> SideSums:
         """Of samples at x with heights z, both [n]."""
         about = x - x.mean()
         squares = float(about @ about)
@@ -48,13 +48,13 @@ class Sums:
 def groove_edges(x: Floats, z: Floats) -> tuple[int, int]:
     """Samples at which the bottom begins and after which it ends: first and end of the range, 0 < first < end < n."""
     even, ends = smooth(z), _bins(len(x))
-    coarse = Sums.of(_means(x, ends), _means(even, ends))
+    coarse = SideSums.of(_means(x, ends), _means(even, ends))
     n = len(ends) - 1
     first, end = np.meshgrid(np.arange(n + 1), np.arange(n + 1), indexing="ij")
     allowed = (first >= LEAST_BINS) & (end <= n - LEAST_BINS) & (end - first >= LEAST_BINS)
     best = np.argmax(np.where(allowed, coarse.explained(first, end), -1.0))
     i, j = (int(ends[k]) for k in divmod(int(best), n + 1))
-    fine, reach = Sums.of(x, even), 2 * -(-len(x) // n)
+    fine, reach = SideSums.of(x, even), 2 * -(-len(x) // n)
     for _ in range(ROUNDS):
         i = _best(fine, np.arange(max(1, i - reach), min(j, i + reach + 1)), np.array(j))
         j = _best(fine, np.array(i), np.arange(max(i + 1, j - reach), min(len(x), j + reach + 1)))
@@ -63,11 +63,11 @@ def groove_edges(x: Floats, z: Floats) -> tuple[int, int]:
 
 def step_edge(x: Floats, z: Floats) -> int:
     """The first sample beyond the edge of a single step."""
-    sums = Sums.of(x, smooth(z))
+    sums = SideSums.of(x, smooth(z))
     return _best(sums, np.arange(LEAST_BINS, len(x) - LEAST_BINS), np.array(len(x)))
 
 
-def _best(sums: Sums, first: np.ndarray, end: np.ndarray) -> int:
+def _best(sums: SideSums, first: np.ndarray, end: np.ndarray) -> int:
     """The index, of the one that varies, that explains most."""
     varies = first if first.ndim else end
     return int(varies[np.argmax(sums.explained(first, end))])

@@ -11,10 +11,10 @@ import math
 import numpy as np
 from numpy.typing import NDArray
 
-from wafer_viewer.measure.base.height_samples import Floats, Layer, Points, level_for, points_in
-from wafer_viewer.measure.base.measurement_context import Lines, Reading
+from wafer_viewer.measure.base.height_samples import Floats, HeightSamples, Layer, level_for, points_in
+from wafer_viewer.measure.base.measurement_context import Lines, MeasurementContext
 from wafer_viewer.measure.base.plane_faces import Face, face_of
-from wafer_viewer.measure.base.robust_plane import Plane, plane_design
+from wafer_viewer.measure.base.robust_plane import LevelPlane, plane_design
 from wafer_viewer.measure.base.sphere_fit import Cap, fit_cap, no_sphere
 from wafer_viewer.measure.base.tile_statistics import parameter_u
 from wafer_viewer.model.errors import MeasureError
@@ -46,7 +46,7 @@ def bump_radius(
     """
     if circle.kind != "circle":
         raise MeasureError(f"A radius is measured in a circle, this region is a {circle.kind}: draw a circle.")
-    reading, outer = Reading.of(surface, layer, calibration_valid), _wider(circle)
+    reading, outer = MeasurementContext.of(surface, layer, calibration_valid), _wider(circle)
     level = level_for(surface, outer)
     points = _thinned(points_in(surface, outer, reading.layer, level))
     inside = circle.contains(points.x_um, points.y_um)
@@ -64,7 +64,7 @@ def bump_radius(
     )
 
 
-def _thinned(points: Points) -> Points:
+def _thinned(points: HeightSamples) -> HeightSamples:
     every = -(-len(points) // FITTED_POINTS) or 1
     return points.kept(np.arange(len(points)) % every == 0)
 
@@ -74,7 +74,7 @@ def _wider(circle: Region) -> Region:
     return Region.circle(at.x_um, at.y_um, RING * circle.radius_um)
 
 
-def _surroundings(points: Points) -> Face:
+def _surroundings(points: HeightSamples) -> Face:
     """What a bump rises over."""
     if len(points) < MIN_POINTS:
         raise MeasureError(
@@ -84,12 +84,12 @@ def _surroundings(points: Points) -> Face:
     return face_of(points)
 
 
-def _over(points: Points, plane: Plane) -> Floats:
+def _over(points: HeightSamples, plane: LevelPlane) -> Floats:
     """How far points rise over a plane."""
     return points.z_um - np.asarray(plane.at(points.x_um, points.y_um))
 
 
-def _cap(points: Points, around: Face, circle: Region) -> tuple[Cap, Points]:
+def _cap(points: HeightSamples, around: Face, circle: Region) -> tuple[Cap, HeightSamples]:
     """The sphere through what rises over the surroundings, and the points it is fitted to."""
     over, top_um = _over(points, around.plane), _first_top_um(points, around, circle)
     cap, kept = _fitted(points.kept(over / top_um >= CAP_FROM))
@@ -100,7 +100,7 @@ def _cap(points: Points, around: Face, circle: Region) -> tuple[Cap, Points]:
     return cap, kept
 
 
-def _in_cap(points: Points, cap: Cap, around: Face) -> NDArray[np.bool_]:
+def _in_cap(points: HeightSamples, cap: Cap, around: Face) -> NDArray[np.bool_]:
     """Which points lie where the sphere is high enough: picked by their own heights their noise would pick them."""
     reached = cap.reaches(points)
     near = points.kept(reached)
@@ -109,7 +109,7 @@ def _in_cap(points: Points, cap: Cap, around: Face) -> NDArray[np.bool_]:
     return reached
 
 
-def _fitted(rising: Points, start: Cap | None = None) -> tuple[Cap, Points]:
+def _fitted(rising: HeightSamples, start: Cap | None = None) -> tuple[Cap, HeightSamples]:
     if len(rising) < MIN_POINTS:
         raise MeasureError(
             f"The bump has {len(rising)} measured points and a radius needs at least {MIN_POINTS}: "
@@ -118,7 +118,7 @@ def _fitted(rising: Points, start: Cap | None = None) -> tuple[Cap, Points]:
     return fit_cap(rising, start)
 
 
-def _first_top_um(points: Points, around: Face, circle: Region) -> float:
+def _first_top_um(points: HeightSamples, around: Face, circle: Region) -> float:
     at = circle.points[0]
     middle = Region.circle(at.x_um, at.y_um, MIDDLE * circle.radius_um).contains(points.x_um, points.y_um)
     if not middle.any():
@@ -129,13 +129,13 @@ def _first_top_um(points: Points, around: Face, circle: Region) -> float:
     return top_um
 
 
-def _top_um(cap: Cap, plane: Plane) -> float:
+def _top_um(cap: Cap, plane: LevelPlane) -> float:
     """How far the sphere reaches over the plane, along the plane's normal."""
     to_center = cap.z_um - 1 / cap.curvature - float(plane.at(cap.x_um, cap.y_um))
     return to_center / math.hypot(1.0, plane.slope_x, plane.slope_y) + 1 / cap.curvature
 
 
-def _radius_lines(reading: Reading, cap: Cap, kept: Points, around: Face) -> Lines | None:
+def _radius_lines(reading: MeasurementContext, cap: Cap, kept: HeightSamples, around: Face) -> Lines | None:
     """A cap of radius a and height h has R = a^2 / 2 h: what h errs by R errs by, what a errs by twice."""
     u_curvature = parameter_u(kept, cap.slopes(kept), kept.z_um - cap.at(kept), np.array([0.0, 0.0, 0.0, 1.0]))
     if u_curvature is None:
@@ -149,7 +149,7 @@ def _radius_lines(reading: Reading, cap: Cap, kept: Points, around: Face) -> Lin
     }
 
 
-def _top_lines(reading: Reading, cap: Cap, kept: Points, around: Face) -> Lines | None:
+def _top_lines(reading: MeasurementContext, cap: Cap, kept: HeightSamples, around: Face) -> Lines | None:
     u_cap = parameter_u(kept, cap.slopes(kept), kept.z_um - cap.at(kept), np.array([0.0, 0.0, 1.0, 0.0]))
     design = plane_design(around.points, (cap.x_um, cap.y_um))
     u_plane = parameter_u(around.points, design, around.residuals_um, np.array([0.0, 0.0, 1.0]))

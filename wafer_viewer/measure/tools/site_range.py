@@ -7,7 +7,7 @@ import numpy as np
 from wafer_viewer.measure.base.area_samples import area_of, least_squares_plane
 from wafer_viewer.measure.base.height_samples import Layer
 from wafer_viewer.measure.base.levelled_surface import levelling_of
-from wafer_viewer.measure.base.measurement_context import Reading
+from wafer_viewer.measure.base.measurement_context import MeasurementContext
 from wafer_viewer.model.errors import MeasureError
 from wafer_viewer.model.measurement.site_range import Site, SiteRanges
 from wafer_viewer.model.region import Region
@@ -53,7 +53,7 @@ def site_ranges(
     site_um: width and height of a site; whole sites are laid in the middle of the region, or of the surface. Raises
     MeasureError where no site fits, more than 10 000 do, or none has half of its area measured.
     """
-    reading = Reading.of(surface, layer, calibration_valid)
+    reading = MeasurementContext.of(surface, layer, calibration_valid)
     within = region or Region.rectangle(*_bounds_um(surface))
     boxes, rows, cols = _lattice(site_um, within.bounds_um)
     sites = tuple(_site(reading, box) for box in boxes)
@@ -114,7 +114,7 @@ def _lattice(site_um: tuple[float, float], bounds_um: Box) -> tuple[list[Region]
     return boxes, rows, cols
 
 
-def _site(reading: Reading, box: Region) -> Site:
+def _site(reading: MeasurementContext, box: Region) -> Site:
     x0, y0, x1, y1 = box.bounds_um
     try:
         area = area_of(reading, box, "site", "its range")

@@ -21,7 +21,7 @@ TILTS = ((1.0, 0.0, 0.0), (0.0, 1.0, 0.0))
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Faces:
+class StepFaces:
     """The upper and the lower face of a step."""
 
     high: Face
@@ -48,61 +48,61 @@ class Faces:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Gradients:
+class LinearFunctional:
     """What a number of two faces is: gradients [3] times the parameters of the upper and of the lower one."""
 
     high: Floats
     low: Floats
 
-    def value(self, faces: Faces) -> float:
+    def value(self, faces: StepFaces) -> float:
         """The number."""
         return float(self.high @ faces.high.parameters + self.low @ faces.low.parameters)
 
-    def scatter(self, faces: Faces) -> Scatter | None:
+    def scatter(self, faces: StepFaces) -> Scatter | None:
         """How sure it is by the scatter of tiles; None where a face has too few of them."""
         high, low = faces.high.scatter(self.high), faces.low.scatter(self.low)
         return None if high is None or low is None else Scatter.joined(high, low)
 
-    def minus(self, other: Gradients) -> Gradients:
+    def minus(self, other: LinearFunctional) -> LinearFunctional:
         """How far one number lies over the other."""
-        return Gradients(self.high - other.high, self.low - other.low)
+        return LinearFunctional(self.high - other.high, self.low - other.low)
 
 
-def gradients(faces: Faces, definition: StepDefinition) -> Gradients:
+def gradients(faces: StepFaces, definition: StepDefinition) -> LinearFunctional:
     """What h is by a definition."""
     return DEFINITIONS[definition](faces)
 
 
-def tilts(faces: Faces) -> tuple[Gradients, Gradients]:
+def tilts(faces: StepFaces) -> tuple[LinearFunctional, LinearFunctional]:
     """The slopes along x and along y of the upper face against the lower one."""
     along_x, along_y = (np.array(axis) for axis in TILTS)
-    return Gradients(along_x, -along_x), Gradients(along_y, -along_y)
+    return LinearFunctional(along_x, -along_x), LinearFunctional(along_y, -along_y)
 
 
-def _common_plane(faces: Faces) -> Gradients:
+def _common_plane(faces: StepFaces) -> LinearFunctional:
     """Least squares of z = a x + b y + c + h [upper]: each face tells of the common slopes by how wide it is."""
     high, low = _width(faces.high), _width(faces.low)
     share = np.linalg.solve(high + low, high)
     slopes = faces.apart_um @ share, faces.apart_um @ (np.eye(2) - share)
-    return Gradients(np.array([*-slopes[0], 1.0]), np.array([*-slopes[1], -1.0]))
+    return LinearFunctional(np.array([*-slopes[0], 1.0]), np.array([*-slopes[1], -1.0]))
 
 
-def _upper_face(faces: Faces) -> Gradients:
-    return Gradients(np.array([*-faces.apart_um, 1.0]), np.array([0.0, 0.0, -1.0]))
+def _upper_face(faces: StepFaces) -> LinearFunctional:
+    return LinearFunctional(np.array([*-faces.apart_um, 1.0]), np.array([0.0, 0.0, -1.0]))
 
 
-def _lower_face(faces: Faces) -> Gradients:
-    return Gradients(np.array([0.0, 0.0, 1.0]), np.array([*-faces.apart_um, -1.0]))
+def _lower_face(faces: StepFaces) -> LinearFunctional:
+    return LinearFunctional(np.array([0.0, 0.0, 1.0]), np.array([*-faces.apart_um, -1.0]))
 
 
-def _joint(faces: Faces) -> Gradients:
+def _joint(faces: StepFaces) -> LinearFunctional:
     from_high, from_low = (
         faces.joint_um - np.array([face.plane.x_um, face.plane.y_um]) for face in (faces.high, faces.low)
     )
-    return Gradients(np.array([*from_high, 1.0]), np.array([*-from_low, -1.0]))
+    return LinearFunctional(np.array([*from_high, 1.0]), np.array([*-from_low, -1.0]))
 
 
-DEFINITIONS: dict[StepDefinition, Callable[[Faces], Gradients]] = {
+DEFINITIONS: dict[StepDefinition, Callable[[StepFaces], LinearFunctional]] = {
     "common_plane": _common_plane,
     "upper_face": _upper_face,
     "lower_face": _lower_face,

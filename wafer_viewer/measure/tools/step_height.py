@@ -11,13 +11,13 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from wafer_viewer.measure.base.height_samples import Layer, Points, level_for, require_area
-from wafer_viewer.measure.base.measurement_context import Lines, Reading
+from wafer_viewer.measure.base.height_samples import HeightSamples, Layer, level_for, require_area
+from wafer_viewer.measure.base.measurement_context import Lines, MeasurementContext
 from wafer_viewer.measure.base.plane_faces import enough_points, face_of
 from wafer_viewer.measure.base.region_samples import Regions, each_of, require_measured
 from wafer_viewer.measure.base.uncertainty_budget import LEVELLING, NOISE, POSES, Budget, step_budget
 from wafer_viewer.measure.tools.pose_uncertainty import poses_u_um, pulls_of
-from wafer_viewer.measure.tools.step_definitions import SENTENCES, Faces, Gradients, gradients, tilts
+from wafer_viewer.measure.tools.step_definitions import SENTENCES, LinearFunctional, StepFaces, gradients, tilts
 from wafer_viewer.model.errors import MeasureError
 from wafer_viewer.model.measurement.step import StepHeight
 from wafer_viewer.model.measurement.tool_options import StepDefinition, StepOptions
@@ -50,13 +50,13 @@ def step_height(
     its area measured, or overlaps another.
     """
     uppers, lowers = each_of(upper, "upper"), each_of(lower, "lower")
-    reading, level = Reading.of(surface, layer, calibration_valid), level_for(surface, *uppers, *lowers)
+    reading, level = MeasurementContext.of(surface, layer, calibration_valid), level_for(surface, *uppers, *lowers)
     above, below = (
         [_points(reading, region, level, f"{which} region") for region in regions]
         for which, regions in (("upper", uppers), ("lower", lowers))
     )
     _require_apart((*uppers, *lowers), (*above, *below))
-    faces = Faces(face_of(*above), face_of(*below))
+    faces = StepFaces(face_of(*above), face_of(*below))
     h = gradients(faces, definition)
     budget = _budget(reading, faces, h, definition, conditions)
     return StepHeight(
@@ -81,14 +81,14 @@ def step_height(
     )
 
 
-def _points(reading: Reading, region: Region, level: int, which: str) -> Points:
+def _points(reading: MeasurementContext, region: Region, level: int, which: str) -> HeightSamples:
     require_area(region, which.removesuffix(" region"))
     points = enough_points(reading.surface, region, reading.layer, level, which, WHAT)
     require_measured(region, len(points) * (reading.surface.pixel_um * 2**level) ** 2, which, WHAT)
     return points
 
 
-def _require_apart(regions: Sequence[Region], points: Sequence[Points]) -> None:
+def _require_apart(regions: Sequence[Region], points: Sequence[HeightSamples]) -> None:
     for k, region in enumerate(regions):
         for others in points[k + 1 :]:
             if shared := int(np.count_nonzero(region.contains(others.x_um, others.y_um))):
@@ -98,7 +98,11 @@ def _require_apart(regions: Sequence[Region], points: Sequence[Points]) -> None:
 
 
 def _budget(
-    reading: Reading, faces: Faces, h: Gradients, definition: StepDefinition, conditions: Conditions
+    reading: MeasurementContext,
+    faces: StepFaces,
+    h: LinearFunctional,
+    definition: StepDefinition,
+    conditions: Conditions,
 ) -> Budget | None:
     """None where there is no calibration, or the scatter cannot be told."""
     noise = h.scatter(faces) if reading.calibrated else None
@@ -112,7 +116,7 @@ def _budget(
     return step_budget(h.value(faces), of_points, conditions, reading.surface.provenance)
 
 
-def _levelling_um(faces: Faces) -> float:
+def _levelling_um(faces: StepFaces) -> float:
     """What h moves by from levelling to the one face to levelling to the other, as far as noise does not explain it.
 
     Taken as the full width of a uniform distribution. The noise of the two is in its own line.
@@ -123,17 +127,17 @@ def _levelling_um(faces: Faces) -> float:
     return math.sqrt(max(0.0, differ.value(faces) ** 2 - by_noise_um**2) / 12)
 
 
-def _at_joint(reading: Reading, faces: Faces, conditions: Conditions) -> Length:
+def _at_joint(reading: MeasurementContext, faces: StepFaces, conditions: Conditions) -> Length:
     at_joint = gradients(faces, "joint")
     budget = _budget(reading, faces, at_joint, "joint", conditions)
     return reading.length(at_joint.value(faces), budget and budget.lines)
 
 
-def _tilt_mrad(faces: Faces) -> float:
+def _tilt_mrad(faces: StepFaces) -> float:
     return 1e3 * math.hypot(*(slope.value(faces) for slope in tilts(faces)))
 
 
-def _tilt(reading: Reading, faces: Faces) -> Quantity:
+def _tilt(reading: MeasurementContext, faces: StepFaces) -> Quantity:
     """Of one face against the other, as sure as in the direction in which it is least so: near 0 it has none."""
     lines: Lines | None = None
     found = [slope.scatter(faces) for slope in tilts(faces)] if reading.calibrated else [None]
@@ -148,7 +152,7 @@ def _tilt(reading: Reading, faces: Faces) -> Quantity:
     return reading.quantity(_tilt_mrad(faces), "mrad", lines)
 
 
-def _other_definitions(faces: Faces) -> tuple[str, ...]:
+def _other_definitions(faces: StepFaces) -> tuple[str, ...]:
     over_upper, over_lower, at_joint = (
         gradients(faces, definition).value(faces) for definition in ("upper_face", "lower_face", "joint")
     )

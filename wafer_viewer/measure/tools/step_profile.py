@@ -15,11 +15,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from wafer_viewer.measure.base.height_samples import Floats, Layer
-from wafer_viewer.measure.base.measurement_context import Lines, Reading
+from wafer_viewer.measure.base.measurement_context import Lines, MeasurementContext
 from wafer_viewer.measure.base.robust_plane import least_squares
 from wafer_viewer.measure.base.tile_statistics import Scatter, scatter_of, spread_of
 from wafer_viewer.measure.base.uncertainty_budget import INTERPOLATION, NOISE, POSES, step_budget
-from wafer_viewer.measure.tools.pose_uncertainty import Pulls, poses_u_um
+from wafer_viewer.measure.tools.pose_uncertainty import PoseSensitivities, poses_u_um
 from wafer_viewer.measure.tools.profile import profile
 from wafer_viewer.measure.tools.profile_edges import groove_edges, smooth, step_edge
 from wafer_viewer.model.errors import MeasureError
@@ -62,7 +62,7 @@ class Zone:
 
 
 @dataclass(frozen=True, slots=True)
-class Plan:
+class StepPlan:
     """What is measured where: edges along the line, zones, how often h stands in the height, and its definition."""
 
     edges_um: tuple[float, ...]
@@ -72,7 +72,7 @@ class Plan:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Fitted:
+class FittedStep:
     """Samples of the zones that were kept, [n]: their places, zone, design (x, 1, delta) and residuals; h in um."""
 
     x_um: Floats
@@ -99,7 +99,7 @@ def step_profile(
     Edges are found by themselves. The line's width_um is averaged over. Raises MeasureError when the region is no line
     or lies outside, when nothing stands out along it, when it ends too near to an edge, or a zone is mostly unmeasured.
     """
-    reading = Reading.of(surface, layer, calibration_valid)
+    reading = MeasurementContext.of(surface, layer, calibration_valid)
     section, curve = profile(surface, line, calibration_valid=calibration_valid, layer=layer)
     measured = _some(curve, np.isfinite(curve.z_um))
     if len(measured.z_um) < 3 * LEAST_SAMPLES:
@@ -134,7 +134,7 @@ def step_profile(
     )
 
 
-def _groove(at_um: Floats, z_um: Floats, length_um: float) -> Plan:
+def _groove(at_um: Floats, z_um: Floats, length_um: float) -> StepPlan:
     first, end = groove_edges(at_um, z_um)
     left_um, right_um = (float(at_um[k - 1] + at_um[k]) / 2 for k in (first, end))
     width_um = right_um - left_um
@@ -150,10 +150,10 @@ def _groove(at_um: Floats, z_um: Floats, length_um: float) -> Plan:
         Zone("C", left_um + third, right_um - third, -1.0),
         Zone("B", right_um + third, right_um + 3 * third, 1.0),
     )
-    return Plan((left_um, right_um), zones, 2.0, GROOVE)
+    return StepPlan((left_um, right_um), zones, 2.0, GROOVE)
 
 
-def _step(at_um: Floats, z_um: Floats, length_um: float) -> Plan:
+def _step(at_um: Floats, z_um: Floats, length_um: float) -> StepPlan:
     k = step_edge(at_um, z_um)
     edge_um = float(at_um[k - 1] + at_um[k]) / 2
     third = min(edge_um, length_um - edge_um) / 3
@@ -161,14 +161,14 @@ def _step(at_um: Floats, z_um: Floats, length_um: float) -> Plan:
         Zone("A", edge_um - 3 * third, edge_um - third, 0.0),
         Zone("B", edge_um + third, edge_um + 3 * third, 1.0),
     )
-    return Plan((edge_um,), zones, 1.0, STEP)
+    return StepPlan((edge_um,), zones, 1.0, STEP)
 
 
-PLANS: dict[Shape, Callable[[Floats, Floats, float], Plan]] = {"groove": _groove, "step": _step}
+PLANS: dict[Shape, Callable[[Floats, Floats, float], StepPlan]] = {"groove": _groove, "step": _step}
 """What is measured where, by what the line crosses."""
 
 
-def _fitted(curve: ProfileCurve, samples_um: Floats, zones: tuple[Zone, ...]) -> Fitted:
+def _fitted(curve: ProfileCurve, samples_um: Floats, zones: tuple[Zone, ...]) -> FittedStep:
     """z = a x + b + h delta through the zones; samples_um: where the line was sampled, measured or not."""
     zone = np.full(len(curve.z_um), -1)
     for k, of in enumerate(zones):
@@ -181,7 +181,9 @@ def _fitted(curve: ProfileCurve, samples_um: Floats, zones: tuple[Zone, ...]) ->
     design = np.column_stack([at_um - at_um.mean(), np.ones(len(at_um)), delta])
     coefficients = least_squares(design, z_um)
     left_um = z_um - design @ coefficients
-    return Fitted(curve.x_um[counts], curve.y_um[counts], at_um, zone[counts], design, left_um, float(coefficients[2]))
+    return FittedStep(
+        curve.x_um[counts], curve.y_um[counts], at_um, zone[counts], design, left_um, float(coefficients[2])
+    )
 
 
 def _trusted(curve: ProfileCurve) -> ProfileCurve:
@@ -213,7 +215,7 @@ def _require_enough(zone: Zone, measured: int, samples: int) -> None:
         )
 
 
-def _scatter(fitted: Fitted, zones: tuple[Zone, ...]) -> Scatter | None:
+def _scatter(fitted: FittedStep, zones: tuple[Zone, ...]) -> Scatter | None:
     """Of h, by means of pieces of the zones that are equally long."""
     unit_um = min(zone.end_um - zone.start_um for zone in zones)
     start_um = np.array([zone.start_um for zone in zones])
@@ -232,14 +234,14 @@ def _means(columns: Floats, label: np.ndarray) -> Floats:
 
 
 def _budget(
-    reading: Reading, fitted: Fitted, plan: Plan, scatter: Scatter | None, conditions: Conditions
+    reading: MeasurementContext, fitted: FittedStep, plan: StepPlan, scatter: Scatter | None, conditions: Conditions
 ) -> tuple[Lines | None, tuple[str, ...]]:
     if not reading.calibrated or scatter is None:
         return None, ()
     weight = plan.times * np.linalg.pinv(fitted.design)[2]
     of_points = {
         NOISE: plan.times * scatter.widened,
-        POSES: poses_u_um(reading.surface, Pulls(fitted.x_um, fitted.y_um, weight)),
+        POSES: poses_u_um(reading.surface, PoseSensitivities(fitted.x_um, fitted.y_um, weight)),
         INTERPOLATION: reading.u_interpolation_um,
     }
     budget = step_budget(plan.times * fitted.h_um, of_points, conditions, reading.surface.provenance)

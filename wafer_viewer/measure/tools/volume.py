@@ -15,9 +15,9 @@ from typing import Literal
 import numpy as np
 
 from wafer_viewer.measure.base.area_samples import Area, area_of
-from wafer_viewer.measure.base.height_samples import Floats, Layer, Points
+from wafer_viewer.measure.base.height_samples import Floats, HeightSamples, Layer
 from wafer_viewer.measure.base.levelled_surface import levelling_of
-from wafer_viewer.measure.base.measurement_context import Lines, Reading
+from wafer_viewer.measure.base.measurement_context import Lines, MeasurementContext
 from wafer_viewer.measure.base.plane_faces import Face, face_of
 from wafer_viewer.measure.base.robust_plane import plane_design
 from wafer_viewer.measure.base.tile_statistics import parameter_u
@@ -55,7 +55,7 @@ def area_volume(
     Volumes over the border have an expanded uncertainty (k = 2); those over a zero have none, for how sure the zero is
     is not known. Raises MeasureError when the region is a line, lies outside, or has too little measured.
     """
-    reading = Reading.of(surface, layer, calibration_valid)
+    reading = MeasurementContext.of(surface, layer, calibration_valid)
     area = area_of(reading, region, "region", "a volume")
     from_where = reference or ("border" if levelling_of(surface).by == "stage" else "zero")
     border = _border(area, region)
@@ -103,7 +103,7 @@ def _noise_um3(border: Face, area: Area) -> float | None:
     return None if u_um is None else u_um * math.sqrt(area.um2 * (area.um2 - border_um2))
 
 
-def _from_outline_um(region: Region, points: Points) -> Floats:
+def _from_outline_um(region: Region, points: HeightSamples) -> Floats:
     """How far points inside of a region are from its outline."""
     if region.kind == "circle":
         at = region.points[0]
@@ -118,7 +118,7 @@ def _from_outline_um(region: Region, points: Points) -> Floats:
     return nearest
 
 
-def _from_side_um(points: Points, start: tuple[float, float], end: tuple[float, float]) -> Floats:
+def _from_side_um(points: HeightSamples, start: tuple[float, float], end: tuple[float, float]) -> Floats:
     """How far points are from a straight side."""
     way_x, way_y = end[0] - start[0], end[1] - start[1]
     x, y = points.x_um - start[0], points.y_um - start[1]
@@ -128,24 +128,26 @@ def _from_side_um(points: Points, start: tuple[float, float], end: tuple[float, 
 
 
 @dataclass(frozen=True, slots=True)
-class Side:
+class VolumeSide:
     """What lies on one side of the plane."""
 
     volume: Quantity
     area: Quantity
 
 
-def _side(reading: Reading, area: Area, rises: Floats, noise_um: float, noise_um3: float | None) -> Side:
+def _side(
+    reading: MeasurementContext, area: Area, rises: Floats, noise_um: float, noise_um3: float | None
+) -> VolumeSide:
     """Of the side on which `rises` are positive; what is within the noise counts where more lies."""
     beyond, pixel_um2 = rises > noise_um, area.pixel_um**2
     here, there = float(rises[beyond].sum()), -float(rises[rises < -noise_um].sum())
     within = float(rises[np.abs(rises) <= noise_um].sum()) if here >= there else 0.0
     um2, um3 = float(np.count_nonzero(beyond)) * pixel_um2, max(0.0, here + within) * pixel_um2
     volume = reading.quantity(um3, "um3", _lines(reading, um3, um2, noise_um3))
-    return Side(volume, reading.quantity(um2, "um2", None))
+    return VolumeSide(volume, reading.quantity(um2, "um2", None))
 
 
-def _lines(reading: Reading, um3: float, um2: float, noise_um3: float | None) -> Lines | None:
+def _lines(reading: MeasurementContext, um3: float, um2: float, noise_um3: float | None) -> Lines | None:
     if noise_um3 is None:
         return None
     return {

@@ -12,7 +12,7 @@ QUARTER_TURNS: dict[Notch, int] = {"down": 0, "left": -1, "up": 2, "right": 1, "
 """Anticlockwise quarter turns from a wafer with its notch down to one with its notch there, seen from above."""
 
 
-class Mark(Spec, frozen=True, kw_only=True):
+class AlignmentMark(Spec, frozen=True, kw_only=True):
     """A place that is easy to find, a corner of a die as a rule: its name, and where it is on the wafer."""
 
     name: str
@@ -26,7 +26,7 @@ class Marks(Spec, frozen=True, kw_only=True):
     limit_um: a scan begins only when no mark is further from where the alignment puts it.
     """
 
-    places: tuple[Mark, ...]
+    places: tuple[AlignmentMark, ...]
     limit_um: Positive = 10.0
 
     def __post_init__(self) -> None:

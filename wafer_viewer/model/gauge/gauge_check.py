@@ -13,7 +13,7 @@ from typing import Annotated, ClassVar, Literal
 from wafer_viewer.model.acquisition.calibration import Calibration
 from wafer_viewer.model.decision_rule import Word
 from wafer_viewer.model.errors import MeasureError, WaferViewerError
-from wafer_viewer.model.measurement.measurement import Finding
+from wafer_viewer.model.measurement.measurement import MeasurementResult
 from wafer_viewer.model.quantity import Length, Quantity
 from wafer_viewer.model.region import Region
 from wafer_viewer.model.spec import NonNegative, Positive, Spec, Within
@@ -178,7 +178,7 @@ class GaugeLine(Spec, frozen=True, kw_only=True):
     of: Role
 
 
-class GaugeCheck(Finding, frozen=True, kw_only=True, tag="gauge_check"):
+class GaugeCheck(MeasurementResult, frozen=True, kw_only=True, tag="gauge_check"):
     """A step against certified gauge blocks: the error with its U, En, and the verdict by the guard band.
 
     height: x, the mean of the repeats, with U of x, which has nothing of the certificate in it. reference: the

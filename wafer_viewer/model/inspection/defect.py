@@ -10,7 +10,7 @@ from wafer_viewer.model.errors import MeasureError, WaferViewerError
 from wafer_viewer.model.inspection.class_rules import ClassRules
 from wafer_viewer.model.inspection.defect_limits import DefectLimits
 from wafer_viewer.model.inspection.die_grid import DieGrid, DieStatus
-from wafer_viewer.model.measurement.measurement import Finding
+from wafer_viewer.model.measurement.measurement import MeasurementResult
 from wafer_viewer.model.quantity import Length, Quantity
 from wafer_viewer.model.region import Point, Region
 from wafer_viewer.model.spec import Count, Fraction, NonNegative, Spec
@@ -75,7 +75,7 @@ def sensitivity_of(threshold_sigma: float) -> float:
     return min(1.0, max(0.0, (DULLEST_SIGMA - threshold_sigma) / (DULLEST_SIGMA - KEENEST_SIGMA)))
 
 
-class Defect(Finding, frozen=True, kw_only=True, tag="defect"):
+class Defect(MeasurementResult, frozen=True, kw_only=True, tag="defect"):
     """A place that differs from its reference: where, how large, of what class and why, how it was judged.
 
     center and outline in stage um; die: "col,row", empty outside of dies; in_die: um from the die's lower left corner;

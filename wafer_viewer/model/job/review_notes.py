@@ -7,7 +7,7 @@ from collections.abc import Iterable
 from typing import ClassVar, Literal
 
 from wafer_viewer.model.errors import DatasetError, WaferViewerError
-from wafer_viewer.model.findings import AnyFinding
+from wafer_viewer.model.findings import AnyResult
 from wafer_viewer.model.job.verdict import WaferVerdict
 from wafer_viewer.model.measurement.levelling import Levelling
 from wafer_viewer.model.spec import Positive, Spec
@@ -62,7 +62,7 @@ def keys_of_features(verdict: WaferVerdict | None) -> tuple[str, ...]:
     return tuple(keys)
 
 
-def keys_under_review(verdict: WaferVerdict | None, findings: Iterable[AnyFinding]) -> tuple[str, ...]:
+def keys_under_review(verdict: WaferVerdict | None, findings: Iterable[AnyResult]) -> tuple[str, ...]:
     """The keys of everything people can judge of a surface: the features of its verdict, and the results kept."""
     return (*keys_of_features(verdict), *(key_of_result(finding.number) for finding in findings))
 

@@ -17,7 +17,7 @@ GRAVEST: tuple[Word, ...] = ("fail", "no verdict", "inconclusive", "pass")
 """The word of a die or a wafer is the first of these that any of its features has."""
 
 
-class Judged(Spec, frozen=True, kw_only=True, omit_defaults=True):
+class FeatureVerdict(Spec, frozen=True, kw_only=True, omit_defaults=True):
     """One feature: what was measured of it, the word, and the sentence that says why. Nothing measured: None.
 
     die: the name of the die that it was measured on, where the feature is repeated over dies; not_evaluated: what the
@@ -66,7 +66,7 @@ class WaferVerdict(Spec, frozen=True, kw_only=True):
     error: ClassVar[type[WaferViewerError]] = MeasureError
     word: Word
     next: str
-    items: tuple[Judged, ...] = ()
+    items: tuple[FeatureVerdict, ...] = ()
     dies: tuple[JudgedDie, ...] = ()
     job: str = ""
     lot: str = ""

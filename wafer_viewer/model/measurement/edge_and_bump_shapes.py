@@ -5,7 +5,7 @@ from __future__ import annotations
 from typing import ClassVar, Literal
 
 from wafer_viewer.model.errors import MeasureError, WaferViewerError
-from wafer_viewer.model.measurement.measurement import Finding
+from wafer_viewer.model.measurement.measurement import MeasurementResult
 from wafer_viewer.model.measurement.tool_options import (
     ChippingOptions,
     CircleOptions,
@@ -20,7 +20,7 @@ from wafer_viewer.model.spec import Fraction, NonNegative, Spec
 Side = Literal["left", "right", "lower", "upper"]
 
 
-class KerfWidth(Finding, frozen=True, kw_only=True, tag="kerf_width"):
+class KerfWidth(MeasurementResult, frozen=True, kw_only=True, tag="kerf_width"):
     """The width of a kerf between its two edges: that of the lines through them in the middle, and its extremes.
 
     first, second: the lines, from end to end of what was found; angle: between them, 0 where they are parallel.
@@ -43,7 +43,7 @@ class KerfWidth(Finding, frozen=True, kw_only=True, tag="kerf_width"):
         return self.width.quantity
 
 
-class DieSize(Finding, frozen=True, kw_only=True, tag="die_size"):
+class DieSize(MeasurementResult, frozen=True, kw_only=True, tag="die_size"):
     """A die by its four edges: distances of opposite ones through the middle, how it is turned, how square it is.
 
     rotation: counter-clockwise from the stage's axes; squareness: what the angle at the lower left corner is over 90
@@ -67,7 +67,7 @@ class DieSize(Finding, frozen=True, kw_only=True, tag="die_size"):
         return self.width.quantity
 
 
-class CircleSize(Finding, frozen=True, kw_only=True, tag="circle"):
+class CircleSize(MeasurementResult, frozen=True, kw_only=True, tag="circle"):
     """The circle of least squares through the edge of something round; roundness: RONt of ISO 12181 about it.
 
     circle: the one drawn round it; found: the one found.
@@ -99,7 +99,7 @@ class Chip(Spec, frozen=True, kw_only=True):
     area_um2: NonNegative
 
 
-class Chipping(Finding, frozen=True, kw_only=True, tag="chipping"):
+class Chipping(MeasurementResult, frozen=True, kw_only=True, tag="chipping"):
     """What is missing of a die beside the straight line of its edge.
 
     deepest: the largest way from the line into the die, chip or not; longest, area: of the chips, which are places
@@ -137,7 +137,7 @@ class Bump(Spec, frozen=True, kw_only=True):
     deviation: Length
 
 
-class Coplanarity(Finding, frozen=True, kw_only=True, tag="coplanarity"):
+class Coplanarity(MeasurementResult, frozen=True, kw_only=True, tag="coplanarity"):
     """How far the tops of bumps lie from one plane, as JESD22-B108 has it.
 
     options.reference: the plane of least squares through all tops, from which the range of deviations counts; or the

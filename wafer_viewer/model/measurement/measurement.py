@@ -9,7 +9,7 @@ from wafer_viewer.model.measurement.levelling import Levelling
 from wafer_viewer.model.spec import Spec
 
 
-class Finding(Spec, frozen=True, kw_only=True):
+class MeasurementResult(Spec, frozen=True, kw_only=True):
     """What every result carries: a name, the map and filter it was measured on, and whether any of it is simulated.
 
     show: 0 the stitched surface, else the number of a field, below 0 a comparison; levelling: the zero that heights

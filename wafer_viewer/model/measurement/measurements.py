@@ -11,7 +11,7 @@ from typing import Literal
 import numpy as np
 from numpy.typing import NDArray
 
-from wafer_viewer.model.measurement.measurement import Finding
+from wafer_viewer.model.measurement.measurement import MeasurementResult
 from wafer_viewer.model.quantity import Length, Quantity
 from wafer_viewer.model.region import Point, Region
 from wafer_viewer.model.spec import Fraction, NonNegative
@@ -27,7 +27,7 @@ class ProfileCurve:
     y_um: NDArray[np.float64]
 
 
-class Profile(Finding, frozen=True, kw_only=True, tag="profile"):
+class Profile(MeasurementResult, frozen=True, kw_only=True, tag="profile"):
     """A section along a line: its total height Pt and the rise from its first to its last measured point."""
 
     line: Region
@@ -42,7 +42,7 @@ class Profile(Finding, frozen=True, kw_only=True, tag="profile"):
         return self.pt.quantity
 
 
-class PointHeight(Finding, frozen=True, kw_only=True, tag="point"):
+class PointHeight(MeasurementResult, frozen=True, kw_only=True, tag="point"):
     """The height at a place: the median of the measured pixels next to it."""
 
     place: Region
@@ -55,7 +55,7 @@ class PointHeight(Finding, frozen=True, kw_only=True, tag="point"):
         return self.height.quantity
 
 
-class Distance(Finding, frozen=True, kw_only=True, tag="distance"):
+class Distance(MeasurementResult, frozen=True, kw_only=True, tag="distance"):
     """From one place on the surface to another: in space, on the map, along z, and how steep the way is."""
 
     start: Region
@@ -71,7 +71,7 @@ class Distance(Finding, frozen=True, kw_only=True, tag="distance"):
         return self.distance.quantity
 
 
-class FaceAngle(Finding, frozen=True, kw_only=True, tag="angle"):
+class FaceAngle(MeasurementResult, frozen=True, kw_only=True, tag="angle"):
     """The angle between the normals of two faces, 0 where they are parallel; tilts are those of the faces alone."""
 
     first: Region
@@ -90,7 +90,7 @@ class FaceAngle(Finding, frozen=True, kw_only=True, tag="angle"):
         return self.angle
 
 
-class Radius(Finding, frozen=True, kw_only=True, tag="radius"):
+class Radius(MeasurementResult, frozen=True, kw_only=True, tag="radius"):
     """The sphere through a bump or a pit; top: how far its highest (lowest) point lies over (under) its surroundings.
 
     sq_um: root mean square distance of the points from the sphere, along z.
@@ -110,7 +110,7 @@ class Radius(Finding, frozen=True, kw_only=True, tag="radius"):
         return self.radius.quantity
 
 
-class AreaVolume(Finding, frozen=True, kw_only=True, tag="volume"):
+class AreaVolume(MeasurementResult, frozen=True, kw_only=True, tag="volume"):
     """What stands out of a plane within a region, and what lies under it; areas are projected along z.
 
     reference: the plane through the region's border, or the zero that heights are read from. Pixels within
@@ -135,7 +135,7 @@ class AreaVolume(Finding, frozen=True, kw_only=True, tag="volume"):
         return max(self.volume_above, self.volume_below, key=lambda volume: volume.value)
 
 
-class Flatness(Finding, frozen=True, kw_only=True, tag="flatness"):
+class Flatness(MeasurementResult, frozen=True, kw_only=True, tag="flatness"):
     """Flatness of a region, ISO 12781: FLTt and FLTq about a reference plane, and FLTt of the minimum zone."""
 
     region: Region

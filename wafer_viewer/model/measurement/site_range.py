@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from wafer_viewer.model.measurement.measurement import Finding
+from wafer_viewer.model.measurement.measurement import MeasurementResult
 from wafer_viewer.model.quantity import Length, Quantity
 from wafer_viewer.model.region import Region
 from wafer_viewer.model.spec import Fraction, Positive, Spec
@@ -17,7 +17,7 @@ class Site(Spec, frozen=True, kw_only=True):
     measured_fraction: Fraction = 0.0
 
 
-class SiteRanges(Finding, frozen=True, kw_only=True, tag="site_range"):
+class SiteRanges(MeasurementResult, frozen=True, kw_only=True, tag="site_range"):
     """Front-surface site ranges, as mounted, row after row from the top left; `largest` of those that have one.
 
     Rows and columns count whole sites; what is left at the border belongs to none.

@@ -4,14 +4,14 @@ from __future__ import annotations
 
 from typing import Literal
 
-from wafer_viewer.model.measurement.measurement import Finding
+from wafer_viewer.model.measurement.measurement import MeasurementResult
 from wafer_viewer.model.measurement.tool_options import GrooveOptions, StepOptions
 from wafer_viewer.model.quantity import Length, Quantity
 from wafer_viewer.model.region import Region
 from wafer_viewer.model.spec import NonNegative
 
 
-class StepHeight(Finding, frozen=True, kw_only=True, tag="step_height"):
+class StepHeight(MeasurementResult, frozen=True, kw_only=True, tag="step_height"):
     """The height of one face over another; the definition of h is part of the result.
 
     also_upper, also_lower: further regions of the two faces; at_joint: the step of both faces extended to the middle
@@ -47,7 +47,7 @@ class StepHeight(Finding, frozen=True, kw_only=True, tag="step_height"):
         return (self.upper, self.lower, *self.also_upper, *self.also_lower)
 
 
-class StepProfile(Finding, frozen=True, kw_only=True, tag="step_profile"):
+class StepProfile(MeasurementResult, frozen=True, kw_only=True, tag="step_profile"):
     """A groove, a ridge or a single step that a line crosses, by ISO 5436-1: z = a x + b + h delta.
 
     height: depth of a groove or height of a ridge, positive; of a step, what lies beyond its edge over what lies before

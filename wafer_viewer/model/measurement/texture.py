@@ -2,14 +2,14 @@
 
 from __future__ import annotations
 
-from wafer_viewer.model.measurement.measurement import Finding
+from wafer_viewer.model.measurement.measurement import MeasurementResult
 from wafer_viewer.model.measurement.tool_options import RoughnessOptions, TextureOptions
 from wafer_viewer.model.quantity import Length, Quantity
 from wafer_viewer.model.region import Region
 from wafer_viewer.model.spec import Fraction, NonNegative
 
 
-class Texture(Finding, frozen=True, kw_only=True, tag="texture"):
+class Texture(MeasurementResult, frozen=True, kw_only=True, tag="texture"):
     """Parameters of ISO 25178-2 of a region, of what is left of it once form and filtered waves are off.
 
     Height: sa, sq, sp, sv, sz, ssk, sku. Hybrid: sdq (a slope), sdr_fraction. Functional: sk, spk, svk, smr1_fraction,
@@ -45,7 +45,7 @@ class Texture(Finding, frozen=True, kw_only=True, tag="texture"):
         return self.sa.quantity
 
 
-class Roughness(Finding, frozen=True, kw_only=True, tag="roughness"):
+class Roughness(MeasurementResult, frozen=True, kw_only=True, tag="roughness"):
     """Parameters of ISO 21920-2 along a line.
 
     ra, rq, rt, rsk, rku: of the whole evaluation length; rp, rv, rz: means over its sections, each section_um long.

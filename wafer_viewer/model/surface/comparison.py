@@ -116,7 +116,7 @@ class Comparison(Spec, frozen=True, kw_only=True):
     notes: tuple[str, ...] = ()
 
 
-class Face(IntEnum):
+class ComparisonFace(IntEnum):
     """What of a comparison can be looked at."""
 
     DIFFERENCE = 1
@@ -128,11 +128,11 @@ class Face(IntEnum):
 _FACES = 10
 
 
-def show_of(number: int, face: Face) -> int:
+def show_of(number: int, face: ComparisonFace) -> int:
     """What of a comparison, numbered from 1, is shown, as one number below 0: fields have theirs above 0."""
     return -(_FACES * number + face)
 
 
-def comparison_of(show: int) -> tuple[int, Face] | None:
+def comparison_of(show: int) -> tuple[int, ComparisonFace] | None:
     """The number of the comparison and what of it is shown; None where `show` is a field or the stitched surface."""
-    return (-show // _FACES, Face(-show % _FACES)) if show < 0 else None
+    return (-show // _FACES, ComparisonFace(-show % _FACES)) if show < 0 else None

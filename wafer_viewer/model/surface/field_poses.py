@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 Numbers = NDArray[np.float64]
 
 
-class SaidBy(IntEnum):
+class ObservationSource(IntEnum):
     """What told where a field lies beside its neighbour."""
 
     PICTURE = 0
@@ -21,7 +21,7 @@ class SaidBy(IntEnum):
     STAGE = 2
 
 
-class Doubt(IntEnum):
+class RejectionReason(IntEnum):
     """Why an overlap is not believed; codes are never reused."""
 
     NONE = 0
@@ -32,22 +32,22 @@ class Doubt(IntEnum):
     DISAGREES = 5
 
 
-DOUBT_TITLES: dict[Doubt, str] = {
-    Doubt.NONE: "believed",
-    Doubt.BLANK: "nothing to compare",
-    Doubt.UNLIKE: "the two do not look alike",
-    Doubt.AMBIGUOUS: "it fits at several places",
-    Doubt.END_OF_SEARCH: "it fits best at the end of the search",
-    Doubt.DISAGREES: "the other overlaps say otherwise",
+DOUBT_TITLES: dict[RejectionReason, str] = {
+    RejectionReason.NONE: "believed",
+    RejectionReason.BLANK: "nothing to compare",
+    RejectionReason.UNLIKE: "the two do not look alike",
+    RejectionReason.AMBIGUOUS: "it fits at several places",
+    RejectionReason.END_OF_SEARCH: "it fits best at the end of the search",
+    RejectionReason.DISAGREES: "the other overlaps say otherwise",
 }
 
 
-DOUBT_WORDS: dict[Doubt, str] = {
-    Doubt.BLANK: "blank",
-    Doubt.UNLIKE: "unlike",
-    Doubt.AMBIGUOUS: "ambiguous (repeating pattern)",
-    Doubt.END_OF_SEARCH: "at the end of the search",
-    Doubt.DISAGREES: "contradicted by others",
+DOUBT_WORDS: dict[RejectionReason, str] = {
+    RejectionReason.BLANK: "blank",
+    RejectionReason.UNLIKE: "unlike",
+    RejectionReason.AMBIGUOUS: "ambiguous (repeating pattern)",
+    RejectionReason.END_OF_SEARCH: "at the end of the search",
+    RejectionReason.DISAGREES: "contradicted by others",
 }
 """After a number of overlaps: 24 ambiguous (repeating pattern), 2 blank."""
 
@@ -58,8 +58,8 @@ class Shifts:
 
     x_um, y_um: how much further right and up the second lies from the first than the stage says; u_x_um, u_y_um:
     standard uncertainty, infinite where the overlap tells nothing; correlation: of the two pictures (or heights) where
-    they fit, -1 ... 1; by: `SaidBy`; doubt: `Doubt`, as the overlap alone tells it until the poses are solved; weight:
-    0 ... 1, how much of it the solution believed; residual_x_um, residual_y_um: measured minus solved.
+    they fit, -1 ... 1; by: `ObservationSource`; doubt: `RejectionReason`, as the overlap alone tells it until the poses
+    are solved; weight: 0 ... 1, its share in the solution; residual_x_um, residual_y_um: measured minus solved.
     """
 
     first: NDArray[np.int32]
@@ -78,11 +78,11 @@ class Shifts:
     @property
     def believed(self) -> NDArray[np.bool_]:
         """Which of them count."""
-        return self.doubt == Doubt.NONE
+        return self.doubt == RejectionReason.NONE
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Seams:
+class HeightOffsets:
     """What overlaps say about z once x and y are known, all [n] but `information`.
 
     In the overlap, heights of the second minus heights of the first are z_um + slope_x (x - mid_x_um) + slope_y (y -
@@ -162,7 +162,7 @@ class Poses:
     group: NDArray[np.int32]
     left_out: NDArray[np.bool_]
     shifts: Shifts
-    seams: Seams
+    seams: HeightOffsets
     form: Form = Form()
     stage_error_um: float = 0.0
     z_error_um: float = 0.0
@@ -180,7 +180,7 @@ class HasPoses(Protocol):
         ...
 
 
-T = TypeVar("T", Shifts, Seams)
+T = TypeVar("T", Shifts, HeightOffsets)
 
 
 def selected(table: T, rows: NDArray[Any]) -> T:
@@ -201,8 +201,8 @@ def no_shifts() -> Shifts:
     return Shifts(whole, whole, real, real, real, real, share, code, code, share, real, real)
 
 
-def no_seams() -> Seams:
+def no_seams() -> HeightOffsets:
     """A table without rows."""
     whole, real = np.zeros(0, np.int32), np.zeros(0)
     share = np.zeros(0, np.float32)
-    return Seams(whole, whole, real, real, real, real, real, np.zeros((0, 3, 3)), whole, share, real, real)
+    return HeightOffsets(whole, whole, real, real, real, real, real, np.zeros((0, 3, 3)), whole, share, real, real)

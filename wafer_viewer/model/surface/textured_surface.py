@@ -13,17 +13,17 @@ from wafer_viewer.model.surface.height_map import HeightLayer, Heights, Origin
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Pictured(Heights):
+class TexturedHeights(Heights):
     """One layer of heights and the grey values on the same lattice; picture: float32, NaN where no field lies."""
 
     picture: NDArray[np.float32]
 
 
 @runtime_checkable
-class HasPicture(Protocol):
+class ProvidesTexture(Protocol):
     """A surface that reads heights and picture alone: half of the work where nothing else is asked for."""
 
-    def pictured(self, layer: HeightLayer, region: Region, level: int = 0) -> Pictured:
+    def pictured(self, layer: HeightLayer, region: Region, level: int = 0) -> TexturedHeights:
         """The part of a level that holds a region. Raises MeasureError when the region lies outside."""
         ...
 

@@ -15,7 +15,7 @@ _ON_PIXEL = 1e-4
 """So near to a pixel a place lies on it: its neighbours, measured or not, say nothing about it."""
 
 
-class Layers(NamedTuple):
+class ResampledLayers(NamedTuple):
     """The layers of a surface, all [row, col]."""
 
     z: Float32s
@@ -26,7 +26,7 @@ class Layers(NamedTuple):
 
 
 @kernel
-def lay(source: Layers, motion: Float64s, out: Layers) -> None:
+def lay(source: ResampledLayers, motion: Float64s, out: ResampledLayers) -> None:
     """Fill `out` with the source at (row, col) = motion [2, 3] @ (1, out row, out col); beyond it nothing is covered.
 
     A height is unmeasured where a pixel that counts is, for that pixel's reason; filled where one is filled; as sure as

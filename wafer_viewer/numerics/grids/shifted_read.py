@@ -19,7 +19,7 @@ class Shift(NamedTuple):
     col_part: float
 
 
-class Leaning(NamedTuple):
+class TiltedField(NamedTuple):
     """What is subtracted from the heights at (r, c) of a piece: rows[r] + cols[c] + up[r] * right[c]."""
 
     rows: Float32s
@@ -30,7 +30,7 @@ class Leaning(NamedTuple):
 
 @lean_kernel
 def read_heights(
-    layer: Float32s, shift: Shift, leaning: Leaning, max_step: Real, out: Float32s, row: Whole, col: Whole
+    layer: Float32s, shift: Shift, leaning: TiltedField, max_step: Real, out: Float32s, row: Whole, col: Whole
 ) -> None:
     """Heights of a field in the window's pixels, from (row, col) of `out` on, as many as `leaning` has.
 

@@ -29,7 +29,7 @@ class Blended(NamedTuple):
     overlap: Float32s
 
 
-class Piece(NamedTuple):
+class BlendPiece(NamedTuple):
     """The same layers of one field over a piece of the window, in the window's pixels, and what a height counts.
 
     That is its belief times the weights of its row and column.
@@ -74,7 +74,7 @@ def believe(layer: Float32s, confidence: Float32s, row: Whole, col: Whole, limit
 
 @lean_kernel
 def blend_in(
-    piece: Piece, limit: Real, tally: Tally, scratch: Float32s, window: Blended, row: Whole, col: Whole
+    piece: BlendPiece, limit: Real, tally: Tally, scratch: Float32s, window: Blended, row: Whole, col: Whole
 ) -> None:
     """Blend one more field into a piece of the window that begins at (row, col).
 

@@ -19,7 +19,7 @@ Numbers = NDArray[np.float64]
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Pulls:
+class BlockGradients:
     """What the blocks tell, all [n block]: index [n, 2], place [n, 2] in -1 ... 1, pixels, variances and covariance of
     the two, pull [n, 2] and stiffness [n, 2, 2] of the lag, and trust: how much of its slopes a block adds to that."""
 
@@ -34,7 +34,7 @@ class Pulls:
     trust: Numbers
 
 
-def pulls_of(sums: Numbers, index: NDArray[np.intp], place: Numbers) -> Pulls:
+def pulls_of(sums: Numbers, index: NDArray[np.intp], place: Numbers) -> BlockGradients:
     """Each block with a brightness and contrast of its own: what is left is what a shift explains."""
     n = sums[:, 0, 0]
     spread = sums[:, 1:, 1:] - sums[:, 1:, :1] * sums[:, :1, 1:] / n[:, None, None]
@@ -46,16 +46,16 @@ def pulls_of(sums: Numbers, index: NDArray[np.intp], place: Numbers) -> Pulls:
     weight = weight / (1 + weight / (4 * np.median(weight))) if len(weight) else weight
     pull = -(weight * gain)[:, None] * left[:, 0, 2:]
     stiffness = (weight * gain**2)[:, None, None] * left[:, 2:, 2:]
-    return Pulls(index, place, n, first, second, both, pull, stiffness, weight * gain**2)
+    return BlockGradients(index, place, n, first, second, both, pull, stiffness, weight * gain**2)
 
 
-def correlation(blocks: Pulls) -> float:
+def correlation(blocks: BlockGradients) -> float:
     """Of what varies within blocks, -1 ... 1."""
     energy = float(blocks.first.sum() * blocks.second.sum())
     return float(blocks.both.sum()) / energy**0.5 if energy > 0 else 0.0
 
 
-def covariance(blocks: Pulls, stiffness: Numbers) -> Numbers:
+def covariance(blocks: BlockGradients, stiffness: Numbers) -> Numbers:
     """Of the lag, from how differently the blocks pull; infinite where the stiffness holds it in no direction."""
     n = len(blocks.pixels)
     if n < 4 or not (np.diag(stiffness) > 0).all() or np.linalg.det(stiffness) <= 1e-9 * np.prod(np.diag(stiffness)):
@@ -67,7 +67,7 @@ def covariance(blocks: Pulls, stiffness: Numbers) -> Numbers:
     return np.asarray(inverse @ (spread * np.outer(more, more)) @ inverse, np.float64)
 
 
-def _spread_of_lines(blocks: Pulls) -> Numbers:
+def _spread_of_lines(blocks: BlockGradients) -> Numbers:
     """The spread of the pulls when blocks in a row and those in a column may err together, as along a straight edge.
 
     Source: A. C. Cameron, J. B. Gelbach, D. L. Miller, J. Bus. Econ. Stat. 29 (2011) 238.
@@ -76,7 +76,7 @@ def _spread_of_lines(blocks: Pulls) -> Numbers:
     return rows + cols - blocks.pull.T @ blocks.pull
 
 
-def _spread_of_areas(blocks: Pulls) -> Numbers:
+def _spread_of_areas(blocks: BlockGradients) -> Numbers:
     """The same for blocks that are near each other: parts of a picture that come from different frames."""
     return np.maximum(*(_spread_of(blocks.pull, _numbered(blocks.index // side)) for side in _AREAS))
 
@@ -91,7 +91,7 @@ def _spread_of(pull: Numbers, cluster: NDArray[np.intp]) -> Numbers:
     return np.asarray(sums.T @ sums * (len(sums) / max(1, len(sums) - 1)), np.float64)
 
 
-def agreeing(blocks: Pulls, noise: float) -> float:
+def agreeing(blocks: BlockGradients, noise: float) -> float:
     """How much of what is to be seen lies in blocks that are at least half as alike as the best of them.
 
     A block of strong contrast does not count for more than others that show more than noise.
@@ -105,7 +105,7 @@ def agreeing(blocks: Pulls, noise: float) -> float:
     return float(seen[alike > 0.5 * best].sum() / seen.sum())
 
 
-def bent(blocks: Pulls) -> tuple[float, float]:
+def bent(blocks: BlockGradients) -> tuple[float, float]:
     """How far lags at the ends differ from that in the middle, in pixels and in standard deviations.
 
     Fits a lag that changes evenly across the blocks: content that is turned or grown against the other.

@@ -14,7 +14,14 @@ from numpy.typing import NDArray
 
 from wafer_viewer.numerics.array_types import Float32s
 from wafer_viewer.numerics.registration.block_moments import block_sums
-from wafer_viewer.numerics.registration.shift_estimation import Pulls, agreeing, bent, correlation, covariance, pulls_of
+from wafer_viewer.numerics.registration.shift_estimation import (
+    BlockGradients,
+    agreeing,
+    bent,
+    correlation,
+    covariance,
+    pulls_of,
+)
 
 MOST_STEPS = 6
 CLOSE_PX, ROUGHLY_PX = 0.005, 0.05
@@ -31,7 +38,7 @@ Lag = tuple[float, float]
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Picture:
+class RegisteredImage:
     """A part of a picture and which of its pixels are known (1 or 0), float32 [row, col].
 
     noise: at most the standard deviation of its noise, as far as it differs from pixel to pixel.
@@ -43,7 +50,7 @@ class Picture:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Alignment:
+class SubpixelShift:
     """A lag (rows, cols) in pixels: pixel (r, c) of the second lies on (r + lag row, c + lag col) of the first.
 
     covariance: [2, 2], infinite where nothing tells; correlation: of what varies within blocks, -1 ... 1; agreeing:
@@ -60,7 +67,7 @@ class Alignment:
     n_pixels: float
 
 
-def align(first: Picture, second: Picture, lag: Lag, side: int, roughly: bool = False) -> Alignment:
+def align(first: RegisteredImage, second: RegisteredImage, lag: Lag, side: int, roughly: bool = False) -> SubpixelShift:
     """Refine a lag that is right within about a pixel.
 
     side: of the blocks, about, in pixels; roughly: to a twentieth of a pixel, with a covariance that is too small where
@@ -80,22 +87,24 @@ def align(first: Picture, second: Picture, lag: Lag, side: int, roughly: bool = 
     stiffness = pulls.stiffness.sum(axis=0) if clear else _probed(first, second, lag, side)
     bent_px, bent_sigmas = bent(pulls)
     shares = correlation(pulls), agreeing(pulls, noise)
-    return Alignment(lag, covariance(pulls, stiffness), *shares, bent_px / ease, bent_sigmas, float(pulls.pixels.sum()))
+    return SubpixelShift(
+        lag, covariance(pulls, stiffness), *shares, bent_px / ease, bent_sigmas, float(pulls.pixels.sum())
+    )
 
 
-def _eased(before: Pulls, after: Pulls, step: Numbers) -> float:
+def _eased(before: BlockGradients, after: BlockGradients, step: Numbers) -> float:
     """How much of the stiffness is real: noise makes slopes too, which do not move with the picture."""
     told = float(step @ (before.pull.sum(axis=0) - after.pull.sum(axis=0)))
     return min(1.0, max(_LEAST_EASE, told / max(float(step @ before.stiffness.sum(axis=0) @ step), 1e-30)))
 
 
-def _is_clear(pulls: Pulls, noise: float) -> bool:
+def _is_clear(pulls: BlockGradients, noise: float) -> bool:
     """Whether the slopes are those of the picture in every direction."""
     of_noise = float((pulls.trust * pulls.pixels).sum()) * (_NOISE_SLOPE * noise) ** 2
     return bool(np.linalg.eigvalsh(pulls.stiffness.sum(axis=0))[0] > _CLEARLY * of_noise)
 
 
-def _probed(first: Picture, second: Picture, lag: Lag, side: int) -> Numbers:
+def _probed(first: RegisteredImage, second: RegisteredImage, lag: Lag, side: int) -> Numbers:
     """The stiffness as it is felt: by how much the pull grows to both sides of a lag."""
     felt = np.empty((2, 2))
     for axis in (0, 1):
@@ -107,7 +116,7 @@ def _probed(first: Picture, second: Picture, lag: Lag, side: int) -> Numbers:
     return (felt + felt.T) / 2
 
 
-def _pulls(first: Picture, second: Picture, lag: Lag, side: int) -> Pulls:
+def _pulls(first: RegisteredImage, second: RegisteredImage, lag: Lag, side: int) -> BlockGradients:
     sums = block_sums(first.values, first.known, second.values, second.known, lag, side)
     index = np.indices(sums.shape[:2]).reshape(2, -1).T
     place = 2 * (index + 0.5) / np.array(sums.shape[:2]) - 1
@@ -117,7 +126,7 @@ def _pulls(first: Picture, second: Picture, lag: Lag, side: int) -> Pulls:
     return pulls_of(flat[enough], index[enough], place[enough])
 
 
-def _step(pulls: Pulls, ease: float) -> Numbers:
+def _step(pulls: BlockGradients, ease: float) -> Numbers:
     """One step of Gauss-Newton, a pixel at most."""
     stiffness = pulls.stiffness.sum(axis=0) * ease
     stiffness = stiffness + 1e-6 * np.trace(stiffness) * np.eye(2) + 1e-30 * np.eye(2)

@@ -27,7 +27,7 @@ Part = tuple[slice, slice]
 
 
 @dataclass(frozen=True, slots=True)
-class Lattice:
+class PixelLattice:
     """The pixels of a mosaic: (x0_um, y0_um) is the centre of pixel (0, 0)."""
 
     pixel_um: float
@@ -37,7 +37,7 @@ class Lattice:
 
 
 @dataclass(frozen=True, slots=True)
-class Lean:
+class FieldTilt:
     """What is subtracted from the heights of a field: z_um at its centre, so much a pixel to the right and up, and sag.
 
     sag_um: the coefficients of u^2, u v and v^2, with u to the right and v upwards, both 1 so far (px) from the centre.
@@ -57,7 +57,7 @@ class Lean:
 
 
 @dataclass(frozen=True, slots=True)
-class Place:
+class FieldPlacement:
     """One field in the mosaic: where its pixel (0, 0) lies, in pixels, its ramps, and how it leans.
 
     ramps_px: top, bottom, left, right.
@@ -68,7 +68,7 @@ class Place:
     rows: int
     cols: int
     ramps_px: tuple[float, float, float, float] = (0.0, 0.0, 0.0, 0.0)
-    lean: Lean = Lean()
+    lean: FieldTilt = FieldTilt()
 
     @property
     def part(self) -> Part:
@@ -85,13 +85,13 @@ class Place:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Layout:
+class MosaicLayout:
     """The lattice of a mosaic and the places of its fields, in the order they were given.
 
     borders: first and last rows and columns of the fields, NaN for those that are left out; ramps_px: [n, 4].
     """
 
-    lattice: Lattice
+    lattice: PixelLattice
     outlines: Sequence[Outline]
     borders: Rectangles
     ramps_px: Lengths
@@ -121,13 +121,13 @@ class Layout:
         """The numbers (from 0) of the fields with pixels in a window."""
         return self.borders.meeting(rows.start, rows.stop - 1, cols.start, cols.stop - 1)
 
-    def place(self, n: int) -> Place | None:
+    def place(self, n: int) -> FieldPlacement | None:
         """The place of field n; None when it is left out."""
         row, col = float(self.borders.top[n]), float(self.borders.left[n])
         if math.isnan(row):
             return None
         top, bottom, left, right = (float(self.ramps_px[n, side]) for side in (TOP, BOTTOM, LEFT, RIGHT))
-        return Place(row, col, *self.outlines[n].shape, (top, bottom, left, right), self._lean(n))
+        return FieldPlacement(row, col, *self.outlines[n].shape, (top, bottom, left, right), self._lean(n))
 
     def window_of(self, n: int) -> Part | None:
         """The pixels of the mosaic that field n covers; None when it is left out or lies beyond."""
@@ -137,15 +137,17 @@ class Layout:
         rows, cols = (_within(part, size) for part, size in zip(place.part, self.shape, strict=True))
         return (rows, cols) if rows.start < rows.stop and cols.start < cols.stop else None
 
-    def _lean(self, n: int) -> Lean:
+    def _lean(self, n: int) -> FieldTilt:
         if (poses := self.poses) is None:
-            return Lean()
+            return FieldTilt()
         right_um_px, up_um_px = (float(tilt[n]) * self.pixel_um for tilt in (poses.tilt_x, poses.tilt_y))
         width_px, height_px = (size_um / 2 / self.pixel_um for size_um in poses.form.field_size_um)
-        return Lean(float(poses.z_um[n]), right_um_px, up_um_px, poses.form.field_form_um, (width_px, height_px))
+        return FieldTilt(float(poses.z_um[n]), right_um_px, up_um_px, poses.form.field_form_um, (width_px, height_px))
 
 
-def layout(outlines: Sequence[Outline], poses: Poses | None = None, lattice: Lattice | None = None) -> Layout:
+def layout(
+    outlines: Sequence[Outline], poses: Poses | None = None, lattice: PixelLattice | None = None
+) -> MosaicLayout:
     """Where fields lie in their mosaic: at their own positions, or centred where `poses` (of the same fields) say.
 
     Without a lattice it is the smallest one that holds all of them; what lies beyond a given one is cut off.
@@ -159,10 +161,10 @@ def layout(outlines: Sequence[Outline], poses: Poses | None = None, lattice: Lat
     lattice = lattice or _smallest(x0_um, y0_um, rows, cols, pixel_um)
     top, left = _snapped((lattice.y0_um - y0_um) / pixel_um), _snapped((x0_um - lattice.x0_um) / pixel_um)
     borders = Rectangles.of(top, top + rows - 1, left, left + cols - 1)
-    return Layout(lattice, outlines, borders, ramps(borders), poses)
+    return MosaicLayout(lattice, outlines, borders, ramps(borders), poses)
 
 
-def planned_lattice(outlines: Sequence[Outline], margin_px: int = MARGIN_PX) -> Lattice:
+def planned_lattice(outlines: Sequence[Outline], margin_px: int = MARGIN_PX) -> PixelLattice:
     """A lattice for fields that are still to come or to be moved: the smallest that holds them all, and a margin.
 
     outlines: as planned. Raises ComputeError when there is none or when the pixel sizes differ.
@@ -170,7 +172,7 @@ def planned_lattice(outlines: Sequence[Outline], margin_px: int = MARGIN_PX) -> 
     pixel_um = _pixel_um(outlines)
     tight = _smallest(*_corners(outlines), *_sizes(outlines), pixel_um)
     shape = tight.shape[0] + 2 * margin_px, tight.shape[1] + 2 * margin_px
-    return Lattice(pixel_um, tight.x0_um - margin_px * pixel_um, tight.y0_um + margin_px * pixel_um, shape)
+    return PixelLattice(pixel_um, tight.x0_um - margin_px * pixel_um, tight.y0_um + margin_px * pixel_um, shape)
 
 
 def _pixel_um(outlines: Sequence[Outline]) -> float:
@@ -205,11 +207,11 @@ def _solved(poses: Poses, rows: Numbers, cols: Numbers, pixel_um: float) -> tupl
     return np.where(poses.left_out, np.nan, x0_um), np.where(poses.left_out, np.nan, y0_um)
 
 
-def _smallest(x0_um: Numbers, y0_um: Numbers, rows: Numbers, cols: Numbers, pixel_um: float) -> Lattice:
+def _smallest(x0_um: Numbers, y0_um: Numbers, rows: Numbers, cols: Numbers, pixel_um: float) -> PixelLattice:
     left_um, top_um = float(np.nanmin(x0_um)), float(np.nanmax(y0_um))
     last_row = np.nanmax(_snapped((top_um - y0_um) / pixel_um) + rows - 1)
     last_col = np.nanmax(_snapped((x0_um - left_um) / pixel_um) + cols - 1)
-    return Lattice(pixel_um, left_um, top_um, (int(last_row) + 1, int(last_col) + 1))
+    return PixelLattice(pixel_um, left_um, top_um, (int(last_row) + 1, int(last_col) + 1))
 
 
 def _snapped(px: Numbers) -> Numbers:

@@ -22,7 +22,7 @@ from wafer_viewer.model.surface.field_poses import Poses
 from wafer_viewer.model.surface.height_map import HeightMap, Provenance, pixel_window
 from wafer_viewer.model.surface.recipe import Recipe
 from wafer_viewer.reconstruct.blending.height_pyramid import halved, joined
-from wafer_viewer.reconstruct.blending.mosaic_layout import Layout, layout
+from wafer_viewer.reconstruct.blending.mosaic_layout import MosaicLayout, layout
 from wafer_viewer.reconstruct.blending.window_blend import BLENDS, lay_over, lay_pictures
 
 _COARSEST_PX = 512
@@ -34,7 +34,7 @@ class StitchedMosaic:
     """A mosaic that is blended when a window of it is asked for; level 1 and up are 2 x 2 means."""
 
     heights: Sequence[HeightMap]
-    layout: Layout
+    layout: MosaicLayout
     provenance: Provenance
 
     @property
@@ -114,7 +114,7 @@ def blend_window(
     heights: Sequence[HeightMap],
     rows: slice,
     cols: slice,
-    lattice: Layout | None = None,
+    lattice: MosaicLayout | None = None,
     provenance: Provenance | None = None,
 ) -> HeightMap:
     """The pixels [rows, cols] of the mosaic of some height maps; only the maps that touch them are looked at.
@@ -133,7 +133,7 @@ def blend_window(
     )
 
 
-def blend_pictures(pictures: Sequence[Image], lattice: Layout, rows: slice, cols: slice) -> Image:
+def blend_pictures(pictures: Sequence[Image], lattice: MosaicLayout, rows: slice, cols: slice) -> Image:
     """The pixels [rows, cols] of the mosaic of one picture a field, fading over the overlaps; 0 where none is."""
     return lay_pictures(pictures, lattice, rows, cols, BLENDS["ramp"])
 

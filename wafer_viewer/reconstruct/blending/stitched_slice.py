@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from wafer_viewer.model.acquisition.focus_stack import FieldStack, Image
-from wafer_viewer.reconstruct.blending.mosaic_layout import Layout, layout
+from wafer_viewer.reconstruct.blending.mosaic_layout import MosaicLayout, layout
 from wafer_viewer.reconstruct.blending.stitched_mosaic import blend_pictures
 
 
@@ -35,7 +35,7 @@ def picture_at(stack: FieldStack, z_um: float) -> Image:
 
 def stitched_picture(
     stacks: Sequence[FieldStack], z_um: float, rows: slice | None = None, cols: slice | None = None
-) -> tuple[Image, Layout]:
+) -> tuple[Image, MosaicLayout]:
     """The pixels [rows, cols] (all without) of the picture of all fields at one z, and the lattice it lies on."""
     lattice = layout([StackOutline.of(s) for s in stacks])
     rows, cols = rows or slice(0, lattice.shape[0]), cols or slice(0, lattice.shape[1])

@@ -16,9 +16,9 @@ from numpy.typing import NDArray
 from wafer_viewer.model.acquisition.focus_stack import Image
 from wafer_viewer.model.surface.height_map import HeightMap, Origin
 from wafer_viewer.numerics.grids import shifted_read, weighted_blend
-from wafer_viewer.numerics.grids.shifted_read import Leaning, Shift
-from wafer_viewer.numerics.grids.weighted_blend import Blended, Piece, Tally
-from wafer_viewer.reconstruct.blending.mosaic_layout import Layout, Part, Place
+from wafer_viewer.numerics.grids.shifted_read import Shift, TiltedField
+from wafer_viewer.numerics.grids.weighted_blend import Blended, BlendPiece, Tally
+from wafer_viewer.reconstruct.blending.mosaic_layout import FieldPlacement, MosaicLayout, Part
 from wafer_viewer.reconstruct.blending.window_pieces import pieces
 
 MAX_STEP_FRAMES = 2.0
@@ -85,18 +85,18 @@ class Fade:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Laid:
+class PlacedWindow:
     """A field in the mosaic: the pixels that it covers, the way to its own, how it leans there and what it counts."""
 
     part: Part
     row_part: float
     col_part: float
-    leaning: Leaning
+    leaning: TiltedField
     fade: Fade
     grey_fade: Fade
 
     @classmethod
-    def of(cls, place: Place, blend: Blend) -> Laid:
+    def of(cls, place: FieldPlacement, blend: Blend) -> PlacedWindow:
         """A field at its place, weighed by a way of blending."""
         rows, cols = (np.arange(run.start, run.stop) for run in place.part)
         down, right = rows - place.row, cols - place.col
@@ -109,14 +109,14 @@ class Laid:
             _faded(place, down, right, blend.grey),
         )
 
-    def over(self, piece: Part) -> Laid:
+    def over(self, piece: Part) -> PlacedWindow:
         """The same over a piece of what it covers."""
         rows, cols = (slice(a.start - b.start, a.stop - b.start) for a, b in zip(piece, self.part, strict=True))
         lean = self.leaning
         return replace(
             self,
             part=(rows, cols),
-            leaning=Leaning(lean.rows[rows], lean.cols[cols], lean.up[rows], lean.right[cols]),
+            leaning=TiltedField(lean.rows[rows], lean.cols[cols], lean.up[rows], lean.right[cols]),
             fade=self.fade.over(rows, cols),
             grey_fade=self.grey_fade.over(rows, cols),
         )
@@ -161,7 +161,9 @@ class Laid:
         return out
 
 
-def lay_over(heights: Sequence[HeightMap], layout: Layout, rows: slice, cols: slice, blend: Blend) -> dict[str, Any]:
+def lay_over(
+    heights: Sequence[HeightMap], layout: MosaicLayout, rows: slice, cols: slice, blend: Blend
+) -> dict[str, Any]:
     """The layers of a window [rows, cols] of the mosaic by name; only the fields that touch it are looked at."""
     fields = _laid(heights, layout, rows, cols, blend)
     seen = [height for height, _ in fields] or [heights[0]]
@@ -173,7 +175,7 @@ def lay_over(heights: Sequence[HeightMap], layout: Layout, rows: slice, cols: sl
     return window
 
 
-def lay_pictures(pictures: Sequence[Image], layout: Layout, rows: slice, cols: slice, blend: Blend) -> Image:
+def lay_pictures(pictures: Sequence[Image], layout: MosaicLayout, rows: slice, cols: slice, blend: Blend) -> Image:
     """The same of one picture a field; 0 where none is."""
     fields = _laid(pictures, layout, rows, cols, blend)
     seen = [picture for picture, _ in fields] or [pictures[0]]
@@ -192,22 +194,26 @@ def fixed(layer: NDArray[Any]) -> NDArray[Any]:
     return view if view.flags.c_contiguous else fixed(np.ascontiguousarray(layer))
 
 
-def _laid(items: Sequence[Any], layout: Layout, rows: slice, cols: slice, blend: Blend) -> list[tuple[Any, Laid]]:
+def _laid(
+    items: Sequence[Any], layout: MosaicLayout, rows: slice, cols: slice, blend: Blend
+) -> list[tuple[Any, PlacedWindow]]:
     """What touches a window, each with how it lies; a line of pixels between two of the mosaic's covers none."""
     touching = ((n, layout.place(n)) for n in layout.touching(rows, cols))
-    return [(items[n], Laid.of(place, blend)) for n, place in touching if place is not None and place.covers_any]
+    return [
+        (items[n], PlacedWindow.of(place, blend)) for n, place in touching if place is not None and place.covers_any
+    ]
 
 
-def _leaning(place: Place, up: Weights, right: Weights) -> Leaning:
+def _leaning(place: FieldPlacement, up: Weights, right: Weights) -> TiltedField:
     """What is subtracted at `up` and `right` of the field's centre, in pixels."""
     lean = place.lean
     u, v = right / lean.so_far_px[0], up / lean.so_far_px[1]
     a, b, c = lean.sag_um
     of_rows, of_cols = lean.z_um + lean.up_um_px * up + c * v**2, lean.right_um_px * right + a * u**2
-    return Leaning(*(term.astype(np.float32) for term in (of_rows, of_cols, b * v, u)))
+    return TiltedField(*(term.astype(np.float32) for term in (of_rows, of_cols, b * v, u)))
 
 
-def _faded(place: Place, down: Weights, right: Weights, fade: Callable[[Weights], Weights]) -> Fade:
+def _faded(place: FieldPlacement, down: Weights, right: Weights, fade: Callable[[Weights], Weights]) -> Fade:
     """The weights at `down` and `right` of the field's first pixel."""
     top_px, bottom_px, left_px, right_px = place.ramps_px
     rows = fade(_within_ramps(down, place.rows - 1 - down, top_px, bottom_px))
@@ -242,7 +248,9 @@ def _type(pictures: Sequence[Image]) -> np.dtype[Any]:
     return np.result_type(*{picture.dtype for picture in pictures})
 
 
-def _fill(window: dict[str, Any], row: int, col: int, fields: Sequence[tuple[HeightMap, Laid]], blend: Blend) -> None:
+def _fill(
+    window: dict[str, Any], row: int, col: int, fields: Sequence[tuple[HeightMap, PlacedWindow]], blend: Blend
+) -> None:
     """A piece of a window, from (row, col) on: the first field is read into it, the others are blended in."""
     first, laid = fields[0]
     here = slice(row, row + laid.shape[0]), slice(col, col + laid.shape[1])
@@ -257,7 +265,9 @@ def _fill(window: dict[str, Any], row: int, col: int, fields: Sequence[tuple[Hei
     )
 
 
-def _blend_in(window: dict[str, Any], here: Part, fields: Sequence[tuple[HeightMap, Laid]], blend: Blend) -> None:
+def _blend_in(
+    window: dict[str, Any], here: Part, fields: Sequence[tuple[HeightMap, PlacedWindow]], blend: Blend
+) -> None:
     """The other fields, into a piece that holds the first."""
     blended = Blended(*(window[name] for name in ("z_um", "z_raw_um", "confidence", "origin", "overlap_um")))
     first, laid = fields[0]
@@ -270,16 +280,16 @@ def _blend_in(window: dict[str, Any], here: Part, fields: Sequence[tuple[HeightM
         weighted_blend.blend_in(piece, limit_um or np.inf, tally, scratch, blended, here[0].start, here[1].start)
 
 
-def _read(height: HeightMap, laid: Laid, blend: Blend) -> Piece:
+def _read(height: HeightMap, laid: PlacedWindow, blend: Blend) -> BlendPiece:
     """The layers of a field over a piece."""
     z, raw = (np.empty(laid.shape, np.float32) for _ in range(2))
     laid.heights(height.z_um, _max_step_um(height), z, 0, 0)
     laid.heights(height.z_raw_um, _max_step_um(height), raw, 0, 0)
     confidence, origin = (fixed(laid.nearest(layer)) for layer in (height.confidence, height.origin))
-    return Piece(z, raw, confidence, origin, laid.belief(height, blend), laid.fade.rows, laid.fade.cols)
+    return BlendPiece(z, raw, confidence, origin, laid.belief(height, blend), laid.fade.rows, laid.fade.cols)
 
 
-def _grey(fields: Sequence[tuple[Image, Laid]]) -> Float32s:
+def _grey(fields: Sequence[tuple[Image, PlacedWindow]]) -> Float32s:
     """The grey of a piece, of all pictures that cover it."""
     total = fields[0][1].grey(fields[0][0])
     if len(fields) > 1:

@@ -8,22 +8,22 @@ from wafer_viewer.model.errors import MeasureError
 from wafer_viewer.model.region import Region
 from wafer_viewer.model.spec import replace
 from wafer_viewer.model.surface.comparison import ALIGN_TITLES, FOUND_BY, Align, Registration
-from wafer_viewer.model.surface.field_poses import DOUBT_TITLES, Doubt
+from wafer_viewer.model.surface.field_poses import DOUBT_TITLES, RejectionReason
 from wafer_viewer.model.surface.height_map import Mosaic, Outline
 from wafer_viewer.reconstruct.comparison.height_difference import Difference, noise_of, provenance_of
 from wafer_viewer.reconstruct.comparison.lateral_registration import in_plane
 from wafer_viewer.reconstruct.comparison.lazy_pyramid import as_pyramid
-from wafer_viewer.reconstruct.comparison.resampled_surface import LaidOver, Lattice
+from wafer_viewer.reconstruct.comparison.resampled_surface import ResampledMosaic, SampleGrid
 from wafer_viewer.reconstruct.comparison.rigid_refinement import levelled, settled
 
 LEAST_OVERLAP_PX = 32
 _SEEN_PX = 512
 _MEND = "align by the stage, or take surfaces of the same part of the sample"
-_MENDS: dict[Doubt, str] = {
-    Doubt.BLANK: "there is nothing to be seen in both",
-    Doubt.UNLIKE: "they do not look alike and may be of different samples",
-    Doubt.AMBIGUOUS: "they fit at several places",
-    Doubt.END_OF_SEARCH: "they lie further apart than is looked for",
+_MENDS: dict[RejectionReason, str] = {
+    RejectionReason.BLANK: "there is nothing to be seen in both",
+    RejectionReason.UNLIKE: "they do not look alike and may be of different samples",
+    RejectionReason.AMBIGUOUS: "they fit at several places",
+    RejectionReason.END_OF_SEARCH: "they lie further apart than is looked for",
 }
 
 
@@ -42,7 +42,7 @@ def compare(first: Mosaic, second: Mosaic, align: Align = "auto", keep_z: bool =
     one = as_pyramid(first)
     other = one if second is first else as_pyramid(second)
     registration = register_surfaces(one, other, align, keep_z)
-    laid = LaidOver(one, other, registration)
+    laid = ResampledMosaic(one, other, registration)
     region = _common(one, other, registration)
     median_um, limit_um = noise_of(laid, region)
     notes = ("Heights are those of the second surface minus the first.", f"Aligned {FOUND_BY[registration.by]}.")
@@ -69,7 +69,7 @@ def of_same_frames(first: Mosaic, second: Mosaic) -> bool:
 
 def _by_images(first: Mosaic, second: Mosaic, region: Region, keep_z: bool) -> Registration:
     found = in_plane(first, second, region.bounds_um)
-    if found.doubt is not Doubt.NONE:
+    if found.doubt is not RejectionReason.NONE:
         why = _MENDS.get(found.doubt, DOUBT_TITLES[found.doubt])
         raise MeasureError(f"The two surfaces cannot be aligned by their images, for {why}: {_MEND}.")
     both = _common(first, second, found.registration)
@@ -86,8 +86,8 @@ def _about(registration: Registration, region: Region) -> Registration:
 
 def _common(first: Outline, second: Outline, registration: Registration) -> Region:
     """The upright rectangle that both lie in. Raises MeasureError when there is none worth a look."""
-    xa, ya, xb, yb = Lattice(first.pixel_um, first.x0_um, first.y0_um, first.shape).bounds_um
-    x0, y0, x1, y1 = _moved(Lattice(second.pixel_um, second.x0_um, second.y0_um, second.shape), registration)
+    xa, ya, xb, yb = SampleGrid(first.pixel_um, first.x0_um, first.y0_um, first.shape).bounds_um
+    x0, y0, x1, y1 = _moved(SampleGrid(second.pixel_um, second.x0_um, second.y0_um, second.shape), registration)
     low_x, low_y, high_x, high_y = max(xa, x0), max(ya, y0), min(xb, x1), min(yb, y1)
     if min(high_x - low_x, high_y - low_y) < LEAST_OVERLAP_PX * first.pixel_um:
         raise MeasureError(
@@ -97,7 +97,7 @@ def _common(first: Outline, second: Outline, registration: Registration) -> Regi
     return Region.rectangle(low_x, low_y, high_x, high_y)
 
 
-def _moved(lattice: Lattice, r: Registration) -> tuple[float, float, float, float]:
+def _moved(lattice: SampleGrid, r: Registration) -> tuple[float, float, float, float]:
     """The bounds of a surface once it is moved."""
     xa, ya, xb, yb = lattice.bounds_um
     cos, sin = np.cos(r.turn_mrad * 1e-3), np.sin(r.turn_mrad * 1e-3)
@@ -110,7 +110,7 @@ def _overlap_fraction(first: Mosaic, second: Mosaic, registration: Registration)
     """Of the first's measured places, those at which the second is measured: by a coarse look at both."""
     level = min(first.levels - 1, max(0, int(np.ceil(np.log2(max(first.shape) / _SEEN_PX)))))
     one = first.window(None, level)
-    other = LaidOver(first, second, registration).on(Lattice(one.pixel_um, one.x0_um, one.y0_um, one.shape))
+    other = ResampledMosaic(first, second, registration).on(SampleGrid(one.pixel_um, one.x0_um, one.y0_um, one.shape))
     measured = np.isfinite(one.z_raw_um)
     both = measured & np.isfinite(other.z_raw_um)
     if not both.any():

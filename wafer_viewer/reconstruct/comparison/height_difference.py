@@ -17,7 +17,7 @@ from wafer_viewer.model.region import Region
 from wafer_viewer.model.spec import replace
 from wafer_viewer.model.surface.comparison import Change, Registration
 from wafer_viewer.model.surface.height_map import UNMEASURED_FROM, HeightMap, Provenance
-from wafer_viewer.reconstruct.comparison.resampled_surface import LaidOver, Lattice
+from wafer_viewer.reconstruct.comparison.resampled_surface import ResampledMosaic, SampleGrid
 
 CHANGED_SIGMAS = 3.0
 _MAD = 1.4826
@@ -29,7 +29,7 @@ _BAND_PX = 2**22
 
 
 @dataclass(frozen=True, slots=True)
-class Sums:
+class DifferenceStatistics:
     """What numbers are made of: of a window, or of many added up."""
 
     n: int = 0
@@ -41,8 +41,8 @@ class Sums:
     gained: float = 0.0
     lost: float = 0.0
 
-    def __add__(self, other: Sums) -> Sums:
-        return Sums(
+    def __add__(self, other: DifferenceStatistics) -> DifferenceStatistics:
+        return DifferenceStatistics(
             self.n + other.n, self.total + other.total, self.squares + other.squares,
             min(self.lowest, other.lowest), max(self.highest, other.highest),
             self.changed + other.changed, self.gained + other.gained, self.lost + other.lost,
@@ -56,7 +56,7 @@ class Difference:
     Unmeasured where either is, for the first's reason where it has one. median_um, limit_um: see `Change`.
     """
 
-    laid: LaidOver
+    laid: ResampledMosaic
     median_um: float
     limit_um: float
     provenance: Provenance
@@ -97,21 +97,21 @@ class Difference:
             raise MeasureError(f"A difference has one level until it is written, level {level} was asked for.")
         return dataclasses.replace(subtracted(self.laid, region), provenance=self.provenance)
 
-    def sums(self, part: HeightMap) -> Sums:
+    def sums(self, part: HeightMap) -> DifferenceStatistics:
         """What a window adds to the numbers."""
         off = part.z_raw_um[np.isfinite(part.z_raw_um)].astype(np.float64)
         if not off.size:
-            return Sums()
+            return DifferenceStatistics()
         about = off - self.median_um
         changed = about[np.abs(about) > self.limit_um]
-        return Sums(
+        return DifferenceStatistics(
             off.size, float(off.sum()), float((off**2).sum()), float(off.min()), float(off.max()),
             changed.size, float(changed[changed > 0].sum()), float(-changed[changed < 0].sum()),
         )  # fmt: skip
 
-    def change(self, sums: Sums | None = None) -> Change:
+    def change(self, sums: DifferenceStatistics | None = None) -> Change:
         """What is different, in numbers: from sums over all windows, which are gone through now without them."""
-        total = sums or sum((self.sums(part) for part in self._bands()), Sums())
+        total = sums or sum((self.sums(part) for part in self._bands()), DifferenceStatistics())
         if not total.n:
             raise MeasureError("No place is measured in both surfaces: take surfaces of the same part of the sample.")
         mean = total.total / total.n
@@ -137,10 +137,10 @@ class Difference:
             yield self.window(Region.rectangle(self.x0_um, next(ends), x1, next(ends)))
 
 
-def subtracted(laid: LaidOver, region: Region | None) -> HeightMap:
+def subtracted(laid: ResampledMosaic, region: Region | None) -> HeightMap:
     """Second minus first in a window of the first's lattice."""
     one = laid.first.window(region)
-    other = laid.on(Lattice(one.pixel_um, one.x0_um, one.y0_um, one.shape))
+    other = laid.on(SampleGrid(one.pixel_um, one.x0_um, one.y0_um, one.shape))
     return HeightMap(
         z_um=other.z_um - one.z_um,
         z_raw_um=other.z_raw_um - one.z_raw_um,
@@ -153,7 +153,7 @@ def subtracted(laid: LaidOver, region: Region | None) -> HeightMap:
     )
 
 
-def noise_of(laid: LaidOver, region: Region) -> tuple[float, float]:
+def noise_of(laid: ResampledMosaic, region: Region) -> tuple[float, float]:
     """(median, limit of what counts as unchanged) of the differences, from looks spread over a region, in um.
 
     Raises MeasureError when no place looked at is measured in both.
@@ -166,7 +166,7 @@ def noise_of(laid: LaidOver, region: Region) -> tuple[float, float]:
     return median, max(_LEAST_LIMIT_UM, CHANGED_SIGMAS * _MAD * float(np.median(np.abs(off - median))))
 
 
-def _looks(laid: LaidOver, region: Region) -> Iterator[Region]:
+def _looks(laid: ResampledMosaic, region: Region) -> Iterator[Region]:
     xa, ya, xb, yb = region.bounds_um
     half = _LOOK_PX / 2 * laid.pixel_um
     for x in np.unique(np.linspace(min(xa + half, xb), max(xb - half, xa), _LOOKS)):
@@ -174,7 +174,7 @@ def _looks(laid: LaidOver, region: Region) -> Iterator[Region]:
             yield Region.rectangle(float(x) - half, float(y) - half, float(x) + half, float(y) + half)
 
 
-def _differences(laid: LaidOver, look: Region) -> NDArray[np.float32]:
+def _differences(laid: ResampledMosaic, look: Region) -> NDArray[np.float32]:
     try:
         off = subtracted(laid, look).z_raw_um
     except MeasureError:

@@ -13,7 +13,7 @@ from wafer_viewer.model.surface.height_map import UNMEASURED_FROM, HeightMap, Mo
 
 
 @dataclass(frozen=True, eq=False)
-class ReadAs(ReadThrough):
+class HeightLayerView(ReadThrough):
     """A `Mosaic` of which one of both height maps stands for both: the raw one, or the cleaned one."""
 
     surface: Mosaic
@@ -32,4 +32,4 @@ class ReadAs(ReadThrough):
 
 def read_as(surface: Mosaic, heights: Heights) -> Mosaic:
     """The surface with one map of heights, or as it was made."""
-    return surface if heights == "both" else ReadAs(surface, heights)
+    return surface if heights == "both" else HeightLayerView(surface, heights)

@@ -17,9 +17,9 @@ from numpy.typing import NDArray
 from wafer_viewer.model.errors import MeasureError
 from wafer_viewer.model.spec import replace
 from wafer_viewer.model.surface.comparison import FoundBy, Registration
-from wafer_viewer.model.surface.field_poses import Doubt
+from wafer_viewer.model.surface.field_poses import RejectionReason
 from wafer_viewer.model.surface.height_map import HeightMap, Mosaic
-from wafer_viewer.reconstruct.comparison.resampled_surface import LaidOver, Lattice
+from wafer_viewer.reconstruct.comparison.resampled_surface import ResampledMosaic, SampleGrid
 from wafer_viewer.reconstruct.registration.overlap_matching import match
 from wafer_viewer.reconstruct.registration.overlap_strips import Read, height_of, picture_of
 
@@ -48,7 +48,7 @@ class InPlane:
 
     registration: Registration
     covariance: Numbers
-    doubt: Doubt
+    doubt: RejectionReason
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -58,7 +58,7 @@ class _Sightings:
     at_um: Numbers
     off_um: Numbers
     u_um: Numbers
-    doubts: list[Doubt]
+    doubts: list[RejectionReason]
 
 
 def in_plane(first: Mosaic, second: Mosaic, overlap_um: Bounds) -> InPlane:
@@ -67,24 +67,24 @@ def in_plane(first: Mosaic, second: Mosaic, overlap_um: Bounds) -> InPlane:
     overlap_um: (x low, y low, x high, y high) of what may be common, as the stage says.
     """
     found = _by(picture_of, "images", first, second, overlap_um)
-    if found.doubt is Doubt.NONE:
+    if found.doubt is RejectionReason.NONE:
         return found
     felt = _by(height_of, "heights", first, second, overlap_um)
-    return felt if felt.doubt is Doubt.NONE else found
+    return felt if felt.doubt is RejectionReason.NONE else found
 
 
 def _by(read: Read, by: FoundBy, first: Mosaic, second: Mosaic, overlap_um: Bounds) -> InPlane:
     xa, ya, xb, yb = overlap_um
     start = Registration(by=by, about_x_um=(xa + xb) / 2, about_y_um=(ya + yb) / 2)
-    best = InPlane(start, np.full((3, 3), np.inf), Doubt.BLANK)
+    best = InPlane(start, np.full((3, 3), np.inf), RejectionReason.BLANK)
     levels = _levels(first, overlap_um)
     for level in levels:
-        begun = best.doubt is Doubt.NONE
-        seen = _sightings(read, LaidOver(first, second, best.registration), overlap_um, level, begun)
+        begun = best.doubt is RejectionReason.NONE
+        seen = _sightings(read, ResampledMosaic(first, second, best.registration), overlap_um, level, begun)
         now = _solved(best.registration, seen, first.pixel_um * 2**level)
-        if level == levels[0] and now.doubt is not Doubt.NONE:
+        if level == levels[0] and now.doubt is not RejectionReason.NONE:
             now = _turned(read, first, second, best.registration, overlap_um, level) or now
-        if now.doubt is Doubt.NONE or not begun:
+        if now.doubt is RejectionReason.NONE or not begun:
             best = now
         else:
             break
@@ -99,7 +99,7 @@ def _levels(first: Mosaic, overlap_um: Bounds) -> list[int]:
     return [*range(coarsest, 0, -_LEVELS_AT_ONCE), 0, 0]
 
 
-def _sightings(read: Read, laid: LaidOver, overlap_um: Bounds, level: int, begun: bool) -> _Sightings:
+def _sightings(read: Read, laid: ResampledMosaic, overlap_um: Bounds, level: int, begun: bool) -> _Sightings:
     """Look for the patches of a level; far and wide as long as no coarser one has told where."""
     pixel = laid.first.pixel_um * 2**level
     found = [_sighting(read, laid, at, level, NEAR_PX if begun else REACH_PX) for at in _centres(overlap_um, pixel)]
@@ -123,11 +123,11 @@ def _along(low: float, high: float, half: float) -> Numbers:
 
 
 def _sighting(
-    read: Read, laid: LaidOver, at_um: tuple[float, float], level: int, reach_px: float
-) -> tuple[tuple[float, float], tuple[float, float], tuple[float, float], Doubt]:
+    read: Read, laid: ResampledMosaic, at_um: tuple[float, float], level: int, reach_px: float
+) -> tuple[tuple[float, float], tuple[float, float], tuple[float, float], RejectionReason]:
     """Where the content of the second that should lie at a place of the first lies, off that place."""
     pixel = laid.first.pixel_um * 2**level
-    nowhere = at_um, (0.0, 0.0), (math.inf, math.inf), Doubt.BLANK
+    nowhere = at_um, (0.0, 0.0), (math.inf, math.inf), RejectionReason.BLANK
     try:
         one = laid.first.window(_square(at_um, pixel, PATCH_PX).region, level)
     except MeasureError:
@@ -141,15 +141,15 @@ def _sighting(
     return at_um, (right * pixel, -down * pixel), (u_right * pixel, u_down * pixel), fit.doubt
 
 
-def _square(at_um: tuple[float, float], pixel_um: float, side_px: int) -> Lattice:
+def _square(at_um: tuple[float, float], pixel_um: float, side_px: int) -> SampleGrid:
     half = (side_px - 1) / 2 * pixel_um
-    return Lattice(pixel_um, at_um[0] - half, at_um[1] + half, (side_px, side_px))
+    return SampleGrid(pixel_um, at_um[0] - half, at_um[1] + half, (side_px, side_px))
 
 
-def _on_pixels_of(one: HeightMap, square: Lattice) -> Lattice:
+def _on_pixels_of(one: HeightMap, square: SampleGrid) -> SampleGrid:
     """The square, moved by less than a pixel so that its pixels lie on those of a map."""
     right, down = round((square.x0_um - one.x0_um) / one.pixel_um), round((one.y0_um - square.y0_um) / one.pixel_um)
-    return Lattice(one.pixel_um, one.x0_um + right * one.pixel_um, one.y0_um - down * one.pixel_um, square.shape)
+    return SampleGrid(one.pixel_um, one.x0_um + right * one.pixel_um, one.y0_um - down * one.pixel_um, square.shape)
 
 
 def _holds_enough(part: HeightMap) -> bool:
@@ -158,16 +158,16 @@ def _holds_enough(part: HeightMap) -> bool:
 
 def _solved(before: Registration, seen: _Sightings, pixel_um: float) -> InPlane:
     """The rigid motion through what is believed of the patches, on top of the one they were looked for by."""
-    believed = np.array([doubt is Doubt.NONE for doubt in seen.doubts])
+    believed = np.array([doubt is RejectionReason.NONE for doubt in seen.doubts])
     if not believed.any():
         return InPlane(before, np.full((3, 3), np.inf), _usual(seen.doubts))
     about = np.array([before.about_x_um, before.about_y_um])
     at, off, u = seen.at_um[believed] - about, seen.off_um[believed], seen.u_um[believed]
     kept, motion, covariance = _agreed(at, off, u, pixel_um)
     if kept.sum() < believed.sum() / 2:
-        return InPlane(before, covariance, Doubt.AMBIGUOUS)
+        return InPlane(before, covariance, RejectionReason.AMBIGUOUS)
     if kept.sum() < min(LEAST_PATCHES, max(1, len(believed) // 2)):
-        return InPlane(before, covariance, Doubt.UNLIKE)
+        return InPlane(before, covariance, RejectionReason.UNLIKE)
     after = replace(
         before,
         x_um=before.x_um + float(motion[0]),
@@ -176,7 +176,7 @@ def _solved(before: Registration, seen: _Sightings, pixel_um: float) -> InPlane:
     )
     reach_um = max(float(np.hypot(*at.T).max()), pixel_um)
     floor = np.diag([1.0, 1.0, 1 / reach_um**2]) * (_LEAST_U_PX * pixel_um) ** 2
-    return InPlane(after, covariance + floor, Doubt.NONE)
+    return InPlane(after, covariance + floor, RejectionReason.NONE)
 
 
 def _agreed(at: Numbers, off: Numbers, u: Numbers, pixel_um: float) -> tuple[NDArray[np.bool_], Numbers, Numbers]:
@@ -212,9 +212,9 @@ def _through(at: Numbers, off: Numbers, u: Numbers, kept: NDArray[np.bool_]) -> 
     return motion, np.asarray(inverse * excess, np.float64), left
 
 
-def _usual(doubts: list[Doubt]) -> Doubt:
+def _usual(doubts: list[RejectionReason]) -> RejectionReason:
     """The doubt that most patches have, blank ones apart as long as there are others."""
-    telling = [doubt for doubt in doubts if doubt is not Doubt.BLANK] or doubts
+    telling = [doubt for doubt in doubts if doubt is not RejectionReason.BLANK] or doubts
     return max(set(telling), key=lambda doubt: (telling.count(doubt), doubt))
 
 
@@ -233,14 +233,14 @@ def _turned(
     best: tuple[float, Registration] | None = None
     for turn in _turns():
         turned = replace(start, turn_mrad=turn)
-        alike = _alike(read, LaidOver(first, second, turned), at, level)
+        alike = _alike(read, ResampledMosaic(first, second, turned), at, level)
         if best is None or alike > best[0]:
             best = alike, turned
     if best is None:
         return None
-    begun = _sightings(read, LaidOver(first, second, best[1]), overlap_um, level, begun=False)
+    begun = _sightings(read, ResampledMosaic(first, second, best[1]), overlap_um, level, begun=False)
     found = _solved(best[1], begun, pixel)
-    return found if found.doubt is Doubt.NONE else None
+    return found if found.doubt is RejectionReason.NONE else None
 
 
 def _turns() -> Iterator[float]:
@@ -248,7 +248,7 @@ def _turns() -> Iterator[float]:
     return (k * TURN_STEP_MRAD for k in range(-n, n + 1))
 
 
-def _alike(read: Read, laid: LaidOver, at_um: tuple[float, float], level: int) -> float:
+def _alike(read: Read, laid: ResampledMosaic, at_um: tuple[float, float], level: int) -> float:
     """How surely the patch is to be found, in standard deviations."""
     from wafer_viewer.numerics.registration.cross_correlation import contrast, likeness
 

@@ -19,7 +19,7 @@ if TYPE_CHECKING:
     pass
 
 if TYPE_CHECKING:
-    from wafer_viewer.numerics.grids.affine_resample import Layers
+    from wafer_viewer.numerics.grids.affine_resample import ResampledLayers
 
 Affine = NDArray[np.float64]
 """[2, 3]: the images of (1, a, b)."""
@@ -29,7 +29,7 @@ _FINER = 1.42
 
 
 @dataclass(frozen=True, slots=True)
-class Lattice:
+class SampleGrid:
     """Where pixels lie: an `Outline` by itself."""
 
     pixel_um: float
@@ -38,7 +38,7 @@ class Lattice:
     shape: tuple[int, int]
 
     @classmethod
-    def of(cls, surface: Outline, region: Region | None, level: int) -> Lattice:
+    def of(cls, surface: Outline, region: Region | None, level: int) -> SampleGrid:
         """The part of a level of a surface that holds a region, all of it without one."""
         scale = 2**level
         rows, cols = (slice(0, -(-n // scale)) for n in surface.shape)
@@ -61,7 +61,7 @@ class Lattice:
 
 
 @dataclass(frozen=True, eq=False)
-class LaidOver:
+class ResampledMosaic:
     """A `Mosaic`: `second` as it lies by a registration, on the lattice of `first`.
 
     Heights are moved by the registration as well. A window costs the memory of itself, twice.
@@ -104,9 +104,9 @@ class LaidOver:
 
     def window(self, region: Region | None = None, level: int = 0) -> HeightMap:
         """The part of a level of the first's lattice that holds a region. Raises MeasureError when it lies outside."""
-        return self.on(Lattice.of(self.first, region, level))
+        return self.on(SampleGrid.of(self.first, region, level))
 
-    def on(self, lattice: Lattice) -> HeightMap:
+    def on(self, lattice: SampleGrid) -> HeightMap:
         """The second on any lattice of the first's stage."""
         from wafer_viewer.numerics.grids.affine_resample import lay
 
@@ -134,7 +134,7 @@ class LaidOver:
         turn = self.registration.turn_mrad * 1e-3
         return math.cos(turn), math.sin(turn)
 
-    def _beneath(self, lattice: Lattice) -> HeightMap | None:
+    def _beneath(self, lattice: SampleGrid) -> HeightMap | None:
         """What of the second lies under a lattice, at the level whose pixels are about as large; None: nothing."""
         xa, ya, xb, yb = lattice.bounds_um
         x, y = self.to_second(np.array([xa, xa, xb, xb]), np.array([ya, yb, ya, yb]))
@@ -147,14 +147,14 @@ class LaidOver:
         except MeasureError:
             return None
 
-    def _motion(self, lattice: Lattice, part: HeightMap) -> Affine:
+    def _motion(self, lattice: SampleGrid, part: HeightMap) -> Affine:
         """(row, col) of the part as an affine function of those of the lattice."""
         cols, rows = np.array([0.0, 0.0, 1.0]), np.array([0.0, 1.0, 0.0])
         x, y = self.to_second(lattice.x0_um + cols * lattice.pixel_um, lattice.y0_um - rows * lattice.pixel_um)
         row, col = (part.y0_um - y) / part.pixel_um, (x - part.x0_um) / part.pixel_um
         return np.array([[v[0], v[1] - v[0], v[2] - v[0]] for v in (row, col)])
 
-    def _move_heights(self, z_um: NDArray[np.float32], lattice: Lattice) -> None:
+    def _move_heights(self, z_um: NDArray[np.float32], lattice: SampleGrid) -> None:
         r = self.registration
         if not (r.z_um or r.tilt_x_mrad or r.tilt_y_mrad):
             return
@@ -164,17 +164,17 @@ class LaidOver:
         z_um += (r.tilt_y_mrad * 1e-3 * y).astype(np.float32)[:, None]
 
 
-def _layers_of(part: HeightMap) -> Layers:
-    from wafer_viewer.numerics.grids.affine_resample import Layers
+def _layers_of(part: HeightMap) -> ResampledLayers:
+    from wafer_viewer.numerics.grids.affine_resample import ResampledLayers
 
     layers: tuple[Any, ...] = part.z_um, part.z_raw_um, part.confidence, part.all_in_focus, part.origin
-    return Layers(*(np.ascontiguousarray(layer) for layer in layers))
+    return ResampledLayers(*(np.ascontiguousarray(layer) for layer in layers))
 
 
-def _not_covered(shape: tuple[int, int], grey: Any) -> Layers:
-    from wafer_viewer.numerics.grids.affine_resample import Layers
+def _not_covered(shape: tuple[int, int], grey: Any) -> ResampledLayers:
+    from wafer_viewer.numerics.grids.affine_resample import ResampledLayers
 
-    return Layers(
+    return ResampledLayers(
         np.full(shape, np.nan, np.float32),
         np.full(shape, np.nan, np.float32),
         np.zeros(shape, np.float32),

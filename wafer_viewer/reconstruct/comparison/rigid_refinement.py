@@ -20,7 +20,7 @@ from wafer_viewer.model.spec import replace
 from wafer_viewer.model.surface.comparison import Registration
 from wafer_viewer.model.surface.height_map import HeightMap, Mosaic
 from wafer_viewer.numerics.grids.robust_plane import Plane, fit_plane
-from wafer_viewer.reconstruct.comparison.resampled_surface import LaidOver, Lattice
+from wafer_viewer.reconstruct.comparison.resampled_surface import ResampledMosaic, SampleGrid
 
 SAMPLE_PX = 256
 """Points of the sample, along each side of what is common."""
@@ -39,7 +39,7 @@ Numbers = NDArray[np.float64]
 class _Sample:
     """Both surfaces at the same places: the second as it is laid now; heights float32 [row, col], NaN unmeasured."""
 
-    lattice: Lattice
+    lattice: SampleGrid
     first_um: NDArray[np.float32]
     second_um: NDArray[np.float32]
 
@@ -54,7 +54,7 @@ def levelled(first: Mosaic, second: Mosaic, registration: Registration, region: 
 
     region: what is common. Raises MeasureError when too little is measured in both.
     """
-    sample = _sample(LaidOver(first, second, registration), region)
+    sample = _sample(ResampledMosaic(first, second, registration), region)
     return _on_plane(registration, sample, _plane(sample))
 
 
@@ -67,7 +67,7 @@ def settled(
     both, ComputeError when Open3D cannot be loaded.
     """
     near = levelled(first, second, registration, region)
-    sample = _sample(LaidOver(first, second, near), region)
+    sample = _sample(ResampledMosaic(first, second, near), region)
     motion, information = _icp(sample, _plane(sample), (near.about_x_um, near.about_y_um))
     prior = np.linalg.pinv(covariance, hermitian=True) if np.isfinite(covariance).all() else np.zeros((3, 3))
     both = np.linalg.pinv(information + prior, hermitian=True)
@@ -84,13 +84,13 @@ def settled(
     return levelled(first, second, moved, region)
 
 
-def _sample(laid: LaidOver, region: Region) -> _Sample:
+def _sample(laid: ResampledMosaic, region: Region) -> _Sample:
     xa, ya, xb, yb = region.bounds_um
     side_px = max(xb - xa, yb - ya) / laid.first.pixel_um
     level = min(laid.first.levels - 1, max(0, int(np.ceil(np.log2(max(side_px, 1.0) / SAMPLE_PX)))))
     one = laid.first.window(region, level)
-    other = laid.on(Lattice(one.pixel_um, one.x0_um, one.y0_um, one.shape))
-    return _Sample(Lattice(one.pixel_um, one.x0_um, one.y0_um, one.shape), _heights(one), _heights(other))
+    other = laid.on(SampleGrid(one.pixel_um, one.x0_um, one.y0_um, one.shape))
+    return _Sample(SampleGrid(one.pixel_um, one.x0_um, one.y0_um, one.shape), _heights(one), _heights(other))
 
 
 def _heights(part: HeightMap) -> NDArray[np.float32]:

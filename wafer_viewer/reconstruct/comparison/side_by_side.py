@@ -10,17 +10,17 @@ import numpy as np
 from wafer_viewer.model.errors import MeasureError
 from wafer_viewer.model.region import Region
 from wafer_viewer.model.surface.height_map import HeightMap, Origin, Provenance
-from wafer_viewer.reconstruct.comparison.resampled_surface import LaidOver, Lattice
+from wafer_viewer.reconstruct.comparison.resampled_surface import ResampledMosaic, SampleGrid
 
 GAP = 0.06
 """Of the width of one, how much lies between them."""
 
 
 @dataclass(frozen=True, eq=False)
-class Beside:
+class SideBySideMosaic:
     """A `Mosaic`: the first and what is laid over it, which lies `offset` columns further right."""
 
-    laid: LaidOver
+    laid: ResampledMosaic
 
     @property
     def pixel_um(self) -> float:
@@ -60,7 +60,7 @@ class Beside:
 
     def window(self, region: Region | None = None, level: int = 0) -> HeightMap:
         """The part of a level that holds a region, which may reach over both."""
-        lattice = Lattice.of(self, region, level)
+        lattice = SampleGrid.of(self, region, level)
         parts = [self._part(k, lattice, level) for k in (0, 1)]
         known = [part for part in parts if part is not None]
         grey = known[0].all_in_focus.dtype if known else np.dtype(np.uint8)
@@ -86,7 +86,7 @@ class Beside:
     def _off_um(self) -> float:
         return self.offset * self.pixel_um
 
-    def _part(self, k: int, lattice: Lattice, level: int) -> HeightMap | None:
+    def _part(self, k: int, lattice: SampleGrid, level: int) -> HeightMap | None:
         """What of the first (0) or of the second (1) lies in a window; None: nothing."""
         xa, ya, xb, yb = lattice.bounds_um
         off = k * self._off_um

@@ -11,7 +11,7 @@ from typing import TypeVar
 import numpy as np
 
 from wafer_viewer.model.acquisition.focus_stack import Image
-from wafer_viewer.reconstruct.focus.focus_volume import Source
+from wafer_viewer.reconstruct.focus.focus_volume import StackSource
 from wafer_viewer.reconstruct.preprocess.frames import Frames, read_block
 
 Part = TypeVar("Part")
@@ -38,21 +38,21 @@ def row_parts(n_rows: int, rows: int) -> list[slice]:
     return [slice(top, min(top + rows, n_rows)) for top in range(0, n_rows, rows)]
 
 
-def source_of(frames: Frames, rows: slice, cols: slice, margin: int, block: Image | None = None) -> Source:
+def source_of(frames: Frames, rows: slice, cols: slice, margin: int, block: Image | None = None) -> StackSource:
     """A part of a field for kernels that look `margin` pixels beyond it: as it lies, or else copied and put right.
 
     block: [k, rows + 2 margin, cols + 2 margin] to copy to; without it one is made where it is needed.
     """
     if frames.ready(rows, margin):
-        return Source.of(frames.images, frames.slots, rows.start, cols.start, frames.clipped_counts)
+        return StackSource.of(frames.images, frames.slots, rows.start, cols.start, frames.clipped_counts)
     if block is None:
         block = read_part(frames, slice(0, frames.n_frames), rows, cols, margin)
     else:
         read_block(frames, rows, cols, margin, block)
-    return Source.of(block, np.arange(frames.n_frames), margin, margin, frames.clipped_counts)
+    return StackSource.of(block, np.arange(frames.n_frames), margin, margin, frames.clipped_counts)
 
 
-def source_of_rows(frames: Frames, rows: slice, margin: int) -> Source:
+def source_of_rows(frames: Frames, rows: slice, margin: int) -> StackSource:
     """Whole rows of a field, for kernels that look `margin` pixels beyond them."""
     return source_of(frames, rows, slice(0, frames.shape[1]), margin)
 

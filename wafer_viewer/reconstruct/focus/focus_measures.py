@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from wafer_viewer.model.acquisition.focus_stack import Image
-from wafer_viewer.reconstruct.focus.focus_volume import Source, Volume
+from wafer_viewer.reconstruct.focus.focus_volume import StackSource, Volume
 from wafer_viewer.reconstruct.focus.log_laplacian import (
     LEVEL_BITS,
     LogRows,
@@ -63,7 +63,7 @@ class FocusMeasure:
     margin_px: Callable[[int], int]
     table: Callable[[np.dtype[Any]], Table]
     make_rows: Callable[[int, int, np.dtype[Any]], Any]
-    fill: Callable[[Source, Focusing, Any, Volume], None]
+    fill: Callable[[StackSource, Focusing, Any, Volume], None]
 
 
 def _of_the_paper(title: str, equation: str, power: float, code: int) -> FocusMeasure:
@@ -71,11 +71,11 @@ def _of_the_paper(title: str, equation: str, power: float, code: int) -> FocusMe
     return FocusMeasure(title, equation, power, paper_margin_px, _mantissa_table, Rows.make, fill)
 
 
-def _fill_by_energy(code: int, source: Source, how: Focusing, rows: Rows, volume: Volume) -> None:
+def _fill_by_energy(code: int, source: StackSource, how: Focusing, rows: Rows, volume: Volume) -> None:
     focus_block(source, code, how.window, rows, volume)
 
 
-def _fill_by_logarithm(source: Source, how: Focusing, rows: LogRows, volume: Volume) -> None:
+def _fill_by_logarithm(source: StackSource, how: Focusing, rows: LogRows, volume: Volume) -> None:
     log_laplacian_block(source, how.window, Stabiliser.of(how.camera), how.lag, rows, volume)
 
 
@@ -114,7 +114,7 @@ def focus_image(image: Image, measure: str, window: int) -> NDArray[np.float32]:
 
     Beyond the border the border pixels repeat. Raises KeyError for a measure that is not one of the paper's.
     """
-    source = Source.of(np.ascontiguousarray(image)[None], np.zeros(1, np.int64), 0, 0, 0)
+    source = StackSource.of(np.ascontiguousarray(image)[None], np.zeros(1, np.int64), 0, 0, 0)
     out = np.empty(image.shape, np.float32)
     focus_values(source, _CODES[measure], window, Rows.make(image.shape[1], window, image.dtype), out)
     return out / np.float32(window * window) if measure == "glv" else out

@@ -19,7 +19,7 @@ COARSE_PX = 4
 """The coarse focus volume has one level for 4 x 4 pixels."""
 
 
-class Source(NamedTuple):
+class StackSource(NamedTuple):
     """The pixels that a block is made of: images[slots[k]] is frame k, and the block begins at row top, column left.
 
     images: [n, row, col], contiguous and read-only, so that all stacks are of one type to the kernels. From
@@ -33,7 +33,7 @@ class Source(NamedTuple):
     clipped_counts: int
 
     @classmethod
-    def of(cls, images: Greys, slots: Int64s, top: int, left: int, clipped_counts: int) -> Source:
+    def of(cls, images: Greys, slots: Int64s, top: int, left: int, clipped_counts: int) -> StackSource:
         """A source of contiguous images."""
         view = np.asarray(images).view()
         view.flags.writeable = False
@@ -62,7 +62,7 @@ def empty(volume: Volume) -> None:
 
 
 @inlined_part
-def take_grey(source: Source, k: Whole, y: Whole, margin: Whole, cols: Whole, grey: Greys) -> None:
+def take_grey(source: StackSource, k: Whole, y: Whole, margin: Whole, cols: Whole, grey: Greys) -> None:
     """Row y of the block in frame k, `margin` pixels longer at both ends; beyond the image its border repeats."""
     images = source.images
     at = min(max(source.top + y, 0), images.shape[1] - 1)

@@ -32,7 +32,7 @@ from wafer_viewer.numerics.array_types import Float32s, Greys, Int32s, Int64s, R
 from wafer_viewer.numerics.fast_log2 import quick_log2
 from wafer_viewer.numerics.filters.box_sums import AHEAD, box, pieces_of
 from wafer_viewer.numerics.jit import inlined_part, lean_kernel, lean_part
-from wafer_viewer.reconstruct.focus.focus_volume import Source, Volume, count_clipped, empty, keep_row, take_grey
+from wafer_viewer.reconstruct.focus.focus_volume import StackSource, Volume, count_clipped, empty, keep_row, take_grey
 from wafer_viewer.reconstruct.preprocess.camera_noise import CameraNoise
 
 LEVEL_BITS = 11
@@ -112,7 +112,7 @@ def log_margin_px(window: int) -> int:
 
 @lean_kernel
 def log_laplacian_block(
-    source: Source, window: Whole, stabiliser: Stabiliser, lag: Whole, rows: LogRows, volume: Volume
+    source: StackSource, window: Whole, stabiliser: Stabiliser, lag: Whole, rows: LogRows, volume: Volume
 ) -> None:
     """The volume of a block of frames.
 
@@ -163,7 +163,7 @@ def _begin(rows: LogRows) -> None:
 
 @inlined_part
 def _stabilise(
-    source: Source,
+    source: StackSource,
     volume: Volume,
     k: Whole,
     y: Whole,

@@ -13,10 +13,10 @@ from functools import lru_cache
 import numpy as np
 from numpy.typing import NDArray
 
-from wafer_viewer.reconstruct.focus.focus_volume import Source
+from wafer_viewer.reconstruct.focus.focus_volume import StackSource
 from wafer_viewer.reconstruct.focus.log_laplacian import log_margin_px
 from wafer_viewer.reconstruct.focus.peak import Peaks
-from wafer_viewer.reconstruct.focus.peak_search import Bench, Search, search_block
+from wafer_viewer.reconstruct.focus.peak_search import Search, ThreadScratch, search_block
 from wafer_viewer.reconstruct.preprocess.camera_noise import CameraNoise
 
 _SIDE_PX = 224
@@ -46,9 +46,9 @@ def noise_scores(search: Search, n_frames: int) -> NoiseScores:
 @lru_cache(maxsize=64)
 def _noise_scores(search: Search, n_frames: int) -> NoiseScores:
     grey, shape = _noise(n_frames), (_SIDE_PX, _SIDE_PX)
-    source = Source.of(grey, np.arange(n_frames), _MARGIN_PX, _MARGIN_PX, 256)
+    source = StackSource.of(grey, np.arange(n_frames), _MARGIN_PX, _MARGIN_PX, 256)
     peaks = Peaks.empty(shape, grey.dtype)
-    bench = Bench.make(n_frames, shape, search, grey.dtype)
+    bench = ThreadScratch.make(n_frames, shape, search, grey.dtype)
     search_block(source, np.arange(n_frames, dtype=np.float64), search, bench, peaks)
     inside = ~peaks.at_end
     lead, fall, contrast = (

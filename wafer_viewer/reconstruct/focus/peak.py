@@ -15,8 +15,8 @@ from wafer_viewer.model.acquisition.focus_stack import Image
 from wafer_viewer.numerics.array_types import Float32s, Float64s, Greys, Real, UInt16s, Whole, aligned
 from wafer_viewer.numerics.jit import inline_kernel, inlined_part, lean_kernel, lean_part
 from wafer_viewer.numerics.prefetch import prefetch
-from wafer_viewer.reconstruct.focus.focus_volume import COARSE_PX, Source
-from wafer_viewer.reconstruct.focus.peak_interpolation import Placing, Spots, place_row
+from wafer_viewer.reconstruct.focus.focus_volume import COARSE_PX, StackSource
+from wafer_viewer.reconstruct.focus.peak_interpolation import InterpolationScratch, PeakInterpolation, place_row
 
 _AHEAD = 4
 """Frames from the level that is read to the one that is asked for."""
@@ -27,7 +27,7 @@ _NEAR_TOPS = 2
 """How many averages above and below the peak may be better than that at the peak itself."""
 
 
-class Curves(NamedTuple):
+class FocusCurves(NamedTuple):
     """The focus volume of a block, levels [k, row, col], the best level of each pixel and its frame."""
 
     levels: UInt16s
@@ -35,12 +35,12 @@ class Curves(NamedTuple):
     peak: UInt16s
 
     @classmethod
-    def make(cls, n_frames: int, shape: tuple[int, int]) -> Curves:
+    def make(cls, n_frames: int, shape: tuple[int, int]) -> FocusCurves:
         """Room for the curves of `shape` pixels."""
         return cls(*(aligned(s, np.uint16) for s in ((n_frames, *shape), shape, shape)))
 
 
-class Scores(NamedTuple):
+class PeakScores(NamedTuple):
     """The part of `Peaks` that comes from the focus volume."""
 
     z_um: Float32s
@@ -78,9 +78,9 @@ class Peaks:
         return cls(z_um, lead, fall, contrast, at_end, clipped, all_in_focus, coarse)
 
     @property
-    def scores(self) -> Scores:
+    def scores(self) -> PeakScores:
         """What `describe` writes."""
-        return Scores(self.z_um, self.lead, self.fall, self.contrast, self.all_in_focus)
+        return PeakScores(self.z_um, self.lead, self.fall, self.contrast, self.all_in_focus)
 
     @property
     def confidence(self) -> NDArray[np.float32]:
@@ -105,7 +105,14 @@ def lead_of(confidence: float) -> float:
 
 
 @lean_kernel
-def describe(curves: Curves, source: Source, z_um: Float64s, how: Placing, spots: Spots, out: Scores) -> None:
+def describe(
+    curves: FocusCurves,
+    source: StackSource,
+    z_um: Float64s,
+    how: PeakInterpolation,
+    spots: InterpolationScratch,
+    out: PeakScores,
+) -> None:
     """Height, scores and all-in-focus grey of each pixel, a row at a time while its levels are in the cache."""
     n_rows, cols = curves.peak.shape
     for y in range(n_rows):
@@ -160,7 +167,7 @@ def _rival_row(
 
 
 @lean_part
-def gather(curves: Curves, y: Whole, z_um: Float64s, how: Placing, spots: Spots) -> None:
+def gather(curves: FocusCurves, y: Whole, z_um: Float64s, how: PeakInterpolation, spots: InterpolationScratch) -> None:
     """z and log2 of focus at the peaks of row y, and on both sides of them."""
     levels, bits, table = curves.levels, spots.bits, spots.table
     last = levels.shape[0] - 1
@@ -175,7 +182,9 @@ def gather(curves: Curves, y: Whole, z_um: Float64s, how: Placing, spots: Spots)
 
 
 @lean_part
-def gather_blended(curves: Curves, y: Whole, z_um: Float64s, how: Placing, spots: Spots) -> None:
+def gather_blended(
+    curves: FocusCurves, y: Whole, z_um: Float64s, how: PeakInterpolation, spots: InterpolationScratch
+) -> None:
     """The same of curves averaged along z, [1 2 1] / 4, at the best of the averages near the peak.
 
     Grains that shine like mirrors are sharp above and below their focus: their curves have two tops and a dip between,
@@ -207,7 +216,7 @@ def _blended(levels: UInt16s, k: Whole, y: Whole, x: Whole, s: Whole, bits: Whol
 
 
 @lean_part
-def _score(curves: Curves, y: Whole, gap: Whole, spots: Spots, out: Scores) -> None:
+def _score(curves: FocusCurves, y: Whole, gap: Whole, spots: InterpolationScratch, out: PeakScores) -> None:
     """How far the peaks of row y are above their rivals, their flanks and the lowest frame."""
     levels, bits, table = curves.levels, spots.bits, spots.table
     last = levels.shape[0] - 1

@@ -47,7 +47,7 @@ PEAKS: dict[str, PeakEstimator] = {
 }
 
 
-class Placing(NamedTuple):
+class PeakInterpolation(NamedTuple):
     """How peaks are placed: the estimator's code, the power of the blur law, and the frames to rivals and flanks.
 
     blend: frames to the levels that are averaged with each level before, 0 for none; floored: whether the sweep goes
@@ -62,7 +62,7 @@ class Placing(NamedTuple):
     floored: bool = False
 
 
-class Spots(NamedTuple):
+class InterpolationScratch(NamedTuple):
     """What is known of the peaks of one row: the rival's level and the least, and z and log2 of focus at three frames.
 
     floor: log2 of the focus where the curve is lowest. bits, table: the bits of a level after the point, and what they
@@ -82,7 +82,7 @@ class Spots(NamedTuple):
     table: Float32s
 
     @classmethod
-    def make(cls, cols: int, table: Float32s) -> Spots:
+    def make(cls, cols: int, table: Float32s) -> InterpolationScratch:
         """Room for rows of `cols` pixels, of levels whose lower bits `table` explains."""
         shorts = (aligned((cols,), np.uint16) for _ in range(2))
         reals = (aligned((cols,), np.float64) for _ in range(7))
@@ -90,7 +90,9 @@ class Spots(NamedTuple):
 
 
 @lean_kernel
-def place(how: Placing, below: Real, z: Real, above: Real, left: Real, top: Real, right: Real, floor: Real) -> Real:
+def place(
+    how: PeakInterpolation, below: Real, z: Real, above: Real, left: Real, top: Real, right: Real, floor: Real
+) -> Real:
     """The z of the peak from log focus at three z and its floor, between the middles of the two intervals."""
     if how.estimator == _ARGMAX:
         return z
@@ -103,7 +105,7 @@ def place(how: Placing, below: Real, z: Real, above: Real, left: Real, top: Real
 
 
 @lean_part
-def place_row(how: Placing, spots: Spots, z_um: Float32s) -> None:
+def place_row(how: PeakInterpolation, spots: InterpolationScratch, z_um: Float32s) -> None:
     """`place` for a row of pixels, in loops without branches."""
     below, z, above, left, top, right, floor = spots[3:10]
     if how.estimator == _ARGMAX:

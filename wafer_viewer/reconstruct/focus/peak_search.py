@@ -15,9 +15,9 @@ from wafer_viewer.model.acquisition.focus_stack import Image
 from wafer_viewer.model.progress import Progress
 from wafer_viewer.reconstruct.focus.field_blocks import cores, source_of
 from wafer_viewer.reconstruct.focus.focus_measures import FOCUS_MEASURES, USUAL_CAMERA, Focusing
-from wafer_viewer.reconstruct.focus.focus_volume import Source, Volume
-from wafer_viewer.reconstruct.focus.peak import Curves, Peaks, describe
-from wafer_viewer.reconstruct.focus.peak_interpolation import PEAKS, Placing, Spots
+from wafer_viewer.reconstruct.focus.focus_volume import StackSource, Volume
+from wafer_viewer.reconstruct.focus.peak import FocusCurves, Peaks, describe
+from wafer_viewer.reconstruct.focus.peak_interpolation import PEAKS, InterpolationScratch, PeakInterpolation
 from wafer_viewer.reconstruct.preprocess.camera_noise import CameraNoise
 from wafer_viewer.reconstruct.preprocess.frames import Frames
 
@@ -51,40 +51,44 @@ class Search:
         return FOCUS_MEASURES[self.measure].margin_px(self.window)
 
     @property
-    def placing(self) -> Placing:
+    def placing(self) -> PeakInterpolation:
         """What the kernels must know to place a peak."""
         how = PEAKS[self.estimator]
         blend = self.blend if how.blended else 0
-        return Placing(how.code, FOCUS_MEASURES[self.measure].power, self.gap, self.reach, blend, self.floored)
+        return PeakInterpolation(
+            how.code, FOCUS_MEASURES[self.measure].power, self.gap, self.reach, blend, self.floored
+        )
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Bench:
+class ThreadScratch:
     """What one thread works with: a block for pixels that cannot be read where they lie, its curves, and rows."""
 
     block: Image
-    curves: Curves
+    curves: FocusCurves
     rows: Any
-    spots: Spots
+    spots: InterpolationScratch
 
     @classmethod
-    def make(cls, n_frames: int, shape: tuple[int, int], search: Search, dtype: np.dtype[Any]) -> Bench:
+    def make(cls, n_frames: int, shape: tuple[int, int], search: Search, dtype: np.dtype[Any]) -> ThreadScratch:
         """A bench for blocks of `shape` pixels; its block takes no memory until pixels are copied there."""
         native, margin = np.dtype(dtype).newbyteorder("="), search.margin_px
         block = np.empty((n_frames, shape[0] + 2 * margin, shape[1] + 2 * margin), native)
         measure = FOCUS_MEASURES[search.measure]
         rows = measure.make_rows(shape[1], search.window, native)
-        spots = Spots.make(shape[1], measure.table(native))
-        return cls(block, Curves.make(n_frames, shape), rows, spots)
+        spots = InterpolationScratch.make(shape[1], measure.table(native))
+        return cls(block, FocusCurves.make(n_frames, shape), rows, spots)
 
-    def cut(self, n_rows: int) -> Bench:
+    def cut(self, n_rows: int) -> ThreadScratch:
         """The same bench for a block of fewer rows: the last stripe of a field."""
         levels, best, peak = self.curves
         fewer = len(best) - n_rows
         if not fewer:
             return self
         block = _fewer_rows(self.block, self.block.shape[1] - fewer)
-        return Bench(block, Curves(_fewer_rows(levels, n_rows), best[:n_rows], peak[:n_rows]), self.rows, self.spots)
+        return ThreadScratch(
+            block, FocusCurves(_fewer_rows(levels, n_rows), best[:n_rows], peak[:n_rows]), self.rows, self.spots
+        )
 
 
 def search_field(frames: Frames, search: Search, threads: int | None = None, progress: Progress | None = None) -> Peaks:
@@ -95,9 +99,9 @@ def search_field(frames: Frames, search: Search, threads: int | None = None, pro
     peaks = Peaks.empty(frames.shape, frames.dtype, frames.n_frames)
     parts = stripes(frames.shape[0])
     threads = min(threads or cores(), len(parts))
-    benches: queue.SimpleQueue[Bench] = queue.SimpleQueue()
+    benches: queue.SimpleQueue[ThreadScratch] = queue.SimpleQueue()
     for _ in range(threads):
-        benches.put(Bench.make(frames.n_frames, (parts[0].stop, frames.shape[1]), search, frames.dtype))
+        benches.put(ThreadScratch.make(frames.n_frames, (parts[0].stop, frames.shape[1]), search, frames.dtype))
 
     def one(rows: slice) -> None:
         bench = benches.get()
@@ -110,20 +114,22 @@ def search_field(frames: Frames, search: Search, threads: int | None = None, pro
     return peaks
 
 
-def search_part(frames: Frames, rows: slice, cols: slice, search: Search, bench: Bench, out: Peaks) -> None:
+def search_part(frames: Frames, rows: slice, cols: slice, search: Search, bench: ThreadScratch, out: Peaks) -> None:
     """The peaks of the pixels [rows, cols] of a field, into `out`."""
     bench = bench.cut(rows.stop - rows.start)
     source = source_of(frames, rows, cols, search.margin_px, bench.block)
     search_block(source, frames.z_um, search, bench, out)
 
 
-def search_block(source: Source, z_um: NDArray[np.float64], search: Search, bench: Bench, out: Peaks) -> None:
+def search_block(
+    source: StackSource, z_um: NDArray[np.float64], search: Search, bench: ThreadScratch, out: Peaks
+) -> None:
     """The peaks of the pixels of a source, into `out`."""
     fill_volume(source, search, bench.rows, Volume(*bench.curves, out.clipped, out.coarse))
     find_peaks(source, z_um, search, bench.curves, bench.spots, out)
 
 
-def fill_volume(source: Source, search: Search, rows: Any, volume: Volume) -> None:
+def fill_volume(source: StackSource, search: Search, rows: Any, volume: Volume) -> None:
     """Measure the frames of a source; `rows` are those that the measure made to work in.
 
     The coarse levels of a stripe lie apart in those of a field, and those of a small field do not: two types to the
@@ -136,7 +142,12 @@ def fill_volume(source: Source, search: Search, rows: Any, volume: Volume) -> No
 
 
 def find_peaks(
-    source: Source, z_um: NDArray[np.float64], search: Search, curves: Curves, spots: Spots, out: Peaks
+    source: StackSource,
+    z_um: NDArray[np.float64],
+    search: Search,
+    curves: FocusCurves,
+    spots: InterpolationScratch,
+    out: Peaks,
 ) -> None:
     """The peaks of measured frames, into `out`."""
     describe(curves, source, z_um, search.placing, spots, out.scores)

@@ -13,7 +13,7 @@ import numpy as np
 from wafer_viewer.numerics.array_types import Float32s, Greys, Int64s, UInt16s, Whole, Wholes, aligned
 from wafer_viewer.numerics.filters.box_sums import AHEAD, box, pieces_of
 from wafer_viewer.numerics.jit import inlined_part, lean_kernel, lean_part
-from wafer_viewer.reconstruct.focus.focus_volume import Source, Volume, count_clipped, empty, keep_row, take_grey
+from wafer_viewer.reconstruct.focus.focus_volume import StackSource, Volume, count_clipped, empty, keep_row, take_grey
 
 SML, TENENGRAD, GLV = 0, 1, 2
 
@@ -56,7 +56,7 @@ def paper_margin_px(window: int) -> int:
 
 
 @lean_kernel
-def focus_block(source: Source, measure: Whole, window: Whole, rows: Rows, volume: Volume) -> None:
+def focus_block(source: StackSource, measure: Whole, window: Whole, rows: Rows, volume: Volume) -> None:
     """The volume of a block of frames."""
     empty(volume)
     shift = np.int32(12 if source.images.itemsize == 1 else 13)
@@ -79,7 +79,7 @@ def focus_block(source: Source, measure: Whole, window: Whole, rows: Rows, volum
 
 
 @lean_kernel
-def focus_values(source: Source, measure: Whole, window: Whole, rows: Rows, out: Float32s) -> None:
+def focus_values(source: StackSource, measure: Whole, window: Whole, rows: Rows, out: Float32s) -> None:
     """The measure of the first frame of a source, in `out` [row, col]: for eq. 4 times the pixels of the window."""
     margin = window // 2 + 1
     _begin(rows)
@@ -100,7 +100,7 @@ def _begin(rows: Rows) -> None:
 
 
 @inlined_part
-def _take_row(source: Source, k: Whole, r: Whole, measure: Whole, window: Whole, rows: Rows) -> None:
+def _take_row(source: StackSource, k: Whole, r: Whole, measure: Whole, window: Whole, rows: Rows) -> None:
     """Read grey row r of a frame; let the energy of row r - 2 into the column sums, and the oldest row out.
 
     The row that is read is not touched yet: a row that was only just written is slow to read at other alignments.

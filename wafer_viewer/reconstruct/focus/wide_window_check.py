@@ -14,8 +14,8 @@ from wafer_viewer.numerics.array_types import Float32s, Float64s, Int32s, UInt16
 from wafer_viewer.numerics.jit import inlined_part, lean_kernel, lean_part
 from wafer_viewer.reconstruct.focus.focus_measures import FOCUS_MEASURES
 from wafer_viewer.reconstruct.focus.focus_volume import COARSE_PX, note
-from wafer_viewer.reconstruct.focus.peak import Curves, Peaks, gather, gather_blended
-from wafer_viewer.reconstruct.focus.peak_interpolation import Placing, Spots, place_row
+from wafer_viewer.reconstruct.focus.peak import FocusCurves, Peaks, gather, gather_blended
+from wafer_viewer.reconstruct.focus.peak_interpolation import InterpolationScratch, PeakInterpolation, place_row
 from wafer_viewer.reconstruct.focus.peak_search import Search
 
 
@@ -34,8 +34,8 @@ def wide_heights(
     """
     n_frames, n_rows, cols = peaks.coarse.shape
     cells = cells or wide_cells(search.window)
-    curves = Curves.make(n_frames, (1, cols))
-    spots = Spots.make(cols, FOCUS_MEASURES[search.measure].table(peaks.all_in_focus.dtype))
+    curves = FocusCurves.make(n_frames, (1, cols))
+    spots = InterpolationScratch.make(cols, FOCUS_MEASURES[search.measure].table(peaks.all_in_focus.dtype))
     line = aligned((cols + cells - 1,), np.int32)
     out = np.empty((n_rows, cols), np.float32)
     _search_rows(
@@ -58,9 +58,9 @@ def _search_rows(
     cells: Whole,
     line: Int32s,
     z_um: Float64s,
-    how: Placing,
-    curves: Curves,
-    spots: Spots,
+    how: PeakInterpolation,
+    curves: FocusCurves,
+    spots: InterpolationScratch,
     out: Float32s,
 ) -> None:
     only = np.int64(0)  # a plain 0 would be a type of its own, and what takes it compiled once more

@@ -21,7 +21,7 @@ from wafer_viewer.reconstruct.focus.field_blocks import on_threads, read_part, r
 from wafer_viewer.reconstruct.focus.focus_volume import COARSE_PX
 from wafer_viewer.reconstruct.focus.log_laplacian import Stabiliser
 from wafer_viewer.reconstruct.focus.peak import Peaks
-from wafer_viewer.reconstruct.gates.edge_sides import Band, Side, Sides, find_band, outline_grey, tell_sides
+from wafer_viewer.reconstruct.gates.edge_sides import Band, EdgeSide, Sides, find_band, outline_grey, tell_sides
 from wafer_viewer.reconstruct.gates.edge_silhouettes import DARK_SHARE_OF_WHITE, silhouette_of
 from wafer_viewer.reconstruct.gates.side_heights import side_heights_um
 from wafer_viewer.reconstruct.gates.tangential_focus import (
@@ -48,10 +48,10 @@ _SEED = 20240301
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Edges:
+class BleedingEdges:
     """What is known about the pixels beside walls, all arrays [row, col].
 
-    side: codes of `Side`; expected_um: the height that the pixel's side shows further from the wall, NaN where none is
+    side: codes of `EdgeSide`; expected_um: the height of the pixel's side further from the wall, NaN where none is
     near; z_um: where the focus along the wall peaks near that height, NaN where it does not or was not looked for;
     fall: how far it falls from there, in powers of two, min_fall what noise reaches once in a hundred pixels;
     tolerance_um: how far from the expected height a height may be.
@@ -71,7 +71,7 @@ class Edges:
     @property
     def along(self) -> NDArray[np.bool_]:
         """Where the focus along the wall gives a height to be believed."""
-        return (self.side == Side.DARK) & (self.fall > self.min_fall) & self.agrees(self.z_um)
+        return (self.side == EdgeSide.DARK) & (self.fall > self.min_fall) & self.agrees(self.z_um)
 
 
 @dataclass(frozen=True, slots=True)
@@ -92,7 +92,7 @@ class EdgeSearch:
 
 def find_edges(
     frames: Frames, how: EdgeSearch, peaks: Peaks, origin: NDArray[np.uint8], threads: int | None = None
-) -> Edges | None:
+) -> BleedingEdges | None:
     """The edges of a field, None where there are no walls. threads: all cores when left out."""
     band = find_band(silhouette_of(frames, threads), how.gap)
     if band is None:
@@ -107,9 +107,9 @@ def find_edges(
     z_um, fall = np.full(frames.shape, np.nan, np.float32), np.zeros(frames.shape, np.float32)
     near = near_of(how, frames)
     if how.mode == "rims":
-        wanted = np.where((sides.side == Side.DARK) & (origin != Origin.CLIPPED), expected_um, np.float32(np.nan))
+        wanted = np.where((sides.side == EdgeSide.DARK) & (origin != Origin.CLIPPED), expected_um, np.float32(np.nan))
         _search_along(frames, how, near, wanted, _wall_of(band, sides), z_um, fall, threads)
-    return Edges(sides.side, expected_um, z_um, fall, noise_fall(near), how.tolerance_um)
+    return BleedingEdges(sides.side, expected_um, z_um, fall, noise_fall(near), how.tolerance_um)
 
 
 def near_of(how: EdgeSearch, frames: Frames) -> Near:
@@ -118,7 +118,7 @@ def near_of(how: EdgeSearch, frames: Frames) -> Near:
 
 
 def judge_edges(
-    z_um: NDArray[np.float32], origin: NDArray[np.uint8], edges: Edges
+    z_um: NDArray[np.float32], origin: NDArray[np.uint8], edges: BleedingEdges
 ) -> tuple[NDArray[np.float32], NDArray[np.uint8]]:
     """The heights and origins of a field with what is known of its edges.
 
@@ -126,8 +126,8 @@ def judge_edges(
     the wall gives a height it is taken, whatever the gate said.
     """
     along = edges.along
-    beside = edges.side != Side.AWAY
-    agrees = edges.agrees(z_um) & (edges.side != Side.OUTLINE)
+    beside = edges.side != EdgeSide.AWAY
+    agrees = edges.agrees(z_um) & (edges.side != EdgeSide.OUTLINE)
     bleeding = beside & (origin == Origin.MEASURED) & ~agrees
     origin = np.where(bleeding, np.uint8(Origin.BLEEDING_EDGE), origin)
     return np.where(along, edges.z_um, z_um), np.where(along, np.uint8(Origin.MEASURED), origin)
@@ -169,7 +169,7 @@ def _expected(
     """The heights of the cells at the pixels of their side."""
     rows, cols = (np.arange(n) // COARSE_PX for n in side.shape)
     dark, bright = (cells[rows[:, None], cols] for cells in (dark_um, bright_um))
-    return np.where(side == Side.DARK, dark, np.where(side == Side.BRIGHT, bright, np.float32(np.nan)))
+    return np.where(side == EdgeSide.DARK, dark, np.where(side == EdgeSide.BRIGHT, bright, np.float32(np.nan)))
 
 
 def _wall_of(band: Band, sides: Sides) -> Wall:

@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from wafer_viewer.numerics.array_types import Bools, Float32s, UInt8s, UInt16s, Whole
 from wafer_viewer.numerics.filters.sliding_filters import doubled, halved, highest, lowest, mean_of_known
 from wafer_viewer.numerics.jit import lean_kernel
-from wafer_viewer.reconstruct.focus.focus_volume import Source
+from wafer_viewer.reconstruct.focus.focus_volume import StackSource
 from wafer_viewer.reconstruct.gates.edge_silhouettes import Silhouette
 
 STANDING_GAPS = 2.0
@@ -38,7 +38,7 @@ _CONTRAST_UNIT = 16384.0
 _LOG_UNIT = 4096.0
 
 
-class Side(IntEnum):
+class EdgeSide(IntEnum):
     """Where a pixel lies: away from walls, on the dark or the bright side of one, or on its outline."""
 
     AWAY = 0
@@ -59,7 +59,7 @@ class Band(NamedTuple):
 
 
 class Sides(NamedTuple):
-    """side: codes of `Side` [row, col]; bright_share: how many of 2 x 2 pixels are brighter than the threshold, and
+    """side: codes of `EdgeSide` [row, col]; bright_share: how many of 2 x 2 pixels are brighter than the threshold, and
     threshold: ln(grey + dark) that parts dark from bright, both [row / 2, col / 2], 0 where the band is not.
     """
 
@@ -96,14 +96,14 @@ def tell_sides(grey: NDArray[np.float32], band: Band, dark_counts: float) -> Sid
     inside, bright = doubled(band.inside, grey.shape), grey >= middle
     share = np.where(band.inside, halved(bright), np.float32(0))
     around = doubled(mean_of_known(share, band.inside, 3), grey.shape)
-    side = np.where(inside, np.uint8(Side.OUTLINE), np.uint8(Side.AWAY))
-    side[inside & ~bright & ((grey < surely_dark) | (around <= 1 - DEEP_SHARE))] = Side.DARK
-    side[inside & bright & ((grey > surely_bright) | (around >= DEEP_SHARE))] = Side.BRIGHT
+    side = np.where(inside, np.uint8(EdgeSide.OUTLINE), np.uint8(EdgeSide.AWAY))
+    side[inside & ~bright & ((grey < surely_dark) | (around <= 1 - DEEP_SHARE))] = EdgeSide.DARK
+    side[inside & bright & ((grey > surely_bright) | (around >= DEEP_SHARE))] = EdgeSide.BRIGHT
     return Sides(side, share, np.where(band.inside, threshold, np.float32(0)))
 
 
 @lean_kernel
-def outline_grey(source: Source, first: Whole, inside: Bools, frame: UInt16s, grey: Float32s) -> None:
+def outline_grey(source: StackSource, first: Whole, inside: Bools, frame: UInt16s, grey: Float32s) -> None:
     """The mean of 3 x 3 pixels in the frame of the band, where the band is, for the rows of `grey` [row, col].
 
     source: frames that begin at row `first` of the field, which is even; inside, frame: of the whole field.

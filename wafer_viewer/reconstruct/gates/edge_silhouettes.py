@@ -18,7 +18,7 @@ from wafer_viewer.numerics.array_types import Float32s, Greys, Int32s, Real, UIn
 from wafer_viewer.numerics.fast_log2 import quick_log2
 from wafer_viewer.numerics.jit import lean_kernel, lean_part
 from wafer_viewer.reconstruct.focus.field_blocks import on_threads, row_parts, source_of_rows
-from wafer_viewer.reconstruct.focus.focus_volume import Source, take_grey
+from wafer_viewer.reconstruct.focus.focus_volume import StackSource, take_grey
 from wafer_viewer.reconstruct.preprocess.frames import Frames
 
 SILHOUETTE_MARGIN_PX = 6
@@ -105,7 +105,7 @@ def silhouette_of(frames: Frames, threads: int | None = None) -> Silhouette:
 
 @lean_kernel
 def silhouette_block(
-    source: Source, first: Whole, every: Whole, dark_counts: Real, rows: SilhouetteRows, out: Silhouette
+    source: StackSource, first: Whole, every: Whole, dark_counts: Real, rows: SilhouetteRows, out: Silhouette
 ) -> None:
     """Note the silhouettes of a block, in an `out` that is empty to begin with; every: 1 for all frames, 2 for half.
 

@@ -44,7 +44,7 @@ class Gate:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Check:
+class GateTest:
     """A question that is put to every pixel, and what a pixel that fails it is.
 
     score: float32 [row, col]; a pixel passes when its score is over the limit, or, where `at_most`, no more than it.
@@ -97,7 +97,7 @@ def origins(peaks: Peaks, gate: Gate, n_frames: int, wide_um: NDArray[np.float32
     return first_failed(checks(peaks, gate, n_frames, wide_um))
 
 
-def first_failed(asked: tuple[Check, ...]) -> NDArray[np.uint8]:
+def first_failed(asked: tuple[GateTest, ...]) -> NDArray[np.uint8]:
     """The origin that the first failed check of each pixel stands for, measured where none failed; uint8 [row, col]."""
     origin = np.full(asked[0].score.shape, Origin.MEASURED, np.uint8)
     for check in reversed(asked):
@@ -105,11 +105,11 @@ def first_failed(asked: tuple[Check, ...]) -> NDArray[np.uint8]:
     return origin
 
 
-def checks(peaks: Peaks, gate: Gate, n_frames: int, wide_um: NDArray[np.float32] | None = None) -> tuple[Check, ...]:
+def checks(peaks: Peaks, gate: Gate, n_frames: int, wide_um: NDArray[np.float32] | None = None) -> tuple[GateTest, ...]:
     """Every gate with the scores of all pixels, the one that explains most first."""
     lead = lead_of(gate.min_confidence) if gate.min_confidence > 0 else -np.inf
     found = (
-        Check(
+        GateTest(
             "clipped",
             "Is the window free of pixels that are too bright?",
             Origin.CLIPPED,
@@ -118,7 +118,7 @@ def checks(peaks: Peaks, gate: Gate, n_frames: int, wide_um: NDArray[np.float32]
             "share of the window",
             at_most=True,
         ),
-        Check(
+        GateTest(
             "texture",
             "Is there texture to focus on?",
             Origin.NO_TEXTURE,
@@ -126,7 +126,7 @@ def checks(peaks: Peaks, gate: Gate, n_frames: int, wide_um: NDArray[np.float32]
             gate.min_contrast,
             POWERS,
         ),
-        Check(
+        GateTest(
             "range",
             "Does the peak lie within the sweep?",
             Origin.END_OF_RANGE,
@@ -135,7 +135,7 @@ def checks(peaks: Peaks, gate: Gate, n_frames: int, wide_um: NDArray[np.float32]
             "1 at an end",
             at_most=True,
         ),
-        Check(
+        GateTest(
             "flanks",
             "Does the focus fall on both sides of the peak?",
             Origin.AMBIGUOUS,
@@ -143,13 +143,13 @@ def checks(peaks: Peaks, gate: Gate, n_frames: int, wide_um: NDArray[np.float32]
             gate.min_fall,
             POWERS,
         ),
-        Check("rival", "Does the peak stand over its rivals?", Origin.AMBIGUOUS, peaks.lead, lead, POWERS),
+        GateTest("rival", "Does the peak stand over its rivals?", Origin.AMBIGUOUS, peaks.lead, lead, POWERS),
     )
     return found if wide_um is None else (*found, _windows(peaks, gate, wide_um))
 
 
-def _windows(peaks: Peaks, gate: Gate, wide_um: NDArray[np.float32]) -> Check:
-    return Check(
+def _windows(peaks: Peaks, gate: Gate, wide_um: NDArray[np.float32]) -> GateTest:
+    return GateTest(
         "windows",
         "Does a window twice as wide see the same height?",
         Origin.WINDOWS_DISAGREE,

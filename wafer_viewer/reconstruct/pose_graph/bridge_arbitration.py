@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 
 from wafer_viewer.model.surface.field_poses import Numbers
 from wafer_viewer.reconstruct.pose_graph.graph_components import Whole32s, bridges, count_up, groups
-from wafer_viewer.reconstruct.pose_graph.pose_graph import Flags, Network
+from wafer_viewer.reconstruct.pose_graph.pose_graph import Flags, PoseGraph
 
 Wholes = NDArray[np.intp]
 
@@ -35,7 +35,7 @@ _MOST_TOGETHER = 8.0
 """Errors of a stage are not as independent as averaging more of them would have it."""
 
 
-def verdicts(network: Network, values: Numbers, shared: Numbers, excess: float, believed: Flags) -> Numbers:
+def verdicts(network: PoseGraph, values: Numbers, shared: Numbers, excess: float, believed: Flags) -> Numbers:
     """[e] 1 for contested overlaps that are to be believed, 0 for those that are not, NaN for all others."""
     surprise = network.surprise(values, shared)
     lone = np.zeros(len(believed), np.bool_)
@@ -111,7 +111,7 @@ def _scatter(surprise: Numbers, core: Whole32s, sigma: Numbers) -> Numbers:
     return np.minimum(sigma, np.sqrt(np.sum(inside**2, axis=0) / degrees))
 
 
-def _suspect(network: Network, surprise: Numbers, core: Whole32s, sigma: Numbers, believed: Flags) -> Flags:
+def _suspect(network: PoseGraph, surprise: Numbers, core: Whole32s, sigma: Numbers, believed: Flags) -> Flags:
     """Which cores have ties that were rejected, or lie where the stage says that they can hardly be."""
     far = np.minimum(np.bincount(core), _MOST_TOGETHER) * _chi2(_mean_of(surprise, core), sigma) / 2
     rejected = network.tells.any(axis=1) & ~believed
@@ -120,7 +120,7 @@ def _suspect(network: Network, surprise: Numbers, core: Whole32s, sigma: Numbers
     return suspect
 
 
-def _clusters(network: Network, lone: Flags, suspect: Flags, believed: Flags) -> Whole32s:
+def _clusters(network: PoseGraph, lone: Flags, suspect: Flags, believed: Flags) -> Whole32s:
     """[n] fields that believed overlaps tie together, with contested ties cut; what is fixed is one cluster.
 
     A tie is contested when it is the only one between its two sides, [e], and one of these is suspect, [n].

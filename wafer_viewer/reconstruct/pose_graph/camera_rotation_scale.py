@@ -26,7 +26,7 @@ _WRONG_SCALE = 0.03
 
 
 @dataclass(frozen=True, slots=True)
-class Camera:
+class CameraAxes:
     """The camera against the stage: turned anticlockwise by `turn` (rad), its pixels too large by `scale` (fraction).
 
     u_turn, u_scale: standard uncertainties; (middle_x_um, middle_y_um): where its axes and those of the stage agree.
@@ -40,7 +40,7 @@ class Camera:
     middle_y_um: float = 0.0
 
     @classmethod
-    def of(cls, form: Form) -> Camera:
+    def of(cls, form: Form) -> CameraAxes:
         """The camera that a form tells of."""
         return cls(form.camera_turn, form.u_camera_turn, form.camera_scale, form.u_camera_scale, *form.middle_um)
 

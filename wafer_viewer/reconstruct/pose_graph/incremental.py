@@ -9,10 +9,10 @@ from typing import TypeVar
 import numpy as np
 from numpy.typing import NDArray
 
-from wafer_viewer.model.surface.field_poses import Doubt, Poses, Seams, Shifts, joined, selected
+from wafer_viewer.model.surface.field_poses import HeightOffsets, Poses, RejectionReason, Shifts, joined, selected
 
 Pairs = NDArray[np.int32]
-T = TypeVar("T", Shifts, Seams)
+T = TypeVar("T", Shifts, HeightOffsets)
 A = TypeVar("A", np.float64, np.bool_)
 STILL_PX = 0.1
 """A field that moves by less than a tenth of a pixel stays where it is drawn."""
@@ -22,7 +22,7 @@ POSE = ("x_um", "y_um", "z_um", "tilt_x", "tilt_y")
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Known:
+class PreviousSolution:
     """What an earlier solution says about the fields of a list, all [n_fields].
 
     row: of each field in the earlier list, -1 where it is new or its surface was made again; poses: the earlier ones.
@@ -32,7 +32,7 @@ class Known:
     poses: Poses | None
 
     @classmethod
-    def of(cls, poses: Poses | None, numbers: NDArray[np.int32], marks: NDArray[np.int64]) -> Known:
+    def of(cls, poses: Poses | None, numbers: NDArray[np.int32], marks: NDArray[np.int64]) -> PreviousSolution:
         """What poses say about fields whose surfaces have these marks now."""
         if poses is None or poses.numbers.size == 0:
             return cls(np.full(len(numbers), -1), poses)
@@ -62,7 +62,7 @@ class Known:
         """What overlaps say about x and y; only those are looked at that changed."""
         return self._and(pairs, look, None if self.poses is None else _undoubted(self.poses.shifts))
 
-    def seams(self, pairs: Pairs, look: Callable[[Pairs], Seams]) -> Seams:
+    def seams(self, pairs: Pairs, look: Callable[[Pairs], HeightOffsets]) -> HeightOffsets:
         """The same about z, for fields that stay where they are."""
         return self._and(pairs, look, None if self.poses is None else _unsolved(self.poses.seams))
 
@@ -91,16 +91,18 @@ def _keys(first: NDArray[np.int32], second: NDArray[np.int32], n: int) -> NDArra
 
 def _undoubted(shifts: Shifts) -> Shifts:
     """Without the verdict of an earlier solution: what one of them disagreed with may have changed."""
-    doubt = np.where(shifts.doubt == Doubt.DISAGREES, np.uint8(Doubt.NONE), shifts.doubt)
+    doubt = np.where(shifts.doubt == RejectionReason.DISAGREES, np.uint8(RejectionReason.NONE), shifts.doubt)
     return replace(shifts, doubt=doubt.astype(np.uint8))
 
 
-def _unsolved(seams: Seams) -> Seams:
+def _unsolved(seams: HeightOffsets) -> HeightOffsets:
     """As `seams.compare` gave them: without the step that a solution left."""
     return replace(seams, rms_um=np.sqrt(np.maximum(seams.rms_um**2 - seams.step_um**2, 0)), step_um=seams.z_um)
 
 
-def held_still(poses: Poses, known: Known, pixel_um: float, corner_um: float) -> tuple[Poses, NDArray[np.bool_]]:
+def held_still(
+    poses: Poses, known: PreviousSolution, pixel_um: float, corner_um: float
+) -> tuple[Poses, NDArray[np.bool_]]:
     """Poses of which fields that hardly moved keep the one they are drawn at, and which fields are to be drawn.
 
     corner_um: from the centre of a field to its corner.

@@ -9,13 +9,13 @@ from typing import Literal
 import numpy as np
 from numpy.typing import NDArray
 
-from wafer_viewer.model.surface.field_poses import Doubt, Numbers, Shifts
+from wafer_viewer.model.surface.field_poses import Numbers, RejectionReason, Shifts
 from wafer_viewer.reconstruct.pose_graph.bridge_arbitration import verdicts
-from wafer_viewer.reconstruct.pose_graph.camera_rotation_scale import LEAST_OVERLAPS, SIGMA, Camera, shared_by_all
+from wafer_viewer.reconstruct.pose_graph.camera_rotation_scale import LEAST_OVERLAPS, SIGMA, CameraAxes, shared_by_all
 from wafer_viewer.reconstruct.pose_graph.graph_components import groups
 from wafer_viewer.reconstruct.pose_graph.pose_covariance import shared_uncertainties, standard_uncertainties
-from wafer_viewer.reconstruct.pose_graph.pose_graph import Flags, Network, Ties
-from wafer_viewer.reconstruct.pose_graph.robust_solver import REJECTED, Settled, settle
+from wafer_viewer.reconstruct.pose_graph.pose_graph import Flags, GraphEdges, PoseGraph
+from wafer_viewer.reconstruct.pose_graph.robust_solver import REJECTED, RobustSolution, settle
 
 _FLOOR_PX = 0.02
 """Registration is never better than this: two pictures of one spot differ by more than noise."""
@@ -40,7 +40,7 @@ class Positions:
     group: NDArray[np.int32]
     shifts: Shifts
     stage_error_um: float
-    camera: Camera
+    camera: CameraAxes
     notes: tuple[str, ...] = ()
 
 
@@ -53,7 +53,7 @@ def solve_positions(
     stage_error_um: float | Literal["auto"] = "auto",
     fixed: Flags | None = None,
     start: tuple[Numbers, Numbers] | None = None,
-    camera: Camera | None = None,
+    camera: CameraAxes | None = None,
 ) -> Positions:
     """The most probable places of fields [n], from the stage's word and the shifts of their overlaps.
 
@@ -92,16 +92,16 @@ class _Task:
     fixed: Flags
     start: tuple[Numbers, Numbers] | None
 
-    def unturned(self) -> Camera:
+    def unturned(self) -> CameraAxes:
         """A camera along the stage's axes, about the middle of what is fixed, or else of all fields."""
         those = self.fixed if np.any(self.fixed) else np.ones_like(self.fixed)
         middle = (float(np.mean(a[those])) if len(a) else 0.0 for a in (self.stage_x_um, self.stage_y_um))
-        return Camera(0.0, np.inf, 0.0, np.inf, *middle)
+        return CameraAxes(0.0, np.inf, 0.0, np.inf, *middle)
 
     @property
     def usable(self) -> Flags:
         """Overlaps that say something and are not doubted by themselves."""
-        own_doubt = ~np.isin(self.shifts.doubt, (Doubt.NONE, Doubt.DISAGREES))
+        own_doubt = ~np.isin(self.shifts.doubt, (RejectionReason.NONE, RejectionReason.DISAGREES))
         return ~own_doubt & (np.isfinite(self.shifts.u_x_um) | np.isfinite(self.shifts.u_y_um))
 
     @property
@@ -112,8 +112,8 @@ class _Task:
         return float(np.median(apart)) if len(apart) else 0.0
 
     def settled(
-        self, camera: Camera, shared_sigma: tuple[float, ...] = (), like: Settled | None = None
-    ) -> tuple[Network, Settled]:
+        self, camera: CameraAxes, shared_sigma: tuple[float, ...] = (), like: RobustSolution | None = None
+    ) -> tuple[PoseGraph, RobustSolution]:
         """Displacements from where the stage says fields are, as the camera sees it."""
         x_um, y_um = camera.from_stage(self.stage_x_um, self.stage_y_um)
         values = np.zeros((len(x_um), 2))
@@ -122,11 +122,11 @@ class _Task:
             values[self.fixed] = begun[self.fixed]
         return settle(self._network(camera, x_um, y_um, np.array(shared_sigma)), values, _decide, like)
 
-    def _network(self, camera: Camera, x_um: Numbers, y_um: Numbers, shared_sigma: Numbers) -> Network:
+    def _network(self, camera: CameraAxes, x_um: Numbers, y_um: Numbers, shared_sigma: Numbers) -> PoseGraph:
         first, second, m = self.shifts.first, self.shifts.second, len(shared_sigma)
         ones = np.broadcast_to(np.eye(2), (len(first), 2, 2))
         error_um = _USUAL_ERROR_PX * self.pixel_um if self.stage_error_um == "auto" else self.stage_error_um
-        return Network(
+        return PoseGraph(
             x_um=x_um,
             y_um=y_um,
             first=first,
@@ -139,7 +139,7 @@ class _Task:
             prior_sigma=np.full(2, error_um),
             prior_shared=shared_by_all(*camera.arms(self.stage_x_um, self.stage_y_um))[:, :, :m],
             shared_sigma=shared_sigma,
-            ties=Ties.of(first, second, ~self.fixed),
+            ties=GraphEdges.of(first, second, ~self.fixed),
             prior_guess=np.full(2, error_um),
             auto=((0, 1),) if self.stage_error_um == "auto" else (),
         )
@@ -157,7 +157,7 @@ class _Task:
         precision = np.where(told, 1 / (u**2 + (_FLOOR_PX * self.pixel_um) ** 2), 0.0)
         return precision[:, :, None] * np.eye(2)
 
-    def positions(self, network: Network, at: Settled, known: Camera, found: Camera) -> Positions:
+    def positions(self, network: PoseGraph, at: RobustSolution, known: CameraAxes, found: CameraAxes) -> Positions:
         """Places and what belongs to them, of displacements against a known camera."""
         x_um, y_um = (
             a + moved for a, moved in zip(known.from_stage(self.stage_x_um, self.stage_y_um), at.values.T, strict=True)
@@ -171,14 +171,14 @@ class _Task:
         error_um = float(network.prior_sigma[0])
         return Positions(x_um, y_um, u[:, 0], u[:, 1], group, shifts, error_um, found)
 
-    def _judged(self, network: Network, at: Settled) -> Shifts:
+    def _judged(self, network: PoseGraph, at: RobustSolution) -> Shifts:
         """The shifts with their weights, residuals and doubts."""
         residual = np.where(
             np.isfinite(np.column_stack((self.shifts.x_um, self.shifts.y_um))),
             network.misfit(at.values, at.shared),
             np.nan,
         )
-        verdict = np.where(at.weight >= REJECTED, Doubt.NONE, Doubt.DISAGREES)
+        verdict = np.where(at.weight >= REJECTED, RejectionReason.NONE, RejectionReason.DISAGREES)
         return dataclasses.replace(
             self.shifts,
             weight=at.weight.astype(np.float32),
@@ -188,12 +188,12 @@ class _Task:
         )
 
 
-def _found(unturned: Camera, at: Settled) -> Camera:
+def _found(unturned: CameraAxes, at: RobustSolution) -> CameraAxes:
     """The camera as the shared unknowns say."""
     (scale, turn), (u_scale, u_turn) = at.shared.tolist(), shared_uncertainties(at).tolist()
     return dataclasses.replace(unturned, turn=turn, u_turn=u_turn, scale=scale, u_scale=u_scale)
 
 
-def _decide(network: Network, at: Settled) -> Numbers:
+def _decide(network: PoseGraph, at: RobustSolution) -> Numbers:
     """What the votes of clusters say about the weights."""
     return verdicts(network, at.values, at.shared, at.excess, at.weight >= REJECTED)

@@ -11,8 +11,8 @@ import numpy as np
 
 from wafer_viewer.model.surface.field_poses import Numbers
 from wafer_viewer.reconstruct.pose_graph.amg_solver import Solver
-from wafer_viewer.reconstruct.pose_graph.pose_graph import Network, pull
-from wafer_viewer.reconstruct.pose_graph.robust_solver import Settled
+from wafer_viewer.reconstruct.pose_graph.pose_graph import PoseGraph, pull
+from wafer_viewer.reconstruct.pose_graph.robust_solver import RobustSolution
 
 _SAMPLES = 48
 _AT_ONCE = 4
@@ -20,7 +20,7 @@ _COLUMNS = 256
 _TOLERANCE = 1e-2
 
 
-def standard_uncertainties(network: Network, at: Settled, wanted: tuple[int, ...]) -> Numbers:
+def standard_uncertainties(network: PoseGraph, at: RobustSolution, wanted: tuple[int, ...]) -> Numbers:
     """[n, len(wanted)] of the unknowns `wanted` of each field; 0 where it is fixed."""
     solver, free = at.solver, network.ties.free
     found = np.zeros((len(network.x_um), len(wanted)))
@@ -32,7 +32,7 @@ def standard_uncertainties(network: Network, at: Settled, wanted: tuple[int, ...
     return found
 
 
-def shared_uncertainties(at: Settled) -> Numbers:
+def shared_uncertainties(at: RobustSolution) -> Numbers:
     """[m] of the unknowns that all fields share."""
     m = len(at.shared)
     if at.solver is None or m == 0:
@@ -53,7 +53,7 @@ def _exact(solver: Solver, n: int, size: int, wanted: tuple[int, ...]) -> Number
     return variance
 
 
-def _sampled(network: Network, at: Settled, solver: Solver, n: int) -> Numbers:
+def _sampled(network: PoseGraph, at: RobustSolution, solver: Solver, n: int) -> Numbers:
     """The mean square of solutions of drawn errors, [n]."""
     random = np.random.default_rng(5)
     values, vectors = np.linalg.eigh((at.weight / at.excess**2)[:, None, None] * network.information)

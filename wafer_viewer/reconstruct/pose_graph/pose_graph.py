@@ -21,7 +21,7 @@ Flags = NDArray[np.bool_]
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Ties:
+class GraphEdges:
     """Which fields are tied by which overlaps, and where the blocks of the system lie: made once for a network.
 
     from_first, from_second: [n, e] sparse, add up what belongs to the first and second fields of overlaps; free: which
@@ -37,7 +37,7 @@ class Ties:
     row_ends: Whole32s
 
     @classmethod
-    def of(cls, first: Whole32s, second: Whole32s, free: Flags) -> Ties:
+    def of(cls, first: Whole32s, second: Whole32s, free: Flags) -> GraphEdges:
         """The ties of overlaps between `first` and `second`, with the fields that are not free left out."""
         to, none = np.cumsum(free) - 1, -1
         a, b = (np.where(free[at], to[at], none) for at in (first, second))
@@ -63,7 +63,7 @@ def _adder(field: Whole32s, n: int) -> Sparse:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Network:
+class PoseGraph:
     """n fields of d unknowns, e overlaps, m shared unknowns; the letters are those of the module's equations.
 
     x_um, y_um: where fields lie, [n]; at_first (A), at_second (B), information: [e, d, d]; at_shared (K): [e, d, m];
@@ -83,7 +83,7 @@ class Network:
     prior_sigma: Numbers
     prior_shared: Numbers
     shared_sigma: Numbers
-    ties: Ties
+    ties: GraphEdges
     prior_guess: Numbers
     auto: tuple[tuple[int, ...], ...]
 
@@ -107,7 +107,7 @@ class Network:
         return values - self.prior_shared @ shared
 
 
-def normal_equations(network: Network, weight: Numbers) -> System:
+def normal_equations(network: PoseGraph, weight: Numbers) -> System:
     """What overlaps with weights [e] and the priors say together, of the free fields and of what is shared."""
     ties, precision = network.ties, network.prior_sigma**-2.0
     weighted = weight[:, None, None] * network.information
@@ -123,7 +123,7 @@ def normal_equations(network: Network, weight: Numbers) -> System:
     )
 
 
-def pull(network: Network, by_overlap: Numbers, by_prior: Numbers, by_shared: Numbers) -> Numbers:
+def pull(network: PoseGraph, by_overlap: Numbers, by_prior: Numbers, by_shared: Numbers) -> Numbers:
     """How forces pull at the unknowns of the system, [free unknowns + m, k] for k cases at once.
 
     Forces of overlaps, [e, d, k], of priors of fields, [n, d, k], and of priors of what is shared, [m, k].
@@ -158,7 +158,7 @@ def _add(adder: Sparse, of_overlaps: Numbers) -> Numbers:
     return (adder @ of_overlaps.reshape(e, a * b)).reshape(adder.shape[0], a, b)
 
 
-def _matrix(ties: Ties, diagonal: Numbers, right_of_it: Numbers) -> Sparse:
+def _matrix(ties: GraphEdges, diagonal: Numbers, right_of_it: Numbers) -> Sparse:
     from scipy.sparse import bsr_array
 
     blocks = np.concatenate((diagonal, right_of_it, _turned(right_of_it)))[ties.order]

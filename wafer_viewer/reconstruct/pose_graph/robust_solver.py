@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from wafer_viewer.model.surface.field_poses import Numbers
 from wafer_viewer.reconstruct.pose_graph.amg_solver import Solver, prepare
 from wafer_viewer.reconstruct.pose_graph.graph_components import groups
-from wafer_viewer.reconstruct.pose_graph.pose_graph import Network, normal_equations, pull
+from wafer_viewer.reconstruct.pose_graph.pose_graph import PoseGraph, normal_equations, pull
 
 REJECTED = 0.1
 """An overlap with less weight is not believed."""
@@ -49,7 +49,7 @@ _MEDIAN_CHI2 = (1.0, 0.455, 0.693, 0.789)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Settled:
+class RobustSolution:
     """Values [n, d] of the fields, shared unknowns [m], and how they came about.
 
     weight: [e], 0 ... 1; excess: by how much misfits are larger than their uncertainties; scale: misfit in standard
@@ -66,12 +66,12 @@ class Settled:
     echoes: Numbers | None = None
 
 
-Decide = Callable[[Network, Settled], Numbers]
+Decide = Callable[[PoseGraph, RobustSolution], Numbers]
 
 
 def settle(
-    network: Network, values: Numbers, decide: Decide | None = None, like: Settled | None = None
-) -> tuple[Network, Settled]:
+    network: PoseGraph, values: Numbers, decide: Decide | None = None, like: RobustSolution | None = None
+) -> tuple[PoseGraph, RobustSolution]:
     """The most probable values, begun at `values` [n, d], where fields that are not free stay.
 
     decide: says, [e], the weights of overlaps that misfits alone cannot tell, NaN of others; like: what nearly
@@ -80,9 +80,9 @@ def settle(
     """
     telling = np.linalg.matrix_rank(network.information, hermitian=True) if len(network.first) else np.zeros(0, int)
     shared = np.zeros(len(network.shared_sigma))
-    at = Settled(values.copy(), shared, (telling > 0).astype(float))
+    at = RobustSolution(values.copy(), shared, (telling > 0).astype(float))
     if like is not None:
-        at = Settled(like.values, shared, like.weight, like.excess, like.scale)
+        at = RobustSolution(like.values, shared, like.weight, like.excess, like.scale)
     decided = np.full(len(telling), np.nan)
     for _ in range(_MOST_VERDICTS if decide else 1):
         network, at = _rounds(network, at, telling, decided)
@@ -92,7 +92,9 @@ def settle(
     return network, _improved(network, at, on_the_way=False)
 
 
-def _rounds(network: Network, at: Settled, telling: NDArray[np.intp], decided: Numbers) -> tuple[Network, Settled]:
+def _rounds(
+    network: PoseGraph, at: RobustSolution, telling: NDArray[np.intp], decided: Numbers
+) -> tuple[PoseGraph, RobustSolution]:
     """Solve, see what does not fit, and solve again until the weights rest, those that are not `decided` (NaN)."""
     for _ in range(_MOST_ROUNDS):
         before, sigma = at.weight, network.prior_sigma
@@ -106,7 +108,7 @@ def _rounds(network: Network, at: Settled, telling: NDArray[np.intp], decided: N
     return network, at
 
 
-def _improved(network: Network, at: Settled, on_the_way: bool) -> Settled:
+def _improved(network: PoseGraph, at: RobustSolution, on_the_way: bool) -> RobustSolution:
     """One step of least squares with the weights as they are."""
     weight = at.weight / at.excess**2
     free = network.ties.free
@@ -120,10 +122,10 @@ def _improved(network: Network, at: Settled, on_the_way: bool) -> Settled:
     step, shared_step = np.split(solved[:, 0], (network.size * int(free.sum()),))
     values = at.values.copy()
     values[free] += step.reshape(-1, network.size)
-    return Settled(values, at.shared + shared_step, at.weight, at.excess, at.scale, solver, solved[:, 1:])
+    return RobustSolution(values, at.shared + shared_step, at.weight, at.excess, at.scale, solver, solved[:, 1:])
 
 
-def _gradient(network: Network, at: Settled, weight: Numbers) -> Numbers:
+def _gradient(network: PoseGraph, at: RobustSolution, weight: Numbers) -> Numbers:
     """Where misfits and priors pull, [unknowns, 1]."""
     by_overlap = weight[:, None, None] * (network.information @ network.misfit(at.values, at.shared)[:, :, None])
     by_prior = -network.surprise(at.values, at.shared) / network.prior_sigma**2
@@ -131,7 +133,7 @@ def _gradient(network: Network, at: Settled, weight: Numbers) -> Numbers:
     return pull(network, by_overlap, by_prior[:, :, None], by_shared[:, None])
 
 
-def _probes(network: Network, solver: Solver) -> Numbers:
+def _probes(network: PoseGraph, solver: Solver) -> Numbers:
     """[unknowns, probes] random signs at all fields, for each group of unknowns whose prior is to be found.
 
     The product of a probe with its answer is, on average, the trace of the inverse (Hutchinson 1990): of large systems
@@ -147,7 +149,7 @@ def _probes(network: Network, solver: Solver) -> Numbers:
     return pull(network, nothing, signs, np.zeros((m, signs.shape[2])))
 
 
-def _with_priors_found(network: Network, at: Settled) -> Network:
+def _with_priors_found(network: PoseGraph, at: RobustSolution) -> PoseGraph:
     """Priors as wide as what was found and how unsure it is (expectation maximisation, Dempster 1977)."""
     if not network.auto or at.solver is None or at.echoes is None:
         return network
@@ -160,7 +162,7 @@ def _with_priors_found(network: Network, at: Settled) -> Network:
     return dataclasses.replace(network, prior_sigma=sigma)
 
 
-def _weighed(network: Network, at: Settled, telling: NDArray[np.intp], decided: Numbers) -> Settled:
+def _weighed(network: PoseGraph, at: RobustSolution, telling: NDArray[np.intp], decided: Numbers) -> RobustSolution:
     """New weights at the next smaller scale, and how far misfits go beyond what their uncertainties say."""
     counts = telling > 0
     if not np.any(counts):
@@ -173,7 +175,7 @@ def _weighed(network: Network, at: Settled, telling: NDArray[np.intp], decided: 
     return dataclasses.replace(at, weight=weight, excess=excess, scale=scale)
 
 
-def _excess(network: Network, chi2: Numbers, telling: NDArray[np.intp]) -> float:
+def _excess(network: PoseGraph, chi2: Numbers, telling: NDArray[np.intp]) -> float:
     """From the median misfit and how many observations there are for each unknown, at least 1."""
     counts, free = telling > 0, network.ties.free
     group = groups(len(free), network.first[counts], network.second[counts])

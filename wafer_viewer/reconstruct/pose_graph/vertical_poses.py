@@ -8,11 +8,11 @@ from typing import Literal
 
 import numpy as np
 
-from wafer_viewer.model.surface.field_poses import Form, Numbers, Seams
+from wafer_viewer.model.surface.field_poses import Form, HeightOffsets, Numbers
 from wafer_viewer.reconstruct.pose_graph.amg_solver import rigid
 from wafer_viewer.reconstruct.pose_graph.pose_covariance import standard_uncertainties
-from wafer_viewer.reconstruct.pose_graph.pose_graph import Flags, Network, Ties
-from wafer_viewer.reconstruct.pose_graph.robust_solver import Settled, settle
+from wafer_viewer.reconstruct.pose_graph.pose_graph import Flags, GraphEdges, PoseGraph
+from wafer_viewer.reconstruct.pose_graph.robust_solver import RobustSolution, settle
 from wafer_viewer.reconstruct.pose_graph.stage_form import FORM_TERMS, sag_between, uncertainty_of_form
 
 _FLOOR_UM = 0.002
@@ -30,7 +30,7 @@ _SAG_UM = 1.0
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Levels:
+class VerticalPoses:
     """Heights of fields, [n]: too high by z_um + tilt_x dx + tilt_y dy + form.sag_um(dx, dy) from their centre.
 
     u_z_um: standard uncertainty of z_um against the stage; seams: with weights and what is left in them; z_error_um,
@@ -41,7 +41,7 @@ class Levels:
     tilt_x: Numbers
     tilt_y: Numbers
     u_z_um: Numbers
-    seams: Seams
+    seams: HeightOffsets
     form: Form
     z_error_um: float
     tilt_error: float
@@ -51,7 +51,7 @@ class Levels:
 def solve_heights(
     x_um: Numbers,
     y_um: Numbers,
-    seams: Seams,
+    seams: HeightOffsets,
     *,
     z_error_um: float | Literal["auto"],
     tilt_error: float | Literal["auto"],
@@ -59,7 +59,7 @@ def solve_heights(
     fixed: Flags | None = None,
     start: tuple[Numbers, Numbers, Numbers] | None = None,
     form: Form | None = None,
-) -> Levels:
+) -> VerticalPoses:
     """The most probable offset and tilt of every field [n], from the seams and the stage's word.
 
     A surface z = G(x, y) of second degree that is added to the errors of all fields leaves no trace in the seams: each
@@ -84,7 +84,7 @@ def solve_heights(
     sag_um = form.field_form_um if form is not None else (float(at.shared[2]), float(at.shared[3]), float(at.shared[4]))
     z_um, tilt_x, tilt_y = at.values.T
     z_sigma, tilt_sigma = float(network.prior_sigma[0]), float(network.prior_sigma[1])
-    return Levels(
+    return VerticalPoses(
         z_um=z_um,
         tilt_x=tilt_x,
         tilt_y=tilt_y,
@@ -105,12 +105,12 @@ def solve_heights(
 def _network(
     x_um: Numbers,
     y_um: Numbers,
-    seams: Seams,
+    seams: HeightOffsets,
     field_size_um: tuple[float, float],
     fixed: Flags,
     form: Form | None,
     errors: tuple[float | Literal["auto"], float | Literal["auto"]],
-) -> Network:
+) -> PoseGraph:
     """Planes of differences between fields that are rigid plates; they share a lean, and a sag unless it is known."""
     mid_x_um, mid_y_um = np.nan_to_num(seams.mid_x_um), np.nan_to_num(seams.mid_y_um)
     arms = [(mid_x_um - x_um[k], mid_y_um - y_um[k]) for k in (seams.first, seams.second)]
@@ -123,7 +123,7 @@ def _network(
     lean = np.zeros((len(x_um), 3, shared.shape[2]))
     lean[:, 1, 0] = lean[:, 2, 1] = 1.0
     z_um, tilt = (u if e == "auto" else e for e, u in zip(errors, (_USUAL_Z_UM, _USUAL_TILT), strict=True))
-    return Network(
+    return PoseGraph(
         x_um=x_um,
         y_um=y_um,
         first=seams.first,
@@ -137,12 +137,12 @@ def _network(
         prior_guess=np.array([z_um, tilt, tilt]),
         prior_shared=lean,
         shared_sigma=np.array([_LEAN, _LEAN, _SAG_UM, _SAG_UM, _SAG_UM])[: shared.shape[2]],
-        ties=Ties.of(seams.first, seams.second, ~fixed),
+        ties=GraphEdges.of(seams.first, seams.second, ~fixed),
         auto=tuple(group for group, e in zip(((0,), (1, 2)), errors, strict=True) if e == "auto"),
     )
 
 
-def _floored(seams: Seams) -> Numbers:
+def _floored(seams: HeightOffsets) -> Numbers:
     """What seams tell, [e, 3, 3], once the least error of any comparison is added to their covariances."""
     floor = np.diag(np.array([_FLOOR_UM, _FLOOR_SLOPE, _FLOOR_SLOPE]) ** 2)
     told = np.isfinite(seams.z_um) & np.isfinite(seams.mid_x_um) & np.isfinite(seams.mid_y_um)
@@ -151,7 +151,7 @@ def _floored(seams: Seams) -> Numbers:
     return (floored + np.swapaxes(floored, 1, 2)) / 2
 
 
-def _judged(seams: Seams, network: Network, at: Settled) -> Seams:
+def _judged(seams: HeightOffsets, network: PoseGraph, at: RobustSolution) -> HeightOffsets:
     """The seams with their weights, and the step that is left in the middle of each."""
     step_um = np.where(at.weight > 0, network.misfit(at.values, at.shared)[:, 0], np.nan)
     rms_um = np.hypot(seams.rms_um, step_um)

@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from wafer_viewer.model.progress import Progress
-from wafer_viewer.model.surface.field_poses import Seams
+from wafer_viewer.model.surface.field_poses import HeightOffsets
 from wafer_viewer.model.surface.height_map import HeightMap
 from wafer_viewer.numerics.filters.binning import binned
 from wafer_viewer.numerics.grids.height_differences import differences
@@ -30,7 +30,7 @@ Numbers = NDArray[np.float64]
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Seam:
-    """What one overlap says; the fields of `Seams` have the meaning."""
+    """What one overlap says; the fields of `HeightOffsets` have the meaning."""
 
     mid_x_um: float = math.nan
     mid_y_um: float = math.nan
@@ -49,7 +49,7 @@ def compare(
     y_um: Numbers,
     threads: int | None = None,
     progress: Progress | None = None,
-) -> Seams:
+) -> HeightOffsets:
     """The planes by which the measured heights of pairs of fields differ, at the centres (x_um, y_um) of all fields.
 
     step_um is z_um and rms_um what scatters about the plane itself, until the poses are solved. Only the overlaps are
@@ -159,12 +159,12 @@ def _seam(plane: Plane, corner: tuple[float, float], row: int, col: int, pixel_u
     )
 
 
-def _table(pairs: NDArray[np.int32], found: Sequence[Seam]) -> Seams:
+def _table(pairs: NDArray[np.int32], found: Sequence[Seam]) -> HeightOffsets:
     def column(name: str) -> Numbers:
         return np.array([getattr(seam, name) for seam in found], np.float64)
 
     n_pixels = column("n_pixels").astype(np.int32)
-    return Seams(
+    return HeightOffsets(
         first=np.array(pairs[:, 0], np.int32),
         second=np.array(pairs[:, 1], np.int32),
         mid_x_um=column("mid_x_um"),

@@ -8,7 +8,7 @@ from collections.abc import Callable, Sequence
 import numpy as np
 from numpy.typing import NDArray
 
-from wafer_viewer.model.surface.field_poses import Doubt, Poses, Shifts
+from wafer_viewer.model.surface.field_poses import Poses, RejectionReason, Shifts
 from wafer_viewer.model.surface.height_map import HeightMap
 from wafer_viewer.reconstruct.registration.pair_registration import REACH_PX, register_pair
 
@@ -18,8 +18,8 @@ LEAST_NEIGHBOURS = 2
 FEWER = 2
 """Of two groups of fields that are nearly as large neither is thrown away for the other's sake."""
 
-_LOST = (Doubt.UNLIKE, Doubt.END_OF_SEARCH)
-_FITS = (Doubt.NONE, Doubt.DISAGREES)
+_LOST = (RejectionReason.UNLIKE, RejectionReason.END_OF_SEARCH)
+_FITS = (RejectionReason.NONE, RejectionReason.DISAGREES)
 _EVERY = 16
 
 Layer = NDArray[np.generic]
@@ -126,7 +126,7 @@ def turned(height: HeightMap, turn: Turn) -> HeightMap:
 
 
 def _fits(height: HeightMap, neighbours: Sequence[HeightMap]) -> int:
-    return sum(register_pair(height, other, REACH_PX).doubt is Doubt.NONE for other in neighbours)
+    return sum(register_pair(height, other, REACH_PX).doubt is RejectionReason.NONE for other in neighbours)
 
 
 def _lost_overlaps(n_fields: int, shifts: Shifts) -> NDArray[np.intp]:
@@ -134,7 +134,7 @@ def _lost_overlaps(n_fields: int, shifts: Shifts) -> NDArray[np.intp]:
 
     0 for the fields of believed groups, and for groups that as many overlaps leave open.
     """
-    fits, lost, open_ = (np.isin(shifts.doubt, some) for some in (_FITS, _LOST, (Doubt.AMBIGUOUS,)))
+    fits, lost, open_ = (np.isin(shifts.doubt, some) for some in (_FITS, _LOST, (RejectionReason.AMBIGUOUS,)))
     group, whole = _joined(n_fields, shifts, fits), _joined(n_fields, shifts, fits | lost | open_)
     size = np.bincount(group, minlength=n_fields)
     largest = np.lexsort((np.arange(n_fields), -size[group], whole))

@@ -6,11 +6,11 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from wafer_viewer.model.surface.field_poses import Doubt
+from wafer_viewer.model.surface.field_poses import RejectionReason
 from wafer_viewer.model.surface.height_map import HeightMap
 from wafer_viewer.numerics.registration.cross_correlation import Likeness, contrast, likeness
-from wafer_viewer.numerics.registration.subpixel_registration import Alignment, Lag, Picture, align
-from wafer_viewer.reconstruct.registration.overlap_strips import Read, Window, shrunk
+from wafer_viewer.numerics.registration.subpixel_registration import Lag, RegisteredImage, SubpixelShift, align
+from wafer_viewer.reconstruct.registration.overlap_strips import OverlapWindow, Read, shrunk
 
 SURE_SIGMAS = 7.0
 """The highest of some hundred correlations of unlike pictures is three to four deviations high."""
@@ -52,7 +52,7 @@ class Match:
     off_px: Lag
     u_px: Lag
     correlation: float
-    doubt: Doubt
+    doubt: RejectionReason
 
 
 def match(first: HeightMap, second: HeightMap, reach_px: float, read: Read) -> Match:
@@ -60,7 +60,7 @@ def match(first: HeightMap, second: HeightMap, reach_px: float, read: Read) -> M
     factor = _coarsest(first, second)
     window, reach = _window(first, second, reach_px, factor)
     if min(window.overlap) < _LEAST_SIDE / 2:
-        return _nowhere(Doubt.BLANK)
+        return _nowhere(RejectionReason.BLANK)
     one, other = read(first, *window.first), read(second, *window.second)
     lags, by_chance = _candidates(one, other, window, factor, reach)
     if len(lags) > PATTERNED and factor > _FINER:
@@ -70,34 +70,36 @@ def match(first: HeightMap, second: HeightMap, reach_px: float, read: Read) -> M
         lags, by_chance = _candidates(one, other, window, factor, reach)
     if not lags:
         both_show = _shows(read(first, *window.common[0])) and _shows(read(second, *window.common[1]))
-        return _nowhere(Doubt.UNLIKE if both_show else Doubt.BLANK)
+        return _nowhere(RejectionReason.UNLIKE if both_show else RejectionReason.BLANK)
     fits = _refined(one, other, lags, factor, _block_side(window))
-    return _judged(fits, by_chance, window, reach_px) if fits else _nowhere(Doubt.UNLIKE)
+    return _judged(fits, by_chance, window, reach_px) if fits else _nowhere(RejectionReason.UNLIKE)
 
 
-def _window(first: HeightMap, second: HeightMap, reach_px: float, factor: int) -> tuple[Window, int]:
+def _window(first: HeightMap, second: HeightMap, reach_px: float, factor: int) -> tuple[OverlapWindow, int]:
     """What may be common, and the reach in pixels of the search, with one to spare."""
     reach = int(np.ceil(reach_px / factor)) + 1
-    return Window.of(first, second, reach * factor, factor), reach
+    return OverlapWindow.of(first, second, reach * factor, factor), reach
 
 
-def _nowhere(doubt: Doubt) -> Match:
+def _nowhere(doubt: RejectionReason) -> Match:
     return Match((0.0, 0.0), (float("inf"), float("inf")), 0.0, doubt)
 
 
 def _coarsest(first: HeightMap, second: HeightMap) -> int:
     """How many pixels are looked at as one in the search."""
-    side = min(Window.of(first, second, 0, 1).overlap)
+    side = min(OverlapWindow.of(first, second, 0, 1).overlap)
     return next((f for f in _FACTORS if side >= f * _LEAST_SIDE), 1)
 
 
-def _block_side(window: Window) -> int:
+def _block_side(window: OverlapWindow) -> int:
     """Blocks are small enough for some two dozen of them."""
     area = max(window.overlap[0], 1) * max(window.overlap[1], 1)
     return int(np.clip((area / _BLOCKS) ** 0.5, _LEAST_BLOCK, _LARGEST_BLOCK))
 
 
-def _candidates(one: Picture, other: Picture, window: Window, factor: int, reach: int) -> tuple[list[Lag], bool]:
+def _candidates(
+    one: RegisteredImage, other: RegisteredImage, window: OverlapWindow, factor: int, reach: int
+) -> tuple[list[Lag], bool]:
     """Lags in full pixels at which the two look alike, the surest first, and whether that may be chance."""
     one, other = shrunk(one, factor), shrunk(other, factor)
     knowns = one.known > 0, other.known > 0
@@ -123,9 +125,11 @@ def _peaks(alike: Likeness, least_pixels: float, reach: int) -> tuple[list[tuple
     return [(int(rows[n]) - reach, int(cols[n]) - reach) for n in order], by_chance
 
 
-def _refined(one: Picture, other: Picture, lags: list[Lag], factor: int, side: int) -> list[Alignment]:
+def _refined(
+    one: RegisteredImage, other: RegisteredImage, lags: list[Lag], factor: int, side: int
+) -> list[SubpixelShift]:
     """The best fit and its rivals: all candidates are refined, and the rivals again at the next resolution."""
-    fits: list[Alignment] = []
+    fits: list[SubpixelShift] = []
     for f in _FACTORS[_FACTORS.index(factor) :]:
         levels = shrunk(one, f), shrunk(other, f)
         fits = [_scaled(align(*levels, (r / f, c / f), max(6, side // f), f > 1), f) for r, c in lags]
@@ -135,10 +139,10 @@ def _refined(one: Picture, other: Picture, lags: list[Lag], factor: int, side: i
     return fits
 
 
-def _scaled(fit: Alignment, factor: int) -> Alignment:
+def _scaled(fit: SubpixelShift, factor: int) -> SubpixelShift:
     """In full pixels."""
     lag = fit.lag[0] * factor, fit.lag[1] * factor
-    return Alignment(
+    return SubpixelShift(
         lag,
         fit.covariance * factor**2,
         fit.correlation,
@@ -153,7 +157,7 @@ def _distance(a: Lag, b: Lag) -> float:
     return max(abs(a[0] - b[0]), abs(a[1] - b[1]))
 
 
-def _with_rivals(fits: list[Alignment], apart_px: float) -> list[Alignment]:
+def _with_rivals(fits: list[SubpixelShift], apart_px: float) -> list[SubpixelShift]:
     """The best of them, and those elsewhere that are nearly as good."""
     if not fits:
         return []
@@ -161,13 +165,13 @@ def _with_rivals(fits: list[Alignment], apart_px: float) -> list[Alignment]:
     return [best, *(fit for fit in fits if _distance(fit.lag, best.lag) > apart_px and _nearly(fit, best))]
 
 
-def _nearly(fit: Alignment, best: Alignment) -> bool:
+def _nearly(fit: SubpixelShift, best: SubpixelShift) -> bool:
     unexplained, least = 1 - fit.correlation**2, 1 - best.correlation**2
     agrees = fit.agreeing >= LEAST_AGREEING or best.agreeing < LEAST_AGREEING
     return agrees and fit.correlation > CLEARLY * best.correlation and unexplained < UNEXPLAINED * least
 
 
-def _judged(fits: list[Alignment], by_chance: bool, window: Window, reach_px: float) -> Match:
+def _judged(fits: list[SubpixelShift], by_chance: bool, window: OverlapWindow, reach_px: float) -> Match:
     best = fits[0]
     off = tuple(at - lag - part for at, lag, part in zip(best.lag, window.lag, window.part, strict=True))
     u = tuple(np.sqrt(np.diag(best.covariance) + LEAST_U_PX**2).tolist())
@@ -175,18 +179,18 @@ def _judged(fits: list[Alignment], by_chance: bool, window: Window, reach_px: fl
     return Match((off[0], off[1]), (u[0], u[1]), best.correlation, doubt)
 
 
-def _doubt(fits: list[Alignment], by_chance: bool, beyond: bool) -> Doubt:
+def _doubt(fits: list[SubpixelShift], by_chance: bool, beyond: bool) -> RejectionReason:
     best = fits[0]
     turned = best.bent_px > MOST_BENT_PX and best.bent_sigmas > SURELY_BENT
     if turned or best.agreeing < LEAST_AGREEING:
-        return Doubt.UNLIKE
+        return RejectionReason.UNLIKE
     held = best.covariance.max() < MOST_U_PX**2
     if not held or len(fits) > 1 or (by_chance and best.correlation < SURELY_LIKE):
-        return Doubt.AMBIGUOUS
-    return Doubt.END_OF_SEARCH if beyond else Doubt.NONE
+        return RejectionReason.AMBIGUOUS
+    return RejectionReason.END_OF_SEARCH if beyond else RejectionReason.NONE
 
 
-def _shows(picture: Picture) -> bool:
+def _shows(picture: RegisteredImage) -> bool:
     """Whether anything but noise is to be seen along both axes: then pixels near each other are more alike than others.
 
     A line alone leaves open where along it a field lies.
@@ -195,7 +199,7 @@ def _shows(picture: Picture) -> bool:
     return all(_difference(picture, near, axis) < _BLANK * _difference(picture, far, axis) for axis in (0, 1))
 
 
-def _difference(picture: Picture, lag: int, axis: int) -> float:
+def _difference(picture: RegisteredImage, lag: int, axis: int) -> float:
     """The mean square by which known pixels differ that are `lag` apart along an axis."""
     ahead, behind = [slice(None), slice(None)], [slice(None), slice(None)]
     ahead[axis], behind[axis] = slice(lag, None), slice(None, -lag)

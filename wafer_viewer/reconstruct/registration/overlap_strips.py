@@ -11,9 +11,9 @@ from numpy.typing import NDArray
 
 from wafer_viewer.model.surface.height_map import HeightMap, Origin
 from wafer_viewer.numerics.filters.binning import binned
-from wafer_viewer.numerics.registration.subpixel_registration import Picture
+from wafer_viewer.numerics.registration.subpixel_registration import RegisteredImage
 
-Read = Callable[[HeightMap, slice, slice], Picture]
+Read = Callable[[HeightMap, slice, slice], RegisteredImage]
 """What of a field is compared, read from some of its rows and columns."""
 
 _NOT_SEEN = (Origin.NOT_COVERED, Origin.TOO_FEW_FRAMES)
@@ -26,7 +26,7 @@ _STEEPEST = 6.0
 
 
 @dataclass(frozen=True, slots=True)
-class Window:
+class OverlapWindow:
     """Rows and columns of the first and the second field to be compared, and the lag of the one behind the other.
 
     lag: pixel (r, c) of the second's part lies on (r + lag row, c + lag col) of the first's, as the stage says, but for
@@ -46,7 +46,7 @@ class Window:
         return rows.stop - rows.start, cols.stop - cols.start
 
     @classmethod
-    def of(cls, first: HeightMap, second: HeightMap, reach: int, step: int) -> Window:
+    def of(cls, first: HeightMap, second: HeightMap, reach: int, step: int) -> OverlapWindow:
         """What may be common of two fields when the stage is off by up to `reach` pixels; lags are whole `step`s."""
         down = (first.y0_um - second.y0_um) / first.pixel_um
         right = (second.x0_um - first.x0_um) / first.pixel_um
@@ -79,13 +79,13 @@ def _part(first: int, second: int, offset: float, reach: int, step: int) -> _Par
     return _Part(slice(start, stop), slice(other, other_stop), lag, offset - whole, common, of_second)
 
 
-def picture_of(height: HeightMap, rows: slice, cols: slice) -> Picture:
+def picture_of(height: HeightMap, rows: slice, cols: slice) -> RegisteredImage:
     """The all-in-focus image."""
     grey = np.asarray(height.all_in_focus[rows, cols]).astype(np.float32)
     origin = height.origin[rows, cols]
     seen = (origin != _NOT_SEEN[0]) & (origin != _NOT_SEEN[1])
     grey -= np.float32(grey[::7, ::7].mean(dtype=np.float64))
-    return Picture(grey, seen.astype(np.float32), _noise(grey))
+    return RegisteredImage(grey, seen.astype(np.float32), _noise(grey))
 
 
 def _noise(plane: NDArray[np.float32]) -> float:
@@ -100,14 +100,14 @@ def _noise(plane: NDArray[np.float32]) -> float:
     return float(np.median(np.abs(curved))) / (0.6745 * 6) if curved.size else 0.0
 
 
-def height_of(height: HeightMap, rows: slice, cols: slice) -> Picture:
+def height_of(height: HeightMap, rows: slice, cols: slice) -> RegisteredImage:
     """What stands out of its surroundings in the measured heights, outliers held down; 0 where nothing is measured."""
     from wafer_viewer.numerics.filters.sliding_filters import mean, mean_of_known
 
     z = np.asarray(height.z_raw_um[rows, cols])
     known = np.isfinite(z)
     if not known.any():
-        return Picture(np.zeros(z.shape, np.float32), known.astype(np.float32), _FOCUS_NOISE)
+        return RegisteredImage(np.zeros(z.shape, np.float32), known.astype(np.float32), _FOCUS_NOISE)
     z = np.where(known, z - np.float32(np.median(z[known][::5])), np.float32(0))
     usual = _STEEPEST * float(np.median(np.abs(z[known][::5]))) + 1e-6
     around = mean_of_known(z.clip(-usual, usual), known, _AROUND_PX)
@@ -115,16 +115,16 @@ def height_of(height: HeightMap, rows: slice, cols: slice) -> Picture:
     usual = _STEEPEST * float(np.median(np.abs(detail[known][::5]))) + 1e-6
     detail = detail.clip(-usual, usual)
     near = mean(detail, 3) / np.maximum(mean(known, 3), np.float32(0.1))
-    return Picture(np.where(known, detail, near), known.astype(np.float32), _FOCUS_NOISE)
+    return RegisteredImage(np.where(known, detail, near), known.astype(np.float32), _FOCUS_NOISE)
 
 
-def shrunk(picture: Picture, factor: int) -> Picture:
+def shrunk(picture: RegisteredImage, factor: int) -> RegisteredImage:
     """The mean of the known ones of factor x factor pixels; known where at least half of them are."""
     if factor == 1:
         return picture
     if picture.known.all():
         total = binned(picture.values, factor) * np.float32(factor**-2)
-        return Picture(total, np.ones_like(total), picture.noise / factor)
+        return RegisteredImage(total, np.ones_like(total), picture.noise / factor)
     total, known = binned(picture.values * picture.known, factor), binned(picture.known, factor)
     mean = np.divide(total, known, out=np.zeros_like(total), where=known > 0)
-    return Picture(mean, (known >= 0.5 * factor**2).astype(np.float32), picture.noise / factor)
+    return RegisteredImage(mean, (known >= 0.5 * factor**2).astype(np.float32), picture.noise / factor)

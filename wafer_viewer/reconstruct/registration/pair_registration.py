@@ -14,18 +14,18 @@ import numpy as np
 from numpy.typing import NDArray
 
 from wafer_viewer.model.progress import Progress
-from wafer_viewer.model.surface.field_poses import Doubt, SaidBy, Shifts
+from wafer_viewer.model.surface.field_poses import ObservationSource, RejectionReason, Shifts
 from wafer_viewer.model.surface.height_map import HeightMap
 from wafer_viewer.reconstruct.focus.field_blocks import on_threads
 from wafer_viewer.reconstruct.registration.overlap_matching import Match, match
-from wafer_viewer.reconstruct.registration.overlap_strips import Window, height_of, picture_of
+from wafer_viewer.reconstruct.registration.overlap_strips import OverlapWindow, height_of, picture_of
 
 REACH_PX, WIDE_REACH_PX, WIDE_FRACTION = 40.0, 120.0, 0.125
 """Without a reach of its own a neighbour is looked for within 40 px of the stage's word, four deviations of a good
 stage; where the two show enough but do not fit there, within 120 px or an eighth of the shorter side of a field."""
 LEAST_MEASURED = 0.1
 """Where hardly a height was found nothing was ever sharp: pictures are noise there, and may well differ."""
-_LOST = (Doubt.UNLIKE, Doubt.END_OF_SEARCH)
+_LOST = (RejectionReason.UNLIKE, RejectionReason.END_OF_SEARCH)
 
 
 @dataclass(frozen=True, slots=True)
@@ -37,8 +37,8 @@ class PairShift:
     u_x_um: float
     u_y_um: float
     correlation: float
-    by: SaidBy
-    doubt: Doubt
+    by: ObservationSource
+    doubt: RejectionReason
 
 
 def register(
@@ -54,7 +54,7 @@ def register(
     overlap is read. progress is told the finished share (0 ... 1); what it raises ends the work. threads: all cores
     without one.
     """
-    found: list[PairShift] = [_by_stage(Doubt.BLANK)] * len(pairs)
+    found: list[PairShift] = [_by_stage(RejectionReason.BLANK)] * len(pairs)
     done = 0
 
     def one(n: int) -> None:
@@ -80,30 +80,30 @@ def register_pair(first: HeightMap, second: HeightMap, reach_px: float | None = 
     if reach_px is not None or found.doubt not in _LOST or wide_px <= REACH_PX:
         return found
     wider = _within(first, second, wide_px)
-    return wider if wider.doubt is Doubt.NONE else found
+    return wider if wider.doubt is RejectionReason.NONE else found
 
 
 def _within(first: HeightMap, second: HeightMap, reach_px: float) -> PairShift:
     """By the pictures, by the heights where those are blank, or by the stage."""
     seen = match(first, second, reach_px, picture_of)
     if seen.doubt in _LOST and _measured_share(first, second) < LEAST_MEASURED:
-        return _by_stage(Doubt.BLANK)
-    if seen.doubt is not Doubt.BLANK:
-        return _told(seen, first.pixel_um, SaidBy.PICTURE)
+        return _by_stage(RejectionReason.BLANK)
+    if seen.doubt is not RejectionReason.BLANK:
+        return _told(seen, first.pixel_um, ObservationSource.PICTURE)
     felt = match(first, second, reach_px, height_of)
-    if felt.doubt is Doubt.NONE:
-        return _told(felt, first.pixel_um, SaidBy.HEIGHT)
-    return _by_stage(Doubt.BLANK)
+    if felt.doubt is RejectionReason.NONE:
+        return _told(felt, first.pixel_um, ObservationSource.HEIGHT)
+    return _by_stage(RejectionReason.BLANK)
 
 
 def _measured_share(first: HeightMap, second: HeightMap) -> float:
     """How much of an overlap has heights, in the field that has fewer of them there."""
-    common = Window.of(first, second, 0, 1).common
+    common = OverlapWindow.of(first, second, 0, 1).common
     shares = (np.isfinite(h.z_raw_um[part]).mean() for h, part in zip((first, second), common, strict=True))
     return min(map(float, shares))
 
 
-def _told(found: Match, pixel_um: float, by: SaidBy) -> PairShift:
+def _told(found: Match, pixel_um: float, by: ObservationSource) -> PairShift:
     down, right = found.off_px
     u_down, u_right = found.u_px
     return PairShift(
@@ -111,8 +111,8 @@ def _told(found: Match, pixel_um: float, by: SaidBy) -> PairShift:
     )
 
 
-def _by_stage(doubt: Doubt) -> PairShift:
-    return PairShift(0.0, 0.0, float("inf"), float("inf"), 0.0, SaidBy.STAGE, doubt)
+def _by_stage(doubt: RejectionReason) -> PairShift:
+    return PairShift(0.0, 0.0, float("inf"), float("inf"), 0.0, ObservationSource.STAGE, doubt)
 
 
 def _table(pairs: NDArray[np.int32], found: Sequence[PairShift]) -> Shifts:
@@ -128,7 +128,7 @@ def _table(pairs: NDArray[np.int32], found: Sequence[PairShift]) -> Shifts:
         correlation=np.array([f.correlation for f in found], np.float32),
         by=np.array([f.by for f in found], np.uint8),
         doubt=doubt,
-        weight=(doubt == Doubt.NONE).astype(np.float32),
+        weight=(doubt == RejectionReason.NONE).astype(np.float32),
         residual_x_um=np.zeros(len(pairs)),
         residual_y_um=np.zeros(len(pairs)),
     )

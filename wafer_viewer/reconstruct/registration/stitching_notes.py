@@ -7,7 +7,7 @@ from collections.abc import Callable, Iterator, Sequence
 import numpy as np
 from numpy.typing import NDArray
 
-from wafer_viewer.model.surface.field_poses import DOUBT_WORDS, Doubt, Poses, Shifts
+from wafer_viewer.model.surface.field_poses import DOUBT_WORDS, Poses, RejectionReason, Shifts
 from wafer_viewer.model.surface.height_map import HeightMap
 from wafer_viewer.reconstruct.registration.misplaced_fields import (
     has_no_heights,
@@ -71,7 +71,7 @@ def _undecided(shifts: Shifts, some: NDArray[np.bool_]) -> str:
 
 def _mend(shifts: Shifts) -> str:
     """What helps where a pattern repeats."""
-    if not (shifts.doubt == Doubt.AMBIGUOUS).any():
+    if not (shifts.doubt == RejectionReason.AMBIGUOUS).any():
         return ""
     return " If the stage is more accurate than half the pattern's pitch, set search_um to less than that."
 

@@ -10,7 +10,7 @@ ROUNDING_S = 1e-9
 
 
 @dataclass(frozen=True, slots=True)
-class Piece:
+class MotionPiece:
     """A stretch of constant acceleration."""
 
     start_s: float
@@ -38,10 +38,10 @@ class Piece:
 
 
 @dataclass(frozen=True, slots=True)
-class Profile:
+class MotionProfile:
     """A motion of one axis from standing or moving to standing."""
 
-    pieces: tuple[Piece, ...]
+    pieces: tuple[MotionPiece, ...]
     direction: int = 1
 
     @property
@@ -66,34 +66,36 @@ class Profile:
         times = (piece.crossing_s(position_um, direction) for piece in self.pieces)
         return min((t for t in times if t is not None and t >= after_s), default=None)
 
-    def _piece_at(self, time_s: float) -> Piece:
+    def _piece_at(self, time_s: float) -> MotionPiece:
         return next((p for p in self.pieces if time_s < p.start_s + p.duration_s), self.pieces[-1])
 
 
-def standing(position_um: float) -> Profile:
+def standing(position_um: float) -> MotionProfile:
     """An axis that has stood there since ever."""
-    return Profile((Piece(-math.inf, 0.0, position_um, 0.0),))
+    return MotionProfile((MotionPiece(-math.inf, 0.0, position_um, 0.0),))
 
 
-def trapezoid(start_s: float, from_um: float, to_um: float, speed_um_s: float, acceleration_um_s2: float) -> Profile:
+def trapezoid(
+    start_s: float, from_um: float, to_um: float, speed_um_s: float, acceleration_um_s2: float
+) -> MotionProfile:
     """From standing to standing: up to speed, at speed, down again; a short way never reaches the speed."""
     way, direction = abs(to_um - from_um), 1 if to_um >= from_um else -1
     top = min(speed_um_s, math.sqrt(way * acceleration_um_s2))
     ramp_s, ramp_um = top / acceleration_um_s2, top**2 / acceleration_um_s2 / 2
     even_s = (way - 2 * ramp_um) / top if top > 0 else 0.0
     v, a = direction * top, direction * acceleration_um_s2
-    up = Piece(start_s, ramp_s, from_um, 0.0, a)
-    even = Piece(start_s + ramp_s, even_s, from_um + direction * ramp_um, v)
-    down = Piece(start_s + ramp_s + even_s, ramp_s, to_um - direction * ramp_um, v, -a)
-    return Profile((up, even, down), direction)
+    up = MotionPiece(start_s, ramp_s, from_um, 0.0, a)
+    even = MotionPiece(start_s + ramp_s, even_s, from_um + direction * ramp_um, v)
+    down = MotionPiece(start_s + ramp_s + even_s, ramp_s, to_um - direction * ramp_um, v, -a)
+    return MotionProfile((up, even, down), direction)
 
 
-def halt(start_s: float, position_um: float, speed_um_s: float, acceleration_um_s2: float) -> Profile:
+def halt(start_s: float, position_um: float, speed_um_s: float, acceleration_um_s2: float) -> MotionProfile:
     """From moving to standing, as soon as it can."""
     direction = 1 if speed_um_s >= 0 else -1
-    return Profile(
+    return MotionProfile(
         (
-            Piece(
+            MotionPiece(
                 start_s, abs(speed_um_s) / acceleration_um_s2, position_um, speed_um_s, -direction * acceleration_um_s2
             ),
         ),

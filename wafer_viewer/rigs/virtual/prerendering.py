@@ -35,7 +35,7 @@ LOOK_S = 0.05
 ORDER, FRAMES = "rehearsal.json", "frames.raw"
 
 
-class Rehearsal(Spec, frozen=True, kw_only=True):
+class PrerenderJob(Spec, frozen=True, kw_only=True):
     """What is to be rendered: a plan on a virtual rig, and a frame where the stage stands now, for the test pulse."""
 
     error: ClassVar[type[WaferViewerError]] = RigError
@@ -62,7 +62,7 @@ class Rehearsal(Spec, frozen=True, kw_only=True):
         return np.array([(at.x_um, at.y_um, at.z_um, exposure_us) for at, exposure_us in truths])
 
 
-class Replay:
+class ReplayRenderer:
     """Fulfils the role Renderer: frames rendered beforehand where there are, else those of the live renderer."""
 
     def __init__(self, views: NDArray[np.float64], frames: Image, live: Renderer) -> None:
@@ -90,7 +90,7 @@ def scales_at_exposure(leg: Leg, limits: RigLimits, exposure_us: float) -> Itera
         yield Position(at["x"], at["y"], at["z"])
 
 
-def rehearse(order: Rehearsal, live: Renderer, should_stop: ShouldStop) -> Replay | None:
+def rehearse(order: PrerenderJob, live: Renderer, should_stop: ShouldStop) -> ReplayRenderer | None:
     """Render all frames in a process of their own and wait for it; None when stopped meanwhile.
 
     Raises RigError when the disk is too small or the process fails.
@@ -101,14 +101,14 @@ def rehearse(order: Rehearsal, live: Renderer, should_stop: ShouldStop) -> Repla
         (Path(folder) / ORDER).write_text(encode(order, "json"))
         rendered = _wait_for(_started(folder), should_stop)
     # The mapping keeps the frames alive after their folder is gone: no crash leaves them behind.
-    return Replay(views, frames, live) if rendered else None
+    return ReplayRenderer(views, frames, live) if rendered else None
 
 
 def main(folder: Path) -> None:
     """The process that renders: reads its order from a folder, and ends early when its parent is gone."""
     from wafer_viewer.rigs.virtual.rig import scene_renderer
 
-    order, parent = decode((folder / ORDER).read_bytes(), Rehearsal, ORDER, "json"), os.getppid()
+    order, parent = decode((folder / ORDER).read_bytes(), PrerenderJob, ORDER, "json"), os.getppid()
     views = order.views()
     frames = _frames_file(folder, order, len(views), "r+")
     renderer = scene_renderer(order.scene, order.limits)
@@ -118,7 +118,7 @@ def main(folder: Path) -> None:
         frames[i] = renderer.frame(x_um, y_um, z_um, exposure_us, order.seed * 1_000_003 + i)
 
 
-def _frames_file(folder: Path, order: Rehearsal, n_frames: int, mode: Literal["w+", "r+"]) -> Image:
+def _frames_file(folder: Path, order: PrerenderJob, n_frames: int, mode: Literal["w+", "r+"]) -> Image:
     camera, dtype = order.limits.camera, order.dtype
     needed, free = n_frames * camera.rows * camera.cols * np.dtype(dtype).itemsize, shutil.disk_usage(folder).free
     if mode == "w+" and needed > free:

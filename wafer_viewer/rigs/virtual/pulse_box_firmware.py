@@ -31,7 +31,7 @@ CHOICES = {"AX": ("X", "Y", "Z"), "DIR": ("1", "-1"), "SOURCE": ("SCALE", "COMMA
 AXES: dict[str, Axis] = {"X": "x", "Y": "y", "Z": "z"}
 
 
-class Refused(Exception):
+class CommandRefused(Exception):
     """A command that the box does not carry out; the reason goes into the answer."""
 
 
@@ -116,7 +116,7 @@ class VirtualPulseBox:
         try:
             values = self._carry_out(command, time_s)
             line = Line(ANSWER, command.sequence, "OK", {"BOOT": str(self._boot), **values})
-        except Refused as why:
+        except CommandRefused as why:
             line = Line(ANSWER, command.sequence, "NO", {"BOOT": str(self._boot), "WHY": str(why).replace(" ", "_")})
         self._answered = command, encode(line)
         return self._answered[1]
@@ -124,7 +124,7 @@ class VirtualPulseBox:
     def _carry_out(self, command: Line, time_s: float) -> dict[str, str]:
         verb = VERBS.get(command.verb)
         if verb is None:
-            raise Refused(f"unknown command {command.verb}")
+            raise CommandRefused(f"unknown command {command.verb}")
         self.executed += 1
         return verb(self, command.values, time_s)
 
@@ -133,17 +133,17 @@ class VirtualPulseBox:
 
     def _configure(self, values: dict[str, str], time_s: float) -> dict[str, str]:
         if self._armed:
-            raise Refused("armed")
+            raise CommandRefused("armed")
         for name, value in values.items():
             allowed = CHOICES.get(name)
             if name not in SETTINGS or not (value in allowed if allowed else value.lstrip("-").isdecimal()):
-                raise Refused(f"no setting {name} {value}")
+                raise CommandRefused(f"no setting {name} {value}")
         self._settings |= values
         return {}
 
     def _arm(self, values: dict[str, str], time_s: float) -> dict[str, str]:
         if self._armed:
-            raise Refused("armed already")
+            raise CommandRefused("armed already")
         self._begin_run()
         self._armed = True
         self._watch(time_s)
@@ -160,7 +160,7 @@ class VirtualPulseBox:
         low, high = int(values.get("FROM", "0")), int(values.get("TO", "-1"))
         records = [p for p in self._ring if low <= p.number <= high]
         if len(records) != high - low + 1:
-            raise Refused(f"records {low} to {high} are not in the ring")
+            raise CommandRefused(f"records {low} to {high} are not in the ring")
         for pulse in records:
             self._report(pulse, time_s)
         return {"COUNT": str(len(records))}
@@ -174,7 +174,7 @@ class VirtualPulseBox:
 
     def _fire(self, values: dict[str, str], time_s: float) -> dict[str, str]:
         if not self._armed:
-            raise Refused("not armed")
+            raise CommandRefused("not armed")
         self._pulse(self._count_at(time_s), time_s)
         return {"EMITTED": str(self._emitted)}
 

@@ -185,10 +185,10 @@ class VirtualRig:
         """In real time, render the plan's frames beforehand in a process of its own; else there is nothing to do."""
         if not self._real_time:
             return
-        from wafer_viewer.rigs.virtual.prerendering import Rehearsal, rehearse
+        from wafer_viewer.rigs.virtual.prerendering import PrerenderJob, rehearse
 
         here = self._stage.position()
-        order = Rehearsal(
+        order = PrerenderJob(
             scene=self._scene,
             seed=self._seed,
             limits=self._limits,

@@ -15,7 +15,7 @@ from wafer_viewer.model.errors import RigError
 from wafer_viewer.numerics.jit import fast_kernel
 from wafer_viewer.rigs.virtual.optics.gaussian_blur import Plane
 from wafer_viewer.rigs.virtual.optics.optics import FieldPicture, Optics
-from wafer_viewer.rigs.virtual.scenes.catalogue import Scene, Window
+from wafer_viewer.rigs.virtual.scenes.catalogue import Scene, SceneWindow
 
 Image = NDArray[np.uint8] | NDArray[np.uint16]
 NOISE_SIGMA = 32  # counts of one standard deviation in the table of noise
@@ -168,7 +168,7 @@ def overview(scene: Scene, width_px: int, oversampling: int = 3) -> NDArray[np.u
     x0, y0 = -scene.width_um / 2 + step_um / 2, scene.height_um / 2 - step_um / 2
     picture = np.empty((height_px, width_px), np.uint8)
     for row in range(height_px):
-        line = Window(x0, y0 - row * pixel_um, step_um, oversampling, oversampling * width_px)
+        line = SceneWindow(x0, y0 - row * pixel_um, step_um, oversampling, oversampling * width_px)
         seen = scene.raster(line).radiance()
         grey = 255 * scene.gain * seen.reshape(oversampling, width_px, oversampling).mean((0, 2))
         picture[row] = np.clip(grey, 0, 255)

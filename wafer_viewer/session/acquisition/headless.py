@@ -13,12 +13,12 @@ from wafer_viewer.model.acquisition.devices import Rig, SampleChanger
 from wafer_viewer.model.errors import DatasetError, PlanError
 from wafer_viewer.model.job.job import Job
 from wafer_viewer.model.progress import Progress
-from wafer_viewer.session.acquisition.rig_messages import Scan, ScanFault, Taken
+from wafer_viewer.session.acquisition.rig_messages import FrameTaken, Scan, ScanFault
 from wafer_viewer.session.acquisition.scan_monitor import Steering
 from wafer_viewer.session.acquisition.scan_run import take, writer_of
 from wafer_viewer.session.core.dataset_library import today
 from wafer_viewer.session.planning.plan_editor import free_bytes, plan_of
-from wafer_viewer.session.planning.preflight import Check, Preflight, preflight
+from wafer_viewer.session.planning.preflight import Preflight, PreflightCheck, preflight
 from wafer_viewer.store.dataset.dataset import Dataset
 from wafer_viewer.store.records.calibrations import calibration_in_force
 
@@ -37,7 +37,7 @@ def scan_to(
     job: Job,
     rig: Rig,
     tell: Progress,
-    ready: Callable[[tuple[Check, ...]], None],
+    ready: Callable[[tuple[PreflightCheck, ...]], None],
     warn: Callable[[str], None],
 ) -> Ended:
     """Take a job into a dataset, or go on with it; `ready` hears of the look round before, and may raise.
@@ -56,7 +56,7 @@ def scan_to(
     steering = Steering()
 
     def report(event: Any) -> None:
-        if isinstance(event, Taken):
+        if isinstance(event, FrameTaken):
             tell(event.progress.frames_done / event.progress.frames_total)
         elif isinstance(event, ScanFault):
             warn(event.what)
@@ -80,7 +80,7 @@ def _goes_on(path: Path, job: Job) -> Scan:
     return Scan(path, data.scan.plan, job, goes_on=True)
 
 
-def _look_round(scan: Scan, rig: Rig) -> tuple[Check, ...]:
+def _look_round(scan: Scan, rig: Rig) -> tuple[PreflightCheck, ...]:
     return preflight(
         Preflight(
             job=scan.job,

@@ -8,51 +8,51 @@ from dataclasses import dataclass, replace
 from multiprocessing.connection import Connection
 from typing import Any
 
-from wafer_viewer.compute.child_process import Link
+from wafer_viewer.compute.child_process import ChildProcess
 from wafer_viewer.model.acquisition.calibration import Calibration
 from wafer_viewer.model.acquisition.sample import Sample
 from wafer_viewer.model.errors import DatasetError, MotionStopped, RigError
 from wafer_viewer.rigs.rig_config import RigConfig
 from wafer_viewer.session.acquisition.rig_messages import (
-    At,
     FieldComplete,
+    FrameTaken,
     LoadSample,
     Move,
+    OverviewReady,
     Pause,
     Paused,
     Resume,
     RigAbsent,
     RigReady,
-    SampleSeen,
     Scan,
     ScanEnded,
     ScanFault,
+    StageMoved,
     Stop,
-    Taken,
 )
-from wafer_viewer.session.core.command_queue import Desk
-from wafer_viewer.session.core.notifications import Notices
+from wafer_viewer.session.core.command_queue import CommandQueue
+from wafer_viewer.session.core.notifications import Notifications
 from wafer_viewer.session.state.snapshot import LatestFrame, RigStatus
 
 
 @dataclass(frozen=True, slots=True)
-class Reports:
+class RigCallbacks:
     """Who wants to know of what the rig did; called on the session's thread."""
 
     ready: Callable[[RigReady], None]
-    sample_seen: Callable[[SampleSeen], None]
-    taken: Callable[[Taken], None]
+    sample_seen: Callable[[OverviewReady], None]
+    taken: Callable[[FrameTaken], None]
     field_complete: Callable[[int], None]
     scan_ended: Callable[[ScanEnded | None], None]
     """With None when the rig's process died during a scan."""
 
 
-class Instrument:
+class RigClient:
     """The rig of the snapshot; on the session's thread only."""
 
-    def __init__(self, desk: Desk, notices: Notices, config: RigConfig, reports: Reports) -> None:
+    def __init__(self, desk: CommandQueue, notices: Notifications, config: RigConfig, reports: RigCallbacks) -> None:
         self._desk, self._notices, self._config, self._reports = desk, notices, config, reports
-        self._link: Link | None = None
+        self._link: ChildProcess | None = None
         self._sample: Sample | None = None
         """What was to be loaded last."""
         self._moves = 0
@@ -62,21 +62,21 @@ class Instrument:
         self.latest_frame: LatestFrame | None = None
         self._on = {
             RigReady: self._ready,
-            SampleSeen: reports.sample_seen,
+            OverviewReady: reports.sample_seen,
             RigAbsent: self._absent,
-            At: self._at,
+            StageMoved: self._at,
             Paused: self._paused,
-            Taken: self._taken,
+            FrameTaken: self._taken,
             FieldComplete: lambda event: reports.field_complete(event.number),
             ScanFault: self._scan_fault,
             ScanEnded: self._scan_ended,
         }
 
-    def start(self) -> Link:
+    def start(self) -> ChildProcess:
         """The link to a living process; a rig that failed is started anew when it is asked for something."""
         if self._link is None or not self._link.alive:
             self._show(state="starting", message="")
-            self._link = Link("wafer-viewer rig", _own_rig, (self._config,), self._heard, self._gone)
+            self._link = ChildProcess("wafer-viewer rig", _own_rig, (self._config,), self._heard, self._gone)
             if self._sample is not None:
                 self._link.ask(LoadSample(self._sample))
         return self._link
@@ -167,7 +167,7 @@ class Instrument:
             homed=event.homed,
         )
         self._desk.change(rig=status)
-        self._at(At(event.position))
+        self._at(StageMoved(event.position))
         self._show_moves()
         self._reports.ready(event)
 
@@ -184,7 +184,7 @@ class Instrument:
     def _absent(self, event: RigAbsent) -> None:
         self._show(state="absent", message=event.why)
 
-    def _at(self, event: At) -> None:
+    def _at(self, event: StageMoved) -> None:
         p, homed = event.position, event.homed
         known = self._desk.now.rig.homed if homed is None else homed
         self._show(x_um=p.x_um, y_um=p.y_um, z_um=p.z_um, homed=known)
@@ -202,9 +202,9 @@ class Instrument:
         if self._desk.now.rig.state != "stopping":
             self._show(state="paused" if event.paused else "scanning", message="")
 
-    def _taken(self, event: Taken) -> None:
+    def _taken(self, event: FrameTaken) -> None:
         self.latest_frame = event.latest or self.latest_frame
-        self._at(At(event.position))
+        self._at(StageMoved(event.position))
         self._desk.change(scan=event.progress)
         self._reports.taken(event)
 

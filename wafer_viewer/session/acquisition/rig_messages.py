@@ -73,7 +73,7 @@ class RigReady:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class SampleSeen:
+class OverviewReady:
     """The picture of the whole sample, which may take longer than the rig itself; None where there is none."""
 
     overview: Overview | None
@@ -87,7 +87,7 @@ class RigAbsent:
 
 
 @dataclass(frozen=True, slots=True)
-class At:
+class StageMoved:
     """Where the stage stands, and whether it still knows so by itself; None: as it was before."""
 
     position: Position
@@ -102,7 +102,7 @@ class Paused:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Taken:
+class FrameTaken:
     """How far the scan is; `latest` a few times a second."""
 
     progress: ScanProgress

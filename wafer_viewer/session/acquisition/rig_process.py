@@ -11,22 +11,22 @@ from dataclasses import dataclass, replace
 from multiprocessing.connection import Connection
 
 from wafer_viewer.acquire.motion import come_to_rest, device_errors, move
-from wafer_viewer.compute.child_process import Ask, ChildEnd, live_in_the_background
+from wafer_viewer.compute.child_process import ChildConnection, Request, live_in_the_background
 from wafer_viewer.model.acquisition.devices import Rig, SampleChanger
 from wafer_viewer.model.acquisition.plan import Axis
 from wafer_viewer.model.acquisition.sample import Sample
 from wafer_viewer.model.errors import MotionStopped, RigError, WaferViewerError
 from wafer_viewer.rigs.rig_config import RigConfig, open_rig
 from wafer_viewer.session.acquisition.rig_messages import (
-    At,
     LoadSample,
     Move,
+    OverviewReady,
     Pause,
     Resume,
     RigAbsent,
     RigReady,
-    SampleSeen,
     Scan,
+    StageMoved,
     Stop,
 )
 from wafer_viewer.session.acquisition.scan_monitor import Steering
@@ -37,7 +37,7 @@ from wafer_viewer.session.planning.guided_tour import tour_of
 def run_rig(pipe: Connection, config: RigConfig) -> None:
     """Live as the rig's process until the pipe ends."""
     live_in_the_background()
-    end = ChildEnd(pipe)
+    end = ChildConnection(pipe)
     try:
         rig = open_rig(config)
     except WaferViewerError as fault:
@@ -45,8 +45,8 @@ def run_rig(pipe: Connection, config: RigConfig) -> None:
         return
     try:
         end.tell(_introduce(rig, config))
-        end.tell(SampleSeen(rig.overview()))
-        Operator(rig, end).work()
+        end.tell(OverviewReady(rig.overview()))
+        RigExecutor(rig, end).work()
     finally:
         rig.close()
 
@@ -65,22 +65,22 @@ def _introduce(rig: Rig, config: RigConfig) -> RigReady:
 
 
 @dataclass(frozen=True, slots=True)
-class Order:
+class RigCommand:
     """A verb in its turn, with the number of stops before it: what was asked for before a stop is not begun after."""
 
-    ask: Ask
+    ask: Request
     n_stops: int
 
 
-class Operator:
+class RigExecutor:
     """Carries out one verb at a time; what steers or breaks off a motion is heard at once, on a thread of its own.
 
     That thread only counts and sets flags: whoever moves the rig asks for them, so one thread alone uses the devices.
     """
 
-    def __init__(self, rig: Rig, end: ChildEnd) -> None:
+    def __init__(self, rig: Rig, end: ChildConnection) -> None:
         self._rig, self._end = rig, end
-        self._todo: queue.SimpleQueue[Order | None] = queue.SimpleQueue()
+        self._todo: queue.SimpleQueue[RigCommand | None] = queue.SimpleQueue()
         self._steering = Steering()
         self._steer = {Pause: self._steering.pause, Resume: self._steering.resume}
         self._n_stops = self._heeded = 0
@@ -105,7 +105,7 @@ class Operator:
                 continue
             if isinstance(ask.verb, Stop):
                 self._stop()
-            self._todo.put(Order(ask, self._n_stops))
+            self._todo.put(RigCommand(ask, self._n_stops))
         self._steering.end()
         self._stop()
         self._todo.put(None)
@@ -114,7 +114,7 @@ class Operator:
         self._n_stops += 1
         self._steering.stop()
 
-    def _carry_out(self, order: Order) -> None:
+    def _carry_out(self, order: RigCommand) -> None:
         match order.ask.verb:
             case Scan() as scan:
                 self._scan(order, scan)
@@ -126,10 +126,10 @@ class Operator:
             case _:
                 self._end.answer(order.ask, order.n_stops <= self._heeded)
 
-    def _stopped_since(self, order: Order) -> bool:
+    def _stopped_since(self, order: RigCommand) -> bool:
         return self._n_stops > order.n_stops
 
-    def _move(self, order: Order, to: Move) -> None:
+    def _move(self, order: RigCommand, to: Move) -> None:
         wanted: dict[Axis, float | None] = {"x": to.x_um, "y": to.y_um, "z": to.z_um}
         goal_um: dict[Axis, float] = {axis: um for axis, um in wanted.items() if um is not None}
         try:
@@ -142,9 +142,9 @@ class Operator:
     def _load(self, sample: Sample | None) -> None:
         """Load a sample where the rig does that by itself, and show what lies on the stage now."""
         if isinstance(self._rig, SampleChanger) and self._rig.load_sample(sample):
-            self._end.tell(SampleSeen(self._rig.overview()))
+            self._end.tell(OverviewReady(self._rig.overview()))
 
-    def _scan(self, order: Order, scan: Scan) -> None:
+    def _scan(self, order: RigCommand, scan: Scan) -> None:
         self._load(scan.job.sample)
         self._steering.reset()
         if self._stopped_since(order):
@@ -165,4 +165,4 @@ class Operator:
     def _tell_where(self) -> None:
         """Also whether it is homed: a search for the reference that was broken off leaves it not so."""
         stage = self._rig.stage
-        self._end.tell(At(stage.position(), stage.homed()))
+        self._end.tell(StageMoved(stage.position(), stage.homed()))

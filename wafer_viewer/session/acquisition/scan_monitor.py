@@ -12,7 +12,7 @@ import numpy as np
 from wafer_viewer.model.acquisition.devices import Position, PulseSummary
 from wafer_viewer.model.acquisition.focus_stack import Frame, Image
 from wafer_viewer.model.acquisition.plan import Leg, ScanPlan, Shot
-from wafer_viewer.session.acquisition.rig_messages import FieldComplete, Paused, ScanFault, Taken
+from wafer_viewer.session.acquisition.rig_messages import FieldComplete, FrameTaken, Paused, ScanFault
 from wafer_viewer.session.state.snapshot import LatestFrame, ScanProgress
 from wafer_viewer.store.dataset.writer import DatasetWriter
 from wafer_viewer.store.io.atomic_files import writing
@@ -172,7 +172,7 @@ class ScanWatch:
     def _report(self, frame: Frame, *, finished: bool = False) -> None:
         self._reported_at = time.monotonic()
         position = Position(frame.x_um, frame.y_um, frame.z_um)
-        self._tell(Taken(self._progress(frame, finished), position, self._latest(frame)))
+        self._tell(FrameTaken(self._progress(frame, finished), position, self._latest(frame)))
 
     def _progress(self, frame: Frame, finished: bool) -> ScanProgress:
         return ScanProgress(

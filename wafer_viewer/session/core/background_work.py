@@ -6,14 +6,14 @@ from concurrent.futures import Future
 
 from wafer_viewer.compute.compute_client import Compute
 from wafer_viewer.compute.watched_tasks import Answer, Args, WatchedTask
-from wafer_viewer.session.core.command_queue import Desk
-from wafer_viewer.session.core.notifications import Notices
+from wafer_viewer.session.core.command_queue import CommandQueue
+from wafer_viewer.session.core.notifications import Notifications
 
 
 class BackgroundWork:
     """Runs tasks on the workers, each under a title of its own. On the session's thread only."""
 
-    def __init__(self, desk: Desk, notices: Notices, compute: Compute) -> None:
+    def __init__(self, desk: CommandQueue, notices: Notifications, compute: Compute) -> None:
         self._desk, self._notices, self._compute = desk, notices, compute
 
     def run(self, title: str, task: WatchedTask[*Args, Answer], *args: *Args) -> Future[Answer]:

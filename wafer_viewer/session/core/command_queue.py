@@ -20,7 +20,7 @@ ANNOUNCE_EVERY_S = 0.1
 log = logging.getLogger(__name__)
 
 
-class Desk:
+class CommandQueue:
     """Changes happen on its one thread only; reading the snapshot needs no lock, for it is frozen.
 
     What a verb changes is seen together, when the verb has ended: `snapshot` is what all see, `now` what the verb

@@ -14,8 +14,8 @@ from dataclasses import replace
 from typing import Any
 
 from wafer_viewer.model.errors import WaferViewerError
-from wafer_viewer.session.core.command_queue import Desk
-from wafer_viewer.session.state.control_state import Browser, Hands
+from wafer_viewer.session.core.command_queue import CommandQueue
+from wafer_viewer.session.state.control_state import Browser, ControlState
 
 ANSWER_S = 15.0
 """So long the holder may answer one who asks; then the controls pass."""
@@ -40,7 +40,7 @@ class Control:
     A browser is known by its key, whatever number of windows it has open; it has gone when the last of them has.
     """
 
-    def __init__(self, desk: Desk, later: Later = after) -> None:
+    def __init__(self, desk: CommandQueue, later: Later = after) -> None:
         self._desk, self._later = desk, later
         self._windows: Counter[str] = Counter()
         self._expected: dict[str, Callable[[], None]] = {}
@@ -74,7 +74,7 @@ class Control:
     # --- on the session's thread
 
     @property
-    def _hands(self) -> Hands:
+    def _hands(self) -> ControlState:
         return self._desk.now.hands
 
     def _show(self, **changes: Any) -> None:

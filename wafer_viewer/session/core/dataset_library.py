@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any
 
 from wafer_viewer.model.errors import DatasetError, WaferViewerError
 from wafer_viewer.session.core.changes import with_change
-from wafer_viewer.session.core.command_queue import Desk
+from wafer_viewer.session.core.command_queue import CommandQueue
 from wafer_viewer.session.state.snapshot import DatasetEntry, FieldState, OpenDataset, SurfaceInfo
 
 if TYPE_CHECKING:
@@ -26,7 +26,7 @@ NOTHING_OPEN = "No dataset is open: open one, import images or start a scan firs
 class Library:
     """The datasets of the snapshot; changes on the session's thread only, questions from any."""
 
-    def __init__(self, desk: Desk, folder: Path) -> None:
+    def __init__(self, desk: CommandQueue, folder: Path) -> None:
         self._desk, self._folder = desk, folder
         self._dataset: Dataset | None = None
         self._lock: Lock | None = None

@@ -21,7 +21,7 @@ ROOM_BYTES = 5e9
 
 
 @dataclass(frozen=True, slots=True)
-class Check:
+class EnvironmentCheck:
     """One thing looked at; `mend` is what to do where it is not well, empty where it is."""
 
     what: str
@@ -34,9 +34,9 @@ class Check:
         return not self.mend
 
 
-def examine(config: RigConfig, data_folder: Path) -> Iterator[Check]:
+def examine(config: RigConfig, data_folder: Path) -> Iterator[EnvironmentCheck]:
     """Look at everything, one after the other."""
-    yield Check("Python", sys.version.split()[0])
+    yield EnvironmentCheck("Python", sys.version.split()[0])
     yield from (_package(name) for name in PACKAGES)
     yield _open3d()
     yield _processors()
@@ -45,37 +45,37 @@ def examine(config: RigConfig, data_folder: Path) -> Iterator[Check]:
     yield _rig(config)
 
 
-def _package(name: str) -> Check:
+def _package(name: str) -> EnvironmentCheck:
     try:
         found = importlib.import_module(name)
     except ImportError as fault:
-        return Check(name, f"cannot be imported: {fault}", "pip install --force-reinstall wafer-viewer")
-    return Check(name, str(getattr(found, "__version__", "there")))
+        return EnvironmentCheck(name, f"cannot be imported: {fault}", "pip install --force-reinstall wafer-viewer")
+    return EnvironmentCheck(name, str(getattr(found, "__version__", "there")))
 
 
-def _open3d() -> Check:
+def _open3d() -> EnvironmentCheck:
     lacking = [p for library, p in OPEN3D_LIBRARIES.items() if ctypes.util.find_library(library) is None]
     if sys.platform == "linux" and lacking:
-        return Check("open3d", f"lacks {', '.join(lacking)}", f"sudo apt-get install {' '.join(lacking)}")
+        return EnvironmentCheck("open3d", f"lacks {', '.join(lacking)}", f"sudo apt-get install {' '.join(lacking)}")
     return _package("open3d")
 
 
-def _processors() -> Check:
-    return Check("Processors", f"{os.cpu_count()}")
+def _processors() -> EnvironmentCheck:
+    return EnvironmentCheck("Processors", f"{os.cpu_count()}")
 
 
-def _disk(folder: Path) -> Check:
+def _disk(folder: Path) -> EnvironmentCheck:
     place = next(p for p in (folder.absolute(), *folder.absolute().parents) if p.exists())
     free = shutil.disk_usage(place).free
     found = f"{free / 1e9:.0f} GB free at {place}"
     if not os.access(place, os.W_OK):
-        return Check("Data folder", f"{place} cannot be written", "choose another with --data DIR")
-    return Check(
+        return EnvironmentCheck("Data folder", f"{place} cannot be written", "choose another with --data DIR")
+    return EnvironmentCheck(
         "Data folder", found, "" if free > ROOM_BYTES else "free some space, or choose another with --data DIR"
     )
 
 
-def _cache() -> Check:
+def _cache() -> EnvironmentCheck:
     from wafer_viewer.numerics.jit import cache_folder
 
     folder = cache_folder()
@@ -84,14 +84,16 @@ def _cache() -> Check:
         (probe := folder / ".probe").touch()
         probe.unlink()
     except OSError as fault:
-        return Check("Kernel cache", f"{folder}: {fault.strerror}", "set WAFER_VIEWER_CACHE to a folder of yours")
-    return Check("Kernel cache", str(folder))
+        return EnvironmentCheck(
+            "Kernel cache", f"{folder}: {fault.strerror}", "set WAFER_VIEWER_CACHE to a folder of yours"
+        )
+    return EnvironmentCheck("Kernel cache", str(folder))
 
 
-def _rig(config: RigConfig) -> Check:
+def _rig(config: RigConfig) -> EnvironmentCheck:
     try:
         rig = open_rig(config)
     except WaferViewerError as fault:
-        return Check(f"Rig '{config.name}'", str(fault), "check its cables and its RIG.toml")
+        return EnvironmentCheck(f"Rig '{config.name}'", str(fault), "check its cables and its RIG.toml")
     rig.close()
-    return Check(f"Rig '{config.name}'", "SIMULATED, answers" if rig.simulated else "answers")
+    return EnvironmentCheck(f"Rig '{config.name}'", "SIMULATED, answers" if rig.simulated else "answers")

@@ -8,7 +8,7 @@ from dataclasses import replace
 from itertools import count
 from typing import Any, Literal
 
-from wafer_viewer.session.core.command_queue import Desk
+from wafer_viewer.session.core.command_queue import CommandQueue
 from wafer_viewer.session.state.snapshot import Fault, Work
 
 Source = Literal["plan", "scan", "import", "open", "surface", "measure", "export", "rig", "other"]
@@ -19,10 +19,10 @@ KNOWN_AFTER_S, KNOWN_AFTER = 2.0, 0.05
 """How long a work takes can be told after so much time and so much of it."""
 
 
-class Notices:
+class Notifications:
     """Faults and works of the snapshot; on the session's thread only."""
 
-    def __init__(self, desk: Desk, clock_s: Callable[[], float] = time.monotonic) -> None:
+    def __init__(self, desk: CommandQueue, clock_s: Callable[[], float] = time.monotonic) -> None:
         self._desk, self._clock_s = desk, clock_s
         self._begun: dict[str, tuple[float, float]] = {}
         self._numbers = count(1)

@@ -8,7 +8,7 @@ T = TypeVar("T")
 DEPTH = 200
 
 
-class History(Generic[T]):
+class UndoHistory(Generic[T]):
     """A value with the values before it and those undone; the oldest are forgotten beyond `DEPTH`."""
 
     def __init__(self, value: T) -> None:

@@ -19,7 +19,7 @@ PICTURE, REPORT = "picture", "report"
 _REPORT_NAME = re.compile(r"[^/\\]+-report-\d+\.html")
 
 
-class Papers:
+class Documents:
     """For the page: every verb returns a future."""
 
     def __init__(self, do: Callable[..., Future[Any]], library: Library, files: FileWork) -> None:

@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import Any
 
 from wafer_viewer.model.file_formats import Reading
-from wafer_viewer.session.core.command_queue import Desk
+from wafer_viewer.session.core.command_queue import CommandQueue
 from wafer_viewer.session.files.file_jobs import FileWork
 
 
@@ -16,7 +16,7 @@ class Exchange:
     """For the page and for notebooks: every verb returns a future."""
 
     def __init__(
-        self, do: Callable[..., Future[Any]], desk: Desk, files: FileWork, open_dataset: Callable[[Path], Path]
+        self, do: Callable[..., Future[Any]], desk: CommandQueue, files: FileWork, open_dataset: Callable[[Path], Path]
     ) -> None:
         self._do, self._desk, self._files, self._open = do, desk, files, open_dataset
 

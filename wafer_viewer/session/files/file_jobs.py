@@ -11,7 +11,7 @@ from wafer_viewer.model.region import Region
 from wafer_viewer.model.report import ReportOrder
 from wafer_viewer.model.surface.comparison import comparison_of
 from wafer_viewer.session.core.background_work import BackgroundWork
-from wafer_viewer.session.core.command_queue import Desk
+from wafer_viewer.session.core.command_queue import CommandQueue
 from wafer_viewer.session.core.dataset_library import ENDING, Library, free_name
 from wafer_viewer.session.files.surface_import import import_surface
 from wafer_viewer.session.reporting.report import make_report
@@ -21,7 +21,7 @@ from wafer_viewer.session.surface.worker_tasks import export_surface, import_ima
 class FileWork:
     """On the session's thread only."""
 
-    def __init__(self, desk: Desk, library: Library, background: BackgroundWork) -> None:
+    def __init__(self, desk: CommandQueue, library: Library, background: BackgroundWork) -> None:
         self._desk, self._library, self._background = desk, library, background
 
     def import_images(self, srcs: tuple[Path, ...], options: dict[str, Any], name: str | None) -> Future[Path]:

@@ -18,7 +18,7 @@ from wafer_viewer.session.state.gauge_state import Faces
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Source:
+class GaugeSource:
     """A surface that a repeat is measured on: show 0 the stitched one, else the field of that number.
 
     problem: why its lengths are uncalibrated, or None; taken: ISO 8601.
@@ -41,7 +41,7 @@ class Source:
         return self.surface.provenance.calibration
 
 
-def source_of(src: Path, field_number: int, result: str) -> Source:
+def source_of(src: Path, field_number: int, result: str) -> GaugeSource:
     """The surface of a dataset (0: the mosaic) or of a file. Raises DatasetError when it cannot be read."""
     from wafer_viewer.session.surface.headless import is_dataset, measured_surface
     from wafer_viewer.store.dataset.dataset import Dataset
@@ -49,8 +49,8 @@ def source_of(src: Path, field_number: int, result: str) -> Source:
     surface, calibrated = measured_surface(src, field_number, result)
     if is_dataset(src):
         data = Dataset.open(src)
-        return Source(surface, data.name, data.scan.taken, data.calibration_problem(today()), field_number)
-    return Source(surface, src.stem, problem=None if calibrated else "the file has none that holds")
+        return GaugeSource(surface, data.name, data.scan.taken, data.calibration_problem(today()), field_number)
+    return GaugeSource(surface, src.stem, problem=None if calibrated else "the file has none that holds")
 
 
 def find_faces(surface: Mosaic) -> Faces:
@@ -61,7 +61,7 @@ def find_faces(surface: Mosaic) -> Faces:
     return found.upper, found.lower
 
 
-def repeat_of(source: Source, certificate: Certificate, faces: Faces | None = None) -> GaugeRepeat:
+def repeat_of(source: GaugeSource, certificate: Certificate, faces: Faces | None = None) -> GaugeRepeat:
     """The step in one scan; faces are found by themselves where none are given.
 
     Raises MeasureError where there is no check of this scan against the certificate, or the step cannot be measured.

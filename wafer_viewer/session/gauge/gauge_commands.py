@@ -14,7 +14,7 @@ from wafer_viewer.model.region import Region
 from wafer_viewer.session.core.dataset_library import NOTHING_OPEN
 from wafer_viewer.session.gauge import gauge_check as work
 from wafer_viewer.session.gauge.gauge_controller import NO_CERTIFICATE, GaugeKeeper
-from wafer_viewer.session.measurement.dataset_queries import Questions
+from wafer_viewer.session.measurement.dataset_queries import DatasetQueries
 from wafer_viewer.session.state.gauge_state import Faces
 from wafer_viewer.session.state.snapshot import Snapshot
 
@@ -26,7 +26,7 @@ class GaugeVerbs:
         self,
         do: Callable[..., Future[Any]],
         keeper: GaugeKeeper,
-        questions: Questions,
+        questions: DatasetQueries,
         snapshot: Callable[[], Snapshot],
     ) -> None:
         self._do, self._keeper, self._questions, self._snapshot = do, keeper, questions, snapshot
@@ -89,7 +89,7 @@ class GaugeVerbs:
         if shown is None:
             raise DatasetError(NOTHING_OPEN)
         surface = self._questions.surface_source(show)
-        source = work.Source(surface, shown.name, shown.taken, shown.calibration_problem, show)
+        source = work.GaugeSource(surface, shown.name, shown.taken, shown.calibration_problem, show)
         return work.repeat_of(source, certificate, faces)
 
 

@@ -19,10 +19,10 @@ from wafer_viewer.model.gauge.gauge_check import (
     ScaleCorrection,
 )
 from wafer_viewer.model.gauge.run_chart import RunChart
-from wafer_viewer.session.core.command_queue import Desk
+from wafer_viewer.session.core.command_queue import CommandQueue
 from wafer_viewer.session.core.dataset_library import Library, today
 from wafer_viewer.session.gauge import gauge_check as work
-from wafer_viewer.session.measurement.results import RecordBook
+from wafer_viewer.session.measurement.results import ResultsStore
 from wafer_viewer.session.state.gauge_state import Faces, GaugeState, Tick
 from wafer_viewer.session.state.snapshot import Snapshot
 
@@ -33,7 +33,7 @@ Measure = Callable[[Faces | None, int], GaugeRepeat]
 class GaugeKeeper:
     """On the session's thread, but `measure`, which has one of its own."""
 
-    def __init__(self, desk: Desk, library: Library, book: RecordBook, folder: Path) -> None:
+    def __init__(self, desk: CommandQueue, library: Library, book: ResultsStore, folder: Path) -> None:
         self._desk, self._library, self._book, self._folder = desk, library, book, folder
         self._at_work = ThreadPoolExecutor(1, thread_name_prefix="gauge")
         self._of: object = None

@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import ClassVar
 
 from wafer_viewer.model.errors import MeasureError, WaferViewerError
-from wafer_viewer.model.findings import Findings
+from wafer_viewer.model.findings import MeasurementResults
 from wafer_viewer.model.gauge.gauge_check import Certificate, GaugeCheck, GaugeRecord, GaugeTerms
 from wafer_viewer.model.gauge.run_chart import Capability, RunChart
 from wafer_viewer.model.spec import Spec, replace
@@ -93,7 +93,7 @@ def _keep(data: Dataset, name: str, check: GaugeCheck) -> GaugeCheck:
     number = max((result.highest_thumbnail(), *(item.number for item in items))) + 1
     nth = 1 + sum(isinstance(item, GaugeCheck) for item in items)
     kept = replace(check, number=number, name=f"Gauge check {nth}")
-    result.save_findings(Findings(items=(*items, kept)))
+    result.save_findings(MeasurementResults(items=(*items, kept)))
     return kept
 
 

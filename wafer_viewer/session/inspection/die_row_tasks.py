@@ -18,15 +18,15 @@ from uuid import uuid4
 import numpy as np
 from numpy.typing import NDArray
 
-from wafer_viewer.compute.task_runner import Crew, Done, Here
+from wafer_viewer.compute.task_runner import Done, LocalRunner, TaskRunner
 from wafer_viewer.model.progress import ShouldStop, never
 from wafer_viewer.store.io.atomic_files import remove
 from wafer_viewer.store.mosaic.array_bundle import read_planes, write_planes
 
 if TYPE_CHECKING:
-    from wafer_viewer.measure.defects.cell_comparison import CellResult, Work
-    from wafer_viewer.measure.defects.golden_die import Golden
-    from wafer_viewer.measure.defects.noise_model import Noise
+    from wafer_viewer.measure.defects.cell_comparison import CellResult, ComparisonWork
+    from wafer_viewer.measure.defects.golden_die import ReferenceDie
+    from wafer_viewer.measure.defects.noise_model import NoiseModel
     from wafer_viewer.measure.dies.die_cells import Place
 
 PLANES = ("z_um", "z_spread_um", "picture", "picture_spread")
@@ -40,19 +40,21 @@ LEFT_FOR_S = 86_400.0
 class RowHands:
     """Who compares the rows of dies of one inspection; folder: where what they are compared with lies meanwhile."""
 
-    crew: Crew
+    crew: TaskRunner
     folder: Path
     should_stop: ShouldStop = never
 
     @classmethod
-    def of(cls, crew: Crew, dataset: Path, folder: Path, should_stop: ShouldStop = never) -> RowHands:
+    def of(cls, crew: TaskRunner, dataset: Path, folder: Path, should_stop: ShouldStop = never) -> RowHands:
         """For a surface of a dataset. Raises ComputeError naming the machine where a worker does not see that."""
         crew.require_sight(dataset)
         return cls(crew, folder, should_stop)
 
-    def __call__(self, work: Work, noise: Noise, rows: Sequence[tuple[Place, ...]]) -> Generator[list[CellResult]]:
+    def __call__(
+        self, work: ComparisonWork, noise: NoiseModel, rows: Sequence[tuple[Place, ...]]
+    ) -> Generator[list[CellResult]]:
         """See `RowsBy`. Raises ComputeError when the work is to stop or nobody is left to do it."""
-        if isinstance(self.crew, Here):
+        if isinstance(self.crew, LocalRunner):
             yield from self._done(compare_here, [(work, noise, row) for row in rows])
             return
         with kept(self.folder, work.golden, noise) as reference:
@@ -64,13 +66,13 @@ class RowHands:
             yield from in_order(outcomes)
 
 
-def compare_row(work: Work, reference: Path, row: tuple[Place, ...]) -> list[CellResult]:
+def compare_row(work: ComparisonWork, reference: Path, row: tuple[Place, ...]) -> list[CellResult]:
     """A worker's task: the dies of one strip against what lies in the file `reference`."""
     golden, noise = _reference(reference)
     return compare_here(replace(work, golden=replace(work.golden, **golden)), noise, row)
 
 
-def compare_here(work: Work, noise: Noise, row: tuple[Place, ...]) -> list[CellResult]:
+def compare_here(work: ComparisonWork, noise: NoiseModel, row: tuple[Place, ...]) -> list[CellResult]:
     """The dies of one strip."""
     from wafer_viewer.measure.defects.cell_comparison import compared
 
@@ -91,7 +93,7 @@ def in_order(outcomes: Iterable[Done]) -> Generator[Any]:
 
 
 @contextmanager
-def kept(folder: Path, golden: Golden, noise: Noise) -> Generator[Path]:
+def kept(folder: Path, golden: ReferenceDie, noise: NoiseModel) -> Generator[Path]:
     """What cells are compared with, in a file for as long as it is needed."""
     _sweep(folder)
     path = folder / f"{BEGINS}{uuid4().hex[:12]}{ENDS}"
@@ -109,25 +111,25 @@ def _sweep(folder: Path) -> None:
 
 
 @lru_cache(maxsize=1)
-def _reference(path: Path) -> tuple[dict[str, NDArray[Any]], Noise]:
+def _reference(path: Path) -> tuple[dict[str, NDArray[Any]], NoiseModel]:
     """Golden planes by name, and the noise; kept from row to row."""
     planes = read_planes(path)
     return {name: planes.pop(name) for name in PLANES}, _noise_of(planes)
 
 
-def _planes_of(noise: Noise) -> dict[str, NDArray[Any]]:
+def _planes_of(noise: NoiseModel) -> dict[str, NDArray[Any]]:
     """By what they are, and of which layer and scale where it is of one."""
     facts = {name: getattr(noise, name) for name in BY_KEY}
     named = {f"{name}/{k[0]}/{k[1]!r}": value for name, by in facts.items() for k, value in by.items()}
     return named | {name: getattr(noise, name) for name in OF_ALL}
 
 
-def _noise_of(planes: dict[str, NDArray[Any]]) -> Noise:
-    from wafer_viewer.measure.defects.noise_model import Noise
+def _noise_of(planes: dict[str, NDArray[Any]]) -> NoiseModel:
+    from wafer_viewer.measure.defects.noise_model import NoiseModel
 
     whole: dict[str, Any] = {name: planes.pop(name) for name in OF_ALL}
     facts: dict[str, dict[tuple[str, float], Any]] = {name: {} for name in BY_KEY}
     for title, value in planes.items():
         name, layer, scale = title.split("/")
         facts[name][layer, float(scale)] = value
-    return Noise(**facts, **whole)
+    return NoiseModel(**facts, **whole)

@@ -19,7 +19,7 @@ from wafer_viewer.model.surface.height_map import Mosaic
 from wafer_viewer.session.inspection.die_lattice_source import GivenDies, dies_or_why
 from wafer_viewer.session.inspection.die_row_tasks import RowHands
 from wafer_viewer.session.inspection.inspection_job import NOT_BY_DIES
-from wafer_viewer.session.surface.headless import Hire, is_dataset, measured_surface
+from wafer_viewer.session.surface.headless import LocalOrCluster, is_dataset, measured_surface
 from wafer_viewer.store.dataset.dataset import Dataset
 
 CLUSTER_PAYS_PX = 60_000_000
@@ -62,7 +62,7 @@ def inspected(
     golden: GoldenDie | None,
     against: str,
     tell: Progress,
-    hire: Hire = Hire(),
+    hire: LocalOrCluster = LocalOrCluster(),
 ) -> Inspection:
     """Look for defects; the dies are those given, those of the job, or found. `against` "form": without dies.
 
@@ -91,7 +91,7 @@ def inspected(
 
 
 @contextmanager
-def _rows_by(wafer: Wafer, hire: Hire) -> Generator[RowHands | None]:
+def _rows_by(wafer: Wafer, hire: LocalOrCluster) -> Generator[RowHands | None]:
     """Who compares the rows of dies: the crew that is hired, where workers can read the surface themselves."""
     if wafer.lies_in is None:
         yield None

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any
 from wafer_viewer.model.errors import DatasetError, WaferViewerError
 from wafer_viewer.model.inspection.defect import Defect, DefectClass, DefectRecipe, Inspection, Judgement
 from wafer_viewer.model.spec import replace
-from wafer_viewer.session.core.undo_history import History
+from wafer_viewer.session.core.undo_history import UndoHistory
 from wafer_viewer.session.inspection.inspection_job import Against, Dies, inspect_dataset, mosaic_mark
 from wafer_viewer.session.state.inspection_resources import product_of
 from wafer_viewer.session.state.inspection_state import InspectionState
@@ -19,9 +19,9 @@ from wafer_viewer.session.state.inspection_state import InspectionState
 if TYPE_CHECKING:
     from wafer_viewer.compute.compute_client import Compute
     from wafer_viewer.model.inspection.defect_limits import DefectLimits
-    from wafer_viewer.session.core.command_queue import Desk
+    from wafer_viewer.session.core.command_queue import CommandQueue
     from wafer_viewer.session.core.dataset_library import Library
-    from wafer_viewer.session.core.notifications import Notices
+    from wafer_viewer.session.core.notifications import Notifications
     from wafer_viewer.session.inspection.inspection_files import DefectFiles
     from wafer_viewer.session.inspection.reference_views import DefectViews
     from wafer_viewer.session.state.snapshot import Snapshot
@@ -30,9 +30,9 @@ if TYPE_CHECKING:
 class DefectKeeper:
     """The inspection of the snapshot; on the session's thread only."""
 
-    def __init__(self, desk: Desk, notices: Notices, library: Library, compute: Compute) -> None:
+    def __init__(self, desk: CommandQueue, notices: Notifications, library: Library, compute: Compute) -> None:
         self._desk, self._notices, self._library, self._compute = desk, notices, library, compute
-        self._history: History[Inspection | None] = History(None)
+        self._history: UndoHistory[Inspection | None] = UndoHistory(None)
         self._of: tuple[Path, str] | None = None
         self._work, self._problem, self._stamp = "", "", 0
 

@@ -16,7 +16,7 @@ from wafer_viewer.session.state.inspection_resources import SAME_PLACE_UM, Defec
 if TYPE_CHECKING:
     from wafer_viewer.model.inspection.golden_die import GoldenHeader
     from wafer_viewer.session.core.background_work import BackgroundWork
-    from wafer_viewer.session.core.command_queue import Desk
+    from wafer_viewer.session.core.command_queue import CommandQueue
     from wafer_viewer.session.core.dataset_library import Library
 
 TITLES: dict[Handover, str] = {"klarf": "KLARF", "csv": "Table of defects", "training": "Training set"}
@@ -25,7 +25,7 @@ TITLES: dict[Handover, str] = {"klarf": "KLARF", "csv": "Table of defects", "tra
 class DefectFilesKeeper:
     """The shelf of the snapshot; on the session's thread only."""
 
-    def __init__(self, desk: Desk, library: Library, background: BackgroundWork, folder: Path) -> None:
+    def __init__(self, desk: CommandQueue, library: Library, background: BackgroundWork, folder: Path) -> None:
         self._desk, self._library, self._background, self._folder = desk, library, background, folder
 
     def open(self) -> None:

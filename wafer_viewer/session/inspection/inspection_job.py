@@ -8,7 +8,7 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING, Literal
 
-from wafer_viewer.compute.task_runner import Crew, Here
+from wafer_viewer.compute.task_runner import LocalRunner, TaskRunner
 from wafer_viewer.model.errors import ComputeError, WaferViewerError
 from wafer_viewer.model.inspection.defect import DefectRecipe, Inspection
 from wafer_viewer.model.inspection.die_grid import DieGrid
@@ -38,7 +38,7 @@ def inspect_dataset(
     dies: Dies = None,
     against: Against = "dies",
     *,
-    crew: Crew | None = None,
+    crew: TaskRunner | None = None,
     progress: Progress = silent,
     should_stop: ShouldStop = never,
 ) -> Inspection:
@@ -71,7 +71,7 @@ def inspect_dataset(
             calibration_valid=data.calibration_problem(today()) is None,
             progress=progress,
             should_stop=should_stop,
-            rows_by=RowHands.of(crew or Here(), data.path, kept.path, should_stop),
+            rows_by=RowHands.of(crew or LocalRunner(), data.path, kept.path, should_stop),
             no_dies=no_dies,
         )
     return replace(found, mark=mark)

@@ -14,9 +14,9 @@ import msgspec
 
 from wafer_viewer.model.errors import DatasetError, WaferViewerError
 from wafer_viewer.model.inspection.defect import Defect, Inspection
-from wafer_viewer.model.surface.comparison import Face
-from wafer_viewer.session.rendering.comparison_views import DiePicture, LikePlace, Place, SideBySide
-from wafer_viewer.session.rendering.render_request import PaintRequest, Source
+from wafer_viewer.model.surface.comparison import ComparisonFace
+from wafer_viewer.session.rendering.comparison_views import ComparisonRequest, ComparisonViews, DiePicture, Place
+from wafer_viewer.session.rendering.render_request import RenderRequest, SurfaceKey
 
 if TYPE_CHECKING:
     from wafer_viewer.model.acquisition.alignment import Alignment
@@ -39,7 +39,7 @@ class Earlier:
     turn_rad: how the wafer is turned there against how it lies here, anticlockwise.
     """
 
-    source: Source
+    source: SurfaceKey
     name: str
     at_um: Callable[[float, float], tuple[float, float]]
     turn_rad: float = 0.0
@@ -50,13 +50,13 @@ class DefectViews:
 
     def __init__(
         self,
-        paint: Callable[[PaintRequest], Future[bytes]],
+        paint: Callable[[RenderRequest], Future[bytes]],
         snapshot: Callable[[], Snapshot],
         earlier: Callable[[Snapshot, OpenDataset], Earlier | str] | None = None,
     ) -> None:
         self._paint, self._snapshot, self._earlier = paint, snapshot, earlier or earlier_scan
 
-    def beside(self, number: int) -> Future[SideBySide | None]:
+    def beside(self, number: int) -> Future[ComparisonViews | None]:
         """A defect beside the same place of the other dies or the golden one, and of the last scan of the wafer.
 
         Done with None where nothing of the place was scanned.
@@ -68,7 +68,9 @@ class DefectViews:
             raise DatasetError(f"There is no defect {number}: the surface was searched again, choose another.")
         box = box_of(defect, surface.pixel_um)
         like = _like(inspection, defect, box, self._earlier(now, data))
-        return _read(self._paint(PaintRequest(_source(data, surface), "beside", box_um=box, like=like)), SideBySide)
+        return _read(
+            self._paint(RenderRequest(_source(data, surface), "beside", box_um=box, like=like)), ComparisonViews
+        )
 
     def die(self) -> Future[DiePicture | None]:
         """A die as all of them are: the golden one, or the median of some that were scanned whole."""
@@ -76,7 +78,7 @@ class DefectViews:
         inspection, data, surface = now.inspection.inspection, now.dataset, now.surface
         if inspection is None or data is None or surface is None:
             raise DatasetError("Nothing was inspected yet: search for defects first.")
-        request = PaintRequest(_source(data, surface), "die", like=like_die(inspection))
+        request = RenderRequest(_source(data, surface), "die", like=like_die(inspection))
         return _read(self._paint(request), DiePicture)
 
     def repeats(self, within_um: float | None = None) -> tuple[RepeatedPlace, ...]:
@@ -95,16 +97,18 @@ def box_of(defect: Defect, pixel_um: float) -> Box:
     return x - width / 2, y - width / ASPECT / 2, x + width / 2, y + width / ASPECT / 2
 
 
-def like_die(inspection: Inspection) -> LikePlace:
+def like_die(inspection: Inspection) -> ComparisonRequest:
     """Which dies a picture of the usual one is made of."""
-    return LikePlace(inspection.grid, None, _spread(_whole(inspection)), _golden(inspection), inspection.product)
+    return ComparisonRequest(
+        inspection.grid, None, _spread(_whole(inspection)), _golden(inspection), inspection.product
+    )
 
 
-def _like(inspection: Inspection, defect: Defect, box: Box, found: Earlier | str) -> LikePlace:
+def _like(inspection: Inspection, defect: Defect, box: Box, found: Earlier | str) -> ComparisonRequest:
     here = _place(defect.die)
     missing, before = (found, None) if isinstance(found, str) else ("", found)
     middle = (box[0] + box[2]) / 2, (box[1] + box[3]) / 2
-    return LikePlace(
+    return ComparisonRequest(
         grid=inspection.grid,
         die=here,
         dies=_nearest(_whole(inspection), here),
@@ -146,8 +150,8 @@ def _golden(inspection: Inspection) -> str:
     return inspection.recipe.golden if inspection.reference == "golden" else ""
 
 
-def _source(data: OpenDataset, surface: SurfaceInfo) -> Source:
-    return Source(data.path, surface.result, 0, surface.stamp)
+def _source(data: OpenDataset, surface: SurfaceInfo) -> SurfaceKey:
+    return SurfaceKey(data.path, surface.result, 0, surface.stamp)
 
 
 def _read(painted: Future[bytes], kind: type[T]) -> Future[T | None]:
@@ -201,23 +205,23 @@ def _job_of(path: Path) -> Job:
     return Dataset.open(path).scan.job
 
 
-def _compared(now: Snapshot, data: OpenDataset, path: Path) -> Source | None:
+def _compared(now: Snapshot, data: OpenDataset, path: Path) -> SurfaceKey | None:
     """The other surface as a comparison laid it on this one, if one was made."""
     for made in now.comparisons:
         second = made.comparison.second
         if Path(second.path) == path and not second.field and not made.outdated:
-            return Source(data.path, made.name, -Face.SECOND, made.stamp)
+            return SurfaceKey(data.path, made.name, -ComparisonFace.SECOND, made.stamp)
     return None
 
 
-def _stitched(path: Path) -> Source | None:
+def _stitched(path: Path) -> SurfaceKey | None:
     found = sorted(path.glob("results/*/mosaic.zarr/zarr.json"), key=lambda header: header.stat().st_mtime_ns)
     if not found:
         return None
-    return Source(path, found[-1].parent.parent.name, 0, found[-1].stat().st_mtime_ns)
+    return SurfaceKey(path, found[-1].parent.parent.name, 0, found[-1].stat().st_mtime_ns)
 
 
-def _laid(source: Source, name: str, here: Alignment | None, there: Alignment | None) -> Earlier:
+def _laid(source: SurfaceKey, name: str, here: Alignment | None, there: Alignment | None) -> Earlier:
     """Over the wafer where both scans are aligned to it, else as the stage says."""
     if here is None or there is None:
         return Earlier(source, name, lambda x_um, y_um: (x_um, y_um))

@@ -27,7 +27,7 @@ class ReadOut:
     origin: Origin
 
 
-class Questions:
+class DatasetQueries:
     """Each opens what it reads and changes nothing. All raise WaferViewerError when there is no answer."""
 
     def __init__(self, library: Library, snapshot: Callable[[], Snapshot]) -> None:

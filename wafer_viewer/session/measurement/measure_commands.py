@@ -5,9 +5,10 @@ from __future__ import annotations
 from collections.abc import Callable
 from typing import TYPE_CHECKING, TypeVar
 
-from wafer_viewer.model.findings import AnyFinding
+from wafer_viewer.model.findings import AnyResult
 from wafer_viewer.model.measurement.levelling import Datum, Levelling
-from wafer_viewer.model.measurement.measurements import Finding, Profile, ProfileCurve
+from wafer_viewer.model.measurement.measurement import MeasurementResult
+from wafer_viewer.model.measurement.measurements import Profile, ProfileCurve
 from wafer_viewer.model.measurement.sections import SlabPoints
 from wafer_viewer.model.measurement.tool_options import ToolOptions
 from wafer_viewer.model.measurement.tools import ToolName
@@ -22,7 +23,7 @@ if TYPE_CHECKING:
 BY_STAGE = Levelling()
 REMEMBERED = 16
 Surfaces = Callable[[int], Mosaic]
-F = TypeVar("F", bound=Finding)
+F = TypeVar("F", bound=MeasurementResult)
 
 
 class Measuring:
@@ -39,7 +40,7 @@ class Measuring:
         show: int = 0,
         levelling: Levelling | None = None,
         options: ToolOptions | None = None,
-    ) -> AnyFinding:
+    ) -> AnyResult:
         """What a tool finds at its places on what a browser shows."""
         from wafer_viewer.measure.registry import measured
 

@@ -7,9 +7,9 @@ from collections.abc import Iterator
 from typing import Any
 
 from wafer_viewer.draw.number_format import number, share, value_and_u
-from wafer_viewer.model.findings import AnyFinding
+from wafer_viewer.model.findings import AnyResult
 from wafer_viewer.model.measurement.levelling import Levelling
-from wafer_viewer.model.measurement.measurement import Finding
+from wafer_viewer.model.measurement.measurement import MeasurementResult
 from wafer_viewer.model.quantity import BudgetLine, Length, Quantity
 from wafer_viewer.model.region import Point, Region
 from wafer_viewer.model.spec import Spec
@@ -37,7 +37,7 @@ TITLES = {
     "sq": "Sq",
 }
 """Names that are symbols; all others read as words."""
-OF_ALL = frozenset(Finding.__struct_fields__)
+OF_ALL = frozenset(MeasurementResult.__struct_fields__)
 TOLD_ELSEWHERE = frozenset({"not_evaluated", "budget", "zones", "verdict", "why"})
 MOST_WORDS = 160
 Pair = tuple[str, str]
@@ -66,7 +66,7 @@ def quantity_text(quantity: Quantity) -> str:
     return f"{value} ± {u}\u202f{unit}"
 
 
-def numbers_of(finding: AnyFinding) -> tuple[Pair, ...]:
+def numbers_of(finding: AnyResult) -> tuple[Pair, ...]:
     """All but the main one, which stands above them: quantities first, then what else it holds."""
     main = main_field(finding)
     names = [name for name in finding.__struct_fields__ if name not in OF_ALL | TOLD_ELSEWHERE and name != main]
@@ -75,20 +75,20 @@ def numbers_of(finding: AnyFinding) -> tuple[Pair, ...]:
     return (*quantities, *(pair for _, pair in pairs if pair not in quantities))
 
 
-def main_field(finding: AnyFinding) -> str:
+def main_field(finding: AnyResult) -> str:
     """The name of the field that is its main quantity; empty where it is none of its own."""
     main = finding.main
     return next((name for name, quantity in quantities_of(finding).items() if quantity == main), "")
 
 
-def quantities_of(finding: AnyFinding) -> dict[str, Quantity]:
+def quantities_of(finding: AnyResult) -> dict[str, Quantity]:
     """The quantities with a unit and, where it was evaluated, U, by the names of their fields."""
     held = {name: getattr(finding, name) for name in finding.__struct_fields__ if name not in OF_ALL}
     quantities = {name: value for name, value in held.items() if isinstance(value, Length | Quantity)}
     return {name: value.quantity if isinstance(value, Length) else value for name, value in quantities.items()}
 
 
-def budget_of(finding: AnyFinding) -> tuple[BudgetLine, ...]:
+def budget_of(finding: AnyResult) -> tuple[BudgetLine, ...]:
     """The lines of the main quantity's uncertainty (k = 1), or those that the result holds for itself."""
     if finding.main.budget:
         return finding.main.budget
@@ -96,7 +96,7 @@ def budget_of(finding: AnyFinding) -> tuple[BudgetLine, ...]:
     return tuple(BudgetLine(name=line.name, u=line.u_um) for line in own)
 
 
-def not_evaluated(finding: AnyFinding) -> tuple[str, ...]:
+def not_evaluated(finding: AnyResult) -> tuple[str, ...]:
     """What is known to be missing from its uncertainty."""
     return tuple(getattr(finding, "not_evaluated", ()))
 

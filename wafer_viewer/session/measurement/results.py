@@ -10,7 +10,7 @@ from itertools import count
 from pathlib import Path
 
 from wafer_viewer.model.errors import MeasureError
-from wafer_viewer.model.findings import AnyFinding, Findings
+from wafer_viewer.model.findings import AnyResult, MeasurementResults
 from wafer_viewer.model.gauge.gauge_check import GaugeCheck
 from wafer_viewer.model.inspection.defect import Defect
 from wafer_viewer.model.measurement.edge_and_bump_shapes import Chipping, CircleSize, Coplanarity, DieSize, KerfWidth
@@ -27,11 +27,11 @@ from wafer_viewer.model.measurement.site_range import SiteRanges
 from wafer_viewer.model.measurement.step import StepHeight, StepProfile
 from wafer_viewer.model.measurement.texture import Roughness, Texture
 from wafer_viewer.model.spec import replace
-from wafer_viewer.session.core.command_queue import Desk
+from wafer_viewer.session.core.command_queue import CommandQueue
 from wafer_viewer.session.core.dataset_library import Library
-from wafer_viewer.session.core.undo_history import History
+from wafer_viewer.session.core.undo_history import UndoHistory
 
-NAMES: dict[type[AnyFinding], str] = {
+NAMES: dict[type[AnyResult], str] = {
     Profile: "Profile",
     PointHeight: "Point",
     Distance: "Distance",
@@ -55,12 +55,12 @@ NAMES: dict[type[AnyFinding], str] = {
 """What results are called that not named, before their count."""
 
 
-class RecordBook:
+class ResultsStore:
     """The findings of the snapshot; on the session's thread only."""
 
-    def __init__(self, desk: Desk, library: Library) -> None:
+    def __init__(self, desk: CommandQueue, library: Library) -> None:
         self._desk, self._library = desk, library
-        self._items: History[tuple[AnyFinding, ...]] = History(())
+        self._items: UndoHistory[tuple[AnyResult, ...]] = UndoHistory(())
         self._highest = 0
 
     def open(self) -> None:
@@ -72,7 +72,7 @@ class RecordBook:
         self._highest = max((pictured, *(f.number for f in self._items.value)))
         self._show()
 
-    def keep(self, finding: AnyFinding, thumbnail: bytes | None = None) -> AnyFinding:
+    def keep(self, finding: AnyResult, thumbnail: bytes | None = None) -> AnyResult:
         """Number and name a finding, and keep it; thumbnail: a small picture of the place, JPEG."""
         self._require_writable()
         self._highest += 1
@@ -109,16 +109,16 @@ class RecordBook:
         from wafer_viewer.store.io.atomic_files import write_text
         from wafer_viewer.store.tables.measurements_csv import findings_csv
 
-        write_text(path, findings_csv(Findings(items=self._items.value)))
+        write_text(path, findings_csv(MeasurementResults(items=self._items.value)))
         return path
 
-    def _change(self, items: tuple[AnyFinding, ...]) -> None:
+    def _change(self, items: tuple[AnyResult, ...]) -> None:
         self._require_writable()
         self._items.put(items)
         self._save()
 
     def _save(self) -> None:
-        self._library.result.save_findings(Findings(items=self._items.value))
+        self._library.result.save_findings(MeasurementResults(items=self._items.value))
         self._show()
 
     def _show(self) -> None:
@@ -126,13 +126,13 @@ class RecordBook:
             findings=self._items.value, findings_undo=self._items.can_undo, findings_redo=self._items.can_redo
         )
 
-    def _name_for(self, finding: AnyFinding) -> str:
+    def _name_for(self, finding: AnyResult) -> str:
         """The first of 'Step 1', 'Step 2', … that no result bears."""
         taken = {f.name for f in self._items.value}
         names = (f"{NAMES[type(finding)]} {nth}" for nth in count(1))
         return next(name for name in names if name not in taken)
 
-    def _numbered(self, number: int) -> AnyFinding:
+    def _numbered(self, number: int) -> AnyResult:
         found = next((f for f in self._items.value if f.number == number), None)
         if found is None:
             raise MeasureError(f"There is no result {number}: it was deleted, choose another.")

@@ -9,18 +9,18 @@ from typing import Any
 from wafer_viewer.model.errors import DatasetError
 from wafer_viewer.model.job.review_notes import Notebook, SavedView, Verdict
 from wafer_viewer.model.spec import replace
-from wafer_viewer.session.core.command_queue import Desk
+from wafer_viewer.session.core.command_queue import CommandQueue
 from wafer_viewer.session.core.dataset_library import Library
-from wafer_viewer.session.core.undo_history import History
+from wafer_viewer.session.core.undo_history import UndoHistory
 from wafer_viewer.session.state.review_state import NotebookState
 
 
 class NotebookKeeper:
     """On the session's thread only."""
 
-    def __init__(self, desk: Desk, library: Library) -> None:
+    def __init__(self, desk: CommandQueue, library: Library) -> None:
         self._desk, self._library = desk, library
-        self._history: History[Notebook] = History(Notebook())
+        self._history: UndoHistory[Notebook] = UndoHistory(Notebook())
 
     def open(self) -> None:
         """Read the notebook of the result being looked at; an empty one without a dataset."""

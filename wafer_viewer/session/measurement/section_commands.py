@@ -8,7 +8,7 @@ from pathlib import Path
 from wafer_viewer.model.measurement.levelling import Datum, Levelling
 from wafer_viewer.model.measurement.sections import OtherSurface, Section, SectionAsked
 from wafer_viewer.model.surface.height_map import Mosaic
-from wafer_viewer.session.measurement.dataset_queries import Questions
+from wafer_viewer.session.measurement.dataset_queries import DatasetQueries
 from wafer_viewer.session.measurement.section_export import cut, file_of, other_layer
 from wafer_viewer.session.state.snapshot import Snapshot
 
@@ -16,7 +16,7 @@ from wafer_viewer.session.state.snapshot import Snapshot
 class Sections:
     """Questions, from any thread. All raise WaferViewerError when there is no answer."""
 
-    def __init__(self, questions: Questions, snapshot: Callable[[], Snapshot]) -> None:
+    def __init__(self, questions: DatasetQueries, snapshot: Callable[[], Snapshot]) -> None:
         self._questions, self._snapshot = questions, snapshot
         self._zero: tuple[tuple[OtherSurface, Levelling], Datum] | None = None
 

@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import Any
 
 from wafer_viewer.model.surface.recipe import Recipe
-from wafer_viewer.session.core.command_queue import Desk
+from wafer_viewer.session.core.command_queue import CommandQueue
 from wafer_viewer.session.planning.job_releases import list_released
 from wafer_viewer.session.planning.plan_editor import Drafting
 from wafer_viewer.session.state.snapshot import Snapshot
@@ -18,7 +18,7 @@ from wafer_viewer.session.state.snapshot import Snapshot
 class JobKeeper:
     """The released jobs of the snapshot; on the session's thread only."""
 
-    def __init__(self, desk: Desk, drafting: Drafting, folder: Path) -> None:
+    def __init__(self, desk: CommandQueue, drafting: Drafting, folder: Path) -> None:
         self._desk, self._drafting, self._folder = desk, drafting, folder
 
     def refresh(self) -> None:

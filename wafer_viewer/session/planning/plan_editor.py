@@ -13,10 +13,10 @@ from wafer_viewer.model.errors import PlanError, WaferViewerError
 from wafer_viewer.model.job.job import Job
 from wafer_viewer.model.spec import decode, encode, replace
 from wafer_viewer.model.surface.recipe import Recipe
-from wafer_viewer.session.core.command_queue import Desk
-from wafer_viewer.session.core.undo_history import History
+from wafer_viewer.session.core.command_queue import CommandQueue
+from wafer_viewer.session.core.undo_history import UndoHistory
 from wafer_viewer.session.planning.job_releases import as_released, blank, require_as_released, write_released
-from wafer_viewer.session.state.alignment_marks import Seen
+from wafer_viewer.session.state.alignment_marks import SeenMark
 from wafer_viewer.session.state.snapshot import Draft, Typed
 
 PLAN_ENDING = ".toml"
@@ -31,10 +31,10 @@ NO_JOB = "There is no plan yet: lay a field grid over the sample first."
 class Drafting:
     """The draft of the snapshot; on the session's thread only."""
 
-    def __init__(self, desk: Desk, folder: Path) -> None:
+    def __init__(self, desk: CommandQueue, folder: Path) -> None:
         self._desk, self._folder = desk, folder
-        self._jobs: History[Job | None] = History(None)
-        self._seen = Seen()
+        self._jobs: UndoHistory[Job | None] = UndoHistory(None)
+        self._seen = SeenMark()
         self._confirmed = True
         self._typed: Typed | None = None
         self._typed_over: Job | None = None
@@ -91,13 +91,13 @@ class Drafting:
 
     def unmark(self) -> None:
         """Forget where corners were marked."""
-        self._seen = Seen()
+        self._seen = SeenMark()
         if (job := self._jobs.value) is not None:
             self._put(replace(job, alignment=None))
 
     def next_wafer(self) -> None:
         """The same job for another wafer; what was of the last one cannot come back by an undo."""
-        self._seen, self._confirmed = Seen(), True
+        self._seen, self._confirmed = SeenMark(), True
         self._jobs.restart(blank(self._job()))
         self.price()
 
@@ -118,7 +118,7 @@ class Drafting:
 
     def _take_up(self, job: Job) -> None:
         """A job from a file: a released one is of no wafer yet."""
-        self._seen, self._confirmed = Seen(), True
+        self._seen, self._confirmed = SeenMark(), True
         self._put(blank(job) if job.released else job)
 
     def undo(self) -> None:

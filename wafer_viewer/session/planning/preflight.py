@@ -24,7 +24,7 @@ CLIPPED = 0.05
 
 
 @dataclass(frozen=True, slots=True)
-class Check:
+class PreflightCheck:
     """One line: what was looked at, how it is, what was found, and what mends it.
 
     ``stop``: no scan as it is; ``attention``: a person has to say that it is meant so.
@@ -58,7 +58,7 @@ class Preflight:
     n_marked: int = 0
 
 
-def look_round(now: Snapshot, latest: LatestFrame | None, today: str) -> tuple[Check, ...]:
+def look_round(now: Snapshot, latest: LatestFrame | None, today: str) -> tuple[PreflightCheck, ...]:
     """The six lines of the plan in a snapshot; none as long as there is no plan or no rig."""
     draft, rig = now.draft, now.rig
     if draft.job is None or draft.plan is None or rig.limits is None:
@@ -81,82 +81,86 @@ def look_round(now: Snapshot, latest: LatestFrame | None, today: str) -> tuple[C
     )
 
 
-def preflight(now: Preflight) -> tuple[Check, ...]:
+def preflight(now: Preflight) -> tuple[PreflightCheck, ...]:
     """The six lines, always in the same order."""
     return tuple(look(now) for look in LOOKS)
 
 
-def stops(checks: Iterable[Check]) -> tuple[Check, ...]:
+def stops(checks: Iterable[PreflightCheck]) -> tuple[PreflightCheck, ...]:
     """Those that forbid the scan."""
     return tuple(check for check in checks if check.state == "stop")
 
 
-def require_go(checks: Iterable[Check], *, confirmed: bool = True) -> None:
+def require_go(checks: Iterable[PreflightCheck], *, confirmed: bool = True) -> None:
     """Raise PlanError with the first line that forbids the scan, or that a person still has to confirm."""
     for check in checks:
         if check.state == "stop" or (check.state == "attention" and not confirmed):
             raise PlanError(f"The scan does not start. {check.what}: {check.found} {check.mend}".rstrip())
 
 
-def sample(now: Preflight) -> Check:
+def sample(now: Preflight) -> PreflightCheck:
     """Whether it is known what lies under the objective."""
     who, released = now.job.sample, now.job.released
     if released and not who.wafer_id:
-        return Check("Sample", "stop", "The wafer has no id.", "Type or scan it.")
+        return PreflightCheck("Sample", "stop", "The wafer has no id.", "Type or scan it.")
     if not now.simulated and not (who.name or who.wafer_id):
-        return Check("Sample", "stop", "The sample has no name.", "Type a name or a wafer id.")
+        return PreflightCheck("Sample", "stop", "The sample has no name.", "Type a name or a wafer id.")
     named = who.wafer_id or who.name or "a sample without a name"
     of_lot = f"{named} of lot {who.lot}" if who.lot else named
     if not now.confirmed:
         found = f"{of_lot}: not confirmed since the plan was opened again."
-        return Check("Sample", "stop", found, "Check and confirm it.")
-    return Check("Sample", "ok", f"{of_lot}.")
+        return PreflightCheck("Sample", "stop", found, "Check and confirm it.")
+    return PreflightCheck("Sample", "ok", f"{of_lot}.")
 
 
-def alignment(now: Preflight) -> Check:
+def alignment(now: Preflight) -> PreflightCheck:
     """Whether it is known how the wafer lies."""
     marks, found = now.job.marks, now.job.alignment
     if marks is None:
         state: State = "stop" if now.job.released else "ok"
         mend = "Let the engineer name corners to align by." if now.job.released else ""
-        return Check("Alignment", state, "Without alignment: places are those of the stage.", mend)
+        return PreflightCheck("Alignment", state, "Without alignment: places are those of the stage.", mend)
     if found is None:
         state, mend = ("stop", "Mark them.") if now.job.released else ("attention", "Mark them, or start without.")
-        return Check("Alignment", state, f"Not aligned: {now.n_marked} of {len(marks.places)} corners marked.", mend)
+        return PreflightCheck(
+            "Alignment", state, f"Not aligned: {now.n_marked} of {len(marks.places)} corners marked.", mend
+        )
     fit = f"{found.n_marks} corners, residual {found.residual_um:.1f} um of {marks.limit_um:g} um"
     if found.residual_um > marks.limit_um:
-        return Check("Alignment", "stop", f"{fit}: too large.", "Mark the named corners again.")
-    return Check("Alignment", "ok", f"{fit}.")
+        return PreflightCheck("Alignment", "stop", f"{fit}: too large.", "Mark the named corners again.")
+    return PreflightCheck("Alignment", "ok", f"{fit}.")
 
 
-def calibration(now: Preflight) -> Check:
+def calibration(now: Preflight) -> PreflightCheck:
     """Whether lengths will have an uncertainty."""
     state: State = "stop" if now.job.released else "attention"
     mend = "Calibrate: without it there is no verdict." if now.job.released else "Lengths will read 'uncalibrated'."
     if now.calibration is None:
-        return Check("Calibration", state, "The rig has no calibration.", mend)
+        return PreflightCheck("Calibration", state, "The rig has no calibration.", mend)
     problem = now.calibration.problem(now.setup or now.calibration.setup, now.today)
     if problem is not None:
-        return Check("Calibration", state, f"{problem[:1].upper()}{problem[1:]}.", mend)
+        return PreflightCheck("Calibration", state, f"{problem[:1].upper()}{problem[1:]}.", mend)
     if now.calibration.simulated:
-        return Check("Calibration", "ok", "That of the simulation.")
-    return Check("Calibration", "ok", f"Valid, due {_due(now.calibration.due, now.today)}.")
+        return PreflightCheck("Calibration", "ok", "That of the simulation.")
+    return PreflightCheck("Calibration", "ok", f"Valid, due {_due(now.calibration.due, now.today)}.")
 
 
-def disk(now: Preflight) -> Check:
+def disk(now: Preflight) -> PreflightCheck:
     """Whether the frames have room."""
     needs = now.plan.bytes_on_disk
     if now.free_bytes is None:
-        return Check("Disk", "attention", f"{size(needs)} needed; the free space is unknown.", "Look at the disk.")
+        return PreflightCheck(
+            "Disk", "attention", f"{size(needs)} needed; the free space is unknown.", "Look at the disk."
+        )
     words = f"{size(needs)} needed, {size(now.free_bytes)} free"
     if now.free_bytes < needs:
-        return Check("Disk", "stop", f"{words}.", "Free some space or serve another folder.")
+        return PreflightCheck("Disk", "stop", f"{words}.", "Free some space or serve another folder.")
     if now.free_bytes < (1 + ROOM_FOR_SURFACES) * needs:
-        return Check("Disk", "attention", f"{words}: little is left for the surfaces.", "Free some space.")
-    return Check("Disk", "ok", f"{words}.")
+        return PreflightCheck("Disk", "attention", f"{words}: little is left for the surfaces.", "Free some space.")
+    return PreflightCheck("Disk", "ok", f"{words}.")
 
 
-def clearance(now: Preflight) -> Check:
+def clearance(now: Preflight) -> PreflightCheck:
     """How near the objective comes to the highest point of the sample, which the scan takes for its highest focus.
 
     Focus lies a working distance under the objective: at z the objective is that much, less what the highest focus
@@ -169,30 +173,32 @@ def clearance(now: Preflight) -> Check:
     words = f"{_mm(nearest_um)} at the nearest, {_mm(objective.clearance_um)} at least"
     if nearest_um < objective.clearance_um:
         deep = "Raise the stage" if now.z_um < min(lows) else "Take a shorter sweep"
-        return Check("Clearance", "stop", f"The objective comes too near: {words}.", f"{deep}.")
+        return PreflightCheck("Clearance", "stop", f"The objective comes too near: {words}.", f"{deep}.")
     if highest_um > objective.safe_z_um:
         found = (
             f"The sweep ends {highest_um - objective.safe_z_um:.0f} um over the safe height {objective.safe_z_um:g} um."
         )
-        return Check("Clearance", "stop", found, "Mount the sample lower, or have the safe height reset.")
-    return Check("Clearance", "ok", f"{words}.")
+        return PreflightCheck("Clearance", "stop", found, "Mount the sample lower, or have the safe height reset.")
+    return PreflightCheck("Clearance", "ok", f"{words}.")
 
 
-def light(now: Preflight) -> Check:
+def light(now: Preflight) -> PreflightCheck:
     """Whether frames will be bright enough and not too bright."""
     times = ", ".join(f"{t:g}" for t in now.plan.exposures_us)
     words = f"{100 * now.job.light_fraction:.0f} % at {times} us"
     if now.job.light_fraction == 0:
-        return Check("Light", "stop", "The light is off.", "Set a share of the light over 0.")
+        return PreflightCheck("Light", "stop", "The light is off.", "Set a share of the light over 0.")
     if now.clipped_fraction is None:
-        return Check("Light", "ok", f"{words}; no frame was seen yet.")
+        return PreflightCheck("Light", "ok", f"{words}; no frame was seen yet.")
     words = f"{words}; {100 * now.clipped_fraction:.1f} % of the last frame is too bright"
     if now.clipped_fraction > CLIPPED:
-        return Check("Light", "attention", f"{words}.", "Expose for a shorter time, or add a shorter exposure.")
-    return Check("Light", "ok", f"{words}.")
+        return PreflightCheck(
+            "Light", "attention", f"{words}.", "Expose for a shorter time, or add a shorter exposure."
+        )
+    return PreflightCheck("Light", "ok", f"{words}.")
 
 
-LOOKS: tuple[Callable[[Preflight], Check], ...] = (sample, alignment, calibration, disk, clearance, light)
+LOOKS: tuple[Callable[[Preflight], PreflightCheck], ...] = (sample, alignment, calibration, disk, clearance, light)
 
 
 def _due(due: str, today: str) -> str:

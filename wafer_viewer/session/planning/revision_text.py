@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterator
 
 from wafer_viewer.model.job.job import Job
-from wafer_viewer.model.job.verdict import Judged
+from wafer_viewer.model.job.verdict import FeatureVerdict
 from wafer_viewer.model.measurement.feature import DecisionRule, limits_text
 from wafer_viewer.model.measurement.tool_options import ToolOptions
 from wafer_viewer.model.measurement.tools import TOOLS
@@ -21,13 +21,13 @@ def added(judged_before: bool) -> str:
     return "The feature is new." if judged_before else "The wafer was not judged before."
 
 
-def taken_off(then: Judged, job: Job) -> str:
+def taken_off(then: FeatureVerdict, job: Job) -> str:
     """Why there is no word any more."""
     still = any(feature.name == then.feature.name for feature in job.features)
     return f"The job does not have die {then.die} any more." if still and then.die else "The feature is taken off."
 
 
-def feature_changes(then: Judged, now: Judged, other_dies: bool) -> tuple[str, ...]:
+def feature_changes(then: FeatureVerdict, now: FeatureVerdict, other_dies: bool) -> tuple[str, ...]:
     """What of a feature is not as it was, a sentence each."""
     said = tuple(_of_feature(then, now, other_dies))
     return said or (() if then.measured == now.measured else (NOTHING_DIFFERS,))
@@ -38,7 +38,7 @@ def recipe_changes(made_by: Recipe, wanted: Recipe) -> tuple[str, ...]:
     return tuple(f"Recipe: {words}." for words in _settings(made_by, wanted, ""))
 
 
-def _of_feature(then: Judged, now: Judged, other_dies: bool) -> Iterator[str]:
+def _of_feature(then: FeatureVerdict, now: FeatureVerdict, other_dies: bool) -> Iterator[str]:
     old, new = then.feature, now.feature
     if (old.lower_limit, old.upper_limit, old.unit) != (new.lower_limit, new.upper_limit, new.unit):
         yield f"Limits: {limits_text(old)} before, {limits_text(new)} now."

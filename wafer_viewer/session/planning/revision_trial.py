@@ -18,19 +18,19 @@ from typing import TYPE_CHECKING
 from wafer_viewer.model.errors import ComputeError, DatasetError, MeasureError
 from wafer_viewer.model.job.job import Job
 from wafer_viewer.model.job.revision_trial import NotTried, Trial, TriedWafer, VerdictChange
-from wafer_viewer.model.job.verdict import Judged
+from wafer_viewer.model.job.verdict import FeatureVerdict
 from wafer_viewer.model.measurement.feature import Die, Feature
 from wafer_viewer.model.progress import Progress, ShouldStop, never, silent
 from wafer_viewer.model.surface.height_map import Mosaic
 from wafer_viewer.session.core.dataset_library import DEFAULT_RESULT, ENDING, today
 from wafer_viewer.session.planning.revision_text import added, feature_changes, recipe_changes, taken_off
 from wafer_viewer.session.planning.verdicts import kept_verdict
-from wafer_viewer.session.surface.headless import Hire, make_surface
+from wafer_viewer.session.surface.headless import LocalOrCluster, make_surface
 from wafer_viewer.store.dataset.dataset import Dataset
 from wafer_viewer.store.dataset.result import Result
 
 if TYPE_CHECKING:
-    from wafer_viewer.compute.task_runner import Crew
+    from wafer_viewer.compute.task_runner import TaskRunner
 
 Key = tuple[str, str]
 """A feature and the die that it is on."""
@@ -55,7 +55,7 @@ def try_job(
     datasets: Sequence[Path],
     result: str = DEFAULT_RESULT,
     *,
-    crew: Crew | None = None,
+    crew: TaskRunner | None = None,
     progress: Progress = silent,
     should_stop: ShouldStop = never,
 ) -> Trial:
@@ -69,7 +69,7 @@ def try_job(
         tell = partial(_tell, progress, should_stop, n, len(datasets))
         tell(0.0)
         try:
-            wafers.append(_tried(job, path, result, _Led(hands=crew) if crew is not None else Hire(), tell))
+            wafers.append(_tried(job, path, result, _Led(hands=crew) if crew is not None else LocalOrCluster(), tell))
         except (ComputeError, DatasetError, MeasureError) as fault:
             if should_stop():
                 raise
@@ -79,14 +79,14 @@ def try_job(
 
 
 @dataclass(frozen=True, slots=True)
-class _Led(Hire):
+class _Led(LocalOrCluster):
     """Hands that are there already."""
 
-    hands: Crew | None = None
+    hands: TaskRunner | None = None
 
-    def crew(self, work_bytes: float) -> AbstractContextManager[Crew]:
+    def crew(self, work_bytes: float) -> AbstractContextManager[TaskRunner]:
         """Them, for any work."""
-        return nullcontext(self.hands) if self.hands is not None else Hire.crew(self, work_bytes)
+        return nullcontext(self.hands) if self.hands is not None else LocalOrCluster.crew(self, work_bytes)
 
 
 @dataclass(frozen=True, slots=True)
@@ -96,11 +96,11 @@ class _Before:
     job: Job
     kept: Result
     surface: Mosaic
-    items: dict[Key, Judged]
+    items: dict[Key, FeatureVerdict]
     dies: dict[str, Die]
 
 
-def _tried(job: Job, path: Path, result: str, hire: Hire, tell: Progress) -> TriedWafer:
+def _tried(job: Job, path: Path, result: str, hire: LocalOrCluster, tell: Progress) -> TriedWafer:
     from wafer_viewer.measure.verdict import overall
 
     data = Dataset.open(path)
@@ -145,7 +145,7 @@ def _judged_before(data: Dataset, result: str) -> _Before:
     return _Before(job, kept, surface, {_key(item): item for item in items}, dies)
 
 
-def _judged_now(data: Dataset, job: Job, before: _Before, kept: Result, remade: bool) -> Iterator[Judged]:
+def _judged_now(data: Dataset, job: Job, before: _Before, kept: Result, remade: bool) -> Iterator[FeatureVerdict]:
     """Every feature by the new job: what was measured then where that is the same number, else measured anew."""
     from wafer_viewer.measure.verdict import judge, judge_at
     from wafer_viewer.model.spec import replace
@@ -160,7 +160,7 @@ def _judged_now(data: Dataset, job: Job, before: _Before, kept: Result, remade: 
             yield judge_at(surface, feature, die, lies, _calibrated(data))
 
 
-def _same_number(then: Judged, before: _Before, feature: Feature, die: Die | None) -> bool:
+def _same_number(then: FeatureVerdict, before: _Before, feature: Feature, die: Die | None) -> bool:
     """Whether what was measured then is what the feature measures now."""
     return then.feature.measures == feature.measures and before.dies.get(then.die) == die
 
@@ -174,7 +174,9 @@ def judged_places(job: Job) -> Iterator[tuple[Feature, Die | None]]:
             yield from ((feature, die) for die in job.dies.all())
 
 
-def _changes(before: _Before, after: dict[Key, Judged], job: Job, recipe: tuple[str, ...]) -> Iterator[VerdictChange]:
+def _changes(
+    before: _Before, after: dict[Key, FeatureVerdict], job: Job, recipe: tuple[str, ...]
+) -> Iterator[VerdictChange]:
     """The features that have another word than before, in the order of the job; those that are gone last."""
     for key, now in after.items():
         then = before.items.get(key)
@@ -197,7 +199,7 @@ def _changes(before: _Before, after: dict[Key, Judged], job: Job, recipe: tuple[
             yield VerdictChange(feature=then.name, before=then.word, measured_before=then.measured, why=why)
 
 
-def _remade(data: Dataset, job: Job, hire: Hire, tell: Progress) -> Result:
+def _remade(data: Dataset, job: Job, hire: LocalOrCluster, tell: Progress) -> Result:
     """The surface by the job's recipe: made into a result of its own, or the one that was made by it before."""
     faults: list[str] = []
     name = _free_result(data, job)
@@ -216,7 +218,7 @@ def _calibrated(data: Dataset) -> bool:
     return data.calibration_problem(today()) is None
 
 
-def _key(item: Judged) -> Key:
+def _key(item: FeatureVerdict) -> Key:
     return item.feature.name, item.die
 
 

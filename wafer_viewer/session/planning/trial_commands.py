@@ -12,9 +12,9 @@ from wafer_viewer.compute.compute_client import Compute
 from wafer_viewer.model.errors import PlanError
 from wafer_viewer.model.job.revision_trial import Trial
 from wafer_viewer.model.spec import replace as replace_in
-from wafer_viewer.session.core.command_queue import Desk
+from wafer_viewer.session.core.command_queue import CommandQueue
 from wafer_viewer.session.core.dataset_library import DEFAULT_RESULT
-from wafer_viewer.session.core.notifications import Notices
+from wafer_viewer.session.core.notifications import Notifications
 from wafer_viewer.session.planning.job_commands import settled_by
 from wafer_viewer.session.planning.job_releases import as_released
 from wafer_viewer.session.planning.plan_editor import Drafting
@@ -26,7 +26,7 @@ NEXT = "next"
 class TrialKeeper:
     """The trial of the snapshot; on the session's thread only."""
 
-    def __init__(self, desk: Desk, notices: Notices, drafting: Drafting, compute: Compute) -> None:
+    def __init__(self, desk: CommandQueue, notices: Notifications, drafting: Drafting, compute: Compute) -> None:
         self._desk, self._notices, self._drafting, self._compute = desk, notices, drafting, compute
 
     def begin(self, paths: tuple[Path, ...], result: str) -> Future[Trial]:

@@ -13,9 +13,9 @@ from wafer_viewer.model.job.job import Job
 from wafer_viewer.model.job.verdict import WaferVerdict
 from wafer_viewer.model.spec import encode
 from wafer_viewer.model.surface.height_map import Provenance
-from wafer_viewer.session.core.command_queue import Desk
+from wafer_viewer.session.core.command_queue import CommandQueue
 from wafer_viewer.session.core.dataset_library import Library, today
-from wafer_viewer.session.core.notifications import Notices
+from wafer_viewer.session.core.notifications import Notifications
 from wafer_viewer.session.state.snapshot import Snapshot
 
 if TYPE_CHECKING:
@@ -29,7 +29,7 @@ Subject = tuple[Path, str, int]
 class Judge:
     """The verdict of the snapshot: it follows the surface by itself. Changes on the session's thread only."""
 
-    def __init__(self, desk: Desk, library: Library, notices: Notices) -> None:
+    def __init__(self, desk: CommandQueue, library: Library, notices: Notifications) -> None:
         self._desk, self._library, self._notices = desk, library, notices
         self._at_work = ThreadPoolExecutor(1, thread_name_prefix="judge")
         self._of: Subject | None = None

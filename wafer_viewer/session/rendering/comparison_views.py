@@ -10,7 +10,7 @@ import msgspec
 from wafer_viewer.model.inspection.die_grid import DieGrid
 
 if TYPE_CHECKING:
-    from wafer_viewer.session.rendering.render_request import Source
+    from wafer_viewer.session.rendering.render_request import SurfaceKey
 
 Place = tuple[int, int]
 """(col, row) of a die."""
@@ -19,7 +19,7 @@ Like = Literal["here", "dies", "golden", "before"]
 
 
 @dataclass(frozen=True, slots=True)
-class LikePlace:
+class ComparisonRequest:
     """What a place is to be shown beside.
 
     die: the one it lies on, dies: those whose median is taken, without it; golden: the name of the stored golden die
@@ -34,14 +34,14 @@ class LikePlace:
     golden: str = ""
     product: str = ""
     defect_um: tuple[float, float, float, float] | None = None
-    before: Source | None = None
+    before: SurfaceKey | None = None
     before_at_um: tuple[float, float] | None = None
     before_turn_rad: float = 0.0
     before_name: str = ""
     no_before: str = ""
 
 
-class Seen(msgspec.Struct, frozen=True):
+class ComparisonView(msgspec.Struct, frozen=True):
     """One of the pictures that stand side by side: heights and the picture in focus everywhere, as JPEG.
 
     name: of the golden die or the scan; dies: of how many dies it is the median; moved_um: how far it was moved (right,
@@ -58,7 +58,7 @@ class Seen(msgspec.Struct, frozen=True):
     why_not: str = ""
 
 
-class SideBySide(msgspec.Struct, frozen=True):
+class ComparisonViews(msgspec.Struct, frozen=True):
     """A place and its like, answer to ``beside``: all heights in the range low_um to high_um over zero_um.
 
     box_um: what each picture takes in, stage um (x low, y low, x high, y high).
@@ -69,7 +69,7 @@ class SideBySide(msgspec.Struct, frozen=True):
     zero_um: float
     box_um: tuple[float, float, float, float]
     pixel_um: float
-    seen: tuple[Seen, ...]
+    seen: tuple[ComparisonView, ...]
 
 
 class DiePicture(msgspec.Struct, frozen=True):

@@ -15,9 +15,9 @@ from numpy.typing import NDArray
 from wafer_viewer.draw.surface.matched_pictures import Range, greys_of, heights_of, picture_of
 from wafer_viewer.measure.dies.die_crops import (
     LEAST_ALIKE,
-    Cut,
-    Laid,
-    Patch,
+    AlignedPatch,
+    DieCrop,
+    DiePatch,
     cut,
     cut_of_golden,
     laid_on,
@@ -25,9 +25,14 @@ from wafer_viewer.measure.dies.die_crops import (
     usual,
 )
 from wafer_viewer.model.errors import MeasureError, WaferViewerError
-from wafer_viewer.session.rendering.comparison_views import DiePicture, LikePlace, Seen, SideBySide
-from wafer_viewer.session.rendering.render_request import PaintRequest, Source
-from wafer_viewer.session.rendering.surface_source import Shelf
+from wafer_viewer.session.rendering.comparison_views import (
+    ComparisonRequest,
+    ComparisonView,
+    ComparisonViews,
+    DiePicture,
+)
+from wafer_viewer.session.rendering.render_request import RenderRequest, SurfaceKey
+from wafer_viewer.session.rendering.surface_source import SurfaceProvider
 
 if TYPE_CHECKING:
     from wafer_viewer.model.inspection.golden_die import GoldenDie
@@ -39,29 +44,29 @@ DIE_REACH_PX, SCAN_REACH_PX = 3, 48
 """How far a die, or an earlier scan, may lie from where it should."""
 LEAST_MEASURED = 0.2
 
-Pair = tuple[Seen, Cut | None]
+Pair = tuple[ComparisonView, DieCrop | None]
 
 
-def beside(shelf: Shelf, request: PaintRequest) -> bytes:
-    """A `SideBySide` as msgpack; no bytes where nothing of the place was scanned."""
+def beside(shelf: SurfaceProvider, request: RenderRequest) -> bytes:
+    """A `ComparisonViews` as msgpack; no bytes where nothing of the place was scanned."""
     like, box = request.like, request.box_um
     if like is None or box is None:
         return b""
     surface = shelf.surface(request.source)
-    patch = Patch.of_box(surface, box, PLACE_PX)
+    patch = DiePatch.of_box(surface, box, PLACE_PX)
     own = cut(surface, patch)
     if own is None or not (np.isfinite(own.z_um).any() or np.isfinite(own.picture).any()):
         return b""
-    found = [(Seen("here"), own), *_others(shelf, request.source, like, surface, patch, own)]
+    found = [(ComparisonView("here"), own), *_others(shelf, request.source, like, surface, patch, own)]
     cuts = [one for _, one in found if one is not None]
     heights = heights_of([one.z_um for one in cuts], _inside(own, patch, like), patch.pixel_um)
     greys = greys_of([one.picture for one in cuts])
     seen = tuple(_drawn(told, one, patch.pixel_um, heights, greys) for told, one in found)
-    answer = SideBySide(heights.low, heights.high, heights.zero, _box_of(patch), patch.pixel_um, seen)
+    answer = ComparisonViews(heights.low, heights.high, heights.zero, _box_of(patch), patch.pixel_um, seen)
     return msgspec.msgpack.encode(answer)
 
 
-def die(shelf: Shelf, request: PaintRequest) -> bytes:
+def die(shelf: SurfaceProvider, request: RenderRequest) -> bytes:
     """A `DiePicture` as msgpack."""
     if request.like is None:
         return b""
@@ -69,7 +74,7 @@ def die(shelf: Shelf, request: PaintRequest) -> bytes:
     return msgspec.msgpack.encode(picture_of_die(shelf.surface(request.source), folder, request.like))
 
 
-def picture_of_die(surface: Mosaic, folder: Path, like: LikePlace) -> DiePicture:
+def picture_of_die(surface: Mosaic, folder: Path, like: ComparisonRequest) -> DiePicture:
     """The picture of a die along its own axes: that of the golden one, or the median of the dies of `like`.
 
     folder: the data folder, where golden dies lie.
@@ -78,7 +83,7 @@ def picture_of_die(surface: Mosaic, folder: Path, like: LikePlace) -> DiePicture
     if like.grid is None or not (like.dies or like.golden):
         return nothing
     place = like.dies[0] if like.dies else (like.grid.first_col, like.grid.first_row)
-    patch = Patch.of_die(surface, like.grid, place, DIE_PX)
+    patch = DiePatch.of_die(surface, like.grid, place, DIE_PX)
     if like.golden:
         with suppress(WaferViewerError):
             golden = _golden(folder, like, surface)
@@ -90,7 +95,9 @@ def picture_of_die(surface: Mosaic, folder: Path, like: LikePlace) -> DiePicture
     return DiePicture(_grey(usual(own, cuts)), len(cuts))
 
 
-def _others(shelf: Shelf, source: Source, like: LikePlace, surface: Mosaic, patch: Patch, own: Cut) -> Iterator[Pair]:
+def _others(
+    shelf: SurfaceProvider, source: SurfaceKey, like: ComparisonRequest, surface: Mosaic, patch: DiePatch, own: DieCrop
+) -> Iterator[Pair]:
     """The reference, then the earlier scan; why it is missing where it is."""
     yield (
         _of_golden(source.dataset.parent, like, surface, patch, own)
@@ -100,18 +107,20 @@ def _others(shelf: Shelf, source: Source, like: LikePlace, surface: Mosaic, patc
     yield _of_before(shelf, like, patch, own)
 
 
-def _of_dies(like: LikePlace, surface: Mosaic, patch: Patch, own: Cut) -> Pair:
+def _of_dies(like: ComparisonRequest, surface: Mosaic, patch: DiePatch, own: DieCrop) -> Pair:
     if like.grid is None:
-        return Seen("dies", why_not="The surface was compared with its form: there are no dies to show."), None
+        return ComparisonView(
+            "dies", why_not="The surface was compared with its form: there are no dies to show."
+        ), None
     if like.die is None:
-        return Seen("dies", why_not="The place lies outside of the dies."), None
+        return ComparisonView("dies", why_not="The place lies outside of the dies."), None
     laid = list(_laid(surface, like, patch, own))
     if not laid:
-        return Seen("dies", why_not="No other die was scanned completely."), None
-    return Seen("dies", dies=len(laid)), usual(own, [one.cut for one in laid])
+        return ComparisonView("dies", why_not="No other die was scanned completely."), None
+    return ComparisonView("dies", dies=len(laid)), usual(own, [one.cut for one in laid])
 
 
-def _laid(surface: Mosaic, like: LikePlace, patch: Patch, own: Cut) -> Iterator[Laid]:
+def _laid(surface: Mosaic, like: ComparisonRequest, patch: DiePatch, own: DieCrop) -> Iterator[AlignedPatch]:
     """The same place of the dies that are measured there."""
     for there in like.dies:
         if like.grid is not None and like.die is not None and there != like.die:
@@ -120,20 +129,22 @@ def _laid(surface: Mosaic, like: LikePlace, patch: Patch, own: Cut) -> Iterator[
                 yield found
 
 
-def _of_golden(folder: Path, like: LikePlace, surface: Mosaic, patch: Patch, own: Cut) -> Pair:
+def _of_golden(folder: Path, like: ComparisonRequest, surface: Mosaic, patch: DiePatch, own: DieCrop) -> Pair:
     if like.grid is None or like.die is None:
-        return Seen("golden", why_not="The place lies outside of the dies."), None
+        return ComparisonView("golden", why_not="The place lies outside of the dies."), None
     try:
         golden = _golden(folder, like, surface)
     except WaferViewerError as fault:
-        return Seen("golden", why_not=str(fault)), None
+        return ComparisonView("golden", why_not=str(fault)), None
     found = levelled_on(own, cut_of_golden(golden, like.grid, like.die, patch))
     if found.measured < LEAST_MEASURED:
-        return Seen("golden", why_not=f"{golden.title} knows nothing of this place: a street has no golden die."), None
-    return Seen("golden", name=golden.title, dies=golden.header.dies), found
+        return ComparisonView(
+            "golden", why_not=f"{golden.title} knows nothing of this place: a street has no golden die."
+        ), None
+    return ComparisonView("golden", name=golden.title, dies=golden.header.dies), found
 
 
-def _golden(folder: Path, like: LikePlace, surface: Mosaic) -> GoldenDie:
+def _golden(folder: Path, like: ComparisonRequest, surface: Mosaic) -> GoldenDie:
     """The stored golden die. Raises DatasetError where it is gone, MeasureError where it does not fit."""
     from wafer_viewer.store.records.golden_dies import FOLDER, golden_named
 
@@ -145,37 +156,39 @@ def _golden(folder: Path, like: LikePlace, surface: Mosaic) -> GoldenDie:
     return golden
 
 
-def _of_before(shelf: Shelf, like: LikePlace, patch: Patch, own: Cut) -> Pair:
+def _of_before(shelf: SurfaceProvider, like: ComparisonRequest, patch: DiePatch, own: DieCrop) -> Pair:
     if like.before is None or like.before_at_um is None:
-        return Seen("before", why_not=like.no_before), None
+        return ComparisonView("before", why_not=like.no_before), None
     name, (x_um, y_um) = like.before_name, like.before_at_um
     try:
         earlier = shelf.surface(like.before)
     except WaferViewerError as fault:
-        return Seen("before", name=name, why_not=str(fault)), None
+        return ComparisonView("before", name=name, why_not=str(fault)), None
     there = replace(patch, x_um=x_um, y_um=y_um, angle_rad=like.before_turn_rad)
     laid = laid_on(own, earlier, there, SCAN_REACH_PX)
     if laid is None or laid.cut.measured < LEAST_MEASURED:
-        return Seen("before", name=name, why_not=f"{name} was not scanned, or not measured, at this place."), None
+        return ComparisonView(
+            "before", name=name, why_not=f"{name} was not scanned, or not measured, at this place."
+        ), None
     if laid.alike < LEAST_ALIKE:
         told = f"What {name} has within {SCAN_REACH_PX * patch.pixel_um:.0f} um of this place does not look like it."
-        return Seen("before", name=name, alike=laid.alike, why_not=told), None
+        return ComparisonView("before", name=name, alike=laid.alike, why_not=told), None
     down_um, right_um = laid.moved_um
-    return Seen("before", name=name, moved_um=(right_um, -down_um), alike=laid.alike), laid.cut
+    return ComparisonView("before", name=name, moved_um=(right_um, -down_um), alike=laid.alike), laid.cut
 
 
-def _drawn(told: Seen, one: Cut | None, pixel_um: float, heights: Range, greys: Range) -> Seen:
+def _drawn(told: ComparisonView, one: DieCrop | None, pixel_um: float, heights: Range, greys: Range) -> ComparisonView:
     if one is None:
         return told
     height, picture = picture_of(one.z_um, pixel_um, heights), picture_of(one.picture, pixel_um, greys)
     return msgspec.structs.replace(told, height=height, picture=picture)
 
 
-def _grey(seen: Cut) -> bytes:
+def _grey(seen: DieCrop) -> bytes:
     return picture_of(seen.picture, 1.0, greys_of([seen.picture]))
 
 
-def _inside(own: Cut, patch: Patch, like: LikePlace) -> NDArray[np.float32]:
+def _inside(own: DieCrop, patch: DiePatch, like: ComparisonRequest) -> NDArray[np.float32]:
     """The heights of what differs."""
     if like.defect_um is None:
         return own.z_um[:0]
@@ -185,7 +198,7 @@ def _inside(own: Cut, patch: Patch, like: LikePlace) -> NDArray[np.float32]:
     return own.z_um[rows, cols] if high > low else own.z_um
 
 
-def _box_of(patch: Patch) -> tuple[float, float, float, float]:
+def _box_of(patch: DiePatch) -> tuple[float, float, float, float]:
     """What an upright patch takes in, to the outer edges of its pixels."""
     half_y, half_x = (n / 2 * patch.pixel_um for n in patch.shape)
     x_um, y_um = float(patch.x_um), float(patch.y_um)

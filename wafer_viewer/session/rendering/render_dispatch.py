@@ -12,10 +12,10 @@ from wafer_viewer.session.rendering import (
     render_thumbnails,
     render_tiles,
 )
-from wafer_viewer.session.rendering.render_request import PaintRequest
-from wafer_viewer.session.rendering.surface_source import Shelf
+from wafer_viewer.session.rendering.render_request import RenderRequest
+from wafer_viewer.session.rendering.surface_source import SurfaceProvider
 
-PAINTERS: dict[str, Callable[[Shelf, PaintRequest], bytes]] = {
+PAINTERS: dict[str, Callable[[SurfaceProvider, RenderRequest], bytes]] = {
     "facts": render_summary.facts,
     "scale": render_summary.scale,
     "relief": render_summary.relief,
@@ -32,6 +32,6 @@ PAINTERS: dict[str, Callable[[Shelf, PaintRequest], bytes]] = {
 }
 
 
-def paint(shelf: Shelf, request: PaintRequest) -> bytes:
+def paint(shelf: SurfaceProvider, request: RenderRequest) -> bytes:
     """Make what a request asks for; no bytes when there is nothing to be seen. Raises WaferViewerError."""
     return PAINTERS[request.what](shelf, request)

@@ -8,15 +8,15 @@ from numpy.typing import NDArray
 from wafer_viewer.draw.surface import mesh
 from wafer_viewer.draw.surface.display_style import eight_bit
 from wafer_viewer.draw.surface.glb import painted
-from wafer_viewer.session.rendering.render_request import PaintRequest
-from wafer_viewer.session.rendering.surface_source import Shelf
+from wafer_viewer.session.rendering.render_request import RenderRequest
+from wafer_viewer.session.rendering.surface_source import SurfaceProvider
 
 _FRAME_SIDE_PX = 1024
 _SLICE_PIXELS = 1_500_000
 _STRIP_ROWS = 512
 
 
-def frame(shelf: Shelf, request: PaintRequest) -> bytes:
+def frame(shelf: SurfaceProvider, request: RenderRequest) -> bytes:
     """Frame k of a field as a picture lying at 0."""
     stack = shelf.stacks(request.source)[0]
     if not stack.present[request.k]:
@@ -29,7 +29,7 @@ def frame(shelf: Shelf, request: PaintRequest) -> bytes:
     return painted(lying, _grey(image))
 
 
-def stitched(shelf: Shelf, request: PaintRequest) -> bytes:
+def stitched(shelf: SurfaceProvider, request: RenderRequest) -> bytes:
     """The picture of all fields at one z, each by its nearest frame, blended as the surfaces are."""
     from wafer_viewer.reconstruct.blending.mosaic_layout import layout
     from wafer_viewer.reconstruct.blending.stitched_slice import StackOutline, stitched_picture

@@ -16,14 +16,14 @@ from typing import TYPE_CHECKING
 
 from wafer_viewer.compute.child_process import live_in_the_background
 from wafer_viewer.model.acquisition.focus_stack import FieldStack
-from wafer_viewer.model.surface.comparison import Face
+from wafer_viewer.model.surface.comparison import ComparisonFace
 from wafer_viewer.model.surface.height_map import Mosaic
-from wafer_viewer.session.rendering.render_request import PaintRequest, Source
+from wafer_viewer.session.rendering.render_request import RenderRequest, SurfaceKey
 
 if TYPE_CHECKING:
     from wafer_viewer.session.rendering.render_refused import PlacedField
 
-__all__ = ["PaintRequest", "Painter", "Source"]
+__all__ = ["Painter", "RenderRequest", "SurfaceKey"]
 
 _KEPT_BYTES = 48 * 2**20
 """Of answers kept for other browsers: some views of one."""
@@ -32,21 +32,21 @@ NICENESS = 5
 
 
 class Painter:
-    """Answers `PaintRequest`s in order, one at a time. An answer is kept, so that a second browser has it at once.
+    """Answers `RenderRequest`s in order, one at a time. An answer is kept, so that a second browser has it at once.
 
     A request that no one needs any more is withdrawn by cancelling its future. When the process dies it is started
     anew with the next request; the futures it held raise BrokenProcessPool.
     """
 
-    def __init__(self, work: Callable[[PaintRequest], bytes] | None = None) -> None:
+    def __init__(self, work: Callable[[RenderRequest], bytes] | None = None) -> None:
         self._work = work or paint_from_store
         self._lock = threading.Lock()
-        self._kept: OrderedDict[PaintRequest, bytes] = OrderedDict()
+        self._kept: OrderedDict[RenderRequest, bytes] = OrderedDict()
         self._kept_bytes = 0
         self._pool = _new_pool()
         self._pool.submit(_warm_up)
 
-    def paint(self, request: PaintRequest) -> Future[bytes]:
+    def paint(self, request: RenderRequest) -> Future[bytes]:
         """What the request asks for, made now or kept from before. WaferViewerErrors come out of the future."""
         with self._lock:
             if request in self._kept:
@@ -60,14 +60,14 @@ class Painter:
         """End the process; what is not yet made is cancelled."""
         self._pool.shutdown(wait=False, cancel_futures=True)
 
-    def _submit(self, request: PaintRequest) -> Future[bytes]:
+    def _submit(self, request: RenderRequest) -> Future[bytes]:
         try:
             return self._pool.submit(self._work, request)
         except BrokenProcessPool:
             self._pool = _new_pool()
             return self._pool.submit(self._work, request)
 
-    def _keep(self, request: PaintRequest, done: Future[bytes]) -> None:
+    def _keep(self, request: RenderRequest, done: Future[bytes]) -> None:
         if done.cancelled() or done.exception() is not None:
             return
         with self._lock:
@@ -100,7 +100,7 @@ def _warm_up() -> None:
     importlib.import_module("wafer_viewer.session.rendering.render_dispatch")
 
 
-def paint_from_store(request: PaintRequest) -> bytes:
+def paint_from_store(request: RenderRequest) -> bytes:
     """Runs in the painter's process: make a request from the datasets on disk."""
     from wafer_viewer.session.rendering.render_dispatch import paint
 
@@ -110,13 +110,13 @@ def paint_from_store(request: PaintRequest) -> bytes:
 class _StoreShelf:
     """Surfaces and stacks from datasets; the few used last stay open."""
 
-    def surface(self, source: Source) -> Mosaic:
+    def surface(self, source: SurfaceKey) -> Mosaic:
         return _surface(source)
 
-    def stacks(self, source: Source) -> list[FieldStack]:
+    def stacks(self, source: SurfaceKey) -> list[FieldStack]:
         return _stacks(source)
 
-    def fields(self, source: Source) -> list[PlacedField]:
+    def fields(self, source: SurfaceKey) -> list[PlacedField]:
         return _fields(source)
 
 
@@ -124,27 +124,27 @@ _STORE = _StoreShelf()
 
 
 @lru_cache(maxsize=4)
-def _fields(source: Source) -> list[PlacedField]:
+def _fields(source: SurfaceKey) -> list[PlacedField]:
     from wafer_viewer.session.rendering.render_refused import placed_fields
 
     return placed_fields(source)
 
 
 @lru_cache(maxsize=12)
-def _surface(source: Source) -> Mosaic:
+def _surface(source: SurfaceKey) -> Mosaic:
     from wafer_viewer.store.dataset.dataset import Dataset
 
     if source.show < 0:
         from wafer_viewer.session.surface.comparison_job import face_of
 
-        return face_of(source.dataset, source.result, Face(-source.show))
+        return face_of(source.dataset, source.result, ComparisonFace(-source.show))
     dataset = Dataset.open(source.dataset)
     result = dataset.result(source.result)
     return result.mosaic() if source.show == 0 else result.surface(dataset.field(source.show))
 
 
 @lru_cache(maxsize=2)
-def _stacks(source: Source) -> list[FieldStack]:
+def _stacks(source: SurfaceKey) -> list[FieldStack]:
     from wafer_viewer.session.surface.placement_summary import as_stitched
     from wafer_viewer.store.dataset.dataset import Dataset
 

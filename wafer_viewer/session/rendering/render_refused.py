@@ -13,8 +13,8 @@ from wafer_viewer.draw.surface.clipping import CODES, DRAWN, Floats, point_codes
 from wafer_viewer.model.measurement.levelling import Datum
 from wafer_viewer.model.surface.clipping import Box
 from wafer_viewer.model.surface.height_map import HeightMap
-from wafer_viewer.reconstruct.blending.mosaic_layout import Lean, layout
-from wafer_viewer.session.rendering.render_request import PaintRequest, Refused, Source
+from wafer_viewer.reconstruct.blending.mosaic_layout import FieldTilt, layout
+from wafer_viewer.session.rendering.render_request import RefusedCounts, RenderRequest, SurfaceKey
 
 _CODES = 32
 EVERYWHERE: Box = (-np.inf, -np.inf, np.inf, np.inf)
@@ -32,7 +32,7 @@ class PlacedField:
     pixel_um: float
     x0_um: float
     y0_um: float
-    lean: Lean = Lean()
+    lean: FieldTilt = FieldTilt()
 
     @cached_property
     def height_map(self) -> HeightMap:
@@ -57,7 +57,7 @@ class RefusedPoints:
     reason: NDArray[np.uint8]
 
 
-def placed_fields(source: Source) -> list[PlacedField]:
+def placed_fields(source: SurfaceKey) -> list[PlacedField]:
     """Return the field of a source, or all fields of a stitched surface, each where that shows it.
 
     A comparison and a surface from a file have none. Raises DatasetError when the dataset cannot be read.
@@ -131,7 +131,7 @@ def points_of(field: PlacedField, box_um: Box, datum: Datum | None = None, every
     return RefusedPoints(x_um, y_um, z_um.astype(np.float32), confidence, refused.reason[part][taken])
 
 
-def refused_in(fields: Sequence[PlacedField], request: PaintRequest, box_um: Box) -> Iterator[RefusedPoints]:
+def refused_in(fields: Sequence[PlacedField], request: RenderRequest, box_um: Box) -> Iterator[RefusedPoints]:
     """Yield the refused points of each field in a box, as dense as the request's level asks for."""
     for field in fields:
         if field.meets(box_um):
@@ -140,7 +140,7 @@ def refused_in(fields: Sequence[PlacedField], request: PaintRequest, box_um: Box
                 yield points
 
 
-def count_refused(fields: Sequence[PlacedField], request: PaintRequest) -> Refused:
+def count_refused(fields: Sequence[PlacedField], request: RenderRequest) -> RefusedCounts:
     """Count the refused points in the part of a surface that a request counts, all of them."""
     box_um = EVERYWHERE if request.box_um is None else request.box_um
     by_code, by_reason = np.zeros(len(CODES) + 1, np.int64), np.zeros(_CODES, np.int64)
@@ -155,7 +155,7 @@ def count_refused(fields: Sequence[PlacedField], request: PaintRequest) -> Refus
         codes = point_codes(points.x_um, points.y_um, points.z_um, points.confidence, request.clip)
         by_code += np.bincount(codes, minlength=len(CODES) + 1)
         by_reason += np.bincount(points.reason[codes == DRAWN], minlength=_CODES)[:_CODES]
-    return Refused(
+    return RefusedCounts(
         n_heights=int(by_code.sum()),
         n_points=int(by_code[DRAWN]),
         left_out={why: int(by_code[code]) for why, code in CODES.items()},

@@ -11,11 +11,11 @@ import msgspec
 import numpy as np
 from numpy.typing import NDArray
 
-from wafer_viewer.draw.surface.display_style import Form, Light, Look
+from wafer_viewer.draw.surface.display_style import DisplayStyle, Form, Light
 from wafer_viewer.draw.surface.mesh import Skirts
 from wafer_viewer.model.measurement.levelling import Datum
 from wafer_viewer.model.surface.clipping import Clip, LeftOut, Span
-from wafer_viewer.session.rendering.comparison_views import LikePlace
+from wafer_viewer.session.rendering.comparison_views import ComparisonRequest
 
 Kind = Literal[
     "facts", "scale", "relief", "tile", "flat", "points", "walls", "frame", "slice", "picture", "beside", "die",
@@ -24,7 +24,7 @@ Kind = Literal[
 
 
 @dataclass(frozen=True, slots=True)
-class Source:
+class SurfaceKey:
     """A surface on disk: the stitched one (show 0) or that of a field. `stamp` changes whenever its contents do."""
 
     dataset: Path
@@ -34,7 +34,7 @@ class Source:
 
 
 @dataclass(frozen=True, slots=True)
-class PaintRequest:
+class RenderRequest:
     """One thing to be made. Requests that are equal are the same picture: answers are kept by request.
 
     level: pixels of 2 ** level times the surface's; rows, cols: [first, end) on that level's lattice; step: pixels
@@ -49,13 +49,13 @@ class PaintRequest:
     counts the points that gates refused, too.
     """
 
-    source: Source
+    source: SurfaceKey
     what: Kind
     level: int = 0
     rows: tuple[int, int] = (0, 0)
     cols: tuple[int, int] = (0, 0)
     step: int = 1
-    look: Look = Look()
+    look: DisplayStyle = DisplayStyle()
     light: Light = Light()
     z0_um: float = 0.0
     dark: bool = False
@@ -67,13 +67,13 @@ class PaintRequest:
     datum: Datum | None = None
     skirts: Skirts = (False, False, False, False)
     side: int | None = None
-    like: LikePlace | None = None
+    like: ComparisonRequest | None = None
     clip: Clip = Clip()
     brush_um: Span | None = None
     refused: bool = False
 
 
-class Facts(msgspec.Struct, frozen=True):
+class SurfaceStatistics(msgspec.Struct, frozen=True):
     """A surface as a whole, answer to ``facts``: its lattice, where on it anything is measured, heights, light.
 
     has_overlaps: whether it is known how far fields are apart where several measured a pixel.
@@ -103,7 +103,7 @@ class Facts(msgspec.Struct, frozen=True):
         return Light(self.gain, max(self.high_um - self.low_um, 1e-3), self.plane, self.form)
 
 
-class Scale(msgspec.Struct, frozen=True):
+class ColourScale(msgspec.Struct, frozen=True):
     """A quantity over the whole surface, answer to ``scale``: its range and how often each part of it occurs.
 
     low, high: the range the colours span; own_low, own_high: 0.5 and 99.5 %; p1, p99: 1 and 99 %;
@@ -121,7 +121,7 @@ class Scale(msgspec.Struct, frozen=True):
     origins: dict[int, float] = {}
 
 
-class Relief(msgspec.Struct, frozen=True):
+class CoarseHeightField(msgspec.Struct, frozen=True):
     """A coarse surface for picking and draping, answer to ``relief``.
 
     z_um: float32 [row, col], gaps at their nearest neighbour's height; there: bool [row, col], False in gaps.
@@ -151,7 +151,7 @@ class Brushed(msgspec.Struct, frozen=True):
     places: tuple[tuple[float, float, float, float], ...] = ()
 
 
-class Refused(msgspec.Struct, frozen=True):
+class RefusedCounts(msgspec.Struct, frozen=True):
     """The points that gates refused: how many there are, how many the clip leaves, the others by why it does not.
 
     by_reason: those that the clip leaves, by code of `Origin`. n_fields: fields that the surface is made of;
@@ -198,7 +198,7 @@ class Statistics(msgspec.Struct, frozen=True):
     span_um: tuple[float, float] = (0.0, 0.0)
     block_px: int = 1
     brushed: Brushed | None = None
-    refused: Refused | None = None
+    refused: RefusedCounts | None = None
 
 
 def pack_points(places_mm: NDArray[np.float16], colours: NDArray[np.uint8]) -> bytes:

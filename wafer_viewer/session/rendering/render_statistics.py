@@ -18,8 +18,8 @@ from wafer_viewer.model.surface.clipping import Clip, Span
 from wafer_viewer.model.surface.height_map import HeightMap, Mosaic, Origin, pixel_window
 from wafer_viewer.session.core.surface_summary import unmeasured_reasons
 from wafer_viewer.session.rendering.render_refused import count_refused
-from wafer_viewer.session.rendering.render_request import Brushed, PaintRequest, Statistics
-from wafer_viewer.session.rendering.surface_source import Shelf, Window, at_level, levelled
+from wafer_viewer.session.rendering.render_request import Brushed, RenderRequest, Statistics
+from wafer_viewer.session.rendering.surface_source import SurfaceProvider, Window, at_level, levelled
 from wafer_viewer.store.mosaic.zarr_mosaic import ZarrMosaic
 
 MOST_POINTS = 8_000_000
@@ -33,7 +33,7 @@ _CODES = 32
 MOST_PLACES = 200
 
 
-def statistics(shelf: Shelf, request: PaintRequest) -> bytes:
+def statistics(shelf: SurfaceProvider, request: RenderRequest) -> bytes:
     """`Statistics` as msgpack. Raises MeasureError where the part that is asked for lies outside of the surface."""
     surface = shelf.surface(request.source)
     rows, cols = _window(surface, request)
@@ -70,7 +70,7 @@ def statistics(shelf: Shelf, request: PaintRequest) -> bytes:
     return msgspec.msgpack.encode(told)
 
 
-def _as_kept(told: Statistics, surface: ZarrMosaic, request: PaintRequest) -> Statistics:
+def _as_kept(told: Statistics, surface: ZarrMosaic, request: RenderRequest) -> Statistics:
     """The same with what is kept of the whole mosaic, by all of its points, where those are what is asked for."""
     kept = surface.facts()
     told = msgspec.structs.replace(told, **_shares(kept.counts)._asdict())
@@ -82,7 +82,7 @@ def _as_kept(told: Statistics, surface: ZarrMosaic, request: PaintRequest) -> St
     return msgspec.structs.replace(told, lowest_um=kept.lowest_um, highest_um=kept.highest_um)
 
 
-def _window(surface: Mosaic, request: PaintRequest) -> Window:
+def _window(surface: Mosaic, request: RenderRequest) -> Window:
     """The rows and columns of level 0 that are counted."""
     if request.box_um is None:
         return slice(0, surface.shape[0]), slice(0, surface.shape[1])

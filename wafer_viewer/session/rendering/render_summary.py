@@ -10,15 +10,20 @@ from wafer_viewer.draw.surface.display_style import Form
 from wafer_viewer.draw.surface.hillshade import light_gain, without_gaps
 from wafer_viewer.draw.surface.texture_baking import VALUES
 from wafer_viewer.model.surface.height_map import HeightMap
-from wafer_viewer.session.rendering.render_request import Facts, PaintRequest, Relief, Scale
-from wafer_viewer.session.rendering.surface_source import Shelf, at_level, coarse, coarse_level, levelled
+from wafer_viewer.session.rendering.render_request import (
+    CoarseHeightField,
+    ColourScale,
+    RenderRequest,
+    SurfaceStatistics,
+)
+from wafer_viewer.session.rendering.surface_source import SurfaceProvider, at_level, coarse, coarse_level, levelled
 
 _BINS = 60
 _LEAST_FOR_FORM = 50
 
 
-def facts(shelf: Shelf, request: PaintRequest) -> bytes:
-    """`Facts` as msgpack."""
+def facts(shelf: SurfaceProvider, request: RenderRequest) -> bytes:
+    """`SurfaceStatistics` as msgpack."""
     surface = shelf.surface(request.source)
     level = coarse_level(surface)
     part = levelled(at_level(surface, level), request.datum)
@@ -26,7 +31,7 @@ def facts(shelf: Shelf, request: PaintRequest) -> bytes:
     heights = part.z_um[there] if there.any() else np.zeros(1, np.float32)
     low, high = (float(v) for v in np.percentile(heights, [0.5, 99.5]))
     rows, cols = (_extent(np.asarray(there.any(axis=1 - axis)), surface.shape[axis], 2**level) for axis in (0, 1))
-    facts = Facts(
+    facts = SurfaceStatistics(
         *surface.shape, surface.pixel_um, surface.x0_um, surface.y0_um, *rows, *cols,
         float(heights.min()), float(heights.max()), low, high,
         light_gain(part.z_um, part.pixel_um), _plane(part), _has_overlaps(part), _form(part),
@@ -77,8 +82,8 @@ def _laid(design: NDArray[np.float64], z: NDArray[np.float64]) -> NDArray[np.flo
     return factors
 
 
-def scale(shelf: Shelf, request: PaintRequest) -> bytes:
-    """A `Scale` as msgpack."""
+def scale(shelf: SurfaceProvider, request: RenderRequest) -> bytes:
+    """A `ColourScale` as msgpack."""
     part = coarse(shelf, request)
     quantity = request.look.colour_by
     values = VALUES[quantity](part, request.light)
@@ -90,7 +95,7 @@ def scale(shelf: Shelf, request: PaintRequest) -> bytes:
     counts = np.histogram(values, _BINS, (low, max(high, low + 1e-9)))[0]
     shares = _origin_shares(part) if quantity == "origin" else {}
     counted = tuple(float(c) for c in counts)
-    return msgspec.msgpack.encode(Scale(quantity, low, high, own_low, own_high, p1, p99, counted, shares))
+    return msgspec.msgpack.encode(ColourScale(quantity, low, high, own_low, own_high, p1, p99, counted, shares))
 
 
 def _usual_range(quantity: str, low: float, high: float) -> tuple[float, float]:
@@ -116,8 +121,8 @@ def _origin_shares(part: HeightMap) -> dict[int, float]:
     return {code: float(n / part.origin.size) for code, n in enumerate(counts) if n}
 
 
-def relief(shelf: Shelf, request: PaintRequest) -> bytes:
-    """A `Relief` as msgpack."""
+def relief(shelf: SurfaceProvider, request: RenderRequest) -> bytes:
+    """A `CoarseHeightField` as msgpack."""
     part = coarse(shelf, request)
     heights, there = without_gaps(part.z_um).astype("<f4").tobytes(), np.isfinite(part.z_um).tobytes()
-    return msgspec.msgpack.encode(Relief(*part.shape, part.pixel_um, part.x0_um, part.y0_um, heights, there))
+    return msgspec.msgpack.encode(CoarseHeightField(*part.shape, part.pixel_um, part.x0_um, part.y0_um, heights, there))

@@ -8,13 +8,13 @@ from dataclasses import replace
 import numpy as np
 
 from wafer_viewer.draw.surface.block_mean import reduced
-from wafer_viewer.draw.surface.display_style import Light, Look
+from wafer_viewer.draw.surface.display_style import DisplayStyle, Light
 from wafer_viewer.draw.surface.glb import jpeg
 from wafer_viewer.draw.surface.hillshade import light_gain
 from wafer_viewer.draw.surface.texture_baking import bake, grey_image
 from wafer_viewer.model.region import Region
-from wafer_viewer.session.rendering.render_request import PaintRequest
-from wafer_viewer.session.rendering.surface_source import Shelf, levelled
+from wafer_viewer.session.rendering.render_request import RenderRequest
+from wafer_viewer.session.rendering.surface_source import SurfaceProvider, levelled
 
 SIDE_PX = 96
 """The longer side of a picture has at most so many pixels, where the request does not say."""
@@ -22,7 +22,7 @@ _QUALITY = 80
 _UNMEASURED = np.array([200, 208, 216], np.uint8)
 
 
-def picture(shelf: Shelf, request: PaintRequest) -> bytes:
+def picture(shelf: SurfaceProvider, request: RenderRequest) -> bytes:
     """The box of a request as JPEG, over its own range of heights; no bytes where nothing of it is measured.
 
     Coloured by ``grey`` it is the all-in-focus image.
@@ -43,7 +43,7 @@ def picture(shelf: Shelf, request: PaintRequest) -> bytes:
     grey = request.look.colour_by == "grey"
     low, high = (float(v) for v in np.percentile(grey_image(part)[there] if grey else part.z_um[there], [1, 99]))
     span = max(high - low, 1e-3)
-    heights = Look(low=low, high=low + span, hillshade=0.6)
+    heights = DisplayStyle(low=low, high=low + span, hillshade=0.6)
     look = replace(heights, colour_by="grey", colours="grey", hillshade=0.0) if grey else heights
     baked = bake(part, look, Light(light_gain(part.z_um, part.pixel_um), span))
     return jpeg(np.where(baked[..., 3:] > 0, baked[..., :3], _UNMEASURED), _QUALITY)

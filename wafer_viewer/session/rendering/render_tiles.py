@@ -17,8 +17,8 @@ from wafer_viewer.draw.surface.hillshade import without_gaps
 from wafer_viewer.draw.surface.texture_baking import Picture, bake
 from wafer_viewer.model.surface.height_map import HeightMap
 from wafer_viewer.session.rendering.render_refused import RefusedPoints, refused_in
-from wafer_viewer.session.rendering.render_request import PaintRequest, pack_points
-from wafer_viewer.session.rendering.surface_source import Shelf, at_level, levelled
+from wafer_viewer.session.rendering.render_request import RenderRequest, pack_points
+from wafer_viewer.session.rendering.surface_source import SurfaceProvider, at_level, levelled
 
 _BRIDGED_PX = 9
 """A wall runs on over this many pixels round a measured one."""
@@ -27,7 +27,7 @@ _MARGIN_PX = 14
 """Read round a tile, so that light and hollows go on across its edge."""
 
 
-def _baked(shelf: Shelf, request: PaintRequest) -> tuple[HeightMap, NDArray[np.float32], Picture]:
+def _baked(shelf: SurfaceProvider, request: RenderRequest) -> tuple[HeightMap, NDArray[np.float32], Picture]:
     """The window of a request: its map, its heights without gaps, its picture."""
     surface = shelf.surface(request.source)
     (r0, r1), (c0, c1) = request.rows, request.cols
@@ -39,19 +39,19 @@ def _baked(shelf: Shelf, request: PaintRequest) -> tuple[HeightMap, NDArray[np.f
     return around.crop(*inner), heights[inner], picture
 
 
-def tile(shelf: Shelf, request: PaintRequest) -> bytes:
+def tile(shelf: SurfaceProvider, request: RenderRequest) -> bytes:
     """A window of the surface as GLB."""
     part, heights, picture = _baked(shelf, request)
     return _draped(part, heights, picture, request)
 
 
-def flat(shelf: Shelf, request: PaintRequest) -> bytes:
+def flat(shelf: SurfaceProvider, request: RenderRequest) -> bytes:
     """The same picture lying flat at 0."""
     part, heights, picture = _baked(shelf, request)
     return _draped(part, np.full_like(heights, request.z0_um), picture, request)
 
 
-def _draped(part: HeightMap, heights: NDArray[np.float32], picture: Picture, request: PaintRequest) -> bytes:
+def _draped(part: HeightMap, heights: NDArray[np.float32], picture: Picture, request: RenderRequest) -> bytes:
     there = picture[..., 3] > 0
     if not there.any():
         return b""
@@ -59,7 +59,7 @@ def _draped(part: HeightMap, heights: NDArray[np.float32], picture: Picture, req
     return painted(mesh.surface(heights, there, x_mm, y_mm, request.z0_um, request.step, request.skirts), picture)
 
 
-def points(shelf: Shelf, request: PaintRequest) -> bytes:
+def points(shelf: SurfaceProvider, request: RenderRequest) -> bytes:
     """A point for each pixel with a height, and for each refused one if asked for, that the clip leaves."""
     part, heights, picture = _baked(shelf, request)
     codes = clip_codes(part, request.clip)
@@ -77,7 +77,7 @@ def points(shelf: Shelf, request: PaintRequest) -> bytes:
     return pack_points((xyz * 1e-3).astype(np.float16), colours.astype(np.uint8))
 
 
-def _refused_in_tile(shelf: Shelf, request: PaintRequest, part: HeightMap) -> Iterator[RefusedPoints]:
+def _refused_in_tile(shelf: SurfaceProvider, request: RenderRequest, part: HeightMap) -> Iterator[RefusedPoints]:
     """The refused points of a tile; one at the rim of what is measured has those that lie beyond it, too."""
     x0, y0, x1, y1 = part.bounds_um
     half = part.pixel_um / 2
@@ -92,7 +92,7 @@ def _refused_in_tile(shelf: Shelf, request: PaintRequest, part: HeightMap) -> It
 
 
 def _refused(
-    points: RefusedPoints, middle_um: tuple[float, float, float], request: PaintRequest
+    points: RefusedPoints, middle_um: tuple[float, float, float], request: RenderRequest
 ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
     """Places about a middle in um, [n, 3], and colours by reason, [n, 3], of those that the clip leaves."""
     clip = request.clip
@@ -110,7 +110,7 @@ def _pale(colours: NDArray[np.uint8], dark: bool) -> NDArray[np.float32]:
     return np.broadcast_to(np.float32(_PALE[dark]) * (np.float32(0.8) + np.float32(0.2) * shade), colours.shape)
 
 
-def walls(shelf: Shelf, request: PaintRequest) -> bytes:
+def walls(shelf: SurfaceProvider, request: RenderRequest) -> bytes:
     """From the four edges of a window down to `z0_um`; grey, because a wall is drawing, not data."""
     surface = shelf.surface(request.source)
     (r0, r1), (c0, c1) = request.rows, request.cols
@@ -126,7 +126,7 @@ def walls(shelf: Shelf, request: PaintRequest) -> bytes:
 
 
 def _edge(
-    line: HeightMap, request: PaintRequest
+    line: HeightMap, request: RenderRequest
 ) -> tuple[NDArray[np.float32], NDArray[np.float32], NDArray[np.float32]]:
     """A line of pixels as x, y, z in mm; small gaps are bridged, large ones have no wall."""
     z = line.z_um.ravel()

@@ -14,7 +14,7 @@ from wafer_viewer.model.measurement.levelling import Datum
 from wafer_viewer.model.region import Region
 from wafer_viewer.model.surface.height_map import HeightMap, Mosaic
 from wafer_viewer.session.rendering.render_refused import PlacedField
-from wafer_viewer.session.rendering.render_request import PaintRequest, Source
+from wafer_viewer.session.rendering.render_request import RenderRequest, SurfaceKey
 
 Window = tuple[slice, slice]
 
@@ -22,18 +22,18 @@ COARSE_PIXELS = 400_000
 """What facts, ranges and reliefs are taken from: enough for any of them, and read in a moment."""
 
 
-class Shelf(Protocol):
+class SurfaceProvider(Protocol):
     """Where surfaces and frames are found; the painter's is the store, tests have maps in memory."""
 
-    def surface(self, source: Source) -> Mosaic:
+    def surface(self, source: SurfaceKey) -> Mosaic:
         """The surface."""
         ...
 
-    def stacks(self, source: Source) -> list[FieldStack]:
+    def stacks(self, source: SurfaceKey) -> list[FieldStack]:
         """The focus stack of the source's field, or those of all fields for the stitched surface."""
         ...
 
-    def fields(self, source: Source) -> Sequence[PlacedField]:
+    def fields(self, source: SurfaceKey) -> Sequence[PlacedField]:
         """The fields that the surface is made of, each where the surface shows it; none of what has no fields."""
         ...
 
@@ -75,7 +75,7 @@ def _region(surface: Mosaic, level: int, rows: slice, cols: slice) -> Region:
     )
 
 
-def coarse(shelf: Shelf, request: PaintRequest) -> HeightMap:
+def coarse(shelf: SurfaceProvider, request: RenderRequest) -> HeightMap:
     """The surface of a request over its datum: the window it names, without one all of it at its coarse level."""
     surface = shelf.surface(request.source)
     if request.rows[1]:

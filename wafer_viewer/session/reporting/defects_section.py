@@ -9,7 +9,7 @@ from wafer_viewer.draw.charts.pareto import pareto_svg
 from wafer_viewer.draw.number_format import number
 from wafer_viewer.model.inspection.defect import Defect, Inspection
 from wafer_viewer.model.inspection.defect_verdict import verdict_of
-from wafer_viewer.model.report import PART_TITLES, Figure, Holds, Pairs, Section, Table
+from wafer_viewer.model.report import PART_TITLES, Figure, Holds, Pairs, ReportSection, Table
 from wafer_viewer.session.measurement.measurement_numbers import quantity_text
 from wafer_viewer.session.reporting.die_stack_section import repeated, stacked
 from wafer_viewer.session.reporting.pictures import place_picture
@@ -21,13 +21,13 @@ REFERENCES = {"dies": "the median of its dies", "golden": "a stored golden die",
 HEADS = ("No.", "Class", "Die", "Height, k = 2", "Length", "x, y of the stage, µm", "Judgement")
 
 
-def defects(material: Material) -> Section:
+def defects(material: Material) -> ReportSection:
     """Counts by class and die, and a table of the largest."""
     title, found = PART_TITLES["defects"], material.inspection
     if found is None:
-        return Section(title, empty="No defects were looked for.")
+        return ReportSection(title, empty="No defects were looked for.")
     largest = sorted(found.found, key=lambda defect: -defect.area.value)
-    return Section(
+    return ReportSection(
         title,
         pairs=_inspected(found),
         table=Table(HEADS, tuple(_row(defect) for defect in largest[:MOST_ROWS]), "nwwnnw"),

@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 from PIL import Image
 
-from wafer_viewer.draw.surface.display_style import Light, Look
+from wafer_viewer.draw.surface.display_style import DisplayStyle, Light
 from wafer_viewer.draw.surface.hillshade import light_gain
 from wafer_viewer.draw.surface.texture_baking import bake
 from wafer_viewer.model.errors import MeasureError
@@ -56,7 +56,7 @@ def _picture(part: HeightMap, low_um: float, high_um: float, most_px: int) -> st
     if 0 in part.shape:
         return ""
     light = Light(light_gain(part.z_um, part.pixel_um), max(high_um - low_um, 1e-6))
-    baked = Image.fromarray(bake(part, Look(low=low_um, high=high_um), light))
+    baked = Image.fromarray(bake(part, DisplayStyle(low=low_um, high=high_um), light))
     paper = Image.new("RGB", baked.size, UNMEASURED)
     paper.paste(baked, (0, 0), baked)
     return _url(paper, most_px)

@@ -13,7 +13,17 @@ from wafer_viewer.draw.number_format import number
 from wafer_viewer.model.errors import ComputeError
 from wafer_viewer.model.job.review_notes import keys_of_features, keys_under_review
 from wafer_viewer.model.progress import Progress, ShouldStop, never, silent
-from wafer_viewer.model.report import PART_TITLES, Contents, Figure, Holds, Part, Report, ReportOrder, Section, Table
+from wafer_viewer.model.report import (
+    PART_TITLES,
+    Contents,
+    Figure,
+    Holds,
+    Part,
+    Report,
+    ReportOrder,
+    ReportSection,
+    Table,
+)
 from wafer_viewer.session.measurement.measurement_numbers import not_evaluated
 from wafer_viewer.session.reporting.defects_section import defects, defects_held
 from wafer_viewer.session.reporting.report_data import Material, gather
@@ -45,7 +55,7 @@ def report_of(
     """
     material = gather(folder, result)
     parts: list[Part] = [part for part in order.parts if _goes_in(part, material)]
-    sections: list[Section] = []
+    sections: list[ReportSection] = []
     for part in parts:
         if should_stop():
             raise ComputeError("The report was stopped. Nothing was written.")
@@ -165,44 +175,44 @@ def _facts(material: Material) -> tuple[tuple[str, str], ...]:
     return tuple((name, value) for name, value in named if value)
 
 
-def _pictures(material: Material) -> Section:
+def _pictures(material: Material) -> ReportSection:
     from wafer_viewer.session.reporting.pictures import taken_picture
 
     figures = tuple(Figure(taken_picture(picture), picture.stem) for picture in material.pictures)
-    return Section(PART_TITLES["pictures"], figures=figures, empty="No pictures were taken at print size.")
+    return ReportSection(PART_TITLES["pictures"], figures=figures, empty="No pictures were taken at print size.")
 
 
-def _surface(material: Material) -> Section:
+def _surface(material: Material) -> ReportSection:
     from wafer_viewer.session.reporting.pictures import whole_picture
 
     info, title = material.info, PART_TITLES["surface"]
     if info is None:
-        return Section(title, empty="The fields are not stitched.")
+        return ReportSection(title, empty="The fields are not stitched.")
     url = whole_picture(material.result.mosaic(), info.low_um, info.high_um)
     ends = f"{number(info.low_um, 2, signed=True)} to {number(info.high_um, 2, signed=True)}\u202fµm"
     caption = f"Heights from above, dark to light {ends}, light from the north-west; plain grey: not measured."
-    return Section(title, pairs=surface_pairs(info), figures=(Figure(url, caption),))
+    return ReportSection(title, pairs=surface_pairs(info), figures=(Figure(url, caption),))
 
 
-def _plan(material: Material) -> Section:
+def _plan(material: Material) -> ReportSection:
     scan = material.dataset.scan
-    return Section(PART_TITLES["plan"], pairs=plan_pairs(scan.plan, scan.job))
+    return ReportSection(PART_TITLES["plan"], pairs=plan_pairs(scan.plan, scan.job))
 
 
-def _recipe(material: Material) -> Section:
+def _recipe(material: Material) -> ReportSection:
     settled = material.info.settled if material.info else None
     pairs = recipe_pairs(settled or material.dataset.scan.job.recipe)
-    return Section(PART_TITLES["recipe"], pairs=pairs)
+    return ReportSection(PART_TITLES["recipe"], pairs=pairs)
 
 
-def _calibration(material: Material) -> Section:
+def _calibration(material: Material) -> ReportSection:
     calibration = material.dataset.scan.calibration
     why = (f"Lengths are uncalibrated: {material.uncalibrated}.",) if material.uncalibrated else ()
     pairs = calibration_pairs(calibration) if calibration else ()
-    return Section(PART_TITLES["calibration"], pairs=pairs, sentences=why)
+    return ReportSection(PART_TITLES["calibration"], pairs=pairs, sentences=why)
 
 
-def _warnings(material: Material) -> Section:
+def _warnings(material: Material) -> ReportSection:
     dataset, info = material.dataset, material.info
     missing = len(dataset.missing())
     said = [f"{number(missing, 0)} of {number(dataset.scan.plan.n_frames, 0)} frames are missing."] if missing else []
@@ -210,7 +220,7 @@ def _warnings(material: Material) -> Section:
         said += [*info.recipe_notes, *(info.stitching.notes if info.stitching else ())]
     said += [f"Result {f.number}, {f.name}: {note}" for f in material.findings for note in f.notes]
     told = tuple(dict.fromkeys(sentence.replace(" um", "\u202fµm") for sentence in (*said, *_left_out(material))))
-    return Section(PART_TITLES["warnings"], sentences=told, empty="None.")
+    return ReportSection(PART_TITLES["warnings"], sentences=told, empty="None.")
 
 
 def _left_out(material: Material) -> Iterator[str]:
@@ -224,7 +234,7 @@ def _left_out(material: Material) -> Iterator[str]:
         yield f"Not evaluated in U of {results}: {'; '.join(missing)}."
 
 
-def _checksums(material: Material) -> Section:
+def _checksums(material: Material) -> ReportSection:
     from wafer_viewer.store.dataset.digests import digests_of_result, digests_of_scan
 
     digests = (*digests_of_scan(material.dataset.path), *digests_of_result(material.result))
@@ -234,18 +244,18 @@ def _checksums(material: Material) -> Section:
         ("Surface made with", made),
         ("Reported with", __version__),
     )
-    return Section(
+    return ReportSection(
         PART_TITLES["checksums"],
         pairs=tuple((name, f"Wafer Viewer {version}") for name, version in versions if version),
         table=Table(("What", "Of which files", "SHA-256"), tuple((d.what, d.of, d.sha256) for d in digests)),
     )
 
 
-def _signatures(material: Material) -> Section:
-    return Section(PART_TITLES["signatures"], lines=SIGNED_BY)
+def _signatures(material: Material) -> ReportSection:
+    return ReportSection(PART_TITLES["signatures"], lines=SIGNED_BY)
 
 
-_MADE: dict[Part, Callable[[Material], Section]] = {
+_MADE: dict[Part, Callable[[Material], ReportSection]] = {
     "verdict": verdict,
     "results": results,
     "defects": defects,

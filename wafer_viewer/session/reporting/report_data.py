@@ -6,11 +6,11 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from wafer_viewer.model.findings import AnyFinding
+from wafer_viewer.model.findings import AnyResult
 from wafer_viewer.model.gauge.gauge_check import GaugeCheck
 from wafer_viewer.model.inspection.defect import Inspection
 from wafer_viewer.model.job.review_notes import Notebook
-from wafer_viewer.model.job.verdict import Judged, WaferVerdict
+from wafer_viewer.model.job.verdict import FeatureVerdict, WaferVerdict
 from wafer_viewer.model.region import Region
 from wafer_viewer.session.planning.verdicts import kept_verdict
 from wafer_viewer.session.reporting.report_text import regions
@@ -28,7 +28,7 @@ class Material:
     dataset: Dataset
     result: Result
     info: SurfaceInfo | None
-    findings: tuple[AnyFinding, ...]
+    findings: tuple[AnyResult, ...]
     notebook: Notebook
     verdict: WaferVerdict | None = None
     inspection: Inspection | None = None
@@ -44,7 +44,7 @@ class Material:
         return self.dataset.calibration_problem(self.day)
 
     @property
-    def features(self) -> tuple[Judged, ...]:
+    def features(self) -> tuple[FeatureVerdict, ...]:
         """The features of the verdict, if there is one."""
         return self.verdict.items if self.verdict is not None else ()
 
@@ -59,7 +59,7 @@ class Material:
         return tuple(finding for finding in self.findings if isinstance(finding, GaugeCheck))
 
     @property
-    def lines(self) -> tuple[tuple[AnyFinding, Region], ...]:
+    def lines(self) -> tuple[tuple[AnyResult, Region], ...]:
         """The results that were measured along a line of the surface or of a field, each with its line."""
         found = ((f, next((r for r in regions(f) if r.kind == "line"), None)) for f in self.findings if f.show >= 0)
         return tuple((finding, line) for finding, line in found if line is not None)

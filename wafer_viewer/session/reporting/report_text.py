@@ -8,10 +8,10 @@ from typing import Any, cast
 from wafer_viewer.draw.number_format import duration, number, share, size, with_unit
 from wafer_viewer.model.acquisition.calibration import Calibration
 from wafer_viewer.model.acquisition.plan import ScanPlan
-from wafer_viewer.model.findings import AnyFinding
+from wafer_viewer.model.findings import AnyResult
 from wafer_viewer.model.job.job import Job
 from wafer_viewer.model.job.review_notes import Judgement, Notebook, key_of_result
-from wafer_viewer.model.job.verdict import Judged, WaferVerdict
+from wafer_viewer.model.job.verdict import FeatureVerdict, WaferVerdict
 from wafer_viewer.model.measurement.feature import limits_text
 from wafer_viewer.model.region import Region
 from wafer_viewer.model.spec import Spec
@@ -23,18 +23,18 @@ VERDICTS = {"open": "", "accepted": "accepted", "rejected": "rejected"}
 Pairs = tuple[tuple[str, str], ...]
 
 
-def result_row(finding: AnyFinding, notebook: Notebook) -> tuple[str, ...]:
+def result_row(finding: AnyResult, notebook: Notebook) -> tuple[str, ...]:
     """Number, name, what it is, its value, where, and what was thought of it."""
     said = thought(notebook.judgement(key_of_result(finding.number)))
     return (f"{finding.number}", finding.name, kind_of(finding), quantity_text(finding.main), where(finding), said)
 
 
-def kind_of(finding: AnyFinding) -> str:
+def kind_of(finding: AnyResult) -> str:
     """What kind of result it is, on which heights, from which zero."""
     return f"{spaced(type(finding).__name__)}{_terms(finding)}"
 
 
-def feature_row(n: int, judged: Judged, judgement: Judgement) -> tuple[str, ...]:
+def feature_row(n: int, judged: FeatureVerdict, judgement: Judgement) -> tuple[str, ...]:
     """Number and name of a feature of the job, its limits, its value, the instrument's word and people's."""
     feature = judged.feature
     limits = limits_text(feature).replace(f" {feature.unit}", f"\u202f{UNITS.get(feature.unit, feature.unit)}")
@@ -54,13 +54,13 @@ def thought(judgement: Judgement) -> str:
     return " · ".join(part for part in (VERDICTS[judgement.verdict], judgement.note) if part)
 
 
-def regions(finding: AnyFinding) -> tuple[Region, ...]:
+def regions(finding: AnyResult) -> tuple[Region, ...]:
     """The places a finding was measured at."""
     held = (getattr(finding, name) for name in finding.__struct_fields__)
     return tuple(region for value in held for region in _regions_of(value))
 
 
-def bounds_um(finding: AnyFinding) -> tuple[float, float, float, float] | None:
+def bounds_um(finding: AnyResult) -> tuple[float, float, float, float] | None:
     """The upright rectangle round all places of a finding; None of one without a place."""
     boxes = [region.bounds_um for region in regions(finding)]
     if not boxes:
@@ -69,7 +69,7 @@ def bounds_um(finding: AnyFinding) -> tuple[float, float, float, float] | None:
     return min(x0), min(y0), max(x1), max(y1)
 
 
-def where(finding: AnyFinding) -> str:
+def where(finding: AnyResult) -> str:
     """The middle of its places, stage um."""
     box = bounds_um(finding)
     if box is None:
@@ -145,7 +145,7 @@ def calibration_pairs(calibration: Calibration) -> Pairs:
     )
 
 
-def _terms(finding: AnyFinding) -> str:
+def _terms(finding: AnyResult) -> str:
     """On which heights, from which zero."""
     levelled = "" if finding.levelling.by == "stage" else f", levelled by {finding.levelling.by}"
     return f", {LAYER_TITLES[finding.surface]}{levelled}"

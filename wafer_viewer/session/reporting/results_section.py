@@ -6,15 +6,15 @@ from collections.abc import Iterator
 
 from wafer_viewer.draw.number_format import digits_of_u, number, share
 from wafer_viewer.model.errors import MeasureError
-from wafer_viewer.model.findings import AnyFinding
+from wafer_viewer.model.findings import AnyResult
 from wafer_viewer.model.gauge.gauge_check import GaugeCheck
 from wafer_viewer.model.job.review_notes import key_of_result, keys_of_features
-from wafer_viewer.model.job.verdict import GRAVEST, Judged, WaferVerdict
+from wafer_viewer.model.job.verdict import GRAVEST, FeatureVerdict, WaferVerdict
 from wafer_viewer.model.measurement.sections import SectionAsked
 from wafer_viewer.model.measurement.tools import TOOLS
 from wafer_viewer.model.quantity import BudgetLine
 from wafer_viewer.model.region import Region
-from wafer_viewer.model.report import PART_TITLES, Figure, Section, Sheet, Table
+from wafer_viewer.model.report import PART_TITLES, Figure, ReportSection, Sheet, Table
 from wafer_viewer.model.surface.height_map import Mosaic
 from wafer_viewer.session.measurement.measurement_numbers import (
     UNITS,
@@ -35,15 +35,17 @@ FEATURE_HEADS = ("No.", "Feature", "Limits", "Value, k = 2", "Word", "Judgement"
 GAUGE_HEADS = ("No.", "Certificate", "Scans", "Mean", "Reference", "Error", "En", "Limit", "Word")
 
 
-def verdict(material: Material) -> Section:
+def verdict(material: Material) -> ReportSection:
     """The word for the wafer, its dies, and every feature with its limits."""
     title, judged = PART_TITLES["verdict"], material.verdict
     if judged is None:
-        return Section(title, empty="No verdict was kept on this surface: wafer-viewer measure verdict gives one.")
+        return ReportSection(
+            title, empty="No verdict was kept on this surface: wafer-viewer measure verdict gives one."
+        )
     keyed = enumerate(zip(keys_of_features(judged), judged.items, strict=True), 1)
     rows = tuple(feature_row(n, item, material.notebook.judgement(key)) for n, (key, item) in keyed)
     told = (f"{item.name}: {item.why}" for item in judged.items if item.word != "pass")
-    return Section(
+    return ReportSection(
         title,
         word=judged.word,
         beside=" · ".join(part for part in (judged.job, judged.next) if part),
@@ -54,7 +56,7 @@ def verdict(material: Material) -> Section:
     )
 
 
-def _one_of_each(judged: WaferVerdict) -> Iterator[tuple[int, Judged]]:
+def _one_of_each(judged: WaferVerdict) -> Iterator[tuple[int, FeatureVerdict]]:
     """Of every feature the item with the gravest word, and its number: each die has much the same budget."""
     numbered = list(enumerate(judged.items, 1))
     for name in dict.fromkeys(item.feature.name for item in judged.items):
@@ -62,7 +64,7 @@ def _one_of_each(judged: WaferVerdict) -> Iterator[tuple[int, Judged]]:
         yield min(of_name, key=lambda of: GRAVEST.index(of[1].word))
 
 
-def _of_feature(n: int, item: Judged) -> Sheet:
+def _of_feature(n: int, item: FeatureVerdict) -> Sheet:
     """The uncertainty of a feature."""
     feature, measured = item.feature, item.measured
     what = (TOOLS[feature.tool].title, title_of(feature.quantity) if feature.quantity else "")
@@ -89,15 +91,15 @@ def _die_map(material: Material, judged: WaferVerdict) -> tuple[Figure, ...]:
     return (Figure("", caption, svg=die_map_svg(judged.dies, across_um, width_px=260, most_height_px=260)),)
 
 
-def results(material: Material) -> Section:
+def results(material: Material) -> ReportSection:
     """A table of all results, and a sheet of each."""
     rows = tuple(result_row(finding, material.notebook) for finding in material.findings)
     sheets = tuple(_sheet(material, finding) for finding in material.findings[:MOST_SHEETS])
     title = PART_TITLES["results"]
-    return Section(title, table=Table(RESULT_HEADS, rows, "n"), sheets=sheets, empty="No results were kept.")
+    return ReportSection(title, table=Table(RESULT_HEADS, rows, "n"), sheets=sheets, empty="No results were kept.")
 
 
-def _sheet(material: Material, finding: AnyFinding) -> Sheet:
+def _sheet(material: Material, finding: AnyResult) -> Sheet:
     main = main_field(finding)
     judgement = thought(material.notebook.judgement(key_of_result(finding.number)))
     below = (kind_of(finding), title_of(main) if main else "", where(finding), judgement)
@@ -128,7 +130,7 @@ def _two_figures(u: float) -> str:
     return number(u, min(digits_of_u(u), 6)) if u else "0"
 
 
-def _place(material: Material, finding: AnyFinding) -> str:
+def _place(material: Material, finding: AnyResult) -> str:
     """The surface round the place of a result, where it was measured on the stitched one."""
     from wafer_viewer.session.reporting.pictures import place_picture
 
@@ -138,14 +140,14 @@ def _place(material: Material, finding: AnyFinding) -> str:
     return place_picture(material.result.mosaic(), box, info.low_um, info.high_um)
 
 
-def profiles(material: Material) -> Section:
+def profiles(material: Material) -> ReportSection:
     """The curve of every result along a line."""
     figures = (_curve(material, finding, line) for finding, line in material.lines[:MOST_PROFILES])
     told = tuple(figure for figure in figures if figure is not None)
-    return Section(PART_TITLES["profiles"], figures=told, empty="No result lies along a line.")
+    return ReportSection(PART_TITLES["profiles"], figures=told, empty="No result lies along a line.")
 
 
-def _curve(material: Material, finding: AnyFinding, line: Region) -> Figure | None:
+def _curve(material: Material, finding: AnyResult, line: Region) -> Figure | None:
     """Cut again where and how it was cut; None where the surface is not there any more."""
     from wafer_viewer.draw.charts.profile_svg import profile_svg
     from wafer_viewer.measure.base.levelled_surface import levelled
@@ -173,12 +175,12 @@ def _surface(material: Material, show: int) -> Mosaic | None:
     return material.result.surface(field) if done else None
 
 
-def gauge(material: Material) -> Section:
+def gauge(material: Material) -> ReportSection:
     """The checks against gauge blocks among the results."""
     checks = material.gauge_checks
     table = Table(GAUGE_HEADS, tuple(_gauge_row(check) for check in checks), "n nnnnnn")
     told = tuple(_of_check(check).replace(" um", "\u202fµm") for check in checks)
-    return Section(PART_TITLES["gauge"], table=table, sentences=told, empty="No gauge-block check was kept.")
+    return ReportSection(PART_TITLES["gauge"], table=table, sentences=told, empty="No gauge-block check was kept.")
 
 
 def _gauge_row(check: GaugeCheck) -> tuple[str, ...]:

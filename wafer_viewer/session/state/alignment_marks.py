@@ -11,13 +11,13 @@ Place = tuple[float, float]
 
 
 @dataclass(frozen=True, slots=True)
-class Seen:
+class SeenMark:
     """Stage x, y in um of corners by their number from 0; of another wafer, or other corners, nothing was seen."""
 
     of: tuple[object, ...] = ()
     at_um: dict[int, Place] = field(default_factory=dict[int, Place])
 
-    def with_place(self, job: Job, n: int, place_um: Place) -> Seen:
+    def with_place(self, job: Job, n: int, place_um: Place) -> SeenMark:
         """With the n-th corner seen at a place. Raises PlanError when the job has no such corner."""
         if job.marks is None or not 0 <= n < len(job.marks.places):
             raise PlanError(f"There is no corner {n + 1} to mark: the job names how many there are.")

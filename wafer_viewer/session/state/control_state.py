@@ -15,7 +15,7 @@ class Browser:
 
 
 @dataclass(frozen=True, slots=True)
-class Hands:
+class ControlState:
     """The part of the snapshot that says who is there, who holds the controls and who asks for them.
 
     browsers: in the order in which they came. holder, asking: keys, None for nobody. asked_at: clock time in s of the

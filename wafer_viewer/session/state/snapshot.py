@@ -12,11 +12,11 @@ from wafer_viewer.model.acquisition.devices import Overview
 from wafer_viewer.model.acquisition.focus_stack import Image
 from wafer_viewer.model.acquisition.plan import Field, ScanPlan
 from wafer_viewer.model.acquisition.rig_limits import RigLimits
-from wafer_viewer.model.findings import AnyFinding
+from wafer_viewer.model.findings import AnyResult
 from wafer_viewer.model.job.job import Job
 from wafer_viewer.model.surface.recipe import Recipe
 from wafer_viewer.session.state.comparison_state import Compared
-from wafer_viewer.session.state.control_state import Hands
+from wafer_viewer.session.state.control_state import ControlState
 from wafer_viewer.session.state.gauge_state import GaugeState
 from wafer_viewer.session.state.inspection_resources import DefectShelf
 from wafer_viewer.session.state.inspection_state import InspectionState
@@ -257,12 +257,12 @@ class Snapshot:
     works: tuple[Work, ...] = ()
     faults: tuple[Fault, ...] = ()
     surface: SurfaceInfo | None = None
-    findings: tuple[AnyFinding, ...] = ()
+    findings: tuple[AnyResult, ...] = ()
     findings_undo: bool = False
     findings_redo: bool = False
     operating: Operating = Operating()
     compute_ready: bool = False
-    hands: Hands = Hands()
+    hands: ControlState = ControlState()
     notebook: NotebookState = NotebookState()
     comparisons: tuple[Compared, ...] = ()
     gauge: GaugeState = GaugeState()

@@ -12,15 +12,15 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from wafer_viewer.model.errors import DatasetError, WaferViewerError
-from wafer_viewer.model.surface.comparison import Align, Comparison, Face, SurfaceName, comparison_of
+from wafer_viewer.model.surface.comparison import Align, Comparison, ComparisonFace, SurfaceName, comparison_of
 from wafer_viewer.session.state.comparison_state import Compared
 
 if TYPE_CHECKING:
     from wafer_viewer.compute.compute_client import Compute
     from wafer_viewer.model.surface.height_map import Mosaic
-    from wafer_viewer.session.core.command_queue import Desk
+    from wafer_viewer.session.core.command_queue import CommandQueue
     from wafer_viewer.session.core.dataset_library import Library
-    from wafer_viewer.session.core.notifications import Notices
+    from wafer_viewer.session.core.notifications import Notifications
     from wafer_viewer.session.state.snapshot import Snapshot
 
 Pair = tuple[SurfaceName, SurfaceName]
@@ -30,7 +30,7 @@ Do = Callable[..., Future[Any]]
 class ComparingKeeper:
     """The comparisons of the snapshot; on the session's thread only."""
 
-    def __init__(self, desk: Desk, notices: Notices, library: Library, compute: Compute) -> None:
+    def __init__(self, desk: CommandQueue, notices: Notifications, library: Library, compute: Compute) -> None:
         self._desk, self._notices, self._library, self._compute = desk, notices, library, compute
         self._stamps = count(1)
         self._work, self._of = "", Path()
@@ -133,7 +133,7 @@ def surface_of(now: Snapshot, show: int) -> Mosaic:
 
 
 @lru_cache(maxsize=4)
-def _surface(dataset: Path, name: str, face: Face, stamp: int) -> Mosaic:
+def _surface(dataset: Path, name: str, face: ComparisonFace, stamp: int) -> Mosaic:
     from wafer_viewer.session.surface.comparison_job import face_of
 
     return face_of(dataset, name, face)

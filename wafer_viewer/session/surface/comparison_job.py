@@ -13,9 +13,9 @@ from wafer_viewer.model.errors import ComputeError, DatasetError
 from wafer_viewer.model.progress import Progress, ShouldStop, never, silent
 from wafer_viewer.model.region import Region
 from wafer_viewer.model.spec import replace
-from wafer_viewer.model.surface.comparison import Align, Comparison, Face, SurfaceName
+from wafer_viewer.model.surface.comparison import Align, Comparison, ComparisonFace, SurfaceName
 from wafer_viewer.model.surface.height_map import HeightMap, Mosaic, Provenance
-from wafer_viewer.reconstruct.comparison.height_difference import Difference, Sums
+from wafer_viewer.reconstruct.comparison.height_difference import Difference, DifferenceStatistics
 from wafer_viewer.session.core.dataset_library import ENDING, today
 from wafer_viewer.store.dataset.dataset import Dataset
 from wafer_viewer.store.dataset.lock import Lock
@@ -54,21 +54,21 @@ def made_at(name: SurfaceName) -> float:
     return path.stat().st_mtime if path.exists() else 0.0
 
 
-def face_of(dataset: Path, result: str, face: Face) -> Mosaic:
+def face_of(dataset: Path, result: str, face: ComparisonFace) -> Mosaic:
     """What of a comparison is looked at. Raises DatasetError when it, or one of its surfaces, is gone."""
     from wafer_viewer.reconstruct.comparison.lazy_pyramid import as_pyramid
-    from wafer_viewer.reconstruct.comparison.resampled_surface import LaidOver
-    from wafer_viewer.reconstruct.comparison.side_by_side import Beside
+    from wafer_viewer.reconstruct.comparison.resampled_surface import ResampledMosaic
+    from wafer_viewer.reconstruct.comparison.side_by_side import SideBySideMosaic
 
     kept = Dataset.open(dataset).result(result)
-    if face is Face.DIFFERENCE:
+    if face is ComparisonFace.DIFFERENCE:
         return kept.mosaic()
     comparison = kept.comparison()
     first = as_pyramid(opened(comparison.first))
-    if face is Face.FIRST:
+    if face is ComparisonFace.FIRST:
         return first
-    laid = LaidOver(first, as_pyramid(opened(comparison.second)), comparison.registration)
-    return laid if face is Face.SECOND else Beside(laid)
+    laid = ResampledMosaic(first, as_pyramid(opened(comparison.second)), comparison.registration)
+    return laid if face is ComparisonFace.SECOND else SideBySideMosaic(laid)
 
 
 def comparisons_of(data: Dataset) -> dict[str, Comparison]:
@@ -105,7 +105,7 @@ def subtract(
     progress(ALIGN_SHARE)
     if should_stop():
         raise ComputeError("The comparison was stopped. Nothing was kept of it.")
-    tallied = Tallied(difference)
+    tallied = StreamingStatistics(difference)
     with replacing(target.path) as beside:
         beside.mkdir(parents=True)
         write_mosaic(beside / MOSAIC, tallied, partial(_later, progress), should_stop, THREADS)
@@ -130,7 +130,7 @@ def compare_files(
     first: SurfaceName, second: SurfaceName, align: Align, keep_z: bool
 ) -> tuple[Mosaic, Callable[[], Comparison]]:
     """The difference of two surfaces, not written anywhere, and how to have its numbers."""
-    tallied = Tallied(_compared(first, second, align, keep_z))
+    tallied = StreamingStatistics(_compared(first, second, align, keep_z))
     return tallied.difference, lambda: tallied.comparison(first, second)
 
 
@@ -157,11 +157,13 @@ def _sweep(folder: Path) -> None:
 
 
 @dataclasses.dataclass(eq=False)
-class Tallied:
+class StreamingStatistics:
     """A difference that keeps the sums over the windows that are made of it, each window once."""
 
     difference: Difference
-    _sums: dict[tuple[float, float], Sums] = dataclasses.field(default_factory=dict[tuple[float, float], "Sums"])
+    _sums: dict[tuple[float, float], DifferenceStatistics] = dataclasses.field(
+        default_factory=dict[tuple[float, float], "DifferenceStatistics"]
+    )
 
     @property
     def pixel_um(self) -> float:
@@ -201,7 +203,7 @@ class Tallied:
 
     def comparison(self, first: SurfaceName, second: SurfaceName) -> Comparison:
         """What was compared and how it came out, by the windows that were made; by all of it where none was."""
-        total = sum(self._sums.values(), Sums()) if self._sums else None
+        total = sum(self._sums.values(), DifferenceStatistics()) if self._sums else None
         provenance = self.provenance
         calibration = provenance.calibration
         return Comparison(

@@ -10,7 +10,7 @@ from pathlib import Path
 
 from wafer_viewer.compute.dask_worker import attempt
 from wafer_viewer.compute.local_or_cluster import crew_for
-from wafer_viewer.compute.task_runner import Crew, Here, n_local_workers, require_tls
+from wafer_viewer.compute.task_runner import LocalRunner, TaskRunner, n_local_workers, require_tls
 from wafer_viewer.model.errors import ComputeError, DatasetError, PlanError, WaferViewerError
 from wafer_viewer.model.file_formats import Reading
 from wafer_viewer.model.job.job import Job
@@ -40,7 +40,7 @@ CLUSTER_PAYS_BYTES = 4e9
 
 
 @dataclass(frozen=True, slots=True)
-class Hire:
+class LocalOrCluster:
     """Who is to work: the cluster at `scheduler`, or `workers` processes of this machine; None: as many as pay."""
 
     scheduler: str | None = None
@@ -53,7 +53,7 @@ class Hire:
         if self.scheduler is not None and self.workers is not None:
             raise PlanError("--workers is for this machine and --scheduler for a cluster: give one of them.")
 
-    def crew(self, work_bytes: float) -> AbstractContextManager[Crew]:
+    def crew(self, work_bytes: float) -> AbstractContextManager[TaskRunner]:
         """The crew for so many bytes of frames."""
         return crew_for(self.scheduler, self.workers or (1 if work_bytes < CLUSTER_PAYS_BYTES else n_local_workers()))
 
@@ -66,7 +66,7 @@ def surface_of(
     result: str,
     tell: Progress,
     warn: Warn,
-    hire: Hire,
+    hire: LocalOrCluster,
     *,
     numerical_aperture: float | None = None,
     wavelength_um: float | None = None,
@@ -91,7 +91,14 @@ def surface_of(
 
 
 def make_surface(
-    path: Path, recipe: Recipe, result: str, *, again: bool, tell: Progress, warn: Warn, hire: Hire = Hire()
+    path: Path,
+    recipe: Recipe,
+    result: str,
+    *,
+    again: bool,
+    tell: Progress,
+    warn: Warn,
+    hire: LocalOrCluster = LocalOrCluster(),
 ) -> SurfaceInfo:
     """Heights of all fields that have none by this recipe yet, then the mosaic; the dataset is held meanwhile.
 
@@ -186,7 +193,7 @@ def _fields_to_do(data: Dataset, recipe: Recipe, result: str, again: bool) -> li
 
 
 def _reconstruct(
-    data: Dataset, result: str, recipe: Recipe, todo: Sequence[int], crew: Crew, tell: Progress, warn: Warn
+    data: Dataset, result: str, recipe: Recipe, todo: Sequence[int], crew: TaskRunner, tell: Progress, warn: Warn
 ) -> None:
     """Heights of fields; those that get none are named. Raises ComputeError where no field has any."""
     faults: list[str] = []
@@ -200,14 +207,14 @@ def _reconstruct(
 
 
 def _outcomes(
-    data: Dataset, result: str, recipe: Recipe, todo: Sequence[int], crew: Crew, tell: Progress
+    data: Dataset, result: str, recipe: Recipe, todo: Sequence[int], crew: TaskRunner, tell: Progress
 ) -> Iterator[tuple[int, WaferViewerError | None]]:
     """Fields in order of completion, and the fault of those that have no heights.
 
     Until one settles what `auto` means for all they go one by one, so that heights do not depend on who makes them.
     """
     kept, n = data.result(result), 0
-    while n < len(todo) and (isinstance(crew, Here) or (recipe.heights_have_auto and kept.settled() is None)):
+    while n < len(todo) and (isinstance(crew, LocalRunner) or (recipe.heights_have_auto and kept.settled() is None)):
         task = partial(reconstruct_field, progress=partial(_part, tell, n / len(todo), 1 / len(todo)))
         _, fault = attempt(task, (data.path, todo[n], result, recipe, None))
         n += 1

@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from wafer_viewer.model.acquisition.plan import Field
 from wafer_viewer.model.spec import replace
-from wafer_viewer.model.surface.field_poses import DOUBT_TITLES, Doubt, Poses
+from wafer_viewer.model.surface.field_poses import DOUBT_TITLES, Poses, RejectionReason
 from wafer_viewer.session.state.snapshot import StitchingInfo
 
 COVERAGE = 2.0
@@ -57,5 +57,7 @@ def as_stitched(fields: Sequence[Field], poses: Poses | None) -> list[Field]:
 
 def _doubts(codes: NDArray[np.uint8]) -> tuple[tuple[str, int], ...]:
     """Why overlaps are not believed, the most frequent reason first."""
-    found = [(DOUBT_TITLES[doubt], int(np.sum(codes == doubt))) for doubt in Doubt if doubt != Doubt.NONE]
+    found = [
+        (DOUBT_TITLES[doubt], int(np.sum(codes == doubt))) for doubt in RejectionReason if doubt != RejectionReason.NONE
+    ]
     return tuple(sorted(((title, n) for title, n in found if n), key=lambda reason: -reason[1]))

@@ -9,16 +9,16 @@ from functools import partial
 from pathlib import Path
 from typing import Any
 
-from wafer_viewer.compute.child_process import ChildGone
+from wafer_viewer.compute.child_process import ChildDied
 from wafer_viewer.compute.compute_client import Compute
 from wafer_viewer.compute.messages import ComputeAbsent, ComputeUp, ComputeWarm, Progressed
 from wafer_viewer.model.errors import ComputeError
 from wafer_viewer.model.surface.recipe import Recipe
-from wafer_viewer.session.core.command_queue import Desk
+from wafer_viewer.session.core.command_queue import CommandQueue
 from wafer_viewer.session.core.dataset_library import Library
-from wafer_viewer.session.core.notifications import Notices
+from wafer_viewer.session.core.notifications import Notifications
 from wafer_viewer.session.state.snapshot import FieldState, SurfaceInfo
-from wafer_viewer.session.surface.reconstruction_run import Run
+from wafer_viewer.session.surface.reconstruction_run import ReconstructionRun
 from wafer_viewer.session.surface.stitching_job import bring_up_to_date, describe_mosaic
 from wafer_viewer.session.surface.worker_tasks import reconstruct_field, reconstruct_live, warm_up
 
@@ -31,12 +31,12 @@ RESTARTS = 3
 class Reconstruction:
     """On the session's thread only. While a scan runs one worker stays free for the rig."""
 
-    def __init__(self, desk: Desk, notices: Notices, library: Library, scheduler: str | None) -> None:
+    def __init__(self, desk: CommandQueue, notices: Notifications, library: Library, scheduler: str | None) -> None:
         self._desk, self._notices, self._library = desk, notices, library
         self.compute = Compute(scheduler, warm_up, self._heard, self._gone)
         self._n_workers, self._warm, self._restarts = 1, False, 0
         self._told_why = False
-        self._run: Run | None = None
+        self._run: ReconstructionRun | None = None
         self._on = {
             ComputeUp: self._up,
             ComputeWarm: self._warmed,
@@ -61,7 +61,9 @@ class Reconstruction:
         store = self._library.dataset.result(result)
         store.save_recipe(recipe)
         work = self._notices.begin("Heights of the fields", self._cancelled, waits_for="a field with all its frames")
-        self._run = Run(self._library.dataset.path, result, recipe, work, answer=answer, restitch=restitch)
+        self._run = ReconstructionRun(
+            self._library.dataset.path, result, recipe, work, answer=answer, restitch=restitch
+        )
         self.add(fields)
 
     def add(self, fields: Iterable[int]) -> None:
@@ -125,7 +127,7 @@ class Reconstruction:
     def _room(self) -> int:
         return max(1, self._n_workers - 1) if self._desk.now.scanning else self._n_workers
 
-    def _start(self, run: Run, number: int) -> None:
+    def _start(self, run: ReconstructionRun, number: int) -> None:
         run.busy.add(number)
         self._library.set_state(number, FieldState.RECONSTRUCTING)
         done = self.compute.run(
@@ -133,7 +135,7 @@ class Reconstruction:
         )
         done.add_done_callback(partial(self._later, self._field_done, run, number))
 
-    def _live_done(self, run: Run, number: int, done: Future[bool]) -> None:
+    def _live_done(self, run: ReconstructionRun, number: int, done: Future[bool]) -> None:
         """Without heights the field goes the usual way, as soon as it has all its frames."""
         if done.exception() is None and done.result():
             run.made_live.add(number)
@@ -144,13 +146,13 @@ class Reconstruction:
         if run is self._run:
             self.add(run.complete & {number})
 
-    def _field_done(self, run: Run, number: int, done: Future[Any]) -> None:
+    def _field_done(self, run: ReconstructionRun, number: int, done: Future[Any]) -> None:
         run.busy.discard(number)
         run.answered = True
         if run is not self._run:
             return
         fault = done.exception()
-        if isinstance(fault, ChildGone):
+        if isinstance(fault, ChildDied):
             run.waiting.append(number)
         elif fault is not None:
             self._library.set_state(number, FieldState.FAILED)
@@ -161,7 +163,7 @@ class Reconstruction:
         self._notices.progress(run.work, (run.total - len(run.waiting) - len(run.busy)) / max(1, run.total))
         self.go_on()
 
-    def _finish(self, run: Run) -> None:
+    def _finish(self, run: ReconstructionRun) -> None:
         """All fields are done: stitch what there is."""
         if not (run.restitch or run.grown):
             self._end(run, None)
@@ -170,12 +172,12 @@ class Reconstruction:
         run.work = self._notices.begin("Stitching the fields", self._cancelled)
         self._stitch(run, run.work, final=True)
 
-    def _stitch(self, run: Run, work: str, *, final: bool) -> None:
+    def _stitch(self, run: ReconstructionRun, work: str, *, final: bool) -> None:
         run.restitch, run.stitching = False, True
         done = self.compute.lead(work, bring_up_to_date, run.path, run.result, run.recipe, final)
         done.add_done_callback(partial(self._later, self._stitched, run, final, time.monotonic()))
 
-    def _stitched(self, run: Run, final: bool, begun_at: float, done: Future[SurfaceInfo]) -> None:
+    def _stitched(self, run: ReconstructionRun, final: bool, begun_at: float, done: Future[SurfaceInfo]) -> None:
         """A mosaic that only grew is finished later; what stopped it from growing will be told then."""
         run.stitching = False
         if run is not self._run:
@@ -183,7 +185,7 @@ class Reconstruction:
         fault = done.exception()
         if fault is None:
             self._library.show_surface(done.result())
-        if final and not isinstance(fault, ChildGone):
+        if final and not isinstance(fault, ChildDied):
             if fault is not None:
                 self._notices.fault("The fields were not stitched", str(fault), "surface")
             self._end(run, fault)
@@ -210,7 +212,7 @@ class Reconstruction:
         self._library.reread_states()
         self._end(run, ComputeError("The reconstruction was stopped; the fields that were done are kept."))
 
-    def _end(self, run: Run, fault: BaseException | None) -> None:
+    def _end(self, run: ReconstructionRun, fault: BaseException | None) -> None:
         self._notices.end(run.work)
         self._run = None
         if run.stitching:

@@ -11,7 +11,7 @@ from wafer_viewer.model.surface.recipe import Recipe
 
 
 @dataclass(slots=True)
-class Run:
+class ReconstructionRun:
     """One reconstruction of the open dataset; more fields may join while a scan goes on.
 
     complete: fields that have all their frames; live: those that a worker was set on while they were being taken, of

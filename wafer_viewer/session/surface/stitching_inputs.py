@@ -21,9 +21,9 @@ from wafer_viewer.model.spec import replace
 from wafer_viewer.model.surface.field_poses import Poses
 from wafer_viewer.model.surface.height_map import HeightMap, Provenance
 from wafer_viewer.model.surface.recipe import Recipe, Stitching
-from wafer_viewer.reconstruct.blending.mosaic_layout import Lattice, layout, planned_lattice
+from wafer_viewer.reconstruct.blending.mosaic_layout import PixelLattice, layout, planned_lattice
 from wafer_viewer.reconstruct.blending.stitched_mosaic import StitchedMosaic, mosaic_provenance
-from wafer_viewer.reconstruct.pose_graph.incremental import Known
+from wafer_viewer.reconstruct.pose_graph.incremental import PreviousSolution
 from wafer_viewer.store.dataset.dataset import Dataset
 from wafer_viewer.store.dataset.result import Result
 from wafer_viewer.store.mosaic.layout import MosaicHeader
@@ -58,7 +58,7 @@ class FieldOutline:
 
 
 @dataclass(frozen=True)
-class Sheets:
+class StitchingInputs:
     """Of a result: the fields that have a surface, the marks of their files, a sentence for each unreadable one."""
 
     data: Dataset
@@ -69,7 +69,7 @@ class Sheets:
     faults: tuple[str, ...]
 
     @classmethod
-    def open(cls, dataset: Path, result: str, stitching: Stitching) -> Sheets:
+    def open(cls, dataset: Path, result: str, stitching: Stitching) -> StitchingInputs:
         """All surfaces there are now. Raises DatasetError when there is none."""
         data = Dataset.open(dataset)
         kept = data.result(result)
@@ -82,7 +82,7 @@ class Sheets:
         return cls(data, kept, stitching, tuple(readable), marks, tuple(faults))
 
     @classmethod
-    def drawn(cls, dataset: Path, result: str, stitching: Stitching, poses: Poses) -> Sheets:
+    def drawn(cls, dataset: Path, result: str, stitching: Stitching, poses: Poses) -> StitchingInputs:
         """The surfaces that poses were found for."""
         data = Dataset.open(dataset)
         fields = {f.number: f for f in data.fields}
@@ -100,13 +100,13 @@ class Sheets:
         return [FieldOutline.of(self.data, f) for f in self.fields]
 
     @cached_property
-    def lattice(self) -> Lattice:
+    def lattice(self) -> PixelLattice:
         """That of all planned fields: it never moves, whichever of them are there; with room where they may move."""
         outlines = [FieldOutline.of(self.data, f) for f in self.data.fields]
         stays = len(outlines) == 1 or self.stitching.poses == "stage"
         return planned_lattice(outlines, 0) if stays else planned_lattice(outlines)
 
-    def known(self) -> Known:
+    def known(self) -> PreviousSolution:
         """What the mosaic on disk shows of these surfaces; nothing when it was made otherwise or was broken off."""
         poses, header = self._stitched()
         if header is not None:
@@ -114,7 +114,7 @@ class Sheets:
             wanted = self.lattice.x0_um, self.lattice.y0_um, self.lattice.pixel_um, self.lattice.shape
             if there != wanted or header.provenance.recipe.stitching != self.stitching:
                 poses = None
-        return Known.of(poses, np.array(self.numbers, np.int32), self.marks)
+        return PreviousSolution.of(poses, np.array(self.numbers, np.int32), self.marks)
 
     def mosaic_is_good(self) -> bool:
         """Whether no file of the mosaic on disk is damaged; all of it is read."""
@@ -147,7 +147,7 @@ class Sheets:
         joint = mosaic_provenance([surface.provenance for surface in opened], recipe)
         return replace(joint, notes=(*joint.notes, *poses.notes, *self.faults))
 
-    def windows(self, known: Known, poses: Poses, moved: NDArray[np.bool_]) -> list[Window]:
+    def windows(self, known: PreviousSolution, poses: Poses, moved: NDArray[np.bool_]) -> list[Window]:
         """What of the mosaic is to be drawn again: where fields lay and where they lie now."""
         now = layout(self.outlines, poses, self.lattice)
         windows = [now.window_of(n) for n in np.flatnonzero(moved).tolist()]

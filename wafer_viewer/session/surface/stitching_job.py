@@ -17,17 +17,17 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from wafer_viewer.compute.task_runner import Crew, Here
+from wafer_viewer.compute.task_runner import LocalRunner, TaskRunner
 from wafer_viewer.model.errors import DatasetError
 from wafer_viewer.model.progress import Progress, ShouldStop, never, silent
 from wafer_viewer.model.surface.recipe import Recipe, Stitching
 from wafer_viewer.session.state.snapshot import Box, SurfaceInfo
 
 if TYPE_CHECKING:
-    from wafer_viewer.model.surface.field_poses import Poses, Seams, Shifts
+    from wafer_viewer.model.surface.field_poses import HeightOffsets, Poses, Shifts
     from wafer_viewer.reconstruct.blending.stitched_mosaic import StitchedMosaic
-    from wafer_viewer.reconstruct.pose_graph.incremental import Known
-    from wafer_viewer.session.surface.stitching_inputs import Sheets, Window
+    from wafer_viewer.reconstruct.pose_graph.incremental import PreviousSolution
+    from wafer_viewer.session.surface.stitching_inputs import StitchingInputs, Window
     from wafer_viewer.store.mosaic.zarr_mosaic import Patch
 
 LOOK_SHARE = 0.4
@@ -41,7 +41,7 @@ def bring_up_to_date(
     recipe: Recipe,
     final: bool = True,
     *,
-    crew: Crew | None = None,
+    crew: TaskRunner | None = None,
     progress: Progress = silent,
     should_stop: ShouldStop = never,
 ) -> SurfaceInfo:
@@ -52,10 +52,10 @@ def bring_up_to_date(
     when the work is stopped: what a mosaic half drawn had is made anew next time.
     """
     from wafer_viewer.reconstruct.pose_graph.incremental import held_still
-    from wafer_viewer.session.surface.stitching_inputs import Sheets
+    from wafer_viewer.session.surface.stitching_inputs import StitchingInputs
 
-    sheets = Sheets.open(dataset.absolute(), result, recipe.stitching)
-    hands = _Hands(sheets, crew or Here(), progress, should_stop)
+    sheets = StitchingInputs.open(dataset.absolute(), result, recipe.stitching)
+    hands = _Hands(sheets, crew or LocalRunner(), progress, should_stop)
     hands.crew.require_sight(sheets.data.path)
     known = sheets.known()
     outline = sheets.outlines[0]
@@ -78,8 +78,8 @@ def bring_up_to_date(
 class _Hands:
     """Who works on which surfaces, who hears how far it is, and who may stop it."""
 
-    sheets: Sheets
-    crew: Crew
+    sheets: StitchingInputs
+    crew: TaskRunner
     progress: Progress
     should_stop: ShouldStop
 
@@ -97,10 +97,12 @@ class _Hands:
 # ------------------------------------------------------------------------------------------------ looking at overlaps
 
 
-def _find_poses(sheets: Sheets, recipe: Recipe, known: Known, final: bool, hands: _Hands) -> Poses:
-    from wafer_viewer.reconstruct.stitching import Eyes, find_poses
+def _find_poses(sheets: StitchingInputs, recipe: Recipe, known: PreviousSolution, final: bool, hands: _Hands) -> Poses:
+    from wafer_viewer.reconstruct.stitching import OverlapObservers, find_poses
 
-    eyes = Eyes(partial(_register, hands, recipe.stitching), partial(_compare, hands), sheets.surfaces.__getitem__)
+    eyes = OverlapObservers(
+        partial(_register, hands, recipe.stitching), partial(_compare, hands), sheets.surfaces.__getitem__
+    )
     return find_poses(sheets.outlines, sheets.numbers, sheets.marks, recipe.stitching, eyes, known, final=final)
 
 
@@ -113,7 +115,9 @@ def _register(hands: _Hands, stitching: Stitching, pairs: NDArray[np.int32]) -> 
     return _of_fields(joined(found), pairs) if found else no_shifts()
 
 
-def _compare(hands: _Hands, pairs: NDArray[np.int32], x_um: NDArray[np.float64], y_um: NDArray[np.float64]) -> Seams:
+def _compare(
+    hands: _Hands, pairs: NDArray[np.int32], x_um: NDArray[np.float64], y_um: NDArray[np.float64]
+) -> HeightOffsets:
     from wafer_viewer.model.surface.field_poses import joined, no_seams
 
     items = [(*_names(hands, part), x_um[np.unique(part)], y_um[np.unique(part)]) for part in _batches(pairs)]
@@ -154,7 +158,7 @@ def compare_pairs(
     pairs: NDArray[np.int32],
     x_um: NDArray[np.float64],
     y_um: NDArray[np.float64],
-) -> Seams:
+) -> HeightOffsets:
     """A worker's task: what the overlaps of some fields, centred there, say about z."""
     from wafer_viewer.reconstruct.registration.height_seams import compare
     from wafer_viewer.session.surface.stitching_inputs import surfaces_of
@@ -165,7 +169,9 @@ def compare_pairs(
 # ------------------------------------------------------------------------------------------------ drawing
 
 
-def _draw(sheets: Sheets, poses: Poses, recipe: Recipe, windows: Sequence[Window] | None, hands: _Hands) -> None:
+def _draw(
+    sheets: StitchingInputs, poses: Poses, recipe: Recipe, windows: Sequence[Window] | None, hands: _Hands
+) -> None:
     """Windows of the mosaic, or all of it beside the one that is there; each task writes shards of its own."""
     from wafer_viewer.store.mosaic.zarr_mosaic import patches
 
@@ -182,7 +188,7 @@ def _draw(sheets: Sheets, poses: Poses, recipe: Recipe, windows: Sequence[Window
 
 
 @contextmanager
-def _canvas(sheets: Sheets, poses: Poses, recipe: Recipe, *, fresh: bool) -> Generator[Path]:
+def _canvas(sheets: StitchingInputs, poses: Poses, recipe: Recipe, *, fresh: bool) -> Generator[Path]:
     """The mosaic to draw on; a fresh one lies beside the other until it is whole."""
     from wafer_viewer.store.io.atomic_files import replacing
     from wafer_viewer.store.mosaic.zarr_mosaic import lay_out, rewrite_header
@@ -208,11 +214,11 @@ def draw_patch(dataset: Path, result: str, recipe: Recipe, drawing: Path, canvas
 def _source(dataset: Path, result: str, recipe: Recipe, drawing: Path, mark: int) -> StitchedMosaic:
     """The mosaic to be drawn, kept from patch to patch; `mark` tells one drawing from the next."""
     from wafer_viewer.model.surface.height_map import Provenance
-    from wafer_viewer.session.surface.stitching_inputs import Sheets
+    from wafer_viewer.session.surface.stitching_inputs import StitchingInputs
     from wafer_viewer.store.mosaic.poses_file import read_poses
 
     poses = read_poses(drawing)
-    return Sheets.drawn(dataset, result, recipe.stitching, poses).source(poses, Provenance(recipe=recipe))
+    return StitchingInputs.drawn(dataset, result, recipe.stitching, poses).source(poses, Provenance(recipe=recipe))
 
 
 # ------------------------------------------------------------------------------------------------ saying how it looks
@@ -223,7 +229,7 @@ def describe_mosaic(
 ) -> SurfaceInfo:
     """A worker's task: say how a mosaic looks that was stitched elsewhere."""
     from wafer_viewer.session.core.surface_summary import save_summary, summarise
-    from wafer_viewer.session.surface.stitching_inputs import Sheets
+    from wafer_viewer.session.surface.stitching_inputs import StitchingInputs
     from wafer_viewer.store.dataset.dataset import Dataset
 
     data = Dataset.open(dataset)
@@ -233,16 +239,16 @@ def describe_mosaic(
         info = summarise(mosaic, 0, result, recipe)
         save_summary(kept, info)
         return info
-    sheets = Sheets.open(dataset, result, recipe.stitching)
+    sheets = StitchingInputs.open(dataset, result, recipe.stitching)
     return _described(sheets, sheets.kept.poses(), recipe)
 
 
-def _summary(sheets: Sheets, poses: Poses, recipe: Recipe, windows: Sequence[Window] | None) -> SurfaceInfo:
+def _summary(sheets: StitchingInputs, poses: Poses, recipe: Recipe, windows: Sequence[Window] | None) -> SurfaceInfo:
     info = _described(sheets, poses, recipe)
     return info if windows is None else replace(info, changed=tuple((0, box) for box in _hull_um(sheets, windows)))
 
 
-def _described(sheets: Sheets, poses: Poses | None, recipe: Recipe) -> SurfaceInfo:
+def _described(sheets: StitchingInputs, poses: Poses | None, recipe: Recipe) -> SurfaceInfo:
     """The numbers of the mosaic, which are kept beside it."""
     from wafer_viewer.session.core.surface_summary import save_summary, summarise
     from wafer_viewer.session.surface.placement_summary import stitching_info
@@ -253,7 +259,7 @@ def _described(sheets: Sheets, poses: Poses | None, recipe: Recipe) -> SurfaceIn
     return info
 
 
-def _hull_um(sheets: Sheets, windows: Sequence[Window]) -> list[Box]:
+def _hull_um(sheets: StitchingInputs, windows: Sequence[Window]) -> list[Box]:
     """The box round all windows, none round none."""
     if not windows:
         return []

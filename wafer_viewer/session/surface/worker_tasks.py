@@ -123,7 +123,7 @@ def export_surface(
 
     part: only what lies in the upright rectangle round this region.
     """
-    from wafer_viewer.model.surface.comparison import Face
+    from wafer_viewer.model.surface.comparison import ComparisonFace
     from wafer_viewer.model.surface.height_map import Mosaic, PartOfMosaic
     from wafer_viewer.session.surface.comparison_job import face_of
     from wafer_viewer.store.dataset.dataset import Dataset
@@ -133,7 +133,7 @@ def export_surface(
     kept = data.result(result)
     surface: Mosaic
     if field_number is not None and field_number < 0:
-        surface = face_of(dataset, result, Face(-field_number))
+        surface = face_of(dataset, result, ComparisonFace(-field_number))
     else:
         surface = kept.mosaic() if field_number is None else kept.surface(data.field(field_number))
     return export(surface if part is None else PartOfMosaic(surface, part), out, every, progress, should_stop)

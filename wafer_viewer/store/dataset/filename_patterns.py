@@ -9,8 +9,8 @@ from wafer_viewer.model.errors import DatasetError
 from wafer_viewer.store.dataset.image_files import (
     NOTHING_WRITTEN,
     READERS,
+    ImageFile,
     Paths,
-    Picture,
     image_files,
     pictures,
     pictures_of,
@@ -18,7 +18,7 @@ from wafer_viewer.store.dataset.image_files import (
 
 Cell = tuple[int, int]
 """(row, col) as the files are numbered."""
-Slot = tuple[Picture | None, ...]
+Slot = tuple[ImageFile | None, ...]
 """What was taken at one z: a picture in each exposure, None where there is none."""
 _PARTS = {"row", "col", "k", "e"}
 
@@ -33,7 +33,7 @@ def stacks_by_cell(src: Paths, pattern: str | None) -> dict[Cell, list[Slot]]:
     if pattern is None:
         return {(0, 0): [(picture,) for picture in pictures(src)]}
     expression = compile_pattern(pattern)
-    found: dict[Cell, dict[tuple[int, int], Picture]] = {}
+    found: dict[Cell, dict[tuple[int, int], ImageFile]] = {}
     for path, name in _named_files(src, "/" in pattern):
         cell, frames = _frames_of(path, name, expression, pattern)
         stack = found.setdefault(cell, {})
@@ -77,7 +77,7 @@ def _named_files(src: Paths, deep: bool) -> list[tuple[Path, str]]:
 
 def _frames_of(
     path: Path, name: str, expression: re.Pattern[str], pattern: str
-) -> tuple[Cell, dict[tuple[int, int], Picture]]:
+) -> tuple[Cell, dict[tuple[int, int], ImageFile]]:
     """The field of a file, and its pictures by (k, exposure)."""
     match = expression.fullmatch(name)
     if match is None:

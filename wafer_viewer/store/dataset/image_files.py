@@ -29,14 +29,14 @@ Paths = str | Path | Sequence[str | Path]
 
 
 @dataclass(frozen=True, slots=True)
-class Picture:
+class ImageFile:
     """One image by the name a person knows it by; `read` gives it grey, [row, col], uint8 or uint16."""
 
     name: str
     read: Callable[[], Image]
 
 
-def pictures(src: Paths) -> list[Picture]:
+def pictures(src: Paths) -> list[ImageFile]:
     """The pictures of a folder, a file, or a list of files, in natural order; all pages of a multi-page TIFF.
 
     Raises DatasetError when there are none, or a file cannot be read as an image.
@@ -83,13 +83,13 @@ def _files_in(folder: Path) -> list[Path]:
     return visible
 
 
-def pictures_of(path: Path) -> list[Picture]:
+def pictures_of(path: Path) -> list[ImageFile]:
     """The pictures of one file: all pages of a TIFF, one of any other kind."""
     if path.suffix.lower() not in TIFF_ENDINGS:
-        return [Picture(path.name, partial(_read_file, path))]
+        return [ImageFile(path.name, partial(_read_file, path))]
     n_pages = _page_count(path)
     names = [path.name] if n_pages == 1 else [f"{path.name}, page {k + 1}" for k in range(n_pages)]
-    return [Picture(name, partial(_read_page, path, k, name)) for k, name in enumerate(names)]
+    return [ImageFile(name, partial(_read_page, path, k, name)) for k, name in enumerate(names)]
 
 
 def _page_count(path: Path) -> int:

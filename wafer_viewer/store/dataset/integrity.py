@@ -41,7 +41,7 @@ STITCHED = "Stitched surfaces"
 
 
 @dataclass(frozen=True, slots=True)
-class FileKind:
+class FileRole:
     """Files of one kind: their paths in the folder of a dataset, and how their checksum is tested."""
 
     title: str
@@ -98,7 +98,7 @@ def check_files(
     return tuple(_report(title, states[title]) for title in order if title in states)
 
 
-def kind_of(path: str) -> FileKind | None:
+def kind_of(path: str) -> FileRole | None:
     """The kind of a file by its path in the folder of a dataset, None for an unknown one."""
     return next((kind for kind in KINDS if kind.pattern.fullmatch(path)), None)
 
@@ -165,8 +165,8 @@ def _shard_state(path: Path) -> Checksum:
     return Checksum.GOOD
 
 
-def _kind(title: str, pattern: str, examine: Examine | None) -> FileKind:
-    return FileKind(title, re.compile(pattern), examine)
+def _kind(title: str, pattern: str, examine: Examine | None) -> FileRole:
+    return FileRole(title, re.compile(pattern), examine)
 
 
 _RESULT = r"results/[^/]+/"

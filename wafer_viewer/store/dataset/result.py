@@ -9,7 +9,7 @@ from pathlib import Path
 
 from wafer_viewer.model.acquisition.plan import Field
 from wafer_viewer.model.errors import DatasetError
-from wafer_viewer.model.findings import Findings
+from wafer_viewer.model.findings import MeasurementResults
 from wafer_viewer.model.spec import Spec
 from wafer_viewer.model.surface.comparison import Comparison
 from wafer_viewer.model.surface.field_poses import Poses
@@ -156,13 +156,13 @@ class Result:
         except OSError as fault:
             raise DatasetError(f"The surface of field {field.number} is gone: reconstruct it again.") from fault
 
-    def findings(self) -> Findings:
+    def findings(self) -> MeasurementResults:
         """What was measured; nothing at first."""
         if not (self.path / FINDINGS).exists():
-            return Findings()
-        return load_json(self.path / FINDINGS, Findings)
+            return MeasurementResults()
+        return load_json(self.path / FINDINGS, MeasurementResults)
 
-    def save_findings(self, findings: Findings) -> None:
+    def save_findings(self, findings: MeasurementResults) -> None:
         """Keep what was measured, in place of what was kept before. Raises DatasetError when that is damaged."""
         require_good_json(self.path / FINDINGS)
         self._save(FINDINGS, findings)

@@ -23,7 +23,7 @@ from wafer_viewer.model.job.job import Job
 from wafer_viewer.model.progress import Progress, ShouldStop
 from wafer_viewer.store.dataset.dataset import Dataset
 from wafer_viewer.store.dataset.filename_patterns import Cell, Slot, stacks_by_cell
-from wafer_viewer.store.dataset.image_files import NOTHING_WRITTEN, Paths, Picture, pictures
+from wafer_viewer.store.dataset.image_files import NOTHING_WRITTEN, ImageFile, Paths, pictures
 from wafer_viewer.store.dataset.writer import DatasetWriter
 from wafer_viewer.store.io.atomic_files import replacing, require_space
 from wafer_viewer.store.io.progress import watched
@@ -37,7 +37,7 @@ than the other, and never takes an invented ratio for a measured one.
 MAX_OVERLAP = 0.5
 MIN_WAVELENGTH_UM, MAX_WAVELENGTH_UM = 0.2, 2.0
 Stacks = dict[Cell, list[Slot]]
-P = TypeVar("P", Picture, Slot)
+P = TypeVar("P", ImageFile, Slot)
 
 
 def open_stack(
@@ -122,7 +122,7 @@ class _Alike:
     first: Image | None = None
     n_before: int = 0
 
-    def passed(self, picture: Picture) -> Image:
+    def passed(self, picture: ImageFile) -> Image:
         image = picture.read()
         first = image if self.first is None else self.first
         if _kind(image) != _kind(first):
@@ -135,7 +135,7 @@ class _Alike:
         return image
 
 
-def _read_all(found: list[Picture], progress: Progress | None, should_stop: ShouldStop | None) -> Image:
+def _read_all(found: list[ImageFile], progress: Progress | None, should_stop: ShouldStop | None) -> Image:
     alike = _Alike()
     first = alike.passed(found[0])
     dtype: np.dtype[Any] = first.dtype
@@ -157,7 +157,7 @@ def _copy(stacks: Stacks, writer: DatasetWriter, progress: Progress | None, shou
     writer.finish()
 
 
-def _slots(stacks: Stacks, plan: ScanPlan) -> Iterator[tuple[Shot, Field, Picture | None]]:
+def _slots(stacks: Stacks, plan: ScanPlan) -> Iterator[tuple[Shot, Field, ImageFile | None]]:
     for field, stack in zip(plan.fields, stacks.values(), strict=True):
         for k, slot in enumerate(stack):
             for exposure, picture in enumerate(slot):

@@ -18,7 +18,7 @@ OURS = "WaferViewer"
 LINE_LETTERS = 200
 
 
-class About(msgspec.Struct, frozen=True):
+class EmbeddedMetadata(msgspec.Struct, frozen=True):
     """The lattice that a file was written on, and where its surface comes from."""
 
     pixel_um: float
@@ -83,11 +83,11 @@ def about(strips: Strips) -> str:
     return json.dumps(facts, ensure_ascii=True, separators=(",", ":"))
 
 
-def told_by(text: str | None) -> About | None:
+def told_by(text: str | None) -> EmbeddedMetadata | None:
     """What the text for programs says; None where there is none, or one that another version cannot read."""
     try:
         facts: Any = json.loads(text or "")
         provenance = decode(json.dumps(facts["provenance"]), Provenance, OURS, "json")
-        return msgspec.convert({**facts, "provenance": provenance}, About)
+        return msgspec.convert({**facts, "provenance": provenance}, EmbeddedMetadata)
     except (ValueError, KeyError, TypeError, WaferViewerError):
         return None

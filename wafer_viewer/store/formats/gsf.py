@@ -12,7 +12,7 @@ import numpy as np
 
 from wafer_viewer.model.surface.height_map import HeightMap
 from wafer_viewer.store.formats.embedded_metadata import OURS, about, title, told_by
-from wafer_viewer.store.formats.reader_support import Asked, heights_only, scaled
+from wafer_viewer.store.formats.reader_support import ReadOptions, heights_only, scaled
 from wafer_viewer.store.formats.surface_strips import Strips
 
 MAGIC = b"Gwyddion Simple Field 1.0\n"
@@ -29,7 +29,7 @@ def write_gsf(strips: Strips, path: Path) -> None:
             file.write((z_um.astype(np.float64) * _M).astype("<f4").tobytes())
 
 
-def read_gsf(path: Path, asked: Asked) -> HeightMap:
+def read_gsf(path: Path, asked: ReadOptions) -> HeightMap:
     """Heights of a GSF file. Raises DatasetError for what is no such file, or does not say its units."""
     said, begin = _said(path, asked)
     rows, cols = (_count(said, name, asked) for name in ("YRes", "XRes"))
@@ -66,7 +66,7 @@ def _header(strips: Strips) -> bytes:
     return text + b"\0" * (4 - len(text) % 4)
 
 
-def _said(path: Path, asked: Asked) -> tuple[dict[str, str], int]:
+def _said(path: Path, asked: ReadOptions) -> tuple[dict[str, str], int]:
     """The lines of the header, and where the numbers begin."""
     with path.open("rb") as file:
         content = file.read(_LARGEST_HEADER)
@@ -82,20 +82,20 @@ def _said(path: Path, asked: Asked) -> tuple[dict[str, str], int]:
     return said, end + 4 - end % 4
 
 
-def _count(said: dict[str, str], name: str, asked: Asked) -> int:
+def _count(said: dict[str, str], name: str, asked: ReadOptions) -> int:
     if not said.get(name, "").isdigit() or int(said[name]) < 1:
         raise asked.refuse(f"has no {name} in its header: write it again with its numbers of rows and columns.")
     return int(said[name])
 
 
-def _number(said: dict[str, str], name: str, asked: Asked, otherwise: float) -> float:
+def _number(said: dict[str, str], name: str, asked: ReadOptions, otherwise: float) -> float:
     try:
         return float(said.get(name, otherwise))
     except ValueError as fault:
         raise asked.refuse(f"has {said[name]!r} for {name} in its header: it must be a number.") from fault
 
 
-def _pitch_um(said: dict[str, str], name: str, n: int, unit_um: float | None, asked: Asked) -> float | None:
+def _pitch_um(said: dict[str, str], name: str, n: int, unit_um: float | None, asked: ReadOptions) -> float | None:
     if name not in said or unit_um is None:
         return None
     return _number(said, name, asked, 0.0) / n * unit_um

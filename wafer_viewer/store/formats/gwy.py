@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 from wafer_viewer.model.surface.height_map import HeightMap, Provenance
 from wafer_viewer.store.formats.embedded_metadata import OURS, about, title, told_by
 from wafer_viewer.store.formats.gwy_tree import MAGIC, Tree, parsed
-from wafer_viewer.store.formats.reader_support import UNITS_UM, Asked, heights_only, require_some, scaled
+from wafer_viewer.store.formats.reader_support import UNITS_UM, ReadOptions, heights_only, require_some, scaled
 from wafer_viewer.store.formats.surface_strips import Strips
 
 _M = 1e-6
@@ -83,7 +83,7 @@ def fits_heights(strips: Strips) -> bool:
     return _size(strips, _parts(strips, CHANNELS[:1])) <= _LARGEST_BYTES
 
 
-def read_gwy(path: Path, asked: Asked) -> HeightMap:
+def read_gwy(path: Path, asked: ReadOptions) -> HeightMap:
     """The layers of a file of ours, the heights of another's. Raises DatasetError where there are no heights."""
     with path.open("rb") as file:
         is_ours = file.read(len(MAGIC)) == MAGIC
@@ -112,7 +112,7 @@ def _surface(
     titles: dict[Any, int],
     number: int,
     came_from: Provenance | None,
-    asked: Asked,
+    asked: ReadOptions,
 ) -> HeightMap:
     field = channels[number]
     asked.require_heights_up(str(tree.get(f"/{number}/data/title", "")))
@@ -142,7 +142,7 @@ def _surface(
     )
 
 
-def _heights(tree: Tree, number: int, channels: dict[int, Tree], asked: Asked) -> NDArray[np.float32]:
+def _heights(tree: Tree, number: int, channels: dict[int, Tree], asked: ReadOptions) -> NDArray[np.float32]:
     """The heights of a channel; what is under its mask is unmeasured."""
     field = channels[number]
     z_um = scaled(asked, field["data"].reshape(_shape(field)), asked.z_scale_um(_unit(field, "si_unit_z")))

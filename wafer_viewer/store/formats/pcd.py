@@ -14,9 +14,9 @@ import numpy as np
 
 from wafer_viewer.model.surface.height_map import HeightMap
 from wafer_viewer.store.formats.embedded_metadata import OURS, heading, told_by
-from wafer_viewer.store.formats.point_gridding import Block, Points, surface_of_points
+from wafer_viewer.store.formats.point_gridding import Block, PointCloud, surface_of_points
 from wafer_viewer.store.formats.point_records import AT_A_TIME, count, points_of, records, text_records, units_of
-from wafer_viewer.store.formats.reader_support import Asked
+from wafer_viewer.store.formats.reader_support import ReadOptions
 from wafer_viewer.store.formats.surface_strips import Strips
 
 _POINT = np.dtype([("xyz", "<f4", 3)])
@@ -52,11 +52,11 @@ def write_pcd(strips: Strips, path: Path) -> None:
             file.write(points.tobytes())
 
 
-def read_pcd(path: Path, asked: Asked) -> HeightMap:
+def read_pcd(path: Path, asked: ReadOptions) -> HeightMap:
     """The surface that the points of a PCD file lie on."""
     head = _head(path, asked)
     about = told_by(head.comments.get(OURS))
-    points = Points(lambda: _blocks(path, head, asked), units_of(head.comments.get("unit"), about, asked), about)
+    points = PointCloud(lambda: _blocks(path, head, asked), units_of(head.comments.get("unit"), about, asked), about)
     return surface_of_points(points, asked)
 
 
@@ -70,7 +70,7 @@ class _Head:
     begin: int
 
 
-def _head(path: Path, asked: Asked) -> _Head:
+def _head(path: Path, asked: ReadOptions) -> _Head:
     said, comments, begin = dict[str, list[str]](), dict[str, str](), 0
     with path.open("rb") as file:
         while "DATA" not in said and begin < _LARGEST_HEADER and (line := file.readline(_LARGEST_HEADER)):
@@ -95,7 +95,7 @@ def _head(path: Path, asked: Asked) -> _Head:
     return _Head(said["DATA"][0], int(said["POINTS"][0]), fields, comments, (corner[0], corner[1]), begin)
 
 
-def _blocks(path: Path, head: _Head, asked: Asked) -> Iterator[Block]:
+def _blocks(path: Path, head: _Head, asked: ReadOptions) -> Iterator[Block]:
     starts = list(range(0, head.n_points, AT_A_TIME))
     read = text_records if head.form == "ascii" else records
     for block, _ in zip(

@@ -10,7 +10,7 @@ import numpy as np
 
 from wafer_viewer.model.surface.height_map import HeightMap
 from wafer_viewer.store.formats.embedded_metadata import OURS, heading, told_by
-from wafer_viewer.store.formats.point_gridding import Block, Points, surface_of_points
+from wafer_viewer.store.formats.point_gridding import Block, PointCloud, surface_of_points
 from wafer_viewer.store.formats.point_records import (
     AT_A_TIME,
     count,
@@ -20,7 +20,7 @@ from wafer_viewer.store.formats.point_records import (
     text_records,
     units_of,
 )
-from wafer_viewer.store.formats.reader_support import Asked
+from wafer_viewer.store.formats.reader_support import ReadOptions
 from wafer_viewer.store.formats.surface_strips import Strips
 
 _POINT = np.dtype([("xyz", "<f8", 3), ("rgb", "u1", 3), ("origin", "u1"), ("confidence", "<f4")])
@@ -64,11 +64,11 @@ def write_ply(strips: Strips, path: Path) -> None:
             file.write(points.tobytes())
 
 
-def read_ply(path: Path, asked: Asked) -> HeightMap:
+def read_ply(path: Path, asked: ReadOptions) -> HeightMap:
     """The surface that the points of a PLY file lie on, meshes included: their vertices."""
     head = _head(path, asked)
     about = told_by(head.comments.get(OURS))
-    points = Points(lambda: _blocks(path, head, asked), units_of(head.comments.get("unit"), about, asked), about)
+    points = PointCloud(lambda: _blocks(path, head, asked), units_of(head.comments.get("unit"), about, asked), about)
     return surface_of_points(points, asked)
 
 
@@ -81,7 +81,7 @@ class _Head:
     begin: int
 
 
-def _head(path: Path, asked: Asked) -> _Head:
+def _head(path: Path, asked: ReadOptions) -> _Head:
     with path.open("rb") as file:
         text, end, _ = file.read(_LARGEST_HEADER).partition(b"end_header\n")
     lines = text.decode("ascii", "replace").splitlines()
@@ -112,7 +112,7 @@ def _head(path: Path, asked: Asked) -> _Head:
     return _Head(order, int(n_points), fields, comments, len(text) + len(end))
 
 
-def _blocks(path: Path, head: _Head, asked: Asked) -> Iterator[Block]:
+def _blocks(path: Path, head: _Head, asked: ReadOptions) -> Iterator[Block]:
     starts = list(range(0, head.n_points, AT_A_TIME))
     fields = [(name, _ORDERS[head.order] + kind) for name, kind in head.fields.items()]
     read = text_records if head.order == "ascii" else records

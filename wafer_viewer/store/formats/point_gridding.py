@@ -14,8 +14,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from wafer_viewer.model.surface.height_map import HeightMap, Origin, Provenance
-from wafer_viewer.store.formats.embedded_metadata import About
-from wafer_viewer.store.formats.reader_support import Asked, heights_only
+from wafer_viewer.store.formats.embedded_metadata import EmbeddedMetadata
+from wafer_viewer.store.formats.reader_support import ReadOptions, heights_only
 
 Block = dict[str, NDArray[Any]]
 """Points by the names of their columns: x, y, z, and what else there is."""
@@ -33,7 +33,7 @@ Floats = NDArray[np.float64]
 
 
 @dataclass(frozen=True, slots=True)
-class Lattice:
+class PointLattice:
     """Where pixels lie, in um."""
 
     pixel_um: float
@@ -44,20 +44,20 @@ class Lattice:
 
 
 @dataclass(frozen=True, slots=True)
-class Points:
+class PointCloud:
     """The points of a file: how to go through them, their unit in um, and what the file says of itself."""
 
     blocks: Blocks
     unit_um: tuple[float, float, float]
-    about: About | None = None
+    about: EmbeddedMetadata | None = None
 
 
-def surface_of_points(points: Points, asked: Asked) -> HeightMap:
+def surface_of_points(points: PointCloud, asked: ReadOptions) -> HeightMap:
     """The surface that points lie on. Raises DatasetError for scattered ones, unless a person gives a pixel size."""
     asked_um = asked.says.pixel_um
     about = points.about
     if about is not None:
-        lattice = Lattice(about.pixel_um, about.x0_um, about.y0_um, about.rows, about.cols)
+        lattice = PointLattice(about.pixel_um, about.x0_um, about.y0_um, about.rows, about.cols)
         _require_room(lattice, asked)
         if (found := _laid(points, lattice, asked)) is not None:
             return found
@@ -73,7 +73,7 @@ def surface_of_points(points: Points, asked: Asked) -> HeightMap:
     return _gridded(points, asked_um, asked)
 
 
-def _laid(points: Points, lattice: Lattice, asked: Asked) -> HeightMap | None:
+def _laid(points: PointCloud, lattice: PointLattice, asked: ReadOptions) -> HeightMap | None:
     """The points on a lattice, each on its own place; None where one lies off it, outside, or on a place taken."""
     layers = _Layers(lattice)
     for block in points.blocks():
@@ -90,7 +90,7 @@ def _laid(points: Points, lattice: Lattice, asked: Asked) -> HeightMap | None:
 class _Layers:
     """The layers of a surface while points are laid down; those that no file has take no memory."""
 
-    def __init__(self, lattice: Lattice) -> None:
+    def __init__(self, lattice: PointLattice) -> None:
         self._lattice, self._n = lattice, lattice.rows * lattice.cols
         self._z = np.full(self._n, np.nan, np.float32)
         self._origin: NDArray[np.uint8] | None = None
@@ -115,7 +115,7 @@ class _Layers:
             self._grey[at] = block["grey"]
         return True
 
-    def surface(self, provenance: Provenance | None, asked: Asked) -> HeightMap:
+    def surface(self, provenance: Provenance | None, asked: ReadOptions) -> HeightMap:
         """The surface of what was put down."""
         shape, here = (self._lattice.rows, self._lattice.cols), self._lattice
         place = here.pixel_um, here.x0_um, here.y0_um
@@ -136,7 +136,7 @@ class _Layers:
         return replace(plain, **layers)
 
 
-def _gridded(points: Points, pixel_um: float, asked: Asked) -> HeightMap:
+def _gridded(points: PointCloud, pixel_um: float, asked: ReadOptions) -> HeightMap:
     """Scattered points on a lattice: each pixel takes the mean of those in it, and is unmeasured without any."""
     low, high = np.full(2, np.inf), np.full(2, -np.inf)
     for block in points.blocks():
@@ -146,7 +146,7 @@ def _gridded(points: Points, pixel_um: float, asked: Asked) -> HeightMap:
     if not np.isfinite(low).all():
         raise asked.refuse("holds no height: write it again from a surface that has some.")
     cols, rows = (int(n) for n in np.floor((high - low) / pixel_um + 0.5) + 1)
-    lattice = Lattice(pixel_um, float(low[0]), float(high[1]), rows, cols)
+    lattice = PointLattice(pixel_um, float(low[0]), float(high[1]), rows, cols)
     _require_room(lattice, asked)
     sums, counts = np.zeros(rows * cols), np.zeros(rows * cols)
     for block in points.blocks():
@@ -159,7 +159,7 @@ def _gridded(points: Points, pixel_um: float, asked: Asked) -> HeightMap:
     return heights_only(asked, z_um.reshape(rows, cols), pixel_um, lattice.x0_um, lattice.y0_um, None)
 
 
-def _found(points: Points, asked: Asked) -> Lattice | None:
+def _found(points: PointCloud, asked: ReadOptions) -> PointLattice | None:
     """The lattice that points lie on; None where there is none."""
     xs, ys, n_points = np.empty(0), np.empty(0), 0
     for block in points.blocks():
@@ -180,7 +180,7 @@ def _found(points: Points, asked: Asked) -> Lattice | None:
     if abs(along[0] / across[0] - 1) > _UNEVEN:
         asked.pixel_um(along[0], across[0])
     pixel_um = (xs[-1] - xs[0] + ys[-1] - ys[0]) / (cols + rows - 2)
-    return Lattice(float(pixel_um), float(xs[0]), float(ys[-1]), rows, cols)
+    return PointLattice(float(pixel_um), float(xs[0]), float(ys[-1]), rows, cols)
 
 
 def _pitch(values: Floats) -> tuple[float, int] | None:
@@ -197,14 +197,14 @@ def _pitch(values: Floats) -> tuple[float, int] | None:
     return (pitch, int(index[-1]) + 1) if off <= _OFF * pitch else None
 
 
-def _require_room(lattice: Lattice, asked: Asked) -> None:
+def _require_room(lattice: PointLattice, asked: ReadOptions) -> None:
     if lattice.rows * lattice.cols > MOST_PIXELS:
         raise asked.refuse(
             f"would have {lattice.rows} x {lattice.cols} pixels of {lattice.pixel_um:g} um: give a larger --pixel-um."
         )
 
 
-def _um(block: Block, points: Points) -> tuple[Floats, Floats, Floats]:
+def _um(block: Block, points: PointCloud) -> tuple[Floats, Floats, Floats]:
     """x, y and z of the points with a height, in um; the columns of a block are cut to them."""
     known = np.isfinite(block["x"]) & np.isfinite(block["y"]) & np.isfinite(block["z"])
     if not known.all():

@@ -11,8 +11,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from wafer_viewer.model.surface.height_map import HeightMap
-from wafer_viewer.store.formats.embedded_metadata import About
-from wafer_viewer.store.formats.reader_support import UNITS_UM, Asked
+from wafer_viewer.store.formats.embedded_metadata import EmbeddedMetadata
+from wafer_viewer.store.formats.reader_support import UNITS_UM, ReadOptions
 from wafer_viewer.store.formats.surface_strips import Strips
 
 AT_A_TIME = 1_000_000
@@ -35,7 +35,7 @@ def eight_bits(grey: NDArray[np.uint8] | NDArray[np.uint16]) -> NDArray[np.uint8
     return grey.astype(np.uint8) if grey.dtype.itemsize == 1 else (grey >> 8).astype(np.uint8)
 
 
-def units_of(said: str | None, about: About | None, asked: Asked) -> tuple[float, float, float]:
+def units_of(said: str | None, about: EmbeddedMetadata | None, asked: ReadOptions) -> tuple[float, float, float]:
     """The units of x, y and z in um: a cloud of points has one unit, said by the file or by a person."""
     unit = "um" if about is not None else said
     z_um = asked.z_scale_um(unit)
@@ -43,7 +43,7 @@ def units_of(said: str | None, about: About | None, asked: Asked) -> tuple[float
     return lateral_um, lateral_um, z_um
 
 
-def records(path: Path, begin: int, n_points: int, fields: list[tuple[str, str]], asked: Asked) -> Iterator[Any]:
+def records(path: Path, begin: int, n_points: int, fields: list[tuple[str, str]], asked: ReadOptions) -> Iterator[Any]:
     """Binary points in blocks, as views of the file. Raises DatasetError where the file ends too early."""
     point = np.dtype(fields)
     if path.stat().st_size < begin + n_points * point.itemsize:
@@ -53,7 +53,9 @@ def records(path: Path, begin: int, n_points: int, fields: list[tuple[str, str]]
         yield whole[start : start + AT_A_TIME]
 
 
-def text_records(path: Path, begin: int, n_points: int, fields: list[tuple[str, str]], asked: Asked) -> Iterator[Any]:
+def text_records(
+    path: Path, begin: int, n_points: int, fields: list[tuple[str, str]], asked: ReadOptions
+) -> Iterator[Any]:
     """Points in lines of text, in blocks. Raises DatasetError where the file ends too early or holds no numbers."""
     with path.open("rb") as file:
         file.seek(begin)

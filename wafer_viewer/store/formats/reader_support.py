@@ -34,7 +34,7 @@ Heights = NDArray[np.float32]
 
 
 @dataclass(frozen=True, slots=True)
-class Asked:
+class ReadOptions:
     """A file that is being read: its name, what a person says of it, and who hears how far it is."""
 
     name: str
@@ -100,7 +100,7 @@ class Asked:
         return found
 
 
-def scaled(asked: Asked, raw: NDArray[Any], factor: float, offset_um: float = 0.0) -> Heights:
+def scaled(asked: ReadOptions, raw: NDArray[Any], factor: float, offset_um: float = 0.0) -> Heights:
     """Raw numbers [row, col] as heights in um, strip by strip."""
     heights = np.empty(raw.shape, np.float32)
     for top in asked.watch(list(range(0, raw.shape[0], STRIP_ROWS))):
@@ -110,7 +110,7 @@ def scaled(asked: Asked, raw: NDArray[Any], factor: float, offset_um: float = 0.
 
 
 def heights_only(
-    asked: Asked,
+    asked: ReadOptions,
     z_um: Heights,
     pixel_um: float,
     x0_um: float,
@@ -140,7 +140,7 @@ def heights_only(
     )
 
 
-def require_some(asked: Asked, known: NDArray[np.bool_]) -> None:
+def require_some(asked: ReadOptions, known: NDArray[np.bool_]) -> None:
     """Raise DatasetError where nothing is known."""
     if not known.any():
         raise asked.refuse("holds no height: write it again from a surface that has some.")

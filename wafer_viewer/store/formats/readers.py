@@ -18,17 +18,17 @@ from wafer_viewer.store.formats.gwy import read_gwy
 from wafer_viewer.store.formats.npz_file import read_npz
 from wafer_viewer.store.formats.pcd import read_pcd
 from wafer_viewer.store.formats.ply import read_ply
-from wafer_viewer.store.formats.reader_support import Asked, require_some
+from wafer_viewer.store.formats.reader_support import ReadOptions, require_some
 from wafer_viewer.store.formats.text_table import read_table
 from wafer_viewer.store.formats.tiff import is_heights, read_tiff
 from wafer_viewer.store.formats.x3p import read_x3p
 
 __all__ = ["READERS", "is_surface_file", "read_surface"]
 
-Reader = Callable[[Path, Asked], HeightMap]
+Reader = Callable[[Path, ReadOptions], HeightMap]
 
 
-def _read_npz(path: Path, asked: Asked) -> HeightMap:
+def _read_npz(path: Path, asked: ReadOptions) -> HeightMap:
     surface = read_npz(path)
     require_some(asked, np.isfinite(surface.z_um))
     return surface
@@ -71,7 +71,7 @@ def read_surface(
     """
     place = Path(path)
     read = _reader_of(place)
-    asked = Asked(place.name, Reading(z_unit=z_unit, pixel_um=pixel_um, invert_z=invert_z), progress, should_stop)
+    asked = ReadOptions(place.name, Reading(z_unit=z_unit, pixel_um=pixel_um, invert_z=invert_z), progress, should_stop)
     _require_file(place, asked)
     try:
         with np.errstate(over="ignore", invalid="ignore"):  # numbers beyond all heights are no heights
@@ -100,7 +100,7 @@ def _reader_of(path: Path) -> Reader:
     raise DatasetError(f"{path.name} has no ending of a surface file: give one of {', '.join(READ)}.")
 
 
-def _require_file(path: Path, asked: Asked) -> None:
+def _require_file(path: Path, asked: ReadOptions) -> None:
     if not path.exists():
         raise DatasetError(f"{path} does not exist: check the path.")
     if path.is_dir():

@@ -11,10 +11,10 @@ from pathlib import Path
 import numpy as np
 
 from wafer_viewer.model.surface.height_map import HeightMap
-from wafer_viewer.store.formats.embedded_metadata import OURS, About, heading, told_by
-from wafer_viewer.store.formats.point_gridding import Block, Points, surface_of_points
+from wafer_viewer.store.formats.embedded_metadata import OURS, EmbeddedMetadata, heading, told_by
+from wafer_viewer.store.formats.point_gridding import Block, PointCloud, surface_of_points
 from wafer_viewer.store.formats.point_records import units_of
-from wafer_viewer.store.formats.reader_support import Asked
+from wafer_viewer.store.formats.reader_support import ReadOptions
 from wafer_viewer.store.formats.surface_strips import Strips
 
 _BYTES_AT_A_TIME = 16_000_000
@@ -33,10 +33,10 @@ def write_xyz(strips: Strips, path: Path) -> None:
     _write(strips, path, " ", (), with_origin=False)
 
 
-def read_table(path: Path, asked: Asked) -> HeightMap:
+def read_table(path: Path, asked: ReadOptions) -> HeightMap:
     """The surface that the points of a table lie on; x, y and z are the first three columns, or those so called."""
     head = _head(path, asked)
-    points = Points(lambda: _blocks(path, head, asked), _units(head, asked), head.about)
+    points = PointCloud(lambda: _blocks(path, head, asked), _units(head, asked), head.about)
     return surface_of_points(points, asked)
 
 
@@ -70,11 +70,11 @@ class _Head:
     columns: dict[str, int]
     units: dict[str, str]
     delimiter: str
-    about: About | None
+    about: EmbeddedMetadata | None
     begin: int
 
 
-def _head(path: Path, asked: Asked) -> _Head:
+def _head(path: Path, asked: ReadOptions) -> _Head:
     comments, begin = dict[str, str](), 0
     with path.open("rb") as file:
         for raw in file:
@@ -97,7 +97,7 @@ def _head(path: Path, asked: Asked) -> _Head:
     return _Head(columns, units, delimiter, told_by(comments.get(OURS.lower())), begin)
 
 
-def _names(cells: list[str], asked: Asked) -> tuple[dict[str, int], dict[str, str]]:
+def _names(cells: list[str], asked: ReadOptions) -> tuple[dict[str, int], dict[str, str]]:
     """Columns and units by the line of names; the first three columns where there is none."""
     if _is_number(cells[0]):
         if len(cells) < 3:
@@ -120,7 +120,7 @@ def _names(cells: list[str], asked: Asked) -> tuple[dict[str, int], dict[str, st
     return columns, {axis: unit for axis, unit in units.items() if unit}
 
 
-def _units(head: _Head, asked: Asked) -> tuple[float, float, float]:
+def _units(head: _Head, asked: ReadOptions) -> tuple[float, float, float]:
     """The units of x, y and z in um, each by its own column."""
     if not head.units:
         return units_of(None, head.about, asked)
@@ -130,14 +130,14 @@ def _units(head: _Head, asked: Asked) -> tuple[float, float, float]:
     return x_um, y_um, asked.z_scale_um(head.units["z"])
 
 
-def _require_one(units: dict[str, str], said: str, asked: Asked) -> None:
+def _require_one(units: dict[str, str], said: str, asked: ReadOptions) -> None:
     """Columns and a comment must not contradict each other."""
     for axis, unit in units.items():
         if asked.lateral_um(unit) != asked.lateral_um(said):
             raise asked.refuse(f"says that its unit is {said} and that its {axis} is in {unit}: keep what is right.")
 
 
-def _blocks(path: Path, head: _Head, asked: Asked) -> Iterator[Block]:
+def _blocks(path: Path, head: _Head, asked: ReadOptions) -> Iterator[Block]:
     n_bytes = path.stat().st_size - head.begin
     wanted = {axis: head.columns[axis] for axis in ("x", "y", "z", "origin") if axis in head.columns}
     starts = list(range(0, n_bytes, _BYTES_AT_A_TIME))

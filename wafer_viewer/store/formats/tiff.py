@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from wafer_viewer.model.surface.height_map import HeightMap
 from wafer_viewer.store.formats.embedded_metadata import about, told_by
-from wafer_viewer.store.formats.reader_support import Asked, heights_only, same, scaled
+from wafer_viewer.store.formats.reader_support import ReadOptions, heights_only, same, scaled
 from wafer_viewer.store.formats.surface_strips import Strips
 
 if TYPE_CHECKING:
@@ -45,7 +45,7 @@ def write_tiff(strips: Strips, path: Path) -> None:
             file.write(z_um.astype("<f4").tobytes())
 
 
-def read_tiff(path: Path, asked: Asked) -> HeightMap:
+def read_tiff(path: Path, asked: ReadOptions) -> HeightMap:
     """Heights of a TIFF of floats. Raises DatasetError for integers, colour, and what does not say its units."""
     import tifffile
 
@@ -91,7 +91,7 @@ def is_heights(path: Path) -> bool:
         return False
 
 
-def _require_heights(page: TiffPage, asked: Asked) -> None:
+def _require_heights(page: TiffPage, asked: ReadOptions) -> None:
     if page.samplesperpixel != 1 or len(page.shape) != 2:
         raise asked.refuse("is a colour picture, not heights: give a TIFF with one 32-bit float per pixel.")
     if page.dtype is None or page.dtype.kind != "f":
@@ -110,7 +110,7 @@ def _facts(page: TiffPage) -> dict[str, Any]:
     return found if isinstance(found, dict) else {}
 
 
-def _lateral_um(file: Any, asked: Asked) -> tuple[float, float] | None:
+def _lateral_um(file: Any, asked: ReadOptions) -> tuple[float, float] | None:
     """Pixel sizes along x and y: ImageJ's unit, or pixels per cm. Dots per inch are those of a screen or a printer."""
     page, by_imagej = file.pages.first, file.imagej_metadata or {}
     tags = [page.tags.get(name) for name in ("XResolution", "YResolution")]

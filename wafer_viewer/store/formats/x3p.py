@@ -20,7 +20,7 @@ from numpy.typing import NDArray
 
 from wafer_viewer.model.surface.height_map import HeightMap
 from wafer_viewer.store.formats.embedded_metadata import about, caveats, told_by
-from wafer_viewer.store.formats.reader_support import Asked, heights_only
+from wafer_viewer.store.formats.reader_support import ReadOptions, heights_only
 from wafer_viewer.store.formats.surface_strips import STRIP_ROWS, Strips
 
 MAIN, DATA, CHECKSUM = "main.xml", "bindata/data.bin", "md5checksum.hex"
@@ -45,7 +45,7 @@ def write_x3p(strips: Strips, path: Path) -> None:
         archive.writestr(CHECKSUM, f"{hashlib.md5(main, usedforsecurity=False).hexdigest()} *{MAIN}\n")
 
 
-def read_x3p(path: Path, asked: Asked) -> HeightMap:
+def read_x3p(path: Path, asked: ReadOptions) -> HeightMap:
     """Heights of an X3P file. Raises DatasetError where it is damaged, or holds anything but one surface on a grid."""
     try:
         with zipfile.ZipFile(path) as archive:
@@ -54,7 +54,7 @@ def read_x3p(path: Path, asked: Asked) -> HeightMap:
         raise asked.refuse("is cut off or damaged: its zip archive cannot be read, so copy it again.") from fault
 
 
-def _read(archive: zipfile.ZipFile, main: ElementTree.Element, asked: Asked) -> HeightMap:
+def _read(archive: zipfile.ZipFile, main: ElementTree.Element, asked: ReadOptions) -> HeightMap:
     dx, dy, dz = (_axis(main, name, asked) for name in ("CX", "CY", "CZ"))
     if dz[0] < 0 and not asked.says.invert_z:
         raise asked.refuse("has z upside down, its increment is negative: give --invert-z to invert it.")
@@ -120,7 +120,7 @@ def _grow(parent: ElementTree.Element, tree: dict[str, Any]) -> None:
             child.text = str(below)
 
 
-def _main_of(archive: zipfile.ZipFile, asked: Asked) -> ElementTree.Element:
+def _main_of(archive: zipfile.ZipFile, asked: ReadOptions) -> ElementTree.Element:
     """The root of main.xml, whose checksum fits and which describes one surface."""
     name = next((n for n in archive.namelist() if n.lower().endswith(MAIN)), None)
     if name is None:
@@ -145,7 +145,7 @@ def _main_of(archive: zipfile.ZipFile, asked: Asked) -> ElementTree.Element:
 
 
 def _heights(
-    archive: zipfile.ZipFile, main: ElementTree.Element, factor: float, offset_um: float, asked: Asked
+    archive: zipfile.ZipFile, main: ElementTree.Element, factor: float, offset_um: float, asked: ReadOptions
 ) -> NDArray[np.float32]:
     """The heights, the row of the largest y first, as they come out of the archive; NaN where they are invalid."""
     rows, cols, layers = (_size(main, name, asked) for name in ("SizeY", "SizeX", "SizeZ"))
@@ -172,7 +172,7 @@ def _heights(
     return z_um
 
 
-def _valid(archive: zipfile.ZipFile, main: ElementTree.Element, n: int, asked: Asked) -> NDArray[np.bool_] | None:
+def _valid(archive: zipfile.ZipFile, main: ElementTree.Element, n: int, asked: ReadOptions) -> NDArray[np.bool_] | None:
     """Integers have no NaN: a file of bits, the lowest first, says which points are valid; None where all are."""
     link = _text(main, "Record3/DataLink/ValidPointsLink")
     if link is None:
@@ -182,7 +182,7 @@ def _valid(archive: zipfile.ZipFile, main: ElementTree.Element, n: int, asked: A
     return np.unpackbits(bits, count=n, bitorder="little").astype(bool)
 
 
-def _there(archive: zipfile.ZipFile, link: str, asked: Asked) -> str:
+def _there(archive: zipfile.ZipFile, link: str, asked: ReadOptions) -> str:
     wanted = link.replace("\\", "/").removeprefix("./").removeprefix("/")
     found = next((n for n in archive.namelist() if n.replace("\\", "/") == wanted), None)
     if found is None:
@@ -190,13 +190,13 @@ def _there(archive: zipfile.ZipFile, link: str, asked: Asked) -> str:
     return found
 
 
-def _require_sum(said: str, digest: Any, what: str, asked: Asked) -> None:
+def _require_sum(said: str, digest: Any, what: str, asked: ReadOptions) -> None:
     """A checksum that is missing is not checked, as others do."""
     if said.strip() and said.strip().lower() != digest.hexdigest():
         raise asked.refuse(f"was changed after it was written, the checksum of its {what} is wrong: copy it again.")
 
 
-def _axis(main: ElementTree.Element, name: str, asked: Asked) -> tuple[float, float]:
+def _axis(main: ElementTree.Element, name: str, asked: ReadOptions) -> tuple[float, float]:
     """Increment and offset of an axis, in m."""
     kind = _text(main, f"Record1/Axes/{name}/AxisType")
     if kind != ("A" if name == "CZ" else "I"):
@@ -211,7 +211,7 @@ def _axis(main: ElementTree.Element, name: str, asked: Asked) -> tuple[float, fl
     return increment, offset
 
 
-def _size(main: ElementTree.Element, name: str, asked: Asked) -> int:
+def _size(main: ElementTree.Element, name: str, asked: ReadOptions) -> int:
     said = (_text(main, f"Record3/MatrixDimension/{name}") or "").strip()
     if not said.isdigit() or int(said) < 1:
         raise asked.refuse(f"does not say its {name}: write it again as a surface on a grid.")

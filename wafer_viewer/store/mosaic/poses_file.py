@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 
 from wafer_viewer.model.errors import DatasetError
-from wafer_viewer.model.surface.field_poses import Form, Poses, Seams, Shifts
+from wafer_viewer.model.surface.field_poses import Form, HeightOffsets, Poses, Shifts
 from wafer_viewer.store.io.atomic_files import replacing
 from wafer_viewer.store.io.checksums import mend_of, require_good_archive, seal_archive
 
@@ -27,7 +27,7 @@ _UNREADABLE = (
     *(OSError, KeyError, ValueError, EOFError, TypeError),
     *(zipfile.BadZipFile, zlib.error, tokenize.TokenError),
 )
-_TABLES: dict[str, type[Any]] = {"shifts": Shifts, "seams": Seams, "form": Form}
+_TABLES: dict[str, type[Any]] = {"shifts": Shifts, "seams": HeightOffsets, "form": Form}
 
 
 def write_poses(poses: Poses, path: Path) -> None:

@@ -38,7 +38,7 @@ Blocks = NDArray[Any]
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Facts:
+class MosaicStatistics:
     """Pixels by origin, int64 [code]; the span of heights, NaN where there is none; heights and differences of overlaps
     at every so many pixels, without those that have none.
     """
@@ -55,7 +55,7 @@ class Facts:
         return self.lowest_um <= self.highest_um
 
 
-def facts_of(layers: Layers) -> Facts:
+def facts_of(layers: Layers) -> MosaicStatistics:
     """The facts of a surface whose layers are in memory, the differences of overlaps among them or not."""
     return _joined(_blocks_of(layers, _step(layers["z_um"].shape, 1)))
 
@@ -115,7 +115,7 @@ def keep_facts(mosaic: Path, shape: tuple[int, int], top: int, left: int, layers
         beside.write_bytes(summed(whole.tobytes()) if _has_checksums(mosaic) else whole.tobytes())
 
 
-def kept_facts(mosaic: Path, shape: tuple[int, int]) -> Facts:
+def kept_facts(mosaic: Path, shape: tuple[int, int]) -> MosaicStatistics:
     """The facts of a whole mosaic of a shape. Raises DatasetError when they are missing or damaged."""
     files = sorted((mosaic / FACTS).glob("c/*/*/0"))
     if not files:
@@ -201,12 +201,12 @@ def _loaded(path: Path, record: np.dtype[Any]) -> Blocks:
         raise DatasetError(f"{path} is damaged: {mend_of(path)}.") from fault
 
 
-def _joined(blocks: Blocks) -> Facts:
+def _joined(blocks: Blocks) -> MosaicStatistics:
     blocks = blocks.ravel()
     lowest, highest = float(blocks["lowest"].min()), float(blocks["highest"].max())
     heights, overlaps = blocks["heights"].ravel(), blocks["overlaps"].ravel()
     known = lowest <= highest
-    return Facts(
+    return MosaicStatistics(
         counts=blocks["counts"].sum(axis=0, dtype=np.int64),
         lowest_um=lowest if known else float("nan"),
         highest_um=highest if known else float("nan"),

@@ -32,7 +32,7 @@ from wafer_viewer.model.surface.height_map import (
     Provenance,
     pixel_window,
 )
-from wafer_viewer.model.surface.textured_surface import Pictured, picture_of
+from wafer_viewer.model.surface.textured_surface import TexturedHeights, picture_of
 from wafer_viewer.store.io.atomic_files import replacing, write_text, writing
 from wafer_viewer.store.io.checksums import Checksum, damaged, mend_of, sealed_node, text_state
 from wafer_viewer.store.io.progress import watched
@@ -51,7 +51,7 @@ from wafer_viewer.store.mosaic.layout import (
     shards_of,
 )
 from wafer_viewer.store.mosaic.poses_file import POSES, read_poses
-from wafer_viewer.store.mosaic.statistics import FACTS, Facts, facts_array, keep_facts, kept_facts
+from wafer_viewer.store.mosaic.statistics import FACTS, MosaicStatistics, facts_array, keep_facts, kept_facts
 from wafer_viewer.store.mosaic.write_patches import Patch, patches
 from wafer_viewer.store.mosaic.zarr_shards import ShardedArray, codecs
 
@@ -265,12 +265,12 @@ class ZarrMosaic:
             z_um[self.read("origin", level, rows, cols) != Origin.MEASURED] = np.nan
         return Heights(z_um, *self._lattice(level, rows, cols))
 
-    def pictured(self, layer: HeightLayer, region: Region, level: int = 0) -> Pictured:
+    def pictured(self, layer: HeightLayer, region: Region, level: int = 0) -> TexturedHeights:
         """One layer of heights with the picture of what `window` returns; raises as `window` does."""
         rows, cols = self._window(region, level)
         picture = picture_of(*(self.read(name, level, rows, cols) for name in ("all_in_focus", "origin")))
         alone = self.one_layer(layer, region, level)
-        return Pictured(alone.z_um, alone.pixel_um, alone.x0_um, alone.y0_um, picture)
+        return TexturedHeights(alone.z_um, alone.pixel_um, alone.x0_um, alone.y0_um, picture)
 
     def span(self, region: Region | None, level: int) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
         """(lowest, highest) height under each pixel of what `window` returns, NaN where unmeasured."""
@@ -278,7 +278,7 @@ class ZarrMosaic:
         low, high = ("z_um", "z_um") if level == 0 else SPANS
         return self.read(low, level, rows, cols), self.read(high, level, rows, cols)
 
-    def facts(self) -> Facts:
+    def facts(self) -> MosaicStatistics:
         """What it holds, in numbers. Raises DatasetError when they are missing or damaged."""
         return kept_facts(self.path, self.shape)
 

@@ -7,9 +7,9 @@ import io
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
 
-from wafer_viewer.model.findings import AnyFinding, Findings
+from wafer_viewer.model.findings import AnyResult, MeasurementResults
 from wafer_viewer.model.measurement.edge_and_bump_shapes import Bump, Chip, Chipping, Coplanarity
-from wafer_viewer.model.measurement.measurements import Finding
+from wafer_viewer.model.measurement.measurement import MeasurementResult
 from wafer_viewer.model.quantity import Length, Quantity
 from wafer_viewer.model.region import Region
 
@@ -19,11 +19,11 @@ COLUMNS = (
 )
 UNITS = ("um2", "um3", "um", "deg", "mrad")
 """How the name of a plain number ends that has a unit; a number without one is a count or a ratio, unit 1."""
-OF_ALL = frozenset(Finding.__struct_fields__)
+OF_ALL = frozenset(MeasurementResult.__struct_fields__)
 
 
 @dataclass(frozen=True, slots=True)
-class Number:
+class CsvNumber:
     """One number of a finding; status empty where no uncertainty is asked of it."""
 
     name: str
@@ -33,7 +33,7 @@ class Number:
     status: str = ""
 
 
-def findings_csv(findings: Findings) -> str:
+def findings_csv(findings: MeasurementResults) -> str:
     """The table; U is expanded (k = 2). x_um and y_um are the middle of the first place, show 0 the whole surface."""
     text = io.StringIO()
     table = csv.writer(text, lineterminator="\n")
@@ -46,14 +46,14 @@ def findings_csv(findings: Findings) -> str:
     return text.getvalue()
 
 
-def _numbers(finding: AnyFinding) -> Iterator[Number]:
+def _numbers(finding: AnyResult) -> Iterator[CsvNumber]:
     """The main one first."""
     found = [n for name in finding.__struct_fields__ if name not in OF_ALL and (n := _number(finding, name))]
     main = finding.main
     return iter(sorted(found, key=lambda n: (n.value, n.unit, n.status) != (main.value, main.unit, main.status)))
 
 
-def _parts(finding: AnyFinding) -> Iterator[tuple[Number, list[str]]]:
+def _parts(finding: AnyResult) -> Iterator[tuple[CsvNumber, list[str]]]:
     """The numbers of each chip or bump of a result, with its place."""
     parts: dict[str, tuple[Chip | Bump, ...]] = {}
     if isinstance(finding, Chipping):
@@ -67,7 +67,7 @@ def _parts(finding: AnyFinding) -> Iterator[tuple[Number, list[str]]]:
             yield from ((replace(n, name=f"{kind} {k} {n.name}"), at) for n in numbers)
 
 
-def _number(finding: AnyFinding | Chip | Bump, name: str) -> Number | None:
+def _number(finding: AnyResult | Chip | Bump, name: str) -> CsvNumber | None:
     match getattr(finding, name):
         case Length() as length:
             return _of_quantity(name, length.quantity)
@@ -75,20 +75,20 @@ def _number(finding: AnyFinding | Chip | Bump, name: str) -> Number | None:
             return _of_quantity(name, quantity)
         case int() | float() as value:
             unit = next((unit for unit in UNITS if name.endswith(f"_{unit}")), "")
-            return Number(name.removesuffix(f"_{unit}") if unit else name, value, unit or "1")
+            return CsvNumber(name.removesuffix(f"_{unit}") if unit else name, value, unit or "1")
         case _:
             return None
 
 
-def _of_quantity(name: str, quantity: Quantity) -> Number:
-    return Number(name, quantity.value, quantity.unit, quantity.expanded, quantity.status)
+def _of_quantity(name: str, quantity: Quantity) -> CsvNumber:
+    return CsvNumber(name, quantity.value, quantity.unit, quantity.expanded, quantity.status)
 
 
-def _who(finding: AnyFinding) -> list[object]:
+def _who(finding: AnyResult) -> list[object]:
     return [finding.number, finding.name, finding.__struct_config__.tag]
 
 
-def _cells(number: Number) -> list[object]:
+def _cells(number: CsvNumber) -> list[object]:
     known = number.expanded is not None
     return [
         number.name,
@@ -100,7 +100,7 @@ def _cells(number: Number) -> list[object]:
     ]
 
 
-def _where(finding: AnyFinding) -> list[str]:
+def _where(finding: AnyResult) -> list[str]:
     places = (getattr(finding, name) for name in finding.__struct_fields__)
     bounds = next((place.bounds_um for place in places if isinstance(place, Region)), None)
     if bounds is None:
@@ -108,6 +108,6 @@ def _where(finding: AnyFinding) -> list[str]:
     return [f"{(bounds[0] + bounds[2]) / 2:.2f}", f"{(bounds[1] + bounds[3]) / 2:.2f}"]
 
 
-def _on_what(finding: AnyFinding) -> list[object]:
+def _on_what(finding: AnyResult) -> list[object]:
     simulated = "SIMULATED" if finding.simulated else ""
     return [finding.surface, finding.filter, finding.levelling.by, finding.show, simulated]

@@ -11,7 +11,7 @@ from tests.browser.sessions import operator_session as operator
 from wafer_viewer.gui.page.header import done
 from wafer_viewer.gui.presenters.review.review import numbers, review_list
 from wafer_viewer.gui.presenters.review.review_items import chosen_item, neighbour, review_items
-from wafer_viewer.gui.scene.camera.camera_presets import Pose
+from wafer_viewer.gui.scene.camera.camera_presets import CameraPose
 from wafer_viewer.gui.shell.field_map import field_at
 from wafer_viewer.gui.shell.saved_views import LOOKED, choices, saved
 from wafer_viewer.gui.state.view_state import View
@@ -21,7 +21,7 @@ from wafer_viewer.session.state.operator_state import Operating
 from wafer_viewer.session.state.review_state import NotebookState
 from wafer_viewer.session.state.snapshot import Snapshot
 
-POSE = Pose(np.array([0.1, -0.9, 0.8]), np.array([0.0, 0.1, 0.0]))
+POSE = CameraPose(np.array([0.1, -0.9, 0.8]), np.array([0.0, 0.1, 0.0]))
 
 
 def noted(snapshot: Snapshot, *judgements: Judgement) -> Snapshot:

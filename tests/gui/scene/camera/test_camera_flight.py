@@ -12,26 +12,33 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from tests.gui.scenes.test_scene_view import until
-from wafer_viewer.gui.page.browser_info import Told, may_fly
-from wafer_viewer.gui.scene.camera.camera_flight import FLIGHT_S, LATE_S, STEP_S, Flight, Pilot, between
-from wafer_viewer.gui.scene.camera.camera_presets import Pose, direction_of
+from wafer_viewer.gui.page.browser_info import BrowserInfo, may_fly
+from wafer_viewer.gui.scene.camera.camera_flight import (
+    FLIGHT_S,
+    LATE_S,
+    STEP_S,
+    CameraAnimator,
+    CameraTransition,
+    between,
+)
+from wafer_viewer.gui.scene.camera.camera_presets import CameraPose, direction_of
 
 AT = np.array([1.0, 2.0, 0.1])
-TOP, ISO = (Pose(AT + direction_of(preset) * 4, AT) for preset in ("top", "iso"))
-NEAR = Pose(AT + 0.3 + direction_of("iso") * 0.5, AT + 0.3)
+TOP, ISO = (CameraPose(AT + direction_of(preset) * 4, AT) for preset in ("top", "iso"))
+NEAR = CameraPose(AT + 0.3 + direction_of("iso") * 0.5, AT + 0.3)
 WAIT_S = 10.0
 SHARES = st.floats(0, 1)
 PLACES = st.tuples(*[st.floats(-3, 3)] * 3).map(np.array)
 
 
 @st.composite
-def poses(draw: st.DrawFn) -> Pose:
+def poses(draw: st.DrawFn) -> CameraPose:
     turn, rise, look_at = draw(st.floats(0, 6.3)), draw(st.floats(0.05, 1.55)), draw(PLACES)
     away = np.array([np.cos(turn) * np.cos(rise), np.sin(turn) * np.cos(rise), np.sin(rise)])
-    return Pose(look_at + away * draw(st.floats(0.05, 30)), look_at)
+    return CameraPose(look_at + away * draw(st.floats(0.05, 30)), look_at)
 
 
-def distance(pose: Pose) -> float:
+def distance(pose: CameraPose) -> float:
     return float(np.linalg.norm(pose.position - pose.look_at))
 
 
@@ -60,13 +67,13 @@ def test_the_goal_never_drifts_away_from_the_middle_of_the_picture(share) -> Non
 
 
 def test_the_camera_turns_the_shorter_way_round() -> None:
-    west, east = (Pose(np.array([np.sin(a), np.cos(a), 1.0]), np.zeros(3)) for a in (-0.2, 0.2))
+    west, east = (CameraPose(np.array([np.sin(a), np.cos(a), 1.0]), np.zeros(3)) for a in (-0.2, 0.2))
     assert between(west, east, 0.5).direction == pytest.approx(np.array([0, 1, 1]) / np.sqrt(2), abs=1e-9)
 
 
-def flown(flight: Flight, tells: bool = True) -> list[Pose]:
+def flown(flight: CameraTransition, tells: bool = True) -> list[CameraPose]:
     """All steps of a flight in a browser that tells of each at once, or of none."""
-    sent: list[Pose] = []
+    sent: list[CameraPose] = []
     for number in itertools.count():
         pose = flight.step(number * STEP_S)
         if pose is None:
@@ -77,7 +84,7 @@ def flown(flight: Flight, tells: bool = True) -> list[Pose]:
 
 
 def test_a_flight_takes_as_long_as_it_says_and_its_last_step_is_the_goal() -> None:
-    flight = Flight(TOP, NEAR, 0.0)
+    flight = CameraTransition(TOP, NEAR, 0.0)
     sent = flown(flight)
     assert len(sent) == pytest.approx(FLIGHT_S / STEP_S, abs=1)
     assert sent[-1] is NEAR
@@ -85,7 +92,7 @@ def test_a_flight_takes_as_long_as_it_says_and_its_last_step_is_the_goal() -> No
 
 
 def test_a_browser_that_is_late_is_sent_to_the_goal_at_once() -> None:
-    flight = Flight(TOP, NEAR, 0.0)
+    flight = CameraTransition(TOP, NEAR, 0.0)
     sent = flown(flight, tells=False)
     assert flight.late
     assert sent[-1] is NEAR
@@ -93,7 +100,7 @@ def test_a_browser_that_is_late_is_sent_to_the_goal_at_once() -> None:
 
 
 def test_a_place_where_the_flight_has_not_been_is_a_hand_at_the_camera() -> None:
-    flight = Flight(TOP, NEAR, 0.0)
+    flight = CameraTransition(TOP, NEAR, 0.0)
     steps = [flight.step(k * STEP_S) for k in range(4)]
     assert flight.heard(np.array([9.0, 9.0, 9.0]))  # what the browser did before the first step came
     assert all(flight.heard(step.position) for step in steps[2::-1] if step is not None)
@@ -105,13 +112,13 @@ class Camera:
     """A camera that is put somewhere, and tells so."""
 
     def __init__(self) -> None:
-        self.pose, self.puts = TOP, list[Pose]()
+        self.pose, self.puts = TOP, list[CameraPose]()
         self.tells = lambda pose: self.pilot.heard(pose.position)
         self.at_goal = threading.Event()
-        self.pilot = Pilot(self.put, lambda: self.pose)
+        self.pilot = CameraAnimator(self.put, lambda: self.pose)
         self.pilot.able = True
 
-    def put(self, pose: Pose) -> None:
+    def put(self, pose: CameraPose) -> None:
         self.pose = pose
         self.puts.append(pose)
         self.tells(pose)
@@ -152,7 +159,7 @@ def test_another_flight_takes_the_place_of_the_first(camera: Camera) -> None:
 
 
 def test_a_hand_at_the_camera_ends_the_flight_where_it_is(camera: Camera) -> None:
-    def tells(pose: Pose) -> None:
+    def tells(pose: CameraPose) -> None:
         camera.pilot.heard(pose.position)
         if len(camera.puts) == 3:
             camera.pilot.heard(pose.position + 0.5)
@@ -168,10 +175,10 @@ def test_a_hand_at_the_camera_ends_the_flight_where_it_is(camera: Camera) -> Non
 
 
 def test_a_camera_that_does_not_stand_where_it_was_put_is_put_there_again(camera: Camera) -> None:
-    def elsewhere(pose: Pose) -> None:
+    def elsewhere(pose: CameraPose) -> None:
         camera.pilot.heard(pose.position)
         if camera.puts.count(NEAR) == 1:
-            camera.pose = Pose(NEAR.position, NEAR.look_at + 0.1)
+            camera.pose = CameraPose(NEAR.position, NEAR.look_at + 0.1)
             camera.at_goal.clear()
 
     camera.tells = elsewhere
@@ -182,11 +189,11 @@ def test_a_camera_that_does_not_stand_where_it_was_put_is_put_there_again(camera
 
 
 def test_slow_browsers_and_people_who_want_stillness_have_it_jump() -> None:
-    assert may_fly(Told(renderer="ANGLE (NVIDIA, GeForce GTX 1650)"))
-    assert may_fly(Told())
-    assert not may_fly(Told(renderer="ANGLE (Google, Vulkan 1.3.0 (SwiftShader Device (Subzero)))"))
-    assert not may_fly(Told(renderer="ANGLE (NVIDIA, GeForce GTX 1650)", still=True))
-    pilot = Pilot(lambda pose: None, lambda: TOP)
+    assert may_fly(BrowserInfo(renderer="ANGLE (NVIDIA, GeForce GTX 1650)"))
+    assert may_fly(BrowserInfo())
+    assert not may_fly(BrowserInfo(renderer="ANGLE (Google, Vulkan 1.3.0 (SwiftShader Device (Subzero)))"))
+    assert not may_fly(BrowserInfo(renderer="ANGLE (NVIDIA, GeForce GTX 1650)", still=True))
+    pilot = CameraAnimator(lambda pose: None, lambda: TOP)
     assert not pilot.fly(TOP, NEAR)
     assert pilot.goal is None
 
@@ -195,11 +202,11 @@ def test_after_a_late_flight_the_camera_jumps_for_a_while() -> None:
     now_s = [0.0]
     late, landed = threading.Event(), threading.Event()
 
-    def stand(pose: Pose) -> None:
+    def stand(pose: CameraPose) -> None:
         now_s[0] += LATE_S + 0.1
         (landed if pose is NEAR else late).set()
 
-    pilot = Pilot(stand, lambda: NEAR, lambda: now_s[0])
+    pilot = CameraAnimator(stand, lambda: NEAR, lambda: now_s[0])
     pilot.able = True
     assert pilot.fly(TOP, NEAR)
     assert landed.wait(WAIT_S)

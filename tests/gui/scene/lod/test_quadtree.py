@@ -8,7 +8,7 @@ import numpy as np
 from hypothesis import given
 from hypothesis import strategies as st
 
-from wafer_viewer.gui.scene.camera.frustum import Box3, Sight
+from wafer_viewer.gui.scene.camera.frustum import AABB, Frustum
 from wafer_viewer.gui.scene.lod.quadtree import FINEST_LEVEL, MOST_ROOTS, Ground, leaves, roots
 
 PIXEL_MM = 0.5e-3
@@ -24,10 +24,10 @@ def ground(rows: int, cols: int, first: int = 0) -> Ground:
     )
 
 
-def sight(right: float, back: float, away_mm: float, slant: float, size_mm: float = 6.0) -> Sight:
+def sight(right: float, back: float, away_mm: float, slant: float, size_mm: float = 6.0) -> Frustum:
     look_at = right * size_mm, back * size_mm, 0.0
     eye = look_at[0], look_at[1] - away_mm * math.sin(slant), away_mm * math.cos(slant)
-    return Sight.of(eye, look_at, (0.0, 1.0, 0.0), 0.5, *SCREEN)
+    return Frustum.of(eye, look_at, (0.0, 1.0, 0.0), 0.5, *SCREEN)
 
 
 @given(CAMERAS, st.integers(100, 13_000), st.integers(100, 13_000), st.integers(0, 3000))
@@ -77,7 +77,7 @@ def test_a_camera_sees_every_box_round_a_point_on_its_screen(
     above = abs(off @ up / np.linalg.norm(up)) if np.linalg.norm(up) > 0 else math.inf
     wide = math.sqrt(max(0.0, off @ off - ahead**2 - above**2))
     if ahead > 1e-6 and above < tall * ahead and wide < tall * ahead * SCREEN[0] / SCREEN[1]:
-        assert seen_from.sees(Box3((x - 0.01, y - 0.01, z - 0.01), (x + 0.01, y + 0.01, z + 0.01)))
+        assert seen_from.sees(AABB((x - 0.01, y - 0.01, z - 0.01), (x + 0.01, y + 0.01, z + 0.01)))
 
 
 def test_the_part_of_the_ground_in_view_is_as_large_as_the_screen_shows() -> None:

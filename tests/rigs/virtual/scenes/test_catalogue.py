@@ -8,7 +8,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from wafer_viewer.model.errors import RigError
-from wafer_viewer.rigs.virtual.scenes.catalogue import SCENES, Window, scene
+from wafer_viewer.rigs.virtual.scenes.catalogue import SCENES, SceneWindow, scene
 from wafer_viewer.rigs.virtual.scenes.tour_wafer import planted
 from wafer_viewer.rigs.virtual.scenes.value_noise import grain
 
@@ -123,8 +123,8 @@ def test_the_tour_takes_in_every_height_it_passes_with_room_on_both_sides(name):
 def test_two_windows_agree_where_they_overlap(name):
     sample = scene(name)
     x, y = sample.tour_center_um
-    one = sample.raster(Window(x - 40, y + 40, 0.5, 120, 160))
-    other = sample.raster(Window(x - 40 + 20, y + 40 - 10, 0.5, 120, 160))
+    one = sample.raster(SceneWindow(x - 40, y + 40, 0.5, 120, 160))
+    other = sample.raster(SceneWindow(x - 40 + 20, y + 40 - 10, 0.5, 120, 160))
     for here, there in zip(one, other, strict=True):
         np.testing.assert_array_equal(here[20:, 40:], there[:-20, :-40])
 

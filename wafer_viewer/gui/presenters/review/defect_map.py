@@ -5,10 +5,10 @@ from __future__ import annotations
 from collections import Counter
 from collections.abc import Sequence
 
-from wafer_viewer.draw.charts.defect_map import Fill, die_shapes, fills_by_count, kinds_of, look_svg
+from wafer_viewer.draw.charts.defect_map import DieFill, die_shapes, fills_by_count, kinds_of, look_svg
 from wafer_viewer.draw.charts.defect_symbols import KINDS
 from wafer_viewer.draw.charts.symbols import symbol
-from wafer_viewer.draw.charts.wafer_map import Frame, Outline
+from wafer_viewer.draw.charts.wafer_map import MapViewport, Outline
 from wafer_viewer.draw.number_format import number
 from wafer_viewer.gui.presenters.review.defect_items import key_of
 from wafer_viewer.gui.presenters.review.defects import JUDGED
@@ -35,7 +35,7 @@ def map_head(listing: DefectListing) -> str:
 
 
 def map_html(
-    frame: Frame,
+    frame: MapViewport,
     inspection: Inspection,
     there: Sequence[Defect],
     listing: DefectListing,
@@ -54,12 +54,12 @@ def map_html(
     return f'<div class="wv-dies-and">{_svg(frame, shapes + signs + over)}{legend}</div>{below}'
 
 
-def fills_by_class(defects: Sequence[Defect]) -> dict[str, Fill]:
+def fills_by_class(defects: Sequence[Defect]) -> dict[str, DieFill]:
     """Dies, by name, in the colour of the class that most of their defects are of."""
     on: dict[str, Counter[DefectClass]] = {}
     for defect in defects:
         on.setdefault(defect.die, Counter())[defect.seen_as] += 1
-    return {die: Fill(KINDS[max(kinds, key=kinds.__getitem__)].colour, CLASS_OPACITY) for die, kinds in on.items()}
+    return {die: DieFill(KINDS[max(kinds, key=kinds.__getitem__)].colour, CLASS_OPACITY) for die, kinds in on.items()}
 
 
 def counts_of(defects: Sequence[Defect]) -> Counter[str]:
@@ -67,7 +67,7 @@ def counts_of(defects: Sequence[Defect]) -> Counter[str]:
     return Counter(defect.die for defect in defects if defect.seen_as != "unmeasured")
 
 
-def other_signs(frame: Frame, other: OtherTool) -> str:
+def other_signs(frame: MapViewport, other: OtherTool) -> str:
     """Where another tool found something: squares round the place, signs of ours stand in them where it is the same."""
     drawn: list[str] = []
     for defect, place in zip(other.klarf.defects, other.places, strict=True):
@@ -80,7 +80,7 @@ def other_signs(frame: Frame, other: OtherTool) -> str:
     return f'<g class="wv-other">{"".join(drawn)}</g>'
 
 
-def _sign(frame: Frame, defect: Defect) -> str:
+def _sign(frame: MapViewport, defect: Defect) -> str:
     look, at = KINDS[defect.seen_as], (frame.x(defect.center.x_um), frame.y(defect.center.y_um))
     faint = "" if defect.judgement == "open" else f' opacity="{JUDGED_OPACITY}"'
     return (
@@ -90,7 +90,7 @@ def _sign(frame: Frame, defect: Defect) -> str:
     )
 
 
-def _svg(frame: Frame, shapes: str) -> str:
+def _svg(frame: MapViewport, shapes: str) -> str:
     w, h = round(frame.width_px), round(frame.height_px)
     return (
         f'<div class="wv-dies"><svg class="wv-map wv-go" width="{w}" height="{h}" viewBox="0 0 {w} {h}" role="img" '
@@ -99,7 +99,7 @@ def _svg(frame: Frame, shapes: str) -> str:
     )
 
 
-def _clicked(frame: Frame) -> str:
+def _clicked(frame: MapViewport) -> str:
     """A sign is reviewed, elsewhere the place, stage um, is chosen; the drawing may be shown smaller than it is."""
     x_um, y_um = frame.um_at(0.0, 0.0)
     return (

@@ -15,7 +15,7 @@ TIMES, LEAST_PX = 4.0, 160
 
 
 @dataclass(frozen=True, slots=True)
-class Cut:
+class DefectCut:
     """The line through a defect, then the same on the die `beside` where there is a good one; of which surface."""
 
     lines: tuple[Region, ...]
@@ -24,7 +24,7 @@ class Cut:
     levelling: Levelling = Levelling()
 
 
-def cut_through(defect: Defect, inspection: Inspection | None, pixel_um: float) -> Cut:
+def cut_through(defect: Defect, inspection: Inspection | None, pixel_um: float) -> DefectCut:
     """The lines to be cut for a defect."""
     x0, _, x1, _ = defect.outline.bounds_um
     length_um = max(TIMES * (x1 - x0), TIMES * defect.minor.value_um, LEAST_PX * pixel_um)
@@ -38,7 +38,7 @@ def cut_through(defect: Defect, inspection: Inspection | None, pixel_um: float) 
         x_um, y_um = grid.to_stage(beside.col, beside.row, defect.in_die.x_um, defect.in_die.y_um)
         middles.append((float(x_um), float(y_um)))
     lines = tuple(Region.line(x - half_x, y - half_y, x + half_x, y + half_y) for x, y in middles)
-    return Cut(lines, beside.name if len(lines) > 1 and beside is not None else "", defect.show, defect.levelling)
+    return DefectCut(lines, beside.name if len(lines) > 1 and beside is not None else "", defect.show, defect.levelling)
 
 
 def neighbour_of(defect: Defect, inspection: Inspection) -> DieStatus | None:

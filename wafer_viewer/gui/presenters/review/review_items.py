@@ -15,11 +15,11 @@ from wafer_viewer.gui.presenters.verdict import in_short
 from wafer_viewer.gui.state.defect_list_state import DefectListing
 from wafer_viewer.gui.state.view_state import ReviewFilter
 from wafer_viewer.model.acquisition.alignment import Alignment
-from wafer_viewer.model.findings import AnyFinding
+from wafer_viewer.model.findings import AnyResult
 from wafer_viewer.model.gauge.gauge_check import GaugeCheck
 from wafer_viewer.model.job.job import Job
 from wafer_viewer.model.job.review_notes import key_of_result, keys_of_features
-from wafer_viewer.model.job.verdict import Judged, Word
+from wafer_viewer.model.job.verdict import FeatureVerdict, Word
 from wafer_viewer.model.measurement.feature import on_die
 from wafer_viewer.model.measurement.tools import TOOLS
 from wafer_viewer.model.quantity import Length, Quantity
@@ -121,14 +121,14 @@ def _features(snapshot: Snapshot, _: DefectListing) -> Iterator[ReviewItem]:
 SOURCES: tuple[Callable[[Snapshot, DefectListing], Iterable[ReviewItem]], ...] = (defect_items, _features, _results)
 
 
-def _kind(finding: AnyFinding) -> str:
+def _kind(finding: AnyResult) -> str:
     titles = {tool: made.title for tool, made in TOOLS.items()}
     tag = {"step_height": "step"}.get(str(finding.__struct_config__.tag), str(finding.__struct_config__.tag))
     words = (titles.get(tag, tag.replace("_", " ").capitalize()), of_what(finding), LAYER_TITLES[finding.surface])
     return " · ".join(word for word in words if word)
 
 
-def _rows(finding: AnyFinding) -> Iterator[Row]:
+def _rows(finding: AnyResult) -> Iterator[Row]:
     for name in finding.__struct_fields__:
         held = getattr(finding, name)
         if isinstance(held, Length | Quantity):
@@ -136,7 +136,7 @@ def _rows(finding: AnyFinding) -> Iterator[Row]:
             yield (title_of(name), *value_texts(quantity))
 
 
-def _feature_rows(judged: Judged) -> tuple[Row, ...]:
+def _feature_rows(judged: FeatureVerdict) -> tuple[Row, ...]:
     feature, what = judged.feature, judged.feature.quantity or TOOLS[judged.feature.tool].title
     measured = ((title_of(what), *value_texts(judged.measured)),) if judged.measured else ()
     named = (("Nominal", feature.nominal), ("Lower limit", feature.lower_limit), ("Upper limit", feature.upper_limit))
@@ -145,7 +145,7 @@ def _feature_rows(judged: Judged) -> tuple[Row, ...]:
     return (*measured, *((name, value, "", unit) for name, value, _, unit in texts))
 
 
-def _places(judged: Judged, job: Job) -> list[Region]:
+def _places(judged: FeatureVerdict, job: Job) -> list[Region]:
     """Where a feature was measured, in wafer um."""
     dies = job.dies.all() if job.dies is not None and judged.die else ()
     die = next((die for die in dies if die.name == judged.die), None)

@@ -8,16 +8,16 @@ from collections.abc import Callable
 import numpy as np
 import viser
 
-from wafer_viewer.gui.scene.camera.camera_flight import Pilot
-from wafer_viewer.gui.scene.camera.camera_presets import FOV_RAD, Clear, Pose, Vector, direction_of, fit, near_mm
-from wafer_viewer.gui.scene.camera.frustum import Sight
+from wafer_viewer.gui.scene.camera.camera_flight import CameraAnimator
+from wafer_viewer.gui.scene.camera.camera_presets import FOV_RAD, CameraPose, Clear, Vector, direction_of, fit, near_mm
+from wafer_viewer.gui.scene.camera.frustum import Frustum
 from wafer_viewer.gui.scene.viewport import Viewport
 
 _AIMED = 5e-3
 """As a share of the distance: the camera looks at a place when it looks so close to it."""
 
 
-class Eye:
+class CameraController:
     """The camera of one browser."""
 
     def __init__(self, client: viser.ClientHandle, viewport: Viewport) -> None:
@@ -25,20 +25,20 @@ class Eye:
         self._preset: str = "iso"
         self._corners: Vector | None = None
         self._clear = Clear()
-        self._set: Pose | None = None
+        self._set: CameraPose | None = None
         self._size_px = (0, 0)
         self._left: Vector | None = None
-        self._pilot = Pilot(self._put, lambda: self.pose)
+        self._pilot = CameraAnimator(self._put, lambda: self.pose)
         client.camera.on_update(self._heard)
 
     @property
-    def pose(self) -> Pose:
+    def pose(self) -> CameraPose:
         """Where the camera is now."""
         camera = self._client.camera
-        return Pose(np.asarray(camera.position, float), np.asarray(camera.look_at, float))
+        return CameraPose(np.asarray(camera.position, float), np.asarray(camera.look_at, float))
 
     @property
-    def goal(self) -> Pose:
+    def goal(self) -> CameraPose:
         """Where it is going to stand: where it is now, unless it flies."""
         return self._pilot.goal or self.pose
 
@@ -50,13 +50,13 @@ class Eye:
         """Let the thread of flights go."""
         self._pilot.close()
 
-    def sight(self) -> Sight:
+    def sight(self) -> Frustum:
         """What it sees, in a flight at its end: what lies on the way is not worth drawing. In pixels as drawn."""
         camera, pose = self._client.camera, self.goal
         eye, look_at, up = (
             (float(v[0]), float(v[1]), float(v[2])) for v in (pose.position, pose.look_at, camera.up_direction)
         )
-        return Sight.of(eye, look_at, up, camera.fov, camera.image_width, camera.image_height)
+        return Frustum.of(eye, look_at, up, camera.fov, camera.image_width, camera.image_height)
 
     def um_per_pixel(self) -> float:
         """How long a CSS pixel is at the point looked at."""
@@ -74,7 +74,7 @@ class Eye:
         """Look at these points from where the camera is now; what is drawn stays what `follow` takes in."""
         self._fly(fit(corners_mm, self.goal.direction, FOV_RAD, *self.canvas_px, self._clear))
 
-    def go(self, pose: Pose, *, flying: bool = False) -> None:
+    def go(self, pose: CameraPose, *, flying: bool = False) -> None:
         """Stand somewhere, as the operator would; from now on the camera stays there."""
         self._set = None
         (self._fly if flying else self._stand)(pose)
@@ -95,10 +95,10 @@ class Eye:
         moved = float(np.linalg.norm(place - pose.look_at))
         if self._pilot.goal is None and moved > _AIMED * float(np.linalg.norm(place - pose.position)):
             if pose.is_near(self._set):
-                self._set = Pose(pose.position, place)
+                self._set = CameraPose(pose.position, place)
             self._client.camera.look_at = place
 
-    def moved(self) -> Pose:
+    def moved(self) -> CameraPose:
         """After a move: fit again what the canvas no longer holds, let nothing near be cut off; where it is now."""
         self.refit()
         self.come_near()
@@ -123,18 +123,18 @@ class Eye:
         """Width and height of the scene in CSS pixels."""
         return self._viewport.width_px, self._viewport.height_px
 
-    def _apply(self, direction: Vector, move: Callable[[Pose], None]) -> None:
+    def _apply(self, direction: Vector, move: Callable[[CameraPose], None]) -> None:
         if self._corners is None:
             return
         self._size_px = self.canvas_px
         self._set = fit(self._corners, direction, FOV_RAD, *self._size_px, self._clear)
         move(self._set)
 
-    def _fly(self, pose: Pose) -> None:
+    def _fly(self, pose: CameraPose) -> None:
         if not self._pilot.fly(self.pose, pose):
             self._put(pose)
 
-    def _stand(self, pose: Pose) -> None:
+    def _stand(self, pose: CameraPose) -> None:
         self._pilot.drop()
         self._put(pose)
 
@@ -142,7 +142,7 @@ class Eye:
         # A coroutine: run where the report arrives, before anything else can put the camera elsewhere.
         self._pilot.heard(np.asarray(camera.position, float))
 
-    def _put(self, pose: Pose) -> None:
+    def _put(self, pose: CameraPose) -> None:
         camera = self._client.camera
         self._left = np.array(camera.position, float)
         with self._client.atomic():

@@ -9,7 +9,7 @@ from collections.abc import Callable
 
 import numpy as np
 
-from wafer_viewer.gui.scene.camera.camera_presets import Pose, Vector
+from wafer_viewer.gui.scene.camera.camera_presets import CameraPose, Vector
 
 FLIGHT_S, STEP_S = 0.35, 0.04
 LATE_S = 0.2
@@ -22,7 +22,7 @@ _SAME = 1e-3
 """Places this close, as a share of the distance looked over, are the same."""
 
 
-def between(start: Pose, goal: Pose, share: float) -> Pose:
+def between(start: CameraPose, goal: CameraPose, share: float) -> CameraPose:
     """Where the camera is after a share of a flight; the goal itself at its end.
 
     It turns about the upright axis the shorter way round and nears by the logarithm of its distance; the point looked
@@ -35,14 +35,14 @@ def between(start: Pose, goal: Pose, share: float) -> Pose:
     distance = far ** (1 - eased) * near**eased
     moved = eased if math.isclose(near, far, rel_tol=1e-3) else (far - distance) / (far - near)
     look_at = start.look_at + (goal.look_at - start.look_at) * moved
-    return Pose(look_at + _direction(start, goal, eased) * distance, look_at)
+    return CameraPose(look_at + _direction(start, goal, eased) * distance, look_at)
 
 
-def _distance(pose: Pose) -> float:
+def _distance(pose: CameraPose) -> float:
     return float(np.linalg.norm(pose.position - pose.look_at))
 
 
-def _direction(start: Pose, goal: Pose, share: float) -> Vector:
+def _direction(start: CameraPose, goal: CameraPose, share: float) -> Vector:
     (turn, rise), (last_turn, last_rise) = _angles(start.direction), _angles(goal.direction)
     turn += share * math.remainder(last_turn - turn, 2 * math.pi)
     rise += share * (last_rise - rise)
@@ -54,17 +54,17 @@ def _angles(direction: Vector) -> tuple[float, float]:
     return math.atan2(y, x), math.atan2(z, math.hypot(x, y))
 
 
-class Flight:
+class CameraTransition:
     """One flight. Times are seconds of any clock; what the browser tells is compared with what it was told."""
 
-    def __init__(self, start: Pose, goal: Pose, now_s: float) -> None:
+    def __init__(self, start: CameraPose, goal: CameraPose, now_s: float) -> None:
         self.start, self.goal = start, goal
         self.over, self.late = False, False
         self._began_s = now_s
-        self._sent: list[tuple[float, Pose]] = []
+        self._sent: list[tuple[float, CameraPose]] = []
         self._known = 0
 
-    def step(self, now_s: float) -> Pose | None:
+    def step(self, now_s: float) -> CameraPose | None:
         """Where the camera is to stand now; None when the flight is over."""
         if self.over:
             return None
@@ -86,36 +86,39 @@ class Flight:
         return self._known == 0
 
 
-class Pilot:
+class CameraAnimator:
     """Flies one camera on a thread of its own; `stand` puts the camera somewhere.
 
     able: whether the browser draws fast enough, and its user wants things to move.
     """
 
     def __init__(
-        self, stand: Callable[[Pose], None], pose: Callable[[], Pose], clock: Callable[[], float] = time.monotonic
+        self,
+        stand: Callable[[CameraPose], None],
+        pose: Callable[[], CameraPose],
+        clock: Callable[[], float] = time.monotonic,
     ) -> None:
         self.able = False
         self._stand, self._pose, self._clock = stand, pose, clock
-        self._flight: Flight | None = None
+        self._flight: CameraTransition | None = None
         self._rests_until_s = -math.inf
         self._due = threading.Condition()
         self._closed = False
         self._thread: threading.Thread | None = None
 
     @property
-    def goal(self) -> Pose | None:
+    def goal(self) -> CameraPose | None:
         """Where it is going; None when it is not."""
         with self._due:
             return self._flight.goal if self._flight is not None else None
 
-    def fly(self, start: Pose, goal: Pose) -> bool:
+    def fly(self, start: CameraPose, goal: CameraPose) -> bool:
         """Begin a flight in place of another; whether there is one: a slow browser had better jump."""
         with self._due:
             if not self.able or self._clock() < self._rests_until_s or start.is_near(goal):
                 self._flight = None
                 return False
-            self._flight = Flight(start, goal, self._clock())
+            self._flight = CameraTransition(start, goal, self._clock())
             if self._thread is None:
                 self._thread = threading.Thread(target=self._run, name="flight", daemon=True)
                 self._thread.start()
@@ -150,7 +153,7 @@ class Pilot:
                 return
             self._carry_out(flight)
 
-    def _carry_out(self, flight: Flight) -> None:
+    def _carry_out(self, flight: CameraTransition) -> None:
         """All steps of a flight, until it is over or another has taken its place."""
         while (pose := self._step(flight)) is not None:
             self._stand(pose)
@@ -158,7 +161,7 @@ class Pilot:
                 self._due.wait_for(lambda: self._flight is not flight, LAND_S if flight.over else STEP_S)
         self._land(flight)
 
-    def _step(self, flight: Flight) -> Pose | None:
+    def _step(self, flight: CameraTransition) -> CameraPose | None:
         with self._due:
             if self._flight is not flight:
                 return None
@@ -167,7 +170,7 @@ class Pilot:
                 self._rests_until_s = self._clock() + REST_S
             return pose
 
-    def _land(self, flight: Flight) -> None:
+    def _land(self, flight: CameraTransition) -> None:
         """A report that came in between may have left the camera looking elsewhere: then once more."""
         with self._due:
             if self._flight is not flight:

@@ -30,7 +30,7 @@ class Clear:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Pose:
+class CameraPose:
     """Camera position and the point looked at, in mm."""
 
     position: Vector
@@ -42,11 +42,11 @@ class Pose:
         away = self.position - self.look_at
         return away / np.linalg.norm(away)
 
-    def is_same(self, other: Pose) -> bool:
+    def is_same(self, other: CameraPose) -> bool:
         """Whether two poses are the same to the last bit."""
         return bool((self.position == other.position).all() and (self.look_at == other.look_at).all())
 
-    def is_near(self, other: Pose | None) -> bool:
+    def is_near(self, other: CameraPose | None) -> bool:
         """Whether two poses are the same but for rounding."""
         if other is None:
             return False
@@ -61,7 +61,9 @@ def direction_of(preset: str) -> Vector:
     return np.array([math.sin(turn) * math.cos(down), -math.cos(turn) * math.cos(down), math.sin(down)])
 
 
-def fit(corners_mm: Vector, direction: Vector, fov_rad: float, width_px: int, height_px: int, clear: Clear) -> Pose:
+def fit(
+    corners_mm: Vector, direction: Vector, fov_rad: float, width_px: int, height_px: int, clear: Clear
+) -> CameraPose:
     """The pose that shows points [n, 3] as large as they fit into the free part of the canvas, and in its middle.
 
     fov_rad is the vertical field of view. That a point lies within an edge is linear in the camera's place, so the
@@ -77,7 +79,7 @@ def fit(corners_mm: Vector, direction: Vector, fov_rad: float, width_px: int, he
     y = _Slack.of(along, near, foot_px, top_px, focal_px)
     distance = max(x.least_distance, y.least_distance, 1.02 * float(near.max()) + 1e-3)
     aim = middle + right * x.place(distance) + up * y.place(distance)
-    return Pose(aim + direction * distance, aim)
+    return CameraPose(aim + direction * distance, aim)
 
 
 def _edges(size_px: int, before: float, after: float) -> tuple[float, float]:
@@ -118,12 +120,12 @@ def screen_axes(direction: Vector) -> tuple[Vector, Vector]:
     return right, np.cross(direction, right)
 
 
-def near_mm(pose: Pose) -> float:
+def near_mm(pose: CameraPose) -> float:
     """Nothing nearer to a camera than this is drawn."""
     return max(NEAR_MM, NEAR_SHARE * float(np.linalg.norm(pose.position - pose.look_at)))
 
 
-def pixel_ray(pose: Pose, fov_rad: float, aspect: float, u: float, v: float) -> Vector:
+def pixel_ray(pose: CameraPose, fov_rad: float, aspect: float, u: float, v: float) -> Vector:
     """The direction in which a place of the picture is seen.
 
     fov_rad: the vertical field of view; aspect: width by height; u, v: shares of the width and the height, 0 at the

@@ -11,7 +11,7 @@ _WIDER = 1.06
 
 
 @dataclass(frozen=True, slots=True)
-class Box3:
+class AABB:
     """From corner to corner, in scene mm."""
 
     low: Triple
@@ -19,7 +19,7 @@ class Box3:
 
 
 @dataclass(frozen=True, slots=True)
-class Sight:
+class Frustum:
     """A camera at `eye` that looks `ahead`, with its four sides as planes through the eye, their normals inward.
 
     focal_px: how many pixels high something 1 mm high is at a distance of 1 mm.
@@ -31,7 +31,7 @@ class Sight:
     focal_px: float
 
     @classmethod
-    def of(cls, eye: Triple, look_at: Triple, up: Triple, fov_rad: float, width_px: int, height_px: int) -> Sight:
+    def of(cls, eye: Triple, look_at: Triple, up: Triple, fov_rad: float, width_px: int, height_px: int) -> Frustum:
         """The sight of a camera; fov_rad is the vertical field of view."""
         ahead = _unit(_minus(look_at, eye))
         right = _unit(_cross(ahead, up))
@@ -44,16 +44,16 @@ class Sight:
         )
         return cls(eye, ahead, sides, max(1, height_px) / 2 / tall)
 
-    def sees(self, box: Box3) -> bool:
+    def sees(self, box: AABB) -> bool:
         """Whether any of a box may be in view."""
         return all(self._reach(side, box) >= 0 for side in (*self.sides, self.ahead))
 
-    def px_per_mm(self, box: Box3) -> float:
+    def px_per_mm(self, box: AABB) -> float:
         """How many pixels a millimetre at the nearest point of a box is."""
         away = [max(low - at, 0.0, at - high) for low, at, high in zip(box.low, self.eye, box.high, strict=True)]
         return self.focal_px / max(math.hypot(*away), 1e-6)
 
-    def aside(self, box: Box3) -> float:
+    def aside(self, box: AABB) -> float:
         """How far the middle of a box lies from the middle of the screen, as a slope; behind the eye it is far."""
         off = _minus(_middle(box), self.eye)
         ahead = _dot(off, self.ahead)
@@ -70,7 +70,7 @@ class Sight:
         met = [_sum(self.eye, ray, t) for ray, t in zip(rays, times, strict=True)]
         return tuple((x * 1e3, y * 1e3) for x, y, _ in met)
 
-    def _reach(self, normal: Triple, box: Box3) -> float:
+    def _reach(self, normal: Triple, box: AABB) -> float:
         """How far a box reaches to the inner side of a plane through the eye."""
         return sum(
             n * ((high if n > 0 else low) - at)
@@ -78,7 +78,7 @@ class Sight:
         )
 
 
-def _middle(box: Box3) -> Triple:
+def _middle(box: AABB) -> Triple:
     (x0, y0, z0), (x1, y1, z1) = box.low, box.high
     return (x0 + x1) / 2, (y0 + y1) / 2, (z0 + z1) / 2
 

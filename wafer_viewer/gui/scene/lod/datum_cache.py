@@ -5,23 +5,23 @@ from __future__ import annotations
 from collections.abc import Callable
 from concurrent.futures import Future, ThreadPoolExecutor
 
-from wafer_viewer.gui.scene.reconciler import NotYet
+from wafer_viewer.gui.scene.reconciler import NotReady
 from wafer_viewer.model.measurement.levelling import Datum, Levelling
-from wafer_viewer.session.rendering.render_request import Source
+from wafer_viewer.session.rendering.render_request import SurfaceKey
 
 FindDatum = Callable[[Levelling, int], Datum]
 _KEPT = 64
 
 
-class Datums:
+class DatumCache:
     """Those of surfaces by way of levelling. `arrived` is called on another thread when one is known."""
 
     def __init__(self, find: FindDatum, arrived: Callable[[], None]) -> None:
         self._find, self._arrived = find, arrived
-        self._asked: dict[tuple[Source, Levelling], Future[Datum]] = {}
+        self._asked: dict[tuple[SurfaceKey, Levelling], Future[Datum]] = {}
         self._pool = ThreadPoolExecutor(1, thread_name_prefix="datum")
 
-    def of(self, source: Source, levelling: Levelling) -> Datum | None:
+    def of(self, source: SurfaceKey, levelling: Levelling) -> Datum | None:
         """The datum, None for the stage's own zero. Raises NotYet; MeasureError when none can be laid."""
         if levelling.by == "stage":
             return None
@@ -32,7 +32,7 @@ class Datums:
             found = self._asked[source, levelling] = self._pool.submit(self._find, levelling, source.show)
             found.add_done_callback(lambda _: self._arrived())
         if not found.done():
-            raise NotYet
+            raise NotReady
         return found.result()
 
     def close(self) -> None:

@@ -10,7 +10,7 @@ import heapq
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 
-from wafer_viewer.gui.scene.camera.frustum import Box3, Sight
+from wafer_viewer.gui.scene.camera.frustum import AABB, Frustum
 
 TILE_PX = 256
 FINEST_LEVEL = -3
@@ -72,14 +72,14 @@ class Ground:
         rows, cols = node.spans
         return _meet(rows, self.rows) and _meet(cols, self.cols)
 
-    def box(self, node: Node) -> Box3:
+    def box(self, node: Node) -> AABB:
         """The part of the window that lies in a node, with its heights."""
         rows, cols = (_common(*spans) for spans in zip(node.spans, (self.rows, self.cols), strict=True))
         low, high = self.heights_mm(rows, cols)
         x, y = ([self.x0_mm + c * self.pixel_mm for c in cols], [self.y0_mm - r * self.pixel_mm for r in rows])
-        return Box3((x[0], y[1], low), (x[1], y[0], high))
+        return AABB((x[0], y[1], low), (x[1], y[0], high))
 
-    def texel_px(self, node: Node, box: Box3, sight: Sight) -> float:
+    def texel_px(self, node: Node, box: AABB, sight: Frustum) -> float:
         """How large a pixel of the node's level is on the screen, at most."""
         return self.pixel_mm * node.side_px / TILE_PX * sight.px_per_mm(box)
 
@@ -95,7 +95,7 @@ def roots(ground: Ground) -> list[Node]:
         level += 1
 
 
-def leaves(ground: Ground, sight: Sight, sharp_px: float, most: int) -> list[Leaf]:
+def leaves(ground: Ground, sight: Frustum, sharp_px: float, most: int) -> list[Leaf]:
     """What to draw: in sight nothing with texels over `sharp_px`, as far as `most` tiles go; the middle first.
 
     The largest texels are split first, so that what is short is short evenly.

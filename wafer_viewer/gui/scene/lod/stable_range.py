@@ -13,21 +13,21 @@ import numpy as np
 
 from wafer_viewer.gui.state.view_state import View
 from wafer_viewer.model.acquisition.plan import ScanPlan
-from wafer_viewer.session.rendering.render_request import Facts, Scale, Source
+from wafer_viewer.session.rendering.render_request import ColourScale, SurfaceKey, SurfaceStatistics
 
 _HEIGHTS, _RANGE, _DEEPER = 0.12, 0.04, 0.02
 """By how much of their span heights and the range of colours may be off; what lies deeper than drawn shows at once."""
 _GAIN = 1.25
 
 
-class Steady:
+class DisplayRangeHysteresis:
     """What one scene draws its surface by."""
 
     def __init__(self) -> None:
-        self._facts: tuple[Hashable, Facts] | None = None
-        self._scale: tuple[Hashable, Scale] | None = None
+        self._facts: tuple[Hashable, SurfaceStatistics] | None = None
+        self._scale: tuple[Hashable, ColourScale] | None = None
 
-    def facts(self, source: Source, view: View, now: Facts) -> Facts:
+    def facts(self, source: SurfaceKey, view: View, now: SurfaceStatistics) -> SurfaceStatistics:
         """The facts of a surface with the heights and the light that it was drawn by before, if they still fit."""
         of = (_place(source), view.colour_by in ("deviation", "form"))
         if self._facts is None or self._facts[0] != of or not _fits(self._facts[1], now, of[1]):
@@ -43,7 +43,7 @@ class Steady:
             form=held.form,
         )
 
-    def scale(self, source: Source, view: View, now: Scale) -> Scale:
+    def scale(self, source: SurfaceKey, view: View, now: ColourScale) -> ColourScale:
         """The scale with the range that the colours had before, if that still fits; one set by hand is as it is."""
         if view.range_um is not None:
             return now
@@ -55,11 +55,11 @@ class Steady:
         return msgspec.structs.replace(now, low=held.low, high=held.high)
 
 
-def _place(source: Source) -> Hashable:
+def _place(source: SurfaceKey) -> Hashable:
     return source.dataset, source.result, source.show
 
 
-def _fits(held: Facts, now: Facts, with_plane: bool) -> bool:
+def _fits(held: SurfaceStatistics, now: SurfaceStatistics, with_plane: bool) -> bool:
     span = max(held.high_um - held.low_um, 1e-6)
     moved = max(abs(held.low_um - now.low_um), abs(held.high_um - now.high_um), now.lowest_um - held.lowest_um)
     deeper = held.lowest_um - now.lowest_um > _DEEPER * span
@@ -67,7 +67,7 @@ def _fits(held: Facts, now: Facts, with_plane: bool) -> bool:
     return moved <= _HEIGHTS * span and not deeper and not relit and not (with_plane and _tipped(held, now, span))
 
 
-def _tipped(held: Facts, now: Facts, span: float) -> bool:
+def _tipped(held: SurfaceStatistics, now: SurfaceStatistics, span: float) -> bool:
     """Whether the plane that deviations are taken from is another at the corners of the surface."""
     x = now.x0_um + np.array([now.first_col, now.end_col]) * now.pixel_um
     y = now.y0_um - np.array([now.first_row, now.end_row]) * now.pixel_um
@@ -76,7 +76,7 @@ def _tipped(held: Facts, now: Facts, span: float) -> bool:
     return bool(off.max() > _DEEPER * span)
 
 
-def as_planned(facts: Facts, plan: ScanPlan) -> Facts:
+def as_planned(facts: SurfaceStatistics, plan: ScanPlan) -> SurfaceStatistics:
     """The facts with a window as large as all planned fields: it does not grow with what is measured."""
     half_x, half_y = plan.cols * plan.pixel_um / 2, plan.rows * plan.pixel_um / 2
     x, y = [f.x_um for f in plan.fields], [f.y_um for f in plan.fields]

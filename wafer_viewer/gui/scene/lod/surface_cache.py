@@ -7,69 +7,75 @@ from typing import TypeVar
 
 import msgspec
 
-from wafer_viewer.draw.surface.display_style import Look
-from wafer_viewer.gui.scene.lod.datum_cache import Datums, FindDatum
-from wafer_viewer.gui.scene.reconciler import NotYet, Orders, Paint
-from wafer_viewer.gui.scene.scene_contents import OnShow
+from wafer_viewer.draw.surface.display_style import DisplayStyle
+from wafer_viewer.gui.scene.lod.datum_cache import DatumCache, FindDatum
+from wafer_viewer.gui.scene.reconciler import NotReady, Paint, RenderQueue
+from wafer_viewer.gui.scene.scene_contents import DisplayedSurface
 from wafer_viewer.gui.state.view_state import View
 from wafer_viewer.model.measurement.levelling import Datum, Levelling
-from wafer_viewer.session.rendering.render_request import Facts, PaintRequest, Relief, Scale, Source
+from wafer_viewer.session.rendering.render_request import (
+    CoarseHeightField,
+    ColourScale,
+    RenderRequest,
+    SurfaceKey,
+    SurfaceStatistics,
+)
 
-Answer = TypeVar("Answer", Facts, Scale, Relief)
+Answer = TypeVar("Answer", SurfaceStatistics, ColourScale, CoarseHeightField)
 _KEPT = 256
 
 
-class Book:
+class SurfaceInfoCache:
     """Facts, scales and reliefs by request. What is not known yet raises NotYet and is asked for meanwhile.
 
     All are over a datum where one is given. `find_datum` is asked on a thread of its own.
     """
 
     def __init__(self, paint: Paint, arrived: Callable[[], None], find_datum: FindDatum) -> None:
-        self._orders = Orders(paint, arrived)
-        self._known: dict[PaintRequest, Facts | Scale | Relief] = {}
-        self._datums = Datums(find_datum, arrived)
+        self._orders = RenderQueue(paint, arrived)
+        self._known: dict[RenderRequest, SurfaceStatistics | ColourScale | CoarseHeightField] = {}
+        self._datums = DatumCache(find_datum, arrived)
 
     def close(self) -> None:
         """Let the thread go."""
         self._datums.close()
 
-    def datum(self, source: Source, levelling: Levelling) -> Datum | None:
+    def datum(self, source: SurfaceKey, levelling: Levelling) -> Datum | None:
         """What counts as zero; None for the stage's own. Raises MeasureError when none can be laid."""
         return self._datums.of(source, levelling)
 
-    def facts(self, source: Source, datum: Datum | None = None) -> Facts:
+    def facts(self, source: SurfaceKey, datum: Datum | None = None) -> SurfaceStatistics:
         """The surface as a whole."""
-        return self._look_up(PaintRequest(source, "facts", datum=datum), Facts)
+        return self._look_up(RenderRequest(source, "facts", datum=datum), SurfaceStatistics)
 
-    def facts_known(self, sources: dict[int, Source]) -> dict[int, Facts]:
+    def facts_known(self, sources: dict[int, SurfaceKey]) -> dict[int, SurfaceStatistics]:
         """The facts of those surfaces that are known already; the others are asked for."""
-        known: dict[int, Facts] = {}
+        known: dict[int, SurfaceStatistics] = {}
         for number, source in sources.items():
             try:
                 known[number] = self.facts(source)
-            except NotYet:
+            except NotReady:
                 continue
         return known
 
-    def scale(self, source: Source, view: View, datum: Datum | None = None) -> Scale:
+    def scale(self, source: SurfaceKey, view: View, datum: Datum | None = None) -> ColourScale:
         """The quantity that colours the surface, over the range chosen or its own."""
-        light, look = self.facts(source, datum).light, Look(colour_by=view.colour_by)
-        request = PaintRequest(source, "scale", look=look, light=light, range_values=view.range_um, datum=datum)
-        return self._look_up(request, Scale)
+        light, look = self.facts(source, datum).light, DisplayStyle(colour_by=view.colour_by)
+        request = RenderRequest(source, "scale", look=look, light=light, range_values=view.range_um, datum=datum)
+        return self._look_up(request, ColourScale)
 
-    def relief(self, of: OnShow) -> Relief:
+    def relief(self, of: DisplayedSurface) -> CoarseHeightField:
         """The coarse heights of the surface on show."""
-        return self._look_up(PaintRequest(of.source, "relief", datum=of.datum), Relief)
+        return self._look_up(RenderRequest(of.source, "relief", datum=of.datum), CoarseHeightField)
 
-    def relief_if_known(self, source: Source, datum: Datum | None) -> Relief | None:
+    def relief_if_known(self, source: SurfaceKey, datum: Datum | None) -> CoarseHeightField | None:
         """The coarse heights, None while they are made."""
         try:
-            return self._look_up(PaintRequest(source, "relief", datum=datum), Relief)
-        except NotYet:
+            return self._look_up(RenderRequest(source, "relief", datum=datum), CoarseHeightField)
+        except NotReady:
             return None
 
-    def _look_up(self, request: PaintRequest, kind: type[Answer]) -> Answer:
+    def _look_up(self, request: RenderRequest, kind: type[Answer]) -> Answer:
         known = self._known.get(request)
         if isinstance(known, kind):
             return known

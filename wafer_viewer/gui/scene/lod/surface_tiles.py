@@ -11,14 +11,21 @@ import numpy as np
 import viser
 
 from wafer_viewer.draw.colormaps import DIVERGING
-from wafer_viewer.draw.surface.display_style import Light, Look
-from wafer_viewer.gui.scene.camera.frustum import Sight
+from wafer_viewer.draw.surface.display_style import DisplayStyle, Light
+from wafer_viewer.gui.scene.camera.frustum import Frustum
 from wafer_viewer.gui.scene.lod.quadtree import DRAFT_LEVELS, Ground, Heights, Leaf, Span, leaves, roots
-from wafer_viewer.gui.scene.reconciler import Cover, Handle, Item
+from wafer_viewer.gui.scene.reconciler import Handle, SceneItem, TileExtent
 from wafer_viewer.gui.state.view_state import Look as Way
 from wafer_viewer.gui.state.view_state import View
 from wafer_viewer.model.measurement.levelling import Datum
-from wafer_viewer.session.rendering.render_request import Facts, Kind, PaintRequest, Scale, Source, unpack_points
+from wafer_viewer.session.rendering.render_request import (
+    ColourScale,
+    Kind,
+    RenderRequest,
+    SurfaceKey,
+    SurfaceStatistics,
+    unpack_points,
+)
 
 Box = tuple[float, float, float, float]
 """x low, y low, x high, y high in um."""
@@ -44,7 +51,7 @@ _SHAPES: dict[Way, Kind] = {"surface": "tile", "points": "points", "plan": "flat
 
 
 @dataclasses.dataclass(frozen=True, slots=True)
-class Cut:
+class TileCut:
     """A level, the window of its lattice that holds anything, and the step from vertex to vertex."""
 
     level: int
@@ -65,14 +72,14 @@ def _spans(first: int, end: int, step: int) -> list[Span]:
     return [(start, min(start + length + 1, end)) for start in starts]
 
 
-def cut(facts: Facts, texture_pixels: int) -> Cut:
+def cut(facts: SurfaceStatistics, texture_pixels: int) -> TileCut:
     """The finest level within a budget of texture pixels, with at most `VERTICES` vertices."""
     rows, cols = facts.end_row - facts.first_row, facts.end_col - facts.first_col
     level = max(0, math.ceil(math.log2(max(1.0, rows * cols / texture_pixels)) / 2))
     scale = 2**level
     step = max(1, math.ceil(math.sqrt(rows * cols / scale**2 / VERTICES)))
     rows_there, cols_there = (_at_level(window, level) for window in _window(facts))
-    return Cut(level, rows_there, cols_there, step)
+    return TileCut(level, rows_there, cols_there, step)
 
 
 def _at_level(window: Span, level: int) -> Span:
@@ -81,11 +88,11 @@ def _at_level(window: Span, level: int) -> Span:
     return first >> level, max((first >> level) + 2, -(-end >> level))
 
 
-def _window(facts: Facts) -> tuple[Span, Span]:
+def _window(facts: SurfaceStatistics) -> tuple[Span, Span]:
     return (facts.first_row, facts.end_row), (facts.first_col, facts.end_col)
 
 
-def bounds_mm(facts: Facts) -> tuple[float, float, float, float]:
+def bounds_mm(facts: SurfaceStatistics) -> tuple[float, float, float, float]:
     """(x low, y low, x high, y high) of what is measured."""
     pixel = facts.pixel_um * 1e-3
     x, y = facts.x0_um * 1e-3, facts.y0_um * 1e-3
@@ -95,12 +102,12 @@ def bounds_mm(facts: Facts) -> tuple[float, float, float, float]:
     )  # fmt: skip
 
 
-def look_of(view: View, scale: Scale) -> Look:
+def look_of(view: View, scale: ColourScale) -> DisplayStyle:
     """What the operator chose, with the range the colours span; origins in little light, to be found in the legend."""
     colours = OWN_COLOURS.get(view.colour_by, view.colours)
     light = LIGHT_ON.get(view.colour_by, 1.0)
     points = view.look == "points"
-    return Look(
+    return DisplayStyle(
         view.colour_by,
         colours,
         scale.low,
@@ -120,20 +127,22 @@ class Shown:
     datum: what counts as zero height; None: the stage's zero.
     """
 
-    source: Source
-    facts: Facts
-    measured: Facts
+    source: SurfaceKey
+    facts: SurfaceStatistics
+    measured: SurfaceStatistics
     stamp_of: Callable[[Box], int] | None = None
     datum: Datum | None = None
 
-    def at(self, level: int, rows: Span, cols: Span) -> Source:
+    def at(self, level: int, rows: Span, cols: Span) -> SurfaceKey:
         """The source of a part: an older stamp where nothing has changed since."""
         if self.stamp_of is None:
             return self.source
         return dataclasses.replace(self.source, stamp=self.stamp_of(_box_um(self.facts, level, rows, cols)))
 
 
-def surface_items(shown: Shown, look: Look, view: View, z0_um: float, texture_pixels: int, prefix: str) -> list[Item]:
+def surface_items(
+    shown: Shown, look: DisplayStyle, view: View, z0_um: float, texture_pixels: int, prefix: str
+) -> list[SceneItem]:
     """A surface at one level and its walls, whatever the camera sees; with ``plan`` it lies flat and has none."""
     facts = shown.facts
     part = cut(facts, texture_pixels)
@@ -150,9 +159,9 @@ def surface_items(shown: Shown, look: Look, view: View, z0_um: float, texture_pi
     return items + (_walls(f"{prefix}/{part.level}/walls", whole, shown) if view.look == "surface" else [])
 
 
-def _base(shown: Shown, look: Look, view: View, z0_um: float) -> PaintRequest:
+def _base(shown: Shown, look: DisplayStyle, view: View, z0_um: float) -> RenderRequest:
     """What all tiles of a surface have in common."""
-    return PaintRequest(
+    return RenderRequest(
         shown.source, _SHAPES[view.look], look=look, light=shown.facts.light, z0_um=z0_um, dark=view.dark,
         datum=shown.datum, clip=view.clipped,
     )  # fmt: skip
@@ -163,17 +172,17 @@ class TiledSurface:
     """A surface drawn by what the camera sees. heights_mm: of a part of it, as drawn; see `quadtree`."""
 
     shown: Shown
-    look: Look
+    look: DisplayStyle
     view: View
     z0_um: float
     heights_mm: Heights
     prefix: str = "surface"
 
-    def first_items(self) -> list[Item]:
+    def first_items(self) -> list[SceneItem]:
         """The whole of it at a glance."""
         return self._items([Leaf(node, True) for node in roots(self._ground)])
 
-    def items(self, sight: Sight, finer: float = 1.0) -> list[Item]:
+    def items(self, sight: Frustum, finer: float = 1.0) -> list[SceneItem]:
         """What a camera needs, the middle of its view first; so many pixels for one of its screen."""
         way = self.view.look
         return self._items(leaves(self._ground, sight, SHARP_PX[way] / finer, round(MOST_TILES[way] * finer**2)))
@@ -186,25 +195,25 @@ class TiledSurface:
         x0, y0 = facts.x0_um * 1e-3 - pixel / 2, facts.y0_um * 1e-3 + pixel / 2
         return Ground(rows, cols, x0, y0, pixel, self.heights_mm)
 
-    def _items(self, cover: list[Leaf]) -> list[Item]:
+    def _items(self, cover: list[Leaf]) -> list[SceneItem]:
         base = _base(self.shown, self.look, self.view, self.z0_um)
         base = dataclasses.replace(base, refused=self.view.draws_refused)
         return [item for leaf in cover for item in self._of(leaf, base)]
 
-    def _of(self, leaf: Leaf, base: PaintRequest) -> Iterator[Item]:
+    def _of(self, leaf: Leaf, base: RenderRequest) -> Iterator[SceneItem]:
         """The tile of a leaf, and the walls where the surface ends in it."""
         node, shown = leaf.node, self.shown
         request = _cut_out(base, leaf, shown.facts)
         place = f"{node.level}/{node.row}_{node.col}"
-        yield _tile(f"{self.prefix}/{place}", request, shown, Cover(self.prefix, *node.spans))
+        yield _tile(f"{self.prefix}/{place}", request, shown, TileExtent(self.prefix, *node.spans))
         if self.view.look == "surface":
             for side, edge in _edges_in(request, shown.measured):
                 wall = dataclasses.replace(_wall(edge, shown), side=side)
                 layer = f"{self.prefix}/wall-{side}"
-                yield Item(f"{layer}/{place}", wall, add_glb, wall, True, Cover(layer, *node.spans))
+                yield SceneItem(f"{layer}/{place}", wall, add_glb, wall, True, TileExtent(layer, *node.spans))
 
 
-def _cut_out(base: PaintRequest, leaf: Leaf, facts: Facts) -> PaintRequest:
+def _cut_out(base: RenderRequest, leaf: Leaf, facts: SurfaceStatistics) -> RenderRequest:
     """The request for a leaf: its pixels and one more on each side, so that tiles of all levels overlap a little.
 
     Points have no seams to hide, and each is drawn once.
@@ -224,7 +233,7 @@ def _cut_out(base: PaintRequest, leaf: Leaf, facts: Facts) -> PaintRequest:
     return dataclasses.replace(base, level=level, step=step, rows=rows, cols=cols, skirts=inner)
 
 
-def _edges_in(request: PaintRequest, measured: Facts) -> Iterator[tuple[int, PaintRequest]]:
+def _edges_in(request: RenderRequest, measured: SurfaceStatistics) -> Iterator[tuple[int, RenderRequest]]:
     """The edges of what is measured that lie in a tile, each by the number of its side: see `mesh.walls`."""
     rows, cols = (_at_level(window, request.level) for window in _window(measured))
     across = max(rows[0], request.rows[0]), min(rows[1], request.rows[1])
@@ -237,7 +246,7 @@ def _edges_in(request: PaintRequest, measured: Facts) -> Iterator[tuple[int, Pai
             yield side, dataclasses.replace(request, rows=across, cols=(line, line + 1))
 
 
-def _box_um(facts: Facts, level: int, rows: Span, cols: Span) -> Box:
+def _box_um(facts: SurfaceStatistics, level: int, rows: Span, cols: Span) -> Box:
     """A window of a level's lattice with what is read round it."""
     pixel, spare = facts.pixel_um * 2**level, READ_AROUND_PX * facts.pixel_um * 2**level
     x0, y0 = facts.x0_um - spare, facts.y0_um + spare
@@ -249,24 +258,24 @@ def _box_um(facts: Facts, level: int, rows: Span, cols: Span) -> Box:
     )
 
 
-def _tile(name: str, request: PaintRequest, shown: Shown, cover: Cover | None = None) -> Item:
+def _tile(name: str, request: RenderRequest, shown: Shown, cover: TileExtent | None = None) -> SceneItem:
     request = dataclasses.replace(request, source=shown.at(request.level, request.rows, request.cols))
     if request.what != "points":
-        return Item(name, request, add_glb, request, request.what == "tile", cover)
+        return SceneItem(name, request, add_glb, request, request.what == "tile", cover)
     facts = shown.facts
-    return Item(
+    return SceneItem(
         name, request, lambda scene, node, data: _add_points(scene, node, data, request, facts), request, True, cover
     )
 
 
-def _walls(name: str, base: PaintRequest, shown: Shown) -> list[Item]:
+def _walls(name: str, base: RenderRequest, shown: Shown) -> list[SceneItem]:
     """All four walls of a surface at one level."""
     rows, cols = (_at_level(window, base.level) for window in _window(shown.measured))
     request = _wall(dataclasses.replace(base, rows=rows, cols=cols), shown)
-    return [Item(name, request, add_glb, request, stretched=True)]
+    return [SceneItem(name, request, add_glb, request, stretched=True)]
 
 
-def _wall(window: PaintRequest, shown: Shown) -> PaintRequest:
+def _wall(window: RenderRequest, shown: Shown) -> RenderRequest:
     """The walls round a window. They do not depend on how the surface is coloured: the request has no look."""
     (top, foot), (left, right) = window.rows, window.cols
     edges = (
@@ -275,7 +284,7 @@ def _wall(window: PaintRequest, shown: Shown) -> PaintRequest:
     )  # fmt: skip
     source = max((shown.at(window.level, *edge) for edge in edges), key=lambda edge: edge.stamp)
     none = (False, False, False, False)
-    return dataclasses.replace(window, source=source, what="walls", look=Look(), light=Light(), skirts=none)
+    return dataclasses.replace(window, source=source, what="walls", look=DisplayStyle(), light=Light(), skirts=none)
 
 
 def add_glb(scene: viser.SceneApi, name: str, data: bytes) -> Handle:
@@ -310,7 +319,9 @@ class PointTile:
         self._handle.remove()
 
 
-def _add_points(scene: viser.SceneApi, name: str, data: bytes, request: PaintRequest, facts: Facts) -> Handle:
+def _add_points(
+    scene: viser.SceneApi, name: str, data: bytes, request: RenderRequest, facts: SurfaceStatistics
+) -> Handle:
     """Points stand relative to the middle of their window: float16 would be too coarse from the stage's origin."""
     places, colours = unpack_points(data)
     pixel = facts.pixel_um * 2**request.level * 1e-3

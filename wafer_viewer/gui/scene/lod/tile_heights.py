@@ -7,13 +7,13 @@ from functools import lru_cache
 import numpy as np
 
 from wafer_viewer.gui.scene.lod.quadtree import Heights, Span
-from wafer_viewer.gui.scene.scene_contents import OnShow
-from wafer_viewer.session.rendering.render_request import Relief
+from wafer_viewer.gui.scene.scene_contents import DisplayedSurface
+from wafer_viewer.session.rendering.render_request import CoarseHeightField
 
 _KEPT = 4096
 
 
-def heights_of(on_show: OnShow, relief: Relief | None) -> Heights:
+def heights_of(on_show: DisplayedSurface, relief: CoarseHeightField | None) -> Heights:
     """Lowest and highest, scene mm, of parts of the surface on show; roughly where its relief is not known yet."""
     facts = on_show.facts
     whole = on_show.scene_z(facts.low_um), on_show.scene_z(facts.high_um)

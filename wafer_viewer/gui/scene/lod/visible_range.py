@@ -9,11 +9,11 @@ from dataclasses import replace
 
 import msgspec
 
-from wafer_viewer.draw.surface.display_style import Look
+from wafer_viewer.draw.surface.display_style import DisplayStyle
 from wafer_viewer.gui.scene.lod.quadtree import Span
 from wafer_viewer.gui.scene.reconciler import Paint
-from wafer_viewer.gui.scene.scene_contents import OnShow
-from wafer_viewer.session.rendering.render_request import Facts, PaintRequest, Scale
+from wafer_viewer.gui.scene.scene_contents import DisplayedSurface
+from wafer_viewer.session.rendering.render_request import ColourScale, RenderRequest, SurfaceStatistics
 
 Corners = tuple[tuple[float, float], ...]
 Range = tuple[float, float]
@@ -22,25 +22,27 @@ _PIXELS = 400_000
 _LEAST_PX = 8
 
 
-def range_in_view(paint: Paint, on_show: OnShow, corners_um: Corners | None, then: Callable[[Range], None]) -> None:
+def range_in_view(
+    paint: Paint, on_show: DisplayedSurface, corners_um: Corners | None, then: Callable[[Range], None]
+) -> None:
     """Call back, on another thread, with the middle 99 % of what colours the surface within some corners; None: all.
 
     A surface that cannot be read leaves the range as it was: the scene tells of that itself.
     """
     quantity, facts = on_show.scale.quantity, on_show.facts
     level, rows, cols = _window(facts, corners_um)
-    request = PaintRequest(on_show.source, "scale", light=facts.light, datum=on_show.datum)
-    request = replace(request, look=Look(colour_by=quantity), level=level, rows=rows, cols=cols)  # pyright: ignore[reportArgumentType]
+    request = RenderRequest(on_show.source, "scale", light=facts.light, datum=on_show.datum)
+    request = replace(request, look=DisplayStyle(colour_by=quantity), level=level, rows=rows, cols=cols)  # pyright: ignore[reportArgumentType]
 
     def told(done: Future[bytes]) -> None:
         if not done.cancelled() and done.exception() is None:
-            scale = msgspec.msgpack.decode(done.result(), type=Scale)
+            scale = msgspec.msgpack.decode(done.result(), type=ColourScale)
             then((scale.own_low, max(scale.own_high, scale.own_low + 1e-3)))
 
     paint(request).add_done_callback(told)
 
 
-def _window(facts: Facts, corners_um: Corners | None) -> tuple[int, Span, Span]:
+def _window(facts: SurfaceStatistics, corners_um: Corners | None) -> tuple[int, Span, Span]:
     """The part of the surface within corners: the finest level of few enough pixels, its rows and columns."""
     rows, cols = (facts.first_row, facts.end_row), (facts.first_col, facts.end_col)
     if corners_um is not None:

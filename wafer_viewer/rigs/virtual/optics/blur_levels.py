@@ -15,8 +15,8 @@ from numpy.typing import NDArray
 
 from wafer_viewer.numerics.jit import fast_kernel
 from wafer_viewer.rigs.virtual.optics.gaussian_blur import Plane, blurred
-from wafer_viewer.rigs.virtual.scenes.catalogue import Window
-from wafer_viewer.rigs.virtual.scenes.scene_sheets import Sheets
+from wafer_viewer.rigs.virtual.scenes.catalogue import SceneWindow
+from wafer_viewer.rigs.virtual.scenes.scene_sheets import SceneSheets
 
 LIGHT_A, LIGHT_B, COVER = range(3)
 FINE_SIGMA_PX = (0.98, 1.1, 1.25, 1.45, 1.7, 2.0, 2.4, 2.9, 3.5, 4.2)
@@ -41,7 +41,7 @@ class Law(NamedTuple):
     """One over the distance from each level to the next."""
 
 
-class Levels(NamedTuple):
+class BlurLevels(NamedTuple):
     """Blurred channels. Levels are numbered through, fine ones first."""
 
     fine: NDArray[np.uint16]
@@ -75,7 +75,7 @@ def blur_law(sharpest_px: float, widening: float, farthest_um: float) -> Law:
     return Law(np.float32(sharpest_px**2), np.float32(widening), len(fine), variance, per)
 
 
-def coarse_window(frame: Window, law: Law) -> Window:
+def coarse_window(frame: SceneWindow, law: Law) -> SceneWindow:
     """The finest coarse lattice: round the frame as far as the widest blur reaches, anchored to the world."""
     margin_px = int(2.6 * math.sqrt(law.variance_px2[-1])) + ANCHOR_PX
     wide = frame.grown(margin_px)
@@ -85,10 +85,10 @@ def coarse_window(frame: Window, law: Law) -> Window:
     cells_across = math.ceil((wide.x0_um - x0 + wide.cols * frame.step_um) / anchor_um)
     cells_down = math.ceil((y0 - wide.y0_um + wide.rows * frame.step_um) / anchor_um)
     samples = ANCHOR_PX // LATTICE_PX
-    return Window(x0, y0, LATTICE_PX * frame.step_um, cells_down * samples, cells_across * samples)
+    return SceneWindow(x0, y0, LATTICE_PX * frame.step_um, cells_down * samples, cells_across * samples)
 
 
-def make_levels(frame: Window, lattice: Window, near: Sheets, far: Sheets, law: Law) -> Levels:
+def make_levels(frame: SceneWindow, lattice: SceneWindow, near: SceneSheets, far: SceneSheets, law: Law) -> BlurLevels:
     """All levels of a field; `near` is its raster with FINE_MARGIN round it, `far` its raster on the lattice."""
     fine = np.empty((3, law.n_fine, frame.rows, frame.cols), np.uint16)
     for into, channel in zip(fine, channels(near), strict=True):
@@ -96,7 +96,7 @@ def make_levels(frame: Window, lattice: Window, near: Sheets, far: Sheets, law: 
     coarse = [coarse_levels(channel, law) for channel in channels(far)]
     sizes = np.array([level.size for level in coarse[0]])
     first, left, weight = column_readout((frame.x0_um - lattice.x0_um) / frame.step_um, frame.cols)
-    return Levels(
+    return BlurLevels(
         fine=fine,
         coarse=np.stack([np.concatenate([level.ravel() for level in levels]) for levels in coarse]),
         start=np.cumsum(sizes) - sizes,
@@ -109,7 +109,7 @@ def make_levels(frame: Window, lattice: Window, near: Sheets, far: Sheets, law: 
     )
 
 
-def channels(sheets: Sheets) -> tuple[Plane, Plane, Plane]:
+def channels(sheets: SceneSheets) -> tuple[Plane, Plane, Plane]:
     """Light of A, light of B, cover: what is blurred."""
     return sheets.light_a(), sheets.light_b(), sheets.cover
 

@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from wafer_viewer.numerics.jit import fast_kernel
-from wafer_viewer.rigs.virtual.optics.blur_levels import COVER, LATTICE_PX, LIGHT_A, LIGHT_B, WHITE, Law, Levels
+from wafer_viewer.rigs.virtual.optics.blur_levels import COVER, LATTICE_PX, LIGHT_A, LIGHT_B, WHITE, BlurLevels, Law
 from wafer_viewer.rigs.virtual.optics.gaussian_blur import REACH_SIGMA, Plane
 from wafer_viewer.rigs.virtual.optics.row_spans import STRETCH_PX, Stretches
 from wafer_viewer.rigs.virtual.scenes.value_noise import Integer
@@ -28,7 +28,7 @@ REACH = np.float32(REACH_SIGMA)
 SEES_A, SEES_B, SEES_BOTH = np.arange(1, 4)  # numpy integers: numba compiles a kernel anew for every literal
 
 
-class Plan(NamedTuple):
+class CompositionPlan(NamedTuple):
     """What each stretch of one row needs: the lowest and highest level of each sheet, and which sheets it sees.
 
     A pixel is read between two levels, so the level after the highest is needed too.
@@ -41,7 +41,7 @@ class Plan(NamedTuple):
     sees: NDArray[np.int64]
 
 
-class Seen(NamedTuple):
+class VisibleScene(NamedTuple):
     """One row: the light of A and of B, and the cover of A, blurred as A is and as B is."""
 
     light_a: Plane
@@ -50,19 +50,19 @@ class Seen(NamedTuple):
     cover_b: Plane
 
 
-class Heights(NamedTuple):
+class SceneHeights(NamedTuple):
     """Both sheets of a frame in um, [row, col]."""
 
     a: Plane
     b: Plane
 
 
-def compose(z_um: float, law: Law, levels: Levels, heights: Heights, stretches: Stretches) -> Plane:
+def compose(z_um: float, law: Law, levels: BlurLevels, heights: SceneHeights, stretches: Stretches) -> Plane:
     """The radiance [row, col] of a frame whose focus lies at z_um."""
     rows, cols = heights.a.shape
-    plan = Plan(*np.empty((5, stretches.to_a_px.shape[1]), np.int64))
+    plan = CompositionPlan(*np.empty((5, stretches.to_a_px.shape[1]), np.int64))
     lines = np.empty((3, law.variance_px2.size, cols), np.float32)
-    seen = Seen(*np.empty((4, cols), np.float32))
+    seen = VisibleScene(*np.empty((4, cols), np.float32))
     out = np.empty((rows, cols), np.float32)
     compose_rows(np.float32(z_um), law, levels, heights, stretches, plan, lines, seen, out)
     return out
@@ -72,12 +72,12 @@ def compose(z_um: float, law: Law, levels: Levels, heights: Heights, stretches: 
 def compose_rows(
     z: np.float32,
     law: Law,
-    levels: Levels,
-    heights: Heights,
+    levels: BlurLevels,
+    heights: SceneHeights,
     stretches: Stretches,
-    plan: Plan,
+    plan: CompositionPlan,
     lines: Plane,
-    seen: Seen,
+    seen: VisibleScene,
     out: Plane,
 ) -> None:
     """Fill a frame in passes over whole rows: calls for every stretch would spend their time counting references."""
@@ -93,7 +93,7 @@ def compose_rows(
 
 
 @fast_kernel
-def plan_row(z: np.float32, law: Law, stretches: Stretches, y: int, plan: Plan) -> None:
+def plan_row(z: np.float32, law: Law, stretches: Stretches, y: int, plan: CompositionPlan) -> None:
     """Decide what every stretch of row y needs."""
     for s in range(plan.sees.size):
         lowest_a, highest_a, widest_a = level_range(z, law, stretches.lowest_a[y, s], stretches.highest_a[y, s])
@@ -129,7 +129,7 @@ def level_below(law: Law, variance: np.float32) -> int:
 
 
 @fast_kernel
-def read_row(levels: Levels, law: Law, y: int, plan: Plan, lines: Plane) -> None:
+def read_row(levels: BlurLevels, law: Law, y: int, plan: CompositionPlan, lines: Plane) -> None:
     """Read row y of every level that a stretch needs, each once."""
     needed = np.zeros((lines.shape[0], lines.shape[1]), np.bool_)
     for s in range(plan.sees.size):
@@ -148,7 +148,7 @@ def read_row(levels: Levels, law: Law, y: int, plan: Plan, lines: Plane) -> None
 
 
 @fast_kernel
-def read_fine(levels: Levels, channel: int, level: int, y: int, out: Plane) -> None:
+def read_fine(levels: BlurLevels, channel: int, level: int, y: int, out: Plane) -> None:
     """Row y of a fine level."""
     row = levels.fine[channel, level, y]
     for x in range(out.size):
@@ -156,7 +156,7 @@ def read_fine(levels: Levels, channel: int, level: int, y: int, out: Plane) -> N
 
 
 @fast_kernel
-def read_coarse(levels: Levels, channel: int, level: int, y: int, out: Plane) -> None:
+def read_coarse(levels: BlurLevels, channel: int, level: int, y: int, out: Plane) -> None:
     """Row y of a coarse level, by straight lines between the samples of its lattice."""
     scale, width = levels.scale[level], levels.width[level]
     place = (y + levels.row0_px) / (LATTICE_PX << scale)
@@ -215,7 +215,7 @@ def look_along(
 
 @fast_kernel
 def join_row(
-    z: np.float32, law: Law, height_a: Plane, height_b: Plane, seen: Seen, sees: NDArray[np.int64], out: Plane
+    z: np.float32, law: Law, height_a: Plane, height_b: Plane, seen: VisibleScene, sees: NDArray[np.int64], out: Plane
 ) -> None:
     """One row of the frame from what each sheet gives to it."""
     light_a, light_b, cover_a, cover_b = seen

@@ -17,11 +17,11 @@ from dataclasses import dataclass
 import numpy as np
 
 from wafer_viewer.rigs.virtual.optics.blur_levels import FINE_MARGIN, Law, blur_law, coarse_window, make_levels
-from wafer_viewer.rigs.virtual.optics.frame_composition import Heights, compose
+from wafer_viewer.rigs.virtual.optics.frame_composition import SceneHeights, compose
 from wafer_viewer.rigs.virtual.optics.gaussian_blur import Plane
 from wafer_viewer.rigs.virtual.optics.row_spans import make_stretches
-from wafer_viewer.rigs.virtual.scenes.catalogue import Scene, Window
-from wafer_viewer.rigs.virtual.scenes.scene_sheets import Sheets
+from wafer_viewer.rigs.virtual.scenes.catalogue import Scene, SceneWindow
+from wafer_viewer.rigs.virtual.scenes.scene_sheets import SceneSheets
 
 
 @dataclass(frozen=True, slots=True)
@@ -66,12 +66,14 @@ class FieldPicture:
     ) -> None:
         frame = centred_window(x_um, y_um, rows, cols, optics.pixel_um)
         near = scene.raster(frame.grown(FINE_MARGIN))
-        inner = Sheets(*(np.ascontiguousarray(p[FINE_MARGIN:-FINE_MARGIN, FINE_MARGIN:-FINE_MARGIN]) for p in near))
+        inner = SceneSheets(
+            *(np.ascontiguousarray(p[FINE_MARGIN:-FINE_MARGIN, FINE_MARGIN:-FINE_MARGIN]) for p in near)
+        )
         law = law_for(optics, inner, z_range_um)
         lattice = coarse_window(frame, law)
         far = scene.raster(lattice)
         self._law = law
-        self._heights = Heights(inner.height_a, inner.height_b)
+        self._heights = SceneHeights(inner.height_a, inner.height_b)
         self._surface_um = inner.surface_um()
         self._levels = make_levels(frame, lattice, near, far, law)
         self._stretches = make_stretches(frame, inner.height_a, inner.height_b, lattice, far.cover)
@@ -85,12 +87,12 @@ class FieldPicture:
         return self._surface_um
 
 
-def centred_window(x_um: float, y_um: float, rows: int, cols: int, pixel_um: float) -> Window:
+def centred_window(x_um: float, y_um: float, rows: int, cols: int, pixel_um: float) -> SceneWindow:
     """The window of a frame whose centre is given."""
-    return Window(x_um - (cols - 1) / 2 * pixel_um, y_um + (rows - 1) / 2 * pixel_um, pixel_um, rows, cols)
+    return SceneWindow(x_um - (cols - 1) / 2 * pixel_um, y_um + (rows - 1) / 2 * pixel_um, pixel_um, rows, cols)
 
 
-def law_for(optics: Optics, sheets: Sheets, z_range_um: tuple[float, float]) -> Law:
+def law_for(optics: Optics, sheets: SceneSheets, z_range_um: tuple[float, float]) -> Law:
     """The blur law in pixels, with levels enough for every height of a field over a range of z."""
     lowest = min(sheets.height_a.min(), sheets.height_b.min())
     highest = max(sheets.height_a.max(), sheets.height_b.max())

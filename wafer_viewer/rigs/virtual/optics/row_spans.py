@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from scipy.ndimage import distance_transform_edt
 
 from wafer_viewer.rigs.virtual.optics.gaussian_blur import Plane
-from wafer_viewer.rigs.virtual.scenes.catalogue import Window
+from wafer_viewer.rigs.virtual.scenes.catalogue import SceneWindow
 
 STRETCH_PX = 48
 BLOCK = 4  # lattice samples along a side of a block that is wholly A, wholly B or mixed
@@ -30,7 +30,9 @@ class Stretches(NamedTuple):
     to_b_px: Plane
 
 
-def make_stretches(frame: Window, height_a: Plane, height_b: Plane, lattice: Window, cover: Plane) -> Stretches:
+def make_stretches(
+    frame: SceneWindow, height_a: Plane, height_b: Plane, lattice: SceneWindow, cover: Plane
+) -> Stretches:
     """The stretches of a frame; `cover` is on the lattice, which reaches beyond the frame."""
     blocks = cover.reshape(lattice.rows // BLOCK, BLOCK, lattice.cols // BLOCK, BLOCK)
     some_a, some_b = blocks.max((1, 3)) > 0.001, blocks.min((1, 3)) < 0.999
@@ -58,7 +60,7 @@ def distance_px(there: NDArray[np.bool_], block_px: int) -> Plane:
     return (blocks * block_px - 2 * block_px).astype(np.float32)
 
 
-def nearest(distance: Plane, frame: Window, lattice: Window, block_px: int) -> Plane:
+def nearest(distance: Plane, frame: SceneWindow, lattice: SceneWindow, block_px: int) -> Plane:
     """The least distance of the blocks that each stretch of the frame touches."""
     row0_px = (lattice.y0_um - frame.y0_um) / frame.step_um
     col0_px = (frame.x0_um - lattice.x0_um) / frame.step_um

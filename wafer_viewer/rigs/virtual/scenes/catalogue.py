@@ -16,14 +16,14 @@ from numpy.typing import ArrayLike, NDArray
 
 from wafer_viewer.model.errors import RigError
 from wafer_viewer.rigs.virtual.scenes import cone, die, gauge_blocks, plane, staircase, tour_wafer, wafer
-from wafer_viewer.rigs.virtual.scenes.scene_sheets import Points, Sheets, empty_sheets
+from wafer_viewer.rigs.virtual.scenes.scene_sheets import Points, SceneSheets, empty_sheets
 
 Outline = tuple[tuple[float, float], ...]
 SHARP_UM = 1e-3  # a footprint so small that every edge is hard
 
 
 @dataclass(frozen=True, slots=True)
-class Window:
+class SceneWindow:
     """A lattice on the stage: the centre of sample (0, 0), the distance between samples, their number."""
 
     x0_um: float
@@ -32,10 +32,12 @@ class Window:
     rows: int
     cols: int
 
-    def grown(self, margin: int) -> Window:
+    def grown(self, margin: int) -> SceneWindow:
         """The window with a margin of samples on all sides."""
         out = margin * self.step_um
-        return Window(self.x0_um - out, self.y0_um + out, self.step_um, self.rows + 2 * margin, self.cols + 2 * margin)
+        return SceneWindow(
+            self.x0_um - out, self.y0_um + out, self.step_um, self.rows + 2 * margin, self.cols + 2 * margin
+        )
 
     def points(self) -> tuple[Points, Points]:
         """x and y in um of every sample, [row, col]."""
@@ -75,7 +77,7 @@ class Scene:
 
     name: str
     title: str
-    fill: Callable[[Points, Points, float, Sheets], None]
+    fill: Callable[[Points, Points, float, SceneSheets], None]
     gain: float
     width_um: float
     height_um: float
@@ -95,7 +97,7 @@ class Scene:
         """Distance from die to die along x and y, where there are dies."""
         return (self.dies.pitch_x_um, self.dies.pitch_y_um) if self.dies else None
 
-    def raster(self, window: Window) -> Sheets:
+    def raster(self, window: SceneWindow) -> SceneSheets:
         """The scene on a lattice, each sample averaged over one step."""
         return self._at(*window.points(), window.step_um)
 
@@ -105,7 +107,7 @@ class Scene:
         flat = self._at(x.reshape(1, -1).copy(), y.reshape(1, -1).copy(), SHARP_UM)
         return flat.surface_um().reshape(x.shape)
 
-    def _at(self, x: Points, y: Points, footprint_um: float) -> Sheets:
+    def _at(self, x: Points, y: Points, footprint_um: float) -> SceneSheets:
         sheets = empty_sheets(x.shape)
         self.fill(x, y, float(footprint_um), sheets)
         return sheets

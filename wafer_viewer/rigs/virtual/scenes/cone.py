@@ -7,7 +7,7 @@ import math
 import numpy as np
 
 from wafer_viewer.numerics.jit import fast_kernel
-from wafer_viewer.rigs.virtual.scenes.scene_sheets import Points, Sheets
+from wafer_viewer.rigs.virtual.scenes.scene_sheets import Points, SceneSheets
 from wafer_viewer.rigs.virtual.scenes.value_noise import grain
 
 HEIGHT_UM, SLOPE = 120.0, 0.30
@@ -17,7 +17,7 @@ GRAIN, RINGS = np.arange(51, 53)
 
 
 @fast_kernel
-def fill(x_um: Points, y_um: Points, footprint_um: float, out: Sheets) -> None:
+def fill(x_um: Points, y_um: Points, footprint_um: float, out: SceneSheets) -> None:
     """The sheets at the points given; the whole surface is on A, and B is the same."""
     for r in range(x_um.shape[0]):
         for c in range(x_um.shape[1]):

@@ -11,7 +11,7 @@ import math
 import numpy as np
 
 from wafer_viewer.numerics.jit import fast_kernel
-from wafer_viewer.rigs.virtual.scenes.scene_sheets import Points, Sheets
+from wafer_viewer.rigs.virtual.scenes.scene_sheets import Points, SceneSheets
 from wafer_viewer.rigs.virtual.scenes.shapes import inside
 from wafer_viewer.rigs.virtual.scenes.value_noise import Integer, grain
 
@@ -26,7 +26,7 @@ EDGE, UPPER_LAPPING, LOWER_LAPPING = np.arange(61, 82, 10)  # lapping takes four
 
 
 @fast_kernel
-def fill(x_um: Points, y_um: Points, footprint_um: float, out: Sheets) -> None:
+def fill(x_um: Points, y_um: Points, footprint_um: float, out: SceneSheets) -> None:
     """The two sheets at the points given: upper block (A), lower block and gap (B)."""
     for r in range(x_um.shape[0]):
         for c in range(x_um.shape[1]):

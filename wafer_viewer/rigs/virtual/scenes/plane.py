@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from wafer_viewer.numerics.jit import fast_kernel
-from wafer_viewer.rigs.virtual.scenes.scene_sheets import Points, Sheets
+from wafer_viewer.rigs.virtual.scenes.scene_sheets import Points, SceneSheets
 from wafer_viewer.rigs.virtual.scenes.value_noise import grain
 
 TILT_X, TILT_Y = 4e-3, 1.5e-3
@@ -15,7 +15,7 @@ GRAIN, MARKS = np.arange(31, 33)
 
 
 @fast_kernel
-def fill(x_um: Points, y_um: Points, footprint_um: float, out: Sheets) -> None:
+def fill(x_um: Points, y_um: Points, footprint_um: float, out: SceneSheets) -> None:
     """The sheets at the points given; the whole surface is on A, and B is the same."""
     for r in range(x_um.shape[0]):
         for c in range(x_um.shape[1]):

@@ -13,7 +13,7 @@ Plane = NDArray[np.float32]
 """Heights in um, radiances as shares of white, or cover as a share, [row, col]."""
 
 
-class Sheets(NamedTuple):
+class SceneSheets(NamedTuple):
     """Two sheets, A over B, both defined at every point, and the share of A that an observer straight above sees."""
 
     height_a: Plane
@@ -40,6 +40,6 @@ class Sheets(NamedTuple):
         return self.light_a() + self.light_b()
 
 
-def empty_sheets(shape: tuple[int, ...]) -> Sheets:
+def empty_sheets(shape: tuple[int, ...]) -> SceneSheets:
     """Sheets for a kernel to fill."""
-    return Sheets(*(np.empty(shape, np.float32) for _ in Sheets._fields))
+    return SceneSheets(*(np.empty(shape, np.float32) for _ in SceneSheets._fields))

@@ -7,7 +7,7 @@ import math
 import numpy as np
 
 from wafer_viewer.numerics.jit import fast_kernel
-from wafer_viewer.rigs.virtual.scenes.scene_sheets import Points, Sheets
+from wafer_viewer.rigs.virtual.scenes.scene_sheets import Points, SceneSheets
 from wafer_viewer.rigs.virtual.scenes.shapes import bars
 from wafer_viewer.rigs.virtual.scenes.value_noise import grain
 
@@ -18,7 +18,7 @@ GRAIN, MARKS = np.arange(41, 43)
 
 
 @fast_kernel
-def fill(x_um: Points, y_um: Points, footprint_um: float, out: Sheets) -> None:
+def fill(x_um: Points, y_um: Points, footprint_um: float, out: SceneSheets) -> None:
     """The two sheets at the points given: even treads on A, odd ones on B.
 
     So two neighbouring treads are never on one sheet, and each sheet goes on level past its own treads.

@@ -15,7 +15,7 @@ import numpy as np
 from wafer_viewer.numerics.jit import fast_kernel
 from wafer_viewer.rigs.virtual.scenes import die as full_size
 from wafer_viewer.rigs.virtual.scenes.die import bevel_drop, die
-from wafer_viewer.rigs.virtual.scenes.scene_sheets import Points, Sheets
+from wafer_viewer.rigs.virtual.scenes.scene_sheets import Points, SceneSheets
 from wafer_viewer.rigs.virtual.scenes.shapes import bar, bars, blend, inside, rectangle, wrapped
 from wafer_viewer.rigs.virtual.scenes.value_noise import chance, grain
 from wafer_viewer.rigs.virtual.scenes.wafer import (
@@ -95,7 +95,7 @@ def planted() -> tuple[Planted, ...]:
 
 
 @fast_kernel
-def fill(x_um: Points, y_um: Points, footprint_um: float, out: Sheets) -> None:
+def fill(x_um: Points, y_um: Points, footprint_um: float, out: SceneSheets) -> None:
     """The two sheets at the points given: die tops (A) and street floor (B)."""
     for r in range(x_um.shape[0]):
         for c in range(x_um.shape[1]):

@@ -12,7 +12,7 @@ import numpy as np
 
 from wafer_viewer.numerics.jit import fast_kernel
 from wafer_viewer.rigs.virtual.scenes.die import HEIGHT_UM, WIDTH_UM, bevel_drop, die
-from wafer_viewer.rigs.virtual.scenes.scene_sheets import Points, Sheets
+from wafer_viewer.rigs.virtual.scenes.scene_sheets import Points, SceneSheets
 from wafer_viewer.rigs.virtual.scenes.shapes import bar, bars, blend, inside, rectangle, wrapped
 from wafer_viewer.rigs.virtual.scenes.value_noise import chance, grain
 
@@ -34,7 +34,7 @@ PARTICLE, PARTICLE_X, PARTICLE_Y, PARTICLE_SIZE, PARTICLE_SHAPE, UPRIGHT_CUT, LE
 
 
 @fast_kernel
-def fill(x_um: Points, y_um: Points, footprint_um: float, out: Sheets) -> None:
+def fill(x_um: Points, y_um: Points, footprint_um: float, out: SceneSheets) -> None:
     """The two sheets at the points given: die tops (A) and trench floor (B)."""
     for r in range(x_um.shape[0]):
         for c in range(x_um.shape[1]):
