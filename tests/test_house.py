@@ -4,11 +4,11 @@ from __future__ import annotations
 
 import subprocess
 import sys
-from pathlib import Path
 
 import pytest
 
-ROOT = Path(__file__).parent.parent
+from tests.support.paths import ROOT
+
 MODULES = sorted((ROOT / "wafer_viewer").rglob("*.py"))
 ROOMS = sorted(p.name for p in (ROOT / "wafer_viewer").iterdir() if (p / "__init__.py").exists())
 
@@ -19,8 +19,8 @@ def test_a_file_has_one_subject(module):
 
 
 @pytest.mark.parametrize("room", ROOMS)
-def test_the_picture_of_the_house_in_the_readme_shows_every_room(room):
-    assert f"{room}/" in (ROOT / "README.md").read_text()
+def test_the_picture_of_the_architecture_shows_every_room(room):
+    assert f"{room}/" in (ROOT / "assets/docs/explanation/architecture.md").read_text()
 
 
 def test_importing_the_package_pulls_in_nothing_heavy():

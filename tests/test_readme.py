@@ -1,4 +1,4 @@
-"""The README's examples run as they stand, in order, in one empty folder."""
+"""The examples of the README and of the pages it links run as they stand, in its order, in one empty folder."""
 
 from __future__ import annotations
 
@@ -11,12 +11,48 @@ from pathlib import Path
 
 import pytest
 
-ROOT = Path(__file__).parent.parent
+from tests.support.paths import ROOT
+
 BLOCK = re.compile(r"^```(console|python)\n(.*?)^```", re.MULTILINE | re.DOTALL)
 
 
+LINK = re.compile(r"\]\(([^)#:]+)\)")
+MOST_WORDS = 900
+
+
+def pages() -> list[Path]:
+    """The README and the pages that it links, in the order of its columns."""
+    linked = dict.fromkeys(LINK.findall((ROOT / "README.md").read_text()))
+    return [ROOT / "README.md", *(ROOT / link for link in linked if link.endswith(".md"))]
+
+
 def examples() -> list[tuple[str, str]]:
-    return [(kind, body) for kind, body in BLOCK.findall((ROOT / "README.md").read_text())]
+    return [found for page in pages() for found in BLOCK.findall(page.read_text())]
+
+
+def test_the_readme_is_short_and_every_page_is_linked():
+    assert len((ROOT / "README.md").read_text().split()) <= MOST_WORDS
+    assert sorted(pages()) == sorted([ROOT / "README.md", *(ROOT / "assets/docs").rglob("*.md")])
+
+
+def test_every_link_of_the_documentation_leads_to_a_file():
+    for page in pages():
+        broken = [link for link in LINK.findall(page.read_text()) if not (page.parent / link).exists()]
+        assert not broken, f"{page}: {broken}"
+
+
+def test_every_path_that_the_documentation_names_is_there():
+    named = re.compile(r"`((?:wafer_viewer|tests|assets)/[\w./-]+)`")
+    for page in pages():
+        missing = [path for path in named.findall(page.read_text()) if not (ROOT / path).exists()]
+        assert not missing, f"{page}: {missing}"
+
+
+def test_the_page_on_extending_names_files_of_the_package():
+    text = (ROOT / "assets/docs/how-to/extend.md").read_text()
+    paths = [path for path in re.findall(r"`(\w+/[\w./]+\.py)`", text) if not path.startswith("tests/")]
+    assert len(paths) >= 20
+    assert not [path for path in paths if not (ROOT / "wafer_viewer" / path).exists()]
 
 
 def commands(body: str) -> list[list[str]]:
