@@ -12,7 +12,7 @@ from tests.support.page_stand_in import COLS, PIXEL_UM, ROWS, grid
 from wafer_viewer.draw.charts.colour_bar import colour_bar_html, origin_legend_html
 from wafer_viewer.draw.charts.wafer_map import FIELD_INKS, field_map_svg
 from wafer_viewer.draw.raster_text import LINE_PX, font, length_px, tag
-from wafer_viewer.draw.surface.ground_plane import Figure, hatch, shadow
+from wafer_viewer.draw.surface.ground_plane import GroundLabel, hatch, shadow
 from wafer_viewer.model.surface.height_map import Origin
 from wafer_viewer.session.state.snapshot import FieldState
 
@@ -102,7 +102,7 @@ def test_a_shadow_is_soft_and_dark_in_its_middle() -> None:
 
 def test_figures_stand_beside_the_shadow_in_their_own_colour() -> None:
     square = [(1.0, 1.0), (2.0, 1.0), (2.0, 2.0), (1.0, 2.0)]
-    figure = Figure("500 µm", 1.5, 2.6, 0.3, "m")
+    figure = GroundLabel("500 µm", 1.5, 2.6, 0.3, "m")
     picture = shadow(
         square, 3.0, 3.0, 0.1, darkness=0.5, shade=(0, 0, 0), ink=(200, 40, 40), figures=(figure,), long_side_px=300
     )

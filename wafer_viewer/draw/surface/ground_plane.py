@@ -16,7 +16,7 @@ Picture = NDArray[np.uint8]
 
 
 @dataclass(frozen=True, slots=True)
-class Figure:
+class GroundLabel:
     """A number beside the block: its place in mm from the picture's top left corner, which end is there (l, m, r)."""
 
     text: str
@@ -35,7 +35,7 @@ def shadow(
     darkness: float,
     shade: Rgb,
     ink: Rgb = (0, 0, 0),
-    figures: tuple[Figure, ...] = (),
+    figures: tuple[GroundLabel, ...] = (),
     long_side_px: int = 1600,
 ) -> Picture:
     """The soft shadow of an outline in a picture of width x height mm, figures drawn into it, as rgba.
@@ -68,7 +68,7 @@ def _soft(
     return (np.asarray(blurred.resize(size_px, Image.Resampling.BILINEAR)) / 255).astype(np.float32)
 
 
-def _letters(shape: tuple[int, ...], figures: tuple[Figure, ...], px_per_mm: float) -> NDArray[np.float32]:
+def _letters(shape: tuple[int, ...], figures: tuple[GroundLabel, ...], px_per_mm: float) -> NDArray[np.float32]:
     image = Image.new("L", (shape[1], shape[0]), 0)
     pen = ImageDraw.Draw(image)
     for figure in figures:

@@ -98,16 +98,16 @@ def _tick_places(box: Box) -> tuple[list[float], list[float]]:
     return along_x, along_y
 
 
-def _figures(box: Box, pad: float) -> tuple[ground_plane.Figure, ...]:
+def _figures(box: Box, pad: float) -> tuple[ground_plane.GroundLabel, ...]:
     high, gap = figure_height_mm(box), 0.027 * max(box[2] - box[0], box[3] - box[1])
     foot = pad + box[3] - box[1]
     along_x, along_y = _tick_places(box)
     unit = {along_x[-1]: "\u202fµm"} if along_x else {}
     below = [
-        ground_plane.Figure(number(v, 0) + unit.get(v, ""), pad + v * 1e-3, foot + gap + high / 2, high, "m")
+        ground_plane.GroundLabel(number(v, 0) + unit.get(v, ""), pad + v * 1e-3, foot + gap + high / 2, high, "m")
         for v in along_x
     ]
-    beside = [ground_plane.Figure(number(v, 0), pad - gap, foot - v * 1e-3, high, "r") for v in along_y]
+    beside = [ground_plane.GroundLabel(number(v, 0), pad - gap, foot - v * 1e-3, high, "r") for v in along_y]
     return (*below, *beside)
 
 

@@ -14,8 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from wafer_viewer.measure.base.height_samples import Floats, HeightSamples, Layer, height_window, layer_of
-from wafer_viewer.measure.base.robust_plane import SIGMA_OF_MAD, fit_plane
-from wafer_viewer.measure.base.robust_plane import LevelPlane as Fitted
+from wafer_viewer.measure.base.robust_plane import SIGMA_OF_MAD, LevelPlane, fit_plane
 from wafer_viewer.model.errors import MeasureError
 from wafer_viewer.model.region import Region
 from wafer_viewer.model.surface.height_map import Heights, Mosaic
@@ -78,10 +77,10 @@ class SeenFace(NamedTuple):
         return float(self.x_um[1] - self.x_um[0])
 
 
-class LevelPlane(NamedTuple):
+class FacePlane(NamedTuple):
     """A plane, and how far off it a point still belongs to it."""
 
-    fitted: Fitted
+    fitted: LevelPlane
     band_um: float
 
 
@@ -132,7 +131,7 @@ def _thinned(part: Heights, step: int) -> tuple[Floats, Floats, Floats]:
     return part.z_um[::step, ::step].astype(np.float64), part.x_um[::step], part.y_um[::step]
 
 
-def _two_parallel(seen: SeenFace) -> tuple[LevelPlane, LevelPlane]:
+def _two_parallel(seen: SeenFace) -> tuple[FacePlane, FacePlane]:
     planes = _planes(seen)
     if len(planes) != 2:
         count = {0: "no face", 1: "one face"}.get(len(planes), f"{len(planes)} faces or more")
@@ -149,9 +148,9 @@ def _two_parallel(seen: SeenFace) -> tuple[LevelPlane, LevelPlane]:
     return planes[0], planes[1]
 
 
-def _planes(seen: SeenFace) -> list[LevelPlane]:
+def _planes(seen: SeenFace) -> list[FacePlane]:
     """Up to three planes, those with the most points first; each takes its points away from the next."""
-    left, found = seen.points, list[LevelPlane]()
+    left, found = seen.points, list[FacePlane]()
     least = LEAST_SHARE * len(seen.points)
     while len(left) >= least and len(found) < MOST_PLANES:
         plane = _searched(left, _noise_um(seen.z_um))
@@ -167,7 +166,7 @@ def _planes(seen: SeenFace) -> list[LevelPlane]:
     return found
 
 
-def _searched(points: Floats, noise_um: float) -> LevelPlane:
+def _searched(points: Floats, noise_um: float) -> FacePlane:
     """The plane that most points lie on, then fitted to those that do."""
     open3d = _open3d()
     open3d.utility.random.seed(SEED)
@@ -178,13 +177,13 @@ def _searched(points: Floats, noise_um: float) -> LevelPlane:
     band_um = SEARCH_SIGMAS * noise_um
     (a, b, c, d), _ = cloud.segment_plane(distance_threshold=band_um, ransac_n=3, num_iterations=TRIES)
     if abs(c) < STEEP:
-        return LevelPlane(Fitted(x_um, y_um, z_um, 0.0, 0.0), 0.0)
-    rough = Fitted(x_um, y_um, z_um - d / c, -a / c, -b / c)
+        return FacePlane(LevelPlane(x_um, y_um, z_um, 0.0, 0.0), 0.0)
+    rough = LevelPlane(x_um, y_um, z_um - d / c, -a / c, -b / c)
     for _ in range(2):
         rough = fit_plane(
             HeightSamples(*points[np.abs(points[:, 2] - rough.at(points[:, 0], points[:, 1])) <= band_um].T)
         )[0]
-    return LevelPlane(rough, band_um)
+    return FacePlane(rough, band_um)
 
 
 def _noise_um(z_um: Floats) -> float:
@@ -194,14 +193,14 @@ def _noise_um(z_um: Floats) -> float:
     return max(LEAST_NOISE_UM, SIGMA_OF_MAD / math.sqrt(2) * float(np.nanmedian(np.abs(differ - np.nanmedian(differ)))))
 
 
-def _room_um(seen: SeenFace, own: LevelPlane, other: LevelPlane, shade_um: float) -> Floats:
+def _room_um(seen: SeenFace, own: FacePlane, other: FacePlane, shade_um: float) -> Floats:
     """Half the side of the largest square about each pixel with nothing but its own face, out of the wall's shade."""
     free, wall = (_on(seen, plane) for plane in (own, other))
     to_end_um, to_wall_um = seen.pixel_um * _distance(free, beyond=False), seen.pixel_um * _distance(~wall, beyond=True)
     return np.minimum(to_end_um, to_wall_um - shade_um)
 
 
-def _on(seen: SeenFace, plane: LevelPlane) -> Mask:
+def _on(seen: SeenFace, plane: FacePlane) -> Mask:
     """Where most pixels round about lie on a plane: single holes do not count."""
     from scipy.ndimage import uniform_filter
 
