@@ -31,11 +31,6 @@ def process_of(part):
     return next(p for p in multiprocessing.active_children() if p.name == f"wafer-viewer {part}")
 
 
-@pytest.fixture(scope="session")
-def patience_s():
-    return PATIENCE_S
-
-
 @pytest.fixture(scope="module")
 def session(tmp_path_factory):
     made = Session(tmp_path_factory.mktemp("data"))
