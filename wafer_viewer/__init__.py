@@ -1,6 +1,6 @@
 """Wafer Viewer: shape from focus over whole wafers, from the scan to the measured surface.
 
-Everything here is loaded when it is first used, so that importing the package costs next to nothing.
+All names are loaded on first use, so that importing the package takes almost no time.
 """
 
 from __future__ import annotations
@@ -215,7 +215,7 @@ def __dir__() -> list[str]:
 
 
 class _Api(types.ModuleType):
-    """`reconstruct` is both a function of the API and a room of the house: here the function keeps the name."""
+    """Module type that keeps the function `reconstruct` when the subpackage of the same name is imported."""
 
     def __setattr__(self, name: str, value: object) -> None:
         if not (name in MODULES and isinstance(value, types.ModuleType)):

@@ -1,4 +1,4 @@
-"""The names of the Python API, and the module where each of them lives."""
+"""Names of the Python API and the modules that define them."""
 
 from __future__ import annotations
 

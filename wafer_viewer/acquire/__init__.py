@@ -1,1 +1,1 @@
-"""Plan to frames, over the device protocols."""
+"""Planning and execution of scans over the device protocols."""

@@ -1,4 +1,4 @@
-"""Motions of the stage with a deadline: what does not arrive in time is stopped and named."""
+"""Motions of the stage with a deadline; an axis that does not arrive in time is stopped and reported."""
 
 from __future__ import annotations
 
@@ -12,16 +12,16 @@ from wafer_viewer.model.progress import ShouldStop
 
 SPARE_FRACTION = 0.5
 SPARE_S = 2.0
-"""A motion may take half as long again as its way at its speed, and two seconds: drivers and controllers are slow."""
+"""Margin of a motion: half of its expected duration plus two seconds, for slow drivers and controllers."""
 HOMING_SPEED_FRACTION = 0.1
-"""An axis that looks for its reference first may cross its range at a tenth of its speed."""
+"""Assumed speed of an axis during homing, as a fraction of its full speed."""
 ARRIVED_WITHIN_UM = 1.0
-"""An axis this near to its goal has arrived."""
+"""Distance from the goal at which an axis has arrived."""
 LOOK_S = 0.01
 
 
 class Deadline:
-    """The time by which a motion to `goal_um` should be over, from its way, speed, acceleration and settling."""
+    """Deadline of a motion to `goal_um`, from its distance, speed, acceleration and settling time."""
 
     def __init__(self, rig: Rig, goal_um: Mapping[Axis, float], speed_um_s: float | None = None) -> None:
         self._rig, self._goal_um = rig, goal_um
@@ -30,23 +30,23 @@ class Deadline:
         times_s = {axis: rig.limits.axis(axis).move_s(way_um, speed_um_s) for axis, way_um in ways_um.items()}
         self._expected_s = max(times_s.values())
         self._longest: Axis = max(ways_um, key=lambda axis: (ways_um[axis] > 0, times_s[axis]))
-        """The axis that should be the last to arrive."""
+        """Axis expected to arrive last."""
         if not rig.stage.homed():
             self._expected_s += max(_homing_s(rig, axis) for axis in goal_um)
         self._begun_s = rig.clock.now_s()
 
     @property
     def passed(self) -> bool:
-        """Whether the motion should have been over."""
+        """True if the deadline has passed."""
         return self._gone_s > self._expected_s * (1 + SPARE_FRACTION) + SPARE_S
 
     @property
     def arrived(self) -> bool:
-        """Whether every axis stands at its goal by the stage's own position."""
+        """True if every axis is at its goal according to the stage's position."""
         return self._farthest()[1] <= ARRIVED_WITHIN_UM
 
     def give_up(self) -> RigTimeout:
-        """Stop pulses and stage; returns the error that names the axis, where it stands and where it should."""
+        """Stop pulses and stage; return the error that names the axis, its position and its goal."""
         gone_s = self._gone_s
         self._rig.box.halt()
         self._rig.stage.stop()
@@ -71,16 +71,16 @@ class Deadline:
         return self._rig.clock.now_s() - self._begun_s
 
     def _farthest(self) -> tuple[Axis, float]:
-        """The axis that is farthest from its goal, and how far, in um."""
+        """Return the axis farthest from its goal and its distance in um."""
         here = self._rig.stage.position()
         away: dict[Axis, float] = {axis: abs(um - at_um(here, axis)) for axis, um in self._goal_um.items()}
         return max(away.items(), key=lambda item: item[1])
 
 
 def move(rig: Rig, goal_um: Mapping[Axis, float], should_stop: ShouldStop) -> None:
-    """Go to a place and settle there.
+    """Move to a position and settle there.
 
-    Raises MotionStopped where `should_stop` says so, RigTimeout when it is not reached in time.
+    Raises MotionStopped if `should_stop` returns True, RigTimeout if the goal is not reached in time.
     """
     if not goal_um:
         return
@@ -100,7 +100,7 @@ def move(rig: Rig, goal_um: Mapping[Axis, float], should_stop: ShouldStop) -> No
 
 
 def await_arrival(rig: Rig, deadline: Deadline, should_stop: ShouldStop) -> None:
-    """Wait for a stage that reported the end of its motion before it stood at its goal."""
+    """Wait for a stage that reported the end of its motion before it reached its goal."""
     while not deadline.arrived:
         if should_stop():
             come_to_rest(rig)
@@ -112,7 +112,7 @@ def await_arrival(rig: Rig, deadline: Deadline, should_stop: ShouldStop) -> None
 
 
 def come_to_rest(rig: Rig) -> None:
-    """Stop every axis and wait until they stand and have settled. Raises RigTimeout when they do not in time."""
+    """Stop every axis and wait until all are at rest and settled. Raises RigTimeout if that takes too long."""
     stage, axes = rig.stage, (rig.limits.x, rig.limits.y, rig.limits.z)
     stage.stop()
     halt_s = max(axis.speed_um_s / axis.acceleration_um_s2 for axis in axes)
@@ -130,13 +130,13 @@ def come_to_rest(rig: Rig) -> None:
 
 
 def at_um(position: Position, axis: Axis) -> float:
-    """The position of one axis."""
+    """Return the position of one axis."""
     return {"x": position.x_um, "y": position.y_um, "z": position.z_um}[axis]
 
 
 @contextmanager
 def device_errors(device: str) -> Generator[None]:
-    """Tell an operating system's error in a device's driver as that device's, and not as one of the disk."""
+    """Raise an OSError from a device's driver as a RigError of that device, not as a disk error."""
     try:
         yield
     except OSError as fault:

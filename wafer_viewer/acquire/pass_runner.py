@@ -1,4 +1,4 @@
-"""One pass of a scan on a rig: get there, arm, move, hand on every frame as it is known, judge the whole."""
+"""Execution of one pass of a scan: approach, arming, motion, delivery of frames, and final checks."""
 
 from __future__ import annotations
 
@@ -15,18 +15,18 @@ from wafer_viewer.model.errors import MissedPulse, MotionStopped, RigError
 from wafer_viewer.model.progress import ShouldStop
 
 POLL_S = 0.05
-"""How long a look for the next image may take before the box's heart is beaten again."""
+"""Longest wait for an image before the next heartbeat to the pulse box."""
 GRACE_S = 0.25
-"""How long after the last pulse's exposure and readout an image may still come."""
+"""Extra time for an image after the last pulse's exposure and readout."""
 SYNC_TRIES = 3
 COUNT_TOLERANCE = 2
-"""By how many counts pulse box and stage may differ at rest: each rounds, and an axis at rest still trembles."""
+"""Permitted difference of pulse box and stage at rest in counts: both round, and an axis at rest still vibrates."""
 NOTHING_SENT = PulseSummary(emitted=0, suppressed=0, quadrature_errors=0, exposures=0)
 
 
 @dataclass(frozen=True, slots=True)
 class PassDoubt:
-    """Why the frames of a pass cannot be kept, and what to do when that goes on."""
+    """Reason for discarding the frames of a pass, and the remedy if it recurs."""
 
     why: str
     mend: str
@@ -34,10 +34,10 @@ class PassDoubt:
 
 @dataclass(frozen=True, slots=True)
 class PassResult:
-    """How a pass went.
+    """Outcome of a pass.
 
-    doubts: why none of its frames can be kept; pairing: None where it was stopped on the way to its beginning;
-    count_mended: by how many counts the box was off the stage before the pass, which was put right.
+    doubts: reasons for discarding all of its frames; pairing: None if it was stopped on the approach; count_mended:
+    difference of box and stage counts before the pass, which was corrected.
     """
 
     summary: PulseSummary
@@ -49,7 +49,7 @@ class PassResult:
 
 @contextmanager
 def rest_afterwards(rig: Rig) -> Generator[None]:
-    """Whatever happens within: no more pulses, the stage halts, the camera waits for nothing."""
+    """Leave the rig at rest on exit: no pulses, stage halted, camera stopped."""
     with ExitStack() as afterwards:
         afterwards.callback(rig.camera.stop)
         afterwards.callback(rig.stage.stop)
@@ -58,9 +58,9 @@ def rest_afterwards(rig: Rig) -> Generator[None]:
 
 
 def device_clock(rig: Rig, exposure_us: float, before: DeviceClock | None = None) -> DeviceClock:
-    """The camera's clock against the box's, from a single pulse on command: proves the trigger's way as well.
+    """Measure the camera's clock against the box's by one pulse on command, which also tests the trigger line.
 
-    Raises RigError when no image answers.
+    Raises RigError if no image arrives.
     """
     here = rig.limits.z.counts(rig.stage.position().z_um)
     train = PulseTrain(axis="z", first_count=here, counts_per_frame=1, n_frames=1, direction=1)
@@ -94,10 +94,10 @@ def run_pass(
     take: Callable[[Frame], None],
     should_stop: ShouldStop,
 ) -> PassResult:
-    """Carry out a leg; every frame goes to `take` while the pass runs, and counts only by the result of the pass.
+    """Execute a leg; frames go to `take` during the pass and are valid only by its result.
 
-    Raises MissedPulse when the box sent no pulse at all, RigTimeout when the stage does not arrive in time, RigError
-    when no image came at all or a device refuses.
+    Raises MissedPulse if the box sent no pulse at all, RigTimeout if the stage does not arrive in time, RigError if no
+    image arrived at all or a device refuses.
     """
     one = _Pass(rig, leg, exposure_us, clock, take, should_stop)
     if not one.get_there():
@@ -127,13 +127,13 @@ class _Pass:
         self._reconciler = Reconciler(leg, rig.limits, _timing(rig, leg, exposure_us, clock))
 
     def get_there(self) -> bool:
-        """Go to where the pass begins; returns whether it was not stopped on the way."""
+        """Move to the start of the pass; return False if stopped on the way."""
         train = self._leg.train
         first_um = self._rig.limits.axis(train.axis).position_um(train.first_count)
         return self._go_to(first_um - self._run_up_um())
 
     def mend_count(self) -> int:
-        """Set the box's count by the stage's own position where the two differ at rest; returns by how many counts."""
+        """Correct the box's count by the stage's position if they differ at rest; return the difference in counts."""
         off = self._count_error()
         if abs(off) <= COUNT_TOLERANCE:
             return 0
@@ -141,7 +141,7 @@ class _Pass:
         return off
 
     def sweep(self) -> bool:
-        """Move through all pulses at speed; returns whether it was stopped on the way."""
+        """Move through all pulses at speed; return True if stopped on the way."""
         stage, train, speed = self._rig.stage, self._leg.train, self._leg.speed_um_s
         end_um = self._rig.limits.axis(train.axis).position_um(train.last_count) + self._run_up_um()
         deadline = Deadline(self._rig, {train.axis: end_um}, speed)
@@ -158,7 +158,7 @@ class _Pass:
         return not self._arrived(deadline)
 
     def shoot(self) -> bool:
-        """Halt and settle at every count of the train and take a frame there; returns whether it was stopped."""
+        """Halt and settle at every count of the train and take a frame there; return True if stopped."""
         train = self._leg.train
         axis, exposed_s = self._rig.limits.axis(train.axis), self._exposed_s()
         self._rig.box.arm(train, on_command=True)
@@ -175,7 +175,7 @@ class _Pass:
         return False
 
     def finish(self, stopped: bool, mended: int) -> PassResult:
-        """Wait for the images under way, end the run, and judge it."""
+        """Wait for outstanding images, end the run and check it."""
         deadline_s = self._rig.clock.now_s() + _image_s(self._rig, self._exposure_us)
         while not stopped and not self._reconciler.all_paired and self._rig.clock.now_s() < deadline_s:
             self._look(POLL_S)
@@ -190,7 +190,7 @@ class _Pass:
         return PassResult(summary, pairing, doubts, mended, stopped)
 
     def _slip(self) -> int:
-        """By how many counts the box is off the stage after the pass; a second look once the axis has settled."""
+        """Return the count error of the box after the pass, measured again after settling."""
         off = self._count_error()
         if abs(off) <= COUNT_TOLERANCE:
             return 0
@@ -199,7 +199,7 @@ class _Pass:
         return off if abs(off) > COUNT_TOLERANCE else 0
 
     def _count_error(self) -> int:
-        """The box's count of the pass' axis less that of the stage's own position; only at rest."""
+        """Return the box's count of the pass axis minus that of the stage's position; valid only at rest."""
         axis = self._leg.train.axis
         counted = self._rig.box.count(axis)
         with device_errors("stage"):
@@ -210,7 +210,7 @@ class _Pass:
         return train.direction * self._rig.limits.axis(train.axis).run_up_um(self._leg.speed_um_s)
 
     def _go_to(self, to_um: float) -> bool:
-        """Move along the pass' axis, to the pass in the others; returns whether it was not stopped."""
+        """Move to `to_um` on the pass axis and to the pass position on the others; return False if stopped."""
         leg = self._leg
         goal: dict[Axis, float] = {"x": leg.x_um, "y": leg.y_um, "z": leg.z_um, leg.train.axis: to_um}
         try:
@@ -221,7 +221,7 @@ class _Pass:
         return True
 
     def _arrived(self, deadline: Deadline) -> bool:
-        """Wait for the end of the way; returns whether it was not stopped."""
+        """Wait for the end of the motion; return False if stopped."""
         try:
             with device_errors("stage"):
                 await_arrival(self._rig, deadline, self._should_stop)
@@ -234,7 +234,7 @@ class _Pass:
             return self._rig.stage.moving()
 
     def _look(self, timeout_s: float) -> None:
-        """Fetch what has come, and beat the heart of the box."""
+        """Fetch an available image and send the heartbeat to the box."""
         with device_errors("camera"):
             image = self._rig.camera.next_image(timeout_s)
         self._pair([] if image is None else [image])
@@ -264,7 +264,7 @@ class _Pass:
 
 
 def doubts_of(summary: PulseSummary, pairing: Pairing, axis: Axis, slip: int, rig: Rig) -> tuple[PassDoubt, ...]:
-    """Everything by which the frames of a pass may not be what they are said to be."""
+    """Return all reasons to doubt the frames of a pass."""
     found: list[PassDoubt] = []
     if errors := summary.quadrature_errors:
         found.append(PassDoubt(f"the pulse box reports {_n(errors, 'quadrature error')} on the {axis} scale", _SCALE))
@@ -312,5 +312,5 @@ def _delay_us(rig: Rig) -> float:
 
 
 def _image_s(rig: Rig, exposure_us: float) -> float:
-    """How long after a pulse its image may take."""
+    """Return the longest time from a pulse to its image."""
     return rig.limits.camera.period_s(exposure_us) + (exposure_us + rig.limits.camera.readout_us) * 1e-6 + GRACE_S

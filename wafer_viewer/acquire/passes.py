@@ -1,6 +1,6 @@
-"""How the fields of a scan are cut into passes: the continuous motions of each strategy, in their order.
+"""Division of a scan into passes: the continuous motions of each strategy, in order.
 
-A pass is the light form of a leg: enough to price it, and to make the leg of the strategy that is chosen.
+A pass is a lightweight form of a leg, sufficient to price it and to create the leg of the chosen strategy.
 """
 
 from __future__ import annotations
@@ -14,11 +14,11 @@ from wafer_viewer.model.acquisition.plan import Axis, Field, FocusSweep, Leg, Pu
 from wafer_viewer.model.acquisition.rig_limits import RigLimits
 
 SMEAR_PX = 0.5
-"""The most that a line pass may move during an exposure."""
+"""Largest motion of a line pass during an exposure, in pixels."""
 AXIAL_SMEAR = 0.1
-"""The most that a z pass may move during an exposure, of its step."""
+"""Largest motion of a z pass during an exposure, as a fraction of its step."""
 PERIOD_SPARE = 1.02
-"""Pulses keep this much more than the camera's period apart: no axis runs quite evenly."""
+"""Pulse period over the camera's shortest period, because no axis runs quite uniformly."""
 
 Line = Literal["x", "y"]
 Point = tuple[float, float, float]
@@ -27,7 +27,7 @@ AXES: tuple[Axis, ...] = ("x", "y", "z")
 
 @dataclass(frozen=True, slots=True)
 class Task:
-    """What is to be scanned and on what; the sweep's step is whole counts of the z scale."""
+    """Fields, sweep and exposures to scan, and the rig's limits; the z step is a whole number of scale counts."""
 
     fields: tuple[Field, ...]
     sweep: FocusSweep
@@ -35,12 +35,12 @@ class Task:
     limits: RigLimits
 
     def lit_s(self, exposure: int) -> float:
-        """How long light falls on the sensor: the exposure, or the strobe's flash where that is shorter."""
+        """Return the time that light falls on the sensor: the exposure, or the strobe flash if shorter."""
         strobe_us = self.limits.strobe_us or self.exposures_us[exposure]
         return min(strobe_us, self.exposures_us[exposure]) * 1e-6
 
     def period_s(self, exposure: int) -> float:
-        """The time from pulse to pulse that the camera can follow."""
+        """Return the shortest pulse period that the camera can follow."""
         return self.limits.camera.period_s(self.exposures_us[exposure]) * PERIOD_SPARE
 
 
@@ -48,7 +48,7 @@ class Task:
 class Pass:
     """One continuous motion along `axis`: the frames ks of every field, in that order. Speed 0 is stop and shoot.
 
-    start_um is where the first pulse falls, as (x, y, z).
+    start_um: position (x, y, z) of the first pulse.
     """
 
     axis: Axis
@@ -62,16 +62,16 @@ class Pass:
 
     @property
     def n_frames(self) -> int:
-        """How many pulses it has."""
+        """Number of pulses."""
         return len(self.fields) * len(self.ks)
 
     def end_um(self, limits: RigLimits) -> Point:
-        """Where its last pulse falls."""
+        """Return the position of the last pulse."""
         length_um = limits.axis(self.axis).position_um(self.pitch_counts * (self.n_frames - 1))
         return _along(self.start_um, self.axis, self.direction * length_um)
 
     def leg(self, limits: RigLimits) -> Leg:
-        """The leg that a rig can carry out."""
+        """Return the leg for execution by a rig."""
         x_um, y_um, z_um = self.start_um
         train = PulseTrain(
             axis=self.axis,
@@ -85,7 +85,7 @@ class Pass:
 
 
 def z_passes(task: Task, *, snake: bool) -> Iterable[Pass]:
-    """One z pass in every field and exposure, fields in a snake; upward, or up and down in turn."""
+    """Yield one z pass per field and exposure, fields in a snake; upward, or alternately up and down."""
     up = True
     for field in snake_order(task.fields):
         for exposure in range(len(task.exposures_us)):
@@ -94,14 +94,14 @@ def z_passes(task: Task, *, snake: bool) -> Iterable[Pass]:
 
 
 def shoot_passes(task: Task) -> Iterable[Pass]:
-    """Every field upward, the axis at rest for every frame."""
+    """Yield one upward stop-and-shoot pass per field and exposure."""
     for field in snake_order(task.fields):
         for exposure in range(len(task.exposures_us)):
             yield _z_pass(task, field, exposure, speed_um_s=0.0, up=True)
 
 
 def line_passes(task: Task, line: Line) -> Iterable[Pass]:
-    """At every z, one pass along every line of fields and exposure, to and fro; lines and levels in a snake."""
+    """Yield one pass per z, line of fields and exposure, in alternating directions; lines and levels in a snake."""
     lines = lines_of(task.fields, line)
     forward = True
     for k in range(task.sweep.n_frames):
@@ -112,7 +112,7 @@ def line_passes(task: Task, line: Line) -> Iterable[Pass]:
 
 
 def snake_order(fields: Iterable[Field]) -> list[Field]:
-    """Fields row by row, every second row backwards."""
+    """Return the fields row by row, every second row reversed."""
     order: list[Field] = []
     for i, row in enumerate(lines_of(fields, "x")):
         order += row if i % 2 == 0 else row[::-1]
@@ -120,7 +120,7 @@ def snake_order(fields: Iterable[Field]) -> list[Field]:
 
 
 def lines_of(fields: Iterable[Field], line: Line) -> list[list[Field]]:
-    """Rows of fields (line x) or columns (line y), each in the order of the rising coordinate."""
+    """Return the rows (line x) or columns (line y) of fields, each by rising coordinate."""
     across, along = ("row", "col") if line == "x" else ("col", "row")
     ordered = sorted(fields, key=lambda f: (getattr(f, across), getattr(f, along)))
     lines = [list(group) for _, group in groupby(ordered, key=lambda f: getattr(f, across))]
@@ -128,7 +128,7 @@ def lines_of(fields: Iterable[Field], line: Line) -> list[list[Field]]:
 
 
 def line_obstacle(task: Task, line: Line) -> str | None:
-    """Why the fields cannot be taken in line passes, or None."""
+    """Return the reason why line passes are impossible, or None."""
     for fields in lines_of(task.fields, line):
         wrong = _uneven_pitch(task, fields, line) or _uneven_line(task, fields, line)
         if wrong is not None:

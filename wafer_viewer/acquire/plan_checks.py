@@ -1,4 +1,4 @@
-"""What makes a scan impossible whatever the strategy: each with the sentence that says so."""
+"""Checks of a scan that apply to every strategy, with their error messages."""
 
 from __future__ import annotations
 
@@ -10,11 +10,11 @@ from wafer_viewer.model.errors import PlanError
 from wafer_viewer.model.spec import replace
 
 STEP_TOLERANCE = 0.01
-"""How far, of itself, a z step may be from whole counts of the scale."""
+"""Permitted relative deviation of a z step from whole counts of the scale."""
 
 
 def check_fields(fields: tuple[Field, ...], limits: RigLimits) -> None:
-    """Raise PlanError when there are no fields, a number comes twice, or one lies out of the stage's range."""
+    """Raise PlanError without fields, for a repeated number, or for a field outside the stage's range."""
     if not fields:
         raise PlanError("The plan has 0 fields: at least 1 is needed; lay a grid over the sample or list fields.")
     number, times = Counter(f.number for f in fields).most_common(1)[0]
@@ -25,7 +25,7 @@ def check_fields(fields: tuple[Field, ...], limits: RigLimits) -> None:
 
 
 def check_exposures(exposures_us: tuple[float, ...], limits: RigLimits) -> None:
-    """Raise PlanError when there is no exposure or the camera cannot take one."""
+    """Raise PlanError without exposures, or for one that the camera cannot take."""
     if not exposures_us:
         raise PlanError("The plan has 0 exposures: at least 1 is needed; give an exposure time in us.")
     low_us, high_us = limits.camera.exposure_min_us, limits.camera.exposure_max_us
@@ -38,14 +38,14 @@ def check_exposures(exposures_us: tuple[float, ...], limits: RigLimits) -> None:
 
 
 def check_sweep(fields: tuple[Field, ...], sweep: FocusSweep, limits: RigLimits) -> None:
-    """Raise PlanError when a sweep leaves the z range or brings the objective nearer to the sample than it may."""
+    """Raise PlanError if a sweep leaves the z range or brings the objective too close to the sample."""
     for field in fields:
         _check_height(field, sweep, limits)
     _check_clearance(fields, sweep, limits)
 
 
 def whole_counts(sweep: FocusSweep, limits: RigLimits) -> FocusSweep:
-    """The sweep with its step in whole counts of the z scale; raises PlanError when that changes it by over 1 %."""
+    """Return the sweep with its step in whole counts; raise PlanError if that changes it by over 1 %."""
     counts, count_um = limits.z.counts(sweep.z_step_um), 1 / limits.z.counts_per_um
     step_um = counts * count_um
     if abs(step_um - sweep.z_step_um) <= STEP_TOLERANCE * sweep.z_step_um:
@@ -78,7 +78,7 @@ def _check_height(field: Field, sweep: FocusSweep, limits: RigLimits) -> None:
 
 
 def _check_clearance(fields: tuple[Field, ...], sweep: FocusSweep, limits: RigLimits) -> None:
-    """A sweep ends with the highest point of the sample in focus; at its start the lens is that much nearer to it."""
+    """Check the clearance: at the start of the lowest sweep the lens is closest to the highest point of the sample."""
     lowest = min(fields, key=lambda f: f.z_start_um)
     highest = max(fields, key=lambda f: f.z_start_um)
     drop_um = highest.z_start_um + sweep.range_um - lowest.z_start_um

@@ -1,4 +1,4 @@
-"""Fields, a focus sweep and a rig's limits become a plan: every strategy priced, the chosen one laid out in legs."""
+"""Scan planner: prices every strategy and lays out the chosen one in legs."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ from wafer_viewer.model.errors import PlanError
 
 @dataclass(frozen=True, slots=True)
 class Strategy:
-    """A way to take all frames: its passes in order, and what may stand against it (a sentence, or None)."""
+    """A scan strategy: its passes in order, and the reason why it is impossible, if any."""
 
     title: str
     passes: Callable[[Task], Iterable[Pass]]
@@ -45,11 +45,11 @@ def plan_scan(
     limits: RigLimits,
     strategy: str = "auto",
 ) -> ScanPlan:
-    """Lay out a scan: all strategies priced, the fastest feasible one chosen, or the one that is named.
+    """Plan a scan: price all strategies and use the named one, or the fastest feasible one.
 
-    Every (field, k, exposure) is in exactly one leg. The plan's sweep has its z step rounded to whole counts.
-    Raises PlanError when a field, the sweep or an exposure is out of the rig's limits, when the step is over 1 % off
-    whole counts, and when the strategy is unknown or ruled out.
+    Every (field, k, exposure) is in exactly one leg. The plan's z step is rounded to whole counts.
+    Raises PlanError if a field, the sweep or an exposure is beyond the rig's limits, if the step is over 1 % off whole
+    counts, and if the strategy is unknown or ruled out.
     """
     task = checked_task(fields, sweep, exposures_us, limits)
     priced = {name: _priced(task, name) for name in STRATEGIES}
@@ -73,7 +73,7 @@ def plan_scan(
 def price_all(
     fields: tuple[Field, ...], sweep: FocusSweep, exposures_us: tuple[float, ...], limits: RigLimits
 ) -> tuple[Price, ...]:
-    """The price of every strategy, or the sentence that rules it out. Raises PlanError as plan_scan does."""
+    """Return the price of every strategy, or the reason against it. Raises PlanError as plan_scan does."""
     task = checked_task(fields, sweep, exposures_us, limits)
     return tuple(_priced(task, name)[0] for name in STRATEGIES)
 
@@ -81,7 +81,7 @@ def price_all(
 def checked_task(
     fields: tuple[Field, ...], sweep: FocusSweep, exposures_us: tuple[float, ...], limits: RigLimits
 ) -> Task:
-    """What is to be scanned, when the rig can at all; raises PlanError otherwise."""
+    """Return the task after checking it against the rig's limits; raise PlanError if it is impossible."""
     check_fields(fields, limits)
     check_exposures(exposures_us, limits)
     sweep = whole_counts(sweep, limits)
@@ -104,7 +104,7 @@ def _priced(task: Task, name: str) -> tuple[Price, list[Pass]]:
 
 
 def _out_of_range(limits: RigLimits, travel: Travel) -> str | None:
-    """The run-up and run-out of every pass have to stay within the stage's range."""
+    """Return a sentence if the run-up or run-out of a pass leaves the stage's range, else None."""
     for i, name in enumerate(AXES):
         axis, at_um = limits.axis(name), np.append(travel.begin_um[:, i], travel.end_um[:, i])
         low_um, high_um = at_um.min(), at_um.max()

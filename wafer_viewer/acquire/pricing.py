@@ -1,4 +1,4 @@
-"""How long a strategy takes: the time of its passes and of the moves between them, from trapezoidal motion."""
+"""Duration of a strategy: its passes and the moves between them, with trapezoidal velocity profiles."""
 
 from __future__ import annotations
 
@@ -12,33 +12,33 @@ from wafer_viewer.acquire.passes import AXES, Pass, Task
 from wafer_viewer.model.acquisition.rig_limits import AxisLimits, RigLimits
 
 PASS_OVERHEAD_S = 0.02
-"""Arming the box, starting the camera and fetching the last image of a pass."""
+"""Overhead of a pass: arming the box, starting the camera and fetching the last image."""
 
 Floats = NDArray[np.float64]
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Travel:
-    """Where the passes begin and end, run-up and run-out included: positions in um, [pass, axis]."""
+    """Start and end positions of the passes in um, [pass, axis], including run-up and run-out."""
 
     begin_um: Floats
     end_um: Floats
 
 
 def predicted_s(task: Task, passes: Sequence[Pass], travel: Travel) -> float:
-    """Seconds from the start of the first pass to the end of the last; the way to the first is not counted."""
+    """Return the seconds from the start of the first pass to the end of the last, without the move to the first."""
     moves = move_s(task.limits, travel.end_um[:-1], travel.begin_um[1:])
     return float(_pass_s(task, passes).sum() + moves.sum() + PASS_OVERHEAD_S * len(passes))
 
 
 def motions(passes: Sequence[Pass], travel: Travel) -> int:
-    """How often an axis is set going to take frames: passes and their returns, or every step of stop and shoot."""
+    """Return the number of motions that take frames: passes and returns, or every step of stop and shoot."""
     steps = sum(p.n_frames for p in passes if not p.speed_um_s)
     return steps or len(passes) + _returns(passes, travel)
 
 
 def travel_of(limits: RigLimits, passes: Sequence[Pass]) -> Travel:
-    """The way of each pass."""
+    """Return the travel of each pass."""
     first = np.array([p.start_um for p in passes])
     last = np.array([p.end_um(limits) for p in passes])
     run_up = np.array([p.direction * run_up_um(limits, p) for p in passes])
@@ -49,18 +49,18 @@ def travel_of(limits: RigLimits, passes: Sequence[Pass]) -> Travel:
 
 
 def run_up_um(limits: RigLimits, one: Pass) -> float:
-    """The way before the first pulse, and past the last."""
+    """Return the run-up of a pass in um, which equals its run-out."""
     return limits.axis(one.axis).run_up_um(one.speed_um_s) if one.speed_um_s else 0.0
 
 
 def move_s(limits: RigLimits, start_um: Floats, end_um: Floats) -> Floats:
-    """Seconds of moves of all axes at once, each settling: [move, axis] positions to [move] times."""
+    """Return the durations in s of moves of all axes with settling: positions [move, axis] to times [move]."""
     by_axis = [travel_s(limits.axis(name), np.abs(end_um[:, i] - start_um[:, i])) for i, name in enumerate(AXES)]
     return np.max(by_axis, axis=0) if len(start_um) else np.zeros(0)
 
 
 def travel_s(axis: AxisLimits, distance_um: Floats) -> Floats:
-    """Seconds of one axis' move over each distance with its settling; none where it stays."""
+    """Return the duration in s of one axis' moves with settling; 0 for zero distance."""
     ramps_um = 2 * axis.ramp_um(axis.speed_um_s)
     short = 2 * np.sqrt(distance_um / axis.acceleration_um_s2)
     long = 2 * axis.speed_um_s / axis.acceleration_um_s2 + (distance_um - ramps_um) / axis.speed_um_s
@@ -68,7 +68,7 @@ def travel_s(axis: AxisLimits, distance_um: Floats) -> Floats:
 
 
 def _returns(passes: Sequence[Pass], travel: Travel) -> int:
-    """How often the axis of a pass has to go back over most of its way before the next can begin."""
+    """Return how often the axis must return over most of its pass before the next one can start."""
     moving = _moving_axis(passes)
     begin_um, end_um = travel.begin_um[moving], travel.end_um[moving]
     back_um = np.abs(begin_um[1:] - end_um[:-1])
@@ -76,7 +76,7 @@ def _returns(passes: Sequence[Pass], travel: Travel) -> int:
 
 
 def _moving_axis(passes: Sequence[Pass]) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
-    """The index that picks, of positions [pass, axis], those of each pass' own axis."""
+    """Return the index of each pass' own axis in positions [pass, axis]."""
     return np.arange(len(passes)), np.array([AXES.index(p.axis) for p in passes])
 
 

@@ -1,10 +1,10 @@
-"""Pairing of the images of a pass with the pulses that took them, by the time and by the counter of the camera.
+"""Pairing of a pass' images with the pulses that triggered them, by the camera's time and counter.
 
-Never by the order of arrival: one ignored trigger in 126 would mislabel most of a field by a step. The device time of
-an image says which pulse took it, because camera and pulse box keep time far better than half a pulse period. The
-camera's counter is held against that: noise on its input makes it count too much, and a camera that numbers its
-exposures counts too little. Where the two disagree the time decides, as long as the images keep to it; what it does not
-decide is an empty slot, or a whole pass that is taken again.
+Never by order of arrival: one ignored trigger in 126 would shift most of a field by a step. The device time of an
+image identifies its pulse, because camera and pulse box keep time far better than half a pulse period. The camera's
+counter is a cross-check: noise on its input makes it count too much, and a camera that numbers its exposures counts
+too little. If the two disagree, the time decides, provided that the times of the images are consistent. Undecided
+cases become an empty slot, or a whole pass is taken again.
 """
 
 from __future__ import annotations
@@ -23,26 +23,26 @@ from wafer_viewer.model.acquisition.plan import Leg, Shot
 from wafer_viewer.model.acquisition.rig_limits import RigLimits
 
 TRACKED = 9
-"""Images whose median says how camera and box differ just now."""
+"""Number of latest images whose median gives the current clock difference of camera and box."""
 FIT_FROM = 8
-"""The fewest images that a clock is fitted to; fewer move that of the pass before."""
+"""Smallest number of images for a clock fit; with fewer, the clock of the previous pass is adjusted."""
 FOLLOWED = 0.25
-"""By how much at most, of the limit for an image."""
+"""Largest adjustment of the clock by a few images, as a fraction of the limit for an image."""
 AT_ONCE = 0.25
-"""An image is given to a pulse at once when it is nearer than this, in pulse periods."""
+"""Distance in pulse periods below which an image is assigned to a pulse immediately."""
 SHARP = 0.05
-"""How far an image may lie off its pulse in any case, in pulse periods: a twentieth of a step in z."""
+"""Permitted distance of an image from its pulse in pulse periods, in any case: a twentieth of a step in z."""
 SIGMAS = 5.0
-"""How far it may lie off in standard deviations of all images of the pass."""
+"""Permitted distance of an image from its pulse, in standard deviations of all images of the pass."""
 MAD_TO_SIGMA = 1.4826
 
 
 @dataclass(frozen=True, slots=True)
 class DeviceClock:
-    """The camera's clock against that of the pulse box.
+    """The camera's clock relative to that of the pulse box.
 
-    offset_us: camera time less box time, at the box time at_us; drift: how much faster the camera's runs, relative;
-    spread_us: standard deviation of the images about that.
+    offset_us: camera time minus box time, at the box time at_us; drift: relative excess rate of the camera's clock;
+    spread_us: standard deviation of the images about this line.
     """
 
     offset_us: float
@@ -51,13 +51,13 @@ class DeviceClock:
     spread_us: float = 0.0
 
     def image_us(self, pulse: Pulse) -> float:
-        """The device time that the image of a pulse should have."""
+        """Return the expected device time of a pulse's image."""
         return pulse.time_us + self.offset_us + self.drift * (pulse.time_us - self.at_us)
 
 
 @dataclass(frozen=True, slots=True)
 class Timing:
-    """The camera's delay and exposure after a pulse, its clock against the box's, and the time from pulse to pulse."""
+    """Delay and exposure of the camera after a pulse, its clock relative to the box's, and the pulse period."""
 
     delay_us: float
     exposure_us: float
@@ -66,13 +66,13 @@ class Timing:
 
     @property
     def middle_s(self) -> float:
-        """From the pulse to mid-exposure."""
+        """Time from the pulse to mid-exposure."""
         return (self.delay_us + self.exposure_us / 2) * 1e-6
 
 
 @dataclass(frozen=True, slots=True)
 class MissingFrame:
-    """A slot without a frame, the scale count of its pulse, and why."""
+    """A slot without a frame, with the scale count of its pulse and the reason."""
 
     shot: Shot
     count: int
@@ -81,12 +81,12 @@ class MissingFrame:
 
 @dataclass(frozen=True, slots=True)
 class Pairing:
-    """The pairing of a whole pass.
+    """Pairing of a whole pass.
 
-    holes: slots without a frame, with those whose image turned out not to be of their pulse;
-    doubt: why the whole pass cannot be trusted, or empty;
-    n_images: different images that came; n_unexposed: pulses without an image;
-    extra_edges: edges that the camera counted and the box did not send; uncounted: pulses that it did not count;
+    holes: slots without a frame, including those whose image proved not to belong to their pulse;
+    doubt: reason for distrusting the whole pass, or empty;
+    n_images: number of distinct images; n_unexposed: pulses without an image;
+    extra_edges: edges counted by the camera that the box did not send; uncounted: pulses that it did not count;
     strays: images that belong to no pulse; clock: that of the pass, for the next one.
     """
 
@@ -108,7 +108,7 @@ class _Match:
 
 
 class Reconciler:
-    """Pairs the images and pulses of one pass as they come, in whatever order; `close` judges the pass as a whole."""
+    """Pairs images and pulses of one pass as they arrive, in any order; `close` checks the pass as a whole."""
 
     def __init__(self, leg: Leg, limits: RigLimits, timing: Timing) -> None:
         self._leg = leg
@@ -121,16 +121,16 @@ class Reconciler:
         self._spoilt: set[int] = set()
         self._seen: set[tuple[int, int | None]] = set()
         self._rivals = 0
-        """Images of slots that had one already."""
+        """Images for slots that already have one."""
         self._off_us: deque[float] = deque(maxlen=TRACKED)
 
     @property
     def all_paired(self) -> bool:
-        """Whether every slot of the leg has its image."""
+        """True if every slot of the leg has its image."""
         return len(self._matches) == len(self._leg.shots)
 
     def add(self, images: Iterable[CameraImage], pulses: Iterable[Pulse]) -> list[Frame]:
-        """Take what has come; returns the frames that are known by it, until `close` confirms or revokes them."""
+        """Add images and pulses; return the frames identified so far, which `close` confirms or revokes."""
         for pulse in pulses:
             self._pulses.append(pulse)
             self._times_us.append(pulse.time_us)
@@ -139,7 +139,7 @@ class Reconciler:
         return [frame for frame in frames if frame is not None]
 
     def close(self) -> Pairing:
-        """The pairing of the pass as a whole, once all has come that comes."""
+        """Return the pairing of the whole pass, once everything has arrived."""
         matches = sorted(self._matches.items(), key=lambda item: item[1].pulse.number)
         clock = self._fitted([match for _, match in matches])
         limit_us = self._limit_us(clock)
@@ -186,7 +186,7 @@ class Reconciler:
         return frame_of(image, pulse, self._leg, self._leg.shots[place], self._limits, self._timing)
 
     def _pulse_of(self, image: CameraImage) -> Pulse | None:
-        """The pulse at whose time an image was taken, as far as that is known by now."""
+        """Return the pulse at the time of an image, as far as known so far."""
         if not self._pulses:
             return None
         clock = self._timing.clock
@@ -199,7 +199,7 @@ class Reconciler:
         return nearest if away_us < AT_ONCE * self._timing.period_us else None
 
     def _fitted(self, matches: Sequence[_Match]) -> DeviceClock:
-        """The camera's clock by the images of this pass; outliers do not move it."""
+        """Return the camera's clock fitted to the images of this pass, robust against outliers."""
         before = self._timing.clock
         if not matches:
             return before
@@ -219,7 +219,7 @@ class Reconciler:
         return DeviceClock(offset_us, at_us, drift, spread_us)
 
     def _limit_us(self, clock: DeviceClock) -> float:
-        """How far the image of a pulse may lie off it."""
+        """Return the permitted time difference between an image and its pulse."""
         return max(SHARP * self._timing.period_us, SIGMAS * clock.spread_us)
 
     def _doubt(self, clock: DeviceClock, *, counter_differs: bool, has_counter: bool) -> str:
@@ -236,7 +236,7 @@ class Reconciler:
         return ""
 
     def _shifted(self, clock: DeviceClock) -> bool:
-        """Whether all images may belong one pulse further: one lies just outside the train, its far end is empty."""
+        """Return whether all images may be off by one pulse: one is just outside the train, whose far end is empty."""
         if not self._pulses or not self._waiting:
             return False
         first, last, period_us = self._pulses[0], self._pulses[-1], self._timing.period_us
@@ -246,7 +246,7 @@ class Reconciler:
         return (before and last.number not in taken) or (after and first.number not in taken)
 
     def _holes(self, revoked: dict[int, float]) -> tuple[MissingFrame, ...]:
-        """The slots that have no frame, or none that can be kept."""
+        """Return the slots without a valid frame."""
         sent = {self._place(pulse) for pulse in self._pulses}
         return tuple(
             MissingFrame(shot, self._count(i), self._why(i, sent, revoked.get(i)))
@@ -255,7 +255,7 @@ class Reconciler:
         )
 
     def _place(self, pulse: Pulse) -> int | None:
-        """The place in the leg of a pulse, by its scale count; None when it is none of the train's."""
+        """Return the index of a pulse in the leg by its scale count; None if it is outside the train."""
         train = self._leg.train
         place = round(train.direction * (pulse.count - train.first_count) / train.counts_per_frame)
         return place if 0 <= place < train.n_frames else None
@@ -273,7 +273,7 @@ class Reconciler:
 
 
 def _slope(times_us: np.ndarray, off_us: np.ndarray) -> float:
-    """The drift between the medians of the first and of the last third: outliers do not move it."""
+    """Return the drift between the medians of the first and the last third, robust against outliers."""
     third = len(times_us) // 3
     run_us = float(np.median(times_us[-third:]) - np.median(times_us[:third]))
     return float(np.median(off_us[-third:]) - np.median(off_us[:third])) / run_us if run_us > 0 else 0.0
@@ -284,9 +284,9 @@ def _has_counter(matches: Sequence[_Match]) -> bool:
 
 
 def _counter_steps(matches: Sequence[_Match]) -> tuple[int, int]:
-    """How many edges the camera counted too many, and how many too few, against the pulses at the same times.
+    """Return how many edges the camera counted too many, and too few, relative to the pulses at the same times.
 
-    A counter that falls has wrapped or was set back, which says nothing of the edges in between.
+    A counter that falls has wrapped or was reset, so the edges in between are unknown.
     """
     extra = uncounted = 0
     counted = [(m.pulse.number, m.trigger_count) for m in matches if m.trigger_count is not None]
@@ -299,7 +299,7 @@ def _counter_steps(matches: Sequence[_Match]) -> tuple[int, int]:
 
 
 def frame_of(image: CameraImage, pulse: Pulse, leg: Leg, shot: Shot, limits: RigLimits, timing: Timing) -> Frame:
-    """The frame of a pulse: the axis in motion at the pulse's scale count, moved on to mid-exposure."""
+    """Return the frame of a pulse: the moving axis at the pulse's scale count, extrapolated to mid-exposure."""
     train = leg.train
     moved_um = train.direction * leg.speed_um_s * timing.middle_s
     at_um = {"x": leg.x_um, "y": leg.y_um, "z": leg.z_um}

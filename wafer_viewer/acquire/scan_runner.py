@@ -1,4 +1,4 @@
-"""A plan carried out on a rig: every leg, again at once what cannot be trusted, at the end again what stayed empty."""
+"""Execution of a plan on a rig, with immediate repetition of doubtful passes and final repair of empty slots."""
 
 from __future__ import annotations
 
@@ -16,21 +16,21 @@ from wafer_viewer.model.errors import RigError
 from wafer_viewer.model.spec import replace
 
 REPAIRS = 2
-"""How often an empty slot is tried again."""
+"""Number of repair attempts for an empty slot."""
 PASS_TRIES = 3
-"""How often a pass is taken whose frames cannot be trusted, before the scan ends."""
+"""Attempts at a pass with doubtful frames before the scan ends."""
 CLOCK_HOLDS_S = 5.0
-"""Without images for so long, the clocks are compared anew: 100 ppm of it are a small part of a pulse period."""
+"""Time without images after which the clocks are compared again; 100 ppm of it are a small part of a pulse period."""
 NAMED = 5
-"""How many of the missing frames a report names."""
+"""Number of missing frames named in a report."""
 
 
 @dataclass(frozen=True, slots=True)
 class ScanOutcome:
-    """How a scan went.
+    """Outcome of a scan.
 
-    kept: frames handed to the sink; missing: slots left empty after the repairs, or noted empty before a stop;
-    repaired: slots filled by a repair; prepared_s: what the rig took beforehand, not part of duration_s.
+    kept: frames passed to the sink; missing: slots empty after the repairs, or recorded as empty before a stop;
+    repaired: slots filled by a repair; prepared_s: preparation time of the rig, not part of duration_s.
     """
 
     kept: int
@@ -42,20 +42,19 @@ class ScanOutcome:
 
 
 def run_scan(plan: ScanPlan, rig: Rig, sink: ScanSink, control: ScanControl, skip: Container[Shot] = ()) -> ScanOutcome:
-    """Carry out a plan. Slots in `skip` are kept already: their frames are not handed over again.
+    """Execute a plan. Slots in `skip` are already stored: their frames are not passed on again.
 
-    A pass whose counts or times do not agree is taken again at once, at most PASS_TRIES times. Empty slots are taken
-    again after the last leg, at most twice; what then still is empty is reported to the sink. A pause takes hold at the
-    end of a leg, a stop at once. Whatever happens, the rig is left at rest: no pulses, the stage halted, the camera
-    idle. Raises RigError when a device fails, the pulse box was started anew, or a pass cannot be trusted in any of its
-    tries.
+    A pass with inconsistent counts or times is repeated immediately, at most PASS_TRIES times in all. Empty slots are
+    taken again after the last leg, at most twice; those still empty are reported to the sink. A pause takes effect at
+    the end of a leg, a stop immediately. In every case the rig is left at rest: no pulses, stage halted, camera idle.
+    Raises RigError if a device fails, the pulse box restarted, or a pass remains doubtful in all of its tries.
     """
     with rest_afterwards(rig):
         return _Scan(plan, rig, sink, control, skip).run()
 
 
 def trimmed(leg: Leg, wanted: Callable[[Shot], bool], limits: RigLimits) -> Leg | None:
-    """The part of a leg from the first to the last wanted shot; None when it has none."""
+    """Return the part of a leg from the first to the last wanted shot; None if it has none."""
     places = [i for i, shot in enumerate(leg.shots) if wanted(shot)]
     if not places:
         return None
@@ -76,17 +75,17 @@ class _Scan:
         self._clock: DeviceClock | None = None
         self._clock_known_s = 0.0
         self._taken: set[Shot] = set()
-        """Slots with a frame of the pass under way, which counts once that is over."""
+        """Slots with a frame in the current pass, valid once the pass is over."""
         self._kept: set[Shot] = set()
         self._holes: dict[Shot, MissingFrame] = {}
         self._repaired = 0
         self._stopped = False
         self._referenced: set[Axis] = set()
-        """Axes whose count agreed with the stage when their last pass ended."""
+        """Axes whose count agreed with the stage at the end of their last pass."""
         self._remarks = _Remarks(sink.fault)
 
     def run(self) -> ScanOutcome:
-        """Prepare, take all legs, repair, report."""
+        """Prepare the rig, take all legs, repair empty slots and report."""
         switched_on_s = self._rig.clock.now_s()
         legs = self._legs_with(self._wanted)
         self._rig.prepare(replace(self._plan, legs=tuple(leg for _, leg in legs)), self._control.should_stop)
@@ -116,7 +115,7 @@ class _Scan:
             self._take(self._legs_with(self._holes.__contains__, number=attempt * len(self._plan.legs)))
 
     def _legs_with(self, wanted: Callable[[Shot], bool], number: int = 0) -> list[tuple[int, Leg]]:
-        """The parts of the legs that hold wanted shots, with the numbers of their passes: leg by leg from `number`."""
+        """Return the parts of the legs that contain wanted shots, with pass numbers counted from `number`."""
         parts = ((i, trimmed(leg, wanted, self._rig.limits)) for i, leg in enumerate(self._plan.legs, start=number))
         return [(i, leg) for i, leg in parts if leg is not None]
 
@@ -126,7 +125,7 @@ class _Scan:
                 return
 
     def _take_until_trusted(self, number: int, leg: Leg) -> bool:
-        """Take a leg again while its frames cannot be trusted; returns whether it was not stopped."""
+        """Repeat a leg while its frames are doubtful; return False if stopped."""
         for attempt in range(1, PASS_TRIES + 1):
             if self._interrupted():
                 return False
@@ -160,21 +159,21 @@ class _Scan:
         return result
 
     def _clock_at(self, exposure_us: float) -> DeviceClock:
-        """The camera's clock against the box's, compared anew where that was too long ago."""
+        """Return the camera's clock relative to the box's, measured again if the last comparison is too old."""
         if self._clock is None or self._rig.clock.now_s() - self._clock_known_s > CLOCK_HOLDS_S:
             self._clock = device_clock(self._rig, exposure_us, self._clock)
             self._clock_known_s = self._rig.clock.now_s()
         return self._clock
 
     def _frame(self, frame: Frame) -> None:
-        """A frame of the pass under way."""
+        """Pass on a frame of the current pass."""
         if self._wanted(frame.shot) and frame.shot not in self._taken:
             self._sink.frame(frame)
             self._taken.add(frame.shot)
             self._control.progress(self._plan, frame)
 
     def _settle(self, leg: Leg, result: PassResult) -> None:
-        """Keep the frames of a pass that is over, or note their slots as empty."""
+        """Accept the frames of a finished pass, or record their slots as empty."""
         holes = _untrusted(leg, result) if result.doubts else result.pairing.holes if result.pairing else ()
         for hole in holes:
             if self._wanted(hole.shot) and not (result.stopped and hole.shot not in self._taken):
@@ -183,7 +182,7 @@ class _Scan:
             self._keep(shot)
 
     def _note(self, hole: MissingFrame) -> None:
-        """Note an empty slot; one that is noted already is told again only where its frame is taken back."""
+        """Record an empty slot; a known one is reported again only if its frame is revoked."""
         if hole.shot not in self._holes or hole.shot in self._taken:
             self._sink.missed(hole.shot, hole.count, hole.why)
         self._holes[hole.shot] = hole
@@ -195,7 +194,7 @@ class _Scan:
             self._sink.repaired(shot)
 
     def _tell_doubts(self, leg: Leg, result: PassResult, attempt: int) -> None:
-        """Report a pass that cannot be trusted. Raises RigError after its last try."""
+        """Report a doubtful pass. Raises RigError after the last try."""
         why = ", and ".join(doubt.why for doubt in result.doubts)
         which = f"the pass that begins at field {leg.shots[0].field}"
         if attempt < PASS_TRIES:
@@ -211,7 +210,7 @@ class _Scan:
         )
 
     def _remark(self, leg: Leg, result: PassResult) -> None:
-        """Note what was found beside the frames, and mended or harmless by itself."""
+        """Record corrected and harmless faults of a pass."""
         axis, pairing = leg.train.axis, result.pairing
         if result.count_mended and axis in self._referenced:
             self._remarks.slipped(axis, result.count_mended, self._rig.limits)
@@ -229,14 +228,14 @@ class _Scan:
 
 
 class _Remarks:
-    """Faults that spoil no frame, told when they first occur and summed up at the end."""
+    """Harmless faults, reported on first occurrence and summed up at the end."""
 
     def __init__(self, tell: Callable[[str], None]) -> None:
         self._tell = tell
         self._totals: dict[str, list[int]] = {}
 
     def slipped(self, axis: Axis, counts: int, limits: RigLimits) -> None:
-        """The box's count was off before a pass, and was put right."""
+        """Record a corrected count error of the box before a pass."""
         self._add(
             f"Between two passes the pulse box's count of the {axis} axis slipped, by {counts:+d} counts "
             f"({limits.axis(axis).position_um(counts):+.2f} um) at first; it was set by the stage's position before "
@@ -246,7 +245,7 @@ class _Remarks:
         )
 
     def paired(self, extra_edges: int, uncounted: int, strays: int) -> None:
-        """Counter and images of the camera against the pulses of a pass; every frame is in its slot by its time."""
+        """Record differences of the camera's counter and images from the pulses; frames are assigned by time."""
         mend = "every frame is in its slot by its time. Check the trigger cable for noise."
         if extra_edges:
             first = f"The camera counted {_times(extra_edges, 'edge')} that the pulse box did not send; {mend}"
@@ -262,7 +261,7 @@ class _Remarks:
             self._add(first, "the camera sent images that no pulse took", strays)
 
     def close(self) -> None:
-        """Sum up what occurred in more than one pass."""
+        """Report the totals of faults that occurred in more than one pass."""
         for what, numbers in self._totals.items():
             if len(numbers) > 1:
                 self._tell(f"In {len(numbers)} passes {what}: {sum(numbers)} times in all.")
@@ -274,7 +273,7 @@ class _Remarks:
 
 
 def _untrusted(leg: Leg, result: PassResult) -> list[MissingFrame]:
-    """Every slot of a pass as an empty one."""
+    """Return every slot of a pass as an empty one."""
     train, why = leg.train, ", and ".join(doubt.why for doubt in result.doubts)
     step = train.direction * train.counts_per_frame
     return [MissingFrame(shot, train.first_count + step * i, why) for i, shot in enumerate(leg.shots)]

@@ -1,1 +1,1 @@
-"""Frames to Calibration. Pure."""
+"""Calibration of wafer alignment and z scale. Pure functions."""

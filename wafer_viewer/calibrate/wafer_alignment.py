@@ -1,4 +1,4 @@
-"""How a wafer lies on the stage, from the places where its marks were found: a turn and a shift by least squares."""
+"""Least-squares alignment of a wafer on the stage (rotation and shift) from its measured marks."""
 
 from __future__ import annotations
 
@@ -13,15 +13,15 @@ from wafer_viewer.model.errors import PlanError
 from wafer_viewer.model.spec import replace
 
 MOST_TURN_DEG = 5.0
-"""A wafer lies on its mount within this of where its notch points; more is a notch told wrong, or another corner."""
+"""Largest rotation from the notch direction; more indicates a wrong notch or another corner."""
 
 
 def fit_alignment(marks: Marks, seen_um: Sequence[tuple[float, float]], notch: Notch) -> Alignment:
-    """The turn and shift from stage to wafer that bring every mark nearest to its place (least squares; Kabsch 1976).
+    """Fit the rotation and shift from stage to wafer coordinates to the marks (least squares; Kabsch 1976).
 
-    seen_um: (x, y) on the stage of each mark, in the order of `marks`. Scale is not fitted: what the stage's scale and
-    the marks disagree on is in the residual. Raises PlanError when a mark was not seen, two are in one place, or the
-    wafer is turned by more than 5 degrees from where its notch points.
+    seen_um: (x, y) on the stage of each mark, in the order of `marks`. Scale is not fitted: a disagreement between the
+    stage's scale and the marks is part of the residual. Raises PlanError if a mark is missing, all are in one place, or
+    the wafer is rotated by more than 5 degrees from the direction of its notch.
     """
     if len(seen_um) != len(marks.places):
         raise PlanError(f"{len(seen_um)} of {len(marks.places)} corners are marked: mark the others too.")
@@ -34,7 +34,7 @@ def fit_alignment(marks: Marks, seen_um: Sequence[tuple[float, float]], notch: N
 
 
 def _rotation(stage: NDArray[np.float64], wafer: NDArray[np.float64], notch: Notch) -> float:
-    """The angle that turns the marks as seen into those of the wafer, each about their middle."""
+    """Return the rotation from the measured marks to those of the wafer, each about their centroid."""
     (u, v), (p, q) = (stage - stage.mean(axis=0)).T, (wafer - wafer.mean(axis=0)).T
     if not (np.hypot(u, v).max() > 0 and np.hypot(p, q).max() > 0):
         raise PlanError("All corners are marked in one place: mark corners of dies that lie far apart.")

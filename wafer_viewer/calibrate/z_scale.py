@@ -1,4 +1,4 @@
-"""The z scale set by gauge blocks: what a check offers, which nobody takes silently."""
+"""Proposed correction of the z scale from gauge blocks; it is never applied automatically."""
 
 from __future__ import annotations
 
@@ -10,16 +10,16 @@ from wafer_viewer.model.gauge.gauge_check import GaugeCheck, ScaleCorrection
 from wafer_viewer.model.spec import replace
 
 LEAST_REPEATS = 3
-"""A scale is not set by fewer scans."""
+"""Fewest repeats for a correction of the scale."""
 
 
 def scale_correction(check: GaugeCheck, in_force: Calibration, today: str) -> ScaleCorrection:
-    """The calibration with which the mean of a check's repeats would be what is certified.
+    """Return the calibration with which the mean of a check's repeats equals the certified value.
 
-    in_force: the rig's calibration, of which all but the z scale is kept; today: ISO 8601. The scale's uncertainty is
-    that of the comparison. It is due after the check's interval, and no later than what it takes the place of.
-    Raises MeasureError with fewer than three repeats, without an uncertainty, for another optical setup, and where the
-    scale is surer than the check and does not contradict it.
+    in_force: current calibration of the rig, of which only the z scale changes; today: ISO 8601. The uncertainty of the
+    scale is that of the comparison. It is due after the check's interval, but not later than the calibration it
+    replaces. Raises MeasureError with fewer than three repeats, without an uncertainty, for another optical setup, and
+    if the current scale is more certain than the check and consistent with it.
     """
     used = _require_fit(check, in_force)
     reference_um, u_um = check.reference.value_um, (check.deviation.expanded_um or 0.0) / 2
@@ -40,7 +40,7 @@ def scale_correction(check: GaugeCheck, in_force: Calibration, today: str) -> Sc
 
 
 def _require_fit(check: GaugeCheck, in_force: Calibration) -> Calibration:
-    """The calibration that the repeats were measured with."""
+    """Return the calibration used for the repeats; raise MeasureError if the check cannot set the scale."""
     if check.n < LEAST_REPEATS:
         raise MeasureError(
             f"The check has {check.n} repeat{'' if check.n == 1 else 's'} and the z scale is set by {LEAST_REPEATS} "

@@ -1,1 +1,1 @@
-"""The command line: one file per subject, its parser, its arguments and its output."""
+"""Command line: one module per subject, parser, arguments and output."""

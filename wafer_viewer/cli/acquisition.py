@@ -1,4 +1,4 @@
-"""The commands of the rig and of its datasets. A signature is the command's flags, its docstring the help."""
+"""Commands of the rig and its datasets. The signature of a command defines its flags, its docstring is the help."""
 
 from __future__ import annotations
 
@@ -151,7 +151,7 @@ def scan(
 
 
 def _judged(out: Path, job: Job) -> int:
-    """Make the surface of a released job and judge it."""
+    """Reconstruct the surface of a released job, print its verdict, and return the exit status."""
     from wafer_viewer.session.planning.headless import verdict_kept_in
     from wafer_viewer.session.surface.headless import make_surface
 
@@ -264,7 +264,7 @@ def cluster(folder: Folder, host: Text = None) -> None:
 
 
 def doctor(rig: File = None, data: Path = DATA_FOLDER) -> int:
-    """What this machine has and lacks, and how to fix it; status 1 when something is lacking.
+    """List what this machine has and lacks, and how to fix it; status 1 when something is lacking.
 
     Args:
         rig: RIG.toml of the instrument; the virtual rig without it.
@@ -294,7 +294,7 @@ def glossary(word: Word = "") -> int:
 
 
 def _config(rig: Path | None) -> RigConfig:
-    """The rig's configuration; the virtual rig without a file."""
+    """Return the rig's configuration; that of the virtual rig without a file."""
     from wafer_viewer.rigs.rig_config import RigConfig, read_config
 
     return RigConfig() if rig is None else read_config(rig)
@@ -302,7 +302,7 @@ def _config(rig: Path | None) -> RigConfig:
 
 @contextmanager
 def _opened(rig: Path | None) -> Generator[Rig]:
-    """The rig, put at rest and let go at the end."""
+    """Open the rig and close it at the end."""
     from wafer_viewer.rigs.rig_config import open_rig
 
     device = open_rig(_config(rig))

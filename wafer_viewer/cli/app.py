@@ -1,4 +1,4 @@
-"""The command line: finds the command, reads its flags, and tells what went wrong in one sentence, status 2."""
+"""Command line: finds the command, parses its flags, and reports errors in one sentence with status 2."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ REFUSED, INTERRUPTED = 2, 130
 
 
 class CommandEntry(NamedTuple):
-    """A command: its module in this package, its summary, and its function where that has another name."""
+    """Command: its module in this package, its summary, and its function if that has another name."""
 
     module: str
     summary: str
@@ -67,7 +67,7 @@ COMMANDS: dict[str, CommandEntry] = {
     "doctor": CommandEntry("acquisition", "what this machine has and lacks, and how to fix it"),
 }
 OWN_RECIPE = frozenset({"measure defects"})
-"""Commands whose --recipe is not one that makes surfaces: they read it themselves."""
+"""Commands whose --recipe is not a reconstruction recipe; they parse it themselves."""
 
 
 def main(argv: Sequence[str] | None = None) -> int:
@@ -87,7 +87,7 @@ def main(argv: Sequence[str] | None = None) -> int:
 
 
 def run(argv: list[str]) -> int | None:
-    """Find the command and run it. Raises WaferViewerError for whatever a person can mend."""
+    """Find the command and run it. Raises WaferViewerError for errors that the user can correct."""
     if not argv:
         argv = ["serve"]
     if argv[0] in ("-h", "--help", "help"):
@@ -103,7 +103,7 @@ def run(argv: list[str]) -> int | None:
 
 
 def _command(argv: list[str]) -> tuple[str, list[str]]:
-    """The command's name and its arguments; flags alone are those of `serve`."""
+    """Return the command's name and its arguments; flags alone belong to `serve`."""
     if argv[0].startswith("-"):
         return "serve", argv
     for words in (2, 1):
@@ -127,7 +127,7 @@ def _refuse_two_sided(terms: list[str]) -> None:
 
 
 def _call(name: str, rest: list[str]) -> int | None:
-    """Read the flags of a command through its signature, and call it."""
+    """Parse the flags of a command by its signature, and call it."""
     import tyro
 
     from wafer_viewer.cli.parser import for_people, recipe_file

@@ -1,4 +1,4 @@
-"""The kinds of arguments that commands take, as the command line names them."""
+"""Argument types of the commands."""
 
 from __future__ import annotations
 
@@ -36,15 +36,15 @@ NewFile = Annotated[Positional[Path], arg(metavar="FILE")]
 
 
 def require_sources(src: tuple[Path, ...]) -> None:
-    """Raises DatasetError where no image is named."""
+    """Raise DatasetError if no image is given."""
     if not src:
         raise DatasetError("There are no images: give a folder of images, a multi-page TIFF or image files.")
 
 
 def levelling_from(words: tuple[str, ...]) -> Levelling:
-    """The way of levelling that a command line names, `plane`, `form [ORDER]`, `region X0 Y0 X1 Y1`, `points X Y …`.
+    """Return the levelling of `plane`, `form [ORDER]`, `region X0 Y0 X1 Y1` or `points X Y …`.
 
-    Raises MeasureError for anything else.
+    No words select the stage's zero. Raises MeasureError for anything else.
     """
     if not words:
         return Levelling()

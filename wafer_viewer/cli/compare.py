@@ -1,4 +1,4 @@
-"""The command that compares two surfaces. A signature is the command's flags, its docstring the help."""
+"""Command that compares two surfaces. The signature of a command defines its flags, its docstring is the help."""
 
 from __future__ import annotations
 

@@ -1,6 +1,6 @@
-"""The command that looks for defects, for people and for automation: JSON, KLARF, CSV, and a status by limits.
+"""Command that inspects for defects, with output as JSON, KLARF or CSV and an exit status by limits.
 
-A signature is the command's flags, its docstring the help.
+The signature of a command defines its flags, its docstring is the help.
 """
 
 from __future__ import annotations
@@ -104,7 +104,10 @@ def measure_defects(
 def _recipe(
     path: Path | None, wafer: Wafer, src: Path, sensitivity: float | None, limits: DefectLimits
 ) -> DefectRecipe:
-    """The recipe of a file, else that kept beside the dataset for its product, which is told; flags go before it."""
+    """Return the recipe of a file, else the one saved for the product next to the dataset, with a warning.
+
+    Sensitivity and limits from flags take precedence.
+    """
     from wafer_viewer.store.records.defect_recipes import read_defect_recipe
 
     own = read_defect_recipe(path) if path is not None else _of_product(wafer, src)
@@ -127,7 +130,7 @@ def _of_product(wafer: Wafer, src: Path) -> DefectRecipe:
 
 
 def _golden(path: Path | None, against: str, recipe: DefectRecipe, src: Path) -> GoldenDie | None:
-    """The golden die of a file, else the one that the recipe names, beside the dataset."""
+    """Return the golden die of a file, else the one that the recipe names, next to the dataset; None without either."""
     from wafer_viewer.store.records.golden_dies import FOLDER, golden_named, open_golden
 
     if path is not None and against == "form":
@@ -139,12 +142,12 @@ def _golden(path: Path | None, against: str, recipe: DefectRecipe, src: Path) ->
 
 
 def _files(wafer: Wafer, found: Inspection, asked: dict[Handover, Path | None]) -> dict[str, str]:
-    """Write what was asked for; where each lies."""
+    """Write the requested files and return their paths."""
     return {what: str(WRITERS[what](wafer, found, path)) for what, path in asked.items() if path is not None}
 
 
 def _require_readable(other: Path | None) -> None:
-    """A file that is refused is refused before the search, which takes its time."""
+    """Read a KLARF file before the inspection, so that an invalid one fails early."""
     from wafer_viewer.store.tables.klarf_reader import read_klarf
 
     if other is not None:
@@ -152,7 +155,7 @@ def _require_readable(other: Path | None) -> None:
 
 
 def _beside(path: Path | None, wafer: Wafer, found: Inspection) -> dict[str, Any]:
-    """What another tool found beside what was found here."""
+    """Return the comparison with the defects of another tool; empty without a file."""
     if path is None:
         return {}
     alignment = wafer.job.alignment if wafer.job is not None else None

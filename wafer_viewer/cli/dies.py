@@ -1,6 +1,6 @@
-"""The command that finds the dies of a surface, or lays those that are given over it; JSON, stage um.
+"""Command that finds the dies of a surface, or aligns a given die grid with it; JSON, stage um.
 
-A signature is the command's flags, its docstring the help.
+The signature of a command defines its flags, its docstring is the help.
 """
 
 from __future__ import annotations

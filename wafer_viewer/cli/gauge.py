@@ -1,4 +1,4 @@
-"""The commands that judge the instrument. A signature is the command's flags, its docstring the help."""
+"""Commands that verify the instrument. The signature of a command defines its flags, its docstring is the help."""
 
 from __future__ import annotations
 
@@ -135,7 +135,7 @@ def measure_rr(
 
 
 def _rr_facts(found: GaugeRR) -> dict[str, Any]:
-    """What was found, and the shares that follow from it."""
+    """Return the result and the shares derived from it."""
     shares = {
         "share_of_variation": found.share_of_variation if found.total_variation else None,
         "share_of_tolerance": found.share_of_tolerance,

@@ -1,4 +1,4 @@
-"""The commands of released jobs. A signature is the command's flags, its docstring the help."""
+"""Commands of released jobs. The signature of a command defines its flags, its docstring is the help."""
 
 from __future__ import annotations
 

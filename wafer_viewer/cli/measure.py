@@ -1,6 +1,6 @@
-"""The commands that measure on a surface and print what they find as JSON; stage um.
+"""Commands that measure on a surface and print the results as JSON; stage um.
 
-A signature is the command's flags, its docstring the help.
+The signature of a command defines its flags, its docstring is the help.
 """
 
 from __future__ import annotations

@@ -1,4 +1,4 @@
-"""What the commands that measure have in common: the surface asked for, the answer of a tool, and how it is printed."""
+"""Common parts of the measuring commands: loading a surface, running a tool, printing its result."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ def measure(
     result: str,
     options: ToolOptions | None = None,
 ) -> None:
-    """Print what a tool finds at its places."""
+    """Measure with a tool at its regions and print the result."""
     from wafer_viewer.measure.registry import measured
 
     surface, calibrated = surface_over(src, level, field, result)
@@ -33,7 +33,7 @@ def measure(
 
 
 def surface_over(src: Path, level: tuple[str, ...], field: int, result: str) -> tuple[Mosaic, bool]:
-    """The surface with its heights over what --level says, and whether its calibration holds."""
+    """Return the surface levelled as --level says, and whether its calibration holds."""
     from wafer_viewer.measure.base.levelled_surface import levelled
     from wafer_viewer.session.surface.headless import measured_surface
 
@@ -43,5 +43,5 @@ def surface_over(src: Path, level: tuple[str, ...], field: int, result: str) -> 
 
 
 def print_finding(found: AnyResult, field: int) -> None:
-    """As JSON on standard output."""
+    """Print a result as JSON on standard output."""
     print_json(msgspec.to_builtins(replace(found, show=field)))

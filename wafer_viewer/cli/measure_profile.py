@@ -1,4 +1,4 @@
-"""The command that cuts a surface along lines, rows and columns: numbers as JSON, curves as a table or a picture."""
+"""Command that cuts a surface along lines, rows and columns: numbers as JSON, curves as a table or picture."""
 
 from __future__ import annotations
 
@@ -77,7 +77,7 @@ def _opened(src: Path, field: int, result: str) -> tuple[Mosaic, bool]:
 
 
 def _lines(surface: Outline, ends: Numbers, rows: Integers, columns: Integers, width_um: float) -> list[Region]:
-    """The lines that are asked for: lines first, then rows, then columns. Raises MeasureError for none or too many."""
+    """Return the requested lines: lines first, then rows, then columns. Raises MeasureError for none or too many."""
     if len(ends) % 4:
         raise MeasureError(f"--line has {len(ends)} numbers: give X0 Y0 X1 Y1 for each line.")
     lines = [
@@ -91,7 +91,7 @@ def _lines(surface: Outline, ends: Numbers, rows: Integers, columns: Integers, w
 
 
 def _cut(asked: Sequence[SectionAsked], surface: Mosaic, calibrated: bool, source: str) -> list[Section]:
-    """Every line cut, from the zero that they all ask for."""
+    """Return the sections along all lines, with their common levelling."""
     from wafer_viewer.measure.base.levelled_surface import levelled
     from wafer_viewer.session.measurement.section_export import cut
 
@@ -100,7 +100,7 @@ def _cut(asked: Sequence[SectionAsked], surface: Mosaic, calibrated: bool, sourc
 
 
 def _facts(section: Section, points: bool) -> dict[str, Any]:
-    """The numbers of a section, and what it was cut from."""
+    """Return the numbers of a section and its source."""
     found = finding_replace(section.profile, levelling=section.asked.levelling, show=section.asked.show)
     facts: dict[str, Any] = {"curve": section.title, "source": section.source, **msgspec.to_builtins(found)}
     if points:

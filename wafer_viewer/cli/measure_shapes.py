@@ -1,6 +1,6 @@
-"""The commands that measure shapes: edges on the all-in-focus picture, bumps on the heights; JSON, stage um.
+"""Commands that measure shapes: edges on the all-in-focus picture, bumps on the heights; JSON, stage um.
 
-A signature is the command's flags, its docstring the help.
+The signature of a command defines its flags, its docstring is the help.
 """
 
 from __future__ import annotations

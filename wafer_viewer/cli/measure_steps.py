@@ -1,4 +1,4 @@
-"""The commands that measure steps, between faces and along lines. A signature is the command's flags.
+"""Commands that measure steps, between faces and along lines. The signature of a command defines its flags.
 
 What is not known of the conditions is left out and then listed as not evaluated.
 """
@@ -25,7 +25,7 @@ Known = Annotated[float | None, arg(metavar="UM")]
 
 @dataclass(frozen=True, slots=True)
 class Given:
-    """What is known of how it was measured; standard uncertainties, k = 1.
+    """Known conditions of the measurement; standard uncertainties, k = 1.
 
     Args:
         repeatability_um: Standard deviation of the height over repeat scans.
@@ -47,7 +47,7 @@ class Given:
 
     @property
     def conditions(self) -> Conditions:
-        """The same as the measurement takes it."""
+        """Conditions of the measurement."""
         return Conditions(**{name: getattr(self, name) for name in Conditions.__struct_fields__})
 
 
@@ -124,7 +124,7 @@ def _require_one_way(upper: bool, lower: bool, faces: str | None) -> None:
 def _faces(
     surface: Mosaic, upper: tuple[tuple[float, ...], ...], lower: tuple[tuple[float, ...], ...]
 ) -> tuple[tuple[Region, ...], tuple[Region, ...], tuple[str, ...]]:
-    """The regions of both faces, and what to say of them."""
+    """Return the regions of the upper and lower face, and notes on how they were found."""
     if upper:
         high, low = (tuple(Region.rectangle(*corners) for corners in each) for each in (upper, lower))
         return high, low, ()

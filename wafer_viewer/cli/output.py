@@ -1,4 +1,4 @@
-"""What commands print: answers on standard output, progress on standard error."""
+"""Output of the commands: results on standard output, progress on standard error."""
 
 from __future__ import annotations
 
@@ -31,16 +31,16 @@ if TYPE_CHECKING:
     from wafer_viewer.store.dataset.passes import PassReport
 
 NAMED = 20
-"""Missing or damaged frames that are named one by one."""
+"""Maximum number of missing or damaged frames that are listed."""
 
 
 def print_json(facts: Any) -> None:
-    """One JSON text on standard output."""
+    """Print facts as JSON on standard output."""
     print(msgspec.json.format(msgspec.json.encode(facts), indent=2).decode())
 
 
 def print_plan(plan: ScanPlan) -> None:
-    """The strategies with their prices, the chosen one marked, and what the scan takes."""
+    """Print the strategies with their predicted times, the chosen one marked, and the totals of the scan."""
     table = Table("", "Strategy", "Time, s", "Motions", "", box=None, pad_edge=False)
     for price in plan.prices:
         chosen = "*" if price.strategy == plan.strategy else ""
@@ -54,7 +54,7 @@ def print_plan(plan: ScanPlan) -> None:
 
 
 def plan_facts(plan: ScanPlan) -> dict[str, Any]:
-    """A priced plan without its legs."""
+    """Return the summary of a plan with its strategies, without its path."""
     return {
         "strategy": plan.strategy,
         "predicted_s": plan.predicted_s,
@@ -66,13 +66,13 @@ def plan_facts(plan: ScanPlan) -> dict[str, Any]:
 
 
 def print_preflight(checks: Iterable[PreflightCheck]) -> None:
-    """The lines of the look round before a scan."""
+    """Print the checks made before a scan."""
     for check in checks:
         print(f"{check.state:<9} {check.what}: {check.found} {check.mend}".rstrip(), flush=True)
 
 
 def print_verdict(verdict: WaferVerdict) -> int:
-    """Every feature, the word for the wafer, and what to do next; 0 for a pass, 1 for any other verdict."""
+    """Print every feature, the verdict and the next action; return 0 for a pass, 1 for any other verdict."""
     for item in verdict.items:
         limits = limits_text(item.feature)
         print(f"{item.word.upper():<12} {item.name}: {measured_text(item.measured)}, limits {limits}. {item.why}")
@@ -85,7 +85,7 @@ def print_verdict(verdict: WaferVerdict) -> int:
 
 
 def print_trial(trial: Trial) -> None:
-    """Every verdict that changes with its reasons, what could not be judged, and how many there are of each."""
+    """Print every changed verdict with its reasons, the datasets that were not judged, and the totals."""
     for wafer in trial.wafers:
         words = f"{_word(wafer.before)} -> {_word(wafer.after)}" if wafer.before != wafer.after else _word(wafer.after)
         same = f"{wafer.n_same} feature{'' if wafer.n_same == 1 else 's'} as before"
@@ -104,7 +104,7 @@ def _word(word: str | None) -> str:
 
 
 def measured_text(measured: Quantity | None) -> str:
-    """A value with its U, in plain characters."""
+    """Return a value with its expanded uncertainty in ASCII."""
     if measured is None:
         return "not measured"
     u, unit = measured.expanded, measured.unit
@@ -112,7 +112,7 @@ def measured_text(measured: Quantity | None) -> str:
 
 
 def print_surface(out: Path, info: SurfaceInfo) -> None:
-    """The file, how much of the surface was measured, why the rest was not, and what the reconstruction notes."""
+    """Print the file, the measured and filled shares, the reasons for unmeasured points, and the notes."""
     print(out)
     print(f"{info.measured_fraction:.1%} measured, {info.filled_fraction:.1%} filled")
     for reason, share in info.unmeasured:
@@ -122,7 +122,7 @@ def print_surface(out: Path, info: SurfaceInfo) -> None:
 
 
 def print_files(kinds: Iterable[KindReport]) -> None:
-    """A line for each kind of file with the states of its checksums, and a sentence for each that is damaged."""
+    """Print a line per kind of file with the states of its checksums, and a line per damaged file."""
     for kind in kinds:
         counts = (f"{kind.n_good} good",) if kind.n_good else ()
         counts += (f"{len(kind.damaged)} damaged",) if kind.damaged else ()
@@ -142,7 +142,7 @@ def _without_checksum(title: str) -> str:
 
 
 def print_check(data: Dataset, report: CheckReport) -> None:
-    """How many pages are good, and which are not."""
+    """Print the number of good frames, and the missing and damaged ones."""
     print(f"{data.path}: {report.n_good} frames good, {len(report.missing)} missing, {len(report.damaged)} damaged")
     for what, shots in (("missing", report.missing), ("damaged", report.damaged)):
         for shot in shots[:NAMED]:
@@ -154,7 +154,7 @@ def print_check(data: Dataset, report: CheckReport) -> None:
 
 
 def print_passes(report: PassReport) -> None:
-    """Whether counts and times of the passes fit their frames, and what the scan itself reported."""
+    """Print whether counts and times of the passes match their frames, and the notes of the scan."""
     print(
         f"{report.n_passes} passes checked against the counts of the pulse box, {report.n_timed} of them against the "
         f"times of their frames: {len(report.doubts) or 'none'} in doubt"
@@ -166,13 +166,13 @@ def print_passes(report: PassReport) -> None:
 
 
 def print_digests(digests: Iterable[Digest]) -> None:
-    """The checksums that stand on reports, to be held against them."""
+    """Print the checksums to compare with those on reports."""
     for digest in digests:
         print(f"  {digest.sha256}  {digest.what}: {digest.of}")
 
 
 def print_checks(checks: Iterable[EnvironmentCheck]) -> int:
-    """One line for each thing looked at, and how to fix it; 1 when there is something to mend."""
+    """Print one line per check, and how to fix a failed one; return 1 if any failed, else 0."""
     status = 0
     for check in checks:
         print(f"{'ok  ' if check.well else 'LACK'} {check.what}: {check.found}", flush=True)
@@ -183,7 +183,7 @@ def print_checks(checks: Iterable[EnvironmentCheck]) -> int:
 
 
 def print_cluster(folder: Path, host: str) -> None:
-    """The lines to run on each machine of a cluster."""
+    """Print the commands to run on each machine of a cluster."""
     there = f"cd {shlex.quote(str(folder))} && DASK_CONFIG=."
     ours = f"DASK_CONFIG={shlex.quote(str(folder))} wafer-viewer"
     closed = "--dashboard-address 127.0.0.1:0"
@@ -200,13 +200,13 @@ Datasets lie in a folder that all machines share under the same path; the same w
 
 
 def warn(sentence: str) -> None:
-    """Something that went wrong and did not end the work, on standard error."""
+    """Print a warning on standard error."""
     print(f"wafer-viewer: {' '.join(sentence.split())}", file=sys.stderr, flush=True)
 
 
 @contextmanager
 def progress(what: str) -> Generator[Progress]:
-    """A bar on standard error for work that takes long, where a person looks at it; yields what moves it, 0 to 1."""
+    """Show a progress bar on standard error if it is a terminal; yield the callback that sets it, 0 to 1."""
     console = Console(stderr=True)
     if not console.is_terminal:
         yield lambda fraction: None

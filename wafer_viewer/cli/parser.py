@@ -1,4 +1,4 @@
-"""Between the flags' parser and people: help without frames, and every refusal as one sentence."""
+"""Adapter of the flag parser: help without frames, and errors as one sentence."""
 
 from __future__ import annotations
 
@@ -44,7 +44,7 @@ def _read_recipe(name: str) -> Recipe:
 
 @contextlib.contextmanager
 def for_people(argv: Sequence[str], prog: str) -> Generator[None]:
-    """While a command's flags are read: help comes out plain, a refusal is raised as a PlanError."""
+    """Print plain help and raise PlanError for invalid flags while a command's flags are parsed."""
     with _plain_help(argv), parse_errors.on_parse_error(lambda event: _refuse(event, prog)):
         yield
 
@@ -63,7 +63,7 @@ def _plain_help(argv: Sequence[str]) -> Generator[None]:
 
 
 def unframed(text: str) -> str:
-    """Help text with plain headings instead of rules, and without defaults that say nothing."""
+    """Return help text with plain headings instead of rules, and without empty defaults."""
     lines: list[str] = []
     for line in (_SAYS_NOTHING.sub("", framed).rstrip() for framed in text.splitlines()):
         if line and not line.strip(" -"):
@@ -103,7 +103,7 @@ def _unknown(tokens: Sequence[str]) -> str:
 
 
 def _first_reason(message: str) -> str:
-    """The gist of a conversion that failed: which words are not of the kind that is asked for."""
+    """Return the reason of a failed conversion: the words that are not numbers of the required kind."""
     words = re.search(r"arguments \[(.*?)\]|from \[(.*?)\]|: '(.*?)'", message)
     given = next((g for g in words.groups() if g is not None), "") if words else ""
     kind = "whole number" if "int()" in message else "number"

@@ -1,4 +1,4 @@
-"""The commands that make surfaces and measure them. A signature is the command's flags, its docstring the help."""
+"""Surface commands. The signature of a command defines its flags, its docstring is the help."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ from wafer_viewer.model.surface.height_map import Mosaic
 from wafer_viewer.model.surface.recipe import Recipe
 
 OF_THE_PAGE = ("stamp", "changed")
-"""What a browser needs to know of a surface, and nobody else."""
+"""Fields of the surface info that only the page needs."""
 
 
 def reconstruct(
@@ -118,7 +118,7 @@ def why(
     z_step_um: Um = None,
     pixel_um: Um = None,
 ) -> None:
-    """Why a pixel has its height, or none: its focus curve, the peak's rivals, every gate's verdict, as JSON. Stage um.
+    """Explain a pixel's height or its absence: focus curve, the peak's rivals, every gate's verdict, as JSON. Stage um.
 
     Args:
         src: A NAME.wafer, a folder of images, a multi-page TIFF or image files.
@@ -176,7 +176,7 @@ def convert(
 
 
 def _write(surface: Mosaic, out: Path, every: int | None = None) -> None:
-    """Write a surface to a file; what it cannot hold goes to standard error."""
+    """Write a surface to a file; warn about content that the format cannot hold."""
     from wafer_viewer.store.formats.exporters import density, export, losses
 
     every = every or density(surface, out)

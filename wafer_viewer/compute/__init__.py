@@ -1,1 +1,1 @@
-"""Child processes and task runners, local or on a dask cluster. Knows no wafer."""
+"""Child processes and task runners, local or on a dask cluster; independent of wafers."""

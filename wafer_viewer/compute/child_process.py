@@ -1,7 +1,7 @@
-"""A child process and its pipe: verbs go down, answers and events come up.
+"""Child process and its pipe: requests go down, replies and events come up.
 
-Both ends notice when the other is gone, because the pipe ends: the viewer then calls `on_gone`, a child puts its
-things at rest and exits.
+Both ends detect the loss of the other by the end of the pipe: the viewer then calls `on_gone`, a child shuts down
+its devices and exits.
 """
 
 from __future__ import annotations
@@ -22,12 +22,12 @@ from wafer_viewer.model.errors import WaferViewerError
 
 
 class ChildDied(WaferViewerError):
-    """The process that should have answered has ended."""
+    """The process that should have replied has ended."""
 
 
 @dataclass(frozen=True, slots=True)
 class Request:
-    """A verb on its way down, with the number its answer will carry."""
+    """Command to the child, with the number that its reply will carry."""
 
     number: int
     verb: Any
@@ -35,7 +35,7 @@ class Request:
 
 @dataclass(frozen=True, slots=True)
 class Reply:
-    """What a verb came to: a value, or the error that says why not."""
+    """Reply to a request: its value, or the error that prevented it."""
 
     number: int
     value: Any = None
@@ -43,7 +43,7 @@ class Reply:
 
 
 class ChildProcess:
-    """The viewer's end. The child runs ``target(pipe, *args)``; events arrive on a thread of the link's own."""
+    """Viewer's end of the pipe. The child runs ``target(pipe, *args)``; events arrive on a separate thread."""
 
     def __init__(
         self,
@@ -68,11 +68,11 @@ class ChildProcess:
 
     @property
     def alive(self) -> bool:
-        """Whether the child still runs."""
+        """True while the child runs."""
         return self.process.is_alive() and self._reader.is_alive()
 
     def ask(self, verb: Any) -> Future[Any]:
-        """Send a verb; the future is done when the child answers it, or fails when the child is gone."""
+        """Send a command; the future completes with the child's reply, or fails with ChildDied."""
         answer: Future[Any] = Future()
         with self._sending:
             number = next(self._numbers)
@@ -84,7 +84,7 @@ class ChildProcess:
         return answer
 
     def close(self, patience_s: float = 20.0) -> None:
-        """End the pipe; the child puts its things at rest. One that does not end in time is ended."""
+        """Close the pipe so that the child shuts down and exits; kill it if it does not exit in time."""
         self._closing = True
         with self._sending, contextlib.suppress(OSError):
             self._pipe.send(None)
@@ -115,34 +115,34 @@ class ChildProcess:
 
 
 class ChildConnection:
-    """The child's end of a link."""
+    """Child's end of the pipe."""
 
     def __init__(self, pipe: Connection) -> None:
         self._pipe = pipe
         self._sending = threading.Lock()
 
     def verbs(self) -> Iterator[Request]:
-        """The verbs as they come, until the viewer closes the pipe or is gone."""
+        """Yield requests as they arrive, until the viewer closes the pipe or is gone."""
         with contextlib.suppress(EOFError, OSError):
             while (ask := self._pipe.recv()) is not None:
                 yield ask
 
     def tell(self, event: Any) -> None:
-        """Send an event up; nobody is there to hear it once the viewer is gone."""
+        """Send an event to the viewer; it is dropped if the viewer is gone."""
         with self._sending, contextlib.suppress(OSError):
             self._pipe.send(event)
 
     def answer(self, ask: Request, value: Any = None) -> None:
-        """Say what a verb came to."""
+        """Reply to a request with its value."""
         self.tell(Reply(ask.number, value))
 
     def refuse(self, ask: Request, error: WaferViewerError) -> None:
-        """Say why a verb was not carried out."""
+        """Reply to a request with an error."""
         self.tell(Reply(ask.number, error=error))
 
 
 def live_in_the_background(niceness: int = 0) -> None:
-    """Leave Ctrl-C to the viewer, which ends its children through their pipes, and give way to it."""
+    """Ignore SIGINT, since the viewer ends its children through their pipes, and lower this process's priority."""
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     if niceness and hasattr(os, "nice"):
         os.nice(niceness)

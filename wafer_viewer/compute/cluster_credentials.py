@@ -1,6 +1,6 @@
-"""The folder that lets machines trust each other as one cluster: certificates, and dask's configuration.
+"""Cluster credentials: a folder with TLS certificates and dask's configuration.
 
-Every machine has a copy. Names in it are relative, so it may lie anywhere.
+Every machine has a copy. File names in it are relative, so the folder can be anywhere.
 """
 
 from __future__ import annotations
@@ -38,10 +38,10 @@ _USAGES = (
 
 
 def write_cluster_files(folder: Path) -> None:
-    """Write an authority, a certificate with its key for all machines, and ``dask.yaml``, for this user's eyes only.
+    """Write an authority, a certificate and key for all machines, and ``dask.yaml``, readable by this user only.
 
-    The authority's own key is not kept: nobody can make a further certificate. Raises DatasetError where one of the
-    files is there already.
+    The authority's private key is not saved, so that no further certificate can be signed. Raises DatasetError if one
+    of the files exists already.
     """
     authority_key, key = (ec.generate_private_key(ec.SECP256R1()) for _ in range(2))
     authority = _certificate("wafer-viewer authority", authority_key.public_key(), None, authority_key)
@@ -62,7 +62,7 @@ def write_cluster_files(folder: Path) -> None:
 
 
 def configuration() -> dict[str, Any]:
-    """dask's configuration of a scheduler, a worker or a client, as nested tables."""
+    """Return dask's configuration of a scheduler, a worker or a client, as nested tables."""
     own = {"cert": CERTIFICATE, "key": KEY}
     tls = {"ca-file": AUTHORITY, "scheduler": own.copy(), "worker": own.copy(), "client": own.copy()}
     flat = SETTINGS | {
@@ -86,7 +86,7 @@ def _certificate(
     authority: x509.Certificate | None,
     authority_key: ec.EllipticCurvePrivateKey,
 ) -> x509.Certificate:
-    """A certificate that an authority signs; without one it is the authority's own."""
+    """Return a certificate signed by an authority; without one, the self-signed certificate of the authority."""
     subject = x509.Name([x509.NameAttribute(NameOID.COMMON_NAME, name)])
     now, day = datetime.datetime.now(datetime.UTC), datetime.timedelta(days=1)  # clocks of machines differ
     usage = "key_cert_sign" if authority is None else "digital_signature"

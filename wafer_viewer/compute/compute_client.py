@@ -1,4 +1,4 @@
-"""The viewer's end of compute: it starts the host at need and hands it tasks."""
+"""Client of the compute host: starts the host on demand and sends it tasks."""
 
 from __future__ import annotations
 
@@ -14,10 +14,10 @@ from wafer_viewer.compute.watched_tasks import Answer, Args, LedTask, WatchedTas
 
 
 class Compute:
-    """Tasks run in worker processes elsewhere; nothing heavy is imported here. Use it from one thread.
+    """Client that runs tasks in worker processes; imports nothing heavy. Use it from one thread.
 
     scheduler: the address of a cluster that runs already, tls://HOST:PORT. Raises ComputeError for another kind.
-    warm_up: what every worker does first, so that its first task does not wait for compilers.
+    warm_up: function that every worker runs first, so that its first task does not wait for compilation.
     """
 
     def __init__(
@@ -33,21 +33,21 @@ class Compute:
         self._link: ChildProcess | None = None
 
     def start(self) -> ChildProcess:
-        """The link to a living host."""
+        """Return the connection to a running host; start one if needed."""
         if self._link is None or not self._link.alive:
             self._link = ChildProcess("wafer-viewer compute", _host, self._host_args, self._on_event, self._on_gone)
         return self._link
 
     def run(self, work: str, task: WatchedTask[*Args, Answer], *args: *Args) -> Future[Answer]:
-        """Run ``task(*args, progress=…, should_stop=…)`` on a worker; its errors come out of the future."""
+        """Run ``task(*args, progress=…, should_stop=…)`` on a worker; its errors are raised by the future."""
         return self.start().ask(RunTask(work, task, args))
 
     def lead(self, work: str, task: LedTask[*Args, Answer], *args: *Args) -> Future[Answer]:
-        """Run ``task(*args, crew=…, progress=…, should_stop=…)`` in the host, which may hand the crew many tasks."""
+        """Run ``task(*args, crew=…, progress=…, should_stop=…)`` in the host; it may submit many tasks to the crew."""
         return self.start().ask(RunLedTask(work, task, args))
 
     def cancel(self, work: str) -> None:
-        """Tell the tasks of a work to stop."""
+        """Request the tasks of a work to stop."""
         self.start().ask(Cancel(work))
 
     def close(self) -> None:

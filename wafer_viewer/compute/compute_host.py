@@ -1,7 +1,7 @@
-"""The process that hosts the compute cluster, apart from the viewer: it hands tasks to workers and reports.
+"""Compute host: separate process that runs the cluster client, submits tasks to workers and reports to the viewer.
 
-The cluster is dask.distributed: it reruns what a killed worker had in hand. A work of many tasks is led from here, on a
-thread of its own, because a worker may be killed.
+The cluster is dask.distributed, which reruns the tasks of a killed worker. A work of many tasks is led from here, on a
+separate thread, because a worker may be killed.
 """
 
 from __future__ import annotations
@@ -26,11 +26,11 @@ from wafer_viewer.model.errors import ComputeError, WaferViewerError
 
 NICENESS = 5
 RUN_PRIORITY = 10
-"""A single task, such as a field that is being taken, goes before the many of a work that is led."""
+"""Priority of single tasks, such as a field of the running scan, over the tasks of a led work."""
 
 
 def run_compute(pipe: Connection, scheduler: str | None, warm_up: Callable[[], None]) -> None:
-    """Live as the compute host until the pipe ends."""
+    """Run the compute host until the pipe ends."""
     live_in_the_background(NICENESS)
     end = ChildConnection(pipe)
     with ExitStack() as until_end:
@@ -43,7 +43,7 @@ def run_compute(pipe: Connection, scheduler: str | None, warm_up: Callable[[], N
 
 
 class Host:
-    """Between the pipe and the cluster."""
+    """Dispatcher between the pipe and the cluster."""
 
     def __init__(self, client: Client, end: ChildConnection, warm_up: Callable[[], None]) -> None:
         self._client, self._end, self._warm_up_worker = client, end, warm_up
@@ -56,7 +56,7 @@ class Host:
         client.subscribe_topic(PROGRESS_TOPIC, self._progressed)
 
     def work(self) -> None:
-        """Take verbs until the pipe ends; kernels are compiled meanwhile."""
+        """Handle requests until the pipe ends; kernels are compiled meanwhile."""
         self._warm_up(list(self._client.scheduler_info(n_workers=-1)["workers"]))
         threading.Thread(target=self._count, name="count workers", daemon=True).start()
         try:
@@ -69,7 +69,7 @@ class Host:
             self._leader.shutdown(cancel_futures=True)
 
     def _count(self) -> None:
-        """Tell how many workers there are, whenever one joined or left."""
+        """Report the number of workers whenever it changes."""
         crew, told = DaskRunner(self._client), 0
         with suppress(ComputeError):
             while not self._closing.is_set():
@@ -122,7 +122,7 @@ class Host:
             self._end.refuse(ask, _sentence(ask.verb, done))
 
     def _warm_up(self, addresses: list[str]) -> None:
-        """One worker compiles, which is enough to begin; the others then load what it left in the cache."""
+        """Compile the kernels on one worker, which is enough to begin; the others then load them from the cache."""
         first, *others = addresses
 
         def warmed(_: Future[Any]) -> None:
@@ -137,7 +137,7 @@ class Host:
 
 
 def _sentence(verb: RunTask | RunLedTask, done: Future[Any] | LocalFuture[Any]) -> WaferViewerError:
-    """What went wrong with a task, as an error that the viewer can show."""
+    """Return the failure of a task as an error that the viewer can show."""
     fault = None if done.cancelled() else done.exception()
     if isinstance(fault, WaferViewerError):
         return fault

@@ -1,7 +1,7 @@
-"""The dask.distributed cluster that does the heavy work: one of our own on this machine, or one that runs already.
+"""dask.distributed cluster for heavy computation: a local one, or one that is running already.
 
-One of our own talks TLS with certificates made at its start, so that no other program of this machine can run code in
-it. With a running one both ends show the certificates that `wafer-viewer cluster` made.
+A local cluster uses TLS with certificates made at its start, so that no other program of this machine can run code in
+it. With a running cluster both ends present the certificates that `wafer-viewer cluster` made.
 """
 
 from __future__ import annotations
@@ -56,9 +56,9 @@ _TLS = "distributed.comm.tls"
 
 @contextmanager
 def client_of(scheduler: str | None, workers: int) -> Generator[Client]:
-    """A client of the cluster at an address, or else of one of our own with some workers, which ends with the client.
+    """Connect to the cluster at an address, or to a new local one with some workers, which ends with the client.
 
-    Raises ComputeError where there are no certificates, they are not believed, or no worker answers.
+    Raises ComputeError if certificates are missing or rejected, or if no worker answers.
     """
     with dask.config.set(SETTINGS), _quiet(), _joined(scheduler) if scheduler else _own(workers) as client:
         yield client
@@ -84,7 +84,7 @@ def _own(workers: int) -> Generator[Client]:
 
 @contextmanager
 def _joined(scheduler: str) -> Generator[Client]:
-    """A cluster that runs already; its certificates come from dask's own configuration."""
+    """Connect to a running cluster; its certificates come from dask's configuration."""
     with _where(scheduler):
         client = Client(scheduler, security=_security(), timeout=PATIENCE_S)
     with client:
@@ -95,7 +95,10 @@ def _joined(scheduler: str) -> Generator[Client]:
 
 
 def _security() -> Security:
-    """Names of certificates in a configuration are relative to its folder, which may lie anywhere."""
+    """Return the TLS settings of dask's configuration; certificate names are relative to its folder.
+
+    Raises ValueError if certificates are not configured or missing.
+    """
     files = {kind: dask.config.get(f"{_TLS}.{kind}") for kind in ("ca-file", "client.cert", "client.key")}
     if not (files["ca-file"] and files["client.cert"]):
         raise ValueError(
@@ -116,7 +119,7 @@ def _security() -> Security:
 
 @contextmanager
 def _where(place: str) -> Generator[None]:
-    """Turn what dask says of a cluster that cannot be had into one sentence."""
+    """Convert dask's errors about an unavailable cluster to a ComputeError with one sentence."""
     try:
         yield
     except (OSError, TimeoutError, ValueError) as fault:
@@ -126,9 +129,9 @@ def _where(place: str) -> Generator[None]:
 
 @contextmanager
 def _deaf() -> Generator[None]:
-    """Ctrl-C in a terminal reaches all its processes: those begun meanwhile leave it to this one, which hears it after.
+    """Block SIGINT in processes started meanwhile, so that Ctrl-C in a terminal reaches only this process, afterwards.
 
-    The threads that are begun meanwhile pass their deafness on to every process that they begin later.
+    Threads started meanwhile pass the blocked signal on to every process that they start later.
     """
     if not hasattr(signal, "pthread_sigmask"):
         yield
@@ -142,7 +145,7 @@ def _deaf() -> Generator[None]:
 
 @contextmanager
 def _quiet() -> Generator[None]:
-    """A person hears what matters from us, and not in dask's words as well."""
+    """Silence the loggers of distributed; errors are reported by this package."""
     logs = [logging.getLogger(name) for name in logging.root.manager.loggerDict if name.split(".")[0] == "distributed"]
     before = [log.level for log in logs]
     for log in logs:

@@ -1,6 +1,6 @@
-"""The worker's end of a cluster: its habits, whether it is fit for a dataset, and how it carries out a task.
+"""Worker side of a cluster: setup, compatibility with a dataset, and task execution.
 
-dask loads this module into every worker and into the nanny that watches it, and calls `dask_setup`.
+dask loads this module into every worker and its nanny, and calls `dask_setup`.
 """
 
 from __future__ import annotations
@@ -26,12 +26,12 @@ if TYPE_CHECKING:
 RECORD = "scan.json"
 Outcome = tuple[Any, WaferViewerError | None]
 _FIT_FOR: set[WorkerFingerprint] = set()
-"""What this worker has looked at and seen: a record of many fields takes long to read."""
+"""Fingerprints that this worker has verified; reading the record of many fields takes long."""
 
 
 @dataclass(frozen=True, slots=True)
 class WorkerFingerprint:
-    """What a machine sees: the program's version and marks of its sources and of a dataset's record, "" for none."""
+    """Fingerprint of a machine: program version, hash of its sources, and hash of a dataset's record, "" if missing."""
 
     version: str
     sources: str
@@ -40,7 +40,7 @@ class WorkerFingerprint:
 
     @classmethod
     def of(cls, dataset: Path) -> WorkerFingerprint:
-        """What this machine sees of a dataset."""
+        """Return the fingerprint of this machine for a dataset."""
         record = ""
         with suppress(OSError):
             record = hashlib.sha256((dataset / RECORD).read_bytes()).hexdigest()
@@ -48,7 +48,7 @@ class WorkerFingerprint:
 
 
 def why_unfit(wanted: WorkerFingerprint) -> str:
-    """Why this machine cannot do the work of one that sees `wanted`, in a sentence; "" where it can."""
+    """Return a sentence on why this machine does not match the fingerprint `wanted`; "" if it does."""
     host = socket.gethostname()
     if why := why_other(wanted.version, wanted.sources):
         return why
@@ -60,7 +60,7 @@ def why_unfit(wanted: WorkerFingerprint) -> str:
 
 
 def why_other(version: str, sources: str) -> str:
-    """Why this machine's program would not make the same surfaces, in a sentence; "" where it would."""
+    """Return a sentence on how this machine's program differs in version or sources; "" if it does not."""
     if (__version__, source_mark()) == (version, sources):
         return ""
     return (
@@ -71,14 +71,14 @@ def why_other(version: str, sources: str) -> str:
 
 @functools.cache
 def source_mark() -> str:
-    """Eight hex digits that change with any line of the program."""
+    """Return a CRC-32 of the package's sources as eight hex digits."""
     package = Path(__file__).parent.parent
     files = sorted(package.rglob("*.py"))
     return f"{functools.reduce(lambda crc, file: zlib.crc32(file.read_bytes(), crc), files, 0):08x}"
 
 
 def attempt(task: Callable[..., Any], item: tuple[Any, ...]) -> Outcome:
-    """What a task returns, and the fault that it met."""
+    """Run a task and return its value and None, or None and the WaferViewerError that it raised."""
     try:
         return task(*item), None
     except WaferViewerError as fault:
@@ -86,7 +86,7 @@ def attempt(task: Callable[..., Any], item: tuple[Any, ...]) -> Outcome:
 
 
 def attempt_if_fit(wanted: WorkerFingerprint | None, task: Callable[..., Any], item: tuple[Any, ...]) -> Outcome:
-    """`attempt` on a worker; one that is unfit takes no more tasks and leaves this one to the others."""
+    """Run `attempt` on a worker; an unfit worker pauses itself and reschedules the task."""
     if wanted is not None and wanted not in _FIT_FOR:
         if why := why_unfit(wanted):
             _step_aside(why)
@@ -95,12 +95,12 @@ def attempt_if_fit(wanted: WorkerFingerprint | None, task: Callable[..., Any], i
 
 
 def works_on(job: str, dask_worker: Worker) -> bool:
-    """Whether a worker does a task of a job."""
+    """Return whether a worker is executing a task of a job."""
     return any(job in str(task.key) for task in dask_worker.state.executing)
 
 
 def dask_setup(server: Worker | Nanny) -> None:
-    """What dask calls when a worker or its nanny starts."""
+    """Set up a worker or its nanny; dask calls this at their start."""
     from distributed import Nanny
 
     if isinstance(server, Nanny):
@@ -111,9 +111,9 @@ def dask_setup(server: Worker | Nanny) -> None:
 
 
 def _count_own_memory_only(nanny: Nanny) -> None:
-    """Let the memory limit count what a worker holds itself.
+    """Make the memory limit count only the memory that a worker owns.
 
-    Stacks and surfaces are memory-mapped: they are in its resident memory, but the system drops them at any time.
+    Stacks and surfaces are memory-mapped: they are part of the resident memory, but the system can drop them any time.
     """
     from tornado.ioloop import PeriodicCallback
 

@@ -1,4 +1,4 @@
-"""The task runner for a command: this process, a cluster that runs already, or workers of its own."""
+"""Task runner of a command: this process, a running cluster, or a local cluster."""
 
 from __future__ import annotations
 
@@ -10,9 +10,9 @@ from wafer_viewer.compute.task_runner import DaskRunner, LocalRunner, TaskRunner
 
 @contextmanager
 def crew_for(scheduler: str | None = None, workers: int = 1) -> Generator[TaskRunner]:
-    """This process, where there is no scheduler and one worker is enough; otherwise a cluster, or one of our own.
+    """Yield a runner in this process for one worker without a scheduler, else one on a running or local cluster.
 
-    scheduler: tls://HOST:PORT of a cluster that runs already. Raises ComputeError where it cannot be had.
+    scheduler: tls://HOST:PORT of a running cluster. Raises ComputeError if it is not available.
     """
     if scheduler is None and workers == 1:
         yield LocalRunner()

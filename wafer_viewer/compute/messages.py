@@ -1,4 +1,4 @@
-"""Commands to the compute host, and its reports."""
+"""Commands to the compute host, and its events."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, slots=True)
 class RunTask:
-    """Carry out ``task(*args, progress=…, should_stop=…)`` on a worker. Answered with what it returns."""
+    """Run ``task(*args, progress=…, should_stop=…)`` on a worker. The reply is its return value."""
 
     work: str
     task: WatchedTask[*tuple[Any, ...], Any]
@@ -20,9 +20,9 @@ class RunTask:
 
 @dataclass(frozen=True, slots=True)
 class RunLedTask:
-    """Carry out ``task(*args, crew=…, progress=…, should_stop=…)`` in the host, where it hands the crew many tasks.
+    """Run ``task(*args, crew=…, progress=…, should_stop=…)`` in the host, where it submits many tasks to the crew.
 
-    Answered with what it returns.
+    The reply is its return value.
     """
 
     work: str
@@ -32,33 +32,33 @@ class RunLedTask:
 
 @dataclass(frozen=True, slots=True)
 class Cancel:
-    """Tell the tasks of a work to stop. Answered at once."""
+    """Request the tasks of a work to stop. The reply comes at once."""
 
     work: str
 
 
 @dataclass(frozen=True, slots=True)
 class ComputeUp:
-    """The workers take tasks."""
+    """The workers accept tasks."""
 
     n_workers: int
 
 
 @dataclass(frozen=True, slots=True)
 class ComputeWarm:
-    """Every kernel is compiled: fields can be reconstructed without waiting for that."""
+    """Every kernel is compiled, so that fields can be reconstructed without delay."""
 
 
 @dataclass(frozen=True, slots=True)
 class ComputeAbsent:
-    """There is no cluster, and why."""
+    """No cluster is available, for the reason `why`."""
 
     why: str
 
 
 @dataclass(frozen=True, slots=True)
 class Progressed:
-    """How far a work is, 0 to 1."""
+    """Progress of a work, 0 to 1."""
 
     work: str
     fraction: float

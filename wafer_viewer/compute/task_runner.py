@@ -1,7 +1,7 @@
-"""Who does the work of a job that consists of many small tasks: this process, or the workers of a dask cluster.
+"""Task runners for jobs of many small tasks: in this process, or on the workers of a dask cluster.
 
-A task is a plain function whose arguments name a dataset; it opens that itself, writes its own file and can be done
-twice. So a worker that dies costs time only, and pixels never travel through the scheduler.
+A task is a plain function whose arguments name a dataset; it opens the dataset, writes its own file and is idempotent.
+A worker that dies therefore costs only time, and pixels never pass through the scheduler.
 """
 
 from __future__ import annotations
@@ -38,7 +38,7 @@ if TYPE_CHECKING:
 Task = Callable[..., Any]
 Item = tuple[Any, ...]
 IN_FLIGHT = 3
-"""Tasks a worker: one that it does, the others so that it need not wait, and few enough for the scheduler."""
+"""Submitted tasks per worker: one running, the others queued to avoid idling, few enough for the scheduler."""
 LOOK_EVERY_S = 0.1
 COUNT_EVERY_S = 1.0
 NO_WORKER_PATIENCE_S = 120.0
@@ -47,7 +47,7 @@ LAST_TASKS_PATIENCE_S = 30.0
 
 @dataclass(frozen=True, slots=True)
 class Done:
-    """What item `index` came to: what the task returned, or the fault that it met."""
+    """Outcome of item `index`: the value that the task returned, or its fault."""
 
     index: int
     value: Any = None
@@ -55,41 +55,41 @@ class Done:
 
 
 class TaskRunner(Protocol):
-    """Hands that take tasks."""
+    """Runner of many small tasks."""
 
     @property
     def n_hands(self) -> int:
-        """How many tasks are done at a time, now."""
+        """Number of tasks that can run concurrently at present."""
         ...
 
     @property
     def threads_each(self) -> int | None:
-        """The threads that a task may use itself; None for all cores."""
+        """Number of threads that a task may use; None for all cores."""
         ...
 
     def require_sight(self, dataset: Path) -> None:
-        """Raises ComputeError naming the machine where a worker does not see a dataset, or runs another version."""
+        """Raise ComputeError naming the machine if a worker cannot read a dataset or runs another version."""
         ...
 
     def each(self, task: Task, items: Sequence[Item], *, should_stop: ShouldStop = ...) -> Generator[Done]:
-        """Do ``task(*item)`` for every item; yields in order of completion.
+        """Run ``task(*item)`` for every item; yield outcomes in order of completion.
 
-        A task that raises a WaferViewerError, or ends its worker again and again, is Done with that fault and does not
-        end the others. Raises ComputeError when the work is to stop or nobody is left to do it: what is not begun is
-        given up, what is being done is waited for.
+        A task that raises a WaferViewerError, or repeatedly ends its worker, is Done with that fault and does not end
+        the others. Raises ComputeError when the work is to stop or no worker is left: tasks that have not started are
+        cancelled, running ones are awaited.
         """
         ...
 
 
 class LocalRunner:
-    """Hands in this process: one task at a time, which may use all cores, or a few threads with a task each."""
+    """Runner in this process: one task at a time on all cores, or several threads with one task each."""
 
     def __init__(self, threads: int = 1) -> None:
         self.n_hands = threads
         self.threads_each = None if threads == 1 else 1
 
     def require_sight(self, dataset: Path) -> None:
-        """This process sees what it sees."""
+        """Accept every dataset; no other machine is involved."""
 
     def each(self, task: Task, items: Sequence[Item], *, should_stop: ShouldStop = lambda: False) -> Generator[Done]:
         """See `TaskRunner`. An error that is no WaferViewerError is raised."""
@@ -105,7 +105,7 @@ class LocalRunner:
 
 
 class DaskRunner:
-    """The workers of a dask.distributed cluster. They may die, join and leave meanwhile.
+    """Runner on the workers of a dask.distributed cluster, which may die, join and leave meanwhile.
 
     client: synchronous; several threads may share it.
     """
@@ -120,7 +120,7 @@ class DaskRunner:
 
     @property
     def n_hands(self) -> int:
-        """Threads of the workers that take tasks. Raises ComputeError when there were none for long."""
+        """Number of threads of running workers. Raises ComputeError after `NO_WORKER_PATIENCE_S` without any."""
         now = time.monotonic()
         if now - self._counted_at >= COUNT_EVERY_S:
             self._n_hands, self._counted_at = self._count(), now
@@ -134,17 +134,17 @@ class DaskRunner:
         return self._n_hands
 
     def require_sight(self, dataset: Path) -> None:
-        """See `TaskRunner`. A worker that joins later and is unfit takes no tasks and says why on its own terminal."""
+        """See `TaskRunner`. An unfit worker that joins later takes no tasks and logs the reason on its own terminal."""
         wanted = WorkerFingerprint.of(dataset.absolute())
         self._require_well(why_unfit, wanted)
         self._wanted = wanted
 
     def require_same_program(self) -> None:
-        """Raises ComputeError naming a machine whose worker runs another version."""
+        """Raise ComputeError naming a machine whose worker runs another version."""
         self._require_well(why_other, __version__, source_mark())
 
     def each(self, task: Task, items: Sequence[Item], *, should_stop: ShouldStop = lambda: False) -> Generator[Done]:
-        """See `TaskRunner`. A task that fails in a way nobody foresaw is Done with a fault as well."""
+        """See `TaskRunner`. A task that fails with an unexpected error is Done with a fault as well."""
         job, suspects = uuid4().hex[:12], list[int]()
         self._seen_at = time.monotonic()
         with closing(self._outcomes(f"{job}-first", task, items, range(len(items)), should_stop)) as outcomes:
@@ -176,7 +176,7 @@ class DaskRunner:
         return sum(worker["nthreads"] for worker in workers if worker["status"] == "running")
 
     def _give_up(self, job: str, futures: Iterable[Any]) -> None:
-        """Take back what is not begun and wait for what is being done, so that nothing is written afterwards."""
+        """Cancel pending tasks and wait for running ones, so that nothing is written afterwards."""
         from distributed import CancelledError
 
         try:
@@ -195,18 +195,21 @@ class DaskRunner:
                 raise ComputeError(why)
 
     def _told_by_all(self, ask: Task, *args: Any) -> list[Any]:
-        """What every worker answers; its exception where it cannot."""
+        """Return the answers of all workers; the exception in place of an answer that failed."""
         answers: Any = self._client.run(ask, *args, on_error="return")
         return list(answers.values())
 
 
 def n_local_workers() -> int:
-    """One worker a processor, two at least, so that one that is busy or was killed does not stop the others."""
+    """Return the number of local workers: one less than the processors, between 2 and 8.
+
+    With two at least, a busy or killed worker does not stop the work.
+    """
     return min(8, max(2, (os.cpu_count() or 2) - 1))
 
 
 def require_tls(scheduler: str | None) -> None:
-    """Raises ComputeError where the address of a scheduler is of another kind than tls://HOST:PORT."""
+    """Raise ComputeError if a scheduler's address does not begin with tls://."""
     if scheduler is not None and not scheduler.startswith("tls://"):
         raise ComputeError(
             f"The scheduler's address is {scheduler}: it must begin with tls://, because any program could run code "
@@ -215,11 +218,11 @@ def require_tls(scheduler: str | None) -> None:
 
 
 class WorkerEnded(ComputeError):
-    """A task that ended its worker more often than is allowed."""
+    """A task ended its worker more often than is allowed."""
 
 
 class _Flight:
-    """A bounded number of tasks that are submitted and not yet back, refilled as they come."""
+    """Bounded set of submitted tasks, refilled as they complete."""
 
     def __init__(self, submit: Callable[[int], Any], limit: Callable[[], int]) -> None:
         self._submit, self._limit = submit, limit
@@ -229,7 +232,7 @@ class _Flight:
     def results(
         self, indices: Iterable[int], should_stop: ShouldStop, give_up: Callable[[Iterable[Any]], None]
     ) -> Iterator[tuple[int, Any]]:
-        """Index and future in order of completion. Raises ComputeError when the work is to stop."""
+        """Yield index and future in order of completion. Raises ComputeError when the work is to stop."""
         indices = list(indices)
         waiting, n_back = iter(indices), 0
         try:
@@ -253,7 +256,7 @@ class _Flight:
 
 
 def _outcome(what: str, index: int, future: Any) -> Done:
-    """What a future of the cluster came to. Raises ComputeError when the cluster is gone."""
+    """Return the outcome of a future of the cluster. Raises ComputeError if the cluster is gone."""
     from distributed import CancelledError, KilledWorker
 
     fault = future.exception()

@@ -1,4 +1,4 @@
-"""Tasks that report their progress and stop when asked, and how both travel between a worker and the host."""
+"""Tasks with progress and cancellation, and their transport between worker and host."""
 
 from __future__ import annotations
 
@@ -17,37 +17,37 @@ ASK_EVERY_S = 0.25
 
 
 class WatchedTask(Protocol[*Args, Answer]):
-    """A function that a worker runs: it reports its progress, 0 to 1, and gives up when it is to stop."""
+    """Function that a worker runs; it reports its progress, 0 to 1, and stops on request."""
 
     __name__: str
 
     def __call__(self, *args: *Args, progress: Progress, should_stop: ShouldStop) -> Answer:
-        """Do it; the answer goes back to the session."""
+        """Run the task; the return value goes back to the session."""
         ...
 
 
 class LedTask(Protocol[*Args, Answer]):
-    """A function that the compute host runs, which may hand the crew many tasks."""
+    """Function that the compute host runs, which may submit many tasks to the crew."""
 
     __name__: str
 
     def __call__(self, *args: *Args, crew: TaskRunner, progress: Progress, should_stop: ShouldStop) -> Answer:
-        """Do it; the answer goes back to the session."""
+        """Run the task; the return value goes back to the session."""
         ...
 
 
 def run_watched(work: str, task: WatchedTask[*Args, Answer], args: tuple[*Args]) -> Answer:
-    """Run a task on a worker: its progress goes to the host, and it hears when it is to stop."""
+    """Run a task on a worker, with its progress reported to the host and cancellation by the host."""
     return task(*args, progress=_teller(work), should_stop=_listener(work))
 
 
 def stop_sign(work: str) -> str:
-    """The name of the event that tells a work's tasks to stop."""
+    """Return the name of the event that stops the tasks of a work."""
     return f"stop-{work}"
 
 
 def sparing(tell: Progress) -> Progress:
-    """Progress that is told a few times a second, and at the end."""
+    """Return a progress callback that is throttled to `ASK_EVERY_S`, and always reports the end."""
     told_at = 0.0
 
     def tell_sometimes(fraction: float) -> None:

@@ -1,1 +1,1 @@
-"""Pure pictures: maps to images, curves to SVG, surfaces to GLB tiles; for the page and for reports."""
+"""Rendering as pure functions: maps to images, curves to SVG, surfaces to GLB tiles; for page and reports."""

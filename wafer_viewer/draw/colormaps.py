@@ -1,4 +1,4 @@
-"""Colour maps, monotonic in lightness, and the few fixed colours that carry a meaning."""
+"""Colour maps, monotonic in lightness, and the fixed colours with a meaning."""
 
 from __future__ import annotations
 
@@ -28,18 +28,18 @@ COLOUR_MAPS: dict[str, str] = {
     "viridis": "Viridis",
     "grey": "Grey",
 }
-"""The names of the maps and how the page calls them."""
+"""Colour map names and their titles on the page."""
 DIVERGING = "vik"
-"""The map of what has a sign: its middle is zero."""
+"""Colour map of signed quantities, with zero at its middle."""
 
 PROFILE_COLOURS = ("#E8590C", "#7B2CBF", "#0B7285", "#C2255C")
-"""Of the lines A B C D: apart from one another for colour-blind eyes too, and readable over every map."""
+"""Colours of the lines A B C D: distinct with colour vision deficiency, and readable over every map."""
 
 BRUSH = "#C2255C"
-"""Points of a brushed range of heights: stands off every colour map."""
+"""Colour of points in a brushed height range, distinct from every colour map."""
 
 ELSEWHERE: Rgb = (150, 158, 167)
-"""The surface where the quantity that colours it is not to be had: a grey that no colour map has at an end."""
+"""Colour of the surface where the quantity is unavailable: a grey that no colour map has at an end."""
 
 ORIGIN_COLOURS: dict[Origin, Rgb] = {
     Origin.MEASURED: (93, 144, 160),
@@ -56,18 +56,18 @@ ORIGIN_COLOURS: dict[Origin, Rgb] = {
     Origin.TOO_FEW_FRAMES: (111, 96, 181),
     Origin.NO_REASON: (24, 12, 12),
 }
-"""Any two are at least 12 apart (CIEDE2000), to colour-blind eyes as well."""
+"""Colours by origin; all pairs differ by at least 12 (CIEDE2000), also with colour vision deficiency."""
 
 
 def rgb(text: str) -> Rgb:
-    """``#0B6E99`` or ``0B6E99`` as three numbers."""
+    """Parse ``#0B6E99`` or ``0B6E99`` into three integers."""
     digits = text.removeprefix("#")
     return int(digits[0:2], 16), int(digits[2:4], 16), int(digits[4:6], 16)
 
 
 @cache
 def table(name: str) -> NDArray[np.uint8]:
-    """A colour map as uint8 [256, 3], from low to high. Raises KeyError on an unknown name."""
+    """Return a colour map as uint8 [256, 3], from low to high. Raises KeyError for an unknown name."""
     stops = np.array([rgb(stop) for stop in _STOPS[name].split()], float)
     at = np.linspace(0, len(stops) - 1, 256)
     channels = [np.interp(at, np.arange(len(stops)), stops[:, k]) for k in range(3)]
@@ -77,14 +77,14 @@ def table(name: str) -> NDArray[np.uint8]:
 
 
 def css_gradient(name: str, stops: int = 48) -> str:
-    """The stops of an upward CSS gradient in the colours of a map: ``linear-gradient(to top, ...)``."""
+    """Return the CSS gradient of a colour map, from bottom to top: ``linear-gradient(to top, ...)``."""
     picked = table(name)[np.linspace(0, 255, stops).round().astype(int)]
     return "linear-gradient(to top," + ",".join(f"rgb({r},{g},{b})" for r, g, b in picked.tolist()) + ")"
 
 
 @cache
 def origin_table() -> NDArray[np.uint8]:
-    """The colours of `Origin` as uint8 [256, 3]; codes not in use are grey."""
+    """Return the colours of `Origin` as uint8 [256, 3]; unused codes are grey."""
     out = np.full((256, 3), 128, np.uint8)
     for origin, colour in ORIGIN_COLOURS.items():
         out[int(origin)] = colour

@@ -1,4 +1,4 @@
-"""Numbers as people read them: a true minus, thin spaces in thousands and before units, U to two figures."""
+"""Number formatting: true minus sign, thin spaces in thousands and before units, U to two significant digits."""
 
 from __future__ import annotations
 
@@ -8,11 +8,11 @@ MINUS = "\u2212"
 THIN = "\u202f"
 """Narrow no-break space: between thousands, and between a value and its unit."""
 NOTHING = "–"
-"""What stands where there is no number."""
+"""Placeholder for a missing number."""
 
 
 def number(value: float | None, digits: int = 2, *, signed: bool = False) -> str:
-    """`value` to `digits` decimals, thousands apart; NaN and None read as a dash, no zero has a sign."""
+    """Format `value` with `digits` decimals and grouped thousands; NaN and None give a dash, zero has no sign."""
     if value is None or not math.isfinite(value):
         return NOTHING
     text = f"{abs(value):,.{digits}f}".replace(",", THIN)
@@ -22,12 +22,12 @@ def number(value: float | None, digits: int = 2, *, signed: bool = False) -> str
 
 
 def with_unit(value: float | None, digits: int = 2, unit: str = "µm", *, signed: bool = False) -> str:
-    """`number` and its unit, which never part at the end of a line."""
+    """Format a number with its unit, joined by a no-break space."""
     return f"{number(value, digits, signed=signed)}{THIN}{unit}"
 
 
 def digits_of_u(expanded: float) -> int:
-    """Decimals that show an uncertainty to two figures: 0.31 -> 2, 4.2 -> 1, 17 -> 0."""
+    """Return the decimals for an uncertainty with two significant digits: 0.31 -> 2, 4.2 -> 1, 17 -> 0."""
     if not math.isfinite(expanded) or expanded <= 0:
         return 2
     digits = 1 - math.floor(math.log10(expanded))
@@ -36,7 +36,7 @@ def digits_of_u(expanded: float) -> int:
 
 
 def value_and_u(value: float, expanded: float | None, digits: int = 2, *, signed: bool = False) -> tuple[str, str]:
-    """A value and its uncertainty, U to two figures and the value to the same place; no U: `digits` and a dash."""
+    """Format a value and its U, U to two significant digits, both with the same decimals; no U: `digits`, dash."""
     if expanded is None:
         return number(value, digits, signed=signed), NOTHING
     digits = digits_of_u(expanded)
@@ -44,7 +44,7 @@ def value_and_u(value: float, expanded: float | None, digits: int = 2, *, signed
 
 
 def duration(seconds: float | None) -> str:
-    """``0:23``, ``10:19``, ``1:02:03``; rounded up, so that a job with time left never reads 0:00."""
+    """Format a duration as ``0:23``, ``10:19``, ``1:02:03``; rounded up, so that time left never reads 0:00."""
     if seconds is None or not math.isfinite(seconds):
         return NOTHING
     whole = math.ceil(max(0.0, seconds) - 1e-6)
@@ -54,7 +54,7 @@ def duration(seconds: float | None) -> str:
 
 
 def size(n_bytes: float | None) -> str:
-    """``870 kB``, ``3.4 GB``: decimal units, two figures under ten, else whole numbers."""
+    """Format a size as ``870 kB``, ``3.4 GB``: decimal units, two significant digits below ten, else integers."""
     if n_bytes is None:
         return NOTHING
     value, unit = float(n_bytes), "B"
@@ -66,7 +66,7 @@ def size(n_bytes: float | None) -> str:
 
 
 def share(fraction: float | None, digits: int = 1) -> str:
-    """``0.6 %``; what is there but would read as zero is ``< 0.1 %``, what is not quite all never reads 100 %."""
+    """Format a percentage as ``0.6 %``; nonzero values never read as zero, and values below 1 never as 100 %."""
     if fraction is None or not math.isfinite(fraction):
         return NOTHING
     percent, least = 100 * fraction, 10.0**-digits

@@ -1,4 +1,4 @@
-"""Words as pictures, in the font that comes with Pillow: the scene has no letters of its own."""
+"""Text as raster images, in Pillow's built-in font, as the scene cannot draw text."""
 
 from __future__ import annotations
 
@@ -13,18 +13,18 @@ from PIL import Image, ImageDraw, ImageFont
 from wafer_viewer.draw.colormaps import Rgb
 
 LINE_PX = 96
-"""Height of a text picture."""
+"""Height of a text image."""
 _LETTER_PX = 62
 _PAD_PX, _MARGIN_PX = 26, 3
 _FINER = 3
-"""Tags are drawn so many times as large as they come out."""
+"""Supersampling factor of tags."""
 _SHEET_PX = 2048
 _SUBSTITUTES = str.maketrans({"\u202f": " ", "\u2212": "-", "–": "-", "×": "x", "\u03bc": "µ"})
 
 
 @cache
 def font(size_px: float) -> ImageFont.FreeTypeFont:
-    """Pillow's own scalable font. It has the letters of English, and no µ: see `write`."""
+    """Return Pillow's built-in scalable font, which has no µ: see `write`."""
     face = ImageFont.load_default(size_px)
     if not isinstance(face, ImageFont.FreeTypeFont):
         raise RuntimeError("Pillow was built without FreeType, letters cannot be drawn: install Pillow's wheel.")
@@ -32,7 +32,7 @@ def font(size_px: float) -> ImageFont.FreeTypeFont:
 
 
 def length_px(text: str, face: ImageFont.FreeTypeFont) -> float:
-    """How wide `write` draws a text."""
+    """Return the width of a text as drawn by `write`."""
     return face.getlength(_spelled(text))
 
 
@@ -46,7 +46,7 @@ def write(
     align: str = "l",
     weight: float = 0.0,
 ) -> None:
-    """Write one line: `at` is the middle of its capitals' height, at its left end, middle or right end (l, m, r)."""
+    """Draw one line of text; `at`: mid-height of the capitals at its left end, middle or right end (l, m, r)."""
     spelled = _spelled(text)
     x = at[0] - {"l": 0.0, "m": 0.5, "r": 1.0}[align] * face.getlength(spelled)
     baseline = at[1] + 0.36 * face.size
@@ -57,10 +57,10 @@ def write(
 
 
 def tag(text: str, colour: Rgb, pill: Rgb | None = None, high_px: int = LINE_PX) -> NDArray[np.uint8]:
-    """One bold line of text, rgba [high_px, any, 4], on nothing or on a rounded plate in the colour `pill`.
+    """Return one bold line of text, rgba [high_px, any, 4], transparent or on a rounded plate of colour `pill`.
 
-    It is drawn several times as large and filtered down. Round it is a margin without alpha in the colour it borders
-    on, so that it has smooth edges wherever it is drawn smaller still.
+    It is supersampled and filtered down. The transparent margin has the colour of the adjacent pixels, so that edges
+    stay smooth when it is drawn smaller.
     """
     scale = _FINER * high_px / LINE_PX
     face, pad, margin = font(_LETTER_PX * scale), (_PAD_PX if pill else 4) * scale, _MARGIN_PX * scale
@@ -76,7 +76,10 @@ def tag(text: str, colour: Rgb, pill: Rgb | None = None, high_px: int = LINE_PX)
 
 
 def sheet(tags: Sequence[NDArray[np.uint8]]) -> tuple[NDArray[np.uint8], NDArray[np.float32]]:
-    """Tags in one picture, rgba, and where each stands in it: float32 [n, 4] as u0, v0, u1, v1 in 0 ... 1, v down."""
+    """Pack tags into one image, rgba, and return it with their texture boxes.
+
+    The boxes are float32 [n, 4]: u0, v0, u1, v1 in 0 ... 1, v downwards.
+    """
     places: list[tuple[int, int, int]] = []
     x, y = 0, 0
     for picture in tags:
@@ -104,7 +107,7 @@ def _tail(
     fill: Rgb | tuple[int, int, int, int] | int,
     weight: float,
 ) -> None:
-    """Make the u at x a µ: its left stem goes on under the line as far as that of a p."""
+    """Draw the descender that turns the u at x into a µ."""
     stem_px = 0.085 * face.size
     left = x + 0.075 * face.size - weight
     pen.rectangle((left, baseline - 0.2 * face.size, left + stem_px + 2 * weight - 1, baseline + 0.2 * face.size), fill)

@@ -1,1 +1,1 @@
-"""The browser's side: panels, scene, tiles, access."""
+"""Browser interface: panels, scene, tiles, access."""

@@ -1,4 +1,4 @@
-"""The viewer's front door: the server, the address people open, one page for every browser that comes."""
+"""Web server of the viewer: address, and one page for every browser."""
 
 from __future__ import annotations
 
@@ -35,18 +35,18 @@ if TYPE_CHECKING:
 
 with contextlib.suppress(ImportError):
     importlib.import_module("cv2")
-"""Where it is installed viser imports it with its first picture, which changes sys.path for a moment: a process that is
-spawned in that moment finds its modules in place of Python's own and dies."""
+"""viser imports cv2, if installed, with its first picture, which changes sys.path for a moment. A process spawned in
+that moment finds cv2's modules in place of Python's own and dies, so cv2 is imported here in advance."""
 LOG_BYTES = 1_000_000
 HEARD_WITHIN_S = 0.5
-"""The system may hand a signal to any thread, and only the main one acts on it: it must not sleep for ever."""
+"""Polling interval: the system may deliver a signal to any thread, but only the main thread handles it."""
 SWEPT_AFTER_S = 2.0
-"""So long after a page has gone nothing of viser's holds it any more."""
+"""Delay after which viser no longer references a closed page."""
 
 
 @dataclass(frozen=True, slots=True)
 class Running:
-    """A viewer that runs: its address with the token, and the way to end it."""
+    """Running viewer: its address with the token, and the function that stops it."""
 
     address: str
     stop: Callable[[], None]
@@ -60,9 +60,9 @@ def serve(
     open_browser: bool = False,
     token: str | None = None,
 ) -> None:
-    """Show the session to browsers until ctrl-C; `announce` gets the line with the address.
+    """Serve the session to browsers until ctrl-C; `announce` gets the line with the address.
 
-    token: of the address; a new one where none is given.
+    token: token of the address; None creates a new one.
 
     Raises WaferViewerError when the port is in use.
     """
@@ -83,7 +83,10 @@ def serve(
 
 
 def _hear_requests_to_end() -> threading.Event:
-    """Ctrl-C and SIGTERM raise KeyboardInterrupt; the event remembers one that a finalizer happened to swallow."""
+    """Make SIGINT and SIGTERM raise KeyboardInterrupt and set the returned event.
+
+    The event covers an exception that a finalizer happens to swallow.
+    """
     asked = threading.Event()
 
     def hear(*_: object) -> None:
@@ -97,7 +100,7 @@ def _hear_requests_to_end() -> threading.Event:
 
 
 def start(session: SessionApi, host: str = "127.0.0.1", port: int = 0, token: str | None = None) -> Running:
-    """Show the session to browsers and come back at once; port 0 takes a free one, no token a new one.
+    """Serve the session to browsers and return at once; port 0 takes a free port, no token a new one.
 
     Raises WaferViewerError when the port is in use.
     """
@@ -143,14 +146,14 @@ def _report_folders(session: SessionApi) -> tuple[Path, ...]:
 
 
 def sweep_up() -> None:
-    """Free a page that has gone: its parts know each other, and Python would look for such as these in hours only."""
+    """Free a closed page, whose parts form reference cycles that Python would otherwise collect only after hours."""
     sweeper = threading.Timer(SWEPT_AFTER_S, gc.collect)
     sweeper.daemon = True
     sweeper.start()
 
 
 def keep_log() -> None:
-    """Write what went wrong unforeseen to a file: ``WAFER_VIEWER_LOG``, else one in the user's state folder."""
+    """Log unexpected errors to the file ``WAFER_VIEWER_LOG``, else to one in the user's state folder."""
     if log.handlers:
         return
     state = Path(os.environ.get("XDG_STATE_HOME") or Path.home() / ".local" / "state")
@@ -165,7 +168,10 @@ def keep_log() -> None:
 
 
 def _free(host: str, port: int) -> int:
-    """The port, tried; viser itself would silently take another."""
+    """Return the port after a trial bind, because viser would silently take another.
+
+    Raises WaferViewerError if it cannot be used.
+    """
     with socket.socket() as trial:
         trial.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
         try:

@@ -1,4 +1,4 @@
-"""The tools for measuring by their names: what each does with the places that it asks for."""
+"""Measuring functions by tool name."""
 
 from __future__ import annotations
 
@@ -52,7 +52,7 @@ MEASUREMENTS: dict[ToolName, Callable[..., AnyResult]] = {
     "coplanarity": coplanarity,
     "site_range": sites_of_region,
 }
-"""Each takes a surface and as many places as its tool asks for."""
+"""Each takes a surface and the regions that its tool requires."""
 
 
 def measured(
@@ -62,7 +62,7 @@ def measured(
     calibration_valid: bool,
     options: ToolOptions | None = None,
 ) -> AnyResult:
-    """What a tool finds at its places. Raises MeasureError when it asks for another number, or there is no answer."""
+    """Run a tool on its regions. Raises MeasureError for a wrong number of regions, or where there is no result."""
     asked = TOOLS[tool].places
     if len(places) != len(asked):
         names = ", ".join(place.name for place in asked)

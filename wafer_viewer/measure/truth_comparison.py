@@ -1,7 +1,7 @@
-"""How far heights are from a truth that is known: the figures of the paper's evaluation, eq. 17-19, and honest ones.
+"""Comparison of heights with a known truth: the figures of the paper's evaluation, eq. 17-19, and completeness.
 
-An error over all pixels rewards leaving out the hard ones, so completeness and the share of false heights stand beside
-it. A height is *false* when it is more than a tolerance off, a step of the sweep as a rule.
+An error over all pixels rewards omission of the difficult ones, so completeness and the fraction of false heights are
+reported too. A height is *false* when it is off by more than a tolerance, by default a z step of the scan.
 """
 
 from __future__ import annotations
@@ -18,18 +18,18 @@ from wafer_viewer.model.errors import MeasureError
 from wafer_viewer.model.surface.height_map import HeightMap
 
 DISTANCES_PX = (0.0, 2.0, 5.0, 10.0, 20.0, np.inf)
-"""Bands of distance from an edge."""
+"""Bounds of the bands of distance from an edge."""
 
 Heights = NDArray[np.float32] | NDArray[np.float64]
 
 
 @dataclass(frozen=True, slots=True)
 class Quality:
-    """Heights against their truth. Without a pixel that has both, all but completeness is NaN.
+    """Agreement of heights with their truth. Without a pixel that has both, all but completeness is NaN.
 
-    rmse_um: eq. 17; corr: eq. 18; psnr_db: 20 log10(peak_um / rmse_um), the peak being the range of the truth unless
-    another is given; bias_um: median error; ssm_um2: smoothness of the heights, eq. 19; completeness_fraction: of the
-    pixels with a truth, those with a height; false_fraction: of those, the ones more than tolerance_um off;
+    rmse_um: eq. 17; corr: eq. 18; psnr_db: 20 log10(peak_um / rmse_um), with the range of the truth as default peak;
+    bias_um: median error; ssm_um2: smoothness of the heights, eq. 19; completeness_fraction: fraction of the pixels
+    with a truth that have a height; false_fraction: fraction of those that are off by more than tolerance_um;
     true_rmse_um: eq. 17 over the others; n_px: pixels with a truth.
     """
 
@@ -48,7 +48,7 @@ class Quality:
 
 @dataclass(frozen=True, slots=True)
 class ErrorBand:
-    """The errors of the pixels between two distances from an edge; see `Quality`."""
+    """Errors of the pixels between two distances from an edge; see `Quality`."""
 
     from_px: float
     to_px: float
@@ -66,17 +66,53 @@ def compare_with_truth(
     peak_um: float | None = None,
     count_filled: bool = False,
 ) -> Quality:
-    """How far a height map is from the truth on its lattice [row, col] in um, NaN where no truth is known.
+    """Compare a height map with the true heights on its lattice.
 
-    What measurements use is compared: the measured heights as a rule; count_filled: the filtered ones with their
-    filled pixels. tolerance_um: a step of the sweep when left out. Raises MeasureError for another shape.
+    By default the measured heights are compared: gated and unsmoothed, unless the recipe of the map says otherwise.
+
+    Parameters
+    ----------
+    height : HeightMap
+        The heights to evaluate, in um.
+    truth_um : ndarray of float32 or float64, shape (rows, cols)
+        True heights in um on the lattice of `height`; NaN where no truth is known.
+    tolerance_um : float, optional
+        Largest error of a true height, um; a height that is off by more is false. By default the z step of the scan,
+        from the provenance of `height`.
+    peak_um : float, optional
+        Peak of the PSNR, um. By default the range of the known truth.
+    count_filled : bool, default False
+        Compare the filtered heights with their filled pixels instead of the measured ones.
+
+    Returns
+    -------
+    Quality
+        RMSE, correlation, PSNR (dB), median error and smoothness of the heights, with the fractions of complete and of
+        false heights. Without a pixel that has both height and truth, the error figures are NaN.
+
+    Raises
+    ------
+    MeasureError
+        If the shapes of the heights and the truth differ, or the tolerance is not above 0, as by default where the z
+        step is unknown.
+
+    Notes
+    -----
+    An error over all pixels rewards omission of the difficult ones, so completeness and the fraction of false heights
+    are reported too. The smoothness has a factor of 2 for its last term, as printed in eq. 19; the usual quadratic
+    variation has 1 there.
+
+    References
+    ----------
+    The paper on shape from focus that the method comes from (see the glossary), eq. 17 (RMSE), 18 (correlation) and 19
+    (smoothness).
     """
     tolerance = height.provenance.z_step_um if tolerance_um is None else tolerance_um
     return quality(height.to_measure(count_filled), truth_um, tolerance, peak_um)
 
 
 def quality(z_um: Heights, truth_um: Heights, tolerance_um: float, peak_um: float | None = None) -> Quality:
-    """The same for plain arrays [row, col] in um; NaN is unmeasured, or without a truth.
+    """Compare plain arrays [row, col] in um; NaN is unmeasured, or without a truth.
 
     Raises MeasureError when the shapes differ or the tolerance is not above 0.
     """
@@ -108,7 +144,7 @@ def error_by_distance(
     tolerance_um: float,
     bounds_px: Sequence[float] = DISTANCES_PX,
 ) -> tuple[ErrorBand, ...]:
-    """The errors in bands of distance from the nearest edge, arrays [row, col]; a band holds its lower bound.
+    """Return the errors in bands of distance from the nearest edge, arrays [row, col]; lower bounds inclusive.
 
     Raises MeasureError when the shapes differ or the tolerance is not above 0.
     """
@@ -121,12 +157,12 @@ def error_by_distance(
 
 
 def rmse(error_um: Heights) -> float:
-    """Root mean square of errors in um, eq. 17; NaN without any."""
+    """Return the root mean square of errors in um, eq. 17; NaN without any."""
     return float(np.sqrt(np.mean(np.square(error_um)))) if error_um.size else float("nan")
 
 
 def correlation(z_um: Heights, truth_um: Heights) -> float:
-    """Pearson's correlation of heights with their truth, eq. 18; NaN where either is constant."""
+    """Return Pearson's correlation of heights with their truth, eq. 18; NaN where either is constant."""
     if not z_um.size:
         return float("nan")
     z, truth = z_um - z_um.mean(), truth_um - truth_um.mean()
@@ -135,7 +171,7 @@ def correlation(z_um: Heights, truth_um: Heights) -> float:
 
 
 def psnr(error_um: Heights, peak_um: float) -> float:
-    """Peak signal to noise, 20 log10(peak / RMSE) in dB; infinite without an error."""
+    """Return the peak signal-to-noise ratio, 20 log10(peak / RMSE) in dB; infinite without an error."""
     noise_um = rmse(error_um)
     if noise_um == 0:
         return float("inf")
@@ -143,10 +179,10 @@ def psnr(error_um: Heights, peak_um: float) -> float:
 
 
 def smoothness(z_um: Heights) -> float:
-    """SSM, eq. 19: the mean of z_xx^2 + 2 z_xy^2 + 2 z_yy^2 in um^2, x along the rows' number, y along the columns'.
+    """Return SSM, eq. 19: mean of z_xx^2 + 2 z_xy^2 + 2 z_yy^2 in um^2; x by row index, y by column index.
 
-    Taken where all nine heights about a pixel are known; the lower, the smoother. The second 2 is as the equation is
-    printed; the usual quadratic variation has 1 there.
+    Evaluated where all nine heights about a pixel are known; lower is smoother. The second 2 is as printed in the
+    equation; the usual quadratic variation has 1 there.
     """
     if min(z_um.shape) < 3:
         return float("nan")

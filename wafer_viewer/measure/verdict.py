@@ -1,4 +1,4 @@
-"""Verdicts: what was measured against its limits, by the guard band of ISO 14253-1 or by simple acceptance."""
+"""Verdicts on measured quantities against limits, by the guard band of ISO 14253-1 or by simple acceptance."""
 
 from __future__ import annotations
 
@@ -19,9 +19,9 @@ from wafer_viewer.model.spec import replace
 from wafer_viewer.model.surface.height_map import Mosaic
 
 COVERAGE = 2.0
-"""The factor k of every expanded uncertainty."""
+"""Coverage factor k of every expanded uncertainty."""
 MOST_REPEATS = 25
-"""More scans than this are a matter for the engineer."""
+"""Largest number of scans proposed to the operator; beyond it, the engineer decides."""
 
 
 def judge_features(
@@ -32,9 +32,9 @@ def judge_features(
     calibration_valid: bool,
     dies: Dies | None = None,
 ) -> tuple[FeatureVerdict, ...]:
-    """Measure every feature that has a place, on each of the dies where it is one of a die, and judge it.
+    """Measure and judge every feature that has a place; per-die features on each die.
 
-    What cannot be measured has no verdict and says why.
+    A feature that cannot be measured has no verdict, with the reason.
     """
     places = ((feature, die) for feature in features if feature.has_place for die in _dies_of(feature, dies))
     return tuple(judge_at(surface, feature, die, alignment, calibration_valid) for feature, die in places)
@@ -43,7 +43,7 @@ def judge_features(
 def judge_at(
     surface: Mosaic, feature: Feature, die: Die | None, alignment: Alignment | None, calibration_valid: bool
 ) -> FeatureVerdict:
-    """Measure one feature, on one die where it is repeated over dies, and judge it."""
+    """Measure and judge one feature, on one die if it is repeated over dies."""
     name = die.name if die is not None else ""
     try:
         found = measured_feature(surface, feature, die, alignment, calibration_valid)
@@ -59,14 +59,14 @@ def judge_at(
 def measured_feature(
     surface: Mosaic, feature: Feature, die: Die | None, alignment: Alignment | None, calibration_valid: bool
 ) -> AnyResult:
-    """What a feature's tool finds where the feature lies on the stage. Raises MeasureError where it finds nothing."""
+    """Measure a feature with its tool at its stage position. Raises MeasureError where there is no result."""
     on_wafer = feature.places if die is None else tuple(on_die(place, die) for place in feature.places)
     on_the_stage = tuple(on_stage(place, alignment) for place in on_wafer)
     return measured(surface, feature.tool, on_the_stage, calibration_valid, feature.options)
 
 
 def quantity_of(found: AnyResult, feature: Feature) -> Quantity:
-    """The quantity of a feature in what was found. Raises MeasureError where it is not there or in another unit."""
+    """Return the quantity of a feature from a result. Raises MeasureError where it is missing or in another unit."""
     quantity = named_quantity(found, feature.quantity)
     if quantity.unit != feature.unit:
         raise MeasureError(
@@ -76,7 +76,7 @@ def quantity_of(found: AnyResult, feature: Feature) -> Quantity:
 
 
 def named_quantity(found: AnyResult, name: str) -> Quantity:
-    """A quantity of a result by the name of its field, the main one without a name. Raises MeasureError for others."""
+    """Return a quantity of a result by field name, the main one by default. Raises MeasureError for others."""
     if not name:
         return found.main
     held = {field: getattr(found, field) for field in found.__struct_fields__}
@@ -88,7 +88,7 @@ def named_quantity(found: AnyResult, name: str) -> Quantity:
 
 
 def judge(feature: Feature, quantity: Quantity) -> FeatureVerdict:
-    """A quantity against the limits of its feature; a limit that is open is never passed.
+    """Judge a quantity against the limits of its feature; an open limit is never exceeded.
 
     Guard band (ISO 14253-1): pass where all of value ± U lies within the limits, fail where all of it lies beyond one,
     else inconclusive. Simple acceptance: the value alone decides. Without an uncertainty neither gives a verdict.
@@ -107,13 +107,13 @@ def judge(feature: Feature, quantity: Quantity) -> FeatureVerdict:
 
 
 def limits_of(feature: Feature) -> tuple[float, float]:
-    """Lower and upper limit; infinite where one is open."""
+    """Return lower and upper limit; infinite where open."""
     low, high = feature.lower_limit, feature.upper_limit
     return -math.inf if low is None else low, math.inf if high is None else high
 
 
 def judge_dies(items: Sequence[FeatureVerdict], dies: Dies | None) -> tuple[JudgedDie, ...]:
-    """The word of every die that anything was judged on, by the gravest word of its features."""
+    """Return the verdict of every judged die: the most serious one of its features."""
     of_die: dict[str, list[FeatureVerdict]] = defaultdict(list)
     for item in items:
         of_die[item.die].append(item)
@@ -132,14 +132,14 @@ def judge_dies(items: Sequence[FeatureVerdict], dies: Dies | None) -> tuple[Judg
 
 
 def overall(items: Sequence[FeatureVerdict]) -> Word:
-    """The word for all together: fail where any feature fails, pass where all pass; nothing judged is no verdict."""
+    """Return the overall verdict: fail if any feature fails, pass if all pass, no verdict if nothing is judged."""
     words = {item.word for item in items}
     gravest: list[Word] = [word for word in GRAVEST if word in words]
     return gravest[0] if gravest else "no verdict"
 
 
 def what_next(items: Sequence[FeatureVerdict]) -> str:
-    """What the operator does now."""
+    """Return the operator's next action."""
     match overall(items):
         case "pass":
             return "Take the next wafer."
@@ -153,7 +153,7 @@ def what_next(items: Sequence[FeatureVerdict]) -> str:
 
 
 def scans_needed(item: FeatureVerdict) -> int | None:
-    """How many scans, this one included, would decide if their mean stayed here; None where no number would."""
+    """Return the number of scans, this one included, that would decide at the same mean; None if none would."""
     quantity = item.measured
     if quantity is None or not quantity.budget:
         return None
@@ -165,7 +165,7 @@ def scans_needed(item: FeatureVerdict) -> int | None:
 
 
 def on_stage(region: Region, alignment: Alignment | None) -> Region:
-    """A region of the wafer where it lies on the stage; a rectangle that is turned becomes a polygon."""
+    """Transform a region from wafer to stage coordinates; a rotated rectangle becomes a polygon."""
     if alignment is None:
         return region
     if region.kind == "rectangle" and alignment.rotation_rad != 0:

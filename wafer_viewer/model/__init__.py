@@ -1,1 +1,1 @@
-"""What things are: frozen data and the roles that devices play. Touches nothing."""
+"""Frozen data types and device protocols. No input or output."""

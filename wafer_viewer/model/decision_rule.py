@@ -1,4 +1,4 @@
-"""The words that a decision by measuring can have."""
+"""Possible outcomes of a decision by measurement."""
 
 from __future__ import annotations
 

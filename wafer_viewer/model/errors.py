@@ -1,21 +1,21 @@
-"""Everything that can go wrong, by who can mend it.
+"""Exceptions of the package, grouped by cause.
 
-Each message is one sentence: the thing, the value, the limit, the mend.
+Each message is one sentence: the object, the value, the limit and the remedy.
 """
 
 from __future__ import annotations
 
 
 class WaferViewerError(Exception):
-    """Whatever this program tells a person instead of a traceback."""
+    """Base of all errors that are shown to the user instead of a traceback."""
 
 
 class PlanError(WaferViewerError):
-    """A plan, a sample or a setting that cannot be."""
+    """An invalid plan, sample or setting."""
 
 
 class RigError(WaferViewerError):
-    """A device that is not there, refuses, or cannot do what is asked."""
+    """A device is missing, refuses a command or cannot carry it out."""
 
 
 class RigTimeout(RigError):
@@ -23,39 +23,39 @@ class RigTimeout(RigError):
 
 
 class MotionStopped(RigError):
-    """A motion that a person broke off: no fault, but it did not arrive."""
+    """A motion was stopped by the user before it reached its goal. Not a fault."""
 
     @classmethod
     def at(cls, x_um: float, y_um: float, z_um: float) -> MotionStopped:
-        """It stands there now."""
+        """Return the error for a stage stopped at a position."""
         x, y, z = (f"{round(um / 1000, 4) + 0.0:+.4f}" for um in (x_um, y_um, z_um))
         return cls(f"The move was stopped at X {x}, Y {y}, Z {z} mm.")
 
 
 class MissedPulse(RigError):
-    """A pulse that the box should have sent was not sent."""
+    """The pulse box did not send a pulse that it should have sent."""
 
 
 class WireError(RigError):
-    """A line that came over a wire damaged or out of order."""
+    """A line received over a wire is damaged or out of order."""
 
 
 class DatasetError(WaferViewerError):
-    """Files that are missing, damaged, held by another process, or not what they are said to be."""
+    """Files are missing, damaged, locked by another process or of the wrong kind."""
 
 
 class ComputeError(WaferViewerError):
-    """A reconstruction or a stitch that cannot be made from what there is."""
+    """A reconstruction or stitching is impossible with the given data."""
 
 
 class MeasureError(WaferViewerError):
-    """A measurement that the surface does not allow."""
+    """A measurement is impossible on the given surface."""
 
 
 class DiesNotFound(MeasureError):
-    """A surface on which no lattice of dies can be found.
+    """No lattice of dies was found on a surface.
 
-    brief: the reason in a few words, as a note on a result that was compared without dies.
+    brief: the reason in a few words, used as a note on a result that was compared without dies.
     """
 
     def __init__(self, message: str, brief: str = "No dies found") -> None:
@@ -64,4 +64,4 @@ class DiesNotFound(MeasureError):
 
 
 class ControlHeldError(WaferViewerError):
-    """What only the holder of the controls may ask for."""
+    """A command that requires the controls came from a client that does not hold them."""

@@ -1,4 +1,4 @@
-"""The kinds of files that surfaces are exchanged in, what each cannot hold, and what a person says of a file."""
+"""File formats for surfaces: their titles, what each cannot store, and read options."""
 
 from __future__ import annotations
 
@@ -14,11 +14,11 @@ _HEIGHTS_ONLY = (
 )
 _MESH = "It is a drawing, not data: a part of the heights as a mesh, without gaps marked, and is not read back"
 MESH_POINTS = 1_000_000
-"""A mesh has about as many points where nobody asks for another density."""
+"""Default number of points of a mesh."""
 
 
 class FileFormat(Spec, frozen=True, kw_only=True):
-    """A kind of file: its name, what it cannot hold (a sentence; empty where it holds all), and whether it is read."""
+    """A file format: its title, what it cannot store (a sentence, or empty) and whether it can be read."""
 
     title: str
     loses: str = ""
@@ -27,10 +27,10 @@ class FileFormat(Spec, frozen=True, kw_only=True):
 
 
 class Reading(Spec, frozen=True, kw_only=True):
-    """What a person says of a surface file that does not say it itself.
+    """User-supplied properties of a surface file that does not contain them.
 
-    z_unit: unit of its heights, and of all three coordinates of points; pixel_um: pixel size, or the lattice that
-    scattered points are gridded on; invert_z: its numbers are depths, so that they are turned over.
+    z_unit: unit of its heights, and of all three coordinates of points; pixel_um: pixel size, or the grid spacing for
+    scattered points; invert_z: its values are depths, so the sign is inverted.
     """
 
     error: ClassVar[type[WaferViewerError]] = DatasetError
@@ -80,13 +80,13 @@ FORMATS: dict[str, FileFormat] = {
     ".obj": FileFormat(title="OBJ, a mesh", loses=f"{_MESH}.", is_read=False, is_mesh=True),
     ".glb": FileFormat(title="GLB, a mesh with grey", loses=f"{_MESH}.", is_read=False, is_mesh=True),
 }
-"""By the ending of the file."""
+"""Formats by file extension."""
 READ = tuple(ending for ending, kind in FORMATS.items() if kind.is_read)
 MESHES = tuple(ending for ending, kind in FORMATS.items() if kind.is_mesh)
 
 
 def every_for(shape: tuple[int, int], most_points: int) -> int:
-    """The smallest density, as every n-th pixel, that makes at most so many points."""
+    """Return the smallest n such that every n-th pixel gives at most `most_points` points."""
     every = max(1, int(math.sqrt(shape[0] * shape[1] / most_points)))
     while -(-shape[0] // every) * -(-shape[1] // every) > most_points:
         every += 1

@@ -1,4 +1,4 @@
-"""Every kind of result, and the list of results of one reconstruction."""
+"""Union of all result types, and the list of results of one reconstruction."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Glossary: one word for each concept, shared by page, command line, reports and documentation."""
+"""Glossary: one term per concept, shared by page, command line, reports and documentation."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ Subject = Literal["Acquisition", "Surface", "Measurement", "Gauge check", "Inspe
 
 @dataclass(frozen=True, slots=True)
 class Term:
-    """One concept: its word, its meaning, where the word comes from, and words that are not used for it."""
+    """One concept: its term, meaning and source, and the synonyms that are not used."""
 
     word: str
     subject: Subject
@@ -161,13 +161,13 @@ def terms_of(subject: Subject) -> tuple[Term, ...]:
 
 
 def find_terms(text: str) -> tuple[Term, ...]:
-    """Return the terms whose word, or a word not used for them, contains `text`, whatever its case."""
+    """Return the terms whose word, or unused synonym, contains `text`, ignoring case."""
     wanted = text.strip().lower()
     return tuple(t for t in GLOSSARY if any(wanted in word.lower() for word in (t.word, *t.not_called)))
 
 
 def glossary_markdown() -> str:
-    """Return the page of the documentation that lists every term."""
+    """Return the documentation page that lists every term."""
     parts = [_HEAD]
     for subject in get_args(Subject):
         rows = (f"| {t.word} | {_meaning(t)} | {t.source} |" for t in terms_of(subject))

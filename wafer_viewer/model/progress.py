@@ -1,13 +1,13 @@
-"""Progress and cancellation of long work: two callbacks that every room takes alike."""
+"""Callbacks for progress and cancellation of long computations."""
 
 from __future__ import annotations
 
 from collections.abc import Callable
 
 Progress = Callable[[float], None]
-"""Takes the fraction done, 0 to 1."""
+"""Receives the completed fraction, 0 to 1."""
 ShouldStop = Callable[[], bool]
-"""Whether the work should stop."""
+"""Returns True if the computation should stop."""
 
 
 def silent(_: float) -> None:
@@ -15,5 +15,5 @@ def silent(_: float) -> None:
 
 
 def never() -> bool:
-    """Never ask to stop."""
+    """Return False: never stop."""
     return False

@@ -1,4 +1,4 @@
-"""Numbers with a unit and their expanded uncertainty: lengths, and what is no length."""
+"""Quantities with a unit and their expanded uncertainty."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ Unit = Literal["um", "um2", "um3", "deg", "mrad"]
 
 
 class BudgetLine(Spec, frozen=True, kw_only=True):
-    """One line of the budget of a quantity: a standard uncertainty (k = 1) in the quantity's unit."""
+    """One line of a quantity's budget: a standard uncertainty (k = 1) in the quantity's unit."""
 
     error: ClassVar[type[WaferViewerError]] = MeasureError
     name: str
@@ -22,7 +22,7 @@ class BudgetLine(Spec, frozen=True, kw_only=True):
 
 
 class Quantity(Spec, frozen=True, kw_only=True):
-    """A number in a unit with its expanded uncertainty (k = 2), or the word that says why there is none."""
+    """A value in a unit with its expanded uncertainty (k = 2), or the status that explains its absence."""
 
     error: ClassVar[type[WaferViewerError]] = MeasureError
     value: float
@@ -33,7 +33,7 @@ class Quantity(Spec, frozen=True, kw_only=True):
 
     @classmethod
     def evaluated(cls, value: float, unit: Unit, budget: tuple[BudgetLine, ...]) -> Quantity:
-        """One whose uncertainty is the root sum of squares of a budget, times two."""
+        """Return a quantity whose expanded uncertainty is twice the root sum of squares of a budget."""
         expanded = 2 * _root_sum_of_squares(line.u for line in budget)
         return cls(value=value, unit=unit, expanded=expanded, status="evaluated", budget=budget)
 
@@ -47,7 +47,7 @@ class Contribution(Spec, frozen=True, kw_only=True):
 
 
 class Length(Spec, frozen=True, kw_only=True):
-    """A length in um with its expanded uncertainty (k = 2), or the word that says why there is none."""
+    """A length in um with its expanded uncertainty (k = 2), or the status that explains its absence."""
 
     error: ClassVar[type[WaferViewerError]] = MeasureError
     value_um: float
@@ -57,13 +57,13 @@ class Length(Spec, frozen=True, kw_only=True):
 
     @classmethod
     def evaluated(cls, value_um: float, budget: tuple[Contribution, ...]) -> Length:
-        """A length whose uncertainty is the root sum of squares of a budget, times two."""
+        """Return a length whose expanded uncertainty is twice the root sum of squares of a budget."""
         expanded_um = 2 * _root_sum_of_squares(c.u_um for c in budget)
         return cls(value_um=value_um, expanded_um=expanded_um, status="evaluated", budget=budget)
 
     @property
     def quantity(self) -> Quantity:
-        """The same as a quantity, for those who treat all quantities alike."""
+        """The length as a general quantity."""
         lines = tuple(BudgetLine(name=c.name, u=c.u_um) for c in self.budget)
         return Quantity(value=self.value_um, unit="um", expanded=self.expanded_um, status=self.status, budget=lines)
 

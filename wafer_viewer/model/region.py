@@ -1,4 +1,4 @@
-"""A part of the sample in stage um, never in pixels."""
+"""Regions of the sample in stage um, never in pixels."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from wafer_viewer.model.spec import NonNegative, Spec, Within
 
 
 class Point(Spec, frozen=True, kw_only=True, array_like=True):
-    """A place on the stage."""
+    """A point on the stage."""
 
     x_um: float
     y_um: float
@@ -30,7 +30,7 @@ _POINTS: dict[RegionKind, tuple[int, int]] = {
 
 
 class Region(Spec, frozen=True, kw_only=True):
-    """A rectangle (two opposite corners), circle (centre, radius), polygon (corners), line (two ends) or a point."""
+    """A rectangle (two opposite corners), circle (centre, radius), polygon (corners), line (two ends) or point."""
 
     error: ClassVar[type[WaferViewerError]] = MeasureError
     kind: RegionKind
@@ -51,40 +51,40 @@ class Region(Spec, frozen=True, kw_only=True):
 
     @classmethod
     def rectangle(cls, x0_um: float, y0_um: float, x1_um: float, y1_um: float) -> Region:
-        """The rectangle between two opposite corners."""
+        """Return the rectangle between two opposite corners."""
         return cls(kind="rectangle", points=(Point(x_um=x0_um, y_um=y0_um), Point(x_um=x1_um, y_um=y1_um)))
 
     @classmethod
     def circle(cls, x_um: float, y_um: float, radius_um: float) -> Region:
-        """The circle round a centre."""
+        """Return the circle around a centre."""
         return cls(kind="circle", points=(Point(x_um=x_um, y_um=y_um),), radius_um=radius_um)
 
     @classmethod
     def polygon(cls, *corners: tuple[float, float]) -> Region:
-        """The polygon through corners (x_um, y_um), in order."""
+        """Return the polygon through corners (x_um, y_um), in order."""
         return cls(kind="polygon", points=tuple(Point(x_um=x, y_um=y) for x, y in corners))
 
     @classmethod
     def line(cls, x0_um: float, y0_um: float, x1_um: float, y1_um: float, width_um: float = 0.0) -> Region:
-        """The line between two ends; width_um is averaged over, across the line."""
+        """Return the line between two ends; heights are averaged over width_um across it."""
         ends = (Point(x_um=x0_um, y_um=y0_um), Point(x_um=x1_um, y_um=y1_um))
         return cls(kind="line", points=ends, width_um=width_um)
 
     @classmethod
     def point(cls, x_um: float, y_um: float) -> Region:
-        """A single place."""
+        """Return a single point."""
         return cls(kind="point", points=(Point(x_um=x_um, y_um=y_um),))
 
     @property
     def bounds_um(self) -> tuple[float, float, float, float]:
-        """(x low, y low, x high, y high) of the smallest upright rectangle round the region."""
+        """(x low, y low, x high, y high) of the axis-parallel bounding box."""
         xs, ys = [p.x_um for p in self.points], [p.y_um for p in self.points]
         pad = self.radius_um if self.kind == "circle" else self.width_um / 2
         return min(xs) - pad, min(ys) - pad, max(xs) + pad, max(ys) + pad
 
     @property
     def area_um2(self) -> float:
-        """The area inside; a line or a point has none."""
+        """Enclosed area; 0 for a line or a point."""
         if self.kind == "circle":
             return math.pi * self.radius_um**2
         if self.kind == "rectangle":
@@ -95,9 +95,9 @@ class Region(Spec, frozen=True, kw_only=True):
     def along_and_across_um(
         self, x_um: NDArray[np.float64], y_um: NDArray[np.float64]
     ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-        """Return the distance of places along a line from its first end, and their signed distance from it, um.
+        """Return the distance of points along a line from its first end and their signed distance from it, um.
 
-        The latter is negative on the right-hand side of the way from the first end to the second.
+        The latter is negative to the right of the direction from the first end to the second.
         """
         a, b = self.points
         dx, dy = b.x_um - a.x_um, b.y_um - a.y_um
@@ -106,7 +106,7 @@ class Region(Spec, frozen=True, kw_only=True):
         return (x * dx + y * dy) / length, (y * dx - x * dy) / length
 
     def contains(self, x_um: NDArray[np.float64], y_um: NDArray[np.float64]) -> NDArray[np.bool_]:
-        """Which of the points (arrays that broadcast together) lie inside; a line or a point contains none."""
+        """Return a mask of the points (arrays that broadcast together) inside; a line or a point contains none."""
         x, y = np.broadcast_arrays(np.asarray(x_um, float), np.asarray(y_um, float))
         if self.kind in ("line", "point"):
             return np.zeros(x.shape, bool)
@@ -120,7 +120,7 @@ class Region(Spec, frozen=True, kw_only=True):
 
 
 def _twice_the_area(corners: tuple[Point, ...]) -> float:
-    """Of a polygon, negative when it is run through clockwise."""
+    """Return twice the signed area of a polygon, negative for clockwise corners."""
     following = (*corners[1:], corners[0])
     return sum(a.x_um * b.y_um - b.x_um * a.y_um for a, b in zip(corners, following, strict=True))
 
@@ -128,7 +128,7 @@ def _twice_the_area(corners: tuple[Point, ...]) -> float:
 def _inside_polygon(
     x: NDArray[np.float64], y: NDArray[np.float64], corners: list[tuple[float, float]]
 ) -> NDArray[np.bool_]:
-    """Even-odd rule: a point is inside when a ray to the right crosses the outline an odd number of times."""
+    """Return a mask by the even-odd rule: inside if a ray to the right crosses the outline an odd number of times."""
     inside = np.zeros(x.shape, bool)
     for (xa, ya), (xb, yb) in zip(corners, corners[1:] + corners[:1], strict=True):
         if ya == yb:

@@ -1,4 +1,4 @@
-"""What a report is made of: its parts as one orders them, and its contents as they are printed."""
+"""Contents of a report: its selectable parts and its printed sections."""
 
 from __future__ import annotations
 
@@ -44,7 +44,7 @@ PART_TITLES: dict[Part, str] = {
 
 @dataclass(frozen=True, slots=True)
 class Holds:
-    """What a part would hold, in a few words; `nothing`: it has nothing to show, and the words say why."""
+    """Short description of a part's contents; `nothing`: the part is empty, and `words` give the reason."""
 
     words: str
     nothing: bool = False
@@ -55,7 +55,7 @@ Pairs = tuple[tuple[str, str], ...]
 
 
 class ReportOrder(Spec, frozen=True, kw_only=True):
-    """Contentsto a report; without a title the dataset's name stands over it."""
+    """Selection of a report's parts; without a title the dataset's name is used."""
 
     error: ClassVar[type[WaferViewerError]] = DatasetError
     title: str = ""
@@ -64,7 +64,7 @@ class ReportOrder(Spec, frozen=True, kw_only=True):
 
 @dataclass(frozen=True, slots=True)
 class Table:
-    """Heads and rows of plain text; `right` has an 'n' for a column of numbers, a 'w' for one that breaks no word."""
+    """Header and rows of plain text; `right` has an 'n' for a column of numbers, a 'w' for one without word breaks."""
 
     heads: tuple[str, ...]
     rows: tuple[tuple[str, ...], ...]
@@ -73,7 +73,7 @@ class Table:
 
 @dataclass(frozen=True, slots=True)
 class Figure:
-    """A picture as a data URL, or a drawing as SVG of our own, with its caption; small ones stand side by side."""
+    """A picture as a data URL or a generated SVG drawing, with its caption; small ones are placed side by side."""
 
     url: str
     caption: str
@@ -83,9 +83,9 @@ class Figure:
 
 @dataclass(frozen=True, slots=True)
 class Sheet:
-    """One result with all it holds: its main number, the place it was measured at, the others, the budget.
+    """One result in full: main value, region it was measured on, further values, budget.
 
-    missing: what its uncertainty leaves out.
+    missing: contributions not in its uncertainty.
     """
 
     number: str
@@ -100,9 +100,9 @@ class Sheet:
 
 @dataclass(frozen=True, slots=True)
 class ReportSection:
-    """A head, and what stands under it: names with values, a table, pictures, sentences. `empty`: why nothing does.
+    """A section with its title: named values, table, figures, sentences. `empty`: reason for an empty section.
 
-    word: in large type before all else, with the sentence beside it; lines: what is signed.
+    word: verdict in large type at the start, with the sentence `beside`; lines: signature lines.
     """
 
     title: str
@@ -118,14 +118,14 @@ class ReportSection:
 
     @property
     def is_empty(self) -> bool:
-        """Whether nothing stands under the head."""
+        """True if the section has no contents."""
         held = self.pairs, self.figures, self.sheets, self.sentences, self.word, self.lines
         return not (any(held) or (self.table and self.table.rows))
 
 
 @dataclass(frozen=True, slots=True)
 class Report:
-    """Everything on it, as text and pictures."""
+    """A complete report, as text and pictures."""
 
     title: str
     below: str

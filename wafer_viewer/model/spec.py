@@ -1,7 +1,7 @@
-"""Specs: settings that are the same thing as a TOML file, as command-line flags and as a form in the browser.
+"""Specs: settings shared by TOML files, command-line flags and forms on the page.
 
-A spec checks itself when it is made: every field against its declared type and against the limit written in its
-annotation, with a sentence that names field, value and limit.
+A spec validates itself on creation: every field against its declared type and the limit in its annotation, with a
+sentence that names field, value and limit.
 """
 
 from __future__ import annotations
@@ -22,7 +22,7 @@ from wafer_viewer.model.errors import PlanError, WaferViewerError
 
 @dataclass(frozen=True, slots=True)
 class Within:
-    """The limit of a number: ``low <= value <= high``; an open end excludes its own value."""
+    """Limit of a number: ``low <= value <= high``; an open end excludes its own value."""
 
     low: float | None = None
     high: float | None = None
@@ -56,7 +56,7 @@ Count = Annotated[int, Within(1)]
 
 
 class Spec(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
-    """The base of all specs: frozen, refuses unknown keys, checks itself when made."""
+    """Base class of all specs: frozen, rejects unknown keys, validates itself on creation."""
 
     error: ClassVar[type[WaferViewerError]] = PlanError
 
@@ -75,12 +75,12 @@ Form = Literal["toml", "json"]
 
 
 def replace(spec: S, **changes: Any) -> S:
-    """A copy of `spec` with some fields changed, checked anew."""
+    """Return a copy of `spec` with some fields changed, validated again."""
     return msgspec.structs.replace(spec, **changes)
 
 
 def decode(text: str | bytes, kind: type[S], name: str, form: Form = "toml") -> S:
-    """Read a spec from TOML or JSON `text`; `name` is what errors call the text, a file's name as a rule."""
+    """Read a spec from TOML or JSON `text`; errors refer to the text by `name`, usually a file name."""
     try:
         data = (
             tomllib.loads(text.decode() if isinstance(text, bytes) else text)
@@ -95,7 +95,7 @@ def decode(text: str | bytes, kind: type[S], name: str, form: Form = "toml") -> 
 
 
 def encode(spec: Spec, form: Form = "toml") -> str:
-    """Write a spec as TOML or JSON text; what is None is left out of TOML."""
+    """Return a spec as TOML or JSON text; None values are omitted from TOML."""
     if form == "json":
         return msgspec.json.format(msgspec.json.encode(spec, enc_hook=_plain_number), indent=2).decode()
     import tomli_w
@@ -104,7 +104,7 @@ def encode(spec: Spec, form: Form = "toml") -> str:
 
 
 def _plain_number(value: Any) -> Any:
-    """numpy's numbers pass for Python's in a spec; a file gets Python's."""
+    """Convert a NumPy scalar to the Python number for serialisation."""
     if isinstance(value, numbers.Number) and hasattr(value, "item"):
         return typing.cast(Any, value).item()
     raise NotImplementedError(f"{type(value).__name__} cannot be written to a file")
@@ -128,7 +128,7 @@ def _without_none(data: Any) -> Any:
 
 
 def limit_of(kind: type[Spec], name: str) -> Within | None:
-    """The limit written in the annotation of a spec's field, None where it has none."""
+    """Return the limit in the annotation of a spec's field, or None."""
     hint = typing.get_type_hints(kind, include_extras=True)[name]
     return next((m for m in getattr(hint, "__metadata__", ()) if isinstance(m, Within)), None)
 

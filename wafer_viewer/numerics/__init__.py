@@ -1,1 +1,1 @@
-"""Pure algorithms that several rooms need: compiled kernels, robust fits, NaN-aware filters, image shifts."""
+"""Pure algorithms used by several packages: compiled kernels, robust fits, NaN-aware filters, image shifts."""

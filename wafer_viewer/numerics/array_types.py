@@ -1,4 +1,4 @@
-"""Short names for what kernels take: arrays by the kind of their numbers, and single numbers."""
+"""Type aliases of kernel arguments: arrays by element type, and scalars."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ Int64s: TypeAlias = NDArray[np.int64]
 UInt8s: TypeAlias = NDArray[np.uint8]
 UInt16s: TypeAlias = NDArray[np.uint16]
 Wholes: TypeAlias = NDArray[Any]
-"""int32 where the sums of 8-bit grey fit, int64 for 16-bit grey."""
+"""int32 if the sums of 8-bit grey fit, int64 for 16-bit grey."""
 Greys: TypeAlias = NDArray[Any]
 """uint8 or uint16."""
 
@@ -26,7 +26,7 @@ _CACHE_LINE_BYTES = 64
 
 
 def aligned(shape: tuple[int, ...], dtype: Any) -> NDArray[Any]:
-    """Zeros that begin with a cache line: vectors that straddle two lines cost twice."""
+    """Return zeros aligned to a cache line, because vectors that straddle two lines cost twice."""
     dtype = np.dtype(dtype)
     n_bytes = dtype.itemsize * int(np.prod(shape))
     room = np.zeros(n_bytes + _CACHE_LINE_BYTES, np.uint8)

@@ -1,4 +1,4 @@
-"""A logarithm that kernels can take of whole vectors: numba's own is a call for every number."""
+"""Vectorisable logarithm for kernels; numba's own is a call for every number."""
 
 from __future__ import annotations
 
@@ -17,9 +17,9 @@ _BIAS = np.float32(127)
 
 @inline_kernel
 def quick_log2(value: Real) -> Real:
-    """log2 of a float32 over 0, within 0.00012.
+    """Return log2 of a positive float32, within 0.00012.
 
-    The exponent is the whole part, and the mantissa f is the rest but for a bow between the powers of two.
+    The exponent is the integer part. The mantissa f is the fraction, except for a correction between powers of two.
     """
     bits = np.float32(value).view(np.int32)
     f = np.float32(np.int32(bits & _MANTISSA)) * _PER_MANTISSA

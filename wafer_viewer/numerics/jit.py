@@ -1,9 +1,9 @@
-"""One place that says how numba compiles our kernels, and where it keeps them.
+"""Compilation of kernels by numba, and location of their cache.
 
-The compiled code is cached in the user's cache folder (``WAFER_VIEWER_CACHE`` moves it), so that a read-only
-installation still starts fast and every child process loads what the first one compiled. numba looks only at the
-file of the outermost kernel when it decides whether a cached one is stale, and ours inline each other across files: so
-every state of the sources has a folder of its own.
+Compiled code is cached in the user's cache folder (``WAFER_VIEWER_CACHE`` overrides it), so a read-only installation
+still starts fast and every child process loads what the first one compiled. numba checks only the file of the
+outermost kernel for changes, but our kernels inline each other across files. Therefore every state of the sources has
+its own folder.
 """
 
 from __future__ import annotations
@@ -26,14 +26,14 @@ F = TypeVar("F", bound=Callable[..., Any])
 
 
 def cache_folder() -> Path:
-    """The folder of compiled kernels, under ``WAFER_VIEWER_CACHE`` or else ``~/.cache/wafer-viewer``."""
+    """Return the folder of compiled kernels, under ``WAFER_VIEWER_CACHE`` or ``~/.cache/wafer-viewer``."""
     home = os.environ.get("WAFER_VIEWER_CACHE")
     base = Path(home) if home else Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache") / "wafer-viewer"
     return base / "kernels" / source_fingerprint()
 
 
 def source_fingerprint() -> str:
-    """Eight hex digits that change with any source of a kernel."""
+    """Return eight hex digits that change with any source file of a kernel."""
     package = Path(__file__).parent.parent
     sources = (f for room in KERNEL_ROOMS for f in sorted((package / room).rglob("*.py")))
     return f"{functools.reduce(lambda crc, f: zlib.crc32(f.read_bytes(), crc), sources, 0):08x}"
@@ -43,44 +43,44 @@ setattr(numba_config, "CACHE_DIR", str(cache_folder()))  # noqa: B010 - numba ma
 
 
 def kernel(function: F) -> F:
-    """Compile a module-level function once per machine; it runs without the interpreter's lock."""
+    """Compile a module-level function once per machine; it runs without the GIL."""
     return cast(F, numba.njit(cache=True, nogil=True)(function))
 
 
 def fast_kernel(function: F) -> F:
-    """A `kernel` that may reorder float arithmetic; not for code that looks for NaN."""
+    """Compile a `kernel` with reordered float arithmetic; not for code that tests for NaN."""
     return cast(F, numba.njit(cache=True, nogil=True, fastmath=True)(function))
 
 
 def bare_kernel(function: F) -> F:
-    """A `fast_kernel` that makes no arrays, only views of those it is given: no references to them are counted.
+    """Compile a `fast_kernel` that creates no arrays, only views of its arguments, without reference counting.
 
-    Counting takes an atomic operation for every view of a row, a third of the time of a kernel that works through rows
-    of a picture. Compiling it fails where it, or a kernel that it calls, makes an array.
+    Reference counting takes an atomic operation for every view of a row, a third of the time of a kernel that works
+    through rows of a picture. Compilation fails if the kernel, or one that it calls, creates an array.
     """
     return cast(F, numba.njit(cache=True, nogil=True, fastmath=True, **_UNCOUNTED)(function))
 
 
 def lean_kernel(function: F) -> F:
-    """A `bare_kernel` that keeps the order of float arithmetic; what is divided by zero is infinite or NaN."""
+    """Compile a `bare_kernel` that preserves the order of float arithmetic; division by zero gives infinity or NaN."""
     return cast(F, numba.njit(cache=True, nogil=True, **_LEAN)(function))
 
 
 def lean_part(function: F) -> F:
-    """A loop over a row that `lean_kernel`s call: without what Python would need to call it."""
+    """Compile a loop over a row for use in `lean_kernel`s, without a Python wrapper."""
     return cast(F, numba.njit(**_PART)(function))
 
 
 def inlined_part(function: F) -> F:
-    """A part of `lean_kernel`s that hands rows on: called it would copy their descriptions over the stack twice.
+    """Compile an inlined part of `lean_kernel`s that passes rows on; a call would copy their array structs twice.
 
-    A copy that is read in other pieces than it was written in waits until all that was written before has reached the
-    cache, and what was written before is a row of the focus volume. It is copied into its callers before their types
-    are known, so that it is compiled with them and not once more alone.
+    A copy that is read with another access size than it was written with waits until all earlier writes have reached
+    the cache, and these are a row of the focus volume. The part is inlined before the types of its callers are known,
+    so it is compiled with them and not separately.
     """
     return cast(F, numba.njit(inline="always", **_PART)(function))
 
 
 def inline_kernel(function: F) -> F:
-    """A small function copied into the kernels that call it."""
+    """Compile a small function that is inlined into its callers."""
     return cast(F, numba.njit(inline="always")(function))

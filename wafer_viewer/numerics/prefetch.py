@@ -1,4 +1,4 @@
-"""Ask for memory before it is needed: the processor does not foresee a row that lies far from the last one."""
+"""Software prefetch of rows that the hardware prefetcher does not predict."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ _TO_READ, _KEEP, _DATA = 0, 3, 1
 
 @inlined_part
 def prefetch(row: Greys) -> None:
-    """Have a row on its way into the caches; nothing waits for it and nothing else changes."""
+    """Prefetch a row into the caches, without waiting and without side effects."""
     for x in range(0, row.size, _LINE_BYTES // row.itemsize):
         _prefetch(row, x)
 

@@ -1,1 +1,1 @@
-"""Stack to height map to mosaic. Pure."""
+"""Reconstruction of height maps and mosaics from focus stacks, without side effects."""

@@ -1,4 +1,4 @@
-"""The choices that a recipe leaves to the data, made on a few tiles of the field and written into the recipe."""
+"""Estimation of recipe parameters left at `auto`, from a few tiles of the field."""
 
 from __future__ import annotations
 
@@ -23,28 +23,28 @@ from wafer_viewer.reconstruct.preprocess.camera_noise import camera_of, settled_
 from wafer_viewer.reconstruct.preprocess.frames import Frames
 
 AUTO_WINDOWS = (9, 13, 17)
-"""Under 9 the noise of heights grows faster than anything is gained."""
+"""Candidate windows in pixels. Below 9 px, height noise grows faster than resolution improves."""
 
 ENOUGH_COVERAGE = 0.92
-"""The smallest window is taken that measures 92 % of what the largest does."""
+"""The smallest window with at least 92 % of the coverage of the largest is selected."""
 
 GAP_WIDTHS = 2.0
 REACH_WIDTHS = 0.55
 BLEND_WIDTHS = 0.33
 FLOOR_WIDTHS = 5.0
-"""A sweep so much wider than a focus curve shows the floor on which the curve ends."""
+"""A sweep at least this many focus-curve widths long reaches the noise floor of the curve."""
 
 SUITABLE_WIDTH = 2.5
-"""A focus curve 2 or 3 frames wide at half its height is sampled well."""
+"""Full width at half maximum of a well-sampled focus curve, in frames."""
 
 CLEAN_PERCENTILE = 5.0
-"""Of the widths of curves with a single top. Bleeding light only widens a curve: tests/truth/bleeding.py."""
+"""Percentile of the widths of single-peaked curves. Bleeding light only widens a curve: tests/truth/bleeding.py."""
 
 FINEST_PX = 4.0
-"""Cameras sample the Airy radius of their objective by no more pixels than this, which bounds an unknown aperture."""
+"""Maximum number of pixels per Airy radius of the objective; it bounds an unknown aperture."""
 
 LARGEST_APERTURE = 0.95
-"""In air."""
+"""Largest numerical aperture in air."""
 
 _PROBE_WINDOW = 9
 _AIRY = 0.61
@@ -56,10 +56,10 @@ _TILES = 3
 
 @dataclass(frozen=True, slots=True)
 class TunedSearch:
-    """A recipe without `auto`, how to search with it, and what the optics resolve along z.
+    """A recipe without `auto`, its search parameters, and the axial resolution.
 
-    resolution_um is the step of the sweep, or the step that would suit the optics where the sweep is finer than that.
-    notes: a sentence for each choice that the data did not support.
+    resolution_um is the step of the sweep, or the step that suits the optics where the sweep is finer. notes: one
+    sentence for each choice that the data did not support.
     """
 
     recipe: Recipe
@@ -70,14 +70,14 @@ class TunedSearch:
 
 @dataclass(frozen=True, slots=True)
 class FocusWidth:
-    """Width of a focus curve at half its height, and a note where the data could not tell it."""
+    """Full width at half maximum of a focus curve, with a note where the data did not determine it."""
 
     um: float
     notes: tuple[str, ...] = ()
 
 
 def settle(frames: Frames, recipe: Recipe) -> TunedSearch:
-    """Replace every `auto` of a recipe by what the data say."""
+    """Replace every `auto` of a recipe by a value estimated from the data."""
     recipe = replace(recipe, noise=settled_noise(frames, recipe.noise))
     found = focus_width(frames, recipe) if recipe.focus_width_um == "auto" else FocusWidth(recipe.focus_width_um)
     width_um = found.um
@@ -93,7 +93,7 @@ def settle(frames: Frames, recipe: Recipe) -> TunedSearch:
 
 
 def gated_tiles(frames: Frames, recipe: Recipe, search: Search) -> list[NDArray[np.float32]]:
-    """The heights of a few tiles, NaN where the gate of the settled recipe keeps them out."""
+    """Return the heights of a few tiles, NaN where the gate of the settled recipe rejects them."""
     noise = noise_scores(search, frames.n_frames)
     gate = gate_of(noise, _min_confidence(recipe, search, frames.n_frames), recipe.clipped_fraction, search.window)
     return [
@@ -103,12 +103,12 @@ def gated_tiles(frames: Frames, recipe: Recipe, search: Search) -> list[NDArray[
 
 
 def focus_width(frames: Frames, recipe: Recipe) -> FocusWidth:
-    """Estimate the width of a focus curve at half its height from a few tiles, bounded by the optics.
+    """Estimate the full width at half maximum of a focus curve from a few tiles, bounded by the optics.
 
-    Only curves with a single top are read, which lies inside the stack, and of their widths a low percentile: noise,
-    and light that bleeds from a bright surface out of focus, make wider ones. No curve is wider than the depth of
-    field, or, where it is unknown, than that of the smallest aperture that goes with the pixel. One step where
-    nothing is seen.
+    Only curves with a single peak inside the stack are used. A low percentile of their widths is taken because noise
+    and light bleeding from a bright out-of-focus surface make curves wider. The width is limited to the depth of field
+    or, where that is unknown, to the depth of field of the smallest aperture that fits the pixel size. Without enough
+    curves the result is the known depth of field, at least one step.
     """
     probe = Search(recipe.focus_measure, _PROBE_WINDOW, "argmax", 1, camera=camera_of(recipe.noise))
     power = FOCUS_MEASURES[recipe.focus_measure].power
@@ -124,7 +124,7 @@ def focus_width(frames: Frames, recipe: Recipe) -> FocusWidth:
 
 
 def best_window(frames: Frames, recipe: Recipe, probe: Search) -> int:
-    """The smallest window that covers nearly as much as the largest."""
+    """Return the smallest window with nearly the coverage of the largest."""
 
     def coverage(window: int) -> float:
         return _coverage(frames, recipe, dataclasses.replace(probe, window=window))
@@ -135,12 +135,15 @@ def best_window(frames: Frames, recipe: Recipe, probe: Search) -> int:
 
 
 def search_of(recipe: Recipe, n_frames: int, step_um: float) -> Search:
-    """How a settled recipe searches a stack that is still to come."""
+    """Return the search parameters of a settled recipe for a stack that is not yet available."""
     return _search(recipe, int(recipe.window), float(recipe.focus_width_um) / step_um, n_frames)
 
 
 def _search(recipe: Recipe, window: int, width: float, n_frames: int) -> Search:
-    """Rivals are two widths away, at most a quarter of the stack; a peak is placed by points a half width away."""
+    """Return search parameters: rivals two widths from the peak, interpolation points half a width away.
+
+    The rival gap is at most a quarter of the stack.
+    """
     most = max(1, (n_frames - 1) // 4)
     gap = int(np.clip(round(GAP_WIDTHS * width), 1, most))
     reach = int(np.clip(round(REACH_WIDTHS * width), 1, gap))
@@ -156,7 +159,7 @@ def _min_confidence(recipe: Recipe, search: Search, n_frames: int) -> float:
 
 
 def _coverage(frames: Frames, recipe: Recipe, search: Search) -> float:
-    """The share of pixels that pass the gate, clipping aside."""
+    """Return the fraction of pixels that pass the gate, ignoring clipping."""
     noise = noise_scores(search, frames.n_frames)
     gate = gate_of(noise, _min_confidence(recipe, search, frames.n_frames), 1.0, search.window)
     return float(
@@ -165,10 +168,11 @@ def _coverage(frames: Frames, recipe: Recipe, search: Search) -> float:
 
 
 def _clean_widths(bench: ThreadScratch, peaks: Peaks, power: float) -> NDArray[np.float32]:
-    """Widths, in frames, of the curves of a tile that rise over half their top once, within the stack.
+    """Return the widths, in frames, of the curves of a tile that exceed half maximum once within the stack.
 
-    Half for a measure that falls as the square of the blur's variance: the width is that of the optics, whatever the
-    measure. The lowest frame is the floor of noise, which is taken off. Crossings are interpolated between frames.
+    The half maximum is that of a measure that falls as the square of the blur variance, so the width characterises the
+    optics whatever the measure. The lowest frame is taken as noise floor and subtracted. Crossings are interpolated
+    between frames.
     """
     textured = (peaks.contrast > _LEAST_CONTRAST) & ~peaks.at_end
     levels = bench.curves.levels[:, textured].astype(np.float32)
@@ -205,13 +209,13 @@ def _too_wide(found_um: float, most_um: float, pixel_um: float) -> str:
 
 
 def _largest_depth_um(pixel_um: float) -> float:
-    """The depth of field of the smallest aperture whose Airy radius is sampled by no more than so many pixels."""
+    """Return the depth of field of the smallest aperture with at most `FINEST_PX` pixels per Airy radius."""
     aperture = min(LARGEST_APERTURE, _AIRY * WAVELENGTH_UM / (FINEST_PX * pixel_um))
     return WAVELENGTH_UM / aperture**2
 
 
 def _tiles(frames: Frames, search: Search) -> Iterator[tuple[ThreadScratch, Peaks]]:
-    """The peaks of a few tiles spread over the field; bench and peaks are used again for the next tile."""
+    """Yield the peaks of a few tiles spread over the field; scratch buffers and peaks are reused for each tile."""
     n_rows, n_cols = frames.shape
     shape = min(_TILE_PX[0], n_rows), min(_TILE_PX[1], n_cols)
     bench = ThreadScratch.make(frames.n_frames, shape, search, frames.dtype)
@@ -223,6 +227,6 @@ def _tiles(frames: Frames, search: Search) -> Iterator[tuple[ThreadScratch, Peak
 
 
 def _starts(length: int, size: int) -> list[int]:
-    """Where tiles begin: evenly spread, none beyond the border, fewer when they would overlap."""
+    """Return evenly spaced tile starts within the border; fewer tiles where they would overlap."""
     count = min(_TILES, max(1, length // size))
     return [round((i + 0.5) * length / count - size / 2) for i in range(count)]

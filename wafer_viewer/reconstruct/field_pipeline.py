@@ -1,4 +1,4 @@
-"""From the focus stack of a field to its height map."""
+"""Reconstruction of a height map from the focus stack of a field."""
 
 from __future__ import annotations
 
@@ -25,17 +25,47 @@ from wafer_viewer.reconstruct.preprocess.frames import Frames, prepare
 from wafer_viewer.reconstruct.validity import ValidatedPeaks, judge
 
 ENOUGH_TO_SETTLE = 0.2
-"""A field of which a fifth is measured can choose for the fields around it."""
+"""Fraction of measured pixels from which the settled recipe of a field may be reused for its neighbours."""
 
 
 def reconstruct(
     stack: FieldStack, recipe: Recipe = Recipe(), progress: Progress | None = None, threads: int | None = None
 ) -> HeightMap:
-    """The height map of a field, with confidence, all-in-focus image and the reason why a pixel has no height.
+    """Return the height map of a field, by shape from focus.
 
-    progress is told the finished share (0 ... 1); what it raises ends the work. threads: all cores when left out.
-    Raises ComputeError for images that are not 8- or 16-bit grey, for frames without a z of their own, and for
-    exposures that cannot be compared.
+    Parameters
+    ----------
+    stack : FieldStack
+        Focus stack: images [k, row, col], uint8 or uint16, with a z in um for each frame. Further exposures of the same
+        slots are fused.
+    recipe : Recipe, optional
+        Settings of the reconstruction; ``auto`` values are chosen from the stack. Default: ``Recipe()``.
+    progress : callable, optional
+        Receives the finished fraction, 0 to 1; an exception raised by it ends the work.
+    threads : int, optional
+        Number of threads. Default: all cores.
+
+    Returns
+    -------
+    HeightMap
+        Heights in um, with confidence, all-in-focus image and origin codes, which state why a pixel has no height. The
+        provenance holds the recipe with the values chosen for ``auto``.
+
+    Raises
+    ------
+    ComputeError
+        For images that are not 8- or 16-bit grey, for fewer than three frames, for frames that lack a z or share one,
+        and for exposures that cannot be compared.
+
+    Notes
+    -----
+    Absent frames, flashes and dead frames are omitted; defective pixels are replaced, and drift is corrected if the
+    recipe says so. `HeightMap.z_um` is smoothed, with small gaps filled, as the recipe says; `HeightMap.z_raw_um` is
+    neither smoothed nor filled, and only gates and outlier removal apply.
+
+    References
+    ----------
+    .. [1] S. K. Nayar, Y. Nakagawa, Shape from focus, IEEE Trans. Pattern Anal. Mach. Intell. 16 (1994) 824.
     """
     frames = prepare(stack, recipe)
     settled = settle(frames, recipe)
@@ -46,22 +76,22 @@ def reconstruct(
 def surface_of(
     stack: FieldStack, frames: Frames, settled: TunedSearch, peaks: Peaks, threads: int | None = None
 ) -> HeightMap:
-    """The height map of searched frames."""
+    """Return the height map of frames whose peaks have been searched."""
     return cleaned(stack, frames, settled, judge(frames, settled, peaks, threads))
 
 
 def settled_recipe(stack: FieldStack, recipe: Recipe = Recipe()) -> Recipe:
-    """The recipe with every `auto` replaced by what this stack says, so that all fields of a scan can share it."""
+    """Replace every `auto` of a recipe by values from this stack, for use by all fields of a scan."""
     return settle(prepare(stack, recipe), recipe).recipe
 
 
 def speaks_for_scan(surface: HeightMap) -> bool:
-    """Whether a field shows enough for what it settled to be right for the fields around it."""
+    """Return whether enough of a field is measured to reuse its settled recipe for the neighbouring fields."""
     return bool(surface.measured.mean() >= ENOUGH_TO_SETTLE)
 
 
 def cleaned(stack: FieldStack, frames: Frames, settled: TunedSearch, judged: ValidatedPeaks) -> HeightMap:
-    """Smooth, drop outliers, fill small gaps: z_um has all three, z_raw_um only what was dropped."""
+    """Smooth heights, remove outliers and fill small gaps; z_raw_um only has the outliers removed."""
     peaks, origin = judged.peaks, judged.origin
     recipe, resolution_um = settled.recipe, settled.resolution_um
     raw = np.where(origin == Origin.MEASURED, peaks.z_um, np.float32(np.nan))
@@ -105,7 +135,7 @@ def refused_heights(judged: ValidatedPeaks, origin: NDArray[np.uint8]) -> Refuse
 
 
 def warm_up(dtype: Any = np.uint8, recipe: Recipe = Recipe()) -> None:
-    """Compile every kernel, or load what an earlier run compiled, on a tiny stack that is sharp in its middle."""
+    """Compile every kernel, or load the cached compilation, using a tiny stack that is sharp in the middle."""
     n_frames = LEAST_FRAMES  # in fewer the windows are not compared
     sharp = 5 + 40 * np.exp(-((np.arange(n_frames) - n_frames // 2) ** 2.0))[:, None, None]
     grey = (128 + sharp * np.random.default_rng(0).normal(0, 1, (n_frames, 48, 64))).clip(0, 255).astype(dtype)
@@ -130,5 +160,5 @@ def _provenance(stack: FieldStack, frames: Frames, recipe: Recipe, notes: tuple[
 
 
 def _number(value: float | str) -> float:
-    """A settled choice: `auto` is gone by now."""
+    """Return a settled parameter, which is no longer `auto`, as a number."""
     return float(value)

@@ -1,4 +1,4 @@
-"""Why a pixel has its height, or none: the reconstruction of a small part round it, opened up."""
+"""Diagnosis of a single pixel: reconstruct a small region around it and report every gate."""
 
 from __future__ import annotations
 
@@ -23,16 +23,38 @@ _LEFT_OUT_BY_CLEANING = {
     Origin.STEP_EDGE: "Are the heights around it of one surface?",
 }
 REACH_PX = 80
-"""How much of the field round the pixel is reconstructed: further than any gate looks."""
+"""Half size of the reconstructed region around the pixel, larger than the reach of any gate."""
 COARSE_PX = 4
-"""The coarse maps of the part lie on those of the field."""
+"""Alignment of the region, so that its coarse maps coincide with those of the field."""
 
 
 def focus_curve(stack: FieldStack, x_um: float, y_um: float, recipe: Recipe = Recipe()) -> FocusCurve:
-    """The focus curve of the pixel at stage (x_um, y_um), its peak, the rivals, and every gate's score and verdict.
+    """Return the focus curve of a pixel with its peak, rivals and verdicts.
 
-    recipe: best the one that the surface carries in its provenance; what is still `auto` is settled on the whole stack.
-    Raises ComputeError when the place lies outside of the field, and what `reconstruct` raises.
+    Only the surroundings of the pixel, 80 pixels to each side, are reconstructed, and every gate is reported.
+
+    Parameters
+    ----------
+    stack : FieldStack
+        Focus stack of the field that contains the position.
+    x_um : float
+        Stage x in um; the nearest pixel is used.
+    y_um : float
+        Stage y in um.
+    recipe : Recipe, optional
+        Settings of the reconstruction, preferably the recipe in the provenance of the surface. Parameters of the
+        heights that are still ``auto`` are settled on the complete stack. Default: ``Recipe()``.
+
+    Returns
+    -------
+    FocusCurve
+        Focus measure (fraction of its maximum) and grey value of the pixel in each frame in use, z rising in um; peak,
+        at most three rivals, verdict of every gate, and height in um, None if unmeasured.
+
+    Raises
+    ------
+    ComputeError
+        When the position is outside the field, and for every stack that `reconstruct` rejects.
     """
     row, col = pixel_at(stack, x_um, y_um)
     recipe = settled_recipe(stack, recipe) if recipe.heights_have_auto else recipe
@@ -68,7 +90,7 @@ def focus_curve(stack: FieldStack, x_um: float, y_um: float, recipe: Recipe = Re
 
 
 def curve_at(frames: Frames, search: Search, row: int, col: int) -> tuple[NDArray[np.float64], NDArray[np.int64]]:
-    """The focus measure of a pixel in each frame, as a share of its largest value, and its grey."""
+    """Return the focus measure of a pixel in each frame, as a fraction of its maximum, and its grey values."""
     bench = ThreadScratch.make(frames.n_frames, (1, 1), search, frames.dtype)
     search_part(frames, slice(row, row + 1), slice(col, col + 1), search, bench, Peaks.empty((1, 1), bench.block.dtype))
     levels = bench.curves.levels[:, 0, 0].astype(np.int64)
@@ -80,7 +102,7 @@ def curve_at(frames: Frames, search: Search, row: int, col: int) -> tuple[NDArra
 
 
 def cleaning_verdicts(origin: Origin) -> tuple[Verdict, ...]:
-    """What the cleaning found out about a pixel that passed every gate."""
+    """Return the verdict of the cleaning step for a pixel that passed every gate."""
     question = _LEFT_OUT_BY_CLEANING.get(origin)
     if question is None:
         return ()
@@ -89,7 +111,7 @@ def cleaning_verdicts(origin: Origin) -> tuple[Verdict, ...]:
 
 
 def pixel_at(stack: FieldStack, x_um: float, y_um: float) -> tuple[int, int]:
-    """The row and column of the pixel of a stack nearest to a place. Raises ComputeError outside of the field."""
+    """Return the row and column of the pixel nearest to a position. Raises ComputeError outside the field."""
     row, col = round((stack.y0_um - y_um) / stack.pixel_um), round((x_um - stack.x0_um) / stack.pixel_um)
     if not (0 <= row < stack.images.shape[1] and 0 <= col < stack.images.shape[2]):
         raise ComputeError(
@@ -100,7 +122,7 @@ def pixel_at(stack: FieldStack, x_um: float, y_um: float) -> tuple[int, int]:
 
 
 def rivals_of(z_um: NDArray[np.float64], focus: NDArray[np.float64], peak: int, gap: int) -> tuple[Rival, ...]:
-    """The other local maxima at least `gap` frames from the peak, the highest first."""
+    """Return the other local maxima at least `gap` frames from the peak, in descending order."""
     inner = np.r_[True, focus[1:] >= focus[:-1]] & np.r_[focus[:-1] >= focus[1:], True]
     found = [k for k in np.flatnonzero(inner) if abs(k - peak) >= gap]
     found.sort(key=lambda k: -focus[k])
@@ -108,5 +130,5 @@ def rivals_of(z_um: NDArray[np.float64], focus: NDArray[np.float64], peak: int, 
 
 
 def _around(n: int) -> slice:
-    """The rows, or columns, round a pixel."""
+    """Return the rows, or columns, around a pixel."""
     return slice(max(0, n - REACH_PX) // COARSE_PX * COARSE_PX, n + REACH_PX + 1)

@@ -1,7 +1,7 @@
-"""A field while its frames are still coming: they are measured as they come, so that little is left after the last.
+"""Incremental reconstruction of a field: frames are measured as they arrive.
 
-The focus volume of the whole field is kept, 2 bytes a pixel and frame. The map is the same, bit for bit, as the one
-that `reconstruct` makes of the finished stack.
+The focus volume of the entire field is stored, 2 bytes per pixel and frame. The map is bit-identical to the one that
+`reconstruct` makes of the finished stack.
 """
 
 from __future__ import annotations
@@ -26,10 +26,11 @@ WHITE_COUNTS = 255
 
 
 class LiveField:
-    """The frames of one field, taken in as they come, from below or from above.
+    """Focus volume of one field, built from frames that arrive in rising or falling order.
 
     images: the pages of the field, uint8 [k, row, col], memory-mapped while they are written, z rising with k; a page
-    is read when `take` names it. recipe: settled, for nothing can be found out from frames that are still to come.
+    is read when `take` names it. recipe: settled, because no parameter can be estimated from frames that have not
+    arrived.
 
     Raises ComputeError for a recipe with `auto`, and for images of another kind.
     """
@@ -59,18 +60,18 @@ class LiveField:
 
     @property
     def came(self) -> NDArray[np.bool_]:
-        """Which pages were taken in, bool [k]."""
+        """Pages that have been measured, bool [k]."""
         return self._came.copy()
 
     def take_new(self, there: NDArray[np.bool_]) -> None:
-        """Measure those of the pages that are there, bool [k], and were not taken in yet."""
+        """Measure the available pages, bool [k], that have not been measured yet."""
         new = np.flatnonzero(there & ~self._came)
         for run in np.split(new, np.flatnonzero(np.diff(new) > 1) + 1):
             if run.size:
                 self.take(int(run[0]), int(run[-1]) + 1)
 
     def take(self, first: int, stop: int) -> None:
-        """Measure the pages first ... stop - 1, which are written by now; each page once."""
+        """Measure the pages first ... stop - 1, which must be written; each page is measured once."""
         if self._came[first:stop].any():
             raise ComputeError(f"Some of the pages {first} to {stop - 1} were added already: give each page once.")
         slots = np.arange(first, stop)
@@ -84,9 +85,9 @@ class LiveField:
         self._came[first:stop] = True
 
     def surface(self, stack: FieldStack) -> HeightMap:
-        """The height map, once all frames are there; stack: the same pages with their z.
+        """Return the height map once all frames have arrived; stack: the same pages with their z.
 
-        Where the pixels need to be put right after all, or frames are missing, everything is measured anew.
+        If the pixels need correction after all, or frames are missing, the complete stack is searched again.
         """
         frames = prepare(stack, self._recipe)
         settled = settle(frames, self._recipe)
@@ -105,14 +106,14 @@ class LiveField:
 
 
 def _keep_better(curves: FocusCurves, best: NDArray[np.uint16], peak: NDArray[np.uint16]) -> None:
-    """Of two frames that are equally sharp the lower one is the peak, in whatever order they came."""
+    """Update best level and peak frame; of two equally sharp frames the lower one wins, in any arrival order."""
     better = (best > curves.best) | ((best == curves.best) & (peak < curves.peak))
     np.copyto(curves.best, best, where=better)
     np.copyto(curves.peak, peak, where=better)
 
 
 def _as_expected(frames: Frames, search: Search, expected: Search) -> bool:
-    """Whether frames are read as they lie, all of them, by the measure that was expected."""
+    """Return whether all frames are used unmodified, with the expected measure, window and camera noise."""
     whole = frames.as_stored and np.array_equal(frames.slots, np.arange(len(frames.images)))
     return whole and (search.measure, search.window, search.camera) == (
         expected.measure,

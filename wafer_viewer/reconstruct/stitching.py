@@ -1,4 +1,4 @@
-"""Many height maps as one surface: neighbours, registration, poses, seams, and the mosaic that is blended from them."""
+"""Stitching of height maps: neighbour search, registration, pose estimation, height offsets and blending."""
 
 from __future__ import annotations
 
@@ -31,15 +31,15 @@ from wafer_viewer.reconstruct.registration.stitching_notes import remarks
 Pairs = NDArray[np.int32]
 Um = NDArray[np.float64]
 REGISTER_SHARE = 0.8
-"""Of the work in `stitch`, which leaves the blending to whoever asks for a window."""
+"""Registration's share of the work in `stitch`; blending is deferred until a window is requested."""
 
 
 @dataclass(frozen=True, slots=True)
 class OverlapObservers:
-    """How overlaps are looked at: in memory, or by workers that open the maps themselves.
+    """Functions that measure overlaps, either in memory or on workers that open the maps themselves.
 
-    register(pairs): what overlaps say about x and y; compare(pairs, x_um, y_um): about z, at the centres of all fields;
-    opened(place): the height map of one field, by its place in the list.
+    register(pairs): lateral shifts in x and y; compare(pairs, x_um, y_um): height offsets in z, at the centres of all
+    fields; opened(place): the height map of one field, by its index in the list.
     """
 
     register: Callable[[Pairs], Shifts]
@@ -53,13 +53,43 @@ def stitch(
     recipe: Recipe = Recipe(),
     progress: Progress | None = None,
 ) -> StitchedMosaic:
-    """One surface from height maps: placed by their overlaps or by the stage, as the recipe says.
+    """Stitch height maps of fields into one surface.
 
-    fields: where the stage says they are (centres, in the same order); without it the maps' own places count. progress
-    is told the finished share (0 ... 1); what it raises ends the work. The mosaic is blended when windows of it are
-    asked for; `poses` says where the fields lie in it.
-    Raises ComputeError without heights, for pixel sizes that differ or contradict the overlaps, and when fields and
-    heights differ in number.
+    The fields are placed by their overlaps, with the stage positions as prior, or by the stage, as the recipe requires.
+
+    Parameters
+    ----------
+    heights : sequence of HeightMap
+        Height maps of the fields, all with the same pixel size.
+    fields : sequence of Field, optional
+        Stage positions of the fields (centres, in um), in the order of `heights`. Default: the positions of the maps.
+    recipe : Recipe, optional
+        Settings, of which only `Recipe.stitching` is used. Default: ``Recipe()``.
+    progress : callable, optional
+        Receives the finished fraction, 0 to 1; an exception raised by it ends the work.
+
+    Returns
+    -------
+    StitchedMosaic
+        A mosaic that is blended when a window of it is requested; `StitchedMosaic.poses` holds the positions of the
+        fields in it.
+
+    Raises
+    ------
+    ComputeError
+        When there are no heights, fields and heights differ in number, pixel sizes differ or contradict the overlaps,
+        all fields are left out because none fits its neighbours, or the poses of very many fields do not converge.
+
+    Notes
+    -----
+    Overlaps are registered by masked correlation of the images [1]_, and by heights where the images are blank. Bad
+    overlaps are rejected by graduated non-convexity [2]_.
+
+    References
+    ----------
+    .. [1] D. Padfield, Masked object registration in the Fourier domain, IEEE Trans. Image Process. 21 (2012) 2706.
+    .. [2] M. J. Black, A. Rangarajan, On the unification of line processes, outlier rejection, and robust statistics
+       with applications in early vision, Int. J. Comput. Vis. 19 (1996) 57.
     """
     if not heights:
         raise ComputeError("There is no field to stitch: give at least one height map.")
@@ -81,11 +111,11 @@ def find_poses(
     *,
     final: bool = True,
 ) -> Poses:
-    """Where fields lie and how they lean, from their overlaps, with the stage as prior.
+    """Estimate position, height and tilt of each field from the overlaps, with the stage as prior.
 
     numbers, marks: as in `Poses`. known: an earlier solution; overlaps of unchanged fields are not registered again.
-    final: solve for all fields; otherwise only those that are new are placed, against the others as they lie.
-    Raises ComputeError when the overlaps contradict the pixel size.
+    final: solve for all fields; otherwise only new fields are placed and the others stay fixed. Raises ComputeError
+    when the overlaps contradict the pixel size.
     """
     listed = np.array(numbers, np.int32)
     known = known or PreviousSolution.of(None, listed, marks)
@@ -108,7 +138,7 @@ def find_poses(
 
 @dataclass(frozen=True, slots=True)
 class _Task:
-    """Which fields are to be placed, what is known of them, and which of them stay where they are."""
+    """A pose estimation problem: outlines, stitching parameters, earlier solution, and mask of fixed fields."""
 
     outlines: Sequence[Outline]
     stitching: Stitching
@@ -144,7 +174,7 @@ class _Task:
 
     @property
     def _form(self) -> Form | None:
-        """What fields share, as found before; found anew where all are solved for."""
+        """Shared terms of the earlier solution; None where they are to be estimated again."""
         poses = self.known.poses
         return None if self.fixed is None or poses is None or not self.fixed.any() else poses.form
 
@@ -182,7 +212,7 @@ class _Task:
         )
 
     def at_stage(self, numbers: NDArray[np.int32], marks: NDArray[np.int64]) -> Poses:
-        """Every field where the stage says, upright; how far that is off nobody asked."""
+        """Return poses with every field at its stage position, without tilt; the uncertainties are NaN."""
         (x_um, y_um), zero = centres(self.outlines), np.zeros(len(numbers))
         unknown, alone = np.full(len(numbers), np.nan), np.arange(len(numbers), dtype=np.int32)
         whole = np.zeros(len(numbers), bool)
@@ -191,14 +221,14 @@ class _Task:
 
 
 def centres(outlines: Sequence[Outline]) -> tuple[Um, Um]:
-    """(x_um, y_um) of the centres of fields, [n], by the stage."""
+    """Return the stage coordinates (x_um, y_um) of the field centres, [n] each."""
     x_um = [o.x0_um + (o.shape[1] - 1) / 2 * o.pixel_um for o in outlines]
     y_um = [o.y0_um - (o.shape[0] - 1) / 2 * o.pixel_um for o in outlines]
     return np.array(x_um), np.array(y_um)
 
 
 def _eyes_on(heights: Sequence[HeightMap], stitching: Stitching, progress: Progress) -> OverlapObservers:
-    """Both looks at maps in memory."""
+    """Return observers for maps in memory."""
     reach_um = None if stitching.search_um == "auto" else stitching.search_um
 
     def registered(pairs: Pairs) -> Shifts:

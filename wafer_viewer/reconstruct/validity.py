@@ -1,4 +1,4 @@
-"""What is believed of the peaks of a field: the gates one after the other, then the edges."""
+"""Validation of the peaks of a field: the gates in order, then the edges."""
 
 from __future__ import annotations
 
@@ -22,25 +22,25 @@ from wafer_viewer.reconstruct.gates.gate import LEAST_FRAMES, POWERS, Gate, Gate
 from wafer_viewer.reconstruct.preprocess.frames import Frames, mark_uncovered
 
 WINDOW_STEPS = 1.5
-"""Two windows see the same height within so many steps of the resolution."""
+"""Tolerance between the heights of two windows, in steps of the resolution."""
 
 TOO_WIDE = 2.0
-"""A focus width over so many depths of field is none: those of wide-open and apodised pupils reach 1.5."""
+"""Largest plausible focus width, in depths of field; wide-open and apodised pupils reach 1.5."""
 
 LEAST_GAP = 4
-"""The focus along a wall is smoothed over three frames and placed by three more."""
+"""Minimum rival gap in frames: focus along a wall is smoothed over three frames and placed by three more."""
 
 _BOXES_OF_A_TRIANGLE = np.sqrt(0.5)
-"""A box taken twice is as wide as one of the square root of two its size."""
+"""A box filter applied twice is as wide as a single box sqrt(2) times its size."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class ValidatedPeaks:
-    """The peaks of a field with the heights found along walls in place of those that bled, and what became of each.
+    """Peaks of a field after validation, with bled heights replaced by heights found along walls.
 
-    seen_um: the heights as the search saw them, float32 [row, col]; origin: codes of `Origin` [row, col];
-    checks: the gates with the scores that they saw; edges: None where there are no walls or the recipe does not look
-    for them, which edges_asked tells; notes: a sentence for the gates that the recipe wants and that are off.
+    seen_um: heights as searched, before the edges were processed, float32 [row, col]; origin: codes of `Origin` [row,
+    col]; checks: the gates with their scores; edges: None where there are no walls or the recipe does not search for
+    them, which edges_asked distinguishes; notes: one sentence for the gates that the recipe requests and that are off.
     """
 
     peaks: Peaks
@@ -53,25 +53,28 @@ class ValidatedPeaks:
 
     @property
     def told_apart(self) -> NDArray[np.bool_] | None:
-        """Where it is known which side of a wall a pixel is on; None where nobody asked."""
+        """Mask of pixels with a known wall side; None where edges were not searched for."""
         if not self.edges_asked:
             return None
         return np.zeros(self.origin.shape, np.bool_) if self.edges is None else self.edges.side != EdgeSide.AWAY
 
     @property
     def bled_um(self) -> NDArray[np.float32] | None:
-        """The heights as seen where light bled, NaN elsewhere; None where there are no walls."""
+        """Searched heights where light bled, NaN elsewhere; None where there are no walls."""
         if self.edges is None:
             return None
         return np.where(self.origin == Origin.BLEEDING_EDGE, self.seen_um, np.float32(np.nan))
 
     def verdicts(self, row: int, col: int) -> tuple[Verdict, ...]:
-        """What every gate says of a pixel, the one that explains most first."""
+        """Return the verdict of every gate on a pixel, the most explanatory first."""
         return (*(_verdict(check, row, col) for check in self.checks), *_edge_verdicts(self, row, col))
 
 
 def judge(frames: Frames, settled: TunedSearch, peaks: Peaks, threads: int | None = None) -> ValidatedPeaks:
-    """Hold the peaks of a field to everything that the recipe asks for. threads: all cores when left out."""
+    """Apply all gates and the edge processing of the recipe to the peaks of a field.
+
+    threads: all cores if omitted.
+    """
     gate, enough = gate_for(settled, frames.n_frames), frames.n_frames >= LEAST_FRAMES
     compare = np.isfinite(gate.window_tolerance_um)
     wide_um = wide_heights(peaks, frames.z_um, settled.search) if compare else None
@@ -87,7 +90,7 @@ def judge(frames: Frames, settled: TunedSearch, peaks: Peaks, threads: int | Non
 
 
 def gate_for(settled: TunedSearch, n_frames: int) -> Gate:
-    """The gate of a settled recipe; windows are compared in stacks that are long enough."""
+    """Return the gate of a settled recipe; windows are compared only in stacks that are long enough."""
     recipe, compare = settled.recipe, settled.recipe.compare_windows and n_frames >= LEAST_FRAMES
     return gate_of(
         noise_scores(settled.search, n_frames),
@@ -99,7 +102,7 @@ def gate_for(settled: TunedSearch, n_frames: int) -> Gate:
 
 
 def edge_search(settled: TunedSearch) -> EdgeSearch | None:
-    """How the recipe treats edges; None when it does not, or when it believes everything anyway."""
+    """Return the edge search of the recipe; None if edges or gating are disabled."""
     mode, search = settled.recipe.edges, settled.search
     if mode == "none" or float(settled.recipe.min_confidence) <= 0:
         return None
@@ -108,14 +111,14 @@ def edge_search(settled: TunedSearch) -> EdgeSearch | None:
 
 
 def window_along(search: Search) -> int:
-    """The window of the focus along walls, which is a box taken twice, as wide as that of the search."""
+    """Return the window of the focus along walls: a box applied twice, as wide as that of the search."""
     if search.measure == "log_laplacian":
         return search.window
     return 2 * round((search.window * _BOXES_OF_A_TRIANGLE - 1) / 2) + 1
 
 
 def _off(settled: TunedSearch, n_frames: int) -> tuple[str, ...]:
-    """What is off in a short stack, though the recipe asks for it."""
+    """Return a note on the requested gates that are disabled in a short stack."""
     recipe = settled.recipe
     wanted = (
         ("windows are not compared", recipe.compare_windows),
@@ -126,7 +129,7 @@ def _off(settled: TunedSearch, n_frames: int) -> tuple[str, ...]:
 
 
 def _walls_untested(frames: Frames, settled: TunedSearch) -> tuple[str, ...]:
-    """A sentence where the focus width is too large for walls to show, beside the optics or in the sweep."""
+    """Return a note where the focus width is too large, against the optics or the sweep, to detect walls."""
     width_um, depth_um = float(settled.recipe.focus_width_um), frames.depth_of_field_um
     sweep_um, least_um = float(np.ptp(frames.z_um)), STANDING_GAPS * GAP_WIDTHS * width_um
     if depth_um > 0 and width_um > TOO_WIDE * max(depth_um, frames.step_um):
@@ -155,7 +158,7 @@ def _verdict(check: GateTest, row: int, col: int) -> Verdict:
 
 
 def _edge_verdicts(judged: ValidatedPeaks, row: int, col: int) -> tuple[Verdict, ...]:
-    """Beside a wall: whether the height is that of the pixel's own side, and what is seen along the wall."""
+    """Return the verdicts near a wall: agreement with the pixel's own side, and focus along the wall."""
     edges = judged.edges
     if edges is None or edges.side[row, col] == EdgeSide.AWAY:
         return ()
@@ -184,7 +187,7 @@ def _edge_verdicts(judged: ValidatedPeaks, row: int, col: int) -> tuple[Verdict,
 
 
 def _beside(edges: BleedingEdges, row: int, col: int) -> str:
-    """Where beside the wall a pixel is, and what is missing."""
+    """Return a note with the pixel's side of the wall and any missing reference height."""
     where = {
         EdgeSide.DARK: "On the dark side of a wall",
         EdgeSide.BRIGHT: "On the bright side of a wall",

@@ -1,1 +1,1 @@
-"""The devices: real ones and the simulated one, one file each."""
+"""Drivers of the rigs: pulse box protocol, and the virtual rig."""

@@ -1,4 +1,4 @@
-"""Which rig there is: a small TOML file, and the table of rigs that can be opened."""
+"""Rig configuration: a small TOML file, and the table of available rigs."""
 
 from __future__ import annotations
 
@@ -13,9 +13,9 @@ from wafer_viewer.rigs.virtual.faults import Faults
 
 
 class RigConfig(Spec, frozen=True, kw_only=True):
-    """What FILE.toml says of a rig. As it stands by default: the virtual wafer under a small camera.
+    """Configuration of a rig in FILE.toml; the default is the virtual wafer with a small camera.
 
-    faults: of the virtual rig, to see what a scan does about them.
+    faults: simulated faults of the virtual rig, to test the scan's response.
     """
 
     error: ClassVar[type[WaferViewerError]] = RigError
@@ -34,7 +34,7 @@ class RigConfig(Spec, frozen=True, kw_only=True):
 
 
 def open_virtual(config: RigConfig) -> Rig:
-    """The simulated rig."""
+    """Open the simulated rig."""
     from wafer_viewer.rigs.virtual.rig import VirtualRig
 
     return VirtualRig(
@@ -51,7 +51,7 @@ RIGS: dict[str, Callable[[RigConfig], Rig]] = {"virtual": open_virtual}
 
 
 def read_config(path: Path) -> RigConfig:
-    """The configuration in a TOML file; raises RigError with a sentence when it cannot be read."""
+    """Read the configuration from a TOML file. Raises RigError when it cannot be read."""
     try:
         text = path.read_text(encoding="utf-8")
     except (OSError, UnicodeDecodeError) as fault:
@@ -62,5 +62,5 @@ def read_config(path: Path) -> RigConfig:
 
 
 def open_rig(config: RigConfig) -> Rig:
-    """Switch a rig on. Raises RigError when it is not there."""
+    """Open a rig. Raises RigError when it is not available."""
     return RIGS[config.kind](config)

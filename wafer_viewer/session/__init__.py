@@ -1,1 +1,1 @@
-"""The operator's session: state, verbs, background work."""
+"""Operator session: state, commands and background work."""

@@ -1,4 +1,4 @@
-"""A seat at the session: what one browser may ask for. Looking is free, the controls are for the one who holds them."""
+"""Per-browser view of the session: reading is free, commands need control."""
 
 from __future__ import annotations
 
@@ -27,23 +27,24 @@ FREE = frozenset(
         *("defects.views.beside", "defects.views.die", "defects.views.repeats"),
     }
 )
-"""What everybody may: look, measure without keeping, write what there is to a file, and stop what moves.
+"""Names that any browser may use: read, measure without storing, export to a file, and stop motion.
 
-A name in a group of verbs is written with the group's, ``notebook.views``. Whatever is not named here moves the rig,
-or changes the plan, the dataset or the results.
+A name in a command group is prefixed with the group's name, ``notebook.views``. Every name not listed here moves the
+rig or changes the plan, the dataset or the results.
 """
 
 
 def seat(session: SessionApi, key: Callable[[], str]) -> SessionApi:
-    """The session as one browser may use it, `key` its key: it has all that the session has.
+    """Return the session as the browser with key `key` may use it.
 
-    Verbs that need the controls fail with a sentence for those who only watch.
+    It has all attributes of `session`. Commands that need control return a future that fails with ControlHeldError for
+    browsers that only watch.
     """
     return cast("SessionApi", _Seat(session, lambda: session.snapshot.hands.why_not(key()), ""))
 
 
 class _Seat:
-    """A session, or a group of its verbs; asks `why_not` before whatever is not free."""
+    """Proxy of a session or of one of its command groups; checks `why_not` before every name not in `FREE`."""
 
     def __init__(self, whole: Any, why_not: Callable[[], str | None], path: str) -> None:
         self._whole, self._why_not, self._path = whole, why_not, path

@@ -1,6 +1,6 @@
-"""Interface of the session as the page uses it: `Session` implements it, and so does every stand-in of the tests.
+"""Session interface that the page uses, implemented by `Session` and by the test doubles.
 
-The verbs are documented in `Session` and in the classes of its groups.
+The commands are documented in `Session` and in the classes of its groups.
 """
 
 from __future__ import annotations
@@ -41,7 +41,7 @@ from wafer_viewer.session.surface.comparison_commands import ComparingVerbs
 
 
 class SessionApi(Protocol):
-    """State, groups of verbs, and verbs; a verb that returns a future runs on the session's thread."""
+    """State, command groups and commands; a command that returns a future runs on the session's thread."""
 
     control: Control
     notebook: NotebookVerbs

@@ -1,4 +1,4 @@
-"""What follows from what: the parts of the session, and the verbs that need several of them."""
+"""Coordination of the session's parts, and the commands that need several of them."""
 
 from __future__ import annotations
 
@@ -39,7 +39,7 @@ from wafer_viewer.session.surface.reconstruction_queue import Reconstruction
 
 
 class SessionCoordinator:
-    """Everything here but the constructor and `close` happens on the session's thread."""
+    """Coordinator of the session; all methods except the constructor and `close` run on the session's thread."""
 
     def __init__(self, folder: Path, config: RigConfig, scheduler: str | None) -> None:
         self._folder = _made(folder)
@@ -68,7 +68,10 @@ class SessionCoordinator:
         self._asked = count(1)
 
     def start(self) -> None:
-        """Bring up the rig and look at what there is; the workers follow when they take no time from the first page."""
+        """Start the rig and list the available data.
+
+        The workers start later, so that they do not delay the first page.
+        """
         self.rig.start()
         self.defects.watch()
         self.desk.subscribe(lambda now: self.desk.note(self._load_sample) if _sample_of(now) != self._sample else None)
@@ -85,7 +88,7 @@ class SessionCoordinator:
             self.desk.subscribe(lambda now: self.reopening.keep(now, self.library.result_name))
 
     def close(self) -> None:
-        """Put the rig at rest and end all processes."""
+        """Bring the rig to rest and end all processes."""
         self.desk.close()
         self.reopening.close(self.desk.snapshot, self.library.result_name)
         self.judge.close()
@@ -95,7 +98,7 @@ class SessionCoordinator:
         self.library.let_go()
 
     def open(self, path: Path) -> Path:
-        """Open a dataset; what it lacks of its surface is made."""
+        """Open a dataset and compute the missing parts of its surface."""
         self.rig.require_idle("open another dataset")
         self.reconstruction.abandon()
         self.library.open(path)
@@ -105,7 +108,7 @@ class SessionCoordinator:
         return path
 
     def _reopen(self) -> None:
-        """Open what was open when the program ended. Raises DatasetError where that cannot be."""
+        """Reopen the dataset and plan of the last run. Raises DatasetError when that is not possible."""
         if (why := self.reopening.claim()) is not None:
             self.notices.fault("What is open here is not remembered", why, "open", needs_person=False)
             return
@@ -125,7 +128,7 @@ class SessionCoordinator:
             self.notices.fault(f"{self.library.shown.name} can only be read", why, "open", needs_person=False)
 
     def _look_at(self, result: str) -> None:
-        """Another result of the open dataset."""
+        """Show another result of the open dataset."""
         if result != self.library.result_name:
             self.reconstruction.abandon()
             self.library.show_result(result)
@@ -133,7 +136,7 @@ class SessionCoordinator:
             self._make_what_is_missing()
 
     def move_to(self, move: Move, n_stops: int | None = None) -> Future[None]:
-        """Move the stage, where it is known what lies on it."""
+        """Move the stage; the sample on it must be confirmed."""
         self.drafting.require_confirmed()
         return self.rig.move_to(move, n_stops)
 
@@ -145,7 +148,7 @@ class SessionCoordinator:
         self._open_books()
 
     def start_scan(self, name: str | None) -> Future[Path]:
-        """Take the plan into a new dataset."""
+        """Scan the plan into a new dataset."""
         from wafer_viewer.store.io.atomic_files import require_space
 
         self.rig.require_idle("start another")
@@ -156,7 +159,7 @@ class SessionCoordinator:
         return self._begin(Scan(path, plan, job))
 
     def continue_scan(self) -> Future[Path]:
-        """Take the frames that the open dataset lacks."""
+        """Scan the missing frames of the open dataset."""
         self.rig.require_idle("start another")
         self.drafting.require_confirmed()
         shown = self.library.shown
@@ -168,7 +171,7 @@ class SessionCoordinator:
         return self._begin(Scan(shown.path, shown.plan, shown.job, goes_on=True))
 
     def stop_scan(self) -> Future[None]:
-        """End the scan; done when it is over, at once where it is over already."""
+        """End the scan; the future is done when the scan is over, at once if none is running."""
         if not self.desk.now.scanning:
             over: Future[None] = Future()
             over.set_result(None)
@@ -177,13 +180,13 @@ class SessionCoordinator:
         return self._scan_over
 
     def stop(self, at_once: Future[bool]) -> Future[bool]:
-        """Stop in its turn what was asked for before a stop that went to the rig `at_once`, ahead of this thread."""
+        """Stop queued commands that precede a stop already sent to the rig directly (`at_once`)."""
         if self.desk.now.scanning:
             return self.desk.then(self.stop_scan(), lambda _: True)
         return self.desk.then(self.rig.break_off(), lambda anything: anything or at_once.result())
 
     def reconstruct(self, recipe: Recipe | None, result: str) -> Future[None]:
-        """Make all heights of the open dataset again."""
+        """Recompute all heights of the open dataset."""
         shown = self.library.shown
         if not shown.fields:
             raise DatasetError(f"{shown.name} is a surface without frames: there is nothing to reconstruct.")
@@ -200,12 +203,12 @@ class SessionCoordinator:
         return answer
 
     def focus_curve(self, x_um: float, y_um: float, show: int) -> Future[FocusCurve]:
-        """Have a worker say why a pixel has its height."""
+        """Compute the focus curve of a pixel on a worker."""
         asked = (self.library.dataset.path, self.library.result_name, show, x_um, y_um)
         return self.reconstruction.compute.run(f"why-{next(self._asked)}", focus_curve, *asked)
 
     def _open_books(self) -> None:
-        """What was measured on the surface being looked at, and what was noted down about it."""
+        """Open the stored results, notes, comparisons and defects of the displayed surface."""
         self.book.open()
         self.notebook.open()
         self.comparing.open()
@@ -226,7 +229,7 @@ class SessionCoordinator:
         return self.desk.then(begun, lambda _: self._scan_begun(scan.path))
 
     def _unless_begun(self, begun: Future[None]) -> None:
-        """The rig did not take the scan: what was open is ours again."""
+        """Take back the open dataset after the rig refused the scan."""
         if begun.exception() is None:
             return
         if self.desk.now.dataset is not None:
@@ -234,7 +237,7 @@ class SessionCoordinator:
         self._scan_over.set_result(None)
 
     def _scan_begun(self, path: Path) -> Path:
-        """The rig's process holds the dataset and takes frames: open it beside, and wait for fields."""
+        """Open the dataset that the rig process is writing, read-only, and queue its complete fields."""
         self.library.open(path, taking=True)
         self._open_books()
         shown = self.library.shown
@@ -244,7 +247,7 @@ class SessionCoordinator:
         return path
 
     def _load_sample(self) -> None:
-        """Have the sample of the plan on the stage, without a plan that of the open dataset."""
+        """Load the sample of the plan, or of the open dataset if there is no plan."""
         self._sample = _sample_of(self.desk.now)
         self.rig.load(self._sample)
 
@@ -266,7 +269,7 @@ class SessionCoordinator:
         self.reconstruction.add([number])
 
     def _scan_ended(self, event: ScanEnded | None) -> None:
-        """Also when the rig's process died: what is on disk counts."""
+        """Update the state after a scan, from the data on disk; the event is None when the rig process died."""
         self.library.scan_ended()
         self.reconstruction.no_more_frames()
         if (scan := self.desk.now.scan) is not None:
@@ -278,7 +281,7 @@ class SessionCoordinator:
         self._scan_over.set_result(None)
 
     def _make_what_is_missing(self) -> None:
-        """Fields without heights, a surface not stitched, numbers not known: as far as the dataset may be written."""
+        """Compute missing heights, mosaic and summary, as far as the dataset is writable."""
         shown, result = self.library.shown, self.library.result
         taken = [n for n, s in shown.states.items() if s is FieldState.TAKEN]
         if shown.read_only is None and (taken or (shown.stamps and not result.shows_all(shown.fields))):
@@ -300,7 +303,7 @@ def _sample_of(now: Snapshot) -> Sample | None:
 
 
 def _made(folder: Path) -> Path:
-    """The data folder, made at need."""
+    """Return the data folder as an absolute path; create it if it does not exist."""
     from wafer_viewer.store.io.atomic_files import writing
 
     if folder.exists() and not folder.is_dir():

@@ -1,4 +1,4 @@
-"""What may be asked of a session at any time and from any thread: the surface, its places, its pictures."""
+"""Session queries, from any thread at any time: surfaces, measurements and rendered pictures."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ if TYPE_CHECKING:
 
 
 class QueryApi:
-    """The half of a session that changes nothing; its painter comes up with the first picture."""
+    """Read-only part of a session; its render process starts with the first picture."""
 
     def __init__(self, questions: DatasetQueries) -> None:
         self._questions = questions
@@ -31,31 +31,34 @@ class QueryApi:
         self._painter_lock = threading.Lock()
 
     def mosaic(self) -> Mosaic:
-        """The stitched surface of the open dataset."""
+        """Return the stitched surface of the open dataset."""
         return self._questions.mosaic()
 
     def height_map(self, field: int) -> HeightMap:
-        """The surface of one field."""
+        """Return the surface of one field."""
         return self._questions.height_map(field)
 
     def surface_source(self, show: int) -> Mosaic:
-        """What a browser shows: 0 the stitched surface, else the field of that number."""
+        """Return the displayed surface: 0 the stitched one, above 0 the field of that number, below 0 a comparison."""
         return self._questions.surface_source(show)
 
     def poses(self) -> Poses | None:
-        """Where the fields of the stitched surface lie and what their overlaps said; None where only the stage did."""
+        """Return the field poses and overlap measurements of the stitched surface.
+
+        None if only stage positions were used.
+        """
         return self._questions.poses()
 
     def frame(self, field: int, k: int) -> Image:
-        """One frame of a field, as it was stored."""
+        """Return one frame of a field, as it was stored."""
         return self._questions.frame(field, k)
 
     def frame_near(self, field: int, z_um: float) -> Image:
-        """The frame of a field that was taken nearest to a z, as it was stored."""
+        """Return the frame of a field nearest to a z, as it was stored."""
         return self._questions.frame_near(field, z_um)
 
     def thumbnail(self, number: int) -> bytes | None:
-        """The small picture, JPEG, that was kept with a result."""
+        """Return the thumbnail of a result, JPEG; None if there is none."""
         return self._questions.thumbnail(number)
 
     def measure(
@@ -66,23 +69,23 @@ class QueryApi:
         levelling: Levelling | None = None,
         options: ToolOptions | None = None,
     ) -> AnyResult:
-        """What a tool finds at its places, heights read from the stage's zero or as levelled."""
+        """Return the result of a measuring tool at its regions, heights relative to the stage's zero or levelled."""
         return self._questions.measuring.measure(tool, places, show, levelling, options)
 
     def datum(self, levelling: Levelling, show: int = 0) -> Datum:
-        """The zero that a way of levelling lays through what is shown."""
+        """Return the datum of a levelling on the displayed surface."""
         return self._questions.measuring.datum(levelling, show)
 
     def profile(self, line: Region, show: int = 0, levelling: Levelling | None = None) -> tuple[Profile, ProfileCurve]:
-        """A section along a line."""
+        """Return a section along a line."""
         return self._questions.measuring.profile(line, show, levelling)
 
     def read_out(self, x_um: float, y_um: float, show: int = 0) -> ReadOut:
-        """The surface at a point."""
+        """Return the surface at a point."""
         return self._questions.read_out(x_um, y_um, show)
 
     def paint(self, request: RenderRequest) -> Future[bytes]:
-        """A picture tile, made in a process of its own."""
+        """Render an image tile, in a separate process."""
         from wafer_viewer.session.rendering.render_process import Painter
 
         with self._painter_lock:

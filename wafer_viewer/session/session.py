@@ -1,6 +1,6 @@
-"""The operator's session: what the page and the command line ask for, one verb after the other on one thread.
+"""Operator session: the commands of the page and the command line, executed in order on one thread.
 
-State is a frozen `Snapshot`; every verb returns a future, and a `WaferViewerError` comes out of its ``result()``.
+The state is a frozen `Snapshot`. Every command returns a future, whose ``result()`` raises `WaferViewerError`.
 """
 
 from __future__ import annotations
@@ -39,12 +39,12 @@ from wafer_viewer.session.surface.comparison_commands import ComparingVerbs
 
 
 class Session(QueryApi):
-    """One rig, one data folder, one open dataset, shared by all browsers.
+    """Session with one rig, one data folder and one open dataset, shared by all browsers.
 
-    rig: None stands for the virtual wafer. scheduler: a dask cluster that runs already, else one of our own is started.
-    browse: folders that a file dialog may show beside the data folder and the home folder.
-    The constructor returns at once; the rig and the workers come up meanwhile. Raises DatasetError when the data
-    folder is not there and cannot be made, or one of `browse` is not a folder.
+    rig: None means the virtual wafer. scheduler: a running dask cluster; by default an own one is started. browse:
+    folders that a file dialog may show, in addition to the data folder and the home folder. The constructor returns at
+    once; the rig and the workers start in the background. Raises DatasetError when the data folder does not exist and
+    cannot be created, or one of `browse` is not a folder.
     """
 
     def __init__(
@@ -77,24 +77,27 @@ class Session(QueryApi):
 
     @property
     def snapshot(self) -> Snapshot:
-        """The newest state."""
+        """Latest state."""
         return self._desk.snapshot
 
     @property
     def latest_frame(self) -> LatestFrame | None:
-        """The latest frame of the running scan, or of the last one."""
+        """Latest frame of the running scan, or of the last one."""
         return self._rooms.rig.latest_frame
 
     def subscribe(self, listener: Callable[[Snapshot], None]) -> Callable[[], None]:
-        """Call `listener` on the session's thread after changes, at most ten times a second; returns how to leave."""
+        """Call `listener` on the session's thread after changes, at most ten times a second.
+
+        Return the unsubscribe function.
+        """
         return self._desk.subscribe(listener)
 
     def wait_until(self, condition: Callable[[Snapshot], bool], timeout_s: float = 60.0) -> Snapshot:
-        """Wait, on another thread than the session's, for a snapshot of which `condition` holds, or a TimeoutError."""
+        """Wait, on a thread other than the session's, until `condition` holds for a snapshot. Raises TimeoutError."""
         return self._desk.wait_until(condition, timeout_s)
 
     def close(self) -> None:
-        """Put the rig at rest and end all processes; twice does no harm."""
+        """Bring the rig to rest and end all processes; can be called twice."""
         atexit.unregister(self.close)
         self._rooms.close()
         self.browsing.close()
@@ -104,79 +107,88 @@ class Session(QueryApi):
     # ------------------------------------------------------------------- plan
 
     def edit_job(self, job: Job | None) -> Future[None]:
-        """Another plan; it is priced at once."""
+        """Set the plan; its scan time and size are calculated at once."""
         return self._do(self._rooms.drafting.edit, job)
 
     def keep_typed(self, typed: Typed | None) -> Future[None]:
-        """What stands on the plan's form and makes no plan yet; None when it makes one again."""
+        """Store input of the plan form that makes no plan yet; None when the input is a plan again."""
         return self._do(self._rooms.drafting.keep_typed, typed)
 
     def undo(self) -> Future[None]:
-        """The plan before."""
+        """Undo the last edit of the plan."""
         return self._do(self._rooms.drafting.undo)
 
     def redo(self) -> Future[None]:
-        """The plan that was undone."""
+        """Redo the last undone edit of the plan."""
         return self._do(self._rooms.drafting.redo)
 
     def cover_sample(self) -> Future[None]:
-        """A grid of as many fields as cover the sample."""
+        """Set the grid to cover the sample."""
         return self._do(self._rooms.drafting.cover_sample)
 
     def centre_on_stage(self) -> Future[None]:
-        """The grid round where the stage stands."""
+        """Centre the grid on the current stage position."""
         return self._do(self._rooms.drafting.centre_on_stage)
 
     def take_tour(self) -> Future[None]:
-        """A filled-in plan for the virtual sample."""
+        """Load a complete plan for the virtual sample."""
         return self._do(self._rooms.drafting.take_tour)
 
     def load_plan(self, path: Path) -> Future[None]:
-        """The plan in a PLAN.toml."""
+        """Load the plan in a PLAN.toml."""
         return self._do(self._rooms.drafting.load, Path(path))
 
     def save_plan(self, path: Path | None = None) -> Future[Path]:
-        """Write the plan, beside the datasets when no path is given."""
+        """Write the plan, next to the datasets if no path is given."""
         return self._do(self._rooms.drafting.save, path)
 
     # -------------------------------------------------------------------- rig
 
     def move_to(self, x_um: float | None = None, y_um: float | None = None, z_um: float | None = None) -> Future[None]:
-        """Move the stage; done on arrival, or with MotionStopped."""
+        """Move the stage; the future is done on arrival, or fails with MotionStopped."""
         return self._do(self._rooms.move_to, Move(x_um, y_um, z_um), self._rooms.rig.n_stops)
 
     def start_scan(self, name: str | None = None) -> Future[Path]:
-        """Take the plan into a new dataset, which is then the open one; done once it has begun."""
+        """Scan the plan into a new dataset, which is then the open one.
+
+        The future is done once the scan has started.
+        """
         return self._do(self._rooms.start_scan, name)
 
     def continue_scan(self) -> Future[Path]:
-        """Take what is missing in the open dataset; done once it has begun."""
+        """Scan the missing frames of the open dataset; the future is done once the scan has started."""
         return self._do(self._rooms.continue_scan)
 
     def pause(self) -> Future[None]:
-        """Halt at the end of this pass."""
+        """Pause at the end of the current pass."""
         return self._do(self._rooms.rig.pause)
 
     def resume(self) -> Future[None]:
-        """Go on after a pause."""
+        """Resume after a pause."""
         return self._do(self._rooms.rig.resume)
 
     def stop(self) -> Future[bool]:
-        """Stop every motion now, a scan's too; done at rest: False if nothing moved. This is no emergency stop."""
+        """Stop all motion at once, including a scan's; the result at rest is False if nothing moved.
+
+        This is no emergency stop.
+        """
         return self._do(self._rooms.stop, self._rooms.rig.stop_at_once())
 
     def stop_scan(self) -> Future[None]:
-        """End the scan; done when the rig is at rest, at once without a scan. This is no emergency stop."""
+        """End the scan; the future is done when the rig is at rest, at once without a scan.
+
+        This is no emergency stop.
+        """
         return self._do(self._rooms.stop_scan)
 
     # --------------------------------------------------------------- datasets
 
     def refresh_datasets(self) -> Future[None]:
-        """List the data folder anew."""
+        """List the data folder again."""
         return self._do(self._rooms.library.refresh)
 
     def open_dataset(self, path: Path) -> Future[None]:
-        """Open a dataset; what it lacks of its surface is made."""
+        """Open a dataset and compute the missing parts of its surface."""
         return self._do(self._rooms.open, Path(path))
 
     def close_dataset(self) -> Future[None]:
@@ -195,9 +207,10 @@ class Session(QueryApi):
         numerical_aperture: float | None = None,
         wavelength_um: float | None = None,
     ) -> Future[Path]:
-        """Make a dataset of images taken elsewhere, open and reconstruct it; done when it is open.
+        """Import images from another instrument into a dataset, open and reconstruct it.
 
-        numerical_aperture: of the objective, in air; None: not known. wavelength_um: None stands for 0.55 um.
+        The future is done when it is open. numerical_aperture: of the objective, in air; None: unknown. wavelength_um:
+        None means 0.55 um.
         """
         options = {
             "z_step_um": z_step_um,
@@ -211,45 +224,45 @@ class Session(QueryApi):
         return self._desk.then(made, self._rooms.open)
 
     def reconstruct(self, recipe: Recipe | None = None, result: str = DEFAULT_RESULT) -> Future[None]:
-        """Make all heights of the open dataset again and stitch them; done when the surface is there."""
+        """Recompute all heights of the open dataset and stitch them; the future is done when the surface exists."""
         return self._do(self._rooms.reconstruct, recipe, result)
 
     def cancel(self, work_id: str) -> Future[None]:
-        """Stop a background work."""
+        """Cancel a background work item."""
         return self._do(self._rooms.notices.cancel, work_id)
 
     def dismiss(self, fault_id: str) -> Future[None]:
-        """Take a fault off the list."""
+        """Remove a fault from the list."""
         return self._do(self._rooms.notices.dismiss, fault_id)
 
     # ---------------------------------------------------------------- results
 
     def keep(self, finding: AnyResult, thumbnail: bytes | None = None) -> Future[AnyResult]:
-        """Number, name and keep a measurement, with a small picture of the place, JPEG."""
+        """Add a result with a number and a name, with a thumbnail of its region, JPEG."""
         return self._do(self._rooms.book.keep, finding, thumbnail)
 
     def rename(self, number: int, name: str) -> Future[None]:
-        """Another name for a result."""
+        """Rename a result."""
         return self._do(self._rooms.book.rename, number, name)
 
     def delete(self, number: int) -> Future[None]:
-        """Take a result off the list."""
+        """Delete a result."""
         return self._do(self._rooms.book.delete, number)
 
     def undo_findings(self) -> Future[None]:
-        """The list of results before."""
+        """Undo the last change of the results list."""
         return self._do(self._rooms.book.undo)
 
     def redo_findings(self) -> Future[None]:
-        """The list of results that was undone."""
+        """Redo the last undone change of the results list."""
         return self._do(self._rooms.book.redo)
 
     def export_surface(
         self, path: Path, field: int | None = None, every: int | None = None, part: Region | None = None
     ) -> Future[Path]:
-        """Write the stitched surface, or a field's, as the file that the ending names, every n-th pixel of it.
+        """Write the stitched surface, or a field's, in the format of the file ending, with every n-th pixel.
 
-        part: only what lies in the upright rectangle round this region.
+        part: only the upright rectangle around this region.
         """
         return self._do(self._rooms.files.export_surface, Path(path), field, every, part)
 
@@ -258,5 +271,8 @@ class Session(QueryApi):
         return self._do(self._rooms.book.export, Path(path))
 
     def focus_curve(self, x_um: float, y_um: float, show: int = 0) -> Future[FocusCurve]:
-        """Why a pixel has its height, by a field's focus curve; show 0 asks the nearest field with the place."""
+        """Return the focus curve that determines the height of a pixel.
+
+        Show 0 uses the field with the nearest centre.
+        """
         return self._do(self._rooms.focus_curve, x_um, y_um, show)

@@ -1,8 +1,8 @@
-"""What is open is open again after a restart: the dataset, its result, and the plan, finished or not.
+"""Session restore: reopens the dataset, its result and the plan, finished or not, after a restart.
 
-It is kept in ``.wafer-viewer/session.json`` of the data folder. A file that is damaged or of another version costs
-the memory, never the start. It belongs to one program at a time, held as a dataset is (store/lock.py): a second one on
-the same folder begins with nothing open and leaves the first one's memory alone.
+The state is stored in ``.wafer-viewer/session.json`` of the data folder. If the file is damaged or of another version,
+the program starts with nothing open. One program at a time owns it by a lock, like a dataset (store/lock.py): a second
+one on the same folder starts with nothing open and does not change the first one's file.
 """
 
 from __future__ import annotations
@@ -26,13 +26,13 @@ if TYPE_CHECKING:
 KEPT_IN, NAME = ".wafer-viewer", "session.json"
 VERSION = 1
 REST_S = 0.5
-"""Written when nothing has changed for so long."""
+"""Time in seconds without changes after which the file is written."""
 LARGEST_BYTES = 20_000_000
 log = logging.getLogger(__name__)
 
 
 class RestorePoint(msgspec.Struct, frozen=True, kw_only=True, omit_defaults=True):
-    """What was open: the dataset's path and which result of it, the plan, what was typed of one that is none yet."""
+    """Stored session state: dataset path and result name, the plan, and plan input that makes no plan yet."""
 
     version: int
     dataset: str | None = None
@@ -42,16 +42,16 @@ class RestorePoint(msgspec.Struct, frozen=True, kw_only=True, omit_defaults=True
 
     @property
     def is_empty(self) -> bool:
-        """Whether nothing was open."""
+        """True if nothing was open."""
         return self.dataset is None and self.job is None and self.typed is None
 
     def plan(self) -> Job | None:
-        """The job. Raises PlanError when it is none of this version."""
+        """Return the job. Raises PlanError when it is not of this version."""
         return None if self.job is None else decode(msgspec.json.encode(self.job), Job, "The plan", "json")
 
 
 def kept_of(snapshot: Snapshot, result: str) -> RestorePoint:
-    """What is to be open again of a snapshot; `result` is the name of the result being looked at."""
+    """Return the restore point of a snapshot; `result` is the name of the displayed result."""
     draft, data = snapshot.draft, snapshot.dataset
     return RestorePoint(
         version=VERSION,
@@ -63,9 +63,9 @@ def kept_of(snapshot: Snapshot, result: str) -> RestorePoint:
 
 
 class SessionRestore:
-    """The file: read once at the start, written whenever what is open has changed and then rested.
+    """Restore file: read once at the start, written after each change with a short delay.
 
-    It is told of changes on one thread, and writes on others. What was not claimed is not written.
+    Changes are reported on one thread, and written on others. A file that was not claimed is not written.
     """
 
     def __init__(self, folder: Path) -> None:
@@ -77,9 +77,9 @@ class SessionRestore:
         self._held: Lock | None = None
 
     def claim(self) -> str | None:
-        """Hold the file until the end; returns why not, as a sentence to show, where another program holds it.
+        """Lock the file until the end; return the reason as a sentence if another program holds it.
 
-        A folder that cannot be written to is no reason: what is open is not remembered then, as the log says.
+        A folder that cannot be written to is no reason; the state is then not stored, and the log says so.
         """
         from wafer_viewer.store.dataset.lock import Lock, holder_of
         from wafer_viewer.store.io.atomic_files import writing
@@ -96,9 +96,9 @@ class SessionRestore:
         return None
 
     def read(self) -> RestorePoint:
-        """What was open when the program ended last; empty at the first start.
+        """Return the state at the end of the last run; empty at the first start.
 
-        Raises DatasetError, with the sentence to show, where the file is none that this program can read.
+        Raises DatasetError, with the sentence to show, if the file cannot be read.
         """
         try:
             kept = msgspec.json.decode(_small(self._path), type=RestorePoint)
@@ -115,7 +115,7 @@ class SessionRestore:
         return kept
 
     def keep(self, snapshot: Snapshot, result: str) -> None:
-        """Write soon what is open, if that is anything new."""
+        """Schedule writing the state if it has changed."""
         if self._held is None:
             return
         draft, data = snapshot.draft, snapshot.dataset
@@ -130,7 +130,7 @@ class SessionRestore:
         self._timer.start()
 
     def write(self) -> None:
-        """Write now what waits to be written."""
+        """Write the pending state now."""
         from wafer_viewer.store.io.atomic_files import write_text
 
         with self._writing:
@@ -143,7 +143,7 @@ class SessionRestore:
                 log.warning("What is open is not remembered: %s", fault)
 
     def close(self, snapshot: Snapshot, result: str) -> None:
-        """Write how it is at the end, and let another program have the file."""
+        """Write the final state, and release the file."""
         if not snapshot.reopening:
             self.keep(snapshot, result)
         if self._timer is not None:
@@ -155,7 +155,7 @@ class SessionRestore:
 
 
 def _taken(folder: Path, holder: Holder) -> str:
-    """Why the memory of a data folder is another program's; a lock of another machine may be one of a dead program."""
+    """Return why another program owns the restore file; a lock of another machine may be stale."""
     dead = "" if holder.host == socket.gethostname() else f" If that one is gone, delete {folder / 'lock'}."
     return (
         f"Another Wafer Viewer ({holder}) works in {folder.parent} and remembers there what it has open. "

@@ -1,1 +1,1 @@
-"""What is on disk: datasets, journals, mosaics; and the ways in and out."""
+"""Persistence: datasets, journals, mosaics, and file import and export."""

@@ -1,4 +1,4 @@
-"""The legend of the surface as HTML: colour bar, ticks, and the histogram of the values beside it."""
+"""Colour legend of the surface as HTML: colour bar, ticks, and histogram of the values."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from wafer_viewer.model.surface.height_map import ORIGIN_TITLES
 
 _HISTOGRAM_PX = 44
 _LONG_TITLE = 12
-"""Longer ones are written smaller: the bar has no room beside it."""
+"""Title length in characters above which a smaller font is used."""
 _BAR_PX = 19
 LINE_PX = 20
 NOT_MEASURED_CSS = "repeating-linear-gradient(45deg,var(--ink3) 0 1px,transparent 1px 4px)"
@@ -32,10 +32,11 @@ def colour_bar_html(
     signed: bool = True,
     elsewhere: str = "",
 ) -> str:
-    """Bar from low to high, `counts` in equal bins between them (drawn as roots: rare values stay visible).
+    """Return the colour bar from low to high, with the histogram `counts` in equal bins between them.
 
-    124 px wide and `height_px` + 78 high, in the page's custom properties; `title` is escaped. `elsewhere` says what
-    the surface's grey means, in a line more of `LINE_PX`.
+    The bars are square roots of the counts, so that rare values stay visible. The legend is 124 px wide and `height_px`
+    + 78 high, and uses the page's custom properties; `title` is escaped. `elsewhere` explains the grey of the surface
+    in an additional line of `LINE_PX`.
     """
     foot_px = LINE_PX if elsewhere else 0
     title_px = 13.5 if len(title) <= _LONG_TITLE else 12
@@ -54,7 +55,7 @@ def colour_bar_html(
 
 
 def origin_legend_html(shares: dict[int, float]) -> str:
-    """The legend of `origin`: what is on the surface, with its share of the pixels."""
+    """Return the legend of `origin`: the codes that occur on the surface; shares are fractions of the pixels."""
     rows = "".join(
         f'<div style="display:flex;gap:7px;align-items:center;white-space:nowrap">'
         f'<i style="width:13px;height:10px;background:rgb{ORIGIN_COLOURS[origin]}!important;display:inline-block"></i>'
@@ -66,7 +67,7 @@ def origin_legend_html(shares: dict[int, float]) -> str:
 
 
 def not_measured_html(style: str = "") -> str:
-    """The legend's line for holes."""
+    """Return the legend line for holes."""
     return (
         f'<div style="font-size:12px;color:var(--ink2);display:flex;gap:6px;align-items:center;{style}">'
         f'<i style="width:13px;height:10px;border:1.5px solid var(--ink3);display:inline-block;'

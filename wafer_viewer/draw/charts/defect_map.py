@@ -1,7 +1,7 @@
-"""The dies of an inspection: what became of each, and how many defects lie on it or of what class, as SVG. Pure.
+"""Die map of an inspection as SVG: state of each die, with its defect count or class. Pure.
 
-Colours of states are custom properties (``--fault``, ``--good`` …) of whoever shows it. Every state has lines of its
-own beside its colour.
+State colours are custom properties (``--fault``, ``--good`` …) of the embedding page. Every state also has its own
+hatching.
 """
 
 from __future__ import annotations
@@ -19,7 +19,7 @@ from wafer_viewer.model.inspection.defect import Inspection
 from wafer_viewer.model.inspection.die_grid import DieGrid, DieStatus
 
 Segment = tuple[tuple[float, float], tuple[float, float]]
-"""From one place on a die to another, in shares of its width and height from the lower left corner."""
+"""Line on a die between two points, as fractions of its width and height from the lower left corner."""
 _LOWER: tuple[Segment, ...] = (((0, 0.33), (0.33, 0)), ((0, 0.67), (0.67, 0)), ((0, 1), (1, 0)))
 _UPPER: tuple[Segment, ...] = (((0.33, 1), (1, 0.33)), ((0.67, 1), (1, 0.67)))
 _CROSS: tuple[Segment, ...] = (((0, 0), (1, 1)), ((0, 1), (1, 0)))
@@ -28,7 +28,7 @@ WITH_DEFECTS = "with defects"
 
 @dataclass(frozen=True, slots=True)
 class DieLook:
-    """How a die of one kind is drawn: ink, how strongly it is filled, dashes, the lines across it and their name."""
+    """Drawing style of a die state: ink, fill opacity, dashes, hatch lines and their name."""
 
     ink: str
     opacity: float = 0.0
@@ -46,12 +46,12 @@ DIE_LOOKS: dict[str, DieLook] = {
     "not scanned": DieLook("ink3", 0.0, True, (*_LOWER, *_UPPER), "hatched"),
     "missing": DieLook("ink3", 0.0, False, _CROSS, "crossed"),
 }
-"""By what became of a die; in the order of a legend."""
+"""Styles by die state, in the order of the legend."""
 
 
 @dataclass(frozen=True, slots=True)
 class DieFill:
-    """What a die is filled with beside its state: a CSS colour, how strongly, and what is written on it."""
+    """Fill of a die in addition to its state: CSS colour, opacity, and label."""
 
     colour: str
     opacity: float
@@ -59,31 +59,31 @@ class DieFill:
 
 
 _MARGIN_SHARE, _ZOOM_UNDER = 0.03, 0.45
-"""Dies that take less than that share of the sample are drawn enlarged, without its outline."""
+"""Margin as a share of the map; share of the sample below which the dies are enlarged, without its outline."""
 _LEAST_FOR_NUMBER_PX, _LEAST_FOR_LINES_PX = 9, 6
 
 
 def kind_of(die: DieStatus) -> str:
-    """What became of a die: one of `DIE_LOOKS`."""
+    """Return the state of a die: a key of `DIE_LOOKS`."""
     if die.state != "whole":
         return die.state
     return WITH_DEFECTS if die.defects else die.word.split(",")[0]  # after it: what a clean die was not looked at for
 
 
 def kinds_of(dies: Sequence[DieStatus]) -> dict[str, int]:
-    """How many dies there are of each kind that there is."""
+    """Return the number of dies in each state that occurs."""
     there = Counter(map(kind_of, dies))
     return {kind: there[kind] for kind in DIE_LOOKS if there[kind]}
 
 
 def kinds_text(dies: Sequence[DieStatus]) -> str:
-    """How many dies there are of each kind, and by what it is known on the map, in words."""
+    """Return the number of dies in each state, with the name of its hatching, as text."""
     told = ((n, kind, DIE_LOOKS[kind].told) for kind, n in kinds_of(dies).items())
     return ", ".join(f"{n} {kind}{f' ({how})' if how else ''}" for n, kind, how in told)
 
 
 def fills_by_count(counts: Mapping[str, int], colour: str = "var(--fault)") -> dict[str, DieFill]:
-    """Dies, by name, the stronger the more defects lie on them, with the number."""
+    """Return fills by die name: the opacity increases with the number of defects, which is the label."""
     most = max(counts.values(), default=0)
     return {name: DieFill(colour, 0.1 + 0.4 * n / most, f"{n}") for name, n in counts.items() if n}
 
@@ -91,7 +91,7 @@ def fills_by_count(counts: Mapping[str, int], colour: str = "var(--fault)") -> d
 def die_frame(
     inspection: Inspection, outline_um: Outline = (), *, width_px: int = 300, most_height_px: int = 300
 ) -> MapViewport | None:
-    """Where stage um lie in the map of the dies; None without dies. It holds the sample where the dies fill most."""
+    """Return the viewport of the die map, None without dies; it contains the sample if the dies fill most of it."""
     grid, dies = inspection.grid, inspection.dies
     if grid is None or not dies:
         return None
@@ -113,9 +113,9 @@ def die_shapes(
     outline_um: Outline = (),
     chosen: str = "",
 ) -> str:
-    """The dies where they lie on the stage, as pieces of SVG; the one named `chosen` has a heavy edge.
+    """Return the dies at their stage positions as SVG elements; the one named `chosen` has a heavy edge.
 
-    Each bears its name and what became of it; of more than `MOST_SINGLE` those of one look are one shape.
+    Each has its name and state as a title. Above `MOST_SINGLE` dies, those of the same style are one shape.
     """
     grid, dies = inspection.grid, inspection.dies
     if grid is None or not dies:
@@ -130,7 +130,7 @@ def die_shapes(
 
 
 def defect_map_svg(inspection: Inspection, *, width_px: int = 300, most_height_px: int = 300) -> str:
-    """The dies by how many defects lie on each, for reports. Empty without dies."""
+    """Return the die map coloured by defect count, for reports; empty without dies."""
     frame = die_frame(inspection, width_px=width_px, most_height_px=most_height_px)
     if frame is None:
         return ""
@@ -142,19 +142,19 @@ def defect_map_svg(inspection: Inspection, *, width_px: int = 300, most_height_p
 
 
 def look_svg(kind: str, side_px: int = 14) -> str:
-    """A die of a kind as a drawing of its own, for legends."""
+    """Return the legend symbol of a die state."""
     die = _DieShape((side_px - 3.0, 0.0), (0.0, 3.0 - side_px))
     drawn = die.drawn([(1.5, side_px - 1.5)], DIE_LOOKS[kind])
     return f'<svg width="{side_px}" height="{side_px}" aria-hidden="true" style="vertical-align:-2px">{drawn}</svg>'
 
 
 Place = tuple[float, float]
-"""Of a die's lower left corner in the picture, px."""
+"""Lower left corner of a die in the image, px."""
 
 
 @dataclass(frozen=True, slots=True)
 class _DieShape:
-    """What all dies of a lattice share: their lower and their left edge in the picture, px."""
+    """Lower and left edge vectors of the dies of a lattice in the image, px."""
 
     across: Place
     up: Place
@@ -181,7 +181,7 @@ class _DieShape:
         return "".join(f"M{a[0]:.1f} {a[1]:.1f}L{b[0]:.1f} {b[1]:.1f}" for a, b in ends)
 
     def drawn(self, places: Sequence[Place], look: DieLook, fill: DieFill | None = None) -> str:
-        """Dies of one look, as one shape, with the lines across them where there is room."""
+        """Return dies of one style as one shape, with hatching if there is enough space."""
         ink = f"var(--{look.ink})"
         colour, opacity = (fill.colour, fill.opacity) if fill is not None else (ink, look.opacity)
         dashes = ' stroke-dasharray="3 2"' if look.dashed else ""
@@ -233,14 +233,14 @@ def _places(frame: MapViewport, grid: DieGrid, dies: Sequence[DieStatus]) -> lis
 
 
 def _corners(grid: DieGrid, dies: Sequence[DieStatus]) -> tuple[np.ndarray, np.ndarray]:
-    """x and y, um, of the four corners of all dies."""
+    """Return x and y, um, of the four corners of all dies."""
     u, v = grid.width_um * np.array([0, 1, 1, 0]), grid.height_um * np.array([0, 0, 1, 1])
     cols, rows = np.array([die.col for die in dies])[:, None], np.array([die.row for die in dies])[:, None]
     return grid.to_stage(cols, rows, u, v)
 
 
 def _share(box: tuple[float, float, float, float], outline_um: Outline) -> float:
-    """The larger of the shares of width and height that a box takes of an outline."""
+    """Return the larger of the fractions of width and height that a box takes of an outline."""
     xs, ys = [x for x, _ in outline_um], [y for _, y in outline_um]
     across, up = max(xs) - min(xs), max(ys) - min(ys)
     return max((box[2] - box[0]) / max(across, 1e-9), (box[3] - box[1]) / max(up, 1e-9))

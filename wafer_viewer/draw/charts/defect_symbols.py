@@ -1,4 +1,4 @@
-"""How the classes of defects are told apart, on the page and in reports: name, colour, shape, and the page's key."""
+"""Symbols of the defect classes on the page and in reports: name, colour, shape, and keyboard key."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from wafer_viewer.model.inspection.defect import DefectClass
 
 @dataclass(frozen=True, slots=True)
 class ClassSymbol:
-    """A class of defects: its name, colour and shape, and the key that puts a defect into it."""
+    """Defect class symbol: name, colour and shape, and the key that assigns the class."""
 
     title: str
     colour: str
@@ -28,6 +28,8 @@ KINDS: dict[DefectClass, ClassSymbol] = {
     "tilted die": ClassSymbol("Tilted die", "#855D59", "slant", "8"),
     "unmeasured": ClassSymbol("Unmeasured", "#8E9860", "cross", "9"),
 }
-"""No two are nearer than 10 (CIEDE2000), to red-blind and green-blind eyes either, and all stand out 3 : 1 from a light
-and from a dark page; which class it is is told by the shape as well.
+"""Symbols by defect class.
+
+All pairs of colours differ by at least 10 (CIEDE2000), also with protanopia and deuteranopia, and all have a contrast
+of at least 3 : 1 to light and dark pages; the shape identifies the class as well.
 """

@@ -1,6 +1,6 @@
-"""The dies of a wafer coloured by their word, as SVG for the page and for reports. Pure.
+"""Die map of a wafer as SVG, coloured by verdict, for the page and for reports. Pure.
 
-Colours are custom properties (``--good``, ``--fault`` …) of whoever shows it; each word has a sign as well.
+Colours are custom properties (``--good``, ``--fault`` …) of the embedding page; each verdict has a sign as well.
 """
 
 from __future__ import annotations
@@ -18,7 +18,7 @@ INKS: dict[Word, tuple[str, str]] = {
     "inconclusive": ("attention", "?"),
     "no verdict": ("ink3", "–"),
 }
-"""Colour and sign of each word."""
+"""Colour and sign of each verdict."""
 _ROUND_SHARE = 0.02
 _LEAST_FOR_SIGN_PX = 9
 
@@ -26,9 +26,9 @@ _LEAST_FOR_SIGN_PX = 9
 def die_map_svg(
     dies: Sequence[JudgedDie], across_um: float = 0.0, *, width_px: int = 276, most_height_px: int = 236
 ) -> str:
-    """The dies where they lie on the wafer, whose notch points down; across_um: of its round outline, 0 without one.
+    """Return the dies at their wafer positions, notch down; across_um: diameter of the wafer, 0 without outline.
 
-    The outline is drawn where the dies take enough of it to be told apart.
+    The outline is drawn if the dies take enough of it to be distinguishable.
     """
     frame = _frame(dies, across_um, width_px, most_height_px)
     outline = _outline(frame, across_um) if _shows_wafer(dies, across_um) else ""
@@ -40,7 +40,7 @@ def die_map_svg(
 
 
 def _frame(dies: Sequence[JudgedDie], across_um: float, width_px: int, most_height_px: int) -> MapViewport:
-    """A frame that holds the dies, and the wafer where it is drawn."""
+    """Return a viewport that contains the dies, and the wafer if it is drawn."""
     half = across_um / 2 if _shows_wafer(dies, across_um) else 0.0
     x0, y0, x1, y1 = _bounds(dies)
     x0, y0, x1, y1 = (min(x0, -half), min(y0, -half), max(x1, half), max(y1, half)) if half else (x0, y0, x1, y1)

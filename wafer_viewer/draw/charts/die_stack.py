@@ -1,6 +1,6 @@
-"""All dies overlaid as SVG: their defects by class over the picture of a die, rings where a place repeats. Pure.
+"""Overlay of all dies as SVG: their defects by class over the image of a die, with rings at repeaters. Pure.
 
-Colours of lines and words are custom properties (``--ink``, ``--line`` …) of whoever shows it.
+Colours of lines and text are custom properties (``--ink``, ``--line`` …) of the embedding page.
 """
 
 from __future__ import annotations
@@ -15,9 +15,9 @@ from wafer_viewer.model.inspection.repeating_defect import RepeatedPlace
 from wafer_viewer.model.region import Region
 
 Attributes = Callable[[str, object], str]
-"""What makes a part of the drawing a button: from what is picked, and its key."""
+"""Function that returns the HTML attributes of a clickable part, from its kind and its key."""
 MOST_MARKS = 1500
-"""More are no drawing any more; those of repeated places come first."""
+"""Greatest number of drawn defects; those of repeated places have priority."""
 _MARGIN_PX, _MARK_PX, _LEAST_RING_PX = 10.0, 3.6, 9.0
 
 
@@ -32,7 +32,7 @@ def die_stack_svg(
     place: int | None = None,
     attributes: Attributes = lambda what, key: "",
 ) -> str:
-    """The die with what was found on all of them; empty without dies. chosen: a defect's number, place: of `places`."""
+    """Return the overlay of all dies; empty without dies. chosen: a defect number, place: index in `places`."""
     grid = inspection.grid
     if grid is None:
         return ""
@@ -41,7 +41,7 @@ def die_stack_svg(
     width, height = grid.width_um * scale, grid.height_um * scale
 
     def at(u_um: float, v_um: float) -> tuple[float, float]:
-        """Beyond the die, in its street, marks stay at its edge."""
+        """Return the image position; marks outside the die are clamped to its margin."""
         x, y = _MARGIN_PX + u_um * scale, _MARGIN_PX + height - v_um * scale
         return min(max(x, 2.0), width + 2 * _MARGIN_PX - 2), min(max(y, 2.0), height + 2 * _MARGIN_PX - 2)
 
@@ -60,7 +60,7 @@ def die_stack_svg(
 
 
 def shown(inspection: Inspection, places: Sequence[RepeatedPlace]) -> list[Defect]:
-    """The defects that are drawn, those of repeated places last, so that they lie above."""
+    """Return the drawn defects, those of repeated places last, so that they are on top."""
     repeated = {number for place in places for number in place.numbers}
     on_dies = [defect for defect in inspection.found if defect.in_die is not None and defect.die]
     some = sorted(on_dies, key=lambda defect: (defect.number not in repeated, -defect.score))[:MOST_MARKS]
@@ -68,12 +68,12 @@ def shown(inspection: Inspection, places: Sequence[RepeatedPlace]) -> list[Defec
 
 
 def not_drawn(inspection: Inspection, drawn: Collection[Defect]) -> int:
-    """How many lie on dies and are not among those drawn."""
+    """Return the number of defects on dies that are not drawn."""
     return sum(bool(d.die) and d.in_die is not None for d in inspection.found) - len(drawn)
 
 
 def _left_out(area: Region, at: Callable[[float, float], tuple[float, float]]) -> str:
-    """An area in which nothing was sought: veiled, with a broken line round it."""
+    """Return an excluded area: a translucent fill with a dashed outline."""
     x0, y0, x1, y1 = area.bounds_um
     corners = (
         [(p.x_um, p.y_um) for p in area.points] if area.kind == "polygon" else [(x0, y0), (x1, y0), (x1, y1), (x0, y1)]

@@ -1,7 +1,7 @@
-"""The focus curve of a pixel as HTML: focus over z with the frames as points, the peak and its rivals marked.
+"""Focus curve of a pixel as HTML: focus over z with one point per frame, the peak and its rivals marked.
 
-Colours are the page's custom properties (``--ink``, ``--accent``, ...), so one drawing serves light and dark. Lines lie
-in a stretched SVG and words beside it in shares of its sides, so the drawing is as wide as its place.
+Colours are the page's custom properties (``--ink``, ``--accent``, ...), so one drawing serves light and dark. Lines are
+in a stretched SVG and labels are placed over it in percent, so the plot fills its container.
 """
 
 from __future__ import annotations
@@ -12,14 +12,14 @@ from wafer_viewer.model.surface.focus_curve import FocusCurve, Rival
 
 LEFT_PX, RIGHT_PX, TOP_PX, FOOT_PX = 50, 14, 6, 40
 _HEADROOM = 1.17
-"""The plot ends above the peak by room for its label."""
+"""Height of the plot relative to the peak, with space for the label."""
 _SIDE = 1000.0
 _LEAST_NAMED, _APART = 0.05, 0.16
-"""Only rivals of a twentieth of the peak have a figure, and only where there is this share of the width for it."""
+"""Least height of a labelled rival relative to the peak, and least label distance as a share of the width."""
 
 
 def focus_plot_html(curve: FocusCurve, height_px: int, over: str = "") -> str:
-    """The plot at `height_px`; `over` is HTML that lies on the area of the curve."""
+    """Return the plot at `height_px`; `over` is HTML that covers the curve area."""
     place = f"left:{LEFT_PX}px;right:{RIGHT_PX}px;top:{TOP_PX}px;bottom:{FOOT_PX}px"
     drawn = "".join((_grid(curve), _peak_line(curve), _line(curve), *(_ring(curve, r) for r in curve.rivals)))
     words = "".join((_axes(curve), _peak_label(curve), *(_rival_label(curve, r) for r in _named(curve))))
@@ -31,13 +31,13 @@ def focus_plot_html(curve: FocusCurve, height_px: int, over: str = "") -> str:
 
 
 def _across(curve: FocusCurve, z_um: float) -> float:
-    """Where a z lies, 0 at the left and 1 at the right end."""
+    """Return the horizontal position of a z, from 0 (left) to 1 (right)."""
     low, high = curve.z_um[0], curve.z_um[-1]
     return min(max((z_um - low) / (high - low), 0.0), 1.0)
 
 
 def _down(focus: float) -> float:
-    """Where a share of the peak lies, 0 at the top."""
+    """Return the vertical position of a focus value relative to the peak, 0 at the top."""
     return 1 - focus / _HEADROOM
 
 
@@ -63,7 +63,7 @@ def _line(curve: FocusCurve) -> str:
 
 
 def _dots(points: list[str], colour: str, width_px: float) -> str:
-    """Round points: strokes of no length with round ends keep their shape however the drawing is stretched."""
+    """Return round points as zero-length strokes with round caps, which do not distort when stretched."""
     return _path("".join(f"M{p}h.01" for p in points), colour, width_px, 'stroke-linecap="round"')
 
 
@@ -98,7 +98,7 @@ def _peak_label(curve: FocusCurve) -> str:
 
 
 def _named(curve: FocusCurve) -> list[Rival]:
-    """The rivals that have room for a figure, the highest first."""
+    """Return the rivals that have space for a label, the highest first."""
     named: list[Rival] = []
     for rival in curve.rivals:
         taken = [curve.peak_z_um] if rival.share > 1 - _APART else []
@@ -114,7 +114,7 @@ def _rival_label(curve: FocusCurve, rival: Rival) -> str:
 
 
 def _beside(curve: FocusCurve, z_um: float, where: str, colour: str, text: str) -> str:
-    """A word right of a z, or left of it where the plot ends."""
+    """Return a label right of a z, or left of it in the right half of the plot."""
     across = 100 * _across(curve, z_um)
     side = f"left:calc({across:.2f}% + 7px)" if across < 50 else f"right:calc({100 - across:.2f}% + 7px)"
     return f'<b style="{side};{where};color:var(--{colour})">{text}</b>'

@@ -1,4 +1,4 @@
-"""The profile of a groove or a step as a small picture: its curve, and the zones that it was measured in."""
+"""Profile of a groove or a step as a small SVG: its curve, and the zones of the measurement."""
 
 from __future__ import annotations
 
@@ -12,11 +12,11 @@ WIDTH, HEIGHT = 372, 118
 _TOP, _FOOT, _SIDE = 16, 16, 2
 _HEADROOM = 0.08
 _GAP = 3.0
-"""Points further apart than so many usual distances have nothing measured between them."""
+"""Point distance, in multiples of the median distance, above which the curve is interrupted."""
 
 
 def groove_svg(finding: StepProfile) -> str:
-    """Distance along the line to the right, height upwards, zones as pale bands; empty without a curve."""
+    """Return the profile as SVG, distance to the right, height upwards, zones as pale bands; empty without a curve."""
     if len(finding.curve) < 2:
         return ""
     at_um, z_um = np.array(finding.curve, float).T

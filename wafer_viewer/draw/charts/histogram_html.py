@@ -1,4 +1,4 @@
-"""A histogram of heights as HTML, as wide as its place: bars in the colours of the surface, ticks in µm. Pure."""
+"""Height histogram as HTML that fills its container: bars in the surface colours, ticks in µm. Pure."""
 
 from __future__ import annotations
 
@@ -18,9 +18,9 @@ _SIDE = 1000
 def histogram_html(
     counts: Sequence[int], ends_um: Span, colours: tuple[str, float, float] | None, within_um: Span | None = None
 ) -> str:
-    """The histogram of `counts` in equal bins between `ends_um`, drawn as roots: rare heights stay visible.
+    """Return the histogram of `counts` in equal bins between `ends_um`, as square roots to show rare heights.
 
-    colours: a colour map and the heights at its ends; None draws all bars grey, as are those outside of `within_um`.
+    colours: a colour map and the heights at its ends; None draws all bars grey, like those outside `within_um`.
     """
     root = np.sqrt(np.asarray(counts, float))
     if root.size == 0 or root.max() <= 0:
@@ -42,7 +42,7 @@ def histogram_html(
 
 
 def place_of(z_um: float, ends_um: Span) -> float:
-    """Where a height lies, 0 at the left and 1 at the right end; what lies beyond is at the end."""
+    """Return the position of a height, from 0 (left) to 1 (right), clamped to the ends."""
     low, high = ends_um
     return min(max((z_um - low) / max(high - low, 1e-12), 0.0), 1.0)
 

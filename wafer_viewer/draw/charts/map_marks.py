@@ -1,4 +1,4 @@
-"""What lies over the map of the sample and changes often: what the camera sees, and where results are."""
+"""Overlay of the sample map with frequently changing marks: camera view, results and areas."""
 
 from __future__ import annotations
 
@@ -10,14 +10,17 @@ from wafer_viewer.draw.charts.symbols import symbol
 from wafer_viewer.draw.charts.wafer_map import MapViewport, Outline
 
 _LEAST_SEEN_PX = 5.0
-"""A view narrower than this is drawn as a cross: its frame would be a dot."""
+"""Size of a view in px below which it is drawn as a cross."""
 
 _LEAST_AREA_PX = 3.0
 
 
 @dataclass(frozen=True, slots=True)
 class MapMark:
-    """A place on the map, stage um, with colour and shape of its sign and its name; `attributes` make it a button."""
+    """Mark on the map, stage um, with the colour and shape of its symbol and its name.
+
+    `attributes` are HTML attributes that make it clickable.
+    """
 
     x_um: float
     y_um: float
@@ -30,7 +33,7 @@ class MapMark:
 
 @dataclass(frozen=True, slots=True)
 class MarkedArea:
-    """A rectangle on the map, x low, y low, x high, y high in stage um, in a colour; dashed it is not filled."""
+    """Rectangle on the map, x low, y low, x high, y high in stage um, with a colour; if dashed, it is not filled."""
 
     box_um: tuple[float, float, float, float]
     colour: str
@@ -41,7 +44,7 @@ class MarkedArea:
 def map_marks_svg(
     frame: MapViewport, seen_um: Outline, marks: Sequence[MapMark], areas: Sequence[MarkedArea] = ()
 ) -> str:
-    """A drawing of the same size as the map's; `seen_um` are the corners of the ground that the camera sees."""
+    """Return the overlay in the size of the map; `seen_um`: corners of the area in the camera view."""
     shapes = [*(_area(frame, area) for area in areas), *_seen(frame, seen_um)]
     shapes += [*(_mark(frame, mark) for mark in sorted(marks, key=lambda mark: mark.chosen))]
     w, h = f"{frame.width_px:.0f}", f"{frame.height_px:.0f}"

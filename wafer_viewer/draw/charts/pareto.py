@@ -1,4 +1,4 @@
-"""How many defects there are of each class, the most frequent first, and the share of all up to each. Pure."""
+"""Pareto chart of the defect classes: counts in descending order and cumulative shares. Pure."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ _ROW_PX, _SIGN_PX, _NAME_PX, _NUMBER_PX = 20, 16, 100, 36
 
 @dataclass(frozen=True, slots=True)
 class Bar:
-    """One class: how many, which share of all, and the share of all up to it."""
+    """One class: count, share of all defects, and cumulative share."""
 
     kind: DefectClass
     count: int
@@ -24,7 +24,7 @@ class Bar:
 
 
 def pareto(kinds: Iterable[DefectClass]) -> tuple[Bar, ...]:
-    """A bar for each class that there is; of equally many the one that was first."""
+    """Return a bar for each class that occurs; classes of equal count are in order of first occurrence."""
     counts, bars, so_far = Counter(kinds), list[Bar](), 0
     total = sum(counts.values())
     for kind, n in counts.most_common():
@@ -34,7 +34,7 @@ def pareto(kinds: Iterable[DefectClass]) -> tuple[Bar, ...]:
 
 
 def pareto_svg(kinds: Iterable[DefectClass], *, width_px: int = 300) -> str:
-    """The bars with their numbers and cumulated shares, for reports."""
+    """Return the bars with counts and cumulative shares, for reports."""
     bars = pareto(kinds)
     most = max((bar.count for bar in bars), default=1)
     drawn = "".join(_row(k * _ROW_PX, bar, most, width_px) for k, bar in enumerate(bars))

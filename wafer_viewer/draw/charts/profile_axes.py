@@ -1,4 +1,4 @@
-"""The frame that profiles are drawn in: its ends, its ticks, and the curves thinned to what it can show. Pure."""
+"""Axes of profile plots: limits, ticks, and curves decimated to the resolution of the plot. Pure."""
 
 from __future__ import annotations
 
@@ -14,44 +14,44 @@ from wafer_viewer.model.measurement.sections import Section, SlabPoints
 Floats = NDArray[np.float64]
 Ends = tuple[float, float]
 MOST_POINTS = 1500
-"""More than a plot on the page has pixels."""
+"""Greatest number of curve points, above the pixel width of a plot on the page."""
 MOST_DOTS = 4000
-"""Points of a slab that are drawn: more would hide each other."""
+"""Greatest number of drawn slab points; more would hide each other."""
 _NEARLY_ALL = 0.2, 99.8
-"""Percentiles of a slab's points between which the plot reaches at least."""
+"""Percentiles of the slab points that the plot contains at least."""
 _LEAST_SPAN_UM = 1e-3
 
 
 @dataclass(frozen=True, slots=True)
 class ProfileFrame:
-    """What a plot shows: from where to where along the lines, and between which heights, um."""
+    """Limits of a plot in um: distance along the lines, and heights."""
 
     x_um: Ends
     z_um: Ends
 
     def across(self, x_um: Floats) -> Floats:
-        """Where distances lie, 0 at the left and 1 at the right end."""
+        """Return the horizontal positions of distances, from 0 (left) to 1 (right)."""
         return (x_um - self.x_um[0]) / (self.x_um[1] - self.x_um[0])
 
     def down(self, z_um: Floats) -> Floats:
-        """Where heights lie, 0 at the top and 1 at the foot."""
+        """Return the vertical positions of heights, from 0 (top) to 1 (bottom)."""
         return (self.z_um[1] - z_um) / (self.z_um[1] - self.z_um[0])
 
     def x_ticks(self, most: int) -> list[float]:
-        """Round distances."""
+        """Return round distances."""
         return ticks(*self.x_um, most)
 
     def z_ticks(self, most: int) -> list[float]:
-        """Round heights."""
+        """Return round heights."""
         return ticks(*self.z_um, most)
 
     def holding(self, z_um: Ends) -> ProfileFrame:
-        """The same with other heights."""
+        """Return the frame with other height limits."""
         return replace(self, z_um=z_um)
 
 
 def frame_of(sections: Sequence[Section], span_um: Ends | None = None) -> ProfileFrame:
-    """The frame that holds all curves, or a span of them, with heights that end on round numbers."""
+    """Return the frame of all curves, or of a distance range, with height limits from `round_ends`."""
     longest = max((float(s.curve.distance_um[-1]) for s in sections), default=1.0)
     low, high = (max(0.0, span_um[0]), min(longest, span_um[1])) if span_um is not None else (0.0, longest)
     if not high - low > _LEAST_SPAN_UM:
@@ -62,9 +62,9 @@ def frame_of(sections: Sequence[Section], span_um: Ends | None = None) -> Profil
 
 
 def dots(points: SlabPoints, frame: ProfileFrame, most: int = MOST_DOTS) -> tuple[Floats, Floats]:
-    """Return the points of a slab within a frame as shares (across, down) of it.
+    """Return the points of a slab within a frame as fractions (across, down) of it.
 
-    Of more than `most` an even choice is drawn, the same each time, so that nothing flickers.
+    Above `most` points a random subset with a fixed seed is drawn, so that nothing flickers.
     """
     inside = np.flatnonzero(
         (points.distance_um >= frame.x_um[0])
@@ -78,13 +78,13 @@ def dots(points: SlabPoints, frame: ProfileFrame, most: int = MOST_DOTS) -> tupl
 
 
 def _nearly_all(points: SlabPoints, x_um: Ends) -> Floats:
-    """The ends of the heights of nearly all points between two distances: one stray point does not flatten the plot."""
+    """Return height percentiles of the points in a distance range, so that outliers do not flatten the plot."""
     z_um = points.z_um[(points.distance_um >= x_um[0]) & (points.distance_um <= x_um[1])]
     return np.percentile(z_um.astype(float), _NEARLY_ALL) if z_um.size else np.empty(0)
 
 
 def round_ends(z_um: Floats) -> Ends:
-    """Round heights round these, that stay where they are while the heights change a little."""
+    """Return round limits around heights, which are stable against small changes of the heights."""
     good = z_um[np.isfinite(z_um)]
     if good.size == 0:
         return -1.0, 1.0
@@ -94,14 +94,14 @@ def round_ends(z_um: Floats) -> Ends:
 
 
 def digits(values: list[float]) -> int:
-    """Decimals of ticks."""
+    """Return the number of decimals of ticks."""
     return tick_digits(values)
 
 
 def runs(section: Section, frame: ProfileFrame, most: int = MOST_POINTS) -> list[tuple[Floats, Floats]]:
-    """The measured pieces of a curve within a frame, as shares (across, down) of it; gaps lie between them.
+    """Return the measured segments of a curve within a frame, as fractions (across, down) of it.
 
-    A curve with more than `most` points keeps every peak, valley and gap that the frame can show.
+    A curve with more than `most` points retains every peak, valley and gap that the frame can resolve.
     """
     curve = section.curve
     first, last = np.searchsorted(curve.distance_um, frame.x_um)
@@ -113,9 +113,9 @@ def runs(section: Section, frame: ProfileFrame, most: int = MOST_POINTS) -> list
 
 
 def thinned(x: Floats, z: Floats, most: int) -> tuple[Floats, Floats]:
-    """A curve with at most `most` points that keeps every peak and valley, and every gap as wide as a stretch of it.
+    """Decimate a curve to at most `most` points, with all peaks, valleys, and gaps as wide as an interval.
 
-    Each stretch is shown by its lowest and its highest point; one without a measured point stays a gap (NaN).
+    Each interval is represented by its lowest and highest point; one without a measured point is a gap (NaN).
     """
     if len(z) <= most:
         return x, z

@@ -1,7 +1,7 @@
-"""Profiles as HTML: all curves in the colours of their lines over one axis of distance, with two cursors.
+"""Profile plot as HTML: all curves in the colours of their lines over one distance axis, with cursors.
 
-Colours of the axes are the page's custom properties, so one drawing serves light and dark. Lines lie in a stretched
-SVG and words beside it in shares of its sides, so the drawing is as wide as its place.
+Axis colours are the page's custom properties, so one drawing serves light and dark. Lines are in a stretched SVG and
+labels are placed over it in percent, so the plot fills its container.
 """
 
 from __future__ import annotations
@@ -19,7 +19,7 @@ from wafer_viewer.model.measurement.sections import Section, SlabPoints
 
 LEFT_PX, RIGHT_PX, TOP_PX, FOOT_PX = 58, 14, 8, 40
 _SIDE = 8000
-"""Sides of the drawing in its own units: tenths of a pixel on a wide screen."""
+"""Side of the drawing in its own units: tenths of a pixel on a wide screen."""
 _DOT_PX = 2.2
 _DASHES = 'stroke-dasharray="5 3"'
 
@@ -30,7 +30,7 @@ def profile_plot_html(
     cursors_um: Sequence[float],
     brush_um: tuple[float, float] | None = None,
 ) -> str:
-    """The plot, as wide and as high as its place. brush_um: a range of heights that lights up on the curves."""
+    """Return the plot, which fills its container. brush_um: a height range highlighted on the curves."""
     place = f"left:{LEFT_PX}px;right:{RIGHT_PX}px;top:{TOP_PX}px;bottom:{FOOT_PX}px"
     points = "".join(_dots(section.points, frame) for section in sections if section.points is not None)
     curves = points + "".join(_curve(section, frame) for section in sorted(sections, key=lambda s: s.asked.is_second))
@@ -46,7 +46,7 @@ def profile_plot_html(
 
 
 def _dots(points: SlabPoints, frame: ProfileFrame) -> str:
-    """The points of a slab, each a dot; the running median is drawn over them."""
+    """Return the points of a slab as dots; the running median is drawn over them."""
     across, down = dots(points, frame)
     at = np.rint(np.column_stack([across, down]) * _SIDE).astype(int).tolist()
     d = "".join(f"M{x} {y}h1" for x, y in at)
@@ -68,13 +68,13 @@ def _curve(section: Section, frame: ProfileFrame) -> str:
 
 
 def _band(frame: ProfileFrame, brush_um: tuple[float, float]) -> str:
-    """The brushed range behind the curves."""
+    """Return the brushed range as a band behind the curves."""
     top, foot = np.clip(_SIDE * frame.down(np.array([brush_um[1], brush_um[0]])), 0, _SIDE)
     return f'<path d="M0 {top:.0f}H{_SIDE}V{foot:.0f}H0Z" fill="{BRUSH}" fill-opacity=".09" stroke="none"/>'
 
 
 def _brushed(section: Section, frame: ProfileFrame, brush_um: tuple[float, float]) -> str:
-    """The parts of a curve that lie in the brushed range."""
+    """Return the parts of a curve within the brushed range."""
     z = section.curve.z_um
     curve = replace(section.curve, z_um=np.where((z >= brush_um[0]) & (z <= brush_um[1]), z, np.nan))
     d = "".join(f"M{_points(x, down)}" for x, down in runs(replace(section, curve=curve), frame))
@@ -83,7 +83,7 @@ def _brushed(section: Section, frame: ProfileFrame, brush_um: tuple[float, float
 
 
 def _points(x: NDArray[np.float64], down: NDArray[np.float64]) -> str:
-    """Pairs in the drawing's units; a point alone is drawn as a dot."""
+    """Return coordinate pairs in drawing units; a single point is drawn as a dot."""
     pairs = np.clip(np.rint(np.column_stack([x, down]) * _SIDE), -_SIDE, 2 * _SIDE).astype(int)
     text = " ".join(map(str, pairs.ravel().tolist()))
     return text if len(pairs) > 1 else f"{text}h1"

@@ -1,4 +1,4 @@
-"""A profile as SVG for a report: its axes with units, its curve, gaps where nothing was measured. Pure."""
+"""Profile as SVG for a report: axes with units, the curve, gaps where unmeasured. Pure."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ _INK, _SOFT, _LINE = "#15202B", "#445463", "#DCE3EA"
 
 
 def profile_svg(section: Section) -> str:
-    """The plot of one profile, distance and height in um; it takes the width that it is given."""
+    """Return the plot of one profile, distance and height in um, scaled to the available width."""
     frame = frame_of([section])
     return (
         f'<svg viewBox="0 0 {WIDTH} {HEIGHT}" width="100%" role="img" font-size="11" fill="{_SOFT}">'
@@ -48,7 +48,7 @@ def _grid(frame: ProfileFrame) -> str:
 
 
 def _curve(section: Section, frame: ProfileFrame) -> str:
-    """Each measured piece for itself; a single point is a dot."""
+    """Return each measured segment as a separate path; a single point is a dot."""
     pieces: list[str] = []
     for across, down in runs(section, frame, _MOST_POINTS):
         points = [f"{_x(a):.1f} {_y(d):.1f}" for a, d in zip(across.tolist(), down.tolist(), strict=True)]

@@ -1,7 +1,7 @@
-"""A run chart as HTML: the errors of signed checks in their order, each with its U, between the limits of both kinds.
+"""Run chart as HTML: errors of signed checks in order, each with its U, with tolerance and control limits.
 
-Colours are the page's custom properties, so one drawing serves light and dark. Lines lie in a stretched SVG, points
-and words beside it in shares of its sides, so the drawing is as wide and as high as its place.
+Colours are the page's custom properties, so one drawing serves light and dark. Lines are in a stretched SVG, points and
+labels are placed over it in percent, so the chart fills its container.
 """
 
 from __future__ import annotations
@@ -18,18 +18,18 @@ from wafer_viewer.model.gauge.run_chart import ChartPoint, RunChart
 
 LEFT_PX, RIGHT_PX, TOP_PX, FOOT_PX = 64, 70, 8, 22
 MOST_POINTS = 30
-"""The newest checks: more would not be told apart."""
+"""Number of newest checks that are shown."""
 _SIDE = 1000.0
 _ROOM = 0.08
-"""Over and under the outermost value stays this share of the height."""
+"""Margin above and below the extreme values as a share of their range."""
 _MOST_Y, _MOST_X, _LABEL_SHARE = 5, 10, 0.115
 _DASHES, _DOTS = 'stroke-dasharray="7 5"', 'stroke-dasharray="2 4"'
 Attributes = Callable[[ChartPoint], str]
-"""Makes of a point something to click: HTML attributes."""
+"""Function that returns the HTML attributes of a clickable point."""
 
 
 def run_chart_html(chart: RunChart, attributes: Attributes = lambda point: "", chosen: str = "") -> str:
-    """The newest checks of a chart; `chosen`: when the one was signed that is looked at.
+    """Return the chart of the newest checks; `chosen`: signing time of the selected check.
 
     Raises MeasureError for a chart without a point.
     """
@@ -51,7 +51,7 @@ def run_chart_html(chart: RunChart, attributes: Attributes = lambda point: "", c
 
 @dataclass(frozen=True, slots=True)
 class _Line:
-    """A level right across, its name at its end, its look."""
+    """Horizontal line across the chart: level, name and style."""
 
     um: float
     name: str
@@ -62,18 +62,18 @@ class _Line:
 
 @dataclass(frozen=True, slots=True)
 class _Frame:
-    """Between which errors the chart runs, and how many checks lie in it."""
+    """Limits of the error axis, and number of checks."""
 
     low_um: float
     high_um: float
     n: int
 
     def across(self, k: int) -> float:
-        """Where a check lies, 0 at the left and 1 at the right end; one alone in the middle."""
+        """Return the horizontal position of a check, from 0 (left) to 1 (right); a single one is centred."""
         return (k + 0.5) / self.n
 
     def down(self, um: float) -> float:
-        """Where an error lies, 0 at the top and 1 at the foot."""
+        """Return the vertical position of an error, from 0 (top) to 1 (bottom)."""
         return (self.high_um - um) / (self.high_um - self.low_um)
 
     @property
@@ -83,7 +83,7 @@ class _Frame:
 
 
 def _lines(chart: RunChart) -> list[_Line]:
-    """The most telling first: its name has the best place."""
+    """Return the lines in order of importance, which gives label priority."""
     lines = [_Line(0.0, "certificate", "ink3", 1.2)]
     if chart.limit_um is not None:
         lines += [_Line(side * chart.limit_um, "limit", "fault", 1.4, _DASHES) for side in (1, -1)]
@@ -116,7 +116,7 @@ def _level(frame: _Frame, line: _Line) -> str:
 
 
 def _bars(frame: _Frame, points: Sequence[ChartPoint]) -> str:
-    """U of every check, as an upright line through its point."""
+    """Return the U of every check as a vertical line through its point."""
     known = [
         (k, p.value.value_um, p.value.expanded_um) for k, p in enumerate(points) if p.value.expanded_um is not None
     ]
@@ -128,7 +128,7 @@ def _bars(frame: _Frame, points: Sequence[ChartPoint]) -> str:
 
 
 def _way(frame: _Frame, points: Sequence[ChartPoint]) -> str:
-    """From check to check; one that failed is left out, so that the way of the others is seen."""
+    """Return the line that connects the checks, without the failed ones."""
     good = [(k, p.value.value_um) for k, p in enumerate(points) if p.verdict != "fail"]
     d = "L".join(f"{_SIDE * frame.across(k):.1f} {_SIDE * frame.down(um):.1f}" for k, um in good)
     return _path(f"M{d}", "accent", 1.6, 'opacity=".75"') if len(good) > 1 else ""
@@ -161,7 +161,7 @@ def _x_words(frame: _Frame, points: Sequence[ChartPoint]) -> str:
 
 
 def _days(points: Sequence[ChartPoint]) -> list[tuple[int, str]]:
-    """The first check of each day that there is room to name."""
+    """Return the first check of each day, as far as there is space for labels."""
     days = [_day(point) for point in points]
     first = [(k, day) for k, day in enumerate(days) if k == 0 or day != days[k - 1]]
     named: list[tuple[int, str]] = []
@@ -177,7 +177,7 @@ def _day(point: ChartPoint) -> str:
 
 
 def _names(frame: _Frame, lines: Sequence[_Line]) -> str:
-    """What the lines mean, at their right ends; one without room there has none."""
+    """Return the line labels at the right ends; a label without space is omitted."""
     placed: list[float] = []
     words = ""
     for line in lines:

@@ -1,6 +1,6 @@
-"""Sites of a surface as SVG: a cell each, coloured by its range, hatched where it has none.
+"""Site map as SVG: one cell per site, coloured by its range, hatched if it has none.
 
-Colours of lines and words are the page's custom properties, so one drawing serves light and dark.
+Colours of lines and text are the page's custom properties, so one drawing serves light and dark.
 """
 
 from __future__ import annotations
@@ -12,15 +12,15 @@ from wafer_viewer.draw.number_format import THIN, number
 from wafer_viewer.model.measurement.site_range import Site, SiteRanges
 
 _WIDTH, _GAP = 360.0, 0.04
-"""Width of the drawing in its own units; between cells, of a cell's side."""
+"""Width of the drawing in its own units; gap between cells as a share of the cell side."""
 _WORDS_FROM = 34.0
-"""Cells so wide have their range written in them."""
+"""Cell width from which the range is written in the cell."""
 _LEAST_CONTRAST = 128
-"""Luma (of 255) under which words on a cell are white."""
+"""Luma (of 255) below which text on a cell is white."""
 
 
 def site_map_svg(found: SiteRanges, colours: str = "mako") -> str:
-    """The lattice with row 0 at the top; each cell says its place and range when it is pointed at."""
+    """Return the lattice with row 0 at the top; each cell has its position and range as a tooltip."""
     side = _WIDTH / found.cols
     height = side * found.site_height_um / found.site_width_um
     low, high = spread_um(found)
@@ -37,13 +37,13 @@ def site_map_svg(found: SiteRanges, colours: str = "mako") -> str:
 
 
 def spread_um(found: SiteRanges) -> tuple[float, float]:
-    """The smallest and the largest range of all sites."""
+    """Return the smallest and the largest range of all sites."""
     ranges = [site.range.value_um for site in found.sites if site.range is not None]
     return min(ranges), max(ranges)
 
 
 def _share(site: Site, low: float, high: float) -> float | None:
-    """Where a range lies between the smallest and the largest; None of a site without one."""
+    """Return the relative position of a range between the smallest and the largest; None without a range."""
     if site.range is None:
         return None
     return (site.range.value_um - low) / (high - low) if high > low else 0.5
@@ -65,7 +65,7 @@ def _cell(site: Site, x: float, y: float, side: float, height: float, share: flo
 
 
 def _inks(share: float | None, colours: str) -> tuple[str, str]:
-    """The colour of a cell and of the words on it."""
+    """Return the colours of a cell and of the text on it."""
     if share is None:
         return "url(#wv-no-range)", "var(--ink)"
     r, g, b = (int(v) for v in table(colours)[round(255 * share)])

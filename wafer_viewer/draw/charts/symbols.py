@@ -1,11 +1,11 @@
-"""Small signs that tell kinds of things apart by their shape as well as by their colour, as pieces of SVG. Pure."""
+"""Small symbols with distinct shapes as well as colours, as SVG elements. Pure."""
 
 from __future__ import annotations
 
 from collections.abc import Callable
 
 Shape = Callable[[float], str]
-"""The sign round (0, 0) at a size: half its width in px."""
+"""Function that returns the symbol around (0, 0) for half its width in px."""
 
 
 def _path(d: str) -> str:
@@ -30,18 +30,18 @@ SHAPES: dict[str, Shape] = {
         f'stroke-width="{0.5 * r:g}" stroke="currentColor"/>'
     ),
 }
-"""By name; what is drawn by its stroke takes the colour of text."""
+"""Shapes by name; stroked parts use the text colour."""
 
 
 def symbol(shape: str, colour: str, x_px: float = 0.0, y_px: float = 0.0, half_px: float = 4.0) -> str:
-    """A sign at a place of a drawing."""
+    """Return a symbol at a position of a drawing."""
     return (
         f'<g transform="translate({x_px:.1f} {y_px:.1f})" fill="{colour}" color="{colour}">{SHAPES[shape](half_px)}</g>'
     )
 
 
 def symbol_svg(shape: str, colour: str, side_px: int = 14) -> str:
-    """A sign as a drawing of its own, to stand in a line of text."""
+    """Return a symbol as a separate drawing, for use in a line of text."""
     half = side_px / 2
     return (
         f'<svg width="{side_px}" height="{side_px}" viewBox="{-half:g} {-half:g} {side_px} {side_px}" '

@@ -1,4 +1,4 @@
-"""The map in the left panel as SVG: outline, dies, and the fields by their state, each of them clickable.
+"""Map of the left panel as SVG: outline, dies, and clickable fields coloured by state.
 
 Colours are the page's custom properties (``--ink``, ``--accent``, ...), so one drawing serves light and dark.
 """
@@ -18,7 +18,7 @@ Box = tuple[float, float, float, float]
 
 @dataclass(frozen=True, slots=True)
 class FieldStyle:
-    """How a field of one state is drawn: colour of edge, opacity of its fill, dashes, weight, a sign by its number."""
+    """Drawing style of a field state: edge colour, fill opacity, title, dashes, weight, sign next to the number."""
 
     edge: str
     fill_opacity: float
@@ -38,21 +38,21 @@ FIELD_INKS: dict[str, FieldStyle] = {
     "to repeat": FieldStyle("warn", 0.25, "to repeat", sign="!"),
     "failed": FieldStyle("bad", 0.22, "failed", sign="×"),
 }
-"""By the state's word. A state carries a sign where colour alone would tell it apart."""
+"""Styles by state name. A state has a sign if colour alone would identify it."""
 
 _MARGIN_PX = 4
 _ZOOM_UNDER = 0.45
-"""Fields that take less than this share of the sample are shown enlarged, with the whole sample as an inset."""
+"""Share of the sample below which the fields are enlarged, with the sample as an inset."""
 _INSET_PX = 54
 WIDTH_PX, MOST_HEIGHT_PX = 276, 236
 MOST_SINGLE = 400
-"""Of so many fields each is an element of its own, with its number and its name."""
+"""Greatest number of fields drawn as separate elements with number and name."""
 _LEAST_FOR_NUMBER_PX = 13
 
 
 @dataclass(frozen=True, slots=True)
 class MapViewport:
-    """Where stage um lie in the picture: x grows to the right, y upwards."""
+    """Transform from stage um to image px: x to the right, y upwards."""
 
     box: Box
     width_px: float
@@ -67,17 +67,17 @@ class MapViewport:
         return min((self.width_px - 2 * _MARGIN_PX) / (x1 - x0), (self.height_px - 2 * _MARGIN_PX) / (y1 - y0))
 
     def x(self, x_um: float) -> float:
-        """Picture x of a stage x."""
+        """Return the image x of a stage x."""
         x0, _, x1, _ = self.box
         return self.left_px + self.width_px / 2 + (x_um - (x0 + x1) / 2) * self.scale
 
     def y(self, y_um: float) -> float:
-        """Picture y of a stage y."""
+        """Return the image y of a stage y."""
         _, y0, _, y1 = self.box
         return self.top_px + self.height_px / 2 - (y_um - (y0 + y1) / 2) * self.scale
 
     def um_at(self, x_px: float, y_px: float) -> tuple[float, float]:
-        """The stage place of a place in the picture."""
+        """Return the stage position of an image position."""
         x0, y0, x1, y1 = self.box
         x_um = (x0 + x1) / 2 + (x_px - self.left_px - self.width_px / 2) / self.scale
         return x_um, (y0 + y1) / 2 - (y_px - self.top_px - self.height_px / 2) / self.scale
@@ -92,7 +92,7 @@ def map_frame(
     width_px: int = WIDTH_PX,
     most_height_px: int = MOST_HEIGHT_PX,
 ) -> MapViewport | None:
-    """Where stage um lie in the map of these fields; None where there is nothing to draw."""
+    """Return the viewport of the map of these fields; None if there is nothing to draw."""
     of_fields = _bounds(_corners(fields, field_width_um, field_height_um))
     whole = _bounds([*outline_um, *_corners(fields, field_width_um, field_height_um)])
     if whole is None:
@@ -114,11 +114,11 @@ def field_map_svg(
     width_px: int = WIDTH_PX,
     most_height_px: int = MOST_HEIGHT_PX,
 ) -> str:
-    """The map. `states` by field number are keys of `FIELD_INKS`, without one a field is planned.
+    """Return the map. `states` by field number are keys of `FIELD_INKS`; the default state is planned.
 
-    Each field is a group with ``data-k`` (its number), focusable, with `onclick` as its handler. Of more than
-    `MOST_SINGLE` fields those of one state are one shape. A click beside the fields runs `onplace` with the place,
-    stage um, in ``data-k`` of the drawing.
+    Each field is a focusable group with ``data-k`` (its number) and the handler `onclick`. Above `MOST_SINGLE` fields,
+    those of one state are one shape. A click outside the fields runs `onplace` with the position, stage um, in
+    ``data-k`` of the drawing.
     """
     frame = map_frame(
         fields, field_width_um, field_height_um, outline_um, width_px=width_px, most_height_px=most_height_px
@@ -142,7 +142,7 @@ def field_map_svg(
 
 
 def _located(frame: MapViewport) -> str:
-    """Puts the place of a click, stage um, into ``data-k``."""
+    """Return the script that stores the position of a click, stage um, in ``data-k``."""
     x_um, y_um = frame.um_at(0.0, 0.0)
     return (
         "const r=this.getBoundingClientRect();"
@@ -158,7 +158,7 @@ def _singly(
     selected: int | None,
     onclick: str,
 ) -> str:
-    """Every field with its number, the selected one on top."""
+    """Return every field with its number, the selected one on top."""
     order = sorted(inks, key=lambda of: (of[0].number == selected, of[0].number))
     return "".join(_field(frame, f, *size_um, ink, f.number == selected, onclick) for f, ink in order)
 
@@ -170,7 +170,7 @@ def _crowd(
     selected: int | None,
     onclick: str,
 ) -> str:
-    """Fields too many to be drawn one by one: one shape for each state, and the selected one on top."""
+    """Return one shape per state for large numbers of fields, with the selected field on top."""
     w, h = (max(0.8, side * frame.scale - 0.3) for side in size_um)
     shapes: dict[FieldStyle, list[str]] = {}
     for field, ink in inks:
@@ -186,7 +186,7 @@ def _crowd(
 
 
 def _sample(frame: MapViewport, outline_um: Outline, dies_um: Sequence[Outline]) -> str:
-    """The sample's outline and, inside it, its dies where they are large enough to be seen."""
+    """Return the sample outline and those dies that are large enough to be visible."""
     if len(outline_um) < 3:
         return ""
     edge = _points(frame, outline_um)
@@ -235,7 +235,7 @@ def _number(number: int, ink: FieldStyle, x: float, y: float, room_px: float) ->
 
 
 def _inset(frame: MapViewport, whole: Box, of_fields: Box, outline_um: Outline) -> str:
-    """The whole sample small in the lower right corner, and where on it the fields lie."""
+    """Return an overview of the sample in the lower right corner, with the area of the fields."""
     left, top = frame.width_px - _INSET_PX, frame.height_px - _INSET_PX
     small = MapViewport(whole, _INSET_PX, _INSET_PX, left, top)
     x, y = small.x(of_fields[0]), small.y(of_fields[3])
@@ -261,12 +261,12 @@ def _bounds(points: Sequence[tuple[float, float]]) -> Box | None:
 
 
 def _zoomed(of_fields: Box | None, whole: Box) -> bool:
-    """Whether the fields are shown enlarged, the sample as an inset."""
+    """Return whether the fields are enlarged, with the sample as an inset."""
     return of_fields is not None and _share(of_fields, whole) < _ZOOM_UNDER
 
 
 def _share(part: Box, whole: Box) -> float:
-    """The larger of the shares of width and height."""
+    """Return the larger of the fractions of width and height."""
     return max((part[k + 2] - part[k]) / max(whole[k + 2] - whole[k], 1e-9) for k in (0, 1))
 
 
@@ -277,7 +277,7 @@ def _padded(box: Box | None, share: float) -> Box:
 
 
 def _fitted(box: Box, width_px: int, most_height_px: int) -> MapViewport:
-    """A frame as wide as the panel, as high as the contents ask for."""
+    """Return a viewport as wide as the panel, with the height of its contents."""
     aspect = (box[3] - box[1]) / max(box[2] - box[0], 1e-9)
     return MapViewport(
         box, width_px, min(most_height_px, max(60.0, (width_px - 2 * _MARGIN_PX) * aspect + 2 * _MARGIN_PX))

@@ -1,4 +1,4 @@
-"""The scene as a picture to be printed: what the page shows beside it is drawn in, so that it can stand alone."""
+"""Print figure of the scene, with scale bar, colour bar and caption drawn in."""
 
 from __future__ import annotations
 
@@ -15,16 +15,16 @@ from wafer_viewer.draw.raster_text import font, length_px, write
 from wafer_viewer.draw.ticks import length_text, round_length, tick_digits, ticks
 
 FOOT_SHARE, LETTER_SHARE = 0.042, 0.0125
-"""Of the picture's width: the height of the strip below the scene, and of its letters."""
+"""Height of the caption strip and of its text, as shares of the image width."""
 SCALE_BAR_SHARE = 0.14
 BAR_HIGH, BAR_WIDE = 0.24, 0.014
 MARGIN_SHARE, LEAST_HIGH = 0.03, 0.34
-"""Of the width: what is left over and under what is drawn, and the least height of the scene."""
+"""Margin above and below the drawn content, and least scene height, as shares of the width."""
 
 
 @dataclass(frozen=True, slots=True)
 class Paper:
-    """The colours of the paper, of what is written on it, and of the plate of SIMULATED."""
+    """Colours of the page, of its text, and of the SIMULATED label."""
 
     paper: Rgb
     ink: Rgb
@@ -35,12 +35,12 @@ class Paper:
 
 LIGHT = Paper((255, 255, 255), rgb("15202B"), rgb("445463"), rgb("8A5300"), rgb("FFF1D6"))
 DARK = Paper(rgb("161B21"), rgb("E9EEF3"), rgb("B2BECA"), rgb("F0B45B"), rgb("352508"))
-"""The scene's own letters are drawn for a light or a dark page: the paper follows."""
+"""Page colours follow the theme, because the text within the scene is drawn for a light or a dark page."""
 
 
 @dataclass(frozen=True, slots=True)
 class ColourKey:
-    """What the colours mean: a quantity, its unit, the range and the colour map."""
+    """Colour bar: quantity, unit, range and colour map."""
 
     title: str
     unit: str
@@ -52,7 +52,7 @@ class ColourKey:
 
 @dataclass(frozen=True, slots=True)
 class Caption:
-    """What stands below the scene: the dataset's name in bold, the rest behind it; and whether it is simulated."""
+    """Caption below the scene: dataset name in bold, further text, and whether it is simulated."""
 
     name: str
     words: tuple[str, ...]
@@ -62,9 +62,10 @@ class Caption:
 def print_picture(
     scene: NDArray[np.uint8], um_per_pixel: float, caption: Caption, key: ColourKey | None, on: Paper = LIGHT
 ) -> NDArray[np.uint8]:
-    """The scene uint8 [h, w, 4] on paper, with scale bar, colour bar and caption: uint8 [rows, w, 3].
+    """Return the scene uint8 [h, w, 4] on paper, with scale bar, colour bar and caption: uint8 [rows, w, 3].
 
-    Empty rows over and under what is drawn are cut off. um_per_pixel is that of the picture, at the point looked at.
+    Empty rows above and below the drawn content are cropped. um_per_pixel is that of the image at the focal point of
+    the view.
     """
     scene = _without_empty_rows(scene)
     height, width = scene.shape[:2]
@@ -81,14 +82,14 @@ def print_picture(
 
 
 def png(picture: NDArray[np.uint8], dots_per_inch: int = 300) -> bytes:
-    """The bytes of a PNG file."""
+    """Return the bytes of a PNG file."""
     out = io.BytesIO()
     Image.fromarray(picture).save(out, "PNG", dpi=(dots_per_inch, dots_per_inch), compress_level=4)
     return out.getvalue()
 
 
 def _without_empty_rows(scene: NDArray[np.uint8]) -> NDArray[np.uint8]:
-    """The rows in which something is drawn, with a margin, and as many as the colour bar needs."""
+    """Return the rows with drawn content, with a margin, and at least as many as the colour bar needs."""
     height, width = scene.shape[:2]
     drawn = np.flatnonzero((scene[..., 3] > 0).any(axis=1))
     if drawn.size == 0:
@@ -103,7 +104,7 @@ def _without_empty_rows(scene: NDArray[np.uint8]) -> NDArray[np.uint8]:
 def _scale_bar(
     pen: ImageDraw.ImageDraw, on: Paper, um_per_pixel: float, width: int, middle: float, letter_px: float
 ) -> float:
-    """A bar of a round length at the left of the strip; returns where it ends."""
+    """Draw a bar of a round length at the left of the strip; return its right end."""
     length_um = round_length(SCALE_BAR_SHARE * width * um_per_pixel)
     left, line_px = 1.6 * letter_px, max(2, round(letter_px / 6))
     right = left + length_um / um_per_pixel
@@ -133,7 +134,7 @@ def _caption(
 
 
 def _colour_bar(pen: ImageDraw.ImageDraw, on: Paper, key: ColourKey, width: int, letter_px: float) -> None:
-    """The bar of colours at the right edge, its quantity above it, round values beside it."""
+    """Draw the colour bar at the right edge, with its quantity and tick labels."""
     face = font(letter_px)
     high_px, wide_px = round(BAR_HIGH * width), round(BAR_WIDE * width)
     values = ticks(key.low, key.high, 7)

@@ -1,4 +1,4 @@
-"""Profiles as a picture for print: axes with units, the curves in their colours, a legend, SIMULATED where it is so."""
+"""Profile figure for print: axes with units, coloured curves, a legend, SIMULATED if applicable."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ from wafer_viewer.model.surface.height_map import LAYER_TITLES
 
 DOTS_PER_INCH = 300
 WIDTH_PX, HEIGHT_PX = 2008, 1063
-"""17 cm x 9 cm: as wide as a page of text."""
+"""17 cm x 9 cm, the width of a text page."""
 _LEFT, _RIGHT, _TOP, _FOOT = 190, 50, 40, 150
 _ROW_PX = 52
 _TEXT_PX, _SMALL_PX = 36, 32
@@ -29,12 +29,12 @@ _FAULT: Rgb = (180, 35, 24)
 _PAPER: Rgb = (255, 255, 255)
 _MOST_POINTS = 4000
 _SMOOTH = 2
-"""Curves are drawn so many times larger and made small again: Pillow's own lines have steps."""
+"""Supersampling factor of the curves, because Pillow does not antialias lines."""
 
 
 @dataclass(frozen=True, slots=True)
 class _Area:
-    """Where the curves are drawn, in pixels."""
+    """Plot area in pixels."""
 
     left: int
     top: int
@@ -49,7 +49,7 @@ class _Area:
 
 
 def profile_picture(sections: Sequence[Section], span_um: Ends | None = None) -> Image.Image:
-    """The plot of all curves, rgb, 17 cm x 9 cm at 300 dots an inch; a legend line for each curve above it."""
+    """Return the plot of all curves, rgb, 17 cm x 9 cm at 300 dpi, with a legend line for each curve above it."""
     frame = frame_of(sections, span_um)
     top = _TOP + _ROW_PX * len(sections) + 24
     area = _Area(_LEFT, top, WIDTH_PX - _LEFT - _RIGHT, HEIGHT_PX - top - _FOOT)
@@ -66,7 +66,7 @@ def profile_picture(sections: Sequence[Section], span_um: Ends | None = None) ->
 
 
 def profile_png(sections: Sequence[Section], span_um: Ends | None = None) -> bytes:
-    """The same as the bytes of a PNG file, which says its resolution and what it was drawn from."""
+    """Return the same as PNG bytes, with resolution and sources as metadata."""
     from PIL.PngImagePlugin import PngInfo
 
     about = PngInfo()
@@ -92,7 +92,7 @@ def _axes(pen: ImageDraw.ImageDraw, frame: ProfileFrame, area: _Area) -> None:
 
 
 def _upright(pen: ImageDraw.ImageDraw, text: str, middle: tuple[float, float]) -> None:
-    """A word that is read from below to above."""
+    """Draw text rotated to read from bottom to top."""
     face = font(_TEXT_PX)
     word = Image.new("L", (round(length_px(text, face)) + 8, 2 * _TEXT_PX), 0)
     write(ImageDraw.Draw(word), (4, _TEXT_PX), text, face, 255)
@@ -101,7 +101,7 @@ def _upright(pen: ImageDraw.ImageDraw, text: str, middle: tuple[float, float]) -
 
 
 def _curve(image: Image.Image, section: Section, frame: ProfileFrame, area: _Area) -> None:
-    """One curve, laid over the picture within its frame."""
+    """Draw one curve within the plot area."""
     mask = Image.new("L", (area.width * _SMOOTH, area.height * _SMOOTH), 0)
     pen = ImageDraw.Draw(mask)
     second = section.asked.is_second
@@ -124,7 +124,7 @@ def _stroke(pen: ImageDraw.ImageDraw, points: np.ndarray[tuple[int, int], np.dty
 def _dashes(
     points: np.ndarray[tuple[int, int], np.dtype[np.float64]], dash: float, gap: float
 ) -> list[np.ndarray[tuple[int, int], np.dtype[np.float64]]]:
-    """A line in dashes, by how far it has come along the axis."""
+    """Split a line into dashes by the distance along the axis."""
     number_of = np.floor((points[:, 0] - points[0, 0]) / (dash + gap))
     inked = (points[:, 0] - points[0, 0]) % (dash + gap) <= dash
     return [points[(number_of == k) & inked] for k in np.unique(number_of[inked])]
@@ -138,7 +138,7 @@ def _legend(pen: ImageDraw.ImageDraw, section: Section, y: float) -> None:
 
 
 def _colour(section: Section) -> Rgb:
-    """Its line's; drawn towards that of text where it is compared with it."""
+    """Return the colour of the line, mixed with the text colour for a compared curve."""
     r, g, b = rgb(PROFILE_COLOURS[section.asked.place][1:])
     if not section.asked.is_second:
         return r, g, b

@@ -1,4 +1,4 @@
-"""A height map at a coarser pixel: block means that leave gaps out."""
+"""Downsampling of a height map by block means that ignore gaps."""
 
 from __future__ import annotations
 
@@ -15,9 +15,9 @@ Layer = NDArray[np.float32] | NDArray[np.uint8] | NDArray[np.uint16]
 
 
 def reduced(part: HeightMap, factor: int) -> HeightMap:
-    """The map in blocks of factor x factor pixels; blocks at the right and lower edge may be partial.
+    """Return the map in blocks of factor x factor pixels; blocks at the right and lower edge may be partial.
 
-    A height is the mean of what is measured in its block; the origin is that of the best pixel in it.
+    A height is the mean of the measured pixels in its block; the origin is that of the best pixel, the lowest code.
     """
     if factor <= 1:
         return part
@@ -43,7 +43,7 @@ def _mean(layer: Layer, factor: int) -> NDArray[np.float32]:
 
 
 def _blocks(layer: Layer, factor: int, outside: float) -> NDArray[Any]:
-    """The layer as [row, factor, col, factor], padded with `outside`."""
+    """Return the layer as [row, factor, col, factor], padded with `outside`."""
     rows, cols = layer.shape
     padded = np.pad(layer, ((0, -rows % factor), (0, -cols % factor)), constant_values=outside)
     return padded.reshape(padded.shape[0] // factor, factor, padded.shape[1] // factor, factor)

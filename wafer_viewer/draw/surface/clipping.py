@@ -1,4 +1,4 @@
-"""Which pixels of a height map a `Clip` leaves out and why, and the light in hollows that tells points apart."""
+"""Clipping codes of the pixels of a height map, and depth shading for point clouds."""
 
 from __future__ import annotations
 
@@ -19,11 +19,11 @@ _DIRECTIONS = (
     *((0.7, 0.7), (-0.7, 0.7), (0.7, -0.7), (-0.7, -0.7)),
 )
 _DARKEST, _PER_SLOPE = 0.28, 0.55
-"""The darkest a point becomes, and how fast: with these, baked shade reads nearly like eye-dome shading."""
+"""Darkest shade and its rate, chosen so that baked shading resembles eye-dome lighting."""
 
 
 def clip_codes(part: HeightMap, clip: Clip) -> NDArray[np.uint8]:
-    """Why each pixel is left out, by the codes of `CODES`; `DRAWN` where it is not. uint8 [row, col]."""
+    """Return the reason why each pixel is clipped as a code of `CODES`, or `DRAWN`; uint8 [row, col]."""
     return point_codes(part.x_um[None, :], part.y_um[:, None], part.z_um, part.confidence, clip)
 
 
@@ -35,11 +35,11 @@ def point_codes(
     Parameters
     ----------
     x_um, y_um
-        Places in um; they broadcast to the shape of `z_um`.
+        Positions in um; they broadcast to the shape of `z_um`.
     z_um, confidence
         Height in um and confidence from 0 to 1 of each point.
     clip
-        Limits of what is drawn.
+        Clipping limits.
 
     Returns
     -------
@@ -63,9 +63,9 @@ def point_codes(
 
 
 def depth_shade(z_um: NDArray[np.float32], pixel_um: float, gain: float) -> NDArray[np.float32]:
-    """How light each pixel is under what stands higher round it, 0.28 ... 1. `gain` exaggerates slopes.
+    """Return the brightness of each pixel under occlusion by its surroundings, 0.28 ... 1; `gain` scales slopes.
 
-    z_um: heights without gaps. It does not turn with the camera, and so is baked into a tile once.
+    z_um: heights without gaps. It does not depend on the camera, so it is baked into a tile once.
     """
     steepness = np.zeros_like(z_um)
     for radius in _RADII_PX:
@@ -80,7 +80,7 @@ def _mark(codes: NDArray[np.uint8], out: NDArray[np.bool_], why: LeftOut) -> Non
 
 
 def _shifted(z_um: NDArray[np.float32], down: int, right: int) -> NDArray[np.float32]:
-    """The heights so many pixels aside; beyond the edge those of the edge."""
+    """Return the heights shifted by some pixels, with edge values repeated."""
     rows = np.clip(np.arange(z_um.shape[0]) + down, 0, z_um.shape[0] - 1)
     cols = np.clip(np.arange(z_um.shape[1]) + right, 0, z_um.shape[1] - 1)
     return z_um[rows[:, None], cols[None, :]]

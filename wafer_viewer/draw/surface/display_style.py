@@ -1,4 +1,4 @@
-"""How a surface is to look: what the page chooses, light enough to be imported where nothing is painted."""
+"""Display style of a surface, as chosen on the page; a light import without rendering code."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from wafer_viewer.model.acquisition.focus_stack import Image
 Quantity = Literal["height", "confidence", "slope", "deviation", "form", "overlap", "grey", "origin", "difference"]
 Plane = tuple[float, float, float]
 Form = tuple[float, ...]
-"""Middle x, middle y and half the width in um, then the factors of 1, u, v, u², uv, v²; u and v are -1 ... 1."""
+"""Centre x, centre y and half width in um, then the coefficients of 1, u, v, u², uv, v²; u and v are -1 ... 1."""
 
 QUANTITIES: dict[Quantity, tuple[str, str]] = {
     "height": ("Height", "µm"),
@@ -26,14 +26,14 @@ QUANTITIES: dict[Quantity, tuple[str, str]] = {
     "origin": ("Origin", ""),
     "difference": ("Second − first", "µm"),
 }
-"""Title of the colour bar and unit of each quantity a surface can be coloured by."""
+"""Colour bar title and unit of each quantity that a surface can be coloured by."""
 
 
 @dataclass(frozen=True, slots=True)
 class DisplayStyle:
-    """What the operator chose: the quantity, its colour map and range, the strengths of light and image (0 ... 1).
+    """Chosen quantity, colour map and range, and strengths of hillshade and image (0 ... 1).
 
-    depth_shade: strength of the shade that hollows get in a point cloud, 0 ... 1; brush_um: heights that light up.
+    depth_shade: strength of the depth shading of a point cloud, 0 ... 1; brush_um: highlighted height range.
     """
 
     colour_by: Quantity = "height"
@@ -48,16 +48,16 @@ class DisplayStyle:
 
 @dataclass(frozen=True, slots=True)
 class Light:
-    """What the light takes from the whole surface, so that its tiles are lit alike: see `shade`."""
+    """Lighting parameters from the entire surface, so that all tiles are lit alike: see `shade`."""
 
     gain: float = 1.0
     span_um: float = 1.0
     plane: Plane = (0.0, 0.0, 0.0)
-    """z = a x + b y + c through the surface, x and y in um: what `deviation` is measured from."""
+    """z = a x + b y + c through the surface, x and y in um: reference of `deviation`."""
     form: Form = ()
-    """The bowl or dome through the surface: what ``form`` is measured from; none is 0."""
+    """Second-order form of the surface: reference of ``form``; an empty form is 0."""
 
 
 def eight_bit(image: Image) -> NDArray[np.uint8]:
-    """A frame as the screen can show it."""
+    """Return a frame as 8 bits for display."""
     return (image >> 8).astype(np.uint8) if image.dtype == np.uint16 else np.asarray(image, np.uint8)

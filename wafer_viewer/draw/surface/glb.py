@@ -1,4 +1,4 @@
-"""Binary glTF 2.0 with one unlit, textured mesh: what the browser draws exactly as it was baked."""
+"""Binary glTF 2.0 with one unlit, textured mesh, which the browser draws exactly as baked."""
 
 from __future__ import annotations
 
@@ -22,30 +22,30 @@ _LINEAR, _MIPMAPS, _CLAMP = 9729, 9987, 33071
 
 
 def jpeg(picture: NDArray[np.uint8], quality: int = _JPEG_QUALITY) -> bytes:
-    """A picture, grey [row, col] or rgb [row, col, 3], as JPEG without colour subsampling."""
+    """Encode an image, grey [row, col] or rgb [row, col, 3], as JPEG without chroma subsampling."""
     out = io.BytesIO()
     Image.fromarray(picture).save(out, "JPEG", quality=quality, subsampling=0)
     return out.getvalue()
 
 
 def webp(picture: NDArray[np.uint8]) -> bytes:
-    """A picture with sharp holes, rgba [row, col, 4], as WebP: a quarter of a PNG, and made as fast."""
+    """Encode an image with sharp holes, rgba [row, col, 4], as WebP: a quarter of the PNG size at the same speed."""
     out = io.BytesIO()
     Image.fromarray(picture).save(out, "WEBP", quality=_WEBP_QUALITY, method=0, exact=True)
     return out.getvalue()
 
 
 def png(picture: NDArray[np.uint8]) -> bytes:
-    """A picture of any kind as PNG, fast rather than small."""
+    """Encode an image of any kind as PNG, for speed rather than size."""
     out = io.BytesIO()
     Image.fromarray(picture).save(out, "PNG", compress_level=1)
     return out.getvalue()
 
 
 def painted(mesh: Mesh, shown: NDArray[np.uint8], *, blend: bool = False) -> bytes:
-    """GLB of a mesh that appears in the colours `shown`, uint8 rgb or rgba [row, col, 3 or 4].
+    """Return the GLB of a mesh that is displayed in the colours `shown`, uint8 rgb or rgba [row, col, 3 or 4].
 
-    Alpha cuts holes (under 128 nothing is drawn), or with `blend` lets what is behind shine through.
+    Alpha cuts holes (pixels under 128 are not drawn), or with `blend` is translucent.
     """
     texture = to_texture(shown[..., :3])
     if shown.shape[-1] == 3 or bool((shown[..., 3] == 255).all()):
@@ -57,7 +57,7 @@ def painted(mesh: Mesh, shown: NDArray[np.uint8], *, blend: bool = False) -> byt
 
 
 def glb(mesh: Mesh, texture: bytes, mime_type: str, alpha: Alpha) -> bytes:
-    """The file of a mesh and its encoded texture. uv are stored as normalised 16-bit, indices as small as they fit."""
+    """Return the file of a mesh and its encoded texture; uv as normalised 16-bit, indices in the smallest type."""
     indices = mesh.triangles.astype(np.uint16 if len(mesh.vertices) < 65535 else np.uint32)
     uv = (np.clip(mesh.uv, 0, 1) * 65535 + 0.5).astype("<u2")
     is_webp = mime_type == "image/webp"
@@ -104,7 +104,7 @@ def _accessors(mesh: Mesh, indices: NDArray[np.generic]) -> list[dict[str, Any]]
 
 
 def _packed(parts: list[bytes]) -> tuple[bytes, list[dict[str, int]]]:
-    """The parts one after the other, each begun at a multiple of four, and where they lie."""
+    """Concatenate the parts with 4-byte alignment, and return their buffer views."""
     blob, views = bytearray(), []
     for part in parts:
         views.append({"buffer": 0, "byteOffset": len(blob), "byteLength": len(part)})

@@ -1,4 +1,4 @@
-"""Pictures under the surface: the soft shadow with the figures of the scale, and the hatch of the unmeasured."""
+"""Textures around the surface: soft shadow with scale labels, hatch of unmeasured areas, block sides."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ Picture = NDArray[np.uint8]
 
 @dataclass(frozen=True, slots=True)
 class GroundLabel:
-    """A number beside the block: its place in mm from the picture's top left corner, which end is there (l, m, r)."""
+    """Number next to the block: position in mm from the image's top left corner, text height and anchor (l, m, r)."""
 
     text: str
     x_mm: float
@@ -38,10 +38,10 @@ def shadow(
     figures: tuple[GroundLabel, ...] = (),
     long_side_px: int = 1600,
 ) -> Picture:
-    """The soft shadow of an outline in a picture of width x height mm, figures drawn into it, as rgba.
+    """Return the soft shadow of an outline in an image of width x height mm, with labels drawn into it, as rgba.
 
-    Places are in mm from the picture's top left corner, y downwards. One picture for both: the figures lie in the
-    plane of the shadow, and two translucent pictures in one plane hide parts of each other.
+    Positions are in mm from the top left corner, y downwards. Shadow and labels share one image, because two
+    translucent images in one plane would hide parts of each other.
     """
     px_per_mm = long_side_px / max(width_mm, height_mm)
     soft = _soft(outline_mm, (round(width_mm * px_per_mm), round(height_mm * px_per_mm)), px_per_mm, blur_mm) * darkness
@@ -60,7 +60,7 @@ _SMALLER = 8
 def _soft(
     outline_mm: Sequence[tuple[float, float]], size_px: tuple[int, int], px_per_mm: float, blur_mm: float
 ) -> NDArray[np.float32]:
-    """A blurred polygon in 0 ... 1: blurred small and enlarged, which looks the same and is quick."""
+    """Return a blurred polygon in 0 ... 1; it is blurred at low resolution and enlarged for speed."""
     small = Image.new("L", (max(8, size_px[0] // _SMALLER), max(8, size_px[1] // _SMALLER)), 0)
     scale = px_per_mm / _SMALLER
     ImageDraw.Draw(small).polygon([(x * scale, y * scale) for x, y in outline_mm], fill=255)
@@ -79,22 +79,22 @@ def _letters(shape: tuple[int, ...], figures: tuple[GroundLabel, ...], px_per_mm
 
 
 def hatch(rows: int, cols: int, *, dark: bool, pitch_px: int = 26, line_px: int = 5) -> Picture:
-    """Diagonal lines, rgb: what is seen through a hole, and the legend's pattern for 'not measured'."""
+    """Return diagonal lines, rgb: the ground seen through holes, and the legend pattern for 'not measured'."""
     lines = np.add.outer(np.arange(rows), np.arange(cols)) % pitch_px < line_px
     ground, line = ((28, 34, 41), (92, 104, 116)) if dark else ((203, 211, 219), (132, 145, 158))
     return np.where(lines[..., None], np.array(line, np.uint8), np.array(ground, np.uint8))
 
 
 WALL_TONES: dict[bool, tuple[Rgb, Rgb]] = {False: ((116, 130, 144), (92, 105, 118)), True: ((76, 87, 99), (52, 61, 71))}
-"""Top and foot of the walls between the surface and its lowest height, by whether the theme is dark."""
+"""Top and bottom colours of the walls between the surface and its lowest height, by dark theme."""
 PLINTH_TONES: dict[bool, tuple[Rgb, Rgb]] = {False: ((92, 105, 118), (70, 82, 94)), True: ((52, 61, 71), (34, 41, 48))}
-"""Top and foot of what lies below that."""
+"""Top and bottom colours of the plinth below the lowest height, by dark theme."""
 _SIDE_SHADES = (1.0, 0.94, 1.1, 0.86)
-"""South, north, west, east: the light comes from the north-west and above."""
+"""Brightness of the south, north, west and east sides, with light from the north-west and above."""
 
 
 def sides(top: Rgb, foot: Rgb) -> Picture:
-    """The picture of four walls for `mesh.walls`: a column a side, darker towards the foot. Grey: drawing, not data."""
+    """Return the texture of four walls for `mesh.walls`: eight columns per side, darker towards the bottom."""
     down = np.linspace(0, 1, 32)[:, None, None]
     shades = np.repeat(np.array(_SIDE_SHADES), 8)[None, :, None]
     return np.clip((np.array(top) * (1 - down) + np.array(foot) * down) * shades, 0, 255).astype(np.uint8)

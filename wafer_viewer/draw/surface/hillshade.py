@@ -1,7 +1,7 @@
-"""Light on a height map: hillshade from the north-west, a faint gloss, and occlusion in hollows.
+"""Lighting of a height map: hillshade from the north-west, weak gloss, and occlusion in hollows.
 
-Everything here takes heights without gaps (`without_gaps`) and a gain that `light_gain` derives from the surface
-itself, so that a lapped block and a bumped die both show their relief, whatever the pixel size and the drawn height.
+All functions take heights without gaps (`without_gaps`) and a gain that `light_gain` derives from the surface, so that
+a lapped block and a bumped die both show their relief, independent of pixel size and exaggeration.
 """
 
 from __future__ import annotations
@@ -20,7 +20,7 @@ _UP = np.array([0.0, 0.0, 1.0])
 _HALFWAY = (_LIGHT + _UP) / np.linalg.norm(_LIGHT + _UP)
 _GLOSS_EXPONENT = 60
 _NOISE_PX = 0.9
-"""Heights are smoothed by this before they are differentiated: pixel noise would glitter."""
+"""Sigma of the smoothing before differentiation, against glitter from pixel noise."""
 _WIDE_PX, _NARROW_PX = 19, 7
 
 
@@ -34,7 +34,7 @@ class Shading:
 
 
 def without_gaps(z_um: Heights) -> Heights:
-    """The heights with each gap at the height of its nearest neighbour; zeros where nothing is measured at all."""
+    """Return the heights with gaps filled from the nearest measured pixel; zeros if nothing is measured."""
     gaps = ~np.isfinite(z_um)
     if not gaps.any():
         return z_um
@@ -45,7 +45,7 @@ def without_gaps(z_um: Heights) -> Heights:
 
 
 def light_gain(z_um: Heights, pixel_um: float) -> float:
-    """By how much slopes are exaggerated for the light: a typical slope of the surface is lit as one of 0.4."""
+    """Return the slope gain for lighting, by which a typical slope of the surface is lit as one of 0.4."""
     step_y, step_x = np.abs(np.diff(z_um, axis=0)), np.abs(np.diff(z_um, axis=1))
     slopes = np.concatenate([step_y[np.isfinite(step_y)], step_x[np.isfinite(step_x)]]) / pixel_um
     typical = float(np.sqrt(np.mean(np.minimum(slopes, 2.0) ** 2))) if slopes.size else 0.0
@@ -53,7 +53,7 @@ def light_gain(z_um: Heights, pixel_um: float) -> float:
 
 
 def shade(z_um: Heights, pixel_um: float, gain: float, span_um: float) -> Shading:
-    """Light for heights without gaps; `span_um` is the range of heights that hollows are compared with."""
+    """Return the shading of heights without gaps; `span_um` is the height range that scales the occlusion."""
     smooth = ndimage.gaussian_filter(z_um, _NOISE_PX) * np.float32(gain / pixel_um)
     down, right = np.gradient(smooth)
     flat = 1 / np.sqrt(right * right + down * down + 1)
@@ -63,7 +63,7 @@ def shade(z_um: Heights, pixel_um: float, gain: float, span_um: float) -> Shadin
 
 
 def _occlusion(z_um: Heights, span_um: float) -> Heights:
-    """How far a pixel lies under its surroundings, near and wide, as a share of the height range."""
+    """Return the depth of a pixel below its wide and narrow surroundings, relative to the height range."""
     scale = np.float32(1 / max(span_um, 1e-6))
     wide = np.clip((_mean(z_um, _WIDE_PX) - z_um) * scale * 0.66, 0, 0.28)
     narrow = np.clip((_mean(z_um, _NARROW_PX) - z_um) * scale * 0.9, 0, 0.22)
@@ -71,6 +71,6 @@ def _occlusion(z_um: Heights, span_um: float) -> Heights:
 
 
 def _mean(z_um: Heights, width_px: int) -> Heights:
-    """Two box filters: near enough to a Gaussian, and as fast for a wide one as for a narrow one."""
+    """Return two passes of a box filter: close to a Gaussian, with a cost independent of its width."""
     once = ndimage.uniform_filter(z_um, width_px, mode="nearest")
     return np.asarray(ndimage.uniform_filter(once, width_px, mode="nearest"), np.float32)

@@ -1,4 +1,4 @@
-"""Pictures that stand side by side, all with one range of heights or of greys, as JPEG. Pure."""
+"""JPEG images for side-by-side comparison, with one common range of heights or grey values. Pure."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ _QUALITY, _HILLSHADE = 88, 0.5
 
 @dataclass(frozen=True, slots=True)
 class Range:
-    """What the darkest and the brightest colour mean, and what is written as 0; gain: of the light, 0 without any."""
+    """Limits of the colour scale and its zero value; gain: of the lighting, 0 without any."""
 
     low: float
     high: float
@@ -31,9 +31,10 @@ class Range:
 
 
 def heights_of(planes: Sequence[Plane], inside: Plane, pixel_um: float) -> Range:
-    """The range of all heights together, which cuts off nothing of what lies `inside`.
+    """Return a common height range that does not clip the region `inside`.
 
-    0 is the middle of the second, or of the first without one; the light is that of the first.
+    Zero is the median of the second plane, or of the first if there is no second; the lighting gain is that of the
+    first.
     """
     low, high = _ends(planes, _ENDS)
     if np.isfinite(inside).any():
@@ -46,14 +47,14 @@ def heights_of(planes: Sequence[Plane], inside: Plane, pixel_um: float) -> Range
 
 
 def greys_of(planes: Sequence[Plane]) -> Range:
-    """The range of all pictures together."""
+    """Return the common grey range of all images."""
     low, high = _ends(planes, _ENDS)
     spare = max(0.0, _LEAST_SPAN_GREY - (high - low)) / 2
     return Range(low - spare, high + spare)
 
 
 def picture_of(plane: Plane, pixel_um: float, over: Range) -> bytes:
-    """Heights in colours and under light, or greys; what is not known is of one colour."""
+    """Return heights as lit colours, or grey values; unknown pixels have a uniform colour."""
     known = np.isfinite(plane)
     if not known.any():
         return b""

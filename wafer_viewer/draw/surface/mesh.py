@@ -1,6 +1,6 @@
-"""Triangles of a height map: the surface with its holes, the walls of its block, flat pictures.
+"""Triangle meshes of a height map: surface with holes, walls of its block, flat images.
 
-Scene coordinates are mm; z is um above a reference, in mm too: the scene stretches it by the chosen exaggeration.
+Scene coordinates are mm; z is the height above a reference, in mm too: the scene scales it by the exaggeration.
 """
 
 from __future__ import annotations
@@ -24,16 +24,16 @@ class Mesh:
 
 
 Skirts = tuple[bool, bool, bool, bool]
-"""Whether a surface hangs down at its foot, top, left and right edge."""
+"""Whether a surface has a skirt at its bottom, top, left and right edge."""
 NO_SKIRTS: Skirts = (False, False, False, False)
 _SKIRT_STEPS = 4
-"""How far along an edge a skirt looks for how deep it has to hang, in vertices."""
+"""Half width, in vertices, of the window along an edge that sets the depth of a skirt."""
 _STEEP = 1.5
-"""Rise over run from which a partly measured cell is a wall, not a slope."""
+"""Rise over run above which a partly measured cell is a wall, not a slope."""
 
 
 def picked(n: int, step: int) -> NDArray[np.intp]:
-    """Every step-th index of n, and the last."""
+    """Return every step-th index of n, and the last."""
     return np.unique(np.append(np.arange(0, n, step), n - 1))
 
 
@@ -46,12 +46,11 @@ def surface(
     step: int,
     skirts: Skirts = NO_SKIRTS,
 ) -> Mesh:
-    """A surface of heights without gaps, a vertex every `step` pixels; a cell with no pixel `there` is left out.
+    """Return a surface of heights without gaps, a vertex every `step` pixels; cells without a valid pixel are omitted.
 
-    So is a steep cell that is only partly there: stretched over a wall, its few pixels would hang there as rags.
-
-    x_mm [col], y_mm [row] are the pixels' places; the texture covers the same pixels, edge to edge. Skirts reach
-    down to the lowest height near them: behind them no crack shows to a neighbour of other vertices.
+    Steep cells that are only partly measured are omitted too, as they would show as ragged fragments. x_mm [col], y_mm
+    [row] are the pixel positions; the texture covers the same pixels, edge to edge. Skirts extend to the lowest height
+    nearby, so that no cracks show next to a tile with other vertices.
     """
     rows, cols = picked(len(y_mm), step), picked(len(x_mm), step)
     grid_y, grid_x = np.meshgrid(y_mm[rows], x_mm[cols], indexing="ij")
@@ -69,7 +68,7 @@ def surface(
 
 
 def _skirts(of: Mesh, height: Floats, kept: NDArray[np.bool_], skirts: Skirts) -> list[Mesh]:
-    """A band down from each edge that is to have one, as long as the cells along it are kept."""
+    """Return a skirt for each requested edge, along the cells that are kept."""
     index = np.arange(height.size).reshape(height.shape)
     edges = (index[-1], kept[-1]), (index[0], kept[0]), (index[:, 0], kept[:, 0]), (index[:, -1], kept[:, -1])
     return [_skirt(of, line, there) for wanted, (line, there) in zip(skirts, edges, strict=True) if wanted]
@@ -88,7 +87,7 @@ def _skirt(of: Mesh, line: NDArray[np.intp], there: NDArray[np.bool_]) -> Mesh:
 
 
 def _joined(parts: list[Mesh]) -> Mesh:
-    """Several as one."""
+    """Merge several meshes into one."""
     starts = np.cumsum([0, *(len(part.vertices) for part in parts)])[:-1]
     return Mesh(
         np.concatenate([part.vertices for part in parts]),
@@ -100,30 +99,33 @@ def _joined(parts: list[Mesh]) -> Mesh:
 def _cells(
     there: NDArray[np.bool_], rows: NDArray[np.intp], cols: NDArray[np.intp], how: np.ufunc
 ) -> NDArray[np.bool_]:
-    """Whether any (logical_or) or each (logical_and) pixel is there, for each cell between picked rows and columns."""
+    """Return for each cell between picked rows and columns whether any or every pixel in it is valid.
+
+    how: logical_or for any, logical_and for every.
+    """
     by_row = how.reduceat(there, rows[:-1], axis=0)
     return how.reduceat(by_row, cols[:-1], axis=1)
 
 
 def _rise(height: Floats) -> Floats:
-    """The largest difference between the four corners of each cell."""
+    """Return the largest difference between the four corners of each cell."""
     return np.ptp(_corners(height), axis=0)
 
 
 def _corners(lattice: NDArray[Any]) -> NDArray[Any]:
-    """The values at the four corners of each cell, [4, row, col]."""
+    """Return the values at the four corners of each cell, [4, row, col]."""
     return np.stack([lattice[:-1, :-1], lattice[:-1, 1:], lattice[1:, :-1], lattice[1:, 1:]])
 
 
 def quads(rows: int, cols: int) -> NDArray[np.uint32]:
-    """The two triangles of each cell of a lattice of vertices, uint32 [cell, 2, 3], seen from above anticlockwise."""
+    """Return the two triangles of each cell of a vertex lattice, uint32 [cell, 2, 3], anticlockwise from above."""
     i = np.arange(rows * cols, dtype=np.uint32).reshape(rows, cols)
     a, b, c, d = i[:-1, :-1], i[:-1, 1:], i[1:, 1:], i[1:, :-1]
     return np.stack([a, d, c, a, c, b], axis=-1).reshape(-1, 2, 3)
 
 
 def flat(x0_mm: float, y0_mm: float, x1_mm: float, y1_mm: float, z_mm: float = 0.0) -> Mesh:
-    """One rectangle lying at z, the picture's top edge at y1 (the larger)."""
+    """Return one horizontal rectangle at z, with the top edge of the image at y1 (the larger)."""
     corners = [(x0_mm, y1_mm), (x1_mm, y1_mm), (x1_mm, y0_mm), (x0_mm, y0_mm)]
     return Mesh(
         np.array([(x, y, z_mm) for x, y in corners], np.float32),
@@ -133,9 +135,9 @@ def flat(x0_mm: float, y0_mm: float, x1_mm: float, y1_mm: float, z_mm: float = 0
 
 
 def plates(boxes_mm: NDArray[np.float64], z_mm: NDArray[np.float64], uv: Floats) -> Mesh:
-    """Rectangles lying each at its own height: boxes [n, 4] as x low, y low, x high, y high, z [n].
+    """Return horizontal rectangles, each at its own height: boxes [n, 4] as x low, y low, x high, y high, z [n].
 
-    uv [n, 4]: which part of the picture each shows, as u0, v0, u1, v1 with v downwards.
+    uv [n, 4]: part of the image for each, as u0, v0, u1, v1 with v downwards.
     """
     (x0, y0, x1, y1), (u0, v0, u1, v1) = boxes_mm.T, uv.T
     corners = [np.stack([x, y, z_mm], axis=1) for x, y in ((x0, y1), (x1, y1), (x1, y0), (x0, y0))]
@@ -152,9 +154,9 @@ WALL_SIDES = 4
 
 
 def walls(edges: dict[int, tuple[Floats, Floats, Floats]], base_mm: float) -> Mesh:
-    """Walls down from edges of a block: each edge as x_mm, y_mm, z_mm [n]; NaN in z leaves the wall out there.
+    """Return walls down from the edges of a block: each edge as x_mm, y_mm, z_mm [n]; NaN in z omits the wall.
 
-    u names the edge, (its key + 0.5) / `WALL_SIDES`; v runs from the top (0) to the base (1).
+    u identifies the edge, (its key + 0.5) / `WALL_SIDES`; v runs from the top (0) to the base (1).
     """
     return _joined([_wall(x, y, z, base_mm, (k + 0.5) / WALL_SIDES) for k, (x, y, z) in edges.items()])
 

@@ -1,4 +1,4 @@
-"""A small part of a frame as a picture, to be looked at pixel by pixel."""
+"""Enlarged patch of a frame as an image."""
 
 from __future__ import annotations
 
@@ -11,25 +11,25 @@ from numpy.typing import NDArray
 from wafer_viewer.model.acquisition.focus_stack import Image
 
 LEAST_SPAN = 1 / 8
-"""Of the range of greys: less contrast is not spread further, so that noise does not look like texture."""
+"""Least displayed range as a share of the grey range, so that noise does not look like texture."""
 Greys = tuple[float, float]
 
 
 def patch(image: Image, row: int, col: int, side_px: int) -> Image:
-    """The square of `side_px` round a pixel, cut off at the frame's edges."""
+    """Return the square of `side_px` around a pixel, cropped at the frame edges."""
     top, left = row - side_px // 2, col - side_px // 2
     return image[max(0, top) : max(0, top + side_px), max(0, left) : max(0, left + side_px)]
 
 
 def greys(image: Image) -> Greys:
-    """The greys drawn black and white so that a patch is well seen: nearly its darkest and its brightest."""
+    """Return the grey values shown as black and white: the 0.5 and 99.5 percentiles, at least `LEAST_SPAN` apart."""
     low, high = (float(v) for v in np.percentile(image, (0.5, 99.5)))
     spare = max(0.0, LEAST_SPAN * np.iinfo(image.dtype).max - (high - low)) / 2
     return low - spare, high + spare
 
 
 def patch_url(image: Image, row: int, col: int, side_px: int, between: Greys) -> str:
-    """The square round a pixel as the address of a PNG picture; what lies beyond the frame is left clear."""
+    """Return the square around a pixel as a PNG data URL; pixels outside the frame are transparent."""
     from PIL import Image as Pictures
 
     seen = patch(image, row, col, side_px)

@@ -1,4 +1,4 @@
-"""From a height map to the picture that lies on it: colours by a quantity, light, and the all-in-focus image."""
+"""Texture baking for a height map: colours of a quantity, lighting, and the all-in-focus image."""
 
 from __future__ import annotations
 
@@ -15,17 +15,17 @@ from wafer_viewer.model.surface.height_map import HeightMap, Origin
 
 Picture = NDArray[np.uint8]
 _BRUSH_SHARE = 0.86
-"""Of a brushed point's colour."""
+"""Share of the brush colour in a brushed point."""
 
 
 def plane_um(part: HeightMap, plane: Plane) -> NDArray[np.float32]:
-    """The heights of a plane on the lattice of a map."""
+    """Return the heights of a plane on the lattice of a map."""
     a, b, c = plane
     return (a * part.x_um[None, :] + b * part.y_um[:, None] + c).astype(np.float32)
 
 
 def form_um(part: HeightMap, form: Form) -> NDArray[np.float32]:
-    """The heights of a form of order 2 on the lattice of a map."""
+    """Return the heights of a second-order form on the lattice of a map."""
     if not form:
         return np.zeros(part.shape, np.float32)
     u, v = (part.x_um[None, :] - form[0]) / form[2], (part.y_um[:, None] - form[1]) / form[2]
@@ -34,18 +34,18 @@ def form_um(part: HeightMap, form: Form) -> NDArray[np.float32]:
 
 
 def slope_degrees(part: HeightMap) -> NDArray[np.float32]:
-    """The steepest slope at each pixel; NaN next to a gap."""
+    """Return the steepest slope at each pixel; NaN next to a gap."""
     down, right = np.gradient(part.z_um, part.pixel_um)
     return np.degrees(np.arctan(np.hypot(down, right))).astype(np.float32)
 
 
 def overlap_um(part: HeightMap) -> NDArray[np.float32]:
-    """How far fields are apart where several measured a pixel, NaN elsewhere."""
+    """Return the height difference between overlapping fields, NaN elsewhere."""
     return np.full_like(part.z_um, np.nan) if part.overlap_um is None else part.overlap_um
 
 
 def grey_image(part: HeightMap) -> NDArray[np.float32]:
-    """The all-in-focus image in 0 ... 1."""
+    """Return the all-in-focus image in 0 ... 1."""
     image = part.all_in_focus
     return image.astype(np.float32) / np.float32(np.iinfo(image.dtype).max)
 
@@ -61,13 +61,13 @@ VALUES: dict[Quantity, Callable[[HeightMap, Light], NDArray[np.float32]]] = {
     "origin": lambda part, light: part.origin.astype(np.float32),
     "difference": lambda part, light: part.z_um,
 }
-"""What each quantity of `QUANTITIES` is at every pixel; NaN where it is not known."""
+"""Values of each quantity of `QUANTITIES` per pixel; NaN where unknown."""
 
 
 def bake(part: HeightMap, look: DisplayStyle, light: Light, filled_um: NDArray[np.float32] | None = None) -> Picture:
-    """The picture of a height map as it should appear, uint8 rgba [row, col, 4]; alpha 0 where nothing is drawn.
+    """Return the texture of a height map in display colours, uint8 rgba [row, col, 4]; alpha 0 where nothing is drawn.
 
-    filled_um: its heights `without_gaps`, for who has them already.
+    filled_um: its heights `without_gaps`, if already computed.
     """
     heights = without_gaps(part.z_um) if filled_um is None else filled_um
     colour = _with_image(_coloured(part, look, light, heights), part, look.all_in_focus)
@@ -81,7 +81,7 @@ def bake(part: HeightMap, look: DisplayStyle, light: Light, filled_um: NDArray[n
 
 
 def _coloured(part: HeightMap, look: DisplayStyle, light: Light, heights: NDArray[np.float32]) -> NDArray[np.float32]:
-    """Colours 0 ... 255 before light; a gap takes its neighbour's, so that filtering at its edge finds no stranger."""
+    """Return colours 0 ... 255 before lighting; gaps take the nearest colour, so that filtering has no fringes."""
     if look.colour_by == "origin":
         return origin_table()[part.origin].astype(np.float32)
     values = VALUES[look.colour_by](part, light)
@@ -92,13 +92,13 @@ def _coloured(part: HeightMap, look: DisplayStyle, light: Light, heights: NDArra
 
 
 def _by_value(values: NDArray[np.float32], look: DisplayStyle) -> NDArray[np.float32]:
-    """The colours of a look for values without gaps."""
+    """Return the colours of a display style for values without gaps."""
     place = (values - look.low) / max(look.high - look.low, 1e-12)
     return table(look.colours)[(np.clip(place, 0, 1) * 255).astype(np.uint8)].astype(np.float32)
 
 
 def _with_image(colour: NDArray[np.float32], part: HeightMap, share: float) -> NDArray[np.float32]:
-    """The colours tinted by the all-in-focus image, which keeps them readable: it darkens and lightens."""
+    """Return the colours tinted by the all-in-focus image, which darkens and lightens them."""
     if share <= 0:
         return colour
     tint = np.float32(0.35) + np.float32(0.9) * grey_image(part)[..., None] ** np.float32(0.8)
@@ -108,7 +108,7 @@ def _with_image(colour: NDArray[np.float32], part: HeightMap, share: float) -> N
 def _with_brush(
     colour: NDArray[np.float32], z_um: NDArray[np.float32], brush_um: tuple[float, float] | None
 ) -> NDArray[np.float32]:
-    """The colours with those heights lit up that are brushed; a little of their own colour stays."""
+    """Return the colours with the brushed heights highlighted, mixed with a little of their own colour."""
     if brush_um is None:
         return colour
     lit = np.float32(_BRUSH_SHARE) * np.array(rgb(BRUSH), np.float32) + np.float32(1 - _BRUSH_SHARE) * colour
@@ -116,7 +116,7 @@ def _with_brush(
 
 
 def _lit(colour: NDArray[np.float32], shading: Shading, strength: float) -> NDArray[np.float32]:
-    """Colours under the light; strength 0 leaves them as the colour bar shows them."""
+    """Return the colours under lighting; strength 0 leaves them as in the colour bar."""
     if strength <= 0:
         return colour
     factor = 1 + np.float32(0.85 * strength) * (np.minimum(shading.lambert, 1.6) - 1)

@@ -1,9 +1,9 @@
-"""Colours that survive the browser's tone curve.
+"""Compensation of the browser's tone curve in baked colours.
 
 The page's 3D engine, three.js, sends every material through the filmic curve of S. Hill's fit of the ACES reference
-transforms (three.js, ``ACESFilmicToneMapping``): linear rgb / 0.6 -> input matrix -> (v (v + a) - b) / (v (c v + d)
-+ e) -> output matrix -> sRGB. A texture baked with the inverse of that comes out on the screen as it was meant.
-The inverse exceeds 1 for light colours; it is divided by `GAIN`, which the material multiplies back.
+transforms (three.js, ``ACESFilmicToneMapping``): linear rgb / 0.6 -> input matrix -> (v (v + a) - b) / (v (c v + d) +
+e) -> output matrix -> sRGB. A texture baked with the inverse is displayed in the intended colours. The inverse exceeds
+1 for light colours; it is divided by `GAIN`, which the material multiplies back.
 """
 
 from __future__ import annotations
@@ -14,20 +14,20 @@ import numpy as np
 from numpy.typing import NDArray
 
 GAIN = 3.0
-"""What the material's base colour factor has to be for textures made here."""
+"""Base colour factor required of the material of these textures."""
 
 _EXPOSURE = 0.6
 _INPUT = np.array([[0.59719, 0.35458, 0.04823], [0.07600, 0.90834, 0.01566], [0.02840, 0.13383, 0.83777]])
 _OUTPUT = np.array([[1.60475, -0.53108, -0.07367], [-0.10208, 1.10813, -0.00605], [-0.00327, -0.07276, 1.07602]])
 _A, _B, _C, _D, _E = 0.0245786, 0.000090537, 0.983729, 0.4329510, 0.238081
 _WHITEST = 245
-"""Lighter greys would need a factor over GAIN: they are shown as this."""
+"""Lightest displayed grey; lighter ones would need a factor over GAIN."""
 _MOST = 0.95
-"""Where the curve is cut so that the inverse stays finite (it reaches 1 / _C only at infinity)."""
+"""Upper limit of the curve, so that the inverse stays finite (it reaches 1 / _C only at infinity)."""
 
 
 def to_texture(shown: NDArray[np.uint8]) -> NDArray[np.uint8]:
-    """The texture that shows as `shown`, both sRGB uint8 [..., 3]; exact to 3 of 255 within the colours of Mako."""
+    """Return the texture that is displayed as `shown`, both sRGB uint8 [..., 3]; exact to 3 of 255 for Mako."""
     light = _linear_table()[np.minimum(shown, _WHITEST)]
     before_output = np.clip(light @ np.linalg.inv(_OUTPUT).T.astype(np.float32), 0, _MOST)
     texture = _inverse_curve(before_output) @ np.linalg.inv(_INPUT).T.astype(np.float32) * (_EXPOSURE / GAIN)
@@ -35,21 +35,21 @@ def to_texture(shown: NDArray[np.uint8]) -> NDArray[np.uint8]:
 
 
 def as_shown(texture: NDArray[np.uint8]) -> NDArray[np.uint8]:
-    """What the browser shows of a texture with base colour factor `GAIN`: the forward way, for legends and tests."""
+    """Return the displayed colours of a texture with base colour factor `GAIN`, for legends and tests."""
     v = (_linear_table()[texture] * (GAIN / _EXPOSURE)) @ _INPUT.T
     curve = (v * (v + _A) - _B) / (v * (_C * v + _D) + _E)
     return _to_srgb((curve @ _OUTPUT.T).astype(np.float32))
 
 
 def _inverse_curve(y: NDArray[np.float32]) -> NDArray[np.float32]:
-    """The positive root v of (1 - c y) v^2 + (a - d y) v - (b + e y) = 0."""
+    """Return the positive root v of (1 - c y) v^2 + (a - d y) v - (b + e y) = 0."""
     p, q, r = 1 - _C * y, _A - _D * y, -(_B + _E * y)
     return ((-q + np.sqrt(q * q - 4 * p * r)) / (2 * p)).astype(np.float32)
 
 
 @cache
 def _linear_table() -> NDArray[np.float32]:
-    """Linear light of every sRGB code."""
+    """Return the linear light of every sRGB code."""
     s = np.arange(256, dtype=np.float64) / 255
     return np.where(s <= 0.04045, s / 12.92, ((s + 0.055) / 1.055) ** 2.4).astype(np.float32)
 

@@ -1,4 +1,4 @@
-"""The panel of the second step: how long the scan still takes, what came of it, the frame just taken."""
+"""Panel of the step Acquire: time left, verdict, counters, latest frame."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ FRAME_WIDTH_PX = 720
 
 
 class AcquirePanel:
-    """Progress, pause and stop, counters, the latest frame; when it is done, the way to the surface."""
+    """Progress, pause and stop, counters, latest frame; after the scan a button that shows the surface."""
 
     def __init__(self, page: Page) -> None:
         self._page = page
@@ -38,7 +38,7 @@ class AcquirePanel:
             self._build()
 
     def show(self, snapshot: Snapshot, view: View) -> None:
-        """Bring the panel up to date."""
+        """Update the panel."""
         set_prop(self._folder, "visible", view.step == "acquire")
         if view.step != "acquire":
             return
@@ -57,7 +57,7 @@ class AcquirePanel:
         self._show_frame(snapshot, few)
 
     def pause_or_resume(self) -> None:
-        """Pause a running scan, go on with a paused one."""
+        """Pause a running scan, or resume a paused one."""
         page = self._page
         if page.session.snapshot.rig.state == "paused":
             page.ask("The scan was not continued", page.session.resume())
@@ -103,7 +103,7 @@ class AcquirePanel:
         )
 
     def _next_wafer(self) -> Callable[..., None]:
-        """The same job again: back to the plan, where the wafer's id is asked for."""
+        """Return the callback that prepares the same job for the next wafer and goes to Plan, for its id."""
         page, failed = self._page, "The next wafer was not prepared"
         return guarded(page, failed)(
             lambda _: page.ask(failed, page.session.jobs.next_wafer(), lambda _: page.change(step="plan"))
@@ -147,24 +147,24 @@ class AcquirePanel:
 
 
 def _released(snapshot: Snapshot) -> bool:
-    """Whether the scan is one of a released job."""
+    """Return whether the dataset belongs to a released job."""
     return snapshot.dataset is not None and snapshot.dataset.job.released
 
 
 def _few(snapshot: Snapshot, view: View) -> bool:
-    """Whether the operator sees the time left and the verdict alone."""
+    """Return whether only time left and verdict are shown."""
     return _released(snapshot) and not view.everything
 
 
 def picture(image: Image) -> NDArray[np.uint8]:
-    """A frame small enough to be sent often: uint8 [row, col, 3], at most `FRAME_WIDTH_PX` wide; 16 bit is cut to 8."""
+    """Downsample a frame for display: uint8 [row, col, 3], at most `FRAME_WIDTH_PX` wide; 16 bit reduced to 8."""
     every = max(1, -(-image.shape[1] // FRAME_WIDTH_PX))
     small = image[::every, ::every]
     return np.repeat(eight_bit(small)[..., None], 3, axis=2)
 
 
 def _why_not(snapshot: Snapshot) -> str | None:
-    """Why an unfinished scan cannot go on now, or None."""
+    """Return why an unfinished scan cannot continue now, or None."""
     data, rig = snapshot.dataset, snapshot.rig
     if data is not None and data.read_only is not None:
         return data.read_only

@@ -1,4 +1,4 @@
-"""Questions about defects: as what file they go out, which file is laid over them, what recipes are called."""
+"""Dialogs for defects: export, KLARF overlay, golden dies and recipes."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ from wafer_viewer.session.state.inspection_resources import SAME_PLACE_UM
 
 NEAR = "Places closer than this count as the same defect"
 WAIT_S = 20.0
-"""A verb of the session is waited for, so that what it says can be mended in the dialog."""
+"""Timeout for a session command, which is awaited so that the dialog can show its error."""
 FORMATS: dict[str, tuple[Handover, str]] = {
     "KLARF 1.2, for yield systems": ("klarf", "-defects.klarf"),
     "CSV, a table": ("csv", "-defects.csv"),
@@ -42,7 +42,7 @@ UNITS: dict[str, KlarfUnit | None] = {"As the file says": None, "µm": "um", "nm
 
 
 def export_defects_dialog(page: Page) -> None:
-    """Write the defects to a file, and say before what the format cannot hold."""
+    """Open the dialog that exports the defects; it states what the chosen format cannot hold."""
     required_inspection(page)
     snapshot = page.session.snapshot
     stem = snapshot.dataset.path.stem if snapshot.dataset is not None else "wafer"
@@ -74,7 +74,7 @@ def export_defects_dialog(page: Page) -> None:
 
 
 def klarf_dialog(page: Page) -> None:
-    """Lay what another tool found over the surface."""
+    """Open the dialog that overlays the defects of another tool from a KLARF file."""
     below = "Compares the places in a KLARF file with those found here: what both found, and what only one did."
     dialog, gui = Dialog(page, "Overlay a KLARF file", below), page.gui
     with dialog.modal:
@@ -92,7 +92,7 @@ def klarf_dialog(page: Page) -> None:
 
 
 def golden_dialog(page: Page) -> None:
-    """Keep the typical die of this wafer under a name, the next version of it."""
+    """Open the dialog that saves the median die of this wafer as the next version of a golden die."""
     inspection, shelf = required_inspection(page), page.session.snapshot.shelf
     if inspection.grid is None:
         raise MeasureError("A golden die is made from dies and this inspection has none: inspect die to die first.")
@@ -121,7 +121,7 @@ def golden_dialog(page: Page) -> None:
 
 
 def golden_file_dialog(page: Page, then: Callable[[GoldenHeader], None]) -> None:
-    """Take a golden die from a file, kept on another machine say, and go on with it."""
+    """Open the dialog that imports a golden die from a file, and pass its header to `then`."""
     below = "A file NAME.3.golden.npz. It is copied into the data folder, as the next version of its name."
     dialog = Dialog(page, "Choose a golden die", below)
     with dialog.modal:
@@ -136,7 +136,10 @@ def golden_file_dialog(page: Page, then: Callable[[GoldenHeader], None]) -> None
 
 
 def save_recipe_dialog(page: Page, recipe: DefectRecipe, then: Callable[[DefectRecipe], None]) -> None:
-    """Keep a recipe under its product and a name, and go on with it; one that is there is replaced after a question."""
+    """Open the dialog that saves a recipe under a product and a name, and pass it to `then`.
+
+    An existing recipe of that name is replaced only after confirmation.
+    """
     product = recipe.product or "its product"
     below = f"Kept beside the datasets. It is applied automatically when a dataset of {product} opens."
     dialog = Dialog(page, "Save the recipe", below)
@@ -161,7 +164,7 @@ def save_recipe_dialog(page: Page, recipe: DefectRecipe, then: Callable[[DefectR
 
 
 def recipes_dialog(page: Page) -> None:
-    """The recipes that are kept: rename one, or delete it."""
+    """Open the dialog that lists the saved recipes, to rename or delete them."""
     shelf = page.session.snapshot.shelf
     dialog = Dialog(
         page,
@@ -181,7 +184,7 @@ def recipes_dialog(page: Page) -> None:
 
 
 def recipe_table(recipes: tuple[DefectRecipe, ...]) -> str:
-    """The recipes, saved last first, each with what can be done to it."""
+    """Return the table of recipes as HTML, with links to rename and delete each."""
     if not recipes:
         return html.empty("No recipe is saved yet.")
     return html.table(
@@ -198,7 +201,7 @@ def _recipe_row(place: int, recipe: DefectRecipe) -> str:
 
 
 def required_inspection(page: Page) -> Inspection:
-    """What was found. Raises MeasureError before anything was looked for."""
+    """Return the inspection result. Raises MeasureError if the surface has not been inspected."""
     if (inspection := page.session.snapshot.inspection.inspection) is None:
         raise MeasureError("The surface has not been inspected yet: inspect it for defects first.")
     return inspection
@@ -248,7 +251,7 @@ def _lab(text: str) -> str:
 
 @dataclass(frozen=True, slots=True)
 class Errand:
-    """Something to do with defects as a whole: its name, a short one, what failed, and the dialog that asks for it."""
+    """Command on all defects: name, short name, failure title, icon and dialog."""
 
     name: str
     short: str
@@ -264,4 +267,4 @@ ERRANDS: dict[str, Errand] = {
         "Overlay a KLARF file…", "Overlay KLARF…", "The KLARF file was not overlaid", viser.Icon.STACK_2, klarf_dialog
     ),
 }
-"""What the list of defects offers over it, and the palette too."""
+"""Commands in the header of the defect list and in the command palette."""

@@ -1,4 +1,4 @@
-"""The left panel's part for defects: how they are searched for, what was found, and the list with its thumbnails."""
+"""Defect section of the left panel: inspection form, summary, and the list with thumbnails."""
 
 from __future__ import annotations
 
@@ -37,13 +37,13 @@ from wafer_viewer.session.rendering.render_request import RenderRequest
 from wafer_viewer.session.state.snapshot import Snapshot
 
 LAYERS = (DisplayStyle(), DisplayStyle(colour_by="grey"))
-"""Of the thumbnails: heights, and the all-in-focus picture."""
+"""Display styles of the thumbnails: heights and all-in-focus picture."""
 LEAST_PX = 48
-"""A thumbnail shows at least so many pixels of the surface."""
+"""Minimum size of a thumbnail, in pixels of the surface."""
 
 
 class DefectSection:
-    """In sight in the step Review; the form is unfolded where nothing was inspected yet."""
+    """Section shown in the step Review; the form is unfolded until the surface has been inspected."""
 
     def __init__(self, page: Page) -> None:
         self._page = page
@@ -79,11 +79,11 @@ class DefectSection:
         self._list.show(self._listed(snapshot, view))
 
     def on_chosen(self, fly: Callable[[Box], object]) -> None:
-        """Call back with the part of the surface to be shown when a place of another tool is chosen."""
+        """Set the callback that gets the box to show when a defect of another tool is chosen."""
         self._fly = fly
 
     def commands(self) -> list[Command]:
-        """Searching, sorting, and what is done with all of them, from the palette."""
+        """Return the palette commands that inspect, sort and export defects."""
         icon = viser.Icon
         return unless(
             no_defects,
@@ -106,7 +106,7 @@ class DefectSection:
         )  # fmt: skip
 
     def unfold(self) -> None:
-        """Show the form, or fold it away again."""
+        """Unfold or fold the form."""
         self._unfolded = not self._unfolded
         self._page.change(step="review")
         self._page.redraw()
@@ -114,13 +114,16 @@ class DefectSection:
     # --- what a person does
 
     def _run(self, errand: str) -> None:
-        """Ask for one of the errands in its dialog."""
+        """Open the dialog of one of the commands on all defects."""
         asked = ERRANDS[errand]
         guarded(self._page, asked.failed)(asked.ask)(self._page)
 
     def _leave_out(self, *, here: bool = False) -> None:
-        """Ask for areas of every die to be left out, `here`: that of the defect under review too; the form shows them,
-        with the button that inspects again."""
+        """Open the dialog of areas to exclude on every die.
+
+        The form then shows the areas, next to the button that inspects again.
+        here: propose the area of the defect under review as well.
+        """
         page = self._page
         proposed = place_of(chosen_defect(page.session.snapshot, page.view.review)) if here else ()
 
@@ -162,7 +165,7 @@ class DefectSection:
         return chart + choices + there + words.facts(inspection)
 
     def _thumbs(self, item: ReviewItem, snapshot: Snapshot) -> str:
-        """Heights and picture of a defect."""
+        """Return the thumbnails of a defect, heights and picture, as HTML."""
         source = source_of(snapshot, item.show)
         if source is None or item.box_um is None:
             return ""
@@ -172,14 +175,14 @@ class DefectSection:
 
 
 def _errands() -> str:
-    """What is done with the defects as a whole."""
+    """Return the links of the commands on all defects as HTML."""
     links = (f'<span class="wv-link" {html.pick("defect-errand", key)}>{e.short}</span>' for key, e in ERRANDS.items())
     areas = f'<span class="wv-link" {html.pick("defect-excluded", "here")}>Leave out…</span>'
     return f'<div class="wv-legend" style="margin:2px 0 6px">{"".join(links)}{areas}</div>'
 
 
 def _why_not(snapshot: Snapshot) -> str:
-    """Why nothing can be inspected now; empty where it can."""
+    """Return the reason why no inspection can start now; empty if it can, or if one is running."""
     data = snapshot.dataset
     if data is None or snapshot.inspection.work:
         return ""
@@ -189,7 +192,7 @@ def _why_not(snapshot: Snapshot) -> str:
 
 
 def _at_least(box: Box, side_um: float) -> Box:
-    """A box round the same middle, no smaller than so."""
+    """Return a box with the same centre whose sides are at least `side_um`."""
     x0, y0, x1, y1 = box
     half_x, half_y = max(x1 - x0, side_um) / 2, max(y1 - y0, side_um) / 2
     x, y = (x0 + x1) / 2, (y0 + y1) / 2

@@ -1,4 +1,4 @@
-"""The section through the defect below the scene, cut as soon as one goes to it, with the same row of a die beside."""
+"""Bottom panel with the profile through the defect under review, and the same row of a neighbouring die."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ CUTTING = "Measuring the profile …"
 
 
 class DefectDock:
-    """Head with the figures, and the plot; it follows what is under review."""
+    """Header with figures, and the plot, for the defect under review."""
 
     def __init__(self, page: Page) -> None:
         self._page = page
@@ -53,7 +53,7 @@ class DefectDock:
         self._plot.show(f'<div class="wv-below">{self._head(defect, cut)}{self._curves()}</div>')
 
     def _measure(self, asked: tuple[DefectCut, int]) -> None:
-        """On the worker's thread; what comes for a defect that was left meanwhile is dropped."""
+        """Measure the profiles on the worker's thread; drop the result if another defect is under review by then."""
         cut, problem = asked[0], ""
         sections: list[Section] = []
         for place, line in enumerate(cut.lines):

@@ -1,7 +1,7 @@
-"""The map of the left panel in Review: the dies of the inspection, coloured by class or by count, each to be chosen.
+"""Die map of the left panel in Review: dies of the inspection coloured by class or by count.
 
-Two drawings one over the other: dies and signs change with the list, what is under review and what the camera sees
-change all the time.
+Two drawings are stacked, because they change at different rates: the dies and symbols change with the list, the marks
+of the defect under review and of the camera's view change all the time.
 """
 
 from __future__ import annotations
@@ -32,9 +32,9 @@ TO_DIES = (("Next die with open defects", "pagedown", 1), ("Previous die with op
 
 
 class DefectMap:
-    """In sight in Review where an inspection has dies; there it stands in for the map of the fields.
+    """Map shown in Review in place of the field map, if the inspection has dies.
 
-    What alone is listed, a die or a class, is chosen through this, by clicks and by keys.
+    Clicks and keys on it filter the list by die or by class.
     """
 
     def __init__(self, page: Page) -> None:
@@ -52,15 +52,15 @@ class DefectMap:
         page.on_pick("defect-at", lambda at: self._choose_at(*(float(um) for um in at.split(","))))
 
     def on_seen(self, seen_um: Callable[[], Outline | None]) -> None:
-        """Ask this for the part of the ground that the camera sees."""
+        """Set the function that returns the ground area in the camera's view."""
         self._seen = seen_um
 
     def on_chosen(self, go_to: Callable[[str], Any]) -> None:
-        """Go to the first defect of what was chosen through this, by its key."""
+        """Set the callback that shows the first defect of a new filter, given its key."""
         self._go_to = go_to
 
     def show(self, snapshot: Snapshot, view: View) -> bool:
-        """Bring the map up to date; whether there is one to be seen."""
+        """Bring the map up to date; return whether it is visible."""
         inspection = snapshot.inspection.inspection
         there = view.step == "review" and inspection is not None and bool(inspection.grid and inspection.dies)
         set_prop(self._folder, "visible", there)
@@ -75,7 +75,7 @@ class DefectMap:
         return True
 
     def commands(self) -> list[Command]:
-        """Die after die, class after class, without the mouse."""
+        """Return the commands that step through dies and classes."""
         icon = viser.Icon
         return unless(
             elsewhere("review"),
@@ -93,7 +93,7 @@ class DefectMap:
     # --- what a person does
 
     def _choose_at(self, x_um: float, y_um: float) -> None:
-        """List a die alone; the one that is listed alone no more."""
+        """Filter the list by the die at a place; remove the filter if that die is filtered already."""
         inspection = self._page.session.snapshot.inspection.inspection
         die = die_at(inspection, x_um, y_um) if inspection is not None else ""
         if die:
@@ -112,7 +112,7 @@ class DefectMap:
         self._list_by(kind=next_kind(self._page.session.snapshot.inspection.defects, view.defects))
 
     def _list_by(self, **changes: Any) -> None:
-        """List other defects; the one under review stays where it is among them."""
+        """Change the filter; the review moves to the first open defect only if its defect is filtered out."""
         page = self._page
         page.change(defects=replace(page.view.defects, **changes))
         now = listed(page.session.snapshot.inspection.defects, page.view.defects)
@@ -141,7 +141,7 @@ class DefectMap:
 
 
 def die_at(inspection: Inspection, x_um: float, y_um: float) -> str:
-    """The name of the die that holds a place; empty in no die."""
+    """Return the name of the die at a place; empty outside of all inspected dies."""
     if inspection.grid is None:
         return ""
     col, row, u, v = (float(one[0]) for one in inspection.grid.to_die(np.array([x_um]), np.array([y_um])))
@@ -151,7 +151,7 @@ def die_at(inspection: Inspection, x_um: float, y_um: float) -> str:
 
 
 def _on_map(snapshot: Snapshot, view: View) -> tuple[Defect, ...]:
-    """What is listed, of all dies."""
+    """Return the defects that pass the filters other than the die."""
     return on_show(snapshot.inspection.defects, replace(view.defects, die=""), view.review_filter)
 
 

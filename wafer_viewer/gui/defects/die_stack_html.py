@@ -1,4 +1,4 @@
-"""All dies overlaid as HTML: the drawing, and the places that repeat from die to die."""
+"""HTML of all dies overlaid: the drawing and the list of repeating places."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ NO_DIES = "The surface was compared with its form: there are no dies to overlay.
 
 
 def drawing_px(inspection: Inspection, room: SheetRoom) -> tuple[int, int]:
-    """How wide and how high the drawing may be: beside it stands the list."""
+    """Return the width and height that the drawing can take next to the list, in pixels."""
     grid = inspection.grid
     aspect = grid.width_um / grid.height_um if grid is not None else 1.0
     width, height = room.width_px - LIST_PX - 3 * PAD_PX, room.height_px - HEAD_PX - FOOT_PX - 2 * PAD_PX
@@ -36,7 +36,7 @@ def sheet(
     chosen: int | None,
     place: int | None,
 ) -> str:
-    """The whole sheet."""
+    """Return the sheet as HTML."""
     if inspection.grid is None:
         return head(inspection) + html.empty(NO_DIES)
     url = f"data:image/jpeg;base64,{base64.b64encode(picture.picture).decode()}" if picture and picture.picture else ""
@@ -56,7 +56,7 @@ def sheet(
 
 
 def head(inspection: Inspection) -> str:
-    """What is shown, and how one leaves it."""
+    """Return the header with title and close link as HTML."""
     whole = sum(die.state == "whole" for die in inspection.dies)
     name = f"All {whole} whole dies overlaid" if whole else "All dies overlaid"
     away = f'<span class="wv-link" {html.pick("sheet", "none")}>Close · Esc</span>'
@@ -64,7 +64,10 @@ def head(inspection: Inspection) -> str:
 
 
 def place_of(numbers: tuple[int, ...], places: Sequence[RepeatedPlace]) -> int | None:
-    """Which of the places is listed alone: that with most of the numbers, for what was rejected since has left it."""
+    """Return the index of the place that shares most defects with a filter; None if no place shares any.
+
+    The numbers need not match exactly, because a defect that was rejected since is no longer part of its place.
+    """
     common = [len(set(place.numbers) & set(numbers)) for place in places]
     return common.index(max(common)) if any(common) else None
 

@@ -1,4 +1,4 @@
-"""All dies overlaid, over the scene: which defects repeat from die to die; key Backspace."""
+"""Sheet over the scene with all dies overlaid, to find defects that repeat from die to die; key Backspace."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ WAITING_PX = 120
 
 
 class DefectStack:
-    """Places are counted and the picture is asked for on a thread of its own; both are kept as long as they hold."""
+    """Sheet whose places and picture are computed on a worker thread and cached while they are valid."""
 
     def __init__(self, page: Page, look_at: Callable[[str], None]) -> None:
         self._page, self._look_at = page, look_at
@@ -58,12 +58,12 @@ class DefectStack:
         self._sheet.show(content, height + HEAD_PX + FOOT_PX + 2 * PAD_PX)
 
     def commands(self) -> list[Command]:
-        """The one key: it opens, and goes from place to place then."""
+        """Return the command that opens the sheet and then steps from place to place."""
         name, icon = "All dies overlaid, next place", viser.Icon.STACK_2
         return unless(nothing_inspected, Command(name, "backspace", self.go_on, icon, group="Review"))
 
     def go_on(self) -> None:
-        """Lay it over the scene; where it lies there already, list the next place that repeats alone, at last all."""
+        """Open the sheet; if it is open, filter by the next repeating place, and after the last one show all."""
         view, places = self._page.view, self._places or ()
         if view.sheet_over != "stack":
             self._page.change(sheet="stack")
@@ -72,7 +72,7 @@ class DefectStack:
             self._only(0 if now is None else now + 1)
 
     def _only(self, k: int) -> None:
-        """List the defects of one place alone, and look at the first; the same once more lists all again."""
+        """Filter by the defects of one place and show the first; choosing the same place again removes the filter."""
         page, places = self._page, self._places or ()
         new = places[k].numbers if k < len(places) else ()
         if new == page.view.defects.numbers:
@@ -84,7 +84,7 @@ class DefectStack:
             self._look_at(key_of(shown[0]))
 
     def _ask(self, of: tuple[Any, ...], inspection: Inspection) -> None:
-        """The picture once for each surface and reference, the places whenever a defect changed."""
+        """Request the picture once per surface and reference, and the places whenever a defect changed."""
         if of != self._asked:
             self._asked, self._picture, self._places, self._defects = of, None, None, ()
         if inspection.defects is not self._defects or self._places is None:
@@ -93,7 +93,7 @@ class DefectStack:
             self._worker.ask(lambda: look(of))
 
     def _look(self, of: tuple[Any, ...]) -> None:
-        """On the worker's thread; what comes for a surface that was left meanwhile is dropped."""
+        """Compute places and picture on the worker's thread; drop the result if the surface has changed by then."""
         views = self._page.session.defects.views
         places = views.repeats()
         if of == self._asked:

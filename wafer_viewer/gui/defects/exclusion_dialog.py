@@ -1,4 +1,4 @@
-"""The question where on every die nothing is sought: areas that differ by nature, such as numbers and probe marks."""
+"""Dialog of areas excluded on every die because they differ by design, such as numbers and probe marks."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ from wafer_viewer.model.region import Region
 Areas = tuple[Region, ...]
 STAYS, CORNER = "The areas were not changed", "corner of a new one, x, y from that of the die; empty: none"
 ROOM = 0.25
-"""Round a defect, of its size: that of the next die differs a little."""
+"""Margin around a defect as a share of its size; its position varies slightly from die to die."""
 BELOW = (
     "Areas of every die, µm from its lower left corner, that are not searched: numbers and probe marks differ from "
     "die to die. They are part of the recipe; defects already found stay until the surface is inspected again."
@@ -27,9 +27,9 @@ BELOW = (
 
 
 class ExcludedDialog:
-    """The areas there are, each to be changed or taken away, and two corners of one to be added.
+    """Dialog that lists the excluded areas, to be edited or removed, and takes two corners of a new one.
 
-    proposed: one more, such as that of the defect under review. Nothing changes before it is kept.
+    proposed: further areas, such as that of the defect under review. Nothing changes before Keep is pressed.
     """
 
     def __init__(self, page: Page, areas: Areas, keep: Callable[[Areas], None], proposed: Areas = ()) -> None:
@@ -44,7 +44,10 @@ class ExcludedDialog:
         dialog.answers("Keep", viser.Icon.CHECK, lambda: keep((*self._areas, *self._typed())), STAYS)
 
     def _typed(self) -> Areas:
-        """The rectangle between the corners that were typed; none where there are none."""
+        """Return the rectangle between the entered corners; empty if none are entered.
+
+        Raises MeasureError if one corner is missing or the rectangle is empty.
+        """
         start, end = self._start.value, self._end.value
         if start is None and end is None:
             return ()
@@ -55,7 +58,7 @@ class ExcludedDialog:
         return (Region.rectangle(*map(min, start, end), *map(max, start, end)),)
 
     def _change(self, k: int) -> None:
-        """Have the corners of one typed anew."""
+        """Move the corners of an area into the input fields, to be edited."""
         x0, y0, x1, y1 = self._areas[k].bounds_um
         self._start.value, self._end.value = (x0, y0), (x1, y1)
         self._take_away(k)
@@ -66,7 +69,7 @@ class ExcludedDialog:
 
 
 def place_of(defect: Defect | None) -> Areas:
-    """The rectangle round a defect, counted from the corner of its die; none where it lies on none."""
+    """Return the rectangle around a defect, relative to the corner of its die; empty if it is on no die."""
     if defect is None or defect.in_die is None:
         return ()
     x0, y0, x1, y1 = defect.outline.bounds_um
@@ -76,14 +79,14 @@ def place_of(defect: Defect | None) -> Areas:
 
 
 def area_table(areas: Areas) -> str:
-    """What is left out now, each with a way to search there again."""
+    """Return the table of excluded areas with links to edit and remove them, as HTML."""
     if not areas:
         return html.empty("The whole die is searched.")
     return html.table(["", "x, µm", "y, µm", ""], [_row(k, area) for k, area in enumerate(areas)], " nn ")
 
 
 def _row(k: int, area: Region) -> str:
-    """Corners can be typed of rectangles alone."""
+    """Return the table row of an area as HTML; only rectangles can be edited."""
     x0, y0, x1, y1 = area.bounds_um
     change, away = ("Change", "change", "Edit its corners"), ("Remove", "away", "Search there again")
     verbs = " · ".join(

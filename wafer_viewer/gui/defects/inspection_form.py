@@ -1,4 +1,4 @@
-"""The form of an inspection: recipe, sensitivity, what is compared with what, where the dies lie, limits."""
+"""Inspection form: recipe, sensitivity, comparison, die grid and limits."""
 
 from __future__ import annotations
 
@@ -44,12 +44,12 @@ FAILED = "Inspection failed"
 
 
 class InspectionForm:
-    """It stands as the surface was inspected, else as the recipe kept for its product."""
+    """Form filled in from the last inspection of the surface, else from the saved recipe of its product."""
 
     def __init__(self, page: Page) -> None:
         self._page = page
         self._recipe = DefectRecipe()
-        """What the form keeps of it is what it does not show."""
+        """Recipe that supplies the settings that the form does not show."""
         self._of: object = None
         self._limits = DefectLimits()
         self._shows_more = False
@@ -75,7 +75,7 @@ class InspectionForm:
         page.on_pick("defect-more", lambda _: self._show_more())
 
     def show(self, snapshot: Snapshot, unfolded: bool, why_not: str) -> None:
-        """Bring the form up to date; `why_not`: why nothing can be inspected now."""
+        """Bring the form up to date; `why_not` is the reason why no inspection can start now, or empty."""
         set_prop(self._folder, "visible", unfolded)
         self._take_up(snapshot)
         if not unfolded:
@@ -94,11 +94,11 @@ class InspectionForm:
 
     @property
     def recipe(self) -> DefectRecipe:
-        """What the form asks for. Raises MeasureError where it asks for nothing."""
+        """Recipe that the form describes. Raises MeasureError if its entries make no valid recipe."""
         return recipe_of(self._typed(), self._recipe)
 
     def inspect(self) -> None:
-        """Search by what stands on the form."""
+        """Inspect the surface with the settings of the form."""
         form, page = self._typed(), self._page
         asked = recipe_of(form, self._recipe)
         verb = page.session.defects.inspect(asked, dies_of(form), against_of(form))
@@ -106,7 +106,7 @@ class InspectionForm:
         page.redraw()
 
     def _tell_refusal(self, done: Future[Any]) -> None:
-        """Tell why a search was not begun; why one that was begun found nothing stands over the list already."""
+        """Report why an inspection did not start, unless the section shows that problem already."""
         fault = None if done.cancelled() else done.exception()
         if fault is not None and str(fault) != self._page.session.snapshot.inspection.problem:
             tell_failure(self._page, FAILED, fault)
@@ -169,15 +169,15 @@ class InspectionForm:
 
     @property
     def excluded(self) -> tuple[Region, ...]:
-        """The areas that are left out, as the form stands."""
+        """Excluded areas of every die."""
         return self._form.excluded
 
     def save(self) -> None:
-        """Ask for a name and keep what stands on the form as the recipe of its product."""
+        """Open the dialog that saves the form as a recipe of its product."""
         save_recipe_dialog(self._page, self.recipe, lambda kept: self._put(kept, form_of(kept, None, self._typed())))
 
     def exclude(self, areas: tuple[Region, ...]) -> None:
-        """Leave these areas of every die out when the surface is inspected next."""
+        """Set the areas of every die that the next inspection excludes."""
         self._form = replace(self._form, excluded=areas)
         self._page.redraw()
 
@@ -193,7 +193,7 @@ class InspectionForm:
         self._page.redraw()
 
     def _ask_golden(self) -> None:
-        """Choose a golden die from a file; the list names a version only where a newer one follows it."""
+        """Choose a golden die from a file; its name includes the version only if a newer version exists."""
 
         def take(header: GoldenHeader) -> None:
             known = self._page.session.snapshot.shelf.golden
@@ -207,7 +207,10 @@ class InspectionForm:
         self._page.redraw()
 
     def _limit(self) -> Future[None] | None:
-        """Limits hold for what was found already: the verdict follows at once, no search is needed."""
+        """Apply the limits to the present inspection; the verdict follows without another search.
+
+        Returns None if there is no inspection.
+        """
         page, limits = self._page, limits_of(self._per_die.value, self._per_mm2.value)
         page.redraw()
         if page.session.snapshot.inspection.inspection is None:
@@ -219,7 +222,7 @@ class InspectionForm:
     # --- showing
 
     def _take_up(self, snapshot: Snapshot) -> None:
-        """Let the form stand as the surface was inspected, else as its product's recipe says; once for each."""
+        """Fill the form in from the inspection, else from the recipe of the product, once per dataset and recipe."""
         inspection, data = snapshot.inspection.inspection, snapshot.dataset
         product = product_of(data.job) if data is not None else ""
         own = snapshot.shelf.recipe_of(product) or DefectRecipe(product=product)
@@ -233,7 +236,7 @@ class InspectionForm:
             self._put(recipe, form_of(recipe, inspection, self._typed()))
 
     def _show_recipe(self, snapshot: Snapshot, form: DefectForm) -> None:
-        """Which recipe the form stands for, or why it makes none."""
+        """Show the name of the recipe that the form describes, or why its entries make no recipe."""
         shelf, inspected = snapshot.shelf, snapshot.inspection.inspection is not None
         names = (NOT_KEPT, *(recipe.name for recipe in shelf.recipes_of(form.product.strip())))
         if tuple(self._recipes.handle.options) != names:
@@ -249,7 +252,7 @@ class InspectionForm:
         self._said.show(_lab(f"{told} {words.unreadable(shelf)}".rstrip()))
 
     def _put(self, recipe: DefectRecipe, form: DefectForm) -> None:
-        """Fill the form in."""
+        """Fill in the form."""
         self._recipe, self._form = recipe, form
         self._dial.value, self._against.value, self._evidence.value = form.sensitivity, form.compare, form.evidence
         self._product.value, self._scales.value, self._dies.value = form.product, form.scales_px, form.dies
@@ -258,7 +261,7 @@ class InspectionForm:
         self._per_die.handle.value, self._per_mm2.handle.value = form.max_per_die, form.max_per_mm2
 
     def _typed(self) -> DefectForm:
-        """What stands on the form now."""
+        """Return the present entries of the form."""
         return DefectForm(
             sensitivity=float(self._dial.value),
             compare=self._against.value,

@@ -1,4 +1,4 @@
-"""What the form of an inspection says: the recipe it stands for, false defects to be expected, the golden dies."""
+"""Texts of the inspection form: recipe in use, expected false defects, golden dies."""
 
 from __future__ import annotations
 
@@ -16,12 +16,12 @@ from wafer_viewer.model.inspection.golden_die import GoldenHeader
 from wafer_viewer.session.state.inspection_resources import DefectShelf
 
 WAFER_MM2 = math.pi * 150.0**2
-"""Of a wafer of 300 mm."""
+"""Area of a 300 mm wafer."""
 MOST_GOLDEN = 12
 
 
 def expectation(sensitivity: float, inspection: Inspection | None) -> str:
-    """How many false defects a setting of the dial leads to: a mm2, on what was inspected, on a whole wafer."""
+    """Return the expected false defects at a sensitivity: per mm², on the inspected area, on a 300 mm wafer."""
     above = f"From {number(threshold_of(sensitivity), 1)} times the noise."
     expected = inspection.expected_false_at(sensitivity) if inspection is not None else None
     if inspection is None or expected is None:
@@ -33,7 +33,7 @@ def expectation(sensitivity: float, inspection: Inspection | None) -> str:
 
 
 def which_recipe(recipe: DefectRecipe, now: DefectRecipe, shelf: DefectShelf, inspected: bool) -> str:
-    """Where the form comes from, and whether it was changed since; `now` is what it asks for."""
+    """Return the origin of the form's settings and whether they were changed; `now` is its present recipe."""
     newest = shelf.recipe_of(recipe.product)
     if now in shelf.recipes:
         by_itself = " Applied automatically because it was saved last." if not inspected and now == newest else ""
@@ -50,13 +50,13 @@ def which_recipe(recipe: DefectRecipe, now: DefectRecipe, shelf: DefectShelf, in
 
 
 def unreadable(shelf: DefectShelf) -> str:
-    """That there are files that are no recipes; the list of recipes has their sentences."""
+    """Return a sentence with the number of unreadable recipe files; empty if there are none."""
     n = len(shelf.problems)
     return f"{n} recipe {'file' if n == 1 else 'files'} cannot be read: Recipes… says why." if n else ""
 
 
 def golden_table(shelf: DefectShelf, product: str, chosen: str) -> str:
-    """The golden dies of a product to choose from, newest first of each; those of others are only counted."""
+    """Return the table of golden dies of a product as HTML; those of other products are only counted."""
     mine = [header for header in shelf.golden if not product or header.product in ("", product)]
     others = len(shelf.golden) - len(mine)
     left = f"{others} of other products" if others else ""
@@ -72,7 +72,7 @@ def golden_table(shelf: DefectShelf, product: str, chosen: str) -> str:
 
 
 def more(form: DefectForm, unfolded: bool) -> str:
-    """The head of what is seldom changed, and how that stands while it is folded away."""
+    """Return the header of the additional settings as HTML, with a summary while they are folded."""
     link = f'<span class="wv-link" {html.pick("defect-more")}>{"Less" if unfolded else "Change…"}</span>'
     if unfolded:
         return f'<div class="wv-h">More settings<span>{link}</span></div>'
@@ -88,14 +88,14 @@ def more(form: DefectForm, unfolded: bool) -> str:
 
 
 def left_out(form: DefectForm) -> str:
-    """That line of the form, with its way to change it."""
+    """Return the form's line about excluded areas, with a link to edit them, as HTML."""
     link = f'<span class="wv-link" {html.pick("defect-excluded")}>Areas…</span>'
     told = areas(form)
     return f'<div class="wv-lab" style="margin:2px 0 6px">{told[0].upper()}{told[1:]} · {link}</div>'
 
 
 def areas(form: DefectForm) -> str:
-    """How much of every die is left out."""
+    """Return the number of excluded areas in words."""
     n = len(form.excluded)
     return f"{n} {'area' if n == 1 else 'areas'} of every die left out" if n else "the whole die is searched"
 
@@ -105,7 +105,10 @@ def _a_mm2(text: str) -> str:
 
 
 def _named(headers: tuple[GoldenHeader, ...] | list[GoldenHeader]) -> Iterator[tuple[GoldenHeader, str]]:
-    """Each with what a recipe calls it: the newest version by the name alone, so that a newer one follows it."""
+    """Yield each header with its name in a recipe.
+
+    The newest version is named without a number, so that the recipe follows later versions.
+    """
     seen: set[str] = set()
     for header in headers:
         yield header, f"{header.name}.{header.version}" if header.name in seen else header.name
@@ -127,7 +130,7 @@ def _kept(header: GoldenHeader) -> str:
 
 
 def _about(count: float) -> str:
-    """A count that is expected: whole from ten on, two digits below, and no more than that it is small."""
+    """Return an expected count rounded to two digits; one decimal below ten, "under 0.1" below 0.05."""
     if count < 0.05:
         return "under 0.1"
     if count < 10:

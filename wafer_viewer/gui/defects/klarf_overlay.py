@@ -1,4 +1,4 @@
-"""What another tool found, laid over the surface: how much of it was found here too, and the places of the rest."""
+"""Overlay of another tool's defects: number of matches, and the places of unmatched defects."""
 
 from __future__ import annotations
 
@@ -18,11 +18,11 @@ from wafer_viewer.session.state.snapshot import Snapshot
 MOST_ROWS, MOST_MARKS = 6, 400
 INK = "var(--ink)"
 ROUND, LEAST_PX = 3.0, 120
-"""So much more than a place is shown, and at least so many pixels of the surface."""
+"""Side of the area shown relative to the defect, and its minimum in pixels of the surface."""
 
 
 class OtherSection:
-    """In sight while a file is laid over."""
+    """Section shown while a KLARF file is overlaid."""
 
     def __init__(self, page: Page, fly: Callable[[Box], object]) -> None:
         self._page, self._fly = page, fly
@@ -53,7 +53,7 @@ class OtherSection:
 
 
 def other_marks(other: OtherTool | None) -> list[MapMark]:
-    """The places of the other tool on the map: open rings, so that what was found here shows within."""
+    """Return the map marks of the other tool's defects: open rings, so that our own defects stay visible inside."""
     if other is None:
         return []
     pairs = list(zip(other.klarf.defects, other.places, strict=True))[:MOST_MARKS]
@@ -71,7 +71,7 @@ def other_marks(other: OtherTool | None) -> list[MapMark]:
 
 
 def told(other: OtherTool, defects: tuple[Defect, ...]) -> str:
-    """Counts on both sides, and what was not found here, a click away."""
+    """Return the match counts and the table of unmatched defects as HTML."""
     found = tuple(defect for defect in defects if defect.kind != "unmeasured")
     rest = other.unmatched(found)
     both, n = len(other.klarf.defects) - len(rest), len(other.klarf.defects)

@@ -1,4 +1,4 @@
-"""The defect under review beside the same place of the other dies and of the last scan, over the scene; key Z."""
+"""Sheet over the scene that compares the defect under review with other dies and the last scan; key Z."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ Asked = tuple[Any, ...]
 
 
 class DefectBeside:
-    """It follows what is under review; pictures are made by the painter and asked for on a thread of its own."""
+    """Comparison sheet of the defect under review; its pictures are requested on a worker thread."""
 
     def __init__(self, page: Page) -> None:
         self._page = page
@@ -54,24 +54,24 @@ class DefectBeside:
             self._sheet.show(_instead(defect, self._told), HEAD_PX + WAITING_PX + 2 * PAD_PX)
 
     def commands(self) -> list[Command]:
-        """The one key."""
+        """Return the command that opens and closes the sheet."""
         icon = viser.Icon.LAYOUT_COLUMNS
         return unless(no_defect, Command("Compare the defect", "Z", self.toggle, icon, group="Review"))
 
     def toggle(self) -> None:
-        """Lay it over the scene, or take it away."""
+        """Open or close the sheet."""
         shown = self._page.view.sheet_over == "beside"
         self._page.change(sheet="none" if shown else "beside")
 
     def _ask(self, asked: Asked) -> None:
-        """Once for each defect on each surface."""
+        """Request the pictures, once per defect and surface."""
         if asked != self._asked:
             self._asked, self._answer, self._told = asked, None, ""
             look = guarded(self._page, "The pictures were not made")(self._look)
             self._worker.ask(lambda: look(asked))
 
     def _look(self, asked: Asked) -> None:
-        """On the worker's thread; what comes for a defect that was left meanwhile is dropped."""
+        """Fetch the pictures on the worker's thread; drop them if another defect is under review by then."""
         answer, told = None, "This place was not scanned."
         try:
             answer = self._page.session.defects.views.beside(asked[0]).result()
@@ -83,7 +83,7 @@ class DefectBeside:
             self._make_next(asked[0])
 
     def _make_next(self, number: int) -> None:
-        """Have the painter make the pictures of the defect that comes next: it keeps them."""
+        """Request the pictures of the next defect ahead of time; the painter caches them."""
         page = self._page
         view, snapshot = page.view, page.session.snapshot
         item = neighbour(snapshot, f"{OF_DEFECT}{number}", 1, view.review_filter, view.defects)
@@ -92,6 +92,6 @@ class DefectBeside:
 
 
 def _instead(defect: Defect, told: str) -> str:
-    """What stands there until the pictures are made, or where there are none."""
+    """Return the placeholder shown until the pictures are ready, or if there are none, as HTML."""
     said = html.empty(html.micro(told) if told else "Making the pictures …")
     return f'{head(defect)}<div style="height:{WAITING_PX}px">{said}</div>'

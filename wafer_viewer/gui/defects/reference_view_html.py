@@ -1,4 +1,4 @@
-"""A defect compared as HTML: three pairs of pictures, the defect outlined in each, one scale of heights."""
+"""HTML of a defect comparison: three pairs of pictures with the defect's outline and a common height scale."""
 
 from __future__ import annotations
 
@@ -23,14 +23,14 @@ TITLES: dict[Like, str] = {"here": "", "dies": "Other dies", "golden": "Golden d
 COLUMNS, ASPECT = 3, 4 / 3
 HEAD_PX, NAMES_PX, FOOT_PX, GAP_PX, PAD_PX, BAR_PX = 30, 38, 24, 8, 12, 64
 _BAR_OF_PICTURE = 0.4
-"""The scale bar is at most so much of a picture's width."""
+"""Maximum length of the scale bar as a share of a picture's width."""
 _STILL_PX = 0.5
-"""A scan that lay off by less is not said to have been moved."""
+"""Offset of a scan, in pixels, below which it is not mentioned."""
 
 
 @dataclass(frozen=True, slots=True)
 class Sizes:
-    """Of one picture, and of all there is, in pixels of the page."""
+    """Width and height of a picture and height of the sheet, in CSS pixels."""
 
     width_px: int
     height_px: int
@@ -38,7 +38,7 @@ class Sizes:
 
     @classmethod
     def within(cls, room: SheetRoom) -> Sizes:
-        """The largest pictures that the room has place for."""
+        """Return the sizes of the largest pictures that fit into the available area."""
         rest = HEAD_PX + NAMES_PX + FOOT_PX + 2 * PAD_PX + GAP_PX
         by_width = (room.width_px - 2 * PAD_PX - BAR_PX - COLUMNS * GAP_PX) / COLUMNS
         by_height = (room.height_px - rest) / 2 * ASPECT
@@ -48,7 +48,7 @@ class Sizes:
 
 
 def sheet(defect: Defect, answer: ComparisonViews, sizes: Sizes) -> str:
-    """The whole sheet."""
+    """Return the sheet as HTML."""
     style = (
         f"grid-template-columns:repeat({COLUMNS},{sizes.width_px}px) {BAR_PX}px;"
         f"grid-template-rows:{NAMES_PX}px repeat(2,{sizes.height_px}px)"
@@ -60,7 +60,7 @@ def sheet(defect: Defect, answer: ComparisonViews, sizes: Sizes) -> str:
 
 
 def head(defect: Defect) -> str:
-    """What is shown, and how one leaves it."""
+    """Return the header with title and close link as HTML."""
     look = KINDS[defect.seen_as]
     name = f"{symbol_svg(look.shape, look.colour)} D{defect.number} · {look.title} compared"
     away = f'<span class="wv-link" {html.pick("sheet", "none")}>Close · Z</span>'
@@ -83,7 +83,7 @@ def _column(place: int, seen: ComparisonView, defect: Defect, answer: Comparison
 
 
 def _named(seen: ComparisonView, defect: Defect, pixel_um: float) -> tuple[str, str]:
-    """What a pair of pictures is of."""
+    """Return the title and subtitle of a pair of pictures."""
     if seen.like == "here":
         return "This place", f"Die {defect.die}" if defect.die else "Outside of the dies"
     if seen.like == "before":
@@ -105,7 +105,7 @@ def _image(jpeg: bytes, title: str, what: str) -> str:
 
 
 def _over(defect: Defect, answer: ComparisonViews, sizes: Sizes) -> str:
-    """The defect's outline and the scale bar, over a picture."""
+    """Return the overlay of a picture, the defect's outline and the scale bar, as SVG."""
     x0, y0, x1, y1 = answer.box_um
     corners = outline_of(defect.outline)
     if len(corners) == 0:
@@ -134,7 +134,7 @@ def _scale_bar(width_um: float, sizes: Sizes) -> str:
 
 
 def _bar(answer: ComparisonViews, height_px: int) -> str:
-    """The colours of heights, from the middle of what the defect is compared with."""
+    """Return the colour bar of heights relative to the middle of the reference, as HTML."""
     low, high = answer.low_um - answer.zero_um, answer.high_um - answer.zero_um
     values = ticks(low, high, max(3, height_px // 40))
     digits = tick_digits(values)

@@ -1,4 +1,4 @@
-"""Finds the two faces of the gauge blocks when their surface first comes on show, on a thread of its own."""
+"""Automatic detection of the two gauge block faces on a worker thread."""
 
 from __future__ import annotations
 
@@ -13,13 +13,13 @@ from wafer_viewer.model.errors import WaferViewerError
 from wafer_viewer.session.state.snapshot import Snapshot
 
 Surface = tuple[Path, int, int]
-"""Dataset, what of it is on show, and its stamp."""
+"""Dataset path, displayed field (0 for the stitched surface) and stamp of the surface."""
 
 
 class FaceFinder:
-    """Looks by itself where there are no faces yet, or those of another dataset; and when asked.
+    """Finder of the two faces, run when there are no faces of this dataset yet, and on request.
 
-    problem: why nothing was found, or empty; looking: whether it is at work.
+    problem: why no faces were found, or empty; looking: whether a search is running.
     """
 
     def __init__(self, page: Page) -> None:
@@ -31,7 +31,7 @@ class FaceFinder:
         page.on_close(self._worker.close)
 
     def follow(self, snapshot: Snapshot, view: View) -> None:
-        """Look where a surface came that has no faces yet."""
+        """Start a search if a surface without faces is displayed."""
         surface = _surface(snapshot, view)
         if surface is None or surface == self._looked_at:
             return
@@ -41,13 +41,13 @@ class FaceFinder:
         self._looked_at = surface
 
     def again(self) -> None:
-        """Look again, in place of where the regions lie now."""
+        """Search again and replace the present regions."""
         surface = _surface(self._page.session.snapshot, self._page.view)
         if surface is not None:
             self._look(surface)
 
     def lay_by_hand(self) -> None:
-        """Lay the regions anywhere, to be dragged."""
+        """Place the regions at default positions, to be dragged by hand."""
         info = self._page.session.snapshot.surface
         if info is not None:
             self.problem = ""
@@ -70,7 +70,7 @@ class FaceFinder:
 
 
 def _surface(snapshot: Snapshot, view: View) -> Surface | None:
-    """What changes whenever there is another surface to look at; None without one."""
+    """Return the key of the displayed surface; None without one, or during a scan."""
     data = snapshot.dataset
     if data is None or snapshot.surface is None or snapshot.scanning:
         return None

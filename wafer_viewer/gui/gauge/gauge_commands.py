@@ -1,4 +1,4 @@
-"""What a person does in Gauge check, by button, key or click, and why it is not possible now."""
+"""Commands of the gauge check and their preconditions."""
 
 from __future__ import annotations
 
@@ -13,11 +13,11 @@ from wafer_viewer.gui.widgets.error_guard import guarded
 from wafer_viewer.session.state.snapshot import Snapshot
 
 Lead = Literal["certificate", "measure", "sign", "new"]
-"""What leads on: the one filled button."""
+"""Command of the leading (filled) button."""
 
 
 class GaugeActions:
-    """The verbs of a check; one for the page."""
+    """Commands of a gauge check, for buttons, keys and clicks."""
 
     def __init__(self, page: Page, finder: FaceFinder) -> None:
         self._page, self._finder = page, finder
@@ -29,7 +29,7 @@ class GaugeActions:
         page.on_pick("gauge-find", lambda _: finder.again())
 
     def go_on(self) -> None:
-        """The next point of the procedure; with the certificate where the check waits for it."""
+        """Carry out the next point of the procedure, or ask for the certificate if it is missing."""
         snapshot = self._page.session.snapshot
         point = next_point(snapshot)
         if point is None:
@@ -46,36 +46,36 @@ class GaugeActions:
             self.sign()
 
     def measure(self) -> None:
-        """Measure the step between the regions: one repeat more."""
+        """Measure the step between the regions and add it as a repeat."""
         view = self._page.view
         upper, lower = view.faces or (None, None)
         taken = self._page.session.gauge.add_repeat(upper, lower, max(0, view.show))
         self._page.ask("The step was not measured", taken, lambda _: self._page.change(check=None))
 
     def sign(self) -> None:
-        """Ask who signs."""
+        """Open the dialog that signs the check."""
         check = self._page.session.snapshot.gauge.check
         if check is not None:
             guarded(self._page, "The check was not signed")(sign_dialog)(self._page, check)
 
     def certificate(self) -> None:
-        """Ask for a certificate."""
+        """Open the dialog that loads a certificate."""
         guarded(self._page, "The certificate was not loaded")(certificate_dialog)(self._page)
 
     def correct(self) -> None:
-        """Ask whether the z scale is to be corrected."""
+        """Open the dialog that corrects the z scale, if a correction is proposed."""
         offered = self._page.session.snapshot.gauge.correction
         if offered is not None:
             guarded(self._page, "The z scale was not changed")(correct_dialog)(self._page, offered)
 
     def begin_anew(self) -> None:
-        """Begin another check of the same blocks."""
+        """Start a new check of the same blocks."""
         self._page.ask(
             "The check was not changed", self._page.session.gauge.clear(), lambda _: self._page.change(check=None)
         )
 
     def leading(self, snapshot: Snapshot) -> Lead:
-        """Which verb leads on."""
+        """Return the command of the leading button."""
         gauge = snapshot.gauge
         if gauge.signed is not None:
             return "new"
@@ -84,7 +84,7 @@ class GaugeActions:
         return "certificate" if gauge.certificate is None else "measure"
 
     def why_not(self, snapshot: Snapshot, view: View, verb: Lead) -> str | None:
-        """Why a verb is not possible now, in words that follow "Not yet:"."""
+        """Return the reason why a command is not possible now, to follow "Not yet:"; None if it is."""
         gauge, data = snapshot.gauge, snapshot.dataset
         if verb == "measure":
             if gauge.busy:

@@ -1,4 +1,4 @@
-"""What a gauge check is made under, typed in by a person: limit, temperature of the blocks, tolerance, interval."""
+"""Input fields for the terms of a gauge check: limit, block temperature, tolerance and interval."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ FAILED = "The terms of the check were not changed"
 
 
 class TermsSection:
-    """A number each; without one what needs it is not evaluated."""
+    """Numeric fields of the terms; quantities that need an empty one are not evaluated."""
 
     def __init__(self, page: Page) -> None:
         self._page = page
@@ -34,7 +34,7 @@ class TermsSection:
             }
 
     def show(self, snapshot: Snapshot, earlier: bool) -> None:
-        """Bring the numbers up to date; an earlier check stays as it was made."""
+        """Bring the numbers up to date; they are hidden for an earlier check."""
         set_prop(self._folder, "visible", not earlier)
         for name, (_, field) in self._fields.items():
             field.show(text_of(getattr(snapshot.gauge.terms, name)))

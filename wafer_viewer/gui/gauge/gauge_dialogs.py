@@ -1,4 +1,4 @@
-"""Questions of Gauge check: which certificate, who signs, whether the z scale is really to be corrected."""
+"""Dialogs of the gauge check: certificate, signature, correction of the z scale."""
 
 from __future__ import annotations
 
@@ -21,13 +21,13 @@ from wafer_viewer.model.errors import MeasureError
 from wafer_viewer.model.gauge.gauge_check import Certificate, GaugeCheck, ScaleCorrection
 
 WAIT_S = 20.0
-"""A verb of the session is waited for, so that what it says can be mended in the dialog."""
+"""Timeout for a session command, which is awaited so that the dialog can show its error."""
 NOT_TAKEN = "The certificate was not loaded"
 
 
 @dataclass(frozen=True, slots=True)
 class _Form:
-    """The fields of a certificate that is typed in."""
+    """Input fields of a certificate."""
 
     serials: Any
     step: Any
@@ -40,7 +40,7 @@ class _Form:
 
 
 def certificate_dialog(page: Page) -> None:
-    """Take a certificate from a file, or type it in."""
+    """Open the dialog that reads a certificate from a file or from input fields."""
     dialog = Dialog(page, "Certificate of the gauge blocks", "A TOML file such as assets/gauge/step.toml.")
     with dialog.modal:
         files = FileList(dialog, "certificate", rows=3)
@@ -58,7 +58,7 @@ def certificate_dialog(page: Page) -> None:
 
 
 def sign_dialog(page: Page, check: GaugeCheck) -> None:
-    """Sign a check: the word and the error once more, and who vouches for them."""
+    """Open the dialog that signs a check; it repeats verdict and error and asks for a name."""
     word, _, tone = LOOKS[check.verdict]
     dialog = Dialog(
         page, "Sign this check?", "It is saved with the dataset and in the log of checks and cannot be changed."
@@ -79,7 +79,7 @@ def sign_dialog(page: Page, check: GaugeCheck) -> None:
 
 
 def correct_dialog(page: Page, offered: ScaleCorrection) -> None:
-    """Correct the z scale: what changes by it, who does it and why."""
+    """Open the dialog that corrects the z scale; it shows the change and asks for a name and a reason."""
     below = "Scans from now on are taken with the new scale. Datasets and signed checks stay as they are."
     dialog = Dialog(page, "Correct the z scale?", below)
     now = page.session.snapshot.rig.calibration
@@ -126,7 +126,7 @@ def _form(page: Page, known: Certificate | None) -> _Form:
 
 
 def _typed(form: _Form) -> Certificate:
-    """The certificate that was typed in. Raises MeasureError for what is missing or is no day."""
+    """Return the certificate entered in the form. Raises MeasureError for missing entries or invalid dates."""
     return Certificate(
         number=form.number.value.strip() or "typed in",
         laboratory=form.laboratory.value.strip() or "not named",

@@ -1,4 +1,4 @@
-"""The room below the scene in Gauge check: the run chart of the signed checks of these blocks."""
+"""Bottom panel of the gauge check: run chart of the signed checks of these blocks."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ _EMPTY = "Signed checks of these blocks are drawn here, with limits, mean and dr
 
 
 class GaugeDock:
-    """Head with mean, s and drift, warnings below it, and the chart."""
+    """Header with mean, s and drift, warnings, and the chart."""
 
     def __init__(self, page: Page) -> None:
         self._panel = BottomPanel(page, "gauge")
@@ -32,7 +32,7 @@ class GaugeDock:
 
 
 def below(chart: RunChart | None, serials: str, chosen: str) -> str:
-    """All of the panel; without a signed check, what will be there."""
+    """Return the content of the panel as HTML; a placeholder if no check is signed yet."""
     if chart is None or not chart.points:
         head = '<div class="wv-dock"><b>Run chart</b></div>'
         return f'{head}<div class="wv-run-empty">{html.empty(_EMPTY)}</div>'

@@ -1,4 +1,4 @@
-"""The left panel of Gauge check: the points of the procedure, and the checks that were signed before."""
+"""Left panel of the gauge check: points of the procedure and earlier signed checks."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ MOST_ROWS = 30
 
 
 class GaugeList:
-    """In sight in Gauge check; a click on an earlier check shows it, a second one lets go of it."""
+    """List shown in the gauge check; a click selects an earlier check, a second click deselects it."""
 
     def __init__(self, page: Page) -> None:
         self._page = page
@@ -34,12 +34,12 @@ class GaugeList:
 
 
 def looked_at(snapshot: Snapshot, view: View) -> GaugeCheck | None:
-    """The earlier check that a view looks at, if it is one of these blocks."""
+    """Return the earlier check that is selected in a view; None if it is not of these blocks."""
     return next((record.check for record in snapshot.gauge.records if record.check.at == view.check), None)
 
 
 def earlier(records: tuple[GaugeRecord, ...], chosen: str | None) -> str:
-    """The newest first: when, its error, its verdict."""
+    """Return the table of earlier checks, newest first, with date, error and verdict, as HTML."""
     head = html.head("Earlier checks", str(len(records) or ""))
     if not records:
         return head + html.empty("Signed checks of these blocks", "are listed here.")

@@ -1,4 +1,4 @@
-"""The panel of Gauge check: the verdict, what it rests on, and the verbs that lead to a signed check."""
+"""Panel of the gauge check: verdict, evidence, and the commands that lead to a signed check."""
 
 from __future__ import annotations
 
@@ -29,12 +29,12 @@ from wafer_viewer.session.state.snapshot import Snapshot
 
 ICON = viser.Icon
 LEAD_PX = 58
-"""Height of the leading button with what is round it."""
+"""Height of the leading button with its margins."""
 NO_SURFACE = "No surface of the blocks yet.", "Wring them and scan them, or open their dataset."
 
 
 class GaugePanel:
-    """Everything of the check that is being made, or of an earlier one that was chosen on the left."""
+    """Panel of the present check, or of an earlier one selected on the left."""
 
     def __init__(self, page: Page) -> None:
         self._page = page
@@ -47,7 +47,7 @@ class GaugePanel:
             self._build()
 
     def show(self, snapshot: Snapshot, view: View) -> None:
-        """Bring the panel up to date; find the faces and measure between them where they moved."""
+        """Bring the panel up to date; find the faces, and measure the step again if they moved."""
         there = view.step == "gauge" and not view.explains
         set_prop(self._folder, "visible", there)
         if not there:
@@ -67,7 +67,7 @@ class GaugePanel:
         self._show_verbs(snapshot, view, earlier)
 
     def commands(self) -> list[Command]:
-        """The verbs of a check with their keys."""
+        """Return the commands of a check with their keys."""
         verbs = self._verbs
 
         def here(_: Snapshot, view: View) -> bool:
@@ -122,7 +122,7 @@ class GaugePanel:
             self._state.show(self._faces_told(snapshot, view))
 
     def _faces_told(self, snapshot: Snapshot, view: View) -> str:
-        """What there is to say of the regions before the step is measured."""
+        """Return the state of the face regions before the step is measured, as HTML."""
         if self.finder.looking:
             return html.empty("Looking for the two faces.")
         if self.finder.problem and not view.faces:
@@ -169,7 +169,7 @@ class GaugePanel:
 
 
 def _at_foot(handle: Any) -> str:
-    """Stay in sight over the leading button however long the panel is."""
+    """Return CSS that keeps a button visible above the leading button while the panel scrolls."""
     at, sticks = by_id(handle._impl.uuid), f"position:sticky;bottom:{LEAD_PX}px;z-index:3;padding-top:6px"
     return f"div:has(>{at}){{{sticks};background:var(--panel);box-shadow:6px 0 0 var(--panel)}}"
 

@@ -1,4 +1,4 @@
-"""Top right in Gauge check: the measured step in the largest figures of the scene."""
+"""Read-out of the measured step at the top right of the scene in the gauge check."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from wafer_viewer.session.state.snapshot import Snapshot
 
 
 class StepReadout:
-    """The mean of the repeats; before the first, what lies between the regions; of an earlier check, its own."""
+    """Read-out of the mean of the repeats, of an earlier check, or of the live step before the first repeat."""
 
     def __init__(self, page: Page, live: Callable[[], Answer]) -> None:
         self._live = live

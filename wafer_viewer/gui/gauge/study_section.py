@@ -1,4 +1,4 @@
-"""Gauge R&R in the panel of Gauge check: studies of a table or of repeat scans, told as tables with bars."""
+"""Gauge R&R section of the gauge check panel: studies of a table or of repeat scans."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ HEAD = "Repeatability and reproducibility"
 
 
 class StudySection:
-    """What the last study of this browser came to, and the way to the next."""
+    """Result of the last study in this browser, and the button for a new one."""
 
     def __init__(self, page: Page) -> None:
         self._page = page
@@ -38,7 +38,7 @@ class StudySection:
         self._cell.show(html.head(HEAD) + (self._told or waits))
 
     def ask(self) -> None:
-        """Ask which study, by which method."""
+        """Open the dialog that reads a study with a method and a tolerance."""
         below = "A CSV with the columns part, appraiser and value, or a folder of repeat scans of wafers with a job."
         dialog = Dialog(self._page, "Gauge R&R study", below)
         gui = self._page.gui

@@ -1,4 +1,4 @@
-"""Find the faces: lays both regions of a step on the two faces of a pair of gauge blocks, in the panel of the tool."""
+"""Button of the step tool that places its regions on the two faces of a pair of gauge blocks."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ FIND, LOOKING = "Find the faces", "Looking for the faces …"
 
 
 class FacesSection:
-    """A button for the step, and below it why nothing was found."""
+    """Button of the step tool, with the reason below it if no faces were found."""
 
     def __init__(self, page: Page) -> None:
         self._page = page
@@ -32,7 +32,7 @@ class FacesSection:
         self._why = HtmlBlock(page.gui)
 
     def show(self, view: View, *, kept: bool) -> None:
-        """Bring the section up to date: there for the step alone, as long as it is not kept."""
+        """Bring the section up to date; it is shown for the step tool while no saved result is selected."""
         there = view.tool == "step" and not kept
         set_prop(self._button, "visible", there)
         set_prop(self._button, "disabled", self._looking)

@@ -1,4 +1,4 @@
-"""What heights are read from, in the panel of measuring: the stage's zero, or one laid through the surface itself."""
+"""Levelling section of the measuring panel: zero of heights from the stage or from the surface."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ _HOW = {"three points": "Drag the points 1, 2, 3.", "region": "Drag the region Z
 
 
 class LevellingSection:
-    """A choice, the sentence that always says what heights are read from, and one click back to the stage."""
+    """Selection of the levelling, a sentence that states it, and a link back to the stage's zero."""
 
     def __init__(self, page: Page, scene: SceneView) -> None:
         self._page, self._scene = page, scene

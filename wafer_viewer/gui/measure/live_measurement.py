@@ -1,4 +1,4 @@
-"""Measures at the places of the tool in use, on a thread of its own: the answer follows the handles."""
+"""Live measurement with the active tool on a worker thread, updated while handles move."""
 
 from __future__ import annotations
 
@@ -17,14 +17,14 @@ from wafer_viewer.session.state.snapshot import Snapshot
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Answer:
-    """What came of measuring at the handles' places: a result, or why there is none."""
+    """Result of the live measurement, or the reason why there is none."""
 
     finding: AnyResult | None = None
     problem: str = ""
 
 
 class Answering:
-    """`answer` is the newest; the page is drawn again when there is another."""
+    """Live measurement; `answer` holds the newest result, and the page is redrawn when it changes."""
 
     def __init__(self, page: Page) -> None:
         self._page = page
@@ -33,7 +33,7 @@ class Answering:
         self.answer = Answer()
 
     def follow(self, snapshot: Snapshot, view: View) -> None:
-        """Have the places of a view measured where they, the zero or the surface have changed."""
+        """Request a measurement if the tool, its regions or options, the levelling or the surface have changed."""
         asked = (view.tool, _places(view), view.options, view.levelling, view.show, _stamp(snapshot, view.show))
         if asked == self._asked:
             return
@@ -46,7 +46,7 @@ class Answering:
         self._worker.ask(lambda: guarded(self._page, "The measurement failed")(self._measure)(view, asked))
 
     def close(self) -> None:
-        """Stop measuring: the browser has gone."""
+        """Stop measuring, when the browser has disconnected."""
         self._worker.close()
 
     def _measure(self, view: View, asked: tuple[object, ...]) -> None:
@@ -65,14 +65,14 @@ class Answering:
 
 
 def _places(view: View) -> object:
-    """Where the view's tool measures; nothing where it has no places yet, and for profiles, which have curves."""
+    """Return the regions of the active tool; empty if it has none yet, and for profiles, which have curves instead."""
     if view.tool == "none" or view.tool == "profile":
         return ()
     return view.places if fits(TOOLS[view.tool], view.places) else ()
 
 
 def _stamp(snapshot: Snapshot, show: int) -> object:
-    """Changes whenever the surface shown does; None where there is none."""
+    """Return a stamp that changes with the displayed surface; None without one."""
     if show > 0:
         return snapshot.dataset.stamps.get(show) if snapshot.dataset else None
     return snapshot.surface.stamp if snapshot.surface else None

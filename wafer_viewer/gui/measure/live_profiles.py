@@ -1,4 +1,4 @@
-"""The profiles' curves: measured on a thread of their own whenever a line, the surface or the zero changes."""
+"""Live profile curves, measured on a worker thread when a line, the surface or the levelling changes."""
 
 from __future__ import annotations
 
@@ -21,21 +21,21 @@ _NOT_FELT_S = 0.03
 
 @dataclass(frozen=True, slots=True)
 class Missing:
-    """Why there is no curve."""
+    """Reason why there is no curve."""
 
     why: str
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class CurveAnswer:
-    """What came of measuring along the active line."""
+    """Result of the measurement along the active line, or the problem."""
 
     finding: Profile | None = None
     problem: str = ""
 
 
 class LiveProfiles:
-    """One curve for each line, and one more where the active line is compared; the plot is drawn as they come."""
+    """Curves of all lines, and a second one for each comparison of the active line."""
 
     def __init__(self, page: Page) -> None:
         self._page = page
@@ -51,22 +51,22 @@ class LiveProfiles:
         page.on_close(self._worker.close)
 
     def on_news(self, callback: Callable[[], None]) -> None:
-        """Call back, on the thread that measured, when there are other curves."""
+        """Set the callback for new curves; it runs on the measuring thread."""
         self._news = callback
 
     @property
     def active(self) -> Section | None:
-        """The active line's own curve."""
+        """Curve of the active line; None without one."""
         return next((s for s in self.sections if s.asked.place == self._line and not s.asked.is_second), None)
 
     @property
     def gap(self) -> Gap | None:
-        """What the cursors read on the active line's curve, and where they stand: on its nearest measured points."""
+        """Cursor readings on the active line's curve, at the nearest measured points; None without a curve."""
         active = self.active
         return None if active is None else gap(active.curve, self._page.view.plot.cursors)
 
     def cursor_shares(self, view: View) -> tuple[float, float]:
-        """Where the cursors stand, as shares of the active line's length; where they are wished without a curve."""
+        """Return the cursor positions as shares of the active line's length; the requested ones without a curve."""
         read, active = self.gap, self.active
         if read is None or active is None or view.tool != "profile":
             return view.plot.cursors
@@ -75,24 +75,24 @@ class LiveProfiles:
 
     @property
     def answer(self) -> CurveAnswer:
-        """The active line's numbers, or why there are none."""
+        """Result of the active line, or the first problem."""
         active = self.active
         return CurveAnswer(active.profile if active else None, self.problems[0] if self.problems else "")
 
     def show(self, snapshot: Snapshot, view: View) -> None:
-        """Have whatever changed measured; nothing while no profile is looked at."""
+        """Request the curves that have changed; none are measured unless profiles are displayed."""
         self._ask(snapshot)
 
     def follow(self) -> None:
-        """A handle has moved: have its curve sent now, before its line is, so that one frame shows both.
+        """Update the curves after a handle has moved, before its line is sent, so that one frame shows both.
 
-        Waits for it no longer than a hand could feel.
+        Waits at most `_NOT_FELT_S`, which is imperceptible.
         """
         self._ask(self._page.session.snapshot)
         self._measured.wait(_NOT_FELT_S)
 
     def _ask(self, snapshot: Snapshot) -> None:
-        """For the newest view: the page may be drawing an older one while a handle moves."""
+        """Request curves for the newest view; the page may be drawing an older one while a handle moves."""
         with self._lock:
             view = self._page.view
             if view.step != "measure" or view.tool != "profile" or snapshot.surface is None:
@@ -125,7 +125,7 @@ class LiveProfiles:
 
 
 def _asked(view: View) -> Iterator[SectionAsked]:
-    """Every line, and after the active one what it is compared with."""
+    """Yield the request of every line, followed for the active one by its comparisons."""
     for place, line in enumerate(view.lines):
         yield SectionAsked(place, line, view.show, view.levelling, slab=view.look == "points")
         if place == view.line and view.plot.cleaned:
@@ -135,7 +135,7 @@ def _asked(view: View) -> Iterator[SectionAsked]:
 
 
 def _stamp(snapshot: Snapshot, show: int) -> object:
-    """Changes with the heights that are measured."""
+    """Return a stamp that changes with the measured heights; None without a surface."""
     data, surface = snapshot.dataset, snapshot.surface
     if data is None or surface is None:
         return None

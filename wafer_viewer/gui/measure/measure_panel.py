@@ -1,4 +1,4 @@
-"""The panel of the fourth step: a tool, its answer while the handles move, and what the answer rests on."""
+"""Panel of the step Measure: tool, live result, and its evidence."""
 
 from __future__ import annotations
 
@@ -33,12 +33,12 @@ from wafer_viewer.session.state.snapshot import Snapshot
 __all__ = ["Answer", "MeasurePanel"]
 
 PICTURE_WAIT_S = 1.5
-"""A result is kept without a small picture where the painter is busy for longer."""
+"""Timeout for the thumbnail of a result, after which it is saved without one."""
 WAITS = "The result appears when the handles lie on the surface."
 
 
 class MeasurePanel:
-    """Every tool, live; a result that is kept goes to the list on the left."""
+    """Panel of all tools with live results; saved results go to the list on the left."""
 
     def __init__(self, page: Page, scene: SceneView, curves: LiveProfiles) -> None:
         self._page, self._curves = page, curves
@@ -49,13 +49,13 @@ class MeasurePanel:
 
     @property
     def answer(self) -> Answer:
-        """What came of measuring at the handles' places."""
+        """Result of the live measurement with the active tool."""
         if self._page.view.tool == "profile":
             return Answer(self._curves.answer.finding, self._curves.answer.problem)
         return self._answering.answer
 
     def show(self, snapshot: Snapshot, view: View) -> None:
-        """Bring the panel up to date, and have the handles' places measured when they moved."""
+        """Bring the panel up to date, and measure again if handles have moved."""
         there = view.step == "measure" and not view.explains
         set_prop(self._folder, "visible", there)
         if not there:
@@ -75,11 +75,11 @@ class MeasurePanel:
         self._show_keep(snapshot, view, finding, chosen)
 
     def close(self) -> None:
-        """Stop measuring: the browser has gone."""
+        """Stop measuring, when the browser has disconnected."""
         self._answering.close()
 
     def use(self, tool: Tool) -> None:
-        """Take a tool, in the step where it is used; what the last one asked for too, as a face, stays where it is."""
+        """Activate a tool and go to the step Measure; a region that suits both tools keeps its position."""
         if self._page.session.snapshot.surface is None:
             return
         view = self._page.view
@@ -122,12 +122,12 @@ class MeasurePanel:
         self._why.show(f'<div class="wv-why">Not kept: {html.safe(read_only)}</div>' if read_only else "")
 
     def keep(self) -> None:
-        """Keep the result at hand, as the button does."""
+        """Save the live result, as the button does."""
         if self._page.view.step == "measure" and self._keep.visible and not self._keep.disabled:
             self._keep_it(None)
 
     def why_not_keep(self, snapshot: Snapshot, view: View) -> str | None:
-        """Why there is nothing to keep now, or None."""
+        """Return the reason why no result can be saved now, or None."""
         data = snapshot.dataset
         if (missing := elsewhere("measure")(snapshot, view)) is not None:
             return missing

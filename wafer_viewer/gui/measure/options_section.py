@@ -1,4 +1,4 @@
-"""What can be set of the tool in use, in the panel of measuring: a table of controls a tool, its options' fields."""
+"""Options section of the measuring panel: a table of controls for the options of each tool."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ FAILED = "The setting was not changed"
 
 @dataclass(frozen=True, slots=True)
 class Pick:
-    """One of several: `values` by the names that the page gives them."""
+    """Option with a fixed set of values; `values` maps the displayed names to them."""
 
     label: str
     field: str
@@ -29,21 +29,21 @@ class Pick:
     hint: str = ""
 
     def build(self, gui: Any) -> Any:
-        """Its widget."""
+        """Create the widget."""
         return gui.add_dropdown(self.label, tuple(self.values), hint=self.hint or None)
 
     def of(self, put_in: Any) -> Any:
-        """The option's value of what stands in the widget."""
+        """Return the option's value of a widget value."""
         return self.values[put_in]
 
     def shown(self, value: Any) -> Any:
-        """What stands in the widget for a value."""
+        """Return the widget value of an option's value."""
         return next((name for name, v in self.values.items() if v == value), next(iter(self.values)))
 
 
 @dataclass(frozen=True, slots=True)
 class NumberOption:
-    """A number, the unit in its label, that may be left empty; `empty` says what that means, ``empty: no filter``."""
+    """Numeric option that may be empty, with its unit in the label; `empty` is its hint, ``empty: no filter``."""
 
     label: str
     field: str
@@ -51,15 +51,15 @@ class NumberOption:
     over: float | None = 0.0
 
     def build(self, gui: Any) -> Any:
-        """Its widget."""
+        """Create the widget."""
         return OptionalNumber(gui, self.label, over=self.over, hint=self.empty).handle
 
     def of(self, put_in: Any) -> Any:
-        """The option's value of what stands in the widget. Raises WaferViewerError for what is not a number."""
+        """Return the option's value of a widget value. Raises WaferViewerError if it is not a number."""
         return number_of(put_in, self.label, over=self.over)
 
     def shown(self, value: Any) -> Any:
-        """What stands in the widget for a value."""
+        """Return the widget value of an option's value."""
         return text_of(value)
 
 
@@ -122,11 +122,11 @@ CONTROLS: dict[ToolName, tuple[Control, ...]] = {
     ),
     "coplanarity": (Pick("Plane", "reference", {"Least squares": "least_squares", "Seating plane": "seating"}),),
 }
-"""`field` is the field of the tool's options; with a full stop that of a spec in it."""
+"""Controls of each tool; `field` names the field of the tool's options, with a dot for a field of a nested spec."""
 
 
 class OptionsSection:
-    """The controls of the tool in use; those of the others are folded away."""
+    """Controls of the active tool; those of the other tools are hidden."""
 
     def __init__(self, page: Page) -> None:
         self._page = page
@@ -140,7 +140,7 @@ class OptionsSection:
                     self._fields[tool, control.field] = control, field
 
     def show(self, view: View, *, kept: bool) -> None:
-        """Bring the section up to date; a result that was kept stays as it was measured, and has no controls."""
+        """Bring the section up to date; a saved result has no controls."""
         for tool, folder in self._folders.items():
             set_prop(folder, "visible", tool == view.tool and not kept)
         for (tool, name), (control, field) in self._fields.items():
@@ -160,6 +160,6 @@ class OptionsSection:
 
 
 def _with(spec: Any, field: str, value: Any) -> Any:
-    """A copy of a spec with one field changed."""
+    """Return a copy of a spec with one field changed."""
     outer, _, inner = field.partition(".")
     return replace(spec, **{outer: _with(getattr(spec, outer), inner, value) if inner else value})

@@ -1,6 +1,6 @@
-"""What a pointer and keys do on the plot of profiles: drag over a part to see it larger, click or slide for cursors.
+"""Pointer and key interaction on the profile plot: drag to zoom, click or slide to move cursors.
 
-viser tells nothing of clicks on its plots: these elements lie over the curves and tell through the page's hidden field.
+viser reports no clicks on its plots, so these elements cover the curves and report through the page's hidden field.
 """
 
 from __future__ import annotations
@@ -11,11 +11,11 @@ from dataclasses import dataclass
 from wafer_viewer.gui.widgets import html
 
 ZOOM, CURSOR = "plot", "cursor"
-"""What is told: two shares of the plot's width where the pointer went down and up; a cursor and its distance."""
+"""Events: start and end of a drag as shares of the plot's width; a cursor and its distance."""
 WHOLE = "whole"
 _ALONG = "(event.clientX-this.getBoundingClientRect().left)/this.clientWidth"
 _DOWN = f"if(event.button===0){{this.setPointerCapture(event.pointerId);window.plotFrom={_ALONG}}}"
-"""Kept by the window: a plot that is drawn anew while one drags over it goes on where the old one was."""
+"""The drag is stored in the window, so that it continues on a plot that is redrawn meanwhile."""
 _MOVE = (
     "if(!(event.buttons&1)){window.plotFrom=undefined;this.firstElementChild.style.display='none'}"
     f"if(window.plotFrom!==undefined){{const a=window.plotFrom,b={_ALONG},s=this.firstElementChild.style;"
@@ -27,18 +27,18 @@ _UP = (
 )
 _WHOLE = f"this.dataset.k='{WHOLE}';{html.pick_script(ZOOM)}"
 _KEYS = "if(event.key.startsWith('Arrow'))event.stopPropagation()"
-"""Or the arrows would move the camera too."""
+"""Stops the arrow keys from moving the camera as well."""
 
 
 def zoom_area() -> str:
-    """Lies on the curves: a drag chooses a part of them, a click puts the nearer cursor there."""
+    """Return the element over the curves as HTML: a drag zooms, a click moves the nearer cursor."""
     heard = {"pointerdown": _DOWN, "pointermove": _MOVE, "pointerup": _UP, "dblclick": _WHOLE}
     handlers = " ".join(f'on{event}="{html.safe(script)}"' for event, script in heard.items())
     return f'<div class="wv-zoom" {handlers}><div></div></div>'
 
 
 def cursor_sliders(at_um: Sequence[float], ends_um: tuple[float, float], step_um: float) -> str:
-    """A slider over the plot for each cursor within its ends; only where they stand do they take the pointer."""
+    """Return a slider over the plot for each cursor within its ends, as HTML; only the thumbs take the pointer."""
     tell = "this.dataset.k=this.name+':'+this.value+':'+(this.dataset.by||'key')+':{end}';"
     tell += html.pick_script(CURSOR, latest_only=True)
     moved, released = (html.safe(tell.replace("{end}", end)) for end in ("", "end"))
@@ -53,14 +53,14 @@ def cursor_sliders(at_um: Sequence[float], ends_um: tuple[float, float], step_um
 
 
 def told_shares(key: str) -> tuple[float, float]:
-    """The two shares that `zoom_area` told, kept within the plot."""
+    """Return the two shares that `zoom_area` reported, clamped to the plot."""
     first, last = (min(max(float(share), 0.0), 1.0) for share in key.split(":"))
     return first, last
 
 
 @dataclass(frozen=True, slots=True)
 class CursorMove:
-    """What a slider told: its cursor, its distance along the line in um, whether a key moved it, or it was let go."""
+    """Slider event: number of the cursor, its distance along the line in um, moved by key, released."""
 
     number: int
     at_um: float
@@ -69,12 +69,12 @@ class CursorMove:
 
 
 def told_cursor(key: str) -> CursorMove:
-    """What a slider told of its cursor."""
+    """Parse the event of a cursor slider."""
     number, at_um, by, end = key.split(":")
     return CursorMove(int(number), float(at_um), by == "key", end == "end")
 
 
 def focused(number: int) -> str:
-    """Has the slider of a cursor take the focus again: it was made anew under the keys."""
+    """Return HTML that focuses the slider of a cursor again, after it was recreated during keyboard use."""
     script = f"document.querySelector('.wv-slide[name=&quot;{number}&quot;]')?.focus()"
     return f'<img src="data:," alt="" hidden onerror="{script}">'

@@ -1,4 +1,4 @@
-"""The bottom panel: the profiles as curves in µm, live while a handle moves. The scene makes room for it."""
+"""Bottom panel with the profiles as live curves in µm; the scene is resized to make room for it."""
 
 from __future__ import annotations
 
@@ -22,13 +22,13 @@ from wafer_viewer.model.measurement.sections import Section
 from wafer_viewer.session.state.snapshot import Snapshot
 
 STILL_S = 0.6
-"""While curves follow each other faster, a handle is being moved: the heights of the plot stay as they are."""
+"""Shorter intervals between curves mean that a handle is moving; the height axis is held meanwhile."""
 LEAST_ZOOM_SHARE = 0.01
-"""A shorter drag is a click."""
+"""Share of the plot's width below which a drag is a click."""
 
 
 class ProfileDock:
-    """Head with the figures, the plot, and two cursors on the active line's curve."""
+    """Header with figures, the plot, and two cursors on the active line's curve."""
 
     def __init__(self, page: Page, curves: LiveProfiles) -> None:
         self._page, self._curves = page, curves
@@ -56,7 +56,7 @@ class ProfileDock:
             self._draw(view)
 
     def _draw(self, view: View) -> None:
-        """From the page's thread, and at once from the one that measured."""
+        """Draw the panel, on the page's thread or on the measuring thread."""
         with self._lock:
             sections, active = self._curves.sections, self._curves.active
             if not sections:
@@ -77,7 +77,7 @@ class ProfileDock:
         self._plot.show(f'<div class="wv-below">{content}</div>')
 
     def _framed(self, sections: Sequence[Section], span_um: Ends | None) -> ProfileFrame:
-        """What the plot shows; its heights are held while curves follow each other, and fitted once they rest."""
+        """Return the plot's frame; its height axis is held while a handle moves and fitted afterwards."""
         now_s = time.monotonic()
         moving = now_s - self._changed_s < STILL_S
         if sections != self._sections:
@@ -90,7 +90,7 @@ class ProfileDock:
         return words.head(self._curves.sections, self._curves.problems, len(view.lines), view.line, read, zoomed)
 
     def _show_sliders(self, view: View, active: Section | None, read: Gap | None) -> None:
-        """Sent anew only where something else than a slider moved a cursor: it would slip out of the hand."""
+        """Send the sliders again only if something else moved a cursor; a slider in use would lose the drag."""
         if active is None or read is None:
             self._sliders.show("")
             return
@@ -116,7 +116,7 @@ class ProfileDock:
             self._put_nearer(last)
 
     def _put_nearer(self, at_um: float) -> None:
-        """Put the cursor that stands nearer to a place there."""
+        """Move the nearer cursor to a distance along the line."""
         active = self._curves.active
         if active is not None:
             share = at_um / float(active.curve.distance_um[-1])
@@ -124,7 +124,10 @@ class ProfileDock:
             self._put_cursor(0 if abs(first - share) <= abs(second - share) else 1, share, slid=False)
 
     def _slide(self, key: str) -> None:
-        """A grip is moved. Let go where nothing is measured it goes to the nearest point, by keys over the gap."""
+        """Move a cursor by its slider.
+
+        Released at an unmeasured point it snaps to the nearest measured one; keys jump over the gap.
+        """
         told, active, before = pointer.told_cursor(key), self._curves.active, self._curves.gap
         if active is None or before is None:
             return
@@ -146,5 +149,5 @@ class ProfileDock:
 
 
 def _step_um(section: Section) -> float:
-    """From one point of a curve to the next."""
+    """Return the distance between adjacent points of a curve, um."""
     return float(section.curve.distance_um[-1]) / max(1, len(section.curve.z_um) - 1)

@@ -1,4 +1,4 @@
-"""What is done to the lines of profiles: cut along a row or a column, add one, take one away, choose, widen."""
+"""Commands on profile lines: cut along a row or a column, add, remove, select, widen."""
 
 from __future__ import annotations
 
@@ -16,13 +16,16 @@ _SAME_PLACE_UM = 1.0
 
 
 class LineVerbs:
-    """Each changes the view; none waits for a curve. Raise MeasureError where the surface has no such place."""
+    """Commands that change the lines of the view without waiting for curves.
+
+    Raise MeasureError if the surface does not contain the place.
+    """
 
     def __init__(self, page: Page) -> None:
         self._page = page
 
     def cut(self, along: Along) -> None:
-        """Lay the active line along the row or the column through what is looked at."""
+        """Set the active line to the row or column through the point that the camera looks at."""
         if self._page.session.snapshot.surface is None:
             return
         surface = self._surface()
@@ -30,14 +33,14 @@ class LineVerbs:
         self.cut_at(along, section_lines.nearest(surface, along, x_um, y_um))
 
     def cut_at(self, along: Along, number: int) -> None:
-        """Lay the active line along the row or the column of a number."""
+        """Set the active line to the row or column of a number."""
         line = self._page.view.active_line
         cut = section_lines.numbered(self._surface(), along, number, line.width_um if line is not None else 0.0)
         lines, place = _with(self._page.view, cut)
         self._page.change(step="measure", tool="profile", why=None, lines=lines, line=place, selected=None)
 
     def add(self) -> None:
-        """Another line, across the active one through its middle, or beside it where one crosses it there already."""
+        """Add a line that crosses the active one at its middle, or parallel to it if one crosses it there already."""
         view = self._page.view
         line = view.active_line if view.tool == "profile" else None
         if line is not None and len(view.lines) < MOST_LINES:
@@ -47,20 +50,20 @@ class LineVerbs:
             self._page.change(lines=lines, line=len(lines) - 1, selected=None)
 
     def remove(self) -> None:
-        """Take the active line away, unless it is the last one."""
+        """Remove the active line, unless it is the last one."""
         view = self._page.view
         if len(view.lines) > 1:
             lines = tuple(line for place, line in enumerate(view.lines) if place != view.line)
             self._page.change(lines=lines, line=min(view.line, len(lines) - 1), selected=None)
 
     def next(self) -> None:
-        """Make the next line the active one, the first after the last."""
+        """Select the next line; the first follows the last."""
         view = self._page.view
         if view.lines:
             self._page.change(line=(view.line + 1) % len(view.lines), selected=None)
 
     def widen(self, width_um: float) -> None:
-        """Average over a strip of that width across the active line."""
+        """Set the width of the strip that is averaged across the active line."""
         line = self._page.view.active_line
         if line is not None:
             self._page.change(lines=_with(self._page.view, replace(line, width_um=width_um))[0], selected=None)
@@ -69,7 +72,7 @@ class LineVerbs:
         return self._page.session.surface_source(self._page.view.show)
 
     def _looked_at(self, surface: Mosaic) -> tuple[float, float]:
-        """The point in the middle of the scene; where that is beside the surface, the middle of the active line."""
+        """Return the point that the camera looks at; if it is off the surface, the middle of the active line."""
         x_mm, y_mm, _ = self._page.client.camera.look_at
         x_um, y_um = float(x_mm) * 1e3, float(y_mm) * 1e3
         rows, cols = surface.shape
@@ -79,6 +82,6 @@ class LineVerbs:
 
 
 def _with(view: View, line: Region) -> tuple[tuple[Region, ...], int]:
-    """The lines of a view with another active one, and its place."""
+    """Return the lines of a view with the active one replaced, and its index."""
     place = min(view.line, max(len(view.lines) - 1, 0))
     return (*view.lines[:place], line, *view.lines[place + 1 :]), place

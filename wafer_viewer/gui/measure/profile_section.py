@@ -1,4 +1,4 @@
-"""The part of the measuring panel that belongs to profiles: lines, rows by number, cursors, comparison, files."""
+"""Profile section of the measuring panel: lines, row and column numbers, cursors, comparison, files."""
 
 from __future__ import annotations
 
@@ -26,13 +26,13 @@ from wafer_viewer.session.state.snapshot import Snapshot
 ALONE, CLEANED = "nothing", "measured and filtered heights"
 HINT = "A second curve along the active line: its other heights, or those of another surface"
 BEFORE: tuple[tuple[BeforeSlab, str], ...] = (("show", "Show"), ("pale", "Pale"), ("hide", "Hide"))
-"""What becomes of points before the slab along the active line, where points are drawn."""
+"""Display of the points in front of the slab along the active line, in a point cloud."""
 FAILED = "The line was not changed"
 ICON = viser.Icon
 
 
 class ProfileSection:
-    """Shown while profiles are cut."""
+    """Section shown while the profile tool is active."""
 
     def __init__(self, page: Page, curves: LiveProfiles) -> None:
         self._page, self._curves, self._verbs = page, curves, LineVerbs(page)
@@ -103,7 +103,7 @@ class ProfileSection:
     # ---------------------------------------------------------------- bring up to date
 
     def _show_numbers(self, snapshot: Snapshot, view: View) -> None:
-        """The row and the column that the line runs along, or those nearest to its middle."""
+        """Show the row and the column nearest to the middle of the active line."""
         line = view.active_line
         if line is None or snapshot.surface is None:
             return
@@ -117,14 +117,14 @@ class ProfileSection:
         self._numbers.show(f'<div class="wv-lab">{html.safe(text)}</div>')
 
     def _show_cursors(self) -> None:
-        """Where the cursors stand, which is where lines, grips and figures have them."""
+        """Show the positions of the cursors, the same as on plot and read-out."""
         read = self._curves.gap
         self._cursors.enable(read is not None)
         first, second = read.at_um if read is not None else (0.0, 0.0)
         self._cursors.show((round(first, 2), round(second, 2)))
 
     def _list_others(self, snapshot: Snapshot) -> None:
-        """The surfaces to compare with, read from the disk when the list of datasets has changed."""
+        """List the surfaces to compare with; they are read from disk when the list of datasets has changed."""
         shown = snapshot.dataset
         listed = snapshot.datasets, shown and (shown.path, shown.results), snapshot.surface and snapshot.surface.result
         if listed != self._listed:
@@ -151,7 +151,7 @@ class ProfileSection:
         self._page.change(plot=plot)
 
     def _download(self, ending: str) -> None:
-        """Offer all curves to the browser as a file."""
+        """Send all curves to the browser as a file download."""
         sections, shown = self._curves.sections, self._page.session.snapshot.dataset
         if sections and shown is not None:
             content = self._page.session.sections.file(sections, ending)

@@ -1,4 +1,4 @@
-"""The list of results in the left panel: choose and fly there, rename, delete, undo and redo, CSV."""
+"""Result list of the left panel: select and fly to, rename, delete, undo and redo, CSV."""
 
 from __future__ import annotations
 
@@ -22,13 +22,13 @@ from wafer_viewer.model.findings import AnyResult
 from wafer_viewer.session.state.snapshot import Snapshot
 
 ROUND_PLACES = 2.4
-"""How much more than its places is shown of where a result was measured."""
+"""Size of the area shown around a result, relative to its regions."""
 LEAST_SHOWN_PX = 120
-"""Pixels of the surface that are shown at least: nearer there is nothing more to see."""
+"""Minimum size of the area shown, in pixels of the surface; closer views add no detail."""
 
 
 class ResultList:
-    """What was kept, each with its picture, its value and its uncertainty."""
+    """List of saved results with thumbnail, value and uncertainty."""
 
     def __init__(self, page: Page) -> None:
         self._page = page
@@ -52,7 +52,7 @@ class ResultList:
         page.on_pick("finding", lambda key: self.choose(int(key)))
 
     def on_chosen(self, fly: Callable[[Box], object]) -> None:
-        """Call back with the part of the surface to be shown when a result is chosen."""
+        """Set the callback that gets the box to show when a result is selected."""
         self._fly = fly
 
     def show(self, snapshot: Snapshot, view: View) -> None:
@@ -72,7 +72,7 @@ class ResultList:
         set_prop(self._redo, "disabled", not snapshot.findings_redo)
 
     def choose(self, number: int) -> None:
-        """Show a result on the surface it was measured on, its tool at its places; a second click lets go of it."""
+        """Show a result on its surface with its tool and regions; a second click deselects it."""
         page = self._page
         finding = next((f for f in page.session.snapshot.findings if f.number == number), None)
         if finding is None or page.view.selected == number:
@@ -83,11 +83,11 @@ class ResultList:
         self._fly(_round(bounds_of(finding), LEAST_SHOWN_PX * info.pixel_um if info else 0.0))
 
     def undo(self) -> None:
-        """Take back the last change to the list."""
+        """Undo the last change to the list."""
         self._page.ask("Nothing was undone", self._page.session.undo_findings())
 
     def redo(self) -> None:
-        """Make the change again that was taken back last."""
+        """Redo the change that was undone last."""
         self._page.ask("Nothing was redone", self._page.session.redo_findings())
 
     def _on(self, name: str, act: Any) -> Any:
@@ -140,13 +140,13 @@ def _row(finding: AnyResult, view: View, thumbnail: str) -> str:
 
 
 def _elsewhere(finding: AnyResult, view: View) -> list[str]:
-    """What a result was measured on where that is not what is shown."""
+    """Return the surface and levelling of a result, each only if it differs from the displayed one."""
     told = [where(finding)] if finding.show != view.show else []
     return told + ([f"zero: {finding.levelling.by}"] if finding.levelling != view.levelling else [])
 
 
 def _as_measured(finding: AnyResult, view: View) -> dict[str, Any]:
-    """What of the view makes it show a result as it was measured."""
+    """Return the view changes that show a result as it was measured."""
     tool, places = tool_of(finding), places_of(finding)
     changes: dict[str, Any] = {"why": None}
     if tool == "profile":
@@ -160,7 +160,7 @@ def _as_measured(finding: AnyResult, view: View) -> dict[str, Any]:
 
 
 def _round(bounds: Box, least_um: float) -> Box:
-    """The part of the surface to be shown for places within bounds."""
+    """Return the box to show for regions within bounds."""
     x0, y0, x1, y1 = bounds
     half = max(ROUND_PLACES * max(x1 - x0, y1 - y0), least_um) / 2
     x, y = (x0 + x1) / 2, (y0 + y1) / 2

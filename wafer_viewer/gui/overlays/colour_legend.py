@@ -1,4 +1,4 @@
-"""Top right wherever a surface is looked at, but in Gauge check: what the colours mean, with the histogram."""
+"""Colour legend with histogram, top right in all steps that show a surface except Gauge check."""
 
 from __future__ import annotations
 
@@ -15,13 +15,13 @@ from wafer_viewer.session.state.snapshot import Snapshot
 WIDTH_PX, HEAD_AND_FOOT_PX = 124, 78
 MOST_BAR_PX, LEAST_BAR_PX = 320, 110
 BELOW_PX = 96
-"""Room left under the bar for the read-out."""
+"""Height reserved below the bar for the read-out."""
 ORIGIN_ROW_PX, ORIGINS_EDGES_PX = 23, 18
 SIGNED = ("height", "deviation", "form", "difference")
 
 
 class ColourLegend:
-    """The colour bar on glass, as high as the scene allows."""
+    """Colour bar over the scene, as high as the scene allows."""
 
     def __init__(self, page: Page) -> None:
         self._page = page
@@ -29,7 +29,7 @@ class ColourLegend:
         self._of_origins = FloatingPanel(page.gui, -EDGE_PX, EDGE_PX, 236, _origins_px(1), align="right")
 
     def show(self, snapshot: Snapshot, view: View) -> None:
-        """Bring the legend up to date."""
+        """Update the legend."""
         scale = self._page.scale if view.on_surface and view.step != "gauge" else None
         of_origins = scale is not None and scale.quantity == "origin"
         bar_px = self._bar_px()
@@ -45,12 +45,12 @@ class ColourLegend:
 
 
 def _foot_px(scale: ColourScale | None) -> int:
-    """Room for what the grey says."""
+    """Return the height of the line that explains grey; 0 if it is not shown."""
     return LINE_PX if scale is not None and scale.quantity == "overlap" else 0
 
 
 def _origins_px(rows: int) -> int:
-    """How high the legend of so many origins is."""
+    """Return the height of a legend with `rows` origins."""
     return ORIGIN_ROW_PX * rows + ORIGINS_EDGES_PX
 
 

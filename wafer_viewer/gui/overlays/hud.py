@@ -1,4 +1,4 @@
-"""What lies over the scene on glass: legends, the scale bar, the read-out."""
+"""Overlays of the scene: legends, scale bar, read-out."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ from wafer_viewer.session.state.snapshot import ScanProgress, Snapshot
 EDGE_PX = 14
 SHORT_NAME = 24
 BAR_PX = 150
-"""The scale bar is at most this long."""
+"""Largest length of the scale bar."""
 READ_OUT_PX = 60
 OVER: dict[LevelBy, str] = {
     "stage": "",
@@ -32,19 +32,19 @@ OVER: dict[LevelBy, str] = {
     "region": "over the region",
     "form": "over its form",
 }
-"""From what a height is read, where that is not the stage's zero."""
+"""Height reference by levelling method; empty for the stage's zero."""
 NARROW_SCENE_PX = 740
-"""Scale bar with all its words and read-out lie side by side from this width on."""
+"""Scene width from which the full scale bar and the read-out fit in one row."""
 
 
 class Legend:
-    """Top right: what the lines of the plan mean; in Acquire the place of the frame being taken."""
+    """Legend of the plan's lines, top right; in Acquire position of the current frame."""
 
     def __init__(self, page: Page) -> None:
         self._glass = FloatingPanel(page.gui, -EDGE_PX, EDGE_PX, 340, 44, align="right")
 
     def show(self, snapshot: Snapshot, view: View) -> None:
-        """Bring the legend up to date."""
+        """Update the legend."""
         content = ""
         if view.step == "plan" and snapshot.draft.job is not None:
             content = _plan_legend(snapshot)
@@ -54,14 +54,14 @@ class Legend:
 
 
 class ScaleBar:
-    """Bottom left: a round length at the point looked at, and how many times z is drawn."""
+    """Scale bar, bottom left: a round length at the look-at point, and the z exaggeration."""
 
     def __init__(self, page: Page, scene: Any) -> None:
         self._scene, self._viewport = scene, page.viewport
         self._glass = FloatingPanel(page.gui, EDGE_PX, -EDGE_PX, 500, 44)
 
     def show(self, snapshot: Snapshot, view: View) -> None:
-        """Bring the bar up to date."""
+        """Update the scale bar."""
         um_per_pixel = self._scene.um_per_pixel()
         y_px = -(EDGE_PX + room_px(view))
         narrow = self._viewport.width_px < NARROW_SCENE_PX
@@ -70,7 +70,7 @@ class ScaleBar:
 
 
 class ReadOutBox:
-    """Bottom right: height and confidence where the surface was clicked, and the way to ask why."""
+    """Read-out, bottom right: height and confidence at the clicked position, and a link to the focus evidence."""
 
     def __init__(self, page: Page) -> None:
         self._page = page
@@ -79,7 +79,7 @@ class ReadOutBox:
         self._of: object = None
 
     def at(self, x_um: float, y_um: float) -> None:
-        """Read the surface at a place; on a thread that may wait."""
+        """Read the surface at a position. Blocks: call on a worker thread."""
         view, session = self._page.view, self._page.session
         read = session.read_out(x_um, y_um, view.show)
         if read.z_um is not None and view.levelling.by != "stage":
@@ -91,7 +91,7 @@ class ReadOutBox:
         self._page.redraw()
 
     def show(self, snapshot: Snapshot, view: View) -> None:
-        """Show what was read last, as long as the surface is the same."""
+        """Show the last read-out as long as the surface is the same."""
         on_surface = view.on_surface and self._of == _surface(snapshot, view)
         y_px = -(EDGE_PX + room_px(view))
         ask = f'<span class="wv-link" title="Key C" {html.pick("why")}>Why this height?</span>'
@@ -105,7 +105,7 @@ def _surface(snapshot: Snapshot, view: View) -> tuple[object, ...]:
 
 
 def _height(read: ReadOut, view: View) -> str:
-    """The height, and over what it is; where there is none, nothing: the reason stands below."""
+    """Return the height with its reference; empty if there is none, as the line below gives the reason."""
     if read.z_um is None:
         return ""
     over = f' <span class="dim">{OVER[view.levelling.by]}</span>' if view.levelling.by != "stage" else ""
@@ -139,7 +139,7 @@ def _frame_place(scan: ScanProgress, snapshot: Snapshot) -> str:
 
 
 def _drawn(snapshot: Snapshot, view: View, narrow: bool) -> str:
-    """What stands beside the bar; in a narrow scene it leaves room for the read-out."""
+    """Return the text next to the scale bar; shorter in a narrow scene, to leave room for the read-out."""
     if view.step == "plan":
         sample = snapshot.draft.job.sample if snapshot.draft.job else None
         if sample is None or (size_um := sample.size_um) is None:

@@ -1,4 +1,4 @@
-"""Bottom left over the scale bar: what the lines over the surface mean, and how many times too long arrows are."""
+"""Legend of the field overlay, above the scale bar: symbols and the exaggeration of arrows."""
 
 from __future__ import annotations
 
@@ -31,7 +31,7 @@ _SIGNS = {
 
 
 class PoseLegend:
-    """As long as the fields are shown."""
+    """Legend that is visible while the fields are shown."""
 
     def __init__(self, page: Page, poses: PoseCache, um_per_pixel: Callable[[], float]) -> None:
         self._poses, self._um_per_pixel = poses, um_per_pixel
@@ -41,7 +41,7 @@ class PoseLegend:
         self._rows: list[tuple[str, str]] = []
 
     def show(self, snapshot: Snapshot, view: View) -> None:
-        """Bring the legend up to date."""
+        """Update the legend."""
         fields = self._on_show(snapshot, view)
         rows = self._seen(fields) if fields is not None else []
         lines = "".join(f"<div>{_sign(kind, view.dark)}<span>{safe(words)}</span></div>" for kind, words in rows)
@@ -50,7 +50,7 @@ class PoseLegend:
         self._glass.show(content, height_px=ROW_PX * max(1, -(-len(rows) // 2)) + EDGES_PX)
 
     def _seen(self, fields: Fields) -> list[tuple[str, str]]:
-        """Stitches are drawn from near alone."""
+        """Return the visible rows: stitches are drawn only at close range."""
         near = STITCH * fields.unit_um >= LEAST_STITCH_PX * self._um_per_pixel()
         return [(kind, words) for kind, words in self._rows if near or kind != "stitch"]
 
@@ -66,14 +66,14 @@ class PoseLegend:
 
 
 def fields_of(known: CachedPoses, data: OpenDataset) -> Fields | None:
-    """The fields of a dataset as they were placed; None where only the stage tells."""
+    """Return the fields as placed by the pose solution; None if only the stage positions are known."""
     if known.poses is None:
         return None
     return Fields(known.poses, data.plan.cols * data.plan.pixel_um, data.plan.rows * data.plan.pixel_um)
 
 
 def _rows(fields: Fields) -> list[tuple[str, str]]:
-    """What is drawn, in words, the quiet first."""
+    """Return symbol and text of what is drawn, least conspicuous first."""
     many = f" (every {number(fields.every, 0)}th)" if fields.every > 1 else ""
     rows = [
         ("field", f"field, position found{many}"),

@@ -1,4 +1,4 @@
-"""A sheet that lies over the scene: as wide as that, as high as what it shows."""
+"""Sheet over the scene: as wide as the scene, as high as its content."""
 
 from __future__ import annotations
 
@@ -9,21 +9,21 @@ from wafer_viewer.gui.page.page import Page
 from wafer_viewer.gui.widgets.controls import HtmlBlock, set_prop
 
 FIRST_PX = 892, 640
-"""Until the browser has said how large its scene is."""
+"""Initial size, until the browser reports the size of its scene."""
 BORDER_PX = 18
-"""viser cuts a panel's content at the bottom unless the panel is so much higher."""
+"""Extra height of the panel, without which viser clips its content at the bottom."""
 
 
 @dataclass(frozen=True, slots=True)
 class SheetRoom:
-    """How much of the page a sheet may take."""
+    """Available size of a sheet in CSS pixels."""
 
     width_px: int
     height_px: int
 
 
 class OverScene:
-    """The sheet; the page is drawn again when the scene has another size."""
+    """Sheet over the scene; the page is redrawn when the size of the scene changes."""
 
     def __init__(self, page: Page) -> None:
         self._page = page
@@ -36,7 +36,7 @@ class OverScene:
 
     @property
     def room(self) -> SheetRoom:
-        """What it may take now."""
+        """Available size at present."""
         width, height = self._size
         return SheetRoom(max(360, width - 2 * EDGE_PX), max(240, height - 2 * EDGE_PX))
 

@@ -1,4 +1,4 @@
-"""The scene at print size: drawn by the browser, captioned here, kept beside the dataset and offered for download."""
+"""Picture of the scene at print size, rendered by the browser, captioned, saved with the dataset, and downloaded."""
 
 from __future__ import annotations
 
@@ -32,7 +32,7 @@ SETTLE_S, RENDER_S = 40.0, 60.0
 
 
 class PrintPicture:
-    """The verb; what takes time happens on a thread of its own."""
+    """Command that takes a picture at print size, on a thread of its own."""
 
     def __init__(self, page: Page, scene: SceneView) -> None:
         self._page, self._scene = page, scene
@@ -42,11 +42,11 @@ class PrintPicture:
         page.on_pick("picture", lambda _: self.take())
 
     def commands(self) -> list[Command]:
-        """The one key."""
+        """Return the command and its key."""
         return unless(off_surface, Command("Picture at print size", "P", self.take, viser.Icon.CAMERA, group="Look"))
 
     def take(self) -> None:
-        """Take the picture, unless one is being taken."""
+        """Take the picture, unless one is in progress."""
         if self._page.session.snapshot.dataset is None or not self._page.view.on_surface or self._busy:
             return
         self._busy = True
@@ -67,7 +67,7 @@ class PrintPicture:
         self._keep(rendered, um_per_pixel, whole)
 
     def _rendered(self) -> tuple[NDArray[np.uint8], float]:
-        """The scene as the browser draws it, and um per pixel of that at the point looked at."""
+        """Return the scene as rendered by the browser, and its µm per pixel at the look-at point."""
         client = self._page.client
         viewport = self._page.viewport
         height_px = round(PRINT_WIDTH_PX * viewport.height_px / max(1, viewport.width_px))
@@ -110,7 +110,7 @@ class PrintPicture:
 
 
 def caption_of(snapshot: Snapshot, view: View) -> Caption:
-    """What stands below the picture."""
+    """Return the caption of the picture."""
     from wafer_viewer.draw.print.print_figure import Caption
 
     data = snapshot.dataset

@@ -1,4 +1,4 @@
-"""Top left on glass: ways to look, and in Measure the tools before them."""
+"""Toolbar, top left: camera views, and in Measure the tools before them."""
 
 from __future__ import annotations
 
@@ -22,20 +22,20 @@ WAYS_TO_LOOK = (
 )
 _WIDTH_PX, _HEIGHT_PX = 520, 42
 NARROW_SCENE_PX = 640
-"""Scenes narrower than this have no room for words beside the legend."""
+"""Scene width below which the toolbar shows icons only, to clear the legend."""
 _BESIDE_PX = 124 + 2 * EDGE_PX + 8
-"""The colour bar, which the tools must not reach: in a narrow scene they take two rows."""
+"""Width reserved for the colour bar: in a narrow scene the tools take two rows."""
 
 
 class Toolbar:
-    """Ways to look have words until the tools need their room."""
+    """Toolbar of camera views and tools; views have labels unless the tools need the space."""
 
     def __init__(self, page: Page) -> None:
         self._glass = FloatingPanel(page.gui, EDGE_PX, EDGE_PX, _WIDTH_PX, _HEIGHT_PX)
         self._viewport = page.viewport
 
     def show(self, snapshot: Snapshot, view: View) -> None:
-        """Bring the toolbar up to date."""
+        """Update the toolbar."""
         if view.sheet_over != "none":  # what lies over the scene would lie over the tools
             self._glass.show("")
             return
@@ -59,7 +59,7 @@ def _way(key: str, name: str, hint: str, sign: Any, short: bool) -> str:
 
 
 def _select(selecting: bool) -> str:
-    """A drag over the scene then selects; with Shift it always does."""
+    """Return the Select toggle: if on, a drag over the scene selects; with Shift it always does."""
     told = f'title="Select an area · or drag with Shift" aria-label="Select" aria-pressed="{str(selecting).lower()}"'
     on = ' class="on"' if selecting else ""
     return f"<span{on} {told} {html.pick('select')}>{html.icon(viser.Icon.MARQUEE_2, 17)}Select</span>"

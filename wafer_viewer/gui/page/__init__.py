@@ -1,1 +1,1 @@
-"""Header, status bar, dialogs and what else belongs to the whole page."""
+"""Header, status bar, dialogs and other parts common to all steps."""

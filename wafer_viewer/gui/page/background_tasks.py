@@ -1,4 +1,4 @@
-"""The list of background work: how far it is, how long it still takes, what it waits for, and a way to stop it."""
+"""List of background jobs: progress, time left, dependencies, and a Cancel link."""
 
 from __future__ import annotations
 
@@ -10,11 +10,11 @@ from wafer_viewer.gui.widgets import html
 from wafer_viewer.session.state.snapshot import Snapshot, Work
 
 HINT_S = 3.0
-"""What takes less than this is over before it can be read."""
+"""Times left below this are not shown: they are over before they can be read."""
 
 
 def job_list(snapshot: Snapshot, view: View) -> str:
-    """What is at work; what is over is not listed, what failed stands among the notes."""
+    """Return the running and queued jobs; finished ones are not listed, failures appear among the notes."""
     if not snapshot.works:
         idle = html.empty("Reconstruction and stitching", "will be shown here.")
         return html.head("Jobs") + idle if view.step == "acquire" else ""
@@ -23,7 +23,7 @@ def job_list(snapshot: Snapshot, view: View) -> str:
 
 
 def state_of(work: Work, snapshot: Snapshot) -> str:
-    """How a job stands, in words."""
+    """Describe the state of a job."""
     if work.fraction is None:
         if not snapshot.compute_ready:
             return "queued: waiting for the workers"

@@ -1,4 +1,4 @@
-"""The room below the scene: a panel as wide as the scene, for one curve at a time."""
+"""Panel below the scene, as wide as the scene, for one curve at a time."""
 
 from __future__ import annotations
 
@@ -8,16 +8,16 @@ from wafer_viewer.gui.widgets.controls import set_prop
 from wafer_viewer.gui.widgets.style import PROFILE_PX
 
 FIRST_WIDTH_PX = 892
-"""Until the browser has said how wide its scene is."""
+"""Initial width, until the browser reports the width of its scene."""
 
 
 def room_px(view: View) -> int:
-    """How much of the scene a curve takes."""
+    """Return the height of the bottom panel in CSS pixels; 0 if no curve is shown."""
     return PROFILE_PX if view.below != "none" else 0
 
 
 class BottomPanel:
-    """Shown while the view has its curve below the scene; what is added `with tab:` comes into it."""
+    """Panel that is visible while the view shows its curve; add contents `with tab:`."""
 
     def __init__(self, page: Page, curve: Below) -> None:
         self._curve = curve
@@ -30,13 +30,13 @@ class BottomPanel:
         page.viewport.on_change(lambda: self._follow(page.viewport.width_px))
 
     def show(self, view: View) -> bool:
-        """Come or go as the view has it; whether it is there."""
+        """Show or hide the panel by the view; return whether it is visible."""
         there = view.below == self._curve
         set_prop(self._panel, "visible", there)
         return there
 
     def _follow(self, width_px: int) -> None:
-        """Be as wide as the scene, which follows the regions beside it."""
+        """Match the width of the scene, which depends on the side panels."""
         if width_px not in (0, self._width):
             self._width = width_px
             self._panel.set_width(width_px)

@@ -1,6 +1,6 @@
-"""What only the browser knows: its system, and how wide its side panels are; it tells through a hidden text field.
+"""Facts reported by the browser, such as system and panel widths, through a hidden text field.
 
-viser never reads a layout back: widths are watched by a line of script and put back after a reload.
+viser never reports a layout: a script observes the widths, and they are restored after a reload.
 """
 
 from __future__ import annotations
@@ -20,13 +20,13 @@ from wafer_viewer.gui.widgets.style import LEFT_PX, RIGHT_PX
 from wafer_viewer.session.state.snapshot import Snapshot
 
 EDGE_PX = 4
-"""A region at the side is so much wider than the panel in it."""
+"""Difference in width between a dock region and the panel in it."""
 LEAST_PX, MOST_PX = 200, 720
-"""Widths outside of these are no panel's: a panel folded away, or on its way to be."""
+"""Valid panel widths; others belong to a panel that is folded or being folded."""
 LEAST_SCENE_PX = 440
 _SYSTEMS = {"Linux": "Linux", "Win": "Windows", "Mac": "macOS", "Android": "Android", "iPhone": "iOS", "iPad": "iPadOS"}
 _SOFTWARE = ("swiftshader", "llvmpipe", "softpipe", "software", "basic render")
-"""In the name of what draws without a graphics card."""
+"""Substrings of renderer names that mean software rendering."""
 _EVERY_MS = 600
 _SCRIPT = f"""
 clearInterval(window.wvTelling);
@@ -74,10 +74,10 @@ window.onresize = tell;
 
 
 class BrowserInfo(msgspec.Struct, frozen=True):
-    """A browser's report: of each side panel its width in pixels, and whether it is folded away.
+    """Report of a browser: for each side panel its width in CSS pixels, and whether it is folded.
 
-    renderer: what draws the scene, empty where the browser does not say; still: whether its user wants less motion.
-    window: width of the page in CSS pixels, 0 as long as the browser has not said; scene: size of the scene, likewise.
+    renderer: WebGL renderer, empty if the browser does not report it; still: the user prefers reduced motion.
+    window: width of the page in CSS pixels, 0 until it is reported; scene: size of the scene, likewise.
     """
 
     system: str = ""
@@ -90,9 +90,9 @@ class BrowserInfo(msgspec.Struct, frozen=True):
 
 
 class BrowserEvents:
-    """Hears the reports of a page's browser: keeps the layout, and names one after its system.
+    """Handler of the reports of a page's browser: stores the layout, and names the browser after its system.
 
-    `left` is the panel at the left side; it and the main panel get the widths they had when the page is first drawn.
+    `left` is the left side panel; it and the main panel get their stored widths when the page is first drawn.
     """
 
     def __init__(self, page: Page) -> None:
@@ -109,12 +109,12 @@ class BrowserEvents:
         page.gui.add_html(f'<img src="data:," alt="" style="display:none" onerror="{safe(_SCRIPT)}">')
 
     def on_motion(self, callback: Callable[[bool], None]) -> None:
-        """Call back with whether the camera may fly in this browser, now and when that changes."""
+        """Call `callback` with whether camera animation is enabled, now and after each report."""
         self._let_fly = callback
         callback(self._can_fly)
 
     def show(self, snapshot: Snapshot, view: View) -> None:
-        """Put the panels to where this browser had them, once."""
+        """Restore the panel layout of this browser, once, and name the browser after its system."""
         if not self._restored:
             self._restored = True
             restore(self._page.browser.layout, self.left, self._page.gui.main_panel)
@@ -139,7 +139,7 @@ class BrowserEvents:
         page.redraw()
 
     def _make_room(self, told: BrowserInfo, layout: PanelLayout) -> None:
-        """Fold the left panel away when the scene gets too narrow, and bring it back when there is room again."""
+        """Fold the left panel if the scene gets too narrow, and unfold it when there is room again."""
         if (cramped := is_cramped(told, layout)) == self._cramped:
             return
         self._cramped = cramped
@@ -150,7 +150,7 @@ class BrowserEvents:
 
 
 def restore(layout: PanelLayout, left: Any, right: Any) -> None:
-    """Put the panels back to where a browser had them; `left` and `right` are viser's panels."""
+    """Restore the panel layout of a browser; `left` and `right` are viser's panels."""
     left.set_width(layout.left_px or LEFT_PX)
     right.set_width(layout.right_px or RIGHT_PX)
     if layout.left_folded:
@@ -160,26 +160,26 @@ def restore(layout: PanelLayout, left: Any, right: Any) -> None:
 
 
 def layout_of(told: BrowserInfo, before: PanelLayout) -> PanelLayout:
-    """The layout after a report; a panel that is folded away keeps the width it had."""
+    """Return the layout after a report; a folded panel keeps its width."""
     left_px, left_folded = _side(told.left, before.left_px, before.left_folded)
     right_px, right_folded = _side(told.right, before.right_px, before.right_folded)
     return PanelLayout(left_px, right_px, left_folded, right_folded)
 
 
 def is_cramped(told: BrowserInfo, layout: PanelLayout) -> bool:
-    """Return whether a window leaves too little for the scene between both panels."""
+    """Return whether the window leaves too little width for the scene between both panels."""
     panels = (layout.left_px or LEFT_PX) + (layout.right_px or RIGHT_PX)
     return 0 < told.window < panels + LEAST_SCENE_PX
 
 
 def may_fly(told: BrowserInfo) -> bool:
-    """Whether a browser draws on a graphics card and its user does not want less motion."""
+    """Return whether the camera may be animated: hardware rendering, and no preference for reduced motion."""
     renderer = told.renderer.lower()
     return not told.still and not any(name in renderer for name in _SOFTWARE)
 
 
 def system_name(platform: str) -> str:
-    """A browser's `navigator.platform` as people say it."""
+    """Return the common name of the system for a browser's `navigator.platform`."""
     return next((name for sign, name in _SYSTEMS.items() if platform.startswith(sign)), platform or "unknown")
 
 

@@ -1,6 +1,6 @@
-"""Who holds the controls, on one page: what a watcher cannot use, who asks for them, and how they are passed on.
+"""Control handover on one page: widgets locked for observers, requests for control, and answers.
 
-That a watcher's verbs are refused is the session's matter; here stands which widgets show it beforehand.
+The session refuses an observer's commands; this module disables the widgets that would send them.
 """
 
 from __future__ import annotations
@@ -35,9 +35,9 @@ HANDS_ON = frozenset(
         *("Correct the z scale…", "Limit, ± µm", "Blocks, °C", "Tolerance, µm", "Next in, days"),
     }
 )
-"""By their labels: the widgets that move the rig, or change the plan, the dataset or the results.
+"""Labels of the widgets that move the rig, or change the plan, the dataset or the results.
 
-viser's button groups cannot be disabled: what they do is refused.
+viser's button groups cannot be disabled: the session refuses their commands.
 """
 OF_JOBS = ("job", "jobs", "corner-at", "unmark", "feature", "no-feature")
 OF_GAUGE = ("gauge-tick", "gauge-drop")
@@ -50,13 +50,13 @@ PICKS = (
     *OF_GAUGE,
     *OF_DEFECTS,
 )
-"""Elements of HTML that do the same."""
+"""Pick names of HTML elements with the same effect."""
 _OFF = ",".join(f"[data-pick={what}]" for what in PICKS)
 _STYLE = f"<style>{_OFF}{{opacity:.5;pointer-events:none}}</style>"
 
 
 class ControlLock:
-    """Bars a watcher's widgets and says who holds the controls."""
+    """Lock of an observer's widgets, with a note that names the holder of the controls."""
 
     def __init__(self, page: Page) -> None:
         self._page = page
@@ -68,7 +68,7 @@ class ControlLock:
         page.on_pick("hands-ask", lambda _: ask(page))
 
     def show(self, snapshot: Snapshot, view: View) -> None:
-        """Bring widgets and words up to date."""
+        """Update the locked widgets and the note."""
         hands, key = snapshot.hands, self._page.browser.key
         watching = hands.browser(key) is not None and not hands.holds(key)
         self._strip.show(_watching(hands, key) + _STYLE if watching else "")
@@ -77,7 +77,7 @@ class ControlLock:
         self._hands = hands
 
     def _bar(self, watching: bool) -> None:
-        """Also the widgets that were made since; viser knows all of a page."""
+        """Disable the widgets of an observer, including those made since the last call; else enable them again."""
         wanted: dict[str, Any] = {}
         if watching:
             handles = dict(self._page.gui._gui_input_handle_from_uuid)
@@ -104,7 +104,7 @@ class ControlLock:
 
 
 class ControlRequestPrompt:
-    """Tells the holder that somebody asks for the controls, with the two answers."""
+    """Prompt to the holder when another browser requests control, with the two answers."""
 
     def __init__(self, page: Page) -> None:
         self._page = page
@@ -113,14 +113,14 @@ class ControlRequestPrompt:
         page.on_pick("hands-keep", lambda _: page.session.control.keep(page.browser.key))
 
     def show(self, snapshot: Snapshot, view: View) -> None:
-        """Ask as long as there is no answer."""
+        """Show the prompt as long as a request is open."""
         hands = snapshot.hands
         asked = hands.holds(self._page.browser.key) and hands.asking is not None
         self._question.show(_question(hands) if asked else "")
 
 
 def ask(page: Page) -> None:
-    """Ask for the controls; a browser without a name is asked for one first."""
+    """Request control; a browser without a name enters one first."""
     if page.browser.name:
         page.ask("Control was not handed over", page.session.control.ask(page.browser.key))
     else:
@@ -128,12 +128,12 @@ def ask(page: Page) -> None:
 
 
 def hand_over(page: Page, to: str) -> None:
-    """Pass the controls on."""
+    """Hand control over to another browser."""
     page.ask("Control was not handed over", page.session.control.hand_over(page.browser.key, to))
 
 
 def hands_dialog(page: Page) -> None:
-    """Connected browsers, who holds the controls, what this browser is called; and how to ask for the controls."""
+    """Open the dialog of connected browsers: holder of the controls, name of this browser, request for control."""
     hands, key = page.session.snapshot.hands, page.browser.key
     holds = hands.holds(key)
     dialog = Dialog(page, "Connected browsers", "One holds the controls; all may look, measure and stop all motion.")
@@ -160,7 +160,7 @@ def hands_dialog(page: Page) -> None:
 
 
 def _call(page: Page, name: str) -> None:
-    """Another name for this browser, remembered by it."""
+    """Rename this browser and store the name in it."""
     name = " ".join(name.split())
     if name and name != page.session.snapshot.hands.name_of(page.browser.key):
         page.ask("The name was not changed", page.session.control.rename(page.browser.key, name))
@@ -187,7 +187,7 @@ def _state(hands: ControlState, browser: Browser, key: str) -> str:
 
 
 def _watching(hands: ControlState, key: str) -> str:
-    """What stands over a watcher's panel."""
+    """Return the note above an observer's panel."""
     if hands.asking == key:
         end = f'<span class="dim">Asked; {html.safe(hands.name_of(hands.holder))} has {hands.answer_s:.0f} s.</span>'
     else:
@@ -198,7 +198,7 @@ def _watching(hands: ControlState, key: str) -> str:
 
 
 def _question(hands: ControlState) -> str:
-    """One who asks, with the two answers; the line under them runs out when the controls pass."""
+    """Return the request with its two answers and a bar that runs down until control passes."""
     name = html.safe(hands.name_of(hands.asking))
     gone_s = max(0.0, time.time() - hands.asked_at)
     over, stay = html.pick("hands-over", hands.asking), html.pick("hands-keep")

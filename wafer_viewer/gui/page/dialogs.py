@@ -1,4 +1,4 @@
-"""Questions in the middle of the page: their frame, and those that ask whether something is really meant."""
+"""Modal dialogs: common frame, and confirmation dialogs."""
 
 from __future__ import annotations
 
@@ -20,22 +20,22 @@ from wafer_viewer.session.state.snapshot import DatasetEntry
 
 
 class KeepOpen(Exception):
-    """Raised by what a dialog's button does where the dialog goes on: it showed a folder, or asks something first."""
+    """Raised by a dialog's action to keep the dialog open: it showed a folder, or opened another dialog first."""
 
 
 class Dialog:
-    """A question with its way out: one button that does it, one that leaves everything as it is."""
+    """Modal dialog with one button that acts and one that cancels."""
 
     def __init__(self, page: Page, title: str, below: str) -> None:
         self.page = page
         self.modal = page.gui.add_modal(title)
         self.press: Callable[[], None] = lambda: None
-        """Does what the button that does it does."""
+        """Run the action of the confirming button."""
         with self.modal:
             HtmlBlock(page.gui, f'<div class="wv-sub">{html.safe(below)}</div>')
 
     def answers(self, name: str, icon: Any, act: Callable[[], None], failed: str, away: str = "Cancel") -> None:
-        """The two buttons at the foot. `act` may raise: the dialog then stays open, so that it can be mended."""
+        """Add the two buttons at the foot. If `act` raises, the dialog stays open and shows the error."""
         with self.modal:
             problem = HtmlBlock(self.page.gui)
             leave = button(self.page.gui, away, None, lambda _: self.close())
@@ -46,14 +46,14 @@ class Dialog:
         add_hints(self.page.gui)
 
     def way_out(self, name: str) -> None:
-        """The one button of a sheet that only tells."""
+        """Add the single close button of an information dialog."""
         with self.modal:
             away = button(self.page.gui, name, None, lambda _: self.close())
             in_a_row(self.page.gui, [away], 36)
             HtmlBlock(self.page.gui, _on_key("wv-away", away), padded=False)
 
     def close(self) -> None:
-        """Leave the question."""
+        """Close the dialog."""
         if not self.modal.closed:
             self.modal.close()
 
@@ -70,12 +70,12 @@ class Dialog:
 
 
 def _on_key(marker: str, handle: Any) -> str:
-    """Tells the script of keys which button Escape and Enter press."""
+    """Return a hidden marker that tells the key script which button Escape or Enter presses."""
     return f'<span hidden class="{marker}" data-button="{handle._impl.uuid}"></span>'
 
 
 def open_dataset(page: Page, path: Path) -> None:
-    """Open a dataset and look at what there is of it."""
+    """Open a dataset and show its surface; show Acquire if its scan is unfinished."""
 
     def look(_: Any) -> None:
         data = page.session.snapshot.dataset
@@ -86,14 +86,14 @@ def open_dataset(page: Page, path: Path) -> None:
 
 
 def open_surface(page: Page, path: Path, says: Reading, name: str | None) -> None:
-    """Make a dataset of a surface file and look at it. says: what the file does not say."""
+    """Import a surface file as a dataset and show it. says: settings that the file lacks."""
     done = page.session.exchange.import_surface(path, says, name)
     look = dict[str, Any](step="surface", show=0, range_um=None, selected=None, frame_k=None)
     page.ask("The surface was not opened", done, lambda _: page.change(**look))
 
 
 def dataset_table(entries: tuple[DatasetEntry, ...], opened: Path | None, what: str) -> str:
-    """The datasets of the data folder; a click on one picks `what`."""
+    """Return the table of datasets in the data folder; a click on one picks `what`."""
     if not entries:
         return html.empty("No datasets here yet.")
 
@@ -110,7 +110,7 @@ def dataset_table(entries: tuple[DatasetEntry, ...], opened: Path | None, what: 
 
 
 def when(taken: str, now: datetime) -> str:
-    """A time of ISO 8601 as people say it: today 08:41, yesterday 17:02, 12 Nov, 3 Feb 2025; other text as it is."""
+    """Format an ISO 8601 time: today 08:41, yesterday 17:02, 12 Nov, 3 Feb 2025; return other text unchanged."""
     try:
         at = datetime.fromisoformat(taken).astimezone(now.tzinfo)
     except ValueError:
@@ -123,7 +123,7 @@ def when(taken: str, now: datetime) -> str:
 
 
 def unless_there(page: Page, path: Path, write: Callable[[], None]) -> None:
-    """Write a file; one that is there already is replaced only after a person said so, by its name."""
+    """Write a file; ask for confirmation before an existing file is replaced."""
     if not path.exists():
         write()
         return
@@ -133,7 +133,7 @@ def unless_there(page: Page, path: Path, write: Callable[[], None]) -> None:
 
 
 def reconstruct_dialog(page: Page, again: Callable[[], None]) -> None:
-    """Make a surface again; one that is there is replaced only after a person said so, by its name."""
+    """Reconstruct the surface; ask for confirmation before an existing one is replaced."""
     snapshot = page.session.snapshot
     if snapshot.surface is None or snapshot.dataset is None:
         again()
@@ -148,7 +148,7 @@ def reconstruct_dialog(page: Page, again: Callable[[], None]) -> None:
 
 
 def rename_dialog(page: Page, number: int, old: str) -> None:
-    """Give a result another name."""
+    """Open the dialog that renames a result."""
     dialog = Dialog(page, "Rename the result", "The name appears in the list, in exports and in reports.")
     with dialog.modal:
         name = page.gui.add_text("Name", old)

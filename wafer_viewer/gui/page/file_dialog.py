@@ -1,6 +1,6 @@
-"""The list of files inside a dialog: folders and files to choose from, places to go to, and the path typed.
+"""File list inside a dialog: folders and files, shortcuts, and a path field.
 
-The session lists and paints, on its own threads; here is only drawn what it answers.
+The session lists folders and renders previews on its own threads; this module only shows its answers.
 """
 
 from __future__ import annotations
@@ -37,30 +37,30 @@ from wafer_viewer.session.files.file_browser import (
 )
 
 MOST_SHOWN = 2000
-"""Rows of one list; the rest is reached by typing the beginning of a name."""
+"""Largest number of rows; the rest is reached by typing the beginning of a name."""
 MOST_LOOKS = 48
-"""Small pictures asked for of one list."""
+"""Largest number of previews requested per list."""
 LOOKS_AT_ONCE = 8
-"""So many are sent together, so that the browser lays the page out less often."""
+"""Number of previews sent together, to reduce layout work in the browser."""
 ORDERS: dict[Order, str] = {"name": "Name", "size": "Size", "date": "Changed"}
 _listings = count(1)
 
 
 class FileList:
-    """Folders and files of one folder at a time, in a dialog that is being built.
+    """List of one folder's contents, in a dialog under construction.
 
     Parameters
     ----------
     dialog : Dialog
-        Its button is pressed when a file is opened from the list.
+        Dialog whose confirming button is pressed when a file is opened from the list.
     kind : KindName
-        What is asked for.
+        Kind of file to choose.
     rows : int
-        How high the list is, in rows.
+        Height of the list, in rows.
     saving : str
-        Name proposed for a file to be saved; empty where a file is opened.
+        Proposed name of a file to save; empty if a file is opened.
     ending : str
-        Ending of the file to be saved.
+        Extension of the file to save.
     """
 
     def __init__(self, dialog: Dialog, kind: KindName, rows: int = 8, saving: str = "", ending: str = "") -> None:
@@ -89,20 +89,20 @@ class FileList:
 
     @property
     def kind(self) -> FileKind:
-        """What is asked for: while a file is saved, those of its ending."""
+        """Kind of file to choose; when saving, files with its extension."""
         if self._saving:
             return FileKind("Files", (self._ending,))
         return FILE_KINDS[self._kind_name]
 
     def path(self) -> Path:
-        """Return the one path chosen; a folder that is none is shown instead, and the dialog stays open."""
+        """Return the single chosen path; an unsuitable folder is shown instead, and the dialog stays open."""
         paths = list(self.paths())
         if len(paths) > 1:
             raise DatasetError(f"{len(paths)} files are chosen: choose one.")
         return paths[0]
 
     def paths(self) -> tuple[Path, ...]:
-        """Return the paths chosen, all of them there. Raises DatasetError where there is none."""
+        """Return the chosen paths, all of which exist. Raises DatasetError if there is none."""
         texts = _texts(self.field.value)
         if len(texts) == 1 and (sent := self._sent.get(texts[0])) is not None:
             return (sent,)
@@ -116,7 +116,7 @@ class FileList:
         return paths
 
     def target(self) -> Path:
-        """Return the path of the file to be saved; a folder typed is shown instead, and the dialog stays open."""
+        """Return the path of the file to save; a typed folder is shown instead, and the dialog stays open."""
         path = self._browsing.path_of(self.field.value, self._base) if self.field.value.strip() else None
         if path is not None and path.is_dir():
             name = Path(self._default).name
@@ -127,22 +127,22 @@ class FileList:
 
     @property
     def is_empty(self) -> bool:
-        """Whether nothing is chosen and nothing typed."""
+        """True if nothing is chosen or typed."""
         return not self.field.value.strip()
 
     def save_as(self, name: str, ending: str) -> None:
-        """Propose another name and kind of file; the folder stays."""
+        """Propose another name and extension in the same folder."""
         self._ending, self._default = ending, name
         self.field.value = name
         self.go(self._folder)
 
     def put(self, path: Path, called: str) -> None:
-        """Choose a file that the browser sent."""
+        """Choose a file that the browser uploaded."""
         self.field.value = called
         self._sent = {called: path}
 
     def write_to(self, path: Path, write: Callable[[], None]) -> None:
-        """Write a file; one that is there is replaced only after a question, and the dialog stays open behind it."""
+        """Write a file; confirm before an existing file is replaced, with the dialog open behind."""
         if not path.exists():
             write()
             return
@@ -155,7 +155,7 @@ class FileList:
         raise KeepOpen
 
     def add_upload(self, mime_type: str = "*/*", then: Callable[[], None] | None = None) -> None:
-        """A button below the list that sends a file from the machine of the browser."""
+        """Add a button below the list that uploads a file from the browser's computer."""
         gui = self._page.gui
         upload = gui.add_upload_button("Send a file from this computer…", icon=viser.Icon.UPLOAD, mime_type=mime_type)
         outlined(gui, upload, 30)
@@ -170,9 +170,9 @@ class FileList:
     # --- where to look
 
     def go(self, folder: Path, prefix: str = "", *, typing: bool = False) -> None:
-        """List a folder; the answer is drawn when it comes, and only the newest.
+        """List a folder asynchronously; only the answer to the latest request is shown.
 
-        typing: the path typed leads there, so that what it is relative to stays.
+        typing: the folder comes from the typed path, so the base of relative paths does not change.
         """
         if (folder, prefix) != (self._folder, self._prefix):
             self._limit = PAGE
@@ -202,7 +202,7 @@ class FileList:
         return () if self._saving else listing.recent
 
     def _ask_looks(self, of: int, listing: Listing) -> None:
-        """Small pictures come a few at a time, as a style sheet: the list itself stays as it is."""
+        """Request the previews; they arrive in batches as a style sheet, without a change of the list."""
         rules: list[str] = []
         asked = [(n, e) for n, e in enumerate(listing.entries) if _has_look(e)][:MOST_LOOKS]
         self._looks.show("")
@@ -236,7 +236,7 @@ class FileList:
         page.on_pick("file-more", lambda _: self._more())
 
     def _typed(self, event: Any) -> None:
-        """The list follows what is typed: the folder named, and in it what begins as the last part does."""
+        """Follow the typed path: list its folder, filtered by the beginning of the last part."""
         text = str(event.target.value)
         if event.client is None or text.startswith(('"', "'")) or text in self._sent:
             return
@@ -249,7 +249,7 @@ class FileList:
             self.go(base, name if not self._saving else "", typing=True)
 
     def _typed_base(self, beginning: str) -> Path | None:
-        """The folder that a beginning of a path names; None where it is none to be shown."""
+        """Return the folder named by the beginning of a path; None if it cannot be shown."""
         if not beginning:
             return self._base
         try:
@@ -259,7 +259,7 @@ class FileList:
         return path if path.is_dir() else None
 
     def _entries(self, key: str) -> list[FileEntry]:
-        """The rows that a click names; none of a list that was replaced meanwhile."""
+        """Return the entries of a click; empty if the list was replaced meanwhile."""
         of, _, numbers = key.partition(":")
         if self._shown is None or of != str(self._of):
             return []
@@ -285,7 +285,7 @@ class FileList:
             self._dialog.press()
 
     def _go_and_leave(self, folder: Path) -> None:
-        """Go to a folder; what was chosen in another is chosen no more, and where folders are asked for this one is."""
+        """Go to a folder and clear the choice; if folders can be chosen, choose this one."""
         if not self._saving:
             self.field.value = str(folder) if self.kind.takes_folder else ""
         self.go(folder)
@@ -308,7 +308,7 @@ class FileList:
 
 
 def _texts(text: str) -> list[str]:
-    """The paths in a field: several are in quotation marks."""
+    """Return the paths in a text field; several paths are quoted. Raises DatasetError for unbalanced quotes."""
     text = text.strip()
     if not text.startswith(('"', "'")):
         return [text]
@@ -328,7 +328,7 @@ def _has_look(entry: FileEntry) -> bool:
 
 
 def _places(listing: Listing, roots: tuple[Root, ...], recent: tuple[Path, ...]) -> str:
-    """The roots, the way from one of them to the folder shown, and what was taken last."""
+    """Return the roots, the breadcrumbs from a root to the folder, and the recent paths."""
     inside = [root for root in roots if listing.folder.is_relative_to(root.path)]
     root = max(inside, key=lambda r: len(r.path.parts), default=None)
     chips = "".join(_place(each.path, each.name, "on" if each is root else "") for each in roots)
@@ -368,7 +368,7 @@ def _list(listing: Listing, of: int, order: Order, kind: FileKind, rows: int) ->
 
 
 def _left(listing: Listing) -> str:
-    """The entries that are not in the list yet, and the way to them."""
+    """Return the number of entries not listed yet, with a link or hint to reach them."""
     left = listing.n_matching - len(listing.entries)
     if left <= 0:
         return ""
@@ -393,7 +393,7 @@ def _row(n: int, entry: FileEntry, now: datetime) -> str:
 
 
 def _summary(listing: Listing, kind: FileKind, saving: bool) -> str:
-    """What the list leaves out, and for a file to be saved the room there is."""
+    """Return the number of omitted entries; when saving, the folder and its free disk space."""
     if saving:
         return f"Saved in {listing.folder}. {size(listing.free_bytes)} free on this disk."
     told = []

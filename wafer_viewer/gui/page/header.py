@@ -1,4 +1,4 @@
-"""The header, always in sight: what is open, the steps of the work, the rig and whether it is real."""
+"""Page header: open dataset, workflow steps, rig and whether it is real."""
 
 from __future__ import annotations
 
@@ -47,12 +47,12 @@ _NAMED_PX: dict[Step, int] = {
     "review": 102,
     "report": 100,
 }
-"""How wide the present step is, with its icon and its name, where the others are icons."""
+"""Width of the current step with icon and name, in layouts where the other steps are icons."""
 
 
 @dataclass(frozen=True, slots=True)
 class HeaderRoom:
-    """How the header is laid out from a window's width on: where the steps begin, and how wide an icon is."""
+    """Header layout for a range of window widths: start of the steps and width of an icon, in CSS pixels."""
 
     media: str
     left_px: int
@@ -60,7 +60,7 @@ class HeaderRoom:
 
 
 WIDE_PX, MIDDLE_PX = 1500, 1200
-"""Windows from which on steps have names, and from which on their icons have more room."""
+"""Window widths from which steps show their names, and from which icons are wider."""
 ROOMS = (
     HeaderRoom(f"(min-width:{MIDDLE_PX}px) and (max-width:{WIDE_PX - 1}px)", LEFT_PX, 52),
     HeaderRoom(f"(max-width:{MIDDLE_PX - 1}px)", 218, 42),
@@ -83,7 +83,7 @@ _TONE = {
 
 
 def possible(step: Step, snapshot: Snapshot) -> bool:
-    """Whether there is anything to do in a step."""
+    """Return whether a step is available."""
     data = snapshot.dataset
     match step:
         case "plan" | "gauge":
@@ -97,7 +97,7 @@ def possible(step: Step, snapshot: Snapshot) -> bool:
 
 
 def why_not(step: Step, snapshot: Snapshot) -> str | None:
-    """Return why there is nothing to do in a step yet, None where there is."""
+    """Return why a step is not available yet, or None if it is."""
     if possible(step, snapshot):
         return None
     data = snapshot.dataset
@@ -110,7 +110,7 @@ def why_not(step: Step, snapshot: Snapshot) -> str | None:
 
 
 def done(step: Step, snapshot: Snapshot) -> bool:
-    """Whether a tick stands before a step."""
+    """Return whether a step is done and has a tick."""
     data = snapshot.dataset
     return (
         data is not None
@@ -127,7 +127,7 @@ def done(step: Step, snapshot: Snapshot) -> bool:
 
 
 def all_judged(snapshot: Snapshot) -> bool:
-    """Whether every result, every feature of a verdict and every defect was accepted or rejected."""
+    """Return whether all results, verdict features and defects are accepted or rejected; False without any."""
     keys, defects = _under_review(snapshot), snapshot.inspection.defects
     noted = snapshot.notebook.book.judged(keys) == len(keys)
     return bool(keys or defects) and noted and all(defect.judgement != "open" for defect in defects)
@@ -138,7 +138,7 @@ def _under_review(snapshot: Snapshot) -> tuple[str, ...]:
 
 
 class Header:
-    """Mark, dataset, steps, Stop, rig. Steps and Stop are viser's buttons that style places over the header's bar."""
+    """Header bar: logo, dataset, steps, Stop, rig. CSS places viser's buttons for steps and Stop over the bar."""
 
     def __init__(self, gui: Gui, go_to: Callable[[Step], None], stop: Callable[[], None]) -> None:
         self._stop = button(gui, "Stop", viser.Icon.PLAYER_STOP, lambda _: stop(), disabled=True)
@@ -156,7 +156,7 @@ class Header:
         self._tips = HtmlBlock(gui, padded=False)
 
     def show(self, snapshot: Snapshot, view: View) -> None:
-        """Bring the header up to date."""
+        """Update the header."""
         self._bar.show(f'<div class="wv-hd">{_mark(snapshot)}{_state(snapshot, view)}</div>')
         self._style.show(f"<style>{_step_style(self._ids, view.step, snapshot)}</style>")
         self._tips.show(_tips(self._ids, view.step, snapshot))
@@ -166,7 +166,7 @@ class Header:
 
 
 def _places(stop: str, steps: dict[Step, str]) -> str:
-    """Where Stop and the steps stand, whatever can be done; the widths are variables of page.css."""
+    """Return the CSS position of Stop and the steps, independent of state; widths are variables of page.css."""
     each = ",".join(steps.values())
     return (
         f"div:has(>:is({each},{stop})){{height:0;padding:0!important;margin:0!important}}"
@@ -186,7 +186,7 @@ def _places(stop: str, steps: dict[Step, str]) -> str:
 
 
 def _step_style(ids: dict[Step, str], current: Step, snapshot: Snapshot) -> str:
-    """Colours and marks by what can be done, and the places beside the present step's name."""
+    """Return CSS of the steps: colours and marks by state, and positions around the current step's name."""
     rules = [_look(by_id(uuid), step, current, snapshot) for step, uuid in ids.items()]
     places = [f"left:calc({LEFT_PX}px + {k}*var(--step));width:var(--step)!important" for k in range(len(ids))]
     rules.append(f"@media(min-width:{WIDE_PX}px){{{_placed(ids, places)}}}")
@@ -199,7 +199,7 @@ def _step_style(ids: dict[Step, str], current: Step, snapshot: Snapshot) -> str:
 
 
 def _placed(ids: dict[Step, str], places: list[str]) -> str:
-    """Each step at its place, and its tip below it."""
+    """Return CSS that places each step, with its tooltip below."""
     each = zip(ids.items(), places, strict=True)
     return "".join(f"{by_id(uuid)}{{{place}}}#wv-tip-{step}{{{place.split(';')[0]}}}" for (step, uuid), place in each)
 
@@ -235,11 +235,11 @@ def _mask(path: str) -> str:
 
 _LOCK = f"{_mask('M6 11h12v9H6zM8 11V8a4 4 0 0 1 8 0v3')};background:currentColor"
 _TICK = f"{_mask('M4 13l5 5L20 6')};background:var(--good)"
-"""Before the name of a step, or at the corner of its icon: not possible yet, and done."""
+"""Marks of a step, before its name or at the corner of its icon: not available yet, and done."""
 
 
 def _tips(ids: dict[Step, str], current: Step, snapshot: Snapshot) -> str:
-    """The tip of each step, shown under the pointer and the focus, and tied to the button by a script."""
+    """Return the tooltips of the steps, shown on hover and focus; a script links them to the buttons."""
     tips, rules, ties = "", "", list[tuple[str, str, bool, bool]]()
     for step, uuid in ids.items():
         why = why_not(step, snapshot)
@@ -266,7 +266,7 @@ const tie = tries => {
 };
 tie(100);
 """
-"""A step that is not possible keeps the focus, so that its tip can be read: viser's own disabled button has none."""
+"""Script that sets aria attributes. An unavailable step stays focusable for its tooltip, unlike a disabled button."""
 
 
 def _mark(snapshot: Snapshot) -> str:
@@ -291,7 +291,7 @@ def _state(snapshot: Snapshot, view: View) -> str:
 
 
 def _pill_over(snapshot: Snapshot, view: View) -> str:
-    """The pill of the rig; over data that no rig of this program took, unless the rig moves or is at fault, theirs."""
+    """Return the status pill: of imported data if they are shown and the rig is at rest, else of the rig."""
     data, rig = snapshot.dataset, snapshot.rig
     at_rest = rig.state in ("starting", "ready", "absent")
     if data is None or not data.imported or data.simulated or not view.on_surface or not at_rest:
@@ -302,7 +302,7 @@ def _pill_over(snapshot: Snapshot, view: View) -> str:
 
 
 def _pill(rig: RigStatus) -> str:
-    """REAL in the colour of the state; SIMULATED always amber, unless the rig is at fault."""
+    """Return the rig's pill: REAL in the colour of its state, SIMULATED in amber unless the rig is at fault."""
     tone = _TONE[rig.state]
     colour = "simulated" if rig.simulated and tone != "fault" else tone
     word = "SIMULATED" if rig.simulated else "REAL"

@@ -1,4 +1,4 @@
-"""Questions about files: which dataset or plan is opened, which images come in, as what a surface goes out."""
+"""Dialogs to open datasets and plans, import images, and export surfaces."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ _FILES = ", ".join(ending for ending in READ if ending != ".tiff")
 
 
 def open_dialog(page: Page) -> None:
-    """Open a dataset; a surface file becomes one first."""
+    """Open the dialog that opens a dataset, or imports a surface file as one."""
     dialog = Dialog(page, "Open a dataset", f"A dataset NAME.wafer, or a surface file ({_FILES}).")
     with dialog.modal:
         files = FileList(dialog, "dataset", rows=9)
@@ -44,20 +44,20 @@ def open_dialog(page: Page) -> None:
 def save_dialog(
     page: Page, title: str, name: str, write: Callable[[Path], Future[Path]], saved: str, failed: str
 ) -> None:
-    """Write a file in the folder and under the name chosen, the data folder and `name` at first.
+    """Open a Save dialog that starts in the data folder with `name`.
 
     Parameters
     ----------
     page : Page
-        Where it is asked.
+        Page that shows the dialog.
     title : str
-        Of the dialog, ``Save the plan``.
+        Title of the dialog, such as ``Save the plan``.
     name : str
-        Name proposed; its ending is that of the file.
+        Proposed name, with the extension of the file.
     write : callable
-        Begins to write to a path; a file that is there is replaced only after a question.
+        Starts to write to a path; an existing file is replaced only after confirmation.
     saved, failed : str
-        Titles of the news that it is written, or is not.
+        Titles of the success and failure notifications.
     """
     dialog = Dialog(page, title, "")
     with dialog.modal:
@@ -74,7 +74,7 @@ def save_dialog(
 
 
 def load_plan_dialog(page: Page) -> None:
-    """Load a plan from its file."""
+    """Open the dialog that loads a plan from its file."""
     dialog = Dialog(page, "Load a plan", "A file PLAN.toml, as Save plan… writes it.")
     with dialog.modal:
         files = FileList(dialog, "plan")
@@ -86,7 +86,7 @@ def load_plan_dialog(page: Page) -> None:
 
 
 def import_dialog(page: Page) -> None:
-    """Import images taken elsewhere, a folder or a multi-page TIFF, or a surface file; one sent from here will do."""
+    """Open the import dialog: folder of images, multi-page TIFF or surface file, also as an upload."""
     below = "A folder of images, several files, a multi-page TIFF; or a surface file."
     dialog = Dialog(page, "Import images or a surface", below)
     gui = page.gui
@@ -128,7 +128,7 @@ def import_dialog(page: Page) -> None:
 
 
 def export_dialog(page: Page) -> None:
-    """Write the surface that is shown to a file, and say before what the file cannot hold."""
+    """Open the dialog that exports the displayed surface; it names what the format cannot hold."""
     snapshot, field = page.session.snapshot, page.view.show or None
     data, info = snapshot.dataset, snapshot.surface if field is None else None
     stem = f"{data.path.stem if data else 'surface'}{_ending_of(field)}"
@@ -166,7 +166,7 @@ def export_dialog(page: Page) -> None:
 
 
 def _said(ending: str, every: float, size: tuple[int, int, float] | None) -> str:
-    """How much is written of a surface of so many rows, columns and µm a pixel, and what the format cannot hold."""
+    """Return output size and losses of the format. size: rows, columns, µm per pixel of the surface, or None."""
     written = ""
     if size is not None:
         step = max(1, int(every))
@@ -178,7 +178,7 @@ def _said(ending: str, every: float, size: tuple[int, int, float] | None) -> str
 
 
 def _ending_of(field: int | None) -> str:
-    """What tells the file of a field, or of a comparison, from the dataset's."""
+    """Return the suffix of the file name: none for the dataset, one for a field or a comparison."""
     return "" if not field else f"-field{field}" if field > 0 else "-compared"
 
 

@@ -1,4 +1,4 @@
-"""What people think of a thing under review goes where it is kept: of a defect with the defects, else the notebook."""
+"""Dispatch of judgements under review: those of defects to the defects, all others to the notebook."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ if TYPE_CHECKING:
 
 
 def judge(session: SessionApi, key: str, verdict: Verdict) -> Future[Any]:
-    """Accept, reject, or leave open again."""
+    """Accept, reject or reopen an item."""
     number = number_of(key)
     if number is None:
         return session.notebook.judge(key, verdict)
@@ -23,28 +23,28 @@ def judge(session: SessionApi, key: str, verdict: Verdict) -> Future[Any]:
 
 
 def note(session: SessionApi, key: str, text: str) -> Future[Any]:
-    """Note something down."""
+    """Save a note on an item."""
     number = number_of(key)
     return session.notebook.judge(key, note=text) if number is None else session.defects.judge(number, note=text)
 
 
 def undo(session: SessionApi, view: View) -> Future[Any]:
-    """What was thought before of things of the kind under review."""
+    """Undo the last judgement in the store of the item under review."""
     return session.notebook.undo() if number_of(view.review) is None else session.defects.undo()
 
 
 def redo(session: SessionApi, view: View) -> Future[Any]:
-    """What was undone of them."""
+    """Redo the last undone judgement in the store of the item under review."""
     return session.notebook.redo() if number_of(view.review) is None else session.defects.redo()
 
 
 def can_undo(snapshot: Snapshot, view: View) -> bool:
-    """Whether there is anything to undo."""
+    """Return whether a judgement can be undone."""
     of_defects = number_of(view.review) is not None
     return snapshot.inspection.can_undo if of_defects else snapshot.notebook.can_undo
 
 
 def can_redo(snapshot: Snapshot, view: View) -> bool:
-    """Whether anything was undone."""
+    """Return whether a judgement can be redone."""
     of_defects = number_of(view.review) is not None
     return snapshot.inspection.can_redo if of_defects else snapshot.notebook.can_redo

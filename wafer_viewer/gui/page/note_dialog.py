@@ -1,4 +1,4 @@
-"""A note on a thing under review, typed without a hand on the mouse."""
+"""Keyboard dialog for a note on an item under review."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ FAILED = "The note was not changed"
 
 
 def note_dialog(page: Page, item: ReviewItem) -> None:
-    """Ask for the note; Enter keeps it."""
+    """Open the note dialog; Enter saves the note."""
     dialog = Dialog(page, f"Note on {item.sign} · {item.title}", "Saved with the judgement and shown in the report.")
     with dialog.modal:
         text = page.gui.add_text("Note", item.judgement.note, hint="Enter saves, Escape cancels")

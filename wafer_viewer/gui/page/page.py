@@ -1,4 +1,4 @@
-"""One browser's page: its view, its parts, and the thread that draws what the session and the view say."""
+"""Page of one browser: view, parts, and the thread that draws session and view."""
 
 from __future__ import annotations
 
@@ -29,22 +29,22 @@ if TYPE_CHECKING:
     from wafer_viewer.session.api import SessionApi
 
 SETTLE_S = 0.9
-"""After a change the page is drawn once more, when the widgets a person moved are at rest."""
+"""Delay in s of a second draw after a change, when widgets moved by the user are at rest."""
 
 
 class Part(Protocol):
-    """A part of the page: brings itself up to date, sends only what has changed, never waits."""
+    """Part of the page: updates itself, sends only changes, never blocks."""
 
     def show(self, snapshot: Snapshot, view: View) -> None:
-        """Show what the session knows, as this browser chose to look at it."""
+        """Show the session's snapshot in this browser's view."""
         ...
 
 
 class Page:
-    """What the parts of a page share: the session, this browser's view, and ways to tell the operator.
+    """Shared context of the parts of a page: session, view of this browser, notifications.
 
-    browser: who this is, known from `begin` on. session: as this browser may use it; verbs that need the controls are
-    refused where another browser holds them.
+    browser: identity of the browser, available from `begin` on. session: proxy for this browser; it refuses commands
+    that need control while another browser holds it.
     """
 
     def __init__(self, client: viser.ClientHandle, session: SessionApi) -> None:
@@ -81,9 +81,9 @@ class Page:
         self._thread = threading.Thread(target=self._run, name="page", daemon=True)
 
     def show_first(self, parts: Sequence[Part]) -> None:
-        """Take up what the browser remembers, waiting for its answer, and have drawn what takes it longest.
+        """Restore what the browser stores, waiting for its answer, and draw the slowest parts.
 
-        The other parts are made meanwhile: `begin` draws them.
+        The other parts are built meanwhile; `begin` draws them.
         """
         self._recall()
         self.as_of_s = time.monotonic()
@@ -93,7 +93,7 @@ class Page:
             self._show(parts, snapshot)
 
     def begin(self, parts: Sequence[Part]) -> None:
-        """Start drawing; `parts` in the order in which they are drawn."""
+        """Start the drawing thread; `parts` are drawn in this order."""
         self._parts = parts
         with self._lock:
             if self._closed:
@@ -103,7 +103,7 @@ class Page:
         self._thread.start()
 
     def close(self) -> None:
-        """Stop drawing: the browser has gone."""
+        """Stop drawing after the browser has disconnected."""
         with self._lock:
             self._closed = True
             if self.browser.key:
@@ -114,13 +114,13 @@ class Page:
             last()
 
     def on_close(self, last: Callable[[], None]) -> None:
-        """Have something ended with the page."""
+        """Register a callback for when the page closes."""
         self._at_close.append(last)
 
     # --- what this browser chooses
 
     def change(self, **choices: Any) -> None:
-        """Choose something of the view, remember it, draw it."""
+        """Change choices of the view, store them in the browser, and redraw."""
         with self._lock:
             before, self.view = self.view, browser_storage.changed(self.view, **choices)
         data = self.session.snapshot.dataset
@@ -128,16 +128,16 @@ class Page:
         self._due.set()
 
     def remember(self, browser: BrowserIdentity) -> None:
-        """Another name or layout for this browser, kept over a reload."""
+        """Store another name or layout of this browser, so that it survives a reload."""
         self.browser = browser
         browser_storage.keep_self(self.client, browser)
 
     def redraw(self) -> None:
-        """Draw what changed beside session and view."""
+        """Redraw after a change outside of session and view."""
         self._due.set()
 
     def show_scale(self, on_show: DisplayedSurface | None) -> None:
-        """Take over what the colours of the scene mean: the colour bar and the range say so."""
+        """Set the displayed surface and its colour scale, which colour bar and range show."""
         if on_show != self.on_show:
             self.on_show = on_show
             self._due.set()
@@ -148,29 +148,29 @@ class Page:
             self._due.set()
 
     def show_points(self, drawn: int) -> None:
-        """Take over how many points the scene draws."""
+        """Set the number of points that the scene draws."""
         self.drawn_points = drawn
         self._due.set()
 
     def coloured_by(self, view: View) -> ColourBy:
-        """What colours the surface on show: its height where it does not have what was chosen."""
+        """Return the quantity that colours the displayed surface; height if the chosen one is not available."""
         if view.shows_difference and view.colour_by == "height":
             return "difference"
         return "height" if view.colour_by == "overlap" and not self.has_overlaps else view.colour_by
 
     def on_pick(self, what: str, callback: Callable[[Any], Any]) -> None:
-        """Hear of clicks on elements that `html.pick(what, key)` made; the callback gets the key."""
+        """Register a callback for clicks on elements of `html.pick(what, key)`; it gets the key."""
         self._picks[what] = callback
 
     def add_picks(self) -> None:
-        """Make the hidden field through which elements of HTML tell that they were chosen."""
+        """Add the hidden text field through which HTML elements report clicks."""
         self.gui.add_html('<div class="wv-picks"></div>')
         self.gui.add_text("picks", "").on_update(guarded(self, "The click failed")(self._picked))
 
     # --- what the operator is told
 
     def ask(self, name: str, verb: Future[Any], then: Callable[[Any], None] | None = None) -> None:
-        """Watch a verb of the session: tell the operator if it fails, else go on with `then`."""
+        """Await a session command: report a failure to the operator, else call `then` with the result."""
 
         def finished(done: Future[Any]) -> None:
             if not done.cancelled() and (fault := done.exception()) is not None:
@@ -181,24 +181,24 @@ class Page:
         verb.add_done_callback(finished)
 
     def tell(self, fault: Fault) -> None:
-        """Show a note on this page until it is dealt with, and a notification now; the same note twice is one."""
+        """Show a note on this page until it is dismissed, and a notification now; ignore duplicates."""
         if self._closed or any((n.title, n.text) == (fault.title, fault.text) for n in self.notices):
             return
         self._note_down((*self.notices, fault))
 
     def say(self, title: str, text: str, tone: Tone = "good") -> None:
-        """News that needs nobody: a notification that goes by itself."""
+        """Show a notification that closes by itself."""
         self.client.add_notification(title, text, auto_close_seconds=6.0, color=RGB_OF_TONE[tone])
 
     def dismiss(self, fault_id: str) -> None:
-        """Take a note away, this page's own or one of the session's."""
+        """Dismiss a note of this page or of the session."""
         if any(fault_id == n.id for n in self.notices):
             self._note_down(tuple(n for n in self.notices if n.id != fault_id))
         else:
             self.ask("The note was not changed", self.session.dismiss(fault_id))
 
     def notes(self, snapshot: Snapshot) -> str:
-        """All standing notes, the newest first, as HTML."""
+        """Return all open notes as HTML, the newest first."""
         told = {(f.title, f.text) for f in snapshot.faults}
         own = tuple(n for n in self.notices if (n.title, n.text) not in told)
         return "".join(_note(fault) for fault in reversed((*snapshot.faults, *own)))
@@ -239,7 +239,7 @@ class Page:
 
     @property
     def alive(self) -> bool:
-        """Whether the browser is still there."""
+        """True while the page is open."""
         return not self._closed
 
     def _draw(self) -> None:
@@ -266,7 +266,7 @@ class Page:
             self.remember(BrowserIdentity(secrets.token_hex(8)))
 
     def _restore(self, snapshot: Snapshot) -> None:
-        """Give back, once, what was chosen for the dataset that is open."""
+        """Restore, once, the choices stored for the open dataset."""
         if self._restored:
             return
         self._restored = True
@@ -275,7 +275,7 @@ class Page:
                 self.view = replace(self.view, **self.recalled.chosen)
 
     def _tell_standing(self, snapshot: Snapshot) -> None:
-        """A notification for every new note, those that need a person also after a reload; none for what is settled."""
+        """Notify of every new note (after a reload, again of those that need action); remove those of settled notes."""
         standing = (*snapshot.faults, *self.notices)
         for fault in standing:
             if fault.id not in self._told:

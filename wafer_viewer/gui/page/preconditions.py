@@ -1,4 +1,4 @@
-"""Why a verb is not possible now, in words that follow "Not now:"; None where it is."""
+"""Preconditions of commands: each returns a reason that follows "Not now:", or None if the command is possible."""
 
 from __future__ import annotations
 
@@ -12,45 +12,45 @@ from wafer_viewer.session.state.snapshot import Snapshot
 
 
 def no_dataset(snapshot: Snapshot, _: View) -> str | None:
-    """For what needs an open dataset."""
+    """Require an open dataset."""
     return None if snapshot.dataset is not None else "no dataset is open."
 
 
 def no_surface(snapshot: Snapshot, view: View) -> str | None:
-    """For what needs the stitched surface."""
+    """Require the stitched surface."""
     if snapshot.surface is not None:
         return None
     return no_dataset(snapshot, view) or "the surface is not stitched yet."
 
 
 def out_of_sight(snapshot: Snapshot, view: View) -> str | None:
-    """For what changes how the surface is drawn."""
+    """Require a drawable surface and a step other than Plan."""
     if not possible("surface", snapshot):
         return no_dataset(snapshot, view) or "no field has heights yet."
     return "the surface is not shown: go to Surface first." if view.step == "plan" else None
 
 
 def no_fields_to_show(snapshot: Snapshot, view: View) -> str | None:
-    """For fields and overlaps, which are drawn over the stitched surface."""
+    """Require the step Surface with the stitched surface, over which fields and overlaps are drawn."""
     if (missing := elsewhere("surface")(snapshot, view)) is not None:
         return missing
     return None if view.show == 0 else "they are drawn over the stitched surface: show that first."
 
 
 def off_surface(snapshot: Snapshot, view: View) -> str | None:
-    """For what is done to the surface that is looked at."""
+    """Require that the view shows a surface."""
     missing = no_dataset(snapshot, view)
     return missing or (None if view.on_surface else "the surface is not shown: go to Surface first.")
 
 
 def no_way_to(step: Step) -> Obstacle:
-    """For going to a step."""
+    """Return the precondition that `step` is available."""
 
     return lambda snapshot, _: why_not(step, snapshot)
 
 
 def elsewhere(step: Step) -> Obstacle:
-    """For what is done in one step only."""
+    """Return the precondition that `step` is the current step."""
 
     def why_not(snapshot: Snapshot, view: View) -> str | None:
         if view.step == step:
@@ -61,17 +61,17 @@ def elsewhere(step: Step) -> Obstacle:
 
 
 def no_comparison(_: Snapshot, view: View) -> str | None:
-    """For what is done to two surfaces compared."""
+    """Require that a comparison is shown."""
     return None if view.show < 0 else "no comparison is shown."
 
 
 def no_defects(snapshot: Snapshot, view: View) -> str | None:
-    """For what is done to defects."""
+    """Require that the step Review is available."""
     return no_way_to("review")(snapshot, view)
 
 
 def no_defect(snapshot: Snapshot, view: View) -> str | None:
-    """For what is done to the defect under review."""
+    """Require a defect under review."""
     chosen = chosen_defect(snapshot, view.review) is not None
     return elsewhere("review")(snapshot, view) or (
         None if chosen else "no defect is under review: Page Down goes to one."
@@ -79,36 +79,36 @@ def no_defect(snapshot: Snapshot, view: View) -> str | None:
 
 
 def nothing_inspected(snapshot: Snapshot, view: View) -> str | None:
-    """For what is made of an inspection."""
+    """Require the step Review and an inspection."""
     there = snapshot.inspection.inspection is not None
     return elsewhere("review")(snapshot, view) or (None if there else "the surface has not been inspected yet.")
 
 
 def no_line(_: Snapshot, view: View) -> str | None:
-    """For what is done to profile lines."""
+    """Require a profile line in Measure."""
     shown = view.step == "measure" and view.tool == "profile" and view.lines
     return None if shown else "no profile is shown: key L adds a line."
 
 
 def no_room_for_lines(snapshot: Snapshot, view: View) -> str | None:
-    """For one more line."""
+    """Require a profile, with fewer than the maximum of lines."""
     full = f"there are {MOST_LINES} lines already, the most that share a plot."
     return no_line(snapshot, view) or (full if len(view.lines) >= MOST_LINES else None)
 
 
 def no_other_line(snapshot: Snapshot, view: View) -> str | None:
-    """For what needs two lines."""
+    """Require at least two profile lines."""
     return no_line(snapshot, view) or (None if len(view.lines) > 1 else "there is no other line.")
 
 
 def no_result(snapshot: Snapshot, view: View) -> str | None:
-    """For what is done to the result that was chosen."""
+    """Require the step Measure and a selected result."""
     chosen = any(finding.number == view.selected for finding in snapshot.findings)
     return elsewhere("measure")(snapshot, view) or (None if chosen else "no result is chosen: click one in the list.")
 
 
 def nothing_to_undo(snapshot: Snapshot, view: View) -> str | None:
-    """For undo: each step has its own."""
+    """Require a change to undo in the current step."""
     of = {"plan": snapshot.draft.can_undo, "acquire": snapshot.draft.can_undo, "measure": snapshot.findings_undo}
     return (
         None
@@ -118,7 +118,7 @@ def nothing_to_undo(snapshot: Snapshot, view: View) -> str | None:
 
 
 def nothing_to_redo(snapshot: Snapshot, view: View) -> str | None:
-    """For redo."""
+    """Require a change to redo in the current step."""
     of = {"plan": snapshot.draft.can_redo, "acquire": snapshot.draft.can_redo, "measure": snapshot.findings_redo}
     return (
         None if of.get(view.step, judgement.can_redo(snapshot, view)) else f"nothing was undone in {TITLES[view.step]}."

@@ -1,4 +1,4 @@
-"""The note over the panels after a restart: what is open again, and that nothing moves before a person has looked."""
+"""Note after a restart: reopened dataset, and confirmation of the sample before any motion."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from wafer_viewer.session.state.snapshot import Snapshot
 
 
 class Reopened:
-    """Asks whether the sample on the stage is the one that is named, in the steps that move the rig."""
+    """Request to confirm the sample on the stage, in the steps that move the rig."""
 
     def __init__(self, page: Page) -> None:
         self._note = HtmlBlock(page.gui)
@@ -21,7 +21,7 @@ class Reopened:
         page.on_pick("confirm-sample", lambda _: page.ask(failed, page.session.jobs.confirm()))
 
     def show(self, snapshot: Snapshot, view: View) -> None:
-        """Show the note as long as it holds."""
+        """Show the note until the sample is confirmed."""
         waits = not snapshot.draft.confirmed and view.step in ("plan", "acquire")
         self._note.show(_words(snapshot, view) if waits else "")
 

@@ -1,4 +1,4 @@
-"""The line at the foot of the page, always in sight: what is under the objective, and what the numbers rest on."""
+"""Status bar: sample, rig, calibration, displayed surface, holder of the controls."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ from wafer_viewer.session.state.control_state import ControlState
 from wafer_viewer.session.state.snapshot import RigStatus, Snapshot, SurfaceInfo
 
 SOON_DAYS = 14
-"""A calibration that is due within so many days is drawn attention to."""
+"""A calibration that is due within this many days gets a warning."""
 FAR_DAYS = 400
 _MOTION = {
     "ready": "at rest",
@@ -32,18 +32,18 @@ _MOTION = {
     "absent": "not connected",
 }
 Words = tuple[str, str, str]
-"""What is said, in which tone ('' for none), and more of it for those who point at it."""
+"""Text, tone ('' for none) and tooltip of an item."""
 
 
 class StatusStrip:
-    """Sample, rig, calibration, surface; and who holds the controls."""
+    """Status bar with sample, rig, calibration, surface, and holder of the controls."""
 
     def __init__(self, page: Page) -> None:
         self._page = page
         self._strip = HtmlBlock(page.gui, padded=False)
 
     def show(self, snapshot: Snapshot, view: View) -> None:
-        """Bring the line up to date."""
+        """Update the status bar."""
         today = datetime.date.today()
         said = [
             sample(job_shown(snapshot, view)),
@@ -59,14 +59,14 @@ class StatusStrip:
 
 
 def job_shown(snapshot: Snapshot, view: View) -> Job | None:
-    """The job of what is looked at: the plan in Plan, else the dataset's."""
+    """Return the job in view: the draft in Plan or without a dataset, else the dataset's."""
     if view.step == "plan" or snapshot.dataset is None:
         return snapshot.draft.job
     return snapshot.dataset.job
 
 
 def sample(job: Job | None) -> Words:
-    """Lot, wafer and revision of the job."""
+    """Return lot, wafer and job revision; empty without a job."""
     if job is None:
         return "", "", ""
     names = [f"{word} {name}" for word, name in (("Lot", job.sample.lot), ("Wafer", job.sample.wafer_id)) if name] or [
@@ -78,7 +78,7 @@ def sample(job: Job | None) -> Words:
 
 
 def motion(rig: RigStatus) -> Words:
-    """Whether the axes know where they are, and whether they move."""
+    """Return homing and motion state of the rig."""
     word = _MOTION[rig.state]
     if rig.state in ("fault", "absent"):
         return f"Rig {word}", "fault", rig.message
@@ -88,7 +88,7 @@ def motion(rig: RigStatus) -> Words:
 
 
 def calibration(snapshot: Snapshot, view: View, today: datetime.date) -> Words:
-    """How long the calibration holds: the dataset's where one is looked at, else the rig's."""
+    """Return the calibration state: of the dataset if it is shown and uncalibrated, else of the rig."""
     data = snapshot.dataset
     if view.on_surface and data is not None and data.calibration_problem is not None:
         return "Uncalibrated", "fault", f"Lengths have no U and no verdict: {data.calibration_problem}."
@@ -98,7 +98,7 @@ def calibration(snapshot: Snapshot, view: View, today: datetime.date) -> Words:
 
 
 def due(made: Calibration | None, today: datetime.date) -> Words:
-    """Days left until a calibration is due."""
+    """Return the days until a calibration is due."""
     if made is None:
         return "No calibration", "fault", "Lengths read 'uncalibrated': no U, no verdict."
     if made.simulated:
@@ -113,7 +113,7 @@ def due(made: Calibration | None, today: datetime.date) -> Words:
 
 
 def surface(info: SurfaceInfo | None, told: Statistics | None = None, view: View | None = None) -> tuple[Words, Words]:
-    """What was done to the heights shown, and how many are missing; `told`: statistics of what the view shows."""
+    """Return filter state and missing fraction of the heights; `told`: statistics of the displayed part."""
     if info is None:
         return ("", "", ""), ("", "", "")
     smooth = info.settled is not None and info.settled.levy.mode != "none"
@@ -128,14 +128,14 @@ def surface(info: SurfaceInfo | None, told: Statistics | None = None, view: View
 
 
 def where(rig: RigStatus) -> str:
-    """Where the stage stands, as HTML: in the header, or here where that has no room."""
+    """Return the stage position in mm as HTML, for the header, or for the status bar in narrow windows."""
     axes = (("X", rig.x_um), ("Y", rig.y_um), ("Z", rig.z_um))
     said = "".join(f"{axis}&nbsp;<span>{number(um / 1000, 4, signed=True)}</span> " for axis, um in axes)
     return f"{said}{THIN}mm"
 
 
 def placement(info: SurfaceInfo | None) -> Words:
-    """Fields whose overlaps decided nothing."""
+    """Return the number of fields placed by the stage alone; empty if there are none."""
     if info is None or info.stitching is None:
         return "", "", ""
     words, reasons = stitching.by_stage(info.stitching, info.n_fields)
@@ -152,7 +152,7 @@ def _item(words: str, tone: str, more: str) -> str:
 
 
 def _controls(hands: ControlState, key: str) -> str:
-    """Who holds the controls; a click says who is there."""
+    """Return the holder of the controls; a click opens the list of browsers."""
     if hands.browser(key) is None:
         return ""
     watching = len([b for b in hands.browsers if b.present]) - (1 if hands.holder else 0)

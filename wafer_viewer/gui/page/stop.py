@@ -1,4 +1,4 @@
-"""Stop, wherever it is pressed: all motion is halted at once, and after a scan a question says what to do next."""
+"""Stop command: halt all motion at once; after a scan, ask how to proceed."""
 
 from __future__ import annotations
 
@@ -11,22 +11,22 @@ from wafer_viewer.session.state.snapshot import FieldState, OpenDataset, RigStat
 
 NOT_STOPPED = "Nothing was stopped"
 COMPLETE = (FieldState.TAKEN, FieldState.RECONSTRUCTING, FieldState.MEASURED)
-"""States of a field that has all its frames."""
+"""States of a field with all frames."""
 
 
 def can_stop(snapshot: Snapshot) -> bool:
-    """Return whether something moves that is not ending already."""
+    """Return whether the rig moves, scans or is paused."""
     return snapshot.rig.state in ("moving", "scanning", "paused")
 
 
 def stop(page: Page) -> None:
-    """Halt all motion at once; ask afterwards what to do with a scan that was interrupted."""
+    """Halt all motion at once, then ask how to proceed with an interrupted scan."""
     was_scanning = page.session.snapshot.scanning
     page.ask(NOT_STOPPED, page.session.stop(), lambda anything: _stopped(page, bool(anything), was_scanning))
 
 
 def _stopped(page: Page, anything: bool, was_scanning: bool) -> None:
-    """Whoever holds the controls hears of a move from the verb that moved; others hear of it here."""
+    """Report the stop. The holder of the controls learns of a stopped move from its own command."""
     snapshot = page.session.snapshot
     data, holds = snapshot.dataset, snapshot.hands.holds(page.browser.key)
     if not anything:
@@ -41,7 +41,7 @@ def _stopped(page: Page, anything: bool, was_scanning: bool) -> None:
 
 
 def _ask_what_next(page: Page, data: OpenDataset) -> None:
-    """Continue or end; the question goes by itself when it no longer applies."""
+    """Ask whether to continue or end the scan; close the dialog when it no longer applies."""
     said = f"{kept(data)} To continue takes only the missing frames; that is possible later as well."
     dialog = Dialog(page, "The scan is stopped", said)
     dialog.answers(
@@ -72,6 +72,6 @@ def kept(data: OpenDataset) -> str:
 
 
 def place(rig: RigStatus) -> str:
-    """Where the stage stands, as the header writes it."""
+    """Format the stage position in mm, as in the header."""
     axes = (("X", rig.x_um), ("Y", rig.y_um), ("Z", rig.z_um))
     return ", ".join(f"{axis} {number(um / 1000, 4, signed=True)}" for axis, um in axes) + " mm"

@@ -1,7 +1,7 @@
-"""What every field, list and button says of itself when the pointer rests on it: what it is, its unit, its limit.
+"""Tooltips of inputs and buttons: meaning, unit, limit.
 
-By label, in one table; the limits are those that the settings' own specs check. viser shows hints of inputs, not of
-buttons: those get their titles from a script.
+One table by label; limits come from the specs that check the settings. viser shows hints of inputs only: a script
+sets the titles of buttons.
 """
 
 from __future__ import annotations
@@ -20,7 +20,7 @@ from wafer_viewer.model.spec import Spec, limit_of
 
 
 def _limited(text: str, spec: type[Spec], field: str) -> str:
-    """A hint with the limit that a spec holds its field to."""
+    """Return a hint with the limit of a field by its spec."""
     return f"{text}; {limit}" if (limit := limit_of(spec, field)) is not None else text
 
 
@@ -150,7 +150,7 @@ BUTTONS: dict[str, str] = {
     "Accept": "Accept",
     "Reject": "Reject",
 }
-"""Labels of buttons, and the verbs whose keys do the same."""
+"""Labels of buttons, and the commands whose keys do the same."""
 STEP_TITLES = "Plan", "Acquire", "Surface", "Measure", "Gauge check", "Review", "Report"
 _SCRIPT = (
     "if(!window.wvTitles)document.addEventListener('mouseover',event=>{"
@@ -160,7 +160,7 @@ _SCRIPT = (
 
 
 def add_hints(gui: Gui) -> None:
-    """Give the inputs made so far their hints, where their makers gave them none."""
+    """Set the hint of each existing input that has none."""
     for handle in dict(gui._gui_input_handle_from_uuid).values():
         given: Any = getattr(handle, "hint", "")
         text = FIELDS.get(getattr(handle, "label", "") or "")
@@ -169,13 +169,13 @@ def add_hints(gui: Gui) -> None:
 
 
 def add_titles(page: Page, commands: Sequence[Command]) -> None:
-    """Have buttons say their keys."""
+    """Add the keys of commands to the titles of their buttons."""
     titles = json.dumps(titles_of(commands), ensure_ascii=False)
     page.gui.add_html(f'<img src="data:," alt="" hidden onerror="{html.safe(_SCRIPT + titles)}">')
 
 
 def titles_of(commands: Sequence[Command]) -> dict[str, str]:
-    """What each button says: its key."""
+    """Return the title of each button: its key."""
     keys = {command.name: command.spoken_key for command in commands if command.key}
     named = {**BUTTONS, **{step: step for step in STEP_TITLES}}
     return {label: f"Key {keys[name]}" for label, name in named.items() if name in keys}

@@ -1,4 +1,4 @@
-"""Files that a browser sends to the machine that runs the viewer."""
+"""Files uploaded by a browser to the computer that runs the viewer."""
 
 from __future__ import annotations
 
@@ -9,9 +9,9 @@ import viser
 
 
 def put_down(file: viser.UploadedFile, otherwise: str = "upload") -> Path:
-    """Keep what a browser sent in a folder of its own; only the last part of its name is taken from the sender.
+    """Save an upload in a new temporary folder; of the sender's path only the file name is used.
 
-    otherwise: what it is called where the sender gave no name.
+    otherwise: file name if the sender gave none.
     """
     target = Path(tempfile.mkdtemp(prefix="wafer-viewer-")) / (Path(file.name).name or otherwise)
     target.write_bytes(file.content)

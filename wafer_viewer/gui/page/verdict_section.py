@@ -1,4 +1,4 @@
-"""The verdict as a part of a panel: in Acquire when the scan is over, in Surface whenever the dataset is looked at."""
+"""Panel section with the verdict: in Acquire after the scan, in Surface for any open dataset."""
 
 from __future__ import annotations
 
@@ -9,23 +9,23 @@ from wafer_viewer.session.state.snapshot import Snapshot
 
 
 class VerdictSection:
-    """Nothing where the job has no feature to judge."""
+    """Verdict section; empty if the job has no feature to judge."""
 
     def __init__(self, page: Page) -> None:
         self._cell = HtmlBlock(page.gui)
 
     def show(self, snapshot: Snapshot) -> None:
-        """Bring the section up to date."""
+        """Update the section."""
         self._cell.show(_content(snapshot))
 
 
 def awaited(snapshot: Snapshot) -> bool:
-    """Whether the open dataset is to be judged, and is not yet."""
+    """Return whether the verdict of the open dataset is pending."""
     return has_features(snapshot) and snapshot.operating.verdict is None
 
 
 def has_features(snapshot: Snapshot) -> bool:
-    """Whether the open dataset's job has anything to judge."""
+    """Return whether the open dataset's job has a feature to judge."""
     data = snapshot.dataset
     return data is not None and any(feature.has_place for feature in data.job.features)
 

@@ -1,4 +1,4 @@
-"""Aligning a wafer by the corners that its job names: each is shown where it should be, and marked where it is."""
+"""Wafer alignment by the corners named in the job: expected position shown, actual position marked."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ FAILED = "The corner was not marked"
 
 
 class Aligning:
-    """Which corner this browser marks, and the verbs of it; one for the page, however many sections show it."""
+    """State and commands of the alignment in this browser; one per page, shared by all sections."""
 
     def __init__(self, page: Page) -> None:
         self.page = page
@@ -29,20 +29,20 @@ class Aligning:
         page.on_pick("unmark", lambda _: self._again())
 
     def corner(self, draft: Draft) -> int:
-        """The corner to be marked: the one chosen, else the first that was not seen."""
+        """Return the index of the corner to mark: the chosen one, else the first unmarked."""
         if self.chosen is not None and self.chosen < len(draft.seen_um):
             return self.chosen
         return next((n for n, place in enumerate(draft.seen_um) if place is None), 0)
 
     def go(self) -> None:
-        """Drive to where the corner should be."""
+        """Move the stage to the expected position of the corner."""
         draft = self.page.session.snapshot.draft
         if draft.job is not None:
             x_um, y_um = expected_um(draft.job, draft.seen_um, self.corner(draft))
             self.page.ask("The stage did not move", self.page.session.move_to(x_um=x_um, y_um=y_um))
 
     def here(self) -> None:
-        """The corner is where the stage stands."""
+        """Mark the corner at the current stage position."""
         now = self.page.session.snapshot
         self._mark(self.corner(now.draft), now.rig.x_um, now.rig.y_um)
 
@@ -64,7 +64,7 @@ class Aligning:
 
 
 class AlignSection:
-    """One corner at a time; when all are marked, how well they fit, and the way to mark them again."""
+    """Section to mark one corner at a time; when all are marked, residual and a link to mark them again."""
 
     def __init__(self, aligning: Aligning, title: str) -> None:
         self._aligning, self._title = aligning, title
@@ -82,7 +82,7 @@ class AlignSection:
             in_a_row(page.gui, self._buttons)
 
     def show(self, snapshot: Snapshot, visible: bool) -> None:
-        """Bring the section up to date; without corners in the job there is nothing to do."""
+        """Update the section; it is empty if the job names no corners."""
         draft = snapshot.draft
         job = draft.job if visible else None
         marks = job.marks if job is not None else None
@@ -102,7 +102,7 @@ class AlignSection:
 
 
 def _fit(job: Job) -> str:
-    """How well the corners fit."""
+    """Return the residual of the alignment, with its limit."""
     found, marks = job.alignment, job.marks
     if found is None or marks is None:
         return ""
@@ -115,7 +115,7 @@ def _fit(job: Job) -> str:
 
 
 def _corner(snapshot: Snapshot, job: Job, seen_um: tuple[Any, ...], n: int) -> str:
-    """The picture of a corner, what to do with it, and the other corners."""
+    """Return the picture of a corner, the instruction, and the list of corners."""
     if job.marks is None:
         return ""
     chips = "".join(_chip(k, n, seen_um[k] is not None) for k in range(len(job.marks.places)))

@@ -1,4 +1,4 @@
-"""The picture round a corner that a wafer is aligned by: what a click on it means on the stage. Pure."""
+"""Picture around an alignment corner, and the stage position of a click on it. Pure functions."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from wafer_viewer.model.acquisition.devices import Overview
 from wafer_viewer.model.job.job import Job
 
 SIDE_UM = 300.0
-"""How much of the sample the picture shows: a corner, the streets at it, and how far a wafer may lie off its place."""
+"""Side of the picture: shows a corner, the adjacent streets, and the possible misplacement of a wafer."""
 Place = tuple[float, float]
 _CLICK = (
     "const f=event.detail?[event.offsetX/this.clientWidth,event.offsetY/this.clientHeight]:[0.5,0.5];"
@@ -21,23 +21,23 @@ _CLICK = (
 
 @dataclass(frozen=True, slots=True)
 class Square:
-    """The part of the overview that is shown: its left upper corner on the stage, and its side."""
+    """Displayed part of the overview: upper left corner on the stage, and side, in µm."""
 
     left_um: float
     top_um: float
     side_um: float
 
     def at(self, across: float, down: float) -> Place:
-        """The place on the stage at shares of the picture's width and height."""
+        """Return the stage position at fractions of the picture's width and height."""
         return self.left_um + across * self.side_um, self.top_um - down * self.side_um
 
     def shares(self, place_um: Place) -> tuple[float, float]:
-        """Where in the picture a place on the stage is."""
+        """Return a stage position as fractions of the picture's width and height."""
         return (place_um[0] - self.left_um) / self.side_um, (self.top_um - place_um[1]) / self.side_um
 
 
 def expected_um(job: Job, seen_um: tuple[Place | None, ...], n: int) -> Place:
-    """Where the n-th corner should be on the stage: by the alignment, else by the notch and the corners seen so far."""
+    """Return the expected stage position of corner n: by the alignment, else by the notch and the marked corners."""
     if job.marks is None:
         return 0.0, 0.0
     lies = job.alignment or Alignment.by_notch(job.sample.notch)
@@ -50,7 +50,7 @@ def expected_um(job: Job, seen_um: tuple[Place | None, ...], n: int) -> Place:
 
 
 def square_round(overview: Overview, place_um: Place) -> tuple[Square, int, int, int]:
-    """The part of the overview round a place, whole pixels: the square, its middle's row and column, its side in px."""
+    """Return the pixel-aligned square around a position: square, row and column of its centre, side in px."""
     side_px = 2 * round(SIDE_UM / overview.pixel_um / 2)
     col = round((place_um[0] - overview.x0_um) / overview.pixel_um)
     row = round((overview.y0_um - place_um[1]) / overview.pixel_um)
@@ -60,7 +60,7 @@ def square_round(overview: Overview, place_um: Place) -> tuple[Square, int, int,
 
 
 def corner_picture(overview: Overview | None, job: Job, seen_um: tuple[Place | None, ...], n: int) -> str:
-    """The picture with where the corner is expected and where it was marked; a click on it picks ``corner-at``."""
+    """Return the picture with expected and marked position of the corner; a click picks ``corner-at``."""
     if overview is None or overview.image is None or job.marks is None:
         return html.empty("No picture of the stage:", "drive there and mark", "where the stage stands.")
     expected = expected_um(job, seen_um, n)
@@ -75,13 +75,13 @@ def corner_picture(overview: Overview | None, job: Job, seen_um: tuple[Place | N
 
 
 def clicked(key: str) -> tuple[int, Place]:
-    """Which corner a click on a picture marks, and where on the stage."""
+    """Return the corner that a click on the picture marks, and its stage position."""
     n, left, top, side, across, down = key.split(";")
     return int(n), Square(float(left), float(top), float(side)).at(float(across), float(down))
 
 
 def _pick() -> str:
-    """As `html.pick`, with the place of the click in the key; the Enter key takes the middle, where it is expected."""
+    """Return attributes as `html.pick`, with the click position in the key; Enter picks the expected position."""
     script = html.safe(_CLICK + html.pick_script("corner-at"))
     keys = "if(event.key==='Enter'||event.key===' '){event.preventDefault();this.click()}"
     return f'data-pick="corner-at" role="button" tabindex="0" onclick="{script}" onkeydown="{keys}"'

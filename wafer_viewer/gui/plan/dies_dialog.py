@@ -1,4 +1,4 @@
-"""The question where the dies of a wafer are, so that features can be repeated over them."""
+"""Dialog for the positions of dies on a wafer, over which features are repeated."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ HOW = "A lattice in wafer µm, by the lower left corner of its first die. Those 
 
 
 def dies_dialog(page: Page) -> None:
-    """Say where the dies are; those that the plan does not scan are left out."""
+    """Open the dialog that defines the lattice of dies; dies outside of the scanned fields are dropped."""
     job = required_job(page)
     start = lattice_of(job.dies) if job.dies is not None else suggested_dies(page.session.snapshot.overview)
     dialog, gui = Dialog(page, "Dies", HOW), page.gui
@@ -52,12 +52,12 @@ def dies_dialog(page: Page) -> None:
 
 
 def _given(x_um: float, y_um: float) -> Pair | None:
-    """A pair as it is typed: a plan has 0 where one is not given, and along a single row or column of dies."""
+    """Return a pair for the input; a 0 (single row or column) takes the other value; None if both are 0."""
     return (x_um or y_um, y_um or x_um) if x_um or y_um else None
 
 
 def within_fields(lattice: Dies, job: Job) -> Dies:
-    """The dies of a lattice that the fields of a job show whole. Raises PlanError where that is none."""
+    """Return the dies of a lattice whose corners and centre lie within fields. Raises PlanError if there are none."""
     if job.grid is None:
         return lattice
     fields = [_box(f.x_um, f.y_um, job.grid.field_width_um, job.grid.field_height_um) for f in job.grid.fields()]
@@ -70,12 +70,12 @@ def within_fields(lattice: Dies, job: Job) -> Dies:
 
 
 def lattice_of(dies: Dies) -> Dies:
-    """Dies as a lattice to begin with: as it was typed, or the one that the listed ones lie on."""
+    """Return dies as a lattice: as entered, or derived from the listed dies."""
     return dies if not dies.listed else _lattice([(d.x_um, d.y_um) for d in dies.listed], dies.width_um, dies.height_um)
 
 
 def suggested_dies(overview: Overview | None) -> Dies:
-    """The lattice of the dies that are known of the sample; a single one of no size without any."""
+    """Return the lattice of the dies in the overview; a single die of zero size if there are none."""
     boxes = [Region.polygon(*die).bounds_um for die in (overview.dies_um if overview is not None else ())]
     if not boxes:
         return Dies(width_um=0.0, height_um=0.0, rows=1, cols=1)
@@ -84,7 +84,7 @@ def suggested_dies(overview: Overview | None) -> Dies:
 
 
 def on_the_die_it_is_on(places: tuple[Region, ...], dies: Dies) -> tuple[Region, ...]:
-    """Places in wafer um, counted from the corner of the die that they lie on. Raises PlanError where that is none."""
+    """Return regions in wafer µm relative to the corner of their die. Raises PlanError if they lie on no die."""
     boxes = [place.bounds_um for place in places]
     x_um = (min(box[0] for box in boxes) + max(box[2] for box in boxes)) / 2
     y_um = (min(box[1] for box in boxes) + max(box[3] for box in boxes)) / 2
@@ -111,7 +111,7 @@ def _lattice(corners: list[tuple[float, float]], width_um: float, height_um: flo
 
 
 def _places(die: Die, lattice: Dies) -> Iterator[tuple[float, float]]:
-    """The corners of a die, and its middle."""
+    """Yield the corners of a die and its centre."""
     for across, up in ((0.0, 0.0), (1.0, 0.0), (0.0, 1.0), (1.0, 1.0), (0.5, 0.5)):
         yield die.x_um + across * lattice.width_um, die.y_um + up * lattice.height_um
 

@@ -1,4 +1,4 @@
-"""The question what is judged on every sample: a quantity of a tool at its places, between limits."""
+"""Dialog for a feature of a job: quantity of a tool, regions, limits."""
 
 from __future__ import annotations
 
@@ -30,13 +30,13 @@ HOW = "A step height as typed below, or any result kept on the surface shown, wi
 
 
 def feature_dialog(page: Page, n: int | None = None) -> None:
-    """What is judged: which quantity, where, between which limits. n: one of the job's features, to be changed."""
+    """Open the dialog of a feature. n: index of the job's feature to change; None for a new one."""
     features = required_job(page).features
     FeatureDialog(page, features[n] if n is not None else None, n)
 
 
 class FeatureDialog:
-    """A feature as it is being put together; a kept result that is chosen brings tool, places and quantities."""
+    """Feature under construction; a chosen kept result sets tool, regions and quantities."""
 
     def __init__(self, page: Page, old: Feature | None, n: int | None) -> None:
         self._page, self._old, self._n = page, old, n
@@ -74,14 +74,14 @@ class FeatureDialog:
         self._rule = gui.add_dropdown("Rule", tuple(RULES.values()), initial_value=rule)
 
     def _ask_where(self) -> None:
-        """Last: the lists above open over these rows, and not over the buttons."""
+        """Add the region inputs, last, so that the dropdowns above open over them and not over the buttons."""
         gui = self._page.gui
         self._upper = _corners(gui, "Upper", self._places[:1])
         self._lower = _corners(gui, "Lower", self._places[1:2])
         self._every = gui.add_checkbox("On every die", self._was_per_die, disabled=self._dies is None)
 
     def _take(self) -> None:
-        """A kept result was chosen: its tool, its places, its quantities."""
+        """Take tool, regions, options and quantities from the chosen kept result."""
         if (chosen := self._chosen()) is None:
             return
         self._tool, self._places, self._options = chosen.tool, chosen.places, chosen.options
@@ -92,14 +92,14 @@ class FeatureDialog:
         self._take_quantity()
 
     def _take_quantity(self) -> None:
-        """Another quantity of it: its unit, and what it came to as the nominal value."""
+        """Take the unit of the chosen quantity, and its value as the nominal value."""
         if (chosen := self._chosen()) is not None:
             self._unit = chosen.unit(self._quantity_name)
             self._nominal.value = round(chosen.value(self._quantity_name), 2)
         self._tell()
 
     def _tell(self) -> None:
-        """What is measured, in a line; regions can be typed of steps alone."""
+        """Show tool and unit; region inputs are visible for steps only."""
         for handle in (*self._upper, *self._lower):
             set_prop(handle, "visible", self._tool == "step")
         words = f"{TOOLS[self._tool].title}; its limits are in {self._unit}."
@@ -119,7 +119,7 @@ class FeatureDialog:
         edit(page, features=kept)
 
     def _made(self, unnamed: str) -> Feature:
-        """The feature as it stands there. Raises PlanError where it cannot be."""
+        """Return the feature of the form. Raises PlanError if it is invalid."""
         places = self._asked_places()
         return Feature(
             name=self._name.value.strip() or unnamed,
@@ -136,7 +136,7 @@ class FeatureDialog:
         )
 
     def _asked_places(self) -> tuple[Region, ...]:
-        """Where it is measured: on the wafer, or counted from the corner of a die; what was so already stays so."""
+        """Return the regions on the wafer or relative to a die's corner; convert them only if that choice changed."""
         places = tuple(_region(h) for h in (self._upper, self._lower)) if self._tool == "step" else self._places
         if not places:
             raise PlanError("The feature has no place: choose a result that was kept.")
@@ -149,7 +149,7 @@ class FeatureDialog:
 
 
 def _corners(gui: Any, name: str, places: tuple[Region, ...]) -> tuple[Any, Any]:
-    """Two opposite corners of a rectangle."""
+    """Add inputs for two opposite corners of a rectangle."""
     x0, y0, x1, y1 = places[0].bounds_um if places else (0.0, 0.0, 0.0, 0.0)
     return gui.add_vector2(f"{name}, µm", (x0, y0), step=0.5), gui.add_vector2("– to, µm", (x1, y1), step=0.5)
 

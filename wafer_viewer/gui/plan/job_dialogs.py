@@ -1,4 +1,4 @@
-"""Questions about released jobs: which one, what corners and features it has, under which revision it is released."""
+"""Dialogs of released jobs: selection, alignment corners, trial, release."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ BY_HAND = "as typed below"
 
 
 def jobs_dialog(page: Page) -> None:
-    """Take up one of the released jobs."""
+    """Open the dialog that loads a released job."""
     snapshot = page.session.snapshot
     dialog = Dialog(page, "Released jobs", f"In {snapshot.data_folder / 'jobs'}, or a file elsewhere.")
     with dialog.modal:
@@ -51,12 +51,12 @@ def jobs_dialog(page: Page) -> None:
 
 
 def take_up(page: Page, path: Path) -> None:
-    """A released job for the next wafer."""
+    """Load a released job for the next wafer."""
     page.ask("The job was not loaded", page.session.jobs.take_up(path), lambda _: page.change(everything=False))
 
 
 def job_table(entries: tuple[JobEntry, ...], what: str) -> str:
-    """The released jobs; a click on one picks `what`."""
+    """Return the table of released jobs; a click on one picks `what`."""
     if not entries:
         return html.empty("No job is released yet.")
 
@@ -68,7 +68,7 @@ def job_table(entries: tuple[JobEntry, ...], what: str) -> str:
 
 
 def start_dialog(page: Page, checks: tuple[PreflightCheck, ...], start: Callable[[], None]) -> None:
-    """What a person has to say is meant so, before the scan starts."""
+    """Ask for confirmation of the open preflight checks before the scan starts."""
     open_ones = tuple(check for check in checks if check.state != "ok")
     dialog = Dialog(page, "Start anyway?", "The scan can start, but this needs attention:")
     with dialog.modal:
@@ -77,7 +77,7 @@ def start_dialog(page: Page, checks: tuple[PreflightCheck, ...], start: Callable
 
 
 def corners_dialog(page: Page) -> None:
-    """Name the two corners that wafers of this product are aligned by."""
+    """Open the dialog that names the two alignment corners of this product."""
     job = required_job(page)
     marks = job.marks or suggested_marks(page.session.snapshot.overview)
     below = "Corners of dies, far apart, in wafer µm: the middle of the wafer is (0, 0), its notch points down."
@@ -97,7 +97,7 @@ def corners_dialog(page: Page) -> None:
 
 
 def trial_dialog(page: Page) -> None:
-    """Judge wafers that were measured before by the plan, and say which verdicts it changes; nothing is released."""
+    """Open the dialog that applies the plan to stored wafers and lists changed verdicts; nothing is released."""
     required_job(page)
     below = "Shows which verdicts would change, and why. Nothing stored is overwritten; a changed recipe takes longer."
     dialog = Dialog(page, "Try on stored wafers", below)
@@ -114,7 +114,7 @@ def trial_dialog(page: Page) -> None:
 
 
 def release_dialog(page: Page) -> None:
-    """Release the plan under a product and a revision: from then on it stays as it is."""
+    """Open the dialog that releases the plan under a product and a revision; it is then immutable."""
     job = required_job(page)
     below = "Operators run it with four actions. It cannot be changed afterwards; a change is a new revision."
     dialog, now = Dialog(page, "Release the job", below), page.session.snapshot
@@ -136,7 +136,7 @@ def release_dialog(page: Page) -> None:
 
 
 def trial_is_old(now: Snapshot) -> bool:
-    """Whether the plan is not the one that was tried any more; another name of its revision makes no difference."""
+    """Return whether the plan differs from the one tried; product and revision are ignored."""
     tried, job = now.operating.trial_of, now.draft.job
     if tried is None or job is None or now.operating.trial is None:
         return False
@@ -144,19 +144,19 @@ def trial_is_old(now: Snapshot) -> bool:
 
 
 def edit(page: Page, then: Callable[[Any], None] | None = None, **changes: Any) -> None:
-    """Change something of the plan."""
+    """Change fields of the plan."""
     page.ask("The plan was not changed", page.session.edit_job(replace(required_job(page), **changes)), then)
 
 
 def required_job(page: Page) -> Job:
-    """The plan. Raises PlanError when there is none."""
+    """Return the plan. Raises PlanError if there is none."""
     if (job := page.session.snapshot.draft.job) is None:
         raise PlanError("There is no plan yet: lay a field grid over the sample first.")
     return job
 
 
 def suggested_marks(overview: Overview | None) -> Marks:
-    """The outer lower corners of the leftmost and the rightmost die, nearest to the middle; zeros without dies."""
+    """Return the outer lower corners of leftmost and rightmost die, nearest to y = 0; zeros for fewer than two dies."""
     dies = overview.dies_um if overview is not None else ()
     if len(dies) < 2:
         return Marks(places=(AlignmentMark(name="", x_um=0.0, y_um=0.0), AlignmentMark(name="", x_um=0.0, y_um=0.0)))

@@ -1,4 +1,4 @@
-"""What the operator of a released job sees of the plan: which wafer, align it, start; all else is folded away."""
+"""Operator's view of a released job: wafer, alignment, start; everything else is folded."""
 
 from __future__ import annotations
 
@@ -24,11 +24,11 @@ FOCUS = (
     '<img src="data:," alt="" hidden onerror="setTimeout(()=>document.querySelector('
     "'div:has(>.wv-scan)+div input')?.focus(),300)\">"
 )
-"""Puts the cursor into the wafer's id, once, so that a barcode reader, which is a keyboard, needs no click before."""
+"""Script that focuses the wafer id once, so that a barcode reader (a keyboard) needs no click."""
 
 
 class OperatorView:
-    """Three of the four actions; the fourth, the verdict, follows in Acquire."""
+    """First three of the four operator actions; the fourth, the verdict, follows in Acquire."""
 
     def __init__(self, page: Page, aligning: Aligning) -> None:
         self._page = page
@@ -43,7 +43,7 @@ class OperatorView:
         page.on_pick("everything", lambda key: page.change(everything=key == "yes"))
 
     def show(self, snapshot: Snapshot, view: View, checks: tuple[PreflightCheck, ...]) -> None:
-        """Bring the view up to date; it stands only where the plan is a released job and nobody unfolded the rest."""
+        """Update the view; it is visible only if the plan is a released job and the full form is folded."""
         job = snapshot.draft.job
         there = view.step == "plan" and folded(snapshot, view)
         set_prop(self._folder, "visible", there)
@@ -87,7 +87,7 @@ class OperatorView:
 
 
 def folded(snapshot: Snapshot, view: View) -> bool:
-    """Whether a released job shows its few actions alone."""
+    """Return whether only the operator actions of a released job are shown."""
     job = snapshot.draft.job
     return job is not None and job.released and not view.everything
 
@@ -101,7 +101,7 @@ def _title(snapshot: Snapshot, job: Job) -> str:
 
 
 def unfold(more: bool) -> str:
-    """The way to all that is folded away, or back."""
+    """Return the link that unfolds the full panel, or folds it again."""
     name = "Show everything" if more else "Show less"
     return f'<span class="wv-action" {html.pick("everything", "yes" if more else "no")}>{name}</span>'
 

@@ -1,4 +1,4 @@
-"""The form of a plan and the job behind it: what each number on the panel means, there and back."""
+"""Conversion between the form of the plan panel and a job."""
 
 from __future__ import annotations
 
@@ -18,12 +18,12 @@ from wafer_viewer.model.spec import replace
 from wafer_viewer.session.state.snapshot import Typed
 
 FIRST_FRAMES = 31
-"""Frames of the first sweep laid over a sample of which only the size is known."""
+"""Number of frames of the first sweep over a sample of which only the size is known."""
 
 
 @dataclass(frozen=True, slots=True)
 class PlanForm:
-    """The numbers and names on the plan's panel, in the units that stand there."""
+    """Inputs of the plan panel, in the units shown there."""
 
     name: str = ""
     lot: str = ""
@@ -40,7 +40,7 @@ class PlanForm:
 
 
 def form_of(job: Job | None) -> PlanForm:
-    """What the panel shows of a job; an empty form without one."""
+    """Return the form of a job; an empty form without a job."""
     if job is None:
         return PlanForm()
     sample, grid, sweep = job.sample, job.grid, job.sweep
@@ -62,12 +62,12 @@ def form_of(job: Job | None) -> PlanForm:
 
 
 def text_of(form: PlanForm) -> str:
-    """A form as text, to be kept while it makes no plan."""
+    """Serialise a form as JSON, to store it while it is not a valid plan."""
     return msgspec.json.encode(form).decode()
 
 
 def half_typed(typed: Typed | None) -> PlanForm | None:
-    """The form that was kept; None where there is none, or one of another version."""
+    """Return the stored form; None if there is none, or one of another version."""
     try:
         return msgspec.json.decode(typed.form, type=PlanForm) if typed is not None else None
     except (msgspec.DecodeError, msgspec.ValidationError):
@@ -75,9 +75,9 @@ def half_typed(typed: Typed | None) -> PlanForm | None:
 
 
 def job_of(form: PlanForm, old: Job | None, limits: RigLimits | None) -> Job:
-    """The job that a filled-in form asks for, keeping of the old one what the form does not show.
+    """Return the job of a form; settings of the old job that the form does not show are kept.
 
-    Raises PlanError with the sentence to show when the form makes no job.
+    Raises PlanError with a message for the user if the form is not a valid job.
     """
     if old is None:
         return _first_job(form, limits)
@@ -93,7 +93,7 @@ def job_of(form: PlanForm, old: Job | None, limits: RigLimits | None) -> Job:
 
 
 def sweep_of(form: PlanForm) -> FocusSweep:
-    """The frames from the lowest z upward, as many as fit into the range."""
+    """Return the focus sweep from the lowest z upward, with as many frames as fit; raise PlanError if invalid."""
     low, high = form.range_um
     if form.step_um <= 0:
         raise PlanError(f"The step of the focus sweep is {form.step_um:g} µm: it must be over 0.")
@@ -107,9 +107,9 @@ def _frames_in(range_um: tuple[float, float], step_um: float) -> int:
 
 
 def with_typed_range(form: PlanForm, job: Job | None, typed_um: tuple[float, float] | None) -> PlanForm:
-    """The form with the range a person typed in place of the one that the job's last whole step came to.
+    """Return the form with the typed focus range instead of the range rounded to full steps.
 
-    A coarse step shortens the range that is shown; a finer one typed next should give it back.
+    A coarse step shortens the displayed range; a finer step entered next must restore it.
     """
     if job is None or typed_um is None:
         return form
@@ -139,7 +139,7 @@ def _first_job(form: PlanForm, limits: RigLimits | None) -> Job:
 
 
 def _size_um(form: PlanForm) -> Pair | None:
-    """Width and height of the sample, None where they are not given."""
+    """Return width and height of the sample; None if they are not given."""
     try:
         size_mm = pair_of(form.size_mm, "Size, mm", over=0)
     except WaferViewerError as fault:
@@ -169,7 +169,7 @@ def _sample(form: PlanForm, old: Sample) -> Sample:
 
 
 def _grid(form: PlanForm, before: PlanForm, old: FieldGrid) -> FieldGrid:
-    """The grid about the centre in the form: about the old, unrounded one where nobody moved it."""
+    """Return the grid around the form's centre; around the old, unrounded centre if it is unchanged."""
     grid = old
     if form.overlap_percent != before.overlap_percent:
         overlap = form.overlap_percent / 100

@@ -1,4 +1,4 @@
-"""The panel of the first step: the sample, the grid over it, the sweep, and what every way of scanning it costs."""
+"""Panel of the step Plan: sample, field grid, focus sweep, and cost of each scan strategy."""
 
 from __future__ import annotations
 
@@ -33,7 +33,7 @@ from wafer_viewer.session.state.snapshot import Draft, Snapshot, Typed
 
 
 class PlanPanel:
-    """Sample, field grid, focus sweep, strategy, price, start; of a released job its operator's actions alone."""
+    """Panel of sample, field grid, focus sweep, strategy and start; for a released job the operator actions only."""
 
     def __init__(self, page: Page) -> None:
         self._page = page
@@ -50,7 +50,7 @@ class PlanPanel:
         page.on_pick("redo", lambda _: page.ask("Nothing was redone", page.session.redo()))
 
     def show(self, snapshot: Snapshot, view: View) -> None:
-        """Bring the panel up to date."""
+        """Update the panel."""
         set_prop(self._folder, "visible", view.step == "plan")
         if view.step != "plan":
             return
@@ -65,7 +65,7 @@ class PlanPanel:
         self._foot.show("" if told else words.foot(snapshot.draft, why))
 
     def start(self) -> None:
-        """Start the scan of the plan and look at it; what is not as it should be is asked about first."""
+        """Start the scan and go to Acquire; ask for confirmation first if a preflight check is open."""
         checks = self._checks(self._page.session.snapshot)
         if all(check.state == "ok" for check in checks):
             self._start_now()
@@ -73,13 +73,13 @@ class PlanPanel:
             start_dialog(self._page, checks, self._start_now)
 
     def save(self) -> None:
-        """Ask for folder and name, and write the plan."""
+        """Open the dialog that saves the plan."""
         page = self._page
         name = f"{suggested_name(required_job(page))}{PLAN_ENDING}"
         save_dialog(page, "Save the plan", name, page.session.save_plan, "Plan saved", "The plan was not saved")
 
     def why_not(self, snapshot: Snapshot) -> str | None:
-        """Why the scan cannot start now, or None."""
+        """Return why the scan cannot start now, or None."""
         return self._why_not(snapshot, self._checks(snapshot))
 
     def _start_now(self) -> None:
@@ -173,7 +173,7 @@ class PlanPanel:
 
     @property
     def _prepared(self) -> tuple[BoundInput[Any], ...]:
-        """What an engineer settles; the other fields are the wafer's names."""
+        """Inputs fixed by a released job; the other inputs identify the wafer."""
         places = (self._product, self._size, self._columns_rows, self._overlap, self._centre)
         return (*places, self._range, self._step, self._exposures)
 
@@ -202,7 +202,7 @@ class PlanPanel:
 
     @property
     def _fields(self) -> dict[str, BoundInput[Any]]:
-        """The fields by the names that a form has for them."""
+        """Inputs by the field names of `PlanForm`."""
         return {
             "name": self._name,
             "lot": self._lot,
@@ -223,7 +223,7 @@ class PlanPanel:
             field.show(getattr(form, name))
 
     def _read_form(self, draft: Draft) -> PlanForm:
-        """What was typed, over what the session knows: the other fields may not show that yet."""
+        """Return the session's form with the edited inputs; other inputs may not be up to date yet."""
         typed = {name: field.value for name, field in self._fields.items() if field.edited}
         return dataclasses.replace(_form_of(draft), **typed)
 

@@ -1,4 +1,4 @@
-"""What an engineer adds to a plan so that operators can run it: corners, features with limits, and its release."""
+"""Section that prepares a plan for operators: alignment corners, features with limits, release."""
 
 from __future__ import annotations
 
@@ -32,7 +32,7 @@ from wafer_viewer.session.state.snapshot import Snapshot
 
 
 class ReleaseSection:
-    """Corners and features as tables, folded away until somebody wants them; of a released job to be read only."""
+    """Folded section with tables of corners and features; read-only for a released job."""
 
     def __init__(self, page: Page) -> None:
         self._page = page
@@ -56,7 +56,7 @@ class ReleaseSection:
         page.on_pick("no-feature", lambda key: self._drop(int(key)))
 
     def show(self, snapshot: Snapshot) -> None:
-        """Bring the section up to date."""
+        """Update the section."""
         job = snapshot.draft.job
         set_prop(self._folder, "visible", job is not None)
         if job is None:
@@ -89,7 +89,7 @@ def _corners(marks: Marks | None) -> str:
 
 
 def _dies(dies: Dies | None) -> str:
-    """How many there are, and how large; nothing where no feature can be repeated over any."""
+    """Return number and size of the dies; empty if none are defined."""
     if dies is None:
         return ""
     told = f"{len(dies.all())} of {number(dies.width_um, 0)} × {number(dies.height_um, 0)} µm"

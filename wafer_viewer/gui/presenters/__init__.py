@@ -1,1 +1,1 @@
-"""Text and HTML for the page, made of results and settings."""
+"""Text and HTML for the page, built from results and settings."""

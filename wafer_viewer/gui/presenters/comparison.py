@@ -1,4 +1,4 @@
-"""What the page says of a comparison: what was subtracted, how it was aligned, what has changed."""
+"""Presentation of a comparison: surfaces subtracted, alignment, and change."""
 
 from __future__ import annotations
 
@@ -22,30 +22,30 @@ FACES: tuple[tuple[ComparisonFace, str], ...] = (
 OUTDATED = "One of the surfaces has changed or was deleted: compare again."
 BESIDE_SAID = "The second stands to the right of the first, in the same colours and range."
 LITTLE_OVERLAP = 0.5
-"""From less than this on it is said how little is compared."""
+"""Overlap fraction below which the page warns that little is compared."""
 _UM3_PER_PL = 1e3
 _LARGE_PL = 1e3
 
 
 def pair_words(first: SurfaceName, second: SurfaceName) -> str:
-    """What a choice of the list says."""
+    """Return the label of a pair of surfaces in the list."""
     if (first.path, first.result, first.field) == (second.path, second.result, second.field):
         return "Measured and filtered"
     return f"Result {second.result}" if first.path == second.path else second.words
 
 
 def name_of(comparison: Comparison) -> str:
-    """A comparison in the list."""
+    """Return the name of a comparison in the list."""
     return pair_words(comparison.first, comparison.second)
 
 
 def subtracted(comparison: Comparison) -> str:
-    """What is what."""
+    """Return a sentence that names the first and the second surface."""
     return f"First: {comparison.first.words}. Second: {comparison.second.words}."
 
 
 def answer(change: Change) -> str:
-    """How much of the surface has changed, to be read at a glance."""
+    """Return the main figures: changed area in % and Sq of the difference in µm."""
     return html.columns(
         [
             html.figure("Changed", number(100 * change.changed_fraction, 1), "%", 26),
@@ -55,7 +55,7 @@ def answer(change: Change) -> str:
 
 
 def numbers(change: Change) -> str:
-    """The difference in numbers."""
+    """Return the table of difference statistics."""
     rows = [
         ("Mean", with_unit(change.mean_um, 3, signed=True)),
         ("Lowest", with_unit(change.lowest_um, 2, signed=True)),
@@ -69,13 +69,13 @@ def numbers(change: Change) -> str:
 
 
 def volume(um3: float) -> str:
-    """A volume in pl, from a thousand on in nl."""
+    """Format a volume in pl, from 1000 pl on in nl."""
     pl = um3 / _UM3_PER_PL
     return with_unit(pl / _LARGE_PL, 2, "nl") if pl >= _LARGE_PL else with_unit(pl, 2, "pl")
 
 
 def alignment(found: Registration) -> str:
-    """How the second was laid over the first, each number with its U."""
+    """Return the table of registration parameters of the second surface, each with its U."""
     rows = [("Found", FOUND_BY[found.by])] if found.by == "same" else []
     if found.by in ("images", "heights"):
         rows += [
@@ -96,7 +96,7 @@ def alignment(found: Registration) -> str:
 
 
 def cautions(comparison: Comparison, outdated: bool) -> str:
-    """What should be known before the numbers are believed."""
+    """Return warnings: outdated surface, small overlap, missing or different calibration."""
     said = [OUTDATED] if outdated else []
     if comparison.registration.overlap_fraction < LITTLE_OVERLAP:
         said.append(f"Only {share(comparison.registration.overlap_fraction)} of the first surface lies on the second.")

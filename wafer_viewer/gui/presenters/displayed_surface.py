@@ -1,4 +1,4 @@
-"""Name of the surface that a browser shows, and of the part of it that is counted."""
+"""Name of the surface that a browser shows, and of the part its statistics cover."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ PARTS = {"all": "", "view": ", in view", "selection": ", selection"}
 
 
 def name_of(view: View) -> str:
-    """Return the name of the counted surface, such as ``Field 5, in view``."""
+    """Return the name of the surface part that statistics cover, such as ``Field 5, in view``."""
     compared = comparison_of(view.show)
     whole = FACES[compared[1]] if compared is not None else f"Field {view.show}" if view.show else "Stitched surface"
     return whole + PARTS[view.counted]

@@ -1,4 +1,4 @@
-"""What the page says of a pixel's height: the answer in large type, every gate's verdict, the rivals. Pure."""
+"""HTML of a pixel's focus evidence: height, verdict of every gate, rival maxima. Pure functions."""
 
 from __future__ import annotations
 
@@ -12,12 +12,12 @@ from wafer_viewer.gui.widgets import html
 from wafer_viewer.model.surface.focus_curve import FocusCurve, Verdict
 
 MEASURES = {key: name for name, key in FOCUS.items()}
-"""Focus measures as they are written; others by their own name with spaces."""
+"""Display names of focus measures; others are shown by their own name with spaces."""
 GATE_IS_OFF = "gate is off"
 
 
 def _times(powers: float) -> str:
-    """A ratio of the focus measure, told by its power of two: ``× 3.1``."""
+    """Format a ratio of the focus measure, given as a power of two: ``× 3.1``."""
     factor = 2.0 ** min(powers, 60.0)
     return f"× {number(factor, 2 if factor < 10 else 1 if factor < 100 else 0)}"
 
@@ -28,27 +28,27 @@ FIGURES: dict[str, tuple[str, Callable[[float], str]]] = {
     "share of the window": ("up to", share),
     "1 at an end": ("", lambda _: NOTHING),
 }
-"""By the unit of a gate: the word before its limit, and how its score and limit read. Others say their unit below."""
+"""By the unit of a gate: word before its limit, and format of score and limit. Other units appear below the name."""
 
 
 def closing(word: str = "Close") -> str:
-    """The way back, for the head of a panel."""
+    """Return the Close action for the head of a panel."""
     told = f'class="wv-action" title="Close · Esc" aria-label="Close" {html.pick("why-close")}'
     return f"<span {told}>{html.icon(viser.Icon.X)}{word}</span>"
 
 
 def place(at_um: tuple[float, float] | None) -> str:
-    """A place on the stage, as text."""
+    """Format a stage position in µm; empty for None."""
     return "" if at_um is None else f"x {number(at_um[0], 1)}, y {with_unit(at_um[1], 1)}"
 
 
 def where(curve: FocusCurve) -> str:
-    """The pixel's place, as text."""
+    """Format stage position, field, row and column of the pixel."""
     return f"{place((curve.x_um, curve.y_um))} · field {curve.field}, row {curve.row}, column {curve.col}"
 
 
 def answer(curve: FocusCurve) -> str:
-    """The card with the height, or the reason why there is none."""
+    """Return the card with the height, or with the reason why there is none."""
     if curve.height_um is None:
         peak = f"no height; the peak is at {with_unit(curve.peak_z_um, 2, signed=True)}"
         return _card("Not measured", html.safe(_capital(curve.origin)), "", peak, "color:var(--attention)", 24)
@@ -57,7 +57,7 @@ def answer(curve: FocusCurve) -> str:
 
 
 def verdicts(curve: FocusCurve) -> str:
-    """Every gate in a row: its question, whether it was passed, score and limit."""
+    """Return the table of gates: question, result, score and limit."""
     ratios = any(v.unit == "powers of two" for v in curve.verdicts)
     heads = ("", "Question", "Score", "Limit")
     beside = "×: the peak over the rest of the curve" if ratios else ""
@@ -65,7 +65,7 @@ def verdicts(curve: FocusCurve) -> str:
 
 
 def rivals(curve: FocusCurve) -> str:
-    """The other maxima of the focus curve."""
+    """Return the table of the other maxima of the focus curve; empty if there are none."""
     if not curve.rivals:
         return ""
     rows = [
@@ -76,7 +76,7 @@ def rivals(curve: FocusCurve) -> str:
 
 
 def source(curve: FocusCurve) -> str:
-    """How the focus was measured, as text."""
+    """Describe the focus measurement: measure, window, number of frames."""
     measure = MEASURES.get(curve.focus_measure, _capital(curve.focus_measure.replace("_", " ")))
     simulated = "SIMULATED · " if curve.simulated else ""
     return f"{simulated}{measure}, window {curve.window} × {curve.window} px, {len(curve.z_um)} frames"
@@ -97,7 +97,7 @@ def _row(verdict: Verdict) -> str:
 
 
 def _sign(verdict: Verdict) -> tuple[object, str, str]:
-    """Icon, tone and word: never colour alone."""
+    """Return icon, tone and word of a verdict, so that colour is never the only cue."""
     if verdict.limit is None and verdict.passed:
         return viser.Icon.MINUS, "ink3", GATE_IS_OFF
     if verdict.passed:

@@ -1,4 +1,4 @@
-"""What Gauge check says in its right panel: the verdict, the result, its repeats, certificate and conditions. Pure."""
+"""HTML of the Gauge check panel: verdict, result, repeats, certificate, conditions. Pure functions."""
 
 from __future__ import annotations
 
@@ -15,12 +15,12 @@ from wafer_viewer.model.quantity import Length
 from wafer_viewer.model.region import Region
 
 SOON_DAYS = 30
-"""A certificate that runs out within so many days is drawn attention to."""
+"""A certificate that expires within this many days gets a warning."""
 _MICRO = f"{THIN}µm"
 
 
 def day_and_time(at: str, day_too: bool = True) -> str:
-    """A time of ISO 8601 as ``21 Nov 09:37``; other text as it is."""
+    """Format an ISO 8601 time as ``21 Nov 09:37``; return other text unchanged."""
     try:
         when = datetime.fromisoformat(at)
     except ValueError:
@@ -29,12 +29,12 @@ def day_and_time(at: str, day_too: bool = True) -> str:
 
 
 def day(of: date) -> str:
-    """``14 Mar 2027``."""
+    """Format a date as ``14 Mar 2027``."""
     return f"{of.day} {of:%b} {of.year}"
 
 
 def verdict_card(check: GaugeCheck) -> str:
-    """The word that is read across the room; below it error, limit and En, then why."""
+    """Return the verdict in large type, then error, limit and En, then the reason."""
     word, sign, tone = LOOKS[check.verdict]
     simulated = '<em class="wv-sim">SIMULATED</em>' if check.simulated else ""
     size = ' class="long"' if len(word) > 6 else ""
@@ -47,7 +47,7 @@ def verdict_card(check: GaugeCheck) -> str:
 
 
 def result(check: GaugeCheck) -> str:
-    """Certificate, measured, error: each with its U, all to the same place."""
+    """Return certified step, measured step and error, each with its U, all with the same number of decimals."""
     warm = check.terms.temperature_c
     certified = f"Certificate at {number(warm, 1)}{THIN}°C" if warm is not None else "Certificate"
     measured = f"Measured, mean of {check.n}" if check.n > 1 else "Measured"
@@ -62,7 +62,7 @@ def result(check: GaugeCheck) -> str:
 
 
 def repeats(taken: tuple[GaugeRepeat, ...], check: GaugeCheck | None, may_drop: bool) -> str:
-    """Every scan that counts, with n, s and range; a click on a cross takes one off."""
+    """Return the table of repeats with n, s and range; a click on a cross removes one."""
     if not taken:
         return ""
     rows = [_repeat(k, repeat, may_drop) for k, repeat in enumerate(taken)]
@@ -73,7 +73,7 @@ def repeats(taken: tuple[GaugeRepeat, ...], check: GaugeCheck | None, may_drop: 
 
 
 def certificate(paper: Certificate | None, today: date) -> str:
-    """Blocks, step with U, who certifies it and until when."""
+    """Return the certificate: blocks, step with U, laboratory, expiry date."""
     if paper is None:
         return html.head("Certificate") + html.empty(
             "No certificate is loaded.", "Load its file, or type it in: step, U, serial numbers, valid until."
@@ -94,7 +94,7 @@ def certificate(paper: Certificate | None, today: date) -> str:
 
 
 def conditions(step: StepHeight | None, check: GaugeCheck | None, upper: Region | None, lower: Region | None) -> str:
-    """What the step was measured under: faces, points, tilt, what the z scale rests on."""
+    """Return the conditions of the measurement: faces, points, tilt, source of the z scale."""
     pairs: list[tuple[str, str]] = []
     if upper is not None and lower is not None:
         pairs.append(("Faces, upper · lower", f"{_size(upper)} · {_size(lower)}{_MICRO}"))
@@ -111,7 +111,7 @@ def conditions(step: StepHeight | None, check: GaugeCheck | None, upper: Region 
 
 
 def told(check: GaugeCheck) -> str:
-    """A kept check in the words of a result: verdict, result, repeats, certificate."""
+    """Return a stored check as a result: verdict, result, repeats, certificate."""
     word, _, tone = LOOKS[check.verdict]
     signed = f"signed by {check.signed_by}, {day_and_time(check.at)}" if check.signed_by else "not signed"
     head = f'<div><b style="color:var(--{tone})">{word}</b> · {html.safe(signed)}</div>'
@@ -121,7 +121,7 @@ def told(check: GaugeCheck) -> str:
 
 
 def refused(sentence: str, has_others: bool) -> str:
-    """Why the scan that is open cannot count; what others came to still stands."""
+    """Return a note why the open scan cannot count; other repeats remain valid."""
     sign = html.icon(viser.Icon.HAND_STOP, 18)
     if has_others:
         return html.note("attention", "This scan cannot be a repeat", sentence, sign=sign)
@@ -129,7 +129,7 @@ def refused(sentence: str, has_others: bool) -> str:
 
 
 def large(label: str, length: Length) -> str:
-    """The step in the scene, to be read from a distance."""
+    """Return the step in large type for the scene."""
     value, u = value_and_u(length.value_um, length.expanded_um, 3)
     beside = f" ± {u}{_MICRO}" if length.expanded_um is not None else _MICRO
     word = "" if length.expanded_um is not None else f'<div class="wv-lab">{html.safe(_no_u(length))}</div>'
@@ -155,7 +155,7 @@ def _line(name: str, length: Length, digits: int, signed: bool = False, look: st
 
 
 def _digits(*lengths: Length) -> int:
-    """Decimals that show the smallest U to two figures, up to a nanometre."""
+    """Return the decimals that show the smallest U to two significant digits, at most 3 (1 nm)."""
     told = [digits_of_u(length.expanded_um) for length in lengths if length.expanded_um]
     return min(3, max(told, default=3))
 

@@ -1,4 +1,4 @@
-"""The points of a gauge check in their order: which are done, since when, and which comes next. Pure."""
+"""Steps of the gauge check procedure with their state and time. Pure functions."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from wafer_viewer.session.state.snapshot import Snapshot
 
 PointName = Literal["clean", "warm", "scan", "faces", "sign"]
 BY_HAND: tuple[PointName, ...] = ("clean", "warm")
-"""What a person says is done; the rest shows by itself."""
+"""Points that a person ticks; the state of the others follows from the snapshot."""
 TITLES: dict[PointName, str] = {
     "clean": "Clean the blocks, wring them",
     "warm": "Warm up 20 min",
@@ -26,7 +26,7 @@ TITLES: dict[PointName, str] = {
 
 @dataclass(frozen=True, slots=True)
 class ProcedurePoint:
-    """One point of the procedure; at: when it was done, ISO 8601 or empty."""
+    """One point of the procedure; at: time of completion, ISO 8601 or empty."""
 
     name: PointName
     title: str
@@ -35,7 +35,7 @@ class ProcedurePoint:
 
 
 def points(snapshot: Snapshot) -> tuple[ProcedurePoint, ...]:
-    """All points of the check that is being made."""
+    """Return all points of the current check, in order."""
     gauge, data = snapshot.gauge, snapshot.dataset
     said = {tick.point: tick.at for tick in gauge.ticks}
     by_hand = [ProcedurePoint(name, TITLES[name], name in said, said.get(name, "")) for name in BY_HAND]
@@ -51,12 +51,12 @@ def points(snapshot: Snapshot) -> tuple[ProcedurePoint, ...]:
 
 
 def next_point(snapshot: Snapshot) -> ProcedurePoint | None:
-    """The first that is not done; None when the check is signed."""
+    """Return the first point that is not done; None if all are."""
     return next((point for point in points(snapshot) if not point.done), None)
 
 
 def procedure(snapshot: Snapshot) -> str:
-    """The points as a list with ticks and times."""
+    """Return the points as a list with ticks and times."""
     now = next_point(snapshot)
     rows = "".join(_row(point, now is not None and point.name == now.name) for point in points(snapshot))
     foot = '<div class="wv-lab" style="margin-top:8px">Enter goes to the next point</div>' if now is not None else ""

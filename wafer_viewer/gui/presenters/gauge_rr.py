@@ -1,4 +1,4 @@
-"""A study of repeatability and reproducibility as a table with bars: what share of the spread is the gauge's. Pure."""
+"""HTML of a gauge R&R study: shares of the total variation as a table with bars. Pure functions."""
 
 from __future__ import annotations
 
@@ -12,12 +12,12 @@ from wafer_viewer.model.quantity import Unit
 from wafer_viewer.session.gauge.study_commands import Studied
 
 GOOD, MARGINAL, LEAST_CATEGORIES = 0.10, 0.30, 5
-"""Shares of %GRR up to which AIAG's manual calls a gauge acceptable, or acceptable for some uses; categories needed."""
+"""AIAG limits: %GRR of an acceptable and of a marginal gauge, and the least number of distinct categories."""
 METHODS: dict[Method, str] = {"anova": "analysis of variance", "range": "average and range"}
 
 
 def study(studied: Studied) -> str:
-    """What was studied, the verdict of the manual's rule, and every deviation with its share."""
+    """Return study size, verdict by the AIAG rule, and every standard deviation with its share."""
     found = studied.found
     by = f"{studied.name} · {METHODS[found.method]}{' · SIMULATED' if studied.simulated else ''}"
     notes = "".join(_small(text) for text in found.notes)

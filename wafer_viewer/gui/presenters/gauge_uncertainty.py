@@ -1,4 +1,4 @@
-"""What a gauge check says of its uncertainty, of the gauge's capability and of its z scale. Pure."""
+"""HTML of a gauge check's uncertainty budget, capability and z scale. Pure functions."""
 
 from __future__ import annotations
 
@@ -15,12 +15,12 @@ _OF: dict[Role, str] = {
     "measurement": "Of the measured step and of the error",
     "reference": "Of the certified step",
 }
-"""Heads of the budget's parts, in the order they are told."""
+"""Headings of the budget's parts, in display order."""
 _DIGITS = 4
 
 
 def budget(check: GaugeCheck) -> str:
-    """Every contribution under what it is of, the three sums, and what is not in them."""
+    """Return the contributions grouped by role, and the three expanded uncertainties; empty without a budget."""
     if not check.budget:
         return ""
     rows = [row for role in _OF for row in _part(role, [line for line in check.budget if line.of == role])]
@@ -34,7 +34,7 @@ def budget(check: GaugeCheck) -> str:
 
 
 def not_evaluated(check: GaugeCheck) -> str:
-    """What is left out, so that nobody takes U for more than it is."""
+    """Return the list of contributions that U does not contain; empty if there are none."""
     if not check.not_evaluated:
         return ""
     items = "".join(f"<li>{html.safe(html.micro(item))}</li>" for item in check.not_evaluated)
@@ -42,7 +42,7 @@ def not_evaluated(check: GaugeCheck) -> str:
 
 
 def capability(found: Capability | None) -> str:
-    """Cg and Cgk, or why there is none."""
+    """Return Cg and Cgk, or the reason why there are none."""
     if found is None:
         return ""
     pairs = [("Repeats", number(found.n, 0)), ("Tolerance of the product", with_unit(found.tolerance_um, 2))]
@@ -55,7 +55,7 @@ def capability(found: Capability | None) -> str:
 
 
 def correction(offered: ScaleCorrection | None) -> str:
-    """What the z scale could be set to, and whether it is worth it."""
+    """Return the suggested z scale factor with advice; empty without a suggestion."""
     if offered is None:
         return ""
     by = with_unit(offered.changes_um, 3, signed=True)

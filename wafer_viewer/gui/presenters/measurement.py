@@ -1,4 +1,4 @@
-"""What the page says of a measured number: its sign, its value with U and unit, the large answer, its budget."""
+"""Presentation of measured quantities: symbol, value with U and unit, answer card, uncertainty budget."""
 
 from __future__ import annotations
 
@@ -57,23 +57,23 @@ _MAIN = {
     "site_range": "largest, front surface, as mounted",
     "gauge_check": "error",
 }
-"""What the number is that stands for a result, where its tool's name does not say so."""
+"""Label of a result's main quantity, if the name of its tool does not tell it."""
 _SIGNED = ("point", "gauge_check", "defect")
 UNIT_SIGNS = {"um": "µm", "um2": "µm²", "um3": "µm³", "deg": "°", "mrad": "mrad"}
 _LARGER = {"um2": ((1e5, 1e-6, "mm²"),), "um3": ((1e5, 1e-6, "nl"), (0.0, 1e-3, "pl"))}
-"""By unit: from which value on, by which factor, as what it reads."""
+"""Display units by quantity unit: (smallest value, factor, unit sign), largest first."""
 
 
 @dataclass(frozen=True, slots=True)
 class ReadValue:
-    """A quantity as it is read: its factor to the quantity's own unit, and the unit's sign."""
+    """Display unit of a quantity: factor from the quantity's own unit, and unit sign."""
 
     factor: float
     unit: str
 
 
 def reading(quantity: Quantity) -> ReadValue:
-    """Volumes read in nl or pl, large areas in mm², all else in the unit they are measured in."""
+    """Return the display unit: nl or pl for volumes, mm² for large areas, else the unit of measurement."""
     for least, factor, unit in _LARGER.get(quantity.unit, ()):
         if abs(quantity.value) >= least:
             return ReadValue(factor, unit)
@@ -81,7 +81,7 @@ def reading(quantity: Quantity) -> ReadValue:
 
 
 def value_texts(quantity: Quantity, *, signed: bool = False) -> tuple[str, str, str]:
-    """Value, U to two figures (a dash where there is none) and unit."""
+    """Return value, U to two significant digits (a dash if there is none) and unit, as texts."""
     read = reading(quantity)
     expanded = None if quantity.expanded is None else quantity.expanded * read.factor
     digits = _plain_digits(quantity) if read.factor == 1 else _digits(quantity.value * read.factor)
@@ -90,23 +90,23 @@ def value_texts(quantity: Quantity, *, signed: bool = False) -> tuple[str, str, 
 
 
 def whole(quantity: Quantity, *, signed: bool = False) -> str:
-    """Value and U with their unit, in one line: ``11.86 ± 0.31 µm``."""
+    """Format value, U and unit in one line: ``11.86 ± 0.31 µm``."""
     value, u, unit = value_texts(quantity, signed=signed)
     return with_unit_sign(f"{value} ± {u}" if quantity.expanded is not None else value, unit)
 
 
 def with_unit_sign(text: str, unit: str) -> str:
-    """A number and its unit; degrees stand close."""
+    """Join a number and its unit, without a space before the degree sign."""
     return f"{text}{unit}" if unit == "°" else f"{text}\u202f{unit}"
 
 
 def letter(finding: AnyResult) -> str:
-    """The sign of a result, P1, S2."""
+    """Return the symbol of a result: P1, S2."""
     return f"{_LETTERS[_tag(finding)]}{finding.number or ''}"
 
 
 def sign_colour(finding: AnyResult) -> str:
-    """Its colour, the same in list, curve and scene."""
+    """Return the colour of a result's symbol, the same in list, curve and scene."""
     if isinstance(finding, Profile):
         return PROFILE_COLOURS[0]
     if isinstance(finding, Defect):
@@ -115,21 +115,21 @@ def sign_colour(finding: AnyResult) -> str:
 
 
 def of_what(finding: AnyResult) -> str:
-    """What the number is that stands for a result; nothing where that is plain."""
+    """Return the label of a result's main quantity; empty if the tool's name tells it."""
     if isinstance(finding, AreaVolume):
         return "below" if finding.main == finding.volume_below else "above"
     return _MAIN.get(_tag(finding), "")
 
 
 def list_text(finding: AnyResult) -> str:
-    """Value, uncertainty and unit for the list, as HTML."""
+    """Return value, uncertainty and unit for the list, as HTML."""
     value, u, unit = value_texts(finding.main, signed=_tag(finding) in _SIGNED)
     beside = f"± {u}" if finding.main.expanded is not None else NO_U.get(finding.main.status, "")
     return f"<b>{value}</b>{with_unit_sign('', unit)}<small>{html.safe(beside)}</small>"
 
 
 def answer(name: str, quantity: Quantity, signed: bool = False) -> str:
-    """The card with the answer in large type."""
+    """Return the card with a quantity in large type."""
     value, u, unit = value_texts(quantity, signed=signed)
     if quantity.expanded is not None:
         told = html.safe(with_unit_sign(f"± {u}", unit))
@@ -144,13 +144,13 @@ def answer(name: str, quantity: Quantity, signed: bool = False) -> str:
 
 
 def card(finding: AnyResult, name: str) -> str:
-    """The answer of a result."""
+    """Return the card with a result's main quantity."""
     named = " · ".join(part for part in (name, of_what(finding)) if part)
     return answer(named, finding.main, _tag(finding) in _SIGNED)
 
 
 def budget(quantity: Quantity) -> str:
-    """Every contribution, then the combined and the expanded uncertainty."""
+    """Return the uncertainty budget: contributions, then combined and expanded uncertainty."""
     if not quantity.budget or quantity.expanded is None:
         why = "A calibration of the rig gives it one." if quantity.status == "uncalibrated" else ""
         word = NO_U.get(quantity.status, "U not evaluated")
@@ -166,18 +166,18 @@ def budget(quantity: Quantity) -> str:
 
 
 def averaging(profile: Profile | StepProfile) -> str:
-    """How wide a strip across the line is averaged over."""
+    """Format the averaging width across the line."""
     return with_unit(profile.line.width_um, 1) if profile.line.width_um else "one pixel"
 
 
 def _plain_digits(quantity: Quantity) -> int:
-    """Decimals of a value as it was measured: two, but lengths under 1 um keep three figures, up to four decimals."""
+    """Return the decimals of a value in its own unit: 2, or up to 4 (three digits) for lengths under 1 µm."""
     small = quantity.unit == "um" and 0 < abs(quantity.value) < 1
     return min(4, max(2, _digits(quantity.value) - 1)) if small else 2
 
 
 def _digits(value: float) -> int:
-    """Decimals that show a value without U to four figures."""
+    """Return the decimals that show a value without U to four digits."""
     return max(0, 3 - math.floor(math.log10(abs(value)))) if value else 2
 
 

@@ -1,4 +1,4 @@
-"""What the plan's panel says: heads, warnings, the priced strategies. Pure: snapshot in, HTML out."""
+"""HTML of the plan panel: heads, warnings, strategies with cost. Pure: snapshot in, HTML out."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ _GAP = '<div style="height:8px"></div>'
 
 
 def history(draft: Draft) -> str:
-    """Undo and redo, beside the title."""
+    """Return the undo and redo actions of the title."""
 
     def action(what: str, name: str, sign: Any, possible: bool) -> str:
         state = html.pick(what) if possible else 'aria-disabled="true"'
@@ -29,7 +29,7 @@ def history(draft: Draft) -> str:
 
 
 def grid(snapshot: Snapshot) -> str:
-    """The head of the grid, or what it waits for."""
+    """Return the head of the field grid, or what is missing for a grid."""
     job = snapshot.draft.job
     if job is None:
         return html.head("Field grid") + html.empty("Waits for the size of the sample.") + _on_stage(snapshot)
@@ -42,14 +42,14 @@ def grid(snapshot: Snapshot) -> str:
 
 
 def _on_stage(snapshot: Snapshot) -> str:
-    """The short way to a grid, where the rig has a picture of what is on its stage."""
+    """Return a link that lays the grid over the sample on the stage; empty without an overview."""
     if snapshot.overview is None:
         return ""
     return f'<div class="wv-why"><span class="wv-link" {html.pick("cover")}>Use the sample on the stage</span></div>'
 
 
 def sweep(draft: Draft) -> str:
-    """The head of the focus sweep."""
+    """Return the head of the focus sweep; empty without a job."""
     if draft.job is None:
         return ""
     sweep = draft.job.sweep
@@ -57,7 +57,7 @@ def sweep(draft: Draft) -> str:
 
 
 def depth(snapshot: Snapshot, draft: Draft) -> str:
-    """A warning when the step is coarse for the depth of field ."""
+    """Return a warning if the z step exceeds half the depth of field."""
     limits = snapshot.rig.limits
     if draft.job is None or limits is None:
         return ""
@@ -70,7 +70,7 @@ def depth(snapshot: Snapshot, draft: Draft) -> str:
 
 
 def strategies(snapshot: Snapshot, draft: Draft) -> str:
-    """Every strategy with its price, and what the chosen one costs."""
+    """Return all strategies with their time, and time and disk space of the chosen one."""
     if draft.job is None:
         waiting = html.empty("Every strategy is listed here with its time", "as soon as there is a grid.")
         return html.head("Strategy") + waiting + _GAP
@@ -103,7 +103,7 @@ def strategies(snapshot: Snapshot, draft: Draft) -> str:
 
 
 def foot(draft: Draft, why_not: str | None) -> str:
-    """The line over the button: why it cannot be pressed; in a low window what the scan costs, else out of sight."""
+    """Return the line above the button: why it is disabled, else the cost of the scan (visible in low windows only)."""
     if why_not is not None:
         return f'<div class="wv-why wv-at-foot">Not yet: {html.safe(html.micro(why_not))}</div>'
     if draft.plan is None:
@@ -128,7 +128,7 @@ def _price_row(price: Price, best_s: float, chosen: bool) -> str:
 
 
 def _by_hand(strategy: str) -> str:
-    """The way back from a strategy chosen by hand."""
+    """Return a link that undoes the manual choice of a strategy; empty if it is automatic."""
     if strategy == "auto":
         return ""
     link = f'<span class="wv-link" {html.pick("strategy", "auto")}>Use the fastest</span>'

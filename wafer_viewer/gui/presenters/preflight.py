@@ -1,4 +1,4 @@
-"""How the look round before a scan reads on the page. Pure: checks in, HTML out."""
+"""HTML of the preflight checks. Pure: checks in, HTML out."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ SIGNS: dict[State, tuple[Any, str]] = {
 
 
 def section(checks: Sequence[PreflightCheck], name: str = "Before the start") -> str:
-    """All lines, under a head that says how many are not fine; nothing where there is no plan yet."""
+    """Return all checks under a head with the number of open ones; empty without checks."""
     if not checks:
         return ""
     open_lines = sum(check.state != "ok" for check in checks)
@@ -27,7 +27,7 @@ def section(checks: Sequence[PreflightCheck], name: str = "Before the start") ->
 
 
 def lines(checks: Sequence[PreflightCheck]) -> str:
-    """The lines alone."""
+    """Return the checks without a head."""
     return f'<div class="wv-checks" role="list" aria-label="Preflight">{"".join(map(_line, checks))}</div>'
 
 

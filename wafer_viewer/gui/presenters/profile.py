@@ -1,4 +1,4 @@
-"""What stands over the plot of profiles: each line's sign, Pt, length and width, and what the cursors read. Pure."""
+"""HTML above the profile plot: symbol, Pt, length and width of each line, cursor read-out. Pure functions."""
 
 from __future__ import annotations
 
@@ -13,14 +13,14 @@ from wafer_viewer.model.measurement.sections import Section
 from wafer_viewer.model.surface.height_map import LAYER_TITLES
 
 _CROWDED = ("", "", " wv-two", " wv-many")
-"""Where there are many lines, only the figures that matter most have room."""
+"""CSS class by number of lines: with many lines only the most important figures are shown."""
 WAITS = "The curve appears when the line lies on the surface."
 
 
 def head(
     sections: Sequence[Section], problems: Sequence[str], n_lines: int, active: int, gap: Gap | None, zoomed: bool
 ) -> str:
-    """The row over the plot; a line that has no curve keeps its sign."""
+    """Return the row above the plot; a line without a curve keeps its symbol."""
     own = {s.asked.place: s for s in sections if not s.asked.is_second}
     lines = "".join(_line(place, own.get(place), place == active) for place in range(n_lines))
     seconds = "".join(_second(s) for s in sections if s.asked.is_second)
@@ -35,7 +35,7 @@ def head(
 
 
 def read(gap: Gap) -> str:
-    """What lies between the cursors."""
+    """Return distance, height difference and angle between the cursors."""
     return (
         f"<span>Δx <b>{number(gap.dx_um, 1)}</b>&ensp;Δz <b>{with_unit(gap.dz_um, 2, signed=True)}</b>&ensp;"
         f"{with_unit(gap.angle_deg, 2, '°')}</span>"

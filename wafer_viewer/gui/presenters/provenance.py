@@ -1,4 +1,4 @@
-"""Where a result comes from, in the panel's words: its regions, its other numbers, the surface and the zero it has."""
+"""HTML of a result's provenance: regions, secondary quantities, surface and height reference."""
 
 from __future__ import annotations
 
@@ -38,18 +38,18 @@ ZERO: dict[LevelBy, str] = {
     "region": "the plane of a region",
     "form": "the form of the whole surface",
 }
-"""What heights are read from, by the way of levelling."""
+"""Names of the height reference by levelling method."""
 Pairs = list[tuple[str, str]]
 
 
 def source(finding: AnyResult) -> str:
-    """Where a result comes from: its regions, its points, the surface it was measured on."""
+    """Return the provenance of a result: regions, points, surface."""
     body = next((tell(finding) for kind, tell in _TOLD.items() if isinstance(finding, kind)), "")
     return html.head("Where it comes from", "µm") + body + _measured_on(finding)
 
 
 def where(finding: AnyResult) -> str:
-    """The surface a result was measured on."""
+    """Return the name of the surface a result was measured on."""
     return f"field {finding.show}" if finding.show > 0 else "comparison" if finding.show < 0 else "stitched surface"
 
 
@@ -154,7 +154,7 @@ _TOLD: dict[type, Callable[..., str]] = {
     GaugeCheck: gauge_told,
 }
 _ON_PICTURE = (KerfWidth, DieSize, CircleSize, Chipping)
-"""Heights have no part in these."""
+"""Results measured on the picture, independent of heights."""
 
 
 def _place(name: str, place: Region) -> tuple[str, str]:

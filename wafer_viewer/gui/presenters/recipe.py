@@ -1,4 +1,4 @@
-"""What the page says of a recipe: names of its choices, what the data chose, what was noted. Pure."""
+"""Presentation of a recipe: names of its options, values chosen from the data, notes. Pure functions."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from wafer_viewer.model.surface.recipe import READY_RECIPES, Recipe
 
 READY = {"Default": "default", "The paper's method": "paper"}
 OWN = "Custom"
-"""How a recipe reads that is none of the ready ones."""
+"""Name of a recipe that matches no preset."""
 DRIFT = {"Correct": "correct", "Leave": "none"}
 FOCUS = {"Log-Laplacian": "log_laplacian", "Tenengrad": "tenengrad", "SML": "sml", "GLV": "glv"}
 WINDOW = {"From the data": "auto", **{f"{n} px": n for n in range(3, 27, 2)}}
@@ -35,32 +35,32 @@ _FLIES = ("literal", "guided")
 
 
 def name_of(names: Mapping[str, Any], value: object) -> str:
-    """How the page calls a choice."""
+    """Return the display name of an option."""
     return next(name for name, key in names.items() if key == value)
 
 
 def ready_name(recipe: Recipe) -> str:
-    """How the page calls a recipe as a whole."""
+    """Return the display name of a recipe: its preset, else ``Custom``."""
     return next((name for name, key in READY.items() if READY_RECIPES[key] == recipe), OWN)
 
 
 def believes_all(recipe: Recipe) -> bool:
-    """Whether no peak is doubted, so that neither a second window nor edges are asked."""
+    """Return whether every peak is accepted, so that neither second window nor edges are tested."""
     return recipe.min_confidence == 0
 
 
 def how(recipe: Recipe) -> str:
-    """A recipe in one line."""
+    """Describe a recipe in one line."""
     return f"{name_of(FOCUS, recipe.focus_measure)} · window {_px(recipe.window)} · {name_of(PEAK, recipe.peak)}"
 
 
 def chosen_by_data(asked: Recipe, settled: Recipe) -> list[tuple[str, str]]:
-    """What `asked` left to the data and `settled` says, in the order in which it is used: names and values."""
+    """Return name and value of each setting that is auto in `asked` and fixed in `settled`, in order of use."""
     return [(name, told(settled)) for name, get, told in _LEFT_TO_DATA if get(asked) == "auto" != get(settled)]
 
 
 def notes(sentences: Iterable[str], sign: Any = viser.Icon.INFO_CIRCLE, tone: str = "") -> str:
-    """What was noted, each kind once: what differs by its numbers alone unfolds. `tone`: '' or 'attention'."""
+    """Return the notes; those that differ only in numbers are folded into one. `tone`: '' or 'attention'."""
     kinds: dict[str, list[str]] = {}
     for sentence in sentences:
         kinds.setdefault(re.sub(r"\d[\d.]*", "0", sentence), []).append(sentence)
@@ -77,7 +77,7 @@ def _kind(alike: list[str], sign: Any) -> str:
 
 
 def _sentence(text: str) -> str:
-    """A note as the page writes it: micrometres, a true sign of times, a full stop."""
+    """Format a note: micro signs, multiplication signs, a full stop."""
     return re.sub(r"(?<![.\w])x(?=\d)", "× ", html.micro(text)).rstrip(".") + "."
 
 
@@ -86,7 +86,7 @@ def _px(window: int | str) -> str:
 
 
 def _figures(value: float | str) -> str:
-    """A number to two figures."""
+    """Format a number to two significant digits."""
     return number(float(value), digits_of_u(float(value)))
 
 
@@ -118,4 +118,4 @@ _LEFT_TO_DATA: tuple[tuple[str, Callable[[Recipe], Any], Callable[[Recipe], str]
         lambda r: f"over {with_unit(float(r.outliers.floor_um), 2)}",
     ),
 )
-"""What can be left to the data: how the page calls it, where it stands (None where unused), how its value reads."""
+"""Settings that may be auto: display name, getter (None if unused), formatter of the value."""

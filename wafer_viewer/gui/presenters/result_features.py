@@ -1,4 +1,4 @@
-"""Results that were kept, as what a feature of a job could be: their tool, places on the wafer, quantities. Pure."""
+"""Kept results as candidates for features of a job: tool, regions, quantities. Pure functions."""
 
 from __future__ import annotations
 
@@ -21,12 +21,12 @@ TOOL_OF: dict[str, ToolName] = {
     "kerf_width": "kerf",
     "die_size": "die",
 }
-"""The tool that makes results of a tag."""
+"""Tool by the tag of the result it makes."""
 
 
 @dataclass(frozen=True, slots=True)
 class KeptFeature:
-    """What a feature would measure to measure the same again; places in wafer um where the wafer is aligned."""
+    """Feature that repeats a kept result; places in wafer µm if the wafer is aligned, else in stage µm."""
 
     tool: ToolName
     places: tuple[Region, ...]
@@ -35,20 +35,20 @@ class KeptFeature:
     quantities: dict[str, Quantity]
 
     def of(self, quantity: str) -> Quantity:
-        """A quantity by its name; the main one without."""
+        """Return a quantity by name; the main one for an unknown or empty name."""
         return self.quantities.get(quantity, self.main)
 
     def value(self, quantity: str) -> float:
-        """What it came to."""
+        """Return the value of a quantity."""
         return self.of(quantity).value
 
     def unit(self, quantity: str) -> Unit:
-        """Its unit."""
+        """Return the unit of a quantity."""
         return self.of(quantity).unit
 
 
 def kept_features(snapshot: Snapshot) -> dict[str, KeptFeature]:
-    """The results kept on the stitched surface on show, by what they are called; comparisons make no feature."""
+    """Return the features of kept results by display name; results on comparisons are excluded."""
     lies = snapshot.dataset.job.alignment if snapshot.dataset is not None else None
     found = ((finding, _feature(finding, lies)) for finding in snapshot.findings if finding.show >= 0)
     return {f"{finding.name} ({number(finding.main.value, 2)})": kept for finding, kept in found if kept is not None}
@@ -70,7 +70,7 @@ def _quantity(value: object) -> Quantity | None:
 
 
 def _places(finding: AnyResult, tool: ToolName) -> tuple[Region, ...] | None:
-    """The regions that the tool asks for, in its order; None where the result does not hold them."""
+    """Return the regions the tool needs, in its order; None if the result lacks them."""
     held = (getattr(finding, name) for name in finding.__struct_fields__)
     regions = tuple(value for value in held if isinstance(value, Region))[: len(TOOLS[tool].places)]
     kinds = tuple(place.kind for place in TOOLS[tool].places)
@@ -78,7 +78,7 @@ def _places(finding: AnyResult, tool: ToolName) -> tuple[Region, ...] | None:
 
 
 def _on_wafer(region: Region, lies: Alignment | None) -> Region:
-    """A region of the stage in wafer um; a rectangle stays one, for wafers lie nearly straight."""
+    """Transform a stage region to wafer µm; a rectangle stays one, since the rotation of a wafer is small."""
     if lies is None:
         return region
     points = (lies.to_wafer(point.x_um, point.y_um) for point in region.points)

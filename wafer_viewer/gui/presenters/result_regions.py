@@ -1,4 +1,4 @@
-"""Where a kept result was measured, and with which tool: to draw it, to fly there, to measure there again. Pure."""
+"""Regions and tool of a kept result: to draw it, to frame it, to repeat the measurement. Pure functions."""
 
 from __future__ import annotations
 
@@ -22,13 +22,13 @@ from wafer_viewer.model.measurement.tools import ToolName
 from wafer_viewer.model.region import Region
 
 MOST_SITES = 400
-"""Of more sites the region alone is drawn."""
+"""With more sites only the region is drawn."""
 Box = tuple[float, float, float, float]
 """x low, y low, x high, y high in um."""
 
 
 def tool_of(finding: AnyResult) -> ToolName | None:
-    """The tool that measures such a result; None for what no tool of this page does."""
+    """Return the tool that measures such a result; None for gauge checks and defects."""
     match finding:
         case Profile():
             return "profile"
@@ -69,7 +69,7 @@ def tool_of(finding: AnyResult) -> ToolName | None:
 
 
 def places_of(finding: AnyResult) -> tuple[Region, ...]:
-    """The places of a result, in the order in which its tool asks for them."""
+    """Return the regions of a result, in the order of its tool's inputs."""
     match finding:
         case Profile() | Roughness() | StepProfile():
             return (finding.line,)
@@ -94,7 +94,7 @@ def places_of(finding: AnyResult) -> tuple[Region, ...]:
 
 
 def drawn_of(finding: AnyResult) -> tuple[Region, ...]:
-    """What is drawn of a result: its places, all regions of a step, the way of a distance, the edges found."""
+    """Return the regions to draw: inputs, all regions of a step, the line of a distance, detected edges."""
     if isinstance(finding, StepHeight):
         return finding.regions
     if isinstance(finding, Distance):
@@ -103,7 +103,7 @@ def drawn_of(finding: AnyResult) -> tuple[Region, ...]:
 
 
 def found_of(finding: AnyResult) -> tuple[Region, ...]:
-    """The edges that were found at the places of a result."""
+    """Return the detected edges of a result; empty if there are none."""
     match finding:
         case KerfWidth():
             return finding.first, finding.second
@@ -120,13 +120,13 @@ def found_of(finding: AnyResult) -> tuple[Region, ...]:
 
 
 def way_between(start: Region, end: Region) -> Region:
-    """The line from one point to another."""
+    """Return the line between two points."""
     (a,), (b,) = start.points, end.points
     return Region.line(a.x_um, a.y_um, b.x_um, b.y_um)
 
 
 def bounds_of(finding: AnyResult, least_um: float = 0.0) -> Box:
-    """The upright rectangle round all places of a result, at least so wide and high."""
+    """Return the bounding box of all regions of a result, at least `least_um` wide and high."""
     boxes = [place.bounds_um for place in places_of(finding)]
     x0, y0 = (min(box[k] for box in boxes) for k in (0, 1))
     x1, y1 = (max(box[k] for box in boxes) for k in (2, 3))

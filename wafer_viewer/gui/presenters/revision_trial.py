@@ -1,4 +1,4 @@
-"""What a plan came to on stored wafers, as a part of the panel: each verdict that changes, and why. Pure."""
+"""HTML of the trial of a plan on stored wafers: changed verdicts with reasons. Pure functions."""
 
 from __future__ import annotations
 
@@ -10,11 +10,11 @@ from wafer_viewer.model.job.revision_trial import NotTried, Trial, TriedWafer, V
 from wafer_viewer.session.state.operator_state import Operating
 
 MOST_CHANGES = 40
-"""More than that are counted: a panel is not a file."""
+"""Largest number of changes listed; the rest is only counted."""
 
 
 def trial(done: Trial | None, trying: bool, outdated: bool = False) -> str:
-    """The last trial; nothing where there was none. outdated: the plan has changed since."""
+    """Return the last trial; empty if there was none. outdated: the plan has changed since."""
     if trying:
         return html.head("On stored wafers") + html.empty("Stored wafers are being judged by this plan.")
     if done is None:
@@ -32,7 +32,7 @@ def trial(done: Trial | None, trying: bool, outdated: bool = False) -> str:
 
 
 def before_release(now: Operating, outdated: bool) -> str:
-    """What is known of the plan on stored wafers, for the question whether to release it."""
+    """Return the trial summary shown before the release of a plan."""
     if now.trial is None or outdated:
         since = "since it was changed" if now.trial is not None else "yet"
         return html.note("busy", f"Not tried on stored wafers {since}", "It is not known whether verdicts change.")

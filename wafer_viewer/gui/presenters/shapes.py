@@ -1,4 +1,4 @@
-"""Shapes in the panel's words: what was found beside the number that stands for a result."""
+"""HTML of shape results: the quantities in addition to the main one."""
 
 from __future__ import annotations
 
@@ -9,11 +9,11 @@ from wafer_viewer.model.measurement.edge_and_bump_shapes import Chipping, Circle
 from wafer_viewer.model.region import Point
 
 LISTED = 8
-"""So many chips or bumps are listed, the worst first."""
+"""Number of chips or bumps listed, the worst first."""
 
 
 def kerf(finding: KerfWidth) -> str:
-    """Its extremes and the angle of its edges."""
+    """Return extreme widths, angle between the edges, and edge points of a kerf."""
     return html.pairs(
         [
             ("Narrowest", whole(finding.narrowest.quantity)),
@@ -26,7 +26,7 @@ def kerf(finding: KerfWidth) -> str:
 
 
 def die(finding: DieSize) -> str:
-    """Its height, its place and how it lies."""
+    """Return size, rotation, squareness and centre of a die."""
     return html.pairs(
         [
             ("Width", whole(finding.width.quantity)),
@@ -41,7 +41,7 @@ def die(finding: DieSize) -> str:
 
 
 def circle(finding: CircleSize) -> str:
-    """Its radius, roundness and place."""
+    """Return radius, roundness and centre of a circle."""
     return html.pairs(
         [
             ("Radius", whole(finding.radius.quantity)),
@@ -54,7 +54,7 @@ def circle(finding: CircleSize) -> str:
 
 
 def chipping(finding: Chipping) -> str:
-    """What counts as a chip, how much the chips are together, and the deepest."""
+    """Return chip threshold, totals over all chips, and a table of the worst."""
     told = html.pairs(
         [
             ("Deeper than", with_unit(finding.limit_um)),
@@ -78,7 +78,7 @@ def chipping(finding: Chipping) -> str:
 
 
 def coplanarity(finding: Coplanarity) -> str:
-    """The bumps together, and those that lie furthest from the plane."""
+    """Return statistics of all bumps, and a table of those furthest from the plane."""
     reference = {"least_squares": "least squares", "seating": "seating plane"}[finding.options.reference]
     told = html.pairs(
         [

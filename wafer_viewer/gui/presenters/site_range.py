@@ -1,4 +1,4 @@
-"""Front-surface site ranges, as mounted, in the panel of measuring: sites coloured by range, and a table. Pure."""
+"""HTML of front-surface site ranges, as mounted: coloured map and table. Pure functions."""
 
 from __future__ import annotations
 
@@ -9,11 +9,11 @@ from wafer_viewer.gui.widgets import html
 from wafer_viewer.model.measurement.site_range import Site, SiteRanges
 
 MOST_ROWS = 12
-"""The largest ranges are listed, the others are in the map."""
+"""Number of sites listed, the largest ranges first; the map shows all."""
 
 
 def sites(found: SiteRanges) -> str:
-    """The map with its colours, and the sites of the largest ranges."""
+    """Return the map with its colour scale, and the table of the largest ranges."""
     n, known = len(found.sites), [site for site in found.sites if site.range is not None]
     size = f"{number(found.site_width_um, 1)} × {number(found.site_height_um, 1)}{THIN}µm"
     pairs = [("Sites, columns × rows", f"{found.cols} × {found.rows}"), ("Size of a site", size)]

@@ -1,4 +1,4 @@
-"""Steps and grooves in the panel's words, and what the budget of a result leaves out."""
+"""HTML of steps and grooves, and of the contributions missing in a budget."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from wafer_viewer.model.measurement.step import StepHeight, StepProfile
 
 
 def step(finding: StepHeight) -> str:
-    """Both faces, their tilt against each other, the step at the joint, and what h is."""
+    """Return both faces, their relative tilt, the step at the joint, and the definition of h."""
     rows = [
         _face(_named("Upper", finding.also_upper), finding.upper_mean_um, finding.upper_sq_um, finding.upper_points),
         _face(_named("Lower", finding.also_lower), finding.lower_mean_um, finding.lower_sq_um, finding.lower_points),
@@ -23,7 +23,7 @@ def step(finding: StepHeight) -> str:
 
 
 def groove(finding: StepProfile) -> str:
-    """Its picture, its width, its zones along the line, and how the height is defined."""
+    """Return the drawing, width and zones of a groove, and the definition of its height."""
     width = [("Width", whole(finding.width.quantity))] if finding.width is not None else []
     zones = [(f"Zone {name}", f"{number(start, 1)} – {number(end, 1)}") for name, start, end in finding.zones]
     pairs = [
@@ -39,7 +39,7 @@ def groove(finding: StepProfile) -> str:
 
 
 def not_evaluated(finding: AnyResult) -> str:
-    """What nothing is known of, and is therefore not in the budget."""
+    """Return the contributions that are not evaluated, hence not in the budget; empty if there are none."""
     missing: tuple[str, ...] = getattr(finding, "not_evaluated", ())
     return _small(f"Not evaluated: {', '.join(missing)}.") if missing else ""
 

@@ -1,4 +1,4 @@
-"""What the page says of how fields were placed: numbers, what a person should look at, overlaps not believed. Pure."""
+"""HTML of the stitching: figures, warnings, rejected overlaps. Pure functions."""
 
 from __future__ import annotations
 
@@ -13,14 +13,14 @@ from wafer_viewer.session.state.snapshot import StitchingInfo
 
 BY_STAGE = "Fields are placed by the stage alone: their overlaps were not compared."
 SHOWN, LISTED = 6, 60
-"""Overlaps named at once, and with those that unfold."""
+"""Number of rejected overlaps listed at first, and in total when unfolded."""
 NAMED = 8
-"""Fields named in a sentence."""
+"""Largest number of fields named in a sentence."""
 Rows = list[tuple[str, str]]
 
 
 def numbers(info: StitchingInfo) -> str:
-    """What an operator wants to know of every surface."""
+    """Return the main figures of the stitching: accepted overlaps, residual steps, uncertainties."""
     rows: Rows = [("Overlaps accepted", f"{number(info.n_believed, 0)} of {number(info.n_overlaps, 0)}")]
     rows += [(f"– {words}", number(n, 0)) for words, n in info.doubts if n]
     if info.step_median_um is not None:
@@ -35,7 +35,7 @@ def numbers(info: StitchingInfo) -> str:
 
 
 def details(info: StitchingInfo) -> str:
-    """The stage as it was found, and the part of the form that nothing but the stage tells."""
+    """Return the estimated stage errors, and the form components known only from the stage."""
     rows: Rows = [
         ("Field offset from the stage, rms", _length(info.moved_rms_um)),
         ("– largest", _length(info.moved_max_um)),
@@ -51,7 +51,7 @@ def details(info: StitchingInfo) -> str:
 
 
 def cautions(info: StitchingInfo) -> str:
-    """What a person should look at, in the colour of attention; what was noted of a field says more than its number."""
+    """Return the warnings; an excluded field that a note already names is not listed again."""
     noted = " ".join(info.notes)
     unsaid = tuple(n for n in info.left_out if f"ield {n} " not in noted)
     said = [_left_out(unsaid)] if unsaid else []
@@ -64,7 +64,7 @@ def cautions(info: StitchingInfo) -> str:
 
 
 def by_stage(info: StitchingInfo, n_fields: int) -> tuple[str, str]:
-    """How many fields nothing but the stage places, for the status line, and the notes on it; empty where none is."""
+    """Return status text and notes on fields placed by the stage alone; both empty if there are none."""
     if not info.n_by_stage:
         return "", ""
     reasons = "; ".join(note for note in info.notes if "the stage" in note)
@@ -74,7 +74,7 @@ def by_stage(info: StitchingInfo, n_fields: int) -> tuple[str, str]:
 
 
 def doubted(poses: Poses, pixel_um: float) -> str:
-    """The overlaps that are not believed, those that are farthest off first; blank ones come last."""
+    """Return the table of rejected overlaps, largest residual first, blank ones last; empty if there are none."""
     rows = _doubted_rows(poses, pixel_um)
     if not rows:
         return ""
@@ -88,7 +88,7 @@ def doubted(poses: Poses, pixel_um: float) -> str:
 
 
 def _table(heads: tuple[str, ...], rows: list[str]) -> str:
-    """Both tables have the same columns."""
+    """Return a table with the column widths shared by both tables."""
     widths = '<colgroup><col style="width:74px"><col><col style="width:60px"><col style="width:46px"></colgroup>'
     return html.table(heads, rows, "  nn").replace(">", f">{widths}", 1)
 
@@ -120,7 +120,7 @@ def _left_out(fields: tuple[int, ...]) -> str:
 
 
 def _length(value_um: float) -> str:
-    """To two figures, as uncertainties are."""
+    """Format a length to two significant digits, as uncertainties are."""
     return with_unit(value_um, digits_of_u(value_um))
 
 

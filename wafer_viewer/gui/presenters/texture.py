@@ -1,4 +1,4 @@
-"""Texture and roughness in the panel's words: all parameters at a glance, by the families of ISO 25178-2."""
+"""HTML of texture and roughness parameters, by the families of ISO 25178-2."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from wafer_viewer.model.quantity import Length
 Cells = Sequence[tuple[str, str]]
 COLUMNS = 3
 FIGURES, MOST_DECIMALS = 3, 4
-"""Heights of a texture are small: three figures of them, and no more decimals than that."""
+"""Significant digits of a texture height, and the largest number of decimals."""
 
 MEANINGS = {
     "Sa": "Arithmetical mean height",
@@ -42,11 +42,11 @@ MEANINGS = {
     "Rp": "Highest peak, mean of the sections",
     "Rv": "Lowest pit, mean of the sections",
 }
-"""What each is, shown where the pointer rests."""
+"""Tooltips of the parameters."""
 
 
 def texture(finding: Texture) -> str:
-    """All parameters, a row or two a family, and how much was measured."""
+    """Return all texture parameters by family, and the measured fraction."""
     families: list[tuple[str, Cells]] = [
         ("Height", (("Sa", _um(finding.sa)), ("Sq", _um(finding.sq)), ("Sz", _um(finding.sz)))),
         ("", (("Sp", _um(finding.sp)), ("Sv", _um(finding.sv)))),
@@ -60,7 +60,7 @@ def texture(finding: Texture) -> str:
 
 
 def roughness(finding: Roughness) -> str:
-    """All parameters, the sampling lengths they are of, and how much was measured."""
+    """Return all roughness parameters, the sampling lengths, and the measured fraction."""
     families: list[tuple[str, Cells]] = [
         ("Evaluation", (("Ra", _um(finding.ra)), ("Rq", _um(finding.rq)), ("Rt", _um(finding.rt)))),
         ("", (("Rsk", number(finding.rsk, 2, signed=True)), ("Rku", number(finding.rku, 2)))),
@@ -71,7 +71,7 @@ def roughness(finding: Roughness) -> str:
 
 
 def figures(value: float | None) -> str:
-    """A number to three figures, at most four decimals."""
+    """Format a number to three significant digits, with at most four decimals."""
     if value is None or not math.isfinite(value) or value == 0:
         return number(value, 2)
     digits = FIGURES - 1 - math.floor(math.log10(abs(value)))
@@ -84,7 +84,7 @@ def _table(families: Sequence[tuple[str, Cells]]) -> str:
 
 
 def _padded(cells: Cells) -> list[str]:
-    """Cells of a row, as many in each, so that the lines under rows are of one length."""
+    """Return the cells of a row, padded to `COLUMNS` so that all row lines have one length."""
     return [*(_cell(*cell) for cell in cells), *[""] * (COLUMNS - len(cells))]
 
 

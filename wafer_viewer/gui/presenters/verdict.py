@@ -1,4 +1,4 @@
-"""How a verdict reads: the word that is seen across the room, why, what to do next, every feature. Pure."""
+"""HTML of a verdict: word, reason, next action, all features. Pure functions."""
 
 from __future__ import annotations
 
@@ -21,12 +21,12 @@ LOOKS: dict[Word, tuple[str, Any, html.Tone]] = {
     "inconclusive": ("INCONCLUSIVE", viser.Icon.HELP_CIRCLE, "attention"),
     "no verdict": ("NO VERDICT", viser.Icon.CIRCLE_DASHED, "busy"),
 }
-"""Word, sign and tone: each alone tells them apart."""
+"""Word, icon and tone of each verdict; each alone is unambiguous."""
 RULES: dict[DecisionRule, str] = {"guard_band": "guard band, ISO 14253-1", "simple_acceptance": "simple acceptance"}
 
 
 def card(verdict: WaferVerdict) -> str:
-    """The word in the largest type of the page, with wafer and job, and what to do next."""
+    """Return the verdict in the largest type of the page, with wafer, job and next action."""
     word, sign, tone = LOOKS[verdict.word]
     simulated = '<em class="wv-sim">SIMULATED</em>' if verdict.simulated else ""
     trial = "" if verdict.released else "a trial: the job is not released"
@@ -40,7 +40,7 @@ def card(verdict: WaferVerdict) -> str:
 
 
 def features(verdict: WaferVerdict) -> str:
-    """Every feature: value ± U, limits, word; below each that is not good, why."""
+    """Return the table of features: value ± U, limits, verdict; with the reason if it does not pass."""
     if not verdict.items:
         return ""
     rules = dict.fromkeys(RULES[item.feature.decision_rule] for item in verdict.items)
@@ -51,7 +51,7 @@ def features(verdict: WaferVerdict) -> str:
 
 
 def dies(verdict: WaferVerdict) -> str:
-    """The wafer with its dies coloured by their word, and how many have each."""
+    """Return the wafer map of dies coloured by verdict, with counts; empty without dies."""
     if not verdict.dies:
         return ""
     counts = ", ".join(f"{n} {word}" for word, n in verdict.die_counts.items())
@@ -59,18 +59,18 @@ def dies(verdict: WaferVerdict) -> str:
 
 
 def in_short(item: FeatureVerdict) -> str:
-    """A feature as a list shows it: its value ± U, and its limits below."""
+    """Return value ± U and limits of a feature for a list."""
     return f"{value_and_its_u(item)}<small>{limits(item.feature)}</small>"
 
 
 def state(word: Word) -> str:
-    """The instrument's word with its sign, in its colour."""
+    """Return a verdict with its icon, in its colour."""
     name, sign, tone = LOOKS[word]
     return f'<b style="color:var(--{tone})">{html.icon(sign, 14)} {name}</b>'
 
 
 def limits(feature: Feature) -> str:
-    """Between which values a feature is good, with their unit."""
+    """Format the limits of a feature, with their unit."""
     low, high = feature.lower_limit, feature.upper_limit
     if low is not None and high is not None:
         told = f"{_plain(low)} … {_plain(high)}"
@@ -80,7 +80,7 @@ def limits(feature: Feature) -> str:
 
 
 def value_and_its_u(item: FeatureVerdict) -> str:
-    """What was measured of a feature, HTML."""
+    """Return the measured value ± U of a feature, as HTML."""
     if item.measured is None:
         return "not measured"
     value, u, _ = value_texts(item.measured)
@@ -88,13 +88,13 @@ def value_and_its_u(item: FeatureVerdict) -> str:
 
 
 def waiting(judging: bool) -> str:
-    """What stands there until there is a verdict."""
+    """Return the placeholder until there is a verdict."""
     doing = "The features are being measured." if judging else "The verdict follows when the surface is whole."
     return html.empty(doing)
 
 
 def _on_dies(verdict: WaferVerdict) -> Iterator[str]:
-    """Of each feature that is repeated over dies, on how many it is good; the others have rows of their own."""
+    """Yield a row per feature repeated over dies, with its number of passing dies; other dies have their own rows."""
     words: dict[str, list[Word]] = {}
     for item in verdict.items:
         if item.die:

@@ -1,4 +1,4 @@
-"""The step Report: what goes in, what each part holds, and the one file that is written."""
+"""Panel of the step Report: choice of sections, their contents, and the report file."""
 
 from __future__ import annotations
 
@@ -25,23 +25,23 @@ UNKNOWN = Holds("…")
 
 
 class ReportPanel:
-    """Title and parts; the button writes the report beside the dataset and offers it for download."""
+    """Title and sections; the button writes the report next to the dataset and offers it for download."""
 
     def __init__(self, page: Page) -> None:
         self._page = page
         self._contents: Contents = {}
         self._left_out: set[Part] = set()
-        """What a person does not want; that a part holds nothing now says nothing of what it may hold."""
+        """Sections that the user deselected; sections that are empty now are not among them, as they may fill later."""
         self._of: object = None
         self._written: tuple[Path, Path] | None = None
-        """The report that was written last, after its dataset."""
+        """Dataset and path of the report written last."""
         self._writing: Future[Any] | None = None
         self._folder = page.gui.add_folder(None, visible=False)
         with self._folder:
             self._build()
 
     def show(self, snapshot: Snapshot, view: View) -> None:
-        """Bring the panel up to date."""
+        """Update the panel."""
         set_prop(self._folder, "visible", view.step == "report")
         data = snapshot.dataset
         if view.step != "report" or data is None:
@@ -63,7 +63,7 @@ class ReportPanel:
             set_prop(act, "disabled", self._busy or not chosen)
 
     def commands(self) -> list[Command]:
-        """Writing it, with and without a question."""
+        """Return the commands that write the report, without and with a dialog."""
         write = Command("Write report", None, self.write, viser.Icon.FILE_TEXT, group="Report")
         ask = Command("Save report as…", None, self.ask_where, viser.Icon.DEVICE_FLOPPY, group="Report")
         return unless(self._why_not, write, ask)
@@ -76,20 +76,20 @@ class ReportPanel:
         return None if self._chosen() else "no section is selected."
 
     def write(self) -> None:
-        """Write the report beside the dataset, under a name that is free."""
+        """Write the report next to the dataset, under an unused name."""
         page = self._page
         if self._why_not(page.session.snapshot, page.view) is None:
             page.ask("The report was not written", self._begin(None), self._hand_out)
 
     def ask_where(self) -> None:
-        """Ask for folder and name, and write the report."""
+        """Open the dialog that saves the report."""
         page, data = self._page, self._page.session.snapshot.dataset
         if data is not None and self._why_not(page.session.snapshot, page.view) is None:
             name = free_path(data.path, REPORT, ".html").name
             save_dialog(page, "Save the report", name, self._begin, "Report saved", "The report was not written")
 
     def _begin(self, path: Path | None) -> Future[Path]:
-        """Write to a path, or beside the dataset."""
+        """Start to write to a path; None writes next to the dataset."""
         page, data = self._page, self._page.session.snapshot.dataset
         order = ReportOrder(title=self._name.value, parts=self._chosen())
         self._writing = page.session.papers.write_report(order, path)
@@ -133,7 +133,7 @@ class ReportPanel:
         return self._writing is not None and not self._writing.done()
 
     def _chosen(self) -> tuple[Part, ...]:
-        """Contents: all that holds something, without what a person left out."""
+        """Return the sections to write: all that are not empty and not deselected."""
         nothing = {part for part, holds in self._contents.items() if holds.nothing}
         return tuple(part for part in PARTS if part not in self._left_out and part not in nothing)
 
@@ -142,7 +142,7 @@ class ReportPanel:
         self._page.redraw()
 
     def _ask_contents(self, snapshot: Snapshot) -> None:
-        """Have what each part holds found out when something of it may have changed."""
+        """Request the contents of the sections if they may have changed."""
         data, book = snapshot.dataset, snapshot.notebook.book
         papers, verdict = self._page.session.papers, snapshot.operating.verdict
         of = (data.path if data else None, snapshot.findings, book.judgements, snapshot.surface, verdict)
@@ -158,7 +158,7 @@ class ReportPanel:
         self._page.ask("The contents were not read", papers.contents(), found)
 
     def _last(self, dataset: Path) -> Path | None:
-        """The report of a dataset that was written last: from here, or beside it."""
+        """Return the newest report of a dataset: written by this page, or found next to it."""
         written = self._written[1] if self._written is not None and self._written[0] == dataset else None
         return written if written is not None and written.exists() else newest_report(dataset)
 
@@ -167,12 +167,12 @@ class ReportPanel:
 
 
 def report_address(report: Path) -> str:
-    """The address under which the page's own server shows a report."""
+    """Return the address of a report on the page's own server."""
     return f"/reports/{quote(report.name)}"
 
 
 def _newest(path: Path | None) -> str:
-    """The report that was written last, to be opened in the browser."""
+    """Return a note with a link to the newest report; empty for None."""
     if path is None:
         return ""
     link = f'<a class="wv-link" href="{report_address(path)}" target="_blank" rel="noopener">Open the report</a>'

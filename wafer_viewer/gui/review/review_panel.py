@@ -1,4 +1,4 @@
-"""The step Review: one thing after the other, with its picture, its numbers, what is thought of it, by keyboard."""
+"""Panel of the step Review: one item at a time with picture, numbers and judgement, by keyboard."""
 
 from __future__ import annotations
 
@@ -38,12 +38,12 @@ if TYPE_CHECKING:
 
 JUDGEMENTS: tuple[tuple[Verdict, str], ...] = (("accepted", "Accept"), ("rejected", "Reject"))
 ROUND_A_PLACE, LEAST_PX = 2.2, 160
-"""Of the surface so much more than the places is shown, and at least so many of its pixels."""
+"""Picture size as a multiple of the item's bounds, and its least width in surface pixels."""
 ASPECT, PICTURE_PX = 4 / 3, 480
 
 
 class ReviewPanel:
-    """The item under review; the list of all is in the left panel."""
+    """Panel of the item under review; the left panel lists all items."""
 
     def __init__(self, page: Page, scene: SceneView) -> None:
         self._page, self._scene = page, scene
@@ -59,7 +59,7 @@ class ReviewPanel:
         page.on_pick("review-filter", lambda key: page.change(review_filter=key))
 
     def show(self, snapshot: Snapshot, view: View) -> None:
-        """Bring the panel up to date."""
+        """Update the panel."""
         there = view.step == "review" and not view.explains
         item = chosen_item(snapshot, view.review, view.defects) if there else None
         set_prop(self._folder, "visible", item is not None)
@@ -84,7 +84,7 @@ class ReviewPanel:
             self._note.show(item.judgement.note)
 
     def commands(self) -> list[Command]:
-        """By keyboard alone: on, back, accept, reject, put into a class, note down."""
+        """Return the keyboard commands: next, previous, accept, reject, classify, note."""
         icon = viser.Icon
         return unless(
             elsewhere("review"),
@@ -97,7 +97,7 @@ class ReviewPanel:
         )
 
     def step(self, by: int) -> None:
-        """Go on to the next open item of those listed, or back."""
+        """Go to the next open item of the list, or to the previous one."""
         page, view = self._page, self._page.view
         if view.step != "review":
             return
@@ -108,26 +108,26 @@ class ReviewPanel:
             self._look_at(item)
 
     def go_to(self, key: str) -> None:
-        """Look at one item."""
+        """Show one item."""
         item = chosen_item(self._page.session.snapshot, key)
         if item is not None:
             self._look_at(item)
 
     def judge(self, verdict: Verdict) -> None:
-        """Accept or reject the item; the same once more opens it again."""
+        """Accept or reject the item; the same verdict again reopens it."""
         page, item = self._page, self._chosen
         if item is not None:
             new: Verdict = "open" if item.judgement.verdict == verdict else verdict
             page.ask("The judgement was not saved", judgement.judge(page.session, item.key, new))
 
     def classify(self, kind: DefectClass) -> None:
-        """Put the defect into a class."""
+        """Set the class of the defect."""
         page, item = self._page, self._chosen
         if item is not None and item.defect is not None:
             page.ask("The class was not changed", page.session.defects.judge(item.defect, kind=kind))
 
     def note(self) -> None:
-        """Note something down without the mouse."""
+        """Open the note dialog of the item."""
         item = self._chosen
         if item is not None:
             note_dialog(self._page, item)
@@ -162,7 +162,7 @@ class ReviewPanel:
         return guarded(page, failed)(lambda _: page.ask(failed, taking(page.session, page.view)))
 
     def _look_at(self, item: ReviewItem) -> None:
-        """Show the item as it was measured, and fly there."""
+        """Show the item with its surface and levelling, and move the camera to it."""
         page, view, snapshot = self._page, self._page.view, self._page.session.snapshot
         changes: dict[str, Any] = {"review": item.key, "selected": None, "why": None}
         if (item.show, item.levelling) != (view.show, view.levelling):
@@ -180,7 +180,7 @@ class ReviewPanel:
         return answer
 
     def _painted(self, item: ReviewItem, snapshot: Snapshot) -> str:
-        """The picture as a data URL; empty until it is painted, and the page is drawn again when it is."""
+        """Return the picture as a data URL; empty until it is rendered, which redraws the page."""
         source = source_of(snapshot, item.show)
         if source is None or item.box_um is None:
             return ""
@@ -194,7 +194,7 @@ class ReviewPanel:
 
 
 def _class_commands(classify: Callable[[DefectClass], None]) -> list[Command]:
-    """A key for each class."""
+    """Return one command with a key for each defect class."""
     return unless(
         no_defect,
         *(
@@ -205,7 +205,7 @@ def _class_commands(classify: Callable[[DefectClass], None]) -> list[Command]:
 
 
 def _nothing_yet(snapshot: Snapshot) -> str:
-    """What there is to do where nothing is under review."""
+    """Return the hint shown when nothing is under review."""
     if awaited(snapshot):
         return waiting(snapshot.operating.judging)
     there = snapshot.inspection.inspection is not None
@@ -216,7 +216,7 @@ def _nothing_yet(snapshot: Snapshot) -> str:
 
 
 def framed(item: ReviewItem, snapshot: Snapshot) -> tuple[float, float, float, float]:
-    """The part of the surface to be shown for an item, as wide for its height as its picture."""
+    """Return the part of the surface to show for an item, with the aspect ratio of its picture."""
     x0, y0, x1, y1 = item.box_um or (0.0, 0.0, 0.0, 0.0)
     least_um = LEAST_PX * (snapshot.surface.pixel_um if snapshot.surface else 1.0)
     width = max(ROUND_A_PLACE * max(x1 - x0, (y1 - y0) * ASPECT), least_um)

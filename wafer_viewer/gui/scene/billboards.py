@@ -1,4 +1,4 @@
-"""Words on plates in the scene: they face the camera, keep their size on the screen, and nothing hides them."""
+"""Text labels in the scene that face the camera, keep a constant screen size and are never occluded."""
 
 from __future__ import annotations
 
@@ -15,13 +15,13 @@ from wafer_viewer.gui.scene.view_axes import ViewAxes
 from wafer_viewer.model.region import Region
 
 _FINER = 2
-"""Texels for a pixel of the screen: sharp on a dense screen, and halved without loss on another."""
+"""Texels per screen pixel: sharp on a high-resolution screen, halved without loss on others."""
 _WHITE: Rgb = (255, 255, 255)
 _SPARE_PX = 2.0
 
 
 class Billboard:
-    """A word on a plate so many pixels high, beside a place."""
+    """A text label of fixed height in pixels, placed next to a scene point."""
 
     def __init__(self, scene: viser.SceneApi, name: str, text: str, plate: Rgb, high_px: int) -> None:
         picture = tag(text, _WHITE, plate, _FINER * high_px)
@@ -31,7 +31,7 @@ class Billboard:
         self._node = scene.add_glb(f"/tools/{name}", data, cast_shadow=False, receive_shadow=False)
 
     def place(self, by: Vector, land: HeightField, gaze: ViewAxes, right_px: float, up_px: float = 0.0) -> None:
-        """Stand so many pixels right (left: below 0) and above a scene point, as far before it as nothing hides it."""
+        """Place the label `right_px` right (negative: left) and `up_px` above a scene point, clear of any occluder."""
         pixel = gaze.pixel_at(by)
         right, up, _ = gaze.axes.T * pixel
         at = by + right * (right_px + (self._wide_px if right_px > 0 else 0)) + up * up_px
@@ -43,14 +43,14 @@ class Billboard:
         self._node.position = tuple((at + (gaze.eye - at) * share).tolist())
 
     def remove(self) -> None:
-        """Take it out of the scene."""
+        """Remove the label from the scene."""
         self._node.remove()
 
 
 def corner_on_screen(region: Region, land: HeightField, gaze: ViewAxes, right: float, up: float) -> Vector:
-    """A place at the edge of a region as it is on the screen, in scene mm.
+    """Return a point on the edge of a region's screen extent, in scene mm.
 
-    right, up: from -1 (its left or lower edge) to 1.
+    right, up: position within the extent, from -1 (left or lower edge) to 1 (right or upper edge).
     """
     x0, y0, x1, y1 = region.bounds_um
     x, y = np.array([x0, x1, x1, x0]), np.array([y0, y0, y1, y1])

@@ -1,4 +1,4 @@
-"""Handles in the scene that are dragged over the surface, and the lines between them."""
+"""Handles that are dragged over the surface, and the lines that connect them."""
 
 from __future__ import annotations
 
@@ -15,14 +15,14 @@ from wafer_viewer.gui.scene.primitives import lines
 from wafer_viewer.gui.scene.view_axes import ViewAxes
 
 Dragged = Callable[[str, np.ndarray, bool], None]
-"""Called with a handle's name, the scene point under the pointer and whether it was let go there, in order."""
+"""Called in order with the handle's name, the scene point under the pointer, and True when the drag has ended."""
 
 _WHITE: Rgb = (255, 255, 255)
 _SELECTION: Rgb = (11, 110, 153)
 
 
 class DragHandle:
-    """A ball in its colour on a white one, of the same size on the screen at any distance; dragged where asked for."""
+    """A coloured ball on a white rim, of constant size on the screen. It can be dragged if `dragged` is given."""
 
     def __init__(
         self, scene: viser.SceneApi, name: str, colour: Rgb, radius_px: float, dragged: Dragged | None = None
@@ -37,14 +37,14 @@ class DragHandle:
                 part.on_drag("left")(_in_order(name, dragged))
 
     def place(self, at: NDArray[np.float32], mm_per_pixel: float, towards: NDArray[np.float64]) -> None:
-        """Stand at a scene point; `towards` the camera, the coloured ball comes out of the white one."""
+        """Move to a scene point. `towards`: direction of the camera, in which the ball protrudes from the rim."""
         radius = self.radius_px * mm_per_pixel
         for part, size, out in ((self._rim, 1.24, 0.0), (self._ball, 1.0, 0.62)):
             part.scale = radius * size
             part.position = tuple(np.asarray(at, float) + towards * radius * out)
 
     def remove(self) -> None:
-        """Take it out of the scene."""
+        """Remove the handle from the scene."""
         self._rim.remove()
         self._ball.remove()
 
@@ -60,7 +60,7 @@ def _in_order(
 
 
 class CasedLine:
-    """A coloured line on a white casing, moved in place so that it never flashes."""
+    """A coloured line on a white casing, updated in place so that it does not flicker."""
 
     def __init__(self, scene: viser.SceneApi, name: str, colour: Rgb, width_px: float) -> None:
         nothing = np.zeros((1, 2, 3), np.float32)
@@ -68,51 +68,51 @@ class CasedLine:
         self._line = lines(scene, f"/tools/{name}/line", nothing, colour, width_px)
 
     def lay(self, segments: NDArray[np.float32], coloured: NDArray[np.bool_] | None, lift_mm: float) -> None:
-        """Lie along these segments, the colour `lift_mm` over the casing: closer together they would flicker.
+        """Set the segments. The coloured line is lifted `lift_mm` above the casing to avoid z-fighting.
 
-        Where nothing is measured (not `coloured`) the casing goes on alone.
+        coloured: mask of the measured segments. Unmeasured segments show the casing only. None: all are coloured.
         """
         above = segments if coloured is None or not coloured.any() else segments[coloured]
         self._casing.points = segments
         self._line.points = above + np.array([0, 0, lift_mm], np.float32)
 
     def remove(self) -> None:
-        """Take it out of the scene."""
+        """Remove the line from the scene."""
         self._casing.remove()
         self._line.remove()
 
 
 class PlaceMark:
-    """A point on the surface that stays where it is put."""
+    """A fixed marker on the surface."""
 
     def __init__(self, scene: viser.SceneApi, colour: Rgb) -> None:
         self.place: Place = (0.0, 0.0)
         self._knob = DragHandle(scene, "mark", colour, 5.0)
 
     def draw(self, land: HeightField, gaze: ViewAxes) -> None:
-        """Stand on the surface as it is drawn now, or in its hole."""
+        """Draw the marker on the displayed surface, or at the bottom of a hole."""
         x, y = (np.array([v]) for v in self.place)
         at = land.seen_points(x, y, 2 * gaze.mm_per_pixel)[0]
         self._knob.place(at, gaze.mm_per_pixel, gaze.towards)
 
     def remove(self) -> None:
-        """Take it out of the scene."""
+        """Remove the marker from the scene."""
         self._knob.remove()
 
 
 class DrapedOutline:
-    """A rectangle that lies on the surface."""
+    """A rectangle draped over the surface."""
 
     def __init__(self, scene: viser.SceneApi) -> None:
         self.box_um = (0.0, 0.0, 0.0, 0.0)
         self._line = CasedLine(scene, "selection", _SELECTION, 2.4)
 
     def draw(self, land: HeightField, gaze: ViewAxes) -> None:
-        """Lie on the surface as it is drawn now."""
+        """Draw the rectangle on the displayed surface."""
         x0, y0, x1, y1 = self.box_um
         corners = np.array([(x0, y0), (x1, y0), (x1, y1), (x0, y1)])
         self._line.lay(land.laid_round(corners, 2 * gaze.mm_per_pixel), None, 1.6 * gaze.mm_per_pixel)
 
     def remove(self) -> None:
-        """Take it out of the scene."""
+        """Remove the rectangle from the scene."""
         self._line.remove()

@@ -1,4 +1,4 @@
-"""Lines and words laid just over a surface, unstretched: their nodes are stretched with it."""
+"""Lines and labels draped over a surface at its true heights; the scene nodes apply the exaggeration."""
 
 from __future__ import annotations
 
@@ -9,12 +9,15 @@ from wafer_viewer.session.rendering.render_request import CoarseHeightField
 
 Floats = NDArray[np.float64]
 _FINE = 4
-"""Heights looked at between two corners of a line: it runs over what is between them, not through it."""
+"""Height samples between two vertices of a line, so that the line passes over the heights between them."""
 _MOST_SEGMENTS = 60_000
 
 
 class DrapedLines:
-    """Heights over `z0_um` in mm; without a relief it is flat. Lines run straight over what is narrower than a span."""
+    """Draping of lines on heights relative to `z0_um`, in mm; flat if there is no relief.
+
+    span_um: length of a straight piece. Lines pass straight over narrower structures.
+    """
 
     def __init__(self, relief: CoarseHeightField | None, z0_um: float, span_um: float) -> None:
         self._relief, self._z0_um, self._span_um = relief, z0_um, span_um
@@ -22,7 +25,7 @@ class DrapedLines:
             self._z_um = np.frombuffer(relief.z_um, "<f4").reshape(relief.rows, relief.cols)
 
     def z_mm(self, x_um: Floats, y_um: Floats) -> Floats:
-        """Heights at places, of the nearest pixel; beside the surface those of its edge."""
+        """Return the height of the nearest pixel at each position; outside of the surface that of the edge."""
         relief = self._relief
         if relief is None:
             return np.zeros(np.shape(x_um))
@@ -31,7 +34,7 @@ class DrapedLines:
         return (self._z_um[row, col].astype(np.float64) - self._z0_um) * 1e-3
 
     def highest_mm(self, boxes_um: Floats) -> Floats:
-        """Nearly the highest within each box [n, 4], a spike aside."""
+        """Return a robust maximum height (97th percentile) within each box [n, 4]."""
         share = np.linspace(0, 1, 12)
         x = boxes_um[:, 0, None] + (boxes_um[:, 2] - boxes_um[:, 0])[:, None] * share
         y = boxes_um[:, 1, None] + (boxes_um[:, 3] - boxes_um[:, 1])[:, None] * share
@@ -39,7 +42,7 @@ class DrapedLines:
         return np.percentile(z.reshape(len(boxes_um), -1), 97, axis=1) if len(boxes_um) else np.zeros(0)
 
     def segments(self, pieces_um: Floats) -> NDArray[np.float32]:
-        """Straight pieces [n, 2, 2] as segments that follow the surface, float32 [m, 2, 3] in mm."""
+        """Return straight pieces [n, 2, 2] as segments that follow the surface, float32 [m, 2, 3] in mm."""
         if not len(pieces_um):
             return np.zeros((0, 2, 3), np.float32)
         m = self._corners(pieces_um)
@@ -52,7 +55,7 @@ class DrapedLines:
         return np.stack([points[:, :-1], points[:, 1:]], axis=2).reshape(-1, 2, 3).astype(np.float32)
 
     def level(self, figures_um: Floats) -> NDArray[np.float32]:
-        """Figures of straight pieces [n, m, 2, 2] as segments, each figure level over what it covers."""
+        """Return figures of straight pieces [n, m, 2, 2] as segments, each figure level above the heights it covers."""
         if not len(figures_um):
             return np.zeros((0, 2, 3), np.float32)
         share = np.linspace(0, 1, 4 * _FINE)[:, None]
@@ -62,7 +65,7 @@ class DrapedLines:
         return np.concatenate([figures_um * 1e-3, z], axis=3).reshape(-1, 2, 3).astype(np.float32)
 
     def _corners(self, pieces_um: Floats) -> int:
-        """Into how many parts each piece is cut: one for a span, within what is quick."""
+        """Return the number of parts per piece: one per span, limited by `_MOST_SEGMENTS`."""
         if self._relief is None:
             return 1
         longest = float(np.hypot(*(pieces_um[:, 1] - pieces_um[:, 0]).T).max())

@@ -1,4 +1,4 @@
-"""The heights round a click, pixel by pixel: the coarse ones say roughly where it hits, these say where."""
+"""Full-resolution picking: refine the ray intersection with the surface heights near a click."""
 
 from __future__ import annotations
 
@@ -14,13 +14,13 @@ from wafer_viewer.model.surface.height_map import HeightMap, Mosaic
 from wafer_viewer.session.rendering.render_request import CoarseHeightField
 
 Read = Callable[[int], Mosaic]
-"""The surface of a number, 0 the stitched one."""
+"""Returns the surface with a number; 0 is the stitched one."""
 _REACH_PX, _MOST_PX = 4, 512
-"""So many coarse pixels round where a ray may hit are looked at; so many fine ones in each direction."""
+"""Margin around the ray's footprint in coarse pixels, and the most fine pixels per direction."""
 
 
 def land_nearby(read: Read, land: HeightField, origin: Floats, direction: Floats) -> HeightField:
-    """The heights under a ray as fine as the surface has them; the coarse ones where it has none finer to read."""
+    """Return the heights under a ray at the surface's resolution; the coarse heights if no finer ones can be read."""
     show, box = land.on_show.source.show, _under(land, origin, direction)
     if show < 0:  # two surfaces compared are as coarse as they are drawn
         return land
@@ -37,7 +37,7 @@ def land_nearby(read: Read, land: HeightField, origin: Floats, direction: Floats
 
 
 def _under(land: HeightField, origin: Floats, direction: Floats) -> Box:
-    """What of the surface, in um, lies under a ray from its highest height down to the ground, and a little more."""
+    """Return the footprint of a ray between the highest height and the ground, in um, with a margin."""
     on_show, reach_um = land.on_show, _REACH_PX * land.pixel_um
     levels = on_show.scene_z(on_show.facts.highest_um), 0.0
     ends = [1e3 * (origin + direction * ((z - origin[2]) / direction[2])) for z in levels]
@@ -50,7 +50,7 @@ def _under(land: HeightField, origin: Floats, direction: Floats) -> Box:
 
 
 def _relief(part: HeightMap, land: HeightField) -> CoarseHeightField:
-    """A part of a surface over the datum on show, its gaps as deep as the coarse heights are there."""
+    """Return a part of a surface relative to the displayed datum, with gaps filled from the coarse heights."""
     x_um, y_um = (np.asarray(a, np.float64) for a in np.meshgrid(part.x_um, part.y_um))
     datum = land.on_show.datum
     z_um = part.z_um - (datum.at(x_um, y_um) if datum is not None else 0.0)

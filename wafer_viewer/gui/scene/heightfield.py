@@ -1,4 +1,4 @@
-"""The coarse heights of the surface on show: what a click hits, how a line lies on it, what of it is in sight."""
+"""Coarse height field of the displayed surface: ray intersection, draping of lines, visible heights."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ Place = tuple[float, float]
 Box = tuple[float, float, float, float]
 """x low, y low, x high, y high in um."""
 LEAST_IN_SIGHT_PX = 40
-"""Fewer coarse heights across than this show too little to find a place in."""
+"""A visible part with fewer coarse heights across is too small to search for regions in."""
 
 _RAY_STEPS = 1500
 _HALVINGS = 14
@@ -24,9 +24,9 @@ _ROUND_PIECES = 160
 
 
 class HeightField:
-    """Heights of one surface, and how they are drawn. Places are stage um, rays are scene mm.
+    """Heights of one surface and their display. Positions are stage um, rays are scene mm.
 
-    holes: whether the ground is seen where nothing is measured.
+    holes: True if the ground is visible where nothing is measured.
     """
 
     def __init__(self, relief: CoarseHeightField, on_show: DisplayedSurface, holes: bool = True) -> None:
@@ -37,36 +37,36 @@ class HeightField:
 
     @property
     def bounds_um(self) -> tuple[float, float, float, float]:
-        """(x low, y low, x high, y high)."""
+        """Extent as (x low, y low, x high, y high)."""
         r = self._relief
         return r.x0_um, r.y0_um - (r.rows - 1) * r.pixel_um, r.x0_um + (r.cols - 1) * r.pixel_um, r.y0_um
 
     @property
     def holes(self) -> bool:
-        """Whether the ground is seen where nothing is measured."""
+        """True if the ground is visible where nothing is measured."""
         return self._holes
 
     @property
     def pixel_um(self) -> float:
-        """From one coarse height to the next."""
+        """Spacing of the coarse heights."""
         return self._relief.pixel_um
 
     @property
     def heights(self) -> Floats:
-        """The coarse heights [row, col] in um, gaps at their nearest neighbour's."""
+        """Coarse heights [row, col] in um; gaps are filled from their nearest neighbour."""
         return self._z_um.astype(float)
 
     @property
     def there(self) -> NDArray[np.bool_]:
-        """Which of them are measured."""
+        """Mask of the measured pixels."""
         return self._there
 
     def place(self, row: Any, col: Any) -> tuple[Any, Any]:
-        """x, y in um of coarse pixels: of numbers, numbers; of arrays, arrays."""
+        """Return x, y in um of coarse pixels: scalars for scalars, arrays for arrays."""
         return self._relief.x0_um + col * self.pixel_um, self._relief.y0_um - row * self.pixel_um
 
     def within(self, box: Box) -> HeightField:
-        """What of the surface lies in a box (um); all of it where that is next to nothing."""
+        """Return the part of the surface within a box (um); the entire surface if it is too small or unmeasured."""
         r, (x0, y0, x1, y1) = self._relief, box
         left, right = (round((x - r.x0_um) / r.pixel_um) for x in (x0, x1))
         top, foot = (round((r.y0_um - y) / r.pixel_um) for y in (y1, y0))
@@ -79,12 +79,12 @@ class HeightField:
         return HeightField(part, self.on_show, self._holes)
 
     def clamped(self, place: Place) -> Place:
-        """The place, or the nearest on the surface; to a hundredth of a micrometre."""
+        """Return the position clamped to the surface, rounded to 0.01 um."""
         x0, y0, x1, y1 = self.bounds_um
         return round(min(max(place[0], x0), x1), 2), round(min(max(place[1], y0), y1), 2)
 
     def z_um(self, x_um: Floats, y_um: Floats) -> Floats:
-        """Heights at places, bilinear; outside, those of the edge."""
+        """Return bilinearly interpolated heights; outside of the surface those of the edge."""
         r = self._relief
         col = np.clip((np.asarray(x_um) - r.x0_um) / r.pixel_um, 0, r.cols - 1.001)
         row = np.clip((r.y0_um - np.asarray(y_um)) / r.pixel_um, 0, r.rows - 1.001)
@@ -93,14 +93,14 @@ class HeightField:
         return (z[f, c] * (1 - u) + z[f, c + 1] * u) * (1 - v) + (z[f + 1, c] * (1 - u) + z[f + 1, c + 1] * u) * v
 
     def measured(self, x_um: Floats, y_um: Floats) -> NDArray[np.bool_]:
-        """Whether the pixel nearest to each place has a height."""
+        """Return whether the nearest pixel of each position has a height."""
         r = self._relief
         col = np.clip(np.round((np.asarray(x_um) - r.x0_um) / r.pixel_um), 0, r.cols - 1).astype(int)
         row = np.clip(np.round((r.y0_um - np.asarray(y_um)) / r.pixel_um), 0, r.rows - 1).astype(int)
         return self._there[row, col]
 
     def nearest_measured(self, place: Place) -> Place:
-        """The place, or the nearest that has a height."""
+        """Return the position, or the nearest one that has a height."""
         x, y = self.clamped(place)
         if self.measured(np.array([x]), np.array([y]))[0] or not self._there.any():
             return x, y
@@ -110,41 +110,41 @@ class HeightField:
         return self.clamped((float(xs[best]), float(ys[best])))
 
     def seen_um(self, x_um: Floats, y_um: Floats) -> Floats:
-        """What is seen at places: the surface, or the ground through a hole in it."""
+        """Return the visible heights: the surface, or the ground through a hole."""
         z = self.z_um(x_um, y_um)
         return np.where(self.measured(x_um, y_um), z, self.on_show.z0_um) if self._holes else z
 
     def seen_z_mm(self, x_mm: Floats, y_mm: Floats) -> Floats:
-        """Scene z of what is seen at scene places: the surface, in its holes and beside it the ground."""
+        """Return scene z of the visible heights: the surface; in holes and outside of it the ground."""
         z_mm = (self.seen_um(x_mm * 1e3, y_mm * 1e3) - self.on_show.z0_um) * 1e-3 * self.on_show.stretch
         return np.where(self._inside(x_mm, y_mm), z_mm, 0.0)
 
     def scene_points(self, x_um: Floats, y_um: Floats, lift_mm: float = 0.0) -> NDArray[np.float32]:
-        """Places on the drawn surface as scene points, float32 [n, 3]."""
+        """Return positions on the displayed surface as scene points, float32 [n, 3]."""
         z = (self.z_um(x_um, y_um) - self.on_show.z0_um) * 1e-3 * self.on_show.stretch + lift_mm
         return np.stack([np.asarray(x_um) * 1e-3, np.asarray(y_um) * 1e-3, z], axis=1).astype(np.float32)
 
     def seen_points(self, x_um: Floats, y_um: Floats, lift_mm: float) -> NDArray[np.float32]:
-        """Places on what is seen there, through a hole the ground, as scene points, float32 [n, 3]."""
+        """Return positions at their visible heights (in a hole the ground) as scene points, float32 [n, 3]."""
         z = (self.seen_um(x_um, y_um) - self.on_show.z0_um) * 1e-3 * self.on_show.stretch + lift_mm
         return np.stack([np.asarray(x_um) * 1e-3, np.asarray(y_um) * 1e-3, z], axis=1).astype(np.float32)
 
     def draped(self, a: Place, b: Place, lift_mm: float) -> tuple[NDArray[np.float32], NDArray[np.bool_]]:
-        """A line from a to b on the surface as points [n, 3], and which of its pieces [n - 1] are measured."""
+        """Return a line from a to b draped on the surface, as points [n, 3] and the mask of measured pieces [n - 1]."""
         t = np.linspace(0, 1, 480)
         x, y = a[0] + (b[0] - a[0]) * t, a[1] + (b[1] - a[1]) * t
         there = self.measured(x, y)
         return self.laid(x, y, lift_mm), there[:-1] & there[1:]
 
     def laid(self, x_um: Floats, y_um: Floats, lift_mm: float) -> NDArray[np.float32]:
-        """A way on the surface as points [n, 3]; it runs over narrow pits instead of diving through their walls."""
+        """Return a path draped on the surface as points [n, 3]; it passes over narrow pits."""
         points = self.scene_points(x_um, y_um, lift_mm)
         padded = np.pad(points[:, 2], 2, mode="edge")
         points[:, 2] = np.max([padded[k : k + len(points)] for k in range(5)], axis=0)
         return points
 
     def laid_round(self, corners_um: Floats, lift_mm: float) -> NDArray[np.float32]:
-        """The outline through corners [n, 2] on the surface, as pieces [m, 2, 3]."""
+        """Return the closed outline through corners [n, 2] draped on the surface, as segments [m, 2, 3]."""
         ends = np.roll(corners_um, -1, axis=0)
         t = np.linspace(0, 1, max(1, _ROUND_PIECES // len(corners_um)), endpoint=False)[:, None]
         way = np.concatenate([a + (b - a) * t for a, b in zip(corners_um, ends, strict=True)])
@@ -152,7 +152,7 @@ class HeightField:
         return np.stack([points, np.roll(points, -1, axis=0)], axis=1)
 
     def hit(self, origin: Floats, direction: Floats) -> Place | None:
-        """Where a ray meets the surface first, or the ground through a hole in it; None when it passes by."""
+        """Return the first intersection of a ray with the surface, or with the ground in a hole; None if it misses."""
         share = self.reached(origin, direction)
         if share is None:
             return None
@@ -160,7 +160,7 @@ class HeightField:
         return self.clamped((float(x) * 1e3, float(y) * 1e3))
 
     def reached(self, origin: Floats, direction: Floats) -> float | None:
-        """How many times `direction` a ray goes until it meets what is seen; None when it passes by."""
+        """Return the ray parameter, in units of `direction`, of the first visible intersection; None if it misses."""
         span = self._crossing(origin, direction)
         if span is None:
             return None
@@ -176,7 +176,7 @@ class HeightField:
         return high if self._inside(np.array([x]), np.array([y]))[0] else None
 
     def _crossing(self, origin: Floats, direction: Floats) -> tuple[float, float] | None:
-        """The part of a ray between the highest height drawn and the ground."""
+        """Return the ray interval between the highest displayed height and the ground."""
         if abs(direction[2]) < 1e-9:
             return None
         top, foot = (
@@ -187,7 +187,7 @@ class HeightField:
         return (max(0.0, float(ends[0])), float(ends[1]) * (1 + 1e-9) + 1e-9) if ends[1] > 0 else None
 
     def _depth(self, origin: Floats, direction: Floats, t: Floats) -> Floats:
-        """Height of the ray's points over the surface, in um; beside the surface they never meet it."""
+        """Return the heights of ray points above the surface, in um; infinite outside of the surface."""
         x, y, z = (origin[k] + direction[k] * t for k in range(3))
         over = z * 1e3 / self.on_show.stretch + self.on_show.z0_um - self.seen_um(x * 1e3, y * 1e3)
         return np.where(self._inside(x, y), over, np.inf)
@@ -197,7 +197,7 @@ class HeightField:
         return (x_mm >= x0) & (x_mm <= x1) & (y_mm >= y0) & (y_mm <= y1)
 
     def inner(self, near: Place) -> Place:
-        """The place, drawn into the inner half of the surface."""
+        """Return the position clamped to the central half of the surface."""
         x0, y0, x1, y1 = self.bounds_um
         x = min(max(near[0], x0 + 0.25 * (x1 - x0)), x1 - 0.25 * (x1 - x0))
         return x, min(max(near[1], y0 + 0.25 * (y1 - y0)), y1 - 0.25 * (y1 - y0))

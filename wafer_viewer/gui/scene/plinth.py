@@ -1,4 +1,4 @@
-"""What the surface stands on: its plinth, shadow, figures in um, and the hatch that shows through holes."""
+"""Base of the surface: plinth, shadow, scale labels in um, and the hatch visible through holes."""
 
 from __future__ import annotations
 
@@ -16,14 +16,14 @@ from wafer_viewer.gui.scene.reconciler import Handle, SceneItem
 from wafer_viewer.gui.scene.scene_theme import colours
 
 _PLINTH_SHARE = 0.062
-"""Height of the plinth, as a share of the longer side."""
+"""Height of the plinth, as a fraction of the longer side."""
 _HATCH_SHARE = 1.5e-3
-"""How far the hatch lies below the lowest height and inside of its edges, as a share of the longer side."""
+"""Offset of the hatch below the lowest height and inside of its edges, as a fraction of the longer side."""
 _HATCH_PX_PER_SIDE = 1100
 
 
 def plinth_mm(box: Box) -> float:
-    """How far the plinth goes down from the lowest height."""
+    """Return the depth of the plinth below the lowest height."""
     return _PLINTH_SHARE * max(box[2] - box[0], box[3] - box[1])
 
 
@@ -32,7 +32,7 @@ def _hatch_mm(box: Box) -> float:
 
 
 def block_items(box: Box, dark: bool, *, plinth: bool) -> list[SceneItem]:
-    """Everything round a surface that covers a box, whose lowest height is drawn at 0."""
+    """Return the base items of a surface that covers a box and has its lowest height at z = 0."""
     depth = plinth_mm(box) if plinth else 2 * _hatch_mm(box)  # level with what lies flat at 0 it would flicker over it
     items = [
         SceneItem("ground/shadow", (box, dark, depth), partial(_shadow, box=box, dark=dark, z=-depth)),
@@ -54,7 +54,7 @@ def _plinth(scene: viser.SceneApi, name: str, _: bytes, *, box: Box, dark: bool)
 
 
 def _hatch(scene: viser.SceneApi, name: str, _: bytes, *, box: Box, dark: bool) -> Handle:
-    """A hair under the lowest height, seen through holes in the surface."""
+    """Draw the hatch slightly below the lowest height, visible through holes in the surface."""
     width, height = box[2] - box[0], box[3] - box[1]
     scale = _HATCH_PX_PER_SIDE / max(width, height)
     picture = ground_plane.hatch(
@@ -74,7 +74,7 @@ def _pad_mm(box: Box) -> float:
 
 
 def figure_height_mm(box: Box) -> float:
-    """How high figures beside a box are."""
+    """Return the height of the scale labels next to a box."""
     return 0.043 * max(box[2] - box[0], box[3] - box[1])
 
 
@@ -90,7 +90,7 @@ def _shadow(scene: viser.SceneApi, name: str, _: bytes, *, box: Box, dark: bool,
 
 
 def _tick_places(box: Box) -> tuple[list[float], list[float]]:
-    """Round distances in um from the lower left corner, along x and along y."""
+    """Return tick distances in um from the lower left corner, along x and along y."""
     most = 5
     step_from = max(box[2] - box[0], box[3] - box[1]) * 1e3
     along_x = [v for v in ticks(0, step_from, most) if v <= (box[2] - box[0]) * 1e3]
@@ -112,7 +112,7 @@ def _figures(box: Box, pad: float) -> tuple[ground_plane.GroundLabel, ...]:
 
 
 def _scale_lines(scene: viser.SceneApi, name: str, _: bytes, *, box: Box, dark: bool, z: float) -> Handle:
-    """The two edges that carry figures, and their ticks."""
+    """Draw the two labelled edges and their ticks."""
     long = 0.014 * max(box[2] - box[0], box[3] - box[1])
     x0, y0, x1, y1 = box
     along_x, along_y = _tick_places(box)

@@ -1,4 +1,4 @@
-"""Small makers of scene nodes: lines with a casing, dashes, tags, pictures that lie in the plane of the sample."""
+"""Factories for scene nodes: cased and dashed lines, text labels, images in the sample plane."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ Box = tuple[float, float, float, float]
 
 
 class Group:
-    """Nodes that come and go together."""
+    """Nodes that are scaled and removed together."""
 
     def __init__(self, *handles: Handle) -> None:
         self._handles = handles
@@ -30,7 +30,7 @@ class Group:
 
     @property
     def scale(self) -> tuple[float, float, float]:
-        """How they are stretched, all alike."""
+        """Common scale of all nodes."""
         return self._scale
 
     @scale.setter
@@ -40,14 +40,17 @@ class Group:
             handle.scale = scale
 
     def remove(self) -> None:
-        """Remove them all."""
+        """Remove all nodes."""
         for handle in self._handles:
             handle.remove()
 
 
 @dataclass(frozen=True, slots=True)
 class Layer:
-    """A node that lies so many pixels over the surface, and is seen where a length of its own has enough pixels."""
+    """A node with a screen-space offset above the surface.
+
+    It is visible if `length_mm` spans at least `least_px` pixels.
+    """
 
     handle: Handle
     up_px: float
@@ -55,13 +58,13 @@ class Layer:
     least_px: float = 0.0
 
     def settle(self, mm_per_pixel: float) -> None:
-        """Lie and be seen as is right for a pixel of this size."""
+        """Update the offset and the visibility for a pixel size."""
         self.handle.position = (0.0, 0.0, self.up_px * mm_per_pixel)
         self.handle.visible = self.length_mm >= self.least_px * mm_per_pixel
 
 
 class Layers(Group):
-    """Layers over one another, which keep their distances on the screen however near one looks."""
+    """Stacked layers that keep their distances on the screen at any zoom."""
 
     def __init__(self, layers: Sequence[Layer], mm_per_pixel: float) -> None:
         super().__init__(*(layer.handle for layer in layers))
@@ -69,7 +72,7 @@ class Layers(Group):
         self.settle(mm_per_pixel)
 
     def settle(self, mm_per_pixel: float) -> None:
-        """Lie as is right for a pixel of this size, where that has changed enough to be seen."""
+        """Update all layers if the pixel size has changed by more than 10 %."""
         if abs(mm_per_pixel - self._mm_per_pixel) <= 0.1 * self._mm_per_pixel:
             return
         self._mm_per_pixel = mm_per_pixel
@@ -78,24 +81,24 @@ class Layers(Group):
 
 
 def rectangle(box: Box, z: float) -> Segments:
-    """The four sides of an upright rectangle, [4, 2, 3]."""
+    """Return the four sides of an axis-aligned rectangle, [4, 2, 3]."""
     x0, y0, x1, y1 = box
     return closed([(x0, y0), (x1, y0), (x1, y1), (x0, y1)], z)
 
 
 def closed(corners: Sequence[tuple[float, float]], z: float) -> Segments:
-    """The sides of a polygon at one height, [n, 2, 3]."""
+    """Return the sides of a polygon at one height, [n, 2, 3]."""
     points = np.array([(x, y, z) for x, y in corners], np.float32)
     return np.stack([points, np.roll(points, -1, axis=0)], axis=1)
 
 
 def way(points: NDArray[np.float32]) -> Segments:
-    """The pieces of an open line through points [n, 3]."""
+    """Return the segments of an open polyline through points [n, 3]."""
     return np.stack([points[:-1], points[1:]], axis=1)
 
 
 def dashed(segments: Segments, dash_mm: float, share: float = 0.55) -> Segments:
-    """The segments in dashes: each is cut into whole periods, so that a dash begins at every corner."""
+    """Return the segments in dashes. Each is divided into full periods, so that a dash begins at every corner."""
     out: list[Segments] = []
     for a, b in segments:
         n = max(1, round(float(np.linalg.norm(b - a)) / dash_mm))
@@ -105,14 +108,14 @@ def dashed(segments: Segments, dash_mm: float, share: float = 0.55) -> Segments:
 
 
 def lines(scene: viser.SceneApi, name: str, segments: Segments, colour: Rgb, width_px: float) -> Handle:
-    """Lines of a constant width on the screen."""
+    """Add lines of a constant width on the screen."""
     return scene.add_line_segments(name, segments, colour, thickness=width_px, thickness_units="screen")
 
 
 def cased(
     scene: viser.SceneApi, name: str, segments: Segments, colour: Rgb, width_px: float, lift_mm: float, casing: Rgb
 ) -> Group:
-    """Lines over a wider casing, lifted above it by so much that they do not flicker."""
+    """Add lines over a wider casing, lifted `lift_mm` above it to avoid z-fighting."""
     raised = segments + np.array([0, 0, lift_mm], np.float32)
     return Group(
         lines(scene, f"{name}/casing", segments, casing, width_px + 3.1),
@@ -123,10 +126,10 @@ def cased(
 def lying(
     scene: viser.SceneApi, name: str, picture: NDArray[np.uint8], box: Box, z: float, *, blend: bool = True
 ) -> Handle:
-    """A picture in the plane of the sample, its top edge at the larger y.
+    """Add an image in the plane of the sample, its top edge at the larger y.
 
-    Where its alpha is between, it is translucent; without `blend` it is cut out, and what lies on it is sure to be
-    drawn over it, which the browser cannot promise for two translucent pictures.
+    With `blend`, partial alpha is translucent. Without it the alpha is a cutout, and content on top is reliably drawn
+    over the image; the browser cannot guarantee this order for two translucent images.
     """
     data = painted(mesh.flat(*box, z), picture, blend=blend)
     return scene.add_glb(name, data, cast_shadow=False, receive_shadow=False)
@@ -142,7 +145,10 @@ def word(
     pill: Rgb | None = None,
     anchor: tuple[float, float] = (0.5, 0.5),
 ) -> Handle:
-    """A word in the plane of the sample; `anchor` is the share of its width and height (from its foot) at the place."""
+    """Add text in the plane of the sample.
+
+    anchor: point of the text at `at_mm`, as fractions of its width and of its height from below.
+    """
     picture = tag(text, colour, pill)
     width_mm = height_mm * picture.shape[1] / picture.shape[0]
     x, y = at_mm[0] - anchor[0] * width_mm, at_mm[1] - anchor[1] * height_mm

@@ -1,4 +1,4 @@
-"""What stands on one browser's stage: a list of items is compared with what is drawn, and only the rest is changed."""
+"""Keyed reconciliation of one browser's scene: only items that differ from the drawn ones are updated."""
 
 from __future__ import annotations
 
@@ -16,33 +16,33 @@ from wafer_viewer.session.rendering.render_request import RenderRequest
 
 T = TypeVar("T")
 Handle = Any
-"""A viser scene node handle; the kinds share `remove`, and those that are stretched `scale`."""
+"""A viser scene node handle. All kinds have `remove`; scaled kinds have `scale`."""
 Make = Callable[[viser.SceneApi, str, bytes], Handle]
 Paint = Callable[[RenderRequest], "Future[bytes]"]
 
 _GRACE_S = 0.45
-"""How long a tile stays after its successor was sent: the browser unpacks it meanwhile, and nothing flashes."""
+"""Delay before a replaced tile is removed: the browser decodes its successor meanwhile, which avoids flicker."""
 
 
 @runtime_checkable
 class Settling(Protocol):
-    """A drawing that depends on how near one looks."""
+    """A drawing that depends on the zoom level."""
 
     def settle(self, mm_per_pixel: float) -> None:
-        """Be as is right for a pixel of this size."""
+        """Update for a pixel size."""
         ...
 
 
 @dataclass(frozen=True, slots=True)
 class TileExtent:
-    """What an item covers: rows and columns of the surface that its layer shows."""
+    """Rows and columns of the surface that an item covers, in its layer."""
 
     layer: str
     rows: tuple[int, int]
     cols: tuple[int, int]
 
     def meets(self, other: TileExtent) -> bool:
-        """Whether both cover some of the same."""
+        """Return whether both extents overlap in the same layer."""
         return (
             self.layer == other.layer
             and self.rows[0] < other.rows[1]
@@ -54,10 +54,12 @@ class TileExtent:
 
 @dataclass(frozen=True, slots=True)
 class SceneItem:
-    """One thing in the scene. Items with the same name and content look alike; make(scene, node name, data) draws it.
+    """One scene item. make(scene, node name, data) draws it; equal name and content imply an equal drawing.
 
-    With a `request`, data is what the painter made of it. `stretched` items follow the exaggeration of heights. One
-    that has a `cover` may leave as soon as others of its layer cover the same; one without, when all others are drawn.
+    request: render request whose result is passed to `make` as data.
+    stretched: True if the item follows the exaggeration of heights.
+    cover: extent of the item. An obsolete item with a cover is removed as soon as other items of its layer cover the
+    same extent; one without is removed when all other items are drawn.
     """
 
     name: str
@@ -77,11 +79,11 @@ class _Drawn:
 
 
 class NotReady(Exception):  # nothing went wrong: no Error in its name
-    """The answer is on its way; the scene is drawn again when it has come."""
+    """Raised while a result is pending. The scene is drawn again when the result has arrived."""
 
 
 class RenderQueue:
-    """What was asked of the painter. It never waits: an answer that is not there yet calls `arrived` when it is."""
+    """Pending render requests. It never blocks: `arrived` is called when a pending result becomes available."""
 
     def __init__(self, paint: Paint, arrived: Callable[[], None]) -> None:
         self._paint, self._arrived = paint, arrived
@@ -89,10 +91,11 @@ class RenderQueue:
         self._repeated: set[RenderRequest] = set()
 
     def outcome(self, request: RenderRequest, taken: bool = True) -> Future[bytes]:
-        """The painter's answer, done. Raises NotYet; what failed is tried again when it is asked for again.
+        """Return the completed result of a request. Raises NotReady while it is pending.
 
-        What was lost with the painter's process is ordered once more, from the process that takes its place.
-        taken: False has it made, and kept until it is asked for again.
+        A failed request is retried when it is requested again. A request lost with its render process is submitted once
+        more, to the replacement process.
+        taken: False renders the result and stores it until it is requested again.
         """
         future = self._open.get(request)
         if future is not None and request not in self._repeated and _is_lost(future):
@@ -108,19 +111,19 @@ class RenderQueue:
         return self._open.pop(request)
 
     def keep_only(self, wanted: set[RenderRequest]) -> None:
-        """Withdraw the orders that no one waits for any more."""
+        """Cancel the pending requests that are not in `wanted`."""
         for request in [request for request in self._open if request not in wanted]:
             self._open.pop(request).cancel()
         self._repeated &= wanted
 
 
 def _is_lost(future: Future[bytes]) -> bool:
-    """Whether the process that was to answer has died."""
+    """Return whether the render process of a request has died."""
     return future.done() and not future.cancelled() and isinstance(future.exception(), BrokenProcessPool)
 
 
 class SceneReconciler:
-    """The nodes of one browser's scene, by item name. Used from one thread; it never waits."""
+    """Nodes of one browser's scene by item name. Used from a single thread; it never blocks."""
 
     def __init__(
         self, scene: viser.SceneApi, paint: Paint, arrived: Callable[[], None], gate: SendWindow | None = None
@@ -133,14 +136,14 @@ class SceneReconciler:
 
     @property
     def names(self) -> tuple[str, ...]:
-        """What is drawn, by item name."""
+        """Names of the drawn items."""
         return tuple(name for name, drawn in self._drawn.items() if drawn.handle is not None)
 
     def show(self, items: Sequence[SceneItem], stretch: float) -> bool:
-        """Draw what is missing and there to be drawn; whether that was all. What is not in the list leaves once
-        nothing that would stand in its place is missing.
+        """Draw the missing items that are available; return whether all items are drawn.
 
-        Raises what went wrong in making an item, after all others are drawn; the same item is not tried again.
+        Items that are not in the list are removed once no replacement is missing.
+        Raises the first error of drawing an item, after all other items are drawn. A failed item is not retried.
         """
         self._stretch_all(stretch)
         self._orders.keep_only({item.request for item in items if item.request is not None})
@@ -153,17 +156,17 @@ class SceneReconciler:
         return not waiting
 
     def settle(self, mm_per_pixel: float) -> None:
-        """Have what lies in layers lie so far apart as is right for a pixel of this size."""
+        """Update the drawings that depend on the pixel size."""
         for drawn in self._drawn.values():
             if isinstance(drawn.handle, Settling):
                 drawn.handle.settle(mm_per_pixel)
 
     def each(self, kind: type[T]) -> list[T]:
-        """What is drawn of one kind."""
+        """Return the drawn handles of one type."""
         return [drawn.handle for drawn in self._drawn.values() if isinstance(drawn.handle, kind)]
 
     def tidy(self) -> float | None:
-        """Remove what has had its grace; seconds until there is more to remove, None when there is not."""
+        """Remove the nodes whose delay has expired; return seconds until the next is due, None if there are none."""
         now = time.monotonic()
         for _, handle in [entry for entry in self._leaving if entry[0] <= now]:
             handle.remove()
@@ -182,7 +185,7 @@ class SceneReconciler:
         return drawn is not None and drawn.content == item.content
 
     def _try(self, item: SceneItem, faults: list[BaseException]) -> bool:
-        """Draw an item if what it is made of is there."""
+        """Draw an item if its data is available; return whether it was processed."""
         data = b""
         if item.request is not None:
             try:

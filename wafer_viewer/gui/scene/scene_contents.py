@@ -1,4 +1,4 @@
-"""What a scene holds: its items, how heights are drawn, and what the camera should take in."""
+"""Contents of a scene: items, height scaling and the points the camera frames."""
 
 from __future__ import annotations
 
@@ -17,9 +17,9 @@ from wafer_viewer.session.rendering.render_request import ColourScale, SurfaceKe
 
 @dataclass(frozen=True, slots=True)
 class DisplayedSurface:
-    """The surface in the scene, and how its heights become scene z: (z_um - z0_um) * stretch / 1000.
+    """The displayed surface and its mapping of heights to scene z: (z_um - z0_um) * stretch / 1000.
 
-    datum: what heights are taken from, all of them, those in facts and scale too; None: the stage's zero.
+    datum: reference of all heights, including those in facts and scale; None: the zero of the stage.
     """
 
     source: SurfaceKey
@@ -30,33 +30,35 @@ class DisplayedSurface:
     datum: Datum | None = None
 
     def scene_z(self, z_um: float) -> float:
-        """Scene z in mm of a height."""
+        """Return the scene z in mm of a height."""
         return (z_um - self.z0_um) * 1e-3 * self.stretch
 
     def height_um(self, scene_z_mm: float) -> float:
-        """Height in um of a scene z in mm: the inverse of `scene_z`."""
+        """Return the height in um of a scene z in mm: the inverse of `scene_z`."""
         return scene_z_mm * 1e3 / self.stretch + self.z0_um
 
     @property
     def box_um(self) -> Box:
-        """The whole surface in the plane of the stage: x low, y low, x high, y high in um, of its pixels' centres."""
+        """Extent in the stage plane by pixel centres: x low, y low, x high, y high in um."""
         facts = self.facts
         x1, y0 = facts.x0_um + (facts.cols - 1) * facts.pixel_um, facts.y0_um - (facts.rows - 1) * facts.pixel_um
         return facts.x0_um, y0, x1, facts.y0_um
 
     @property
     def heights_um(self) -> tuple[float, float]:
-        """Its lowest and its highest height in um over the datum."""
+        """Lowest and highest height in um above the datum."""
         return self.facts.lowest_um, self.facts.highest_um
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class SceneContents:
-    """Everything to be drawn. `rough` is shown first when nothing of the same kind is drawn yet.
+    """Description of everything to be drawn.
 
-    seen: further items, by what the camera sees, and how many pixels are drawn for one of the screen.
-    `awaits_more`: what else there is to draw is known only when the painter has answered.
-    place: the camera goes to `preset` when this changes; corners_mm [n, 3]: what it takes in.
+    rough: items drawn first if the scene shows no contents of the same place yet.
+    seen: returns further items for a camera frustum and a number of drawn pixels per screen pixel.
+    awaits_more: True if further items depend on pending render results.
+    place: the camera moves to `preset` when this value changes.
+    corners_mm: points [n, 3] that the camera frames.
     """
 
     items: tuple[SceneItem, ...]
@@ -72,13 +74,13 @@ class SceneContents:
 
 
 def corners_of(box: Box, low_mm: float, high_mm: float) -> Vector:
-    """The eight corners of a block, [8, 3]."""
+    """Return the eight corners of a block, [8, 3]."""
     x0, y0, x1, y1 = box
     return np.array([(x, y, z) for x in (x0, x1) for y in (y0, y1) for z in (low_mm, high_mm)], float)
 
 
 def corners_over(bounds_um: Box, shown: SceneContents) -> Vector:
-    """The corners of a block over a rectangle of the stage, as high as what is shown."""
+    """Return the corners of a block over a rectangle of the stage, with the height range of the displayed surface."""
     x0, y0, x1, y1 = (side * 1e-3 for side in bounds_um)
     on_show = shown.on_show
     heights = (0.0, 0.0) if on_show is None else (on_show.facts.low_um, on_show.facts.high_um)

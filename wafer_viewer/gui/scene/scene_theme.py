@@ -1,4 +1,4 @@
-"""The colours of what is drawn into the scene, in the light and the dark theme."""
+"""Colours of the scene in the light and the dark theme."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from wafer_viewer.draw.colormaps import Rgb, rgb
 
 @dataclass(frozen=True, slots=True)
 class SceneColours:
-    """ink: figures and edges; accent: fields; casing: under every coloured line, so that it reads on any map."""
+    """ink: labels and edges; accent: fields; casing: under coloured lines, for contrast on any colour map."""
 
     ink: Rgb
     soft_ink: Rgb
@@ -19,7 +19,7 @@ class SceneColours:
     shadow_strength: float
     ground: Rgb
     under_lines: Rgb
-    """Casing of lines that are drawn in the theme's colours."""
+    """Casing of lines in the theme's own colours."""
     doubt: Rgb
     casing: Rgb = (255, 255, 255)
     arrow: Rgb = rgb("15202B")
@@ -55,5 +55,5 @@ DARK = SceneColours(
 
 
 def colours(dark: bool) -> SceneColours:
-    """Those of a theme."""
+    """Return the colours of a theme."""
     return DARK if dark else LIGHT

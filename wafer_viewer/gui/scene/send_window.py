@@ -1,7 +1,7 @@
-"""How much may be on its way to a browser: as much as it takes in about a second, nothing while it is out of sight.
+"""Flow control of data sent to a browser: at most about one second's worth in flight, none while it is hidden.
 
-A browser that is slow, or hidden, lets messages pile up before it; what an operator clicks would be answered behind all
-of them. So after some bytes the browser is asked to answer, and what it has not answered for counts as on its way.
+A slow or hidden browser queues messages, and responses to the operator's input would wait behind them. After some bytes
+the browser is therefore asked to respond, and unacknowledged bytes count as in flight.
 """
 
 from __future__ import annotations
@@ -13,11 +13,11 @@ from collections.abc import Callable
 FIRST_BYTES, LEAST_BYTES, MOST_BYTES = 1_000_000, 100_000, 4_000_000
 _GOAL_S = 0.8
 Fence = Callable[[], object]
-"""Comes back when the browser has taken in all that was sent before; raises RuntimeError when the browser has gone."""
+"""Returns when the browser has processed everything sent before; raises RuntimeError if the browser has gone."""
 
 
 class SendWindow:
-    """Counts what is sent. `arrived` is called on another thread when it has opened again."""
+    """Counter of bytes in flight. `arrived` is called on another thread when the window has opened again."""
 
     def __init__(self, fence: Fence, arrived: Callable[[], None], clock: Callable[[], float] = time.monotonic) -> None:
         self._fence, self._arrived, self._clock = fence, arrived, clock
@@ -28,25 +28,25 @@ class SendWindow:
 
     @property
     def is_open(self) -> bool:
-        """Whether more may be sent now."""
+        """True if more may be sent now."""
         with self._due:
             return self._ahead < self._room
 
     def sent(self, n_bytes: int) -> None:
-        """So much more is on its way."""
+        """Add bytes to those in flight."""
         with self._due:
             self._ahead += n_bytes
             self._since += n_bytes
             self._due.notify()
 
     def close(self) -> None:
-        """Let the thread go."""
+        """Stop the thread."""
         with self._due:
             self._closed = True
             self._due.notify()
 
     def _run(self) -> None:
-        """One fence at a time, each for what was sent since the one before."""
+        """Send one fence at a time, each for the bytes sent since the previous one."""
         while True:
             with self._due:
                 self._due.wait_for(lambda: self._since > 0 or self._closed)

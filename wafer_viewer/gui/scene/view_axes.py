@@ -1,4 +1,4 @@
-"""How the camera looks at the sample, for what faces it: axes, the size of a pixel, what stands in the way. Pure."""
+"""Viewing axes of the camera: screen axes, pixel size and occlusion, for content that faces the camera. Pure."""
 
 from __future__ import annotations
 
@@ -13,13 +13,17 @@ from wafer_viewer.gui.scene.heightfield import HeightField
 _STEPS = 40
 _ACROSS, _DOWN = np.linspace(0, 1, 5), np.linspace(0, 1, 2)
 _NEAREST = 0.1
-"""What stands before everything is never nearer to the camera than this share of its distance."""
+"""Content in front of everything stays at least this fraction of its distance away from the camera."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class ViewAxes:
-    """eye: the camera, scene mm; towards: unit vector to it from the point looked at, `distance_mm` away, where a pixel
-    is `mm_per_pixel`."""
+    """Camera axes and scale.
+
+    eye: position of the camera in scene mm.
+    towards: unit vector from the point looked at to the camera, `distance_mm` away.
+    mm_per_pixel: pixel size at the point looked at.
+    """
 
     eye: Vector
     towards: Vector
@@ -28,19 +32,19 @@ class ViewAxes:
 
     @classmethod
     def of(cls, pose: CameraPose, mm_per_pixel: float) -> ViewAxes:
-        """That of a camera."""
+        """Return the view axes of a camera pose."""
         distance_mm = float(np.linalg.norm(pose.position - pose.look_at))
         return cls(pose.position, pose.direction, distance_mm, mm_per_pixel)
 
     @property
     def axes(self) -> NDArray[np.float64]:
-        """Right, up and towards the camera, each a column."""
+        """Right, up and towards the camera, as columns."""
         right, up = screen_axes(self.towards)
         return np.stack([right, up, self.towards], axis=1)
 
     @property
     def wxyz(self) -> tuple[float, float, float, float]:
-        """The turn that has a picture in the plane of x and y face the camera."""
+        """Quaternion that makes an image in the xy plane face the camera."""
         # Euler's rotation as two half turns: about z by the azimuth, then about x by how far the camera looks down.
         x, y, z = (float(v) for v in self.towards)
         half_turn, half_fall = np.arctan2(x, -y) / 2, np.arctan2(np.hypot(x, y), z) / 2
@@ -48,14 +52,14 @@ class ViewAxes:
         return c * d, c * t, s * t, s * d
 
     def pixel_at(self, place: Vector) -> float:
-        """How many mm a pixel is there."""
+        """Return the pixel size in mm at a point."""
         return self.mm_per_pixel * max(float((self.eye - place) @ self.towards), 0.0) / max(self.distance_mm, 1e-12)
 
     def before(self, land: HeightField, corners: Vector, spare_mm: float) -> float:
-        """What share of the way to the camera a picture has to come, for nothing of the surface to stand before it.
+        """Return the smallest fractional shift towards the camera that clears an image of occlusion by the surface.
 
-        corners: its lower left, lower right and upper left, [3, 3] in scene mm. It keeps its place on the screen and
-        comes no further than it must: the nearer it is the more it moves while the camera is being turned.
+        corners: lower left, lower right and upper left corner of the image, [3, 3] in scene mm. The image keeps its
+        position on the screen. The shift is minimal because a nearer image moves more while the camera turns.
         """
         first, right, up = corners[0], corners[1] - corners[0], corners[2] - corners[0]
         places = (first + _ACROSS[:, None, None] * right + _DOWN[:, None] * up).reshape(-1, 1, 3)

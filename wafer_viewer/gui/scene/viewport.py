@@ -1,8 +1,8 @@
-"""Size of the scene in CSS pixels, the unit of all panels and of everything on glass.
+"""Size of the scene in CSS pixels, the unit of all panels and overlays.
 
-viser's camera counts the pixels of the drawing buffer: on a screen of high resolution they are several to a CSS pixel,
-and fewer than one where viser draws coarser to keep up. It reports them when the camera moves, so that they can be of
-an earlier buffer: the browser reports the size of the scene itself.
+viser's camera reports pixels of the drawing buffer: several per CSS pixel on a high-resolution screen, and less than
+one where viser reduces the resolution to keep the frame rate. It reports them when the camera moves, so they can belong
+to an earlier buffer. The browser therefore reports the size of the scene itself.
 """
 
 from __future__ import annotations
@@ -41,7 +41,7 @@ class Viewport:
         self._listeners.append(listener)
 
     def set_size(self, width_px: int, height_px: int) -> None:
-        """Set the size in CSS pixels that the browser has reported; one of nothing is ignored."""
+        """Set the size in CSS pixels reported by the browser; a size of zero is ignored."""
         if min(width_px, height_px) > 0 and (width_px, height_px) != self._size_px:
             self._size_px = width_px, height_px
             self._changed()

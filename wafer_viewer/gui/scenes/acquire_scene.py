@@ -1,4 +1,4 @@
-"""The scan as it goes: finished fields as surfaces, the frame being taken in its box, fields to come dashed."""
+"""Scene of a running scan: finished fields as surfaces, the current frame in its box, pending fields dashed."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ from wafer_viewer.session.rendering.render_request import SurfaceKey, SurfaceSta
 from wafer_viewer.session.state.snapshot import FieldState, LatestFrame, OpenDataset, Snapshot
 
 _TEXTURE_PIXELS = 1_600_000
-"""For all finished fields together."""
+"""Budget of texture pixels for all finished fields."""
 _FIELD_PIXELS = 200_000
 _FRAME_SIDE_PX = 480
 _NOT_TAKEN = (FieldState.TO_COME, FieldState.TO_REPEAT, FieldState.TAKING, FieldState.FAILED)
@@ -38,7 +38,7 @@ _NOT_TAKEN = (FieldState.TO_COME, FieldState.TO_REPEAT, FieldState.TAKING, Field
 def acquire_contents(
     book: SurfaceInfoCache, snapshot: Snapshot, view: View, latest: LatestFrame | None
 ) -> SceneContents:
-    """The fields of the open dataset as far as they are; without one, the plan."""
+    """Return the fields of the open dataset at their current state; the plan if no dataset is open."""
     data = snapshot.dataset
     if data is None:
         return plan_contents(snapshot, view)
@@ -90,12 +90,12 @@ def _finished(
 
 
 def _solid(view: View) -> View:
-    """Fields appear as surfaces whatever way the stitched surface is looked at."""
+    """Return the view with fields drawn as surfaces, independent of the look of the stitched surface."""
     return view if view.look == "surface" else View(step="acquire", dark=view.dark)
 
 
 def _common_range(facts: list[SurfaceStatistics]) -> tuple[float, float]:
-    """One range for all fields, in round steps, so that it seldom moves when a field is added."""
+    """Return one height range for all fields, rounded so that it seldom changes when a field is added."""
     low, high = min(f.low_um for f in facts), max(f.high_um for f in facts)
     step = max(high - low, 0.5) / 8
     step = 2.0 ** round(math.log2(step))
@@ -114,7 +114,7 @@ def _live(
     z0_um: float,
     floor_mm: float,
 ) -> list[SceneItem]:
-    """Its box from the lowest to the highest frame, and the latest frame in it at its z."""
+    """Return the box of the current field's z range, and its latest frame at its z."""
     scan = snapshot.scan
     if scan is None or scan.finished or not snapshot.scanning:
         return []

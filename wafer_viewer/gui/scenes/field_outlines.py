@@ -1,4 +1,4 @@
-"""Fields drawn into the scene: their frames to scale, their numbers, what they share, the way between them."""
+"""Outlines of fields in the scene: frames to scale, numbers, overlaps and the stage path."""
 
 from __future__ import annotations
 
@@ -18,18 +18,18 @@ from wafer_viewer.model.acquisition.plan import Field, ScanPlan
 _WHITE = (255, 255, 255)
 _DARK_PLATE = (21, 32, 43)
 _MOST_NUMBERS = 150
-"""More running numbers than this are left to the map in the panel."""
+"""Beyond this count field numbers are shown only on the map in the panel."""
 _OVERLAP_PX = 1000
 
 
 def field_box(field: Field, width_um: float, height_um: float) -> Box:
-    """The frame of a field in mm."""
+    """Return the frame of a field in mm."""
     x, y, w, h = field.x_um * 1e-3, field.y_um * 1e-3, width_um / 2e3, height_um / 2e3
     return x - w, y - h, x + w, y + h
 
 
 def fields_box(fields: Sequence[Field], width_um: float, height_um: float) -> Box:
-    """All frames together."""
+    """Return the bounding box of all frames."""
     boxes = np.array([field_box(f, width_um, height_um) for f in fields])
     low, high = boxes.min(axis=0), boxes.max(axis=0)
     return float(low[0]), float(low[1]), float(high[2]), float(high[3])
@@ -38,7 +38,7 @@ def fields_box(fields: Sequence[Field], width_um: float, height_um: float) -> Bo
 def planned_items(
     fields: tuple[Field, ...], width_um: float, height_um: float, plan: ScanPlan | None, dark: bool
 ) -> list[SceneItem]:
-    """The grid as it is planned."""
+    """Return the items of the planned grid."""
     key, frames = (fields, width_um, height_um, dark), partial(field_box, width_um=width_um, height_um=height_um)
     boxes = [frames(f) for f in fields]
     items = [
@@ -55,7 +55,7 @@ def planned_items(
 
 
 def _unit(boxes: list[Box]) -> float:
-    """A length that drawings of fields are measured in: the shorter side of one."""
+    """Return the reference length of the drawings: the shorter side of a field."""
     return min(boxes[0][2] - boxes[0][0], boxes[0][3] - boxes[0][1])
 
 
@@ -82,7 +82,7 @@ def _numbers(
 
 
 def _overlap(scene: viser.SceneApi, name: str, _: bytes, *, boxes: list[Box], dark: bool) -> Handle:
-    """One picture over all fields: a breath of colour where one lies, more where several do."""
+    """Draw one image over all fields: lightly tinted where covered once, darker where fields overlap."""
     x0, y0 = min(b[0] for b in boxes), min(b[1] for b in boxes)
     x1, y1 = max(b[2] for b in boxes), max(b[3] for b in boxes)
     scale = _OVERLAP_PX / max(x1 - x0, y1 - y0)
@@ -97,7 +97,7 @@ def _overlap(scene: viser.SceneApi, name: str, _: bytes, *, boxes: list[Box], da
 
 
 def _size(scene: viser.SceneApi, name: str, _: bytes, *, box: Box) -> Group:
-    """Width under and height beside the grid."""
+    """Draw the grid's width below it and its height to the left."""
     side = max(box[2] - box[0], box[3] - box[1])
     high, gap, z = 0.042 * side, 0.02 * side, 0.004 * side
     width_um, height_um = (box[2] - box[0]) * 1e3, (box[3] - box[1]) * 1e3
@@ -109,7 +109,7 @@ def _size(scene: viser.SceneApi, name: str, _: bytes, *, box: Box) -> Group:
 
 
 def stage_way(plan: ScanPlan) -> list[tuple[float, float]]:
-    """Where the stage goes, x and y in um: the field of each leg's first and last shot, each stretch once."""
+    """Return the stage path, x and y in um: the fields of each leg's first and last shot, each segment once."""
     places = {f.number: (f.x_um, f.y_um) for f in plan.fields}
     points: list[tuple[float, float]] = []
     gone: set[frozenset[tuple[float, float]]] = set()
@@ -140,7 +140,7 @@ def _way(scene: viser.SceneApi, name: str, _: bytes, *, points: list[tuple[float
 def flat_items(
     fields: list[Field], taken: set[int], width_um: float, height_um: float, z: float, dark: bool
 ) -> list[SceneItem]:
-    """Fields that have no surface yet, flat on the stage with their numbers: dashed until their frames are taken."""
+    """Return fields without a surface, flat with their numbers; dashed until their frames are taken."""
     return [
         SceneItem(
             f"flat/{f.number}", (f, f.number in taken, width_um, height_um, z, dark),
@@ -165,7 +165,7 @@ def _flat(
 
 
 def box_edges(box: Box, low: float, high: float) -> NDArray[np.float32]:
-    """The twelve edges of an upright box, [12, 2, 3]."""
+    """Return the twelve edges of an upright box, [12, 2, 3]."""
     x0, y0, x1, y1 = box
     posts = np.array([[(x, y, low), (x, y, high)] for x in (x0, x1) for y in (y0, y1)], np.float32)
     return np.concatenate([rectangle(box, low), rectangle(box, high), posts])

@@ -1,4 +1,4 @@
-"""The plan: the sample on the stage with the fields laid over it."""
+"""Scene of the plan: the sample on the stage with the field grid."""
 
 from __future__ import annotations
 
@@ -12,12 +12,12 @@ from wafer_viewer.model.job.job import Job
 from wafer_viewer.session.state.snapshot import Snapshot
 
 _WHOLE_OVER = 0.3
-"""A grid that takes more than this share of the sample is shown with all of it, a smaller one from nearer."""
+"""Size ratio of grid to sample from which the view frames both; below it only the grid."""
 _AROUND = 0.28
 
 
 def plan_contents(snapshot: Snapshot, view: View) -> SceneContents:
-    """The sample, or a bare stage, and the grid."""
+    """Return the sample, or the empty stage, with the grid."""
     job, plan = snapshot.draft.job, snapshot.draft.plan
     items = sample_items(snapshot, view.dark)
     size = _field_size(snapshot)
@@ -34,7 +34,7 @@ def plan_contents(snapshot: Snapshot, view: View) -> SceneContents:
 
 
 def _field_size(snapshot: Snapshot) -> tuple[float, float] | None:
-    """Width and height of a field in um: the grid's, else the frame's."""
+    """Return width and height of a field in um: those of the grid, else those of the camera frame."""
     job, plan = snapshot.draft.job, snapshot.draft.plan
     if job is None:
         return None
@@ -64,6 +64,6 @@ def _grid_box(job: Job | None, size: tuple[float, float] | None) -> Box | None:
 
 
 def _middle(box: Box) -> Box:
-    """The middle three quarters."""
+    """Return the central three quarters of a box."""
     dx, dy = (box[2] - box[0]) / 8, (box[3] - box[1]) / 8
     return box[0] + dx, box[1] + dy, box[2] - dx, box[3] - dy

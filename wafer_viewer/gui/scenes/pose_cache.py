@@ -1,4 +1,4 @@
-"""The poses of the surface on show: read on a thread of its own, and known until there are newer ones."""
+"""Cache of the field poses of the displayed surface, read on its own thread."""
 
 from __future__ import annotations
 
@@ -13,14 +13,14 @@ from wafer_viewer.session.rendering.render_request import SurfaceKey
 
 @dataclass(frozen=True, slots=True, eq=False)
 class CachedPoses:
-    """The poses of a surface; None where its fields lie as the stage says."""
+    """Field poses of a surface; None if its fields are at their stage positions."""
 
     of: SurfaceKey
     poses: Poses | None
 
 
 class PoseCache:
-    """`read` may wait and raise; what it raises is told to `failed`."""
+    """Cache of field poses. `read` may block and raise; `failed` receives its errors."""
 
     def __init__(self, read: Callable[[], Poses | None], failed: Callable[[Exception], None]) -> None:
         self._read, self._failed = read, failed
@@ -30,11 +30,11 @@ class PoseCache:
         self._worker = LatestOnlyWorker("poses")
 
     def on_arrival(self, callback: Callable[[], object]) -> None:
-        """Call back when poses have come, on a thread of its own."""
+        """Call back on the cache's thread when poses have been read."""
         self._listeners.append(callback)
 
     def at(self, source: SurfaceKey) -> CachedPoses | None:
-        """The poses of a surface; while they are read, those it had before. None: none are known yet."""
+        """Return the poses of a surface, the previous ones while new ones are read; None if there are none yet."""
         if source != self._asked:
             self._asked = source
             self._worker.ask(lambda: self._look_up(source))
@@ -43,7 +43,7 @@ class PoseCache:
         return known if same else None
 
     def close(self) -> None:
-        """Let the thread go."""
+        """Stop the thread."""
         self._worker.close()
 
     def _look_up(self, source: SurfaceKey) -> None:

@@ -1,6 +1,6 @@
-"""The overlay of fields and overlaps as lines in the plane, in um, before they are laid on a surface. Pure.
+"""Line geometry of the field and overlap layer in the plane, in um, before it is draped on a surface. Pure.
 
-Pieces are straight, float64 [n, 2, 2]: begin and end, x and y.
+Pieces are straight, float64 [n, 2, 2]: start and end, x and y.
 """
 
 from __future__ import annotations
@@ -16,21 +16,21 @@ Floats = NDArray[np.float64]
 Mask = NDArray[np.bool_]
 
 _LONG, _WIDE = 0.55, 0.25
-"""Nine of ten arrows are shorter, and radii of circles smaller, than this share of a field's shorter side."""
+"""Limits for the 90th percentile of arrow lengths and circle radii, as fractions of a field's shorter side."""
 _MOST_TIMES = 1000.0
 _HEAD = 0.07
 _TURN = np.linspace(0, 2 * np.pi, 25)
 _LEAST_CIRCLE, _MOST_CIRCLE = 0.012, 0.45
 STITCH = 0.15
-"""Length of the line across an overlap, as a share of a field's shorter side."""
+"""Length of the line across an overlap, as a fraction of a field's shorter side."""
 _INSET = 0.14
-"""How far the frame of an overlap lies within it, as a share of its shorter side."""
+"""Inset of an overlap's frame, as a fraction of its shorter side."""
 
 
 class Fields:
-    """Frames of equal size at their solved places, boxes [n, 4] as x low, y low, x high, y high.
+    """Field frames of equal size at their solved positions, boxes [n, 4] as x low, y low, x high, y high.
 
-    every: of very many fields each so-manieth is drawn, and all that are left out.
+    every: only each n-th of very many fields is drawn, in addition to all excluded fields.
     """
 
     def __init__(self, poses: Poses, width_um: float, height_um: float, most: int = 4000) -> None:
@@ -44,7 +44,7 @@ class Fields:
         self.times = self._times()
 
     def _times(self) -> float:
-        """How many times too large arrows and circles are drawn: 1, 2 or 5 times a power of ten, as there is room."""
+        """Return the magnification of arrows and circles: 1, 2 or 5 times a power of ten, limited by the field size."""
         poses, there = self.poses, ~self.poses.left_out
         moved, u_um = np.hypot(*self._moved(there)), 2 * np.maximum(poses.u_x_um, poses.u_y_um)[there]
         u_um = u_um[np.isfinite(u_um)]
@@ -59,23 +59,23 @@ class Fields:
     # ---------------------------------------------------------------- fields
 
     def outlines(self) -> Floats:
-        """The frames of the fields in the surface."""
+        """Return the frames of the included fields."""
         return sides(self.boxes[self.kept])
 
     def left_out(self) -> Floats:
-        """The crosses through the fields that are not in it."""
+        """Return the crosses through the excluded fields."""
         x0, y0, x1, y1 = self.boxes[self.poses.left_out].T
         rising, falling = np.stack([x0, y0, x1, y1], axis=1), np.stack([x0, y1, x1, y0], axis=1)
         return np.concatenate([rising, falling]).reshape(-1, 2, 2)
 
     def left_out_frames(self) -> Floats:
-        """Their frames."""
+        """Return the frames of the excluded fields."""
         return sides(self.boxes[self.poses.left_out])
 
     # ---------------------------------------------------------------- from the stage's place to the solved one
 
     def arrows(self) -> Floats:
-        """From where the stage says fields are towards where they are, `times` too long, with heads: [n, 3, 2, 2]."""
+        """Return arrows with heads from stage to solved positions, magnified by `times`: [n, 3, 2, 2]."""
         tails = np.stack([self.poses.stage_x_um, self.poses.stage_y_um], axis=1)[self.kept]
         way = np.stack(self._moved(self.kept), axis=1) * self.times
         long = np.hypot(way[:, 0], way[:, 1])
@@ -88,7 +88,7 @@ class Fields:
         return np.stack([_pieces(tails, tips), *(_pieces(tips, barb) for barb in barbs)], axis=1)
 
     def circles(self) -> Floats:
-        """Expanded uncertainties (k = 2), `times` too large, about the tips of the arrows: [n, 24, 2, 2]."""
+        """Return the expanded uncertainties (k = 2), magnified by `times`, around the arrow tips: [n, 24, 2, 2]."""
         poses = self.poses
         tips = np.stack([poses.stage_x_um, poses.stage_y_um], axis=1)[self.kept]
         tips = tips + np.stack(self._moved(self.kept), axis=1) * self.times
@@ -102,7 +102,7 @@ class Fields:
     # ---------------------------------------------------------------- overlaps
 
     def stitches(self) -> Floats:
-        """A short line across each overlap that is believed, from field to field."""
+        """Return a short line across each accepted overlap, from field to field."""
         first, second = self._pairs(self.poses.shifts.believed)
         between = self._centres(second) - self._centres(first)
         along = between / np.maximum(np.hypot(between[:, 0], between[:, 1]), 1e-9)[:, None]
@@ -110,7 +110,7 @@ class Fields:
         return _pieces(middle - half * along, middle + half * along)
 
     def doubted(self, blank: bool) -> Floats:
-        """Boxes of the overlaps that are not believed: with nothing to compare (blank), or for another reason."""
+        """Return boxes of the rejected overlaps: the blank ones (`blank`), or those with another reason."""
         doubt = self.poses.shifts.doubt
         which = (
             doubt == RejectionReason.BLANK
@@ -120,7 +120,7 @@ class Fields:
         return self.overlaps(which)
 
     def overlaps(self, which: Mask) -> Floats:
-        """What the two fields of overlaps share, drawn in a little from its edges; [n, 4], empty ones left out."""
+        """Return the common areas of overlapping fields, slightly inset; [n, 4], without empty ones."""
         a, b = (self.boxes[k] for k in self._pairs(which))
         low, high = np.maximum(a[:, :2], b[:, :2]), np.minimum(a[:, 2:], b[:, 2:])
         short = (high - low).min(axis=1, keepdims=True)
@@ -128,7 +128,7 @@ class Fields:
         return boxes[short[:, 0] > 0]
 
     def _pairs(self, which: Mask) -> tuple[NDArray[np.int32], NDArray[np.int32]]:
-        """First and second fields of some overlaps, those of fields that are left out aside."""
+        """Return first and second fields of the selected overlaps, without those of excluded fields."""
         shifts = self.poses.shifts
         which = which & ~self.poses.left_out[shifts.first] & ~self.poses.left_out[shifts.second]
         which = which & (self.kept[shifts.first] | self.kept[shifts.second])
@@ -139,7 +139,7 @@ class Fields:
 
 
 def round_below(value: float) -> float:
-    """The largest of 1, 2, 5, 10, 20 … that is not over a value; at least 1."""
+    """Return the largest of 1, 2, 5, 10, 20 … that does not exceed a value; at least 1."""
     if value < 1:
         return 1.0
     ten = 10.0 ** math.floor(math.log10(value))
@@ -147,14 +147,14 @@ def round_below(value: float) -> float:
 
 
 def sides(boxes: Floats) -> Floats:
-    """The four sides of boxes [n, 4] as pieces [4 n, 2, 2]."""
+    """Return the four sides of boxes [n, 4] as pieces [4 n, 2, 2]."""
     x0, y0, x1, y1 = boxes.T
     corners = np.stack([np.stack(c, axis=1) for c in ((x0, y0), (x1, y0), (x1, y1), (x0, y1))], axis=1)
     return np.stack([corners, np.roll(corners, -1, axis=1)], axis=2).reshape(-1, 2, 2)
 
 
 def in_dashes(pieces: Floats, dash_um: float, share: float = 0.55) -> Floats:
-    """Pieces in dashes, a whole number of periods each, so that a dash begins at every corner."""
+    """Return pieces in dashes. Each is divided into full periods, so that a dash begins at every corner."""
     counts = np.maximum(1, np.round(np.hypot(*(pieces[:, 1] - pieces[:, 0]).T) / dash_um)).astype(int)
     of = np.repeat(np.arange(len(pieces)), counts)
     place = np.arange(len(of)) - np.repeat(np.cumsum(counts) - counts, counts)

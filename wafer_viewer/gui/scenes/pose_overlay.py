@@ -1,4 +1,4 @@
-"""The overlay of the Surface step: where the fields were placed, how far from the stage's word, and what joins them."""
+"""Layer of the Surface step with solved field positions, their offsets from the stage positions and the overlaps."""
 
 from __future__ import annotations
 
@@ -27,25 +27,25 @@ from wafer_viewer.session.rendering.render_request import CoarseHeightField, Ren
 
 Place = tuple[float, float]
 Seen = tuple[float, float]
-"""A length in mm, and how many pixels it must have to be drawn."""
+"""A length in mm and its least size in pixels for the layer to be visible."""
 ALWAYS: Seen = (math.inf, 0.0)
 LEAST_WORD_PX, LEAST_STITCH_PX = 10.0, 7.0
 _FEW = 40
-"""Up to so many fields there is room for broad lines."""
+"""Largest number of fields drawn with lines of full width."""
 _MOST_NUMBERS = 1000
-"""With more fields than this numbers are left to the map."""
+"""Beyond this number of fields, numbers are shown only on the map."""
 _MOST_REASONS = 12
 _LAYER_PX = 5.0
 _SCREEN_PX = 900
-"""How wide the surface is on the screen until the camera has told."""
+"""Assumed width of the surface on the screen until the camera has reported."""
 _NUMBER, _CORNER, _REASON, _NAME = 0.2, 0.17, 0.125, 0.2
-"""Heights of words and where numbers begin, as shares of a field's shorter side."""
+"""Label heights and the inset of numbers, as fractions of a field's shorter side."""
 _DASH, _SPAN = 0.085, 0.07
 
 
 @dataclass(frozen=True, slots=True)
 class Inks:
-    """Colours of the overlay: what is well quiet, doubt in the colour of attention, arrows in ink."""
+    """Colours of the layer: muted for accepted items, a warning colour for rejected ones, ink for arrows."""
 
     field: Rgb
     doubt: Rgb
@@ -56,7 +56,7 @@ class Inks:
 
 
 def inks(dark: bool) -> Inks:
-    """Those of a theme."""
+    """Return the colours of a theme."""
     palette = colours(dark)
     return Inks(
         field=palette.accent,
@@ -71,7 +71,7 @@ def inks(dark: bool) -> Inks:
 def pose_items(
     known: CachedPoses, on_show: DisplayedSurface, size_um: tuple[float, float], dark: bool, flat: bool
 ) -> list[SceneItem]:
-    """The overlay as one item, drawn when the painter has told the relief; nothing where only the stage is known."""
+    """Return the layer as one item that requires the coarse heights; none if only stage positions are known."""
     if known.poses is None:
         return []
     make = partial(_overlay, poses=known.poses, size_um=size_um, dark=dark, flat=flat, z0_um=on_show.z0_um)
@@ -95,14 +95,14 @@ def _overlay(
 
 
 class _Pen:
-    """Draws lines and words over the surface in layers; with many fields everything is finer."""
+    """Draws lines and labels over the surface in layers; `weight` scales the line widths."""
 
     def __init__(self, scene: viser.SceneApi, name: str, drape: DrapedLines, casing: Rgb, weight: float) -> None:
         self._scene, self._name, self._drape, self._casing, self._weight = scene, name, drape, casing, weight
         self.layers: list[Layer] = []
 
     def line(self, layer: int, kind: str, pieces_um: Floats, colour: Rgb, width_px: float, seen: Seen = ALWAYS) -> None:
-        """Lines in a casing; none where there are no pieces. Those of figures, [n, m, 2, 2], lie level."""
+        """Add cased lines; nothing for no pieces. Figures, [n, m, 2, 2], are drawn level."""
         segments = self._drape.level(pieces_um) if pieces_um.ndim == 4 else self._drape.segments(pieces_um)
         wide = width_px * self._weight
         if not len(segments):
@@ -115,7 +115,7 @@ class _Pen:
     def words(
         self, layer: int, kind: str, tags: list[NDArray[np.uint8]], at_um: Floats, high_um: float, anchor: Place
     ) -> None:
-        """Words, each lying over what is under it; `anchor` is the share of their size (from the foot) at the place."""
+        """Add labels above the heights they cover; `anchor`: fraction of their size (from below) at the position."""
         if not tags:
             return
         picture, uv = sheet(tags)
@@ -128,7 +128,7 @@ class _Pen:
 
 
 def _draw(fields: Fields, pen: _Pen, ink: Inks) -> None:
-    """From the quiet to what a person should look at."""
+    """Draw all parts, in order of increasing importance."""
     dash = max(_DASH * fields.unit_um, 0.006 * float(np.ptp(fields.boxes)))
     pen.line(0, "fields", fields.outlines(), ink.field, 1.9)
     pen.line(0, "stitches", fields.stitches(), ink.field, 2.8, (STITCH * fields.unit_um * 1e-3, LEAST_STITCH_PX))
@@ -145,7 +145,7 @@ def _draw(fields: Fields, pen: _Pen, ink: Inks) -> None:
 
 
 def _numbers(fields: Fields, pen: _Pen, ink: Inks) -> None:
-    """Running numbers in the upper left corners of the fields that are in the surface."""
+    """Draw field numbers in the upper left corners of the included fields."""
     if len(fields.poses.numbers) > _MOST_NUMBERS:
         return
     tags = [tag(str(n), ink.on_plate, ink.field) for n in fields.poses.numbers[fields.kept].tolist()]
@@ -155,7 +155,7 @@ def _numbers(fields: Fields, pen: _Pen, ink: Inks) -> None:
 
 
 def _names(fields: Fields, pen: _Pen, ink: Inks) -> None:
-    """Which fields are left out."""
+    """Draw labels on the excluded fields."""
     out = fields.poses.left_out
     tags = [tag(f"{n} left out", ink.on_plate, ink.doubt) for n in fields.poses.numbers[out].tolist()[:_MOST_NUMBERS]]
     middles = (fields.boxes[out][:, :2] + fields.boxes[out][:, 2:])[: len(tags)] / 2
@@ -163,7 +163,7 @@ def _names(fields: Fields, pen: _Pen, ink: Inks) -> None:
 
 
 def _reasons(fields: Fields, pen: _Pen, ink: Inks) -> None:
-    """Why overlaps are not believed, written on them where they are few; the list in the panel has them all."""
+    """Draw rejection reasons on the overlaps, if there are few; the list in the panel contains all of them."""
     doubt = fields.poses.shifts.doubt
     rows = np.flatnonzero((doubt != RejectionReason.NONE) & (doubt != RejectionReason.BLANK))
     if len(rows) > _MOST_REASONS:

@@ -1,4 +1,4 @@
-"""The sample as it lies on the stage, seen by the rig's overview camera; a bare stage where there is none."""
+"""Scene of the sample on the stage, as imaged by the rig's overview camera; the empty stage without a sample."""
 
 from __future__ import annotations
 
@@ -21,12 +21,12 @@ from wafer_viewer.session.state.snapshot import Snapshot
 
 _PICTURE_SIDE_PX = 1400
 _STAGE_MM = 6.0
-"""How much of a bare stage is drawn at most."""
+"""Largest drawn extent of an empty stage."""
 _DIMMED = 0.5
 
 
 def sample_box(snapshot: Snapshot) -> Box | None:
-    """The sample's outline, or its size about the stage's centre where only that is known."""
+    """Return the bounding box of the sample's outline, or its size centred on the stage; None if neither is known."""
     if snapshot.overview is not None and snapshot.overview.outline_um:
         xs, ys = zip(*snapshot.overview.outline_um, strict=True)
         return min(xs) * 1e-3, min(ys) * 1e-3, max(xs) * 1e-3, max(ys) * 1e-3
@@ -38,14 +38,14 @@ def sample_box(snapshot: Snapshot) -> Box | None:
 
 
 def reach_box(limits: RigLimits | None) -> Box:
-    """The part of the stage that is drawn: what its axes reach, or the middle of that."""
+    """Return the drawn part of the stage: the travel of its axes, or a default size."""
     if limits is None:
         return -_STAGE_MM / 2, -_STAGE_MM / 2.4, _STAGE_MM / 2, _STAGE_MM / 2.4
     return limits.x.low_um * 1e-3, limits.y.low_um * 1e-3, limits.x.high_um * 1e-3, limits.y.high_um * 1e-3
 
 
 def sample_items(snapshot: Snapshot, dark: bool, z: float = 0.0, *, dimmed: bool = False) -> list[SceneItem]:
-    """The overview with its outline and shadow, or the stage's grid."""
+    """Return the overview image with outline and shadow, or the grid of the stage."""
     box, overview = sample_box(snapshot), snapshot.overview
     if box is None:
         limits = snapshot.rig.limits
@@ -90,7 +90,7 @@ def _shadow(
 def _picture(
     scene: viser.SceneApi, name: str, _: bytes, *, overview: Overview, dark: bool, z: float, dimmed: bool
 ) -> Handle:
-    """The overview, cut out along the sample's outline, a little towards the ground's colour where it is dimmed."""
+    """Draw the overview image cut out along the sample's outline, blended with the ground colour if dimmed."""
     image = _smaller(overview.image)
     picture = _tinted(image, colours(dark).ground, _DIMMED if dimmed else 0.0, dark)
     rows, cols = (overview.image.shape if overview.image is not None else (1, 1))[:2]
@@ -103,7 +103,7 @@ def _picture(
 
 
 def _smaller(image: NDArray[np.uint8] | None) -> NDArray[np.uint8]:
-    """At most as large as the scene can use."""
+    """Return the image reduced to the largest size that the scene can use."""
     if image is None:
         return np.zeros((2, 2), np.uint8)
     share = _PICTURE_SIDE_PX / max(image.shape)
@@ -114,7 +114,7 @@ def _smaller(image: NDArray[np.uint8] | None) -> NDArray[np.uint8]:
 
 
 def _tinted(image: NDArray[np.uint8], ground_colour: Rgb, towards: float, dark: bool) -> NDArray[np.uint8]:
-    """Grey with a breath of blue, in the range that reads well under lines."""
+    """Return a bluish grey image in a range with good contrast to lines."""
     grey = np.arange(256, dtype=float)[:, None] / 255
     shown = (grey**0.75 * (140 if dark else 186) + (18 if dark else 56)) * np.array([0.97, 1.0, 1.03])
     mixed = shown * (1 - towards) + np.array(ground_colour, float) * towards
@@ -122,14 +122,14 @@ def _tinted(image: NDArray[np.uint8], ground_colour: Rgb, towards: float, dark: 
 
 
 def _cut_out(picture: NDArray[np.uint8], outline: list[tuple[float, float]]) -> NDArray[np.uint8]:
-    """Transparent outside of the outline, given in shares of width and height."""
+    """Return the image transparent outside of the outline, which is given in fractions of width and height."""
     mask = Image.new("L", (picture.shape[1], picture.shape[0]), 0)
     ImageDraw.Draw(mask).polygon([(x * picture.shape[1], y * picture.shape[0]) for x, y in outline], fill=255)
     return np.dstack([picture, np.asarray(mask)])
 
 
 def _stage_grid(scene: viser.SceneApi, name: str, _: bytes, *, box: Box, dark: bool, z: float) -> Group:
-    """Squares over the stage and a dashed line round what its axes reach."""
+    """Draw a grid over the stage and a dashed line around the travel of its axes."""
     x0, y0, x1, y1 = box
     pitch = 10 ** math.floor(math.log10(max(x1 - x0, y1 - y0))) / 4
     pad = 0.35 * max(x1 - x0, y1 - y0)

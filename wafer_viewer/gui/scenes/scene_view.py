@@ -1,4 +1,4 @@
-"""The scene of one browser: draws what the session knows as its view asks for, on a thread of its own."""
+"""Scene of one browser: draws the session's state for a view, on its own thread."""
 
 from __future__ import annotations
 
@@ -34,16 +34,16 @@ from wafer_viewer.session.state.snapshot import Snapshot
 
 _CAMERA_EVERY_S = 0.1
 _FENCE = "wafer-viewer-fence"
-"""What the browser is asked for to hear whether it has taken in what was sent."""
+"""Key of the request whose answer confirms that the browser has processed everything sent before."""
 Wanted = tuple[Snapshot, View]
 Errand = Callable[[SceneContents], None]
-"""What the camera is to do, given what is on show."""
+"""A camera command, called with the displayed contents."""
 
 
 class SceneView:
-    """Draws into ``client.scene``. Every method returns at once; the work is done on the scene's own threads.
+    """Draws into ``client.scene``. Methods return at once, except `settle`; drawing runs on the scene's own threads.
 
-    on_fault is told what could not be drawn, on the scene's thread.
+    on_fault: called with drawing errors, on the scene's thread.
     """
 
     def __init__(
@@ -90,7 +90,7 @@ class SceneView:
     # ---------------------------------------------------------------- what the page calls
 
     def draw(self, snapshot: Snapshot, view: View) -> None:
-        """Show this from now on; calling it again with the same costs nothing."""
+        """Show a snapshot with a view from now on; repeated calls with the same arguments cost nothing."""
         essence = self._essence(snapshot, view)
         with self._due:
             if essence == self._asked:
@@ -99,60 +99,63 @@ class SceneView:
             self._due.notify_all()
 
     def look_from(self, preset: str) -> None:
-        """Go to ``top``, ``front`` or ``iso``; ``all`` keeps the direction and shows everything."""
+        """Move the camera to ``top``, ``front`` or ``iso``; ``all`` keeps the direction and frames everything."""
         self._send(lambda shown: self._eye.frame(shown.corners_mm, preset, shown.clear, flying=True))
 
     def fly_to(self, bounds_um: Box) -> None:
-        """Show a rectangle of the surface, (x low, y low, x high, y high) in stage um, from where the camera stands."""
+        """Frame a rectangle of the surface, (x low, y low, x high, y high) in stage um, from the current direction."""
         self._send(lambda shown: self._eye.fly(corners_over(bounds_um, shown)))
 
     @property
     def pose(self) -> CameraPose | None:
-        """Where the camera stands, or is flying to; None before there is one."""
+        """Camera pose, or the goal of its transition; None before there is a camera."""
         return self._eye.goal if self._place is not None else None
 
     def go_to(self, pose: CameraPose) -> None:
-        """Have the camera stand somewhere, when what is wanted by now is drawn."""
+        """Move the camera to a pose once the requested contents are drawn."""
         self._send(lambda _: self._eye.go(pose, flying=True))
 
     def let_fly(self, able: bool) -> None:
-        """Whether the camera may fly; else it jumps."""
+        """Enable animated camera transitions; without them the camera jumps."""
         self._eye.let_fly(able)
 
     def reopen(self, pose: CameraPose) -> None:
-        """Where the camera is to stand at first, instead of where it shows everything."""
+        """Set the initial camera pose, in place of the view of everything."""
         self._first_pose = pose
 
     def range_in_view(self, then: Callable[[Range], None]) -> None:
-        """Call back, on another thread, with the range of what colours the surface where it is in view."""
+        """Call back, on another thread, with the range of the displayed quantity within the view."""
         if self._shown is not None and self._shown.on_show is not None:
             range_in_view(self._session.paint, self._shown.on_show, self.seen_um(), then)
 
     def seen_um(self) -> tuple[tuple[float, float], ...] | None:
-        """The part of the ground that is in view, as its corners in stage um; None where it reaches the horizon."""
+        """Return the corners of the visible ground in stage um; None if it reaches the horizon."""
         return self._eye.sight().ground_um(float(self._eye.goal.look_at[2])) if self._place is not None else None
 
     def settle(self, width_px: int | None, timeout_s: float) -> bool:
-        """Draw as much as a picture so many pixels wide shows; whether that came about in time. None: as the screen."""
+        """Wait until everything is drawn for an image `width_px` wide; return whether that was achieved in time.
+
+        width_px: None for the resolution of the screen.
+        """
         with self._due:
             self._print_px, self._more = width_px, True
             self._due.notify_all()
             return self._due.wait_for(lambda: self._closed or not self._busy, timeout_s) and not self._closed
 
     def um_per_pixel(self) -> float:
-        """How long a pixel is at the point looked at, 0 before there is a camera."""
+        """Return the size of a CSS pixel at the point looked at, 0 before there is a camera."""
         return self._eye.um_per_pixel()
 
     def on_camera(self, callback: Callable[[], object]) -> None:
-        """Call back when the camera has moved or the canvas has changed its size, at most ten times a second."""
+        """Call back after the camera has moved or the canvas was resized, at most ten times a second."""
         self._camera_listener = callback
 
     def on_scale(self, callback: Callable[[DisplayedSurface | None], None]) -> None:
-        """Call back when the colours of the surface on show have changed: what the colour bar shows; None: no bar."""
+        """Call back when the colours of the displayed surface have changed, for the colour bar; None: no colour bar."""
         self._scale_listener = callback
 
     def on_points(self, callback: Callable[[int], None]) -> None:
-        """Call back when another number of points is drawn."""
+        """Call back when the number of drawn points has changed."""
         self._points_listener = callback
 
     def on_pick(self, callback: Callable[[float, float], None]) -> None:
@@ -160,36 +163,36 @@ class SceneView:
         self._tools.on_pick(callback)
 
     def on_lines(self, callback: Callable[[tuple[Region, ...], int], None]) -> None:
-        """Call back with the profile's line while its handles are dragged, and when one is first laid."""
+        """Call back with the profile lines while handles are dragged, and when an initial line is placed."""
         self._tools.on_lines(callback)
 
     def on_cursor(self, callback: Callable[[int, float], None]) -> None:
-        """Call back with a profile's cursor and its share of the line, while its marker is dragged or put."""
+        """Call back with a profile cursor and its fraction of the line, while its marker is dragged or placed."""
         self._tools.on_cursor(callback)
 
     def on_select(self, callback: Callable[[Box], None]) -> None:
-        """Call back with a rectangle of the stage, um, that was dragged over."""
+        """Call back with a stage rectangle, um, selected by dragging."""
         self._tools.on_select(callback)
 
     def on_clip(self, callback: Moved) -> None:
-        """Call back with the clip box while a ball on one of its faces is dragged."""
+        """Call back with the clip box while the handle of one of its faces is dragged."""
         self._tools.on_clip(callback)
 
     def on_places(self, callback: Callable[[tuple[Region, ...]], None]) -> None:
-        """Call back with the places of the tool in use while they are dragged, and when they are first laid."""
+        """Call back with the regions of the active tool while they are dragged, and when initial ones are placed."""
         self._tools.on_places(callback)
 
     def on_levelling(self, callback: Callable[[Levelling], None]) -> None:
-        """Call back when a place that heights are levelled at was moved and let go."""
+        """Call back when a levelling region has been moved and released."""
         self._tools.on_levelling(callback)
 
     def first_levelling(self, by: LevelBy) -> Levelling:
-        """A way of levelling, its first places laid on the surface. Raises MeasureError before there is one."""
+        """Return a levelling with initial regions on the surface. Raises MeasureError before a surface is drawn."""
         return self._tools.first_levelling(by)
 
     @property
     def busy(self) -> bool:
-        """Whether something that was asked for is not drawn yet, or something that was replaced is still there."""
+        """True while requested contents are not drawn or replaced nodes are not removed yet."""
         with self._due:
             return self._busy
 
@@ -198,7 +201,7 @@ class SceneView:
         return self._more or not self._settled or self._errand is not None
 
     def close(self) -> None:
-        """Let the threads go; the browser has gone."""
+        """Stop the threads after the browser has gone."""
         with self._due:
             self._closed = True
             self._due.notify_all()
@@ -208,7 +211,7 @@ class SceneView:
     # ---------------------------------------------------------------- the scene's thread
 
     def _essence(self, snapshot: Snapshot, view: View) -> Hashable:
-        """What of all this is seen: snapshots come ten times a second, and most change nothing in the scene."""
+        """Return the part of the state that affects the scene; most of the ten snapshots a second do not change it."""
         data, latest = snapshot.dataset, self._session.latest_frame
         if view.step == "plan":
             draft = snapshot.draft
@@ -220,7 +223,7 @@ class SceneView:
         return view, progress, latest, snapshot.scanning, snapshot.overview, snapshot.draft.plan
 
     def _camera_moved(self) -> None:
-        """On a thread of its own, which pauses after each: the last move of many is never left out."""
+        """Handle a camera move on its own thread, throttled by a pause; the last of many moves is always handled."""
         pose = self._eye.moved()
         self._tools.resize()
         self._arrived()
@@ -257,13 +260,13 @@ class SceneView:
                 self._due.notify_all()
 
     def _next(self) -> Wanted | None:
-        """What is wanted now; of a surface that grows first what was begun, or fast growth would never be seen."""
+        """Return the contents to draw; for a growing surface the unfinished ones, so that fast growth is displayed."""
         if self._begun is None or self._wanted is None or not only_grew(self._begun, self._wanted):
             return self._wanted
         return self._begun
 
     def _turn(self, wanted: Wanted | None) -> bool:
-        """Draw and look; whether all there is to draw is drawn."""
+        """Draw once and run the pending camera command; return whether everything is drawn."""
         whole = True
         try:
             if wanted is not None:
@@ -276,7 +279,7 @@ class SceneView:
         return whole
 
     def _run_errand(self) -> None:
-        """Where the camera was sent, once what is wanted has been placed before it."""
+        """Run the pending camera command after the requested contents have been set."""
         with self._due:
             errand, self._errand = self._errand, None
             self._more |= errand is not None
@@ -284,7 +287,7 @@ class SceneView:
             errand(self._shown)
 
     def _draw(self, snapshot: Snapshot, view: View) -> bool:
-        """One pass: draws what there is to draw; when the painter has more, there is another pass."""
+        """Draw the available contents in one pass; pending render results trigger another pass."""
         contents = self._contents(snapshot, view)
         self._place_camera(contents)
         if contents.rough and self._stands != contents.place and not self._stage.show(contents.rough, contents.stretch):
@@ -302,7 +305,7 @@ class SceneView:
         return whole and not contents.awaits_more
 
     def _tell_points(self, view: View) -> None:
-        """Have all points of one size, and tell how many are drawn."""
+        """Set the size of all points and report their number."""
         tiles = self._stage.each(PointTile)
         for tile in tiles:
             tile.size_px = view.point_px
@@ -313,7 +316,7 @@ class SceneView:
 
     @property
     def _finer(self) -> float:
-        """How many pixels are to be drawn for one of the screen."""
+        """Rendered pixels per screen pixel."""
         return max(1.0, self._print_px / max(1, self._client.camera.image_width)) if self._print_px else 1.0
 
     def _contents(self, snapshot: Snapshot, view: View) -> SceneContents:

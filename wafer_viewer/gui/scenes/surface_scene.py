@@ -1,4 +1,4 @@
-"""The surface or one field of it as a block, with the picture of one z laid through it where that is chosen."""
+"""Scene of the surface or one of its fields as a block, with an optional image at one z."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ from wafer_viewer.session.state.snapshot import OpenDataset, Snapshot
 
 
 def source_of(snapshot: Snapshot, show: int) -> SurfaceKey | None:
-    """The surface a view asks for, None when there is none yet."""
+    """Return the surface that a view shows; None if there is none yet."""
     data = snapshot.dataset
     if data is None:
         return None
@@ -45,13 +45,13 @@ def source_of(snapshot: Snapshot, show: int) -> SurfaceKey | None:
 
 
 def marked(snapshot: Snapshot, view: View) -> tuple[AnyResult, ...]:
-    """The findings whose outlines lie on the surface: in a review of defects only the one that is looked at."""
+    """Return the results with outlines on the surface; in a defect review only the selected defect."""
     defect = chosen_defect(snapshot, view.review) if view.step == "review" else None
     return snapshot.findings if defect is None else (defect,)
 
 
 def only_grew(begun: tuple[Snapshot, View], now: tuple[Snapshot, View]) -> bool:
-    """Whether two views are of the same surface at two stamps."""
+    """Return whether two views show the same surface and differ only by its stamp."""
     sources = [source_of(snapshot, view.show) for snapshot, view in (begun, now)]
     if begun[1] != now[1] or None in sources or not begun[1].on_surface or begun[0].scanning != now[0].scanning:
         return False
@@ -60,7 +60,7 @@ def only_grew(begun: tuple[Snapshot, View], now: tuple[Snapshot, View]) -> bool:
 
 
 def result_of(snapshot: Snapshot) -> str:
-    """The reconstruction that is looked at."""
+    """Return the name of the displayed reconstruction."""
     if snapshot.surface is not None:
         return snapshot.surface.result
     data = snapshot.dataset
@@ -75,7 +75,7 @@ def surface_contents(
     view: View,
     source: SurfaceKey,
 ) -> SceneContents:
-    """The block with its surface, and over it its fields. Raises NotYet when the painter is still to tell of it."""
+    """Return the block with its surface and the field layer. Raises NotReady while information is pending."""
     basis = _basis(source)
     datum = book.datum(basis, view.levelling)
     told = book.facts(basis, datum)
@@ -102,12 +102,12 @@ def surface_contents(
 
 
 def _level(rows: Span, cols: Span) -> tuple[float, float]:
-    """Heights of what lies flat."""
+    """Return the heights of a flat drawing."""
     return 0.0, 0.0
 
 
 def _shown(snapshot: Snapshot, source: SurfaceKey, facts: SurfaceStatistics, datum: Datum | None) -> Shown:
-    """While a scan goes on, the stitched surface has the room of all planned fields, and stays in its place."""
+    """Return the surface to draw; during a scan its window covers all planned fields and stays in place."""
     data, info = snapshot.dataset, snapshot.surface
     if source.show or data is None or info is None:
         return Shown(source, facts, facts, datum=datum)
@@ -116,7 +116,10 @@ def _shown(snapshot: Snapshot, source: SurfaceKey, facts: SurfaceStatistics, dat
 
 
 def _with_what_there_is(view: View, facts: SurfaceStatistics) -> View:
-    """The view, coloured by height where this surface does not have the quantity asked for; a difference as one."""
+    """Return the view with a quantity that this surface has.
+
+    A missing overlap quantity is replaced by height, and the height of a difference is coloured as a difference.
+    """
     if view.shows_difference and view.colour_by == "height":
         return replace(view, colour_by="difference")
     lacks = view.colour_by == "overlap" and not facts.has_overlaps
@@ -124,19 +127,19 @@ def _with_what_there_is(view: View, facts: SurfaceStatistics) -> View:
 
 
 def _basis(source: SurfaceKey) -> SurfaceKey:
-    """What a surface is drawn by: the second of a comparison like the first, in the same colours and the same light."""
+    """Return the surface that determines colours and lighting: for the second of a comparison the first one."""
     return replace(source, show=-ComparisonFace.FIRST) if source.show == -ComparisonFace.SECOND else source
 
 
 def _standing(snapshot: Snapshot, show: int) -> int:
-    """What the camera stands before: a comparison lies where its first surface does, but for both side by side."""
+    """Return the surface that the camera frames: that of a comparison's first surface, except side by side."""
     asked = comparison_of(show)
     found = next((c for c in snapshot.comparisons if asked is not None and c.number == asked[0]), None)
     return show if asked is None or found is None or asked[1] is ComparisonFace.BESIDE else found.comparison.first.field
 
 
 def _fields(poses: PoseCache, snapshot: Snapshot, view: View, on_show: DisplayedSurface) -> list[SceneItem]:
-    """Where the fields were placed."""
+    """Return the layer of solved field positions."""
     data = snapshot.dataset
     known = poses.at(on_show.source) if view.shows_fields and data is not None else None
     if known is None or data is None:
@@ -150,7 +153,7 @@ def _top(on_show: DisplayedSurface) -> float:
 
 
 def _with_figures(box: Box) -> Box:
-    """The box and the figures at its lower and left edge."""
+    """Return the box extended by the scale labels at its lower and left edge."""
     return box[0] - 1.6 * figure_height_mm(box), box[1] - 1.6 * figure_height_mm(box), box[2], box[3]
 
 
@@ -158,7 +161,7 @@ def _with_figures(box: Box) -> Box:
 
 
 def _picture_at_z(snapshot: Snapshot, view: View, on_show: DisplayedSurface) -> tuple[SceneItem, ...]:
-    """A frame of the field, or the stitched picture at one z, lying at that z; the surface stands out of it."""
+    """Return a frame of the field, or the stitched image at one z, drawn at that z."""
     data, source = snapshot.dataset, on_show.source
     if data is None:
         return ()
@@ -172,7 +175,7 @@ def _picture_at_z(snapshot: Snapshot, view: View, on_show: DisplayedSurface) -> 
 
 
 def frame_z_um(data: OpenDataset, number: int, k: int) -> float:
-    """The z of a frame of a field."""
+    """Return the z of a frame of a field."""
     return data.plan.sweep.z_um(data.plan.field(number), k)
 
 

@@ -1,4 +1,4 @@
-"""Small pictures of where results were measured, painted when they are first listed."""
+"""Thumbnails of measured regions, rendered when their results are first listed."""
 
 from __future__ import annotations
 
@@ -22,24 +22,24 @@ from wafer_viewer.session.state.snapshot import Snapshot
 
 WIDTH_PX, HEIGHT_PX = 44, 33
 _ROOM, _LEAST_PX = 1.7, 32
-"""How much more than its places a picture takes in, and at least how many pixels of the surface."""
+"""Size of a thumbnail relative to its regions, and its least size in pixels of the surface."""
 
 
 class Thumbnails:
-    """Pictures by request; one that is not painted yet is an empty box, and the page is drawn again when it is."""
+    """Thumbnails by request. A pending one is an empty box, and the page is redrawn when it is available."""
 
     def __init__(self, page: Page) -> None:
         self._page = page
         self._asked: dict[RenderRequest, Future[bytes]] = {}
 
     def of(self, finding: AnyResult, snapshot: Snapshot) -> str:
-        """The picture of a result, its places outlined in its colour, as HTML."""
+        """Return the thumbnail of a result, with its regions outlined in its colour, as HTML."""
         request = picture_of(finding, snapshot)
         data = self.painted(request) if request is not None else b""
         return thumbnail(data, outlines(finding, box_of(finding, snapshot)))
 
     def painted(self, request: RenderRequest) -> bytes:
-        """A picture as JPEG; no bytes until it is painted."""
+        """Return an image as JPEG; empty while it is pending or if it failed."""
         future = self._asked.get(request)
         if future is None or future.cancelled():
             future = self._asked[request] = self._page.session.paint(request)
@@ -48,13 +48,16 @@ class Thumbnails:
 
 
 def thumbnail(jpeg: bytes, over: str = "") -> str:
-    """A small picture with what is drawn over it, as HTML."""
+    """Return a thumbnail with an overlay as HTML."""
     image = f'<img alt="" src="data:image/jpeg;base64,{base64.b64encode(jpeg).decode()}">' if jpeg else ""
     return f'<span class="wv-thumb">{image}{over}</span>'
 
 
 def painted(page: Page, finding: AnyResult, wait_s: float) -> bytes | None:
-    """The picture to be kept with a result, as JPEG; None where there is none in time. Never on a page's own thread."""
+    """Return the image stored with a result, as JPEG; None if it is not available in time.
+
+    It blocks up to `wait_s`, so it must not run on a page's own thread.
+    """
     request = picture_of(finding, page.session.snapshot)
     if request is None:
         return None
@@ -65,18 +68,18 @@ def painted(page: Page, finding: AnyResult, wait_s: float) -> bytes | None:
 
 
 def picture_of(finding: AnyResult, snapshot: Snapshot) -> RenderRequest | None:
-    """What to ask the painter for; None while the surface that a result was measured on is not there."""
+    """Return the render request of a result; None while the surface it was measured on is not available."""
     source = source_of(snapshot, finding.show)
     return None if source is None else RenderRequest(source, "picture", box_um=box_of(finding, snapshot))
 
 
 def box_of(finding: AnyResult, snapshot: Snapshot) -> Box:
-    """What the picture of a result takes in, in um."""
+    """Return the extent of a result's thumbnail, in um."""
     return framed(bounds_of(finding, _LEAST_PX * (snapshot.surface.pixel_um if snapshot.surface else 1.0)))
 
 
 def framed(bounds: Box) -> Box:
-    """A box round another, with room to spare, as wide for its height as a picture is."""
+    """Return a box around another, with a margin and the aspect ratio of a thumbnail."""
     (x0, y0, x1, y1), aspect = bounds, WIDTH_PX / HEIGHT_PX
     width = max(x1 - x0, (y1 - y0) * aspect) * _ROOM
     x, y = (x0 + x1) / 2, (y0 + y1) / 2
@@ -84,7 +87,7 @@ def framed(bounds: Box) -> Box:
 
 
 def outlines(finding: AnyResult, box: Box) -> str:
-    """The places of a result over the picture of a box, as SVG."""
+    """Return the regions of a result over the image of a box, as SVG."""
     paths = "".join(_path(place, box) for place in drawn_of(finding))
     style = f'style="--tone:{html.safe(sign_colour(finding))}"'
     return f'<svg viewBox="0 0 {WIDTH_PX} {HEIGHT_PX}" {style}>{paths}</svg>'

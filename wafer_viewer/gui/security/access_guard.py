@@ -1,6 +1,6 @@
-"""Who may open the page: only who was given its address, and no other web page behind their back.
+"""Access control: only browsers that were given the address, and no foreign web pages.
 
-viser answers every request and takes any Origin. Here each request is checked before viser sees it:
+viser answers every request and accepts any Origin. Each request is checked before viser sees it:
 its Host must be this server (a rebound name is not), its Origin this page (a foreign page's script is not), and it
 must bring the token, once in the printed address and from then on in a cookie that scripts cannot read.
 """
@@ -36,7 +36,7 @@ _POLICY = (
     "img-src 'self' data: blob:; font-src 'self' data:; connect-src 'self' ws://{host} data: blob:; "
     "worker-src 'self' blob:; object-src 'none'; base-uri 'none'; form-action 'none'; frame-ancestors 'none'"
 )
-"""What viser's page needs and no more: it evaluates code, decodes textures from blobs and works in blob workers."""
+"""Content security policy with the permissions that viser's page needs: eval, textures and workers from blobs."""
 _NO_TOKEN = (
     "This page opens with the address that the program printed when it started: it ends in ?token=... "
     "Copy the whole of it from the terminal.\n"
@@ -45,23 +45,23 @@ _patching = threading.Lock()
 
 
 class AccessGuard:
-    """The checks of one server, and the address that passes them."""
+    """Request checks of one server, and the address that passes them."""
 
     def __init__(self, host: str, token: str) -> None:
         self._host = host
         self._token = token
         self.report: Callable[[str], bytes | None] = lambda name: None
-        """The bytes of the report with a name, shown under /reports/NAME to who may open the page."""
+        """Bytes of a report by name, served under /reports/NAME to authorised browsers; None if missing."""
         self._port = 0
 
     @property
     def address(self) -> str:
-        """The address to be printed."""
+        """Address with the token, to be printed."""
         host = "127.0.0.1" if self._host in _EVERYWHERE else self._host
         return f"http://{host}:{self._port}/?token={self._token}"
 
     def refusal(self, connection: ServerConnection, request: Request) -> Response | None:
-        """The answer to a request that may not pass, None to one that may."""
+        """Return the response to a refused request, or None if it is allowed."""
         try:
             host, origin = request.headers["Host"], request.headers.get("Origin")
             is_socket = "Upgrade" in request.headers
@@ -76,7 +76,7 @@ class AccessGuard:
         return None
 
     def around(self, answer: Answer | None) -> Answer:
-        """viser's own answers behind the checks, with the cookie and the headers that keep the page to itself."""
+        """Wrap viser's handler with the checks, the cookie and the security headers."""
 
         def guarded(connection: ServerConnection, request: Request) -> Response | None:
             response = self.refusal(connection, request)
@@ -93,7 +93,7 @@ class AccessGuard:
         return guarded
 
     def _reported(self, request: Request) -> Response | None:
-        """A report of the data folder, where one is asked for."""
+        """Return the response to a request for a report; None for other requests."""
         path = unquote(urlsplit(request.path).path)
         if not path.startswith(_REPORTS):
             return None
@@ -104,11 +104,11 @@ class AccessGuard:
         return Response(http.HTTPStatus.OK.value, http.HTTPStatus.OK.phrase, headers, body)
 
     def bound_to(self, port: int) -> None:
-        """Learn the port once it is known."""
+        """Set the port once it is known."""
         self._port = port
 
     def _names(self, connection: ServerConnection) -> set[str]:
-        """What this server is called: loopback, the host it was started on, the address this request came to."""
+        """Return the valid Host values: loopback, the configured host, the local address of the connection."""
         local = connection.local_address
         port = int(local[1]) if local else self._port
         names = {*_LOOPBACK, self._host.lower(), str(local[0]).lower() if local else ""} - set(_EVERYWHERE)
@@ -138,7 +138,7 @@ class AccessGuard:
 
 
 def open_server(host: str, port: int, token: str | None = None) -> tuple[viser.ViserServer, AccessGuard]:
-    """A viser server that is guarded from its first request on, and cannot be shared through a tunnel."""
+    """Open a viser server that is guarded from its first request on and cannot be shared through a tunnel."""
     guard = AccessGuard(host, token or new_token())
     with _guarding(guard), contextlib.redirect_stdout(io.StringIO()):  # viser would print an address without the token
         server = viser.ViserServer(host=host, port=port, verbose=False)
@@ -149,7 +149,7 @@ def open_server(host: str, port: int, token: str | None = None) -> tuple[viser.V
 
 @contextlib.contextmanager
 def _guarding(guard: AccessGuard) -> Generator[None]:
-    """Put the guard in front of the websocket server that viser opens meanwhile: it offers no way to hand one in."""
+    """Patch the guard into the websocket server that viser opens meanwhile; viser has no parameter for it."""
     plain = websocket_server.serve
 
     def serve(*args: Any, process_request: Answer | None = None, **kwargs: Any) -> Any:
@@ -164,7 +164,7 @@ def _guarding(guard: AccessGuard) -> Generator[None]:
 
 
 def _no_tunnel(verbose: bool = True) -> None:
-    """Hiding viser's share button does not keep a page from asking: there is no share address, for no one."""
+    """Refuse share requests, which a page could send although viser's share button is hidden."""
 
 
 def _text(status: http.HTTPStatus, text: str) -> Response:

@@ -1,1 +1,1 @@
-"""The page assembled: layout, shortcuts, palette, maps."""
+"""Page assembly: layout, shortcuts, palette, maps."""

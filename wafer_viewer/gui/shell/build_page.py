@@ -1,4 +1,4 @@
-"""One page put together: its frame, header, panels, overlays, scene and keys, and who hears of what."""
+"""Assembly of a page: theme, header, panels, overlays, scene, keys, and the callbacks between them."""
 
 from __future__ import annotations
 
@@ -70,7 +70,7 @@ if TYPE_CHECKING:
 
 
 class PageTheme:
-    """The style sheet and viser's theme: light or dark, and the room for the bottom panel."""
+    """Style sheet and viser's theme: light or dark, and the height of the bottom panel."""
 
     def __init__(self, page: Page) -> None:
         self._gui = page.gui
@@ -78,7 +78,7 @@ class PageTheme:
         self._sheet = HtmlBlock(page.gui, padded=False)
 
     def show(self, snapshot: Snapshot, view: View) -> None:
-        """Bring the frame up to date."""
+        """Bring the theme up to date."""
         self._sheet.show(sheet(view.dark, room_px(view)))
         if view.dark != self._dark:
             self._dark = view.dark
@@ -92,32 +92,32 @@ class PageTheme:
 
 
 class ScenePart:
-    """The 3D scene as a part of the page."""
+    """3D scene as a part of the page."""
 
     def __init__(self, scene: SceneView, curves: LiveProfiles) -> None:
         self._scene, self._curves = scene, curves
 
     def show(self, snapshot: Snapshot, view: View) -> None:
-        """Have the scene drawn; it works on its own thread. Cursors stand there where they stand on the curve."""
+        """Draw the scene, on its own thread, with the cursors at their positions on the curve."""
         plot = replace(view.plot, cursors=self._curves.cursor_shares(view))
         self._scene.draw(snapshot, in_scene(replace(view, plot=plot), snapshot.surface))
 
 
 class StepFallback:
-    """Leads back to a step there is something to do in: after a reload, or when a dataset is closed."""
+    """Fallback to the step Plan if the present step has no content, after a reload or when a dataset is closed."""
 
     def __init__(self, page: Page) -> None:
         self._page = page
 
     def show(self, snapshot: Snapshot, view: View) -> None:
-        """Go to Plan where the step shown has nothing to show; a review waits for the verdict that will come."""
+        """Go to Plan if the step has no content; Review stays while a verdict is pending."""
         waits = view.step == "review" and awaited(snapshot)
         if not (possible(view.step, snapshot) or waits):
             self._page.change(step="plan")
 
 
 def go_to(page: Page, step: Step) -> None:
-    """Go to a step, or say why there is nothing to do in it yet."""
+    """Go to a step, or notify why it is not available yet."""
     if (why := why_not(step, page.session.snapshot)) is None:
         page.change(step=step, why=None)
     else:
@@ -125,7 +125,7 @@ def go_to(page: Page, step: Step) -> None:
 
 
 def build_page(client: viser.ClientHandle, session: SessionApi) -> Page:
-    """Make the page of a browser that has just come, and begin to draw it."""
+    """Create the page of a newly connected browser and start drawing it."""
     page = Page(client, session)
     page.gui.main_panel.dock_right()
     page.gui.main_panel.set_width(RIGHT_PX)
@@ -213,7 +213,7 @@ def build_page(client: viser.ClientHandle, session: SessionApi) -> Page:
 
 
 def _palette(page: Page, scene: SceneView, of_parts: list[Command]) -> Palette:
-    """Keys, palette, the sheet of keys, and what fields and buttons say of themselves."""
+    """Create the command palette and the key sheet, and add titles and hints to widgets."""
     views, picture = SavedViews(page, scene), PrintPicture(page, scene)
     commands = [*looking(scene.look_from), *views.commands(), *picture.commands(), *of_parts, glossary_command(page)]
     palette = Palette(page, [*commands, add_keys_sheet(page, commands)], views.going)
@@ -223,7 +223,7 @@ def _palette(page: Page, scene: SceneView, of_parts: list[Command]) -> Palette:
 
 
 def _listen_to_page(page: Page, scene: SceneView, left: LeftPanel, measure: MeasurePanel) -> None:
-    """What is clicked on the left, on the glass over the scene and in the header."""
+    """Connect clicks in the left panel, on the overlays and in the header."""
     left.results.on_chosen(scene.fly_to)
     left.defects.on_chosen(scene.fly_to)
     left.map.on_seen(scene.seen_um)
@@ -250,7 +250,7 @@ def _listen_to_lines(page: Page, scene: SceneView, curves: LiveProfiles) -> None
 
 
 def _listen_to_scene(page: Page, scene: SceneView, read_out: ReadOutBox, why: WhyPanel) -> None:
-    """Handles, clicks and the camera; what takes time is answered on a thread of its own."""
+    """Connect handles, clicks and the camera; clicks are answered on a worker thread."""
     clicks = LatestOnlyWorker("read-out")
     page.on_close(clicks.close)
     failed = "The surface was not read"

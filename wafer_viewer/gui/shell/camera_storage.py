@@ -1,4 +1,4 @@
-"""Where the camera stands, kept in the browser: after a reload it stands there again, before the first picture."""
+"""Camera pose saved in the browser and restored after a reload, before the first picture."""
 
 from __future__ import annotations
 
@@ -15,14 +15,14 @@ MOVED_MM = 1e-5
 
 
 class Viewpoint:
-    """Keeps the camera's place as long as the same thing is looked at."""
+    """Saves and restores the camera pose of a dataset or step."""
 
     def __init__(self, page: Page, scene: SceneView) -> None:
         self._page, self._scene = page, scene
         self._kept: SavedCamera | None = None
 
     def show(self, snapshot: Snapshot, view: View) -> None:
-        """Put the camera back at first, and remember it whenever it has moved."""
+        """Restore the camera pose on the first call; save it later whenever it has changed."""
         of = looked_at(snapshot, view)
         if self._kept is None:
             self._kept = self._page.recalled.standpoint
@@ -36,7 +36,7 @@ class Viewpoint:
 
 
 def looked_at(snapshot: Snapshot, view: View) -> str:
-    """What a camera's place is a place before: a dataset's surface, or the stage in a step."""
+    """Return the key of a camera pose: the dataset's path on a surface, else the step."""
     data = snapshot.dataset
     return f"{data.path}" if view.on_surface and data is not None else view.step
 

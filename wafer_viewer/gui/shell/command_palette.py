@@ -1,6 +1,6 @@
-"""The commands as the browser knows them: those that have something to act on, by the name they have by then.
+"""Commands registered with the browser: those that apply to the present state, under their present names.
 
-One that is not possible says why when it is chosen, by its key or in the palette.
+A command that is not possible notifies why when it is chosen, by key or in the palette.
 """
 
 from __future__ import annotations
@@ -17,11 +17,11 @@ from wafer_viewer.session.state.snapshot import Snapshot
 
 Source = Callable[[Snapshot], Sequence[Command]]
 Name = tuple[str, Any, Any]
-"""What a command is called, its key and what is held down with it."""
+"""Name, key and modifier of a command."""
 
 
 class Palette:
-    """The table of commands, and `more` that depend on what there is."""
+    """Registration of the fixed commands and of `more`, which depend on the snapshot."""
 
     def __init__(self, page: Page, commands: Sequence[Command], more: Source) -> None:
         self._page, self._commands, self._more = page, commands, more
@@ -51,7 +51,7 @@ class Palette:
 
 
 def carry_out(page: Page, command: Command) -> None:
-    """Do what a command stands for, or say why not."""
+    """Carry out a command, or notify why it is not possible."""
     why = command.why_not(page.session.snapshot, page.view) if command.why_not is not None else None
     if why is None:
         command.act()

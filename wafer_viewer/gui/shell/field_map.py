@@ -1,6 +1,6 @@
-"""The map of the left panel: the fields of the plan or of the open dataset, by how far they have come.
+"""Field map of the left panel: fields of the plan or of the open dataset, coloured by state.
 
-Over it, in a drawing of its own because it changes with every move of the camera: what is seen, and where results are.
+A second drawing on top shows the camera's view and the results, because it changes with every camera move.
 """
 
 from __future__ import annotations
@@ -22,12 +22,12 @@ from wafer_viewer.session.rendering.render_request import Brushed
 from wafer_viewer.session.state.snapshot import Snapshot
 
 MOST_MARKS = 400
-"""Of more things under review the first of the list are marked: more signs than these hide each other."""
+"""Maximum number of marked review items; more marks would hide each other."""
 Drawn = tuple[tuple[Field, ...], dict[int, str], tuple[float, float] | None]
 
 
 class FieldMap:
-    """The drawing with its legend; it is made again only when something of it has changed."""
+    """Map with legend, redrawn only when its content has changed."""
 
     def __init__(self, gui: Gui) -> None:
         HtmlBlock(gui, html.head("Map", first=True))
@@ -39,11 +39,11 @@ class FieldMap:
         self._frame: MapViewport | None = None
 
     def on_seen(self, seen_um: Callable[[], Outline | None]) -> None:
-        """Ask this for the part of the ground that the camera sees."""
+        """Set the function that returns the ground area in the camera's view."""
         self._seen = seen_um
 
     def on_brushed(self, brushed: Callable[[], Brushed | None]) -> None:
-        """Ask this for the brushed points."""
+        """Set the function that returns the brushed points."""
         self._brushed = brushed
 
     def show(self, snapshot: Snapshot, view: View) -> None:
@@ -92,7 +92,7 @@ def _nothing(snapshot: Snapshot, view: View) -> str:
 
 
 def drawn(snapshot: Snapshot, view: View) -> Drawn:
-    """The fields on the map, the words of their states, and (width, height) of one in um."""
+    """Return the fields on the map, their states by number, and (width, height) of a field in um."""
     data, draft = snapshot.dataset, snapshot.draft
     if data is not None and view.step != "plan":
         plan = data.plan
@@ -109,7 +109,7 @@ def drawn(snapshot: Snapshot, view: View) -> Drawn:
 
 
 def field_at(snapshot: Snapshot, view: View, x_um: float, y_um: float) -> Field | None:
-    """The field on the map that holds a place, of several the one whose centre is nearest."""
+    """Return the field that contains a place, the one with the nearest centre of several; None if there is none."""
     fields, _, size_um = drawn(snapshot, view)
     if size_um is None:
         return None
@@ -119,7 +119,7 @@ def field_at(snapshot: Snapshot, view: View, x_um: float, y_um: float) -> Field 
 
 
 def extent_um(snapshot: Snapshot) -> Outline:
-    """The corners of the stitched surface, stage um; none before there is one."""
+    """Return the corners of the stitched surface in stage um; empty if there is none."""
     info = snapshot.surface
     if info is None:
         return ()
@@ -129,7 +129,7 @@ def extent_um(snapshot: Snapshot) -> Outline:
 
 
 def _essence(snapshot: Snapshot, view: View) -> tuple[object, ...]:
-    """What of all this the map shows; large things are told apart by being the same."""
+    """Return the values that the map depends on; large ones are compared by identity first."""
     data = snapshot.dataset if view.step != "plan" else None
     job, limits = snapshot.draft.job, snapshot.rig.limits
     of_data = (data.fields, data.states, data.plan) if data is not None else (job, limits, None)
@@ -146,7 +146,7 @@ def _essence(snapshot: Snapshot, view: View) -> tuple[object, ...]:
 
 
 def _areas(view: View, brushed: Brushed | None) -> list[MarkedArea]:
-    """Where brushed heights are, the selection, and the lines of profiles are drawn as results are."""
+    """Return the marked areas: places of brushed heights, and the selection in the step Surface."""
     areas = [MarkedArea(box, BRUSH, "brushed heights") for box in brushed.places] if brushed and view.brush else []
     if view.selection is not None and view.step == "surface":
         areas.append(MarkedArea(view.selection, "var(--accent)", "selection", dashed=True))
@@ -154,7 +154,7 @@ def _areas(view: View, brushed: Brushed | None) -> list[MarkedArea]:
 
 
 def _marks(snapshot: Snapshot, view: View) -> list[MapMark]:
-    """Where results are; in Review what is under review."""
+    """Return the marks of the results in Measure, and of the review items in Review."""
     if view.step == "review":
         listed = review_items(snapshot, view.review_filter, view.defects)
         placed = [item for item in listed if item.box_um is not None]

@@ -1,4 +1,4 @@
-"""The left panel: where things are on the sample, and below it the list that belongs to the step."""
+"""Left panel: map of the sample, and below it the lists of the step."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ from wafer_viewer.session.state.snapshot import Snapshot
 
 
 class LeftPanel:
-    """Map, then datasets (Plan, Surface), jobs and faults (Acquire), or results (Measure)."""
+    """Map, then jobs, saved views, and the lists of the step, such as datasets, defects or results."""
 
     def __init__(self, page: Page) -> None:
         self._page = page
@@ -87,5 +87,5 @@ class LeftPanel:
 
 
 def _shortened(folder: Path) -> str:
-    """A folder with the home folder as ~."""
+    """Return a path with the home folder abbreviated to ~."""
     return f"~/{folder.relative_to(Path.home())}" if folder.is_relative_to(Path.home()) else str(folder)

@@ -1,6 +1,6 @@
-"""Contact with the program: what a page shows when it is lost, and when it is back.
+"""Connection monitor: texts that a page shows when the connection is lost and restored.
 
-The browser's part is contact.js; it is told beforehand what to say, and hears from the program every second.
+The browser's part is lost_connection.js; it gets its texts in advance and a heartbeat every second.
 """
 
 from __future__ import annotations
@@ -21,12 +21,12 @@ from wafer_viewer.session.state.snapshot import RigStatus, Snapshot
 
 BEAT_S = 1.0
 PROGRAM, SINCE = secrets.token_hex(8), time.strftime("%H:%M:%S")
-"""This run of the program: a page that meets another one says that it was started anew."""
+"""Identity and start time of this process; a page that finds another one reports a restart."""
 _STOP_OUT_OF_REACH, _RED_BUTTON = "Stop on this page does not reach the rig.", "Press the red button on the rig."
 
 
 class Contact:
-    """Tells the browser every second that the program is there, and what to say if it were not."""
+    """Heartbeat to the browser, with the texts to show if the connection is lost."""
 
     def __init__(self, page: Page) -> None:
         self._page = secrets.token_hex(8)
@@ -41,7 +41,7 @@ class Contact:
         threading.Thread(target=self._beat, name="contact", daemon=True).start()
 
     def show(self, snapshot: Snapshot, view: View) -> None:
-        """Bring what the browser is told up to date."""
+        """Bring the browser's texts up to date."""
         words = {
             "program": PROGRAM,
             "page": self._page,
@@ -69,7 +69,7 @@ class Contact:
 
 
 def state(snapshot: Snapshot) -> str:
-    """Return what the rig does, as the last word of a lost connection."""
+    """Return the state of the rig in words, shown as the last known state when the connection is lost."""
     scan = snapshot.scan
     if snapshot.scanning and scan is not None:
         return f"{snapshot.rig.state}, field {scan.field.number}"
@@ -77,12 +77,12 @@ def state(snapshot: Snapshot) -> str:
 
 
 def out_of_reach(rig: RigStatus) -> str:
-    """Return what to do instead of pressing Stop."""
+    """Return the instruction for stopping the rig without this page."""
     return f"{_STOP_OUT_OF_REACH}\n{'It is simulated: nothing real moves.' if rig.simulated else _RED_BUTTON}"
 
 
 def meanwhile(snapshot: Snapshot) -> str:
-    """Return what went on without the page, and whether anything is to be done."""
+    """Return what happened while the page was disconnected, and whether action is needed."""
     scan, data = snapshot.scan, snapshot.dataset
     if snapshot.rig.state in ("fault", "absent"):
         return f"{snapshot.rig.message or 'The rig does not answer.'}"
@@ -97,7 +97,7 @@ def meanwhile(snapshot: Snapshot) -> str:
 
 
 def kept_over_restart(snapshot: Snapshot) -> str:
-    """Return what is kept when the program was started anew, and what it waits for."""
+    """Return what was preserved over a restart of the program, and whether the sample must be confirmed."""
     data = snapshot.dataset
     what = f"{data.path.stem}: {kept(data)}" if data is not None else "Datasets and results are kept."
     wait = "" if snapshot.draft.confirmed else " Nothing moves before the sample is confirmed."
@@ -105,7 +105,7 @@ def kept_over_restart(snapshot: Snapshot) -> str:
 
 
 def _step_to_look_at(snapshot: Snapshot) -> str:
-    """Where the question about the sample stands."""
+    """Return the step that asks to confirm the sample."""
     data = snapshot.dataset
     return "acquire" if data is not None and not data.finished else "plan"
 

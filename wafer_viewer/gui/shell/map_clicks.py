@@ -1,4 +1,4 @@
-"""What a click on the map does: a field is shown or gone to, any other place is flown to, or asked about first."""
+"""Clicks on the field map: show or move to a field, fly to a place, or move the stage after confirmation."""
 
 from __future__ import annotations
 
@@ -16,11 +16,11 @@ if TYPE_CHECKING:
     from wafer_viewer.gui.scenes.scene_view import SceneView
 
 WIDE_UM = 300.0
-"""What is shown round a place that is flown to, where the camera sees no end of the ground."""
+"""Side of the area shown around a place if the camera's view of the ground is unbounded."""
 
 
 class MapClicks:
-    """Fields by their number, places in stage um."""
+    """Click handler of the field map; fields are given by number, places in stage um."""
 
     def __init__(self, page: Page, scene: SceneView) -> None:
         self._page, self._scene = page, scene
@@ -28,9 +28,9 @@ class MapClicks:
         page.on_pick("place", lambda key: self._go_to_place(*(float(um) for um in key.split(","))))
 
     def _go_to_field(self, chosen: int) -> None:
-        """In Plan and Acquire the stage goes there; on a surface the field is shown, and a second click shows all.
+        """Move the stage to a field in Plan and Acquire; on a surface show the field, or all on a second click.
 
-        The fields of data from elsewhere lie at no place of this stage.
+        Nothing moves for data that this rig did not take, because its fields have no stage position here.
         """
         page = self._page
         if page.view.on_surface:
@@ -56,12 +56,12 @@ class MapClicks:
 
     @property
     def _is_elsewhere(self) -> bool:
-        """Whether the map shows data that this rig did not take."""
+        """True if the map shows data that this rig did not take."""
         snapshot, view = self._page.session.snapshot, self._page.view
         return view.step == "acquire" and snapshot.dataset is not None and not snapshot.is_of_this_rig
 
     def _fly(self, x_um: float, y_um: float) -> None:
-        """Show as much there as is seen now."""
+        """Fly to a place and keep the size of the view."""
         corners = self._scene.seen_um()
         xs, ys = ([corner[k] for corner in corners] for k in (0, 1)) if corners else ((0.0, WIDE_UM), (0.0, WIDE_UM))
         half_x, half_y = (max(xs) - min(xs)) / 2, (max(ys) - min(ys)) / 2

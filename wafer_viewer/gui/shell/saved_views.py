@@ -1,4 +1,4 @@
-"""Views to come back to: kept with the dataset, so that every browser has them; in the left panel as a list."""
+"""Saved views, stored with the dataset for every browser and listed in the left panel."""
 
 from __future__ import annotations
 
@@ -23,13 +23,13 @@ if TYPE_CHECKING:
     from wafer_viewer.gui.scenes.scene_view import SceneView
 
 WITH_KEYS = 9
-"""The first so many views are reached by shift and their number."""
+"""Number of views that have a key, shift and their number."""
 LOOKED = ("look", "colour_by", "colours", "range_um", "exaggeration", "hillshade", "all_in_focus", "show", "levelling")
-"""What a saved view keeps of how this browser looks at the surface."""
+"""Fields of the view that are stored in a saved view."""
 
 
 class SavedViews:
-    """The verbs of the list: save, go there, rename, delete, undo."""
+    """Commands of saved views: save, go to, rename, delete, undo."""
 
     def __init__(self, page: Page, scene: SceneView) -> None:
         self._page, self._scene = page, scene
@@ -40,12 +40,12 @@ class SavedViews:
         page.on_pick("view-undo", lambda _: page.ask("Nothing was undone", page.session.notebook.undo()))
 
     def commands(self) -> list[Command]:
-        """Save a view."""
+        """Return the command that saves a view."""
         save = Command("Save view…", "0", self.ask_name, viser.Icon.BOOKMARK_PLUS, "shift", "Look")
         return unless(off_surface, save)
 
     def going(self, snapshot: Snapshot) -> list[Command]:
-        """To the views there are, by their names; the first ones have their numbers as keys."""
+        """Return the commands that go to the saved views; the first ones have their numbers as keys."""
         return [self._going_to(kept) for kept in snapshot.notebook.book.views] if snapshot.dataset is not None else []
 
     def _going_to(self, kept: SavedView) -> Command:
@@ -54,7 +54,7 @@ class SavedViews:
         return Command(name, key, lambda: self.go_to(kept.number), viser.Icon.BOOKMARK, held, "Look", listed=False)
 
     def ask_name(self) -> None:
-        """Save where the camera stands and how the surface is drawn, under a name."""
+        """Open the dialog that saves the camera pose and the display settings under a name."""
         page, pose = self._page, self._scene.pose
         if page.session.snapshot.dataset is None or pose is None or not page.view.on_surface:
             return
@@ -69,7 +69,7 @@ class SavedViews:
         dialog.answers("Save view", viser.Icon.BOOKMARK_PLUS, save, "The view was not saved")
 
     def go_to(self, number: int) -> None:
-        """Look at the surface as a saved view does."""
+        """Go to a saved view."""
         page, kept = self._page, self._page.session.snapshot.notebook.book.view(number)
         if kept is None:
             return
@@ -96,7 +96,7 @@ class SavedViews:
 
 
 def saved(view: View, pose: CameraPose, name: str) -> SavedView:
-    """What is kept of a browser's view and its camera."""
+    """Return the saved view of a browser's view and camera pose; lengths are rounded to 1e-6 mm."""
     x, y, z = (round(float(mm), 6) for mm in pose.position)
     at_x, at_y, at_z = (round(float(mm), 6) for mm in pose.look_at)
     looked = {key: getattr(view, key) for key in LOOKED}
@@ -104,7 +104,7 @@ def saved(view: View, pose: CameraPose, name: str) -> SavedView:
 
 
 def choices(kept: SavedView, snapshot: Snapshot) -> dict[str, Any]:
-    """The choices of a view that a saved one stands for; words that this program does not know are left out."""
+    """Return the view changes of a saved view; unknown styles get the default, a missing field the whole surface."""
     looked = {key: getattr(kept, key) for key in LOOKED}
     data = snapshot.dataset
     if kept.show > 0 and (data is None or kept.show not in data.stamps):
@@ -117,7 +117,7 @@ def choices(kept: SavedView, snapshot: Snapshot) -> dict[str, Any]:
 
 
 def views_html(snapshot: Snapshot, view: View) -> str:
-    """The list in the left panel; nothing where there is no surface to look at."""
+    """Return the list of the left panel as HTML; empty without a surface."""
     if not view.on_surface or snapshot.dataset is None:
         return ""
     state = snapshot.notebook

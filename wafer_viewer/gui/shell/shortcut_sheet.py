@@ -1,4 +1,4 @@
-"""The sheet that lists all keys, made from the same table as the keys; and the script that lets them through."""
+"""Sheet of all keys, generated from the command table, and the keyboard script of the page."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ from wafer_viewer.gui.widgets.static_files import read_static
 from wafer_viewer.model.glossary import Subject, terms_of
 
 SCRIPTS = "accessible_names.js", "file_dialog.js", "keyboard.js"
-"""The list of files hears its keys before the others do."""
+"""Scripts in this order: the file dialog handles its keys before the keyboard script."""
 FILE_PICKS = "file-mark", "file-open", "file-parent"
 BESIDE_THE_TABLE: dict[Group, tuple[tuple[str, str], ...]] = {
     "Page": (
@@ -28,18 +28,18 @@ BESIDE_THE_TABLE: dict[Group, tuple[tuple[str, str], ...]] = {
     ),
     "Look": (("Saved view 1 … 9", "Shift + 1 … 9"), ("Move the camera", "W A S D Q E"), ("Turn it", "arrows")),
 }
-"""Keys that no command of ours stands for, and such as stand for many."""
+"""Keys without a command in the table, and keys that stand for several commands."""
 
 
 def sheet_html(commands: Sequence[Command]) -> str:
-    """All keys, under the heads of their groups."""
+    """Return all keys by group as HTML."""
     groups = [(group, _rows(group, commands)) for group in get_args(Group)]
     drawn = "".join(_group(group, rows) for group, rows in groups if rows)
     return f'<div class="wv-sheet" role="region" aria-label="Keys" tabindex="0"><div>{drawn}</div></div>'
 
 
 def add_keys_sheet(page: Page, commands: Sequence[Command]) -> Command:
-    """Put the script of keys on the page, and return the verb that shows the sheet."""
+    """Add the keyboard script to the page and return the command that shows the sheet."""
 
     def show() -> None:
         dialog = Dialog(page, "Keys", "Every command is also in the command palette: Ctrl + K.")
@@ -54,7 +54,7 @@ def add_keys_sheet(page: Page, commands: Sequence[Command]) -> Command:
 
 
 def glossary_html() -> str:
-    """Every term of the glossary, by subject."""
+    """Return the glossary by subject as HTML."""
 
     def subject_html(subject: Subject) -> str:
         rows = "".join(
@@ -67,7 +67,7 @@ def glossary_html() -> str:
 
 
 def glossary_command(page: Page) -> Command:
-    """The command that shows the glossary."""
+    """Return the command that shows the glossary."""
 
     def show() -> None:
         dialog = Dialog(page, "Glossary", "The words of this page, of the command line and of reports.")

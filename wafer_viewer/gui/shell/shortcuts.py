@@ -1,4 +1,4 @@
-"""What every key does, and what the command palette lists: the verbs of the page in one table."""
+"""Table of the page's commands with their keys, also listed in the command palette."""
 
 from __future__ import annotations
 
@@ -50,13 +50,13 @@ STEP_KEYS: dict[Step, str] = {
     "review": "R",
     "report": "O",
 }
-"""Each with shift."""
+"""Keys of the steps, each with shift."""
 EXAGGERATION_STEP, MOST_EXAGGERATED = 1.0, 20.0
 
 
 @dataclass(frozen=True, slots=True)
 class Parts:
-    """The panels whose verbs have keys."""
+    """Panels whose commands have keys."""
 
     plan: PlanPanel
     acquire: AcquirePanel
@@ -66,7 +66,7 @@ class Parts:
 
 
 def commands_of(page: Page, parts: Parts) -> list[Command]:
-    """Every verb of the page with its key."""
+    """Return every command of the page with its key."""
     return [
         *_going(page),
         *_planning(page, parts),
@@ -240,7 +240,7 @@ def _of_the_page(page: Page, parts: Parts) -> list[Command]:
         page.ask("Nothing was redone", of_step.get(page.view.step, lambda: judgement.redo(session, page.view))())
 
     def leave() -> None:
-        """What was opened last is left first."""
+        """Close the innermost open item: tour, explanation, sheet, filter, selection, brush or tool."""
         if page.view.tour is not None:
             page.change(tour=None)
         elif page.view.explains:
@@ -261,7 +261,7 @@ def _of_the_page(page: Page, parts: Parts) -> list[Command]:
             page.change(tool="none", selected=None)
 
     def in_use(_: Snapshot, view: View) -> bool:
-        """Escape is pressed for many things: where there is nothing to leave it is not ours."""
+        """Handle Escape only if a tool, selection, filter or sheet is open."""
         selects = view.step == "surface" and (view.selecting or view.selection is not None)
         narrowed = (
             view.lists_some or view.tour is not None or view.sheet_over != "none" or selects or view.brush is not None
@@ -277,7 +277,7 @@ def _of_the_page(page: Page, parts: Parts) -> list[Command]:
 
 
 def _asking(page: Page) -> Callable[..., Callable[[], None]]:
-    """Makes verbs of the session into what a key does: the operator hears of a failure, named by what stopped."""
+    """Return a factory of key actions that run a session command and report its failure under a given title."""
 
     def ask(
         name: str, verb: Callable[[], Future[Any]], then: Callable[[Any], None] | None = None

@@ -1,6 +1,6 @@
-"""The tour: a note that points at the next button of the page, and a card with the results at its end.
+"""Guided tour: a note that points at the next button, and a card with the results at the end.
 
-The state of the session and of the view says which steps are done, so that it does not matter how they were done.
+Completed steps follow from the state of session and view, no matter how they were carried out.
 """
 
 from __future__ import annotations
@@ -35,9 +35,9 @@ SCAN, LOOK, MEASURE, KEEP, INSPECT, JUDGE, REPORT = range(N_STEPS)
 
 @dataclass(frozen=True, slots=True)
 class Note:
-    """One note of the tour: `button` is the label of the button it points at, `at` a selector for other elements.
+    """Note of the tour: `button` is the label of the button it points at, `at` a selector for other elements.
 
-    `text` is HTML of the program's own.
+    `text` is trusted HTML.
     """
 
     title: str
@@ -47,7 +47,7 @@ class Note:
 
 
 class TourGuide:
-    """The note of the present step; Escape ends the tour."""
+    """Note of the present step; Escape ends the tour."""
 
     def __init__(self, page: Page) -> None:
         self._page = page
@@ -77,7 +77,7 @@ class TourGuide:
         self._cell.show(end_card(snapshot, tour, report))
 
     def commands(self) -> list[Command]:
-        """Begin and end."""
+        """Return the commands that begin and end the tour."""
 
         def why_not(snapshot: Snapshot, _: View) -> str | None:
             return None if snapshot.rig.simulated else "the tour is for the virtual rig, this one is real."
@@ -107,7 +107,7 @@ class TourGuide:
             page.ask(failed, page.session.close_dataset(), plan)
 
     def end(self) -> None:
-        """Put the note away."""
+        """End the tour."""
         self._page.change(tour=None)
 
     def _skip(self, step: int) -> None:
@@ -115,7 +115,7 @@ class TourGuide:
             self._page.change(tour=replace(tour, skipped=step + 1))
 
     def _plan(self) -> None:
-        """An empty plan over the sample, for a scan of one's own."""
+        """End the tour and create an empty plan that covers the sample."""
         page, failed = self._page, "There is no plan"
         self.end()
 
@@ -130,16 +130,16 @@ class TourGuide:
 
 
 def report_of(snapshot: Snapshot, tour: Tour) -> Path | None:
-    """The report that was written of the tour's dataset since the tour began."""
+    """Return the report of the tour's dataset written since the tour began, or None."""
     data = snapshot.dataset
     path = newest_report(data.path) if data is not None and is_tour(data.job) else None
     return path if path is not None and path.stat().st_mtime >= tour.since_s else None
 
 
 def present_step(snapshot: Snapshot, view: View, report: Path | None) -> int:
-    """The number of the step to be done, from 0; `N_STEPS` when all are.
+    """Return the index of the next step, from 0; `N_STEPS` when all are done.
 
-    What is kept, inspected, judged or written also vouches for the steps before it.
+    A saved result, inspection, judgement or report also completes the steps before it.
     """
     tour = view.tour or Tour()
     data, inspection = snapshot.dataset, snapshot.inspection
@@ -161,7 +161,7 @@ def present_step(snapshot: Snapshot, view: View, report: Path | None) -> int:
 
 
 def note_of(step: int, snapshot: Snapshot, view: View) -> Note:
-    """What the note of a step says, and the button it points at."""
+    """Return the note of a step."""
     match step:
         case 0:
             job = snapshot.draft.job
@@ -256,7 +256,7 @@ def _note_html(note: Note, step: int) -> str:
 
 
 def end_card(snapshot: Snapshot, tour: Tour, report: Path | None) -> str:
-    """Scanned, measured, found and written: four results with numbers, and the ways on."""
+    """Return the final card with the results of scan, measurement, inspection and report, as HTML."""
     data = snapshot.dataset
     took = duration((tour.ended_s or tour.since_s) - tour.since_s)
     name = html.safe(data.path.stem) if data is not None else ""
@@ -282,7 +282,7 @@ def end_card(snapshot: Snapshot, tour: Tour, report: Path | None) -> str:
 
 
 Result = tuple[str, str, str, bool]
-"""What was done, its number, a line below; whether it was done at all."""
+"""Title, value, a line below, and whether the part was carried out."""
 
 
 def _scanned(snapshot: Snapshot) -> Result:

@@ -1,4 +1,4 @@
-"""The card of the first start: the three ways in, and the tour for those without a sample."""
+"""Start card: plan a scan, open a dataset, import images, or take the tour."""
 
 from __future__ import annotations
 
@@ -15,11 +15,11 @@ from wafer_viewer.session.state.snapshot import Snapshot
 
 WIDTH_PX, HEIGHT_PX = 380, 318
 TOUR_TIME = "about 2 min"
-"""As tests/bench/bench_tour.py measures it, with the time a person reads for."""
+"""Measured by tests/bench/bench_tour.py, including reading time."""
 
 
 class Welcome:
-    """Shown while there is neither a plan nor a dataset."""
+    """Card shown while there is neither a plan nor a dataset."""
 
     def __init__(self, page: Page) -> None:
         self._page = page
@@ -39,7 +39,7 @@ class Welcome:
             self._tour = HtmlBlock(gui)
 
     def show(self, snapshot: Snapshot, view: View) -> None:
-        """Show the card or put it away."""
+        """Show or hide the card."""
         first = snapshot.draft.job is None and snapshot.dataset is None and view.step == "plan" and not self._away
         set_prop(self._panel, "visible", first)
         if not first:
@@ -51,7 +51,7 @@ class Welcome:
         self._tour.show(f'<div class="wv-lab" style="text-align:center;padding:4px 0 6px">{tour}</div>')
 
     def commands(self) -> list[Command]:
-        """What the card offers, by name."""
+        """Return the command that plans a scan."""
         icon = viser.Icon
         return [Command("Plan a scan", None, self._go_and_plan, icon.LAYOUT_GRID, group="Plan")]
 
@@ -60,7 +60,7 @@ class Welcome:
         self._plan()
 
     def _plan(self) -> None:
-        """Cover the sample that the rig has a picture of; without one, clear the way to the form."""
+        """Cover the sample in the rig's overview; without an overview, hide the card so that the form can be used."""
         if self._page.session.snapshot.overview is None:
             self._away = True
             self._page.redraw()

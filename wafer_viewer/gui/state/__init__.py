@@ -1,1 +1,1 @@
-"""What one browser looks at: view, plot and list state."""
+"""State of one browser: view, plot and defect list."""

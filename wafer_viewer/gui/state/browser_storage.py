@@ -1,6 +1,6 @@
-"""What a browser remembers over a reload: who it is, its panels, its camera, and the look it chose.
+"""Browser state that persists over a reload: identity, panel layout, camera and view.
 
-It is kept in the browser itself. What only makes sense on one dataset is given back for that dataset alone.
+It is stored in the browser itself. Settings of one dataset are restored for that dataset only.
 """
 
 from __future__ import annotations
@@ -22,17 +22,17 @@ EVERYWHERE = (
     *("step", "look", "colour_by", "colours", "exaggeration", "hillshade", "all_in_focus", "fields", "dark"),
     *("point_px", "depth_shade", "tour"),
 )
-"""What holds for every dataset; the rest of a view belongs to the one it was chosen for."""
+"""View settings that apply to every dataset; all others belong to the dataset they were chosen for."""
 OF = "of"
 WAIT_S = 15.0
-"""A browser that is busy with the page answers late; without its answer the page begins afresh."""
+"""Timeout of a storage request. A browser busy with the page answers late; without an answer the page uses defaults."""
 Vector = tuple[float, float, float]
 T = TypeVar("T")
 
 
 @dataclass(frozen=True, slots=True)
 class PanelLayout:
-    """Widths of the panels at the sides in pixels, and which of them are folded away."""
+    """Widths of the side panels in pixels, and their folded state."""
 
     left_px: int | None = None
     right_px: int | None = None
@@ -42,7 +42,7 @@ class PanelLayout:
 
 @dataclass(frozen=True, slots=True)
 class BrowserIdentity:
-    """The browser itself: the key by which the session knows it, its name, its panels, and notes not dealt with yet."""
+    """Identity of a browser: session key, name, panel layout and pending notes."""
 
     key: str = ""
     name: str = ""
@@ -52,7 +52,7 @@ class BrowserIdentity:
 
 @dataclass(frozen=True, slots=True)
 class SavedCamera:
-    """Where the camera stood, in mm, and what it looked at."""
+    """Saved camera position and point looked at, in mm, for the dataset `of`."""
 
     of: str = ""
     position_mm: Vector = (0.0, 0.0, 0.0)
@@ -61,7 +61,7 @@ class SavedCamera:
 
 @dataclass(frozen=True, slots=True)
 class Remembered:
-    """What a browser had: itself, its view, and what it had chosen for the dataset `of`."""
+    """Stored state of a browser: identity, view, and the settings for the dataset `of`."""
 
     browser: BrowserIdentity = BrowserIdentity()
     view: View = View()
@@ -71,7 +71,7 @@ class Remembered:
 
 
 def recall(client: viser.ClientHandle) -> Remembered:
-    """What this browser remembers; nothing when it has nothing, or does not answer. All is asked for at once."""
+    """Return the stored state of a browser; the default without an answer. All items are requested concurrently."""
 
     def ask(key: str) -> str:
         return client.local_storage.get_item(key, timeout=WAIT_S) or "{}"
@@ -85,7 +85,7 @@ def recall(client: viser.ClientHandle) -> Remembered:
 
 
 def read(text: str) -> Remembered:
-    """A view from its text; what is not a choice of this version is left out."""
+    """Return a view from its text; settings unknown to this version are omitted."""
     kept = _items(text)
     chosen = {name: value for name, hint in _hints().items() if (value := _as(kept.get(name), hint)) is not None}
     view = View(**{name: value for name, value in chosen.items() if name in EVERYWHERE})
@@ -94,35 +94,35 @@ def read(text: str) -> Remembered:
 
 
 def read_self(text: str) -> BrowserIdentity:
-    """A browser from its text."""
+    """Return a browser identity from its text."""
     return _as(_items(text), BrowserIdentity) or BrowserIdentity()
 
 
 def write(view: View, of: str) -> str:
-    """A view as text, with the dataset it was chosen for."""
+    """Return a view as text, with the dataset it was chosen for."""
     return msgspec.json.encode({**{f.name: getattr(view, f.name) for f in fields(View)}, OF: of}).decode()
 
 
 def keep(client: viser.ClientHandle, before: View, after: View, of: str) -> None:
-    """Have the browser remember its view, where that has changed."""
+    """Store the view in the browser if it has changed."""
     if before != after:
         client.local_storage.set_item(VIEW_KEY, write(after, of))
 
 
 def keep_self(client: viser.ClientHandle, browser: BrowserIdentity) -> None:
-    """Have the browser remember itself."""
+    """Store the identity in the browser."""
     client.local_storage.set_item(SELF_KEY, msgspec.json.encode(browser).decode())
 
 
 def keep_standpoint(client: viser.ClientHandle, standpoint: SavedCamera) -> None:
-    """Have the browser remember where the camera stands."""
+    """Store the camera pose in the browser."""
     client.local_storage.set_item(CAMERA_KEY, msgspec.json.encode(standpoint).decode())
 
 
 def changed(view: View, **changes: Any) -> View:
-    """A view with some choices changed; unknown names raise TypeError.
+    """Return a view with some settings changed; unknown names raise TypeError.
 
-    Ranges of heights hold for the surface and the zero that they were chosen on.
+    Height ranges are reset when the surface or its zero changes.
     """
     unknown = set(changes) - {f.name for f in fields(View)}
     if unknown:
@@ -146,7 +146,7 @@ def _items(text: str) -> dict[str, Any]:
 
 
 def _as(value: Any, kind: type[T]) -> T | None:
-    """A value as its kind; None for what is no such thing, from another version as a rule."""
+    """Return a value converted to a type; None if that fails, usually for data of another version."""
     try:
         return msgspec.convert(value, kind)
     except (msgspec.ValidationError, WaferViewerError):

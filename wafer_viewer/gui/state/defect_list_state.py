@@ -1,4 +1,4 @@
-"""How one browser lists the defects: in which order, of which class, of which die. Pure."""
+"""Sorting and filtering of the defect list in one browser. Pure."""
 
 from __future__ import annotations
 
@@ -15,9 +15,12 @@ MapBy = Literal["class", "count"]
 
 @dataclass(frozen=True, slots=True)
 class DefectListing:
-    """sort: what comes first; kind, die: of which alone, empty for all; map_by: by what the map's dies are coloured.
+    """Sort order and filters of the defect list.
 
-    numbers: of the defects that alone are listed, those of one place that repeats from die to die; none: all.
+    sort: key of the order.
+    kind, die: filters by class and by die; empty for all.
+    map_by: quantity that colours the dies of the map.
+    numbers: filter by defect numbers, those at one position that repeats from die to die; empty for all.
     """
 
     sort: DefectSort = "size"
@@ -28,17 +31,17 @@ class DefectListing:
 
     @property
     def narrowed(self) -> bool:
-        """Whether some of all are listed alone."""
+        """True if a filter is active."""
         return self.widened != self
 
     @property
     def widened(self) -> DefectListing:
-        """The same list with all in it."""
+        """The same list without filters."""
         return replace(self, kind="", die="", numbers=())
 
 
 def _rank(die: str) -> tuple[int, ...]:
-    """By rows of dies from the top, what lies outside of dies last."""
+    """Return the sort key of a die: by rows from the top, positions outside of dies last."""
     parts = tuple(map(int, die.split(","))) if die else ()
     return (0, -parts[1], parts[0]) if parts else (1,)
 
@@ -54,11 +57,11 @@ SORTS: dict[DefectSort, tuple[str, Callable[[Defect], Any]]] = {
     "die": ("Die", _die),
     "class": ("Class", lambda defect: (defect.seen_as, -defect.major.value_um, defect.number)),
 }
-"""By name: what the page calls it, and the key that the lowest of comes first."""
+"""Title on the page and ascending sort key, by name."""
 
 
 def listed(defects: Iterable[Defect], listing: DefectListing) -> tuple[Defect, ...]:
-    """The defects in their order; areas without heights, which are no defects, last."""
+    """Return the filtered defects in order; unmeasured areas, which are not defects, last."""
     kept = (d for d in defects if listing.kind in ("", d.seen_as) and listing.die in ("", d.die))
     kept = (d for d in kept if not listing.numbers or d.number in listing.numbers)
     order = SORTS[listing.sort][1]
@@ -66,7 +69,7 @@ def listed(defects: Iterable[Defect], listing: DefectListing) -> tuple[Defect, .
 
 
 def next_die(defects: Iterable[Defect], listing: DefectListing, by: int) -> str | None:
-    """The die after that listed alone, or before it, that has open defects, by rows from the top; None: none has."""
+    """Return the next or previous die with open defects, by rows from the top; None if there is none."""
     there = {d.die for d in defects if d.die and d.judgement == "open" and listing.kind in ("", d.seen_as)}
     if not there:
         return None
@@ -77,6 +80,6 @@ def next_die(defects: Iterable[Defect], listing: DefectListing, by: int) -> str 
 
 
 def next_kind(defects: Iterable[Defect], listing: DefectListing) -> str:
-    """The class after that listed alone, the most frequent first; after the last one all, which is empty."""
+    """Return the next class, the most frequent first; after the last one the empty string for all classes."""
     kinds = ["", *(kind for kind, _ in Counter(defect.seen_as for defect in defects).most_common())]
     return kinds[(kinds.index(listing.kind) + 1) % len(kinds)] if listing.kind in kinds else ""

@@ -1,4 +1,4 @@
-"""What one browser chose of the plot of its profiles: cursors, zoom, and what the active line is compared with."""
+"""State of the profile plot in one browser: cursors, zoom and comparisons with the active line."""
 
 from __future__ import annotations
 
@@ -9,9 +9,12 @@ from wafer_viewer.model.measurement.sections import OtherSurface
 
 @dataclass(frozen=True, slots=True)
 class PlotView:
-    """cursors: shares of the active line's length; span_um: the part of the lines shown, None all of them.
+    """Settings of the profile plot.
 
-    cleaned: the other of measured and filtered heights is drawn too; of: so is another surface along the same line.
+    cursors: fractions of the active line's length.
+    span_um: displayed part of the lines; None for all.
+    cleaned: True if the other of measured and filtered heights is drawn too.
+    of: another surface drawn along the same line; None for none.
     """
 
     cursors: tuple[float, float] = (0.0, 1.0)
@@ -21,6 +24,6 @@ class PlotView:
 
 
 def with_cursor(plot: PlotView, number: int, share: float) -> PlotView:
-    """The same with one cursor at another share of the line, kept on it."""
+    """Return the plot with one cursor moved to another fraction of the line, clamped to it."""
     share, (first, second) = min(max(share, 0.0), 1.0), plot.cursors
     return replace(plot, cursors=(share, second) if number == 0 else (first, share))

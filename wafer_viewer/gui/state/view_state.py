@@ -1,4 +1,4 @@
-"""What one browser looks at: apart from the widgets that change it, and from the session that all browsers share."""
+"""View state of one browser, separate from its widgets and from the session that all browsers share."""
 
 from __future__ import annotations
 
@@ -24,12 +24,12 @@ Counted = Literal["all", "view", "selection"]
 Below = Literal["none", "profile", "why", "gauge", "defect"]
 
 OF_DEFECT = "defect "
-"""What the keys of defects begin with."""
+"""Prefix of defect keys."""
 
 
 @dataclass(frozen=True, slots=True)
 class Tour:
-    """A tour that was taken: seconds since 1970 of its begin and of its report, and how many steps were skipped."""
+    """A tour: start and report time in seconds since 1970, and the number of skipped steps."""
 
     since_s: float = 0.0
     ended_s: float | None = None
@@ -38,29 +38,38 @@ class Tour:
 
 @dataclass(frozen=True, slots=True)
 class View:
-    """Camera presets aside, everything a browser may choose for itself.
+    """Settings of one browser, except the camera.
 
-    show: 0 is the stitched surface, a running number is that field, one below 0 a comparison. range_um None: its own
-    0.5 - 99.5 %.
-    frame_k: a frame of the field `show`, drawn at its z; slice_z_um: the stitched picture at one z; None: none.
-    fields: whether fields and overlaps are drawn over the stitched surface.
-    places: where the tool in use measures, as it asks for them (the profile has lines of its own); none: the scene lays
-    first ones. options: what was set of each tool. levelling: what heights are read from.
-    lines: those of the profiles, at most four; line: the active one, whose numbers are shown;
-    plot: what was chosen of their plot.
-    why: the place, stage um, whose height is being explained.
-    faces: of the gauge blocks, the upper one first; none: they are still to be found. check: which earlier check is
-    looked at, by its key; None the one that is being made.
-    review: the key of what is under review, None the first; review_filter: which of all are listed; defects: how those
-    are listed.
-    sheet: what lies over the scene in a review: the defect compared, or all dies stacked onto one.
-    everything: whether all of a released job is unfolded, not the four actions of its operator alone.
-    counted: of which part of what is shown the numbers are; selection: a rectangle of the stage in um; selecting: a
-    drag over the scene selects. brush_um: the range of heights that lights up.
-    clip: which points are drawn where the surface is drawn as points; point_px: their size on the screen; depth_shade:
-    strength of the shade in hollows; refused: whether points that gates refused are drawn, too. before: what becomes of
-    points before the slab along the profile's active line.
-    tour: the tour that is under way; None: none is.
+    show: 0 for the stitched surface, a positive number for that field, a negative one for a comparison.
+    range_um: colour range; None for the default of 0.5 - 99.5 %.
+    frame_k: a frame of the field `show`, drawn at its z; None for none.
+    slice_z_um: stitched image at one z; None for none.
+    fields: True if fields and overlaps are drawn over the stitched surface.
+    places: regions of the active tool, in the order of its inputs (the profile has its own lines); empty: the scene
+    places initial ones.
+    options: options of each tool.
+    levelling: reference of the heights.
+    lines: profile lines, at most four.
+    line: the active profile line, whose values are shown.
+    plot: settings of the profile plot.
+    why: position, stage um, of the explained height.
+    faces: gauge block faces, the upper one first; empty: not found yet.
+    check: key of the displayed earlier check; None for the current one.
+    review: key of the item under review; None for the first.
+    review_filter: filter of the review list.
+    defects: sort order and filters of the defect list.
+    sheet: overlay in a review: comparison of the defect, or all dies stacked onto one.
+    everything: True if a released job is shown with all settings, not only the four actions of its operator.
+    counted: part of the surface that the statistics refer to.
+    selection: a rectangle of the stage in um.
+    selecting: True if a drag in the scene selects.
+    brush_um: highlighted height range.
+    clip: clipping of drawn points.
+    point_px: point size on the screen.
+    depth_shade: strength of the shading in hollows.
+    refused: True if points rejected by gates are drawn too.
+    before: treatment of points in front of the slab along the active profile line.
+    tour: the running tour; None for none.
     """
 
     step: Step = "plan"
@@ -105,17 +114,17 @@ class View:
 
     @property
     def on_surface(self) -> bool:
-        """Whether the step is one in which the surface is looked at."""
+        """True if the step displays the surface."""
         return self.step not in ("plan", "acquire")
 
     @property
     def brush(self) -> Span | None:
-        """The range of heights that lights up in this step."""
+        """Highlighted height range in this step."""
         return self.brush_um if self.step in ("surface", "measure") else None
 
     @property
     def clipped(self) -> Clip:
-        """What of the points is drawn; only a point cloud is clipped, and cut at the profile's active line."""
+        """Clipping of the drawn points; only a point cloud is clipped, and cut at the active profile line."""
         if self.look != "points" or self.step == "gauge":
             return Clip()
         line = self.active_line if self.step == "measure" and self.tool == "profile" else None
@@ -124,43 +133,43 @@ class View:
 
     @property
     def draws_refused(self) -> bool:
-        """Whether the points that gates refused are drawn and counted."""
+        """True if points rejected by gates are drawn and counted."""
         return self.refused and self.look == "points" and self.step != "gauge" and self.show >= 0
 
     @property
     def shows_fields(self) -> bool:
-        """Whether the page shows how the fields were placed."""
+        """True if the page shows the field positions."""
         return self.fields and self.step == "surface" and self.show == 0
 
     @property
     def shows_difference(self) -> bool:
-        """Whether two surfaces compared are looked at, the second minus the first."""
+        """True if the difference of two surfaces is displayed, the second minus the first."""
         asked = comparison_of(self.show)
         return asked is not None and asked[1] is ComparisonFace.DIFFERENCE
 
     @property
     def active_line(self) -> Region | None:
-        """The line whose numbers are shown; None where there is none yet."""
+        """Profile line whose values are shown; None if there is none yet."""
         return self.lines[min(self.line, len(self.lines) - 1)] if self.lines else None
 
     @property
     def lists_some(self) -> bool:
-        """Whether some defects alone are listed."""
+        """True if the defect list is filtered."""
         return self.step == "review" and self.defects.narrowed
 
     @property
     def sheet_over(self) -> Sheet:
-        """What lies over the scene now."""
+        """Current overlay of the scene."""
         return self.sheet if self.step == "review" and not self.explains else "none"
 
     @property
     def explains(self) -> bool:
-        """Whether the page says why a pixel has its height."""
+        """True if the page explains the height of a pixel."""
         return self.why is not None and self.on_surface
 
     @property
     def below(self) -> Below:
-        """Which curve takes the room below the scene."""
+        """Curve in the panel below the scene."""
         if self.explains:
             return "why"
         if self.step == "gauge":

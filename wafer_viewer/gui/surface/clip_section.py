@@ -25,7 +25,7 @@ AXES = ("X", "Y", "Z")
 
 
 class ClipSection:
-    """Shown where the surface is drawn as points; the balls on the faces of the box in the scene say the same."""
+    """Section shown for point clouds; the handles on the faces of the box in the scene are equivalent."""
 
     def __init__(self, page: Page, seen_um: Callable[[], Box | None]) -> None:
         self._page = page
@@ -65,7 +65,7 @@ class ClipSection:
         return button(self._page.gui, label, icon, guarded(self._page, FAILED)(lambda _: self._put(box())))
 
     def _known(self, view: View) -> tuple[Ends, Ends, Ends] | None:
-        """From where to where the box reaches along each axis; the whole surface where nothing is clipped."""
+        """Return the extent of the box along each axis; the whole surface where nothing is clipped."""
         on_show = self._page.on_show
         if on_show is None:
             return None
@@ -96,7 +96,7 @@ class ClipSection:
         self._clip(box_um=(low, y0, high, y1) if axis == 0 else (x0, low, x1, high))
 
     def _put(self, box_um: Box | None) -> None:
-        """Clip to a rectangle of the stage; without one to all of the surface, whose faces can then be dragged."""
+        """Clip to a rectangle in stage um; None clips to all of the surface, so that its faces can be dragged."""
         self._clip(box_um=box_um or self._whole())
 
     def _reset(self) -> None:
@@ -107,7 +107,7 @@ class ClipSection:
 
 
 def take_faces(page: Page) -> Callable[[ClipBoxFaces, str], ClipBoxFaces]:
-    """Return what hears of the box dragged in the scene. A face that was never moved goes on clipping nothing."""
+    """Return the callback for the box dragged in the scene; a face that was never moved clips nothing."""
 
     def moved(faces: ClipBoxFaces, key: str) -> ClipBoxFaces:
         clip, on_show = page.view.clip, page.on_show
@@ -124,7 +124,7 @@ def take_faces(page: Page) -> Callable[[ClipBoxFaces, str], ClipBoxFaces]:
 
 
 def all_heights_um(page: Page, on_show: DisplayedSurface) -> Span:
-    """Return the lowest and the highest of all points on show, refused ones among them where they are drawn, um."""
+    """Return the lowest and the highest displayed point, um; includes rejected points if they are drawn."""
     told = page.statistics
     if told is None or not told.n_heights:
         return on_show.heights_um

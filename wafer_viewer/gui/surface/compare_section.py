@@ -1,4 +1,4 @@
-"""The left panel's part for comparing surfaces: what to compare, the comparisons there are, and the one looked at."""
+"""Comparison section of the left panel: form, list of comparisons, and the displayed one."""
 
 from __future__ import annotations
 
@@ -35,7 +35,7 @@ ICON = viser.Icon
 
 
 class CompareSection:
-    """In sight in the step Surface where there is a surface; a comparison that is looked at is told in numbers."""
+    """Section shown in the step Surface if there is a surface, with the numbers of the displayed comparison."""
 
     def __init__(self, page: Page) -> None:
         self._page = page
@@ -67,7 +67,7 @@ class CompareSection:
         self._show_known(known, view)
 
     def commands(self) -> list[Command]:
-        """The verbs of comparing with their keys."""
+        """Return the comparison commands with their keys."""
         return [
             *unless(no_surface, Command("Compare surfaces…", None, self.unfold, ICON.ARROWS_DIFF, group="Surface")),
             *unless(
@@ -78,18 +78,18 @@ class CompareSection:
         ]
 
     def unfold(self) -> None:
-        """Show the form, or fold it away again."""
+        """Unfold or fold the form."""
         self._unfolded = not self._unfolded
         self._page.change(step="surface")
         self._page.redraw()
 
     def blink(self) -> None:
-        """From the first surface to the second and back, through the same eye."""
+        """Switch between the first and the second surface with the same camera."""
         if (asked := comparison_of(self._page.view.show)) is not None:
             self._look(asked[0], ComparisonFace.FIRST if asked[1] is ComparisonFace.SECOND else ComparisonFace.SECOND)
 
     def close(self) -> None:
-        """Back to the surface."""
+        """Close the comparison and show the surface again."""
         if self._page.view.show < 0:
             self._page.change(show=0, range_um=None)
 
@@ -124,7 +124,7 @@ class CompareSection:
         self._compare(*pair)
 
     def _ask_other(self) -> None:
-        """Compare with a dataset or a surface file from anywhere."""
+        """Open the dialog that compares with any dataset or surface file."""
         page = self._page
         below = "A stitched dataset NAME.wafer, or a surface file: it is laid over what is on show and subtracted."
         dialog = Dialog(page, "Compare with another surface", below)
@@ -187,7 +187,7 @@ class CompareSection:
         self._told.show(_told(known, asked[1]))
 
     def _ask_choices(self, snapshot: Snapshot, view: View) -> None:
-        """What can be compared is read from the disk, on a thread of its own, when that may have changed."""
+        """List the surfaces to compare with on a worker thread, whenever they may have changed."""
         data, info = snapshot.dataset, snapshot.surface
         asked = (data and (data.path, data.results), info and info.result, snapshot.datasets, view.show)
         if asked != self._asked:
@@ -207,7 +207,7 @@ def _align(title: str) -> Align:
 
 
 def _list(snapshot: Snapshot, known: Compared | None, unfolded: bool) -> str:
-    """The head with the way to a new comparison, and those there are."""
+    """Return the header with the link for a new comparison, and the list of comparisons, as HTML."""
     link = (
         "" if known is not None else f'<span class="wv-link" {html.pick("compare-new")}>{_fold_word(unfolded)}</span>'
     )

@@ -1,4 +1,4 @@
-"""The focus curve below the scene, and beside it the pixel's surroundings in whichever frame is pointed at."""
+"""Bottom panel with the focus curve of a pixel, and its surroundings in the selected frame."""
 
 from __future__ import annotations
 
@@ -20,13 +20,13 @@ from wafer_viewer.session.state.snapshot import Snapshot
 
 READING = "Reading the frames …"
 PATCH_PX = 96
-"""Side of the part of a frame that is shown, in its own pixels."""
+"""Side of the displayed part of a frame, in frame pixels."""
 PICTURE_PX = 176
 HEAD_PX = 50
 
 
 class WhyDock:
-    """Head, curve with a line through it that is dragged over the frames, and the frame it stands at."""
+    """Header, focus curve with a draggable line that selects a frame, and the picture of that frame."""
 
     def __init__(self, page: Page, why: WhyPanel) -> None:
         self._page, self._why = page, why
@@ -63,7 +63,7 @@ class WhyDock:
         self._frame.show(self._picture)
 
     def _begin(self, curve: FocusCurve) -> None:
-        """Another pixel: begin with the frame of its peak, whose greys hold for all of its frames."""
+        """Start with another pixel at the frame of its peak, whose grey range is used for all of its frames."""
         self._curve, self._picture = curve, ""
         self._look_at(curve.z_um[_sharpest(curve)])
 
@@ -99,7 +99,7 @@ def _head(curve: FocusCurve | None, reading: bool) -> str:
 
 
 def _slider(curve: FocusCurve) -> str:
-    """The line through the curve: a slider over z as large as the plot, so that it can be taken hold of anywhere."""
+    """Return the frame selector as HTML: a slider over z that covers the plot, so that it can be dragged anywhere."""
     low, high = curve.z_um[0], curve.z_um[-1]
     step = (high - low) / (len(curve.z_um) - 1) * (1 - 1e-9)  # or the last frame would lie beyond the last step
     tell = html.safe(f"this.dataset.k=this.value;{html.pick_script('why-frame', latest_only=True)}")
@@ -111,7 +111,7 @@ def _slider(curve: FocusCurve) -> str:
 
 
 def _cross_hair(window_px: int) -> str:
-    """Lines towards the pixel and a frame round the window in which its focus is measured."""
+    """Return a cross hair around the pixel and the outline of its focus window, as SVG."""
     half, low, high = PATCH_PX / 2, PATCH_PX / 2 + 0.5 - window_px / 2, PATCH_PX / 2 + 0.5 + window_px / 2
     middle, gap, end = half + 0.5, 12, PATCH_PX
     lines = f"M0 {middle}H{low - gap}M{high + gap} {middle}H{end}M{middle} 0V{low - gap}M{middle} {high + gap}V{end}"
@@ -122,7 +122,7 @@ def _cross_hair(window_px: int) -> str:
 
 
 def _picture(curve: FocusCurve, k: int, url: str) -> str:
-    """The pixel's surroundings in a frame, and which frame it is."""
+    """Return the picture of the pixel's surroundings in a frame, with the frame's number and z, as HTML."""
     z = with_unit(curve.z_um[k], 2, signed=True)
     return (
         f'<figure class="wv-patch" style="width:{PICTURE_PX}px">'

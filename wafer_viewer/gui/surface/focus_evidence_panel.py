@@ -1,4 +1,4 @@
-"""Why this height? The panel that takes the step's place while the page explains a pixel, and asks for the evidence."""
+"""Panel "Why this height?", which replaces the step's panel and requests the focus evidence of a pixel."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ FAILED = "The frames were not read"
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Evidence:
-    """What is known of the pixel asked about: its curve (while `reading`, that of the pixel before), or the problem."""
+    """Focus curve of the selected pixel (of the previous pixel while `reading`), or the problem."""
 
     curve: FocusCurve | None = None
     problem: str = ""
@@ -31,7 +31,7 @@ class Evidence:
 
 
 class WhyPanel:
-    """The answer, the verdicts and the rivals of one pixel; a click on another asks about that one."""
+    """Answer, gate verdicts and competing peaks of one pixel; a click selects another pixel."""
 
     def __init__(self, page: Page) -> None:
         self._page = page
@@ -48,7 +48,7 @@ class WhyPanel:
         page.on_pick("why-close", lambda _: self.close())
 
     def show(self, snapshot: Snapshot, view: View) -> None:
-        """Bring the panel up to date, and ask when another pixel or another surface is looked at."""
+        """Bring the panel up to date; request the evidence of another pixel, close it for another surface."""
         set_prop(self._folder, "visible", view.explains)
         if not view.explains:
             self._asked, self.evidence = None, Evidence()
@@ -63,14 +63,14 @@ class WhyPanel:
         self._body.show(self._said())
 
     def clicked(self, x_um: float, y_um: float) -> None:
-        """The surface was clicked: the place can be asked about, and is at once while another is explained."""
+        """Remember a click on the surface; explain that place at once if the panel is open."""
         page = self._page
         self._clicked = (x_um, y_um), surface_of(page.session.snapshot, page.view)
         if page.view.explains:
             page.change(why=(x_um, y_um))
 
     def toggle(self) -> None:
-        """Explain the place that was clicked last, or stop explaining."""
+        """Explain the place that was clicked last, or close the panel."""
         page = self._page
         if page.view.explains:
             self.close()
@@ -80,7 +80,7 @@ class WhyPanel:
             page.say(TITLE, "Click a place on the surface first.")
 
     def close(self) -> None:
-        """Stop explaining."""
+        """Close the panel."""
         self._page.change(why=None)
 
     def _said(self) -> str:
@@ -114,7 +114,7 @@ class WhyPanel:
 
 
 def surface_of(snapshot: Snapshot, view: View) -> Hashable:
-    """The surface a place belongs to: another dataset or field is another surface."""
+    """Return the key of the displayed surface: dataset path and field."""
     return (snapshot.dataset.path if snapshot.dataset else None, view.show)
 
 

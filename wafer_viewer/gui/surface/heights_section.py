@@ -1,4 +1,4 @@
-"""Heights of what is shown as a histogram: a drag brushes a range, which then lights up and is told in numbers."""
+"""Histogram of the displayed heights; a drag brushes a range, which is highlighted and listed in numbers."""
 
 from __future__ import annotations
 
@@ -22,12 +22,12 @@ from wafer_viewer.session.rendering.render_request import Brushed, Statistics
 
 FAILED = "The heights were not clipped"
 _ROOM = 0.5
-"""Round a place that is measured next, as a share of its sides."""
+"""Margin around a place to be measured, as a share of its sides."""
 _DECIMALS = 3
 
 
 class HeightsSection:
-    """The histogram and, below it, what is brushed. In a point cloud its grips are the Z of the clip box."""
+    """Histogram and numbers of the brushed heights; in a point cloud its grips set the Z of the clip box."""
 
     def __init__(self, page: Page) -> None:
         self._page = page
@@ -71,7 +71,7 @@ class HeightsSection:
     # ---------------------------------------------------------------- bring up to date
 
     def _colours(self, view: View) -> tuple[str, float, float] | None:
-        """The colours of the bars: those of the surface, where height colours it."""
+        """Return colour map and range of the bars, as on the surface; None if it is not coloured by height."""
         scale, by = self._page.scale, self._page.coloured_by(view)
         if scale is None or by not in ("height", "difference") or scale.quantity != by:
             return None
@@ -113,7 +113,7 @@ class HeightsSection:
             self._page.change(clip=replace(self._page.view.clip, heights_um=span))
 
     def _keep_it(self) -> None:
-        """Clip all but what is brushed; that is seen as points."""
+        """Clip to the brushed heights and show the points."""
         view = self._page.view
         if view.brush_um is not None:
             self._page.change(look="points", clip=replace(view.clip, heights_um=view.brush_um), brush_um=None)
@@ -125,7 +125,7 @@ class HeightsSection:
 
 
 def brushed_rows(brushed: Brushed) -> list[tuple[str, str]]:
-    """What is brushed, in numbers."""
+    """Return the numbers of the brushed heights as rows."""
     rows = [("Points", f"{number(brushed.n_points, 0)} · {share(brushed.fraction)}")]
     if brushed.mean_um is None:
         return rows
@@ -139,7 +139,7 @@ def brushed_rows(brushed: Brushed) -> list[tuple[str, str]]:
 
 
 def around(box: Box) -> Region:
-    """A rectangle with room round a place."""
+    """Return a rectangle with a margin around a box."""
     x0, y0, x1, y1 = box
     dx, dy = _ROOM * (x1 - x0), _ROOM * (y1 - y0)
     return Region.rectangle(*(round(v, 2) for v in (x0 - dx, y0 - dy, x1 + dx, y1 + dy)))
@@ -160,7 +160,7 @@ def _sorted(a: float, b: float) -> Span:
 
 
 def _unless_all(ends: Span, whole_um: Span) -> Span | None:
-    """A range of heights; None for one that holds all, or that holds nothing."""
+    """Return a range of heights; None if it contains all heights or is empty."""
     low, high = float(ends[0]), float(ends[1])
     all_of_it = low <= whole_um[0] + 10**-_DECIMALS and high >= whole_um[1] - 10**-_DECIMALS
     return None if high <= low or all_of_it else (low, high)

@@ -1,6 +1,6 @@
-"""A pointer on the histogram of heights: a drag brushes a range, a click clears it, grips clip.
+"""Pointer interaction on the height histogram: a drag brushes a range, a click clears it, grips clip.
 
-The element lies over the bars and tells through the page's hidden field.
+The element covers the bars and reports through the page's hidden field.
 """
 
 from __future__ import annotations
@@ -38,7 +38,10 @@ _UP = (
 
 
 def histogram_area(ends_um: Span, brush_um: Span | None, clip_um: Span | None, *, clips: bool) -> str:
-    """Lies on the bars; `clips`: whether it has grips, at the ends of `clip_um` or of the histogram without one."""
+    """Return the element over the bars as HTML.
+
+    clips: add grips at the ends of `clip_um`, or of the histogram without one.
+    """
     band = "display:none"
     if brush_um is not None:
         first, last = (place_of(z, ends_um) for z in brush_um)
@@ -60,9 +63,9 @@ def histogram_area(ends_um: Span, brush_um: Span | None, clip_um: Span | None, *
 
 @dataclass(frozen=True, slots=True)
 class Drag:
-    """A drag on the histogram: what it took hold of, and the heights where it began and ended.
+    """Drag on the histogram: the brush or grip, and the heights at its start and end.
 
-    is_click: it did not move. Within `_AT_END` of an end of the histogram it means all that lies beyond.
+    is_click: it did not move. Within `_AT_END` of an end of the histogram it includes all heights beyond.
     """
 
     act: Act
@@ -72,7 +75,7 @@ class Drag:
 
 
 def told(key: str, ends_um: Span, span_um: Span) -> Drag:
-    """The drag that the element told of; `span_um`: the lowest and the highest of all heights."""
+    """Parse a drag event; `span_um` is the lowest and the highest of all heights."""
     act, first, last = key.split(":")
     from_um, to_um = (_height(float(share), ends_um, span_um) for share in (first, last))
     return Drag(_ACTS.get(act, "brush"), from_um, to_um, abs(float(first) - float(last)) < _CLICK)

@@ -1,4 +1,4 @@
-"""Top left on glass below the toolbar: how many of how many points are drawn, and where the rest is."""
+"""Overlay below the toolbar with the number of drawn points and the reasons for the others."""
 
 from __future__ import annotations
 
@@ -15,11 +15,11 @@ from wafer_viewer.session.state.snapshot import Snapshot
 
 _LEAST_PX, _MOST_PX = 230, 760
 _LINE_PX, _EDGES_PX, _LETTER_PX, _BELOW_TOOLBAR_PX = 18, 14, 7.2, 48
-"""_LETTER_PX: width of a letter at most, on the average."""
+"""Pixels; _LETTER_PX: upper bound of the average width of a letter."""
 
 
 class PointCount:
-    """There wherever points are drawn and counted; as wide as there is room beside the colour bar."""
+    """Overlay shown while points are drawn and counted; its width leaves space for the colour bar."""
 
     def __init__(self, page: Page) -> None:
         self._page = page
@@ -38,7 +38,7 @@ class PointCount:
 
 
 def size_px(words: str, scene_px: int) -> tuple[int, int]:
-    """Return width and height of the glass for words in HTML, over a scene so wide."""
+    """Return width and height of the overlay for a text in HTML, given the width of the scene."""
     n_letters = len(re.sub("<[^>]*>", "", words))
     width_px = min(_MOST_PX, max(_LEAST_PX, scene_px - LEGEND_PX - 3 * EDGE_PX))
     n_lines = math.ceil(n_letters * _LETTER_PX / (width_px - 2 * _EDGES_PX))

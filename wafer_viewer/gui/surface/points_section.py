@@ -1,4 +1,4 @@
-"""How a point cloud is drawn: how many points, their size, depth shade, least confidence, and refused points."""
+"""Display options of point clouds: size, depth shade, minimum confidence, rejected points."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ WORDS: dict[LeftOut, str] = {
 
 
 class PointsSection:
-    """Shown where the surface is drawn as points."""
+    """Section shown while the surface is drawn as points."""
 
     def __init__(self, page: Page) -> None:
         self._page = page
@@ -69,7 +69,7 @@ class PointsSection:
 
 
 def counted(told: Statistics, drawn: int, view: View) -> str:
-    """How many of how many points are drawn, and where the rest is, HTML."""
+    """Return the number of drawn points of all, and the reasons for the others, as HTML."""
     refused = told.refused
     n_all, n_left, left_out = _totals(told)
     rest = [
@@ -87,14 +87,14 @@ def counted(told: Statistics, drawn: int, view: View) -> str:
 
 
 def amount(n: float) -> str:
-    """``845``, ``12 k``, ``1.2 M``."""
+    """Return a number in short form: ``845``, ``12 k``, ``1.2 M``."""
     if n >= 0.9995 * _MEGA:
         return f"{number(n / _MEGA, 1)} M"
     return f"{number(n / _KILO, 0 if n >= 9950 else 1)} k" if n >= _KILO else number(n, 0)
 
 
 def refused_legend(refused: RefusedCounts) -> str:
-    """Each reason in its colour, with how many points it has, the most frequent first; HTML."""
+    """Return the legend of rejection reasons with their colours and counts, most frequent first, as HTML."""
     found = sorted(refused.by_reason.items(), key=lambda item: -item[1])
     rows = "".join(
         f"{html.swatch(f'rgb{ORIGIN_COLOURS[Origin(code)]}!important', 'var(--ink3)')}"
@@ -105,7 +105,7 @@ def refused_legend(refused: RefusedCounts) -> str:
 
 
 def _refused_words(told: Statistics | None, view: View) -> str:
-    """The legend of refused points, or why there are none."""
+    """Return the legend of rejected points, or the reason why there are none, as HTML."""
     if not view.refused:
         return ""
     if view.show < 0:
@@ -127,7 +127,10 @@ def _remark(text: str) -> str:
 
 
 def _totals(told: Statistics) -> tuple[int, int, dict[LeftOut, int]]:
-    """All points, those that the clip leaves, and the others by reason; refused points among them where drawn."""
+    """Return the number of all points, of those within the clip, and of the others by reason.
+
+    Rejected points are included if they are drawn.
+    """
     refused = told.refused
     if refused is None:
         return told.n_heights, told.n_points, told.left_out
@@ -136,7 +139,7 @@ def _totals(told: Statistics) -> tuple[int, int, dict[LeftOut, int]]:
 
 
 def _shares(told: Statistics, drawn: int) -> str:
-    """A bar of what is drawn, what comes when one goes nearer, and what is left out."""
+    """Return a bar of the points drawn, drawn when closer, and clipped, as HTML."""
     n_all, n_left, _ = _totals(told)
     whole = max(1, n_all)
     now, later = 100 * min(1.0, drawn / whole), 100 * max(0.0, (n_left - drawn) / whole)

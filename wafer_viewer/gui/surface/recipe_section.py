@@ -1,4 +1,4 @@
-"""How the surface was reconstructed, and the choices for doing it again."""
+"""Reconstruction section: recipe of the surface, and a form to reconstruct it again."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ Put = Callable[[Recipe, Any], Recipe]
 
 
 class RecipeSection:
-    """One line that says how; on demand what the data chose, or a form of the recipe and a button."""
+    """Recipe in one line; on demand the values chosen from the data, or the recipe form."""
 
     def __init__(self, page: Page) -> None:
         self._page = page
@@ -49,7 +49,7 @@ class RecipeSection:
     # --- building
 
     def _build(self) -> None:
-        """The choices in the order in which they are made use of."""
+        """Create the choices in the order in which the reconstruction uses them."""
         gui = self._page.gui
         self._ready = self._dropdown("Preset", tuple(words.READY), self._take_ready)
         self._add("Drift", words.DRIFT, lambda r: r.drift, lambda r, v: replace(r, drift=v))
@@ -77,7 +77,7 @@ class RecipeSection:
         in_a_row(gui, [self._button], 34)
 
     def _add(self, label: str, names: dict[str, Any], get: Callable[[Recipe], Any], put: Put) -> BoundInput[str]:
-        """A choice of the recipe, by the names that the page has for it."""
+        """Add a dropdown for a field of the recipe, with its displayed names."""
         field = self._dropdown(label, tuple(names), lambda name: self._choose(put(self._now(), names[name])))
         self._fields.append((field, names, get))
         return field
@@ -111,7 +111,7 @@ class RecipeSection:
     # --- showing
 
     def _forget_another(self, data: OpenDataset | None) -> None:
-        """What was chosen for one dataset is not meant for the next."""
+        """Discard the edited recipe when another dataset is open."""
         of = data.path if data else None
         if of != self._of:
             self._of, self._recipe = of, None
@@ -129,14 +129,14 @@ class RecipeSection:
 
 
 def _asked(data: OpenDataset | None, info: SurfaceInfo | None) -> Recipe:
-    """The recipe that the surface was asked for by, with what it leaves to the data."""
+    """Return the recipe as requested; values left to the data are not resolved."""
     if info is not None and info.asked is not None:
         return info.asked
     return data.job.recipe if data is not None else Recipe()
 
 
 def _said(data: OpenDataset | None, info: SurfaceInfo | None, unfolded: set[str]) -> str:
-    """Head, how it was made in one line, what the data chose, the notes."""
+    """Return header, recipe in one line, values chosen from the data, and notes, as HTML."""
     asked = _asked(data, info)
     settled = (info.settled if info else None) or asked
     values = words.chosen_by_data(asked, settled)
@@ -152,7 +152,7 @@ def _said(data: OpenDataset | None, info: SurfaceInfo | None, unfolded: set[str]
 
 
 def _noted(info: SurfaceInfo) -> list[str]:
-    """What was noted, but for what stands with the stitching."""
+    """Return the notes of the reconstruction without those of the stitching."""
     elsewhere = info.stitching.notes if info.stitching is not None else ()
     return [note for note in info.recipe_notes if note not in elsewhere]
 

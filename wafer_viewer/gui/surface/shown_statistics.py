@@ -1,4 +1,4 @@
-"""The statistics of what one browser shows: of all of it, of what is in view, or of the selection.
+"""Statistics of the surface shown in one browser: of all of it, of the part in view, or of the selection.
 
 The panel, the histogram, the range of colours, the map and the export read them from the page, so that they agree.
 """
@@ -23,11 +23,11 @@ from wafer_viewer.session.state.snapshot import Snapshot, SurfaceInfo
 Corners = tuple[tuple[float, float], ...]
 _KEPT = 64
 _ROUNDED = 200
-"""A view is rounded to this part of the surface, so that small moves of the camera count nothing anew."""
+"""The view is rounded to this part of the surface, so that small camera moves start no new count."""
 
 
 class ShownStatistics:
-    """A part of the page that is drawn before those that show its numbers; counting is the painter's work."""
+    """Part of the page that updates the statistics before the parts that show them; the painter counts."""
 
     def __init__(self, page: Page, seen_um: Callable[[], Corners | None]) -> None:
         self._page, self._seen_um = page, seen_um
@@ -37,7 +37,7 @@ class ShownStatistics:
         self.problem = ""
 
     def show(self, snapshot: Snapshot, view: View) -> None:
-        """Have what is shown counted, where anything of it has changed."""
+        """Request new statistics if the displayed part has changed."""
         self.problem = ""
         request = self._request(snapshot, view)
         self._page.counted_um = request.box_um if request is not None else None
@@ -55,7 +55,7 @@ class ShownStatistics:
             self._page.statistics, self.problem = None, str(fault)
 
     def seen_um(self) -> Box | None:
-        """The part of the surface that is in view; None all of it."""
+        """Return the box of the surface in view; None if all of it is."""
         return self._box_um(self._page.on_show, replace(self._page.view, counted="view"))
 
     def _request(self, snapshot: Snapshot, view: View) -> RenderRequest | None:
@@ -90,7 +90,7 @@ class ShownStatistics:
         return None if box == (x0, y0, x1, y1) else box
 
     def _counted(self, request: RenderRequest) -> Statistics:
-        """Raises NotYet, or why it cannot be counted."""
+        """Return the statistics of a request. Raises NotReady, or WaferViewerError if they cannot be computed."""
         if request not in self._known:
             told = msgspec.msgpack.decode(self._orders.outcome(request).result(), type=Statistics)
             self._known = dict(list(self._known.items())[1 - _KEPT :])
@@ -99,12 +99,15 @@ class ShownStatistics:
 
 
 def _same_part(a: RenderRequest, b: RenderRequest) -> bool:
-    """Whether two requests count the same part, however clipped: until the second is answered the first still fits."""
+    """Return whether two requests count the same part apart from clip, brush and rejected points.
+
+    The statistics of the first can then be shown until those of the second are ready.
+    """
     return replace(a, clip=b.clip, brush_um=b.brush_um, refused=b.refused) == b
 
 
 def _of_all(snapshot: Snapshot, view: View) -> Statistics | None:
-    """What the session knows of the stitched surface itself, while nothing else was counted."""
+    """Return the statistics that the session has of the whole stitched surface; None for any other part."""
     info = snapshot.surface
     whole = view.show == 0 and view.counted == "all" and view.levelling.by == "stage"
     return _as_statistics(info) if info is not None and whole else None

@@ -1,4 +1,4 @@
-"""One z instead of the surface: any frame of a field, or the stitched picture at one z."""
+"""Slice section: a single frame of a field, or the stitched picture at one z, instead of the surface."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from wafer_viewer.session.state.snapshot import Snapshot
 
 
 class SliceSection:
-    """A switch, and a slider through the frames of the field shown or through z."""
+    """Switch, and a slider over the frames of the displayed field or over z."""
 
     def __init__(self, page: Page) -> None:
         self._page = page

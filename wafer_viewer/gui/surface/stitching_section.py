@@ -1,4 +1,4 @@
-"""How the fields were placed: numbers, what a person should look at, and the switch of the overlay."""
+"""Stitching section: registration figures, warnings, and the switch of the overlay."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from wafer_viewer.session.state.snapshot import Snapshot, SurfaceInfo
 
 
 class StitchingSection:
-    """In sight where there is more than one field; overlaps that are not believed are named with the overlay."""
+    """Section shown for more than one field; it lists rejected overlaps with the details or the overlay."""
 
     def __init__(self, page: Page, poses: PoseCache) -> None:
         self._page, self._poses = page, poses

@@ -1,4 +1,4 @@
-"""The panel of the third step: how the surface is drawn, what it is like, and how it was reconstructed."""
+"""Panel of the step Surface: display, statistics and reconstruction of the surface."""
 
 from __future__ import annotations
 
@@ -46,14 +46,14 @@ TITLES_OF_COLOUR_BY: dict[ColourBy, str] = {"difference": "Height", **{key: name
 NEVER_NEGATIVE = ("confidence", "slope", "overlap")
 STITCHED, COMPARED = "Stitched surface", "Comparison"
 FULL_BLEND = 0.4
-"""All-in-focus, when it is switched on."""
+"""Opacity of the all-in-focus picture when it is switched on."""
 FULL_SHADE = 0.8
 InView = Callable[[Callable[[tuple[float, float]], None]], None]
-"""Calls back with the range of what colours the part of the surface that the camera sees."""
+"""Function that calls back with the range of the colour quantity in the camera's view."""
 
 
 class SurfacePanel:
-    """Look, colour, light and depth, one z, numbers, recipe, and the way on to measuring."""
+    """Panel with display style, colour, light, slices, numbers and recipe, and the button to the step Measure."""
 
     def __init__(self, page: Page, poses: PoseCache, in_view: InView, statistics: ShownStatistics) -> None:
         self._page, self._in_view, self._statistics = page, in_view, statistics
@@ -91,15 +91,15 @@ class SurfacePanel:
         set_prop(self._export, "disabled", info is None and view.show == 0)
 
     def toggle_hillshade(self) -> None:
-        """Light from the north-west on or off."""
+        """Switch the hillshade (light from the north-west) on or off."""
         self._page.change(hillshade=0.0 if self._page.view.hillshade else FULL_SHADE)
 
     def toggle_fields(self) -> None:
-        """Fields and overlaps over the stitched surface, on or off."""
+        """Switch the overlay of fields and overlaps on or off."""
         self._page.change(fields=not self._page.view.fields)
 
     def toggle_all_in_focus(self) -> None:
-        """The all-in-focus picture on or off."""
+        """Switch the all-in-focus picture on or off."""
         self._page.change(all_in_focus=0.0 if self._page.view.all_in_focus else FULL_BLEND)
 
     # --- building
@@ -169,7 +169,7 @@ class SurfacePanel:
     # --- choices
 
     def _count(self, key: Counted) -> None:
-        """Count all, what is in view, or the selection; without one the next drag over the scene selects."""
+        """Choose the part that is counted; without a selection the next drag over the scene selects."""
         self._page.change(counted=key, selecting=key == "selection" and self._page.view.selection is None)
 
     def _choose_shown(self, text: str) -> None:
@@ -179,7 +179,7 @@ class SurfacePanel:
         self._page.change(show=show, frame_k=None, slice_z_um=None)
 
     def _measure_selection(self) -> None:
-        """The flatness of what is selected; the other tools are a key away."""
+        """Measure the flatness of the selection."""
         box = self._page.view.selection
         if box is not None:
             places = (Region.rectangle(*(round(v, 2) for v in box)),)
@@ -251,7 +251,7 @@ class SurfacePanel:
         self._by_hand.show((round(low, decimals) + 0.0, round(high, decimals) + 0.0))  # no zero has a sign
 
     def _whole(self, view: View) -> tuple[float, float] | None:
-        """Between which ends the range can be set: all heights; of other quantities a little more than is usual."""
+        """Return the limits of the colour range: all heights; for other quantities a margin around the usual range."""
         scale, told = self._page.scale, self._page.statistics
         if self._page.coloured_by(view) == "height" and told is not None and told.lowest_um is not None:
             return min(told.lowest_um, told.span_um[0]), max(told.highest_um or 0.0, told.span_um[1])
@@ -270,12 +270,12 @@ class SurfacePanel:
 
 
 def _quantities(overlaps: bool) -> tuple[str, ...]:
-    """What a surface can be coloured by; overlaps are known of a stitched one."""
+    """Return the names of the colour quantities; overlap difference only if `overlaps`."""
     return tuple(name for name, key in COLOUR_BY.items() if overlaps or key != "overlap")
 
 
 def _below(data: OpenDataset | None, info: SurfaceInfo | None, told: Statistics | None, view: View) -> str:
-    """What is shown, in a line: its name, how many points it has, and what of it is measured."""
+    """Return one line about the displayed surface: name, number of points, measured share."""
     if data is None:
         return "Open a dataset, or scan one."
     calibrated = "" if data.calibration_problem is None else " · uncalibrated"
@@ -291,7 +291,7 @@ def _below(data: OpenDataset | None, info: SurfaceInfo | None, told: Statistics 
 
 
 def _numbers(data: OpenDataset | None, info: SurfaceInfo | None, told: Statistics) -> str:
-    """The numbers of what is counted; `info`: of the whole stitched surface, where that is it."""
+    """Return the statistics as HTML; `info` is that of the stitched surface if all of it is counted."""
     rows = [
         ("Highest", with_unit(told.highest_um, 2, signed=True)),
         ("Lowest", with_unit(told.lowest_um, 2, signed=True)),
@@ -318,7 +318,7 @@ def _numbers(data: OpenDataset | None, info: SurfaceInfo | None, told: Statistic
 
 
 def _slider_step(low: float, high: float) -> float:
-    """A step that cuts the range into some hundreds of parts."""
+    """Return a slider step that divides the range into at most 600 parts; 5 for larger ranges."""
     for step in (0.001, 0.01, 0.02, 0.05, 0.1, 0.2, 0.5, 1.0, 2.0):
         if (high - low) / step <= 600:
             return step

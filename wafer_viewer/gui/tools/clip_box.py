@@ -1,4 +1,4 @@
-"""Clip box in the scene: its edges in dashes, and a ball on each face that is dragged along its axis."""
+"""Clip box in the scene: dashed edges, and a handle on each face that is dragged along its axis."""
 
 from __future__ import annotations
 
@@ -25,25 +25,25 @@ INK: dict[bool, Rgb] = {False: (21, 32, 43), True: (233, 238, 243)}
 _BALL: Rgb = (11, 110, 153)
 _BALL_PX, _LINE_PX, _DASH_PX = 8.0, 1.8, 9.0
 _LEAST_SHARE = 0.01
-"""Opposite faces stay so far apart, as a share of the surface."""
+"""Least distance of opposite faces, as a fraction of the surface's extent."""
 _SKEW = 1e-3
-"""A ray that runs so nearly along an axis tells nothing of a place on it."""
+"""Least squared sine of the angle between ray and axis; a more parallel ray does not define a point on the axis."""
 _EDGES = np.array([(a, b) for a in range(8) for b in range(a + 1, 8) if bin(a ^ b).count("1") == 1])
 Vector = NDArray[np.float64]
 
 
 class ClipBoxFaces(NamedTuple):
-    """From where to where a box reaches, um: in the plane of the stage, and in height."""
+    """Limits of a clip box, um: in the stage plane and in height."""
 
     box_um: Box
     heights_um: Span
 
     def ends(self, axis: int) -> tuple[float, float]:
-        """Its low and its high face along an axis."""
+        """Return the low and the high limit along an axis."""
         return self.heights_um if axis == 2 else (self.box_um[axis], self.box_um[axis + 2])
 
     def moved(self, axis: int, side: int, to_um: float) -> ClipBoxFaces:
-        """The same with one face elsewhere."""
+        """Return a copy with one face moved."""
         if axis == 2:
             low, high = self.heights_um
             return self._replace(heights_um=(low, to_um) if side else (to_um, high))
@@ -53,11 +53,11 @@ class ClipBoxFaces(NamedTuple):
 
 
 Moved = Callable[[ClipBoxFaces, str], ClipBoxFaces]
-"""Told of the box and the ball that was dragged, ``x0`` to ``z1``; answers with the box that holds from now on."""
+"""Called with the box and the dragged handle, ``x0`` to ``z1``; returns the box that applies from now on."""
 
 
 class ClipBox:
-    """The box of a view. What is heard back of what was told from here does not move it."""
+    """The clip box of a view. It ignores updates that only echo its own changes."""
 
     def __init__(self, scene: viser.SceneApi, dragged: Dragged, moved: Moved) -> None:
         self._scene, self._dragged, self._moved = scene, dragged, moved
@@ -68,7 +68,7 @@ class ClipBox:
         self._dark = False
 
     def show(self, view: View, on_show: DisplayedSurface) -> None:
-        """Have the box of a view; none where nothing is clipped, or no points are drawn."""
+        """Show the clip box of a view; remove it if nothing is clipped or no points are drawn."""
         clip = view.clip
         if view.step != "surface" or view.look != "points" or (clip.box_um is None and clip.heights_um is None):
             self.remove()
@@ -86,7 +86,7 @@ class ClipBox:
                     self._knobs[key] = DragHandle(self._scene, f"{NAME}/{key}", _BALL, _BALL_PX, self._dragged)
 
     def draw(self, land: HeightField, gaze: ViewAxes) -> None:
-        """Stand as the surface is drawn now."""
+        """Draw the box for the displayed surface."""
         if self._faces is None:
             return
         corners = corners_mm(self._faces, land.on_show)
@@ -100,7 +100,7 @@ class ClipBox:
             knob.place(ball_mm(corners, key), pixel, gaze.towards)
 
     def drag(self, name: str, origin: Vector, direction: Vector, on_show: DisplayedSurface) -> None:
-        """Move the face of the ball of that name, ``clip/x0``, to where a ray of the pointer passes its axis."""
+        """Move the face of the named handle, ``clip/x0``, to the point of its axis nearest to the pointer ray."""
         key = name.split("/")[1]
         if self._faces is None or key not in self._knobs:
             return
@@ -109,7 +109,7 @@ class ClipBox:
             self._faces = self._echoes.tell(self._moved(faces, key))
 
     def remove(self) -> None:
-        """Take it out of the scene."""
+        """Remove the box from the scene."""
         for knob in self._knobs.values():
             knob.remove()
         if self._edges is not None:
@@ -119,14 +119,14 @@ class ClipBox:
 
 
 def corners_mm(faces: ClipBoxFaces, on_show: DisplayedSurface) -> Vector:
-    """Return the eight corners in scene mm, [8, 3]; bit 2 of their number is the side in x, bit 1 in y, bit 0 in z."""
+    """Return the eight corners in scene mm, [8, 3]. Bits 2, 1 and 0 of the index are the sides in x, y and z."""
     x0, y0, x1, y1 = (v * 1e-3 for v in faces.box_um)
     low, high = (on_show.scene_z(z_um) for z_um in faces.heights_um)
     return corners_of((x0, y0, x1, y1), low, high)
 
 
 def ball_mm(corners: Vector, key: str) -> NDArray[np.float32]:
-    """Return the middle of the face of a key such as ``x0``, scene mm."""
+    """Return the centre of the face with a key such as ``x0``, in scene mm."""
     bit, side = 2 - AXES.index(key[0]), int(key[1])
     on_face = [k for k in range(8) if (k >> bit) & 1 == side]
     return corners[on_face].mean(axis=0).astype(np.float32)
@@ -135,24 +135,24 @@ def ball_mm(corners: Vector, key: str) -> NDArray[np.float32]:
 def pulled(
     faces: ClipBoxFaces, key: str, origin: Vector, direction: Vector, on_show: DisplayedSurface
 ) -> ClipBoxFaces | None:
-    """Return the faces after a ball is dragged to where a ray passes nearest to the axis through it.
+    """Return the faces after a handle is dragged to the point of its axis nearest to a ray.
 
     Parameters
     ----------
     faces
-        The box before, um.
+        Previous box, um.
     key
-        Axis and side of the ball, ``x0`` to ``z1``.
+        Axis and side of the handle, ``x0`` to ``z1``.
     origin, direction
-        Ray of the pointer in scene mm.
+        Pointer ray in scene mm.
     on_show
         The surface and its exaggeration of heights.
 
     Returns
     -------
-    Faces or None
-        A face stays on its side of the opposite one, and one that is upright within the surface. None for a ray along
-        the axis.
+    ClipBoxFaces or None
+        A face stays on its side of the opposite one; faces in x and y stay within the surface. None for a ray along the
+        axis.
     """
     axis, side = AXES.index(key[0]), int(key[1])
     ball = ball_mm(corners_mm(faces, on_show), key).astype(float)
@@ -170,7 +170,7 @@ def pulled(
 
 
 def along_axis(point: Vector, axis: int, origin: Vector, direction: Vector) -> float | None:
-    """Return the coordinate at which the line through a point along an axis passes nearest to a ray."""
+    """Return the coordinate of the point nearest to a ray on an axis-parallel line; None for a ray along the axis."""
     unit = direction / max(float(np.linalg.norm(direction)), 1e-12)
     cosine = float(unit[axis])
     if 1 - cosine**2 < _SKEW:

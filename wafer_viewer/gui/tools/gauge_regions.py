@@ -1,4 +1,4 @@
-"""The faces of the gauge blocks in the scene: places of the step tool, on blocks that are drawn in their true shape."""
+"""Gauge block faces in the scene: regions of the step tool, on blocks drawn without exaggeration."""
 
 from __future__ import annotations
 
@@ -13,13 +13,13 @@ from wafer_viewer.model.region import Region
 from wafer_viewer.session.state.snapshot import SurfaceInfo
 
 _SHARE = 0.28
-"""Side of a face laid without a look at the surface, of the surface's own."""
+"""Side of a default face, as a fraction of the surface's side."""
 
 
 def in_scene(view: View, surface: SurfaceInfo | None = None) -> View:
-    """A view as the scene has it; only that of Gauge check is another than the page's.
+    """Return the view for the scene; it differs from the page's view only in Gauge check.
 
-    surface: what is drawn, in colours that keep off both ends of their scale: a face is neither black nor white.
+    surface: the displayed surface. Its colour range is widened, so that no face is drawn black or white.
     """
     if view.step != "gauge":
         return view
@@ -47,7 +47,7 @@ def _colours_of(surface: SurfaceInfo) -> tuple[float, float]:
 
 
 def take_places(page: Page) -> Callable[[tuple[Region, ...]], None]:
-    """What a page does with places that were dragged: in Gauge check they are the faces, else those of the tool."""
+    """Return a callback that stores dragged regions: as gauge faces in Gauge check, else as regions of the tool."""
 
     def take(places: tuple[Region, ...]) -> None:
         if page.view.step == "gauge":
@@ -59,7 +59,7 @@ def take_places(page: Page) -> Callable[[tuple[Region, ...]], None]:
 
 
 def by_hand(surface: SurfaceInfo) -> tuple[Region, Region]:
-    """Two faces side by side, to be dragged where they belong."""
+    """Return two default faces side by side, to be dragged into position."""
     width, height = surface.cols * surface.pixel_um, surface.rows * surface.pixel_um
     y = surface.y0_um - height / 2
 

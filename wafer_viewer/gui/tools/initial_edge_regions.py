@@ -1,4 +1,4 @@
-"""Where the tools for edges begin: round the die nearest to what is looked at, across the street beside it."""
+"""Initial regions of the edge tools: around the die nearest to the point looked at and across the adjacent street."""
 
 from __future__ import annotations
 
@@ -12,20 +12,20 @@ from wafer_viewer.gui.tools.surface_landmarks import bump, plateaus, span_um
 from wafer_viewer.model.region import Region
 
 LEAST_SHARE, FILLED, LEAST_PX = 0.01, 0.75, 8
-"""A die has this share of what is in sight, fills its box, and is so many coarse heights wide at least."""
+"""Least area of a die as a fraction of the visible part, least fill of its box, and least side in coarse pixels."""
 ROUND, OVER, ALONG, INSIDE = 0.4, 0.3, 0.7, 0.04
-"""Of the street beside a die: how far a region reaches round it, over its edge; of the die: how much of an edge, and
-how far inside of it bumps are looked for."""
+"""Fractions of the street: margin around a die, reach across its edge. Fractions of the die: length along an edge,
+inset of the bump region."""
 STANDS_OUT, ROUND_FILL, ASPECT, ROOM = 0.05, (0.6, 0.9), 0.75, 1.24
-"""Of the range of heights: how far a round thing stands out; how much of its box it fills, how long its box may be; how
-much larger the circle round it is drawn."""
+"""Detection of round features: least height as a fraction of the height range, fill of the bounding box, least aspect
+ratio; size of the circle drawn around it relative to the feature."""
 NO_STREET = 0.15
-"""Of a die that stands alone: the street beside it."""
+"""Assumed street of an isolated die, as a fraction of its shorter side."""
 
 
 @dataclass(frozen=True, slots=True)
 class DieOutline:
-    """The outline of a die in um, and the street at each side: left, lower, right, upper; None: nothing beyond."""
+    """Outline of a die in um, and street widths: left, lower, right, upper; None if there is nothing beyond."""
 
     box: Box
     streets: tuple[float | None, float | None, float | None, float | None]
@@ -37,18 +37,18 @@ class DieOutline:
         return x1 - x0, y1 - y0
 
     def away(self, at: Place) -> float:
-        """From its middle to a place."""
+        """Return the distance of a position from the centre."""
         x0, y0, x1, y1 = self.box
         return float(np.hypot((x0 + x1) / 2 - at[0], (y0 + y1) / 2 - at[1]))
 
     @property
     def street(self) -> float:
-        """The narrowest street."""
+        """Width of the narrowest street."""
         return min((street for street in self.streets if street), default=NO_STREET * min(self.size))
 
 
 def die_box(land: HeightField, near: Place) -> tuple[Region, ...]:
-    """Round a die, into the streets."""
+    """Return a rectangle around a die that reaches into the streets."""
     die = _die(land, near)
     by = ROUND * die.street
     x0, y0, x1, y1 = die.box
@@ -56,7 +56,7 @@ def die_box(land: HeightField, near: Place) -> tuple[Region, ...]:
 
 
 def kerf_box(land: HeightField, near: Place) -> tuple[Region, ...]:
-    """Across a street, the one below where there is one; across the die that stands alone."""
+    """Return a rectangle across a street, preferably the one below; across the die if it is isolated."""
     die = _die(land, near)
     (x0, y0, x1, y1), by = die.box, OVER * die.street
     left, lower, right, upper = die.streets
@@ -72,7 +72,7 @@ def kerf_box(land: HeightField, near: Place) -> tuple[Region, ...]:
 
 
 def edge_box(land: HeightField, near: Place) -> tuple[Region, ...]:
-    """Along the lower edge of a die."""
+    """Return a rectangle along the lower edge of a die."""
     die = _die(land, near)
     (x0, y0, x1, _), by = die.box, OVER * die.street
     half = ALONG * (x1 - x0) / 2
@@ -80,7 +80,7 @@ def edge_box(land: HeightField, near: Place) -> tuple[Region, ...]:
 
 
 def bumps_box(land: HeightField, near: Place) -> tuple[Region, ...]:
-    """Inside of a die."""
+    """Return a rectangle within a die."""
     die = _die(land, near)
     x0, y0, x1, y1 = die.box
     x_in, y_in = (INSIDE * side for side in die.size)
@@ -88,7 +88,7 @@ def bumps_box(land: HeightField, near: Place) -> tuple[Region, ...]:
 
 
 def round_thing(land: HeightField, near: Place) -> tuple[Region, ...]:
-    """Round the nearest of what stands round on the upper level; round what stands out most elsewhere."""
+    """Return a circle around the nearest round feature above the upper level; else around the most prominent bump."""
     _, high = _levels(land, near)
     out = _evened(land) > high + STANDS_OUT * span_um(land)
     found = [_in_um(land, out, *box) for box in _boxes(out, 0.0) if ROUND_FILL[0] <= _fill(out, *box) <= ROUND_FILL[1]]
@@ -108,7 +108,7 @@ def _rectangle(land: HeightField, box: Box) -> Region:
 
 
 def _die(land: HeightField, near: Place) -> DieOutline:
-    """The whole die nearest to a place; the middle half of what is in sight where there is none."""
+    """Return the complete die nearest to a position; the central half of the visible part if there is none."""
     low, high = _levels(land, near)
     over = _evened(land) > (low + high) / 2
     found = [_in_um(land, over, *box) for box in _boxes(over, LEAST_SHARE) if _fill(over, *box) >= FILLED]
@@ -121,7 +121,7 @@ def _die(land: HeightField, near: Place) -> DieOutline:
 
 
 def _evened(land: HeightField) -> Floats:
-    """Heights without the tilt that most of the surface has."""
+    """Return the heights without the median tilt."""
     z = land.heights
     along_x, along_y = (float(np.median(np.diff(z, axis=axis))) for axis in (1, 0))
     row, col = np.indices(z.shape)
@@ -129,7 +129,7 @@ def _evened(land: HeightField) -> Floats:
 
 
 def _levels(land: HeightField, near: Place) -> tuple[float, float]:
-    """The lower and the upper level of a surface, its tilt apart."""
+    """Return the lower and the upper level of a surface after removal of its tilt."""
     upper, lower, _ = plateaus(land, near)
     z, (x0, y0, x1, y1) = _evened(land), land.bounds_um
     rows, cols = z.shape
@@ -141,7 +141,7 @@ def _levels(land: HeightField, near: Place) -> tuple[float, float]:
 
 
 def _boxes(over: NDArray[np.bool_], share: float) -> list[tuple[slice, slice]]:
-    """Boxes round what stands out and is not cut by the border, that large at least."""
+    """Return bounding boxes, of at least `share` of the surface, of raised areas that do not touch the border."""
     from scipy.ndimage import binary_fill_holes, binary_opening, find_objects, label
 
     numbers = np.zeros(over.shape, np.int32)
@@ -156,7 +156,7 @@ def _boxes(over: NDArray[np.bool_], share: float) -> list[tuple[slice, slice]]:
 
 
 def _fill(over: NDArray[np.bool_], rows: slice, cols: slice) -> float:
-    """How much of a box stands out."""
+    """Return the filled fraction of a box."""
     return float(over[rows, cols].mean())
 
 

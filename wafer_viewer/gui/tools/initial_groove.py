@@ -1,4 +1,4 @@
-"""Where a line across a groove begins: over the widest trench or ridge with as much even ground on both sides."""
+"""Initial line across a groove: the widest trench or ridge with sufficient level ground on both sides."""
 
 from __future__ import annotations
 
@@ -12,17 +12,17 @@ from wafer_viewer.gui.tools.surface_landmarks import first_line
 
 SAMPLES = 400
 LINES = 12
-"""Lines are looked along in each direction, those near to what is looked at first."""
+"""Lines evaluated in each direction, the nearest first."""
 REACH = 1.6
-"""From the middle of the trench, in its widths: half of it, a width of ground, and a little more."""
+"""Half length of the line in widths of the trench: half of the trench, one width of ground, and a margin."""
 LEAST_SAMPLES = 8
 LEVELS = (10, 90)
-"""Per cent of the heights along a line: half-way between them it goes over an edge."""
+"""Percentiles of the heights along a line; an edge is a crossing of their mean."""
 LEAST_MEASURED = 0.9
 
 
 def groove_line(land: HeightField, near: Place) -> tuple[Place, Place]:
-    """Both ends of a line across a groove or ridge; a profile's first line where there is none."""
+    """Return both ends of a line across a groove or ridge; the initial profile line if there is none."""
     widest, found = 0.0, None
     for start, end in _lines(land, land.inner(near)):
         first, last = _widest(land, start, end)
@@ -37,7 +37,7 @@ def groove_line(land: HeightField, near: Place) -> tuple[Place, Place]:
 
 
 def _lines(land: HeightField, near: Place) -> Iterator[tuple[Floats, Floats]]:
-    """Right across the surface, along x and along y, from near to far."""
+    """Yield lines across the entire surface, along x and along y, the nearest first."""
     x0, y0, x1, y1 = land.bounds_um
     for away in np.linspace(0, 1, LINES):
         for sign in (1, -1):
@@ -50,7 +50,7 @@ def _lines(land: HeightField, near: Place) -> Iterator[tuple[Floats, Floats]]:
 
 
 def _widest(land: HeightField, start: Floats, end: Floats) -> tuple[Floats, Floats]:
-    """Both edges of the widest trench or ridge along a line; twice the same place where there is none."""
+    """Return both edges of the widest trench or ridge along a line; two equal positions if there is none."""
     share = np.linspace(0, 1, SAMPLES)
     places = start + share[:, None] * (end - start)
     there = land.measured(places[:, 0], places[:, 1])
@@ -68,7 +68,7 @@ def _widest(land: HeightField, start: Floats, end: Floats) -> tuple[Floats, Floa
 
 
 def _edges(z_um: Floats) -> list[int]:
-    """Samples at which a profile goes over or under its middle, with both its ends."""
+    """Return the samples at which a profile crosses its mid-level, and both of its ends."""
     low, high = np.percentile(z_um, LEVELS)
     over: NDArray[np.bool_] = z_um > (low + high) / 2
     return [0, *(np.flatnonzero(over[1:] != over[:-1]) + 1).tolist(), len(z_um) - 1]

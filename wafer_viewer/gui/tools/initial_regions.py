@@ -1,4 +1,4 @@
-"""Where each tool begins: at places that show something of what is in sight, so that the first answer has a meaning."""
+"""Initial regions of each tool, on features of the visible part, so that the first result is meaningful."""
 
 from __future__ import annotations
 
@@ -25,9 +25,9 @@ from wafer_viewer.model.measurement.tools import ToolName
 from wafer_viewer.model.region import Region
 
 _BORDER = 0.06
-"""Of a side of the surface."""
+"""Margin as a fraction of a side of the surface."""
 _WELL_INSIDE = 0.8
-"""The side of a region to begin with, of the square that was found to be even."""
+"""Side of an initial region, as a fraction of the flat square found."""
 
 
 def _square(land: HeightField, at: Place, side_um: float) -> Region:
@@ -80,7 +80,7 @@ def _across_face(land: HeightField, near: Place) -> tuple[Region, ...]:
 
 
 def _most_of_it(land: HeightField, near: Place) -> tuple[Region, ...]:
-    """Of what is in sight, all but its border."""
+    """Return the visible part without its border."""
     x0, y0, x1, y1 = land.bounds_um
     in_x, in_y = _BORDER * (x1 - x0), _BORDER * (y1 - y0)
     return (Region.rectangle(*(round(um, 2) for um in (x0 + in_x, y0 + in_y, x1 - in_x, y1 - in_y))),)
@@ -105,11 +105,11 @@ FIRST: dict[ToolName, Callable[[HeightField, Place], tuple[Region, ...]]] = {
     "texture": _face,
     "roughness": _across_face,
 }
-"""First places of each tool, in the order in which it asks for them."""
+"""Initial regions of each tool, in the order of its inputs."""
 
 
 def _three_points(land: HeightField, near: Place) -> tuple[Region, ...]:
-    """Far apart, and where possible all on the level that most of the surface lies on."""
+    """Return three distant points, if possible all on the level of most of the surface."""
     x0, y0, x1, y1 = land.bounds_um
     wanted = [(x0 + u * (x1 - x0), y0 + v * (y1 - y0)) for u, v in ((0.15, 0.15), (0.85, 0.15), (0.5, 0.85))]
     found = patches(land, PATCH_SHARES[-1])
@@ -128,5 +128,5 @@ _LEVEL_AT: dict[LevelBy, Callable[[HeightField, Place], tuple[Region, ...]]] = {
 
 
 def first_levelling(by: LevelBy, land: HeightField, near: Place) -> Levelling:
-    """A way of levelling with places to begin with."""
+    """Return a levelling with initial regions."""
     return Levelling(by=by, places=_LEVEL_AT[by](land, near) if by in _LEVEL_AT else ())

@@ -1,4 +1,4 @@
-"""The lines of profiles in the scene: up to four, each in its colour with its letter, two handles at its ends."""
+"""Profile lines in the scene: up to four, each with its colour and letter, and handles at both ends."""
 
 from __future__ import annotations
 
@@ -23,13 +23,13 @@ _CURSOR = rgb("15202B")
 _CURSOR_PX = 6.0
 _SIGN_PX, _BESIDE_PX = 26, 15
 CursorMoved = Callable[[int, float], None]
-"""Called with a cursor's number and the share of the active line's length at which it is wanted."""
+"""Called with a cursor's number and its new position, as a fraction of the active line's length."""
 Told = Callable[[tuple[Region, ...], int], None]
 """Called with all lines and the number of the active one."""
 
 
 class LineTool:
-    """One line, draped over the surface, with a handle at each end and its letter beside the first."""
+    """One line draped over the surface, with handles at both ends and its letter next to the first."""
 
     def __init__(self, scene: viser.SceneApi, place: int, line: Region, dragged: Dragged) -> None:
         colour = rgb(PROFILE_COLOURS[place][1:])
@@ -45,7 +45,7 @@ class LineTool:
         self.line = Region.line(*places[0], *places[1], self.line.width_um)
 
     def draw(self, land: HeightField, gaze: ViewAxes) -> None:
-        """Lie on the surface as it is drawn now."""
+        """Draw the line on the displayed surface."""
         mm_per_pixel = gaze.mm_per_pixel
         first, last = ((p.x_um, p.y_um) for p in self.line.points)
         points, measured = land.draped(first, last, 1.5 * mm_per_pixel)
@@ -57,13 +57,13 @@ class LineTool:
         self._sign.place(np.asarray(points[0] + up, float), land, gaze, outwards * _BESIDE_PX)
 
     def remove(self) -> None:
-        """Take it out of the scene."""
+        """Remove the line from the scene."""
         for part in (self._line, *self._knobs, self._sign):
             part.remove()
 
 
 class Cursors:
-    """The plot's cursors on the active line, dragged along it; one that stands at an end is that end's handle."""
+    """Cursors of the plot on the active line, dragged along it. A cursor at an end uses that end's handle."""
 
     def __init__(self, scene: viser.SceneApi, dragged: Dragged) -> None:
         self._scene, self._dragged = scene, dragged
@@ -71,7 +71,7 @@ class Cursors:
         self.line, self.shares = 0, (0.0, 1.0)
 
     def draw(self, line: Region, land: HeightField, gaze: ViewAxes) -> None:
-        """Stand on the surface as it is drawn now."""
+        """Draw the cursors on the displayed surface."""
         first, last = ((p.x_um, p.y_um) for p in line.points)
         points, _ = land.draped(first, last, 6.5 * gaze.mm_per_pixel)
         for number, share in enumerate(self.shares):
@@ -83,7 +83,7 @@ class Cursors:
             self._knobs[number].place(points[round(share * (len(points) - 1))], gaze.mm_per_pixel, gaze.towards)
 
     def remove(self) -> None:
-        """Take them out of the scene."""
+        """Remove the cursors from the scene."""
         for number in list(self._knobs):
             self._take_away(number)
 
@@ -93,7 +93,7 @@ class Cursors:
 
 
 class LineTools:
-    """All lines. What a view asks for is laid, unless it is only an echo of what was told from here."""
+    """All profile lines. Lines of a view are applied unless they only echo changes made here."""
 
     def __init__(self, scene: viser.SceneApi, dragged: Dragged, told: Told) -> None:
         self._scene, self._dragged, self._tell = scene, dragged, told
@@ -104,7 +104,7 @@ class LineTools:
         self._cursor_moved: CursorMoved = lambda number, share: None
 
     def show(self, view: View, land: HeightField, near: Place) -> None:
-        """Have the lines of a view; one that has none gets a first one near a place."""
+        """Show the lines of a view; a view without lines gets an initial one near a position."""
         if view.lines:
             if not self._echoes.is_echo(view.lines):
                 self._lay(view.lines)
@@ -116,7 +116,7 @@ class LineTools:
         self._cursors.line, self._cursors.shares = view.line, view.plot.cursors
 
     def drag(self, name: str, to: Place) -> None:
-        """Move the end of the handle of that name, ``profile/LINE/END``."""
+        """Move the end of the named handle, ``profile/LINE/END``."""
         _, place, end = name.split("/")[:3]
         if int(place) < len(self._tools):
             self._tools[int(place)].drag(int(end), to)
@@ -127,13 +127,13 @@ class LineTools:
         self._cursor_moved = callback
 
     def drag_cursor(self, name: str, to: Place) -> None:
-        """Move the cursor of that name, ``cursor/NUMBER``, to the place of the active line nearest to another."""
+        """Move the named cursor, ``cursor/NUMBER``, to the point of the active line nearest to a position."""
         line = self._active
         if line is not None:
             self._cursor_moved(int(name.split("/")[1]), nearest_share(line, to)[0])
 
     def put_cursor(self, at: Place, within_um: float) -> bool:
-        """Put the cursor that stands nearer to a place on the active line there; whether the place lies on it."""
+        """Move the nearer cursor to a position on the active line; return False if the position is off the line."""
         line = self._active
         if line is None:
             return False
@@ -150,14 +150,14 @@ class LineTools:
         return self._tools[place].line if place < len(self._tools) else None
 
     def draw(self, land: HeightField, gaze: ViewAxes) -> None:
-        """Lie on the surface as it is drawn now, all of them."""
+        """Draw all lines on the displayed surface."""
         for tool in self._tools:
             tool.draw(land, gaze)
         if self._cursors.line < len(self._tools):
             self._cursors.draw(self._tools[self._cursors.line].line, land, gaze)
 
     def remove(self) -> None:
-        """Take them all out of the scene."""
+        """Remove all lines from the scene."""
         self._cursors.remove()
         for tool in self._tools:
             tool.remove()
@@ -178,7 +178,7 @@ class LineTools:
 
 
 def nearest_share(line: Region, to: Place) -> tuple[float, float]:
-    """The place of a line nearest to another: its share of the line's length, 0 ... 1, and how far away it is in um."""
+    """Return the nearest point of a line, as a fraction 0 ... 1 of its length, and its distance in um."""
     a, b = line.points
     dx, dy = b.x_um - a.x_um, b.y_um - a.y_um
     along = ((to[0] - a.x_um) * dx + (to[1] - a.y_um) * dy) / max(dx * dx + dy * dy, 1e-12)

@@ -1,4 +1,4 @@
-"""Places in the scene that are dragged over the surface: an outline, handles to pull it by, and its name beside it."""
+"""Draggable regions in the scene: an outline, handles and a label."""
 
 from __future__ import annotations
 
@@ -18,13 +18,13 @@ from wafer_viewer.model.region import Region
 _WHOLE_PX, _EDGE_PX, _POINT_PX = 7.5, 5.5, 8.5
 _SIGN_PX, _BESIDE_PX = 26, 12
 _ROOMY_PX, _LEAST_KNOB = 60, 0.4
-"""A region of so many pixels on the screen has knobs of full size; they never get smaller than that share of it."""
+"""Size of a region in pixels from which handles have full size, and the smallest fraction of that size."""
 _ENDS_OF_A_WAY = ("point", "point")
-"""Two points and no more are joined by a line."""
+"""Region kinds that are joined by a line: exactly two points."""
 
 
 class PlaceHandle:
-    """One place. Its handles are called NAME/HOLD."""
+    """One region. Its handles are named NAME/HOLD."""
 
     def __init__(
         self, scene: viser.SceneApi, name: str, title: str, region: Region, colour: Rgb, dragged: Dragged
@@ -41,11 +41,11 @@ class PlaceHandle:
         self._sign = Billboard(scene, f"{name}/sign", title, colour, _SIGN_PX)
 
     def pull(self, hold: str, to: Place, land: HeightField) -> None:
-        """One of its handles was moved."""
+        """Apply the new position of a handle."""
         self.region = self._shape.pulled(self.region, hold, to, land)
 
     def draw(self, land: HeightField, gaze: ViewAxes) -> None:
-        """Lie on the surface as it is drawn now."""
+        """Draw the region on the displayed surface."""
         mm_per_pixel = gaze.mm_per_pixel
         if self._outline is not None:
             pieces = land.laid_round(self._shape.outline(self.region), 2 * mm_per_pixel)
@@ -56,26 +56,26 @@ class PlaceHandle:
         self._place_sign(land, gaze)
 
     def remove(self) -> None:
-        """Take it out of the scene."""
+        """Remove the region from the scene."""
         for part in (self._outline, *self._knobs.values(), self._sign):
             if part is not None:
                 part.remove()
 
     def _knob_share(self, mm_per_pixel: float) -> float:
-        """Knobs of a region that is small on the screen are smaller, or they would hide it."""
+        """Return the scale of the handles, reduced for small regions so that they do not hide them."""
         x0, y0, x1, y1 = self.region.bounds_um
         side_um = max(x1 - x0, y1 - y0) if self.region.kind == "line" else min(x1 - x0, y1 - y0)
         side_px = side_um * 1e-3 / max(mm_per_pixel, 1e-12)
         return 1.0 if self._outline is None else min(1.0, max(_LEAST_KNOB, side_px / _ROOMY_PX))
 
     def _place_sign(self, land: HeightField, gaze: ViewAxes) -> None:
-        """The sign stands beside the place, left of it on the screen."""
+        """Place the label to the left of the region on the screen."""
         left = corner_on_screen(self.region, land, gaze, -1, 0)
         self._sign.place(left, land, gaze, -_BESIDE_PX)
 
 
 class Places:
-    """A row of places under one name; their handles are called NAME/NUMBER/HOLD."""
+    """A list of regions with a common name; their handles are named NAME/NUMBER/HOLD."""
 
     def __init__(self, scene: viser.SceneApi, name: str, dragged: Dragged) -> None:
         self._scene, self._name, self._dragged = scene, name, dragged
@@ -87,11 +87,11 @@ class Places:
 
     @property
     def regions(self) -> tuple[Region, ...]:
-        """Where they are now."""
+        """Current regions."""
         return tuple(handle.region for handle in self._handles)
 
     def become(self, titles: Sequence[str], regions: Sequence[Region], colour: Rgb) -> None:
-        """Be these places; handles of the same kinds are moved, others made anew."""
+        """Set titles, regions and colour; handles of the same kinds are moved, others are created again."""
         kinds = tuple(region.kind for region in regions)
         if (tuple(titles), kinds, colour) == (self._titles, self._kinds, self._colour):
             self.move(regions)
@@ -106,18 +106,18 @@ class Places:
             self._way = CasedLine(self._scene, f"{self._name}/way", colour, 2.0)
 
     def move(self, regions: Sequence[Region]) -> None:
-        """Be where these regions, of the same kinds, are."""
+        """Move to these regions of the same kinds."""
         for handle, region in zip(self._handles, regions, strict=True):
             handle.region = region
 
     def pull(self, name: str, to: Place, land: HeightField) -> None:
-        """A handle of this row, NAME/NUMBER/HOLD, was moved."""
+        """Apply the new position of a handle, NAME/NUMBER/HOLD."""
         _, number, hold = name.split("/")
         if int(number) < len(self._handles):
             self._handles[int(number)].pull(hold, to, land)
 
     def draw(self, land: HeightField, gaze: ViewAxes) -> None:
-        """Lie on the surface as it is drawn now."""
+        """Draw the regions on the displayed surface."""
         for handle in self._handles:
             handle.draw(land, gaze)
         if self._way is not None:
@@ -126,7 +126,7 @@ class Places:
             self._way.lay(np.stack([points[:-1], points[1:]], axis=1), measured, 1.6 * gaze.mm_per_pixel)
 
     def remove(self) -> None:
-        """Take them out of the scene."""
+        """Remove the regions from the scene."""
         for handle in self._handles:
             handle.remove()
         if self._way is not None:

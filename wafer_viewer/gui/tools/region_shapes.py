@@ -1,4 +1,4 @@
-"""How each kind of region is outlined on the surface, where it is taken hold of, and what a pull does to it. Pure."""
+"""Outline, handles and drag behaviour of each kind of region. Pure."""
 
 from __future__ import annotations
 
@@ -13,17 +13,22 @@ from wafer_viewer.gui.scene.heightfield import HeightField, Place
 from wafer_viewer.model.region import Region, RegionKind
 
 Corners = NDArray[np.float64]
-"""[n, 2] in stage um, in order round the region."""
+"""[n, 2] in stage um, in order around the region."""
 LEAST_PX = 4
-"""No region gets smaller than so many pixels of the surface."""
+"""Smallest size of a region in pixels of the surface."""
 WHOLE = "whole"
-"""The hold that moves a region as it is."""
+"""Name of the handle that moves a region without changing its shape."""
 _ROUND = np.linspace(0, 2 * np.pi, 72, endpoint=False)
 
 
 @dataclass(frozen=True, slots=True)
 class Shape:
-    """outline: none for a point; holds: by name the places of the handles; pulled: the region after a hold moved."""
+    """Geometry functions of one kind of region.
+
+    outline: corners; empty for a point.
+    holds: positions of the handles by name.
+    pulled: the region after a handle was moved.
+    """
 
     outline: Callable[[Region], Corners]
     holds: Callable[[Region], dict[str, Place]]
@@ -72,7 +77,7 @@ def _circle_holds(region: Region) -> dict[str, Place]:
 
 
 def _circle_pulled(region: Region, hold: str, to: Place, land: HeightField) -> Region:
-    """By its middle it moves; by its rim it grows, as far as it stays on the surface."""
+    """Move the circle by its centre, or set its radius by its rim, limited to the surface."""
     x0, y0, x1, y1 = land.bounds_um
     center = region.points[0]
     if hold == WHOLE:
@@ -94,7 +99,7 @@ def _line_holds(region: Region) -> dict[str, Place]:
 
 
 def _line_pulled(region: Region, hold: str, to: Place, land: HeightField) -> Region:
-    """By its middle it moves, by an end it turns and grows."""
+    """Move the line by its centre, or one end by its handle."""
     (xa, ya), (xb, yb) = ((p.x_um, p.y_um) for p in region.points)
     if hold == WHOLE:
         x, y = _kept_inside(to, (abs(xb - xa) / 2, abs(yb - ya) / 2), land)
@@ -108,7 +113,7 @@ def _line_pulled(region: Region, hold: str, to: Place, land: HeightField) -> Reg
 
 
 def _kept_inside(to: Place, half: Place, land: HeightField) -> Place:
-    """The middle nearest to `to` of what reaches so far to each side and stays on the surface."""
+    """Return the centre nearest to `to` for which the given half extents stay on the surface."""
     x0, y0, x1, y1 = land.bounds_um
     return min(max(to[0], x0 + half[0]), x1 - half[0]), min(max(to[1], y0 + half[1]), y1 - half[1])
 
@@ -131,11 +136,11 @@ SHAPES: dict[RegionKind, Shape] = {
     "circle": Shape(_round_outline, _circle_holds, _circle_pulled),
     "line": Shape(_ends, _line_holds, _line_pulled),
 }
-"""The kinds of place that are dragged over the surface."""
+"""Shapes of the kinds of region that can be dragged."""
 
 
 def outline_of(region: Region) -> Corners:
-    """The outline of a region of any kind; that of a line is the line, that of a point is empty."""
+    """Return the outline of a region of any kind; the line itself for a line, empty for a point."""
     if region.kind in SHAPES:
         return SHAPES[region.kind].outline(region)
     return np.array([(p.x_um, p.y_um) for p in region.points], float)

@@ -1,4 +1,4 @@
-"""The places of the tool in use, and those that heights are levelled at: first laid, then as they are dragged."""
+"""Regions of the active tool and of the levelling: initial placement and dragging."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ LEVEL_SIGNS = {"three points": ("1", "2", "3"), "region": ("Zero",)}
 
 
 class PlaceTools:
-    """Every tool but the profile. A view that names no places for its tool gets first ones in what is in sight."""
+    """Regions of every tool except the profile. A view without regions gets initial ones in the visible part."""
 
     def __init__(self, scene: viser.SceneApi, dragged: Dragged, told: Told, in_sight: InSight) -> None:
         self._places = Places(scene, "place", dragged)
@@ -35,7 +35,7 @@ class PlaceTools:
         self._echoes: EchoFilter[tuple[Region, ...]] = EchoFilter()
 
     def show(self, view: View, land: HeightField, near: Place) -> None:
-        """Have the places of a view's tool; what only echoes a drag moves nothing back."""
+        """Show the regions of a view's tool; echoes of a drag are ignored."""
         if view.tool in ("none", "profile"):
             self.remove()
             return
@@ -49,22 +49,22 @@ class PlaceTools:
         self._tool, self._named = view.tool, named
 
     def drag(self, name: str, to: Place, land: HeightField, last: bool) -> None:
-        """A handle was moved."""
+        """Apply the new position of a handle."""
         self._places.pull(name, to, land)
         self._told()
 
     def put(self, to: Place) -> None:
-        """The tool of one point measures there; the others take no notice of a click."""
+        """Measure at a clicked position with the point tool; other tools ignore clicks."""
         if self._tool == "point":
             self._places.move((Region.point(*to),))
             self._told()
 
     def draw(self, land: HeightField, gaze: ViewAxes) -> None:
-        """Lie on the surface as it is drawn now."""
+        """Draw the regions on the displayed surface."""
         self._places.draw(land, gaze)
 
     def remove(self) -> None:
-        """Take them out of the scene."""
+        """Remove the regions from the scene."""
         self._places.remove()
         self._tool, self._named = "none", False
         self._echoes.forget()
@@ -77,7 +77,7 @@ class PlaceTools:
 
 
 class LevelTools:
-    """The three points or the region that are zero. What is drawn follows when a handle is let go, not before."""
+    """Points or region that define zero height. The surface is updated when a handle is released."""
 
     def __init__(self, scene: viser.SceneApi, dragged: Dragged, told: Callable[[Levelling], None]) -> None:
         self._places = Places(scene, "level", dragged)
@@ -86,7 +86,7 @@ class LevelTools:
         self._echoes: EchoFilter[Levelling] = EchoFilter()
 
     def show(self, view: View, land: HeightField, near: Place) -> None:
-        """Have the places of a view's levelling."""
+        """Show the regions of a view's levelling."""
         if self._echoes.is_echo(view.levelling):
             return
         self._levelling = view.levelling
@@ -94,21 +94,21 @@ class LevelTools:
         self._places.become(signs, view.levelling.places, colours(view.dark).mark)
 
     def drag(self, name: str, to: Place, land: HeightField, last: bool) -> None:
-        """A handle was moved."""
+        """Apply the new position of a handle; report the levelling when it is released."""
         self._places.pull(name, to, land)
         if last:
             self._tell(self._echoes.tell(replace(self._levelling, places=self._places.regions)))
 
     def draw(self, land: HeightField, gaze: ViewAxes) -> None:
-        """Lie on the surface as it is drawn now."""
+        """Draw the regions on the displayed surface."""
         self._places.draw(land, gaze)
 
     def remove(self) -> None:
-        """Take them out of the scene."""
+        """Remove the regions from the scene."""
         self._places.remove()
         self._echoes.forget()
 
 
 def fits(tool: MeasuringTool, places: tuple[Region, ...]) -> bool:
-    """Whether places are such as a tool asks for."""
+    """Return whether the regions have the kinds that a tool requires."""
     return tuple(place.kind for place in places) == tuple(asked.kind for asked in tool.places)

@@ -1,4 +1,4 @@
-"""The kept results in the scene: where each was measured, with its sign; the chosen one is shown by its handles."""
+"""Saved results in the scene: measured regions with labels. The selected result is shown by its handles."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ from wafer_viewer.model.findings import AnyResult
 from wafer_viewer.model.region import Region
 
 MOST_SIGNS = 60
-"""Of more results only the newest are marked: signs on top of each other tell nothing."""
+"""Largest number of marked results, the newest ones, because overlapping labels are illegible."""
 _LINE_PX, _SIGN_PX, _RING_PX, _UP_PX = 1.8, 20, 6.0, 1.2
 _BESIDE_PX, _ABOVE_PX = 8, 16
 _ROUND = np.linspace(0, 2 * np.pi, 24, endpoint=False)
@@ -31,7 +31,7 @@ _ROUND = np.linspace(0, 2 * np.pi, 24, endpoint=False)
 
 @dataclass(frozen=True, slots=True)
 class _Kept:
-    """One result: its places, its sign, whether it is the chosen one."""
+    """One result: its regions, its label and its selection."""
 
     places: tuple[Region, ...]
     sign: str
@@ -40,7 +40,7 @@ class _Kept:
 
 
 class KeptMarks:
-    """Outlines of one colour are one node, whatever their number; signs one each."""
+    """Markers of the saved results: one node for all outlines of a colour, one node per label."""
 
     def __init__(self, scene: viser.SceneApi) -> None:
         self._scene = scene
@@ -49,7 +49,7 @@ class KeptMarks:
         self._signs: list[Billboard] = []
 
     def show(self, findings: Sequence[AnyResult], view: View) -> None:
-        """Have the results that were measured on the surface of a view."""
+        """Show the results that were measured on the surface of a view."""
         kept = [_kept(f, view) for f in findings if f.show == view.show][-MOST_SIGNS:]
         if kept == self._kept:
             return
@@ -62,7 +62,7 @@ class KeptMarks:
         ]
 
     def draw(self, land: HeightField, gaze: ViewAxes) -> None:
-        """Lie on the surface as it is drawn now."""
+        """Draw the markers on the displayed surface."""
         for colour, line in self._lines.items():
             drawn = [p for one in self._kept if one.colour == colour and not one.chosen for p in one.places]
             pieces = np.concatenate([_outline(p, land, gaze.mm_per_pixel) for p in drawn])
@@ -71,7 +71,7 @@ class KeptMarks:
             _place(sign, one.places[0], land, gaze)
 
     def remove(self) -> None:
-        """Take them all out of the scene."""
+        """Remove all markers from the scene."""
         for part in (*self._lines.values(), *self._signs):
             part.remove()
         self._kept, self._lines, self._signs = [], {}, []
@@ -84,7 +84,7 @@ def _kept(finding: AnyResult, view: View) -> _Kept:
 
 
 def _outline(region: Region, land: HeightField, mm_per_pixel: float) -> NDArray[np.float32]:
-    """The pieces of an outline, [n, 2, 3]: a line is draped, a point gets a ring."""
+    """Return the segments of an outline, [n, 2, 3]: a line is draped, a point gets a ring."""
     lift = _UP_PX * mm_per_pixel
     if region.kind == "line":
         first, last = ((p.x_um, p.y_um) for p in region.points)
@@ -98,7 +98,7 @@ def _outline(region: Region, land: HeightField, mm_per_pixel: float) -> NDArray[
 
 
 def _place(sign: Billboard, region: Region, land: HeightField, gaze: ViewAxes) -> None:
-    """Beside the upper left corner of the place as it is on the screen, of a line beside its end."""
+    """Place a label at the upper left corner of a region on the screen, or at the end of a line."""
     place = region if region.kind != "line" else Region.point(region.points[1].x_um, region.points[1].y_um)
     corner, up_px = corner_on_screen(place, land, gaze, -1, 1), _ABOVE_PX if region.kind == "point" else _BESIDE_PX
     sign.place(corner, land, gaze, -_BESIDE_PX, up_px)

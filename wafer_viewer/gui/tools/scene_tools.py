@@ -1,4 +1,4 @@
-"""The tools on the surface, each of a file of its own: which of them a view shows, and what hands do to them."""
+"""Dispatcher of the surface tools: their selection by the view, and pointer events."""
 
 from __future__ import annotations
 
@@ -32,11 +32,11 @@ from wafer_viewer.model.region import Region
 from wafer_viewer.model.surface.clipping import Box
 
 _ON_LINE_PX = 9.0
-"""A click so near to the active line puts a cursor there."""
+"""Largest distance of a click from the active line that moves a cursor there."""
 
 
 class Tools:
-    """Handles are moved on a thread of their own, so that a drag is followed while tiles are still coming."""
+    """Surface tools. Handles are moved on their own thread, so that drags are followed while tiles are pending."""
 
     def __init__(self, client: viser.ClientHandle, eye: CameraController, read: Read) -> None:
         self._client, self._eye, self._read = client, eye, read
@@ -60,45 +60,45 @@ class Tools:
         self._clipped: Moved = lambda faces, key: faces
 
     def on_pick(self, callback: Callable[[float, float], None]) -> None:
-        """Call back with where the surface was clicked."""
+        """Call back with the clicked position on the surface."""
         if self._picked is None:
             self._client.scene.on_click()(self._clicked)
         self._picked = callback
 
     def on_lines(self, callback: Callable[[tuple[Region, ...], int], None]) -> None:
-        """Call back with the profiles' lines and the number of the one that was moved."""
+        """Call back with the profile lines and the number of the moved one."""
         self._lined = callback
 
     def on_cursor(self, callback: CursorMoved) -> None:
-        """Call back when a cursor of the profile was moved in the scene."""
+        """Call back when a profile cursor was moved in the scene."""
         self._lines.on_cursor(callback)
 
     def on_select(self, callback: Callable[[Box], None]) -> None:
-        """Call back with the rectangle of the stage that was dragged over, um."""
+        """Call back with a stage rectangle selected by dragging, um."""
         self._selected = callback
         self._client.scene.on_rect_select(modifier="shift")(self._rectangle)
 
     def on_clip(self, callback: Moved) -> None:
-        """Call back with the clip box while a ball on one of its faces is dragged."""
+        """Call back with the clip box while the handle of one of its faces is dragged."""
         self._clipped = callback
 
     def on_places(self, callback: Callable[[tuple[Region, ...]], None]) -> None:
-        """Call back with the places of the tool in use."""
+        """Call back with the regions of the active tool."""
         self._placed = callback
 
     def on_levelling(self, callback: Callable[[Levelling], None]) -> None:
-        """Call back when a place that heights are levelled at was moved and let go."""
+        """Call back when a levelling region has been moved and released."""
         self._levelled = callback
 
     def first_levelling(self, by: LevelBy) -> Levelling:
-        """A way of levelling, its first places laid on the surface. Raises MeasureError before there is one."""
+        """Return a levelling with initial regions on the surface. Raises MeasureError before a surface is drawn."""
         land = self._land
         if land is None:
             raise MeasureError("The surface is not drawn yet: level it when it is.")
         return first_levelling(by, land, self._looked_at())
 
     def _listen_to_rectangles(self, wanted: bool) -> None:
-        """Whether a drag selects without a key; else it turns the camera."""
+        """Set whether a drag selects without the Shift key; otherwise it turns the camera."""
         if wanted == self._selecting:
             return
         self._selecting = wanted
@@ -114,7 +114,7 @@ class Tools:
         self._clicks.ask(lambda: self._select(*corners))
 
     def _select(self, low: Place, high: Place) -> None:
-        """What of the surface lies under a rectangle of the screen; its corners may lie beside the surface."""
+        """Report the bounding box of the surface under a screen rectangle, whose corners may be off the surface."""
         land = self._land
         if land is None:
             return
@@ -128,14 +128,14 @@ class Tools:
             self._selected((min(xs), min(ys), max(xs), max(ys)))
 
     def close(self) -> None:
-        """Let the threads go."""
+        """Stop the threads."""
         self._drags.close()
         self._clicks.close()
 
     def show(
         self, view: View, on_show: DisplayedSurface | None, book: SurfaceInfoCache, findings: Sequence[AnyResult] = ()
     ) -> None:
-        """Have the tool of the view on the surface on show and no other, and the results that were kept there."""
+        """Show the view's tool, the saved results, the marker and the selection on the displayed surface."""
         land = HeightField(book.relief(on_show), on_show, view.colour_by != "origin") if on_show is not None else None
         with self._lock:
             self._land = land
@@ -151,13 +151,14 @@ class Tools:
             self._redraw()
 
     def resize(self) -> None:
-        """The camera has moved: handles keep their size on the screen."""
+        """Redraw after a camera move, because handles keep their size on the screen."""
         self._drags.ask(self._redraw)
 
     def aim(self, before: CameraPose) -> None:
-        """Have the camera, once it rests where it was, turn about what is in the middle and come no nearer than that.
+        """Set the camera's pivot to the visible point in the centre, once the camera rests at `before`.
 
-        It looks at a level between the lowest and the highest: nearing that, it would go through what stands higher.
+        The default point looked at has a height between lowest and highest; zooming towards it would enter higher
+        parts.
         """
         land, pose = self._land, self._eye.pose
         if land is None or not pose.is_same(before):
@@ -189,7 +190,7 @@ class Tools:
         self._mark.place = place
 
     def _show_selection(self, view: View, land: HeightField | None) -> None:
-        """The selection's outline, where it is what is counted."""
+        """Show the outline of the selection in the Surface step."""
         box = view.selection if view.step == "surface" and land is not None else None
         if box is None:
             if self._outline is not None:
@@ -212,7 +213,7 @@ class Tools:
     # ---------------------------------------------------------------- what the operator does
 
     def _dragged(self, name: str, point: np.ndarray, last: bool) -> None:
-        """On viser's loop: leave the work to the thread; of events that wait only the newest counts."""
+        """Defer a drag event from viser's event loop to the drag thread; only the latest pending event is handled."""
         eye = self._eye.pose.position
         self._drags.ask(lambda: self._move(name, eye, point - eye, last))
 
@@ -232,7 +233,7 @@ class Tools:
         self._redraw()
 
     def _level_place(self, origin: np.ndarray, direction: np.ndarray) -> Place:
-        """Beside the surface: where the ray meets its lowest level, drawn to the edge."""
+        """Return the intersection of a ray with the lowest level, clamped to the surface."""
         if self._land is None or abs(direction[2]) < 1e-9:
             return 0.0, 0.0
         x, y, _ = origin - direction * (origin[2] / direction[2])
@@ -261,7 +262,7 @@ class Tools:
         return float(x), float(y)
 
     def _in_sight(self, land: HeightField) -> HeightField:
-        """What of a surface lies round the point looked at, as far as the shorter side of the canvas reaches."""
+        """Return the surface around the point looked at, within half of the canvas's shorter side."""
         x, y = self._looked_at()
         reach_um = self._eye.um_per_pixel() * min(self._eye.canvas_px) / 2
         return land.within((x - reach_um, y - reach_um, x + reach_um, y + reach_um))

@@ -1,4 +1,4 @@
-"""What stands out of a surface: its rows that show most, its levels, faces and bumps, found on its coarse heights."""
+"""Landmarks on the coarse heights of a surface: informative rows, levels, flat faces and bumps."""
 
 from __future__ import annotations
 
@@ -10,17 +10,23 @@ from numpy.typing import NDArray
 from wafer_viewer.gui.scene.heightfield import Floats, HeightField, Place
 
 PATCH_SHARES = (1 / 6, 1 / 9, 1 / 12, 1 / 18, 1 / 30)
-"""Sides of the squares that faces are looked for with, largest first, as shares of the shorter side."""
+"""Sides of the squares used to search for faces, largest first, as fractions of the shorter side."""
 _BUMP_SHARES = (1 / 3, 1 / 4, 1 / 6, 1 / 9, 1 / 14, 1 / 22)
 _LEAST_PATCH_PX, _ROOM_ROUND_BUMP, _STANDS_OUT = 4, 1.25, 1.5
 _FLAT, _LEAST_FLAT, SAME_LEVEL, _APART = 0.04, 0.002, 0.12, 0.25
-"""Shares of the range of heights: within which a patch is flat (for certain), patches are level, or are not."""
+"""Thresholds as fractions of the height range: flat patch (upper and lower bound), equal levels, distinct levels."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Patches:
-    """Squares of a surface that are measured all over: middles in um [n, 2], and for each its mean height, the spread
-    of its heights, what of that its tilt leaves (`rough`), and the tilt (um per um)."""
+    """Fully measured squares of a surface.
+
+    places: centres in um [n, 2].
+    level: mean height.
+    spread: standard deviation of the heights.
+    rough: standard deviation after removal of the tilt.
+    tilt: slope in um per um.
+    """
 
     side_um: float
     places: Floats
@@ -30,16 +36,16 @@ class Patches:
     tilt: Floats
 
     def only(self, good: NDArray[np.bool_]) -> Patches:
-        """Those of them."""
+        """Return the patches selected by a mask."""
         kept = (values[good] for values in (self.places, self.level, self.spread, self.rough, self.tilt))
         return Patches(self.side_um, *kept)
 
     def nearest(self, to: Place) -> int:
-        """The number of the one nearest to a place."""
+        """Return the index of the patch nearest to a position."""
         return int(np.argmin(np.hypot(self.places[:, 0] - to[0], self.places[:, 1] - to[1])))
 
     def middle(self, number: int) -> Place:
-        """The middle of one."""
+        """Return the centre of a patch."""
         x, y = self.places[number]
         return float(x), float(y)
 
@@ -48,7 +54,7 @@ class Patches:
 
 
 def patches(land: HeightField, share: float) -> Patches:
-    """The squares with that share of the surface's shorter side, half a side apart."""
+    """Return squares with a side of `share` of the surface's shorter side, half a side apart."""
     rows, cols = land.heights.shape
     side = max(_LEAST_PATCH_PX, round(min(rows, cols) * share) // 2 * 2)
     step, half = side // 2, side // 2
@@ -73,7 +79,7 @@ def patches(land: HeightField, share: float) -> Patches:
 
 
 def first_line(land: HeightField, near: Place) -> tuple[Place, Place]:
-    """A profile to begin with: along x, near the middle of what is looked at, where it shows most."""
+    """Return an initial profile: along x, near the point looked at, at the most informative row."""
     x0, y0, x1, y1 = land.bounds_um
     x, y = land.inner(near)
     half = 0.32 * (x1 - x0)
@@ -85,7 +91,7 @@ def first_line(land: HeightField, near: Place) -> tuple[Place, Place]:
 
 
 def _worth(land: HeightField, x_um: Floats, y_um: float) -> float:
-    """How much a row shows: its measured share, more where it climbs; rows that differ by little are alike."""
+    """Return the score of a row: its measured fraction, weighted by its height range, rounded to one decimal."""
     y = np.full_like(x_um, y_um)
     there = land.measured(x_um, y)
     if not there.any():
@@ -95,9 +101,9 @@ def _worth(land: HeightField, x_um: Floats, y_um: float) -> float:
 
 
 def plateaus(land: HeightField, near: Place) -> tuple[Place, Place, float]:
-    """Middles of an upper and a lower plateau near a place, and the side of the squares that fit on both.
+    """Return centres of an upper and a lower plateau near a position, and the side of squares that fit on both.
 
-    They are on the two levels that most of the surface lies on, so that a bump on the upper one is none of them.
+    The plateaus are on the two most frequent levels of the surface, so that a bump on the upper one is not selected.
     """
     for share in PATCH_SHARES:
         found = patches(land, share)
@@ -113,7 +119,7 @@ def plateaus(land: HeightField, near: Place) -> tuple[Place, Place, float]:
 
 
 def _small(spread: Floats, land: HeightField) -> NDArray[np.bool_]:
-    """Which spreads are those of flat patches: about as small as the smallest, which are noise alone."""
+    """Return the mask of flat patches, whose spread is close to the noise level (10th percentile)."""
     if len(spread) == 0:
         return np.zeros(0, bool)
     noise, span = float(np.percentile(spread, 10)), span_um(land)
@@ -121,7 +127,7 @@ def _small(spread: Floats, land: HeightField) -> NDArray[np.bool_]:
 
 
 def _two_levels(levels: Floats, span: float) -> tuple[float, float] | None:
-    """The level that most values lie at, and of those well apart from it the fullest; lower first."""
+    """Return the two most frequent levels that are well apart, lower first; None if there are no two."""
     if len(levels) < 2:
         return None
     full = np.count_nonzero(np.abs(levels[:, None] - levels[None, :]) <= SAME_LEVEL / 2 * span, axis=1)
@@ -134,7 +140,7 @@ def _two_levels(levels: Floats, span: float) -> tuple[float, float] | None:
 
 
 def face(land: HeightField, near: Place) -> tuple[Place, float]:
-    """The middle of a flat face near a place, and the side of a square that fits on it."""
+    """Return the centre of a flat face near a position, and the side of a square that fits on it."""
     for share in PATCH_SHARES:
         found = patches(land, share)
         flat = found.only(_small(found.rough, land))
@@ -144,7 +150,7 @@ def face(land: HeightField, near: Place) -> tuple[Place, float]:
 
 
 def two_faces(land: HeightField, near: Place) -> tuple[Place, Place, float]:
-    """Middles of the steepest even face and of the levellest one beside it, and the side of the squares."""
+    """Return centres of the steepest plane face and a nearby face of low tilt, and the side of the squares."""
     for share in PATCH_SHARES[1:]:
         found = patches(land, share)
         even = found.only(_small(found.rough, land))
@@ -161,9 +167,9 @@ def two_faces(land: HeightField, near: Place) -> tuple[Place, Place, float]:
 
 
 def bump(land: HeightField, near: Place) -> tuple[Place, float]:
-    """The middle and the radius of what stands out most of surroundings that are even, up or down.
+    """Return centre and radius of the most prominent feature, up or down, on level surroundings.
 
-    Where nothing does, as among bumps side by side, something small and high near a place.
+    If there is none, as with adjacent bumps, return a small high feature near a position.
     """
     rows, cols = land.heights.shape
     best, middle, radius_um = _STANDS_OUT, None, 0.0
@@ -176,7 +182,7 @@ def bump(land: HeightField, near: Place) -> tuple[Place, float]:
 
 
 def _high(land: HeightField, near: Place) -> Place:
-    """A high place near another."""
+    """Return a high position near another."""
     side = _LEAST_PATCH_PX
     levels = _box_sums(land.heights - land.on_show.z0_um, (side, side), 1)
     row, col = np.nonzero(levels >= np.percentile(levels, 98))
@@ -189,7 +195,10 @@ def _high(land: HeightField, near: Place) -> Place:
 
 
 def _standing_out(land: HeightField, side: int) -> tuple[float, Place] | None:
-    """How far the best square of `side` pixels stands out of the ring round it, for the ring's spread, and where."""
+    """Return the highest prominence of a square of `side` pixels, and its centre; None if the surface is too small.
+
+    Prominence: height difference from the surrounding ring, divided by the spread of the ring.
+    """
     z, wide, step = land.heights - land.on_show.z0_um, 2 * side, max(1, side // 4)
     if min(z.shape) < wide:
         return None
@@ -211,7 +220,7 @@ def _standing_out(land: HeightField, side: int) -> tuple[float, Place] | None:
 
 
 def span_um(land: HeightField) -> float:
-    """The range of heights, a few outliers aside."""
+    """Return the range of heights without outliers."""
     return land.on_show.facts.high_um - land.on_show.facts.low_um
 
 
@@ -220,7 +229,7 @@ def _least_side(land: HeightField) -> float:
 
 
 def _box_sums(layer: Floats, sides: tuple[int, int], step: int) -> Floats:
-    """Sums over the boxes of `sides` (rows, cols) pixels that begin every `step` pixels."""
+    """Return sums over boxes of `sides` (rows, cols) pixels that start every `step` pixels."""
     rows, cols = sides
     sums = np.pad(layer, ((1, 0), (1, 0))).cumsum(axis=0).cumsum(axis=1)
     boxes = sums[rows:, cols:] - sums[:-rows, cols:] - sums[rows:, :-cols] + sums[:-rows, :-cols]

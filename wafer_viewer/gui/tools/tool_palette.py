@@ -1,4 +1,4 @@
-"""The tools as the page shows them: in which groups, by which icon, with which short name and key."""
+"""Presentation of the tools on the page: groups, icons, short names and keys."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ ON_TOOLBAR: tuple[tuple[ToolName, ...], ...] = (
     ("radius", "volume"),
     ("flatness", "texture"),
 )
-"""There is room for these; the others are a click further, in the panel."""
+"""Tools on the toolbar, by group; the others are only in the panel."""
 ICONS: dict[ToolName, Any] = {
     "profile": viser.Icon.LINE,
     "step": viser.Icon.STAIRS_UP,
@@ -81,19 +81,19 @@ TOOL_KEYS: dict[ToolName, tuple[str, str | None]] = {
     "texture": ("T", "shift"),
     "roughness": ("J", "shift"),
 }
-"""The key of each, and what is held with it."""
+"""Key of each tool, and its modifier."""
 GAP = '<i class="wv-gap"></i>'
-"""Between groups on the toolbar."""
+"""Separator between groups on the toolbar."""
 
 
 def hint(tool: ToolName) -> str:
-    """What a tool is for and its key."""
+    """Return the tooltip of a tool: its title and key."""
     key, held = TOOL_KEYS[tool]
     return f"{TOOLS[tool].title} · {f'{held} + ' if held else ''}{key}"
 
 
 def tool_strip(chosen: Tool) -> str:
-    """Tools in a row, by their icons; the one in use says its name, and takes the last group's room if it has none."""
+    """Return the toolbar icons; the active tool shows its name, in place of the last group if it is not listed."""
     groups: tuple[tuple[ToolName, ...], ...] = ON_TOOLBAR
     if chosen != "none" and not any(chosen in group for group in ON_TOOLBAR):
         groups = (*ON_TOOLBAR[:-1], (chosen,))
@@ -101,7 +101,7 @@ def tool_strip(chosen: Tool) -> str:
 
 
 def tool_cards() -> str:
-    """All tools with their names, to choose from."""
+    """Return all tools with their names as a selection."""
     return "".join(
         f'{html.head(name)}<div class="wv-cards">{"".join(_card(tool) for tool in group)}</div>'
         for name, group in GROUPS.items()

@@ -1,1 +1,1 @@
-"""Controls, HTML, icons, style and the guard round callbacks."""
+"""Controls, HTML, icons, style and error handling of callbacks."""

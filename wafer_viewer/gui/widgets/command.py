@@ -1,4 +1,4 @@
-"""One thing to do with its key: known to the browser, and in the command palette (Ctrl + K)."""
+"""Commands with keyboard shortcuts, also listed in the command palette (Ctrl + K)."""
 
 from __future__ import annotations
 
@@ -13,7 +13,8 @@ from wafer_viewer.session.state.snapshot import Snapshot
 
 Group = Literal["Go to", "Look", "Plan", "Acquire", "Surface", "Measure", "Gauge check", "Review", "Report", "Page"]
 Obstacle = Callable[[Snapshot, View], str | None]
-"""Says why something is not possible now, in words that follow "Not now:"; None where it is (see obstacles.py)."""
+"""Returns the reason why a command is unavailable, phrased to follow "Not now:"; None if available (see
+page/preconditions.py)."""
 _SPOKEN = {
     "escape": "Esc",
     "pageup": "Page Up",
@@ -27,10 +28,11 @@ _MODIFIERS = {"cmd/ctrl": "Ctrl", "shift": "Shift", "alt": "Alt"}
 
 @dataclass(frozen=True, slots=True)
 class Command:
-    """One thing to do, its key, what it is called in the palette, and under which head it stands there.
+    """A command with its key, its title in the palette and its group.
 
-    listed: whether the sheet of keys has a line for it. why_not: says why it is not possible now, when it is chosen all
-    the same. here: whether there is such a thing to do at all; as long as not, palette and keys do not know it.
+    listed: True if the list of keys contains it.
+    why_not: returns the reason for its unavailability, shown when it is chosen nevertheless.
+    here: returns whether the command exists in the current state; otherwise palette and keys ignore it.
     """
 
     name: str
@@ -45,23 +47,23 @@ class Command:
 
     @property
     def spoken_key(self) -> str:
-        """Its key as people say it, ``Ctrl + Shift + Z``; empty without one."""
+        """Key with its modifiers, ``Ctrl + Shift + Z``; empty without a key."""
         return spoken(self.key, self.modifier) if self.key else ""
 
 
 def spoken(key: str, modifier: str | None = None) -> str:
-    """A key with what is held down beside it, as people say it."""
+    """Return a key with its modifiers as display text."""
     held = [_MODIFIERS[part] for part in modifier.split("+")] if modifier else []
     return " + ".join([*held, _SPOKEN.get(key, key.upper())])
 
 
 def unless(why_not: Obstacle, *commands: Command) -> list[Command]:
-    """Commands that the same thing stands in the way of."""
+    """Return the commands with a common precondition; existing ones take precedence."""
     return [replace(command, why_not=command.why_not or why_not) for command in commands]
 
 
 def looking(look: Callable[[str], None]) -> list[Command]:
-    """Ways to look at the scene."""
+    """Return the commands for the camera presets."""
     ways = (
         ("Top", "T", "top"),
         ("Front", "F", "front"),

@@ -1,4 +1,4 @@
-"""The page's widgets: viser's own, put in rows, sent only when they change, and heard only when a person moved them."""
+"""Wrappers of viser widgets: layout in rows, sending of changes only, and callbacks for user input only."""
 
 from __future__ import annotations
 
@@ -15,14 +15,14 @@ from wafer_viewer.gui.widgets.style import by_id
 T = TypeVar("T")
 Gui = viser.GuiApi
 QUIET_S = 0.7
-"""For so long after a person moved a widget, the session's slightly older value does not move it back."""
+"""Time after user input during which a slightly older value of the session does not overwrite the widget."""
 
 TIGHT_ROW = 3
-"""Buttons in a row from which on there is no room to spare beside their words."""
+"""Number of buttons in a row from which their labels get compact spacing."""
 
 
 class HtmlBlock:
-    """A piece of HTML on the page."""
+    """A block of HTML on the page."""
 
     def __init__(self, gui: Gui, content: str = "", padded: bool = True) -> None:
         self._padded = padded
@@ -30,7 +30,7 @@ class HtmlBlock:
         self._handle = gui.add_html(self._framed(content))
 
     def show(self, content: str) -> None:
-        """Put `content` in its place, if it is not what stands there already."""
+        """Set the content if it has changed."""
         if content != self._content:
             self._content = content
             self._handle.content = self._framed(content)
@@ -44,34 +44,34 @@ class Drawn(ErrorSink, Protocol):
 
     @property
     def as_of_s(self) -> float:
-        """Of when what is drawn is, by the monotonic clock."""
+        """Time of the drawn state, by the monotonic clock."""
         ...
 
 
 class BoundInput(Generic[T]):
-    """A form widget: `show` gives it the session's value, `on_change` hears what a person puts in.
+    """A form widget: `show` sets the session's value, `on_change` receives user input.
 
-    What is older than the last thing put in is not shown, however long the drawing of it took.
+    Values older than the last user input are not shown, however long their drawing took.
     """
 
     def __init__(self, handle: Any, on_change: Callable[[Any], None], page: Drawn, failed: str) -> None:
         self.handle = handle
         self.edited = False
-        """Whether a person put something in that `show` has not come upon since."""
+        """True if there was user input that `show` has not replaced since."""
         self._page = page
         self._touched_at = -QUIET_S
         self._known: T = handle.value
-        """What the widget holds as far as was shown or heard: viser has what was put in before it tells."""
+        """Last value shown or received; viser updates its handle before it calls back."""
         self._on_change = guarded(page, failed)(on_change)
         handle.on_update(self._update)
 
     @property
     def value(self) -> T:
-        """What the widget holds."""
+        """Value of the widget."""
         return self.handle.value
 
     def show(self, value: T) -> None:
-        """Show a value, unless a person is just moving the widget, or has moved it since the value was read."""
+        """Show a value, unless the user is moving the widget or has changed it since the value was read."""
         if time.monotonic() - self._touched_at <= QUIET_S or self._page.as_of_s <= self._touched_at:
             return
         if not _alike(self._known, self.handle.value):  # put in, and not heard of yet
@@ -81,7 +81,7 @@ class BoundInput(Generic[T]):
             self._known = self.handle.value = value
 
     def enable(self, enabled: bool) -> None:
-        """Whether a person may change it."""
+        """Enable or disable user input."""
         set_prop(self.handle, "disabled", not enabled)
 
     def _update(self, event: Any) -> None:
@@ -93,7 +93,7 @@ class BoundInput(Generic[T]):
 
 
 def set_prop(handle: Any, name: str, value: Any) -> None:
-    """Set a property of a viser handle, sending it only when it changes."""
+    """Set a property of a viser handle if it has changed."""
     if name == "disabled" and handle._impl.uuid in _barred:
         _barred[handle._impl.uuid] = value
     elif getattr(handle, name) != value:
@@ -101,11 +101,11 @@ def set_prop(handle: Any, name: str, value: Any) -> None:
 
 
 _barred: dict[str, bool] = {}
-"""Widgets that their browser may not use now, with what their own part of the page says of them."""
+"""Locked widgets, with the disabled state that their part of the page requests."""
 
 
 def bar(handle: Any) -> None:
-    """Disable a widget whatever its part of the page says, until `unbar`."""
+    """Disable a widget until `unbar`, whatever its part of the page requests."""
     if handle._impl.uuid not in _barred:
         own = handle.disabled
         set_prop(handle, "disabled", True)
@@ -113,7 +113,7 @@ def bar(handle: Any) -> None:
 
 
 def unbar(handle: Any) -> None:
-    """Leave a widget to its part of the page again."""
+    """Restore the disabled state that the widget's part of the page requests."""
     if handle._impl.uuid in _barred:
         own = _barred.pop(handle._impl.uuid)
         if not handle._impl.removed:
@@ -121,14 +121,14 @@ def unbar(handle: Any) -> None:
 
 
 def button(gui: Gui, label: str, icon: Any, on_click: Callable[[Any], None], disabled: bool = False) -> Any:
-    """A button with its callback."""
+    """Add a button with its callback."""
     handle = gui.add_button(label, icon=icon, disabled=disabled)
     handle.on_click(on_click)
     return handle
 
 
 def in_a_row(gui: Gui, buttons: Sequence[Any], height_px: int = 32, filled: Any = None) -> None:
-    """Give the buttons just made one row of equal parts, outlined but for the one that is `filled`."""
+    """Arrange the latest buttons in a row of equal widths, all outlined except `filled`."""
     gap_px = 6
     width = f"calc((100% - 2*var(--mantine-spacing-xs) - {gap_px * (len(buttons) - 1)}px)/{len(buttons)})"
     rules = "".join(
@@ -142,12 +142,12 @@ def in_a_row(gui: Gui, buttons: Sequence[Any], height_px: int = 32, filled: Any 
 
 
 def outlined(gui: Gui, handle: Any, height_px: int = 36) -> None:
-    """Draw a button as an outline: all but the one that leads on."""
+    """Draw a button with an outline, as a secondary action."""
     gui.add_html(f"<style>{_outlined(handle, height_px)}</style>")
 
 
 def leading(gui: Gui, handle: Any, height_px: int = 44, sticky: bool = True) -> None:
-    """Draw a button as the filled one that leads on; `sticky`: in sight at the panel's foot however long the panel."""
+    """Draw a button filled, as the primary action; `sticky`: always visible at the foot of the panel."""
     at = by_id(handle._impl.uuid)
     rules = f"{at}{{height:{height_px}px!important}}{at} .mantine-Button-label{{font-size:15.5px!important}}"
     if sticky:
@@ -157,12 +157,12 @@ def leading(gui: Gui, handle: Any, height_px: int = 44, sticky: bool = True) -> 
 
 
 def duo(gui: Gui) -> None:
-    """The next two widgets share a row."""
+    """Arrange the next two widgets in a row."""
     gui.add_html('<div class="wv-duo"></div>')
 
 
 class ToggleGroup:
-    """A button group that shows which one is chosen."""
+    """A button group that highlights the selected option."""
 
     def __init__(
         self, gui: Gui, label: str, options: Sequence[tuple[Any, str]], on_change: Callable[[Any], None]
@@ -176,7 +176,7 @@ class ToggleGroup:
         group.on_click(self._click)
 
     def show(self, key: Any) -> None:
-        """Mark the chosen one; none where `key` is no option."""
+        """Highlight the selected option; none if `key` is no option."""
         self._cell.show(self._style(self._keys.index(key) if key in self._keys else -1))
 
     def _click(self, event: Any) -> None:
@@ -192,7 +192,7 @@ class ToggleGroup:
 
 @contextlib.contextmanager
 def always_there(gui: Gui) -> Generator[None]:
-    """A place for what must be on the page whichever panels are folded away: viser drops what lies in those."""
+    """Context for content that stays on the page while panels are folded, because viser removes folded content."""
     panel = gui.add_panel()
     with panel.add_tab("·"):
         gui.add_html('<div class="wv-ov wv-frame"></div>')
@@ -201,7 +201,7 @@ def always_there(gui: Gui) -> Generator[None]:
 
 
 class FloatingPanel:
-    """A sheet of glass over the scene; negative x, y count from the right and the bottom edge of the scene."""
+    """A floating panel over the scene; negative x, y count from the right and the bottom edge of the scene."""
 
     def __init__(
         self, gui: Gui, x_px: int, y_px: int, width_px: int, height_px: int, align: Literal["left", "right"] = "left"
@@ -216,7 +216,7 @@ class FloatingPanel:
     def show(
         self, content: str, y_px: int | None = None, height_px: int | None = None, width_px: int | None = None
     ) -> None:
-        """Show `content`, or nothing when it is empty."""
+        """Show `content`; hide the panel if it is empty."""
         x, y, width, height = self._place
         width, height = width if width_px is None else width_px, height if height_px is None else height_px
         place = (x, y if y_px is None else y_px, width, height)
@@ -237,7 +237,7 @@ class FloatingPanel:
 
 
 def _tight(handle: Any) -> str:
-    """A sign and a word in a third of the left panel."""
+    """Return compact styles for an icon and a label in a third of the left panel."""
     at = by_id(handle._impl.uuid)
     label, sign = (
         f"{at} .mantine-Button-label{{font-size:12.5px}}",
@@ -260,7 +260,7 @@ def _outlined(handle: Any, height_px: int) -> str:
 
 
 def _alike(a: Any, b: Any) -> bool:
-    """Whether two values of a widget look the same, numbers up to the noise of computing."""
+    """Return whether two values of a widget are equal, numbers within rounding errors."""
     if isinstance(a, tuple) and isinstance(b, tuple):
         return len(a) == len(b) and all(_alike(p, q) for p, q in zip(a, b, strict=True))
     if isinstance(a, int | float) and isinstance(b, int | float):

@@ -1,4 +1,4 @@
-"""What a person types into a form on its way to the session: it goes when the typing rests."""
+"""Debouncing of form edits: they are sent to the session when typing pauses."""
 
 from __future__ import annotations
 
@@ -8,14 +8,13 @@ from concurrent.futures import Future
 from typing import Any
 
 COMMIT_S = 0.25
-"""Edits go to the session when nothing was typed for so long: one number typed is one step of undo."""
+"""Pause in typing after which edits are sent to the session: one number typed is one undo step."""
 
 
 class Debouncer:
-    """Counts the edits of a form; `commit` hands the form over, with a future where the session is asked.
+    """Counter of form edits. `commit` submits the form and returns a future if the session is queried.
 
-    Until the last edit has arrived the form shows what was typed, however long the typing goes on: the session's
-    value is the older one.
+    Until the last edit has arrived the form shows the typed text, because the session's value is older.
     """
 
     def __init__(self, commit: Callable[[], Future[Any] | None], guard: Callable[[Callable[[], None]], Any]) -> None:
@@ -26,11 +25,11 @@ class Debouncer:
 
     @property
     def under_way(self) -> bool:
-        """Whether something was typed that the session does not know yet."""
+        """True if an edit has not reached the session yet."""
         return self._arrived < self._made
 
     def made(self) -> None:
-        """Something was typed: hand the form over when the typing rests."""
+        """Register an edit: submit the form when typing pauses."""
         self._made += 1
         if self._timer is not None:
             self._timer.cancel()

@@ -1,4 +1,4 @@
-"""Tells what was chosen elsewhere from what comes back of what was told from here."""
+"""Ignore updates that only echo our own last writes."""
 
 from __future__ import annotations
 
@@ -10,19 +10,19 @@ _MOST = 64
 
 
 class EchoFilter(Generic[T]):
-    """Values that were told and may be heard again, in the order in which they were told."""
+    """Values that were sent and may be received again, in the order in which they were sent."""
 
     def __init__(self) -> None:
         self._told: deque[T] = deque(maxlen=_MOST)
         self._heard: T | None = None
 
     def tell(self, value: T) -> T:
-        """Remember a value that is told now."""
+        """Record a value that is being sent and return it."""
         self._told.append(value)
         return value
 
     def is_echo(self, value: T) -> bool:
-        """Whether a value was told from here, or heard before; those told before it are past."""
+        """Return whether a value was sent from here or received before; values sent before it are discarded."""
         if value == self._heard:
             return True
         self._heard = value
@@ -34,6 +34,6 @@ class EchoFilter(Generic[T]):
         return True
 
     def forget(self) -> None:
-        """From now on nothing is an echo."""
+        """Discard all sent values, so that nothing counts as an echo."""
         self._told.clear()
         self._heard = None

@@ -1,6 +1,6 @@
-"""The one place where the page catches what goes wrong: the operator reads what stopped and how to mend it.
+"""Central error handling of page callbacks: the operator reads what failed and what to do.
 
-What this program foresaw is told in its own sentence; anything else is told shortly, with the details in the log.
+Expected errors are shown with their own message; any other is shown briefly, with the details in the log.
 """
 
 from __future__ import annotations
@@ -22,21 +22,21 @@ _numbers = itertools.count(1)
 
 
 class ErrorSink(Protocol):
-    """Whoever shows the operator a note."""
+    """Receiver of messages to the operator."""
 
     def tell(self, fault: Fault) -> None:
-        """Show a note until it is dealt with."""
+        """Show a note until it is dismissed."""
         ...
 
     def say(self, title: str, text: str, tone: Tone = "good") -> None:
-        """Show news that go by themselves."""
+        """Show a transient notification."""
         ...
 
 
 def guarded(page: ErrorSink, name: str) -> Callable[[Callable[..., Any]], Callable[..., None]]:
-    """Wrap a callback of the page; `name` is what stopped, such as 'Import stopped'.
+    """Wrap a callback of the page; `name` is the title of a failure, such as 'Import stopped'.
 
-    A callback that answers with a future (a verb of the session) is watched until that is done.
+    If the callback returns a future (a session command), its outcome is reported as well.
     """
 
     def wrap(callback: Callable[..., Any]) -> Callable[..., None]:
@@ -56,7 +56,7 @@ def guarded(page: ErrorSink, name: str) -> Callable[[Callable[..., Any]], Callab
 
 
 def tell_failure(page: ErrorSink, name: str, fault: BaseException) -> None:
-    """Tell the operator, in the program's own sentence where it has one; what was called off needs no words."""
+    """Report a failure to the operator, with its own message if it is an expected error; cancellations are silent."""
     if isinstance(fault, CancelledError):
         return
     if isinstance(fault, ControlHeldError):
@@ -86,7 +86,7 @@ def _note(title: str, text: str) -> Fault:
 
 
 def _headline(name: str, sentence: str) -> tuple[str, str]:
-    """Title and text: a sentence such as 'Import stopped at stack_041.tif: It is …' brings its own title."""
+    """Return title and text: a message such as 'Import stopped at stack_041.tif: It is …' contains its own title."""
     first, colon, rest = sentence.partition(": ")
     if colon and first.startswith(name.split(maxsplit=1)[0]) and len(first) < 70:
         return first, rest[:1].upper() + rest[1:]

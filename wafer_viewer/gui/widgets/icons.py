@@ -1,4 +1,4 @@
-"""viser's icons, its archive of five thousand opened once: viser opens it anew for each icon, 60 ms a time."""
+"""Cached access to viser's icons: viser reopens its archive of five thousand icons for each one, 60 ms each time."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ _reading = threading.Lock()
 
 @functools.cache
 def svg(name: str) -> str:
-    """The text of an icon's ``<svg>`` element."""
+    """Return the text of an icon's ``<svg>`` element."""
     with _reading:
         return _archive().read(f"{name}.svg").decode()
 
@@ -26,6 +26,6 @@ def _archive() -> zipfile.ZipFile:
 
 
 def quicken() -> None:
-    """Have viser's own widgets take their icons from here. Pinned to viser 1.1, whose internals these are."""
+    """Make viser's own widgets use the cached icons. Pinned to viser 1.1, whose internals it replaces."""
     for module in (viser._icons, viser._gui_api, viser._gui_handles):
         vars(module)["svg_from_icon"] = svg

@@ -1,4 +1,4 @@
-"""A worker for questions that overtake each other: while one is answered, only the newest of those waiting is kept."""
+"""Worker that runs only the latest of its pending tasks."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ from collections.abc import Callable
 
 
 class LatestOnlyWorker:
-    """One thread of its own; `ask` never waits, an older question that has not begun is dropped."""
+    """Worker with one thread. `ask` never blocks, and drops a previous task that has not started."""
 
     def __init__(self, name: str) -> None:
         self._question: Callable[[], None] | None = None
@@ -16,13 +16,13 @@ class LatestOnlyWorker:
         threading.Thread(target=self._run, name=name, daemon=True).start()
 
     def ask(self, question: Callable[[], None]) -> None:
-        """Have a question answered, in place of one that still waits."""
+        """Submit a task in place of a pending one."""
         with self._due:
             self._question = question
             self._due.notify()
 
     def close(self) -> None:
-        """Let the thread go when it has answered what it is at."""
+        """Stop the thread after the current task."""
         with self._due:
             self._closed = True
             self._due.notify()

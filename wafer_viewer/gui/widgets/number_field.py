@@ -1,4 +1,4 @@
-"""Numbers, and pairs of them, that may be left empty: text fields, since viser's number fields cannot be."""
+"""Optional numbers and pairs of numbers: text fields, because viser's number fields cannot be empty."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from wafer_viewer.model.errors import WaferViewerError
 T = TypeVar("T")
 Pair = tuple[float, float]
 SIDES, PLACE = " × ", ", "
-"""Between two numbers: sides of something, or a place."""
+"""Separator of two numbers: side lengths, or a position."""
 _BETWEEN = (r"\s*[×xX*]\s*", r"\s*;\s*", r"\s*,\s+", r"\s+", r",")
 NOT_GIVEN, NOT_KNOWN, NO_FILTER, NO_LIMIT = "not given", "not known", "no filter", "no limit"
 EMPTY: dict[str, str] = {
@@ -36,24 +36,24 @@ EMPTY: dict[str, str] = {
     "Corner, µm": "not given: x, y",
     **dict.fromkeys(("From, µm", "To, µm"), "none: x, y"),
 }
-"""Fields that may be left empty, by their labels, and what they say in grey then: what happens without a number."""
+"""Placeholder texts of optional fields by label: the effect of an empty field."""
 
 
 class _Optional(Generic[T]):
-    """A text field that stands for a value, or for None where it is left empty.
+    """A text field that holds a value, or None if it is empty.
 
     Parameters
     ----------
     gui : viser.GuiApi
-        Where it is made.
+        Parent of the field.
     label : str
-        Its name with the unit, ``Pixel, µm``; errors name the field by it.
+        Name with the unit, ``Pixel, µm``; errors name the field by it.
     value : T or None
-        What to begin with.
+        Initial value.
     read, write : callable
-        Value of a text, and text of a value. `read` raises WaferViewerError for a text that is neither.
+        Conversion from and to text. `read` raises WaferViewerError for invalid text.
     hint : str or None
-        More of it, and what happens where it is empty.
+        Tooltip with details, and the effect of an empty field.
     """
 
     def __init__(
@@ -74,7 +74,7 @@ class _Optional(Generic[T]):
 
     @property
     def value(self) -> T | None:
-        """What is typed, None where nothing is. Raises WaferViewerError for a text that stands for no value."""
+        """Entered value, None if the field is empty. Raises WaferViewerError for invalid text."""
         return self.read(self.handle.value)
 
     @value.setter
@@ -83,7 +83,7 @@ class _Optional(Generic[T]):
 
 
 class OptionalNumber(_Optional[float]):
-    """A number; `limits` are those of `number_of`."""
+    """An optional number; `limits` are those of `number_of`."""
 
     def __init__(
         self, gui: Gui, label: str, value: float | None = None, *, hint: str | None = None, **limits: Any
@@ -92,7 +92,7 @@ class OptionalNumber(_Optional[float]):
 
 
 class OptionalPair(_Optional[Pair]):
-    """Two numbers, both greater than `over`; `between` stands between them: ``" × "`` of sides, ``", "`` of a place."""
+    """Two optional numbers greater than `over`; `between`: separator, ``" × "`` of sides, ``", "`` of a position."""
 
     def __init__(
         self,
@@ -109,9 +109,9 @@ class OptionalPair(_Optional[Pair]):
 
 
 def pair_of(text: str, name: str, *, over: float | None = None) -> Pair | None:
-    """Return the two numbers that were typed, None where nothing was.
+    """Return the two entered numbers, None for empty text.
 
-    Between them stands ×, x, a semicolon, a comma or a blank. Raises WaferViewerError with a sentence that names the
+    They are separated by ×, x, a semicolon, a comma or a blank. Raises WaferViewerError with a message that names the
     field, the text and the limit.
     """
     bare = text.strip()
@@ -125,7 +125,7 @@ def pair_of(text: str, name: str, *, over: float | None = None) -> Pair | None:
 
 
 def pair_text(value: Pair | None, between: str = SIDES) -> str:
-    """Return two numbers as they stand in a field, empty for None."""
+    """Return two numbers as the text of a field, empty for None."""
     return "" if value is None else between.join(text_of(number) for number in value)
 
 
@@ -138,9 +138,9 @@ def number_of(
     most: float | None = None,
     whole: bool = False,
 ) -> float | None:
-    """Return the number that was typed, None where nothing was. A comma is a decimal point.
+    """Return the entered number, None for empty text. A comma is a decimal point.
 
-    Raises WaferViewerError with a sentence that names the field, the text and the limit.
+    Raises WaferViewerError with a message that names the field, the text and the limit.
     """
     bare = "".join(text.split()).replace(",", ".").replace("\u2212", "-")
     if not bare:
@@ -163,7 +163,7 @@ def number_of(
 
 
 def text_of(value: float | None) -> str:
-    """Return a number as it stands in a field, empty for None."""
+    """Return a number as the text of a field, empty for None."""
     if value is None:
         return ""
     return f"{int(value)}" if float(value).is_integer() and abs(value) < 1e15 else repr(float(value))

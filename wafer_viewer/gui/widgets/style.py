@@ -1,4 +1,4 @@
-"""Colours and sizes of the page, in one place: two palettes, and the style sheet that lays viser out."""
+"""Colours and sizes of the page: two palettes, and the style sheet of the viser layout."""
 
 from __future__ import annotations
 
@@ -49,7 +49,7 @@ DARK = {
     "glass": "rgba(22,27,33,.86)",
 }
 BRAND = {False: (4, 44, 61), True: (29, 127, 174)}
-"""viser takes the colour as the eighth shade of ten and draws a lighter one: these come out as the accent."""
+"""Base colours; viser uses a base colour as the eighth of ten shades and draws a lighter one, here the accent."""
 RGB_OF_TONE = {"attention": (217, 130, 0), "fault": (180, 35, 24), "busy": (11, 110, 153), "good": (24, 121, 78)}
 
 SHEETS = "page.css", "gauge.css", "side_by_side.css", "file_dialog.css", "tour.css"
@@ -59,18 +59,18 @@ PROFILE_PX = 268
 
 
 def palette(dark: bool) -> dict[str, str]:
-    """The colours of a theme by name."""
+    """Return the colours of a theme by name."""
     return DARK if dark else LIGHT
 
 
 def sheet(dark: bool, bottom_px: int) -> str:
-    """The style element of the whole page; `bottom_px` of the scene are given to the panel with a curve."""
+    """Return the style element of the page; `bottom_px`: height of the panel with a curve below the scene."""
     colours = ";".join(f"--{name}:{value}" for name, value in palette(dark).items())
     return f"<style>:root,[data-mantine-color-scheme]{{{colours};--bottom:{bottom_px}px}}\n{_page_css()}</style>"
 
 
 def by_id(uuid: str) -> str:
-    """The selector of the element with an id; an id that begins with a digit has to be escaped."""
+    """Return the CSS selector of an element id; a leading digit is escaped."""
     return f"#\\3{uuid[0]} {uuid[1:]}" if uuid[0].isdigit() else f"#{uuid}"
 
 

@@ -1,4 +1,4 @@
-"""What is measured of a whole region: the heights that are there, and how much of the region they are."""
+"""Measured points of an area region and the measured fraction of the region."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from wafer_viewer.model.region import Region
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Area:
-    """The measured points of a region, at which level they were read, the pixel there, the share that is measured."""
+    """Measured points of a region, with the pyramid level, the pixel size at that level and the measured fraction."""
 
     points: HeightSamples
     level: int
@@ -30,10 +30,10 @@ class Area:
 
 
 def area_of(reading: MeasurementContext, region: Region, which: str, what: str) -> Area:
-    """The heights of a region; what lies off the surface counts as unmeasured.
+    """Return the measured points of a region; pixels off the surface count as unmeasured.
 
-    which, what: as in 'The face … and flatness needs'. Raises MeasureError when the region is a line, lies outside,
-    or has fewer than 200 measured points or less than half of its area measured.
+    which, what: words of the error message, as in 'The face … and flatness needs'. Raises MeasureError when the region
+    is a line, lies outside the surface, or has fewer than 200 measured points or less than half of its area measured.
     """
     require_area(region, which)
     level = level_for(reading.surface, region)
@@ -44,7 +44,10 @@ def area_of(reading: MeasurementContext, region: Region, which: str, what: str) 
 
 
 def least_squares_plane(points: HeightSamples) -> tuple[LevelPlane, Floats]:
-    """The plane of least squares through all points, as standards on form and texture ask, and what it leaves."""
+    """Return the least-squares plane through all points (no outlier rejection), and the residuals.
+
+    Standards on form and texture require this plane.
+    """
     x_um, y_um = float(points.x_um.mean()), float(points.y_um.mean())
     slope_x, slope_y, z_um = least_squares(plane_design(points, (x_um, y_um)), points.z_um).tolist()
     plane = LevelPlane(x_um, y_um, z_um, slope_x, slope_y)

@@ -1,7 +1,7 @@
-"""How sure a fit through a chain of points is when neighbours err alike: pieces of the chain are the observations.
+"""Uncertainty of a fit through a chain of points with correlated errors, by block averaging.
 
-The pieces are several times as long as the errors are found to be alike, so their means are independent; where the
-errors of neighbours have nothing in common the points themselves are taken.
+Block means are the observations. Blocks are several correlation lengths long, so that their means are independent.
+Where neighbouring errors are uncorrelated, the points themselves are the observations.
 """
 
 from __future__ import annotations
@@ -13,17 +13,17 @@ import numpy as np
 from wafer_viewer.measure.base.height_samples import Floats
 
 PIECE = 3.0
-"""Length of a piece, in lengths over which errors are alike."""
+"""Block length, in correlation lengths of the errors."""
 MIN_FREEDOM = 4
-"""No piece is so long that fewer degrees of freedom are left."""
+"""Lower limit of the degrees of freedom; it bounds the block length."""
 MOST_LAGS = 200
 
 
 def chain_u(design: Floats, residuals: Floats, gradient: Floats) -> float | None:
-    """Standard uncertainty of gradient [p] times the parameters of a fit of `design` [n, p] by its residuals [n].
+    """Standard uncertainty of gradient [p] times the parameters of a fit of `design` [n, p], by its residuals [n].
 
-    Rows in the order of the chain. None with too few points to tell. It is widened by Student's t so that an
-    expansion by k = 2 still covers 95 % with few pieces.
+    Rows must be in the order of the chain. Returns None with too few points. The value is widened by Student's t so
+    that the expanded uncertainty with k = 2 still covers 95 % with few blocks.
     """
     reach = alike(residuals)
     longest = len(residuals) // (design.shape[1] + MIN_FREEDOM)
@@ -40,7 +40,7 @@ def chain_u(design: Floats, residuals: Floats, gradient: Floats) -> float | None
 
 
 def alike(residuals: Floats) -> float:
-    """Over how many points errors are alike: 1 where neighbours have nothing in common (integrated autocorrelation)."""
+    """Return the correlation length of errors, in points: 1 if uncorrelated (integrated autocorrelation)."""
     n = len(residuals)
     left = residuals - residuals.mean()
     power = float(left @ left)

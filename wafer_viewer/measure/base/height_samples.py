@@ -1,4 +1,4 @@
-"""Which heights of a surface a measurement takes: of what layer, of what region, at what resolution."""
+"""Height samples of a region: layer, mask and pyramid level used by a measurement."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ from wafer_viewer.model.surface.textured_surface import ProvidesTexture, Texture
 Layer = HeightLayer
 Floats = NDArray[np.float64]
 MAX_PIXELS = 2_000_000
-"""A region with more pixels is measured at a coarser level, whose pixels are means."""
+"""Regions with more pixels are measured at a coarser level, whose pixels are means."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -33,22 +33,25 @@ class HeightSamples:
         return len(self.z_um)
 
     def kept(self, mask: NDArray[np.bool_]) -> HeightSamples:
-        """Some of the points."""
+        """Return the points selected by a mask."""
         return HeightSamples(self.x_um[mask], self.y_um[mask], self.z_um[mask])
 
     def and_also(self, others: HeightSamples) -> HeightSamples:
-        """These points, then the others."""
+        """Return these points followed by the others."""
         pairs = ((self.x_um, others.x_um), (self.y_um, others.y_um), (self.z_um, others.z_um))
         return HeightSamples(*(np.concatenate(pair) for pair in pairs))
 
 
 def layer_of(recipe: Recipe, layer: Layer | None) -> Layer:
-    """The layer asked for, else the one the recipe measures on."""
+    """Return the given layer, or by default the one that the recipe measures on."""
     return layer or recipe.measure_on
 
 
 def heights(surface: HeightMap, layer: Layer) -> NDArray[np.float32]:
-    """[row, col], NaN where a measurement must not look: filled pixels count only in the layer 'filled'."""
+    """Return the heights [row, col] of a layer, NaN where invalid.
+
+    Filled pixels are valid only in the layer 'filled'.
+    """
     if layer == "unsmoothed":
         return surface.z_raw_um
     if layer == "filled":
@@ -57,7 +60,10 @@ def heights(surface: HeightMap, layer: Layer) -> NDArray[np.float32]:
 
 
 def height_window(surface: Mosaic, layer: Layer, region: Region, level: int) -> Heights:
-    """One layer of the part of a surface that holds a region, read alone where the surface can."""
+    """Return one layer of the part of a surface that contains a region.
+
+    Only that layer is read where the surface supports it.
+    """
     if isinstance(surface, HasLayers):
         return surface.one_layer(layer, region, level)
     part = surface.window(region, level)
@@ -65,9 +71,9 @@ def height_window(surface: Mosaic, layer: Layer, region: Region, level: int) -> 
 
 
 def pictured_window(surface: Mosaic, layer: Layer, region: Region, level: int = 0) -> TexturedHeights:
-    """One layer of heights with the picture of the part of a surface that holds a region.
+    """Return one height layer and the image of the part of a surface that contains a region.
 
-    Raises MeasureError when the region lies outside of the surface.
+    Raises MeasureError when the region lies outside the surface.
     """
     if isinstance(surface, ProvidesTexture):
         return surface.pictured(layer, region, level)
@@ -77,25 +83,25 @@ def pictured_window(surface: Mosaic, layer: Layer, region: Region, level: int = 
 
 
 def points_in(surface: Mosaic, region: Region, layer: Layer, level: int) -> HeightSamples:
-    """The measured points of a region. Raises MeasureError when the region lies outside of the surface."""
+    """Return the measured points of a region. Raises MeasureError when the region lies outside the surface."""
     part = height_window(surface, layer, region, level)
     rows, cols = np.nonzero(np.isfinite(part.z_um) & region.contains(part.x_um[None, :], part.y_um[:, None]))
     return HeightSamples(part.x_um[cols], part.y_um[rows], part.z_um[rows, cols].astype(np.float64))
 
 
 def level_for(surface: Mosaic, *regions: Region) -> int:
-    """The finest level at which no region has more than MAX_PIXELS pixels."""
+    """Return the finest level at which no region has more than MAX_PIXELS pixels."""
     pixels = max(_area_um2(region) for region in regions) / surface.pixel_um**2
     return min(surface.levels - 1, max(0, math.ceil(math.log(max(pixels, 1) / MAX_PIXELS, 4))))
 
 
 def level_note(surface: Mosaic, level: int) -> tuple[str, ...]:
-    """What to say of a result taken at a coarser level."""
+    """Return the note for a result measured at a coarser level; empty at level 0."""
     return (f"Read at level {level}: each pixel is the mean of {4**level}.",) if level else ()
 
 
 def reported(value_um: float, provenance: Provenance, calibration_valid: bool) -> Length:
-    """A length without a budget: 'not evaluated', or 'uncalibrated' when there is no valid calibration."""
+    """Return a length without a budget: 'not evaluated', or 'uncalibrated' without a valid calibration."""
     calibrated = calibration_valid and provenance.calibration is not None
     return Length(value_um=value_um, status="not evaluated" if calibrated else "uncalibrated")
 

@@ -1,4 +1,4 @@
-"""A surface whose heights are read from a plane or form laid through itself, and how that is found."""
+"""Levelled surfaces: heights relative to a fitted plane or form, and the fit of that datum."""
 
 from __future__ import annotations
 
@@ -26,21 +26,24 @@ from wafer_viewer.model.region import Point, Region
 from wafer_viewer.model.surface.height_map import HeightMap, Heights, Mosaic, ReadThrough
 
 FITTED_PIXELS = 1_000_000
-"""A plane or form of the whole surface is fitted to about as many pixels at most."""
+"""Approximate upper limit of the pixels used for a plane or form fitted to the entire surface."""
 ROUND_POINT_PX = 5
-"""One of three points is the median of the measured heights up to so many pixels away."""
+"""Radius, in pixels, over which the median height of each of three levelling points is taken."""
 Powers = tuple[tuple[int, int], ...]
 FLAT: Powers = ((1, 0), (0, 1), (0, 0))
 
 
 class Levelled(ReadThrough):
-    """A surface whose heights are those over a datum; windows are levelled as they are read."""
+    """A surface with heights relative to a datum; each window is levelled when it is read."""
 
     def __init__(self, surface: Mosaic, datum: Datum, levelling: Levelling = Levelling()) -> None:
         self.surface, self.datum, self.levelling = surface, datum, levelling
 
     def window(self, region: Region | None = None, level: int = 0) -> HeightMap:
-        """The part of a level that holds a region, its heights over the datum; raises as the surface itself does."""
+        """Return the part of a level that contains a region, with heights over the datum.
+
+        Raises the same errors as the underlying surface.
+        """
         part = self.surface.window(region, level)
         if not self.datum.powers:
             return part
@@ -49,30 +52,56 @@ class Levelled(ReadThrough):
         return dataclasses.replace(part, z_um=z_um, z_raw_um=z_raw_um)
 
     def one_layer(self, layer: Layer, region: Region, level: int = 0) -> Heights:
-        """One layer of heights of what `window` returns; raises as the surface itself does."""
+        """Return one height layer of what `window` returns; raises the same errors as the underlying surface."""
         part = height_window(self.surface, layer, region, level)
         zero = self.datum.at(part.x_um[None, :], part.y_um[:, None])
         return dataclasses.replace(part, z_um=(part.z_um - zero).astype(np.float32))
 
 
 def levelled(surface: Mosaic, levelling: Levelling, layer: Layer | None = None) -> Mosaic:
-    """A surface with its heights read from another zero; itself when levelled by the stage.
+    """Return a surface with heights relative to another zero.
 
-    Raises MeasureError as `datum` does.
+    Parameters
+    ----------
+    surface : Mosaic
+        Height map or mosaic to level.
+    levelling : Levelling
+        Method ('stage', 'three points', 'plane', 'region' or 'form'), with its regions in stage um and the order of the
+        form.
+    layer : {'unsmoothed', 'smoothed', 'filled'}, optional
+        Height layer to which the datum is fitted. Default None: the layer on which the recipe of the surface measures.
+
+    Returns
+    -------
+    Mosaic
+        The surface with its heights over the datum, in um; `surface` itself when levelled by the stage.
+
+    Raises
+    ------
+    MeasureError
+        If a region of the levelling lies outside the surface, is unmeasured or, for 'region', is a line or a point.
+    MeasureError
+        If the measured points do not determine the fit.
+
+    Notes
+    -----
+    The datum is fitted when the function is called, with rejection of outliers beyond 3 robust deviations. A plane or
+    form of the entire surface is fitted at the finest level with at most a million pixels. Each window is levelled when
+    it is read.
     """
     return surface if levelling.by == "stage" else Levelled(surface, datum(surface, levelling, layer), levelling)
 
 
 def levelling_of(surface: Mosaic) -> Levelling:
-    """What the heights of a surface are read from."""
+    """Return the levelling of a surface."""
     return surface.levelling if isinstance(surface, Levelled) else Levelling()
 
 
 def datum(surface: Mosaic, levelling: Levelling, layer: Layer | None = None) -> Datum:
-    """The surface that counts as zero. Outliers do not disturb it: fits reject beyond 3 robust deviations.
+    """Return the zero surface of a levelling, fitted with rejection of outliers beyond 3 robust deviations.
 
-    A plane or form of the whole is fitted at the finest level with at most a million pixels.
-    Raises MeasureError where a place lies outside or unmeasured, or the points do not determine the fit.
+    A plane or form of the entire surface is fitted at the finest level with at most a million pixels. Raises
+    MeasureError where a place lies outside or is unmeasured, or the points do not determine the fit.
     """
     return DATUMS[levelling.by](surface, levelling, layer_of(surface.provenance.recipe, layer))
 
@@ -108,7 +137,7 @@ DATUMS: dict[LevelBy, Callable[[Mosaic, Levelling, Layer], Datum]] = {
     "region": _region,
     "form": _form,
 }
-"""How the zero is found, by the way of levelling."""
+"""Datum functions by levelling method."""
 
 
 def _powers(order: int) -> Powers:
@@ -116,7 +145,7 @@ def _powers(order: int) -> Powers:
 
 
 def _round_point(surface: Mosaic, place: Region, layer: Layer) -> tuple[float, float, float]:
-    """x, y and the median height of what is measured round a point."""
+    """Return x, y and the median of the heights measured around a point."""
     at = place.points[0]
     disc = Region.circle(at.x_um, at.y_um, ROUND_POINT_PX * surface.pixel_um)
     near = points_in(surface, disc, layer, 0)
@@ -129,7 +158,7 @@ def _round_point(surface: Mosaic, place: Region, layer: Layer) -> tuple[float, f
 
 
 def _whole(surface: Mosaic, layer: Layer) -> HeightSamples:
-    """The measured points of the whole surface, thinned to about FITTED_PIXELS lattice points."""
+    """Return the measured points of the entire surface, thinned to about FITTED_PIXELS lattice points."""
     pixels = surface.shape[0] * surface.shape[1]
     level = min(surface.levels - 1, max(0, math.ceil(math.log(pixels / FITTED_PIXELS, 4))))
     part = surface.window(None, level)

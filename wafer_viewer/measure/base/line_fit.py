@@ -1,4 +1,4 @@
-"""Straight lines through points of edges, in stage um, and how sure they are. Pure."""
+"""Straight-line fits through edge points, in stage um, with their uncertainty. Pure."""
 
 from __future__ import annotations
 
@@ -18,9 +18,9 @@ _TURNS = 3
 
 @dataclass(frozen=True, slots=True, eq=False)
 class EdgeLine:
-    """A straight edge in stage um: the middle of its points, which way it runs, and the points that were kept.
+    """A straight edge in stage um: centroid of its points, direction, and the points accepted by the fit.
 
-    along_um, off_um: of each point, along the line from its middle, and to the left of it.
+    along_um, off_um: coordinates of each point along the line from the centroid, and to the left of the line.
     """
 
     x_um: float
@@ -31,39 +31,39 @@ class EdgeLine:
 
     @property
     def normal(self) -> tuple[float, float]:
-        """To the left of the direction."""
+        """Unit normal, to the left of the direction."""
         return -self.direction[1], self.direction[0]
 
     @property
     def angle_deg(self) -> float:
-        """Of the direction, counter-clockwise from x."""
+        """Angle of the direction, counter-clockwise from x."""
         return math.degrees(math.atan2(self.direction[1], self.direction[0]))
 
     def off(self, x_um: Floats | float, y_um: Floats | float) -> Floats | float:
-        """How far places lie to the left of the line."""
+        """Return the signed distance of places to the left of the line."""
         return (x_um - self.x_um) * self.normal[0] + (y_um - self.y_um) * self.normal[1]
 
     def along(self, x_um: Floats | float, y_um: Floats | float) -> Floats | float:
-        """How far along the line places lie from its middle."""
+        """Return the coordinate of places along the line, from its centroid."""
         return (x_um - self.x_um) * self.direction[0] + (y_um - self.y_um) * self.direction[1]
 
     def at(self, along_um: float) -> tuple[float, float]:
-        """The place so far along the line."""
+        """Return the place at a coordinate along the line."""
         return self.x_um + along_um * self.direction[0], self.y_um + along_um * self.direction[1]
 
     def u_um(self, along_um: float = 0.0) -> float | None:
-        """Standard uncertainty of where the line lies there, by the scatter of its points; None with too few."""
+        """Standard uncertainty of the line's lateral position there, by its residuals; None with too few points."""
         return chain_u(self._design, self.off_um, np.array([along_um, 1.0]))
 
     @property
     def u_angle_deg(self) -> float | None:
-        """Standard uncertainty of its angle."""
+        """Standard uncertainty of the angle; None with too few points."""
         u = chain_u(self._design, self.off_um, np.array([1.0, 0.0]))
         return None if u is None else math.degrees(u)
 
     @property
     def region(self) -> Region:
-        """From its first point to its last."""
+        """Line region from the first point to the last."""
         ends = (self.at(float(along)) for along in (self.along_um.min(), self.along_um.max()))
         return Region.line(*(round(v, 3) for end in ends for v in end))
 
@@ -73,9 +73,9 @@ class EdgeLine:
 
 
 def fit_line(x_um: Floats, y_um: Floats) -> EdgeLine:
-    """The line of total least squares through points in order, those beyond 3 robust deviations apart.
+    """Fit a total least-squares line through ordered points, with rejection beyond 3 robust deviations.
 
-    Raises MeasureError when they do not span one.
+    Raises MeasureError when the points do not determine a line.
     """
     along = _principal(x_um, y_um)
     middle, kept = (float(x_um.mean()), float(y_um.mean())), np.ones(len(x_um), bool)
@@ -90,7 +90,7 @@ def fit_line(x_um: Floats, y_um: Floats) -> EdgeLine:
 
 
 def _principal(x_um: Floats, y_um: Floats) -> tuple[float, float]:
-    """The direction in which points lie furthest apart, from the first to the last of them."""
+    """Return the direction of largest variance of points, oriented from the first point to the last."""
     offsets = np.stack([x_um - x_um.mean(), y_um - y_um.mean()])
     way = np.linalg.eigh(offsets @ offsets.T)[1][:, 1]
     ends = x_um[-1] - x_um[0], y_um[-1] - y_um[0]
@@ -109,14 +109,14 @@ def _rotated(way: tuple[float, float], angle: float) -> tuple[float, float]:
 
 
 def lines_between(first: EdgeLine, second: EdgeLine) -> float:
-    """The angle between two lines, degrees, 0 to 90; which way each runs does not matter."""
+    """Return the angle between two lines, degrees, 0 to 90, regardless of their orientation."""
     cross = first.direction[0] * second.direction[1] - first.direction[1] * second.direction[0]
     dot = first.direction[0] * second.direction[0] + first.direction[1] * second.direction[1]
     return math.degrees(math.atan2(abs(cross), abs(dot)))
 
 
 def crossing(first: EdgeLine, second: EdgeLine) -> tuple[float, float]:
-    """Where two lines meet. Raises MeasureError when they are parallel."""
+    """Return the intersection of two lines. Raises MeasureError when they are parallel."""
     cross = first.direction[0] * second.direction[1] - first.direction[1] * second.direction[0]
     if abs(cross) < 1e-6:
         raise MeasureError("Two edges of the die run side by side: draw the region round one die.")

@@ -1,4 +1,4 @@
-"""What a measurement is read from, and what it may claim: the facts that every finding carries, U where it is known."""
+"""Context of a measurement: surface, layer, calibration, and the facts common to all results."""
 
 from __future__ import annotations
 
@@ -12,12 +12,12 @@ from wafer_viewer.model.quantity import BudgetLine, Contribution, Length, Quanti
 from wafer_viewer.model.surface.height_map import Mosaic
 
 Lines = dict[str, float]
-"""A budget: standard uncertainties (k = 1) by what they come from."""
+"""Budget lines: standard uncertainty (k = 1) by source."""
 
 
 @dataclass(frozen=True, slots=True)
 class MeasurementContext:
-    """A surface, which of its heights are taken, and whether its calibration holds."""
+    """A surface, the height layer to measure, and whether the calibration is valid."""
 
     surface: Mosaic
     layer: Layer
@@ -25,13 +25,13 @@ class MeasurementContext:
 
     @classmethod
     def of(cls, surface: Mosaic, layer: Layer | None, calibration_valid: bool) -> Self:
-        """Of the layer asked for, or the one that the surface's recipe measures on."""
+        """Return the context for the given layer, or by default the one that the surface's recipe measures on."""
         provenance = surface.provenance
         calibrated = calibration_valid and provenance.calibration is not None
         return cls(surface, layer_of(provenance.recipe, layer), calibrated)
 
     def told(self, name: str, level: int = 0, *notes: str) -> dict[str, Any]:
-        """The fields that every finding has."""
+        """Return the fields common to all results."""
         return {
             "name": name,
             "surface": self.layer,
@@ -41,19 +41,22 @@ class MeasurementContext:
         }
 
     def length(self, value_um: float, lines: Lines | None) -> Length:
-        """A length with its budget; None: it has no honest one."""
+        """Return a length with its budget; lines None: no defensible budget exists."""
         if self.calibrated and lines is not None:
             return Length.evaluated(value_um, tuple(Contribution(name=n, u_um=u) for n, u in lines.items()))
         return Length(value_um=value_um, status=self._no_budget())
 
     def quantity(self, value: float, unit: Unit, lines: Lines | None) -> Quantity:
-        """The same of what is no length; its lines are in its own unit."""
+        """Return a quantity that is not a length; its budget lines are in its own unit."""
         if self.calibrated and lines is not None:
             return Quantity.evaluated(value, unit, tuple(BudgetLine(name=n, u=u) for n, u in lines.items()))
         return Quantity(value=value, unit=unit, status=self._no_budget())
 
     def not_in_budget(self, *more: str, own: bool = False) -> tuple[str, ...]:
-        """Notes of what budgets leave out; none where there are no budgets. own: the finding lists its own."""
+        """Return notes on contributions missing from budgets; none where there are no budgets.
+
+        own: the result lists its missing contributions itself.
+        """
         if not self.calibrated:
             return ()
         levelled = levelling_of(self.surface).by != "stage"
@@ -62,19 +65,19 @@ class MeasurementContext:
 
     @property
     def u_z_scale(self) -> float:
-        """Of heights, relative (k = 1)."""
+        """Relative standard uncertainty of the z scale (k = 1)."""
         calibration = self.surface.provenance.calibration
         return 0.0 if calibration is None else calibration.u_z_scale
 
     @property
     def u_pixel_scale(self) -> float:
-        """Of lateral lengths, relative (k = 1)."""
+        """Relative standard uncertainty of the lateral scale (k = 1)."""
         calibration = self.surface.provenance.calibration
         return 0.0 if calibration is None else calibration.u_pixel_um / calibration.pixel_um
 
     @property
     def u_interpolation_um(self) -> float:
-        """Of a difference of heights, for peaks are found between frames (k = 1)."""
+        """Standard uncertainty of a height difference due to peak interpolation between frames (k = 1)."""
         return interpolation_um(self.surface.provenance)
 
     def _no_budget(self) -> UStatus:

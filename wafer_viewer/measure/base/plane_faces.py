@@ -1,4 +1,4 @@
-"""The plane faces that steps and angles lie between."""
+"""Plane faces for step and angle measurements."""
 
 from __future__ import annotations
 
@@ -16,14 +16,14 @@ from wafer_viewer.model.region import Region
 from wafer_viewer.model.surface.height_map import Mosaic
 
 MIN_POINTS = 200
-"""Fewer say too little of their own scatter."""
+"""Lower limit of the points of a face; fewer do not determine its scatter."""
 
 
 @dataclass(frozen=True, eq=False)
 class Face:
-    """A face's points that were not rejected, the plane through them, and their distance from it.
+    """Accepted points of a face, the plane through them, and their residuals.
 
-    part: in which of the face's regions each point lies.
+    part: index of the face's region that contains each point.
     """
 
     points: HeightSamples
@@ -38,33 +38,33 @@ class Face:
 
     @property
     def sq_um(self) -> float:
-        """Root mean square distance from its own plane."""
+        """Root mean square of the residuals from its own plane."""
         return float(np.sqrt(np.mean(self.residuals_um**2)))
 
     @property
     def design(self) -> Floats:
-        """Columns x, y, 1 about the middle of the plane: its slopes and height are their factors."""
+        """Design matrix: columns x, y, 1 about the centre of the plane, for its slopes and height."""
         return plane_design(self.points, (self.plane.x_um, self.plane.y_um))
 
     @property
     def parameters(self) -> Floats:
-        """Slope along x, slope along y, height in the middle."""
+        """Slope along x, slope along y, height at the centre."""
         return np.array([self.plane.slope_x, self.plane.slope_y, self.plane.z_um])
 
     @cached_property
     def spreads(self) -> list[Spread]:
-        """How the parameters scatter, by tiles of several sizes."""
+        """Covariances of the parameters, by tiles of several sizes."""
         return spreads(self.points, self.design, self.residuals_um, self.part)
 
     def scatter(self, gradient: Floats) -> Scatter | None:
-        """How sure gradient [3] times the parameters is; None where there are too few tiles."""
+        """Return the uncertainty of gradient [3] times the parameters; None with too few tiles."""
         return scatter_of(self.spreads, gradient)
 
 
 def enough_points(surface: Mosaic, region: Region, layer: Layer, level: int, which: str, what: str) -> HeightSamples:
-    """The measured points of a region. Raises MeasureError when it lies outside or has fewer than 200.
+    """Return the measured points of a region. Raises MeasureError when it lies outside or has fewer than 200.
 
-    which, what: the region's name and what it is for, as in 'The upper region … and a step height needs'.
+    which, what: the region's name and its purpose, as in 'The upper region … and a step height needs'.
     """
     points = points_in(surface, region, layer, level)
     if len(points) < MIN_POINTS:
@@ -76,7 +76,7 @@ def enough_points(surface: Mosaic, region: Region, layer: Layer, level: int, whi
 
 
 def face_of(*parts: HeightSamples) -> Face:
-    """The face that points of one or several regions lie on. Raises MeasureError when they span no plane."""
+    """Fit a face to the points of one or several regions. Raises MeasureError when they do not determine a plane."""
     points = joined(parts)
     plane, fit = fit_plane(points)
     kept = points if fit.kept.all() else points.kept(fit.kept)
@@ -85,7 +85,7 @@ def face_of(*parts: HeightSamples) -> Face:
 
 
 def joined(parts: Sequence[HeightSamples]) -> HeightSamples:
-    """Points of several regions, one region after the other."""
+    """Return the points of several regions, concatenated in order."""
     whole = parts[0]
     for part in parts[1:]:
         whole = whole.and_also(part)

@@ -1,4 +1,4 @@
-"""One region or several where a face is asked for, and how much of them has to be measured."""
+"""One or several regions of a face, and the measured fraction required of each."""
 
 from __future__ import annotations
 
@@ -9,11 +9,11 @@ from wafer_viewer.model.region import Region
 
 Regions = Region | Sequence[Region]
 LEAST_MEASURED = 0.5
-"""Of a region: with less the result would be of something else."""
+"""Smallest measured fraction of a region for a representative result."""
 
 
 def each_of(regions: Regions, which: str) -> tuple[Region, ...]:
-    """All of them. Raises MeasureError when there is none."""
+    """Return the regions as a tuple. Raises MeasureError when there is none."""
     each = (regions,) if isinstance(regions, Region) else tuple(regions)
     if not each:
         raise MeasureError(f"No {which} region was given: draw at least one on the {which} face.")
@@ -21,9 +21,10 @@ def each_of(regions: Regions, which: str) -> tuple[Region, ...]:
 
 
 def require_measured(region: Region, measured_um2: float, which: str, what: str) -> float:
-    """The share of a region that is measured; what lies off the surface counts as unmeasured.
+    """Return the measured fraction of a region; pixels off the surface count as unmeasured.
 
-    which, what: as in 'The upper region … and a step height needs'. Raises MeasureError when it is less than half.
+    which, what: words of the error message, as in 'The upper region … and a step height needs'. Raises MeasureError
+    when it is less than half.
     """
     share = min(1.0, measured_um2 / (region.area_um2 or measured_um2))
     if share < LEAST_MEASURED:

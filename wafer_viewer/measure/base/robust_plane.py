@@ -1,4 +1,4 @@
-"""Planes through heights that are not disturbed by outliers: least squares, rejection beyond 3 robust deviations."""
+"""Least-squares planes with outlier rejection beyond 3 robust deviations."""
 
 from __future__ import annotations
 
@@ -12,21 +12,27 @@ from wafer_viewer.model.errors import MeasureError
 
 REJECT_BEYOND = 3.0
 SIGMA_OF_MAD = 1.4826
-"""Standard deviation of normal noise over its median absolute deviation."""
+"""Ratio of standard deviation to median absolute deviation for normal noise."""
 SIGMAS_OF_75 = 1.1503
-"""75 % of normal noise lies within this many standard deviations."""
+"""Half-width, in standard deviations, of the interval that contains 75 % of normal noise."""
 ROUNDING = float(np.finfo(np.float32).eps)
-"""Heights are 32-bit numbers."""
+"""Relative rounding of heights, which are 32-bit numbers."""
 SETTLED_FRACTION = 1e-4
-"""So few points at the limit of what is rejected do not matter, and millions of them would go on for long."""
+"""Convergence limit: the fraction of points that may still change between accepted and rejected.
+
+Points at the rejection limit do not matter, and with millions of them an exact fixed point takes many rounds.
+"""
 BEGIN_WITH = 40_000
-"""A fit to more points is begun on about as many of them, spread over all; only the last rounds look at every one."""
+"""Approximate size of the evenly spaced subset that starts a fit to more points.
+
+Only the last rounds use every point.
+"""
 _MAX_ROUNDS = 20
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Fit:
-    """Coefficients, what is left of each point, float64 [n], and which points were not rejected, bool [n]."""
+    """Coefficients, residuals float64 [n], and mask of the accepted points bool [n]."""
 
     coefficients: Floats
     residuals: Floats
@@ -44,15 +50,15 @@ class LevelPlane:
     slope_y: float
 
     def at(self, x_um: Floats | float, y_um: Floats | float) -> Floats | float:
-        """The height of the plane at a place."""
+        """Return the height of the plane at a place."""
         return self.z_um + self.slope_x * (x_um - self.x_um) + self.slope_y * (y_um - self.y_um)
 
 
 def robust_fit(design: Floats, values: Floats) -> Fit:
-    """Least squares of `values` [n] on `design` [n, p]; points beyond 3 MAD deviations are left out, again and again.
+    """Fit `values` [n] on `design` [n, p] by least squares with iterated rejection beyond 3 MAD deviations.
 
-    Ends when the same points are kept twice, all but one in ten thousand. Raises MeasureError when the points do not
-    determine the coefficients.
+    Ends when at most one point in ten thousand changes between accepted and rejected. Raises MeasureError when the
+    points do not determine the coefficients.
     """
     rounding = ROUNDING * float(np.abs(values).max(initial=0.0))
     some = _some_of(len(values))
@@ -78,7 +84,10 @@ def _settled(fit: Fit, design: Floats, values: Floats, rounding: float) -> Fit:
 
 
 def least_squares(design: Floats, values: Floats) -> Floats:
-    """By the normal equations of scaled columns, which are quick for millions of rows."""
+    """Solve by the normal equations of scaled columns, which is fast for millions of rows.
+
+    Raises MeasureError when the points do not determine the coefficients.
+    """
     scale = np.sqrt(np.mean(design**2, axis=0)) if len(design) else np.ones(design.shape[1])
     scaled = design / np.where(scale > 0, scale, 1.0)
     normal = scaled.T @ scaled
@@ -90,7 +99,7 @@ def least_squares(design: Floats, values: Floats) -> Floats:
 
 
 def fit_plane(points: HeightSamples) -> tuple[LevelPlane, Fit]:
-    """A robust plane. Raises MeasureError when the points do not span one."""
+    """Fit a robust plane. Raises MeasureError when the points do not determine one."""
     x0_um, y0_um = _centroid(points)
     fit = robust_fit(plane_design(points, (x0_um, y0_um)), points.z_um)
     slope_x, slope_y, z0_um = fit.coefficients.tolist()
@@ -100,7 +109,7 @@ def fit_plane(points: HeightSamples) -> tuple[LevelPlane, Fit]:
 
 
 def plane_design(points: HeightSamples, center_um: tuple[float, float]) -> Floats:
-    """Columns x, y, 1 about a centre."""
+    """Return the design matrix with columns x, y, 1 about a centre."""
     return np.stack([points.x_um - center_um[0], points.y_um - center_um[1], np.ones(len(points))], axis=1)
 
 
@@ -114,21 +123,21 @@ def _centroid(points: HeightSamples) -> tuple[float, float]:
 
 
 def _within(residuals: Floats, kept: Floats, rounding: float) -> NDArray[np.bool_]:
-    """Which residuals belong to the noise of those kept."""
+    """Return the mask of residuals within the rejection limit of the accepted ones."""
     known = kept[_some_of(len(kept))]
     middle = np.median(known)
     return np.abs(residuals - middle) <= REJECT_BEYOND * _spread(np.abs(known - middle), rounding)
 
 
 def _some_of(n: int) -> slice:
-    """About BEGIN_WITH of n, an odd number apart so that they do not stand in columns."""
+    """Return a slice of about BEGIN_WITH of n rows, with an odd step so that they do not align in columns."""
     return slice(None, None, 1 if n < 2 * BEGIN_WITH else n // BEGIN_WITH | 1)
 
 
 def _spread(deviations: Floats, rounding: float) -> float:
-    """A robust standard deviation: that of the MAD, but no less than three quarters of the points call for.
+    """Return a robust standard deviation: that of the MAD, or of the 75 % quantile if larger.
 
-    Heights in whole frames pile up at two values: by the MAD alone the smaller pile would be outliers.
+    Heights from unrefined focus peaks cluster at two values: by the MAD alone the smaller cluster would be outliers.
     """
     half, most = np.quantile(deviations, (0.5, 0.75))
     return max(SIGMA_OF_MAD * float(half), float(most) / SIGMAS_OF_75, rounding)

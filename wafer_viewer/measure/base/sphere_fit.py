@@ -1,4 +1,4 @@
-"""A sphere through points that outliers do not disturb, fitted along z, where the noise is.
+"""Sphere fit with outlier rejection; residuals are taken along z, the direction of the noise.
 
 z = top - c r^2 / (1 + sqrt(1 - c^2 r^2)), r the distance from the axis and c the curvature, holds for shallow caps and
 for steep ones, for bumps (c > 0) and for pits (c < 0).
@@ -16,16 +16,16 @@ from wafer_viewer.measure.base.robust_plane import robust_fit
 from wafer_viewer.model.errors import MeasureError
 
 STEEPEST = 0.95
-"""Of the sphere's radius: points further from its axis lie on walls that no height map shows."""
+"""Largest distance from the axis, in sphere radii; beyond it walls are too steep for a height map."""
 LEAST_POINTS = 10
 _ROUNDS = 50
 _SETTLED = 1e-4
-"""Of the curvature: steps become smaller by their squares, so the one after this counts nothing."""
+"""Relative convergence limit of the curvature; convergence is quadratic, so the next step is negligible."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Cap:
-    """A sphere's highest (lowest) point and its curvature 1 / R, negative for a pit."""
+    """Apex (highest or lowest point) of a sphere and its curvature 1 / R, negative for a pit."""
 
     x_um: float
     y_um: float
@@ -38,12 +38,12 @@ class Cap:
         return 1 / abs(self.curvature)
 
     def at(self, points: HeightSamples) -> Floats:
-        """Heights of the sphere over points that it reaches."""
+        """Return the heights of the sphere at points within its reach."""
         squares = self._squares(points)
         return self.z_um - self.curvature * squares / (1 + self._cosine(squares))
 
     def slopes(self, points: HeightSamples) -> Floats:
-        """How the heights change with x, y, z and curvature, [n, 4]."""
+        """Return the derivatives of the heights by x, y, z and curvature, [n, 4]."""
         squares = self._squares(points)
         cosine = self._cosine(squares)
         x, y = points.x_um - self.x_um, points.y_um - self.y_um
@@ -51,11 +51,11 @@ class Cap:
         return np.stack([*along, np.ones(len(points)), -squares / (cosine * (1 + cosine))], axis=1)
 
     def reaches(self, points: HeightSamples) -> NDArray[np.bool_]:
-        """Which points lie over the sphere, not beyond its walls."""
+        """Return which points lie within the reach of the sphere, not beyond its walls."""
         return np.abs(self.curvature) * np.sqrt(self._squares(points)) < STEEPEST
 
     def moved(self, by: Floats) -> Cap:
-        """Another sphere, its four numbers changed."""
+        """Return the sphere with its four parameters changed by an increment."""
         return Cap(*(np.array([self.x_um, self.y_um, self.z_um, self.curvature]) + by).tolist())
 
     def _squares(self, points: HeightSamples) -> Floats:
@@ -66,7 +66,7 @@ class Cap:
 
 
 def fit_cap(points: HeightSamples, start: Cap | None = None) -> tuple[Cap, HeightSamples]:
-    """The sphere, and the points that were not rejected; start: one that is nearly it.
+    """Fit a sphere; return it and the accepted points. start: initial estimate.
 
     Raises MeasureError when no sphere fits.
     """
@@ -83,7 +83,7 @@ def fit_cap(points: HeightSamples, start: Cap | None = None) -> tuple[Cap, Heigh
 
 
 def _nearer(points: HeightSamples, cap: Cap) -> Cap:
-    """One step of Gauss and Newton, outliers apart."""
+    """Return the sphere after one Gauss-Newton step with outlier rejection."""
     near = points.kept(cap.reaches(points))
     if len(near) < LEAST_POINTS:
         raise no_sphere()
@@ -91,12 +91,15 @@ def _nearer(points: HeightSamples, cap: Cap) -> Cap:
 
 
 def no_sphere() -> MeasureError:
-    """What to say where heights are not those of a sphere."""
+    """Return the error for heights that no sphere fits."""
     return MeasureError("No sphere fits the heights in the circle: draw it round a single bump or pit.")
 
 
 def _first_guess(points: HeightSamples) -> Cap:
-    """By a paraboloid: too curved for a steep cap, whose rim is left out then until the sphere reaches it."""
+    """Return the initial estimate by a paraboloid.
+
+    It is too curved for a steep cap; the rim is excluded until the sphere reaches it.
+    """
     x_um, y_um = float(points.x_um.mean()), float(points.y_um.mean())
     x, y = points.x_um - x_um, points.y_um - y_um
     fit = robust_fit(np.stack([x**2 + y**2, x, y, np.ones(len(x))], axis=1), points.z_um)

@@ -1,9 +1,9 @@
-"""How sure a fit is when neighbouring points err alike: means of tiles are taken as the observations.
+"""Uncertainty of a fit to points with correlated errors, by means of tiles.
 
 The error of a depth map is correlated over the focus window and by the form of the surface itself; the standard error
-of single points would be several times too small. Means of tiles that are larger than the correlation scatter as much
-as they are wrong. Tiles of a side T still miss what neighbours have in common, a share that falls as 1/T: two sizes,
-one twice the other, tell how large it is, and it is extrapolated to tiles without end.
+of single points would be several times too small. Means of tiles larger than the correlation length scatter by their
+true error. Tiles of side T still miss the error shared by neighbours, a share that falls as 1/T. Two sizes, one twice
+the other, determine that share, and the result is extrapolated to infinitely large tiles.
 """
 
 from __future__ import annotations
@@ -18,35 +18,37 @@ from numpy.typing import NDArray
 from wafer_viewer.measure.base.height_samples import Floats, HeightSamples
 
 SIDES = (16, 8, 4)
-"""Tiles along each side of a region: each size is twice the one before."""
+"""Tiles along each side of a region; tiles of each entry are twice as large as those of the one before."""
 MIN_FILL = 0.25
-"""A tile with fewer points than this share of the median tile is left out."""
+"""Smallest number of points of a tile that is used, relative to the median tile."""
 MIN_FREEDOM = 2
 STILL_GROWING = 1.5
-"""Where twice the tile scatters so many times more than the tile, the correlation is longer than the smaller one."""
+"""Ratio of the scatter of double tiles to that of single ones above which the correlation exceeds a tile."""
 SURPRISING = 1.75
-"""Larger tiles that say so many times more than smaller ones have seen a form that those cannot: by chance they do in
-one of a hundred cases."""
+"""Ratio of the extrapolated uncertainties of larger to smaller tiles above which form is assumed.
+
+Only the larger tiles resolve such form; by chance the ratio is exceeded in one of a hundred cases.
+"""
 Labels = NDArray[np.intp]
 
 
 @dataclass(frozen=True, slots=True)
 class Scatter:
-    """A standard uncertainty (k = 1) and how many degrees of freedom it was found from."""
+    """A standard uncertainty (k = 1) and its degrees of freedom."""
 
     u: float
     freedom: float
 
     @property
     def widened(self) -> float:
-        """So that an expansion by k = 2 still covers 95.45 % with few degrees of freedom."""
+        """Standard uncertainty widened by Student's t, so that k = 2 covers 95.45 % with few degrees of freedom."""
         from scipy.special import stdtrit
 
         return self.u * float(stdtrit(self.freedom, 0.97725)) / 2
 
     @classmethod
     def joined(cls, *parts: Scatter) -> Scatter:
-        """Of a sum of independent parts, by Welch and Satterthwaite."""
+        """Return the uncertainty of a sum of independent parts (Welch-Satterthwaite)."""
         variance = sum(part.u**2 for part in parts)
         if variance == 0:
             return cls(0.0, min(part.freedom for part in parts))
@@ -55,14 +57,14 @@ class Scatter:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Tiles:
-    """What fell into tiles, [region, side, side]: how many points, and sums of the columns over them, [..., c]."""
+    """Counts of points per tile, [region, side, side], and sums of the columns, [..., c]."""
 
     count: NDArray[np.intp]
     sums: Floats
 
     @classmethod
     def of(cls, points: HeightSamples, columns: Floats, part: Labels | None = None, side: int = SIDES[0]) -> Tiles:
-        """Columns [n, c] of points over side x side tiles; part: in which of several regions each point lies, [n]."""
+        """Sum columns [n, c] of points over side x side tiles; part: region index of each point, [n]."""
         labels = np.zeros(len(points), np.intp) if part is None else part
         n = int(labels.max(initial=0)) + 1
         cell = (labels * side + _cells(points.y_um, labels, n, side)) * side + _cells(points.x_um, labels, n, side)
@@ -72,29 +74,29 @@ class Tiles:
 
     @property
     def halved(self) -> Tiles:
-        """Half as many along each side."""
+        """The same points in half as many tiles along each side."""
         n, side = self.count.shape[0], self.count.shape[1] // 2
         blocks = (n, side, 2, side, 2)
         return Tiles(self.count.reshape(blocks).sum(axis=(2, 4)), self.sums.reshape(*blocks, -1).sum(axis=(2, 4)))
 
     @property
     def means(self) -> Floats:
-        """Of the columns in each tile that is filled well enough, [tile, c]."""
+        """Column means of each sufficiently filled tile, [tile, c]."""
         full = self.count >= max(1.0, MIN_FILL * float(np.median(self.count[self.count > 0])))
         return self.sums[full] / self.count[full][:, None]
 
 
 def tile_means(points: HeightSamples, residuals: Floats, side: int) -> tuple[HeightSamples, Floats]:
-    """Mean position, height and residual of the points in each of side x side tiles over them; nearly empty ones go."""
+    """Return mean position, height and residual of each of side x side tiles; sparse tiles are omitted."""
     columns = np.stack([points.x_um, points.y_um, points.z_um, residuals], axis=1)
     x_um, y_um, z_um, left = Tiles.of(points, columns, side=side).means.T
     return HeightSamples(x_um, y_um, z_um), left
 
 
 def parameter_u(points: HeightSamples, design: Floats, residuals: Floats, gradient: Floats) -> float | None:
-    """Standard uncertainty of gradient [p] times the parameters of a fit of `design` [n, p], by the scatter of tiles.
+    """Standard uncertainty of gradient [p] times the parameters of a fit of `design` [n, p], by tiles.
 
-    None when they are too few; widened by Student's t so that an expansion by k = 2 covers 95 %.
+    None with too few tiles. Widened by Student's t so that the expanded uncertainty with k = 2 covers 95 %.
     """
     found = scatter_of(spreads(points, design, residuals), gradient)
     return None if found is None else found.widened
@@ -102,18 +104,18 @@ def parameter_u(points: HeightSamples, design: Floats, residuals: Floats, gradie
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Spread:
-    """Covariance [p, p] of the parameters of a fit, as tiles of one size tell it, and its degrees of freedom."""
+    """Covariance [p, p] of fit parameters, estimated from tiles of one size, and its degrees of freedom."""
 
     covariance: Floats
     freedom: float
 
     def scatter(self, gradient: Floats) -> Scatter:
-        """Of gradient [p] times the parameters."""
+        """Return the uncertainty of gradient [p] times the parameters."""
         return Scatter(math.sqrt(max(0.0, float(gradient @ self.covariance @ gradient))), self.freedom)
 
 
 def spreads(points: HeightSamples, design: Floats, residuals: Floats, part: Labels | None = None) -> list[Spread]:
-    """By tiles of each size that has enough of them, smallest first; part: in which of several regions points lie."""
+    """Return the covariances by tile size, smallest first, for sizes with enough tiles; part: region index."""
     tiles = [Tiles.of(points, np.column_stack([design, residuals]), part)]
     for _ in SIDES[1:]:
         tiles.append(tiles[-1].halved)
@@ -122,10 +124,10 @@ def spreads(points: HeightSamples, design: Floats, residuals: Floats, part: Labe
 
 
 def scatter_of(found: Sequence[Spread], gradient: Floats, axes: int = 2) -> Scatter | None:
-    """What tiles without end would say of gradient [p] times the parameters; None where there are no tiles.
+    """Return the uncertainty of gradient [p] times the parameters, extrapolated to infinitely large tiles.
 
-    found: by tiles of several sizes, smallest first, each twice the one before; axes: 2 for tiles of an area, 1 for
-    pieces of a line.
+    None without tiles. found: covariances by tile size, smallest first, each twice the one before; axes: 2 for tiles of
+    an area, 1 for pieces of a line.
     """
     known = [spread.scatter(gradient) for spread in found]
     if len(known) < 2:
@@ -139,7 +141,7 @@ def scatter_of(found: Sequence[Spread], gradient: Floats, axes: int = 2) -> Scat
 
 
 def _extrapolated(small: Scatter, large: Scatter, axes: int) -> Scatter:
-    """From a pair of sizes; never below what the larger says.
+    """Extrapolate from a pair of tile sizes; never below the value of the larger.
 
     The variance of means over areas lacks (1 - a/T) for each axis, so for two axes u itself goes as 1 - a/T.
     """
@@ -149,7 +151,10 @@ def _extrapolated(small: Scatter, large: Scatter, axes: int) -> Scatter:
 
 
 def spread_of(means: Floats) -> Spread | None:
-    """By means of tiles, [tile, c]: columns of the design and, last, the residual; None where they are too few."""
+    """Return the covariance from tile means [tile, c]; None with too few tiles.
+
+    The columns are those of the design and, last, the residual.
+    """
     design, residuals = means[:, :-1], means[:, -1]
     freedom = len(residuals) - design.shape[1]
     if freedom < MIN_FREEDOM:
@@ -161,7 +166,7 @@ def spread_of(means: Floats) -> Spread | None:
 
 
 def _cells(coordinate: Floats, labels: Labels, n: int, side: int) -> Labels:
-    """The tile of each point along one axis, from 0, between the ends of the points of its own region."""
+    """Return the tile index of each point along one axis, from 0, within the range of its own region."""
     if n == 1:
         return _between(coordinate, float(coordinate.min()), float(coordinate.max()), side)
     low, high = np.full(n, np.inf), np.full(n, -np.inf)

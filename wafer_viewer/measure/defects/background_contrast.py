@@ -1,6 +1,6 @@
-"""The picture of a surface without dies to compare: what is brighter or darker than all around it. Pure.
+"""Local contrast of the image of a surface without dies. Pure.
 
-That says something of a plain surface only. On a pattern every edge is brighter than what is beside it.
+It is meaningful on a plain surface only. On a pattern every edge contrasts with its neighbourhood.
 """
 
 from __future__ import annotations
@@ -13,17 +13,17 @@ from wafer_viewer.measure.dies.die_cells import Plane
 from wafer_viewer.numerics.filters.multiscale_gaussian import smooth
 
 AROUND_PX = 20.0
-"""Deviation of the Gaussian over which the mean around a place is taken."""
+"""Standard deviation of the Gaussian for the local mean."""
 FAR, FEW = 6.0, 0.003
-"""On a plain surface so few pixels, defects apart, lie so many deviations from what is around them."""
+"""Outlier limit in deviations of the local contrast; largest outlier fraction of a plain surface, defects aside."""
 WIDE_PX, EVEN = 8.0, 0.3
-"""On a plain surface a mean over so many pixels scatters by so much of what a pixel does, at most."""
+"""Smoothing width, and the largest ratio of smoothed to single-pixel scatter of a plain surface."""
 LOOKED_AT = "The picture was compared with what is around each place: wide and faint stains do not show there."
 LEFT_OUT = "The picture shows a pattern, or nothing, and was not looked at: only the heights were."
 
 
 def against_around(picture: Plane) -> Plane:
-    """Less the mean of what is known around; NaN where it is not known."""
+    """Subtract the local mean of the known pixels; NaN where unknown."""
     known = np.isfinite(picture)
     total, weight = (
         smooth(np.where(known, picture, np.float32(0)), AROUND_PX),
@@ -35,9 +35,9 @@ def against_around(picture: Plane) -> Plane:
 
 
 def contrast_of(picture: Plane) -> tuple[float, float]:
-    """Deviation of a picture from what is around, and how plain it is: over 1 shows a pattern; NaN shows nothing.
+    """Return the scatter of the local contrast and a pattern measure: over 1 for a pattern, NaN for an empty image.
 
-    Noise and grain even out over WIDE_PX, and few pixels of a plain surface lie far off: a pattern has either.
+    Noise and grain average out over WIDE_PX, and few pixels of a plain surface are outliers; a pattern violates either.
     """
     contrast = against_around(picture)
     sigma = robust_sigma(contrast)
@@ -50,5 +50,5 @@ def contrast_of(picture: Plane) -> tuple[float, float]:
 
 
 def is_plain(patterned: NDArray[np.float64]) -> bool:
-    """By the numbers of some cells, half of which may have their defects."""
+    """Return whether a surface is plain, by the pattern measures of some cells; up to half may have defects."""
     return bool(np.isfinite(patterned).any() and np.nanmedian(patterned) <= 1)

@@ -1,4 +1,4 @@
-"""Pieces that touch over the border of two cells are one defect: a scratch does not end where a die does. Pure."""
+"""Merging of defect pieces across cell borders, for example of a scratch over several dies. Pure."""
 
 from __future__ import annotations
 
@@ -9,11 +9,11 @@ import numpy as np
 from wafer_viewer.measure.defects.segmentation import DefectPiece
 
 NEAR_PX = 8.0
-"""Pieces at a border whose pixels are so near are one."""
+"""Pieces at a border with pixels within this distance are merged."""
 
 
 def merged(pieces: Sequence[DefectPiece], pixel_um: float) -> list[list[DefectPiece]]:
-    """The pieces in groups, one for each defect."""
+    """Return the pieces in groups, one per defect."""
     from scipy.sparse import coo_array
     from scipy.sparse.csgraph import connected_components
     from scipy.spatial import KDTree

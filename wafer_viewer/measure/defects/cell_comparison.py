@@ -1,4 +1,4 @@
-"""Cells side by side compared with their reference: a pure function, so that rows of dies may go to other workers."""
+"""Comparison of a row of cells with their reference: pure, so that rows can run on other workers."""
 
 from __future__ import annotations
 
@@ -31,14 +31,16 @@ from wafer_viewer.model.inspection.defect import DefectRecipe
 
 NOISE_CELLS = 24
 NOISE_PIXELS, LEAST_NOISE_CELLS = 20_000_000, 5
-"""Their quotients are in memory together: of large cells so many pixels are taken, and so many cells at least."""
+"""Memory limit of the noise estimate: the largest number of pixels, and the smallest number of cells."""
 LEAST_MEASURED = 0.02
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class ComparisonWork:
-    """What every cell is compared with, and how; on_dies: cells are dies, which are registered and flattened; excluded:
-    of the pixels of every cell those that are left out."""
+    """Reference and settings of the comparison of all cells.
+
+    on_dies: cells are dies, which are registered and flattened; excluded: mask of the pixels of every cell to ignore.
+    """
 
     source: CellSource
     cells: CellGrid
@@ -50,7 +52,7 @@ class ComparisonWork:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class CellResult:
-    """What one cell showed: its pieces, its histogram of peaks, how it lies, how many pixels were compared or lack."""
+    """Result of one cell: pieces, histogram of peaks, tilt and offset, compared and missing pixels."""
 
     place: Place
     pieces: list[DefectPiece] = field(default_factory=list[DefectPiece])
@@ -63,13 +65,13 @@ class CellResult:
 
 
 def compared(work: ComparisonWork, places: Sequence[Place], noise: NoiseModel) -> list[CellResult]:
-    """Cells side by side, each against its reference; the surface is read once for all of them."""
+    """Compare adjacent cells with their reference; the surface is read once for all of them."""
     strip = work.source.strip(work.cells.around_all(places))
     return [CellResult(place) if strip is None else _result(work, strip, place, noise) for place in places]
 
 
 def noise_over(work: ComparisonWork, places: tuple[Place, ...]) -> NoiseModel:
-    """The usual noise at each scale, over a few of the cells."""
+    """Return the typical noise at each scale, estimated from a subset of the cells."""
     most = min(NOISE_CELLS, max(LEAST_NOISE_CELLS, NOISE_PIXELS // math.prod(work.cells.shape)))
     read = (_residual(work, work.source, place) for place in spaced(places, most))
     some = [found[0] for found in read if found is not None]
@@ -80,7 +82,7 @@ def noise_over(work: ComparisonWork, places: tuple[Place, ...]) -> NoiseModel:
 
 @dataclass(frozen=True, slots=True)
 class Plainness:
-    """What a surface without dies is compared by: deviations over its form and of its picture, and if that is plain."""
+    """Reference of a surface without dies: scatter of heights and of the image, and whether the image is plain."""
 
     z_um: float
     grey: float
@@ -88,7 +90,7 @@ class Plainness:
 
 
 def plainness_over(source: CellSource, cells: CellGrid, places: tuple[Place, ...]) -> Plainness:
-    """Over a few cells: heights over the form, the picture against what is around each place."""
+    """Estimate the plainness from a few cells: heights over the form, image against its local mean."""
     sides = slice(0, cells.shape[0]), slice(0, cells.shape[1])
     read = (source.read(cells, place, *sides, (0.0, 0.0)) for place in spaced(places, NOISE_CELLS))
     over = ((over_levels(cell[0], source.levels_um), cell[1]) for cell in read if cell is not None)
@@ -139,7 +141,7 @@ def _result(work: ComparisonWork, strip: CellStrip, place: Place, noise: NoiseMo
 
 
 def _differs(z_um: Plane, spread_um: Plane) -> float:
-    """The share of what was compared that is far from the reference."""
+    """Return the fraction of the compared pixels that deviate far from the reference."""
     some, by = np.abs(z_um[::3, ::3]), 5 * spread_um[::3, ::3]
     known = np.isfinite(some) & np.isfinite(by)
     return float((some[known] > by[known]).mean()) if known.any() else 0.0

@@ -1,8 +1,8 @@
-"""The class of a defect by clear rules on its shape, with the reasons.
+"""Rule-based classification of defects by shape, with reasons.
 
-The rules are asked in the order of RULES, and the first of which every condition holds names the class. A condition is
-a number over or under a limit of `ClassRules`; those that decided are the reasons, and how far they were from their
-limits is the confidence.
+The rules are evaluated in the order of RULES; the first with all conditions met gives the class. A condition is a
+number above or below a limit of `ClassRules`. The conditions met are the reasons, and their distances from the limits
+give the confidence.
 """
 
 from __future__ import annotations
@@ -15,12 +15,12 @@ from wafer_viewer.model.inspection.class_rules import ClassRules, DefectShape
 from wafer_viewer.model.inspection.defect import DefectClass
 
 _LEAST_PX = 6.0
-"""What is smaller shows too few pixels of its shape for a sure word."""
+"""Length in pixels below which the shape is poorly resolved and the confidence is reduced."""
 
 
 @dataclass(frozen=True, slots=True)
 class Classified:
-    """A class, why, and how sure, 0 to 1: 0.5 where a number lies on its limit."""
+    """A class, its reasons and its confidence, 0 to 1: 0.5 where a number is at its limit."""
 
     kind: DefectClass
     reasons: tuple[str, ...]
@@ -29,7 +29,7 @@ class Classified:
 
 @dataclass(frozen=True, slots=True)
 class Condition:
-    """One number beside its limit: `text` is what is said where it holds."""
+    """A number compared with its limit; `text` is the reason reported when it holds."""
 
     text: str
     value: float
@@ -38,12 +38,12 @@ class Condition:
 
     @property
     def holds(self) -> bool:
-        """Whether the number is on the right side of its limit."""
+        """True if the number is on the required side of its limit."""
         return self.value > self.limit if self.over else self.value <= self.limit
 
     @property
     def margin(self) -> float:
-        """How far from the limit, as a logarithm of their ratio, 0 on it; infinite where one of them is 0."""
+        """Distance from the limit as the absolute log ratio, 0 at the limit; infinite where one of them is 0."""
         if self.value <= 0 or self.limit <= 0:
             return math.inf if self.value != self.limit else 0.0
         return abs(math.log(self.value / self.limit))
@@ -53,7 +53,7 @@ Rule = Callable[[DefectShape, ClassRules], tuple[Condition, ...]]
 
 
 def classify(shape: DefectShape, rules: ClassRules | None = None) -> Classified:
-    """The class of a defect of this shape; `rules` are the standard ones by default."""
+    """Return the class of a defect of this shape; default rules: the standard ones."""
     limits = rules or ClassRules()
     closest = math.inf
     for kind, rule in RULES.items():
@@ -66,12 +66,12 @@ def classify(shape: DefectShape, rules: ClassRules | None = None) -> Classified:
 
 
 def _least_missed(conditions: tuple[Condition, ...]) -> float:
-    """How much would have had to be otherwise for a rule to hold that did not: its condition missed by most."""
+    """Return the largest margin among the conditions of a failed rule that do not hold."""
     return max(condition.margin for condition in conditions if not condition.holds)
 
 
 def _confidence(margin: float, shape: DefectShape) -> float:
-    """From half, on a limit, to one, twice the limit and more; less for what shows few pixels."""
+    """Return the confidence: 0.5 at a limit, near 1 from twice the limit; lower for few pixels."""
     resolved = min(1.0, max(shape.major_um, shape.pixel_um) / (_LEAST_PX * shape.pixel_um))
     return round((1 - 0.5 * math.exp(-3 * margin)) * (0.5 + 0.5 * resolved), 3)
 
@@ -142,12 +142,12 @@ def _lacks(shape: DefectShape) -> Condition:
 
 
 def _gone(shape: DefectShape) -> Condition:
-    """Lower, or without any height: a wall that is not where it should be has none."""
+    """Return the condition for missing material: lower, or without heights, as at a missing wall."""
     return _lacks(shape) if shape.height_um else Condition("no height was measured here", 1.0, 0.0)
 
 
 def _bump(shape: DefectShape) -> Iterator[str]:
-    """What is said of what stands up and is nothing else."""
+    """Yield the reasons of a particle or bump."""
     yield f"{shape.height_um:.3g} um high"
     yield f"{shape.ratio:.1f} times as long as wide"
 
@@ -162,4 +162,4 @@ RULES: dict[DefectClass, Rule] = {
     "pattern": _pattern,
     "pit": _pit,
 }
-"""In the order in which they are asked; what none of them takes is a particle or bump."""
+"""Rules in order of evaluation; defects that match none are a particle or bump."""

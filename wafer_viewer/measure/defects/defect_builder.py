@@ -1,6 +1,7 @@
-"""A defect from the pixels that belong to it: its size, height, volume and class, each as honest as it can be. Pure.
+"""Defects built from their pixels: size, height, volume and class, with uncertainty where defensible. Pure.
 
-The outline holds the pixels over half of the peak; what is longer than three widths is as long as its pixels reach.
+The outline contains the pixels above half of the peak. The length of a defect longer than three widths is the extent of
+its pixels.
 """
 
 from __future__ import annotations
@@ -25,15 +26,15 @@ NOT_RESOLVED = "Detected, size not resolved: under 20 px."
 SIZE_NOTE = "Lengths and area are those over half of the peak."
 UNSEEN = "It shows in the picture; most of its heights could not be measured."
 NARROW_WINDOWS = 2
-"""Narrower than so many focus windows heights come out too small: half as deep as they are in scratches of a window."""
+"""Width in focus windows below which heights are underestimated: by half in scratches one window wide."""
 U_EDGE_PX = 0.5
-"""Where an outline lies, standard uncertainty (k = 1): it is made of whole pixels."""
+"""Standard uncertainty (k = 1) of the position of an outline, due to pixel quantisation."""
 
 
 def defect_of(
     pieces: Sequence[DefectPiece], cells: CellGrid, reading: MeasurementContext, recipe: DefectRecipe, on_dies: bool
 ) -> Defect:
-    """One defect from its pieces; on_dies: the cells are dies."""
+    """Build one defect from its pieces; on_dies: the cells are dies."""
     whole = Gathered.of(pieces)
     height_um, inside = height_of(whole, cells.pixel_um)
     outline = outline_of(whole.x_um[inside], whole.y_um[inside], cells.pixel_um)
@@ -63,13 +64,13 @@ def defect_of(
 
 
 def confidence(score: float, recipe: DefectRecipe, of_class: float) -> float:
-    """How sure it is a defect of this class: one half at the threshold, by the class's own margin beyond."""
+    """Return the confidence of a defect and its class: 0.5 at the threshold, limited by the class's own confidence."""
     sure = 1 - 0.5 * math.exp(-max(0.0, score - recipe.threshold_sigma) / 2)
     return min(1.0, max(0.0, sure * of_class))
 
 
 def _region(outline: DefectOutline, pixel_um: float) -> Region:
-    """A circle round what is about round, else the ellipse as a polygon."""
+    """Return a circle for a nearly round outline, else the ellipse as a polygon."""
     major, minor = max(outline.major_um, 2 * pixel_um), max(outline.minor_um, 2 * pixel_um)
     if major < 1.3 * minor:
         return Region.circle(outline.x_um, outline.y_um, major / 2)
@@ -84,7 +85,7 @@ def _direction(angle_deg: float) -> tuple[float, float]:
 
 
 def _place(outline: DefectOutline, cells: CellGrid, on_dies: bool) -> dict[str, Any]:
-    """On which die, and where on it."""
+    """Return the die and the position on it."""
     if not on_dies:
         return {"die": "", "in_die": None}
     x_um, y_um = np.array([outline.x_um]), np.array([outline.y_um])
@@ -102,7 +103,7 @@ def _sizes(
     resolved: bool,
     wide: bool,
 ) -> dict[str, Any]:
-    """Lengths, area and volume with U where there is an honest one; wide: heights are not averaged away."""
+    """Return lengths, area and volume, with U where defensible; wide: heights are not reduced by averaging."""
     volume_um3 = float(np.nansum(whole.z_um)) * pixel_um**2
     area = 0.0 if not resolved else outline.area_um2
     edge_um = U_EDGE_PX * pixel_um
@@ -131,7 +132,7 @@ def _of_length(reading: MeasurementContext, length_um: float, edge_um: float) ->
 
 
 def _narrow(reading: MeasurementContext, outline: DefectOutline) -> tuple[str, ...]:
-    """That its height is a lower bound, where it is narrow against the focus window and that is known."""
+    """Return the note that the height is a lower bound, for defects narrow against a known focus window."""
     provenance = reading.surface.provenance
     calibration, window = provenance.calibration, provenance.recipe.window
     if not isinstance(window, int):

@@ -1,4 +1,4 @@
-"""Dies that differ as a whole: missing, or tilted against the others; and what repeats from die to die. Pure."""
+"""Defects of entire dies (missing or tilted), and defects that repeat from die to die. Pure."""
 
 from __future__ import annotations
 
@@ -17,20 +17,20 @@ from wafer_viewer.model.region import Point
 from wafer_viewer.model.spec import replace
 
 FAR = 8.0
-"""Deviations of all dies beyond which one differs as a whole."""
+"""Deviations from the other dies beyond which an entire die is a defect."""
 LEAST_TILT_PX = 6.0
-"""A tilt lifts the edge of a die by so many deviations of its heights at least."""
+"""Smallest tilt, as the lift of the die's edge in deviations of its heights."""
 REPEATS_FROM = 0.5
 NEAR_PX = 6.0
 LEAST_TO_TELL = 4
 LEAST_COMPARED = 0.5
-"""Of what is usually compared of a die: of less it is not said how it lies."""
+"""Smallest compared area of a die, relative to the median, for its offset and tilt to be evaluated."""
 
 
 def whole_die_defects(
     results: Sequence[CellResult], work: ComparisonWork, reading: MeasurementContext, noise: NoiseModel
 ) -> dict[str, Defect]:
-    """By name: dies that lie lower, higher or at another tilt than the others."""
+    """Return defects of entire dies by die name: those at another height or tilt than the others."""
     seen = _measured_enough(results)
     if len(seen) < LEAST_TO_TELL:
         return {}
@@ -53,14 +53,14 @@ def whole_die_defects(
 
 
 def _measured_enough(results: Sequence[CellResult]) -> list[CellResult]:
-    """Cells that are compared as well as usual: a plane through the sliver of a die tilts by chance."""
+    """Return the cells with enough compared pixels; a plane through a sliver of a die has a random tilt."""
     known = [result for result in results if result.compared_px]
     usual = float(np.median([result.compared_px for result in known])) if known else 0.0
     return [result for result in known if result.compared_px >= LEAST_COMPARED * usual]
 
 
 def marked_repeats(defects: Sequence[Defect], n_dies: int, pixel_um: float) -> tuple[Defect, ...]:
-    """Defects that lie at the same place in most dies are said to repeat; asked of a stored golden die only."""
+    """Mark defects found at the same place in most dies as repeating; for stored golden dies only."""
     if n_dies < LEAST_TO_TELL:
         return tuple(defects)
     at = [(d.in_die.x_um, d.in_die.y_um) if d.in_die is not None else (math.inf, math.inf) for d in defects]

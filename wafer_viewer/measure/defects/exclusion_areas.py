@@ -1,4 +1,4 @@
-"""Areas of every die that are left out of the search: where its number stands, where the probe touched it. Pure."""
+"""Exclusion areas of every die, such as die numbers and probe marks. Pure."""
 
 from __future__ import annotations
 
@@ -15,9 +15,9 @@ Mask = NDArray[np.bool_]
 
 
 def excluded_of(regions: Sequence[Region], cells: CellGrid) -> Mask | None:
-    """The pixels of a cell, bool [row, col], that lie in one of the regions, um from the die's lower left corner.
+    """Return the mask of a cell, bool [row, col], for regions in um from the die's lower left corner.
 
-    None where there are none.
+    None where no pixel is excluded.
     """
     out = np.zeros(cells.shape, bool)
     for region in regions:
@@ -30,7 +30,7 @@ def excluded_of(regions: Sequence[Region], cells: CellGrid) -> Mask | None:
 
 
 def notes_on(regions: Sequence[Region], excluded: Mask | None, on_dies: bool) -> tuple[str, ...]:
-    """What was left out, in a sentence; none where nothing was asked for."""
+    """Return the note on the excluded areas; none if no area was requested."""
     if not regions:
         return ()
     if not on_dies:
@@ -41,7 +41,7 @@ def notes_on(regions: Sequence[Region], excluded: Mask | None, on_dies: bool) ->
 
 
 def _around(region: Region, cells: CellGrid) -> tuple[slice, slice]:
-    """The rows and columns of a cell that may lie in a region."""
+    """Return the rows and columns of a cell that may intersect a region."""
     x0, y0, x1, y1 = (um / cells.pixel_um for um in region.bounds_um)
     top, left = cells.street[0] + cells.grid.height_um / cells.pixel_um, cells.street[1]
     return _within(top - y1, top - y0, cells.shape[0]), _within(left + x0, left + x1, cells.shape[1])

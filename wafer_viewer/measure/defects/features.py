@@ -1,4 +1,4 @@
-"""What the rules of classes ask for, from the pixels of a defect. Pure."""
+"""Shape features of a defect for the classification rules. Pure."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ def shape_of(
     recipe: DefectRecipe,
     on_dies: bool,
 ) -> DefectShape:
-    """The features of one defect; inside: its pixels over half of its height."""
+    """Return the shape features of one defect; inside: mask of its pixels above half of its height."""
     left = (whole.z_um - whole.smooth_um)[inside]
     known = np.isfinite(left)
     rough = float(np.sqrt(np.mean(left[known] ** 2))) if known.any() else 0.0
@@ -49,13 +49,13 @@ def shape_of(
 
 
 def mean_height_um(whole: Gathered, inside: Mask) -> float:
-    """Over its area, 0 where no height is known."""
+    """Return the mean height over the defect's area, 0 where no height is known."""
     values = whole.smooth_um[inside]
     return float(np.nanmean(values)) if np.isfinite(values).any() else 0.0
 
 
 def _picture_ratio(whole: Gathered, pixel_um: float) -> float:
-    """Length over width by the moments of what stands out in the picture, which no focus window blurs; 0 of nothing."""
+    """Return length over width by the moments of the image contrast, which no focus window blurs; 0 if none."""
     clear = whole.pictured
     if clear is None:
         return 0.0
@@ -64,7 +64,7 @@ def _picture_ratio(whole: Gathered, pixel_um: float) -> float:
 
 
 def _steepness(whole: Gathered, height_um: float, outline: DefectOutline) -> float:
-    """The median slope where it is about half as high as its peak, 1 for a cone; 0 where there is none."""
+    """Return the median slope at about half of the peak height, normalised to 1 for a cone; 0 if unknown."""
     if height_um == 0:
         return 0.0
     share = whole.smooth_um / height_um
@@ -75,10 +75,10 @@ def _steepness(whole: Gathered, height_um: float, outline: DefectOutline) -> flo
 
 
 def _on_edge(whole: Gathered, inside: Mask, cells: CellGrid) -> float:
-    """The share of its border that lies on the die's edge, by how many of its pixels lie near that.
+    """Return the fraction of the defect's border on the die's edge, from the number of its pixels near that edge.
 
-    Its pixels are those that stand out in the picture, for walls have few heights. What goes on into the street crosses
-    the edge, and lies not on it.
+    The pixels are those with image contrast, because walls have few heights. A defect that continues into the street
+    crosses the edge and has a fraction of 0.
     """
     its = inside if whole.pictured is None else whole.pictured
     pixel_um, near = cells.pixel_um, EDGE_PX * cells.pixel_um

@@ -1,4 +1,4 @@
-"""The golden die of a surface: the robust median of its dies, each registered to the others to parts of a pixel.
+"""Golden die of a surface: robust median of its dies, registered to each other to subpixel accuracy.
 
 Dies are read block by block of their rows, all dies of one block at a time, so that memory stays bounded.
 """
@@ -19,38 +19,44 @@ from wafer_viewer.numerics.filters.sliding_filters import relief
 from wafer_viewer.numerics.grids.die_cell_kernels import MAD_TO_SIGMA, shift_sums, typical
 
 LEAST_DIES = 5
-"""Fewer dies have no typical one."""
+"""Smallest number of dies for a median die."""
 KNOWN_SHARE = 0.5
-"""Of the dies that know a place: at a polished rim the few that see anything there are those that are chipped."""
+"""Smallest fraction of dies with a known value at a position.
+
+At a polished rim, the few dies with values there are chipped ones.
+"""
 MOST_DIES = 32
-"""The golden die is found from so many dies at most, taken evenly from all."""
+"""Largest number of dies used for the golden die, evenly spaced."""
 BLOCK_PIXELS = 24_000_000
 PATCH_PX = 384
-"""Shifts are found on the middle of the dies."""
+"""Size of the central patch of the dies on which shifts are found."""
 FURTHEST_PX = 3.0
 LEAST_KNOWN_PX = 3_000
-"""With fewer a die that is cut by the border cannot be laid over the others."""
+"""Smallest number of known pixels for the registration of a die that is cut by the border."""
 ROUNDS = 3
 POOLED_PX, POOLED_AS = (5, 21), 20
-"""The spread of a place is that of its neighbourhood; the wider one counts as much as so many dies."""
+"""Window sizes of the neighbourhoods over which spreads are pooled, and the weight of the wider one, in dies."""
 POWERS = 2.0, 1.0
-"""Of the mean of spreads: heights err in patches, so that few neighbours tell how far; a picture errs more evenly."""
+"""Exponents of the power mean of spreads, for heights and image.
+
+Height errors are clustered, so that few neighbours are representative; errors of the image are more uniform.
+"""
 LEAST_HEIGHT_UM, LEAST_CONTRAST = 1e-6, 2e-3
-"""No spread is less: of heights that were written down too coarsely to differ, of the logarithm of a picture."""
+"""Lower limits of the spread: for heights stored too coarsely to differ, and for the log image."""
 FLOOR = 0.7
-"""Of the usual spread: no place is taken to be steadier."""
+"""Lower limit of the spread of a position, relative to the median spread."""
 EDGE_OFF_PX, EDGE_BLUR = 0.04, 0.12
-"""How far off a registered die may still lie, and how much of a bend is lost between pixels (k = 1)."""
+"""Residual misregistration of a die, in pixels, and the share of curvature lost by interpolation (k = 1)."""
 MOST_OFF = 3.0
-"""In deviations: further off its place hardly a die lies."""
+"""Largest expected shift of a die, in deviations of all shifts."""
 Cell = tuple[Plane, Plane]
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class ReferenceDie:
-    """What cells should be: heights and the picture's logarithm with their spreads, [row, col] of a cell.
+    """Reference of cells: heights and log image with their spreads, [row, col] of a cell.
 
-    n_dies: over how many dies; shifts: how far those lie off their places.
+    n_dies: number of dies it was made from; shifts: offsets of those dies from their places.
     """
 
     z_um: Plane
@@ -62,13 +68,13 @@ class ReferenceDie:
 
     @classmethod
     def nothing(cls, shape: tuple[int, int], spread_um: float, grey_spread: float) -> ReferenceDie:
-        """The form itself, everywhere alike."""
+        """Return the reference for the fitted form: zero with uniform spreads."""
         zero, one = np.zeros(shape, np.float32), np.ones(shape, np.float32)
         return cls(zero, one * np.float32(spread_um), zero, one * np.float32(grey_spread), 0)
 
     @classmethod
     def stored(cls, die: GoldenDie, cells: CellGrid, dark: float) -> ReferenceDie:
-        """A golden die from the store, in grey, as a cell: its streets are not known. dark: as in `CellSource`."""
+        """Convert a stored golden die, in grey levels, to a cell with unknown streets. dark: as in `CellSource`."""
         lit = die.picture + np.float32(dark)
         planes = (die.z_um, die.z_spread_um, np.log(lit), np.maximum(die.picture_spread / lit, LEAST_CONTRAST))
         z_um, spread_um, picture, spread = (_with_street(plane, cells) for plane in planes)
@@ -77,19 +83,19 @@ class ReferenceDie:
 
 @dataclass(frozen=True, slots=True)
 class DiePose:
-    """How far a die lies off its place, (down, right) in pixels, its plane over the typical one, and its brightness."""
+    """Shift of a die from its place, (down, right) in pixels, its plane relative to the median die, and brightness."""
 
     shift: Shift
     plane: DiePlane
     brighter: float
 
     def levelled(self, cell: Cell, first_row: int) -> Cell:
-        """A part of the die, whole rows from the first on, as if it lay where the typical one does."""
+        """Return rows of the die, from the first one given, corrected to the plane and brightness of the median die."""
         return self.plane.seen_from(first_row, 0).off(cell[0]), cell[1] - np.float32(self.brighter)
 
 
 def golden_of(source: CellSource, cells: CellGrid, places: tuple[Place, ...]) -> ReferenceDie:
-    """The golden cell of the dies at places. Raises MeasureError where fewer than five of them are measured."""
+    """Return the golden cell of the dies at places. Raises MeasureError with fewer than five measured dies."""
     chosen = spaced(places, MOST_DIES)
     poses = found_poses(source, cells, chosen)
     if len(poses) < LEAST_DIES:
@@ -118,7 +124,7 @@ def golden_of(source: CellSource, cells: CellGrid, places: tuple[Place, ...]) ->
 
 
 def golden_die(golden: ReferenceDie, cells: CellGrid, dark: float, **told: str | bool) -> GoldenDie:
-    """Return the golden die as it is saved: without its streets, its image in grey levels again.
+    """Return the golden die for storage: without its streets, its image in grey levels again.
 
     dark: as in `CellSource`; told: product, name, made_of and the like of the header.
     """
@@ -133,7 +139,7 @@ def golden_die(golden: ReferenceDie, cells: CellGrid, dark: float, **told: str |
 
 
 def found_poses(source: CellSource, cells: CellGrid, places: tuple[Place, ...]) -> dict[Place, DiePose]:
-    """How each die lies against the others; dies whose middle is not measured are left out."""
+    """Return the pose of each die relative to the others; dies with an unmeasured centre are omitted."""
     patch = _patch(cells.shape)
     strips = {place: source.strip(cells.around(place, *patch, (0.0, 0.0), MARGIN_PX + REACH_PX)) for place in places}
     held = {place: strip for place, strip in strips.items() if strip is not None}
@@ -159,10 +165,10 @@ def _pose(shift: Shift, cell: Cell, model: Cell, patch: tuple[slice, slice]) -> 
 
 
 def registered(source: Read, cells: CellGrid, place: Place, golden: ReferenceDie) -> Shift | None:
-    """How far one die lies off its place against the golden die, (down, right) in pixels.
+    """Return the shift of one die relative to the golden die, (down, right) in pixels.
 
-    By its middle; by all of it where that was not scanned, for a die that is cut by the border lies off its place too.
-    None where too little of it is known.
+    It is found on the central patch, or on the entire cell where the centre was not scanned, as for a die cut by the
+    border. None where too little of it is known.
     """
     if place in golden.shifts:
         return golden.shifts[place]
@@ -178,21 +184,21 @@ def registered(source: Read, cells: CellGrid, place: Place, golden: ReferenceDie
 
 
 def spaced(places: tuple[Place, ...], most: int) -> tuple[Place, ...]:
-    """So many of the places at most, evenly taken."""
+    """Return at most `most` of the places, evenly spaced."""
     if len(places) <= most:
         return places
     return tuple(places[k] for k in np.linspace(0, len(places) - 1, most).round().astype(int))
 
 
 def levelled_pair(cell: Cell) -> Cell:
-    """Heights and brightness less their medians: dies differ in both from place to place."""
+    """Subtract the medians of heights and brightness, both of which vary over the wafer."""
     return _less_median(cell[0]), _less_median(cell[1])
 
 
 def steadied(spread: Plane, n_dies: int, least: float, power: float) -> Plane:
-    """The spread of a place and its neighbours together, for that of few dies is unsure; never far under the usual.
+    """Pool the spread of each position with its neighbours, since that of few dies is uncertain; with a lower limit.
 
-    power: of the mean; the higher, the more the widest spreads nearby count.
+    power: exponent of the power mean; larger values give more weight to the widest spreads nearby.
     """
     from scipy.ndimage import uniform_filter
 
@@ -206,7 +212,7 @@ def steadied(spread: Plane, n_dies: int, least: float, power: float) -> Plane:
 
 
 def _with_edges(spread: Plane, middle: Plane) -> Plane:
-    """A die that lies a little off its place, or between pixels, differs at edges: more than most dies show."""
+    """Add the spread at edges due to residual misregistration and interpolation of a die."""
     from scipy.ndimage import maximum_filter
 
     down, right = np.gradient(middle)
@@ -216,13 +222,16 @@ def _with_edges(spread: Plane, middle: Plane) -> Plane:
 
 
 def _reach_px(shifts: NDArray[np.float32]) -> int:
-    """How far into a cell its neighbours reach where dies lie off their places, and one pixel more."""
+    """Return the distance in pixels over which neighbours with misplaced dies extend into a cell, plus one."""
     return min(REACH_PX, 1 + math.ceil(MOST_OFF * robust_sigma(shifts)))
 
 
 def _with_border(spread: Plane, middle: Plane, reach_px: int) -> Plane:
-    """At the border of a cell what is seen is its neighbour's, which lies off its own place: a structure that crosses
-    the middle of the street is longer or shorter there, on few dies so much that a robust spread does not tell."""
+    """Widen the spread at the border of a cell for the neighbour's structures.
+
+    The neighbour is itself displaced: a structure across the middle of the street varies in length there, on too few
+    dies for a robust spread.
+    """
     inner = slice(reach_px, -reach_px), slice(reach_px, -reach_px)
     out = np.fmax(spread, relief(np.pad(middle, reach_px, "wrap"), 2 * reach_px + 1)[inner] - spread)
     out[inner] = spread[inner]
@@ -230,7 +239,7 @@ def _with_border(spread: Plane, middle: Plane, reach_px: int) -> Plane:
 
 
 def robust_sigma(values: NDArray[np.float32]) -> float:
-    """1.4826 MAD of what is known, of about twenty thousand values at most; NaN where nothing is."""
+    """Return 1.4826 MAD of the known values, of about twenty thousand at most; NaN where none is known."""
     some = values.ravel()[:: max(1, values.size // 20_000)]
     some = some[np.isfinite(some)]
     return float(np.median(np.abs(some - np.median(some)))) * MAD_TO_SIGMA if some.size else float("nan")
@@ -250,7 +259,7 @@ def _median(plane: Plane) -> float:
 
 
 def _step(cell: Cell, model: Cell) -> NDArray[np.float64]:
-    """How much further the cell lies than the model, (down, right), by its heights and its picture together."""
+    """Return the remaining shift of the cell from the model, (down, right), from heights and image together."""
     normal, right = np.zeros((2, 2)), np.zeros(2)
     for here, typical_one in zip(cell, model, strict=True):
         left = here - typical_one
@@ -269,7 +278,7 @@ def _step(cell: Cell, model: Cell) -> NDArray[np.float64]:
 
 
 def _held(shift: Shift, step: NDArray[np.float64]) -> Shift:
-    """What would lead beyond the furthest that dies are off is no shift of theirs."""
+    """Return the shift plus the step, or the shift unchanged if the sum exceeds FURTHEST_PX."""
     down, right = shift[0] + float(step[0]), shift[1] + float(step[1])
     return (down, right) if max(abs(down), abs(right)) <= FURTHEST_PX else shift
 

@@ -1,4 +1,4 @@
-"""The streets beside a stored golden die, which has none: those of the wafer's own dies, laid beside it. Pure."""
+"""Streets for a stored golden die, which has none, from the wafer's own dies. Pure."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from wafer_viewer.measure.dies.die_cells import CellGrid, CellSource, Place, Pla
 from wafer_viewer.model.errors import MeasureError
 
 LAID_BY = 8
-"""So many dies say how the wafer's own typical die lies off the stored one."""
+"""Number of dies used to find the offset between the wafer's median die and the stored one."""
 NOT_INSPECTED = "The streets are not in the golden die, and too few dies are measured to compare them: not inspected."
 BY_THEMSELVES = "The streets are not in the golden die: each is compared with those of the other dies."
 
@@ -19,9 +19,9 @@ BY_THEMSELVES = "The streets are not in the golden die: each is compared with th
 def with_own_streets(
     stored: ReferenceDie, source: CellSource, cells: CellGrid, places: tuple[Place, ...]
 ) -> tuple[ReferenceDie, tuple[str, ...]]:
-    """A stored golden die between the typical streets of this surface, and what is to be said of these.
+    """Return a stored golden die with the median streets of this surface, and notes on them.
 
-    Without five measured dies the streets stay unknown.
+    Without five measured dies the streets remain unknown.
     """
     if not sum(cells.street):
         return stored, ()
@@ -36,14 +36,14 @@ def with_own_streets(
 
 
 def streets_known(golden: ReferenceDie, cells: CellGrid) -> bool:
-    """Whether a cell's reference says anything of its streets, or it has none: by the line beside the die."""
+    """Return whether the reference of a cell knows its streets, or has none; tested at the line next to the die."""
     top, left = cells.street
     beside = golden.z_um[top - 1] if top else golden.z_um[:, left - 1]
     return not (top or left) or bool(np.isfinite(beside).any())
 
 
 def _lies_off(stored: ReferenceDie, own: ReferenceDie, source: CellSource, cells: CellGrid) -> np.ndarray | None:
-    """How far (down, right) in pixels a place of the stored die lies off the same place of the wafer's own."""
+    """Return the offset (down, right) in pixels of the stored die relative to the wafer's own median die."""
     some = spaced(tuple(own.shifts), LAID_BY)
     laid = {place: registered(source, cells, place, stored) for place in some}
     off = [np.subtract(shift, own.shifts[place]) for place, shift in laid.items() if shift is not None]
@@ -68,5 +68,5 @@ def _moved(plane: Plane, off: np.ndarray) -> Plane:
 
 
 def _levelled(plane: Plane, like: Plane) -> Plane:
-    """At the level of the stored die, where both are known."""
+    """Shift a plane to the level of the stored die, by pixels known in both."""
     return plane - np.float32(np.nanmedian(plane - like))

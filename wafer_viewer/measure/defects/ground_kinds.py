@@ -1,4 +1,4 @@
-"""Where the reference is uneven or unknown: on edges, walls and what has no grain everything errs further. Pure."""
+"""Ground classes by noise: plain ground, unmeasured ground, patterns and walls. Pure."""
 
 from __future__ import annotations
 
@@ -10,23 +10,25 @@ from wafer_viewer.measure.dies.die_cells import Plane
 from wafer_viewer.numerics.filters.sliding_filters import relief
 
 PLAIN_TO = 4.0
-"""In usual spreads: plain ground rises and falls by so much at most."""
+"""Largest relief of plain ground, in median spreads."""
 AROUND_PX = 5
 KINDS = 4
-"""Of ground: plain is 0, without heights 1, where the picture is uneven 2, where the heights are 3: patterns and walls.
-Where no height is known of plain ground nothing was in focus: the picture shows one blurred frame or another."""
+"""Number of ground classes: plain (0), without heights (1), uneven in the image (2), uneven in the heights (3).
+
+Plain ground without heights was nowhere in focus: the image there is an arbitrary blurred frame.
+"""
 Kinds = NDArray[np.uint8]
 
 
 def kinds_of(golden: ReferenceDie) -> Kinds:
-    """The kind of ground of every pixel of a cell."""
+    """Return the ground class of every pixel of a cell."""
     layers = (golden.picture, golden.picture_spread), (golden.z_um, golden.z_spread_um)
     patterned, walled = (relief(layer, AROUND_PX) > PLAIN_TO * _usual(spread) for layer, spread in layers)
     return np.select([walled, patterned, np.isnan(golden.z_um)], [3, 2, 1], 0).astype(np.uint8)
 
 
 def coarser(kinds: Kinds, side: int) -> Kinds:
-    """Of squares of `side` pixels, the most uneven of these; what is left over at the end is left out."""
+    """Return the most uneven ground class in squares of `side` pixels; incomplete squares are dropped."""
     rows, cols = (n // side for n in kinds.shape)
     return kinds[: rows * side, : cols * side].reshape(rows, side, cols, side).max(axis=(1, 3)) if side > 1 else kinds
 

@@ -1,7 +1,7 @@
-"""Finds what is wrong on a patterned wafer: each die against the typical one, a stored golden one, or the fitted form.
+"""Inspection of a patterned wafer: each die against the median die, a stored golden die, or the fitted form.
 
-An empty list says nothing by itself: an inspection tells what was compared with what, how much of it was measured, and
-how many false defects are to be expected.
+An empty list of defects is no result by itself. An inspection reports the reference, the measured area and the expected
+number of false defects.
 """
 
 from __future__ import annotations
@@ -42,12 +42,12 @@ from wafer_viewer.model.spec import replace
 from wafer_viewer.model.surface.height_map import Mosaic
 
 TILE_PX = 1024
-"""Without a grid a surface is gone through in squares of so many pixels."""
+"""Tile size for surfaces without a die grid."""
 MOST_DEFECTS = 5000
 OTHER_PRODUCT = 0.1
 Row = list[CellResult]
 RowsBy = Callable[[ComparisonWork, NoiseModel, Sequence[tuple[Place, ...]]], Generator[Row]]
-"""Hands that do ``compared(work, row, noise)`` for each of the rows, and give what came of it in their order."""
+"""Runner of ``compared(work, row, noise)`` for each row, which yields the results in row order."""
 
 
 def inspect(
@@ -62,15 +62,54 @@ def inspect(
     rows_by: RowsBy | None = None,
     no_dies: str = "No grid of dies",
 ) -> Inspection:
-    """The defects of a surface, strongest first, with what was inspected.
+    """Inspect a surface for defects.
 
-    grid: where its dies lie; fewer than five measured dies, or no grid: compared with the fitted form. golden: a stored
-    golden die to compare with instead, which shows what repeats in every die. progress: told the part done, 0 to 1.
-    rows_by: who compares the rows of dies, this thread by default; whoever does, what comes of it is the same. no_dies:
-    why there is no grid, for the notes.
+    Each die is compared with the median die of the surface or with a stored golden die. Without dies, the surface is
+    compared with the fitted form.
 
-    Raises MeasureError where hardly anything is measured, the grid lies beside the surface, the golden die is of
-    something else, or the work was stopped.
+    Parameters
+    ----------
+    surface : Mosaic
+        The surface; heights are read from the layer that its recipe measures on.
+    grid : DieGrid, optional
+        Die lattice, in stage um. Without one, or with fewer than five measured dies and no `golden`, the surface is
+        compared with the fitted form.
+    recipe : DefectRecipe, optional
+        Settings of the inspection, by default those of `DefectRecipe()`.
+    golden : GoldenDie, optional
+        A stored golden die to compare with instead of the median die, which also shows defects that repeat in every
+        die. It takes a `grid`.
+    calibration_valid : bool, default True
+        False: lengths of defects have the status "uncalibrated" and no uncertainty, as without a calibration.
+    progress : callable, optional
+        Called with the completed fraction, 0 to 1.
+    should_stop : callable, optional
+        Returns True if the inspection should stop; called while the rows of dies are compared.
+    rows_by : callable, optional
+        Runner for the rows of dies: takes the work, the noise model and the rows, and yields the results in row order.
+        By default this thread. The result does not depend on it.
+    no_dies : str, default "No grid of dies"
+        Reason for the missing grid, for the notes.
+
+    Returns
+    -------
+    Inspection
+        The defects, strongest first, with a record of what was inspected: reference, states of the dies, inspected and
+        unmeasured area in mm2, threshold in sigma, expected number of false defects per mm2, and notes.
+
+    Raises
+    ------
+    MeasureError
+        If hardly anything is measured; the grid lies off the surface, or where the surface is not measured; a golden
+        die is given without a grid; the golden die is of another product, pixel size or die size, or most dies are not
+        like it; or the inspection was stopped.
+
+    Notes
+    -----
+    An empty list of defects is no result by itself, hence the record of the measured area and of the expected false
+    defects. At most the 5000 strongest places are listed, with a note. Empty places connected to the rim of a lattice
+    that does not name its dies are not inspected. The areas that the recipe excludes apply only where dies are
+    compared.
     """
     reading = MeasurementContext.of(surface, None, calibration_valid)
     source = source_of(surface, reading.layer, recipe.form_order)
@@ -94,9 +133,39 @@ def inspect(
 def golden_of_surface(
     surface: Mosaic, grid: DieGrid, recipe: DefectRecipe = DefectRecipe(), **told: str | bool
 ) -> GoldenDie:
-    """The typical die of a surface, to be stored; told: product, name, made_of and the like of its header.
+    """Return the median die of a surface as a golden die, for storage.
 
-    Raises MeasureError where fewer than five dies are measured.
+    Parameters
+    ----------
+    surface : Mosaic
+        The surface; heights are read from the layer that its recipe measures on.
+    grid : DieGrid
+        Die lattice, in stage um.
+    recipe : DefectRecipe, optional
+        Gives the order of the form that is removed first, and the product. By default `DefectRecipe()`.
+    **told : str or bool
+        Fields of the header: `product`, `name`, `made_of`, `made_at`, `software_version`, `simulated`. By default the
+        product of the recipe, and whether the surface is simulated.
+
+    Returns
+    -------
+    GoldenDie
+        Robust median and robust standard deviation (1.4826 MAD) over the dies, of the heights over the form in um and
+        of the all-in-focus image in grey levels; float32 [row, col] at the pixel size of the surface, without the
+        streets.
+
+    Raises
+    ------
+    MeasureError
+        If hardly anything is measured, no die of the lattice lies on the surface, or fewer than five dies are measured
+        in their middle (`DiesNotFound`).
+    TypeError
+        If `told` names no field of the header, or one that follows from the surface (`dies`, `pixel_um`, `width_um`,
+        `height_um`).
+
+    Notes
+    -----
+    At most 32 dies, evenly spaced, are used; they are registered to each other to subpixel accuracy.
     """
     reading = MeasurementContext.of(surface, None, True)
     source = source_of(surface, reading.layer, recipe.form_order)
@@ -108,7 +177,10 @@ def golden_of_surface(
 def _work(
     source: CellSource, grid: DieGrid | None, recipe: DefectRecipe, golden: GoldenDie | None, no_dies: str
 ) -> tuple[ComparisonWork, Reference, tuple[str, ...]]:
-    """What cells are compared with: a stored golden die, the typical one of the dies, or the form."""
+    """Return the comparison work, reference kind and notes.
+
+    The reference is a stored golden die, the median die, or the form.
+    """
     if grid is None:
         if golden is not None:
             raise MeasureError(
@@ -133,7 +205,7 @@ def _work(
 
 
 def _by_form(source: CellSource, recipe: DefectRecipe, why: str) -> tuple[ComparisonWork, Reference, tuple[str, ...]]:
-    """In squares, against what lies on the form everywhere; the picture, where it is plain, against what is around."""
+    """Return the work for tiles compared with the fitted form, and a plain image with its local mean."""
     surface = source.surface
     rows, cols = surface.shape
     n_rows, n_cols = math.ceil(rows / TILE_PX), math.ceil(cols / TILE_PX)
@@ -172,7 +244,7 @@ def _of_the_rim(grid: DieGrid | None, on_dies: DieGrid | None) -> tuple[str, ...
 
 
 def _on_surface(source: CellSource, cells: CellGrid) -> tuple[Place, ...]:
-    """The dies whose middle lies on the surface. Raises MeasureError where there is none."""
+    """Return the dies with their centre on the surface. Raises MeasureError where there is none."""
     surface, grid = source.surface, cells.grid
     found: list[Place] = []
     for place in grid.places:
@@ -199,7 +271,7 @@ def _watched(rows: Iterable[Row], n: int, progress: Progress | None, should_stop
 
 
 def _require_likeness(results: Sequence[CellResult], golden: GoldenDie | None) -> None:
-    """A golden die from which most dies differ nearly everywhere is none of theirs."""
+    """Raise MeasureError if no die was compared, or most dies differ nearly everywhere from the golden die."""
     differing = [result.differs_fraction for result in results if result.compared_px]
     if not differing:
         raise MeasureError("No die could be compared: the grid lies where the surface is not measured.")
@@ -213,7 +285,7 @@ def _require_likeness(results: Sequence[CellResult], golden: GoldenDie | None) -
 def _defects(
     results: Sequence[CellResult], whole: dict[str, Defect], work: ComparisonWork, reading: MeasurementContext
 ) -> tuple[Defect, ...]:
-    """Strongest first and numbered, those of a whole die instead of what lies on it."""
+    """Return defects numbered by descending score; a defect of an entire die replaces those on that die."""
     pieces = [
         piece for result in results for piece in result.pieces if work.cells.grid.name(*result.place) not in whole
     ]
@@ -234,7 +306,7 @@ def _inspection(
     grid: DieGrid | None,
     dies: Sequence[DieStatus],
 ) -> Inspection:
-    """What was compared with what, and what came of it."""
+    """Assemble the inspection record."""
     mm2 = work.cells.pixel_um**2 / 1e6
     inspected_mm2 = sum(result.compared_px for result in results) * mm2
     counted = false_counts(np.sum([result.peaks for result in results], axis=0), inspected_mm2)
@@ -259,11 +331,11 @@ def _inspection(
 
 
 def _missing_px(result: CellResult, cells: CellGrid) -> int:
-    """A cell of which nothing was compared lacks all its pixels."""
+    """Return the missing pixels of a cell: all of them if none was compared."""
     return result.missing_px if result.compared_px else math.prod(cells.shape)
 
 
 def _with_defects(dies: Sequence[DieStatus], defects: Sequence[Defect], streets: bool) -> tuple[DieStatus, ...]:
-    """How many defects lie on every die; streets: whether these were looked at."""
+    """Return die statuses with defect counts; streets: whether the streets were inspected."""
     on = Counter(defect.die for defect in defects)
     return tuple(replace(die, defects=on[die.name], street_inspected=streets) for die in dies)

@@ -1,8 +1,8 @@
-"""Matched filters for what differs in the picture: each size of defect against the grain that is seen there. Pure.
+"""Matched filters for image defects, by size, against the measured grain. Pure.
 
-Grain is coarse: what it adds is alike over some pixels, so that a sharp outline stands out of it much more clearly than
-a mean over pixels shows. A filter weighs every spatial frequency by what a defect of its size has there over what noise
-has (Turin, An introduction to matched filters, 1960). The noise is measured, for each surface.
+Grain is coarse: its noise is correlated over some pixels, so that a sharp outline stands out much more clearly than a
+mean over pixels shows. A filter weights every spatial frequency by the spectrum of a defect of its size divided by that
+of the noise (Turin, An introduction to matched filters, 1960). The noise is measured for each surface.
 """
 
 from __future__ import annotations
@@ -18,30 +18,31 @@ from wafer_viewer.numerics.filters.binning import binned
 from wafer_viewer.numerics.filters.multiscale_gaussian import FINE_PX, coarseness
 
 SHARP, SOFT = "sharp", "soft"
-"""Layers of scores: of discs with an outline as sharp as the optics show it, of what fades like a Gaussian."""
+"""Score layers: discs with an outline as sharp as the optics resolve, and Gaussian profiles."""
 DIAMETERS_PX = (4.0, 6.0, 9.0, 14.0)
-"""Of the discs; what is wider shows by its outline, wherever that is."""
+"""Disc diameters; wider defects are detected by their outline."""
 BLUR_PX = 0.9
-"""Deviation of the Gaussian by which optics and interpolation blur an outline."""
+"""Standard deviation of the Gaussian blur of an outline by optics and interpolation."""
 FLOOR = 0.05
-"""Of the noise of a pixel: no frequency is taken to have less, for none is known so well."""
+"""Lower limit of the noise power at any frequency, relative to the noise of a pixel."""
 BINS, HIGHEST = 96, 0.7072
-"""Frequencies in cycles a pixel, up to that along a diagonal."""
+"""Number of frequency bins, and highest frequency in cycles per pixel, that of a diagonal."""
 PADDED_PX = 24
 Spectrum = NDArray[np.float32]
-"""Power of the noise by spatial frequency, [BINS]; 1 everywhere: noise of deviation 1 that is uncorrelated."""
+"""Noise power by spatial frequency, [BINS]; 1 everywhere for uncorrelated noise of deviation 1."""
 
 
 def spectrum_of(quotients: Iterable[Plane]) -> Spectrum:
-    """Of the usual one of some cells, so that few defects are not taken for noise; uncorrelated where there is none."""
+    """Return the median spectrum of some cells, which few defects do not affect; uncorrelated if none is known."""
     each = [power for plane in quotients if (power := _power(plane)) is not None]
     return np.median(each, axis=0).astype(np.float32) if each else np.ones(BINS, np.float32)
 
 
 def matched(quotient: Plane, spectrum: Spectrum, scales_px: Iterable[float]) -> dict[tuple[str, float], Plane]:
-    """The answers of all filters by layer and size, wide ones on squares of `coarseness` pixels, NaN where unknown.
+    """Return the filter responses by layer and size, NaN where unknown.
 
-    scales_px: deviations of the soft ones; too narrow ones are left to the discs.
+    Wide filters are sampled on squares of `coarseness` pixels. scales_px: deviations of the Gaussian filters; those
+    below FINE_PX are covered by the discs.
     """
     known = np.isfinite(quotient)
     if not known.any():
@@ -56,12 +57,12 @@ def matched(quotient: Plane, spectrum: Spectrum, scales_px: Iterable[float]) -> 
 
 
 def side_of(layer: str, scale_px: float) -> int:
-    """The side of the squares of pixels on which a layer is filtered at a scale."""
+    """Return the side of the pixel squares on which a layer is filtered at a scale."""
     return 1 if layer == SHARP else coarseness(scale_px)
 
 
 def _power(plane: Plane) -> NDArray[np.float64] | None:
-    """Mean power by frequency under a window that fades to the borders; None where too little is known."""
+    """Return the mean power by frequency under a Hann window; None where too little is known."""
     known = np.isfinite(plane)
     window = (np.hanning(plane.shape[0])[:, None] * np.hanning(plane.shape[1])[None, :]).astype(np.float32) * known
     weight = float(np.sum(window**2, dtype=np.float64))
@@ -77,7 +78,7 @@ def _power(plane: Plane) -> NDArray[np.float64] | None:
 
 @lru_cache(maxsize=4)
 def _filters(shape: tuple[int, int], spectrum: bytes, soft: tuple[float, ...]) -> dict[tuple[str, float], Plane]:
-    """By layer and size: the defect's own spectrum over the noise's, without a mean."""
+    """Return filters by layer and size: defect spectrum over noise spectrum, with zero mean."""
     from scipy.special import j1
 
     frequency = _frequency(shape)
@@ -99,12 +100,12 @@ def _gaussian(frequency: NDArray[np.float64], sigma_px: float) -> NDArray[np.flo
 
 
 def _frequency(shape: tuple[int, ...]) -> NDArray[np.float64]:
-    """Cycles a pixel of what `rfft2` gives."""
+    """Return the frequencies of `rfft2` coefficients, in cycles per pixel."""
     return np.hypot(np.fft.fftfreq(shape[0])[:, None], np.fft.rfftfreq(shape[1])[None, :])
 
 
 def _padded(plane: Plane, known: NDArray[np.bool_]) -> Plane:
-    """With its border mirrored, to a size that is quick to transform; unknown pixels are as the nearest known one."""
+    """Pad by mirroring to a fast transform size; unknown pixels take the nearest known value."""
     from scipy.fft import next_fast_len
     from scipy.ndimage import distance_transform_edt
 

@@ -1,9 +1,9 @@
-"""The noise of quotients over some cells, and how its tail falls: what scores are counted in. Pure.
+"""Noise model of the quotients over some cells: spread and tail, which define the unit of scores. Pure.
 
-Heights from focus err in patches, whose tail is much longer than that of normal noise, and how long depends on the
-surface, and on whether the ground is plain. So it is measured: beyond START the tail is followed as an exponential
-where it falls slower than a normal one would, and a score is the deviation that normal noise would reach as seldom. One
-threshold then means the same for heights and picture at every scale.
+Height errors from focus are clustered; their tail is much longer than that of normal noise, and depends on the surface
+and on the ground. It is therefore measured: beyond START the tail is modelled as an exponential where it falls more
+slowly than a normal one. A score is the deviation that normal noise exceeds equally rarely. One threshold then has the
+same meaning for heights and image at every scale.
 """
 
 from __future__ import annotations
@@ -24,13 +24,13 @@ from wafer_viewer.numerics.filters.peak_regions import tops_over
 from wafer_viewer.numerics.grids.die_cell_kernels import typical
 
 Key = tuple[str, float]
-"""A layer and a scale in pixels."""
+"""Layer and scale in pixels."""
 Planes = dict[Key, Plane]
 Floats, Mask = NDArray[np.float32], NDArray[np.bool_]
 START = 3.0
-"""Deviations from which on the tail is measured: places of noise are many there, and defects few among them."""
+"""Deviation from which the tail is measured: noise peaks are many there, and defects few among them."""
 NORMAL_FALL, SLOW_FALL = 2.75, 2.2
-"""Of the logarithm of how many places reach a deviation: that of normal noise at START, and what is surely slower."""
+"""Decay rate of the log number of peaks by deviation: of normal noise at START, and of a surely longer tail."""
 LEAST_TOPS, MOST_TIMES = 30, 3
 LEAST_PIXELS, SAMPLE = 500, 200_000
 LOCAL_FROM_CELLS = 5
@@ -38,10 +38,10 @@ LOCAL_FROM_CELLS = 5
 
 @dataclass(frozen=True, eq=False)
 class NoiseModel:
-    """By layer and scale: the spread of quotients, and how fast their tail falls, both [KINDS] by kind of ground.
+    """Spread of quotients and decay rate of their tail by layer and scale, both [KINDS] by ground class.
 
-    places: how much wider than that it is at each place, for layers that are uneven; kinds: of the ground of each pixel
-    of a cell; spectrum: of the picture's quotients, which its filters are made by.
+    places: ratio of the local spread to that, for uneven layers; kinds: ground class of each pixel of a cell; spectrum:
+    noise spectrum of the image quotients, used by the matched filters.
     """
 
     spread: dict[Key, Floats]
@@ -51,7 +51,7 @@ class NoiseModel:
     spectrum: Spectrum
 
     def scores(self, planes: Planes) -> Planes:
-        """Quotients in deviations of normal noise."""
+        """Convert quotients to deviations of normal noise."""
         return {key: self._score(key, plane) for key, plane in planes.items()}
 
     def _score(self, key: Key, plane: Plane) -> Plane:
@@ -65,16 +65,16 @@ class NoiseModel:
 
     @cached_property
     def _everywhere(self) -> Planes:
-        """The spread at each place."""
+        """Spread at each position."""
         by_kind = {key: spread[self._ground[side_of(*key)]] for key, spread in self.spread.items()}
         return {key: plane * self.places[key] if key in self.places else plane for key, plane in by_kind.items()}
 
 
 def noise_of(many: Sequence[Planes], kinds: Kinds, spectrum: Spectrum) -> NoiseModel:
-    """The usual noise of quotients over some cells.
+    """Estimate the noise model from quotients of some cells.
 
-    What is alike along edges adds up at wide scales: there the noise is that of each place, where cells are enough. A
-    tail that too few places show falls as that of the scale before, of the same layer.
+    Noise that is correlated along edges accumulates at wide scales: there the noise is local, if there are enough
+    cells. A tail with too few peaks takes the decay rate of the scale before, of the same layer.
     """
     spread: dict[Key, Floats] = {}
     fall: dict[Key, Floats] = {}
@@ -92,7 +92,7 @@ def noise_of(many: Sequence[Planes], kinds: Kinds, spectrum: Spectrum) -> NoiseM
 
 
 def _by_kind(measured: Callable[[Mask], float | None], ground: Kinds, otherwise: float) -> Floats:
-    """What is measured on each kind of ground; where there is hardly anything of one, what it is on plainer ground."""
+    """Evaluate a statistic on each ground class; a class with too few pixels takes that of plainer ground."""
     found: list[float] = []
     for kind in range(KINDS):
         here = measured(ground == kind)
@@ -101,7 +101,7 @@ def _by_kind(measured: Callable[[Mask], float | None], ground: Kinds, otherwise:
 
 
 def as_normal(plane: Plane, fall: Floats, kinds: Kinds) -> Plane:
-    """Deviations of noise whose tail falls so fast, as those that normal noise would reach as seldom; signs stay."""
+    """Convert deviations of long-tailed noise to equally rare deviations of normal noise; signs are preserved."""
     slow = np.clip((NORMAL_FALL - fall) / (NORMAL_FALL - SLOW_FALL), 0, 1).astype(np.float32)
     if not slow.any():
         return plane
@@ -114,9 +114,9 @@ def as_normal(plane: Plane, fall: Floats, kinds: Kinds) -> Plane:
 
 
 def _fall(planes: Sequence[Plane], on: Mask) -> float | None:
-    """From the median by which places go beyond START: the few defects among them hardly move it.
+    """Return the decay rate from the median excess of peaks over START, which few defects hardly affect.
 
-    A cell with many more such places than others, a die that is missing for one, says nothing of noise.
+    A cell with many more such peaks than the others, such as a missing die, is excluded.
     """
     each = [tops_over(np.where(on, np.abs(plane), np.float32(0)), START) for plane in planes]
     most = LEAST_TOPS + MOST_TIMES * float(np.median([tops.size for tops in each]))
@@ -125,7 +125,7 @@ def _fall(planes: Sequence[Plane], on: Mask) -> float | None:
 
 
 def _spread(planes: Sequence[Plane], on: Mask) -> float | None:
-    """The median of all cells: one that is missing shall not widen it."""
+    """Return the median spread over all cells, which a missing one does not widen."""
     at = np.flatnonzero(on)
     if at.size < LEAST_PIXELS:
         return None
@@ -135,7 +135,7 @@ def _spread(planes: Sequence[Plane], on: Mask) -> float | None:
 
 
 def _of_each_place(planes: Sequence[Plane]) -> Plane:
-    """From cell to cell at each place and its neighbours, of quotients of usual spread 1; never less than that."""
+    """Return the local spread between cells, pooled with neighbours, of quotients with spread 1; at least 1."""
     from scipy.ndimage import uniform_filter
 
     stack = np.stack(planes)

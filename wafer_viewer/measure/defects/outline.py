@@ -1,4 +1,4 @@
-"""The pixels of a defect: how high it is, which of them are over half of that, and the ellipse they make. Pure."""
+"""Outline of a defect: peak height, the pixels above half of it, and their ellipse. Pure."""
 
 from __future__ import annotations
 
@@ -12,25 +12,27 @@ from wafer_viewer.measure.defects.matched_filters import SHARP, SOFT
 from wafer_viewer.measure.defects.segmentation import DefectPiece, Floats, Mask, Pixels
 
 HALF, PICTURE_SURE = 0.5, 5.5
-"""In deviations: what stands out in the picture less may be its noise."""
+"""Fraction of the peak that bounds the outline, and lower limit of a reliable image score, in deviations."""
 THIN = 3.0
 HEIGHT_SHARE, HEIGHT_SURE = 0.4, 4.5
-"""Of the score, and in deviations: where heights show less than both, and stand out of the noise of their place by less
-than so much too, all pixels that differ are the outline."""
+"""Fraction of the score, and deviations, below which heights are too faint to define the outline.
+
+If the height peak is also within so many deviations of its local noise, the outline contains all pixels that differ.
+"""
 CLEAR_PX, APART_PX = 4, 5
-"""Fewer pixels that stand out in the picture show no shape; what lies so far from all others is apart from them."""
+"""Smallest number of pixels with image contrast that define a shape, and distance from which pixels are separate."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Gathered(Pixels):
-    """The pieces of one defect as one list of pixels; first: the one with the highest score."""
+    """The pieces of one defect as one list of pixels; first: the piece with the highest score."""
 
     first: DefectPiece
     peaks: dict[str, float]
 
     @classmethod
     def of(cls, pieces: Sequence[DefectPiece]) -> Gathered:
-        """All pixels; what cannot be added up is that of the piece with the highest score."""
+        """Concatenate the pixels of pieces; scalar attributes are those of the piece with the highest score."""
         joined = (np.concatenate([getattr(piece, one.name) for piece in pieces]) for one in fields(Pixels))
         layers = {layer for piece in pieces for layer in piece.peaks}
         peaks = {layer: max(piece.peaks.get(layer, 0.0) for piece in pieces) for layer in layers}
@@ -38,14 +40,14 @@ class Gathered(Pixels):
 
     @property
     def pictured(self) -> Mask | None:
-        """The pixels that stand out in the picture; None where these are too few to show a shape."""
+        """Mask of the pixels with image contrast; None where they are too few to define a shape."""
         clear = self.clear > 0
         return clear if np.count_nonzero(clear) >= CLEAR_PX else None
 
 
 @dataclass(frozen=True, slots=True)
 class DefectOutline:
-    """The ellipse that has the moments of some pixels, and how far they reach along its major axis."""
+    """Ellipse with the moments of some pixels; the major axis of thin ones is their extent."""
 
     x_um: float
     y_um: float
@@ -56,13 +58,13 @@ class DefectOutline:
 
     @property
     def around_um(self) -> float:
-        """Its circumference, by Ramanujan's formula."""
+        """Circumference, by Ramanujan's formula."""
         a, b = self.major_um / 2, self.minor_um / 2
         return math.pi * (3 * (a + b) - math.sqrt((3 * a + b) * (a + 3 * b)))
 
 
 def height_of(whole: Gathered, pixel_um: float) -> tuple[float, Mask]:
-    """The signed peak over the reference, and which pixels are over half of it; all where nothing was measured."""
+    """Return the signed peak over the reference and the mask of pixels above half of it; all if unmeasured."""
     known = np.isfinite(whole.smooth_um)
     if not known.any():
         return 0.0, np.ones(len(whole.x_um), bool)
@@ -76,8 +78,10 @@ def height_of(whole: Gathered, pixel_um: float) -> tuple[float, Mask]:
 
 
 def _seen_elsewhere(whole: Gathered, inside: Mask, apart_um: float) -> Mask:
-    """What stands out in the picture, where most of it lies apart from the heights: two things that were put together,
-    of which neither shall be lost."""
+    """Return the pixels with image contrast if most of them are apart from the height pixels.
+
+    Two defects were then merged, and both must be included.
+    """
     from scipy.spatial import KDTree
 
     pictured = whole.pictured
@@ -89,9 +93,9 @@ def _seen_elsewhere(whole: Gathered, inside: Mask, apart_um: float) -> Mask:
 
 
 def _peak(whole: Gathered, values: Floats) -> float:
-    """The larger extreme; where both are about as large, the one to whose side most of what the picture shows lies.
+    """Return the larger extreme; if both are similar, the one with the sign of the median height in the image pixels.
 
-    Focus errs both ways round the rim of what is dark or bright.
+    Focus errors have both signs around the rim of dark or bright areas.
     """
     upper, lower = float(values.max()), float(values.min())
     high, low = max(upper, 0.0), max(-lower, 0.0)
@@ -103,7 +107,7 @@ def _peak(whole: Gathered, values: Floats) -> float:
 
 
 def outline_of(x_um: Floats, y_um: Floats, pixel_um: float) -> DefectOutline:
-    """By moments; an own pixel has a moment too. Thin things are as long as they reach, and nothing is longer."""
+    """Return the outline by moments, including that of a pixel; limited by, and for thin ones equal to, the extent."""
     one = ellipse_of(x_um, y_um, np.ones(len(x_um)), pixel_um)
     angle = math.radians(one.angle_deg)
     along = (x_um - one.x_um) * math.cos(angle) + (y_um - one.y_um) * math.sin(angle)
@@ -114,7 +118,7 @@ def outline_of(x_um: Floats, y_um: Floats, pixel_um: float) -> DefectOutline:
 
 
 def ellipse_of(x_um: Floats, y_um: Floats, weight: Floats, pixel_um: float) -> DefectOutline:
-    """The ellipse with the second moments of weighted pixels."""
+    """Return the ellipse with the second moments of weighted pixels."""
     x, y = float(np.average(x_um, weights=weight)), float(np.average(y_um, weights=weight))
     own = pixel_um**2 / 12
     xx = float(np.average((x_um - x) ** 2, weights=weight)) + own

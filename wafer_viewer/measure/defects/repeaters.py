@@ -1,4 +1,4 @@
-"""All dies overlaid: where several of them have a defect at the same place, it is no chance. Pure."""
+"""Repeating defects: places with a defect on several dies when all dies are overlaid. Pure."""
 
 from __future__ import annotations
 
@@ -14,18 +14,41 @@ from wafer_viewer.model.inspection.repeating_defect import LEAST_DIES, RepeatedP
 from wafer_viewer.model.region import Point
 
 LEAST_WITHIN_UM = 5.0
-"""Places on dies are not known better than by a few pixels."""
+"""Lower limit of the matching distance: positions on dies are uncertain by a few pixels."""
 Floats = NDArray[np.float64]
 
 
 def repeated_places(
     inspection: Inspection, within_um: float | None = None, least_dies: int = LEAST_DIES
 ) -> tuple[RepeatedPlace, ...]:
-    """The places at which at least so many dies have a defect, those in most dies first.
+    """Return the places on the die where defects of several dies coincide.
 
-    within_um: how far two defects may lie apart on the die and still be at the same place; None: half the length of
-    the shorter one, 5 um at least. Areas without heights and what people rejected do not count, nor do defects outside
-    of dies; each defect belongs to one place. Raises MeasureError for a distance that is none, or fewer than two dies.
+    Parameters
+    ----------
+    inspection : Inspection
+        The inspection with its defects. Unmeasured areas, rejected defects (judged "nuisance") and defects off the dies
+        do not count.
+    within_um : float, optional
+        Largest distance on the die between defects at the same place, um. By default half the length of the shorter
+        one, at least 5 um.
+    least_dies : int, default 3
+        Smallest number of dies with a defect at the place, at least 2.
+
+    Returns
+    -------
+    tuple of RepeatedPlace
+        The places, those on most dies first. Each has the median position in um from the lower left corner of the die,
+        the largest distance from it, the names of the dies, the number of whole dies, the numbers of the defects and
+        their most frequent class. Each defect belongs to one place.
+
+    Raises
+    ------
+    MeasureError
+        If `within_um` is not above 0, or `least_dies` is less than 2.
+
+    Notes
+    -----
+    The distance must hold for both defects of a pair, so that a long scratch does not absorb small defects.
     """
     if within_um is not None and not within_um > 0:
         raise MeasureError(f"within_um is {within_um:g}: it must be over 0.")
@@ -38,7 +61,7 @@ def repeated_places(
 
 
 def _groups(defects: Sequence[Defect], within_um: float | None, least_dies: int) -> Iterator[list[Defect]]:
-    """Defects that lie round one of them, which no other group has; begun where most dies come together."""
+    """Yield disjoint groups of defects around a seed; seeds are taken in order of decreasing number of dies."""
     if len(defects) < least_dies:
         return
     near = _neighbours(defects, within_um)
@@ -51,7 +74,10 @@ def _groups(defects: Sequence[Defect], within_um: float | None, least_dies: int)
 
 
 def _neighbours(defects: Sequence[Defect], within_um: float | None) -> list[list[int]]:
-    """For each defect those at the same place, itself among them: a long scratch takes no small ones along."""
+    """Return, for each defect, the defects at the same place including itself.
+
+    The distance limit holds in both directions, so that a long scratch does not absorb small defects.
+    """
     from scipy.spatial import KDTree
 
     places = np.array([[d.in_die.x_um, d.in_die.y_um] for d in defects if d.in_die is not None])

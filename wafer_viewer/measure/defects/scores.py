@@ -1,9 +1,8 @@
-"""How far each place of a cell lies from its reference, in deviations of its own noise, at several scales. Pure.
+"""Scores of a cell: deviation from its reference in units of the local noise, at several scales. Pure.
 
-A residual is divided by the spread of its position, held at LOUDEST so that one tall thing does not shine over all that
-is near it, filtered, and divided by the noise that is left. Heights are smoothed at several scales. In the picture
-defects are sought with matched filters; the picture smoothed, and its detail, show which pixels belong to them and what
-they look like.
+A residual is divided by the spread of its position, clipped at LOUDEST to limit the influence of a single high peak on
+its neighbourhood, filtered, and divided by the remaining noise. Heights are smoothed at several scales. Image defects
+are detected with matched filters; the smoothed image and its detail determine their pixels and appearance.
 """
 
 from __future__ import annotations
@@ -26,34 +25,40 @@ from wafer_viewer.numerics.filters.peak_regions import tops_over
 
 LOUDEST = 15.0
 LOW_SHARE, LEAST_LOW = 0.6, 2.5
-"""A defect reaches as far as it is over this share of the threshold, and over so many deviations."""
+"""Lower hysteresis threshold: fraction of the upper threshold, and its lower limit in deviations."""
 HISTOGRAM_STEP, HISTOGRAM_END = 0.125, 12.0
 COUNTED_FROM, FITTED_FROM, ANCHORED_TO, FITTED_TO, LEAST_COUNTED = 2.25, 2.75, 3.75, 4.5, 8
 NORMAL_FALL, SLOWEST_FALL = 0.5, 0.15
-"""Of the logarithm of how many places reach a deviation, by its square: of normal noise, and the slowest believed."""
+"""Decay rate of the log number of peaks by squared deviation: of normal noise, and the lower limit accepted."""
 DETAIL_PX = 0.7, 1.5
-"""What the picture shows at the first scale over the second: a layer of its own, for the glint in the middle of a dark
-particle. Unfiltered it would show how dies lie between pixels.
+"""Scales of the difference of Gaussians of the detail layer, for the glint at the centre of a dark particle.
+
+An unfiltered layer would show the subpixel shifts between dies.
 """
 Mask = NDArray[np.bool_]
 NEAR_HOLES_PX, UNSURE = 15, 4.0
-"""Heights near unmeasured pixels are so much less sure: by the share that is unmeasured of so many pixels."""
+"""Window for the unmeasured fraction, and the weight of that fraction in the confidence of heights."""
 SEEKING = "height", SHARP, SOFT, "joint"
 SHOWING = "height", "picture", "joint"
 PICTURED = "picture", "detail", SHARP, SOFT
-"""Layers that say that there is something, that say which pixels belong to it, and that are of the picture."""
+"""Layers for detection (SEEKING), for segmentation (SHOWING), and of the image (PICTURED)."""
 ALONE = 1.16
-"""What shows in one layer alone must lie so many times further out, where both are looked at."""
+"""Factor of the limit for a single layer where both heights and image are inspected."""
 RARE_AT = 5.5
-"""The deviation that unfiltered noise reaches about once in ten mm2."""
+"""Deviation that unfiltered noise exceeds about once in ten mm2."""
 JOINT, LEAST_JOINT = 0.83, 2.0
-"""The root sum of squares of both is over a limit more often than either: so much of it is as rare."""
+"""Factor of the joint score, and the smallest score of each layer for it.
+
+The root sum of squares of both layers exceeds a limit more often than either; the factor makes it equally rare.
+"""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Residual:
-    """A cell less its reference: heights with their plane taken off, how sure they are, grey values; the slopes of that
-    plane. What is excluded is NaN in both, and not missing."""
+    """A cell less its reference: levelled heights with confidence weights, grey values, and the removed plane.
+
+    Excluded pixels are NaN in heights and image, and are not missing.
+    """
 
     place: Place
     z_um: Plane
@@ -66,7 +71,7 @@ class Residual:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class DefectScores:
-    """Quotients of one cell by layer and scale, each [row, col] of squares of `coarseness` pixels."""
+    """Scores of one cell by layer and scale, each [row, col] of squares of `coarseness` pixels."""
 
     planes: Planes
 
@@ -74,7 +79,7 @@ class DefectScores:
 def residual_of(
     place: Place, cell: Cell, golden: ReferenceDie, pixel_um: float, flatten: bool, excluded: Mask | None = None
 ) -> Residual:
-    """A cell less its reference. flatten: the plane of what is left is taken off, and the grey offset."""
+    """Subtract the reference from a cell. flatten: also subtract the residual plane and the grey offset."""
     z_um, picture = cell[0] - golden.z_um, cell[1] - golden.picture
     missing = np.isnan(cell[0]) & np.isfinite(golden.z_um)
     sure = _sureness(z_um)
@@ -97,12 +102,12 @@ def _less(plane: Plane, excluded: Mask | None) -> Plane:
 
 
 def picture_quotient(residual: Residual, golden: ReferenceDie) -> Plane:
-    """The picture's residual over its spread."""
+    """Return the image residual over its spread, clipped."""
     return np.clip(residual.picture / golden.picture_spread, -LOUDEST, LOUDEST)
 
 
 def quotients(residual: Residual, golden: ReferenceDie, recipe: DefectRecipe, spectrum: Spectrum) -> Planes:
-    """Residuals over their spread, filtered, by layer and scale; spectrum: of the noise of the picture's."""
+    """Return residuals over their spread, filtered, by layer and scale; spectrum: noise spectrum of the image."""
     planes: Planes = {}
     if recipe.evidence in ("height", "both"):
         part = residual.z_um / golden.z_spread_um * residual.sure
@@ -124,7 +129,7 @@ def _at_scales(quotient: Plane, scales_px: tuple[float, ...]) -> dict[float, Pla
 
 
 def _sureness(left: Plane) -> Plane:
-    """1 where all is measured, less near holes; few lone pixels take little."""
+    """Return confidence weights: 1 where all neighbours are measured, less near holes."""
     from scipy.ndimage import uniform_filter
 
     known = uniform_filter(np.isfinite(left).astype(np.float32), NEAR_HOLES_PX)
@@ -132,7 +137,7 @@ def _sureness(left: Plane) -> Plane:
 
 
 def scores_of(planes: Planes, noise: NoiseModel) -> DefectScores:
-    """Quotients in deviations of normal noise."""
+    """Convert quotients to scores in deviations of normal noise, and add the joint layer."""
     scores = noise.scores(planes)
     for scale in {scale for _, scale in planes}:
         both = [scores[layer, scale] for layer in ("height", SOFT) if (layer, scale) in scores]
@@ -142,15 +147,15 @@ def scores_of(planes: Planes, noise: NoiseModel) -> DefectScores:
 
 
 def _joint(first: Plane, second: Plane) -> Plane:
-    """Both together where each says something."""
+    """Return the joint score where both layers exceed LEAST_JOINT, else 0."""
     together = np.float32(JOINT) * np.hypot(first, second)
     return np.where(np.minimum(first, second) >= LEAST_JOINT, together, np.float32(0))
 
 
 def limit_of(layer: str, scale_px: float, evidence: Evidence, limit: float) -> float:
-    """The limit for a layer at a scale: a single one must lie further out where both are looked at.
+    """Return the limit for a layer at a scale, higher for a single layer where both are inspected.
 
-    Wide places are fewer, so that noise reaches a deviation at fewer of them: they are as rare at a lower one.
+    Wide scales have fewer independent positions, so that an equally rare deviation is lower.
     """
     fewer = 1.0 if layer == SHARP else 1 + scale_px**2
     alone = ALONE if evidence == "both" and layer != "joint" else 1.0
@@ -158,7 +163,7 @@ def limit_of(layer: str, scale_px: float, evidence: Evidence, limit: float) -> f
 
 
 def low_of(threshold_sigma: float) -> float:
-    """How far down a defect reaches whose peak is over the threshold."""
+    """Return the lower hysteresis threshold for an upper one."""
     return max(LEAST_LOW, LOW_SHARE * threshold_sigma)
 
 
@@ -168,7 +173,7 @@ def new_counts() -> NDArray[np.int64]:
 
 
 def count(scores: DefectScores, recipe: DefectRecipe, shape: tuple[int, int], counts: NDArray[np.int64]) -> None:
-    """Add the places of a cell over COUNTED_FROM to a histogram of how far over each reaches, by its layers' limits."""
+    """Add the peaks of a cell over COUNTED_FROM to a histogram of the score relative to its layer's limit."""
     highest = np.zeros(shape, np.float32)
     for (layer, scale), plane in scores.planes.items():
         if layer in SEEKING:
@@ -179,10 +184,10 @@ def count(scores: DefectScores, recipe: DefectRecipe, shape: tuple[int, int], co
 
 
 def false_counts(counts: NDArray[np.int64], inspected_mm2: float) -> FalseCounts:
-    """From the histogram of places: those of noise fall as exp(-s t2), and defects are few of the lower ones.
+    """Estimate the false counts per area by threshold from the histogram of peaks.
 
-    The fall is fitted where places are many, taken as that of normal noise where they are too few for that, and
-    followed to all thresholds.
+    Noise peaks fall as exp(-s t2), and defects are few among the lower peaks. The decay rate is fitted where peaks are
+    many, taken as that of normal noise where they are too few, and extrapolated to all thresholds.
     """
     if inspected_mm2 <= 0:
         return FalseCounts()
@@ -200,7 +205,7 @@ def false_counts(counts: NDArray[np.int64], inspected_mm2: float) -> FalseCounts
 
 
 def enlarged(mask: NDArray[Any], side: int, shape: tuple[int, int]) -> NDArray[Any]:
-    """Each square as its pixels; what is left over at the end holds nothing."""
+    """Expand each square to its pixels; pixels beyond the last square are 0."""
     if side == 1:
         return mask
     out = np.zeros(shape, mask.dtype)

@@ -1,6 +1,6 @@
-"""Which pixels belong together: what is over the low threshold and has a peak over the high one. Pure.
+"""Segmentation of a cell by hysteresis thresholding of its scores. Pure.
 
-A piece keeps its pixels in stage um, so that pieces of one defect on several dies can be put together.
+A piece stores its pixels in stage um, so that pieces of one defect on several dies can be merged.
 """
 
 from __future__ import annotations
@@ -32,20 +32,20 @@ from wafer_viewer.numerics.filters.peak_regions import hanging_together, widened
 Floats = NDArray[np.float64]
 SPARE_PX = 8
 BRIDGE_PX = 4
-"""Gaps so wide do not part a defect."""
+"""Widest gap bridged within a defect."""
 BORDER_PX = 4
 SHOWN_FROM = 3.5
-"""In deviations: what stands out so far and hangs together with a place that was found belongs to it."""
+"""Threshold in deviations for pixels connected to a detection."""
 CLEAR_FROM, CLEAR_MOST = 2.5, 6.0
-"""In deviations: from there on a pixel of the picture shows a shape, and no pixel counts for more than so many."""
+"""Lower threshold of the image score that contributes to a shape, and the upper limit of a pixel's weight."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Pixels:
-    """Pixels that differ, float64 [n] each: where on the stage and on the die, and what they show.
+    """Pixels that differ, float64 [n] each: stage and die coordinates, and values.
 
-    z_um: residual, NaN where unmeasured; smooth_um: the same smoothed to the size of what is there; slope: how steep
-    that is; clear: how many deviations more than CLEAR_FROM it stands out in the picture, 0 where it does not.
+    z_um: residual, NaN where unmeasured; smooth_um: the residual smoothed to the size of the defect; slope: gradient
+    magnitude of that; clear: image score in excess of CLEAR_FROM in deviations, 0 below it.
     """
 
     x_um: Floats
@@ -60,9 +60,9 @@ class Pixels:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class DefectPiece(Pixels):
-    """One place of one cell that differs.
+    """A connected set of pixels of one cell that differ.
 
-    border: whether a pixel lies at the cell's border; peaks: highest quotient by layer; noise_um: of heights here.
+    border: whether a pixel lies at the cell's border; peaks: highest score by layer; noise_um: local noise of heights.
     """
 
     place: Place
@@ -73,13 +73,13 @@ class DefectPiece(Pixels):
 
     @property
     def score(self) -> float:
-        """The highest quotient of those that it was sought by."""
+        """Highest score of the detection layers."""
         return max((self.peaks.get(layer, 0.0) for layer in SEEKING), default=0.0)
 
 
 @dataclass(frozen=True, slots=True)
 class Where:
-    """The lattice of cells, and how far this one lies off its place."""
+    """The lattice of cells, and the shift of this cell from its place."""
 
     cells: CellGrid
     shift: Shift
@@ -88,7 +88,7 @@ class Where:
 def pieces_of(
     residual: Residual, scores: DefectScores, spread_um: Plane, recipe: DefectRecipe, where: Where
 ) -> list[DefectPiece]:
-    """The places of a cell over the recipe's threshold; spread_um: of its heights from die to die."""
+    """Return the pieces of a cell over the recipe's threshold; spread_um: die-to-die spread of its heights."""
     from scipy.ndimage import find_objects, label
 
     shape = residual.z_um.shape
@@ -103,10 +103,10 @@ def pieces_of(
 
 
 def _over(scores: DefectScores, recipe: DefectRecipe, shape: tuple[int, int]) -> tuple[Mask, Mask]:
-    """Pixels where something was sought and found, and pixels that show what hangs together with that.
+    """Return the mask of detected pixels and the mask of pixels that show their extent.
 
-    Found: over the low threshold, hanging together with one over the high one, in the same layer with its sign.
-    Unfiltered pixels count in a crowd of their like only.
+    Detected: above the lower threshold and connected to a pixel above the upper one, in the same layer with the same
+    sign. Unfiltered pixels need enough neighbours above the threshold.
     """
     found, peaks = np.zeros(shape, bool), np.zeros(shape, bool)
     for (layer, scale), plane in scores.planes.items():
@@ -128,7 +128,7 @@ def _crowded(tops: Mask, low: Mask, recipe: DefectRecipe) -> Mask:
 
 
 def _showing(scores: DefectScores, peaks: Mask) -> Mask:
-    """What stands out and hangs together with peaks, in whichever layer these were found: as large at any setting."""
+    """Return the pixels above SHOWN_FROM connected to peaks of any layer; independent of the threshold setting."""
     shown = np.zeros(peaks.shape, bool)
     for (layer, scale), plane in scores.planes.items():
         if layer in SHOWING:
@@ -179,7 +179,7 @@ def _piece(
 
 
 def _clear(scores: DefectScores, rows: slice, cols: slice) -> Plane:
-    """How far a part stands out of the picture at the finest scale; nowhere if the picture is not looked at."""
+    """Return the image score in excess of CLEAR_FROM at the finest scale; 0 if the image is not inspected."""
     shape = rows.stop - rows.start, cols.stop - cols.start
     scales = [scale for layer, scale in scores.planes if layer == "picture" and coarseness(scale) == 1]
     if not scales:
@@ -194,7 +194,7 @@ def _median(values: Float32s) -> float:
 
 
 def _best(scores: DefectScores, inside: Mask, rows: slice, cols: slice) -> tuple[dict[str, float], float]:
-    """The highest quotient of each layer within a piece, and the scale of the highest of those it was sought by."""
+    """Return the highest score of each layer within a piece, and the scale of the best detection layer."""
     best: dict[str, tuple[float, float]] = {}
     for (layer, scale), plane in scores.planes.items():
         side = side_of(layer, scale)
@@ -209,7 +209,7 @@ def _best(scores: DefectScores, inside: Mask, rows: slice, cols: slice) -> tuple
 
 
 def smoothed_known(plane: Float32s, sigma_px: float) -> Float32s:
-    """Gaussian mean of what is known, NaN where nothing near is."""
+    """Return the Gaussian mean of the known pixels, NaN where too few are near."""
     known = np.isfinite(plane)
     weight = smooth(known.astype(np.float32), sigma_px)
     value = smooth(np.where(known, plane, np.float32(0)), sigma_px)
@@ -217,7 +217,7 @@ def smoothed_known(plane: Float32s, sigma_px: float) -> Float32s:
 
 
 def evidence_of(peaks: dict[str, float], threshold_sigma: float) -> Evidence:
-    """Which layers show it, each for itself."""
+    """Return the layers that show a defect, each on its own."""
     limit = low_of(threshold_sigma)
     height, picture = peaks.get("height", 0.0), max(peaks.get(layer, 0.0) for layer in PICTURED)
     if min(height, picture) >= limit:

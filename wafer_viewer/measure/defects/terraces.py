@@ -1,7 +1,7 @@
-"""Levels of a surface without dies to compare: tops of dies and streets, each at its own height over one form. Pure.
+"""Levels of a surface without dies, such as die tops and streets, each at its own height over one form. Pure.
 
-A polynomial alone says nothing of a surface with two levels: either all of one level is a defect, or none is. So the
-form is fitted together with an offset for each level, and every pixel is compared with the level that it lies on.
+A polynomial alone cannot represent a surface with two levels: either all of one level is a defect, or none is. The form
+is fitted together with an offset for each level, and every pixel is compared with its own level.
 """
 
 from __future__ import annotations
@@ -22,16 +22,16 @@ from wafer_viewer.model.region import Point
 
 BINS = 200
 LEAST_SHARE = 0.05
-"""Of the measured pixels: fewer are no level, but defects or what lies between two levels."""
+"""Smallest fraction of the measured pixels of a level; fewer are defects or lie between two levels."""
 VALLEY = 0.25
-"""Of the lower of two maxima of the histogram: between two levels it falls at least so far."""
+"""Largest histogram count between two levels, relative to the lower of their maxima."""
 APART_SIGMA = 8.0
-"""Levels lie at least so many of their own deviations apart."""
+"""Smallest separation of levels, in their own deviations."""
 MOST_LEVELS = 6
 ISLAND_PX = 2500
-"""A smaller patch at another level is a defect, not a part of that level."""
+"""Smallest area of a patch of a level; a smaller patch at another level is a defect."""
 WALL_PX = 12
-"""So far from a wall between two levels nothing is compared: focus errs there, and edges are bevelled."""
+"""Distance from a wall between levels that is not compared: focus errors occur there, and edges are bevelled."""
 ROUNDS = 2
 SEVERAL_LEVELS = "The surface has {} levels, each compared with its own height; {} px beside walls were left out."
 Labels = NDArray[np.intp]
@@ -39,7 +39,7 @@ Mask = NDArray[np.bool_]
 
 
 def terraced(source: CellSource, order: int) -> CellSource:
-    """The source over the form of its levels; as it is where it has one level only."""
+    """Return the source over the form of its levels; unchanged if it has one level only."""
     points, _ = sample_of(source.surface, source.layer)
     powers, center = form_powers(order), source.form.center
     u, v = points.x_um - center.x_um, points.y_um - center.y_um
@@ -62,7 +62,7 @@ def terraced(source: CellSource, order: int) -> CellSource:
 
 
 def levels_of(left_um: Floats) -> tuple[float, ...]:
-    """The heights at which most of a surface lies, rising; one of them where no two are clearly apart."""
+    """Return the modal heights of a surface, ascending; the median alone if no levels are clearly separate."""
     from scipy.signal import find_peaks, peak_prominences
 
     low, high = np.percentile(left_um, (0.5, 99.5))
@@ -84,15 +84,15 @@ def levels_of(left_um: Floats) -> tuple[float, ...]:
 
 
 def nearest(z_um: NDArray[np.floating], levels_um: tuple[float, ...]) -> Labels:
-    """The number of the level that each height lies nearest to."""
+    """Return the index of the level nearest to each height."""
     borders = (np.array(levels_um[:-1]) + np.array(levels_um[1:])) / 2
     return np.searchsorted(borders, z_um)
 
 
 def over_levels(z_um: Plane, levels_um: tuple[float, ...]) -> tuple[Plane, Mask | None]:
-    """Heights over the level that each pixel lies on, and which pixels lie at a wall between two levels.
+    """Return the heights over each pixel's level, and the mask of pixels at a wall between two levels.
 
-    As they are, and None, where there is one level only.
+    The heights unchanged, and None, if there is one level only.
     """
     from scipy.ndimage import distance_transform_edt, maximum_filter, minimum_filter
 
@@ -109,7 +109,7 @@ def over_levels(z_um: Plane, levels_um: tuple[float, ...]) -> tuple[Plane, Mask 
 
 
 def _without_islands(on: Labels, n: int) -> Labels:
-    """Small patches take the level that most of what is round them lies on."""
+    """Assign small patches to the most frequent level around them."""
     from scipy.ndimage import binary_dilation, find_objects, label
 
     out = on.copy()

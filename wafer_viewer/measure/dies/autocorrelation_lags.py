@@ -1,4 +1,4 @@
-"""Lags at which a pattern is like itself: the peaks of its autocorrelation, and which of them go on over it. Pure."""
+"""Autocorrelation peaks of a pattern, and those that persist over the surface. Pure."""
 
 from __future__ import annotations
 
@@ -15,20 +15,20 @@ from wafer_viewer.numerics.filters.autocorrelation import autocorrelation
 from wafer_viewer.numerics.registration.cross_correlation import contrast
 
 LEAST_ALIKE = 0.15
-"""Autocorrelation of a lag at which a pattern repeats, at least."""
+"""Smallest autocorrelation of a lag at which a pattern repeats."""
 AS_ALIKE, HALF_ALIKE = 0.85, 0.5
-"""Of the best lag: a shorter one that is as much alike is the period; one in between leaves it open which is."""
+"""Fractions of the best autocorrelation: above the first a shorter lag is the period, in between it is ambiguous."""
 SHORTEST_PX = 5
 STANDS_OUT = 0.2
-"""Of how much alike a lag is: so much it has at least over the lags round it."""
+"""Smallest prominence of a lag over the surrounding lags, relative to its autocorrelation."""
 GOES_ON = 0.3
-"""Of how the first lag stands out: the far multiples of a period do, those of what repeats within a die do not."""
+"""Smallest prominence of far multiples relative to the first lag; patterns within a die do not reach it."""
 MEND = "give pitch, origin and size of the dies instead"
 
 
 @dataclass(frozen=True, slots=True)
 class Peak:
-    """A lag, px to the right and upwards, and how much alike the pattern is there."""
+    """A lag, in px to the right and upwards, and the autocorrelation there."""
 
     right: float
     up: float
@@ -36,12 +36,15 @@ class Peak:
 
     @property
     def length(self) -> float:
-        """Of the lag, px."""
+        """Length of the lag, px."""
         return math.hypot(self.right, self.up)
 
 
 def alike_of(layers: Sequence[Float32s], size: int) -> Floats:
-    """The mean autocorrelation of the layers that show any contrast, for lags up to half of the sides."""
+    """Return the mean autocorrelation of the layers with contrast, for lags up to half of the sides.
+
+    Raises DiesNotFound where no layer has contrast.
+    """
     found = [autocorrelation(detail) for layer in layers if (detail := _detail(layer, size)) is not None]
     if not found:
         raise DiesNotFound(f"The surface shows no contrast that dies could be found by: {MEND}.")
@@ -57,7 +60,7 @@ def _detail(layer: Float32s, size: int) -> Floats | None:
 
 
 def peaks_of(alike: Floats) -> list[Peak]:
-    """Local maxima of an autocorrelation, apart from the one in its middle."""
+    """Return the local maxima of an autocorrelation, except the central one."""
     from scipy.ndimage import gaussian_filter, maximum_filter
 
     smooth = np.asarray(gaussian_filter(np.nan_to_num(alike, nan=-1.0), 0.7))
@@ -69,10 +72,10 @@ def peaks_of(alike: Floats) -> list[Peak]:
 
 
 def cone(alike: Floats, peaks: Sequence[Peak], upright: bool, half_deg: float) -> list[Peak]:
-    """The peaks near the x axis, to the right, or near the y axis, upwards, that stand out of the ridge there.
+    """Return the peaks near the x axis, to the right, or near the y axis, upwards, that are prominent over the ridge.
 
-    A pattern that goes on along an axis, as a street does, is like itself at every lag along it: a peak counts by what
-    it has over the median of all lags near the axis.
+    A pattern that is continuous along an axis, such as a street, correlates at every lag along it. A peak therefore
+    counts by its excess over the median of all lags near the axis.
     """
     steep = math.tan(math.radians(half_deg))
     ridge = _ridge(alike.T[::-1, ::-1] if upright else alike, steep)
@@ -86,7 +89,7 @@ def cone(alike: Floats, peaks: Sequence[Peak], upright: bool, half_deg: float) -
 
 
 def _ridge(alike: Floats, steep: float) -> float:
-    """The median over all lags to the right of the most alike within a cone about the axis; at least 0."""
+    """Return the median over lags of the largest autocorrelation within a cone about the axis; at least 0."""
     row, col = (n // 2 for n in alike.shape)
     most = [
         float(np.nanmax(alike[max(0, row - aside) : row + aside + 1, col + along], initial=-1.0))
@@ -97,20 +100,21 @@ def _ridge(alike: Floats, steep: float) -> float:
 
 
 def shortest(peaks: Sequence[Peak]) -> Peak:
-    """The shortest lag that is as much alike as the best."""
+    """Return the shortest lag with an autocorrelation close to the best."""
     best = max(peak.alike for peak in peaks)
     return min((peak for peak in peaks if peak.alike >= AS_ALIKE * best), key=lambda peak: peak.length)
 
 
 def lasting(alike: Floats, peaks: Sequence[Peak]) -> list[Peak]:
-    """The lags that go on over the surface: what repeats within a die, pads say, ends with the die."""
+    """Return the lags that persist over the surface; patterns within a die, such as pads, end with the die."""
     return [peak for peak in peaks if _goes_on(alike, peak)]
 
 
 def _goes_on(alike: Floats, peak: Peak) -> bool:
-    """Whether the far multiples stand out of the lags half a period before and after them as the first does.
+    """Return whether far multiples keep enough of the first lag's prominence over lags half a period away.
 
-    On a round wafer all lags are less alike the longer they are, peaks and valleys: so it is by what stands out.
+    On a round wafer the autocorrelation of peaks and valleys alike falls with the lag; prominence is independent of
+    that.
     """
     middle = np.array([n // 2 for n in alike.shape])
     step = np.array([-peak.up, peak.right])
@@ -128,7 +132,7 @@ def _stands_out(alike: Floats, place: Floats, half: Floats) -> float:
 
 
 def part_of(periods: Sequence[Peak]) -> Peak | None:
-    """A half or a third of the period that might be it as well; None where it is plain."""
+    """Return a half or a third of the period that may also be the period; None where unambiguous."""
     period = shortest(periods)
     near = (peak for peak in periods if _is_part(peak, period) and peak.alike >= HALF_ALIKE * period.alike)
     return next(near, None)

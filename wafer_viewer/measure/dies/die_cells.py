@@ -1,8 +1,8 @@
-"""The cells of a lattice: each die with half of the streets round it, read on the die's own pixels. Pure.
+"""Cells of a die lattice: each die with half of the surrounding streets, resampled on die axes. Pure.
 
-Cell pixels have the surface's pixel size; row 0 is the upper edge. A cell has heights over the form of the wafer, and
-the logarithm of the picture that is in focus everywhere: grain and uneven light are factors of what is seen, so that
-in the logarithm they err by as much where it is bright as where it is dark.
+Cell pixels have the surface's pixel size; row 0 is the upper edge. A cell has heights over the form of the wafer and
+the logarithm of the all-in-focus image. Grain and uneven illumination are multiplicative, so that in the logarithm
+their errors are the same in bright and dark areas.
 """
 
 from __future__ import annotations
@@ -30,15 +30,15 @@ Place = tuple[int, int]
 Shift = tuple[float, float]
 FORM_POINTS = 120_000
 MARGIN_PX, REACH_PX = 4, 4
-"""Round what is read of a cell; and how far off its place it may lie at most."""
+"""Margin read around a cell, and largest shift of a cell from its place."""
 STRIP_PIXELS = 4_000_000
 DARK_SHARE = 0.05
-"""Of the usual grey, added before the logarithm: what is darker is the camera's noise."""
+"""Fraction of the median grey added before the logarithm; darker values are camera noise."""
 
 
 @dataclass(frozen=True, slots=True)
 class CellGrid:
-    """Where cells lie: the lattice, the cell's shape in pixels, and how many of them lie left of and above the die."""
+    """Geometry of cells: die lattice, cell shape in pixels, and street pixels above and left of the die."""
 
     grid: DieGrid
     pixel_um: float
@@ -47,23 +47,23 @@ class CellGrid:
 
     @classmethod
     def of(cls, grid: DieGrid, pixel_um: float) -> CellGrid:
-        """Of a lattice of dies."""
+        """Return the cells of a die lattice."""
         rows, cols = round(grid.pitch_y_um / pixel_um), round(grid.pitch_x_um / pixel_um)
         return cls(grid, pixel_um, (rows, cols), (_half(grid.street_y_um, pixel_um), _half(grid.street_x_um, pixel_um)))
 
     def in_die(self, rows: NDArray[np.float64], cols: NDArray[np.float64]) -> tuple[NDArray[np.float64], ...]:
-        """(u_um, v_um) of cell pixels."""
+        """Return die coordinates (u_um, v_um) of cell pixels."""
         u_um = (cols - self.street[1] + 0.5) * self.pixel_um
         return u_um, self.grid.height_um - (rows - self.street[0] + 0.5) * self.pixel_um
 
     def to_stage(
         self, place: Place, rows: NDArray[np.float64], cols: NDArray[np.float64], shift: Shift = (0.0, 0.0)
     ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-        """Stage (x_um, y_um) of pixels of a cell that lies `shift` pixels (down, right) off its place."""
+        """Return stage (x_um, y_um) of pixels of a cell shifted by `shift` pixels (down, right) from its place."""
         return self.grid.to_stage(*place, *self.in_die(rows + shift[0], cols + shift[1]))
 
     def around(self, place: Place, rows: slice, cols: slice, shift: Shift, spare_px: float = MARGIN_PX) -> Region:
-        """What of the surface is read for a part of a cell."""
+        """Return the stage region to read for a part of a cell."""
         r, c = np.array([rows.start, rows.stop]), np.array([cols.start, cols.stop])
         corner_rows, corner_cols = np.repeat(r, 2).astype(float), np.tile(c, 2).astype(float)
         x_um, y_um = self.to_stage(place, corner_rows, corner_cols, shift)
@@ -71,7 +71,7 @@ class CellGrid:
         return Region.rectangle(x_um.min() - spare, y_um.min() - spare, x_um.max() + spare, y_um.max() + spare)
 
     def around_all(self, places: Sequence[Place]) -> Region:
-        """What of the surface is read for whole cells, wherever in reach of its place each of them lies."""
+        """Return the stage region to read for entire cells, with a margin for any shift within reach."""
         rows, cols = np.array([0, 0, self.shape[0], self.shape[0]]), np.array([0, self.shape[1], 0, self.shape[1]])
         at = np.array(places)[:, :, None]
         x_um, y_um = self.grid.to_stage(at[:, 0], at[:, 1], *self.in_die(rows.astype(float), cols.astype(float)))
@@ -79,9 +79,9 @@ class CellGrid:
         return Region.rectangle(x_um.min() - spare, y_um.min() - spare, x_um.max() + spare, y_um.max() + spare)
 
     def side_by_side(self, places: Sequence[Place]) -> tuple[tuple[Place, ...], ...]:
-        """Cells next to each other in a row of dies, as many together as a strip of STRIP_PIXELS holds, one at least.
+        """Group adjacent cells of a row of dies into strips of at most STRIP_PIXELS, one cell at least.
 
-        Whoever inspects them, it is in the same strips, so that it comes to the same to the last bit.
+        The strips do not depend on the runner, so that results are identical to the last bit.
         """
         rise, (height_px, width_px) = abs(math.tan(self.grid.angle_rad)), self.shape
         most = max(1, math.floor(STRIP_PIXELS / (width_px * (height_px + rise * self.grid.cols * width_px))))
@@ -90,18 +90,18 @@ class CellGrid:
 
 
 class Read(Protocol):
-    """What cells are read from."""
+    """Protocol of sources from which cells are read."""
 
     def read(self, cells: CellGrid, place: Place, rows: slice, cols: slice, shift: Shift) -> tuple[Plane, Plane] | None:
-        """Heights and picture of a part of a cell that lies `shift` pixels off; None where nothing is there."""
+        """Return heights and image of a part of a cell shifted by `shift` pixels; None where nothing is there."""
         ...
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class CellSource:
-    """A surface as it is inspected: which heights, over which form; dark: the grey added before the logarithm.
+    """A surface for inspection: height layer and form; dark: grey value added before the logarithm.
 
-    levels_um: heights over the form at which most of the surface lies, where it is compared with these.
+    levels_um: heights over the form of the surface's levels, where the comparison uses them.
     """
 
     surface: Mosaic
@@ -111,12 +111,12 @@ class CellSource:
     levels_um: tuple[float, ...] = ()
 
     def read(self, cells: CellGrid, place: Place, rows: slice, cols: slice, shift: Shift) -> tuple[Plane, Plane] | None:
-        """Heights and picture of a part of a cell; None where the surface has nothing of it."""
+        """Return heights and image of a part of a cell; None where the surface does not cover it."""
         strip = self.strip(cells.around(place, rows, cols, shift))
         return None if strip is None else strip.read(cells, place, rows, cols, shift)
 
     def strip(self, region: Region) -> CellStrip | None:
-        """A part of the surface, held; None where the surface has nothing of it."""
+        """Return a part of the surface in memory; None where the surface does not cover it."""
         try:
             part = pictured_window(self.surface, self.layer, region)
         except MeasureError:
@@ -129,7 +129,7 @@ class CellSource:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class CellStrip:
-    """A part of a surface in memory: heights over the form, the same `bridged`, and the logarithm of the picture."""
+    """A part of a surface in memory: heights over the form, the same `bridged`, and the log image."""
 
     z_um: Plane
     whole_um: Plane
@@ -139,7 +139,7 @@ class CellStrip:
     y0_um: float
 
     def read(self, cells: CellGrid, place: Place, rows: slice, cols: slice, shift: Shift) -> tuple[Plane, Plane]:
-        """Heights and picture of a part of a cell, NaN beyond the strip."""
+        """Return heights and image of a part of a cell, NaN beyond the strip."""
         out_z, out_picture = (np.empty((rows.stop - rows.start, cols.stop - cols.start), np.float32) for _ in range(2))
         way = _way(cells, place, (rows.start, cols.start), self, shift)
         read_affine(self.z_um, self.whole_um, way, out_z)
@@ -148,9 +148,9 @@ class CellStrip:
 
 
 def _as_products(form: Datum, part: Heights) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """A polynomial as the sum of products of what depends on the row with what depends on the column, [term, n] each.
+    """Return a polynomial as a sum of products of row and column factors, [term, n] each.
 
-    It has one term for each power of y: a few for each row, instead of a polynomial for each pixel.
+    It has one term for each power of y, which is faster than evaluating the polynomial at each pixel.
     """
     u, v = part.x_um - form.center.x_um, part.y_um - form.center.y_um
     highest = max((j for _, j in form.powers), default=0)
@@ -161,9 +161,9 @@ def _as_products(form: Datum, part: Heights) -> tuple[NDArray[np.float64], NDArr
 
 
 def source_of(surface: Mosaic, layer: Layer, order: int) -> CellSource:
-    """A surface with its form found: a polynomial that outliers do not disturb.
+    """Return a surface with its form, a polynomial fitted with outlier rejection.
 
-    Raises MeasureError where too little is measured to find it.
+    Raises MeasureError where too little is measured to fit it.
     """
     points, grey = sample_of(surface, layer)
     if len(points) < 100:
@@ -178,12 +178,12 @@ def source_of(surface: Mosaic, layer: Layer, order: int) -> CellSource:
 
 
 def form_powers(order: int) -> tuple[tuple[int, int], ...]:
-    """The exponents of x and y of a polynomial of some order."""
+    """Return the exponents of x and y of a polynomial of a given order."""
     return tuple((i, total - i) for total in range(order, -1, -1) for i in range(total, -1, -1))
 
 
 def sample_of(surface: Mosaic, layer: Layer) -> tuple[HeightSamples, float]:
-    """About FORM_POINTS measured pixels of the whole surface, and their usual grey."""
+    """Return about FORM_POINTS measured pixels of the entire surface, and their median grey."""
     pixels = surface.shape[0] * surface.shape[1]
     level = min(surface.levels - 1, max(0, math.floor(math.log(max(1.0, pixels / FORM_POINTS), 4))))
     part = surface.window(None, level)
@@ -200,7 +200,7 @@ def _half(street_um: float, pixel_um: float) -> int:
 
 
 def _way(cells: CellGrid, place: Place, start: Place, part: CellStrip, shift: Shift) -> NDArray[np.float64]:
-    """From pixels of a part of a cell to pixels of a part of the surface, as `read_affine` takes it."""
+    """Return the affine map from cell pixels to strip pixels, as `read_affine` takes it."""
     corner = np.array([0.0, 1.0, 0.0]) + start[0], np.array([0.0, 0.0, 1.0]) + start[1]
     x_um, y_um = cells.to_stage(place, *corner, shift)
     rows, cols = (part.y0_um - y_um) / part.pixel_um, (x_um - part.x0_um) / part.pixel_um

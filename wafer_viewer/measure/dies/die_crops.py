@@ -1,6 +1,6 @@
-"""The same place of several dies, or of another scan, read on one lattice, laid on each other and levelled. Pure.
+"""The same patch of several dies, or of another scan, resampled, aligned and levelled. Pure.
 
-A patch is what a person looks at: small, with heights and the picture that is in focus everywhere.
+A patch is a small view for a person, with heights and the all-in-focus image.
 """
 
 from __future__ import annotations
@@ -27,17 +27,17 @@ Floats = NDArray[np.float64]
 Place = tuple[int, int]
 MARGIN_PX = 4
 DETAIL_PX, BLOCK_PX = 15, 40
-"""Brightness that changes over more pixels tells nothing of where a patch lies; it is laid block by block."""
+"""Scale of the high-pass for alignment, and block size; slower brightness changes do not locate a patch."""
 LEAST_ALIKE = 0.35
-"""Correlation under which two patches do not show the same place."""
+"""Correlation below which two patches do not show the same place."""
 AS_GOOD = 0.95
-"""Of places that fit as well as that, the one nearest to where the stage says is taken: patterns repeat."""
+"""Fraction of the best correlation above which the place nearest to the stage position is taken: patterns repeat."""
 LEAST_POINTS = 50
 
 
 @dataclass(frozen=True, slots=True)
 class DiePatch:
-    """Where pixels are read: about a place of the stage, turned anticlockwise; shape is (rows, cols)."""
+    """Sampling geometry about a stage position, turned anticlockwise; shape is (rows, cols)."""
 
     x_um: float
     y_um: float
@@ -47,13 +47,13 @@ class DiePatch:
 
     @classmethod
     def of_box(cls, surface: Mosaic, box_um: tuple[float, float, float, float], most_px: int) -> DiePatch:
-        """Over a box of the stage (x low, y low, x high, y high), at a level with at most so many pixels a side."""
+        """Return the patch of a stage box (x low, y low, x high, y high), with at most `most_px` pixels a side."""
         x0, y0, x1, y1 = box_um
         return cls._over(surface, ((x0 + x1) / 2, (y0 + y1) / 2), (x1 - x0, y1 - y0), most_px)
 
     @classmethod
     def of_die(cls, surface: Mosaic, grid: DieGrid, place: Place, most_px: int) -> DiePatch:
-        """Over a die without its streets, along the die's own axes."""
+        """Return the patch of a die without its streets, along the die's own axes."""
         x_um, y_um = grid.to_stage(*place, grid.width_um / 2, grid.height_um / 2)
         size = grid.width_um, grid.height_um
         return replace(cls._over(surface, (float(x_um), float(y_um)), size, most_px), angle_rad=grid.angle_rad)
@@ -66,25 +66,25 @@ class DiePatch:
         return cls(*at, pixel_um, (rows, cols))
 
     def to_stage(self, rows: Floats, cols: Floats) -> tuple[Floats, Floats]:
-        """Stage (x_um, y_um) of pixels."""
+        """Return stage (x_um, y_um) of pixels."""
         right = (cols - (self.shape[1] - 1) / 2) * self.pixel_um
         up = ((self.shape[0] - 1) / 2 - rows) * self.pixel_um
         c, s = math.cos(self.angle_rad), math.sin(self.angle_rad)
         return self.x_um + c * right - s * up, self.y_um + s * right + c * up
 
     def moved(self, down_px: float, right_px: float) -> DiePatch:
-        """The same, so many of its pixels further."""
+        """Return the patch shifted by `down_px` and `right_px` of its pixels."""
         rows, cols = (np.array([(n - 1) / 2]) for n in self.shape)
         x_um, y_um = self.to_stage(rows + down_px, cols + right_px)
         return replace(self, x_um=float(x_um[0]), y_um=float(y_um[0]))
 
     def on_die(self, grid: DieGrid, here: Place, there: Place) -> DiePatch:
-        """The same place of another die."""
+        """Return the corresponding patch of another die."""
         (xa, ya), (xb, yb) = grid.corner(*here), grid.corner(*there)
         return replace(self, x_um=self.x_um + xb - xa, y_um=self.y_um + yb - ya)
 
     def around(self, spare_px: float) -> Region:
-        """What of the stage is read for it."""
+        """Return the stage region to read for the patch."""
         rows, cols = self.shape
         x_um, y_um = self.to_stage(np.array([0.0, 0.0, rows, rows]), np.array([0.0, cols, 0.0, cols]))
         spare = spare_px * self.pixel_um
@@ -93,20 +93,20 @@ class DiePatch:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class DieCrop:
-    """What a patch shows: heights in um and grey values, float32 [row, col], NaN where nothing is known."""
+    """Content of a patch: heights in um and grey values, float32 [row, col], NaN where unknown."""
 
     z_um: Plane
     picture: Plane
 
     @property
     def measured(self) -> float:
-        """The share of it that has heights."""
+        """Fraction of pixels with heights."""
         return float(np.isfinite(self.z_um).mean())
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class AlignedPatch:
-    """A patch read where it lies best on another: the cut, how far it was moved (down, right) in um, how alike."""
+    """A patch aligned with another: the crop, its shift (down, right) in um, and the correlation."""
 
     cut: DieCrop
     moved_um: tuple[float, float]
@@ -114,16 +114,16 @@ class AlignedPatch:
 
 
 def cut(surface: Mosaic, patch: DiePatch) -> DieCrop | None:
-    """What a surface shows there; None where it has nothing of it."""
+    """Return the crop of a surface at a patch; None where the surface does not cover it."""
     part = _window(surface, patch, MARGIN_PX)
     return None if part is None else _sampled(part, patch)
 
 
 def laid_on(own: DieCrop, surface: Mosaic, patch: DiePatch, reach_px: int) -> AlignedPatch | None:
-    """What a surface shows near a patch, moved by at most so many pixels and levelled so that it lies on `own`.
+    """Return the crop of a surface near a patch, aligned with `own` within `reach_px` pixels and levelled on it.
 
-    It is found by the picture, by heights where there is none. Where nothing alike is found it stays where it is, with
-    `alike` under LEAST_ALIKE. None where the surface has nothing there.
+    Alignment uses the image, or heights if there is none. Without a match the crop is not shifted, and `alike` is below
+    LEAST_ALIKE. None where the surface does not cover the patch.
     """
     part = _window(surface, patch, reach_px + MARGIN_PX)
     if part is None:
@@ -136,7 +136,7 @@ def laid_on(own: DieCrop, surface: Mosaic, patch: DiePatch, reach_px: int) -> Al
 
 
 def usual(own: DieCrop, cuts: Sequence[DieCrop]) -> DieCrop:
-    """The median of several, each levelled on `own`; unknown where less than half of them are known."""
+    """Return the median of several crops, each levelled on `own`; unknown where less than half of them are known."""
     layers = [np.empty(own.z_um.shape, np.float32) for _ in range(2)]
     for layer, name in zip(layers, ("z_um", "picture"), strict=True):
         stack = np.stack([getattr(one, name) for one in cuts])
@@ -145,7 +145,7 @@ def usual(own: DieCrop, cuts: Sequence[DieCrop]) -> DieCrop:
 
 
 def cut_of_golden(golden: GoldenDie, grid: DieGrid, place: Place, patch: DiePatch) -> DieCrop:
-    """What a stored golden die shows where a patch lies on the die at a place of the lattice."""
+    """Return the crop of a stored golden die at a patch, for the die at a place of the lattice."""
     pixel_um = golden.header.pixel_um
     c, s = math.cos(grid.angle_rad), math.sin(grid.angle_rad)
     x0, y0 = grid.corner(*place)
@@ -159,7 +159,7 @@ def cut_of_golden(golden: GoldenDie, grid: DieGrid, place: Place, patch: DiePatc
 
 
 def levelled_on(own: DieCrop, other: DieCrop) -> DieCrop:
-    """The other with the plane taken off by which it differs from its own, and as bright."""
+    """Correct the other crop to its own's plane and brightness."""
     return DieCrop(other.z_um + _difference(own.z_um, other.z_um), other.picture * np.float32(_brighter(own, other)))
 
 
@@ -185,7 +185,7 @@ def _sampled(part: HeightMap, patch: DiePatch) -> DieCrop:
 
 
 def _way(patch: DiePatch, to_pixels: Callable[[Floats, Floats], tuple[Floats, Floats]]) -> Floats:
-    """From pixels of a patch to those of a raster, as `read_affine` takes it."""
+    """Return the affine map from patch pixels to raster pixels, as `read_affine` takes it."""
     x_um, y_um = patch.to_stage(np.array([0.0, 1.0, 0.0]), np.array([0.0, 0.0, 1.0]))
     return np.concatenate([[v[0], v[1] - v[0], v[2] - v[0]] for v in to_pixels(x_um, y_um)])
 
@@ -198,7 +198,7 @@ def _read(plane: Plane, way: Floats, shape: tuple[int, int]) -> Plane:
 
 
 def _lag(own: DieCrop, other: DieCrop, reach_px: int) -> tuple[tuple[float, float], float]:
-    """By how many pixels (rows, cols) the other is moved to lie on its own place, and how alike both are then."""
+    """Return the shift in pixels (rows, cols) that aligns the other crop with its own, and their correlation."""
     one, two = _telling(own, other)
     if not (one.known.sum() and two.known.sum()):
         return (0.0, 0.0), 0.0
@@ -217,7 +217,7 @@ def _lag(own: DieCrop, other: DieCrop, reach_px: int) -> tuple[tuple[float, floa
 
 
 def _summit(correlation: Floats, row: int, col: int) -> tuple[int, int]:
-    """Uphill from a place to where all eight neighbours are lower."""
+    """Climb from a place to a local maximum over eight neighbours."""
     while True:
         r0, c0 = max(0, row - 1), max(0, col - 1)
         near = correlation[r0 : row + 2, c0 : col + 2]
@@ -228,7 +228,7 @@ def _summit(correlation: Floats, row: int, col: int) -> tuple[int, int]:
 
 
 def _telling(own: DieCrop, other: DieCrop) -> tuple[RegisteredImage, RegisteredImage]:
-    """What both are compared by: their pictures, their heights where a picture shows nothing."""
+    """Return the images to register: pictures, or heights if a picture has no contrast."""
     by_picture = all(float(np.nanstd(one.picture)) > 0 for one in (own, other) if np.isfinite(one.picture).any())
     planes = [one.picture if by_picture else one.z_um for one in (own, other)]
     return _picture(planes[0]), _picture(planes[1])
@@ -242,7 +242,7 @@ def _picture(plane: Plane) -> RegisteredImage:
 
 
 def _difference(own: Plane, other: Plane) -> Plane:
-    """The plane from the other's heights to its own; a level alone where a plane is not determined."""
+    """Return the plane from the other's heights to its own; a constant where no plane is determined."""
     rows, cols = np.nonzero(np.isfinite(own) & np.isfinite(other))
     if len(rows) < LEAST_POINTS:
         return np.zeros_like(own)

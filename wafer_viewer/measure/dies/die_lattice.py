@@ -1,4 +1,4 @@
-"""The dies of a surface: pitches, angle and origin of their lattice, their size, found from heights and picture."""
+"""Die lattice of a surface: pitches, angle, origin and die size, from heights and image."""
 
 from __future__ import annotations
 
@@ -19,22 +19,56 @@ from wafer_viewer.model.spec import replace
 from wafer_viewer.model.surface.height_map import Mosaic
 
 SURE_DIES = 9
-"""Fewer that no street parts may be any few places that are alike."""
+"""Number of dies accepted without streets; fewer may be any similar places."""
 ACROSS, LEAST_ON_SURFACE = 10, 0.1
-"""A die lies on the surface when so much of it does, by so many places across and up: less is no die."""
+"""Sample points across and up a die, and the smallest fraction of them on the surface."""
 NO_STREET = "No street stands out along {}: a die is taken as large as its pitch, and where it begins is open."
 
 
 def find_dies(surface: Mosaic, *, evidence: Evidence = "both") -> DieGrid:
-    """The lattice of the dies of a surface: overlap-normalised autocorrelation of the whole, then dies registered.
+    """Find the die lattice of a surface.
 
-    Column 0, row 0 is the lowest, leftmost place of the lattice that touches the surface. evidence: heights, the
-    all-in-focus picture or both. u_pitch_um and u_origin_um say how well the lattice fits the surface, without the
-    pixel scale.
+    The pitches and the angle come from the overlap-normalised autocorrelation, and are refined by registering dies to
+    their median. The size and the corner of a die come from the streets of the median cell.
 
-    Raises DiesNotFound where nothing repeats along an axis, fewer than two whole dies lie on the surface, a few places
-    are alike that no street parts, streets part them along one axis only, as in a single row of dies with pads, it is
-    open whether a pitch or a part of it is meant, or dies are turned by more than 5 degrees.
+    Parameters
+    ----------
+    surface : Mosaic
+        The surface; heights are read from the layer that its recipe measures on.
+    evidence : {"height", "picture", "both"}, default "both"
+        Layers to search: the heights, the all-in-focus image or both.
+
+    Returns
+    -------
+    DieGrid
+        The lattice, with `by` "found", lengths in um, the angle in rad (anticlockwise). Column 0, row 0 is the lowest,
+        leftmost place of the lattice that touches the surface. `u_pitch_um` and `u_origin_um` are standard
+        uncertainties (k = 1) of the lattice fit, that of the origin with the street edges; the pixel scale is not
+        included. `notes` name the number of registered dies and every axis without a street, along which a die is taken
+        as large as its pitch.
+
+    Raises
+    ------
+    DiesNotFound
+        If the surface shows no contrast; nothing repeats along an axis within half of the surface; fewer than two
+        complete dies lie on the surface; too few of the places that repeat look alike; fewer than nine similar places
+        have no streets; streets exist along one axis only, as in a single row of dies with pads; the pitch is ambiguous
+        with a fraction of it; or the dies are off square or turned by more than 5 degrees. Its `brief` gives the reason
+        in a few words.
+    MeasureError
+        If no die of the lattice lies on the scanned surface, or the lattice has more than 100 000 places.
+        `DiesNotFound` is a subclass.
+    KeyError
+        If `evidence` is none of the three.
+
+    Notes
+    -----
+    A die touches the surface if at least a tenth of its area lies on the scanned part; other places are in `left_out`.
+
+    References
+    ----------
+    D. Padfield, Masked object registration in the Fourier domain, IEEE Trans. Image Process. 21 (2012) 2706: the
+    cross-correlation by which dies are registered.
     """
     coarse = read_coarse(surface, evidence)
     found = refined(surface, rough_grid(coarse, periods_of(coarse.layers)), evidence, coarse.pixel_um)
@@ -46,7 +80,7 @@ def find_dies(surface: Mosaic, *, evidence: Evidence = "both") -> DieGrid:
 
 
 def _require_crossing_streets(grid: DieGrid) -> None:
-    """Raise DiesNotFound where streets are seen along one axis only: across them, pads or bumps repeat, not dies."""
+    """Raise DiesNotFound where streets exist along one axis only: pads or bumps repeat across them."""
     if (grid.street_x_um > 0) == (grid.street_y_um > 0):
         return
     along, across, pitch_um = ("x", "y", grid.pitch_y_um) if grid.street_x_um > 0 else ("y", "x", grid.pitch_x_um)
@@ -59,7 +93,7 @@ def _require_crossing_streets(grid: DieGrid) -> None:
 
 
 def pitches(surface: Mosaic, grid: DieGrid, *, calibration_valid: bool = True) -> tuple[Length, Length]:
-    """The pitches along x and y with their expanded uncertainties (k = 2): fit of the lattice and pixel scale."""
+    """Return the pitches along x and y with expanded uncertainties (k = 2) from lattice fit and pixel scale."""
     reading = MeasurementContext.of(surface, None, calibration_valid)
     each = grid.pitch_x_um, grid.pitch_y_um
     if grid.by == "given" and not grid.u_pitch_um:
@@ -70,7 +104,7 @@ def pitches(surface: Mosaic, grid: DieGrid, *, calibration_valid: bool = True) -
 
 
 def rough_grid(coarse: Coarse, periods: Periods) -> DieGrid:
-    """The lattice about the middle of the surface, as the autocorrelation has it: where a die begins is open."""
+    """Return the lattice from the autocorrelation, about the centre of the surface; the die origin is undetermined."""
     rows, cols = coarse.shape
     pitch_x, pitch_y = periods.pitch_x * coarse.pixel_um, periods.pitch_y * coarse.pixel_um
     return DieGrid(
@@ -86,7 +120,7 @@ def rough_grid(coarse: Coarse, periods: Periods) -> DieGrid:
 
 
 def with_streets(found: Registered) -> DieGrid:
-    """The lattice with its dies between the streets of the median cell."""
+    """Return the lattice with die size and origin from the streets of the median cell."""
     grid, lattice = found.grid, found.lattice
     upright, level = street_of(found.cell, upright=True), street_of(found.cell, upright=False)
     u_first, v_first = (float(axis.ravel()[0]) for axis in lattice.places(grid))
@@ -110,14 +144,14 @@ def with_streets(found: Registered) -> DieGrid:
 def _die_between(
     street: Street | None, first_um: float, step_um: float, pitch_um: float, way: Literal[1, -1]
 ) -> tuple[float, float]:
-    """(where the die begins along the cell's lines, its length), um."""
+    """Return the start of the die along the cell's lines and its length, um."""
     if street is None:
         return first_um, pitch_um
     return first_um + way * (street.begin + street.width) * step_um, pitch_um - street.width * step_um
 
 
 def on_surface(grid: DieGrid, surface: Mosaic) -> DieGrid:
-    """The lattice numbered from the lowest, leftmost column and row that touch the surface.
+    """Return the lattice numbered from the lowest, leftmost column and row that touch the surface.
 
     Places that do not touch it are left out. Raises MeasureError where none does.
     """
@@ -127,7 +161,7 @@ def on_surface(grid: DieGrid, surface: Mosaic) -> DieGrid:
 
 
 def over_surface(grid: DieGrid, surface: Mosaic) -> DieGrid:
-    """The lattice, numbered as it is, as far as it touches the surface. Raises MeasureError where it does not."""
+    """Return the lattice cropped to the surface, with its numbering. Raises MeasureError where they do not overlap."""
     cols, rows = touching(grid, surface)
     first_col, first_row = int(cols.min()), int(rows.min())
     n_cols, n_rows = int(np.ptp(cols)) + 1, int(np.ptp(rows)) + 1
@@ -138,9 +172,9 @@ def over_surface(grid: DieGrid, surface: Mosaic) -> DieGrid:
 
 
 def touching(grid: DieGrid, surface: Mosaic) -> tuple[np.ndarray, np.ndarray]:
-    """Columns and rows of the dies of which at least a tenth lies on what was scanned of the surface.
+    """Return columns and rows of the dies with at least a tenth of their area on the scanned surface.
 
-    Raises MeasureError where none does.
+    Raises MeasureError where there is none.
     """
     low_x, low_y, high_x, high_y = scanned_bounds(surface)
     cols, rows = cells_over(grid, (low_x, low_y, high_x, high_y))

@@ -1,4 +1,4 @@
-"""How high a die lies against the others and how it is tilted: the plane through what is left of its heights. Pure."""
+"""Height offset and tilt of a die relative to the others: plane through the residual heights. Pure."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ POINTS, LEAST_POINTS = 6_000, 50
 
 @dataclass(frozen=True, slots=True)
 class DiePlane:
-    """um a pixel down and right, and um at pixel (0, 0) of a cell."""
+    """Slopes in um per pixel down and right, and height in um at pixel (0, 0) of a cell."""
 
     down: float = 0.0
     right: float = 0.0
@@ -22,7 +22,7 @@ class DiePlane:
 
     @classmethod
     def of(cls, z_um: Plane) -> DiePlane:
-        """Through the measured pixels, outliers apart; level where there are hardly any."""
+        """Fit a plane to the measured pixels with outlier rejection; zero with too few pixels."""
         step = max(1, round((z_um.size / POINTS) ** 0.5))
         some = z_um[::step, ::step]
         rows, cols = np.nonzero(np.isfinite(some))
@@ -32,15 +32,15 @@ class DiePlane:
         return cls(*robust_fit(design, some[rows, cols].astype(np.float64)).coefficients.tolist())
 
     def at(self, row: float, col: float) -> float:
-        """um at a pixel."""
+        """Return the height at a pixel, um."""
         return self.down * row + self.right * col + self.zero_um
 
     def seen_from(self, row: float, col: float) -> DiePlane:
-        """The same plane where pixels are counted from another one."""
+        """Return the same plane with another pixel as origin."""
         return replace(self, zero_um=self.at(row, col))
 
     def off(self, z_um: Plane) -> Plane:
-        """Heights less the plane."""
+        """Subtract the plane from heights."""
         rows, cols = z_um.shape
         plane = self.down * np.arange(rows)[:, None] + self.right * np.arange(cols)[None, :] + self.zero_um
         return z_um - plane.astype(np.float32)

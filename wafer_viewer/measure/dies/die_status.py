@@ -1,4 +1,4 @@
-"""Which dies of a lattice lie on a surface: whole, cut by an edge, in a gap of the scan, or not there at all. Pure."""
+"""State of the dies of a lattice: whole, cut, partly scanned, not scanned or missing. Pure."""
 
 from __future__ import annotations
 
@@ -21,32 +21,31 @@ from wafer_viewer.model.surface.height_map import Mosaic, Origin
 from wafer_viewer.numerics.array_types import Float32s
 
 DIE_PX = 200
-"""The shorter pitch is read at a level that gives it about as many pixels."""
+"""Approximate number of pixels of the shorter pitch at the level that is read."""
 PLACES = 32
-"""Of a cell along its longer side, at which it is looked at."""
+"""Sample points along the longer side of a cell."""
 WINDOW_PIXELS = 4_000_000
-"""Rows of dies are read in pieces of so many pixels at most."""
+"""Largest number of pixels read at once."""
 MEDIAN_OF = 200
-"""So many dies make the median one, at most."""
+"""Largest number of dies for the median die."""
 ALL = 0.998
-"""Of a die's places: with so many scanned all of it was."""
+"""Fraction of a die's sample points from which it counts as completely scanned."""
 LEAST_MEASURED = 0.5
 LEAST_ALIKE, AS_CLEAR = 0.6, 0.7
-"""Of what dies are usually like their median: a place with less holds no die. A layer in which dies are less alike than
-so much of the other says nothing of that."""
+"""Correlation limits, as fractions: of the typical die for a die to be present; of the better layer to be used."""
 HALF_ALIKE = 0.4
-"""Of that: a place that is less like the median die as a whole is no whole die."""
+"""Smallest correlation of an entire cell for a whole die, relative to the typical one."""
 LEAST_JUDGED = 0.1
-"""Of a cell: with less of it known it is not said whether a die is there."""
+"""Smallest known fraction of a cell for a decision whether a die is present."""
 CUT_OFF = 0.1
-"""More of its places that are unlike the median die than on other dies: at the rim of the lattice a die is cut."""
+"""Excess fraction of deviating sample points from which a die at the rim of the lattice is cut."""
 Places = Sequence[tuple[int, int]]
 Bools = NDArray[np.bool_]
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class DieCoverage:
-    """Cells of n dies at their places: layers [n, row, col], NaN where unknown, and which were scanned, bool."""
+    """Cells of n dies: layers [n, row, col], NaN where unknown, and mask of scanned points, bool."""
 
     layers: tuple[Float32s, ...]
     scanned: Bools
@@ -55,10 +54,42 @@ class DieCoverage:
 
 
 def statuses(surface: Mosaic, grid: DieGrid) -> tuple[DieStatus, ...]:
-    """The state of every die of a lattice, row by row from the lowest; the surface is read by rows of dies.
+    """Return the state of every die of a lattice.
 
-    measured_fraction: of the die's places, without its street, at the level that gives a pitch about 200 px; those
-    beyond the surface count as unmeasured. Raises MeasureError where no die of the lattice lies on the surface.
+    The surface is read by rows of dies, at the level with a pitch of about 200 px.
+
+    Parameters
+    ----------
+    surface : Mosaic
+        The surface; heights are read from the layer that its recipe measures on.
+    grid : DieGrid
+        The lattice of dies, in stage um.
+
+    Returns
+    -------
+    tuple of DieStatus
+        One status for each place of the lattice, row by row from the lowest; places in `left_out` have none.
+        `measured_fraction` (0 to 1) is taken over the sample points of the die, without its street, at the level that
+        is read; points beyond the surface count as unmeasured.
+
+    Raises
+    ------
+    MeasureError
+        If no die of the lattice lies on the surface.
+
+    Notes
+    -----
+    The first of these states that applies is given:
+
+    - not scanned: no sample point of the die is scanned;
+    - missing: the place is scanned but not like the median die, in height or image. Without a pattern to compare, every
+      place is taken to hold a die, as is a place of which less than a tenth is known;
+    - cut: the die extends beyond the border of the surface by more than half a pixel;
+    - partly scanned: less than 99.8 % of the die is scanned, or less than half of it is measured, unless the latter is
+      due to a cut;
+    - cut: the die is next to a place without a die, as at the rim of a wafer, and by over a tenth of its area more than
+      usual deviates from the median die;
+    - whole.
     """
     places = grid.places
     lattice = CellLattice.of(grid, max(grid.pitch_x_um, grid.pitch_y_um) / PLACES)
@@ -78,10 +109,10 @@ def statuses(surface: Mosaic, grid: DieGrid) -> tuple[DieStatus, ...]:
 
 
 def without_bare_rim(grid: DieGrid, dies: Sequence[DieStatus]) -> DieGrid:
-    """The lattice less its places that hold no die and hang together with its rim: beyond the dies of a round wafer.
+    """Return the lattice without empty places connected to its rim, as around the dies of a round wafer.
 
-    A die that is missing among others stays in, and so does every place of a lattice that names its dies. Of slivers at
-    the border of the surface nobody can say what they hold: beside a bare place it is nothing.
+    A missing die among others stays in, and so does every place of a lattice that names its dies. The content of
+    slivers at the border of the surface is unknown: next to an empty place they are taken as empty.
     """
     if grid.named:
         return grid
@@ -105,7 +136,7 @@ def _beside(at: tuple[int, int]) -> tuple[tuple[int, int], ...]:
 
 
 def not_scanned_mm2(surface: Mosaic) -> float:
-    """How much of the rectangle that a surface fills no field covers, at a level of a million pixels or so."""
+    """Return the area of the surface's rectangle that no field covers, at a level of about a million pixels."""
     rows, cols = surface.shape
     share = float((surface.window(None, coarse_level(surface)).origin == Origin.NOT_COVERED).mean())
     return share * rows * cols * (surface.pixel_um / 1000) ** 2
@@ -121,7 +152,7 @@ def _seen(surface: Mosaic, grid: DieGrid, places: Places, lattice: CellLattice) 
 
 
 def _pieces(surface: Mosaic, grid: DieGrid, places: Places, level: int) -> Iterator[Places]:
-    """Dies of a row next to each other, as many as a window holds."""
+    """Yield adjacent dies of a row, as many as a window holds."""
     pixel_um = surface.pixel_um * 2**level
     width_px, height_px = grid.pitch_x_um / pixel_um, grid.pitch_y_um / pixel_um
     rise = abs(math.tan(grid.angle_rad))
@@ -149,16 +180,16 @@ def _piece(surface: Mosaic, grid: DieGrid, places: Places, lattice: CellLattice,
 
 
 def _on_die(grid: DieGrid, lattice: CellLattice) -> Bools:
-    """Which places of a cell lie on the die."""
+    """Return the mask of the sample points of a cell that lie on the die."""
     u_um, v_um = lattice.places(grid)
     return (u_um >= 0) & (u_um <= grid.width_um) & (v_um >= 0) & (v_um <= grid.height_um)
 
 
 def _looked_at(seen: DieCoverage, on_die: Bools) -> tuple[Bools, Floats]:
-    """Which places hold a die, and how much more of each is unlike the median die than is usual.
+    """Return which places hold a die, and each place's excess fraction of deviation from the median die.
 
-    A die is there where the layers that show dies well are like the median one, taken together; what is unlike
-    is that of the best of them. Without a pattern every place is taken to hold one.
+    A die is present where the layers with good contrast correlate with the median one, on average. The deviation is
+    that of the best layer. Without a pattern every place is taken to hold a die.
     """
     levelled = _without_form(seen)
     compared = [_compared(layer, on_die) for layer in (levelled, seen.layers[1])]
@@ -172,7 +203,7 @@ def _looked_at(seen: DieCoverage, on_die: Bools) -> tuple[Bools, Floats]:
 
 
 def _without_form(seen: DieCoverage) -> Float32s:
-    """The heights without tilt and bow."""
+    """Subtract tilt and bow from the heights."""
     z_um = seen.layers[0]
     known = np.isfinite(z_um)
     if known.sum() < 100:
@@ -186,7 +217,7 @@ def _without_form(seen: DieCoverage) -> Float32s:
 
 
 def _compared(layer: Float32s, on_die: Bools) -> tuple[Floats, Floats, float]:
-    """(correlation with the median cell or half of it, share of the die unlike it), [n] each, and the usual one."""
+    """Return correlation with the median cell or half of it, deviating fraction, [n] each, and typical correlation."""
     middle = np.array([float(np.median(one[np.isfinite(one)])) if np.isfinite(one).any() else 0.0 for one in layer])
     cells = layer - middle[:, None, None].astype(np.float32)
     some = [one for one in cells if np.isfinite(one).mean() > LEAST_MEASURED] or list(cells)
@@ -200,14 +231,14 @@ def _compared(layer: Float32s, on_die: Bools) -> tuple[Floats, Floats, float]:
 
 
 def _parts(shape: tuple[int, ...]) -> list[tuple[slice, slice]]:
-    """The whole cell and its four halves: what is left of a die that is cut is still like it."""
+    """Return slices of the entire cell and its four halves; the rest of a cut die still correlates."""
     (rows, cols), whole = shape, slice(None)
     first, last = (slice(rows // 2), slice(cols // 2)), (slice(rows // 2, None), slice(cols // 2, None))
     return [(whole, whole), (first[0], whole), (last[0], whole), (whole, first[1]), (whole, last[1])]
 
 
 def _alike(cells: Float32s, median: Float32s) -> Floats:
-    """Correlation of each of n cells with the median one."""
+    """Return the correlation of each of n cells with the median one."""
     both = np.isfinite(cells) & np.isfinite(median)
     a, b = np.where(both, cells, 0.0), np.where(both, median, 0.0)
     n = np.maximum(both.sum(axis=(1, 2)), 1)
@@ -218,7 +249,7 @@ def _alike(cells: Float32s, median: Float32s) -> Floats:
 
 
 def _unlike(cells: Float32s, median: Float32s, on_die: Bools) -> Floats:
-    """The share of the places of each die that differ from the median die by half of its contrast, or are unknown."""
+    """Return the fraction of each die's points that deviate by half of the contrast, or are unknown."""
     known = median[np.isfinite(median)]
     contrast = float(np.subtract(*np.percentile(known, (95, 5)))) if known.size else 0.0
     like = np.abs(cells - median) <= 0.5 * contrast
@@ -226,13 +257,13 @@ def _unlike(cells: Float32s, median: Float32s, on_die: Bools) -> Floats:
 
 
 def _usual(alike: Floats, n_known: NDArray[np.int_]) -> float:
-    """Of the better half of the cells that are known well: many places at the rim of a round wafer hold no die."""
+    """Return the 75th percentile of the correlation of well-known cells; many places at a round rim hold no die."""
     well = alike[n_known > 0.5 * n_known.max()]
     return float(np.percentile(well, 75)) if well.size else 0.0
 
 
 def _beyond(surface: Mosaic, grid: DieGrid, places: Places) -> Bools:
-    """Which dies reach beyond the border of the surface by more than half a pixel."""
+    """Return which dies extend beyond the border of the surface by more than half a pixel."""
     low_x, low_y, high_x, high_y = bounds_of(surface)
     half = surface.pixel_um / 2
     at = np.array(places)[:, :, None]

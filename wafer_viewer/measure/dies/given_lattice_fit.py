@@ -1,7 +1,7 @@
-"""Dies that are given, by a job or by an operator, laid exactly over those that the surface shows. Pure.
+"""Fit of a given die lattice, from a job or an operator, to the dies of the surface. Pure.
 
-Names stay as they were given. What is told is how far the given lattice lies off, so that a wafer that was aligned
-badly is seen; one that lies beside its dies altogether is refused.
+Names stay as given. The reported offset of the given lattice reveals a poorly aligned wafer; a lattice that misses its
+dies is rejected.
 """
 
 from __future__ import annotations
@@ -21,27 +21,61 @@ from wafer_viewer.model.spec import replace
 from wafer_viewer.model.surface.height_map import Mosaic
 
 FARTHEST = 0.25
-"""Of the shorter pitch: a lattice further off might as well belong to the next dies."""
+"""Largest offset relative to the shorter pitch; further off the dies are ambiguous with their neighbours."""
 SAME_STREET_PX = 6.0
-"""A street that is seen is the one that was given where their widths differ by no more."""
+"""Largest difference in width between a detected street and the given one."""
 BEGUN_PX = 50
-"""Dies are registered from the level on at which the shorter pitch has about so many pixels."""
+"""Approximate number of pixels of the shorter pitch at the level where registration starts."""
 
 
 @dataclass(frozen=True, slots=True)
 class FittedDies:
-    """Dies as they lie on the surface, and how far off they were given; None where nothing was held against them."""
+    """Dies as found on the surface, and the offset of the given ones; None where they could not be compared."""
 
     grid: DieGrid
     off: DieOffset | None = None
 
 
 def fitted_dies(surface: Mosaic, given: DieGrid, evidence: Evidence = "both") -> FittedDies:
-    """Pitches and angle by dies registered to each other, the corner by the streets where they are as wide as given.
+    """Fit a given die lattice to the dies of a surface.
 
-    Where the surface shows too little of its dies, they stay as given, and a note says why.
+    The pitches and the angle are fitted by registering dies, and the corner by streets as wide as given. Where the
+    surface shows too little of its dies, they stay as given, with a note.
 
-    Raises MeasureError where no given die lies on the surface, or they lie off those seen by a quarter of the pitch.
+    Parameters
+    ----------
+    surface : Mosaic
+        The surface; heights are read from the layer that its recipe measures on.
+    given : DieGrid
+        The lattice from a job or an operator, in stage um.
+    evidence : {"height", "picture", "both"}, default "both"
+        Layers to register: the heights, the all-in-focus image or both.
+
+    Returns
+    -------
+    FittedDies
+        `grid`: the dies as found, with the names of the given ones and a note on their offset. `off`: the offset of the
+        found lattice from the given one, `farthest_um` over the corners of all dies on the surface; None where the two
+        could not be compared.
+
+    Raises
+    ------
+    MeasureError
+        If no given die has a tenth of its area on the scanned surface, or the given dies are off by more than a quarter
+        of the shorter pitch, beyond which they are ambiguous with their neighbours.
+    KeyError
+        If `evidence` is none of the three.
+
+    Notes
+    -----
+    Dies keep their given size, up to the fitted pitch. A street matches if its width differs from the given one by at
+    most 6 px; along an axis without a matching street the die begins as given, with a note. The offset reveals a poorly
+    aligned wafer.
+
+    References
+    ----------
+    D. Padfield, Masked object registration in the Fourier domain, IEEE Trans. Image Process. 21 (2012) 2706: the
+    cross-correlation by which dies are registered.
     """
     cols, rows = touching(given, surface)
     try:
@@ -61,13 +95,13 @@ def fitted_dies(surface: Mosaic, given: DieGrid, evidence: Evidence = "both") ->
 
 
 def _cells(given: DieGrid) -> DieGrid:
-    """The same lattice with dies as large as the pitches, round the same middles."""
+    """Return the same lattice with dies as large as the pitches, about the same centres."""
     x_um, y_um = given.to_stage(0, 0, -given.street_x_um / 2, -given.street_y_um / 2)
     return replace(given, x0_um=float(x_um), y0_um=float(y_um), width_um=given.pitch_x_um, height_um=given.pitch_y_um)
 
 
 def _seen(found: Registered, given: DieGrid, pixel_um: float) -> DieGrid:
-    """The given dies, of the given size, where they are seen; along an axis without such a street the middle stays."""
+    """Return the given dies, of the given size, as located; an axis without a matching street keeps the centre."""
     lattice, seen = found.grid, with_streets(found)
     _, _, u, v = lattice.to_die(*seen.to_stage(0, 0, seen.width_um / 2, seen.height_um / 2))
     along_x = _middle(float(u), lattice.pitch_x_um, abs(seen.width_um - given.width_um) / pixel_um)
@@ -88,7 +122,7 @@ def _seen(found: Registered, given: DieGrid, pixel_um: float) -> DieGrid:
 
 
 def _middle(at_um: float, pitch_um: float, differs_px: float) -> float | None:
-    """Where the middle of a die lies in its cell; None where the street that is seen is another one."""
+    """Return the position of the die centre in its cell; None where the detected street does not match."""
     if differs_px > SAME_STREET_PX:
         return None
     return pitch_um / 2 + math.remainder(at_um - pitch_um / 2, pitch_um)

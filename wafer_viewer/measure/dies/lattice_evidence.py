@@ -1,4 +1,4 @@
-"""What dies are found by: heights and picture of a surface, read whole and coarse, or die by die. Pure."""
+"""Evidence for the die lattice: heights and image of a surface, coarse or die by die. Pure."""
 
 from __future__ import annotations
 
@@ -21,14 +21,14 @@ from wafer_viewer.numerics.filters.sliding_filters import blurred
 Evidence = Literal["height", "picture", "both"]
 LEVEL_PIXELS = 1_000_000
 COARSE_PIXELS = 400_000
-"""The whole surface is read as about so many pixels at most."""
+"""Largest number of pixels for the coarse read of a surface."""
 SOFT_PX, PAD_PX = 1.0, 4
-"""A blur, and what is read round a cell so that its border is blurred by what lies beyond, as all else is."""
+"""Blur, and the margin read around a cell so that its border is blurred like the rest."""
 LEAST_PIXELS = 10
 SPARE_PX = 8.0
-"""Round what is held of a die."""
+"""Margin of the cached part around a die."""
 LEAST_SHARE = 0.4
-"""Of what lies under the blur: with less of it known a pixel is unknown."""
+"""Smallest known fraction under the blur for a known pixel."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -48,7 +48,7 @@ class Coarse:
 
 
 def layers_of(part: HeightMap, evidence: Evidence) -> tuple[Float32s, ...]:
-    """Heights, picture or both, as float32 with NaN where they are unknown."""
+    """Return heights, image or both, as float32 with NaN where unknown."""
     z_um = heights(part, layer_of(part.provenance.recipe, None))
     return _chosen(z_um, picture_of(part.all_in_focus, part.origin), evidence)
 
@@ -59,7 +59,7 @@ def _chosen(z_um: Float32s, picture: Float32s, evidence: Evidence) -> tuple[Floa
 
 
 def read_coarse(surface: Mosaic, evidence: Evidence, region: Region | None = None) -> Coarse:
-    """A surface, or a region of it, as COARSE_PIXELS at most: a level of its pyramid, binned where that is too fine."""
+    """Return a surface or a region of it with at most COARSE_PIXELS: a pyramid level, binned if too fine."""
     low_x, low_y, high_x, high_y = region.bounds_um if region else bounds_of(surface)
     pixels = (high_x - low_x) * (high_y - low_y) / surface.pixel_um**2
     level = min(surface.levels - 1, max(0, math.ceil(math.log(max(1.0, pixels / COARSE_PIXELS), 4))))
@@ -71,7 +71,7 @@ def read_coarse(surface: Mosaic, evidence: Evidence, region: Region | None = Non
 
 
 def _binned(layer: Float32s, factor: int) -> Float32s:
-    """Means of the known ones of factor x factor pixels."""
+    """Return the means of the known pixels in blocks of factor x factor."""
     if factor == 1:
         return layer
     known = np.isfinite(layer)
@@ -80,7 +80,7 @@ def _binned(layer: Float32s, factor: int) -> Float32s:
 
 
 def bounds_of(surface: Mosaic) -> tuple[float, float, float, float]:
-    """(x low, y low, x high, y high) of the outer edges of a surface's pixels."""
+    """Return (x low, y low, x high, y high) of the outer pixel edges of a surface."""
     half = surface.pixel_um / 2
     rows, cols = surface.shape
     low_x, high_y = surface.x0_um - half, surface.y0_um + half
@@ -88,7 +88,7 @@ def bounds_of(surface: Mosaic) -> tuple[float, float, float, float]:
 
 
 def scanned_bounds(surface: Mosaic) -> tuple[float, float, float, float]:
-    """(x low, y low, x high, y high) of what fields cover of a surface, whose rectangle may reach further."""
+    """Return (x low, y low, x high, y high) of the scanned part of a surface's rectangle."""
     level = coarse_level(surface)
     part = surface.window(None, level)
     rows, cols = (np.flatnonzero((part.origin != Origin.NOT_COVERED).any(axis=axis)) for axis in (1, 0))
@@ -102,14 +102,14 @@ def scanned_bounds(surface: Mosaic) -> tuple[float, float, float, float]:
 
 
 def coarse_level(surface: Mosaic) -> int:
-    """The level of a surface's pyramid that has a million pixels or so."""
+    """Return the pyramid level of a surface with about a million pixels."""
     rows, cols = surface.shape
     return min(surface.levels - 1, max(0, math.ceil(math.log(max(1.0, rows * cols / LEVEL_PIXELS), 4))))
 
 
 @dataclass(frozen=True, slots=True)
 class CellLattice:
-    """How a cell, a die with half of each street round it, is sampled: places that fill a pitch to the last."""
+    """Sample lattice of a cell (a die with half of each surrounding street); the steps divide the pitch evenly."""
 
     rows: int
     cols: int
@@ -118,20 +118,21 @@ class CellLattice:
 
     @classmethod
     def of(cls, grid: DieGrid, step_um: float) -> CellLattice:
-        """Of places about `step_um` apart."""
+        """Return the sample lattice with steps of about `step_um`."""
         rows, cols = max(1, round(grid.pitch_y_um / step_um)), max(1, round(grid.pitch_x_um / step_um))
         return cls(rows, cols, grid.pitch_x_um / cols, grid.pitch_y_um / rows)
 
     def places(self, grid: DieGrid) -> tuple[Floats, Floats]:
-        """(u_um [1, col], v_um [row, 1]); row 0 is the upper edge, the cell is centred on the die."""
+        """Return (u_um [1, col], v_um [row, 1]); row 0 is the upper edge, the cell is centred on the die."""
         u_um = grid.width_um / 2 + (np.arange(self.cols, dtype=np.float64) - (self.cols - 1) / 2) * self.step_x_um
         v_um = grid.height_um / 2 - (np.arange(self.rows, dtype=np.float64) - (self.rows - 1) / 2) * self.step_y_um
         return np.asarray(u_um[None, :], np.float64), np.asarray(v_um[:, None], np.float64)
 
 
 class Cells:
-    """The dies of a surface at one level, softened. What was read of a die is held: as its lattice is made exact it
-    moves by parts of a pixel.
+    """The dies of a surface at one level, smoothed.
+
+    Parts already read are cached, as refinement of the lattice moves dies by fractions of a pixel.
     """
 
     def __init__(self, surface: Mosaic, level: int, evidence: Evidence) -> None:
@@ -141,13 +142,13 @@ class Cells:
         self._held: dict[tuple[int, int], tuple[Region, Coarse]] = {}
 
     def lattice(self, grid: DieGrid) -> CellLattice:
-        """How a cell is sampled at this level."""
+        """Return the sample lattice of a cell at this level."""
         return CellLattice.of(grid, self._pixel_um)
 
     def read(self, grid: DieGrid, at: tuple[int, int], lattice: CellLattice) -> tuple[Float32s, ...]:
-        """The layers of one die on the lattice of a cell, by the four pixels round each place; NaN off the surface.
+        """Return the layers of one die, bilinearly sampled on the lattice of a cell; NaN off the surface.
 
-        Raises MeasureError where the cell lies outside of the surface.
+        Raises MeasureError where the cell lies outside the surface.
         """
         u_um, v_um = lattice.places(grid)
         x_um, y_um = grid.to_stage(*at, u_um, v_um)
@@ -179,7 +180,7 @@ def _holds(outer: Region, inner: Region) -> bool:
 
 
 def softened(layer: Float32s) -> Float32s:
-    """A blur of about a pixel over the known pixels: edges sharper than that move as they are read between pixels."""
+    """Blur the known pixels by about a pixel; sharper edges shift under interpolation."""
     known = np.isfinite(layer)
     share = blurred(known, SOFT_PX)
     total = blurred(np.where(known, layer, np.float32(0)), SOFT_PX)
@@ -187,7 +188,7 @@ def softened(layer: Float32s) -> Float32s:
 
 
 def flattened(layer: Float32s) -> Float32s:
-    """Less the plane of least squares through its known pixels: a bow leaves each die another tilt."""
+    """Subtract the least-squares plane of the known pixels; a bow gives each die another tilt."""
     rows, cols = np.nonzero(np.isfinite(layer))
     if rows.size < LEAST_PIXELS:
         return layer
@@ -198,7 +199,7 @@ def flattened(layer: Float32s) -> Float32s:
 
 
 def sampled(layer: Float32s, rows: Floats, cols: Floats) -> Float32s:
-    """Bilinear, NaN where one of the four pixels is unknown or beyond the border."""
+    """Sample bilinearly; NaN where one of the four pixels is unknown or beyond the border."""
     from scipy.ndimage import map_coordinates
 
     places = np.broadcast_arrays(rows, cols)
@@ -207,7 +208,7 @@ def sampled(layer: Float32s, rows: Floats, cols: Floats) -> Float32s:
 
 
 def median_cell(cells: Sequence[tuple[Float32s, ...]]) -> tuple[Float32s, ...]:
-    """Layer by layer the median over dies, each less its own median; NaN where fewer than a third know a place."""
+    """Return the median over dies, by layer, each less its own median; NaN where under a third are known."""
     return tuple(median_of(np.stack([_centred(cell[k]) for cell in cells])) for k in range(len(cells[0])))
 
 
@@ -217,7 +218,7 @@ def _centred(layer: Float32s) -> Float32s:
 
 
 def median_of(stack: Float32s) -> Float32s:
-    """The median over the first axis; NaN where fewer than a third know a place."""
+    """Return the median over the first axis; NaN where under a third of the values are known."""
     known = np.isfinite(stack).sum(axis=0)
     ordered = np.sort(stack, axis=0)  # NaN goes last
     low, high = np.maximum(known - 1, 0) // 2, known // 2

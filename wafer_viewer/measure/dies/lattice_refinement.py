@@ -1,4 +1,4 @@
-"""A lattice of dies made exact: dies all over the surface are registered to their median, it is fitted. Pure."""
+"""Refinement of a die lattice: registration of dies to their median, and a lattice fit. Pure."""
 
 from __future__ import annotations
 
@@ -20,31 +20,33 @@ from wafer_viewer.numerics.registration.cross_correlation import contrast, liken
 
 MOST_DIES, LEAST_DIES = 100, 25
 ENOUGH_INNER = 0.5
-"""Of the cells that are alike: where so many lie beside none that is not, the others can be left alone."""
+"""Fraction of similar cells without a dissimilar neighbour above which the others are omitted."""
 CELLS_PIXELS = 2_000_000
-"""So many dies, spread over the surface, are registered at most; fewer where their cells have more pixels together."""
+"""Largest number of pixels of all registered cells together; it limits the number of dies."""
 CELL_PX = 420
-"""The longer side of a cell is read at a level that gives it at most so many pixels."""
+"""Largest number of pixels along the longer side of a cell at the level that is read."""
 REACH_PX = 6
 LEAST_KNOWN = 0.4
-"""Of a cell: with less of it measured it is not registered."""
+"""Smallest measured fraction of a cell for registration."""
 LEAST_ALIKE = 0.35
-"""Correlation with the median die from which on a cell is one of them."""
+"""Smallest correlation of a cell with the median die."""
 AS_CLEAR = 0.5
-"""Of the layer that is most alike: one with less is noise and is left out."""
+"""Smallest correlation of a layer relative to the best layer; weaker layers are noise."""
 LEAST_SHARE = 0.65
-"""Of the cells that were scanned: where fewer are alike, what repeats is no lattice of dies. A round wafer fills 0.78
-of the square round it, what repeats within a large die hardly half of a surface."""
+"""Smallest fraction of similar cells for a lattice of dies.
+
+A round wafer fills 0.78 of its bounding square; patterns within a large die fill hardly half of a surface.
+"""
 MOST_U = 0.003
-"""Standard uncertainty of a pitch, of the pitch: where it is more, what repeats does not lie on a lattice."""
+"""Largest standard uncertainty of a pitch relative to the pitch, for a lattice."""
 ROUNDS = 2
-"""At the finest level; at coarser ones the lattice needs only to come near."""
+"""Rounds at the finest level; coarser levels need only approximate the lattice."""
 Cell = tuple[Float32s, ...]
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Registered:
-    """A lattice, the median cell on it, the lattice of that, and the standard uncertainties of pitch and place."""
+    """A refined lattice, its median cell, the sample lattice of that cell, and the number of registered dies."""
 
     grid: DieGrid
     cell: Cell
@@ -53,9 +55,9 @@ class Registered:
 
 
 def refined(surface: Mosaic, rough: DieGrid, evidence: Evidence, pixel_um: float) -> Registered:
-    """A lattice whose cells are as large as its pitches, made exact at finer and finer levels.
+    """Refine a lattice with cells as large as its pitches, from coarse to fine levels.
 
-    pixel_um: at which the rough lattice was found. Raises MeasureError where most cells are not alike.
+    pixel_um: pixel size at which the rough lattice was found. Raises MeasureError where most cells are dissimilar.
     """
     grid = rough
     *coarse, finest = (Cells(surface, level, evidence) for level in levels_for(surface, rough, pixel_um))
@@ -74,7 +76,7 @@ def refined(surface: Mosaic, rough: DieGrid, evidence: Evidence, pixel_um: float
 
 
 def levels_for(surface: Mosaic, grid: DieGrid, pixel_um: float) -> tuple[int, ...]:
-    """The levels to go through, from near the one of the rough lattice to the finest that is needed."""
+    """Return the pyramid levels to process, from about that of the rough lattice to the finest needed."""
     longer_px = max(grid.pitch_x_um, grid.pitch_y_um) / surface.pixel_um
     finest = min(surface.levels - 1, max(0, math.ceil(math.log2(longer_px / CELL_PX))))
     coarsest = min(surface.levels - 1, max(0, round(math.log2(pixel_um / surface.pixel_um))))
@@ -84,7 +86,7 @@ def levels_for(surface: Mosaic, grid: DieGrid, pixel_um: float) -> tuple[int, ..
 def cells_of(
     source: Cells, grid: DieGrid, lattice: CellLattice, unlike: Set[tuple[int, int]] = frozenset()
 ) -> dict[tuple[int, int], Cell]:
-    """Cells all over the surface that are known well enough, but those that are no dies, as was seen more coarsely.
+    """Return sufficiently measured cells over the entire surface, without those found dissimilar at coarser levels.
 
     Raises MeasureError where there are fewer than two.
     """
@@ -103,9 +105,9 @@ def cells_of(
 
 
 def _best_of(places: Sequence[tuple[int, int]], unlike: Set[tuple[int, int]], most: int) -> Sequence[tuple[int, int]]:
-    """Those that are not unlike; of more than can be taken those that lie beside none that is, if these are enough.
+    """Return the places not marked dissimilar; if enough remain, only those without dissimilar neighbours.
 
-    Where a die begins is open, so that a cell holds parts of those beside it.
+    The origin of a die is undetermined, so that a cell may contain parts of its neighbours.
     """
     like = [at for at in places if at not in unlike]
     beside = {(col + i, row + j) for col, row in unlike for i in (-1, 0, 1) for j in (-1, 0, 1)}
@@ -114,13 +116,13 @@ def _best_of(places: Sequence[tuple[int, int]], unlike: Set[tuple[int, int]], mo
 
 
 def _known(layer: Float32s) -> float:
-    """The share of a layer that is known; 0 where it shows nothing."""
+    """Return the known fraction of a layer; 0 where it has no contrast."""
     known = layer[np.isfinite(layer)]
     return known.size / layer.size if known.size and np.ptp(known) > 0 else 0.0
 
 
 def whole_cells(surface: Mosaic, grid: DieGrid) -> list[tuple[int, int]]:
-    """(col, row) of the cells that lie whole on the surface."""
+    """Return (col, row) of the cells that lie completely on the surface."""
     low_x, low_y, high_x, high_y = bounds_of(surface)
     (cols, rows), (u, v) = cells_over(grid, (low_x, low_y, high_x, high_y)), half_cell(grid)
     x_um, y_um = grid.to_stage(cols[:, None], rows[:, None], u, v)
@@ -130,7 +132,7 @@ def whole_cells(surface: Mosaic, grid: DieGrid) -> list[tuple[int, int]]:
 
 
 def cells_over(grid: DieGrid, bounds_um: tuple[float, float, float, float]) -> tuple[np.ndarray, np.ndarray]:
-    """Columns and rows, [n] each, of all cells of the lattice that the corners of a rectangle lie round."""
+    """Return columns and rows, [n] each, of all lattice cells over a rectangle."""
     low_x, low_y, high_x, high_y = bounds_um
     cols, rows, _, _ = grid.to_die(np.array([low_x, low_x, high_x, high_x]), np.array([low_y, high_y, low_y, high_y]))
     each_col, each_row = np.arange(cols.min(), cols.max() + 1), np.arange(rows.min(), rows.max() + 1)
@@ -138,13 +140,13 @@ def cells_over(grid: DieGrid, bounds_um: tuple[float, float, float, float]) -> t
 
 
 def half_cell(grid: DieGrid) -> tuple[Floats, Floats]:
-    """u and v of the four corners of a cell."""
+    """Return u and v of the four corners of a cell."""
     u = grid.width_um / 2 + grid.pitch_x_um * np.array([-0.5, 0.5, 0.5, -0.5])
     return u, grid.height_um / 2 + grid.pitch_y_um * np.array([-0.5, -0.5, 0.5, 0.5])
 
 
 def spread(places: Sequence[tuple[int, int]], most: int) -> list[tuple[int, int]]:
-    """At most so many of them: the nearest to a lattice of as many over all, its corners among them."""
+    """Return at most `most` places, nearest to a regular lattice over all of them including the corners."""
     if len(places) <= most:
         return list(places)
     at, side = np.array(places, float), math.isqrt(most)
@@ -158,9 +160,9 @@ Shifts = dict[tuple[int, int], tuple[float, float]]
 
 
 def registered_shifts(cells: dict[tuple[int, int], Cell], lattice: CellLattice) -> Shifts:
-    """How far (du_um, dv_um) each cell lies from where the lattice has it; of those that are alike only.
+    """Return the shift (du_um, dv_um) of each similar cell from its lattice place.
 
-    Raises MeasureError where fewer than LEAST_SHARE are.
+    Raises MeasureError where fewer than LEAST_SHARE are similar.
     """
     reference = _contrasts(median_cell(list(cells.values())))
     found = {at: _shift(reference, _contrasts(cell)) for at, cell in cells.items()}
@@ -171,7 +173,7 @@ def registered_shifts(cells: dict[tuple[int, int], Cell], lattice: CellLattice) 
 
 
 def not_alike(how_many: str, lattice: CellLattice) -> DiesNotFound:
-    """What to say where something repeats and it is not dies."""
+    """Return the error for a repeating pattern that is not dies."""
     width_um, height_um = lattice.cols * lattice.step_x_um, lattice.rows * lattice.step_y_um
     return DiesNotFound(
         f"{how_many} places that repeat every {width_um:.0f} x {height_um:.0f} um look alike, so they are no whole "
@@ -196,7 +198,7 @@ def _contrast(layer: Float32s, size: int) -> Contrast | None:
 
 
 def _shift(reference: Sequence[Contrast | None], cell: Sequence[Contrast | None]) -> tuple[float, float] | None:
-    """The lag (row, col) at which a cell is most like the median one; None where it is not like it."""
+    """Return the lag (row, col) of highest correlation with the median cell; None where dissimilar."""
     pairs = [(a, b) for a, b in zip(reference, cell, strict=True) if a is not None and b is not None]
     if not pairs:
         return None
@@ -215,9 +217,9 @@ def _shift(reference: Sequence[Contrast | None], cell: Sequence[Contrast | None]
 
 
 def _between(pairs: Sequence[tuple[Contrast, Contrast]], lag: tuple[int, int]) -> Floats:
-    """What is left of a lag between the pixels: least squares on the slopes of the median cell.
+    """Return the subpixel remainder of a lag: least squares on the gradients of the median cell.
 
-    The top of a correlation of sharp edges is a cusp, and a parabola through it leans to whole pixels.
+    The correlation peak of sharp edges is a cusp, and a parabola through it is biased to integer pixels.
     """
     normal, right = np.zeros((4, 4)), np.zeros(4)
     for (first, first_known), (second, second_known) in pairs:
@@ -233,13 +235,13 @@ def _between(pairs: Sequence[tuple[Contrast, Contrast]], lag: tuple[int, int]) -
 
 
 def _overlap(plane: np.ndarray, lag: tuple[int, int], way: int) -> np.ndarray:
-    """The part of the first of two cells (way 1) or the second (-1) that lies on the other at a lag."""
+    """Return the part of the first of two cells (way 1) or the second (-1) that overlaps the other at a lag."""
     (rows, cols), (down, right) = plane.shape, (way * k for k in lag)
     return plane[max(0, down) : rows + min(0, down), max(0, right) : cols + min(0, right)]
 
 
 def moved(grid: DieGrid, shifts: Shifts) -> DieGrid:
-    """The lattice by least squares through its dies, outliers apart: origin, both pitches, angle; with its U."""
+    """Fit origin, both pitches and angle of the lattice by least squares with outlier rejection; with uncertainties."""
     at, off = np.array(list(shifts), float), np.array(list(shifts.values()))
     center = at.mean(axis=0)
     i, j = (at - center).T
@@ -267,7 +269,7 @@ def moved(grid: DieGrid, shifts: Shifts) -> DieGrid:
 
 
 def _uncertainties(design: Floats, residuals: Floats, center: Floats, grid: DieGrid) -> dict[str, float]:
-    """Of a pitch, and of the corner of die 0,0, by what the fit leaves."""
+    """Return the standard uncertainties of a pitch and of the corner of die 0,0, from the fit residuals."""
     freedom = max(1, len(residuals) - design.shape[1])
     covariance = np.linalg.pinv(design.T @ design) * float(residuals @ residuals) / freedom
     i, j = -center

@@ -1,4 +1,4 @@
-"""Which lattice a pattern repeats on: the two shortest lags, along x and y, at which it is like itself again. Pure."""
+"""Lattice of a repeating pattern: the two shortest autocorrelation lags along x and y. Pure."""
 
 from __future__ import annotations
 
@@ -24,19 +24,19 @@ from wafer_viewer.model.errors import DiesNotFound
 from wafer_viewer.numerics.array_types import Float32s
 
 LIMIT_DEG = 5.0
-"""Dies turned further against the axes of the stage are refused: rows and columns would be taken for each other."""
+"""Largest rotation of dies against the stage axes; beyond it rows and columns are confused."""
 SEARCHED_DEG, WIDE_DEG = 6.0, 40.0
 SIZES = (1 / 3, 1 / 6, 1 / 12, 1 / 24)
-"""Of the shorter side: what varies over more is taken off before the period is known."""
+"""Candidate high-pass scales, relative to the shorter side, used while the period is unknown."""
 OFF_SQUARE_RAD = 0.02
 SMALLER = 0.75
-"""Of the area of a cell that is found: where the cell of a turned lattice is smaller, that is the lattice."""
+"""Area ratio below which the smaller cell of a rotated lattice is taken."""
 AXES = ((False, "x"), (True, "y"))
 
 
 @dataclass(frozen=True, slots=True)
 class Periods:
-    """The lattice of a pattern in px: its two pitches, how it is turned anticlockwise, how much alike it is."""
+    """Lattice of a pattern in px: two pitches, anticlockwise rotation, and autocorrelation."""
 
     pitch_x: float
     pitch_y: float
@@ -46,17 +46,17 @@ class Periods:
 
 @dataclass(frozen=True, slots=True)
 class Askew:
-    """A lattice that is turned too far: how far, and the area of its cell, px."""
+    """A lattice rotated too far: rotation, and area of its cell, px2."""
 
     turn_deg: float
     area: float
 
 
 def periods_of(layers: Sequence[Float32s]) -> Periods:
-    """Of layers [row, col] that show one pattern, NaN where unknown.
+    """Return the lattice of layers [row, col] that show one pattern, NaN where unknown.
 
-    Raises MeasureError where nothing repeats along an axis within half of its side, where it is open whether a pitch
-    or a part of it is the period, and where the lattice is turned by more than LIMIT_DEG.
+    Raises MeasureError where nothing repeats along an axis within half of its side, where the period is ambiguous with
+    a fraction of it, and where the lattice is rotated by more than LIMIT_DEG.
     """
     shorter = min(layers[0].shape)
     best = clearest(layers, [round(share * shorter) for share in SIZES])
@@ -68,9 +68,9 @@ def periods_of(layers: Sequence[Float32s]) -> Periods:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Periodicity:
-    """What repeats once all that varies over more than some px is taken off.
+    """Periodicity after a high-pass at some scale in px.
 
-    An autocorrelation, its peaks, and which of these are periods along x and y that go on over the surface.
+    An autocorrelation, its peaks, and those along x and y that persist over the surface.
     """
 
     alike: Floats
@@ -80,16 +80,16 @@ class Periodicity:
 
     @property
     def clear(self) -> tuple[bool, float]:
-        """Whether it is plain which lag is the period, and how much alike the pattern is at the worse of both lags."""
+        """Sort key: True if both periods are unambiguous, and the autocorrelation of the weaker one."""
         plain = part_of(self.right) is None and part_of(self.up) is None
         return plain, min(shortest(self.right).alike, shortest(self.up).alike)
 
 
 def clearest(layers: Sequence[Float32s], sizes: Sequence[int]) -> Periodicity | None:
-    """With that of the sizes that shows the period best; None where nothing repeats with any.
+    """Return the periodicity for the best high-pass scale; None where nothing repeats at any.
 
-    What varies slowly, as beyond the rim of a wafer or where dies are missing, makes some multiples of a period more
-    alike than others; taken off, it says nothing.
+    Slow variations, as beyond the rim of a wafer or at missing dies, favour some multiples of a period; the high-pass
+    removes them.
     """
     each = (_repeats(layers, size) for size in sorted({max(3, size) for size in sizes}))
     return max((one for one in each if one is not None), key=lambda one: one.clear, default=None)
@@ -103,7 +103,7 @@ def _repeats(layers: Sequence[Float32s], size: int) -> Periodicity | None:
 
 
 def settled(periods: Sequence[Peak], axis: str) -> Peak:
-    """The period along an axis. Raises MeasureError where a part of it is nearly as much alike."""
+    """Return the period along an axis. Raises MeasureError where a fraction of it correlates nearly as well."""
     period, part = shortest(periods), part_of(periods)
     if part is not None:
         raise DiesNotFound(
@@ -115,7 +115,7 @@ def settled(periods: Sequence[Peak], axis: str) -> Peak:
 
 
 def fitted(alike: Floats, across: Peak, up: Peak) -> tuple[Floats, Floats, float]:
-    """Both periods [right, up] in px by all lags of their lattice that are as much alike, and how much those are."""
+    """Fit both periods [right, up] in px to all similar lags of their lattice; also return the autocorrelation."""
     basis = np.array([[across.right, across.up], [up.right, up.up]])
     reach = 1
     while True:
@@ -129,7 +129,7 @@ def fitted(alike: Floats, across: Peak, up: Peak) -> tuple[Floats, Floats, float
 
 
 def _nodes_near(alike: Floats, basis: Floats, reach: int) -> tuple[Floats, Floats]:
-    """Multiples (i, j) of the periods, and the lag of the local maximum near each, between the pixels."""
+    """Return multiples (i, j) of the periods, and the subpixel lag of the local maximum near each."""
     middle = np.array([n // 2 for n in alike.shape])
     near = max(2, round(0.15 * float(np.abs(np.diag(basis)).min())))
     nodes: list[tuple[int, int]] = []
@@ -145,7 +145,7 @@ def _nodes_near(alike: Floats, basis: Floats, reach: int) -> tuple[Floats, Float
 
 
 def top_near(alike: Floats, row: int, col: int, near: int) -> tuple[float, float] | None:
-    """(row, col) of the largest value near a place, between pixels by parabolas; None at the border or if too low."""
+    """Return (row, col) of the maximum near a place, to subpixels by parabolas; None at the border or if too low."""
     low_row, low_col = row - near, col - near
     part = alike[max(0, low_row) : row + near + 1, max(0, low_col) : col + near + 1]
     if low_row < 1 or low_col < 1 or row + near + 2 > alike.shape[0] or col + near + 2 > alike.shape[1]:
@@ -158,13 +158,13 @@ def top_near(alike: Floats, row: int, col: int, near: int) -> tuple[float, float
 
 
 def vertex(before: float, at: float, after: float) -> float:
-    """Where a parabola through three values has its top, counted from the middle one."""
+    """Return the vertex of a parabola through three values, relative to the middle one."""
     bend = before - 2 * at + after
     return float(np.clip((before - after) / (2 * bend), -0.5, 0.5)) if bend < 0 else 0.0
 
 
 def _checked(found: tuple[Floats, Floats, float], askew: Askew | None) -> Periods:
-    """Raises MeasureError where the lattice is turned too far or its periods are not square to each other."""
+    """Return the periods. Raises MeasureError where the lattice is rotated too far or not square."""
     across, up, alike = found
     if askew is not None and askew.area < SMALLER * abs(float(np.linalg.det([across, up]))):
         raise turned_too_far(askew.turn_deg)
@@ -184,7 +184,7 @@ def _checked(found: tuple[Floats, Floats, float], askew: Askew | None) -> Period
 
 
 def turned_too_far(angle_deg: float) -> DiesNotFound:
-    """What to say of a wafer that lies askew."""
+    """Return the error for a wafer that is rotated too far."""
     return DiesNotFound(
         f"The dies are turned by {angle_deg:.1f} degrees and at most {LIMIT_DEG:g} can be found: turn the wafer, or "
         f"{MEND}.",
@@ -193,7 +193,7 @@ def turned_too_far(angle_deg: float) -> DiesNotFound:
 
 
 def nothing_repeats(layers: Sequence[Float32s]) -> DiesNotFound:
-    """What to say where no lattice is found: along which axis, or that it is turned too far."""
+    """Return the error for a missing lattice: along which axis, or that it is rotated too far."""
     alike = alike_of(layers, max(3, min(layers[0].shape) // 6))
     peaks = peaks_of(alike)
     right, up = (lasting(alike, cone(alike, peaks, upright, SEARCHED_DEG)) for upright, _ in AXES)
@@ -208,7 +208,7 @@ def nothing_repeats(layers: Sequence[Float32s]) -> DiesNotFound:
 
 
 def _askew(alike: Floats, peaks: Sequence[Peak]) -> Askew | None:
-    """The lattice of the shortest lags about both axes where these are turned together, and far; None otherwise."""
+    """Return the lattice of the shortest lags if both axes are rotated together beyond the limit; None otherwise."""
     wide = [cone(alike, peaks, upright, WIDE_DEG) for upright in (False, True)]
     if not all(wide):
         return None

@@ -1,4 +1,4 @@
-"""Where a die ends and its street begins, from the median cell of a lattice. Pure, on arrays."""
+"""Streets between dies, from the median cell of a lattice. Pure, on arrays."""
 
 from __future__ import annotations
 
@@ -14,23 +14,23 @@ from wafer_viewer.measure.dies.periodicity import vertex
 from wafer_viewer.numerics.array_types import Float32s
 
 WIDEST = 0.3
-"""Of the pitch: a street is narrower."""
+"""Largest width of a street, relative to the pitch."""
 NARROWEST_PX = 2
 STANDS_OUT = 6.0
-"""Robust deviations of the profile of edges: a street's two edges both have more."""
+"""Smallest prominence of both street edges, in robust deviations of the edge profile."""
 SURE = 18.0
-"""In the first layer, heights, edges that stand out so far count before those of the other."""
+"""Prominence from which the first layer (heights) takes precedence."""
 MOST_DIFFERING_PX = 8
-"""Edges of two layers that lie further apart are not of the same street."""
+"""Largest difference between the edges of the same street in two layers."""
 ON_TOP = 1e-3
-"""What both edges count beside the weaker one: beside the top of a strong edge all is as strong as a weak one."""
+"""Weight of both edges relative to the weaker one; it breaks ties near the maximum of a strong edge."""
 BANDS = 4
-"""A street's edges are found in so many parts of the cell as well: their scatter says how sure they are."""
+"""Number of bands of the cell; the scatter of the edges between them gives their uncertainty."""
 
 
 @dataclass(frozen=True, slots=True)
 class Street:
-    """A street across a cell, px from its first line: begin, width, standard uncertainty of an edge, how clear."""
+    """A street across a cell, px from its first line: begin, width, standard uncertainty of an edge, prominence."""
 
     begin: float
     width: float
@@ -39,10 +39,10 @@ class Street:
 
 
 def street_of(layers: Sequence[Float32s], upright: bool) -> Street | None:
-    """The street that runs down a cell (upright) or across it, in the first layer that shows it well, else in that
-    which shows it best; None without one. Heights go first: a picture is blurred at the walls of a street.
+    """Return the street that runs down a cell (upright) or across it; None without one.
 
-    The cell repeats: a street may lie over its border.
+    Taken from the first layer that shows it well, else from the one that shows it best. Heights take precedence: the
+    image is blurred at the walls of a street. The cell repeats, so a street may cross its border.
     """
     planes = [_filled(layer if upright else layer.T) for layer in layers if np.isfinite(layer).mean() > 0.3]
     found = [street for plane in planes if (street := _street(plane)) is not None]
@@ -53,14 +53,14 @@ def street_of(layers: Sequence[Float32s], upright: bool) -> Street | None:
 
 
 def _differing(best: Street, found: Sequence[Street]) -> float:
-    """How far an edge may lie off for heights and picture show it at two places: half of that, spread evenly."""
+    """Return the standard uncertainty of an edge due to the difference between layers: half of it, rectangular."""
     other = [one for one in found if abs(one.begin - best.begin) + abs(one.width - best.width) < MOST_DIFFERING_PX]
     each = [max(abs(one.begin - best.begin), abs(one.begin + one.width - best.begin - best.width)) for one in other]
     return max(each) / 2 / math.sqrt(3)
 
 
 def _filled(plane: Float32s) -> Floats:
-    """Unknown pixels of each line by those beside them: heights at a wall are often unmeasured."""
+    """Interpolate unknown pixels along each line: heights at a wall are often unmeasured."""
     filled, places = plane.astype(np.float64), np.arange(plane.shape[1])
     for line in filled:
         known = np.isfinite(line)
@@ -84,13 +84,13 @@ def _street(plane: Floats) -> Street | None:
 
 
 def _upright(plane: Floats) -> Floats:
-    """Without the slope along its lines that most places have: the cell's plane leans to where its street lies."""
+    """Subtract the median slope along the lines: the street tilts the plane of the cell."""
     each = np.diff(np.median(plane, axis=0))
     return plane - float(np.median(each)) * np.arange(plane.shape[1])
 
 
 def edges_profile(plane: Floats) -> Floats:
-    """The slope along each line, by the median of all lines: what does not run all through counts nothing."""
+    """Return the slope along the lines, as the median of all lines; incomplete edges do not count."""
     from scipy.ndimage import gaussian_filter1d
 
     smooth = np.asarray(gaussian_filter1d(plane, 1.0, axis=1, mode="wrap"))
@@ -98,7 +98,7 @@ def edges_profile(plane: Floats) -> Floats:
 
 
 def _strongest_pair(slope: Floats) -> tuple[float, int, int]:
-    """(strength of the weaker edge, begin, width) of the strongest two edges that go opposite ways."""
+    """Return (strength of the weaker edge, begin, width) of the strongest pair of opposite edges."""
     best = (0.0, 0, 0)
     for width in range(NARROWEST_PX, math.floor(WIDEST * len(slope)) + 1):
         after = np.roll(slope, -width)
@@ -110,14 +110,14 @@ def _strongest_pair(slope: Floats) -> tuple[float, int, int]:
 
 
 def _between(slope: Floats, place: int) -> float:
-    """An edge between the pixels."""
+    """Return the subpixel position of an edge."""
     n = len(slope)
     steep = np.abs(slope[[(place + k) % n for k in (-1, 0, 1)]])
     return place + vertex(*steep.tolist())
 
 
 def _scatter(plane: Floats, place: int) -> float:
-    """Standard uncertainty of the mean of an edge's place by parts of the cell."""
+    """Return the standard uncertainty of the mean edge position, from bands of the cell."""
     each = np.array([_near(edges_profile(part), place) for part in np.array_split(plane, BANDS)])
     middle = float(np.median(each))
     return 1.4826 * float(np.median(np.abs(each - middle))) / math.sqrt(BANDS)

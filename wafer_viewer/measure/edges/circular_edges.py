@@ -1,4 +1,4 @@
-"""Round edges across rays: found by consensus among edge points, followed ray by ray, fitted robustly. Pure."""
+"""Circular edges: consensus of edge points on rays, refinement along rays, robust fit. Pure."""
 
 from __future__ import annotations
 
@@ -19,45 +19,45 @@ from wafer_viewer.measure.edges.subpixel_edges import Responses, between_pixels,
 from wafer_viewer.model.errors import MeasureError
 
 FROM, SMALLEST_PX = 0.25, 8.0
-"""Of the circle drawn: edges are looked for from this share of its radius to all of it, and on no smaller circle."""
+"""Smallest radius searched, relative to the drawn circle and in pixels."""
 RAYS = (64, 720)
 PER_RAY = 3
-"""So many of the steepest places of each ray may be the edge."""
+"""Number of edge candidates per ray, the steepest ones."""
 DRAWS, NEAR_PX, SEED = 600, 1.5, 1
-"""Circles tried through three edge points each, and how near to one a point supports it."""
+"""Number of random three-point circles, support distance in pixels, and seed."""
 BESIDE_PX = 4.0
-"""Points nearer to the circle found support no other."""
+"""Points closer to the detected circle than this support no other circle."""
 OVER_REST = 1.25
-"""How much steeper a round edge is than what lies elsewhere on the rays."""
+"""Smallest ratio of the steepness of a circular edge to that elsewhere on the rays."""
 BANDS, NEAR_STEPS = 24, 3
-"""An edge is looked for in so many directions, so many pixels round its circle."""
+"""Number of angular bands, and steps around the circle, in which the edge is looked for."""
 JUMPS_PX = 0.7
-"""From one ray to the next an edge jumps by less than this, in the median."""
+"""Largest median jump of an edge from one ray to the next."""
 REACH_PX, ROOM_PX = 6.0, 14
-"""How far from the circle found the edge is followed; how far the rays go on there."""
+"""Distance from the detected circle within which the edge is followed, and extent of the rays there."""
 NEIGHBOURS = 5
-"""Roundness is that of medians of so many neighbouring rays."""
+"""Number of neighbouring rays of the median filter for roundness."""
 _ROUNDS = 20
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Ring:
-    """A circle in lines and places of a strip."""
+    """A circle in line and place coordinates of a strip."""
 
     line: float
     place: float
     radius: float
 
     def off(self, line: Floats, place: Floats) -> Floats:
-        """How far points lie outside of it."""
+        """Return the signed distance of points outside the circle."""
         return np.hypot(line - self.line, place - self.place) - self.radius
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class RoundEdge:
-    """A circle through the points of a round edge, in stage um, and how far each lies outside of it, in order.
+    """A circle through the points of a circular edge, in stage um, and their ordered radial residuals.
 
-    sign: 1 where it is brighter outside; kept: the points that were not rejected.
+    sign: 1 where it is brighter outside; kept: mask of the accepted points.
     """
 
     x_um: float
@@ -70,23 +70,23 @@ class RoundEdge:
 
     @property
     def u_radius_um(self) -> float | None:
-        """Standard uncertainty of the radius by the scatter of the points; None with too few."""
+        """Standard uncertainty of the radius from the scatter of the points; None with too few."""
         angle = self.angle[self.kept]
         design = np.stack([np.cos(angle), np.sin(angle), np.ones(len(angle))], axis=1)
         return chain_u(design, self.off_um[self.kept], np.array([0.0, 0.0, 1.0]))
 
     @property
     def roundness_um(self) -> float:
-        """From the innermost to the outermost point, medians of neighbours."""
+        """Peak-to-valley radial deviation, of medians of neighbours."""
         return float(np.ptp(median_filter(self.off_um, NEIGHBOURS, mode="wrap")))
 
 
 def find_circle(
     strip: SearchStrip, x_um: float, y_um: float, radius_um: float, signs: tuple[Sign, ...] = (1, -1)
 ) -> RoundEdge:
-    """The round edge within a circle drawn round it.
+    """Find the circular edge within a circle drawn around it.
 
-    Raises MeasureError where none stands out, another is about as strong, or too few rays see it.
+    Raises MeasureError where none stands out, another is about as strong, or too few rays detect it.
     """
     line, place = (float(v) for v in strip.where(np.array(x_um), np.array(y_um)))
     drawn = Ring(line, place, radius_um / strip.pixel_um)
@@ -99,7 +99,7 @@ def find_circle(
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _Rays:
-    """How grey values rise from the inside to the outside along rays, [ray, step], and where the rays lie."""
+    """Outward gradients of grey values along rays, [ray, step], with the ray geometry."""
 
     center: Ring
     angle: Floats
@@ -108,7 +108,7 @@ class _Rays:
 
     @classmethod
     def over(cls, strip: SearchStrip, center: Ring, first: float, last: float) -> _Rays:
-        """Rays a pixel apart on the circle, from one radius to another."""
+        """Return rays a pixel apart on the circle, from one radius to another."""
         n = int(np.clip(2 * math.pi * last, *RAYS))
         angle = np.arange(n, dtype=np.float64) * (2 * math.pi / n)
         radius = np.arange(first, last + 1)
@@ -119,14 +119,14 @@ class _Rays:
         return cls(center, angle, first, responses(grey, there))
 
     def elsewhere(self, ring: Ring) -> float:
-        """How steep it is apart from a circle, root mean square; 0 where nothing else is."""
+        """Return the root mean square gradient away from a circle; 0 where there is none."""
         step = np.arange(self.response.shape[1], dtype=np.float64)
         off = ring.off(*_polar(self.center, self.angle[:, None], self.first + step[None, :]))
         apart = np.abs(off) > 1.5 * BESIDE_PX
         return float(np.sqrt(np.mean(self.response[apart].astype(np.float64) ** 2))) if apart.any() else 0.0
 
     def points(self, ray: NDArray[np.intp], step: Floats) -> tuple[Floats, Floats]:
-        """Lines and places of steps along rays."""
+        """Return line and place coordinates of steps along rays."""
         return _polar(self.center, self.angle[ray], self.first + step)
 
 
@@ -136,7 +136,7 @@ def _polar(center: Ring, angle: Floats, radius: Floats) -> tuple[Floats, Floats]
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _Consensus:
-    """The circle that most steep edge points lie on, how steep they are in the mean of all rays, and the next best."""
+    """The circle with the best support, its mean steepness over all rays, and that of the next best."""
 
     ring: Ring
     sign: Sign
@@ -146,7 +146,7 @@ class _Consensus:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _Candidates:
-    """Places that may be the edge: on which ray, where, how steep, each [n]."""
+    """Edge candidates: ray, position and steepness, each [n]."""
 
     ray: NDArray[np.intp]
     line: Floats
@@ -177,7 +177,7 @@ def _candidates(rays: _Rays, sign: Sign) -> _Candidates:
 
 
 def _best_ring(found: _Candidates, drawn: Ring, n_rays: int) -> tuple[Ring | None, float]:
-    """Of circles through three points drawn by chance the one that the steepest points lie on, within the one drawn."""
+    """Return the random three-point circle with the best support, within the drawn circle."""
     if len(found.ray) < RAYS[0] // 2:
         return None, 0.0
     rings = _through_three(found, drawn)
@@ -203,7 +203,7 @@ def _through_three(found: _Candidates, drawn: Ring) -> list[Ring]:
 
 
 def _support(found: _Candidates, ring: Ring, n_rays: int) -> float:
-    """How steep the points on a circle are, mean over all rays."""
+    """Return the mean over all rays of the steepness of the points on a circle."""
     near = np.abs(ring.off(found.line, found.place)) <= NEAR_PX
     steepest = np.zeros(n_rays)
     np.maximum.at(steepest, found.ray[near], found.steep[near])
@@ -221,7 +221,7 @@ def _require_clear(rays: _Rays, best: _Consensus, rival: float) -> None:
 
 
 def _fitted(strip: SearchStrip, start: Ring, sign: Sign) -> RoundEdge:
-    """The circle of least squares through the edge near to a ring, along rays from its own middle."""
+    """Fit a least-squares circle to the edge near a ring, along rays from its own centre."""
     ring, line, place, kept = _nearer(strip, _nearer(strip, start, sign)[0], sign)
     x_um, y_um = (float(v) for v in strip.at(np.array(ring.line), np.array(ring.place)))
     angle = np.arctan2(ring.line - line, place - ring.place)
@@ -230,7 +230,7 @@ def _fitted(strip: SearchStrip, start: Ring, sign: Sign) -> RoundEdge:
 
 
 def _nearer(strip: SearchStrip, ring: Ring, sign: Sign) -> tuple[Ring, Floats, Floats, NDArray[np.bool_]]:
-    """The circle through the edge points near to one, lines and places of these, and which were kept."""
+    """Return the circle through the edge points near a ring, their lines and places, and the mask of accepted ones."""
     rays = _Rays.over(strip, ring, max(1.0, ring.radius - ROOM_PX), ring.radius + ROOM_PX)
     rising, expected = sign * rays.response, np.full(len(rays.angle), ring.radius - rays.first)
     points = edges_near(rising, expected, (REACH_PX, REACH_PX), "nearest")
@@ -242,7 +242,7 @@ def _nearer(strip: SearchStrip, ring: Ring, sign: Sign) -> tuple[Ring, Floats, F
 
 
 def _require_all_round(rising: Responses, expected: Floats, place: Floats) -> None:
-    """Raises MeasureError where an edge is not seen in most directions: noise that happens to add up is not."""
+    """Raise MeasureError where an edge is not detected in most directions, as for chance alignments of noise."""
     at = np.round(expected).astype(np.intp)
     near = np.stack([rising[np.arange(len(at)), at + k] for k in range(-NEAR_STEPS, NEAR_STEPS + 1)]).max(axis=0)
     bands = np.array([part.mean() for part in np.array_split(near, BANDS)])
@@ -252,9 +252,10 @@ def _require_all_round(rising: Responses, expected: Floats, place: Floats) -> No
 
 
 def fit_ring(line: Floats, place: Floats, start: Ring) -> tuple[Ring, NDArray[np.bool_]]:
-    """The circle with the least squares of distances from it (geometric), points beyond 3 robust deviations apart.
+    """Fit a circle by geometric least squares with rejection beyond 3 robust deviations.
 
-    start: one that is nearly it. Gives also which points were kept. Raises MeasureError when points do not tell.
+    start: initial estimate. Also returns the mask of accepted points. Raises MeasureError when the points do not
+    determine a circle.
     """
     ring, kept = start, np.ones(len(line), bool)
     for _ in range(_ROUNDS):

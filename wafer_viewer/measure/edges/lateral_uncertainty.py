@@ -1,4 +1,4 @@
-"""How sure lengths and angles are that lie between edges on the picture, and what every result of them says."""
+"""Uncertainty of lengths and angles between edges in the image, and notes of their results."""
 
 from __future__ import annotations
 
@@ -16,14 +16,14 @@ ON_PICTURE = "Measured on the picture that is in focus everywhere."
 
 
 def notes(reading: MeasurementContext, *more: str) -> tuple[str, ...]:
-    """What was measured on, and what budgets leave out; nothing of those where there are none."""
+    """Return the notes of an image measurement; those on budgets only if calibrated."""
     return (ON_PICTURE, *more, NOT_IN_BUDGET) if reading.calibrated else (ON_PICTURE, *more)
 
 
 def between_edges(
     reading: MeasurementContext, value_um: float, pixel_um: float, scatter_um: float | None, n_edges: int = 2
 ) -> Length:
-    """A length between edges. scatter_um: its standard uncertainty by their points; None: not known."""
+    """Return a length between edges. scatter_um: standard uncertainty from edge points; None: unknown."""
     if scatter_um is None:
         return reading.length(value_um, None)
     lines = {
@@ -35,12 +35,12 @@ def between_edges(
 
 
 def angle(reading: MeasurementContext, value_deg: float, scatter_deg: float | None) -> Quantity:
-    """An angle between edges."""
+    """Return an angle between edges. scatter_deg: standard uncertainty from edge points; None: unknown."""
     lines = None if scatter_deg is None else {"scatter of the edge points": scatter_deg}
     return reading.quantity(value_deg, "deg", lines)
 
 
 def together(*parts: float | None) -> float | None:
-    """The root sum of squares; None where one is not known."""
+    """Return the root sum of squares; None where one value is unknown."""
     known = [part for part in parts if part is not None]
     return math.hypot(*known) if len(known) == len(parts) else None

@@ -1,4 +1,4 @@
-"""The four edges of a die on the picture, and what they make of it: size, place, turn, squareness. Pure, on arrays."""
+"""Four edges of a die in the image: size, position, rotation, squareness. Pure, on arrays."""
 
 from __future__ import annotations
 
@@ -16,20 +16,20 @@ from wafer_viewer.model.errors import MeasureError
 from wafer_viewer.model.measurement.edge_and_bump_shapes import Side
 
 SEARCHED = 0.45
-"""Of the way through the region: so far in each edge is looked for."""
+"""Depth of the edge search from each side, relative to the region."""
 FIRST_LINES = (0.3, 0.7)
-"""Of the region: search lines between these are taken at first, well apart from the corners."""
+"""Range of search lines of the first search, relative to the region, well apart from the corners."""
 OUTERMOST = 0.6
-"""Of the strongest edge of a side: the first from outside that has as much is the die's."""
+"""Fraction of a side's strongest edge from which the outermost edge is taken as the die's."""
 BOTH: tuple[Sign, ...] = (1, -1)
 CORNER = 0.05
-"""Of a side: so much at either end is left out, where corners are round."""
+"""Fraction of a side excluded at either end, where corners are round."""
 OPPOSITE: tuple[tuple[Side, Side], ...] = (("left", "right"), ("lower", "upper"))
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class DieEdges:
-    """The edges of a die; those on the left and right run down, the others to the right."""
+    """The edges of a die; the left and right ones run down, the others to the right."""
 
     left: Found
     right: Found
@@ -38,39 +38,39 @@ class DieEdges:
 
     @property
     def lines(self) -> dict[Side, EdgeLine]:
-        """By side."""
+        """Edge lines by side."""
         found: dict[Side, Found] = {"left": self.left, "right": self.right, "lower": self.lower, "upper": self.upper}
         return {side: edge.line for side, edge in found.items()}
 
     @property
     def corners(self) -> tuple[tuple[float, float], ...]:
-        """Where the edges meet, counter-clockwise from the lower left. Raises MeasureError when they do not."""
+        """Intersections of the edges, counter-clockwise from the lower left. Raises MeasureError if parallel."""
         left, right, lower, upper = self.lines.values()
         return tuple(crossing(*pair) for pair in ((lower, left), (lower, right), (upper, right), (upper, left)))
 
     @property
     def center(self) -> tuple[float, float]:
-        """The mean of the corners."""
+        """Mean of the corners."""
         corners = self.corners
         return sum(x for x, _ in corners) / 4, sum(y for _, y in corners) / 4
 
     def size_um(self, first: Side, second: Side) -> float:
-        """From one edge to the opposite one, through the centre."""
+        """Return the distance between opposite edges, through the centre."""
         return sum(abs(float(self.lines[side].off(*self.center))) for side in (first, second))
 
     def u_size_um(self, first: Side, second: Side) -> float | None:
-        """Its standard uncertainty by the scatter of the points."""
+        """Return the standard uncertainty of the size from the scatter of the points; None if unknown."""
         lines = (self.lines[side] for side in (first, second))
         return together(*(line.u_um(float(line.along(*self.center))) for line in lines))
 
     @property
     def rotation_deg(self) -> float:
-        """How the die is turned, counter-clockwise: the mean of its edges."""
+        """Rotation of the die, counter-clockwise: mean of its edges."""
         return (self._turn("left", "right", 90) + self._turn("lower", "upper", 0)) / 2
 
     @property
     def squareness_deg(self) -> float:
-        """What the angle from its lower and upper to its left and right edges is over 90 degrees."""
+        """Deviation from 90 degrees of the angle from the lower and upper to the left and right edges."""
         return self._turn("left", "right", 90) - self._turn("lower", "upper", 0)
 
     @property
@@ -84,10 +84,10 @@ class DieEdges:
 
 
 def die_edges(strip: SearchStrip, signs: tuple[Sign, ...] = (1, -1)) -> DieEdges:
-    """The edges of the one die in a strip whose search lines run along x.
+    """Find the edges of the single die in a strip with search lines along x.
 
-    signs: 1 for a die brighter than what is round it. Raises MeasureError where an edge does not stand out, another is
-    about as strong, or it is seen on too few search lines.
+    signs: 1 for a die brighter than its surroundings. Raises MeasureError where an edge does not stand out, another is
+    about as strong, or it is detected on too few search lines.
     """
     sides = _sides(strip)
     scores = {sign: {side: scores_of(_searched(one), sign) for side, one in sides.items()} for sign in BOTH}
@@ -101,7 +101,7 @@ def die_edges(strip: SearchStrip, signs: tuple[Sign, ...] = (1, -1)) -> DieEdges
 
 
 def _sides(strip: SearchStrip) -> dict[Side, SearchStrip]:
-    """The outer part of the strip at each side, its search lines from outside to inside."""
+    """Return the outer part of the strip at each side, with search lines from outside to inside."""
     across, down = strip, strip.turned
     outer: dict[Side, SearchStrip] = {"left": across, "right": across.reversed, "lower": down.reversed, "upper": down}
     return {side: one.part(slice(0, None), _share(one.grey.shape[1], 0, SEARCHED)) for side, one in outer.items()}
@@ -116,7 +116,7 @@ def _share(length: int, low: float, high: float) -> slice:
 
 
 def _first(side: SearchStrip, name: Side, sign: Sign, scores: EdgeScores, others: EdgeScores) -> Found:
-    """The outermost edge that is about as strong as the strongest: what is printed on a die lies further in."""
+    """Return the outermost edge about as strong as the strongest; the die's pattern lies further in."""
     place, where = scores.first(OUTERMOST), f"on the {name} side of the region"
     if not scores.stands_out(place, only_before=True):
         raise no_edge(where)
@@ -130,7 +130,7 @@ def _first(side: SearchStrip, name: Side, sign: Sign, scores: EdgeScores, others
 
 
 def _between(side: SearchStrip, corners: tuple[tuple[float, float], ...]) -> SearchStrip:
-    """The search lines that cross the edge of a side, apart from those at its corners."""
+    """Return the search lines that cross the edge of a side, except those at its corners."""
     across = sorted(float(side.where(np.array(x), np.array(y))[0]) for x, y in corners)
     low, high = across[1], across[2]
     spare = CORNER * (high - low)

@@ -1,4 +1,4 @@
-"""A part of the picture that is in focus everywhere as search lines, and how its pixels lie on the stage. Pure."""
+"""Search lines in the all-in-focus image, with their mapping to the stage. Pure."""
 
 from __future__ import annotations
 
@@ -13,16 +13,16 @@ from wafer_viewer.model.region import Region
 from wafer_viewer.model.surface.height_map import HeightMap, Mosaic, Origin
 
 LEAST_PX = 16
-"""A region needs so many pixels each way: what finds an edge looks six pixels round it."""
+"""Smallest region in pixels each way; the edge filter extends six pixels."""
 LEAST_COVERED = 0.5
-"""Of a region: with less of it on the picture the result would be of something else."""
+"""Smallest fraction of a region covered by the image, for a representative result."""
 Way = tuple[float, float]
 """x, y in um."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class SearchStrip:
-    """Grey values along search lines, float32 [line, place], and which of them the picture has, bool [line, place].
+    """Grey values along search lines, float32 [line, place], and mask of covered pixels, bool [line, place].
 
     A pixel lies at `corner_um` + line * `line_um` + place * `place_um`, each (x, y) in stage um.
     """
@@ -35,41 +35,41 @@ class SearchStrip:
 
     @classmethod
     def of(cls, grey: NDArray[np.generic], pixel_um: float, x0_um: float, y0_um: float) -> SearchStrip:
-        """An image [row, col] with all its pixels; search lines run along x."""
+        """Return a strip of a complete image [row, col]; search lines run along x."""
         there = np.ones(grey.shape, bool)
         return cls(grey.astype(np.float32), there, (x0_um, y0_um), (0.0, -pixel_um), (pixel_um, 0.0))
 
     @property
     def pixel_um(self) -> float:
-        """From one pixel to the next."""
+        """Pixel pitch along the search lines."""
         return float(np.hypot(*self.place_um))
 
     @property
     def turned(self) -> SearchStrip:
-        """The same with its search lines across those of this one."""
+        """The same strip with its search lines transposed."""
         return SearchStrip(self.grey.T, self.there.T, self.corner_um, self.place_um, self.line_um)
 
     @property
     def reversed(self) -> SearchStrip:
-        """The same with its search lines run through the other way."""
+        """The same strip with the direction of its search lines reversed."""
         last = self.grey.shape[1] - 1
         corner = self.corner_um[0] + last * self.place_um[0], self.corner_um[1] + last * self.place_um[1]
         back = -self.place_um[0], -self.place_um[1]
         return SearchStrip(self.grey[:, ::-1], self.there[:, ::-1], corner, self.line_um, back)
 
     def part(self, lines: slice, places: slice) -> SearchStrip:
-        """Some lines and places of it, as views; slices need a start and a step of one."""
+        """Return some lines and places of it, as views; slices need a start and a step of one."""
         x, y = self.at(np.array(float(lines.start or 0)), np.array(float(places.start or 0)))
         grey, there = self.grey[lines, places], self.there[lines, places]
         return SearchStrip(grey, there, (float(x), float(y)), self.line_um, self.place_um)
 
     def at(self, line: Floats, place: Floats) -> tuple[Floats, Floats]:
-        """Stage x and y of lines and places, whole or not."""
+        """Return stage x and y of lines and places, which may be fractional."""
         (x, y), (lx, ly), (px, py) = self.corner_um, self.line_um, self.place_um
         return x + line * lx + place * px, y + line * ly + place * py
 
     def where(self, x_um: Floats, y_um: Floats) -> tuple[Floats, Floats]:
-        """Lines and places of stage x and y: the inverse of `at`."""
+        """Return lines and places of stage x and y: the inverse of `at`."""
         x, y = x_um - self.corner_um[0], y_um - self.corner_um[1]
         square = self.pixel_um**2
         line, place = ((x * way[0] + y * way[1]) / square for way in (self.line_um, self.place_um))
@@ -77,10 +77,10 @@ class SearchStrip:
 
 
 def read_strip(surface: Mosaic, region: Region, what: str) -> tuple[SearchStrip, int]:
-    """The picture of a region, its search lines along x, and the level it was read at.
+    """Return the image of a region, with search lines along x, and the level it was read at.
 
-    what: as in 'and a kerf width needs'. Raises MeasureError when the region has no area, lies outside, is smaller than
-    16 pixels either way, or has less than half of its area on the picture.
+    what: words of the error message, as in 'and a kerf width needs'. Raises MeasureError when the region has no area,
+    lies outside, is smaller than 16 pixels either way, or has less than half of its area covered by the image.
     """
     require_area(region, "measured")
     level = level_for(surface, region)
@@ -99,14 +99,14 @@ def read_strip(surface: Mosaic, region: Region, what: str) -> tuple[SearchStrip,
 
 
 def strip_of(part: HeightMap) -> SearchStrip:
-    """The picture of a height map, without what no field covers."""
+    """Return the image of a height map, without pixels that no field covers."""
     image = SearchStrip.of(part.all_in_focus, part.pixel_um, part.x0_um, part.y0_um)
     there = part.origin != Origin.NOT_COVERED
     return SearchStrip(image.grey, there, image.corner_um, image.line_um, image.place_um)
 
 
 def require_rectangle(region: Region, what: str) -> None:
-    """Raises MeasureError for another kind of region. what: as in 'A kerf width'."""
+    """Raise MeasureError for another kind of region. what: as in 'A kerf width'."""
     if region.kind != "rectangle":
         raise MeasureError(f"{what} is measured in a rectangle, this region is a {region.kind}: draw a rectangle.")
 

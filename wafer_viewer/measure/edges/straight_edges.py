@@ -1,4 +1,4 @@
-"""Straight edges in a strip of the picture: found, followed from line to line, a line laid through them. Pure."""
+"""Straight edges in a strip: detection, tracking across search lines, line fit. Pure."""
 
 from __future__ import annotations
 
@@ -15,15 +15,15 @@ from wafer_viewer.measure.edges.subpixel_edges import EdgePoints, Responses, edg
 from wafer_viewer.model.errors import MeasureError
 
 AS_STRONG = 0.8
-"""Of the strongest edge: another one that is as strong makes it ambiguous which is meant."""
+"""Strength relative to the strongest edge from which another one makes the result ambiguous."""
 REACH_PX = 8.0
-"""An edge is followed so far from the straight line through it at first."""
+"""Distance from the initial straight line within which an edge is followed."""
 LEAST_FOUND = 0.5
-"""Of the search lines: an edge seen on fewer is none."""
+"""Smallest fraction of the search lines on which an edge is detected."""
 
 
 def edge_points(response: Responses, sign: Sign, scores: EdgeScores, place: int) -> EdgePoints:
-    """The points of the edge through a place of the middle line. Raises MeasureError when too few lines see it."""
+    """Return the points of the edge through a place of the middle line. Raises MeasureError with too few."""
     expected, rising = scores.expected(place), sign * response
     found = edges_near(rising, expected, (REACH_PX, REACH_PX))
     require_found(found, len(response))
@@ -34,7 +34,7 @@ def edge_points(response: Responses, sign: Sign, scores: EdgeScores, place: int)
 
 
 def require_found(found: EdgePoints, n_lines: int) -> None:
-    """Raises MeasureError when an edge is seen on less than half of the search lines."""
+    """Raise MeasureError when an edge is detected on less than half of the search lines."""
     if len(found) < max(LEAST_FOUND * n_lines, 8):
         raise MeasureError(
             f"The edge is seen on {len(found)} of {n_lines} search lines and {100 * LEAST_FOUND:.0f} % are needed: "
@@ -52,12 +52,12 @@ class Found:
 
 
 def no_edge(where: str) -> MeasureError:
-    """What to say where nothing is to be found."""
+    """Return the error for a missing edge."""
     return MeasureError(f"No edge stands out {where}: draw the region over one that the picture shows.")
 
 
 def require_clear(scores: EdgeScores, place: int, where: str) -> None:
-    """Raises MeasureError when nothing stands out at a place, or another edge is about as strong."""
+    """Raise MeasureError when nothing stands out at a place, or another edge is about as strong."""
     if not scores.stands_out(place):
         raise no_edge(where)
     if (rival := scores.besides(place)) > AS_STRONG * scores.best[place]:
@@ -69,16 +69,16 @@ def require_clear(scores: EdgeScores, place: int, where: str) -> None:
 
 
 def fitted(strip: SearchStrip, sign: Sign, scores: EdgeScores, place: int) -> Found:
-    """The edge through a place of the middle line, its points found and a line laid through them."""
+    """Return the edge through a place of the middle line: its points and a line fit."""
     points = edge_points(responses(strip.grey, strip.there), sign, scores, place)
     return Found(sign, points, fit_line(*strip.at(points.line, points.place)))
 
 
 def find_edge(strip: SearchStrip, where: str = "in the region", signs: tuple[Sign, ...] = (1, -1)) -> Found:
-    """The strongest straight edge across the search lines of a strip.
+    """Find the strongest straight edge across the search lines of a strip.
 
-    signs: which way brightness may go. Raises MeasureError where none stands out, another is about as strong, or too
-    few search lines see it.
+    signs: allowed signs of the brightness change. Raises MeasureError where none stands out, another is about as
+    strong, or too few search lines detect it.
     """
     by_sign = {sign: scores_of(strip, sign) for sign in signs}
     sign = max(signs, key=lambda s: by_sign[s].best.max())
@@ -93,9 +93,9 @@ def find_edge(strip: SearchStrip, where: str = "in the region", signs: tuple[Sig
 
 
 def find_edge_any_way(strip: SearchStrip) -> tuple[SearchStrip, Found]:
-    """The strongest straight edge of a strip, upright or level, and the strip whose search lines cross it.
+    """Find the strongest straight edge of a strip, upright or level, and the strip whose search lines cross it.
 
-    Raises MeasureError as `find_edge` does.
+    Raises the same MeasureErrors as `find_edge`.
     """
 
     def strength(one: SearchStrip) -> float:
@@ -106,9 +106,9 @@ def find_edge_any_way(strip: SearchStrip) -> tuple[SearchStrip, Found]:
 
 
 def follow(strip: SearchStrip, sign: Sign, line: EdgeLine) -> Found:
-    """An edge that is known roughly, on every search line of a strip.
+    """Refine an approximately known edge on every search line of a strip.
 
-    Raises MeasureError when too few search lines see it.
+    Raises MeasureError when too few search lines detect it.
     """
     rising = sign * responses(strip.grey, strip.there)
     points = edges_near(rising, expected_on(strip, line), (REACH_PX, REACH_PX))
@@ -117,7 +117,7 @@ def follow(strip: SearchStrip, sign: Sign, line: EdgeLine) -> Found:
 
 
 def expected_on(strip: SearchStrip, line: EdgeLine) -> Floats:
-    """Where a line crosses each search line of a strip."""
+    """Return the crossings of a line with the search lines of a strip."""
     (x0, y0), (x1, y1) = line.at(0.0), line.at(1e3 * strip.pixel_um)
     lines, places = strip.where(np.array([x0, x1]), np.array([y0, y1]))
     slope = (places[1] - places[0]) / (lines[1] - lines[0])

@@ -1,7 +1,7 @@
-"""Where grey values change most steeply along search lines, to a fraction of a pixel. Pure, on arrays.
+"""Subpixel positions of the steepest grey gradients along search lines. Pure, on arrays.
 
-The response to a step is that of the derivative of a Gaussian. Of a step blurred by a Gaussian it is a Gaussian itself,
-whose logarithm is a parabola: through three of its values goes exactly one, and its top is the edge.
+The filter is the derivative of a Gaussian. Its response to a step blurred by a Gaussian is itself a Gaussian, whose
+logarithm is a parabola: three values determine it, and its vertex is the edge.
 """
 
 from __future__ import annotations
@@ -16,23 +16,25 @@ from scipy.ndimage import gaussian_filter1d, maximum_filter1d
 from wafer_viewer.measure.base.height_samples import Floats
 
 SIGMA_PX = 2.0
-"""Standard deviation of the Gaussian whose derivative finds edges."""
+"""Standard deviation of the Gaussian of the edge filter."""
 SEARCH_SIGMA_PX = 4.0
-"""The same while edges are looked for: thin lines count less then than the ragged edge of something large."""
+"""Standard deviation for edge detection, where thin lines must count less than ragged edges of large areas."""
 REACH, REACH_PX = 3.0, 6
-"""So far from it a pixel has a say in the response: in standard deviations, and in pixels."""
+"""Extent of the filter, in standard deviations and in pixels."""
 AS_STEEP = 0.5
-"""Of an edge's typical steepness: what is less steep is no part of the edge."""
+"""Smallest steepness of an edge point relative to the typical steepness of the edge."""
 U_SUBPIXEL_PX = 0.002
-"""Standard uncertainty (k = 1) of an edge for where it lies between two pixels, on steps blurred by 0.7 px or more:
-`tests/measure/edges/test_subpixel_edges.py` looks for a larger one."""
+"""Standard uncertainty (k = 1) of an edge due to its subpixel position, on steps blurred by 0.7 px or more.
+
+`tests/measure/edges/test_subpixel_edges.py` searches for a larger one.
+"""
 MOST_APART = 4
 Responses = NDArray[np.float32]
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class EdgePoints:
-    """Points of an edge, in lines and places of a strip, float64 [n]."""
+    """Points of an edge, in line and place coordinates of a strip, float64 [n]."""
 
     line: Floats
     place: Floats
@@ -44,7 +46,7 @@ class EdgePoints:
 def responses(
     grey: NDArray[np.floating], there: NDArray[np.bool_] | None = None, sigma_px: float = SIGMA_PX
 ) -> Responses:
-    """How grey values rise along search lines, [line, place], grey values a pixel; 0 where pixels are missing."""
+    """Return the gradient along search lines, [line, place], grey values per pixel; 0 near missing pixels."""
     found: Responses = np.zeros(grey.shape, np.float32)
     gaussian_filter1d(grey.astype(np.float32), sigma_px, axis=1, order=1, output=found, mode="nearest", truncate=4.0)
     if there is not None and not there.all():
@@ -56,7 +58,7 @@ def responses(
 
 
 def peaks(rising: Responses) -> NDArray[np.bool_]:
-    """Where a response is higher than beside it, [line, place]."""
+    """Return the mask of local maxima along search lines, [line, place]."""
     found = np.zeros(rising.shape, bool)
     middle = rising[:, 1:-1]
     found[:, 1:-1] = (middle > 0) & (middle > rising[:, :-2]) & (middle >= rising[:, 2:])
@@ -64,9 +66,9 @@ def peaks(rising: Responses) -> NDArray[np.bool_]:
 
 
 def between_pixels(rising: Responses, line: NDArray[np.intp], place: NDArray[np.intp]) -> Floats:
-    """The places of the peaks of one edge to a fraction of a pixel, float64 [n].
+    """Return the subpixel places of the peaks of one edge, float64 [n].
 
-    The wider the edge, the further apart are the values that the parabola goes through, so that noise counts less.
+    For wider edges, the values that determine the parabola are further apart, which reduces the effect of noise.
     """
     apart = _apart(rising, line, place)
     before, top, after = _logarithms(rising, line, place, apart)
@@ -76,7 +78,7 @@ def between_pixels(rising: Responses, line: NDArray[np.intp], place: NDArray[np.
 
 
 def _apart(rising: Responses, line: NDArray[np.intp], place: NDArray[np.intp]) -> int:
-    """About the standard deviation of the response, whole pixels."""
+    """Return approximately the standard deviation of the response, in integer pixels."""
     if not len(line):
         return 1
     before, top, after = (float(np.median(values)) for values in _logarithms(rising, line, place, 1))
@@ -93,9 +95,9 @@ def _logarithms(rising: Responses, line: NDArray[np.intp], place: NDArray[np.int
 def edges_near(
     rising: Responses, expected: Floats, reach: tuple[float, float], choose: Literal["nearest", "steepest"] = "steepest"
 ) -> EdgePoints:
-    """On each line one edge near to where it is expected, of those that are steep enough.
+    """Return one sufficiently steep edge point per line, near its expected place.
 
-    expected: a place on each line; reach: how far before and behind it is looked. Lines without an edge are left out.
+    expected: a place on each line; reach: search distance before and behind it. Lines without an edge are left out.
     """
     place = np.arange(rising.shape[1])[None, :]
     away = place - expected[:, None]
@@ -108,7 +110,7 @@ def edges_near(
 
 
 def typical(rising: Responses, expected: Floats) -> float:
-    """How steep an edge is near where it is expected: the median over the lines."""
+    """Return the steepness of an edge near its expected place: median over the lines."""
     near = np.round(expected).astype(np.intp)[:, None] + np.arange(-REACH_PX // 2, REACH_PX // 2 + 1)[None, :]
     inside = np.clip(near, 0, rising.shape[1] - 1)
     return max(float(np.median(np.take_along_axis(rising, inside, axis=1).max(axis=1))), 1e-6)

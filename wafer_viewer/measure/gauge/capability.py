@@ -1,4 +1,4 @@
-"""Capability of the gauge: Cg and Cgk of repeats on one pair of blocks, against the product's tolerance."""
+"""Gauge capability: Cg and Cgk of repeats on one pair of gauge blocks, against the product's tolerance."""
 
 from __future__ import annotations
 
@@ -8,14 +8,14 @@ from statistics import fmean, stdev
 from wafer_viewer.model.gauge.run_chart import Capability
 
 LEAST_REPEATS = 25
-"""Fewer give no verdict; each is a new scan."""
+"""Smallest number of repeats for a verdict; each is a new scan."""
 LEAST = 1.33
-"""Of Cg and of Cgk."""
+"""Lower limit of Cg and of Cgk."""
 VARIANT = "Cg = 0.2 T / (6 s), Cgk = (0.1 T - |mean error|) / (3 s), both >= 1.33 over 25 repeats"
 
 
 def capability(errors_um: Sequence[float], tolerance_um: float) -> Capability:
-    """Cg and Cgk of the errors of single scans, for a product's tolerance T (upper limit less lower)."""
+    """Return Cg and Cgk from errors of single scans, for a product's tolerance T (upper less lower limit)."""
     n = len(errors_um)
     mean_um = fmean(errors_um) if n else 0.0
     s_um = stdev(errors_um) if n > 1 else None

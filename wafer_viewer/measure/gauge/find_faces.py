@@ -1,7 +1,7 @@
-"""The two faces of a pair of gauge blocks, found by themselves: plane search in a thinned cloud, then a square on each.
+"""Automatic detection of the two faces of a gauge-block pair: plane search in a thinned cloud, then a square on each.
 
-The planes are those that most points lie on (RANSAC, Open3D). A square goes where all round it is its own face: off the
-border of what was seen, off the joint by as far as a wall of that height shades the lower face.
+The planes are those with the most points (RANSAC, Open3D). A square is placed where it is surrounded by its own face:
+away from the border of the scan, and away from the joint by the distance that a wall of that height shades.
 """
 
 from __future__ import annotations
@@ -14,49 +14,50 @@ import numpy as np
 from numpy.typing import NDArray
 
 from wafer_viewer.measure.base.height_samples import Floats, HeightSamples, Layer, height_window, layer_of
-from wafer_viewer.measure.base.robust_plane import SIGMA_OF_MAD, LevelPlane, fit_plane
+from wafer_viewer.measure.base.robust_plane import SIGMA_OF_MAD, fit_plane
+from wafer_viewer.measure.base.robust_plane import LevelPlane
 from wafer_viewer.model.errors import MeasureError
 from wafer_viewer.model.region import Region
 from wafer_viewer.model.surface.height_map import Heights, Mosaic
 
 SIZE_PX = 800
-"""Side of the areas that the paper measures its blocks on."""
+"""Side of the areas on which the paper measures its blocks."""
 LATTICE = 250_000
-"""Points of the surface that are looked at, at most."""
+"""Largest number of surface points used."""
 CLOUD = 20_000
-"""Points that planes are searched in, at most."""
+"""Largest number of points for the plane search."""
 LEAST_POINTS = 500
 LEAST_SHARE = 0.08
-"""Of the measured points: fewer are no face."""
+"""Smallest fraction of the measured points that forms a face."""
 MOST_PLANES = 3
 MOST_TILT = 0.02
-"""Between faces that count as parallel, um per um: wrung blocks lie within a hundredth of it."""
+"""Largest tilt between parallel faces, um per um; wrung blocks are within a hundredth of it."""
 SEARCH_SIGMAS, WITHIN_SIGMAS = 3.0, 5.0
-"""Points so many robust deviations off a plane do not belong to it: while it is searched, and once it is found."""
+"""Inlier bands of a plane in robust deviations: during the search, and for the final plane."""
 LEAST_NOISE_UM = 0.01
 TRIES = 1000
 LAGS = 16
-"""Noise is told from heights that lie this share of the surface's width apart."""
+"""The lag for the noise estimate is the surface's width divided by this."""
 SHADE = 0.3
-"""A wall shades the face at its foot as far as so many times its height: the tangent of an aperture of 0.28."""
+"""Shaded distance at the foot of a wall relative to its height: tangent for an aperture of 0.28."""
 RIM = 0.25
-"""Of that, what the upper face keeps off its own rim."""
+"""Distance of the upper square from its face's rim, relative to the shaded distance."""
 TIGHT = 0.9
-"""Of the room that there is, what a square takes at most."""
+"""Largest fraction of the available room that a square takes."""
 WHOLE_PX = 10
-"""A square that has to be made smaller is so many pixels wide, or a multiple."""
+"""Step, in pixels, to which the side of a reduced square is rounded."""
 ROUND_ABOUT = 9
-"""Pixels of the lattice of which most have to lie on a face."""
+"""Window, in lattice pixels, in which the majority must lie on a face."""
 SMALLEST_PX = 50
 SEED = 0
 STEEP = 0.5
-"""A plane whose normal is tilted so far (its z component) is no face that a microscope sees."""
+"""Smallest z component of a plane's normal for a visible face."""
 Mask = NDArray[np.bool_]
 Place = NDArray[np.float64]
 
 
 class FoundFaces(NamedTuple):
-    """A square on the upper face and one on the lower, and what to say of them."""
+    """A square on the upper face and one on the lower, with notes."""
 
     upper: Region
     lower: Region
@@ -64,7 +65,7 @@ class FoundFaces(NamedTuple):
 
 
 class SeenFace(NamedTuple):
-    """The surface on a coarse lattice, heights float64 [row, col], and the points of it that were measured, [n, 3]."""
+    """The surface on a coarse lattice, heights float64 [row, col], and its measured points, [n, 3]."""
 
     z_um: Floats
     x_um: Floats
@@ -73,22 +74,53 @@ class SeenFace(NamedTuple):
 
     @property
     def pixel_um(self) -> float:
-        """Of the lattice."""
+        """Pixel pitch of the lattice."""
         return float(self.x_um[1] - self.x_um[0])
 
 
 class FacePlane(NamedTuple):
-    """A plane, and how far off it a point still belongs to it."""
+    """A plane and the half-width of its inlier band."""
 
     fitted: LevelPlane
     band_um: float
 
 
 def find_faces(surface: Mosaic, *, size_px: float = SIZE_PX, layer: Layer | None = None) -> FoundFaces:
-    """A square of `size_px` pixels on each of the two parallel faces of a surface, the higher one first.
+    """Find a square on each of the two parallel faces of a surface.
 
-    Squares are made smaller, with a note, where a face is too small for them. Raises MeasureError when there are not
-    exactly two parallel faces, or one has no room for a square of 50 pixels.
+    Planes are searched in a thinned cloud of the measured points (RANSAC, Open3D). A square is placed where it is
+    surrounded by its own face: away from the border of the scan, and away from the joint by the distance that a wall of
+    that height shades. The two squares are close to each other, centred along the joint.
+
+    Parameters
+    ----------
+    surface : Mosaic
+        The scan of a gauge-block pair, or another surface with two parallel faces.
+    size_px : float, default 800
+        Side of each square in pixels of the surface. The paper measures its blocks on areas of 800 px.
+    layer : {"unsmoothed", "smoothed", "filled"}, optional
+        Height layer to search. By default the one that the recipe of the surface measures on.
+
+    Returns
+    -------
+    FoundFaces
+        `upper` and `lower`: a square on the higher face and one on the lower, rectangles in stage um. `notes`: says so
+        if the squares were reduced because a face is too small for them; the side of reduced squares is a multiple of
+        10 px.
+
+    Raises
+    ------
+    MeasureError
+        If too little of the surface is measured, the surface does not have exactly two faces, the faces differ in tilt
+        by more than 20 mrad, one has no room for a square of 50 pixels, or Open3D cannot be loaded.
+
+    Notes
+    -----
+    A face holds at least 8 % of the measured points. The search has a fixed random seed.
+
+    References
+    ----------
+    M. A. Fischler and R. C. Bolles, Random sample consensus, Commun. ACM 24 (1981) 381.
     """
     seen = _seen(surface, layer_of(surface.provenance.recipe, layer))
     middle = float(seen.x_um.mean()), float(seen.y_um.mean())
@@ -149,7 +181,7 @@ def _two_parallel(seen: SeenFace) -> tuple[FacePlane, FacePlane]:
 
 
 def _planes(seen: SeenFace) -> list[FacePlane]:
-    """Up to three planes, those with the most points first; each takes its points away from the next."""
+    """Return up to three planes in order of their number of points; each removes its points from the search."""
     left, found = seen.points, list[FacePlane]()
     least = LEAST_SHARE * len(seen.points)
     while len(left) >= least and len(found) < MOST_PLANES:
@@ -167,7 +199,7 @@ def _planes(seen: SeenFace) -> list[FacePlane]:
 
 
 def _searched(points: Floats, noise_um: float) -> FacePlane:
-    """The plane that most points lie on, then fitted to those that do."""
+    """Find the plane with the most points, then fit it to them."""
     open3d = _open3d()
     open3d.utility.random.seed(SEED)
     some = points[:: max(1, len(points) // CLOUD)]
@@ -187,21 +219,21 @@ def _searched(points: Floats, noise_um: float) -> FacePlane:
 
 
 def _noise_um(z_um: Floats) -> float:
-    """Robust deviation of heights, from how far those differ that lie too far apart to err alike, tilt apart."""
+    """Return the robust deviation of heights from detrended differences at a lag beyond the error correlation."""
     lag = max(1, z_um.shape[1] // LAGS)
     differ = z_um[:, lag:] - z_um[:, :-lag]
     return max(LEAST_NOISE_UM, SIGMA_OF_MAD / math.sqrt(2) * float(np.nanmedian(np.abs(differ - np.nanmedian(differ)))))
 
 
 def _room_um(seen: SeenFace, own: FacePlane, other: FacePlane, shade_um: float) -> Floats:
-    """Half the side of the largest square about each pixel with nothing but its own face, out of the wall's shade."""
+    """Return half the side of the largest square about each pixel on its own face and out of the wall's shade."""
     free, wall = (_on(seen, plane) for plane in (own, other))
     to_end_um, to_wall_um = seen.pixel_um * _distance(free, beyond=False), seen.pixel_um * _distance(~wall, beyond=True)
     return np.minimum(to_end_um, to_wall_um - shade_um)
 
 
 def _on(seen: SeenFace, plane: FacePlane) -> Mask:
-    """Where most pixels round about lie on a plane: single holes do not count."""
+    """Return the mask of pixels whose neighbourhood lies mostly on a plane; single holes are ignored."""
     from scipy.ndimage import uniform_filter
 
     z_um = plane.fitted.at(seen.x_um[None, :], seen.y_um[:, None])
@@ -210,7 +242,7 @@ def _on(seen: SeenFace, plane: FacePlane) -> Mask:
 
 
 def _distance(mask: Mask, *, beyond: bool) -> Floats:
-    """Pixels to the nearest outside of the mask, along rows or columns, whichever is more; beyond: is the end in it?"""
+    """Return the chessboard distance in px to the nearest pixel off the mask; beyond: the mask continues outside."""
     from scipy.ndimage import distance_transform_cdt
 
     inside = distance_transform_cdt(np.pad(mask, 1, constant_values=beyond), metric="chessboard")
@@ -218,7 +250,7 @@ def _distance(mask: Mask, *, beyond: bool) -> Floats:
 
 
 def _nearest_pair(seen: SeenFace, upper: Mask, lower: Mask) -> tuple[Place, Place]:
-    """The places for both squares that lie nearest together, in the middle along the joint: a short lever."""
+    """Return the closest pair of places for both squares, centred along the joint: a short lever arm."""
     above, below = (np.stack([seen.x_um[c], seen.y_um[r]], 1) for r, c in (np.nonzero(m) for m in (upper, lower)))
     at = above.mean(axis=0)
     for places in (below, above, below, above):
@@ -238,7 +270,7 @@ def _note(side_px: float, size_px: float) -> tuple[str, ...]:
 
 
 def _open3d() -> Any:
-    """Imported where it is used: it takes long, and fails on a bare machine."""
+    """Import Open3D on first use: the import is slow, and fails on a bare machine."""
     try:
         return importlib.import_module("open3d")
     except (ImportError, OSError) as fault:

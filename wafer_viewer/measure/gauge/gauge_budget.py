@@ -1,4 +1,4 @@
-"""The budget of a gauge-block check: what each line is, of what it is, and what is not in it."""
+"""Uncertainty budget of a gauge-block check: its lines, their roles, and what it omits."""
 
 from __future__ import annotations
 
@@ -14,14 +14,14 @@ from wafer_viewer.model.quantity import Contribution, Length
 OF_THE_SCALE = (Z_SCALE, LINEARITY, ABBE)
 """Lines of a step's budget that are errors of the instrument's scale."""
 COVERED = 0.97725
-"""The probability up to the upper end of a two-sided interval with k = 2."""
+"""Cumulative probability at the upper end of a two-sided interval with k = 2."""
 ODD = 0.99
-"""A scatter that pooled earlier ones would exceed less often than by the rest of this counts alone."""
+"""Confidence level of the variance-ratio test; a scatter that fails it is not pooled with earlier ones."""
 
 
 @dataclass(frozen=True, slots=True)
 class KnownTerms:
-    """The standard deviation of single scans that earlier checks found, and its degrees of freedom."""
+    """Standard deviation of single scans from earlier checks, and its degrees of freedom."""
 
     s_um: float
     freedom: int
@@ -30,7 +30,7 @@ class KnownTerms:
 def budget_of(
     repeats: Sequence[GaugeRepeat], certificate: Certificate, terms: GaugeTerms, known: KnownTerms | None
 ) -> tuple[GaugeLine, ...]:
-    """The lines, standard uncertainties (k = 1); empty where a repeat has no uncertainty."""
+    """Return the budget lines, standard uncertainties (k = 1); empty where a repeat has no uncertainty."""
     if any(not repeat.height.budget for repeat in repeats):
         return ()
     lines = [*_of_scans(repeats), *_of_repeats(repeats, known), *_of_reference(certificate, terms)]
@@ -38,20 +38,20 @@ def budget_of(
 
 
 def length_of(value_um: float, lines: Sequence[GaugeLine], *roles: Role) -> Length:
-    """A length with the lines of some roles as its budget; no U where there are none."""
+    """Return a length with the lines of some roles as its budget; without U where there are none."""
     budget = tuple(Contribution(name=line.name, u_um=line.u_um) for line in lines if line.of in roles)
     return Length.evaluated(value_um, budget) if budget else Length(value_um=value_um)
 
 
 def reference_at(certificate: Certificate, terms: GaugeTerms) -> float:
-    """The certified step, um, at the temperature of the blocks; at 20 C where that is not known."""
+    """Return the certified step, um, at the temperature of the blocks, or as certified if that is unknown."""
     return certificate.step.value_um * (1 + certificate.expansion_per_k * _warmer_k(certificate, terms))
 
 
 def not_evaluated(
     repeats: Sequence[GaugeRepeat], certificate: Certificate, terms: GaugeTerms, lines: Sequence[GaugeLine]
 ) -> tuple[str, ...]:
-    """What the budget leaves out, a phrase each."""
+    """Return the contributions missing from the budget, a phrase each."""
     of_steps = dict.fromkeys(name for repeat in repeats for name in repeat.not_evaluated)
     missing = {
         **{name: name not in (REPEATABILITY, TEMPERATURE) for name in of_steps},
@@ -72,9 +72,10 @@ def student(freedom: int) -> float:
 
 
 def _of_scans(repeats: Sequence[GaugeRepeat]) -> list[tuple[str, float, Role]]:
-    """Root mean squares over the repeats of each line that one scan has.
+    """Return the root mean square over the repeats of each line of a single scan.
 
-    They are not divided by the number of scans: form of the faces, poses and interpolation may err alike in each.
+    They are not divided by the number of scans: form of the faces, poses and interpolation may have the same error in
+    each.
     """
     names = dict.fromkeys(line.name for repeat in repeats for line in repeat.height.budget)
     return [(name, _rms(repeats, name), "scale" if name in OF_THE_SCALE else "measurement") for name in names]
@@ -86,7 +87,7 @@ def _rms(repeats: Sequence[GaugeRepeat], name: str) -> float:
 
 
 def _of_repeats(repeats: Sequence[GaugeRepeat], known: KnownTerms | None) -> list[tuple[str, float, Role]]:
-    """s / sqrt(n), widened by Student's t so that an expansion by k = 2 still covers 95 % with few scans."""
+    """Return s / sqrt(n), widened by Student's t so that k = 2 still covers 95 % with few scans."""
     n = len(repeats)
     own = KnownTerms(stdev(repeat.height.value_um for repeat in repeats), n - 1) if n > 1 else None
     pooled = _pooled(own, known)
@@ -116,10 +117,10 @@ def _of_reference(certificate: Certificate, terms: GaugeTerms) -> list[tuple[str
 
 
 def _u_of_variation(variation_um: float) -> float:
-    """Of the difference of two blocks, each measured at its edge and certified in its middle.
+    """Return the standard uncertainty of the difference of two blocks, certified at the centre, measured at the edge.
 
-    A length varies by v over the face, and where within v the middle lies is not known: its difference from the edge
-    has a triangular distribution over +-v, with v / sqrt(6).
+    A length varies by v over the face, and the centre's value within v is unknown. Its difference from the edge has a
+    triangular distribution over +-v, with v / sqrt(6).
     """
     return math.sqrt(2) * variation_um / math.sqrt(6)
 

@@ -1,9 +1,9 @@
 """Checks against certified gauge blocks: repeats, the error of their mean with its U, En, and the verdict.
 
-U of x holds the z scale and what scans are unsure of, and nothing of the certificate; U of the reference holds the
-certificate, the variation in length and the temperature of the blocks. En = (x - ref) / sqrt(U_x^2 + U_ref^2) judges
-what is claimed for x. The verdict judges the error by the guard band of ISO 14253-1; U of the error leaves the lines of
-the z scale out, for errors of the scale are what is looked for (ISO 14253-5).
+U of x comprises the z scale and the uncertainty of the scans, without the certificate. U of the reference comprises the
+certificate, the variation in length and the temperature of the blocks. En = (x - ref) / sqrt(U_x^2 + U_ref^2) tests the
+uncertainty claimed for x. The verdict applies the guard band of ISO 14253-1 to the error. U of the error omits the
+lines of the z scale, because errors of the scale are what the check tests (ISO 14253-5).
 """
 
 from __future__ import annotations
@@ -26,7 +26,7 @@ from wafer_viewer.model.spec import encode
 from wafer_viewer.model.surface.height_map import Mosaic
 
 FAR_FRACTION, FAR_UM = 0.02, 1.0
-"""From the nominal step by more than both: other blocks."""
+"""Deviations from the nominal step, relative and in um; beyond both, the blocks are other ones."""
 
 
 def gauge_repeat(
@@ -39,7 +39,36 @@ def gauge_repeat(
     show: int = 0,
     calibration_valid: bool = True,
 ) -> GaugeRepeat:
-    """The step between two faces in one scan of the blocks. Raises MeasureError where `step_height` does."""
+    """Measure the step between two faces in one scan of the gauge blocks.
+
+    Parameters
+    ----------
+    surface : Mosaic
+        The scan of the blocks.
+    upper, lower : Region
+        Region on the upper face and region on the lower face, stage um.
+    dataset : str
+        Name of the dataset of the scan.
+    taken : str, default ""
+        Time of the scan; with the name of the dataset it identifies the scan. Empty: not known.
+    show : int, default 0
+        0 for the stitched surface, else the number of the field that was measured.
+    calibration_valid : bool, default True
+        False: the height has the status "uncalibrated" and no uncertainty, as without a calibration.
+
+    Returns
+    -------
+    GaugeRepeat
+        The height of `upper` over `lower` in um with its expanded uncertainty (k = 2), its definition, the
+        contributions that were not evaluated, the calibration and a mark of the frames of the surface.
+
+    Raises
+    ------
+    MeasureError
+        As `step_height`: if a region is a line or a point, lies outside the surface, has fewer than 200 measured points
+        or less than half of its area measured, overlaps the other, or its points do not determine a plane. Also if the
+        upper region is below the lower one.
+    """
     found = step_height(surface, upper, lower, calibration_valid=calibration_valid)
     if found.height.value_um < 0:
         raise MeasureError(
@@ -61,7 +90,7 @@ def gauge_repeat(
 
 
 def frames_mark(surface: Mosaic) -> str:
-    """What frames a surface was made of; where that is not known, what is known of it."""
+    """Return a hash that identifies the frames of a surface, or its provenance where they are unknown."""
     about = surface.provenance
     return (about.input_checksum or hashlib.sha256(encode(about, "json").encode()).hexdigest())[:16]
 
@@ -73,10 +102,52 @@ def gauge_check(
     *,
     known: KnownTerms | None = None,
 ) -> GaugeCheck:
-    """What repeats say of the instrument; known: the deviation of single scans in earlier checks, pooled with theirs.
+    """Evaluate repeats of a gauge-block measurement against a certificate.
 
-    Raises MeasureError without a repeat, where one is no repeat of the others, or where the blocks are not those of
-    the certificate. Whether there can be a check at all is `refusal`'s to say.
+    The error is the mean of the repeats minus the certified step at the temperature of the blocks. `refusal` decides
+    beforehand if a check is possible.
+
+    Parameters
+    ----------
+    repeats : sequence of GaugeRepeat
+        The step in one or more scans of the blocks, in order; all scans differ and have the same calibration.
+    certificate : Certificate
+        Certified step, or two certified blocks, with U (k = 2).
+    terms : GaugeTerms, optional
+        Largest permitted error in um, and temperature of the blocks in degrees Celsius. What is not given is not
+        evaluated: without a limit there is no verdict.
+    known : KnownTerms, optional
+        Scatter of single scans in earlier checks: standard deviation in um and degrees of freedom. It is pooled with
+        the scatter of the repeats, unless theirs is significantly larger (variance-ratio test at 99 %). By default the
+        scatter of the repeats alone counts.
+
+    Returns
+    -------
+    GaugeCheck
+        Mean (`height`), `reference` and error (`deviation`) in um with their expanded uncertainties (k = 2), standard
+        deviation and range of two or more repeats, En, verdict with its reason, budget lines, and the contributions
+        that were not evaluated. Regions and field number are those of the last repeat. If a repeat has no uncertainty,
+        neither has the check: En is None and the verdict "no verdict".
+
+    Raises
+    ------
+    MeasureError
+        If there is no repeat; one is no repeat of the others, because it is of the same scan or was made with another
+        calibration; or the blocks are not those of the certificate: the mean is off the nominal step by more than 1 um
+        and by more than 2 %.
+
+    Notes
+    -----
+    U of the mean comprises the z scale and the uncertainty of the scans, without the certificate. U of the reference
+    comprises the certificate, the variation in length and the temperature of the blocks. En = (x - ref) / sqrt(U_x^2 +
+    U_ref^2) tests the uncertainty claimed for x. The verdict applies the guard band of ISO 14253-1 to the error: pass
+    where all of error +- U lies within +- the limit, fail where none of it does. U of the error omits the lines of the
+    z scale, because errors of the scale are what the check tests (ISO 14253-5).
+
+    References
+    ----------
+    ISO 14253-1 (guard band), ISO 14253-5 (uncertainty in verification testing), ISO 13528 (En), ISO 3650 (gauge
+    blocks).
     """
     _require_repeats(repeats)
     heights = [repeat.height.value_um for repeat in repeats]
@@ -112,7 +183,7 @@ def gauge_check(
 
 
 def en(x: Length, reference: Length) -> float | None:
-    """(x - ref) / sqrt(U_x^2 + U_ref^2), ISO 13528; None where a U is missing or both are 0."""
+    """Return the En number, (x - ref) / sqrt(U_x^2 + U_ref^2), ISO 13528; None where a U is missing or both are 0."""
     if x.expanded_um is None or reference.expanded_um is None:
         return None
     expanded_um = math.hypot(x.expanded_um, reference.expanded_um)
@@ -120,7 +191,7 @@ def en(x: Length, reference: Length) -> float | None:
 
 
 def judged(deviation: Length, limit_um: float | None) -> tuple[Word, str]:
-    """The word on an error against the largest allowed, and the sentence that says why.
+    """Return the verdict on an error against its limit, and the reason.
 
     Guard band (ISO 14253-1): pass where all of error ± U lies within ± the limit, fail where none of it does.
     """
@@ -139,9 +210,9 @@ def judged(deviation: Length, limit_um: float | None) -> tuple[Word, str]:
 
 
 def refusal(certificate: Certificate, calibration: Calibration | None, problem: str | None, day: str) -> str | None:
-    """Why a scan cannot be checked against a certificate, one sentence, or None.
+    """Return the reason that a scan cannot be checked against a certificate, one sentence, or None.
 
-    problem: why its lengths are uncalibrated, or None; day: of the measurement, ISO 8601.
+    problem: reason that its lengths are uncalibrated, or None; day: of the measurement, ISO 8601.
     """
     if problem is not None or calibration is None:
         return f"There is no check without a calibration: {problem or 'the scan has none'}."
@@ -159,7 +230,7 @@ def refusal(certificate: Certificate, calibration: Calibration | None, problem: 
 
 
 def set_the_scale(serials: Iterable[str], calibration: Calibration) -> tuple[str, ...]:
-    """Those of some blocks that a calibration was made against, by their serial numbers."""
+    """Return the serial numbers of blocks against which a calibration was made."""
     words = re.split(r"[\s,;:()]+", calibration.against)
     standards = {word.strip(".").casefold() for word in (*words, *calibration.z_against)}
     return tuple(serial for serial in serials if serial.casefold() in standards)

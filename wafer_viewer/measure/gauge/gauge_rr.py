@@ -1,4 +1,4 @@
-"""Gauge R&R by the Automotive Industry Action Group's MSA manual: by analysis of variance, and by average and range."""
+"""Gauge R&R by the AIAG MSA manual: analysis of variance, and average and range method."""
 
 from __future__ import annotations
 
@@ -12,36 +12,121 @@ from wafer_viewer.model.errors import MeasureError
 from wafer_viewer.model.gauge.gauge_rr import GaugeRR, Method, Repeats, Study
 
 Values = NDArray[np.float64]
-"""[part, appraiser, trial]."""
+"""Measured values, [part, appraiser, trial]."""
 ALPHA = 0.05
-"""An interaction whose p value is larger counts as chance, and is pooled into repeatability."""
+"""Significance level of the interaction; above it, the interaction is pooled into repeatability."""
 K_OF_TRIALS = {2: 0.8862, 3: 0.5908, 4: 0.4857, 5: 0.4299}
-"""1 / d2: from the mean range of so many trials to their standard deviation."""
+"""1 / d2 by number of trials: factor from their mean range to their standard deviation."""
 K_OF_MEANS = {2: 0.7071, 3: 0.5231, 4: 0.4467, 5: 0.4030, 6: 0.3742, 7: 0.3534, 8: 0.3375, 9: 0.3249, 10: 0.3146}
-"""1 / d2* of one range: from the range of so many appraisers' or parts' means to their standard deviation."""
+"""1 / d2* of one range, by number of appraisers or parts: factor from the range of means to their deviation."""
 ONE_APPRAISER = "One appraiser: reproducibility is not evaluated."
 
 
 def gauge_rr(values: ArrayLike, *, method: Method = "anova", tolerance: float | None = None) -> GaugeRR:
-    """How much of the spread of repeated measurements is the gauge's.
+    """Evaluate a gauge R&R study.
 
-    values: [part, appraiser, trial], every part measured equally often by everyone. tolerance: upper limit less lower,
-    in the unit of the values. Raises MeasureError for fewer than two parts or trials, for missing values, and by range
-    for more parts, appraisers or trials than the manual's tables have. Source: AIAG MSA, 4th edition, chapter III B.
+    The study separates repeatability, reproducibility and part variation.
+
+    Parameters
+    ----------
+    values : array_like of float, shape (parts, appraisers, trials)
+        Measured values in any one unit, every part measured equally often by every appraiser.
+    method : {"anova", "range"}, default "anova"
+        Analysis of variance, or the average and range method.
+    tolerance : float, optional
+        Upper limit minus lower limit, in the unit of `values`, above 0. By default the study is not related to a
+        tolerance.
+
+    Returns
+    -------
+    GaugeRR
+        Standard deviations in the unit of `values`: repeatability, reproducibility, both combined (`gauge_rr`), part
+        variation and total variation. `interaction` is the p value of the interaction of appraisers and parts, None by
+        range or where there is none to test.
+
+    Raises
+    ------
+    MeasureError
+        If `values` does not have three axes; there are fewer than two parts, one appraiser or two trials; a value is
+        missing; the tolerance is not above 0; or, by range, there are more parts (10), appraisers (10) or trials (5)
+        than the tables of the manual have.
+    ValueError
+        If `values` is no regular array of numbers.
+    KeyError
+        If `method` is neither of the two.
+
+    Notes
+    -----
+    By analysis of variance, an interaction that is not significant at the level of 0.05 is pooled into repeatability,
+    and a significant one counts as reproducibility. With one appraiser reproducibility is not evaluated: it is 0, with
+    a note.
+
+    References
+    ----------
+    AIAG, Measurement Systems Analysis (MSA), 4th edition, chapter III B.
     """
     x = _checked(values)
     return _METHODS[method](x, tolerance)
 
 
 def study_rr(study: Study, method: Method = "anova") -> GaugeRR:
-    """Gauge R&R of a study, with the feature's tolerance. Raises MeasureError as `gauge_rr` does."""
+    """Evaluate a gauge R&R study, with the tolerance of its feature.
+
+    Parameters
+    ----------
+    study : Study
+        Repeated measurements of one feature, [part][appraiser][trial] in the unit of the study.
+    method : {"anova", "range"}, default "anova"
+        Analysis of variance, or the average and range method.
+
+    Returns
+    -------
+    GaugeRR
+        Standard deviations in the unit of the study; see `gauge_rr`.
+
+    Raises
+    ------
+    MeasureError
+        As `gauge_rr`: if there are fewer than two parts, one appraiser or two trials, a value is missing, or, by range,
+        there are more parts, appraisers or trials than the tables of the manual have.
+    ValueError
+        If the parts were not measured equally often.
+    KeyError
+        If `method` is neither of the two.
+
+    References
+    ----------
+    AIAG, Measurement Systems Analysis (MSA), 4th edition, chapter III B.
+    """
     return gauge_rr(np.array(study.values), method=method, tolerance=study.tolerance)
 
 
 def repeats_of(study: Study) -> Repeats:
-    """How well a feature repeats: for the line of a budget. A single part measured twice is enough.
+    """Return the repeatability of a feature, for a budget line.
 
-    Raises MeasureError where nothing was measured twice.
+    A single part measured twice is enough.
+
+    Parameters
+    ----------
+    study : Study
+        Repeated measurements of one feature, [part][appraiser][trial] in the unit of the study.
+
+    Returns
+    -------
+    Repeats
+        Standard deviation of a single measurement in the unit of the study, pooled over parts and appraisers, and its
+        degrees of freedom: parts x appraisers x (trials - 1).
+
+    Raises
+    ------
+    MeasureError
+        If nothing was measured twice.
+    ValueError
+        If the parts were not measured equally often.
+
+    References
+    ----------
+    JCGM 100:2008 (GUM), 4.2: Type A evaluation of standard uncertainty.
     """
     x = np.asarray(study.values, float)
     df = x.shape[0] * x.shape[1] * (x.shape[2] - 1)
@@ -121,7 +206,7 @@ def _found(
 
 
 def _chance(together: float, df_together: int, within: float, df_within: int) -> float | None:
-    """The p value of the interaction; None where there is none to test."""
+    """Return the p value of the interaction; None where there is none to test."""
     if df_together == 0 or within == 0:
         return None
     return float(stats.f.sf((together / df_together) / (within / df_within), df_together, df_within))

@@ -1,4 +1,4 @@
-"""The run chart of gauge-block checks: control limits by moving ranges, rules that warn, drift over the days."""
+"""Run chart of gauge-block checks: control limits from moving ranges, warning rules, drift over days."""
 
 from __future__ import annotations
 
@@ -18,18 +18,19 @@ from wafer_viewer.model.quantity import Contribution, Length
 D2 = 1.128
 """Mean range of two normal values, in standard deviations."""
 LEAST_FOR_LIMITS = 5
-"""With fewer points limits would say little."""
+"""Smallest number of points for control limits."""
 RUN = 8
-"""So many in a row on one side of the mean are more than chance (ISO 7870-2)."""
+"""Length of a run on one side of the mean that triggers a warning (ISO 7870-2)."""
 OUTSIDE, ONE_SIDE = "outside the control limits", f"{RUN} in a row on one side of the mean"
 LEAST_FREEDOM = 4
-"""Of a pooled scatter that is taken as known."""
+"""Smallest degrees of freedom of a pooled scatter."""
 
 
 def run_chart(records: Sequence[GaugeRecord]) -> RunChart | None:
-    """The individuals chart of the errors in signed checks of one pair of blocks, oldest first; None without any.
+    """Return the individuals chart of the errors in signed checks of one pair of blocks, oldest first; None if empty.
 
-    Checks from before the z scale was last changed are of another instrument, so to say, and left out.
+    Checks from before the last change of the z scale are omitted, because they describe another state of the
+    instrument.
     """
     checks = same_scale(records)
     if not checks:
@@ -63,13 +64,13 @@ def run_chart(records: Sequence[GaugeRecord]) -> RunChart | None:
 
 
 def same_scale(records: Sequence[GaugeRecord]) -> list[GaugeCheck]:
-    """The checks that were made with the z scale of the last one, oldest first."""
+    """Return the checks made with the z scale of the last one, oldest first."""
     checks = sorted((record.check for record in records), key=lambda check: check.at)
     return [check for check in checks if _scale(check) == _scale(checks[-1])]
 
 
 def pooled_scatter(records: Sequence[GaugeRecord]) -> KnownTerms | None:
-    """The deviation of single scans within checks, pooled; None with fewer than four degrees of freedom."""
+    """Return the pooled within-check deviation of single scans; None with under four degrees of freedom."""
     groups = [[r.height.value_um for r in check.repeats] for check in same_scale(records) if check.n > 1]
     freedom = sum(len(group) - 1 for group in groups)
     if freedom < LEAST_FREEDOM:
@@ -78,12 +79,12 @@ def pooled_scatter(records: Sequence[GaugeRecord]) -> KnownTerms | None:
 
 
 def errors_of_scans(checks: Iterable[GaugeCheck]) -> list[float]:
-    """The error of every single scan, um: what capability is judged by."""
+    """Return the error of every single scan, um, for the capability study."""
     return [repeat.height.value_um - check.reference.value_um for check in checks for repeat in check.repeats]
 
 
 def drift_of(checks: Sequence[GaugeCheck]) -> Length | None:
-    """The slope of the errors over time, um per day, with U by their scatter; None with fewer than three days."""
+    """Return the slope of the errors over time, um per day, with U from their scatter; None with under three days."""
     if len({check.at[:10] for check in checks}) < 3:
         return None
     days = _days(checks)
@@ -128,7 +129,7 @@ def _left_out(records: Sequence[GaugeRecord], checks: Sequence[GaugeCheck]) -> t
 
 
 def _broken(points: Sequence[ChartPoint]) -> tuple[str, ...]:
-    """Of the last point alone: what went before was warned of then."""
+    """Return the warnings of the last point; earlier points were reported at the time."""
     return tuple(f"The last check is {OUTSIDE}." if rule == OUTSIDE else f"There are {rule}." for rule in _last(points))
 
 

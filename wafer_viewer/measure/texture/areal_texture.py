@@ -1,4 +1,4 @@
-"""Texture of a face: the height, hybrid, functional and spatial parameters of ISO 25178-2."""
+"""Areal texture of a face: height, hybrid, functional and spatial parameters of ISO 25178-2."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ from wafer_viewer.model.region import Region
 from wafer_viewer.model.surface.height_map import Mosaic
 
 ROUNDING = 1e-6
-"""Of the largest height: a surface whose Sq is less is flat, and has neither skewness nor kurtosis nor waves."""
+"""Sq relative to the largest height at or below which a surface is flat, without Ssk, Sku and spatial parameters."""
 NO_DECAY = "Sal and Str: heights stay alike over half of the region to all sides; draw it larger."
 LONG_LAY = "Str is an upper limit: along the lay heights stay alike over half of the region and more."
 
@@ -36,13 +36,63 @@ def texture(
     layer: Layer | None = None,
     name: str = "",
 ) -> Texture:
-    """Parameters of ISO 25178-2 of the measured pixels of a region; unmeasured ones count nowhere.
+    """Measure the areal texture of a region by ISO 25178-2.
 
-    form_order: of the polynomial of least squares that is taken off; s_filter_um, l_filter_um: nesting indices of the
-    Gaussian filters (ISO 16610-61) against shorter and longer waves, none when left out. First S, then form, then L.
+    Unmeasured pixels are excluded.
 
-    No uncertainty: what of it is noise is not evaluated. Raises MeasureError when the region is a line, lies outside,
-    has fewer than 200 measured points or less than half of its area measured, or is smaller than a filter.
+    Parameters
+    ----------
+    surface : Mosaic
+        Height map or mosaic to measure; regions are in its stage coordinates, um.
+    region : Region
+        Rectangle, circle or polygon on the face, in stage um.
+    form_order : int, optional
+        Order of the least-squares polynomial that is removed as form, 0 to 8: 0 is the mean, 1 a plane. Default 1.
+    s_filter_um : float, optional
+        Nesting index in um of the Gaussian filter that removes shorter waves. Default None: no filter.
+    l_filter_um : float, optional
+        Nesting index in um of the Gaussian filter that removes longer waves. Default None: no filter.
+    calibration_valid : bool, optional
+        Whether the calibration of the surface is valid. Default True. Where it is False, or the surface has no
+        calibration, results have status 'uncalibrated' and no uncertainty.
+    layer : {'unsmoothed', 'smoothed', 'filled'}, optional
+        Height layer. Default None: the layer on which the recipe of the surface measures.
+    name : str, optional
+        Name of the result. Default ''.
+
+    Returns
+    -------
+    Texture
+        Height (Sa, Sq, Sp, Sv, Sz in um; Ssk, Sku), hybrid (Sdq, Sdr as a fraction), functional (Sk, Spk, Svk in um;
+        Smr1, Smr2 as fractions) and spatial parameters (Sal in um, Str, Std in degrees). Parameters that are not
+        defined for this surface are None. Without uncertainty: the contribution of noise is not evaluated.
+
+    Raises
+    ------
+    MeasureError
+        If the region is a line or a point, or lies outside the surface.
+    MeasureError
+        If the region has fewer than 200 measured points or less than half of its area measured.
+    MeasureError
+        If the face is smaller than a filter, or its points do not determine the form.
+    MeasureError
+        If `form_order` is outside its range, a filter is not positive, or `s_filter_um` is not below `l_filter_um`.
+
+    Notes
+    -----
+    Parameters are those of ISO 25178-2 [1]_, of the scale-limited surface of ISO 25178-3 [2]_. The order of operations
+    is S, then form, then L; the Gaussian filters are those of ISO 16610-61 [3]_. At borders and holes their weights are
+    scaled to sum one (ISO 16610-28 [4]_, moment criterion of order 0).
+
+    A flat surface has no Ssk, Sku and spatial parameters, and one without a lay no Std. The notes of the result name
+    waves too short to be resolved and an Sq that may be mostly noise.
+
+    References
+    ----------
+    .. [1] ISO 25178-2, Surface texture: Areal - Part 2: Terms, definitions and surface texture parameters.
+    .. [2] ISO 25178-3, Surface texture: Areal - Part 3: Specification operators.
+    .. [3] ISO 16610-61, Filtration - Part 61: Linear areal filters: Gaussian filters.
+    .. [4] ISO 16610-28, Filtration - Part 28: Profile filters: End effects.
     """
     options = TextureOptions(form_order=form_order, s_filter_um=s_filter_um, l_filter_um=l_filter_um)
     reading = MeasurementContext.of(surface, layer, calibration_valid)
@@ -99,7 +149,7 @@ def _functional(reading: MeasurementContext, left: Floats) -> dict[str, Any]:
 def _spatial(
     reading: MeasurementContext, z_um: Floats, pixel_um: float, flat: bool
 ) -> tuple[dict[str, Any], tuple[str, ...]]:
-    """Sal, Str and Std where there are any, and what to say of them."""
+    """Return Sal, Str and Std where they exist, and notes on them."""
     found = None if flat else spatial(z_um)
     if found is None:
         return {}, () if flat else (NO_DECAY,)

@@ -1,4 +1,4 @@
-"""The hybrid parameters of ISO 25178-2, Sdq and Sdr, between neighbouring measured pixels only."""
+"""Hybrid parameters of ISO 25178-2, Sdq and Sdr, between neighbouring measured pixels only."""
 
 from __future__ import annotations
 
@@ -8,9 +8,9 @@ from wafer_viewer.measure.base.height_samples import Floats
 
 
 def root_mean_square_gradient(z_um: Floats, pixel_um: float) -> float | None:
-    """Sdq of z [row, col]: forward differences of neighbours, along rows and along columns; None without neighbours.
+    """Return Sdq of z [row, col] by forward differences along rows and columns; None if there are none.
 
-    As Gwyddion and SurfaceTopography take it. The norm gives an integral and leaves open how it is sampled.
+    Same as in Gwyddion and SurfaceTopography. The standard defines an integral and does not specify its sampling.
     """
     squares = [np.diff(z_um, axis=axis) ** 2 for axis in (0, 1)]
     if not all(np.isfinite(square).any() for square in squares):
@@ -19,9 +19,10 @@ def root_mean_square_gradient(z_um: Floats, pixel_um: float) -> float | None:
 
 
 def developed_fraction(z_um: Floats, pixel_um: float) -> float | None:
-    """Sdr as a fraction: how much larger the surface is than its projection; None without four neighbours measured.
+    """Return Sdr as a fraction: excess of the developed area over the projected one; None without any square.
 
-    Each square of four measured pixels is four triangles that meet over its middle, at the mean of the four heights.
+    Each square of four measured pixels is divided into four triangles that meet at its centre, at the mean of the four
+    heights.
     """
     a, b, c, d = z_um[:-1, :-1], z_um[:-1, 1:], z_um[1:, 1:], z_um[1:, :-1]
     middle = (a + b + c + d) / 4
@@ -31,7 +32,7 @@ def developed_fraction(z_um: Floats, pixel_um: float) -> float | None:
 
 
 def _triangle(one: Floats, other: Floats, pixel_um: float) -> Floats:
-    """Area over its projection of a triangle from a square's middle to two corners, by their heights over the middle.
+    """Return area over projected area of a triangle from a square's centre to two corners, by relative heights.
 
     Its slopes are (other - one) along the side and (one + other) across it, per pixel.
     """

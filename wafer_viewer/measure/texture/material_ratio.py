@@ -1,4 +1,4 @@
-"""The Sk family of ISO 25178-2: what the material ratio curve of a surface says of its peaks, core and valleys."""
+"""Sk parameters of ISO 25178-2, from the material ratio curve."""
 
 from __future__ import annotations
 
@@ -9,12 +9,12 @@ import numpy as np
 from wafer_viewer.measure.base.height_samples import Floats
 
 CORE = 0.4
-"""Of the material ratio, the width of the secant whose slope is smallest."""
+"""Width of the secant of smallest slope, as a fraction of the material ratio."""
 
 
 @dataclass(frozen=True, slots=True)
 class Bearing:
-    """Core, reduced peak and reduced valley heights in um; fractions of material where peaks end, valleys begin."""
+    """Core, reduced peak and reduced valley heights in um; material ratios Smr1 and Smr2 as fractions."""
 
     sk_um: float
     spk_um: float
@@ -24,10 +24,10 @@ class Bearing:
 
 
 def bearing(z_um: Floats) -> Bearing:
-    """Of heights [n], each as much of the area as any other.
+    """Return the Sk parameters of heights [n] of equal area.
 
-    The core's line is the one of least squares through the 40 % of the curve whose secant is flattest (the first of
-    them where several are); Spk and Svk are the heights of triangles as large as what lies beyond the core.
+    The core line is the least-squares line through the 40 % of the curve with the flattest secant (the first of equal
+    ones); Spk and Svk are the heights of triangles with the area of the curve beyond the core.
     """
     curve = np.sort(z_um)[::-1]
     slope, top = _line(curve)
@@ -44,7 +44,7 @@ def bearing(z_um: Floats) -> Bearing:
 
 
 def _line(curve: Floats) -> tuple[float, float]:
-    """Slope over the whole material ratio, and height at ratio 0, of the line through the flattest 40 %."""
+    """Return slope per unit material ratio, and height at ratio 0, of the line through the flattest 40 %."""
     width = max(1, round(CORE * len(curve)))
     first = int(np.argmin(curve[:-width] - curve[width:]))
     part = curve[first : first + width + 1]
@@ -55,5 +55,5 @@ def _line(curve: Floats) -> tuple[float, float]:
 
 
 def _triangle(total_um: float, points: int) -> float:
-    """Height of a triangle over so many points that holds as much."""
+    """Return the height of a triangle with the given base, in points, and area."""
     return 2 * total_um / points if points else 0.0

@@ -1,4 +1,4 @@
-"""Which waves the optics and the search for focus can see, and how rough a surface must be to show over the noise."""
+"""Limits of resolvable texture: shortest wavelength by optics and focus window, smallest roughness above the noise."""
 
 from __future__ import annotations
 
@@ -8,17 +8,17 @@ from wafer_viewer.model.acquisition.optics import WAVELENGTH_UM, engraved_apertu
 from wafer_viewer.model.surface.height_map import Provenance
 
 PIXELS_A_WAVE = 3
-"""ISO 25178-3 asks of optical instruments that the shortest wave is sampled so often."""
+"""Samples per shortest wave required for optical instruments (ISO 25178-3)."""
 NOISE_STEPS = {"argmax": 0.29}
-"""Scatter of heights in steps of the sweep, by the way peaks are found: rounded to whole frames it is 1 / sqrt(12)."""
+"""Scatter of heights in z steps, by peak method: 1 / sqrt(12) when rounded to frames."""
 NOISE_STEPS_BETWEEN = 0.015
-"""The same for peaks found between frames, at its best: planes simulated by rays in steps of 2 and 4 um."""
+"""Smallest scatter with peaks interpolated between frames: ray-traced planes, z steps of 2 and 4 um."""
 CLEAR_OF_NOISE = 3.0
-"""So many times the noise a surface's Sq is hardly changed by it: by a twentieth."""
+"""Ratio of Sq to noise from which noise changes Sq by a twentieth at most."""
 
 
 def unseen_waves(provenance: Provenance, pixel_um: float, shortest_um: float | None, name: str) -> tuple[str, ...]:
-    """Where waves as short as a filter lets through (None: no filter) are shorter than can be seen, and why.
+    """Return a note where the filter (None: no filter) passes waves shorter than the resolution, with the reason.
 
     name: of the filter.
     """
@@ -37,7 +37,7 @@ def unseen_waves(provenance: Provenance, pixel_um: float, shortest_um: float | N
 
 
 def near_noise(provenance: Provenance, root_mean_square_um: float, name: str) -> tuple[str, ...]:
-    """A warning where a root mean square height is so small that it may be all noise."""
+    """Return a warning where a root mean square height may be mostly noise."""
     per_step = NOISE_STEPS.get(provenance.recipe.peak, NOISE_STEPS_BETWEEN)
     noise_um = per_step * provenance.z_step_um
     if root_mean_square_um >= CLEAR_OF_NOISE * noise_um:
@@ -49,7 +49,7 @@ def near_noise(provenance: Provenance, root_mean_square_um: float, name: str) ->
 
 
 def _limits_um(provenance: Provenance, pixel_um: float) -> Iterator[tuple[float, str]]:
-    """The shortest wave that can be seen, by what limits it."""
+    """Yield the shortest resolvable wave by each limiting factor."""
     yield PIXELS_A_WAVE * pixel_um, f"three pixels of {pixel_um:.3g} um"
     if isinstance(window := provenance.recipe.window, int) and provenance.z_step_um > 0:
         calibration = provenance.calibration
@@ -60,5 +60,5 @@ def _limits_um(provenance: Provenance, pixel_um: float) -> Iterator[tuple[float,
 
 
 def aperture_of(provenance: Provenance) -> float | None:
-    """The numerical aperture as it is engraved on objectives, ``10x/0.28``; None where the calibration names none."""
+    """Return the numerical aperture engraved on the objective, ``10x/0.28``; None where the calibration has none."""
     return None if provenance.calibration is None else engraved_aperture(provenance.calibration.setup.objective)

@@ -1,4 +1,4 @@
-"""Roughness along a line: the height parameters of ISO 21920-2 of the profile that the Gaussian filters leave."""
+"""Profile roughness along a line: height parameters of ISO 21920-2 after Gaussian filters."""
 
 from __future__ import annotations
 
@@ -22,14 +22,14 @@ from wafer_viewer.model.surface.height_map import Mosaic
 from wafer_viewer.numerics.filters.iso_gaussian import gaussian_mean
 
 SECTIONS = 5
-"""Sampling lengths of an evaluation, each as long as the cut-off."""
+"""Number of sampling lengths of an evaluation length, each as long as the cut-off."""
 RUN_UP = 0.5
-"""Of the cut-off: so much of a long line is left to the filter on each side."""
+"""Run-up of the filter at each end of a long line, in cut-offs."""
 LEAST_POINTS = 20
-"""Of a section."""
+"""Smallest number of measured points of a section."""
 LEAST_MEASURED = 0.5
 ROUNDING = 1e-6
-"""Of the largest height: a line whose Rq is less is flat, and has neither skewness nor kurtosis."""
+"""Rq relative to the largest height at or below which a line is flat, without skewness and kurtosis."""
 LINE_REMOVED = "Form removed: straight line of least squares."
 PRIMARY = (
     "No cut-off lambda-c: the primary profile, waviness included, as one section; the norm writes Pa, Pq, Pz, Pt for "
@@ -44,7 +44,7 @@ BORDERS = (
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Evaluated:
-    """The evaluation length: its heights [n], NaN where unmeasured, its sections, and what to say of it."""
+    """The evaluation length: heights [n], NaN where unmeasured, its sections, and notes."""
 
     z_um: Floats
     sections: int
@@ -52,7 +52,7 @@ class Evaluated:
     notes: tuple[str, ...]
 
     def split(self) -> Iterator[Floats]:
-        """The measured heights of each section."""
+        """Yield the measured heights of each section."""
         return (part[np.isfinite(part)] for part in np.array_split(self.z_um, self.sections))
 
 
@@ -66,13 +66,62 @@ def roughness(
     layer: Layer | None = None,
     name: str = "",
 ) -> Roughness:
-    """Ra, Rq, Rz, Rt, Rp, Rv, Rsk and Rku (ISO 21920-2) along a line; unmeasured points count nowhere.
+    """Measure profile roughness along a line by ISO 21920-2.
 
-    lambda_c_um, lambda_s_um: cut-offs of the Gaussian filters (ISO 16610-21) against longer and shorter waves, none
-    when left out. Sampling lengths are as long as lambda-c: five where the line holds them, fewer are told.
+    The parameters are Ra, Rq, Rz, Rt, Rp, Rv, Rsk and Rku. Unmeasured points are excluded.
 
-    No uncertainty: what of it is noise is not evaluated. Raises MeasureError when the region is no line, lies outside,
-    is measured to less than half or in fewer than 20 points a section, or is shorter than a cut-off.
+    Parameters
+    ----------
+    surface : Mosaic
+        Height map or mosaic to measure; regions are in its stage coordinates, um.
+    line : Region
+        Line, in stage um; heights are averaged over its `width_um`.
+    lambda_c_um : float, optional
+        Cut-off in um of the Gaussian filter that removes longer waves. Default None: no filter.
+    lambda_s_um : float, optional
+        Cut-off in um of the Gaussian filter that removes shorter waves. Default None: no filter.
+    calibration_valid : bool, optional
+        Whether the calibration of the surface is valid. Default True. Where it is False, or the surface has no
+        calibration, results have status 'uncalibrated' and no uncertainty.
+    layer : {'unsmoothed', 'smoothed', 'filled'}, optional
+        Height layer. Default None: the layer on which the recipe of the surface measures.
+    name : str, optional
+        Name of the result. Default ''.
+
+    Returns
+    -------
+    Roughness
+        Ra, Rq, Rz, Rt, Rp and Rv in um, Rsk and Rku without unit (None for a flat line), and the sampling lengths.
+        Without uncertainty: the contribution of noise is not evaluated.
+
+    Raises
+    ------
+    MeasureError
+        If the region is no line, has no length, or lies outside the surface.
+    MeasureError
+        If the line is measured to less than half, or in fewer than 20 points a section.
+    MeasureError
+        If the line is shorter than a cut-off.
+    MeasureError
+        If a cut-off is not positive, or `lambda_s_um` is not below `lambda_c_um`.
+
+    Notes
+    -----
+    The least-squares straight line is removed first; the Gaussian filters are those of ISO 16610-21 [2]_. At ends and
+    gaps their weights are scaled to sum one (ISO 16610-28 [3]_, moment criterion of order 0).
+
+    Sampling lengths are as long as lambda-c: five where the line is long enough, fewer with a note. By ISO 21920-2
+    [1]_, Ra, Rq, Rt, Rsk and Rku are over the entire evaluation length; Rp, Rv and Rz are means of its sections.
+    Without lambda-c the primary profile, waviness included, is evaluated as one section; the standard writes Pa, Pq,
+    Pz, Pt for Ra, Rq, Rz, Rt.
+
+    The notes of the result name waves too short to be resolved and an Rq that may be mostly noise.
+
+    References
+    ----------
+    .. [1] ISO 21920-2, Surface texture: Profile - Part 2: Terms, definitions and surface texture parameters.
+    .. [2] ISO 16610-21, Filtration - Part 21: Linear profile filters: Gaussian filters.
+    .. [3] ISO 16610-28, Filtration - Part 28: Profile filters: End effects.
     """
     options = RoughnessOptions(lambda_c_um=lambda_c_um, lambda_s_um=lambda_s_um)
     reading = MeasurementContext.of(surface, layer, calibration_valid)
@@ -101,7 +150,7 @@ def roughness(
 
 
 def _evaluated(curve: ProfileCurve, pixel_um: float, options: RoughnessOptions) -> Evaluated:
-    """The profile without its line, its shortest and its longest waves, and the part of it that is evaluated."""
+    """Remove the line, the shortest and the longest waves from a profile, and return its evaluated part."""
     length_um = float(curve.distance_um[-1])
     _require_room(length_um, options)
     z_um = _without_line(curve)
@@ -116,7 +165,7 @@ def _evaluated(curve: ProfileCurve, pixel_um: float, options: RoughnessOptions) 
 
 
 def _in_sections(z_um: Floats, pixel_um: float, cutoff_um: float) -> Evaluated:
-    """The middle of a filtered line, five cut-offs long or as many whole ones as it holds."""
+    """Return the central part of a filtered line, five cut-offs long or as many complete ones as fit."""
     length_um = (len(z_um) - 1) * pixel_um
     sections = min(SECTIONS, math.floor(length_um / cutoff_um + 1e-9))
     spare = len(z_um) - min(len(z_um), round(sections * cutoff_um / pixel_um))

@@ -1,4 +1,4 @@
-"""The scale-limited surface of ISO 25178-3: a face as a lattice without form, shortest and longest waves."""
+"""Scale-limited surface of ISO 25178-3: a face as a lattice without form, shortest and longest waves."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ BORDERS = (
 
 
 def lattice_of(area: Area) -> Floats:
-    """The heights of a face, float64 [row, col] of the smallest rectangle round them; NaN where it has none."""
+    """Return the heights of a face, float64 [row, col] of its bounding rectangle; NaN where there are none."""
     points, pixel_um = area.points, area.pixel_um
     rows = np.rint((points.y_um.max() - points.y_um) / pixel_um).astype(np.intp)
     cols = np.rint((points.x_um - points.x_um.min()) / pixel_um).astype(np.intp)
@@ -30,10 +30,10 @@ def lattice_of(area: Area) -> Floats:
 
 
 def scale_limited(z_um: Floats, pixel_um: float, options: TextureOptions) -> Floats:
-    """What is left of heights [row, col] without form, S-filtered and L-filtered waves; counted from its mean.
+    """Remove form, S-filtered and L-filtered waves from heights [row, col]; the result has zero mean.
 
-    The S-filter works about the form: for a polynomial it is the same, and no border is bent by a tilt. Raises
-    MeasureError where a filter is longer than the face, or its points do not determine the form.
+    The S-filter is applied to the residual from the form: it preserves polynomials, and a tilt causes no edge effects.
+    Raises MeasureError where a filter is longer than the face, or its points do not determine the form.
     """
     _require_room(z_um.shape, pixel_um, options)
     left = _without_form(z_um - np.nanmean(z_um), options.form_order)
@@ -45,14 +45,14 @@ def scale_limited(z_um: Floats, pixel_um: float, options: TextureOptions) -> Flo
 
 
 def filter_words(options: TextureOptions) -> str:
-    """The filters as a result names them."""
+    """Return the description of the filters for a result."""
     named = (("S", options.s_filter_um), ("L", options.l_filter_um))
     told = [f"{name} {cutoff_um:g} um" for name, cutoff_um in named if cutoff_um is not None]
     return f"Gaussian (ISO 16610-61), {', '.join(told)}" if told else "none"
 
 
 def form_notes(options: TextureOptions) -> tuple[str, ...]:
-    """What was taken off, and how filters end."""
+    """Return notes on the removed form and on the filter borders."""
     form = FORMS.get(options.form_order, f"Form removed: polynomial of least squares of order {options.form_order}.")
     return form, UNFILTERED if filter_words(options) == "none" else BORDERS
 

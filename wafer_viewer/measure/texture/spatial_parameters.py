@@ -1,4 +1,4 @@
-"""The spatial parameters of ISO 25178-2: how far heights stay alike (Sal), how evenly (Str), and where to (Std)."""
+"""Spatial parameters of ISO 25178-2: autocorrelation length (Sal), aspect ratio (Str), direction (Std)."""
 
 from __future__ import annotations
 
@@ -12,20 +12,20 @@ from wafer_viewer.measure.base.height_samples import Floats
 from wafer_viewer.numerics.filters.autocorrelation import autocorrelation
 
 DECAYED = 0.2
-"""Of the autocorrelation: heights so far apart are no longer alike."""
+"""Autocorrelation threshold of Sal and Str."""
 WITH_LAY = 0.5
-"""Where Str is under it the texture has a lay, and a direction."""
+"""Str below which the texture has a lay and a direction."""
 STEP_PX = 0.25
-"""Between samples along a ray."""
+"""Sampling step along a ray."""
 FIRST_REACH_PX, GROWTH = 32, 4
-"""The middle of the autocorrelation that is looked at first; it grows until heights have decayed to all sides."""
+"""Initial half-size of the central part of the autocorrelation, and its growth until decay on all sides."""
 
 
 @dataclass(frozen=True, slots=True)
 class Spatial:
-    """Shortest and longest way in px to where heights are no longer alike, and the direction across the lay.
+    """Shortest and longest decay lengths of the autocorrelation in px, and the direction across the lay.
 
-    longest_px: where `ends` is False a lower limit: along some direction they stay alike as far as can be seen.
+    longest_px: a lower limit where `ends` is False, because along some direction there is no decay within the range.
     """
 
     shortest_px: float
@@ -40,9 +40,9 @@ class Spatial:
 
 
 def spatial(z_um: Floats) -> Spatial | None:
-    """Of z [row, col] with mean 0, NaN where unmeasured; None where heights stay alike to all sides.
+    """Return the spatial parameters of z [row, col] with mean 0, NaN where unmeasured; None without any decay.
 
-    Lags up to half of the region's sides are looked at: beyond, too few pairs are left to say anything.
+    Lags are limited to half of the region's sides; beyond, too few pairs remain.
     """
     alike = autocorrelation(z_um)
     degrees = np.arange(0.0, 180.0, 1.0)
@@ -57,9 +57,9 @@ def spatial(z_um: Floats) -> Spatial | None:
 
 
 def direction_deg(alike: Floats) -> float:
-    """Std: where the angular spectrum of an autocorrelation is largest, in 0 ... 180, counter-clockwise from +x.
+    """Return Std: direction of the largest angular spectrum, in 0 ... 180, counter-clockwise from +x.
 
-    The spectrum is the Fourier transform of the autocorrelation under a Hann window: no border shows in it.
+    The spectrum is the Fourier transform of the autocorrelation under a Hann window, which suppresses border effects.
     """
     spectrum = _spectrum(alike)
     degrees = np.arange(0.0, 180.0, 1.0)
@@ -69,7 +69,7 @@ def direction_deg(alike: Floats) -> float:
 
 
 def _ways(alike: Floats, degrees: Floats) -> tuple[Floats, NDArray[np.bool_]]:
-    """How far along each direction heights are alike, px, and whether that ends within what can be seen."""
+    """Return the decay length along each direction, px, and whether decay occurs within the range."""
     middle = np.array([n // 2 for n in alike.shape])
     ways, ends, reach = np.zeros(len(degrees)), np.zeros(len(degrees), bool), FIRST_REACH_PX
     while True:
@@ -96,7 +96,7 @@ def _ways_within(alike: Floats, degrees: Floats) -> tuple[Floats, NDArray[np.boo
 
 
 def _first_crossings(values: Floats, seen: NDArray[np.bool_]) -> tuple[Floats, NDArray[np.bool_]]:
-    """Along each ray [ray, sample] the place where values first fall to DECAYED, or the end of what is seen."""
+    """Return, for each ray [ray, sample], the first crossing of DECAYED, or the end of the known range."""
     stops = (values <= DECAYED) | ~seen
     stops[:, -1] = True
     at = np.argmax(stops, axis=1)
@@ -108,13 +108,13 @@ def _first_crossings(values: Floats, seen: NDArray[np.bool_]) -> tuple[Floats, N
 
 
 def _finer(alike: Floats, degree: float, extreme: Any, *, ends_only: bool = False) -> float:
-    """The extreme way about a direction, at a twentieth of a degree."""
+    """Return the extreme decay length about a direction, in steps of a twentieth of a degree."""
     ways, ends = _ways(alike, degree + np.arange(-1.0, 1.01, 0.05))
     return float(extreme(ways[ends] if ends_only else ways))
 
 
 def _spectrum(alike: Floats) -> Floats:
-    """Power [row, col], frequency 0 in the middle."""
+    """Return the power spectrum [row, col], with frequency 0 at the centre."""
     from scipy.fft import fft2
 
     windows = [np.hanning(n + 2)[1:-1] for n in alike.shape]
@@ -124,7 +124,7 @@ def _spectrum(alike: Floats) -> Floats:
 
 
 def _angular(spectrum: Floats, shape: tuple[int, ...], degrees: Floats) -> Floats:
-    """Power along each direction, summed over frequencies from the region's size to two pixels."""
+    """Return the power along each direction, summed over frequencies from the region's size to two pixels."""
     from scipy.ndimage import map_coordinates
 
     frequencies = np.arange(1.0, min(shape) / 2) / min(shape)

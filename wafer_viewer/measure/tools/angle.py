@@ -1,4 +1,4 @@
-"""The angle between two faces: between the normals of the planes fitted to them."""
+"""Angle between two faces: between the normals of the fitted planes."""
 
 from __future__ import annotations
 
@@ -27,9 +27,43 @@ def face_angle(
     layer: Layer | None = None,
     name: str = "",
 ) -> FaceAngle:
-    """The angle between two faces in degrees, 0 where they are parallel, with its expanded uncertainty (k = 2).
+    """Measure the angle between two faces.
 
-    Raises MeasureError when a region is a line, lies outside or has fewer than 200 measured points.
+    The angle is that between the normals of the planes fitted to the faces, 0 if they are parallel.
+
+    Parameters
+    ----------
+    surface : Mosaic
+        Height map or mosaic to measure; regions are in its stage coordinates, um.
+    first : Region
+        Rectangle, circle or polygon on the first face, in stage um.
+    second : Region
+        Rectangle, circle or polygon on the second face, in stage um.
+    calibration_valid : bool, optional
+        Whether the calibration of the surface is valid. Default True. Where it is False, or the surface has no
+        calibration, results have status 'uncalibrated' and no uncertainty.
+    layer : {'unsmoothed', 'smoothed', 'filled'}, optional
+        Height layer. Default None: the layer on which the recipe of the surface measures.
+    name : str, optional
+        Name of the result. Default ''.
+
+    Returns
+    -------
+    FaceAngle
+        Angle in degrees with its expanded uncertainty (k = 2), and for each face its tilt in degrees, the root mean
+        square of its residuals in um, and its number of points.
+
+    Raises
+    ------
+    MeasureError
+        If a region is a line or a point, or lies outside the surface.
+    MeasureError
+        If a region has fewer than 200 measured points, or its points do not determine a plane.
+
+    Notes
+    -----
+    The planes are fitted with rejection of outliers beyond 3 robust deviations. An angle near 0 has no direction, so
+    the budget takes the larger of a face's slope uncertainties along x and along y.
     """
     require_area(first, "first")
     require_area(second, "second")
@@ -57,7 +91,7 @@ def _slopes(face: Face) -> Floats:
 
 
 def _angle_deg(a: Floats, b: Floats) -> float:
-    """Between the normals (-slope_x, -slope_y, 1); exact for small angles too, which an arc cosine is not."""
+    """Return the angle between the normals (-slope_x, -slope_y, 1); accurate for small angles, unlike an arc cosine."""
     m, n = np.array([*-a, 1.0]), np.array([*-b, 1.0])
     return math.degrees(math.atan2(float(np.linalg.norm(np.cross(m, n))), float(m @ n)))
 
@@ -80,7 +114,7 @@ def _lines(reading: MeasurementContext, a: Face, b: Face) -> Lines | None:
 
 
 def _tilt_u_deg(face: Face) -> float | None:
-    """How sure a face's tilt is in the direction in which it is least so: an angle near 0 has no direction."""
+    """Return the largest standard uncertainty of a face's tilt over directions: an angle near 0 has no direction."""
     design = plane_design(face.points, (face.plane.x_um, face.plane.y_um))
     both = [parameter_u(face.points, design, face.residuals_um, axis) for axis in (ALONG_X, ALONG_Y)]
     if both[0] is None or both[1] is None:

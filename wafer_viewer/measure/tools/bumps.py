@@ -1,4 +1,4 @@
-"""Bumps and balls that stand on a face: where they are, how high their tops lie, how wide they are. Pure."""
+"""Detection of bumps and balls on a face: position, top height and width. Pure."""
 
 from __future__ import annotations
 
@@ -17,17 +17,17 @@ from wafer_viewer.model.errors import MeasureError
 from wafer_viewer.model.surface.height_map import Heights
 
 STANDS_OUT = 6.0
-"""Deviations of the ground by which a bump stands out of it."""
+"""Smallest prominence of a bump over the ground, in deviations of the ground."""
 HALF_WAY, CAP_FROM = 0.5, 0.7
-"""Of a bump's height: where its width is taken, and from where up its top is fitted."""
+"""Fractions of a bump's height: for its width, and the lower bound of the top fit."""
 ALIKE = 4.0
-"""How much larger or smaller in area than most of what stands out a bump may be."""
+"""Largest ratio of a bump's area to the typical area, either way."""
 LEAST_PX = 12
-"""A bump has at least so many pixels over half of its height."""
+"""Smallest number of pixels of a bump above half of its height."""
 LEAST_MEASURED = 0.5
-"""Of a bump's outline: with less of it measured its top is not known."""
+"""Smallest measured fraction of a bump's outline for a top height."""
 RING = (1.3, 2.2)
-"""The surroundings of a bump lie between these shares of its radius."""
+"""Inner and outer radius of the surroundings, in radii of the bump."""
 LEAST_ROUND = 20
 MIN_TOP_POINTS = 12
 _ROUNDS = 12
@@ -37,8 +37,10 @@ Box = tuple[slice, slice]
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Top:
-    """One bump: the place and height of its top with what it is unsure by (k = 1; None: not known), its height over its
-    surroundings, its diameter at half of that."""
+    """One bump: position and height of its top, height over its surroundings, and diameter at half of that.
+
+    u_um, u_round_um: standard uncertainties (k = 1) of the top and of the surroundings; None: not known.
+    """
 
     x_um: float
     y_um: float
@@ -51,17 +53,17 @@ class Top:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Bumps:
-    """The bumps of a part of a surface, and how many were left out: cut by its border, or with a top not measured."""
+    """The bumps of a part of a surface, and the number omitted: cut by the border, or with an unmeasured top."""
 
     tops: tuple[Top, ...]
     left_out: int
 
 
 def find_bumps(part: Heights, within: Mask) -> Bumps:
-    """The bumps within a part of a surface, from top to bottom.
+    """Find the bumps within a part of a surface, from top to bottom.
 
-    Bumps are alike: what is less than half or more than twice as wide as most of what stands out is none of them.
-    within: bool [row, col], what of the part is looked at. Raises MeasureError when nothing stands out of the ground.
+    Bumps are assumed alike: objects of less than half or more than twice the typical width are not bumps. within: mask
+    bool [row, col] of the searched pixels. Raises MeasureError when nothing stands out of the ground.
     """
     z_um = np.where(within, part.z_um, np.nan).astype(np.float64)
     over, noise_um = _over_ground(part, z_um)
@@ -77,9 +79,9 @@ def find_bumps(part: Heights, within: Mask) -> Bumps:
 
 
 def _over_ground(part: Heights, z_um: Floats) -> tuple[Floats, float]:
-    """Heights over the plane of the ground, and how much the ground itself scatters about it.
+    """Return the heights over the ground plane, and the scatter of the ground about it.
 
-    What stands out is left out again and again, so that the plane sinks to what lies lowest.
+    Prominent points are rejected iteratively, so that the plane converges to the lowest level.
     """
     rows, cols = np.nonzero(np.isfinite(z_um))
     points = HeightSamples(part.x_um[cols], part.y_um[rows], z_um[rows, cols])
@@ -108,7 +110,7 @@ def _ground(points: HeightSamples) -> tuple[LevelPlane, float]:
 
 
 def _outlines(over: Floats, noise_um: float) -> tuple[NDArray[np.int32], list[Box]]:
-    """Numbers of what stands out over half of the usual height, [row, col], and the box round each."""
+    """Return labels [row, col] of objects above half of the typical height, and their bounding boxes."""
     numbers, boxes = _labelled(over > STANDS_OUT * max(noise_um, 1e-6))
     inside = [over[box][numbers[box] == k] for k, box in enumerate(boxes, 1)]
     tops = [(float(np.nanmax(heights)), len(heights)) for heights in inside if len(heights) >= LEAST_PX]
@@ -121,7 +123,7 @@ def _outlines(over: Floats, noise_um: float) -> tuple[NDArray[np.int32], list[Bo
 
 
 def _usual(values: list[tuple[float, int]]) -> float:
-    """The median of values, each counted as often as it has pixels: specks do not weigh."""
+    """Return the median of values weighted by their number of pixels, so that specks do not count."""
     ordered = sorted(values)
     weights = np.cumsum([weight for _, weight in ordered])
     return ordered[int(np.searchsorted(weights, weights[-1] / 2))][0]
@@ -134,7 +136,7 @@ def _labelled(mask: Mask) -> tuple[NDArray[np.int32], list[Box]]:
 
 
 def _whole(outline: Mask, box: Box, within: Mask, z_um: Floats) -> bool:
-    """Whether a bump lies all within what is looked at, and enough of it is measured."""
+    """Return whether a bump lies completely within the searched area, and enough of it is measured."""
     rows, cols = (slice(max(0, side.start - 1), side.stop + 1) for side in box)
     at_border = box[0].start == 0 or box[1].start == 0 or box[0].stop == len(within) or box[1].stop == within.shape[1]
     measured = np.isfinite(z_um[box])[outline].mean()
@@ -142,7 +144,7 @@ def _whole(outline: Mask, box: Box, within: Mask, z_um: Floats) -> bool:
 
 
 def _top(part: Heights, z_um: Floats, over: Floats, box: Box, outline: Mask) -> Top | None:
-    """The top by a sphere fitted to it; None where none fits."""
+    """Return the top from a sphere fit; None where none fits."""
     highest = float(np.nanquantile(over[box][outline], 0.98))
     points = _points(part, z_um, box, outline & (over[box] >= CAP_FROM * highest))
     if len(points) < MIN_TOP_POINTS:
@@ -164,7 +166,7 @@ def _top(part: Heights, z_um: Floats, over: Floats, box: Box, outline: Mask) -> 
 def _round(
     part: Heights, z_um: Floats, over: Floats, at: tuple[float, float], radius_um: float
 ) -> tuple[float, float | None] | None:
-    """The height of the surroundings of a bump under its top, and its standard uncertainty; None: not measured."""
+    """Return the height of the surroundings under a bump's top, and its standard uncertainty; None if unmeasured."""
     reach = RING[1] * radius_um
     col, row = (at[0] - part.x0_um) / part.pixel_um, (part.y0_um - at[1]) / part.pixel_um
     px = reach / part.pixel_um
@@ -181,6 +183,6 @@ def _round(
 
 
 def _points(part: Heights, z_um: Floats, box: Box, mask: Mask) -> HeightSamples:
-    """The measured points of a box where a mask holds."""
+    """Return the measured points of a box within a mask."""
     rows, cols = np.nonzero(mask & np.isfinite(z_um[box]))
     return HeightSamples(part.x_um[box[1]][cols], part.y_um[box[0]][rows], z_um[box][rows, cols])

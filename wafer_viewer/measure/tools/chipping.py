@@ -1,4 +1,4 @@
-"""What is missing of a die beside the straight line of its edge on the picture: how deep, how long, how large."""
+"""Chipping of a die edge in the image: depth, length and area relative to the straight edge line."""
 
 from __future__ import annotations
 
@@ -26,21 +26,21 @@ from wafer_viewer.model.region import Point, Region
 from wafer_viewer.model.surface.height_map import Mosaic
 
 NEIGHBOURS = 3
-"""Depths are medians of so many neighbouring search lines."""
+"""Number of neighbouring search lines of the median filter for depths."""
 U_OF_MEDIAN = 0.67
-"""Standard deviation of the median of three over that of one."""
+"""Ratio of the standard deviation of the median of three to that of one."""
 BEYOND, LEAST_PX = 4.0, 2.0
-"""A chip is by itself what is deeper than so many robust deviations of the edge, and than so many pixels."""
+"""Default depth limit of a chip: robust deviations of the edge, and pixels; the larger applies."""
 FOOT = 0.25
-"""Of the limit: from where to where it is deeper than this a chip reaches."""
+"""Depth that bounds the length of a chip, relative to the limit."""
 LEAST_POINTS, AS_HIGH_UM = 50, 1.0
-"""So many heights on each side say how high it is; by more than so many um the die's side is the higher one."""
+"""Smallest number of heights on each side, and smallest height difference in um, to locate the die."""
 DieOn = Literal["auto", "bright", "dark"]
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Depths:
-    """How far into the die the edge lies behind its line on each search line that sees it, [n], and where, stage um."""
+    """Depth of the edge behind its line on each search line, [n], with positions in stage um."""
 
     along_um: Floats
     depth_um: Floats
@@ -50,24 +50,24 @@ class Depths:
 
     @property
     def noise_um(self) -> float:
-        """Of one search line, by how much neighbours differ."""
+        """Standard deviation of the depth on one search line, from differences between neighbours."""
         steps = np.diff(self.depth_um)
         return SIGMA_OF_MAD * float(np.median(np.abs(steps - np.median(steps)))) / math.sqrt(2)
 
     @property
     def spread_um(self) -> float:
-        """Robust standard deviation of the edge about its line, chips or not."""
+        """Robust standard deviation of the edge about its line, chips included."""
         return SIGMA_OF_MAD * float(np.median(np.abs(self.depth_um)))
 
     def chips(self, limit_um: float) -> tuple[Chip, ...]:
-        """What is deeper than a limit, the deepest first."""
+        """Return the chips deeper than a limit, the deepest first."""
         smooth = np.asarray(median_filter(self.depth_um, NEIGHBOURS, mode="nearest"))
         found = [self._chip(run, smooth) for run in _runs(smooth > FOOT * limit_um) if smooth[run].max() > limit_um]
         return tuple(sorted(found, key=lambda chip: -chip.depth_um))
 
     @property
     def deepest_um(self) -> float:
-        """The largest depth; 0 where the edge nowhere lies behind its line."""
+        """Largest depth; 0 where the edge is nowhere behind its line."""
         return max(0.0, float(median_filter(self.depth_um, NEIGHBOURS, mode="nearest").max()))
 
     def _chip(self, run: slice, smooth: Floats) -> Chip:
@@ -90,11 +90,54 @@ def chipping(
     layer: Layer | None = None,
     name: str = "",
 ) -> Chipping:
-    """Depth, length and area of the chips along the one edge in a region, with expanded uncertainties (k = 2).
+    """Measure depth, length and area of the chips along a die edge.
 
-    limit_um: what is deeper is a chip; left out, four robust deviations of the edge, two pixels at least. die: on which
-    side it lies; by itself on the higher one. Raises MeasureError when the region is no rectangle, lies outside or is
-    too small, when no edge, or more than one, stands out, or when it is not known on which side the die lies.
+    The edge is detected in the all-in-focus image. Depths count from the straight line through it.
+
+    Parameters
+    ----------
+    surface : Mosaic
+        Height map or mosaic to measure; regions are in its stage coordinates, um.
+    region : Region
+        Rectangle over one straight edge of a die, in stage um.
+    limit_um : float, optional
+        Depth in um above which a deviation of the edge is a chip. Default None: four robust standard deviations of the
+        edge, at least two pixels.
+    die : {'auto', 'bright', 'dark'}, optional
+        Side of the edge on which the die lies: the higher, the brighter or the darker one. Default 'auto', the higher
+        side.
+    calibration_valid : bool, optional
+        Whether the calibration of the surface is valid. Default True. Where it is False, or the surface has no
+        calibration, results have status 'uncalibrated' and no uncertainty.
+    layer : {'unsmoothed', 'smoothed', 'filled'}, optional
+        Height layer that locates the die where `die` is 'auto'. Default None: the layer on which the recipe of the
+        surface measures.
+    name : str, optional
+        Name of the result. Default ''.
+
+    Returns
+    -------
+    Chipping
+        Largest depth and longest chip in um, area of the chips in um2, and the chips, the deepest first. The depth and
+        the area have an expanded uncertainty (k = 2); the uncertainty of the length is not evaluated.
+
+    Raises
+    ------
+    MeasureError
+        If the region is no rectangle, lies outside the surface, is smaller than 16 pixels either way, or has less than
+        half of its area on the image.
+    MeasureError
+        If no edge stands out, more than one does, or fewer than half of the search lines detect it.
+    MeasureError
+        If `die` is 'auto' and the heights do not decide it: fewer than 50 measured heights on one side of the edge, or
+        a height difference of less than 1 um.
+    MeasureError
+        If `limit_um` is not positive.
+
+    Notes
+    -----
+    Depths are medians of three neighbouring search lines. The largest depth counts whether or not it belongs to a chip.
+    The length of a chip is that over which it is deeper than a quarter of the limit.
     """
     require_rectangle(region, "Chipping")
     reading = MeasurementContext.of(surface, layer, calibration_valid)
@@ -129,10 +172,10 @@ def chipping(
 
 
 def edge_depths(strip: SearchStrip, edge: Found, inwards: bool) -> Depths:
-    """How the edge of a die deviates from its line, from end to end.
+    """Return the deviation of a die edge from its line, from end to end.
 
-    inwards: whether the die lies where places along the search lines are larger. On each line the nearest edge counts
-    that is steep enough, however far inside it lies. Raises MeasureError when too few lines see one.
+    inwards: True if the die is in the direction of the search lines. On each line the nearest sufficiently steep edge
+    point counts, however far inside it lies. Raises MeasureError when too few lines detect one.
     """
     rising = edge.sign * responses(strip.grey, strip.there)
     far, near = float(strip.grey.shape[1]), REACH_PX
@@ -148,14 +191,17 @@ def _depths(strip: SearchStrip, found: EdgePoints, line: EdgeLine, inwards: bool
 
 
 def _behind(strip: SearchStrip, line: EdgeLine, inwards: bool) -> float:
-    """1 where the die lies to the left of the line, else -1."""
+    """Return 1 if the die is to the left of the line, else -1."""
     way = 1 if inwards else -1
     off = float(line.off(line.x_um + way * strip.place_um[0], line.y_um + way * strip.place_um[1]))
     return math.copysign(1.0, off)
 
 
 def _higher_behind(reading: MeasurementContext, region: Region, level: int, strip: SearchStrip, edge: Found) -> bool:
-    """Whether the surface is higher where places along the search lines are larger."""
+    """Return whether the surface is higher in the direction of the search lines.
+
+    Raises MeasureError when the heights do not decide it.
+    """
     points = points_in(reading.surface, region, reading.layer, level)
     off = _behind(strip, edge.line, True) * np.asarray(edge.line.off(points.x_um, points.y_um))
     sides = [points.z_um[side] for side in (off > 0, off < 0)]
@@ -194,6 +240,6 @@ def _area(
 
 
 def _runs(mask: NDArray[np.bool_]) -> list[slice]:
-    """Where a mask holds, one after the other."""
+    """Return the runs of a mask in order."""
     steps = np.flatnonzero(np.diff(np.concatenate([[False], mask, [False]]).astype(np.int8)))
     return [slice(int(a), int(b)) for a, b in zip(steps[::2], steps[1::2], strict=True)]

@@ -1,4 +1,4 @@
-"""The diameter of something round on the picture, its place and its roundness."""
+"""Diameter, position and roundness of a circular edge in the image."""
 
 from __future__ import annotations
 
@@ -18,9 +18,9 @@ from wafer_viewer.model.surface.height_map import Mosaic
 
 Inside = Literal["either", "bright", "dark"]
 SIGNS: dict[Inside, tuple[Sign, ...]] = {"either": (1, -1), "bright": (-1,), "dark": (1,)}
-"""Which way brightness goes from inside to outside."""
+"""Signs of the brightness change from inside to outside."""
 ROOM = 1.2
-"""The picture is read so much further than the circle drawn, for an edge near to it is found by both its sides."""
+"""Ratio of the image area read to the drawn circle; an edge near the circle needs both its sides."""
 ROUNDNESS = f"Roundness is that of medians of {NEIGHBOURS} neighbouring rays; noise makes it larger."
 
 
@@ -33,11 +33,49 @@ def circle_size(
     layer: Layer | None = None,
     name: str = "",
 ) -> CircleSize:
-    """Diameter and radius of the round edge in a circle drawn round it, with expanded uncertainties (k = 2).
+    """Measure diameter, radius and roundness of a circular edge.
 
-    Roundness is RONt of ISO 12181 about the circle of least squares, its uncertainty not evaluated. inside: whether it
-    is brighter or darker there. Raises MeasureError when the region is no circle, lies outside or is too small, or when
-    no round edge, or more than one, stands out.
+    The edge is detected in the all-in-focus image, within the drawn circle.
+
+    Parameters
+    ----------
+    surface : Mosaic
+        Height map or mosaic to measure; regions are in its stage coordinates, um.
+    circle : Region
+        Circle drawn around the edge, in stage um.
+    inside : {'either', 'bright', 'dark'}, optional
+        Brightness of the inside relative to the outside. Default 'either'.
+    calibration_valid : bool, optional
+        Whether the calibration of the surface is valid. Default True. Where it is False, or the surface has no
+        calibration, results have status 'uncalibrated' and no uncertainty.
+    layer : {'unsmoothed', 'smoothed', 'filled'}, optional
+        Height layer that the result names; edges are detected in the image. Default None: the layer on which
+        the recipe of the surface measures.
+    name : str, optional
+        Name of the result. Default ''.
+
+    Returns
+    -------
+    CircleSize
+        Diameter and radius of the least-squares circle in um, with expanded uncertainties (k = 2), its centre, and the
+        roundness in um, whose uncertainty is not evaluated.
+
+    Raises
+    ------
+    MeasureError
+        If the region is no circle, lies outside the surface or is too small, or less than half of the area searched
+        lies on the image.
+    MeasureError
+        If no circular edge stands out, more than one does, or it is not detected all round.
+
+    Notes
+    -----
+    Roundness is RONt of ISO 12181 [1]_ about the least-squares circle, of medians of five neighbouring rays. Noise
+    makes it larger.
+
+    References
+    ----------
+    .. [1] ISO 12181-1, Roundness - Part 1: Vocabulary and parameters of roundness.
     """
     if circle.kind != "circle":
         raise MeasureError(f"A diameter is measured in a circle, this region is a {circle.kind}: draw a circle.")

@@ -1,4 +1,4 @@
-"""How far the tops of bumps over a die lie from one plane (JESD22-B108), and how high each bump is."""
+"""Coplanarity of the bump tops of a die (JESD22-B108), and bump heights."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ from wafer_viewer.model.region import Point, Region
 from wafer_viewer.model.surface.height_map import Mosaic
 
 LEAST_BUMPS = 4
-"""Three tops always lie in one plane."""
+"""Smallest number of bumps; three tops always lie in one plane."""
 Reference = Literal["least_squares", "seating"]
 DEFINITIONS: dict[Reference, str] = {
     "least_squares": "Coplanarity: from the lowest to the highest top over the least-squares plane of all tops.",
@@ -36,7 +36,7 @@ EXTREMES = "Noise draws the extremes apart: the true value is rather smaller."
 
 @dataclass(frozen=True, slots=True, eq=False)
 class FittedBump:
-    """The plane that tops are compared with, slopes along x and y, how far each top lies over it, square to it."""
+    """Reference plane of the tops: slopes along x and y, and normal deviation of each top."""
 
     slope_x: float
     slope_y: float
@@ -44,17 +44,17 @@ class FittedBump:
 
     @property
     def tilt_mrad(self) -> float:
-        """Of the plane."""
+        """Tilt of the plane."""
         return 1e3 * math.hypot(self.slope_x, self.slope_y)
 
     @property
     def extremes(self) -> tuple[int, int]:
-        """The numbers of the lowest and the highest top."""
+        """Indices of the lowest and the highest top."""
         return int(np.argmin(self.deviation_um)), int(np.argmax(self.deviation_um))
 
     @property
     def range_um(self) -> float:
-        """From the lowest to the highest; over the seating plane the highest lie on it."""
+        """Range from the lowest to the highest top; the highest ones lie on the seating plane."""
         return float(np.ptp(self.deviation_um))
 
 
@@ -67,10 +67,51 @@ def coplanarity(
     layer: Layer | None = None,
     name: str = "",
 ) -> Coplanarity:
-    """How far the tops of the bumps in a region lie from one plane, with its expanded uncertainty (k = 2).
+    """Measure the coplanarity of the bump tops in a region.
 
-    reference: the plane of least squares through all tops, or the seating plane. Raises MeasureError when the region
-    has no area or lies outside, when no bump stands out, or fewer than four are whole and measured.
+    Parameters
+    ----------
+    surface : Mosaic
+        Height map or mosaic to measure; regions are in its stage coordinates, um.
+    region : Region
+        Rectangle, circle or polygon over the bumps, in stage um.
+    reference : {'least_squares', 'seating'}, optional
+        Reference plane: the least-squares plane through all tops, or the seating plane. Default 'least_squares'.
+    calibration_valid : bool, optional
+        Whether the calibration of the surface is valid. Default True. Where it is False, or the surface has no
+        calibration, results have status 'uncalibrated' and no uncertainty.
+    layer : {'unsmoothed', 'smoothed', 'filled'}, optional
+        Height layer. Default None: the layer on which the recipe of the surface measures.
+    name : str, optional
+        Name of the result. Default ''.
+
+    Returns
+    -------
+    Coplanarity
+        Coplanarity and mean bump height in um with expanded uncertainties (k = 2), range of the bump heights in um
+        without uncertainty, tilt of the reference plane in mrad, and every bump, the largest deviation first.
+
+    Raises
+    ------
+    MeasureError
+        If the region is a line or a point, or lies outside the surface.
+    MeasureError
+        If nothing is measured in the region, or no bump stands out of the ground.
+    MeasureError
+        If fewer than four bumps are complete and measured; three tops always lie in one plane.
+
+    Notes
+    -----
+    With 'least_squares', coplanarity is the distance from the lowest to the highest top, normal to the plane. With
+    'seating', it is the largest distance of a top from the plane through the three tops on which the part would stand;
+    its centre of gravity is taken in the middle of the bumps. The definitions follow JESD22-B108 [1]_.
+
+    Bump heights count from the surroundings of each bump. Bumps cut by the region, or with unmeasured tops, are only
+    counted. Noise draws the extremes apart, so that the true coplanarity is rather smaller.
+
+    References
+    ----------
+    .. [1] JEDEC JESD22-B108, Coplanarity Test for Surface-Mount Semiconductor Devices.
     """
     require_area(region, "measured")
     reading, level = MeasurementContext.of(surface, layer, calibration_valid), level_for(surface, region)
@@ -104,7 +145,7 @@ def _require_enough(bumps: Bumps) -> None:
 
 
 def least_squares(tops: tuple[Top, ...]) -> FittedBump:
-    """About the plane of least squares through all tops."""
+    """Return the deviations from the least-squares plane through all tops."""
     places, z_um = _places(tops)
     design = np.column_stack([places, np.ones(len(tops))])
     slope_x, slope_y, zero = np.linalg.lstsq(design, z_um, rcond=None)[0].tolist()
@@ -112,9 +153,9 @@ def least_squares(tops: tuple[Top, ...]) -> FittedBump:
 
 
 def seating(tops: tuple[Top, ...]) -> FittedBump:
-    """About the plane that no top lies over and that is nearest to the substrate in the middle of the bumps.
+    """Return the deviations from the plane above all tops that is lowest at the centre of the bumps.
 
-    That it touches three tops round the middle is what the linear programme's optimum means.
+    The optimum of the linear programme touches three tops around the centre.
     """
     places, z_um = _places(tops)
     scale = float(np.abs(places).max()) or 1.0
@@ -128,7 +169,7 @@ PLANES: dict[Reference, Callable[[tuple[Top, ...]], FittedBump]] = {"least_squar
 
 
 def _places(tops: tuple[Top, ...]) -> tuple[Floats, Floats]:
-    """Places about the middle of all, [n, 2], and heights."""
+    """Return the positions relative to their mean, [n, 2], and the heights."""
     places = np.array([(top.x_um, top.y_um) for top in tops])
     return places - places.mean(axis=0), np.array([top.z_um for top in tops])
 
@@ -144,7 +185,7 @@ def _coplanarity(reading: MeasurementContext, tops: tuple[Top, ...], fitted: Fit
 
 
 def _mean_height(reading: MeasurementContext, tops: tuple[Top, ...]) -> Length:
-    """Each bump's errors are its own, so their mean is the surer the more there are."""
+    """Return the mean bump height; errors of bumps are independent, so its uncertainty falls with their number."""
     whole = together(*(together(top.u_um, top.u_round_um) for top in tops))
     mean_um = float(np.mean([top.height_um for top in tops]))
     return _length(reading, mean_um, None if whole is None else whole / len(tops))

@@ -1,4 +1,4 @@
-"""The size of a die between its edges on the picture, its place, how it is turned and how square it is."""
+"""Die size between its edges in the image, with position, rotation and squareness."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ from wafer_viewer.model.surface.height_map import Mosaic
 
 Die = Literal["either", "bright", "dark"]
 SIGNS: dict[Die, tuple[Sign, ...]] = {"either": (1, -1), "bright": (1,), "dark": (-1,)}
-"""Which way brightness goes from outside to inside."""
+"""Signs of the brightness change from outside to inside."""
 TURN = "Rotation counts from the axes of the picture."
 
 
@@ -30,10 +30,45 @@ def die_size(
     layer: Layer | None = None,
     name: str = "",
 ) -> DieSize:
-    """Width and height of the die that a region lies round, with expanded uncertainties (k = 2), and how it lies.
+    """Measure width, height and orientation of the die in a region.
 
-    die: whether its rim is brighter or darker than what is round it. Raises MeasureError when the region is no
-    rectangle, lies outside or is too small, or when on one of its sides no edge, or more than one, stands out.
+    The four edges are detected in the all-in-focus image.
+
+    Parameters
+    ----------
+    surface : Mosaic
+        Height map or mosaic to measure; regions are in its stage coordinates, um.
+    region : Region
+        Rectangle around one die, in stage um.
+    die : {'either', 'bright', 'dark'}, optional
+        Brightness of the rim of the die relative to the surroundings. Default 'either'.
+    calibration_valid : bool, optional
+        Whether the calibration of the surface is valid. Default True. Where it is False, or the surface has no
+        calibration, results have status 'uncalibrated' and no uncertainty.
+    layer : {'unsmoothed', 'smoothed', 'filled'}, optional
+        Height layer that the result names; edges are detected in the image. Default None: the layer on which
+        the recipe of the surface measures.
+    name : str, optional
+        Name of the result. Default ''.
+
+    Returns
+    -------
+    DieSize
+        Width and height through the centre in um, and rotation and squareness in degrees, with expanded uncertainties
+        (k = 2); also the centre and the outline in stage um.
+
+    Raises
+    ------
+    MeasureError
+        If the region is no rectangle, lies outside the surface, is smaller than 16 pixels either way, or has less than
+        half of its area on the image.
+    MeasureError
+        If on one of its sides no edge stands out, more than one does, or fewer than half of the search lines detect it.
+
+    Notes
+    -----
+    Rotation counts from the axes of the image, counter-clockwise. Squareness is the deviation from 90 degrees of the
+    angle between the edges.
     """
     require_rectangle(region, "A die size")
     reading = MeasurementContext.of(surface, layer, calibration_valid)

@@ -1,4 +1,4 @@
-"""Flatness of a face by ISO 12781: what is left of it about the plane of least squares, and its minimum zone."""
+"""Flatness of a face by ISO 12781: deviations from the least-squares plane, and minimum zone."""
 
 from __future__ import annotations
 
@@ -14,21 +14,57 @@ from wafer_viewer.model.region import Region
 from wafer_viewer.model.surface.height_map import Mosaic
 
 BAND = (0.135, 99.865)
-"""Per cent: between them lie 99.73 % of the heights, as within three deviations of normal ones."""
+"""Percentiles that enclose 99.73 % of the heights, as +-3 deviations of normal noise do."""
 ROUNDING = 1e-9
-"""Of the extent of a face: what is left of a plane is no more than rounding."""
+"""Residuals below this fraction of the extent of a face are rounding."""
 EXTREMES = "FLTt is between the two most extreme points: noise and single false heights make it larger."
 
 
 def flatness(
     surface: Mosaic, region: Region, *, calibration_valid: bool = True, layer: Layer | None = None, name: str = ""
 ) -> Flatness:
-    """FLTt (highest over lowest) and FLTq (root mean square) about the least-squares plane, and the 99.73 % band.
+    """Measure the flatness of a face by ISO 12781.
 
-    Beside them FLTt of the minimum zone: the lowest layer between two parallel planes that holds every point.
+    FLTt (peak to valley) and FLTq (root mean square) are about the least-squares plane. FLTt of the minimum zone is the
+    smallest distance, along z, of two parallel planes that enclose every point.
 
-    No uncertainty: how far noise pulls the extremes apart is not evaluated. Raises MeasureError when the region is a
-    line, lies outside, or has fewer than 200 measured points or less than half of its area measured.
+    Parameters
+    ----------
+    surface : Mosaic
+        Height map or mosaic to measure; regions are in its stage coordinates, um.
+    region : Region
+        Rectangle, circle or polygon on the face, in stage um.
+    calibration_valid : bool, optional
+        Whether the calibration of the surface is valid. Default True. Where it is False, or the surface has no
+        calibration, results have status 'uncalibrated' and no uncertainty.
+    layer : {'unsmoothed', 'smoothed', 'filled'}, optional
+        Height layer. Default None: the layer on which the recipe of the surface measures.
+    name : str, optional
+        Name of the result. Default ''.
+
+    Returns
+    -------
+    Flatness
+        FLTt, FLTq, FLTt of the minimum zone, and the band that encloses 99.73 % of the heights, all in um and without
+        uncertainty: the effect of noise on the extremes is not evaluated.
+
+    Raises
+    ------
+    MeasureError
+        If the region is a line or a point, or lies outside the surface.
+    MeasureError
+        If the region has fewer than 200 measured points or less than half of its area measured.
+    MeasureError
+        If its points do not determine a plane.
+
+    Notes
+    -----
+    Every measured point counts; no outliers are rejected. FLTt is between the two most extreme points, so that noise
+    and single false heights make it larger. Parameters are those of ISO 12781-1 [1]_.
+
+    References
+    ----------
+    .. [1] ISO 12781-1, Flatness - Part 1: Vocabulary and parameters of flatness.
     """
     reading = MeasurementContext.of(surface, layer, calibration_valid)
     area = area_of(reading, region, "face", "flatness")
@@ -48,10 +84,10 @@ def flatness(
 
 
 def minimum_zone(points: HeightSamples, left_um: Floats) -> float:
-    """Height in um, along z, of the lowest layer between two parallel planes that holds all points.
+    """Return the height in um, along z, of the minimum zone: two parallel planes that enclose all points.
 
-    left_um: what any plane near to it leaves of the points. Only corners of their convex hull can touch the layer's
-    faces; which layer it is says a linear programme over those.
+    left_um: residuals from any plane near to it. Only vertices of the convex hull can touch the planes; a linear
+    programme over these finds the zone.
     """
     places = np.stack([points.x_um - points.x_um.mean(), points.y_um - points.y_um.mean()], axis=1)
     span_um, height_um = float(np.abs(places).max()), float(np.ptp(left_um))

@@ -1,4 +1,4 @@
-"""The width of a kerf between its two edges on the picture: along the whole of it, at its narrowest and its widest."""
+"""Kerf width between its two edges in the image: mean, narrowest and widest."""
 
 from __future__ import annotations
 
@@ -24,20 +24,20 @@ from wafer_viewer.model.region import Region
 from wafer_viewer.model.surface.height_map import Mosaic
 
 NEIGHBOURS = 5
-"""The narrowest and the widest place are those of medians of so many neighbouring search lines."""
+"""Number of neighbouring search lines of the median for the narrowest and the widest place."""
 U_OF_MEDIAN = 0.54
-"""Standard deviation of the median of five over that of one."""
+"""Ratio of the standard deviation of the median of five to that of one."""
 LEAST_APART_PX = 2 * REACH_PX
-"""Edges nearer to each other change each other's place."""
+"""Smallest distance of edges; closer edges shift each other."""
 Kerf = Literal["either", "bright", "dark"]
 SIGNS: dict[Kerf, tuple[Sign, ...]] = {"either": (1, -1), "bright": (1,), "dark": (-1,)}
-"""Which way brightness goes at the first edge."""
+"""Signs of the brightness change at the first edge."""
 EXTREMES = f"Narrowest and widest are medians of {NEIGHBOURS} neighbouring search lines; noise draws them apart."
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class KerfEdges:
-    """The two edges of a kerf, as they come along the search lines, and its width on each line that sees both."""
+    """The two edges of a kerf, in search order, and its width on each line that detects both."""
 
     first: Found
     second: Found
@@ -45,29 +45,29 @@ class KerfEdges:
 
     @property
     def width_um(self) -> float:
-        """Between the lines, in the middle of their points."""
+        """Distance of the lines, at the centre of their points."""
         return sum(abs(float(edge.line.off(*self._middle))) for edge in (self.first, self.second))
 
     @property
     def u_um(self) -> float | None:
-        """Standard uncertainty of the width by the scatter of both edges' points."""
+        """Standard uncertainty of the width from the scatter of both edges' points; None if unknown."""
         lines = (self.first.line, self.second.line)
         return together(*(line.u_um(float(line.along(*self._middle))) for line in lines))
 
     @property
     def angle_deg(self) -> float:
-        """Between the lines."""
+        """Angle between the lines."""
         return lines_between(self.first.line, self.second.line)
 
     @property
     def u_extreme_um(self) -> float:
-        """Standard uncertainty of the median of neighbouring widths, by how much neighbours differ."""
+        """Standard uncertainty of the median of neighbouring widths, from differences between neighbours."""
         steps = np.diff(self.widths_um)
         return U_OF_MEDIAN * SIGMA_OF_MAD * float(np.median(np.abs(steps - np.median(steps)))) / math.sqrt(2)
 
     @property
     def extremes_um(self) -> tuple[float, float]:
-        """The narrowest and the widest place."""
+        """Narrowest and widest local width."""
         near = np.median(np.lib.stride_tricks.sliding_window_view(self.widths_um, NEIGHBOURS), axis=1)
         return float(near.min()), float(near.max())
 
@@ -86,10 +86,47 @@ def kerf_width(
     layer: Layer | None = None,
     name: str = "",
 ) -> KerfWidth:
-    """The width of the kerf that a region lies across, with its expanded uncertainty (k = 2), and its edges' angle.
+    """Measure the width of the kerf in a region and its edges' angle.
 
-    kerf: whether it is brighter or darker than what lies beside it. Raises MeasureError when the region is no
-    rectangle, lies outside or is too small, or when no pair of edges, or more than one, stands out of it.
+    The edges are detected in the all-in-focus image. The kerf may run along either side of the region.
+
+    Parameters
+    ----------
+    surface : Mosaic
+        Height map or mosaic to measure; regions are in its stage coordinates, um.
+    region : Region
+        Rectangle across one kerf, in stage um.
+    kerf : {'either', 'bright', 'dark'}, optional
+        Brightness of the kerf relative to its surroundings. Default 'either'.
+    calibration_valid : bool, optional
+        Whether the calibration of the surface is valid. Default True. Where it is False, or the surface has no
+        calibration, results have status 'uncalibrated' and no uncertainty.
+    layer : {'unsmoothed', 'smoothed', 'filled'}, optional
+        Height layer that the result names; edges are detected in the image. Default None: the layer on which
+        the recipe of the surface measures.
+    name : str, optional
+        Name of the result. Default ''.
+
+    Returns
+    -------
+    KerfWidth
+        Width between the lines through the edges, and narrowest and widest local width, in um, and angle between the
+        edges in degrees (0 if parallel), with expanded uncertainties (k = 2).
+
+    Raises
+    ------
+    MeasureError
+        If the region is no rectangle, lies outside the surface, is smaller than 16 pixels either way, or has less than
+        half of its area on the image.
+    MeasureError
+        If no pair of edges stands out, or more than one does.
+    MeasureError
+        If fewer than half of the search lines detect an edge, or fewer than ten detect both.
+
+    Notes
+    -----
+    The width is the distance of the lines at the centre of their points. Narrowest and widest are medians of five
+    neighbouring search lines; noise draws them apart.
     """
     require_rectangle(region, "A kerf width")
     reading = MeasurementContext.of(surface, layer, calibration_valid)
@@ -113,7 +150,7 @@ def kerf_width(
 
 
 def kerf_edges(strip: SearchStrip, signs: tuple[Sign, ...] = (1, -1)) -> KerfEdges:
-    """The two edges of the kerf in a strip, whichever way it runs. Raises MeasureError where there is no such pair."""
+    """Find the two edges of the kerf in a strip, in either direction. Raises MeasureError where there is no pair."""
     ways = [_Way.of(one, sign) for one in (strip, strip.turned) for sign in signs]
     best = max(ways, key=lambda way: way.strength)
     best.require_clear()
@@ -159,7 +196,7 @@ class _Way:
 
 
 def _strongest_pair(first: EdgeScores, second: EdgeScores) -> tuple[tuple[int, int], float]:
-    """The places of the first and a later second edge whose geometric mean is largest, and that mean."""
+    """Return the places of the first and a later second edge with the largest geometric mean, and that mean."""
     apart = LEAST_APART_PX
     if len(first.best) <= apart:
         return (0, 0), 0.0
@@ -170,7 +207,7 @@ def _strongest_pair(first: EdgeScores, second: EdgeScores) -> tuple[tuple[int, i
 
 
 def _widths_um(strip: SearchStrip, first: Found, second: Found) -> Floats:
-    """On each line that sees both edges, square to the kerf."""
+    """Return the width normal to the kerf on each line that detects both edges."""
     _, one, two = np.intersect1d(first.points.line, second.points.line, return_indices=True)
     if len(one) < 2 * NEIGHBOURS:
         raise MeasureError(

@@ -1,4 +1,4 @@
-"""The height at a place, and the way from one place on the surface to another."""
+"""Point heights, and distances between points on the surface."""
 
 from __future__ import annotations
 
@@ -17,19 +17,22 @@ from wafer_viewer.model.region import Region
 from wafer_viewer.model.surface.height_map import Mosaic
 
 NEXT_PX = 1.5
-"""A height is the median of the measured pixels up to so far away: of nine where none is missing."""
+"""Radius of the median for a height: nine pixels where none is missing."""
 NOISE_WINDOWS = 5
-"""The noise of a height is the scatter of those up to so many focus windows away, about a plane: errors are alike over
-one window, so that a smaller part would not show them."""
+"""Radius of the area for the noise estimate, in focus windows.
+
+The noise is the scatter about a plane. Errors are correlated over one window, so that a smaller area would not show
+them.
+"""
 UNKNOWN_WINDOW = 15
-"""What is taken for a focus window that a surface does not tell of."""
+"""Focus window assumed where the surface does not specify one."""
 MIN_NOISE_POINTS = 100
 BY_HAND = "Not in the budget: where the points were set, distortion of the lens, places of the fields."
 
 
 @dataclass(frozen=True, slots=True)
 class Spot:
-    """The height at a place with the noise round it, None where too little is measured to tell; how many pixels."""
+    """Height at a point, noise around it (None where too little is measured), and number of pixels."""
 
     x_um: float
     y_um: float
@@ -41,10 +44,39 @@ class Spot:
 def point_height(
     surface: Mosaic, place: Region, *, calibration_valid: bool = True, layer: Layer | None = None, name: str = ""
 ) -> PointHeight:
-    """The height at a point over the zero of the surface, with its expanded uncertainty (k = 2).
+    """Measure the height at a point over the zero of the surface.
 
-    layer: heights to measure on, as the surface's recipe says when left out. Without a valid calibration the height
-    reads 'uncalibrated'. Raises MeasureError when the region is no point, lies outside or where nothing is measured.
+    Parameters
+    ----------
+    surface : Mosaic
+        Height map or mosaic to measure; regions are in its stage coordinates, um.
+    place : Region
+        Point, in stage um.
+    calibration_valid : bool, optional
+        Whether the calibration of the surface is valid. Default True. Where it is False, or the surface has no
+        calibration, results have status 'uncalibrated' and no uncertainty.
+    layer : {'unsmoothed', 'smoothed', 'filled'}, optional
+        Height layer. Default None: the layer on which the recipe of the surface measures.
+    name : str, optional
+        Name of the result. Default ''.
+
+    Returns
+    -------
+    PointHeight
+        Height in um with its expanded uncertainty (k = 2), and the number of pixels of its median. The uncertainty is
+        not evaluated where fewer than 100 points are measured around the point.
+
+    Raises
+    ------
+    MeasureError
+        If the region is no point, or lies outside the surface.
+    MeasureError
+        If nothing is measured at the point.
+
+    Notes
+    -----
+    The height is the median of the measured pixels within 1.5 pixels, nine where none is missing. The noise is the
+    standard deviation about a plane through the points within five focus windows, without outliers.
     """
     reading = MeasurementContext.of(surface, layer, calibration_valid)
     spot = _spot(reading, place)
@@ -65,9 +97,41 @@ def distance(
     layer: Layer | None = None,
     name: str = "",
 ) -> Distance:
-    """The way between two points: in space, lateral, along z (positive when `end` is higher), its slope in degrees.
+    """Measure the distance of two points in space, lateral and along z.
 
-    Raises MeasureError as `point_height` does, and where both points are the same.
+    Parameters
+    ----------
+    surface : Mosaic
+        Height map or mosaic to measure; regions are in its stage coordinates, um.
+    start : Region
+        First point, in stage um.
+    end : Region
+        Second point, in stage um.
+    calibration_valid : bool, optional
+        Whether the calibration of the surface is valid. Default True. Where it is False, or the surface has no
+        calibration, results have status 'uncalibrated' and no uncertainty.
+    layer : {'unsmoothed', 'smoothed', 'filled'}, optional
+        Height layer. Default None: the layer on which the recipe of the surface measures.
+    name : str, optional
+        Name of the result. Default ''.
+
+    Returns
+    -------
+    Distance
+        Distance in space, lateral distance, and height difference, in um, and slope in degrees, with expanded
+        uncertainties (k = 2). The height difference and the slope are positive when `end` is higher. Except for the
+        lateral distance, the uncertainty is not evaluated where fewer than 100 points are measured around a point.
+
+    Raises
+    ------
+    MeasureError
+        If a region is no point, lies outside the surface, or nothing is measured there, as in `point_height`.
+    MeasureError
+        If both points have the same lateral position.
+
+    Notes
+    -----
+    Not in the budget: the placement of the points, the distortion of the lens and the positions of the fields.
     """
     reading = MeasurementContext.of(surface, layer, calibration_valid)
     a, b = _spot(reading, start), _spot(reading, end)
@@ -118,7 +182,7 @@ def _reach_px(reading: MeasurementContext) -> int:
 
 
 def _noise_um(near: HeightSamples) -> float | None:
-    """Standard deviation of heights about a plane through them, outliers apart."""
+    """Return the standard deviation of heights about a plane through them, without outliers."""
     if len(near) < MIN_NOISE_POINTS:
         return None
     plane, fit = fit_plane(near)
@@ -147,7 +211,7 @@ def _lines_along_z(reading: MeasurementContext, a: Spot, b: Spot) -> Lines | Non
 
 
 def _joined(across: Lines, along: Lines | None, per_lateral: float, per_dz: float) -> Lines | None:
-    """The lines of what depends on both, by how much it changes with each."""
+    """Return the budget lines of a quantity that depends on both, with its sensitivity coefficients."""
     if along is None:
         return None
     return {n: abs(per_lateral) * u for n, u in across.items()} | {n: abs(per_dz) * u for n, u in along.items()}

@@ -1,8 +1,8 @@
-"""What the places of fields do to a step between them: how sure the heights of some fields are against those of others.
+"""Uncertainty of a step height due to the poses of the fields: heights of some fields relative to others.
 
-A field that lies too high, or leans, moves what is measured on it. Two regions of one field move together, regions of
-neighbours as far as the overlap between them lets them: so what counts is the covariance of all poses, from what the
-overlaps tell and from the stage.
+A height or tilt error of a field shifts what is measured on it. Two regions of one field shift together, regions of
+neighbouring fields as far as their overlap couples them. The covariance of all poses therefore matters, from the
+overlaps and from the stage.
 """
 
 from __future__ import annotations
@@ -20,13 +20,16 @@ from wafer_viewer.model.surface.field_poses import HasPoses, Poses
 from wafer_viewer.model.surface.height_map import HeightMap, Mosaic, ReadThrough
 
 MOST_FIELDS = 300
-"""Fields further away say next to nothing of two regions; regions that reach beyond them have no such line."""
+"""Largest number of fields considered; more distant ones have negligible influence.
+
+Regions that extend beyond them have no such budget line.
+"""
 TILT_ERROR = 1e-3
-"""Standard deviation of what a field leans by before its overlaps are looked at, um per um: no more than a bound."""
+"""Prior standard deviation of a field's tilt, um per um: an upper bound, before overlaps are used."""
 
 
 class PoseSensitivities(NamedTuple):
-    """Places on the surface, and how much a number moves with the height at each: float64 [n]."""
+    """Places on the surface, and sensitivity coefficients of a number to the height at each: float64 [n]."""
 
     x_um: Floats
     y_um: Floats
@@ -34,15 +37,15 @@ class PoseSensitivities(NamedTuple):
 
 
 def pulls_of(faces: StepFaces, of: LinearFunctional) -> PoseSensitivities:
-    """What a number of two faces is pulled by, at the middles of tiles."""
+    """Return the sensitivity coefficients of a linear functional of two faces, at the centres of tiles."""
     pairs = zip(_weights(faces.high, of.high), _weights(faces.low, of.low), strict=True)
     return PoseSensitivities(*(np.concatenate(pair) for pair in pairs))
 
 
 def poses_u_um(surface: Mosaic, pulls: PoseSensitivities) -> float | None:
-    """Standard uncertainty of a number by the poses of the fields that it was seen in.
+    """Return the standard uncertainty of a number due to the poses of its fields.
 
-    0 where all was seen in one field; None where nobody knows where the fields lie.
+    0 where all was measured in one field; None where the poses are unknown.
     """
     bare = surface
     while isinstance(bare, ReadThrough) and not isinstance(bare, HasPoses):
@@ -71,14 +74,14 @@ def _of_fields(poses: Poses, pulls: PoseSensitivities) -> float | None:
 
 
 def _weights(face: Face, gradient: Floats) -> tuple[Floats, Floats, Floats]:
-    """Middles x, y of tiles of a face, and how much each pulls at gradient times the face's plane."""
+    """Return tile centres x, y of a face, and their sensitivity coefficients for gradient times the face's plane."""
     columns = np.column_stack([face.points.x_um, face.points.y_um, face.design])
     means = Tiles.of(face.points, columns, face.part, SIDES[0]).means
     return means[:, 0], means[:, 1], gradient @ np.linalg.pinv(means[:, 2:])
 
 
 def _field_of(poses: Poses, x_um: Floats, y_um: Floats) -> NDArray[np.intp]:
-    """The field in whose middle each place lies most."""
+    """Return the field whose centre is nearest to each place, relative to the field size."""
     from scipy.spatial import KDTree
 
     there = np.flatnonzero(~poses.left_out)
@@ -93,7 +96,7 @@ def _nearest(poses: Poses, x_um: float, y_um: float) -> NDArray[np.intp]:
 
 
 def _information(poses: Poses, some: NDArray[np.intp]) -> Floats:
-    """Inverse covariance of (height, slope x, slope y) of some fields, from the stage and the overlaps among them."""
+    """Return the inverse covariance of (height, slope x, slope y) of some fields, from stage and overlaps."""
     n, seams = len(some), poses.seams
     told = np.diag(np.tile([poses.z_error_um**-2.0, TILT_ERROR**-2.0, TILT_ERROR**-2.0], n))
     place = np.full(len(poses.x_um), -1)
@@ -109,5 +112,5 @@ def _information(poses: Poses, some: NDArray[np.intp]) -> Floats:
 
 
 def _at(poses: Poses, field: int, x_um: float, y_um: float) -> Floats:
-    """Height and slopes of a field at a place, from those in its middle, [3, 3]."""
+    """Return the matrix [3, 3] from height and slopes at a field's centre to those at a place."""
     return np.array([[1.0, x_um - poses.x_um[field], y_um - poses.y_um[field]], [0, 1, 0], [0, 0, 1]])

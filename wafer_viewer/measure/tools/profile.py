@@ -1,4 +1,4 @@
-"""A section of a surface along a line: sampled every pixel, averaged across the line, between measured pixels only."""
+"""Profile of a surface along a line: sampled every pixel, averaged across the line, from measured pixels only."""
 
 from __future__ import annotations
 
@@ -15,11 +15,11 @@ from wafer_viewer.model.region import Region
 from wafer_viewer.model.surface.height_map import Heights, Mosaic, pixel_window
 
 MAX_SAMPLES = 8192
-"""A line with more pixels is read at a coarser level of the pyramid."""
+"""Largest number of samples; longer lines are read at a coarser pyramid level."""
 _PIECE = 512
-"""Samples read at a time: a slanted line never needs the whole rectangle round it."""
+"""Samples per read, so that a slanted line never reads its complete bounding rectangle."""
 MIN_WEIGHT = 0.5
-"""A sample is measured when at least this share of what it is interpolated and averaged from is."""
+"""Smallest measured fraction of the pixels that contribute to a measured sample."""
 
 
 def profile(
@@ -31,11 +31,50 @@ def profile(
     level: int | None = None,
     name: str = "",
 ) -> tuple[Profile, ProfileCurve]:
-    """The section along a line and its numbers: Pt, the highest over the lowest point, and the rise from end to end.
+    """Return the profile along a line and its numbers.
 
-    The line's width_um is averaged over. layer: heights to measure on, as the surface's recipe says when left out;
-    level: of the pyramid, the finest with at most 8192 samples when left out.
-    Raises MeasureError when the region is no line, has no length, lies outside, or no height on it was measured.
+    The profile has one sample per pixel, from measured pixels only, averaged over the `width_um` of the line.
+
+    Parameters
+    ----------
+    surface : Mosaic
+        Height map or mosaic to measure; regions are in its stage coordinates, um.
+    line : Region
+        Line, in stage um; its `width_um` is the width of averaging across it, 0 for none.
+    calibration_valid : bool, optional
+        Whether the calibration of the surface is valid. Default True. Where it is False, or the surface has no
+        calibration, results have status 'uncalibrated' and no uncertainty.
+    layer : {'unsmoothed', 'smoothed', 'filled'}, optional
+        Height layer. Default None: the layer on which the recipe of the surface measures.
+    level : int, optional
+        Pyramid level to read. Default None: the finest level with at most 8192 samples.
+    name : str, optional
+        Name of the result. Default ''.
+
+    Returns
+    -------
+    Profile
+        Pt (peak to valley) and the rise from the first to the last measured sample, in um. Their uncertainty is not
+        evaluated.
+    ProfileCurve
+        Distance along the line, height, and stage x and y of each sample: float64 [n], in um; heights are NaN where the
+        surface is unmeasured.
+
+    Raises
+    ------
+    MeasureError
+        If the region is no line, has no length, or lies outside the surface.
+    MeasureError
+        If fewer than two samples along the line were measured.
+
+    Notes
+    -----
+    Heights are interpolated bilinearly between measured pixels. A sample is measured where at least half of the weight
+    of its pixels is measured. Pt is a parameter of ISO 21920-2 [1]_.
+
+    References
+    ----------
+    .. [1] ISO 21920-2, Surface texture: Profile - Part 2: Terms, definitions and surface texture parameters.
     """
     length_um = length_um_of(line)
     at_level = _level_for(surface, length_um) if level is None else level
@@ -56,7 +95,7 @@ def numbers_of(
     calibration_valid: bool = True,
     name: str = "",
 ) -> Profile:
-    """Return the numbers of a curve along a line; `about` says how it was filtered.
+    """Return the numbers of a curve along a line; `about` describes its filter.
 
     Raises MeasureError when fewer than two of its points were measured.
     """
@@ -79,7 +118,7 @@ def numbers_of(
 
 
 def sampled(surface: Mosaic, line: Region, layer: Layer, level: int) -> ProfileCurve:
-    """Points along a line, one for each pixel of a level; NaN where unmeasured or outside of the surface."""
+    """Return points along a line, one per pixel of a level; NaN where unmeasured or outside the surface."""
     pixel_um = surface.pixel_um * 2**level
     curve, length_um = samples_along(line, pixel_um), length_um_of(line)
     (xa, ya), (xb, yb) = ((p.x_um, p.y_um) for p in line.points)
@@ -91,7 +130,7 @@ def sampled(surface: Mosaic, line: Region, layer: Layer, level: int) -> ProfileC
 
 
 def samples_along(line: Region, pixel_um: float) -> ProfileCurve:
-    """Return the places along a line, about a pixel apart, whose heights are still to be found (NaN)."""
+    """Return sample places along a line, about a pixel apart, with heights NaN."""
     (xa, ya), (xb, yb) = ((p.x_um, p.y_um) for p in line.points)
     length_um = length_um_of(line)
     # A line from pixel centre to pixel centre has them all and no more, whatever the last digit of its length.
@@ -101,7 +140,7 @@ def samples_along(line: Region, pixel_um: float) -> ProfileCurve:
 
 
 def _mean_across(surface: Mosaic, x_um: Floats, y_um: Floats, layer: Layer, level: int) -> Floats:
-    """The mean height over the second axis of points [sample, across], where enough of it is measured."""
+    """Return the mean height over the second axis of points [sample, across], where enough is measured."""
     pixel_um = surface.pixel_um * 2**level
     low, high = (x_um.min() - pixel_um, y_um.min() - pixel_um), (x_um.max() + pixel_um, y_um.max() + pixel_um)
     try:
@@ -114,7 +153,7 @@ def _mean_across(surface: Mosaic, x_um: Floats, y_um: Floats, layer: Layer, leve
 
 
 def _bilinear(part: Heights, x_um: Floats, y_um: Floats) -> tuple[Floats, Floats]:
-    """Weighted heights and weights of the measured ones among the four pixels round each point."""
+    """Return weighted heights and weights of the measured pixels among the four around each point."""
     z_um = part.z_um
     row, col = (part.y0_um - y_um) / part.pixel_um, (x_um - part.x0_um) / part.pixel_um
     top, left = np.floor(row).astype(np.intp), np.floor(col).astype(np.intp)
@@ -131,7 +170,7 @@ def _bilinear(part: Heights, x_um: Floats, y_um: Floats) -> tuple[Floats, Floats
 
 
 def length_um_of(line: Region) -> float:
-    """Return the length of a line in um. Raises MeasureError for another region, and for one without length."""
+    """Return the length of a line in um. Raises MeasureError for another region, and for zero length."""
     if line.kind != "line":
         raise MeasureError(f"A profile needs a line, this region is a {line.kind}: draw a line.")
     (xa, ya), (xb, yb) = ((p.x_um, p.y_um) for p in line.points)
@@ -146,7 +185,7 @@ def _level_for(surface: Mosaic, length_um: float) -> int:
 
 
 def _offsets_um(width_um: float, pixel_um: float) -> Floats:
-    """Places across a line of a width, about a pixel apart, symmetric about it."""
+    """Return offsets across a line of a width, about a pixel apart, symmetric about it."""
     n = max(1, round(width_um / pixel_um))
     return (np.arange(n) - (n - 1) / 2) * width_um / n
 

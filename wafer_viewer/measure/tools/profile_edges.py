@@ -1,7 +1,7 @@
-"""Where a profile jumps: the two edges of a groove or a ridge, or the one of a step, whatever the profile's tilt.
+"""Edges of a profile: two of a groove or a ridge, or one of a step, for any tilt of the profile.
 
-Looked for is what explains most of the profile: z = a x + b + h delta, where delta is 1 between two places and 0
-outside. What h explains for every pair of places follows from running sums, so that all pairs are tried.
+The model with the largest explained sum of squares is chosen: z = a x + b + h delta, where delta is 1 between two
+places and 0 outside. Running sums give the explained sum of squares of every pair of places, so that all are tried.
 """
 
 from __future__ import annotations
@@ -13,16 +13,16 @@ import numpy as np
 from wafer_viewer.measure.base.height_samples import Floats
 
 BINS = 300
-"""Pairs of places are tried on so many means along the profile, then between single samples."""
+"""Number of means along the profile for the exhaustive search; then single samples are tried."""
 MEDIAN_OF = 5
-"""Single false heights are no edges: a running median of so many samples takes them off."""
+"""Window of the running median, in samples, which removes single false heights."""
 LEAST_BINS = 2
 ROUNDS = 3
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class SideSums:
-    """Running sums over samples of a profile: count, place about the middle, and what a straight line leaves of it."""
+    """Running sums over samples of a profile: count, centred place, and residual from a straight line."""
 
     n: Floats
     x: Floats
@@ -31,7 +31,7 @@ class SideSums:
 
     @classmethod
     def of(cls, x: Floats, z: Floats) -> SideSums:
-        """Of samples at x with heights z, both [n]."""
+        """Return the running sums of samples at x with heights z, both [n]."""
         about = x - x.mean()
         squares = float(about @ about)
         left = z - z.mean() - about * (float(about @ z) / squares)
@@ -39,14 +39,14 @@ class SideSums:
         return cls(count, place, rest, squares)
 
     def explained(self, first: np.ndarray, end: np.ndarray) -> Floats:
-        """Sum of squares that a jump of samples first ... end - 1 explains, arrays of indices that broadcast."""
+        """Return the sum of squares explained by a jump of samples first ... end - 1; indices broadcast."""
         count, place, left = (column[end] - column[first] for column in (self.n, self.x, self.left))
         spread = count - count**2 / self.n[-1] - place**2 / self.x_squares
         return np.where(spread > 1e-9, left**2 / np.maximum(spread, 1e-9), 0.0)
 
 
 def groove_edges(x: Floats, z: Floats) -> tuple[int, int]:
-    """Samples at which the bottom begins and after which it ends: first and end of the range, 0 < first < end < n."""
+    """Return the range of the bottom's samples: first and end, 0 < first < end < n."""
     even, ends = smooth(z), _bins(len(x))
     coarse = SideSums.of(_means(x, ends), _means(even, ends))
     n = len(ends) - 1
@@ -62,19 +62,19 @@ def groove_edges(x: Floats, z: Floats) -> tuple[int, int]:
 
 
 def step_edge(x: Floats, z: Floats) -> int:
-    """The first sample beyond the edge of a single step."""
+    """Return the first sample beyond the edge of a single step."""
     sums = SideSums.of(x, smooth(z))
     return _best(sums, np.arange(LEAST_BINS, len(x) - LEAST_BINS), np.array(len(x)))
 
 
 def _best(sums: SideSums, first: np.ndarray, end: np.ndarray) -> int:
-    """The index, of the one that varies, that explains most."""
+    """Return the varying index with the largest explained sum of squares."""
     varies = first if first.ndim else end
     return int(varies[np.argmax(sums.explained(first, end))])
 
 
 def smooth(z: Floats) -> Floats:
-    """Without single false heights: the running median."""
+    """Remove single false heights with a running median."""
     from scipy.ndimage import median_filter
 
     return median_filter(z, MEDIAN_OF, mode="nearest")

@@ -1,7 +1,7 @@
-"""The radius of a bump or a pit: a sphere fitted within a circle, its top against the plane of the surroundings.
+"""Radius of a bump or a pit: sphere fit within a circle, and top height over the plane of the surroundings.
 
-The circle is drawn round the bump, so it holds surroundings as well: the sphere is fitted to what rises over them by
-more than a share of the top.
+The circle is drawn around the bump and contains surroundings as well. The sphere is fitted to points above a fraction
+of the top height.
 """
 
 from __future__ import annotations
@@ -23,26 +23,58 @@ from wafer_viewer.model.region import Point, Region
 from wafer_viewer.model.surface.height_map import Mosaic
 
 CAP_FROM = 0.3
-"""The sphere is fitted to what rises over the surroundings by more than this share of the top: below it bumps have
-feet."""
+"""Fraction of the top height above which the sphere is fitted; below it bumps have feet."""
 RING = 1.25
-"""The surroundings are what lies between the circle and one so many times as large."""
+"""Outer radius of the surroundings, relative to the circle."""
 MIDDLE = 0.3
-"""The top is first looked for within this share of the circle's radius."""
+"""Radius of the initial search for the top, relative to the circle."""
 MIN_POINTS = 50
 FITTED_POINTS = 100_000
-"""More points make a sphere no surer: neighbours err alike."""
+"""Largest number of fitted points; with more, correlated errors do not reduce the uncertainty."""
 _ROUNDS = 3
 
 
 def bump_radius(
     surface: Mosaic, circle: Region, *, calibration_valid: bool = True, layer: Layer | None = None, name: str = ""
 ) -> Radius:
-    """The radius of the bump or pit in a circle and the height of its top, with expanded uncertainties (k = 2).
+    """Measure the sphere radius and the top height of a bump or a pit.
 
-    The top is negative for a pit. The surroundings are what lies up to a quarter of the circle's radius outside of it.
-    Raises MeasureError when the region is no circle, lies outside, has too few measured points in it or round it, or
-    when no sphere stands out of it.
+    Both have an expanded uncertainty (k = 2).
+
+    Parameters
+    ----------
+    surface : Mosaic
+        Height map or mosaic to measure; regions are in its stage coordinates, um.
+    circle : Region
+        Circle around the bump or pit, in stage um, with some of its surroundings in it.
+    calibration_valid : bool, optional
+        Whether the calibration of the surface is valid. Default True. Where it is False, or the surface has no
+        calibration, results have status 'uncalibrated' and no uncertainty.
+    layer : {'unsmoothed', 'smoothed', 'filled'}, optional
+        Height layer. Default None: the layer on which the recipe of the surface measures.
+    name : str, optional
+        Name of the result. Default ''.
+
+    Returns
+    -------
+    Radius
+        Radius of the sphere and height of its top over the plane of the surroundings, both in um; the top is negative
+        for a pit. Also the centre of the sphere and the root mean square residual of the fitted points, in um.
+
+    Raises
+    ------
+    MeasureError
+        If the region is no circle, or lies outside the surface.
+    MeasureError
+        If fewer than 50 points are measured around the circle or on the bump, or none in the middle of the circle.
+    MeasureError
+        If nothing stands out of the surroundings in the middle of the circle, or no sphere fits the heights.
+
+    Notes
+    -----
+    The surroundings extend to a quarter of the circle's radius outside it. The sphere is fitted, with outlier
+    rejection, to the points above 30 % of the top height, because bumps have feet below. At most 100 000 points, evenly
+    thinned, are used.
     """
     if circle.kind != "circle":
         raise MeasureError(f"A radius is measured in a circle, this region is a {circle.kind}: draw a circle.")
@@ -75,7 +107,7 @@ def _wider(circle: Region) -> Region:
 
 
 def _surroundings(points: HeightSamples) -> Face:
-    """What a bump rises over."""
+    """Fit the face around a bump. Raises MeasureError with too few points."""
     if len(points) < MIN_POINTS:
         raise MeasureError(
             f"Round the circle {len(points)} points are measured and a radius needs at least {MIN_POINTS}: "
@@ -85,12 +117,12 @@ def _surroundings(points: HeightSamples) -> Face:
 
 
 def _over(points: HeightSamples, plane: LevelPlane) -> Floats:
-    """How far points rise over a plane."""
+    """Return the heights of points over a plane."""
     return points.z_um - np.asarray(plane.at(points.x_um, points.y_um))
 
 
 def _cap(points: HeightSamples, around: Face, circle: Region) -> tuple[Cap, HeightSamples]:
-    """The sphere through what rises over the surroundings, and the points it is fitted to."""
+    """Fit the sphere to points that rise over the surroundings; return it and its points."""
     over, top_um = _over(points, around.plane), _first_top_um(points, around, circle)
     cap, kept = _fitted(points.kept(over / top_um >= CAP_FROM))
     for _ in range(_ROUNDS):
@@ -101,7 +133,7 @@ def _cap(points: HeightSamples, around: Face, circle: Region) -> tuple[Cap, Heig
 
 
 def _in_cap(points: HeightSamples, cap: Cap, around: Face) -> NDArray[np.bool_]:
-    """Which points lie where the sphere is high enough: picked by their own heights their noise would pick them."""
+    """Return which points have a sufficiently high sphere; selection by their own noisy heights would be biased."""
     reached = cap.reaches(points)
     near = points.kept(reached)
     rises = cap.at(near) - np.asarray(around.plane.at(near.x_um, near.y_um))
@@ -130,13 +162,16 @@ def _first_top_um(points: HeightSamples, around: Face, circle: Region) -> float:
 
 
 def _top_um(cap: Cap, plane: LevelPlane) -> float:
-    """How far the sphere reaches over the plane, along the plane's normal."""
+    """Return the height of the sphere over the plane, along the plane's normal."""
     to_center = cap.z_um - 1 / cap.curvature - float(plane.at(cap.x_um, cap.y_um))
     return to_center / math.hypot(1.0, plane.slope_x, plane.slope_y) + 1 / cap.curvature
 
 
 def _radius_lines(reading: MeasurementContext, cap: Cap, kept: HeightSamples, around: Face) -> Lines | None:
-    """A cap of radius a and height h has R = a^2 / 2 h: what h errs by R errs by, what a errs by twice."""
+    """Return the budget lines of the radius; None if the scatter is unknown.
+
+    A cap of radius a and height h has R = a^2 / 2 h: relative errors of h enter once, those of a twice.
+    """
     u_curvature = parameter_u(kept, cap.slopes(kept), kept.z_um - cap.at(kept), np.array([0.0, 0.0, 0.0, 1.0]))
     if u_curvature is None:
         return None

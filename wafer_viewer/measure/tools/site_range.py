@@ -1,4 +1,4 @@
-"""What a map of the front side alone can say of a wafer's shape, under its own name, and what it cannot."""
+"""Front-surface site range: range of heights per site, and the SEMI terms that need more than the front side."""
 
 from __future__ import annotations
 
@@ -25,10 +25,10 @@ REFUSED = {
     "bow": f"Bow is {FREE}.",
     "sori": "Sori is of the front side of a wafer lying free, and this one lay on its chuck.",
 }
-"""Terms of SEMI that would be wrong here, and why."""
+"""SEMI terms that cannot be measured here, with the reason."""
 MOST_SITES = 10_000
 QUARTER = 0.25
-"""Of the region's side, where nobody has said how large a site is."""
+"""Default size of a site, relative to the region's sides."""
 Box = tuple[float, float, float, float]
 """x low, y low, x high, y high in um."""
 AS_MOUNTED = "Front-surface site range, as mounted: highest over lowest about each site's plane of least squares."
@@ -36,7 +36,7 @@ NO_OTHER = "The wafer's chuck is in it, its thickness is not: no SFQR, no SBIR."
 
 
 def refuse(term: str) -> MeasureError:
-    """Why a term of `REFUSED` is not measured."""
+    """Return the error for a term of `REFUSED`."""
     return MeasureError(f"{REFUSED[term]} {INSTEAD}")
 
 
@@ -48,10 +48,49 @@ def site_ranges(
     calibration_valid: bool = True,
     layer: Layer | None = None,
 ) -> SiteRanges:
-    """The range of heights in each site of a lattice, um, without uncertainty: extremes are pulled apart by noise.
+    """Measure the range of heights in each site of a lattice.
 
-    site_um: width and height of a site; whole sites are laid in the middle of the region, or of the surface. Raises
-    MeasureError where no site fits, more than 10 000 do, or none has half of its area measured.
+    The range of a site is the highest minus the lowest height about its least-squares plane.
+
+    Parameters
+    ----------
+    surface : Mosaic
+        Height map or mosaic to measure; regions are in its stage coordinates, um.
+    site_um : tuple of float
+        Width and height of a site, in um.
+    region : Region, optional
+        Region in stage um whose bounding box holds the lattice. Default None: the entire surface. Complete sites are
+        centred in it; the remaining border belongs to none.
+    calibration_valid : bool, optional
+        Whether the calibration of the surface is valid. Default True. Where it is False, or the surface has no
+        calibration, results have status 'uncalibrated' and no uncertainty.
+    layer : {'unsmoothed', 'smoothed', 'filled'}, optional
+        Height layer. Default None: the layer on which the recipe of the surface measures.
+
+    Returns
+    -------
+    SiteRanges
+        Range of each site in um, row by row from the top left, and the largest one, without uncertainty: noise widens
+        extremes. A site with less than half of its area or fewer than 200 points measured has no range.
+
+    Raises
+    ------
+    MeasureError
+        If a side of a site is not positive.
+    MeasureError
+        If no site fits, or more than 10 000 do.
+    MeasureError
+        If no site has half of its area measured, or the points of a site do not determine its plane.
+
+    Notes
+    -----
+    The result is the front-surface site range, as mounted: the chuck of the wafer is in it, its thickness is not. It is
+    neither SFQR nor SBIR of SEMI [1]_: SFQR holds for a back side drawn flat by an ideal chuck, and SBIR is the range
+    in a site over the back side.
+
+    References
+    ----------
+    .. [1] SEMI M1, Specification for Polished Single Crystal Silicon Wafers.
     """
     reading = MeasurementContext.of(surface, layer, calibration_valid)
     within = region or Region.rectangle(*_bounds_um(surface))
@@ -84,14 +123,14 @@ def sites_of_region(
     height_um: float | None = None,
     layer: Layer | None = None,
 ) -> SiteRanges:
-    """`site_ranges` in a region; a side that is not said is a quarter of the region's. Raises as that does."""
+    """Measure `site_ranges` in a region; default side: a quarter of the region's. Raises the same errors."""
     x0, y0, x1, y1 = region.bounds_um
     site_um = width_um or (x1 - x0) * QUARTER, height_um or (y1 - y0) * QUARTER
     return site_ranges(surface, site_um, region, calibration_valid=calibration_valid, layer=layer)
 
 
 def _bounds_um(surface: Mosaic) -> Box:
-    """The outer edges of its pixels."""
+    """Return the outer edges of the surface's pixels."""
     (rows, cols), pixel_um = surface.shape, surface.pixel_um
     left_um, top_um = surface.x0_um - pixel_um / 2, surface.y0_um + pixel_um / 2
     return left_um, top_um - rows * pixel_um, left_um + cols * pixel_um, top_um

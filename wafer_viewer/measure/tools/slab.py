@@ -1,4 +1,4 @@
-"""A section of a surface through a slab: every measured point between two planes, and the running median of them."""
+"""Slab section of a surface: every measured point between two planes, and their running median."""
 
 from __future__ import annotations
 
@@ -17,11 +17,11 @@ from wafer_viewer.model.region import Region
 from wafer_viewer.model.surface.height_map import Heights, Mosaic, pixel_window
 
 MAX_POINTS = 1_000_000
-"""A slab with more pixels is read at a coarser level of the pyramid, whose pixels are means."""
+"""Largest number of pixels of a slab; larger ones are read at a coarser level, whose pixels are means."""
 MEDIAN_SAMPLES = 3
-"""Pixels along the line over which the median runs."""
+"""Window of the running median, in pixels along the line."""
 SPREAD_PERCENT = 68.27
-"""Of the points lie within the spread about the line: one standard deviation of a normal distribution."""
+"""Percentage of points within the spread about the line: one standard deviation of a normal distribution."""
 _LEAST_PIECE_PX = 256
 
 
@@ -104,7 +104,7 @@ def running_median(distance_um: Floats, z_um: Floats, length_um: float, n: int) 
 
 
 def _points(surface: Mosaic, line: Region, layer: Layer, level: int, width_um: float) -> tuple[Floats, Floats]:
-    """Distances along the line and heights of the measured points of a slab; read in pieces along the line."""
+    """Return distances along the line and heights of the measured points of a slab; read in pieces along the line."""
     (xa, ya), (xb, yb) = ((p.x_um, p.y_um) for p in line.points)
     length_um, pixel_um = length_um_of(line), surface.pixel_um * 2**level
     ux, uy = (xb - xa) / length_um, (yb - ya) / length_um
@@ -129,19 +129,19 @@ def _points(surface: Mosaic, line: Region, layer: Layer, level: int, width_um: f
 
 
 def _between(part: Heights, line: Region, width_um: float) -> tuple[Floats, Floats]:
-    """Distances along a line and heights of those measured points of a part that lie in a slab round it."""
+    """Return distances along a line and heights of the measured points of a part that lie in the slab."""
     along, across = line.along_and_across_um(part.x_um[None, :], part.y_um[:, None])
     inside: NDArray[np.bool_] = (np.abs(across) <= width_um / 2) & np.isfinite(part.z_um)
     return along[inside], part.z_um[inside].astype(np.float64)
 
 
 def _nearest(distance_um: Floats, length_um: float, n: int) -> NDArray[np.int64]:
-    """The nearest of `n` places from 0 to a length, of each distance."""
+    """Return the index of the nearest of `n` places from 0 to a length, for each distance."""
     return np.rint(distance_um / length_um * (n - 1)).astype(np.int64)
 
 
 def _spread_um(distance_um: Floats, z_um: Floats, curve: ProfileCurve) -> float:
-    """How far from the line `SPREAD_PERCENT` of the points lie at most."""
+    """Return the `SPREAD_PERCENT` percentile of the distance of points from the line."""
     if not len(z_um):
         return 0.0
     place = _nearest(distance_um, float(curve.distance_um[-1]), len(curve.z_um))

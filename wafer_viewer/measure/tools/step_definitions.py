@@ -1,8 +1,8 @@
-"""What the height of a step is: where the planes of its two faces are compared, and how they are levelled.
+"""Definitions of a step height: reference position and levelling of its two face planes.
 
-The distance between tilted faces depends on the place, so the definition of h belongs to
-the result. Each definition is a pair of gradients: h is their product with (slope x, slope y, height in the middle) of
-the upper and of the lower face.
+The distance between tilted faces depends on the place, so the definition of h belongs to the result. Each definition is
+a pair of gradients: h is their product with (slope x, slope y, height at the centre) of the upper and of the lower
+face.
 """
 
 from __future__ import annotations
@@ -29,15 +29,15 @@ class StepFaces:
 
     @property
     def apart_um(self) -> Floats:
-        """From the middle of the lower face to that of the upper one, (x, y)."""
+        """Vector from the centre of the lower face to that of the upper one, (x, y)."""
         high, low = self.high.plane, self.low.plane
         return np.array([high.x_um - low.x_um, high.y_um - low.y_um])
 
     @property
     def joint_um(self) -> Floats:
-        """Half-way between the borders that the regions turn to each other, on the line between their middles.
+        """Midpoint between the facing borders of the regions, on the line between their centres.
 
-        Where regions of both faces alternate there is no such place: then half-way between their middles.
+        Where regions of both faces alternate there is no such place; then the midpoint of their centres.
         """
         start, way = np.array([self.low.plane.x_um, self.low.plane.y_um]), self.apart_um
         length = float(np.hypot(*way))
@@ -49,38 +49,38 @@ class StepFaces:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class LinearFunctional:
-    """What a number of two faces is: gradients [3] times the parameters of the upper and of the lower one."""
+    """Linear functional of two faces: gradients [3] times the parameters of the upper and the lower one."""
 
     high: Floats
     low: Floats
 
     def value(self, faces: StepFaces) -> float:
-        """The number."""
+        """Return the value of the functional."""
         return float(self.high @ faces.high.parameters + self.low @ faces.low.parameters)
 
     def scatter(self, faces: StepFaces) -> Scatter | None:
-        """How sure it is by the scatter of tiles; None where a face has too few of them."""
+        """Return its uncertainty from the scatter of tiles; None where a face has too few of them."""
         high, low = faces.high.scatter(self.high), faces.low.scatter(self.low)
         return None if high is None or low is None else Scatter.joined(high, low)
 
     def minus(self, other: LinearFunctional) -> LinearFunctional:
-        """How far one number lies over the other."""
+        """Return the difference of two functionals."""
         return LinearFunctional(self.high - other.high, self.low - other.low)
 
 
 def gradients(faces: StepFaces, definition: StepDefinition) -> LinearFunctional:
-    """What h is by a definition."""
+    """Return the functional of h for a definition."""
     return DEFINITIONS[definition](faces)
 
 
 def tilts(faces: StepFaces) -> tuple[LinearFunctional, LinearFunctional]:
-    """The slopes along x and along y of the upper face against the lower one."""
+    """Return the slopes along x and along y of the upper face relative to the lower one."""
     along_x, along_y = (np.array(axis) for axis in TILTS)
     return LinearFunctional(along_x, -along_x), LinearFunctional(along_y, -along_y)
 
 
 def _common_plane(faces: StepFaces) -> LinearFunctional:
-    """Least squares of z = a x + b y + c + h [upper]: each face tells of the common slopes by how wide it is."""
+    """Return h by least squares of z = a x + b y + c + h [upper]; wider faces weigh more in the common slopes."""
     high, low = _width(faces.high), _width(faces.low)
     share = np.linalg.solve(high + low, high)
     slopes = faces.apart_um @ share, faces.apart_um @ (np.eye(2) - share)
@@ -114,11 +114,11 @@ SENTENCES: dict[StepDefinition, str] = {
     "lower_face": "Middle of the upper region over the lower face, levelled to the lower face.",
     "joint": "Both faces extended to the middle between the regions.",
 }
-"""Each definition, as a result says it."""
+"""Description of each definition in results."""
 
 
 def _width(face: Face) -> Floats:
-    """Sums of squares and products of x and y about the middle, [2, 2]."""
+    """Return the sums of squares and products of x and y about the centre, [2, 2]."""
     design = face.design[:, :2]
     return design.T @ design
 

@@ -1,7 +1,8 @@
-"""The height of one face over another, with the budget of its uncertainty.
+"""Step height between two faces, with its uncertainty budget.
 
-Each face is one plane through one region or several, found with rejection beyond 3 robust deviations. Where faces are
-tilted against each other the definition of h is part of the result, so what other definitions give is told with it.
+Each face is one plane through one or several regions, fitted with rejection beyond 3 robust deviations. Where faces are
+tilted against each other the definition of h is part of the result, so the values of other definitions are reported
+with it.
 """
 
 from __future__ import annotations
@@ -40,14 +41,59 @@ def step_height(
     layer: Layer | None = None,
     name: str = "",
 ) -> StepHeight:
-    """The height of `upper` over `lower`, negative when it lies below, with its expanded uncertainty (k = 2).
+    """Measure the height of one face over another.
 
-    upper, lower: a region, or several that lie on one face. definition: where h is taken; conditions: what is known
-    beside what the surface tells, the rest is listed as not evaluated. layer: heights to measure on, as the surface's
-    recipe says when left out. Without a calibration, or with one that is said not to be valid, the height reads
-    'uncalibrated' and has no uncertainty.
-    Raises MeasureError when a region is a line, lies outside, has fewer than 200 measured points or less than half of
-    its area measured, or overlaps another.
+    Each face is one plane through one or several regions, fitted with rejection beyond 3 robust deviations.
+
+    Parameters
+    ----------
+    surface : Mosaic
+        Height map or mosaic to measure; regions are in its stage coordinates, um.
+    upper : Region or sequence of Region
+        One or several regions on the upper face, in stage um.
+    lower : Region or sequence of Region
+        One or several regions on the lower face, in stage um.
+    definition : {'common_plane', 'upper_face', 'lower_face', 'joint'}, optional
+        Reference of the height: over one plane fitted to both faces, levelled to the upper or to the lower face, or
+        both faces extended to the middle between the regions. Default 'common_plane'.
+    conditions : Conditions, optional
+        Further known contributions to the uncertainty, standard uncertainties (k = 1). Contributions that are unknown
+        are listed as not evaluated. Default: none given; linearity and Abbe error are then those of the calibration,
+        where it has them.
+    calibration_valid : bool, optional
+        Whether the calibration of the surface is valid. Default True. Where it is False, or the surface has no
+        calibration, results have status 'uncalibrated' and no uncertainty.
+    layer : {'unsmoothed', 'smoothed', 'filled'}, optional
+        Height layer. Default None: the layer on which the recipe of the surface measures.
+    name : str, optional
+        Name of the result. Default ''.
+
+    Returns
+    -------
+    StepHeight
+        Height in um, negative when `upper` is below `lower`, with its expanded uncertainty (k = 2); also the height at
+        the joint in um, the tilt between the faces in mrad, and the contributions that were not evaluated. The
+        uncertainty is not evaluated where the points do not determine the scatter of a face.
+
+    Raises
+    ------
+    MeasureError
+        If a face has no region, or a region is a line or a point, or lies outside the surface.
+    MeasureError
+        If a region has fewer than 200 measured points or less than half of its area measured.
+    MeasureError
+        If a region overlaps another.
+    MeasureError
+        If the points of a face do not determine a plane.
+
+    Notes
+    -----
+    Where faces are tilted against each other the definition of the height is part of the result, so the values of the
+    other definitions are reported with it, in its notes. Uncertainties are expressed as in the GUM [1]_.
+
+    References
+    ----------
+    .. [1] JCGM 100:2008, Evaluation of measurement data - Guide to the expression of uncertainty in measurement (GUM).
     """
     uppers, lowers = each_of(upper, "upper"), each_of(lower, "lower")
     reading, level = MeasurementContext.of(surface, layer, calibration_valid), level_for(surface, *uppers, *lowers)
@@ -104,7 +150,7 @@ def _budget(
     definition: StepDefinition,
     conditions: Conditions,
 ) -> Budget | None:
-    """None where there is no calibration, or the scatter cannot be told."""
+    """Return the budget; None where there is no calibration, or the scatter is unknown."""
     noise = h.scatter(faces) if reading.calibrated else None
     if noise is None:
         return None
@@ -117,9 +163,9 @@ def _budget(
 
 
 def _levelling_um(faces: StepFaces) -> float:
-    """What h moves by from levelling to the one face to levelling to the other, as far as noise does not explain it.
+    """Return the standard uncertainty of levelling: the change of h between the two faces, less its noise.
 
-    Taken as the full width of a uniform distribution. The noise of the two is in its own line.
+    The change is taken as the full width of a uniform distribution. The noise of the two is in its own line.
     """
     differ = gradients(faces, "lower_face").minus(gradients(faces, "upper_face"))
     scatter = differ.scatter(faces)
@@ -138,7 +184,7 @@ def _tilt_mrad(faces: StepFaces) -> float:
 
 
 def _tilt(reading: MeasurementContext, faces: StepFaces) -> Quantity:
-    """Of one face against the other, as sure as in the direction in which it is least so: near 0 it has none."""
+    """Return the tilt between the faces, with the largest uncertainty over directions: near 0 it has no direction."""
     lines: Lines | None = None
     found = [slope.scatter(faces) for slope in tilts(faces)] if reading.calibrated else [None]
     if None not in found:
@@ -164,5 +210,5 @@ def _other_definitions(faces: StepFaces) -> tuple[str, ...]:
 
 
 def _tenths(value: float) -> str:
-    """One decimal, without a minus before zero."""
+    """Format with one decimal, without a minus before zero."""
     return f"{round(float(value), 1) + 0.0:.1f}"

@@ -1,8 +1,8 @@
 """Depth of a groove, height of a ridge or a step along a line, by ISO 5436-1: z = a x + b + h delta over zones.
 
-Of a groove as wide as W the middle third is zone C; zones A and B, two thirds of W long, begin a third of W off its
-edges, so that no rounded edge counts. The standard has no zones for a single step: here those of its two sides are
-A and B of a groove as wide as the shorter side is long.
+For a groove of width W, zone C is the middle third. Zones A and B, two thirds of W long, begin a third of W off its
+edges, so that rounded edges are excluded. The standard has no zones for a single step: here the zones of its two sides
+are A and B of a groove as wide as the shorter side is long.
 """
 
 from __future__ import annotations
@@ -32,24 +32,24 @@ from wafer_viewer.model.surface.height_map import Mosaic
 
 Shape = Literal["groove", "step"]
 PIECES = (8, 4, 2)
-"""Into how many pieces of each size a third of a zone's unit is cut: their means are the observations."""
+"""Numbers of pieces per zone unit, by piece size; the means of the pieces are the observations."""
 LEAST_SAMPLES = 10
 USUAL, FALSE = 0.9, 3.0
-"""A height is false that lies so many times further off the running median than this share of all does."""
+"""Quantile of the distances from the running median, and the multiple of it beyond which a height is false."""
 ROUNDING_UM = 1e-4
 LEAST_MEASURED = 0.5
-"""Of a zone."""
+"""Smallest measured fraction of a zone."""
 DRAWN = 240
-"""Points of the curve that a result keeps, at most."""
+"""Largest number of curve points in a result."""
 STANDS_OUT = 6.0
-"""A jump has to be so many times its noise, since the largest of very many is taken."""
+"""Smallest ratio of a jump to its noise; the jump is the largest of very many."""
 GROOVE = "ISO 5436-1: z = a x + b + h delta, delta +1 in the zones A and B and -1 in C; the depth is 2 h."
 STEP = "z = a x + b + h delta, delta 0 in the zone A before the edge and 1 in B beyond it."
 
 
 @dataclass(frozen=True, slots=True)
 class Zone:
-    """A part of a profile that counts, from start to end along the line, with its delta."""
+    """An evaluated part of a profile, from start to end along the line, with its delta."""
 
     name: str
     start_um: float
@@ -57,13 +57,13 @@ class Zone:
     delta: float
 
     def holds(self, at_um: Floats) -> NDArray[np.bool_]:
-        """Which places along the line lie in it."""
+        """Return which places along the line lie in the zone."""
         return (at_um >= self.start_um) & (at_um <= self.end_um)
 
 
 @dataclass(frozen=True, slots=True)
 class StepPlan:
-    """What is measured where: edges along the line, zones, how often h stands in the height, and its definition."""
+    """Evaluation plan: edges along the line, zones, factor of h in the height, and definition."""
 
     edges_um: tuple[float, ...]
     zones: tuple[Zone, ...]
@@ -73,7 +73,7 @@ class StepPlan:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class FittedStep:
-    """Samples of the zones that were kept, [n]: their places, zone, design (x, 1, delta) and residuals; h in um."""
+    """Accepted samples of the zones, [n]: places, zone, design (x, 1, delta) and residuals; h in um."""
 
     x_um: Floats
     y_um: Floats
@@ -94,10 +94,62 @@ def step_profile(
     layer: Layer | None = None,
     name: str = "",
 ) -> StepProfile:
-    """The depth of the groove (or height of the ridge) that a line crosses, or of a single step; with U (k = 2).
+    """Measure a groove depth, ridge height or single step along a line.
 
-    Edges are found by themselves. The line's width_um is averaged over. Raises MeasureError when the region is no line
-    or lies outside, when nothing stands out along it, when it ends too near to an edge, or a zone is mostly unmeasured.
+    Edges are detected automatically. Heights are averaged over the `width_um` of the line.
+
+    Parameters
+    ----------
+    surface : Mosaic
+        Height map or mosaic to measure; regions are in its stage coordinates, um.
+    line : Region
+        Line across the groove, ridge or step, in stage um.
+    shape : {'groove', 'step'}, optional
+        Two edges of a groove or a ridge, or the edge of a single step. Default 'groove'.
+    conditions : Conditions, optional
+        Further known contributions to the uncertainty, standard uncertainties (k = 1). Contributions that are unknown
+        are listed as not evaluated. Default: none given; linearity and Abbe error are then those of the calibration,
+        where it has them.
+    calibration_valid : bool, optional
+        Whether the calibration of the surface is valid. Default True. Where it is False, or the surface has no
+        calibration, results have status 'uncalibrated' and no uncertainty.
+    layer : {'unsmoothed', 'smoothed', 'filled'}, optional
+        Height layer. Default None: the layer on which the recipe of the surface measures.
+    name : str, optional
+        Name of the result. Default ''.
+
+    Returns
+    -------
+    StepProfile
+        Height in um with its expanded uncertainty (k = 2): positive for a groove or a ridge; for a step, the height
+        behind its edge minus that before it. Also the width of a groove or a ridge in um, without uncertainty, the
+        edges and the zones along the line, and the profile.
+
+    Raises
+    ------
+    MeasureError
+        If the region is no line, has no length, or lies outside the surface.
+    MeasureError
+        If fewer than 30 samples along the line were measured.
+    MeasureError
+        If the line ends too near to an edge: it has to reach as far beyond a groove as the groove is wide.
+    MeasureError
+        If a zone has fewer than 10 measured samples, or less than half of its samples measured.
+    MeasureError
+        If nothing stands out of the noise along the line.
+
+    Notes
+    -----
+    The model of ISO 5436-1 [1]_, z = a x + b + h delta, is fitted by least squares over zones. For a groove of width W,
+    delta is -1 in zone C, its middle third, and +1 in zones A and B, two thirds of W long, which begin a third of W off
+    its edges, so that rounded edges are excluded; the depth is 2 h.
+
+    The standard has no zones for a single step. Here the zones of its two sides are A and B of a groove as wide as the
+    shorter side is long; delta is 0 in A and 1 in B. Single false heights, far from a running median, are rejected.
+
+    References
+    ----------
+    .. [1] ISO 5436-1, Surface texture: Profile method; Measurement standards - Part 1: Material measures.
     """
     reading = MeasurementContext.of(surface, layer, calibration_valid)
     section, curve = profile(surface, line, calibration_valid=calibration_valid, layer=layer)
@@ -165,11 +217,11 @@ def _step(at_um: Floats, z_um: Floats, length_um: float) -> StepPlan:
 
 
 PLANS: dict[Shape, Callable[[Floats, Floats, float], StepPlan]] = {"groove": _groove, "step": _step}
-"""What is measured where, by what the line crosses."""
+"""Evaluation plans by shape."""
 
 
 def _fitted(curve: ProfileCurve, samples_um: Floats, zones: tuple[Zone, ...]) -> FittedStep:
-    """z = a x + b + h delta through the zones; samples_um: where the line was sampled, measured or not."""
+    """Fit z = a x + b + h delta to the zones; samples_um: all sample places, measured or not."""
     zone = np.full(len(curve.z_um), -1)
     for k, of in enumerate(zones):
         inside = of.holds(curve.distance_um)
@@ -187,14 +239,14 @@ def _fitted(curve: ProfileCurve, samples_um: Floats, zones: tuple[Zone, ...]) ->
 
 
 def _trusted(curve: ProfileCurve) -> ProfileCurve:
-    """Its samples but those far off a running median: single false heights are not of the surface."""
+    """Remove samples far from a running median: single false heights."""
     off_um = np.abs(curve.z_um - smooth(curve.z_um))
     kept = off_um <= max(FALSE * float(np.quantile(off_um, USUAL)), ROUNDING_UM)
     return _some(curve, kept)
 
 
 def _drawn(curve: ProfileCurve) -> tuple[tuple[float, float], ...]:
-    """Every point, or means of as many neighbours as leave few enough."""
+    """Return every point, or means of neighbours if there are too many."""
     step = -(-len(curve.z_um) // DRAWN)
     starts = np.arange(0, len(curve.z_um), step)
     count = np.diff(np.append(starts, len(curve.z_um)))
@@ -216,7 +268,7 @@ def _require_enough(zone: Zone, measured: int, samples: int) -> None:
 
 
 def _scatter(fitted: FittedStep, zones: tuple[Zone, ...]) -> Scatter | None:
-    """Of h, by means of pieces of the zones that are equally long."""
+    """Return the uncertainty of h from means of equally long pieces of the zones."""
     unit_um = min(zone.end_um - zone.start_um for zone in zones)
     start_um = np.array([zone.start_um for zone in zones])
     columns = np.column_stack([fitted.design, fitted.left_um])

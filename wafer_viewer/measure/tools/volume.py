@@ -1,9 +1,9 @@
-"""Area and volume of what stands out of a plane within a region, and of what lies under it.
+"""Area and volume above and below a plane within a region.
 
-The plane goes through the border of the region, or it is the zero that heights are read from. Noise alone would lift
-half of a flat region over the plane: pixels within three deviations of it are area on neither side, and as volume they
-count together, on the side where more lies. So the volumes' difference is that of all pixels, which noise does not
-shift.
+The plane goes through the border of the region, or is the zero of the heights. Noise alone would raise half of a flat
+region above the plane: pixels within three deviations of it count as area on neither side, and their total volume
+counts on the side with more volume. The difference of the volumes is therefore that of all pixels, which noise does not
+bias.
 """
 
 from __future__ import annotations
@@ -28,7 +28,7 @@ from wafer_viewer.model.region import Region
 from wafer_viewer.model.surface.height_map import Mosaic
 
 BORDER = 0.08
-"""Width of the border, in sides of a square as large as the region."""
+"""Width of the border, in sides of a square with the area of the region."""
 LEAST_BORDER_PX = 2.0
 MIN_BORDER_POINTS = 100
 NOISE_DEVIATIONS = 3.0
@@ -49,11 +49,51 @@ def area_volume(
     layer: Layer | None = None,
     name: str = "",
 ) -> AreaVolume:
-    """Volumes, projected areas and extreme heights over and under a plane; unmeasured pixels count nothing.
+    """Measure volumes, areas and extreme heights above and below a plane.
 
-    reference: left out, the zero that heights are read from where the surface is levelled, else the border.
-    Volumes over the border have an expanded uncertainty (k = 2); those over a zero have none, for how sure the zero is
-    is not known. Raises MeasureError when the region is a line, lies outside, or has too little measured.
+    Unmeasured pixels are excluded. Areas are projected along z.
+
+    Parameters
+    ----------
+    surface : Mosaic
+        Height map or mosaic to measure; regions are in its stage coordinates, um.
+    region : Region
+        Rectangle, circle or polygon, in stage um.
+    reference : {'border', 'zero'}, optional
+        Reference of the heights: the plane through the border of the region, or the zero of the heights. Default None:
+        the zero where the surface is levelled, else the border.
+    calibration_valid : bool, optional
+        Whether the calibration of the surface is valid. Default True. Where it is False, or the surface has no
+        calibration, results have status 'uncalibrated' and no uncertainty.
+    layer : {'unsmoothed', 'smoothed', 'filled'}, optional
+        Height layer. Default None: the layer on which the recipe of the surface measures.
+    name : str, optional
+        Name of the result. Default ''.
+
+    Returns
+    -------
+    AreaVolume
+        Volumes above and below the plane in um3, projected areas in um2, and highest and lowest height in um. Volumes
+        over the border have an expanded uncertainty (k = 2). Volumes over the zero have none, because the uncertainty
+        of the zero is unknown. The area of the measured pixels has an expanded uncertainty; the areas above and below
+        and the extreme heights have none.
+
+    Raises
+    ------
+    MeasureError
+        If the region is a line or a point, or lies outside the surface.
+    MeasureError
+        If the region has fewer than 200 measured points or less than half of its area measured.
+    MeasureError
+        If the border of the region has fewer than 100 measured points, or its points do not determine a plane.
+
+    Notes
+    -----
+    The border is 8 % of the side of a square with the area of the region wide, at least two pixels.
+
+    Noise alone would raise half of a flat region above the plane. Pixels within three deviations of the border about
+    its plane count as area on neither side, and their total volume counts on the side with more volume. The difference
+    of the volumes is therefore that of all pixels, which noise does not bias.
     """
     reading = MeasurementContext.of(surface, layer, calibration_valid)
     area = area_of(reading, region, "region", "a volume")
@@ -81,7 +121,7 @@ def area_volume(
 
 
 def _border(area: Area, region: Region) -> Face:
-    """The face along a region's outline."""
+    """Fit the face along a region's outline. Raises MeasureError with too few points."""
     width_um = max(LEAST_BORDER_PX * area.pixel_um, BORDER * math.sqrt(region.area_um2))
     points = area.points.kept(_from_outline_um(region, area.points) <= width_um)
     if len(points) < MIN_BORDER_POINTS:
@@ -93,9 +133,9 @@ def _border(area: Area, region: Region) -> Face:
 
 
 def _noise_um3(border: Face, area: Area) -> float | None:
-    """What noise makes of the volume over the plane (k = 1).
+    """Return the standard uncertainty (k = 1) of the volume over the plane due to noise.
 
-    The mean height of what the border encloses is as noisy as the plane is, by how large both are.
+    The mean height of the enclosed area is as noisy as that of the plane, in proportion to their sizes.
     """
     middle = float(area.points.x_um.mean()), float(area.points.y_um.mean())
     u_um = parameter_u(border.points, plane_design(border.points, middle), border.residuals_um, OFFSET)
@@ -104,7 +144,7 @@ def _noise_um3(border: Face, area: Area) -> float | None:
 
 
 def _from_outline_um(region: Region, points: HeightSamples) -> Floats:
-    """How far points inside of a region are from its outline."""
+    """Return the distances of points inside a region from its outline."""
     if region.kind == "circle":
         at = region.points[0]
         return region.radius_um - np.hypot(points.x_um - at.x_um, points.y_um - at.y_um)
@@ -119,7 +159,7 @@ def _from_outline_um(region: Region, points: HeightSamples) -> Floats:
 
 
 def _from_side_um(points: HeightSamples, start: tuple[float, float], end: tuple[float, float]) -> Floats:
-    """How far points are from a straight side."""
+    """Return the distances of points from a straight side."""
     way_x, way_y = end[0] - start[0], end[1] - start[1]
     x, y = points.x_um - start[0], points.y_um - start[1]
     length2 = way_x**2 + way_y**2
@@ -129,7 +169,7 @@ def _from_side_um(points: HeightSamples, start: tuple[float, float], end: tuple[
 
 @dataclass(frozen=True, slots=True)
 class VolumeSide:
-    """What lies on one side of the plane."""
+    """Volume and area on one side of the plane."""
 
     volume: Quantity
     area: Quantity
@@ -138,7 +178,7 @@ class VolumeSide:
 def _side(
     reading: MeasurementContext, area: Area, rises: Floats, noise_um: float, noise_um3: float | None
 ) -> VolumeSide:
-    """Of the side on which `rises` are positive; what is within the noise counts where more lies."""
+    """Return volume and area where `rises` are positive; pixels within the noise count on the larger side."""
     beyond, pixel_um2 = rises > noise_um, area.pixel_um**2
     here, there = float(rises[beyond].sum()), -float(rises[rises < -noise_um].sum())
     within = float(rises[np.abs(rises) <= noise_um].sum()) if here >= there else 0.0

@@ -1,4 +1,4 @@
-"""How a wafer lies on the stage: which places of it are marked, and the transform that the marks give."""
+"""Alignment marks of a wafer, and the transform from stage to wafer coordinates."""
 
 from __future__ import annotations
 
@@ -9,11 +9,11 @@ from wafer_viewer.model.spec import NonNegative, Positive, Spec, Within
 
 Notch = Literal["down", "left", "up", "right", "none"]
 QUARTER_TURNS: dict[Notch, int] = {"down": 0, "left": -1, "up": 2, "right": 1, "none": 0}
-"""Anticlockwise quarter turns from a wafer with its notch down to one with its notch there, seen from above."""
+"""Anticlockwise quarter turns from a wafer with its notch down to one with this notch, seen from above."""
 
 
 class AlignmentMark(Spec, frozen=True, kw_only=True):
-    """A place that is easy to find, a corner of a die as a rule: its name, and where it is on the wafer."""
+    """A point that is easy to identify, usually a corner of a die: its name and its wafer coordinates."""
 
     name: str
     x_um: float
@@ -21,9 +21,9 @@ class AlignmentMark(Spec, frozen=True, kw_only=True):
 
 
 class Marks(Spec, frozen=True, kw_only=True):
-    """What the wafers of a product are aligned by: at least two places far apart, in wafer um.
+    """Alignment marks of a product: at least two points far apart, in wafer um.
 
-    limit_um: a scan begins only when no mark is further from where the alignment puts it.
+    limit_um: largest residual of any mark at which a scan may start.
     """
 
     places: tuple[AlignmentMark, ...]
@@ -36,9 +36,9 @@ class Marks(Spec, frozen=True, kw_only=True):
 
 
 class Alignment(Spec, frozen=True, kw_only=True):
-    """Stage to wafer coordinates: a turn about the stage's origin, then a shift; with the residual of its fit.
+    """Rigid transform from stage to wafer coordinates: a rotation about the stage origin, then a shift.
 
-    residual_um: how far the worst mark is from where the transform puts it; n_marks: how many it was fitted to.
+    residual_um: largest residual of any mark; n_marks: number of marks in the fit.
     """
 
     rotation_rad: float = 0.0
@@ -48,17 +48,17 @@ class Alignment(Spec, frozen=True, kw_only=True):
     n_marks: Annotated[int, Within(0)] = 0
 
     def to_wafer(self, x_um: float, y_um: float) -> tuple[float, float]:
-        """Wafer coordinates of a stage position."""
+        """Return the wafer coordinates of a stage position."""
         c, s = math.cos(self.rotation_rad), math.sin(self.rotation_rad)
         return c * x_um - s * y_um + self.shift_x_um, s * x_um + c * y_um + self.shift_y_um
 
     def to_stage(self, x_um: float, y_um: float) -> tuple[float, float]:
-        """Stage coordinates of a place on the wafer."""
+        """Return the stage coordinates of a wafer position."""
         c, s = math.cos(self.rotation_rad), math.sin(self.rotation_rad)
         dx, dy = x_um - self.shift_x_um, y_um - self.shift_y_um
         return c * dx + s * dy, -s * dx + c * dy
 
     @classmethod
     def by_notch(cls, notch: Notch) -> Alignment:
-        """Where a wafer is expected before anything is marked: centred on the stage, turned as its notch points."""
+        """Return the alignment expected before marking: wafer centred on the stage, rotated as its notch points."""
         return cls(rotation_rad=-QUARTER_TURNS[notch] * math.pi / 2)

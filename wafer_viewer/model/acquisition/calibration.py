@@ -1,4 +1,4 @@
-"""What makes a length a length: pixel size and z scale with their uncertainty, and what they hold for."""
+"""Calibration: pixel size and z scale with their uncertainties, and the optical setup they are valid for."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from wafer_viewer.model.spec import NonNegative, Positive, Spec
 
 
 class OpticalSetup(Spec, frozen=True, kw_only=True):
-    """What a calibration is of: another objective, zoom, camera or binning needs another calibration."""
+    """Optical setup of a calibration. Another objective, zoom, camera or binning needs another calibration."""
 
     error: ClassVar[type[WaferViewerError]] = RigError
     objective: str = ""
@@ -20,10 +20,11 @@ class OpticalSetup(Spec, frozen=True, kw_only=True):
 
 
 class Calibration(Spec, frozen=True, kw_only=True):
-    """Pixel size and z scale with standard uncertainties (k = 1), of an optical setup, made against a standard.
+    """Pixel size and z scale with standard uncertainties (k = 1), for one optical setup.
 
-    z_scale multiplies the counts of the stage; u_z_scale is relative. u_z_linearity_um: of a difference of heights,
-    beside the scale; u_abbe_um: the same from the pitch of the stage; None: not known. Dates are ISO 8601 days.
+    z_scale multiplies the counts of the stage; u_z_scale is relative. u_z_linearity_um: uncertainty of a height
+    difference from the nonlinearity of the z axis; u_abbe_um: the same from the pitch of the stage; None if unknown.
+    against: the standard used. Dates are ISO 8601 days.
     """
 
     error: ClassVar[type[WaferViewerError]] = RigError
@@ -52,7 +53,7 @@ class Calibration(Spec, frozen=True, kw_only=True):
                 self.refuse(name, "a day such as 2026-03-14")
 
     def problem(self, setup: OpticalSetup, today: str) -> str | None:
-        """Why lengths read 'uncalibrated' with this calibration, or None when it holds."""
+        """Return why lengths are uncalibrated under this calibration, or None when it is valid."""
         if setup != self.setup:
             return f"the calibration is of {self.setup}, the rig has {setup}"
         if today > self.due:

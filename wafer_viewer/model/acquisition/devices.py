@@ -1,4 +1,4 @@
-"""The roles that devices play. A real rig and the simulated one fulfil the same protocols."""
+"""Device protocols, implemented by real rigs and by the simulated one."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ from wafer_viewer.model.progress import ShouldStop
 
 @dataclass(frozen=True, slots=True)
 class Position:
-    """Where the stage is, in um."""
+    """Stage position in um."""
 
     x_um: float
     y_um: float
@@ -27,7 +27,7 @@ class Position:
 
 @dataclass(frozen=True, slots=True)
 class Pulse:
-    """One pulse as the box recorded it: its number in the run from 0, scale count, box time, flags."""
+    """One pulse recorded by the box: its number in the run from 0, scale count, box time and flags."""
 
     number: int
     count: int
@@ -37,7 +37,7 @@ class Pulse:
 
 @dataclass(frozen=True, slots=True)
 class PulseSummary:
-    """What the box says at the end of a run."""
+    """Summary of a run, reported by the pulse box."""
 
     emitted: int
     suppressed: int
@@ -47,10 +47,11 @@ class PulseSummary:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class CameraImage:
-    """What a camera hands over: the image, its own trigger counter where it has one, its own clock, the status.
+    """Image from the camera, with its trigger counter if it has one, its device time and its status.
 
-    trigger_count counts edges from 0 at `start`, ignored ones too. Images are paired with pulses by device_time_us, the
-    time of the trigger or a fixed delay after it; the counter is held against that, and may be wrong, wrap or miss.
+    trigger_count counts trigger edges from 0 at `start`, including ignored ones. Images are paired with pulses by
+    device_time_us, the time of the trigger or a fixed delay after it. The counter is only a cross-check: it may be
+    wrong, wrap around or be missing.
     """
 
     image: Image | None
@@ -60,29 +61,29 @@ class CameraImage:
 
 
 class Clock(Protocol):
-    """Time as the rig lives it; the simulated rig has its own."""
+    """Clock of the rig; the simulated rig has its own."""
 
     def now_s(self) -> float:
-        """Seconds since the rig was switched on."""
+        """Return the seconds since the rig was switched on."""
         ...
 
     def sleep(self, seconds: float) -> None:
-        """Let time pass."""
+        """Wait for a number of seconds."""
         ...
 
 
 class SerialPort(Protocol):
-    """The part of pyserial's ``Serial`` that protocol clients use."""
+    """The subset of pyserial's ``Serial`` that protocol clients use."""
 
     timeout: float | None
 
     @property
     def in_waiting(self) -> int:
-        """Bytes that can be read without waiting."""
+        """Number of bytes that can be read without waiting."""
         ...
 
     def read(self, size: int = 1, /) -> bytes:
-        """Up to `size` bytes; fewer when the timeout passes."""
+        """Read up to `size` bytes; fewer if the timeout expires."""
         ...
 
     def write(self, data: bytes, /) -> int | None:
@@ -90,15 +91,15 @@ class SerialPort(Protocol):
         ...
 
     def close(self) -> None:
-        """Let the port go."""
+        """Close the port."""
         ...
 
 
 class Stage(Protocol):
-    """Three axes with scales, in um; a move that leaves the range raises RigError before anything moves."""
+    """Three axes with scales, in um. A move beyond the range raises RigError before anything moves."""
 
     def position(self) -> Position:
-        """Where the stage is now."""
+        """Return the current position."""
         ...
 
     def move_to(
@@ -109,35 +110,36 @@ class Stage(Protocol):
         z_um: float | None = None,
         should_stop: ShouldStop | None = None,
     ) -> None:
-        """Go there at full speed and wait until it has settled; None leaves an axis where it is.
+        """Move at full speed and wait until the stage has settled; None leaves an axis unchanged.
 
-        `should_stop` is asked before, and every few ms on the way, so a driver starts the axes and polls them instead
-        of waiting for one long answer. Where it says True the stage is stopped, and MotionStopped comes once it stands.
-        The scan sets its deadline by that question: a driver that does not ask it can hang.
+        A driver calls `should_stop` before the move and every few ms during it, so it starts the axes and polls them
+        instead of waiting for one long reply. If it returns True, the driver stops the stage and raises MotionStopped
+        once it is at rest. The scan enforces its deadline through this callback: a driver that does not call it can
+        hang.
         """
         ...
 
     def start(self, axis: Axis, to_um: float, speed_um_s: float) -> None:
-        """Begin a motion of one axis at a given speed, and return at once."""
+        """Start a motion of one axis at a given speed and return at once."""
         ...
 
     def homed(self) -> bool:
-        """Whether every axis knows where it is; one that does not has to look for its reference before a move.
+        """Return whether every axis is homed. An axis that is not homed must find its reference before a move.
 
-        A search that was broken off leaves it not homed.
+        An interrupted search leaves the axis not homed.
         """
         ...
 
     def moving(self) -> bool:
-        """Whether any axis is in motion."""
+        """Return whether any axis is moving."""
         ...
 
     def wait(self) -> None:
-        """Wait until every axis stands and has settled. Raises RigTimeout when it does not report so in time."""
+        """Wait until every axis is at rest and has settled. Raises RigTimeout if that is not reported in time."""
         ...
 
     def stop(self) -> None:
-        """Decelerate every axis to a halt. This is no emergency stop."""
+        """Decelerate every axis to a halt. Not an emergency stop."""
         ...
 
 
@@ -145,34 +147,34 @@ class PulseBox(Protocol):
     """Counts scale pulses, divides them and triggers the camera (WPC/1)."""
 
     def arm(self, train: PulseTrain, *, on_command: bool = False) -> None:
-        """Be ready for one pass; pulses of an earlier run are forgotten. Raises RigError on refusal.
+        """Arm the box for one pass and discard pulses of earlier runs. Raises RigError on refusal.
 
-        on_command: pulses come from `fire` alone, not from the scale: stop and shoot.
+        on_command: pulses are triggered only by `fire`, not by the scale (stop and shoot).
         """
         ...
 
     def fire(self) -> None:
-        """Send one pulse of the armed run now: for stop and shoot."""
+        """Send one pulse of the armed run now (stop and shoot)."""
         ...
 
     def count(self, axis: Axis) -> int:
-        """The count of an axis now, as the box has it. It may send a pulse for that: let no camera wait for one."""
+        """Return the box's current count of an axis. The box may emit a pulse for this: no camera may be armed."""
         ...
 
     def correct_count(self, axis: Axis, off: int) -> None:
-        """Leave out, from here on, the counts that the box has too many on an axis: the way to mend a slip."""
+        """Subtract `off` counts from an axis from now on, to correct a slip of the count."""
         ...
 
     def pulses(self) -> list[Pulse]:
-        """The pulses sent since the last call, in order; beats the heart of the box as well."""
+        """Return the pulses sent since the last call, in order; also sends the heartbeat to the box."""
         ...
 
     def disarm(self) -> PulseSummary:
-        """End the run. Raises RigError when the box was started anew meanwhile."""
+        """End the run. Raises RigError if the box restarted in the meantime."""
         ...
 
     def halt(self) -> None:
-        """Stop pulses at once."""
+        """Stop sending pulses immediately."""
         ...
 
 
@@ -180,21 +182,21 @@ class Camera(Protocol):
     """A triggered camera."""
 
     def start(self, exposure_us: float) -> None:
-        """Wait for triggers, at a given exposure; the trigger counter starts at 0."""
+        """Start waiting for triggers at a given exposure; the trigger counter starts at 0."""
         ...
 
     def next_image(self, timeout_s: float) -> CameraImage | None:
-        """The next image, or None when none came in time."""
+        """Return the next image, or None if none arrived within the timeout."""
         ...
 
     def stop(self) -> None:
-        """Wait for triggers no more; images not fetched are dropped."""
+        """Stop waiting for triggers; images not fetched are dropped."""
         ...
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Overview:
-    """A picture of the whole sample, where the rig has one, and what is known of its layout.
+    """Overview picture of the sample, if the rig has one, and its known layout.
 
     image: uint8 [row, col] or None; x0_um, y0_um: the centre of its pixel (0, 0);
     outline_um, dies_um: corners of polygons in stage um, (x, y) each.
@@ -210,70 +212,70 @@ class Overview:
 
 
 class Rig(Protocol):
-    """All devices of an instrument together."""
+    """All devices of an instrument."""
 
     @property
     def name(self) -> str:
-        """What the operator calls it."""
+        """Display name of the rig."""
         ...
 
     @property
     def simulated(self) -> bool:
-        """Whether any of it is simulated."""
+        """True if any device is simulated."""
         ...
 
     @property
     def limits(self) -> RigLimits:
-        """What it can do."""
+        """Limits of the rig."""
         ...
 
     @property
     def setup(self) -> OpticalSetup:
-        """Its optics as they are now."""
+        """Current optical setup."""
         ...
 
     @property
     def calibration(self) -> Calibration | None:
-        """The calibration it was configured with, valid or not."""
+        """Calibration from the configuration, valid or not."""
         ...
 
     @property
     def clock(self) -> Clock:
-        """Its time."""
+        """Clock of the rig."""
         ...
 
     @property
     def stage(self) -> Stage:
-        """Its stage."""
+        """Stage of the rig."""
         ...
 
     @property
     def box(self) -> PulseBox:
-        """Its pulse box."""
+        """Pulse box of the rig."""
         ...
 
     @property
     def camera(self) -> Camera:
-        """Its camera."""
+        """Camera of the rig."""
         ...
 
     def overview(self) -> Overview | None:
-        """A picture of the sample, where there is one."""
+        """Return a picture of the sample, or None."""
         ...
 
     def prepare(self, plan: ScanPlan, should_stop: ShouldStop) -> None:
-        """Get ready for a plan where that takes time of its own, before the scan's time begins."""
+        """Prepare for a plan, if that takes time of its own, before the duration of the scan is counted."""
         ...
 
     def close(self) -> None:
-        """Stop motion, disarm the box, let the ports go."""
+        """Stop motion, disarm the box and close the ports."""
         ...
 
 
 @runtime_checkable
 class SampleChanger(Protocol):
-    """A rig that puts samples on its stage by itself, as the virtual one does."""
+    """A rig that loads samples onto its stage by itself, such as the virtual rig."""
 
     def load_sample(self, sample: Sample | None) -> bool:
-        """Load a sample, where the rig has it, else the one that it starts with; True where it is another one now."""
+        """Load a sample if the rig has it, else its initial one; return True if the sample has changed."""
         ...

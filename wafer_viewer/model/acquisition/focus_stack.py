@@ -1,4 +1,4 @@
-"""Pictures: one frame as the camera gave it, and the focus stack of a field."""
+"""Camera frames and the focus stack of a field."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ Image = NDArray[np.uint8] | NDArray[np.uint16]
 
 
 class FrameStatus(Enum):
-    """What became of a pulse's frame."""
+    """Status of the frame of one pulse."""
 
     OK = "ok"
     INCOMPLETE = "incomplete"
@@ -27,7 +27,7 @@ class FrameStatus(Enum):
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Frame:
-    """One image and where it belongs: its slot, the pulse that took it, the stage at mid-exposure.
+    """One image with its shot, the pulse that triggered it and the stage position at mid-exposure.
 
     image: uint8 or uint16 [row, col]; None when the frame is missing.
     """
@@ -45,7 +45,7 @@ class Frame:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Bracket:
-    """A further exposure of the slots of a stack: images and present as there; exposure_us nan when nobody knows."""
+    """A further exposure of a stack's slots: images and present as there; exposure_us is NaN if unknown."""
 
     images: Image
     present: NDArray[np.bool_]
@@ -57,9 +57,9 @@ class FieldStack:
     """The focus stack of one field.
 
     images: [k, row, col], uint8 or uint16, may be memory-mapped; z_um: float64 [k], rising;
-    present: bool [k], False where no frame came (an empty slot is not a black frame);
+    present: bool [k], False for a missing frame (an empty slot is not a black frame);
     brackets: further exposures of the same slots, in any order: a reconstruction fuses them with `images`;
-    depth_of_field_um: of the objective; 0 when nobody knows.
+    depth_of_field_um: of the objective; 0 if unknown.
 
     Raises DatasetError when the shapes disagree or fewer than three frames are present.
     """
@@ -93,7 +93,7 @@ class FieldStack:
 
     @property
     def n_frames(self) -> int:
-        """Slots of the stack, present or not."""
+        """Number of slots, present or not."""
         return len(self.images)
 
     @property
@@ -103,12 +103,12 @@ class FieldStack:
 
     @property
     def z_step_um(self) -> float:
-        """The mean distance between neighbouring frames."""
+        """Mean distance between neighbouring frames."""
         return float(np.abs(self.z_um[-1] - self.z_um[0])) / max(1, len(self.z_um) - 1)
 
     @property
     def optical_depth_um(self) -> float:
-        """Depth of field as planned, or else of the objective that the calibration names; 0 when nobody knows."""
+        """Depth of field as planned, else of the objective that the calibration names; 0 if unknown."""
         setup = self.calibration.setup if self.calibration is not None else None
         aperture = engraved_aperture(setup.objective) if setup is not None else None
         if self.depth_of_field_um > 0 or aperture is None:
@@ -126,7 +126,7 @@ class FieldStack:
         return self.field.y_um + (self.images.shape[1] - 1) / 2 * self.pixel_um
 
     def part(self, rows: slice, cols: slice) -> FieldStack:
-        """The same slots with the pixels [rows, cols] alone, as views; the field keeps its place."""
+        """Return the stack restricted to the pixels [rows, cols], as views; the field keeps its position."""
         brackets = tuple(dataclasses.replace(b, images=b.images[:, rows, cols]) for b in self.brackets)
         return dataclasses.replace(self, images=self.images[:, rows, cols], brackets=brackets)
 

@@ -1,4 +1,4 @@
-"""What to scan and how: fields, the focus sweep, pulses, legs of motion, the priced plan, the job.
+"""Scan plans: fields, focus sweep, pulses, legs of motion and priced strategies.
 
 Stage coordinates are in um, right-handed, z towards the objective. A field's (x_um, y_um) is the centre of its frame.
 """
@@ -15,11 +15,11 @@ from wafer_viewer.model.spec import Count, NonNegative, Positive, Spec, Within
 Axis = Literal["x", "y", "z"]
 Overlap = Annotated[float, Within(0, 0.5)]
 MIN_FRAMES = 3
-"""Three frames are the fewest that have a peak with a neighbour on either side."""
+"""Fewest frames that can hold a peak with a neighbour on either side."""
 
 
 class Field(Spec, frozen=True, kw_only=True):
-    """One camera position: running number from 1, place in the grid, centre, and the lowest z of its sweep."""
+    """One camera position: number from 1, row and column in the grid, centre, and lowest z of its sweep."""
 
     number: Count
     row: Annotated[int, Within(0)]
@@ -30,12 +30,12 @@ class Field(Spec, frozen=True, kw_only=True):
 
     @property
     def name(self) -> str:
-        """The name of its files, ``r0000c0000``."""
+        """Name of its files, ``r0000c0000``."""
         return f"r{self.row:04d}c{self.col:04d}"
 
 
 class FieldGrid(Spec, frozen=True, kw_only=True):
-    """A rectangular lattice of fields; (x0_um, y0_um) is the centre of field (row 0, col 0), the top left one."""
+    """A rectangular grid of fields; (x0_um, y0_um) is the centre of the top left field (row 0, col 0)."""
 
     rows: Count
     cols: Count
@@ -59,7 +59,7 @@ class FieldGrid(Spec, frozen=True, kw_only=True):
         center_x_um: float = 0.0,
         center_y_um: float = 0.0,
     ) -> FieldGrid:
-        """The smallest grid whose fields cover width x height um round a centre."""
+        """Return the smallest grid whose fields cover width x height um around a centre."""
         one = cls(
             rows=1,
             cols=1,
@@ -84,33 +84,33 @@ class FieldGrid(Spec, frozen=True, kw_only=True):
 
     @property
     def width_um(self) -> float:
-        """From the left edge of the first to the right edge of the last field."""
+        """Distance from the left edge of the first to the right edge of the last field."""
         return self.field_width_um + (self.cols - 1) * self.pitch_x_um
 
     @property
     def height_um(self) -> float:
-        """From the top edge of the first to the bottom edge of the last field."""
+        """Distance from the top edge of the first to the bottom edge of the last field."""
         return self.field_height_um + (self.rows - 1) * self.pitch_y_um
 
     @property
     def center_um(self) -> tuple[float, float]:
-        """The centre of the covered rectangle."""
+        """Centre of the covered rectangle."""
         return (
             self.x0_um + (self.cols - 1) * self.pitch_x_um / 2,
             self.y0_um - (self.rows - 1) * self.pitch_y_um / 2,
         )
 
     def resized(self, *, rows: int, cols: int) -> FieldGrid:
-        """The same grid with another number of rows and columns, same first field."""
+        """Return the grid with another number of rows and columns and the same first field."""
         return msgspec.structs.replace(self, rows=rows, cols=cols)
 
     def centred_on(self, x_um: float, y_um: float) -> FieldGrid:
-        """The same grid moved so that its centre is (x_um, y_um)."""
+        """Return the grid moved so that its centre is (x_um, y_um)."""
         x, y = self.center_um
         return msgspec.structs.replace(self, x0_um=self.x0_um + x_um - x, y0_um=self.y0_um + y_um - y)
 
     def fields(self, z_start_um: float = 0.0) -> tuple[Field, ...]:
-        """All fields, numbered from 1 row by row from the top left, each sweep beginning at z_start_um."""
+        """Return all fields, numbered from 1 row by row from the top left, each sweep starting at z_start_um."""
         return tuple(
             Field(
                 number=row * self.cols + col + 1,
@@ -133,16 +133,16 @@ class FocusSweep(Spec, frozen=True, kw_only=True):
 
     @property
     def range_um(self) -> float:
-        """From the first to the last frame."""
+        """Distance from the first to the last frame."""
         return self.z_step_um * (self.n_frames - 1)
 
     def z_um(self, field: Field, k: int) -> float:
-        """The z of frame k in a field."""
+        """Return the z of frame k of a field."""
         return field.z_start_um + k * self.z_step_um
 
 
 class Shot(msgspec.Struct, frozen=True, array_like=True):
-    """What one pulse takes: the field's number, the frame k of its sweep, the exposure's index."""
+    """Slot of one pulse: field number, frame k of its sweep, index of the exposure."""
 
     field: int
     k: int
@@ -150,7 +150,7 @@ class Shot(msgspec.Struct, frozen=True, array_like=True):
 
 
 class PulseTrain(Spec, frozen=True, kw_only=True):
-    """Pulses that the box sends while an axis moves: the first at a scale count, then one every counts_per_frame."""
+    """Pulses sent while an axis moves: the first at a scale count, then one every counts_per_frame."""
 
     axis: Axis
     first_count: int
@@ -160,15 +160,15 @@ class PulseTrain(Spec, frozen=True, kw_only=True):
 
     @property
     def last_count(self) -> int:
-        """The scale count of the last pulse."""
+        """Scale count of the last pulse."""
         return self.first_count + self.direction * self.counts_per_frame * (self.n_frames - 1)
 
 
 class Leg(Spec, frozen=True, kw_only=True):
-    """One continuous motion and the shot of each of its pulses.
+    """One continuous motion, with the shot of each of its pulses.
 
-    (x_um, y_um, z_um) is where the first pulse falls; speed 0 means stop and shoot: the axis halts and settles at
-    every count of the train and the box sends a pulse on command.
+    (x_um, y_um, z_um): position of the first pulse. Speed 0 means stop and shoot: the axis halts and settles at every
+    count of the train and the box sends a pulse on command.
     """
 
     train: PulseTrain
@@ -185,7 +185,7 @@ class Leg(Spec, frozen=True, kw_only=True):
 
 
 class Price(Spec, frozen=True, kw_only=True):
-    """What one strategy costs, or why it is ruled out."""
+    """Predicted cost of one strategy, or the reason why it is ruled out."""
 
     strategy: str
     title: str
@@ -195,9 +195,9 @@ class Price(Spec, frozen=True, kw_only=True):
 
 
 class ScanPlan(Spec, frozen=True, kw_only=True):
-    """Everything a scan does: fields, sweep, exposures, the legs in order, the predicted time, and all prices.
+    """Complete plan of a scan: fields, sweep, exposures, legs in order, predicted time and all prices.
 
-    depth_of_field_um: of the objective; 0 when nobody knows.
+    depth_of_field_um: of the objective; 0 if unknown.
     """
 
     fields: tuple[Field, ...]
@@ -213,21 +213,21 @@ class ScanPlan(Spec, frozen=True, kw_only=True):
     depth_of_field_um: NonNegative = 0.0
 
     def field(self, number: int) -> Field:
-        """The field with a running number."""
+        """Return the field with a number."""
         return next(f for f in self.fields if f.number == number)
 
     @property
     def n_frames(self) -> int:
-        """Frames of the whole scan, all fields and exposures."""
+        """Number of frames of the scan, over all fields and exposures."""
         return len(self.fields) * self.sweep.n_frames * len(self.exposures_us)
 
     @property
     def field_by_field(self) -> bool:
-        """Whether each field gets all its frames in one pass, one field after the other."""
+        """True if each field gets all its frames in one pass, one field after the other."""
         fields = [{shot.field for shot in leg.shots} for leg in self.legs[: len(self.fields) + 1]]
         return len(fields) == len(self.fields) and all(len(of_leg) == 1 for of_leg in fields)
 
     @property
     def bytes_on_disk(self) -> int:
-        """Bytes of all 8-bit pages."""
+        """Size of all 8-bit frames in bytes."""
         return self.n_frames * self.rows * self.cols

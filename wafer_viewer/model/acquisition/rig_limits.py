@@ -1,4 +1,4 @@
-"""What a rig can do: the limits that the planner prices strategies from."""
+"""Limits of a rig, from which the planner prices strategies."""
 
 from __future__ import annotations
 
@@ -11,11 +11,11 @@ from wafer_viewer.model.errors import RigError, WaferViewerError
 from wafer_viewer.model.spec import Count, NonNegative, Positive, Spec, Within
 
 RUN_UP_SPARE_S = 0.005
-"""How long an axis runs at speed before the first pulse of a pass: what rang in the ramp has died down by then."""
+"""Time in s that an axis runs at constant speed before the first pulse, so that vibration of the ramp has decayed."""
 
 
 class AxisLimits(Spec, frozen=True, kw_only=True):
-    """One axis: where it can go, how fast, how long it rings, how fine its scale counts."""
+    """Limits of one axis: range, speed, acceleration, settling time and resolution of its scale."""
 
     error: ClassVar[type[WaferViewerError]] = RigError
     low_um: float
@@ -31,32 +31,32 @@ class AxisLimits(Spec, frozen=True, kw_only=True):
             self.refuse("high_um", f"over low_um, which is {self.low_um:g}")
 
     def counts(self, position_um: float) -> int:
-        """The scale count at a position."""
+        """Return the scale count at a position."""
         return round(position_um * self.counts_per_um)
 
     def position_um(self, counts: float) -> float:
-        """The position at a scale count."""
+        """Return the position at a scale count."""
         return counts / self.counts_per_um
 
     def ramp_um(self, speed_um_s: float) -> float:
-        """The way an axis needs to reach a speed, or to halt from it."""
+        """Return the distance needed to reach a speed, or to halt from it."""
         return speed_um_s**2 / (2 * self.acceleration_um_s2)
 
     def run_up_um(self, speed_um_s: float) -> float:
-        """The way before the first pulse, and past the last, of a pass: the ramp and RUN_UP_SPARE_S at full speed."""
+        """Return the run-up of a pass: the ramp and RUN_UP_SPARE_S at full speed. The run-out is as long."""
         return self.ramp_um(speed_um_s) + speed_um_s * RUN_UP_SPARE_S
 
     def move_s(self, distance_um: float, speed_um_s: float | None = None) -> float:
-        """Seconds that a move over a distance takes with its settling, at full speed or a given one."""
+        """Return the duration of a move in s, with settling, at full speed or a given speed."""
         way_um, speed = abs(distance_um), speed_um_s or self.speed_um_s
         top = min(speed, math.sqrt(way_um * self.acceleration_um_s2))
         return (way_um / top + top / self.acceleration_um_s2 if top > 0 else 0.0) + self.settle_s
 
 
 class CameraLimits(Spec, frozen=True, kw_only=True):
-    """The sensor: frame rate, exposure range, size, how many frames its driver can hold, and its bit depth.
+    """Limits of the camera: frame rate, exposure range, size, frames its driver can queue, bit depth.
 
-    readout_us: how long after an exposure the next one may begin; a trigger that comes sooner is ignored.
+    readout_us: dead time after an exposure; a trigger during it is ignored.
     """
 
     error: ClassVar[type[WaferViewerError]] = RigError
@@ -70,12 +70,12 @@ class CameraLimits(Spec, frozen=True, kw_only=True):
     bits: Annotated[int, Within(8, 16)] = 8
 
     def period_s(self, exposure_us: float) -> float:
-        """The shortest time between two triggers at an exposure."""
+        """Return the shortest time between two triggers at an exposure."""
         return max(1 / self.frame_rate_hz, (exposure_us + self.readout_us) * 1e-6)
 
 
 class ObjectiveLimits(Spec, frozen=True, kw_only=True):
-    """The objective: its optics, and how close it may come."""
+    """Optics and clearance of the objective."""
 
     error: ClassVar[type[WaferViewerError]] = RigError
     numerical_aperture: Positive
@@ -87,7 +87,7 @@ class ObjectiveLimits(Spec, frozen=True, kw_only=True):
 
 
 class RigLimits(Spec, frozen=True, kw_only=True):
-    """All limits of a rig. pixel_um is the size of a pixel on the sample that the maker states."""
+    """All limits of a rig. pixel_um: nominal size of a pixel on the sample."""
 
     error: ClassVar[type[WaferViewerError]] = RigError
     x: AxisLimits
@@ -99,7 +99,7 @@ class RigLimits(Spec, frozen=True, kw_only=True):
     strobe_us: NonNegative = 0.0
 
     def axis(self, name: Axis) -> AxisLimits:
-        """The limits of one axis."""
+        """Return the limits of one axis."""
         return {"x": self.x, "y": self.y, "z": self.z}[name]
 
     @property
@@ -114,6 +114,6 @@ class RigLimits(Spec, frozen=True, kw_only=True):
 
     @property
     def depth_of_field_um(self) -> float:
-        """Of the objective, in air."""
+        """Depth of field of the objective, in air."""
         o = self.objective
         return depth_of_field_um(o.numerical_aperture, self.pixel_um, o.wavelength_um)

@@ -1,4 +1,4 @@
-"""The thing under the objective: its names, and how it lies on the stage."""
+"""The sample: its identification and its orientation on the stage."""
 
 from __future__ import annotations
 
@@ -11,10 +11,9 @@ from wafer_viewer.model.spec import NonNegative, Spec, Within
 
 
 class Sample(Spec, frozen=True, kw_only=True):
-    """Asked for before a real scan, filled in for the virtual rig.
+    """Identification of the sample, entered before a real scan and preset for the virtual rig.
 
-    Width and height are those of its outline, in um, None where they are not given; files of older versions have 0 for
-    that.
+    width_um, height_um: size of its outline; None if not given (0 in files of older versions).
     """
 
     name: str = ""

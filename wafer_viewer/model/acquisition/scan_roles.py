@@ -1,4 +1,4 @@
-"""The roles beside a running scan: where its frames go, and who watches and steers it."""
+"""Protocols for consumers and controllers of a running scan."""
 
 from __future__ import annotations
 
@@ -10,48 +10,51 @@ from wafer_viewer.model.acquisition.plan import Leg, ScanPlan, Shot
 
 
 class ScanSink(Protocol):
-    """Where a scan's frames and events go; the dataset's writer is one. Every call returns once the thing is kept."""
+    """Receiver of a scan's frames and events, such as the dataset writer.
+
+    Every call returns once the data is stored.
+    """
 
     def pass_begun(self, number: int, leg: Leg) -> None:
-        """A leg starts."""
+        """Record the start of a leg."""
         ...
 
     def frame(self, frame: Frame) -> None:
-        """A frame for a slot, which counts once its pass has ended; a slot that is kept is not written again."""
+        """Store a frame, which is valid once its pass has ended; a slot that is already stored is not written again."""
         ...
 
     def missed(self, shot: Shot, pulse_count: int, why: str) -> None:
-        """A slot stayed empty, or its frame of the pass under way is not to be kept."""
+        """Record that a slot is empty, or that its frame of the current pass is to be discarded."""
         ...
 
     def repaired(self, shot: Shot) -> None:
-        """A slot that stayed empty has its frame now."""
+        """Record that a previously empty slot now has its frame."""
         ...
 
     def pass_ended(self, number: int, summary: PulseSummary) -> None:
-        """A leg is over: its frames count."""
+        """Record the end of a leg: its frames are valid."""
         ...
 
     def fault(self, what: str) -> None:
-        """Something a person should know."""
+        """Report a fault to the user."""
         ...
 
 
 class ScanControl(Protocol):
-    """How a running scan is watched and steered; the runner asks between frames."""
+    """Monitoring and control of a running scan; the runner polls it between frames."""
 
     def should_stop(self) -> bool:
-        """True: end after putting the rig at rest."""
+        """Return True to end the scan and leave the rig at rest."""
         ...
 
     def should_pause(self) -> bool:
-        """True: halt at the end of this leg, and ask again."""
+        """Return True to pause at the end of the current leg."""
         ...
 
     def wait_while_paused(self) -> None:
-        """Return when the pause is over or the scan is to stop."""
+        """Block until the pause is over or the scan is to stop."""
         ...
 
     def progress(self, plan: ScanPlan, frame: Frame) -> None:
-        """A frame was kept."""
+        """Report a stored frame."""
         ...

@@ -1,7 +1,7 @@
-"""Checks against certified gauge blocks: the certificate, each repeat, what came out, and the record that is signed.
+"""Checks against certified gauge blocks: certificate, repeats, outcome and signed record.
 
-x is what was measured, the mean of the repeats; the reference is the certified step between two blocks. The error is
-x less the reference. En judges the U that is claimed for x, the verdict judges the error.
+x is the measured value, the mean of the repeats; the reference is the certified step between two blocks. The error
+is x minus the reference. En assesses the U claimed for x, the verdict assesses the error.
 """
 
 from __future__ import annotations
@@ -22,10 +22,10 @@ Grade = Literal["K", "0", "1", "2"]
 VARIATION_UM: dict[Grade, float] = {"K": 0.05, "0": 0.10, "1": 0.16, "2": 0.30}
 """Largest variation in length of a gauge block of up to 10 mm, ISO 3650."""
 LONGEST_UM = 10_000.0
-"""Of the blocks that the variations above are of."""
+"""Longest block to which these variations apply, um."""
 WITHOUT = "without it there is nothing to check against"
 Role = Literal["scale", "measurement", "reference"]
-"""What a line of the budget belongs to: to U of x alone, to U of x and of the error, or to U of the reference."""
+"""Scope of a budget line: U of x alone; U of x and of the error; or U of the reference."""
 
 
 class GaugeBlock(Spec, frozen=True, kw_only=True):
@@ -39,10 +39,10 @@ class GaugeBlock(Spec, frozen=True, kw_only=True):
 
 
 class Certificate(Spec, frozen=True, kw_only=True):
-    """What a laboratory certifies of a step: the step itself, or two blocks of which it is the difference; at 20 C.
+    """Calibration certificate of a step, given directly or as the difference of two blocks, at 20 C.
 
-    expanded_um: U (k = 2); there is no check without it. grade or variation_um: how far a block's length may vary over
-    its face. expansion_per_k: of the blocks' steel as ISO 3650 has it. note: for people, as that it is an example.
+    expanded_um: U (k = 2); required for a check. grade or variation_um: variation in length of a block over its face.
+    expansion_per_k: of the steel of the blocks, from ISO 3650. note: free text, for example that it is an example.
     """
 
     error: ClassVar[type[WaferViewerError]] = MeasureError
@@ -78,7 +78,7 @@ class Certificate(Spec, frozen=True, kw_only=True):
 
     @property
     def step(self) -> Length:
-        """The certified step with its U."""
+        """Certified step with its U."""
         value_um, expanded_um = self.value_um or 0.0, self.expanded_um
         if self.blocks:
             first, second = self.blocks
@@ -88,19 +88,19 @@ class Certificate(Spec, frozen=True, kw_only=True):
 
     @property
     def step_nominal_um(self) -> float:
-        """What the step is called."""
+        """Nominal height of the step, um."""
         if self.blocks:
             return abs(self.blocks[0].nominal_um - self.blocks[1].nominal_um)
         return self.nominal_um or 0.0
 
     @property
     def serials(self) -> tuple[str, ...]:
-        """The serial numbers of the blocks, in order."""
+        """Serial numbers of the blocks, in order."""
         return tuple(sorted(block.serial_number for block in self.blocks) or sorted(self.serial_numbers))
 
     @property
     def variation(self) -> float | None:
-        """How far the length of each block may vary over its face, um; None where neither it nor a grade is known."""
+        """Permitted variation in length of each block over its face, um; None if neither it nor a grade is known."""
         if self.variation_um is not None or self.grade is None:
             return self.variation_um
         return VARIATION_UM[self.grade]
@@ -131,9 +131,9 @@ class Certificate(Spec, frozen=True, kw_only=True):
 
 
 class GaugeTerms(Spec, frozen=True, kw_only=True):
-    """What a check is made under: the largest error allowed, the blocks' temperature, the product's tolerance.
+    """Conditions of a check: largest permitted error, temperature of the blocks, tolerance of the product.
 
-    interval_days: the next check is due after them. None: not said, and what needs it is not evaluated.
+    interval_days: days until the next check is due. None: not given, and whatever depends on it is not evaluated.
     """
 
     error: ClassVar[type[WaferViewerError]] = MeasureError
@@ -145,9 +145,10 @@ class GaugeTerms(Spec, frozen=True, kw_only=True):
 
 
 class GaugeRepeat(Spec, frozen=True, kw_only=True):
-    """The step in one scan of the blocks; surface: the mark of the frames that its surface was made of.
+    """The step measured in one scan of the blocks.
 
-    show: 0 the stitched surface, else the number of a field; not_evaluated: what the budget of this step leaves out.
+    surface: mark of the frames that the surface was made from; show: 0 for the stitched surface, else the number of a
+    field; not_evaluated: contributions missing from the budget of this step.
     """
 
     error: ClassVar[type[WaferViewerError]] = MeasureError
@@ -164,13 +165,13 @@ class GaugeRepeat(Spec, frozen=True, kw_only=True):
     simulated: bool = False
 
     def is_scan_of(self, other: GaugeRepeat) -> bool:
-        """Whether both were measured in one scan: that is no repeat."""
+        """Return whether both were measured in the same scan, which is not a repeat."""
         named = bool(self.taken) and (self.dataset, self.taken) == (other.dataset, other.taken)
         return named or (bool(self.surface) and self.surface == other.surface)
 
 
 class GaugeLine(Spec, frozen=True, kw_only=True):
-    """One line of a check's budget: a standard uncertainty (k = 1) in um, and of what it is."""
+    """One line of a check's budget: a standard uncertainty (k = 1) in um and its scope."""
 
     error: ClassVar[type[WaferViewerError]] = MeasureError
     name: str
@@ -179,12 +180,12 @@ class GaugeLine(Spec, frozen=True, kw_only=True):
 
 
 class GaugeCheck(MeasurementResult, frozen=True, kw_only=True, tag="gauge_check"):
-    """A step against certified gauge blocks: the error with its U, En, and the verdict by the guard band.
+    """A step measured against certified gauge blocks: error with U, En, and verdict by guard band.
 
-    height: x, the mean of the repeats, with U of x, which has nothing of the certificate in it. reference: the
-    certified step at the blocks' temperature; its U holds the certificate's and the variation in length. error_of:
-    x less reference; its U (of the comparison) has no z scale in it, for an error of the scale is what is looked for
-    (ISO 14253-5). s_um and range_um: of the repeats. signed_by and at are empty until somebody signs.
+    height: x, the mean of the repeats; its U contains nothing from the certificate. reference: the certified step at
+    the temperature of the blocks; its U contains that of the certificate and the variation in length. deviation: x
+    minus reference; its U (of the comparison) excludes the z scale, because the check is meant to detect a scale error
+    (ISO 14253-5). s_um, range_um: of the repeats. signed_by and at are empty until the check is signed.
     """
 
     certificate: Certificate
@@ -213,7 +214,7 @@ class GaugeCheck(MeasurementResult, frozen=True, kw_only=True, tag="gauge_check"
 
     @property
     def n(self) -> int:
-        """How many scans it is the mean of."""
+        """Number of repeats."""
         return len(self.repeats)
 
 
@@ -228,10 +229,10 @@ class GaugeRecord(Spec, frozen=True, kw_only=True):
 
 
 class ScaleCorrection(Spec, frozen=True, kw_only=True):
-    """What a check offers: the z scale set so that the mean of its repeats is what is certified.
+    """A proposed z scale with which the mean of the repeats equals the certified value.
 
-    factor: certified over measured. changes_um: by how much the checked step would read otherwise. advice: whether it
-    is worth it, a sentence.
+    factor: certified over measured. changes_um: resulting change of the checked step. advice: a sentence on whether the
+    correction is worthwhile.
     """
 
     error: ClassVar[type[WaferViewerError]] = MeasureError

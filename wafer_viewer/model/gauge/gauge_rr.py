@@ -1,4 +1,4 @@
-"""Studies of repeatability and reproducibility: what was measured again and again, and what is found by it."""
+"""Repeatability and reproducibility studies: repeated measurements and their evaluation."""
 
 from __future__ import annotations
 
@@ -12,9 +12,9 @@ Method = Literal["range", "anova"]
 
 
 class Study(Spec, frozen=True, kw_only=True):
-    """One feature measured again and again: `values` [part][appraiser][trial] in `unit`, trials in order of time.
+    """Repeated measurements of one feature: `values` [part][appraiser][trial] in `unit`, trials in order of time.
 
-    tolerance: of the feature, upper limit less lower. simulated: whether any of the scans is.
+    tolerance: upper minus lower limit of the feature. simulated: True if any of the scans is simulated.
     """
 
     error: ClassVar[type[WaferViewerError]] = MeasureError
@@ -28,14 +28,14 @@ class Study(Spec, frozen=True, kw_only=True):
 
     @property
     def trials(self) -> int:
-        """How often everyone measured every part."""
+        """Number of trials per part and appraiser."""
         return len(self.values[0][0])
 
 
 class Repeats(Spec, frozen=True, kw_only=True):
-    """How well a measurement repeats: the standard deviation of one, pooled over cells of like repeats.
+    """Repeatability of a measurement: standard deviation of a single one, pooled over cells of repeats.
 
-    degrees_of_freedom: of the deviation; `u_of_mean` is the standard uncertainty of the mean of n.
+    degrees_of_freedom: of that deviation; `u_of_mean` gives the standard uncertainty of the mean of n.
     """
 
     error: ClassVar[type[WaferViewerError]] = MeasureError
@@ -44,16 +44,17 @@ class Repeats(Spec, frozen=True, kw_only=True):
     unit: Unit
 
     def u_of_mean(self, n: int) -> float:
-        """Standard uncertainty (k = 1) of the mean of n measurements."""
+        """Return the standard uncertainty (k = 1) of the mean of n measurements."""
         return self.s / n**0.5
 
 
 class GaugeRR(Spec, frozen=True, kw_only=True):
-    """A gauge R&R study by AIAG's MSA; deviations are standard deviations in the unit of the values.
+    """A gauge R&R study after AIAG's MSA; all deviations are standard deviations in the unit of the values.
 
-    `repeatability` (equipment variation), `reproducibility` (appraiser variation, with what appraisers and parts do
-    together), `gauge_rr` both, `part_variation`, `total_variation` all. `interaction` is the p value of appraisers
-    against parts (by ANOVA alone); up to `pooled_over` of it counts as real and is not pooled into repeatability.
+    `repeatability`: equipment variation; `reproducibility`: appraiser variation, including the interaction of
+    appraisers and parts; `gauge_rr`: both combined; `part_variation`; `total_variation`: all combined. `interaction`: p
+    value of the interaction of appraisers and parts (ANOVA only); only an insignificant interaction is pooled into
+    repeatability.
     """
 
     error: ClassVar[type[WaferViewerError]] = MeasureError
@@ -72,15 +73,15 @@ class GaugeRR(Spec, frozen=True, kw_only=True):
 
     @property
     def share_of_variation(self) -> float:
-        """Gauge R&R as a share of the total variation (%GRR / 100); NaN where nothing varies."""
+        """Gauge R&R as a fraction of the total variation (%GRR / 100); NaN if nothing varies."""
         return self.gauge_rr / self.total_variation if self.total_variation else float("nan")
 
     @property
     def share_of_tolerance(self) -> float | None:
-        """Six deviations of the gauge as a share of the tolerance; None without one."""
+        """Six standard deviations of the gauge as a fraction of the tolerance; None without a tolerance."""
         return 6 * self.gauge_rr / self.tolerance if self.tolerance else None
 
     @property
     def distinct_categories(self) -> int:
-        """ndc: into how many classes the gauge can part these parts; 0 where it finds none."""
+        """Number of distinct categories (ndc) that the gauge can resolve among these parts; 0 if none."""
         return int(1.41 * self.part_variation / self.gauge_rr) if self.gauge_rr else 0

@@ -1,4 +1,4 @@
-"""Checks over days: the run chart of the errors found, and the capability of the gauge."""
+"""Run chart of the errors of successive checks, and capability of the gauge."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from wafer_viewer.model.spec import NonNegative, Positive, Spec
 
 
 class ChartPoint(Spec, frozen=True, kw_only=True):
-    """One signed check: when (ISO 8601), its error with U, its verdict, the rules of the chart that it breaks."""
+    """One signed check: time (ISO 8601), error with U, verdict and the chart rules that it violates."""
 
     error: ClassVar[type[WaferViewerError]] = MeasureError
     at: str
@@ -22,11 +22,10 @@ class ChartPoint(Spec, frozen=True, kw_only=True):
 
 
 class RunChart(Spec, frozen=True, kw_only=True):
-    """The individuals chart of the errors of one pair of blocks, oldest first; lengths in um.
+    """Individuals chart of the errors of one pair of blocks, oldest first; lengths in um.
 
-    s_um: from moving ranges (mean range / 1.128); low_um and high_um: the control limits, mean -+ 3 s. None with fewer
-    than the points they need. drift: um per day, with U. due: the day of the next check, ISO 8601. warnings, notes:
-    sentences.
+    s_um: from moving ranges (mean range / 1.128); low_um, high_um: control limits, mean -+ 3 s; all None with too few
+    points. drift_um_per_day: with U. due: day of the next check, ISO 8601. warnings, notes: sentences.
     """
 
     error: ClassVar[type[WaferViewerError]] = MeasureError
@@ -43,7 +42,7 @@ class RunChart(Spec, frozen=True, kw_only=True):
 
 
 class Capability(Spec, frozen=True, kw_only=True):
-    """Cg and Cgk of the repeats of one pair of blocks; None where too few allow a verdict. variant: the formulas."""
+    """Cg and Cgk of the repeats of one pair of blocks; None with too few repeats. variant: the formulas used."""
 
     error: ClassVar[type[WaferViewerError]] = MeasureError
     n: int

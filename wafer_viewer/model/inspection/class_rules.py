@@ -1,4 +1,4 @@
-"""What the class of a defect is decided by: its shape, and the limits between the classes."""
+"""Shape features and limits that determine the class of a defect."""
 
 from __future__ import annotations
 
@@ -11,16 +11,16 @@ from wafer_viewer.model.spec import Fraction, NonNegative, Positive, Spec, Withi
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class DefectShape:
-    """The features of one place that differs from its reference, as the rules ask for them.
+    """Features of one defect candidate, as used by the class rules.
 
-    height_um: signed, the largest difference from the reference; pits negative; mean_height_um: over its area, 0 where
-    it is not known. score: the peak over the local noise. major_um, minor_um: lengths of the axes of its outline.
-    roughness_ratio: roughness of the residual inside, its own slow shape taken off, over the local noise; near 1 is
-    smooth. steepness: the median slope across its outline over |height_um| / (minor_um / 2), 1 for a cone, large for a
-    wall; 0 where it is not known. on_edge_fraction: share of its border on a die's edge. die_fraction: share of the
-    die's area that it covers. die_tilt_mrad: tilt of the die's residual plane. unmeasured_fraction: share of its area
-    without a height. height_score, picture_score: how far it stands out of the noise in each, detail_score: in what is
-    fine of the picture; 0 where not known. picture_ratio: length over width of what shows in the picture, 0 of nothing.
+    height_um: signed, the largest difference from the reference, negative for pits; mean_height_um: mean over its area,
+    0 if unknown. score: peak over the local noise. major_um, minor_um: axis lengths of its outline. roughness_ratio:
+    roughness of the residual inside, after removal of its slow shape, over the local noise; near 1 is smooth.
+    steepness: median slope across its outline over |height_um| / (minor_um / 2); 1 for a cone, large for a wall, 0 if
+    unknown. on_edge_fraction: fraction of its border on the edge of a die. die_fraction: fraction of the die that it
+    covers. die_tilt_mrad: tilt of the die's residual plane. unmeasured_fraction: fraction of its area without a height.
+    height_score, picture_score: signal-to-noise in heights and in the picture; detail_score: in the fine detail of the
+    picture; 0 if unknown. picture_ratio: aspect ratio of the outline in the picture, 0 if nothing shows there.
     """
 
     height_um: float
@@ -44,8 +44,9 @@ class DefectShape:
 
     @property
     def ratio(self) -> float:
-        """Length over width, 1 for what is round, in the evidence that shows it more clearly: the focus window blurs
-        heights. What is narrower than a pixel counts as a pixel wide.
+        """Length over width, 1 for a round shape, from the evidence with the higher score.
+
+        The focus window blurs heights. Lengths under one pixel count as one pixel.
         """
         if self.picture_ratio and self.picture_score >= self.height_score:
             return self.picture_ratio
@@ -53,22 +54,21 @@ class DefectShape:
 
     @property
     def aspect(self) -> float:
-        """Height over width: how upright it stands."""
+        """Height over width."""
         return abs(self.height_um) / max(self.minor_um, self.pixel_um)
 
 
 class ClassRules(Spec, frozen=True, kw_only=True):
-    """The limits between the classes of defects; a recipe may change any of them.
+    """Limits between the classes of defects; a recipe may change any of them.
 
-    unmeasured_fraction: with more of its area unmeasured there is nothing to classify. die_fraction: what covers more
-    of its die is the die's own: tilted beyond tilt_mrad, else missing where it lies lower by more than
-    missing_height_um.
-    edge_fraction: with more of its border on a die's edge and material lacking, an edge chip. scratch_ratio: longer
-    than so many widths, and than scratch_length_um; 0 is any length. residue_*: smooth and wide is wider than
-    residue_width_um, lower than residue_aspect of its width, no rougher than residue_roughness, no steeper at its
-    outline than residue_steepness, and what is fine in the picture shows it at most residue_picture times as clearly as
-    the heights do: it has no sharp outline. What shows in the picture only, and in the heights by less than
-    pattern_height_score, has no height to go by.
+    unmeasured_fraction: above it there is nothing to classify. die_fraction: a candidate that covers more of its die is
+    a property of the die: tilted above tilt_mrad, else missing if lower by more than missing_height_um. edge_fraction:
+    an edge chip has more of its border on the edge of a die, and material missing. scratch_ratio: a scratch is longer
+    than this multiple of its width, and longer than scratch_length_um (0 allows any length). residue_*: residue is
+    wider than residue_width_um, lower than residue_aspect of its width, no rougher than residue_roughness, no steeper
+    at its outline than residue_steepness, and its score in the fine detail of the picture is at most residue_picture
+    times that in the heights: it has no sharp outline. pattern_height_score: a candidate that shows in the picture, and
+    in the heights with a lower score than this, has no reliable height.
     """
 
     error: ClassVar[type[WaferViewerError]] = MeasureError

@@ -1,4 +1,4 @@
-"""Defects of a patterned wafer: what they are, how they are looked for, and what one inspection found."""
+"""Defects of a patterned wafer: recipes, defects and inspection results."""
 
 from __future__ import annotations
 
@@ -22,19 +22,18 @@ Evidence = Literal["height", "picture", "both"]
 Judgement = Literal["open", "real", "nuisance"]
 Reference = Literal["dies", "golden", "form"]
 RESOLVED_FROM_PX = 20.0
-"""Smaller defects are detected, but their size is not resolved."""
+"""Size in pixels below which defects are detected but not resolved."""
 DULLEST_SIGMA, KEENEST_SIGMA = 8.0, 2.0
 
 
 class DefectRecipe(Spec, frozen=True, kw_only=True):
-    """How defects are looked for; recipes are saved by product.
+    """Settings of the defect inspection, saved per product.
 
-    sensitivity: the one dial, 0 finds only clear defects, 1 everything that may be one; scales_px: standard deviations
-    of the Gaussian filters through which heights are looked at, 0 is unfiltered, and of what is wide and faint in the
-    picture, in which discs of 4 to 14 px are sought besides; golden: name of the stored golden die to compare with,
-    none: the median of the dies of the wafer itself; form_order: of the polynomial that is taken off first; excluded:
-    areas of every die where nothing is sought, um from its lower left corner; limits: how many of them a die and a
-    wafer may have.
+    sensitivity: from 0, clear defects only, to 1, everything that may be a defect; scales_px: standard deviations of
+    the Gaussian filters for heights, 0 for unfiltered, and for wide and faint features of the picture, in which discs
+    of 4 to 14 px are also searched; golden: name of the stored golden die to compare with, empty for the median of the
+    dies of the wafer; form_order: order of the polynomial removed first; excluded: areas of every die that are not
+    inspected, um from its lower left corner; limits: permitted numbers of defects of a die and a wafer.
     """
 
     error: ClassVar[type[WaferViewerError]] = MeasureError
@@ -61,28 +60,28 @@ class DefectRecipe(Spec, frozen=True, kw_only=True):
 
     @property
     def threshold_sigma(self) -> float:
-        """How far over the local noise a defect's peak must lie."""
+        """Detection threshold of a defect's peak, in multiples of the local noise."""
         return threshold_of(self.sensitivity)
 
 
 def threshold_of(sensitivity: float) -> float:
-    """The dial in sigma: 8 at 0, 5 in the middle, 2 at 1."""
+    """Return the threshold in sigma: 8 at sensitivity 0, 5 at 0.5, 2 at 1."""
     return DULLEST_SIGMA + sensitivity * (KEENEST_SIGMA - DULLEST_SIGMA)
 
 
 def sensitivity_of(threshold_sigma: float) -> float:
-    """Where the dial stands for a threshold, within its ends."""
+    """Return the sensitivity for a threshold, clipped to 0 ... 1."""
     return min(1.0, max(0.0, (DULLEST_SIGMA - threshold_sigma) / (DULLEST_SIGMA - KEENEST_SIGMA)))
 
 
 class Defect(MeasurementResult, frozen=True, kw_only=True, tag="defect"):
-    """A place that differs from its reference: where, how large, of what class and why, how it was judged.
+    """A difference from the reference: position, size, class with reasons, and judgement.
 
     center and outline in stage um; die: "col,row", empty outside of dies; in_die: um from the die's lower left corner;
-    height: the peak over (pits: under, negative) the reference, mean_height_um over its area; score: peak signal over
-    the local noise; scale_px: of the filter that showed it best, of a disc its diameter; size_resolved: False under
-    20 px, "detected, size not resolved". judged_kind: the operator's word, which overrides `kind`, judged_at its time
-    (ISO 8601).
+    height: peak difference from the reference, negative for pits; mean_height_um: mean over its area; score: peak
+    signal over the local noise; scale_px: of the filter with the best score, for a disc its diameter; size_resolved:
+    False under 20 px ("detected, size not resolved"). judged_kind: the operator's class, which overrides `kind`;
+    judged_at: its time (ISO 8601).
     """
 
     center: Point
@@ -117,14 +116,14 @@ class Defect(MeasurementResult, frozen=True, kw_only=True, tag="defect"):
 
     @property
     def seen_as(self) -> DefectClass:
-        """The class that counts: the operator's where there is one."""
+        """Effective class: the operator's if set."""
         return self.judged_kind or self.kind
 
 
 class FalseCounts(Spec, frozen=True, kw_only=True):
-    """How many false defects per mm2 are to be expected, by threshold: from the data, for every setting of the dial.
+    """Expected number of false defects per mm2 as a function of the threshold, estimated from the data.
 
-    threshold_sigma rises; per_mm2 belongs to it, point by point.
+    threshold_sigma rises; per_mm2 has one value for each threshold.
     """
 
     error: ClassVar[type[WaferViewerError]] = MeasureError
@@ -132,7 +131,7 @@ class FalseCounts(Spec, frozen=True, kw_only=True):
     per_mm2: tuple[NonNegative, ...] = ()
 
     def at(self, threshold_sigma: float) -> float | None:
-        """By straight lines of the logarithm between the points; None where the data said nothing."""
+        """Return the false count by log-linear interpolation between the points; None without points."""
         if not self.threshold_sigma:
             return None
         points = list(zip(self.threshold_sigma, self.per_mm2, strict=True))
@@ -146,12 +145,11 @@ class FalseCounts(Spec, frozen=True, kw_only=True):
 
 
 class Inspection(Spec, frozen=True, kw_only=True):
-    """What one inspection looked at and found: the file ``results/NAME/defects.json``.
+    """Result of one inspection: the file ``results/NAME/defects.json``.
 
-    reference: what the surface was compared with; inspected_mm2: measured and compared, where a list without defects
-    means that there are none; unmeasured_mm2: where nothing can be said; not_scanned_mm2: of the surface's rectangle,
-    without dies, whose states say it. A die that is not or only partly scanned is
-    never clean.
+    reference: what the surface was compared with; inspected_mm2: area measured and compared, where an empty list means
+    no defects; unmeasured_mm2: area without heights; not_scanned_mm2: unscanned part of the surface's rectangle, for
+    inspections without dies. A die that is not or only partly scanned is never clean.
     """
 
     error: ClassVar[type[WaferViewerError]] = MeasureError
@@ -174,9 +172,9 @@ class Inspection(Spec, frozen=True, kw_only=True):
 
     @property
     def found(self) -> tuple[Defect, ...]:
-        """The defects proper: unmeasured areas are missing data, not defects; the operator's word counts here too."""
+        """Defects without unmeasured areas, which are missing data; the operator's class takes precedence."""
         return tuple(defect for defect in self.defects if defect.seen_as != "unmeasured")
 
     def expected_false_at(self, sensitivity: float) -> float | None:
-        """The expected false count per mm2 with another setting of the dial, without a new run."""
+        """Return the expected false count per mm2 at another sensitivity, without a new run."""
         return self.false_counts.at(threshold_of(sensitivity))

@@ -1,4 +1,4 @@
-"""How many defects a die and a wafer may have."""
+"""Permitted numbers of defects of a die and a wafer."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from wafer_viewer.model.spec import NonNegative, Spec, Within
 
 
 class DefectLimits(Spec, frozen=True, kw_only=True):
-    """The most defects on one die, and on one mm2 of what was inspected; None: no limit."""
+    """Largest number of defects on one die, and per inspected mm2; None: no limit."""
 
     error: ClassVar[type[WaferViewerError]] = MeasureError
     max_per_die: Annotated[int, Within(0)] | None = None
@@ -17,11 +17,11 @@ class DefectLimits(Spec, frozen=True, kw_only=True):
 
     @property
     def are_set(self) -> bool:
-        """Whether there is a limit at all."""
+        """True if any limit is set."""
         return self.max_per_die is not None or self.max_per_mm2 is not None
 
     def over(self, others: DefectLimits) -> DefectLimits:
-        """These limits, and those of others where there are none here."""
+        """Return these limits, completed by those of `others`."""
         per_die = others.max_per_die if self.max_per_die is None else self.max_per_die
         per_mm2 = others.max_per_mm2 if self.max_per_mm2 is None else self.max_per_mm2
         return DefectLimits(max_per_die=per_die, max_per_mm2=per_mm2)

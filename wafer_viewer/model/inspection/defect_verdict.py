@@ -1,4 +1,4 @@
-"""The word that follows for a wafer from its defects and the limits for them, and why."""
+"""Verdict on a wafer from its defects and their limits, with reasons."""
 
 from __future__ import annotations
 
@@ -10,14 +10,14 @@ from wafer_viewer.model.inspection.defect_limits import DefectLimits
 from wafer_viewer.model.spec import NonNegative, Spec
 
 LEAST_GAP = 0.02
-"""Of a surface: what its fields leave at a ragged border is less."""
+"""Fraction of a surface; unscanned area at a ragged border of the fields is smaller."""
 
 
 class DefectVerdict(Spec, frozen=True, kw_only=True):
-    """Whether an inspected wafer is within its limits, and why not.
+    """Verdict on an inspected wafer, with the reasons for a failure.
 
-    counted: defects, without those that people judged a nuisance; failing: dies with more than they may have;
-    not_inspected: dies of which nothing, or not all, is known, which are never clean.
+    counted: defects without those judged a nuisance; failing: dies with more defects than permitted; not_inspected:
+    dies that are not or not fully scanned, which are never clean.
     """
 
     error: ClassVar[type[WaferViewerError]] = MeasureError
@@ -30,9 +30,26 @@ class DefectVerdict(Spec, frozen=True, kw_only=True):
 
 
 def verdict_of(inspection: Inspection, limits: DefectLimits | None = None) -> DefectVerdict:
-    """Hold an inspection against limits, those of its recipe by default.
+    """Compare the defects of an inspection with limits.
 
-    A wafer of which nothing was inspected is not within any.
+    Parameters
+    ----------
+    inspection : Inspection
+        Result of a defect inspection.
+    limits : DefectLimits, optional
+        Largest number of defects on one die, and per inspected mm2. Default: the limits of the inspection's recipe.
+
+    Returns
+    -------
+    DefectVerdict
+        Whether the wafer is within the limits, with the counted defects, their number per mm2 (None if nothing was
+        inspected), the failing dies, the dies that were not inspected, and the reasons for a failure.
+
+    Notes
+    -----
+    Defects judged a nuisance, and unmeasured areas, are not counted. A wafer on which nothing was inspected is not
+    within limits, nor is one with dies that were not or only partly scanned. Without dies, a surface whose unscanned
+    area is over 2 % of its scanned area is not within limits.
     """
     limits = inspection.recipe.limits if limits is None else limits
     counted = [defect for defect in inspection.found if defect.judgement != "nuisance"]
@@ -84,7 +101,7 @@ def _not_looked_at(lacking: tuple[str, ...], per_mm2: float | None) -> tuple[str
 
 
 def _gaps(inspection: Inspection) -> tuple[str, ...]:
-    """What was not scanned of a surface whose dies are not known."""
+    """Return a sentence on unscanned area of a surface without known dies."""
     whole_mm2 = inspection.inspected_mm2 + inspection.unmeasured_mm2
     if inspection.dies or inspection.not_scanned_mm2 <= LEAST_GAP * whole_mm2:
         return ()
@@ -92,6 +109,6 @@ def _gaps(inspection: Inspection) -> tuple[str, ...]:
 
 
 def _listed(names: tuple[str, ...], most: int = 12) -> str:
-    """The first of them, and how many more; a die's name has a comma of its own."""
+    """Return the first names and the number of further ones, separated by semicolons: die names contain commas."""
     more = f" and {len(names) - most} more" if len(names) > most else ""
     return "; ".join(names[:most]) + more

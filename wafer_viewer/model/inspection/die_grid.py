@@ -1,4 +1,4 @@
-"""The lattice of dies as it lies on a surface, in stage um, and how much of each die was scanned."""
+"""Lattice of dies on a surface, in stage um, and scan status of each die."""
 
 from __future__ import annotations
 
@@ -18,18 +18,18 @@ Floats = NDArray[np.float64]
 Ints = NDArray[np.int64]
 DieState = Literal["whole", "cut", "partly scanned", "not scanned", "missing"]
 LEAST_KNOWN = 0.9
-"""Of a clean die: with less of it measured that is said."""
+"""Measured fraction of a die below which its status says so."""
 STRAIGHT_UM = 1.0
-"""A lattice whose far corners are nearer than this to one along the wafer's axes is written as such."""
+"""Deviation of the far corners, in um, below which a lattice is written as aligned with the wafer's axes."""
 
 
 class DieGrid(Spec, frozen=True, kw_only=True):
-    """A lattice of dies: pitches, how it is turned (anticlockwise), and which columns and rows lie on the surface.
+    """A lattice of dies: pitches, rotation (anticlockwise), and the columns and rows on the surface.
 
-    (x0_um, y0_um): the lower left corner of the die in column 0, row 0, stage um; columns go right, rows upwards.
-    width_um, height_um: of a die without its street; left_out: names of places of the lattice that hold no die.
-    named: its places are known to hold dies; False: it goes over all of a surface, and its rim may hold none.
-    u_pitch_um, u_origin_um: standard uncertainties of a pitch and of that corner; 0 where the lattice was given.
+    (x0_um, y0_um): lower left corner of the die in column 0, row 0, stage um; columns count to the right, rows upwards.
+    width_um, height_um: of a die without its street; left_out: names of lattice positions without a die.
+    named: True if all positions are known to hold dies; False: it covers all of a surface, and its rim may hold none.
+    u_pitch_um, u_origin_um: standard uncertainties of a pitch and of that corner; 0 for a given lattice.
     """
 
     error: ClassVar[type[WaferViewerError]] = MeasureError
@@ -62,7 +62,7 @@ class DieGrid(Spec, frozen=True, kw_only=True):
 
     @classmethod
     def of(cls, dies: Dies, alignment: Alignment = Alignment()) -> Self:
-        """The lattice that a job names, as it lies on the stage. Raises PlanError for dies listed one by one."""
+        """Return the lattice of a job in stage coordinates. Raises PlanError for dies listed one by one."""
         if dies.listed:
             raise PlanError("The job lists its dies one by one: give rows, cols and pitch of a lattice instead.")
         x_um, y_um = alignment.to_stage(dies.x0_um, dies.y0_um)
@@ -80,7 +80,7 @@ class DieGrid(Spec, frozen=True, kw_only=True):
         )
 
     def as_dies(self, alignment: Alignment = Alignment()) -> Dies:
-        """The dies as a job names them, in wafer um: one by one where the lattice is turned against the wafer's axes.
+        """Return the dies as a job has them, in wafer um, listed one by one if the lattice is rotated on the wafer.
 
         In a lattice the lowest column and row become 0.
         """
@@ -110,7 +110,7 @@ class DieGrid(Spec, frozen=True, kw_only=True):
 
     @property
     def places(self) -> tuple[tuple[int, int], ...]:
-        """(col, row) of every die, row by row from the lowest; those left out are not among them."""
+        """(col, row) of every die, row by row from the lowest; without those in `left_out`."""
         rows, cols = (
             range(self.first_row, self.first_row + self.rows),
             range(self.first_col, self.first_col + self.cols),
@@ -119,18 +119,18 @@ class DieGrid(Spec, frozen=True, kw_only=True):
 
     @property
     def street_x_um(self) -> float:
-        """From one die to the next in its row."""
+        """Width of the street between neighbours in a row."""
         return self.pitch_x_um - self.width_um
 
     @property
     def street_y_um(self) -> float:
-        """From one die to the next in its column."""
+        """Width of the street between neighbours in a column."""
         return self.pitch_y_um - self.height_um
 
     def to_die(self, x_um: Floats, y_um: Floats) -> tuple[Ints, Ints, Floats, Floats]:
-        """(col, row, u_um, v_um) of stage places: the die next to them, and um from its lower left corner.
+        """Return (col, row, u_um, v_um) of stage positions: nearest die and um from its lower left corner.
 
-        Half of each street belongs to the die beside it: there u and v are below 0, or over the die's size.
+        Half of each street belongs to the adjacent die: there u and v are negative or exceed the size of the die.
         """
         c, s = math.cos(self.angle_rad), math.sin(self.angle_rad)
         dx, dy = np.asarray(x_um, float) - self.x0_um, np.asarray(y_um, float) - self.y0_um
@@ -142,34 +142,34 @@ class DieGrid(Spec, frozen=True, kw_only=True):
     def to_stage(
         self, col: Ints | int, row: Ints | int, u_um: Floats | float = 0.0, v_um: Floats | float = 0.0
     ) -> tuple[Floats, Floats]:
-        """Stage places (x_um, y_um) of places on dies, um from the lower left corner of each."""
+        """Return the stage positions (x_um, y_um) of points on dies, given in um from the lower left corner of each."""
         c, s = math.cos(self.angle_rad), math.sin(self.angle_rad)
         along = np.asarray(col, float) * self.pitch_x_um + u_um
         up = np.asarray(row, float) * self.pitch_y_um + v_um
         return self.x0_um + c * along - s * up, self.y0_um + s * along + c * up
 
     def corner(self, col: int, row: int) -> tuple[float, float]:
-        """Stage place of the lower left corner of a die."""
+        """Return the stage position of the lower left corner of a die."""
         x_um, y_um = self.to_stage(col, row)
         return float(x_um), float(y_um)
 
     def outline(self, col: int, row: int) -> Region:
-        """A die without its street."""
+        """Return the outline of a die without its street."""
         u, v = self.width_um * np.array([0, 1, 1, 0]), self.height_um * np.array([0, 0, 1, 1])
         corners = list(zip(*(a.tolist() for a in self.to_stage(col, row, u, v)), strict=True))
         return Region.rectangle(*corners[0], *corners[2]) if self.angle_rad == 0 else Region.polygon(*corners)
 
     def name(self, col: int, row: int) -> str:
-        """What a die is called: "column,row"."""
+        """Return the name of a die, "column,row"."""
         return f"{col},{row}"
 
 
 class DieStatus(Spec, frozen=True, kw_only=True):
-    """One place of the lattice: how much of its die was scanned and measured, and how many defects lie on it.
+    """Status of one lattice position: scanned and measured fraction of its die, and number of defects.
 
-    cut: it reaches beyond the wafer's edge or the surface; partly scanned: fields are missing from it, or less than
-    half of it could be measured; missing: it was scanned and no die is there. defects: None before any were looked for;
-    street_inspected: False where only what lies between the streets was compared.
+    cut: the die extends beyond the edge of the wafer or the surface; partly scanned: fields are missing from it, or
+    less than half of it could be measured; missing: scanned, but no die there. defects: None before an inspection;
+    street_inspected: False if only the area between the streets was compared.
     """
 
     name: str
@@ -182,7 +182,7 @@ class DieStatus(Spec, frozen=True, kw_only=True):
 
     @property
     def word(self) -> str:
-        """What a list says of it: clean only where all of it was scanned and looked at."""
+        """Status as shown in a list: clean only if the whole die was scanned and inspected."""
         if self.defects:
             return "1 defect" if self.defects == 1 else f"{self.defects} defects"
         if self.state != "whole":
@@ -193,7 +193,7 @@ class DieStatus(Spec, frozen=True, kw_only=True):
 
     @property
     def _as_far_as(self) -> str:
-        """What is not known of a clean die."""
+        """Qualification of a clean status: unmeasured fraction and uninspected street."""
         lacks = f"{1 - self.measured_fraction:.0%} of it unmeasured" if self.measured_fraction < LEAST_KNOWN else ""
         street = "" if self.street_inspected else "street not inspected"
         return "".join(f", {word}" for word in (lacks, street) if word)

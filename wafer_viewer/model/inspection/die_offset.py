@@ -1,4 +1,4 @@
-"""How far a lattice of dies that was given lies off the dies that a surface shows."""
+"""Offset of a given lattice of dies from the dies found on a surface."""
 
 from __future__ import annotations
 
@@ -6,9 +6,9 @@ from wafer_viewer.model.spec import NonNegative, Spec
 
 
 class DieOffset(Spec, frozen=True, kw_only=True):
-    """Seen less given: of the corner of die 0,0, of the pitches in parts of a million, of the angle.
+    """Found minus given: corner of die 0,0, pitches in ppm, rotation.
 
-    farthest_um: of any corner of a die that lies on the surface.
+    farthest_um: largest offset of any die corner on the surface.
     """
 
     origin_x_um: float

@@ -1,4 +1,4 @@
-"""The golden die: what every die of a product should be, as height, spread and picture, each position by itself."""
+"""Golden die: expected height, spread and picture of every die of a product, per pixel."""
 
 from __future__ import annotations
 
@@ -12,15 +12,15 @@ from wafer_viewer.model.errors import MeasureError, WaferViewerError
 from wafer_viewer.model.spec import Positive, Spec, Within
 
 SAME_PIXEL = 1e-3
-"""Pixel sizes that differ by less of themselves are the same."""
+"""Relative difference up to which pixel sizes count as equal."""
 SAME_SIZE_PX = 2.0
-"""Sizes of dies that differ by no more are the same."""
+"""Difference in pixels up to which sizes of dies count as equal."""
 
 
 class GoldenHeader(Spec, frozen=True, kw_only=True):
-    """What a golden die is of. version counts from 1 for each product and name; 0 was not kept yet.
+    """Origin of a golden die. version counts from 1 per product and name; 0 if not stored yet.
 
-    made_of: the dataset or file it was made of; made_at: when, ISO 8601; dies: of how many dies.
+    made_of: dataset or file that it was made from; made_at: time, ISO 8601; dies: number of dies.
     """
 
     error: ClassVar[type[WaferViewerError]] = MeasureError
@@ -59,19 +59,19 @@ class GoldenDie:
 
     @property
     def layers(self) -> dict[str, NDArray[np.float32]]:
-        """The arrays by their names."""
+        """Arrays by name."""
         names = ("z_um", "z_spread_um", "picture", "picture_spread")
         return {name: getattr(self, name) for name in names}
 
     @property
     def title(self) -> str:
-        """How people call it: name and version."""
+        """Display name with version."""
         return f"{self.header.name or 'golden die'} version {self.header.version}"
 
     def require_fit(self, *, product: str, pixel_um: float, width_um: float, height_um: float) -> None:
-        """Raises MeasureError where it is of another product, pixel size or size of die; '' is no product to compare.
+        """Raise MeasureError for another product, pixel size or die size; an empty product is not compared.
 
-        A size that is 0 is not compared.
+        A size of 0 is not compared.
         """
         own = self.header
         if product and own.product and product != own.product:

@@ -1,4 +1,4 @@
-"""What a KLARF file says: its wafer, its lattice of dies, and its defects in um from their dies' corners."""
+"""Contents of a KLARF file: wafer, lattice of dies, and defects in um from the corners of their dies."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ CLASS_NUMBERS: dict[DefectClass, int] = {
     "edge chip": 7,
     "pattern": 8,
 }
-"""CLASSNUMBER of each class; 0 is Unclassified. Unmeasured areas are no defects and are not handed over."""
+"""CLASSNUMBER of each class; 0 is Unclassified. Unmeasured areas are not defects and are not exported."""
 BINS = {"open": 0, "real": 1, "nuisance": 2}
 """ROUGHBINNUMBER of each judgement."""
 
@@ -75,7 +75,7 @@ class Klarf(Spec, frozen=True, kw_only=True):
 
     @property
     def grid(self) -> DieGrid:
-        """Its lattice with the wafer's centre at the stage's zero; dies are as large as their pitch."""
+        """Lattice with the wafer centre at stage zero; dies are as large as their pitch."""
         at = [*self.dies, *((d.col, d.row) for d in self.defects)] or [(0, 0)]
         (first_col, last_col), (first_row, last_row) = ((min(part), max(part)) for part in zip(*at, strict=True))
         return DieGrid(
@@ -92,9 +92,9 @@ class Klarf(Spec, frozen=True, kw_only=True):
         )
 
     def outlines(self, grid: DieGrid | None = None) -> tuple[Region, ...]:
-        """Where its defects lie in stage um, to be laid over a surface: circles of their sizes, in the file's order.
+        """Return the outlines of its defects in stage um: circles of their sizes, in the order of the file.
 
-        grid: the dies as they were found on the surface, with the same numbers; by default `self.grid`.
+        grid: lattice found on the surface, with the same die numbers; by default `self.grid`.
         """
         on = grid or self.grid
         places = [on.to_stage(d.col, d.row, d.u_um, d.v_um) for d in self.defects]
@@ -102,9 +102,9 @@ class Klarf(Spec, frozen=True, kw_only=True):
         return tuple(Region.circle(float(x), float(y), s / 2) for (x, y), s in zip(places, sizes, strict=True))
 
     def matched(self, defects: tuple[Defect, ...], within_um: float, grid: DieGrid | None = None) -> dict[int, int]:
-        """Its defects that are also among `defects`, the nearest within a distance: number here -> number there.
+        """Match its defects to the nearest of `defects` within a distance: number here -> number there.
 
-        Each is taken once, the nearest pairs first.
+        Each defect is matched once, the nearest pairs first.
         """
         x_um, y_um = (np.array([getattr(defect.center, axis) for defect in defects]) for axis in ("x_um", "y_um"))
         near: list[tuple[float, int, int]] = []

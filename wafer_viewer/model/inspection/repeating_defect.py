@@ -1,4 +1,4 @@
-"""A place on the die at which several dies have a defect: a systematic one, of the mask or the process."""
+"""Repeating defect: several dies have a defect at the same position, from the mask or the process."""
 
 from __future__ import annotations
 
@@ -10,15 +10,15 @@ from wafer_viewer.model.region import Point
 from wafer_viewer.model.spec import NonNegative, Spec, Within
 
 LEAST_DIES = 3
-"""Fewer dies with a defect at the same place are chance."""
+"""Smallest number of dies with a defect at the same position; fewer are coincidence."""
 
 
 class RepeatedPlace(Spec, frozen=True, kw_only=True):
-    """Where defects of several dies lie on each other.
+    """A position on the die where defects of several dies coincide.
 
-    in_die: their middle, um from the die's lower left corner; reach_um: how far the furthest lies from it; dies: the
-    names of theirs; of_dies: how many dies were scanned whole; numbers: of the defects, die by die; kind: what most of
-    them are seen as.
+    in_die: their median position, um from the die's lower left corner; reach_um: largest distance from it; dies: names
+    of the dies; of_dies: number of dies scanned completely; numbers: of the defects, die by die; kind: most frequent
+    class.
     """
 
     error: ClassVar[type[WaferViewerError]] = MeasureError
@@ -31,5 +31,5 @@ class RepeatedPlace(Spec, frozen=True, kw_only=True):
 
     @property
     def words(self) -> str:
-        """In how many dies."""
+        """Text with the number of dies."""
         return f"in {len(self.dies)} of {self.of_dies} whole dies" if self.of_dies else f"in {len(self.dies)} dies"

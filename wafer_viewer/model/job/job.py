@@ -1,4 +1,4 @@
-"""A job: what an engineer prepares once and an operator runs."""
+"""A job: prepared once by an engineer and run by operators."""
 
 from __future__ import annotations
 
@@ -15,11 +15,11 @@ from wafer_viewer.model.surface.recipe import Recipe
 
 
 class Job(Spec, frozen=True, kw_only=True):
-    """What an engineer prepares once and an operator runs: the file ``PLAN.toml``.
+    """Complete definition of a job: the file ``PLAN.toml``.
 
-    Either `grid` or `fields` says where, in wafer um where `marks` are given to align by, else in stage um; `strategy`
-    is a name of the planner's table or ``auto``. `alignment` is of the one wafer that is on the stage. `dies` are where
-    features that are measured per die are repeated.
+    Either `grid` or `fields` gives the positions, in wafer um if `marks` are given for alignment, else in stage um;
+    `strategy` is a strategy of the planner or ``auto``. `alignment` applies to the wafer now on the stage. Features
+    measured per die are repeated on `dies`.
     """
 
     product: str = ""
@@ -56,7 +56,7 @@ class Job(Spec, frozen=True, kw_only=True):
             self.refuse("alignment", "left out where there are no marks to align by")
 
     def all_fields(self) -> tuple[Field, ...]:
-        """The fields on the stage, from the grid or as listed: where they lie once the wafer is aligned."""
+        """Return the fields from the grid or as listed, in stage coordinates of the aligned wafer."""
         fields = self.fields if self.grid is None else self.grid.fields(self.z_start_um)
         return fields if self.alignment is None else tuple(_on_stage(field, self.alignment) for field in fields)
 

@@ -1,4 +1,4 @@
-"""What people note down beside a surface: views to come back to, and what they think of its results and features."""
+"""User annotations of a surface: saved views, and judgements on its results and features."""
 
 from __future__ import annotations
 
@@ -17,9 +17,9 @@ Place = tuple[float, float, float]
 
 
 class SavedView(Spec, frozen=True, kw_only=True):
-    """A way to look at the surface: where the camera stands and looks at, in mm of the scene, and how it is drawn.
+    """A saved view of the surface: camera position and target in mm of the scene, and display settings.
 
-    number: its place in the list, 1 the first. look, colour_by and colours are the page's words for them.
+    number: its position in the list, from 1. look, colour_by and colours are the page's names for these settings.
     """
 
     error: ClassVar[type[WaferViewerError]] = DatasetError
@@ -39,7 +39,7 @@ class SavedView(Spec, frozen=True, kw_only=True):
 
 
 class Judgement(Spec, frozen=True, kw_only=True):
-    """What a person thinks of a thing under review; `key` names the thing, ``result 3`` or ``feature pad``."""
+    """A user's judgement on an item under review; `key` names the item, ``result 3`` or ``feature pad``."""
 
     error: ClassVar[type[WaferViewerError]] = DatasetError
     key: str
@@ -48,12 +48,12 @@ class Judgement(Spec, frozen=True, kw_only=True):
 
 
 def key_of_result(number: int) -> str:
-    """The key under which the result of a number is judged."""
+    """Return the key of the result with a number."""
     return f"result {number}"
 
 
 def keys_of_features(verdict: WaferVerdict | None) -> tuple[str, ...]:
-    """The keys under which the features of a verdict are judged, in its order; those of one name are numbered."""
+    """Return the keys of the features of a verdict, in its order; repeated names are numbered."""
     seen: Counter[str] = Counter()
     keys: list[str] = []
     for name in (item.name for item in (verdict.items if verdict is not None else ())):
@@ -63,7 +63,7 @@ def keys_of_features(verdict: WaferVerdict | None) -> tuple[str, ...]:
 
 
 def keys_under_review(verdict: WaferVerdict | None, findings: Iterable[AnyResult]) -> tuple[str, ...]:
-    """The keys of everything people can judge of a surface: the features of its verdict, and the results kept."""
+    """Return the keys of everything under review: the features of the verdict and the stored results."""
     return (*keys_of_features(verdict), *(key_of_result(finding.number) for finding in findings))
 
 
@@ -75,13 +75,13 @@ class Notebook(Spec, frozen=True, kw_only=True):
     judgements: tuple[Judgement, ...] = ()
 
     def view(self, number: int) -> SavedView | None:
-        """The saved view of a number, if there is one."""
+        """Return the saved view with a number, or None."""
         return next((view for view in self.views if view.number == number), None)
 
     def judgement(self, key: str) -> Judgement:
-        """What is thought of a thing; open as long as nobody said."""
+        """Return the judgement on an item; open if there is none."""
         return next((j for j in self.judgements if j.key == key), Judgement(key=key))
 
     def judged(self, keys: Iterable[str]) -> int:
-        """How many of some things were accepted or rejected."""
+        """Return how many of the keys are accepted or rejected."""
         return sum(self.judgement(key).verdict != "open" for key in keys)

@@ -1,4 +1,4 @@
-"""A job tried on wafers that were measured before: which verdicts would change by it, and why."""
+"""Trial of a job on wafers measured before: changed verdicts and their reasons."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from wafer_viewer.model.spec import Spec
 
 
 class VerdictChange(Spec, frozen=True, kw_only=True):
-    """A feature whose word changes. No word before: it was not judged; none after: it is not judged any more."""
+    """A feature whose verdict changes. before: None if it was not judged; after: None if it is no longer judged."""
 
     error: ClassVar[type[WaferViewerError]] = MeasureError
     feature: str
@@ -23,9 +23,9 @@ class VerdictChange(Spec, frozen=True, kw_only=True):
 
 
 class TriedWafer(Spec, frozen=True, kw_only=True):
-    """A wafer judged by the job, beside the word that it had.
+    """Verdict on a wafer by the job, with its previous verdict.
 
-    result: the reconstruction that was judged; n_same: how many features keep their word.
+    result: reconstruction that was judged; n_same: number of features with an unchanged verdict.
     """
 
     error: ClassVar[type[WaferViewerError]] = MeasureError
@@ -39,7 +39,7 @@ class TriedWafer(Spec, frozen=True, kw_only=True):
 
 
 class NotTried(Spec, frozen=True, kw_only=True):
-    """A dataset that could not be judged by the job, and why."""
+    """A dataset that could not be judged by the job, with the reason."""
 
     error: ClassVar[type[WaferViewerError]] = MeasureError
     dataset: str
@@ -47,7 +47,7 @@ class NotTried(Spec, frozen=True, kw_only=True):
 
 
 class Trial(Spec, frozen=True, kw_only=True):
-    """What a job comes to on stored datasets."""
+    """Result of a trial of a job on stored datasets."""
 
     error: ClassVar[type[WaferViewerError]] = MeasureError
     job: str
@@ -56,12 +56,12 @@ class Trial(Spec, frozen=True, kw_only=True):
 
     @property
     def n_changes(self) -> int:
-        """How many verdicts on features change, over all wafers."""
+        """Number of changed verdicts on features, over all wafers."""
         return sum(len(wafer.changes) for wafer in self.wafers)
 
     @property
     def summary(self) -> str:
-        """All of it in one sentence."""
+        """Summary in one sentence."""
         turned = sum(wafer.before != wafer.after for wafer in self.wafers)
         n_verdicts = self.n_changes + sum(wafer.n_same for wafer in self.wafers)
         verdicts = _changing(self.n_changes, n_verdicts, "verdict", "changes", "change")

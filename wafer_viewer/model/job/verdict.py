@@ -1,4 +1,4 @@
-"""Whether a wafer is good: each feature against its limits, the dies they lie on, and all of them together."""
+"""Verdict on a wafer: features against their limits, dies, and the wafer as a whole."""
 
 from __future__ import annotations
 
@@ -14,14 +14,14 @@ from wafer_viewer.model.quantity import Length, Quantity
 from wafer_viewer.model.spec import Spec
 
 GRAVEST: tuple[Word, ...] = ("fail", "no verdict", "inconclusive", "pass")
-"""The word of a die or a wafer is the first of these that any of its features has."""
+"""Verdicts by severity: a die or wafer gets the first of these that any of its features has."""
 
 
 class FeatureVerdict(Spec, frozen=True, kw_only=True, omit_defaults=True):
-    """One feature: what was measured of it, the word, and the sentence that says why. Nothing measured: None.
+    """Verdict on one feature: measured value, outcome and the sentence with the reason. measured: None if not measured.
 
-    die: the name of the die that it was measured on, where the feature is repeated over dies; not_evaluated: what the
-    uncertainty leaves out. `height` is how `measured` was written before other things than heights were judged.
+    die: name of the die that it was measured on, for a feature repeated over dies; not_evaluated: contributions missing
+    from the uncertainty. `height` is the name of `measured` in older files, when only heights were judged.
     """
 
     error: ClassVar[type[WaferViewerError]] = MeasureError
@@ -41,12 +41,12 @@ class FeatureVerdict(Spec, frozen=True, kw_only=True, omit_defaults=True):
 
     @property
     def name(self) -> str:
-        """The feature's name, with the die that it was measured on."""
+        """Name of the feature, with the die that it was measured on."""
         return f"{self.feature.name}, die {self.die}" if self.die else self.feature.name
 
 
 class JudgedDie(Spec, frozen=True, kw_only=True):
-    """A die with its word: its lower left corner on the wafer, and its size."""
+    """A die with its verdict, its lower left corner on the wafer and its size."""
 
     error: ClassVar[type[WaferViewerError]] = MeasureError
     name: str
@@ -58,9 +58,9 @@ class JudgedDie(Spec, frozen=True, kw_only=True):
 
 
 class WaferVerdict(Spec, frozen=True, kw_only=True):
-    """The file ``verdict.json`` of a reconstruction: the word for the wafer, what to do next, every feature and die.
+    """Verdict on a wafer, the next action, and every feature and die: the file ``verdict.json`` of a reconstruction.
 
-    job: product and revision; surface: the mark of the surface it was measured on.
+    job: product and revision; surface: mark of the surface that was measured.
     """
 
     error: ClassVar[type[WaferViewerError]] = MeasureError
@@ -78,6 +78,6 @@ class WaferVerdict(Spec, frozen=True, kw_only=True):
 
     @property
     def die_counts(self) -> dict[Word, int]:
-        """How many dies have each word, the gravest first; words that none has are left out."""
+        """Number of dies per verdict, the most severe first; without verdicts that no die has."""
         counts = Counter(die.word for die in self.dies)
         return {word: counts[word] for word in GRAVEST if counts[word]}

@@ -1,4 +1,4 @@
-"""Shapes measured on the picture that is in focus everywhere, and bumps measured on the heights."""
+"""Results of shapes measured on the all-in-focus picture, and of bumps measured on the heights."""
 
 from __future__ import annotations
 
@@ -21,9 +21,9 @@ Side = Literal["left", "right", "lower", "upper"]
 
 
 class KerfWidth(MeasurementResult, frozen=True, kw_only=True, tag="kerf_width"):
-    """The width of a kerf between its two edges: that of the lines through them in the middle, and its extremes.
+    """Width of a kerf between the lines through its two edges, measured in the middle, and its extremes.
 
-    first, second: the lines, from end to end of what was found; angle: between them, 0 where they are parallel.
+    first, second: the lines over the length of the detected edges; angle: between them, 0 if parallel.
     """
 
     region: Region
@@ -44,10 +44,10 @@ class KerfWidth(MeasurementResult, frozen=True, kw_only=True, tag="kerf_width"):
 
 
 class DieSize(MeasurementResult, frozen=True, kw_only=True, tag="die_size"):
-    """A die by its four edges: distances of opposite ones through the middle, how it is turned, how square it is.
+    """A die measured by its four edges: width and height through the centre, rotation and squareness.
 
-    rotation: counter-clockwise from the stage's axes; squareness: what the angle at the lower left corner is over 90
-    degrees; outline: the four corners where the edges meet, counter-clockwise from the lower left.
+    rotation: anticlockwise from the stage axes; squareness: angle at the lower left corner minus 90 degrees; outline:
+    the four corners where the edges intersect, anticlockwise from the lower left.
     """
 
     region: Region
@@ -68,9 +68,9 @@ class DieSize(MeasurementResult, frozen=True, kw_only=True, tag="die_size"):
 
 
 class CircleSize(MeasurementResult, frozen=True, kw_only=True, tag="circle"):
-    """The circle of least squares through the edge of something round; roundness: RONt of ISO 12181 about it.
+    """Least-squares circle through the edge of a round shape; roundness: RONt of ISO 12181 about it.
 
-    circle: the one drawn round it; found: the one found.
+    circle: the circle drawn by the user; found: the fitted circle.
     """
 
     circle: Region
@@ -90,7 +90,7 @@ class CircleSize(MeasurementResult, frozen=True, kw_only=True, tag="circle"):
 
 
 class Chip(Spec, frozen=True, kw_only=True):
-    """Where a chip is deepest, and how deep, how long along the edge and how large it is."""
+    """A chip: position of its deepest point, depth, length along the edge and area."""
 
     error: ClassVar[type[WaferViewerError]] = MeasureError
     place: Point
@@ -100,10 +100,10 @@ class Chip(Spec, frozen=True, kw_only=True):
 
 
 class Chipping(MeasurementResult, frozen=True, kw_only=True, tag="chipping"):
-    """What is missing of a die beside the straight line of its edge.
+    """Material missing from a die along the straight line of its edge.
 
-    deepest: the largest way from the line into the die, chip or not; longest, area: of the chips, which are places
-    deeper than limit_um; chips: the deepest first; edge: the line; die: on which side of it the die lies.
+    deepest: largest distance from the line into the die, chip or not; longest, area: of the chips, which are deeper
+    than limit_um; chips: the deepest first; edge: the line; die: side of the edge on which the die lies.
     """
 
     region: Region
@@ -127,8 +127,10 @@ class Chipping(MeasurementResult, frozen=True, kw_only=True, tag="chipping"):
 
 
 class Bump(Spec, frozen=True, kw_only=True):
-    """One bump: where it is, its top over its surroundings, its width at half of that, and how far its top lies from
-    the plane of all tops, away from the substrate."""
+    """One bump: position, height of its top over its surroundings, width at half height, deviation.
+
+    deviation: of its top from the plane of all tops, positive away from the substrate.
+    """
 
     error: ClassVar[type[WaferViewerError]] = MeasureError
     place: Point
@@ -138,11 +140,11 @@ class Bump(Spec, frozen=True, kw_only=True):
 
 
 class Coplanarity(MeasurementResult, frozen=True, kw_only=True, tag="coplanarity"):
-    """How far the tops of bumps lie from one plane, as JESD22-B108 has it.
+    """Coplanarity of the tops of bumps after JESD22-B108.
 
-    options.reference: the plane of least squares through all tops, from which the range of deviations counts; or the
-    seating plane, on which the part would stand. mean_height, height_range: of the bumps over their own surroundings.
-    left_out: bumps that the region cuts or whose tops are not measured.
+    options.reference: least-squares plane through all tops, from which the range of deviations counts, or the seating
+    plane, on which the part would stand. mean_height, height_range: of the bumps over their surroundings.
+    left_out: bumps cut by the region, or with unmeasured tops.
     """
 
     region: Region

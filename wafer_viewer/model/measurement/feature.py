@@ -1,4 +1,4 @@
-"""What is to be measured on every sample of a product, with its limits, and the dies over which it is repeated."""
+"""Features measured on every sample of a product, their limits, and the dies over which they are repeated."""
 
 from __future__ import annotations
 
@@ -18,14 +18,14 @@ MOST_DIES = 100_000
 
 
 class Feature(Spec, frozen=True, kw_only=True, omit_defaults=True):
-    """One quantity of what a tool measures at its places, its limits, and how a verdict is reached.
+    """One quantity measured by a tool, its limits and its decision rule.
 
-    places: as many as the tool asks for, in wafer um where the job has marks to align by, else in stage um; in um from
-    the corner of a die where the feature is measured `per_die`. Without them it is not measured by itself.
-    quantity: a field of the result, ``flt_q`` say; its main one where nothing is said. unit: of nominal and limits; a
-    limit that is left out is open. options: of the tool, the defaults where nothing is said.
+    places: the regions of the tool, in wafer um if the job has alignment marks, else in stage um; for a feature
+    measured `per_die`, in um from the corner of a die. Without them it is not measured automatically. quantity: a field
+    of the result, such as ``flt_q``; empty for the main one. unit: of nominal and limits; a missing limit is open.
+    options: of the tool; None for the defaults.
 
-    A step height may be given as it once had to be, with upper, lower, nominal_um, lower_limit_um, upper_limit_um.
+    A step height may also be given in the older form, with upper, lower, nominal_um, lower_limit_um, upper_limit_um.
     """
 
     name: str
@@ -58,21 +58,21 @@ class Feature(Spec, frozen=True, kw_only=True, omit_defaults=True):
 
     @property
     def has_place(self) -> bool:
-        """Whether it is known where to measure it."""
+        """True if its regions are given."""
         return bool(self.places)
 
     @property
     def tolerance(self) -> float | None:
-        """Upper limit less lower, in the unit; None where one of them is open."""
+        """Upper minus lower limit, in the unit; None if either is open."""
         return None if self.lower_limit is None or self.upper_limit is None else self.upper_limit - self.lower_limit
 
     @property
     def measures(self) -> tuple[Any, ...]:
-        """All that says which number is measured: features that have this alike have the same number."""
+        """Key of the measured number: features with equal keys have the same number."""
         return self.tool, self.quantity, self.places, self.per_die, self.options or ToolOptions()
 
     def _take_over_older_words(self) -> None:
-        """What is given in the older words becomes what it is called now."""
+        """Convert fields of the older form to the current ones."""
         if (self.upper is None) != (self.lower is None):
             self.refuse("lower" if self.lower is None else "upper", "a region, as the other one is")
         if self.upper is not None and self.lower is not None:
@@ -86,7 +86,7 @@ class Feature(Spec, frozen=True, kw_only=True, omit_defaults=True):
             msgspec.structs.force_setattr(self, name, value)
 
     def _require_places(self, n: int) -> None:
-        """A corner more of a rectangle makes it a polygon, which is measured all the same; other kinds are refused."""
+        """Refuse regions of the wrong number or kind; rectangle, polygon and circle may replace each other."""
         kinds = [(given.kind, asked.kind) for given, asked in zip(self.places, TOOLS[self.tool].places, strict=False)]
         same = all(given == asked or {given, asked} <= {"rectangle", "polygon", "circle"} for given, asked in kinds)
         if len(self.places) != n or not same:
@@ -96,7 +96,7 @@ class Feature(Spec, frozen=True, kw_only=True, omit_defaults=True):
 
 
 class Die(Spec, frozen=True, kw_only=True):
-    """One die: its name, and where its lower left corner is on the wafer."""
+    """One die: its name and the wafer position of its lower left corner."""
 
     name: str
     x_um: float
@@ -104,10 +104,10 @@ class Die(Spec, frozen=True, kw_only=True):
 
 
 class Dies(Spec, frozen=True, kw_only=True):
-    """The dies of a wafer: `listed` one by one, or a lattice of rows and columns with its pitch, in wafer um.
+    """Dies of a wafer: `listed` individually, or a lattice of rows and columns with its pitch, in wafer um.
 
-    (x0_um, y0_um): the lower left corner of the die in row 0, column 0; rows go upwards. `left_out` names dies of the
-    lattice, "column,row", that are not there.
+    (x0_um, y0_um): lower left corner of the die in row 0, column 0; rows count upwards. `left_out`: names,
+    "column,row", of lattice positions without a die.
     """
 
     width_um: NonNegative
@@ -131,7 +131,7 @@ class Dies(Spec, frozen=True, kw_only=True):
             self.refuse("listed", "dies with a name each, no two alike")
 
     def all(self) -> tuple[Die, ...]:
-        """Every die, row by row from the lowest."""
+        """Return every die, row by row from the lowest."""
         if self.listed:
             return self.listed
         lattice = ((row, col) for row in range(self.rows) for col in range(self.cols))
@@ -144,12 +144,12 @@ class Dies(Spec, frozen=True, kw_only=True):
 
 
 def on_die(region: Region, die: Die) -> Region:
-    """A region in um from the corner of a die, in wafer um."""
+    """Convert a region in um from the corner of a die to wafer um."""
     return replace(region, points=tuple(Point(x_um=p.x_um + die.x_um, y_um=p.y_um + die.y_um) for p in region.points))
 
 
 def limits_text(feature: Feature) -> str:
-    """Between which values a feature is good, in plain characters: ``29 to 31 um``, ``at most 2 um``."""
+    """Return the limits of a feature as plain text: ``29 to 31 um``, ``at most 2 um``."""
     low, high = feature.lower_limit, feature.upper_limit
     if low is None:
         return f"at most {high:g} {feature.unit}"

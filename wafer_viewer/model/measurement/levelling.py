@@ -1,4 +1,4 @@
-"""What heights are read from: the stage's zero, or a plane or form laid through the surface itself."""
+"""Levelling: the zero of heights, given by the stage, a plane or a form fitted to the surface."""
 
 from __future__ import annotations
 
@@ -13,13 +13,13 @@ from wafer_viewer.model.spec import Spec, Within
 
 LevelBy = Literal["stage", "three points", "plane", "region", "form"]
 PLACES: dict[LevelBy, int] = {"stage": 0, "three points": 3, "plane": 0, "region": 1, "form": 0}
-"""How many places each way of levelling asks for; `plane` and `form` are laid through the whole surface."""
+"""Number of regions for each levelling method; `plane` and `form` are fitted to the whole surface."""
 
 
 class Levelling(Spec, frozen=True, kw_only=True):
-    """How a surface is levelled: by which way, and at which places (points, or the region whose plane is zero).
+    """Levelling method and its regions (points, or the region whose plane is zero).
 
-    order: of the polynomial, for `form` only.
+    order: of the polynomial, only for `form`.
     """
 
     error: ClassVar[type[WaferViewerError]] = MeasureError
@@ -34,9 +34,9 @@ class Levelling(Spec, frozen=True, kw_only=True):
 
 
 class Datum(Spec, frozen=True, kw_only=True):
-    """The surface that counts as zero: z = sum of c_ij u^i v^j, u = x - center x and v = y - center y, all in um.
+    """Zero surface: z = sum of c_ij u^i v^j, u = x - center x and v = y - center y, all in um.
 
-    powers: the exponents (i, j) of each coefficient; no coefficients at all are the stage's own zero.
+    powers: the exponents (i, j) of each coefficient; no coefficients mean the zero of the stage.
     """
 
     error: ClassVar[type[WaferViewerError]] = MeasureError
@@ -45,7 +45,7 @@ class Datum(Spec, frozen=True, kw_only=True):
     coefficients: tuple[float, ...] = ()
 
     def at(self, x_um: NDArray[np.float64], y_um: NDArray[np.float64]) -> NDArray[np.float64]:
-        """Its height at places (arrays that broadcast together) in um."""
+        """Return its height at positions (arrays that broadcast together) in um."""
         u, v = np.asarray(x_um, float) - self.center.x_um, np.asarray(y_um, float) - self.center.y_um
         zero = np.zeros(np.broadcast_shapes(u.shape, v.shape))
         return sum((c * u**i * v**j for (i, j), c in zip(self.powers, self.coefficients, strict=True)), zero)

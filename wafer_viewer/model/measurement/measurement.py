@@ -1,4 +1,4 @@
-"""What every result of measuring carries, whatever it is of."""
+"""Base class of all measurement results."""
 
 from __future__ import annotations
 
@@ -10,10 +10,10 @@ from wafer_viewer.model.spec import Spec
 
 
 class MeasurementResult(Spec, frozen=True, kw_only=True):
-    """What every result carries: a name, the map and filter it was measured on, and whether any of it is simulated.
+    """Fields common to all results: name, surface and filter it was measured on, and whether any input is simulated.
 
-    show: 0 the stitched surface, else the number of a field, below 0 a comparison; levelling: the zero that heights
-    were read from.
+    show: 0 for the stitched surface, else the number of a field, negative for a comparison; levelling: the zero of the
+    heights.
     """
 
     error: ClassVar[type[WaferViewerError]] = MeasureError

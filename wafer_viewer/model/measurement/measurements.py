@@ -1,6 +1,6 @@
-"""What was measured: numbers with their uncertainty, and what they were measured on.
+"""Measurement results: values with their uncertainty and the regions they were measured on.
 
-Every finding has one `main` quantity, the number that stands for it in a list.
+Every result has one `main` quantity, which represents it in a list.
 """
 
 from __future__ import annotations
@@ -19,7 +19,7 @@ from wafer_viewer.model.spec import Fraction, NonNegative
 
 @dataclass(frozen=True, slots=True, eq=False)
 class ProfileCurve:
-    """The points of a profile: distance_um and z_um, float64 [n]; NaN where the surface is unmeasured."""
+    """Points of a profile: distance_um and z_um, float64 [n]; NaN where the surface is unmeasured."""
 
     distance_um: NDArray[np.float64]
     z_um: NDArray[np.float64]
@@ -28,7 +28,7 @@ class ProfileCurve:
 
 
 class Profile(MeasurementResult, frozen=True, kw_only=True, tag="profile"):
-    """A section along a line: its total height Pt and the rise from its first to its last measured point."""
+    """A profile along a line: total height Pt, and rise from its first to its last measured point."""
 
     line: Region
     length_um: NonNegative
@@ -43,7 +43,7 @@ class Profile(MeasurementResult, frozen=True, kw_only=True, tag="profile"):
 
 
 class PointHeight(MeasurementResult, frozen=True, kw_only=True, tag="point"):
-    """The height at a place: the median of the measured pixels next to it."""
+    """Height at a point: the median of the measured pixels around it."""
 
     place: Region
     height: Length
@@ -56,7 +56,7 @@ class PointHeight(MeasurementResult, frozen=True, kw_only=True, tag="point"):
 
 
 class Distance(MeasurementResult, frozen=True, kw_only=True, tag="distance"):
-    """From one place on the surface to another: in space, on the map, along z, and how steep the way is."""
+    """Distance between two points on the surface: in space, lateral, along z, and the slope."""
 
     start: Region
     end: Region
@@ -72,7 +72,7 @@ class Distance(MeasurementResult, frozen=True, kw_only=True, tag="distance"):
 
 
 class FaceAngle(MeasurementResult, frozen=True, kw_only=True, tag="angle"):
-    """The angle between the normals of two faces, 0 where they are parallel; tilts are those of the faces alone."""
+    """Angle between the normals of two faces, 0 if parallel; the tilts are those of the single faces."""
 
     first: Region
     second: Region
@@ -91,9 +91,9 @@ class FaceAngle(MeasurementResult, frozen=True, kw_only=True, tag="angle"):
 
 
 class Radius(MeasurementResult, frozen=True, kw_only=True, tag="radius"):
-    """The sphere through a bump or a pit; top: how far its highest (lowest) point lies over (under) its surroundings.
+    """Sphere fitted to a bump or a pit; top: height of its highest (lowest) point over (under) its surroundings.
 
-    sq_um: root mean square distance of the points from the sphere, along z.
+    sq_um: root mean square residual of the points from the sphere, along z.
     """
 
     circle: Region
@@ -111,10 +111,10 @@ class Radius(MeasurementResult, frozen=True, kw_only=True, tag="radius"):
 
 
 class AreaVolume(MeasurementResult, frozen=True, kw_only=True, tag="volume"):
-    """What stands out of a plane within a region, and what lies under it; areas are projected along z.
+    """Volume and area above and below a plane within a region; areas are projected along z.
 
-    reference: the plane through the region's border, or the zero that heights are read from. Pixels within
-    noise_um of the plane are area on neither side; as volume they count together, where more lies.
+    reference: plane through the border of the region, or the zero of the heights. Pixels within noise_um of the plane
+    count for neither area; their volume counts, summed, on the side with more volume.
     """
 
     region: Region
@@ -131,7 +131,7 @@ class AreaVolume(MeasurementResult, frozen=True, kw_only=True, tag="volume"):
 
     @property
     def main(self) -> Quantity:
-        """The volume above the plane, or below it where that is more."""
+        """Volume above the plane, or below it if that is larger."""
         return max(self.volume_above, self.volume_below, key=lambda volume: volume.value)
 
 

@@ -1,4 +1,4 @@
-"""Lines to cut a surface along: by place, or by the number of a row or a column; and what two cursors read off."""
+"""Lines for sections of a surface, by position or by row or column number, and readings of two cursors."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from wafer_viewer.model.region import Region
 from wafer_viewer.model.surface.height_map import Outline
 
 MOST_LINES = 4
-"""Lines that are cut at once: as many as have a colour that every eye tells from the others."""
+"""Largest number of simultaneous sections: as many as have clearly distinct colours."""
 LETTERS = "ABCD"
 _SAME_UM = 1e-6
 Along = Literal["row", "column"]
@@ -23,9 +23,9 @@ Along = Literal["row", "column"]
 
 @dataclass(frozen=True, slots=True)
 class Gap:
-    """From one cursor to the other: along the line, in height, and the angle of the straight line between them.
+    """Difference between two cursors: along the line, in height, and the angle of the line between them.
 
-    at_um: the distances along the line at which they stand, on measured points.
+    at_um: distances of the cursors along the line, on measured points.
     """
 
     at_um: tuple[float, float]
@@ -34,7 +34,7 @@ class Gap:
 
     @property
     def angle_deg(self) -> float:
-        """Positive where the surface rises from the left cursor to the right one; NaN where they stand together."""
+        """Angle, positive if the surface rises from the left cursor to the right one; NaN if both are at one point."""
         return (
             math.degrees(math.atan2(self.dz_um * math.copysign(1, self.dx_um), abs(self.dx_um)))
             if self.dx_um
@@ -43,36 +43,36 @@ class Gap:
 
 
 def row_line(outline: Outline, row: int, width_um: float = 0.0) -> Region:
-    """The line through all pixel centres of a row, from left to right. Row 0 is the top edge.
+    """Return the line through all pixel centres of a row, from left to right. Row 0 is the top edge.
 
-    Raises MeasureError when there is no such row.
+    Raises MeasureError if there is no such row.
     """
     y_um = outline.y0_um - _within(row, outline.shape[0], "row") * outline.pixel_um
     return Region.line(outline.x0_um, y_um, _far_x_um(outline), y_um, width_um)
 
 
 def column_line(outline: Outline, column: int, width_um: float = 0.0) -> Region:
-    """The line through all pixel centres of a column, from the top down. Column 0 is the left edge.
+    """Return the line through all pixel centres of a column, from the top down. Column 0 is the left edge.
 
-    Raises MeasureError when there is no such column.
+    Raises MeasureError if there is no such column.
     """
     x_um = outline.x0_um + _within(column, outline.shape[1], "column") * outline.pixel_um
     return Region.line(x_um, outline.y0_um, x_um, _far_y_um(outline), width_um)
 
 
 def numbered(outline: Outline, along: Along, number: int, width_um: float = 0.0) -> Region:
-    """The line along a row or a column."""
+    """Return the line along a row or a column."""
     return (row_line if along == "row" else column_line)(outline, number, width_um)
 
 
 def nearest(outline: Outline, along: Along, x_um: float, y_um: float) -> int:
-    """The number of the row or the column that runs nearest to a place."""
+    """Return the number of the row or column nearest to a position."""
     at = (outline.y0_um - y_um) if along == "row" else (x_um - outline.x0_um)
     return min(max(round(at / outline.pixel_um), 0), outline.shape[along == "column"] - 1)
 
 
 def across(line: Region, outline: Outline) -> Region:
-    """A line through the middle of another, at a right angle to it, as long and as wide, within a surface."""
+    """Return the perpendicular bisector of a line with the same length and width, shortened to fit on the surface."""
     (xa, ya), (xb, yb) = ((p.x_um, p.y_um) for p in line.points)
     x, y, dx, dy = (xa + xb) / 2, (ya + yb) / 2, (xb - xa) / 2, (yb - ya) / 2
     rooms = *_room(x, -dy, outline.x0_um, _far_x_um(outline)), *_room(y, dx, _far_y_um(outline), outline.y0_um)
@@ -81,7 +81,7 @@ def across(line: Region, outline: Outline) -> Region:
 
 
 def beside(line: Region, outline: Outline) -> Region:
-    """A line parallel to another, a sixth of its length away on the side where there is room, within a surface."""
+    """Return a parallel line, offset by a sixth of the line's length to a side that fits on the surface."""
     (xa, ya), (xb, yb) = ((p.x_um, p.y_um) for p in line.points)
     u, v = (xb - xa) / 6, (yb - ya) / 6
     ways = [Region.line(xa - k * v, ya + k * u, xb - k * v, yb + k * u, line.width_um) for k in (1, -1)]
@@ -89,13 +89,13 @@ def beside(line: Region, outline: Outline) -> Region:
 
 
 def middle(line: Region) -> tuple[float, float]:
-    """The place half way along a line."""
+    """Return the midpoint of a line."""
     a, b = line.points
     return (a.x_um + b.x_um) / 2, (a.y_um + b.y_um) / 2
 
 
 def gap(curve: ProfileCurve, shares: tuple[float, float]) -> Gap:
-    """What two cursors read: each stands on the measured point nearest to its share (0 ... 1) of the line's length.
+    """Return the readings of two cursors, each on the measured point nearest to its share (0 ... 1) of the length.
 
     Raises MeasureError for a curve without a measured point.
     """
@@ -107,7 +107,7 @@ def gap(curve: ProfileCurve, shares: tuple[float, float]) -> Gap:
 
 
 def next_measured(curve: ProfileCurve, from_um: float, forward: bool) -> float:
-    """The distance of the next measured point from a place on, or `from_um` where there is none that way.
+    """Return the distance of the next measured point in a direction, or `from_um` if there is none.
 
     Raises MeasureError for a curve without a measured point.
     """
@@ -143,7 +143,7 @@ def _holds(outline: Outline, line: Region) -> bool:
 
 
 def _kept_within(outline: Outline, line: Region) -> Region:
-    """A line whose ends are drawn to the surface."""
+    """Return a line with its ends clipped to the surface."""
     ends = (
         (min(max(p.x_um, outline.x0_um), _far_x_um(outline)), min(max(p.y_um, _far_y_um(outline)), outline.y0_um))
         for p in line.points
@@ -153,5 +153,5 @@ def _kept_within(outline: Outline, line: Region) -> Region:
 
 
 def _room(at: float, half: float, low: float, high: float) -> tuple[float, ...]:
-    """How far a line may reach to both sides of its middle, as a share of its half."""
+    """Return the free length to both sides of a line's midpoint, as a fraction of half its length."""
     return (max(0.0, min(at - low, high - at)) / abs(half),) if half else ()

@@ -1,4 +1,4 @@
-"""Sections to be drawn and written: which line of which surface is asked for, and what came of it."""
+"""Sections for display and export: the requested lines and surfaces, and the resulting curves."""
 
 from __future__ import annotations
 
@@ -17,23 +17,23 @@ from wafer_viewer.model.surface.height_map import LAYER_TITLES
 
 @dataclass(frozen=True, slots=True)
 class OtherSurface:
-    """A stitched surface beside the one being looked at: a result of this or of another dataset's folder."""
+    """Another stitched surface for comparison: a result of this or another dataset's folder."""
 
     folder: str
     result: str
 
     @property
     def title(self) -> str:
-        """What it is called: the dataset, and the result where it is not the usual one."""
+        """Title: the dataset, and the result unless it is the default one."""
         name = PurePath(self.folder).stem
         return name if self.result == "default" else f"{name} · {self.result}"
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class SlabPoints:
-    """The measured points of a slab: distance along it and height in um, float32 [n].
+    """Measured points of a slab: distance along it and height in um, float32 [n].
 
-    width_um: of the slab; spread_um: 68 % of the points lie within so much of the running median.
+    width_um: of the slab; spread_um: distance from the running median that contains 68 % of the points.
     """
 
     distance_um: NDArray[np.float32]
@@ -47,11 +47,11 @@ class SlabPoints:
 
 @dataclass(frozen=True, slots=True)
 class SectionAsked:
-    """One curve: a line, of what surface, read from what zero.
+    """A requested curve: its line, surface and levelling.
 
-    place: the line's, 0 is A; show: 0 the stitched surface, else a field; cleaned: the other of measured and filtered
-    heights than those that are measured on; of: another surface instead; slab: the points of the slab along the line
-    and their running median, instead of the mean across the line.
+    place: index of the line, 0 is A; show: 0 for the stitched surface, else a field; cleaned: whichever of measured and
+    filtered heights is not used for measuring; of: another surface instead; slab: points of the slab along the line and
+    their running median, instead of the mean across the line.
     """
 
     place: int
@@ -64,20 +64,20 @@ class SectionAsked:
 
     @property
     def letter(self) -> str:
-        """The line's name."""
+        """Letter of the line."""
         return LETTERS[self.place]
 
     @property
     def is_second(self) -> bool:
-        """Whether it is laid over the line's own curve, to be compared with it."""
+        """True if it is drawn over the line's own curve for comparison."""
         return self.cleaned or self.of is not None
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Section:
-    """A curve with its numbers. source: the dataset and the part of it, as a reader would name them.
+    """A section: curve, numbers and source, the names of the dataset and its part.
 
-    points: those of the slab that the curve is the running median of; None of a mean across the line.
+    points: of the slab whose running median the curve is; None for a mean across the line.
     """
 
     asked: SectionAsked
@@ -88,7 +88,7 @@ class Section:
 
     @property
     def title(self) -> str:
-        """What tells it from the others: ``A``, ``A filled``, ``A coupon-08``."""
+        """Distinguishing title: ``A``, ``A filled``, ``A coupon-08``."""
         if self.asked.of is not None:
             return f"{self.asked.letter} {self.asked.of.title}"
         return f"{self.asked.letter} {LAYER_TITLES[self.profile.surface]}" if self.asked.cleaned else self.asked.letter

@@ -1,4 +1,4 @@
-"""What is said of sites of a wafer of which one side was measured, as it lay."""
+"""Front-surface site ranges of a wafer measured on one side, as mounted."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from wafer_viewer.model.spec import Fraction, Positive, Spec
 
 
 class Site(Spec, frozen=True, kw_only=True):
-    """One site, its middle in stage um; without a range where too little of it is measured."""
+    """One site with its centre in stage um; range is None if too little of it is measured."""
 
     x_um: float
     y_um: float
@@ -18,9 +18,9 @@ class Site(Spec, frozen=True, kw_only=True):
 
 
 class SiteRanges(MeasurementResult, frozen=True, kw_only=True, tag="site_range"):
-    """Front-surface site ranges, as mounted, row after row from the top left; `largest` of those that have one.
+    """Front-surface site ranges, as mounted, row by row from the top left; `largest` of the measured ones.
 
-    Rows and columns count whole sites; what is left at the border belongs to none.
+    Rows and columns count complete sites; the remaining border belongs to none.
     """
 
     region: Region
@@ -33,7 +33,7 @@ class SiteRanges(MeasurementResult, frozen=True, kw_only=True, tag="site_range")
 
     @property
     def outlines(self) -> tuple[Region, ...]:
-        """The rectangle of every site, in their order."""
+        """Rectangles of all sites, in their order."""
         x, y = self.site_width_um / 2, self.site_height_um / 2
         return tuple(Region.rectangle(s.x_um - x, s.y_um - y, s.x_um + x, s.y_um + y) for s in self.sites)
 

@@ -1,4 +1,4 @@
-"""The height of a step between faces, and of a groove, a ridge or a step in a profile."""
+"""Results for step heights between faces, and for grooves, ridges and steps in profiles."""
 
 from __future__ import annotations
 
@@ -12,10 +12,11 @@ from wafer_viewer.model.spec import NonNegative
 
 
 class StepHeight(MeasurementResult, frozen=True, kw_only=True, tag="step_height"):
-    """The height of one face over another; the definition of h is part of the result.
+    """Height of one face over another, with the definition of h.
 
-    also_upper, also_lower: further regions of the two faces; at_joint: the step of both faces extended to the middle
-    between the regions; tilt: of one face against the other, in mrad; not_evaluated: what the budget leaves out.
+    also_upper, also_lower: further regions of the two faces; at_joint: step of both faces extrapolated to the middle
+    between the regions; tilt: of one face against the other, in mrad; not_evaluated: contributions missing from the
+    budget.
     """
 
     upper: Region
@@ -38,21 +39,21 @@ class StepHeight(MeasurementResult, frozen=True, kw_only=True, tag="step_height"
 
     @property
     def main(self) -> Quantity:
-        """The step's height."""
+        """The step height."""
         return self.height.quantity
 
     @property
     def regions(self) -> tuple[Region, ...]:
-        """All of both faces, the first upper and the first lower one in front."""
+        """All regions of both faces, the first upper and the first lower one in front."""
         return (self.upper, self.lower, *self.also_upper, *self.also_lower)
 
 
 class StepProfile(MeasurementResult, frozen=True, kw_only=True, tag="step_profile"):
-    """A groove, a ridge or a single step that a line crosses, by ISO 5436-1: z = a x + b + h delta.
+    """A groove, ridge or single step across a line, after ISO 5436-1: z = a x + b + h delta.
 
-    height: depth of a groove or height of a ridge, positive; of a step, what lies beyond its edge over what lies before
-    it. edges_um: where along the line its edges were found; zones: names with their ends along the line, in um; curve:
-    the profile in a few hundred points, distance and height in um.
+    height: depth of a groove or height of a ridge, positive; for a step, the height behind its edge minus that before
+    it. edges_um: positions of the edges along the line; zones: names with their ends along the line, in um; curve: the
+    profile in a few hundred points, distance and height in um.
     """
 
     line: Region
@@ -71,5 +72,5 @@ class StepProfile(MeasurementResult, frozen=True, kw_only=True, tag="step_profil
 
     @property
     def main(self) -> Quantity:
-        """Its height or depth."""
+        """The height or depth."""
         return self.height.quantity

@@ -1,4 +1,4 @@
-"""Texture of a face (ISO 25178-2), and roughness of a line (ISO 21920-2)."""
+"""Areal surface texture (ISO 25178-2) and profile roughness (ISO 21920-2)."""
 
 from __future__ import annotations
 
@@ -10,11 +10,11 @@ from wafer_viewer.model.spec import Fraction, NonNegative
 
 
 class Texture(MeasurementResult, frozen=True, kw_only=True, tag="texture"):
-    """Parameters of ISO 25178-2 of a region, of what is left of it once form and filtered waves are off.
+    """ISO 25178-2 parameters of a region, after removal of form and filtered wavelengths.
 
     Height: sa, sq, sp, sv, sz, ssk, sku. Hybrid: sdq (a slope), sdr_fraction. Functional: sk, spk, svk, smr1_fraction,
-    smr2_fraction. Spatial: sal, str_ratio, std (across the lay, counter-clockwise from +x). None: what this surface
-    does not have: a flat one no ssk, sku, sal; one without a lay no std.
+    smr2_fraction. Spatial: sal, str_ratio, std (across the lay, anticlockwise from +x). None: not defined for this
+    surface; ssk, sku and sal for a flat one, std for one without a lay.
     """
 
     region: Region
@@ -46,10 +46,10 @@ class Texture(MeasurementResult, frozen=True, kw_only=True, tag="texture"):
 
 
 class Roughness(MeasurementResult, frozen=True, kw_only=True, tag="roughness"):
-    """Parameters of ISO 21920-2 along a line.
+    """ISO 21920-2 parameters along a line.
 
-    ra, rq, rt, rsk, rku: of the whole evaluation length; rp, rv, rz: means over its sections, each section_um long.
-    Without a cut-off the profile is the primary one and has one section: the norm calls them Pa, Pq, Pt ...
+    ra, rq, rt, rsk, rku: over the whole evaluation length; rp, rv, rz: means over its sections of section_um each.
+    Without a cut-off the profile is the primary profile with one section, and the standard names are Pa, Pq, Pt ...
     """
 
     line: Region

@@ -1,4 +1,4 @@
-"""What can be set of a measuring tool beside its places: a spec a tool, its fields the keywords of what measures."""
+"""Options of the measuring tools: one spec per tool, whose fields are keywords of the measuring function."""
 
 from __future__ import annotations
 
@@ -13,42 +13,49 @@ from wafer_viewer.model.spec import Positive, Spec, Within
 
 
 class OptionsSpec(Spec, frozen=True, kw_only=True):
-    """The base of every tool's options."""
+    """Base class of all tool options."""
 
     error: ClassVar[type[WaferViewerError]] = MeasureError
 
 
 StepDefinition = Literal["common_plane", "upper_face", "lower_face", "joint"]
-"""Where the two faces of a step are compared: each in the middle of its region, over a plane that both have in common
-or that of one of them; or both extended to the middle between the regions."""
+"""Position at which the faces of a step are compared.
+
+The middle of each region, over a common plane or the plane of one of them; or the middle between the regions, to which
+both are extrapolated.
+"""
 
 
 class StepOptions(OptionsSpec, frozen=True, kw_only=True):
-    """definition: what the height of the step is; conditions: what is known of how it was measured."""
+    """Options of the step height: its definition, and the conditions of the measurement."""
 
     definition: StepDefinition = "common_plane"
     conditions: Conditions = Conditions()
 
 
 class GrooveOptions(OptionsSpec, frozen=True, kw_only=True):
-    """shape: what the line crosses, a groove (or a ridge) with two edges, or a single step."""
+    """Options of the groove tool. shape: a groove (or a ridge) with two edges, or a single step."""
 
     shape: Literal["groove", "step"] = "groove"
     conditions: Conditions = Conditions()
 
 
 class VolumeOptions(OptionsSpec, frozen=True, kw_only=True):
-    """reference: the plane through the region's border, or the zero of heights; None: the border over the stage's zero,
-    else the zero that was chosen."""
+    """Options of the volume tool.
+
+    reference: plane through the border of the region, or the zero of heights; None: the border if heights are read from
+    the zero of the stage, else the chosen zero.
+    """
 
     reference: Literal["border", "zero"] | None = None
 
 
 class TextureOptions(OptionsSpec, frozen=True, kw_only=True):
-    """form_order: of the polynomial of least squares that is taken off as form, 0 the mean alone, 1 a plane.
+    """Options of the areal texture.
 
-    s_filter_um, l_filter_um: nesting indices of the Gaussian filters of ISO 16610-61 that take off what is shorter, and
-    what is longer; None: no filter.
+    form_order: order of the least-squares polynomial removed as form; 0 is the mean, 1 a plane.
+    s_filter_um, l_filter_um: nesting indices of the Gaussian filters of ISO 16610-61 that remove shorter and longer
+    wavelengths; None: no filter.
     """
 
     form_order: Annotated[int, Within(0, 8)] = 1
@@ -62,8 +69,11 @@ class TextureOptions(OptionsSpec, frozen=True, kw_only=True):
 
 
 class RoughnessOptions(OptionsSpec, frozen=True, kw_only=True):
-    """lambda_c_um, lambda_s_um: cut-offs of the Gaussian filters of ISO 16610-21 that take off what is longer, and what
-    is shorter; None: no filter."""
+    """Options of the profile roughness.
+
+    lambda_c_um, lambda_s_um: cut-offs of the Gaussian filters of ISO 16610-21 that remove longer and shorter
+    wavelengths; None: no filter.
+    """
 
     lambda_c_um: Positive | None = None
     lambda_s_um: Positive | None = None
@@ -75,27 +85,28 @@ class RoughnessOptions(OptionsSpec, frozen=True, kw_only=True):
 
 
 class KerfOptions(OptionsSpec, frozen=True, kw_only=True):
-    """kerf: whether it is brighter or darker on the picture than what lies beside it."""
+    """Options of the kerf width. kerf: brighter or darker in the picture than its surroundings."""
 
     kerf: Literal["either", "bright", "dark"] = "either"
 
 
 class DieOptions(OptionsSpec, frozen=True, kw_only=True):
-    """die: whether its rim is brighter or darker on the picture than what is round it."""
+    """Options of the die size. die: its rim is brighter or darker in the picture than its surroundings."""
 
     die: Literal["either", "bright", "dark"] = "either"
 
 
 class CircleOptions(OptionsSpec, frozen=True, kw_only=True):
-    """inside: whether the picture is brighter or darker inside of the round edge."""
+    """Options of the circle. inside: the picture is brighter or darker inside the edge."""
 
     inside: Literal["either", "bright", "dark"] = "either"
 
 
 class ChippingOptions(OptionsSpec, frozen=True, kw_only=True):
-    """limit_um: what is deeper is a chip; None: four robust deviations of the edge, two pixels at least.
+    """Options of chipping. limit_um: depth above which a deviation is a chip.
 
-    die: on which side of the edge it lies; auto: on the higher one.
+    None: four robust standard deviations of the edge, at least two pixels. die: the brighter or darker side of the
+    edge; auto: the higher side.
     """
 
     limit_um: Positive | None = None
@@ -103,20 +114,20 @@ class ChippingOptions(OptionsSpec, frozen=True, kw_only=True):
 
 
 class CoplanarityOptions(OptionsSpec, frozen=True, kw_only=True):
-    """reference: the plane that tops are compared with, of least squares or the one that the part would stand on."""
+    """Options of coplanarity. reference: the least-squares plane of the tops, or the seating plane."""
 
     reference: Literal["least_squares", "seating"] = "least_squares"
 
 
 class SiteRangeOptions(OptionsSpec, frozen=True, kw_only=True):
-    """width_um, height_um: of a site; None: a quarter of the region's side."""
+    """Options of the site range. width_um, height_um: of a site; None: a quarter of the region's side."""
 
     width_um: Positive | None = None
     height_um: Positive | None = None
 
 
 class ToolOptions(Spec, frozen=True, kw_only=True):
-    """The options of every tool that has some, by its name."""
+    """Options of all tools that have any, by tool name."""
 
     error: ClassVar[type[WaferViewerError]] = MeasureError
     step: StepOptions = StepOptions()
@@ -133,6 +144,6 @@ class ToolOptions(Spec, frozen=True, kw_only=True):
 
 
 def keywords(options: ToolOptions, tool: ToolName) -> dict[str, Any]:
-    """The options of one tool as keywords of its measuring function; none for a tool without options."""
+    """Return the options of one tool as keywords of its measuring function; empty for a tool without options."""
     own = getattr(options, tool, None)
     return msgspec.structs.asdict(own) if own is not None else {}

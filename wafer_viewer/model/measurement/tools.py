@@ -1,4 +1,4 @@
-"""The tools for measuring on a surface: what each is called and which places on the surface it asks for."""
+"""Measuring tools: their titles and the regions that each needs."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ ToolName = Literal[
 
 @dataclass(frozen=True, slots=True)
 class PlaceAsked:
-    """One place that a tool asks for: its name on the page and the kind of region it is."""
+    """One region that a tool needs: its name on the page and its kind."""
 
     name: str
     kind: RegionKind
@@ -38,9 +38,9 @@ class PlaceAsked:
 
 @dataclass(frozen=True, slots=True)
 class MeasuringTool:
-    """A tool: its title, what the operator does with it, the places it is measured at.
+    """A measuring tool: title, instruction for the operator, and its regions.
 
-    on_picture: it reads the all-in-focus picture, and no heights.
+    on_picture: it evaluates the all-in-focus picture and no heights.
     """
 
     title: str

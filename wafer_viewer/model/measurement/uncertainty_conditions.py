@@ -1,4 +1,4 @@
-"""What is known of how a measurement was made, beside what its surface tells: a budget of uncertainty asks for it."""
+"""Measurement conditions for an uncertainty budget that the surface itself does not contain."""
 
 from __future__ import annotations
 
@@ -12,12 +12,12 @@ STEEL_PER_K = 11.5e-6
 
 
 class Conditions(Spec, frozen=True, kw_only=True):
-    """Standard uncertainties (k = 1) of a step's height by their causes; None: not known, and listed as not evaluated.
+    """Standard uncertainties (k = 1) of a step height by cause; None: unknown, and listed as not evaluated.
 
-    repeatability_um: standard deviation of the height over repeat scans; drift_um: of z between the two faces while
-    they were scanned; z_linearity_um: what the z axis errs over the step beside its scale; abbe_um: from the pitch of
-    the stage times the offset of the sample from the line of its scale; temperature_c, u_temperature_c: of the sample;
-    expansion_per_k: of its material, relative.
+    repeatability_um: standard deviation of the height over repeat scans; drift_um: of z between the two faces during
+    the scan; z_linearity_um: error of the z axis over the step besides its scale; abbe_um: pitch of the stage times the
+    offset of the sample from the axis of its scale; temperature_c, u_temperature_c: of the sample; expansion_per_k: of
+    its material, relative.
     """
 
     error: ClassVar[type[WaferViewerError]] = MeasureError

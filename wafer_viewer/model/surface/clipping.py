@@ -1,4 +1,4 @@
-"""Which points of a surface are drawn: clipped by height, confidence, a box, or cut away before a slab."""
+"""Clipping of a displayed surface: by height, confidence, a box or a slab."""
 
 from __future__ import annotations
 
@@ -14,15 +14,15 @@ Span = tuple[float, float]
 BeforeSlab = Literal["show", "pale", "hide"]
 LeftOut = Literal["height", "box", "confidence", "slab"]
 LEFT_OUT: tuple[LeftOut, ...] = ("box", "height", "confidence", "slab")
-"""Why a point is not drawn, in the order in which it is asked: a point counts once, for the first reason."""
+"""Reasons for hiding a point, in order of precedence: a point counts once, for the first reason."""
 
 
 @dataclass(frozen=True, slots=True)
 class Slab:
     """A vertical slab along a line, `line.width_um` thick.
 
-    before: what becomes of the points on its near side, the right-hand side of the way from the line's first end to
-    its second. They are drawn like all others, pale, or not at all.
+    before: display of the points on its near side, to the right of the direction from the line's first end to its
+    second: as all others, pale, or hidden.
     """
 
     line: Region
@@ -31,9 +31,9 @@ class Slab:
 
 @dataclass(frozen=True, slots=True)
 class Clip:
-    """What is drawn of a point cloud; by default all of it.
+    """Clipping of a point cloud; by default nothing is clipped.
 
-    heights_um: over the datum on show; least_confidence: 0 ... 1, points below it are left out; box_um: in the plane of
+    heights_um: over the current datum; least_confidence: 0 ... 1, points below it are hidden; box_um: in the plane of
     the stage. None clips nothing.
     """
 
@@ -44,5 +44,5 @@ class Clip:
 
     @property
     def clips(self) -> bool:
-        """Whether anything can be left out."""
+        """True if any clipping is active."""
         return self != Clip()

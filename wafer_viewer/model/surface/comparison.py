@@ -1,4 +1,4 @@
-"""Two surfaces compared: which they are, how the second was laid over the first, and what is different."""
+"""Comparison of two surfaces: their names, the registration and the change."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from wafer_viewer.model.errors import MeasureError, WaferViewerError
 from wafer_viewer.model.spec import Count, Fraction, NonNegative, Positive, Spec
 
 Heights = Literal["both", "raw", "cleaned"]
-"""Of which of its two maps a surface gives heights: each of both, or one of them for both."""
+"""Height layers compared: both of each surface, or one of them used as both."""
 Align = Literal["auto", "images", "stage", "none"]
 ALIGN_TITLES: dict[Align, str] = {
     "auto": "As it fits",
@@ -27,7 +27,7 @@ FOUND_BY: dict[FoundBy, str] = {
 
 
 class SurfaceName(Spec, frozen=True, kw_only=True):
-    """Where a surface lies: the stitched one (field 0) or a field's, of a result of a dataset; or a file's."""
+    """Location of a surface: stitched (field 0) or of a field, in a result of a dataset; or a file."""
 
     error: ClassVar[type[WaferViewerError]] = MeasureError
     path: str
@@ -37,7 +37,7 @@ class SurfaceName(Spec, frozen=True, kw_only=True):
 
     @property
     def words(self) -> str:
-        """How people call it."""
+        """Display name."""
         name = self.path.replace("\\", "/").rpartition("/")[2].removesuffix(".wafer")
         parts = [name, *([] if self.result == "default" else [self.result])]
         parts += [f"field {self.field}"] if self.field else []
@@ -46,12 +46,12 @@ class SurfaceName(Spec, frozen=True, kw_only=True):
 
 
 class Registration(Spec, frozen=True, kw_only=True):
-    """The rigid motion that lays the second surface over the first; each U is expanded (k = 2), None where not known.
+    """Rigid motion that registers the second surface to the first; each U is expanded (k = 2), None if unknown.
 
-    A place of the second is turned by turn_mrad about (about_x_um, about_y_um) and then shifted by (x_um, y_um); its
-    height is changed by z_um + (tilt_x_mrad (x - about x) + tilt_y_mrad (y - about y)) / 1000.
-    residual_um: root mean square of what is left, without what has changed; overlap_fraction: of the first's measured
-    places, those at which the second is measured as well.
+    A point of the second is rotated by turn_mrad about (about_x_um, about_y_um) and then shifted by (x_um, y_um); its
+    height changes by z_um + (tilt_x_mrad (x - about x) + tilt_y_mrad (y - about y)) / 1000.
+    residual_um: root mean square residual of the unchanged points; overlap_fraction: fraction of the first surface's
+    measured points where the second is measured too.
     """
 
     error: ClassVar[type[WaferViewerError]] = MeasureError
@@ -74,16 +74,16 @@ class Registration(Spec, frozen=True, kw_only=True):
 
     @property
     def moves_places(self) -> bool:
-        """Whether places of the second lie elsewhere on the first."""
+        """True if the motion shifts or rotates the second surface."""
         return bool(self.x_um or self.y_um or self.turn_mrad)
 
 
 class Change(Spec, frozen=True, kw_only=True):
-    """What is different, in numbers.
+    """Statistics of the difference.
 
-    mean_um, sq_um: of all differences, sq_um about their mean; limit_um: three robust deviations of the differences:
-    what lies further from their median counts as changed; gained_um3, lost_um3: volume of what has changed, above and
-    below the median; n_points: places at which both are measured.
+    mean_um, sq_um: of all differences, sq_um about their mean; limit_um: three robust standard deviations of the
+    differences; those further from the median count as changed; gained_um3, lost_um3: changed volume above and below
+    the median; n_points: number of points measured in both.
     """
 
     error: ClassVar[type[WaferViewerError]] = MeasureError
@@ -100,9 +100,9 @@ class Change(Spec, frozen=True, kw_only=True):
 
 
 class Comparison(Spec, frozen=True, kw_only=True):
-    """The second surface minus the first: which they are, how they were aligned, and what is different.
+    """The second surface minus the first: names, registration and change.
 
-    number: by which it is told from the other comparisons of its dataset; 0 where it is not kept with one.
+    number: identifies the comparison in its dataset; 0 if it is not stored with one.
     """
 
     error: ClassVar[type[WaferViewerError]] = MeasureError
@@ -117,7 +117,7 @@ class Comparison(Spec, frozen=True, kw_only=True):
 
 
 class ComparisonFace(IntEnum):
-    """What of a comparison can be looked at."""
+    """Displayable surfaces of a comparison."""
 
     DIFFERENCE = 1
     FIRST = 2
@@ -129,10 +129,10 @@ _FACES = 10
 
 
 def show_of(number: int, face: ComparisonFace) -> int:
-    """What of a comparison, numbered from 1, is shown, as one number below 0: fields have theirs above 0."""
+    """Encode the displayed part of comparison `number` (from 1) as a negative number; fields have positive ones."""
     return -(_FACES * number + face)
 
 
 def comparison_of(show: int) -> tuple[int, ComparisonFace] | None:
-    """The number of the comparison and what of it is shown; None where `show` is a field or the stitched surface."""
+    """Decode `show` to comparison number and part; None for a field or the stitched surface."""
     return (-show // _FACES, ComparisonFace(-show % _FACES)) if show < 0 else None

@@ -1,4 +1,4 @@
-"""Where fields really lie and how they lean, and what their overlaps said about it."""
+"""Solved positions, heights and tilts of fields, and the overlap measurements they come from."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ Numbers = NDArray[np.float64]
 
 
 class ObservationSource(IntEnum):
-    """What told where a field lies beside its neighbour."""
+    """Source of an overlap measurement: image, heights or stage."""
 
     PICTURE = 0
     HEIGHT = 1
@@ -22,7 +22,7 @@ class ObservationSource(IntEnum):
 
 
 class RejectionReason(IntEnum):
-    """Why an overlap is not believed; codes are never reused."""
+    """Reason for the rejection of an overlap; codes are never reused."""
 
     NONE = 0
     BLANK = 1
@@ -49,17 +49,17 @@ DOUBT_WORDS: dict[RejectionReason, str] = {
     RejectionReason.END_OF_SEARCH: "at the end of the search",
     RejectionReason.DISAGREES: "contradicted by others",
 }
-"""After a number of overlaps: 24 ambiguous (repeating pattern), 2 blank."""
+"""Words after a count of overlaps: 24 ambiguous (repeating pattern), 2 blank."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Shifts:
-    """What overlaps say about x and y, all [n]: fields by their place in the list, lengths in um.
+    """Lateral overlap measurements, all [n]; fields by their list index, lengths in um.
 
-    x_um, y_um: how much further right and up the second lies from the first than the stage says; u_x_um, u_y_um:
-    standard uncertainty, infinite where the overlap tells nothing; correlation: of the two pictures (or heights) where
-    they fit, -1 ... 1; by: `ObservationSource`; doubt: `RejectionReason`, as the overlap alone tells it until the poses
-    are solved; weight: 0 ... 1, its share in the solution; residual_x_um, residual_y_um: measured minus solved.
+    x_um, y_um: offset of the second from the first to the right and up, relative to the stage; u_x_um, u_y_um: standard
+    uncertainty, infinite without information; correlation: of the two pictures (or heights) at the best fit, -1 ... 1;
+    by: `ObservationSource`; doubt: `RejectionReason`, from the overlap alone until the poses are solved; weight: 0 ...
+    1, in the solution; residual_x_um, residual_y_um: measured minus solved.
     """
 
     first: NDArray[np.int32]
@@ -77,18 +77,18 @@ class Shifts:
 
     @property
     def believed(self) -> NDArray[np.bool_]:
-        """Which of them count."""
+        """Mask of the accepted overlaps."""
         return self.doubt == RejectionReason.NONE
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class HeightOffsets:
-    """What overlaps say about z once x and y are known, all [n] but `information`.
+    """Height offsets in the overlaps at known x and y, all [n] except `information`.
 
-    In the overlap, heights of the second minus heights of the first are z_um + slope_x (x - mid_x_um) + slope_y (y -
-    mid_y_um), with the inverse covariance `information`, float64 [n, 3, 3], of (z_um, slope_x, slope_y); zero where
-    nothing is to be compared. n_pixels: compared; weight: 0 ... 1, how much the solution believed; step_um: median
-    difference that is left after the poses, rms_um: root mean square of what is left, NaN where nothing is compared.
+    In the overlap, the height of the second minus that of the first is z_um + slope_x (x - mid_x_um) + slope_y (y -
+    mid_y_um), with the inverse covariance `information`, float64 [n, 3, 3], of (z_um, slope_x, slope_y); zero without
+    common heights. n_pixels: number compared; weight: 0 ... 1, in the solution; step_um: median difference after the
+    poses are applied, rms_um: root mean square of the residuals, NaN without common heights.
     """
 
     first: NDArray[np.int32]
@@ -107,14 +107,13 @@ class HeightOffsets:
 
 @dataclass(frozen=True, slots=True)
 class Form:
-    """The part of the form that overlaps cannot tell from errors of the stage, and that is held to the stage.
+    """Form terms that overlaps cannot separate from errors of the stage, and that are constrained to the stage.
 
-    names: the terms over the whole surface, lowest first (height, tilt along x and y, bow, twist, saddle); u_um:
-    expanded uncertainty (k = 2) of each at the rim of the surface, from the stage's own errors; camera_turn,
-    camera_scale: by how much the camera's axes are turned (rad, anticlockwise) and its pixels are too large (fraction)
-    against the stage, with standard uncertainties; middle_um: (x, y) where camera and stage coordinates agree;
-    field_form_um: sag that all fields share (x^2, x y, y^2, in um at the field's corner); field_size_um: (width,
-    height) of the field that this corner is of.
+    names: terms over the whole surface, lowest first (height, tilt along x and y, bow, twist, saddle); u_um: expanded
+    uncertainty (k = 2) of each at the rim of the surface, from the errors of the stage; camera_turn, camera_scale:
+    rotation of the camera axes (rad, anticlockwise) and relative excess of its pixel size against the stage, with
+    standard uncertainties; middle_um: (x, y) where camera and stage coordinates agree; field_form_um: sag common to all
+    fields (x^2, x y, y^2, in um at the corner of a field); field_size_um: (width, height) of that field.
     """
 
     names: tuple[str, ...] = ()
@@ -128,7 +127,7 @@ class Form:
     field_size_um: tuple[float, float] = (1.0, 1.0)
 
     def sag_um(self, dx_um: Numbers, dy_um: Numbers) -> Numbers:
-        """By how much every field is too high at (dx_um, dy_um) from its centre, beside its own offset and tilt."""
+        """Return the excess height of a field at (dx_um, dy_um) from its centre, besides its offset and tilt."""
         x, y = 2 * dx_um / self.field_size_um[0], 2 * dy_um / self.field_size_um[1]
         xx, xy, yy = self.field_form_um
         return xx * x**2 + xy * x * y + yy * y**2
@@ -136,15 +135,15 @@ class Form:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Poses:
-    """Fields in the order of their list, all [n_fields]; lengths in um, field centres.
+    """Poses of fields in list order, all [n_fields]; lengths in um, at field centres.
 
-    numbers: running numbers of the fields; marks: of the surfaces that were placed, to tell one that was made again.
-    stage_x_um, stage_y_um: where the stage says they are; x_um, y_um: where they are. Heights of a field are too high
-    by z_um + tilt_x (x - x_um) + tilt_y (y - y_um) + form.sag_um(x - x_um, y - y_um). u_x_um, u_y_um, u_z_um: standard
-    uncertainties of the pose (of z at the field's centre). group: fields joined by believed overlaps have one number;
-    left_out: fields that fit none of their neighbours and are not in the mosaic. stage_error_um, z_error_um: standard
-    deviation of the stage's errors in the plane and along z, as found. final: all fields were solved for together, not
-    some of them placed beside others as these lay.
+    numbers: numbers of the fields; marks: of the placed surfaces, to detect one that was reconstructed again.
+    stage_x_um, stage_y_um: positions by the stage; x_um, y_um: solved positions. Heights of a field are too high by
+    z_um + tilt_x (x - x_um) + tilt_y (y - y_um) + form.sag_um(x - x_um, y - y_um). u_x_um, u_y_um, u_z_um: standard
+    uncertainties of the pose (of z at the centre of the field). group: equal for fields connected by accepted overlaps;
+    left_out: fields that fit none of their neighbours and are not in the mosaic. stage_error_um, z_error_um: estimated
+    standard deviation of the stage errors in the plane and along z. final: True if all fields were solved together,
+    False if some were placed relative to fixed ones.
     """
 
     numbers: NDArray[np.int32]
@@ -172,11 +171,11 @@ class Poses:
 
 @runtime_checkable
 class HasPoses(Protocol):
-    """A surface stitched from fields, which can tell where they lie."""
+    """A surface stitched from fields with known poses."""
 
     @property
     def poses(self) -> Poses | None:
-        """Where its fields lie; None where nobody knows."""
+        """Poses of its fields; None if unknown."""
         ...
 
 
@@ -184,25 +183,25 @@ T = TypeVar("T", Shifts, HeightOffsets)
 
 
 def selected(table: T, rows: NDArray[Any]) -> T:
-    """Some rows of a table, by number or by a mask."""
+    """Return rows of a table, selected by number or by a mask."""
     return replace(table, **{item.name: getattr(table, item.name)[rows] for item in fields(table)})
 
 
 def joined(tables: Sequence[T]) -> T:
-    """Tables below one another, at least one."""
+    """Concatenate tables, at least one."""
     columns = {item.name: np.concatenate([getattr(t, item.name) for t in tables]) for item in fields(tables[0])}
     return replace(tables[0], **columns)
 
 
 def no_shifts() -> Shifts:
-    """A table without rows."""
+    """Return an empty table."""
     whole, real = np.zeros(0, np.int32), np.zeros(0)
     code, share = np.zeros(0, np.uint8), np.zeros(0, np.float32)
     return Shifts(whole, whole, real, real, real, real, share, code, code, share, real, real)
 
 
 def no_seams() -> HeightOffsets:
-    """A table without rows."""
+    """Return an empty table."""
     whole, real = np.zeros(0, np.int32), np.zeros(0)
     share = np.zeros(0, np.float32)
     return HeightOffsets(whole, whole, real, real, real, real, real, np.zeros((0, 3, 3)), whole, share, real, real)

@@ -1,4 +1,4 @@
-"""Why a pixel has its height, or none: its focus curve, the peak and its rivals, every gate's score and verdict."""
+"""Focus curve of a pixel: peak, competing maxima, and score and outcome of every gate."""
 
 from __future__ import annotations
 
@@ -9,9 +9,9 @@ from wafer_viewer.model.spec import Spec
 
 
 class Verdict(Spec, frozen=True, kw_only=True):
-    """What one gate found: the score of the pixel, the limit it is held to, and whether it passed.
+    """Outcome of one gate: score of the pixel, limit, and whether it passed.
 
-    A gate that is off has no limit and says why in `note`; unit is that of score and limit.
+    A disabled gate has no limit and a reason in `note`; unit is that of score and limit.
     """
 
     error: ClassVar[type[WaferViewerError]] = ComputeError
@@ -25,7 +25,7 @@ class Verdict(Spec, frozen=True, kw_only=True):
 
 
 class Rival(Spec, frozen=True, kw_only=True):
-    """Another maximum of the focus curve: where it is, and its focus measure as a share of the peak's."""
+    """A competing maximum of the focus curve: its position, and its focus measure as a fraction of the peak's."""
 
     error: ClassVar[type[WaferViewerError]] = ComputeError
     z_um: float
@@ -33,11 +33,11 @@ class Rival(Spec, frozen=True, kw_only=True):
 
 
 class FocusCurve(Spec, frozen=True, kw_only=True):
-    """The focus curve of one pixel and what was made of it.
+    """Focus curve of one pixel and its evaluation.
 
-    z_um, focus and grey have one entry for each frame in use, z rising; focus is the focus measure as a share of its
-    largest value. peak_z_um is where the peak is, whether the gates believe it or not; height_um is the height in the
-    map before smoothing, None where it is unmeasured for the reason that `origin` names.
+    z_um, focus and grey have one entry per frame in use, z rising; focus is the focus measure as a fraction of its
+    maximum. peak_z_um: position of the peak, even if a gate rejects it; height_um: height in the map before smoothing,
+    None if unmeasured for the reason in `origin`.
     """
 
     error: ClassVar[type[WaferViewerError]] = ComputeError

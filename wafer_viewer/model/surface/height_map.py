@@ -1,4 +1,4 @@
-"""Surfaces: the height map of a field, and the mosaic of many."""
+"""Surfaces: height maps of fields, and mosaics of many fields."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ from wafer_viewer.model.surface.refused_points import RefusedHeights
 
 
 class Origin(IntEnum):
-    """How a pixel came by its height, or why it has none. Codes are never reused; from 10 on a pixel is unmeasured."""
+    """Source of a pixel's height, or reason why it has none. Codes are never reused; from 10 on it is unmeasured."""
 
     MEASURED = 0
     FILLED = 1
@@ -55,7 +55,7 @@ ORIGIN_TITLES: dict[Origin, str] = {
 
 
 class Provenance(Spec, frozen=True, kw_only=True):
-    """Where a surface comes from: the recipe with what ``auto`` chose, calibration, version, input, simulation."""
+    """Provenance of a surface: recipe with the values chosen by ``auto``, calibration, version, input, simulation."""
 
     recipe: Recipe = Recipe()
     calibration: Calibration | None = None
@@ -68,15 +68,15 @@ class Provenance(Spec, frozen=True, kw_only=True):
 
 @dataclass(frozen=True, slots=True, eq=False)
 class HeightMap:
-    """A surface on a lattice, all arrays [row, col]: x = x0_um + col * pixel_um, y = y0_um - row * pixel_um.
+    """A surface on a grid, all arrays [row, col]: x = x0_um + col * pixel_um, y = y0_um - row * pixel_um.
 
-    z_um: float32, NaN where unmeasured, cleaned as the recipe says; z_raw_um: float32, gated but neither smoothed nor
-    filled, what is measured on as a rule; confidence: float32 in 0 ... 1; all_in_focus: uint8 or uint16 grey;
-    origin: uint8 codes of `Origin`; overlap_um: float32, of a mosaic: highest minus lowest raw height where two fields
-    or more measured a pixel, NaN elsewhere; None of a field. refused: of a field, the heights that gates refused; None
-    where they were not kept, and of a part of a map.
+    z_um: float32, NaN if unmeasured, filtered as the recipe says; z_raw_um: float32, gated, neither smoothed nor
+    filled, the default for measurements; confidence: float32 in 0 ... 1; all_in_focus: uint8 or uint16 grey; origin:
+    uint8 codes of `Origin`; overlap_um: float32, only for a mosaic: highest minus lowest raw height where two or more
+    fields measured a pixel, NaN elsewhere; refused: only for a field: the heights rejected by gates; None if they were
+    not stored, and for a part of a map.
 
-    Raises MeasureError when the shapes disagree.
+    Raises MeasureError if the shapes differ.
     """
 
     z_um: NDArray[np.float32]
@@ -114,7 +114,7 @@ class HeightMap:
 
     @property
     def measured(self) -> NDArray[np.bool_]:
-        """Where a height was measured, not filled."""
+        """Mask of measured pixels, without filled ones."""
         return self.origin == Origin.MEASURED
 
     @property
@@ -124,9 +124,9 @@ class HeightMap:
         return self.x0_um, self.y0_um - (rows - 1) * self.pixel_um, self.x0_um + (cols - 1) * self.pixel_um, self.y0_um
 
     def to_measure(self, count_filled: bool = False) -> NDArray[np.float32]:
-        """The heights that measurements use: gated and unsmoothed, unless the recipe says otherwise.
+        """Return the heights for measurements: gated and unsmoothed, unless the recipe says otherwise.
 
-        count_filled: the cleaned heights with their filled pixels instead.
+        count_filled: return the filtered heights with filled pixels instead.
         """
         if count_filled:
             return self.z_um
@@ -134,7 +134,7 @@ class HeightMap:
         return np.where(self.measured, self.z_um, np.float32(np.nan)) if smoothed else self.z_raw_um
 
     def crop(self, rows: slice, cols: slice) -> HeightMap:
-        """The part [rows, cols], as views; slices need a start and a step of one."""
+        """Return the part [rows, cols], as views; slices need a start and a step of one."""
         return dataclasses.replace(
             self,
             z_um=self.z_um[rows, cols],
@@ -149,9 +149,9 @@ class HeightMap:
         )
 
     def window(self, region: Region | None = None, level: int = 0) -> HeightMap:
-        """The smallest part that holds a region (all without one); a map has one level, so it is a mosaic too.
+        """Return the smallest part that contains a region, or the whole map; the only level is 0.
 
-        Raises MeasureError when the region lies outside.
+        Raises MeasureError if the region lies outside or for another level.
         """
         if level != 0:
             raise MeasureError(f"This surface has one level, level {level} was asked for: take level 0.")
@@ -162,12 +162,12 @@ class HeightMap:
 
     @property
     def levels(self) -> int:
-        """A plain map has one level."""
+        """Number of levels: one."""
         return 1
 
 
 class Outline(Protocol):
-    """Where the pixels of a surface lie; known of a field before they are read."""
+    """Pixel grid of a surface; of a field it is known before the pixels are read."""
 
     @property
     def pixel_um(self) -> float:
@@ -191,7 +191,7 @@ class Outline(Protocol):
 
 
 class Mosaic(Outline, Protocol):
-    """A surface that may be larger than memory: a pyramid of levels, each half the resolution of the one before."""
+    """A surface that may exceed memory: a pyramid of levels, each with half the resolution of the previous one."""
 
     @property
     def levels(self) -> int:
@@ -200,11 +200,11 @@ class Mosaic(Outline, Protocol):
 
     @property
     def provenance(self) -> Provenance:
-        """Where it comes from."""
+        """Provenance of the surface."""
         ...
 
     def window(self, region: Region | None = None, level: int = 0) -> HeightMap:
-        """The part of a level that holds a region; all of it without one."""
+        """Return the part of a level that contains a region, or the whole level."""
         ...
 
 
@@ -214,12 +214,12 @@ LAYER_TITLES: dict[HeightLayer, str] = {
     "smoothed": "filtered heights",
     "filled": "filtered and filled heights",
 }
-"""The words of page, reports and files for each layer of heights; its name is that of recipes."""
+"""Titles of the height layers on the page, in reports and in files; the keys are those of recipes."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Heights:
-    """One layer of heights, float32 [row, col], NaN where that layer has none; it lies as a HeightMap does."""
+    """One layer of heights, float32 [row, col], NaN if unmeasured, on the grid of a HeightMap."""
 
     z_um: NDArray[np.float32]
     pixel_um: float
@@ -239,15 +239,15 @@ class Heights:
 
 @runtime_checkable
 class HasLayers(Protocol):
-    """A surface that reads one layer of heights alone: a sixth of the work where nothing else is asked for."""
+    """A surface that can read one layer of heights alone, which takes a sixth of the work."""
 
     def one_layer(self, layer: HeightLayer, region: Region, level: int = 0) -> Heights:
-        """The part of a level that holds a region. Raises MeasureError when the region lies outside."""
+        """Return the part of a level that contains a region. Raises MeasureError if the region lies outside."""
         ...
 
 
 class ReadThrough:
-    """The base of a mosaic that lies where another does, and only reads it differently."""
+    """Base class of a mosaic on the grid of another one, with the data read differently."""
 
     surface: Mosaic
 
@@ -278,14 +278,14 @@ class ReadThrough:
 
     @property
     def provenance(self) -> Provenance:
-        """Where it comes from."""
+        """Provenance of the surface."""
         return self.surface.provenance
 
 
 def pixel_window(surface: Mosaic | HeightMap, region: Region, level: int = 0) -> tuple[slice, slice]:
-    """The rows and columns of a level of a surface that hold a region.
+    """Return the rows and columns of a level that contain a region.
 
-    Raises MeasureError when the region lies outside of the surface.
+    Raises MeasureError if the region lies outside the surface.
     """
     scale = 2**level
     pixel = surface.pixel_um * scale
@@ -307,9 +307,9 @@ def pixel_window(surface: Mosaic | HeightMap, region: Region, level: int = 0) ->
 
 
 class PartOfMosaic(ReadThrough):
-    """The part of a mosaic in the upright rectangle round a region, at full resolution.
+    """Part of a mosaic in the bounding box of a region, at full resolution.
 
-    Raises MeasureError when the region lies outside of the surface.
+    Raises MeasureError if the region lies outside the surface.
     """
 
     def __init__(self, surface: Mosaic, region: Region) -> None:
@@ -333,11 +333,11 @@ class PartOfMosaic(ReadThrough):
 
     @property
     def levels(self) -> int:
-        """It has one level."""
+        """Number of levels: one."""
         return 1
 
     def window(self, region: Region | None = None, level: int = 0) -> HeightMap:
-        """The part of it that holds a region. Raises MeasureError for another level than 0."""
+        """Return the part that contains a region. Raises MeasureError for a level other than 0."""
         if level != 0:
             raise MeasureError(f"A part of a surface has one level, level {level} was asked for: take level 0.")
         rows, cols = (slice(0, n) for n in self.shape) if region is None else pixel_window(self, region)

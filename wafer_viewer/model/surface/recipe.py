@@ -1,4 +1,4 @@
-"""How a stack becomes a surface: every choice of the reconstruction, each of them settable."""
+"""Recipes: all settings of the reconstruction from focus stack to surface."""
 
 from __future__ import annotations
 
@@ -14,10 +14,10 @@ Window = Annotated[int, Within(3, 25, odd=True)]
 
 
 class Levy(Spec, frozen=True, kw_only=True):
-    """Smoothing: Levy flights, eq. 7-14 of the paper, which keep the noise (`literal`), or forms that remove it.
+    """Smoothing: Levy flights, eq. 7-14 of the paper, which do not reduce noise (`literal`), or variants that do.
 
-    n_sigma: what is further from its neighbourhood than so many deviations of the field's own noise stands out;
-    alpha: the scale of the flights, in um (`literal`) or in distances to the guide (`guided`).
+    n_sigma: deviation from the neighbourhood, in standard deviations of the field's noise, above which a height is an
+    outlier; alpha: scale of the flights, in um (`literal`) or in distances to the guide (`guided`).
     """
 
     error: ClassVar[type[WaferViewerError]] = ComputeError
@@ -30,9 +30,9 @@ class Levy(Spec, frozen=True, kw_only=True):
 
 
 class Outliers(Spec, frozen=True, kw_only=True):
-    """Statistical outlier removal: a point further from its neighbours than mean + n_sigma deviations is dropped.
+    """Statistical outlier removal: a point further from its neighbours than mean + n_sigma deviations is removed.
 
-    The threshold is never under `floor_um` (``auto``: from the step of the sweep), so that it cannot eat step edges.
+    The threshold is at least `floor_um` (``auto``: from the step of the sweep), which protects the edges of steps.
     """
 
     error: ClassVar[type[WaferViewerError]] = ComputeError
@@ -43,9 +43,9 @@ class Outliers(Spec, frozen=True, kw_only=True):
 
 
 class Fill(Spec, frozen=True, kw_only=True):
-    """Spline fill of gaps up to `max_gap_px` along rows and columns, never across a step; `all`: as the paper does.
+    """Spline interpolation of gaps up to `max_gap_px` along rows and columns, never across a step.
 
-    Filled pixels are marked.
+    Filled pixels are marked. `all`: fills every gap, as in the paper.
     """
 
     error: ClassVar[type[WaferViewerError]] = ComputeError
@@ -54,7 +54,7 @@ class Fill(Spec, frozen=True, kw_only=True):
 
 
 class Noise(Spec, frozen=True, kw_only=True):
-    """The camera's noise: the variance of a grey is gain_counts x grey + floor_counts2; ``auto`` asks the stack."""
+    """Camera noise: the variance of a grey value is gain_counts x grey + floor_counts2; ``auto`` estimates it."""
 
     error: ClassVar[type[WaferViewerError]] = ComputeError
     gain_counts: Positive | Auto = "auto"
@@ -62,12 +62,12 @@ class Noise(Spec, frozen=True, kw_only=True):
 
 
 class Stitching(Spec, frozen=True, kw_only=True):
-    """How fields become one surface: where they are placed and how overlaps are blended.
+    """Stitching of fields into one surface: their poses, and blending in the overlaps.
 
-    poses: found from the overlaps (`registered`), with the stage as prior, or those of the stage; blend: by confidence,
-    fading out towards a field's border, or the paper's linear ramps along X and Y (eq. 15-16).
-    stage_error_um, z_error_um, tilt_error: how far the stage is off as a rule, standard deviations (tilt in um per um);
-    search_um: how far from the stage's word a neighbour is looked for. ``auto`` asks the overlaps.
+    poses: estimated from the overlaps with the stage as prior (`registered`), or those of the stage; blend: by
+    confidence, fading out towards the border of a field, or the paper's linear ramps along X and Y (eq. 15-16).
+    stage_error_um, z_error_um, tilt_error: standard deviations of the stage's errors (tilt in um per um); search_um:
+    search radius around the stage position of a neighbour. ``auto`` estimates them from the overlaps.
     """
 
     error: ClassVar[type[WaferViewerError]] = ComputeError
@@ -80,13 +80,13 @@ class Stitching(Spec, frozen=True, kw_only=True):
 
 
 class Recipe(Spec, frozen=True, kw_only=True):
-    """Every choice from stack to surface. A result carries the recipe with the values that ``auto`` chose.
+    """All settings from stack to surface. A result carries the recipe with the values chosen by ``auto``.
 
-    focus_width_um: how wide a focus curve is at half its height; rivals, flanks and edges are judged by it;
-    drift: whether frames that shifted or grew by more than half a pixel are put right, each field by what it shows;
-    compare_windows: whether a height must be that of a window twice as wide; edges: beside walls between bright and
-    dark heights are not looked into (`none`), must agree with the surface further from the wall (`band`), or are
-    looked for once more along the wall as well (`rims`).
+    focus_width_um: full width at half maximum of a focus curve, which sets the scale for competing maxima, flanks and
+    edges; drift: correct frames shifted or scaled by more than half a pixel, estimated per field; compare_windows:
+    require agreement with the height from a window twice as wide; edges: treatment of walls between bright and dark
+    heights: unchecked (`none`), required to agree with the surface further from the wall (`band`), or searched again
+    along the wall as well (`rims`).
     """
 
     error: ClassVar[type[WaferViewerError]] = ComputeError
@@ -108,9 +108,9 @@ class Recipe(Spec, frozen=True, kw_only=True):
 
     @classmethod
     def paper(cls) -> Recipe:
-        """The paper's method step by step: plain argmax, its filter as printed, outliers by the cloud, all filled.
+        """Return the paper's method: plain argmax, its filter as printed, outliers by the cloud, all gaps filled.
 
-        The paper leaves window, step size, iterations and thresholds open ("tuned by hand"): these are ours.
+        The paper leaves window, step size, iterations and thresholds open ("tuned by hand"); the values here are ours.
         """
         return cls(
             focus_measure="tenengrad",
@@ -130,21 +130,21 @@ class Recipe(Spec, frozen=True, kw_only=True):
 
     @property
     def has_auto(self) -> bool:
-        """Whether any choice is left to the data."""
+        """True if any setting is ``auto``."""
         return "auto" in _values(msgspec.to_builtins(self))
 
     @property
     def heights_have_auto(self) -> bool:
-        """Whether any choice is left to the data on the way to the heights of a field."""
+        """True if any setting that affects the heights of a field is ``auto``."""
         return replace(self, stitching=_STAGE_ONLY).has_auto
 
     def makes_heights_of(self, other: Recipe) -> bool:
-        """Whether it makes the same heights of a field as another; they may be stitched differently."""
+        """Return whether both recipes give the same heights of a field, apart from stitching."""
         return replace(self, stitching=_STAGE_ONLY) == replace(other, stitching=_STAGE_ONLY)
 
 
 _STAGE_ONLY = Stitching(search_um=1.0, stage_error_um=1.0, z_error_um=1.0, tilt_error=1.0)
-"""Nothing in it is left to the data."""
+"""Stitching without ``auto``."""
 
 
 def _values(data: object) -> list[object]:
@@ -152,4 +152,4 @@ def _values(data: object) -> list[object]:
 
 
 READY_RECIPES: dict[str, Recipe] = {"default": Recipe(), "paper": Recipe.paper()}
-"""Recipes that go by a name."""
+"""Named recipes."""

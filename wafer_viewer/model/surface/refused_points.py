@@ -1,4 +1,4 @@
-"""Heights that a gate refused, kept beside the height map that they are missing in."""
+"""Heights rejected by a gate, stored in addition to the height map."""
 
 from __future__ import annotations
 
@@ -12,9 +12,9 @@ from wafer_viewer.model.errors import MeasureError
 
 @dataclass(frozen=True, slots=True, eq=False)
 class RefusedHeights:
-    """Peaks of a field that failed a gate, with the height that each would have had.
+    """Peaks of a field that failed a gate, with the heights they would have had.
 
-    A pixel that was filled afterwards is among them: its origin in the height map is FILLED, its reason stands here.
+    Pixels filled afterwards are included: their origin in the height map is FILLED, their reason is stored here.
 
     Parameters
     ----------
@@ -28,7 +28,7 @@ class RefusedHeights:
     Raises
     ------
     MeasureError
-        When the three differ in length.
+        If the three differ in length.
     """
 
     at: NDArray[np.uint32]
@@ -44,6 +44,6 @@ class RefusedHeights:
         return len(self.at)
 
     def of_rows(self, first: int, end: int, cols: int) -> slice:
-        """Return which of them lie in the rows [first, end) of a map with `cols` columns."""
+        """Return the slice of points in the rows [first, end) of a map with `cols` columns."""
         low, high = np.searchsorted(self.at, [max(0, first) * cols, max(0, end) * cols])
         return slice(int(low), int(high))

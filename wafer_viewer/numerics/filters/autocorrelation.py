@@ -1,4 +1,4 @@
-"""The areal autocorrelation of a lattice with unmeasured points, each lag over the pairs of points that it has."""
+"""Areal autocorrelation of a grid with unmeasured points, each lag over its available pairs."""
 
 from __future__ import annotations
 
@@ -11,14 +11,14 @@ from wafer_viewer.numerics.filters.iso_gaussian import fast_length
 
 Floats = NDArray[np.float64]
 LEAST_PAIRS = 0.05
-"""Of the measured points: a lag with fewer pairs has no value."""
+"""Fraction of the measured points; a lag with fewer pairs has no value."""
 
 
 def autocorrelation(z: Floats) -> Floats:
-    """Of z [row, col] with mean 0, for lags up to half of its sides: [2 r + 1, 2 c + 1], 1 in the middle.
+    """Return the autocorrelation of z [row, col] with mean 0, for lags up to half of its sides.
 
-    A lag is the mean product of the pairs of measured points that lie so far apart, over the mean square; NaN where
-    there are fewer than a twentieth as many pairs as points.
+    Shape [2 r + 1, 2 c + 1], 1 in the middle. The value of a lag is the mean product over pairs of measured points at
+    this lag, divided by the mean square; NaN with fewer pairs than a twentieth of the measured points.
     """
     known = np.isfinite(z)
     n_known = int(known.sum())
@@ -30,7 +30,7 @@ def autocorrelation(z: Floats) -> Floats:
 
 
 def _lagged(plane: Floats, reach: tuple[int, int]) -> Floats:
-    """Sums of products of points a lag apart."""
+    """Return the sums of products of points one lag apart."""
     from scipy.fft import irfft2, rfft2
 
     padded = [fast_length(n + r) for n, r in zip(plane.shape, reach, strict=True)]
@@ -44,6 +44,6 @@ def _lagged(plane: Floats, reach: tuple[int, int]) -> Floats:
 
 
 def _full_pairs(shape: tuple[int, int], reach: tuple[int, int]) -> Floats:
-    """Pairs of a lattice without holes."""
+    """Return the number of pairs per lag of a grid without holes."""
     down, across = (n - np.abs(np.arange(-r, r + 1)) for n, r in zip(shape, reach, strict=True))
     return np.outer(down, across).astype(np.float64)

@@ -1,4 +1,4 @@
-"""Sums of neighbours along a row, for any odd number of them: the windows of the focus measures."""
+"""Sliding sums along a row for any odd window, used by the focus measures."""
 
 from __future__ import annotations
 
@@ -9,11 +9,11 @@ from wafer_viewer.numerics.array_types import Int64s, Wholes
 from wafer_viewer.numerics.jit import inlined_part, lean_part
 
 AHEAD = 64
-"""Rows have as much room behind them, for loops that come out even and read ahead."""
+"""Padding behind each row, for loops with even trip counts that read ahead."""
 
 
 def pieces_of(window: int) -> NDArray[np.int64]:
-    """How a window is made of pieces of 9, 3 and 1 neighbours: rows of (power of three, offset), 3 or 5 of them."""
+    """Return the decomposition of a window into pieces of 9, 3 and 1: 3 or 5 rows of (power of three, offset)."""
     found: list[tuple[int, int]] = []
     done = 0
     for power in (2, 1, 0):
@@ -28,9 +28,9 @@ def pieces_of(window: int) -> NDArray[np.int64]:
 
 @inlined_part
 def box(sums: Wholes, pieces: Int64s, out: Wholes) -> None:
-    """Sums of as many neighbours as the window has, of the row sums[0]: as few additions as its pieces need.
+    """Sliding sum of the row sums[0] over the window, with the fewest additions that its pieces allow.
 
-    sums: [4, row]; the other rows are written over.
+    sums: [4, row]; the other rows are overwritten.
     """
     if pieces[0, 0] > 0:
         _add_neighbours(sums[0], sums[1])
@@ -53,7 +53,7 @@ def _add_three(a: Wholes, b: Wholes, c: Wholes, out: Wholes) -> None:
 
 @lean_part
 def _add_neighbours(row: Wholes, out: Wholes) -> None:
-    """Sums of three neighbours, two of which are still in the registers."""
+    """Sums of three neighbours; two of them stay in registers."""
     i = row.dtype.type
     first, second, ahead = row[0], row[1], row[2:]
     for x in range(ahead.size):

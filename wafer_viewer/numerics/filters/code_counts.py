@@ -1,4 +1,4 @@
-"""How often each code occurs in a map of small codes."""
+"""Histogram of a map of small integer codes."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from wafer_viewer.numerics.jit import lean_kernel
 
 
 def count_codes(codes: UInt8s, n_codes: int) -> Int64s:
-    """The number of pixels of each code from 0 to n_codes - 1, of a map [row, col] that holds no larger ones.
+    """Return the number of pixels of each code from 0 to n_codes - 1, for a map [row, col] without larger codes.
 
     n_codes: a power of two.
     """
@@ -20,6 +20,6 @@ def count_codes(codes: UInt8s, n_codes: int) -> Int64s:
 
 @lean_kernel
 def _count(codes: UInt8s, counts: Int64s) -> None:
-    """Four tables in turn: adding to one number again and again waits for the last addition."""
+    """Count in four alternating tables, because repeated additions to one number wait for each other."""
     for i in range(codes.size):
         counts[i & 3, codes[i] & (counts.shape[1] - 1)] += 1

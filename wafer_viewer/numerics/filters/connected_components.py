@@ -1,4 +1,4 @@
-"""Pieces of a height map that hang together: neighbours belong together when their heights are alike."""
+"""Connected components of a height map: neighbours are connected if their heights differ little."""
 
 from __future__ import annotations
 
@@ -9,9 +9,9 @@ from wafer_viewer.numerics.jit import lean_kernel
 
 
 def small_islands(z: Float32s, max_step: Real, min_pixels: Whole) -> Bools:
-    """Which finite pixels are in a piece of fewer than `min_pixels`; bool [row, col].
+    """Return a mask of finite pixels in components of fewer than `min_pixels`; bool [row, col].
 
-    Two of four neighbours are joined when they differ by at most `max_step`.
+    4-connectivity; two neighbours are connected if they differ by at most `max_step`.
     """
     root = np.arange(z.size, dtype=np.int32)
     _join_alike(z, np.float32(max_step), root)
@@ -20,9 +20,9 @@ def small_islands(z: Float32s, max_step: Real, min_pixels: Whole) -> Bools:
 
 
 def narrow_parts(z: Float32s, max_step: Real, side: Whole) -> Bools:
-    """Which finite pixels lie in no square of side x side finite pixels that are joined throughout; bool [row, col].
+    """Return a mask of finite pixels in no fully connected square of side x side finite pixels; bool [row, col].
 
-    Beyond the border the map goes on as it ends: what the border cuts is not narrow for that.
+    The map is extended by its edge values, so a component cut by the border does not count as narrow for that.
     """
     wider = np.pad(z, side, mode="edge")
     covered = np.zeros(wider.shape, np.bool_)
@@ -32,7 +32,7 @@ def narrow_parts(z: Float32s, max_step: Real, side: Whole) -> Bools:
 
 @lean_kernel
 def _join_alike(z: Float32s, max_step: Real, root: Int32s) -> None:
-    """Union-find with path halving; a root is the first pixel of its piece, so that a last sweep needs no search."""
+    """Union-find with path halving; a root is the first pixel of its component, so the last sweep needs no search."""
     n_cols = z.shape[1]
     for r in range(z.shape[0]):
         for c in range(n_cols):
@@ -53,9 +53,9 @@ def _join_alike(z: Float32s, max_step: Real, root: Int32s) -> None:
 
 @lean_kernel
 def _cover(z: Float32s, max_step: Real, side: Whole, scratch: Int32s, covered: Bools) -> None:
-    """Mark what the joined squares cover: from their lower right pixels leftward, then upward.
+    """Mark the pixels covered by connected squares: from their lower right pixels leftward, then upward.
 
-    squares: the side of the largest joined square whose lower right pixel is each pixel of the row.
+    squares: side of the largest connected square with its lower right pixel at each pixel of the row.
     """
     n_rows, n_cols = z.shape
     for r in range(n_rows):

@@ -1,4 +1,4 @@
-"""The Gaussian filter of ISO 16610-21 (profiles) and 16610-61 (areas), of lattices with unmeasured points."""
+"""Gaussian filter of ISO 16610-21 (profiles) and 16610-61 (areas) for grids with unmeasured points."""
 
 from __future__ import annotations
 
@@ -10,16 +10,16 @@ from numpy.typing import NDArray
 
 Floats = NDArray[np.float64]
 ALPHA = math.sqrt(math.log(2) / math.pi)
-"""Makes the filter pass half of the amplitude at the cut-off wavelength."""
+"""Filter constant: transmission of half the amplitude at the cut-off wavelength."""
 REACH = 1.0
-"""Of the cut-off, to each side: what of the weighting function lies beyond is under a millionth of it."""
+"""Half width of the kernel in cut-offs; the truncated part of the weighting function is under a millionth."""
 
 
 def gaussian_mean(z: Floats, cutoff_px: float) -> Floats:
-    """The long waves of z [n] or [row, col]: what is shorter than the cut-off is damped to less than half.
+    """Return the long-wave component of z [n] or [row, col]; shorter wavelengths are damped to less than half.
 
-    Unmeasured points (NaN) have no weight and stay unmeasured; at borders and round holes the weights that are left
-    are scaled to sum to one (the moment criterion of order zero of ISO 16610-28).
+    Unmeasured points (NaN) have no weight and stay unmeasured. At borders and around holes the remaining weights are
+    normalised to sum to one (moment criterion of order zero, ISO 16610-28).
     """
     known = np.isfinite(z)
     total, weight = np.where(known, z, 0.0), known.astype(np.float64)
@@ -31,21 +31,21 @@ def gaussian_mean(z: Floats, cutoff_px: float) -> Floats:
 
 
 def weighting(cutoff_px: float) -> Floats:
-    """Sampled weights from -REACH to REACH cut-offs, sum one."""
+    """Return the sampled weights from -REACH to REACH cut-offs, with sum one."""
     places = np.arange(-_reach_px(cutoff_px), _reach_px(cutoff_px) + 1)
     weights = np.exp(-np.pi * (places / (ALPHA * cutoff_px)) ** 2)
     return weights / weights.sum()
 
 
 def fast_length(n: int) -> int:
-    """The least length, n or more, that a real Fourier transform is quick with."""
+    """Return the smallest length of at least n for which a real Fourier transform is fast."""
     from scipy.fft import next_fast_len
 
     return next_fast_len(n, real=True) or n
 
 
 def _along(plane: Floats, axis: int, cutoff_px: float) -> Floats:
-    """Convolved along one axis, zeros beyond the border."""
+    """Convolve along one axis, with zeros beyond the border."""
     from scipy.fft import irfft, rfft
 
     n, reach = plane.shape[axis], _reach_px(cutoff_px)
@@ -62,7 +62,7 @@ def _along(plane: Floats, axis: int, cutoff_px: float) -> Floats:
 
 
 def _border_weight(shape: tuple[int, ...], axis: int, cutoff_px: float) -> Floats:
-    """The weight that is left along one axis where every point is measured."""
+    """Return the remaining weight along one axis if every point is measured."""
     along = [1] * len(shape)
     along[axis] = -1
     return _along(np.ones(shape[axis]), 0, cutoff_px).reshape(along)

@@ -1,7 +1,7 @@
-"""Which pixels stand apart along every line through them, and what stands along those lines instead.
+"""Outliers against the medians along lines through a pixel, and replacement values from these lines.
 
-A square median rounds corners and cuts thin ridges: their pixels are few in any square. Along at least one of the four
-lines through it a pixel of a corner or a ridge has its like; a spike or a small blob has it along none.
+A square median rounds corners and cuts thin ridges, whose pixels are a minority in any square. A pixel of a corner or
+ridge has similar pixels along at least one of the four lines through it; a spike or a small blob along none.
 """
 
 from __future__ import annotations
@@ -12,14 +12,14 @@ from wafer_viewer.numerics.array_types import Bools, Float32s, Int32s, Int64s, R
 from wafer_viewer.numerics.jit import lean_kernel
 
 REACH_PX = 5
-"""To either side: along a line of 11 pixels what is up to 5 wide is the lesser part."""
+"""Half length of a line: on its 11 pixels, a feature of up to 5 pixels is a minority."""
 
 
 def far_along_lines(padded: Float32s, limit: Real) -> Bools:
-    """Which pixels are further than `limit` from the median of each of their four lines; bool [row, col].
+    """Return a mask of pixels further than `limit` from the median of each of their four lines; bool [row, col].
 
-    padded: a map with a border of `REACH_PX` NaN, which it loses; a line of an even number of measured pixels has any
-    value between the two in the middle for a median.
+    padded: a map with a border of `REACH_PX` NaN, which is removed. For an even number of measured pixels, any value
+    between the two middle ones counts as the median of a line.
     """
     shape = padded.shape[0] - 2 * REACH_PX, padded.shape[1] - 2 * REACH_PX
     far = np.zeros(shape, np.bool_)
@@ -28,9 +28,9 @@ def far_along_lines(padded: Float32s, limit: Real) -> Bools:
 
 
 def line_medians_at(padded: Float32s, rows: Int64s, cols: Int64s) -> Float32s:
-    """The middle of the medians of the four lines through each (row, col) of the map before it was padded.
+    """Return the mean of the two middle medians of the four lines through each (row, col) of the unpadded map.
 
-    Only for pixels that are measured, as those of `far_along_lines` are.
+    Only for measured pixels, such as those of `far_along_lines`.
     """
     out = np.empty(rows.size, np.float32)
     places = np.ascontiguousarray(rows), np.ascontiguousarray(cols)  # views would be compiled for once more
@@ -40,9 +40,9 @@ def line_medians_at(padded: Float32s, rows: Int64s, cols: Int64s) -> Float32s:
 
 @lean_kernel
 def _mark_far(padded: Float32s, limit: Real, counts: Int32s, far: Bools) -> None:
-    """A value is far from a line's median when most of the line is out of its reach on one side: counting, no sorting.
+    """Mark pixels by counting, without sorting: most of each line is out of reach on one side.
 
-    Comparing with NaN is false, so that what is not measured is neither in reach nor out of it.
+    Comparisons with NaN are false, so unmeasured pixels do not count.
     """
     above, below, lines = counts[0], counts[1], counts[2]
     for r in range(far.shape[0]):
@@ -82,7 +82,7 @@ def _middle_medians(padded: Float32s, rows: Int64s, cols: Int64s, scratch: Float
 
 @lean_kernel
 def insert_sorted(values: Float32s, count: Whole, v: Real) -> int:
-    """Put v into the first `count` values, which ascend; returns how many there are then."""
+    """Insert v into the first `count` values, which ascend; return the new count."""
     at = count
     while at > 0 and values[at - 1] > v:
         values[at] = values[at - 1]

@@ -1,4 +1,4 @@
-"""Medians of 5 x 5 pixels that leave out what is NaN, exact, and without sorting where nothing is out of order."""
+"""Exact medians of 5 x 5 pixels without NaN; the outlier test needs no sorting."""
 
 from __future__ import annotations
 
@@ -11,15 +11,15 @@ REACH_PX = 2
 
 
 def pad_with_nan(values: Float32s) -> Float32s:
-    """A copy with a border of NaN as wide as the window reaches: the kernels know no borders."""
+    """Return a copy with a border of NaN of half the window size, because the kernels do not handle borders."""
     return np.pad(values, REACH_PX, constant_values=np.nan)
 
 
 @kernel
 def medians_at(padded: Float32s, rows: Int64s, cols: Int64s) -> Float32s:
-    """The median of the finite pixels in the 5 x 5 window round each (row, col) of the map before it was padded.
+    """Return the median of the finite pixels in the 5 x 5 window around each (row, col) of the unpadded map.
 
-    padded: from `pad_with_nan`; NaN where the window holds nothing.
+    padded: from `pad_with_nan`; NaN for a window without finite pixels.
     """
     out = np.empty(rows.size, np.float32)
     window = np.empty(25, np.float32)
@@ -36,11 +36,11 @@ def medians_at(padded: Float32s, rows: Int64s, cols: Int64s) -> Float32s:
 
 @kernel
 def far_from_median(padded: Float32s, limit: Real) -> Bools:
-    """Which measured pixels are further than `limit` from the median of their 5 x 5 window, of the map before padding.
+    """Return a mask of measured pixels further than `limit` from the median of their 5 x 5 window, without the padding.
 
-    A value is within `limit` of the median exactly when at least half of the window is above value - limit and at
-    least half is below value + limit: counting runs as vectors, sorting does not. In a window of an even number any
-    value between the two in the middle is a median.
+    A value is within `limit` of the median if and only if at least half of the window is above value - limit and at
+    least half is below value + limit. Counting can be vectorised, sorting cannot. For an even number of values, any
+    value between the two middle ones counts as the median.
     """
     n_rows, n_cols = padded.shape[0] - 4, padded.shape[1] - 4
     far = np.zeros((n_rows, n_cols), np.bool_)

@@ -1,4 +1,4 @@
-"""Gaussian means of a picture with unknown pixels, at several scales: the wide ones on squares of pixels."""
+"""Gaussian means of a picture with unknown pixels at several scales; wide scales use binned pixels."""
 
 from __future__ import annotations
 
@@ -11,22 +11,21 @@ from wafer_viewer.numerics.filters.binning import binned
 from wafer_viewer.numerics.jit import fast_kernel
 
 FINE_PX = 2.9
-"""A scale under this is filtered pixel by pixel; wider ones on squares of 2, 4, ... pixels."""
+"""Scales below this are filtered at full resolution; wider ones on blocks of 2, 4, ... pixels."""
 LEAST_KNOWN = 0.3
-"""Of the weight round a place: with less of it known it has no mean."""
+"""Smallest known fraction of the weight for which a mean is defined."""
 
 
 def coarseness(sigma_px: float) -> int:
-    """The side of the squares of pixels on which a scale is filtered."""
+    """Return the block size in pixels at which a scale is filtered."""
     return 1 if sigma_px < FINE_PX else 2 ** max(1, math.floor(math.log2(sigma_px / 2)))
 
 
 def gaussian_sums(filled: Float32s, known: Float32s, sigma_px: float) -> Float32s:
-    """Sums weighted by a Gaussian over the root of the weight that is known, which keeps their noise alike everywhere:
-    at borders and round holes a mean of fewer pixels would scatter more.
+    """Return Gaussian-weighted sums divided by the square root of the known weight, which makes their noise uniform.
 
-    At each square of `coarseness(sigma_px)` pixels, NaN where too little is known. filled: 0 where unknown; known: 1
-    or 0.
+    At borders and around holes a mean of fewer pixels would scatter more. One value per block of `coarseness(sigma_px)`
+    pixels, NaN if too little is known. filled: 0 where unknown; known: 1 or 0.
     """
     side = coarseness(sigma_px)
     value, weight = (filled, known) if side == 1 else (binned(filled, side), binned(known, side))
@@ -37,7 +36,7 @@ def gaussian_sums(filled: Float32s, known: Float32s, sigma_px: float) -> Float32
 
 
 def smooth(plane: Float32s, sigma_px: float) -> Float32s:
-    """Weighted sums by a Gaussian of sum one; beyond the border there is nothing."""
+    """Convolve with a Gaussian of sum one, with zeros beyond the border."""
     reach = max(1, math.ceil(3 * sigma_px))
     weights = np.exp(-((np.arange(-reach, reach + 1) / sigma_px) ** 2) / 2)
     weights = (weights / weights.sum()).astype(np.float32)

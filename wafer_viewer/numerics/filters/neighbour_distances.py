@@ -1,4 +1,4 @@
-"""How far a pixel of a height map is from its nearest neighbours, along z: across they are a lattice."""
+"""Height differences between a pixel and its nearest neighbours; laterally the pixels form a grid."""
 
 from __future__ import annotations
 
@@ -11,9 +11,9 @@ REACH_PX = 3
 
 
 def mean_distances(padded: Float32s, rows: Int64s, cols: Int64s, neighbours: Whole) -> Float32s:
-    """The mean distance from each (row, col) to the `neighbours` nearest measured pixels of the 7 x 7 round it.
+    """Return the mean |dz| from each (row, col) to the `neighbours` nearest measured pixels of its 7 x 7 window.
 
-    padded: a map with a border of 3 NaN; inf where fewer than half as many are measured.
+    padded: a map with a border of 3 NaN; inf if fewer than half as many are measured.
     """
     out = np.empty(rows.size, np.float32)
     places = np.ascontiguousarray(rows), np.ascontiguousarray(cols)  # views would be compiled for once more
@@ -22,7 +22,7 @@ def mean_distances(padded: Float32s, rows: Int64s, cols: Int64s, neighbours: Who
 
 
 def near_counts(padded: Float32s, limit: Real) -> Int32s:
-    """How many other pixels of the 7 x 7 are within the limit of each pixel, of the map before padding; -1 for NaN."""
+    """Return the number of other pixels within `limit` of each pixel in its 7 x 7 window, unpadded; -1 for NaN."""
     out = np.full((padded.shape[0] - 2 * REACH_PX, padded.shape[1] - 2 * REACH_PX), -1, np.int32)
     _count_near(padded, np.float32(limit), out)
     return out
@@ -41,7 +41,7 @@ def _count_near(padded: Float32s, limit: Real, out: Int32s) -> None:
 
 @lean_kernel
 def _mean_distances(padded: Float32s, rows: Int64s, cols: Int64s, nearest: Float32s, out: Float32s) -> None:
-    """`nearest` holds the sorted list of the nearest so far; the furthest drops out when it is full."""
+    """Insertion sort into `nearest`; the furthest value is dropped when it is full."""
     for n in range(rows.size):
         row, col, count = int(rows[n]), int(cols[n]), 0
         z = padded[row + REACH_PX, col + REACH_PX]

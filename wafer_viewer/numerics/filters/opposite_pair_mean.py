@@ -1,7 +1,7 @@
-"""The mean of what agrees with a pixel, by pairs of opposite neighbours.
+"""Mean of a pixel and of pairs of opposite neighbours that agree with it.
 
-Two pixels on opposite sides tell by their middle what height a plane has between them, whatever its slope: so a slope,
-the border of a map and the edge of a gap bias nothing. A pair across a step tells something else and does not count.
+The mean of two pixels on opposite sides equals the height of a plane between them, whatever its slope, so slopes,
+borders and edges of gaps cause no bias. A pair across a step disagrees and does not count.
 """
 
 from __future__ import annotations
@@ -13,11 +13,11 @@ from wafer_viewer.numerics.jit import lean_kernel
 
 REACH_PX = 4
 _STRIDE_PX = 2
-"""Errors of neighbouring pixels are alike, they share most of their focus window: every second one tells as much."""
+"""Neighbouring pixels share most of their focus window, so their errors are correlated; every second pixel suffices."""
 
 
 def pair_mean(z: Float32s, limit: Real) -> Float32s:
-    """Each pixel averaged with the pairs within 4 pixels whose middle is at most `limit` from it; NaN stays NaN."""
+    """Average each pixel with the pairs within 4 pixels whose mean differs by at most `limit`; NaN stays NaN."""
     out = np.empty_like(z)
     padded = np.pad(z, REACH_PX, constant_values=np.nan)
     _average(padded, np.float32(limit), np.empty((2, z.shape[1]), np.float32), out)
@@ -26,7 +26,7 @@ def pair_mean(z: Float32s, limit: Real) -> Float32s:
 
 @lean_kernel
 def _average(padded: Float32s, limit: Real, scratch: Float32s, out: Float32s) -> None:
-    """A middle has half the variance of a pixel, so that it weighs twice as much: the pixel itself counts a half."""
+    """Average with the pixel itself at half weight, because the mean of a pair has half the variance of a pixel."""
     total, count = scratch[0], scratch[1]
     for r in range(out.shape[0]):
         here = padded[r + REACH_PX, REACH_PX:]

@@ -1,6 +1,6 @@
-"""Places where a picture is over a limit: a few pixels of many, so each is walked through from where it is met.
+"""Connected regions above a threshold in a picture, found by flood fill because they are sparse.
 
-Pixels that touch, at a side or at a corner, belong together; NaN is over no limit.
+8-connectivity; NaN is above no threshold.
 """
 
 from __future__ import annotations
@@ -12,7 +12,7 @@ from wafer_viewer.numerics.jit import kernel
 
 
 def tops_over(plane: Float32s, least: Real, least_px: Whole = 1) -> Float32s:
-    """The highest value of each place over `least` that has so many pixels, as they are met row by row."""
+    """Return the maximum of each region of at least `least_px` pixels at or above `least`, in row-major order."""
     over = plane >= np.float32(least)
     n = int(np.count_nonzero(over))
     tops = np.empty(n, np.float32)
@@ -20,7 +20,7 @@ def tops_over(plane: Float32s, least: Real, least_px: Whole = 1) -> Float32s:
 
 
 def hanging_together(low: Bools, peaks: Bools) -> Bools:
-    """The places of `low` that have a pixel of `peaks`, which are pixels of `low` too; bool [row, col]."""
+    """Return a mask of the regions of `low` that contain a pixel of `peaks` (hysteresis threshold); bool [row, col]."""
     found = np.zeros(low.shape, np.bool_)
     n = int(np.count_nonzero(low))
     if n:
@@ -29,7 +29,7 @@ def hanging_together(low: Bools, peaks: Bools) -> Bools:
 
 
 def widened(mask: Bools, reach_px: Whole) -> Bools:
-    """The mask and all pixels that are at most so many rows and columns away from it; bool [row, col]."""
+    """Dilate the mask by a square of `reach_px` rows and columns to each side; bool [row, col]."""
     out = np.zeros(mask.shape, np.bool_)
     _widen(np.ascontiguousarray(mask), int(reach_px), out)
     return out
@@ -37,7 +37,7 @@ def widened(mask: Bools, reach_px: Whole) -> Bools:
 
 @kernel
 def _tops(plane: Float32s, over: Bools, waiting: Int32s, least_px: Whole, tops: Float32s) -> int:
-    """How many places there are; `over` is cleared."""
+    """Write the maxima and return their number; `over` is cleared."""
     n_cols, n = plane.shape[1], 0
     for r in range(plane.shape[0]):
         for c in range(n_cols):
@@ -54,7 +54,7 @@ def _tops(plane: Float32s, over: Bools, waiting: Int32s, least_px: Whole, tops: 
 
 @kernel
 def _hang(peaks: Bools, low: Bools, waiting: Int32s, found: Bools) -> None:
-    """`low` is cleared where it is found."""
+    """Write the mask of the regions that contain a peak; `low` is cleared there."""
     n_cols = low.shape[1]
     for r in range(low.shape[0]):
         for c in range(n_cols):
@@ -65,7 +65,7 @@ def _hang(peaks: Bools, low: Bools, waiting: Int32s, found: Bools) -> None:
 
 @kernel
 def _walk(row: Whole, col: Whole, open_ones: Bools, waiting: Int32s) -> int:
-    """How many open pixels hang together with one of them; they come to stand in `waiting` and are open no more."""
+    """Flood fill from one pixel; return the region's size. Its pixels are written to `waiting` and closed."""
     n_rows, n_cols = open_ones.shape
     open_ones[row, col] = False
     waiting[0] = row * n_cols + col

@@ -1,4 +1,4 @@
-"""Least-squares polynomials of a chosen order over lattices with unmeasured points, quick for millions of them."""
+"""Least-squares polynomials over grids with unmeasured points, fast for millions of points."""
 
 from __future__ import annotations
 
@@ -8,13 +8,13 @@ from numpy.typing import NDArray
 
 Floats = NDArray[np.float64]
 TOO_FEW = 1e-10
-"""Smallest over largest eigenvalue of normal equations that still say something."""
+"""Smallest ratio of the extreme eigenvalues at which the normal equations are considered solvable."""
 
 
 def polynomial(z: Floats, order: int) -> Floats | None:
-    """The polynomial of total degree `order` through z [row, col] by least squares, at every point of the lattice.
+    """Return the least-squares polynomial of total degree `order` through z [row, col], at every grid point.
 
-    Unmeasured points (NaN) have no say. None where the measured points do not determine it.
+    Unmeasured points (NaN) have no weight. None if the measured points do not determine it.
     """
     known = np.isfinite(z)
     down, across = (_basis(n, order) for n in z.shape)
@@ -33,7 +33,7 @@ def polynomial(z: Floats, order: int) -> Floats | None:
 
 
 def _basis(n: int, order: int) -> Floats:
-    """Legendre polynomials up to an order at n places over -1 ... 1, [n, order + 1]."""
+    """Return the Legendre polynomials up to an order at n points over -1 ... 1, [n, order + 1]."""
     return np.asarray(legvander(np.linspace(-1, 1, n) if n > 1 else np.zeros(1), order), np.float64)
 
 
@@ -42,5 +42,5 @@ def _powers(order: int) -> list[tuple[int, int]]:
 
 
 def _pairs(basis: Floats) -> Floats:
-    """Products of each two columns of a basis [n, p], as [n, p * p]."""
+    """Return the products of all pairs of columns of a basis [n, p], as [n, p * p]."""
     return (basis[:, :, None] * basis[:, None, :]).reshape(len(basis), -1)

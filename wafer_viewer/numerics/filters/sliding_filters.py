@@ -1,4 +1,4 @@
-"""Sliding filters of small maps, by scipy, which is loaded when the first of them runs; borders repeat."""
+"""Sliding filters of small maps by SciPy, which is imported on first use; borders are replicated."""
 
 from __future__ import annotations
 
@@ -12,21 +12,21 @@ Floats = NDArray[np.float32]
 
 
 def highest(plane: Plane, size: int) -> Plane:
-    """The highest value of size x size pixels."""
+    """Sliding maximum of size x size pixels."""
     from scipy.ndimage import maximum_filter
 
     return _as(plane, maximum_filter(plane, size, mode="nearest"))
 
 
 def lowest(plane: Plane, size: int) -> Plane:
-    """The lowest value of size x size pixels."""
+    """Sliding minimum of size x size pixels."""
     from scipy.ndimage import minimum_filter
 
     return _as(plane, minimum_filter(plane, size, mode="nearest"))
 
 
 def relief(plane: Floats, size: int) -> Floats:
-    """Highest less lowest of what is known of size x size pixels, 0 where nothing is."""
+    """Sliding range of the finite values of size x size pixels, 0 if there are none."""
     known = np.isfinite(plane)
     high = highest(np.where(known, plane, np.float32(-np.inf)), size)
     low = lowest(np.where(known, plane, np.float32(np.inf)), size)
@@ -34,28 +34,28 @@ def relief(plane: Floats, size: int) -> Floats:
 
 
 def mean(plane: NDArray[Any], size: int) -> Floats:
-    """The mean of size x size pixels."""
+    """Sliding mean of size x size pixels."""
     from scipy.ndimage import uniform_filter
 
     return np.asarray(uniform_filter(plane.astype(np.float32), size, mode="nearest"), np.float32)
 
 
 def mean_of_known(plane: NDArray[Any], known: NDArray[np.bool_], size: int) -> Floats:
-    """The mean of the known ones of size x size pixels; 0 where none is."""
+    """Sliding mean of the known ones of size x size pixels; 0 if there are none."""
     share = mean(known, size)
     total = mean(np.where(known, plane, np.zeros_like(plane)), size)
     return total / np.where(share > 0.5 / size**2, share, np.float32(np.inf)).astype(np.float32)
 
 
 def blurred(plane: NDArray[Any], sigma: float) -> Floats:
-    """A Gaussian blur."""
+    """Gaussian blur."""
     from scipy.ndimage import gaussian_filter
 
     return np.asarray(gaussian_filter(plane.astype(np.float32), sigma, mode="nearest"), np.float32)
 
 
 def nearest(wanted: NDArray[np.bool_]) -> tuple[NDArray[np.float64], tuple[NDArray[np.intp], NDArray[np.intp]]]:
-    """How far the nearest wanted pixel is from each, and where it is, as (rows, cols); there must be one."""
+    """Return the distance to the nearest True pixel and its position as (rows, cols); one must be True."""
     from scipy.ndimage import distance_transform_edt
 
     distance, where = (np.asarray(a) for a in distance_transform_edt(~wanted, return_indices=True) or ())
@@ -64,21 +64,21 @@ def nearest(wanted: NDArray[np.bool_]) -> tuple[NDArray[np.float64], tuple[NDArr
 
 
 def pieces(wanted: NDArray[np.bool_]) -> NDArray[np.intp]:
-    """The number of the piece that each wanted pixel belongs to, by its four neighbours; 0 elsewhere."""
+    """Return the label of the 4-connected component of each True pixel; 0 elsewhere."""
     from scipy.ndimage import label
 
     return np.asarray(label(wanted)[0], np.intp)  # pyright: ignore[reportIndexIssue, reportArgumentType]
 
 
 def halved(plane: NDArray[Any]) -> Floats:
-    """The mean of 2 x 2 pixels; at an odd border of what there is."""
+    """Return the mean of 2 x 2 pixels; at an odd border, of the available ones."""
     rows, cols = plane.shape
     padded = np.pad(plane, ((0, rows % 2), (0, cols % 2)), mode="edge") if rows % 2 or cols % 2 else plane
     return padded.reshape((rows + 1) // 2, 2, (cols + 1) // 2, 2).mean(axis=(1, 3), dtype=np.float32)
 
 
 def doubled(plane: Plane, shape: tuple[int, ...]) -> Plane:
-    """Each pixel as 2 x 2, as many as `shape` holds."""
+    """Repeat each pixel 2 x 2, cropped to `shape`."""
     return _as(plane, plane.repeat(2, axis=0)[: shape[0]].repeat(2, axis=1)[:, : shape[1]])
 
 

@@ -1,4 +1,4 @@
-"""Natural cubic splines along the rows of a map, through what is measured, into the gaps between."""
+"""Interpolation of gaps in a map by natural cubic splines along rows and columns."""
 
 from __future__ import annotations
 
@@ -9,10 +9,10 @@ from wafer_viewer.numerics.jit import lean_kernel
 
 
 def fill_rows(z: Float32s, max_gap: Whole, max_step: Real) -> Float32s:
-    """A copy of z with the gaps of NaN up to `max_gap` pixels along each row filled; nothing beyond the outermost.
+    """Return a copy of z with gaps of NaN up to `max_gap` pixels along each row filled, without extrapolation.
 
-    A gap whose two sides differ by more than `max_step` is a step: it stays, and no spline runs across it, nor across
-    a longer gap. Each run between those is a natural cubic spline of its own, solved by the Thomas algorithm.
+    A gap whose two sides differ by more than `max_step` is a step: it is not filled, and no spline crosses it or a
+    longer gap. Each run between these is a separate natural cubic spline, solved by the Thomas algorithm.
     """
     out = np.array(z, np.float32, order="C")
     _fill(out, max_gap, float(max_step), np.empty((3, z.shape[1])))
@@ -20,9 +20,9 @@ def fill_rows(z: Float32s, max_gap: Whole, max_step: Real) -> Float32s:
 
 
 def fill_gaps(z: Float32s, max_gap: Whole, max_step: Real) -> Float32s:
-    """A copy of z with its gaps filled along rows and along columns, by the mean where both reach.
+    """Return a copy of z with its gaps filled along rows and along columns, by the mean where both are available.
 
-    Both start from what is measured, so that no direction leaves its streaks and no gap is longer than allowed.
+    Both start from the measured pixels, so neither direction leaves streaks and no gap is longer than allowed.
     """
     by_row, by_col = fill_rows(z, max_gap, max_step), fill_rows(z.T, max_gap, max_step).T
     by_row = np.where(np.isnan(by_row), by_col, by_row)
@@ -31,7 +31,7 @@ def fill_gaps(z: Float32s, max_gap: Whole, max_step: Real) -> Float32s:
 
 @lean_kernel
 def _fill(z: Float32s, max_gap: Whole, max_step: Real, scratch: Float64s) -> None:
-    """One run after the other: from its first measured pixel to the last one before a step or a long gap."""
+    """Fill run by run: from its first measured pixel to the last one before a step or a long gap."""
     at, bend, factor = scratch[0], scratch[1], scratch[2]
     for r in range(z.shape[0]):
         row, count = z[r], np.int64(0)
@@ -52,7 +52,7 @@ def _fill(z: Float32s, max_gap: Whole, max_step: Real, scratch: Float64s) -> Non
 
 @lean_kernel
 def _spline(row: Float32s, at: Float64s, count: Whole, bend: Float64s, factor: Float64s) -> None:
-    """Second derivatives at the measured pixels, zero at both ends; then the heights between them."""
+    """Solve for the second derivatives at the measured pixels, zero at both ends, then interpolate."""
     last = count - 1
     bend[0], factor[0], bend[last] = 0.0, 0.0, 0.0
     for n in range(1, last):

@@ -1,6 +1,6 @@
-"""A surface read between its pixels: its layers at places that lie on a turned and shifted lattice.
+"""Affine resampling of the layers of a surface.
 
-Heights are interpolated bilinearly, and only between pixels that are all measured: no height is invented at a gap.
+Heights are interpolated bilinearly, and only between measured pixels: gaps are not filled.
 """
 
 from __future__ import annotations
@@ -12,11 +12,11 @@ from wafer_viewer.numerics.jit import kernel
 
 _NOT_COVERED = 10
 _ON_PIXEL = 1e-4
-"""So near to a pixel a place lies on it: its neighbours, measured or not, say nothing about it."""
+"""Distance in pixels below which a position counts as on a pixel and its neighbours are ignored."""
 
 
 class ResampledLayers(NamedTuple):
-    """The layers of a surface, all [row, col]."""
+    """Layers of a surface, all [row, col]."""
 
     z: Float32s
     raw: Float32s
@@ -27,10 +27,10 @@ class ResampledLayers(NamedTuple):
 
 @kernel
 def lay(source: ResampledLayers, motion: Float64s, out: ResampledLayers) -> None:
-    """Fill `out` with the source at (row, col) = motion [2, 3] @ (1, out row, out col); beyond it nothing is covered.
+    """Fill `out` with the source at (row, col) = motion [2, 3] @ (1, out row, out col); not covered beyond its border.
 
-    A height is unmeasured where a pixel that counts is, for that pixel's reason; filled where one is filled; as sure as
-    the least sure of them.
+    A height is unmeasured if a pixel with weight is, with that pixel's reason, and filled if one of them is filled. Its
+    confidence is the smallest of theirs.
     """
     n_rows, n_cols = source.z.shape
     for r in range(out.z.shape[0]):

@@ -1,4 +1,4 @@
-"""Kernels for many alike pieces of a surface: read on a lattice of their own, their typical values, their shifts.
+"""Kernels for many similar cells of a surface: affine resampling, median and spread, shifts.
 
 NaN is unmeasured throughout.
 """
@@ -15,9 +15,9 @@ MAD_TO_SIGMA = 1.4826
 
 @kernel
 def bridged(plane: Float32s) -> Float32s:
-    """A copy in which single unknown pixels are the mean of the two opposite neighbours that differ least.
+    """Return a copy with single unknown pixels replaced by the mean of the two most similar opposite neighbours.
 
-    That is along an edge, never across it.
+    This interpolates along an edge, never across it.
     """
     out = plane.copy()
     for r in range(1, plane.shape[0] - 1):
@@ -36,7 +36,7 @@ def bridged(plane: Float32s) -> Float32s:
 
 @kernel
 def less_products(plane: Float32s, by_row: Float64s, by_col: Float64s, out: Float32s) -> None:
-    """out[r, c] = plane[r, c] less the sum over k of by_row[k, r] * by_col[k, c]."""
+    """Set out[r, c] = plane[r, c] - sum over k of by_row[k, r] * by_col[k, c]."""
     line = np.empty(plane.shape[1])
     for r in range(plane.shape[0]):
         line[:] = 0
@@ -50,11 +50,11 @@ def less_products(plane: Float32s, by_row: Float64s, by_col: Float64s, out: Floa
 
 @kernel
 def read_affine(plane: Float32s, whole: Float32s, way: Float64s, out: Float32s) -> None:
-    """out[i, j] = plane at row way[0] + way[1] i + way[2] j, column way[3] + way[4] i + way[5] j.
+    """Set out[i, j] to plane at row way[0] + way[1] i + way[2] j, column way[3] + way[4] i + way[5] j.
 
-    NaN where the nearest pixel is unknown. whole: the plane `bridged`, so that a lost pixel takes no others with it.
-    Bicubic (Catmull and Rom) where all 16 pixels round a place are known, else bilinear of those of the four next to it
-    that are, NaN where unknown ones would weigh more than a quarter.
+    NaN if the nearest pixel is unknown. whole: the `bridged` plane, so that single unknown pixels do not spread.
+    Bicubic (Catmull-Rom) if all 16 pixels around a position are known, else bilinear of the known ones of the nearest
+    four, NaN if the unknown ones have more than a quarter of the weight.
     """
     n_rows, n_cols = plane.shape
     steps = np.arange(out.shape[1]).astype(np.float32)
@@ -79,7 +79,7 @@ def read_affine(plane: Float32s, whole: Float32s, way: Float64s, out: Float32s) 
 
 @kernel
 def _steps_within(at: Real, step: Real) -> int:
-    """How many steps, from a place in 0 ... 1 on, begin before its end; one at least."""
+    """Return the number of steps from a position in 0 ... 1 that start before its end; at least one."""
     if step == 0:
         return 2**30
     return max(1, int(min(2.0**30, np.ceil((1 - at) / step) if step > 0 else np.floor(at / -step) + 1)))
@@ -95,10 +95,10 @@ def _bicubic_run(
     steps: Float32s,
     out: Float32s,
 ) -> None:
-    """Places that follow each other along a row of pixels: a loop without branches, which runs in vectors.
+    """Interpolate successive positions along a row of pixels in a loop without branches, which can be vectorised.
 
-    row, col: of the pixel that lies over and left of the first place; at: how far the first place lies under it, and
-    how much further each next one; the same to the right of it.
+    row, col: pixel above and left of the first position; at: vertical offset of the first position and its increment,
+    then the same horizontally.
     """
     half, one, two = np.float32(0.5), np.float32(1), np.float32(2)
     three, four, five = np.float32(3), np.float32(4), np.float32(5)
@@ -142,9 +142,9 @@ def _bilinear(plane: Float32s, whole: Float32s, way: Float64s, i: int, j: int) -
 
 @kernel
 def typical(stack: Float32s, least: int, middle: Float32s, spread: Float32s) -> None:
-    """Median and robust standard deviation (1.4826 MAD) over the first axis of stack [n, row, col].
+    """Compute median and robust standard deviation (1.4826 MAD) over the first axis of stack [n, row, col].
 
-    NaN where fewer than `least` are known.
+    NaN if fewer than `least` are known.
     """
     n = stack.shape[0]
     values = np.empty(n, np.float32)
@@ -175,16 +175,17 @@ def _insert(values: Float32s, known: int, v: Real) -> None:
 
 @kernel
 def _far_from(values: Float32s, known: int, middle: Real) -> None:
-    """The first values become their distances from the middle, in order."""
+    """Replace the first values by their sorted distances from the middle."""
     for k in range(known):
         _insert(values, k, abs(values[k] - middle))
 
 
 @kernel
 def shift_sums(here: Float32s, typical_one: Float32s, offset: Real, limit: Real) -> Float64s:
-    """Normal equations of here - typical = offset + down * shift[0] + right * shift[1], [3, 4]: the right side is last.
+    """Return the normal equations of here - typical = offset + down * shift[0] + right * shift[1] as [3, 4].
 
-    down, right: slopes of the typical one; differences beyond `limit` of the offset count nothing.
+    The right side is the last column. down, right: slopes of `typical_one`; differences further than `limit` from the
+    offset are ignored.
     """
     n, d, r, z, dd, dr, rr, dz, rz = 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0
     for i in range(1, here.shape[0] - 1):

@@ -1,4 +1,4 @@
-"""Differences of two height maps that lie on each other at broken pixels."""
+"""Differences of two height maps at a subpixel offset."""
 
 from __future__ import annotations
 
@@ -9,10 +9,10 @@ from wafer_viewer.numerics.jit import lean_kernel, lean_part
 
 
 def differences(first: Float32s, second: Float32s, row_part: Real, col_part: Real, max_step: Real) -> Float32s:
-    """The second minus the first, at the first's pixels; float32, NaN where one of them has no height.
+    """Return the second minus the first at the pixels of the first; float32, NaN where either has no height.
 
-    first: [row, col]; second: [row + 1, col + 1], of which pixel (r, c) of the first lies at (r + row_part, c +
-    col_part), the parts in 0 ... 1. It is read bilinearly; beside NaN and steps over `max_step` nothing is compared.
+    first: [row, col]; second: [row + 1, col + 1]; pixel (r, c) of the first is at (r + row_part, c + col_part) of the
+    second, the parts in 0 ... 1. The second is interpolated bilinearly, not next to NaN or steps over `max_step`.
     """
     out = np.empty(first.shape, np.float32)
     parts = np.array([row_part, col_part], np.float32)
@@ -39,7 +39,7 @@ def _subtract_row(
     max_step: Real,
     out: Float32s,
 ) -> None:
-    """No comparison lets NaN pass."""
+    """Subtract one row; NaN fails every comparison."""
     for x in range(out.size):
         above, below = a[x] + t * (b[x] - a[x]), c[x] + t * (d[x] - c[x])
         flat = (abs(b[x] - a[x]) <= max_step) & (abs(d[x] - c[x]) <= max_step) & (abs(c[x] - a[x]) <= max_step)

@@ -1,4 +1,4 @@
-"""One level of a mosaic's pyramid from the one before: each pixel stands for 2 x 2, unmeasured ones left out."""
+"""Downsampling of one pyramid level of a mosaic by 2 x 2 pixels, ignoring unmeasured ones."""
 
 from __future__ import annotations
 
@@ -14,16 +14,16 @@ from wafer_viewer.numerics.jit import lean_kernel, lean_part
 Layers = dict[str, NDArray[Any]]
 """Arrays [row, col] of one window of a level by name."""
 _BEYOND = 255
-"""An origin that loses against every other: past an odd edge."""
+"""Origin code of the padding at an odd edge; every other code takes precedence."""
 _NOT_COVERED = int(Origin.NOT_COVERED)
 _MEANS = ("z_raw_um", "confidence", "overlap_um")
 
 
 def halve(layers: Layers) -> Layers:
-    """Half the resolution of a window whose z_min_um and z_max_um may be left out at level 0; odd edges are padded.
+    """Halve the resolution of a window; z_min_um and z_max_um may be absent at level 0; odd edges are padded.
 
-    A pixel with a measured child is measured and is the mean of its measured children; filled children count only
-    where there is no measured one. Its z_min_um and z_max_um span all heights below it, measured or filled.
+    A pixel with a measured child is measured and is the mean of its measured children; filled children count only if
+    none is measured. Its z_min_um and z_max_um span all heights below it, measured or filled.
     """
     origins, heights = _even(layers["origin"], _BEYOND), _even(layers["z_um"], np.nan)
     shape = origins.shape[0] // 2, origins.shape[1] // 2
@@ -42,7 +42,7 @@ def halve(layers: Layers) -> Layers:
 
 
 def _even(layer: NDArray[Any], beyond: float) -> NDArray[Any]:
-    """A layer with whole squares of 2 x 2 pixels; `beyond` stands outside of it."""
+    """Pad a layer with `beyond` to an even number of rows and columns."""
     rows, cols = layer.shape
     if rows % 2 or cols % 2:
         layer = np.pad(layer, ((0, rows % 2), (0, cols % 2)), constant_values=beyond)
@@ -63,7 +63,7 @@ def _least(above: UInt8s, below: UInt8s, out: UInt8s) -> None:
 
 @lean_kernel
 def _mean_of_best(heights: Float32s, origins: UInt8s, best: UInt8s, out: Float32s) -> None:
-    """The mean of those of the four whose origin is the best of them, NaN where they have no height."""
+    """Mean of those of the four pixels whose origin is the best of them, NaN if they have no height."""
     for r in range(out.shape[0]):
         _of_best(heights[2 * r], heights[2 * r + 1], origins[2 * r], origins[2 * r + 1], best[r], out[r])
 
@@ -81,7 +81,7 @@ def _of_best(a: Float32s, b: Float32s, origin_a: UInt8s, origin_b: UInt8s, best:
 
 @lean_kernel
 def _mean_of_known(layer: Float32s, out: Float32s) -> None:
-    """The mean of those of the four that are not NaN."""
+    """Mean of those of the four pixels that are not NaN."""
     for r in range(out.shape[0]):
         _of_known(layer[2 * r], layer[2 * r + 1], out[r])
 
@@ -126,7 +126,7 @@ def _high(a: Float32s, b: Float32s, out: Float32s) -> None:
 
 @lean_kernel
 def _mean_of_covered(grey: Greys, origins: UInt8s, out: Greys) -> None:
-    """The mean grey of those of the four that a field covers, 0 where none does."""
+    """Mean grey of those of the four pixels that a field covers, 0 if none."""
     for r in range(out.shape[0]):
         _of_covered(grey[2 * r], grey[2 * r + 1], origins[2 * r], origins[2 * r + 1], out[r])
 

@@ -1,4 +1,4 @@
-"""Which of many upright rectangles meet a window, and which meet each other, without looking at all of them."""
+"""Spatial index for intersections of axis-parallel rectangles."""
 
 from __future__ import annotations
 
@@ -11,10 +11,10 @@ from wafer_viewer.numerics.array_types import Float64s, Int64s
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Rectangles:
-    """Rectangles float64 [n] with their borders, kept by the cell that their upper left corner lies in.
+    """Rectangles float64 [n] by their borders, indexed by the cell of their upper left corner.
 
-    A cell is as large as the largest of them, so that what meets a place begins in its cell or in the one before.
-    Rectangles of NaN are nowhere.
+    A cell is as large as the largest rectangle, so one that contains a point starts in its cell or in the previous one.
+    Rectangles of NaN are ignored.
     """
 
     top: Float64s
@@ -27,7 +27,7 @@ class Rectangles:
 
     @classmethod
     def of(cls, top: Float64s, bottom: Float64s, left: Float64s, right: Float64s) -> Rectangles:
-        """The rectangles with these borders, each a row or a column number that still belongs to it."""
+        """Return the rectangles with these borders, inclusive row and column numbers."""
         there = np.flatnonzero(np.isfinite(top + left))
         tallest, widest = (float(np.max((b - a)[there], initial=0.0)) + 1 for a, b in ((top, bottom), (left, right)))
         keys = _keys(np.floor(top[there] / tallest), np.floor(left[there] / widest))
@@ -35,7 +35,7 @@ class Rectangles:
         return cls(top, bottom, left, right, (tallest, widest), keys[order], there[order])
 
     def meeting(self, top: float, bottom: float, left: float, right: float) -> list[int]:
-        """The numbers of those that share a point with a window, in rising order."""
+        """Return the indices of the rectangles that intersect a window, ascending."""
         rows = np.arange(np.floor(top / self.cell[0]) - 1, np.floor(bottom / self.cell[0]) + 1)
         first = np.searchsorted(self.keys, _keys(rows, np.floor(left / self.cell[1]) - 1))
         last = np.searchsorted(self.keys, _keys(rows, np.floor(right / self.cell[1])), "right")
@@ -45,7 +45,7 @@ class Rectangles:
         return sorted(near[meets].tolist())
 
     def pairs(self) -> tuple[Int64s, Int64s]:
-        """The numbers of all pairs that share a point, each pair once."""
+        """Return the indices of all intersecting pairs, each pair once."""
         rows, cols = np.floor(self.top[self.order] / self.cell[0]), np.floor(self.left[self.order] / self.cell[1])
         found = [self._ahead(_keys(rows + down, cols + right)) for down, right in ((0, 1), (1, -1), (1, 0), (1, 1))]
         found.append(self._together())
@@ -55,15 +55,15 @@ class Rectangles:
         return a[meets], b[meets]
 
     def _ahead(self, keys: Int64s) -> tuple[Int64s, Int64s]:
-        """Each rectangle with all those in the cell of its key."""
+        """Pair each rectangle with all those in the cell of its key."""
         return self._with(np.searchsorted(self.keys, keys), np.searchsorted(self.keys, keys, "right"))
 
     def _together(self) -> tuple[Int64s, Int64s]:
-        """Each rectangle with those that come after it in its own cell."""
+        """Pair each rectangle with the later ones in its own cell."""
         return self._with(np.arange(1, self.keys.size + 1), np.searchsorted(self.keys, self.keys, "right"))
 
     def _with(self, start: Int64s, stop: Int64s) -> tuple[Int64s, Int64s]:
-        """Each rectangle with those from `start` up to `stop`, all in the order of their cells."""
+        """Pair each rectangle with those from `start` up to `stop`, in the order of their cells."""
         n = stop - start
         first = np.repeat(np.arange(n.size), n)
         second = np.arange(first.size) - np.repeat(np.cumsum(n) - n, n) + np.repeat(start, n)
@@ -71,5 +71,5 @@ class Rectangles:
 
 
 def _keys(rows: Float64s, cols: Float64s | float) -> Int64s:
-    """One number for a cell, rising along its row and then from row to row."""
+    """Return one number per cell, ascending along its row and then from row to row."""
     return (np.asarray(rows) * 2.0**31 + cols).astype(np.int64)

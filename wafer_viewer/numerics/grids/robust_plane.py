@@ -1,8 +1,8 @@
-"""A robust plane through the differences of two height maps, and how sure it is.
+"""Robust plane fit to the differences of two height maps, with its covariance.
 
 M-estimate with Tukey's biweight (A. E. Beaton, J. W. Tukey, Technometrics 16 (1974) 147): false heights and edges that
-do not quite lie on each other are far from the plane and count nothing. Errors of neighbouring pixels are alike, so
-that a plane is less sure than the number of its pixels says: by how much is seen from the sums over blocks of them.
+are not quite aligned are far from the plane and have no weight. Errors of neighbouring pixels are correlated, so the
+plane is less certain than its number of pixels implies; sums over blocks of pixels show by how much.
 """
 
 from __future__ import annotations
@@ -18,9 +18,9 @@ from wafer_viewer.numerics.jit import lean_kernel, lean_part
 
 LEAST_PIXELS = 30
 _TUKEY = 4.685
-"""Deviations from which on a difference counts nothing: 95 % as sharp as least squares where errors are normal."""
+"""Cut-off of the biweight in standard deviations: 95 % efficiency for normal errors."""
 _TUKEY_SQUARES = 0.6605
-"""What the weighted squares of normal errors of deviation 1 come to, by weight."""
+"""Weighted sum of squares over the sum of weights for normal errors of standard deviation 1."""
 _MAD = 1.4826
 _STEPS = 8
 _SAMPLES = 5000
@@ -34,10 +34,10 @@ Numbers = NDArray[np.float64]
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Plane:
-    """value + slope_down (row - row0) + slope_right (col - col0), (row0, col0) the centroid of what was compared.
+    """value + slope_down (row - row0) + slope_right (col - col0), with (row0, col0) the centroid of the used pixels.
 
-    information: float64 [3, 3], inverse covariance of (value, slope_down, slope_right); n_pixels: that counted; rms: of
-    what they leave.
+    information: float64 [3, 3], inverse covariance of (value, slope_down, slope_right); n_pixels: number of used
+    pixels; rms: of their residuals.
     """
 
     row0: float
@@ -51,9 +51,9 @@ class Plane:
 
 
 def fit_plane(differences: Float32s, side: int) -> Plane | None:
-    """A plane through a map of differences, NaN where nothing is compared; None where less than 30 pixels are.
+    """Fit a plane to a map of differences, NaN where not compared; None with fewer than 30 pixels.
 
-    side: of the blocks, larger than errors of neighbours are alike.
+    side: block size, larger than the correlation length of the errors.
     """
     sample = _sample(differences)
     if len(sample) < min(LEAST_PIXELS, differences.size):
@@ -72,7 +72,7 @@ def fit_plane(differences: Float32s, side: int) -> Plane | None:
 
 
 def _sample(differences: Float32s) -> Numbers:
-    """Difference, row and column of some of the known pixels, [n, 3]."""
+    """Return difference, row and column of a sample of the known pixels, [n, 3]."""
     stride = max(1, math.isqrt(differences.size // _SAMPLES))
     some = differences[::stride, ::stride]
     rows, cols = np.nonzero(some == some)
@@ -80,9 +80,9 @@ def _sample(differences: Float32s) -> Numbers:
 
 
 def _summed(differences: Float32s, plane: Numbers, limit: float, side: int) -> Numbers:
-    """Sums over bands of about `side` rows, with weights w and what is left r, float64 [9, band, col].
+    """Return sums over bands of about `side` rows, with weights w and residuals r, float64 [9, band, col].
 
-    Of w, w row, w row^2, w r, w r row, (w r)^2, row (w r)^2, (row w r)^2 and the slope of w r.
+    Of w, w row, w row^2, w r, w r row, (w r)^2, row (w r)^2, (row w r)^2 and the derivative of w r.
     """
     n_rows, n_cols = differences.shape
     sums = np.zeros((max(1, n_rows // side), _N_SUMS, n_cols), np.float32)
@@ -91,14 +91,14 @@ def _summed(differences: Float32s, plane: Numbers, limit: float, side: int) -> N
 
 
 def _normal(sums: Numbers) -> tuple[Numbers, Numbers]:
-    """Normal matrix and right side of (value, slope down, slope right)."""
+    """Return normal matrix and right side of (value, slope down, slope right)."""
     _, _, _, wr, wry = sums[:5].sum(axis=1)
     x = np.arange(len(wr), dtype=np.float64)
     return _moments(*sums[:3]), np.array([wr.sum(), wry.sum(), wr @ x])
 
 
 def _moments(w: Numbers, wy: Numbers, wyy: Numbers) -> Numbers:
-    """Sums of the products of (1, row, col), weighted; all [band, col]."""
+    """Return the weighted sums of the products of (1, row, col) from sums [band, col]."""
     w, wy, wyy = w.sum(axis=0), wy.sum(axis=0), wyy.sum(axis=0)
     x = np.arange(len(w), dtype=np.float64)
     corner = float(wy @ x)
@@ -106,7 +106,7 @@ def _moments(w: Numbers, wy: Numbers, wyy: Numbers) -> Numbers:
 
 
 def _judged(plane: Numbers, sums: Numbers, side: int) -> Plane | None:
-    """The plane about its centroid, with what its residuals say of it (the sandwich of P. J. Huber, 1967)."""
+    """Return the plane about its centroid with the sandwich covariance of its residuals (P. J. Huber, 1967)."""
     normal = _moments(*sums[:3])
     weight = normal[0, 0]
     if not weight > 0:
@@ -124,9 +124,9 @@ def _judged(plane: Numbers, sums: Numbers, side: int) -> Plane | None:
 
 
 def _alike_pixels(left: Numbers, squares: float, side: int) -> float:
-    """How many pixels tell as much as an independent one: how much more sums over blocks scatter than they would.
+    """Return the number of pixels equivalent to one independent pixel, from the excess variance of block sums.
 
-    Rows and columns of blocks count as well, as on a straight wall that does not quite lie on the other.
+    Rows and columns of blocks are also used, for residuals along a straight wall that is not quite aligned.
     """
     n_blocks = max(1, left.shape[1] // side)
     starts = np.arange(n_blocks) * left.shape[1] // n_blocks

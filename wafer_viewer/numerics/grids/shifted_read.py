@@ -1,4 +1,4 @@
-"""Layers of a field read in the pixels of a window, at whole or broken pixels of its own, and put upright."""
+"""Reading of field layers at a subpixel shift, with correction of offset and tilt."""
 
 from __future__ import annotations
 
@@ -11,7 +11,10 @@ from wafer_viewer.numerics.jit import lean_kernel, lean_part
 
 
 class Shift(NamedTuple):
-    """Pixel (r, c) of a piece lies at (r + row + row_part, c + col + col_part) of a field, the parts in 0 ... 1."""
+    """Subpixel shift: pixel (r, c) of a piece is at (r + row + row_part, c + col + col_part) of a field.
+
+    The parts are in 0 ... 1.
+    """
 
     row: int
     col: int
@@ -20,7 +23,7 @@ class Shift(NamedTuple):
 
 
 class TiltedField(NamedTuple):
-    """What is subtracted from the heights at (r, c) of a piece: rows[r] + cols[c] + up[r] * right[c]."""
+    """Correction subtracted from the heights at (r, c) of a piece: rows[r] + cols[c] + up[r] * right[c]."""
 
     rows: Float32s
     cols: Float32s
@@ -32,9 +35,9 @@ class TiltedField(NamedTuple):
 def read_heights(
     layer: Float32s, shift: Shift, leaning: TiltedField, max_step: Real, out: Float32s, row: Whole, col: Whole
 ) -> None:
-    """Heights of a field in the window's pixels, from (row, col) of `out` on, as many as `leaning` has.
+    """Read the heights of a field into `out` from (row, col) on, in the size of `leaning`.
 
-    Where the field lies between the pixels it is read bilinearly, but never across NaN or a step over `max_step`.
+    Between pixels they are interpolated bilinearly, but not next to NaN or across a step over `max_step`.
     """
     n = leaning.cols.size
     s, t, limit = np.float32(shift.row_part), np.float32(shift.col_part), np.float32(max_step)
@@ -56,7 +59,7 @@ def read_heights(
 
 @lean_kernel
 def read_grey(picture: Greys, shift: Shift, out: Float32s) -> None:
-    """The grey of a picture in the pixels of a piece, bilinearly between its own."""
+    """Read the grey values of a picture at the pixels of a piece, interpolated bilinearly."""
     n = out.shape[1]
     ahead = shift.col + (1 if shift.col_part > 0 else 0)
     s, t = np.float32(shift.row_part), np.float32(shift.col_part)
@@ -90,7 +93,7 @@ def _between(
     right: Float32s,
     out: Float32s,
 ) -> None:
-    """The bilinear value, or the nearest one beside NaN (which no comparison lets pass) or a step; put upright."""
+    """Corrected bilinear value, or the nearest one next to NaN (which fails every comparison) or a step."""
     for x in range(out.size):
         above, below = a[x] + t * (b[x] - a[x]), c[x] + t * (d[x] - c[x])
         flat = (abs(b[x] - a[x]) <= limit) & (abs(d[x] - c[x]) <= limit) & (abs(c[x] - a[x]) <= limit)

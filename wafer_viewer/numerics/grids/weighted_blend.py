@@ -1,7 +1,6 @@
-"""Fields in the pixels of a window, blended one after the other.
+"""Weighted blending of fields into a window, one field after the other.
 
-The loops over a row write one array each: the compiler makes vectors of those, because it can still tell whether what
-is written overlaps with what is read.
+Each loop over a row writes one array, so that the compiler can rule out aliasing and vectorise it.
 """
 
 from __future__ import annotations
@@ -16,11 +15,11 @@ from wafer_viewer.numerics.jit import lean_kernel, lean_part
 _MEASURED = 0
 _NOT_COVERED = 10
 _LEAST_TRUST, _LEAST_SHARE = np.float32(1e-4), np.float32(0.01)
-"""What a height without any confidence, and one without any neighbour, still counts."""
+"""Minimum weights of a height without any confidence, and of one without any agreeing neighbour."""
 
 
 class Blended(NamedTuple):
-    """The layers of a window that one field after the other is blended into, all [row, col]."""
+    """Layers of the window that the fields are blended into, all [row, col]."""
 
     z: Float32s
     raw: Float32s
@@ -30,9 +29,9 @@ class Blended(NamedTuple):
 
 
 class BlendPiece(NamedTuple):
-    """The same layers of one field over a piece of the window, in the window's pixels, and what a height counts.
+    """Layers of one field over a piece of the window, in the window's pixels, with blend weights.
 
-    That is its belief times the weights of its row and column.
+    The weight of a height is its belief times the weights of its row and column.
     """
 
     z: Float32s
@@ -45,7 +44,7 @@ class BlendPiece(NamedTuple):
 
 
 class Tally(NamedTuple):
-    """What a piece of the window keeps beside its layers: the weight so far, and the span of raw heights."""
+    """Accumulators of a piece of the window: total weight, and range of the raw heights."""
 
     weight: Float32s
     lowest: Float32s
@@ -54,10 +53,10 @@ class Tally(NamedTuple):
 
 @lean_kernel
 def believe(layer: Float32s, confidence: Float32s, row: Whole, col: Whole, limit: Real, out: Float32s) -> None:
-    """How far heights of a field are believed, for a piece whose pixel (0, 0) lies nearest to (row, col) of the field.
+    """Compute the weights of a field's heights for a piece whose pixel (0, 0) is nearest to (row, col) of the field.
 
-    The square of the confidence, for errors are the larger the smaller it is; and the share of the eight neighbours
-    that lie within `limit` of the height, for a false one stands alone. Never nothing.
+    Product of the squared confidence, because errors grow as it falls, and the fraction of the eight neighbours within
+    `limit` of the height, because false heights are isolated. Never zero.
     """
     last_row, last_col = layer.shape[0] - 1, layer.shape[1] - 1
     for r in range(out.shape[0]):
@@ -76,10 +75,10 @@ def believe(layer: Float32s, confidence: Float32s, row: Whole, col: Whole, limit
 def blend_in(
     piece: BlendPiece, limit: Real, tally: Tally, scratch: Float32s, window: Blended, row: Whole, col: Whole
 ) -> None:
-    """Blend one more field into a piece of the window that begins at (row, col).
+    """Blend one more field into a piece of the window that starts at (row, col).
 
-    A measured height replaces a filled one; of two that differ by over `limit` the weightier stays; others are averaged
-    by their weights. scratch: [2, columns].
+    A measured height replaces a filled one. Of two that differ by more than `limit`, the one with the larger weight is
+    used; others are averaged by their weights. scratch: [2, columns].
     """
     n = piece.col_weights.size
     new, share = scratch[0], scratch[1]
@@ -99,7 +98,7 @@ def blend_in(
 
 @lean_kernel
 def blend_grey(grey: Float32s, row_weights: Float32s, col_weights: Float32s, weight: Float32s, total: Float32s) -> None:
-    """Blend the grey of one more picture into that of a piece, which has had a weight so far."""
+    """Blend the grey of one more picture into that of a piece with its accumulated weight."""
     for r in range(row_weights.size):
         _mix_grey(total[r], grey[r], row_weights[r], col_weights, weight[r])
         for x in range(col_weights.size):
@@ -108,7 +107,7 @@ def blend_grey(grey: Float32s, row_weights: Float32s, col_weights: Float32s, wei
 
 @lean_kernel
 def round_grey(grey: Float32s, out: Greys, row: Whole, col: Whole) -> None:
-    """Grey of a piece as whole numbers, from (row, col) of `out` on."""
+    """Round the grey of a piece to integers and write it to `out` from (row, col) on."""
     n = grey.shape[1]
     for r in range(grey.shape[0]):
         _round(grey[r], out[row + r, col : col + n])
@@ -116,7 +115,7 @@ def round_grey(grey: Float32s, out: Greys, row: Whole, col: Whole) -> None:
 
 @lean_part
 def _count_near(a: Float32s, b: Float32s, c: Float32s, limit: Real, out: Float32s) -> None:
-    """The eighth of how many neighbours are near, and a little; the rows begin one pixel before `out`."""
+    """Write the fraction of near neighbours plus a minimum; the input rows start one pixel before `out`."""
     for x in range(out.size):
         z = b[x + 1]
         over = np.float32(abs(a[x] - z) <= limit) + np.float32(abs(a[x + 1] - z) <= limit)
@@ -149,7 +148,7 @@ def _share(
     limit: Real,
     share: Float32s,
 ) -> None:
-    """How much of the blended height is the new one's: 0 where it does not count, 1 where it takes the place."""
+    """Write the weight of the new height in the blend: 0 if it does not count, 1 if it replaces the old one."""
     for x in range(share.size):
         there, had = new[x] == new[x], old[x] == old[x]
         measured, was_measured = new_origin[x] == _MEASURED, old_origin[x] == _MEASURED
@@ -162,7 +161,7 @@ def _share(
 
 @lean_part
 def _mix(old: Float32s, new: Float32s, share: Float32s) -> None:
-    """NaN counts only where it is all that counts."""
+    """Mix old and new by `share`; NaN is used only if it is the only value."""
     for x in range(old.size):
         mixed = old[x] + share[x] * (new[x] - old[x]) if share[x] < 1 else new[x]
         old[x] = mixed if share[x] > 0 else old[x]
@@ -183,7 +182,7 @@ def _gain(weight: Float32s, new: Float32s, share: Float32s) -> None:
 
 @lean_part
 def _spread(lowest: Float32s, highest: Float32s, raw: Float32s, overlap: Float32s) -> None:
-    """Widen the span of raw heights; where it has two of them, it is the overlap's difference."""
+    """Extend the range of raw heights; with two or more of them it is the overlap difference."""
     for x in range(raw.size):
         top = raw[x] if raw[x] > highest[x] else highest[x]
         bottom = raw[x] if raw[x] < lowest[x] else lowest[x]

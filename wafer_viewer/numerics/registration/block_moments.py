@@ -1,7 +1,7 @@
-"""Sums over blocks of two pictures that lie on each other: all that a fit of their shift needs to know of them.
+"""Block-wise sums of products of two overlapping pictures, sufficient for a fit of their shift.
 
-Between its pixels a picture is read by a Gaussian that is wide enough for the noise to be the same at every place: with
-a narrower kernel the noise would pull a fit to the middle between pixels, where it is smoothed most.
+Between its pixels a picture is interpolated by a Gaussian wide enough for equal noise at every position. A narrower
+kernel would bias a fit towards the middle between pixels, where noise is smoothed most.
 """
 
 from __future__ import annotations
@@ -13,7 +13,7 @@ from wafer_viewer.numerics.array_types import Float32s, Int64s
 from wafer_viewer.numerics.jit import lean_kernel, lean_part
 
 REACH = 3
-"""Pixels on each side that a place is read from."""
+"""Half width of the interpolation kernel in pixels."""
 N_LINES = 5
 N_PRODUCTS = 15
 _SIGMA_PX = 0.85
@@ -21,7 +21,7 @@ _TAPS = 2 * REACH + 1
 
 
 def taps(part: float) -> Float32s:
-    """Weights of the value and of the slope at a place `part` (-0.5 ... 0.5) beyond the middle of 7 pixels, [2, 7]."""
+    """Return the weights of value and slope at a position `part` (-0.5 ... 0.5) from the middle of 7 pixels, [2, 7]."""
     away = np.arange(-REACH, REACH + 1) - part
     value = np.exp(-((away / _SIGMA_PX) ** 2) / 2)
     value /= value.sum()
@@ -37,11 +37,11 @@ def block_sums(
     lag: tuple[float, float],
     side: int,
 ) -> NDArray[np.float64]:
-    """Sums over blocks of side x side pixels of all products of (1, first, second, slope down, slope right).
+    """Return the block sums of all products of (1, first, second, slope down, slope right).
 
-    float64 [block row, block col, 5, 5]: pixel (r, c) of the first beside the second at (r - lag row, c - lag col),
-    smoothed alike; the slopes are those of the second. Pixels that one of them does not know count nothing (known: 1 or
-    0), nor does a rim of 3. None where nothing is common.
+    float64 [block row, block col, 5, 5], over blocks of about side x side pixels. Pixel (r, c) of the first is compared
+    with the second at (r - lag row, c - lag col), both smoothed equally; the slopes are those of the second. Pixels
+    unknown in either (known: 1 or 0) and a rim of 3 do not count. Empty without common pixels.
     """
     spans = [_span(a, b, n) for a, b, n in zip(first.shape, second.shape, lag, strict=True)]
     n_rows, n_cols = (stop - start for start, stop, _ in spans)
@@ -58,19 +58,19 @@ def block_sums(
 
 
 def _span(first: int, second: int, lag: float) -> tuple[int, int, int]:
-    """The pixels of the first that have all their neighbours in both, and the whole part of the lag."""
+    """Return the range of the first's pixels with all neighbours in both, and the integer part of the lag."""
     whole = round(lag)
     return max(0, whole) + REACH, min(first, whole + second) - REACH, whole
 
 
 def _starts(n: int, side: int) -> NDArray[np.intp]:
-    """Where blocks of about `side` pixels begin."""
+    """Return the start indices of blocks of about `side` pixels."""
     n_blocks = max(1, n // side)
     return np.arange(n_blocks) * n // n_blocks
 
 
 def _square(sums: NDArray[np.float64]) -> NDArray[np.float64]:
-    """[band, product, block] as symmetric matrices."""
+    """Convert [band, product, block] to symmetric matrices."""
     i, j = np.triu_indices(N_LINES)
     out = np.empty((sums.shape[0], sums.shape[2], N_LINES, N_LINES))
     out[:, :, i, j] = out[:, :, j, i] = sums.transpose(0, 2, 1)
@@ -114,7 +114,7 @@ def _sum(
 
 @lean_part
 def _weigh(picture: Float32s, row: int, left: int, weights: Float32s, out: Float32s) -> None:
-    """One row between the rows of a picture."""
+    """Interpolate one row between the rows of a picture."""
     w0, w1, w2, w3, w4, w5, w6 = weights
     start = left - 3
     a, b, c = picture[row - 3, start:], picture[row - 2, start:], picture[row - 1, start:]

@@ -1,7 +1,7 @@
-"""How alike two pictures are at every whole shift: normalised correlation of the pixels that both know.
+"""Masked normalised cross-correlation of two pictures at all integer shifts.
 
 Source: D. Padfield, Masked object registration in the Fourier domain, IEEE Trans. Image Process. 21 (2012) 2706,
-for pictures whose local mean was taken away.
+for pictures with the local mean removed.
 """
 
 from __future__ import annotations
@@ -15,15 +15,15 @@ from numpy.typing import NDArray
 from wafer_viewer.numerics.array_types import Bools, Float32s
 
 _STEEPEST = 3.0
-"""Contrast counts up to about three times its usual size: one bright spot must not speak for the whole overlap."""
+"""Contrast saturates at about three times its typical value, so that one bright spot does not dominate the overlap."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Likeness:
-    """What is known of a square of lags, all [lag row, lag col].
+    """Correlation over a square of lags, all [lag row, lag col].
 
-    correlation: -1 ... 1, 0 where too few pixels are common; pixels: how many are; sigmas: how far the correlation is
-    above what two unlike pictures with as much structure would reach, in standard deviations.
+    correlation: -1 ... 1, 0 with too few common pixels; pixels: number of common pixels; sigmas: excess of the
+    correlation over that of two unrelated pictures with equal structure, in standard deviations.
     """
 
     correlation: NDArray[np.float64]
@@ -32,9 +32,9 @@ class Likeness:
 
 
 def contrast(picture: Float32s, known: Bools, size: int) -> Float32s:
-    """The picture less its local mean of size x size pixels, strong contrast held down; 0 where it is not known.
+    """Return the picture minus its local mean of size x size pixels, with saturated contrast; 0 where unknown.
 
-    It does not change, but for its scale, when the picture gets brighter or darker as a whole or slowly across.
+    Invariant, except for scale, to uniform or slowly varying changes of brightness.
     """
     from wafer_viewer.numerics.filters.sliding_filters import mean, mean_of_known
 
@@ -48,9 +48,9 @@ def contrast(picture: Float32s, known: Bools, size: int) -> Float32s:
 def likeness(
     first: Float32s, first_known: Bools, second: Float32s, second_known: Bools, lag: tuple[int, int], reach: int
 ) -> Likeness:
-    """Compare two contrasts at all lags within `reach` of a lag (rows, cols).
+    """Correlate two contrast images at all lags within `reach` of a lag (rows, cols).
 
-    At a lag, pixel (r, c) of the second lies on pixel (r + lag row, c + lag col) of the first. What is unknown is 0.
+    At a lag, pixel (r, c) of the second is at pixel (r + lag row, c + lag col) of the first. Unknown pixels are 0.
     """
     import scipy.fft
 
@@ -72,7 +72,7 @@ def likeness(
 
 
 def _room(first: tuple[int, ...], second: tuple[int, ...], lag: tuple[int, int], reach: int) -> tuple[int, int]:
-    """The smallest torus on which no lag within reach meets a pixel twice."""
+    """Return the smallest size without wrap-around at any lag within reach."""
     rows, cols = (max(a, a - n + reach, b, b + n + reach) for a, b, n in zip(first, second, lag, strict=True))
     return rows, cols
 
@@ -82,9 +82,10 @@ def _moments(picture: Float32s, known: Bools) -> Float32s:
 
 
 def _alike_pixels(common: Float32s, first: Float32s, second: Float32s) -> float:
-    """How many pixels tell as much as one independent one (Bartlett): the sum of both autocorrelations' product.
+    """Return the number of pixels equivalent to one independent pixel, after Bartlett.
 
-    It is the mean square of the correlation over all shifts, which structure that goes on over many pixels makes large.
+    It is the sum of the product of both autocorrelations, which equals the mean square of the correlation over all
+    shifts. It is large for structures that extend over many pixels.
     """
     energy = float(np.vdot(first, first)) * float(np.vdot(second, second))
     return max(1.0, float(np.vdot(common, common)) / energy) if energy > 0 else 1.0

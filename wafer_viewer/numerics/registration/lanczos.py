@@ -1,7 +1,7 @@
-"""A picture read between its pixels, along rows and columns apart, by the windowed sinc of six points (Lanczos).
+"""Separable resampling of a picture by a windowed sinc of six points (Lanczos).
 
-Shorter kernels smooth more the nearer a place is to the middle between two pixels: frames that drift would look sharper
-and blurrier in turn.
+Shorter kernels smooth more near the middle between two pixels, so drifting frames would alternate between sharp and
+blurred.
 """
 
 from __future__ import annotations
@@ -15,19 +15,19 @@ from wafer_viewer.numerics.array_types import Float32s, Greys, Int64s, Real
 from wafer_viewer.numerics.jit import fast_kernel
 
 REACH = 3
-"""Points on each side of a place."""
+"""Points on each side of a position."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Taps:
-    """The six points around each of n places along an axis: the first one, and the weights [point, place]."""
+    """The six taps around each of n positions along an axis: index of the first, and weights [tap, position]."""
 
     first: NDArray[np.int64]
     weights: NDArray[np.float32]
 
     @classmethod
     def at(cls, places: NDArray[np.float64]) -> Taps:
-        """The points around places, which must rise."""
+        """Return the taps around positions, which must ascend."""
         floor = np.floor(places)
         parts, of_place = np.unique((places - floor).round(4), return_inverse=True)
         away = parts - np.arange(1 - REACH, REACH + 1)[:, None]
@@ -36,17 +36,17 @@ class Taps:
         return cls(floor.astype(np.int64) + 1 - REACH, np.ascontiguousarray(weights[:, of_place]))
 
     def seen_from(self, start: int) -> Taps:
-        """The same points in a part of the picture that begins at `start`."""
+        """Return the taps relative to a part of the picture that starts at `start`."""
         return Taps(self.first - start, self.weights)
 
     @property
     def span(self) -> tuple[int, int]:
-        """The first point of all, and one past the last."""
+        """First point of all, and one past the last."""
         return int(self.first[0]), int(self.first[-1]) + 2 * REACH
 
 
 def resampled(picture: Greys, rows: Taps, cols: Taps) -> Greys:
-    """The picture at the places of rows x cols, rounded to what it is made of; beyond it its border pixels repeat."""
+    """Resample a picture at the positions rows x cols, rounded to its dtype; border pixels are replicated."""
     part = _repeated(_repeated(picture, rows.span, 0), cols.span, 1)
     out = np.empty((len(rows.first), len(cols.first)), picture.dtype)
     line = np.empty(part.shape[1], np.float32)
@@ -57,7 +57,7 @@ def resampled(picture: Greys, rows: Taps, cols: Taps) -> Greys:
 
 
 def _repeated(picture: Greys, span: tuple[int, int], axis: int) -> Greys:
-    """The pixels of a span along an axis, which may reach beyond the picture."""
+    """Return the pixels of a span along an axis, replicating border pixels outside the picture."""
     length = picture.shape[axis]
     if span[0] >= 0 and span[1] <= length:
         return picture[span[0] : span[1]] if axis == 0 else picture[:, span[0] : span[1]]
@@ -95,7 +95,7 @@ def _down(part: Greys, weights: Float32s, line: Float32s) -> None:
 
 @fast_kernel
 def _run(first: Int64s, start: int) -> int:
-    """Where the columns that follow each other pixel by pixel end: the loop over them runs in vectors."""
+    """Return the end of a run of consecutive columns, over which the loop can be vectorised."""
     stop = start + 1
     while stop < first.size and first[stop] - first[start] == stop - start:
         stop += 1

@@ -1,7 +1,7 @@
-"""How blocks of two pictures that lie on each other pull at their lag, how much they agree, and how sure they make it.
+"""Gradient, agreement and covariance of a shift estimate from blocks of two overlapping pictures.
 
-How sure comes from how differently they pull (the sandwich of P. J. Huber, 1967): noise that neighbouring pixels share,
-or pictures that do not quite agree, make it less sure, as they should.
+The covariance comes from the scatter of the block gradients (the sandwich of P. J. Huber, 1967): noise shared by
+neighbouring pixels, or pictures that differ slightly, increase it as they should.
 """
 
 from __future__ import annotations
@@ -13,15 +13,19 @@ from numpy.typing import NDArray
 
 _AREAS = (4, 8)
 _SHOWS, _SMOOTHED = 3.0, 0.33
-"""A block shows something when its variance is over three times that of the noise that is left in reading it."""
+"""A block has signal if its variance exceeds three times that of the noise left after smoothing."""
 
 Numbers = NDArray[np.float64]
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class BlockGradients:
-    """What the blocks tell, all [n block]: index [n, 2], place [n, 2] in -1 ... 1, pixels, variances and covariance of
-    the two, pull [n, 2] and stiffness [n, 2, 2] of the lag, and trust: how much of its slopes a block adds to that."""
+    """Statistics of the blocks, all [n block].
+
+    index: [n, 2]; place: [n, 2] in -1 ... 1; pixels: number; first, second, both: variances and covariance of the two
+    pictures; pull [n, 2] and stiffness [n, 2, 2]: gradient and Hessian of the lag; trust: weight of a block's slopes in
+    the Hessian.
+    """
 
     index: NDArray[np.intp]
     place: Numbers
@@ -35,7 +39,7 @@ class BlockGradients:
 
 
 def pulls_of(sums: Numbers, index: NDArray[np.intp], place: Numbers) -> BlockGradients:
-    """Each block with a brightness and contrast of its own: what is left is what a shift explains."""
+    """Return the block gradients with a separate brightness and contrast per block, so only a shift remains."""
     n = sums[:, 0, 0]
     spread = sums[:, 1:, 1:] - sums[:, 1:, :1] * sums[:, :1, 1:] / n[:, None, None]
     first, second, both = np.maximum(spread[:, 0, 0], 0), np.maximum(spread[:, 1, 1], 0), spread[:, 0, 1]
@@ -50,13 +54,13 @@ def pulls_of(sums: Numbers, index: NDArray[np.intp], place: Numbers) -> BlockGra
 
 
 def correlation(blocks: BlockGradients) -> float:
-    """Of what varies within blocks, -1 ... 1."""
+    """Return the correlation within blocks, -1 ... 1."""
     energy = float(blocks.first.sum() * blocks.second.sum())
     return float(blocks.both.sum()) / energy**0.5 if energy > 0 else 0.0
 
 
 def covariance(blocks: BlockGradients, stiffness: Numbers) -> Numbers:
-    """Of the lag, from how differently the blocks pull; infinite where the stiffness holds it in no direction."""
+    """Return the covariance of the lag from the scatter of the gradients; infinite for a singular Hessian."""
     n = len(blocks.pixels)
     if n < 4 or not (np.diag(stiffness) > 0).all() or np.linalg.det(stiffness) <= 1e-9 * np.prod(np.diag(stiffness)):
         return np.full((2, 2), np.inf)
@@ -68,7 +72,7 @@ def covariance(blocks: BlockGradients, stiffness: Numbers) -> Numbers:
 
 
 def _spread_of_lines(blocks: BlockGradients) -> Numbers:
-    """The spread of the pulls when blocks in a row and those in a column may err together, as along a straight edge.
+    """Return the scatter of the gradients with errors correlated along rows and columns, as at a straight edge.
 
     Source: A. C. Cameron, J. B. Gelbach, D. L. Miller, J. Bus. Econ. Stat. 29 (2011) 238.
     """
@@ -77,7 +81,7 @@ def _spread_of_lines(blocks: BlockGradients) -> Numbers:
 
 
 def _spread_of_areas(blocks: BlockGradients) -> Numbers:
-    """The same for blocks that are near each other: parts of a picture that come from different frames."""
+    """Return the same for nearby blocks: areas of a picture that come from different frames."""
     return np.maximum(*(_spread_of(blocks.pull, _numbered(blocks.index // side)) for side in _AREAS))
 
 
@@ -92,9 +96,9 @@ def _spread_of(pull: Numbers, cluster: NDArray[np.intp]) -> Numbers:
 
 
 def agreeing(blocks: BlockGradients, noise: float) -> float:
-    """How much of what is to be seen lies in blocks that are at least half as alike as the best of them.
+    """Return the fraction of the signal in blocks with at least half the correlation of the best ones.
 
-    A block of strong contrast does not count for more than others that show more than noise.
+    A block of strong contrast has no more weight than others with a signal above noise.
     """
     strength = np.sqrt(blocks.first * blocks.second) / np.maximum(blocks.pixels, 1)
     seen = blocks.pixels * strength**2 / (strength**2 + (_SHOWS * (_SMOOTHED * noise) ** 2) ** 2 + 1e-30)
@@ -106,9 +110,9 @@ def agreeing(blocks: BlockGradients, noise: float) -> float:
 
 
 def bent(blocks: BlockGradients) -> tuple[float, float]:
-    """How far lags at the ends differ from that in the middle, in pixels and in standard deviations.
+    """Return the deviation of lags at the ends from that in the middle, in pixels and in standard deviations.
 
-    Fits a lag that changes evenly across the blocks: content that is turned or grown against the other.
+    Fits a lag that varies linearly across the blocks, for contents rotated or scaled against each other.
     """
     n = len(blocks.pixels)
     if n < 8:

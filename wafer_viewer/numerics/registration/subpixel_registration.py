@@ -1,7 +1,7 @@
-"""The shift between two pictures to a small part of a pixel, and how sure it is.
+"""Subpixel shift between two pictures, with covariance.
 
-Gauss-Newton on grey values (B. D. Lucas, T. Kanade, IJCAI 1981), block by block: each block has a brightness and a
-contrast of its own, so that no light that differs matters, and counts by how well it fits.
+Gauss-Newton on grey values (B. D. Lucas, T. Kanade, IJCAI 1981), block by block. Each block has its own brightness and
+contrast, so differences in illumination do not matter, and a weight by its quality of fit.
 """
 
 from __future__ import annotations
@@ -29,9 +29,9 @@ _TELLING_PX, _PROBE_PX = 0.05, 0.2
 _LEAST_EASE = 0.05
 _NOISE_SLOPE = 0.3
 _CLEARLY = 10.0
-"""Slopes ten times those of the noise move with the picture; weaker ones are looked at."""
+"""Slopes above ten times those of the noise are attributed to the picture; weaker ones are probed."""
 _LEAST_PIXELS = 0.2
-"""A block that knows fewer of its pixels tells nothing."""
+"""Smallest known fraction of a block's pixels, relative to the fullest block."""
 
 Numbers = NDArray[np.float64]
 Lag = tuple[float, float]
@@ -39,9 +39,9 @@ Lag = tuple[float, float]
 
 @dataclass(frozen=True, slots=True, eq=False)
 class RegisteredImage:
-    """A part of a picture and which of its pixels are known (1 or 0), float32 [row, col].
+    """Part of a picture with its mask of known pixels (1 or 0), float32 [row, col].
 
-    noise: at most the standard deviation of its noise, as far as it differs from pixel to pixel.
+    noise: upper bound of the standard deviation of its pixel-to-pixel noise.
     """
 
     values: Float32s
@@ -51,11 +51,11 @@ class RegisteredImage:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class SubpixelShift:
-    """A lag (rows, cols) in pixels: pixel (r, c) of the second lies on (r + lag row, c + lag col) of the first.
+    """A lag (rows, cols) in pixels: pixel (r, c) of the second is at (r + lag row, c + lag col) of the first.
 
-    covariance: [2, 2], infinite where nothing tells; correlation: of what varies within blocks, -1 ... 1; agreeing:
-    share of the contrast that lies in blocks which fit on their own; bent_px: by how much the blocks at the far ends
-    want other lags than the middle, and bent_sigmas, how surely they do.
+    covariance: [2, 2], infinite if undetermined; correlation: within blocks, -1 ... 1; agreeing: fraction of the
+    contrast in blocks that fit on their own; bent_px: deviation of the lags of the outermost blocks from that in the
+    middle, and bent_sigmas: its significance.
     """
 
     lag: Lag
@@ -68,10 +68,10 @@ class SubpixelShift:
 
 
 def align(first: RegisteredImage, second: RegisteredImage, lag: Lag, side: int, roughly: bool = False) -> SubpixelShift:
-    """Refine a lag that is right within about a pixel.
+    """Refine a lag that is correct within about a pixel.
 
-    side: of the blocks, about, in pixels; roughly: to a twentieth of a pixel, with a covariance that is too small where
-    there is much noise.
+    side: approximate block size in pixels; roughly: stop at a twentieth of a pixel, with a covariance that is too small
+    under strong noise.
     """
     pulls, ease, close_px = _pulls(first, second, lag, side), 1.0, ROUGHLY_PX if roughly else CLOSE_PX
     for _ in range(MOST_STEPS):
@@ -93,19 +93,19 @@ def align(first: RegisteredImage, second: RegisteredImage, lag: Lag, side: int, 
 
 
 def _eased(before: BlockGradients, after: BlockGradients, step: Numbers) -> float:
-    """How much of the stiffness is real: noise makes slopes too, which do not move with the picture."""
+    """Return the real fraction of the Hessian: slopes of the noise do not move with the picture."""
     told = float(step @ (before.pull.sum(axis=0) - after.pull.sum(axis=0)))
     return min(1.0, max(_LEAST_EASE, told / max(float(step @ before.stiffness.sum(axis=0) @ step), 1e-30)))
 
 
 def _is_clear(pulls: BlockGradients, noise: float) -> bool:
-    """Whether the slopes are those of the picture in every direction."""
+    """Return whether the slopes are those of the picture in every direction."""
     of_noise = float((pulls.trust * pulls.pixels).sum()) * (_NOISE_SLOPE * noise) ** 2
     return bool(np.linalg.eigvalsh(pulls.stiffness.sum(axis=0))[0] > _CLEARLY * of_noise)
 
 
 def _probed(first: RegisteredImage, second: RegisteredImage, lag: Lag, side: int) -> Numbers:
-    """The stiffness as it is felt: by how much the pull grows to both sides of a lag."""
+    """Return the Hessian by finite differences of the gradient on both sides of a lag."""
     felt = np.empty((2, 2))
     for axis in (0, 1):
         ahead, behind = (
@@ -127,7 +127,7 @@ def _pulls(first: RegisteredImage, second: RegisteredImage, lag: Lag, side: int)
 
 
 def _step(pulls: BlockGradients, ease: float) -> Numbers:
-    """One step of Gauss-Newton, a pixel at most."""
+    """Return one Gauss-Newton step of at most a pixel."""
     stiffness = pulls.stiffness.sum(axis=0) * ease
     stiffness = stiffness + 1e-6 * np.trace(stiffness) * np.eye(2) + 1e-30 * np.eye(2)
     return np.linalg.solve(stiffness, pulls.pull.sum(axis=0)).clip(-1, 1)

@@ -1,1 +1,1 @@
-"""Placed fields blended into one surface."""
+"""Blending of placed fields into one surface."""

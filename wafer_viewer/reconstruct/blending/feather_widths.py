@@ -1,4 +1,4 @@
-"""How far each field fades out towards its borders: over its real overlap with the neighbour on that side."""
+"""Feather widths of each field: its actual overlap with the neighbour on each side."""
 
 from __future__ import annotations
 
@@ -8,17 +8,17 @@ from numpy.typing import NDArray
 from wafer_viewer.numerics.grids.rectangle_overlap import Rectangles
 
 Lengths = NDArray[np.float64]
-"""[n, 4]: the ramps of n fields at their top, bottom, left and right border, in pixels; 0 without a neighbour."""
+"""[n, 4]: ramp lengths of n fields at their top, bottom, left and right border, in pixels; 0 without a neighbour."""
 TOP, BOTTOM, LEFT, RIGHT = range(4)
 DIAGONAL = 0.25
-"""Neighbours whose distances along x and y differ by less than this share of a field lie diagonally."""
+"""Neighbours whose distances along x and y differ by less than this fraction of a field are diagonal."""
 
 
 def ramps(fields: Rectangles) -> Lengths:
-    """The lengths of all ramps: from a field's own border to where its nearest neighbour on that side begins.
+    """Return the lengths of all ramps, from a field's border to the start of its nearest neighbour on that side.
 
-    A neighbour is on the side on which it is furthest away, measured by the size of the field; one that lies
-    diagonally is on both.
+    A neighbour belongs to the side on which it is furthest away, relative to the size of the field; a diagonal
+    neighbour belongs to both.
     """
     first, second = fields.pairs()
     lengths = np.zeros((fields.top.size, 4))
@@ -28,7 +28,7 @@ def ramps(fields: Rectangles) -> Lengths:
 
 
 def _lengthen(lengths: Lengths, fields: Rectangles, own: NDArray[np.int64], other: NDArray[np.int64]) -> None:
-    """Let each field reach as far as its overlap with another one asks for."""
+    """Extend the ramps of each field to its overlap with another one."""
     height, width = fields.bottom[own] - fields.top[own] + 1, fields.right[own] - fields.left[own] + 1
     down = (fields.top[other] + fields.bottom[other] - fields.top[own] - fields.bottom[own]) / 2 / height
     right = (fields.left[other] + fields.right[other] - fields.left[own] - fields.right[own]) / 2 / width

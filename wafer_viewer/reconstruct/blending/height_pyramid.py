@@ -1,4 +1,4 @@
-"""Half the resolution of a height map, by the one rule of all pyramids; and maps in bands joined to one."""
+"""Downsampling of height maps by the rule of all pyramids, and concatenation of bands."""
 
 from __future__ import annotations
 
@@ -16,13 +16,13 @@ LAYERS = ("z_um", "z_raw_um", "confidence", "all_in_focus", "origin")
 
 
 def layers_of(height: HeightMap) -> dict[str, NDArray[Any]]:
-    """The layers of a map by name, the differences of overlaps among them where it has them."""
+    """Return the layers of a map by name, including the overlap differences if it has them."""
     names = LAYERS if height.overlap_um is None else (*LAYERS, "overlap_um")
     return {name: getattr(height, name) for name in names}
 
 
 def halved(height: HeightMap) -> HeightMap:
-    """The next level up: each pixel stands for 2 x 2 of which unmeasured ones are left out."""
+    """Return the next pyramid level: each pixel is the mean of the measured ones of 2 x 2."""
     layers = layers_of(height)
     half = halve(layers)
     return dataclasses.replace(
@@ -35,7 +35,7 @@ def halved(height: HeightMap) -> HeightMap:
 
 
 def joined(bands: Sequence[HeightMap]) -> HeightMap:
-    """Maps that lie below one another as one, at the position of the first."""
+    """Concatenate vertically adjacent maps, at the position of the first."""
     if len(bands) == 1:
         return bands[0]
     layers = {name: np.concatenate([getattr(b, name) for b in bands]) for name in layers_of(bands[0])}

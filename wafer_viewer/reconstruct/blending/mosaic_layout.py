@@ -1,4 +1,4 @@
-"""Where fields lie in a mosaic, in its pixels, how they lean there, and how far they fade out."""
+"""Layout of fields in a mosaic: pixel positions, tilts and feather widths."""
 
 from __future__ import annotations
 
@@ -16,9 +16,9 @@ from wafer_viewer.numerics.grids.rectangle_overlap import Rectangles
 from wafer_viewer.reconstruct.blending.feather_widths import BOTTOM, LEFT, RIGHT, TOP, Lengths, ramps
 
 SNAP_PX = 1e-3
-"""A field within a thousandth of a pixel of the mosaic's lattice lies on it: nothing is gained by resampling."""
+"""A field this close to the mosaic lattice is snapped to it; resampling would gain nothing."""
 MARGIN_PX = 32
-"""Room round the planned fields: those that come later or turn out to lie elsewhere still fit in."""
+"""Margin around the planned fields, for fields that are added later or found elsewhere."""
 SAME_PIXEL_FRACTION = 1e-6
 
 Numbers = NDArray[np.float64]
@@ -28,7 +28,7 @@ Part = tuple[slice, slice]
 
 @dataclass(frozen=True, slots=True)
 class PixelLattice:
-    """The pixels of a mosaic: (x0_um, y0_um) is the centre of pixel (0, 0)."""
+    """Pixel lattice of a mosaic: (x0_um, y0_um) is the centre of pixel (0, 0)."""
 
     pixel_um: float
     x0_um: float
@@ -38,9 +38,10 @@ class PixelLattice:
 
 @dataclass(frozen=True, slots=True)
 class FieldTilt:
-    """What is subtracted from the heights of a field: z_um at its centre, so much a pixel to the right and up, and sag.
+    """Height correction subtracted from a field: z_um at its centre, gradients per pixel right and up, and sag.
 
-    sag_um: the coefficients of u^2, u v and v^2, with u to the right and v upwards, both 1 so far (px) from the centre.
+    sag_um: the coefficients of u^2, u v and v^2, with u to the right and v upwards, both 1 at so_far_px from the
+    centre.
     """
 
     z_um: float = 0.0
@@ -50,7 +51,7 @@ class FieldTilt:
     so_far_px: tuple[float, float] = (1.0, 1.0)
 
     def at(self, up_px: Numbers, right_px: Numbers) -> Numbers:
-        """Return what is subtracted, um, so many pixels above and right of the centre."""
+        """Return the correction to be subtracted, um, at a given distance in pixels above and right of the centre."""
         u, v = right_px / self.so_far_px[0], up_px / self.so_far_px[1]
         a, b, c = self.sag_um
         return self.z_um + self.up_um_px * up_px + self.right_um_px * right_px + a * u**2 + b * u * v + c * v**2
@@ -58,7 +59,7 @@ class FieldTilt:
 
 @dataclass(frozen=True, slots=True)
 class FieldPlacement:
-    """One field in the mosaic: where its pixel (0, 0) lies, in pixels, its ramps, and how it leans.
+    """Position of a field's pixel (0, 0) in the mosaic, in pixels, with its ramps and tilt.
 
     ramps_px: top, bottom, left, right.
     """
@@ -72,7 +73,7 @@ class FieldPlacement:
 
     @property
     def part(self) -> Part:
-        """The pixels of the mosaic that it covers."""
+        """Pixels of the mosaic that the field covers."""
         return (
             slice(math.ceil(self.row), math.floor(self.row + self.rows - 1) + 1),
             slice(math.ceil(self.col), math.floor(self.col + self.cols - 1) + 1),
@@ -80,15 +81,15 @@ class FieldPlacement:
 
     @property
     def covers_any(self) -> bool:
-        """Whether it covers any of them."""
+        """True if the field covers any pixel of the mosaic."""
         return all(run.start < run.stop for run in self.part)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class MosaicLayout:
-    """The lattice of a mosaic and the places of its fields, in the order they were given.
+    """Lattice of a mosaic and the placements of its fields, in the given order.
 
-    borders: first and last rows and columns of the fields, NaN for those that are left out; ramps_px: [n, 4].
+    borders: first and last rows and columns of the fields, NaN for excluded fields; ramps_px: [n, 4].
     """
 
     lattice: PixelLattice
@@ -118,11 +119,11 @@ class MosaicLayout:
         return self.lattice.shape
 
     def touching(self, rows: slice, cols: slice) -> list[int]:
-        """The numbers (from 0) of the fields with pixels in a window."""
+        """Return the indices of the fields with pixels in a window."""
         return self.borders.meeting(rows.start, rows.stop - 1, cols.start, cols.stop - 1)
 
     def place(self, n: int) -> FieldPlacement | None:
-        """The place of field n; None when it is left out."""
+        """Return the placement of field n; None if it is excluded."""
         row, col = float(self.borders.top[n]), float(self.borders.left[n])
         if math.isnan(row):
             return None
@@ -130,7 +131,7 @@ class MosaicLayout:
         return FieldPlacement(row, col, *self.outlines[n].shape, (top, bottom, left, right), self._lean(n))
 
     def window_of(self, n: int) -> Part | None:
-        """The pixels of the mosaic that field n covers; None when it is left out or lies beyond."""
+        """Return the pixels of the mosaic that field n covers; None if it is excluded or outside."""
         place = self.place(n)
         if place is None:
             return None
@@ -148,10 +149,10 @@ class MosaicLayout:
 def layout(
     outlines: Sequence[Outline], poses: Poses | None = None, lattice: PixelLattice | None = None
 ) -> MosaicLayout:
-    """Where fields lie in their mosaic: at their own positions, or centred where `poses` (of the same fields) say.
+    """Arrange fields in a mosaic, at their own positions or centred on `poses` of the same fields.
 
-    Without a lattice it is the smallest one that holds all of them; what lies beyond a given one is cut off.
-    Raises ComputeError when there is no field, when all are left out or when the pixel sizes differ.
+    Without a lattice the smallest one that holds all fields is used; with a given one, fields are cut off at its
+    border. Raises ComputeError when there is no field, when all are excluded or when the pixel sizes differ.
     """
     pixel_um = _pixel_um(outlines)
     rows, cols = _sizes(outlines)
@@ -165,7 +166,7 @@ def layout(
 
 
 def planned_lattice(outlines: Sequence[Outline], margin_px: int = MARGIN_PX) -> PixelLattice:
-    """A lattice for fields that are still to come or to be moved: the smallest that holds them all, and a margin.
+    """Return the smallest lattice that holds all planned fields, plus a margin for later changes.
 
     outlines: as planned. Raises ComputeError when there is none or when the pixel sizes differ.
     """
@@ -176,7 +177,7 @@ def planned_lattice(outlines: Sequence[Outline], margin_px: int = MARGIN_PX) -> 
 
 
 def _pixel_um(outlines: Sequence[Outline]) -> float:
-    """The one pixel size of all fields."""
+    """Return the common pixel size of all fields."""
     if not outlines:
         raise ComputeError("There is no field to stitch: give at least one height map.")
     pixel_um = outlines[0].pixel_um
@@ -195,12 +196,12 @@ def _sizes(outlines: Sequence[Outline]) -> tuple[Numbers, Numbers]:
 
 
 def _corners(outlines: Sequence[Outline]) -> tuple[Numbers, Numbers]:
-    """Stage x and y of the first pixels."""
+    """Return stage x and y of the first pixels."""
     return np.array([o.x0_um for o in outlines]), np.array([o.y0_um for o in outlines])
 
 
 def _solved(poses: Poses, rows: Numbers, cols: Numbers, pixel_um: float) -> tuple[Numbers, Numbers]:
-    """Stage x and y of the first pixels where the poses put the centres; NaN for fields that are left out."""
+    """Return stage x and y of the first pixels for centres at the poses; NaN for excluded fields."""
     if poses.x_um.size != rows.size:
         raise ComputeError(f"There are {rows.size} fields and {poses.x_um.size} poses: give one pose for each field.")
     x0_um, y0_um = poses.x_um - (cols - 1) / 2 * pixel_um, poses.y_um + (rows - 1) / 2 * pixel_um

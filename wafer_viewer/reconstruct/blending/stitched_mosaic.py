@@ -1,7 +1,7 @@
-"""Many height maps as one surface, a window at a time: by confidence, or by the paper's ramps (eq. 15 and 16).
+"""Stitched mosaic of height maps, blended per window by confidence or by the paper's ramps (eq. 15 and 16).
 
-Blending along X and then along Y is the same as one weight for each field, the product of its ramps; where a
-neighbour is missing or saw nothing, the weights of what was measured add up to one again.
+Blending along X and then along Y equals one weight for each field, the product of its ramps; where a neighbour is
+missing or unmeasured, the weights of the measured fields are normalised to one.
 """
 
 from __future__ import annotations
@@ -31,7 +31,7 @@ _BAND_PX = 2**23
 
 @dataclass(frozen=True, slots=True, eq=False)
 class StitchedMosaic:
-    """A mosaic that is blended when a window of it is asked for; level 1 and up are 2 x 2 means."""
+    """A mosaic that is blended when a window of it is requested; level 1 and up are 2 x 2 means."""
 
     heights: Sequence[HeightMap]
     layout: MosaicLayout
@@ -39,7 +39,7 @@ class StitchedMosaic:
 
     @property
     def poses(self) -> Poses | None:
-        """Where its fields lie; None where they lie where the maps say."""
+        """Poses of its fields; None if the positions of the maps are used."""
         return self.layout.poses
 
     @property
@@ -64,13 +64,13 @@ class StitchedMosaic:
 
     @property
     def levels(self) -> int:
-        """Levels until the longer side is at most 512 pixels."""
+        """Number of levels until the longer side is at most 512 pixels."""
         return 1 + max(0, math.ceil(math.log2(max(self.shape) / _COARSEST_PX)))
 
     def window(self, region: Region | None = None, level: int = 0) -> HeightMap:
-        """The part of a level that holds a region; all of it without one.
+        """Return the part of a level that holds a region, or the entire level without one.
 
-        Raises MeasureError when the region lies outside or the level is not there.
+        Raises MeasureError when the region is outside or the level does not exist.
         """
         if not 0 <= level < self.levels:
             raise MeasureError(f"The mosaic has the levels 0 to {self.levels - 1}, level {level} was asked for.")
@@ -95,7 +95,7 @@ class StitchedMosaic:
 
 
 def moved_to(heights: Sequence[HeightMap], fields: Sequence[Field]) -> list[HeightMap]:
-    """The height maps centred on the positions of fields."""
+    """Return the height maps centred on the positions of fields."""
     if len(heights) != len(fields):
         raise ComputeError(
             f"There are {len(heights)} height maps and {len(fields)} fields: give one field for each map."
@@ -117,9 +117,10 @@ def blend_window(
     lattice: MosaicLayout | None = None,
     provenance: Provenance | None = None,
 ) -> HeightMap:
-    """The pixels [rows, cols] of the mosaic of some height maps; only the maps that touch them are looked at.
+    """Blend the pixels [rows, cols] of the mosaic of height maps; only maps that touch them are read.
 
-    They are blended as the recipe of the provenance says. Memory is that of the window, however many fields there are.
+    They are blended as the recipe of the provenance says. Memory use depends on the window only, not on the number of
+    fields.
     """
     lattice = lattice or layout(heights)
     touching = lattice.touching(rows, cols)
@@ -134,12 +135,12 @@ def blend_window(
 
 
 def blend_pictures(pictures: Sequence[Image], lattice: MosaicLayout, rows: slice, cols: slice) -> Image:
-    """The pixels [rows, cols] of the mosaic of one picture a field, fading over the overlaps; 0 where none is."""
+    """Blend the pixels [rows, cols] of the mosaic of one image per field, feathered in the overlaps; 0 elsewhere."""
     return lay_pictures(pictures, lattice, rows, cols, BLENDS["ramp"])
 
 
 def mosaic_provenance(parts: Sequence[Provenance], recipe: Recipe) -> Provenance:
-    """Where a mosaic comes from: what its fields have in common, simulated when any field is."""
+    """Combine the provenance of fields: common properties; simulated if any field is."""
     if not parts:
         return Provenance(software_version=__version__)
     first = parts[0]
@@ -156,7 +157,7 @@ def mosaic_provenance(parts: Sequence[Provenance], recipe: Recipe) -> Provenance
 
 
 def _mixture(parts: Sequence[Provenance]) -> Iterator[str]:
-    """A sentence for each way in which fields are not of one kind, as those of one scan are."""
+    """Yield a sentence for each property in which the fields differ, unlike those of one scan."""
     simulated = sum(p.simulated for p in parts)
     if 0 < simulated < len(parts):
         yield f"{simulated} of the {len(parts)} fields are simulated and the others are not: stitch fields of one scan."

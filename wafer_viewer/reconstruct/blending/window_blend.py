@@ -1,7 +1,8 @@
-"""One window of a mosaic: its fields laid over one another, each as far as it is believed.
+"""Blending of one window of a mosaic from its fields, weighted by confidence.
 
-The window falls into pieces that are covered by the same fields all over: most of them by one, which is read into its
-place; the others are blended in one by one. Every pixel comes out the same whatever window it is asked for with.
+The window is split into pieces that are covered by a constant set of fields: most of them by one, which is read
+directly into the output; further fields are blended in one by one. Every pixel is independent of the window in which it
+is requested.
 """
 
 from __future__ import annotations
@@ -22,37 +23,37 @@ from wafer_viewer.reconstruct.blending.mosaic_layout import FieldPlacement, Mosa
 from wafer_viewer.reconstruct.blending.window_pieces import pieces
 
 MAX_STEP_FRAMES = 2.0
-"""Neighbouring heights that differ by over two frames of the sweep are two surfaces: there is nothing between them."""
+"""Neighbouring heights that differ by over two frames of the sweep are two surfaces and are not interpolated."""
 LEAST_WEIGHT = 1e-6
-"""A border pixel counts almost nothing beside a neighbour, and fully where the neighbour saw nothing."""
+"""Minimum weight of a border pixel: negligible against a neighbour, but sufficient where that is unmeasured."""
 FADE_SHARE = 0.3
-"""Of an overlap: long enough that no line is seen, and the shorter the smaller are the errors."""
+"""Fraction of an overlap used for fading: long enough to hide seams; shorter values give smaller errors."""
 
 Weights = NDArray[np.float64]
 Float32s = NDArray[np.float32]
 
 
 def _linear(share: Weights) -> Weights:
-    """Eq. 15: from 0 at the field's own border to 1 at the border of its neighbour."""
+    """Return the ramp of eq. 15: from 0 at the field's own border to 1 at the border of its neighbour."""
     return share
 
 
 def _smooth(share: Weights) -> Weights:
-    """The same without a kink at either end, so that no line is seen where fields begin."""
+    """Return a ramp with zero slope at both ends, so that field borders are invisible."""
     return share**2 * (3 - 2 * share)
 
 
 def _soon_smooth(share: Weights) -> Weights:
-    """Over a part of the overlap: in the rest of it both fields count fully, and errors average out."""
+    """Return a smooth ramp over a part of the overlap; in the rest both fields count fully and errors average out."""
     return _smooth(np.minimum(share / FADE_SHARE, 1))
 
 
 @dataclass(frozen=True, slots=True)
 class Blend:
-    """How fields are weighed: how heights and how grey fade towards the border.
+    """Blending method: the fading of heights and of grey towards the border.
 
-    judges: what is believed more counts more, and of heights that differ grossly only that counts; otherwise heights
-    are averaged whatever they are.
+    judges: True if heights are weighted by confidence, and only the more reliable of grossly different heights counts;
+    otherwise heights are averaged whatever they are.
     """
 
     heights: Callable[[Weights], Weights]
@@ -64,29 +65,29 @@ BLENDS: dict[str, Blend] = {
     "confidence": Blend(_soon_smooth, _smooth, judges=True),
     "ramp": Blend(_linear, _linear, judges=False),
 }
-"""By the name in the recipe."""
+"""Blending methods by their name in the recipe."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Fade:
-    """The weights of a field: those of its rows times those of its columns."""
+    """Separable weights of a field: row weights times column weights."""
 
     rows: Float32s
     cols: Float32s
 
     def over(self, rows: slice, cols: slice) -> Fade:
-        """The weights of a part."""
+        """Return the weights of a part."""
         return Fade(self.rows[rows], self.cols[cols])
 
     @property
     def weights(self) -> Float32s:
-        """All of them, [row, col]."""
+        """All weights, [row, col]."""
         return self.rows[:, None] * self.cols
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class PlacedWindow:
-    """A field in the mosaic: the pixels that it covers, the way to its own, how it leans there and what it counts."""
+    """A field in the mosaic: covered pixels, sub-pixel shift, tilt and weights."""
 
     part: Part
     row_part: float
@@ -97,7 +98,7 @@ class PlacedWindow:
 
     @classmethod
     def of(cls, place: FieldPlacement, blend: Blend) -> PlacedWindow:
-        """A field at its place, weighed by a way of blending."""
+        """Return a placed field with the weights of a blending method."""
         rows, cols = (np.arange(run.start, run.stop) for run in place.part)
         down, right = rows - place.row, cols - place.col
         return cls(
@@ -110,7 +111,7 @@ class PlacedWindow:
         )
 
     def over(self, piece: Part) -> PlacedWindow:
-        """The same over a piece of what it covers."""
+        """Return the restriction to a piece of the covered pixels."""
         rows, cols = (slice(a.start - b.start, a.stop - b.start) for a, b in zip(piece, self.part, strict=True))
         lean = self.leaning
         return replace(
@@ -123,7 +124,7 @@ class PlacedWindow:
 
     @property
     def shift(self) -> Shift:
-        """The way from the pixels of the piece to those of the field."""
+        """Shift from the pixels of the piece to those of the field."""
         return Shift(self.part[0].start, self.part[1].start, self.row_part, self.col_part)
 
     @property
@@ -132,12 +133,12 @@ class PlacedWindow:
         return self.fade.rows.size, self.fade.cols.size
 
     def nearest(self, layer: NDArray[Any]) -> NDArray[Any]:
-        """The layer's own pixels that lie nearest to those of the piece, as a view."""
+        """Return the layer's pixels nearest to those of the piece, as a view."""
         (row, col), (n_rows, n_cols) = self.nearest_corner, self.shape
         return layer[row : row + n_rows, col : col + n_cols]
 
     def belief(self, height: HeightMap, blend: Blend) -> Float32s:
-        """How far its heights are believed, [row, col]."""
+        """Return the blending weights of the heights, [row, col]."""
         out = np.ones(self.shape, np.float32)
         if blend.judges:
             limit_um = _max_step_um(height) or np.inf
@@ -146,16 +147,16 @@ class PlacedWindow:
 
     @property
     def nearest_corner(self) -> tuple[int, int]:
-        """The field's own pixel that lies nearest to the first of the piece."""
+        """Pixel of the field nearest to the first pixel of the piece."""
         rows, cols = self.part
         return rows.start + int(self.row_part > 0.5), cols.start + int(self.col_part > 0.5)
 
     def heights(self, layer: Float32s, max_step_um: float, out: Float32s, row: int, col: int) -> None:
-        """Read heights of the piece, upright, to (row, col) of `out`."""
+        """Read tilt-corrected heights of the piece to (row, col) of `out`."""
         shifted_read.read_heights(fixed(layer), self.shift, self.leaning, max_step_um, out, row, col)
 
     def grey(self, picture: Image) -> Float32s:
-        """The grey of the piece."""
+        """Return the grey of the piece."""
         out = np.empty(self.shape, np.float32)
         shifted_read.read_grey(fixed(picture), self.shift, out)
         return out
@@ -164,7 +165,7 @@ class PlacedWindow:
 def lay_over(
     heights: Sequence[HeightMap], layout: MosaicLayout, rows: slice, cols: slice, blend: Blend
 ) -> dict[str, Any]:
-    """The layers of a window [rows, cols] of the mosaic by name; only the fields that touch it are looked at."""
+    """Return the layers of a window [rows, cols] of the mosaic by name; only fields that touch it are read."""
     fields = _laid(heights, layout, rows, cols, blend)
     seen = [height for height, _ in fields] or [heights[0]]
     window = _empty((rows.stop - rows.start, cols.stop - cols.start), _type([height.all_in_focus for height in seen]))
@@ -176,7 +177,7 @@ def lay_over(
 
 
 def lay_pictures(pictures: Sequence[Image], layout: MosaicLayout, rows: slice, cols: slice, blend: Blend) -> Image:
-    """The same of one picture a field; 0 where none is."""
+    """Return the window for one image per field; 0 where there is none."""
     fields = _laid(pictures, layout, rows, cols, blend)
     seen = [picture for picture, _ in fields] or [pictures[0]]
     out = np.zeros((rows.stop - rows.start, cols.stop - cols.start), _type(seen))
@@ -188,7 +189,7 @@ def lay_pictures(pictures: Sequence[Image], layout: MosaicLayout, rows: slice, c
 
 
 def fixed(layer: NDArray[Any]) -> NDArray[Any]:
-    """A read-only view: kernels compile once for maps in memory and for those in a file."""
+    """Return a read-only view, so that kernels compile once for maps in memory and memory-mapped maps."""
     view = layer.view()
     view.flags.writeable = False
     return view if view.flags.c_contiguous else fixed(np.ascontiguousarray(layer))
@@ -197,7 +198,7 @@ def fixed(layer: NDArray[Any]) -> NDArray[Any]:
 def _laid(
     items: Sequence[Any], layout: MosaicLayout, rows: slice, cols: slice, blend: Blend
 ) -> list[tuple[Any, PlacedWindow]]:
-    """What touches a window, each with how it lies; a line of pixels between two of the mosaic's covers none."""
+    """Return the items that touch a window, with their placements; fields between two pixel lines are omitted."""
     touching = ((n, layout.place(n)) for n in layout.touching(rows, cols))
     return [
         (items[n], PlacedWindow.of(place, blend)) for n, place in touching if place is not None and place.covers_any
@@ -205,7 +206,7 @@ def _laid(
 
 
 def _leaning(place: FieldPlacement, up: Weights, right: Weights) -> TiltedField:
-    """What is subtracted at `up` and `right` of the field's centre, in pixels."""
+    """Return the height correction at `up` and `right` of the field's centre, in pixels."""
     lean = place.lean
     u, v = right / lean.so_far_px[0], up / lean.so_far_px[1]
     a, b, c = lean.sag_um
@@ -214,7 +215,7 @@ def _leaning(place: FieldPlacement, up: Weights, right: Weights) -> TiltedField:
 
 
 def _faded(place: FieldPlacement, down: Weights, right: Weights, fade: Callable[[Weights], Weights]) -> Fade:
-    """The weights at `down` and `right` of the field's first pixel."""
+    """Return the weights at `down` and `right` of the field's first pixel."""
     top_px, bottom_px, left_px, right_px = place.ramps_px
     rows = fade(_within_ramps(down, place.rows - 1 - down, top_px, bottom_px))
     cols = fade(_within_ramps(right, place.cols - 1 - right, left_px, right_px))
@@ -222,7 +223,7 @@ def _faded(place: FieldPlacement, down: Weights, right: Weights, fade: Callable[
 
 
 def _within_ramps(from_start: Weights, to_end: Weights, start_px: float, end_px: float) -> Weights:
-    """Which share of the way over the ramps lies behind, 1 beyond them."""
+    """Return the relative position within the ramps, 1 beyond them."""
     share = np.ones(from_start.shape)
     for way, ramp_px in ((from_start, start_px), (to_end, end_px)):
         if ramp_px > 0:
@@ -231,7 +232,7 @@ def _within_ramps(from_start: Weights, to_end: Weights, start_px: float, end_px:
 
 
 def _empty(shape: tuple[int, int], grey: np.dtype[Any]) -> dict[str, Any]:
-    """The layers of a window that nothing covers yet."""
+    """Return the layers of a window without fields."""
     z, raw, overlap = (np.full(shape, np.nan, np.float32) for _ in range(3))
     return {
         "z_um": z,
@@ -244,14 +245,14 @@ def _empty(shape: tuple[int, int], grey: np.dtype[Any]) -> dict[str, Any]:
 
 
 def _type(pictures: Sequence[Image]) -> np.dtype[Any]:
-    """The numbers of the pictures of a mosaic."""
+    """Return the common dtype of the images of a mosaic."""
     return np.result_type(*{picture.dtype for picture in pictures})
 
 
 def _fill(
     window: dict[str, Any], row: int, col: int, fields: Sequence[tuple[HeightMap, PlacedWindow]], blend: Blend
 ) -> None:
-    """A piece of a window, from (row, col) on: the first field is read into it, the others are blended in."""
+    """Fill a piece of a window from (row, col) on: copy the first field, then blend in the others."""
     first, laid = fields[0]
     here = slice(row, row + laid.shape[0]), slice(col, col + laid.shape[1])
     laid.heights(first.z_um, _max_step_um(first), window["z_um"], row, col)
@@ -268,7 +269,7 @@ def _fill(
 def _blend_in(
     window: dict[str, Any], here: Part, fields: Sequence[tuple[HeightMap, PlacedWindow]], blend: Blend
 ) -> None:
-    """The other fields, into a piece that holds the first."""
+    """Blend the other fields into a piece that holds the first."""
     blended = Blended(*(window[name] for name in ("z_um", "z_raw_um", "confidence", "origin", "overlap_um")))
     first, laid = fields[0]
     raw = blended.raw[here]
@@ -281,7 +282,7 @@ def _blend_in(
 
 
 def _read(height: HeightMap, laid: PlacedWindow, blend: Blend) -> BlendPiece:
-    """The layers of a field over a piece."""
+    """Return the layers of a field over a piece."""
     z, raw = (np.empty(laid.shape, np.float32) for _ in range(2))
     laid.heights(height.z_um, _max_step_um(height), z, 0, 0)
     laid.heights(height.z_raw_um, _max_step_um(height), raw, 0, 0)
@@ -290,7 +291,7 @@ def _read(height: HeightMap, laid: PlacedWindow, blend: Blend) -> BlendPiece:
 
 
 def _grey(fields: Sequence[tuple[Image, PlacedWindow]]) -> Float32s:
-    """The grey of a piece, of all pictures that cover it."""
+    """Return the blended grey of a piece, from all images that cover it."""
     total = fields[0][1].grey(fields[0][0])
     if len(fields) > 1:
         weight = fields[0][1].grey_fade.weights

@@ -1,4 +1,4 @@
-"""A window cut into pieces, each of them covered by the same fields all over."""
+"""Partition of a window into pieces that are each covered by a constant set of fields."""
 
 from __future__ import annotations
 
@@ -10,7 +10,10 @@ Part = tuple[slice, slice]
 
 
 def pieces(window: Part, parts: Sequence[Part]) -> Iterator[tuple[Part, list[int]]]:
-    """The pieces of a window from the top down, and which of the parts cover each; together they are the window."""
+    """Yield the pieces of a window from top to bottom, with the indices of the parts that cover each.
+
+    Together the pieces form the window.
+    """
     rows, cols = window
     for band in _cut(rows, (part[0] for part in parts)):
         here = [n for n, (of_part, _) in enumerate(parts) if _holds(of_part, band)]
@@ -19,7 +22,7 @@ def pieces(window: Part, parts: Sequence[Part]) -> Iterator[tuple[Part, list[int
 
 
 def _cut(whole: slice, parts: Iterable[slice]) -> Iterator[slice]:
-    """A run of pixels cut wherever a part begins or ends."""
+    """Split a range of pixels wherever a part begins or ends."""
     inside = {end for part in parts for end in (part.start, part.stop) if whole.start < end < whole.stop}
     ends = [whole.start, *sorted(inside), whole.stop]
     return (slice(a, b) for a, b in itertools.pairwise(ends))

@@ -1,1 +1,1 @@
-"""Smoothing, outlier removal and filling of height maps."""
+"""Smoothing, outlier removal and gap filling of height maps."""

@@ -1,4 +1,4 @@
-"""From gated heights to a clean surface: smooth, drop outliers and edges of steps, fill; what of that is `auto`."""
+"""Cleaning of gated heights: smoothing, removal of outliers and step edges, filling; and `auto` parameters."""
 
 from __future__ import annotations
 
@@ -21,7 +21,10 @@ from wafer_viewer.reconstruct.cleaning.step_edges import JUMP_STEPS, apart_um
 OUTLIER_FLOOR_STEPS = 1.5
 
 MOST_ROUNDS = {"none": 1, "literal": 30, "guided": 30, "switching_median": 6, "sigma_filter": 2}
-"""Two rounds of averages reach 8 px: what is 20 px wide, the smallest to trust at a window of 9, keeps its height."""
+"""Maximum rounds per smoother. Two rounds of averages reach 8 px.
+
+A structure 20 px wide, the smallest to trust at a window of 9, then retains its height.
+"""
 
 _LEAST_GAIN = 1e-4
 _N_SIGMAS = (3.0, 3.5, 4.0, 4.5)
@@ -34,9 +37,10 @@ Map = NDArray[np.float32]
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Cleaned:
-    """z_um: smoothed, without what was left out, filled; raw_um: only without that.
+    """A cleaned map and the masks of removed heights.
 
-    outlier, step_edge: what was left out and why, bool [row, col].
+    z_um: smoothed, without removed heights, filled; raw_um: only without removed heights. outlier, step_edge: reason of
+    removal, bool [row, col].
     """
 
     z_um: Map
@@ -55,9 +59,9 @@ def clean(
 ) -> Cleaned:
     """Clean a gated map, NaN where unmeasured, by a settled recipe.
 
-    resolution_um: what the optics resolve along z, the measure of what counts as a step of the surface; told_apart:
-    where it is known which side of a wall a pixel is on, None where nobody asks for the edges of steps; bled_um: the
-    heights that were left out because light bled there, NaN elsewhere: what goes on from them is beside a jump, too.
+    resolution_um: axial resolution of the optics, the reference for steps of the surface; told_apart: mask of pixels
+    with a known wall side, None if step edges are not requested; bled_um: heights rejected because light bled there,
+    NaN elsewhere: measured heights that continue from them also lie next to a jump.
     """
     smoothed = smooth(z_um, recipe.levy, resolution_um)
     outlier = find_outliers(z_um, smoothed, pixel_um, recipe)
@@ -73,21 +77,21 @@ def clean(
 
 
 def _step_edges(z_um: Map, bled_um: Map | None, recipe: Recipe, resolution_um: float) -> NDArray[np.bool_]:
-    """Which heights have others within about half a window that are not of the same surface."""
+    """Return a mask of heights with another surface within about half a window."""
     seen_um = z_um if bled_um is None else np.where(np.isnan(z_um), bled_um, z_um)
     return (apart_um(seen_um, int(recipe.window)) > JUMP_STEPS * resolution_um) & np.isfinite(z_um)
 
 
 def _leftovers(z_um: Map, recipe: Recipe, resolution_um: float) -> NDArray[np.bool_]:
-    """What stands alone once the edges of steps are gone, which took about half a window from each side of a piece.
+    """Return a mask of small remnants after the removal of step edges, which shrinks pieces by half a window.
 
-    A sliver of a slope that light made up may look flat by itself, and is smaller than the window that saw it.
+    A sliver of a slope caused by bleeding light may look flat by itself, and is smaller than the focus window.
     """
     return small_islands(z_um, OUTLIER_FLOOR_STEPS * resolution_um, int(recipe.window) ** 2)
 
 
 def settle_cleaning(maps: Sequence[Map], recipe: Recipe, resolution_um: float) -> Recipe:
-    """The recipe with every `auto` of its cleaning replaced by what gated maps of the sample say: fields or parts."""
+    """Replace every `auto` of a recipe's cleaning by values from gated maps of the sample: fields or parts."""
     outliers = recipe.outliers
     if outliers.floor_um == "auto":
         outliers = replace(outliers, floor_um=OUTLIER_FLOOR_STEPS * resolution_um)
@@ -96,7 +100,7 @@ def settle_cleaning(maps: Sequence[Map], recipe: Recipe, resolution_um: float) -
 
 
 def settle_levy(maps: Sequence[Map], levy: Levy, resolution_um: float) -> Levy:
-    """How far noise goes, how long flights are, how many rounds still change something: in this order."""
+    """Settle noise limit, flight length and number of rounds, in this order."""
     if levy.n_sigma == "auto":
         levy = replace(levy, n_sigma=_n_sigma(maps))
     if levy.alpha == "auto":
@@ -107,9 +111,9 @@ def settle_levy(maps: Sequence[Map], levy: Levy, resolution_um: float) -> Levy:
 
 
 def _n_sigma(maps: Sequence[Map]) -> float:
-    """Where errors have no more large ones than Gaussian noise has, a wide limit costs nothing and averages more.
+    """Return the narrowest noise limit beyond which there are twice as many errors as in Gaussian noise.
 
-    The narrowest limit beyond which lies twice what noise would leave there, or else the widest.
+    Returns the widest limit if there is none: without an excess of large errors a wide limit averages more at no cost.
     """
     bends = np.concatenate([np.zeros(0, np.float32), *(bends_of(z) for z in maps)])
     noise_um = max((height_noise_um(z) for z in maps), default=0.0)
@@ -121,9 +125,9 @@ def _n_sigma(maps: Sequence[Map]) -> float:
 
 
 def _alpha(maps: Sequence[Map], levy: Levy, resolution_um: float) -> float:
-    """The middle one of all flights ends where it is wanted: at the guide, or as far away as noise goes.
+    """Return the flight scale at which the median flight ends at the guide, or as far away as the noise.
 
-    A guided flight is measured by the distance to its guide, a literal one in um.
+    A guided flight is measured relative to the distance to its guide, a literal one in um.
     """
     middle = float(np.median(flight_lengths(np.random.default_rng(levy.seed), _FLIGHTS_TRIED, levy.beta)))
     noise_um = float(np.median([height_noise_um(z) for z in maps] or [0.0]))
@@ -131,7 +135,7 @@ def _alpha(maps: Sequence[Map], levy: Levy, resolution_um: float) -> float:
 
 
 def _rounds_that_count(z_um: Map, levy: Levy, resolution_um: float) -> int:
-    """The last round that moves the map by more than a ten-thousandth of what the one that moves it most does."""
+    """Return the last round that moves the map by more than 1e-4 of the largest move."""
     before, moves = z_um, list[float]()
     for after in islice(SMOOTHERS[levy.mode](z_um, levy, resolution_um), MOST_ROUNDS[levy.mode]):
         moves.append(float(np.nansum(np.abs(after - before), dtype=np.float64)))

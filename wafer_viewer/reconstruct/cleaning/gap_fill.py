@@ -1,4 +1,4 @@
-"""Heights for gaps: cubic splines along the rows and the columns, marked as filled and never across a step."""
+"""Gap filling by cubic splines along rows and columns, marked as filled and never across a step."""
 
 from __future__ import annotations
 
@@ -16,11 +16,11 @@ MAX_STEP_FRAMES = 1.5
 
 
 def fill(z_um: NDArray[np.float32], how: Fill, step_um: float) -> NDArray[np.float32]:
-    """A filled copy of a map.
+    """Return a filled copy of a map.
 
-    `small_gaps`: along rows and along columns, the mean where both reach, never across a step. `all`: the paper's way,
-    along the rows and then, through what that gave, along the columns, across whatever lies between; what is measured
-    on one side only, as at the border of the map, stays unmeasured there too.
+    `small_gaps`: along rows and along columns, the mean where both reach, never across a step. `all`: the paper's
+    method, along the rows and then along the columns of the result, across any gap; regions measured on one side only,
+    as at the border of the map, stay unmeasured.
     """
     if how.mode == "none":
         return z_um.copy()
@@ -31,5 +31,5 @@ def fill(z_um: NDArray[np.float32], how: Fill, step_um: float) -> NDArray[np.flo
 
 
 def mark_filled(origin: NDArray[np.uint8], z_um: NDArray[np.float32]) -> NDArray[np.uint8]:
-    """The origins of a map after its gaps were filled: a height that was not measured is a filled one."""
+    """Return the origins of a map after gap filling; unmeasured pixels with a height become FILLED."""
     return np.where((origin != Origin.MEASURED) & np.isfinite(z_um), np.uint8(Origin.FILLED), origin)

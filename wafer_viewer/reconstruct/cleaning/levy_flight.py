@@ -1,10 +1,10 @@
-"""Smoothing: the Levy flights of the paper, eq. 7-14, the two forms of them that take noise away, and the default.
+"""Smoothing of height maps: Levy flights of the paper (eq. 7-14), two denoising variants, and the default.
 
-Taken literally the equations cannot remove noise: a flight is kept when it comes nearer to the noisy map itself, so
-the noisy map is the best there is. `guided` flies towards the median of the neighbourhood instead, and only where a
-pixel stands out from it; `switching_median` is where those flights end, without chance. Both leave the noise of all
-other pixels as it is. `sigma_filter` averages that too, over what agrees with a pixel (after Lee 1983), and it knows
-what stands out by lines instead of squares, so that corners and narrow ridges stay.
+Taken literally the equations cannot remove noise: a flight is accepted when it comes nearer to the noisy map itself, so
+the noisy map is the optimum. `guided` flies towards the median of the neighbourhood instead, and only where a pixel
+stands out from it; `switching_median` is the deterministic end point of those flights. Both leave the noise of all
+other pixels unchanged. `sigma_filter` also averages that noise, over the neighbours that agree with a pixel (after Lee
+1983), and it detects outliers along lines instead of squares, so that corners and narrow ridges are preserved.
 """
 
 from __future__ import annotations
@@ -23,7 +23,7 @@ from wafer_viewer.numerics.filters.median_5x5 import far_from_median, medians_at
 from wafer_viewer.numerics.filters.opposite_pair_mean import pair_mean
 
 NOISE_LAG_PX = 15
-"""Errors this far apart are strangers: they share little of a focus window."""
+"""Distance at which errors are nearly independent: they share little of a focus window."""
 
 _GUIDE_RENEWED_EVERY = 5
 _MAD_TO_DEVIATION = 1.4826
@@ -37,17 +37,17 @@ Rounds = Callable[[Map, Levy, float], Iterator[Map]]
 
 
 def smooth(z_um: Map, levy: Levy, resolution_um: float) -> Map:
-    """A smoothed copy of a map, by a settled `Levy`; NaN stays NaN.
+    """Return a smoothed copy of a map, by a settled `Levy`; NaN stays NaN.
 
-    resolution_um: what the optics resolve along z. What is within a twentieth of it never stands out, however quiet
-    the map; what is further off than all of it always does, however much of the map is false.
+    resolution_um: axial resolution of the optics. A deviation below a twentieth of it is never an outlier, however
+    quiet the map; a deviation above it always is, however much of the map is false.
     """
     rounds = islice(SMOOTHERS[levy.mode](z_um, levy, resolution_um), int(levy.iterations))
     return deque(rounds, maxlen=1)[0].copy()
 
 
 def flight_lengths(rng: np.random.Generator, count: int, beta: float) -> NDArray[np.float32]:
-    """|Z| of eq. 7, Z = U / |V|^(1 / beta), with the deviation of U from eq. 8 (Mantegna 1994)."""
+    """Return |Z| of eq. 7, Z = U / |V|^(1 / beta), with the deviation of U from eq. 8 (Mantegna 1994)."""
     top = math.gamma(1 + beta) * math.sin(math.pi * beta / 2)
     bottom = math.gamma((1 + beta) / 2) * beta * 2 ** ((beta - 1) / 2)
     deviation = np.float32((top / bottom) ** (1 / beta))
@@ -57,13 +57,13 @@ def flight_lengths(rng: np.random.Generator, count: int, beta: float) -> NDArray
 
 
 def height_noise_um(z_um: Map) -> float:
-    """The standard deviation of the errors of most pixels, from second differences: slopes do not count as noise."""
+    """Return the robust standard deviation of height errors from second differences, insensitive to slopes."""
     bends = bends_of(z_um)
     return _MAD_TO_DEVIATION * float(np.median(np.abs(bends))) if bends.size else 0.0
 
 
 def bends_of(z_um: Map) -> NDArray[np.float32]:
-    """Second differences over `NOISE_LAG_PX` along rows and columns, scaled to the deviation of a single pixel."""
+    """Return second differences over `NOISE_LAG_PX` along both axes, scaled to the deviation of one pixel."""
     lag, found = NOISE_LAG_PX, list[NDArray[np.float32]]()
     for z in (z_um, z_um.T):
         lines = z[:: 1 + len(z) // 200]
@@ -77,9 +77,9 @@ def _unsmoothed(z_um: Map, levy: Levy, resolution_um: float) -> Iterator[Map]:
 
 
 def _literal(z_um: Map, levy: Levy, resolution_um: float) -> Iterator[Map]:
-    """Eq. 10-14 word for word: the whole map flies (12), and stays where its mean square distance to z_um falls (14).
+    """Yield eq. 10-14 as published: move the map (12), accept if its mean square distance to z_um falls (14).
 
-    Flights add up: what is accepted is where the next one starts. chi (13) is one number for the whole map.
+    Flights accumulate: an accepted map is the start of the next flight. chi (13) is one number for the entire map.
     """
     rng = np.random.default_rng(levy.seed)
     measured = np.isfinite(z_um)
@@ -98,7 +98,7 @@ def _literal(z_um: Map, levy: Levy, resolution_um: float) -> Iterator[Map]:
 
 
 def _flights(rng: np.random.Generator, count: int, levy: Levy) -> NDArray[np.float32]:
-    """L_d = alpha sign(R) |Z| of eq. 10 and 11."""
+    """Return L_d = alpha sign(R) |Z| of eq. 10 and 11."""
     signs = np.sign(rng.standard_normal(count, np.float32))
     return np.float32(levy.alpha) * signs * flight_lengths(rng, count, levy.beta)
 
@@ -108,7 +108,7 @@ def _mean_square(values: NDArray[np.float32]) -> float:
 
 
 def _guided(z_um: Map, levy: Levy, resolution_um: float) -> Iterator[Map]:
-    """Pixels that stand out fly along their distance to the median; a flight counts when it ends nearer to it."""
+    """Move outliers along their distance to the median; a flight is accepted if it ends nearer to it."""
     rng = np.random.default_rng(levy.seed)
     padded = pad_with_nan(z_um)
     limit = _limit_about_median(padded, z_um, levy, resolution_um)
@@ -124,7 +124,7 @@ def _guided(z_um: Map, levy: Levy, resolution_um: float) -> Iterator[Map]:
 
 
 def _switching_median(z_um: Map, levy: Levy, resolution_um: float) -> Iterator[Map]:
-    """Pixels that stand out take the median of their neighbourhood, until none is left."""
+    """Replace outliers by the median of their neighbourhood, until none is left."""
     padded = pad_with_nan(z_um)
     limit = _limit_about_median(padded, z_um, levy, resolution_um)
     inner = padded[2:-2, 2:-2]
@@ -137,7 +137,7 @@ def _switching_median(z_um: Map, levy: Levy, resolution_um: float) -> Iterator[M
 
 
 def _limit_about_median(padded: Map, z_um: Map, levy: Levy, resolution_um: float) -> np.float32:
-    """How far from the median noise goes: n_sigma deviations, by the median deviation of a sample of the pixels."""
+    """Return the noise limit about the median: n_sigma deviations, by the median deviation of sampled pixels."""
     rows, cols = np.nonzero(np.isfinite(z_um[::_SAMPLE_EVERY_PX, ::_SAMPLE_EVERY_PX]))
     if not rows.size:
         return np.float32(np.inf)
@@ -147,7 +147,7 @@ def _limit_about_median(padded: Map, z_um: Map, levy: Levy, resolution_um: float
 
 
 def _sigma_filter(z_um: Map, levy: Levy, resolution_um: float) -> Iterator[Map]:
-    """What stands out along all lines takes their median; then all are averaged with what agrees with them."""
+    """Replace outliers along all lines by their median, then average each pixel with agreeing neighbours."""
     limit_um = _limit_um(height_noise_um(z_um), levy, resolution_um)
     while True:
         z_um = pair_mean(_without_spikes(z_um, limit_um), limit_um)
@@ -159,7 +159,7 @@ def _limit_um(noise_um: float, levy: Levy, resolution_um: float) -> float:
 
 
 def _without_spikes(z_um: Map, limit_um: float) -> Map:
-    """Spikes that stood side by side come out one after the other; where there are many, nothing could mend them."""
+    """Remove adjacent spikes in several passes; stop where there are too many to repair."""
     padded = np.pad(z_um, REACH_PX, constant_values=np.nan)
     inner = padded[REACH_PX:-REACH_PX, REACH_PX:-REACH_PX]
     for _ in range(_SPIKE_PASSES):
@@ -179,4 +179,4 @@ SMOOTHERS: dict[str, Rounds] = {
     "switching_median": _switching_median,
     "sigma_filter": _sigma_filter,
 }
-"""Each gives the map after one round of it, after two, and so on; it may use the same memory again."""
+"""Each yields the map after one round, after two, and so on; it may reuse the same memory."""

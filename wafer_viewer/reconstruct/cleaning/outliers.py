@@ -1,13 +1,12 @@
 """Statistical outlier removal: points that are far from their nearest neighbours.
 
-`cloud` is the paper's form: neighbours in the point cloud, their mean distance against its mean and deviation over the
-field. `lattice` looks for the neighbours among the pixels round a pixel and measures along z. On a clean field that
-deviation is tiny and the rule would eat the edges of steps, so it never counts as less than a floor.
+`cloud` is the paper's form: neighbours in the point cloud, with their mean distance compared to its mean and deviation
+over the field. `lattice` takes the neighbours among the surrounding pixels and measures along z. On a clean field that
+deviation is tiny and the rule would remove the edges of steps, so it has a lower bound.
 
-`lattice` knows three more kinds of pixel that stand alone: those that smoothing had to move by much more than it moves
-most, those on strips narrower than three quarters of the focus window, and those on islands smaller than the square of
-two windows. Whatever the window sees shows as wide as the window; what is smaller was made up by light that bleeds over
-an edge.
+`lattice` detects three more kinds of isolated pixels: those that smoothing moved by much more than usual, those on
+strips narrower than three quarters of the focus window, and those on islands smaller than the square of two windows.
+Any real structure appears at least as wide as the window; smaller ones are artefacts of light that bleeds over an edge.
 """
 
 from __future__ import annotations
@@ -23,7 +22,7 @@ from wafer_viewer.numerics.filters.neighbour_distances import REACH_PX, mean_dis
 from wafer_viewer.numerics.filters.spline_fill import fill_gaps
 
 BRIDGED_PX = 2
-"""A strip is not narrow for a few pixels that happen to be unmeasured in it."""
+"""Gaps up to this size are bridged when the width of a strip is measured."""
 
 _SAMPLE_EVERY_PX = 7
 _MOVED_DEVIATIONS = 6.0
@@ -35,7 +34,7 @@ Found = NDArray[np.bool_]
 
 
 def find_outliers(raw_um: Map, smoothed_um: Map, pixel_um: float, recipe: Recipe) -> Found:
-    """Which measured pixels of a map are outliers, by the settled recipe; bool [row, col]."""
+    """Return a mask of the outliers among the measured pixels, by the settled recipe; bool [row, col]."""
     return FINDERS[recipe.outliers.mode](raw_um, smoothed_um, pixel_um, recipe)
 
 
@@ -44,7 +43,7 @@ def _none(raw_um: Map, smoothed_um: Map, pixel_um: float, recipe: Recipe) -> Fou
 
 
 def _lattice(raw_um: Map, smoothed_um: Map, pixel_um: float, recipe: Recipe) -> Found:
-    """What was moved is judged where it would lie: one wrong pixel does not make a strip of those around it narrow."""
+    """Judge moved pixels at their smoothed position, so that one wrong pixel does not make a strip narrow."""
     floor_um, window = float(recipe.outliers.floor_um), int(recipe.window)
     found = far_on_lattice(smoothed_um, recipe.outliers) | _moved(raw_um, smoothed_um, floor_um)
     found |= narrow_parts(fill_gaps(smoothed_um, BRIDGED_PX, floor_um), floor_um, 3 * window // 4)
@@ -65,10 +64,10 @@ def _moved(raw_um: Map, smoothed_um: Map, floor_um: float) -> Found:
 
 
 def far_on_lattice(z_um: Map, how: Outliers) -> Found:
-    """The neighbours are the nearest of the 7 x 7 pixels round a pixel; a pixel with too few of them is an outlier.
+    """Detect outliers by the mean distance to the nearest of 7 x 7 pixels; too few neighbours also count.
 
-    Beyond its border the map goes on as it ends: the border makes no outlier of the edge of a step. A pixel with enough
-    neighbours within the threshold is not looked at any further: that leaves a few.
+    Beyond its border the map is extended by its edge values, so that the edge of a step is no outlier there. Pixels
+    with enough neighbours within the threshold are skipped, which leaves few to test.
     """
     neighbours = min(how.neighbours, (2 * REACH_PX + 1) ** 2 // 2)
     padded = np.pad(z_um, REACH_PX, mode="edge")
@@ -84,7 +83,7 @@ def far_on_lattice(z_um: Map, how: Outliers) -> Found:
 
 
 def far_in_cloud(z_um: Map, pixel_um: float, how: Outliers) -> Found:
-    """The paper's form, through Open3D's neighbour search."""
+    """Detect outliers by the paper's method, with Open3D's neighbour search."""
     import open3d
 
     rows, cols = np.nonzero(np.isfinite(z_um))
@@ -110,4 +109,4 @@ def _threshold(distances: NDArray[np.floating], how: Outliers) -> float:
 
 
 FINDERS: dict[str, Callable[[Map, Map, float, Recipe], Found]] = {"none": _none, "lattice": _lattice, "cloud": _cloud}
-"""Each is given the raw and the smoothed map, the size of a pixel and the settled recipe."""
+"""Each takes the raw and the smoothed map, the pixel size and the settled recipe."""

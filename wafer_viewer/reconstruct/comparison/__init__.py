@@ -1,1 +1,1 @@
-"""The difference of two surfaces."""
+"""Comparison of two surfaces."""

@@ -1,4 +1,4 @@
-"""Two surfaces compared: the second laid over the first, by images and relief or by the stage, and subtracted."""
+"""Comparison of two surfaces: the second is aligned to the first by images and relief or stage, and subtracted."""
 
 from __future__ import annotations
 
@@ -28,14 +28,51 @@ _MENDS: dict[RejectionReason, str] = {
 
 
 def compare(first: Mosaic, second: Mosaic, align: Align = "auto", keep_z: bool = False) -> Difference:
-    """The second surface minus the first, on the first's lattice.
+    """Return the second surface minus the first, on the first's lattice.
 
-    align: "images" finds shift and turn by the all-in-focus images and the relief, "stage" takes x and y as the stage
-    says, "none" takes heights as they are, too; "auto" needs nothing where both are of the same frames, else takes
-    images. keep_z: leave height and tilt as they are, as against a golden surface. What is to be written or looked at
-    should not be kept: a window is made anew each time.
+    The second surface is aligned to the first, resampled and subtracted.
 
-    Raises MeasureError when they have no part in common, or an alignment is not to be trusted.
+    Parameters
+    ----------
+    first : Mosaic
+        Surface that is subtracted; the difference is on its lattice. A `HeightMap` is a mosaic of one level.
+    second : Mosaic
+        Surface that is aligned to `first`.
+    align : {"auto", "images", "stage", "none"}, default "auto"
+        Alignment of the second surface. "images": shift and rotation by the all-in-focus images and the relief, then
+        height and tilt. "stage": x and y of the stage, with height and tilt by a robust plane. "none": x and y of the
+        stage, with heights unchanged. "auto": no alignment where both surfaces are of the same frames, otherwise
+        "images".
+    keep_z : bool, default False
+        Leave height and tilt unchanged, as against a golden surface.
+
+    Returns
+    -------
+    Difference
+        A `Mosaic` of one level with the differences in um, unmeasured where either surface is. It also holds the
+        registration, the median difference and the limit of unchanged heights.
+
+    Raises
+    ------
+    MeasureError
+        When `align` is none of the four values, the surfaces have no part in common (at least 32 pixels of the first
+        in x and y) or no pixel that is measured in both, too little is measured in both for a plane fit, or the
+        alignment by images is unreliable.
+    ComputeError
+        When the surfaces are aligned by images, without `keep_z`, and Open3D cannot be loaded.
+
+    Notes
+    -----
+    To write or display the result, do not cache it: each window is computed on request.
+
+    The images are matched in patches, coarse to fine; where they cannot be matched, the relief is matched in the same
+    way. Unless `keep_z` is set, point-to-plane ICP [1]_ then refines the registration, with Tukey's loss, so that
+    changed areas do not count.
+
+    References
+    ----------
+    .. [1] Y. Chen, G. Medioni, Object modelling by registration of multiple range images, Image Vis. Comput. 10 (1992)
+       145.
     """
     if align not in ALIGN_TITLES:
         raise MeasureError(f"align is {align!r}: it must be one of {', '.join(ALIGN_TITLES)}.")
@@ -50,7 +87,7 @@ def compare(first: Mosaic, second: Mosaic, align: Align = "auto", keep_z: bool =
 
 
 def register_surfaces(first: Mosaic, second: Mosaic, align: Align = "auto", keep_z: bool = False) -> Registration:
-    """How the second has to be moved to lie on the first; see `compare`."""
+    """Return the registration that aligns the second surface to the first; see `compare`."""
     same = align == "auto" and of_same_frames(first, second)
     found = Registration(by="same" if same else "stage")
     region = _common(first, second, found)
@@ -62,7 +99,7 @@ def register_surfaces(first: Mosaic, second: Mosaic, align: Align = "auto", keep
 
 
 def of_same_frames(first: Mosaic, second: Mosaic) -> bool:
-    """Whether two surfaces were made of the same frames, so that they lie on each other already."""
+    """Return whether two surfaces were made of the same frames and are therefore already aligned."""
     checksum = first.provenance.input_checksum
     return first is second or (checksum != "" and checksum == second.provenance.input_checksum)
 
@@ -85,7 +122,7 @@ def _about(registration: Registration, region: Region) -> Registration:
 
 
 def _common(first: Outline, second: Outline, registration: Registration) -> Region:
-    """The upright rectangle that both lie in. Raises MeasureError when there is none worth a look."""
+    """Return the axis-parallel rectangle common to both. Raises MeasureError when it is too small."""
     xa, ya, xb, yb = SampleGrid(first.pixel_um, first.x0_um, first.y0_um, first.shape).bounds_um
     x0, y0, x1, y1 = _moved(SampleGrid(second.pixel_um, second.x0_um, second.y0_um, second.shape), registration)
     low_x, low_y, high_x, high_y = max(xa, x0), max(ya, y0), min(xb, x1), min(yb, y1)
@@ -98,7 +135,7 @@ def _common(first: Outline, second: Outline, registration: Registration) -> Regi
 
 
 def _moved(lattice: SampleGrid, r: Registration) -> tuple[float, float, float, float]:
-    """The bounds of a surface once it is moved."""
+    """Return the bounds of a surface after alignment."""
     xa, ya, xb, yb = lattice.bounds_um
     cos, sin = np.cos(r.turn_mrad * 1e-3), np.sin(r.turn_mrad * 1e-3)
     dx, dy = np.array([xa, xa, xb, xb]) - r.about_x_um, np.array([ya, yb, ya, yb]) - r.about_y_um
@@ -107,7 +144,7 @@ def _moved(lattice: SampleGrid, r: Registration) -> tuple[float, float, float, f
 
 
 def _overlap_fraction(first: Mosaic, second: Mosaic, registration: Registration) -> float:
-    """Of the first's measured places, those at which the second is measured: by a coarse look at both."""
+    """Return the fraction of the first's measured pixels that are measured in the second, on a coarse level."""
     level = min(first.levels - 1, max(0, int(np.ceil(np.log2(max(first.shape) / _SEEN_PX)))))
     one = first.window(None, level)
     other = ResampledMosaic(first, second, registration).on(SampleGrid(one.pixel_um, one.x0_um, one.y0_um, one.shape))

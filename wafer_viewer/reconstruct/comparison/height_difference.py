@@ -1,4 +1,4 @@
-"""The second of two surfaces minus the first, as a surface that is made when a window of it is asked for."""
+"""Difference of two surfaces, second minus first, computed when a window of it is requested."""
 
 from __future__ import annotations
 
@@ -23,14 +23,14 @@ CHANGED_SIGMAS = 3.0
 _MAD = 1.4826
 _LEAST_LIMIT_UM = 1e-4
 _LOOKS, _LOOK_PX = 6, 192
-"""Of a grid of so many looks a side, each so many pixels wide, the noise is found."""
+"""Samples per side of the grid on which the noise is estimated, and their width in pixels."""
 _BAND_PX = 2**22
-"""Numbers of a whole difference are summed over bands of about so many pixels."""
+"""Approximate number of pixels per band in sums over the entire difference."""
 
 
 @dataclass(frozen=True, slots=True)
 class DifferenceStatistics:
-    """What numbers are made of: of a window, or of many added up."""
+    """Sums from which statistics are computed, for one window or accumulated over many."""
 
     n: int = 0
     total: float = 0.0
@@ -53,7 +53,7 @@ class DifferenceStatistics:
 class Difference:
     """A `Mosaic` of one level on the first's lattice: `laid` over `laid.first`, minus it.
 
-    Unmeasured where either is, for the first's reason where it has one. median_um, limit_um: see `Change`.
+    Unmeasured where either surface is, with the first's origin code if it has one. median_um, limit_um: see `Change`.
     """
 
     laid: ResampledMosaic
@@ -63,7 +63,7 @@ class Difference:
 
     @property
     def registration(self) -> Registration:
-        """How the second was laid over the first."""
+        """Registration of the second surface to the first."""
         return self.laid.registration
 
     @property
@@ -88,17 +88,17 @@ class Difference:
 
     @property
     def levels(self) -> int:
-        """It has one level."""
+        """Number of levels: one."""
         return 1
 
     def window(self, region: Region | None = None, level: int = 0) -> HeightMap:
-        """The part that holds a region; all of it without one. Raises MeasureError when it lies outside."""
+        """Return the part that holds a region, or all of it without one. Raises MeasureError when it is outside."""
         if level:
             raise MeasureError(f"A difference has one level until it is written, level {level} was asked for.")
         return dataclasses.replace(subtracted(self.laid, region), provenance=self.provenance)
 
     def sums(self, part: HeightMap) -> DifferenceStatistics:
-        """What a window adds to the numbers."""
+        """Return the statistics sums of a window."""
         off = part.z_raw_um[np.isfinite(part.z_raw_um)].astype(np.float64)
         if not off.size:
             return DifferenceStatistics()
@@ -110,7 +110,7 @@ class Difference:
         )  # fmt: skip
 
     def change(self, sums: DifferenceStatistics | None = None) -> Change:
-        """What is different, in numbers: from sums over all windows, which are gone through now without them."""
+        """Return the change statistics, from given sums or by summing over all windows."""
         total = sums or sum((self.sums(part) for part in self._bands()), DifferenceStatistics())
         if not total.n:
             raise MeasureError("No place is measured in both surfaces: take surfaces of the same part of the sample.")
@@ -138,7 +138,7 @@ class Difference:
 
 
 def subtracted(laid: ResampledMosaic, region: Region | None) -> HeightMap:
-    """Second minus first in a window of the first's lattice."""
+    """Return second minus first in a window of the first's lattice."""
     one = laid.first.window(region)
     other = laid.on(SampleGrid(one.pixel_um, one.x0_um, one.y0_um, one.shape))
     return HeightMap(
@@ -154,9 +154,9 @@ def subtracted(laid: ResampledMosaic, region: Region | None) -> HeightMap:
 
 
 def noise_of(laid: ResampledMosaic, region: Region) -> tuple[float, float]:
-    """(median, limit of what counts as unchanged) of the differences, from looks spread over a region, in um.
+    """Return (median, limit of unchanged heights) of the differences, from samples over a region, in um.
 
-    Raises MeasureError when no place looked at is measured in both.
+    Raises MeasureError when no sampled pixel is measured in both.
     """
     found = [off for look in _looks(laid, region) if (off := _differences(laid, look)).size]
     if not found:
@@ -183,7 +183,7 @@ def _differences(laid: ResampledMosaic, look: Region) -> NDArray[np.float32]:
 
 
 def provenance_of(first: Provenance, second: Provenance, notes: tuple[str, ...]) -> Provenance:
-    """Where a difference comes from: the first's recipe; simulated when either is, calibrated when both are alike."""
+    """Combine provenances: the first's recipe; simulated if either is, calibrated if both are alike."""
     joint = hashlib.sha256(f"{first.input_checksum} {second.input_checksum}".encode()).hexdigest()
     return replace(
         first,

@@ -1,4 +1,4 @@
-"""A surface of which one of both maps of heights is looked at: the raw one, or the cleaned one."""
+"""View of a surface with one of its height layers, raw or cleaned, in place of both."""
 
 from __future__ import annotations
 
@@ -14,13 +14,13 @@ from wafer_viewer.model.surface.height_map import UNMEASURED_FROM, HeightMap, Mo
 
 @dataclass(frozen=True, eq=False)
 class HeightLayerView(ReadThrough):
-    """A `Mosaic` of which one of both height maps stands for both: the raw one, or the cleaned one."""
+    """A `Mosaic` with one height layer, raw or cleaned, in place of both."""
 
     surface: Mosaic
     heights: Heights
 
     def window(self, region: Region | None = None, level: int = 0) -> HeightMap:
-        """The part of a level that holds a region, with one map of heights."""
+        """Return the part of a level that holds a region, with one height layer."""
         part = self.surface.window(region, level)
         if self.heights == "cleaned":
             return dataclasses.replace(part, z_raw_um=part.z_um)
@@ -31,5 +31,5 @@ class HeightLayerView(ReadThrough):
 
 
 def read_as(surface: Mosaic, heights: Heights) -> Mosaic:
-    """The surface with one map of heights, or as it was made."""
+    """Return a view with one height layer, or the surface itself for "both"."""
     return surface if heights == "both" else HeightLayerView(surface, heights)

@@ -1,8 +1,8 @@
-"""How the second of two surfaces lies on the first in the plane: shift and turn, from their images, coarse to fine.
+"""Lateral registration of two surfaces: shift and rotation from their images, coarse to fine.
 
-At each resolution a few patches of the first are looked for on the second, as fields are when they are stitched; a
-rigid motion goes through what is believed of them, and the next resolution begins with it. The number of patches does
-not grow with the surfaces.
+At each resolution a few patches of the first are searched for on the second, in the same way as fields are stitched. A
+rigid motion is fitted to the accepted patches, and the next resolution starts from it. The number of patches does not
+grow with the surfaces.
 """
 
 from __future__ import annotations
@@ -25,17 +25,17 @@ from wafer_viewer.reconstruct.registration.overlap_strips import Read, height_of
 
 PATCH_PX = 256
 REACH_PX, NEAR_PX = 96.0, 8.0
-"""How far off the stage's word a patch is looked for at first, and once a coarser resolution has placed it."""
+"""Search reach of a patch initially, and after a coarser resolution has located it."""
 MOST_TURN_MRAD, TURN_STEP_MRAD = 60.0, 6.0
-"""Turns that are tried where the two do not fit as they lie; a step moves the rim of a patch by one pixel or less."""
+"""Range and step of the rotations tried if no match is found without; a step moves a patch's rim by at most 1 px."""
 LEAST_PATCHES = 3
-"""So many tell a turn and leave something to see whether they agree."""
+"""Minimum number of patches to estimate a rotation with redundancy."""
 _GRID = 5
 _LEVELS_AT_ONCE = 2
 _FAR_OFF = 4.0
 _MOST_TURN = 0.05
 _LEAST_SPREAD_PX, _LEAST_U_PX = 0.03, 0.02
-"""Patches agree no better, and are all off by as much: what interpolation and the form of the pixels leave."""
+"""Minimum scatter of patches, and their common error, due to interpolation and pixel shape."""
 
 Numbers = NDArray[np.float64]
 Bounds = tuple[float, float, float, float]
@@ -44,7 +44,7 @@ Bounds = tuple[float, float, float, float]
 
 @dataclass(frozen=True, slots=True, eq=False)
 class InPlane:
-    """A registration by images with the covariance of (x_um, y_um, turn in rad) about its centre; the doubt, if any."""
+    """Registration by images, with the covariance of (x_um, y_um, turn in rad) about its centre and the doubt."""
 
     registration: Registration
     covariance: Numbers
@@ -53,7 +53,7 @@ class InPlane:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _Sightings:
-    """Where patches were found, all [n]: their centres, how far off, with standard uncertainties; and the doubts."""
+    """Matched patches, all [n]: centres, offsets, standard uncertainties and doubts."""
 
     at_um: Numbers
     off_um: Numbers
@@ -62,9 +62,9 @@ class _Sightings:
 
 
 def in_plane(first: Mosaic, second: Mosaic, overlap_um: Bounds) -> InPlane:
-    """Lay the second over the first by what is to be seen in both; by their relief where nothing is.
+    """Register the second surface to the first by their images, or by their relief if that fails.
 
-    overlap_um: (x low, y low, x high, y high) of what may be common, as the stage says.
+    overlap_um: (x low, y low, x high, y high) of the possible overlap, by the stage.
     """
     found = _by(picture_of, "images", first, second, overlap_um)
     if found.doubt is RejectionReason.NONE:
@@ -92,7 +92,7 @@ def _by(read: Read, by: FoundBy, first: Mosaic, second: Mosaic, overlap_um: Boun
 
 
 def _levels(first: Mosaic, overlap_um: Bounds) -> list[int]:
-    """From the one at which a patch and a half holds the overlap, down to full resolution, which has the last word."""
+    """Return the levels, from the one at which 1.5 patches span the overlap to full resolution, which is used twice."""
     xa, ya, xb, yb = overlap_um
     side_px = max(xb - xa, yb - ya) / first.pixel_um
     coarsest = min(first.levels - 1, max(0, math.ceil(math.log2(side_px / (1.5 * PATCH_PX)))))
@@ -100,7 +100,7 @@ def _levels(first: Mosaic, overlap_um: Bounds) -> list[int]:
 
 
 def _sightings(read: Read, laid: ResampledMosaic, overlap_um: Bounds, level: int, begun: bool) -> _Sightings:
-    """Look for the patches of a level; far and wide as long as no coarser one has told where."""
+    """Match the patches of a level, with a wide search until a coarser level has succeeded."""
     pixel = laid.first.pixel_um * 2**level
     found = [_sighting(read, laid, at, level, NEAR_PX if begun else REACH_PX) for at in _centres(overlap_um, pixel)]
     at, off, u, doubts = zip(*found, strict=True)
@@ -108,7 +108,7 @@ def _sightings(read: Read, laid: ResampledMosaic, overlap_um: Bounds, level: int
 
 
 def _centres(overlap_um: Bounds, pixel_um: float) -> list[tuple[float, float]]:
-    """The middles of a grid of patches over the overlap; they lie over each other where there is little room."""
+    """Return the centres of a grid of patches over the overlap; patches overlap where space is limited."""
     xa, ya, xb, yb = overlap_um
     half = PATCH_PX / 2 * pixel_um
     xs, ys = _along(xa, xb, half), _along(ya, yb, half)
@@ -125,7 +125,7 @@ def _along(low: float, high: float, half: float) -> Numbers:
 def _sighting(
     read: Read, laid: ResampledMosaic, at_um: tuple[float, float], level: int, reach_px: float
 ) -> tuple[tuple[float, float], tuple[float, float], tuple[float, float], RejectionReason]:
-    """Where the content of the second that should lie at a place of the first lies, off that place."""
+    """Match a patch of the second against the first and return its centre, offset, uncertainty and doubt."""
     pixel = laid.first.pixel_um * 2**level
     nowhere = at_um, (0.0, 0.0), (math.inf, math.inf), RejectionReason.BLANK
     try:
@@ -147,7 +147,7 @@ def _square(at_um: tuple[float, float], pixel_um: float, side_px: int) -> Sample
 
 
 def _on_pixels_of(one: HeightMap, square: SampleGrid) -> SampleGrid:
-    """The square, moved by less than a pixel so that its pixels lie on those of a map."""
+    """Return the square moved by less than a pixel, so that it coincides with the pixels of a map."""
     right, down = round((square.x0_um - one.x0_um) / one.pixel_um), round((one.y0_um - square.y0_um) / one.pixel_um)
     return SampleGrid(one.pixel_um, one.x0_um + right * one.pixel_um, one.y0_um - down * one.pixel_um, square.shape)
 
@@ -157,7 +157,7 @@ def _holds_enough(part: HeightMap) -> bool:
 
 
 def _solved(before: Registration, seen: _Sightings, pixel_um: float) -> InPlane:
-    """The rigid motion through what is believed of the patches, on top of the one they were looked for by."""
+    """Fit a rigid motion to the accepted patches, and add it to the registration used for the search."""
     believed = np.array([doubt is RejectionReason.NONE for doubt in seen.doubts])
     if not believed.any():
         return InPlane(before, np.full((3, 3), np.inf), _usual(seen.doubts))
@@ -180,7 +180,7 @@ def _solved(before: Registration, seen: _Sightings, pixel_um: float) -> InPlane:
 
 
 def _agreed(at: Numbers, off: Numbers, u: Numbers, pixel_um: float) -> tuple[NDArray[np.bool_], Numbers, Numbers]:
-    """(patches that agree, shift and turn through them, covariance); the others may show what has changed."""
+    """Return (mask of agreeing patches, shift and rotation, covariance); the others may have changed."""
     u = np.hypot(u, _LEAST_SPREAD_PX * pixel_um)
     kept = np.hypot(*(off - np.median(off, axis=0)).T) <= max(
         _FAR_OFF * pixel_um, 0.05 * float(np.abs(at).max(initial=0))
@@ -196,7 +196,10 @@ def _agreed(at: Numbers, off: Numbers, u: Numbers, pixel_um: float) -> tuple[NDA
 
 
 def _through(at: Numbers, off: Numbers, u: Numbers, kept: NDArray[np.bool_]) -> tuple[Numbers, Numbers, Numbers]:
-    """Weighted least squares of (x, y, turn); one or two patches tell a shift alone. Also what is left, [n, 2]."""
+    """Return weighted least squares of (x, y, turn), its covariance, and the residuals [n, 2].
+
+    One or two patches determine a shift only.
+    """
     n = len(at)
     design = np.zeros((n, 2, 3))
     design[:, 0, 0] = design[:, 1, 1] = 1
@@ -213,7 +216,7 @@ def _through(at: Numbers, off: Numbers, u: Numbers, kept: NDArray[np.bool_]) -> 
 
 
 def _usual(doubts: list[RejectionReason]) -> RejectionReason:
-    """The doubt that most patches have, blank ones apart as long as there are others."""
+    """Return the most frequent doubt of the patches, ignoring blank ones unless all are blank."""
     telling = [doubt for doubt in doubts if doubt is not RejectionReason.BLANK] or doubts
     return max(set(telling), key=lambda doubt: (telling.count(doubt), doubt))
 
@@ -226,7 +229,7 @@ def _turned(
     overlap_um: Bounds,
     level: int,
 ) -> InPlane | None:
-    """The fit under the turn at which the middle patch looks most alike; None where it fits under none."""
+    """Return the fit at the rotation with the best match of the middle patch; None if it is rejected."""
     pixel = first.pixel_um * 2**level
     middle = _centres(overlap_um, pixel)
     at = middle[len(middle) // 2]
@@ -249,7 +252,7 @@ def _turns() -> Iterator[float]:
 
 
 def _alike(read: Read, laid: ResampledMosaic, at_um: tuple[float, float], level: int) -> float:
-    """How surely the patch is to be found, in standard deviations."""
+    """Return the significance of the correlation of a patch, in standard deviations."""
     from wafer_viewer.numerics.registration.cross_correlation import contrast, likeness
 
     pixel = laid.first.pixel_um * 2**level

@@ -1,4 +1,4 @@
-"""A height map as a pyramid: its coarser levels are made when they are first asked for."""
+"""Pyramid of a height map whose coarser levels are computed on first request."""
 
 from __future__ import annotations
 
@@ -42,16 +42,16 @@ class Reduced:
 
     @property
     def levels(self) -> int:
-        """Levels until the longer side is about 256 pixels."""
+        """Number of levels until the longer side is about 256 pixels."""
         return 1 + max(0, math.ceil(math.log2(max(self.shape) / _COARSEST_PX)))
 
     @property
     def provenance(self) -> Provenance:
-        """That of the map."""
+        """Provenance of the map."""
         return self.whole.provenance
 
     def window(self, region: Region | None = None, level: int = 0) -> HeightMap:
-        """The part of a level that holds a region. Raises MeasureError when it lies outside or is not there."""
+        """Return the part of a level that holds a region. Raises MeasureError if either does not exist."""
         if not 0 <= level < self.levels:
             raise MeasureError(f"The surface has levels 0 to {self.levels - 1}, level {level} was asked for.")
         if region is None:
@@ -67,5 +67,5 @@ class Reduced:
 
 
 def as_pyramid(surface: Mosaic) -> Mosaic:
-    """The surface itself, or a pyramid over it where it is a map with one level."""
+    """Return the surface itself, or a pyramid over it if it is a map with one level."""
     return Reduced(surface) if isinstance(surface, HeightMap) else surface

@@ -1,4 +1,4 @@
-"""The second of two surfaces laid over the first: its layers on the first's lattice, a window at a time."""
+"""Resampling of the second of two surfaces on the first's lattice, one window at a time."""
 
 from __future__ import annotations
 
@@ -25,12 +25,12 @@ Affine = NDArray[np.float64]
 """[2, 3]: the images of (1, a, b)."""
 _MARGIN_PX = 2
 _FINER = 1.42
-"""The level read may have pixels so much larger than those asked for: half an octave."""
+"""The pixels of the level read may be larger than those requested by this factor: half an octave."""
 
 
 @dataclass(frozen=True, slots=True)
 class SampleGrid:
-    """Where pixels lie: an `Outline` by itself."""
+    """Positions of sampled pixels, as a standalone `Outline`."""
 
     pixel_um: float
     x0_um: float
@@ -39,7 +39,7 @@ class SampleGrid:
 
     @classmethod
     def of(cls, surface: Outline, region: Region | None, level: int) -> SampleGrid:
-        """The part of a level of a surface that holds a region, all of it without one."""
+        """Return the part of a level of a surface that holds a region, or the entire level without one."""
         scale = 2**level
         rows, cols = (slice(0, -(-n // scale)) for n in surface.shape)
         if region is not None:
@@ -56,15 +56,15 @@ class SampleGrid:
 
     @property
     def region(self) -> Region:
-        """The rectangle through its outermost pixels."""
+        """Rectangle through its outermost pixels."""
         return Region.rectangle(*self.bounds_um)
 
 
 @dataclass(frozen=True, eq=False)
 class ResampledMosaic:
-    """A `Mosaic`: `second` as it lies by a registration, on the lattice of `first`.
+    """A `Mosaic`: `second` transformed by a registration, on the lattice of `first`.
 
-    Heights are moved by the registration as well. A window costs the memory of itself, twice.
+    Heights are transformed by the registration as well. A window needs twice its own memory.
     """
 
     first: Mosaic
@@ -93,21 +93,24 @@ class ResampledMosaic:
 
     @property
     def levels(self) -> int:
-        """As many as both have."""
+        """Number of levels available in both."""
         finer = math.log2(self.first.pixel_um / self.second.pixel_um)
         return max(1, min(self.first.levels, self.second.levels - math.ceil(finer - 0.5)))
 
     @property
     def provenance(self) -> Provenance:
-        """That of the second."""
+        """Provenance of the second surface."""
         return self.second.provenance
 
     def window(self, region: Region | None = None, level: int = 0) -> HeightMap:
-        """The part of a level of the first's lattice that holds a region. Raises MeasureError when it lies outside."""
+        """Return the part of a level of the first's lattice that holds a region.
+
+        Raises MeasureError when the region is outside.
+        """
         return self.on(SampleGrid.of(self.first, region, level))
 
     def on(self, lattice: SampleGrid) -> HeightMap:
-        """The second on any lattice of the first's stage."""
+        """Return the second surface on any lattice in the first's stage coordinates."""
         from wafer_viewer.numerics.grids.affine_resample import lay
 
         part = self._beneath(lattice)
@@ -123,7 +126,7 @@ class ResampledMosaic:
         )  # fmt: skip
 
     def to_second(self, x_um: NDArray[np.float64], y_um: NDArray[np.float64]) -> tuple[Affine, Affine]:
-        """Where places of the first lie on the second."""
+        """Transform positions on the first surface to the second."""
         r = self.registration
         cos, sin = self._turn
         dx, dy = x_um - r.about_x_um - r.x_um, y_um - r.about_y_um - r.y_um
@@ -135,7 +138,7 @@ class ResampledMosaic:
         return math.cos(turn), math.sin(turn)
 
     def _beneath(self, lattice: SampleGrid) -> HeightMap | None:
-        """What of the second lies under a lattice, at the level whose pixels are about as large; None: nothing."""
+        """Return the part of the second under a lattice, at the level of similar pixel size; None if there is none."""
         xa, ya, xb, yb = lattice.bounds_um
         x, y = self.to_second(np.array([xa, xa, xb, xb]), np.array([ya, yb, ya, yb]))
         finest = math.log2(max(1.0, _FINER * lattice.pixel_um / self.second.pixel_um))
@@ -148,7 +151,7 @@ class ResampledMosaic:
             return None
 
     def _motion(self, lattice: SampleGrid, part: HeightMap) -> Affine:
-        """(row, col) of the part as an affine function of those of the lattice."""
+        """Return (row, col) of the part as an affine function of those of the lattice."""
         cols, rows = np.array([0.0, 0.0, 1.0]), np.array([0.0, 1.0, 0.0])
         x, y = self.to_second(lattice.x0_um + cols * lattice.pixel_um, lattice.y0_um - rows * lattice.pixel_um)
         row, col = (part.y0_um - y) / part.pixel_um, (x - part.x0_um) / part.pixel_um

@@ -1,8 +1,8 @@
-"""What is left between two surfaces that lie over each other: height, tilt, and a small shift and turn.
+"""Refinement of a registration between two aligned surfaces: height, tilt, and a small shift and rotation.
 
-A plane through their differences comes first; then point-to-plane ICP (Y. Chen, G. Medioni, Image Vis. Comput. 10
-(1992) 145) by Open3D on a bounded sample of both, with Tukey's loss, so that what has changed counts nothing. Relief
-tells less of x and y than images do, but where they are poor; each counts by its covariance.
+A plane is first fitted to their differences; then point-to-plane ICP (Y. Chen, G. Medioni, Image Vis. Comput. 10 (1992)
+145) by Open3D runs on a bounded sample of both, with Tukey's loss, so that changed areas do not count. Relief
+determines x and y less well than images do, unless these are poor; each is weighted by its covariance.
 """
 
 from __future__ import annotations
@@ -23,21 +23,21 @@ from wafer_viewer.numerics.grids.robust_plane import Plane, fit_plane
 from wafer_viewer.reconstruct.comparison.resampled_surface import ResampledMosaic, SampleGrid
 
 SAMPLE_PX = 256
-"""Points of the sample, along each side of what is common."""
+"""Number of sample points along each side of the common region."""
 LEAST_POINTS = 100
 _BLOCK_PX = 16
 _TUKEY = 4.685
 _STEEPEST = 1.0
-"""Steeper than this a height is a wall, whose place depends on the microscope more than on the sample."""
+"""Slope above which a height is a wall, whose position depends more on the microscope than on the sample."""
 _LEAST_U_PX = 0.1
-"""Of a point of the sample: relief tells no place more finely, for its points are means of many pixels."""
+"""Minimum lateral uncertainty of a sample point, because points are means of many pixels."""
 
 Numbers = NDArray[np.float64]
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _Sample:
-    """Both surfaces at the same places: the second as it is laid now; heights float32 [row, col], NaN unmeasured."""
+    """Both surfaces at the same positions, as currently aligned; heights float32 [row, col], NaN unmeasured."""
 
     lattice: SampleGrid
     first_um: NDArray[np.float32]
@@ -50,9 +50,9 @@ class _Sample:
 
 
 def levelled(first: Mosaic, second: Mosaic, registration: Registration, region: Region) -> Registration:
-    """The registration with the height and tilts at which most of the second lies on the first.
+    """Return the registration with height and tilts estimated by a robust plane fit.
 
-    region: what is common. Raises MeasureError when too little is measured in both.
+    region: common region. Raises MeasureError when too little is measured in both.
     """
     sample = _sample(ResampledMosaic(first, second, registration), region)
     return _on_plane(registration, sample, _plane(sample))
@@ -61,10 +61,10 @@ def levelled(first: Mosaic, second: Mosaic, registration: Registration, region: 
 def settled(
     first: Mosaic, second: Mosaic, registration: Registration, covariance: Numbers, region: Region
 ) -> Registration:
-    """The same, and shift and turn refined by the relief.
+    """Return the registration with height, tilts, shift and rotation refined by the relief.
 
-    covariance: of (x_um, y_um, turn in rad) as the images tell them. Raises MeasureError when too little is measured in
-    both, ComputeError when Open3D cannot be loaded.
+    covariance: of (x_um, y_um, turn in rad) from the images. Raises MeasureError when too little is measured in both,
+    ComputeError when Open3D cannot be loaded.
     """
     near = levelled(first, second, registration, region)
     sample = _sample(ResampledMosaic(first, second, near), region)
@@ -98,7 +98,7 @@ def _heights(part: HeightMap) -> NDArray[np.float32]:
 
 
 def _plane(sample: _Sample) -> Plane:
-    """A robust plane through the differences. Raises MeasureError when there are too few."""
+    """Fit a robust plane to the differences. Raises MeasureError when there are too few."""
     n = int(np.isfinite(sample.difference_um).sum())
     found = fit_plane(sample.difference_um, _BLOCK_PX) if n >= LEAST_POINTS else None
     if found is None:
@@ -110,7 +110,7 @@ def _plane(sample: _Sample) -> Plane:
 
 
 def _on_plane(registration: Registration, sample: _Sample, plane: Plane) -> Registration:
-    """The registration less the plane that the differences lie on."""
+    """Subtract the plane of the differences from a registration."""
     pixel = sample.lattice.pixel_um
     x_um, y_um = sample.lattice.x0_um + plane.col0 * pixel, sample.lattice.y0_um - plane.row0 * pixel
     slope_x, slope_y = plane.slope_right / pixel, -plane.slope_down / pixel
@@ -129,7 +129,7 @@ def _on_plane(registration: Registration, sample: _Sample, plane: Plane) -> Regi
 
 
 def _icp(sample: _Sample, plane: Plane, about_um: tuple[float, float]) -> tuple[Numbers, Numbers]:
-    """How the second has to be moved by what its relief says: (x, y, turn), and the inverse covariance."""
+    """Return the motion (x, y, turn) of the second estimated from its relief, and its inverse covariance."""
     target, source, normals = _points(sample, about_um)
     if len(target) < LEAST_POINTS:
         return np.zeros(3), np.zeros((3, 3))
@@ -147,7 +147,7 @@ def _icp(sample: _Sample, plane: Plane, about_um: tuple[float, float]) -> tuple[
 
 
 def _points(sample: _Sample, about_um: tuple[float, float]) -> tuple[Numbers, Numbers, Numbers]:
-    """Places of both, [n, 3] in um from the centre, and the normals of the first's; neither walls nor edges."""
+    """Return points of both, [n, 3] in um from the centre, and normals of the first, without walls and edges."""
     down, right = (np.asarray(d, np.float64) for d in np.gradient(sample.first_um, sample.lattice.pixel_um))
     there = np.isfinite(down + right + sample.second_um) & (np.hypot(down, right) < _STEEPEST)
     rows, cols = np.nonzero(there)
@@ -164,7 +164,7 @@ def _xyz(x_um: Any, y_um: Any, z_um: NDArray[np.float32]) -> Numbers:
 
 
 def _information(target: Numbers, normals: Numbers, source: Numbers, plane: Plane, pixel_um: float) -> Numbers:
-    """What the points tell of (x, y, turn) when height and tilts are free: inverse covariance."""
+    """Return the inverse covariance of (x, y, turn), with height and tilts marginalised."""
     x, y = target[:, 0], target[:, 1]
     nx, ny, nz = normals.T
     design = np.stack([nx, ny, x * ny - y * nx, nz, x * nz, y * nz], axis=1)

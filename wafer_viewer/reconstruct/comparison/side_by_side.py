@@ -1,4 +1,4 @@
-"""Two surfaces on one lattice drawn side by side, as one surface: the second to the right of the first."""
+"""Side-by-side view of two surfaces on one lattice, with the second to the right of the first."""
 
 from __future__ import annotations
 
@@ -13,12 +13,12 @@ from wafer_viewer.model.surface.height_map import HeightMap, Origin, Provenance
 from wafer_viewer.reconstruct.comparison.resampled_surface import ResampledMosaic, SampleGrid
 
 GAP = 0.06
-"""Of the width of one, how much lies between them."""
+"""Gap between the surfaces, as a fraction of the width of one."""
 
 
 @dataclass(frozen=True, eq=False)
 class SideBySideMosaic:
-    """A `Mosaic`: the first and what is laid over it, which lies `offset` columns further right."""
+    """A `Mosaic` of the first surface and the one aligned to it, which is `offset` columns further right."""
 
     laid: ResampledMosaic
 
@@ -39,7 +39,7 @@ class SideBySideMosaic:
 
     @property
     def offset(self) -> int:
-        """Columns of level 0 from a place on the first to the same on the second: whole pixels of every level."""
+        """Columns of level 0 between a position on the first and on the second; a multiple of every level's pixel."""
         whole = 2 ** (self.levels - 1)
         return -(-round((1 + GAP) * self.laid.shape[1]) // whole) * whole
 
@@ -50,16 +50,16 @@ class SideBySideMosaic:
 
     @property
     def levels(self) -> int:
-        """As many as both have."""
+        """Number of levels available in both."""
         return self.laid.levels
 
     @property
     def provenance(self) -> Provenance:
-        """That of the first."""
+        """Provenance of the first surface."""
         return self.laid.first.provenance
 
     def window(self, region: Region | None = None, level: int = 0) -> HeightMap:
-        """The part of a level that holds a region, which may reach over both."""
+        """Return the part of a level that holds a region, which may span both surfaces."""
         lattice = SampleGrid.of(self, region, level)
         parts = [self._part(k, lattice, level) for k in (0, 1)]
         known = [part for part in parts if part is not None]
@@ -87,7 +87,7 @@ class SideBySideMosaic:
         return self.offset * self.pixel_um
 
     def _part(self, k: int, lattice: SampleGrid, level: int) -> HeightMap | None:
-        """What of the first (0) or of the second (1) lies in a window; None: nothing."""
+        """Return the part of the first (0) or second (1) surface in a window; None if there is none."""
         xa, ya, xb, yb = lattice.bounds_um
         off = k * self._off_um
         try:
@@ -98,7 +98,7 @@ class SideBySideMosaic:
 
 
 def _paste(layers: dict[str, Any], part: HeightMap, col: int) -> None:
-    """Put a part into its columns of a window of as many rows, its picture at the depth of the window's."""
+    """Copy a part to its columns of a window of equal height, with its image converted to the window's depth."""
     left, right = max(col, 0), min(col + part.shape[1], layers["z_um"].shape[1])
     for name, layer in layers.items():
         values = getattr(part, name)[: layer.shape[0], left - col : right - col]

@@ -1,1 +1,1 @@
-"""Focus measures, the search for the peak and its interpolation."""
+"""Focus measures, peak search and peak interpolation."""

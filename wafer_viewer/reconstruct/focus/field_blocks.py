@@ -1,4 +1,4 @@
-"""Parts of a field: where kernels read them, and some of them at a time."""
+"""Parts of a field: sources for the kernels, and parallel processing."""
 
 from __future__ import annotations
 
@@ -18,12 +18,12 @@ Part = TypeVar("Part")
 
 
 def cores() -> int:
-    """The cores that this process may use; not every system tells which."""
+    """Return the number of cores available to this process; the total number where affinity is unavailable."""
     return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
 
 
 def on_threads(work: Callable[[Part], None], parts: Iterable[Part], threads: int | None) -> None:
-    """Do all parts, on some threads (all cores without a number)."""
+    """Process all parts on `threads` threads (default: all cores)."""
     threads = threads or cores()
     if threads == 1:
         for part in parts:
@@ -34,14 +34,15 @@ def on_threads(work: Callable[[Part], None], parts: Iterable[Part], threads: int
 
 
 def row_parts(n_rows: int, rows: int) -> list[slice]:
-    """Rows in parts of `rows`, the last of them perhaps shorter."""
+    """Split rows into parts of `rows`; the last part may be shorter."""
     return [slice(top, min(top + rows, n_rows)) for top in range(0, n_rows, rows)]
 
 
 def source_of(frames: Frames, rows: slice, cols: slice, margin: int, block: Image | None = None) -> StackSource:
-    """A part of a field for kernels that look `margin` pixels beyond it: as it lies, or else copied and put right.
+    """Return a part of a field for kernels that read `margin` pixels beyond it.
 
-    block: [k, rows + 2 margin, cols + 2 margin] to copy to; without it one is made where it is needed.
+    Pixels are read in place where possible, otherwise copied and corrected. block: [k, rows + 2 margin, cols + 2
+    margin] to copy to; allocated on demand if omitted.
     """
     if frames.ready(rows, margin):
         return StackSource.of(frames.images, frames.slots, rows.start, cols.start, frames.clipped_counts)
@@ -53,12 +54,12 @@ def source_of(frames: Frames, rows: slice, cols: slice, margin: int, block: Imag
 
 
 def source_of_rows(frames: Frames, rows: slice, margin: int) -> StackSource:
-    """Whole rows of a field, for kernels that look `margin` pixels beyond them."""
+    """Return full rows of a field, for kernels that read `margin` pixels beyond them."""
     return source_of(frames, rows, slice(0, frames.shape[1]), margin)
 
 
 def read_part(frames: Frames, some: slice, rows: slice, cols: slice, margin: int) -> Image:
-    """Some of the frames of a part of a field, with a margin; beyond the field its border repeats."""
+    """Read a range of frames of a part of a field, with a margin; beyond the field its border repeats."""
     alone = frames.drift is None  # the drift of a frame is known by its place among all of them
     chosen = dataclasses.replace(frames, index=frames.slots[some]) if alone else frames
     n_frames = some.stop - some.start if alone else frames.n_frames

@@ -1,4 +1,4 @@
-"""How sharp each pixel of each frame is: the focus measures to choose from, and what the search needs of each."""
+"""Registry of the focus measures, with the functions that the search needs of each."""
 
 from __future__ import annotations
 
@@ -38,7 +38,7 @@ USUAL_CAMERA = CameraNoise(gain_counts=0.02, floor_counts2=0.2)
 
 @dataclass(frozen=True, slots=True)
 class Focusing:
-    """What a measure is to do: its window, and, for those that ask, the camera's noise and the high-pass along z."""
+    """Parameters of a focus measure: window and, where it uses them, camera noise and high-pass along z."""
 
     window: int
     camera: CameraNoise = USUAL_CAMERA
@@ -47,14 +47,14 @@ class Focusing:
 
 @dataclass(frozen=True, slots=True)
 class FocusMeasure:
-    """A focus measure: what it is, where it is from, and what the search needs of it.
+    """A focus measure: title, source, and the functions that the search needs.
 
-    power: it falls as the blur's variance to minus this power. The energy of white texture under a Gaussian blur of
-    variance v goes as 1 / v^2 for first and 1 / v^3 for second derivatives; that of the variance in a window, which
-    takes the mean out, was measured, and that of a mean of logarithms agrees with its energy's.
-    margin_px: how far a window looks beyond a pixel. table: what the lower bits of a level add to log2, the others are
-    its whole part. make_rows: the rows that its kernel works in, for a number of columns, a window and a dtype.
-    fill: measures the frames of a source into a volume.
+    power: the measure falls as the blur variance to minus this power. The energy of white texture under a Gaussian blur
+    of variance v goes as 1 / v^2 for first and 1 / v^3 for second derivatives; the power of the variance in a window,
+    which removes the mean, was measured, and the power of a mean of logarithms equals that of its energy. margin_px:
+    reach of a window beyond a pixel. table: contribution of the lower bits of a level to log2, the other bits being the
+    integer part. make_rows: allocates the work rows of the kernel, for a number of columns, a window and a dtype. fill:
+    measures the frames of a source into a volume.
     """
 
     title: str
@@ -80,13 +80,13 @@ def _fill_by_logarithm(source: StackSource, how: Focusing, rows: LogRows, volume
 
 
 def _mantissa_table(dtype: np.dtype[Any]) -> Table:
-    """Levels that are the bits of a float32, five or six of them before the point: log2(1 + fraction)."""
+    """Return log2(1 + fraction) for levels that are the bits of a float32, five or six of them before the point."""
     bits = 11 if np.dtype(dtype).itemsize == 1 else 10
     return np.log2(1 + np.arange(2**bits) / 2**bits).astype(np.float32)
 
 
 def _linear_table(dtype: np.dtype[Any]) -> Table:
-    """Levels that are a logarithm with as many bits after the point for every dtype."""
+    """Return the table for levels that are logarithms with the same number of fraction bits for every dtype."""
     return (np.arange(2**LEVEL_BITS) / 2**LEVEL_BITS).astype(np.float32)
 
 
@@ -110,7 +110,7 @@ PAPER_MEASURES = tuple(_CODES)
 
 
 def focus_image(image: Image, measure: str, window: int) -> NDArray[np.float32]:
-    """The focus measure of one image [row, col], eq. 2, 3 or 4, as float32 of the same shape.
+    """Return the focus measure of one image [row, col], eq. 2, 3 or 4, as float32 of the same shape.
 
     Beyond the border the border pixels repeat. Raises KeyError for a measure that is not one of the paper's.
     """

@@ -1,8 +1,8 @@
-"""What the kernels of a focus measure share: the grey rows they read, and what they keep of each row of levels.
+"""Common kernels of the focus measures: reading grey rows, and accumulating rows of levels.
 
-A block of a stack is taken a frame at a time and a row at a time. A measure makes a row of levels of each frame, log2
-of the focus as 16 bits; the levels of the block are its focus volume (eq. 5), and the best frame of each pixel (eq. 6),
-the clipped frames and the coarse focus volume of the field are noted in passing, while the row is in the first cache.
+A block of a stack is processed frame by frame and row by row. A measure makes a row of levels of each frame, log2 of
+the focus as 16 bits; the levels of the block are its focus volume (eq. 5). The best frame of each pixel (eq. 6), the
+clipped frames and the coarse focus volume of the field are updated while the row is in the L1 cache.
 """
 
 from __future__ import annotations
@@ -20,10 +20,10 @@ COARSE_PX = 4
 
 
 class StackSource(NamedTuple):
-    """The pixels that a block is made of: images[slots[k]] is frame k, and the block begins at row top, column left.
+    """Pixels of a block: images[slots[k]] is frame k, and the block begins at row top, column left.
 
-    images: [n, row, col], contiguous and read-only, so that all stacks are of one type to the kernels. From
-    clipped_counts on a pixel is clipped.
+    images: [n, row, col], contiguous and read-only, so that all stacks have the same type in the kernels.
+    clipped_counts: grey from which a pixel is clipped.
     """
 
     images: Greys
@@ -34,16 +34,16 @@ class StackSource(NamedTuple):
 
     @classmethod
     def of(cls, images: Greys, slots: Int64s, top: int, left: int, clipped_counts: int) -> StackSource:
-        """A source of contiguous images."""
+        """Return a source of contiguous images."""
         view = np.asarray(images).view()
         view.flags.writeable = False
         return cls(view, slots, top, left, clipped_counts)
 
 
 class Volume(NamedTuple):
-    """What a block's frames become: levels [k, row, col]; best level, its frame, number of clipped frames [row, col].
+    """Focus volume of a block: levels [k, row, col]; best level, its frame, clipped frame count [row, col].
 
-    coarse: [k, row / 4, col / 4], levels averaged over 4 x 4 pixels, or empty where nobody asks for them.
+    coarse: [k, row / 4, col / 4], levels averaged over 4 x 4 pixels, or empty where they are not requested.
     """
 
     levels: UInt16s
@@ -55,7 +55,7 @@ class Volume(NamedTuple):
 
 @inlined_part
 def empty(volume: Volume) -> None:
-    """Make a volume ready for the first frame."""
+    """Initialise a volume for the first frame."""
     volume.best[:] = 0
     volume.peak[:] = 0
     volume.clipped[:] = 0
@@ -63,7 +63,7 @@ def empty(volume: Volume) -> None:
 
 @inlined_part
 def take_grey(source: StackSource, k: Whole, y: Whole, margin: Whole, cols: Whole, grey: Greys) -> None:
-    """Row y of the block in frame k, `margin` pixels longer at both ends; beyond the image its border repeats."""
+    """Read row y of the block in frame k, extended by `margin` pixels at both ends; image borders repeat."""
     images = source.images
     at = min(max(source.top + y, 0), images.shape[1] - 1)
     row = images[source.slots[k], at]
@@ -81,7 +81,7 @@ def take_grey(source: StackSource, k: Whole, y: Whole, margin: Whole, cols: Whol
 
 @lean_part
 def count_clipped(grey: Greys, clipped_counts: Whole, clipped: UInt16s) -> None:
-    """Count the pixels of a grey row that are too bright."""
+    """Count the clipped pixels of a grey row."""
     limit = np.uint16(min(clipped_counts, 65535))
     for x in range(clipped.size):
         clipped[x] = np.uint16(clipped[x] + np.uint16(np.uint16(grey[x]) >= limit))
@@ -89,7 +89,7 @@ def count_clipped(grey: Greys, clipped_counts: Whole, clipped: UInt16s) -> None:
 
 @inlined_part
 def keep_row(volume: Volume, k: Whole, y: Whole) -> None:
-    """Note what row y of frame k says, once its levels are in the volume."""
+    """Update best level, peak frame and coarse volume from row y of frame k, whose levels are in the volume."""
     levels = volume.levels[k]
     last = levels.shape[0] - 1
     note(levels[y], np.uint16(k), volume.best[y], volume.peak[y])
@@ -106,7 +106,7 @@ def keep_row(volume: Volume, k: Whole, y: Whole) -> None:
 
 @lean_part
 def note(level: UInt16s, k: Whole, best: UInt16s, peak: UInt16s) -> None:
-    """Keep the best level of a row and its frame."""
+    """Update the best level of a row and its frame."""
     for x in range(level.size):
         q, old, at = level[x], best[x], peak[x]
         best[x] = q if q > old else old
@@ -115,7 +115,7 @@ def note(level: UInt16s, k: Whole, best: UInt16s, peak: UInt16s) -> None:
 
 @lean_part
 def _coarsen(a: UInt16s, b: UInt16s, c: UInt16s, d: UInt16s, coarse: UInt16s) -> None:
-    """Means of 4 x 4 levels, rounded; where the row ends early its last level repeats."""
+    """Average 4 x 4 levels, rounded; where the row ends early its last level repeats."""
     i = np.int32
     whole = a.size // COARSE_PX
     for x in range(whole):

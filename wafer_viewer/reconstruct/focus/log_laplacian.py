@@ -1,14 +1,14 @@
-"""The stabilised log-Laplacian: a focus measure for dark textures beside bright ones that bleed light over them.
+"""Stabilised log-Laplacian: a focus measure for dark textures next to bright ones that bleed light.
 
-The square root takes the grey to units of its own noise, so that bright and dark places count alike and pure noise
-has the same energy everywhere. The energy of a Laplacian is averaged over 3 x 3 pixels and its logarithm over the
-window twice, a triangle in effect: a mean of logarithms lets no bright speck or far edge speak for the whole window,
-as a sum of energies does.
+The square root scales the grey to units of its own noise, so that bright and dark areas have equal weight and pure
+noise has the same energy everywhere. The energy of a Laplacian is averaged over 3 x 3 pixels and its logarithm twice
+over the window, which equals a triangle filter. Unlike a sum of energies, a mean of logarithms is not dominated by a
+bright speck or a distant edge.
 
 With v the stabilised grey, B = [1 2 1] x [1 2 1] / 16 * v:
 L = 3 (mean3x3(B) - B), l = log2(19/64 + mean3x3(L^2)), F = box_w(box_w(l)); 19/64 is the energy of unit white noise.
 
-A row at a time through rings of rows, as the measures of the paper. L has whole coefficients, 48 L =
+Rows are processed in ring buffers, as for the measures of the paper. 48 L has integer coefficients, 48 L =
 
      1   3   4   3   1
      3   0  -6   0   3
@@ -17,7 +17,7 @@ A row at a time through rings of rows, as the measures of the paper. L has whole
      1   3   4   3   1
 
 and is a symmetric row filter of two column filters. The triangle down the columns is integrated twice from its second
-difference, l(y) - 2 l(y - w) + l(y - 2 w), in whole numbers: what comes in goes out again exactly.
+difference, l(y) - 2 l(y - w) + l(y - 2 w), in integers, so that rounding errors do not accumulate.
 """
 
 from __future__ import annotations
@@ -36,10 +36,10 @@ from wafer_viewer.reconstruct.focus.focus_volume import StackSource, Volume, cou
 from wafer_viewer.reconstruct.preprocess.camera_noise import CameraNoise
 
 LEVEL_BITS = 11
-"""Bits of a level that follow the whole part of the logarithm."""
+"""Fraction bits of a level."""
 
 LEVEL_OFFSET = 2
-"""A level is 2^11 (F + 2): the logarithm of noise's own energy is -1.75."""
+"""A level is 2^11 (F + 2): the logarithm of the noise energy itself is -1.75."""
 
 NOISE_ENERGY = 19 / 64
 """E[L^2] on white noise of unit variance: the sum of the squares of L's coefficients."""
@@ -52,22 +52,25 @@ _HIGH_PASS_AT_AN_END = math.sqrt(1 / 2)
 
 
 class Stabiliser(NamedTuple):
-    """v = sqrt(scale I + offset) = 2 / gain sqrt(gain I + floor): its noise is one unit at every grey."""
+    """Variance-stabilising transform v = sqrt(scale I + offset) = 2 / gain sqrt(gain I + floor).
+
+    Its noise has unit variance at every grey.
+    """
 
     scale: float
     offset: float
 
     @classmethod
     def of(cls, noise: CameraNoise) -> Stabiliser:
-        """The stabiliser of a camera."""
+        """Return the stabiliser of a camera."""
         return cls(4 / noise.gain_counts, 4 * noise.floor_counts2 / noise.gain_counts**2)
 
 
 class LogRows(NamedTuple):
-    """The rows that the kernel works in, one set for each thread.
+    """Work rows of the kernel, one set for each thread.
 
-    Every row begins on a cache line, is worked on in whole vectors, and ends in a tail of zeros that loops read ahead
-    into: columns beyond the block hold nothing of use.
+    Every row begins on a cache line, is processed in full vectors, and ends in zeros that the loops read ahead into:
+    columns beyond the block are undefined.
     """
 
     grey: Greys
@@ -84,7 +87,7 @@ class LogRows(NamedTuple):
 
     @classmethod
     def make(cls, cols: int, window: int, dtype: np.dtype[Any]) -> LogRows:
-        """Rows for blocks `cols` wide."""
+        """Allocate rows for blocks `cols` wide."""
         wide = cols + 2 * log_margin_px(window)
 
         def rows(count: int, kind: Any) -> NDArray[Any]:
@@ -106,7 +109,7 @@ class LogRows(NamedTuple):
 
 
 def log_margin_px(window: int) -> int:
-    """How far a block must reach beyond the pixels it is for: the triangle, and three pixels for L and its mean."""
+    """Return the margin of a block in pixels: the triangle filter, and three pixels for L and its mean."""
     return window - 1 + _TAPS_PX
 
 
@@ -114,10 +117,10 @@ def log_margin_px(window: int) -> int:
 def log_laplacian_block(
     source: StackSource, window: Whole, stabiliser: Stabiliser, lag: Whole, rows: LogRows, volume: Volume
 ) -> None:
-    """The volume of a block of frames.
+    """Compute the focus volume of a block of frames.
 
-    lag: 0, or frames to the two that are subtracted from each: a high-pass along z, which takes out the light that
-    bleeds from far and changes slowly; at most (k - 1) / 2, so that one of the two exists at the ends.
+    lag: 0, or the distance in frames to the two that are subtracted from each: a high-pass along z, which removes
+    slowly varying light that bleeds from far away; at most (k - 1) / 2, so that one of the two exists at the ends.
     """
     empty(volume)
     margin = window - 1 + _TAPS_PX
@@ -147,7 +150,7 @@ def log_laplacian_block(
 
 @inlined_part
 def _ring_unit(window: Whole) -> Real:
-    """What 1 of log2 counts in the ring: a power of two, so that window^4 of the greatest logarithms fit 31 bits."""
+    """Return the scale of log2 in the ring: a power of two, so that window^4 maximal logarithms fit 31 bits."""
     unit = 1 << LEVEL_BITS
     while window**4 * 32 * unit >= 1 << 31:
         unit //= 2
@@ -173,7 +176,7 @@ def _stabilise(
     rows: LogRows,
     stable: Float32s,
 ) -> None:
-    """Row y in units of its noise, and with a lag the difference along z, scaled to noise of one unit again."""
+    """Transform row y to unit noise; with a lag, the difference along z, rescaled to unit noise."""
     scale, offset, last = np.float32(stabiliser.scale), np.float32(stabiliser.offset), volume.levels.shape[0] - 1
     grey = rows.grey
     before, after = k - lag if k >= lag else k + lag, k + lag if k + lag <= last else k - lag
@@ -205,7 +208,7 @@ def _roots(
 
 @inlined_part
 def _energy_row(rows: LogRows, r: Whole) -> None:
-    """L^2 of the row r - 2, from the five rows up to r, and its sum with the two rows above."""
+    """Compute L^2 of the row r - 2, from the five rows up to r, and its sum with the two rows above."""
     v, e = rows.stable, rows.energy
     _columns_of_five(v[(r - 4) % 5], v[(r - 3) % 5], v[(r - 2) % 5], v[(r - 1) % 5], v[r % 5], rows.wide, rows.narrow)
     _squared(rows.wide, rows.narrow, e[(r - 2) % 3], e[(r - 1) % 3], e[r % 3], rows.columns)
@@ -244,7 +247,7 @@ def _squared(
 
 @lean_part
 def _enter(columns: Float32s, unit: Real, leaving: UInt16s, middle: UInt16s, rows: LogRows) -> None:
-    """Take log2(19/64 + mean of 3 x 3 of L^2) into the triangle down the columns, in place of the row that leaves."""
+    """Add log2(19/64 + mean of 3 x 3 of L^2) to the column triangle, replacing the row that leaves it."""
     i = np.int32
     part, floor, most = np.float32(_UNIT_OF_L**2 / 9), np.float32(NOISE_ENERGY), np.float32(_MOST_ENERGY)
     offset, half, one, two = np.float32(LEVEL_OFFSET), np.float32(0.5), columns[1:], columns[2:]
@@ -262,7 +265,7 @@ def _enter(columns: Float32s, unit: Real, leaving: UInt16s, middle: UInt16s, row
 
 @inlined_part
 def _across(scale: Real, rows: LogRows, level: UInt16s) -> None:
-    """The triangle along the row, and the level."""
+    """Apply the triangle filter along the row and store the level."""
     box(rows.sums[0], rows.pieces, rows.sums[1, 0])
     box(rows.sums[1], rows.pieces, rows.total)
     _as_level(rows.total, scale, level)

@@ -1,8 +1,8 @@
-"""What the scores of a peak are where there is nothing to see: the search run on pure noise.
+"""Peak scores on pure noise, used as thresholds of the gates.
 
-A gate that asks for more than noise reaches once in a hundred pixels has a known false rate, for whatever number of
-frames, window and measure. The scores are ratios, so the strength of the noise does not matter, but for a measure that
-knows the camera's: it is told that of this noise.
+A gate that requires more than noise reaches in 1 % of the pixels has a known false positive rate, for any number of
+frames, window and measure. The scores are ratios, so they do not depend on the strength of the noise, except for a
+measure that uses the camera noise: it is given the noise of the simulation.
 """
 
 from __future__ import annotations
@@ -20,7 +20,7 @@ from wafer_viewer.reconstruct.focus.peak_search import Search, ThreadScratch, se
 from wafer_viewer.reconstruct.preprocess.camera_noise import CameraNoise
 
 _SIDE_PX = 224
-"""Peaks of noise come in patches as large as the window: it takes many to know what one in a hundred reaches."""
+"""Noise peaks are correlated over the window, so a large patch is needed to estimate the 99th percentile."""
 
 _MARGIN_PX = log_margin_px(25)
 _DEVIATION_COUNTS = 12.0
@@ -31,7 +31,7 @@ _SEED = 20240229
 
 @dataclass(frozen=True, slots=True)
 class NoiseScores:
-    """The scores, in powers of two, that 99 % of the pixels of pure noise stay under."""
+    """99th percentiles of the peak scores on pure noise, in powers of two."""
 
     lead: float
     fall: float
@@ -39,7 +39,7 @@ class NoiseScores:
 
 
 def noise_scores(search: Search, n_frames: int) -> NoiseScores:
-    """Search a patch of white noise of `n_frames` frames, always the same one."""
+    """Return the scores on a fixed patch of white noise of `n_frames` frames."""
     return _noise_scores(replace(search, camera=_CAMERA), n_frames)
 
 
@@ -60,7 +60,7 @@ def _noise_scores(search: Search, n_frames: int) -> NoiseScores:
 
 @lru_cache(maxsize=1)
 def _noise(n_frames: int) -> NDArray[np.uint8]:
-    """White noise [k, row, col] with a margin for the largest window."""
+    """Return white noise [k, row, col] with a margin for the largest window."""
     side = _SIDE_PX + 2 * _MARGIN_PX
     noise = np.random.default_rng(_SEED).standard_normal((n_frames, side, side), dtype=np.float32)
     noise *= np.float32(_DEVIATION_COUNTS)

@@ -1,4 +1,4 @@
-"""Where along z a pixel is sharpest, between the frames, and how much the peak stands out.
+"""Peak position of each pixel along z, with sub-frame interpolation, and its scores.
 
 All values of the focus volume are logarithms (base 2).
 """
@@ -19,16 +19,16 @@ from wafer_viewer.reconstruct.focus.focus_volume import COARSE_PX, StackSource
 from wafer_viewer.reconstruct.focus.peak_interpolation import InterpolationScratch, PeakInterpolation, place_row
 
 _AHEAD = 4
-"""Frames from the level that is read to the one that is asked for."""
+"""Prefetch distance in frames."""
 
 
 _NO_FLOOR = -64.0
 _NEAR_TOPS = 2
-"""How many averages above and below the peak may be better than that at the peak itself."""
+"""Averages above and below the peak that may replace the one at the peak itself."""
 
 
 class FocusCurves(NamedTuple):
-    """The focus volume of a block, levels [k, row, col], the best level of each pixel and its frame."""
+    """Focus volume of a block, levels [k, row, col], with the best level of each pixel and its frame."""
 
     levels: UInt16s
     best: UInt16s
@@ -36,12 +36,12 @@ class FocusCurves(NamedTuple):
 
     @classmethod
     def make(cls, n_frames: int, shape: tuple[int, int]) -> FocusCurves:
-        """Room for the curves of `shape` pixels."""
+        """Allocate the curves of `shape` pixels."""
         return cls(*(aligned(s, np.uint16) for s in ((n_frames, *shape), shape, shape)))
 
 
 class PeakScores(NamedTuple):
-    """The part of `Peaks` that comes from the focus volume."""
+    """Part of `Peaks` that is computed from the focus volume."""
 
     z_um: Float32s
     lead: Float32s
@@ -52,12 +52,12 @@ class PeakScores(NamedTuple):
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Peaks:
-    """What the focus volume says of each pixel, all arrays [row, col].
+    """Peak heights and scores of each pixel, all arrays [row, col].
 
-    z_um: float32; lead, fall and contrast: float32, in powers of two of the focus measure: how far the peak is above
-    its highest rival, above its own flanks, and above the lowest frame; at_end: bool; clipped: uint16, number of frames
-    in which the pixel is too bright; all_in_focus: grey as in the stack. coarse: uint16 [k, row / 4, col / 4], the
-    levels of the focus volume averaged over 4 x 4 pixels, or of no frame where nobody asks for them.
+    z_um: float32; lead, fall and contrast: float32, in powers of two of the focus measure: height of the peak above its
+    highest rival, above its own flanks, and above the lowest frame; at_end: bool; clipped: uint16, number of frames in
+    which the pixel is too bright; all_in_focus: grey as in the stack. coarse: uint16 [k, row / 4, col / 4], the levels
+    of the focus volume averaged over 4 x 4 pixels, or without frames where they are not requested.
     """
 
     z_um: NDArray[np.float32]
@@ -71,7 +71,7 @@ class Peaks:
 
     @classmethod
     def empty(cls, shape: tuple[int, int], dtype: np.dtype[Any], n_coarse: int = 0) -> Peaks:
-        """Room for the peaks of a field or of a part of it, with `n_coarse` frames in the coarse focus volume."""
+        """Allocate the peaks of a field or of a part of it, with `n_coarse` frames in the coarse focus volume."""
         z_um, lead, fall, contrast = (np.empty(shape, np.float32) for _ in range(4))
         coarse = np.empty((n_coarse, -(-shape[0] // COARSE_PX), -(-shape[1] // COARSE_PX)), np.uint16)
         at_end, clipped, all_in_focus = (np.empty(shape, kind) for kind in (np.bool_, np.uint16, dtype))
@@ -79,28 +79,28 @@ class Peaks:
 
     @property
     def scores(self) -> PeakScores:
-        """What `describe` writes."""
+        """Arrays that `describe` fills."""
         return PeakScores(self.z_um, self.lead, self.fall, self.contrast, self.all_in_focus)
 
     @property
     def confidence(self) -> NDArray[np.float32]:
-        """0 ... 1: the share of the focus measure at the peak that its highest rival does not reach."""
+        """Confidence 0 ... 1: one minus the ratio of the highest rival to the peak in the focus measure."""
         return np.float32(1) - np.exp2(-self.lead)
 
     def rows(self, part: slice) -> Peaks:
-        """Some of the rows, as views; they begin at a row of the coarse volume."""
+        """Return a range of rows as views; it begins at a row of the coarse volume."""
         coarse = slice(part.start // COARSE_PX, -(-part.stop // COARSE_PX))
         fine = {name: getattr(self, name)[part] for name in self.__slots__ if name != "coarse"}
         return Peaks(**fine, coarse=self.coarse[:, coarse])
 
 
 def confidence_of(lead: float) -> float:
-    """The confidence of a peak that is 2^lead times its highest rival."""
+    """Return the confidence of a peak that is 2^lead times its highest rival."""
     return 1.0 - 2.0**-lead
 
 
 def lead_of(confidence: float) -> float:
-    """The lead, in powers of two, that a confidence means."""
+    """Return the lead, in powers of two, that corresponds to a confidence."""
     return float(-np.log2(max(1e-9, 1.0 - confidence)))
 
 
@@ -113,7 +113,7 @@ def describe(
     spots: InterpolationScratch,
     out: PeakScores,
 ) -> None:
-    """Height, scores and all-in-focus grey of each pixel, a row at a time while its levels are in the cache."""
+    """Compute height, scores and all-in-focus grey of each pixel, one row at a time to stay in cache."""
     n_rows, cols = curves.peak.shape
     for y in range(n_rows):
         _find_rivals(curves.levels, y, how.gap, curves.peak[y], spots.rival, spots.least)
@@ -129,9 +129,9 @@ def describe(
 
 @inlined_part
 def _find_rivals(levels: UInt16s, y: Whole, gap: Whole, peak: UInt16s, rival: UInt16s, least: UInt16s) -> None:
-    """The highest other local maximum at least `gap` frames from the peak, and the lowest level of each pixel.
+    """Find the highest other local maximum at least `gap` frames from the peak, and the lowest level.
 
-    Without a rival the lowest level stands in.
+    Without a rival the lowest level is used.
     """
     last = levels.shape[0] - 1
     rival[:] = 0
@@ -168,7 +168,7 @@ def _rival_row(
 
 @lean_part
 def gather(curves: FocusCurves, y: Whole, z_um: Float64s, how: PeakInterpolation, spots: InterpolationScratch) -> None:
-    """z and log2 of focus at the peaks of row y, and on both sides of them."""
+    """Gather z and log2 of focus at the peaks of row y and on both sides of them."""
     levels, bits, table = curves.levels, spots.bits, spots.table
     last = levels.shape[0] - 1
     for x in range(spots.top.size):
@@ -185,10 +185,10 @@ def gather(curves: FocusCurves, y: Whole, z_um: Float64s, how: PeakInterpolation
 def gather_blended(
     curves: FocusCurves, y: Whole, z_um: Float64s, how: PeakInterpolation, spots: InterpolationScratch
 ) -> None:
-    """The same of curves averaged along z, [1 2 1] / 4, at the best of the averages near the peak.
+    """Gather the same from curves averaged along z, [1 2 1] / 4, at the best average near the peak.
 
-    Grains that shine like mirrors are sharp above and below their focus: their curves have two tops and a dip between,
-    where the surface is.
+    Specular grains are sharp above and below their focus: their curves have two maxima and a dip between them, where
+    the surface is.
     """
     levels, bits, table, s = curves.levels, spots.bits, spots.table, how.blend
     last = levels.shape[0] - 1
@@ -217,7 +217,7 @@ def _blended(levels: UInt16s, k: Whole, y: Whole, x: Whole, s: Whole, bits: Whol
 
 @lean_part
 def _score(curves: FocusCurves, y: Whole, gap: Whole, spots: InterpolationScratch, out: PeakScores) -> None:
-    """How far the peaks of row y are above their rivals, their flanks and the lowest frame."""
+    """Compute lead, fall and contrast of the peaks of row y: against rivals, flanks and the lowest frame."""
     levels, bits, table = curves.levels, spots.bits, spots.table
     last = levels.shape[0] - 1
     for x in range(spots.top.size):

@@ -1,8 +1,8 @@
-"""Where the peak is between the frames, from log2 of the focus measure at three of them.
+"""Sub-frame interpolation of the peak from log2 of the focus measure at three frames.
 
-A Gaussian through three points is a parabola there, a tent has straight flanks; both pull the peak towards or away from
-the nearest frame by up to a twentieth of a step. The blur law does not: the variance of the blur is a parabola in z,
-and the focus measure is a known power of it, once the floor of noise is taken off that the curve ends on.
+A Gaussian through three points is a parabola in the logarithm, a tent has straight flanks; both are biased towards or
+away from the nearest frame by up to a twentieth of a step. The blur law is unbiased: the variance of the blur is a
+parabola in z, and the focus measure is a known power of it once the noise floor of the curve is subtracted.
 """
 
 from __future__ import annotations
@@ -19,18 +19,18 @@ from wafer_viewer.numerics.jit import inline_kernel, lean_kernel, lean_part
 _ARGMAX, _GAUSSIAN, _TENT, _BLUR_LAW = 0, 1, 2, 3
 
 _LEAST_SHARE = 0.02
-"""Of a level, at least so much counts as focus and not as floor."""
+"""Minimum fraction of a level that counts as focus rather than noise floor."""
 
 _LN2 = float(np.log(2))
 _ROUNDER = 1.5 * 2.0**52
-"""A float64 this large has no bits for fractions, and its last ones are a whole number."""
+"""A float64 this large has no fraction bits; its lowest mantissa bits hold an integer."""
 
 
 @dataclass(frozen=True, slots=True)
 class PeakEstimator:
-    """How the peak is placed between the frames: the kernels' code, what it is, where it is from.
+    """A peak estimator: the kernels' code, title and source.
 
-    blended: whether it is placed on a curve that was averaged along z.
+    blended: True if the peak is placed on a curve averaged along z.
     """
 
     code: int
@@ -48,10 +48,10 @@ PEAKS: dict[str, PeakEstimator] = {
 
 
 class PeakInterpolation(NamedTuple):
-    """How peaks are placed: the estimator's code, the power of the blur law, and the frames to rivals and flanks.
+    """Parameters of peak interpolation: estimator code, power of the blur law, frames to rivals and flanks.
 
-    blend: frames to the levels that are averaged with each level before, 0 for none; floored: whether the sweep goes
-    so far beyond the peak that the lowest level is the floor of noise.
+    blend: frames to the levels that are averaged with each level first, 0 for none; floored: True if the sweep extends
+    so far beyond the peak that the lowest level is the noise floor.
     """
 
     estimator: int
@@ -63,10 +63,10 @@ class PeakInterpolation(NamedTuple):
 
 
 class InterpolationScratch(NamedTuple):
-    """What is known of the peaks of one row: the rival's level and the least, and z and log2 of focus at three frames.
+    """Scratch rows for peak interpolation: rival and lowest level, and z and log2 of focus at three frames.
 
-    floor: log2 of the focus where the curve is lowest. bits, table: the bits of a level after the point, and what they
-    add to log2.
+    floor: log2 of the focus where the curve is lowest. bits, table: the number of fraction bits of a level, and their
+    contribution to log2.
     """
 
     bits: int
@@ -83,7 +83,7 @@ class InterpolationScratch(NamedTuple):
 
     @classmethod
     def make(cls, cols: int, table: Float32s) -> InterpolationScratch:
-        """Room for rows of `cols` pixels, of levels whose lower bits `table` explains."""
+        """Allocate rows of `cols` pixels for levels whose lower bits `table` decodes."""
         shorts = (aligned((cols,), np.uint16) for _ in range(2))
         reals = (aligned((cols,), np.float64) for _ in range(7))
         return cls(table.size.bit_length() - 1, *shorts, *reals, table=table)
@@ -93,7 +93,7 @@ class InterpolationScratch(NamedTuple):
 def place(
     how: PeakInterpolation, below: Real, z: Real, above: Real, left: Real, top: Real, right: Real, floor: Real
 ) -> Real:
-    """The z of the peak from log focus at three z and its floor, between the middles of the two intervals."""
+    """Return the z of the peak from log focus at three z and its floor, limited to the interval midpoints."""
     if how.estimator == _ARGMAX:
         return z
     if how.estimator == _TENT:
@@ -106,7 +106,7 @@ def place(
 
 @lean_part
 def place_row(how: PeakInterpolation, spots: InterpolationScratch, z_um: Float32s) -> None:
-    """`place` for a row of pixels, in loops without branches."""
+    """Apply `place` to a row of pixels, in loops without branches."""
     below, z, above, left, top, right, floor = spots[3:10]
     if how.estimator == _ARGMAX:
         for x in range(z_um.size):
@@ -125,14 +125,14 @@ def place_row(how: PeakInterpolation, spots: InterpolationScratch, z_um: Float32
 
 @lean_part
 def _variances(level: Float64s, top: Float64s, floor: Float64s, power: Real) -> None:
-    """`_variance` for a row of pixels, in their place."""
+    """Apply `_variance` to a row of pixels in place."""
     for x in range(level.size):
         level[x] = _variance(level[x], top[x], floor[x], power)
 
 
 @inline_kernel
 def _parabola(below: Real, z: Real, above: Real, left: Real, top: Real, right: Real) -> Real:
-    """The vertex of the parabola through three points, at any spacing."""
+    """Return the vertex of the parabola through three points, at any spacing."""
     a = (z - below) * (top - right)
     b = (above - z) * (top - left)
     bend = a + b
@@ -142,7 +142,10 @@ def _parabola(below: Real, z: Real, above: Real, left: Real, top: Real, right: R
 
 @inline_kernel
 def _tent(below: Real, z: Real, above: Real, left: Real, top: Real, right: Real) -> Real:
-    """Where two lines of equal and opposite slope meet: the steeper side gives the slope, the other point the place."""
+    """Return the intersection of two lines of equal and opposite slope.
+
+    The steeper side determines the slope; the line through the remaining point has the opposite slope.
+    """
     rise = (top - left) / (z - below if z > below else 1.0)
     drop = (top - right) / (above - z if above > z else 1.0)
     steep = max(rise, drop)
@@ -161,7 +164,7 @@ def _held(found: Real, below: Real, z: Real, above: Real) -> Real:
 
 @inline_kernel
 def _variance(level: Real, top: Real, floor: Real, power: Real) -> Real:
-    """The variance of the blur relative to that at the peak, negative: -focus^(-1 / power) is a parabola in z."""
+    """Return the negative blur variance relative to the peak: -focus^(-1 / power) is a parabola in z."""
     of_level, of_top = 1.0 - _exp2(floor - level), 1.0 - _exp2(floor - top)
     share = of_level / (of_top if of_top > _LEAST_SHARE else _LEAST_SHARE)
     share = share if share > _LEAST_SHARE else _LEAST_SHARE
@@ -170,7 +173,7 @@ def _variance(level: Real, top: Real, floor: Real, power: Real) -> Real:
 
 @inline_kernel
 def _exp2(exponent: Real) -> Real:
-    """2^exponent to ten digits, in operations that a vector has: the Taylor series about the nearest whole number."""
+    """Return 2^exponent to ten digits in vectorisable operations: the Taylor series about the nearest integer."""
     shifted = exponent + _ROUNDER
     t = (exponent - (shifted - _ROUNDER)) * _LN2
     series = 1.0

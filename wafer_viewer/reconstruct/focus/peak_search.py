@@ -1,4 +1,4 @@
-"""The search for peaks: a block of a field at a time with all its frames, so that its focus volume stays in cache."""
+"""Blockwise peak search: each block has all its frames, so that its focus volume stays in cache."""
 
 from __future__ import annotations
 
@@ -22,17 +22,17 @@ from wafer_viewer.reconstruct.preprocess.camera_noise import CameraNoise
 from wafer_viewer.reconstruct.preprocess.frames import Frames
 
 STRIPE_ROWS = 32
-"""A multiple of `COARSE_PX`; the focus volumes of two threads then fit the third cache of most processors."""
+"""A multiple of `COARSE_PX`; the focus volumes of two threads then fit the L3 cache of most processors."""
 
 
 @dataclass(frozen=True, slots=True)
 class Search:
-    """How peaks are looked for: measure and estimator by name, and the window.
+    """Parameters of the peak search: measure and estimator by name, and the window.
 
-    gap: frames from a peak to where another maximum is a rival; reach: frames from the peak to the two points that
-    place it, a half width of the focus curve, for neighbours on a finer sweep differ by noise alone; blend: how far
-    along z the curve is averaged before it is placed, no average where it is 0; floored: whether its lowest level is
-    the floor of noise. camera, lag: noise of the camera and high-pass along z, for the measures that ask for them.
+    gap: minimum distance of a rival maximum from the peak, in frames; reach: frames from the peak to the two
+    interpolation points, half a width of the focus curve, because neighbours in a finer sweep differ by noise alone;
+    blend: averaging distance along z before interpolation, no average where it is 0; floored: True if the lowest level
+    is the noise floor. camera, lag: camera noise and high-pass along z, for the measures that use them.
     """
 
     measure: str
@@ -47,12 +47,12 @@ class Search:
 
     @property
     def margin_px(self) -> int:
-        """How far it looks beyond a pixel."""
+        """Reach of the focus measure beyond a pixel, in pixels."""
         return FOCUS_MEASURES[self.measure].margin_px(self.window)
 
     @property
     def placing(self) -> PeakInterpolation:
-        """What the kernels must know to place a peak."""
+        """Interpolation parameters for the kernels."""
         how = PEAKS[self.estimator]
         blend = self.blend if how.blended else 0
         return PeakInterpolation(
@@ -62,7 +62,7 @@ class Search:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class ThreadScratch:
-    """What one thread works with: a block for pixels that cannot be read where they lie, its curves, and rows."""
+    """Buffers of one thread: a block for pixels that cannot be read in place, its focus curves, and rows."""
 
     block: Image
     curves: FocusCurves
@@ -71,7 +71,7 @@ class ThreadScratch:
 
     @classmethod
     def make(cls, n_frames: int, shape: tuple[int, int], search: Search, dtype: np.dtype[Any]) -> ThreadScratch:
-        """A bench for blocks of `shape` pixels; its block takes no memory until pixels are copied there."""
+        """Allocate buffers for blocks of `shape` pixels; the block uses no memory until pixels are copied to it."""
         native, margin = np.dtype(dtype).newbyteorder("="), search.margin_px
         block = np.empty((n_frames, shape[0] + 2 * margin, shape[1] + 2 * margin), native)
         measure = FOCUS_MEASURES[search.measure]
@@ -80,7 +80,7 @@ class ThreadScratch:
         return cls(block, FocusCurves.make(n_frames, shape), rows, spots)
 
     def cut(self, n_rows: int) -> ThreadScratch:
-        """The same bench for a block of fewer rows: the last stripe of a field."""
+        """Return the same buffers for a block of fewer rows: the last stripe of a field."""
         levels, best, peak = self.curves
         fewer = len(best) - n_rows
         if not fewer:
@@ -92,9 +92,9 @@ class ThreadScratch:
 
 
 def search_field(frames: Frames, search: Search, threads: int | None = None, progress: Progress | None = None) -> Peaks:
-    """The peaks of a whole field, stripe by stripe, on some threads (all cores without a number).
+    """Return the peaks of an entire field, searched stripe by stripe on `threads` threads (default: all cores).
 
-    progress is told the finished share, from the calling thread; what it raises ends the search.
+    progress receives the finished fraction, on the calling thread; an exception raised by it ends the search.
     """
     peaks = Peaks.empty(frames.shape, frames.dtype, frames.n_frames)
     parts = stripes(frames.shape[0])
@@ -115,7 +115,7 @@ def search_field(frames: Frames, search: Search, threads: int | None = None, pro
 
 
 def search_part(frames: Frames, rows: slice, cols: slice, search: Search, bench: ThreadScratch, out: Peaks) -> None:
-    """The peaks of the pixels [rows, cols] of a field, into `out`."""
+    """Search the peaks of the pixels [rows, cols] of a field and store them in `out`."""
     bench = bench.cut(rows.stop - rows.start)
     source = source_of(frames, rows, cols, search.margin_px, bench.block)
     search_block(source, frames.z_um, search, bench, out)
@@ -124,16 +124,17 @@ def search_part(frames: Frames, rows: slice, cols: slice, search: Search, bench:
 def search_block(
     source: StackSource, z_um: NDArray[np.float64], search: Search, bench: ThreadScratch, out: Peaks
 ) -> None:
-    """The peaks of the pixels of a source, into `out`."""
+    """Search the peaks of the pixels of a source and store them in `out`."""
     fill_volume(source, search, bench.rows, Volume(*bench.curves, out.clipped, out.coarse))
     find_peaks(source, z_um, search, bench.curves, bench.spots, out)
 
 
 def fill_volume(source: StackSource, search: Search, rows: Any, volume: Volume) -> None:
-    """Measure the frames of a source; `rows` are those that the measure made to work in.
+    """Measure the frames of a source; `rows` are the work rows made by the measure.
 
-    The coarse levels of a stripe lie apart in those of a field, and those of a small field do not: two types to the
-    kernels, which would be compiled for each. So they are written side by side and then copied.
+    The coarse levels of a stripe are strided in those of a large field and contiguous in those of a small one. These
+    are two array types, and the kernels would be compiled for each. The levels are therefore written to a contiguous
+    array and then copied.
     """
     focusing = Focusing(search.window, search.camera, search.lag)
     coarse = np.empty(volume.coarse.shape, np.uint16)
@@ -149,24 +150,24 @@ def find_peaks(
     spots: InterpolationScratch,
     out: Peaks,
 ) -> None:
-    """The peaks of measured frames, into `out`."""
+    """Compute the peaks of measured frames and store them in `out`."""
     describe(curves, source, z_um, search.placing, spots, out.scores)
     out.at_end[:] = (curves.peak == 0) | (curves.peak == len(z_um) - 1)
 
 
 def stripes(n_rows: int) -> list[slice]:
-    """The rows of a field in parts whose focus volumes fit in cache."""
+    """Return the rows of a field in parts whose focus volumes fit in cache."""
     return [slice(start, min(n_rows, start + STRIPE_ROWS)) for start in range(0, n_rows, STRIPE_ROWS)]
 
 
 def _fewer_rows(volume: NDArray[Any], n_rows: int) -> NDArray[Any]:
-    """The same memory as a volume [k, row, col] of fewer rows."""
+    """Return a volume [k, row, col] of fewer rows that shares the memory of `volume`."""
     n_frames, _, cols = volume.shape
     return volume.reshape(-1)[: n_frames * n_rows * cols].reshape(n_frames, n_rows, cols)
 
 
 def _each(work: Callable[[slice], None], parts: list[slice], threads: int) -> Iterator[None]:
-    """Do the parts one after the other, or on a pool of threads: the kernels run without the interpreter's lock."""
+    """Process the parts sequentially or on a thread pool; the kernels release the GIL."""
     if threads == 1:
         yield from map(work, parts)
         return

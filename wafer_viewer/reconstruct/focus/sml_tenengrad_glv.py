@@ -1,7 +1,7 @@
-"""The focus measures of the paper, eq. 2, 3 and 4, written for one pass over the data.
+"""Focus measures of the paper, eq. 2, 3 and 4, computed in one pass over the data.
 
-A row's energy goes into sums over the columns of the window (a ring of rows makes them exact: what entered is what
-leaves), those are added up along the row, and the logarithm of the sum is kept as 16 bits.
+A row's energy is added to sums over the columns of the window. A ring of rows keeps these sums exact, because the same
+values enter and leave. The sums are added up along the row, and the logarithm of the total is stored as 16 bits.
 """
 
 from __future__ import annotations
@@ -19,11 +19,11 @@ SML, TENENGRAD, GLV = 0, 1, 2
 
 
 class Rows(NamedTuple):
-    """The rows that the kernels work in: small enough for the first caches, one set for each thread.
+    """Work rows of the kernels, small enough for the L1 and L2 caches, one set for each thread.
 
-    grey: four rows of the frame; half: the smooth and the slope of half a Sobel operator; ring: what entered the sums;
+    grey: four rows of the frame; half: smoothing and derivative of the Sobel column pass; ring: energies in the sums;
     sums: of the energy, or of grey and of its square, over the window's rows, then over 3 and 9 neighbours, and a spare
-    row; total: over the window; value: the measure where it is no sum; pieces: see `pieces_of`.
+    row; total: over the window; value: the measure where it is not a sum; pieces: see `pieces_of`.
     """
 
     grey: Greys
@@ -36,7 +36,10 @@ class Rows(NamedTuple):
 
     @classmethod
     def make(cls, cols: int, window: int, dtype: np.dtype[Any]) -> Rows:
-        """Rows for blocks `cols` wide; int32 holds all sums of 8-bit grey up to a window of 25, int64 of 16-bit."""
+        """Allocate rows for blocks `cols` wide.
+
+        int32 holds all sums of 8-bit grey up to a window of 25, int64 those of 16-bit grey.
+        """
         short, whole = (np.int16, np.int32) if np.dtype(dtype).itemsize == 1 else (np.int32, np.int64)
         wide = -(-(cols + window - 1) // AHEAD) * AHEAD
         return cls(
@@ -51,13 +54,13 @@ class Rows(NamedTuple):
 
 
 def paper_margin_px(window: int) -> int:
-    """How far a block must reach beyond the pixels it is for: half the window, and one pixel for the derivatives."""
+    """Return the margin of a block in pixels: half the window, and one pixel for the derivatives."""
     return window // 2 + 1
 
 
 @lean_kernel
 def focus_block(source: StackSource, measure: Whole, window: Whole, rows: Rows, volume: Volume) -> None:
-    """The volume of a block of frames."""
+    """Compute the focus volume of a block of frames."""
     empty(volume)
     shift = np.int32(12 if source.images.itemsize == 1 else 13)
     margin = window // 2 + 1
@@ -80,7 +83,10 @@ def focus_block(source: StackSource, measure: Whole, window: Whole, rows: Rows, 
 
 @lean_kernel
 def focus_values(source: StackSource, measure: Whole, window: Whole, rows: Rows, out: Float32s) -> None:
-    """The measure of the first frame of a source, in `out` [row, col]: for eq. 4 times the pixels of the window."""
+    """Compute the measure of the first frame of a source into `out` [row, col].
+
+    Eq. 4 is multiplied by the number of pixels of the window.
+    """
     margin = window // 2 + 1
     _begin(rows)
     for r in range(out.shape[0] + 2 * margin + 1):
@@ -101,9 +107,9 @@ def _begin(rows: Rows) -> None:
 
 @inlined_part
 def _take_row(source: StackSource, k: Whole, r: Whole, measure: Whole, window: Whole, rows: Rows) -> None:
-    """Read grey row r of a frame; let the energy of row r - 2 into the column sums, and the oldest row out.
+    """Read grey row r of a frame, and update the column sums: add row r - 2, remove the oldest row.
 
-    The row that is read is not touched yet: a row that was only just written is slow to read at other alignments.
+    The row just read is not used yet, because reading a freshly written row at other alignments is slow.
     """
     margin = window // 2 + 1
     take_grey(source, k, r - margin, margin, rows.value.size, rows.grey[r % 4])
@@ -125,7 +131,7 @@ def _take_row(source: StackSource, k: Whole, r: Whole, measure: Whole, window: W
 
 @lean_part
 def _slide_sml(above: Greys, here: Greys, below: Greys, ring: Wholes, columns: Wholes) -> None:
-    """|Ixx|^2 + |Iyy|^2 of eq. 2."""
+    """Update the sums of |Ixx|^2 + |Iyy|^2 of eq. 2."""
     i = ring.dtype.type
     for x in range(ring.size):
         twice = i(i(here[x + 1]) + i(here[x + 1]))
@@ -138,7 +144,7 @@ def _slide_sml(above: Greys, here: Greys, below: Greys, ring: Wholes, columns: W
 
 @lean_part
 def _halve_sobel(above: Greys, here: Greys, below: Greys, smooth: Wholes, slope: Wholes) -> None:
-    """The Sobel operator's pass down the columns."""
+    """Apply the column pass of the Sobel operator."""
     i = smooth.dtype.type
     for x in range(smooth.size):
         smooth[x] = i(i(i(above[x]) + i(below[x])) + i(i(here[x]) + i(here[x])))
@@ -147,7 +153,7 @@ def _halve_sobel(above: Greys, here: Greys, below: Greys, smooth: Wholes, slope:
 
 @lean_part
 def _slide_tenengrad(smooth: Wholes, slope: Wholes, ring: Wholes, columns: Wholes) -> None:
-    """Gx^2 + Gy^2 of eq. 3."""
+    """Update the sums of Gx^2 + Gy^2 of eq. 3."""
     i = ring.dtype.type
     for x in range(ring.size):
         gx = i(i(smooth[x + 2]) - i(smooth[x]))
@@ -159,7 +165,7 @@ def _slide_tenengrad(smooth: Wholes, slope: Wholes, ring: Wholes, columns: Whole
 
 @lean_part
 def _slide_grey(here: Greys, ring: Wholes, columns: Wholes, squares: Wholes) -> None:
-    """Sums of grey and of its square, by the difference d and the sum s of what enters and what leaves."""
+    """Update the sums of grey and of its square from the difference d and sum s of entering and leaving values."""
     i = ring.dtype.type
     for x in range(ring.size):
         new = i(here[x + 1])
@@ -172,7 +178,7 @@ def _slide_grey(here: Greys, ring: Wholes, columns: Wholes, squares: Wholes) -> 
 
 @inlined_part
 def _add_up(measure: Whole, window: Whole, rows: Rows) -> None:
-    """The measure of one row of pixels, in rows.total; that of eq. 4, times the window's pixels, in rows.value."""
+    """Sum the measure of one row of pixels into rows.total; eq. 4, times the window's pixels, into rows.value."""
     for n in range(2 if measure == GLV else 1):
         box(rows.sums[n], rows.pieces, rows.total[n])
     if measure == GLV:
@@ -181,7 +187,10 @@ def _add_up(measure: Whole, window: Whole, rows: Rows) -> None:
 
 @lean_part
 def _deviations(total: Wholes, square_total: Wholes, n_pixels: Whole, value: Float32s) -> None:
-    """Sum of squared deviations from the mean: in whole numbers from a grey value near it, then what that is off."""
+    """Compute the sum of squared deviations from the mean.
+
+    Integer deviations from a grey value near the mean are summed first; the remainder is corrected in float.
+    """
     i = total.dtype.type
     n = i(n_pixels)
     per_pixel = np.float32(1 / n_pixels)
@@ -195,10 +204,10 @@ def _deviations(total: Wholes, square_total: Wholes, n_pixels: Whole, value: Flo
 
 @lean_part
 def _as_levels(values: Wholes, shift: Whole, level: UInt16s) -> None:
-    """The log2 of a row, as 16 bits.
+    """Convert a row to log2 as 16 bits.
 
-    The bits of a float32 are its logarithm already, with a mantissa that is linear between powers of two: cut to 16
-    they are monotone, and a table makes them exact.
+    The bits of a float32 approximate its logarithm, with a mantissa that is linear between powers of two. Cut to 16
+    bits they are monotone, and a table makes them exact.
     """
     i = np.int32
     bias = i(i(127 << 23) - i(1 << (shift - 1)))

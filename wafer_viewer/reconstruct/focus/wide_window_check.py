@@ -1,8 +1,8 @@
-"""The second look: heights from a wider window, to hold against those of the window of the recipe.
+"""Heights from a wider window, for comparison with those of the recipe's window.
 
-Where light of a bright neighbour bleeds in, or texture runs out, the height depends on how far a window reaches; where
-both windows see the same height it is the surface's own. The wide window costs little: it averages the levels of the
-coarse focus volume, 4 x 4 pixels each, which the search makes in passing.
+Where light bleeds from a bright neighbour, or texture runs out, the height depends on the window size; where both
+windows agree the height is that of the surface. The wide window is cheap: it averages the levels of the coarse focus
+volume, 4 x 4 pixels each, which the search computes anyway.
 """
 
 from __future__ import annotations
@@ -20,17 +20,20 @@ from wafer_viewer.reconstruct.focus.peak_search import Search
 
 
 def wide_cells(window: int) -> int:
-    """Over how many coarse levels each way to average for about twice a window: 3 for 9, as a window of 17 to 20."""
+    """Return the number of coarse levels per axis to average for about twice a window.
+
+    The result is 3 for a window of 9, equivalent to a window of 17 to 20.
+    """
     return 2 * ((window - 1) // (2 * COARSE_PX)) + 1
 
 
 def wide_heights(
     peaks: Peaks, z_um: NDArray[np.float64], search: Search, cells: int | None = None
 ) -> NDArray[np.float32]:
-    """z in um [row, col] of a field's peaks when coarse levels are averaged over `cells` x `cells` of them.
+    """Return z in um [row, col] of a field's peaks from coarse levels averaged over `cells` x `cells`.
 
-    The pixels of 4 x 4 share a height. The window in pixels is that of the search and 4 `cells` - 1 more; beyond the
-    border the levels of the border repeat. `peaks` must have its coarse volume.
+    All pixels of a 4 x 4 cell share a height. The window in pixels is that of the search plus 4 `cells` - 1; beyond the
+    border the border levels repeat. `peaks` must have its coarse volume.
     """
     n_frames, n_rows, cols = peaks.coarse.shape
     cells = cells or wide_cells(search.window)
@@ -79,7 +82,7 @@ def _search_rows(
 
 @inlined_part
 def _average(coarse: UInt16s, k: Whole, y: Whole, cells: Whole, line: Int32s, level: UInt16s) -> None:
-    """A row of means of cells x cells levels: sums down the columns, borders repeated, then along the row."""
+    """Compute a row of means over cells x cells levels: column sums with repeated borders, then along the row."""
     half, last = cells // 2, coarse.shape[1] - 1
     columns = line[half : half + level.size]
     columns[:] = 0

@@ -1,13 +1,13 @@
-"""Whether the frames of a stack lie close enough: with over half a depth of field between them peaks fall between."""
+"""Check of the z sampling: peaks are undersampled if the step exceeds half the depth of field."""
 
 from __future__ import annotations
 
 NARROWEST_STEPS = 1.2
-"""Focus curves that are no wider than this at half their height have a single frame at their peak."""
+"""Focus curves no wider than this at half maximum, in steps, have a single frame at their peak."""
 
 
 def coarse_step(step_um: float, depth_of_field_um: float, focus_width_um: float) -> tuple[str, ...]:
-    """A sentence when the step is too coarse for the optics, as known (0: not), or else as the focus curves show."""
+    """Return a note when the step is too coarse for the depth of field or, if that is 0 (unknown), the focus width."""
     half_um = depth_of_field_um / 2
     if half_um > 0 and step_um > half_um:
         return (

@@ -1,1 +1,1 @@
-"""Tests that a focus peak must pass to become a height."""
+"""Validity tests of focus peaks."""

@@ -1,8 +1,8 @@
-"""The surroundings of walls, where light of a defocused bright side bleeds over a dark one and makes false heights.
+"""Detection and correction of false heights near walls, caused by light that bleeds from the bright side.
 
-Walls are silhouettes that stand through many frames. Beside them a height is believed only where it agrees with the
-surface that its side shows further from the wall; and on the dark side the focus is measured once more along the wall,
-which does not see what bleeds across it, so that the rims of dies come out that were drowned.
+Walls are silhouettes that persist through many frames. Near them a height is accepted only where it agrees with the
+surface of its own side further from the wall. On the dark side the focus is also measured along the wall, which is
+insensitive to light that bleeds across it; this recovers the rims of dies.
 """
 
 from __future__ import annotations
@@ -36,12 +36,12 @@ from wafer_viewer.reconstruct.preprocess.camera_noise import CameraNoise
 from wafer_viewer.reconstruct.preprocess.frames import Frames
 
 AGREEING_STEPS = 1.25
-"""Heights within so many steps of the resolution are of the same surface."""
+"""Tolerance for heights of the same surface, in steps of the resolution."""
 
 _TILE_PX = 96
 _WALL_SIGMA = 3.0
 _BORDER = 3
-"""At the border of the band what is not known begins."""
+"""Margin at the border of the band, beyond which values are unknown."""
 _NOISE_SIDE_PX = 320
 _PERCENTILE = 99.0
 _SEED = 20240301
@@ -49,7 +49,7 @@ _SEED = 20240301
 
 @dataclass(frozen=True, slots=True, eq=False)
 class BleedingEdges:
-    """What is known about the pixels beside walls, all arrays [row, col].
+    """Wall side, expected height and wall-parallel focus of the pixels near walls, all arrays [row, col].
 
     side: codes of `EdgeSide`; expected_um: the height of the pixel's side further from the wall, NaN where none is
     near; z_um: where the focus along the wall peaks near that height, NaN where it does not or was not looked for;
@@ -65,18 +65,18 @@ class BleedingEdges:
     tolerance_um: float
 
     def agrees(self, z_um: NDArray[np.float32]) -> NDArray[np.bool_]:
-        """Whether heights are those that their sides show further from the wall."""
+        """Return whether heights agree with those of their side further from the wall, bool [row, col]."""
         return np.abs(z_um - self.expected_um) < self.tolerance_um
 
     @property
     def along(self) -> NDArray[np.bool_]:
-        """Where the focus along the wall gives a height to be believed."""
+        """Mask of pixels whose focus along the wall gives an accepted height, bool [row, col]."""
         return (self.side == EdgeSide.DARK) & (self.fall > self.min_fall) & self.agrees(self.z_um)
 
 
 @dataclass(frozen=True, slots=True)
 class EdgeSearch:
-    """How edges are treated: the mode of the recipe, window and gap of the search, the camera, and the resolution."""
+    """Parameters of the edge search: recipe mode, window and gap, camera noise, and axial resolution."""
 
     mode: Literal["band", "rims"]
     window: int
@@ -86,14 +86,14 @@ class EdgeSearch:
 
     @property
     def tolerance_um(self) -> float:
-        """How far apart two heights of the same surface may be."""
+        """Maximum difference between two heights of the same surface."""
         return AGREEING_STEPS * self.resolution_um
 
 
 def find_edges(
     frames: Frames, how: EdgeSearch, peaks: Peaks, origin: NDArray[np.uint8], threads: int | None = None
 ) -> BleedingEdges | None:
-    """The edges of a field, None where there are no walls. threads: all cores when left out."""
+    """Return the edges of a field, None where there are no walls. threads: all cores if omitted."""
     band = find_band(silhouette_of(frames, threads), how.gap)
     if band is None:
         return None
@@ -113,17 +113,17 @@ def find_edges(
 
 
 def near_of(how: EdgeSearch, frames: Frames) -> Near:
-    """Peaks are looked for a frame beyond what may be accepted, and fall over the frames to a rival."""
+    """Return the search range: one frame beyond the tolerance, with fall measured over the rival gap."""
     return Near(how.window, int(np.ceil(how.tolerance_um / frames.step_um)) + 1, how.gap)
 
 
 def judge_edges(
     z_um: NDArray[np.float32], origin: NDArray[np.uint8], edges: BleedingEdges
 ) -> tuple[NDArray[np.float32], NDArray[np.uint8]]:
-    """The heights and origins of a field with what is known of its edges.
+    """Return the heights and origins of a field corrected at its edges.
 
-    Beside a wall a measured height stays where it agrees with its side, and else is bleeding; where the focus along
-    the wall gives a height it is taken, whatever the gate said.
+    Near a wall a measured height is retained where it agrees with its side and is marked as bleeding otherwise; where
+    the focus along the wall gives a height it is used, whatever the gates decided.
     """
     along = edges.along
     beside = edges.side != EdgeSide.AWAY
@@ -134,7 +134,7 @@ def judge_edges(
 
 
 def warm_up(frames: Frames, window: int) -> None:
-    """Compile the kernels, or load what an earlier run compiled, on a few small frames."""
+    """Compile the kernels, or load the cached compilation, on a few small frames."""
     silhouette_of(frames, threads=1)
     half = tuple(-(-n // 2) for n in frames.shape)
     band = Band(np.ones(half, np.bool_), np.zeros(half, np.uint16), np.ones(half, np.float32))
@@ -147,7 +147,7 @@ def warm_up(frames: Frames, window: int) -> None:
 
 @lru_cache(maxsize=32)
 def noise_fall(near: Near) -> float:
-    """The fall that 99 % of the pixels of pure noise stay under, wherever the peak is expected."""
+    """Return the 99th percentile of the fall on pure noise, for any expected peak position."""
     n_frames, margin = 2 * near.frames + 1, tangential_margin_px(near.window)
     side = _NOISE_SIDE_PX + 2 * margin
     noise = np.random.default_rng(_SEED).standard_normal((n_frames, side, side), dtype=np.float32)
@@ -166,14 +166,14 @@ def noise_fall(near: Near) -> float:
 def _expected(
     side: NDArray[np.uint8], dark_um: NDArray[np.float32], bright_um: NDArray[np.float32]
 ) -> NDArray[np.float32]:
-    """The heights of the cells at the pixels of their side."""
+    """Return the cell height of each pixel's side; NaN for pixels on neither side."""
     rows, cols = (np.arange(n) // COARSE_PX for n in side.shape)
     dark, bright = (cells[rows[:, None], cols] for cells in (dark_um, bright_um))
     return np.where(side == EdgeSide.DARK, dark, np.where(side == EdgeSide.BRIGHT, bright, np.float32(np.nan)))
 
 
 def _wall_of(band: Band, sides: Sides) -> Wall:
-    """The direction along the nearest wall, at half resolution, from where dark and bright meet."""
+    """Return the direction along the nearest wall at half resolution, from the dark-bright boundary."""
     known = lowest(band.inside, 2 * _BORDER + 1)
     down, right = (np.where(known, slope, np.float32(0)) for slope in np.gradient(blurred(sides.bright_share, 1.0)))
     xx, xy, yy = (blurred(product, _WALL_SIGMA) for product in (right * right, right * down, down * down))
@@ -191,7 +191,7 @@ def _search_along(
     fall: NDArray[np.float32],
     threads: int | None,
 ) -> None:
-    """The peaks of the focus along the wall near the wanted heights, tile by tile."""
+    """Search tile by tile for peaks of the focus along the wall near the expected heights."""
     expected = np.interp(wanted_um, frames.z_um, np.arange(frames.n_frames)).astype(np.float32)
     stabiliser, margin = Stabiliser.of(how.camera), tangential_margin_px(how.window)
 
@@ -210,7 +210,7 @@ def _search_along(
 
 
 def _around(wall: Wall, rows: slice, cols: slice, margin: int) -> Wall:
-    """The wall's directions at full resolution for a tile and a margin around it."""
+    """Return the wall directions at full resolution for a tile and a margin around it."""
     limits = wall.xx.shape
     at = [
         np.clip(np.arange(part.start - margin, part.stop + margin) // 2, 0, n - 1)
@@ -220,7 +220,7 @@ def _around(wall: Wall, rows: slice, cols: slice, margin: int) -> Wall:
 
 
 def _tiles(wanted: NDArray[np.bool_]) -> Iterator[tuple[slice, slice]]:
-    """Tiles as small as hold the wanted pixels of a grid of squares."""
+    """Yield the tightest tiles around the wanted pixels of a grid of squares."""
     n_rows, n_cols = wanted.shape
     for top in range(0, n_rows, _TILE_PX):
         for left in range(0, n_cols, _TILE_PX):
@@ -231,7 +231,7 @@ def _tiles(wanted: NDArray[np.bool_]) -> Iterator[tuple[slice, slice]]:
 
 
 def _outline_grey(frames: Frames, band: Band, threads: int | None) -> NDArray[np.float32]:
-    """The grey from which sides are told."""
+    """Return the grey image used to classify the sides of walls."""
     grey = np.zeros(frames.shape, np.float32)
 
     def one(rows: slice) -> None:

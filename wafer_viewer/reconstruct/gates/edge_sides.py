@@ -1,7 +1,8 @@
-"""On which side of a wall a pixel lies: the dark or the bright one, told from the frame where the wall is sharpest.
+"""Classification of pixels near a wall into dark side, bright side and outline.
 
-In that frame, at the foot of the wall or at its top, light does not bleed over it. A pixel next to the outline that is
-neither clearly dark nor clearly bright belongs to no side. Maps at half resolution are those of `silhouette`.
+The frame in which the wall is sharpest is used: there, at the foot or the top of the wall, light does not bleed over
+it. A pixel next to the outline that is neither clearly dark nor clearly bright is assigned to no side. Maps at half
+resolution are those of `edge_silhouettes`.
 """
 
 from __future__ import annotations
@@ -19,16 +20,16 @@ from wafer_viewer.reconstruct.focus.focus_volume import StackSource
 from wafer_viewer.reconstruct.gates.edge_silhouettes import Silhouette
 
 STANDING_GAPS = 2.0
-"""A silhouette that stands through twice the frames to a rival is a wall; patterns in one plane reach half of that."""
+"""A silhouette is a wall if it persists for twice the rival gap; patterns in one plane reach half of that."""
 
 BAND_REACH_PX = 8
-"""How far beyond the silhouette itself, which is some 8 pixels wide, light bleeds visibly."""
+"""Distance beyond the silhouette, which is about 8 pixels wide, over which light bleeds visibly."""
 
 SURELY_DARK, SURELY_BRIGHT = 0.35, 0.78
-"""Where between the darkest (0) and the brightest (1) grey near by a pixel at the outline is sure, in logarithms."""
+"""Thresholds for certain pixels at the outline, from the local minimum (0) to maximum (1) of log grey."""
 
 DEEP_SHARE = 0.9
-"""A grain here and there may be brighter or darker than its side."""
+"""Fraction of neighbours on one side that classifies an uncertain pixel; single grains may differ from their side."""
 
 _LEVELS_PX = 5
 _REACH = BAND_REACH_PX // 2
@@ -39,7 +40,7 @@ _LOG_UNIT = 4096.0
 
 
 class EdgeSide(IntEnum):
-    """Where a pixel lies: away from walls, on the dark or the bright side of one, or on its outline."""
+    """Position of a pixel: away from walls, on the dark or the bright side of one, or on its outline."""
 
     AWAY = 0
     DARK = 1
@@ -48,9 +49,9 @@ class EdgeSide(IntEnum):
 
 
 class Band(NamedTuple):
-    """The surroundings of walls at half resolution: bool inside, the frame to tell sides from, the walls themselves.
+    """Surroundings of walls at half resolution: mask, frame for the side classification, and wall contrast.
 
-    contrast: of the silhouette along the middle of a wall, 0 elsewhere.
+    inside: bool; frame: index of the frame; contrast: of the silhouette along the middle of a wall, 0 elsewhere.
     """
 
     inside: Bools
@@ -59,8 +60,10 @@ class Band(NamedTuple):
 
 
 class Sides(NamedTuple):
-    """side: codes of `EdgeSide` [row, col]; bright_share: how many of 2 x 2 pixels are brighter than the threshold, and
-    threshold: ln(grey + dark) that parts dark from bright, both [row / 2, col / 2], 0 where the band is not.
+    """Side classification of a field.
+
+    side: codes of `EdgeSide` [row, col]; bright_share: fraction of 2 x 2 pixels that are brighter than the threshold;
+    threshold: ln(grey + dark) that separates dark from bright; both [row / 2, col / 2], 0 outside the band.
     """
 
     side: UInt8s
@@ -69,7 +72,7 @@ class Sides(NamedTuple):
 
 
 def find_band(silhouette: Silhouette, gap: int) -> Band | None:
-    """The surroundings of all walls, None without any; gap: frames from a peak to a rival."""
+    """Return the surroundings of all walls, None if there are none; gap: frames from a peak to a rival."""
     wall = silhouette.standing >= STANDING_GAPS * gap
     if not wall.any():
         return None
@@ -80,7 +83,7 @@ def find_band(silhouette: Silhouette, gap: int) -> Band | None:
 
 
 def tell_sides(grey: NDArray[np.float32], band: Band, dark_counts: float) -> Sides:
-    """The sides of a field; grey: of `outline_grey`, [row, col]."""
+    """Classify the sides of a field; grey: from `outline_grey`, [row, col]."""
     halves = halved(grey)
     log = np.log(halves + np.float32(dark_counts))
     low, high = _extremes(log, band.inside)
@@ -104,9 +107,9 @@ def tell_sides(grey: NDArray[np.float32], band: Band, dark_counts: float) -> Sid
 
 @lean_kernel
 def outline_grey(source: StackSource, first: Whole, inside: Bools, frame: UInt16s, grey: Float32s) -> None:
-    """The mean of 3 x 3 pixels in the frame of the band, where the band is, for the rows of `grey` [row, col].
+    """Compute 3 x 3 means in the band's frame, inside the band, for the rows of `grey` [row, col].
 
-    source: frames that begin at row `first` of the field, which is even; inside, frame: of the whole field.
+    source: frames that begin at row `first` of the field, which is even; inside, frame: of the entire field.
     """
     images = source.images
     rows, cols = images.shape[1] - 1, images.shape[2] - 1
@@ -123,9 +126,9 @@ def outline_grey(source: StackSource, first: Whole, inside: Bools, frame: UInt16
 
 
 def _strongest(contrast: NDArray[np.float32], carried: NDArray[np.uint16]) -> NDArray[np.uint32]:
-    """What the wall next to each pixel carries, in the lower 16 bits; 0 where there is no wall.
+    """Return `carried` of the wall next to each pixel in the lower 16 bits; 0 where there is no wall.
 
-    Of the walls that are about as near the strongest one speaks: a bright line beside a wall speaks for itself only.
+    Of walls at about the same distance the strongest is used: a bright line near a wall affects itself only.
     """
     strength = np.minimum(contrast * np.float32(_CONTRAST_UNIT), np.float32(65535)).astype(np.uint32)
     keyed = np.where(contrast > 0, (strength << np.uint32(16)) | carried.astype(np.uint32), np.uint32(0))
@@ -136,13 +139,13 @@ def _strongest(contrast: NDArray[np.float32], carried: NDArray[np.uint16]) -> ND
 
 
 def _spread(contrast: NDArray[np.float32], log: NDArray[np.float32]) -> NDArray[np.float32]:
-    """A logarithm as it is at the wall next to each pixel, smoothed a little."""
+    """Return a logarithm propagated from the nearest wall, slightly smoothed."""
     found = _strongest(contrast, (np.clip(log, 0, 15) * np.float32(_LOG_UNIT)).astype(np.uint16))
     return mean_of_known(found & np.uint32(0xFFFF), found > 0, 3) / np.float32(_LOG_UNIT)
 
 
 def _extremes(log: NDArray[np.float32], inside: NDArray[np.bool_]) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
-    """The least and the greatest logarithm near by; 0 outside."""
+    """Return the local minimum and maximum of the logarithm; 0 outside."""
     far, none = np.float32(1e3), np.float32(0)
     low, high = lowest(np.where(inside, log, far), _LEVELS_PX), highest(np.where(inside, log, -far), _LEVELS_PX)
     return np.where(inside, low, none), np.where(inside, high, none)

@@ -1,10 +1,10 @@
-"""Where bright and dark meet, at every focus: the silhouettes beside which light bleeds over what is dark.
+"""Silhouettes between bright and dark areas at every focus, where light bleeds over the dark side.
 
-With b = ln(mean of 6 x 6 pixels + some dark grey), D is the most that b changes over 6 pixels along a row or a column.
-A pattern in one plane has such a contrast within the depth of focus about that plane, and no longer; the outline of a
-die beside a bright trench has it in all frames from the foot of its wall to the top. So a silhouette that stands
-through many frames is a wall, and is known before any depth is. At half the resolution: pixel (i, j) of a map stands
-for the 2 x 2 pixels from (2 i, 2 j).
+With b = ln(mean of 6 x 6 pixels + a dark grey), D is the largest change of b over 6 pixels along a row or a column. A
+pattern in one plane has such a contrast only within the depth of focus about that plane; the outline of a die next to a
+bright trench has it in all frames from the foot of its wall to the top. A silhouette that persists through many frames
+is therefore a wall, and can be detected before depth is known. Maps have half the resolution: pixel (i, j) stands for
+the 2 x 2 pixels from (2 i, 2 j).
 """
 
 from __future__ import annotations
@@ -22,13 +22,13 @@ from wafer_viewer.reconstruct.focus.focus_volume import StackSource, take_grey
 from wafer_viewer.reconstruct.preprocess.frames import Frames
 
 SILHOUETTE_MARGIN_PX = 6
-"""How far the map looks beyond the pixels it is for."""
+"""Reach of the map beyond its pixels."""
 
 DARK_SHARE_OF_WHITE = 6 / 255
-"""What is added to the grey, as a share of white: below it differences are noise."""
+"""Offset added to the grey, as a fraction of white; differences below it are noise."""
 
 STANDING_CONTRAST = 0.47
-"""The least D of a silhouette: bright is 1.6 times dark."""
+"""Minimum D of a silhouette: bright is 1.6 times dark."""
 
 _STRIPE_ROWS = 64
 _REACH = 2
@@ -37,7 +37,7 @@ _LN_2 = np.float32(math.log(2))
 
 
 class SilhouetteRows(NamedTuple):
-    """The half-resolution rows that the kernel works in, one set for each thread."""
+    """Half-resolution work rows of the kernel, one set for each thread."""
 
     grey: Greys
     pairs: Int32s
@@ -48,7 +48,7 @@ class SilhouetteRows(NamedTuple):
 
     @classmethod
     def make(cls, cols: int, dtype: np.dtype[Any]) -> SilhouetteRows:
-        """Rows for blocks `cols` wide."""
+        """Allocate rows for blocks `cols` wide."""
         half = half_size(cols) + 2 * _REACH
         return cls(
             grey=np.zeros((2, 2 * half + 4), dtype),
@@ -61,10 +61,10 @@ class SilhouetteRows(NamedTuple):
 
 
 class Silhouette(NamedTuple):
-    """The silhouettes of a field or of a part of it, all [row / 2, col / 2].
+    """Silhouettes of a field or of a part of it, all [row / 2, col / 2].
 
-    contrast: the greatest D of any frame, natural logarithm; frame: which frame that is; standing: in how many frames
-    D is at least that of a silhouette.
+    contrast: the largest D of all frames, natural logarithm; frame: index of that frame; standing: number of frames in
+    which D reaches the minimum of a silhouette.
     """
 
     contrast: Float32s
@@ -73,23 +73,23 @@ class Silhouette(NamedTuple):
 
     @classmethod
     def empty(cls, shape: tuple[int, int]) -> Silhouette:
-        """No silhouettes in a field of `shape` pixels."""
+        """Return an empty silhouette map for a field of `shape` pixels."""
         half = half_size(shape[0]), half_size(shape[1])
         return cls(np.zeros(half, np.float32), np.zeros(half, np.uint16), np.zeros(half, np.uint16))
 
     def rows(self, part: slice) -> Silhouette:
-        """The part that stands for some rows of the field, as views; the first of them must be even."""
+        """Return the part for a range of field rows, as views; the first row must be even."""
         half = slice(part.start // 2, half_size(part.stop))
         return Silhouette(self.contrast[half], self.frame[half], self.standing[half])
 
 
 def half_size(pixels: int) -> int:
-    """Pixels of the silhouette map for a number of rows or columns."""
+    """Return the size of the silhouette map for a number of rows or columns."""
     return (pixels + 1) // 2
 
 
 def silhouette_of(frames: Frames, threads: int | None = None) -> Silhouette:
-    """The silhouettes of a whole field; threads: all cores when left out."""
+    """Return the silhouettes of an entire field; threads: all cores if omitted."""
     found = Silhouette.empty(frames.shape)
     dark_counts = DARK_SHARE_OF_WHITE * frames.clipped_counts
 
@@ -107,9 +107,9 @@ def silhouette_of(frames: Frames, threads: int | None = None) -> Silhouette:
 def silhouette_block(
     source: StackSource, first: Whole, every: Whole, dark_counts: Real, rows: SilhouetteRows, out: Silhouette
 ) -> None:
-    """Note the silhouettes of a block, in an `out` that is empty to begin with; every: 1 for all frames, 2 for half.
+    """Accumulate the silhouettes of a block in `out`, which is empty initially; every: 1 for all frames, 2 for half.
 
-    first: which frame of the stack is the first of the source. Frames that follow may be noted by a later call.
+    first: index in the stack of the first frame of the source. Later frames may be added by another call.
 
     The block must begin at an even row and column of the field, so that the maps of blocks fit together.
     """
@@ -129,7 +129,7 @@ def silhouette_block(
 
 @lean_part
 def _bin(upper: Greys, lower: Greys, pairs: Int32s, bins: Int32s) -> None:
-    """The sums of 2 x 2 pixels of two rows."""
+    """Sum 2 x 2 pixels of two rows."""
     i = np.int32
     for x in range(pairs.size):
         pairs[x] = i(i(upper[x]) + i(lower[x]))
@@ -139,7 +139,7 @@ def _bin(upper: Greys, lower: Greys, pairs: Int32s, bins: Int32s) -> None:
 
 @lean_part
 def _log_row(bins: Int32s, dark_counts: Real, columns: Int32s, log: Float32s) -> None:
-    """ln(mean of 6 x 6 pixels + dark)."""
+    """Compute ln(mean of 6 x 6 pixels + dark)."""
     i = np.int32
     above, here, below = bins[0], bins[1], bins[2]
     for x in range(columns.size):
@@ -152,7 +152,7 @@ def _log_row(bins: Int32s, dark_counts: Real, columns: Int32s, log: Float32s) ->
 
 @lean_part
 def _contrast_row(log: Float32s, r: Whole, change: Float32s) -> None:
-    """The most that the logarithm changes over three half-resolution pixels astride of one, along x and y."""
+    """Compute the largest change of the logarithm over three half-resolution pixels around one, along x and y."""
     a, b, here, c, d = (
         log[(r - 4) % 5, 2:],
         log[(r - 3) % 5, 2:],

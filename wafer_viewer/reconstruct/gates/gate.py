@@ -1,7 +1,7 @@
-"""Which pixels have a height that can be believed, and why the others have none.
+"""Gates that accept or reject the peak of each pixel, with a reason for rejection.
 
-Each gate asks one question of every pixel: a score, and the limit it is held to. Where several fail, the first of them
-explains most: nothing else that a clipped pixel says means anything, and so on down the table.
+Each gate compares a score of every pixel with a limit. Where several gates fail, the first one gives the reason: the
+other scores of a clipped pixel are meaningless, and so on down the table.
 """
 
 from __future__ import annotations
@@ -17,22 +17,23 @@ from wafer_viewer.reconstruct.focus.noise_thresholds import NoiseScores
 from wafer_viewer.reconstruct.focus.peak import Peaks, confidence_of, lead_of
 
 LEAD_OVER_NOISE = 2.0
-"""A peak must lead its rival by twice what noise reaches: noise that varies along z reaches more than steady noise."""
+"""Required lead over the rival, relative to the noise lead; noise that varies along z exceeds steady noise."""
 
 CLIPPED_FRAMES_FRACTION = 0.02
 
 LEAST_FRAMES = 12
-"""In a shorter stack a wider window sees no more, and a wall cannot be told from a pattern in focus."""
+"""In a shorter stack a wider window adds nothing, and a wall cannot be distinguished from a pattern in focus."""
 
 POWERS = "powers of two"
-"""The unit of scores that are ratios of the focus measure."""
+"""Unit of scores that are ratios of the focus measure."""
 
 
 @dataclass(frozen=True, slots=True)
 class Gate:
-    """What a peak must show to count as a measurement; scores in powers of two of the focus measure.
+    """Limits that a peak must pass to count as a measurement; scores in powers of two of the focus measure.
 
-    window_tolerance_um: how far the height of a window twice as wide may be from that of the window.
+    window_tolerance_um: largest accepted difference between the height of a window twice as wide and that of the
+    window.
     """
 
     min_confidence: float
@@ -45,10 +46,10 @@ class Gate:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class GateTest:
-    """A question that is put to every pixel, and what a pixel that fails it is.
+    """A test applied to every pixel, and the origin code of the pixels that fail it.
 
-    score: float32 [row, col]; a pixel passes when its score is over the limit, or, where `at_most`, no more than it.
-    A limit of -inf, or of inf where `at_most`, lets everything pass: the gate is off.
+    score: float32 [row, col]; a pixel passes when its score is above the limit or, if `at_most`, not above it. A limit
+    of -inf, or of inf if `at_most`, disables the gate.
     """
 
     name: str
@@ -61,12 +62,12 @@ class GateTest:
 
     @property
     def passed(self) -> NDArray[np.bool_]:
-        """Which pixels pass, bool [row, col]."""
+        """Mask of the pixels that pass, bool [row, col]."""
         return self.score <= self.limit if self.at_most else self.score > self.limit
 
 
 def auto_min_confidence(noise: NoiseScores) -> float:
-    """The confidence that tells a peak from noise, for this number of frames and this window."""
+    """Return the confidence that separates a peak from noise, for this number of frames and this window."""
     return confidence_of(LEAD_OVER_NOISE * noise.lead)
 
 
@@ -77,7 +78,7 @@ def gate_of(
     window: int,
     window_tolerance_um: float = np.inf,
 ) -> Gate:
-    """The gate for a recipe's confidence; without a least confidence only clipping and the ends of the range count."""
+    """Return the gate for a recipe's confidence; without a minimum only clipping and the range ends are tested."""
     wanted = min_confidence > 0
     return Gate(
         min_confidence=min_confidence,
@@ -90,15 +91,15 @@ def gate_of(
 
 
 def origins(peaks: Peaks, gate: Gate, n_frames: int, wide_um: NDArray[np.float32] | None = None) -> NDArray[np.uint8]:
-    """The code of `Origin` of each pixel, uint8 [row, col].
+    """Return the code of `Origin` of each pixel, uint8 [row, col].
 
-    wide_um: the heights that a wider window sees, where they are to be compared.
+    wide_um: heights from a wider window, if they are to be compared.
     """
     return first_failed(checks(peaks, gate, n_frames, wide_um))
 
 
 def first_failed(asked: tuple[GateTest, ...]) -> NDArray[np.uint8]:
-    """The origin that the first failed check of each pixel stands for, measured where none failed; uint8 [row, col]."""
+    """Return the origin of the first failed test of each pixel, measured where none failed; uint8 [row, col]."""
     origin = np.full(asked[0].score.shape, Origin.MEASURED, np.uint8)
     for check in reversed(asked):
         origin[~check.passed] = check.origin
@@ -106,7 +107,7 @@ def first_failed(asked: tuple[GateTest, ...]) -> NDArray[np.uint8]:
 
 
 def checks(peaks: Peaks, gate: Gate, n_frames: int, wide_um: NDArray[np.float32] | None = None) -> tuple[GateTest, ...]:
-    """Every gate with the scores of all pixels, the one that explains most first."""
+    """Return every gate with the scores of all pixels, the most explanatory first."""
     lead = lead_of(gate.min_confidence) if gate.min_confidence > 0 else -np.inf
     found = (
         GateTest(
@@ -161,7 +162,7 @@ def _windows(peaks: Peaks, gate: Gate, wide_um: NDArray[np.float32]) -> GateTest
 
 
 def _clipped_share(peaks: Peaks, gate: Gate, n_frames: int) -> NDArray[np.float32]:
-    """How much of the window was too bright, in more frames than a lucky noise peak is."""
+    """Return the clipped fraction of the window, counting pixels clipped in at least 2 % of the frames."""
     too_bright = peaks.clipped >= max(1, round(CLIPPED_FRAMES_FRACTION * n_frames))
     if not too_bright.any():
         return np.zeros(too_bright.shape, np.float32)

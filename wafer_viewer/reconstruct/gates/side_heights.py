@@ -1,8 +1,8 @@
-"""How high the surface on each side of a wall is, told by what is measured well further from it.
+"""Height of the surface on each side of a wall, from reliable measurements further from it.
 
-Cells of 4 x 4 pixels, those of the coarse focus volume. A cell is an anchor of a side when it lies wholly on it, its
-pixels passed the gate, and it is flat together with its neighbours: false heights by bleeding light are not, they rise
-as the distance from the wall over the aperture. A few cells alone prove nothing.
+Cells of 4 x 4 pixels, as in the coarse focus volume. A cell is an anchor of a side when it lies entirely on it, its
+pixels passed the gate, and it is flat together with its neighbours: false heights by bleeding light are not flat, they
+rise with the distance from the wall divided by the aperture. Small groups of cells are not accepted.
 """
 
 from __future__ import annotations
@@ -16,7 +16,7 @@ from wafer_viewer.reconstruct.focus.focus_volume import COARSE_PX
 from wafer_viewer.reconstruct.gates.edge_sides import Band, Sides
 
 ANCHOR_REACH_PX = 48
-"""How far an anchor speaks for the surface towards the wall."""
+"""Distance over which an anchor height is extrapolated towards the wall."""
 
 _REACH = ANCHOR_REACH_PX // COARSE_PX
 _ENOUGH_PIXELS = 6
@@ -24,7 +24,7 @@ _ENOUGH_NEIGHBOURS = 5
 _ENOUGH_CELLS = 10
 _PURE_SHARE = 0.95
 _PURE_CELLS = 2
-"""A focus window of 9, taken twice, reaches over two cells: so many must lie on the same side all around."""
+"""A focus window of 9, applied twice, reaches over two cells: all cells within this distance must lie on one side."""
 
 
 def side_heights_um(
@@ -36,9 +36,9 @@ def side_heights_um(
     dark_counts: float,
     tolerance_um: float,
 ) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
-    """The heights of the dark and of the bright side, float32 [row / 4, col / 4], NaN where no anchor is near.
+    """Return the heights of the dark and the bright side, float32 [row / 4, col / 4]; NaN without an anchor nearby.
 
-    z_um, passed, all_in_focus: [row, col], passed the gate or not; tolerance_um: what counts as the same height.
+    z_um, passed, all_in_focus: [row, col], passed is the gate mask; tolerance_um: tolerance for equal heights.
     """
     near = highest(halved(band.inside) > 0, 2 * (_REACH + 1) + 1)
     heights = _cell_medians(z_um, passed, near)
@@ -53,7 +53,10 @@ def side_heights_um(
 def _cell_sides(
     all_in_focus: Image, inside: NDArray[np.bool_], sides: Sides, dark_counts: float
 ) -> tuple[NDArray[np.bool_], NDArray[np.bool_]]:
-    """Which cells lie wholly on the dark and on the bright side; beyond the band by their grey, as at the wall."""
+    """Return masks of the cells entirely on the dark and on the bright side.
+
+    Beyond the band, cells are classified by their grey against the threshold at the nearest wall.
+    """
     known = halved(inside)
     in_band = known > 0
     per_known = 1 / np.maximum(known, np.float32(1e-6))
@@ -66,7 +69,7 @@ def _cell_sides(
 
 
 def _from_anchors(heights: NDArray[np.float32], tolerance_um: float) -> NDArray[np.float32]:
-    """The height at the nearest anchor, everywhere within reach of one."""
+    """Return the height of the nearest anchor, NaN beyond its reach."""
     anchors = _large_pieces(_flat(heights, tolerance_um))
     if not anchors.any():
         return np.full_like(heights, np.nan)
@@ -76,14 +79,14 @@ def _from_anchors(heights: NDArray[np.float32], tolerance_um: float) -> NDArray[
 
 
 def _flat(heights: NDArray[np.float32], tolerance_um: float) -> NDArray[np.bool_]:
-    """Cells with enough neighbours, all of one height."""
+    """Return the cells with enough neighbours, all of the same height."""
     known, far = np.isfinite(heights), np.float32(np.inf)
     high, low = highest(np.where(known, heights, -far), 3), lowest(np.where(known, heights, far), 3)
     return known & (high - low < tolerance_um) & (9 * mean(known, 3) > _ENOUGH_NEIGHBOURS - 0.5)
 
 
 def _large_pieces(anchors: NDArray[np.bool_]) -> NDArray[np.bool_]:
-    """Those that hang together with enough others."""
+    """Return the anchors in connected components of sufficient size."""
     numbers = pieces(anchors)
     sizes = np.bincount(numbers.ravel())
     sizes[0] = 0
@@ -97,7 +100,7 @@ def _cell_means(image: Image, shape: tuple[int, int]) -> NDArray[np.float32]:
 
 
 def _cell_medians(z_um: NDArray[np.float32], passed: NDArray[np.bool_], near: NDArray[np.bool_]) -> NDArray[np.float32]:
-    """The median height of the pixels of each cell that passed the gate; NaN where they are few or the cell is far."""
+    """Return the median height of the accepted pixels of each cell; NaN where they are few or the cell is far."""
     values = _pixels_of_cells(np.where(passed, z_um, np.float32(np.inf)), near, np.float32(np.inf))
     values.sort(axis=1)
     count = np.count_nonzero(values < np.inf, axis=1)
@@ -108,7 +111,7 @@ def _cell_medians(z_um: NDArray[np.float32], passed: NDArray[np.bool_], near: ND
 
 
 def _pixels_of_cells(plane: NDArray[np.float32], cells: NDArray[np.bool_], beyond: np.float32) -> NDArray[np.float32]:
-    """The 16 pixels of each of some cells."""
+    """Return the 16 pixels of each selected cell."""
     rows, cols = (COARSE_PX * n for n in cells.shape)
     padded = np.pad(plane, ((0, rows - plane.shape[0]), (0, cols - plane.shape[1])), constant_values=beyond)
     blocks = padded.reshape(cells.shape[0], COARSE_PX, cells.shape[1], COARSE_PX)

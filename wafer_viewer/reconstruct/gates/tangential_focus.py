@@ -1,14 +1,13 @@
-"""Focus along a wall: what bleeds over an edge varies across it, not along it, and is not seen.
+"""Focus measured along a wall, insensitive to light that bleeds across it.
 
-Light of a bright surface that is out of focus falls on the dark one beside it and ends in a contour that runs along
-the wall between them; so do the wall's own outline and the gleam of a polished rim. The second derivative along the
-wall is blind to all three, and sees the texture of the surface nearly as well as a Laplacian does:
+Light of a defocused bright surface falls on the adjacent dark one and ends in a contour that runs along the wall
+between them; so do the wall's own outline and the reflection of a polished rim. The second derivative along the wall
+is insensitive to all three, and responds to the texture of the surface nearly as well as a Laplacian does:
 
 L = t H t, with H the Hessian of the stabilised grey under a binomial of 5 x 5 pixels and t the direction of the wall;
 l = log2(noise + mean3x3(L^2)), F = box_w(box_w(l)) as for the log-Laplacian.
 
-A height near by says where to look, so that a dozen frames are searched instead of all, in tiles of a few thousand
-pixels that stay in cache.
+A nearby height limits the search to about a dozen frames, in tiles of a few thousand pixels that stay in cache.
 """
 
 from __future__ import annotations
@@ -25,14 +24,14 @@ from wafer_viewer.numerics.jit import inlined_part, lean_kernel, lean_part
 from wafer_viewer.reconstruct.focus.log_laplacian import Stabiliser
 
 NOISE_ENERGY = 0.0239
-"""E[L^2] on white noise of unit variance, the mean over all directions; it varies by a seventh with them."""
+"""E[L^2] on white noise of unit variance, averaged over all directions; it varies by a seventh with direction."""
 
 _TAPS_PX = 4
 """The binomial reaches two pixels, the Hessian and the mean of the energy one each."""
 
 
 class Wall(NamedTuple):
-    """The direction along the wall as the weights of the Hessian's xx, xy and yy, float32 [row, col] of a block."""
+    """Direction along the wall as weights of the Hessian's xx, xy and yy, float32 [row, col] of a block."""
 
     xx: Float32s
     xy: Float32s
@@ -40,12 +39,12 @@ class Wall(NamedTuple):
 
     @classmethod
     def along(cls, tangent_rows: NDArray[np.float32], tangent_cols: NDArray[np.float32]) -> Wall:
-        """From the components of unit vectors along the wall."""
+        """Return the weights for the components of unit vectors along the wall."""
         return cls(tangent_cols**2, 2 * tangent_cols * tangent_rows, tangent_rows**2)
 
 
 class Tile(NamedTuple):
-    """What the kernels work in: planes and rows with margins, and the levels [k, row, col] that they make."""
+    """Work arrays of the kernels: planes and rows with margins, and the output levels [k, row, col]."""
 
     stable: Float32s
     smooth: Float32s
@@ -57,7 +56,7 @@ class Tile(NamedTuple):
 
     @classmethod
     def make(cls, n_frames: int, shape: tuple[int, int], window: int) -> Tile:
-        """Room for `n_frames` frames of a tile."""
+        """Allocate a tile of `n_frames` frames."""
         margin = tangential_margin_px(window)
         rows, cols = shape[0] + 2 * margin, shape[1] + 2 * margin
         smooth, second, energy, logs = (aligned((rows, cols), np.float32) for _ in range(4))
@@ -67,9 +66,9 @@ class Tile(NamedTuple):
 
 @dataclass(frozen=True, slots=True)
 class Near:
-    """How a peak near an expected height is looked for.
+    """Parameters of the search for a peak near an expected height.
 
-    window: of the focus; reach: frames to either side of the expected one; gap: frames from the peak to its flanks.
+    window: focus window; reach: frames on either side of the expected one; gap: frames from the peak to its flanks.
     """
 
     window: int
@@ -78,20 +77,20 @@ class Near:
 
     @property
     def frames(self) -> int:
-        """How many frames to either side of the expected one are looked at."""
+        """Number of frames read on either side of the expected one."""
         return self.reach + max(self.gap, 3)
 
 
 def tangential_margin_px(window: int) -> int:
-    """How far a block must reach beyond the pixels it is for."""
+    """Return the margin of a block beyond its pixels."""
     return window - 1 + _TAPS_PX
 
 
 @lean_kernel
 def tangential_levels(block: Greys, window: Whole, stabiliser: Stabiliser, wall: Wall, tile: Tile) -> None:
-    """The levels of the frames of a block [k, row, col], which reaches `tangential_margin_px` beyond the tile.
+    """Compute the levels of a block [k, row, col], which extends `tangential_margin_px` beyond the tile.
 
-    wall: at the pixels of the block less three at each border, where the Hessian is known.
+    wall: at the pixels of the block less three at each border, where the Hessian is defined.
     """
     n_rows = block.shape[1]
     scale, offset = np.float32(stabiliser.scale), np.float32(stabiliser.offset)
@@ -116,7 +115,7 @@ def _stabilised(grey: Greys, scale: Real, offset: Real, stable: Float32s) -> Non
 
 @inlined_part
 def _binomial(values: Float32s, out: Float32s) -> None:
-    """[1 4 6 4 1] / 16 along a row; the last four pixels hold nothing of use."""
+    """Apply [1 4 6 4 1] / 16 along a row; the last four pixels are undefined."""
     a, b, c, d = values[1:], values[2:], values[3:], values[4:]
     part = np.float32(1 / 16)
     for x in range(values.size - 4):
@@ -135,7 +134,7 @@ def _binomial_down(plane: Float32s, r: Whole, out: Float32s) -> None:
 def _energy_row(
     plane: Float32s, r: Whole, rows: Float32s, w_xx: Float32s, w_xy: Float32s, w_yy: Float32s, energy: Float32s
 ) -> None:
-    """The squared second derivative along the wall, the Hessian from rows r to r + 2."""
+    """Compute the squared second derivative along the wall, with the Hessian from rows r to r + 2."""
     a, b, c = plane[r], plane[r + 1], plane[r + 2]
     mean, bend, slope = rows[0], rows[1], rows[2]
     quarter, half, two = np.float32(0.25), np.float32(0.5), np.float32(2)
@@ -166,7 +165,7 @@ def _log_row(energy: Float32s, r: Whole, columns: Float32s, out: Float32s) -> No
 
 @lean_part
 def _double_box(logs: Float32s, n_logs: Whole, window: Whole, rows: Float32s, sums: Float32s, levels: Float32s) -> None:
-    """The mean of `window` pixels, twice, down the columns and along the rows."""
+    """Apply the mean of `window` pixels twice, along columns and rows."""
     twice, spread, again = rows[0], rows[1], rows[2]
     twice[:] = 0
     part = np.float32(1 / window**4)
@@ -185,7 +184,7 @@ def _double_box(logs: Float32s, n_logs: Whole, window: Whole, rows: Float32s, su
 
 @lean_part
 def _slide(before: Float32s, held: Real, new: Float32s, old: Float32s, full: Real, total: Float32s) -> None:
-    """A running sum: what it held before, and the new row less the old one; held and full: 0 or 1."""
+    """Update a running sum: add the new row and subtract the old one; held and full: 0 or 1."""
     for x in range(total.size):
         total[x] = held * before[x] + new[x] - full * old[x]
 
@@ -218,7 +217,7 @@ def peaks_near(
     height: Float32s,
     fall: Float32s,
 ) -> None:
-    """Where the focus peaks within `reach` frames of the expected one, and how far it falls to both sides.
+    """Find the focus peak within `reach` frames of the expected one, and its fall on both sides.
 
     levels: [k, row, col] of the frames from `first` on; expected: frames [row, col], NaN where nothing is expected;
     height: um, NaN where there is no peak; fall: in powers of two.
@@ -244,7 +243,10 @@ def peaks_near(
 
 @lean_part
 def _height(levels: Float32s, best: Whole, first: Whole, z_um: Float64s, y: Whole, x: Whole) -> Real:
-    """The symmetric tent on levels smoothed by [1 2 1] / 4 along z: gleaming grains make peaks with two tops."""
+    """Interpolate with a symmetric tent on levels smoothed by [1 2 1] / 4 along z.
+
+    Specular grains produce peaks with two maxima.
+    """
     last = levels.shape[0] - 1
     if best < 3 or best > last - 3:
         return z_um[first + best]

@@ -1,9 +1,8 @@
-"""Solves the large sparse systems of poses: conjugate gradients, preconditioned by smoothed aggregation.
+"""Solver for the large sparse systems of poses: conjugate gradients with smoothed aggregation.
 
-Fields that lie together are lumped into one coarse field, which moves them like a rigid plate; coarse fields are fields
-again, and so on, until few enough are left to be factorised (Vanek, Mandel, Brezina 1996: Algebraic multigrid by
-smoothed aggregation). A system that is small at once is factorised as it is, so that one way serves one field and a
-million.
+Neighbouring fields are aggregated into one coarse field, which moves them like a rigid plate; coarse fields are
+aggregated again, until few enough are left to be factorised (Vanek, Mandel, Brezina 1996: Algebraic multigrid by
+smoothed aggregation). A small system is factorised directly, so that the same code serves one field and a million.
 """
 
 from __future__ import annotations
@@ -19,7 +18,7 @@ from wafer_viewer.model.errors import ComputeError
 from wafer_viewer.model.surface.field_poses import Numbers
 
 DIRECT_FIELDS = 2000
-"""So many fields are solved by factorising."""
+"""Systems of up to this many fields are factorised directly."""
 
 _CELL_FIELDS = 3.0
 """Side of the cell that becomes one coarse field, in typical distances between fields."""
@@ -28,16 +27,16 @@ _MOST_STEPS = 200
 _MOST_AT_ONCE = 500_000
 _POWER_STEPS = 12
 _JACOBI = 4 / 3
-"""Of smoothed aggregation: the damping over the largest eigenvalue."""
+"""Damping of smoothed aggregation, divided by the largest eigenvalue."""
 
 Sparse = Any
 Apply = Callable[[Numbers], Numbers]
 
 
 def rigid(dx: Numbers, dy: Numbers, size: int) -> Numbers:
-    """[n, size, size] how a rigid plate moves at (dx, dy) from where its numbers hold.
+    """Return the motion [n, size, size] of a rigid plate at (dx, dy) from its reference point.
 
-    size 2: it is shifted along x and y, alike everywhere; size 3: height, tilt along x and y.
+    size 2: shift along x and y, equal everywhere; size 3: height, tilt along x and y.
     """
     moves = np.zeros((len(dx), size, size))
     moves[:, range(size), range(size)] = 1.0
@@ -48,9 +47,10 @@ def rigid(dx: Numbers, dy: Numbers, size: int) -> Numbers:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class System:
-    """[blocks, border; border^T, corner]: sparse blocks of fields (scipy BSR), bordered by m unknowns that all share.
+    """Symmetric positive definite system [blocks, border; border^T, corner] with m shared unknowns.
 
-    border: [n, m]; corner: [m, m]; vectors are [n + m, k], those of the shared unknowns last. Symmetric and positive.
+    blocks: sparse blocks of fields (scipy BSR); border: [n, m]; corner: [m, m]; vectors are [n + m, k], the shared
+    unknowns last.
     """
 
     blocks: Sparse
@@ -64,7 +64,7 @@ class System:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _Level:
-    """One system of the hierarchy: the damped inverse of its diagonal blocks, and the steps to and from the next."""
+    """One level of the hierarchy: damped inverse of the diagonal blocks, prolongation and restriction."""
 
     system: System
     jacobi: Sparse
@@ -72,26 +72,26 @@ class _Level:
     down: Sparse
 
     def smooth(self, x: Numbers, right: Numbers) -> Numbers:
-        """Nearer to the solution where neighbours differ; what they share is left to the coarser levels."""
+        """Apply one smoothing step, which reduces errors that differ between neighbours."""
         n = len(self.system.border)
         x = x.copy()
         x[:n] += self.jacobi @ (right - self.system @ x)[:n]
         return x
 
     def lower(self, x: Numbers) -> Numbers:
-        """A residual for the coarser level."""
+        """Restrict a residual to the coarser level."""
         n = len(self.system.border)
         return np.vstack((self.down @ x[:n], x[n:]))
 
     def raise_(self, x: Numbers) -> Numbers:
-        """A correction from the coarser level."""
+        """Prolongate a correction from the coarser level."""
         n = self.up.shape[1]
         return np.vstack((self.up @ x[:n], x[n:]))
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Solver:
-    """A system, ready to be solved for any number of right-hand sides."""
+    """A prepared system that can be solved for any number of right-hand sides."""
 
     system: System
     levels: tuple[_Level, ...]
@@ -100,10 +100,10 @@ class Solver:
     def solve(
         self, right: Numbers, tolerance: float, start: Numbers | None = None, enough: Numbers | float = 0.0
     ) -> Numbers:
-        """x of system @ x = right, all [n + m, k], begun at `start`.
+        """Return x of system @ x = right, all [n + m, k], starting from `start`.
 
         tolerance: of the error in the energy norm, relative to x; enough: energy of the error, x^T system x, that is
-        small enough however small x is, [k]. Raises ComputeError when it does not get there.
+        sufficiently small however small x is, [k]. Raises ComputeError when it does not converge.
         """
         if not self.levels:
             return self.coarsest(right)
@@ -112,7 +112,7 @@ class Solver:
         return x if found else self._at_once(right)
 
     def _at_once(self, right: Numbers) -> Numbers:
-        """By factorising all of it: long rows take many steps, but cost little that way."""
+        """Solve by direct factorisation: long rows of fields converge slowly but are cheap to factorise."""
         if len(right) > _MOST_AT_ONCE:
             raise ComputeError(
                 f"The poses of so many fields ({len(right)} unknowns) were not found in {_MOST_STEPS} steps: stitch "
@@ -121,7 +121,7 @@ class Solver:
         return _factorised(self.system)(right)
 
     def _cycle(self, right: Numbers, at: int = 0) -> Numbers:
-        """One symmetric V cycle: smooth, correct on the coarser level, smooth."""
+        """Apply one symmetric V cycle: smooth, correct on the coarser level, smooth."""
         if at == len(self.levels):
             return self.coarsest(right)
         level = self.levels[at]
@@ -132,7 +132,7 @@ class Solver:
 
 
 def prepare(system: System, x_um: Numbers, y_um: Numbers) -> Solver:
-    """The hierarchy for a system whose blocks belong to fields at (x_um, y_um)."""
+    """Build the hierarchy for a system whose blocks belong to fields at (x_um, y_um)."""
     levels: list[_Level] = []
     coarse = system
     while len(x_um) > DIRECT_FIELDS:
@@ -143,7 +143,7 @@ def prepare(system: System, x_um: Numbers, y_um: Numbers) -> Solver:
 
 
 def _factorised(system: System) -> Apply:
-    """Fields first, then what they share, then what fields make of it."""
+    """Return a direct solver: eliminate the fields, solve the shared unknowns, substitute back."""
     from scipy.sparse.linalg import splu
 
     n = len(system.border)
@@ -161,7 +161,7 @@ def _factorised(system: System) -> Apply:
 
 
 def _coarsened(system: System, x_um: Numbers, y_um: Numbers) -> tuple[_Level, Numbers, Numbers]:
-    """A level, and where its coarse fields lie."""
+    """Return a level, and the positions of its coarse fields."""
     blocks = system.blocks
     cell, mid_x_um, mid_y_um = _cells(x_um, y_um)
     inverse = _inverse_diagonal(blocks)
@@ -173,7 +173,7 @@ def _coarsened(system: System, x_um: Numbers, y_um: Numbers) -> tuple[_Level, Nu
 
 
 def _cells(x_um: Numbers, y_um: Numbers) -> tuple[NDArray[np.intp], Numbers, Numbers]:
-    """The cell of each field, and the middle of the fields in each; at most half as many cells as fields."""
+    """Return the cell of each field and the mean position per cell; at most half as many cells as fields."""
     side = _CELL_FIELDS * _typical_distance(x_um, y_um)
     while True:
         cols, rows = (np.floor((a - a.min()) / side) for a in (x_um, y_um))
@@ -184,7 +184,7 @@ def _cells(x_um: Numbers, y_um: Numbers) -> tuple[NDArray[np.intp], Numbers, Num
 
 
 def _typical_distance(x_um: Numbers, y_um: Numbers) -> float:
-    """Between a field and its nearest neighbour elsewhere."""
+    """Return the median distance between a field and its nearest neighbour at another position."""
     from scipy.spatial import KDTree
 
     points = np.unique(np.column_stack((x_um, y_um)), axis=0)
@@ -203,7 +203,7 @@ def _inverse_diagonal(matrix: Sparse) -> Sparse:
 
 
 def _bsr(blocks: Numbers, cols: NDArray[Any], n_cols: int) -> Sparse:
-    """One block a row."""
+    """Return a BSR matrix with one block per row."""
     from scipy.sparse import bsr_array
 
     n, size, _ = blocks.shape
@@ -211,7 +211,7 @@ def _bsr(blocks: Numbers, cols: NDArray[Any], n_cols: int) -> Sparse:
 
 
 def _largest_eigenvalue(matrix: Sparse, inverse: Sparse) -> float:
-    """Of inverse @ matrix, a little too large rather than too small."""
+    """Estimate the largest eigenvalue of inverse @ matrix, slightly overestimated."""
     vector = np.random.default_rng(1).normal(size=matrix.shape[0])
     largest = 1.0
     for _ in range(_POWER_STEPS):
@@ -223,7 +223,7 @@ def _largest_eigenvalue(matrix: Sparse, inverse: Sparse) -> float:
 def _conjugate_gradients(
     system: System, precondition: Apply, right: Numbers, goals: tuple[float, Numbers | float], start: Numbers
 ) -> tuple[Numbers, bool]:
-    """All right-hand sides at once, each with its own steps; and whether they got there."""
+    """Solve all right-hand sides at once, each with its own step sizes; also return whether they converged."""
     x = start.copy()
     residual = right - system @ x
     ahead = precondition(residual)

@@ -1,10 +1,10 @@
-"""Decides about overlaps that no third one confirms.
+"""Arbitration between contradicting overlaps that no third overlap confirms.
 
-Where a field, or a cluster of fields, is tied to the rest in ways that contradict each other, weights that look at
-misfits alone believe whatever won first. Here clusters are placed one after the other, from the largest outwards: every
-tie to what is placed proposes a place, and that one wins which most ties agree with and the stage finds least
-surprising. What two ties agree on is placed first, then what only the stage confirms; where it does not, the cluster
-goes to where the stage has it.
+Where a field, or a cluster of fields, is connected to the rest by contradicting overlaps, weights based on residuals
+alone accept whichever was accepted first. Here clusters are placed sequentially, from the largest outwards: every edge
+to a placed cluster proposes a position, and the proposal that most edges agree with and that has the smallest prior
+residual wins. Clusters on which two edges agree are placed first, then those that only the stage confirms; otherwise
+the cluster is placed at its stage position.
 """
 
 from __future__ import annotations
@@ -21,22 +21,22 @@ from wafer_viewer.reconstruct.pose_graph.pose_graph import Flags, PoseGraph
 Wholes = NDArray[np.intp]
 
 _AGREES = 15.0
-"""Log likelihood ratio of a tie that agrees with another: some 3 % are wrong, and lie anywhere within the search."""
+"""Log likelihood ratio of an edge that agrees with another: about 3 % are wrong, uniformly within the search range."""
 
 _ALONE = 7.0
-"""The same of a tie that only the stage confirms: so much surprise is 3.7 standard deviations of the stage."""
+"""Log likelihood ratio of an edge that only the stage confirms: 3.7 standard deviations of the stage."""
 
 _SLACK = 2.0
-"""Neighbours of what is contested are not yet quite where they belong."""
+"""Tolerance factor: neighbours of contested clusters are not yet at their final positions."""
 
 _MOST_TIES = 64
 _LEAST_DEGREES = 8
 _MOST_TOGETHER = 8.0
-"""Errors of a stage are not as independent as averaging more of them would have it."""
+"""Maximum effective number of averaged stage errors, which are not fully independent."""
 
 
 def verdicts(network: PoseGraph, values: Numbers, shared: Numbers, excess: float, believed: Flags) -> Numbers:
-    """[e] 1 for contested overlaps that are to be believed, 0 for those that are not, NaN for all others."""
+    """Return [e] 1 for contested overlaps to accept, 0 for those to reject, NaN for all others."""
     surprise = network.surprise(values, shared)
     lone = np.zeros(len(believed), np.bool_)
     lone[believed] = bridges(len(values), network.first[believed], network.second[believed])
@@ -60,7 +60,7 @@ def verdicts(network: PoseGraph, values: Numbers, shared: Numbers, excess: float
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _Ties:
-    """Between clusters, [t]: misfit, [t, d], measured minus solved; precision: inverse of twice its variance."""
+    """Edges between clusters, [t]: misfit, [t, d], measured minus solved; precision: inverse of twice its variance."""
 
     first: Whole32s
     second: Whole32s
@@ -68,12 +68,12 @@ class _Ties:
     precision: Numbers
 
     def agree(self, moved: Numbers) -> Flags:
-        """Which ties fit once clusters have moved by [clusters, d]."""
+        """Return which edges fit once clusters have moved by [clusters, d]."""
         left = self.misfit - moved[self.second] + moved[self.first]
         return np.sum(self.precision * left**2, axis=1) < _AGREES
 
     def proposals(self, placed: Flags, moved: Numbers) -> _Proposals:
-        """Ties of clusters that are not placed to such that are."""
+        """Return the proposals of edges between placed and unplaced clusters."""
         at = np.flatnonzero(placed[self.first] != placed[self.second])
         second_moves = placed[self.first[at]]
         mover = np.where(second_moves, self.second[at], self.first[at])
@@ -85,7 +85,7 @@ class _Ties:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _Proposals:
-    """[p] which cluster is to move, by how much [p, d], how precisely this is known; in the order of clusters."""
+    """Proposed moves, sorted by cluster: cluster [p], displacement [p, d] and precision [p, d]."""
 
     cluster: Whole32s
     move: Numbers
@@ -94,7 +94,7 @@ class _Proposals:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _Choice:
-    """The best proposal of each cluster, [c]: its move, whether another tie agrees, how the stage is surprised."""
+    """Best proposal of each cluster, [c]: move, confirmation by another edge, and prior residual cost."""
 
     cluster: Whole32s
     move: Numbers
@@ -103,7 +103,7 @@ class _Choice:
 
 
 def _scatter(surprise: Numbers, core: Whole32s, sigma: Numbers) -> Numbers:
-    """[d] what the stage errs by inside of cores: no more than `sigma`, which a misplaced core makes too large."""
+    """Return the stage error [d] within cores, at most `sigma`, which a misplaced core overestimates."""
     degrees = len(core) - len(np.unique(core))
     if degrees < _LEAST_DEGREES:
         return sigma
@@ -112,7 +112,7 @@ def _scatter(surprise: Numbers, core: Whole32s, sigma: Numbers) -> Numbers:
 
 
 def _suspect(network: PoseGraph, surprise: Numbers, core: Whole32s, sigma: Numbers, believed: Flags) -> Flags:
-    """Which cores have ties that were rejected, or lie where the stage says that they can hardly be."""
+    """Return a mask of cores with rejected edges or implausible stage residuals."""
     far = np.minimum(np.bincount(core), _MOST_TOGETHER) * _chi2(_mean_of(surprise, core), sigma) / 2
     rejected = network.tells.any(axis=1) & ~believed
     suspect = far > _ALONE
@@ -121,9 +121,10 @@ def _suspect(network: PoseGraph, surprise: Numbers, core: Whole32s, sigma: Numbe
 
 
 def _clusters(network: PoseGraph, lone: Flags, suspect: Flags, believed: Flags) -> Whole32s:
-    """[n] fields that believed overlaps tie together, with contested ties cut; what is fixed is one cluster.
+    """Return the cluster [n] of each field, connected by accepted overlaps; fixed fields form one cluster.
 
-    A tie is contested when it is the only one between its two sides, [e], and one of these is suspect, [n].
+    Contested edges are cut: an edge is contested when it is the only one between its two sides (`lone`, [e]) and one of
+    these is suspect, [n].
     """
     first, second = network.first, network.second
     kept = believed & ~(lone & (suspect[first] | suspect[second]))
@@ -132,7 +133,7 @@ def _clusters(network: PoseGraph, lone: Flags, suspect: Flags, believed: Flags) 
 
 
 def _placed(ties: _Ties, size: Numbers, surprise: Numbers, sigma: Numbers) -> Numbers:
-    """[clusters, d] by how much each has to move, once they are all placed."""
+    """Return the displacement [clusters, d] of each cluster, after placing all of them."""
     moved = np.zeros_like(surprise)
     placed = _largest(ties, size)
     together = np.minimum(size, _MOST_TOGETHER)
@@ -147,7 +148,7 @@ def _placed(ties: _Ties, size: Numbers, surprise: Numbers, sigma: Numbers) -> Nu
 
 
 def _largest(ties: _Ties, size: Numbers) -> Flags:
-    """The largest cluster of all that hang together."""
+    """Return a mask of the largest cluster of each connected set."""
     whole = groups(len(size), ties.first, ties.second)
     order = np.lexsort((-size, whole))
     largest = np.zeros(len(size), np.bool_)
@@ -156,7 +157,7 @@ def _largest(ties: _Ties, size: Numbers) -> Flags:
 
 
 def _best(of: _Proposals, surprise: Numbers, sigma: Numbers, together: Numbers) -> _Choice:
-    """For each cluster the proposal with the least disagreement of its ties and surprise of the stage."""
+    """Return for each cluster the proposal with the least disagreement of its edges and prior residual."""
     cluster, start, count = np.unique(of.cluster, return_index=True, return_counts=True)
     voting = np.minimum(count, _MOST_TIES)
     some = np.repeat(start, voting) + count_up(voting)
@@ -171,7 +172,7 @@ def _best(of: _Proposals, surprise: Numbers, sigma: Numbers, together: Numbers) 
 
 
 def _least_surprised(best: _Choice, ties: _Ties, n: int) -> Flags:
-    """Which choices the stage confirms, and finds less surprising than those of clusters that they are tied to."""
+    """Return which choices the stage confirms with a prior residual no larger than that of adjacent clusters."""
     of_cluster = np.full(n, np.inf)
     of_cluster[best.cluster] = best.surprise
     beside = np.full(n, np.inf)
@@ -189,6 +190,6 @@ def _chi2(values: Numbers, sigma: Numbers) -> Numbers:
 
 
 def _least(cost: Numbers, lengths: Wholes) -> Wholes:
-    """Where the least cost of each stretch is."""
+    """Return the index of the least cost of each segment."""
     order = np.lexsort((cost, np.repeat(np.arange(len(lengths)), lengths)))
     return order[np.cumsum(lengths) - lengths]

@@ -1,7 +1,8 @@
-"""How the camera's axes lie against the stage's: turned by its mounting, longer or shorter by a wrong pixel size.
+"""Rotation and scale of the camera axes against the stage axes.
 
-A camera turned by 1 mrad shifts every neighbour by 1.2 px to the side, always the same way; a stage that was believed
-field by field would pull against all overlaps at once. So turn and scale are unknowns that all fields share.
+The camera may be rotated by its mounting, and scaled by a wrong pixel size. A camera rotated by 1 mrad shifts every
+neighbour by 1.2 px to the side, always in the same direction; stage positions trusted field by field would then
+contradict all overlaps at once. Rotation and scale are therefore unknowns that all fields share.
 """
 
 from __future__ import annotations
@@ -15,10 +16,10 @@ from wafer_viewer.model.errors import ComputeError
 from wafer_viewer.model.surface.field_poses import Form, Numbers
 
 SIGMA = 0.05
-"""Of turn (rad) and scale (fraction) before anything is measured: what is not certain is not applied, however small."""
+"""Prior standard deviation of rotation (rad) and scale (fraction); uncertain values are not applied."""
 
 LEAST_OVERLAPS = 4
-"""With fewer, one that is wrong looks like a wrong pixel size."""
+"""With fewer overlaps, a single wrong one looks like a wrong pixel size."""
 
 _SIGNIFICANT = 4.0
 _WORTH_PX = 0.1
@@ -27,9 +28,10 @@ _WRONG_SCALE = 0.03
 
 @dataclass(frozen=True, slots=True)
 class CameraAxes:
-    """The camera against the stage: turned anticlockwise by `turn` (rad), its pixels too large by `scale` (fraction).
+    """Camera against stage: rotated anticlockwise by `turn` (rad), pixels too large by `scale` (fraction).
 
-    u_turn, u_scale: standard uncertainties; (middle_x_um, middle_y_um): where its axes and those of the stage agree.
+    u_turn, u_scale: standard uncertainties; (middle_x_um, middle_y_um): the point where its axes and those of the stage
+    agree.
     """
 
     turn: float = 0.0
@@ -41,11 +43,11 @@ class CameraAxes:
 
     @classmethod
     def of(cls, form: Form) -> CameraAxes:
-        """The camera that a form tells of."""
+        """Return the camera axes stored in a form."""
         return cls(form.camera_turn, form.u_camera_turn, form.camera_scale, form.u_camera_scale, *form.middle_um)
 
     def in_form(self, form: Form) -> Form:
-        """A form that tells of this camera."""
+        """Return a copy of a form with these camera axes."""
         return dataclasses.replace(
             form,
             camera_turn=self.turn,
@@ -56,18 +58,18 @@ class CameraAxes:
         )
 
     def from_stage(self, stage_x_um: Numbers, stage_y_um: Numbers) -> tuple[Numbers, Numbers]:
-        """Where places of the stage lie in the camera's axes."""
+        """Transform stage coordinates to camera axes."""
         x, y = self.arms(stage_x_um, stage_y_um)
         return stage_x_um + self.scale * x + self.turn * y, stage_y_um + self.scale * y - self.turn * x
 
     def arms(self, stage_x_um: Numbers, stage_y_um: Numbers) -> tuple[Numbers, Numbers]:
-        """From the middle to places of the stage."""
+        """Return the vectors from the middle to stage positions."""
         return stage_x_um - self.middle_x_um, stage_y_um - self.middle_y_um
 
     def notes(self, field_um: float, pixel_um: float) -> tuple[str, ...]:
-        """What the operator should know of it: turn and scale, where they are certain and move neighbours noticeably.
+        """Return operator notes on rotation and scale, if they are significant and shift neighbours noticeably.
 
-        field_um: how far neighbours are apart. Raises ComputeError when the pixel size cannot be right.
+        field_um: distance between neighbours. Raises ComputeError when the pixel size cannot be right.
         """
         notes: list[str] = []
         if self._matters(self.turn, self.u_turn, field_um, pixel_um):
@@ -86,5 +88,5 @@ class CameraAxes:
 
 
 def shared_by_all(x_um: Numbers, y_um: Numbers) -> Numbers:
-    """[n, 2, 2] by how much a scale of 1 and a turn of 1 rad move what lies (x_um, y_um) from the middle."""
+    """Return the displacement [n, 2, 2] per unit scale and per rad of rotation, at (x_um, y_um) from the middle."""
     return np.stack((np.column_stack((x_um, y_um)), np.column_stack((y_um, -x_um))), axis=-1)

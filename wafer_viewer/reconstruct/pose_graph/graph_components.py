@@ -1,4 +1,4 @@
-"""What hangs together with what: fields as points of a graph, overlaps as its edges."""
+"""Connected components and bridges of a graph with fields as vertices and overlaps as edges."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ Flags = NDArray[np.bool_]
 
 
 def groups(n: int, first: Whole32s, second: Whole32s) -> Whole32s:
-    """[n] number of the group that each point is in: those joined by edges (first, second)."""
+    """Return the component number [n] of each vertex, with components joined by edges (first, second)."""
     from scipy.sparse import csr_array
     from scipy.sparse.csgraph import connected_components
 
@@ -20,10 +20,10 @@ def groups(n: int, first: Whole32s, second: Whole32s) -> Whole32s:
 
 
 def bridges(n: int, first: Whole32s, second: Whole32s) -> Flags:
-    """[e] which edges lie on no closed path.
+    """Return a mask [e] of the edges that lie on no cycle.
 
     Every edge outside of a spanning tree gets a random number, and every edge of the tree the exclusive or of the
-    numbers of the closed paths through it; there are none where that is 0 (Pritchard and Thurimella 2011).
+    numbers of the cycles through it; there are none where that is 0 (Pritchard and Thurimella 2011).
     """
     above, depth = _tree(n, first, second)
     below = np.where(above[first] == second, first, np.where(above[second] == first, second, -1))
@@ -41,7 +41,7 @@ def bridges(n: int, first: Whole32s, second: Whole32s) -> Flags:
 
 
 def _tree(n: int, first: Whole32s, second: Whole32s) -> tuple[Wholes, Wholes]:
-    """[n] the point above each in a spanning tree, and its depth below a root, point n, above all groups."""
+    """Return the parent [n] of each vertex in a spanning tree, and its depth below a common root, vertex n."""
     from scipy.sparse import csr_array
     from scipy.sparse.csgraph import breadth_first_order
 
@@ -55,7 +55,7 @@ def _tree(n: int, first: Whole32s, second: Whole32s) -> tuple[Wholes, Wholes]:
 
 
 def _depths(parents: Wholes) -> Wholes:
-    """Depth of each point but the root in the order of a search breadth first, where parents only grow."""
+    """Return the depth of each vertex except the root, in breadth-first order, where parents never decrease."""
     depth = np.zeros(len(parents), np.intp)
     begin, level = 0, 0
     end = int(np.searchsorted(parents, 0, "right"))
@@ -66,5 +66,5 @@ def _depths(parents: Wholes) -> Wholes:
 
 
 def count_up(lengths: Wholes) -> Wholes:
-    """0, 1, ... for each length, one after the other."""
+    """Return concatenated ranges 0, 1, ... of the given lengths."""
     return np.arange(lengths.sum()) - np.repeat(np.cumsum(lengths) - lengths, lengths)

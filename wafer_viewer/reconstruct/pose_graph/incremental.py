@@ -1,4 +1,4 @@
-"""A mosaic that grows: what is known of fields placed earlier, and which of them have to be drawn again."""
+"""Incremental pose estimation: reuse of an earlier solution, and selection of fields to be redrawn."""
 
 from __future__ import annotations
 
@@ -15,17 +15,21 @@ Pairs = NDArray[np.int32]
 T = TypeVar("T", Shifts, HeightOffsets)
 A = TypeVar("A", np.float64, np.bool_)
 STILL_PX = 0.1
-"""A field that moves by less than a tenth of a pixel stays where it is drawn."""
+"""Lateral move, in pixels, below which a field is not redrawn."""
 STILL_UM = 0.01
-"""The same along z, at the corner of a field that moves most: under the repeatability of any height."""
+"""Height change, at the most affected corner of a field, below which it is not redrawn.
+
+It is below the repeatability of any height.
+"""
 POSE = ("x_um", "y_um", "z_um", "tilt_x", "tilt_y")
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class PreviousSolution:
-    """What an earlier solution says about the fields of a list, all [n_fields].
+    """Earlier solution mapped to the current list of fields, all [n_fields].
 
-    row: of each field in the earlier list, -1 where it is new or its surface was made again; poses: the earlier ones.
+    row: index of each field in the earlier list, -1 where it is new or its surface was recomputed; poses: the earlier
+    ones.
     """
 
     row: NDArray[np.intp]
@@ -33,7 +37,7 @@ class PreviousSolution:
 
     @classmethod
     def of(cls, poses: Poses | None, numbers: NDArray[np.int32], marks: NDArray[np.int64]) -> PreviousSolution:
-        """What poses say about fields whose surfaces have these marks now."""
+        """Map earlier poses to fields with the given surface marks."""
         if poses is None or poses.numbers.size == 0:
             return cls(np.full(len(numbers), -1), poses)
         order = np.argsort(poses.numbers)
@@ -44,26 +48,26 @@ class PreviousSolution:
 
     @property
     def unchanged(self) -> NDArray[np.bool_]:
-        """The fields that are what they were."""
+        """Mask of the unchanged fields."""
         return self.row >= 0
 
     def earlier(self, name: str, without: NDArray[A]) -> NDArray[A]:
-        """A quantity of the earlier poses, `without` where a field has none."""
+        """Return a quantity of the earlier poses, `without` where a field has none."""
         if self.poses is None or not self.unchanged.any():
             return without
         return np.where(self.unchanged, getattr(self.poses, name)[self.row], without)
 
     def stale(self, moved: NDArray[np.bool_]) -> NDArray[np.intp]:
-        """Rows of the earlier list that are not to be shown any more: of fields that moved, changed or are gone."""
+        """Return the rows of the earlier list to hide: fields that moved, changed or were removed."""
         n_before = 0 if self.poses is None else self.poses.numbers.size
         return np.setdiff1d(np.arange(n_before), self.row[self.unchanged & ~moved])
 
     def shifts(self, pairs: Pairs, look: Callable[[Pairs], Shifts]) -> Shifts:
-        """What overlaps say about x and y; only those are looked at that changed."""
+        """Return the lateral shifts of overlaps; only changed overlaps are measured again."""
         return self._and(pairs, look, None if self.poses is None else _undoubted(self.poses.shifts))
 
     def seams(self, pairs: Pairs, look: Callable[[Pairs], HeightOffsets]) -> HeightOffsets:
-        """The same about z, for fields that stay where they are."""
+        """Return the height offsets of overlaps, reusing those between unchanged fields."""
         return self._and(pairs, look, None if self.poses is None else _unsolved(self.poses.seams))
 
     def _and(self, pairs: Pairs, look: Callable[[Pairs], T], earlier: T | None) -> T:
@@ -77,7 +81,7 @@ class PreviousSolution:
         return joined([kept, look(pairs[new])]) if new.any() else kept
 
     def _now(self, rows: NDArray[np.int32]) -> NDArray[np.int32]:
-        """Places in the earlier list as places in this one, -1 for what is gone or was made again."""
+        """Convert earlier indices to current ones, -1 for fields that were removed or recomputed."""
         n_before = 0 if self.poses is None else self.poses.numbers.size
         place = np.full(n_before, -1, np.int32)
         place[self.row[self.unchanged]] = np.flatnonzero(self.unchanged)
@@ -85,25 +89,25 @@ class PreviousSolution:
 
 
 def _keys(first: NDArray[np.int32], second: NDArray[np.int32], n: int) -> NDArray[np.int64]:
-    """One number for each pair of n fields."""
+    """Return a unique number for each pair of n fields."""
     return first.astype(np.int64) * n + second
 
 
 def _undoubted(shifts: Shifts) -> Shifts:
-    """Without the verdict of an earlier solution: what one of them disagreed with may have changed."""
+    """Clear the DISAGREES doubts of an earlier solution, because the conflicting overlaps may have changed."""
     doubt = np.where(shifts.doubt == RejectionReason.DISAGREES, np.uint8(RejectionReason.NONE), shifts.doubt)
     return replace(shifts, doubt=doubt.astype(np.uint8))
 
 
 def _unsolved(seams: HeightOffsets) -> HeightOffsets:
-    """As `seams.compare` gave them: without the step that a solution left."""
+    """Restore the offsets of `height_seams.compare`, without the residual step of a solution."""
     return replace(seams, rms_um=np.sqrt(np.maximum(seams.rms_um**2 - seams.step_um**2, 0)), step_um=seams.z_um)
 
 
 def held_still(
     poses: Poses, known: PreviousSolution, pixel_um: float, corner_um: float
 ) -> tuple[Poses, NDArray[np.bool_]]:
-    """Poses of which fields that hardly moved keep the one they are drawn at, and which fields are to be drawn.
+    """Restore the drawn poses of fields that hardly moved, and return which fields are to be redrawn.
 
     corner_um: from the centre of a field to its corner.
     """

@@ -1,4 +1,4 @@
-"""Where fields lie in the plane: all overlaps at once, with the stage as prior."""
+"""Lateral pose estimation: all overlaps at once, with the stage as prior."""
 
 from __future__ import annotations
 
@@ -18,19 +18,19 @@ from wafer_viewer.reconstruct.pose_graph.pose_graph import Flags, GraphEdges, Po
 from wafer_viewer.reconstruct.pose_graph.robust_solver import REJECTED, RobustSolution, settle
 
 _FLOOR_PX = 0.02
-"""Registration is never better than this: two pictures of one spot differ by more than noise."""
+"""Minimum registration uncertainty: two images of the same spot differ by more than noise."""
 
 _USUAL_ERROR_PX = 6.0
-"""Of the stage, until overlaps tell."""
+"""Initial guess of the stage error."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Positions:
-    """Field centres in the camera's axes, [n], and how they came about.
+    """Field centres in the camera's axes, [n], with uncertainties and diagnostics.
 
-    u_x_um, u_y_um: standard uncertainties against the stage's coordinates (neighbours err together: the distance
-    between them is known much better); group: fields joined by believed overlaps have one number; shifts: with weights,
-    residuals and what was rejected; stage_error_um: standard deviation of the stage along an axis.
+    u_x_um, u_y_um: standard uncertainties against the stage's coordinates (errors of neighbours are correlated: the
+    distance between them is known much better); group: fields joined by accepted overlaps have one number; shifts: with
+    weights, residuals and rejections; stage_error_um: standard deviation of the stage along an axis.
     """
 
     x_um: Numbers
@@ -55,16 +55,16 @@ def solve_positions(
     start: tuple[Numbers, Numbers] | None = None,
     camera: CameraAxes | None = None,
 ) -> Positions:
-    """The most probable places of fields [n], from the stage's word and the shifts of their overlaps.
+    """Estimate the most probable positions of fields [n] from stage positions and overlap shifts.
 
-    Pictures are laid on a lattice along the camera's axes, so places are given in these: where the camera is turned
-    against the stage, or its pixels are not as large as is said, the surface is turned and scaled about the middle of
-    the fields, and only there its coordinates are those of the stage; `Positions.camera` says how to get from one to
-    the other. Turn and scale are applied, and noted, only where they are certain and matter.
+    Images are placed on a lattice along the camera axes, so positions are given in these. Where the camera is rotated
+    against the stage, or the pixel size is wrong, the surface is rotated and scaled about the middle of the fields, and
+    only there do its coordinates equal those of the stage; `Positions.camera` gives the transformation. Rotation and
+    scale are applied, and noted, only where they are significant and noticeable.
 
-    stage_error_um: standard deviation along an axis; ``auto`` finds it. fixed: bool [n], fields that stay where `start`
-    (x, y) has them. camera: as found before, kept.
-    Raises ComputeError when the overlaps contradict the pixel size.
+    stage_error_um: standard deviation along an axis; ``auto`` estimates it. fixed: bool [n], fields that stay at their
+    position in `start` (x, y). camera: from an earlier solution, not estimated again. Raises ComputeError when the
+    overlaps contradict the pixel size.
     """
     fixed = np.zeros(len(stage_x_um), np.bool_) if fixed is None else fixed
     task = _Task(stage_x_um, stage_y_um, shifts, pixel_um, stage_error_um, fixed, start)
@@ -82,7 +82,7 @@ def solve_positions(
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _Task:
-    """The arguments of `solve_positions`, and what it does with them."""
+    """Arguments of `solve_positions`, and the steps of its solution."""
 
     stage_x_um: Numbers
     stage_y_um: Numbers
@@ -93,20 +93,20 @@ class _Task:
     start: tuple[Numbers, Numbers] | None
 
     def unturned(self) -> CameraAxes:
-        """A camera along the stage's axes, about the middle of what is fixed, or else of all fields."""
+        """Return a camera aligned with the stage, about the middle of the fixed fields, or else of all fields."""
         those = self.fixed if np.any(self.fixed) else np.ones_like(self.fixed)
         middle = (float(np.mean(a[those])) if len(a) else 0.0 for a in (self.stage_x_um, self.stage_y_um))
         return CameraAxes(0.0, np.inf, 0.0, np.inf, *middle)
 
     @property
     def usable(self) -> Flags:
-        """Overlaps that say something and are not doubted by themselves."""
+        """Mask of overlaps with finite uncertainty and no rejection reason of their own."""
         own_doubt = ~np.isin(self.shifts.doubt, (RejectionReason.NONE, RejectionReason.DISAGREES))
         return ~own_doubt & (np.isfinite(self.shifts.u_x_um) | np.isfinite(self.shifts.u_y_um))
 
     @property
     def neighbours_um(self) -> float:
-        """How far apart fields are that overlap, as a rule."""
+        """Median distance between overlapping fields."""
         i, j = self.shifts.first[self.usable], self.shifts.second[self.usable]
         apart = np.hypot(self.stage_x_um[j] - self.stage_x_um[i], self.stage_y_um[j] - self.stage_y_um[i])
         return float(np.median(apart)) if len(apart) else 0.0
@@ -114,7 +114,7 @@ class _Task:
     def settled(
         self, camera: CameraAxes, shared_sigma: tuple[float, ...] = (), like: RobustSolution | None = None
     ) -> tuple[PoseGraph, RobustSolution]:
-        """Displacements from where the stage says fields are, as the camera sees it."""
+        """Solve for displacements from the stage positions in camera axes."""
         x_um, y_um = camera.from_stage(self.stage_x_um, self.stage_y_um)
         values = np.zeros((len(x_um), 2))
         if self.start is not None:
@@ -145,7 +145,7 @@ class _Task:
         )
 
     def _measured(self, x_um: Numbers, y_um: Numbers) -> Numbers:
-        """[e, 2] how much further the second lies from the first than the camera would have it from the stage."""
+        """Return the shift [e, 2] of the second against the first, relative to stage positions in camera axes."""
         i, j = self.shifts.first, self.shifts.second
         off_x, off_y = self.stage_x_um - x_um, self.stage_y_um - y_um
         shifts = (self.shifts.x_um + off_x[j] - off_x[i], self.shifts.y_um + off_y[j] - off_y[i])
@@ -158,7 +158,7 @@ class _Task:
         return precision[:, :, None] * np.eye(2)
 
     def positions(self, network: PoseGraph, at: RobustSolution, known: CameraAxes, found: CameraAxes) -> Positions:
-        """Places and what belongs to them, of displacements against a known camera."""
+        """Return positions, uncertainties and groups from the displacements against a known camera."""
         x_um, y_um = (
             a + moved for a, moved in zip(known.from_stage(self.stage_x_um, self.stage_y_um), at.values.T, strict=True)
         )
@@ -172,7 +172,7 @@ class _Task:
         return Positions(x_um, y_um, u[:, 0], u[:, 1], group, shifts, error_um, found)
 
     def _judged(self, network: PoseGraph, at: RobustSolution) -> Shifts:
-        """The shifts with their weights, residuals and doubts."""
+        """Return the shifts with their weights, residuals and doubts."""
         residual = np.where(
             np.isfinite(np.column_stack((self.shifts.x_um, self.shifts.y_um))),
             network.misfit(at.values, at.shared),
@@ -189,11 +189,11 @@ class _Task:
 
 
 def _found(unturned: CameraAxes, at: RobustSolution) -> CameraAxes:
-    """The camera as the shared unknowns say."""
+    """Return the camera axes from the shared unknowns."""
     (scale, turn), (u_scale, u_turn) = at.shared.tolist(), shared_uncertainties(at).tolist()
     return dataclasses.replace(unturned, turn=turn, u_turn=u_turn, scale=scale, u_scale=u_scale)
 
 
 def _decide(network: PoseGraph, at: RobustSolution) -> Numbers:
-    """What the votes of clusters say about the weights."""
+    """Return the overlap weights forced by the arbitration of clusters."""
     return verdicts(network, at.values, at.shared, at.excess, at.weight >= REJECTED)

@@ -1,8 +1,9 @@
-"""How sure each pose is: standard uncertainties from the inverse of the normal equations.
+"""Standard uncertainties of poses from the inverse of the normal equations.
 
-Up to `DIRECT_FIELDS` fields their diagonal is exact. Beyond, `_SAMPLES` sets of errors are drawn from what overlaps and
-priors are unsure of, each is solved like a measurement, and the spread of the solutions is the uncertainty (Papandreou
-and Yuille 2010: Gaussian sampling by local perturbations): without bias, and right to 1 / sqrt(2 * samples) = 10 %.
+Up to `DIRECT_FIELDS` fields their diagonal is exact. Beyond, `_SAMPLES` sets of errors are drawn from the uncertainties
+of overlaps and priors, each is solved like a measurement, and the spread of the solutions is the uncertainty
+(Papandreou and Yuille 2010: Gaussian sampling by local perturbations): unbiased, with a relative error of 1 / sqrt(2 *
+samples) = 10 %.
 """
 
 from __future__ import annotations
@@ -21,7 +22,7 @@ _TOLERANCE = 1e-2
 
 
 def standard_uncertainties(network: PoseGraph, at: RobustSolution, wanted: tuple[int, ...]) -> Numbers:
-    """[n, len(wanted)] of the unknowns `wanted` of each field; 0 where it is fixed."""
+    """Return the uncertainties [n, len(wanted)] of the unknowns `wanted` of each field; 0 if it is fixed."""
     solver, free = at.solver, network.ties.free
     found = np.zeros((len(network.x_um), len(wanted)))
     if solver is None or not np.any(free):
@@ -33,7 +34,7 @@ def standard_uncertainties(network: PoseGraph, at: RobustSolution, wanted: tuple
 
 
 def shared_uncertainties(at: RobustSolution) -> Numbers:
-    """[m] of the unknowns that all fields share."""
+    """Return the uncertainties [m] of the shared unknowns; infinite without a solver."""
     m = len(at.shared)
     if at.solver is None or m == 0:
         return np.full(m, np.inf)
@@ -43,7 +44,7 @@ def shared_uncertainties(at: RobustSolution) -> Numbers:
 
 
 def _exact(solver: Solver, n: int, size: int, wanted: tuple[int, ...]) -> Numbers:
-    """The diagonal of the inverse, [n] of fields; 0 for unknowns that are not wanted."""
+    """Return the diagonal [n] of the inverse for the fields; 0 for unknowns that are not wanted."""
     variance = np.zeros(n)
     rows = np.concatenate([np.arange(k, n, size) for k in wanted])
     for some in np.split(rows, range(_COLUMNS, len(rows), _COLUMNS)):
@@ -54,7 +55,7 @@ def _exact(solver: Solver, n: int, size: int, wanted: tuple[int, ...]) -> Number
 
 
 def _sampled(network: PoseGraph, at: RobustSolution, solver: Solver, n: int) -> Numbers:
-    """The mean square of solutions of drawn errors, [n]."""
+    """Return the mean square [n] of the solutions of drawn errors."""
     random = np.random.default_rng(5)
     values, vectors = np.linalg.eigh((at.weight / at.excess**2)[:, None, None] * network.information)
     root = vectors * np.sqrt(np.maximum(values, 0))[:, None, :]

@@ -1,9 +1,9 @@
-"""A network of fields: what each overlap measured between two of them, and what is known of each before.
+"""Linear model of the pose graph: overlap measurements and priors of the fields.
 
 Field i has the unknowns p_i (shift along x and y; or height and tilts), all fields share the unknowns q. An overlap of
-i and j measured y = B p_j - A p_i + K q, with an inverse covariance; before that, p_i - E_i q is 0 with standard
-deviations that all fields have in common, and so is q. Everything here is linear and works on all fields and overlaps
-at once.
+i and j measured y = B p_j - A p_i + K q, with an inverse covariance. The prior of p_i - E_i q is 0 with standard
+deviations that all fields have in common, and so is that of q. Everything here is linear and works on all fields and
+overlaps at once.
 """
 
 from __future__ import annotations
@@ -22,11 +22,11 @@ Flags = NDArray[np.bool_]
 
 @dataclass(frozen=True, slots=True, eq=False)
 class GraphEdges:
-    """Which fields are tied by which overlaps, and where the blocks of the system lie: made once for a network.
+    """Edges of the pose graph and the block structure of its system, computed once per graph.
 
-    from_first, from_second: [n, e] sparse, add up what belongs to the first and second fields of overlaps; free: which
-    fields are looked for; order, cols, row_ends: blocks of the free fields, as they come (diagonal, then right, then
-    left of it), in the order of the matrix.
+    from_first, from_second: [n, e] sparse, sum over the overlaps of each first and second field; free: mask of the
+    fields to be solved for; order, cols, row_ends: blocks of the free fields, as they are generated (diagonal, then
+    right, then left of it), in the order of the matrix.
     """
 
     from_first: Sparse
@@ -38,7 +38,7 @@ class GraphEdges:
 
     @classmethod
     def of(cls, first: Whole32s, second: Whole32s, free: Flags) -> GraphEdges:
-        """The ties of overlaps between `first` and `second`, with the fields that are not free left out."""
+        """Return the edges of overlaps between `first` and `second`, without the fields that are not free."""
         to, none = np.cumsum(free) - 1, -1
         a, b = (np.where(free[at], to[at], none) for at in (first, second))
         own = np.where(free, to, none)
@@ -64,11 +64,12 @@ def _adder(field: Whole32s, n: int) -> Sparse:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class PoseGraph:
-    """n fields of d unknowns, e overlaps, m shared unknowns; the letters are those of the module's equations.
+    """A pose graph of n fields with d unknowns, e overlaps and m shared unknowns.
 
-    x_um, y_um: where fields lie, [n]; at_first (A), at_second (B), information: [e, d, d]; at_shared (K): [e, d, m];
-    measured (y): [e, d]; prior_shared (E): [n, d, m]; prior_sigma: [d], shared_sigma: [m]. auto: groups of unknowns
-    whose common prior_sigma is to be found, from a first guess.
+    The letters are those of the module's equations. x_um, y_um: positions of the fields, [n]; at_first (A), at_second
+    (B), information: [e, d, d]; at_shared (K): [e, d, m]; measured (y): [e, d]; prior_shared (E): [n, d, m];
+    prior_sigma: [d], shared_sigma: [m]. auto: groups of unknowns whose common prior_sigma is to be estimated, starting
+    from prior_guess.
     """
 
     x_um: Numbers
@@ -89,26 +90,26 @@ class PoseGraph:
 
     @property
     def size(self) -> int:
-        """Unknowns of a field."""
+        """Number of unknowns of a field."""
         return len(self.prior_sigma)
 
     @property
     def tells(self) -> Flags:
-        """[e, d] which overlaps say something about which unknown."""
+        """Mask [e, d] of the unknowns that each overlap measures."""
         return np.einsum("eaa->ea", self.information) > 0
 
     def misfit(self, values: Numbers, shared: Numbers) -> Numbers:
-        """[e, d] measured minus solved."""
+        """Return the residuals [e, d] of overlaps: measured minus solved."""
         solved = _times(self.at_second, values[self.second]) - _times(self.at_first, values[self.first])
         return self.measured - solved - self.at_shared @ shared
 
     def surprise(self, values: Numbers, shared: Numbers) -> Numbers:
-        """[n, d] what is solved minus what was known before."""
+        """Return the prior residuals [n, d]: solved minus expected."""
         return values - self.prior_shared @ shared
 
 
 def normal_equations(network: PoseGraph, weight: Numbers) -> System:
-    """What overlaps with weights [e] and the priors say together, of the free fields and of what is shared."""
+    """Return the normal equations of overlaps with weights [e] and priors, for free fields and shared unknowns."""
     ties, precision = network.ties, network.prior_sigma**-2.0
     weighted = weight[:, None, None] * network.information
     from_a, from_b = _turned(network.at_first) @ weighted, _turned(network.at_second) @ weighted
@@ -124,9 +125,10 @@ def normal_equations(network: PoseGraph, weight: Numbers) -> System:
 
 
 def pull(network: PoseGraph, by_overlap: Numbers, by_prior: Numbers, by_shared: Numbers) -> Numbers:
-    """How forces pull at the unknowns of the system, [free unknowns + m, k] for k cases at once.
+    """Return the gradient of k cases with respect to the unknowns of the system, [free unknowns + m, k].
 
-    Forces of overlaps, [e, d, k], of priors of fields, [n, d, k], and of priors of what is shared, [m, k].
+    Arguments are the weighted residuals of overlaps, [e, d, k], of the priors of fields, [n, d, k], and of the priors
+    of shared unknowns, [m, k].
     """
     ties = network.ties
     fields = _add(ties.from_second, _turned(network.at_second) @ by_overlap)
@@ -136,7 +138,7 @@ def pull(network: PoseGraph, by_overlap: Numbers, by_prior: Numbers, by_shared: 
 
 
 def flat(of_fields: Numbers) -> Numbers:
-    """[n, d, k] as rows of unknowns, [n * d, k]."""
+    """Reshape [n, d, k] to rows of unknowns, [n * d, k]."""
     return of_fields.reshape(of_fields.shape[0] * of_fields.shape[1], of_fields.shape[2])
 
 
@@ -153,7 +155,7 @@ def _gram(a: Numbers, b: Numbers) -> Numbers:
 
 
 def _add(adder: Sparse, of_overlaps: Numbers) -> Numbers:
-    """The sum for each field, of arrays [e, a, b]."""
+    """Sum arrays [e, a, b] of overlaps for each field."""
     e, a, b = of_overlaps.shape
     return (adder @ of_overlaps.reshape(e, a * b)).reshape(adder.shape[0], a, b)
 

@@ -1,7 +1,8 @@
-"""Settles a network: robust least squares that rejects what the rest contradicts, and how sure the result is.
+"""Robust least squares on a pose graph, with rejection of contradicting overlaps.
 
-Weights fall off with the square of the misfit (Geman and McClure), first at the scale of the largest, then at half of
-it and so on (graduated non-convexity: Black and Rangarajan 1996): no bad overlap decides where the rest settles.
+Weights decrease with the square of the residual (Geman and McClure), first at the scale of the largest residual, then
+at half of it and so on (graduated non-convexity: Black and Rangarajan 1996), so that no bad overlap determines the
+solution.
 """
 
 from __future__ import annotations
@@ -19,42 +20,42 @@ from wafer_viewer.reconstruct.pose_graph.graph_components import groups
 from wafer_viewer.reconstruct.pose_graph.pose_graph import PoseGraph, normal_equations, pull
 
 REJECTED = 0.1
-"""An overlap with less weight is not believed."""
+"""An overlap with less weight is rejected."""
 
 _MISFITS = 3.0
-"""Weights fall to a quarter at so many standard deviations."""
+"""Residual, in standard deviations, at which a weight has fallen to a quarter."""
 
 _MOST_EXCESS = 5.0
-"""Uncertainties of overlaps are not taken for more wrong than this: it is the overlap that is wrong then."""
+"""Maximum inflation of the overlap uncertainties; beyond it the overlap itself is wrong."""
 
 _MOST_ROUNDS = 30
 _MOST_VERDICTS = 8
 _STEADY, _RESTLESS_FRACTION = 0.05, 1e-3
 _ON_THE_WAY = 3e-2
-"""Relative error of a solution that is only to find weights."""
+"""Relative error of an intermediate solution that only determines weights."""
 
 _ENOUGH_EACH, _ENOUGH = 1e-4, 1e-2
-"""Energy of an error, in variances, that does not show in misfits (for each unknown), nor anywhere (for all)."""
+"""Negligible energy of an error, in variances: per unknown for residuals, and in total for the result."""
 
 _LEAST_REDUNDANCY = 0.1
 _PROBES = 4
 _FAR = 4.0
-"""A field that is further off, in standard deviations, does not tell how far fields are off as a rule."""
+"""Residuals beyond this many standard deviations are clipped when the prior is estimated."""
 
 _USUALLY = 4
-"""The first guess of a prior counts like so many fields."""
+"""Weight of the initial guess of a prior, in fields."""
 
 _MEDIAN_CHI2 = (1.0, 0.455, 0.693, 0.789)
-"""Median of chi squared over its degrees of freedom, by these."""
+"""Median of chi squared per degree of freedom, indexed by the degrees of freedom."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class RobustSolution:
-    """Values [n, d] of the fields, shared unknowns [m], and how they came about.
+    """Values [n, d] of the fields and shared unknowns [m], with weights and solver state.
 
-    weight: [e], 0 ... 1; excess: by how much misfits are larger than their uncertainties; scale: misfit in standard
-    deviations where a weight has fallen to a quarter; solver: of the last least squares; echoes: [unknowns, probes],
-    answers to `_probes`.
+    weight: [e], 0 ... 1; excess: factor by which residuals exceed their uncertainties; scale: residual in standard
+    deviations where a weight has fallen to a quarter; solver: of the last least squares step; echoes: [unknowns,
+    probes], solutions for `_probes`.
     """
 
     values: Numbers
@@ -72,11 +73,10 @@ Decide = Callable[[PoseGraph, RobustSolution], Numbers]
 def settle(
     network: PoseGraph, values: Numbers, decide: Decide | None = None, like: RobustSolution | None = None
 ) -> tuple[PoseGraph, RobustSolution]:
-    """The most probable values, begun at `values` [n, d], where fields that are not free stay.
+    """Estimate the most probable values, starting from `values` [n, d]; fields that are not free stay fixed.
 
-    decide: says, [e], the weights of overlaps that misfits alone cannot tell, NaN of others; like: what nearly
-    the same network came to, which is quicker than anew. The network comes back with the standard
-    deviations of its priors as found.
+    decide: returns the weights [e] of overlaps that residuals alone cannot determine, NaN for others; like: solution of
+    a similar graph, used as a faster start. The graph is returned with the estimated standard deviations of its priors.
     """
     telling = np.linalg.matrix_rank(network.information, hermitian=True) if len(network.first) else np.zeros(0, int)
     shared = np.zeros(len(network.shared_sigma))
@@ -95,7 +95,7 @@ def settle(
 def _rounds(
     network: PoseGraph, at: RobustSolution, telling: NDArray[np.intp], decided: Numbers
 ) -> tuple[PoseGraph, RobustSolution]:
-    """Solve, see what does not fit, and solve again until the weights rest, those that are not `decided` (NaN)."""
+    """Solve and reweight until the weights converge, except those that are `decided` (not NaN)."""
     for _ in range(_MOST_ROUNDS):
         before, sigma = at.weight, network.prior_sigma
         at = _improved(network, at, on_the_way=True)
@@ -109,7 +109,7 @@ def _rounds(
 
 
 def _improved(network: PoseGraph, at: RobustSolution, on_the_way: bool) -> RobustSolution:
-    """One step of least squares with the weights as they are."""
+    """Perform one least squares step with the current weights."""
     weight = at.weight / at.excess**2
     free = network.ties.free
     solver = prepare(normal_equations(network, weight), network.x_um[free], network.y_um[free])
@@ -126,7 +126,7 @@ def _improved(network: PoseGraph, at: RobustSolution, on_the_way: bool) -> Robus
 
 
 def _gradient(network: PoseGraph, at: RobustSolution, weight: Numbers) -> Numbers:
-    """Where misfits and priors pull, [unknowns, 1]."""
+    """Return the gradient of residuals and priors, [unknowns, 1]."""
     by_overlap = weight[:, None, None] * (network.information @ network.misfit(at.values, at.shared)[:, :, None])
     by_prior = -network.surprise(at.values, at.shared) / network.prior_sigma**2
     by_shared = -at.shared / network.shared_sigma**2
@@ -134,10 +134,10 @@ def _gradient(network: PoseGraph, at: RobustSolution, weight: Numbers) -> Number
 
 
 def _probes(network: PoseGraph, solver: Solver) -> Numbers:
-    """[unknowns, probes] random signs at all fields, for each group of unknowns whose prior is to be found.
+    """Return random sign vectors [unknowns, probes] for each group of unknowns with an estimated prior.
 
-    The product of a probe with its answer is, on average, the trace of the inverse (Hutchinson 1990): of large systems
-    one says enough.
+    The product of a probe with its solution is, on average, the trace of the inverse (Hutchinson 1990); in large
+    systems one probe suffices.
     """
     each = 1 if solver.levels else _PROBES
     n, d, m = len(network.x_um), network.size, len(network.shared_sigma)
@@ -150,7 +150,7 @@ def _probes(network: PoseGraph, solver: Solver) -> Numbers:
 
 
 def _with_priors_found(network: PoseGraph, at: RobustSolution) -> PoseGraph:
-    """Priors as wide as what was found and how unsure it is (expectation maximisation, Dempster 1977)."""
+    """Update the prior widths from prior residuals and their uncertainty (EM, Dempster 1977)."""
     if not network.auto or at.solver is None or at.echoes is None:
         return network
     surprise = np.clip(network.surprise(at.values, at.shared), *_FAR * np.outer((-1, 1), network.prior_sigma))
@@ -163,7 +163,7 @@ def _with_priors_found(network: PoseGraph, at: RobustSolution) -> PoseGraph:
 
 
 def _weighed(network: PoseGraph, at: RobustSolution, telling: NDArray[np.intp], decided: Numbers) -> RobustSolution:
-    """New weights at the next smaller scale, and how far misfits go beyond what their uncertainties say."""
+    """Compute new weights at the next smaller scale, and the inflation of the residuals."""
     counts = telling > 0
     if not np.any(counts):
         return dataclasses.replace(at, scale=0.0)
@@ -176,7 +176,7 @@ def _weighed(network: PoseGraph, at: RobustSolution, telling: NDArray[np.intp], 
 
 
 def _excess(network: PoseGraph, chi2: Numbers, telling: NDArray[np.intp]) -> float:
-    """From the median misfit and how many observations there are for each unknown, at least 1."""
+    """Return the variance inflation, at least 1, from the median residual and the redundancy."""
     counts, free = telling > 0, network.ties.free
     group = groups(len(free), network.first[counts], network.second[counts])
     loose = len(np.setdiff1d(group[free], group[~free]))

@@ -1,4 +1,4 @@
-"""The terms of second degree: what all fields share, and what the stage alone can tell of the whole surface."""
+"""Second-degree form terms: those shared by all fields, and those that only the stage determines."""
 
 from __future__ import annotations
 
@@ -9,19 +9,19 @@ from wafer_viewer.model.surface.field_poses import Numbers
 FORM_TERMS = ("height", "tilt along x", "tilt along y", "bow", "twist", "saddle")
 
 _UNKNOWN_UM = 1e4
-"""More than this is said to be infinite: a single row tells nothing of its tilt across."""
+"""Uncertainties above this are reported as infinite: a single row does not determine its cross tilt."""
 
 _RIDGE = 1e-12
-"""Of the diagonal: terms that look alike where fields lie are told apart by rounding errors otherwise."""
+"""Relative ridge on the diagonal; collinear terms would otherwise be separated by rounding errors."""
 
 Arms = tuple[Numbers, Numbers]
 
 
 def sag_between(first: Arms, second: Arms, field_size_um: tuple[float, float]) -> Numbers:
-    """[e, 3, 3] the plane (height, slopes) in the middle of seams for each term of a sag that all fields share.
+    """Return the plane (height, slopes) [e, 3, 3] at seam midpoints for each term of a shared sag.
 
-    first, second: from the centres of the two fields to the middle. Of two equal parabolas side by side the difference
-    is exactly a plane.
+    first, second: from the centres of the two fields to the midpoint. The difference of two equal parabolas side by
+    side is exactly a plane.
     """
     half_x, half_y = field_size_um[0] / 2, field_size_um[1] / 2
     (ax, ay), (bx, by) = first, second
@@ -35,9 +35,10 @@ def sag_between(first: Arms, second: Arms, field_size_um: tuple[float, float]) -
 def uncertainty_of_form(
     x_um: Numbers, y_um: Numbers, z_error_um: float, tilt_error: float, lean: float
 ) -> tuple[float, ...]:
-    """Expanded uncertainties (k = 2) of `FORM_TERMS` at the rim of fields at (x_um, y_um), from the stage alone.
+    """Return expanded uncertainties (k = 2) of `FORM_TERMS` at the rim of fields at (x_um, y_um), by the stage alone.
 
-    z_error_um, tilt_error: of each field by itself; lean: standard deviation of the tilt that all fields share.
+    z_error_um, tilt_error: independent errors of each field; lean: standard deviation of the tilt that all fields
+    share.
     """
     if len(x_um) < 2:
         return (2 * z_error_um, *[float("inf")] * 5)

@@ -1,4 +1,4 @@
-"""How high fields lie and how they lean: all seams at once, with the stage as prior."""
+"""Vertical pose estimation, height and tilt of all fields: all seams at once, with the stage as prior."""
 
 from __future__ import annotations
 
@@ -16,25 +16,25 @@ from wafer_viewer.reconstruct.pose_graph.robust_solver import RobustSolution, se
 from wafer_viewer.reconstruct.pose_graph.stage_form import FORM_TERMS, sag_between, uncertainty_of_form
 
 _FLOOR_UM = 0.002
-"""Heights of two fields at one spot differ by more than noise."""
+"""Minimum uncertainty of a height offset: heights of two fields at one spot differ by more than noise."""
 
 _FLOOR_SLOPE = 5e-6
 _USUAL_Z_UM, _USUAL_TILT = 1.0, 1e-4
-"""Errors of the stage, until seams tell."""
+"""Initial guesses of the stage errors."""
 
 _LEAN = 1e-2
-"""Of the camera against the stage, before anything is measured (um per um)."""
+"""Prior standard deviation of the camera tilt against the stage (um per um)."""
 
 _SAG_UM = 1.0
-"""That all fields share at their corners, before anything is measured."""
+"""Prior standard deviation of the sag that all fields share, at their corners."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class VerticalPoses:
-    """Heights of fields, [n]: too high by z_um + tilt_x dx + tilt_y dy + form.sag_um(dx, dy) from their centre.
+    """Height errors of fields, [n]: z_um + tilt_x dx + tilt_y dy + form.sag_um(dx, dy) from their centre.
 
-    u_z_um: standard uncertainty of z_um against the stage; seams: with weights and what is left in them; z_error_um,
-    tilt_error: standard deviations of the stage's errors, field by field.
+    Positive means too high. u_z_um: standard uncertainty of z_um against the stage; seams: with weights and residual
+    steps; z_error_um, tilt_error: standard deviations of the stage's errors, field by field.
     """
 
     z_um: Numbers
@@ -60,20 +60,20 @@ def solve_heights(
     start: tuple[Numbers, Numbers, Numbers] | None = None,
     form: Form | None = None,
 ) -> VerticalPoses:
-    """The most probable offset and tilt of every field [n], from the seams and the stage's word.
+    """Estimate the most probable offset and tilt of every field [n] from the seams and the stage prior.
 
     A surface z = G(x, y) of second degree that is added to the errors of all fields leaves no trace in the seams: each
-    field takes G's height and slope as its own offset and tilt, and G's curvature, which all fields have alike, as
-    their common sag. So these six terms (height, two tilts, bow, twist, saddle) are held to the stage: offsets and
-    tilts are taken as independent from field to field, and the correction is the one that has no component along the
-    six, weighted by the stage's errors. Nothing of the true form of a sample goes into a correction, whatever its size,
-    since all fields measure it alike. The sag and the lean that fields share are unknowns beside the others, so that
-    a bowl in every field or a camera that leans does not look like a bend or a tilt of the whole; what is left to the
-    stage is its error of the six terms, `Form.u_um`.
+    field takes G's height and slope as its own offset and tilt, and G's curvature, which is equal in all fields, as
+    their common sag. These six terms (height, two tilts, bow, twist, saddle) are therefore tied to the stage: offsets
+    and tilts are treated as independent from field to field, and the correction is the one without a component along
+    the six, weighted by the stage's errors. The true form of a sample never enters a correction, whatever its size,
+    since all fields measure it alike. The shared sag and camera tilt are separate unknowns, so that a bowl in every
+    field or a tilted camera is not mistaken for a bend or a tilt of the entire surface. The remaining stage error of
+    the six terms is `Form.u_um`.
 
-    z_error_um, tilt_error: standard deviations of the stage's errors, each field its own; ``auto`` finds them.
-    field_size_um: (width, height). fixed: bool [n], fields that stay at `start` (z, tilt_x, tilt_y). form: as found
-    before; its sag is kept.
+    z_error_um, tilt_error: standard deviations of the stage's errors, independent for each field; ``auto`` estimates
+    them. field_size_um: (width, height). fixed: bool [n], fields that stay at `start` (z, tilt_x, tilt_y). form: of an
+    earlier solution; its sag is retained.
     """
     fixed = np.zeros(len(x_um), np.bool_) if fixed is None else fixed
     network = _network(x_um, y_um, seams, field_size_um, fixed, form, (z_error_um, tilt_error))
@@ -111,7 +111,7 @@ def _network(
     form: Form | None,
     errors: tuple[float | Literal["auto"], float | Literal["auto"]],
 ) -> PoseGraph:
-    """Planes of differences between fields that are rigid plates; they share a lean, and a sag unless it is known."""
+    """Build the graph of seam planes between rigid fields with a shared tilt, and a shared sag unless known."""
     mid_x_um, mid_y_um = np.nan_to_num(seams.mid_x_um), np.nan_to_num(seams.mid_y_um)
     arms = [(mid_x_um - x_um[k], mid_y_um - y_um[k]) for k in (seams.first, seams.second)]
     sag = sag_between(arms[0], arms[1], field_size_um)
@@ -143,7 +143,7 @@ def _network(
 
 
 def _floored(seams: HeightOffsets) -> Numbers:
-    """What seams tell, [e, 3, 3], once the least error of any comparison is added to their covariances."""
+    """Return the information [e, 3, 3] of seams, with the minimum error added to their covariances."""
     floor = np.diag(np.array([_FLOOR_UM, _FLOOR_SLOPE, _FLOOR_SLOPE]) ** 2)
     told = np.isfinite(seams.z_um) & np.isfinite(seams.mid_x_um) & np.isfinite(seams.mid_y_um)
     information = np.where(told[:, None, None], seams.information, 0.0)
@@ -152,7 +152,7 @@ def _floored(seams: HeightOffsets) -> Numbers:
 
 
 def _judged(seams: HeightOffsets, network: PoseGraph, at: RobustSolution) -> HeightOffsets:
-    """The seams with their weights, and the step that is left in the middle of each."""
+    """Return the seams with their weights, and the residual step in the middle of each."""
     step_um = np.where(at.weight > 0, network.misfit(at.values, at.shared)[:, 0], np.nan)
     rms_um = np.hypot(seams.rms_um, step_um)
     return dataclasses.replace(seams, weight=at.weight.astype(np.float32), step_um=step_um, rms_um=rms_um)

@@ -1,1 +1,1 @@
-"""Correction of frames before focus is measured."""
+"""Correction of frames before the focus measure is computed."""

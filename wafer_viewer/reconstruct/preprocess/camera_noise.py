@@ -1,8 +1,8 @@
-"""How much the camera's grey scatters, told from the stack itself: variance = gain x grey + floor.
+"""Estimation of the camera noise from the stack itself: variance = gain x grey + floor.
 
-Photon transfer without a picture of its own: most of a focus stack is out of focus, so that wherever a high-pass finds
-least it finds noise alone. Cells of the sampled frames are sorted by their grey, a low percentile of their variance is
-taken at every grey level, and the line that most levels agree on is the camera's.
+Photon transfer without a calibration image: most of a focus stack is out of focus, so that the minima of a high-pass
+filter contain only noise. Cells of the sampled frames are sorted by their grey, a low percentile of their variance is
+taken at every grey level, and the line that most levels agree on describes the camera.
 """
 
 from __future__ import annotations
@@ -20,54 +20,55 @@ from wafer_viewer.reconstruct.preprocess.frames import Frames, read_block
 Floats = NDArray[np.floating[Any]]
 
 QUANTISATION_COUNTS2 = 1 / 12
-"""The variance of rounding to whole counts."""
+"""Variance of rounding to integer counts."""
 
 _MOST_ELECTRONS = 1e6
-"""White of no camera holds more electrons: this keeps the gain of a noise-free stack over nothing."""
+"""Upper bound of the full-well capacity, in electrons; it keeps the gain of a noise-free stack positive."""
 
 _USUAL_ELECTRONS = 1e4
-"""White of a small pixel, where the stack says nothing."""
+"""Full-well capacity of a small pixel, in electrons, used where the stack gives no estimate."""
 
 _FRAMES = 12
 _STRIPS = 3
 _CELL_PX = (8, 16)
 _PERCENTILE = 20.0
 _OF_THE_MEAN = 0.80
-"""What the 20th percentile of a cell's variance is of its mean, on noise."""
+"""Ratio of the 20th percentile of a cell's variance to its mean, for pure noise."""
 
 _HIGH_PASS_GAIN = 36.0
-"""The sum of the squares of [1 -2 1] x [1 -2 1]."""
+"""Sum of the squares of [1 -2 1] x [1 -2 1]."""
 
 _LEVELS = 16
 _ENOUGH_CELLS = 24
 _TOO_LOW = 3.0
-"""A level under the line counts three times one above it: texture adds to noise, nothing takes from it."""
+"""Weight of a level below the line against one above it: texture only adds to the noise variance."""
 
 
 @dataclass(frozen=True, slots=True)
 class CameraNoise:
-    """The variance of a grey I is gain_counts I + floor_counts2, in counts^2; both over 0."""
+    """Noise model: the variance of a grey I is gain_counts I + floor_counts2, in counts^2; both positive."""
 
     gain_counts: float
     floor_counts2: float
 
     def variance_counts2(self, grey_counts: float) -> float:
-        """The variance of the noise at a grey."""
+        """Return the noise variance at a grey."""
         return self.gain_counts * grey_counts + self.floor_counts2
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _Cells:
-    """Small rectangles of the sampled frames: their mean grey and the variance of their noise."""
+    """Small rectangles of the sampled frames: mean grey and noise variance."""
 
     grey: Floats
     variance: Floats
 
 
 def estimate_camera_noise(frames: Frames) -> CameraNoise:
-    """The noise of the camera that took a stack; clipped pixels are left out.
+    """Estimate the camera noise of a stack, without its clipped pixels.
 
-    A stack without any noise gets the rounding of its counts, and one that is clipped all over a usual camera's noise.
+    A stack without any noise gets the rounding noise of its counts, and one that is clipped everywhere the noise of a
+    typical camera.
     """
     strips = _sample(frames)
     step = _count_step(strips)
@@ -79,7 +80,7 @@ def estimate_camera_noise(frames: Frames) -> CameraNoise:
 
 
 def settled_noise(frames: Frames, noise: Noise) -> Noise:
-    """A recipe's noise with every `auto` replaced by what the stack says."""
+    """Replace every `auto` of a recipe's noise by an estimate from the stack."""
     if "auto" not in (noise.gain_counts, noise.floor_counts2):
         return noise
     found = estimate_camera_noise(frames)
@@ -89,12 +90,12 @@ def settled_noise(frames: Frames, noise: Noise) -> Noise:
 
 
 def camera_of(noise: Noise) -> CameraNoise:
-    """The camera of a recipe whose noise is settled."""
+    """Return the camera noise of a recipe whose noise is settled."""
     return CameraNoise(float(noise.gain_counts), float(noise.floor_counts2))
 
 
 def _sample(frames: Frames) -> Greys:
-    """Strips of a few frames, two rows of cells and their neighbours each: [strip, row, col]."""
+    """Sample strips of a few frames, two rows of cells and their neighbours each: [strip, row, col]."""
     n_rows, n_cols = frames.shape
     high = min(2 * _CELL_PX[0] + 2, n_rows)
     picked = np.unique(np.linspace(0, frames.n_frames - 1, _FRAMES).round().astype(int))
@@ -107,7 +108,7 @@ def _sample(frames: Frames) -> Greys:
 
 
 def _count_step(strips: Greys) -> int:
-    """By how much neighbouring greys differ: 16 where 12 bits were shifted up to fill 16."""
+    """Return the grey level step: 16 where 12 bits were shifted up to fill 16."""
     used = int(np.bitwise_or.reduce(strips, axis=None))
     lowest = used & -used
     return lowest if strips.dtype.itemsize > 1 and 0 < lowest <= 256 else 1
@@ -118,7 +119,7 @@ def _white(frames: Frames) -> float:
 
 
 def _unclipped_cells(strips: Greys, clipped_counts: int) -> _Cells:
-    """The cells in which no pixel is black or too bright."""
+    """Return the cells in which no pixel is black or clipped."""
     inner = strips[:, 1:-1, 1:-1]
     clipped = _by_cell(((inner == 0) | (inner >= clipped_counts)).astype(np.float32))
     cells = _Cells(_by_cell(inner.astype(np.float32)), _by_cell(_high_pass(strips) ** 2) / _HIGH_PASS_GAIN)
@@ -127,14 +128,14 @@ def _unclipped_cells(strips: Greys, clipped_counts: int) -> _Cells:
 
 
 def _high_pass(strips: Greys) -> Floats:
-    """[1 -2 1] down the columns and along the rows: no slope or bend of the light passes."""
+    """Apply [1 -2 1] along columns and rows, which removes gradients and curvature along each axis."""
     grey = strips.astype(np.float32)
     down = grey[:, :-2] + grey[:, 2:] - 2 * grey[:, 1:-1]
     return down[:, :, :-2] + down[:, :, 2:] - 2 * down[:, :, 1:-1]
 
 
 def _by_cell(values: Floats) -> Floats:
-    """The mean of every whole cell, or of what there is of an image that is smaller than one; none of an empty one."""
+    """Return the mean of every complete cell, or of a smaller image as one cell; nothing for an empty image."""
     if not values.size:
         return values.ravel()
     high, wide = (min(size, cell) for size, cell in zip(values.shape[1:], _CELL_PX, strict=True))
@@ -144,7 +145,7 @@ def _by_cell(values: Floats) -> Floats:
 
 
 def _levels(cells: _Cells) -> tuple[Floats, Floats, Floats]:
-    """Grey, variance and number of cells of every grey level with enough cells; without any, of all cells as one."""
+    """Return grey, variance and cell count of every sufficiently filled grey level, or else of all cells."""
     if not cells.grey.size:
         return cells.grey, cells.variance, cells.grey
     edges = np.linspace(cells.grey.min(), cells.grey.max(), _LEVELS + 1)[1:-1]
@@ -157,7 +158,7 @@ def _levels(cells: _Cells) -> tuple[Floats, Floats, Floats]:
 
 
 def _line(grey: Floats, variance: Floats, weight: Floats, least: CameraNoise) -> CameraNoise:
-    """The line of least misfit among those through two levels, and through one level with the least gain or floor."""
+    """Return the best-fitting line through two levels, or through one level with minimum gain or floor."""
     i, j = np.triu_indices(grey.size, 1)
     through_two = (variance[j] - variance[i]) / (grey[j] - grey[i])
     steepest = (variance - least.floor_counts2) / np.maximum(grey, 1.0)
@@ -169,9 +170,10 @@ def _line(grey: Floats, variance: Floats, weight: Floats, least: CameraNoise) ->
 
 
 def _misfit(grey: Floats, variance: Floats, weight: Floats, gain: float, floor: float) -> float:
-    """How far the levels are from a line, as logarithms, so that dark and bright ones count alike.
+    """Return the logarithmic misfit of the levels to a line, so that dark and bright levels count equally.
 
-    Texture only adds to the variance: a level far over the line says little, one under it that the line is wrong.
+    Texture only adds to the variance: a level far above the line carries little information, one below it indicates a
+    wrong line.
     """
     off = np.log(np.maximum(variance, QUANTISATION_COUNTS2) / (gain * grey + floor))
     return float((np.sqrt(weight) * np.where(off < 0, -_TOO_LOW * off, np.minimum(off, 1.0))).sum())

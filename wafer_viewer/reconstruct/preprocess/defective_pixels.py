@@ -1,8 +1,8 @@
-"""Pixels of the sensor that do not see: hot and dead ones, columns and rows, and what stands in for them.
+"""Detection and replacement of defective sensor pixels: hot and dead pixels, columns and rows.
 
-The optics spread every point over more than a pixel, and focus spreads it further. So a pixel that is brighter (or
-darker) than its neighbours two pixels away on both sides, in every frame from one end of the sweep to the other, is the
-camera's and not the sample's. Left as it is, a hot column is sharpest where its neighbours are darkest: a false ridge.
+The optics spread every point over more than a pixel, and defocus spreads it further. A pixel that is brighter (or
+darker) than its neighbours two pixels away on both sides, in every frame from one end of the sweep to the other, is
+therefore a sensor defect. Left uncorrected, a hot column is sharpest where its neighbours are darkest: a false ridge.
 """
 
 from __future__ import annotations
@@ -18,11 +18,11 @@ from wafer_viewer.model.acquisition.focus_stack import Image
 LEAST_FRAMES = 6
 """In fewer frames a sharp detail of the sample may look the same in all of them."""
 MOST_FLAWED = 0.02
-"""A sensor with more flaws than this is none: what was found is the sample's."""
+"""Maximum fraction of defects; with more, the detections are features of the sample."""
 LEAST_SHARE_OF_WHITE = 0.016
-"""By how much a flaw differs from its neighbours: 4 of 255."""
+"""Minimum difference between a defect and its neighbours, as a fraction of white: 4 of 255."""
 LEAST_NOISE = 6.0
-"""The same, in deviations of the noise."""
+"""Minimum difference between a defect and its neighbours, in standard deviations of the noise."""
 
 _FRAMES = 14
 _APART = 2
@@ -34,7 +34,7 @@ Places = NDArray[np.intp]
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Flaws:
-    """Flawed pixels sorted by row, and for each two sound ones beside it: [flaw, (row, col)] each."""
+    """Defective pixels sorted by row, with two sound neighbours each: [flaw, (row, col)] arrays."""
 
     at: Places
     one: Places
@@ -44,20 +44,21 @@ class Flaws:
         return len(self.at)
 
     def part(self, rows: slice, cols: slice) -> Flaws:
-        """Those that lie in the pixels [rows, cols] with what stands in for them, counted from there."""
+        """Return the defects in the pixels [rows, cols] with both neighbours inside, relative to that origin."""
         begin, end = np.array([rows.start, cols.start]), np.array([rows.stop, cols.stop])
         inside = np.all([((p >= begin) & (p < end)).all(axis=1) for p in (self.at, self.one, self.other)], axis=0)
         return Flaws(self.at[inside] - begin, self.one[inside] - begin, self.other[inside] - begin)
 
     def touch(self, rows: slice) -> bool:
-        """Whether any lies in these rows."""
+        """Return whether any defect lies in these rows."""
         first, last = self._within(rows)
         return first < last
 
     def mend(self, part: Image, images: Image, slots: Places, rows: slice, cols: slice) -> None:
-        """Replace those in `part` [k, row, col], the pixels [rows, cols] of the images `slots`, in all of them at once.
+        """Replace the defects in `part` [k, row, col], which holds the pixels [rows, cols] of the images `slots`.
 
-        Each becomes the mean of the sound pixels beside it, which are taken from the images: a part may end at a flaw.
+        Each becomes the mean of its sound neighbours, which are read from the images because a part may end at a
+        defect.
         """
         first, last = self._within(rows)
         inside = (self.at[first:last, 1] >= cols.start) & (self.at[first:last, 1] < cols.stop)
@@ -69,13 +70,13 @@ class Flaws:
         part[:, at[0] - rows.start, at[1] - cols.start] = (sum_of_two + 1) // 2
 
     def _within(self, rows: slice) -> tuple[int, int]:
-        """The first flaw in these rows, and one past the last."""
+        """Return the index of the first defect in these rows, and one past the last."""
         first, last = np.searchsorted(self.at[:, 0], (rows.start, rows.stop))
         return int(first), int(last)
 
 
 def find_flaws(exposures: Iterable[Image], slots: NDArray[np.intp], white_counts: int) -> Flaws | None:
-    """The flawed pixels of the sensor that took the frames `slots` of all exposures; None without any."""
+    """Return the defective pixels found in the frames `slots` of all exposures; None if there are none."""
     if len(slots) < LEAST_FRAMES:
         return None
     picked: NDArray[np.intp] = slots[np.unique(np.linspace(0, len(slots) - 1, _FRAMES).astype(int))]
@@ -88,13 +89,13 @@ def find_flaws(exposures: Iterable[Image], slots: NDArray[np.intp], white_counts
 
 
 def _whole_lines(flawed: NDArray[np.bool_]) -> NDArray[np.bool_]:
-    """With all of a row or column of which half is flawed: texture hides a weak flaw in places."""
+    """Complete rows and columns of which half is defective, because texture hides weak defects in places."""
     lines = [flawed.mean(axis=axis, keepdims=True) >= 0.5 for axis in (0, 1)]
     return flawed | lines[0] | lines[1]
 
 
 def _flawed(images: Image, slots: NDArray[np.intp], white_counts: int) -> NDArray[np.bool_]:
-    """Where a pixel stands out in all frames, up or down, along the row or down the column."""
+    """Return a mask of pixels that stand out in all frames, up or down, along the row or the column."""
     first, last = images[slots[0]], images[slots[-1]]
     least = _least_difference(first, white_counts)
     flawed = np.zeros(first.shape, bool)
@@ -116,7 +117,7 @@ def _least_difference(frame: Image, white_counts: int) -> int:
 
 
 def _stands_out(frame: Image, axis: int, brighter: bool, least: int) -> NDArray[np.bool_]:
-    """Where a pixel differs by more than `least` from both pixels two further along the axis, to the same side."""
+    """Return a mask of pixels beyond both neighbours two pixels away along the axis by more than `least`."""
     turned = frame if axis else frame.T
     ahead = turned[:, 2 * _APART :]
     behind, here = turned[:, : -2 * _APART], turned[:, _APART:-_APART]
@@ -131,14 +132,14 @@ def _stands_out(frame: Image, axis: int, brighter: bool, least: int) -> NDArray[
 
 
 def _stand_out_at(frame: Image, at: Places, axis: int, brighter: bool, least: int) -> NDArray[np.bool_]:
-    """The same at some pixels alone."""
+    """Apply the test of `_stands_out` to selected pixels."""
     step = np.array([0, _APART] if axis else [_APART, 0])
     here, ahead, behind = (frame[tuple(p.T)].astype(np.int32) for p in (at, at + step, at - step))
     return here > np.maximum(ahead, behind) + least if brighter else here < np.minimum(ahead, behind) - least
 
 
 def _with_neighbours(flawed: NDArray[np.bool_]) -> Flaws | None:
-    """The flaws that have sound pixels on both sides within reach, along the row or else down the column."""
+    """Return the defects with sound pixels on both sides within reach, along the row or else the column."""
     at = np.argwhere(flawed)
     one, other = at.copy(), at.copy()
     sound = np.zeros(len(at), bool)
@@ -151,7 +152,7 @@ def _with_neighbours(flawed: NDArray[np.bool_]) -> Flaws | None:
 
 
 def _nearest_sound(flawed: NDArray[np.bool_], at: Places, step: NDArray[np.intp]) -> Places:
-    """The first sound pixel from each in steps, or the pixel itself where there is none within reach."""
+    """Return the first sound pixel from each in steps, or the pixel itself if there is none within reach."""
     out = at.copy()
     for n in range(_REACH, 0, -1):
         there = at + n * step

@@ -1,8 +1,8 @@
-"""Where each frame of a stack lies over the others: lateral drift, and a magnification that changes with focus.
+"""Estimation of lateral drift, and of a magnification that changes with focus.
 
-All sightings of all tiles are solved at once by robust least squares (Cauchy weights), so that errors do not add up
-from frame to frame. Where nothing is sharp nothing is known: there the frames follow those that are, at their pace if
-it is steady. All frames are laid over their mean, as is usual where a lens focuses by moving.
+All displacement measurements of all tiles are solved at once by robust least squares (Cauchy weights), so that errors
+do not accumulate from frame to frame. Frames without sharp content follow the measured ones, at a constant rate if the
+drift is steady. All frames are registered to their mean, as is usual where a lens focuses by moving.
 """
 
 from __future__ import annotations
@@ -15,11 +15,11 @@ from numpy.typing import NDArray
 from wafer_viewer.reconstruct.preprocess.frame_motion import Sightings
 
 LEAST_DRIFT_PX = 0.5
-"""Under half a pixel frames are left where they are; of growth the mean (rms) over the field counts."""
+"""Smaller drift is not corrected; growth is judged by its rms displacement over the field."""
 LEAST_TILES = 4
-"""Fewer tiles cannot tell motion from light that bends round an edge."""
+"""Fewer tiles cannot distinguish motion from light that bends round an edge."""
 STEADY_SHARE = 0.25
-"""Drift goes on where nothing sharp is seen when a quarter of the frames show how fast it is."""
+"""Minimum fraction of frames that must show the drift rate before it is extrapolated."""
 
 _ROUNDS = 8
 _SCATTER_PX = 0.05
@@ -27,7 +27,7 @@ _SHIFT_TIE, _GROWTH_TIE = 1e-3, 0.1
 _RIGID = 1e6
 _SURE_ERRORS = 3.0
 _MEAN_OVER_FIELD = 3**-0.5
-"""The rms distance from the middle of a rectangle, of that of its corner."""
+"""Ratio of the rms distance from the middle of a rectangle to that of its corner."""
 
 Floats = NDArray[np.float64]
 Wholes = NDArray[np.intp]
@@ -35,9 +35,10 @@ Wholes = NDArray[np.intp]
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Drift:
-    """A point p of the field, from its middle, lies at exp(growth[k]) p + shift_px[k] in frame k, (rows, cols).
+    """Drift of the frames: a field point p, from the middle, lies at exp(growth[k]) p + shift_px[k] in frame k.
 
-    shape: (rows, cols) of the field; corner: where the first pixel read lies in it (not 0 for a part of a field).
+    Coordinates are (rows, cols). shape: (rows, cols) of the field; corner: position of the first pixel read in the
+    field (not 0 for a part of a field).
     """
 
     shift_px: Floats
@@ -46,21 +47,21 @@ class Drift:
     corner: tuple[int, int] = (0, 0)
 
     def places(self, k: int, axis: int, first: int, stop: int) -> Floats:
-        """The rows (axis 0) or columns (1) of frame k in which those from first to stop - 1 of the field lie."""
+        """Return the positions in frame k of the field's rows (axis 0) or columns (1) from first to stop - 1."""
         middle = (self.shape[axis] - 1) / 2 - self.corner[axis]
         return middle + np.exp(self.growth[k]) * (np.arange(first, stop) - middle) + self.shift_px[k, axis]
 
     def covered(self, axis: int, length: int) -> slice:
-        """The first `length` rows or columns less those that are not in every frame."""
+        """Return the range of the first `length` rows or columns that is covered by every frame."""
         there = np.array([self.places(k, axis, 0, length) for k in range(len(self.growth))]) + self.corner[axis]
         seen = np.flatnonzero(((there > -0.5) & (there < self.shape[axis] - 0.5)).all(axis=0))
         return slice(int(seen[0]), int(seen[-1]) + 1) if seen.size else slice(0, 0)
 
 
 def drift_of(seen: Sightings, n_frames: int, shape: tuple[int, int]) -> Drift | None:
-    """The drift that the sightings tell of; None where it stays under half a pixel, or nothing tells.
+    """Estimate the drift from tile displacements; None if it is below half a pixel or undetermined.
 
-    Shift and growth are judged apart, each over runs of frames that sharp tiles tie together.
+    Shift and growth are judged separately, each over runs of frames that are connected by sharp tiles.
     """
     seen = _agreed(seen, n_frames)
     radius_px = float(np.hypot(*shape)) / 2
@@ -74,7 +75,7 @@ def drift_of(seen: Sightings, n_frames: int, shape: tuple[int, int]) -> Drift | 
 
 
 def told(drift: Drift, pixel_um: float) -> str:
-    """The drift in one sentence."""
+    """Return a one-sentence note on the drift."""
     shift = float(np.hypot(*np.ptp(drift.shift_px, axis=0)))
     growth = float(np.ptp(drift.growth))
     shifts = f"the picture shifts by {shift:.1f} px ({shift * pixel_um:.2f} um)" if shift > 0 else ""
@@ -84,13 +85,13 @@ def told(drift: Drift, pixel_um: float) -> str:
 
 
 def _agreed(seen: Sightings, n_frames: int) -> Sightings:
-    """The sightings of pairs of frames that enough tiles saw."""
+    """Return the measurements of frame pairs with enough tiles."""
     _, of_pair, count = np.unique(seen.first * n_frames + seen.second, return_inverse=True, return_counts=True)
     return seen.where(count[of_pair] >= LEAST_TILES) if len(seen) else seen
 
 
 def _runs(seen: Sightings, n_frames: int) -> list[Wholes]:
-    """Frames that sightings tie together, directly or through others."""
+    """Return the sets of frames connected by measurements, directly or through others."""
     label = np.arange(n_frames)
     for a, b in np.unique(np.stack([seen.first, seen.second], axis=1), axis=0):
         label[label == label[b]] = label[a]
@@ -99,9 +100,10 @@ def _runs(seen: Sightings, n_frames: int) -> list[Wholes]:
 
 
 def _least_extent(solved: _Solved, seen: Sightings, axes: list[int]) -> float:
-    """The furthest that a run surely goes: less thrice its standard error, by leaving out one tile after the other.
+    """Return a lower bound of the drift range: the largest range minus three jackknife standard errors.
 
-    Tiles on the two sides of a trench, whose light moves to the two sides as it goes out of focus, disagree.
+    The jackknife leaves out one tile at a time. Tiles on the two sides of a trench, whose light moves to the two sides
+    with defocus, disagree.
     """
     surely = 0.0
     for run in _runs(seen, len(solved.moves)):
@@ -115,10 +117,10 @@ def _least_extent(solved: _Solved, seen: Sightings, axes: list[int]) -> float:
 
 
 def _solve(seen: Sightings, n_frames: int, radius_px: float, growth_tie: float) -> _Solved:
-    """Where the frames lie, and where they would lie without each of the tiles.
+    """Estimate the moves of the frames, and the moves without each of the tiles.
 
-    Each sighting says moves[second] - moves[first] = moved - growth x place. Its place is taken halfway between the two
-    frames and counted from where the middle of the field has gone, so that growth adds up as a logarithm.
+    Each measurement states moves[second] - moves[first] = moved - growth x place. Its place is taken halfway between
+    the two frames and relative to the moved middle of the field, so that growth adds up as a logarithm.
     """
     moves = np.zeros((n_frames, 3))
     if not len(seen):
@@ -138,7 +140,7 @@ def _solve(seen: Sightings, n_frames: int, radius_px: float, growth_tie: float) 
 
 
 def _rows(seen: Sightings, moves: Floats, radius_px: float) -> Floats:
-    """The two equations of each sighting: [n, (rows, cols), (rows, cols, growth)]."""
+    """Return the two equations of each measurement: [n, (rows, cols), (rows, cols, growth)]."""
     carried = (moves[seen.first, :2] + moves[seen.second, :2]) / 2
     rows = np.zeros((len(seen), 2, 3))
     rows[:, 0, 0] = rows[:, 1, 1] = 1
@@ -148,7 +150,7 @@ def _rows(seen: Sightings, moves: Floats, radius_px: float) -> Floats:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _Solved:
-    """[k, (rows, cols, growth)] in px, growth at the corner; the mean of the frames that were seen is 0."""
+    """Moves [k, (rows, cols, growth)] in px, growth at the corner; the mean over measured frames is 0."""
 
     moves: Floats
     without: list[Floats]
@@ -156,7 +158,7 @@ class _Solved:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _Problem:
-    """Least squares over the frames that were seen, `tied`; the others lie between them, at the common pace."""
+    """Least squares over the measured frames, `tied`; others are interpolated or follow the common rate."""
 
     seen: Sightings
     n_frames: int
@@ -172,7 +174,7 @@ class _Problem:
         return cls(seen, n_frames, tied, first, second, tie)
 
     def moves(self, rows: Floats, trust: Floats, pace: Floats) -> Floats:
-        """Where all frames lie; neighbours are held loosely to the common pace."""
+        """Return the moves of all frames; neighbours are weakly tied to the common rate."""
         n, gaps = len(self.tied), np.diff(self.tied)
         normal, right = np.zeros((n, n, 3, 3)), np.zeros((n, 3))
         one = np.einsum("n,nab,nac->nbc", trust, rows, rows)
@@ -189,7 +191,7 @@ class _Problem:
         return self._all(tied - tied.mean(axis=0), pace)
 
     def pace(self, moves: Floats) -> Floats:
-        """The usual motion from a frame to the next, where both were seen."""
+        """Return the median motion between consecutive measured frames, 0 if too few are measured."""
         near = self.tied[:-1][np.diff(self.tied) == 1]
         if len(near) < STEADY_SHARE * self.n_frames:
             return np.zeros(3)

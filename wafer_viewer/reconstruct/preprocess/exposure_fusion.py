@@ -1,13 +1,12 @@
-"""Several exposures of a frame as one: linear radiance in 16 bits, clipped only where the shortest exposure clips.
+"""Fusion of several exposures into linear radiance in 16 bits, clipped only with the shortest exposure.
 
-The camera is taken to be linear: counts = black + gain x light. How much more light one exposure gathers than another,
-and the black level, are told from the pixels that both saw well, because exposure times are not: sensors add some time
-of their own, and a strobe shorter than the exposure ends it early. A pixel is the sum of its counts over black in all
-exposures that are not too bright, over the sum of their gains: the best there is where the photons make the noise, so
-the longest exposure that holds dominates. An exposure fades out as it nears white, lest a small error of its gain make
-a contour. The variance of the result is again a line in grey where all exposures hold; above, where the longer ones
-have faded out, the gain of that line is higher by the share of the light that is missing: three times for x2, nine
-times for x8.
+The camera is assumed to be linear: counts = black + gain x light. The gain between exposures and the black level are
+estimated from pixels that are well exposed in both. Exposure times are unreliable: sensors add some time of their own,
+and a strobe shorter than the exposure ends it early. A pixel is the sum of its counts above black in all exposures that
+are not too bright, divided by the sum of their gains. This is optimal for photon noise, so the longest valid exposure
+dominates. An exposure fades out as it nears white, to avoid a contour from a small gain error. The variance of the
+result is again linear in grey where all exposures are valid; above, where the longer ones have faded out, the gain of
+that line is higher by the ratio of the missing light: three times for x2, nine times for x8.
 """
 
 from __future__ import annotations
@@ -24,9 +23,9 @@ from wafer_viewer.numerics.array_types import Float32s, Greys, Real, UInt16s
 from wafer_viewer.numerics.jit import kernel
 
 FULL_COUNTS = 65535
-"""White of the shortest exposure in a fused picture."""
+"""White of the shortest exposure in a fused image."""
 FADES_FROM = 0.8
-"""An exposure loses weight from four fifths of where a pixel counts as clipped."""
+"""An exposure loses weight from this fraction of the clipping level on."""
 
 _FRAMES = 12
 _STRIPS = 6
@@ -34,17 +33,17 @@ _CELL_PX = 8
 _ENOUGH_CELLS = 40
 _GROUPS = 10
 _ALIKE = 1.15
-"""Exposures nearer to each other than this tell nothing of the black level."""
+"""Exposures with a smaller ratio do not determine the black level."""
 _MOST_BLACK = 0.1
 _ENOUGH_RANGE = 0.2
-"""The greys of the longer exposure must differ by a fifth of white to tell gain and black level apart."""
+"""Minimum grey range of the longer exposure, as a fraction of white, to separate gain and black level."""
 
 Cells = tuple[NDArray[np.float32], NDArray[np.float32]]
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Fusion:
-    """The exposures of a stack, the shortest first: images [slot, row, col], and their gains, the shortest's 1."""
+    """Exposures of a stack, the shortest first: images [slot, row, col] and gains relative to the shortest."""
 
     images: tuple[Image, ...]
     gains: tuple[float, ...]
@@ -54,16 +53,16 @@ class Fusion:
 
     @property
     def scale(self) -> float:
-        """What a count over black of the shortest exposure is in the fused picture."""
+        """Fused counts per count above black of the shortest exposure."""
         return FULL_COUNTS / (self.white_counts - self.black_counts)
 
     @property
     def fused_clipped_counts(self) -> int:
-        """From where on a pixel of the fused picture counts as clipped."""
+        """Grey from which a pixel of the fused image counts as clipped."""
         return int(self.scale * (self.clipped_counts - self.black_counts)) - 1
 
     def fused(self, parts: list[Image]) -> NDArray[np.uint16]:
-        """The same part of a frame [row, col] in all exposures, as one."""
+        """Fuse the same part of a frame [row, col] from all exposures."""
         shape = parts[0].shape
         light, gain = np.zeros(shape, np.float32), np.zeros(shape, np.float32)
         knee = np.float32(FADES_FROM * self.clipped_counts)
@@ -78,10 +77,10 @@ class Fusion:
 def fusion_of(
     images: tuple[Image, ...], slots: NDArray[np.intp], nominal: tuple[float, ...], white_counts: int, clipped: int
 ) -> Fusion:
-    """How to fuse exposures: their order, gains and black level, measured on a sample of the frames `slots`.
+    """Estimate the fusion parameters of exposures (order, gains, black level) from a sample of frames `slots`.
 
-    nominal: exposure times, which stand in where too few pixels are seen well by two exposures; nan when not known.
-    Raises ComputeError where neither tells.
+    nominal: exposure times, used where too few pixels are well exposed in two exposures; nan if unknown. Raises
+    ComputeError if the gain is undetermined.
     """
     cells = [_cells(one, slots) for one in images]
     order = np.argsort([mean.mean() for mean, _ in cells], kind="stable")
@@ -93,7 +92,7 @@ def fusion_of(
 
 
 def _cells(images: Image, slots: NDArray[np.intp]) -> Cells:
-    """Mean and highest grey of small squares in some strips of some frames."""
+    """Return mean and highest grey of small squares in some strips of some frames."""
     n_rows, n_cols = images.shape[1:]
     high, wide = min(_CELL_PX, n_rows), min(_CELL_PX, n_cols)
     tops = np.unique(np.linspace(0, n_rows - high, _STRIPS).astype(int))
@@ -105,10 +104,11 @@ def _cells(images: Image, slots: NDArray[np.intp]) -> Cells:
 
 
 def _compare(short: Cells, long: Cells, nominal: float, clipped_counts: int) -> tuple[float, float]:
-    """(how many times as bright the longer exposure is, black level).
+    """Return (brightness ratio of the longer exposure, black level).
 
-    A line through the means of groups of cells: groups by the sum of both greys, which noise does not sort wrongly.
-    Where all that both see well is about equally bright, the times say the gain, or else black is taken for 0.
+    A line is fitted through the means of groups of cells. Cells are grouped by the sum of both greys, so that noise
+    does not bias the grouping. Where all well-exposed cells are about equally bright, the ratio is that of the times;
+    if these are unknown, black is taken as 0.
     """
     known = bool(np.isfinite(nominal)) and nominal > 1
     seen = long[1] < clipped_counts
@@ -128,7 +128,7 @@ def _compare(short: Cells, long: Cells, nominal: float, clipped_counts: int) -> 
 
 
 def _by_times(nominal: float | None) -> float:
-    """The gain of an exposure over the next shorter one where the pixels do not tell."""
+    """Return the ratio of the exposure times where the pixels do not determine the gain."""
     if nominal is not None:
         return nominal
     raise ComputeError(
@@ -139,7 +139,7 @@ def _by_times(nominal: float | None) -> float:
 
 @kernel
 def _add(counts: Greys, black: Real, of_part: Real, knee: Real, fade: Real, light: Float32s, gain: Float32s) -> None:
-    """Add an exposure to the light and the gain that a pixel was seen with."""
+    """Add an exposure to the accumulated light and gain of each pixel."""
     one, none = np.float32(1), np.float32(0)
     for r in range(counts.shape[0]):
         row, light_row, gain_row = counts[r], light[r], gain[r]

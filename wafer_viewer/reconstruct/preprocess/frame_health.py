@@ -1,8 +1,8 @@
-"""Flashes and dead frames in a stack: frames that differ from the frames on both sides as no change of focus does.
+"""Detection of flashes and dead frames, which differ from their neighbours as no change of focus does.
 
-Light is only spread by defocus, so the mean grey of a frame changes slowly along z, and flicker of the lamp scatters
-all frames alike. A frame is left out when it is far from both sides at once and far outside of that scatter; a step of
-the light, a slope or a peak of brightness with the focus is none.
+Defocus only spreads light, so the mean grey of a frame changes slowly along z, and lamp flicker scatters all frames
+alike. A frame is excluded when it differs from both sides and far exceeds that scatter. A step of the light, a
+gradient, or a peak of brightness with the focus is not a fault.
 """
 
 from __future__ import annotations
@@ -17,23 +17,23 @@ from numpy.typing import NDArray
 from wafer_viewer.model.acquisition.focus_stack import Bracket, Image
 
 LEAST_FRAMES = 6
-"""Fewer say nothing of how much light changes between frames."""
+"""Minimum number of frames to estimate the usual brightness variation."""
 LEAST_RATIO = 1.4
-"""By how much the grey of a flash or dead frame differs from that of both sides."""
+"""Minimum grey ratio between a flash or dead frame and both sides."""
 LEAST_SIGMAS = 8.0
-"""The same, in deviations of the frames' own scatter, of the logarithms."""
+"""Minimum difference in standard deviations of the frames' own scatter, in logarithms."""
 LEAST_RATIO_AT_END = 4.0
-"""The same for the first and the last frame, which have one side only."""
+"""Minimum grey ratio for the first and the last frame, which have one side only."""
 LEAST_CLIPPED = 0.5
-"""Of the pixels, that a flash clips more than the frames on both sides."""
+"""Minimum fraction of pixels that a flash clips in addition to the frames on both sides."""
 DEAD_SHARE = 0.25
-"""A picture without content has less of the others' least focus energy."""
+"""A blank frame has less than this fraction of the lowest focus energy of the others."""
 LEAST_JUMP = 2.0
-"""By how much the change into a flash, and out of it, exceeds the change before and after."""
+"""Minimum ratio of the change into and out of a flash to the change before and after."""
 SHARPER = 1.3
-"""A frame that is so much richer in contrast than both sides is in focus, however bright."""
+"""A frame with this much more contrast than both sides is in focus, however bright."""
 MOST_FAULTY = 0.2
-"""Of the frames: light that changes more often than this is unsteady, and no frame tells which is right."""
+"""Maximum fraction of faulty frames; beyond it the light is unsteady and no frame can serve as reference."""
 
 _SIDE = 3
 _ROWS = 10
@@ -45,7 +45,7 @@ Stats = NDArray[np.float64]
 
 @dataclass(frozen=True, slots=True, eq=False)
 class FrameStats:
-    """Of each frame, [k]: mean grey and clipped share of its pixels, and its focus energy: mean squared gradient."""
+    """Statistics of each frame, [k]: mean grey, clipped fraction, and focus energy (mean squared gradient)."""
 
     grey: Stats
     clipped: Stats
@@ -93,7 +93,7 @@ def _stats(rows: Image, clipped_counts: int) -> tuple[float, float, float]:
 
 
 def _faults(stats: FrameStats, white_counts: int) -> Iterator[tuple[int, str]]:
-    """The faulty frames, by their place in the order of z, and what is wrong with each."""
+    """Yield the index along z and a description of each faulty frame."""
     dark = _DARK_SHARE_OF_WHITE * white_counts
     log = np.log(stats.grey + dark)
     below, above = _sides(log)
@@ -120,7 +120,7 @@ def _faults(stats: FrameStats, white_counts: int) -> Iterator[tuple[int, str]]:
 
 
 def _abrupt(flagged: NDArray[np.bool_], log: Stats) -> NDArray[np.bool_]:
-    """Those runs of flagged frames that begin and end by a jump of the grey, unlike the top of a smooth curve."""
+    """Select the runs of flagged frames that begin and end with a jump, unlike the top of a smooth curve."""
     step = np.abs(np.diff(log))
     kept = flagged.copy()
     for run in np.split(np.flatnonzero(flagged), np.flatnonzero(np.diff(np.flatnonzero(flagged)) > 1) + 1):
@@ -134,7 +134,7 @@ def _abrupt(flagged: NDArray[np.bool_], log: Stats) -> NDArray[np.bool_]:
 
 
 def _sides(values: Stats) -> tuple[Stats, Stats]:
-    """The medians of the frames before and after each; at an end both are those of the one side there is."""
+    """Return the medians of the frames before and after each; at an end both are those of the one side."""
     windows = sliding_window_view(np.pad(values, _SIDE, mode="edge"), _SIDE)
     medians = np.median(windows, axis=1)
     before, after = medians[: len(values)].copy(), medians[_SIDE + 1 :].copy()
@@ -143,13 +143,13 @@ def _sides(values: Stats) -> tuple[Stats, Stats]:
 
 
 def _nearer(one: Stats, other: Stats) -> Stats:
-    """Of two differences the smaller where they have one sign, else 0."""
+    """Return the smaller of two differences where they have the same sign, else 0."""
     least = np.where(np.abs(one) < np.abs(other), one, other)
     return np.where(one * other > 0, least, 0.0)
 
 
 def _is_blank(energy: Stats) -> NDArray[np.bool_]:
-    """Where a frame has far less focus energy than any of the others has, even out of focus."""
+    """Return a mask of a frame with far less focus energy than any other, even out of focus."""
     least, next_least = np.partition(energy, 1)[:2]
     if least >= DEAD_SHARE * next_least or next_least <= _LEAST_VARIANCE:
         return np.zeros(len(energy), np.bool_)

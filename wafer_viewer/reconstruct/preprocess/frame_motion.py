@@ -1,9 +1,9 @@
-"""How far the picture moved from one frame to another, seen in a few tiles of the field.
+"""Measurement of image motion between frames, in a few tiles of the field.
 
-A tile is compared with itself in another frame by the correlation of its slopes, (d/dx + i d/dy) of the grey with the
-steep ones cut to twice the median: then its texture tells, and not the edge of a bright trench, whose light moves with
-the focus where a wall hides a part of the aperture. Only frames in which a tile is sharp are compared: light that is
-far out of focus has no place.
+A tile is compared with itself in another frame by the correlation of its gradients, (d/dx + i d/dy) of the grey,
+clipped to twice the median. Its texture then dominates, rather than the edge of a bright trench, whose light moves with
+the focus where a wall hides a part of the aperture. Only frames in which a tile is sharp are compared, because strongly
+defocused light has no defined position.
 """
 
 from __future__ import annotations
@@ -19,13 +19,13 @@ from wafer_viewer.model.acquisition.focus_stack import Image
 
 TILES = (3, 4)
 TILE_PX = (64, 192)
-"""A tile is a third of the field high and a quarter wide, within these limits."""
+"""Limits of the tile size; a tile is a third of the field high and a quarter wide."""
 LAGS = (1, 4)
-"""Frames that are compared are one or four apart: neighbours look most alike, pairs further apart add up less error."""
+"""Distances between compared frames: neighbours look most alike, distant pairs accumulate less error."""
 LEAST_PEAK = 9.0
-"""A correlation counts from nine times its own scatter on."""
+"""Minimum correlation peak, in standard deviations of the correlation."""
 LEAST_SHARPNESS = 0.3
-"""Frames count in which a tile has three tenths of its highest sharpness, the sharpest twelve at least, 36 at most."""
+"""Minimum fraction of the sharpness range of a tile; 12 to 36 of its sharpest frames are used."""
 FRAMES = (12, 36)
 
 _BIN = 2
@@ -34,14 +34,16 @@ _SMOOTH_PX = 1.0
 _EVERY_ROW = 8
 
 ReadTile = Callable[[slice, slice], Image]
-"""The pixels [k, row, col] of a rectangle of all frames."""
+"""Function that reads the pixels [k, row, col] of a rectangle of all frames."""
 Complex = NDArray[np.complex64]
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Sightings:
-    """Tiles seen in two frames, one each: first[n] and second[n] are the frames, at_px[n] the tile's middle from that
-    of the field, moved_px[n] how far its content moved from the first to the second, (rows, cols); weight[n].
+    """Displacements of tiles between two frames, one entry each.
+
+    first[n] and second[n] are the frames, at_px[n] the position of the tile's middle from that of the field,
+    moved_px[n] the displacement of its content from the first to the second, (rows, cols); weight[n].
     """
 
     tile: NDArray[np.intp]
@@ -55,12 +57,12 @@ class Sightings:
         return len(self.first)
 
     def where(self, keep: NDArray[np.bool_]) -> Sightings:
-        """Some of them."""
+        """Return the selected entries."""
         return Sightings(*(getattr(self, name)[keep] for name in self.__dataclass_fields__))
 
 
 def sightings(read: ReadTile, shape: tuple[int, int], n_frames: int) -> Sightings:
-    """Everything that the tiles of a field of `shape` tell about the motion between its frames."""
+    """Measure the motion between the frames of a field of `shape` in all tiles."""
     side = _side_px(shape)
     corners = [(r, c) for r in _starts(shape[0], side, TILES[0]) for c in _starts(shape[1], side, TILES[1])]
     found = [
@@ -76,7 +78,7 @@ def _side_px(shape: tuple[int, int]) -> int:
 
 
 def _starts(length: int, side: int, most: int) -> list[int]:
-    """Where tiles begin: evenly spread, fewer when they would overlap."""
+    """Return evenly spaced tile starts; fewer tiles where they would overlap."""
     count = min(most, max(1, length // side))
     return [round((i + 0.5) * length / count - side / 2) for i in range(count)]
 
@@ -103,7 +105,7 @@ def _of_tile(tile: int, images: Image, at_px: NDArray[np.float64]) -> list[Sight
 
 
 def _of_pairs(tile: int, spectra: Complex, place: NDArray[np.intp], lag: int, at_px: NDArray[np.float64]) -> Sightings:
-    """The frames `lag` apart in which a tile is sharp."""
+    """Measure the displacements between frames `lag` apart in which a tile is sharp."""
     first = np.flatnonzero((place[:-lag] >= 0) & (place[lag:] >= 0))
     moved, height = _moved(spectra[place[first]], spectra[place[first + lag]])
     many = Sightings(
@@ -113,7 +115,7 @@ def _of_pairs(tile: int, spectra: Complex, place: NDArray[np.intp], lag: int, at
 
 
 def _sharp_frames(images: Image) -> NDArray[np.intp]:
-    """The frames in which a tile is sharp, by the slopes along some of its rows."""
+    """Return the frames in which a tile is sharp, by the gradients along some of its rows."""
     rows = images[:, ::_EVERY_ROW].astype(np.float32)
     slopes = rows[:, :, 2:] - rows[:, :, :-2]
     sharpness = np.einsum("kyx,kyx->k", slopes, slopes)
@@ -126,7 +128,7 @@ def _sharp_frames(images: Image) -> NDArray[np.intp]:
 
 
 def _spectra(images: Image) -> Complex:
-    """The spectrum of the slopes of each frame of a tile, at half the resolution."""
+    """Return the gradient spectrum of each frame of a tile, at half the resolution."""
     import scipy.fft
 
     grey = _binned(images)
@@ -145,13 +147,13 @@ def _spectra(images: Image) -> Complex:
 
 
 def _binned(images: Image) -> NDArray[np.float32]:
-    """Sums of 2 x 2 pixels."""
+    """Return sums of 2 x 2 pixels."""
     two = images[:, ::2].astype(np.uint32) + images[:, 1::2]
     return (two[:, :, ::2] + two[:, :, 1::2]).astype(np.float32)
 
 
 def _moved(first: Complex, second: Complex) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """How far the content moved in pixels, [n, (rows, cols)], and how high the correlation's peak is."""
+    """Return the displacement in pixels, [n, (rows, cols)], and the height of the correlation peak."""
     import scipy.fft
 
     products: Any = scipy.fft.ifft2(np.conj(first) * second, axes=(1, 2))
@@ -168,7 +170,7 @@ def _moved(first: Complex, second: Complex) -> tuple[NDArray[np.float64], NDArra
 
 
 def _vertex(before: NDArray[np.float32], top: NDArray[np.float32], after: NDArray[np.float32]) -> NDArray[np.float32]:
-    """Where the Gaussian through three points of a peak has its top, from the middle one."""
+    """Return the offset of the maximum of a Gaussian through three points, from the middle one."""
     low, high, right = (np.log(np.maximum(v, 1e-3 * top + 1e-30)) for v in (before, top, after))
     bend = low - 2 * high + right
     return np.where(bend < 0, 0.5 * (low - right) / np.minimum(bend, -1e-12), 0)

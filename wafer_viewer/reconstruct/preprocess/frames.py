@@ -1,9 +1,9 @@
-"""The frames of a stack that a reconstruction uses, in the order of z, and the blocks that the kernels read.
+"""Selection of the frames of a stack in order of z, and reading of corrected blocks for the kernels.
 
-The only place where pixels are touched before a focus measure sees them: flawed pixels of the sensor are mended,
-exposures fused, frames that drifted put right, all while a block is read, so that no stack is ever whole in memory.
-Where nothing of this is needed a block is a plain copy, and rows without a flaw need not even be copied: nearly every
-camera has a flawed pixel, and one must not slow down the rest of the field.
+All corrections before the focus measure are applied here: defective pixels are replaced, exposures fused, and drifting
+frames resampled, all while a block is read, so that no stack is ever completely in memory. Where no correction is
+needed a block is a plain copy, and rows without a defect are not copied at all: nearly every camera has a defective
+pixel, which must not slow down the rest of the field.
 """
 
 from __future__ import annotations
@@ -28,17 +28,17 @@ from wafer_viewer.reconstruct.preprocess.frame_health import faulty_frames
 from wafer_viewer.reconstruct.preprocess.frame_motion import sightings
 
 CLIPPED_SHARE_OF_WHITE = 0.98
-"""From 98 % of white on a pixel counts as clipped: 250 of 255."""
+"""Fraction of white from which a pixel counts as clipped: 250 of 255."""
 
 _SAMPLED_ROWS = 24
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Frames:
-    """The frames in use: images[index] lie at z_um, which rises; from clipped_counts on a pixel is clipped.
+    """Frames in use: images[index] are at z_um, which rises; pixels are clipped from clipped_counts on.
 
-    pixel_um: on the sample; depth_of_field_um: of the objective, 0 when nobody knows;
-    fusion, flaws and drift: what is to be done when pixels are read; notes: what was found, a sentence each.
+    pixel_um: on the sample; depth_of_field_um: of the objective, 0 if unknown; fusion, flaws and drift: corrections
+    applied when pixels are read; notes: findings, a sentence each.
     """
 
     images: Image
@@ -54,7 +54,7 @@ class Frames:
 
     @property
     def n_frames(self) -> int:
-        """Frames in use."""
+        """Number of frames in use."""
         return len(self.z_um)
 
     @property
@@ -64,17 +64,17 @@ class Frames:
 
     @property
     def dtype(self) -> np.dtype[Any]:
-        """What `read_block` gives, in the byte order of this machine."""
+        """Data type of `read_block`, in native byte order."""
         return np.dtype(np.uint16) if self.fusion is not None else self.images.dtype.newbyteorder("=")
 
     @property
     def as_stored(self) -> bool:
-        """Whether the kernels can read the images where they lie: whole rows, with nothing to be done to the pixels."""
+        """True if the kernels can read the images in place: complete rows without corrections."""
         return self.steady and self.flaws is None and self._in_whole_rows
 
     @property
     def steady(self) -> bool:
-        """Whether a pixel is made of the same pixel of one image, and of those beside it where it is flawed."""
+        """True if each pixel comes from the same pixel of one image, or from its neighbours where it is defective."""
         return self.fusion is None and self.drift is None
 
     @property
@@ -82,23 +82,23 @@ class Frames:
         return self.images.flags.c_contiguous and self.images.dtype.isnative
 
     def ready(self, rows: slice, margin: int) -> bool:
-        """Whether the kernels can read these rows, and `margin` more on both sides, where they lie."""
+        """Return whether the kernels can read these rows, and `margin` more on both sides, in place."""
         if not (self.steady and self._in_whole_rows):
             return False
         return self.flaws is None or not self.flaws.touch(slice(rows.start - margin, rows.stop + margin))
 
     @property
     def step_um(self) -> float:
-        """The usual distance between neighbouring frames."""
+        """Median distance between neighbouring frames."""
         return float(np.median(np.diff(self.z_um)))
 
     @property
     def slots(self) -> NDArray[np.intp]:
-        """The slots of the stack that the frames are in."""
+        """Slots of the stack that contain the frames."""
         return np.arange(len(self.images))[self.index]
 
     def part(self, rows: slice, cols: slice) -> Frames:
-        """The pixels [rows, cols] alone, with what was found on the whole field; its border pixels repeat beyond it."""
+        """Return the pixels [rows, cols] with the corrections found on the entire field; borders repeat beyond it."""
         at = rows.start, cols.start
         fusion, flaws, drift = self.fusion, self.flaws, self.drift
         if fusion is not None:
@@ -111,10 +111,11 @@ class Frames:
 
 
 def prepare(stack: FieldStack, recipe: Recipe = Recipe()) -> Frames:
-    """Skip absent slots, flashes and dead frames, put the rest in the order of rising z, and find what pixels need.
+    """Select valid frames in order of rising z and determine the pixel corrections.
 
-    Raises ComputeError for pixels that are neither uint8 nor uint16, for a z that is not a number, for frames that
-    share a z, for fewer than three frames, and for exposures that cannot be compared.
+    Absent slots, flashes and dead frames are skipped. Raises ComputeError for pixels that are neither uint8 nor uint16,
+    for a z that is not a number, for frames that share a z, for fewer than three frames, and for exposures that cannot
+    be compared.
     """
     if stack.images.dtype.kind != "u" or stack.images.dtype.itemsize > 2:
         raise ComputeError(
@@ -137,14 +138,14 @@ def prepare(stack: FieldStack, recipe: Recipe = Recipe()) -> Frames:
 
 
 def clipped_from(white_counts: int) -> int:
-    """The grey value from which a pixel counts as clipped."""
+    """Return the grey value from which a pixel counts as clipped."""
     return int(CLIPPED_SHARE_OF_WHITE * white_counts) + (white_counts == 255)
 
 
 def read_block(frames: Frames, rows: slice, cols: slice, margin: int, block: Image) -> None:
     """Copy a part of every frame into `block` [k, rows + 2 margin, cols + 2 margin].
 
-    Beyond the frame its border pixels repeat, so that the kernels know no borders.
+    Beyond the frame its border pixels repeat, so that the kernels need no border handling.
     """
     n_rows, n_cols = frames.shape
     top, bottom = max(0, rows.start - margin), min(n_rows, rows.stop + margin)
@@ -159,7 +160,7 @@ def read_block(frames: Frames, rows: slice, cols: slice, margin: int, block: Ima
 
 
 def mark_uncovered(origin: NDArray[np.uint8], frames: Frames, margin: int) -> NDArray[np.uint8]:
-    """The origins of a field, too few frames where a window of `margin` to each side is not whole in every frame."""
+    """Return the origins, TOO_FEW_FRAMES where a window of `margin` per side is not covered by every frame."""
     if frames.drift is None:
         return origin
     inside = [_shrunk(frames.drift.covered(axis, length), margin, length) for axis, length in enumerate(origin.shape)]
@@ -169,13 +170,13 @@ def mark_uncovered(origin: NDArray[np.uint8], frames: Frames, margin: int) -> ND
 
 
 def _shrunk(seen: slice, margin: int, length: int) -> slice:
-    """Less a margin where it does not end with the frame."""
+    """Shrink a range by a margin where it does not end with the frame."""
     first = seen.start + (margin if seen.start > 0 else 0)
     return slice(first, max(first, seen.stop - (margin if seen.stop < length else 0)))
 
 
 def _develop(frames: Frames, rows: slice, cols: slice, out: Image) -> None:
-    """The pixels [rows, cols] of every frame into `out`: mended, fused, put right."""
+    """Write the pixels [rows, cols] of every frame to `out`, with defects, exposures and drift corrected."""
     if frames.steady:
         out[:] = frames.images[frames.index, rows, cols]
         if frames.flaws is not None:
@@ -193,19 +194,19 @@ def _develop(frames: Frames, rows: slice, cols: slice, out: Image) -> None:
 
 
 def _within(span: tuple[int, int], length: int) -> slice:
-    """What of a span lies in a frame; at least its border."""
+    """Return the part of a span inside a frame, at least its border."""
     return slice(min(max(0, span[0]), length - 1), max(1, min(span[1], length)))
 
 
 def _pixels(frames: Frames, slot: int, rows: slice, cols: slice) -> Image:
-    """The pixels [rows, cols] of one slot, mended and fused."""
+    """Return the pixels [rows, cols] of one slot, with defects replaced and exposures fused."""
     exposures = (frames.images,) if frames.fusion is None else frames.fusion.images
     parts = [_sound(frames.flaws, images, slot, rows, cols) for images in exposures]
     return parts[0] if frames.fusion is None else frames.fusion.fused(parts)
 
 
 def _sound(flaws: Flaws | None, images: Image, slot: int, rows: slice, cols: slice) -> Image:
-    """The pixels [rows, cols] of one image, mended."""
+    """Return the pixels [rows, cols] of one image, with defects replaced."""
     if flaws is None or not flaws.touch(rows):
         return images[slot, rows, cols]
     part = images[slot, rows, cols].copy()
@@ -214,7 +215,7 @@ def _sound(flaws: Flaws | None, images: Image, slot: int, rows: slice, cols: sli
 
 
 def _fused(stack: FieldStack, frames: Frames, white_counts: int) -> Frames:
-    """With all exposures, where there are several."""
+    """Return frames that fuse all exposures, if there are several."""
     if not stack.brackets:
         return frames
     images = tuple(one.images for one in stack.exposures)
@@ -227,7 +228,7 @@ def _fused(stack: FieldStack, frames: Frames, white_counts: int) -> Frames:
 
 
 def _steadied(stack: FieldStack, frames: Frames) -> Frames:
-    """With the drift of the frames, where there is any."""
+    """Return frames with drift correction, if there is drift."""
 
     def read(rows: slice, cols: slice) -> Image:
         block = np.empty((frames.n_frames, rows.stop - rows.start, cols.stop - cols.start), frames.dtype)
@@ -248,7 +249,7 @@ def _missing(stack: FieldStack, n_frames: int) -> tuple[str, ...]:
 def _sound_slots(
     stack: FieldStack, slots: NDArray[np.intp], white_counts: int, clipped_counts: int
 ) -> tuple[NDArray[np.intp], tuple[str, ...]]:
-    """The slots without flashes and dead frames, and a sentence for each of those."""
+    """Return the slots without flashes and dead frames, and a sentence for each of those."""
     faults = faulty_frames(stack.exposures, slots, white_counts, clipped_counts)
     sound = slots[~np.isin(slots, list(faults))]
     if len(sound) < MIN_FRAMES:
@@ -271,7 +272,7 @@ def _check(stack: FieldStack, z_um: NDArray[np.float64]) -> None:
 
 
 def _as_slice(index: NDArray[np.intp]) -> slice | NDArray[np.intp]:
-    """Evenly spaced indices as a slice: it reads a memory-mapped stack without a copy of its own."""
+    """Convert evenly spaced indices to a slice, which reads a memory-mapped stack without a copy."""
     steps = np.unique(np.diff(index))
     if len(steps) != 1:
         return index
@@ -281,7 +282,7 @@ def _as_slice(index: NDArray[np.intp]) -> slice | NDArray[np.intp]:
 
 
 def _white_counts(stack: FieldStack, slots: NDArray[np.intp]) -> int:
-    """The highest grey of the camera; 16-bit files often hold 10, 12 or 14 bits."""
+    """Return the highest grey of the camera; 16-bit files often hold 10, 12 or 14 bits."""
     if stack.images.dtype.itemsize == 1:
         return 255
     step = max(1, stack.images.shape[1] // _SAMPLED_ROWS)

@@ -1,4 +1,4 @@
-"""What overlaps say about z: the plane by which the heights of two fields differ where both saw the surface."""
+"""Height offsets and tilts between overlapping fields: planes fitted to their height differences."""
 
 from __future__ import annotations
 
@@ -19,18 +19,18 @@ from wafer_viewer.reconstruct.blending.window_blend import MAX_STEP_FRAMES
 from wafer_viewer.reconstruct.focus.field_blocks import on_threads
 
 CELL_PX, STEEP = 4, 4.0
-"""Walls are where means of 4 x 4 pixels differ by four times as much as most of them do from their neighbours."""
+"""Walls are cells of 4 x 4 pixels that differ from a neighbour by four times the 70th percentile."""
 
 _USUAL, _EVERY = 0.7, 4
 _BLOCKS, _LEAST_BLOCK, _LARGEST_BLOCK = 40, 8, 40
-"""Blocks are wider than the windows of the focus measures, within which errors are alike."""
+"""Blocks are wider than the windows of the focus measures, within which errors are correlated."""
 
 Numbers = NDArray[np.float64]
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Seam:
-    """What one overlap says; the fields of `HeightOffsets` have the meaning."""
+    """Height offset measured in one overlap; the fields have the meaning of those of `HeightOffsets`."""
 
     mid_x_um: float = math.nan
     mid_y_um: float = math.nan
@@ -50,10 +50,11 @@ def compare(
     threads: int | None = None,
     progress: Progress | None = None,
 ) -> HeightOffsets:
-    """The planes by which the measured heights of pairs of fields differ, at the centres (x_um, y_um) of all fields.
+    """Fit planes to the height differences of pairs of fields, with all field centres at (x_um, y_um).
 
-    step_um is z_um and rms_um what scatters about the plane itself, until the poses are solved. Only the overlaps are
-    read. progress is told the finished share (0 ... 1); what it raises ends the work. threads: all cores when left out.
+    Until the poses are solved step_um is z_um, and rms_um is the scatter about the plane. Only the overlaps are read.
+    progress receives the finished fraction (0 ... 1); an exception raised by it ends the work. threads: all cores if
+    omitted.
     """
     found = [Seam()] * len(pairs)
     done = 0
@@ -73,7 +74,7 @@ def compare(
 def compare_pair(
     first: HeightMap, second: HeightMap, at_um: tuple[float, float], second_at_um: tuple[float, float]
 ) -> Seam:
-    """The plane by which the heights of the second differ from those of the first, their centres at two places."""
+    """Fit the plane by which the heights of the second field differ from those of the first, at given centres."""
     pixel_um = first.pixel_um
     corner, other_corner = _corner(first, at_um), _corner(second, second_at_um)
     rows = _common(first.shape[0], second.shape[0], (corner[1] - other_corner[1]) / pixel_um)
@@ -90,7 +91,7 @@ def compare_pair(
 
 @dataclass(frozen=True, slots=True)
 class _Common:
-    """Along one axis: pixels of the first, those of the second round them, and how far they lie beyond (0 ... 1)."""
+    """Overlap along one axis: pixels of both fields, and the sub-pixel offset between them (0 ... 1)."""
 
     first: slice
     second: slice
@@ -102,7 +103,7 @@ class _Common:
 
 
 def _common(first: int, second: int, offset: float) -> _Common:
-    """Pixel i of the second lies at i + offset of the first; all that it has neighbours for are taken."""
+    """Return the pixels of the first that have neighbours in the second, whose pixel i lies at i + offset."""
     start = max(0, math.ceil(offset))
     part, whole = math.modf(start - offset)
     stop = max(start, min(first, start + second - 1 - int(whole)))
@@ -110,7 +111,7 @@ def _common(first: int, second: int, offset: float) -> _Common:
 
 
 def _corner(height: HeightMap, at_um: tuple[float, float]) -> tuple[float, float]:
-    """Where pixel (0, 0) of a field lies whose centre is at a place."""
+    """Return the position of pixel (0, 0) of a field with a given centre."""
     rows, cols = height.shape
     return at_um[0] - (cols - 1) / 2 * height.pixel_um, at_um[1] + (rows - 1) / 2 * height.pixel_um
 
@@ -120,9 +121,9 @@ def _part(height: HeightMap, rows: slice, cols: slice) -> NDArray[np.float32]:
 
 
 def _walls(z_um: NDArray[np.float32]) -> NDArray[np.bool_]:
-    """Where heights change much more than elsewhere: on a wall, a tenth of a pixel beside is a height of its own.
+    """Return a mask of walls, where a registration error of a tenth of a pixel already changes the height.
 
-    Judged by means of some pixels together, above their noise.
+    Walls are detected on means of several pixels, above their noise.
     """
     known = z_um == z_um
     count = binned(known.astype(np.float32), CELL_PX)
@@ -144,7 +145,7 @@ def _block_side(plane: NDArray[np.float32]) -> int:
 
 
 def _seam(plane: Plane, corner: tuple[float, float], row: int, col: int, pixel_um: float) -> Seam:
-    """From pixels of the overlap to um: x grows with the columns, y against the rows."""
+    """Convert a plane from pixels of the overlap to um: x grows with the columns, y against the rows."""
     to_um = np.array([1.0, -pixel_um, pixel_um])
     information = (plane.information * np.outer(to_um, to_um))[np.ix_([0, 2, 1], [0, 2, 1])]
     return Seam(

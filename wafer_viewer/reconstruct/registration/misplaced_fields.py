@@ -1,4 +1,4 @@
-"""Fields that fit none of their neighbours: turned, mirrored, of another sample or from elsewhere; which, and why."""
+"""Detection of misplaced fields that fit none of their neighbours, and diagnosis of the cause."""
 
 from __future__ import annotations
 
@@ -13,10 +13,10 @@ from wafer_viewer.model.surface.height_map import HeightMap
 from wafer_viewer.reconstruct.registration.pair_registration import REACH_PX, register_pair
 
 LEAST_NEIGHBOURS = 2
-"""One overlap that does not fit may be the neighbour's fault; two neighbours that fit others are believed."""
+"""A single mismatch may be the neighbour's fault; two neighbours that fit other fields are conclusive."""
 
 FEWER = 2
-"""Of two groups of fields that are nearly as large neither is thrown away for the other's sake."""
+"""A group is rejected only if the leading group is at least this many times as large."""
 
 _LOST = (RejectionReason.UNLIKE, RejectionReason.END_OF_SEARCH)
 _FITS = (RejectionReason.NONE, RejectionReason.DISAGREES)
@@ -34,31 +34,31 @@ TURNS: dict[str, Turn] = {
     "mirrored and turned by 90 degrees clockwise": lambda layer: np.rot90(np.fliplr(layer), -1),
     "mirrored and turned by 90 degrees anticlockwise": lambda layer: np.rot90(np.fliplr(layer)),
 }
-"""How a field may have been held, and what puts it right."""
+"""Possible wrong orientations of a field, with the transformation that corrects each."""
 
 
 def suspects(n_fields: int, shifts: Shifts) -> NDArray[np.int32]:
-    """The fields to leave out, by their place in the list: they show enough, but fit nowhere where others fit.
+    """Return the indices of the fields to exclude: with content, but inconsistent with consistent neighbours.
 
-    Fields that fit each other hang together. Of all that are compared with each other, the largest such group is
-    believed; another one, at most half as large, is left out when at least two of its overlaps with that group, and
-    more than are ambiguous, should fit and none does.
+    Fields with matching overlaps form groups. Of each connected set of compared fields, the largest group is accepted.
+    Another group, at most half as large, is excluded when at least two of its overlaps with that group, and more than
+    are ambiguous, should match and none does.
     """
     lost = _lost_overlaps(n_fields, shifts)
     return np.flatnonzero(lost >= LEAST_NEIGHBOURS).astype(np.int32)
 
 
 def loose(n_fields: int, shifts: Shifts) -> NDArray[np.int32]:
-    """The fields that fit nowhere either, but have too few neighbours to tell whose fault it is: they stay."""
+    """Return the inconsistent fields with too few neighbours to decide which one is wrong; they stay in place."""
     lost = _lost_overlaps(n_fields, shifts)
     return np.flatnonzero((lost > 0) & (lost < LEAST_NEIGHBOURS)).astype(np.int32)
 
 
 def placed_by_stage(poses: Poses) -> NDArray[np.bool_]:
-    """Return which fields nothing but the stage places, bool [n], of those that overlap others.
+    """Return a mask, bool [n], of fields that overlap others but are placed by the stage alone.
 
-    Fields that believed overlaps join hang together. Of all that overlap, the largest such group of two or more is
-    placed by its overlaps; every other field hangs on the stage alone. Fields left out do not count.
+    Fields joined by accepted overlaps form groups. Of each connected set of overlapping fields, the largest group of
+    two or more is placed by its overlaps; every other field depends on the stage alone. Excluded fields do not count.
     """
     n_fields, shifts = poses.numbers.size, poses.shifts
     between = ~(poses.left_out[shifts.first] | poses.left_out[shifts.second])
@@ -72,18 +72,18 @@ def placed_by_stage(poses: Poses) -> NDArray[np.bool_]:
 
 
 def has_no_heights(height: HeightMap) -> bool:
-    """Whether nothing at all was measured in a field; reads all of it only where a part is empty."""
+    """Return whether a field has no measured height; it is read completely only if a sparse sample is empty."""
     some = np.isfinite(height.z_raw_um[::_EVERY, ::_EVERY]).any()
     return not (some or np.isfinite(height.z_raw_um).any())
 
 
 def of_empty(number: int) -> str:
-    """What to say of a field without heights."""
+    """Return the note for a field without heights."""
     return f"Field {number} has no height at all: it adds nothing to the surface; look at its images and scan it again."
 
 
 def of_loose(number: int) -> str:
-    """What to say of a field that does not fit the only neighbour that could tell."""
+    """Return the note for a field that does not match its only informative neighbour."""
     return (
         f"Field {number} does not fit its neighbour, and no other overlap tells which of them is wrong: it stays where "
         "the stage says; scan both again if the seam shows."
@@ -91,7 +91,7 @@ def of_loose(number: int) -> str:
 
 
 def judge_misfit(number: int, height: HeightMap, neighbours: Sequence[HeightMap]) -> str:
-    """What to say of a field that is left out: tried turned and mirrored against its neighbours."""
+    """Return the note for an excluded field, after matching it rotated and mirrored against its neighbours."""
     fits = {how: _fits(turned(height, turn), neighbours) for how, turn in TURNS.items()}
     how = max(fits, key=lambda name: fits[name])
     if fits[how] * 2 >= max(1, len(neighbours)):
@@ -107,7 +107,7 @@ def _none_of(n_neighbours: int) -> str:
 
 
 def turned(height: HeightMap, turn: Turn) -> HeightMap:
-    """A field held in another way, its centre where it was."""
+    """Return a field rotated or mirrored about its centre."""
     rows, cols = height.shape
     z_um, z_raw_um, confidence, all_in_focus, origin = (
         turn(layer) for layer in (height.z_um, height.z_raw_um, height.confidence, height.all_in_focus, height.origin)
@@ -130,9 +130,9 @@ def _fits(height: HeightMap, neighbours: Sequence[HeightMap]) -> int:
 
 
 def _lost_overlaps(n_fields: int, shifts: Shifts) -> NDArray[np.intp]:
-    """How many overlaps of each field's group with the believed one should fit and do not, int [n].
+    """Return the number of mismatched overlaps between each field's group and the accepted one, int [n].
 
-    0 for the fields of believed groups, and for groups that as many overlaps leave open.
+    0 for the fields of accepted groups, and for groups with at least as many ambiguous overlaps.
     """
     fits, lost, open_ = (np.isin(shifts.doubt, some) for some in (_FITS, _LOST, (RejectionReason.AMBIGUOUS,)))
     group, whole = _joined(n_fields, shifts, fits), _joined(n_fields, shifts, fits | lost | open_)
@@ -150,14 +150,14 @@ def _lost_overlaps(n_fields: int, shifts: Shifts) -> NDArray[np.intp]:
 def _of_groups(
     shifts: Shifts, some: NDArray[np.bool_], group: NDArray[np.intp], believed: NDArray[np.bool_]
 ) -> NDArray[np.intp]:
-    """How many of some overlaps join each field's group with a believed one, int [n]."""
+    """Return the number of selected overlaps between each field's group and an accepted one, int [n]."""
     a, b = shifts.first[some], shifts.second[some]
     outside = np.concatenate([a[believed[b] & ~believed[a]], b[believed[a] & ~believed[b]]])
     return np.bincount(group[outside], minlength=len(group))[group]
 
 
 def _joined(n_fields: int, shifts: Shifts, kept: NDArray[np.bool_]) -> NDArray[np.intp]:
-    """The number of the group of fields that some overlaps join."""
+    """Return the group number of each field, for groups connected by the selected overlaps."""
     from scipy.sparse import coo_array
     from scipy.sparse.csgraph import connected_components
 

@@ -1,4 +1,4 @@
-"""Which fields overlap enough to be compared, wherever they lie: a grid is not assumed."""
+"""Search for pairs of fields with sufficient overlap, without assuming a grid."""
 
 from __future__ import annotations
 
@@ -10,19 +10,19 @@ from numpy.typing import NDArray
 from wafer_viewer.model.surface.height_map import Outline
 
 LEAST_SIDE_FRACTION = 0.5
-"""Neighbours share half of a side at least: corners that meet have little to compare, and others tell it better."""
+"""Minimum shared fraction of a side; corner overlaps have little to compare and others are more informative."""
 LEAST_WIDTH_PX = 12.0
-"""A narrower overlap is gone when the stage is off by a usual amount."""
+"""A narrower overlap vanishes when the stage is off by a typical error."""
 
 Numbers = NDArray[np.float64]
 
 
 def neighbours(outlines: Sequence[Outline]) -> NDArray[np.int32]:
-    """Pairs of fields that overlap enough to be compared, int32 [n, 2] by their place in the list, first < second.
+    """Return the pairs of fields with sufficient overlap, int32 [n, 2] indices with first < second.
 
-    They share at least half of a side (of the shorter one where they differ), along an overlap of at least 12 px. Those
-    whose centres are nearer to each other than the largest field is wide and high are found by a k-d tree, so that a
-    million fields take seconds. The pairs are sorted.
+    They share at least half of a side (of the shorter one where they differ), along an overlap of at least 12 px.
+    Candidates, whose centres are closer to each other than the width and height of the largest field, are found by a
+    k-d tree, so that a million fields take seconds. The pairs are sorted.
     """
     low, high, pixel_um = _boxes(outlines)
     pairs = _near(low, high)
@@ -36,7 +36,7 @@ def neighbours(outlines: Sequence[Outline]) -> NDArray[np.int32]:
 
 
 def _boxes(outlines: Sequence[Outline]) -> tuple[Numbers, Numbers, Numbers]:
-    """The low and high corners (x, y) of all fields, [n, 2], pixels counted whole, and their pixel sizes."""
+    """Return the low and high corners (x, y) of all fields, [n, 2], including border pixels, and pixel sizes."""
     told = np.array([(o.x0_um, o.y0_um, o.pixel_um, *o.shape) for o in outlines], np.float64).reshape(-1, 5)
     x0, y0, pixel, rows, cols = told.T
     low = np.stack([x0 - pixel / 2, y0 - (rows - 0.5) * pixel], axis=1)
@@ -45,7 +45,7 @@ def _boxes(outlines: Sequence[Outline]) -> tuple[Numbers, Numbers, Numbers]:
 
 
 def _near(low: Numbers, high: Numbers) -> NDArray[np.intp]:
-    """Pairs whose boxes may overlap, [n, 2], first < second."""
+    """Return the pairs whose boxes may overlap, [n, 2], first < second."""
     from scipy.spatial import KDTree
 
     if len(low) < 2:

@@ -1,4 +1,4 @@
-"""Where one overlap fits: candidates from the correlation at every shift, refined, compared and doubted."""
+"""Matching of one overlap: correlation candidates, sub-pixel refinement, and rejection tests."""
 
 from __future__ import annotations
 
@@ -13,41 +13,43 @@ from wafer_viewer.numerics.registration.subpixel_registration import Lag, Regist
 from wafer_viewer.reconstruct.registration.overlap_strips import OverlapWindow, Read, shrunk
 
 SURE_SIGMAS = 7.0
-"""The highest of some hundred correlations of unlike pictures is three to four deviations high."""
+"""The highest of several hundred correlations of unrelated images is three to four deviations high."""
 LIKE, SURELY_LIKE = 0.7, 0.9
-"""What goes on over many pixels has few that are independent: it may be alike by chance, which is ambiguous and not
-unlike; but not when it fits at one place only and as well as this."""
+"""Correlations for a chance match and for a certain one.
+
+Coarse structures have few independent pixels and may correlate by chance. Such a match is ambiguous rather than unlike,
+unless it fits at one place only and at least as well as the second value.
+"""
 NEARLY = 0.35
-"""Candidates have at least so much of the best one's significance: a fine pattern may lose half of it between the
-pixels of the search."""
+"""Minimum significance of a candidate relative to the best; fine patterns may lose half of it between search pixels."""
 PATTERNED = 6
-"""What fits at more places may repeat more finely than the search looks: it is searched with pixels half as large."""
+"""With more candidates than this the pattern may be finer than the search pixels, which are then halved."""
 CANDIDATES = 60
 CLEARLY, UNEXPLAINED = 0.8, 2.0
-"""A rival has four fifths of the best correlation, and leaves no more than twice as much unexplained."""
+"""A rival has four fifths of the best correlation, and at most twice its unexplained variance."""
 LEAST_AGREEING = 0.5
-"""Half of the contrast must lie where the two agree: content that is turned agrees round one spot only."""
+"""Minimum fraction of the contrast where both images agree; rotated content agrees around one point only."""
 MOST_BENT_PX, SURELY_BENT = 1.0, 6.0
-"""Ends of an overlap that want to be so much further than its middle, so surely, tell of content that is turned."""
+"""Displacement of the ends of an overlap against its middle, and its significance, that indicate rotated content."""
 MOST_U_PX = 0.5
-"""Along lines nothing holds a field: what is left of its certainty is that of noise on noise."""
+"""Largest accepted uncertainty; along straight lines the position is undetermined, apart from noise."""
 LEAST_U_PX = 0.01
-"""What the form of the pixels and the optics add, that no residual shows."""
+"""Contribution of pixel shape and optics to the uncertainty, which no residual shows."""
 
 _FACTORS, _FINER = (4, 2, 1), 2
 _LEAST_SIDE = 12
 _AROUND = 11
 _LEAST_SHARE = 0.3
-"""At a shift that leaves less of the overlap nothing is looked for."""
+"""Minimum fraction of the overlap at a shift that is searched."""
 _BLOCKS, _LEAST_BLOCK, _LARGEST_BLOCK = 24, 8, 32
 _LAGS = (2, 8)
 _BLANK = 0.88
-"""In mere noise, pixels two apart differ as much as pixels eight apart."""
+"""In pure noise, pixels two apart differ as much as pixels eight apart."""
 
 
 @dataclass(frozen=True, slots=True)
 class Match:
-    """How far off the stage's word the second lies, (rows, cols) in pixels, with standard uncertainties."""
+    """Deviation of the second field from its stage position, (rows, cols) in px, with standard uncertainties."""
 
     off_px: Lag
     u_px: Lag
@@ -56,7 +58,7 @@ class Match:
 
 
 def match(first: HeightMap, second: HeightMap, reach_px: float, read: Read) -> Match:
-    """Where the second field fits the first, within reach of the stage's word."""
+    """Match the second field to the first, within reach of the stage position."""
     factor = _coarsest(first, second)
     window, reach = _window(first, second, reach_px, factor)
     if min(window.overlap) < _LEAST_SIDE / 2:
@@ -76,7 +78,7 @@ def match(first: HeightMap, second: HeightMap, reach_px: float, read: Read) -> M
 
 
 def _window(first: HeightMap, second: HeightMap, reach_px: float, factor: int) -> tuple[OverlapWindow, int]:
-    """What may be common, and the reach in pixels of the search, with one to spare."""
+    """Return the possible overlap, and the search reach in search pixels, including one spare pixel."""
     reach = int(np.ceil(reach_px / factor)) + 1
     return OverlapWindow.of(first, second, reach * factor, factor), reach
 
@@ -86,13 +88,13 @@ def _nowhere(doubt: RejectionReason) -> Match:
 
 
 def _coarsest(first: HeightMap, second: HeightMap) -> int:
-    """How many pixels are looked at as one in the search."""
+    """Return the binning factor of the search."""
     side = min(OverlapWindow.of(first, second, 0, 1).overlap)
     return next((f for f in _FACTORS if side >= f * _LEAST_SIDE), 1)
 
 
 def _block_side(window: OverlapWindow) -> int:
-    """Blocks are small enough for some two dozen of them."""
+    """Return a block size that gives about two dozen blocks."""
     area = max(window.overlap[0], 1) * max(window.overlap[1], 1)
     return int(np.clip((area / _BLOCKS) ** 0.5, _LEAST_BLOCK, _LARGEST_BLOCK))
 
@@ -100,7 +102,7 @@ def _block_side(window: OverlapWindow) -> int:
 def _candidates(
     one: RegisteredImage, other: RegisteredImage, window: OverlapWindow, factor: int, reach: int
 ) -> tuple[list[Lag], bool]:
-    """Lags in full pixels at which the two look alike, the surest first, and whether that may be chance."""
+    """Return candidate lags in full pixels, the most significant first, and whether they may be chance."""
     one, other = shrunk(one, factor), shrunk(other, factor)
     knowns = one.known > 0, other.known > 0
     details = contrast(one.values, knowns[0], _AROUND), contrast(other.values, knowns[1], _AROUND)
@@ -112,7 +114,7 @@ def _candidates(
 
 
 def _peaks(alike: Likeness, least_pixels: float, reach: int) -> tuple[list[tuple[int, int]], bool]:
-    """The highest local maxima, from the middle; none where nothing is alike."""
+    """Return the highest local maxima relative to the middle, none without correlation, and the chance flag."""
     from wafer_viewer.numerics.filters.sliding_filters import highest
 
     sigmas = np.where(alike.pixels >= least_pixels, alike.sigmas, 0.0)
@@ -128,7 +130,7 @@ def _peaks(alike: Likeness, least_pixels: float, reach: int) -> tuple[list[tuple
 def _refined(
     one: RegisteredImage, other: RegisteredImage, lags: list[Lag], factor: int, side: int
 ) -> list[SubpixelShift]:
-    """The best fit and its rivals: all candidates are refined, and the rivals again at the next resolution."""
+    """Refine all candidates, and the best fit with its rivals again at each finer resolution."""
     fits: list[SubpixelShift] = []
     for f in _FACTORS[_FACTORS.index(factor) :]:
         levels = shrunk(one, f), shrunk(other, f)
@@ -140,7 +142,7 @@ def _refined(
 
 
 def _scaled(fit: SubpixelShift, factor: int) -> SubpixelShift:
-    """In full pixels."""
+    """Convert a fit to full pixels."""
     lag = fit.lag[0] * factor, fit.lag[1] * factor
     return SubpixelShift(
         lag,
@@ -158,7 +160,7 @@ def _distance(a: Lag, b: Lag) -> float:
 
 
 def _with_rivals(fits: list[SubpixelShift], apart_px: float) -> list[SubpixelShift]:
-    """The best of them, and those elsewhere that are nearly as good."""
+    """Return the best fit, and fits elsewhere that are nearly as good."""
     if not fits:
         return []
     best = max(fits, key=lambda fit: (fit.agreeing >= LEAST_AGREEING, fit.correlation * fit.n_pixels**0.5))
@@ -191,16 +193,17 @@ def _doubt(fits: list[SubpixelShift], by_chance: bool, beyond: bool) -> Rejectio
 
 
 def _shows(picture: RegisteredImage) -> bool:
-    """Whether anything but noise is to be seen along both axes: then pixels near each other are more alike than others.
+    """Return whether an image has structure beyond noise along both axes.
 
-    A line alone leaves open where along it a field lies.
+    In structured images, nearby pixels are more alike than distant ones. A line alone leaves the position along it
+    undetermined.
     """
     near, far = _LAGS
     return all(_difference(picture, near, axis) < _BLANK * _difference(picture, far, axis) for axis in (0, 1))
 
 
 def _difference(picture: RegisteredImage, lag: int, axis: int) -> float:
-    """The mean square by which known pixels differ that are `lag` apart along an axis."""
+    """Return the mean squared difference of known pixels that are `lag` apart along an axis."""
     ahead, behind = [slice(None), slice(None)], [slice(None), slice(None)]
     ahead[axis], behind[axis] = slice(lag, None), slice(None, -lag)
     a, b = tuple(ahead), tuple(behind)

@@ -1,4 +1,4 @@
-"""The parts of two fields that overlap, or would if the stage were off by as much as it may be."""
+"""Overlap regions of two fields, extended by the possible stage error, and the images compared in them."""
 
 from __future__ import annotations
 
@@ -14,12 +14,12 @@ from wafer_viewer.numerics.filters.binning import binned
 from wafer_viewer.numerics.registration.subpixel_registration import RegisteredImage
 
 Read = Callable[[HeightMap, slice, slice], RegisteredImage]
-"""What of a field is compared, read from some of its rows and columns."""
+"""Function that reads the compared image of a field from a range of rows and columns."""
 
 _NOT_SEEN = (Origin.NOT_COVERED, Origin.TOO_FEW_FRAMES)
-"""The picture repeats its border where a field that drifted was not seen throughout."""
+"""The image repeats its border where a drifting field was not covered in all frames."""
 _FOCUS_NOISE = 1e3
-"""Heights share their errors over a focus window, they do not differ from pixel to pixel: contrast alone counts."""
+"""Height errors are correlated over a focus window instead of varying per pixel, so contrast alone counts."""
 _AROUND_PX = 31
 _ENOUGH = 20000
 _STEEPEST = 6.0
@@ -27,10 +27,10 @@ _STEEPEST = 6.0
 
 @dataclass(frozen=True, slots=True)
 class OverlapWindow:
-    """Rows and columns of the first and the second field to be compared, and the lag of the one behind the other.
+    """Rows and columns of both fields to be compared, and the lag between them.
 
-    lag: pixel (r, c) of the second's part lies on (r + lag row, c + lag col) of the first's, as the stage says, but for
-    `part` of a pixel. common: rows and columns of both that are common if the stage is right.
+    lag: pixel (r, c) of the second's part lies at (r + lag row, c + lag col) of the first's by the stage, except for
+    `part` of a pixel. common: rows and columns of both in the nominal overlap.
     """
 
     first: tuple[slice, slice]
@@ -41,13 +41,13 @@ class OverlapWindow:
 
     @property
     def overlap(self) -> tuple[int, int]:
-        """Rows and columns that are common as the stage says; 0 or less where nothing is."""
+        """Rows and columns of the nominal overlap; 0 or less where there is none."""
         rows, cols = self.common[0]
         return rows.stop - rows.start, cols.stop - cols.start
 
     @classmethod
     def of(cls, first: HeightMap, second: HeightMap, reach: int, step: int) -> OverlapWindow:
-        """What may be common of two fields when the stage is off by up to `reach` pixels; lags are whole `step`s."""
+        """Return the possible overlap for a stage error of up to `reach` pixels; lags are multiples of `step`."""
         down = (first.y0_um - second.y0_um) / first.pixel_um
         right = (second.x0_um - first.x0_um) / first.pixel_um
         rows = _part(first.shape[0], second.shape[0], down, reach, step)
@@ -58,7 +58,7 @@ class OverlapWindow:
 
 
 class _Part(NamedTuple):
-    """The same along one axis."""
+    """`OverlapWindow` along one axis."""
 
     first: slice
     second: slice
@@ -80,7 +80,7 @@ def _part(first: int, second: int, offset: float, reach: int, step: int) -> _Par
 
 
 def picture_of(height: HeightMap, rows: slice, cols: slice) -> RegisteredImage:
-    """The all-in-focus image."""
+    """Return the all-in-focus image."""
     grey = np.asarray(height.all_in_focus[rows, cols]).astype(np.float32)
     origin = height.origin[rows, cols]
     seen = (origin != _NOT_SEEN[0]) & (origin != _NOT_SEEN[1])
@@ -89,7 +89,7 @@ def picture_of(height: HeightMap, rows: slice, cols: slice) -> RegisteredImage:
 
 
 def _noise(plane: NDArray[np.float32]) -> float:
-    """The standard deviation of what differs from pixel to pixel, or more where fine texture does.
+    """Return the standard deviation of pixel noise; fine texture increases it.
 
     Source: J. Immerkaer, Fast noise variance estimation, Comput. Vis. Image Underst. 64 (1996) 300; here by a median.
     """
@@ -101,7 +101,7 @@ def _noise(plane: NDArray[np.float32]) -> float:
 
 
 def height_of(height: HeightMap, rows: slice, cols: slice) -> RegisteredImage:
-    """What stands out of its surroundings in the measured heights, outliers held down; 0 where nothing is measured."""
+    """Return the high-pass filtered measured heights with clipped outliers; 0 where nothing is measured nearby."""
     from wafer_viewer.numerics.filters.sliding_filters import mean, mean_of_known
 
     z = np.asarray(height.z_raw_um[rows, cols])
@@ -119,7 +119,7 @@ def height_of(height: HeightMap, rows: slice, cols: slice) -> RegisteredImage:
 
 
 def shrunk(picture: RegisteredImage, factor: int) -> RegisteredImage:
-    """The mean of the known ones of factor x factor pixels; known where at least half of them are."""
+    """Return means of the known ones of factor x factor pixels; known where at least half of them are."""
     if factor == 1:
         return picture
     if picture.known.all():

@@ -1,8 +1,8 @@
-"""How far a field lies from where the stage says, beside its neighbour: found in their overlap, and when to doubt it.
+"""Pairwise registration of overlapping fields, with uncertainty and rejection reasons.
 
-The pictures are compared first: the normalised correlation of the true overlap at every shift within reach, at a
-quarter of the resolution; then the best of them are refined to a small part of a pixel. Where nothing is to be seen the
-heights are compared instead.
+The images are compared first: the normalised correlation of the true overlap at every shift within reach, at a quarter
+of the resolution. The best candidates are then refined to sub-pixel accuracy. Where the images are blank the heights
+are compared instead.
 """
 
 from __future__ import annotations
@@ -21,16 +21,19 @@ from wafer_viewer.reconstruct.registration.overlap_matching import Match, match
 from wafer_viewer.reconstruct.registration.overlap_strips import OverlapWindow, height_of, picture_of
 
 REACH_PX, WIDE_REACH_PX, WIDE_FRACTION = 40.0, 120.0, 0.125
-"""Without a reach of its own a neighbour is looked for within 40 px of the stage's word, four deviations of a good
-stage; where the two show enough but do not fit there, within 120 px or an eighth of the shorter side of a field."""
+"""Search reach: 40 px about the stage position by default, four standard deviations of a good stage.
+
+Where both fields have structure but do not match there, the reach is 120 px or an eighth of the shorter side of a
+field.
+"""
 LEAST_MEASURED = 0.1
-"""Where hardly a height was found nothing was ever sharp: pictures are noise there, and may well differ."""
+"""Minimum measured fraction; with fewer heights nothing was in focus, and the images are noise and may differ."""
 _LOST = (RejectionReason.UNLIKE, RejectionReason.END_OF_SEARCH)
 
 
 @dataclass(frozen=True, slots=True)
 class PairShift:
-    """What one overlap says; the fields of `Shifts` have the meaning."""
+    """Lateral shift measured in one overlap; the fields have the meaning of those of `Shifts`."""
 
     x_um: float
     y_um: float
@@ -48,11 +51,11 @@ def register(
     threads: int | None = None,
     progress: Progress | None = None,
 ) -> Shifts:
-    """How each pair of fields (their places in the list, int32 [n, 2]) lies beside what the stage says.
+    """Register each pair of fields (indices, int32 [n, 2]) relative to their stage positions.
 
-    reach_um: how far from the stage's word a neighbour is looked for; as `REACH_PX` says without one. Only what may
-    overlap is read. progress is told the finished share (0 ... 1); what it raises ends the work. threads: all cores
-    without one.
+    reach_um: largest deviation from the stage position that is searched; by default as `REACH_PX` states. Only the
+    possible overlap is read. progress receives the finished fraction (0 ... 1); an exception raised by it ends the
+    work. threads: all cores if omitted.
     """
     found: list[PairShift] = [_by_stage(RejectionReason.BLANK)] * len(pairs)
     done = 0
@@ -70,10 +73,10 @@ def register(
 
 
 def register_pair(first: HeightMap, second: HeightMap, reach_px: float | None = None) -> PairShift:
-    """How the second field lies beside the first, against what the stage says.
+    """Return the shift of the second field against the first, relative to their stage positions.
 
-    reach_px: how far off it may be along x and along y; as `REACH_PX` says without one. What fits nowhere keeps its
-    best place and correlation, with a doubt; it must not be used.
+    reach_px: largest deviation along x and along y; by default as `REACH_PX` states. A rejected match retains its best
+    shift and correlation, with a doubt; it must not be used.
     """
     found = _within(first, second, REACH_PX if reach_px is None else reach_px)
     wide_px = min(WIDE_REACH_PX, WIDE_FRACTION * min(*first.shape, *second.shape))
@@ -84,7 +87,7 @@ def register_pair(first: HeightMap, second: HeightMap, reach_px: float | None = 
 
 
 def _within(first: HeightMap, second: HeightMap, reach_px: float) -> PairShift:
-    """By the pictures, by the heights where those are blank, or by the stage."""
+    """Register by images, by heights where the images are blank, or else by the stage."""
     seen = match(first, second, reach_px, picture_of)
     if seen.doubt in _LOST and _measured_share(first, second) < LEAST_MEASURED:
         return _by_stage(RejectionReason.BLANK)
@@ -97,7 +100,7 @@ def _within(first: HeightMap, second: HeightMap, reach_px: float) -> PairShift:
 
 
 def _measured_share(first: HeightMap, second: HeightMap) -> float:
-    """How much of an overlap has heights, in the field that has fewer of them there."""
+    """Return the measured fraction of an overlap, in the field that has less."""
     common = OverlapWindow.of(first, second, 0, 1).common
     shares = (np.isfinite(h.z_raw_um[part]).mean() for h, part in zip((first, second), common, strict=True))
     return min(map(float, shares))

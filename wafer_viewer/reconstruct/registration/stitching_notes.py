@@ -1,4 +1,4 @@
-"""What people should know of a placement, in sentences: who was left out and why, who is empty, who stands alone."""
+"""User-facing notes on a stitching result: excluded, empty and isolated fields, with reasons."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ BY_STAGE_ALONE = "Stitched by the stage's positions alone"
 
 
 def remarks(poses: Poses, pairs: NDArray[np.int32], opened: Open) -> tuple[str, ...]:
-    """A sentence each; `opened` gives the height map of a field by its place in the list, asked for the odd ones only.
+    """Return one sentence per note; `opened` opens a height map by index and is called for odd fields only.
 
     pairs: all fields that overlap, int32 [n, 2].
     """
@@ -40,7 +40,7 @@ def remarks(poses: Poses, pairs: NDArray[np.int32], opened: Open) -> tuple[str, 
 
 
 def _by_stage(poses: Poses, empty: Sequence[int]) -> Iterator[str]:
-    """Fields that overlap others and are placed by the stage alone, less those named for another reason."""
+    """Note the overlapping fields placed by the stage alone, except those noted for another reason."""
     by_stage = placed_by_stage(poses)
     if not by_stage.any():
         return
@@ -62,7 +62,7 @@ def _by_stage(poses: Poses, empty: Sequence[int]) -> Iterator[str]:
 
 
 def _undecided(shifts: Shifts, some: NDArray[np.bool_]) -> str:
-    """``24 of 24 overlaps ambiguous (repeating pattern)``, the most frequent reason first."""
+    """Return ``24 of 24 overlaps ambiguous (repeating pattern)``, the most frequent reason first."""
     of = int(np.count_nonzero(some))
     counts = [(int(np.count_nonzero(shifts.doubt[some] == doubt)), words) for doubt, words in DOUBT_WORDS.items()]
     first, *others = sorted((c for c in counts if c[0]), key=lambda count: -count[0])
@@ -70,7 +70,7 @@ def _undecided(shifts: Shifts, some: NDArray[np.bool_]) -> str:
 
 
 def _mend(shifts: Shifts) -> str:
-    """What helps where a pattern repeats."""
+    """Return advice for repeating patterns, or an empty string."""
     if not (shifts.doubt == RejectionReason.AMBIGUOUS).any():
         return ""
     return " If the stage is more accurate than half the pattern's pitch, set search_um to less than that."
@@ -89,7 +89,7 @@ def _loose(poses: Poses) -> Iterator[str]:
 
 
 def _empty(poses: Poses, opened: Open) -> Iterator[int]:
-    """The places of those fields, of all whose heights could not be compared anywhere, that have none."""
+    """Yield the indices of fields without heights, among those whose heights could not be compared anywhere."""
     compared = poses.seams.n_pixels > 0
     seen = np.zeros(poses.numbers.size, bool)
     seen[poses.seams.first[compared]] = seen[poses.seams.second[compared]] = True
@@ -99,7 +99,7 @@ def _empty(poses: Poses, opened: Open) -> Iterator[int]:
 
 
 def _alone(poses: Poses, pairs: NDArray[np.int32]) -> Iterator[str]:
-    """Fields that no other overlaps, in one sentence; a single field is none to speak of."""
+    """Note the fields without overlap, in one sentence; nothing for a single field."""
     alone = np.setdiff1d(np.arange(poses.numbers.size), pairs)
     if alone.size and poses.numbers.size > 1:
         one = alone.size == 1
@@ -110,7 +110,7 @@ def _alone(poses: Poses, pairs: NDArray[np.int32]) -> Iterator[str]:
 
 
 def _listed(numbers: Sequence[int]) -> str:
-    """``Field 3``, ``Fields 3, 4 and 7``, ``Fields 1, 2, 3, 4, 5, 6, 7, 8 and 40 more``."""
+    """Return ``Field 3``, ``Fields 3, 4 and 7``, or ``Fields 1, 2, 3, 4, 5, 6, 7, 8 and 40 more``."""
     if len(numbers) == 1:
         return f"Field {numbers[0]}"
     named, more = (numbers, 0) if len(numbers) <= NAMED else (numbers[:NAMED], len(numbers) - NAMED)

@@ -1,4 +1,4 @@
-"""The pulse box as the scan sees it: WPC/1 spoken over a serial port, with no pulse record lost on the way."""
+"""Pulse box client for the scan: WPC/1 over a serial port, without loss of pulse records."""
 
 from __future__ import annotations
 
@@ -9,15 +9,15 @@ from wafer_viewer.rigs.pulse_box.wpc_protocol import VERSION, Line, WireClient
 
 PULSE_WIDTH_US = 50
 MIN_GAP_US = 1000
-"""Pulses nearer than this are suppressed by the box: no camera here follows a kilohertz."""
+"""Least time between pulses in us; the box suppresses nearer ones, as no camera here reaches 1 kHz."""
 HEARTBEAT_S = 2.0
-"""How long the box goes on without hearing from us."""
+"""Heartbeat timeout of the box in s."""
 BEAT_S = HEARTBEAT_S / 10
 DUMP_TRIES = 8
 
 
 class PulseBoxClient:
-    """Fulfils the role PulseBox on anything that speaks WPC/1."""
+    """Implementation of PulseBox on any device that speaks WPC/1."""
 
     def __init__(self, port: SerialPort, clock: Clock) -> None:
         self._wire = WireClient(port, clock)
@@ -28,18 +28,18 @@ class PulseBoxClient:
         self._armed = False
         self._axis: Axis = "z"
         self._zero: dict[Axis, int] = {"x": 0, "y": 0, "z": 0}
-        """What the box counts where each axis is at count 0."""
+        """Count of the box at count 0 of each axis."""
         self._beaten_s = clock.now_s()
         self._boot: int | None = None
         self._boot = self._hello()
 
     @property
     def retries(self) -> int:
-        """How many commands had to be sent again, for the maintainer's log."""
+        """Number of repeated commands, for the maintainer's log."""
         return self._wire.retries
 
     def arm(self, train: PulseTrain, *, on_command: bool = False) -> None:
-        """Be ready for one pass; pulses of an earlier run are forgotten. Raises RigError on refusal."""
+        """Arm the box for one pass; pulses of an earlier run are discarded. Raises RigError on refusal."""
         self._axis, zero = train.axis, self._zero[train.axis]
         self._ask(
             "CFG",
@@ -60,7 +60,7 @@ class PulseBoxClient:
         self._records, self._given, self._armed = {}, 0, True
 
     def count(self, axis: Axis) -> int:
-        """The count of an axis now, as the box has it: that of a pulse on command, for which no camera may wait."""
+        """Return the box's current count of an axis, from a pulse on command; no camera may be waiting."""
         self.arm(PulseTrain(axis=axis, first_count=0, counts_per_frame=1, n_frames=1, direction=1), on_command=True)
         self.fire()
         self.disarm()
@@ -68,7 +68,7 @@ class PulseBoxClient:
         return pulse.count
 
     def correct_count(self, axis: Axis, off: int) -> None:
-        """Leave out, from here on, the counts that the box has too many on an axis: the way to mend a slip."""
+        """Subtract excess counts of the box on an axis from now on, to correct a slip."""
         self._zero[axis] += off
 
     def fire(self) -> None:
@@ -76,9 +76,9 @@ class PulseBoxClient:
         self._ask("FIRE")
 
     def pulses(self) -> list[Pulse]:
-        """The pulses sent since the last call, in order; beats the heart of the box as well.
+        """Return the pulses sent since the last call, in order; also sends the heartbeat.
 
-        Records lost on the wire are asked for again. Raises RigError when the box disarmed itself or was started anew.
+        Records lost on the wire are requested again. Raises RigError when the box disarmed itself or restarted.
         """
         self._take_events()
         if self._armed and self._clock.now_s() - self._beaten_s >= BEAT_S:
@@ -91,7 +91,7 @@ class PulseBoxClient:
         return fresh
 
     def disarm(self) -> PulseSummary:
-        """End the run; `pulses` still gives what was not fetched. Raises RigError when the box was started anew."""
+        """End the run; `pulses` still returns records not fetched yet. Raises RigError if the box restarted."""
         self._armed = False
         answer = self._ask("DISARM")
         summary = PulseSummary(
@@ -110,7 +110,7 @@ class PulseBoxClient:
         self._wire.halt()
 
     def close(self) -> None:
-        """Let the port go."""
+        """Close the port."""
         self._wire.close()
 
     def _hello(self) -> int:
@@ -120,7 +120,7 @@ class PulseBoxClient:
         return answer.number("BOOT")
 
     def _beat(self) -> int:
-        """Tell the box that we live; returns how many pulses it has sent."""
+        """Send the heartbeat; return the number of pulses sent by the box."""
         answer = self._ask("HB", MS=round(HEARTBEAT_S * 1000))
         self._beaten_s = self._clock.now_s()
         return answer.number("EMITTED")
@@ -148,7 +148,7 @@ class PulseBoxClient:
                 raise RigError(f"The pulse box disarmed itself: {_why(event)}; continue the scan when that is fixed.")
 
     def _fetch(self, emitted: int) -> None:
-        """Ask again for the records that got lost on the wire."""
+        """Request the records that were lost on the wire."""
         for _ in range(DUMP_TRIES):
             lost = [n for n in range(self._given, emitted) if n not in self._records]
             if not lost:

@@ -1,8 +1,8 @@
-"""WPC/1, the line protocol of the pulse box: framing and checksums for both ends, and the asking end.
+"""WPC/1, the line protocol of the pulse box: framing and checksums for both ends, and the client end.
 
 A line is ``<C|A|E><sequence, 4 hex> <VERB key=value …>*<crc, 4 hex>`` and a line feed: a command, its answer, or an
-event. The checksum is CRC-16/CCITT-FALSE over everything before the asterisk. A command sent again keeps its sequence
-number; the box carries it out once and gives the same answer.
+event. The checksum is CRC-16/CCITT-FALSE over everything before the asterisk. A repeated command has the same sequence
+number; the box executes it once and repeats its answer.
 """
 
 from __future__ import annotations
@@ -19,7 +19,7 @@ Kind = Literal["C", "A", "E"]
 COMMAND, ANSWER, EVENT = cast(tuple[Kind, Kind, Kind], ("C", "A", "E"))
 VERSION = "WPC/1"
 HALT = b"!"
-"""A raw byte, no line: pulses stop at once."""
+"""Raw byte outside the line format: stops pulses at once."""
 LONGEST_LINE = 256
 SEQUENCES = 0x10000
 ANSWER_S = 0.05
@@ -30,7 +30,7 @@ _LINE = re.compile(rb"([CAE])([0-9A-F]{4}) ([A-Z]+)((?: [A-Z_]+=[^ *=]+)*)\*([0-
 
 @dataclass(frozen=True, slots=True)
 class Line:
-    """One line of the protocol. Values are words or whole numbers, as text."""
+    """One line of the protocol. Values are words or integers, as text."""
 
     kind: Kind
     sequence: int
@@ -38,7 +38,7 @@ class Line:
     values: dict[str, str] = field(default_factory=dict[str, str])
 
     def number(self, name: str) -> int:
-        """A value that is a whole number; raises WireError when it is missing or no number."""
+        """Return an integer value. Raises WireError when it is missing or not an integer."""
         try:
             return int(self.values[name])
         except (KeyError, ValueError) as fault:
@@ -48,19 +48,19 @@ class Line:
 
 
 def crc(body: bytes) -> int:
-    """CRC-16/CCITT-FALSE."""
+    """Return the CRC-16/CCITT-FALSE."""
     return binascii.crc_hqx(body, 0xFFFF)
 
 
 def encode(line: Line) -> bytes:
-    """The bytes of a line, line feed included."""
+    """Return the bytes of a line, including the line feed."""
     words = [f"{line.kind}{line.sequence:04X} {line.verb}", *(f"{k}={v}" for k, v in line.values.items())]
     body = " ".join(words).encode()
     return body + b"*%04X\n" % crc(body)
 
 
 def decode(raw: bytes) -> Line:
-    """The line in some bytes, without its line feed; raises WireError when it is damaged."""
+    """Decode a line without its line feed. Raises WireError when it is damaged."""
     match = _LINE.fullmatch(raw)
     if match is None or int(match[5], 16) != crc(raw[:-5]):
         raise WireError(f"A line came damaged over the wire: {raw[:80]!r}.")
@@ -69,14 +69,14 @@ def decode(raw: bytes) -> Line:
 
 
 class LineReader:
-    """Cuts a stream of bytes into lines; damaged ones are counted and left out."""
+    """Splits a byte stream into lines; damaged ones are counted and dropped."""
 
     def __init__(self) -> None:
         self._rest = b""
         self.damaged = 0
 
     def feed(self, data: bytes) -> list[Line]:
-        """The lines that these bytes complete."""
+        """Return the lines that these bytes complete."""
         *raw, self._rest = (self._rest + data).split(b"\n")
         self._rest = self._rest[-LONGEST_LINE:]
         return [line for r in raw if (line := self._decoded(r)) is not None]
@@ -90,7 +90,7 @@ class LineReader:
 
 
 class WireClient:
-    """The asking end: one command at a time, repeated until it is answered; events are kept until fetched."""
+    """Client end: one command at a time, repeated until answered; events are queued until fetched."""
 
     def __init__(self, port: SerialPort, clock: Clock) -> None:
         self._port = port
@@ -101,10 +101,10 @@ class WireClient:
         self.retries = 0
 
     def ask(self, verb: str, **values: int | str) -> Line:
-        """Send a command and return its answer, be it OK or NO.
+        """Send a command and return its answer, OK or NO.
 
-        What came before is read first, so that a late answer to an earlier command is not taken for a reason to send
-        again. Raises RigTimeout when the box stays silent.
+        Pending input is read first, so that a late answer to an earlier command does not cause a repetition. Raises
+        RigTimeout when the box does not answer.
         """
         self._sort(self._read_waiting())
         self._sequence = (self._sequence + 1) % SEQUENCES
@@ -120,7 +120,7 @@ class WireClient:
         )
 
     def events(self) -> list[Line]:
-        """The events that came since the last call."""
+        """Return the events received since the last call."""
         self._sort(self._read_waiting())
         events, self._events = self._events, []
         return events
@@ -130,7 +130,7 @@ class WireClient:
         self._write(HALT)
 
     def close(self) -> None:
-        """Let the port go."""
+        """Close the port."""
         self._port.close()
 
     def _answer(self) -> Line | None:
@@ -142,7 +142,7 @@ class WireClient:
         return None
 
     def _sort(self, data: bytes) -> Line | None:
-        """Keep the events in some bytes; return the answer to the command under way, if it is there."""
+        """Queue the received events; return the answer to the current command if there is one."""
         found = None
         for line in self._reader.feed(data):
             if line.kind == EVENT:

@@ -1,1 +1,1 @@
-"""The simulated rig: a sample, optics, a stage and a pulse box on the far end of a cable."""
+"""The simulated rig: a sample, optics, a stage, a camera, and a pulse box on a virtual serial port."""

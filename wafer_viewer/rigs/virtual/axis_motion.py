@@ -1,4 +1,4 @@
-"""How an axis moves: pieces of constant acceleration, with the exact time at which a position is crossed."""
+"""Motion profiles of an axis: pieces of constant acceleration, with exact times of position crossings."""
 
 from __future__ import annotations
 
@@ -6,12 +6,12 @@ import math
 from dataclasses import dataclass
 
 ROUNDING_S = 1e-9
-"""A crossing between two pieces is found in one of them, whichever way the times were rounded."""
+"""Time tolerance in s, so that a crossing between two pieces is found in one of them."""
 
 
 @dataclass(frozen=True, slots=True)
 class MotionPiece:
-    """A stretch of constant acceleration."""
+    """Piece of constant acceleration."""
 
     start_s: float
     duration_s: float
@@ -20,12 +20,12 @@ class MotionPiece:
     acceleration_um_s2: float = 0.0
 
     def position_at(self, time_s: float) -> float:
-        """Where the axis is; before the piece its beginning, after it its end."""
+        """Return the position in um, clamped to the start and the end of the piece."""
         t = min(max(time_s - self.start_s, 0.0), self.duration_s)
         return self.position_um + (self.speed_um_s + self.acceleration_um_s2 * t / 2) * t
 
     def crossing_s(self, position_um: float, direction: int) -> float | None:
-        """When the axis passes a position on its way in a direction, or None."""
+        """Return the time at which the axis passes a position in a direction, or None."""
         way = position_um - self.position_um
         square = self.speed_um_s**2 + 2 * self.acceleration_um_s2 * way
         if square < 0:
@@ -39,28 +39,28 @@ class MotionPiece:
 
 @dataclass(frozen=True, slots=True)
 class MotionProfile:
-    """A motion of one axis from standing or moving to standing."""
+    """Motion of one axis that ends at rest."""
 
     pieces: tuple[MotionPiece, ...]
     direction: int = 1
 
     @property
     def end_s(self) -> float:
-        """When the axis stands."""
+        """Time at which the axis comes to rest."""
         return self.pieces[-1].start_s + self.pieces[-1].duration_s
 
     def position_at(self, time_s: float) -> float:
-        """Where the axis is, in um."""
+        """Return the position in um."""
         return self._piece_at(time_s).position_at(time_s)
 
     def speed_at(self, time_s: float) -> float:
-        """How fast it goes, in um/s, with the sign of its direction."""
+        """Return the velocity in um/s, signed by direction."""
         piece = self._piece_at(time_s)
         t = time_s - piece.start_s
         return piece.speed_um_s + piece.acceleration_um_s2 * t if 0 <= t < piece.duration_s else 0.0
 
     def crossing_s(self, position_um: float, direction: int, after_s: float) -> float | None:
-        """The first time, not before after_s, at which a position is crossed in a direction, or None."""
+        """Return the first time from after_s on at which a position is crossed in a direction, or None."""
         if direction != self.direction:
             return None
         times = (piece.crossing_s(position_um, direction) for piece in self.pieces)
@@ -71,14 +71,14 @@ class MotionProfile:
 
 
 def standing(position_um: float) -> MotionProfile:
-    """An axis that has stood there since ever."""
+    """Return the profile of an axis at rest."""
     return MotionProfile((MotionPiece(-math.inf, 0.0, position_um, 0.0),))
 
 
 def trapezoid(
     start_s: float, from_um: float, to_um: float, speed_um_s: float, acceleration_um_s2: float
 ) -> MotionProfile:
-    """From standing to standing: up to speed, at speed, down again; a short way never reaches the speed."""
+    """Return a trapezoidal profile from rest to rest; a short motion does not reach the full speed."""
     way, direction = abs(to_um - from_um), 1 if to_um >= from_um else -1
     top = min(speed_um_s, math.sqrt(way * acceleration_um_s2))
     ramp_s, ramp_um = top / acceleration_um_s2, top**2 / acceleration_um_s2 / 2
@@ -91,7 +91,7 @@ def trapezoid(
 
 
 def halt(start_s: float, position_um: float, speed_um_s: float, acceleration_um_s2: float) -> MotionProfile:
-    """From moving to standing, as soon as it can."""
+    """Return a deceleration to rest at the given acceleration."""
     direction = 1 if speed_um_s >= 0 else -1
     return MotionProfile(
         (

@@ -1,4 +1,4 @@
-"""The virtual camera: takes a picture at every trigger that comes when it is ready, and what can go wrong with it."""
+"""Virtual camera: one exposure per trigger when it is ready, with simulated faults."""
 
 from __future__ import annotations
 
@@ -15,26 +15,26 @@ from wafer_viewer.rigs.virtual.faults import Faults
 from wafer_viewer.rigs.virtual.stage import VirtualStage
 
 TRIGGER_DELAY_US = 12.0
-"""From the pulse to the begin of the exposure."""
+"""Delay from the pulse to the start of the exposure."""
 CLOCK_OFFSET_US = 7_654_321
 CLOCK_DRIFT = 20e-6
-"""The camera's own clock: where it stands when the rig is switched on, and how much faster it runs."""
+"""Relative frequency error of the camera clock; `CLOCK_OFFSET_US` is its time when the rig is switched on."""
 TRANSFER_S = 0.002
 EXTRA = -1
-"""The number of an image that no trigger took."""
+"""Trigger number of an image that no pulse triggered."""
 
 
 class Renderer(Protocol):
-    """Makes the picture that the sensor sees of a place."""
+    """Protocol of a source of sensor images by stage position."""
 
     def frame(self, x_um: float, y_um: float, z_um: float, exposure_us: float, seed: int) -> Image:
-        """The picture with the stage truly at (x, y, z), the middle of the frame at (x, y); [row, col]."""
+        """Return the image [row, col] at the true stage position (x, y, z), with the frame centre at (x, y)."""
         ...
 
 
 @dataclass(frozen=True, slots=True)
 class Exposure:
-    """A picture taken and not yet rendered: where the stage truly was at mid-exposure, and what was asked."""
+    """Exposure that is not rendered yet: true stage position at mid-exposure, and the camera's metadata."""
 
     truth: Position
     exposure_us: float
@@ -44,7 +44,7 @@ class Exposure:
 
 
 class VirtualCamera:
-    """Fulfils the role Camera; the pulse box calls `trigger`. Pictures are rendered when they are fetched."""
+    """Implementation of Camera; the pulse box calls `trigger`. Images are rendered when they are fetched."""
 
     def __init__(
         self,
@@ -70,11 +70,11 @@ class VirtualCamera:
 
     @property
     def triggers(self) -> int:
-        """Triggers for which the camera waited since the rig was switched on."""
+        """Number of triggers received while armed since the rig was switched on."""
         return self._triggers
 
     def start(self, exposure_us: float) -> None:
-        """Wait for triggers, at a given exposure; the trigger counter starts at 0."""
+        """Arm the camera with an exposure time; the trigger counter starts at 0."""
         limits = self._limits
         if not limits.exposure_min_us <= exposure_us <= limits.exposure_max_us:
             raise RigError(
@@ -85,12 +85,12 @@ class VirtualCamera:
         self._exposure_us, self._edges, self._exposures = exposure_us, 0, 0
 
     def stop(self) -> None:
-        """Wait for triggers no more; images not fetched are dropped."""
+        """Disarm the camera; images not fetched are dropped."""
         self._forget()
         self._exposure_us = None
 
     def trigger(self, time_s: float) -> bool:
-        """An edge from the pulse box; returns whether the camera exposed."""
+        """Process an edge from the pulse box; return whether the camera exposed."""
         if self._exposure_us is None:
             return False
         number = self._triggers
@@ -98,7 +98,7 @@ class VirtualCamera:
         return self._edge(time_s, self._exposure_us, number)
 
     def disturb(self, time_s: float) -> bool:
-        """An edge on the trigger input that the pulse box did not send; returns whether the camera exposed."""
+        """Process a spurious edge on the trigger input; return whether the camera exposed."""
         return self._exposure_us is not None and self._edge(time_s, self._exposure_us, EXTRA)
 
     def _edge(self, time_s: float, exposure_us: float, number: int) -> bool:
@@ -116,7 +116,7 @@ class VirtualCamera:
         return True
 
     def next_image(self, timeout_s: float) -> CameraImage | None:
-        """The next image, or None when none came in time."""
+        """Return the next image, or None on timeout."""
         if not self._clock.wait_for(lambda: bool(self._queue), timeout_s):
             return None
         return self._developed(self._queue.popleft())

@@ -1,7 +1,7 @@
-"""The time of the virtual rig: a queue of events that is run while somebody waits.
+"""Clock of the virtual rig: an event queue that runs during waits.
 
-Time passes only in waits. By default it jumps to the next event as fast as the processor allows; in real time it
-passes as the wall's, and what fell due while nobody waited is made up for at the next wait, with its own time.
+Time passes only in waits. By default it jumps to the next event as fast as the processor allows. In real time it
+follows the wall clock, and overdue events run at the next wait, with their own time.
 """
 
 from __future__ import annotations
@@ -15,7 +15,7 @@ from itertools import count
 
 @dataclass(order=True, slots=True)
 class Event:
-    """Something that happens at a time; `action` is told that time."""
+    """Scheduled event; `action` is called with its time."""
 
     time_s: float
     number: int
@@ -23,12 +23,12 @@ class Event:
     cancelled: bool = field(default=False, compare=False)
 
     def cancel(self) -> None:
-        """It does not happen."""
+        """Cancel the event."""
         self.cancelled = True
 
 
 class VirtualClock:
-    """Fulfils the role Clock, and lets the virtual devices say what happens when. Used by one thread."""
+    """Implementation of Clock with event scheduling for the virtual devices. Not thread-safe."""
 
     def __init__(self, *, real_time: bool = False) -> None:
         self._real_time = real_time
@@ -38,7 +38,7 @@ class VirtualClock:
         self._numbers = count()
 
     def now_s(self) -> float:
-        """Seconds since the rig was switched on."""
+        """Return the seconds since the rig was switched on."""
         if self._real_time:
             return max(self._now_s, time.monotonic() - self._wall_origin_s)
         return self._now_s
@@ -48,17 +48,17 @@ class VirtualClock:
         self.wait_for(lambda: False, seconds)
 
     def at(self, time_s: float, action: Callable[[float], None]) -> Event:
-        """Have something happen at a time; what lies in the past happens at the next wait."""
+        """Schedule an action at a time; one in the past runs at the next wait."""
         event = Event(time_s, next(self._numbers), action)
         heapq.heappush(self._events, event)
         return event
 
     def catch_up(self) -> None:
-        """Make happen what has fallen due."""
+        """Run all events that are due."""
         self.sleep(0.0)
 
     def wait_for(self, ready: Callable[[], bool], timeout_s: float) -> bool:
-        """Let time pass until `ready`, or until the time is over; returns whether it is ready."""
+        """Let time pass until `ready` or the timeout; return whether it is ready."""
         deadline_s = self.now_s() + timeout_s
         while not ready():
             event = self._next_event(deadline_s)

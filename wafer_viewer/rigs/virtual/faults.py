@@ -1,4 +1,4 @@
-"""Faults that the virtual rig can be given, as real stages, pulse boxes, cables and cameras have them."""
+"""Simulated faults of the virtual rig, as they occur in real stages, pulse boxes, cables and cameras."""
 
 from __future__ import annotations
 
@@ -15,8 +15,8 @@ WrapsAt = Annotated[int, Within(0)]
 class Faults(Spec, frozen=True, kw_only=True):
     """Faults of the virtual rig; none by default. The table ``[faults]`` of a rig's file.
 
-    Triggers are numbered from 0 since the rig was switched on; only those count for which the camera waits. The first
-    is the test pulse of a scan. Motions are numbered from 0 as they are commanded.
+    Triggers are numbered from 0 since the rig was switched on; only those received while the camera is armed count. The
+    first is the test pulse of a scan. Motions are numbered from 0 in the order of their commands.
 
     Parameters
     ----------
@@ -24,17 +24,17 @@ class Faults(Spec, frozen=True, kw_only=True):
     lost_images : triggers whose image is lost on its way to the computer.
     incomplete : triggers whose image arrives incomplete, with a stale counter.
     duplicated_images : triggers whose image arrives twice.
-    extra_edges : triggers after which interference makes a further edge at the camera, `extra_edge_us` later. The
+    extra_edges : triggers after which interference causes a further edge at the camera, `extra_edge_us` later. The
         camera counts it, and exposes at it when it is ready.
     trigger_counter : false for a camera that does not number its images.
     counts_exposures : true for a camera that numbers its exposures instead of the edges at its input.
-    counter_wraps_at : the camera's counter goes back to 0 there; 0 for never.
-    unseen_exposures : triggers whose exposure the pulse box does not see, so that its count is short.
+    counter_wraps_at : modulus of the camera's counter; 0 for no wrap.
+    unseen_exposures : triggers whose exposure the pulse box does not detect, so that its count is short.
     suppressed_pulses : triggers that the pulse box holds back once, and reports as suppressed.
     slips : triggers at which the pulse box loses `slip_counts` counts of the moving axis. With `slips_reported` it
         reports a quadrature error for every two of them.
-    reboots : triggers at which the pulse box loses its power; it counts from 0 again where the stage stands then.
-    endless_motions : motions after which the stage reports to be moving until it is stopped.
+    reboots : triggers at which the pulse box loses its power; it restarts with count 0 at the current stage position.
+    endless_motions : motions after which the stage reports motion until it is stopped.
     late_motions : motions that begin `late_s` after their command.
     wire : interference on the serial line.
     """

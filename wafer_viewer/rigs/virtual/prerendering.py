@@ -1,7 +1,7 @@
-"""Frames for a scan in real time, rendered beforehand in a process of their own and replayed by place.
+"""Prerendering of the frames of a real-time scan in a separate process, and replay by position.
 
-A full frame takes longer to render than a camera takes to give one. Where the stage will truly be at every pulse is
-known from the plan, so the frames can wait on disk until the scan comes by.
+A full frame takes longer to render than the camera's frame period. The true stage position at every pulse is known from
+the plan, so the frames are stored on disk before the scan.
 """
 
 from __future__ import annotations
@@ -30,13 +30,13 @@ from wafer_viewer.rigs.virtual.clock import VirtualClock
 from wafer_viewer.rigs.virtual.stage import VirtualStage
 
 NEAR_UM = 0.02
-"""A frame stands for a place that is nearer than this: the stage's repeatability is a few nm."""
+"""Position tolerance of a stored frame in um; the repeatability of the stage is a few nm."""
 LOOK_S = 0.05
 ORDER, FRAMES = "rehearsal.json", "frames.raw"
 
 
 class PrerenderJob(Spec, frozen=True, kw_only=True):
-    """What is to be rendered: a plan on a virtual rig, and a frame where the stage stands now, for the test pulse."""
+    """Prerender job: a plan on a virtual rig, and a frame at the current stage position for the test pulse."""
 
     error: ClassVar[type[WaferViewerError]] = RigError
     scene: str
@@ -47,11 +47,11 @@ class PrerenderJob(Spec, frozen=True, kw_only=True):
 
     @property
     def dtype(self) -> type[np.unsignedinteger]:
-        """Of the frames' pixels."""
+        """Pixel type of the frames."""
         return np.uint8 if self.limits.camera.bits == 8 else np.uint16
 
     def views(self) -> NDArray[np.float64]:
-        """Every place at which a frame will be taken: true x, y, z in um and the exposure in us, [frame, 4]."""
+        """Return the position of every frame: true x, y, z in um and the exposure in us, [frame, 4]."""
         stage = VirtualStage(VirtualClock(), self.limits, self.seed)
         exposures_us = self.plan.exposures_us
         places = [(Position(*self.here_um), exposures_us[0])]
@@ -63,7 +63,7 @@ class PrerenderJob(Spec, frozen=True, kw_only=True):
 
 
 class ReplayRenderer:
-    """Fulfils the role Renderer: frames rendered beforehand where there are, else those of the live renderer."""
+    """Implementation of Renderer: stored frames where available, otherwise those of the live renderer."""
 
     def __init__(self, views: NDArray[np.float64], frames: Image, live: Renderer) -> None:
         self._views = views
@@ -71,7 +71,7 @@ class ReplayRenderer:
         self.live = live
 
     def frame(self, x_um: float, y_um: float, z_um: float, exposure_us: float, seed: int) -> Image:
-        """The picture with the stage truly at (x, y, z)."""
+        """Return the image at the true stage position (x, y, z)."""
         away = np.abs(self._views - (x_um, y_um, z_um, exposure_us)).max(axis=1)
         nearest = int(away.argmin())
         if away[nearest] > NEAR_UM:
@@ -80,7 +80,7 @@ class ReplayRenderer:
 
 
 def scales_at_exposure(leg: Leg, limits: RigLimits, exposure_us: float) -> Iterator[Position]:
-    """What the scales read at every mid-exposure of a leg."""
+    """Yield the scale readings at every mid-exposure of a leg."""
     train, axis = leg.train, limits.axis(leg.train.axis)
     moved_um = train.direction * leg.speed_um_s * (TRIGGER_DELAY_US + exposure_us / 2) * 1e-6
     at = {"x": leg.x_um, "y": leg.y_um, "z": leg.z_um}
@@ -91,7 +91,7 @@ def scales_at_exposure(leg: Leg, limits: RigLimits, exposure_us: float) -> Itera
 
 
 def rehearse(order: PrerenderJob, live: Renderer, should_stop: ShouldStop) -> ReplayRenderer | None:
-    """Render all frames in a process of their own and wait for it; None when stopped meanwhile.
+    """Render all frames in a separate process and wait for it; None if stopped.
 
     Raises RigError when the disk is too small or the process fails.
     """
@@ -105,7 +105,7 @@ def rehearse(order: PrerenderJob, live: Renderer, should_stop: ShouldStop) -> Re
 
 
 def main(folder: Path) -> None:
-    """The process that renders: reads its order from a folder, and ends early when its parent is gone."""
+    """Entry point of the rendering process: reads the job from a folder, and ends early when its parent is gone."""
     from wafer_viewer.rigs.virtual.rig import scene_renderer
 
     order, parent = decode((folder / ORDER).read_bytes(), PrerenderJob, ORDER, "json"), os.getppid()
@@ -135,7 +135,7 @@ def _started(folder: str) -> subprocess.Popen[bytes]:
 
 
 def _wait_for(process: subprocess.Popen[bytes], should_stop: ShouldStop) -> bool:
-    """Whether the process ended well; False when it was stopped."""
+    """Wait for the process; return True if it succeeded, False if stopped. Raises RigError when it failed."""
     with process:
         while True:
             try:

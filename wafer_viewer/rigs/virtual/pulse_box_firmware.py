@@ -1,4 +1,4 @@
-"""The pulse box at the far end of the virtual cable: WPC/1 byte by byte, pulses at the scales' crossings."""
+"""Firmware of the virtual pulse box: WPC/1 byte by byte, pulses at the crossings of the scales."""
 
 from __future__ import annotations
 
@@ -32,13 +32,14 @@ AXES: dict[str, Axis] = {"X": "x", "Y": "y", "Z": "z"}
 
 
 class CommandRefused(Exception):
-    """A command that the box does not carry out; the reason goes into the answer."""
+    """Refusal of a command; the reason is part of the answer."""
 
 
 class VirtualPulseBox:
-    """Counts the virtual scales, divides them and triggers the camera.
+    """Pulse box that counts the virtual scales, divides the counts and triggers the camera.
 
-    trigger: tells whether the camera exposed; suppresses: whether the pulse that is due is held back.
+    trigger: sends a trigger and returns whether the camera exposed; suppresses: returns whether the due pulse is held
+    back.
     """
 
     def __init__(
@@ -53,7 +54,7 @@ class VirtualPulseBox:
         self._trigger = trigger
         self._suppresses = suppresses
         self._counted_off: dict[Axis, int] = dict.fromkeys(AXES.values(), 0)
-        """The box's count of each axis less that of its scale."""
+        """Count of the box for each axis minus that of its scale."""
         self._send: Callable[[bytes, float], None] = lambda data, time_s: None
         self._boot = 1
         self.executed = 0
@@ -61,11 +62,11 @@ class VirtualPulseBox:
         stage.on_motion(self._motion_changed)
 
     def connect(self, send: Callable[[bytes, float], None]) -> None:
-        """Say where events go."""
+        """Set the receiver of events."""
         self._send = send
 
     def reboot(self) -> None:
-        """Lose power and come back, counting from 0 where the stage stands."""
+        """Simulate a power loss; counts restart from 0 at the current stage position."""
         self._unwatch()
         if self._heart is not None:
             self._heart.cancel()
@@ -76,16 +77,16 @@ class VirtualPulseBox:
         self._power_up()
 
     def slip(self, counts: int, *, reported: bool) -> None:
-        """Lose counts of the axis in motion; where reported, every two of them are one quadrature error."""
+        """Lose counts of the moving axis; if reported, every two of them are one quadrature error."""
         self._counted_off[self._axis] -= self._setting("DIR") * counts
         self._quadrature_errors += math.ceil(counts / 2) if reported else 0
 
     def see_exposure(self) -> None:
-        """Count an exposure that no pulse of the box began."""
+        """Count an exposure that no pulse of the box triggered."""
         self._exposures += 1
 
     def receive(self, data: bytes, time_s: float) -> bytes:
-        """Take bytes that arrive at a time; returns the answers to the commands that they complete."""
+        """Process bytes that arrive at a time; return the answers to the completed commands."""
         if HALT in data:
             self._disarm()
             data = data.replace(HALT, b"")
@@ -110,7 +111,7 @@ class VirtualPulseBox:
         self._last_pulse_s = -math.inf
 
     def _answer(self, command: Line, time_s: float) -> bytes:
-        """Carry a command out, or give the same answer again when it has been carried out already."""
+        """Execute a command, or repeat the answer if it was executed already."""
         if self._answered is not None and self._answered[0] == command:
             return self._answered[1]
         try:
@@ -192,7 +193,7 @@ class VirtualPulseBox:
             self._watch(time_s)
 
     def _watch(self, time_s: float) -> None:
-        """Have the next crossing of the scale make a pulse."""
+        """Schedule a pulse at the next crossing of the scale."""
         self._unwatch()
         if self._settings["SOURCE"] != "SCALE" or not self._armed:
             return

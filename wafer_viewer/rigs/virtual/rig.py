@@ -1,4 +1,4 @@
-"""The virtual rig: scene, optics and sensor, stage, pulse box and camera, and one clock for all."""
+"""The virtual rig: scene, optics and sensor, stage, pulse box and camera, with a common clock."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ NUMERICAL_APERTURE, WAVELENGTH_UM = 0.28, 0.55
 SETUP = OpticalSetup(objective="10x/0.28 (simulated)", camera="virtual")
 OVERVIEW_PX = 1000
 VIRTUAL_MOUNT = "virtual stage"
-"""`Sample.mount` of the samples that the virtual rig brings along."""
+"""`Sample.mount` of the samples that come with the virtual rig."""
 
 LATERAL = AxisLimits(
     low_um=-155_000.0,
@@ -70,7 +70,7 @@ CALIBRATION = Calibration(
 
 
 def virtual_limits(rows: int, cols: int) -> RigLimits:
-    """What the virtual rig can do with a camera of some size."""
+    """Return the limits of the virtual rig with a camera of the given size."""
     camera = CameraLimits(
         frame_rate_hz=60.0,
         exposure_min_us=10.0,
@@ -83,10 +83,10 @@ def virtual_limits(rows: int, cols: int) -> RigLimits:
 
 
 class VirtualRig:
-    """Fulfils the role Rig. The far ends of its cables are simulated; what drives them is what drives real devices.
+    """Implementation of Rig with simulated devices, operated by the same drivers as real ones.
 
-    scene: one of the scenes' names; size: of the camera; real_time: time passes as the wall's, frames are rendered
-    beforehand by `prepare`; renderer: other pictures than the scene's, for tests.
+    scene: name of a scene; size: of the camera; real_time: time follows the wall clock, and frames are rendered in
+    advance by `prepare`; renderer: replacement for the scene's renderer, for tests.
     """
 
     def __init__(
@@ -119,57 +119,57 @@ class VirtualRig:
 
     @property
     def name(self) -> str:
-        """What the operator calls it."""
+        """Name shown to the operator."""
         return self._name
 
     @property
     def simulated(self) -> bool:
-        """All of it is."""
+        """Always True."""
         return True
 
     @property
     def limits(self) -> RigLimits:
-        """What it can do."""
+        """Limits of the rig."""
         return self._limits
 
     @property
     def setup(self) -> OpticalSetup:
-        """Its optics."""
+        """Optical setup."""
         return SETUP
 
     @property
     def calibration(self) -> Calibration:
-        """The calibration of the simulation."""
+        """Calibration of the simulation."""
         return CALIBRATION
 
     @property
     def clock(self) -> VirtualClock:
-        """Its time."""
+        """Clock of the rig."""
         return self._clock
 
     @property
     def stage(self) -> VirtualStage:
-        """Its stage."""
+        """Stage of the rig."""
         return self._stage
 
     @property
     def box(self) -> PulseBoxClient:
-        """Its pulse box."""
+        """Pulse box of the rig."""
         return self._box
 
     @property
     def camera(self) -> VirtualCamera:
-        """Its camera."""
+        """Camera of the rig."""
         return self._camera
 
     def overview(self) -> Overview:
-        """The whole sample as a camera of low power sees it."""
+        """Return an overview image of the sample, as from a camera of low magnification."""
         return scene_overview(self._scene)
 
     def load_sample(self, sample: Sample | None) -> bool:
-        """Put a sample on the stage: the scene that is named by `sample.product` and mounted on the virtual stage.
+        """Load a sample: the scene named by `sample.product`, if mounted on the virtual stage.
 
-        Any other sample, and None, is the scene of the rig's configuration. Return True where the scene changed.
+        Any other sample, and None, selects the scene of the rig's configuration. Return True if the scene changed.
         """
         from wafer_viewer.rigs.virtual.scenes.catalogue import SCENES
 
@@ -182,7 +182,7 @@ class VirtualRig:
         return True
 
     def prepare(self, plan: ScanPlan, should_stop: ShouldStop) -> None:
-        """In real time, render the plan's frames beforehand in a process of its own; else there is nothing to do."""
+        """In real time, prerender the plan's frames in a separate process; otherwise do nothing."""
         if not self._real_time:
             return
         from wafer_viewer.rigs.virtual.prerendering import PrerenderJob, rehearse
@@ -198,7 +198,7 @@ class VirtualRig:
         self._camera.renderer = rehearse(order, self._renderer, should_stop) or self._renderer
 
     def close(self) -> None:
-        """Stop motion, disarm the box, let the ports go."""
+        """Stop motion, stop the pulses, and close the port."""
         if not self._port.is_open:
             return
         self._box.halt()
@@ -207,13 +207,13 @@ class VirtualRig:
         self._port.close()
 
     def truth_for_tests(self, x_um: ArrayLike, y_um: ArrayLike) -> NDArray[np.float32]:
-        """True heights in um at points of any shape. For tests only: no room of the program may look."""
+        """Return true heights in um at points of any shape. Only tests may use it."""
         from wafer_viewer.rigs.virtual.scenes.catalogue import scene
 
         return scene(self._scene).truth(x_um, y_um)
 
     def _triggered(self, time_s: float) -> bool:
-        """A pulse on the cable to the camera, with the faults that come with it; whether the box saw an exposure."""
+        """Send a pulse to the camera, with its faults; return whether the box detected an exposure."""
         number, faults = self._camera.triggers, self._faults
         exposed = self._camera.trigger(time_s)
         if self._camera.triggers == number:
@@ -227,12 +227,12 @@ class VirtualRig:
         return exposed and number not in faults.unseen_exposures
 
     def _disturbed(self, time_s: float) -> None:
-        """Interference on the cable to the camera."""
+        """Simulate interference on the camera cable."""
         if self._camera.disturb(time_s):
             self._firmware.see_exposure()
 
     def _suppresses(self) -> bool:
-        """Whether the box holds the next trigger back: once for each number that its faults name."""
+        """Return whether the box holds back the next trigger: once for each number in its faults."""
         number = self._camera.triggers
         if number not in self._faults.suppressed_pulses or number in self._held_back:
             return False
@@ -241,7 +241,7 @@ class VirtualRig:
 
 
 def scene_renderer(name: str, limits: RigLimits) -> Renderer:
-    """What the virtual camera sees of a scene."""
+    """Return the renderer of a scene for the camera and objective of a rig."""
     from wafer_viewer.rigs.virtual.optics.optics import Optics
     from wafer_viewer.rigs.virtual.scenes.catalogue import scene
     from wafer_viewer.rigs.virtual.sensor import FrameRenderer, Sensor
@@ -252,7 +252,7 @@ def scene_renderer(name: str, limits: RigLimits) -> Renderer:
 
 
 def scene_overview(name: str) -> Overview:
-    """The picture and the layout of a scene's sample."""
+    """Return the overview image and the layout of a scene's sample."""
     from wafer_viewer.rigs.virtual.scenes.catalogue import scene
     from wafer_viewer.rigs.virtual.sensor import overview
 
@@ -271,5 +271,5 @@ def scene_overview(name: str) -> Overview:
 
 
 def corners(left: float, lower: float, right: float, upper: float) -> tuple[tuple[float, float], ...]:
-    """The corners of a rectangle, anticlockwise."""
+    """Return the corners of a rectangle, anticlockwise."""
     return (left, lower), (right, lower), (right, upper), (left, upper)

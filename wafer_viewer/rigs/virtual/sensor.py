@@ -1,6 +1,6 @@
-"""The virtual camera's sensor: light to counts, with the noise of photons and of reading out.
+"""Sensor of the virtual camera: light to counts, with shot noise and read noise.
 
-Also the one thing the virtual rig asks for: the frame that a camera sees at a place of the stage.
+It also contains the frame renderer of the virtual rig.
 """
 
 from __future__ import annotations
@@ -27,10 +27,10 @@ HEADROOM_UM = 25.0  # prepared beyond the z asked for: a slow search for focus n
 
 @dataclass(frozen=True, slots=True)
 class Sensor:
-    """A monochrome sensor: its size, full well and read noise in electrons, bits a pixel.
+    """Monochrome sensor: size, full well and read noise in electrons, bits per pixel.
 
-    `seed` makes the individual: which pixels are a little more sensitive than others. `nominal_exposure_us` is the
-    exposure at which gain 1 turns radiance 1 into white.
+    `seed` selects the individual sensitivity pattern of the pixels. `nominal_exposure_us` is the exposure at which gain
+    1 maps radiance 1 to white.
     """
 
     rows: int
@@ -46,7 +46,7 @@ class Sensor:
             raise RigError(f"The virtual sensor has {self.bits} bits per pixel; choose 8 or 16.")
 
     def expose(self, radiance: Plane, gain: float, seed: int) -> Image:
-        """One exposure of radiance [row, col] to counts: the same for the same seed, white clipped.
+        """Convert radiance [row, col] to counts of one exposure, deterministic for a seed, clipped at white.
 
         The variance of a count d is white d / well + (white read / well)^2, plus that of rounding.
         """
@@ -60,7 +60,7 @@ class Sensor:
 
 @lru_cache(maxsize=4)
 def flat_field(rows: int, cols: int, seed: int) -> Plane:
-    """Sensitivity of every pixel: darker towards the corners, and a little uneven; 1 in the middle."""
+    """Return the sensitivity of every pixel: vignetting, and pixel variation; 1 in the centre."""
     y = (np.arange(rows)[:, None] - (rows - 1) / 2) / (cols / 2)
     x = (np.arange(cols)[None, :] - (cols - 1) / 2) / (cols / 2)
     uneven = np.random.default_rng(seed).standard_normal((rows, cols))
@@ -69,7 +69,7 @@ def flat_field(rows: int, cols: int, seed: int) -> Plane:
 
 @lru_cache(maxsize=1)
 def noise_table() -> NDArray[np.int8]:
-    """Gaussian noise to take rows from: drawing it anew would cost as much as the whole frame."""
+    """Return a table of Gaussian noise for all rows; fresh noise would cost as much as the rest of the frame."""
     draw = np.random.default_rng(12345).standard_normal(NOISE_LENGTH)
     return np.clip(np.round(draw * NOISE_SIGMA), -127, 127).astype(np.int8)
 
@@ -86,7 +86,7 @@ def expose(
     noise: NDArray[np.int8],
     out: Image,
 ) -> None:
-    """Counts of one exposure; every row takes its noise from a place of the table that (seed, row) decides."""
+    """Compute the counts of one exposure; (seed, row) selects the noise of each row from the table."""
     rows, cols = out.shape
     shot = per_electron / np.float32(NOISE_SIGMA**2)
     read = (per_electron * read_e / np.float32(NOISE_SIGMA)) ** np.float32(2)
@@ -101,7 +101,7 @@ def expose(
 
 @fast_kernel
 def scattered(seed: int, row: int) -> np.uint64:
-    """64 bits that belong to a frame's row (the finalizer of splitmix64)."""
+    """Return a 64-bit hash of a seed and a row (the finalizer of splitmix64)."""
     h = np.uint64(seed) * np.uint64(0x9E3779B97F4A7C15) + np.uint64(row) * np.uint64(0xD1B54A32D192ED03)
     h = (h ^ (h >> np.uint64(30))) * np.uint64(0xBF58476D1CE4E5B9)
     h = (h ^ (h >> np.uint64(27))) * np.uint64(0x94D049BB133111EB)
@@ -109,11 +109,11 @@ def scattered(seed: int, row: int) -> np.uint64:
 
 
 class FrameRenderer:
-    """What the camera sees at any place of the stage.
+    """Renderer of camera frames at any stage position.
 
-    Preparing a field takes ten to thirty times as long as a frame, so the last `keep` fields stay prepared, and a
-    frame within 0.05 um of one of them (a tenth of a pixel) is taken from it: the scatter of a stage that stands still
-    in x and y during a z pass costs nothing, and is not seen in the frames.
+    Preparing a field takes ten to thirty times as long as a frame, so the last `keep` fields are cached, and a frame
+    within 0.05 um of one of them (a tenth of a pixel) reuses it. The x, y scatter of a stage at rest during a z pass
+    thus costs nothing, and is not visible in the frames.
     """
 
     def __init__(self, scene: Scene, optics: Optics, sensor: Sensor, keep: int = 3) -> None:
@@ -122,13 +122,13 @@ class FrameRenderer:
         self._fields: dict[tuple[float, float], FieldPicture] = {}
 
     def frame(self, x_um: float, y_um: float, z_um: float, exposure_us: float, seed: int) -> Image:
-        """One frame centred at (x, y) with the focus at z; uint8 [row, col] (uint16 with a 16-bit sensor)."""
+        """Return one frame centred at (x, y) with the focus at z; uint8 [row, col] (uint16 for 16 bits)."""
         radiance = self._field(x_um, y_um, z_um).radiance(z_um)
         gain = self._scene.gain * exposure_us / self._sensor.nominal_exposure_us
         return self._sensor.expose(radiance, gain, seed)
 
     def overview(self, width_px: int) -> NDArray[np.uint8]:
-        """The whole sample in focus, as a camera of low power sees it: uint8 [row, col], y up."""
+        """Return an overview image of the sample in focus: uint8 [row, col], y up."""
         return overview(self._scene, width_px)
 
     def _field(self, x_um: float, y_um: float, z_um: float) -> FieldPicture:
@@ -144,7 +144,7 @@ class FrameRenderer:
         return field
 
     def _prepared_near(self, x_um: float, y_um: float) -> tuple[float, float] | None:
-        """The nearest prepared place, if it is near enough."""
+        """Return the nearest prepared position if it is close enough, else None."""
         away = {place: max(abs(place[0] - x_um), abs(place[1] - y_um)) for place in self._fields}
         nearest = min(away, key=away.__getitem__, default=None)
         return nearest if nearest is not None and away[nearest] <= REUSE_WITHIN_UM else None
@@ -155,13 +155,13 @@ class FrameRenderer:
 
 
 def tour_range(scene: Scene) -> tuple[float, float]:
-    """The z that the scene's own tour sweeps over, and its whole height."""
+    """Return the z range of the scene's tour and of its heights, with a margin of 5 um."""
     tour_end = scene.tour_z_start_um + scene.tour_z_step_um * (scene.tour_frames - 1)
     return min(scene.tour_z_start_um, scene.z_min_um) - 5, max(tour_end, scene.z_max_um) + 5
 
 
 def overview(scene: Scene, width_px: int, oversampling: int = 3) -> NDArray[np.uint8]:
-    """The whole sample from straight above, all of it in focus, uint8 [row, col]."""
+    """Return the sample from straight above, all in focus, uint8 [row, col]."""
     pixel_um = scene.width_um / width_px
     height_px = round(scene.height_um / pixel_um)
     step_um = pixel_um / oversampling

@@ -1,4 +1,4 @@
-"""A serial port without a wire: pyserial's shape on one side, a virtual device on the other, and what a wire does."""
+"""Virtual serial port: pyserial's interface on one end, a virtual device on the other, with line faults."""
 
 from __future__ import annotations
 
@@ -11,13 +11,13 @@ from wafer_viewer.model.spec import Spec, Within
 from wafer_viewer.rigs.virtual.clock import VirtualClock
 
 LATENCY_S = 0.000175
-"""One way, half the round trip measured over a pseudo-terminal."""
+"""One-way latency, half the round trip measured over a pseudo-terminal."""
 
 Share = Annotated[float, Within(0, 0.5)]
 
 
 class Interference(Spec, frozen=True, kw_only=True):
-    """What a bad wire does to the lines on it, either way: the share that is lost, the share that is damaged."""
+    """Line faults in both directions: fraction of lines lost, and fraction damaged."""
 
     error: ClassVar[type[WaferViewerError]] = RigError
     lost_fraction: Share = 0.0
@@ -26,15 +26,15 @@ class Interference(Spec, frozen=True, kw_only=True):
 
 
 class Device(Protocol):
-    """What hangs at the far end of a port."""
+    """Protocol of the device at the far end of a port."""
 
     def receive(self, data: bytes, time_s: float) -> bytes:
-        """Take bytes that arrive at a time; returns what is sent back at once."""
+        """Process bytes that arrive at a time; return the immediate answer."""
         ...
 
 
 class VirtualPort:
-    """Fulfils the role SerialPort; what is written reaches the device, and the answer the reader, a latency later."""
+    """Implementation of SerialPort; bytes reach the device, and the answer the reader, after a latency."""
 
     def __init__(self, clock: VirtualClock, device: Device, interference: Interference | None = None) -> None:
         self.timeout: float | None = None
@@ -47,12 +47,12 @@ class VirtualPort:
 
     @property
     def in_waiting(self) -> int:
-        """Bytes that can be read without waiting."""
+        """Number of bytes that can be read without waiting."""
         self._clock.catch_up()
         return len(self._arrived)
 
     def read(self, size: int = 1, /) -> bytes:
-        """Up to `size` bytes; fewer when the timeout passes."""
+        """Return up to `size` bytes, fewer on timeout."""
         self._check_open()
         self._clock.wait_for(lambda: len(self._arrived) >= size, self.timeout or 0.0)
         data = bytes(self._arrived[:size])
@@ -67,11 +67,11 @@ class VirtualPort:
         return len(data)
 
     def close(self) -> None:
-        """Let the port go."""
+        """Close the port."""
         self.is_open = False
 
     def deliver(self, data: bytes, time_s: float) -> None:
-        """The device sends: its bytes reach the reader a latency later."""
+        """Send bytes from the device, which reach the reader after the latency."""
         if data:
             on_wire = self._disturbed(data)
             self._clock.at(time_s + LATENCY_S, lambda _: self._arrived.extend(on_wire))

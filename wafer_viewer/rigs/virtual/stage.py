@@ -1,4 +1,4 @@
-"""The virtual stage: three axes with scales, and the small way by which the scales are wrong."""
+"""Virtual stage: three axes with scales, and the errors of the scales."""
 
 from __future__ import annotations
 
@@ -18,20 +18,20 @@ from wafer_viewer.rigs.virtual.faults import Faults
 
 LATERAL_ERROR_UM = 0.15
 AXIAL_ERROR_UM = 0.02
-"""Root mean square differences between scale and truth."""
+"""Root mean square difference between scale and truth."""
 LATERAL_WAVES_UM = (900.0, 12_000.0)
 AXIAL_WAVES_UM = (20.0, 400.0)
-"""The shortest and the longest wave of these errors."""
+"""Shortest and longest wavelength of these errors."""
 RING_UM = 0.3
 RING_HZ = 60.0
 REST_PATIENCE_S = 5.0
-"""How long after its way and settling an axis may still report motion."""
+"""Time after motion and settling for which an axis may still report motion."""
 WATCH_S = 0.002
-"""How often a motion is asked after, and whoever may break it off: 0.2 mm at full speed."""
+"""Polling interval of motion and stop requests: 0.2 mm at full speed."""
 
 
 class ScaleError:
-    """A smooth, repeatable difference between scale and truth: a few waves over position, of a given rms in um."""
+    """Smooth, repeatable difference between scale and truth: waves over position with a given rms in um."""
 
     def __init__(self, seed: tuple[int, ...], rms_um: float, waves_um: tuple[float, float], n_waves: int = 5) -> None:
         rng = np.random.default_rng(seed)
@@ -43,12 +43,12 @@ class ScaleError:
         self._amplitude_um = rms_um * math.sqrt(2 / n_waves)
 
     def at(self, a_um: float, b_um: float = 0.0) -> float:
-        """Truth minus scale at a place, in um."""
+        """Return truth minus scale at a position, in um."""
         return float(self._amplitude_um * np.sin(self._kx * a_um + self._ky * b_um + self._phase).sum())
 
 
 class VirtualAxis:
-    """One axis: its limits, its motion, and how it rings after it halted."""
+    """One axis: its limits, its motion, and its ringing after a halt."""
 
     def __init__(self, name: Axis, limits: AxisLimits) -> None:
         self.name: Axis = name
@@ -75,15 +75,15 @@ class VirtualAxis:
         self.profile = halt(now_s, at_um, speed, self.limits.acceleration_um_s2)
 
     def moving(self, time_s: float) -> bool:
-        """Whether it is in motion."""
+        """Return whether the axis is in motion."""
         return time_s < self.profile.end_s
 
     def settled_s(self) -> float:
-        """When it stands still after its motion."""
+        """Return the time at which the axis has settled after its motion."""
         return self.profile.end_s + self.limits.settle_s
 
     def ring_um(self, time_s: float) -> float:
-        """How far it swings off its scale after a halt: dead after the settle time."""
+        """Return the ringing after a halt in um, which has decayed after the settle time."""
         since_s = time_s - self.profile.end_s
         if since_s < 0 or math.isinf(since_s):
             return 0.0
@@ -91,15 +91,15 @@ class VirtualAxis:
 
 
 class VirtualStage:
-    """Fulfils the role Stage on a virtual clock; the pulse box follows its scales, the camera its truth."""
+    """Implementation of Stage on a virtual clock; the pulse box uses its scales, the camera its true position."""
 
     def __init__(self, clock: VirtualClock, limits: RigLimits, seed: int = 0, faults: Faults | None = None) -> None:
         self._clock = clock
         self._faults = faults or Faults()
         self._motions = 0
-        """How many were commanded since the rig was switched on."""
+        """Number of motions commanded since the rig was switched on."""
         self._endless = False
-        """Whether it reports to be moving, whatever it does."""
+        """Whether the stage permanently reports motion."""
         self.axes: dict[Axis, VirtualAxis] = {n: VirtualAxis(n, limits.axis(n)) for n in ("x", "y", "z")}
         self._error_x = ScaleError((seed, 1), LATERAL_ERROR_UM, LATERAL_WAVES_UM)
         self._error_y = ScaleError((seed, 2), LATERAL_ERROR_UM, LATERAL_WAVES_UM)
@@ -107,26 +107,26 @@ class VirtualStage:
         self._followers: list[Callable[[Axis, float], None]] = []
 
     def on_motion(self, follower: Callable[[Axis, float], None]) -> None:
-        """Have someone told, with axis and time, whenever a motion begins or is broken off."""
+        """Register a callback for axis and time of every start and interruption of a motion."""
         self._followers.append(follower)
 
     def position(self) -> Position:
-        """Where the scales say the stage is."""
+        """Return the current scale readings."""
         return self.scales_at(self._clock.now_s())
 
     def scales_at(self, time_s: float) -> Position:
-        """What the scales read at a time."""
+        """Return the scale readings at a time."""
         x, y, z = (axis.profile.position_at(time_s) for axis in self.axes.values())
         return Position(x, y, z)
 
     def truth_at(self, time_s: float) -> Position:
-        """Where the sample really is under the objective at a time."""
+        """Return the true position at a time, including ringing."""
         at = self.truth_of(self.scales_at(time_s))
         ring_x, ring_y, ring_z = (axis.ring_um(time_s) for axis in self.axes.values())
         return Position(at.x_um + ring_x, at.y_um + ring_y, at.z_um + ring_z)
 
     def truth_of(self, scales: Position) -> Position:
-        """Where a stage really is that has settled at, or passes, what its scales read."""
+        """Return the true position for scale readings, without ringing."""
         x_um, y_um = scales.x_um, scales.y_um
         return Position(
             x_um + self._error_x.at(x_um, y_um),
@@ -142,9 +142,9 @@ class VirtualStage:
         z_um: float | None = None,
         should_stop: ShouldStop | None = None,
     ) -> None:
-        """Go there at full speed and wait until it has settled; None leaves an axis where it is.
+        """Move at full speed and wait until settled; None leaves an axis at its position.
 
-        Raises MotionStopped, with the stage at rest, where `should_stop` says so before or on the way.
+        Raises MotionStopped, with the stage at rest, when `should_stop` returns True before or during the motion.
         """
         wanted = zip(self.axes.values(), (x_um, y_um, z_um), strict=True)
         goals = [(axis, to_um) for axis, to_um in wanted if to_um is not None]
@@ -170,23 +170,23 @@ class VirtualStage:
         self._start(one, to_um, speed_um_s, self._command())
 
     def homed(self) -> bool:
-        """Always: its scales are absolute."""
+        """Return True, as the scales are absolute."""
         return True
 
     def moving(self) -> bool:
-        """Whether any axis is in motion."""
+        """Return whether any axis is in motion."""
         now_s = self._clock.now_s()
         return self._endless or any(axis.moving(now_s) for axis in self.axes.values())
 
     def wait(self) -> None:
-        """Wait until every axis stands and has settled. Raises RigTimeout when it does not report so in time."""
+        """Wait until every axis is at rest and settled. Raises RigTimeout when it does not report so in time."""
         self._clock.sleep(self._unsettled_s())
         if self._endless:
             self._clock.sleep(REST_PATIENCE_S)
             raise RigTimeout("The stage still reports motion long after it should stand: stop it and check its drives.")
 
     def stop(self) -> None:
-        """Decelerate every axis to a halt. This is no emergency stop."""
+        """Decelerate every axis to a halt. This is not an emergency stop."""
         self._clock.catch_up()
         now_s, self._endless = self._clock.now_s(), False
         for axis in self.axes.values():
@@ -195,7 +195,7 @@ class VirtualStage:
                 self._tell(axis, now_s)
 
     def _arrive(self, should_stop: ShouldStop | None) -> None:
-        """Wait for the end of a motion, or break it off; what has arrived and only settles is not broken off."""
+        """Wait for the end of a motion, or interrupt it; settling alone is not interrupted."""
         while should_stop is not None and self.moving():
             if should_stop():
                 self.stop()
@@ -218,7 +218,7 @@ class VirtualStage:
             raise RigError(f"The {axis.name} axis is still moving: wait for it or stop it first.")
 
     def _command(self) -> float:
-        """Number a motion, with its faults; returns how late it begins, in s."""
+        """Number a motion, with its faults; return its start delay in s."""
         number = self._motions
         self._motions += 1
         self._endless = self._endless or number in self._faults.endless_motions

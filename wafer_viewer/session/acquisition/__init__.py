@@ -1,1 +1,1 @@
-"""The rig process, its client and the scan."""
+"""Rig process, its client and the scan."""

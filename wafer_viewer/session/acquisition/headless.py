@@ -1,4 +1,4 @@
-"""A scan without a browser: begun anew or gone on with, stopped by Ctrl-C with the rig at rest."""
+"""Scans without a browser: start or continue a scan; Ctrl-C stops it with the rig at rest."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ from wafer_viewer.store.records.calibrations import calibration_in_force
 
 @dataclass(frozen=True, slots=True)
 class Ended:
-    """How it went: in words for people, and whether it was stopped or failed."""
+    """Outcome of a scan: a sentence for people, whether it was stopped, and the error that ended it."""
 
     words: str
     stopped: bool
@@ -40,11 +40,10 @@ def scan_to(
     ready: Callable[[tuple[PreflightCheck, ...]], None],
     warn: Callable[[str], None],
 ) -> Ended:
-    """Take a job into a dataset, or go on with it; `ready` hears of the look round before, and may raise.
+    """Scan a job into a new dataset, or continue an unfinished one.
 
-    `warn` hears of every fault of the running scan.
-
-    Raises DatasetError when it cannot be written, PlanError when it is of another job.
+    `ready` is called with the preflight checks and may raise. `warn` is called with every fault of the running scan.
+    Raises DatasetError when the dataset cannot be written, PlanError when it belongs to another job.
     """
     if path.exists():
         scan = _goes_on(path, job)
@@ -98,7 +97,7 @@ def _look_round(scan: Scan, rig: Rig) -> tuple[PreflightCheck, ...]:
 
 @contextmanager
 def _interrupt_stops(steering: Steering) -> Generator[None]:
-    """Ctrl-C stops the scan instead of the program, which ends once the rig is at rest."""
+    """Make Ctrl-C stop the scan instead of the program, which ends once the rig is at rest."""
     before = signal.signal(signal.SIGINT, lambda *_: steering.stop())
     try:
         yield

@@ -1,4 +1,4 @@
-"""The viewer's end of the rig: asks its process to move and scan, and keeps the snapshot true to what it reports."""
+"""Client of the rig process: sends moves and scans, and updates the snapshot from its reports."""
 
 from __future__ import annotations
 
@@ -37,28 +37,28 @@ from wafer_viewer.session.state.snapshot import LatestFrame, RigStatus
 
 @dataclass(frozen=True, slots=True)
 class RigCallbacks:
-    """Who wants to know of what the rig did; called on the session's thread."""
+    """Callbacks for events of the rig; called on the session's thread."""
 
     ready: Callable[[RigReady], None]
     sample_seen: Callable[[OverviewReady], None]
     taken: Callable[[FrameTaken], None]
     field_complete: Callable[[int], None]
     scan_ended: Callable[[ScanEnded | None], None]
-    """With None when the rig's process died during a scan."""
+    """Called with None when the rig process died during a scan."""
 
 
 class RigClient:
-    """The rig of the snapshot; on the session's thread only."""
+    """Rig of the snapshot. Use on the session's thread only."""
 
     def __init__(self, desk: CommandQueue, notices: Notifications, config: RigConfig, reports: RigCallbacks) -> None:
         self._desk, self._notices, self._config, self._reports = desk, notices, config, reports
         self._link: ChildProcess | None = None
         self._sample: Sample | None = None
-        """What was to be loaded last."""
+        """Sample of the last load request."""
         self._moves = 0
-        """How many were asked for and are not over."""
+        """Number of moves requested and not finished."""
         self.n_stops = 0
-        """How many were asked for from another thread, ahead of what waits for this one."""
+        """Number of stops requested from other threads, ahead of the queued commands."""
         self.latest_frame: LatestFrame | None = None
         self._on = {
             RigReady: self._ready,
@@ -73,7 +73,7 @@ class RigClient:
         }
 
     def start(self) -> ChildProcess:
-        """The link to a living process; a rig that failed is started anew when it is asked for something."""
+        """Return the connection to a running rig process; start the process if none is running."""
         if self._link is None or not self._link.alive:
             self._show(state="starting", message="")
             self._link = ChildProcess("wafer-viewer rig", _own_rig, (self._config,), self._heard, self._gone)
@@ -82,7 +82,7 @@ class RigClient:
         return self._link
 
     def load(self, sample: Sample | None) -> None:
-        """Have a rig that changes samples by itself load one; a rig that does not run loads it when it is started."""
+        """Load a sample on a rig with a sample changer; a rig that is not running loads it when it starts."""
         if sample == self._sample:
             return
         self._sample = sample
@@ -90,7 +90,11 @@ class RigClient:
             self._link.ask(LoadSample(sample))
 
     def move_to(self, move: Move, n_stops: int | None = None) -> Future[None]:
-        """Move the stage; done on arrival, or with MotionStopped, also where more than `n_stops` have come since."""
+        """Move the stage.
+
+        The future is done on arrival, or fails with MotionStopped. Raises MotionStopped when more than `n_stops` stops
+        were requested since.
+        """
         self.require_idle("move the stage")
         if n_stops is not None and n_stops < self.n_stops:
             stood = self._desk.now.rig
@@ -101,7 +105,7 @@ class RigClient:
         return self._desk.afterwards(link.ask(move), self._move_over)
 
     def scan(self, scan: Scan) -> Future[None]:
-        """Begin a scan; done once it has begun."""
+        """Start a scan; the future is done once the scan has started."""
         link = self.start()
         self._show(state="scanning", message="")
         begun = link.ask(scan)
@@ -109,24 +113,27 @@ class RigClient:
         return begun
 
     def pause(self) -> Future[None]:
-        """Halt at the end of this pass."""
+        """Pause the scan at the end of the current pass."""
         self._require_scan("pause")
         self._show(message="Halts at the end of this pass.")
         return self.start().ask(Pause())
 
     def resume(self) -> Future[None]:
-        """Go on after a pause."""
+        """Resume a paused scan."""
         self._require_scan("continue")
         self._show(message="")
         return self.start().ask(Resume())
 
     def stop_at_once(self) -> Future[bool]:
-        """Break off, from any thread, ahead of what waits for this one: moves among it are not begun any more."""
+        """Stop motion from any thread, ahead of queued commands; queued moves are not started."""
         self.n_stops += 1
         return self.break_off()
 
     def break_off(self) -> Future[bool]:
-        """Stop whatever moves, from any thread; done at rest, with whether there was anything to stop."""
+        """Stop all motion, from any thread.
+
+        The future is done when the rig is at rest; its result is True if anything was moving.
+        """
         if self._link is not None and self._link.alive:
             return self._link.ask(Stop())
         nothing: Future[bool] = Future()
@@ -134,18 +141,18 @@ class RigClient:
         return nothing
 
     def stop_scan(self) -> None:
-        """End the scan with the rig at rest."""
+        """End the scan and bring the rig to rest."""
         self._require_scan("stop")
         self._show(state="stopping", message="")
         self.break_off()
 
     def require_idle(self, what: str) -> None:
-        """Raise RigError while a scan has the rig."""
+        """Raise RigError while a scan is running."""
         if self._desk.now.scanning:
             raise RigError(f"A scan is running: stop it or wait for its end to {what}.")
 
     def close(self) -> None:
-        """Stop motion, disarm the box, end the process."""
+        """Stop motion, disarm the pulse box and end the process."""
         if self._link is not None:
             self._link.close()
 
@@ -172,7 +179,7 @@ class RigClient:
         self._reports.ready(event)
 
     def _calibration(self, event: RigReady) -> Calibration | None:
-        """What the rig came with, or what it was corrected to since."""
+        """Return the calibration in force: a later correction if there is one, else the rig's own."""
         from wafer_viewer.store.records.calibrations import calibration_in_force
 
         try:
@@ -194,7 +201,7 @@ class RigClient:
         self._show_moves()
 
     def _show_moves(self) -> None:
-        """Moving from the first of several moves to the end of the last."""
+        """Show the rig as moving from the start of the first of several moves to the end of the last."""
         if self._desk.now.rig.state in ("ready", "moving"):
             self._show(state="moving" if self._moves else "ready")
 
@@ -222,7 +229,7 @@ class RigClient:
         self._reports.scan_ended(event)
 
     def _died(self, exit_code: int | None) -> None:
-        """The process is gone without having been asked to; an absent rig has told why before."""
+        """Report that the process died unexpectedly; an absent rig has already given its reason."""
         snapshot = self._desk.now
         if snapshot.rig.state == "absent":
             return

@@ -16,7 +16,7 @@ from wafer_viewer.session.state.snapshot import LatestFrame, ScanProgress
 
 @dataclass(frozen=True, slots=True)
 class Move:
-    """Go there; None leaves an axis where it is. Answered on arrival."""
+    """Move to a position; None leaves an axis unchanged. Answered on arrival."""
 
     x_um: float | None = None
     y_um: float | None = None
@@ -25,14 +25,17 @@ class Move:
 
 @dataclass(frozen=True, slots=True)
 class LoadSample:
-    """Load the sample that a job names, on a rig that changes samples by itself. Answered once it lies on the stage."""
+    """Load the sample named by a job, on a rig with a sample changer. Answered once it is on the stage."""
 
     sample: Sample | None
 
 
 @dataclass(frozen=True, slots=True)
 class Scan:
-    """Take a plan into a new dataset, or what is missing of it into one that exists. Answered once it has begun."""
+    """Scan a plan into a new dataset, or the missing frames into an existing one.
+
+    Answered once the scan has started.
+    """
 
     path: Path
     plan: ScanPlan
@@ -42,17 +45,17 @@ class Scan:
 
 @dataclass(frozen=True, slots=True)
 class Pause:
-    """Halt at the end of this pass. Answered at once."""
+    """Pause at the end of the current pass. Answered at once."""
 
 
 @dataclass(frozen=True, slots=True)
 class Resume:
-    """Go on after a pause. Answered at once."""
+    """Resume after a pause. Answered at once."""
 
 
 @dataclass(frozen=True, slots=True)
 class Stop:
-    """Break off the motion under way and those that wait for it, and end the scan.
+    """Stop the current motion, drop queued motions and end the scan.
 
     Answered once the rig is at rest, with whether there was anything to stop.
     """
@@ -60,7 +63,10 @@ class Stop:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class RigReady:
-    """The rig answers: what it is and can do; `tour`: a filled-in job, where the rig brings a sample of its own."""
+    """The rig is ready: its identity, limits and state.
+
+    `tour` is a complete job, for a rig that brings its own sample.
+    """
 
     name: str
     simulated: bool
@@ -74,7 +80,7 @@ class RigReady:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class OverviewReady:
-    """The picture of the whole sample, which may take longer than the rig itself; None where there is none."""
+    """Overview image of the sample, which may take longer than the rig itself; None if there is none."""
 
     overview: Overview | None
 
@@ -88,7 +94,7 @@ class RigAbsent:
 
 @dataclass(frozen=True, slots=True)
 class StageMoved:
-    """Where the stage stands, and whether it still knows so by itself; None: as it was before."""
+    """Stage position, and whether the stage is still homed; None means unchanged."""
 
     position: Position
     homed: bool | None = None
@@ -96,14 +102,14 @@ class StageMoved:
 
 @dataclass(frozen=True, slots=True)
 class Paused:
-    """The scan halted, or went on."""
+    """The scan was paused or resumed."""
 
     paused: bool
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class FrameTaken:
-    """How far the scan is; `latest` a few times a second."""
+    """Scan progress after a frame; `latest` is set a few times a second."""
 
     progress: ScanProgress
     position: Position
@@ -112,21 +118,21 @@ class FrameTaken:
 
 @dataclass(frozen=True, slots=True)
 class FieldComplete:
-    """The last frame of a field is kept."""
+    """The last frame of a field is stored."""
 
     number: int
 
 
 @dataclass(frozen=True, slots=True)
 class ScanFault:
-    """Something about the running scan that a person should know."""
+    """Fault of the running scan that the operator should see."""
 
     what: str
 
 
 @dataclass(frozen=True, slots=True)
 class ScanEnded:
-    """The scan is over and its dataset closed. `error` says what ended it, where it did not end by itself."""
+    """The scan is over and its dataset closed. `error` is the reason if it did not end normally."""
 
     path: Path
     stopped: bool

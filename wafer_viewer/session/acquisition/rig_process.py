@@ -1,6 +1,6 @@
-"""The process that owns the rig: it carries out moves and scans, writes frames and journal, and reports.
+"""Process that owns the rig: executes moves and scans, writes frames and journal, and sends reports.
 
-When its pipe ends, because the viewer closed it or is gone, it stops motion, disarms the pulse box and exits.
+When its pipe ends, because the viewer closed it or died, it stops motion, disarms the pulse box and exits.
 """
 
 from __future__ import annotations
@@ -35,7 +35,7 @@ from wafer_viewer.session.planning.guided_tour import tour_of
 
 
 def run_rig(pipe: Connection, config: RigConfig) -> None:
-    """Live as the rig's process until the pipe ends."""
+    """Run the rig process until the pipe ends."""
     live_in_the_background()
     end = ChildConnection(pipe)
     try:
@@ -66,16 +66,16 @@ def _introduce(rig: Rig, config: RigConfig) -> RigReady:
 
 @dataclass(frozen=True, slots=True)
 class RigCommand:
-    """A verb in its turn, with the number of stops before it: what was asked for before a stop is not begun after."""
+    """Queued command with the number of stops before it; a command queued before a stop is not started after it."""
 
     ask: Request
     n_stops: int
 
 
 class RigExecutor:
-    """Carries out one verb at a time; what steers or breaks off a motion is heard at once, on a thread of its own.
+    """Executor of one command at a time; pause, resume and stop are received at once on a separate thread.
 
-    That thread only counts and sets flags: whoever moves the rig asks for them, so one thread alone uses the devices.
+    That thread only counts and sets flags, which the moving thread polls, so a single thread uses the devices.
     """
 
     def __init__(self, rig: Rig, end: ChildConnection) -> None:
@@ -84,10 +84,10 @@ class RigExecutor:
         self._steering = Steering()
         self._steer = {Pause: self._steering.pause, Resume: self._steering.resume}
         self._n_stops = self._heeded = 0
-        """Stops heard so far, and how many of them had been heard when something was last broken off."""
+        """Stops received so far, and the number received when motion was last interrupted."""
 
     def work(self) -> None:
-        """Work until the pipe ends."""
+        """Execute commands until the pipe ends."""
         threading.Thread(target=self._listen, name="verbs", daemon=True).start()
         while (order := self._todo.get()) is not None:
             try:
@@ -140,7 +140,7 @@ class RigExecutor:
         self._end.answer(order.ask)
 
     def _load(self, sample: Sample | None) -> None:
-        """Load a sample where the rig does that by itself, and show what lies on the stage now."""
+        """Load a sample on a rig with a sample changer, and report the new overview."""
         if isinstance(self._rig, SampleChanger) and self._rig.load_sample(sample):
             self._end.tell(OverviewReady(self._rig.overview()))
 
@@ -163,6 +163,6 @@ class RigExecutor:
         self._end.tell(ended)
 
     def _tell_where(self) -> None:
-        """Also whether it is homed: a search for the reference that was broken off leaves it not so."""
+        """Report the position and whether the stage is homed; an interrupted reference search leaves it not homed."""
         stage = self._rig.stage
         self._end.tell(StageMoved(stage.position(), stage.homed()))

@@ -1,4 +1,4 @@
-"""Between a scan and those who watch it: passes frames on to the dataset, tells how far it is, hears pause and stop."""
+"""Monitor of a running scan: passes frames to the dataset, reports progress, applies pause and stop."""
 
 from __future__ import annotations
 
@@ -19,11 +19,11 @@ from wafer_viewer.store.io.atomic_files import writing
 
 REPORT_EVERY_S = 0.12
 RATE_KNOWN_AFTER = 10
-"""Frames after which the time left follows from the frames so far instead of the plan's prediction."""
+"""Number of frames after which the remaining time follows from the measured rate instead of the plan's prediction."""
 
 
 class Steering:
-    """What people want of the running scan; set from one thread, asked from another."""
+    """Pause and stop flags of the running scan; set on one thread, read on another."""
 
     def __init__(self) -> None:
         self._stop, self._ended = threading.Event(), threading.Event()
@@ -31,65 +31,65 @@ class Steering:
         self._go.set()
 
     def reset(self) -> None:
-        """For a new scan: neither paused nor stopped."""
+        """Reset for a new scan: neither paused nor stopped."""
         self._stop.clear()
         self._go.set()
 
     def pause(self) -> None:
-        """Halt at the end of the pass."""
+        """Pause at the end of the pass."""
         self._go.clear()
 
     def resume(self) -> None:
-        """Go on."""
+        """Resume."""
         self._go.set()
 
     def stop(self) -> None:
-        """End soon, also out of a pause."""
+        """End the scan soon, also while paused."""
         self._stop.set()
         self._go.set()
 
     def end(self) -> None:
-        """Nobody is there any more: this scan and every later one end."""
+        """End this scan and every later one, because the client is gone."""
         self._ended.set()
         self._go.set()
 
     def should_stop(self) -> bool:
-        """Whether the scan is to end."""
+        """Return whether the scan has to end."""
         return self._stop.is_set() or self._ended.is_set()
 
     def should_pause(self) -> bool:
-        """Whether the scan is to halt."""
+        """Return whether the scan has to pause."""
         return not self._go.is_set()
 
     def wait_while_paused(self) -> None:
-        """Return when the pause is over or the scan is to end."""
+        """Wait until the pause is over or the scan has to end."""
         self._go.wait()
 
 
 class Stopwatch:
-    """Seconds a scan was at work, pauses left out."""
+    """Elapsed time of a scan in seconds, without pauses."""
 
     def __init__(self) -> None:
         self._since, self._gone_s = time.monotonic(), 0.0
 
     def halt(self) -> None:
-        """Time stands."""
+        """Pause the stopwatch."""
         self._gone_s = self.seconds()
         self._since = float("inf")
 
     def go_on(self) -> None:
-        """Time runs again."""
+        """Resume the stopwatch."""
         self._since = time.monotonic()
 
     def seconds(self) -> float:
-        """Seconds so far."""
+        """Return the elapsed seconds."""
         return self._gone_s + max(0.0, time.monotonic() - self._since)
 
 
 class ScanWatch:
-    """The sink and the control of a scan in one, as the runner sees them.
+    """Frame sink and scan control in one object, as the scan runner uses them.
 
-    What the system refuses to write becomes a DatasetError here, so that any other OSError is one of a device.
+    Write errors of the operating system become DatasetErrors here, so any other OSError comes from a device.
     """
 
     def __init__(self, writer: DatasetWriter, plan: ScanPlan, tell: Callable[[Any], None], steering: Steering) -> None:
@@ -107,12 +107,12 @@ class ScanWatch:
         self._last: Frame | None = None
 
     def pass_begun(self, number: int, leg: Leg) -> None:
-        """A leg starts."""
+        """Start a leg."""
         with writing(self._writer.path):
             self._writer.pass_begun(number, leg)
 
     def frame(self, frame: Frame) -> None:
-        """Keep a frame, and report a few times a second."""
+        """Store a frame, and report progress a few times a second."""
         with writing(self._writer.path):
             self._writer.frame(frame)
         self._pulses += 1
@@ -122,39 +122,39 @@ class ScanWatch:
             self._report(frame)
 
     def missed(self, shot: Shot, pulse_count: int, why: str) -> None:
-        """A slot stayed empty."""
+        """Record an empty slot."""
         self._empty.add(shot)
         with writing(self._writer.path):
             self._writer.missed(shot, pulse_count, why)
         self._done = self._writer.n_arrived
 
     def repaired(self, shot: Shot) -> None:
-        """A slot that stayed empty has its frame now."""
+        """Record the frame of a slot that was empty."""
         self._empty.discard(shot)
         with writing(self._writer.path):
             self._writer.repaired(shot)
 
     def pass_ended(self, number: int, summary: PulseSummary) -> None:
-        """A leg is over."""
+        """End a leg."""
         with writing(self._writer.path):
             self._writer.pass_ended(number, summary)
 
     def fault(self, what: str) -> None:
-        """Something a person should know."""
+        """Record and report a fault of the scan."""
         with writing(self._writer.path):
             self._writer.fault(what)
         self._tell(ScanFault(what))
 
     def should_stop(self) -> bool:
-        """Whether the scan is to end."""
+        """Return whether the scan has to end."""
         return self._steering.should_stop()
 
     def should_pause(self) -> bool:
-        """Whether the scan is to halt at the end of this leg."""
+        """Return whether the scan has to pause at the end of this leg."""
         return self._steering.should_pause()
 
     def wait_while_paused(self) -> None:
-        """Halt, saying so, until the pause is over or the scan is to stop."""
+        """Report the pause and wait until it is over or the scan has to stop."""
         self._watch.halt()
         self._tell(Paused(True))
         self._steering.wait_while_paused()
@@ -162,10 +162,10 @@ class ScanWatch:
         self._tell(Paused(False))
 
     def progress(self, plan: ScanPlan, frame: Frame) -> None:
-        """A frame was kept; `frame` has told of it."""
+        """Do nothing: `frame` has already reported the progress."""
 
     def finish(self) -> None:
-        """Say how the scan stood at its end."""
+        """Report the final progress of the scan."""
         if self._last is not None:
             self._report(self._last, finished=True)
 
@@ -192,7 +192,7 @@ class ScanWatch:
         )
 
     def _seconds_left(self) -> float:
-        """From the rate so far; at the very beginning from the prediction."""
+        """Return the remaining seconds: from the measured rate, or at the very beginning from the prediction."""
         left, new = self._plan.n_frames - self._done, self._done - self._kept_before
         if new < RATE_KNOWN_AFTER:
             return self._plan.predicted_s * left / self._plan.n_frames
@@ -212,10 +212,10 @@ class ScanWatch:
 
 
 def clipped_fraction(image: Image) -> float:
-    """Share of pixels at the top of the image's range."""
+    """Return the fraction of pixels at the top of the image's range."""
     return float(np.count_nonzero(image == np.iinfo(image.dtype).max)) / image.size
 
 
 def order_of_fields(plan: ScanPlan) -> list[int]:
-    """Numbers of the fields in the order in which they are taken first."""
+    """Return the field numbers in the order of their first frame."""
     return list(dict.fromkeys(shot.field for leg in plan.legs for shot in leg.shots))

@@ -1,4 +1,4 @@
-"""A scan from its beginning to its end, in whichever process has the rig: frames go to a dataset, reports to `tell`."""
+"""Complete run of a scan, in the process that owns the rig: frames go to a dataset, reports to `tell`."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ from wafer_viewer.store.records.calibrations import calibration_in_force
 
 
 def writer_of(scan: Scan, rig: Rig) -> DatasetWriter:
-    """A new dataset, or the one that is gone on with. Raises DatasetError when it cannot be written."""
+    """Return the writer of a new dataset, or of the continued one. Raises DatasetError when it cannot be written."""
     if scan.goes_on:
         return DatasetWriter.resume(scan.path)
     return DatasetWriter.create(
@@ -34,7 +34,7 @@ def writer_of(scan: Scan, rig: Rig) -> DatasetWriter:
 
 
 def take(scan: Scan, rig: Rig, writer: DatasetWriter, tell: Callable[[Any], None], steering: Steering) -> ScanEnded:
-    """Run a scan; whatever ends it before its time becomes a sentence, for its dataset can be gone on with."""
+    """Run a scan; a fault that ends it early becomes the `error` text, because its dataset can be continued."""
     watch = ScanWatch(writer, scan.plan, tell, steering)
     try:
         with device_errors("rig"):
@@ -50,7 +50,7 @@ def take(scan: Scan, rig: Rig, writer: DatasetWriter, tell: Callable[[Any], None
 
 
 def _broken_off(scan: Scan, writer: DatasetWriter, fault: WaferViewerError) -> ScanEnded:
-    """The end of a scan by a fault, which the dataset tells as well where it can still be written."""
+    """Return the end of a scan after a fault; the dataset records the fault if it can still be written."""
     with suppress(DatasetError), writing(scan.path):
         writer.fault(str(fault))
     return ScanEnded(scan.path, stopped=True, n_missing=0, error=str(fault))

@@ -1,4 +1,4 @@
-"""Tasks that workers run while the page shows their progress and a button to cancel them."""
+"""Background tasks on workers, shown with progress and a cancel button."""
 
 from __future__ import annotations
 
@@ -11,13 +11,13 @@ from wafer_viewer.session.core.notifications import Notifications
 
 
 class BackgroundWork:
-    """Runs tasks on the workers, each under a title of its own. On the session's thread only."""
+    """Runner of titled tasks on the workers. Use on the session's thread only."""
 
     def __init__(self, desk: CommandQueue, notices: Notifications, compute: Compute) -> None:
         self._desk, self._notices, self._compute = desk, notices, compute
 
     def run(self, title: str, task: WatchedTask[*Args, Answer], *args: *Args) -> Future[Answer]:
-        """Run a task; a person can cancel it."""
+        """Run a task that a person can cancel."""
         work = ""
         work = self._notices.begin(title, lambda: self._compute.cancel(work))
         done = self._compute.run(work, task, *args)

@@ -1,4 +1,4 @@
-"""Where a growing surface changed, so that a page paints again what is new and nothing else."""
+"""Changed areas of a growing surface, so that the page redraws only those."""
 
 from __future__ import annotations
 
@@ -7,13 +7,13 @@ from dataclasses import replace
 from wafer_viewer.session.state.snapshot import Box, SurfaceInfo
 
 KEPT = 32
-"""Changes told apart; older ones are told as one."""
+"""Maximum number of separate changes; older ones are merged."""
 
 
 def with_change(now: SurfaceInfo, before: SurfaceInfo | None, box_um: Box) -> SurfaceInfo:
-    """The numbers of a surface that differs from `before` within a box alone; without a `before`, everywhere.
+    """Return the summary of a surface that differs from `before` only inside a box.
 
-    So does one on another lattice: its pixels are others.
+    The surface is new everywhere if there is no `before`, or if its pixel lattice differs.
     """
     if before is None or _lattice(now) != _lattice(before):
         return replace(now, changed=())
@@ -26,7 +26,7 @@ def with_change(now: SurfaceInfo, before: SurfaceInfo | None, box_um: Box) -> Su
 
 
 def stamp_of(info: SurfaceInfo, box_um: Box) -> int:
-    """The stamp by which a part of a surface became what it is now."""
+    """Return the stamp of the last change of a part of a surface."""
     return max((stamp for stamp, box in info.changed if _meet(box, box_um)), default=info.stamp)
 
 
@@ -35,7 +35,7 @@ def _lattice(info: SurfaceInfo) -> tuple[object, ...]:
 
 
 def _whole(info: SurfaceInfo) -> Box:
-    """All pixels, and a pixel more at each side."""
+    """Return the box of all pixels, enlarged by one pixel on each side."""
     x0, y1 = info.x0_um - info.pixel_um, info.y0_um + info.pixel_um
     return x0, y1 - (info.rows + 1) * info.pixel_um, x0 + (info.cols + 1) * info.pixel_um, y1
 

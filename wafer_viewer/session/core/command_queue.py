@@ -1,4 +1,4 @@
-"""The session's desk: one thread that carries out verbs in order, the newest snapshot, and those who listen to it."""
+"""Command queue of the session: one thread that runs commands in order, the latest snapshot, and its listeners."""
 
 from __future__ import annotations
 
@@ -16,15 +16,15 @@ from wafer_viewer.session.state.snapshot import Snapshot
 T = TypeVar("T")
 Listener = Callable[[Snapshot], None]
 ANNOUNCE_EVERY_S = 0.1
-"""Listeners hear of the first change at once, and of those that follow at most this often."""
+"""Minimum time in seconds between two notifications of listeners; the first change is announced at once."""
 log = logging.getLogger(__name__)
 
 
 class CommandQueue:
-    """Changes happen on its one thread only; reading the snapshot needs no lock, for it is frozen.
+    """Single-threaded command queue with an immutable snapshot, which can be read without a lock.
 
-    What a verb changes is seen together, when the verb has ended: `snapshot` is what all see, `now` what the verb
-    sees that is being carried out.
+    The changes of a command become visible together when it ends. `snapshot` is the published state, `now` the state
+    seen by the running command.
     """
 
     def __init__(self, snapshot: Snapshot) -> None:
@@ -37,7 +37,10 @@ class CommandQueue:
         self._closed = False
 
     def do(self, verb: Callable[..., Any], *args: Any, **kwargs: Any) -> Future[Any]:
-        """Carry out a verb on the session's thread; one that answers with a future is done when that future is."""
+        """Run a command on the session's thread.
+
+        If the command returns a future, the answer is done when that future is.
+        """
         answer: Future[Any] = Future()
         if self._closed:
             answer.set_exception(WaferViewerError("The session is closed: restart the viewer."))
@@ -47,7 +50,7 @@ class CommandQueue:
         return answer
 
     def then(self, first: Future[Any], verb: Callable[[Any], Any]) -> Future[Any]:
-        """Carry out a verb with what `first` came to, unless it failed; done when the verb is."""
+        """Run a command with the result of `first`, unless that failed; the future is done when the command is."""
         answer: Future[Any] = Future()
 
         def go_on(done: Future[Any]) -> None:
@@ -59,22 +62,22 @@ class CommandQueue:
         return answer
 
     def afterwards(self, first: Future[Any], verb: Callable[[], None]) -> Future[Any]:
-        """Carry out a verb once `first` is over, whatever it came to; done, as `first` was, when the verb is."""
+        """Run a command after `first` is over, even if it failed; the future then has the outcome of `first`."""
         answer: Future[Any] = Future()
         first.add_done_callback(lambda done: self.do(verb).add_done_callback(lambda _: _hand_on(done, answer)))
         return answer
 
     def note(self, event: Callable[..., None], *args: Any) -> None:
-        """Carry out what follows from an event; nobody waits for it, so what goes wrong is logged."""
+        """Run the handler of an event; nobody waits for it, so failures are logged."""
         if not self._closed:
             self.do(event, *args).add_done_callback(_log_failure)
 
     def change(self, **fields: Any) -> None:
-        """Change the state; on the session's thread only."""
+        """Change fields of the state; on the session's thread only."""
         self.now = dataclasses.replace(self.now, **fields)
 
     def subscribe(self, listener: Listener) -> Callable[[], None]:
-        """Call `listener` with the newest snapshot after changes, until the returned function is called."""
+        """Call `listener` with the latest snapshot after changes, until the returned function is called."""
         self._listeners = (*self._listeners, listener)
 
         def leave() -> None:
@@ -83,9 +86,9 @@ class CommandQueue:
         return leave
 
     def wait_until(self, condition: Callable[[Snapshot], bool], timeout_s: float) -> Snapshot:
-        """Wait, on another thread than the session's, for a snapshot of which `condition` holds.
+        """Wait, on a thread other than the session's, until `condition` holds for a snapshot, and return it.
 
-        Raises TimeoutError when none came in time.
+        Raises TimeoutError when that does not happen in time.
         """
         with self._changed:
             if not self._changed.wait_for(lambda: condition(self.snapshot), timeout_s):
@@ -93,7 +96,7 @@ class CommandQueue:
             return self.snapshot
 
     def close(self) -> None:
-        """Finish the verbs that were begun and let the thread go."""
+        """Finish the running command and end the thread; queued commands are cancelled."""
         self._closed = True
         if self._timer is not None:
             self._timer.cancel()
@@ -107,7 +110,7 @@ class CommandQueue:
                 self._publish()
 
     def _publish(self) -> None:
-        """Show all what has changed, and tell the listeners now or soon."""
+        """Publish all changes, and notify the listeners now or soon."""
         self.snapshot = self.now = dataclasses.replace(self.now, version=self.snapshot.version + 1)
         with self._changed:
             self._changed.notify_all()
@@ -127,7 +130,7 @@ class CommandQueue:
 
 
 def _hand_on(done: Future[Any], answer: Future[Any]) -> None:
-    """Give `answer` what `done` came to; a future as the outcome is waited for in its turn."""
+    """Copy the outcome of `done` to `answer`; if the result is a future, wait for it as well."""
     if done.cancelled():
         answer.cancel()
     elif (fault := done.exception()) is not None:

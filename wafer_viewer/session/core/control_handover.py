@@ -1,6 +1,6 @@
-"""Who holds the controls: the first comer does, others ask, and nobody is locked out by one who has gone.
+"""Control handover between browsers: the first browser has control, others request it.
 
-Passing the controls on stops nothing: a scan goes on, whoever holds them.
+A browser that has gone keeps nobody out. A handover stops nothing: a running scan continues.
 """
 
 from __future__ import annotations
@@ -18,16 +18,16 @@ from wafer_viewer.session.core.command_queue import CommandQueue
 from wafer_viewer.session.state.control_state import Browser, ControlState
 
 ANSWER_S = 15.0
-"""So long the holder may answer one who asks; then the controls pass."""
+"""Time in seconds in which the holder can answer a request; after that, control passes to the requester."""
 GRACE_S = 20.0
-"""So long a browser that has gone is expected back: a reload takes seconds, on a busy machine many."""
+"""Time in seconds in which a disconnected browser can return; a reload takes seconds, on a busy machine many."""
 LONGEST_NAME = 40
 Later = Callable[[float, Callable[[], None]], Callable[[], None]]
-"""Has something done after so many seconds; returns how to call it off."""
+"""Function that schedules a call after a number of seconds and returns a function that cancels it."""
 
 
 def after(wait_s: float, then: Callable[[], None]) -> Callable[[], None]:
-    """Do something later, on a thread of its own."""
+    """Call `then` after `wait_s` seconds, on a separate thread; return the function that cancels it."""
     timer = threading.Timer(wait_s, then)
     timer.daemon = True
     timer.start()
@@ -35,9 +35,9 @@ def after(wait_s: float, then: Callable[[], None]) -> Callable[[], None]:
 
 
 class Control:
-    """The verbs that change `Snapshot.hands`; every one may be called from any thread.
+    """Commands that change `Snapshot.hands`; each can be called from any thread.
 
-    A browser is known by its key, whatever number of windows it has open; it has gone when the last of them has.
+    A browser is identified by its key and may have several windows; it has gone when the last of them has closed.
     """
 
     def __init__(self, desk: CommandQueue, later: Later = after) -> None:
@@ -48,27 +48,27 @@ class Control:
         self._came = 0
 
     def arrive(self, key: str, name: str = "") -> Future[None]:
-        """A window of a browser opened; the first browser of all holds the controls."""
+        """Register a new window of a browser; the very first browser gets control."""
         return self._desk.do(self._arrive, key, name)
 
     def leave(self, key: str) -> Future[None]:
-        """A window closed; the controls are free when the browser does not come back soon."""
+        """Register a closed window; control becomes free if the browser does not return soon."""
         return self._desk.do(self._leave, key)
 
     def rename(self, key: str, name: str) -> Future[None]:
-        """What a browser calls itself from now on."""
+        """Change the name of a browser."""
         return self._desk.do(self._rename, key, name)
 
     def ask(self, key: str) -> Future[None]:
-        """Take the controls where nobody holds them, else ask the holder, who has `ANSWER_S` to keep them."""
+        """Take control if it is free, else request it from the holder, who has `ANSWER_S` seconds to refuse."""
         return self._desk.do(self._ask, key)
 
     def hand_over(self, key: str, to: str) -> Future[None]:
-        """Pass the controls on to another browser. Raises WaferViewerError where `key` does not hold them."""
+        """Pass control to another browser. Raises WaferViewerError if `key` does not hold it."""
         return self._desk.do(self._hand_over, key, to)
 
     def keep(self, key: str) -> Future[None]:
-        """Turn down the one who asks."""
+        """Refuse the pending request."""
         return self._desk.do(self._keep, key)
 
     # --- on the session's thread
@@ -103,7 +103,11 @@ class Control:
         self._expected[key] = self._later(GRACE_S, lambda: self._desk.note(self._gone, key))
 
     def _gone(self, key: str) -> None:
-        """A browser did not come back: who asked gets the controls; where nobody did they are free."""
+        """Remove a browser that did not return.
+
+        If it held control, the requester gets it; without a requester, the only browser still connected gets it, else
+        control is free.
+        """
         if self._expected.pop(key, None) is None:
             return
         del self._windows[key]
@@ -166,7 +170,7 @@ class Control:
             raise WaferViewerError(f"{why} Ask for them first.")
 
     def _put(self, browser: Browser) -> None:
-        """Add a browser, or take the place of its older self."""
+        """Add a browser, or replace its earlier entry."""
         others = self._hands.browsers
         if self._hands.browser(browser.key) is None:
             self._show(browsers=(*others, browser))

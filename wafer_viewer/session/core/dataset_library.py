@@ -1,4 +1,4 @@
-"""The datasets of the data folder, and the one that is open."""
+"""Datasets of the data folder, and the open one."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ NOTHING_OPEN = "No dataset is open: open one, import images or start a scan firs
 
 
 class Library:
-    """The datasets of the snapshot; changes on the session's thread only, questions from any."""
+    """Datasets of the snapshot; changed on the session's thread only, readable from any."""
 
     def __init__(self, desk: CommandQueue, folder: Path) -> None:
         self._desk, self._folder = desk, folder
@@ -35,31 +35,31 @@ class Library:
 
     @property
     def dataset(self) -> Dataset:
-        """The open dataset. Raises DatasetError when there is none."""
+        """Open dataset. Raises DatasetError when there is none."""
         if self._dataset is None:
             raise DatasetError(NOTHING_OPEN)
         return self._dataset
 
     @property
     def shown(self) -> OpenDataset:
-        """The open dataset as the snapshot shows it."""
+        """Open dataset as in the snapshot. Raises DatasetError when there is none."""
         if (shown := self._desk.now.dataset) is None:
             raise DatasetError(NOTHING_OPEN)
         return shown
 
     @property
     def result(self) -> Result:
-        """The result being looked at."""
+        """Displayed result of the open dataset."""
         return self.dataset.result(self.result_name)
 
     def refresh(self) -> None:
-        """List the data folder anew."""
+        """List the data folder again."""
         paths = sorted(self._folder.glob(f"*{ENDING}")) if self._folder.is_dir() else []
         entries = [entry for path in paths if (entry := _entry(path)) is not None]
         self._desk.change(datasets=tuple(sorted(entries, key=lambda e: e.taken, reverse=True)))
 
     def open(self, path: Path, *, taking: bool = False) -> None:
-        """Open a dataset, to write where no other process does. taking: our own rig holds it and writes frames."""
+        """Open a dataset, for writing if no other process holds it. taking: our own rig holds it and writes frames."""
         from wafer_viewer.store.dataset.dataset import Dataset
 
         dataset = Dataset.open(path)
@@ -90,13 +90,13 @@ class Library:
         )
 
     def close(self) -> None:
-        """Let the dataset go; nothing is open then."""
+        """Close the dataset."""
         self.let_go()
         self._dataset = None
         self._desk.change(dataset=None, surface=None, scan=None)
 
     def hold(self) -> str | None:
-        """Take the dataset's lock; returns why it can only be read, or None."""
+        """Take the dataset's lock; return the reason why it is read-only, or None."""
         from wafer_viewer.store.dataset.lock import Lock
 
         self.let_go()
@@ -107,13 +107,13 @@ class Library:
         return None
 
     def let_go(self) -> None:
-        """Give the lock back, so that the rig's process can take it."""
+        """Release the lock, so that the rig process can take it."""
         if self._lock is not None:
             self._lock.release()
             self._lock = None
 
     def scan_ended(self) -> None:
-        """The rig gave the dataset back: hold it again and read what the journal says now."""
+        """Take the lock again after a scan and read the states from the journal."""
         self.dataset.refresh()
         read_only = self.hold()
         fresh = _states(self.dataset, self.result)
@@ -124,17 +124,17 @@ class Library:
         self.refresh()
 
     def set_state(self, field_number: int, state: FieldState) -> None:
-        """How far a field is; one that is measured gets a new stamp."""
+        """Set the state of a field; a measured field gets a new stamp."""
         shown = self.shown
         stamps = {**shown.stamps, field_number: next(self._stamps)} if state is FieldState.MEASURED else shown.stamps
         self._show(states={**shown.states, field_number: state}, stamps=stamps)
 
     def reread_states(self) -> None:
-        """How far each field is by what lies on the disk; the stamps stay."""
+        """Read the state of every field from disk; the stamps do not change."""
         self._show(states=_states(self.dataset, self.result))
 
     def taking(self, field_number: int) -> None:
-        """The rig is at a field now."""
+        """Mark the field that the rig is scanning now."""
         states = {
             n: FieldState.TO_COME if s is FieldState.TAKING and n != field_number else s
             for n, s in self.shown.states.items()
@@ -145,7 +145,7 @@ class Library:
             self._show(states=states)
 
     def show_result(self, name: str) -> None:
-        """Look at another result."""
+        """Show another result."""
         self.result_name = name
         states = _states(self.dataset, self.result)
         stamps = {n: next(self._stamps) for n, state in states.items() if state is FieldState.MEASURED}
@@ -153,7 +153,7 @@ class Library:
         self._desk.change(surface=self._stored_surface())
 
     def show_surface(self, info: SurfaceInfo) -> None:
-        """A stitched surface is there, or more of it."""
+        """Publish a new or updated stitched surface."""
         self._show(results=self.dataset.results())
         stamped, before = replace(info, stamp=next(self._stamps)), self._desk.now.surface
         if info.changed:
@@ -174,18 +174,18 @@ class Library:
 
 
 def today() -> str:
-    """This day, ISO 8601."""
+    """Return today's date, ISO 8601."""
     return datetime.date.today().isoformat()
 
 
 def free_name(folder: Path, wish: str) -> str:
-    """The wished name, or the first ``wish-2``, ``wish-3``, … that no dataset has."""
+    """Return the requested name, or the first of ``wish-2``, ``wish-3``, … that no dataset has."""
     names = (wish if n == 1 else f"{wish}-{n}" for n in count(1))
     return next(name for name in names if not (folder / f"{name}{ENDING}").exists())
 
 
 def _entry(path: Path) -> DatasetEntry | None:
-    """A line of the list; None for a folder that only looks like a dataset, or one being made."""
+    """Return a list entry; None for a folder that is no dataset, or one that is being created."""
     from wafer_viewer.store.dataset.dataset import Dataset
 
     try:

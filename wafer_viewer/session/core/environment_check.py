@@ -1,4 +1,4 @@
-"""What this machine has and lacks for each part of the program, and how to fix it."""
+"""Environment check: what each part of the program finds or lacks on this machine, and how to fix it."""
 
 from __future__ import annotations
 
@@ -16,13 +16,13 @@ from wafer_viewer.rigs.rig_config import RigConfig, open_rig
 
 PACKAGES = ("numpy", "scipy", "numba", "distributed", "zarr", "tifffile", "viser", "serial")
 OPEN3D_LIBRARIES = {"usb-1.0": "libusb-1.0-0", "GL": "libgl1", "gomp": "libgomp1"}
-"""What `import open3d` needs on Linux, by library and by Debian's package."""
+"""Libraries that `import open3d` needs on Linux, and their Debian packages."""
 ROOM_BYTES = 5e9
 
 
 @dataclass(frozen=True, slots=True)
 class EnvironmentCheck:
-    """One thing looked at; `mend` is what to do where it is not well, empty where it is."""
+    """Result of one check; `mend` says what to do, empty if nothing is wrong."""
 
     what: str
     found: str
@@ -30,12 +30,12 @@ class EnvironmentCheck:
 
     @property
     def well(self) -> bool:
-        """Whether there is nothing to do."""
+        """True if there is nothing to do."""
         return not self.mend
 
 
 def examine(config: RigConfig, data_folder: Path) -> Iterator[EnvironmentCheck]:
-    """Look at everything, one after the other."""
+    """Run all checks, one after the other."""
     yield EnvironmentCheck("Python", sys.version.split()[0])
     yield from (_package(name) for name in PACKAGES)
     yield _open3d()

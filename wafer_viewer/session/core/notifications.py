@@ -1,4 +1,4 @@
-"""What the operator should read, and the background work that is shown with its progress."""
+"""Notifications for the operator, and the progress of background work."""
 
 from __future__ import annotations
 
@@ -13,14 +13,14 @@ from wafer_viewer.session.state.snapshot import Fault, Work
 
 Source = Literal["plan", "scan", "import", "open", "surface", "measure", "export", "rig", "other"]
 KEPT = 50
-"""Faults that stay in the list; the oldest give way."""
+"""Maximum number of faults in the list; the oldest are dropped."""
 
 KNOWN_AFTER_S, KNOWN_AFTER = 2.0, 0.05
-"""How long a work takes can be told after so much time and so much of it."""
+"""Elapsed seconds and completed fraction from which the remaining time of a work item is estimated."""
 
 
 class Notifications:
-    """Faults and works of the snapshot; on the session's thread only."""
+    """Faults and work items of the snapshot. Use on the session's thread only."""
 
     def __init__(self, desk: CommandQueue, clock_s: Callable[[], float] = time.monotonic) -> None:
         self._desk, self._clock_s = desk, clock_s
@@ -29,19 +29,19 @@ class Notifications:
         self._stops: dict[str, Callable[[], None]] = {}
 
     def fault(self, title: str, text: str, source: Source, *, where: str = "", needs_person: bool = True) -> None:
-        """Tell the operator; the same thing twice stands once."""
+        """Add a fault to the list; an identical earlier one is replaced."""
         known = [f for f in self._desk.now.faults if (f.title, f.text, f.where) != (title, text, where)]
         fault = Fault(f"fault-{next(self._numbers)}", title, text, _clock(), where, needs_person, source)
         self._desk.change(faults=(*known, fault)[-KEPT:])
 
     def dismiss(self, fault_id: str) -> None:
-        """Take a fault off the list."""
+        """Remove a fault from the list."""
         self._desk.change(faults=tuple(f for f in self._desk.now.faults if f.id != fault_id))
 
     def begin(self, title: str, stop: Callable[[], None] | None = None, waits_for: str = "") -> str:
-        """Show a work; `stop` is called when a person cancels it; until it makes progress it waits for `waits_for`.
+        """Add a work item and return its id.
 
-        Returns its id.
+        `stop` is called when a person cancels it. `waits_for` is shown until it makes progress.
         """
         work = Work(f"work-{next(self._numbers)}", title, cancellable=stop is not None, waits_for=waits_for)
         if stop is not None:
@@ -50,19 +50,19 @@ class Notifications:
         return work.id
 
     def progress(self, work_id: str, fraction: float) -> None:
-        """Say how far a work is."""
+        """Set the progress of a work item."""
         begun_at_s, begun = self._begun.setdefault(work_id, (self._clock_s(), fraction))
         left_s = seconds_left(self._clock_s() - begun_at_s, begun, fraction)
         self._amend(work_id, fraction=fraction, seconds_left=left_s)
 
     def end(self, work_id: str) -> None:
-        """The work is over, well or not."""
+        """Remove a finished or failed work item."""
         self._stops.pop(work_id, None)
         self._begun.pop(work_id, None)
         self._desk.change(works=tuple(w for w in self._desk.now.works if w.id != work_id))
 
     def cancel(self, work_id: str) -> None:
-        """Stop a work that a person does not want any more; one that is over is left alone."""
+        """Cancel a work item; one that is over is ignored."""
         if (stop := self._stops.pop(work_id, None)) is not None:
             self._amend(work_id, cancellable=False, stopping=True)
             stop()
@@ -74,7 +74,7 @@ class Notifications:
 
 
 def seconds_left(gone_s: float, begun: float, now: float) -> float | None:
-    """How long a work still takes that came from the fraction `begun` to `now`; None as long as that is a guess."""
+    """Return the remaining seconds of work that advanced from `begun` to `now`; None while that is too uncertain."""
     if gone_s < KNOWN_AFTER_S or now - begun < KNOWN_AFTER:
         return None
     return gone_s * (1.0 - now) / (now - begun)

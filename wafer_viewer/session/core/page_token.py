@@ -1,7 +1,7 @@
-"""The token of the page's address, kept with the data folder so that an open page finds its way back after a restart.
+"""Token of the page's address, stored with the data folder so that an open page reconnects after a restart.
 
-It is a file of its own, ``.wafer-viewer/token``, that its owner alone may read. Two programs on one folder use the same
-token; their cookies differ by port. What is found there is used only when nobody else can have read or placed it.
+The token is in a separate file, ``.wafer-viewer/token``, readable by its owner only. Two programs on one folder share
+the token; their cookies differ by port. A stored token is used only if nobody else can have read or placed the file.
 """
 
 from __future__ import annotations
@@ -68,7 +68,7 @@ def page_token(folder: Path, *, renew: bool = False) -> str:
 
 
 def _make(path: Path) -> None:
-    """Write a token unless there is one: of two programs that start at once the first one's holds."""
+    """Write a token unless there is one; of two programs that start at once, the first one's token is used."""
     draft = _draft(path)
     try:
         os.link(draft, path)
@@ -88,7 +88,7 @@ def _replace(path: Path) -> None:
 
 
 def _draft(path: Path) -> Path:
-    """Write a new token beside `path`, whole before it gets its name."""
+    """Write a complete new token to a temporary file next to `path`."""
     draft = path.with_name(f"{NAME}-{secrets.token_hex(8)}")
     with os.fdopen(os.open(draft, os.O_WRONLY | os.O_CREAT | os.O_EXCL | _NO_LINK, _OWNER_ONLY), "w") as file:
         file.write(f"{new_token()}\n")
@@ -114,7 +114,7 @@ def _read(path: Path) -> str:
 
 
 def _why_not_ours(found: os.stat_result) -> str | None:
-    """Return why others may have read or placed a file; systems without such rights have none to check."""
+    """Return why others may have read or placed a file, or None; systems without such permissions pass."""
     if not stat.S_ISREG(found.st_mode):
         return "is not a file"
     if not hasattr(os, "geteuid"):

@@ -1,4 +1,4 @@
-"""How a stitched surface looks, in numbers: what the page shows beside it. Kept as ``surface.json`` in its result."""
+"""Summary of a stitched surface in numbers, for the page; stored as ``surface.json`` in its result."""
 
 from __future__ import annotations
 
@@ -20,16 +20,16 @@ from wafer_viewer.store.mosaic.zarr_mosaic import ZarrMosaic
 SUMMARY = "surface.json"
 COLOUR_RANGE_PERCENT = (0.5, 99.5)
 OUTLIERS_BEYOND = 3.0
-"""Robust deviations beyond which a difference in an overlap is a false height, not a misfit of fields."""
+"""Robust deviations beyond which an overlap difference counts as a false height, not as a misfit of fields."""
 HALF_NORMAL_MEDIAN = 0.6745
-"""Of the sizes of normal errors of deviation 1."""
+"""Median of the absolute values of normal errors with standard deviation 1."""
 
 
 def summarise(mosaic: Mosaic, n_fields: int, result: str, asked: Recipe | None = None) -> SurfaceInfo:
-    """How a mosaic of some fields, made by the recipe `asked`, looks: from the facts that are kept beside it.
+    """Return the summary of a mosaic of `n_fields` fields made with the recipe `asked`.
 
-    Of a surface in memory they are found now. Fractions are of the pixels that fields cover: what lies round a round
-    wafer is nobody's loss.
+    The statistics stored with the mosaic are used; for a surface in memory they are computed. Fractions refer to the
+    pixels covered by fields, so the area outside a round wafer does not count.
     """
     rows, cols = mosaic.shape
     facts = mosaic.facts() if isinstance(mosaic, ZarrMosaic) else _facts_of(mosaic.window())
@@ -60,13 +60,13 @@ def summarise(mosaic: Mosaic, n_fields: int, result: str, asked: Recipe | None =
 
 
 def save_summary(result: Result, info: SurfaceInfo) -> None:
-    """Keep a summary beside its mosaic."""
+    """Write a summary next to its mosaic."""
     text = msgspec.json.format(msgspec.json.encode(info), indent=2).decode()
     write_text(result.path / SUMMARY, sealed_text(text))
 
 
 def load_summary(result: Result) -> SurfaceInfo | None:
-    """The kept summary; None when there is none, a damaged one, or one of another version."""
+    """Return the stored summary; None if it is missing, damaged or of another version."""
     try:
         return msgspec.json.decode(verified_text(result.path / SUMMARY), type=SurfaceInfo)
     except (DatasetError, msgspec.DecodeError, UnicodeDecodeError):
@@ -79,9 +79,10 @@ def _facts_of(surface: HeightMap) -> MosaicStatistics:
 
 
 def _rms_um(differences_um: NDArray[np.float32]) -> float | None:
-    """How well neighbours agree where they overlap; None when none do.
+    """Return the rms difference of neighbours in their overlaps, um; None without overlaps.
 
-    Differences beyond three robust deviations of those of normal errors are left out: they are never negative.
+    Differences above the outlier limit, three robust deviations of normal errors, are excluded; the differences are
+    never negative.
     """
     if not differences_um.size:
         return None
@@ -98,6 +99,6 @@ def _colour_range(heights_um: NDArray[np.float32]) -> tuple[float, float]:
 
 
 def unmeasured_reasons(counts: NDArray[np.int64], covered: int) -> tuple[tuple[str, float], ...]:
-    """Why covered pixels are unmeasured, the most frequent reason first."""
+    """Return the reasons for unmeasured covered pixels and their fractions, the most frequent first."""
     codes = [o for o in Origin if o >= UNMEASURED_FROM and o != Origin.NOT_COVERED and counts[o] > 0]
     return tuple((ORIGIN_TITLES[o], float(counts[o]) / covered) for o in sorted(codes, key=lambda o: -int(counts[o])))

@@ -1,4 +1,4 @@
-"""Undo: what was, what is, what was undone."""
+"""Undo history: earlier values, the current value and undone values."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ DEPTH = 200
 
 
 class UndoHistory(Generic[T]):
-    """A value with the values before it and those undone; the oldest are forgotten beyond `DEPTH`."""
+    """Value with its earlier and undone values; at most `DEPTH` earlier values are stored."""
 
     def __init__(self, value: T) -> None:
         self.value = value
@@ -17,36 +17,36 @@ class UndoHistory(Generic[T]):
         self._undone: list[T] = []
 
     def put(self, value: T) -> None:
-        """A new value; what had been undone cannot be done again."""
+        """Set a new value; undone values are dropped."""
         self._before = [*self._before, self.value][-DEPTH:]
         self._undone = []
         self.value = value
 
     def undo(self) -> T:
-        """Back to the value before, if there is one."""
+        """Return to the previous value, if there is one."""
         if self._before:
             self._undone.append(self.value)
             self.value = self._before.pop()
         return self.value
 
     def redo(self) -> T:
-        """Forth to the value that was undone last, if there is one."""
+        """Return to the value undone last, if there is one."""
         if self._undone:
             self._before.append(self.value)
             self.value = self._undone.pop()
         return self.value
 
     def restart(self, value: T) -> None:
-        """Another thing altogether: nothing before it can be undone."""
+        """Set a new value and clear the history."""
         self.value = value
         self._before, self._undone = [], []
 
     @property
     def can_undo(self) -> bool:
-        """Whether there is a value before."""
+        """True if there is a previous value."""
         return bool(self._before)
 
     @property
     def can_redo(self) -> bool:
-        """Whether there is an undone value."""
+        """True if there is an undone value."""
         return bool(self._undone)

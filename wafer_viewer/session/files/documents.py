@@ -1,4 +1,4 @@
-"""What goes on paper: pictures of the scene at print size and the report, kept beside the datasets."""
+"""Documents: scene pictures at print size and the report, stored next to the datasets."""
 
 from __future__ import annotations
 
@@ -20,25 +20,28 @@ _REPORT_NAME = re.compile(r"[^/\\]+-report-\d+\.html")
 
 
 class Documents:
-    """For the page: every verb returns a future."""
+    """Document commands of the page; every command returns a future."""
 
     def __init__(self, do: Callable[..., Future[Any]], library: Library, files: FileWork) -> None:
         self._do, self._library, self._files = do, library, files
         self.pictures_kept = 0
-        """Since the start: it changes when a report may have more to hold."""
+        """Number of pictures stored since the start; a change means that a report may have more to show."""
         self.saved_reports: dict[str, Path] = {}
-        """Reports that were written where a person chose, by the names of their files."""
+        """Reports written to a path chosen by a person, by file name."""
 
     def keep_picture(self, png: bytes) -> Future[Path]:
-        """Keep a picture of the open dataset beside it, as ``NAME-picture-3.png``; done with its path."""
+        """Store a picture next to the open dataset, as ``NAME-picture-3.png``; the future's result is its path."""
         return self._do(self._keep_picture, png)
 
     def contents(self) -> Future[Contents]:
-        """What each part of a report of the open dataset would hold, in a few words."""
+        """Return a short description of each part that a report of the open dataset would have."""
         return self._do(lambda: contents(self._library.dataset.path, self._library.result_name))
 
     def write_report(self, order: ReportOrder, path: Path | None = None) -> Future[Path]:
-        """Write the report; done with its path. Without one it is ``NAME-report-2.html`` beside the dataset."""
+        """Write the report; the future's result is its path.
+
+        The default path is ``NAME-report-2.html`` next to the dataset.
+        """
 
         def note(done: Future[Path]) -> None:
             if path is not None and not done.cancelled() and done.exception() is None:
@@ -61,15 +64,15 @@ class Documents:
 
 
 def newest_report(dataset: Path) -> Path | None:
-    """The report of a dataset that was written last, or None."""
+    """Return the report of a dataset that was written last, or None."""
     reports = dataset.parent.glob(f"{glob.escape(dataset.stem)}-{REPORT}-*.html")
     return max(reports, key=lambda path: path.stat().st_mtime, default=None)
 
 
 def read_report(name: str, folders: Iterable[Path], saved: Mapping[str, Path] = {}) -> bytes | None:
-    """The bytes of a report by its file name, from the first of the folders that has it; None for any other file.
+    """Return the bytes of a report by its file name, from the first folder that has it; None for any other file.
 
-    saved: reports that were written in other folders or under other names.
+    saved: reports written to other folders or under other names.
     """
     if (path := saved.get(name)) is not None and path.is_file():
         return path.read_bytes()
@@ -79,6 +82,6 @@ def read_report(name: str, folders: Iterable[Path], saved: Mapping[str, Path] = 
 
 
 def free_path(dataset: Path, what: str, ending: str) -> Path:
-    """The first ``NAME-what-1``, ``NAME-what-2``, … beside a dataset that is not a file yet."""
+    """Return the first of ``NAME-what-1``, ``NAME-what-2``, … next to a dataset that is not a file yet."""
     paths = (dataset.with_name(f"{dataset.stem}-{what}-{n}{ending}") for n in count(1))
     return next(path for path in paths if not path.exists())

@@ -1,7 +1,7 @@
-"""Folders for the file dialog: listed in pages with small pictures, on threads of their own, inside the roots alone.
+"""Folder listings for the file dialog, in pages with previews, on separate threads, restricted to the roots.
 
-The roots are the data folder, the home folder of the user that the program runs as, and those given at the start. A
-path counts as inside after its symbolic links are resolved, so that a link leads nowhere else.
+The roots are the data folder, the home folder of the user that runs the program, and those given at the start. A path
+is inside a root only if it is after its symbolic links are resolved, so a link cannot lead outside.
 """
 
 from __future__ import annotations
@@ -29,12 +29,12 @@ KindName = Literal[
 IMAGE_ENDINGS = (".tif", ".tiff", ".png", ".jpg", ".jpeg", ".bmp", ".pgm", ".webp")
 DATASET_ENDING = ".wafer"
 PAGE = 200
-"""Entries of a folder that are told at first; more follow when they are asked for."""
+"""Number of entries listed at first; more are listed on request."""
 MOST_ENTRIES = 20_000
-"""A folder with more is listed as far as that, in the order of the disk; typing a name still reaches the rest."""
+"""Maximum number of entries read from a folder, in disk order; typing a name still reaches the rest."""
 MOST_COUNTED = 1000
 COUNTED_FOLDERS = 60
-"""Images are counted in so many folders of a page, up to `MOST_COUNTED` each."""
+"""Number of folders per page whose images are counted, up to `MOST_COUNTED` each."""
 KEPT_LOOKS = 400
 KEPT_RECENT = 6
 RECENT = Path(".wafer-viewer") / "recent.json"
@@ -43,7 +43,7 @@ log = logging.getLogger(__name__)
 
 @dataclass(frozen=True, slots=True)
 class FileKind:
-    """What a dialog asks for: endings of names, whether a plain folder can be chosen, and more than one file."""
+    """Kind of file that a dialog accepts: name endings, whether plain folders and several files can be chosen."""
 
     title: str
     endings: tuple[str, ...]
@@ -64,12 +64,12 @@ FILE_KINDS: dict[KindName, FileKind] = {
     "study": FileKind("Tables and folders of scans", (".csv",), takes_folder=True),
     "any": FileKind("All files", ("",)),
 }
-"""One line for each thing that a dialog asks for; what was taken last is remembered by the same names."""
+"""File kinds by name; recently chosen paths are stored under the same names."""
 
 
 @dataclass(frozen=True, slots=True)
 class Root:
-    """A folder below which everything may be chosen, by the name that the page gives it."""
+    """Folder below which every path can be chosen, with its name on the page."""
 
     name: str
     path: Path
@@ -77,7 +77,7 @@ class Root:
 
 @dataclass(frozen=True, slots=True)
 class FileEntry:
-    """One line of a folder. is_folder: opening it lists it. why_not: why it cannot be chosen, empty where it can."""
+    """Entry of a folder. is_folder: opening it lists it. why_not: why it cannot be chosen, empty if it can."""
 
     path: Path
     kind: str
@@ -91,9 +91,10 @@ class FileEntry:
 
 @dataclass(frozen=True, slots=True)
 class Listing:
-    """A part of a folder. n_matching: entries that there are of what was asked for; n_hidden: files of other kinds.
+    """Part of a folder listing.
 
-    completion: the path as far as all entries with the beginning typed agree. parent is None in a root.
+    n_matching: number of entries that match the request; n_hidden: number of files of other kinds. completion: the
+    longest path on which all entries with the typed prefix agree. parent is None in a root.
     """
 
     folder: Path
@@ -108,14 +109,14 @@ class Listing:
 
 
 class Browsing:
-    """Answers from any thread; what takes time comes as a future.
+    """Folder listings and previews, from any thread; slow answers are futures.
 
     Parameters
     ----------
     data_folder : Path
-        The folder of the datasets, the first root; what was taken last is remembered in it.
+        The folder of the datasets, the first root; recently chosen paths are stored in it.
     more : tuple of Path
-        Other roots, as the command line names them.
+        Other roots, as given on the command line.
     home : Path or None
         The user's home folder; None leaves it out.
 
@@ -141,14 +142,14 @@ class Browsing:
         self._looking = ThreadPoolExecutor(1, thread_name_prefix="previews")
 
     def close(self) -> None:
-        """End the threads; what was not begun is not done."""
+        """End the threads; queued requests are cancelled."""
         self._listing.shutdown(wait=False, cancel_futures=True)
         self._looking.shutdown(wait=False, cancel_futures=True)
 
     # --- what may be chosen
 
     def allowed(self, path: Path) -> bool:
-        """Return whether a path lies in a root once its symbolic links are resolved."""
+        """Return whether a path is inside a root after its symbolic links are resolved."""
         try:
             real = Path(os.path.realpath(path))
         except OSError:
@@ -156,9 +157,9 @@ class Browsing:
         return any(real.is_relative_to(os.path.realpath(root.path)) for root in self.roots)
 
     def path_of(self, text: str, folder: Path) -> Path:
-        """Return the absolute path that a person typed, `folder` being the one on show; ~ is the home folder.
+        """Return the absolute path of a typed text, relative to the displayed `folder`; ~ is the home folder.
 
-        Raises DatasetError where nothing is typed, or the path leads out of the roots.
+        Raises DatasetError if the text is empty or the path leads out of the roots.
         """
         if not text.strip():
             raise DatasetError("No path is given: type one, or choose from the list.")
@@ -172,7 +173,7 @@ class Browsing:
         return path
 
     def existing(self, text: str, folder: Path) -> Path:
-        """Return the path that a person typed, of something that is there. Raises DatasetError otherwise."""
+        """Return the path of a typed text. Raises DatasetError if nothing exists there."""
         path = self.path_of(text, folder)
         if not path.exists():
             raise DatasetError(f"{path} does not exist: check the path.")
@@ -183,25 +184,25 @@ class Browsing:
     def list_folder(
         self, folder: Path, kind: FileKind, *, prefix: str = "", order: Order = "date", limit: int = PAGE
     ) -> Future[Listing]:
-        """List a folder: its folders first, then what is asked for, the newest first.
+        """List a folder: its subfolders first, then the matching files, the newest first.
 
         Parameters
         ----------
         folder : Path
-            A folder inside of a root.
+            A folder inside a root.
         kind : FileKind
-            What is asked for.
+            The kind of files to list.
         prefix : str
-            The beginning of the names to list, in any case.
+            The beginning of the names to list; case is ignored.
         order : {"date", "name", "size"}
-            By which files are sorted; folders follow it too, but for size.
+            Sort order of files; folders follow it as well, except for size.
         limit : int
-            Most entries to return.
+            Maximum number of entries to return.
 
         Returns
         -------
         Future of Listing
-            DatasetError where the folder lies outside of the roots, is not there or may not be read.
+            DatasetError if the folder is outside of the roots, does not exist or may not be read.
         """
         return self._listing.submit(self._list, folder, kind, prefix, order, limit)
 
@@ -228,7 +229,10 @@ class Browsing:
         )
 
     def _scan(self, folder: Path, prefix: str) -> tuple[list[os.DirEntry[str]], bool]:
-        """What is in a folder and may be shown; hidden files only where their dot is typed."""
+        """Return the entries of a folder that may be shown, and whether the list was cut.
+
+        Hidden files need a typed dot.
+        """
         found: list[os.DirEntry[str]] = []
         try:
             with os.scandir(folder) as items:
@@ -250,7 +254,7 @@ class Browsing:
     # --- small pictures
 
     def look(self, path: Path) -> Future[bytes]:
-        """Make a small picture of a file as JPEG; done with no bytes where there is nothing to show."""
+        """Return a preview of a file as JPEG bytes; empty bytes if there is nothing to show."""
         return self._looking.submit(self._look, path)
 
     def _look(self, path: Path) -> bytes:
@@ -272,7 +276,7 @@ class Browsing:
     # --- what was taken last
 
     def remember(self, kind: KindName, path: Path) -> None:
-        """Note what was taken, so that it is offered first the next time."""
+        """Store a chosen path, so that it is offered first the next time."""
         from wafer_viewer.store.io.atomic_files import write_text
 
         with self._writing:
@@ -298,9 +302,10 @@ class Browsing:
 
 
 def saved_as(browsing: Browsing, text: str, folder: Path, ending: str) -> Path:
-    """Return the path of a file to be saved, with the ending where the name typed has none.
+    """Return the path of a file to be saved, with the ending added if the typed name has none.
 
-    Raises DatasetError where there is no name, no folder, or the path leads out of the roots.
+    Raises DatasetError if the name is empty, the folder does not exist or is inside a dataset, or the path leads out of
+    the roots.
     """
     if not text.strip():
         raise DatasetError("The file has no name: type one.")
@@ -313,7 +318,7 @@ def saved_as(browsing: Browsing, text: str, folder: Path, ending: str) -> Path:
 
 
 def _entry(item: os.DirEntry[str], kind: FileKind) -> FileEntry | None:
-    """A line of the list; None for what is not asked for."""
+    """Return a list entry; None for a file that does not match."""
     try:
         status, is_folder = item.stat(), item.is_dir()
     except OSError:
@@ -337,7 +342,7 @@ def _entry(item: os.DirEntry[str], kind: FileKind) -> FileEntry | None:
 
 
 def kind_of(ending: str) -> str:
-    """Return the word for a kind of file by its ending."""
+    """Return the display name of a file kind by its ending."""
     if ending in (".tif", ".tiff"):
         return "TIFF"
     if ending in IMAGE_ENDINGS:
@@ -361,7 +366,7 @@ def _key(order: Order) -> Callable[[FileEntry], tuple[bool, float, list[str | in
 
 
 def _counted(entries: list[FileEntry], kind: FileKind) -> Iterator[FileEntry]:
-    """The entries, folders with the number of images in them where images are asked for."""
+    """Yield the entries; folders get the number of images in them if images are requested."""
     left = COUNTED_FOLDERS if kind is FILE_KINDS["images"] else 0
     for entry in entries:
         if entry.is_folder and left and not entry.why_not:
@@ -385,7 +390,10 @@ def _n_images(folder: Path) -> str:
 
 
 def _completion(folder: Path, prefix: str, found: list[FileEntry]) -> str:
-    """What typing can be completed to: the common beginning of all names, a lone folder with its separator."""
+    """Return the common beginning of all names, as completion of the typed text.
+
+    A single folder ends with a separator.
+    """
     if not prefix or not found:
         return ""
     names = [entry.path.name for entry in found]

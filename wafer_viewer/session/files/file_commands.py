@@ -1,4 +1,7 @@
-"""Surface files in: one of another program becomes a dataset and is open. What goes out is in session/file_work.py."""
+"""Import of surface files of other programs into a dataset, which is then opened.
+
+For exports see session/file_work.py.
+"""
 
 from __future__ import annotations
 
@@ -13,7 +16,7 @@ from wafer_viewer.session.files.file_jobs import FileWork
 
 
 class Exchange:
-    """For the page and for notebooks: every verb returns a future."""
+    """Import commands for the page and for notebooks; commands return futures."""
 
     def __init__(
         self, do: Callable[..., Future[Any]], desk: CommandQueue, files: FileWork, open_dataset: Callable[[Path], Path]
@@ -21,12 +24,12 @@ class Exchange:
         self._do, self._desk, self._files, self._open = do, desk, files, open_dataset
 
     def is_surface(self, path: Path) -> bool:
-        """Whether a path names a surface file, and no dataset and no images."""
+        """Return whether a path names a surface file, rather than a dataset or images."""
         from wafer_viewer.store.formats.readers import is_surface_file
 
         return is_surface_file(Path(path))
 
     def import_surface(self, path: Path, says: Reading = Reading(), name: str | None = None) -> Future[Path]:
-        """Make a dataset of a surface file and open it; done when it is open. says: what the file does not say."""
+        """Import a surface file into a dataset and open it. says: values that the file does not contain."""
         made = self._do(self._files.import_surface, Path(path), says, name)
         return self._desk.then(made, self._open)

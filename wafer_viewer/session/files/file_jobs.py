@@ -1,4 +1,4 @@
-"""Images in and surfaces out: background work with progress, done by the workers."""
+"""Import of images and export of surfaces, as background work on the workers with progress."""
 
 from __future__ import annotations
 
@@ -19,13 +19,13 @@ from wafer_viewer.session.surface.worker_tasks import export_surface, import_ima
 
 
 class FileWork:
-    """On the session's thread only."""
+    """Import, export and report work. Use on the session's thread only."""
 
     def __init__(self, desk: CommandQueue, library: Library, background: BackgroundWork) -> None:
         self._desk, self._library, self._background = desk, library, background
 
     def import_images(self, srcs: tuple[Path, ...], options: dict[str, Any], name: str | None) -> Future[Path]:
-        """Make a dataset of images; done with its path."""
+        """Import images into a dataset; the future's result is its path."""
         folder = self._desk.now.data_folder
         wish = Path(name).name.removesuffix(ENDING) if name else free_name(folder, srcs[0].stem if srcs else "import")
         out = folder / f"{wish}{ENDING}"
@@ -34,7 +34,7 @@ class FileWork:
         )
 
     def import_surface(self, src: Path, says: Reading, name: str | None) -> Future[Path]:
-        """Make a dataset of a surface file; done with its path."""
+        """Import a surface file into a dataset; the future's result is its path."""
         wish = Path(name).name.removesuffix(ENDING) if name else free_name(self._desk.now.data_folder, src.stem)
         out = self._desk.now.data_folder / f"{wish}{ENDING}"
         return self._background.run(f"Import of {out.stem}", import_surface, src.absolute(), out, says)
@@ -42,7 +42,7 @@ class FileWork:
     def export_surface(
         self, path: Path, field_number: int | None, every: int | None = None, part: Region | None = None
     ) -> Future[Path]:
-        """Write the mosaic, a field's surface, or what is shown of a comparison, to a file; done with its path."""
+        """Write the mosaic, a field's surface or the displayed comparison layer to a file; the result is its path."""
         dataset, result = self._library.dataset, self._library.result_name
         if (asked := comparison_of(field_number or 0)) is not None:
             result = next((c.name for c in self._desk.now.comparisons if c.number == asked[0]), result)
@@ -51,7 +51,7 @@ class FileWork:
         return self._background.run(f"Export to {path.name}", export_surface, *args)
 
     def write_report(self, order: ReportOrder, out: Path) -> Future[Path]:
-        """Write the report of the open dataset; done with its path."""
+        """Write the report of the open dataset; the future's result is its path."""
         dataset = self._library.dataset
         args = (dataset.path, self._library.result_name, order, out.absolute())
         return self._background.run(f"Report of {dataset.path.stem}", make_report, *args)

@@ -1,4 +1,4 @@
-"""A surface file as a dataset: no frames and no fields, one stitched surface that everything reads as any other."""
+"""Import of a surface file as a dataset with one stitched surface, without frames and fields."""
 
 from __future__ import annotations
 
@@ -21,9 +21,9 @@ from wafer_viewer.store.dataset.scan_record import JOURNAL, ScanRecord, write_re
 from wafer_viewer.store.io.atomic_files import replacing
 
 READ_SHARE = 0.4
-"""Of an import, how much of the progress bar reading the file takes."""
+"""Fraction of the progress bar for reading the file, during an import."""
 _ANY_UM = 1.0
-"""Stands where a plan asks for a sweep, and there was none."""
+"""Placeholder for the z step where a plan needs a sweep and the file has none."""
 
 
 def import_surface(
@@ -34,10 +34,10 @@ def import_surface(
     progress: Progress = silent,
     should_stop: ShouldStop = never,
 ) -> Path:
-    """Make a dataset of a surface file; it appears once it is whole.
+    """Import a surface file into a dataset, which appears once it is complete.
 
-    says: what the file does not say. Raises DatasetError, with nothing written, for all that `read_surface` refuses, a
-    place that is taken or cannot be written to, and when it is stopped.
+    says: values that the file does not contain. Raises DatasetError, with nothing written, for everything that
+    `read_surface` refuses, for a path that exists or cannot be written to, and when the import is stopped.
     """
     from wafer_viewer.store.formats.readers import read_surface
 

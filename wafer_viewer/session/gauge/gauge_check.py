@@ -1,4 +1,4 @@
-"""Gauge-block checks of datasets, for the session and the command line alike: repeats, signing, records."""
+"""Gauge-block checks of datasets, for the session and the command line: repeats, signing, records."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ from wafer_viewer.session.state.gauge_state import Faces
 
 @dataclass(frozen=True, slots=True, eq=False)
 class GaugeSource:
-    """A surface that a repeat is measured on: show 0 the stitched one, else the field of that number.
+    """Surface of one repeat: show 0 is the stitched one, else the field of that number.
 
     problem: why its lengths are uncalibrated, or None; taken: ISO 8601.
     """
@@ -32,17 +32,17 @@ class GaugeSource:
 
     @property
     def day(self) -> str:
-        """Of the measurement; today where that is not known."""
+        """Date of the measurement; today if it is unknown."""
         return self.taken[:10] or today()
 
     @property
     def calibration(self) -> Calibration | None:
-        """What its heights were made with."""
+        """Calibration that the heights were made with."""
         return self.surface.provenance.calibration
 
 
 def source_of(src: Path, field_number: int, result: str) -> GaugeSource:
-    """The surface of a dataset (0: the mosaic) or of a file. Raises DatasetError when it cannot be read."""
+    """Return the surface of a dataset (0: the mosaic) or of a file. Raises DatasetError when it cannot be read."""
     from wafer_viewer.session.surface.headless import is_dataset, measured_surface
     from wafer_viewer.store.dataset.dataset import Dataset
 
@@ -54,7 +54,7 @@ def source_of(src: Path, field_number: int, result: str) -> GaugeSource:
 
 
 def find_faces(surface: Mosaic) -> Faces:
-    """The faces of two blocks, found by themselves. Raises MeasureError where there are none."""
+    """Return the automatically detected faces of two blocks. Raises MeasureError if there are none."""
     from wafer_viewer.measure.gauge.find_faces import find_faces
 
     found = find_faces(surface)
@@ -62,9 +62,9 @@ def find_faces(surface: Mosaic) -> Faces:
 
 
 def repeat_of(source: GaugeSource, certificate: Certificate, faces: Faces | None = None) -> GaugeRepeat:
-    """The step in one scan; faces are found by themselves where none are given.
+    """Return the step in one scan; the faces are detected unless they are given.
 
-    Raises MeasureError where there is no check of this scan against the certificate, or the step cannot be measured.
+    Raises MeasureError if this scan cannot be checked against the certificate or the step cannot be measured.
     """
     from wafer_viewer.measure.gauge.gauge_check import gauge_repeat, refusal
 
@@ -78,7 +78,7 @@ def repeat_of(source: GaugeSource, certificate: Certificate, faces: Faces | None
 def check_of(
     repeats: Sequence[GaugeRepeat], certificate: Certificate, terms: GaugeTerms, records: Sequence[GaugeRecord]
 ) -> GaugeCheck:
-    """What repeats come to, with the scatter that signed checks of these blocks found before in other scans."""
+    """Return the check of some repeats, with the pooled scatter of earlier signed checks of these blocks."""
     from wafer_viewer.measure.gauge.gauge_check import gauge_check
     from wafer_viewer.measure.gauge.run_chart import pooled_scatter
 
@@ -86,7 +86,10 @@ def check_of(
 
 
 def signed(check: GaugeCheck, operator: str, records: Sequence[GaugeRecord]) -> GaugeCheck:
-    """The check with who signed it and when. Raises MeasureError without a name, or where a scan counts already."""
+    """Return the check with signer and time.
+
+    Raises MeasureError without a name, or if a scan is in an earlier check.
+    """
     if not operator.strip():
         raise MeasureError("A check is signed with a name: say who made it.")
     for before in (record.check for record in records):
@@ -98,26 +101,26 @@ def signed(check: GaugeCheck, operator: str, records: Sequence[GaugeRecord]) -> 
 
 
 def record_of(check: GaugeCheck, rig: str, result: str) -> GaugeRecord:
-    """What the log keeps of a signed check."""
+    """Return the log record of a signed check."""
     from wafer_viewer._version import __version__
 
     return GaugeRecord(check=check, rig=rig, result=result, software_version=__version__)
 
 
 def _others(records: Sequence[GaugeRecord], repeats: Sequence[GaugeRepeat]) -> list[GaugeRecord]:
-    """The records of checks that have no scan in common with some repeats."""
+    """Return the records of checks that share no scan with some repeats."""
     return [record for record in records if _in_common(record.check, repeats) is None]
 
 
 def _in_common(check: GaugeCheck, repeats: Sequence[GaugeRepeat]) -> str | None:
-    """The first scan that a check has with some repeats."""
+    """Return the first scan that a check shares with some repeats; None if there is none."""
     return next((new.dataset for new in repeats if any(old.is_scan_of(new) for old in check.repeats)), None)
 
 
 def capability_of(
     records: Sequence[GaugeRecord], tolerance_um: float | None, latest: GaugeCheck | None = None
 ) -> Capability | None:
-    """Cg and Cgk over every scan of signed checks and of the latest, signed or not; None without a tolerance."""
+    """Return Cg and Cgk over every scan of signed checks and of the latest, signed or not; None without a tolerance."""
     from wafer_viewer.measure.gauge.capability import capability
     from wafer_viewer.measure.gauge.run_chart import errors_of_scans, same_scale
 
@@ -129,5 +132,5 @@ def capability_of(
 
 
 def now() -> str:
-    """This moment, ISO 8601 with the time zone."""
+    """Return the current time, ISO 8601 with the time zone."""
     return datetime.datetime.now().astimezone().isoformat(timespec="milliseconds")

@@ -1,4 +1,4 @@
-"""The gauge-block check for the page and the prompt, ``session.gauge``; `snapshot.gauge` is where it stands."""
+"""Gauge-block check commands for the page and the prompt, ``session.gauge``; `snapshot.gauge` is the current state."""
 
 from __future__ import annotations
 
@@ -20,7 +20,10 @@ from wafer_viewer.session.state.snapshot import Snapshot
 
 
 class GaugeVerbs:
-    """Verbs return futures; `find_faces` and `check` answer on any thread and take as long as they measure."""
+    """Gauge-block check commands, which return futures.
+
+    `find_faces` and `check` run on the calling thread and block it.
+    """
 
     def __init__(
         self,
@@ -32,49 +35,49 @@ class GaugeVerbs:
         self._do, self._keeper, self._questions, self._snapshot = do, keeper, questions, snapshot
 
     def load_certificate(self, path: Path) -> Future[Certificate]:
-        """Take up the certificate in a TOML file. MeasureError where it lacks what a check needs."""
+        """Load the certificate in a TOML file. MeasureError if it lacks what a check needs."""
         return self._do(self._keeper.load_certificate, Path(path))
 
     def put_certificate(self, certificate: Certificate | None) -> Future[None]:
-        """Take up a certificate, or put it away."""
+        """Set the certificate; None removes it."""
         return self._do(self._keeper.put_certificate, certificate)
 
     def set_terms(self, terms: GaugeTerms) -> Future[None]:
-        """Limit, temperature, tolerance, interval."""
+        """Set limit, temperature, tolerance and interval."""
         return self._do(self._keeper.set_terms, terms)
 
     def tick(self, point: str, done: bool = True) -> Future[None]:
-        """Say that a point of the preparation is done, or take it back."""
+        """Mark a step of the preparation as done, or as not done."""
         return self._do(self._keeper.tick, point, done)
 
     def add_repeat(
         self, upper: Region | None = None, lower: Region | None = None, show: int = 0
     ) -> Future[GaugeRepeat]:
-        """Measure the open dataset as one repeat; without regions the faces are found by themselves."""
+        """Measure the open dataset as one repeat; without regions the faces are detected."""
         return self._do(self._keeper.add_repeat, self._measured, _faces(upper, lower), show)
 
     def drop_repeat(self, n: int) -> Future[None]:
-        """Take a repeat out, by its place from 0."""
+        """Remove a repeat, by its index from 0."""
         return self._do(self._keeper.drop_repeat, n)
 
     def clear(self) -> Future[None]:
-        """Let the repeats go and begin anew."""
+        """Remove all repeats and start again."""
         return self._do(self._keeper.clear)
 
     def sign(self, operator: str) -> Future[GaugeRecord]:
-        """Keep the check under a name: in the log, and as a result of the open dataset."""
+        """Sign the check and store it in the log and as a result of the open dataset."""
         return self._do(self._keeper.sign, operator)
 
     def correct_scale(self, operator: str, why: str = "") -> Future[Calibration]:
-        """Set the rig's z scale by the signed check; its next scans have it, those that were taken stay as they are."""
+        """Set the rig's z scale from the signed check, for its next scans; existing scans do not change."""
         return self._do(self._keeper.correct_scale, operator, why)
 
     def find_faces(self, show: int = 0) -> Faces:
-        """The upper and the lower face of the blocks on what is shown. Raises MeasureError where there are none."""
+        """Return the upper and the lower face of the blocks on a surface. Raises MeasureError if there are none."""
         return work.find_faces(self._questions.surface_source(show))
 
     def check(self, upper: Region, lower: Region, show: int = 0) -> GaugeCheck:
-        """What the check would come to with the open dataset measured at these faces. Raises MeasureError."""
+        """Return the check with the open dataset measured at these faces. Raises MeasureError."""
         state, repeat = self._snapshot().gauge, self._measured((upper, lower), show)
         if state.certificate is None:
             raise MeasureError(NO_CERTIFICATE)

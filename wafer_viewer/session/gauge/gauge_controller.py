@@ -1,4 +1,4 @@
-"""The gauge-block check of the snapshot: what it has so far, what that comes to, and what was signed before."""
+"""Gauge-block check of the snapshot: its repeats, their evaluation, and earlier signed checks."""
 
 from __future__ import annotations
 
@@ -31,7 +31,7 @@ Measure = Callable[[Faces | None, int], GaugeRepeat]
 
 
 class GaugeKeeper:
-    """On the session's thread, but `measure`, which has one of its own."""
+    """Controller of the gauge-block check. Use on the session's thread only; `measure` runs on a separate one."""
 
     def __init__(self, desk: CommandQueue, library: Library, book: ResultsStore, folder: Path) -> None:
         self._desk, self._library, self._book, self._folder = desk, library, book, folder
@@ -41,20 +41,20 @@ class GaugeKeeper:
 
     @property
     def state(self) -> GaugeState:
-        """As the verb sees it that is being carried out."""
+        """State as seen by the running command."""
         return self._desk.now.gauge
 
     def close(self) -> None:
-        """Let the thread go."""
+        """End the thread."""
         self._at_work.shutdown(wait=True, cancel_futures=True)
 
     def put_certificate(self, certificate: Certificate | None) -> None:
-        """Take up a certificate, or none; repeats against another one are let go."""
+        """Set the certificate or None; repeats against another certificate are removed."""
         if certificate != self.state.certificate:
             self._show(certificate=certificate, repeats=(), faces=None, signed=None)
 
     def load_certificate(self, path: Path) -> Certificate:
-        """Take up the certificate in a file."""
+        """Load the certificate in a file."""
         from wafer_viewer.store.records.certificates import read_certificate
 
         certificate = read_certificate(path)
@@ -62,16 +62,16 @@ class GaugeKeeper:
         return certificate
 
     def set_terms(self, terms: GaugeTerms) -> None:
-        """What the check is made under."""
+        """Set the terms of the check."""
         self._show(terms=terms)
 
     def tick(self, point: str, done: bool) -> None:
-        """Somebody says that a point of the preparation is done, or not."""
+        """Mark a step of the preparation as done, or as not done."""
         others = tuple(tick for tick in self.state.ticks if tick.point != point)
         self._show(ticks=(*others, Tick(point, work.now())) if done else others)
 
     def add_repeat(self, measure: Measure, faces: Faces | None, show: int) -> Future[GaugeRepeat]:
-        """Measure the open dataset as one repeat, on a thread of its own; done when it counts."""
+        """Measure the open dataset as one repeat, on a separate thread; the future is done when the repeat is added."""
         self.require_certificate()
         self._desk.change(gauge=replace(self.state, busy=True))
         measured = self._at_work.submit(measure, faces, show)
@@ -79,18 +79,18 @@ class GaugeKeeper:
         return self._desk.afterwards(counted, lambda: self._desk.change(gauge=replace(self.state, busy=False)))
 
     def drop_repeat(self, n: int) -> None:
-        """Take a repeat out, by its place from 0."""
+        """Remove a repeat, by its index from 0."""
         repeats = self.state.repeats
         if not 0 <= n < len(repeats):
             raise MeasureError(f"The check has {len(repeats)} repeats and no number {n + 1}: choose one of them.")
         self._show(repeats=(*repeats[:n], *repeats[n + 1 :]), signed=None)
 
     def clear(self) -> None:
-        """Begin anew with the same certificate and terms."""
+        """Start again with the same certificate and terms."""
         self._show(repeats=(), ticks=(), faces=None, signed=None)
 
     def sign(self, operator: str) -> GaugeRecord:
-        """Keep the check under a name: in the log of the data folder, and as a result of the open dataset."""
+        """Sign the check and store it in the log of the data folder and as a result of the open dataset."""
         from wafer_viewer.store.records.gauge_checks import sign
 
         state, shown = self.state, self._library.shown
@@ -110,7 +110,7 @@ class GaugeKeeper:
         return record
 
     def correct_scale(self, operator: str, why: str) -> Calibration:
-        """Put in force what the signed check offers; the rig's next scans have it."""
+        """Apply the correction offered by the signed check to the rig's next scans."""
         from wafer_viewer.session.gauge.z_scale_correction import correct
 
         record, rig = self._signed_record(), self._desk.now.rig
@@ -126,13 +126,13 @@ class GaugeKeeper:
         return after
 
     def require_certificate(self) -> Certificate:
-        """The certificate. Raises MeasureError as long as there is none."""
+        """Return the certificate. Raises MeasureError if there is none."""
         if (certificate := self.state.certificate) is None:
             raise MeasureError(NO_CERTIFICATE)
         return certificate
 
     def _count(self, repeat: GaugeRepeat) -> GaugeRepeat:
-        """One more repeat; the first after a signed check begins another."""
+        """Add a repeat; the first one after a signed check starts a new check."""
         from wafer_viewer.measure.gauge.gauge_check import require_new
 
         before = () if self.state.signed is not None else self.state.repeats
@@ -142,7 +142,7 @@ class GaugeKeeper:
         return repeat
 
     def _look(self, now: Snapshot) -> None:
-        """After every change: whether another dataset is open, or another rig is there."""
+        """Update the state if another dataset is open or another rig is connected; called after every change."""
         data, rig = now.dataset, now.rig
         of = (data and (data.path, data.calibration_problem), rig.name, rig.calibration)
         if of != self._of:
@@ -150,7 +150,7 @@ class GaugeKeeper:
             self._desk.note(self._show)
 
     def _show(self, **changes: Any) -> None:
-        """The state with what follows from it."""
+        """Publish the state with its derived values."""
         state = replace(self.state, **changes)
         records = self._records(state.certificate)
         self._desk.change(gauge=replace(state, records=records))

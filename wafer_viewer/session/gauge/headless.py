@@ -1,4 +1,4 @@
-"""Gauge-block checks from the command line: of datasets and surface files, without a session."""
+"""Gauge-block checks from the command line, of datasets and surface files, without a session."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ from wafer_viewer.store.records.gauge_checks import sign, signed_checks
 
 
 class History(Spec, frozen=True, kw_only=True):
-    """The signed checks of one pair of blocks on one rig, their run chart and, with a tolerance, their capability."""
+    """Signed checks of one pair of blocks on one rig, their run chart and, with a tolerance, their capability."""
 
     error: ClassVar[type[WaferViewerError]] = MeasureError
     rig: str
@@ -39,9 +39,9 @@ def check_sources(
     field_number: int,
     result: str,
 ) -> tuple[GaugeCheck, Capability | None]:
-    """What scans come to as repeats of one check, and Cg, Cgk with those before.
+    """Return the check of some scans as repeats, and Cg, Cgk including the earlier checks.
 
-    Raises MeasureError where there is no check of one of them, or they are of several rigs.
+    Raises MeasureError if one of them cannot be checked, or if they are of several rigs.
     """
     certificate = read_certificate(certificate_file)
     rigs = dict.fromkeys(_rig(path) for path in src)
@@ -55,7 +55,7 @@ def check_sources(
 
 
 def sign_sources(check: GaugeCheck, src: Sequence[Path], operator: str, log: Path | None, result: str) -> GaugeCheck:
-    """Sign a check: it goes to the log, and into the results of the last scan where that is a dataset."""
+    """Sign a check and store it in the log, and in the results of the last scan if that is a dataset."""
     folder = log or src[0].parent
     signed = work.signed(check, operator, _records(src, check.certificate, log))
     record = work.record_of(signed, _rig(src[0]), result)
@@ -71,7 +71,7 @@ def sign_sources(check: GaugeCheck, src: Sequence[Path], operator: str, log: Pat
 
 
 def history(folder: Path, serials: Sequence[str], rig: str | None, tolerance_um: float | None) -> History:
-    """The signed checks of a folder. Raises MeasureError where there are none, or of several pairs of blocks."""
+    """Return the signed checks of a folder. Raises MeasureError if there are none, or of several pairs of blocks."""
     from wafer_viewer.measure.gauge.run_chart import run_chart
 
     records = signed_checks(folder, serials)
@@ -87,7 +87,7 @@ def history(folder: Path, serials: Sequence[str], rig: str | None, tolerance_um:
 
 
 def _keep(data: Dataset, name: str, check: GaugeCheck) -> GaugeCheck:
-    """Number, name and keep a check among the results of a dataset."""
+    """Store a check with a number and a name among the results of a dataset, and return it."""
     result = data.result(name)
     items = result.findings().items
     number = max((result.highest_thumbnail(), *(item.number for item in items))) + 1
@@ -98,7 +98,7 @@ def _keep(data: Dataset, name: str, check: GaugeCheck) -> GaugeCheck:
 
 
 def _records(src: Sequence[Path], certificate: Certificate, log: Path | None) -> tuple[GaugeRecord, ...]:
-    """The signed checks of the same blocks on the same rig."""
+    """Return the signed checks of the same blocks on the same rig."""
     return _of_rig(signed_checks(log or src[0].parent, certificate.serials), _rig(src[0]))
 
 

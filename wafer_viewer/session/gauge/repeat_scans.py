@@ -1,4 +1,4 @@
-"""Repeat scans as studies of repeatability: a wafer is a part, its operator the appraiser, each scan of it a trial."""
+"""Repeatability studies from repeat scans: a wafer is a part, its operator the appraiser, each scan a trial."""
 
 from __future__ import annotations
 
@@ -19,21 +19,21 @@ from wafer_viewer.session.planning.verdicts import kept_verdict
 from wafer_viewer.store.dataset.dataset import Dataset
 
 NOBODY = "not named"
-"""The appraiser of scans whose operator was not given."""
+"""Appraiser of scans without an operator name."""
 Cells = Mapping[tuple[str, str], list[float]]
-"""By part and appraiser, the trials in order of time."""
+"""Trials in order of time, by part and appraiser."""
 
 
 @dataclass(frozen=True, slots=True)
 class _Scan:
-    """One dataset of a study."""
+    """Dataset of a study, with the name of its result."""
 
     data: Dataset
     result: str
 
     @property
     def part(self) -> str:
-        """The wafer's id. Raises MeasureError where it has none."""
+        """Wafer id. Raises MeasureError if there is none."""
         sample = self.data.scan.job.sample
         if not (name := sample.wafer_id.strip() or sample.name.strip()):
             raise MeasureError(f"{self.data.path.name} names no wafer: without its id the part is not known.")
@@ -41,16 +41,49 @@ class _Scan:
 
     @property
     def appraiser(self) -> str:
-        """Its operator."""
+        """Operator of the scan."""
         return self.data.scan.job.sample.operator.strip() or NOBODY
 
 
 def studies_of(paths: Sequence[Path], job: Path | Job | None = None, result: str = DEFAULT_RESULT) -> tuple[Study, ...]:
-    """A study of every feature of a job, and of every die where it has some: each die of each wafer is a part.
+    """Return a repeatability study of every feature of a job.
 
-    paths: datasets, or folders of them; job: that of the first dataset where left out. What was kept in a verdict is
-    taken from there, the rest is measured now. Raises MeasureError for a feature that was not measured everywhere, and
-    where not every part was measured equally often by everyone.
+    A wafer is a part, its operator the appraiser, and each scan a trial. Features measured per die have one part for
+    each die of each wafer.
+
+    Parameters
+    ----------
+    paths : sequence of Path
+        Datasets, or folders of them.
+    job : Path or Job, optional
+        Job with the features, or its ``PLAN.toml``. Default: the job of the first dataset by time of the scan.
+    result : str, default "default"
+        Name of the result of each dataset whose stitched surface is used.
+
+    Returns
+    -------
+    tuple of Study
+        One study for each feature with a place, in the order of the job; values [part][appraiser][trial] in the unit of
+        the feature, trials in order of time.
+
+    Raises
+    ------
+    MeasureError
+        When the job has no feature with a place, a dataset names no wafer, a feature was not measured everywhere, or
+        not every part was measured equally often by every appraiser.
+    DatasetError
+        When no dataset is found, or a dataset or its stitched surface cannot be opened.
+    PlanError
+        When the file of the job cannot be read or is invalid.
+
+    Notes
+    -----
+    Values stored in a verdict on the same surface are used if they are of the same feature; the others are measured
+    now. Scans without an operator count as those of one appraiser.
+
+    References
+    ----------
+    .. [1] AIAG, Measurement Systems Analysis (MSA) reference manual.
     """
     scans = [_Scan(Dataset.open(path), result) for path in datasets_of(paths)]
     scans.sort(key=lambda scan: (scan.data.scan.taken, scan.data.path.name))
@@ -62,7 +95,7 @@ def studies_of(paths: Sequence[Path], job: Path | Job | None = None, result: str
 
 
 def study_of(scans: Sequence[_Scan], feature: Feature, job: Job) -> Study:
-    """The study of one feature over scans."""
+    """Return the study of one feature over scans."""
     cells: dict[tuple[str, str], list[float]] = defaultdict(list)
     for scan in scans:
         for die, quantity in _measured(scan, feature, job).items():
@@ -82,7 +115,7 @@ def study_of(scans: Sequence[_Scan], feature: Feature, job: Job) -> Study:
 
 
 def _measured(scan: _Scan, feature: Feature, job: Job) -> dict[str, Quantity]:
-    """What a feature came to in a scan, by die; the kept number where the same one was kept."""
+    """Return the values of a feature in a scan, by die; a stored value is used if it is of the same feature."""
     result = scan.data.result(scan.result)
     verdict, dies_then = kept_verdict(result), scan.data.scan.job.dies
     kept = {
@@ -95,7 +128,7 @@ def _measured(scan: _Scan, feature: Feature, job: Job) -> dict[str, Quantity]:
 
 
 def _now(scan: _Scan, feature: Feature, die: Die | None) -> Quantity:
-    """Raises MeasureError naming the dataset where the feature cannot be measured."""
+    """Return the value of a feature, measured now. Raises MeasureError with the dataset's name if that fails."""
     from wafer_viewer.measure.verdict import measured_feature, quantity_of
 
     data = scan.data
@@ -109,7 +142,7 @@ def _now(scan: _Scan, feature: Feature, die: Die | None) -> Quantity:
 
 
 def _require_balanced(cells: Cells, name: str, parts: Sequence[str], appraisers: Sequence[str]) -> None:
-    """Raise MeasureError where somebody measured a part more often than somebody another."""
+    """Raise MeasureError if the numbers of trials per part and appraiser differ."""
     most = max(len(trials) for trials in cells.values())
     for part in parts:
         for appraiser in appraisers:

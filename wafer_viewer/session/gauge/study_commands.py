@@ -1,4 +1,4 @@
-"""Studies of the gauge: repeatability and reproducibility from a table, or from repeat scans of a data folder."""
+"""Gauge studies: repeatability and reproducibility from a table, or from repeat scans of a data folder."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from wafer_viewer.model.quantity import Unit
 
 @dataclass(frozen=True, slots=True)
 class Studied:
-    """What a study of one quantity came to; unit None: that of a table's values, which it does not say."""
+    """Result of a study of one quantity; unit None: a table's values have an unknown unit."""
 
     name: str
     found: GaugeRR
@@ -20,12 +20,15 @@ class Studied:
 
 
 class Studies:
-    """Questions, from any thread; they change nothing. All raise WaferViewerError when there is no answer."""
+    """Gauge studies, which any thread can request and which change nothing.
+
+    Methods raise WaferViewerError on failure.
+    """
 
     def gauge_rr(self, path: Path, method: Method = "anova", tolerance: float | None = None) -> tuple[Studied, ...]:
-        """How much of the spread is the gauge's.
+        """Return the share of the gauge in the observed spread.
 
-        path: a CSV with part, appraiser and value, or a folder of repeat scans, which are measured where they have no
+        path: a CSV with part, appraiser and value, or a folder of repeat scans, which are measured if they have no
         verdict: one study for each feature of their job. tolerance: of a table's values, in their unit; scans have
         those of their job.
         """

@@ -1,4 +1,4 @@
-"""The z scale of a rig set by a signed check: what it would be, and the change put in force and written down."""
+"""Correction of a rig's z scale by a signed check: calculation, application and log."""
 
 from __future__ import annotations
 
@@ -15,16 +15,16 @@ from wafer_viewer.store.records.gauge_checks import signed_checks
 
 
 def offered(record: GaugeRecord, in_force: Calibration) -> ScaleCorrection:
-    """What a signed check offers. Raises MeasureError where it offers nothing."""
+    """Return the correction that a signed check offers. Raises MeasureError if it offers none."""
     from wafer_viewer.calibrate.z_scale import scale_correction
 
     return scale_correction(record.check, in_force, today())
 
 
 def correct(folder: Path, record: GaugeRecord, in_force: Calibration, by: str, why: str = "") -> ScaleCorrection:
-    """Put the correction that a check offers in force for the rig's next scans into a data folder, and write it down.
+    """Apply the correction of a check to the rig's next scans into a data folder, and log it.
 
-    Raises MeasureError without a name, or where the check offers none or its correction was made already.
+    Raises MeasureError without a name, or if the check offers none or its correction was already made.
     """
     if not by.strip():
         raise MeasureError("The z scale is corrected under a name: say who does it.")
@@ -47,7 +47,10 @@ def correct(folder: Path, record: GaugeRecord, in_force: Calibration, by: str, w
 
 
 def last_check(folder: Path, serials: Sequence[str]) -> GaugeRecord:
-    """The newest signed check of a data folder, of some blocks or of any. Raises MeasureError where there is none."""
+    """Return the newest signed check of a data folder, of some blocks or of any.
+
+    Raises MeasureError if there is none.
+    """
     records = signed_checks(folder, serials)
     if not records:
         of = f" of block{'' if len(serials) == 1 else 's'} {' and '.join(serials)}" if serials else ""
@@ -56,7 +59,10 @@ def last_check(folder: Path, serials: Sequence[str]) -> GaugeRecord:
 
 
 def in_force(folder: Path, record: GaugeRecord) -> Calibration:
-    """The calibration that a check's rig has now, by the log of its corrections. Raises MeasureError without any."""
+    """Return the current calibration of a check's rig, by the log of its corrections.
+
+    Raises MeasureError if there is none.
+    """
     used = record.check.repeats[0].calibration
     found = calibration_in_force(folder, record.rig, used)
     if found is None:

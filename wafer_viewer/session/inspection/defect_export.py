@@ -1,4 +1,4 @@
-"""Defects handed over to other programs, and golden dies kept: what the command line and the workers do alike."""
+"""Export of defects to other programs, and storage of golden dies, for the command line and the workers."""
 
 from __future__ import annotations
 
@@ -17,14 +17,14 @@ Handover = Literal["klarf", "csv", "training"]
 
 
 def write_klarf(wafer: Wafer, found: Inspection, path: Path) -> Path:
-    """KLARF 1.2."""
+    """Write a KLARF 1.2 file."""
     from wafer_viewer.store.tables.klarf_writer import write_klarf
 
     return write_klarf(found, path, wafer.sample, center_um=wafer.center_um)
 
 
 def write_csv(wafer: Wafer, found: Inspection, path: Path) -> Path:
-    """A table for a spreadsheet."""
+    """Write a table for a spreadsheet."""
     from wafer_viewer.store.io.atomic_files import write_text
     from wafer_viewer.store.tables.defects_csv import defects_csv
 
@@ -33,7 +33,7 @@ def write_csv(wafer: Wafer, found: Inspection, path: Path) -> Path:
 
 
 def write_training(wafer: Wafer, found: Inspection, path: Path) -> Path:
-    """A folder of cut-outs with the classes given by the rules and by people."""
+    """Write a folder of image crops with the classes assigned by the rules and by people."""
     from wafer_viewer.store.tables.training_set import write_training_set
 
     return write_training_set(found, wafer.surface, path)
@@ -55,10 +55,10 @@ def hand_over(
     progress: Progress = silent,
     should_stop: ShouldStop = never,
 ) -> Path:
-    """Write the defects that are kept of a dataset to a file or a folder, as they are judged now.
+    """Write the stored defects of a dataset to a file or a folder, with their current judgements.
 
-    Raises DatasetError where there are none, the format cannot hold them, or the place cannot be written to; for
-    cut-outs also where the surface is another one by now.
+    Raises DatasetError if there are none, the format cannot hold them, or the path cannot be written to; for image
+    crops also if the surface has changed since.
     """
     wafer, found = _inspected(dataset, result, same_surface=what == "training")
     return WRITERS[what](wafer, found, path)
@@ -72,10 +72,10 @@ def keep_golden(
     progress: Progress = silent,
     should_stop: ShouldStop = never,
 ) -> Path:
-    """Keep the typical die of an inspected surface as the next version of a name, beside the dataset.
+    """Store the typical die of an inspected surface as the next version of a golden die, next to the dataset.
 
-    Raises DatasetError where this surface was not inspected, the name is none or another product's, or the folder
-    cannot be written to; MeasureError where there are no dies, or too few of them.
+    Raises DatasetError if this surface was not inspected, the name is invalid or another product's, or the folder
+    cannot be written to; MeasureError if there are no dies, or too few of them.
     """
     from wafer_viewer.measure.defects.inspection import golden_of_surface
     from wafer_viewer.store.records.golden_dies import FOLDER, save_golden
@@ -88,7 +88,7 @@ def keep_golden(
 
 
 def _inspected(dataset: Path, result: str, *, same_surface: bool) -> tuple[Wafer, Inspection]:
-    """The surface and what was found on it; same_surface: it must be the one that was inspected."""
+    """Return the surface and its inspection; same_surface: require that this very surface was inspected."""
     from wafer_viewer.session.inspection.headless import wafer_of
     from wafer_viewer.session.inspection.inspection_job import mosaic_mark
     from wafer_viewer.store.dataset.dataset import Dataset

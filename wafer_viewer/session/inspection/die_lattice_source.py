@@ -1,4 +1,4 @@
-"""Where the dies of a surface lie: as an operator or a job says, laid over what is seen of them, or else found."""
+"""Die lattice of a surface: given by an operator or a job and fitted to the visible dies, or detected."""
 
 from __future__ import annotations
 
@@ -22,10 +22,10 @@ Evidence = Literal["height", "picture", "both"]
 
 @dataclass(frozen=True, slots=True)
 class GivenDies:
-    """What an operator says of the dies: pitch, lower left corner of die 0,0 (stage um) and size, or a job's file.
+    """Die lattice given by an operator: pitch, lower left corner of die 0,0 (stage um) and size, or a job's file.
 
-    None: those of the dataset's own job, or found on the surface; without a size dies are as large as their pitch.
-    as_given: they are not moved to where they are seen.
+    None: the dies of the dataset's own job, or detected on the surface; without a size dies are as large as their
+    pitch. as_given: the dies are not fitted to the surface.
     """
 
     pitch_um: tuple[float, float] | None = None
@@ -44,9 +44,9 @@ class GivenDies:
             raise MeasureError("Dies are given by a job or by their pitch and origin: leave --job or --pitch-um out.")
 
     def on(self, surface: Mosaic, own: Job | None = None, evidence: Evidence = "both") -> FittedDies:
-        """The dies over a surface; `own`: the job that it was scanned by.
+        """Return the dies over a surface; `own`: the job that it was scanned by.
 
-        Raises MeasureError where none lie there, PlanError for a job that cannot be read or lists its dies one by one.
+        Raises MeasureError if there are none, PlanError for a job that cannot be read or lists its dies one by one.
         """
         from wafer_viewer.measure.dies.die_lattice import find_dies, over_surface
         from wafer_viewer.measure.dies.given_lattice_fit import FittedDies
@@ -76,7 +76,7 @@ class GivenDies:
         )
 
     def _of_file(self, own: Job | None) -> DieGrid:
-        """The dies of the job's file, on a wafer that lies as the scan's own job has it."""
+        """Return the dies of the job file, with the wafer alignment of the scan's own job if the file has none."""
         from wafer_viewer.session.planning.plan_editor import read_job
 
         path = self.job or Path()
@@ -94,9 +94,9 @@ class GivenDies:
 
 
 def dies_or_why(find: Callable[[], DieGrid], *, needed: bool) -> tuple[DieGrid | None, str]:
-    """The dies that `find` answers with, or None and the reason in a few words where it finds none.
+    """Return the dies that `find` returns, or None and a short reason if it finds none.
 
-    Raises MeasureError where they are needed, as they are for a golden die.
+    Raises MeasureError if dies are needed, as for a golden die.
     """
     try:
         return find(), ""
@@ -107,7 +107,7 @@ def dies_or_why(find: Callable[[], DieGrid], *, needed: bool) -> tuple[DieGrid |
 
 
 def dies_of_job(job: Job | None) -> DieGrid | None:
-    """The dies that a scan's own job names; None where it names no lattice, or the wafer was not aligned."""
+    """Return the dies named by a scan's own job; None if it has no lattice, or the wafer was not aligned."""
     if job is None or job.dies is None or job.dies.listed or (job.marks is not None and job.alignment is None):
         return None
     return DieGrid.of(job.dies, job.alignment or Alignment())

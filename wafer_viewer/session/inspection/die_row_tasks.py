@@ -1,7 +1,6 @@
-"""The rows of dies of an inspection, handed to a crew: whoever takes one reads its strip of the mosaic itself.
+"""Comparison of die rows on workers: each task reads its strip of the mosaic itself.
 
-What all of them are compared with may be large. It lies in a file with the result meanwhile, and every worker reads it
-once.
+The reference data may be large. They are stored in a temporary file with the result, and every worker reads them once.
 """
 
 from __future__ import annotations
@@ -33,12 +32,12 @@ PLANES = ("z_um", "z_spread_um", "picture", "picture_spread")
 BY_KEY, OF_ALL = ("spread", "fall", "places"), ("kinds", "spectrum")
 BEGINS, ENDS = ".inspection-", ".npz"
 LEFT_FOR_S = 86_400.0
-"""A reference that is older was left behind by a process that was killed."""
+"""Age in seconds beyond which a reference file counts as left behind by a killed process."""
 
 
 @dataclass(frozen=True, slots=True)
 class RowHands:
-    """Who compares the rows of dies of one inspection; folder: where what they are compared with lies meanwhile."""
+    """Task runner for the die rows of one inspection; folder: location of the temporary reference file."""
 
     crew: TaskRunner
     folder: Path
@@ -46,14 +45,17 @@ class RowHands:
 
     @classmethod
     def of(cls, crew: TaskRunner, dataset: Path, folder: Path, should_stop: ShouldStop = never) -> RowHands:
-        """For a surface of a dataset. Raises ComputeError naming the machine where a worker does not see that."""
+        """Create the runner for a dataset's surface.
+
+        Raises ComputeError with the machine's name if a worker has no access.
+        """
         crew.require_sight(dataset)
         return cls(crew, folder, should_stop)
 
     def __call__(
         self, work: ComparisonWork, noise: NoiseModel, rows: Sequence[tuple[Place, ...]]
     ) -> Generator[list[CellResult]]:
-        """See `RowsBy`. Raises ComputeError when the work is to stop or nobody is left to do it."""
+        """See `RowsBy`. Raises ComputeError when the work is stopped or no worker is left."""
         if isinstance(self.crew, LocalRunner):
             yield from self._done(compare_here, [(work, noise, row) for row in rows])
             return
@@ -67,20 +69,20 @@ class RowHands:
 
 
 def compare_row(work: ComparisonWork, reference: Path, row: tuple[Place, ...]) -> list[CellResult]:
-    """A worker's task: the dies of one strip against what lies in the file `reference`."""
+    """Compare the dies of one strip with the reference file, as a worker's task."""
     golden, noise = _reference(reference)
     return compare_here(replace(work, golden=replace(work.golden, **golden)), noise, row)
 
 
 def compare_here(work: ComparisonWork, noise: NoiseModel, row: tuple[Place, ...]) -> list[CellResult]:
-    """The dies of one strip."""
+    """Compare the dies of one strip."""
     from wafer_viewer.measure.defects.cell_comparison import compared
 
     return compared(work, row, noise)
 
 
 def in_order(outcomes: Iterable[Done]) -> Generator[Any]:
-    """The values of items in the order of the items; the first fault is raised."""
+    """Yield the values of items in the order of the items; the first fault is raised."""
     early: dict[int, Any] = {}
     wanted = 0
     for done in outcomes:
@@ -94,7 +96,7 @@ def in_order(outcomes: Iterable[Done]) -> Generator[Any]:
 
 @contextmanager
 def kept(folder: Path, golden: ReferenceDie, noise: NoiseModel) -> Generator[Path]:
-    """What cells are compared with, in a file for as long as it is needed."""
+    """Store the reference data of the comparison in a temporary file."""
     _sweep(folder)
     path = folder / f"{BEGINS}{uuid4().hex[:12]}{ENDS}"
     write_planes(path, {name: getattr(golden, name) for name in PLANES} | _planes_of(noise))
@@ -112,13 +114,13 @@ def _sweep(folder: Path) -> None:
 
 @lru_cache(maxsize=1)
 def _reference(path: Path) -> tuple[dict[str, NDArray[Any]], NoiseModel]:
-    """Golden planes by name, and the noise; kept from row to row."""
+    """Return the golden planes by name and the noise; cached from row to row."""
     planes = read_planes(path)
     return {name: planes.pop(name) for name in PLANES}, _noise_of(planes)
 
 
 def _planes_of(noise: NoiseModel) -> dict[str, NDArray[Any]]:
-    """By what they are, and of which layer and scale where it is of one."""
+    """Return the arrays of the noise model by name, with layer and scale where they have one."""
     facts = {name: getattr(noise, name) for name in BY_KEY}
     named = {f"{name}/{k[0]}/{k[1]!r}": value for name, by in facts.items() for k, value in by.items()}
     return named | {name: getattr(noise, name) for name in OF_ALL}

@@ -1,4 +1,4 @@
-"""What the command line does about defects: the surface of a file or a dataset inspected in its own process."""
+"""Defect inspection from the command line: a file or dataset is inspected in its own process."""
 
 from __future__ import annotations
 
@@ -23,12 +23,12 @@ from wafer_viewer.session.surface.headless import LocalOrCluster, is_dataset, me
 from wafer_viewer.store.dataset.dataset import Dataset
 
 CLUSTER_PAYS_PX = 60_000_000
-"""Of a surface: from there on workers of one's own are sooner done, though they take a while to start."""
+"""Number of pixels from which starting own worker processes is faster, despite their start-up time."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Wafer:
-    """The surface that is inspected, and what is known of the wafer; center_um: its centre on the stage."""
+    """Surface to inspect, with wafer data; center_um: centre of the wafer on the stage."""
 
     surface: Mosaic
     calibrated: bool
@@ -36,13 +36,13 @@ class Wafer:
     center_um: tuple[float, float] = (0.0, 0.0)
     job: Job | None = None
     lies_in: tuple[Path, Path] | None = None
-    """The folders of its dataset and its result; None of a file."""
+    """Folders of its dataset and its result; None for a file."""
     before: Inspection | None = None
-    """What people said of its defects is taken over from there."""
+    """Earlier inspection, from which judgements are carried over."""
 
 
 def wafer_of(src: Path, result: str) -> Wafer:
-    """The stitched surface of a dataset, or that of a file. Raises DatasetError where there is none."""
+    """Return the stitched surface of a dataset, or that of a file. Raises DatasetError if there is none."""
     from wafer_viewer.store.records.inspection_file import read_inspection
 
     surface, calibrated = measured_surface(src, 0, result)
@@ -64,10 +64,10 @@ def inspected(
     tell: Progress,
     hire: LocalOrCluster = LocalOrCluster(),
 ) -> Inspection:
-    """Look for defects; the dies are those given, those of the job, or found. `against` "form": without dies.
+    """Inspect a surface for defects; the dies are given, from the job, or detected. `against` "form": without dies.
 
-    Where no dies are found it is compared with the fitted form, and a note says why. Raises MeasureError where nothing
-    can be said.
+    If no dies are found, the surface is compared with the fitted form, and a note gives the reason. Raises MeasureError
+    if nothing can be inspected.
     """
     from wafer_viewer.measure.defects.inspection import inspect
     from wafer_viewer.store.records.inspection_file import carry_over
@@ -92,7 +92,7 @@ def inspected(
 
 @contextmanager
 def _rows_by(wafer: Wafer, hire: LocalOrCluster) -> Generator[RowHands | None]:
-    """Who compares the rows of dies: the crew that is hired, where workers can read the surface themselves."""
+    """Provide the task runner for die rows; None if workers cannot read the surface themselves."""
     if wafer.lies_in is None:
         yield None
         return
@@ -102,5 +102,5 @@ def _rows_by(wafer: Wafer, hire: LocalOrCluster) -> Generator[RowHands | None]:
 
 
 def dies_on(wafer: Wafer, given: GivenDies) -> DieGrid:
-    """The dies given by the operator, else those of the job, else as they are found."""
+    """Return the dies given by the operator, else those of the job, else the detected ones."""
     return given.on(wafer.surface, wafer.job).grid

@@ -1,4 +1,4 @@
-"""The defects of the open dataset: searched for by a worker, judged by people with undo, saved at every change."""
+"""Defects of the open dataset: detected by a worker, judged by people with undo, saved at every change."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ if TYPE_CHECKING:
 
 
 class DefectKeeper:
-    """The inspection of the snapshot; on the session's thread only."""
+    """Controller of the snapshot's inspection. Use on the session's thread only."""
 
     def __init__(self, desk: CommandQueue, notices: Notifications, library: Library, compute: Compute) -> None:
         self._desk, self._notices, self._library, self._compute = desk, notices, library, compute
@@ -37,11 +37,11 @@ class DefectKeeper:
         self._work, self._problem, self._stamp = "", "", 0
 
     def watch(self) -> None:
-        """Look again whether the inspection still holds whenever the surface is another."""
+        """Check whether the inspection is still valid whenever the surface changes."""
         self._desk.subscribe(lambda now: self._desk.note(self._look_again) if self._stamp != _stamp(now) else None)
 
     def open(self) -> None:
-        """Read what was found on the surface being looked at; the search on another one is given up."""
+        """Read the inspection of the displayed surface; a running inspection of another one is cancelled."""
         from wafer_viewer.store.records.inspection_file import read_inspection
 
         of = self._looked_at
@@ -57,7 +57,7 @@ class DefectKeeper:
         self._show()
 
     def begin(self, recipe: DefectRecipe | None, dies: Dies, against: Against) -> Future[Inspection]:
-        """Search the stitched surface for defects; done with what was found."""
+        """Inspect the stitched surface for defects; the future's result is the inspection."""
         self._require_writable()
         if self._work:
             raise DatasetError("Defects are being searched for already: wait, or cancel it in the job list.")
@@ -71,7 +71,7 @@ class DefectKeeper:
         return self._desk.afterwards(done, lambda: self._over(work, done))
 
     def judge(self, number: int, judgement: Judgement | None, kind: DefectClass | None, note: str | None) -> None:
-        """Say what one thinks of a defect; None leaves judgement, class or note as it is."""
+        """Set the judgement of a defect; None leaves judgement, class or note unchanged."""
         self._require_writable()
         inspection, old = self._numbered(number)
         new = replace(
@@ -88,7 +88,7 @@ class DefectKeeper:
         self._save()
 
     def limit(self, limits: DefectLimits) -> None:
-        """How many defects a die and a wafer may have."""
+        """Set the allowed number of defects per die and per wafer."""
         self._require_writable()
         if (inspection := self._history.value) is None:
             raise DatasetError("Limits are for what was found: inspect for defects first.")
@@ -97,19 +97,19 @@ class DefectKeeper:
             self._save()
 
     def undo(self) -> None:
-        """What people thought before."""
+        """Undo the last change of judgements or limits."""
         self._require_writable()
         self._history.undo()
         self._save()
 
     def redo(self) -> None:
-        """What was undone."""
+        """Redo the last undone change."""
         self._require_writable()
         self._history.redo()
         self._save()
 
     def _over(self, work: str, done: Future[Inspection]) -> None:
-        """Take over what was found; why nothing was stands where the list would be."""
+        """Store the inspection; if it failed, show the reason in place of the defect list."""
         self._notices.end(work)
         self._work = ""
         if self._of == self._looked_at:
@@ -120,7 +120,7 @@ class DefectKeeper:
         self._show()
 
     def _take_over(self, found: Inspection) -> None:
-        """Keep it, with what people thought of the same places before."""
+        """Store the inspection, with earlier judgements of the same places carried over."""
         from wafer_viewer.store.records.inspection_file import carry_over, write_inspection
 
         before = self._history.value
@@ -136,7 +136,7 @@ class DefectKeeper:
         self._show()
 
     def _look_again(self) -> None:
-        """The surface is another one than at the last look."""
+        """Update the state if the surface has changed."""
         if self._stamp != _stamp(self._desk.now):
             self._show()
 
@@ -150,7 +150,7 @@ class DefectKeeper:
 
     @property
     def _own_recipe(self) -> DefectRecipe:
-        """The one kept for the product of the dataset."""
+        """Recipe stored for the product of the dataset, else the default one."""
         product = product_of(self._library.shown.job)
         return self._desk.now.shelf.recipe_of(product) or DefectRecipe(product=product)
 
@@ -172,7 +172,7 @@ class DefectKeeper:
 
 
 class DefectVerbs:
-    """What the page asks for, ``session.defects``: every verb returns a future."""
+    """Defect commands of the page, ``session.defects``; commands return futures."""
 
     files: DefectFiles
     views: DefectViews
@@ -185,10 +185,11 @@ class DefectVerbs:
     def inspect(
         self, recipe: DefectRecipe | None = None, dies: Dies = None, against: Against = "dies"
     ) -> Future[Inspection]:
-        """Search the stitched surface for defects; it can be cancelled.
+        """Inspect the stitched surface for defects; the work can be cancelled.
 
-        recipe: by default that saved last for the product of the dataset. dies: a lattice, "found" on the surface, or
-        None: the job's, else found. against: what is compared, without dies the fitted form.
+        recipe: by default the last one saved for the product of the dataset. dies: a lattice, "found" to detect the
+        dies on the surface, or None: the job's, else detected. against: the reference of the comparison; without dies,
+        the fitted form.
         """
         return self._do(self._keeper.begin, recipe, dies, against)
 
@@ -199,24 +200,24 @@ class DefectVerbs:
         kind: DefectClass | None = None,
         note: str | None = None,
     ) -> Future[None]:
-        """Say that a defect is real or a nuisance, of what class it is, or note something down about it."""
+        """Judge a defect as real or nuisance, set its class, or set a note."""
         return self._do(self._keeper.judge, number, judgement, kind, note)
 
     def limit(self, limits: DefectLimits) -> Future[None]:
-        """How many defects a die and a wafer may have; `verdict_of` holds what was found against them."""
+        """Set the allowed number of defects per die and per wafer; `verdict_of` compares the inspection with them."""
         return self._do(self._keeper.limit, limits)
 
     def undo(self) -> Future[None]:
-        """The judgements before."""
+        """Undo the last change of judgements or limits."""
         return self._do(self._keeper.undo)
 
     def redo(self) -> Future[None]:
-        """The judgements that were undone."""
+        """Redo the last undone change."""
         return self._do(self._keeper.redo)
 
 
 def now() -> str:
-    """This moment, ISO 8601."""
+    """Return the current time, ISO 8601."""
     return datetime.datetime.now().astimezone().isoformat(timespec="seconds")
 
 

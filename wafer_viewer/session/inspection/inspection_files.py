@@ -1,4 +1,4 @@
-"""Recipes, golden dies and files of defects: what is kept beside the datasets, what goes out, and a KLARF laid over."""
+"""Inspection recipes, golden dies and defect files: storage next to the datasets, exports, and KLARF overlays."""
 
 from __future__ import annotations
 
@@ -23,18 +23,18 @@ TITLES: dict[Handover, str] = {"klarf": "KLARF", "csv": "Table of defects", "tra
 
 
 class DefectFilesKeeper:
-    """The shelf of the snapshot; on the session's thread only."""
+    """Controller of the snapshot's inspection resources. Use on the session's thread only."""
 
     def __init__(self, desk: CommandQueue, library: Library, background: BackgroundWork, folder: Path) -> None:
         self._desk, self._library, self._background, self._folder = desk, library, background, folder
 
     def open(self) -> None:
-        """Another surface is looked at: what another tool found on the one before is taken away."""
+        """Remove the overlay of the previous surface, and list recipes and golden dies again."""
         self.take_away()
         self.refresh()
 
     def refresh(self) -> None:
-        """List recipes and golden dies anew."""
+        """List recipes and golden dies again."""
         from wafer_viewer.store.records.defect_recipes import readable_recipes
         from wafer_viewer.store.records.golden_dies import FOLDER, every_golden
 
@@ -43,7 +43,7 @@ class DefectFilesKeeper:
         self._put(recipes=recipes, golden=tuple(golden), problems=problems)
 
     def save_recipe(self, recipe: DefectRecipe) -> Path:
-        """Keep a recipe under its product and name."""
+        """Save a recipe under its product and name."""
         from wafer_viewer.store.records.defect_recipes import save_defect_recipe
 
         path = save_defect_recipe(self._folder, recipe)
@@ -51,26 +51,29 @@ class DefectFilesKeeper:
         return path
 
     def rename_recipe(self, recipe: DefectRecipe, name: str) -> None:
-        """Give a kept recipe another name."""
+        """Rename a stored recipe."""
         from wafer_viewer.store.records.defect_recipes import rename_defect_recipe
 
         rename_defect_recipe(self._folder, recipe, name)
         self.refresh()
 
     def delete_recipe(self, recipe: DefectRecipe) -> None:
-        """Remove a kept recipe."""
+        """Delete a stored recipe."""
         from wafer_viewer.store.records.defect_recipes import delete_defect_recipe
 
         delete_defect_recipe(self._folder, recipe)
         self.refresh()
 
     def keep_golden(self, name: str) -> Future[Path]:
-        """Have a worker keep the typical die; it is listed when it is there."""
+        """Store the typical die as a golden die, on a worker; the list is updated afterwards."""
         done = self._background.run(f"Golden die {name}", keep_golden, *self._looked_at, name)
         return self._desk.afterwards(done, self.refresh)
 
     def add_golden(self, path: Path) -> GoldenHeader:
-        """Keep a copy of a golden die from a file as the next version of its name; one of the shelf stays as it is."""
+        """Copy a golden die from a file as the next version of its name.
+
+        A golden die in the data folder is not copied.
+        """
         from wafer_viewer.store.records.golden_dies import ENDING, FOLDER, header_of, open_golden, save_golden
 
         folder = self._folder / FOLDER
@@ -84,18 +87,18 @@ class DefectFilesKeeper:
         return header
 
     def write(self, what: Handover, path: Path) -> Future[Path]:
-        """Have a worker write the defects to a file or a folder."""
+        """Write the defects to a file or a folder, on a worker."""
         return self._background.run(f"{TITLES[what]} {path.name}", hand_over, *self._looked_at, what, path.absolute())
 
     def lay_over(self, path: Path, unit: KlarfUnit | None, within_um: float) -> OtherTool:
-        """Read a KLARF file and lay its defects over the surface."""
+        """Read a KLARF file and overlay its defects on the surface."""
         alignment, inspection = self._library.shown.job.alignment, self._desk.now.inspection.inspection
         other = laid_over(path, alignment, inspection, unit, within_um)
         self._put(other=other)
         return other
 
     def take_away(self) -> None:
-        """Show what was found here alone again."""
+        """Remove the overlay."""
         if self._desk.now.shelf.other is not None:
             self._put(other=None)
 
@@ -110,48 +113,48 @@ class DefectFilesKeeper:
 
 
 class DefectFiles:
-    """What the page asks for, ``session.defects.files``: every verb returns a future."""
+    """Defect file commands of the page, ``session.defects.files``; commands return futures."""
 
     def __init__(self, do: Callable[..., Future[Any]], keeper: DefectFilesKeeper) -> None:
         self._do, self._keeper = do, keeper
 
     def save_recipe(self, recipe: DefectRecipe) -> Future[Path]:
-        """Keep a recipe under its product and name, in place of the one before."""
+        """Save a recipe under its product and name; an earlier one is replaced."""
         return self._do(self._keeper.save_recipe, recipe)
 
     def rename_recipe(self, recipe: DefectRecipe, name: str) -> Future[None]:
-        """Give a kept recipe another name."""
+        """Rename a stored recipe."""
         return self._do(self._keeper.rename_recipe, recipe, name)
 
     def delete_recipe(self, recipe: DefectRecipe) -> Future[None]:
-        """Remove a kept recipe; its file is gone then."""
+        """Delete a stored recipe and its file."""
         return self._do(self._keeper.delete_recipe, recipe)
 
     def keep_golden(self, name: str) -> Future[Path]:
-        """Keep the typical die of what was inspected as the next version of a name; none is ever written over."""
+        """Store the typical die of the inspected surface as the next version of a name; no version is overwritten."""
         return self._do(self._keeper.keep_golden, name)
 
     def add_golden(self, path: Path) -> Future[GoldenHeader]:
-        """Take a golden die from a file, as the next version of its name; done with what it is called then."""
+        """Copy a golden die from a file, as the next version of its name; the future's result is its header."""
         return self._do(self._keeper.add_golden, Path(path))
 
     def write(self, what: Handover, path: Path) -> Future[Path]:
-        """Write the defects as they are judged now: ``klarf`` and ``csv`` to a file, ``training`` to a new folder."""
+        """Write the defects with their judgements: ``klarf`` and ``csv`` to a file, ``training`` to a new folder."""
         return self._do(self._keeper.write, what, Path(path))
 
     def lay_over(
         self, path: Path, unit: KlarfUnit | None = None, within_um: float = SAME_PLACE_UM
     ) -> Future[OtherTool]:
-        """Lay the defects of a KLARF file over the surface; its lengths are um where neither it nor `unit` says else.
+        """Overlay the defects of a KLARF file on the surface; lengths are um unless the file or `unit` says otherwise.
 
-        within_um: a defect found here that is so near is the same one.
+        within_um: maximum distance between positions of the same defect.
         """
         return self._do(self._keeper.lay_over, Path(path), unit, within_um)
 
     def take_away(self) -> Future[None]:
-        """Remove overlay what was laid over."""
+        """Remove the overlay."""
         return self._do(self._keeper.take_away)
 
     def refresh(self) -> Future[None]:
-        """List recipes and golden dies anew."""
+        """List recipes and golden dies again."""
         return self._do(self._keeper.refresh)

@@ -1,4 +1,4 @@
-"""The inspection for defects of a dataset, led over a crew: what is open on the disk in, what was found out."""
+"""Defect inspection of a dataset on a task runner: reads the dataset, returns the inspection."""
 
 from __future__ import annotations
 
@@ -24,9 +24,9 @@ if TYPE_CHECKING:
     from wafer_viewer.store.dataset.result import Result
 
 Against = Literal["dies", "form"]
-"""Each die with the others, or with a golden one; or all of the surface with a form fitted to it."""
+"""Reference of the comparison: the other dies or a golden die, or a form fitted to the surface."""
 Dies = DieGrid | Literal["found"] | None
-"""Where the dies lie: as given, as they are found on the surface, or None: as the job says, else as found."""
+"""Source of the die lattice: a given one, detected on the surface, or None: the job's, else detected."""
 MARK_DIGITS = 16
 NOT_BY_DIES = "As asked"
 
@@ -42,13 +42,13 @@ def inspect_dataset(
     progress: Progress = silent,
     should_stop: ShouldStop = never,
 ) -> Inspection:
-    """Look for defects on the stitched surface of a dataset; nothing is kept of it.
+    """Inspect the stitched surface of a dataset for defects; nothing is stored.
 
-    dies: a lattice that is given goes over all of the surface, whatever columns and rows it names. crew: who compares
-    the rows of dies, this process by default; what is found is the same. Where no dies are found it is compared
-    with the fitted form, and a note says why.
+    dies: a given lattice covers the full surface, whatever columns and rows it names. crew: runner of the die rows,
+    this process by default; the outcome is the same. If no dies are found, the surface is compared with the fitted
+    form, and a note gives the reason.
 
-    Raises MeasureError where nothing can be said, DatasetError where there is no surface, ComputeError when stopped.
+    Raises MeasureError if nothing can be inspected, DatasetError if there is no surface, ComputeError when stopped.
     """
     from wafer_viewer.measure.defects.inspection import inspect
     from wafer_viewer.store.dataset.dataset import Dataset
@@ -79,7 +79,7 @@ def inspect_dataset(
 
 @contextmanager
 def _until_stopped(should_stop: ShouldStop) -> Generator[None]:
-    """Whatever a stopped inspection ends with, people hear one sentence of it."""
+    """Raise one ComputeError for a stopped inspection, whatever error it ended with."""
     try:
         yield
     except WaferViewerError:
@@ -90,7 +90,10 @@ def _until_stopped(should_stop: ShouldStop) -> Generator[None]:
 
 
 def _laid(dies: Dies, data: Dataset, surface: Mosaic) -> DieGrid:
-    """The lattice on a surface. Raises MeasureError where none is found, or the one given lies beside its dies."""
+    """Return the lattice on a surface.
+
+    Raises MeasureError if none is found, or the given one does not match its dies.
+    """
     from wafer_viewer.measure.dies.die_lattice import find_dies, over_surface
     from wafer_viewer.measure.dies.given_lattice_fit import fitted_dies
 
@@ -100,6 +103,6 @@ def _laid(dies: Dies, data: Dataset, surface: Mosaic) -> DieGrid:
 
 
 def mosaic_mark(kept: Result) -> str:
-    """A word that changes when the surface is made by another recipe, of other frames or fields; a copy keeps it."""
+    """Return a hash of the mosaic's metadata, which changes with recipe, frames or fields; a copy has the same one."""
     header = kept.mosaic_path / "zarr.json"
     return hashlib.sha256(header.read_bytes()).hexdigest()[:MARK_DIGITS] if header.exists() else ""

@@ -1,4 +1,4 @@
-"""What another tool found, read from a KLARF file and laid over a surface: where its dies lie here."""
+"""Overlay of the defects in a KLARF file of another tool on a surface, with the mapping of its dies."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ from wafer_viewer.session.state.inspection_resources import SAME_PLACE_UM, Other
 
 KlarfUnit = Literal["um", "nm", "mm"]
 SAME_PITCH = 5e-3
-"""Pitches that differ by more of themselves are those of different products."""
+"""Relative pitch difference above which dies are of different products."""
 
 
 def laid_over(
@@ -27,9 +27,9 @@ def laid_over(
     unit: KlarfUnit | None = None,
     within_um: float = SAME_PLACE_UM,
 ) -> OtherTool:
-    """The defects of a file as they lie on a surface.
+    """Return the defects of a file in the coordinates of a surface.
 
-    Raises DatasetError for what `read_klarf` refuses, dies of another pitch, and a distance that is none.
+    Raises DatasetError for what `read_klarf` refuses, dies of another pitch, and a distance that is not positive.
     """
     from wafer_viewer.store.tables.klarf_reader import read_klarf
 
@@ -41,7 +41,7 @@ def laid_over(
 
 
 def compared(other: OtherTool, inspection: Inspection) -> dict[str, Any]:
-    """What both found and what only one of them did, by their numbers, as facts to be printed."""
+    """Return the matched and unmatched defects of both inspections by number, as values to be printed."""
     found = inspection.found
     matched = other.matched(found)
     return {
@@ -63,11 +63,11 @@ def lattice_for(
     name: str,
     within_um: float = SAME_PLACE_UM,
 ) -> tuple[DieGrid, str]:
-    """The lattice that the places of a KLARF file count from, stage um, and how its dies were known, in words.
+    """Return the lattice that the positions of a KLARF file refer to, stage um, and a description of its source.
 
-    The dies of the inspection, by the wafer's centre where file and alignment both say where it is; without an
-    alignment by their numbers, or with the centre at the stage's zero where more was found in the same places so.
-    Without dies the file's own about the wafer's centre. Raises DatasetError where the pitches differ.
+    With an inspection, its dies are used. They are numbered from the wafer's centre if both file and alignment give it;
+    without an alignment by their numbers, or with the centre at the stage's zero if that matches more defects. Without
+    dies, the file's own lattice about the wafer's centre is used. Raises DatasetError if the pitches differ.
     """
     if inspection is None or (grid := inspection.grid) is None:
         return _about_center(klarf, alignment), "its own dies about the wafer's centre"
@@ -82,13 +82,13 @@ def lattice_for(
 
 
 def _by_center(klarf: Klarf, alignment: Alignment, grid: DieGrid) -> DieGrid:
-    """The lattice with the numbers that the file gives its dies."""
+    """Return the lattice with the die numbers of the file."""
     x_um, y_um = grid.corner(*_steps(klarf, alignment, grid))
     return replace(grid, x0_um=x_um, y0_um=y_um)
 
 
 def _about_center(klarf: Klarf, alignment: Alignment | None) -> DieGrid:
-    """The file's lattice, turned and shifted as the wafer lies on the stage."""
+    """Return the file's lattice, rotated and shifted by the wafer's alignment on the stage."""
     if alignment is None:
         return klarf.grid
     own = klarf.grid
@@ -97,7 +97,7 @@ def _about_center(klarf: Klarf, alignment: Alignment | None) -> DieGrid:
 
 
 def _steps(klarf: Klarf, alignment: Alignment, grid: DieGrid) -> tuple[int, int]:
-    """How many columns and rows die 0,0 of the file is from die 0,0 of the lattice."""
+    """Return the columns and rows between die 0,0 of the file and die 0,0 of the lattice."""
     cols, rows, u_um, v_um = grid.to_die(*(np.asarray(um) for um in alignment.to_stage(0.0, 0.0)))
     x_um, y_um = float(cols) * grid.pitch_x_um + float(u_um), float(rows) * grid.pitch_y_um + float(v_um)
     return round((x_um - klarf.center_x_um) / grid.pitch_x_um), round((y_um - klarf.center_y_um) / grid.pitch_y_um)

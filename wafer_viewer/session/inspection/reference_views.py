@@ -1,4 +1,4 @@
-"""What a reviewer compares a defect with: ``session.defects.views``; pictures are made by the painter."""
+"""Comparison views for defect review: ``session.defects.views``; pictures are made by the render process."""
 
 from __future__ import annotations
 
@@ -27,16 +27,16 @@ if TYPE_CHECKING:
 T = TypeVar("T")
 Box = tuple[float, float, float, float]
 ROUND_A_DEFECT, LEAST_PX, ASPECT = 2.2, 160, 4 / 3
-"""Of the surface so much more than the defect is shown, at least so many of its pixels, so wide for its height."""
+"""Width of a view relative to the defect, minimum width in pixels, and ratio of width to height."""
 MOST_DIES = 9
-"""What is usual is the median of so many dies: the nearest, or evenly spread ones."""
+"""Maximum number of dies for the median: the nearest ones, or evenly spread ones."""
 
 
 @dataclass(frozen=True, slots=True)
 class Earlier:
-    """An earlier scan of the same wafer; at_um turns places of this stage into those of its own.
+    """Earlier scan of the same wafer; at_um maps stage positions of this scan to its own.
 
-    turn_rad: how the wafer is turned there against how it lies here, anticlockwise.
+    turn_rad: rotation of the wafer there relative to here, anticlockwise.
     """
 
     source: SurfaceKey
@@ -46,7 +46,7 @@ class Earlier:
 
 
 class DefectViews:
-    """Questions, from any thread; they read the disk. All raise WaferViewerError when there is no answer."""
+    """Comparison views, available on any thread; they read the disk. Methods raise WaferViewerError on failure."""
 
     def __init__(
         self,
@@ -57,9 +57,9 @@ class DefectViews:
         self._paint, self._snapshot, self._earlier = paint, snapshot, earlier or earlier_scan
 
     def beside(self, number: int) -> Future[ComparisonViews | None]:
-        """A defect beside the same place of the other dies or the golden one, and of the last scan of the wafer.
+        """Return views of a defect, of the same position on other dies or the golden die, and in the last scan.
 
-        Done with None where nothing of the place was scanned.
+        The result is None if nothing was scanned there.
         """
         now = self._snapshot()
         defect, inspection = now.inspection.defect(number), now.inspection.inspection
@@ -73,7 +73,7 @@ class DefectViews:
         )
 
     def die(self) -> Future[DiePicture | None]:
-        """A die as all of them are: the golden one, or the median of some that were scanned whole."""
+        """Return a typical die: the golden one, or the median of some completely scanned dies."""
         now = self._snapshot()
         inspection, data, surface = now.inspection.inspection, now.dataset, now.surface
         if inspection is None or data is None or surface is None:
@@ -82,7 +82,7 @@ class DefectViews:
         return _read(self._paint(request), DiePicture)
 
     def repeats(self, within_um: float | None = None) -> tuple[RepeatedPlace, ...]:
-        """The places at which at least three dies have a defect; see `wafer_viewer.repeated_places`."""
+        """Return the positions at which at least three dies have a defect; see `wafer_viewer.repeated_places`."""
         from wafer_viewer.measure.defects.repeaters import repeated_places
 
         inspection = self._snapshot().inspection.inspection
@@ -90,7 +90,7 @@ class DefectViews:
 
 
 def box_of(defect: Defect, pixel_um: float) -> Box:
-    """What is shown of the surface for a defect, stage um: x low, y low, x high, y high."""
+    """Return the box shown for a defect, stage um: x low, y low, x high, y high."""
     x0, y0, x1, y1 = defect.outline.bounds_um
     width = max(ROUND_A_DEFECT * max(x1 - x0, (y1 - y0) * ASPECT), LEAST_PX * pixel_um)
     x, y = (x0 + x1) / 2, (y0 + y1) / 2
@@ -98,7 +98,7 @@ def box_of(defect: Defect, pixel_um: float) -> Box:
 
 
 def like_die(inspection: Inspection) -> ComparisonRequest:
-    """Which dies a picture of the usual one is made of."""
+    """Return the request for a picture of the typical die, with the dies for its median."""
     return ComparisonRequest(
         inspection.grid, None, _spread(_whole(inspection)), _golden(inspection), inspection.product
     )
@@ -155,7 +155,7 @@ def _source(data: OpenDataset, surface: SurfaceInfo) -> SurfaceKey:
 
 
 def _read(painted: Future[bytes], kind: type[T]) -> Future[T | None]:
-    """The answer of the painter as what it is."""
+    """Decode the answer of the render process as `kind`; None if it is empty."""
     answer: Future[T | None] = Future()
 
     def take(done: Future[bytes]) -> None:
@@ -172,7 +172,7 @@ def _read(painted: Future[bytes], kind: type[T]) -> Future[T | None]:
 
 
 def earlier_scan(now: Snapshot, data: OpenDataset) -> Earlier | str:
-    """The last scan of the same wafer before this one that has a surface; a sentence where there is none."""
+    """Return the last earlier scan of the same wafer with a surface; a sentence if there is none."""
     sample = data.job.sample
     if not sample.wafer_id:
         return "The sample has no wafer id: an earlier scan of it cannot be found."
@@ -206,7 +206,7 @@ def _job_of(path: Path) -> Job:
 
 
 def _compared(now: Snapshot, data: OpenDataset, path: Path) -> SurfaceKey | None:
-    """The other surface as a comparison laid it on this one, if one was made."""
+    """Return the other surface as resampled for a comparison with this one, if there is one."""
     for made in now.comparisons:
         second = made.comparison.second
         if Path(second.path) == path and not second.field and not made.outdated:
@@ -222,7 +222,7 @@ def _stitched(path: Path) -> SurfaceKey | None:
 
 
 def _laid(source: SurfaceKey, name: str, here: Alignment | None, there: Alignment | None) -> Earlier:
-    """Over the wafer where both scans are aligned to it, else as the stage says."""
+    """Return the earlier scan mapped by the alignments of both scans, or by stage coordinates if one is missing."""
     if here is None or there is None:
         return Earlier(source, name, lambda x_um, y_um: (x_um, y_um))
     turn_rad = here.rotation_rad - there.rotation_rad

@@ -1,4 +1,4 @@
-"""What can be asked of the open dataset, from any thread: surfaces, frames, a point's height, and measurements."""
+"""Queries of the open dataset, from any thread: surfaces, frames, the height at a point, and measurements."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ from wafer_viewer.session.surface.comparison_commands import surface_of
 
 @dataclass(frozen=True, slots=True)
 class ReadOut:
-    """The surface at a point; z_um None where it is unmeasured, for the reason that `origin` gives."""
+    """Surface at a point; z_um is None if it is unmeasured, for the reason given by `origin`."""
 
     z_um: float | None
     confidence: float
@@ -28,49 +28,52 @@ class ReadOut:
 
 
 class DatasetQueries:
-    """Each opens what it reads and changes nothing. All raise WaferViewerError when there is no answer."""
+    """Read-only queries of the open dataset. Methods raise WaferViewerError on failure."""
 
     def __init__(self, library: Library, snapshot: Callable[[], Snapshot]) -> None:
         self._library, self._snapshot = library, snapshot
         self.measuring = Measuring(self.surface_source, snapshot)
 
     def mosaic(self) -> Mosaic:
-        """The stitched surface of the open dataset."""
+        """Return the stitched surface of the open dataset."""
         return self._library.result.mosaic()
 
     def height_map(self, field_number: int) -> HeightMap:
-        """The surface of one field."""
+        """Return the surface of one field."""
         return self._library.result.surface(self._library.dataset.field(field_number))
 
     def surface_source(self, show: int) -> Mosaic:
-        """What a browser shows: 0 the stitched surface, else the field of that number; below 0 a comparison."""
+        """Return the displayed surface: 0 the stitched one, above 0 the field of that number, below 0 a comparison."""
         if show < 0:
             return surface_of(self._snapshot(), show)
         return self.mosaic() if show == 0 else self.height_map(show)
 
     def poses(self) -> Poses | None:
-        """Where the fields of the stitched surface lie and what their overlaps said; None where only the stage did."""
+        """Return the field poses and overlap measurements of the stitched surface.
+
+        None if only stage positions were used.
+        """
         return self._library.result.poses()
 
     def frame(self, field_number: int, k: int) -> Image:
-        """One frame of a field, as it was stored."""
+        """Return one frame of a field, as it was stored."""
         stack = self._library.dataset.stack(field_number, verify=False)
         if not 0 <= k < stack.n_frames or not stack.present[k]:
             raise DatasetError(f"Field {field_number} has no frame {k} of {stack.n_frames}: choose another.")
         return np.array(stack.images[k])
 
     def frame_near(self, field_number: int, z_um: float) -> Image:
-        """The frame of a field that was taken nearest to a z, as it was stored."""
+        """Return the frame of a field nearest to a z, as it was stored."""
         stack = self._library.dataset.stack(field_number, verify=False)
         away = np.where(stack.present, np.abs(stack.z_um - z_um), np.inf)
         return np.array(stack.images[int(away.argmin())])
 
     def thumbnail(self, number: int) -> bytes | None:
-        """The small picture, JPEG, that was kept with a result."""
+        """Return the thumbnail of a result, JPEG; None if there is none."""
         return self._library.result.thumbnail(number)
 
     def read_out(self, x_um: float, y_um: float, show: int = 0) -> ReadOut:
-        """The surface at a point. Raises MeasureError when it lies outside."""
+        """Return the surface at a point. Raises MeasureError if the point is outside."""
         at = self.surface_source(show).window(Region.rectangle(x_um, y_um, x_um, y_um))
         if 0 in at.shape:
             raise MeasureError(f"({x_um:.1f}, {y_um:.1f}) um lies outside of the surface.")

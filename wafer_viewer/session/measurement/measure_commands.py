@@ -1,4 +1,4 @@
-"""Measuring on the open dataset: which surface, read from which zero, and whether its calibration holds."""
+"""Measurements on the open dataset, with levelling and calibration state."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ F = TypeVar("F", bound=MeasurementResult)
 
 
 class Measuring:
-    """Questions with a finding as the answer, from any thread; they change nothing and raise WaferViewerError."""
+    """Measurements of the displayed surface, from any thread; they change nothing and raise WaferViewerError."""
 
     def __init__(self, surfaces: Surfaces, snapshot: Callable[[], Snapshot]) -> None:
         self._surfaces, self._snapshot = surfaces, snapshot
@@ -41,7 +41,7 @@ class Measuring:
         levelling: Levelling | None = None,
         options: ToolOptions | None = None,
     ) -> AnyResult:
-        """What a tool finds at its places on what a browser shows."""
+        """Return the result of a measuring tool at its regions of the displayed surface."""
         from wafer_viewer.measure.registry import measured
 
         found = measured(self._levelled(levelling, show), tool, places, self._calibrated(), options)
@@ -50,7 +50,7 @@ class Measuring:
     def profile(
         self, line: Region, show: int = 0, levelling: Levelling | None = None, layer: Layer | None = None
     ) -> tuple[Profile, ProfileCurve]:
-        """A section along a line."""
+        """Return a section along a line."""
         from wafer_viewer.measure.tools.profile import profile
 
         surface = self._levelled(levelling, show)
@@ -60,7 +60,7 @@ class Measuring:
     def slab(
         self, line: Region, show: int = 0, levelling: Levelling | None = None
     ) -> tuple[Profile, ProfileCurve, SlabPoints]:
-        """A section through the slab along a line."""
+        """Return a section through the slab along a line."""
         from wafer_viewer.measure.tools.slab import slab_profile
 
         surface = self._levelled(levelling, show)
@@ -68,7 +68,7 @@ class Measuring:
         return self._told(found, show, levelling), curve, points
 
     def datum(self, levelling: Levelling, show: int = 0) -> Datum:
-        """The zero that a way of levelling lays through what a browser shows; found once for each state of it."""
+        """Return the datum of a levelling on the displayed surface; cached for each state of the surface."""
         from wafer_viewer.measure.base.levelled_surface import datum
 
         key = levelling, show, _stamp(self._snapshot(), show)
@@ -94,7 +94,7 @@ class Measuring:
 
 
 def _stamp(snapshot: Snapshot, show: int) -> object:
-    """What changes whenever the surface does."""
+    """Return a key that changes whenever the displayed surface does."""
     shown, surface = snapshot.dataset, snapshot.surface
     if shown is None:
         return None

@@ -1,4 +1,4 @@
-"""Every number that a result holds, in words: by what its fields are, whatever kind of result it is."""
+"""Formatting of all numbers of a result as text, from the types of its fields."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from wafer_viewer.model.spec import Spec
 
 UNITS = {"um": "µm", "um2": "µm²", "um3": "µm³", "deg": "°", "mrad": "mrad"}
 SUFFIXES = {"_um2": "µm²", "_um3": "µm³", "_um": "µm", "_deg": "°", "_mrad": "mrad", "_c": "°C"}
-"""How the name of a plain number ends that has a unit."""
+"""Units of plain numbers, by the ending of the field name."""
 TITLES = {
     "pt": "Pt",
     "dz": "Δz",
@@ -36,7 +36,7 @@ TITLES = {
     "s": "s",
     "sq": "Sq",
 }
-"""Names that are symbols; all others read as words."""
+"""Symbols and fixed titles of fields; all other names are converted to words."""
 OF_ALL = frozenset(MeasurementResult.__struct_fields__)
 TOLD_ELSEWHERE = frozenset({"not_evaluated", "budget", "zones", "verdict", "why"})
 MOST_WORDS = 160
@@ -44,20 +44,20 @@ Pair = tuple[str, str]
 
 
 def spaced(name: str) -> str:
-    """A name of the program as words: ``StepHeight`` is Step height, ``n_frames`` is n frames."""
+    """Return an identifier as words: ``StepHeight`` is Step height, ``n_frames`` is n frames."""
     words = re.sub(r"(?<=[a-z])(?=[A-Z])", " ", name).replace("_", " ").lower()
     words = re.sub(r" um$", ", µm", words)
     return words[:1].upper() + words[1:]
 
 
 def title_of(name: str) -> str:
-    """What a field is called: a symbol, or words without the unit at their end."""
+    """Return the title of a field: a symbol, or words without the unit suffix."""
     bare = next((name.removesuffix(suffix) for suffix in SUFFIXES if name.endswith(suffix)), name)
     return TITLES.get(name) or TITLES.get(bare) or spaced(bare)
 
 
 def quantity_text(quantity: Quantity) -> str:
-    """A value with its U and unit, ``11.86 ± 0.31 µm``; where there is no U, why."""
+    """Return a value with its U and unit, ``11.86 ± 0.31 µm``; without a U, the reason for that."""
     unit = UNITS.get(quantity.unit, quantity.unit)
     value, u = value_and_u(quantity.value, quantity.expanded)
     if quantity.expanded is None:
@@ -67,7 +67,7 @@ def quantity_text(quantity: Quantity) -> str:
 
 
 def numbers_of(finding: AnyResult) -> tuple[Pair, ...]:
-    """All but the main one, which stands above them: quantities first, then what else it holds."""
+    """Return all numbers except the main quantity: quantities first, then the other fields."""
     main = main_field(finding)
     names = [name for name in finding.__struct_fields__ if name not in OF_ALL | TOLD_ELSEWHERE and name != main]
     pairs = [(name, pair) for name in names for pair in _told(title_of(name), name, getattr(finding, name))]
@@ -76,20 +76,20 @@ def numbers_of(finding: AnyResult) -> tuple[Pair, ...]:
 
 
 def main_field(finding: AnyResult) -> str:
-    """The name of the field that is its main quantity; empty where it is none of its own."""
+    """Return the name of the field with the main quantity; empty if no field holds it."""
     main = finding.main
     return next((name for name, quantity in quantities_of(finding).items() if quantity == main), "")
 
 
 def quantities_of(finding: AnyResult) -> dict[str, Quantity]:
-    """The quantities with a unit and, where it was evaluated, U, by the names of their fields."""
+    """Return the quantities with their unit and, if evaluated, U, by field name."""
     held = {name: getattr(finding, name) for name in finding.__struct_fields__ if name not in OF_ALL}
     quantities = {name: value for name, value in held.items() if isinstance(value, Length | Quantity)}
     return {name: value.quantity if isinstance(value, Length) else value for name, value in quantities.items()}
 
 
 def budget_of(finding: AnyResult) -> tuple[BudgetLine, ...]:
-    """The lines of the main quantity's uncertainty (k = 1), or those that the result holds for itself."""
+    """Return the budget lines of the main quantity's uncertainty (k = 1), or those of the result itself."""
     if finding.main.budget:
         return finding.main.budget
     own: Any = getattr(finding, "budget", ())
@@ -97,12 +97,12 @@ def budget_of(finding: AnyResult) -> tuple[BudgetLine, ...]:
 
 
 def not_evaluated(finding: AnyResult) -> tuple[str, ...]:
-    """What is known to be missing from its uncertainty."""
+    """Return the known contributions missing from the uncertainty."""
     return tuple(getattr(finding, "not_evaluated", ()))
 
 
 def _told(title: str, name: str, value: Any) -> Iterator[Pair]:
-    """A field in words; nothing of what is empty, or is a place, which is drawn."""
+    """Yield a field as text; nothing for empty values and for regions, which are drawn."""
     match value:
         case None | "" | () | Region() | Point() | Levelling():
             return
@@ -121,7 +121,7 @@ def _told(title: str, name: str, value: Any) -> Iterator[Pair]:
 
 
 def _of_spec(title: str, spec: Spec) -> Iterator[Pair]:
-    """A group of settings or numbers in one line."""
+    """Yield a group of settings or numbers as one line."""
     told = [pair for name in spec.__struct_fields__ for pair in _told(title_of(name), name, getattr(spec, name))]
     if told:
         yield title, " · ".join(f"{name[:1].lower()}{name[1:]} {words}" for name, words in told)

@@ -1,7 +1,7 @@
-"""The list of results of the open dataset: kept, renamed and deleted with undo, saved at every change.
+"""Results list of the open dataset: add, rename and delete with undo, saved at every change.
 
-Small pictures are kept beside the list. A number is never given twice, so that the picture of a deleted result is
-still its own when the deletion is undone.
+Thumbnails are stored next to the list. A number is never reused, so that the thumbnail of a deleted result still
+belongs to it after the deletion is undone.
 """
 
 from __future__ import annotations
@@ -52,11 +52,11 @@ NAMES: dict[type[AnyResult], str] = {
     SiteRanges: "Site range",
     Defect: "Defect",
 }
-"""What results are called that not named, before their count."""
+"""Default names of results by type, followed by a count."""
 
 
 class ResultsStore:
-    """The findings of the snapshot; on the session's thread only."""
+    """Results of the snapshot. Use on the session's thread only."""
 
     def __init__(self, desk: CommandQueue, library: Library) -> None:
         self._desk, self._library = desk, library
@@ -64,7 +64,7 @@ class ResultsStore:
         self._highest = 0
 
     def open(self) -> None:
-        """Read the findings of the result being looked at; none without a dataset."""
+        """Read the results of the displayed surface; the list is empty without a dataset."""
         shown = self._desk.now.dataset
         self._items.restart(())  # those of another dataset must not stay where these cannot be read
         self._items.restart(self._library.result.findings().items if shown is not None else ())
@@ -73,7 +73,7 @@ class ResultsStore:
         self._show()
 
     def keep(self, finding: AnyResult, thumbnail: bytes | None = None) -> AnyResult:
-        """Number and name a finding, and keep it; thumbnail: a small picture of the place, JPEG."""
+        """Add a result with a number and a name; thumbnail: a small picture of the region, JPEG."""
         self._require_writable()
         self._highest += 1
         if thumbnail is not None:
@@ -83,23 +83,23 @@ class ResultsStore:
         return kept
 
     def rename(self, number: int, name: str) -> None:
-        """Another name for a finding."""
+        """Rename a result."""
         renamed = replace(self._numbered(number), name=name.strip() or self._numbered(number).name)
         self._change(tuple(renamed if f.number == number else f for f in self._items.value))
 
     def delete(self, number: int) -> None:
-        """Take a finding off the list."""
+        """Delete a result."""
         self._numbered(number)
         self._change(tuple(f for f in self._items.value if f.number != number))
 
     def undo(self) -> None:
-        """Back to the list before."""
+        """Undo the last change of the list."""
         self._require_writable()
         self._items.undo()
         self._save()
 
     def redo(self) -> None:
-        """Forth to the list that was undone last."""
+        """Redo the change of the list that was undone last."""
         self._require_writable()
         self._items.redo()
         self._save()
@@ -127,7 +127,7 @@ class ResultsStore:
         )
 
     def _name_for(self, finding: AnyResult) -> str:
-        """The first of 'Step 1', 'Step 2', … that no result bears."""
+        """Return the first of 'Step 1', 'Step 2', … that no result has."""
         taken = {f.name for f in self._items.value}
         names = (f"{NAMES[type(finding)]} {nth}" for nth in count(1))
         return next(name for name in names if name not in taken)

@@ -1,4 +1,4 @@
-"""The notebook of the open dataset: views kept, renamed, deleted, results judged; with undo, saved at every change."""
+"""Notebook of the open dataset: saved views and review judgements, with undo, saved at every change."""
 
 from __future__ import annotations
 
@@ -16,14 +16,14 @@ from wafer_viewer.session.state.review_state import NotebookState
 
 
 class NotebookKeeper:
-    """On the session's thread only."""
+    """Controller of the notebook. Use on the session's thread only."""
 
     def __init__(self, desk: CommandQueue, library: Library) -> None:
         self._desk, self._library = desk, library
         self._history: UndoHistory[Notebook] = UndoHistory(Notebook())
 
     def open(self) -> None:
-        """Read the notebook of the result being looked at; an empty one without a dataset."""
+        """Read the notebook of the displayed result; it is empty without a dataset."""
         from wafer_viewer.store.records.review_notes import read_notebook
 
         shown = self._desk.now.dataset
@@ -32,7 +32,7 @@ class NotebookKeeper:
         self._show()
 
     def save_view(self, view: SavedView) -> SavedView:
-        """Number and keep a view; one without a name is called by its number."""
+        """Save a view with a number; a view without a name is named after its number."""
         views = self._history.value.views
         number = next(n for n in range(1, len(views) + 2) if all(v.number != n for v in views))
         kept = replace(view, number=number, name=view.name.strip() or f"View {number}")
@@ -40,18 +40,18 @@ class NotebookKeeper:
         return kept
 
     def rename_view(self, number: int, name: str) -> None:
-        """Another name for a view."""
+        """Rename a view."""
         old = self._numbered(number)
         renamed = replace(old, name=name.strip() or old.name)
         self._put(views=tuple(renamed if v.number == number else v for v in self._history.value.views))
 
     def delete_view(self, number: int) -> None:
-        """Take a view off the list."""
+        """Delete a view."""
         self._numbered(number)
         self._put(views=tuple(v for v in self._history.value.views if v.number != number))
 
     def judge(self, key: str, verdict: Verdict | None, note: str | None) -> None:
-        """Say what one thinks of a thing; None leaves the verdict or the note as it is."""
+        """Set the judgement of an item; None leaves the verdict or the note unchanged."""
         old = self._history.value.judgement(key)
         new = replace(
             old,
@@ -63,13 +63,13 @@ class NotebookKeeper:
             self._put(judgements=tuple(sorted((*others, new), key=lambda j: j.key)))
 
     def undo(self) -> None:
-        """Back to the notebook before."""
+        """Undo the last change of the notebook."""
         self._require_writable()
         self._history.undo()
         self._save()
 
     def redo(self) -> None:
-        """Forth to what was undone."""
+        """Redo the last undone change."""
         self._require_writable()
         self._history.redo()
         self._save()
@@ -101,31 +101,31 @@ class NotebookKeeper:
 
 
 class NotebookVerbs:
-    """The notebook for the page: every verb returns a future."""
+    """Notebook commands of the page; every command returns a future."""
 
     def __init__(self, do: Callable[..., Future[Any]], keeper: NotebookKeeper) -> None:
         self._do, self._keeper = do, keeper
 
     def save_view(self, view: SavedView) -> Future[SavedView]:
-        """Number, name and keep a way to look at the surface."""
+        """Save a view of the surface with a number and a name."""
         return self._do(self._keeper.save_view, view)
 
     def rename_view(self, number: int, name: str) -> Future[None]:
-        """Another name for a saved view."""
+        """Rename a saved view."""
         return self._do(self._keeper.rename_view, number, name)
 
     def delete_view(self, number: int) -> Future[None]:
-        """Take a saved view off the list."""
+        """Delete a saved view."""
         return self._do(self._keeper.delete_view, number)
 
     def judge(self, key: str, verdict: Verdict | None = None, note: str | None = None) -> Future[None]:
-        """Accept or reject a thing under review, or note something down about it."""
+        """Accept or reject an item under review, or set a note."""
         return self._do(self._keeper.judge, key, verdict, note)
 
     def undo(self) -> Future[None]:
-        """The notebook before."""
+        """Undo the last change of the notebook."""
         return self._do(self._keeper.undo)
 
     def redo(self) -> Future[None]:
-        """The notebook that was undone."""
+        """Redo the last undone change."""
         return self._do(self._keeper.redo)

@@ -1,4 +1,4 @@
-"""Sections of the open dataset and of those beside it: curves for the page, files for a spreadsheet and for print."""
+"""Sections of the open dataset and of other datasets: curves for the page, files for spreadsheets and print."""
 
 from __future__ import annotations
 
@@ -14,14 +14,14 @@ from wafer_viewer.session.state.snapshot import Snapshot
 
 
 class Sections:
-    """Questions, from any thread. All raise WaferViewerError when there is no answer."""
+    """Section queries, from any thread. Methods raise WaferViewerError on failure."""
 
     def __init__(self, questions: DatasetQueries, snapshot: Callable[[], Snapshot]) -> None:
         self._questions, self._snapshot = questions, snapshot
         self._zero: tuple[tuple[OtherSurface, Levelling], Datum] | None = None
 
     def section(self, asked: SectionAsked) -> Section:
-        """A section along a line of the surface on show, or of another one."""
+        """Return a section along a line of the displayed surface, or of another one."""
         if asked.of is not None:
             return self._of_other(asked, asked.of)
         shown = self._snapshot().dataset
@@ -34,7 +34,7 @@ class Sections:
         return Section(asked, *measuring.profile(asked.line, asked.show, asked.levelling, layer), source)
 
     def others(self) -> tuple[OtherSurface, ...]:
-        """The stitched surfaces of the data folder, without the one being looked at."""
+        """Return the stitched surfaces of the data folder, except the displayed one."""
         now = self._snapshot()
         shown = str(now.dataset.path) if now.dataset is not None else ""
         found = (
@@ -46,7 +46,7 @@ class Sections:
         return tuple(other for other in found if (other.folder, other.result) != looked_at)
 
     def _of_other(self, asked: SectionAsked, other: OtherSurface) -> Section:
-        """The same line on another surface, read from a zero laid through it in the same way."""
+        """Return the section along the same line of another surface, levelled in the same way."""
         from wafer_viewer.session.core.dataset_library import today
         from wafer_viewer.store.dataset.dataset import Dataset
 
@@ -65,5 +65,5 @@ class Sections:
         return Levelled(surface, self._zero[1], levelling)
 
     def file(self, sections: Sequence[Section], ending: str) -> bytes:
-        """The sections as a file of that ending, ``.csv`` or ``.png``."""
+        """Return the sections as the content of a file with that ending, ``.csv`` or ``.png``."""
         return file_of(sections, ending)

@@ -1,4 +1,4 @@
-"""Surfaces cut along lines, and the curves written as files: what a session and the command line share."""
+"""Sections of surfaces along lines and their export to files, for the session and the command line."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from wafer_viewer.model.surface.height_map import Mosaic
 
 
 def cut(asked: SectionAsked, surface: Mosaic, calibrated: bool, source: str) -> Section:
-    """A section of a surface. Raises MeasureError when nothing was measured along the line."""
+    """Return a section of a surface. Raises MeasureError when nothing was measured along the line."""
     from wafer_viewer.measure.tools.profile import profile
 
     layer = other_layer(surface) if asked.cleaned else None
@@ -27,24 +27,24 @@ def cut(asked: SectionAsked, surface: Mosaic, calibrated: bool, source: str) -> 
 
 
 def other_layer(surface: Mosaic) -> Layer:
-    """Of measured and filtered heights those that are not measured on."""
+    """Return the layer that is not measured on, of measured and filtered heights."""
     return "unsmoothed" if surface.provenance.recipe.measure_on == "smoothed" else "filled"
 
 
 def file_of(sections: Sequence[Section], ending: str) -> bytes:
-    """Sections as a file of that ending. Raises DatasetError as `require_known` does."""
+    """Return sections as the content of a file with that ending. Raises DatasetError as `require_known` does."""
     require_known(ending)
     return FILES[ending.lower()](sections)
 
 
 def require_known(ending: str) -> None:
-    """Raise DatasetError where curves cannot be written as a file of that ending."""
+    """Raise DatasetError if sections cannot be written to a file with that ending."""
     if ending.lower() not in FILES:
         raise DatasetError(f"Profiles cannot be written as '{ending}': use {' or '.join(FILES)}.")
 
 
 def write_sections(sections: Sequence[Section], path: Path) -> None:
-    """Write sections to a file, whole or not at all; its ending picks the format."""
+    """Write sections to a file atomically; its ending determines the format."""
     from wafer_viewer.store.io.atomic_files import replacing
 
     content = file_of(sections, path.suffix)
@@ -65,4 +65,4 @@ def _picture(sections: Sequence[Section]) -> bytes:
 
 
 FILES: dict[str, Callable[[Sequence[Section]], bytes]] = {".csv": _table, ".png": _picture}
-"""How curves are written, by the ending of the file."""
+"""Section writers by file ending."""

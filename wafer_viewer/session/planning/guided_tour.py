@@ -1,7 +1,7 @@
-"""The tour: a job filled in for a sample that the virtual rig brings along.
+"""Guided tour: a complete job for the sample of the virtual rig.
 
-For the virtual wafer its grid, on the small camera, is 3 x 3 fields of 37 frames over the nine middle dies of the
-scene `tour_wafer`.
+For the virtual wafer its grid, on the small camera, is 3 x 3 fields of 37 frames over the nine middle dies of the scene
+`tour_wafer`.
 """
 
 from __future__ import annotations
@@ -17,12 +17,15 @@ TOUR_LOT = "TOUR"
 
 
 def is_tour(job: Job | None) -> bool:
-    """Whether a job is that of the tour."""
+    """Return whether a job is the job of the tour."""
     return job is not None and job.sample.lot == TOUR_LOT
 
 
 def tour_of(rig: Rig, config: RigConfig) -> Job | None:
-    """A grid where the virtual sample shows most, with its names; None for a real rig."""
+    """Return the tour job of the virtual rig: a grid over the most interesting area of its sample.
+
+    None for a real rig.
+    """
     if config.kind != "virtual":
         return None
     from wafer_viewer.rigs.virtual.rig import VIRTUAL_MOUNT

@@ -1,4 +1,4 @@
-"""Released jobs at the prompt: made of a plan and a good dataset, named and aligned for a wafer, judged."""
+"""Released jobs on the command line: creation from a plan and a good dataset, alignment for a wafer, verdict."""
 
 from __future__ import annotations
 
@@ -22,10 +22,10 @@ from wafer_viewer.store.dataset.lock import Lock
 
 
 def job_to_release(plan: Path, names: dict[str, str | None], good: Path | None, result: str, folder: Path) -> Job:
-    """The job of a plan as it would be released in `folder`/jobs; a good sample's dataset settles what is ``auto``.
+    """Return the job of a plan as it would be released in `folder`/jobs; a good sample's dataset resolves ``auto``.
 
-    names: product and revision, where they are not those of the plan. Raises PlanError with what is missing and where
-    that revision is released already, DatasetError where the dataset has no stitched surface.
+    names: product and revision, if they differ from those of the plan. Raises PlanError with the missing parts, or if
+    that revision is already released; DatasetError if the dataset has no stitched surface.
     """
     job = read_job(plan)
     job = replace(job, released=False, **{key: name for key, name in names.items() if name is not None})
@@ -35,12 +35,12 @@ def job_to_release(plan: Path, names: dict[str, str | None], good: Path | None, 
 
 
 def tried(job: Job, against: Sequence[Path], result: str, tell: Progress) -> Trial:
-    """What a job comes to on stored datasets, and in folders of them."""
+    """Return the trial of a job on stored datasets, and on those in folders."""
     return try_job(job, datasets_of(against), result, progress=tell)
 
 
 def _settled(job: Job, data: Dataset, result: str) -> Job:
-    """The job with the recipe that a dataset came to."""
+    """Return the job with the resolved recipe of a dataset."""
     kept = data.result(result)
     settled, info = kept.mosaic().provenance.recipe, load_summary(kept)
     stitched = info.stitching if info is not None else None
@@ -49,9 +49,10 @@ def _settled(job: Job, data: Dataset, result: str) -> Job:
 
 
 def job_of_wafer(plan: Path, out: Path, names: dict[str, str | None], corners_um: Sequence[float]) -> Job:
-    """The job in a file for one wafer: named, and aligned by where its corners were seen, x and y of each in order.
+    """Return the job in a file for one wafer, with its names and aligned by its corners.
 
-    A dataset that is gone on with knows both already. Raises PlanError for corners that make no alignment.
+    corners_um: measured x and y of each corner in order. A dataset that is continued has both already. Raises PlanError
+    for corners that give no alignment.
     """
     job = read_job(plan)
     given = {key: name for key, name in names.items() if name is not None}
@@ -62,7 +63,7 @@ def job_of_wafer(plan: Path, out: Path, names: dict[str, str | None], corners_um
 
 
 def verdict_kept_in(path: Path, result: str) -> WaferVerdict:
-    """The verdict on the wafer of a dataset, kept in it where nobody else holds it."""
+    """Return the verdict on the wafer of a dataset; it is stored in the dataset unless another process holds that."""
     data = Dataset.open(path.absolute())
     try:
         lock = Lock.take(data.path)

@@ -1,4 +1,4 @@
-"""Released jobs: what an engineer settles once and an operator runs, a file each, never overwritten."""
+"""Released jobs: prepared once by an engineer and run by operators; one file each, never overwritten."""
 
 from __future__ import annotations
 
@@ -13,17 +13,17 @@ from wafer_viewer.session.state.operator_state import JobEntry
 
 FOLDER, ENDING = "jobs", ".toml"
 OF_ONE_WAFER = {"name": "", "lot": "", "wafer_id": "", "slot": 0, "operator": ""}
-"""What of a sample is the wafer's, or the day's, and not the product's."""
+"""Sample fields that belong to the wafer or the day, not to the product, with their blank values."""
 NOMINAL_TILT = 1e-4
-"""Of a field against the stage, um per um: one scan cannot tell it from the form of the wafer."""
+"""Tilt error of a field relative to the stage, um per um; one scan cannot separate it from the form of the wafer."""
 SEARCH_PX = 40
-"""How far from the stage's word a neighbour is looked for, as long as nobody says otherwise."""
+"""Search range for neighbours around the stage position in pixels, unless specified."""
 
 
 def as_released(job: Job, plan: ScanPlan, settled: Recipe | None, errors_um: tuple[float, float] | None) -> Job:
-    """A plan as the job that operators run: a recipe without ``auto`` is kept, else it is that of the surface on show.
+    """Return the released job of a plan, with the displayed surface's recipe if its own one has ``auto``.
 
-    Raises PlanError with what is missing.
+    Raises PlanError with the missing parts.
     """
     if not job.recipe.has_auto:
         return revised(replace(job, strategy=plan.strategy))
@@ -33,10 +33,10 @@ def as_released(job: Job, plan: ScanPlan, settled: Recipe | None, errors_um: tup
 
 
 def released(job: Job, plan: ScanPlan, settled: Recipe, errors_um: tuple[float, float] | None) -> Job:
-    """The job an operator can run: no ``auto`` in it, and nothing of a single wafer.
+    """Return the job that an operator can run: without ``auto``, and without the data of a single wafer.
 
-    settled: the recipe of a reconstruction with what ``auto`` chose; errors_um: of the stage in the plane and along z,
-    as its overlaps said. Raises PlanError with what is still missing.
+    settled: the recipe of a reconstruction with ``auto`` resolved; errors_um: errors of the stage in the plane and
+    along z, from its overlaps. Raises PlanError with the missing parts.
     """
     _require_complete(job)
     recipe = replace(settled, stitching=_stitching(settled.stitching, plan, errors_um))
@@ -57,9 +57,9 @@ def released(job: Job, plan: ScanPlan, settled: Recipe, errors_um: tuple[float, 
 
 
 def revised(job: Job) -> Job:
-    """A job that leaves nothing to the data, as it would be released; no scan is needed for it.
+    """Return a job without ``auto`` as it would be released; no scan is needed for it.
 
-    Raises PlanError with what is still missing.
+    Raises PlanError with the missing parts.
     """
     _require_complete(job)
     if job.recipe.has_auto or job.strategy == "auto":
@@ -69,17 +69,17 @@ def revised(job: Job) -> Job:
 
 
 def blank(job: Job) -> Job:
-    """The job for another wafer: its id and its place on the stage are to be given."""
+    """Return the job for another wafer: without wafer id and alignment."""
     return replace(job, sample=replace(job.sample, wafer_id="", name="", slot=0), alignment=None)
 
 
 def prepared(job: Job) -> Job:
-    """What of a job the engineer prepared: without the names of the wafer and how it lies."""
+    """Return the part of a job that the engineer prepared: without wafer names and alignment."""
     return replace(job, sample=replace(job.sample, **OF_ONE_WAFER), alignment=None)
 
 
 def require_as_released(before: Job | None, after: Job | None) -> None:
-    """Raise PlanError where what an engineer released was changed under its own name."""
+    """Raise PlanError if a released job was changed without a new revision."""
     if before is None or after is None or not before.released or not after.released:
         return
     if prepared(before) != prepared(after):
@@ -90,7 +90,7 @@ def require_as_released(before: Job | None, after: Job | None) -> None:
 
 
 def write_released(folder: Path, job: Job) -> Path:
-    """Keep a released job under its product and revision. Raises PlanError where that revision is there already."""
+    """Write a released job under its product and revision. Raises PlanError if that revision exists."""
     from wafer_viewer.store.io.atomic_files import write_text, writing
 
     path = free_place(folder, job)
@@ -101,7 +101,7 @@ def write_released(folder: Path, job: Job) -> Path:
 
 
 def free_place(folder: Path, job: Job) -> Path:
-    """Where a job will lie once it is released. Raises PlanError where that revision is there already."""
+    """Return the path of a job after its release. Raises PlanError if that revision exists."""
     path = folder / FOLDER / f"{_plain(job.product)}-{_plain(job.revision)}{ENDING}"
     if path.exists():
         raise PlanError(
@@ -111,7 +111,7 @@ def free_place(folder: Path, job: Job) -> Path:
 
 
 def list_released(folder: Path) -> tuple[JobEntry, ...]:
-    """The released jobs beside the datasets, by product, the newest revision first."""
+    """Return the released jobs of the data folder, by product, the newest revision first."""
     paths = (folder / FOLDER).glob(f"*{ENDING}")
     entries = [entry for path in paths if (entry := _entry(path)) is not None]
     newest_first = sorted(entries, key=lambda e: e.revision, reverse=True)
@@ -130,7 +130,7 @@ def _require_complete(job: Job) -> None:
 
 
 def _stitching(asked: Stitching, plan: ScanPlan, errors_um: tuple[float, float] | None) -> Stitching:
-    """What stitching found of the stage, where it was left to the data."""
+    """Return the stitching settings with ``auto`` replaced by the measured stage errors."""
     in_plane_um, along_z_um = errors_um or (6 * plan.pixel_um, 1.0)
     found = {
         "search_um": SEARCH_PX * plan.pixel_um,
@@ -142,7 +142,7 @@ def _stitching(asked: Stitching, plan: ScanPlan, errors_um: tuple[float, float] 
 
 
 def _entry(path: Path) -> JobEntry | None:
-    """A line of the list; None for a file that is no released job."""
+    """Return a list entry; None for a file that is no released job."""
     try:
         job = decode(path.read_bytes(), Job, path.name)
     except (OSError, WaferViewerError):

@@ -1,4 +1,4 @@
-"""The plan being edited: priced at every change, with undo."""
+"""Plan editor: the plan is recalculated at every change, with undo."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ NO_JOB = "There is no plan yet: lay a field grid over the sample first."
 
 
 class Drafting:
-    """The draft of the snapshot; on the session's thread only."""
+    """Draft of the snapshot. Use on the session's thread only."""
 
     def __init__(self, desk: CommandQueue, folder: Path) -> None:
         self._desk, self._folder = desk, folder
@@ -41,7 +41,7 @@ class Drafting:
         self.tour: Job | None = None
 
     def edit(self, job: Job | None) -> None:
-        """Another job; None clears it. Raises PlanError where it changes what was released."""
+        """Set the job; None clears it. Raises PlanError if that changes a released job."""
         before = self._jobs.value
         require_as_released(before, job)
         if job is not None and before is not None and before.alignment == job.alignment and _another(before, job):
@@ -49,33 +49,33 @@ class Drafting:
         self._put(job)
 
     def reopen(self, job: Job | None, typed: Typed | None = None) -> None:
-        """The plan that was there when the program ended: whoever scans it has to look at the sample first.
+        """Restore the plan of the last run; the sample has to be confirmed before a scan.
 
-        How a wafer lay is forgotten: nobody saw whether it still does.
+        The alignment is dropped, because the wafer may have moved.
         """
         self._jobs.restart(None if job is None else replace(job, alignment=None))
         self._confirmed = False
         self.keep_typed(typed)
 
     def keep_typed(self, typed: Typed | None) -> None:
-        """What stands on the form and makes no plan yet; None when it makes one again, as it does by any edit."""
+        """Store form input that makes no plan yet; None when the input is a plan again. Any edit clears it as well."""
         self._typed, self._typed_over = typed, self._jobs.value
         self.price()
 
     def require_confirmed(self) -> None:
-        """Raise PlanError as long as a plan that was opened again may be of another sample than lies on the stage."""
+        """Raise PlanError while a restored plan may be of another sample than the one on the stage."""
         if not self._confirmed:
             raise PlanError(UNCONFIRMED)
 
     def confirm(self) -> None:
-        """A person looked: the sample on the stage is the one that is named."""
+        """Confirm that the sample on the stage is the named one."""
         self._confirmed = True
         self.price()
 
     def mark(self, n: int, x_um: float, y_um: float) -> None:
-        """The n-th corner (from 0) was seen at a place on the stage; with the last of them the wafer is aligned.
+        """Set the stage position of the n-th corner, from 0; after the last one the wafer is aligned.
 
-        Raises PlanError when there are no corners to mark, and when they make no alignment.
+        Raises PlanError when there are no corners to mark, and when they give no alignment.
         """
         from wafer_viewer.calibrate.wafer_alignment import fit_alignment
 
@@ -90,23 +90,23 @@ class Drafting:
             self._put(replace(job, alignment=found))
 
     def unmark(self) -> None:
-        """Forget where corners were marked."""
+        """Clear the marked corners."""
         self._seen = SeenMark()
         if (job := self._jobs.value) is not None:
             self._put(replace(job, alignment=None))
 
     def next_wafer(self) -> None:
-        """The same job for another wafer; what was of the last one cannot come back by an undo."""
+        """Start the same job for another wafer; undo cannot restore the data of the last one."""
         self._seen, self._confirmed = SeenMark(), True
         self._jobs.restart(blank(self._job()))
         self.price()
 
     def copy(self) -> None:
-        """A released job as a plan that can be changed, to become another revision."""
+        """Copy a released job to an editable plan for another revision."""
         self._put(replace(self._job(), released=False, revision="", alignment=None))
 
     def release(self, settled: Recipe | None, errors_um: tuple[float, float] | None) -> Path:
-        """Write the job as a released one and take it up; settled: the recipe of the surface being looked at."""
+        """Write and load the job as a released one; settled: the recipe of the displayed surface."""
         ready = as_released(*self.ready(), settled, errors_um)
         path = write_released(self._folder, ready)
         self._take_up(ready)
@@ -117,22 +117,22 @@ class Drafting:
         self.price()
 
     def _take_up(self, job: Job) -> None:
-        """A job from a file: a released one is of no wafer yet."""
+        """Load a job from a file; a released one has no wafer yet."""
         self._seen, self._confirmed = SeenMark(), True
         self._put(blank(job) if job.released else job)
 
     def undo(self) -> None:
-        """Back to the job before."""
+        """Undo the last edit."""
         self._jobs.undo()
         self.price()
 
     def redo(self) -> None:
-        """Forth again."""
+        """Redo the last undone edit."""
         self._jobs.redo()
         self.price()
 
     def price(self) -> None:
-        """Plan the job anew: after an edit, and when the rig answers."""
+        """Recalculate the plan of the job: after an edit, and when the rig is ready."""
         job, limits = self._jobs.value, self._desk.now.rig.limits
         plan, problem = _plan(job, limits)
         typed = self._typed if self._typed_over is job else None
@@ -142,7 +142,7 @@ class Drafting:
         self._desk.change(draft=draft)
 
     def cover_sample(self) -> None:
-        """As many fields as cover the sample, round its middle."""
+        """Set the grid to cover the sample, centred on it."""
         job = self._job()
         x_um, y_um, width_um, height_um = _extent(job, self._desk.now.overview)
         grid = self._grid(job)
@@ -159,12 +159,12 @@ class Drafting:
         self.edit(replace(job, grid=covering, fields=()))
 
     def centre_on_stage(self) -> None:
-        """The grid round where the stage stands."""
+        """Centre the grid on the current stage position."""
         job, rig = self._job(), self._desk.now.rig
         self.edit(replace(job, grid=self._grid(job).centred_on(rig.x_um, rig.y_um), fields=()))
 
     def take_tour(self) -> None:
-        """The job that the virtual rig brings along."""
+        """Load the tour job of the virtual rig."""
         if self.tour is None:
             raise PlanError(
                 "The tour needs a virtual rig that answers: wait until it has started, or serve without --rig."
@@ -176,7 +176,7 @@ class Drafting:
         self._take_up(read_job(path))
 
     def save(self, path: Path | None) -> Path:
-        """Write the job to PLAN.toml: beside the datasets when no path is given."""
+        """Write the job to PLAN.toml, next to the datasets if no path is given, and return the path."""
         from wafer_viewer.store.io.atomic_files import write_text
 
         job = self._job()
@@ -185,7 +185,7 @@ class Drafting:
         return target
 
     def ready(self) -> tuple[Job, ScanPlan]:
-        """The job and its plan. Raises PlanError with the reason when there is none to scan."""
+        """Return the job and its plan. Raises PlanError with the reason when there is none to scan."""
         draft = self._desk.now.draft
         if draft.typed is not None:
             raise PlanError(draft.typed.problem)
@@ -211,23 +211,23 @@ class Drafting:
 
 
 def _another(before: Job, after: Job) -> bool:
-    """Whether another wafer is meant, which lies otherwise on the stage."""
+    """Return whether two jobs are of different wafers, so that the alignment does not carry over."""
     return (before.sample.lot, before.sample.wafer_id) != (after.sample.lot, after.sample.wafer_id)
 
 
 def first_job(limits: RigLimits) -> Job:
-    """One field and a sweep of steps of half the depth of field: what a plan begins with."""
+    """Return the initial job: one field and a sweep with steps of half the depth of field."""
     step_um = max(0.1, round(limits.depth_of_field_um / 2, 1))
     return Job(grid=one_field(limits), sweep=FocusSweep(z_step_um=step_um, n_frames=40))
 
 
 def one_field(limits: RigLimits) -> FieldGrid:
-    """A grid of one field at the stage's origin."""
+    """Return a grid of one field at the stage's origin."""
     return FieldGrid(rows=1, cols=1, field_width_um=limits.field_width_um, field_height_um=limits.field_height_um)
 
 
 def read_job(path: Path) -> Job:
-    """The job in a PLAN.toml. Raises PlanError when it cannot be read or says something that cannot be."""
+    """Return the job in a PLAN.toml. Raises PlanError when it cannot be read or is invalid."""
     try:
         text = path.read_bytes()
     except OSError as fault:
@@ -236,14 +236,14 @@ def read_job(path: Path) -> Job:
 
 
 def suggested_name(job: Job) -> str:
-    """A file's name from the names of the sample."""
+    """Return a file name from the names of the sample."""
     words = [w for w in (job.sample.lot, job.sample.wafer_id or job.sample.name, job.product) if w][:2]
     plain = "-".join("".join(c if c.isalnum() or c in "._" else "-" for c in w).strip("-.") for w in words)
     return plain or "scan"
 
 
 def free_bytes(folder: Path) -> int | None:
-    """Free space of a folder's disk; None when it cannot be asked."""
+    """Return the free space of a folder's disk in bytes; None when it is unknown."""
     try:
         return shutil.disk_usage(folder).free
     except OSError:
@@ -251,14 +251,14 @@ def free_bytes(folder: Path) -> int | None:
 
 
 def plan_of(job: Job, limits: RigLimits) -> ScanPlan:
-    """Lay out a job on a rig. Raises PlanError when the rig cannot do it."""
+    """Plan the scan of a job on a rig. Raises PlanError when the rig cannot do it."""
     from wafer_viewer.acquire.planner import plan_scan
 
     return plan_scan(job.all_fields(), job.sweep, job.exposures_us, limits, job.strategy)
 
 
 def _plan(job: Job | None, limits: RigLimits | None) -> tuple[ScanPlan | None, str | None]:
-    """The plan of a job, or why there is none."""
+    """Return the plan of a job, and the reason if there is none."""
     if job is None:
         return None, None
     if limits is None:
@@ -270,7 +270,7 @@ def _plan(job: Job | None, limits: RigLimits | None) -> tuple[ScanPlan | None, s
 
 
 def _extent(job: Job, overview: Overview | None) -> tuple[float, float, float, float]:
-    """(x, y) of the middle, width and height of the sample in um."""
+    """Return x and y of the middle, width and height of the sample in um."""
     outline = overview.outline_um if overview is not None else ()
     sample = job.sample
     if (size_um := sample.size_um) is not None:

@@ -1,4 +1,4 @@
-"""The look round before a scan: sample, alignment, calibration, disk, clearance, light, each with what mends it."""
+"""Preflight checks before a scan: sample, alignment, calibration, disk, clearance, light, each with its remedy."""
 
 from __future__ import annotations
 
@@ -17,17 +17,17 @@ from wafer_viewer.store.io.atomic_files import size
 
 State = Literal["ok", "attention", "stop"]
 ROOM_FOR_SURFACES = 0.25
-"""Of the frames' size, what their surfaces take on the same disk."""
+"""Disk space of the surfaces as a fraction of the frames' size."""
 DUE_SOON_DAYS = 14
 CLIPPED = 0.05
-"""Share of the last frame's pixels at the limit from which the light is to be looked at."""
+"""Fraction of clipped pixels of the last frame above which the light check asks for attention."""
 
 
 @dataclass(frozen=True, slots=True)
 class PreflightCheck:
-    """One line: what was looked at, how it is, what was found, and what mends it.
+    """Result of one check: subject, state, finding and remedy.
 
-    ``stop``: no scan as it is; ``attention``: a person has to say that it is meant so.
+    ``stop`` forbids the scan; ``attention`` needs confirmation by a person.
     """
 
     what: str
@@ -38,10 +38,10 @@ class PreflightCheck:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Preflight:
-    """What is looked at. confirmed: whether a person said that the sample on the stage is the one that is named.
+    """Inputs of the checks. confirmed: True if a person confirmed that the sample on the stage is the named one.
 
-    clipped_fraction: share of the last frame's pixels at the limit, None before there is one; today: ISO 8601.
-    n_marked: corners of the alignment that were marked on the stage.
+    clipped_fraction: fraction of clipped pixels of the last frame, None before there is one; today: ISO 8601. n_marked:
+    number of alignment corners marked on the stage.
     """
 
     job: Job
@@ -59,7 +59,7 @@ class Preflight:
 
 
 def look_round(now: Snapshot, latest: LatestFrame | None, today: str) -> tuple[PreflightCheck, ...]:
-    """The six lines of the plan in a snapshot; none as long as there is no plan or no rig."""
+    """Return the six checks of a snapshot's plan; none while there is no plan or no rig."""
     draft, rig = now.draft, now.rig
     if draft.job is None or draft.plan is None or rig.limits is None:
         return ()
@@ -82,24 +82,24 @@ def look_round(now: Snapshot, latest: LatestFrame | None, today: str) -> tuple[P
 
 
 def preflight(now: Preflight) -> tuple[PreflightCheck, ...]:
-    """The six lines, always in the same order."""
+    """Return the six checks, always in the same order."""
     return tuple(look(now) for look in LOOKS)
 
 
 def stops(checks: Iterable[PreflightCheck]) -> tuple[PreflightCheck, ...]:
-    """Those that forbid the scan."""
+    """Return the checks that forbid the scan."""
     return tuple(check for check in checks if check.state == "stop")
 
 
 def require_go(checks: Iterable[PreflightCheck], *, confirmed: bool = True) -> None:
-    """Raise PlanError with the first line that forbids the scan, or that a person still has to confirm."""
+    """Raise PlanError with the first check that forbids the scan, or that a person still has to confirm."""
     for check in checks:
         if check.state == "stop" or (check.state == "attention" and not confirmed):
             raise PlanError(f"The scan does not start. {check.what}: {check.found} {check.mend}".rstrip())
 
 
 def sample(now: Preflight) -> PreflightCheck:
-    """Whether it is known what lies under the objective."""
+    """Check that the sample under the objective is known."""
     who, released = now.job.sample, now.job.released
     if released and not who.wafer_id:
         return PreflightCheck("Sample", "stop", "The wafer has no id.", "Type or scan it.")
@@ -114,7 +114,7 @@ def sample(now: Preflight) -> PreflightCheck:
 
 
 def alignment(now: Preflight) -> PreflightCheck:
-    """Whether it is known how the wafer lies."""
+    """Check that the orientation and position of the wafer are known."""
     marks, found = now.job.marks, now.job.alignment
     if marks is None:
         state: State = "stop" if now.job.released else "ok"
@@ -132,7 +132,7 @@ def alignment(now: Preflight) -> PreflightCheck:
 
 
 def calibration(now: Preflight) -> PreflightCheck:
-    """Whether lengths will have an uncertainty."""
+    """Check that lengths will have an uncertainty."""
     state: State = "stop" if now.job.released else "attention"
     mend = "Calibrate: without it there is no verdict." if now.job.released else "Lengths will read 'uncalibrated'."
     if now.calibration is None:
@@ -146,7 +146,7 @@ def calibration(now: Preflight) -> PreflightCheck:
 
 
 def disk(now: Preflight) -> PreflightCheck:
-    """Whether the frames have room."""
+    """Check that the disk has space for the frames."""
     needs = now.plan.bytes_on_disk
     if now.free_bytes is None:
         return PreflightCheck(
@@ -161,10 +161,11 @@ def disk(now: Preflight) -> PreflightCheck:
 
 
 def clearance(now: Preflight) -> PreflightCheck:
-    """How near the objective comes to the highest point of the sample, which the scan takes for its highest focus.
+    """Check the clearance of the objective from the highest point of the sample, which is taken as the highest focus.
 
-    Focus lies a working distance under the objective: at z the objective is that much, less what the highest focus
-    lies over z, away from that point. From the safe height the stage may travel sideways, so no focus lies over it.
+    The focus is a working distance below the objective. At stage height z, the distance from that point is the working
+    distance minus the height of the highest focus above z. The stage may travel sideways at the safe height, so no
+    focus may be above it.
     """
     objective = now.limits.objective
     lows = [field.z_start_um for field in now.plan.fields]
@@ -183,7 +184,7 @@ def clearance(now: Preflight) -> PreflightCheck:
 
 
 def light(now: Preflight) -> PreflightCheck:
-    """Whether frames will be bright enough and not too bright."""
+    """Check that frames will be bright enough and not clipped."""
     times = ", ".join(f"{t:g}" for t in now.plan.exposures_us)
     words = f"{100 * now.job.light_fraction:.0f} % at {times} us"
     if now.job.light_fraction == 0:

@@ -1,4 +1,4 @@
-"""What differs between two revisions of a job, in words: of a feature, and of the recipe."""
+"""Text of the differences between two revisions of a job, for features and for the recipe."""
 
 from __future__ import annotations
 
@@ -17,24 +17,24 @@ NOTHING_DIFFERS = "Nothing of the feature differs: it was measured again with to
 
 
 def added(judged_before: bool) -> str:
-    """Why there is a word where there was none."""
+    """Return the reason for a new verdict."""
     return "The feature is new." if judged_before else "The wafer was not judged before."
 
 
 def taken_off(then: FeatureVerdict, job: Job) -> str:
-    """Why there is no word any more."""
+    """Return the reason for a missing verdict."""
     still = any(feature.name == then.feature.name for feature in job.features)
     return f"The job does not have die {then.die} any more." if still and then.die else "The feature is taken off."
 
 
 def feature_changes(then: FeatureVerdict, now: FeatureVerdict, other_dies: bool) -> tuple[str, ...]:
-    """What of a feature is not as it was, a sentence each."""
+    """Return the changes of a feature, one sentence each."""
     said = tuple(_of_feature(then, now, other_dies))
     return said or (() if then.measured == now.measured else (NOTHING_DIFFERS,))
 
 
 def recipe_changes(made_by: Recipe, wanted: Recipe) -> tuple[str, ...]:
-    """The settings of a recipe that differ from those a surface was made by; what was left to the data fits any."""
+    """Return the recipe settings that differ from those a surface was made with; ``auto`` matches any value."""
     return tuple(f"Recipe: {words}." for words in _settings(made_by, wanted, ""))
 
 

@@ -1,8 +1,8 @@
-"""A job tried on stored datasets before it is released: the verdicts that would change by it, and why.
+"""Trial of a job on stored datasets before its release: the verdicts that would change, and why.
 
-Where only limits changed, what was measured then is judged anew; where a place or the tool changed it is measured anew
-on the stored surface; where the recipe changed the frames are reconstructed anew, into a result of their own. Nothing
-that is there is written over.
+If only limits changed, the stored measurements are judged again. If a region or the tool changed, the stored surface is
+measured again. If the recipe changed, the frames are reconstructed into a separate result. Existing data are never
+overwritten.
 """
 
 from __future__ import annotations
@@ -33,11 +33,11 @@ if TYPE_CHECKING:
     from wafer_viewer.compute.task_runner import TaskRunner
 
 Key = tuple[str, str]
-"""A feature and the die that it is on."""
+"""Names of a feature and its die."""
 
 
 def datasets_of(paths: Sequence[Path]) -> tuple[Path, ...]:
-    """The datasets that are named, and those in folders that are named. Raises DatasetError where there is none."""
+    """Return the named datasets, and those in named folders. Raises DatasetError if there is none."""
     found: list[Path] = []
     for path in paths:
         if path.suffix == ENDING:
@@ -59,10 +59,10 @@ def try_job(
     progress: Progress = silent,
     should_stop: ShouldStop = never,
 ) -> Trial:
-    """Judge stored datasets by a job, and compare each word with the one it has.
+    """Judge stored datasets by a job, and compare each verdict with the existing one.
 
-    result: the reconstruction to be judged. crew: who reconstructs; this process where left out. A dataset that cannot
-    be judged is named with the reason. Raises ComputeError when the work is stopped.
+    result: the reconstruction to be judged. crew: runner of the reconstruction, by default this process. A dataset that
+    cannot be judged is listed with the reason. Raises ComputeError when the work is stopped.
     """
     wafers, not_tried = list[TriedWafer](), list[NotTried]()
     for n, path in enumerate(datasets):
@@ -80,18 +80,18 @@ def try_job(
 
 @dataclass(frozen=True, slots=True)
 class _Led(LocalOrCluster):
-    """Hands that are there already."""
+    """Runner factory that returns an existing task runner."""
 
     hands: TaskRunner | None = None
 
     def crew(self, work_bytes: float) -> AbstractContextManager[TaskRunner]:
-        """Them, for any work."""
+        """Return the existing runner, whatever the amount of work."""
         return nullcontext(self.hands) if self.hands is not None else LocalOrCluster.crew(self, work_bytes)
 
 
 @dataclass(frozen=True, slots=True)
 class _Before:
-    """How a dataset was judged: every feature's word, on which surface, and the dies by their names."""
+    """Earlier verdicts of a dataset: by feature and die, with their surface, and the dies by name."""
 
     job: Job
     kept: Result
@@ -122,7 +122,7 @@ def _tried(job: Job, path: Path, result: str, hire: LocalOrCluster, tell: Progre
 
 
 def _require_judgeable(data: Dataset, job: Job) -> None:
-    """Raise MeasureError where the job is not of the wafer in a dataset, or its places cannot be found there."""
+    """Raise MeasureError if the job does not fit the wafer in a dataset, or its regions cannot be located there."""
     then = data.scan.job
     if then.product.strip() and then.product.strip() != job.product.strip():
         raise MeasureError(f"It is of the product '{then.product}', and the job of '{job.product}'.")
@@ -131,7 +131,7 @@ def _require_judgeable(data: Dataset, job: Job) -> None:
 
 
 def _judged_before(data: Dataset, result: str) -> _Before:
-    """The verdict that was kept of this very surface; where none was, the one that its own job comes to."""
+    """Return the stored verdicts of this very surface; if there are none, those by its own job."""
     from wafer_viewer.measure.verdict import judge_features
 
     kept, job = data.result(result), data.scan.job
@@ -146,7 +146,7 @@ def _judged_before(data: Dataset, result: str) -> _Before:
 
 
 def _judged_now(data: Dataset, job: Job, before: _Before, kept: Result, remade: bool) -> Iterator[FeatureVerdict]:
-    """Every feature by the new job: what was measured then where that is the same number, else measured anew."""
+    """Yield the verdict of every feature by the new job, from the stored value if it still applies, else remeasured."""
     from wafer_viewer.measure.verdict import judge, judge_at
     from wafer_viewer.model.spec import replace
 
@@ -161,12 +161,12 @@ def _judged_now(data: Dataset, job: Job, before: _Before, kept: Result, remade: 
 
 
 def _same_number(then: FeatureVerdict, before: _Before, feature: Feature, die: Die | None) -> bool:
-    """Whether what was measured then is what the feature measures now."""
+    """Return whether the stored value measures the same as the feature does now."""
     return then.feature.measures == feature.measures and before.dies.get(then.die) == die
 
 
 def judged_places(job: Job) -> Iterator[tuple[Feature, Die | None]]:
-    """Every feature that is judged by itself, with each die that it is repeated on."""
+    """Yield every feature that is judged individually, with each die that it is repeated on."""
     for feature in job.features:
         if feature.has_place and not feature.per_die:
             yield feature, None
@@ -177,7 +177,7 @@ def judged_places(job: Job) -> Iterator[tuple[Feature, Die | None]]:
 def _changes(
     before: _Before, after: dict[Key, FeatureVerdict], job: Job, recipe: tuple[str, ...]
 ) -> Iterator[VerdictChange]:
-    """The features that have another word than before, in the order of the job; those that are gone last."""
+    """Yield the features with changed verdicts, in the order of the job; removed ones last."""
     for key, now in after.items():
         then = before.items.get(key)
         if then is None:
@@ -200,7 +200,7 @@ def _changes(
 
 
 def _remade(data: Dataset, job: Job, hire: LocalOrCluster, tell: Progress) -> Result:
-    """The surface by the job's recipe: made into a result of its own, or the one that was made by it before."""
+    """Return the result with the job's recipe: reconstructed into a separate result, or an existing one."""
     faults: list[str] = []
     name = _free_result(data, job)
     make_surface(data.path, job.recipe, name, again=False, tell=tell, warn=faults.append, hire=hire)
@@ -208,7 +208,7 @@ def _remade(data: Dataset, job: Job, hire: LocalOrCluster, tell: Progress) -> Re
 
 
 def _free_result(data: Dataset, job: Job) -> str:
-    """A name that no other recipe's result has."""
+    """Return a result name that no other recipe uses."""
     plain = "".join(c if c.isalnum() or c in ".+-_" else "-" for c in job.revision.strip()) or "next"
     wishes = (f"revision {plain}" if n == 1 else f"revision {plain} {n}" for n in count(1))
     return next(name for name in wishes if not (made := data.result(name)).exists or made.recipe() == job.recipe)
@@ -223,7 +223,7 @@ def _key(item: FeatureVerdict) -> Key:
 
 
 def _tell(progress: Progress, should_stop: ShouldStop, n: int, total: int, share: float) -> None:
-    """How far all of it is; also where the work ends when it is not wanted any more."""
+    """Report the overall progress; raises ComputeError when the trial is to stop."""
     if should_stop():
         raise ComputeError(f"The trial was stopped at dataset {n + 1} of {total}; nothing was released.")
     progress((n + share) / total)

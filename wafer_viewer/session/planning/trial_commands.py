@@ -1,4 +1,4 @@
-"""The plan tried on stored wafers before it is released: background work, and what the last trial came to."""
+"""Trial of the plan on stored wafers before its release, as background work, and the last trial's result."""
 
 from __future__ import annotations
 
@@ -20,17 +20,17 @@ from wafer_viewer.session.planning.job_releases import as_released
 from wafer_viewer.session.planning.plan_editor import Drafting
 
 NEXT = "next"
-"""What a plan is called that has no revision yet."""
+"""Revision name of a plan that has none yet."""
 
 
 class TrialKeeper:
-    """The trial of the snapshot; on the session's thread only."""
+    """Controller of the snapshot's trial. Use on the session's thread only."""
 
     def __init__(self, desk: CommandQueue, notices: Notifications, drafting: Drafting, compute: Compute) -> None:
         self._desk, self._notices, self._drafting, self._compute = desk, notices, drafting, compute
 
     def begin(self, paths: tuple[Path, ...], result: str) -> Future[Trial]:
-        """Judge stored datasets by the plan. Raises PlanError where it could not be released yet."""
+        """Judge stored datasets by the plan. Raises PlanError if it could not be released yet."""
         from wafer_viewer.session.planning.revision_trial import datasets_of, try_job
 
         if self._desk.now.operating.trying:
@@ -55,11 +55,14 @@ class TrialKeeper:
 
 
 class TrialVerbs:
-    """What the page asks for, ``session.trials``."""
+    """Trial commands of the page, ``session.trials``."""
 
     def __init__(self, do: Callable[..., Future[Any]], keeper: TrialKeeper) -> None:
         self._do, self._keeper = do, keeper
 
     def begin(self, paths: tuple[Path, ...], result: str = DEFAULT_RESULT) -> Future[Trial]:
-        """Judge stored datasets, and folders of them, by the plan as it would be released; it can be cancelled."""
+        """Judge stored datasets, and folders of them, by the plan as it would be released.
+
+        The work can be cancelled.
+        """
         return self._do(self._keeper.begin, tuple(Path(path) for path in paths), result)

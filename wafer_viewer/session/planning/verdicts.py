@@ -1,4 +1,4 @@
-"""The verdict on a wafer: once its surface is whole, the features of its job are measured and judged; it is kept."""
+"""Wafer verdict: the features of the job are measured and judged once the surface is complete; it is stored."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ Subject = tuple[Path, str, int]
 
 
 class Judge:
-    """The verdict of the snapshot: it follows the surface by itself. Changes on the session's thread only."""
+    """Controller of the snapshot's verdict, which follows the surface. Changed on the session's thread only."""
 
     def __init__(self, desk: CommandQueue, library: Library, notices: Notifications) -> None:
         self._desk, self._library, self._notices = desk, library, notices
@@ -36,11 +36,11 @@ class Judge:
         desk.subscribe(self._look)
 
     def close(self) -> None:
-        """Let the thread go."""
+        """End the thread."""
         self._at_work.shutdown(wait=True, cancel_futures=True)
 
     def _look(self, now: Snapshot) -> None:
-        """After every change: whether there is a surface to be judged that was not judged yet."""
+        """Start a judgement if a complete surface has none yet; called after every change."""
         subject = _subject(now)
         ready = subject is None or now.surface_is_whole
         if subject == self._of or not (ready or self._of is not None):
@@ -69,7 +69,7 @@ class Judge:
 
 
 def kept_verdict(result: Result) -> WaferVerdict | None:
-    """The verdict that was kept on this very surface of a result, if there is one."""
+    """Return the stored verdict on this very surface of a result; None if there is none."""
     from wafer_viewer.store.io.checksums import load_json
 
     path = result.path / FILE
@@ -80,9 +80,9 @@ def kept_verdict(result: Result) -> WaferVerdict | None:
 
 
 def verdict_of(data: Dataset, result: Result, *, keep: bool) -> WaferVerdict:
-    """The verdict on the wafer of a dataset: the kept one where it is of this very surface, else judged now.
+    """Return the verdict on the wafer of a dataset: the stored one if it is of this very surface, else a new one.
 
-    Raises MeasureError where the job has no feature with a place, DatasetError without a stitched surface.
+    Raises MeasureError if the job has no feature with a place, DatasetError without a stitched surface.
     """
     from wafer_viewer.measure.verdict import judge_dies, judge_features, overall, what_next
     from wafer_viewer.store.io.checksums import save_json
@@ -112,7 +112,7 @@ def verdict_of(data: Dataset, result: Result, *, keep: bool) -> WaferVerdict:
 
 
 def require_features(job: Job) -> None:
-    """Raise MeasureError where there is nothing to judge."""
+    """Raise MeasureError if no feature can be judged."""
     if not any(feature.has_place for feature in job.features):
         raise MeasureError(
             "The job of this dataset has no feature with a place: there is nothing to give a verdict on."
@@ -120,7 +120,7 @@ def require_features(job: Job) -> None:
 
 
 def _subject(now: Snapshot) -> Subject | None:
-    """What tells a surface to be judged from the next; None where there is none."""
+    """Return the key of the surface to be judged; None if there is none."""
     data, surface = now.dataset, now.surface
     if data is None or surface is None or not data.finished:
         return None
@@ -129,5 +129,5 @@ def _subject(now: Snapshot) -> Subject | None:
 
 
 def _mark(provenance: Provenance) -> str:
-    """What a surface was made of and how: another one has another mark."""
+    """Return a hash of a surface's provenance."""
     return hashlib.sha256(encode(provenance, "json").encode()).hexdigest()[:16]

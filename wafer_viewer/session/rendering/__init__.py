@@ -1,1 +1,1 @@
-"""The render process: tiles, thumbnails and statistics of surfaces."""
+"""Render process: tiles, thumbnails and statistics of surfaces."""

@@ -1,4 +1,4 @@
-"""What the painter is asked for to show a place compared, or a die as all of them are, and what comes back."""
+"""Render requests and answers for comparison views of a position, and for the typical die."""
 
 from __future__ import annotations
 
@@ -15,17 +15,17 @@ if TYPE_CHECKING:
 Place = tuple[int, int]
 """(col, row) of a die."""
 Like = Literal["here", "dies", "golden", "before"]
-"""The place itself; the usual of the other dies; a stored golden die; the same place of an earlier scan."""
+"""Source of a view: the position itself; the median of other dies; a stored golden die; an earlier scan."""
 
 
 @dataclass(frozen=True, slots=True)
 class ComparisonRequest:
-    """What a place is to be shown beside.
+    """Request for comparison views of a position.
 
-    die: the one it lies on, dies: those whose median is taken, without it; golden: the name of the stored golden die
-    that is shown in their place, of which product. defect_um: the box of what differs, which no range of heights may
-    cut off. before: an earlier scan, before_name: what it is called, before_at_um: where on its stage the middle of the
-    box lies, and how it is turned there, anticlockwise; no_before: why there is none.
+    die: the die of the position, dies: those of the median, without it; golden: name of the stored golden die shown
+    instead, of the product `product`. defect_um: box of the defect, which the height range must not clip. before: an
+    earlier scan, before_name: its name, before_at_um: position of the box centre on its stage, before_turn_rad: its
+    rotation, anticlockwise; no_before: the reason if there is none.
     """
 
     grid: DieGrid | None = None
@@ -42,10 +42,10 @@ class ComparisonRequest:
 
 
 class ComparisonView(msgspec.Struct, frozen=True):
-    """One of the pictures that stand side by side: heights and the picture in focus everywhere, as JPEG.
+    """View in a side-by-side comparison: heights and the all-in-focus picture, as JPEG.
 
-    name: of the golden die or the scan; dies: of how many dies it is the median; moved_um: how far it was moved (right,
-    up) to lie on the place; alike: their correlation. why_not: why there is nothing to be seen, a sentence.
+    name: of the golden die or the scan; dies: number of dies in the median; moved_um: shift (right, up) applied to
+    match the position; alike: their correlation. why_not: the reason if there is no view, a sentence.
     """
 
     like: Like
@@ -59,9 +59,9 @@ class ComparisonView(msgspec.Struct, frozen=True):
 
 
 class ComparisonViews(msgspec.Struct, frozen=True):
-    """A place and its like, answer to ``beside``: all heights in the range low_um to high_um over zero_um.
+    """Comparison views of a position, answer to ``beside``: heights in the range low_um to high_um above zero_um.
 
-    box_um: what each picture takes in, stage um (x low, y low, x high, y high).
+    box_um: area of each picture, stage um (x low, y low, x high, y high).
     """
 
     low_um: float
@@ -73,9 +73,9 @@ class ComparisonViews(msgspec.Struct, frozen=True):
 
 
 class DiePicture(msgspec.Struct, frozen=True):
-    """A die as all of them are, answer to ``die``: the picture in focus everywhere as JPEG, of how many dies.
+    """Typical die, answer to ``die``: the all-in-focus picture as JPEG, and the number of dies.
 
-    golden: the name of the stored golden die it is of, if it is one; why_not: why there is none, a sentence.
+    golden: name of the stored golden die, if it shows one; why_not: the reason if there is none, a sentence.
     """
 
     picture: bytes = b""

@@ -1,4 +1,4 @@
-"""A place of a die beside the same place of the others, of a golden die, of an earlier scan; and a die as all are."""
+"""Comparison views of a position: other dies, golden die and earlier scan; and the picture of a typical die."""
 
 from __future__ import annotations
 
@@ -39,16 +39,16 @@ if TYPE_CHECKING:
     from wafer_viewer.model.surface.height_map import Mosaic
 
 PLACE_PX, DIE_PX = 320, 640
-"""The longer side of a picture has at most so many pixels."""
+"""Maximum length in pixels of the longer side of a picture, of a position and of a die."""
 DIE_REACH_PX, SCAN_REACH_PX = 3, 48
-"""How far a die, or an earlier scan, may lie from where it should."""
+"""Search range in pixels for the offset of a die, and of an earlier scan."""
 LEAST_MEASURED = 0.2
 
 Pair = tuple[ComparisonView, DieCrop | None]
 
 
 def beside(shelf: SurfaceProvider, request: RenderRequest) -> bytes:
-    """A `ComparisonViews` as msgpack; no bytes where nothing of the place was scanned."""
+    """Return `ComparisonViews` as msgpack; no bytes if nothing was scanned there."""
     like, box = request.like, request.box_um
     if like is None or box is None:
         return b""
@@ -67,7 +67,7 @@ def beside(shelf: SurfaceProvider, request: RenderRequest) -> bytes:
 
 
 def die(shelf: SurfaceProvider, request: RenderRequest) -> bytes:
-    """A `DiePicture` as msgpack."""
+    """Return a `DiePicture` as msgpack."""
     if request.like is None:
         return b""
     folder = request.source.dataset.parent
@@ -75,9 +75,9 @@ def die(shelf: SurfaceProvider, request: RenderRequest) -> bytes:
 
 
 def picture_of_die(surface: Mosaic, folder: Path, like: ComparisonRequest) -> DiePicture:
-    """The picture of a die along its own axes: that of the golden one, or the median of the dies of `like`.
+    """Return the picture of a die along its own axes: the golden one, or the median of the dies of `like`.
 
-    folder: the data folder, where golden dies lie.
+    folder: the data folder, which contains the golden dies.
     """
     nothing = DiePicture(why_not="No die was scanned completely.")
     if like.grid is None or not (like.dies or like.golden):
@@ -98,7 +98,7 @@ def picture_of_die(surface: Mosaic, folder: Path, like: ComparisonRequest) -> Di
 def _others(
     shelf: SurfaceProvider, source: SurfaceKey, like: ComparisonRequest, surface: Mosaic, patch: DiePatch, own: DieCrop
 ) -> Iterator[Pair]:
-    """The reference, then the earlier scan; why it is missing where it is."""
+    """Yield the reference, then the earlier scan; each with the reason if it is missing."""
     yield (
         _of_golden(source.dataset.parent, like, surface, patch, own)
         if like.golden
@@ -121,7 +121,7 @@ def _of_dies(like: ComparisonRequest, surface: Mosaic, patch: DiePatch, own: Die
 
 
 def _laid(surface: Mosaic, like: ComparisonRequest, patch: DiePatch, own: DieCrop) -> Iterator[AlignedPatch]:
-    """The same place of the dies that are measured there."""
+    """Yield the same position of the other dies, as far as it is measured there."""
     for there in like.dies:
         if like.grid is not None and like.die is not None and there != like.die:
             found = laid_on(own, surface, patch.on_die(like.grid, like.die, there), DIE_REACH_PX)
@@ -145,7 +145,7 @@ def _of_golden(folder: Path, like: ComparisonRequest, surface: Mosaic, patch: Di
 
 
 def _golden(folder: Path, like: ComparisonRequest, surface: Mosaic) -> GoldenDie:
-    """The stored golden die. Raises DatasetError where it is gone, MeasureError where it does not fit."""
+    """Return the stored golden die. Raises DatasetError if it does not exist, MeasureError if it does not fit."""
     from wafer_viewer.store.records.golden_dies import FOLDER, golden_named
 
     golden = golden_named(folder / FOLDER, like.golden, like.product)
@@ -189,7 +189,7 @@ def _grey(seen: DieCrop) -> bytes:
 
 
 def _inside(own: DieCrop, patch: DiePatch, like: ComparisonRequest) -> NDArray[np.float32]:
-    """The heights of what differs."""
+    """Return the heights inside the defect."""
     if like.defect_um is None:
         return own.z_um[:0]
     (x0, y0, x1, y1), (left, low, _, high) = like.defect_um, _box_of(patch)
@@ -199,7 +199,7 @@ def _inside(own: DieCrop, patch: DiePatch, like: ComparisonRequest) -> NDArray[n
 
 
 def _box_of(patch: DiePatch) -> tuple[float, float, float, float]:
-    """What an upright patch takes in, to the outer edges of its pixels."""
+    """Return the box of an upright patch, to the outer edges of its pixels."""
     half_y, half_x = (n / 2 * patch.pixel_um for n in patch.shape)
     x_um, y_um = float(patch.x_um), float(patch.y_um)
     return x_um - half_x, y_um - half_y, x_um + half_x, y_um + half_y

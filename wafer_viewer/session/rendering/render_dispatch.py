@@ -1,4 +1,4 @@
-"""How each thing the page asks for is made. Runs in the painter's process and imports what is heavy."""
+"""Dispatch of render requests by kind. Runs in the render process and imports the heavy modules."""
 
 from __future__ import annotations
 
@@ -33,5 +33,5 @@ PAINTERS: dict[str, Callable[[SurfaceProvider, RenderRequest], bytes]] = {
 
 
 def paint(shelf: SurfaceProvider, request: RenderRequest) -> bytes:
-    """Make what a request asks for; no bytes when there is nothing to be seen. Raises WaferViewerError."""
+    """Execute a render request; no bytes when nothing is visible. Raises WaferViewerError."""
     return PAINTERS[request.what](shelf, request)

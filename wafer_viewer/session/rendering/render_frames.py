@@ -1,4 +1,4 @@
-"""What the camera saw, for the page: a frame of a field, or the stitched picture at one z, lying at height 0."""
+"""Camera images for the page: a frame of a field, or the stitched image at one z, at scene height 0."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ _STRIP_ROWS = 512
 
 
 def frame(shelf: SurfaceProvider, request: RenderRequest) -> bytes:
-    """Frame k of a field as a picture lying at 0."""
+    """Return frame k of a field as a flat picture at height 0."""
     stack = shelf.stacks(request.source)[0]
     if not stack.present[request.k]:
         return b""
@@ -30,7 +30,7 @@ def frame(shelf: SurfaceProvider, request: RenderRequest) -> bytes:
 
 
 def stitched(shelf: SurfaceProvider, request: RenderRequest) -> bytes:
-    """The picture of all fields at one z, each by its nearest frame, blended as the surfaces are."""
+    """Return the image of all fields at one z, each from its nearest frame, blended like the surfaces."""
     from wafer_viewer.reconstruct.blending.mosaic_layout import layout
     from wafer_viewer.reconstruct.blending.stitched_slice import StackOutline, stitched_picture
 

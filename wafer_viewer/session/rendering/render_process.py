@@ -1,4 +1,4 @@
-"""The painter: a process of its own that makes the page's pictures, so that the page never waits for them."""
+"""Render process: renders the page's pictures in a separate process, so that the page never waits for them."""
 
 from __future__ import annotations
 
@@ -26,16 +26,16 @@ if TYPE_CHECKING:
 __all__ = ["Painter", "RenderRequest", "SurfaceKey"]
 
 _KEPT_BYTES = 48 * 2**20
-"""Of answers kept for other browsers: some views of one."""
+"""Cache size in bytes for answers to other browsers: a few views of one browser."""
 NICENESS = 5
-"""By how much painting gives way."""
+"""Niceness of the render process."""
 
 
 class Painter:
-    """Answers `RenderRequest`s in order, one at a time. An answer is kept, so that a second browser has it at once.
+    """Client of the render process, which answers `RenderRequest`s in order, one at a time.
 
-    A request that no one needs any more is withdrawn by cancelling its future. When the process dies it is started
-    anew with the next request; the futures it held raise BrokenProcessPool.
+    Answers are cached, so that a second browser gets them at once. Cancelling its future withdraws a request. If the
+    process dies, it is restarted with the next request; the futures it held raise BrokenProcessPool.
     """
 
     def __init__(self, work: Callable[[RenderRequest], bytes] | None = None) -> None:
@@ -47,7 +47,7 @@ class Painter:
         self._pool.submit(_warm_up)
 
     def paint(self, request: RenderRequest) -> Future[bytes]:
-        """What the request asks for, made now or kept from before. WaferViewerErrors come out of the future."""
+        """Return the answer to a request, rendered or from the cache. The future raises WaferViewerErrors."""
         with self._lock:
             if request in self._kept:
                 self._kept.move_to_end(request)
@@ -57,7 +57,7 @@ class Painter:
         return future
 
     def close(self) -> None:
-        """End the process; what is not yet made is cancelled."""
+        """End the process; pending requests are cancelled."""
         self._pool.shutdown(wait=False, cancel_futures=True)
 
     def _submit(self, request: RenderRequest) -> Future[bytes]:
@@ -88,7 +88,7 @@ def _new_pool() -> ProcessPoolExecutor:
 
 
 def _settle_in() -> None:
-    """Give way to the scan, and end with the viewer even if that is killed."""
+    """Lower the priority below the scan's, and end with the viewer even if that is killed."""
     live_in_the_background(NICENESS)
     parent = multiprocessing.parent_process()
     if parent is not None:
@@ -96,19 +96,19 @@ def _settle_in() -> None:
 
 
 def _warm_up() -> None:
-    """Import what the first picture needs while the page is still loading."""
+    """Import the modules for the first picture while the page is still loading."""
     importlib.import_module("wafer_viewer.session.rendering.render_dispatch")
 
 
 def paint_from_store(request: RenderRequest) -> bytes:
-    """Runs in the painter's process: make a request from the datasets on disk."""
+    """Execute a request from the datasets on disk, in the render process."""
     from wafer_viewer.session.rendering.render_dispatch import paint
 
     return paint(_STORE, request)
 
 
 class _StoreShelf:
-    """Surfaces and stacks from datasets; the few used last stay open."""
+    """Surfaces and stacks from datasets; the last few used ones stay open."""
 
     def surface(self, source: SurfaceKey) -> Mosaic:
         return _surface(source)

@@ -1,4 +1,4 @@
-"""Refused points of a surface for the page: their places, their reasons, and how many of them are drawn."""
+"""Refused points of a surface for the page: their positions, reasons and counts."""
 
 from __future__ import annotations
 
@@ -22,9 +22,9 @@ EVERYWHERE: Box = (-np.inf, -np.inf, np.inf, np.inf)
 
 @dataclass(frozen=True)
 class PlacedField:
-    """A field where the surface shows it: stage x and y of its pixel (0, 0), and what is subtracted from its heights.
+    """Field at its position in the surface: stage x and y of its pixel (0, 0), and the subtracted tilt.
 
-    load: reads its height map, when it is looked at.
+    load: reads its height map on first access.
     """
 
     load: Callable[[], HeightMap]
@@ -36,11 +36,11 @@ class PlacedField:
 
     @cached_property
     def height_map(self) -> HeightMap:
-        """Its height map. Raises DatasetError when that is damaged."""
+        """Height map of the field. Raises DatasetError when it is damaged."""
         return self.load()
 
     def meets(self, box_um: Box) -> bool:
-        """Whether some of its pixels may lie in a box."""
+        """Return whether some of its pixels may be inside a box."""
         rows, cols = self.shape
         right, foot = self.x0_um + cols * self.pixel_um, self.y0_um - rows * self.pixel_um
         return self.x0_um < box_um[2] and right >= box_um[0] and foot < box_um[3] and self.y0_um >= box_um[1]
@@ -48,7 +48,7 @@ class PlacedField:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class RefusedPoints:
-    """Refused points [n]: stage place and height in um, confidence from 0 to 1, and the code of `Origin`."""
+    """Refused points [n]: stage position and height in um, confidence from 0 to 1, and the code of `Origin`."""
 
     x_um: Floats
     y_um: Floats
@@ -58,7 +58,7 @@ class RefusedPoints:
 
 
 def placed_fields(source: SurfaceKey) -> list[PlacedField]:
-    """Return the field of a source, or all fields of a stitched surface, each where that shows it.
+    """Return the field of a source, or all fields of a stitched surface, at their positions in it.
 
     A comparison and a surface from a file have none. Raises DatasetError when the dataset cannot be read.
     """
@@ -132,7 +132,7 @@ def points_of(field: PlacedField, box_um: Box, datum: Datum | None = None, every
 
 
 def refused_in(fields: Sequence[PlacedField], request: RenderRequest, box_um: Box) -> Iterator[RefusedPoints]:
-    """Yield the refused points of each field in a box, as dense as the request's level asks for."""
+    """Yield the refused points of each field in a box, at the density of the request's level."""
     for field in fields:
         if field.meets(box_um):
             points = points_of(field, box_um, request.datum, 2**request.level)
@@ -141,7 +141,7 @@ def refused_in(fields: Sequence[PlacedField], request: RenderRequest, box_um: Bo
 
 
 def count_refused(fields: Sequence[PlacedField], request: RenderRequest) -> RefusedCounts:
-    """Count the refused points in the part of a surface that a request counts, all of them."""
+    """Count all refused points in the requested part of a surface."""
     box_um = EVERYWHERE if request.box_um is None else request.box_um
     by_code, by_reason = np.zeros(len(CODES) + 1, np.int64), np.zeros(_CODES, np.int64)
     without, low, high = 0, np.inf, -np.inf

@@ -1,4 +1,4 @@
-"""What the page may ask the painter for, and what comes back where it is not a picture."""
+"""Render requests of the page, and answers that are not pictures."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ Kind = Literal[
 
 @dataclass(frozen=True, slots=True)
 class SurfaceKey:
-    """A surface on disk: the stitched one (show 0) or that of a field. `stamp` changes whenever its contents do."""
+    """Surface on disk: the stitched one (show 0) or that of a field. `stamp` changes whenever its contents do."""
 
     dataset: Path
     result: str
@@ -35,18 +35,19 @@ class SurfaceKey:
 
 @dataclass(frozen=True, slots=True)
 class RenderRequest:
-    """One thing to be made. Requests that are equal are the same picture: answers are kept by request.
+    """Render request. Equal requests give the same picture, so answers are cached by request.
 
-    level: pixels of 2 ** level times the surface's; rows, cols: [first, end) on that level's lattice; step: pixels
-    from vertex to vertex; z0_um: the height that lies at 0 in the scene; datum: what heights are taken from, None the
-    stage's zero. skirts: whether a tile hangs down at its foot, top, left and right edge, to hide the crack to a
-    neighbour of another level; side: the one of these edges that ``walls`` is asked for, None all. like: what a place
-    is shown ``beside``, and which dies ``die`` is the usual of.
-    `k` is for ``frame``, `z_um` for ``slice``, `range_values` for ``scale``: the range to count in, None the
+    level: pixels of 2 ** level times the surface's; rows, cols: [first, end) on that level's lattice; step: pixels from
+    vertex to vertex; z0_um: the height at 0 in the scene; datum: reference of the heights, None for the stage's zero.
+    skirts: whether a tile has a skirt at its foot, top, left and right edge, to hide the crack to a neighbour of
+    another level; side: the edge for ``walls``, None for all. like: references for ``beside``, and the dies of the
+    median for ``die``.
+
+    `k` is for ``frame``, `z_um` for ``slice``, `range_values` for ``scale``: the range to count in, None for the
     quantity's own; `box_um` for ``picture`` and ``statistics``: x low, y low, x high, y high; `side_px`: the longer
-    side of a picture, 0 the usual. clip: which points are drawn and counted. brush_um: the heights, over the datum, of
-    which ``statistics`` tells apart how many there are and where. refused: whether ``points`` draws and ``statistics``
-    counts the points that gates refused, too.
+    side of a picture, 0 for the default. clip: which points are drawn and counted. brush_um: heights over the datum
+    whose points ``statistics`` counts and locates separately. refused: whether ``points`` draws and ``statistics``
+    counts refused points as well.
     """
 
     source: SurfaceKey
@@ -74,9 +75,9 @@ class RenderRequest:
 
 
 class SurfaceStatistics(msgspec.Struct, frozen=True):
-    """A surface as a whole, answer to ``facts``: its lattice, where on it anything is measured, heights, light.
+    """Statistics of a surface, answer to ``facts``: its lattice, measured area, heights and light.
 
-    has_overlaps: whether it is known how far fields are apart where several measured a pixel.
+    has_overlaps: whether height differences between fields are known for pixels that several fields measured.
     """
 
     rows: int
@@ -99,15 +100,15 @@ class SurfaceStatistics(msgspec.Struct, frozen=True):
 
     @property
     def light(self) -> Light:
-        """The light for all its tiles."""
+        """Light for all tiles of the surface."""
         return Light(self.gain, max(self.high_um - self.low_um, 1e-3), self.plane, self.form)
 
 
 class ColourScale(msgspec.Struct, frozen=True):
-    """A quantity over the whole surface, answer to ``scale``: its range and how often each part of it occurs.
+    """Value range of a quantity over the complete surface, answer to ``scale``, with a histogram.
 
-    low, high: the range the colours span; own_low, own_high: 0.5 and 99.5 %; p1, p99: 1 and 99 %;
-    counts: in equal bins from low to high; origins: for the quantity ``origin``, the share of each code.
+    low, high: range of the colours; own_low, own_high: 0.5 and 99.5 %; p1, p99: 1 and 99 %; counts: in equal bins from
+    low to high; origins: for the quantity ``origin``, the fraction of each code.
     """
 
     quantity: str
@@ -122,9 +123,10 @@ class ColourScale(msgspec.Struct, frozen=True):
 
 
 class CoarseHeightField(msgspec.Struct, frozen=True):
-    """A coarse surface for picking and draping, answer to ``relief``.
+    """Coarse surface for picking and draping, answer to ``relief``.
 
-    z_um: float32 [row, col], gaps at their nearest neighbour's height; there: bool [row, col], False in gaps.
+    z_um: float32 [row, col], gaps filled with the height of the nearest neighbour; there: bool [row, col], False in
+    gaps.
     """
 
     rows: int
@@ -137,10 +139,10 @@ class CoarseHeightField(msgspec.Struct, frozen=True):
 
 
 class Brushed(msgspec.Struct, frozen=True):
-    """The points of some heights: how many, their mean and standard deviation, and the places where they lie together.
+    """Points in a height range: their number, mean and standard deviation, and their connected regions.
 
-    fraction: of the points that are counted. n_places: groups of points that touch; places: x low, y low, x high,
-    y high in um of the largest of them, the largest first.
+    fraction: of the counted points. n_places: number of connected groups of points; places: x low, y low, x high, y
+    high in um of the largest of them, the largest first.
     """
 
     n_points: int
@@ -152,11 +154,10 @@ class Brushed(msgspec.Struct, frozen=True):
 
 
 class RefusedCounts(msgspec.Struct, frozen=True):
-    """The points that gates refused: how many there are, how many the clip leaves, the others by why it does not.
+    """Numbers of refused points: all of them, those inside the clip, and the others by reason.
 
-    by_reason: those that the clip leaves, by code of `Origin`. n_fields: fields that the surface is made of;
-    n_fields_without: those of them that were reconstructed before refused heights were kept. span_um: the lowest and
-    the highest of all refused heights.
+    by_reason: those inside the clip, by code of `Origin`. n_fields: fields of the surface; n_fields_without: those of
+    them reconstructed before refused heights were stored. span_um: lowest and highest of all refused heights.
     """
 
     n_heights: int
@@ -169,15 +170,15 @@ class RefusedCounts(msgspec.Struct, frozen=True):
 
 
 class Statistics(msgspec.Struct, frozen=True):
-    """What is shown of a surface in numbers, answer to ``statistics``.
+    """Statistics of the displayed surface, answer to ``statistics``.
 
-    rows, cols: of the part that is counted, in points of `pixel_um`. n_heights: points with a height; n_points: those
-    that the clip leaves; left_out: the others, by reason. Fractions are of the points that fields cover.
-    lowest, highest, mean, spread (one standard deviation): of the points that the clip leaves, None without any.
-    ends_um, counts: histogram of all heights; the outermost bins hold what lies beyond. span_um: the lowest and the
-    highest of all heights. block_px: heights are means of blocks of so many points on a side, where all of them would
-    be too many to read. refused: the points that gates refused, where they were asked for; n_heights and n_points are
-    without them.
+    rows, cols: size of the counted part, in points of `pixel_um`. n_heights: points with a height; n_points: those
+    inside the clip; left_out: the others, by reason. Fractions refer to the points covered by fields. lowest, highest,
+    mean, spread (one standard deviation): of the points inside the clip, None without any.
+
+    ends_um, counts: histogram of all heights; the outermost bins include everything beyond. span_um: lowest and highest
+    of all heights. block_px: side of the blocks whose mean heights are used if there are too many points, in points.
+    refused: counts of refused points, if requested; n_heights and n_points do not include them.
     """
 
     rows: int
@@ -202,12 +203,12 @@ class Statistics(msgspec.Struct, frozen=True):
 
 
 def pack_points(places_mm: NDArray[np.float16], colours: NDArray[np.uint8]) -> bytes:
-    """Answer to ``points``: a count, then float16 [n, 3] in mm from the window's middle, then uint8 rgb [n, 3]."""
+    """Return the answer to ``points``: a count, float16 [n, 3] in mm from the window's middle, uint8 rgb [n, 3]."""
     return struct.pack("<I", len(places_mm)) + places_mm.astype("<f2").tobytes() + colours.tobytes()
 
 
 def unpack_points(data: bytes) -> tuple[NDArray[np.float16], NDArray[np.uint8]]:
-    """Places in mm from the window's middle, float16 [n, 3], and colours, uint8 [n, 3]."""
+    """Return positions in mm from the window's middle, float16 [n, 3], and colours, uint8 [n, 3]."""
     n = struct.unpack_from("<I", data)[0]
     places = np.frombuffer(data, "<f2", 3 * n, 4).reshape(n, 3)
     return places, np.frombuffer(data, np.uint8, 3 * n, 4 + 6 * n).reshape(n, 3)

@@ -1,4 +1,4 @@
-"""Statistics of what is shown: of a whole surface or a part of it, of the points that are drawn, of a brushed range."""
+"""Statistics of the displayed surface: of all or a part of it, of the drawn points, of a brushed height range."""
 
 from __future__ import annotations
 
@@ -23,18 +23,18 @@ from wafer_viewer.session.rendering.surface_source import SurfaceProvider, Windo
 from wafer_viewer.store.mosaic.zarr_mosaic import ZarrMosaic
 
 MOST_POINTS = 8_000_000
-"""More points than these are read as means of blocks: the painter has tiles to make as well."""
+"""Number of points above which block means are read, because the render process has tiles to render as well."""
 _STRIP_ROWS = 512
 _BINS = 96
 _END_PERCENT, _SPARE = 0.02, 0.03
-"""The histogram runs from this percentile to its counterpart, and a little further on both sides."""
+"""Percentile at which the histogram starts, its counterpart being the end, and the margin on both sides."""
 _SAMPLES = 400_000
 _CODES = 32
 MOST_PLACES = 200
 
 
 def statistics(shelf: SurfaceProvider, request: RenderRequest) -> bytes:
-    """`Statistics` as msgpack. Raises MeasureError where the part that is asked for lies outside of the surface."""
+    """Return `Statistics` as msgpack. Raises MeasureError if the requested part is outside of the surface."""
     surface = shelf.surface(request.source)
     rows, cols = _window(surface, request)
     n_rows, n_cols = rows.stop - rows.start, cols.stop - cols.start
@@ -71,7 +71,7 @@ def statistics(shelf: SurfaceProvider, request: RenderRequest) -> bytes:
 
 
 def _as_kept(told: Statistics, surface: ZarrMosaic, request: RenderRequest) -> Statistics:
-    """The same with what is kept of the whole mosaic, by all of its points, where those are what is asked for."""
+    """Replace values by the stored statistics of all points of the mosaic, as far as they answer the request."""
     kept = surface.facts()
     told = msgspec.structs.replace(told, **_shares(kept.counts)._asdict())
     if request.datum is not None or not kept.has_heights:
@@ -83,14 +83,14 @@ def _as_kept(told: Statistics, surface: ZarrMosaic, request: RenderRequest) -> S
 
 
 def _window(surface: Mosaic, request: RenderRequest) -> Window:
-    """The rows and columns of level 0 that are counted."""
+    """Return the counted rows and columns of level 0."""
     if request.box_um is None:
         return slice(0, surface.shape[0]), slice(0, surface.shape[1])
     return pixel_window(surface, Region.rectangle(*request.box_um))
 
 
 def _strips(rows: slice, cols: slice, level: int, height: int) -> Iterator[Window]:
-    """A window of level 0 as strips on a coarser level's lattice."""
+    """Yield a window of level 0 as strips on a coarser level's lattice."""
     first, end = rows.start >> level, max((rows.start >> level) + 1, -(-rows.stop >> level))
     left, right = cols.start >> level, max((cols.start >> level) + 1, -(-cols.stop >> level))
     for row in range(first, end, height):
@@ -98,7 +98,7 @@ def _strips(rows: slice, cols: slice, level: int, height: int) -> Iterator[Windo
 
 
 def _ends(strips: list[HeightMap]) -> Span:
-    """From where to where the histogram runs: nearly all heights."""
+    """Return the range of the histogram, which contains nearly all heights."""
     step = max(1, round(math.sqrt(sum(strip.z_um.size for strip in strips) / _SAMPLES)))
     some = np.concatenate([strip.z_um[::step, ::step].ravel() for strip in strips])
     some = some[np.isfinite(some)]
@@ -111,7 +111,7 @@ def _ends(strips: list[HeightMap]) -> Span:
 
 @dataclass(slots=True)
 class _Moments:
-    """Of some heights: how many, the sums of them and of their squares about `about_um`, and their ends."""
+    """Moments of some heights: count, sums of the heights and their squares about `about_um`, minimum and maximum."""
 
     about_um: float
     n: int = 0
@@ -121,7 +121,7 @@ class _Moments:
     high: float = -math.inf
 
     def add(self, z_um: NDArray[np.float32]) -> None:
-        """Take in more heights, none of them NaN."""
+        """Add heights, none of them NaN."""
         if z_um.size:
             away = z_um.astype(np.float64) - self.about_um
             self.n += z_um.size
@@ -166,7 +166,7 @@ class _Sums:
         self.drawn, self.brushed = _Moments(middle), _Moments(middle)
 
     def add(self, strip: HeightMap) -> None:
-        """Take in a strip."""
+        """Add a strip."""
         there = np.isfinite(strip.z_um)
         codes = clip_codes(strip, self.clip)[there]
         z = strip.z_um[there]
@@ -204,7 +204,7 @@ def _brushed(strips: list[HeightMap], sums: _Sums, block: int, brush_um: Span, c
 
 
 def _box_um(lattice: HeightMap, rows: slice, cols: slice) -> tuple[float, float, float, float]:
-    """The rectangle of the stage that some pixels cover, edge to edge."""
+    """Return the stage rectangle of some pixels, edge to edge."""
     pixel, half = lattice.pixel_um, lattice.pixel_um / 2
     x, y = lattice.x0_um, lattice.y0_um
     low, high = y - (rows.stop - 1) * pixel - half, y - rows.start * pixel + half
@@ -212,7 +212,7 @@ def _box_um(lattice: HeightMap, rows: slice, cols: slice) -> tuple[float, float,
 
 
 class _Shares(NamedTuple):
-    """Shares of the points that fields cover, by what became of them."""
+    """Fractions of the points covered by fields, by origin."""
 
     measured_fraction: float
     filled_fraction: float

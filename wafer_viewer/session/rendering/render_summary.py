@@ -1,4 +1,4 @@
-"""A surface as a whole, for the page: its facts, the range of a quantity with its histogram, heights for picking."""
+"""Summary of a surface for the page: statistics, range and histogram of a quantity, heights for picking."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ _LEAST_FOR_FORM = 50
 
 
 def facts(shelf: SurfaceProvider, request: RenderRequest) -> bytes:
-    """`SurfaceStatistics` as msgpack."""
+    """Return `SurfaceStatistics` as msgpack."""
     surface = shelf.surface(request.source)
     level = coarse_level(surface)
     part = levelled(at_level(surface, level), request.datum)
@@ -44,13 +44,13 @@ def _has_overlaps(part: HeightMap) -> bool:
 
 
 def _extent(there: NDArray[np.bool_], n: int, scale: int) -> tuple[int, int]:
-    """[first, end) of what is there, in pixels of level 0."""
+    """Return the range [first, end) of the True values, in pixels of level 0."""
     hits = np.flatnonzero(there)
     return (0, n) if hits.size == 0 else (int(hits[0]) * scale, min(n, (int(hits[-1]) + 1) * scale))
 
 
 def _plane(part: HeightMap) -> tuple[float, float, float]:
-    """The least-squares plane through the middle heights: half of the points, those nearest to a first plane."""
+    """Return the robust least-squares plane, through the half of the points nearest to a first plane."""
     rows, cols = np.nonzero(np.isfinite(part.z_um))
     if rows.size < 3:
         return 0.0, 0.0, 0.0
@@ -60,7 +60,7 @@ def _plane(part: HeightMap) -> tuple[float, float, float]:
 
 
 def _form(part: HeightMap) -> Form:
-    """The least-squares form of order 2 through the middle heights, as the plane is laid."""
+    """Return the robust least-squares form of order 2, fitted like the plane."""
     rows, cols = np.nonzero(np.isfinite(part.z_um[::2, ::2]))
     if rows.size < _LEAST_FOR_FORM:
         return ()
@@ -73,7 +73,7 @@ def _form(part: HeightMap) -> Form:
 
 
 def _laid(design: NDArray[np.float64], z: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Least squares over all points, then twice over the half of them that lie nearest."""
+    """Fit by least squares to all points, then twice to the half of them with the smallest residuals."""
     factors = np.asarray(np.linalg.lstsq(design, z, rcond=None)[0], np.float64)
     for _ in range(2):
         distance = np.abs(z - design @ factors)
@@ -83,7 +83,7 @@ def _laid(design: NDArray[np.float64], z: NDArray[np.float64]) -> NDArray[np.flo
 
 
 def scale(shelf: SurfaceProvider, request: RenderRequest) -> bytes:
-    """A `ColourScale` as msgpack."""
+    """Return a `ColourScale` as msgpack."""
     part = coarse(shelf, request)
     quantity = request.look.colour_by
     values = VALUES[quantity](part, request.light)
@@ -99,8 +99,9 @@ def scale(shelf: SurfaceProvider, request: RenderRequest) -> bytes:
 
 
 def _usual_range(quantity: str, low: float, high: float) -> tuple[float, float]:
-    """Shares run from 0 to 1, slopes and overlaps from 0, what has a sign is symmetric; else 0.5 to 99.5 %.
+    """Return the default range of a quantity.
 
+    Fractions have 0 to 1; slopes and overlaps start at 0; signed quantities are symmetric; others have 0.5 to 99.5 %.
     The ends are at least 0.2 apart.
     """
     if quantity in ("confidence", "grey"):
@@ -122,7 +123,7 @@ def _origin_shares(part: HeightMap) -> dict[int, float]:
 
 
 def relief(shelf: SurfaceProvider, request: RenderRequest) -> bytes:
-    """A `CoarseHeightField` as msgpack."""
+    """Return a `CoarseHeightField` as msgpack."""
     part = coarse(shelf, request)
     heights, there = without_gaps(part.z_um).astype("<f4").tobytes(), np.isfinite(part.z_um).tobytes()
     return msgspec.msgpack.encode(CoarseHeightField(*part.shape, part.pixel_um, part.x0_um, part.y0_um, heights, there))

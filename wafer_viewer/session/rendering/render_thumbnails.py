@@ -1,4 +1,4 @@
-"""Small pictures of a place on a surface, seen from above: what stands beside a result in a list."""
+"""Thumbnails of a region of a surface, seen from above, for lists of results."""
 
 from __future__ import annotations
 
@@ -17,13 +17,13 @@ from wafer_viewer.session.rendering.render_request import RenderRequest
 from wafer_viewer.session.rendering.surface_source import SurfaceProvider, levelled
 
 SIDE_PX = 96
-"""The longer side of a picture has at most so many pixels, where the request does not say."""
+"""Maximum length in pixels of the longer side of a picture, unless the request specifies it."""
 _QUALITY = 80
 _UNMEASURED = np.array([200, 208, 216], np.uint8)
 
 
 def picture(shelf: SurfaceProvider, request: RenderRequest) -> bytes:
-    """The box of a request as JPEG, over its own range of heights; no bytes where nothing of it is measured.
+    """Return the box of a request as JPEG, over its own range of heights; no bytes if nothing of it is measured.
 
     Coloured by ``grey`` it is the all-in-focus image.
     """

@@ -1,4 +1,4 @@
-"""Parts of a surface, for the page: tiles in three shapes, and the walls round it."""
+"""Geometry of a surface for the page: tiles in three forms, and the surrounding walls."""
 
 from __future__ import annotations
 
@@ -21,14 +21,14 @@ from wafer_viewer.session.rendering.render_request import RenderRequest, pack_po
 from wafer_viewer.session.rendering.surface_source import SurfaceProvider, at_level, levelled
 
 _BRIDGED_PX = 9
-"""A wall runs on over this many pixels round a measured one."""
+"""Width in pixels of gaps that a wall bridges around a measured pixel."""
 _PALE = {False: 226.0, True: 64.0}
 _MARGIN_PX = 14
-"""Read round a tile, so that light and hollows go on across its edge."""
+"""Margin in pixels read around a tile, so that shading continues across its edge."""
 
 
 def _baked(shelf: SurfaceProvider, request: RenderRequest) -> tuple[HeightMap, NDArray[np.float32], Picture]:
-    """The window of a request: its map, its heights without gaps, its picture."""
+    """Return the window of a request: its height map, its heights without gaps, its picture."""
     surface = shelf.surface(request.source)
     (r0, r1), (c0, c1) = request.rows, request.cols
     margin = tuple(slice(max(0, a - _MARGIN_PX), b + _MARGIN_PX) for a, b in (request.rows, request.cols))
@@ -40,13 +40,13 @@ def _baked(shelf: SurfaceProvider, request: RenderRequest) -> tuple[HeightMap, N
 
 
 def tile(shelf: SurfaceProvider, request: RenderRequest) -> bytes:
-    """A window of the surface as GLB."""
+    """Return a window of the surface as GLB."""
     part, heights, picture = _baked(shelf, request)
     return _draped(part, heights, picture, request)
 
 
 def flat(shelf: SurfaceProvider, request: RenderRequest) -> bytes:
-    """The same picture lying flat at 0."""
+    """Return the same picture as a flat tile at height 0."""
     part, heights, picture = _baked(shelf, request)
     return _draped(part, np.full_like(heights, request.z0_um), picture, request)
 
@@ -60,7 +60,7 @@ def _draped(part: HeightMap, heights: NDArray[np.float32], picture: Picture, req
 
 
 def points(shelf: SurfaceProvider, request: RenderRequest) -> bytes:
-    """A point for each pixel with a height, and for each refused one if asked for, that the clip leaves."""
+    """Return a point for each pixel with a height, and on request for each refused one, inside the clip."""
     part, heights, picture = _baked(shelf, request)
     codes = clip_codes(part, request.clip)
     slab = request.clip.slab
@@ -78,7 +78,7 @@ def points(shelf: SurfaceProvider, request: RenderRequest) -> bytes:
 
 
 def _refused_in_tile(shelf: SurfaceProvider, request: RenderRequest, part: HeightMap) -> Iterator[RefusedPoints]:
-    """The refused points of a tile; one at the rim of what is measured has those that lie beyond it, too."""
+    """Yield the refused points of a tile; a tile at the border of the measured area includes those beyond it."""
     x0, y0, x1, y1 = part.bounds_um
     half = part.pixel_um / 2
     foot, top, left, right = request.skirts
@@ -94,7 +94,7 @@ def _refused_in_tile(shelf: SurfaceProvider, request: RenderRequest, part: Heigh
 def _refused(
     points: RefusedPoints, middle_um: tuple[float, float, float], request: RenderRequest
 ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Places about a middle in um, [n, 3], and colours by reason, [n, 3], of those that the clip leaves."""
+    """Return positions relative to a centre in um, [n, 3], and colours by reason, [n, 3], of the shown points."""
     clip = request.clip
     codes = point_codes(points.x_um, points.y_um, points.z_um, points.confidence, clip)
     pale = (codes == CODES["slab"]) & (clip.slab is not None and clip.slab.before == "pale")
@@ -105,13 +105,13 @@ def _refused(
 
 
 def _pale(colours: NDArray[np.uint8], dark: bool) -> NDArray[np.float32]:
-    """What has been cut away: grey, near to the ground's colour, with a trace of its shade."""
+    """Return the colours of clipped points: grey, close to the background colour, with a trace of their shade."""
     shade = colours.mean(axis=1, keepdims=True, dtype=np.float32) / np.float32(255)
     return np.broadcast_to(np.float32(_PALE[dark]) * (np.float32(0.8) + np.float32(0.2) * shade), colours.shape)
 
 
 def walls(shelf: SurfaceProvider, request: RenderRequest) -> bytes:
-    """From the four edges of a window down to `z0_um`; grey, because a wall is drawing, not data."""
+    """Return walls from the four edges of a window down to `z0_um`; they are grey, because they show no data."""
     surface = shelf.surface(request.source)
     (r0, r1), (c0, c1) = request.rows, request.cols
     lines = (
@@ -128,7 +128,7 @@ def walls(shelf: SurfaceProvider, request: RenderRequest) -> bytes:
 def _edge(
     line: HeightMap, request: RenderRequest
 ) -> tuple[NDArray[np.float32], NDArray[np.float32], NDArray[np.float32]]:
-    """A line of pixels as x, y, z in mm; small gaps are bridged, large ones have no wall."""
+    """Return a line of pixels as x, y, z in mm; small gaps are bridged, large ones have no wall."""
     z = line.z_um.ravel()
     near = ndimage.maximum_filter1d(np.isfinite(z), _BRIDGED_PX)
     z = np.where(near, without_gaps(z[None])[0], np.nan) if near.any() else z

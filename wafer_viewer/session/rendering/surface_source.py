@@ -1,4 +1,4 @@
-"""Where the painter finds surfaces and frames, and how it reads any level of one."""
+"""Sources of surfaces and frames for the render process, and access to any level of a surface."""
 
 from __future__ import annotations
 
@@ -19,27 +19,27 @@ from wafer_viewer.session.rendering.render_request import RenderRequest, Surface
 Window = tuple[slice, slice]
 
 COARSE_PIXELS = 400_000
-"""What facts, ranges and reliefs are taken from: enough for any of them, and read in a moment."""
+"""Pixel count of the level for statistics, ranges and reliefs: detailed enough for each, and fast to read."""
 
 
 class SurfaceProvider(Protocol):
-    """Where surfaces and frames are found; the painter's is the store, tests have maps in memory."""
+    """Source of surfaces and frames; the render process uses the store, tests use maps in memory."""
 
     def surface(self, source: SurfaceKey) -> Mosaic:
-        """The surface."""
+        """Return the surface."""
         ...
 
     def stacks(self, source: SurfaceKey) -> list[FieldStack]:
-        """The focus stack of the source's field, or those of all fields for the stitched surface."""
+        """Return the focus stack of the source's field, or those of all fields for the stitched surface."""
         ...
 
     def fields(self, source: SurfaceKey) -> Sequence[PlacedField]:
-        """The fields that the surface is made of, each where the surface shows it; none of what has no fields."""
+        """Return the fields of the surface, at their positions in it; empty for a surface without fields."""
         ...
 
 
 def coarse_level(surface: Mosaic) -> int:
-    """The finest level of at most `COARSE_PIXELS`."""
+    """Return the finest level with at most `COARSE_PIXELS` pixels."""
     rows, cols = surface.shape
     level = 0
     while (rows >> level) * (cols >> level) > COARSE_PIXELS:
@@ -48,7 +48,7 @@ def coarse_level(surface: Mosaic) -> int:
 
 
 def at_level(surface: Mosaic, level: int, window: Window | None = None) -> HeightMap:
-    """A window of a level's lattice; levels that the surface does not keep are made from the coarsest it has."""
+    """Return a window of a level's lattice; missing levels are computed from the coarsest stored one."""
     kept = min(level, surface.levels - 1)
     factor = 2 ** (level - kept)
     if window is None:
@@ -58,7 +58,7 @@ def at_level(surface: Mosaic, level: int, window: Window | None = None) -> Heigh
 
 
 def levelled(part: HeightMap, datum: Datum | None) -> HeightMap:
-    """Heights over a datum; those of the stage where there is none."""
+    """Return heights above a datum; without one, relative to the stage's zero."""
     if datum is None:
         return part
     zero = datum.at(part.x_um[None, :], part.y_um[:, None]).astype(np.float32)
@@ -66,7 +66,7 @@ def levelled(part: HeightMap, datum: Datum | None) -> HeightMap:
 
 
 def _region(surface: Mosaic, level: int, rows: slice, cols: slice) -> Region:
-    """The rectangle through the centres of the outermost pixels of a window."""
+    """Return the rectangle through the centres of the outermost pixels of a window."""
     scale = 2**level
     pixel, shift = surface.pixel_um * scale, (scale - 1) / 2 * surface.pixel_um
     x0, y0 = surface.x0_um + shift, surface.y0_um - shift
@@ -76,7 +76,7 @@ def _region(surface: Mosaic, level: int, rows: slice, cols: slice) -> Region:
 
 
 def coarse(shelf: SurfaceProvider, request: RenderRequest) -> HeightMap:
-    """The surface of a request over its datum: the window it names, without one all of it at its coarse level."""
+    """Return the surface of a request above its datum: its window, or without one the complete coarse level."""
     surface = shelf.surface(request.source)
     if request.rows[1]:
         return levelled(at_level(surface, request.level, (slice(*request.rows), slice(*request.cols))), request.datum)

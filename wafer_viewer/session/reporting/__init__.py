@@ -1,1 +1,1 @@
-"""The report of a dataset."""
+"""Report of a dataset."""

@@ -1,4 +1,4 @@
-"""The part of a report that tells of defects: what was inspected, dies, classes, and the largest with pictures."""
+"""Defects section of a report: scope of the inspection, dies, classes, and the largest defects with pictures."""
 
 from __future__ import annotations
 
@@ -16,13 +16,16 @@ from wafer_viewer.session.reporting.pictures import place_picture
 from wafer_viewer.session.reporting.report_data import Material
 
 MOST_ROWS, MOST_PICTURES = 40, 12
-"""Beyond that a report says how many more there are: the CSV and the KLARF have all."""
+"""Maximum numbers of rows and pictures.
+
+The report gives the number of omitted ones, which the CSV and KLARF contain.
+"""
 REFERENCES = {"dies": "the median of its dies", "golden": "a stored golden die", "form": "the fitted form"}
 HEADS = ("No.", "Class", "Die", "Height, k = 2", "Length", "x, y of the stage, µm", "Judgement")
 
 
 def defects(material: Material) -> ReportSection:
-    """Counts by class and die, and a table of the largest."""
+    """Return the section with counts by class and die, and a table of the largest defects."""
     title, found = PART_TITLES["defects"], material.inspection
     if found is None:
         return ReportSection(title, empty="No defects were looked for.")
@@ -37,7 +40,7 @@ def defects(material: Material) -> ReportSection:
 
 
 def defects_held(material: Material) -> Holds:
-    """How many defects there are, and how many of them people judged."""
+    """Return the number of defects, and how many of them people judged."""
     found = material.inspection
     if found is None:
         return Holds("not looked for yet", nothing=True)
@@ -60,7 +63,7 @@ def _inspected(found: Inspection) -> Pairs:
 
 
 def _held(found: Inspection) -> str:
-    """The word by the limits of the recipe, and why; that there are none."""
+    """Return the verdict by the limits of the recipe with its reasons, or that no limits are set."""
     if not found.recipe.limits.are_set:
         return "none set"
     verdict = verdict_of(found)
@@ -76,7 +79,7 @@ def _row(defect: Defect) -> tuple[str, ...]:
 
 
 def _figures(material: Material, found: Inspection, largest: list[Defect]) -> Iterator[Figure]:
-    """The map of dies, the Pareto chart, and the largest defects as pictures."""
+    """Yield the map of dies, the Pareto chart, and pictures of the largest defects."""
     if dies := defect_map_svg(found):
         yield Figure("", f"Defects on each die: {kinds_text(found.dies)}.", svg=dies)
     if found.found:
@@ -93,7 +96,7 @@ def _figures(material: Material, found: Inspection, largest: list[Defect]) -> It
 
 
 def _sentences(found: Inspection) -> Iterator[str]:
-    """What the numbers do not say."""
+    """Yield sentences on limitations of the numbers."""
     if len(found.found) > MOST_ROWS:
         yield f"The {MOST_ROWS} largest of {number(len(found.found), 0)} defects are listed."
     not_clean = [die.name for die in found.dies if die.state in ("partly scanned", "not scanned")]

@@ -1,4 +1,4 @@
-"""All dies of a report laid onto one: the drawing, and a sentence for each place that repeats."""
+"""Die stack of a report: all dies overlaid in one drawing, and a sentence for each repeating defect position."""
 
 from __future__ import annotations
 
@@ -13,12 +13,12 @@ from wafer_viewer.model.report import Figure
 from wafer_viewer.session.reporting.report_data import Material
 
 MOST_PLACES = 10
-"""Beyond that a report says how many more there are."""
+"""Maximum number of listed positions; the report gives the number of further ones."""
 WIDTH_PX = 420
 
 
 def stacked(material: Material, found: Inspection) -> Iterator[Figure]:
-    """The defects of all dies on one; none without dies or without defects on them."""
+    """Yield the figure with the defects of all dies overlaid; none without dies or without defects on them."""
     from wafer_viewer.measure.defects.repeaters import repeated_places
 
     if found.grid is None or not any(defect.die for defect in found.found):
@@ -30,7 +30,7 @@ def stacked(material: Material, found: Inspection) -> Iterator[Figure]:
 
 
 def repeated(found: Inspection) -> Iterator[str]:
-    """The places at which several dies have a defect."""
+    """Yield the positions at which several dies have a defect."""
     from wafer_viewer.measure.defects.repeaters import repeated_places
 
     places = repeated_places(found)
@@ -45,7 +45,7 @@ def repeated(found: Inspection) -> Iterator[str]:
 
 
 def _ground(material: Material, found: Inspection) -> str:
-    """The picture of the usual die as a data URL; empty where there is none."""
+    """Return the picture of the typical die as a data URL; empty if there is none."""
     from wafer_viewer.session.inspection.reference_views import like_die
     from wafer_viewer.session.rendering.render_comparisons import picture_of_die
 

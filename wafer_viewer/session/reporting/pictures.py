@@ -1,4 +1,4 @@
-"""Pictures for the report: the surface from above, the place of each result, and those taken at print size."""
+"""Report pictures: the surface from above, the region of each result, and stored pictures at print size."""
 
 from __future__ import annotations
 
@@ -18,19 +18,19 @@ from wafer_viewer.model.surface.height_map import HeightMap, Mosaic
 
 WHOLE_PX, PLACE_PX, PICTURE_PX = 1400, 320, 1600
 ROUND_A_PLACE, LEAST_UM = 0.7, 20.0
-"""Beside a place so much of its size is shown as well, and in all at least so many um."""
+"""Margin around a region as a fraction of its size, and minimum width of a picture in um."""
 UNMEASURED = (222, 226, 231)
 JPEG_QUALITY = 85
 
 
 def whole_picture(mosaic: Mosaic, low_um: float, high_um: float) -> str:
-    """The surface from above, as a data URL."""
+    """Return the surface from above, as a data URL."""
     level = _level(mosaic, max(mosaic.shape), WHOLE_PX)
     return _picture(mosaic.window(level=level), low_um, high_um, WHOLE_PX)
 
 
 def place_picture(surface: Mosaic, box_um: tuple[float, float, float, float], low_um: float, high_um: float) -> str:
-    """The surface round a place, square; empty where the place lies outside of it."""
+    """Return the square surroundings of a region; empty if the region is outside of the surface."""
     x, y = (box_um[0] + box_um[2]) / 2, (box_um[1] + box_um[3]) / 2
     half = max(LEAST_UM, (1 + 2 * ROUND_A_PLACE) * max(box_um[2] - box_um[0], box_um[3] - box_um[1])) / 2
     level = _level(surface, round(2 * half / surface.pixel_um), PLACE_PX)
@@ -42,13 +42,13 @@ def place_picture(surface: Mosaic, box_um: tuple[float, float, float, float], lo
 
 
 def taken_picture(path: Path) -> str:
-    """A picture that was taken at print size, as a data URL of a size for reports."""
+    """Return a stored picture of print size, reduced for reports, as a data URL."""
     with Image.open(path) as picture:
         return _url(picture.convert("RGB"), PICTURE_PX)
 
 
 def _level(surface: Mosaic, wide_px: int, asked_px: int) -> int:
-    """The coarsest level that still has the pixels asked for."""
+    """Return the coarsest level that still has the requested number of pixels."""
     return min(surface.levels - 1, max(0, int(np.log2(max(wide_px, 1) / asked_px))))
 
 

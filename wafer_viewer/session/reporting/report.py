@@ -1,6 +1,6 @@
-"""The report of a dataset: gathered from what lies in its folder, so that the page and the command line make the same.
+"""Report of a dataset, generated from its folder alone, so that the page and the command line give the same.
 
-No clock is read: the same dataset makes the same bytes. Whether lengths are calibrated is asked of the day of the scan.
+The clock is not used: the same dataset gives the same bytes. The calibration is checked for the day of the scan.
 """
 
 from __future__ import annotations
@@ -37,7 +37,7 @@ from wafer_viewer.session.reporting.report_text import (
 from wafer_viewer.session.reporting.results_section import gauge, profiles, results, verdict
 
 OF_A_SCAN: tuple[Part, ...] = ("plan", "recipe")
-"""What a surface from a file has not."""
+"""Parts that a surface from a file does not have."""
 SIGNED_BY = ("Measured by", "Checked by", "Approved by")
 
 
@@ -49,7 +49,7 @@ def report_of(
     progress: Progress = silent,
     should_stop: ShouldStop = never,
 ) -> Report:
-    """The report of a dataset, with the parts that were ordered.
+    """Return the report of a dataset, with the requested parts.
 
     Raises DatasetError when the folder is no dataset, ComputeError when the work is stopped.
     """
@@ -71,7 +71,7 @@ def report_of(
 
 
 def _goes_in(part: Part, material: Material) -> bool:
-    """Parts of what this dataset has nothing to do with are left out, not told to be empty."""
+    """Return whether a part applies to this dataset; parts that do not apply are omitted."""
     held: dict[Part, bool] = {
         "verdict": material.asks_for_a_verdict or material.verdict is not None,
         "defects": material.inspection is not None,
@@ -92,7 +92,7 @@ def make_report(
     progress: Progress = silent,
     should_stop: ShouldStop = never,
 ) -> Path:
-    """Write the report of a dataset to a file, complete or not at all; returns its path.
+    """Write the report of a dataset to a file atomically; return its path.
 
     Raises DatasetError when the folder is no dataset or `out` cannot be written, ComputeError when the work is stopped.
     """
@@ -103,7 +103,10 @@ def make_report(
 
 
 def contents(folder: Path, result_name: str) -> Contents:
-    """What each part would hold; nothing is drawn for it. Raises DatasetError when the folder is no dataset."""
+    """Return a description of the contents of each part, without drawing.
+
+    Raises DatasetError for a folder that is no dataset.
+    """
     material = gather(folder, result_name)
     info, plan, why = material.info, material.dataset.scan.plan, material.uncalibrated
     pictures, warnings = len(material.pictures), len(_warnings(material).sentences)
@@ -133,7 +136,7 @@ def _held(n: int, word: str, nothing: str) -> Holds:
 
 
 def _verdict_held(material: Material) -> Holds:
-    """The word and the number of features, and how many of them people judged."""
+    """Return the verdict, the number of features, and how many of them people judged."""
     if material.verdict is None:
         why = "no verdict was kept" if material.asks_for_a_verdict else "the job has no feature with limits"
         return Holds(why, nothing=True)
@@ -142,7 +145,7 @@ def _verdict_held(material: Material) -> Holds:
 
 
 def _results_held(material: Material) -> Holds:
-    """How many results there are, and how many of them people judged."""
+    """Return the number of results, and how many of them people judged."""
     if not material.findings:
         return Holds("no results yet", nothing=True)
     judged = material.notebook.judged(keys_under_review(None, material.findings))
@@ -224,7 +227,7 @@ def _warnings(material: Material) -> ReportSection:
 
 
 def _left_out(material: Material) -> Iterator[str]:
-    """What is not evaluated in U, and of which results."""
+    """Yield the contributions not evaluated in U, with the numbers of the results."""
     of: dict[tuple[str, ...], list[str]] = {}
     for finding in material.findings:
         if missing := not_evaluated(finding):

@@ -1,4 +1,4 @@
-"""What the parts of a report are made from: read once from a dataset's folder."""
+"""Input data of the report's parts, read once from a dataset's folder."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, slots=True)
 class Material:
-    """What the parts of a report are made from."""
+    """Input data of the report's parts."""
 
     dataset: Dataset
     result: Result
@@ -35,38 +35,38 @@ class Material:
 
     @property
     def day(self) -> str:
-        """The day of the scan, ISO 8601."""
+        """Day of the scan, ISO 8601."""
         return self.dataset.scan.taken[:10]
 
     @property
     def uncalibrated(self) -> str | None:
-        """Why lengths are not calibrated, or None."""
+        """Reason why lengths are not calibrated, or None."""
         return self.dataset.calibration_problem(self.day)
 
     @property
     def features(self) -> tuple[FeatureVerdict, ...]:
-        """The features of the verdict, if there is one."""
+        """Features of the verdict; empty if there is none."""
         return self.verdict.items if self.verdict is not None else ()
 
     @property
     def asks_for_a_verdict(self) -> bool:
-        """Whether the job has features to be judged."""
+        """True if the job has features to be judged."""
         return any(feature.has_place for feature in self.dataset.scan.job.features)
 
     @property
     def gauge_checks(self) -> tuple[GaugeCheck, ...]:
-        """The gauge-block checks among the results."""
+        """Gauge-block checks among the results."""
         return tuple(finding for finding in self.findings if isinstance(finding, GaugeCheck))
 
     @property
     def lines(self) -> tuple[tuple[AnyResult, Region], ...]:
-        """The results that were measured along a line of the surface or of a field, each with its line."""
+        """Results measured along a line of the surface or of a field, each with its line."""
         found = ((f, next((r for r in regions(f) if r.kind == "line"), None)) for f in self.findings if f.show >= 0)
         return tuple((finding, line) for finding, line in found if line is not None)
 
     @property
     def pictures(self) -> list[Path]:
-        """The pictures beside the dataset, in the order of their numbers."""
+        """Pictures next to the dataset, in the order of their numbers."""
         from wafer_viewer.store.io.atomic_files import natural
 
         path = self.dataset.path
@@ -74,7 +74,7 @@ class Material:
 
 
 def gather(folder: Path, result_name: str) -> Material:
-    """Read what a report needs of a dataset. Raises DatasetError when the folder is none."""
+    """Read the report data of a dataset. Raises DatasetError when the folder is no dataset."""
     from wafer_viewer.session.core.surface_summary import load_summary
     from wafer_viewer.store.dataset.dataset import Dataset
     from wafer_viewer.store.records.inspection_file import read_inspection

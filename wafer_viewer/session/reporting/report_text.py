@@ -1,4 +1,4 @@
-"""Findings, plans and recipes in the words of a report."""
+"""Text of results, plans and recipes for a report."""
 
 from __future__ import annotations
 
@@ -24,18 +24,18 @@ Pairs = tuple[tuple[str, str], ...]
 
 
 def result_row(finding: AnyResult, notebook: Notebook) -> tuple[str, ...]:
-    """Number, name, what it is, its value, where, and what was thought of it."""
+    """Return number, name, kind, value, position and judgement of a result."""
     said = thought(notebook.judgement(key_of_result(finding.number)))
     return (f"{finding.number}", finding.name, kind_of(finding), quantity_text(finding.main), where(finding), said)
 
 
 def kind_of(finding: AnyResult) -> str:
-    """What kind of result it is, on which heights, from which zero."""
+    """Return the kind of a result, with its height layer and datum."""
     return f"{spaced(type(finding).__name__)}{_terms(finding)}"
 
 
 def feature_row(n: int, judged: FeatureVerdict, judgement: Judgement) -> tuple[str, ...]:
-    """Number and name of a feature of the job, its limits, its value, the instrument's word and people's."""
+    """Return number and name of a feature of the job, its limits and value, the verdict and people's judgement."""
     feature = judged.feature
     limits = limits_text(feature).replace(f" {feature.unit}", f"\u202f{UNITS.get(feature.unit, feature.unit)}")
     rule = f"{limits}, {feature.decision_rule.replace('_', ' ')}"
@@ -45,23 +45,23 @@ def feature_row(n: int, judged: FeatureVerdict, judgement: Judgement) -> tuple[s
 
 
 def verdict_text(verdict: WaferVerdict) -> str:
-    """The word for the wafer, and of which job."""
+    """Return the verdict on the wafer, and the job that it is of."""
     return f"{verdict.word.upper()}{f', {verdict.job}' if verdict.job else ''}"
 
 
 def thought(judgement: Judgement) -> str:
-    """What people think of a thing, and their note."""
+    """Return people's verdict on an item, and their note."""
     return " · ".join(part for part in (VERDICTS[judgement.verdict], judgement.note) if part)
 
 
 def regions(finding: AnyResult) -> tuple[Region, ...]:
-    """The places a finding was measured at."""
+    """Return the regions of a result."""
     held = (getattr(finding, name) for name in finding.__struct_fields__)
     return tuple(region for value in held for region in _regions_of(value))
 
 
 def bounds_um(finding: AnyResult) -> tuple[float, float, float, float] | None:
-    """The upright rectangle round all places of a finding; None of one without a place."""
+    """Return the upright rectangle around all regions of a result; None if it has none."""
     boxes = [region.bounds_um for region in regions(finding)]
     if not boxes:
         return None
@@ -70,7 +70,7 @@ def bounds_um(finding: AnyResult) -> tuple[float, float, float, float] | None:
 
 
 def where(finding: AnyResult) -> str:
-    """The middle of its places, stage um."""
+    """Return the centre of the regions of a result, stage um."""
     box = bounds_um(finding)
     if box is None:
         return ""
@@ -79,7 +79,7 @@ def where(finding: AnyResult) -> str:
 
 
 def surface_pairs(info: SurfaceInfo) -> Pairs:
-    """The numbers of the surface."""
+    """Return the numbers of the surface."""
     rows = [
         ("Points", f"{number(info.cols, 0)} × {number(info.rows, 0)}, {number(info.pixel_um, 4)}\u202fµm apart"),
         ("Fields", f"{info.n_fields}"),
@@ -101,7 +101,7 @@ def surface_pairs(info: SurfaceInfo) -> Pairs:
 
 
 def plan_pairs(plan: ScanPlan, job: Job) -> Pairs:
-    """What was taken, and how."""
+    """Return the scan's fields, frames, exposures and strategy."""
     grid = f", {job.grid.rows} rows × {job.grid.cols} columns" if job.grid else ""
     return (
         ("Fields", f"{len(plan.fields)}{grid}"),
@@ -114,7 +114,7 @@ def plan_pairs(plan: ScanPlan, job: Job) -> Pairs:
 
 
 def recipe_pairs(spec: Spec, before: str = "") -> Pairs:
-    """Every setting with its value; groups of settings one below the other."""
+    """Return every setting with its value; nested groups are listed one after the other."""
     pairs: list[tuple[str, str]] = []
     for name in spec.__struct_fields__:
         value = getattr(spec, name)
@@ -132,7 +132,7 @@ def _setting(value: object) -> str:
 
 
 def calibration_pairs(calibration: Calibration) -> Pairs:
-    """Pixel size and z scale with their uncertainty, of what, against what, until when."""
+    """Return pixel size and z scale with uncertainty, setup, reference standard and validity dates."""
     setup = calibration.setup
     return (
         ("Pixel", f"{calibration.pixel_um:.6g} ± {2 * calibration.u_pixel_um:.2g}\u202fµm (k = 2)"),
@@ -146,7 +146,7 @@ def calibration_pairs(calibration: Calibration) -> Pairs:
 
 
 def _terms(finding: AnyResult) -> str:
-    """On which heights, from which zero."""
+    """Return the height layer and the levelling of a result."""
     levelled = "" if finding.levelling.by == "stage" else f", levelled by {finding.levelling.by}"
     return f", {LAYER_TITLES[finding.surface]}{levelled}"
 

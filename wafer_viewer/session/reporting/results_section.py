@@ -1,4 +1,4 @@
-"""The parts of a report that tell what was measured: verdict, results with their budgets, profiles, gauge checks."""
+"""Measurement sections of a report: verdict, results with their budgets, profiles, gauge checks."""
 
 from __future__ import annotations
 
@@ -29,14 +29,14 @@ from wafer_viewer.session.reporting.report_data import Material
 from wafer_viewer.session.reporting.report_text import bounds_um, feature_row, kind_of, result_row, thought, where
 
 MOST_SHEETS, MOST_PROFILES = 60, 24
-"""Results beyond that stand in the table alone: the report stays of a size to be sent."""
+"""Maximum numbers of result sheets and profiles; further results are in the table only, to limit the report's size."""
 RESULT_HEADS = ("No.", "Result", "What, on which heights", "Value, k = 2", "x, y of the stage, µm", "Judgement")
 FEATURE_HEADS = ("No.", "Feature", "Limits", "Value, k = 2", "Word", "Judgement")
 GAUGE_HEADS = ("No.", "Certificate", "Scans", "Mean", "Reference", "Error", "En", "Limit", "Word")
 
 
 def verdict(material: Material) -> ReportSection:
-    """The word for the wafer, its dies, and every feature with its limits."""
+    """Return the section with the wafer's verdict, its dies, and every feature with its limits."""
     title, judged = PART_TITLES["verdict"], material.verdict
     if judged is None:
         return ReportSection(
@@ -57,7 +57,7 @@ def verdict(material: Material) -> ReportSection:
 
 
 def _one_of_each(judged: WaferVerdict) -> Iterator[tuple[int, FeatureVerdict]]:
-    """Of every feature the item with the gravest word, and its number: each die has much the same budget."""
+    """Yield the item with the worst verdict of every feature, with its number; the budgets of dies are similar."""
     numbered = list(enumerate(judged.items, 1))
     for name in dict.fromkeys(item.feature.name for item in judged.items):
         of_name = [(n, item) for n, item in numbered if item.feature.name == name]
@@ -65,7 +65,7 @@ def _one_of_each(judged: WaferVerdict) -> Iterator[tuple[int, FeatureVerdict]]:
 
 
 def _of_feature(n: int, item: FeatureVerdict) -> Sheet:
-    """The uncertainty of a feature."""
+    """Return the uncertainty sheet of a feature."""
     feature, measured = item.feature, item.measured
     what = (TOOLS[feature.tool].title, title_of(feature.quantity) if feature.quantity else "")
     return Sheet(
@@ -92,7 +92,7 @@ def _die_map(material: Material, judged: WaferVerdict) -> tuple[Figure, ...]:
 
 
 def results(material: Material) -> ReportSection:
-    """A table of all results, and a sheet of each."""
+    """Return the section with a table of all results, and a sheet of each."""
     rows = tuple(result_row(finding, material.notebook) for finding in material.findings)
     sheets = tuple(_sheet(material, finding) for finding in material.findings[:MOST_SHEETS])
     title = PART_TITLES["results"]
@@ -116,7 +116,7 @@ def _sheet(material: Material, finding: AnyResult) -> Sheet:
 
 
 def budget_table(lines: tuple[BudgetLine, ...], unit: str) -> Table | None:
-    """Contributions with their share of the variance, the largest first; None without a budget."""
+    """Return contributions with their share of the variance, the largest first; None without a budget."""
     variance = sum(line.u**2 for line in lines)
     if not variance:
         return None
@@ -131,7 +131,7 @@ def _two_figures(u: float) -> str:
 
 
 def _place(material: Material, finding: AnyResult) -> str:
-    """The surface round the place of a result, where it was measured on the stitched one."""
+    """Return a picture of the region of a result, if it was measured on the stitched surface."""
     from wafer_viewer.session.reporting.pictures import place_picture
 
     box, info = bounds_um(finding), material.info
@@ -141,14 +141,14 @@ def _place(material: Material, finding: AnyResult) -> str:
 
 
 def profiles(material: Material) -> ReportSection:
-    """The curve of every result along a line."""
+    """Return the section with the curve of every result along a line."""
     figures = (_curve(material, finding, line) for finding, line in material.lines[:MOST_PROFILES])
     told = tuple(figure for figure in figures if figure is not None)
     return ReportSection(PART_TITLES["profiles"], figures=told, empty="No result lies along a line.")
 
 
 def _curve(material: Material, finding: AnyResult, line: Region) -> Figure | None:
-    """Cut again where and how it was cut; None where the surface is not there any more."""
+    """Return the section of a result as a figure, cut again at the same line; None if the surface is missing."""
     from wafer_viewer.draw.charts.profile_svg import profile_svg
     from wafer_viewer.measure.base.levelled_surface import levelled
     from wafer_viewer.measure.tools.profile import profile
@@ -176,7 +176,7 @@ def _surface(material: Material, show: int) -> Mosaic | None:
 
 
 def gauge(material: Material) -> ReportSection:
-    """The checks against gauge blocks among the results."""
+    """Return the section of the gauge-block checks among the results."""
     checks = material.gauge_checks
     table = Table(GAUGE_HEADS, tuple(_gauge_row(check) for check in checks), "n nnnnnn")
     told = tuple(_of_check(check).replace(" um", "\u202fµm") for check in checks)
@@ -192,7 +192,7 @@ def _gauge_row(check: GaugeCheck) -> tuple[str, ...]:
 
 
 def _of_check(check: GaugeCheck) -> str:
-    """What stands behind a row: the certificate, who signed, why the word is what it is."""
+    """Return the details of a check: reason of the verdict, certificate and signer."""
     paper = check.certificate
     blocks = f"Certificate {paper.number} of {paper.laboratory}, blocks {', '.join(paper.serials)}, to {paper.expires}"
     signed = f"; signed by {check.signed_by}, {check.at[:16].replace('T', ' ')}" if check.signed_by else ""

@@ -1,1 +1,1 @@
-"""The frozen state that the page reads."""
+"""Frozen state that the page reads."""

@@ -1,4 +1,4 @@
-"""A comparison of the open dataset as the snapshot shows it."""
+"""Comparison of the open dataset, as in the snapshot."""
 
 from __future__ import annotations
 
@@ -9,7 +9,10 @@ from wafer_viewer.model.surface.comparison import Comparison
 
 @dataclass(frozen=True, slots=True)
 class Compared:
-    """A comparison that can be looked at. `stamp` changes whenever it does; outdated: a surface was made anew since."""
+    """Comparison that can be displayed.
+
+    `stamp` changes whenever it does; outdated: a surface has been recomputed since.
+    """
 
     number: int
     name: str

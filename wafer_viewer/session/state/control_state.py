@@ -1,4 +1,4 @@
-"""Many eyes, one hand: which browsers look at the session, and which of them holds the controls."""
+"""Control state: the connected browsers, and the one that has control."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 @dataclass(frozen=True, slots=True)
 class Browser:
-    """A browser that looks, by what it calls itself. present: False while it is expected back, as after a reload."""
+    """Connected browser with its name. present: False while its return is expected, as after a reload."""
 
     key: str
     name: str
@@ -16,10 +16,10 @@ class Browser:
 
 @dataclass(frozen=True, slots=True)
 class ControlState:
-    """The part of the snapshot that says who is there, who holds the controls and who asks for them.
+    """Connected browsers, and the holder and requester of control.
 
-    browsers: in the order in which they came. holder, asking: keys, None for nobody. asked_at: clock time in s of the
-    `asking`, after which the holder has `answer_s` to keep the controls. kept_from: whose asking was turned down last.
+    browsers: in order of arrival. holder, asking: keys, None for nobody. asked_at: clock time in s of the request,
+    after which the holder has `answer_s` to refuse it. kept_from: key of the last refused requester.
     """
 
     browsers: tuple[Browser, ...] = ()
@@ -30,20 +30,20 @@ class ControlState:
     kept_from: str | None = None
 
     def browser(self, key: str | None) -> Browser | None:
-        """The browser with a key, if it is there."""
+        """Return the browser with a key; None if it is not connected."""
         return next((b for b in self.browsers if b.key == key), None)
 
     def name_of(self, key: str | None) -> str:
-        """What a browser calls itself; empty for one that is not there."""
+        """Return the name of a browser; empty if it is not connected."""
         found = self.browser(key)
         return found.name if found is not None else ""
 
     def holds(self, key: str) -> bool:
-        """Whether a browser holds the controls."""
+        """Return whether a browser has control."""
         return bool(key) and key == self.holder
 
     def why_not(self, key: str) -> str | None:
-        """Why a browser may not use the controls, None for the one that may."""
+        """Return why a browser does not have control; None if it does."""
         if self.holds(key):
             return None
         name = self.name_of(self.holder)

@@ -1,4 +1,4 @@
-"""The gauge-block check as the snapshot shows it."""
+"""Gauge-block check, as in the snapshot."""
 
 from __future__ import annotations
 
@@ -16,12 +16,12 @@ from wafer_viewer.model.gauge.run_chart import Capability, RunChart
 from wafer_viewer.model.region import Region
 
 Faces = tuple[Region, Region]
-"""The upper and the lower face."""
+"""Upper and lower face."""
 
 
 @dataclass(frozen=True, slots=True)
 class Tick:
-    """A point of the preparation that somebody says is done: ``clean``, ``warm``; at: ISO 8601."""
+    """Preparation step marked as done: ``clean``, ``warm``; at: ISO 8601."""
 
     point: str
     at: str
@@ -29,12 +29,12 @@ class Tick:
 
 @dataclass(frozen=True, slots=True)
 class GaugeState:
-    """A running check: its certificate and terms, the repeats taken, what they come to, what was signed before.
+    """Running check: its certificate and terms, the repeats, their evaluation, and earlier signed checks.
 
-    refusal: why the open dataset can be no repeat now, one sentence, or None. faces: those of the last repeat. check:
-    the result of the repeats so far, not signed; None as long as there is none. records: signed checks of these very
-    blocks, oldest first; chart and capability are of them. correction: what `correct_scale` would write, after a
-    signed check. busy: a repeat is being measured.
+    refusal: why the open dataset cannot be a repeat now, one sentence, or None. faces: those of the last repeat. check:
+    the evaluation of the repeats so far, unsigned; None while there are none. records: signed checks of these very
+    blocks, oldest first, from which chart and capability are computed. correction: what `correct_scale` would write,
+    after a signed check. busy: a repeat is being measured.
     """
 
     certificate: Certificate | None = None

@@ -1,4 +1,4 @@
-"""What lies ready for reviewing defects: kept recipes and golden dies, and what another tool found."""
+"""Resources for defect review: stored recipes and golden dies, and the overlay of another tool's defects."""
 
 from __future__ import annotations
 
@@ -12,14 +12,14 @@ from wafer_viewer.model.job.job import Job
 from wafer_viewer.model.region import Region
 
 SAME_PLACE_UM = 25.0
-"""Two tools mean the same place where their centres are no further apart, unless a person says otherwise."""
+"""Default maximum distance in um between the centres of the same defect in two inspections."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class OtherTool:
-    """A KLARF file laid over the surface on show: places are those of its defects, in its order, stage um.
+    """KLARF file overlaid on the displayed surface: `places` are those of its defects, in its order, stage um.
 
-    by: how its dies were found here, for people; within_um: so near a defect found here is the same.
+    by: how its dies were located, as text; within_um: maximum distance of a matching defect.
     """
 
     name: str
@@ -30,29 +30,29 @@ class OtherTool:
 
     @property
     def places(self) -> tuple[Region, ...]:
-        """Circles as large as the defects, stage um."""
+        """Circles of the size of the defects, stage um."""
         return self.klarf.outlines(self.grid)
 
     def matched(self, defects: tuple[Defect, ...]) -> dict[int, int]:
-        """Numbers in the file of those that were found here as well, with the numbers they have here."""
+        """Return the numbers of matched defects: number in the file to number here."""
         return self.klarf.matched(defects, self.within_um, self.grid)
 
     def unmatched(self, defects: tuple[Defect, ...]) -> tuple[tuple[KlarfDefect, Region], ...]:
-        """What is in the file and was not found here, with its place."""
+        """Return the defects of the file that were not found here, with their regions."""
         known = self.matched(defects)
         pairs = zip(self.klarf.defects, self.places, strict=True)
         return tuple((defect, place) for defect, place in pairs if defect.number not in known)
 
     def within(self, within_um: float) -> OtherTool:
-        """The same, matched over another distance."""
+        """Return a copy with another matching distance."""
         return replace(self, within_um=within_um)
 
 
 @dataclass(frozen=True, slots=True)
 class DefectShelf:
-    """Recipes, saved last first, and golden dies, the newest version first of each; problems: files that are none.
+    """Recipes, last saved first, and golden dies, newest version of each first.
 
-    other: what another tool found, while it is laid over the surface.
+    problems: invalid files. other: the overlay of another tool's defects, if there is one.
     """
 
     recipes: tuple[DefectRecipe, ...] = ()
@@ -61,14 +61,14 @@ class DefectShelf:
     other: OtherTool | None = None
 
     def recipes_of(self, product: str) -> tuple[DefectRecipe, ...]:
-        """Those of a product, saved last first; without a product none."""
+        """Return the recipes of a product, last saved first; empty without a product."""
         return tuple(recipe for recipe in self.recipes if product and recipe.product == product)
 
     def recipe_of(self, product: str) -> DefectRecipe | None:
-        """The one that is taken by itself: that saved last for the product."""
+        """Return the default recipe of a product, which is the last saved one."""
         return next(iter(self.recipes_of(product)), None)
 
 
 def product_of(job: Job) -> str:
-    """What is scanned, by the job's word or its sample's; empty where neither says."""
+    """Return the product of a job or of its sample; empty if neither has one."""
     return job.product or job.sample.product

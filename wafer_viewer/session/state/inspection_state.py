@@ -1,4 +1,4 @@
-"""The inspection for defects of the open dataset as the snapshot shows it."""
+"""Defect inspection of the open dataset, as in the snapshot."""
 
 from __future__ import annotations
 
@@ -9,11 +9,10 @@ from wafer_viewer.model.inspection.defect import Defect, Inspection
 
 @dataclass(frozen=True, slots=True, eq=False)
 class InspectionState:
-    """What was found on the surface on show; without an inspection nothing is known of its defects.
+    """Inspection of the displayed surface; None if it was not inspected.
 
-    stale: the surface was made again since. problem: why the last inspection failed, or what is kept of one
-    cannot be read. work: the id of the one under way. Two states are equal where they are the same: lists of thousands
-    of defects are not compared.
+    stale: the surface has been recomputed since. problem: why the last inspection failed, or cannot be read. work: id
+    of the running one. Equality is identity, because lists of thousands of defects are not compared.
     """
 
     inspection: Inspection | None = None
@@ -25,9 +24,9 @@ class InspectionState:
 
     @property
     def defects(self) -> tuple[Defect, ...]:
-        """All that was found."""
+        """All detected defects."""
         return self.inspection.defects if self.inspection is not None else ()
 
     def defect(self, number: int) -> Defect | None:
-        """The defect of a number, if there is one."""
+        """Return the defect with a number; None if there is none."""
         return next((defect for defect in self.defects if defect.number == number), None)

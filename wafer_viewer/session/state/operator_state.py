@@ -1,4 +1,4 @@
-"""What the operator of released jobs sees beside the plan: the jobs to choose from, and the verdict on the wafer."""
+"""Operator state: released jobs to choose from, and the verdict on the wafer."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from wafer_viewer.model.job.verdict import WaferVerdict
 
 @dataclass(frozen=True, slots=True)
 class JobEntry:
-    """One line of the list of released jobs."""
+    """Entry of the list of released jobs."""
 
     path: Path
     product: str
@@ -23,9 +23,10 @@ class JobEntry:
 
 @dataclass(frozen=True, slots=True)
 class Operating:
-    """judging: whether the open dataset's features are being measured for their verdict.
+    """Released jobs, wafer verdict and trial.
 
-    trial: what a plan came to on stored wafers, `trial_of` that plan; trying: whether one is being tried.
+    judging: the features of the open dataset are being measured for their verdict. trial: result of a plan on stored
+    wafers, `trial_of` that plan; trying: a trial is running.
     """
 
     jobs: tuple[JobEntry, ...] = ()

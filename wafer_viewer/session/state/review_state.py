@@ -1,4 +1,4 @@
-"""The notebook of the open dataset as the snapshot shows it."""
+"""Notebook of the open dataset, as in the snapshot."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from wafer_viewer.model.job.review_notes import Notebook
 
 @dataclass(frozen=True, slots=True)
 class NotebookState:
-    """Saved views and judgements, and whether the last change to them can be undone or done again."""
+    """Saved views and judgements, and whether their last change can be undone or redone."""
 
     book: Notebook = Notebook()
     can_undo: bool = False

@@ -1,4 +1,4 @@
-"""What the session knows, as one frozen `Snapshot` shared by all browsers. A verb makes a new one."""
+"""Session state: one frozen `Snapshot` shared by all browsers. Every command creates a new one."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ from wafer_viewer.session.state.review_state import NotebookState
 
 
 class FieldState(Enum):
-    """How far a field of the open dataset has come."""
+    """Progress of a field of the open dataset."""
 
     TO_COME = "to come"
     TAKING = "being taken"
@@ -43,7 +43,7 @@ RigState = Literal["absent", "starting", "ready", "moving", "scanning", "paused"
 
 @dataclass(frozen=True, slots=True)
 class RigStatus:
-    """The instrument as the header shows it. `message` says what is wrong in state ``fault`` or ``absent``."""
+    """Rig status of the page header. `message` gives the reason for the state ``fault`` or ``absent``."""
 
     name: str = "Virtual rig"
     simulated: bool = True
@@ -56,12 +56,12 @@ class RigStatus:
     setup: OpticalSetup | None = None
     message: str = ""
     homed: bool | None = None
-    """Whether every axis knows where it is; None as long as the rig has not said."""
+    """True if all axes are homed; None before the rig has reported it."""
 
 
 @dataclass(frozen=True, slots=True)
 class Typed:
-    """The plan's form as somebody left it, in the page's own words, and the sentence that says why it is no plan."""
+    """Input of the plan form in the page's own format, and the reason why it is no plan."""
 
     form: str
     problem: str
@@ -69,7 +69,7 @@ class Typed:
 
 @dataclass(frozen=True, slots=True)
 class Draft:
-    """The plan being edited: the job, its priced plan, or the sentence that says why there is none."""
+    """Plan being edited: the job, its calculated plan, or the reason why there is none."""
 
     job: Job | None = None
     plan: ScanPlan | None = None
@@ -78,15 +78,15 @@ class Draft:
     can_redo: bool = False
     free_bytes: int | None = None
     seen_um: tuple[tuple[float, float] | None, ...] = ()
-    """Where each corner to align by was marked on the stage, in the order of the job's marks."""
+    """Marked stage positions of the alignment corners, in the order of the job's marks; None for an unmarked one."""
     confirmed: bool = True
-    """False after a plan was opened again, until a person said that the sample on the stage is the one it names."""
+    """False after a plan was restored, until a person confirms that the sample on the stage is the named one."""
     typed: Typed | None = None
 
 
 @dataclass(frozen=True, slots=True)
 class DatasetEntry:
-    """One line of the list of datasets in the data folder."""
+    """Entry of the list of datasets in the data folder."""
 
     path: Path
     name: str
@@ -97,13 +97,13 @@ class DatasetEntry:
 
 @dataclass(frozen=True, slots=True)
 class ScanProgress:
-    """A running scan, or the last one."""
+    """Progress of the running scan, or of the last one."""
 
     field: Field
     k: int
     z_um: float
     order: int
-    """The how-manieth field in the order of taking, from 1."""
+    """Position of the field in the scan order, from 1."""
     frames_done: int
     frames_total: int
     frames_missing: int
@@ -118,7 +118,7 @@ class ScanProgress:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class LatestFrame:
-    """The latest frame of a running scan, full size, as it was stored."""
+    """Latest frame of a running scan, full size, as it was stored."""
 
     image: Image
     field: Field
@@ -130,10 +130,10 @@ class LatestFrame:
 
 @dataclass(frozen=True, slots=True)
 class Work:
-    """Background work: shown with its progress, can be cancelled by its id.
+    """Background work item: shown with its progress, can be cancelled by its id.
 
-    fraction None: how far it is cannot be told, or it has not begun; `waits_for` says what it waits for then.
-    stopping: it was cancelled and has not ended yet.
+    fraction None: the progress is unknown, or the work has not started; `waits_for` then gives the reason. stopping: it
+    was cancelled and has not ended yet.
     """
 
     id: str
@@ -147,7 +147,7 @@ class Work:
 
 @dataclass(frozen=True, slots=True)
 class Fault:
-    """Something the operator should read. `needs_person` is red; otherwise amber and ends with 'Nothing to do.'."""
+    """Notification for the operator. `needs_person` is red; otherwise it is amber and ends with 'Nothing to do.'."""
 
     id: str
     title: str
@@ -160,12 +160,12 @@ class Fault:
 
 @dataclass(frozen=True, slots=True)
 class StitchingInfo:
-    """How the fields of a stitched surface were placed, in numbers; lengths of U are expanded (k = 2).
+    """Statistics of the field placement of a stitched surface; uncertainties are expanded (k = 2).
 
-    doubts: why overlaps are not believed, in words, with their number, the most frequent first. moved: how far fields
-    lie from where the stage says. step: what is left between neighbours along z; None where no overlap is compared.
-    form: the terms of the whole surface's form that only the stage knows, each with its U. left_out: fields that fit
-    none of their neighbours, by number. n_by_stage: fields that overlap others and are placed by the stage alone.
+    doubts: reasons for rejected overlaps, as text, with their number, the most frequent first. moved: distance of
+    fields from their stage positions. step: remaining z step between neighbours; None if no overlap is compared. form:
+    the terms of the overall form that only the stage determines, each with its U. left_out: numbers of fields that fit
+    none of their neighbours. n_by_stage: number of fields that overlap others and are placed by the stage alone.
     """
 
     n_overlaps: int
@@ -188,7 +188,7 @@ class StitchingInfo:
 
 @dataclass(frozen=True, slots=True)
 class SurfaceInfo:
-    """The stitched surface of the open dataset. `stamp` changes whenever its contents do."""
+    """Stitched surface of the open dataset. `stamp` changes whenever its contents do."""
 
     result: str
     stamp: int
@@ -204,24 +204,24 @@ class SurfaceInfo:
     measured_fraction: float
     filled_fraction: float
     unmeasured: tuple[tuple[str, float], ...]
-    """Reasons in words with the share of pixels each took."""
+    """Reasons as text, with the fraction of pixels of each."""
     overlap_rms_um: float | None
     low_um: float
     high_um: float
-    """0.5 and 99.5 % of the heights: the colour range to begin with."""
+    """0.5 and 99.5 % of the heights: the initial colour range."""
     recipe_notes: tuple[str, ...] = ()
     asked: Recipe | None = None
     settled: Recipe | None = None
-    """The recipe it was made by, and the same with what ``auto`` chose; None where that was not kept."""
+    """Recipe of the surface, and the same with ``auto`` resolved; None if that was not stored."""
     stitching: StitchingInfo | None = None
-    """None where fields lie at their stage positions, without a look at their overlaps."""
+    """None if fields are at their stage positions, without an evaluation of their overlaps."""
     changed: tuple[tuple[int, Box], ...] = ()
-    """Of a surface that grows: where it changed, oldest first, and the stamp it got by that; empty: everywhere."""
+    """Changed areas of a growing surface with their stamps, oldest first; empty: everywhere."""
 
 
 @dataclass(frozen=True, slots=True)
 class OpenDataset:
-    """The dataset that is open. calibration_problem None: calibrated; otherwise lengths read 'uncalibrated'."""
+    """Open dataset. calibration_problem None: calibrated; otherwise lengths read 'uncalibrated'."""
 
     path: Path
     name: str
@@ -229,22 +229,25 @@ class OpenDataset:
     simulated: bool
     calibration_problem: str | None
     read_only: str | None
-    """Why it cannot be written to, or None."""
+    """Reason why it is read-only, or None."""
     finished: bool
     fields: tuple[Field, ...]
     states: dict[int, FieldState]
     stamps: dict[int, int]
-    """By field number: changes whenever the field's surface does; a field without one has no surface yet."""
+    """Stamps by field number, which change whenever the field's surface does.
+
+    A field without one has no surface yet.
+    """
     plan: ScanPlan
     job: Job
     results: tuple[str, ...] = ()
     imported: bool = False
-    """Whether it was taken elsewhere: the rig of this program and the sample on it have nothing to do with it."""
+    """True if it was imported: it is unrelated to this program's rig and the sample on it."""
 
 
 @dataclass(frozen=True, slots=True)
 class Snapshot:
-    """Everything every browser shows alike."""
+    """State that all browsers share."""
 
     version: int = 0
     rig: RigStatus = RigStatus()
@@ -269,30 +272,30 @@ class Snapshot:
     inspection: InspectionState = InspectionState()
     shelf: DefectShelf = DefectShelf()
     reopening: bool = False
-    """Whether what was open when the program ended is still being opened again."""
+    """True while the state of the last run is being restored."""
 
     @property
     def scanning(self) -> bool:
-        """Whether the rig is busy with a scan."""
+        """True if the rig is busy with a scan."""
         return self.rig.state in ("scanning", "paused", "stopping")
 
     @property
     def surface_is_whole(self) -> bool:
-        """Whether the stitched surface shows all there is: no scan runs and nothing is at work any more."""
+        """True if the stitched surface is complete: no scan and no background work is running."""
         return self.surface is not None and not self.scanning and not self.works
 
     @property
     def simulated(self) -> bool:
-        """Whether SIMULATED has to stand on the page: the rig in use or the dataset shown is simulated."""
+        """True if the page must show SIMULATED: the dataset is simulated, or without one the rig."""
         return self.rig.simulated if self.dataset is None else self.dataset.simulated
 
     @property
     def is_of_this_rig(self) -> bool:
-        """Whether the open dataset was taken by a rig such as this one; data from elsewhere lie at no place of it."""
+        """True if the open dataset was taken by such a rig; other data have no positions on its stage."""
         data = self.dataset
         return data is not None and not data.imported and data.simulated == self.rig.simulated
 
     @property
     def dataset_overview(self) -> Overview | None:
-        """The overview picture where it shows the sample of the open dataset; None for data of another instrument."""
+        """Overview image if it shows the sample of the open dataset; None for data of another instrument."""
         return self.overview if self.is_of_this_rig else None

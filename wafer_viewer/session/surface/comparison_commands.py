@@ -1,4 +1,4 @@
-"""Comparisons of the open dataset: those that lie with it, new ones made by a worker, and what can be looked at."""
+"""Comparisons of the open dataset: stored ones, new ones computed by a worker, and their displayed layers."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ Do = Callable[..., Future[Any]]
 
 
 class ComparingKeeper:
-    """The comparisons of the snapshot; on the session's thread only."""
+    """Controller of the snapshot's comparisons. Use on the session's thread only."""
 
     def __init__(self, desk: CommandQueue, notices: Notifications, library: Library, compute: Compute) -> None:
         self._desk, self._notices, self._library, self._compute = desk, notices, library, compute
@@ -36,14 +36,14 @@ class ComparingKeeper:
         self._work, self._of = "", Path()
 
     def open(self) -> None:
-        """Show the comparisons of what is open now; one of another dataset that is still being made is given up."""
+        """Show the comparisons of the open dataset; a running one of another dataset is cancelled."""
         now = self._desk.now.dataset
         if self._work and (now is None or now.path != self._of):
             self._notices.cancel(self._work)
         self._show()
 
     def begin(self, first: SurfaceName, second: SurfaceName, align: Align, keep_z: bool) -> Future[int]:
-        """Subtract two surfaces; done with the number of the comparison."""
+        """Subtract two surfaces; the future's result is the number of the comparison."""
         from wafer_viewer.session.surface.comparison_job import subtract
 
         shown = self._library.shown
@@ -59,7 +59,7 @@ class ComparingKeeper:
         return self._desk.then(done, lambda comparison: comparison.number)
 
     def remove(self, number: int) -> None:
-        """Throw a comparison away. Raises DatasetError when there is none of that number, or it cannot be removed."""
+        """Delete a comparison. Raises DatasetError when there is none of that number, or it cannot be removed."""
         found = next((c for c in self._desk.now.comparisons if c.number == number), None)
         if found is None:
             raise DatasetError(f"There is no comparison {number}: choose one of the list.")
@@ -78,7 +78,7 @@ class ComparingKeeper:
         self._show()
 
     def _show(self) -> None:
-        """What lies on the disk now, with the stamps it had."""
+        """Update the list from disk; unchanged comparisons get their earlier stamps."""
         known = {(c.name, c.comparison): c.stamp for c in self._desk.now.comparisons}
         self._desk.change(comparisons=tuple(self._found(known)) if self._desk.now.dataset is not None else ())
 
@@ -94,13 +94,16 @@ class ComparingKeeper:
 
 
 class ComparingVerbs:
-    """What a session offers of comparisons; `choices` answers on any thread."""
+    """Comparison commands of the session; `choices` can be called on any thread."""
 
     def __init__(self, do: Do, keeper: ComparingKeeper, library: Library, snapshot: Callable[[], Snapshot]) -> None:
         self._do, self._keeper, self._library, self._snapshot = do, keeper, library, snapshot
 
     def choices(self, show: int = 0) -> tuple[Pair, ...]:
-        """The pairs that can be compared with what is on show: the stitched surface, or a field. It reads the disk."""
+        """Return the surface pairs that can be compared: the stitched surface, or a field, with others.
+
+        Reads the disk.
+        """
         now = self._snapshot()
         if now.dataset is None:
             return ()
@@ -115,16 +118,22 @@ class ComparingVerbs:
     def begin(
         self, first: SurfaceName, second: SurfaceName, align: Align = "auto", keep_z: bool = False
     ) -> Future[int]:
-        """Subtract two surfaces; done with the number of the comparison, of which `show_of` makes what is shown."""
+        """Subtract two surfaces.
+
+        The future's result is the number of the comparison, which `show_of` maps to its layers.
+        """
         return self._do(self._keeper.begin, first, second, align, keep_z)
 
     def remove(self, number: int) -> Future[None]:
-        """Throw a comparison away."""
+        """Delete a comparison."""
         return self._do(self._keeper.remove, number)
 
 
 def surface_of(now: Snapshot, show: int) -> Mosaic:
-    """What of a comparison is on show; from any thread. Raises DatasetError when there is no such comparison."""
+    """Return the displayed layer of a comparison, on any thread.
+
+    Raises DatasetError when there is no such comparison.
+    """
     asked = comparison_of(show)
     found = next((c for c in now.comparisons if asked is not None and c.number == asked[0]), None)
     if asked is None or found is None or now.dataset is None:
@@ -140,7 +149,7 @@ def _surface(dataset: Path, name: str, face: ComparisonFace, stamp: int) -> Mosa
 
 
 def free_result(taken: tuple[str, ...], second: SurfaceName) -> str:
-    """A name for the difference from a surface that no other result has."""
+    """Return an unused result name for the difference from a surface."""
     from wafer_viewer.session.surface.comparison_job import PREFIX
 
     words = re.sub(r"[^\w+-]+", "-", second.words).strip("-")
@@ -153,7 +162,7 @@ def _of(name: SurfaceName, heights: Any) -> SurfaceName:
 
 
 def _surfaces_of(path: Path, field: int, same: bool) -> list[SurfaceName]:
-    """The surfaces of a dataset that can be compared: stitched ones; of the same dataset, the same field of others."""
+    """Return the comparable surfaces of a dataset: stitched ones; in the same dataset, a field's in all results."""
     from wafer_viewer.store.dataset.dataset import Dataset
 
     try:

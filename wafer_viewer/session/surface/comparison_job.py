@@ -1,4 +1,4 @@
-"""Two surfaces named, opened, subtracted and written: a worker's task, and what the command line calls itself."""
+"""Comparison of two surfaces: opens, subtracts and writes them, as a worker's task and for the command line."""
 
 from __future__ import annotations
 
@@ -25,12 +25,12 @@ from wafer_viewer.store.io.checksums import save_json
 
 PREFIX = "difference-"
 ALIGN_SHARE = 0.15
-"""Of a comparison, how much of the progress bar the alignment takes."""
+"""Fraction of the progress bar for the alignment, during a comparison."""
 THREADS = 2
 
 
 def opened(name: SurfaceName) -> Mosaic:
-    """The surface of a name. Raises DatasetError when it is not there."""
+    """Return the surface of a name. Raises DatasetError when it does not exist."""
     from wafer_viewer.reconstruct.comparison.height_layer_choice import read_as
     from wafer_viewer.store.formats.readers import read_surface
 
@@ -43,7 +43,7 @@ def opened(name: SurfaceName) -> Mosaic:
 
 
 def made_at(name: SurfaceName) -> float:
-    """When the surface of a name was written, s since the epoch; 0 where it is gone."""
+    """Return the time when the surface of a name was written, s since the epoch; 0 if it does not exist."""
     path = Path(name.path)
     if path.suffix == ENDING:
         data = Dataset.open(path)
@@ -55,7 +55,7 @@ def made_at(name: SurfaceName) -> float:
 
 
 def face_of(dataset: Path, result: str, face: ComparisonFace) -> Mosaic:
-    """What of a comparison is looked at. Raises DatasetError when it, or one of its surfaces, is gone."""
+    """Return a layer of a comparison. Raises DatasetError when it, or one of its surfaces, does not exist."""
     from wafer_viewer.reconstruct.comparison.lazy_pyramid import as_pyramid
     from wafer_viewer.reconstruct.comparison.resampled_surface import ResampledMosaic
     from wafer_viewer.reconstruct.comparison.side_by_side import SideBySideMosaic
@@ -72,7 +72,7 @@ def face_of(dataset: Path, result: str, face: ComparisonFace) -> Mosaic:
 
 
 def comparisons_of(data: Dataset) -> dict[str, Comparison]:
-    """The comparisons that lie with a dataset by the names of their results; those that cannot be read are left out."""
+    """Return the comparisons of a dataset by the names of their results; unreadable ones are omitted."""
     found: dict[str, Comparison] = {}
     for name in data.differences():
         with suppress(DatasetError):
@@ -91,7 +91,7 @@ def subtract(
     progress: Progress = silent,
     should_stop: ShouldStop = never,
 ) -> Comparison:
-    """Subtract two surfaces and keep what comes out as a result of a dataset, whole or not at all.
+    """Subtract two surfaces and store the difference as a result of a dataset, atomically.
 
     Raises MeasureError when they cannot be compared, ComputeError when the work is stopped, DatasetError when it cannot
     be written.
@@ -117,7 +117,7 @@ def subtract(
 def keep_difference(
     path: Path, name: str, first: SurfaceName, second: SurfaceName, align: Align, keep_z: bool, tell: Progress
 ) -> Comparison:
-    """Subtract two surfaces and keep what comes out with a dataset, which is held meanwhile."""
+    """Subtract two surfaces and store the difference with a dataset, which is locked meanwhile."""
     data = Dataset.open(path)
     lock = Lock.take(data.path)
     try:
@@ -129,7 +129,7 @@ def keep_difference(
 def compare_files(
     first: SurfaceName, second: SurfaceName, align: Align, keep_z: bool
 ) -> tuple[Mosaic, Callable[[], Comparison]]:
-    """The difference of two surfaces, not written anywhere, and how to have its numbers."""
+    """Return the difference of two surfaces without writing it, and a function that returns its statistics."""
     tallied = StreamingStatistics(_compared(first, second, align, keep_z))
     return tallied.difference, lambda: tallied.comparison(first, second)
 
@@ -149,7 +149,7 @@ def _later(progress: Progress, done: float) -> None:
 
 
 def _sweep(folder: Path) -> None:
-    """Remove what comparisons left behind whose process was killed; there is never more than one at a time."""
+    """Remove files of comparisons whose process was killed; only one comparison runs at a time."""
     for left in folder.glob(f".{PREFIX}*.part"):
         pid = left.name.removesuffix(".part").rpartition(".")[2].partition("-")[0]
         if pid != str(os.getpid()):
@@ -158,7 +158,7 @@ def _sweep(folder: Path) -> None:
 
 @dataclasses.dataclass(eq=False)
 class StreamingStatistics:
-    """A difference that keeps the sums over the windows that are made of it, each window once."""
+    """Difference that accumulates statistics over its computed windows, each window once."""
 
     difference: Difference
     _sums: dict[tuple[float, float], DifferenceStatistics] = dataclasses.field(
@@ -167,7 +167,7 @@ class StreamingStatistics:
 
     @property
     def pixel_um(self) -> float:
-        """Pixel size."""
+        """Pixel size in um."""
         return self.difference.pixel_um
 
     @property
@@ -187,22 +187,28 @@ class StreamingStatistics:
 
     @property
     def levels(self) -> int:
-        """It has one level."""
+        """Number of levels, which is one."""
         return 1
 
     @property
     def provenance(self) -> Provenance:
-        """That of the difference."""
+        """Provenance of the difference."""
         return self.difference.provenance
 
     def window(self, region: Region | None = None, level: int = 0) -> HeightMap:
-        """A window of the difference. The one pixel that a header is made by begins as the first window does."""
+        """Return a window of the difference.
+
+        The single pixel read for a header has the same origin as the first window, which replaces it in the sums.
+        """
         part = self.difference.window(region, level)
         self._sums[part.x0_um, part.y0_um] = self.difference.sums(part)
         return part
 
     def comparison(self, first: SurfaceName, second: SurfaceName) -> Comparison:
-        """What was compared and how it came out, by the windows that were made; by all of it where none was."""
+        """Return the comparison with its statistics over the computed windows.
+
+        Without any window, the statistics cover the full difference.
+        """
         total = sum(self._sums.values(), DifferenceStatistics()) if self._sums else None
         provenance = self.provenance
         calibration = provenance.calibration

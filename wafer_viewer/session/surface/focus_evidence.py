@@ -1,4 +1,4 @@
-"""Which field answers for a place, and why the pixel there has its height: what a worker or the command line asks."""
+"""Focus curve of a pixel: selects the field of a position; for workers and the command line."""
 
 from __future__ import annotations
 
@@ -31,12 +31,11 @@ def focus_curve(
     progress: Progress = silent,
     should_stop: ShouldStop = never,
 ) -> FocusCurve:
-    """The focus curve at a place of a dataset; field_number 0: of the field whose centre is nearest.
+    """Return the focus curve at a position of a dataset; field_number 0: of the field with the nearest centre.
 
-    A place on the stitched surface (field_number 0) is looked up where that shows the field, one of a field where the
-    stage says it is. recipe: None stands for the one that the field's surface was made with, or the default where it
-    has none yet.
-    Raises DatasetError when no field holds the place or its frames are not there.
+    A position on the stitched surface (field_number 0) is located in the field's displayed place, one on a field at its
+    stage position. recipe: None means the recipe of the field's surface, or the default if there is none yet. Raises
+    DatasetError when no field contains the position or its frames do not exist.
     """
     from wafer_viewer.reconstruct import focus_evidence
     from wafer_viewer.store.dataset.dataset import Dataset
@@ -49,9 +48,9 @@ def focus_curve(
 
 
 def field_at(data: Dataset, kept: Result, x_um: float, y_um: float) -> Field:
-    """Of the fields that hold a place the one whose centre is nearest, lying where the stitched surface shows it.
+    """Return the field with the nearest centre of those that contain a position, as displayed in the stitched surface.
 
-    Fields with a surface come first.
+    Fields with a surface take precedence. Raises DatasetError if there is none.
     """
     plan = data.scan.plan
     if not data.fields:
@@ -75,7 +74,7 @@ def _holds(plan: ScanPlan, field: Field, pixel_um: float, x_um: float, y_um: flo
 
 
 def _ends(plan: ScanPlan, fields: Iterable[Field], pixel_um: float) -> str:
-    """The lowest and the highest corner of all fields, as text."""
+    """Return the lowest and the highest corner of all fields, as text."""
     half_x, half_y = plan.cols * pixel_um / 2, plan.rows * pixel_um / 2
     x, y = [f.x_um for f in fields], [f.y_um for f in fields]
     return f"({min(x) - half_x:.1f}, {min(y) - half_y:.1f}) and ({max(x) + half_x:.1f}, {max(y) + half_y:.1f})"

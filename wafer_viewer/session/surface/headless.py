@@ -1,4 +1,4 @@
-"""What the command line does without a session: surfaces made and read in its own process."""
+"""Reconstruction without a session, for the command line: surfaces are made and read in its own process."""
 
 from __future__ import annotations
 
@@ -32,16 +32,19 @@ from wafer_viewer.store.mosaic.poses_file import write_poses_csv
 
 Warn = Callable[[str], None]
 READ_SHARE = 0.3
-"""Of a reconstruction of image files, how much of the progress bar reading them takes."""
+"""Fraction of the progress bar for reading the files, during a reconstruction of image files."""
 STITCH_SHARE = 0.1
-"""Of heights and stitching, how much of the progress bar the stitching takes."""
+"""Fraction of the progress bar for stitching, after the heights."""
 CLUSTER_PAYS_BYTES = 4e9
-"""Of frames: from there on workers of one's own are sooner done, though they take a while to start."""
+"""Size of the frames in bytes from which starting own worker processes is faster, despite their start-up time."""
 
 
 @dataclass(frozen=True, slots=True)
 class LocalOrCluster:
-    """Who is to work: the cluster at `scheduler`, or `workers` processes of this machine; None: as many as pay."""
+    """Factory of task runners: the cluster at `scheduler`, or `workers` processes of this machine.
+
+    None chooses the number by data size.
+    """
 
     scheduler: str | None = None
     workers: int | None = None
@@ -54,7 +57,7 @@ class LocalOrCluster:
             raise PlanError("--workers is for this machine and --scheduler for a cluster: give one of them.")
 
     def crew(self, work_bytes: float) -> AbstractContextManager[TaskRunner]:
-        """The crew for so many bytes of frames."""
+        """Return the task runner for that many bytes of frames."""
         return crew_for(self.scheduler, self.workers or (1 if work_bytes < CLUSTER_PAYS_BYTES else n_local_workers()))
 
 
@@ -71,7 +74,10 @@ def surface_of(
     numerical_aperture: float | None = None,
     wavelength_um: float | None = None,
 ) -> tuple[Mosaic, SurfaceInfo]:
-    """The surface of images or of a dataset, made now, and its numbers. Raises DatasetError for unreadable images."""
+    """Return the reconstructed surface of images or of a dataset, and its summary.
+
+    Raises DatasetError for unreadable images.
+    """
     if len(src) == 1 and is_dataset(src[0]):
         info = make_surface(src[0], recipe, result, again=False, tell=tell, warn=warn, hire=hire)
         return Dataset.open(src[0]).result(result).mosaic(), info
@@ -100,9 +106,9 @@ def make_surface(
     warn: Warn,
     hire: LocalOrCluster = LocalOrCluster(),
 ) -> SurfaceInfo:
-    """Heights of all fields that have none by this recipe yet, then the mosaic; the dataset is held meanwhile.
+    """Compute the missing heights of all fields with this recipe, then the mosaic; the dataset is locked meanwhile.
 
-    warn: hears of each field that has no heights and is left out. Raises ComputeError when that is all of them.
+    warn: called for each field that fails and is omitted. Raises ComputeError when all of them fail.
     """
     data = Dataset.open(path.absolute())
     lock = Lock.take(data.path)
@@ -119,14 +125,14 @@ def make_surface(
 
 
 def write_poses_of(path: Path, result: str, out: Path) -> None:
-    """Write where the fields of a stitched surface lie, as CSV. Raises DatasetError when they were not stitched."""
+    """Write the field poses of a stitched surface as CSV. Raises DatasetError when the fields were not stitched."""
     if (poses := Dataset.open(path).result(result).poses()) is None:
         raise DatasetError(f"{path.name} has no stitched surface {result!r}: stitch it first.")
     write_poses_csv(poses, out)
 
 
 def measured_surface(src: Path, field_number: int, result: str) -> tuple[Mosaic, bool]:
-    """The surface of a dataset (0: the mosaic) or of a file, and whether its calibration holds today."""
+    """Return the surface of a dataset (0: the mosaic) or of a file, and whether its calibration is valid today."""
     if not is_dataset(src):
         surface = read_surface(src)
         calibration = surface.provenance.calibration
@@ -138,12 +144,15 @@ def measured_surface(src: Path, field_number: int, result: str) -> tuple[Mosaic,
 
 
 def job_of(src: Path) -> Job | None:
-    """The job that a dataset was scanned by; None for a file."""
+    """Return the job that a dataset was scanned by; None for a file."""
     return Dataset.open(src).scan.job if is_dataset(src) else None
 
 
 def file_or_mosaic(src: Path, result: str, says: Reading, tell: Progress) -> Mosaic:
-    """The surface of a file, or the stitched one of a dataset, which says everything itself."""
+    """Return the surface of a file, or the stitched one of a dataset, which needs no options.
+
+    Raises DatasetError otherwise.
+    """
     if is_dataset(src):
         if says != Reading():
             raise DatasetError(f"{src.name} gives its own units: leave --z-unit, --pixel-um and --invert-z out.")
@@ -161,9 +170,10 @@ def evidence_of(
     pixel_um: float | None,
     tell: Progress,
 ) -> FocusCurve:
-    """Why a pixel of images or of a dataset has its height. The default recipe gives way to that of a surface.
+    """Return the focus curve of a pixel of images or of a dataset.
 
-    Raises DatasetError for what cannot be read, and for a surface without its frames.
+    With the default recipe, the recipe of an existing surface is used. Raises DatasetError for unreadable data, and for
+    a surface without its frames.
     """
     if len(src) == 1 and is_dataset(src[0]):
         return focus_curve(src[0], result, field_number, *at_um, None if recipe == Recipe() else recipe)
@@ -176,7 +186,7 @@ def evidence_of(
 
 
 def is_dataset(path: Path) -> bool:
-    """Whether a path names a dataset, there or not."""
+    """Return whether a path names a dataset, existing or not."""
     return path.suffix == ENDING
 
 
@@ -195,7 +205,7 @@ def _fields_to_do(data: Dataset, recipe: Recipe, result: str, again: bool) -> li
 def _reconstruct(
     data: Dataset, result: str, recipe: Recipe, todo: Sequence[int], crew: TaskRunner, tell: Progress, warn: Warn
 ) -> None:
-    """Heights of fields; those that get none are named. Raises ComputeError where no field has any."""
+    """Compute the heights of fields; failed ones are reported. Raises ComputeError if no field has any."""
     faults: list[str] = []
     for n_done, (number, fault) in enumerate(_outcomes(data, result, recipe, todo, crew, tell), 1):
         tell(n_done / len(todo))
@@ -209,9 +219,10 @@ def _reconstruct(
 def _outcomes(
     data: Dataset, result: str, recipe: Recipe, todo: Sequence[int], crew: TaskRunner, tell: Progress
 ) -> Iterator[tuple[int, WaferViewerError | None]]:
-    """Fields in order of completion, and the fault of those that have no heights.
+    """Yield fields in order of completion, with the error of failed ones.
 
-    Until one settles what `auto` means for all they go one by one, so that heights do not depend on who makes them.
+    Until the first field resolves `auto` for all, fields are processed one by one, so that heights do not depend on the
+    number of workers.
     """
     kept, n = data.result(result), 0
     while n < len(todo) and (isinstance(crew, LocalRunner) or (recipe.heights_have_auto and kept.settled() is None)):

@@ -1,4 +1,4 @@
-"""How the fields of a surface were placed, in the numbers that people ask for."""
+"""Summary of the field placement of a surface."""
 
 from __future__ import annotations
 
@@ -13,11 +13,11 @@ from wafer_viewer.model.surface.field_poses import DOUBT_TITLES, Poses, Rejectio
 from wafer_viewer.session.state.snapshot import StitchingInfo
 
 COVERAGE = 2.0
-"""Expanded uncertainties are twice the standard ones."""
+"""Coverage factor of the expanded uncertainties."""
 
 
 def stitching_info(poses: Poses) -> StitchingInfo | None:
-    """Poses in a few numbers; None where only the stage had a say."""
+    """Return the summary of poses; None if they are stage positions only."""
     from wafer_viewer.reconstruct.registration.misplaced_fields import placed_by_stage
 
     shifts = poses.shifts
@@ -47,7 +47,7 @@ def stitching_info(poses: Poses) -> StitchingInfo | None:
 
 
 def as_stitched(fields: Sequence[Field], poses: Poses | None) -> list[Field]:
-    """Fields where the stitched surface shows them; those that it does not show where the stage says they are."""
+    """Return fields at their positions in the stitched surface; at their stage positions if they are not in it."""
     if poses is None:
         return list(fields)
     row = {number: i for i, number in enumerate(poses.numbers.tolist())}
@@ -56,7 +56,7 @@ def as_stitched(fields: Sequence[Field], poses: Poses | None) -> list[Field]:
 
 
 def _doubts(codes: NDArray[np.uint8]) -> tuple[tuple[str, int], ...]:
-    """Why overlaps are not believed, the most frequent reason first."""
+    """Return the reasons for rejected overlaps and their numbers, the most frequent first."""
     found = [
         (DOUBT_TITLES[doubt], int(np.sum(codes == doubt))) for doubt in RejectionReason if doubt != RejectionReason.NONE
     ]

@@ -1,4 +1,4 @@
-"""From taken fields to the stitched surface: which field goes to a worker when, and what follows."""
+"""Reconstruction queue: schedules scanned fields on workers and then the stitching."""
 
 from __future__ import annotations
 
@@ -23,13 +23,16 @@ from wafer_viewer.session.surface.stitching_job import bring_up_to_date, describ
 from wafer_viewer.session.surface.worker_tasks import reconstruct_field, reconstruct_live, warm_up
 
 GROWING_PAUSES = 3.0
-"""A mosaic that grows rests three times as long as it took to add to it: the fields themselves come first."""
+"""Pause between updates of a growing mosaic, relative to the duration of an update; field heights have priority."""
 RESTARTS = 3
-"""How often the compute host is started anew after it died, in the life of a session."""
+"""Maximum number of restarts of the compute host per session."""
 
 
 class Reconstruction:
-    """On the session's thread only. While a scan runs one worker stays free for the rig."""
+    """Reconstruction queue of the session.
+
+    Use on the session's thread only. While a scan runs one worker stays free for the rig.
+    """
 
     def __init__(self, desk: CommandQueue, notices: Notifications, library: Library, scheduler: str | None) -> None:
         self._desk, self._notices, self._library = desk, notices, library
@@ -53,9 +56,9 @@ class Reconstruction:
         *,
         restitch: bool = False,
     ) -> None:
-        """Reconstruct fields of the open dataset into a result, then stitch; what ran before is given up.
+        """Reconstruct fields of the open dataset into a result, then stitch; an earlier run is abandoned.
 
-        restitch: also when no field has new heights.
+        restitch: stitch even if no field has new heights.
         """
         self.abandon()
         store = self._library.dataset.result(result)
@@ -67,7 +70,7 @@ class Reconstruction:
         self.add(fields)
 
     def add(self, fields: Iterable[int]) -> None:
-        """More fields are taken."""
+        """Add scanned fields."""
         if (run := self._run) is None:
             return
         fields = list(fields)
@@ -80,7 +83,7 @@ class Reconstruction:
         self.go_on()
 
     def coming(self, number: int) -> None:
-        """A field is being taken: where a worker is free it measures the frames as they come."""
+        """Start to reconstruct a field while it is being scanned, if a worker is free."""
         run = self._run
         if run is None or not self._warm or run.settling or run.waiting or number in run.live | run.complete:
             return
@@ -93,13 +96,13 @@ class Reconstruction:
         done.add_done_callback(partial(self._later, self._live_done, run, number))
 
     def no_more_frames(self) -> None:
-        """The scan is over: nobody need wait for frames."""
+        """Stop waiting for frames after the end of a scan."""
         if (run := self._run) is not None:
             for number in run.live & run.busy - run.complete:
                 self.compute.cancel(run.live_work(number))
 
     def go_on(self) -> None:
-        """Give fields to free workers; when none is left and no scan runs, stitch."""
+        """Assign fields to free workers; when none is left and no scan runs, stitch."""
         run = self._run
         if run is None or not self._warm:
             return
@@ -113,12 +116,12 @@ class Reconstruction:
             self._stitch(run, run.growing_work, final=False)
 
     def abandon(self) -> None:
-        """Forget what is waiting; what workers have in hand is not shown any more."""
+        """Drop the queued fields; results of running tasks are no longer shown."""
         if (run := self._run) is not None:
             self._end(run, ComputeError("The reconstruction was given up for another one."))
 
     def describe(self) -> None:
-        """Find the numbers of a mosaic that was stitched elsewhere."""
+        """Compute the summary of an existing mosaic that has none."""
         run = (self._library.dataset.path, self._library.result_name)
         done = self.compute.run("describe", describe_mosaic, *run)
         done.add_done_callback(lambda info: self._desk.note(self._described, run, info))
@@ -136,7 +139,7 @@ class Reconstruction:
         done.add_done_callback(partial(self._later, self._field_done, run, number))
 
     def _live_done(self, run: ReconstructionRun, number: int, done: Future[bool]) -> None:
-        """Without heights the field goes the usual way, as soon as it has all its frames."""
+        """Take over a live reconstruction; without heights, the field is queued normally once it has all its frames."""
         if done.exception() is None and done.result():
             run.made_live.add(number)
             self._field_done(run, number, done)
@@ -164,7 +167,7 @@ class Reconstruction:
         self.go_on()
 
     def _finish(self, run: ReconstructionRun) -> None:
-        """All fields are done: stitch what there is."""
+        """Stitch all available fields at the end of a run."""
         if not (run.restitch or run.grown):
             self._end(run, None)
             return
@@ -178,7 +181,7 @@ class Reconstruction:
         done.add_done_callback(partial(self._later, self._stitched, run, final, time.monotonic()))
 
     def _stitched(self, run: ReconstructionRun, final: bool, begun_at: float, done: Future[SurfaceInfo]) -> None:
-        """A mosaic that only grew is finished later; what stopped it from growing will be told then."""
+        """Take over a mosaic; one of a growing surface is completed later, and its errors are reported then."""
         run.stitching = False
         if run is not self._run:
             return
@@ -205,7 +208,7 @@ class Reconstruction:
             self._library.show_surface(done.result())
 
     def _cancelled(self) -> None:
-        """A person stops the work."""
+        """Cancel the reconstruction on request of a person."""
         run = self._run
         if run is None:
             return
@@ -243,7 +246,7 @@ class Reconstruction:
         self._desk.note(self._died, exit_code)
 
     def _died(self, exit_code: int | None) -> None:
-        """The host is gone without having been asked to: a new one takes over, a few times."""
+        """Restart the compute host after an unexpected end, a limited number of times."""
         if self._told_why:
             return
         self._warm = False

@@ -1,4 +1,4 @@
-"""One reconstruction of a dataset: which fields wait, which are with workers, and what its mosaic still lacks."""
+"""State of a reconstruction: queued fields, fields on workers, and outstanding changes of the mosaic."""
 
 from __future__ import annotations
 
@@ -12,12 +12,11 @@ from wafer_viewer.model.surface.recipe import Recipe
 
 @dataclass(slots=True)
 class ReconstructionRun:
-    """One reconstruction of the open dataset; more fields may join while a scan goes on.
+    """Reconstruction of the open dataset; fields can be added while a scan runs.
 
-    complete: fields that have all their frames; live: those that a worker was set on while they were being taken, of
-    which made_live got their heights that way. restitch: the mosaic lacks heights that there are; grown: fields were
-    added to it before all were there, so their poses are still to be solved for together; grows_again_at: no sooner on
-    the clock is it added to again.
+    complete: fields that have all their frames; live: those reconstructed during their scan, of which made_live have
+    their heights. restitch: the mosaic lacks available heights; grown: fields were added before all were available, so
+    their poses still have to be solved jointly; grows_again_at: earliest clock time of the next update.
     """
 
     path: Path
@@ -39,19 +38,19 @@ class ReconstructionRun:
 
     @property
     def settling(self) -> bool:
-        """Whether the first field is still to say what `auto` means for all: it goes alone."""
+        """True while the first field still has to resolve `auto` for all; it is processed alone."""
         return self.recipe.heights_have_auto and not self.answered
 
     @property
     def idle(self) -> bool:
-        """Whether no field waits or is with a worker."""
+        """True if no field is queued or on a worker."""
         return not self.waiting and not self.busy
 
     @property
     def growing_work(self) -> str:
-        """The name of the work of adding to the mosaic."""
+        """Name of the work item for updates of the growing mosaic."""
         return f"{self.work}-growing"
 
     def live_work(self, number: int) -> str:
-        """The name of the work of measuring a field while its frames are taken."""
+        """Return the name of the work item of a field's live reconstruction."""
         return f"{self.work}-live-{number}"

@@ -1,6 +1,6 @@
-"""The surfaces of a result as a stitching job sees them: which can be read, where they lie, what is drawn of them.
+"""Inputs of a stitching job: the readable surfaces of a result, their positions, and the areas to draw.
 
-Nothing is held open: workers get the names and open what they need.
+Nothing stays open: workers get the names and open what they need.
 """
 
 from __future__ import annotations
@@ -30,14 +30,14 @@ from wafer_viewer.store.mosaic.layout import MosaicHeader
 from wafer_viewer.store.mosaic.zarr_mosaic import ZarrMosaic
 
 OPEN_SURFACES = 1024
-"""Mapped, not read: a mosaic that grows asks for all of them each time."""
+"""Maximum number of memory-mapped surfaces; a growing mosaic needs all of them at each update."""
 SAME_PIXEL_FRACTION = 1e-6
 Window = tuple[slice, slice]
 
 
 @dataclass(frozen=True, slots=True)
 class FieldOutline:
-    """Where the pixels of a field lie by the stage, whether it has a surface or not."""
+    """Outline of a field at its stage position, with or without a surface."""
 
     pixel_um: float
     x0_um: float
@@ -46,12 +46,12 @@ class FieldOutline:
 
     @property
     def corner_um(self) -> float:
-        """From the centre to a corner."""
+        """Distance in um from the centre to a corner."""
         return math.hypot(*self.shape) / 2 * self.pixel_um
 
     @classmethod
     def of(cls, data: Dataset, field: Field) -> FieldOutline:
-        """The outline of a field of a dataset."""
+        """Return the outline of a field of a dataset."""
         plan, pixel_um = data.scan.plan, data.scan.pixel_um
         x0_um, y0_um = field.x_um - (plan.cols - 1) / 2 * pixel_um, field.y_um + (plan.rows - 1) / 2 * pixel_um
         return cls(pixel_um, x0_um, y0_um, (plan.rows, plan.cols))
@@ -59,7 +59,7 @@ class FieldOutline:
 
 @dataclass(frozen=True)
 class StitchingInputs:
-    """Of a result: the fields that have a surface, the marks of their files, a sentence for each unreadable one."""
+    """Surfaces of a result: its fields, the stamps of their files, and a sentence for each unreadable one."""
 
     data: Dataset
     kept: Result
@@ -70,7 +70,7 @@ class StitchingInputs:
 
     @classmethod
     def open(cls, dataset: Path, result: str, stitching: Stitching) -> StitchingInputs:
-        """All surfaces there are now. Raises DatasetError when there is none."""
+        """Return all existing surfaces. Raises DatasetError when there is none."""
         data = Dataset.open(dataset)
         kept = data.result(result)
         readable, faults = _readable(data, kept)
@@ -83,7 +83,7 @@ class StitchingInputs:
 
     @classmethod
     def drawn(cls, dataset: Path, result: str, stitching: Stitching, poses: Poses) -> StitchingInputs:
-        """The surfaces that poses were found for."""
+        """Return the surfaces of solved poses."""
         data = Dataset.open(dataset)
         fields = {f.number: f for f in data.fields}
         listed = tuple(fields[number] for number in poses.numbers.tolist())
@@ -91,23 +91,23 @@ class StitchingInputs:
 
     @property
     def numbers(self) -> list[int]:
-        """The running numbers of the fields."""
+        """Numbers of the fields."""
         return [f.number for f in self.fields]
 
     @cached_property
     def outlines(self) -> list[FieldOutline]:
-        """Where the fields lie by the stage."""
+        """Outlines of the fields at their stage positions."""
         return [FieldOutline.of(self.data, f) for f in self.fields]
 
     @cached_property
     def lattice(self) -> PixelLattice:
-        """That of all planned fields: it never moves, whichever of them are there; with room where they may move."""
+        """Pixel lattice of all planned fields, with a margin for moves; it does not depend on which fields exist."""
         outlines = [FieldOutline.of(self.data, f) for f in self.data.fields]
         stays = len(outlines) == 1 or self.stitching.poses == "stage"
         return planned_lattice(outlines, 0) if stays else planned_lattice(outlines)
 
     def known(self) -> PreviousSolution:
-        """What the mosaic on disk shows of these surfaces; nothing when it was made otherwise or was broken off."""
+        """Return the previous solution for these surfaces; empty if it was made with other settings or interrupted."""
         poses, header = self._stitched()
         if header is not None:
             there = header.x0_um, header.y0_um, header.pixel_um, (header.rows, header.cols)
@@ -117,13 +117,13 @@ class StitchingInputs:
         return PreviousSolution.of(poses, np.array(self.numbers, np.int32), self.marks)
 
     def mosaic_is_good(self) -> bool:
-        """Whether no file of the mosaic on disk is damaged; all of it is read."""
+        """Return whether all files of the mosaic on disk are undamaged; reads all of it."""
         from wafer_viewer.store.dataset.integrity import is_mosaic_good
 
         return is_mosaic_good(self.kept.mosaic_path)
 
     def _stitched(self) -> tuple[Poses | None, MosaicHeader | None]:
-        """Poses and header of the mosaic on disk, where there is a whole one; damaged ones are made anew."""
+        """Return poses and header of a complete mosaic on disk; None for both if it is missing or damaged."""
         if not self.kept.has_mosaic or self.kept.broken_off:
             return None, None
         try:
@@ -134,21 +134,21 @@ class StitchingInputs:
 
     @property
     def surfaces(self) -> Surfaces:
-        """The height maps, each opened when it is looked at."""
+        """Height maps, each opened on access."""
         return Surfaces(self.kept, self.fields, self.marks)
 
     def source(self, poses: Poses, provenance: Provenance) -> StitchedMosaic:
-        """The mosaic to be drawn."""
+        """Return the mosaic to be drawn."""
         return StitchedMosaic(self.surfaces, layout(self.outlines, poses, self.lattice), provenance)
 
     def provenance(self, poses: Poses, recipe: Recipe) -> Provenance:
-        """Where the mosaic comes from: what its fields have in common, and whatever is to be noted."""
+        """Return the provenance of the mosaic: the common values of its fields, and all notes."""
         opened = (_opened(self.kept, *name, verify=False) for name in zip(self.fields, self.marks, strict=True))
         joint = mosaic_provenance([surface.provenance for surface in opened], recipe)
         return replace(joint, notes=(*joint.notes, *poses.notes, *self.faults))
 
     def windows(self, known: PreviousSolution, poses: Poses, moved: NDArray[np.bool_]) -> list[Window]:
-        """What of the mosaic is to be drawn again: where fields lay and where they lie now."""
+        """Return the windows of the mosaic to draw again: the earlier and the present positions of moved fields."""
         now = layout(self.outlines, poses, self.lattice)
         windows = [now.window_of(n) for n in np.flatnonzero(moved).tolist()]
         if (before := known.poses) is not None:
@@ -161,7 +161,7 @@ class StitchingInputs:
 
 
 class Surfaces(Sequence[HeightMap]):
-    """The height maps of fields, each opened when it is looked at."""
+    """Height maps of fields, each opened on access."""
 
     def __init__(self, kept: Result, fields: Sequence[Field], marks: Iterable[int]) -> None:
         self._kept = kept
@@ -181,7 +181,7 @@ class Surfaces(Sequence[HeightMap]):
 
 
 def surfaces_of(dataset: Path, result: str, numbers: Iterable[int]) -> Surfaces:
-    """The height maps of some fields, as they are now."""
+    """Return the height maps of some fields, in their present state."""
     data = Dataset.open(dataset)
     kept = data.result(result)
     fields = [data.field(number) for number in numbers]
@@ -190,14 +190,14 @@ def surfaces_of(dataset: Path, result: str, numbers: Iterable[int]) -> Surfaces:
 
 @lru_cache(maxsize=OPEN_SURFACES)
 def _opened(kept: Result, field: Field, mark: int, verify: bool = True) -> HeightMap:
-    """A surface; its mark keeps one that was made again since from being taken for it."""
+    """Return a surface from the cache; its stamp is part of the key, so that a recomputed one is read again."""
     return kept.surface(field, verify=verify)
 
 
 def _readable(data: Dataset, kept: Result) -> tuple[list[Field], list[str]]:
-    """The fields whose surface can be read, and a sentence for each whose cannot.
+    """Return the fields with a readable surface, and a sentence for each unreadable one.
 
-    The heights are not read here: whoever looks at them tests their checksum.
+    The heights are not read here; their checksums are verified on access.
     """
     readable, faults = list[Field](), list[str]()
     done = kept.surfaces_done(data.fields)
@@ -212,7 +212,7 @@ def _readable(data: Dataset, kept: Result) -> tuple[list[Field], list[str]]:
 
 
 def _require_own(surface: HeightMap, outline: FieldOutline) -> None:
-    """Raises DatasetError for a surface of another dataset: of another size, pixel or place than the field."""
+    """Raise DatasetError for a surface of another dataset: of another size, pixel or position than the field."""
     if surface.shape != outline.shape or abs(surface.pixel_um / outline.pixel_um - 1) > SAME_PIXEL_FRACTION:
         rows, cols = surface.shape
         raise DatasetError(

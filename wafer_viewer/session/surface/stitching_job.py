@@ -1,7 +1,7 @@
-"""A result's mosaic brought up to date: new fields placed, and what is new or moved drawn again.
+"""Mosaic update of a result: places new fields, and draws new or moved ones.
 
-From nothing, while a scan goes on, after a repair and at the end it is the same job: whoever died in the midst of it
-begins anew, and comes to the same.
+The job is the same from scratch, during a scan, after a repair and at the end; after an interruption it starts again
+and gives the same mosaic.
 """
 
 from __future__ import annotations
@@ -31,7 +31,7 @@ if TYPE_CHECKING:
     from wafer_viewer.store.mosaic.zarr_mosaic import Patch
 
 LOOK_SHARE = 0.4
-"""Of the whole job, how much of the progress bar the overlaps take."""
+"""Fraction of the progress bar for the overlaps."""
 PAIRS_A_TASK = 8
 
 
@@ -45,11 +45,11 @@ def bring_up_to_date(
     progress: Progress = silent,
     should_stop: ShouldStop = never,
 ) -> SurfaceInfo:
-    """Stitch the surfaces that a result has, as far as its mosaic does not show them yet, and say how it looks.
+    """Stitch the surfaces of a result that its mosaic does not show yet, and return the summary.
 
-    final: solve for the poses of all fields; otherwise place those that are new against the others as they lie. Fields
-    whose surface cannot be read are left out and named. Raises DatasetError when no field has a surface, ComputeError
-    when the work is stopped: what a mosaic half drawn had is made anew next time.
+    final: solve for the poses of all fields jointly; otherwise place new ones relative to the fixed others. Fields with
+    an unreadable surface are omitted and reported. Raises DatasetError when no field has a surface, ComputeError when
+    the work is stopped; an incomplete mosaic is drawn again next time.
     """
     from wafer_viewer.reconstruct.pose_graph.incremental import held_still
     from wafer_viewer.session.surface.stitching_inputs import StitchingInputs
@@ -76,7 +76,7 @@ def bring_up_to_date(
 
 @dataclass(frozen=True, slots=True)
 class _Hands:
-    """Who works on which surfaces, who hears how far it is, and who may stop it."""
+    """Runner of a stitching job, with its surfaces, progress callback and stop condition."""
 
     sheets: StitchingInputs
     crew: TaskRunner
@@ -84,7 +84,7 @@ class _Hands:
     should_stop: ShouldStop
 
     def each(self, task: Callable[..., Any], items: Sequence[tuple[Any, ...]], begin: float, end: float) -> list[Any]:
-        """What a task returns for all items, in their order; the first fault is raised."""
+        """Return the values of a task for all items, in their order; the first fault is raised."""
         values: list[Any] = [None] * len(items)
         for n, done in enumerate(self.crew.each(task, items, should_stop=self.should_stop), 1):
             if done.fault is not None:
@@ -130,21 +130,21 @@ def _batches(pairs: NDArray[np.int32]) -> list[NDArray[np.int32]]:
 
 
 def _names(hands: _Hands, pairs: NDArray[np.int32]) -> tuple[Path, str, list[int], NDArray[np.int32]]:
-    """Pairs as a worker gets them: the numbers of the fields in them, and pairs of places in that list."""
+    """Return pairs for a worker: the numbers of their fields, and pairs of indices into that list."""
     places, local = np.unique(pairs, return_inverse=True)
     numbers = [hands.sheets.numbers[place] for place in places]
     return hands.sheets.data.path, hands.sheets.kept.name, numbers, local.reshape(pairs.shape).astype(np.int32)
 
 
 def _of_fields(table: Any, pairs: NDArray[np.int32]) -> Any:
-    """A table of pairs in the order they were asked for, naming fields by their place in the whole list again."""
+    """Return a table of pairs with the indices of the fields in the complete list."""
     return replace(table, first=pairs[:, 0].copy(), second=pairs[:, 1].copy())
 
 
 def register_pairs(
     dataset: Path, result: str, numbers: list[int], pairs: NDArray[np.int32], reach_um: float | None
 ) -> Shifts:
-    """A worker's task: what the overlaps of some fields say about x and y."""
+    """Register some fields by their overlaps in x and y, as a worker's task."""
     from wafer_viewer.reconstruct.registration.pair_registration import register
     from wafer_viewer.session.surface.stitching_inputs import surfaces_of
 
@@ -159,7 +159,7 @@ def compare_pairs(
     x_um: NDArray[np.float64],
     y_um: NDArray[np.float64],
 ) -> HeightOffsets:
-    """A worker's task: what the overlaps of some fields, centred there, say about z."""
+    """Compare the heights of some fields, centred there, in their overlaps, as a worker's task."""
     from wafer_viewer.reconstruct.registration.height_seams import compare
     from wafer_viewer.session.surface.stitching_inputs import surfaces_of
 
@@ -172,7 +172,7 @@ def compare_pairs(
 def _draw(
     sheets: StitchingInputs, poses: Poses, recipe: Recipe, windows: Sequence[Window] | None, hands: _Hands
 ) -> None:
-    """Windows of the mosaic, or all of it beside the one that is there; each task writes shards of its own."""
+    """Draw windows of the mosaic, or a new one next to the existing one; each task writes its own shards."""
     from wafer_viewer.store.mosaic.zarr_mosaic import patches
 
     drawing = sheets.kept.begin_drawing(poses)
@@ -189,7 +189,7 @@ def _draw(
 
 @contextmanager
 def _canvas(sheets: StitchingInputs, poses: Poses, recipe: Recipe, *, fresh: bool) -> Generator[Path]:
-    """The mosaic to draw on; a fresh one lies beside the other until it is whole."""
+    """Provide the mosaic to draw on; a new one has a temporary name until it is complete."""
     from wafer_viewer.store.io.atomic_files import replacing
     from wafer_viewer.store.mosaic.zarr_mosaic import lay_out, rewrite_header
 
@@ -204,7 +204,7 @@ def _canvas(sheets: StitchingInputs, poses: Poses, recipe: Recipe, *, fresh: boo
 
 
 def draw_patch(dataset: Path, result: str, recipe: Recipe, drawing: Path, canvas: Path, patch: Patch) -> None:
-    """A worker's task: blend and write one patch of the mosaic."""
+    """Blend and write one patch of the mosaic, as a worker's task."""
     from wafer_viewer.store.mosaic.zarr_mosaic import write_patch
 
     write_patch(canvas, _source(dataset, result, recipe, drawing, drawing.stat().st_mtime_ns), patch)
@@ -212,7 +212,7 @@ def draw_patch(dataset: Path, result: str, recipe: Recipe, drawing: Path, canvas
 
 @lru_cache(maxsize=2)
 def _source(dataset: Path, result: str, recipe: Recipe, drawing: Path, mark: int) -> StitchedMosaic:
-    """The mosaic to be drawn, kept from patch to patch; `mark` tells one drawing from the next."""
+    """Return the mosaic to be drawn, cached from patch to patch; `mark` identifies the drawing."""
     from wafer_viewer.model.surface.height_map import Provenance
     from wafer_viewer.session.surface.stitching_inputs import StitchingInputs
     from wafer_viewer.store.mosaic.poses_file import read_poses
@@ -227,7 +227,7 @@ def _source(dataset: Path, result: str, recipe: Recipe, drawing: Path, mark: int
 def describe_mosaic(
     dataset: Path, result: str, *, progress: Progress = silent, should_stop: ShouldStop = never
 ) -> SurfaceInfo:
-    """A worker's task: say how a mosaic looks that was stitched elsewhere."""
+    """Compute the summary of an existing mosaic, as a worker's task."""
     from wafer_viewer.session.core.surface_summary import save_summary, summarise
     from wafer_viewer.session.surface.stitching_inputs import StitchingInputs
     from wafer_viewer.store.dataset.dataset import Dataset
@@ -249,7 +249,7 @@ def _summary(sheets: StitchingInputs, poses: Poses, recipe: Recipe, windows: Seq
 
 
 def _described(sheets: StitchingInputs, poses: Poses | None, recipe: Recipe) -> SurfaceInfo:
-    """The numbers of the mosaic, which are kept beside it."""
+    """Compute and store the summary of the mosaic."""
     from wafer_viewer.session.core.surface_summary import save_summary, summarise
     from wafer_viewer.session.surface.placement_summary import stitching_info
 
@@ -260,7 +260,7 @@ def _described(sheets: StitchingInputs, poses: Poses | None, recipe: Recipe) -> 
 
 
 def _hull_um(sheets: StitchingInputs, windows: Sequence[Window]) -> list[Box]:
-    """The box round all windows, none round none."""
+    """Return the box around all windows; empty without windows."""
     if not windows:
         return []
     lattice, pixel_um = sheets.lattice, sheets.lattice.pixel_um

@@ -1,6 +1,6 @@
-"""What workers do: each task names a dataset, opens it itself, writes its own file and can be done twice.
+"""Worker tasks: each names a dataset, opens it itself, writes its own file and can be repeated.
 
-Pixels travel through the dataset, never through the scheduler. The command line calls the same functions directly.
+Pixels are passed through the dataset, never through the scheduler. The command line calls the same functions directly.
 """
 
 from __future__ import annotations
@@ -23,7 +23,7 @@ if TYPE_CHECKING:
 LIVE_BITS = 8
 LIVE_LOOK_EVERY_S = 0.02
 LIVE_PATIENCE_S = 20.0
-"""Frames of a field that is being taken come many times a second."""
+"""Polling interval and maximum wait in seconds for frames of a field during its scan."""
 
 
 def reconstruct_field(
@@ -36,9 +36,10 @@ def reconstruct_field(
     progress: Progress = silent,
     should_stop: ShouldStop = never,
 ) -> None:
-    """Make the surface of one field and keep it in a result.
+    """Reconstruct the surface of one field and store it in a result.
 
-    What `auto` chooses in the first field that has much to see is kept for the others: a scan is judged alike.
+    The `auto` choices of the first representative field are stored for the others, so that a scan is processed
+    uniformly.
     """
     from wafer_viewer.reconstruct.field_pipeline import reconstruct, speaks_for_scan
     from wafer_viewer.store.dataset.dataset import Dataset
@@ -55,9 +56,10 @@ def reconstruct_field(
 def reconstruct_live(
     dataset: Path, field_number: int, result: str, *, progress: Progress = silent, should_stop: ShouldStop = never
 ) -> bool:
-    """Make the surface of a field while its frames are taken, by the recipe that earlier fields settled.
+    """Reconstruct a field while its frames are taken, with the recipe resolved by earlier fields.
 
-    False, and no surface, where there is none yet, the frames are of a kind that must wait, or not all of them came.
+    Return False, without a surface, if there is no such recipe yet, the frames are of an unsuitable kind, or not all of
+    them arrived.
     """
     from wafer_viewer.reconstruct.live_field import LiveField
     from wafer_viewer.store.dataset.dataset import Dataset
@@ -78,7 +80,7 @@ def reconstruct_live(
 
 
 def _growing(data: Dataset, field_number: int, should_stop: ShouldStop) -> Iterator[FieldStack]:
-    """The stack of a field each time that frames came, until all count, one was missed, or nothing comes any more."""
+    """Yield the stack of a field whenever frames arrive, until it is complete, one was missed, or no more arrive."""
     complete, before, came_at = False, 0, time.monotonic()
     while not complete and time.monotonic() - came_at < LIVE_PATIENCE_S and not should_stop():
         data.refresh()
@@ -101,7 +103,7 @@ def import_images(
     progress: Progress = silent,
     should_stop: ShouldStop = never,
 ) -> Path:
-    """Make a dataset of images taken elsewhere; `options` are those of `import_dataset`."""
+    """Import images of another instrument into a dataset; `options` are those of `import_dataset`."""
     from wafer_viewer.store.dataset.stack_import import import_dataset
 
     import_dataset(tuple(srcs), out, progress=progress, should_stop=should_stop, **options)
@@ -119,9 +121,9 @@ def export_surface(
     progress: Progress = silent,
     should_stop: ShouldStop = never,
 ) -> Path:
-    """Write the mosaic, the surface of one field, or a face of a comparison (below 0), as the ending of `out` says.
+    """Write the mosaic, a field's surface, or a layer of a comparison (below 0), in the format of the ending of `out`.
 
-    part: only what lies in the upright rectangle round this region.
+    part: only the upright rectangle around this region.
     """
     from wafer_viewer.model.surface.comparison import ComparisonFace
     from wafer_viewer.model.surface.height_map import Mosaic, PartOfMosaic
@@ -153,7 +155,7 @@ def warm_up() -> None:
 
 
 def _tiny_stack(x_um: float) -> FieldStack:
-    """A few frames of noise, sharpest in the middle."""
+    """Return a few frames of noise, sharpest in the middle."""
     import numpy as np
 
     noise = np.random.default_rng(1)

@@ -1,4 +1,4 @@
-"""Reading a dataset: the folder ``NAME.wafer`` with its plan, frames, journal and results."""
+"""Read access to a dataset: the folder ``NAME.wafer`` with its plan, frames, journal and results."""
 
 from __future__ import annotations
 
@@ -34,38 +34,38 @@ if TYPE_CHECKING:
     from wafer_viewer.store.dataset.integrity import KindReport
 
 _good_stacks = KnownGood()
-"""By the file of frames and its state, and the checksum of what the journal says of them."""
+"""Verified stacks, keyed by the frame file with its state and by the checksum of its journal entries."""
 FILES_SHARE = 0.5
-"""Of a check, how much of the progress bar all files but the frames take."""
+"""Share of the progress bar for the check of all files except the frames."""
 
 
 @dataclass(frozen=True, slots=True)
 class CheckReport:
-    """What `Dataset.check` found: pages whose checksum holds, slots without a frame, pages that changed since."""
+    """Result of `Dataset.check`: number of good pages, missing slots, damaged pages, unreadable files."""
 
     n_good: int
     missing: tuple[Shot, ...]
     damaged: tuple[Shot, ...]
     faults: tuple[str, ...]
-    """Files of frames that cannot be read, a sentence each."""
+    """Frame files that cannot be read, one sentence each."""
     files: tuple[KindReport, ...] = ()
-    """All other files by their kind."""
+    """Reports on all other files, by kind."""
 
     @property
     def ok(self) -> bool:
-        """Whether every slot has a frame with the right checksum, and no file is damaged."""
+        """True if every slot has a frame with the right checksum and no file is damaged."""
         return not (self.missing or self.damaged or self.faults or any(kind.damaged for kind in self.files))
 
 
 class Dataset:
-    """A dataset opened for reading, also while another process writes to it: `refresh` reads what came since."""
+    """Dataset opened for reading, also while another process writes to it; `refresh` reads new journal lines."""
 
     def __init__(self, path: Path, scan: ScanRecord) -> None:
         self.path, self.scan = path, scan
         self._journal = JournalReader(path / JOURNAL)
         self._frames: dict[Shot, FrameKept] = {}
         self._provisional: dict[Shot, FrameKept] = {}
-        """Frames of the pass under way, which count once it has ended."""
+        """Frames of the current pass, which count only once the pass has ended."""
         self._is_provisional = False
         self._missed: dict[Shot, Missed] = {}
         self._faults: list[str] = []
@@ -74,7 +74,7 @@ class Dataset:
 
     @classmethod
     def open(cls, path: str | Path) -> Dataset:
-        """Open a folder. Raises DatasetError when it is no dataset, a damaged one or one of a newer program."""
+        """Open a folder. Raises DatasetError when it is no dataset, is damaged, or has a newer format."""
         folder = Path(path)
         return cls(folder, read_record(folder))
 
@@ -102,36 +102,36 @@ class Dataset:
 
     @property
     def name(self) -> str:
-        """The folder's name without its ending."""
+        """Folder name without its suffix."""
         return self.path.stem
 
     @property
     def fields(self) -> tuple[Field, ...]:
-        """The fields, as planned."""
+        """Planned fields."""
         return self.scan.plan.fields
 
     @property
     def n_exposures(self) -> int:
-        """Frames taken at each z."""
+        """Number of frames at each z."""
         return self.scan.n_exposures
 
     @property
     def simulated(self) -> bool:
-        """Whether a virtual rig took the frames."""
+        """True if a virtual rig took the frames."""
         return self.scan.simulated
 
     @property
     def faults(self) -> tuple[str, ...]:
-        """What went wrong during the scan, in order."""
+        """Faults reported during the scan, in order."""
         return tuple(self._faults)
 
     @property
     def finished(self) -> bool:
-        """Whether every frame is there, or the scan ended without those that are missing."""
+        """True if no frame is missing, or the scan ended without the missing ones."""
         return self._ended or not self.missing()
 
     def field(self, number: int) -> Field:
-        """The field with a running number. Raises DatasetError when there is none."""
+        """Return the field with a number. Raises DatasetError when there is none."""
         found = next((f for f in self.fields if f.number == number), None)
         if found is None:
             raise DatasetError(
@@ -140,44 +140,43 @@ class Dataset:
         return found
 
     def calibration_problem(self, today: str) -> str | None:
-        """Why lengths read 'uncalibrated', or None when they are calibrated. `today` is an ISO 8601 day."""
+        """Return why lengths are uncalibrated, or None if calibrated. `today`: ISO 8601 date."""
         return self.scan.calibration_problem(today)
 
     def kept(self) -> set[Shot]:
-        """The slots that have a frame, those of the pass under way left out."""
+        """Return the slots that have a frame, without those of the current pass."""
         return set(self._frames)
 
     def arrived(self) -> set[Shot]:
-        """The slots that have a frame, be it one of the pass under way, which counts once that has ended."""
+        """Return the slots that have a frame, including those of the current pass."""
         return self._frames.keys() | self._provisional.keys()
 
     def ever_missed(self) -> set[Shot]:
-        """The slots that were empty, or had a frame that was not kept, at any time."""
+        """Return the slots that were empty, or whose frame was rejected, at any time."""
         return set(self._missed)
 
     def missing(self) -> set[Shot]:
-        """The slots without a frame: still to come, or missed."""
+        """Return the slots without a frame, whether pending or missed."""
         return {shot for field in self.fields for shot in self._shots(field)} - self._frames.keys()
 
     def missed(self) -> dict[Shot, str]:
-        """The slots that stayed empty when their turn came, and why."""
+        """Return the slots without a frame that the scan has passed, and the reason for each."""
         return {shot: line.why for shot, line in self._missed.items() if shot not in self._frames}
 
     def complete_fields(self) -> set[int]:
-        """Numbers of the fields that have all their frames, those of the pass under way left out."""
+        """Return the numbers of the fields that have all their frames, without those of the current pass."""
         return {f.number for f in self.fields if all(shot in self._frames for shot in self._shots(f))}
 
     def stack(self, field_number: int, exposure: int | None = None, *, verify: bool = True) -> FieldStack:
-        """The focus stack of a field, memory-mapped; z as recorded, times the calibrated z scale.
+        """Return the focus stack of a field, memory-mapped; z is the recorded z times the calibrated z scale.
 
-        exposure: one of them alone; without it the stack holds them all, the first as its images and the others as its
-        brackets, at the mean of their z. Frames of a pass under way are among them.
-
-        verify: compare every frame with its checksum in the journal, for which all of them are read; once for a file
-        that does not change.
+        exposure: index of a single exposure. By default the stack holds all exposures, the first as its images and the
+        others as its brackets, at the mean of their z. Frames of the current pass are included.
+        verify: compare every frame with its checksum in the journal, which reads all of them; an unchanged file is
+        verified once.
 
         Raises DatasetError when the field, its file or the exposure is missing, a frame is damaged, or fewer than three
-        frames are there.
+        frames exist.
         """
         field = self.field(field_number)
         wanted = range(self.n_exposures) if exposure is None else (self._exposure(exposure),)
@@ -205,7 +204,7 @@ class Dataset:
         )
 
     def check(self, progress: Progress | None = None, should_stop: ShouldStop | None = None) -> CheckReport:
-        """Read every page and compare its checksum with the journal's; test those of all other files."""
+        """Verify the checksum of every page against the journal, and the checksums of all other files."""
         from wafer_viewer.store.dataset.integrity import check_files
 
         files = check_files(self.path, _part(progress, 0.0, FILES_SHARE), should_stop)
@@ -225,20 +224,20 @@ class Dataset:
         return CheckReport(good, tuple(missing), tuple(damaged), tuple(faults), files)
 
     def results(self) -> tuple[str, ...]:
-        """Names of the reconstructions."""
+        """Return the names of the reconstructions."""
         return tuple(sorted(kept.name for kept in self._results() if not kept.is_difference))
 
     def differences(self) -> tuple[str, ...]:
-        """Names of the results that are two surfaces compared, the oldest first."""
+        """Return the names of the results that compare two surfaces, oldest first."""
         found = [kept for kept in self._results() if kept.is_difference]
         return tuple(kept.name for kept in sorted(found, key=lambda kept: kept.path.stat().st_mtime))
 
     def result(self, name: str = "default") -> Result:
-        """A reconstruction by its name, made when something is first saved to it."""
+        """Return a reconstruction by name; its folder is created on the first save."""
         return Result.of(self.path / RESULTS, name)
 
     def _results(self) -> list[Result]:
-        """Everything in the folder of results but what is still being written."""
+        """Return all results, without those that are still being written."""
         folder = self.path / RESULTS
         there = [p for p in folder.iterdir() if p.is_dir()] if folder.is_dir() else []
         return [Result(p) for p in there if not p.name.startswith(".")]
@@ -277,7 +276,7 @@ class Dataset:
             )
 
     def _require_good_tags(self, field: Field, expected: int | None) -> None:
-        """Raise DatasetError when the bytes round the pages changed; older datasets have no checksum of them."""
+        """Raise DatasetError when the bytes around the pages changed; older datasets have no such checksum."""
         path = frames_file(self.path, field)
         if expected is not None and tags_crc32c(path, self.scan.pages) != expected:
             raise DatasetError(f"{path} is damaged, the checksum of its tags differs: restore it from a copy.")
@@ -287,14 +286,14 @@ class Dataset:
         return self._bad(map_pages(frames_file(self.path, field), self.scan.pages), lines) if lines else []
 
     def _bad(self, pages: Image, lines: Iterable[FrameKept]) -> list[Shot]:
-        """The slots of lines of the journal whose checksum is not that of their page."""
+        """Return the slots of the journal lines whose checksum differs from that of their page."""
         page_of = self.scan.page_of
         return [
             line.shot for line in lines if zlib.crc32(pages[page_of(line.shot.k, line.shot.exposure)]) != line.crc32
         ]
 
     def _require_good(self, field: Field, pages: Image, lines: Iterable[FrameKept], checksum: str) -> None:
-        """Raise DatasetError when a page is not what the journal has a checksum of; a file is read once."""
+        """Raise DatasetError when a page differs from its checksum in the journal; a file is read once."""
         path = frames_file(self.path, field)
         key = file_mark(path), checksum
         if key in _good_stacks:
@@ -308,12 +307,12 @@ class Dataset:
 
 
 def _part(progress: Progress | None, begin: float, end: float) -> Progress | None:
-    """Progress of a part of the work, as a share of all of it."""
+    """Return a progress callback for a part of the work, from `begin` to `end` of the total."""
     return None if progress is None else lambda done: progress(begin + (end - begin) * done)
 
 
 def _checksum(lines: Iterable[FrameKept]) -> str:
-    """One checksum of a stack from those of its pages, which were taken when the frames came in."""
+    """Return one checksum of a stack, computed from the checksums of its pages at acquisition."""
     digest = hashlib.sha256()
     for line in lines:
         digest.update(f"{line.shot.k} {line.z_um!r} {line.crc32:08x}\n".encode())

@@ -1,4 +1,4 @@
-"""What a dataset is known by: SHA-256 over the files that its numbers come from; a copy has the same."""
+"""Digests that identify a dataset: SHA-256 over the files that its numbers come from; a copy has the same."""
 
 from __future__ import annotations
 
@@ -14,12 +14,12 @@ SCAN, VERDICT, NOTEBOOK = "scan.json", "verdict.json", "notebook.json"
 HELD = "the frames themselves are checked against the journal's crc32 of each by wafer-viewer check"
 PIECE = 1 << 20
 MOST_BYTES = 20e9
-"""Of larger sets of files names and sizes alone are hashed: a report is not to take minutes."""
+"""Size limit in bytes; of larger file sets only names and sizes are hashed, so that a report does not take minutes."""
 
 
 @dataclass(frozen=True, slots=True)
 class Digest:
-    """SHA-256 of some files of a dataset, and which they are."""
+    """SHA-256 of some files of a dataset, and a description of them."""
 
     what: str
     of: str
@@ -27,12 +27,12 @@ class Digest:
 
 
 def digests_of_scan(dataset: Path) -> tuple[Digest, ...]:
-    """Of the record and the journal, which holds a checksum of every frame."""
+    """Return the digest of the record and the journal, which holds a checksum of every frame."""
     return (_digest("Frames", f"{SCAN} and {JOURNAL}; {HELD}", dataset, [dataset / SCAN, dataset / JOURNAL]),)
 
 
 def digests_of_result(result: Result) -> tuple[Digest, ...]:
-    """Of the surfaces, and of what was measured and thought of them; what is not there is left out."""
+    """Return the digests of the surfaces, the results, the verdict and the judgements; missing files are omitted."""
     path, of_result = result.path, f"of result {result.name}"
     sets = (
         ("Fields", f"{SURFACES} {of_result}", [path / SURFACES]),
@@ -46,14 +46,14 @@ def digests_of_result(result: Result) -> tuple[Digest, ...]:
 
 
 def _files(place: Path) -> list[Path]:
-    """A file, or all in a folder, in the order of their names."""
+    """Return a file, or all files in a folder in natural order of their names."""
     if place.is_dir():
         return sorted((path for path in place.rglob("*") if path.is_file()), key=lambda path: natural(str(path)))
     return [place] if place.exists() else []
 
 
 def _digest(what: str, of: str, folder: Path, files: list[Path]) -> Digest:
-    """Over names, sizes and contents, in order."""
+    """Return the digest over names, sizes and contents, in order."""
     sizes = [path.stat().st_size for path in files]
     too_large = sum(sizes) > MOST_BYTES
     digest = hashlib.sha256()

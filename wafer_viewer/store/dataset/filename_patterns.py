@@ -1,4 +1,4 @@
-"""Which field, frame and exposure a file is, told by its name: patterns such as ``r{row}_c{col}_k{k}_e{e}.tif``."""
+"""Field, frame and exposure numbers parsed from file names by a pattern such as ``r{row}_c{col}_k{k}_e{e}.tif``."""
 
 from __future__ import annotations
 
@@ -17,18 +17,19 @@ from wafer_viewer.store.dataset.image_files import (
 )
 
 Cell = tuple[int, int]
-"""(row, col) as the files are numbered."""
+"""(row, col) as numbered in the files."""
 Slot = tuple[ImageFile | None, ...]
-"""What was taken at one z: a picture in each exposure, None where there is none."""
+"""Images taken at one z: one per exposure, None where it is missing."""
 _PARTS = {"row", "col", "k", "e"}
 
 
 def stacks_by_cell(src: Paths, pattern: str | None) -> dict[Cell, list[Slot]]:
-    """The slots of each field in order of k, all with as many exposures, in the order of their numbers.
+    """Return the slots of each field in order of k, all with the same number of exposures in numerical order.
 
-    Without a pattern all pictures are one field in one exposure; a pattern without ``{k}`` takes the pages of each
-    file. A pattern with a slash is matched to the path below the folder given, else to the name.
-    Raises DatasetError when a file does not fit the pattern, or two files are the same frame.
+    Without a pattern all images form one field with one exposure; a pattern without ``{k}`` uses the pages of each
+    file. A pattern with a slash is matched to the path relative to the given folder, otherwise to the file name.
+
+    Raises DatasetError when a file does not match the pattern, or two files are the same frame.
     """
     if pattern is None:
         return {(0, 0): [(picture,) for picture in pictures(src)]}
@@ -47,9 +48,9 @@ def stacks_by_cell(src: Paths, pattern: str | None) -> dict[Cell, list[Slot]]:
 
 
 def compile_pattern(pattern: str) -> re.Pattern[str]:
-    """The pattern as a regular expression with a group for each part it names.
+    """Return the pattern as a regular expression with a named group for each part.
 
-    Those are row and col, of which one field in several exposures needs none, k and e.
+    The parts are row, col, k and e; a single field with several exposures needs neither row nor col.
     """
     parts = re.split(r"\{(\w+)\}", pattern)
     names = parts[1::2]
@@ -65,7 +66,7 @@ def compile_pattern(pattern: str) -> re.Pattern[str]:
 
 
 def _named_files(src: Paths, deep: bool) -> list[tuple[Path, str]]:
-    """Files with the name that the pattern is matched to."""
+    """Return the files, each with the name that is matched to the pattern."""
     folders = [Path(one) for one in ([src] if isinstance(src, str | Path) else src)]
     if not deep:
         return [(path, path.name) for path in image_files(src)]
@@ -78,7 +79,7 @@ def _named_files(src: Paths, deep: bool) -> list[tuple[Path, str]]:
 def _frames_of(
     path: Path, name: str, expression: re.Pattern[str], pattern: str
 ) -> tuple[Cell, dict[tuple[int, int], ImageFile]]:
-    """The field of a file, and its pictures by (k, exposure)."""
+    """Return the field of a file, and its images by (k, exposure)."""
     match = expression.fullmatch(name)
     if match is None:
         raise _stopped(

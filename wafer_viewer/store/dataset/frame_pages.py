@@ -1,6 +1,6 @@
-"""The frames of a field: one uncompressed, preallocated multi-page TIFF whose pages lie one after the other.
+"""Frame file of a field: one uncompressed, preallocated multi-page TIFF with contiguous pages.
 
-Any TIFF reader opens it; this program writes and maps the pages by their place. page = k * n_exposures + exposure.
+Any TIFF reader opens it; this program writes and maps the pages by their offset. page = k * n_exposures + exposure.
 """
 
 from __future__ import annotations
@@ -22,7 +22,7 @@ _UM_PER_CM = 1e4
 
 @dataclass(frozen=True, slots=True)
 class PageShape:
-    """How the pages of every field of a dataset look."""
+    """Number, shape and bit depth of the pages in each frame file of a dataset."""
 
     n_pages: int
     rows: int
@@ -31,22 +31,22 @@ class PageShape:
 
     @property
     def dtype(self) -> np.dtype[Any]:
-        """Little-endian, as all numbers of a dataset."""
+        """Pixel type, little-endian as all numbers of a dataset."""
         return np.dtype(np.uint8) if self.bits == 8 else np.dtype("<u2")
 
     @property
     def page_bytes(self) -> int:
-        """Bytes of one page."""
+        """Size of one page in bytes."""
         return self.rows * self.cols * self.dtype.itemsize
 
     @property
     def file_bytes(self) -> int:
-        """About the bytes of the whole file: its pages and room for their tags."""
+        """Approximate file size in bytes: the pages and space for their tags."""
         return self.n_pages * (self.page_bytes + 512)
 
 
 def create_pages(path: Path, shape: PageShape, pixel_um: float, description: str) -> None:
-    """Make the file at its full size, all pages black. Raises DatasetError when the disk refuses it."""
+    """Create the file at its full size with black pages. Raises DatasetError when it cannot be written."""
     import tifffile
 
     with writing(path):
@@ -65,13 +65,13 @@ def create_pages(path: Path, shape: PageShape, pixel_um: float, description: str
 
 
 class PageWriter:
-    """Writes pages of one file by their number."""
+    """Writer for the pages of one file, by page number."""
 
     def __init__(self, path: Path, shape: PageShape) -> None:
         self._path, self._shape, self._begin = path, shape, _first_page(path, shape)
 
     def write(self, page: int, image: Image) -> None:
-        """Write one page. Raises DatasetError when the disk refuses it."""
+        """Write one page. Raises DatasetError when it cannot be written."""
         data = np.ascontiguousarray(image, self._shape.dtype).data.cast("B")
         with writing(self._path), self._path.open("r+b", buffering=0) as file:
             file.seek(self._begin + page * self._shape.page_bytes)
@@ -80,16 +80,16 @@ class PageWriter:
 
 
 def map_pages(path: Path, shape: PageShape) -> Image:
-    """All pages as one read-only array [page, row, col] that is read from the disk when it is touched.
+    """Return all pages as one read-only memory-mapped array [page, row, col].
 
-    Raises DatasetError when the file is missing, shorter than its pages or not laid out as expected.
+    Raises DatasetError when the file is missing, shorter than its pages, or has an unexpected layout.
     """
     begin = _first_page(path, shape)
     return np.memmap(path, shape.dtype, "r", begin, (shape.n_pages, shape.rows, shape.cols))
 
 
 def tags_crc32c(path: Path, shape: PageShape) -> int:
-    """CRC-32C of all bytes of a file but its pages. Raises DatasetError as `map_pages` does."""
+    """Return the CRC-32C of all bytes of a file except its pages. Raises DatasetError as `map_pages` does."""
     begin = _first_page(path, shape)
     with path.open("rb") as file:
         crc = crc32c(file.read(begin))
@@ -98,7 +98,7 @@ def tags_crc32c(path: Path, shape: PageShape) -> int:
 
 
 def _first_page(path: Path, shape: PageShape) -> int:
-    """Where the first page begins: checked against the tags, so that a foreign file is not taken for ours."""
+    """Return the offset of the first page, after a check of the tags that rejects foreign files."""
     import tifffile
 
     try:
@@ -119,7 +119,7 @@ def _first_page(path: Path, shape: PageShape) -> int:
 
 
 def _allocate(path: Path) -> None:
-    """Claim the disk space now, so that a disk cannot be full in the middle of a scan."""
+    """Allocate the disk space, so that the disk cannot fill up during a scan."""
     if not hasattr(os, "posix_fallocate"):
         return
     with path.open("r+b") as file:

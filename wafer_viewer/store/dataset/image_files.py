@@ -1,7 +1,7 @@
-"""Images taken elsewhere: a folder, a multi-page TIFF, a list of files; each picture read when it is asked for.
+"""Image files from other sources: a folder, a multi-page TIFF or a list of files, read lazily.
 
-Colour becomes luminance (Rec. 709 weights on the stored values), 8 and 16 bits are kept, files are taken in the order
-people count in: 2 before 10.
+Colour is converted to luminance (Rec. 709 weights on the stored values), 8 and 16 bits are preserved, and files are
+sorted in natural order: 2 before 10.
 """
 
 from __future__ import annotations
@@ -24,20 +24,20 @@ REC_709 = np.array([0.2126, 0.7152, 0.0722])
 NOTHING_WRITTEN = "Nothing was written."
 TIFF_ENDINGS = (".tif", ".tiff")
 _PLAIN_PHOTOMETRICS = (1, 2, 6)
-"""Grey with black 0, RGB, and YCbCr, which comes decoded: the kinds of TIFF whose values are what they say."""
+"""Grey with black 0, RGB, and YCbCr, which is decoded on reading: TIFF kinds whose values need no conversion."""
 Paths = str | Path | Sequence[str | Path]
 
 
 @dataclass(frozen=True, slots=True)
 class ImageFile:
-    """One image by the name a person knows it by; `read` gives it grey, [row, col], uint8 or uint16."""
+    """One image with a readable name; `read` returns it as grey [row, col], uint8 or uint16."""
 
     name: str
     read: Callable[[], Image]
 
 
 def pictures(src: Paths) -> list[ImageFile]:
-    """The pictures of a folder, a file, or a list of files, in natural order; all pages of a multi-page TIFF.
+    """Return the images of a folder, a file or a list of files in natural order, all pages of a multi-page TIFF.
 
     Raises DatasetError when there are none, or a file cannot be read as an image.
     """
@@ -48,7 +48,7 @@ def pictures(src: Paths) -> list[ImageFile]:
 
 
 def image_files(src: Paths) -> list[Path]:
-    """The image files of a folder, or those named, in natural order."""
+    """Return the image files of a folder, or those given, in natural order."""
     if not isinstance(src, str | Path):
         return sorted((file for one in src for file in image_files(one)), key=lambda p: natural(str(p)))
     path = Path(src)
@@ -64,7 +64,7 @@ def image_files(src: Paths) -> list[Path]:
 
 
 def damaged(name: str, fault: Exception | None = None) -> DatasetError:
-    """The error for a file that is cut off or no image at all."""
+    """Return the error for a file that is truncated or not an image."""
     detail = f" ({str(fault).splitlines()[0].rstrip('.')})" if fault is not None and str(fault) else ""
     return DatasetError(
         f"Import stopped at {name}: it is damaged, or not an image{detail}. {NOTHING_WRITTEN} "
@@ -84,7 +84,7 @@ def _files_in(folder: Path) -> list[Path]:
 
 
 def pictures_of(path: Path) -> list[ImageFile]:
-    """The pictures of one file: all pages of a TIFF, one of any other kind."""
+    """Return the images of one file: all pages of a TIFF, one image for any other format."""
     if path.suffix.lower() not in TIFF_ENDINGS:
         return [ImageFile(path.name, partial(_read_file, path))]
     n_pages = _page_count(path)
@@ -124,14 +124,14 @@ def _read_file(path: Path) -> Image:
 
 
 def _read_png(path: Path) -> NDArray[Any]:
-    """Pillow narrows colour PNG of 16 bits to 8, this does not."""
+    """Read a PNG with imagecodecs, because Pillow reduces 16-bit colour PNG to 8 bits."""
     import imagecodecs
 
     return imagecodecs.png_decode(path.read_bytes())
 
 
 def _read_with_pillow(path: Path, page: int = 0) -> NDArray[Any]:
-    """Palettes, CMYK and the like are brought to RGB of 8 bits."""
+    """Read an image with Pillow; palettes, CMYK and similar modes are converted to 8-bit RGB."""
     import PIL.Image
 
     with PIL.Image.open(path) as image:
@@ -154,11 +154,11 @@ READERS: dict[str, Callable[[Path], NDArray[Any]]] = {
     ".pgm": _read_with_pillow,
     ".webp": _read_with_pillow,
 }
-"""How a file is read, by its ending; another kind of image is one more line here."""
+"""Image readers by file suffix."""
 
 
 def as_grey(values: NDArray[Any], name: str) -> Image:
-    """Luminance of [row, col] or [row, col, channel] values; a fourth channel is transparency and is left out.
+    """Return the luminance of [row, col] or [row, col, channel] values; a fourth channel (transparency) is ignored.
 
     Raises DatasetError when the values are neither 8 nor 16 bits.
     """

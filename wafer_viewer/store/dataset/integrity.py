@@ -1,7 +1,7 @@
-"""Integrity of a dataset: every file on disk by its kind, and whether its checksum holds.
+"""Integrity of a dataset: every file by kind, with the state of its checksum.
 
-Frames are left to `Dataset.check`, which compares them with the journal. A file of a kind that is not listed here is
-named as unknown, so that a new kind of file cannot go unchecked unnoticed.
+Frames are verified by `Dataset.check`, which compares them with the journal. A file of a kind that is not listed here
+is reported as unknown, so that a new kind of file cannot go unchecked unnoticed.
 """
 
 from __future__ import annotations
@@ -42,17 +42,17 @@ STITCHED = "Stitched surfaces"
 
 @dataclass(frozen=True, slots=True)
 class FileRole:
-    """Files of one kind: their paths in the folder of a dataset, and how their checksum is tested."""
+    """Kind of file: title, path pattern in a dataset folder, and checksum test."""
 
     title: str
     pattern: re.Pattern[str]
     examine: Examine | None
-    """None: no number depends on them, or another check covers them."""
+    """None if no number depends on the files, or another check covers them."""
 
 
 @dataclass(frozen=True, slots=True)
 class KindReport:
-    """Files of one kind by the state of their checksum; damaged: a sentence for each, with the mend."""
+    """Files of one kind by the state of their checksum; damaged: one sentence per file, with the remedy."""
 
     title: str
     n_good: int
@@ -63,19 +63,19 @@ class KindReport:
 def check_files(
     dataset: Path, progress: Progress | None = None, should_stop: ShouldStop | None = None
 ) -> tuple[KindReport, ...]:
-    """Test the checksums of all files of a dataset but its frames.
+    """Verify the checksums of all files of a dataset except its frames.
 
     Parameters
     ----------
     dataset
-        The folder ``NAME.wafer``; nothing in it need be readable.
+        The folder ``NAME.wafer``; its contents may be unreadable.
     progress, should_stop
-        Called with the share done, and asked whether to end.
+        Called with the completed fraction, and polled for a stop request.
 
     Returns
     -------
     tuple of KindReport
-        In the order of `KINDS`, kinds without files left out; unknown files last.
+        In the order of `KINDS`, without kinds that have no files; unknown files last.
 
     Raises
     ------
@@ -99,12 +99,12 @@ def check_files(
 
 
 def kind_of(path: str) -> FileRole | None:
-    """The kind of a file by its path in the folder of a dataset, None for an unknown one."""
+    """Return the kind of a file by its path in the dataset folder, None if unknown."""
     return next((kind for kind in KINDS if kind.pattern.fullmatch(path)), None)
 
 
 def is_mosaic_good(mosaic: Path) -> bool:
-    """Whether no file of a mosaic is damaged; all of them are read."""
+    """Return whether no file of a mosaic is damaged; all of them are read."""
     prefix = f"results/x/{mosaic.name}"
     for path in (p for p in mosaic.rglob("*") if p.is_file()):
         kind = kind_of(f"{prefix}/{path.relative_to(mosaic).as_posix()}")
@@ -114,7 +114,7 @@ def is_mosaic_good(mosaic: Path) -> bool:
 
 
 def _missing(mosaic: Path) -> list[Checksum | str]:
-    """A sentence for each file of a mosaic that was written and is gone; none of one whose writing was broken off."""
+    """Return one sentence for each deleted file of a mosaic; none while a mosaic is incomplete."""
     if (mosaic.parent / DRAWING).exists():
         return []
     try:
@@ -129,7 +129,7 @@ def _report(title: str, states: list[Checksum | str]) -> KindReport:
 
 
 def _state(path: Path, examine: Examine) -> Checksum | str:
-    """The state of a checksum; of a damaged file the sentence that names it and the mend."""
+    """Return the state of a checksum, or for a damaged file the sentence with its path and remedy."""
     try:
         state = examine(path)
     except DatasetError as fault:
@@ -148,7 +148,7 @@ def _json_state(path: Path) -> Checksum:
 
 
 def _journal_state(path: Path) -> Checksum:
-    """Good only where every line has its checksum and the last is whole."""
+    """Return GOOD only if every line has a checksum and the last line is complete."""
     content = path.read_bytes()
     *lines, rest = content.split(b"\n")
     for number, line in enumerate(lines, 1):

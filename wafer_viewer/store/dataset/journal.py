@@ -1,6 +1,6 @@
-"""The journal of a dataset: one JSON line for everything that happened, in order; written after the page it speaks of.
+"""Journal of a dataset: one JSON line per event, in order; a frame's line is written after its page.
 
-A line that was being written when the power went is ignored when it is the last one; anywhere else it is damage.
+A torn last line, as after a power failure, is ignored; a damaged line anywhere else is an error.
 """
 
 from __future__ import annotations
@@ -19,10 +19,10 @@ from wafer_viewer.store.io.checksums import Checksum, line_state, sealed_line
 
 
 class PassBegun(msgspec.Struct, frozen=True, tag="pass_begun", omit_defaults=True):
-    """A leg started.
+    """Start of a leg.
 
-    provisional: its frames count once it has ended, and those that are missed after they came do not. Older programs
-    kept every frame at once.
+    provisional: the frames count only once the pass has ended, and those that are later reported as missed do not.
+    Older programs counted every frame at once.
     """
 
     number: int
@@ -33,7 +33,7 @@ class PassBegun(msgspec.Struct, frozen=True, tag="pass_begun", omit_defaults=Tru
 
 
 class FrameKept(msgspec.Struct, frozen=True, tag="frame"):
-    """A page holds its frame: its slot, the pulse that took it, the stage at mid-exposure, the page's checksum."""
+    """Frame written to its page: slot, trigger pulse, stage position at mid-exposure, checksum of the page."""
 
     shot: Shot
     pulse_count: int
@@ -46,7 +46,7 @@ class FrameKept(msgspec.Struct, frozen=True, tag="frame"):
 
 
 class Missed(msgspec.Struct, frozen=True, tag="missed"):
-    """A slot stayed empty, or a frame of the pass under way cannot be kept, and why."""
+    """Slot without a frame, or rejected frame of the current pass, with the reason."""
 
     shot: Shot
     pulse_count: int
@@ -54,13 +54,13 @@ class Missed(msgspec.Struct, frozen=True, tag="missed"):
 
 
 class Repaired(msgspec.Struct, frozen=True, tag="repaired"):
-    """A slot that had stayed empty has its frame."""
+    """Slot that was empty and now has its frame."""
 
     shot: Shot
 
 
 class PassEnded(msgspec.Struct, frozen=True, tag="pass_ended"):
-    """A leg is over, with what the pulse box counted."""
+    """End of a leg, with the counts of the pulse box."""
 
     number: int
     summary: PulseSummary
@@ -68,14 +68,14 @@ class PassEnded(msgspec.Struct, frozen=True, tag="pass_ended"):
 
 
 class FaultNoted(msgspec.Struct, frozen=True, tag="fault"):
-    """Something a person should know."""
+    """Fault report for the operator."""
 
     what: str
     time: str
 
 
 class Finished(msgspec.Struct, frozen=True, tag="finished"):
-    """The scan is over; a slot that is empty now stays empty."""
+    """End of the scan; slots that are empty now stay empty."""
 
     time: str
 
@@ -86,13 +86,13 @@ _DAMAGE = (msgspec.DecodeError, ValueError)
 
 
 class JournalReader:
-    """Reads what was added since the last call, so that a growing journal can be followed."""
+    """Incremental reader, which can follow a growing journal."""
 
     def __init__(self, path: Path) -> None:
         self._path, self._offset, self._number = path, 0, 0
 
     def new_lines(self) -> Iterator[Line]:
-        """The whole lines not read before. Raises DatasetError when one of them is damaged."""
+        """Yield the complete lines added since the last call. Raises DatasetError when one is damaged."""
         for text in self._new_text():
             line = self._decode(text)
             if line is None:
@@ -124,7 +124,7 @@ class JournalReader:
 
 
 class JournalWriter:
-    """Appends lines, each with one write; a torn last line of an earlier writer is cut off first."""
+    """Appends lines, each with one write; a torn last line of an earlier writer is truncated first."""
 
     def __init__(self, path: Path) -> None:
         self._path = path
@@ -134,26 +134,26 @@ class JournalWriter:
             self._file = path.open("ab", buffering=0)
 
     def write(self, line: Line) -> None:
-        """Append a line. Raises DatasetError when the disk refuses it."""
+        """Append a line. Raises DatasetError when it cannot be written."""
         text = sealed_line(msgspec.json.encode(line)) + b"\n"
         with writing(self._path):
             if self._file.write(text) != len(text):
                 raise DatasetError(f"{self._path} cannot be written: the disk is full: free some space.")
 
     def close(self) -> None:
-        """Let the file go; twice does no harm."""
+        """Close the file; idempotent."""
         self._file.close()
 
 
 def _decoded(text: bytes) -> Line:
-    """A line. Raises ValueError when it is damaged."""
+    """Decode a line. Raises ValueError when it is damaged."""
     if line_state(text) is Checksum.DAMAGED:
         raise ValueError("its checksum differs")
     return _DECODER.decode(text)
 
 
 def _end_of_whole_lines(path: Path) -> int:
-    """Where the last line ends that is whole and can be read."""
+    """Return the end offset of the last complete and readable line."""
     text = path.read_bytes()
     end = text.rfind(b"\n") + 1
     begin = text.rfind(b"\n", 0, max(0, end - 1)) + 1

@@ -1,8 +1,8 @@
-"""Who may write to a dataset: one process at a time, named in the file ``lock``.
+"""Exclusive write lock of a dataset: one process at a time, named in the file ``lock``.
 
-The operating system's lock on the file is what counts, so a process that was killed holds nothing; the text in it
-names the holder, and an empty file means that nobody does. A holder on another machine is believed, as it cannot be
-asked.
+The operating system's file lock is authoritative, so a killed process holds nothing. The text in the file names the
+holder; an empty file means that the dataset is free. A holder on another machine is trusted, because it cannot be
+checked.
 """
 
 from __future__ import annotations
@@ -20,11 +20,11 @@ from wafer_viewer.model.errors import DatasetError
 from wafer_viewer.store.io.atomic_files import writing
 
 _TRIES, _PAUSE_S = 5, 0.02
-"""`holder_of` holds the file for a moment itself, so one refusal is no proof."""
+"""Number of attempts, and pause in s: `holder_of` locks the file briefly itself, so one refusal is no proof."""
 
 
 class Holder(msgspec.Struct, frozen=True):
-    """The process that holds a dataset."""
+    """Process that holds the lock of a dataset."""
 
     pid: int
     host: str
@@ -35,14 +35,14 @@ class Holder(msgspec.Struct, frozen=True):
 
 
 class Lock:
-    """The held lock of a dataset; `release` gives it back."""
+    """Acquired lock of a dataset; call `release` to free it."""
 
     def __init__(self, descriptor: int) -> None:
         self._descriptor = descriptor
 
     @classmethod
     def take(cls, folder: Path) -> Lock:
-        """Hold a dataset. Raises DatasetError naming the holder when another process has it."""
+        """Acquire the lock. Raises DatasetError naming the holder when another process has it."""
         with writing(folder / "lock"):
             descriptor = os.open(folder / "lock", os.O_RDWR | os.O_CREAT, 0o644)
         held = not _hold_patiently(descriptor)
@@ -54,7 +54,7 @@ class Lock:
         return cls(descriptor)
 
     def release(self) -> None:
-        """Give the dataset back; twice does no harm."""
+        """Release the lock; idempotent."""
         if self._descriptor >= 0:
             _write(self._descriptor, b"")
             os.close(self._descriptor)
@@ -62,7 +62,7 @@ class Lock:
 
 
 def holder_of(folder: Path) -> Holder | None:
-    """The process that holds a dataset now, or None when it is free."""
+    """Return the process that holds the lock, or None when the dataset is free."""
     try:
         descriptor = os.open(folder / "lock", os.O_RDWR)
     except OSError:

@@ -1,8 +1,8 @@
-"""Consistency of the passes of a dataset: what the pulse box counted, and the times of the frames against the pulses.
+"""Consistency of the passes of a dataset: pulse box counts, and frame times against pulse counts.
 
-The axis of a pass moves at one speed, so the device times of its frames lie on a line over the scale counts of their
-pulses. A frame in a neighbour's slot lies a whole pulse period off that, which shows in the journal alone, also in
-datasets of older programs. Stop and shoot has no such line, and a pass that is shifted as a whole keeps it.
+The axis of a pass moves at constant speed, so the device times of its frames are linear in the scale counts of their
+pulses. A frame in a neighbour's slot deviates by a full pulse period, which shows in the journal alone, also in
+datasets of older programs. The test does not apply to stop and shoot, and does not detect a constant shift of a pass.
 """
 
 from __future__ import annotations
@@ -18,18 +18,18 @@ from wafer_viewer.store.dataset.journal import FrameKept, JournalReader, Line, M
 from wafer_viewer.store.dataset.scan_record import JOURNAL
 
 LEAST_FRAMES = 8
-"""Fewer do not say at what speed a pass was taken."""
+"""Least number of frames from which the speed of a pass is estimated."""
 OFF_PERIODS = 0.5
-"""A time this far off, in pulse periods, is that of another pulse."""
+"""Deviation, in pulse periods, above which a frame time belongs to another pulse."""
 
 
 @dataclass(frozen=True, slots=True)
 class PassReport:
-    """The passes of a dataset.
+    """Consistency report on the passes of a dataset.
 
-    n_passes: those with frames that count; n_timed: of these, those whose times were held against the pulses;
-    doubts: a sentence for each pass whose frames may not be what they are said to be;
-    noted: what the scan itself reported, in order.
+    n_passes: passes with frames that count; n_timed: those whose frame times were compared with the pulses;
+    doubts: one sentence for each pass whose frames may be in the wrong slots or at the wrong height;
+    noted: faults reported by the scan, in order.
     """
 
     n_passes: int
@@ -39,7 +39,7 @@ class PassReport:
 
     @property
     def ok(self) -> bool:
-        """Whether no pass is in doubt."""
+        """True if no pass is in doubt."""
         return not self.doubts
 
 
@@ -51,7 +51,7 @@ class _Pass:
 
 
 def check_passes(data: Dataset) -> PassReport:
-    """Hold the frames of every pass against its counts and times. Raises DatasetError when the journal is damaged."""
+    """Compare the frames of every pass with its counts and times. Raises DatasetError for a damaged journal."""
     passes = [one for one in _passes(JournalReader(data.path / JOURNAL).new_lines()) if one.frames]
     moving = data.scan.plan.strategy != "stop_and_shoot"
     timed = [one for one in passes if moving and len(one.frames) >= LEAST_FRAMES]
@@ -60,7 +60,7 @@ def check_passes(data: Dataset) -> PassReport:
 
 
 def _passes(lines: Iterable[Line]) -> list[_Pass]:
-    """The passes with the frames of theirs that count."""
+    """Return the passes with the frames that count."""
     found: list[_Pass] = []
     now: _Pass | None = None
     for line in lines:

@@ -1,4 +1,4 @@
-"""Small pictures of files for lists: of an image, a folder of images, or a dataset; nothing large is read for one."""
+"""Thumbnails of images, image folders and datasets, made without reading large files."""
 
 from __future__ import annotations
 
@@ -13,19 +13,19 @@ from wafer_viewer.model.errors import WaferViewerError
 from wafer_viewer.store.dataset.image_files import READERS, TIFF_ENDINGS, as_grey, image_files
 
 SIDE_PX = 96
-"""The longer side of a preview: twice as many as are drawn, for screens of high density."""
+"""Longer side of a preview in px: twice the displayed size, for high-density screens."""
 JPEG_QUALITY = 80
 MAX_FILE_BYTES = 64_000_000
 MAX_TIFF_BYTES = 4_000_000_000
-"""A TIFF is not read whole: one page of it is."""
+"""Largest TIFF in bytes; only one page of it is read."""
 MAX_PIXELS = 40_000_000
 STRETCH_PERCENT = 0.5, 99.5
-"""Greys between these shares of the pixels use the whole range: a dark picture would show nothing this small."""
+"""Percentiles that are stretched to the full grey range, so that dark images are readable at this size."""
 DATASET_ENDING = ".wafer"
 
 
 def preview(path: Path) -> bytes:
-    """Return a small picture of a file or folder as JPEG; no bytes where there is none to show.
+    """Return a thumbnail of a file or folder as JPEG; empty bytes if there is none.
 
     Parameters
     ----------
@@ -77,7 +77,7 @@ def _n_pixels(path: Path) -> int:
 
 
 def _of_dataset(path: Path) -> NDArray[Any] | None:
-    """The all-in-focus picture of the stitched surface, else the middle frame of the first field that has any."""
+    """Return the all-in-focus image of the stitched surface, or the middle frame of the first field with frames."""
     from wafer_viewer.store.dataset.dataset import Dataset
     from wafer_viewer.store.mosaic.zarr_mosaic import ZarrMosaic
 

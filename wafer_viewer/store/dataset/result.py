@@ -1,4 +1,4 @@
-"""One reconstruction of a dataset: the folder ``results/NAME`` with its recipe, surfaces, mosaic and findings."""
+"""Reconstruction of a dataset: the folder ``results/NAME`` with its recipe, surfaces, mosaic and findings."""
 
 from __future__ import annotations
 
@@ -28,39 +28,39 @@ THUMBNAILS, MOSAIC, DRAWING = "thumbnails", "mosaic.zarr", "poses-being-drawn.np
 
 @dataclass(frozen=True, slots=True)
 class Result:
-    """Where a reconstruction lies; nothing is held open, so workers can pass it among themselves."""
+    """Folder of a reconstruction; holds no open files, so it can be passed between workers."""
 
     path: Path
 
     @classmethod
     def of(cls, folder: Path, name: str) -> Result:
-        """The result with a name in the folder of results. Raises DatasetError when the name is not a folder's name."""
+        """Return the named result in the results folder. Raises DatasetError for an invalid folder name."""
         if not re.fullmatch(r"[\w][\w .+-]*", name):
             raise DatasetError(f"A result cannot be called {name!r}: use letters, digits, spaces and . + - _ only.")
         return cls(folder / name)
 
     @property
     def name(self) -> str:
-        """The name of the result."""
+        """Name of the result."""
         return self.path.name
 
     @property
     def exists(self) -> bool:
-        """Whether anything was saved to it."""
+        """True if anything was saved to the result."""
         return self.path.is_dir()
 
     def recipe(self) -> Recipe:
-        """The recipe it was made with. Raises DatasetError when none was saved."""
+        """Return the recipe of the result. Raises DatasetError when none was saved."""
         return load_json(self.path / RECIPE, Recipe)
 
     def save_recipe(self, recipe: Recipe) -> None:
-        """Keep the recipe; what one that makes other heights was settled to is forgotten."""
+        """Save the recipe, and delete the settled recipe if the new recipe yields other heights."""
         if (self.path / RECIPE).exists() and not self.has_heights_of(recipe):
             (self.path / SETTLED).unlink(missing_ok=True)
         self._save(RECIPE, recipe)
 
     def has_heights_of(self, recipe: Recipe) -> bool:
-        """Whether its surfaces are what a recipe makes; damaged files of its own recipe count as another one."""
+        """Return whether the surfaces match a recipe; False if the result's own recipe files are damaged."""
         try:
             self.settled()
             return recipe.makes_heights_of(self.recipe())
@@ -68,17 +68,17 @@ class Result:
             return False
 
     def settled(self) -> Recipe | None:
-        """The recipe with what ``auto`` chose for the whole scan; None as long as no field spoke for it."""
+        """Return the recipe with the values that ``auto`` chose for the scan, or None if not chosen yet."""
         return load_json(self.path / SETTLED, Recipe) if (self.path / SETTLED).exists() else None
 
     def save_settled(self, recipe: Recipe) -> None:
-        """Let all fields that follow be made with this recipe."""
+        """Save the recipe to be used for all remaining fields."""
         self._save(SETTLED, recipe)
 
     def surface(self, field: Field, *, verify: bool = True) -> HeightMap:
-        """The surface of a field, memory-mapped; `verify`: test its checksum, for which all of it is read once.
+        """Return the surface of a field, memory-mapped; `verify`: test its checksum, which reads the file once.
 
-        Raises DatasetError when it was not reconstructed yet or is damaged.
+        Raises DatasetError when the surface is not reconstructed yet or is damaged.
         """
         path = self._surface_file(field)
         if not path.exists():
@@ -86,37 +86,37 @@ class Result:
         return read_npz(path, verify=verify)
 
     def save_surface(self, field: Field, surface: HeightMap) -> None:
-        """Keep the surface of a field, in place of an earlier one."""
+        """Save the surface of a field, replacing an earlier one."""
         path = self._surface_file(field)
         self._make_folder(path.parent)
         with replacing(path) as beside:
             write_npz(surface, beside)
 
     def surfaces_done(self, fields: Iterable[Field]) -> set[int]:
-        """Numbers of those fields that have a surface."""
+        """Return the numbers of those fields that have a surface."""
         return {f.number for f in fields if self._surface_file(f).exists()}
 
     @property
     def is_difference(self) -> bool:
-        """Whether it is two surfaces compared, and its mosaic their difference."""
+        """True if the result compares two surfaces and its mosaic is their difference."""
         return (self.path / COMPARISON).exists()
 
     def comparison(self) -> Comparison:
-        """What was compared and how it came out. Raises DatasetError when it is no comparison."""
+        """Return the comparison and its outcome. Raises DatasetError when the result is no comparison."""
         return load_json(self.path / COMPARISON, Comparison)
 
     @property
     def mosaic_path(self) -> Path:
-        """Where `write_mosaic` puts the stitched surface."""
+        """Path of the stitched surface, written by `write_mosaic`."""
         return self.path / MOSAIC
 
     @property
     def has_mosaic(self) -> bool:
-        """Whether the fields were stitched."""
+        """True if the fields were stitched."""
         return self.mosaic_path.is_dir()
 
     def mosaic(self) -> Mosaic:
-        """The stitched surface. Raises DatasetError when the fields were not stitched yet, or files of it are gone."""
+        """Return the stitched surface. Raises DatasetError when it does not exist yet, or files of it are missing."""
         if not self.has_mosaic:
             raise DatasetError(f"Result {self.name!r} has no stitched surface: stitch its fields first.")
         mosaic = ZarrMosaic.open(self.mosaic_path)
@@ -125,62 +125,62 @@ class Result:
         return mosaic
 
     def poses(self) -> Poses | None:
-        """Where the fields of the stitched surface lie; None where they lie where the stage says, or none are."""
+        """Return the field poses of the stitched surface; None if it uses stage positions or does not exist."""
         return read_poses(self.path / POSES) if (self.path / POSES).exists() else None
 
     def begin_drawing(self, poses: Poses) -> Path:
-        """Say where fields will lie; until `end_drawing` the mosaic may show some of them so and others not."""
+        """Save the poses of a mosaic update; until `end_drawing` the mosaic may show only some fields at them."""
         self._make_folder(self.path)
         write_poses(poses, self.path / DRAWING)
         return self.path / DRAWING
 
     def end_drawing(self) -> None:
-        """The mosaic shows the fields where they were said to lie."""
+        """Commit the poses of the finished mosaic update."""
         with writing(self.path / POSES):
             (self.path / DRAWING).replace(self.path / POSES)
 
     def shows_all(self, fields: Iterable[Field]) -> bool:
-        """Whether the mosaic shows every surface that there is, all of them placed together."""
+        """Return whether the mosaic contains every surface, all of them placed in one solution."""
         poses = self.poses() if self.has_mosaic and not self.broken_off else None
         return poses is not None and poses.final and set(poses.numbers.tolist()) == self.surfaces_done(fields)
 
     @property
     def broken_off(self) -> bool:
-        """Whether a drawing of the mosaic was begun and not ended: all of it is to be made anew."""
+        """True if a mosaic update did not finish; the mosaic must then be rewritten completely."""
         return (self.path / DRAWING).exists()
 
     def field_stamp(self, field: Field) -> int:
-        """A number that changes when the surface of a field is made again. Raises DatasetError when there is none."""
+        """Return a number that changes with each reconstruction of a field. Raises DatasetError if it is missing."""
         try:
             return self._surface_file(field).stat().st_mtime_ns
         except OSError as fault:
             raise DatasetError(f"The surface of field {field.number} is gone: reconstruct it again.") from fault
 
     def findings(self) -> MeasurementResults:
-        """What was measured; nothing at first."""
+        """Return the measurement results; empty if none were saved."""
         if not (self.path / FINDINGS).exists():
             return MeasurementResults()
         return load_json(self.path / FINDINGS, MeasurementResults)
 
     def save_findings(self, findings: MeasurementResults) -> None:
-        """Keep what was measured, in place of what was kept before. Raises DatasetError when that is damaged."""
+        """Save measurement results, replacing the earlier ones. Raises DatasetError when those are damaged."""
         require_good_json(self.path / FINDINGS)
         self._save(FINDINGS, findings)
 
     def thumbnail(self, number: int) -> bytes | None:
-        """The small picture, JPEG, that was kept with a finding; None without one."""
+        """Return the thumbnail of a measurement result as JPEG; None if there is none."""
         path = self._thumbnail_file(number)
         return path.read_bytes() if path.exists() else None
 
     def save_thumbnail(self, number: int, jpeg: bytes) -> None:
-        """Keep a small picture beside a finding."""
+        """Save the thumbnail of a measurement result."""
         path = self._thumbnail_file(number)
         self._make_folder(path.parent)
         with replacing(path) as beside:
             beside.write_bytes(jpeg)
 
     def highest_thumbnail(self) -> int:
-        """The highest number that a small picture was kept for, 0 without any: numbers are not given twice."""
+        """Return the highest thumbnail number, 0 if there is none; numbers are never reused."""
         return max((int(path.stem) for path in (self.path / THUMBNAILS).glob("[0-9]*.jpg")), default=0)
 
     def _thumbnail_file(self, number: int) -> Path:

@@ -1,4 +1,4 @@
-"""``scan.json``: what a dataset says about itself before its first frame."""
+"""Scan record ``scan.json``: the metadata of a dataset, written before its first frame."""
 
 from __future__ import annotations
 
@@ -20,11 +20,11 @@ RECORD, FRAMES, JOURNAL, RESULTS = "scan.json", "frames", "journal.jsonl", "resu
 
 
 class ScanRecord(Spec, frozen=True, kw_only=True):
-    """The plan, the job, the rig and its calibration, the version of the program and of the format.
+    """Plan, job, rig, calibration, program version and format version.
 
-    bits: 8, or up to 16 kept in 16; taken: when the scan began, ISO 8601; imported_from: where the images came from
-    when they were not scanned here, else empty; frame_tag_checksums: CRC-32C of all bytes
-    that are no page in the file of each field, in the order of the fields; none in datasets of older versions.
+    bits: 8, or up to 16 stored in 16; taken: start of the scan, ISO 8601; imported_from: source of imported images,
+    empty for a scan; frame_tag_checksums: CRC-32C of all bytes outside the pages in the file of each field, in the
+    order of the fields, empty in datasets of older versions.
     """
 
     error: ClassVar[type[WaferViewerError]] = DatasetError
@@ -43,52 +43,52 @@ class ScanRecord(Spec, frozen=True, kw_only=True):
 
     @property
     def n_exposures(self) -> int:
-        """Frames taken at each z."""
+        """Number of frames at each z."""
         return len(self.plan.exposures_us)
 
     @property
     def pages(self) -> PageShape:
-        """How the file of each field looks."""
+        """Page layout of each frame file."""
         plan = self.plan
         return PageShape(plan.sweep.n_frames * self.n_exposures, plan.rows, plan.cols, self.bits)
 
     @property
     def pixel_um(self) -> float:
-        """The calibrated pixel size where there is one, else what the plan took it for."""
+        """Calibrated pixel size in um if there is one, otherwise that of the plan."""
         return self.plan.pixel_um if self.calibration is None else self.calibration.pixel_um
 
     @property
     def z_scale(self) -> float:
-        """What the stage's z is to be multiplied by to be a length."""
+        """Factor from stage z to calibrated length; 1 without a calibration."""
         return 1.0 if self.calibration is None else self.calibration.z_scale
 
     def calibration_problem(self, today: str) -> str | None:
-        """Why lengths read 'uncalibrated', or None when they are calibrated. `today` is an ISO 8601 day."""
+        """Return why lengths are uncalibrated, or None if calibrated. `today`: ISO 8601 date."""
         if self.calibration is None:
             return "what was imported carries no calibration" if self.imported_from else "the rig had no calibration"
         return self.calibration.problem(self.setup, today)
 
     def tags_crc32c(self) -> dict[int, int]:
-        """CRC-32C of what is no page in the file of each field, by its number; none in datasets of older versions."""
+        """Return the CRC-32C of the bytes outside the pages, by field number; empty for older versions."""
         return dict(zip((field.number for field in self.plan.fields), self.frame_tag_checksums, strict=False))
 
     def page_of(self, k: int, exposure: int) -> int:
-        """The page of a slot in its field's file."""
+        """Return the page number of a slot in the file of its field."""
         return k * self.n_exposures + exposure
 
 
 def frames_file(folder: Path, field: Field) -> Path:
-    """The file that holds a field's frames."""
+    """Return the path of a field's frame file."""
     return folder / FRAMES / f"{field.name}.tif"
 
 
 def write_record(folder: Path, record: ScanRecord) -> None:
-    """Write ``scan.json``; from then on the folder is a dataset."""
+    """Write ``scan.json``, which makes the folder a dataset."""
     save_json(folder / RECORD, record)
 
 
 def read_record(folder: Path) -> ScanRecord:
-    """Read ``scan.json``. Raises DatasetError when the folder is no dataset, or one of a newer program."""
+    """Read ``scan.json``. Raises DatasetError when the folder is no dataset or has a newer format."""
     text = _record_text(folder)
     if text_state(text) is Checksum.DAMAGED:
         raise damaged(folder / RECORD)
@@ -113,7 +113,7 @@ def _record_text(folder: Path) -> bytes:
 
 
 def _schema_version(text: bytes) -> int:
-    """The version alone, so that a newer format is not taken for a damaged file; 0 when there is none to be read."""
+    """Return the format version, so that a newer format is not reported as damage; 0 if unreadable."""
     try:
         data: Any = msgspec.json.decode(text)
     except (msgspec.DecodeError, UnicodeDecodeError):

@@ -1,7 +1,7 @@
-"""Stacks taken elsewhere: opened for one reconstruction, or imported as a dataset of one field or a grid of them.
+"""Import of external stacks: opened for one reconstruction, or imported as a dataset of one or more fields.
 
-Nothing is known of how they were taken but what the person says, so they carry no calibration: their lengths read
-'uncalibrated'.
+The only acquisition metadata are those given by the user, so the stacks have no calibration and their lengths are
+uncalibrated.
 """
 
 from __future__ import annotations
@@ -29,10 +29,10 @@ from wafer_viewer.store.io.atomic_files import replacing, require_space
 from wafer_viewer.store.io.progress import watched
 
 UNKNOWN_EXPOSURE_US = 1.0
-"""Stands where a plan asks for an exposure time and the images do not say theirs.
+"""Placeholder exposure time in us for images without one.
 
-The same for all exposures of a bracket, so that their ratio says nothing: fusion then measures how much brighter one is
-than the other, and never takes an invented ratio for a measured one.
+It is the same for all exposures of a bracket, so that their ratio carries no information: fusion then measures the
+brightness ratio and never uses an invented one.
 """
 MAX_OVERLAP = 0.5
 MIN_WAVELENGTH_UM, MAX_WAVELENGTH_UM = 0.2, 2.0
@@ -51,13 +51,54 @@ def open_stack(
     numerical_aperture: float | None = None,
     wavelength_um: float | None = None,
 ) -> FieldStack:
-    """Read a folder of images, a multi-page TIFF or a list of files, the lowest frame first, into memory.
+    """Read a folder of images, a multi-page TIFF or a list of files.
 
-    A negative z_step_um says that they were taken downward: their order is turned round. numerical_aperture: of the
-    objective, in air; its depth of field bounds the width of focus curves. Without it the pixel size does, and heights
-    beside walls cannot always be tested. wavelength_um: of the light, 0.55 um where it is not given.
-    Raises DatasetError when the step or the pixel size is missing, fewer than three images are found, or an image is
-    damaged or differs in size or depth from those before it.
+    The images are read into memory as one field, lowest frame first.
+
+    Parameters
+    ----------
+    src : str, Path or sequence of them
+        Folder of images, image file (with all pages of a multi-page TIFF), or several of them. Files are sorted in
+        natural order: 2 before 10.
+    z_step_um : float
+        Distance between frames in um, required. A negative value means that the images were taken downward; their
+        order is reversed.
+    pixel_um : float
+        Pixel size on the sample in um, required, over 0.
+    z_start_um : float, default 0.0
+        z of the lowest frame in um.
+    progress : callable, optional
+        Receives the completed fraction, 0 to 1.
+    should_stop : callable, optional
+        Returns True if the work should stop.
+    numerical_aperture : float, optional
+        Numerical aperture of the objective in air, between 0 and 1. Its depth of field bounds the width of focus
+        curves. Without it the pixel size sets the bound, and heights near walls cannot always be tested.
+    wavelength_um : float, optional
+        Wavelength of the light in um, from 0.2 to 2. Default: 0.55 um.
+
+    Returns
+    -------
+    FieldStack
+        Images [k, row, col], uint8 or uint16, with z in um, rising; the field has number 1 and its centre at (0, 0).
+        It has no calibration, so that its lengths are uncalibrated.
+
+    Raises
+    ------
+    DatasetError
+        When the step or the pixel size is missing or invalid, the aperture or the wavelength is out of range, a path
+        does not exist or is no image, fewer than three images are found, an image is damaged, is neither 8 nor 16 bits,
+        or differs in size or depth from those before it, or the work is stopped.
+
+    Notes
+    -----
+    Colour is converted to luminance with the weights of ITU-R BT.709 [1]_ on the stored values; 8 and 16 bits are
+    preserved. The depth of field is wavelength / NA^2 + pixel size / NA.
+
+    References
+    ----------
+    .. [1] Recommendation ITU-R BT.709, Parameter values for the HDTV standards for production and international
+       programme exchange.
     """
     step_um, pixel = _required(z_step_um, pixel_um)
     found = _upward(pictures(src), step_um)
@@ -88,12 +129,54 @@ def import_dataset(
     numerical_aperture: float | None = None,
     wavelength_um: float | None = None,
 ) -> Dataset:
-    """Copy images into a new dataset at `out`: one field, or with a pattern a grid of fields, row 0 at the top.
+    """Copy images into a new dataset of one or more fields.
 
-    A pattern with ``{e}`` tells the exposures of a bracket apart; their times need not be known. numerical_aperture and
-    wavelength_um are those of `open_stack`.
-    The dataset appears once it is whole. Raises DatasetError, with nothing written, for all that `open_stack` refuses,
-    an overlap over 50 %, a place that is taken, cannot be written to or has not enough space, and when it is stopped.
+    The dataset appears only once it is complete.
+
+    Parameters
+    ----------
+    srcs : str, Path or sequence of them
+        Folder of images, image file (with all pages of a multi-page TIFF), or several of them.
+    out : str or Path
+        Folder of the new dataset; it must not exist.
+    z_step_um : float
+        Distance between frames in um, required. A negative value means that the images were taken downward; their
+        order is reversed.
+    pixel_um : float
+        Pixel size on the sample in um, required, over 0.
+    pattern : str, optional
+        Pattern of the file names with the parts ``{row}``, ``{col}``, ``{k}`` (frame) and ``{e}`` (exposure), as in
+        ``r{row}_c{col}_k{k}.tif``: the images form a grid of fields, row 0 at the top. Without ``{k}`` the frames are
+        the pages of each file. ``{e}`` separates the exposures of a bracket; their times are not needed. A pattern
+        with a slash is matched to the path relative to the given folder, otherwise to the file name. Default: all
+        images form one field.
+    overlap_fraction : float, default 0.1
+        Overlap of neighbouring fields as a fraction of a field, in x and y, from 0 to 0.5.
+    progress : callable, optional
+        Receives the completed fraction, 0 to 1.
+    should_stop : callable, optional
+        Returns True if the work should stop.
+    numerical_aperture : float, optional
+        Numerical aperture of the objective in air, between 0 and 1; see `open_stack`.
+    wavelength_um : float, optional
+        Wavelength of the light in um, from 0.2 to 2. Default: 0.55 um.
+
+    Returns
+    -------
+    Dataset
+        The new dataset, open. It has no calibration, so that its lengths are uncalibrated.
+
+    Raises
+    ------
+    DatasetError
+        With nothing written, for everything that `open_stack` rejects, for an invalid pattern, a file that does not
+        match it or two files of the same frame, for an overlap above 50 %, for a target that exists, cannot be written
+        to or has not enough space, and when the work is stopped.
+
+    Notes
+    -----
+    The lowest frame of every field is at z = 0. A frame that other fields have and a field lacks is recorded as
+    missing.
     """
     target = Path(out)
     step_um, pixel = _required(z_step_um, pixel_um)
@@ -117,7 +200,7 @@ def import_dataset(
 
 @dataclass(slots=True)
 class _Alike:
-    """Lets images pass as long as they are like the first one."""
+    """Check that all images have the size and depth of the first one."""
 
     first: Image | None = None
     n_before: int = 0
@@ -196,7 +279,7 @@ def _job(stacks: Stacks, first: Image, z_step_um: float, pixel_um: float, overla
 
 
 def _fields(cells: list[Cell], grid: FieldGrid) -> Iterator[Field]:
-    """A field for each cell there is; rows and columns are counted from 0, however the files are numbered."""
+    """Yield a field for each cell; rows and columns are counted from 0, independent of the file numbers."""
     top, left = min(row for row, _ in cells), min(col for _, col in cells)
     for number, (row, col) in enumerate(cells, 1):
         x_um, y_um = (col - left) * grid.pitch_x_um, -(row - top) * grid.pitch_y_um
@@ -238,7 +321,7 @@ def _required(z_step_um: float | None, pixel_um: float | None) -> tuple[float, f
 
 
 def _depth_um(numerical_aperture: float | None, wavelength_um: float | None, pixel_um: float) -> float:
-    """The depth of field; 0 where no aperture is given."""
+    """Return the depth of field in um; 0 if no aperture is given."""
     if wavelength_um is not None and not MIN_WAVELENGTH_UM <= wavelength_um <= MAX_WAVELENGTH_UM:
         raise DatasetError(
             f"The wavelength is {wavelength_um:g} um: it must lie from {MIN_WAVELENGTH_UM} to {MAX_WAVELENGTH_UM} um."

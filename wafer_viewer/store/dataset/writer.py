@@ -1,4 +1,4 @@
-"""Writing a dataset: the place where a scan's frames go. A page first, then its line in the journal."""
+"""Dataset writer: the destination of a scan's frames. Each page is written before its journal line."""
 
 from __future__ import annotations
 
@@ -33,9 +33,9 @@ OnFieldComplete = Callable[[int], None]
 
 
 class DatasetWriter:
-    """The one writer of a dataset, a `ScanSink`; it holds the dataset's lock until it is closed.
+    """Exclusive writer of a dataset, a `ScanSink`; it holds the dataset's lock until it is closed.
 
-    `on_field_complete` is called with a field's number once its last frame is kept.
+    `on_field_complete` is called with the number of a field once its last frame counts.
     """
 
     def __init__(self, path: Path, record: ScanRecord, lock: Lock, on_field_complete: OnFieldComplete | None) -> None:
@@ -47,7 +47,7 @@ class DatasetWriter:
         self._journal = journal.JournalWriter(path / JOURNAL)
         self._kept = Dataset(path, record).kept()
         self._provisional: set[Shot] | None = None
-        """Slots with a frame of the pass under way; None between passes, where a frame counts at once."""
+        """Slots with a frame of the current pass; None between passes, where a frame counts at once."""
         self._kept_of_field = Counter(shot.field for shot in self._kept)
 
     @classmethod
@@ -65,9 +65,10 @@ class DatasetWriter:
         bits: int = 8,
         on_field_complete: OnFieldComplete | None = None,
     ) -> Self:
-        """Make a dataset with all its disk space, and hold it.
+        """Create a dataset with all its disk space, and lock it.
 
-        Raises DatasetError when the path is taken, cannot be written to or has not enough space; then nothing stays.
+        Raises DatasetError, with everything removed, when the path exists, cannot be written to or has not enough
+        space.
         """
         folder = Path(path)
         record = ScanRecord(
@@ -94,7 +95,7 @@ class DatasetWriter:
 
     @classmethod
     def resume(cls, path: str | Path, *, on_field_complete: OnFieldComplete | None = None) -> Self:
-        """Hold a dataset to continue its scan. Raises DatasetError when it is none or another process holds it."""
+        """Lock a dataset to continue its scan. Raises DatasetError when it is none or is locked."""
         folder = Path(path)
         record = Dataset.open(folder).scan
         lock = Lock.take(folder)
@@ -106,26 +107,25 @@ class DatasetWriter:
 
     @property
     def kept(self) -> frozenset[Shot]:
-        """The slots that have a frame: what a scan that goes on may skip."""
+        """Slots that have a frame, which a resumed scan may skip."""
         return frozenset(self._kept)
 
     @property
     def n_arrived(self) -> int:
-        """How many slots have a frame, those of the pass under way among them."""
+        """Number of slots that have a frame, including those of the current pass."""
         return len(self._kept) + len(self._provisional or ())
 
     def pass_begun(self, number: int, leg: Leg) -> None:
-        """A leg starts: its frames count once it has ended."""
+        """Start a leg; its frames count once it has ended."""
         self._provisional = set()
         begun = journal.PassBegun(number, leg.train.axis, leg.train.n_frames, _now(), provisional=True)
         self._journal.write(begun)
 
     def frame(self, frame: Frame) -> None:
-        """Keep a frame: its page, then its line. A slot that is kept is not written again.
+        """Write a frame: its page, then its journal line. A slot with a frame is not written again.
 
-        Within a pass it counts once that has ended, unless its slot is missed before.
-
-        An image that did not come whole is noted as missed. Raises DatasetError when frame and plan disagree.
+        Within a pass the frame counts once the pass has ended, unless its slot is reported as missed before. An
+        incomplete image is recorded as missed. Raises DatasetError when the frame does not fit the plan.
         """
         if frame.image is None or frame.status is not FrameStatus.OK:
             self.missed(frame.shot, frame.pulse_count, f"the image was {frame.status.value}")
@@ -133,31 +133,31 @@ class DatasetWriter:
             self._keep(frame, self._checked(frame.shot, frame.image))
 
     def missed(self, shot: Shot, pulse_count: int, why: str) -> None:
-        """A slot stayed empty, or its frame of the pass under way is not to be kept."""
+        """Record an empty slot, or reject its frame of the current pass."""
         if self._provisional is not None:
             self._provisional.discard(shot)
         self._journal.write(journal.Missed(shot, pulse_count, why))
 
     def repaired(self, shot: Shot) -> None:
-        """A slot that stayed empty has its frame now."""
+        """Record that an empty slot now has its frame."""
         self._journal.write(journal.Repaired(shot))
 
     def pass_ended(self, number: int, summary: PulseSummary) -> None:
-        """A leg is over: its frames count."""
+        """End a leg; its frames count from now on."""
         self._journal.write(journal.PassEnded(number, summary, _now()))
         shots, self._provisional = self._provisional or set[Shot](), None
         self._count(shots)
 
     def fault(self, what: str) -> None:
-        """Something a person should know."""
+        """Record a fault for the operator."""
         self._journal.write(journal.FaultNoted(what, _now()))
 
     def finish(self) -> None:
-        """The scan came to its end: a slot that is empty now stays empty, and the dataset reads as finished."""
+        """Mark the scan as finished; slots that are empty now stay empty."""
         self._journal.write(journal.Finished(_now()))
 
     def close(self) -> None:
-        """Give the dataset back; twice does no harm."""
+        """Close the journal and release the lock; idempotent."""
         self._journal.close()
         self._lock.release()
 
@@ -190,7 +190,7 @@ class DatasetWriter:
             self._count({shot})
 
     def _count(self, shots: set[Shot]) -> None:
-        """Count frames as kept, and tell of the fields that they complete."""
+        """Count frames as kept, and report the fields that they complete."""
         self._kept |= shots
         for number, n_new in Counter(shot.field for shot in shots).items():
             self._kept_of_field[number] += n_new
@@ -226,7 +226,7 @@ def _make_folder(folder: Path) -> None:
 
 
 def _lay_out(folder: Path, record: ScanRecord) -> None:
-    """Everything but frames; ``scan.json`` comes last, so that a folder half made is no dataset."""
+    """Create everything except the frames; ``scan.json`` is last, so that a partial folder is no dataset."""
     pages = record.pages
     require_space(folder, pages.file_bytes * len(record.plan.fields), folder.name)
     with writing(folder):
@@ -242,7 +242,7 @@ def _lay_out(folder: Path, record: ScanRecord) -> None:
 
 
 def _description(record: ScanRecord, field_number: int) -> str:
-    """What a reader of the TIFF alone should know, in its first page (ASCII)."""
+    """Return the metadata for the first page of the TIFF, as ASCII JSON, for other TIFF readers."""
     about = {
         "field": field_number,
         "page": "k * n_exposures + exposure",
@@ -257,7 +257,7 @@ def _description(record: ScanRecord, field_number: int) -> str:
 
 
 def _require_distinct_names(plan: ScanPlan) -> None:
-    """Fields with the same row and column would share a file."""
+    """Raise DatasetError when two fields share a grid position, and hence a file, or a number."""
     for what, names in (
         ("place in the grid", [f.name for f in plan.fields]),
         ("number", [f.number for f in plan.fields]),

@@ -1,1 +1,1 @@
-"""Surfaces in the formats of other programs, a file for each: how it is written strip by strip, and how it is read."""
+"""Surface file formats of other programs, one module each: strip-wise export, and import."""

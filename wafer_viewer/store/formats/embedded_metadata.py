@@ -1,4 +1,4 @@
-"""What a file says beside its numbers: warnings for people, and for programs the lattice and where it comes from."""
+"""Metadata embedded in surface files: warnings for people; lattice and provenance for programs."""
 
 from __future__ import annotations
 
@@ -14,12 +14,12 @@ from wafer_viewer.model.surface.height_map import HeightMap, Mosaic, Origin, Pro
 from wafer_viewer.store.formats.surface_strips import Strips
 
 OURS = "WaferViewer"
-"""What the text for programs is called where a format gives texts a name."""
+"""Key of the machine-readable text in formats with named texts."""
 LINE_LETTERS = 200
 
 
 class EmbeddedMetadata(msgspec.Struct, frozen=True):
-    """The lattice that a file was written on, and where its surface comes from."""
+    """Lattice of a written file, and provenance of its surface."""
 
     pixel_um: float
     x0_um: float
@@ -31,9 +31,9 @@ class EmbeddedMetadata(msgspec.Struct, frozen=True):
 
 
 def caveats(provenance: Provenance, today: str | None = None) -> tuple[str, ...]:
-    """What a reader of the numbers must know: 'SIMULATED', and 'uncalibrated' with the reason; empty when all is well.
+    """Return the warnings on the numbers: 'SIMULATED', and 'uncalibrated' with the reason; empty if there are none.
 
-    today: an ISO 8601 day, the present one when left out.
+    today: an ISO 8601 date, by default the current one.
     """
     day = today or datetime.date.today().isoformat()
     calibration = provenance.calibration
@@ -42,12 +42,12 @@ def caveats(provenance: Provenance, today: str | None = None) -> tuple[str, ...]
 
 
 def title(surface: HeightMap | Mosaic) -> str:
-    """A line for people: whose heights these are, and the caveats."""
+    """Return a readable title with the program version and the caveats."""
     return "; ".join((f"Heights by Wafer Viewer {surface.provenance.software_version}", *caveats(surface.provenance)))
 
 
 def heading(strips: Strips) -> list[str]:
-    """What stands above numbers in a text, a line each; the last ones are for programs, cut into pieces."""
+    """Return the header lines of a text file; the last ones are machine-readable, split into short lines."""
     surface, (rows, cols) = strips.surface, strips.shape
     return [
         f"Wafer Viewer {surface.provenance.software_version}: heights in um, stage coordinates",
@@ -61,13 +61,13 @@ def heading(strips: Strips) -> list[str]:
 
 
 def _in_short_lines(text: str) -> list[str]:
-    """JSON cut into lines without blanks: some programs end at a line, or a word, of more than some hundred letters."""
+    """Split JSON into lines without blanks: some programs fail at a line or word of some hundred characters."""
     whole = text.replace(" ", "\\u0020")
     return [whole[at : at + LINE_LETTERS] for at in range(0, len(whole), LINE_LETTERS)]
 
 
 def about(strips: Strips) -> str:
-    """The text for programs: JSON in one line, ASCII."""
+    """Return the machine-readable text: one line of ASCII JSON."""
     surface, provenance = strips.surface, strips.surface.provenance
     facts = {
         "software": f"Wafer Viewer {provenance.software_version}",
@@ -84,7 +84,7 @@ def about(strips: Strips) -> str:
 
 
 def told_by(text: str | None) -> EmbeddedMetadata | None:
-    """What the text for programs says; None where there is none, or one that another version cannot read."""
+    """Parse the machine-readable text; None if there is none or it is of an incompatible version."""
     try:
         facts: Any = json.loads(text or "")
         provenance = decode(json.dumps(facts["provenance"]), Provenance, OURS, "json")

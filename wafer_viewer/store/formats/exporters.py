@@ -1,6 +1,6 @@
-"""Surfaces as files that other programs read. The ending picks the format; model/formats.py says what each loses.
+"""Export of surfaces to files of other programs, by suffix; model/formats.py lists what each format loses.
 
-Every format that can hold a text says what is simulated or uncalibrated.
+Every format that can hold text states whether the data are simulated or uncalibrated.
 """
 
 from __future__ import annotations
@@ -43,7 +43,7 @@ EXPORTERS: dict[str, Writer] = {
     ".obj": write_obj,
     ".glb": write_glb,
 }
-"""How a surface is written, by the ending of the file."""
+"""Surface writers by file suffix."""
 
 
 def export(
@@ -53,10 +53,47 @@ def export(
     progress: Progress | None = None,
     should_stop: ShouldStop | None = None,
 ) -> Path:
-    """Write a surface strip by strip, whole or not at all; a mosaic is read at its full resolution.
+    """Write a surface to a file in the format given by its suffix.
 
-    every: only every n-th row and column; all of them by default, of a mesh as many as make a million points.
-    Raises DatasetError when the ending names no format, the file cannot be written, or the work is stopped.
+    The surface is written strip by strip and atomically; a mosaic is read at full resolution.
+
+    Parameters
+    ----------
+    surface : HeightMap or Mosaic
+        Surface to write; heights in um.
+    path : str or Path
+        File to write. Its suffix, one of `EXPORTERS`, selects the format: ``.npz``, ``.gwy``, ``.x3p``, ``.gsf``,
+        ``.tif``, ``.tiff``, ``.ply``, ``.pcd``, ``.csv``, ``.xyz``, ``.stl``, ``.obj`` or ``.glb``. An existing file
+        is replaced.
+    every : int, optional
+        Write only every n-th row and column. Default: all of them; for a mesh (``.stl``, ``.obj``, ``.glb``) the
+        smallest n that gives at most a million points.
+    progress : callable, optional
+        Receives the completed fraction, 0 to 1.
+    should_stop : callable, optional
+        Returns True if the work should stop.
+
+    Returns
+    -------
+    Path
+        The file written.
+
+    Raises
+    ------
+    DatasetError
+        When the suffix is unknown, `every` is negative, the file would pass 4 GB (GWY and GLB), a mesh would hold no
+        triangle, the file cannot be written, or the work is stopped.
+
+    Notes
+    -----
+    ``.npz`` holds all layers; `losses` states what the other formats cannot hold. A GWY file that would pass 4 GB with
+    all layers holds heights only. Every format that can hold text states whether the data are simulated or
+    uncalibrated.
+
+    References
+    ----------
+    .. [1] ISO 25178-72, Geometrical product specifications (GPS) - Surface texture: Areal - Part 72: XML file format
+       x3p.
     """
     target = Path(path)
     write = require_known(target)
@@ -71,19 +108,40 @@ def export(
 
 
 def write_surface(height: HeightMap | Mosaic, path: str | Path) -> Path:
-    """Write a surface as the kind of file that the ending names; `export` with nothing else to say."""
+    """Write a surface in the format given by the suffix.
+
+    This is `export` with default options.
+
+    Parameters
+    ----------
+    height : HeightMap or Mosaic
+        Surface to write; heights in um. A mosaic is read at full resolution.
+    path : str or Path
+        File to write; its suffix selects the format, see `export`.
+
+    Returns
+    -------
+    Path
+        The file written.
+
+    Raises
+    ------
+    DatasetError
+        When the suffix is unknown, the file would pass 4 GB (GWY and GLB), a mesh would hold no triangle, or the file
+        cannot be written.
+    """
     return export(height, path)
 
 
 def require_known(path: Path) -> Writer:
-    """The exporter of a file's ending. Raises DatasetError when there is none."""
+    """Return the exporter for a file's suffix. Raises DatasetError when there is none."""
     if (found := EXPORTERS.get(path.suffix.lower())) is None:
         raise DatasetError(f"{path.name} has no ending that is known: take one of {', '.join(EXPORTERS)}.")
     return found
 
 
 def density(surface: HeightMap | Mosaic, path: Path, most_points: int | None = None) -> int:
-    """Every how manieth pixel is written: all of them, unless at most so many points are asked for, or a mesh is."""
+    """Return n for writing every n-th pixel: 1 by default, more for a mesh or a limited number of points."""
     if most_points is not None and most_points < 4:
         raise DatasetError(f"--max-points is {most_points}: a surface has at least 4.")
     if most_points is None and not FORMATS[path.suffix.lower()].is_mesh:
@@ -92,7 +150,7 @@ def density(surface: HeightMap | Mosaic, path: Path, most_points: int | None = N
 
 
 def losses(surface: HeightMap | Mosaic, path: Path, every: int = 1) -> tuple[str, ...]:
-    """What a file cannot hold of a surface, a sentence each; empty where it holds all."""
+    """Return what a file cannot hold of a surface, one sentence each; empty if it holds everything."""
     said = [FORMATS[path.suffix.lower()].loses]
     if every > 1:
         said.append(f"One row and one column in {every} are written, {surface.pixel_um * every:.4g} um apart.")

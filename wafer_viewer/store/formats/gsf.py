@@ -1,7 +1,7 @@
-"""GSF, Gwyddion's simple field: lines of text, then 32-bit floats from the top row down.
+"""GSF, Gwyddion Simple Field: lines of text, then 32-bit floats from the top row down.
 
-Lengths are in m. Its y points downward, so YOffset is minus the stage's y of the top edge. Source: Gwyddion user guide,
-'Gwyddion Simple Field file format'.
+Lengths are in m. Its y axis points downward, so YOffset is minus the stage y of the top edge. Source: Gwyddion user
+guide, 'Gwyddion Simple Field file format'.
 """
 
 from __future__ import annotations
@@ -18,11 +18,11 @@ from wafer_viewer.store.formats.surface_strips import Strips
 MAGIC = b"Gwyddion Simple Field 1.0\n"
 _LARGEST_HEADER = 1_000_000
 _M = 1e-6
-"""A um in m."""
+"""Metres per um."""
 
 
 def write_gsf(strips: Strips, path: Path) -> None:
-    """Heights in m as 32-bit floats, NaN where unmeasured."""
+    """Write heights in m as 32-bit floats, NaN where unmeasured."""
     with path.open("wb") as file:
         file.write(_header(strips))
         for z_um in strips.layer("z_um"):
@@ -30,7 +30,7 @@ def write_gsf(strips: Strips, path: Path) -> None:
 
 
 def read_gsf(path: Path, asked: ReadOptions) -> HeightMap:
-    """Heights of a GSF file. Raises DatasetError for what is no such file, or does not say its units."""
+    """Read the heights of a GSF file. Raises DatasetError when it is no such file or states no units."""
     said, begin = _said(path, asked)
     rows, cols = (_count(said, name, asked) for name in ("YRes", "XRes"))
     if path.stat().st_size != begin + 4 * rows * cols:
@@ -67,7 +67,7 @@ def _header(strips: Strips) -> bytes:
 
 
 def _said(path: Path, asked: ReadOptions) -> tuple[dict[str, str], int]:
-    """The lines of the header, and where the numbers begin."""
+    """Return the header entries, and the offset of the numbers."""
     with path.open("rb") as file:
         content = file.read(_LARGEST_HEADER)
     end = content.find(b"\0")

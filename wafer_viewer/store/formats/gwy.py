@@ -1,8 +1,8 @@
-"""GWY, Gwyddion's own file: containers of named components, layers as channels, masks where pixels are unmeasured.
+"""GWY, Gwyddion's native format: containers of named components, layers as channels, masks for unmeasured pixels.
 
-Lengths are in m, y points downward, and (xoff, yoff) is the top left corner. Heights keep all their digits. Written
-and read here and not by gwyfile, which copies what it has not read yet for each component. Source: Gwyddion user guide,
-'GWY file format'.
+Lengths are in m, y points downward, and (xoff, yoff) is the top left corner. Heights keep full precision. Implemented
+here and not with gwyfile, which copies the unread remainder for each component. Source: Gwyddion user guide, 'GWY file
+format'.
 """
 
 from __future__ import annotations
@@ -24,12 +24,12 @@ from wafer_viewer.store.formats.surface_strips import Strips
 
 _M = 1e-6
 _LARGEST_BYTES = 2**32 - 1
-"""Of an object: its size is said in 32 bits."""
+"""Largest object in bytes: its size is a 32-bit number."""
 
 
 @dataclass(frozen=True, slots=True)
 class Channel:
-    """A layer as a channel: its title, its unit, what it is multiplied by, and whether it has gaps."""
+    """Layer as a channel: title, unit, scale factor, and whether it has gaps."""
 
     layer: str
     title: str
@@ -37,7 +37,7 @@ class Channel:
     scale: float = 1.0
     has_gaps: bool = False
     older_title: str = ""
-    """The title that earlier versions of this program wrote."""
+    """Title written by earlier versions of this program."""
 
 
 CHANNELS = (
@@ -51,14 +51,14 @@ CHANNELS = (
 
 @dataclass(frozen=True, slots=True)
 class _Numbers:
-    """Numbers of a layer that stand in the file as 64-bit floats; of a mask, where they are missing."""
+    """Values of a layer, stored as 64-bit floats, or its mask of missing values."""
 
     channel: Channel
     is_mask: bool = False
 
 
 def write_gwy(strips: Strips, path: Path) -> None:
-    """All layers as channels; heights alone where all of them would pass the 4 GB that the format can hold."""
+    """Write all layers as channels, or only the heights if all would exceed the 4 GB limit of the format."""
     parts = _parts(strips, CHANNELS)
     if _size(strips, parts) > _LARGEST_BYTES:
         parts = _parts(strips, CHANNELS[:1])
@@ -74,17 +74,17 @@ def write_gwy(strips: Strips, path: Path) -> None:
 
 
 def fits(strips: Strips) -> bool:
-    """Whether all layers can be held, or heights alone at least. The second is asked before anything is written."""
+    """Return whether all layers fit into the 4 GB limit; see `fits_heights` for the heights alone."""
     return _size(strips, _parts(strips, CHANNELS)) <= _LARGEST_BYTES
 
 
 def fits_heights(strips: Strips) -> bool:
-    """Whether the heights can be held."""
+    """Return whether the heights alone fit into the 4 GB limit."""
     return _size(strips, _parts(strips, CHANNELS[:1])) <= _LARGEST_BYTES
 
 
 def read_gwy(path: Path, asked: ReadOptions) -> HeightMap:
-    """The layers of a file of ours, the heights of another's. Raises DatasetError where there are no heights."""
+    """Read all layers of a Wafer Viewer file, else the heights only. Raises DatasetError if there are no heights."""
     with path.open("rb") as file:
         is_ours = file.read(len(MAGIC)) == MAGIC
     if not is_ours:
@@ -143,7 +143,7 @@ def _surface(
 
 
 def _heights(tree: Tree, number: int, channels: dict[int, Tree], asked: ReadOptions) -> NDArray[np.float32]:
-    """The heights of a channel; what is under its mask is unmeasured."""
+    """Return the heights of a channel; pixels under its mask are NaN."""
     field = channels[number]
     z_um = scaled(asked, field["data"].reshape(_shape(field)), asked.z_scale_um(_unit(field, "si_unit_z")))
     mask = tree.get(f"/{number}/mask")
@@ -180,7 +180,7 @@ def _is_length(field: Tree) -> bool:
 
 
 def _parts(strips: Strips, channels: tuple[Channel, ...]) -> list[bytes | _Numbers]:
-    """The components of the container, in order."""
+    """Return the components of the container, in order."""
     parts: list[bytes | _Numbers] = []
     said = _object("GwyContainer", _string("Title", title(strips.surface)) + _string(OURS, about(strips)))
     for number, channel in enumerate(channels):
@@ -194,7 +194,7 @@ def _parts(strips: Strips, channels: tuple[Channel, ...]) -> list[bytes | _Numbe
 
 
 def _field(strips: Strips, key: str, numbers: _Numbers) -> list[bytes | _Numbers]:
-    """A GwyDataField: what stands before its numbers, and the numbers."""
+    """Return a GwyDataField: the bytes before its values, and the values."""
     (rows, cols), pixel_m, surface = strips.shape, strips.pixel_um * _M, strips.surface
     unit = "" if numbers.is_mask else numbers.channel.unit
     inside = b"".join(_named(name, "i") + struct.pack("<i", n) for name, n in (("xres", cols), ("yres", rows)))
@@ -214,7 +214,7 @@ def _field(strips: Strips, key: str, numbers: _Numbers) -> list[bytes | _Numbers
 
 
 def _data(strips: Strips, numbers: _Numbers, part: int, of: int) -> Iterator[bytes]:
-    """The numbers of a layer; gaps take the first height of their strip and stand in the mask."""
+    """Yield the values of a layer; gaps get the first height of their strip and are set in the mask."""
     channel, before = numbers.channel, 0.0
     for layer in strips.layer(channel.layer, part, of):
         known = np.isfinite(layer) if channel.has_gaps else np.True_

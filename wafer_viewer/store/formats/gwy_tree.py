@@ -1,4 +1,4 @@
-"""The components of a GWY file as a tree: what is named in it, and arrays as views of the file."""
+"""Parser of GWY components into a tree of named values; arrays are views of the file."""
 
 from __future__ import annotations
 
@@ -17,18 +17,18 @@ Tree = dict[str, Any]
 
 
 def parsed(content: NDArray[np.uint8]) -> Tree:
-    """The container that a file is. Raises ValueError or struct.error where it ends too early."""
+    """Parse the container of a file. Raises ValueError or struct.error when the file ends too early."""
     return _Parser(content).whole()
 
 
 class _Parser:
-    """Reads components; arrays are views of the file. Raises ValueError or struct.error where it ends too early."""
+    """Component parser; arrays are views of the file. Raises ValueError or struct.error when it ends too early."""
 
     def __init__(self, content: NDArray[np.uint8]) -> None:
         self._content, self._at = content, len(MAGIC)
 
     def whole(self) -> Tree:
-        """The container that a file is."""
+        """Return the container of the file."""
         return self._object(len(self._content), 0)
 
     def _object(self, limit: int, depth: int) -> Tree:

@@ -1,4 +1,4 @@
-"""STL, OBJ and GLB: triangles between neighbours that all have a height, facing up. Drawings: they are not read."""
+"""STL, OBJ and GLB: triangles between neighbouring measured pixels, facing up. Export only."""
 
 from __future__ import annotations
 
@@ -32,7 +32,7 @@ Triangles = NDArray[np.int64]
 
 @dataclass(frozen=True, slots=True)
 class _Mesh:
-    """Vertices [n, 3] in um, stage coordinates; their grey; and how many triangles `triangles` will make of them."""
+    """Vertices [n, 3] in um, stage coordinates; their grey values; and the number of triangles."""
 
     part: HeightMap
     known: NDArray[np.bool_]
@@ -46,7 +46,7 @@ class _Mesh:
         return points_of(self.part, *np.nonzero(self.known))
 
     def triangles(self) -> Iterator[Triangles]:
-        """Indices of the vertices, strip by strip."""
+        """Yield the vertex indices of the triangles, strip by strip."""
         rows = self.known.shape[0]
         for top, bottom in pairwise([*range(0, rows - 1, _ROWS_AT_A_TIME), rows - 1]):
             whole = _squares(self.known[top : bottom + 1])
@@ -56,7 +56,7 @@ class _Mesh:
 
 
 def write_stl(strips: Strips, path: Path) -> None:
-    """Binary, in um, x and y from the corner of the surface: STL numbers have seven digits."""
+    """Write binary STL in um, x and y relative to the corner of the surface, as STL numbers have seven digits."""
     mesh = _mesh(strips, path)
     corner = np.array([mesh.part.x0_um, mesh.part.y0_um, 0.0])
     vertices = (mesh.vertices() - corner).astype(np.float32)
@@ -74,7 +74,7 @@ def write_stl(strips: Strips, path: Path) -> None:
 
 
 def write_obj(strips: Strips, path: Path) -> None:
-    """Text, in um, stage coordinates."""
+    """Write text OBJ in um, stage coordinates."""
     mesh = _mesh(strips, path)
     with path.open("w", encoding="utf-8", newline="\n") as file:
         file.writelines(f"# {line}\n" for line in heading(strips))
@@ -85,7 +85,7 @@ def write_obj(strips: Strips, path: Path) -> None:
 
 
 def write_glb(strips: Strips, path: Path) -> None:
-    """glTF 2.0 with grey vertices; a matrix turns um and z up into the m and y up that glTF asks for."""
+    """Write glTF 2.0 with grey vertex colours; a node matrix converts um and z up to glTF's m and y up."""
     mesh = _mesh(strips, path)
     corner = np.array([mesh.part.x0_um, mesh.part.y0_um, 0.0])
     points = (mesh.vertices() - corner).astype("<f4")
@@ -104,7 +104,7 @@ def write_glb(strips: Strips, path: Path) -> None:
 
 
 def _mesh(strips: Strips, path: Path) -> _Mesh:
-    """The vertices of a surface. Raises DatasetError when no four neighbours have a height."""
+    """Return the mesh of a surface. Raises DatasetError when no four neighbouring pixels have a height."""
     parts = list(strips.maps())
     layers: dict[str, Any] = {
         name: np.concatenate([getattr(part, name) for part in parts])
@@ -119,7 +119,7 @@ def _mesh(strips: Strips, path: Path) -> _Mesh:
 
 
 def _squares(known: NDArray[np.bool_]) -> NDArray[np.bool_]:
-    """Where four neighbouring pixels are known, by the top left one of them."""
+    """Return the mask of 2 x 2 pixel squares without gaps, indexed by their top left pixel."""
     return known[:-1, :-1] & known[:-1, 1:] & known[1:, :-1] & known[1:, 1:]
 
 

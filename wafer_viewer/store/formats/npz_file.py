@@ -1,8 +1,7 @@
-"""A height map as ``.npz``: uncompressed, so that its layers can be mapped from the disk instead of read.
+"""Height map as ``.npz``: uncompressed, so that its layers can be memory-mapped.
 
-Keys: z_um, z_raw_um, confidence, all_in_focus, origin [row, col]; of a mosaic overlap_um as well; of a field
-refused_at, refused_z_um, refused_reason [n]; pixel_um, x0_um, y0_um;
-provenance, a JSON text.
+Keys: z_um, z_raw_um, confidence, all_in_focus, origin [row, col]; for a mosaic also overlap_um; for a field also
+refused_at, refused_z_um, refused_reason [n]; pixel_um, x0_um, y0_um; provenance, a JSON text.
 """
 
 from __future__ import annotations
@@ -28,14 +27,14 @@ if TYPE_CHECKING:
 LAYERS = ("z_um", "z_raw_um", "confidence", "all_in_focus", "origin")
 OVERLAP = "overlap_um"
 REFUSED = {"at": "refused_at", "z_um": "refused_z_um", "reason": "refused_reason"}
-"""Attributes of `RefusedHeights` and their keys; a file from before they were kept has none of them."""
+"""Attributes of `RefusedHeights` and their keys; older files have none of them."""
 PLACE = ("pixel_um", "x0_um", "y0_um")
 _LOCAL_HEADER = struct.Struct("<26xHH")
-"""The end of a zip member's own header: the lengths of its name and of its extra field."""
+"""End of the local header of a zip member: lengths of its name and of its extra field."""
 
 
 def write_npz(surface: HeightMap, path: Path) -> None:
-    """Write a height map to a path, whatever its ending."""
+    """Write a height map to a path with any suffix."""
     arrays: dict[str, Any] = {name: getattr(surface, name) for name in (*LAYERS, *PLACE)}
     arrays |= {} if surface.overlap_um is None else {OVERLAP: surface.overlap_um}
     if surface.refused is not None:
@@ -46,7 +45,7 @@ def write_npz(surface: HeightMap, path: Path) -> None:
 
 
 def write_npz_strips(strips: Strips, path: Path) -> None:
-    """Write a surface to a path layer by layer, each strip by strip: a few rows of it are in memory at a time."""
+    """Write a surface layer by layer and strip by strip, with only a few rows in memory."""
     surface, (rows, cols) = strips.surface, strips.shape
     corner = surface.window(Region.point(surface.x0_um, surface.y0_um))
     with_overlap = corner.overlap_um is not None and strips.every == 1
@@ -67,15 +66,17 @@ def write_npz_strips(strips: Strips, path: Path) -> None:
 
 
 def read_npz(path: str | Path, *, verify: bool = True) -> HeightMap:
-    """Read a height map; its layers are mapped copy-on-write, so changing them does not change the file.
+    """Read a height map from an ``.npz`` file.
+
+    The layers are mapped copy-on-write, so changes do not reach the file.
 
     Parameters
     ----------
-    path
+    path : str or Path
         The ``.npz``.
-    verify
-        Test the checksum of the file, for which all of it is read, once in a process as long as it does not change.
-        Without it only the place and the provenance are verified, not the layers.
+    verify : bool, default True
+        Test the checksum of the file, which reads all of it, once per process as long as it does not change. Without it
+        only the position and the provenance are verified, not the layers.
 
     Returns
     -------
@@ -85,7 +86,14 @@ def read_npz(path: str | Path, *, verify: bool = True) -> HeightMap:
     Raises
     ------
     DatasetError
-        When the file is no ``.npz`` of a height map, or its checksum differs.
+        When the file does not exist, is no ``.npz`` of a height map, its layers differ in shape, or its checksum
+        differs.
+    WaferViewerError
+        When the provenance in the file is invalid.
+
+    Notes
+    -----
+    Compressed layers cannot be mapped and are read into memory.
     """
     place = Path(path)
     try:
@@ -114,7 +122,7 @@ def read_npz(path: str | Path, *, verify: bool = True) -> HeightMap:
 
 
 def _read_refused(path: Path, file: IO[bytes], archive: zipfile.ZipFile) -> RefusedHeights | None:
-    """The refused heights; None in a file that was written before they were kept."""
+    """Read the refused heights; None in older files without them."""
     if f"{REFUSED['at']}.npy" not in archive.namelist():
         return None
     arrays = {name: _map_member(path, file, archive.getinfo(f"{key}.npy")) for name, key in REFUSED.items()}
@@ -138,7 +146,7 @@ def _map_member(path: Path, file: IO[bytes], member: zipfile.ZipInfo) -> NDArray
 
 
 def _array_header(file: IO[bytes]) -> tuple[tuple[int, ...], bool, np.dtype[Any]]:
-    """Shape, order and type that stand before an array's numbers."""
+    """Read shape, Fortran order and dtype from the header of an array."""
     version = np.lib.format.read_magic(file)
     read = np.lib.format.read_array_header_1_0 if version == (1, 0) else np.lib.format.read_array_header_2_0
     return read(file)

@@ -1,7 +1,7 @@
-"""PCD 0.7: points with a height as 32-bit floats, x and y from the corner of the surface, which a comment names.
+"""PCD 0.7: measured points as 32-bit floats, x and y relative to the corner given in a comment.
 
-Most programs that read PCD know no 64-bit floats (Open3D reads zeros for them), and as 32-bit floats stage coordinates
-of a whole wafer would be off by a tenth of a pixel.
+Most programs that read PCD do not support 64-bit floats (Open3D reads zeros for them), and as 32-bit floats the stage
+coordinates on a wafer would be off by a tenth of a pixel.
 """
 
 from __future__ import annotations
@@ -25,7 +25,7 @@ _KINDS = {"F": "f", "U": "u", "I": "i"}
 
 
 def write_pcd(strips: Strips, path: Path) -> None:
-    """Binary."""
+    """Write binary PCD."""
     n_points, surface = count(strips, 0, 2), strips.surface
     header = [
         "# .PCD v0.7 - Point Cloud Data file format",
@@ -53,7 +53,7 @@ def write_pcd(strips: Strips, path: Path) -> None:
 
 
 def read_pcd(path: Path, asked: ReadOptions) -> HeightMap:
-    """The surface that the points of a PCD file lie on."""
+    """Read the surface sampled by the points of a PCD file."""
     head = _head(path, asked)
     about = told_by(head.comments.get(OURS))
     points = PointCloud(lambda: _blocks(path, head, asked), units_of(head.comments.get("unit"), about, asked), about)

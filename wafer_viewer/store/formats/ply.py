@@ -1,4 +1,4 @@
-"""PLY: points with a height, stage um as 64-bit floats, grey as the all-in-focus image, with origin and confidence."""
+"""PLY: measured points, stage um as 64-bit floats, grey from the all-in-focus image, origin and confidence."""
 
 from __future__ import annotations
 
@@ -39,7 +39,7 @@ _LARGEST_HEADER = 1_000_000
 
 
 def write_ply(strips: Strips, path: Path) -> None:
-    """Binary, little-endian."""
+    """Write binary little-endian PLY."""
     properties = [
         *(f"double {c}" for c in "xyz"),
         *(f"uchar {c}" for c in ("red", "green", "blue", "origin")),
@@ -65,7 +65,7 @@ def write_ply(strips: Strips, path: Path) -> None:
 
 
 def read_ply(path: Path, asked: ReadOptions) -> HeightMap:
-    """The surface that the points of a PLY file lie on, meshes included: their vertices."""
+    """Read the surface sampled by the points of a PLY file, or by the vertices of a mesh."""
     head = _head(path, asked)
     about = told_by(head.comments.get(OURS))
     points = PointCloud(lambda: _blocks(path, head, asked), units_of(head.comments.get("unit"), about, asked), about)

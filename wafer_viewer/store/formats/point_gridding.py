@@ -1,7 +1,7 @@
-"""Points of a file laid on the lattice that they were taken on; or, when asked, on one that a person gives.
+"""Gridding of points on their own lattice, or on request on a lattice with a given pixel size.
 
-Points come in blocks and can be asked for twice, so that a file larger than memory can be read: once to find the
-lattice, where the file does not say it, and once to lay them down.
+Points come in blocks and can be read twice, so that a file may exceed the memory: once to detect the lattice, if the
+file does not state it, and once to fill it.
 """
 
 from __future__ import annotations
@@ -18,15 +18,15 @@ from wafer_viewer.store.formats.embedded_metadata import EmbeddedMetadata
 from wafer_viewer.store.formats.reader_support import ReadOptions, heights_only
 
 Block = dict[str, NDArray[Any]]
-"""Points by the names of their columns: x, y, z, and what else there is."""
+"""Points by column name: x, y, z, and further columns."""
 Blocks = Callable[[], Iterator[Block]]
 MOST_LINES = 2_000_000
-"""Points with more different x or y than this lie on no lattice."""
+"""Points with more distinct x or y values than this are not on a lattice."""
 MOST_PIXELS = 400_000_000
 _OFF = 0.1
-"""How far from a pixel's centre a point of a lattice may lie, in pixels."""
+"""Largest distance of a lattice point from its pixel centre, in pixels."""
 _SPARSE = 0.02
-"""A lattice has at least this share of its places taken."""
+"""Least fraction of occupied lattice positions."""
 _UNEVEN = 1e-3
 _TOO_FEW = 2
 Floats = NDArray[np.float64]
@@ -34,7 +34,7 @@ Floats = NDArray[np.float64]
 
 @dataclass(frozen=True, slots=True)
 class PointLattice:
-    """Where pixels lie, in um."""
+    """Pixel size and origin of a lattice in um, and its shape."""
 
     pixel_um: float
     x0_um: float
@@ -45,7 +45,7 @@ class PointLattice:
 
 @dataclass(frozen=True, slots=True)
 class PointCloud:
-    """The points of a file: how to go through them, their unit in um, and what the file says of itself."""
+    """Points of a file: block iterator factory, units of x, y, z in um, and embedded metadata."""
 
     blocks: Blocks
     unit_um: tuple[float, float, float]
@@ -53,7 +53,7 @@ class PointCloud:
 
 
 def surface_of_points(points: PointCloud, asked: ReadOptions) -> HeightMap:
-    """The surface that points lie on. Raises DatasetError for scattered ones, unless a person gives a pixel size."""
+    """Return the gridded surface. Raises DatasetError for scattered points without a given pixel size."""
     asked_um = asked.says.pixel_um
     about = points.about
     if about is not None:
@@ -74,7 +74,7 @@ def surface_of_points(points: PointCloud, asked: ReadOptions) -> HeightMap:
 
 
 def _laid(points: PointCloud, lattice: PointLattice, asked: ReadOptions) -> HeightMap | None:
-    """The points on a lattice, each on its own place; None where one lies off it, outside, or on a place taken."""
+    """Assign each point to its lattice position; None if one is off the lattice, outside, or a duplicate."""
     layers = _Layers(lattice)
     for block in points.blocks():
         x_um, y_um, z_um = _um(block, points)
@@ -88,7 +88,7 @@ def _laid(points: PointCloud, lattice: PointLattice, asked: ReadOptions) -> Heig
 
 
 class _Layers:
-    """The layers of a surface while points are laid down; those that no file has take no memory."""
+    """Layers of a surface during gridding; columns that the file lacks take no memory."""
 
     def __init__(self, lattice: PointLattice) -> None:
         self._lattice, self._n = lattice, lattice.rows * lattice.cols
@@ -98,7 +98,7 @@ class _Layers:
         self._grey: NDArray[np.uint8] | None = None
 
     def put(self, at: NDArray[np.int64], z_um: Floats, block: Block) -> bool:
-        """Put points down; False where two have one place."""
+        """Store points; False if two share a position."""
         if np.isfinite(self._z[at]).any():
             return False
         self._z[at] = z_um
@@ -116,7 +116,7 @@ class _Layers:
         return True
 
     def surface(self, provenance: Provenance | None, asked: ReadOptions) -> HeightMap:
-        """The surface of what was put down."""
+        """Return the gridded surface."""
         shape, here = (self._lattice.rows, self._lattice.cols), self._lattice
         place = here.pixel_um, here.x0_um, here.y0_um
         more = [name for name, layer in (("confidence", self._confidence), ("grey", self._grey)) if layer is not None]
@@ -137,7 +137,7 @@ class _Layers:
 
 
 def _gridded(points: PointCloud, pixel_um: float, asked: ReadOptions) -> HeightMap:
-    """Scattered points on a lattice: each pixel takes the mean of those in it, and is unmeasured without any."""
+    """Grid scattered points: each pixel is the mean of the points in it, NaN without any."""
     low, high = np.full(2, np.inf), np.full(2, -np.inf)
     for block in points.blocks():
         x_um, y_um, _ = _um(block, points)
@@ -160,7 +160,7 @@ def _gridded(points: PointCloud, pixel_um: float, asked: ReadOptions) -> HeightM
 
 
 def _found(points: PointCloud, asked: ReadOptions) -> PointLattice | None:
-    """The lattice that points lie on; None where there is none."""
+    """Detect the lattice of the points; None if there is none."""
     xs, ys, n_points = np.empty(0), np.empty(0), 0
     for block in points.blocks():
         x_um, y_um, _ = _um(block, points)
@@ -184,7 +184,7 @@ def _found(points: PointCloud, asked: ReadOptions) -> PointLattice | None:
 
 
 def _pitch(values: Floats) -> tuple[float, int] | None:
-    """The pitch of the places that sorted values lie on, and how many there are; None where they are irregular."""
+    """Return the pitch of sorted values and the number of positions; None if they are irregular."""
     steps = np.diff(values)
     smallest = float(steps.min())
     pitch = float(np.median(steps[steps < 1.5 * smallest]))  # rounded texts scatter a little about it
@@ -205,7 +205,7 @@ def _require_room(lattice: PointLattice, asked: ReadOptions) -> None:
 
 
 def _um(block: Block, points: PointCloud) -> tuple[Floats, Floats, Floats]:
-    """x, y and z of the points with a height, in um; the columns of a block are cut to them."""
+    """Return x, y and z in um of the points with a height; removes the other points from the block."""
     known = np.isfinite(block["x"]) & np.isfinite(block["y"]) & np.isfinite(block["z"])
     if not known.all():
         for name in block:

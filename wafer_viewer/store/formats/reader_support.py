@@ -1,4 +1,4 @@
-"""From the numbers of a file to a surface: units, signs, lattices, and what is refused with the reason."""
+"""Conversion of file values to a surface: units, signs, lattices, and errors with the reason."""
 
 from __future__ import annotations
 
@@ -29,32 +29,32 @@ UNITS_UM = {
 }
 """Units of length, in um."""
 _ROUND_OFF = 1e-3
-"""By how much two statements of one length may differ, relatively."""
+"""Relative tolerance between two values of the same length."""
 Heights = NDArray[np.float32]
 
 
 @dataclass(frozen=True, slots=True)
 class ReadOptions:
-    """A file that is being read: its name, what a person says of it, and who hears how far it is."""
+    """File being read: its name, the options of the user, and the progress callbacks."""
 
     name: str
     says: Reading = Reading()
     progress: Progress | None = None
     should_stop: ShouldStop | None = None
     notes: list[str] = field(default_factory=list[str])
-    """What a reader of the numbers should know; the readers add to it."""
+    """Remarks on the data, added by the readers."""
 
     def refuse(self, why: str) -> DatasetError:
-        """The error that says why the file is not read."""
+        """Return the error with the reason why the file is not read."""
         return DatasetError(f"{self.name} {why}")
 
     def require_heights_up(self, quantity: str) -> None:
-        """Refuse what a file calls depths, unless a person said that they be turned over."""
+        """Raise DatasetError for depths, unless the user requested an inverted z."""
         if quantity.strip().lower().startswith("depth") and not self.says.invert_z:
             raise self.refuse(f"holds depths, not heights ({quantity}): give --invert-z to invert them.")
 
     def z_scale_um(self, unit: str | None) -> float:
-        """What heights are multiplied with, by the unit that the file gives and the one that a person gives."""
+        """Return the factor from file heights to um, by the unit of the file or that given by the user."""
         sign = -1.0 if self.says.invert_z else 1.0
         given = self.says.z_unit
         if not unit and given is None:
@@ -66,11 +66,11 @@ class ReadOptions:
         return sign * self._length(unit, "its heights")
 
     def lateral_um(self, unit: str | None, what: str = "its x and y") -> float | None:
-        """A lateral unit in um; None where the file gives none."""
+        """Return a lateral unit in um; None if the file gives none."""
         return self._length(unit, what) if unit else None
 
     def pixel_um(self, dx_um: float | None, dy_um: float | None = None) -> float:
-        """The pixel size, by the file's two and a person's. Pixels must be square, and both must say the same."""
+        """Return the pixel size in um. Raises DatasetError if not square, or the user's value differs."""
         given = self.says.pixel_um
         if dx_um is None or not math.isfinite(dx_um) or dx_um == 0:
             if given is None:
@@ -88,7 +88,7 @@ class ReadOptions:
         return dx_um
 
     def watch(self, items: list[Any]) -> Iterator[Any]:
-        """The items, with progress told after each. Raises DatasetError when the work is to stop."""
+        """Yield the items with a progress report after each. Raises DatasetError when stopped."""
         return watched(items, len(items), f"Reading {self.name}", self.progress, self.should_stop)
 
     def _length(self, unit: str, what: str) -> float:
@@ -101,7 +101,7 @@ class ReadOptions:
 
 
 def scaled(asked: ReadOptions, raw: NDArray[Any], factor: float, offset_um: float = 0.0) -> Heights:
-    """Raw numbers [row, col] as heights in um, strip by strip."""
+    """Convert raw values [row, col] to heights in um, strip by strip."""
     heights = np.empty(raw.shape, np.float32)
     for top in asked.watch(list(range(0, raw.shape[0], STRIP_ROWS))):
         rows = slice(top, top + STRIP_ROWS)
@@ -118,9 +118,9 @@ def heights_only(
     provenance: Provenance | None,
     held: str = "heights only",
 ) -> HeightMap:
-    """The surface of a file that holds heights and nothing else; what it lacks takes no memory.
+    """Return the surface of a file that holds only heights; missing layers take no memory.
 
-    Raises DatasetError where there is no height.
+    Raises DatasetError if there is no height.
     """
     known = np.isfinite(z_um)
     require_some(asked, known)
@@ -141,11 +141,11 @@ def heights_only(
 
 
 def require_some(asked: ReadOptions, known: NDArray[np.bool_]) -> None:
-    """Raise DatasetError where nothing is known."""
+    """Raise DatasetError if no pixel is known."""
     if not known.any():
         raise asked.refuse("holds no height: write it again from a surface that has some.")
 
 
 def same(a: float, b: float) -> bool:
-    """Whether two statements of one length agree."""
+    """Return whether two values of the same length agree."""
     return math.isclose(a, b, rel_tol=_ROUND_OFF)

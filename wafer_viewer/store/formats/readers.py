@@ -1,4 +1,4 @@
-"""Surfaces out of files that other programs, or this one, wrote. The ending picks the format."""
+"""Import of surfaces from files of this and other programs; the suffix selects the format."""
 
 from __future__ import annotations
 
@@ -46,11 +46,11 @@ READERS: dict[str, Reader] = {
     ".csv": read_table,
     ".xyz": read_table,
 }
-"""How a surface is read, by the ending of the file."""
+"""Surface readers by file suffix."""
 
 
 DAMAGE = (OSError, ValueError, OverflowError, SyntaxError, KeyError, TypeError, struct.error, tokenize.TokenError)
-"""What libraries raise where a file is damaged in a way that no reader looks for."""
+"""Exceptions that libraries raise for damage that no reader checks for."""
 
 
 def read_surface(
@@ -61,13 +61,50 @@ def read_surface(
     progress: Progress | None = None,
     should_stop: ShouldStop | None = None,
 ) -> HeightMap:
-    """Read a surface from a file; what another program wrote has no calibration, so that its lengths are uncalibrated.
+    """Read a surface from a file in the format given by its suffix.
 
-    z_unit: unit of the heights where the file says none, of all three coordinates of points; pixel_um: pixel size where
-    the file says none, or the lattice to grid scattered points on; invert_z: its numbers are depths.
+    Lengths from other programs are uncalibrated.
 
-    Raises DatasetError, one sentence with the file, the thing and the mend, for whatever is no surface, is damaged,
-    says no unit or contradicts itself.
+    Parameters
+    ----------
+    path : str or Path
+        File to read: ``.npz``, ``.gwy``, ``.x3p``, ``.gsf``, ``.tif``, ``.tiff``, ``.ply``, ``.pcd``, ``.csv`` or
+        ``.xyz``.
+    z_unit : str, optional
+        Unit of the heights if the file states none (m, cm, mm, um, nm, pm or inch), for points of all three
+        coordinates.
+    pixel_um : float, optional
+        Pixel size in um if the file states none, or the lattice pitch for scattered points.
+    invert_z : bool, default False
+        The values are depths: their sign is inverted.
+    progress : callable, optional
+        Receives the completed fraction, 0 to 1.
+    should_stop : callable, optional
+        Returns True if the work should stop.
+
+    Returns
+    -------
+    HeightMap
+        Heights in um; see `HeightMap`.
+
+    Raises
+    ------
+    DatasetError
+        With one sentence on the file, the cause and the remedy: when the file does not exist, is no surface, is a mesh,
+        is damaged, holds no height, states no unit or no pixel size and none is given, contradicts itself or the given
+        values, or the work is stopped.
+    WaferViewerError
+        When the provenance in an ``.npz`` is invalid.
+
+    Notes
+    -----
+    The files that `export` writes can be read, except meshes (``.stl``, ``.obj``, ``.glb``). For an ``.npz``, `z_unit`,
+    `pixel_um` and `invert_z` have no effect. A surface of heights only has confidence 1 and a black all-in-focus image.
+
+    References
+    ----------
+    .. [1] ISO 25178-72, Geometrical product specifications (GPS) - Surface texture: Areal - Part 72: XML file format
+       x3p.
     """
     place = Path(path)
     read = _reader_of(place)
@@ -81,7 +118,7 @@ def read_surface(
 
 
 def is_surface_file(path: Path) -> bool:
-    """Whether a path names a surface file by its ending, be it readable or not; a TIFF only if it holds floats."""
+    """Return whether the suffix is that of a surface file; a TIFF must also hold floats."""
     ending = path.suffix.lower()
     if ending in (".tif", ".tiff"):
         return path.is_file() and is_heights(path)

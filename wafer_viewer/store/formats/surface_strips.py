@@ -1,4 +1,4 @@
-"""A surface read strip by strip, at full or lower density, so that files larger than memory can be written."""
+"""Strip-wise access to a surface, at full or lower density, for surfaces larger than memory."""
 
 from __future__ import annotations
 
@@ -16,14 +16,14 @@ from wafer_viewer.store.io.progress import watched
 from wafer_viewer.store.mosaic.zarr_mosaic import ZarrMosaic
 
 STRIP_ROWS = 256
-"""Rows of full density that are in memory at a time: as many as a chunk of a mosaic has."""
+"""Rows of full density in memory at a time, as many as in a mosaic chunk."""
 
 
 @dataclasses.dataclass(frozen=True, slots=True)
 class Strips:
-    """Every so manieth row and column of a surface, from the top edge down.
+    """Every n-th row and column of a surface, from the top edge down.
 
-    A writer that goes through it several times says which pass of how many it is in, for the progress that is told.
+    For progress reports, a writer with several passes gives the index and the number of passes.
     """
 
     surface: HeightMap | Mosaic
@@ -37,13 +37,13 @@ class Strips:
 
     @property
     def shape(self) -> tuple[int, int]:
-        """(rows, cols) of what is written."""
+        """(rows, cols) of the written surface."""
         rows, cols = self.surface.shape
         return -(-rows // self.every), -(-cols // self.every)
 
     @property
     def pixel_um(self) -> float:
-        """From one written pixel to the next."""
+        """Distance between written pixels in um."""
         return self.surface.pixel_um * self.every
 
     @property
@@ -52,13 +52,13 @@ class Strips:
         return self.surface.y0_um - (self.shape[0] - 1) * self.pixel_um
 
     def layer(self, name: str, part: int = 0, of: int = 1, *, upward: bool = False) -> Iterator[NDArray[Any]]:
-        """A layer, strip by strip; `upward` from the bottom edge, rows turned round."""
+        """Yield a layer strip by strip; `upward`: from the bottom edge, with rows reversed."""
         for rows in self._watched(part, of, upward):
             strip = self._read(name, rows)
             yield strip[::-1] if upward else strip
 
     def maps(self, part: int = 0, of: int = 1) -> Iterator[HeightMap]:
-        """All layers, strip by strip."""
+        """Yield all layers strip by strip."""
         for rows in self._watched(part, of, upward=False):
             whole = _window(self.surface, rows)
             yield whole if self.every == 1 else thinned(whole, self.every)
@@ -83,7 +83,7 @@ class Strips:
 
 
 def thinned(surface: HeightMap, every: int) -> HeightMap:
-    """Every so manieth row and column of a map: heights that were measured, not means of them."""
+    """Return every n-th row and column of a map: measured heights, not means."""
     sparse = slice(None, None, every)
     names = ("z_um", "z_raw_um", "confidence", "all_in_focus", "origin")
     layers = {name: getattr(surface, name)[sparse, sparse].copy() for name in names}  # a view would keep it all

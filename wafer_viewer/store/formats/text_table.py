@@ -1,4 +1,4 @@
-"""CSV and XYZ: a line of text for each pixel with a height, below lines that begin with #."""
+"""CSV and XYZ: one line of text per measured pixel, after header lines that begin with #."""
 
 from __future__ import annotations
 
@@ -24,17 +24,17 @@ _DELIMITERS = (",", ";", "\t", " ")
 
 
 def write_csv(strips: Strips, path: Path) -> None:
-    """x_um, y_um, z_um and the code of its origin, below the names of the columns."""
+    """Write x_um, y_um, z_um and the origin code, with a line of column names."""
     _write(strips, path, ",", ("x_um,y_um,z_um,origin",), with_origin=True)
 
 
 def write_xyz(strips: Strips, path: Path) -> None:
-    """x, y and z in um, nothing else."""
+    """Write x, y and z in um only."""
     _write(strips, path, " ", (), with_origin=False)
 
 
 def read_table(path: Path, asked: ReadOptions) -> HeightMap:
-    """The surface that the points of a table lie on; x, y and z are the first three columns, or those so called."""
+    """Read the surface sampled by the points of a table; x, y, z by name or as the first three columns."""
     head = _head(path, asked)
     points = PointCloud(lambda: _blocks(path, head, asked), _units(head, asked), head.about)
     return surface_of_points(points, asked)
@@ -51,7 +51,7 @@ def _write(strips: Strips, path: Path, between: str, above: tuple[str, ...], *, 
 
 
 def _line(part: HeightMap, row: int, xs: list[str], y: str, before_origin: str) -> str:
-    """The points of a row, each with its line break."""
+    """Return the points of a row, each with its line break."""
     z_um = part.z_um[row]
     cols = np.flatnonzero(np.isfinite(z_um))
     ends = (
@@ -65,7 +65,7 @@ def _line(part: HeightMap, row: int, xs: list[str], y: str, before_origin: str) 
 
 @dataclass(frozen=True, slots=True)
 class _Head:
-    """The columns by what they hold, their units, and what separates them."""
+    """Column indices by quantity, their units, and the delimiter."""
 
     columns: dict[str, int]
     units: dict[str, str]
@@ -98,7 +98,7 @@ def _head(path: Path, asked: ReadOptions) -> _Head:
 
 
 def _names(cells: list[str], asked: ReadOptions) -> tuple[dict[str, int], dict[str, str]]:
-    """Columns and units by the line of names; the first three columns where there is none."""
+    """Return columns and units from the line of names; the first three columns without one."""
     if _is_number(cells[0]):
         if len(cells) < 3:
             raise asked.refuse("has fewer than three columns: give a table with x, y and z.")
@@ -121,7 +121,7 @@ def _names(cells: list[str], asked: ReadOptions) -> tuple[dict[str, int], dict[s
 
 
 def _units(head: _Head, asked: ReadOptions) -> tuple[float, float, float]:
-    """The units of x, y and z in um, each by its own column."""
+    """Return the units of x, y and z in um, each from its own column."""
     if not head.units:
         return units_of(None, head.about, asked)
     if missing := [axis for axis in "xyz" if axis not in head.units]:
@@ -131,7 +131,7 @@ def _units(head: _Head, asked: ReadOptions) -> tuple[float, float, float]:
 
 
 def _require_one(units: dict[str, str], said: str, asked: ReadOptions) -> None:
-    """Columns and a comment must not contradict each other."""
+    """Raise DatasetError when the units of columns and comment contradict each other."""
     for axis, unit in units.items():
         if asked.lateral_um(unit) != asked.lateral_um(said):
             raise asked.refuse(f"says that its unit is {said} and that its {axis} is in {unit}: keep what is right.")

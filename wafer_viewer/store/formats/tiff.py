@@ -1,4 +1,4 @@
-"""TIFF of 32-bit floats: heights in um, NaN where unmeasured, the pixel size as resolution, the rest as JSON."""
+"""Height TIFF: 32-bit floats in um, NaN where unmeasured, pixel size as resolution, other metadata as JSON."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ _NO_DATA = "GDAL_NODATA"
 
 
 def write_tiff(strips: Strips, path: Path) -> None:
-    """z_um as 32-bit floats, NaN where unmeasured; filled pixels are as others."""
+    """Write z_um as 32-bit floats, NaN where unmeasured; filled pixels are not marked."""
     import tifffile
 
     per_cm = _UM_PER_CM / strips.pixel_um
@@ -46,7 +46,7 @@ def write_tiff(strips: Strips, path: Path) -> None:
 
 
 def read_tiff(path: Path, asked: ReadOptions) -> HeightMap:
-    """Heights of a TIFF of floats. Raises DatasetError for integers, colour, and what does not say its units."""
+    """Read the heights of a float TIFF. Raises DatasetError for integers, colour, or missing units."""
     import tifffile
 
     try:
@@ -80,7 +80,7 @@ def read_tiff(path: Path, asked: ReadOptions) -> HeightMap:
 
 
 def is_heights(path: Path) -> bool:
-    """Whether a TIFF holds floats, and so heights, and no images of a focus stack."""
+    """Return whether a TIFF holds floats, hence heights and not the images of a focus stack."""
     import tifffile
 
     try:
@@ -102,7 +102,7 @@ def _require_heights(page: TiffPage, asked: ReadOptions) -> None:
 
 
 def _facts(page: TiffPage) -> dict[str, Any]:
-    """What the description says, where it is JSON."""
+    """Return the description if it is a JSON object, otherwise an empty dict."""
     try:
         found: Any = json.loads(page.description)
     except ValueError:
@@ -111,7 +111,7 @@ def _facts(page: TiffPage) -> dict[str, Any]:
 
 
 def _lateral_um(file: Any, asked: ReadOptions) -> tuple[float, float] | None:
-    """Pixel sizes along x and y: ImageJ's unit, or pixels per cm. Dots per inch are those of a screen or a printer."""
+    """Return the pixel sizes along x and y in um, from ImageJ's unit or pixels per cm; dots per inch are ignored."""
     page, by_imagej = file.pages.first, file.imagej_metadata or {}
     tags = [page.tags.get(name) for name in ("XResolution", "YResolution")]
     if None in tags or any(0 in tag.value for tag in tags):

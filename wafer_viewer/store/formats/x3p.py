@@ -1,8 +1,8 @@
 """X3P, ISO 25178-72 (revision ISO5436_2000): a zip of main.xml, the heights, and their MD5 checksums.
 
-Lengths are in m and right-handed: the first row is that of the smallest y, and (Offset of CX, Offset of CY) is where
-its first point lies. Written and read here and not by x3pio, which holds several copies of the heights in memory and
-can neither be stopped nor say how far it is; the tests hold both to each other.
+Lengths are in m and right-handed: the first row has the smallest y, and (Offset of CX, Offset of CY) is its first
+point. Implemented here and not with x3pio, which holds several copies of the heights in memory and supports neither
+stopping nor progress; the tests compare the two.
 """
 
 from __future__ import annotations
@@ -32,7 +32,7 @@ _LARGEST_XML = 16_000_000
 
 
 def write_x3p(strips: Strips, path: Path) -> None:
-    """Heights in m as 64-bit floats, NaN where unmeasured."""
+    """Write heights in m as 64-bit floats, NaN where unmeasured."""
     digest = hashlib.md5(usedforsecurity=False)
     with zipfile.ZipFile(path, "w", allowZip64=True) as archive:
         with archive.open(DATA, "w", force_zip64=True) as file:
@@ -46,7 +46,7 @@ def write_x3p(strips: Strips, path: Path) -> None:
 
 
 def read_x3p(path: Path, asked: ReadOptions) -> HeightMap:
-    """Heights of an X3P file. Raises DatasetError where it is damaged, or holds anything but one surface on a grid."""
+    """Read the heights of an X3P file. Raises DatasetError when damaged, or not one surface on a grid."""
     try:
         with zipfile.ZipFile(path) as archive:
             return _read(archive, _main_of(archive, asked), asked)
@@ -66,7 +66,7 @@ def _read(archive: zipfile.ZipFile, main: ElementTree.Element, asked: ReadOption
 
 
 def _main(strips: Strips, digest: str) -> bytes:
-    """main.xml. The calibration's date is left out where there is no calibration, as the standard's text says."""
+    """Return main.xml. The calibration date is omitted without a calibration, as the standard states."""
     provenance, (rows, cols), pixel_m = strips.surface.provenance, strips.shape, strips.pixel_um * _M
     calibration = provenance.calibration
     tree: dict[str, Any] = {
@@ -121,7 +121,7 @@ def _grow(parent: ElementTree.Element, tree: dict[str, Any]) -> None:
 
 
 def _main_of(archive: zipfile.ZipFile, asked: ReadOptions) -> ElementTree.Element:
-    """The root of main.xml, whose checksum fits and which describes one surface."""
+    """Return the root of main.xml after a check of its checksum and its feature type."""
     name = next((n for n in archive.namelist() if n.lower().endswith(MAIN)), None)
     if name is None:
         raise asked.refuse(f"is not an X3P file, it has no {MAIN}: give one that has.")
@@ -147,7 +147,7 @@ def _main_of(archive: zipfile.ZipFile, asked: ReadOptions) -> ElementTree.Elemen
 def _heights(
     archive: zipfile.ZipFile, main: ElementTree.Element, factor: float, offset_um: float, asked: ReadOptions
 ) -> NDArray[np.float32]:
-    """The heights, the row of the largest y first, as they come out of the archive; NaN where they are invalid."""
+    """Return the heights with the row of the largest y first; NaN where invalid."""
     rows, cols, layers = (_size(main, name, asked) for name in ("SizeY", "SizeX", "SizeZ"))
     if layers != 1:
         raise asked.refuse(f"has {layers} layers and one is read: write the one that is wanted into its own file.")
@@ -173,7 +173,10 @@ def _heights(
 
 
 def _valid(archive: zipfile.ZipFile, main: ElementTree.Element, n: int, asked: ReadOptions) -> NDArray[np.bool_] | None:
-    """Integers have no NaN: a file of bits, the lowest first, says which points are valid; None where all are."""
+    """Return the validity mask, as integers have no NaN; None if all points are valid.
+
+    It is stored as bits, the lowest first.
+    """
     link = _text(main, "Record3/DataLink/ValidPointsLink")
     if link is None:
         return None
@@ -191,13 +194,13 @@ def _there(archive: zipfile.ZipFile, link: str, asked: ReadOptions) -> str:
 
 
 def _require_sum(said: str, digest: Any, what: str, asked: ReadOptions) -> None:
-    """A checksum that is missing is not checked, as others do."""
+    """Raise DatasetError when a checksum differs; a missing one is not checked, as in other readers."""
     if said.strip() and said.strip().lower() != digest.hexdigest():
         raise asked.refuse(f"was changed after it was written, the checksum of its {what} is wrong: copy it again.")
 
 
 def _axis(main: ElementTree.Element, name: str, asked: ReadOptions) -> tuple[float, float]:
-    """Increment and offset of an axis, in m."""
+    """Return increment and offset of an axis, in m."""
     kind = _text(main, f"Record1/Axes/{name}/AxisType")
     if kind != ("A" if name == "CZ" else "I"):
         raise asked.refuse(f"has an axis {name} of type '{kind}': write it on a regular grid.")
@@ -219,6 +222,6 @@ def _size(main: ElementTree.Element, name: str, asked: ReadOptions) -> int:
 
 
 def _text(root: ElementTree.Element, path: str) -> str | None:
-    """The text of an element; those of some programs have a namespace, those of others none."""
+    """Return the text of an element, with or without a namespace."""
     found = root.find("/".join(f"{{*}}{name}" for name in path.split("/")))
     return None if found is None or found.text is None else found.text.strip()

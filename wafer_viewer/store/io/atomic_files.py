@@ -1,4 +1,4 @@
-"""Small habits of writing: beside first and renamed into place, so that no half-written file is ever found."""
+"""Atomic writes: data go to a temporary file that is then renamed, so that no partial file is visible."""
 
 from __future__ import annotations
 
@@ -27,9 +27,9 @@ _MENDS = {
 
 @contextmanager
 def replacing(path: Path) -> Generator[Path]:
-    """A path beside `path` to write a file or a folder to; renamed into place at the end, removed on any failure.
+    """Context manager for an atomic write: yields a temporary path, renamed to `path`, or removed on failure.
 
-    Raises DatasetError when the place cannot be written to.
+    The path may be a file or a folder. Raises DatasetError when it cannot be written to.
     """
     beside = path.with_name(f".{path.name}.{os.getpid()}-{secrets.token_hex(3)}.part")
     try:
@@ -44,7 +44,7 @@ def replacing(path: Path) -> Generator[Path]:
 
 @contextmanager
 def writing(path: Path) -> Generator[None]:
-    """Turn an operating system's refusal to write `path` into one sentence."""
+    """Convert an OSError on writing `path` to a DatasetError of one sentence."""
     try:
         yield
     except OSError as fault:
@@ -53,13 +53,13 @@ def writing(path: Path) -> Generator[None]:
 
 
 def write_text(path: Path, text: str) -> None:
-    """Write a small text file, whole or not at all."""
+    """Write a small text file atomically."""
     with replacing(path) as beside:
         beside.write_text(text, encoding="utf-8")
 
 
 def remove(path: Path) -> None:
-    """Remove a file or a folder with all it holds, as far as the system lets us; it may be gone already."""
+    """Remove a file or a folder with its contents as far as permitted; a missing path is no error."""
     if path.is_dir() and not path.is_symlink():
         shutil.rmtree(path, ignore_errors=True)
     else:
@@ -68,7 +68,7 @@ def remove(path: Path) -> None:
 
 
 def require_space(folder: Path, needed_bytes: int, what: str) -> None:
-    """Raise DatasetError when the disk that holds `folder` has less free space than needed."""
+    """Raise DatasetError when the disk of `folder` has less free space than needed."""
     free = shutil.disk_usage(_existing(folder)).free
     if needed_bytes > free:
         raise DatasetError(
@@ -78,7 +78,7 @@ def require_space(folder: Path, needed_bytes: int, what: str) -> None:
 
 
 def size(n_bytes: float) -> str:
-    """A size in words, ``3.4 GB``."""
+    """Format a size in bytes, as in ``3.4 GB``."""
     for unit in ("B", "kB", "MB"):
         if n_bytes < 1000:
             return f"{n_bytes:.0f} {unit}" if unit == "B" else f"{n_bytes:.1f} {unit}"
@@ -87,7 +87,7 @@ def size(n_bytes: float) -> str:
 
 
 def natural(name: str) -> list[str | int]:
-    """A key that sorts as people count: ``a2`` before ``a10``."""
+    """Return a sort key for natural order: ``a2`` before ``a10``."""
     return [int(part) if i % 2 else part for i, part in enumerate(re.split(r"(\d+)", name.casefold()))]
 
 
@@ -97,7 +97,7 @@ def _existing(folder: Path) -> Path:
 
 
 def _move(source: Path, target: Path) -> None:
-    """Rename, also over a folder that is not empty: it is moved aside first and removed afterwards."""
+    """Rename, also over a non-empty folder, which is moved away first and removed afterwards."""
     if not target.is_dir():
         source.replace(target)
         return

@@ -1,9 +1,9 @@
-"""CRC-32C checksums that files carry themselves: they hold in a copy, and are written with the file or not at all.
+"""CRC-32C checksums embedded in the files: they remain valid in a copy, and are written with the file.
 
 A JSON text and a line of a log end with the member ``"crc32c"``: eight hex digits over all bytes before them. An
 ``.npz`` ends with ``crc32c=`` and such digits as the comment of the archive. Shards and chunks of a mosaic have the
 codec ``crc32c`` of Zarr. Files of older versions have no checksum and are read as they are. Any single flipped bit is
-found, in the checksum itself as well.
+detected, also in the checksum itself.
 """
 
 from __future__ import annotations
@@ -24,10 +24,10 @@ from wafer_viewer.model.spec import Spec, decode, encode
 from wafer_viewer.store.io.atomic_files import write_text
 
 SURFACES = "surfaces"
-"""The folder of the surfaces of fields in a result."""
+"""Folder of the field surfaces in a result."""
 _KEY = b'"crc32c":'
 _NEARLY_KEY = re.compile(b"|".join(_KEY[:i] + b"." + _KEY[i + 1 :] for i in range(len(_KEY))), re.DOTALL)
-"""The key with any one byte of it damaged."""
+"""The key with any one byte damaged."""
 _LINE_KEY, _LINE_END = b'"crc32c":"', b'"}'
 _SEAL = re.compile(rb',?\s*"crc32c": ?"([0-9a-f]{8})"[ \n}]*$')
 _TAIL_BYTES = 64
@@ -36,7 +36,7 @@ _COMMENT_BYTES = 15
 _END_OF_ARCHIVE, _END_BYTES = b"PK\5\6", 22
 _PIECE_BYTES = 1 << 24
 FileMark = tuple[Path, int, int, int]
-"""A file and its state: path, inode, size, time of change."""
+"""File and its state: path, inode, size, modification time in ns."""
 S = TypeVar("S", bound=Spec)
 
 
@@ -49,7 +49,7 @@ class Checksum(Enum):
 
 
 def crc32c(content: bytes, before: int = 0) -> int:
-    """CRC-32C of some bytes; `before`: that of the bytes in front of them."""
+    """Return the CRC-32C of some bytes; `before`: the CRC of the preceding bytes."""
     import google_crc32c
 
     return google_crc32c.extend(before, content)
@@ -59,20 +59,20 @@ def crc32c(content: bytes, before: int = 0) -> int:
 
 
 def sealed_text(text: str) -> str:
-    """A JSON object, as indented text, with its checksum as the last member."""
+    """Return an indented JSON object with its checksum as the last member."""
     body = text.rstrip().removesuffix("}").rstrip()
     start = f'{body}{"" if body == "{" else ","}\n  "crc32c": "'
     return f'{start}{crc32c(start.encode()):08x}"\n}}'
 
 
 def sealed_line(line: bytes) -> bytes:
-    """A JSON object on one line, with its checksum as the last member."""
+    """Return a JSON object on one line with its checksum as the last member."""
     start = line.removesuffix(b"}") + b',"crc32c":"'
     return b'%s%08x"}' % (start, crc32c(start))
 
 
 def sealed_node(node: dict[str, Any]) -> str:
-    """The ``zarr.json`` of a group or an array, with its checksum as the last of its attributes."""
+    """Return the ``zarr.json`` of a group or an array with its checksum as the last attribute."""
     plain = {name: value for name, value in node.items() if name != "attributes"}
     own = {name: value for name, value in node.get("attributes", {}).items() if name != "crc32c"}
     text = json.dumps({**plain, "attributes": {**own, "crc32c": "0" * 8}}, indent=2)
@@ -81,7 +81,7 @@ def sealed_node(node: dict[str, Any]) -> str:
 
 
 def text_state(content: bytes) -> Checksum:
-    """State of the checksum of a JSON text."""
+    """Return the checksum state of a JSON text."""
     tail = max(0, len(content) - _TAIL_BYTES)
     if (found := _SEAL.search(content, tail)) is not None:
         return _compared(found[1], crc32c(content[: found.start(1)]))
@@ -89,7 +89,7 @@ def text_state(content: bytes) -> Checksum:
 
 
 def line_state(line: bytes) -> Checksum:
-    """State of the checksum of one line of a log: a few microseconds, for a journal may have a million."""
+    """Return the checksum state of a log line, in a few microseconds, as a journal may have a million lines."""
     key = line[-20:-10]
     if key == _LINE_KEY and line[-2:] == _LINE_END:
         return _compared(line[-10:-2], crc32c(line[:-10]))
@@ -98,13 +98,13 @@ def line_state(line: bytes) -> Checksum:
 
 
 def unsealed(content: bytes) -> bytes:
-    """A JSON text without its checksum, which is not tested."""
+    """Return a JSON text without its checksum, which is not tested."""
     found = _SEAL.search(content, max(0, len(content) - _TAIL_BYTES))
     return content if found is None else content[: found.start()] + b"}"
 
 
 def save_json(path: Path, spec: Spec) -> None:
-    """Write a spec with its checksum, whole or not at all."""
+    """Write a spec with its checksum, atomically."""
     write_text(path, sealed_text(encode(spec, "json")))
 
 
@@ -114,13 +114,13 @@ def load_json(path: Path, kind: type[S]) -> S:
 
 
 def require_good_json(path: Path) -> None:
-    """Raise DatasetError when there is a file whose checksum differs: what people entered is not written over."""
+    """Raise DatasetError when the file exists and its checksum differs, to protect user input from overwriting."""
     if path.exists():
         verified_text(path)
 
 
 class KnownGood:
-    """What this process has tested and found good, the last of it: states of files, which change with the files."""
+    """Bounded cache of file states that this process has verified; a changed file has a new state."""
 
     def __init__(self, most: int = 8192) -> None:
         self._most = most
@@ -130,7 +130,7 @@ class KnownGood:
         return key in self._keys
 
     def add(self, key: Hashable) -> None:
-        """Remember it, and forget the oldest where there are too many."""
+        """Add a key, and drop the oldest ones above the limit."""
         while len(self._keys) >= self._most:
             self._keys.pop(next(iter(self._keys)), None)
         self._keys[key] = None
@@ -140,7 +140,7 @@ _good_archives = KnownGood()
 
 
 def verified_text(path: Path) -> bytes:
-    """The JSON text of a file without its checksum. Raises DatasetError when it cannot be read or is damaged."""
+    """Return the JSON text of a file without its checksum. Raises DatasetError if unreadable or damaged."""
     try:
         content = path.read_bytes()
     except OSError as fault:
@@ -151,7 +151,7 @@ def verified_text(path: Path) -> bytes:
 
 
 def require_json(content: bytes, name: str) -> None:
-    """Raise DatasetError for what is not JSON, whatever is wrong with it."""
+    """Raise DatasetError for anything that is not JSON."""
     try:
         msgspec.json.decode(content)
     except (msgspec.DecodeError, UnicodeDecodeError, RecursionError) as fault:
@@ -162,7 +162,7 @@ def require_json(content: bytes, name: str) -> None:
 
 
 def seal_archive(path: Path) -> None:
-    """Put the checksum of a closed ``.npz`` behind it, as the comment of the archive."""
+    """Append the checksum of a closed ``.npz`` as the comment of the archive."""
     with path.open("r+b") as file:
         file.seek(-2, os.SEEK_END)
         file.write(_COMMENT_BYTES.to_bytes(2, "little"))
@@ -173,7 +173,7 @@ def seal_archive(path: Path) -> None:
 
 
 def archive_state(path: Path) -> Checksum:
-    """State of the checksum of an ``.npz``: all of the file is read."""
+    """Return the checksum state of an ``.npz``; reads the entire file."""
     n_bytes = path.stat().st_size
     with path.open("rb") as file:
         file.seek(max(0, n_bytes - _END_BYTES))
@@ -185,7 +185,7 @@ def archive_state(path: Path) -> Checksum:
 
 
 def require_good_archive(path: Path) -> None:
-    """Raise DatasetError when the checksum of an ``.npz`` differs; a file that did not change is read once."""
+    """Raise DatasetError when the checksum of an ``.npz`` differs; an unchanged file is read once."""
     key = file_mark(path)
     if key in _good_archives:
         return
@@ -195,13 +195,13 @@ def require_good_archive(path: Path) -> None:
 
 
 def file_mark(path: Path) -> FileMark:
-    """A file and its state: another where the file was written to since."""
+    """Return a file and its state, which differs after each write."""
     stat = path.stat()
     return path, stat.st_ino, stat.st_size, stat.st_mtime_ns
 
 
 def _before(path: Path, n_bytes: int) -> bytes:
-    """The bytes in front of the last ones, as many as a comment and its archive's end have."""
+    """Return the bytes before the end record, as many as a checksum comment has."""
     with path.open("rb") as file:
         file.seek(max(0, n_bytes - _END_BYTES - _COMMENT_BYTES))
         return file.read(_COMMENT_BYTES)
@@ -224,12 +224,12 @@ def _compared(digits: bytes, crc: int) -> Checksum:
 
 
 def damaged(path: Path) -> DatasetError:
-    """The error of a file whose checksum differs: its place, and the mend."""
+    """Return the error for a file whose checksum differs, with its path and the remedy."""
     return DatasetError(f"{path} is damaged, its checksum differs: {mend_of(path)}.")
 
 
 def mend_of(path: Path) -> str:
-    """The way to get a damaged file of a dataset back, as the end of a sentence."""
+    """Return the remedy for a damaged file of a dataset, as the end of a sentence."""
     dataset = next((p.name for p in path.parents if p.suffix == ".wafer"), "NAME.wafer")
     parts = path.parts
     result = parts[len(parts) - parts[::-1].index("results")] if "results" in parts[:-1] else "default"
@@ -248,7 +248,7 @@ def mend_of(path: Path) -> str:
 
 
 def _is_of_surface_file(path: Path) -> bool:
-    """Whether a file lies in a dataset that was made of a surface file: it has no frames to make anything of."""
+    """Return whether a file is in a dataset that was imported from a surface file, and so has no frames."""
     dataset = next((parent for parent in path.parents if parent.suffix == ".wafer"), None)
     return dataset is not None and dataset.is_dir() and not (dataset / "frames").exists()
 

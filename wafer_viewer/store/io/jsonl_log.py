@@ -1,6 +1,6 @@
-"""Logs that only grow: a line of JSON for each entry, each written at once and brought to the disk.
+"""Append-only logs: one JSON line per entry, each written and synced to disk at once.
 
-A line that was being written when the power went is ignored when it is the last one, and cut off before the next.
+A torn last line, as after a power failure, is ignored and truncated before the next entry.
 """
 
 from __future__ import annotations
@@ -20,7 +20,7 @@ S = TypeVar("S", bound=Spec)
 
 
 def append_line(path: Path, entry: Spec) -> None:
-    """Add an entry. Raises DatasetError when the disk refuses it; then nothing of it counts."""
+    """Append an entry. Raises DatasetError when it cannot be written; the entry then does not count."""
     text = sealed_line(msgspec.json.encode(entry)) + b"\n"
     with writing(path):
         path.touch()
@@ -32,7 +32,7 @@ def append_line(path: Path, entry: Spec) -> None:
 
 
 def read_lines(path: Path, kind: type[S]) -> tuple[S, ...]:
-    """The entries, oldest first; none where there is no log. Raises DatasetError when one is damaged."""
+    """Return the entries, oldest first; empty if there is no log. Raises DatasetError when one is damaged."""
     if not path.exists():
         return ()
     try:

@@ -14,7 +14,7 @@ T = TypeVar("T")
 def watched(
     items: Iterable[T], total: int, what: str, progress: Progress | None, should_stop: ShouldStop | None
 ) -> Iterator[T]:
-    """The items, with the fraction done told after each. Raises DatasetError when the work is to stop."""
+    """Yield the items and report the completed fraction after each. Raises DatasetError when stopped."""
     for done, item in enumerate(items, 1):
         if should_stop is not None and should_stop():
             raise DatasetError(f"{what} was stopped at {done - 1} of {total}. Nothing was kept of it.")

@@ -1,4 +1,4 @@
-"""Named arrays in one file, as one process leaves them for others: written once, read whole."""
+"""Named arrays in one file, for exchange between processes: written once, read completely."""
 
 from __future__ import annotations
 
@@ -17,13 +17,13 @@ Planes = Mapping[str, NDArray[Any]]
 
 
 def write_planes(path: Path, planes: Planes) -> None:
-    """Write arrays, all or none. Raises DatasetError where the place cannot be written to."""
+    """Write arrays atomically. Raises DatasetError when the path cannot be written to."""
     with replacing(path) as beside, beside.open("wb") as file:
         np.savez(file, allow_pickle=False, **dict(planes))
 
 
 def read_planes(path: Path) -> dict[str, NDArray[Any]]:
-    """The arrays of a file. Raises DatasetError where it is gone or damaged."""
+    """Read the arrays of a file. Raises DatasetError when it is missing or damaged."""
     try:
         with np.load(path) as members:
             return {name: members[name] for name in members.files}

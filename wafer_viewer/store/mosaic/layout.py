@@ -1,4 +1,4 @@
-"""How a mosaic lies on disk: its header, the levels of each layer, and how their arrays are made."""
+"""Disk layout of a mosaic: header, levels of each layer, and shard parameters of their arrays."""
 
 from __future__ import annotations
 
@@ -16,9 +16,9 @@ from wafer_viewer.store.mosaic.zarr_shards import Shards
 
 CHUNK, SHARD = 256, 2048
 COARSEST_PX = 512
-"""The pyramid ends with the first level that fits into this square: one picture of the whole surface."""
+"""Side in px of the square that the coarsest level fits into, one image of the entire surface."""
 GROUP, OWN = "zarr.json", "wafer_viewer"
-"""The file of a group, and the one of its attributes that holds the header."""
+"""File of a group, and the name of its attribute that holds the header."""
 FILLS: dict[str, float] = {
     "z_um": math.nan,
     "z_raw_um": math.nan,
@@ -34,7 +34,7 @@ SURFACE = tuple(name for name in FILLS if name not in SPANS)
 
 
 class MosaicHeader(Spec, frozen=True, kw_only=True):
-    """Where the lattice of a mosaic lies, how large it is, and where it comes from."""
+    """Lattice, shape, grey depth and provenance of a mosaic."""
 
     error: ClassVar[type[WaferViewerError]] = DatasetError
     pixel_um: Positive
@@ -47,26 +47,26 @@ class MosaicHeader(Spec, frozen=True, kw_only=True):
 
     @property
     def lattice(self) -> tuple[float, float, float, int, int]:
-        """Where its pixels lie."""
+        """Pixel size and origin in um, rows and columns."""
         return self.pixel_um, self.x0_um, self.y0_um, self.rows, self.cols
 
     @property
     def levels(self) -> int:
-        """Levels of the pyramid, at least 2."""
+        """Number of pyramid levels, at least 2."""
         return levels_for((self.rows, self.cols))
 
     def shape_of(self, level: int) -> tuple[int, int]:
-        """(rows, cols) of a level."""
+        """Return (rows, cols) of a level."""
         return -(-self.rows // 2**level), -(-self.cols // 2**level)
 
 
 def levels_for(shape: tuple[int, int]) -> int:
-    """Levels of the pyramid over a shape, at least 2."""
+    """Return the number of pyramid levels for a shape, at least 2."""
     return 1 + max(1, math.ceil(math.log2(max(shape) / COARSEST_PX)))
 
 
 def header_of(source: Mosaic) -> MosaicHeader:
-    """The header of a mosaic made of a surface."""
+    """Return the header of a mosaic made of a surface."""
     rows, cols = source.shape
     corner = source.window(Region.rectangle(source.x0_um, source.y0_um, source.x0_um, source.y0_um))
     return MosaicHeader(
@@ -81,23 +81,26 @@ def header_of(source: Mosaic) -> MosaicHeader:
 
 
 def as_json(header: MosaicHeader) -> dict[str, Any]:
-    """The header as an attribute of the group."""
+    """Return the header as an attribute of the group."""
     return json.loads(encode(header, "json"))
 
 
 def shards_of(name: str, header: MosaicHeader) -> Shards:
-    """How the shards of a layer are made."""
+    """Return the shard parameters of a layer."""
     dtype = {"origin": "uint8", "all_in_focus": f"uint{header.grey_bits}"}.get(name, "float32")
     return Shards(np.dtype(dtype), FILLS[name], CHUNK, SHARD)
 
 
 def levels_of(name: str, header: MosaicHeader) -> range:
-    """The levels that a layer has."""
+    """Return the levels of a layer."""
     return range(1 if name in SPANS else 0, header.levels)
 
 
 def multiscale(header: MosaicHeader, name: str) -> dict[str, Any]:
-    """OME-NGFF 0.5: scale and place of each level in um, from the first pixel of level 0, y downward."""
+    """Return OME-NGFF 0.5 metadata: scale and translation of each level in um.
+
+    The translation is relative to pixel (0, 0) of level 0, y downward.
+    """
 
     def dataset(level: int) -> dict[str, Any]:
         scale, shift = header.pixel_um * 2**level, header.pixel_um * (2**level - 1) / 2

@@ -1,8 +1,8 @@
-"""Files that a mosaic lacks: told from ground without heights, for which no file is written.
+"""Detection of deleted mosaic files, as opposed to unmeasured areas, for which no file is written.
 
-A shard without heights has no file, so that a deleted one would read as ground that was never measured. The levels of
-the pyramid and the facts say which shards were written: they are looked at by name, and the index of a coarser shard
-only where a finer one is not there.
+A shard without heights has no file, so a deleted one would read as an unmeasured area. The pyramid levels and the
+statistics record which shards were written. They are checked by file name, and the index of a coarser shard is read
+only if a finer shard is missing.
 """
 
 from __future__ import annotations
@@ -18,29 +18,29 @@ from wafer_viewer.store.mosaic.statistics import FACTS, blocks_with_heights
 from wafer_viewer.store.mosaic.zarr_mosaic import ZarrMosaic
 
 HEIGHTS = ("z_um", "z_raw_um", "origin")
-"""Layers that numbers are made of."""
+"""Layers that measurements depend on."""
 VANISHES = ("all_in_focus",)
-"""Layers that may be nothing but fill in a coarser level where they are not in a finer one."""
+"""Layers that may hold only fill values in a coarser level where the finer one has no file."""
 Place = tuple[int, int]
 _whole = KnownGood()
-"""Mosaics of which no file is missing, by the state of their header."""
+"""Complete mosaics, by the state of their header."""
 
 
 def missing_files(mosaic: ZarrMosaic, *, heights_only: bool = False) -> Iterator[Path]:
-    """Yield the files of a mosaic that were written and are not there.
+    """Yield the files of a mosaic that were written and no longer exist.
 
     Parameters
     ----------
     mosaic : ZarrMosaic
-        One that nobody is writing to.
+        A mosaic that no process is writing to.
     heights_only : bool
-        Look at the layers alone that numbers are made of, by the names of their files: quick, for a surface that is
-        opened. Without it all layers are looked at, and what the facts say.
+        Check only the layers that measurements depend on, by file name: fast, for opening a surface. Otherwise all
+        layers and the statistics are checked.
 
     Raises
     ------
     DatasetError
-        When a file that is needed for it is damaged.
+        When a file that the check needs is damaged.
     """
     for name in HEIGHTS if heights_only else FILLS:
         levels = levels_of(name, mosaic.header)
@@ -62,13 +62,13 @@ def missing_files(mosaic: ZarrMosaic, *, heights_only: bool = False) -> Iterator
 
 
 def require_whole(mosaic: ZarrMosaic) -> None:
-    """Raise DatasetError, with the mend, when a file that heights are read from was deleted."""
+    """Raise DatasetError, with the remedy, when a file needed for heights was deleted."""
     for path in missing_files(mosaic, heights_only=True):
         raise missing(path)
 
 
 def require_whole_once(mosaic: ZarrMosaic) -> None:
-    """Raise as `require_whole` does; a mosaic that did not change is looked at once by this process."""
+    """Raise as `require_whole` does; an unchanged mosaic is checked once per process."""
     key = file_mark(mosaic.path / GROUP)
     if key not in _whole:
         require_whole(mosaic)
@@ -76,12 +76,12 @@ def require_whole_once(mosaic: ZarrMosaic) -> None:
 
 
 def missing(path: Path) -> DatasetError:
-    """The error of a file of a mosaic that is gone: its place, and the mend."""
+    """Return the error for a missing mosaic file, with its path and the remedy."""
     return DatasetError(f"{path} is missing, though it was written: {mend_of(path)}.")
 
 
 def _finer(mosaic: ZarrMosaic, name: str, level: int, finer: set[Place], there: set[Place]) -> Iterator[Path]:
-    """Shards of the level before of which a shard of this one says that they hold something."""
+    """Yield missing shards of the finer level that are not empty according to a shard of this level."""
     for row, col in sorted(there):
         children = {(2 * row + r, 2 * col + c) for r in (0, 1) for c in (0, 1)} - finer
         if children:
@@ -93,7 +93,7 @@ def _finer(mosaic: ZarrMosaic, name: str, level: int, finer: set[Place], there: 
 
 
 def _by_facts(mosaic: ZarrMosaic) -> Iterator[Path]:
-    """Shards of heights of level 0 of which the facts say that they hold heights."""
+    """Yield missing height shards of level 0 that contain heights according to the statistics."""
     per_shard = layout.SHARD // (2 * layout.CHUNK)
     wanted = {(row // per_shard, col // per_shard) for row, col in blocks_with_heights(mosaic.path, mosaic.shape)}
     for name in ("z_um", "origin"):
@@ -102,7 +102,7 @@ def _by_facts(mosaic: ZarrMosaic) -> Iterator[Path]:
 
 
 def _shards(array: Path) -> set[Place]:
-    """Rows and columns of the shards of an array that have a file, or of the folders that stand for them."""
+    """Return rows and columns of the shards of an array that exist as a file or a folder."""
     folder = array / "c"
     if not folder.is_dir():
         return set()

@@ -1,4 +1,4 @@
-"""The poses of a result on disk: one npz of plain arrays, a prefix for each table in it."""
+"""Poses of a result on disk: one npz of plain arrays, with a prefix for each nested table."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ from wafer_viewer.store.io.atomic_files import replacing
 from wafer_viewer.store.io.checksums import mend_of, require_good_archive, seal_archive
 
 POSES = "poses.npz"
-"""What the file is called in the folder of a result."""
+"""File name in the folder of a result."""
 PLACES = (
     *("stage_x_um", "stage_y_um", "x_um", "y_um", "z_um", "tilt_x", "tilt_y"),
     *("u_x_um", "u_y_um", "u_z_um"),
@@ -31,7 +31,7 @@ _TABLES: dict[str, type[Any]] = {"shifts": Shifts, "seams": HeightOffsets, "form
 
 
 def write_poses(poses: Poses, path: Path) -> None:
-    """Keep poses, in place of earlier ones."""
+    """Save poses, replacing earlier ones."""
     with replacing(path) as beside:
         with beside.open("wb") as file:
             np.savez(file, allow_pickle=False, **_flat(poses, ""))
@@ -39,7 +39,7 @@ def write_poses(poses: Poses, path: Path) -> None:
 
 
 def read_poses(path: Path) -> Poses:
-    """Read poses back. Raises DatasetError when the file is damaged."""
+    """Read poses. Raises DatasetError when the file is damaged."""
     try:
         require_good_archive(path)
         with path.open("rb") as file, np.load(file) as arrays:
@@ -50,9 +50,9 @@ def read_poses(path: Path) -> Poses:
 
 
 def write_poses_csv(poses: Poses, path: Path) -> None:
-    """A line for each field: where the stage says it is, where it lies, and how sure that is (k = 1); um and um per um.
+    """Write one line per field: stage position, pose and standard uncertainty (k = 1); um and um per um.
 
-    Raises DatasetError when the place cannot be written to.
+    Raises DatasetError when the path cannot be written to.
     """
     columns = ("numbers", *PLACES, "group", "left_out")
     lines = zip(*(getattr(poses, name).tolist() for name in columns), strict=True)
@@ -66,7 +66,7 @@ def write_poses_csv(poses: Poses, path: Path) -> None:
 
 
 def _flat(table: Any, prefix: str) -> dict[str, Any]:
-    """Each field of a table under its name, those of the tables in it with a prefix."""
+    """Return each attribute of a table by name, those of nested tables with a prefix."""
     flat: dict[str, Any] = {}
     for item in dataclasses.fields(table):
         value = getattr(table, item.name)
@@ -79,7 +79,7 @@ def _array(value: Any) -> Any:
 
 
 def _built(kind: type[Any], arrays: Any, prefix: str, **known: Any) -> Any:
-    """A table from its arrays, in the kinds of value that it declares."""
+    """Build a table from its arrays, with the declared types."""
     values = dict(known)
     for item in dataclasses.fields(kind):
         if item.name not in known:

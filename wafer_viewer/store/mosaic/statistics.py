@@ -1,7 +1,7 @@
-"""What a mosaic holds, in numbers, kept beside it as it is written, so that nobody need read it all for them.
+"""Statistics of a mosaic, stored with it during writing, so that they need no pass over all pixels.
 
-They are kept by blocks: the pixels of level 0 under one chunk of level 1. A chunk of the array of bytes ``facts``
-holds the blocks of one shard of it, uncompressed.
+They are stored per block: the pixels of level 0 under one chunk of level 1. A chunk of the byte array ``facts`` holds
+the blocks of one of its shards, uncompressed.
 """
 
 from __future__ import annotations
@@ -27,20 +27,22 @@ if TYPE_CHECKING:
 
 FACTS = "facts"
 SAMPLES = 400_000
-"""About as many pixels are looked at where all of them would be too many."""
+"""Approximate number of sampled pixels."""
 FINEST_KEPT, COARSEST = 8, 64
-"""Steps from one of them to the next: a file of samples shall stay small beside what it tells of."""
+"""Least and greatest sampling step in px; the samples must stay small compared with the mosaic."""
 _CODES = 32
-"""Origins have smaller codes than this."""
+"""Upper bound of the origin codes."""
 
 Blocks = NDArray[Any]
-"""Facts of blocks, [row, col] of records."""
+"""Statistics of blocks, [row, col] of records."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class MosaicStatistics:
-    """Pixels by origin, int64 [code]; the span of heights, NaN where there is none; heights and differences of overlaps
-    at every so many pixels, without those that have none.
+    """Pixel counts by origin, height range, and samples of heights and overlap differences.
+
+    counts: int64 [code]; lowest_um, highest_um: NaN if there is no height; heights_um, overlaps_um: finite values at
+    every n-th pixel.
     """
 
     counts: NDArray[np.int64]
@@ -51,22 +53,22 @@ class MosaicStatistics:
 
     @property
     def has_heights(self) -> bool:
-        """Whether there is any height."""
+        """True if there is any height."""
         return self.lowest_um <= self.highest_um
 
 
 def facts_of(layers: Layers) -> MosaicStatistics:
-    """The facts of a surface whose layers are in memory, the differences of overlaps among them or not."""
+    """Return the statistics of a surface in memory; the overlap layer is optional."""
     return _joined(_blocks_of(layers, _step(layers["z_um"].shape, 1)))
 
 
 def _step(shape: tuple[int, ...], finest: int = FINEST_KEPT) -> int:
-    """Every how manieth pixel of a mosaic of a shape, along rows and columns, is looked at."""
+    """Return the sampling step in px along rows and columns for a mosaic shape."""
     return int(np.clip(np.sqrt(shape[0] * shape[1] / SAMPLES), finest, COARSEST))
 
 
 def _blocks_of(layers: Layers, step: int) -> Blocks:
-    """The facts of a window of level 0 that begins with a block, block by block."""
+    """Return the statistics of each block of a window of level 0 that begins at a block boundary."""
     from wafer_viewer.numerics.filters.code_counts import count_codes
 
     size = 2 * layout.CHUNK
@@ -85,7 +87,7 @@ def _blocks_of(layers: Layers, step: int) -> Blocks:
 
 
 def facts_array(shape: tuple[int, int]) -> dict[str, Any]:
-    """How Zarr makes the array of facts of a mosaic of a shape: a chunk of bytes for each shard of level 1."""
+    """Return the Zarr array parameters of the statistics: one chunk of bytes per shard of level 1."""
     rows, cols = (math.ceil(size / 2 / layout.SHARD) for size in shape)
     n_bytes = _per_shard() ** 2 * _record(_step(shape)).itemsize
     from zarr.codecs import Crc32cCodec
@@ -100,9 +102,9 @@ def facts_array(shape: tuple[int, int]) -> dict[str, Any]:
 
 
 def keep_facts(mosaic: Path, shape: tuple[int, int], top: int, left: int, layers: Layers) -> None:
-    """Keep the facts of a window of level 0 of a mosaic of a shape.
+    """Save the statistics of a window of level 0.
 
-    It begins at pixel (top, left), with a block, and lies under one shard of level 1.
+    It begins at pixel (top, left), a block boundary, and is within one shard of level 1.
     """
     size, n = 2 * layout.CHUNK, _per_shard()
     row, col = top // size, left // size
@@ -116,7 +118,7 @@ def keep_facts(mosaic: Path, shape: tuple[int, int], top: int, left: int, layers
 
 
 def kept_facts(mosaic: Path, shape: tuple[int, int]) -> MosaicStatistics:
-    """The facts of a whole mosaic of a shape. Raises DatasetError when they are missing or damaged."""
+    """Return the statistics of a mosaic. Raises DatasetError when they are missing or damaged."""
     files = sorted((mosaic / FACTS).glob("c/*/*/0"))
     if not files:
         raise DatasetError(f"{mosaic / FACTS} is missing or empty: {mend_of(mosaic)}.")
@@ -125,9 +127,9 @@ def kept_facts(mosaic: Path, shape: tuple[int, int]) -> MosaicStatistics:
 
 
 def blocks_with_heights(mosaic: Path, shape: tuple[int, int]) -> set[tuple[int, int]]:
-    """Rows and columns of the blocks, of two chunks of level 0 a side, that hold a height.
+    """Return rows and columns of the blocks, 2 x 2 chunks of level 0, that contain a height.
 
-    Raises DatasetError when a file of facts is damaged.
+    Raises DatasetError when a statistics file is damaged.
     """
     record, n = _record(_step(shape)), _per_shard()
     found: set[tuple[int, int]] = set()
@@ -139,7 +141,7 @@ def blocks_with_heights(mosaic: Path, shape: tuple[int, int]) -> set[tuple[int, 
 
 
 def facts_state(path: Path) -> Checksum:
-    """State of the checksum of one file of facts."""
+    """Return the checksum state of one statistics file."""
     try:
         checked(path.read_bytes())
     except ValueError:
@@ -150,7 +152,7 @@ def facts_state(path: Path) -> Checksum:
 
 
 def _has_checksums(mosaic: Path) -> bool:
-    """Whether the chunks of facts of a mosaic have checksums: those of older versions do not."""
+    """Return whether the statistics chunks of a mosaic have checksums; those of older versions do not."""
     try:
         made = json.loads((mosaic / FACTS / "zarr.json").read_bytes())
         return any(codec["name"] == "crc32c" for codec in made["codecs"])
@@ -159,12 +161,12 @@ def _has_checksums(mosaic: Path) -> bool:
 
 
 def _per_shard() -> int:
-    """Blocks along a side of a shard."""
+    """Return the number of blocks along a side of a shard."""
     return layout.SHARD // layout.CHUNK
 
 
 def _record(step: int) -> np.dtype[Any]:
-    """What is kept of a block."""
+    """Return the record dtype of a block."""
     side = -(-2 * layout.CHUNK // step)
     sample = ("<f4", (side, side))
     return np.dtype(
@@ -179,7 +181,7 @@ def _record(step: int) -> np.dtype[Any]:
 
 
 def _nothing(shape: tuple[int, int], dtype: np.dtype[Any]) -> Blocks:
-    """Blocks without pixels."""
+    """Return blocks without pixels."""
     blocks = np.zeros(shape, dtype)
     blocks["lowest"], blocks["highest"], blocks["heights"], blocks["overlaps"] = np.inf, -np.inf, np.nan, np.nan
     return blocks

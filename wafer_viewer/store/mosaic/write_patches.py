@@ -1,4 +1,4 @@
-"""The work of writing a mosaic, cut into patches of which no two share a shard; and what of it is to be made again."""
+"""Partition of mosaic writes into patches that share no shard, and selection of those to be rewritten."""
 
 from __future__ import annotations
 
@@ -15,9 +15,9 @@ Window = tuple[slice, slice]
 
 @dataclass(frozen=True, slots=True)
 class Patch:
-    """Some chunks of one shard of a level from 1 on, rows top ... bottom - 1 and columns left ... right - 1 of it.
+    """Chunks of one shard of a level from 1 on: rows top ... bottom - 1 and columns left ... right - 1.
 
-    It is made of what lies below it in the level before; a patch of level 1 makes that as well.
+    It is computed from the level below; a patch of level 1 also writes level 0.
     """
 
     level: int
@@ -28,16 +28,16 @@ class Patch:
 
     @property
     def rows(self) -> slice:
-        """Its rows in the level."""
+        """Rows in the level."""
         return slice(self.top, self.bottom)
 
     @property
     def cols(self) -> slice:
-        """Its columns in the level."""
+        """Columns in the level."""
         return slice(self.left, self.right)
 
     def below(self, shape: tuple[int, int]) -> list[Window]:
-        """What it is made of, cut into parts of one shard each; the level before has a shape."""
+        """Return the source windows in the level below, one per shard; `shape` is that of the level below."""
         ends = min(2 * self.bottom, shape[0]), min(2 * self.right, shape[1])
         return [
             (rows, cols)
@@ -47,9 +47,9 @@ class Patch:
 
 
 def patches(shape: tuple[int, int], windows: Iterable[Window] | None = None) -> list[Patch]:
-    """The patches that make some windows (of pixels of level 0; all without) of a mosaic of a shape.
+    """Return the patches that cover some windows of level 0 (default: all of it) of a mosaic of a shape.
 
-    They are in the order of their levels: those of one level can be made side by side.
+    They are ordered by level; patches of one level can be written in parallel.
     """
     windows = [(slice(0, shape[0]), slice(0, shape[1]))] if windows is None else windows
     of_level: list[Patch] = []
@@ -62,7 +62,7 @@ def patches(shape: tuple[int, int], windows: Iterable[Window] | None = None) -> 
 
 
 def _patches(level: int, shape: tuple[int, int], windows: Sequence[Window]) -> list[Patch]:
-    """The patches of a level that hold some windows of it: one for each shard that they touch."""
+    """Return the patches of a level that cover some of its windows: one for each shard."""
     hulls: dict[tuple[int, int], tuple[int, int, int, int]] = {}
     for rows, cols in windows:
         for part_r in cut(rows.start, min(rows.stop, shape[0]), layout.SHARD):
@@ -78,7 +78,7 @@ def _hull(a: tuple[int, int, int, int], b: tuple[int, int, int, int]) -> tuple[i
 
 
 def _aligned(level: int, shape: tuple[int, int], hull: tuple[int, int, int, int]) -> Patch:
-    """The chunks under a hull."""
+    """Return the patch of all chunks in a bounding box."""
     top, bottom, left, right = hull
     chunk = layout.CHUNK
     bottom, right = (min(-(-end // chunk) * chunk, size) for end, size in zip((bottom, right), shape, strict=True))

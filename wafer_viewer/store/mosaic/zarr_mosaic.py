@@ -1,8 +1,8 @@
-"""A stitched surface on disk: a pyramid of levels in Zarr 3, one OME-NGFF 0.5 multiscale group for each layer.
+"""Stitched surface on disk: a pyramid in Zarr 3, one OME-NGFF 0.5 multiscale group per layer.
 
-Level l has pixels of 2^l pixels of level 0. z_min_um and z_max_um are the span of what a pixel stands for; at level 0
-they would equal z_um, so their groups begin with level 1. The work is cut into patches that share no shard; each shard
-is replaced in one rename, so that others can read while patches are made again.
+A pixel of level l covers 2^l pixels of level 0 along each axis. z_min_um and z_max_um are the height range under a
+pixel; at level 0 they would equal z_um, so their groups begin with level 1. The work is divided into patches that share
+no shard. Each shard is replaced by an atomic rename, so that readers can continue while patches are rewritten.
 """
 
 from __future__ import annotations
@@ -76,9 +76,9 @@ def write_mosaic(
     should_stop: ShouldStop | None = None,
     threads: int = 1,
 ) -> ZarrMosaic:
-    """Write a surface and its pyramid beside `path` and move it into place; memory for a few shards is enough.
+    """Write a surface and its pyramid to a temporary path and move it to `path`; a few shards fit in memory.
 
-    Raises DatasetError when the place cannot be written to or the work is stopped; then the place is as it was.
+    Raises DatasetError when the path cannot be written to or the work is stopped; then `path` is unchanged.
     """
     with replacing(path) as beside:
         lay_out(beside, source)
@@ -87,7 +87,7 @@ def write_mosaic(
 
 
 def lay_out(path: Path, source: Mosaic) -> MosaicHeader:
-    """Make the empty mosaic: its header and all arrays. Patches can be written to it in parallel from then on."""
+    """Create the empty mosaic, header and arrays; patches can then be written in parallel."""
     import zarr
 
     header = header_of(source)
@@ -113,9 +113,9 @@ def lay_out(path: Path, source: Mosaic) -> MosaicHeader:
 
 
 def rewrite_header(path: Path, source: Mosaic) -> None:
-    """Let a mosaic say that it comes from where a source on its lattice does, after windows of it were made again.
+    """Update the provenance in the header from a source on the same lattice, after windows were rewritten.
 
-    Raises DatasetError when the source lies on another lattice.
+    Raises DatasetError when the source has another lattice.
     """
     old, new = ZarrMosaic.open(path).header, header_of(source)
     if old.lattice != new.lattice:
@@ -126,9 +126,9 @@ def rewrite_header(path: Path, source: Mosaic) -> None:
 
 
 def write_patch(path: Path, source: Mosaic, patch: Patch) -> None:
-    """Write one patch: from the level before, which a patch of level 1 writes first, from the source.
+    """Write one patch from the level below; a patch of level 1 first writes level 0 from the source.
 
-    Doing it again makes the same. Raises DatasetError when the place cannot be written to.
+    Idempotent. Raises DatasetError when the path cannot be written to.
     """
     from wafer_viewer.numerics.grids.pyramid_level import halve
 
@@ -151,7 +151,7 @@ def _write(
     should_stop: ShouldStop | None,
     threads: int,
 ) -> None:
-    """All patches, those of one level side by side."""
+    """Write all patches, those of one level in parallel."""
     with ThreadPoolExecutor(threads) as pool:
         each: Iterable[None] = (
             done
@@ -166,7 +166,7 @@ def _write(
 
 
 def _drawn(stored: ZarrMosaic, source: Mosaic, rows: slice, cols: slice) -> Layers:
-    """A window of level 0 from the source, once it is written."""
+    """Write a window of level 0 from the source, and return its layers."""
     x, y = partial(_at, source.x0_um, source.pixel_um), partial(_at, source.y0_um, -source.pixel_um)
     part = source.window(Region.rectangle(x(cols.start), y(rows.start), x(cols.stop - 1), y(rows.stop - 1)))
     layers: Layers = {name: getattr(part, name) for name in SURFACE if getattr(part, name) is not None}
@@ -188,7 +188,7 @@ def _at(first_um: float, pixel_um: float, index: int) -> float:
 
 
 class ZarrMosaic:
-    """A mosaic on disk; a window is read when it is asked for. Cheap to send to another process."""
+    """Mosaic on disk with lazy windows; cheap to pickle."""
 
     def __init__(self, path: Path, header: MosaicHeader) -> None:
         self.path, self.header = path, header
@@ -236,19 +236,19 @@ class ZarrMosaic:
 
     @property
     def provenance(self) -> Provenance:
-        """Where it comes from."""
+        """Provenance of the surface."""
         return self.header.provenance
 
     @cached_property
     def poses(self) -> Poses | None:
-        """Where its fields lie, from the result that it is part of; None where nobody says so."""
+        """Field poses from the enclosing result; None if it has none."""
         kept = self.path.parent / POSES
         return read_poses(kept) if kept.exists() else None
 
     def window(self, region: Region | None = None, level: int = 0) -> HeightMap:
-        """The part of a level that holds a region, all of it without one.
+        """Return the part of a level that contains a region, by default all of it.
 
-        Raises MeasureError when the region lies outside, DatasetError when there is no such level.
+        Raises MeasureError when the region is outside, DatasetError when there is no such level.
         """
         rows, cols = self._window(region, level)
         layers = {name: self.read(name, level, rows, cols) for name in SURFACE}
@@ -258,7 +258,7 @@ class ZarrMosaic:
         )
 
     def one_layer(self, layer: HeightLayer, region: Region, level: int = 0) -> Heights:
-        """One layer of heights of what `window` returns, and nothing else; raises as `window` does."""
+        """Return a single height layer of `window`; raises as `window` does."""
         rows, cols = self._window(region, level)
         z_um = self.read("z_raw_um" if layer == "unsmoothed" else "z_um", level, rows, cols)
         if layer == "smoothed":
@@ -266,39 +266,39 @@ class ZarrMosaic:
         return Heights(z_um, *self._lattice(level, rows, cols))
 
     def pictured(self, layer: HeightLayer, region: Region, level: int = 0) -> TexturedHeights:
-        """One layer of heights with the picture of what `window` returns; raises as `window` does."""
+        """Return a single height layer with the image of `window`; raises as `window` does."""
         rows, cols = self._window(region, level)
         picture = picture_of(*(self.read(name, level, rows, cols) for name in ("all_in_focus", "origin")))
         alone = self.one_layer(layer, region, level)
         return TexturedHeights(alone.z_um, alone.pixel_um, alone.x0_um, alone.y0_um, picture)
 
     def span(self, region: Region | None, level: int) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
-        """(lowest, highest) height under each pixel of what `window` returns, NaN where unmeasured."""
+        """Return (lowest, highest) height under each pixel of `window`, NaN where unmeasured."""
         rows, cols = self._window(region, level)
         low, high = ("z_um", "z_um") if level == 0 else SPANS
         return self.read(low, level, rows, cols), self.read(high, level, rows, cols)
 
     def facts(self) -> MosaicStatistics:
-        """What it holds, in numbers. Raises DatasetError when they are missing or damaged."""
+        """Return the statistics. Raises DatasetError when they are missing or damaged."""
         return kept_facts(self.path, self.shape)
 
     def layers(self, level: int, rows: slice, cols: slice) -> Layers:
-        """A part of all layers that a level has."""
+        """Return a part of all layers of a level."""
         names = [name for name in FILLS if level in levels_of(name, self.header)]
         return {name: self.read(name, level, rows, cols) for name in names}
 
     def read(self, name: str, level: int, rows: slice, cols: slice) -> NDArray[Any]:
-        """A part of one layer of a level. Raises DatasetError when the layer is missing or a shard of it is damaged."""
+        """Return a part of one layer of a level. Raises DatasetError when it is missing or a shard is damaged."""
         return self.array(name, level).read(rows, cols)
 
     def array(self, name: str, level: int) -> ShardedArray:
-        """A layer at a level. Raises DatasetError when it is not there."""
+        """Return the array of a layer at a level. Raises DatasetError when it does not exist."""
         return ShardedArray.open(
             self.path / name / str(level), shards_of(name, self.header), self.header.shape_of(level)
         )
 
     def _lattice(self, level: int, rows: slice, cols: slice) -> tuple[float, float, float]:
-        """Pixel size of a part of a level, and stage x, y of its pixel (0, 0)."""
+        """Return the pixel size of a part of a level, and stage x, y of its pixel (0, 0)."""
         pixel_um, shift_um = self.pixel_um * 2**level, (2**level - 1) / 2 * self.pixel_um
         x0_um, y0_um = self.x0_um + shift_um + cols.start * pixel_um, self.y0_um - shift_um - rows.start * pixel_um
         return pixel_um, x0_um, y0_um

@@ -1,8 +1,8 @@
-"""Arrays in shards: files of chunks encoded one by one, with an index of where each lies (``sharding_indexed``).
+"""Sharded arrays: files of individually encoded chunks with an index of their offsets (``sharding_indexed``).
 
-Zarr's own library needs five times as long for them, and reads index and chunks through two openings of the file,
-between which another process may have put a new one in its place. Here a shard is replaced in one rename and read
-through one opening; chunks that do not change are copied as they are.
+Zarr's own library takes five times as long, and opens the file separately for the index and the chunks, between which
+another process may have replaced it. Here a shard is replaced by one rename and read through one open file; unchanged
+chunks are copied without decoding.
 """
 
 from __future__ import annotations
@@ -22,7 +22,7 @@ from wafer_viewer.store.io.atomic_files import replacing
 from wafer_viewer.store.io.checksums import crc32c, damaged, mend_of
 
 ABSENT = 2**64 - 1
-"""Stands in the index for a chunk that holds nothing but the fill value."""
+"""Index entry of a chunk that holds only the fill value."""
 _SUM_BYTES = 4
 Chunks = dict[tuple[int, int], bytes]
 """Encoded chunks by row and column in their shard."""
@@ -30,7 +30,7 @@ Chunks = dict[tuple[int, int], bytes]
 
 @dataclass(frozen=True, slots=True)
 class Shards:
-    """How the shards of one array are made: its type, what stands where nothing is, and their sizes in pixels."""
+    """Shard format of one array: dtype, fill value, and chunk and shard sizes in pixels."""
 
     dtype: np.dtype[Any]
     fill: float
@@ -38,7 +38,7 @@ class Shards:
     shard_px: int
 
     def read(self, path: Path, rows: slice, cols: slice) -> NDArray[Any]:
-        """A part of the shard at `path`; the fill value where there is no file.
+        """Read a part of the shard at `path`; the fill value if there is no file.
 
         Raises DatasetError when the file is damaged.
         """
@@ -56,7 +56,7 @@ class Shards:
         return out
 
     def places(self, path: Path) -> set[tuple[int, int]]:
-        """Rows and columns of the chunks in the shard at `path` that hold something; none where there is no file.
+        """Return rows and columns of the non-empty chunks in the shard at `path`; none if there is no file.
 
         Raises DatasetError when the index of the file is damaged.
         """
@@ -70,7 +70,7 @@ class Shards:
         return {(row, col) for row, col in there}
 
     def require_good(self, path: Path) -> None:
-        """Test the checksums of the index and of all chunks. Raises DatasetError when one differs."""
+        """Verify the checksums of the index and of all chunks. Raises DatasetError when one differs."""
         for chunk in self._kept(path).values():
             try:
                 checked(chunk)
@@ -78,9 +78,10 @@ class Shards:
                 raise damaged(path) from fault
 
     def write(self, path: Path, layer: NDArray[Any], top: int, left: int, *, whole: bool) -> None:
-        """Put a layer into the shard at `path`, from (top, left) on, where a chunk begins, up to the end of one.
+        """Write a layer into the shard at `path`, from the chunk boundary (top, left) to a chunk boundary.
 
-        Other chunks stay as they are; whole: there are none, and what is at `path` does not count.
+        Other chunks are preserved; whole: there are none, and the contents of `path` are ignored.
+
         Raises DatasetError when the file is damaged.
         """
         size = self.chunk_px
@@ -109,7 +110,7 @@ class Shards:
             file.write(summed(index.tobytes()))
 
     def _kept(self, path: Path) -> Chunks:
-        """All chunks of a file as they are."""
+        """Return all encoded chunks of a file."""
         try:
             with path.open("rb") as file:
                 index = self._index(file)
@@ -121,13 +122,13 @@ class Shards:
             raise DatasetError(f"{path} is damaged: {mend_of(path)}.") from fault
 
     def _index(self, file: IO[bytes]) -> NDArray[np.uint64]:
-        """Offset and number of bytes of each chunk."""
+        """Return offset and number of bytes of each chunk."""
         n = self.shard_px // self.chunk_px
         file.seek(-(16 * n * n + _SUM_BYTES), os.SEEK_END)
         return np.frombuffer(checked(file.read()), "<u8").reshape(n, n, 2)
 
     def _encoded(self, chunk: NDArray[Any]) -> bytes | None:
-        """A chunk as it lies in a file; None when it holds nothing but the fill value."""
+        """Return an encoded chunk; None if it holds only the fill value."""
         if _holds_only(chunk, self.fill):
             return None
         size = self.chunk_px
@@ -142,7 +143,7 @@ class Shards:
 
 @dataclass(frozen=True, slots=True)
 class ShardedArray:
-    """An array [row, col] of a Zarr hierarchy, read and written a part at a time."""
+    """Array [row, col] of a Zarr hierarchy, read and written in parts."""
 
     folder: Path
     shards: Shards
@@ -150,13 +151,13 @@ class ShardedArray:
 
     @classmethod
     def open(cls, folder: Path, shards: Shards, shape: tuple[int, int]) -> ShardedArray:
-        """The array in a folder. Raises DatasetError when there is none."""
+        """Open the array in a folder. Raises DatasetError when there is none."""
         if not (folder / "zarr.json").exists():
             raise DatasetError(f"{folder} is missing or damaged: {mend_of(folder)}.")
         return cls(folder, shards, shape)
 
     def read(self, rows: slice, cols: slice) -> NDArray[Any]:
-        """A part of it. Raises DatasetError when a shard is damaged."""
+        """Read a part of the array. Raises DatasetError when a shard is damaged."""
         out = np.empty((rows.stop - rows.start, cols.stop - cols.start), self.shards.dtype)
         for part_r in cut(rows.start, rows.stop, self.shards.shard_px):
             for part_c in cut(cols.start, cols.stop, self.shards.shard_px):
@@ -167,9 +168,9 @@ class ShardedArray:
         return out
 
     def write(self, layer: NDArray[Any], top: int, left: int) -> None:
-        """Put a layer into one shard, from pixel (top, left) of the array on: whole chunks, or up to its end.
+        """Write a layer into one shard, from pixel (top, left): complete chunks, or up to the array's end.
 
-        Raises DatasetError when the shard has other chunks and is damaged, and when numbers would not fit in.
+        Raises DatasetError when the shard has other chunks and is damaged, or when the dtype does not fit.
         """
         if not np.can_cast(layer.dtype, self.shards.dtype):
             raise DatasetError(
@@ -182,20 +183,20 @@ class ShardedArray:
         self.shards.write(path, layer, inside_r.start, inside_c.start, whole=whole)
 
     def _inside(self, rows: slice, cols: slice) -> tuple[Path, slice, slice]:
-        """The file of a part of one shard, and the part in the shard's own pixels."""
+        """Return the file of a part of one shard, and the part in pixels of the shard."""
         size = self.shards.shard_px
         row, col = rows.start // size, cols.start // size
         inside_r, inside_c = (slice(run.start - n * size, run.stop - n * size) for run, n in ((rows, row), (cols, col)))
         return self.folder / "c" / str(row) / str(col), inside_r, inside_c
 
     def _fills(self, run: slice, size: int) -> bool:
-        """Whether a run of pixels is all that a shard has along an axis of a size."""
+        """Return whether a run of pixels covers its shard along an axis of length `size`."""
         start = run.start // self.shards.shard_px * self.shards.shard_px
         return run.start == start and run.stop == min(start + self.shards.shard_px, size)
 
 
 def cut(start: int, stop: int, size: int) -> Iterator[slice]:
-    """A run of pixels cut where shards of a size end."""
+    """Split a run of pixels at the shard boundaries."""
     while start < stop:
         end = min(stop, (start // size + 1) * size)
         yield slice(start, end)
@@ -204,7 +205,7 @@ def cut(start: int, stop: int, size: int) -> Iterator[slice]:
 
 @cache
 def _compressor() -> Any:
-    """LZ4 after a shuffle of bits: noisy heights shrink to two thirds of their size in 2 ns a pixel."""
+    """Return LZ4 with bit shuffle: noisy heights shrink to two thirds of their size in 2 ns per pixel."""
     import numcodecs.blosc
 
     numcodecs.blosc.use_threads = False
@@ -212,19 +213,19 @@ def _compressor() -> Any:
 
 
 def codecs() -> list[Any]:
-    """The same for Zarr's library."""
+    """Return the same codecs for the Zarr library."""
     from zarr.codecs import BloscCodec, Crc32cCodec
 
     return [BloscCodec(cname="lz4", clevel=5, shuffle="bitshuffle"), Crc32cCodec()]
 
 
 def summed(content: bytes) -> bytes:
-    """Bytes with their checksum behind them."""
+    """Return bytes with their checksum appended."""
     return content + crc32c(content).to_bytes(_SUM_BYTES, "little")
 
 
 def checked(content: bytes) -> bytes:
-    """Bytes without their checksum. Raises ValueError when it is not theirs."""
+    """Return bytes without their checksum. Raises ValueError when it is wrong."""
     body = content[:-_SUM_BYTES]
     if crc32c(body).to_bytes(_SUM_BYTES, "little") != content[-_SUM_BYTES:]:
         raise ValueError("the checksum is wrong")
@@ -245,7 +246,7 @@ def _holds_only(chunk: NDArray[Any], fill: float) -> bool:
 def _crossing(
     rows: slice, cols: slice, size: int
 ) -> Iterator[tuple[tuple[int, int], tuple[slice, slice], tuple[slice, slice]]]:
-    """The chunks under a part: their place, what of them belongs to it, and where in it that lies."""
+    """Yield the chunks that a part overlaps: index, slices in the chunk, slices in the part."""
     for r in range(rows.start // size, -(-rows.stop // size)):
         for c in range(cols.start // size, -(-cols.stop // size)):
             (inside_r, outside_r), (inside_c, outside_c) = _shared(rows, r * size, size), _shared(cols, c * size, size)
@@ -253,6 +254,6 @@ def _crossing(
 
 
 def _shared(part: slice, start: int, size: int) -> tuple[slice, slice]:
-    """Where a run of pixels from `start` on meets a part: in the numbers of the run, and in those of the part."""
+    """Return the overlap of a part with a run of pixels from `start`: as a slice of the run, and of the part."""
     first, last = max(part.start, start), min(part.stop, start + size)
     return slice(first - start, last - start), slice(first - part.start, last - part.start)

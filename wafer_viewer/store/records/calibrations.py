@@ -1,6 +1,6 @@
-"""``calibrations.jsonl`` in the data folder: every correction of a rig's calibration, who made it and why.
+"""``calibrations.jsonl`` in the data folder: all changes of rig calibrations, with author and reason.
 
-The newest of a rig is what its next scans are calibrated by, unless the rig itself came with a newer one.
+The newest change applies to the rig's next scans, unless the rig itself has a newer calibration.
 """
 
 from __future__ import annotations
@@ -17,7 +17,7 @@ CALIBRATIONS = "calibrations.jsonl"
 
 
 class CalibrationChange(Spec, frozen=True, kw_only=True):
-    """One line: a rig's calibration before and after; at: ISO 8601."""
+    """One line: calibration of a rig before and after a change; at: ISO 8601."""
 
     error: ClassVar[type[WaferViewerError]] = DatasetError
     rig: str
@@ -29,17 +29,17 @@ class CalibrationChange(Spec, frozen=True, kw_only=True):
 
 
 def record_change(folder: Path, change: CalibrationChange) -> None:
-    """Put a calibration in force for the rig's next scans."""
+    """Append a calibration that applies to the rig's next scans."""
     append_line(folder / CALIBRATIONS, change)
 
 
 def calibration_changes(folder: Path, rig: str) -> tuple[CalibrationChange, ...]:
-    """What was changed of a rig's calibration, oldest first. Raises DatasetError when a line is damaged."""
+    """Return the calibration changes of a rig, oldest first. Raises DatasetError for a damaged line."""
     return tuple(change for change in read_lines(folder / CALIBRATIONS, CalibrationChange) if change.rig == rig)
 
 
 def calibration_in_force(folder: Path, rig: str, own: Calibration | None) -> Calibration | None:
-    """What the next scan of a rig into a data folder is calibrated by; own: what the rig came with."""
+    """Return the calibration for the next scan of a rig into a data folder; own: that of the rig itself."""
     if own is None:
         return None
     fit = [c.after for c in calibration_changes(folder, rig) if c.after.setup == own.setup and c.after.made >= own.made]

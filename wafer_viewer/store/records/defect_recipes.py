@@ -1,4 +1,4 @@
-"""How defects are looked for, kept by product: ``recipes/PRODUCT-NAME.defects.toml`` beside the datasets."""
+"""Defect recipes by product: ``recipes/PRODUCT-NAME.defects.toml`` in the folder of the datasets."""
 
 from __future__ import annotations
 
@@ -14,7 +14,25 @@ FOLDER, ENDING = "recipes", ".defects.toml"
 
 
 def read_defect_recipe(path: str | Path) -> DefectRecipe:
-    """Read a recipe. Raises DatasetError when there is none, MeasureError when a field is unknown or out of limits."""
+    """Read a defect recipe from a file.
+
+    Parameters
+    ----------
+    path : str or Path
+        TOML file with the fields of `DefectRecipe`.
+
+    Returns
+    -------
+    DefectRecipe
+        Settings of the defect inspection; fields that are not in the file have their default values.
+
+    Raises
+    ------
+    DatasetError
+        When the file cannot be read.
+    MeasureError
+        When it is no valid TOML, or has an unknown or invalid field.
+    """
     place = Path(path)
     try:
         return decode(place.read_bytes(), DefectRecipe, place.name)
@@ -23,9 +41,29 @@ def read_defect_recipe(path: str | Path) -> DefectRecipe:
 
 
 def save_defect_recipe(folder: Path, recipe: DefectRecipe) -> Path:
-    """Keep a recipe under its product and name, in place of the one before; `folder` is that of the datasets.
+    """Save a defect recipe under its product and name.
 
-    Raises DatasetError where it has no product or no name, the file is another recipe's, or cannot be written.
+    An earlier version of the recipe is replaced.
+
+    Parameters
+    ----------
+    folder : Path
+        Folder of the datasets.
+    recipe : DefectRecipe
+        Recipe to save; its product and its name must not be empty.
+
+    Returns
+    -------
+    Path
+        The file written, ``recipes/PRODUCT-NAME.defects.toml`` in `folder`. Characters other than letters, digits and
+        ``_ . + -`` become hyphens in its name.
+
+    Raises
+    ------
+    DatasetError
+        When product or name is empty, the file belongs to another recipe, or it cannot be written.
+    MeasureError
+        When a file of that name exists and is no valid recipe.
     """
     path = _place(folder, recipe.product, recipe.name)
     with writing(path):
@@ -35,7 +73,7 @@ def save_defect_recipe(folder: Path, recipe: DefectRecipe) -> Path:
 
 
 def rename_defect_recipe(folder: Path, recipe: DefectRecipe, name: str) -> Path:
-    """Give a kept recipe another name. Raises DatasetError where there is none, or the name is taken."""
+    """Rename a saved recipe. Raises DatasetError when it does not exist, or the name is taken."""
     old, new = _kept(folder, recipe), _place(folder, recipe.product, name)
     if new.exists():
         raise DatasetError(f"There is a recipe '{name}' of {recipe.product} already: choose another name.")
@@ -45,20 +83,20 @@ def rename_defect_recipe(folder: Path, recipe: DefectRecipe, name: str) -> Path:
 
 
 def delete_defect_recipe(folder: Path, recipe: DefectRecipe) -> None:
-    """Remove a kept recipe. Raises DatasetError where there is none, or it cannot be removed."""
+    """Delete a saved recipe. Raises DatasetError when it does not exist or cannot be deleted."""
     path = _kept(folder, recipe)
     with writing(path):
         path.unlink()
 
 
 def defect_recipes(folder: Path, product: str = "") -> tuple[DefectRecipe, ...]:
-    """The recipes beside the datasets, of one product where it is named, by product and name; damaged ones raise."""
+    """Return the saved recipes, optionally of one product, by product and name; damaged ones raise."""
     read = (read_defect_recipe(path) for path in _files(folder))
     return tuple(recipe for recipe in read if not product or recipe.product == product)
 
 
 def readable_recipes(folder: Path) -> tuple[tuple[DefectRecipe, ...], tuple[str, ...]]:
-    """The recipes beside the datasets, saved last first; and a sentence for each file that cannot be read as one."""
+    """Return the readable recipes, most recently saved first, and one sentence per unreadable file."""
     recipes: list[DefectRecipe] = []
     problems: list[str] = []
     for path in sorted(_files(folder), key=lambda path: -path.stat().st_mtime_ns):
@@ -74,7 +112,7 @@ def _files(folder: Path) -> list[Path]:
 
 
 def _place(folder: Path, product: str, name: str) -> Path:
-    """Where a recipe is kept. Raises DatasetError where it has no name, or that of another comes to the same file."""
+    """Return the path of a recipe. Raises DatasetError for an empty name, or if another recipe has the same file."""
     if not product.strip() or not name.strip():
         raise DatasetError("A defect recipe is kept under a product and a name: give both.")
     path = folder / FOLDER / f"{_plain(product)}-{_plain(name)}{ENDING}"
@@ -93,5 +131,5 @@ def _kept(folder: Path, recipe: DefectRecipe) -> Path:
 
 
 def _plain(name: str) -> str:
-    """What a file may be called."""
+    """Return a name reduced to valid characters of a file name."""
     return re.sub(r"[^\w.+-]+", "-", name.strip())

@@ -1,4 +1,4 @@
-"""``gauge-checks.jsonl`` in the data folder: every signed check against gauge blocks, a line each."""
+"""``gauge-checks.jsonl`` in the data folder: one line for each signed check against gauge blocks."""
 
 from __future__ import annotations
 
@@ -12,12 +12,12 @@ GAUGE_LOG = "gauge-checks.jsonl"
 
 
 def sign(folder: Path, record: GaugeRecord) -> None:
-    """Add a signed check to the log of a data folder."""
+    """Append a signed check to the log of a data folder."""
     append_line(folder / GAUGE_LOG, record)
 
 
 def signed_checks(folder: Path, serials: Iterable[str] = ()) -> tuple[GaugeRecord, ...]:
-    """The signed checks of a data folder, oldest first; of some blocks alone, by all their serial numbers.
+    """Return the signed checks of a data folder, oldest first, optionally for one set of serial numbers.
 
     Raises DatasetError when a line of the log is damaged.
     """

@@ -1,4 +1,4 @@
-"""Golden dies as files, ``NAME.VERSION.golden.npz``: a JSON header and four layers; none is ever written over."""
+"""Golden die files, ``NAME.VERSION.golden.npz``: a JSON header and four layers; never overwritten."""
 
 from __future__ import annotations
 
@@ -22,15 +22,36 @@ from wafer_viewer.store.io.atomic_files import natural, remove, writing
 from wafer_viewer.store.io.checksums import require_good_archive, seal_archive
 
 FOLDER, ENDING = "golden", ".golden.npz"
-"""The folder beside the datasets where they lie, and how their files end."""
+"""Folder of golden dies in the data folder, and suffix of their files."""
 LAYERS = ("z_um", "z_spread_um", "picture", "picture_spread")
 _NAME = re.compile(r"[\w][\w +-]*")
 
 
 def save_golden(golden: GoldenDie, path: str | Path) -> Path:
-    """Keep a golden die as the next version of ``FOLDER/NAME`` and return its file, ``FOLDER/NAME.3.golden.npz`` say.
+    """Save a golden die as the next version of its name.
 
-    Raises DatasetError where the name is no name or is another product's, or the folder cannot be written to.
+    The file is named as in ``FOLDER/NAME.3.golden.npz``; existing versions are never overwritten.
+
+    Parameters
+    ----------
+    golden : GoldenDie
+        Golden die to save. Name, version and software version of its header are replaced in the file, and the time if
+        it is empty.
+    path : str or Path
+        ``FOLDER/NAME``, with or without the suffix ``.golden.npz``. The folder is made if it does not exist.
+
+    Returns
+    -------
+    Path
+        The file written.
+
+    Raises
+    ------
+    DatasetError
+        When the name is invalid (letters, digits, spaces, ``+``, ``-`` and ``_`` are permitted) or belongs to another
+        product, the newest version cannot be read, or the folder cannot be written to.
+    MeasureError
+        When the header of the newest version is invalid.
     """
     place = Path(path)
     folder, name = place.parent, place.name.removesuffix(ENDING)
@@ -45,20 +66,38 @@ def save_golden(golden: GoldenDie, path: str | Path) -> Path:
 
 
 def open_golden(path: str | Path) -> GoldenDie:
-    """Read a golden die. Raises DatasetError when the file is none."""
+    """Read a golden die from a file.
+
+    Parameters
+    ----------
+    path : str or Path
+        The ``.golden.npz`` file.
+
+    Returns
+    -------
+    GoldenDie
+        Header and layers, float32 [row, col]: expected heights and their spread in um, expected image and its spread.
+
+    Raises
+    ------
+    DatasetError
+        When the file does not exist, is no golden die, is damaged, or its checksum differs.
+    MeasureError
+        When its header is invalid or its layers differ in size.
+    """
     with _members(Path(path)) as (header, members):
         return GoldenDie(header, *(_layer(members[name]) for name in LAYERS))
 
 
 def header_of(path: Path) -> GoldenHeader:
-    """What a file is a golden die of. Raises DatasetError when it is none."""
+    """Return the header of a golden die file. Raises DatasetError when it is none."""
     with _members(path) as (header, _):
         return header
 
 
 @contextmanager
 def _members(path: Path) -> Generator[tuple[GoldenHeader, Mapping[str, Any]]]:
-    """The header and the arrays of a file; whatever is wrong with them becomes one sentence."""
+    """Yield the header and the arrays of a file; any defect raises DatasetError."""
     try:
         require_good_archive(path)
         with path.open("rb") as file, np.load(file) as members:
@@ -72,9 +111,9 @@ def _members(path: Path) -> Generator[tuple[GoldenHeader, Mapping[str, Any]]]:
 
 
 def golden_named(folder: Path, name: str, product: str = "") -> GoldenDie:
-    """The newest version of a golden die in a folder, or that of ``NAME.VERSION``; `product`: of which it must be.
+    """Return the newest version of a golden die, or that of ``NAME.VERSION``; `product`: the required product.
 
-    Raises DatasetError where there is none, or it is of another product.
+    Raises DatasetError when there is none, or it is of another product.
     """
     exact = folder / f"{name}{ENDING}"
     kept = (exact,) if exact.exists() else versions_of(folder, name)
@@ -87,12 +126,12 @@ def golden_named(folder: Path, name: str, product: str = "") -> GoldenDie:
 
 
 def list_golden(folder: Path) -> tuple[GoldenHeader, ...]:
-    """The newest version of every golden die in a folder, by name; files that cannot be read are left out."""
+    """Return the newest version of every golden die in a folder; unreadable files are ignored."""
     return tuple({header.name: header for header in reversed(every_golden(folder))}.values())
 
 
 def every_golden(folder: Path) -> tuple[GoldenHeader, ...]:
-    """Every version of every golden die in a folder, by name from the last, the newest version first of each."""
+    """Return all versions of all golden dies in a folder, in reverse natural order of their file names."""
     paths = sorted(folder.glob(f"*{ENDING}"), key=lambda path: natural(path.name), reverse=True)
     return tuple(header for path in paths if (header := _readable(path)) is not None)
 
@@ -105,18 +144,18 @@ def _readable(path: Path) -> GoldenHeader | None:
 
 
 def versions_of(folder: Path, name: str) -> tuple[Path, ...]:
-    """The files of a golden die, the newest last."""
+    """Return the files of a golden die, newest last."""
     return tuple(sorted((p for p in folder.glob(f"{name}.*{ENDING}") if _version(p)), key=_version))
 
 
 def _version(path: Path) -> int:
-    """The number in a file's name, 0 without one."""
+    """Return the version number in a file name, 0 without one."""
     number = path.name.removesuffix(ENDING).rpartition(".")[2]
     return int(number) if number.isdecimal() else 0
 
 
 def _write_next(golden: GoldenDie, folder: Path, name: str, version: int) -> Path:
-    """Write it whole beside, then give it its name; where another was quicker, the version after."""
+    """Write a temporary file, then link it under the next free version number."""
     beside = folder / f".{name}.{os.getpid()}.part"
     try:
         while True:
@@ -142,7 +181,7 @@ def _kept_now(header: GoldenHeader, name: str, version: int) -> GoldenHeader:
 
 
 def _named(beside: Path, path: Path) -> bool:
-    """Give a file its name unless that is taken: a link never goes over what is there, a renaming does."""
+    """Hard-link a file unless the target exists; unlike a rename, a link never overwrites."""
     try:
         with writing(path):
             path.hardlink_to(beside)

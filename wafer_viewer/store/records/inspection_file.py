@@ -1,4 +1,4 @@
-"""``defects.json``: what the inspection of a surface found, and what people thought of it, beside that surface."""
+"""``defects.json``: inspection of a surface and the review of its defects, in the folder of the result."""
 
 from __future__ import annotations
 
@@ -14,27 +14,27 @@ from wafer_viewer.store.io.checksums import load_json, save_json
 
 DEFECTS = "defects.json"
 WORDS = ("judgement", "judged_kind", "note", "judged_by", "judged_at")
-"""What people say of a defect; everything else of it is measured."""
+"""Fields of a defect set by reviewers; all others are measured."""
 
 
 def read_inspection(result: Path) -> Inspection | None:
-    """The inspection in the folder of a result; None before one was made. DatasetError where it is unreadable."""
+    """Read the inspection of a result; None if there is none. Raises DatasetError when it is unreadable."""
     path = result / DEFECTS
     return load_json(path, Inspection) if path.exists() else None
 
 
 def write_inspection(result: Path, inspection: Inspection) -> None:
-    """Keep an inspection in place of the one before, whole or not at all."""
+    """Save an inspection atomically, replacing an earlier one."""
     with writing(result):
         result.mkdir(parents=True, exist_ok=True)
     save_json(result / DEFECTS, inspection)
 
 
 def carry_over(before: Inspection, after: Inspection) -> Inspection:
-    """`after` with what people said in `before` of the same places; judged defects that are gone are told in its notes.
+    """Return `after` with the review data of matching defects in `before`; its notes list unmatched judged ones.
 
-    Two defects are the same place where their centres are no further apart than half the length of the longer one; the
-    nearest pairs come first, each defect counts once.
+    Two defects match if their centres are no further apart than half the length of the longer one; the nearest pairs
+    are matched first, each defect once.
     """
     judged = [defect for defect in before.defects if is_judged(defect)]
     pairs = _pairs(judged, after.defects)
@@ -45,7 +45,7 @@ def carry_over(before: Inspection, after: Inspection) -> Inspection:
 
 
 def is_judged(defect: Defect) -> bool:
-    """Whether a person said anything of it."""
+    """Return whether a reviewer judged, classified or commented on a defect."""
     return defect.judgement != "open" or defect.judged_kind is not None or bool(defect.note)
 
 
@@ -54,7 +54,7 @@ def _words(defect: Defect) -> dict[str, str | None]:
 
 
 def _pairs(old: list[Defect], new: tuple[Defect, ...]) -> list[tuple[int, int]]:
-    """Which of the old are which of the new, the nearest first and each once."""
+    """Return index pairs of matching old and new defects, nearest first and each once."""
     near = sorted((distance, i, j) for i, a in enumerate(old) for distance, j in _within_reach(a, new))
     taken_old: set[int] = set()
     taken_new: set[int] = set()
@@ -68,7 +68,7 @@ def _pairs(old: list[Defect], new: tuple[Defect, ...]) -> list[tuple[int, int]]:
 
 
 def _within_reach(a: Defect, others: tuple[Defect, ...]) -> list[tuple[float, int]]:
-    """(distance, index) of those that may be the same place."""
+    """Return (distance, index) of the candidates for a match."""
     x, y = (np.array([getattr(b.center, axis) for b in others]) for axis in ("x_um", "y_um"))
     reach_um = np.maximum([b.major.value_um for b in others], a.major.value_um) / 2
     distance_um = np.hypot(x - a.center.x_um, y - a.center.y_um)

@@ -1,4 +1,4 @@
-"""A report as one self-contained HTML file that prints well. The same report makes the same bytes."""
+"""Report as one self-contained, printable HTML file. The same report gives the same bytes."""
 
 from __future__ import annotations
 
@@ -16,12 +16,12 @@ TEMPLATE = "report.html.j2"
 
 
 def report_html(report: Report) -> str:
-    """The text of the file; everything in it that comes from people or files is escaped."""
+    """Return the HTML text; all strings from people or files are escaped."""
     return _template().render(report=report)
 
 
 def write_report(report: Report, path: Path) -> None:
-    """Write it, whole or not at all. Raises DatasetError when the place cannot be written to."""
+    """Write the report atomically. Raises DatasetError when the path cannot be written to."""
     write_text(path, report_html(report))
 
 

@@ -1,4 +1,4 @@
-"""``notebook.json``: saved views and judgements beside the surface they are of."""
+"""``notebook.json``: saved views and judgements, in the folder of the result."""
 
 from __future__ import annotations
 
@@ -12,13 +12,13 @@ NOTEBOOK = "notebook.json"
 
 
 def read_notebook(result: Path) -> Notebook:
-    """The notebook of the folder of a result; an empty one at first. Raises DatasetError when it cannot be read."""
+    """Read the notebook of a result; an empty one if there is none. Raises DatasetError when it is unreadable."""
     path = result / NOTEBOOK
     return load_json(path, Notebook) if path.exists() else Notebook()
 
 
 def write_notebook(result: Path, notebook: Notebook) -> None:
-    """Keep a notebook in place of the one before. Raises DatasetError when that is damaged."""
+    """Save a notebook, replacing the earlier one. Raises DatasetError when that is damaged."""
     with writing(result):
         result.mkdir(parents=True, exist_ok=True)
     require_good_json(result / NOTEBOOK)

@@ -1,4 +1,4 @@
-"""Defects as a table for a spreadsheet: a line for each, lengths in um; unmeasured areas are listed as such."""
+"""Defect table for spreadsheets: one line per defect, lengths in um; unmeasured areas are marked as such."""
 
 from __future__ import annotations
 
@@ -17,10 +17,10 @@ COLUMNS = (
 
 
 def defects_csv(inspection: Inspection) -> str:
-    """The table; U is expanded (k = 2), empty where it was not evaluated.
+    """Return the table; U is expanded (k = 2), empty if not evaluated.
 
-    x_um, y_um on the stage; u_um, v_um from the lower left corner of the die. No heights stand where an area is
-    unmeasured, no lateral sizes where they are not resolved.
+    x_um, y_um are stage coordinates; u_um, v_um are relative to the lower left corner of the die. Heights are empty for
+    unmeasured areas, lateral sizes where they are not resolved.
     """
     text = io.StringIO()
     table = csv.writer(text, lineterminator="\n")

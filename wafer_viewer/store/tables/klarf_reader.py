@@ -1,7 +1,7 @@
-"""KLARF 1.0 to 1.2 read: every record counted, units held against the sizes they must have.
+"""KLARF 1.0 to 1.2 reader: record counts are verified, units are checked for plausibility.
 
-The format is free: line breaks are blanks, so numbers of a defect may go on in the next line. Defects may come in
-several lists (one for each image or inspection test), each under the columns named last before it.
+Line breaks count as blanks, so the numbers of a defect may continue in the next line. There may be several defect lists
+(one for each image or inspection test), each with the last preceding column specification.
 """
 
 from __future__ import annotations
@@ -23,7 +23,7 @@ UM_PER: dict[str, float] = {"um": 1.0, "nm": 1e-3, "mm": 1e3}
 VERSIONS = ("1.0", "1.1", "1.2")
 NEEDED = ("DEFECTID", "XREL", "YREL", "XINDEX", "YINDEX")
 LEAST_PITCH_UM = 50.0
-"""No die is smaller: a file that says so is in another unit."""
+"""Least plausible die pitch; a smaller one means another unit."""
 _NEWER = re.compile(r'\s*Record\s+FileRecord\s+"([^"]*)"')
 _TOKEN = re.compile(r'"([^"]*)"|([^\s"]+)')
 _LENGTHS = {"width_um": "XSIZE", "height_um": "YSIZE", "size_um": "DSIZE"}
@@ -31,24 +31,24 @@ _COUNTS = {"class_number": "CLASSNUMBER", "bin": "ROUGHBINNUMBER", "test": "TEST
 
 
 IMAGE_WORDS = 3
-"""At most of each image of a defect, in lines below it."""
+"""Greatest number of words per image of a defect, in the lines after it."""
 
 
 @dataclass(frozen=True, slots=True)
 class Record:
-    """One record, from its keyword to its semicolon: the words of each of its lines, the keyword left out."""
+    """One record, from its keyword to its semicolon: the words of each line, without the keyword."""
 
     lines: tuple[tuple[str, ...], ...]
 
     @property
     def words(self) -> tuple[str, ...]:
-        """All of them in order."""
+        """All words in order."""
         return tuple(word for line in self.lines for word in line)
 
 
 @dataclass(frozen=True, slots=True)
 class DefectList:
-    """A list of defects with the columns that it is under."""
+    """List of defects with its columns."""
 
     columns: tuple[str, ...]
     lines: tuple[tuple[str, ...], ...]
@@ -56,7 +56,7 @@ class DefectList:
 
 @dataclass(frozen=True, slots=True)
 class Records:
-    """The records of a file by their keywords, in order; those that come again for each inspection test together."""
+    """Records of a file by keyword, in order; repeated ones of all inspection tests together."""
 
     by_keyword: dict[str, tuple[Record, ...]]
     lists: tuple[DefectList, ...]
@@ -65,18 +65,44 @@ class Records:
         return keyword in self.by_keyword
 
     def __getitem__(self, keyword: str) -> Record:
-        """The last record of a keyword."""
+        """Return the last record of a keyword."""
         return self.by_keyword[keyword][-1]
 
     def all(self, keyword: str) -> tuple[Record, ...]:
-        """Every record of a keyword."""
+        """Return all records of a keyword."""
         return self.by_keyword.get(keyword, ())
 
 
 def read_klarf(path: str | Path, unit: KlarfUnit | None = None) -> Klarf:
-    """Read a KLARF file of one wafer; `unit` of its lengths where the file does not say, um by default.
+    """Read a KLARF file, version 1.0 to 1.2, of one wafer.
 
-    Raises DatasetError where it is cut off, lacks records, is in another unit, or is not KLARF 1.0 to 1.2.
+    Record counts are verified, and units are checked for plausibility.
+
+    Parameters
+    ----------
+    path : str or Path
+        The KLARF file, UTF-8 or UTF-16.
+    unit : {"um", "nm", "mm"}, optional
+        Unit of the lengths if the file states none. Default: um.
+
+    Returns
+    -------
+    Klarf
+        Wafer, lattice of dies, and defects relative to the lower left corners of their dies; lengths in um. Its notes
+        state what was converted or merged, or could not be checked.
+
+    Raises
+    ------
+    DatasetError
+        When the file cannot be read, is not KLARF 1.0 to 1.2, is truncated or damaged, holds several wafers, lacks
+        records or columns, or lists another number of dies or defects than it states; when its unit is unknown or
+        differs from `unit`, or its lengths are implausible in that unit.
+
+    Notes
+    -----
+    Line breaks count as blanks, so the numbers of a defect may continue in the next line. The dies and defects of
+    several inspection tests are merged. If the coordinates are mirrored, x is mirrored back about the centre of the
+    wafer. In a file without a summary, missing records cannot be detected.
     """
     place = Path(path)
     records = _records(place, _text(place))
@@ -105,7 +131,7 @@ def _text(path: Path) -> str:
 
 
 def _records(path: Path, text: str) -> Records:
-    """All records. Raises DatasetError for another format, a file that is cut off, and one of several wafers."""
+    """Return all records. Raises DatasetError for another format, a truncated file, or several wafers."""
     if (newer := _NEWER.match(text)) is not None:
         raise DatasetError(
             f"{path.name} is KLARF {newer[1]}, which has another syntax: export it as KLARF 1.2 (FileVersion 1 2)."
@@ -131,7 +157,7 @@ def _records(path: Path, text: str) -> Records:
 
 
 def _split(text: str) -> Iterator[str]:
-    """At the semicolons that are not within quotation marks."""
+    """Split at the semicolons outside quotation marks."""
     return (part for part in re.findall(r'(?:"[^"]*"|[^;"])+', text) if part.strip())
 
 
@@ -140,7 +166,7 @@ def _words(line: str) -> tuple[str, ...]:
 
 
 def _um_per_unit(records: Records, unit: KlarfUnit | None) -> tuple[float, tuple[str, ...]]:
-    """How many um one of its units is; what it says itself goes before what was asked."""
+    """Return the length unit in um, and notes; the file's own unit takes precedence."""
     version = ".".join(records["FileVersion"].words[:2])
     if version not in VERSIONS:
         raise DatasetError(f"it is KLARF {version} and not one of {', '.join(VERSIONS)}: export it as 1.2.")
@@ -154,7 +180,7 @@ def _um_per_unit(records: Records, unit: KlarfUnit | None) -> tuple[float, tuple
 
 
 def _notes(records: Records) -> tuple[str, ...]:
-    """Sentences on what was put together or converted."""
+    """Return sentences on data that were merged or converted."""
     tests = len(records.all("InspectionTest"))
     several = (f"It holds {tests} inspection tests: their dies and defects are shown together.",) if tests > 1 else ()
     mirrored = ("Its coordinates are mirrored: x was mirrored back about the centre of the wafer.",)
@@ -162,7 +188,7 @@ def _notes(records: Records) -> tuple[str, ...]:
 
 
 def _facts(records: Records, um: float) -> dict[str, Any]:
-    """The header; pitch and defects are needed, what else is left out stays empty."""
+    """Return the header values; pitch and defects are required, other missing values stay empty."""
     for keyword in ("DiePitch", "DefectRecordSpec", "DefectList"):
         if keyword not in records:
             raise DatasetError(f"it has no record {keyword}: export it again.")
@@ -202,7 +228,7 @@ def _classes(records: Records) -> tuple[tuple[int, str], ...]:
 
 
 def _pairs(records: Records) -> tuple[tuple[int, int], ...]:
-    """The dies of the test plans of all inspection tests, each once."""
+    """Return the dies of the test plans of all inspection tests, each once."""
     found: dict[tuple[int, int], None] = {}
     for plan in records.all("SampleTestPlan"):
         words = plan.words
@@ -214,12 +240,12 @@ def _pairs(records: Records) -> tuple[tuple[int, int], ...]:
 
 
 def _is_mirrored(records: Records) -> bool:
-    """Whether x counts from right to left, as of the back of a wafer that is given as seen through its front."""
+    """Return whether x increases from right to left, as for a wafer back side seen through the front."""
     return _first(records, "CoordinatesMirrored").upper() in ("YES", "Y", "TRUE", "1")
 
 
 def _whole(word: str) -> int:
-    """A whole number, which some programs write as ``0.000``. Raises ValueError for any other word."""
+    """Parse an integer, which some programs write as ``0.000``. Raises ValueError for any other word."""
     value = float(word)
     if not value.is_integer():
         raise ValueError(f"{word} is not a whole number")
@@ -241,7 +267,7 @@ def _defects(records: Records, um: float) -> Iterator[KlarfDefect]:
 
 
 def _rows(listed: DefectList) -> Iterator[dict[str, str]]:
-    """The words of each defect by column; line breaks within them count as blanks."""
+    """Yield the words of each defect by column; line breaks count as blanks."""
     least = len(listed.columns) - ("IMAGELIST" in listed.columns)
     pending: tuple[str, ...] = ()
     n_image_words, begun = 0, 0
@@ -267,7 +293,7 @@ def _too_few(line: int, n_words: int, least: int) -> str:
 
 
 def _defect(values: dict[str, str], names: dict[int, str], um: float, origin_um: tuple[float, ...]) -> KlarfDefect:
-    """A defect; its place counts from the origin of its die, which may lie off the lower left corner."""
+    """Return a defect; its position is relative to its die's origin, which may differ from the lower left corner."""
     lengths = {field: float(values.get(name, 0)) * um for field, name in _LENGTHS.items()}
     counts = {field: _whole(values[name]) for field, name in _COUNTS.items() if name in values}
     return KlarfDefect(
@@ -284,7 +310,7 @@ def _defect(values: dict[str, str], names: dict[int, str], um: float, origin_um:
 
 
 def _require_all(records: Records, klarf: Klarf) -> None:
-    """Raise DatasetError where the summary counts other defects than are listed."""
+    """Raise DatasetError when the summary count differs from the number of listed defects."""
     if "SummaryList" not in records:
         return
     width = _whole(_first(records, "SummarySpec") or "5")
@@ -297,7 +323,7 @@ def _require_all(records: Records, klarf: Klarf) -> None:
 
 
 def _require_plausible(klarf: Klarf) -> None:
-    """Raise DatasetError where lengths cannot be um."""
+    """Raise DatasetError when lengths cannot be in um."""
     pitch_um = min(klarf.pitch_x_um, klarf.pitch_y_um)
     if pitch_um < LEAST_PITCH_UM:
         raise DatasetError(

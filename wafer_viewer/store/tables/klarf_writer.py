@@ -1,9 +1,9 @@
-"""Defects as a KLARF 1.2 file: what inspection tools and yield systems hand defects over in.
+"""KLARF 1.2 writer, the exchange format of inspection tools and yield systems.
 
-Lengths in um. XREL and YREL are the centre of a defect from the lower left corner of its die, along the lattice's axes;
-SampleCenterLocation is the wafer's centre from the lower left corner of die 0,0. HEIGHT, signed, is a column of ours
-that other readers ignore. Only dies that were inspected as a whole, or that have defects, stand in the test plan: a
-die that was not or only partly scanned must not look clean.
+Lengths in um. XREL and YREL are the centre of a defect relative to the lower left corner of its die, along the axes of
+the lattice; SampleCenterLocation is the wafer centre relative to the lower left corner of die 0,0. HEIGHT, signed, is
+an additional column that other readers ignore. The test plan contains only dies that were inspected completely or that
+have defects: a die that was not or only partly scanned must not appear clean.
 """
 
 from __future__ import annotations
@@ -36,9 +36,38 @@ def write_klarf(
     center_um: tuple[float, float] = (0.0, 0.0),
     at: datetime | None = None,
 ) -> Path:
-    """Write the defects of an inspection; `center_um` is the stage place of the wafer's centre, `at` now by default.
+    """Write the defects of an inspection to a KLARF 1.2 file.
 
-    Raises DatasetError where there are no dies to give places in, or the file cannot be written.
+    Parameters
+    ----------
+    inspection : Inspection
+        Result of a defect inspection with a die grid. Unmeasured areas are not written.
+    path : str or Path
+        File to write; an existing file is replaced.
+    sample : Sample, optional
+        Identification of the wafer: lot, wafer id, slot, notch and size (300 mm if not given). Default: empty.
+    center_um : tuple of float, default (0.0, 0.0)
+        Stage position (x, y) of the wafer centre in um.
+    at : datetime, optional
+        Time stamp of the file. Default: now.
+
+    Returns
+    -------
+    Path
+        The file written.
+
+    Raises
+    ------
+    DatasetError
+        When the inspection has no die grid, or the file cannot be written.
+
+    Notes
+    -----
+    Lengths are in um. XREL and YREL are the centre of a defect relative to the lower left corner of its die, along the
+    axes of the lattice; SampleCenterLocation is the wafer centre relative to the lower left corner of die 0,0. HEIGHT,
+    signed, is an additional column that other readers ignore. The test plan contains only dies that were inspected
+    completely or that have defects: a die that was not or only partly scanned must not appear clean. ROUGHBINNUMBER is
+    the judgement: 0 open, 1 real, 2 nuisance.
     """
     if inspection.grid is None:
         raise DatasetError("KLARF gives places by dies and this inspection has none: give their pitch, or write a CSV.")
@@ -89,7 +118,7 @@ def _lattice(grid: DieGrid, sample: Sample, center_um: tuple[float, float]) -> I
 
 
 def _in_die(grid: DieGrid, x_um: float, y_um: float) -> tuple[int, int, float, float]:
-    """(col, row, u_um, v_um) of one stage place."""
+    """Return (col, row, u_um, v_um) of one stage position."""
     col, row, u, v = grid.to_die(np.asarray(x_um), np.asarray(y_um))
     return int(col), int(row), float(u), float(v)
 
@@ -102,7 +131,7 @@ def _classes() -> Iterator[str]:
 
 
 def _plan(inspection: Inspection) -> Iterator[str]:
-    """The dies that were looked at, and the area of them."""
+    """Yield the inspected dies and their area."""
     dies = _looked_at(inspection)
     yield "InspectionTest 1;"
     yield f"SampleTestPlan {len(dies)}{'' if dies else ';'}"
@@ -132,7 +161,7 @@ def _record(defect: Defect, grid: DieGrid) -> str:
 
 
 def _looked_at(inspection: Inspection) -> list[DieStatus]:
-    """The dies of which it can be said whether they have defects."""
+    """Return the dies whose defect state is known."""
     return [die for die in inspection.dies if die.defects or (die.state == "whole" and die.defects is not None)]
 
 
@@ -150,5 +179,5 @@ def _size_mm(sample: Sample) -> float:
 
 
 def _quoted(text: str) -> str:
-    """KLARF knows no way to write a quotation mark within a text."""
+    """Return a quoted text; double quotes in it become single ones, as KLARF cannot escape them."""
     return '"' + " ".join(text.replace('"', "'").split()) + '"'

@@ -1,4 +1,4 @@
-"""Findings as a table for a spreadsheet: a line for each number, with its unit, its U or why it has none, and where."""
+"""Result table for spreadsheets: one line per number with unit, U or the reason for its absence, and position."""
 
 from __future__ import annotations
 
@@ -18,13 +18,13 @@ COLUMNS = (
     *("x_um", "y_um", "surface", "filter", "levelled by", "show", "simulated"),
 )
 UNITS = ("um2", "um3", "um", "deg", "mrad")
-"""How the name of a plain number ends that has a unit; a number without one is a count or a ratio, unit 1."""
+"""Name suffixes that give the unit of a plain number; without one it is a count or a ratio, unit 1."""
 OF_ALL = frozenset(MeasurementResult.__struct_fields__)
 
 
 @dataclass(frozen=True, slots=True)
 class CsvNumber:
-    """One number of a finding; status empty where no uncertainty is asked of it."""
+    """One number of a result; status is empty for numbers without an uncertainty."""
 
     name: str
     value: float
@@ -34,7 +34,7 @@ class CsvNumber:
 
 
 def findings_csv(findings: MeasurementResults) -> str:
-    """The table; U is expanded (k = 2). x_um and y_um are the middle of the first place, show 0 the whole surface."""
+    """Return the table; U is expanded (k = 2). x_um, y_um: centre of the first region; show 0: entire surface."""
     text = io.StringIO()
     table = csv.writer(text, lineterminator="\n")
     table.writerow(COLUMNS)
@@ -47,14 +47,14 @@ def findings_csv(findings: MeasurementResults) -> str:
 
 
 def _numbers(finding: AnyResult) -> Iterator[CsvNumber]:
-    """The main one first."""
+    """Yield the numbers of a result, the main one first."""
     found = [n for name in finding.__struct_fields__ if name not in OF_ALL and (n := _number(finding, name))]
     main = finding.main
     return iter(sorted(found, key=lambda n: (n.value, n.unit, n.status) != (main.value, main.unit, main.status)))
 
 
 def _parts(finding: AnyResult) -> Iterator[tuple[CsvNumber, list[str]]]:
-    """The numbers of each chip or bump of a result, with its place."""
+    """Yield the numbers of each chip or bump of a result, with its position."""
     parts: dict[str, tuple[Chip | Bump, ...]] = {}
     if isinstance(finding, Chipping):
         parts["chip"] = finding.chips

@@ -1,4 +1,4 @@
-"""Profiles as a table for a spreadsheet: a block of columns for each curve, and above them what each was cut from."""
+"""Profile table for spreadsheets: a block of columns per curve, with header lines on their sources."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ COLUMNS = ("distance_um", "x_um", "y_um", "z_um")
 
 
 def profiles_csv(sections: Sequence[Section], software_version: str) -> str:
-    """Lines that begin with ``#`` say where each curve comes from; an empty cell is an unmeasured height."""
+    """Return the table; lines that begin with ``#`` state the sources, empty cells are unmeasured heights."""
     text = io.StringIO()
     text.writelines(f"# {line}\n" for line in _heading(sections, software_version))
     table = csv.writer(text, lineterminator="\n")

@@ -1,4 +1,4 @@
-"""A study of repeated measurements as a table: a line for each value, with its part and who measured it."""
+"""Table of a repeatability study: one line per value, with part and appraiser."""
 
 from __future__ import annotations
 
@@ -16,10 +16,10 @@ HOW = "a study has the columns part, appraiser and value, and a line for each tr
 
 
 def read_study(path: Path) -> NDArray[np.float64]:
-    """The values of a CSV file, [part, appraiser, trial]; trials in the order of their lines. Lines with # are skipped.
+    """Read the values of a CSV file, [part, appraiser, trial]; trials in line order. Lines with # are skipped.
 
-    Raises MeasureError for a file that cannot be read, lacks a column, holds what is not a number, or in which parts
-    were not measured equally often.
+    Raises MeasureError when the file cannot be read, lacks a column, holds a non-number, or has unequal numbers of
+    trials.
     """
     cells: dict[tuple[str, str], list[float]] = defaultdict(list)
     for number, line in _lines(path):

@@ -1,7 +1,8 @@
-"""Judged defects as a training set: a folder of cut-outs, and a table of features with the classes of rules and people.
+"""Training set of judged defects: a folder of crops, and a table of features with both classifications.
 
-``0007.npy`` holds the heights round defect 7 in um (float32, NaN unmeasured), ``0007.png`` the all-in-focus picture of
-the same pixels; ``features.csv`` has a line for each, ``README.txt`` says what the columns are.
+The classes are those of the rules and of the reviewers. ``0007.npy`` holds the heights around defect 7 in um (float32,
+NaN unmeasured), ``0007.png`` the all-in-focus image of the same pixels; ``features.csv`` has one line per defect,
+``README.txt`` describes the columns.
 """
 
 from __future__ import annotations
@@ -20,7 +21,7 @@ from wafer_viewer.model.surface.height_map import HeightMap, Mosaic
 from wafer_viewer.store.io.atomic_files import replacing
 
 MARGIN, LEAST_PX, MOST_PX = 1.0, 32, 512
-"""Round a defect lies as much of its surroundings as it is long; at least and at most so many pixels across."""
+"""Margin around a defect as a share of its length; least and greatest side of the crop in px."""
 COLUMNS = (
     *("number", "heights", "picture", "class", "class by rules", "judgement", "judged by", "judged at", "die"),
     *("height_um", "mean_height_um", "major_um", "minor_um", "angle_deg", "area_um2", "volume_um3", "score"),
@@ -34,9 +35,37 @@ class: the operator's word, or that of the rules where nobody gave one (judged b
 
 
 def write_training_set(inspection: Inspection, surface: Mosaic, folder: str | Path) -> Path:
-    """Write the cut-outs of an inspection's defects, all of them, to a new folder; unmeasured areas are left out.
+    """Write the crops of all defects of an inspection to a new folder.
 
-    Raises DatasetError where the folder is there already or there is no defect, or it cannot be written.
+    Unmeasured areas are omitted.
+
+    Parameters
+    ----------
+    inspection : Inspection
+        Result of a defect inspection with at least one defect.
+    surface : Mosaic
+        Inspected surface, from which the crops are taken at full resolution.
+    folder : str or Path
+        Folder to write; it must not exist.
+
+    Returns
+    -------
+    Path
+        The folder written.
+
+    Raises
+    ------
+    DatasetError
+        When the folder exists, there is no defect, or the folder cannot be written.
+    MeasureError
+        When a defect lies outside the surface.
+
+    Notes
+    -----
+    ``0007.npy`` holds the unsmoothed heights around defect 7 in um (float32 [row, col], NaN where unmeasured),
+    ``0007.png`` the all-in-focus image of the same pixels; ``features.csv`` has one line per defect with the classes of
+    the rules and of the reviewers, ``README.txt`` describes the columns. A crop is a square about the defect of twice
+    its longer extent, at least 32 and at most 512 pixels, cut off at the border of the surface.
     """
     place = Path(folder)
     if place.exists():
@@ -52,7 +81,7 @@ def write_training_set(inspection: Inspection, surface: Mosaic, folder: str | Pa
 
 
 def _write_one(folder: Path, surface: Mosaic, defect: Defect) -> list[object]:
-    """The two files of a defect, and its line of the table."""
+    """Write the two files of a defect, and return its line of the table."""
     from PIL import Image
 
     cut = _cut_out(surface, defect)

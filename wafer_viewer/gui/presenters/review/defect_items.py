@@ -1,4 +1,4 @@
-"""Defects as things under review: what `review_items` lists, and what the panel shows of one."""
+"""Defects as review items, for `review_items` and the panel."""
 
 from __future__ import annotations
 
@@ -20,41 +20,41 @@ from wafer_viewer.session.state.snapshot import Snapshot
 
 VERDICT_OF: dict[Judgement, Verdict] = {"open": "open", "real": "accepted", "nuisance": "rejected"}
 JUDGEMENT_OF: dict[Verdict, Judgement] = {verdict: judgement for judgement, verdict in VERDICT_OF.items()}
-"""A defect that is accepted is real."""
+"""Defect judgement by review verdict: an accepted defect is real."""
 _known: dict[int, tuple[Defect, ReviewItem]] = {}
-"""By number: one judgement changes one of thousands."""
+"""Cache of review items by defect number: a judgement changes one of thousands."""
 
 
 def key_of(defect: Defect) -> str:
-    """The key under which a defect is reviewed."""
+    """Return the review key of a defect."""
     return f"{OF_DEFECT}{defect.number}"
 
 
 def number_of(key: str | None) -> int | None:
-    """The number of the defect under a key; None where it is another thing's."""
+    """Return the defect number of a review key; None if the key is not of a defect."""
     digits = key.removeprefix(OF_DEFECT) if key is not None and key.startswith(OF_DEFECT) else ""
     return int(digits) if digits.isdecimal() else None
 
 
 def chosen_defect(snapshot: Snapshot, key: str | None) -> Defect | None:
-    """The defect under review; None where another thing is."""
+    """Return the defect of a review key; None if the key is not of a defect."""
     number = number_of(key)
     return snapshot.inspection.defect(number) if number is not None else None
 
 
 def defect_items(snapshot: Snapshot, listing: DefectListing) -> tuple[ReviewItem, ...]:
-    """All defects that are listed, in their order."""
+    """Return the listed defects as review items, in list order."""
     return _listed(snapshot.inspection, listing)
 
 
 def defect_item(snapshot: Snapshot, key: str | None) -> ReviewItem | None:
-    """The defect of a key, listed or not; None where there is no such defect."""
+    """Return the review item of a defect, listed or not; None if there is no such defect."""
     defect = chosen_defect(snapshot, key)
     return _item(defect) if defect is not None else None
 
 
 def on_show(defects: Iterable[Defect], listing: DefectListing, only: ReviewFilter) -> tuple[Defect, ...]:
-    """The defects that are listed, of which `only` what is still open, or was judged so."""
+    """Return the listed defects whose verdict matches the filter `only`."""
     return tuple(d for d in listed(defects, listing) if only in ("all", VERDICT_OF[d.judgement]))
 
 
@@ -91,7 +91,7 @@ def _made(defect: Defect) -> ReviewItem:
 
 
 def _rows(defect: Defect) -> Iterator[Row]:
-    """Its size as it was measured; below the resolution there is no size to be told."""
+    """Yield the measured quantities of a defect; sizes only if they are resolved."""
     yield "Height from its surroundings", *value_texts(defect.height.quantity, signed=True)
     if defect.size_resolved:
         yield "Length", *value_texts(defect.major.quantity)

@@ -1,4 +1,4 @@
-"""Limits for defects as they are typed, and the verdict they lead to in words."""
+"""Defect limits: conversion from and to text inputs, and HTML of the verdict."""
 
 from __future__ import annotations
 
@@ -11,13 +11,13 @@ from wafer_viewer.model.inspection.defect_verdict import verdict_of
 
 
 def text_of(limits: DefectLimits) -> tuple[str, str]:
-    """What stands in the two fields; nothing where there is no limit."""
+    """Return the texts of the inputs per die and per mm²; empty for no limit."""
     per_die, per_mm2 = limits.max_per_die, limits.max_per_mm2
     return "" if per_die is None else f"{per_die}", "" if per_mm2 is None else f"{per_mm2:g}"
 
 
 def limits_of(per_die: str, per_mm2: str) -> DefectLimits:
-    """The limits that were typed. Raises MeasureError for what is not a number, or under 0."""
+    """Parse the limits. Raises MeasureError for text that is not a number, negative numbers, or fractions per die."""
     most = _typed(per_die, "per die")
     if most is not None and most != int(most):
         raise MeasureError(f"At most {most:g} defects per die: give a whole number, 0 or more.")
@@ -25,7 +25,7 @@ def limits_of(per_die: str, per_mm2: str) -> DefectLimits:
 
 
 def verdict(inspection: Inspection) -> str:
-    """Within or beyond the limits and why, as HTML; nothing where there are none."""
+    """Return the verdict by the defect limits with its reasons, as HTML; empty without limits."""
     limits = inspection.recipe.limits
     if not limits.are_set:
         return ""

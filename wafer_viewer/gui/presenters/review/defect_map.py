@@ -1,4 +1,4 @@
-"""The map of the dies as HTML: dies by class or by count, a sign for each defect, and what became of which dies."""
+"""HTML of the die map: dies coloured by class or count, defect symbols, legend of die states."""
 
 from __future__ import annotations
 
@@ -19,12 +19,12 @@ from wafer_viewer.session.state.inspection_resources import OtherTool
 
 BY: dict[MapBy, str] = {"class": "class", "count": "count"}
 MOST_SIGNS = 400
-"""Of more defects no signs are drawn, they would hide each other: each die has the colour of its commonest class."""
+"""With more defects no symbols are drawn, as they would overlap: dies have the colour of their commonest class."""
 CLASS_OPACITY, JUDGED_OPACITY, OTHER_HALF_PX = 0.45, 0.35, 6
 
 
 def map_head(listing: DefectListing) -> str:
-    """The head with the switch by what dies are coloured."""
+    """Return the head with the switch between colouring by class and by count."""
     ways = "".join(
         f'<span class="{"on" if by == listing.map_by else ""}" aria-pressed="{str(by == listing.map_by).lower()}" '
         f"{html.pick('defect-map-by', by)}>{name}</span>"
@@ -42,7 +42,7 @@ def map_html(
     outline_um: Outline = (),
     over: str = "",
 ) -> str:
-    """The drawing of the dies with the defects `there`, and its legend; `over` is drawn on top."""
+    """Return the map of dies with the defects `there`, and its legend; the SVG `over` is drawn on top."""
     many, by_class = len(there) > MOST_SIGNS, listing.map_by == "class"
     fills = fills_by_count(counts_of(there)) if not by_class else fills_by_class(there) if many else {}
     shapes = die_shapes(frame, inspection, fills, outline_um=outline_um, chosen=listing.die)
@@ -55,7 +55,7 @@ def map_html(
 
 
 def fills_by_class(defects: Sequence[Defect]) -> dict[str, DieFill]:
-    """Dies, by name, in the colour of the class that most of their defects are of."""
+    """Return the fill of each die by name: the colour of its commonest defect class."""
     on: dict[str, Counter[DefectClass]] = {}
     for defect in defects:
         on.setdefault(defect.die, Counter())[defect.seen_as] += 1
@@ -63,12 +63,12 @@ def fills_by_class(defects: Sequence[Defect]) -> dict[str, DieFill]:
 
 
 def counts_of(defects: Sequence[Defect]) -> Counter[str]:
-    """How many defects lie on each die; an area without heights is none."""
+    """Count the defects on each die; unmeasured areas do not count."""
     return Counter(defect.die for defect in defects if defect.seen_as != "unmeasured")
 
 
 def other_signs(frame: MapViewport, other: OtherTool) -> str:
-    """Where another tool found something: squares round the place, signs of ours stand in them where it is the same."""
+    """Return squares at the defects of another tool; a symbol inside a square marks a match."""
     drawn: list[str] = []
     for defect, place in zip(other.klarf.defects, other.places, strict=True):
         (x0, y0, x1, y1), half = place.bounds_um, OTHER_HALF_PX
@@ -100,7 +100,7 @@ def _svg(frame: MapViewport, shapes: str) -> str:
 
 
 def _clicked(frame: MapViewport) -> str:
-    """A sign is reviewed, elsewhere the place, stage um, is chosen; the drawing may be shown smaller than it is."""
+    """Return the click script: a symbol picks its defect, elsewhere the stage position in µm, at any display scale."""
     x_um, y_um = frame.um_at(0.0, 0.0)
     return (
         "const g=event.target.closest('[data-d]');"

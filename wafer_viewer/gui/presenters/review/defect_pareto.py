@@ -1,6 +1,6 @@
-"""The Pareto chart of Review as HTML: a bar for each class, the most frequent first; a click lists the class alone.
+"""HTML of the Pareto chart of defect classes, the most frequent first; a click filters the list by class.
 
-In a low window the style sheet folds the bars into words, so that the list stays in sight.
+In a low window the style sheet reduces the bars to text, so that the list stays visible.
 """
 
 from __future__ import annotations
@@ -22,7 +22,7 @@ from wafer_viewer.session.state.inspection_state import InspectionState
 
 
 def chart_of(state: InspectionState, listing: DefectListing, only: ReviewFilter) -> str:
-    """The chart of what is listed, of all classes; it is made again only when that has changed."""
+    """Return the chart of the listed defects, with all classes; cached."""
     return _chart(state, replace(listing, sort="size", map_by="class"), only)
 
 
@@ -32,9 +32,9 @@ def _chart(state: InspectionState, listing: DefectListing, only: ReviewFilter) -
 
 
 def pareto_html(defects: Iterable[Defect], chosen: str) -> str:
-    """The classes that there are, by the operator's word where there is one; `chosen` is listed alone.
+    """Return the Pareto chart; the operator's class overrides the proposed one, `chosen` is the filtered class.
 
-    Areas without heights are no defects: they have no share.
+    Unmeasured areas are no defects and have no share.
     """
     kinds: list[DefectClass] = [defect.seen_as for defect in defects]
     found: list[DefectClass] = [kind for kind in kinds if kind != "unmeasured"]
@@ -55,7 +55,7 @@ def _row(kind: DefectClass, n: int, chosen: str, bar: str, cumulated: str) -> st
 
 
 def _bar(bar: Bar) -> str:
-    """The share of all, and paler the share of all up to it."""
+    """Return the bar with the share of a class, and in a paler colour the cumulative share."""
     told = f"{number(100 * bar.share, 0)} % of all, {number(100 * bar.cumulated, 0)} % with those above"
     return (
         f'<i title="{told}"><i style="width:{100 * bar.cumulated:.1f}%"></i>'

@@ -1,4 +1,4 @@
-"""Where the section through a defect is cut: along the rows of dies, and on a good die beside it. Pure."""
+"""Section lines through a defect and through a neighbouring good die, along the die rows. Pure functions."""
 
 from __future__ import annotations
 
@@ -11,12 +11,12 @@ from wafer_viewer.model.measurement.levelling import Levelling
 from wafer_viewer.model.region import Region
 
 TIMES, LEAST_PX = 4.0, 160
-"""The line is so many times as long as the defect, and at least so many pixels of the surface."""
+"""Length of the line as a multiple of the defect's size, and its least length in surface pixels."""
 
 
 @dataclass(frozen=True, slots=True)
 class DefectCut:
-    """The line through a defect, then the same on the die `beside` where there is a good one; of which surface."""
+    """Line through a defect, then the same line on the good die `beside`, if any; surface and levelling."""
 
     lines: tuple[Region, ...]
     beside: str = ""
@@ -25,7 +25,7 @@ class DefectCut:
 
 
 def cut_through(defect: Defect, inspection: Inspection | None, pixel_um: float) -> DefectCut:
-    """The lines to be cut for a defect."""
+    """Return the section lines of a defect."""
     x0, _, x1, _ = defect.outline.bounds_um
     length_um = max(TIMES * (x1 - x0), TIMES * defect.minor.value_um, LEAST_PX * pixel_um)
     grid = inspection.grid if inspection is not None else None
@@ -42,7 +42,7 @@ def cut_through(defect: Defect, inspection: Inspection | None, pixel_um: float) 
 
 
 def neighbour_of(defect: Defect, inspection: Inspection) -> DieStatus | None:
-    """The nearest whole die to that of a defect that has the fewest defects; None where no other is whole."""
+    """Return the nearest fully inspected other die, preferably one without defects; None if there is none."""
     own = next((die for die in inspection.dies if die.name == defect.die), None)
     others = [die for die in inspection.dies if die.state == "whole" and die.name != defect.die]
     if own is None or not others:

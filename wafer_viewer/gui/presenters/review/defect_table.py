@@ -1,4 +1,4 @@
-"""The list of defects as HTML: those round the one under review, with thumbnails, and how they are sorted."""
+"""HTML of the defect list: rows around the defect under review, with thumbnails, and sort buttons."""
 
 from __future__ import annotations
 
@@ -13,12 +13,12 @@ from wafer_viewer.gui.widgets import html
 from wafer_viewer.model.inspection.defect import Inspection
 
 MOST_ROWS, ROWS_BEFORE = 40, 2
-"""So many are in the list at once: a page with thousands of pictures would be slow."""
+"""Rows shown at once, as thousands of pictures would be slow; rows before the item under review."""
 JUDGED = {"open": "open", "accepted": "real", "rejected": "not a defect"}
 
 
 def rows_of(items: Sequence[ReviewItem], now: ReviewItem | None) -> Sequence[ReviewItem]:
-    """The items that are shown: from a little before the one under review, which so is always in sight."""
+    """Return the items to show: from shortly before the one under review, which is always visible."""
     keys = [item.key for item in items]
     at = keys.index(now.key) if now is not None and now.key in keys else 0
     first = max(0, at - ROWS_BEFORE)
@@ -28,7 +28,7 @@ def rows_of(items: Sequence[ReviewItem], now: ReviewItem | None) -> Sequence[Rev
 def rows(
     items: Sequence[ReviewItem], shown: Sequence[ReviewItem], now: ReviewItem | None, thumbs: Sequence[str]
 ) -> str:
-    """The list, with the way to what stands before and after."""
+    """Return the list, with links to the items before and after."""
     if not shown:
         return html.empty("No defect matches.")
     first = items.index(shown[0])
@@ -41,7 +41,7 @@ def rows(
 
 
 def sorting(listing: DefectListing, inspection: Inspection) -> str:
-    """What comes first, and what alone is listed."""
+    """Return the sort buttons and the active filters."""
     buttons = "".join(
         f'<span class="{"on" if sort == listing.sort else ""}" aria-pressed="{str(sort == listing.sort).lower()}" '
         f"{html.pick('defect-sort', sort)}>{name}</span>"
@@ -51,7 +51,7 @@ def sorting(listing: DefectListing, inspection: Inspection) -> str:
 
 
 def _alone(listing: DefectListing, inspection: Inspection) -> str:
-    """What alone is listed, and the way back to all; nothing where all is."""
+    """Return the active filters with a link that clears them; empty if everything is listed."""
     state = next((die.word for die in inspection.dies if die.name == listing.die), "")
     told = [f"Die {listing.die} ({state})" if state else f"Die {listing.die}"] if listing.die else []
     told += [KINDS[kind].title for kind in KINDS if kind == listing.kind]

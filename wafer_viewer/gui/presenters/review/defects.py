@@ -1,4 +1,4 @@
-"""What the page says of defects: classes with colour and shape, what was inspected, and what nothing is known of."""
+"""HTML of defects: classes with colour and shape, inspected and uninspected areas."""
 
 from __future__ import annotations
 
@@ -23,17 +23,17 @@ JUDGED = {"open": "open", "real": "real defect", "nuisance": "not a defect"}
 
 
 def sign_of(kind: DefectClass, side_px: int = 14) -> str:
-    """Colour and shape of a class, to stand before its name."""
+    """Return the symbol of a class, with its colour and shape."""
     return symbol_svg(KINDS[kind].shape, KINDS[kind].colour, side_px)
 
 
 def size_text(defect: Defect) -> str:
-    """How large it is; below the resolution only that it is there."""
+    """Format the length of a defect; a dash if its size is not resolved."""
     return with_unit(defect.major.value_um, 0 if defect.major.value_um >= 100 else 1) if defect.size_resolved else "—"
 
 
 def below(defect: Defect) -> str:
-    """Where a defect is and who says of what class it is."""
+    """Describe die, position and proposed class of a defect."""
     where = f"Die {defect.die}" if defect.die else "Outside of the dies"
     place = f"x {number(defect.center.x_um, 1)}, y {with_unit(defect.center.y_um, 1)}"
     own = defect.judged_kind is None
@@ -42,7 +42,7 @@ def below(defect: Defect) -> str:
 
 
 def said(defect: Defect) -> str:
-    """Why it was found and classed so."""
+    """Describe score and reasons of detection and classification."""
     repeats = ("on every die: compare with a golden die",) if defect.repeats else ()
     small = () if defect.size_resolved else ("detected, size not resolved",)
     score = f"{number(defect.score, 1)} times the local noise"
@@ -50,14 +50,14 @@ def said(defect: Defect) -> str:
 
 
 def per_mm2(count: float | None) -> str:
-    """A density that is expected; words where it is not known."""
+    """Format an expected density per mm²; a sentence for None."""
     if count is None:
         return "not known before an inspection"
     return f"under {number(TINY_PER_MM2, 3)} per mm²" if count < TINY_PER_MM2 else f"{number(count, 3)} per mm²"
 
 
 def summary(state: InspectionState) -> str:
-    """What is not known, and what stands against believing the list, as HTML."""
+    """Return warnings on the inspection, as HTML: failure, outdated surface, uninspected areas."""
     inspection = state.inspection
     problem = html.note("attention", "Inspection failed", state.problem) if state.problem else ""
     if inspection is None:
@@ -75,12 +75,12 @@ def summary(state: InspectionState) -> str:
 
 
 def facts(inspection: Inspection) -> str:
-    """What was inspected, how, and how much of what was found is expected to be false, as HTML."""
+    """Return area, density, reference, threshold, expected false detections and notes of an inspection, as HTML."""
     return "".join(f'<div class="wv-sub">{html.safe(html.micro(line))}</div>' for line in _facts(inspection))
 
 
 def unknown(inspection: Inspection) -> str:
-    """What no list of defects says anything of; nothing where all of it was looked at."""
+    """Return a warning on dies and areas not inspected; empty if everything was inspected."""
     blind = [die for die in inspection.dies if die.state not in ("whole", "missing")]
     told = [f"{n} {'die' if n == 1 else 'dies'} {state}" for state, n in Counter(d.state for d in blind).items()]
     if inspection.unmeasured_mm2 > 0:
@@ -92,7 +92,7 @@ def unknown(inspection: Inspection) -> str:
 
 
 def nothing_found(inspection: Inspection) -> str:
-    """What stands where the list would be."""
+    """Return the placeholder of an empty defect list."""
     if inspection.inspected_mm2 <= 0:
         return html.empty("Nothing could be inspected:", "this does not mean that the wafer is clean.")
     clean = sum(die.word == "clean" for die in inspection.dies)
@@ -102,13 +102,13 @@ def nothing_found(inspection: Inspection) -> str:
 
 
 def judged(inspection: Inspection) -> str:
-    """How many people have judged."""
+    """Return the number of judged defects; empty without defects."""
     n = sum(defect.judgement != "open" for defect in inspection.defects)
     return f"{n} of {len(inspection.defects)} judged" if inspection.defects else ""
 
 
 def classes(defect: Defect) -> str:
-    """The classes to choose from, the one that counts marked; each with its key."""
+    """Return the class buttons with their keys, the current class marked."""
     now = defect.seen_as
     tiles = (
         f'<span class="{"on" if kind == now else ""}" aria-pressed="{str(kind == now).lower()}" '

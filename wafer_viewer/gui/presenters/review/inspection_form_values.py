@@ -1,4 +1,4 @@
-"""The form of an inspection and the recipe behind it: what each widget on the page means, there and back."""
+"""Conversion between the form of an inspection and its recipe."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ DIES = (OF_JOB, FOUND, GIVEN)
 
 @dataclass(frozen=True, slots=True)
 class DefectForm:
-    """What stands on the form; golden is the name of the golden die that is chosen, '' none."""
+    """Inputs of the inspection form; golden: name of the chosen golden die, '' for none."""
 
     sensitivity: float = DefectRecipe().sensitivity
     compare: str = DIE
@@ -43,7 +43,7 @@ class DefectForm:
 
 
 def form_of(recipe: DefectRecipe, inspection: Inspection | None, before: DefectForm = DefectForm()) -> DefectForm:
-    """What the form shows of a recipe, and of the dies of an inspection; how dies are come by stays as it was."""
+    """Return the form of a recipe and of an inspection's die grid; the source of dies is kept from `before`."""
     by_form = inspection is not None and inspection.grid is None
     compare = GOLDEN if recipe.golden else FORM if by_form else DIE
     grid = inspection.grid if inspection is not None else None
@@ -66,9 +66,9 @@ def form_of(recipe: DefectRecipe, inspection: Inspection | None, before: DefectF
 
 
 def recipe_of(form: DefectForm, old: DefectRecipe) -> DefectRecipe:
-    """The recipe that a filled-in form asks for, keeping of the old one what the form does not show.
+    """Return the recipe of a form; settings of the old recipe that the form does not show are kept.
 
-    Raises MeasureError with the sentence to show when it makes none.
+    Raises MeasureError with a message for the user if the form is invalid.
     """
     if form.compare == GOLDEN and not form.golden:
         raise MeasureError(
@@ -87,14 +87,14 @@ def recipe_of(form: DefectForm, old: DefectRecipe) -> DefectRecipe:
 
 
 def against_of(form: DefectForm) -> Against:
-    """What is compared."""
+    """Return the reference of the comparison: other dies or the fitted form."""
     return "form" if form.compare == FORM else "dies"
 
 
 def dies_of(form: DefectForm) -> Dies:
-    """Where the dies lie; those that are given are as large as their pitch where no size is.
+    """Return the source of dies: None (the job's), "found", or a given grid; without a size, dies fill the pitch.
 
-    Raises MeasureError where the pitch or the corner is missing, or dies are larger than their pitch.
+    Raises MeasureError if the pitch or the corner is missing, or if dies are larger than their pitch.
     """
     if form.dies != GIVEN or form.compare == FORM:
         return "found" if form.dies == FOUND else None
@@ -122,7 +122,7 @@ def dies_of(form: DefectForm) -> Dies:
 
 
 def _shown(grid: DieGrid) -> dict[str, Any]:
-    """The fields of a lattice as they stand on the form, whole nanometres."""
+    """Return the inputs of a die grid, rounded to nanometres."""
     return {
         "pitch_um": pair_text((round(grid.pitch_x_um, 3), round(grid.pitch_y_um, 3))),
         "corner_um": pair_text((round(grid.x0_um, 3), round(grid.y0_um, 3)), PLACE),

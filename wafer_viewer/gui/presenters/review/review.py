@@ -1,4 +1,4 @@
-"""The step Review as HTML: the list of what is under review, an item's picture and its numbers."""
+"""HTML of the step Review: list of items, picture and numbers of an item."""
 
 from __future__ import annotations
 
@@ -19,9 +19,9 @@ _NONE: dict[ReviewFilter, str] = {
 
 
 def review_list(snapshot: Snapshot, view: View) -> str:
-    """The list of features and results in the left panel, with the filter over it; nothing in other steps.
+    """Return the list of features and results in the left panel, with the filter; empty in other steps.
 
-    Where there are defects, which have a list of their own over it, the filter stands there.
+    If there are defects, the filter is part of their list above.
     """
     everything = [item for item in review_items(snapshot) if item.defect is None]
     if view.step != "review" or not everything:
@@ -37,7 +37,7 @@ def review_list(snapshot: Snapshot, view: View) -> str:
 
 
 def picture(item: ReviewItem, url: str) -> str:
-    """The picture of an item; a sentence where it has no place on the surface."""
+    """Return the picture of an item; a sentence if it has no position on the surface."""
     if item.box_um is None:
         return html.empty("It has no place on the surface.")
     inside = f'<img alt="{html.safe(item.title)}" src="{url}">' if url else ""
@@ -45,7 +45,7 @@ def picture(item: ReviewItem, url: str) -> str:
 
 
 def numbers(item: ReviewItem) -> str:
-    """Every number of an item with its U; what the instrument says of it."""
+    """Return all quantities of an item with their U, and the verdict with its reason."""
     rows = [html.row([html.safe(cell) for cell in row], " nn") for row in item.rows]
     word = f"{verdict.state(item.word)} · " if item.word is not None else ""
     said = word + html.safe(html.micro(item.said))
@@ -55,7 +55,7 @@ def numbers(item: ReviewItem) -> str:
 
 
 def progress(items: tuple[ReviewItem, ...]) -> str:
-    """How much is judged, in words."""
+    """Describe the progress of the review."""
     left = sum(item.judgement.verdict == "open" for item in items)
     rejected = sum(item.judgement.verdict == "rejected" for item in items)
     said = f"{left} still open" if left else "Everything is judged"
@@ -75,7 +75,7 @@ def _row(item: ReviewItem, chosen: bool) -> str:
 
 
 def filters(view: View) -> str:
-    """Which of all are listed."""
+    """Return the filter buttons."""
     chosen = view.review_filter
     buttons = "".join(
         f'<span class="{"on" if key == chosen else ""}" aria-pressed="{str(key == chosen).lower()}" '

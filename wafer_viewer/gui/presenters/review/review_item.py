@@ -1,4 +1,4 @@
-"""One thing under review, whatever it is: a feature of a job, a result, a defect."""
+"""Item under review: a feature of a job, a result or a defect."""
 
 from __future__ import annotations
 
@@ -17,10 +17,10 @@ VERDICTS = {"open": "open", "accepted": "accepted", "rejected": "rejected"}
 
 @dataclass(frozen=True, slots=True)
 class ReviewItem:
-    """One thing to be judged: its sign, where it is, its numbers, what the instrument says, what people say.
+    """Item to judge: symbol, position, quantities, verdict of the instrument, judgement of the user.
 
-    value: what the list shows, HTML. show: the surface it was measured on; number: of the result it is, if it is one;
-    defect: of the defect it is. word: what the instrument says of it, and `said` why; None where it says nothing.
+    value: HTML for the list. show: surface of the measurement; number: number of the result, defect: number of the
+    defect, None for others. word: verdict of the instrument, None if there is none; said: its reason.
     """
 
     key: str
@@ -42,6 +42,6 @@ class ReviewItem:
 
     @property
     def told(self) -> str:
-        """What the instrument says and what people say of it, in words."""
+        """Verdict of the instrument, if any, and judgement of the user, as text."""
         people = VERDICTS[self.judgement.verdict]
         return people if self.word is None else f"{LOOKS[self.word][0]}, {people}"

@@ -1,6 +1,6 @@
-"""What is under review: defects, the features of a job's verdict, the gravest first, results, all as one kind.
+"""Items under review: defects, features of a verdict (worst first) and results, as one type.
 
-Another kind of thing to be judged joins by a function in `SOURCES`.
+To add another kind of item, add a function to `SOURCES`.
 """
 
 from __future__ import annotations
@@ -36,19 +36,19 @@ FILTERS: tuple[tuple[ReviewFilter, str], ...] = (
 )
 EVERYTHING = DefectListing()
 GRAVEST: tuple[Word, ...] = ("fail", "inconclusive", "no verdict", "pass")
-"""What a person has to look at first."""
+"""Verdicts in order of review, the worst first."""
 
 
 def review_items(
     snapshot: Snapshot, only: ReviewFilter = "all", listing: DefectListing = EVERYTHING
 ) -> tuple[ReviewItem, ...]:
-    """Everything under review, of which `only` what is still open, or was judged so; defects as they are listed."""
+    """Return the items under review whose verdict matches the filter `only`; defects in list order."""
     items = (item for source in SOURCES for item in source(snapshot, listing))
     return tuple(item for item in items if only in ("all", item.judgement.verdict))
 
 
 def chosen_item(snapshot: Snapshot, key: str | None, listing: DefectListing = EVERYTHING) -> ReviewItem | None:
-    """The item of a key; the first one where none was chosen or it is gone."""
+    """Return the item of a key; the first item if the key is None or unknown; None without items."""
     known = defect_item(snapshot, key)
     if known is not None:
         return known
@@ -63,9 +63,9 @@ def neighbour(
     only: ReviewFilter = "all",
     listing: DefectListing = EVERYTHING,
 ) -> ReviewItem | None:
-    """Where one goes from the item of a key, round the ends of the list: on, to the next that is open, or back by one.
+    """Return the next open item after `key`, or with negative `by` the previous item; wraps around the ends.
 
-    Where no other is open one goes on to the next of those listed, which are `only` some of all.
+    Without another open item, return the next of the items that match the filter `only`; None without any.
     """
     items = review_items(snapshot, "all", listing)
     at = next((k for k, item in enumerate(items) if item.key == key), -1 if by > 0 else 0)
@@ -146,14 +146,14 @@ def _feature_rows(judged: FeatureVerdict) -> tuple[Row, ...]:
 
 
 def _places(judged: FeatureVerdict, job: Job) -> list[Region]:
-    """Where a feature was measured, in wafer um."""
+    """Return the regions of a feature in wafer µm."""
     dies = job.dies.all() if job.dies is not None and judged.die else ()
     die = next((die for die in dies if die.name == judged.die), None)
     return [place if die is None else on_die(place, die) for place in judged.feature.places]
 
 
 def _box_on_stage(places: list[Region], alignment: Alignment | None) -> Box | None:
-    """The upright rectangle on the stage round places on the wafer; None round no places."""
+    """Return the stage bounding box of regions on the wafer; None without regions."""
     boxes = [place.bounds_um for place in places]
     corners = [(x, y) for x0, y0, x1, y1 in boxes for x in (x0, x1) for y in (y0, y1)]
     if alignment is not None:

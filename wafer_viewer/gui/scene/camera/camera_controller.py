@@ -1,4 +1,4 @@
-"""The camera of one browser: sent to a preset, to a part of what is drawn, to a place that was kept."""
+"""Camera of one browser: presets, framing of regions and saved poses."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from wafer_viewer.gui.scene.camera.frustum import Frustum
 from wafer_viewer.gui.scene.viewport import Viewport
 
 _AIMED = 5e-3
-"""As a share of the distance: the camera looks at a place when it looks so close to it."""
+"""Tolerance of the point looked at, as a fraction of the distance to the camera."""
 
 
 class CameraController:
@@ -33,25 +33,25 @@ class CameraController:
 
     @property
     def pose(self) -> CameraPose:
-        """Where the camera is now."""
+        """Current pose of the camera."""
         camera = self._client.camera
         return CameraPose(np.asarray(camera.position, float), np.asarray(camera.look_at, float))
 
     @property
     def goal(self) -> CameraPose:
-        """Where it is going to stand: where it is now, unless it flies."""
+        """Target pose of the current transition; the current pose if there is none."""
         return self._pilot.goal or self.pose
 
     def let_fly(self, able: bool) -> None:
-        """Whether it may fly: a browser that draws slowly, or whose user wants things to keep still, has it jump."""
+        """Enable animated transitions; disabled for slow browsers and users who prefer reduced motion."""
         self._pilot.able = able
 
     def close(self) -> None:
-        """Let the thread of flights go."""
+        """Stop the animation thread."""
         self._pilot.close()
 
     def sight(self) -> Frustum:
-        """What it sees, in a flight at its end: what lies on the way is not worth drawing. In pixels as drawn."""
+        """Return the frustum of the goal pose, in pixels of the drawing buffer; intermediate poses are skipped."""
         camera, pose = self._client.camera, self.goal
         eye, look_at, up = (
             (float(v[0]), float(v[1]), float(v[2])) for v in (pose.position, pose.look_at, camera.up_direction)
@@ -59,28 +59,28 @@ class CameraController:
         return Frustum.of(eye, look_at, up, camera.fov, camera.image_width, camera.image_height)
 
     def um_per_pixel(self) -> float:
-        """How long a CSS pixel is at the point looked at."""
+        """Return the size of a CSS pixel at the point looked at."""
         camera = self._client.camera
         distance = float(np.linalg.norm(camera.position - camera.look_at))
         return 2e3 * distance * math.tan(camera.fov / 2) / max(1, self._viewport.height_px)
 
     def frame(self, corners_mm: Vector, preset: str, clear: Clear, *, flying: bool = False) -> None:
-        """Look at these points from a preset, ``all`` from where the camera is now."""
+        """Frame these points from a preset; ``all`` keeps the current direction."""
         self._corners, self._preset, self._clear = corners_mm, preset, clear
         direction = self.goal.direction if preset == "all" else direction_of(preset)
         self._apply(direction, self._fly if flying else self._stand)
 
     def fly(self, corners_mm: Vector) -> None:
-        """Look at these points from where the camera is now; what is drawn stays what `follow` takes in."""
+        """Frame these points from the current direction; the points that `follow` compares remain unchanged."""
         self._fly(fit(corners_mm, self.goal.direction, FOV_RAD, *self.canvas_px, self._clear))
 
     def go(self, pose: CameraPose, *, flying: bool = False) -> None:
-        """Stand somewhere, as the operator would; from now on the camera stays there."""
+        """Move to a pose as the operator would; the camera stays there from now on."""
         self._set = None
         (self._fly if flying else self._stand)(pose)
 
     def follow(self, corners_mm: Vector, clear: Clear) -> None:
-        """What is drawn has grown or shrunk: take it in again, unless the operator has moved the camera."""
+        """Frame the contents again after their extent has changed, unless the operator has moved the camera."""
         if self._corners is not None and np.allclose(corners_mm, self._corners, atol=1e-4) and clear == self._clear:
             return
         self._corners, self._clear = corners_mm, clear
@@ -88,7 +88,7 @@ class CameraController:
             self._apply(self._set.direction, self._stand)
 
     def aim(self, place: Vector) -> None:
-        """Look at a place in the middle of the picture, which stays the same: turns go about it, the wheel nears it."""
+        """Look at a point in the centre of the view without changing the image: the pivot of rotation and zoom."""
         pose = self.pose
         if self._left is not None and np.allclose(pose.position, self._left) and not pose.is_near(self._set):
             return  # as a slow browser still has it: it was told where to stand, and has not come there yet
@@ -99,20 +99,20 @@ class CameraController:
             self._client.camera.look_at = place
 
     def moved(self) -> CameraPose:
-        """After a move: fit again what the canvas no longer holds, let nothing near be cut off; where it is now."""
+        """Handle a camera move: fit to a resized canvas, update the near plane and return the current pose."""
         self.refit()
         self.come_near()
         return self.pose
 
     def come_near(self) -> None:
-        """Let nothing near be cut off, and keep thin layers of what is far apart."""
+        """Adapt the near plane to the distance: no clipping of near parts, no flicker of thin layers far away."""
         camera, pose = self._client.camera, self.pose
         near = near_mm(pose)
         if not 0.5 < near / camera.near < 2:
             camera.near = near
 
     def refit(self) -> None:
-        """After the canvas changed its size: fit again, unless the operator has moved the camera since."""
+        """Fit again after the canvas was resized, unless the operator has moved the camera since."""
         if self.canvas_px == self._size_px or self._corners is None:
             return
         if self.goal.is_near(self._set):

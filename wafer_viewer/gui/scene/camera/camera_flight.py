@@ -1,4 +1,4 @@
-"""How the camera goes from one place to another: a short flight, given up at once when a hand moves the camera."""
+"""Animated camera transitions, cancelled at once when the user moves the camera."""
 
 from __future__ import annotations
 
@@ -13,20 +13,20 @@ from wafer_viewer.gui.scene.camera.camera_presets import CameraPose, Vector
 
 FLIGHT_S, STEP_S = 0.35, 0.04
 LATE_S = 0.2
-"""A browser that has not told of a step after so long is too slow to fly in."""
+"""A browser that has not reported a step after this time is too slow for transitions."""
 REST_S = 60.0
-"""So long it is not tried again."""
+"""Time without transitions after a browser was too slow."""
 LAND_S = 0.1
-"""After so long it is looked whether the camera stands where it should."""
+"""Delay before the final pose is verified."""
 _SAME = 1e-3
-"""Places this close, as a share of the distance looked over, are the same."""
+"""Tolerance of equal positions, as a fraction of the viewing distance."""
 
 
 def between(start: CameraPose, goal: CameraPose, share: float) -> CameraPose:
-    """Where the camera is after a share of a flight; the goal itself at its end.
+    """Return the pose after a fraction of a transition; the goal itself at its end.
 
-    It turns about the upright axis the shorter way round and nears by the logarithm of its distance; the point looked
-    at moves as fast as the distance shrinks, so that the goal does not leave the picture on the way.
+    The camera turns about the vertical axis the shorter way, and its distance is interpolated logarithmically. The
+    point looked at moves in proportion to the change of distance, so that the goal stays in view.
     """
     if share >= 1:
         return goal
@@ -55,7 +55,7 @@ def _angles(direction: Vector) -> tuple[float, float]:
 
 
 class CameraTransition:
-    """One flight. Times are seconds of any clock; what the browser tells is compared with what it was told."""
+    """One transition. Times are seconds of any clock. Poses reported by the browser are compared with those sent."""
 
     def __init__(self, start: CameraPose, goal: CameraPose, now_s: float) -> None:
         self.start, self.goal = start, goal
@@ -65,7 +65,7 @@ class CameraTransition:
         self._known = 0
 
     def step(self, now_s: float) -> CameraPose | None:
-        """Where the camera is to stand now; None when the flight is over."""
+        """Return the pose to set now; None when the transition is over."""
         if self.over:
             return None
         self.late = self._known < len(self._sent) and now_s - self._sent[self._known][0] > LATE_S
@@ -76,7 +76,7 @@ class CameraTransition:
         return pose
 
     def heard(self, position: Vector) -> bool:
-        """Whether the browser tells of a place where the flight has been; any other means that a hand moved it."""
+        """Return whether a reported position is one that was sent; any other means that the user moved the camera."""
         for number in range(len(self._sent), 0, -1):
             sent = self._sent[number - 1][1]
             if np.linalg.norm(sent.position - position) < _SAME * _distance(sent):
@@ -87,9 +87,9 @@ class CameraTransition:
 
 
 class CameraAnimator:
-    """Flies one camera on a thread of its own; `stand` puts the camera somewhere.
+    """Animates one camera on its own thread; `stand` sets the camera pose.
 
-    able: whether the browser draws fast enough, and its user wants things to move.
+    able: True if the browser renders fast enough and its user wants motion.
     """
 
     def __init__(
@@ -108,12 +108,12 @@ class CameraAnimator:
 
     @property
     def goal(self) -> CameraPose | None:
-        """Where it is going; None when it is not."""
+        """Goal of the running transition; None if there is none."""
         with self._due:
             return self._flight.goal if self._flight is not None else None
 
     def fly(self, start: CameraPose, goal: CameraPose) -> bool:
-        """Begin a flight in place of another; whether there is one: a slow browser had better jump."""
+        """Start a transition in place of any other; return False if transitions are disabled or the goal is reached."""
         with self._due:
             if not self.able or self._clock() < self._rests_until_s or start.is_near(goal):
                 self._flight = None
@@ -126,20 +126,20 @@ class CameraAnimator:
             return True
 
     def drop(self) -> None:
-        """Leave the camera where it is."""
+        """Cancel the transition and leave the camera at its current pose."""
         with self._due:
             self._flight = None
             self._due.notify_all()
 
     def heard(self, position: Vector) -> None:
-        """The browser told where its camera stands."""
+        """Handle a camera position reported by the browser."""
         with self._due:
             if self._flight is not None and not self._flight.heard(position):
                 self._flight = None
                 self._due.notify_all()
 
     def close(self) -> None:
-        """Let the thread go."""
+        """Stop the thread."""
         with self._due:
             self._closed, self._flight = True, None
             self._due.notify_all()
@@ -154,7 +154,7 @@ class CameraAnimator:
             self._carry_out(flight)
 
     def _carry_out(self, flight: CameraTransition) -> None:
-        """All steps of a flight, until it is over or another has taken its place."""
+        """Run the steps of a transition until it is over or replaced."""
         while (pose := self._step(flight)) is not None:
             self._stand(pose)
             with self._due:
@@ -171,7 +171,7 @@ class CameraAnimator:
             return pose
 
     def _land(self, flight: CameraTransition) -> None:
-        """A report that came in between may have left the camera looking elsewhere: then once more."""
+        """Set the goal once more if a report received meanwhile has changed the pose."""
         with self._due:
             if self._flight is not flight:
                 return

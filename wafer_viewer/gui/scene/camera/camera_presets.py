@@ -1,4 +1,4 @@
-"""Where a camera stands: the presets, fitted to what is drawn and clear of the glass panels over it. Pure."""
+"""Camera presets, fitted to the contents and to the canvas area that no panel covers. Pure."""
 
 from __future__ import annotations
 
@@ -13,15 +13,15 @@ Preset = Literal["top", "front", "iso", "all"]
 Vector = NDArray[np.float64]
 
 NEAR_MM, NEAR_SHARE = 0.005, 2.5e-3
-"""Nothing nearer to the camera is drawn; of a large sample a share of the distance to it, or thin layers flicker."""
+"""Near plane in mm; for a large sample a fraction of its distance, because thin layers would flicker otherwise."""
 FOV_RAD = math.radians(29)
 _TURNS: dict[str, tuple[float, float]] = {"top": (0.0, 89.9), "front": (0.0, 22.0), "iso": (-10.0, 50.0)}
-"""Each preset's turn from the south towards the east, and how far it looks down, in degrees."""
+"""Azimuth from south towards east and angle of depression of each preset, in degrees."""
 
 
 @dataclass(frozen=True, slots=True)
 class Clear:
-    """Pixels at each edge of the canvas that glass panels cover."""
+    """Pixels at each edge of the canvas that are covered by panels."""
 
     left: float = 28
     top: float = 76
@@ -43,11 +43,11 @@ class CameraPose:
         return away / np.linalg.norm(away)
 
     def is_same(self, other: CameraPose) -> bool:
-        """Whether two poses are the same to the last bit."""
+        """Return whether two poses are bitwise equal."""
         return bool((self.position == other.position).all() and (self.look_at == other.look_at).all())
 
     def is_near(self, other: CameraPose | None) -> bool:
-        """Whether two poses are the same but for rounding."""
+        """Return whether two poses agree within 1 % of the viewing distance."""
         if other is None:
             return False
         scale = float(np.linalg.norm(other.position - other.look_at))
@@ -56,7 +56,7 @@ class CameraPose:
 
 
 def direction_of(preset: str) -> Vector:
-    """Unit vector from the sample towards the camera."""
+    """Return the unit vector from the sample towards the camera."""
     turn, down = (math.radians(a) for a in _TURNS[preset])
     return np.array([math.sin(turn) * math.cos(down), -math.cos(turn) * math.cos(down), math.sin(down)])
 
@@ -64,10 +64,10 @@ def direction_of(preset: str) -> Vector:
 def fit(
     corners_mm: Vector, direction: Vector, fov_rad: float, width_px: int, height_px: int, clear: Clear
 ) -> CameraPose:
-    """The pose that shows points [n, 3] as large as they fit into the free part of the canvas, and in its middle.
+    """Return the pose that shows points [n, 3] centred and as large as they fit into the free part of the canvas.
 
-    fov_rad is the vertical field of view. That a point lies within an edge is linear in the camera's place, so the
-    least distance is known at once, however tall the points stand.
+    fov_rad is the vertical field of view. The condition that a point lies within an edge is linear in the camera
+    position, so the least distance has a closed form for points at any height.
     """
     focal_px = height_px / 2 / math.tan(fov_rad / 2)
     middle = (corners_mm.min(axis=0) + corners_mm.max(axis=0)) / 2
@@ -83,20 +83,20 @@ def fit(
 
 
 def _edges(size_px: int, before: float, after: float) -> tuple[float, float]:
-    """The free part of one side of the canvas, from its middle; never under 80 pixels."""
+    """Return the free interval of one canvas side, relative to its centre; at least 80 pixels wide."""
     first = before - size_px / 2
     return first, max(size_px / 2 - after, first + 80.0)
 
 
 @dataclass(frozen=True, slots=True)
 class _Slack:
-    """Between which places, along one axis of the screen, a camera at some distance holds all points in."""
+    """Interval of camera positions along one screen axis that keep all points within the free part."""
 
     low_mm: float
     high_mm: float
     first: float
     last: float
-    """Edges of the free part as slopes of sight."""
+    """Edges of the free part as slopes of the line of sight."""
 
     @classmethod
     def of(cls, places: Vector, near: Vector, first_px: float, last_px: float, focal_px: float) -> _Slack:
@@ -105,30 +105,30 @@ class _Slack:
 
     @property
     def least_distance(self) -> float:
-        """Where one place is left."""
+        """Distance at which the interval shrinks to one position."""
         return (self.low_mm - self.high_mm) / (self.last - self.first)
 
     def place(self, distance: float) -> float:
-        """The middle of the places that are left."""
+        """Return the centre of the interval at a distance."""
         return (self.low_mm - self.last * distance + self.high_mm - self.first * distance) / 2
 
 
 def screen_axes(direction: Vector) -> tuple[Vector, Vector]:
-    """Right and up on the screen for a camera in this direction, the world's z being up."""
+    """Return right and up on the screen for a camera in this direction; the world's z is up."""
     right = np.cross([0.0, 0.0, 1.0], direction)
     right /= np.linalg.norm(right)
     return right, np.cross(direction, right)
 
 
 def near_mm(pose: CameraPose) -> float:
-    """Nothing nearer to a camera than this is drawn."""
+    """Return the near plane distance of a pose."""
     return max(NEAR_MM, NEAR_SHARE * float(np.linalg.norm(pose.position - pose.look_at)))
 
 
 def pixel_ray(pose: CameraPose, fov_rad: float, aspect: float, u: float, v: float) -> Vector:
-    """The direction in which a place of the picture is seen.
+    """Return the viewing direction of a point of the image.
 
-    fov_rad: the vertical field of view; aspect: width by height; u, v: shares of the width and the height, 0 at the
+    fov_rad: the vertical field of view; aspect: width by height; u, v: fractions of the width and the height, 0 at the
     left and at the top.
     """
     right, up = screen_axes(pose.direction)

@@ -1,4 +1,4 @@
-"""What a camera sees: which boxes lie in its view, and how large something in them is on the screen."""
+"""View frustum of a camera: visibility and screen size of boxes."""
 
 from __future__ import annotations
 
@@ -7,12 +7,12 @@ from dataclasses import dataclass
 
 Triple = tuple[float, float, float]
 _WIDER = 1.06
-"""The view is taken for a little wider than it is: a small turn of the camera shows nothing coarse at its edge."""
+"""Widening factor of the view: a small turn of the camera then shows no coarse tiles at its edge."""
 
 
 @dataclass(frozen=True, slots=True)
 class AABB:
-    """From corner to corner, in scene mm."""
+    """Axis-aligned box in scene mm."""
 
     low: Triple
     high: Triple
@@ -20,9 +20,10 @@ class AABB:
 
 @dataclass(frozen=True, slots=True)
 class Frustum:
-    """A camera at `eye` that looks `ahead`, with its four sides as planes through the eye, their normals inward.
+    """Frustum of a camera at `eye` looking along `ahead`.
 
-    focal_px: how many pixels high something 1 mm high is at a distance of 1 mm.
+    sides: inward normals of the four side planes through the eye.
+    focal_px: height in pixels of an object 1 mm high at a distance of 1 mm.
     """
 
     eye: Triple
@@ -32,7 +33,7 @@ class Frustum:
 
     @classmethod
     def of(cls, eye: Triple, look_at: Triple, up: Triple, fov_rad: float, width_px: int, height_px: int) -> Frustum:
-        """The sight of a camera; fov_rad is the vertical field of view."""
+        """Return the frustum of a camera; fov_rad is the vertical field of view."""
         ahead = _unit(_minus(look_at, eye))
         right = _unit(_cross(ahead, up))
         above = _cross(right, ahead)
@@ -45,22 +46,22 @@ class Frustum:
         return cls(eye, ahead, sides, max(1, height_px) / 2 / tall)
 
     def sees(self, box: AABB) -> bool:
-        """Whether any of a box may be in view."""
+        """Return whether any part of a box may be in view."""
         return all(self._reach(side, box) >= 0 for side in (*self.sides, self.ahead))
 
     def px_per_mm(self, box: AABB) -> float:
-        """How many pixels a millimetre at the nearest point of a box is."""
+        """Return the pixels per millimetre at the nearest point of a box."""
         away = [max(low - at, 0.0, at - high) for low, at, high in zip(box.low, self.eye, box.high, strict=True)]
         return self.focal_px / max(math.hypot(*away), 1e-6)
 
     def aside(self, box: AABB) -> float:
-        """How far the middle of a box lies from the middle of the screen, as a slope; behind the eye it is far."""
+        """Return the angular offset of a box centre from the view axis, as a slope; infinite behind the camera."""
         off = _minus(_middle(box), self.eye)
         ahead = _dot(off, self.ahead)
         return math.sqrt(max(0.0, _dot(off, off) - ahead * ahead)) / ahead if ahead > 0 else math.inf
 
     def ground_um(self, z_mm: float) -> tuple[tuple[float, float], ...] | None:
-        """Where the four corners of the view meet a level plane, in um; None when they do not all meet it."""
+        """Return the intersections of the four view corners with a level plane, in um; None if any of them misses."""
         right, left, above, below = self.sides
         corners = [_cross(a, b) for a, b in ((left, above), (above, right), (right, below), (below, left))]
         rays = [ray if _dot(ray, self.ahead) > 0 else _turned(ray) for ray in corners]
@@ -71,7 +72,7 @@ class Frustum:
         return tuple((x * 1e3, y * 1e3) for x, y, _ in met)
 
     def _reach(self, normal: Triple, box: AABB) -> float:
-        """How far a box reaches to the inner side of a plane through the eye."""
+        """Return the largest extent of a box on the inner side of a plane through the eye."""
         return sum(
             n * ((high if n > 0 else low) - at)
             for n, low, high, at in zip(normal, box.low, box.high, self.eye, strict=True)

@@ -1,4 +1,4 @@
-"""What counts as zero height, asked of the session once for each way of levelling a surface."""
+"""Cache of height datums: one query to the session per surface and levelling method."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ _KEPT = 64
 
 
 class DatumCache:
-    """Those of surfaces by way of levelling. `arrived` is called on another thread when one is known."""
+    """Datums by surface and levelling. `arrived` is called on another thread when one is available."""
 
     def __init__(self, find: FindDatum, arrived: Callable[[], None]) -> None:
         self._find, self._arrived = find, arrived
@@ -22,7 +22,7 @@ class DatumCache:
         self._pool = ThreadPoolExecutor(1, thread_name_prefix="datum")
 
     def of(self, source: SurfaceKey, levelling: Levelling) -> Datum | None:
-        """The datum, None for the stage's own zero. Raises NotYet; MeasureError when none can be laid."""
+        """Return the datum, None for the stage's zero. Raises NotReady; MeasureError if it cannot be determined."""
         if levelling.by == "stage":
             return None
         found = self._asked.get((source, levelling))
@@ -36,5 +36,5 @@ class DatumCache:
         return found.result()
 
     def close(self) -> None:
-        """Let the thread go."""
+        """Stop the thread."""
         self._pool.shutdown(wait=False, cancel_futures=True)

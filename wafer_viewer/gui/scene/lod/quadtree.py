@@ -1,7 +1,7 @@
-"""Which tiles of a surface's pyramid a camera needs: a quadtree, split where its texels are large on the screen.
+"""Selection of pyramid tiles for a camera: a quadtree, split where the texels are large on the screen.
 
-Its leaves cover the whole surface at any time, so that there are no holes wherever one turns; those out of sight are
-drafts. Levels below 0 are finer meshes of the pixels of level 0, which is what one sees of them from very near.
+The leaves always cover the entire surface, so that turning the camera never shows holes. Leaves out of view are drafts.
+Levels below 0 are finer meshes of the pixels of level 0, for close views.
 """
 
 from __future__ import annotations
@@ -15,17 +15,17 @@ from wafer_viewer.gui.scene.camera.frustum import AABB, Frustum
 TILE_PX = 256
 FINEST_LEVEL = -3
 DRAFT_LEVELS = 2
-"""By how many levels a tile that is out of sight is coarser than it would be in sight."""
+"""Number of levels by which a tile out of view is coarser."""
 MOST_ROOTS = 6
 Span = tuple[int, int]
 """[first, end) of rows or columns."""
 Heights = Callable[[Span, Span], tuple[float, float]]
-"""Lowest and highest, scene mm, of rows and columns of level 0."""
+"""Returns the lowest and highest height, scene mm, of rows and columns of level 0."""
 
 
 @dataclass(frozen=True, slots=True)
 class Node:
-    """A square of `TILE_PX` pixels of a level: row and column of the square."""
+    """A square tile of `TILE_PX` pixels at a level, by its tile row and column."""
 
     level: int
     row: int
@@ -33,24 +33,24 @@ class Node:
 
     @property
     def side_px(self) -> int:
-        """Its side in pixels of level 0."""
+        """Side length in pixels of level 0."""
         return TILE_PX << self.level if self.level >= 0 else TILE_PX >> -self.level
 
     @property
     def spans(self) -> tuple[Span, Span]:
-        """Its rows and columns of level 0."""
+        """Rows and columns of level 0."""
         side = self.side_px
         return (self.row * side, (self.row + 1) * side), (self.col * side, (self.col + 1) * side)
 
     @property
     def quarters(self) -> Iterator[Node]:
-        """The four of the next finer level that cover it."""
+        """The four child nodes at the next finer level."""
         return (Node(self.level - 1, 2 * self.row + n // 2, 2 * self.col + n % 2) for n in range(4))
 
 
 @dataclass(frozen=True, slots=True)
 class Leaf:
-    """A node to be drawn; `seen`: in sight, with all its pixels."""
+    """A node to be drawn; `seen`: True if in view, drawn at full resolution."""
 
     node: Node
     seen: bool
@@ -58,7 +58,10 @@ class Leaf:
 
 @dataclass(frozen=True, slots=True)
 class Ground:
-    """Where a surface lies: its window of level 0, x and y in mm of the corner of its pixel (0, 0), its heights."""
+    """Geometry of a surface: window of level 0, corner of pixel (0, 0) and heights.
+
+    x0_mm, y0_mm: outer corner of pixel (0, 0) in mm.
+    """
 
     rows: Span
     cols: Span
@@ -68,24 +71,24 @@ class Ground:
     heights_mm: Heights
 
     def holds(self, node: Node) -> bool:
-        """Whether any of the window lies in a node."""
+        """Return whether the window overlaps a node."""
         rows, cols = node.spans
         return _meet(rows, self.rows) and _meet(cols, self.cols)
 
     def box(self, node: Node) -> AABB:
-        """The part of the window that lies in a node, with its heights."""
+        """Return the bounding box of the window's part within a node, with its heights."""
         rows, cols = (_common(*spans) for spans in zip(node.spans, (self.rows, self.cols), strict=True))
         low, high = self.heights_mm(rows, cols)
         x, y = ([self.x0_mm + c * self.pixel_mm for c in cols], [self.y0_mm - r * self.pixel_mm for r in rows])
         return AABB((x[0], y[1], low), (x[1], y[0], high))
 
     def texel_px(self, node: Node, box: AABB, sight: Frustum) -> float:
-        """How large a pixel of the node's level is on the screen, at most."""
+        """Return the maximum screen size of a pixel at the node's level."""
         return self.pixel_mm * node.side_px / TILE_PX * sight.px_per_mm(box)
 
 
 def roots(ground: Ground) -> list[Node]:
-    """The nodes of the finest level of which at most `MOST_ROOTS` cover the window."""
+    """Return the nodes of the finest level at which at most `MOST_ROOTS` nodes cover the window."""
     level = 0
     while True:
         side = TILE_PX << level
@@ -96,9 +99,10 @@ def roots(ground: Ground) -> list[Node]:
 
 
 def leaves(ground: Ground, sight: Frustum, sharp_px: float, most: int) -> list[Leaf]:
-    """What to draw: in sight nothing with texels over `sharp_px`, as far as `most` tiles go; the middle first.
+    """Return the nodes to draw, those in the centre of the view first.
 
-    The largest texels are split first, so that what is short is short evenly.
+    Visible nodes are split until no texel exceeds `sharp_px` or `most` tiles are reached. The largest texels are split
+    first, so that a tile limit reduces the resolution evenly.
     """
     heap, unseen = list[tuple[float, int, Node]](), list[Node]()
     settled = list[Node]()

@@ -1,7 +1,7 @@
-"""A surface that grows under the operator's eyes: what it is drawn by is held as long as it nearly fits.
+"""Hysteresis of the display parameters of a growing surface: kept as long as they approximately fit.
 
-Light, the height drawn at 0 and the range of colours come from the whole surface. Were they taken anew with every field
-that is added, every tile would have to be painted again, and what is long measured would change its colour.
+Lighting, the height drawn at 0 and the colour range are derived from the entire surface. If they were recomputed with
+every added field, every tile would have to be rendered again and measured parts would change colour.
 """
 
 from __future__ import annotations
@@ -16,19 +16,19 @@ from wafer_viewer.model.acquisition.plan import ScanPlan
 from wafer_viewer.session.rendering.render_request import ColourScale, SurfaceKey, SurfaceStatistics
 
 _HEIGHTS, _RANGE, _DEEPER = 0.12, 0.04, 0.02
-"""By how much of their span heights and the range of colours may be off; what lies deeper than drawn shows at once."""
+"""Tolerances as fractions of the span: heights, colour range, and depth below the lowest displayed height."""
 _GAIN = 1.25
 
 
 class DisplayRangeHysteresis:
-    """What one scene draws its surface by."""
+    """Retained display statistics and colour scale of one scene."""
 
     def __init__(self) -> None:
         self._facts: tuple[Hashable, SurfaceStatistics] | None = None
         self._scale: tuple[Hashable, ColourScale] | None = None
 
     def facts(self, source: SurfaceKey, view: View, now: SurfaceStatistics) -> SurfaceStatistics:
-        """The facts of a surface with the heights and the light that it was drawn by before, if they still fit."""
+        """Return the statistics of a surface with the previous heights and lighting, if they still fit."""
         of = (_place(source), view.colour_by in ("deviation", "form"))
         if self._facts is None or self._facts[0] != of or not _fits(self._facts[1], now, of[1]):
             self._facts = of, now
@@ -44,7 +44,7 @@ class DisplayRangeHysteresis:
         )
 
     def scale(self, source: SurfaceKey, view: View, now: ColourScale) -> ColourScale:
-        """The scale with the range that the colours had before, if that still fits; one set by hand is as it is."""
+        """Return the scale with the previous colour range if it still fits; a manual range is unchanged."""
         if view.range_um is not None:
             return now
         of, spare = (_place(source), now.quantity), _RANGE * (now.high - now.low)
@@ -68,7 +68,7 @@ def _fits(held: SurfaceStatistics, now: SurfaceStatistics, with_plane: bool) -> 
 
 
 def _tipped(held: SurfaceStatistics, now: SurfaceStatistics, span: float) -> bool:
-    """Whether the plane that deviations are taken from is another at the corners of the surface."""
+    """Return whether the reference plane of deviations differs noticeably at the corners of the surface."""
     x = now.x0_um + np.array([now.first_col, now.end_col]) * now.pixel_um
     y = now.y0_um - np.array([now.first_row, now.end_row]) * now.pixel_um
     (a, b, c), (a0, b0, c0) = now.plane, held.plane
@@ -77,7 +77,7 @@ def _tipped(held: SurfaceStatistics, now: SurfaceStatistics, span: float) -> boo
 
 
 def as_planned(facts: SurfaceStatistics, plan: ScanPlan) -> SurfaceStatistics:
-    """The facts with a window as large as all planned fields: it does not grow with what is measured."""
+    """Return the statistics with a window that covers all planned fields, so that it stays constant during a scan."""
     half_x, half_y = plan.cols * plan.pixel_um / 2, plan.rows * plan.pixel_um / 2
     x, y = [f.x_um for f in plan.fields], [f.y_um for f in plan.fields]
     cols = _indices((min(x) - half_x - facts.x0_um, max(x) + half_x - facts.x0_um), facts.pixel_um, facts.cols)

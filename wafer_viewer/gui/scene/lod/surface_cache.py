@@ -1,4 +1,4 @@
-"""What is known of the surfaces a browser looks at, asked of the painter once."""
+"""Cache of surface information for one browser; each item is requested from the renderer once."""
 
 from __future__ import annotations
 
@@ -26,9 +26,9 @@ _KEPT = 256
 
 
 class SurfaceInfoCache:
-    """Facts, scales and reliefs by request. What is not known yet raises NotYet and is asked for meanwhile.
+    """Statistics, colour scales and coarse heights by request. Pending requests raise NotReady.
 
-    All are over a datum where one is given. `find_datum` is asked on a thread of its own.
+    All values are relative to the datum if one is given. `find_datum` is called on its own thread.
     """
 
     def __init__(self, paint: Paint, arrived: Callable[[], None], find_datum: FindDatum) -> None:
@@ -37,19 +37,19 @@ class SurfaceInfoCache:
         self._datums = DatumCache(find_datum, arrived)
 
     def close(self) -> None:
-        """Let the thread go."""
+        """Stop the thread."""
         self._datums.close()
 
     def datum(self, source: SurfaceKey, levelling: Levelling) -> Datum | None:
-        """What counts as zero; None for the stage's own. Raises MeasureError when none can be laid."""
+        """Return the zero-height datum; None for the stage's zero. Raises MeasureError if it cannot be determined."""
         return self._datums.of(source, levelling)
 
     def facts(self, source: SurfaceKey, datum: Datum | None = None) -> SurfaceStatistics:
-        """The surface as a whole."""
+        """Return the statistics of the surface."""
         return self._look_up(RenderRequest(source, "facts", datum=datum), SurfaceStatistics)
 
     def facts_known(self, sources: dict[int, SurfaceKey]) -> dict[int, SurfaceStatistics]:
-        """The facts of those surfaces that are known already; the others are asked for."""
+        """Return the statistics of the surfaces for which they are available, and request the others."""
         known: dict[int, SurfaceStatistics] = {}
         for number, source in sources.items():
             try:
@@ -59,17 +59,17 @@ class SurfaceInfoCache:
         return known
 
     def scale(self, source: SurfaceKey, view: View, datum: Datum | None = None) -> ColourScale:
-        """The quantity that colours the surface, over the range chosen or its own."""
+        """Return the colour scale of the displayed quantity, with the selected range or its default."""
         light, look = self.facts(source, datum).light, DisplayStyle(colour_by=view.colour_by)
         request = RenderRequest(source, "scale", look=look, light=light, range_values=view.range_um, datum=datum)
         return self._look_up(request, ColourScale)
 
     def relief(self, of: DisplayedSurface) -> CoarseHeightField:
-        """The coarse heights of the surface on show."""
+        """Return the coarse heights of the displayed surface."""
         return self._look_up(RenderRequest(of.source, "relief", datum=of.datum), CoarseHeightField)
 
     def relief_if_known(self, source: SurfaceKey, datum: Datum | None) -> CoarseHeightField | None:
-        """The coarse heights, None while they are made."""
+        """Return the coarse heights; None while they are pending."""
         try:
             return self._look_up(RenderRequest(source, "relief", datum=datum), CoarseHeightField)
         except NotReady:

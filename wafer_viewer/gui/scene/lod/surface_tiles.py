@@ -1,4 +1,4 @@
-"""The surface as items: tiles of the pyramid by what the camera sees, or of one level, with walls round them."""
+"""Scene items of a surface: pyramid tiles by view, or of one level, with side walls."""
 
 from __future__ import annotations
 
@@ -30,29 +30,29 @@ from wafer_viewer.session.rendering.render_request import (
 Box = tuple[float, float, float, float]
 """x low, y low, x high, y high in um."""
 VERTICES = 200_000
-"""Of a surface that is cut at one level."""
+"""Most vertices of a surface drawn at one level."""
 SHARP_PX: dict[Way, float] = {"surface": 1.5, "points": 2.6, "plan": 1.5}
 MOST_TILES: dict[Way, int] = {"surface": 34, "points": 9, "plan": 34}
-"""No texel in sight is larger on the screen, as far as so many tiles go."""
+"""Largest texel in view, in screen pixels, and the limit of tiles, which takes precedence."""
 _STEP, _FLAT_STEP = 8, 64
-"""Pixels from vertex to vertex, of a tile in its own level."""
+"""Pixels between vertices of a tile at its own level."""
 OWN_COLOURS = {"grey": "grey", "difference": DIVERGING, "confidence": "cividis"}
-"""The map of a quantity that has one of its own."""
+"""Colour map of quantities with a fixed one."""
 LIGHT_ON = {"origin": 0.25, "overlap": 0.6}
-"""How much of the hillshade falls on colours that are looked up one by one, and on those that are far apart."""
+"""Hillshade factor for categorical colours (origin) and for coarse steps of colour (overlap)."""
 _TILE_PX = 320
 _DRAWN_LARGER = 2.0
-"""viser draws points so many times as large as it is told, and larger by the mean of what their node is stretched."""
+"""viser draws points larger than their set size by this factor and by the mean scale of their node."""
 _NEARLY = 0.96, 1.04
-"""Points are given another size where it differs by more than that."""
+"""Relative tolerance within which the point size is not updated."""
 READ_AROUND_PX = 16
-"""The painter reads a little more than a tile, for light to go on across its edge."""
+"""Margin that the renderer reads around a tile, for continuous lighting across its edge."""
 _SHAPES: dict[Way, Kind] = {"surface": "tile", "points": "points", "plan": "flat"}
 
 
 @dataclasses.dataclass(frozen=True, slots=True)
 class TileCut:
-    """A level, the window of its lattice that holds anything, and the step from vertex to vertex."""
+    """A level, its window with data, and the step between vertices."""
 
     level: int
     rows: Span
@@ -60,7 +60,7 @@ class TileCut:
     step: int
 
     def tiles(self) -> Iterator[tuple[Span, Span]]:
-        """[first, end) rows and columns of each tile; neighbours share a line of pixels, so that they meet."""
+        """Yield [first, end) rows and columns of each tile; neighbours share a line of pixels, so that they join."""
         for rows in _spans(*self.rows, self.step):
             for cols in _spans(*self.cols, self.step):
                 yield rows, cols
@@ -73,7 +73,7 @@ def _spans(first: int, end: int, step: int) -> list[Span]:
 
 
 def cut(facts: SurfaceStatistics, texture_pixels: int) -> TileCut:
-    """The finest level within a budget of texture pixels, with at most `VERTICES` vertices."""
+    """Return the finest level within a budget of texture pixels, with at most `VERTICES` vertices."""
     rows, cols = facts.end_row - facts.first_row, facts.end_col - facts.first_col
     level = max(0, math.ceil(math.log2(max(1.0, rows * cols / texture_pixels)) / 2))
     scale = 2**level
@@ -83,7 +83,7 @@ def cut(facts: SurfaceStatistics, texture_pixels: int) -> TileCut:
 
 
 def _at_level(window: Span, level: int) -> Span:
-    """Pixels of level 0 as those of a coarser level, at least two."""
+    """Convert a span of level 0 to a coarser level, with at least two pixels."""
     first, end = window
     return first >> level, max((first >> level) + 2, -(-end >> level))
 
@@ -93,7 +93,7 @@ def _window(facts: SurfaceStatistics) -> tuple[Span, Span]:
 
 
 def bounds_mm(facts: SurfaceStatistics) -> tuple[float, float, float, float]:
-    """(x low, y low, x high, y high) of what is measured."""
+    """Return (x low, y low, x high, y high) of the measured window."""
     pixel = facts.pixel_um * 1e-3
     x, y = facts.x0_um * 1e-3, facts.y0_um * 1e-3
     return (
@@ -103,7 +103,7 @@ def bounds_mm(facts: SurfaceStatistics) -> tuple[float, float, float, float]:
 
 
 def look_of(view: View, scale: ColourScale) -> DisplayStyle:
-    """What the operator chose, with the range the colours span; origins in little light, to be found in the legend."""
+    """Return the display style of a view with the colour range; origin colours get little shading for legibility."""
     colours = OWN_COLOURS.get(view.colour_by, view.colours)
     light = LIGHT_ON.get(view.colour_by, 1.0)
     points = view.look == "points"
@@ -121,10 +121,12 @@ def look_of(view: View, scale: ColourScale) -> DisplayStyle:
 
 @dataclasses.dataclass(frozen=True, slots=True)
 class Shown:
-    """A surface to be drawn: `facts` with the window that is cut into tiles, and `measured`, where walls stand.
+    """A surface to be drawn.
 
-    stamp_of: by box in um, the stamp by which that part became what it is; None: the source's own.
-    datum: what counts as zero height; None: the stage's zero.
+    facts: statistics with the window that is divided into tiles.
+    measured: statistics with the window that the walls enclose.
+    stamp_of: returns the stamp of the last change within a box in um; None: that of the source.
+    datum: zero-height reference; None: the stage's zero.
     """
 
     source: SurfaceKey
@@ -134,7 +136,7 @@ class Shown:
     datum: Datum | None = None
 
     def at(self, level: int, rows: Span, cols: Span) -> SurfaceKey:
-        """The source of a part: an older stamp where nothing has changed since."""
+        """Return the source of a part, with an older stamp where nothing has changed since."""
         if self.stamp_of is None:
             return self.source
         return dataclasses.replace(self.source, stamp=self.stamp_of(_box_um(self.facts, level, rows, cols)))
@@ -143,7 +145,7 @@ class Shown:
 def surface_items(
     shown: Shown, look: DisplayStyle, view: View, z0_um: float, texture_pixels: int, prefix: str
 ) -> list[SceneItem]:
-    """A surface at one level and its walls, whatever the camera sees; with ``plan`` it lies flat and has none."""
+    """Return a surface at one level with its walls, independent of the camera; a ``plan`` is flat without walls."""
     facts = shown.facts
     part = cut(facts, texture_pixels)
     base = _base(shown, look, view, z0_um)
@@ -160,7 +162,7 @@ def surface_items(
 
 
 def _base(shown: Shown, look: DisplayStyle, view: View, z0_um: float) -> RenderRequest:
-    """What all tiles of a surface have in common."""
+    """Return the render request that all tiles of a surface share."""
     return RenderRequest(
         shown.source, _SHAPES[view.look], look=look, light=shown.facts.light, z0_um=z0_um, dark=view.dark,
         datum=shown.datum, clip=view.clipped,
@@ -169,7 +171,7 @@ def _base(shown: Shown, look: DisplayStyle, view: View, z0_um: float) -> RenderR
 
 @dataclasses.dataclass(frozen=True, slots=True)
 class TiledSurface:
-    """A surface drawn by what the camera sees. heights_mm: of a part of it, as drawn; see `quadtree`."""
+    """A surface with view-dependent tiles. heights_mm: height range of a part as drawn; see `quadtree`."""
 
     shown: Shown
     look: DisplayStyle
@@ -179,11 +181,11 @@ class TiledSurface:
     prefix: str = "surface"
 
     def first_items(self) -> list[SceneItem]:
-        """The whole of it at a glance."""
+        """Return a coarse version of the entire surface."""
         return self._items([Leaf(node, True) for node in roots(self._ground)])
 
     def items(self, sight: Frustum, finer: float = 1.0) -> list[SceneItem]:
-        """What a camera needs, the middle of its view first; so many pixels for one of its screen."""
+        """Return the items for a view, its centre first; `finer`: rendered pixels per screen pixel."""
         way = self.view.look
         return self._items(leaves(self._ground, sight, SHARP_PX[way] / finer, round(MOST_TILES[way] * finer**2)))
 
@@ -201,7 +203,7 @@ class TiledSurface:
         return [item for leaf in cover for item in self._of(leaf, base)]
 
     def _of(self, leaf: Leaf, base: RenderRequest) -> Iterator[SceneItem]:
-        """The tile of a leaf, and the walls where the surface ends in it."""
+        """Yield the tile of a leaf, and the walls at the surface edges within it."""
         node, shown = leaf.node, self.shown
         request = _cut_out(base, leaf, shown.facts)
         place = f"{node.level}/{node.row}_{node.col}"
@@ -214,9 +216,9 @@ class TiledSurface:
 
 
 def _cut_out(base: RenderRequest, leaf: Leaf, facts: SurfaceStatistics) -> RenderRequest:
-    """The request for a leaf: its pixels and one more on each side, so that tiles of all levels overlap a little.
+    """Return the request for a leaf: its pixels and one more on each side, so that tiles of all levels overlap.
 
-    Points have no seams to hide, and each is drawn once.
+    Points have no overlap, because each must be drawn only once.
     """
     node = leaf.node
     level = max(0, node.level if leaf.seen else node.level + DRAFT_LEVELS)
@@ -234,7 +236,7 @@ def _cut_out(base: RenderRequest, leaf: Leaf, facts: SurfaceStatistics) -> Rende
 
 
 def _edges_in(request: RenderRequest, measured: SurfaceStatistics) -> Iterator[tuple[int, RenderRequest]]:
-    """The edges of what is measured that lie in a tile, each by the number of its side: see `mesh.walls`."""
+    """Yield the edges of the measured window within a tile, by the number of their side: see `mesh.walls`."""
     rows, cols = (_at_level(window, request.level) for window in _window(measured))
     across = max(rows[0], request.rows[0]), min(rows[1], request.rows[1])
     along = max(cols[0], request.cols[0]), min(cols[1], request.cols[1])
@@ -247,7 +249,7 @@ def _edges_in(request: RenderRequest, measured: SurfaceStatistics) -> Iterator[t
 
 
 def _box_um(facts: SurfaceStatistics, level: int, rows: Span, cols: Span) -> Box:
-    """A window of a level's lattice with what is read round it."""
+    """Return the box of a window at a level, including the margin read around it."""
     pixel, spare = facts.pixel_um * 2**level, READ_AROUND_PX * facts.pixel_um * 2**level
     x0, y0 = facts.x0_um - spare, facts.y0_um + spare
     return (
@@ -269,14 +271,14 @@ def _tile(name: str, request: RenderRequest, shown: Shown, cover: TileExtent | N
 
 
 def _walls(name: str, base: RenderRequest, shown: Shown) -> list[SceneItem]:
-    """All four walls of a surface at one level."""
+    """Return the four walls of a surface at one level."""
     rows, cols = (_at_level(window, base.level) for window in _window(shown.measured))
     request = _wall(dataclasses.replace(base, rows=rows, cols=cols), shown)
     return [SceneItem(name, request, add_glb, request, stretched=True)]
 
 
 def _wall(window: RenderRequest, shown: Shown) -> RenderRequest:
-    """The walls round a window. They do not depend on how the surface is coloured: the request has no look."""
+    """Return the request for the walls of a window; it has no display style, because walls do not depend on it."""
     (top, foot), (left, right) = window.rows, window.cols
     edges = (
         (window.rows, (left, left)), (window.rows, (right, right)),
@@ -288,18 +290,18 @@ def _wall(window: RenderRequest, shown: Shown) -> RenderRequest:
 
 
 def add_glb(scene: viser.SceneApi, name: str, data: bytes) -> Handle:
-    """An unlit mesh; shadows would darken what is baked."""
+    """Add an unlit mesh without shadows, because lighting is baked into its texture."""
     return scene.add_glb(name, data, cast_shadow=False, receive_shadow=False)
 
 
 class PointTile:
-    """Points of a tile, of one size on the screen at the point looked at. size_px: what they are to be."""
+    """Points of a tile with a constant screen size at the point looked at. size_px: requested size."""
 
     def __init__(self, handle: Any, n_points: int) -> None:
         self._handle, self.n_points, self.size_px = handle, n_points, 3.0
 
     def settle(self, mm_per_pixel: float) -> None:
-        """Be so large that a point has its size for a pixel of this size."""
+        """Set the point size for a pixel size in mm."""
         stretch = float(np.cbrt(np.prod(np.broadcast_to(self._handle.scale, 3))))
         size = self.size_px * mm_per_pixel / _DRAWN_LARGER / stretch
         if not _NEARLY[0] < size / self._handle.point_size < _NEARLY[1]:
@@ -307,7 +309,7 @@ class PointTile:
 
     @property
     def scale(self) -> Any:
-        """How it is stretched."""
+        """Scale of the node."""
         return self._handle.scale
 
     @scale.setter
@@ -315,14 +317,14 @@ class PointTile:
         self._handle.scale = scale
 
     def remove(self) -> None:
-        """Take it out of the scene."""
+        """Remove the points from the scene."""
         self._handle.remove()
 
 
 def _add_points(
     scene: viser.SceneApi, name: str, data: bytes, request: RenderRequest, facts: SurfaceStatistics
 ) -> Handle:
-    """Points stand relative to the middle of their window: float16 would be too coarse from the stage's origin."""
+    """Add points relative to the centre of their window, because float16 is too coarse in stage coordinates."""
     places, colours = unpack_points(data)
     pixel = facts.pixel_um * 2**request.level * 1e-3
     first = (2**request.level - 1) / 2 * facts.pixel_um * 1e-3

@@ -1,4 +1,4 @@
-"""Between which heights parts of a surface lie: the nearer the camera, the more it matters for the tiles it needs."""
+"""Height ranges of surface parts, which determine the bounding boxes of tiles."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ _KEPT = 4096
 
 
 def heights_of(on_show: DisplayedSurface, relief: CoarseHeightField | None) -> Heights:
-    """Lowest and highest, scene mm, of parts of the surface on show; roughly where its relief is not known yet."""
+    """Return a function for the lowest and highest scene z (mm) of a part; the global range without a relief."""
     facts = on_show.facts
     whole = on_show.scene_z(facts.low_um), on_show.scene_z(facts.high_um)
     if relief is None:
@@ -32,6 +32,6 @@ def heights_of(on_show: DisplayedSurface, relief: CoarseHeightField | None) -> H
 
 
 def _part(span: Span, scale: float, n: int) -> Span:
-    """Pixels of level 0 as those of the relief, at least one."""
+    """Convert a span of level 0 to pixels of the relief, at least one."""
     first = min(max(0, int(span[0] / scale)), n - 1)
     return first, max(first + 1, min(n, int(np.ceil(span[1] / scale))))

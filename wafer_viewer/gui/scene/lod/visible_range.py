@@ -1,4 +1,4 @@
-"""What of a surface is in view, and between which values its colours run there."""
+"""Colour range of the visible part of a surface."""
 
 from __future__ import annotations
 
@@ -18,16 +18,16 @@ from wafer_viewer.session.rendering.render_request import ColourScale, RenderReq
 Corners = tuple[tuple[float, float], ...]
 Range = tuple[float, float]
 _PIXELS = 400_000
-"""As many are looked at for a range."""
+"""Most pixels evaluated for a range."""
 _LEAST_PX = 8
 
 
 def range_in_view(
     paint: Paint, on_show: DisplayedSurface, corners_um: Corners | None, then: Callable[[Range], None]
 ) -> None:
-    """Call back, on another thread, with the middle 99 % of what colours the surface within some corners; None: all.
+    """Call back, on another thread, with the central 99 % of the displayed quantity within `corners_um`; None: all.
 
-    A surface that cannot be read leaves the range as it was: the scene tells of that itself.
+    If the surface cannot be read the range is unchanged; the scene reports that error itself.
     """
     quantity, facts = on_show.scale.quantity, on_show.facts
     level, rows, cols = _window(facts, corners_um)
@@ -43,7 +43,7 @@ def range_in_view(
 
 
 def _window(facts: SurfaceStatistics, corners_um: Corners | None) -> tuple[int, Span, Span]:
-    """The part of the surface within corners: the finest level of few enough pixels, its rows and columns."""
+    """Return the finest level with few enough pixels, and the rows and columns within the corners."""
     rows, cols = (facts.first_row, facts.end_row), (facts.first_col, facts.end_col)
     if corners_um is not None:
         x, y = zip(*corners_um, strict=True)
@@ -55,7 +55,7 @@ def _window(facts: SurfaceStatistics, corners_um: Corners | None) -> tuple[int, 
 
 
 def _clipped(ends_um: tuple[float, float], pixel_um: float, within: Span) -> Span:
-    """Pixels between two places, some at least, within those that there are."""
+    """Return the pixels between two positions, limited to the span, and at least `_LEAST_PX` if it has as many."""
     first = min(max(within[0], round(ends_um[0] / pixel_um)), max(within[0], within[1] - _LEAST_PX))
     return first, max(min(within[1], round(ends_um[1] / pixel_um)), min(within[1], first + _LEAST_PX))
 

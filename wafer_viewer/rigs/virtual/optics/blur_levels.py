@@ -1,8 +1,8 @@
-"""The levels of blur of one field: fine ones at every pixel, coarse ones on ever wider lattices.
+"""Blur levels of one field: fine ones at every pixel, coarse ones on lattices of increasing spacing.
 
 Three channels are blurred: the light of sheet A where it covers, the light of sheet B where A does not, and the cover
-itself. Fine levels are uint16 to save memory, coarse ones float32 on lattices that are anchored to the world and not
-to the frame, so that neighbouring fields read the same values.
+itself. Fine levels are uint16 to save memory. Coarse ones are float32 on lattices that are anchored to the stage and
+not to the frame, so that neighbouring fields read the same values.
 """
 
 from __future__ import annotations
@@ -31,41 +31,41 @@ WHITE = np.float32(16384)  # what a fine level holds for radiance 1
 
 
 class Law(NamedTuple):
-    """The blur law in pixels: variance = sharpest_px2 + widening * (z - h)^2, and the levels it is read from."""
+    """Blur law in pixels: variance = sharpest_px2 + widening * (z - h)^2, and the levels that sample it."""
 
     sharpest_px2: np.float32
     widening: np.float32
     n_fine: int
     variance_px2: Plane
     per_px2: Plane
-    """One over the distance from each level to the next."""
+    """Reciprocal of the variance step from each level to the next."""
 
 
 class BlurLevels(NamedTuple):
-    """Blurred channels. Levels are numbered through, fine ones first."""
+    """Blurred channels. Levels are numbered consecutively, fine ones first."""
 
     fine: NDArray[np.uint16]
     """[channel, level, row, col]"""
     coarse: Plane
-    """[channel, sample]: one lattice after another"""
+    """[channel, sample]: all lattices, concatenated"""
     start: NDArray[np.int64]
-    """Of each coarse level, where its lattice begins."""
+    """Index of the first sample of each coarse level."""
     width: NDArray[np.int64]
-    """Of each coarse level, the columns of its lattice."""
+    """Number of lattice columns of each coarse level."""
     scale: NDArray[np.int64]
-    """Of each coarse level, its lattice spacing as LATTICE_PX << scale."""
+    """Lattice spacing of each coarse level as LATTICE_PX << scale."""
     row0_px: float
-    """Row 0 of the frame on the lattice, in px."""
+    """Position of frame row 0 on the lattice, in px."""
     first: NDArray[np.int64]
-    """Of each scale, the lattice column left of frame column 0."""
+    """Lattice column left of frame column 0, for each scale."""
     left: NDArray[np.int32]
-    """[scale, col]: the lattice column left of each frame column, counted from first"""
+    """[scale, col]: lattice column left of each frame column, relative to first"""
     weight: Plane
-    """[scale, col]: the weight of the lattice column right of it"""
+    """[scale, col]: interpolation weight of the lattice column on its right"""
 
 
 def blur_law(sharpest_px: float, widening: float, farthest_um: float) -> Law:
-    """The law with as many levels as the farthest sheet needs; beyond the last level the blur grows no more."""
+    """Return the law with levels up to the blur of the farthest sheet; beyond the last level the blur is constant."""
     needed = math.sqrt(sharpest_px**2 + widening * farthest_um**2)
     fine = [sharpest_px, *(s for s in FINE_SIGMA_PX if s > 1.05 * sharpest_px)]
     ladder = [*fine, *COARSE_SIGMA_PX]
@@ -76,7 +76,7 @@ def blur_law(sharpest_px: float, widening: float, farthest_um: float) -> Law:
 
 
 def coarse_window(frame: SceneWindow, law: Law) -> SceneWindow:
-    """The finest coarse lattice: round the frame as far as the widest blur reaches, anchored to the world."""
+    """Return the finest coarse lattice: the frame with a margin for the widest blur, anchored to the stage."""
     margin_px = int(2.6 * math.sqrt(law.variance_px2[-1])) + ANCHOR_PX
     wide = frame.grown(margin_px)
     anchor_um = ANCHOR_PX * frame.step_um
@@ -89,7 +89,7 @@ def coarse_window(frame: SceneWindow, law: Law) -> SceneWindow:
 
 
 def make_levels(frame: SceneWindow, lattice: SceneWindow, near: SceneSheets, far: SceneSheets, law: Law) -> BlurLevels:
-    """All levels of a field; `near` is its raster with FINE_MARGIN round it, `far` its raster on the lattice."""
+    """Return all levels of a field; `near`: its raster with margin FINE_MARGIN, `far`: its raster on the lattice."""
     fine = np.empty((3, law.n_fine, frame.rows, frame.cols), np.uint16)
     for into, channel in zip(fine, channels(near), strict=True):
         fill_fine_levels(channel, law, into)
@@ -110,12 +110,12 @@ def make_levels(frame: SceneWindow, lattice: SceneWindow, near: SceneSheets, far
 
 
 def channels(sheets: SceneSheets) -> tuple[Plane, Plane, Plane]:
-    """Light of A, light of B, cover: what is blurred."""
+    """Return the channels to be blurred: light of A, light of B, cover."""
     return sheets.light_a(), sheets.light_b(), sheets.cover
 
 
 def fill_fine_levels(channel: Plane, law: Law, into: NDArray[np.uint16]) -> None:
-    """Blur one channel to every fine level; a level's variance counts the footprint of the raster."""
+    """Blur one channel to every fine level; the variance of a level includes the raster footprint."""
     if channel.min() == channel.max():
         into[:] = round(float(channel[0, 0]) * float(WHITE))
         return
@@ -131,7 +131,7 @@ def fill_fine_levels(channel: Plane, law: Law, into: NDArray[np.uint16]) -> None
 
 @fast_kernel
 def pack(plane: Plane, margin: int, out: NDArray[np.uint16]) -> None:
-    """A plane without its margin, as uint16."""
+    """Convert a plane without its margin to uint16."""
     most = np.float32(65535)
     for y in range(out.shape[0]):
         row = plane[y + margin]
@@ -140,19 +140,19 @@ def pack(plane: Plane, margin: int, out: NDArray[np.uint16]) -> None:
 
 
 def coarse_sigmas(law: Law) -> list[float]:
-    """Sigma of every coarse level in px."""
+    """Return the sigma of every coarse level in px."""
     return [math.sqrt(variance) for variance in law.variance_px2[law.n_fine :]]
 
 
 def scale_of(sigma_px: float) -> int:
-    """The lattice that a blur is kept on: at most 0.45 sigma from sample to sample."""
+    """Return the lattice scale of a blur: a sample spacing of at most 0.45 sigma."""
     return sum(sigma_px > limit for limit in (10, 20, 40))
 
 
 def coarse_levels(channel: Plane, law: Law) -> list[Plane]:
-    """One channel at every coarse level, each made from the one before.
+    """Return one channel at every coarse level, each computed from the one before.
 
-    Reading a lattice of spacing s by straight lines adds a variance of s^2 / 6, which is left out here.
+    Linear interpolation on a lattice of spacing s adds a variance of s^2 / 6, which is subtracted here.
     """
     levels: list[Plane] = []
     plane, scale = channel, 0
@@ -169,7 +169,7 @@ def coarse_levels(channel: Plane, law: Law) -> list[Plane]:
 
 
 def column_readout(col0_px: float, cols: int) -> tuple[NDArray[np.int64], NDArray[np.int32], Plane]:
-    """(first, left, weight) of Levels for a frame whose column 0 is col0_px from the lattice's first sample."""
+    """Return (first, left, weight) of BlurLevels; col0_px: frame column 0 from the first lattice sample, px."""
     place = (col0_px + np.arange(cols)) / (LATTICE_PX << np.arange(SCALES))[:, None]
     column = np.floor(place)
     first = column[:, 0].astype(np.int64)

@@ -1,9 +1,9 @@
-"""One frame of a prepared field: for every pixel the light of both sheets, each blurred as its own distance asks.
+"""Composition of one frame: the light of both sheets at every pixel, each blurred by its own defocus.
 
-Where the other sheet is far away only one sheet is read. Near a wall the front sheet hides part of the back one. How
-much depends on how the two covers, each blurred in its own way, go together: rho is the correlation of the two blur
-spots (+1 both sheets on one side of the focus, -1 on opposite sides). For a straight edge the result is exact at
-rho = -1, 0 and 1; compositing without it would darken edges twice.
+Where the other sheet is far away only one sheet is read. Near a wall the front sheet hides part of the back one. The
+hidden share depends on the relation of the two blurred covers: rho is the correlation of the two blur spots (+1 both
+sheets on one side of the focus, -1 on opposite sides). For a straight edge the result is exact at rho = -1, 0 and 1;
+compositing without it would darken edges twice.
 """
 
 from __future__ import annotations
@@ -29,9 +29,9 @@ SEES_A, SEES_B, SEES_BOTH = np.arange(1, 4)  # numpy integers: numba compiles a 
 
 
 class CompositionPlan(NamedTuple):
-    """What each stretch of one row needs: the lowest and highest level of each sheet, and which sheets it sees.
+    """Lowest and highest blur level of each sheet, and visible sheets, for each stretch of one row.
 
-    A pixel is read between two levels, so the level after the highest is needed too.
+    A pixel is interpolated between two levels, so the level after the highest is needed too.
     """
 
     lowest_a: NDArray[np.int64]
@@ -58,7 +58,7 @@ class SceneHeights(NamedTuple):
 
 
 def compose(z_um: float, law: Law, levels: BlurLevels, heights: SceneHeights, stretches: Stretches) -> Plane:
-    """The radiance [row, col] of a frame whose focus lies at z_um."""
+    """Return the radiance [row, col] of a frame with the focus at z_um."""
     rows, cols = heights.a.shape
     plan = CompositionPlan(*np.empty((5, stretches.to_a_px.shape[1]), np.int64))
     lines = np.empty((3, law.variance_px2.size, cols), np.float32)
@@ -80,7 +80,7 @@ def compose_rows(
     seen: VisibleScene,
     out: Plane,
 ) -> None:
-    """Fill a frame in passes over whole rows: calls for every stretch would spend their time counting references."""
+    """Fill a frame in passes over entire rows; calls per stretch would be dominated by reference counting."""
     for y in range(out.shape[0]):
         a, b = heights.a[y], heights.b[y]
         plan_row(z, law, stretches, y, plan)
@@ -94,7 +94,7 @@ def compose_rows(
 
 @fast_kernel
 def plan_row(z: np.float32, law: Law, stretches: Stretches, y: int, plan: CompositionPlan) -> None:
-    """Decide what every stretch of row y needs."""
+    """Set the levels and visible sheets of every stretch of row y."""
     for s in range(plan.sees.size):
         lowest_a, highest_a, widest_a = level_range(z, law, stretches.lowest_a[y, s], stretches.highest_a[y, s])
         lowest_b, highest_b, widest_b = level_range(z, law, stretches.lowest_b[y, s], stretches.highest_b[y, s])
@@ -111,7 +111,7 @@ def plan_row(z: np.float32, law: Law, stretches: Stretches, y: int, plan: Compos
 
 @fast_kernel
 def level_range(z: np.float32, law: Law, lowest: np.float32, highest: np.float32) -> tuple[int, int, np.float32]:
-    """(lowest level, highest level, greatest variance) that heights between two need."""
+    """Return (lowest level, highest level, greatest variance) for a range of heights."""
     one, other = z - lowest, z - highest
     most = max(abs(one), abs(other))
     least = ZERO if one * other <= ZERO else min(abs(one), abs(other))
@@ -121,7 +121,7 @@ def level_range(z: np.float32, law: Law, lowest: np.float32, highest: np.float32
 
 @fast_kernel
 def level_below(law: Law, variance: np.float32) -> int:
-    """The last level that is no wider than a variance, and has one after it."""
+    """Return the last level that is no wider than a variance and is not the last of all."""
     level = 0
     while level < law.variance_px2.size - 2 and variance >= law.variance_px2[level + 1]:
         level += 1
@@ -130,7 +130,7 @@ def level_below(law: Law, variance: np.float32) -> int:
 
 @fast_kernel
 def read_row(levels: BlurLevels, law: Law, y: int, plan: CompositionPlan, lines: Plane) -> None:
-    """Read row y of every level that a stretch needs, each once."""
+    """Read row y of every needed level, each once."""
     needed = np.zeros((lines.shape[0], lines.shape[1]), np.bool_)
     for s in range(plan.sees.size):
         for level in range(plan.lowest_a[s], plan.highest_a[s] + 2):
@@ -149,7 +149,7 @@ def read_row(levels: BlurLevels, law: Law, y: int, plan: CompositionPlan, lines:
 
 @fast_kernel
 def read_fine(levels: BlurLevels, channel: int, level: int, y: int, out: Plane) -> None:
-    """Row y of a fine level."""
+    """Read row y of a fine level."""
     row = levels.fine[channel, level, y]
     for x in range(out.size):
         out[x] = np.float32(row[x]) * UNPACK
@@ -157,7 +157,7 @@ def read_fine(levels: BlurLevels, channel: int, level: int, y: int, out: Plane) 
 
 @fast_kernel
 def read_coarse(levels: BlurLevels, channel: int, level: int, y: int, out: Plane) -> None:
-    """Row y of a coarse level, by straight lines between the samples of its lattice."""
+    """Read row y of a coarse level, by linear interpolation between its lattice samples."""
     scale, width = levels.scale[level], levels.width[level]
     place = (y + levels.row0_px) / (LATTICE_PX << scale)
     row = int(place)
@@ -187,9 +187,9 @@ def look_along(
     wanted: Integer,
     out: Plane,
 ) -> None:
-    """One row of a channel as seen with the focus at z, in the stretches that see what is wanted.
+    """Interpolate one row of a channel for the focus at z, in the stretches that see the wanted sheets.
 
-    Between levels the light goes straight with the variance.
+    Between levels the light is linear in the variance.
     """
     for s in range(sees.size):
         if sees[s] & wanted != wanted:
@@ -217,7 +217,7 @@ def look_along(
 def join_row(
     z: np.float32, law: Law, height_a: Plane, height_b: Plane, seen: VisibleScene, sees: NDArray[np.int64], out: Plane
 ) -> None:
-    """One row of the frame from what each sheet gives to it."""
+    """Compose one row of the frame from the contributions of both sheets."""
     light_a, light_b, cover_a, cover_b = seen
     for s in range(sees.size):
         start, stop = s * STRETCH_PX, min((s + 1) * STRETCH_PX, out.size)
@@ -237,7 +237,7 @@ def join_row(
 
 @fast_kernel
 def correlation(sharpest: np.float32, widening: np.float32, a: np.float32, b: np.float32) -> np.float32:
-    """How alike the blur spots of two points lie, a and b um out of focus: 1 alike, -1 mirrored."""
+    """Return the correlation of the blur spots of two points, a and b um out of focus: 1 alike, -1 mirrored."""
     return widening * a * b / math.sqrt((sharpest + widening * a * a) * (sharpest + widening * b * b))
 
 
@@ -245,7 +245,7 @@ def correlation(sharpest: np.float32, widening: np.float32, a: np.float32, b: np
 def over(
     front_light: np.float32, front: np.float32, back_light: np.float32, back: np.float32, rho: np.float32
 ) -> np.float32:
-    """Light of a front sheet and of what it leaves free of the back one; front and back are their covers."""
+    """Return the light of a front sheet and of the visible part of the back one; front and back are their covers."""
     free = ONE - front
     unrelated = back * free
     extreme = min(back, free) if rho > ZERO else max(ZERO, back - front)

@@ -1,6 +1,6 @@
-"""Gaussian blur whose variance is exact on the lattice.
+"""Gaussian blur with exact discrete variance.
 
-Levels of blur are made from one another, so that an error in the variance of one would be handed on to the next.
+Blur levels are computed from one another, so an error in the variance of one would propagate to the next.
 """
 
 from __future__ import annotations
@@ -17,9 +17,9 @@ REACH_SIGMA = 3.3
 
 
 def gaussian_half(variance_px2: float) -> Plane:
-    """Weights of a symmetric Gaussian from its middle outwards, of exactly this discrete variance.
+    """Return the weights of a symmetric Gaussian from its centre outwards, of exactly this discrete variance.
 
-    The number of outer weights is even (the last may be 0): the kernel below takes them in pairs.
+    The number of outer weights is even (the last may be 0), because the kernel processes them in pairs.
     """
     sigma = math.sqrt(max(variance_px2, 1e-6))
     reach = max(1, math.ceil(REACH_SIGMA * sigma))
@@ -34,7 +34,7 @@ def gaussian_half(variance_px2: float) -> Plane:
 
 
 def blurred(plane: Plane, variance_px2: float) -> Plane:
-    """The plane [row, col] under a Gaussian of a variance in px^2; beyond the border its edge values go on."""
+    """Return the plane [row, col] blurred by a Gaussian of a variance in px^2, with edge values repeated outside."""
     out = np.empty_like(plane)
     convolve(plane, gaussian_half(variance_px2), out)
     return out
@@ -42,7 +42,7 @@ def blurred(plane: Plane, variance_px2: float) -> Plane:
 
 @fast_kernel
 def convolve(plane: Plane, half: Plane, out: Plane) -> None:
-    """Row by row, down the columns and then along the row, while the row is still in the cache."""
+    """Blur row by row, first along the columns and then along the row while it is in the cache."""
     rows, cols = plane.shape
     reach = half.size - 1
     line = np.empty(cols + 2 * reach, np.float32)
@@ -56,7 +56,7 @@ def convolve(plane: Plane, half: Plane, out: Plane) -> None:
 
 @fast_kernel
 def down_columns(plane: Plane, y: int, half: Plane, out: Plane) -> None:
-    """One row of the plane, blurred in the direction of its columns."""
+    """Blur one row of the plane along the columns."""
     last = plane.shape[0] - 1
     centre = plane[y]
     for x in range(out.size):
@@ -71,7 +71,7 @@ def down_columns(plane: Plane, y: int, half: Plane, out: Plane) -> None:
 
 @fast_kernel
 def along_row(line: Plane, half: Plane, out: Plane) -> None:
-    """A line with a margin on both sides, blurred."""
+    """Blur a line that has a margin on both sides."""
     reach = half.size - 1
     for x in range(out.size):
         out[x] = half[0] * line[x + reach]

@@ -1,12 +1,10 @@
-"""What the virtual microscope makes of a scene: the picture of one field at any height of the focus.
+"""Imaging model of the virtual microscope: the image of one field of a scene at any focus height.
 
 A point out of focus spreads to a Gaussian of
-
     sigma(z)^2 = (0.21 wavelength / NA)^2 + (NA (z - h) / 2)^2
-
-so a field is blurred beforehand at some thirty levels (optics_levels), and a frame is read from the two levels next
-to each pixel's own sigma (optics_compose). Light bleeds over walls as in a microscope, because each sheet is blurred
-together with the dark that the other sheet leaves it.
+so a field is blurred in advance at some thirty levels (blur_levels), and a frame is read from the two levels next to
+each pixel's own sigma (frame_composition). Light bleeds over walls as in a microscope, because each sheet is blurred
+together with the dark area that the other sheet covers.
 """
 
 from __future__ import annotations
@@ -26,7 +24,7 @@ from wafer_viewer.rigs.virtual.scenes.scene_sheets import SceneSheets
 
 @dataclass(frozen=True, slots=True)
 class Optics:
-    """Objective, light and pixel of the virtual microscope: 10x / 0.28 in green light unless said otherwise."""
+    """Objective, light and pixel of the virtual microscope; by default 10x / 0.28 in green light."""
 
     na: float = 0.28
     wavelength_um: float = 0.55
@@ -34,7 +32,7 @@ class Optics:
 
     @property
     def depth_of_field_um(self) -> float:
-        """lambda / NA^2 + e / (M NA) in air; e / M is the pixel as it lies on the sample."""
+        """lambda / NA^2 + e / (M NA) in air; e / M is the pixel size on the sample."""
         return self.wavelength_um / self.na**2 + self.pixel_um / self.na
 
     @property
@@ -43,15 +41,15 @@ class Optics:
         return 0.21 * self.wavelength_um / self.na
 
     def sigma_um(self, defocus_um: float) -> float:
-        """Sigma of a point defocus_um out of focus."""
+        """Return the sigma of a point defocus_um out of focus."""
         return math.hypot(self.sharpest_um, self.na * defocus_um / 2)
 
 
 class FieldPicture:
-    """A field of view, prepared so that a frame at any z is quick.
+    """Field of view, prepared for fast rendering of frames at any z.
 
-    (x_um, y_um) is the centre of a frame of rows x cols. Frames beyond z_range_um may be less blurred than they
-    should be. A field of 1080 x 1440 holds about 170 MB.
+    (x_um, y_um) is the centre of a frame of rows x cols. Frames outside z_range_um may have too little blur. A field of
+    1080 x 1440 takes about 170 MB.
     """
 
     def __init__(
@@ -79,21 +77,21 @@ class FieldPicture:
         self._stretches = make_stretches(frame, inner.height_a, inner.height_b, lattice, far.cover)
 
     def radiance(self, z_um: float) -> Plane:
-        """The picture with the focus at z_um, float32 [row, col], 1 a white that the scene's gain exposes rightly."""
+        """Return the image with the focus at z_um, float32 [row, col]; 1 is white at the scene's gain."""
         return compose(z_um, self._law, self._levels, self._heights, self._stretches)
 
     def truth(self) -> Plane:
-        """True heights in um of every pixel, as seen from straight above. For tests only."""
+        """Return the true height in um of every pixel, as seen from straight above. For tests only."""
         return self._surface_um
 
 
 def centred_window(x_um: float, y_um: float, rows: int, cols: int, pixel_um: float) -> SceneWindow:
-    """The window of a frame whose centre is given."""
+    """Return the window of a frame with a given centre."""
     return SceneWindow(x_um - (cols - 1) / 2 * pixel_um, y_um + (rows - 1) / 2 * pixel_um, pixel_um, rows, cols)
 
 
 def law_for(optics: Optics, sheets: SceneSheets, z_range_um: tuple[float, float]) -> Law:
-    """The blur law in pixels, with levels enough for every height of a field over a range of z."""
+    """Return the blur law in pixels, with enough levels for every height of a field over a range of z."""
     lowest = min(sheets.height_a.min(), sheets.height_b.min())
     highest = max(sheets.height_a.max(), sheets.height_b.max())
     farthest = max(z_range_um[1] - lowest, highest - z_range_um[0])

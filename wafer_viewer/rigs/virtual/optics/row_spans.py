@@ -1,6 +1,6 @@
-"""Short stretches of each row of a frame, and what may be said of all pixels in one.
+"""Short stretches of each row of a frame, with properties common to all their pixels.
 
-Most stretches see one sheet only, at nearly one height: knowing that beforehand spares most of a frame's work.
+Most stretches see one sheet only, at nearly one height, and knowing this in advance saves most of a frame's work.
 """
 
 from __future__ import annotations
@@ -20,7 +20,7 @@ NOWHERE_PX = 1e6
 
 
 class Stretches(NamedTuple):
-    """float32 [row, stretch] each: least and greatest height of each sheet in um, px to the nearest place of each."""
+    """float32 [row, stretch] each: height range of each sheet in um, distance in px to the nearest point of each."""
 
     lowest_a: Plane
     highest_a: Plane
@@ -33,7 +33,7 @@ class Stretches(NamedTuple):
 def make_stretches(
     frame: SceneWindow, height_a: Plane, height_b: Plane, lattice: SceneWindow, cover: Plane
 ) -> Stretches:
-    """The stretches of a frame; `cover` is on the lattice, which reaches beyond the frame."""
+    """Return the stretches of a frame; `cover` is on the lattice, which extends beyond the frame."""
     blocks = cover.reshape(lattice.rows // BLOCK, BLOCK, lattice.cols // BLOCK, BLOCK)
     some_a, some_b = blocks.max((1, 3)) > 0.001, blocks.min((1, 3)) < 0.999
     block_px = BLOCK * round(lattice.step_um / frame.step_um)
@@ -46,14 +46,14 @@ def make_stretches(
 
 
 def extremes(height: Plane) -> tuple[Plane, Plane]:
-    """Least and greatest of every stretch of a plane."""
+    """Return the least and the greatest value of every stretch of a plane."""
     rows, cols = height.shape
     padded = np.pad(height, ((0, 0), (0, -cols % STRETCH_PX)), mode="edge").reshape(rows, -1, STRETCH_PX)
     return padded.min(2), padded.max(2)
 
 
 def distance_px(there: NDArray[np.bool_], block_px: int) -> Plane:
-    """Px from anywhere in a block to the nearest block that is `there`, never too much."""
+    """Return a lower bound in px of the distance from a block to the nearest block that is `there`."""
     if not there.any():
         return np.full(there.shape, NOWHERE_PX, np.float32)
     blocks = np.asarray(distance_transform_edt(~there))
@@ -61,7 +61,7 @@ def distance_px(there: NDArray[np.bool_], block_px: int) -> Plane:
 
 
 def nearest(distance: Plane, frame: SceneWindow, lattice: SceneWindow, block_px: int) -> Plane:
-    """The least distance of the blocks that each stretch of the frame touches."""
+    """Return the least distance of the blocks that each stretch of the frame touches."""
     row0_px = (lattice.y0_um - frame.y0_um) / frame.step_um
     col0_px = (frame.x0_um - lattice.x0_um) / frame.step_um
     rows = ((np.arange(frame.rows) + row0_px) / block_px).astype(int)

@@ -1,1 +1,1 @@
-"""The samples that may lie under the virtual microscope: one module each, all pure functions of stage micrometres."""
+"""Samples of the virtual microscope: one module each, all pure functions of stage micrometres."""

@@ -1,8 +1,8 @@
-"""The samples of the virtual rig: what lies under the microscope, as functions of stage micrometres.
+"""Catalogue of the virtual samples, as functions of stage micrometres.
 
-A scene is two sheets, A over B, both defined everywhere, and the share of A at each point: a die over the trench
-floor, the upper gauge block over the lower. Two sheets are enough for walls, and light can then bleed from one to the
-other as it does in a microscope (see optics).
+A scene is two sheets, A over B, both defined everywhere, and the share of A at each point: a die over the trench floor,
+the upper gauge block over the lower. Two sheets are enough for walls, and light can then bleed from one to the other as
+it does in a microscope (see optics).
 """
 
 from __future__ import annotations
@@ -24,7 +24,7 @@ SHARP_UM = 1e-3  # a footprint so small that every edge is hard
 
 @dataclass(frozen=True, slots=True)
 class SceneWindow:
-    """A lattice on the stage: the centre of sample (0, 0), the distance between samples, their number."""
+    """Lattice on the stage: the centre of sample (0, 0), the distance between samples, their number."""
 
     x0_um: float
     y0_um: float
@@ -33,14 +33,14 @@ class SceneWindow:
     cols: int
 
     def grown(self, margin: int) -> SceneWindow:
-        """The window with a margin of samples on all sides."""
+        """Return the window with a margin of samples on all sides."""
         out = margin * self.step_um
         return SceneWindow(
             self.x0_um - out, self.y0_um + out, self.step_um, self.rows + 2 * margin, self.cols + 2 * margin
         )
 
     def points(self) -> tuple[Points, Points]:
-        """x and y in um of every sample, [row, col]."""
+        """Return x and y in um of every sample, [row, col]."""
         x = self.x0_um + self.step_um * np.arange(self.cols, dtype=np.float64)
         y = self.y0_um - self.step_um * np.arange(self.rows, dtype=np.float64)
         return np.tile(x, (self.rows, 1)), np.repeat(y, self.cols).reshape(self.rows, self.cols)
@@ -48,7 +48,7 @@ class SceneWindow:
 
 @dataclass(frozen=True, slots=True)
 class DieLayout:
-    """Where the dies of a scene lie: cells of a grid, some of them with a die in their middle."""
+    """Positions of the dies of a scene: cells of a grid, some of them with a centred die."""
 
     pitch_x_um: float
     pitch_y_um: float
@@ -60,7 +60,7 @@ class DieLayout:
     """(column, row) of every die, from 0; the cell (0, 0) has its lower left corner at (x0_um, y0_um)."""
 
     def rectangle_um(self, column: int, row: int) -> tuple[float, float, float, float]:
-        """(left, lower, right, upper) of a die in stage um."""
+        """Return (left, lower, right, upper) of a die in stage um."""
         left = self.x0_um + column * self.pitch_x_um + (self.pitch_x_um - self.width_um) / 2
         lower = self.y0_um + row * self.pitch_y_um + (self.pitch_y_um - self.height_um) / 2
         return left, lower, left + self.width_um, lower + self.height_um
@@ -68,11 +68,11 @@ class DieLayout:
 
 @dataclass(frozen=True, slots=True)
 class Scene:
-    """One sample: what it looks like, how large it is, and the tour that shows it best.
+    """One sample: its appearance and size, and the parameters of its tour.
 
-    Lengths are stage um; the sample is centred on (0, 0). `gain` is the exposure factor that shows it well lit.
-    `tour_area_um`: width and height that the fields of the tour cover, 3 x 3 fields where it is None. `tour_scene`: the
-    sample that is put on the stage for the tour, by default this one.
+    Lengths are stage um; the sample is centred on (0, 0). `gain` is the exposure factor for good brightness.
+    `tour_area_um`: width and height covered by the fields of the tour, 3 x 3 fields if None. `tour_scene`: the sample
+    that is loaded for the tour, by default this one.
     """
 
     name: str
@@ -94,15 +94,15 @@ class Scene:
 
     @property
     def die_pitch_um(self) -> tuple[float, float] | None:
-        """Distance from die to die along x and y, where there are dies."""
+        """Distance between dies along x and y, None without dies."""
         return (self.dies.pitch_x_um, self.dies.pitch_y_um) if self.dies else None
 
     def raster(self, window: SceneWindow) -> SceneSheets:
-        """The scene on a lattice, each sample averaged over one step."""
+        """Return the scene on a lattice, each sample averaged over one step."""
         return self._at(*window.points(), window.step_um)
 
     def truth(self, x_um: ArrayLike, y_um: ArrayLike) -> NDArray[np.float32]:
-        """True heights in um at points of any shape, as seen from straight above. For tests only."""
+        """Return true heights in um at points of any shape, as seen from straight above. For tests only."""
         x, y = np.broadcast_arrays(np.asarray(x_um, float), np.asarray(y_um, float))
         flat = self._at(x.reshape(1, -1).copy(), y.reshape(1, -1).copy(), SHARP_UM)
         return flat.surface_um().reshape(x.shape)
@@ -114,20 +114,20 @@ class Scene:
 
 
 def rectangle(width_um: float, height_um: float) -> Outline:
-    """A rectangle about (0, 0), anticlockwise."""
+    """Return a rectangle about (0, 0), anticlockwise."""
     x, y = width_um / 2, height_um / 2
     return (-x, -y), (x, -y), (x, y), (-x, y)
 
 
 def flatted_disc(radius_um: float, flat_um: float, corners: int = 96) -> Outline:
-    """A disc about (0, 0) cut off below y = flat_um, anticlockwise, the flat its closing edge."""
+    """Return a disc about (0, 0) cut off below y = flat_um, anticlockwise, with the flat as its closing edge."""
     start = math.asin(flat_um / radius_um)
     angles = np.linspace(start, math.pi - start, corners)
     return tuple((float(radius_um * math.cos(a)), float(radius_um * math.sin(a))) for a in angles)
 
 
 def wafer_dies() -> DieLayout:
-    """Every whole die of the wafer scene, numbered as the lettering on it says."""
+    """Return the complete dies of the wafer scene, numbered as in the lettering on it."""
     grid = [(column, row) for row in range(16) for column in range(12)]
     whole = (cell for cell in grid if wafer.is_whole_die(cell[0] + wafer.FIRST_COLUMN, cell[1] + wafer.FIRST_ROW))
     return DieLayout(
@@ -142,7 +142,7 @@ def wafer_dies() -> DieLayout:
 
 
 def tour_wafer_dies() -> DieLayout:
-    """Every whole die of the tour's wafer."""
+    """Return the complete dies of the tour wafer."""
     n_cols, n_rows = (
         2 * math.ceil(tour_wafer.RADIUS_UM / um) + 1 for um in (tour_wafer.PITCH_X_UM, tour_wafer.PITCH_Y_UM)
     )
@@ -258,7 +258,7 @@ SCENES: dict[str, Scene] = {
 
 
 def scene(name: str) -> Scene:
-    """The scene of a name; raises RigError naming the choices."""
+    """Return the scene of a name. Raises RigError with the choices for an unknown name."""
     if name not in SCENES:
         raise RigError(f"There is no scene '{name}'; choose one of {', '.join(SCENES)}.")
     return SCENES[name]

@@ -1,4 +1,4 @@
-"""A turned cone, 120 um high with a slope of 0.30, on a flat plate; its tip is at stage (0, 0)."""
+"""Turned cone, 120 um high with a slope of 0.30, on a flat plate; its tip is at stage (0, 0)."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ GRAIN, RINGS = np.arange(51, 53)
 
 @fast_kernel
 def fill(x_um: Points, y_um: Points, footprint_um: float, out: SceneSheets) -> None:
-    """The sheets at the points given; the whole surface is on A, and B is the same."""
+    """Fill the sheets at the given points; the surface is on A, and B equals A."""
     for r in range(x_um.shape[0]):
         for c in range(x_um.shape[1]):
             x, y = x_um[r, c], y_um[r, c]
@@ -30,6 +30,6 @@ def fill(x_um: Points, y_um: Points, footprint_um: float, out: SceneSheets) -> N
 
 @fast_kernel
 def turned_metal(x: float, y: float) -> float:
-    """Radiance of a turned surface: grain and rings."""
+    """Return the radiance of a turned surface: grain and rings."""
     out, around = math.sqrt(x * x + y * y), math.atan2(y, x)
     return 0.40 * (1.0 + 0.10 * grain(x / 1.6, y / 1.6, GRAIN) + 0.05 * grain(out / 1.4, around * 40.0, RINGS))

@@ -1,7 +1,7 @@
 """One die from above: bevel, bare rim, seal ring, bond pads, and a core of eight blocks.
 
-(u, v) are um from the die's lower left corner. Every part gives (radiance, rise_um, contrast): the mean brightness
-as a share of white, the height over the die's top, and the strength of the grain, which is what focus lives on.
+(u, v) are um from the die's lower left corner. Every part returns (radiance, rise_um, contrast): the mean brightness as
+a share of white, the height over the die's top, and the strength of the grain, which provides the focus signal.
 """
 
 from __future__ import annotations
@@ -31,7 +31,10 @@ MARK_X, MARK_Y = np.arange(11, 13)
 
 @fast_kernel
 def die(u: float, v: float, column: int, row: int, inset: float, footprint: float) -> tuple[float, float, float]:
-    """The die at (u, v); inset is the distance from its edge, which chips may have eaten into."""
+    """Return (radiance, rise_um, contrast) of the die at (u, v).
+
+    inset: distance from the die's edge, which chips may have reduced.
+    """
     if inset < RIM_UM:
         return rim(inset)
     if inset < SEAL_UM:
@@ -44,26 +47,29 @@ def die(u: float, v: float, column: int, row: int, inset: float, footprint: floa
 
 @fast_kernel
 def bevel_drop(inset: float) -> float:
-    """How far the sawn edge falls below the die's top."""
+    """Return the depth of the sawn edge below the die's top in um."""
     return BEVEL_SLOPE * max(0.0, BEVEL_UM - abs(inset))
 
 
 @fast_kernel
 def rim(inset: float) -> tuple[float, float, float]:
-    """The sawn bevel and the bare rim inside it: dark, and without grain."""
+    """Return (radiance, rise_um, contrast) of the sawn bevel and the bare rim inside it, dark and without grain."""
     return blend(0.022, 0.045, inside(inset - BEVEL_UM, 2.0)), -bevel_drop(inset), 0.0
 
 
 @fast_kernel
 def seal_ring(inset: float, footprint: float) -> tuple[float, float, float]:
-    """Two metal lines round the die."""
+    """Return (radiance, rise_um, contrast) of two metal lines around the die."""
     metal = bar(inset, 21.0, 23.6, footprint) + bar(inset, 26.5, 29.1, footprint)
     return 0.075 + 0.42 * metal, 0.6 * metal, 0.03 + 0.08 * metal
 
 
 @fast_kernel
 def pad(u: float, v: float, column: int, row: int, footprint: float) -> tuple[float, float, float]:
-    """A row of bond pads; v from the row's foot. The probe left its mark on each, never at the same place."""
+    """Return (radiance, rise_um, contrast) of a row of bond pads; v from the bottom of the row.
+
+    Each pad has a probe mark at a different position.
+    """
     number = math.floor((u - PAD_LEFT_UM) / PAD_PITCH_UM)
     if number < 0 or number >= PADS:
         return SILICON, 0.0, 0.03
@@ -77,7 +83,7 @@ def pad(u: float, v: float, column: int, row: int, footprint: float) -> tuple[fl
 
 @fast_kernel
 def probe_mark(x: float, y: float, number: int, salt: int, footprint: float) -> float:
-    """The ellipse that a probe needle scrubbed near the middle of a pad."""
+    """Return the coverage of the elliptical mark of a probe needle near the centre of a pad."""
     across = (x - PAD_UM / 2 - 6.0 * (chance(number, salt, MARK_X) - 0.5)) / 3.2
     along = (y - PAD_UM / 2 - 5.0 * (chance(number, salt, MARK_Y) - 0.5)) / 7.5
     return inside(3.0 * (1.0 - math.sqrt(across * across + along * along)), footprint)
@@ -85,7 +91,10 @@ def probe_mark(x: float, y: float, number: int, salt: int, footprint: float) -> 
 
 @fast_kernel
 def core(u: float, v: float, column: int, row: int, footprint: float) -> tuple[float, float, float]:
-    """Four by two blocks, each within a thin bright border; (u, v) from the core's corner."""
+    """Return (radiance, rise_um, contrast) of the core: four by two blocks, each within a thin bright border.
+
+    (u, v) are from the corner of the core.
+    """
     across, up = math.floor(u / BLOCK_WIDTH_UM), math.floor(v / BLOCK_HEIGHT_UM)
     if across < 0 or across > 3 or up < 0 or up > 1:
         return SILICON, 0.0, 0.08
@@ -101,7 +110,7 @@ def core(u: float, v: float, column: int, row: int, footprint: float) -> tuple[f
 
 @fast_kernel
 def border(x: float, y: float, footprint: float) -> float:
-    """Radiance that the thin line along a block's left and lower side adds."""
+    """Return the radiance of the thin line along the left and lower side of a block."""
     left = rectangle(x, y, 0.8, 2.2, 0.8, 89.2, footprint)
     lower = rectangle(x, y, 2.2, 91.2, 0.8, 2.2, footprint)
     return 0.10 * (left + lower)
@@ -109,7 +118,7 @@ def border(x: float, y: float, footprint: float) -> float:
 
 @fast_kernel
 def pattern(kind: int, x: float, y: float, column: int, row: int, footprint: float) -> tuple[float, float, float]:
-    """What fills a block: (radiance over the ground, rise_um, contrast)."""
+    """Return the pattern of a block: (radiance over the ground, rise_um, contrast)."""
     soft = max(footprint, 0.7)  # lithography is no sharper than this
     if kind == LETTERS:
         ink = two_lines(x, y, column, row, footprint)
@@ -129,7 +138,7 @@ def pattern(kind: int, x: float, y: float, column: int, row: int, footprint: flo
 
 @fast_kernel
 def memory(x: float, y: float, soft: float) -> float:
-    """Staggered cells, their word lines, and a column strap now and then."""
+    """Return the coverage by staggered cells, their word lines, and occasional column straps."""
     stagger = 3.6 * (math.floor(x / 5.2) % 2)
     cells = bars(x, 5.2, 0.5, soft) * bars(y + stagger, 7.2, 0.55, soft)
     return 0.8 * cells + 0.35 * bars(y, 7.2, 0.16, soft) + 0.4 * bars(x, 26.0, 0.07, soft)
@@ -137,7 +146,7 @@ def memory(x: float, y: float, soft: float) -> float:
 
 @fast_kernel
 def logic(x: float, y: float, salt: int, soft: float) -> float:
-    """Rows of standard cells: bars that are there or not as chance has it, between supply rails."""
+    """Return the coverage by rows of standard cells, randomly present bars between supply rails."""
     row = math.floor(y / 6.0)
     up = y - 6.0 * row
     strength = 0.5 + 0.5 * chance(math.floor(x / 9.6), row, salt + 31)
@@ -146,7 +155,7 @@ def logic(x: float, y: float, salt: int, soft: float) -> float:
 
 @fast_kernel
 def cell_bars(x: float, row: int, salt: int, soft: float) -> float:
-    """Bars 2.4 um wide, present or absent, softened where a present one meets an absent one."""
+    """Return the coverage by bars 2.4 um wide, present or absent, with soft transitions between them."""
     number = math.floor(x / 2.4)
     along = x - 2.4 * number
     before, here, after = taken(number - 1, row, salt), taken(number, row, salt), taken(number + 1, row, salt)
@@ -155,5 +164,5 @@ def cell_bars(x: float, row: int, salt: int, soft: float) -> float:
 
 @fast_kernel
 def taken(number: int, row: int, salt: int) -> float:
-    """1 where a bar is, 0 where none is."""
+    """Return 1 where there is a bar, otherwise 0."""
     return 1.0 if chance(number, row, salt) > 0.5 else 0.0

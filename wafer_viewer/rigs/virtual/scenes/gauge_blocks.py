@@ -1,6 +1,6 @@
-"""Two lapped gauge blocks side by side, 399.88 um apart in height, with the dark gap of their chamfers between them.
+"""Two lapped gauge blocks side by side, 399.88 um apart in height, with a dark chamfer gap between them.
 
-The joint is at stage x = 0: the upper block lies left of it, the lower one right. The lower block is tilted against
+The joint is at stage x = 0: the upper block is left of it, the lower one right. The lower block is tilted relative to
 the upper by 0.3 mrad.
 """
 
@@ -27,7 +27,7 @@ EDGE, UPPER_LAPPING, LOWER_LAPPING = np.arange(61, 82, 10)  # lapping takes four
 
 @fast_kernel
 def fill(x_um: Points, y_um: Points, footprint_um: float, out: SceneSheets) -> None:
-    """The two sheets at the points given: upper block (A), lower block and gap (B)."""
+    """Fill the two sheets at the given points: upper block (A), lower block and gap (B)."""
     for r in range(x_um.shape[0]):
         for c in range(x_um.shape[1]):
             x, y = x_um[r, c], y_um[r, c]
@@ -39,7 +39,7 @@ def fill(x_um: Points, y_um: Points, footprint_um: float, out: SceneSheets) -> N
 
 @fast_kernel
 def upper_block(x: float, y: float) -> tuple[float, float]:
-    """(height, radiance); past its edge the chamfer is mirrored, so that the sheet goes on without a jump."""
+    """Return (height, radiance); past its edge the chamfer is mirrored, so that the sheet is continuous."""
     bevel = max(0.0, CHAMFER_UM - abs(x + GAP_UM / 2))
     if bevel <= 0.0:
         return STEP_UM, LAPPED_UPPER * (1.0 + 0.10 * lapping(x, y, UPPER_LAPPING, 0.35))
@@ -48,7 +48,7 @@ def upper_block(x: float, y: float) -> tuple[float, float]:
 
 @fast_kernel
 def lower_block(x: float, y: float) -> tuple[float, float]:
-    """(height, radiance) of the lower block and of the floor of the gap."""
+    """Return (height, radiance) of the lower block and of the floor of the gap."""
     plane = TILT_X * x + TILT_Y * y
     inset = x - GAP_UM / 2
     if inset <= 0.0:
@@ -61,13 +61,13 @@ def lower_block(x: float, y: float) -> tuple[float, float]:
 
 @fast_kernel
 def burnish(bevel: float) -> float:
-    """Radiance of the thin bright line where a chamfer begins."""
+    """Return the radiance of the thin bright line at the start of a chamfer."""
     return 0.3 * math.exp(-(((bevel - 0.8) / 0.8) ** 2))
 
 
 @fast_kernel
 def lapping(x: float, y: float, salt: Integer, turn_rad: float) -> float:
-    """Crossed lapping scratches and grain, about unit deviation."""
+    """Return crossed lapping scratches and grain, of about unit standard deviation."""
     u = x * math.cos(turn_rad) + y * math.sin(turn_rad)
     v = y * math.cos(turn_rad) - x * math.sin(turn_rad)
     fine = 0.60 * grain(u / 1.3, v / 45.0, salt)

@@ -1,4 +1,4 @@
-"""Letters on a die: a font of 5 x 7 squares, drawn by a kernel."""
+"""Lettering on a die: a font of 5 x 7 squares, drawn by a kernel."""
 
 from __future__ import annotations
 
@@ -37,13 +37,13 @@ LETTER_R, LETTER_C, SPACE = CODES["R"], CODES["C"], CODES[" "]
 
 @fast_kernel
 def product_letter(place: int) -> int:
-    """The code of a letter of the product's name; a space past its end."""
+    """Return the code of a letter of the product name; a space past its end."""
     return PRODUCT[place] if 0 <= place < len(PRODUCT) else SPACE
 
 
 @fast_kernel
 def place_letter(place: int, column: int, row: int) -> int:
-    """The code of a letter of R07C06, the die's place on the wafer; digits are their own codes. Row -1 has none."""
+    """Return the code of a letter of the die position, as in R07C06; digits are their own codes. Row -1 has none."""
     number = row if place < 3 else column
     digit = place % 3
     if place < 0 or place > 5 or row < 0:
@@ -55,7 +55,7 @@ def place_letter(place: int, column: int, row: int) -> int:
 
 @fast_kernel
 def glyph(code: int, x: float, y: float, footprint: float) -> float:
-    """Ink of one letter at x in [0, 5) and y in [0, 7), in squares, y from the top."""
+    """Return the ink of one letter at x in [0, 5) and y in [0, 7), in squares, y from the top."""
     ink = 0.0
     for row in range(7):
         for column in range(5):
@@ -66,7 +66,10 @@ def glyph(code: int, x: float, y: float, footprint: float) -> float:
 
 @fast_kernel
 def two_lines(u: float, v: float, column: int, row: int, footprint: float) -> float:
-    """Ink of the product's name over the die's place, in a block 92 um wide and 90 um high; (u, v) from its corner."""
+    """Return the ink of the product name above the die position, in a block 92 um wide and 90 um high.
+
+    (u, v) are from its corner.
+    """
     first = v > 44.0
     x = (u - LEFT_UM) / SQUARE_UM
     y = ((TOP_UM if first else TOP_UM - LINE_UM) - v) / SQUARE_UM

@@ -1,4 +1,4 @@
-"""A ground plate, tilted by 4 mrad along x and 1.5 mrad along y: the plainest thing to measure."""
+"""Ground plate, tilted by 4 mrad along x and 1.5 mrad along y: the simplest sample."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ GRAIN, MARKS = np.arange(31, 33)
 
 @fast_kernel
 def fill(x_um: Points, y_um: Points, footprint_um: float, out: SceneSheets) -> None:
-    """The sheets at the points given; the whole surface is on A, and B is the same."""
+    """Fill the sheets at the given points; the surface is on A, and B equals A."""
     for r in range(x_um.shape[0]):
         for c in range(x_um.shape[1]):
             x, y = x_um[r, c], y_um[r, c]
@@ -27,5 +27,5 @@ def fill(x_um: Points, y_um: Points, footprint_um: float, out: SceneSheets) -> N
 
 @fast_kernel
 def ground_metal(x: float, y: float) -> float:
-    """Radiance of a ground surface: grain and marks along x."""
+    """Return the radiance of a ground surface: grain and marks along x."""
     return 0.40 * (1.0 + 0.10 * grain(x / 1.6, y / 1.6, GRAIN) + 0.05 * grain(x / 45.0, y / 1.3, MARKS))

@@ -1,4 +1,4 @@
-"""What a scene's kernel reads and fills: points on the stage, and two sheets at those points."""
+"""Input and output of the scene kernels: stage points, and two sheets at those points."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ Plane = NDArray[np.float32]
 
 
 class SceneSheets(NamedTuple):
-    """Two sheets, A over B, both defined at every point, and the share of A that an observer straight above sees."""
+    """Two sheets, A over B, both defined at every point, and the visible share of A from straight above."""
 
     height_a: Plane
     radiance_a: Plane
@@ -23,23 +23,23 @@ class SceneSheets(NamedTuple):
     cover: Plane
 
     def surface_um(self) -> Plane:
-        """Heights that the observer sees."""
+        """Return the visible heights from straight above."""
         surface: Plane = np.where(self.cover > 0.5, self.height_a, self.height_b)
         return surface
 
     def light_a(self) -> Plane:
-        """Light that sheet A gives to the picture."""
+        """Return the light contribution of sheet A."""
         return self.radiance_a * self.cover
 
     def light_b(self) -> Plane:
-        """Light that sheet B gives, where A leaves it free."""
+        """Return the light contribution of sheet B where A does not cover it."""
         return self.radiance_b - np.multiply(self.radiance_b, self.cover)
 
     def radiance(self) -> Plane:
-        """The picture when everything is in focus."""
+        """Return the image with everything in focus."""
         return self.light_a() + self.light_b()
 
 
 def empty_sheets(shape: tuple[int, ...]) -> SceneSheets:
-    """Sheets for a kernel to fill."""
+    """Return uninitialized sheets for a kernel."""
     return SceneSheets(*(np.empty(shape, np.float32) for _ in SceneSheets._fields))

@@ -1,4 +1,4 @@
-"""A stair of ground treads, 180 um deep with a rise of 20 um, climbing towards +x."""
+"""Staircase of ground treads, 180 um deep with a rise of 20 um, climbing towards +x."""
 
 from __future__ import annotations
 
@@ -19,9 +19,9 @@ GRAIN, MARKS = np.arange(41, 43)
 
 @fast_kernel
 def fill(x_um: Points, y_um: Points, footprint_um: float, out: SceneSheets) -> None:
-    """The two sheets at the points given: even treads on A, odd ones on B.
+    """Fill the two sheets at the given points: even treads on A, odd ones on B.
 
-    So two neighbouring treads are never on one sheet, and each sheet goes on level past its own treads.
+    Neighbouring treads are thus on different sheets, and each sheet continues level past its own treads.
     """
     for r in range(x_um.shape[0]):
         for c in range(x_um.shape[1]):
@@ -37,11 +37,11 @@ def fill(x_um: Points, y_um: Points, footprint_um: float, out: SceneSheets) -> N
 
 @fast_kernel
 def ground_metal(x: float, y: float) -> float:
-    """Radiance of a ground surface: grain and marks along x."""
+    """Return the radiance of a ground surface: grain and marks along x."""
     return 0.40 * (1.0 + 0.10 * grain(x / 1.6, y / 1.6, GRAIN) + 0.05 * grain(x / 40.0, y / 1.3, MARKS))
 
 
 @fast_kernel
 def tone(tread: int) -> float:
-    """A shade that tells neighbouring treads apart."""
+    """Return a brightness factor that distinguishes neighbouring treads."""
     return 0.9 + 0.1 * (tread % 3)

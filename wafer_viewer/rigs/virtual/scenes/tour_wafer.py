@@ -1,6 +1,6 @@
-"""The wafer of the tour, 3 mm across: dies so small that nine of them lie whole on 3 x 3 fields, and shallow streets.
+"""Wafer of the tour, 3 mm across: nine small dies fit on 3 x 3 fields, with shallow streets between them.
 
-All dies are alike, as one reticle prints them, but for what is planted on them: a drop of gel on the middle die, a
+All dies are alike, as printed by one reticle, except for the planted defects: a drop of gel on the middle die, a
 scratch over two dies of the row below it, and particles. Dies are numbered by column and row from the lower left.
 """
 
@@ -39,20 +39,20 @@ from wafer_viewer.rigs.virtual.scenes.wafer import (
 )
 
 SCALE = 0.57
-"""Of the dies of the larger wafer."""
+"""Scale of the dies relative to the larger wafer."""
 WIDTH_UM, HEIGHT_UM = SCALE * full_size.WIDTH_UM, SCALE * full_size.HEIGHT_UM
 PITCH_X_UM, PITCH_Y_UM = 302.0, 231.0
 DEPTH_UM = 15.0
 CORNER_UM = 8.0
 UNNUMBERED = -1
 LEAST_RADIANCE, LEAST_CONTRAST = 0.10, 0.06
-"""Of a die: its bevel, rim and blank block are grained as well, so that heights are measured there."""
+"""Least values on a die, so that bevel, rim and blank block have texture and heights are measured there."""
 RADIUS_UM, FLAT_UM, EDGE_EXCLUSION_UM = 1500.0, -1350.0, 30.0
 DROP_X_UM, DROP_Y_UM, DROP_RADIUS_UM, DROP_HEIGHT_UM = 46.0, 8.0, 34.0, 8.0
 SCRATCH_LEFT_UM, SCRATCH_RIGHT_UM, SCRATCH_LOWER_UM, SCRATCH_SLOPE = -405.0, 95.0, -285.0, 0.2
 SCRATCH_HALF_UM, SCRATCH_DEPTH_UM = 1.5, 1.3
 PARTICLE_ASPECT = 0.8
-"""Of the height of the dust on the larger wafer, which is 1.2 radii."""
+"""Particle height relative to the dust on the larger wafer, which is 1.2 radii high."""
 PARTICLES = np.array([
     (-352.0, 262.0, 7.0),
     (-215.0, 185.0, 5.6),
@@ -66,12 +66,12 @@ PARTICLES = np.array([
     (60.0, -290.0, 6.0),
     (151.0, 62.0, 6.6),
 ])  # fmt: skip
-"""x, y and radius of each, um; the last one lies in a street."""
+"""x, y and radius of each particle, um; the last one is in a street."""
 
 
 @dataclass(frozen=True, slots=True)
 class Planted:
-    """A defect that was put on the wafer: its class, middle, length (of a drop or particle its diameter), height."""
+    """Planted defect: class, centre, length (diameter of a drop or particle), height."""
 
     kind: Literal["residue", "scratch", "particle"]
     x_um: float
@@ -81,7 +81,7 @@ class Planted:
 
 
 def planted() -> tuple[Planted, ...]:
-    """The defects of the nine dies of the tour. For tests only."""
+    """Return the defects of the nine dies of the tour. For tests only."""
     middle_um = (SCRATCH_LEFT_UM + SCRATCH_RIGHT_UM) / 2
     run_um = SCRATCH_RIGHT_UM - SCRATCH_LEFT_UM
     return (
@@ -96,7 +96,7 @@ def planted() -> tuple[Planted, ...]:
 
 @fast_kernel
 def fill(x_um: Points, y_um: Points, footprint_um: float, out: SceneSheets) -> None:
-    """The two sheets at the points given: die tops (A) and street floor (B)."""
+    """Fill the two sheets at the given points: die tops (A) and street floor (B)."""
     for r in range(x_um.shape[0]):
         for c in range(x_um.shape[1]):
             values = wafer(x_um[r, c], y_um[r, c], footprint_um)
@@ -105,7 +105,7 @@ def fill(x_um: Points, y_um: Points, footprint_um: float, out: SceneSheets) -> N
 
 @fast_kernel
 def wafer(x: float, y: float, footprint: float) -> tuple[float, float, float, float, float]:
-    """(height A, radiance A, height B, radiance B, cover of A) at one point."""
+    """Return (height A, radiance A, height B, radiance B, cover of A) at one point."""
     column, row = math.floor(x / PITCH_X_UM + 0.5), math.floor(y / PITCH_Y_UM + 0.5)
     across, along = x - column * PITCH_X_UM, y - row * PITCH_Y_UM
     base = 1.2e-3 * x - 0.7e-3 * y - 0.3e-6 * (x * x + y * y)
@@ -131,7 +131,7 @@ def wafer(x: float, y: float, footprint: float) -> tuple[float, float, float, fl
 
 
 def is_whole_die(column: int, row: int) -> bool:
-    """Whether a die lies inside the wafer's edge exclusion; partial dies are not printed."""
+    """Return whether a die is inside the wafer's edge exclusion; partial dies are not printed."""
     x = abs(column) * PITCH_X_UM + WIDTH_UM / 2
     y = abs(row) * PITCH_Y_UM + HEIGHT_UM / 2
     lower = row * PITCH_Y_UM - HEIGHT_UM / 2
@@ -143,7 +143,7 @@ whole_die = fast_kernel(is_whole_die)
 
 @fast_kernel
 def die_inset(across: float, along: float) -> float:
-    """Distance inside the die's rounded outline; negative outside; (across, along) from the die's middle."""
+    """Return the distance inside the die's rounded outline, negative outside; (across, along) from the die centre."""
     x = abs(across) - WIDTH_UM / 2 + CORNER_UM
     y = abs(along) - HEIGHT_UM / 2 + CORNER_UM
     beyond = math.sqrt(max(x, 0.0) ** 2 + max(y, 0.0) ** 2)
@@ -154,7 +154,7 @@ def die_inset(across: float, along: float) -> float:
 def die_top(
     x: float, y: float, across: float, along: float, column: int, row: int, inset: float, footprint: float
 ) -> tuple[float, float]:
-    """(radiance, height over the die's top) of a die with what lies on it, and its grain."""
+    """Return (radiance, height over the die's top) of a die with its defects and grain."""
     u, v = (across + WIDTH_UM / 2) / SCALE, (along + HEIGHT_UM / 2) / SCALE
     radiance, rise_um, contrast = die(u, v, UNNUMBERED, UNNUMBERED, inset / SCALE, footprint / SCALE)
     radiance, contrast = max(radiance, LEAST_RADIANCE), max(contrast, LEAST_CONTRAST)
@@ -174,7 +174,7 @@ def die_top(
 
 @fast_kernel
 def drop(x: float, y: float, under: float, footprint: float) -> tuple[float, float, float, float]:
-    """(share, height_um, radiance, contrast) of the drop of gel: that of the larger wafer made smaller and flatter."""
+    """Return (share, height_um, radiance, contrast) of the gel drop, a scaled version of the larger wafer's."""
     smaller = GEL_RADIUS_UM / DROP_RADIUS_UM
     across, along = (x - DROP_X_UM) * smaller, (y - DROP_Y_UM) * smaller
     share, height_um, radiance, contrast = gel_drop(across, along, under, footprint * smaller)
@@ -183,13 +183,13 @@ def drop(x: float, y: float, under: float, footprint: float) -> tuple[float, flo
 
 @fast_kernel
 def scratch_middle(x: float) -> float:
-    """The y of the scratch at x."""
+    """Return the y of the scratch at x."""
     return SCRATCH_LOWER_UM + SCRATCH_SLOPE * (x - SCRATCH_LEFT_UM) + 6.0 * math.sin(x / 60.0)
 
 
 @fast_kernel
 def scratch(x: float, y: float, footprint: float) -> tuple[float, float]:
-    """(groove, lip): shares of a bent scratch that fades at both ends and skips now and then."""
+    """Return (groove, lip): coverage of a bent scratch that fades at both ends, with occasional interruptions."""
     away = abs(y - scratch_middle(x)) * 0.97
     if away > 6.0:
         return 0.0, 0.0
@@ -203,7 +203,7 @@ def scratch(x: float, y: float, footprint: float) -> tuple[float, float]:
 
 @fast_kernel
 def particle(x: float, y: float, footprint: float) -> tuple[float, float, float]:
-    """(share, height_um, radiance) of the grain of dust at a point, if one lies there."""
+    """Return (share, height_um, radiance) of the particle at a point, zeros without one."""
     for k in range(PARTICLES.shape[0]):
         across, along, radius = x - PARTICLES[k, 0], y - PARTICLES[k, 1], PARTICLES[k, 2]
         if abs(across) < 1.6 * radius and abs(along) < 1.6 * radius:
@@ -215,7 +215,7 @@ def particle(x: float, y: float, footprint: float) -> tuple[float, float, float]
 
 @fast_kernel
 def floor(x: float, y: float, across: float, along: float, from_wall: float, footprint: float) -> float:
-    """Radiance of the street floor and of the tape beyond the wafer's edge."""
+    """Return the radiance of the street floor and of the tape beyond the wafer's edge."""
     edge = min(RADIUS_UM - math.sqrt(x * x + y * y), y - FLAT_UM)
     fine = grain(x / 1.5, y / 1.5, FINE)
     broad = grain(x / 170.0, y / 170.0, BROAD)
@@ -228,7 +228,10 @@ def floor(x: float, y: float, across: float, along: float, from_wall: float, foo
 
 @fast_kernel
 def printed(x: float, y: float, upright: bool, footprint: float) -> float:
-    """What is printed in the streets: a cross where they meet, barred test squares along the columns."""
+    """Return the coverage by print in the streets.
+
+    There are crosses at their intersections and barred test squares along the columns.
+    """
     across, along = wrapped(x, PITCH_X_UM) - PITCH_X_UM / 2, wrapped(y, PITCH_Y_UM) - PITCH_Y_UM / 2
     squares = 0.0
     if upright:

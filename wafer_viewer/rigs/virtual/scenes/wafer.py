@@ -1,7 +1,7 @@
-"""A diced wafer, 6 mm across: dies on a bright ground floor, with what goes wrong on real ones.
+"""Diced wafer, 6 mm across: dies on a bright ground floor, with typical defects.
 
-One die carries a drop of gel, a scratch runs over several, edges are chipped and particles lie about. The wafer is
-tilted and bowed. Dies are numbered by column and row from the lower left of the grid, as the lettering on them says.
+One die has a drop of gel, a scratch crosses several, edges are chipped and there are particles. The wafer is tilted and
+bowed. Dies are numbered by column and row from the lower left of the grid, as in the lettering on them.
 """
 
 from __future__ import annotations
@@ -35,7 +35,7 @@ PARTICLE, PARTICLE_X, PARTICLE_Y, PARTICLE_SIZE, PARTICLE_SHAPE, UPRIGHT_CUT, LE
 
 @fast_kernel
 def fill(x_um: Points, y_um: Points, footprint_um: float, out: SceneSheets) -> None:
-    """The two sheets at the points given: die tops (A) and trench floor (B)."""
+    """Fill the two sheets at the given points: die tops (A) and trench floor (B)."""
     for r in range(x_um.shape[0]):
         for c in range(x_um.shape[1]):
             values = wafer(x_um[r, c], y_um[r, c], footprint_um)
@@ -44,7 +44,7 @@ def fill(x_um: Points, y_um: Points, footprint_um: float, out: SceneSheets) -> N
 
 @fast_kernel
 def wafer(x: float, y: float, footprint: float) -> tuple[float, float, float, float, float]:
-    """(height A, radiance A, height B, radiance B, cover of A) at one point."""
+    """Return (height A, radiance A, height B, radiance B, cover of A) at one point."""
     column, row = math.floor(x / PITCH_X_UM), math.floor(y / PITCH_Y_UM)
     u, v = x - column * PITCH_X_UM - TRENCH_UM / 2, y - row * PITCH_Y_UM - TRENCH_UM / 2
     base = 1.2e-3 * x - 0.7e-3 * y - 0.3e-6 * (x * x + y * y)
@@ -65,7 +65,7 @@ def wafer(x: float, y: float, footprint: float) -> tuple[float, float, float, fl
 
 
 def is_whole_die(column: int, row: int) -> bool:
-    """Whether a die lies inside the wafer's edge exclusion; partial dies are not printed."""
+    """Return whether a die is inside the wafer's edge exclusion; partial dies are not printed."""
     left, lower = column * PITCH_X_UM + TRENCH_UM / 2, row * PITCH_Y_UM + TRENCH_UM / 2
     x = max(abs(left), abs(left + WIDTH_UM))
     y = max(abs(lower), abs(lower + HEIGHT_UM))
@@ -77,7 +77,7 @@ whole_die = fast_kernel(is_whole_die)
 
 @fast_kernel
 def die_inset(u: float, v: float) -> float:
-    """Distance of (u, v) inside the die's rounded outline; negative outside."""
+    """Return the distance of (u, v) inside the die's rounded outline; negative outside."""
     x = abs(u - WIDTH_UM / 2) - WIDTH_UM / 2 + CORNER_UM
     y = abs(v - HEIGHT_UM / 2) - HEIGHT_UM / 2 + CORNER_UM
     beyond = math.sqrt(max(x, 0.0) ** 2 + max(y, 0.0) ** 2)
@@ -86,7 +86,7 @@ def die_inset(u: float, v: float) -> float:
 
 @fast_kernel
 def chipped(inset: float, x: float, y: float) -> float:
-    """The inset after sawing: the edge wanders, and here and there a chip is missing."""
+    """Return the inset after sawing, with edge roughness and occasional chips."""
     if inset < -2.0 or inset > 9.0:
         return inset
     return inset - 0.45 * grain(x / 2.6, y / 2.6, WANDER) - 5.0 * max(0.0, grain(x / 9.0, y / 9.0, CHIPS) - 0.9)
@@ -96,7 +96,7 @@ def chipped(inset: float, x: float, y: float) -> float:
 def die_top(
     x: float, y: float, u: float, v: float, column: int, row: int, inset: float, footprint: float
 ) -> tuple[float, float]:
-    """(radiance, height over the die's top) of a die with its gel, scratch and grain."""
+    """Return (radiance, height over the die's top) of a die with its gel, scratch and grain."""
     radiance, rise_um, contrast = die(u, v, column - FIRST_COLUMN, row - FIRST_ROW, inset, footprint)
     gel = 0.0
     if column == GEL_COLUMN and row == GEL_ROW:
@@ -117,9 +117,9 @@ def die_top(
 
 @fast_kernel
 def gel_drop(x: float, y: float, under: float, footprint: float) -> tuple[float, float, float, float]:
-    """(share, height_um, radiance, contrast) of a clear drop over radiance `under`; (x, y) from its middle.
+    """Return (share, height_um, radiance, contrast) of a clear drop; (x, y) from its centre.
 
-    It mirrors the lamp where it is nearly level, and shows what lies beneath it faintly.
+    under: radiance below the drop. The drop mirrors the lamp where it is nearly level, and faintly shows the die below.
     """
     out = math.sqrt(x * x + y * y)
     if out > 1.0:
@@ -136,7 +136,7 @@ def gel_drop(x: float, y: float, under: float, footprint: float) -> tuple[float,
 
 @fast_kernel
 def scratch(x: float, y: float, footprint: float) -> tuple[float, float]:
-    """(groove, lip): shares of a bent scratch that fades at both ends and skips now and then."""
+    """Return (groove, lip): coverage of a bent scratch that fades at both ends, with occasional interruptions."""
     middle = 214.0 + 0.31 * (x - SCRATCH_LEFT_UM) + 13.0 * math.sin(x / 190.0)
     away = abs(y - middle) * 0.955
     if away > 6.0:
@@ -151,7 +151,7 @@ def scratch(x: float, y: float, footprint: float) -> tuple[float, float]:
 
 @fast_kernel
 def particle(x: float, y: float, footprint: float) -> tuple[float, float, float]:
-    """(share, height_um, radiance) of the grain of dust that chance may have put near here: dark, with a glint."""
+    """Return (share, height_um, radiance) of the random dust particle near a point: dark, with a glint."""
     i, j = math.floor(x / PARTICLE_CELL_UM), math.floor(y / PARTICLE_CELL_UM)
     if chance(i, j, PARTICLE) >= PARTICLE_SHARE:
         return 0.0, 0.0, 0.0
@@ -165,7 +165,10 @@ def particle(x: float, y: float, footprint: float) -> tuple[float, float, float]
 def dust(
     x: float, y: float, across: float, along: float, radius: float, footprint: float
 ) -> tuple[float, float, float]:
-    """(share, height_um, radiance) of one grain of dust; (across, along) from its middle, (x, y) for its outline."""
+    """Return (share, height_um, radiance) of one dust particle.
+
+    (across, along) are relative to its centre, (x, y) select its random outline.
+    """
     far2 = (across * across + along * along) / (radius * radius)
     if far2 > 2.3:
         return 0.0, 0.0, 0.0
@@ -176,7 +179,7 @@ def dust(
 
 @fast_kernel
 def floor(x: float, y: float, u: float, v: float, from_wall: float, footprint: float) -> float:
-    """Radiance of the trench floor and of the tape beyond the wafer's edge."""
+    """Return the radiance of the trench floor and of the tape beyond the wafer's edge."""
     edge = min(RADIUS_UM - math.sqrt(x * x + y * y), y - FLAT_UM)
     fine = grain(x / 1.5, y / 1.5, FINE)
     broad = grain(x / 170.0, y / 170.0, BROAD)
@@ -189,14 +192,17 @@ def floor(x: float, y: float, u: float, v: float, from_wall: float, footprint: f
 
 @fast_kernel
 def saw_marks(x: float, y: float, upright: bool, level: bool) -> float:
-    """Streaks along the cut: upright in a column trench, level in a row trench, both where they cross."""
+    """Return streaks along the cut: vertical in a column trench, horizontal in a row trench, both at crossings."""
     marks = grain(x / 1.1, y / 70.0, UPRIGHT_CUT) * upright + grain(x / 70.0, y / 1.1, LEVEL_CUT) * level
     return marks / max(1.0, 1.0 * upright + level)
 
 
 @fast_kernel
 def printed(x: float, y: float, u: float, v: float, footprint: float) -> float:
-    """What is printed in the trenches: a cross where they meet, barred test squares along the columns."""
+    """Return the coverage by print in the trenches.
+
+    There are crosses at their intersections and barred test squares along the columns.
+    """
     across = wrapped(x + PITCH_X_UM / 2, PITCH_X_UM) - PITCH_X_UM / 2
     along = wrapped(y + PITCH_Y_UM / 2, PITCH_Y_UM) - PITCH_Y_UM / 2
     cross, squares = crossing_mark(across, along, 15.0, footprint), 0.0
@@ -209,7 +215,7 @@ def printed(x: float, y: float, u: float, v: float, footprint: float) -> float:
 
 @fast_kernel
 def crossing_mark(across: float, along: float, arm_um: float, footprint: float) -> float:
-    """A cross with arms of some length; (across, along) from its middle."""
+    """Return the coverage by a cross with a given arm length; (across, along) from its centre."""
     upright = rectangle(across, along, -2.0, 2.0, -arm_um, arm_um, footprint)
     level = rectangle(across, along, -arm_um, arm_um, -2.0, 2.0, footprint)
     return max(upright, level)
@@ -217,7 +223,7 @@ def crossing_mark(across: float, along: float, arm_um: float, footprint: float) 
 
 @fast_kernel
 def wall_shade(from_wall: float, depth_um: float) -> float:
-    """Light left at a distance from a wall's foot: the wall cuts off part of the illumination's cone.
+    """Return the relative light at a distance from the foot of a wall, which blocks part of the light cone.
 
     Without it a trench's edge would bloom when it is out of focus, which no microscope shows.
     """
