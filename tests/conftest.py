@@ -7,6 +7,8 @@ import signal
 import pytest
 from hypothesis import HealthCheck, settings
 
+from tests.support.patience import PATIENCE_S
+
 # Started in the background a shell lets its children ignore ctrl-C, and theirs inherit that: the programs under test
 # are to hear it however the tests were started.
 if signal.getsignal(signal.SIGINT) is signal.SIG_IGN:
@@ -15,9 +17,6 @@ if signal.getsignal(signal.SIGINT) is signal.SIG_IGN:
 # How long an example takes tells of the machine and of what else it does.
 settings.register_profile("any machine", deadline=None, suppress_health_check=[HealthCheck.too_slow])
 settings.load_profile("any machine")
-
-PATIENCE_S = 120.0
-"""How long a test waits for something that another process does."""
 
 
 @pytest.fixture(scope="session")

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import inspect
+import re
 import subprocess
 import sys
 
@@ -88,3 +90,19 @@ def test_a_name_that_is_not_there_is_an_attribute_error():
 )
 def test_reconstruct_is_the_function_whatever_was_imported_before(first):
     assert python(f"import wafer_viewer as wv; {first}; print(callable(wv.reconstruct))") == "True"
+
+
+FUNCTIONS = [name for name in wv.__all__ if inspect.isfunction(getattr(wv, name))]
+
+
+@pytest.mark.parametrize("name", FUNCTIONS)
+def test_a_function_of_the_api_documents_every_parameter_and_what_it_returns(name: str) -> None:
+    function = getattr(wv, name)
+    text = inspect.getdoc(function) or ""
+    signature = inspect.signature(function)
+    assert "Parameters\n----------\n" in text
+    undocumented = [each for each in signature.parameters if not re.search(rf"^\*{{0,2}}{each}\b.* : ", text, re.M)]
+    joined = {each for line in re.findall(r"^([\w*, ]+) : ", text, re.M) for each in line.replace("*", "").split(", ")}
+    assert not [each for each in undocumented if each not in joined]
+    if signature.return_annotation not in (None, "None"):
+        assert "Returns\n-------\n" in text

@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import ast
 import subprocess
 import sys
+from collections import Counter
 
 import pytest
 
@@ -16,6 +18,36 @@ ROOMS = sorted(p.name for p in (ROOT / "wafer_viewer").iterdir() if (p / "__init
 @pytest.mark.parametrize("module", MODULES, ids=lambda p: str(p.relative_to(ROOT)))
 def test_a_file_has_one_subject(module):
     assert len(module.read_text().splitlines()) <= 600
+
+
+QUESTIONS = {"What", "How", "Where", "Whether", "When", "Who", "Which", "Why"}
+MOST_FILES = 23
+MOST_SHARED_NAMES = 10
+DEFINED_ONCE = ("Stage", "Field", "Camera", "Frame", "Gate", "Profile")
+DOCUMENTED = ast.Module, ast.ClassDef, ast.FunctionDef, ast.AsyncFunctionDef
+
+
+@pytest.mark.parametrize("module", MODULES, ids=lambda p: str(p.relative_to(ROOT)))
+def test_a_docstring_begins_with_a_verb_or_a_noun(module):
+    nodes = [node for node in ast.walk(ast.parse(module.read_text())) if isinstance(node, DOCUMENTED)]
+    texts = [text for node in nodes if (text := ast.get_docstring(node))]
+    assert not [text for text in texts if text.split()[0].rstrip(",.:") in QUESTIONS]
+
+
+def test_a_room_has_no_room_hidden_in_it():
+    full = {str(folder): n for folder, n in Counter(module.parent for module in MODULES).items() if n > MOST_FILES}
+    assert not full
+
+
+def test_a_public_name_means_one_thing():
+    defined = Counter(
+        node.name
+        for module in MODULES
+        for node in ast.parse(module.read_text()).body
+        if isinstance(node, ast.ClassDef) and not node.name.startswith("_")
+    )
+    assert len([name for name, n in defined.items() if n > 1]) <= MOST_SHARED_NAMES
+    assert all(defined[name] == 1 for name in DEFINED_ONCE)
 
 
 @pytest.mark.parametrize("room", ROOMS)

@@ -6,13 +6,11 @@ import multiprocessing
 
 import pytest
 
+from tests.support.patience import PATIENCE_S
 from wafer_viewer.model.acquisition.plan import FieldGrid, FocusSweep
 from wafer_viewer.model.acquisition.sample import Sample
 from wafer_viewer.model.job.job import Job
 from wafer_viewer.session.session import Session
-
-PATIENCE_S = 240.0
-"""Kernels may have to be compiled first, on a machine that does other things as well."""
 
 
 def small_job(cols=2, rows=1, n_frames=20, z_step_um=2.4):

@@ -7,8 +7,8 @@ from pathlib import Path
 
 import pytest
 
-from tests.session.conftest import PATIENCE_S
 from tests.support.noisy_wafer import Planted, wafer
+from tests.support.patience import PATIENCE_S
 from wafer_viewer.model.errors import DatasetError, MeasureError
 from wafer_viewer.model.inspection.defect import DefectRecipe
 from wafer_viewer.model.inspection.defect_limits import DefectLimits
