@@ -26,7 +26,7 @@ sys.path.insert(0, str(Path(__file__).parents[2]))
 from tests.truth.field_grid import PIXEL_UM, SMALL, Grid, Made, make
 from wafer_viewer.model.surface.field_poses import HeightOffsets, RejectionReason, Shifts
 from wafer_viewer.reconstruct.registration.height_seams import compare
-from wafer_viewer.reconstruct.registration.misplaced_fields import suspects
+from wafer_viewer.reconstruct.registration.misplaced_fields import misplaced_fields
 from wafer_viewer.reconstruct.registration.pair_registration import register
 
 MIDDLING = replace(Grid(), rows=4, cols=4)
@@ -70,7 +70,7 @@ def row(name: str, made: Made) -> str:
     return (
         f"{name:<28} {len(pairs):>8} | {shift_ms:>5.1f} {rms(off_px):>7.3f} {np.abs(off_px).max():>7.3f} "
         f"{rms(sure):>6.2f} | {seam_ms:>5.1f} {rms(off_um):>7.4f} {chi:>6.2f} | {doubts}; "
-        f"{suspects(len(made.heights), shifts).tolist()}"
+        f"{misplaced_fields(len(made.heights), shifts).tolist()}"
     )
 
 

@@ -70,7 +70,7 @@ def costs_of(path: Path) -> Costs:
     bring_up_to_date(path, RESULT, RECIPE)
     kept = data.result(RESULT)
     poses, pair = kept.poses(), np.array([[0, 1]], np.int32)
-    drawing = kept.begin_drawing(poses)
+    drawing = kept.begin_mosaic_update(poses)
     tile = next(p for p in patches(kept.mosaic().shape) if p.level == 1)
     overlap_s = spent_s(lambda: register_pairs(path, RESULT, numbers[:2], pair, None)) + spent_s(
         lambda: compare_pairs(path, RESULT, numbers[:2], pair, poses.x_um[:2], poses.y_um[:2])

@@ -31,7 +31,7 @@ from tests.truth.layouts import PILLBOX, TUNING, Layout, take  # noqa: E402
 from wafer_viewer.model.spec import replace  # noqa: E402
 from wafer_viewer.model.surface.height_map import Origin  # noqa: E402
 from wafer_viewer.model.surface.recipe import Fill, Levy, Outliers, Recipe  # noqa: E402
-from wafer_viewer.reconstruct.auto_tuning import settle  # noqa: E402
+from wafer_viewer.reconstruct.auto_tuning import tune_recipe  # noqa: E402
 from wafer_viewer.reconstruct.cleaning import outliers as rules  # noqa: E402
 from wafer_viewer.reconstruct.cleaning.clean import clean, settle_cleaning, settle_levy  # noqa: E402
 from wafer_viewer.reconstruct.cleaning.gap_fill import fill  # noqa: E402
@@ -39,7 +39,7 @@ from wafer_viewer.reconstruct.cleaning.levy_flight import SMOOTHERS, height_nois
 from wafer_viewer.reconstruct.cleaning.outliers import far_in_cloud, far_on_lattice, find_outliers  # noqa: E402
 from wafer_viewer.reconstruct.focus.peak_search import search_field  # noqa: E402
 from wafer_viewer.reconstruct.preprocess.frames import prepare  # noqa: E402
-from wafer_viewer.reconstruct.validity import judge  # noqa: E402
+from wafer_viewer.reconstruct.validity import validate_peaks  # noqa: E402
 
 KEPT_LIGHT = Path(tempfile.gettempdir()) / "wafer-viewer-truth"
 FALSE_UM, PIXEL_UM, STEP_UM = 4.0, 0.46729, 4.0
@@ -176,15 +176,15 @@ def compile_all() -> None:
     at = np.nonzero(np.isfinite(z))
     padded = {n: np.pad(z, n, constant_values=np.nan) for n in (2, 3, 5)}
     kernels: dict[str, Callable[[], object]] = {
-        "lines": lambda: line_median.far_along_lines(padded[5], 0.5),
+        "lines": lambda: line_median.line_outliers(padded[5], 0.5),
         "medians of lines": lambda: line_median.line_medians_at(padded[5], *at),
         "pairs": lambda: opposite_pair_mean.pair_mean(z, 1.0),
         "neighbours near": lambda: neighbour_distances.near_counts(padded[3], 1.0),
         "distances": lambda: neighbour_distances.mean_distances(padded[3], *at, 15),
         "narrow parts": lambda: connected_components.narrow_parts(z, 1.0, 6),
-        "islands": lambda: connected_components.small_islands(z, 1.0, 81),
+        "islands": lambda: connected_components.small_components(z, 1.0, 81),
         "splines": lambda: spline_fill.fill_gaps(z, 9, 1.0),
-        "(guided, switching: far)": lambda: median_5x5.far_from_median(padded[2], np.float32(1)),
+        "(guided, switching: far)": lambda: median_5x5.median_outliers(padded[2], np.float32(1)),
         "(guided, switching: medians)": lambda: median_5x5.medians_at(padded[2], *at),
     }
     np.median(z)
@@ -199,9 +199,9 @@ def scenes(quick: bool) -> Iterator[Seen]:
     for layout in SCENES[:1] if quick else (*SCENES, *TUNING.values()):
         taken = take(layout, (128, 128) if quick else (320, 320), keep_in=KEPT_LIGHT)
         frames = prepare(taken.stack)
-        settled = settle(frames, Recipe())
+        settled = tune_recipe(frames, Recipe())
         peaks = search_field(frames, settled.search)
-        judged = judge(frames, settled, peaks)
+        judged = validate_peaks(frames, settled, peaks)
         z = np.where(judged.origin == Origin.MEASURED, judged.peaks.z_um, np.float32(np.nan))
         recipe = settle_cleaning([z], replace(settled.recipe, levy=Levy()), settled.resolution_um)
         yield Seen(layout.name, z, taken.scene.truth_um, recipe, settled.resolution_um)

@@ -34,7 +34,7 @@ from wafer_viewer.model.acquisition.focus_stack import FieldStack
 from wafer_viewer.model.acquisition.plan import Field
 from wafer_viewer.model.surface.height_map import HeightMap, Provenance
 from wafer_viewer.model.surface.recipe import Recipe
-from wafer_viewer.reconstruct.auto_tuning import settle
+from wafer_viewer.reconstruct.auto_tuning import tune_recipe
 from wafer_viewer.reconstruct.cleaning.clean import clean
 from wafer_viewer.reconstruct.field_pipeline import reconstruct, warm_up
 from wafer_viewer.reconstruct.focus.focus_measures import FOCUS_MEASURES
@@ -119,7 +119,7 @@ def show_measures(stack: FieldStack, runs: int) -> None:
 def search_ms(stack: FieldStack, measure: str, runs: int) -> tuple[float, float, float]:
     """One thread by its processor time, one by the clock, two by the clock: the least of the runs."""
     frames = prepare(stack)
-    search = settle(frames, Recipe(focus_measure=measure, window=WINDOW, peak="tent")).search
+    search = tune_recipe(frames, Recipe(focus_measure=measure, window=WINDOW, peak="tent")).search
     search_field(frames, search, 1)
     clock, processor = least(lambda: search_field(frames, search, 1), runs)
     two_clock, _ = least(lambda: search_field(frames, search, 2), runs)
@@ -148,8 +148,8 @@ def plain_ms(stack: FieldStack, measure: str, sharpness_of: Callable[[str], Shar
 def show_field(stack: FieldStack, runs: int) -> None:
     """The default recipe from frames to a clean surface, and its parts."""
     frames = prepare(stack)
-    settling, _ = least(lambda: settle(frames, Recipe()), 1)
-    settled = settle(frames, Recipe())
+    settling, _ = least(lambda: tune_recipe(frames, Recipe()), 1)
+    settled = tune_recipe(frames, Recipe())
     height = reconstruct(stack, settled.recipe, threads=1)
     cleaning = least(lambda: clean(height.z_raw_um, PIXEL_UM, settled.recipe, settled.resolution_um), runs)[1]
     whole = least(lambda: reconstruct(stack, settled.recipe, threads=1), 2)[1]
@@ -167,7 +167,7 @@ def show_field(stack: FieldStack, runs: int) -> None:
 
 def show_live(stack: FieldStack) -> None:
     """A field whose frames come a few at a time: what is left to do when the last of them is there."""
-    recipe = settle(prepare(stack), Recipe()).recipe
+    recipe = tune_recipe(prepare(stack), Recipe()).recipe
     field, taking = LiveField(stack.images, stack.z_step_um, recipe), list[float]()
     for first in range(0, stack.n_frames, LIVE_FRAMES):
         stop = min(first + LIVE_FRAMES, stack.n_frames)

@@ -13,10 +13,10 @@ from wafer_viewer.measure.verdict import (
     judge,
     judge_dies,
     judge_features,
+    next_action,
     on_stage,
     overall,
     scans_needed,
-    what_next,
 )
 from wafer_viewer.model.acquisition.alignment import Alignment
 from wafer_viewer.model.errors import PlanError
@@ -78,8 +78,8 @@ def test_the_gravest_word_is_that_of_the_wafer():
     assert overall([open_, none, good]) == "no verdict"
     assert overall([none, open_, bad]) == "fail"
     assert overall([]) == "no verdict"
-    assert what_next([good]) == "Take the next wafer."
-    assert "ask the engineer" in what_next([])
+    assert next_action([good]) == "Take the next wafer."
+    assert "ask the engineer" in next_action([])
 
 
 def with_budget(value_um, scale_um, noise_um):
@@ -95,14 +95,14 @@ def test_what_noise_leaves_open_is_scanned_as_often_as_decides_it():
     assert item.word == "inconclusive"
     n = scans_needed(item)
     assert 2 * math.hypot(0.01, 0.08 / math.sqrt(n)) <= 0.1 < 2 * math.hypot(0.01, 0.08 / math.sqrt(n - 1))
-    assert f"{n - 1} times more: the mean of {n} scans" in what_next([item])
-    assert "once more" in what_next([with_budget(29.1, 0.01, 0.06)])
+    assert f"{n - 1} times more: the mean of {n} scans" in next_action([item])
+    assert "once more" in next_action([with_budget(29.1, 0.01, 0.06)])
 
 
 def test_what_the_scale_leaves_open_no_repeat_decides():
     item = with_budget(29.1, scale_um=0.08, noise_um=0.05)
     assert scans_needed(item) is None
-    assert "calibrate the z scale" in what_next([item, with_budget(29.1, 0.01, 0.06)])
+    assert "calibrate the z scale" in next_action([item, with_budget(29.1, 0.01, 0.06)])
     assert scans_needed(with_budget(29.0005, scale_um=0.0, noise_um=0.05)) is None
 
 
@@ -145,7 +145,7 @@ def test_what_cannot_be_measured_has_no_verdict_and_says_why():
     assert "'blocks' was not measured" in item.why
     (uncalibrated,) = judge_features(gauge_blocks(1), [BLOCKS], None, calibration_valid=False)
     assert uncalibrated.word == "no verdict"
-    assert "calibrate" in what_next([uncalibrated])
+    assert "calibrate" in next_action([uncalibrated])
 
 
 def test_what_repeats_make_smaller_are_lines_of_a_steps_budget():

@@ -15,7 +15,7 @@ from wafer_viewer.model.acquisition.focus_stack import FieldStack
 from wafer_viewer.model.acquisition.optics import depth_of_field_um
 from wafer_viewer.model.spec import replace
 from wafer_viewer.model.surface.recipe import Recipe
-from wafer_viewer.reconstruct.auto_tuning import settle
+from wafer_viewer.reconstruct.auto_tuning import tune_recipe
 from wafer_viewer.reconstruct.field_pipeline import reconstruct
 from wafer_viewer.reconstruct.preprocess.frames import prepare
 from wafer_viewer.reconstruct.validity import TOO_WIDE
@@ -36,7 +36,7 @@ def known(one: Seen) -> FieldStack:
 
 
 def width_um(stack: FieldStack) -> float:
-    return float(settle(prepare(stack), Recipe()).recipe.focus_width_um)
+    return float(tune_recipe(prepare(stack), Recipe()).recipe.focus_width_um)
 
 
 @pytest.mark.parametrize("seed", SEEDS)

@@ -38,7 +38,7 @@ def test_a_stitching_that_was_broken_off_is_made_good_when_the_dataset_is_opened
     path = session.snapshot.dataset.path
     session.close_dataset().result()
     kept = Dataset.open(path).result()
-    kept.begin_drawing(kept.poses())  # as a viewer leaves it that is killed while it draws
+    kept.begin_mosaic_update(kept.poses())  # as a viewer leaves it that is killed while it draws
     session.open_dataset(path).result()
     session.wait_until(lambda s: surfaced(s) and not kept.broken_off, patience_s)
     assert kept.shows_all(session.snapshot.dataset.fields)

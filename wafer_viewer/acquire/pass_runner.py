@@ -48,7 +48,7 @@ class PassResult:
 
 
 @contextmanager
-def rest_afterwards(rig: Rig) -> Generator[None]:
+def rig_at_rest(rig: Rig) -> Generator[None]:
     """Leave the rig at rest on exit: no pulses, stage halted, camera stopped."""
     with ExitStack() as afterwards:
         afterwards.callback(rig.camera.stop)
@@ -100,7 +100,7 @@ def run_pass(
     image arrived at all or a device refuses.
     """
     one = _Pass(rig, leg, exposure_us, clock, take, should_stop)
-    if not one.get_there():
+    if not one.move_to_start():
         return PassResult(NOTHING_SENT, None, (), count_mended=0, stopped=True)
     mended = one.mend_count()
     with device_errors("camera"):
@@ -126,7 +126,7 @@ class _Pass:
         self._should_stop = should_stop
         self._reconciler = Reconciler(leg, rig.limits, _timing(rig, leg, exposure_us, clock))
 
-    def get_there(self) -> bool:
+    def move_to_start(self) -> bool:
         """Move to the start of the pass; return False if stopped on the way."""
         train = self._leg.train
         first_um = self._rig.limits.axis(train.axis).position_um(train.first_count)

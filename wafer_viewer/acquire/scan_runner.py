@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Container
 from dataclasses import dataclass
 
-from wafer_viewer.acquire.pass_runner import PassResult, device_clock, rest_afterwards, run_pass
+from wafer_viewer.acquire.pass_runner import PassResult, device_clock, rig_at_rest, run_pass
 from wafer_viewer.acquire.pulse_reconciliation import DeviceClock, MissingFrame
 from wafer_viewer.model.acquisition.devices import Rig
 from wafer_viewer.model.acquisition.focus_stack import Frame
@@ -49,7 +49,7 @@ def run_scan(plan: ScanPlan, rig: Rig, sink: ScanSink, control: ScanControl, ski
     the end of a leg, a stop immediately. In every case the rig is left at rest: no pulses, stage halted, camera idle.
     Raises RigError if a device fails, the pulse box restarted, or a pass remains doubtful in all of its tries.
     """
-    with rest_afterwards(rig):
+    with rig_at_rest(rig):
         return _Scan(plan, rig, sink, control, skip).run()
 
 
@@ -134,7 +134,7 @@ class _Scan:
                 return False
             if not result.doubts:
                 return True
-            self._tell_doubts(leg, result, attempt)
+            self._report_doubts(leg, result, attempt)
             self._clock = None
         return False
 
@@ -193,7 +193,7 @@ class _Scan:
             self._repaired += 1
             self._sink.repaired(shot)
 
-    def _tell_doubts(self, leg: Leg, result: PassResult, attempt: int) -> None:
+    def _report_doubts(self, leg: Leg, result: PassResult, attempt: int) -> None:
         """Report a doubtful pass. Raises RigError after the last try."""
         why = ", and ".join(doubt.why for doubt in result.doubts)
         which = f"the pass that begins at field {leg.shots[0].field}"

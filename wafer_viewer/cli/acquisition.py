@@ -132,13 +132,13 @@ def scan(
     """
     from wafer_viewer.session.acquisition.headless import scan_to
     from wafer_viewer.session.planning.headless import job_of_wafer
-    from wafer_viewer.session.planning.preflight import require_go
+    from wafer_viewer.session.planning.preflight import require_passed
 
     job = job_of_wafer(plan_file, out, {"wafer_id": wafer, "lot": lot, "operator": operator}, corners)
 
     def ready(checks: tuple[PreflightCheck, ...]) -> None:
         print_preflight(checks)
-        require_go(checks, confirmed=yes)
+        require_passed(checks, confirmed=yes)
 
     with _opened(rig) as device, progress("Scan") as tell:
         ended = scan_to(out, job, device, tell, ready, warn)
@@ -270,9 +270,9 @@ def doctor(rig: File = None, data: Path = DATA_FOLDER) -> int:
         rig: RIG.toml of the instrument; the virtual rig without it.
         data: Folder of the datasets.
     """
-    from wafer_viewer.session.core.environment_check import examine
+    from wafer_viewer.session.core.environment_check import check_environment
 
-    return print_checks(examine(_config(rig), data.expanduser()))
+    return print_checks(check_environment(_config(rig), data.expanduser()))
 
 
 def glossary(word: Word = "") -> int:

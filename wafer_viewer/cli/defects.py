@@ -21,7 +21,7 @@ from wafer_viewer.model.spec import replace
 from wafer_viewer.session.inspection.defect_export import WRITERS, Handover
 from wafer_viewer.session.inspection.die_lattice_source import GivenDies
 from wafer_viewer.session.inspection.headless import Wafer, dies_on, inspected, wafer_of
-from wafer_viewer.session.inspection.klarf_overlay import compared, laid_over
+from wafer_viewer.session.inspection.klarf_overlay import compared, overlay_klarf
 from wafer_viewer.session.state.inspection_resources import product_of
 from wafer_viewer.session.surface.headless import LocalOrCluster
 
@@ -159,7 +159,7 @@ def _beside(path: Path | None, wafer: Wafer, found: Inspection) -> dict[str, Any
     if path is None:
         return {}
     alignment = wafer.job.alignment if wafer.job is not None else None
-    return {"other": compared(laid_over(path, alignment, found), found)}
+    return {"other": compared(overlay_klarf(path, alignment, found), found)}
 
 
 def _keep_golden(wafer: Wafer, found: Inspection, given: GivenDies, path: Path | None) -> dict[str, str]:

@@ -141,7 +141,7 @@ class ChildConnection:
         self.tell(Reply(ask.number, error=error))
 
 
-def live_in_the_background(niceness: int = 0) -> None:
+def run_in_background(niceness: int = 0) -> None:
     """Ignore SIGINT, since the viewer ends its children through their pipes, and lower this process's priority."""
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     if niceness and hasattr(os, "nice"):

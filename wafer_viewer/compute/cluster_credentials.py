@@ -19,7 +19,7 @@ from cryptography.x509.oid import ExtendedKeyUsageOID, NameOID
 
 from wafer_viewer.compute.dask_cluster import SETTINGS
 from wafer_viewer.model.errors import DatasetError
-from wafer_viewer.store.io.atomic_files import writing
+from wafer_viewer.store.io.atomic_files import os_errors_as_dataset_errors
 
 AUTHORITY, CERTIFICATE, KEY, CONFIGURATION = "authority.pem", "certificate.pem", "key.pem", "dask.yaml"
 VALID_DAYS = 3650
@@ -46,7 +46,7 @@ def write_cluster_files(folder: Path) -> None:
     authority_key, key = (ec.generate_private_key(ec.SECP256R1()) for _ in range(2))
     authority = _certificate("wafer-viewer authority", authority_key.public_key(), None, authority_key)
     certificate = _certificate("wafer-viewer", key.public_key(), authority, authority_key)
-    with writing(folder):
+    with os_errors_as_dataset_errors(folder):
         folder.mkdir(parents=True, exist_ok=True, mode=PRIVATE_FOLDER)
     contents = {
         AUTHORITY: authority.public_bytes(Encoding.PEM),
@@ -110,5 +110,8 @@ def _certificate(
 
 
 def _write_private(path: Path, content: bytes) -> None:
-    with writing(path), os.fdopen(os.open(path, os.O_WRONLY | os.O_CREAT | os.O_EXCL, PRIVATE_FILE), "wb") as file:
+    with (
+        os_errors_as_dataset_errors(path),
+        os.fdopen(os.open(path, os.O_WRONLY | os.O_CREAT | os.O_EXCL, PRIVATE_FILE), "wb") as file,
+    ):
         file.write(content)

@@ -17,11 +17,11 @@ from typing import Any
 
 from distributed import CancelledError, Client, Event, Future
 
-from wafer_viewer.compute.child_process import ChildConnection, Request, live_in_the_background
+from wafer_viewer.compute.child_process import ChildConnection, Request, run_in_background
 from wafer_viewer.compute.dask_cluster import client_of
 from wafer_viewer.compute.messages import Cancel, ComputeAbsent, ComputeUp, ComputeWarm, Progressed, RunLedTask, RunTask
 from wafer_viewer.compute.task_runner import COUNT_EVERY_S, DaskRunner, n_local_workers
-from wafer_viewer.compute.watched_tasks import PROGRESS_TOPIC, run_watched, sparing, stop_sign
+from wafer_viewer.compute.watched_tasks import PROGRESS_TOPIC, run_watched, stop_sign, throttled
 from wafer_viewer.model.errors import ComputeError, WaferViewerError
 
 NICENESS = 5
@@ -31,7 +31,7 @@ RUN_PRIORITY = 10
 
 def run_compute(pipe: Connection, scheduler: str | None, warm_up: Callable[[], None]) -> None:
     """Run the compute host until the pipe ends."""
-    live_in_the_background(NICENESS)
+    run_in_background(NICENESS)
     end = ChildConnection(pipe)
     with ExitStack() as until_end:
         try:
@@ -90,7 +90,7 @@ class Host:
     def _lead(self, ask: Request) -> None:
         verb: RunLedTask = ask.verb
         stop = self._stops[verb.work] = threading.Event()
-        progress, crew = sparing(partial(self._tell, verb.work)), DaskRunner(self._client)
+        progress, crew = throttled(partial(self._tell, verb.work)), DaskRunner(self._client)
         led = self._leader.submit(verb.task, *verb.args, crew=crew, progress=progress, should_stop=stop.is_set)
         led.add_done_callback(partial(self._led, ask))
 

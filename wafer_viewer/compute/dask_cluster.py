@@ -66,7 +66,7 @@ def client_of(scheduler: str | None, workers: int) -> Generator[Client]:
 
 @contextmanager
 def _own(workers: int) -> Generator[Client]:
-    with _where("this machine"), _deaf():
+    with _where("this machine"), _block_sigint():
         cluster = LocalCluster(
             n_workers=workers,
             threads_per_worker=1,
@@ -128,7 +128,7 @@ def _where(place: str) -> Generator[None]:
 
 
 @contextmanager
-def _deaf() -> Generator[None]:
+def _block_sigint() -> Generator[None]:
     """Block SIGINT in processes started meanwhile, so that Ctrl-C in a terminal reaches only this process, afterwards.
 
     Threads started meanwhile pass the blocked signal on to every process that they start later.

@@ -50,7 +50,7 @@ class WorkerFingerprint:
 def why_unfit(wanted: WorkerFingerprint) -> str:
     """Return a sentence on why this machine does not match the fingerprint `wanted`; "" if it does."""
     host = socket.gethostname()
-    if why := why_other(wanted.version, wanted.sources):
+    if why := version_mismatch(wanted.version, wanted.sources):
         return why
     if not (seen := WorkerFingerprint.of(wanted.dataset)).record:
         return f"The worker on {host} does not see {wanted.dataset}: mount the shared folder there under the same path."
@@ -59,7 +59,7 @@ def why_unfit(wanted: WorkerFingerprint) -> str:
     return ""
 
 
-def why_other(version: str, sources: str) -> str:
+def version_mismatch(version: str, sources: str) -> str:
     """Return a sentence on how this machine's program differs in version or sources; "" if it does not."""
     if (__version__, source_mark()) == (version, sources):
         return ""

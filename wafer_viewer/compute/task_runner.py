@@ -25,7 +25,7 @@ from wafer_viewer.compute.dask_worker import (
     attempt,
     attempt_if_fit,
     source_mark,
-    why_other,
+    version_mismatch,
     why_unfit,
     works_on,
 )
@@ -141,7 +141,7 @@ class DaskRunner:
 
     def require_same_program(self) -> None:
         """Raise ComputeError naming a machine whose worker runs another version."""
-        self._require_well(why_other, __version__, source_mark())
+        self._require_well(version_mismatch, __version__, source_mark())
 
     def each(self, task: Task, items: Sequence[Item], *, should_stop: ShouldStop = lambda: False) -> Generator[Done]:
         """See `TaskRunner`. A task that fails with an unexpected error is Done with a fault as well."""

@@ -46,7 +46,7 @@ def stop_sign(work: str) -> str:
     return f"stop-{work}"
 
 
-def sparing(tell: Progress) -> Progress:
+def throttled(tell: Progress) -> Progress:
     """Return a progress callback that is throttled to `ASK_EVERY_S`, and always reports the end."""
     told_at = 0.0
 
@@ -62,7 +62,7 @@ def sparing(tell: Progress) -> Progress:
 def _teller(work: str) -> Progress:
     from distributed import get_worker
 
-    return sparing(lambda done: get_worker().log_event(PROGRESS_TOPIC, {"work": work, "fraction": float(done)}))
+    return throttled(lambda done: get_worker().log_event(PROGRESS_TOPIC, {"work": work, "fraction": float(done)}))
 
 
 def _listener(work: str) -> ShouldStop:

@@ -33,7 +33,7 @@ def font(size_px: float) -> ImageFont.FreeTypeFont:
 
 def length_px(text: str, face: ImageFont.FreeTypeFont) -> float:
     """Return the width of a text as drawn by `write`."""
-    return face.getlength(_spelled(text))
+    return face.getlength(_substitute_glyphs(text))
 
 
 def write(
@@ -47,7 +47,7 @@ def write(
     weight: float = 0.0,
 ) -> None:
     """Draw one line of text; `at`: mid-height of the capitals at its left end, middle or right end (l, m, r)."""
-    spelled = _spelled(text)
+    spelled = _substitute_glyphs(text)
     x = at[0] - {"l": 0.0, "m": 0.5, "r": 1.0}[align] * face.getlength(spelled)
     baseline = at[1] + 0.36 * face.size
     pen.text((x, baseline), spelled, font=face, fill=fill, anchor="ls", stroke_width=weight, stroke_fill=fill)
@@ -95,7 +95,7 @@ def sheet(tags: Sequence[NDArray[np.uint8]]) -> tuple[NDArray[np.uint8], NDArray
     return whole, boxes / np.array([whole.shape[1], whole.shape[0]] * 2, np.float32)
 
 
-def _spelled(text: str) -> str:
+def _substitute_glyphs(text: str) -> str:
     return text.translate(_SUBSTITUTES).replace("µ", "u")
 
 

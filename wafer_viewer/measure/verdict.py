@@ -138,7 +138,7 @@ def overall(items: Sequence[FeatureVerdict]) -> Word:
     return gravest[0] if gravest else "no verdict"
 
 
-def what_next(items: Sequence[FeatureVerdict]) -> str:
+def next_action(items: Sequence[FeatureVerdict]) -> str:
     """Return the operator's next action."""
     match overall(items):
         case "pass":

@@ -76,7 +76,7 @@ class FocusWidth:
     notes: tuple[str, ...] = ()
 
 
-def settle(frames: Frames, recipe: Recipe) -> TunedSearch:
+def tune_recipe(frames: Frames, recipe: Recipe) -> TunedSearch:
     """Replace every `auto` of a recipe by a value estimated from the data."""
     recipe = replace(recipe, noise=settled_noise(frames, recipe.noise))
     found = focus_width(frames, recipe) if recipe.focus_width_um == "auto" else FocusWidth(recipe.focus_width_um)

@@ -13,7 +13,7 @@ from wafer_viewer.model.acquisition.plan import Field
 from wafer_viewer.model.surface.height_map import HeightMap, Origin, Provenance
 from wafer_viewer.model.surface.recipe import Recipe
 from wafer_viewer.model.surface.refused_points import RefusedHeights
-from wafer_viewer.reconstruct.auto_tuning import TunedSearch, settle
+from wafer_viewer.reconstruct.auto_tuning import TunedSearch, tune_recipe
 from wafer_viewer.reconstruct.cleaning.clean import clean
 from wafer_viewer.reconstruct.cleaning.gap_fill import mark_filled
 from wafer_viewer.reconstruct.focus.peak import Peaks
@@ -22,7 +22,7 @@ from wafer_viewer.reconstruct.focus.window_sampling import coarse_step
 from wafer_viewer.reconstruct.gates import edge_bleeding
 from wafer_viewer.reconstruct.gates.gate import LEAST_FRAMES
 from wafer_viewer.reconstruct.preprocess.frames import Frames, prepare
-from wafer_viewer.reconstruct.validity import ValidatedPeaks, judge
+from wafer_viewer.reconstruct.validity import ValidatedPeaks, validate_peaks
 
 ENOUGH_TO_SETTLE = 0.2
 """Fraction of measured pixels from which the settled recipe of a field may be reused for its neighbours."""
@@ -68,7 +68,7 @@ def reconstruct(
     .. [1] S. K. Nayar, Y. Nakagawa, Shape from focus, IEEE Trans. Pattern Anal. Mach. Intell. 16 (1994) 824.
     """
     frames = prepare(stack, recipe)
-    settled = settle(frames, recipe)
+    settled = tune_recipe(frames, recipe)
     peaks = search_field(frames, settled.search, threads, progress)
     return surface_of(stack, frames, settled, peaks, threads)
 
@@ -77,20 +77,20 @@ def surface_of(
     stack: FieldStack, frames: Frames, settled: TunedSearch, peaks: Peaks, threads: int | None = None
 ) -> HeightMap:
     """Return the height map of frames whose peaks have been searched."""
-    return cleaned(stack, frames, settled, judge(frames, settled, peaks, threads))
+    return build_height_map(stack, frames, settled, validate_peaks(frames, settled, peaks, threads))
 
 
 def settled_recipe(stack: FieldStack, recipe: Recipe = Recipe()) -> Recipe:
     """Replace every `auto` of a recipe by values from this stack, for use by all fields of a scan."""
-    return settle(prepare(stack, recipe), recipe).recipe
+    return tune_recipe(prepare(stack, recipe), recipe).recipe
 
 
-def speaks_for_scan(surface: HeightMap) -> bool:
+def is_representative(surface: HeightMap) -> bool:
     """Return whether enough of a field is measured to reuse its settled recipe for the neighbouring fields."""
     return bool(surface.measured.mean() >= ENOUGH_TO_SETTLE)
 
 
-def cleaned(stack: FieldStack, frames: Frames, settled: TunedSearch, judged: ValidatedPeaks) -> HeightMap:
+def build_height_map(stack: FieldStack, frames: Frames, settled: TunedSearch, judged: ValidatedPeaks) -> HeightMap:
     """Smooth heights, remove outliers and fill small gaps; z_raw_um only has the outliers removed."""
     peaks, origin = judged.peaks, judged.origin
     recipe, resolution_um = settled.recipe, settled.resolution_um

@@ -10,12 +10,12 @@ from wafer_viewer.model.errors import ComputeError
 from wafer_viewer.model.surface.focus_curve import FocusCurve, Rival, Verdict
 from wafer_viewer.model.surface.height_map import ORIGIN_TITLES, Origin
 from wafer_viewer.model.surface.recipe import Recipe
-from wafer_viewer.reconstruct.auto_tuning import settle
-from wafer_viewer.reconstruct.field_pipeline import cleaned, settled_recipe
+from wafer_viewer.reconstruct.auto_tuning import tune_recipe
+from wafer_viewer.reconstruct.field_pipeline import build_height_map, settled_recipe
 from wafer_viewer.reconstruct.focus.peak import Peaks
 from wafer_viewer.reconstruct.focus.peak_search import Search, ThreadScratch, search_field, search_part
 from wafer_viewer.reconstruct.preprocess.frames import Frames, prepare, read_block
-from wafer_viewer.reconstruct.validity import judge
+from wafer_viewer.reconstruct.validity import validate_peaks
 
 MOST_RIVALS = 3
 _LEFT_OUT_BY_CLEANING = {
@@ -61,10 +61,10 @@ def focus_curve(stack: FieldStack, x_um: float, y_um: float, recipe: Recipe = Re
     rows, cols = _around(row), _around(col)
     part, r, c = stack.part(rows, cols), row - rows.start, col - cols.start
     frames = prepare(stack, recipe).part(rows, cols)
-    settled = settle(frames, recipe)
+    settled = tune_recipe(frames, recipe)
     peaks = search_field(frames, settled.search, threads=1)
-    judged = judge(frames, settled, peaks, threads=1)
-    height = cleaned(part, frames, settled, judged)
+    judged = validate_peaks(frames, settled, peaks, threads=1)
+    height = build_height_map(part, frames, settled, judged)
     curve, grey = curve_at(frames, settled.search, r, c)
     peak = int(curve.argmax())
     z_um, origin = float(height.z_raw_um[r, c]), Origin(int(height.origin[r, c]))

@@ -13,7 +13,7 @@ from wafer_viewer.model.acquisition.focus_stack import FieldStack, Image
 from wafer_viewer.model.errors import ComputeError
 from wafer_viewer.model.surface.height_map import HeightMap
 from wafer_viewer.model.surface.recipe import Recipe
-from wafer_viewer.reconstruct.auto_tuning import search_of, settle
+from wafer_viewer.reconstruct.auto_tuning import search_of, tune_recipe
 from wafer_viewer.reconstruct.field_pipeline import surface_of
 from wafer_viewer.reconstruct.focus.focus_measures import FOCUS_MEASURES
 from wafer_viewer.reconstruct.focus.focus_volume import StackSource, Volume
@@ -90,7 +90,7 @@ class LiveField:
         If the pixels need correction after all, or frames are missing, the complete stack is searched again.
         """
         frames = prepare(stack, self._recipe)
-        settled = settle(frames, self._recipe)
+        settled = tune_recipe(frames, self._recipe)
         known = self._came.all() and _as_expected(frames, settled.search, self._search)
         peaks = self._found(frames, settled.search) if known else search_field(frames, settled.search, threads=1)
         return surface_of(stack, frames, settled, peaks)

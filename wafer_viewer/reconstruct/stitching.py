@@ -23,10 +23,10 @@ from wafer_viewer.reconstruct.pose_graph.incremental import PreviousSolution
 from wafer_viewer.reconstruct.pose_graph.lateral_poses import Positions, solve_positions
 from wafer_viewer.reconstruct.pose_graph.vertical_poses import VerticalPoses, solve_heights
 from wafer_viewer.reconstruct.registration.height_seams import compare
-from wafer_viewer.reconstruct.registration.misplaced_fields import suspects
+from wafer_viewer.reconstruct.registration.misplaced_fields import misplaced_fields
 from wafer_viewer.reconstruct.registration.neighbour_pairs import neighbours
 from wafer_viewer.reconstruct.registration.pair_registration import register
-from wafer_viewer.reconstruct.registration.stitching_notes import remarks
+from wafer_viewer.reconstruct.registration.stitching_notes import stitching_notes
 
 Pairs = NDArray[np.int32]
 Um = NDArray[np.float64]
@@ -95,7 +95,7 @@ def stitch(
         raise ComputeError("There is no field to stitch: give at least one height map.")
     placed = heights if fields is None else moved_to(heights, fields)
     numbers = range(1, len(placed) + 1) if fields is None else [f.number for f in fields]
-    eyes = _eyes_on(placed, recipe.stitching, progress or (lambda share: None))
+    eyes = _in_memory_observers(placed, recipe.stitching, progress or (lambda share: None))
     poses = find_poses(placed, numbers, np.zeros(len(placed), np.int64), recipe.stitching, eyes)
     joint = mosaic_provenance([h.provenance for h in placed], recipe)
     return StitchedMosaic(placed, layout(placed, poses), replace(joint, notes=joint.notes + poses.notes))
@@ -125,7 +125,7 @@ def find_poses(
     pairs = neighbours(outlines)
     shifts = known.shifts(pairs, eyes.register)
     positions = task.positions(shifts)
-    left_out = np.isin(np.arange(len(outlines)), suspects(len(outlines), shifts))
+    left_out = np.isin(np.arange(len(outlines)), misplaced_fields(len(outlines), shifts))
     seen = pairs[~left_out[pairs].any(axis=1)]
 
     def look(pairs: Pairs) -> HeightOffsets:
@@ -133,7 +133,7 @@ def find_poses(
 
     levels = task.levels(positions, look(seen) if final else known.seams(seen, look))
     poses = task.poses(listed, marks, left_out, positions, levels)
-    return replaced(poses, notes=poses.notes + remarks(poses, pairs, eyes.opened))
+    return replaced(poses, notes=poses.notes + stitching_notes(poses, pairs, eyes.opened))
 
 
 @dataclass(frozen=True, slots=True)
@@ -146,7 +146,7 @@ class _Task:
     fixed: NDArray[np.bool_] | None
 
     def positions(self, shifts: Shifts) -> Positions:
-        x_um, y_um = centres(self.outlines)
+        x_um, y_um = field_centres(self.outlines)
         return solve_positions(
             x_um,
             y_um,
@@ -186,7 +186,7 @@ class _Task:
         positions: Positions,
         levels: VerticalPoses,
     ) -> Poses:
-        stage_x_um, stage_y_um = centres(self.outlines)
+        stage_x_um, stage_y_um = field_centres(self.outlines)
         return Poses(
             numbers=numbers,
             marks=marks,
@@ -213,21 +213,21 @@ class _Task:
 
     def at_stage(self, numbers: NDArray[np.int32], marks: NDArray[np.int64]) -> Poses:
         """Return poses with every field at its stage position, without tilt; the uncertainties are NaN."""
-        (x_um, y_um), zero = centres(self.outlines), np.zeros(len(numbers))
+        (x_um, y_um), zero = field_centres(self.outlines), np.zeros(len(numbers))
         unknown, alone = np.full(len(numbers), np.nan), np.arange(len(numbers), dtype=np.int32)
         whole = np.zeros(len(numbers), bool)
         place = (x_um, y_um, x_um, y_um, zero, zero, zero, unknown, unknown, unknown)
         return Poses(numbers, marks, *place, alone, whole, no_shifts(), no_seams())
 
 
-def centres(outlines: Sequence[Outline]) -> tuple[Um, Um]:
+def field_centres(outlines: Sequence[Outline]) -> tuple[Um, Um]:
     """Return the stage coordinates (x_um, y_um) of the field centres, [n] each."""
     x_um = [o.x0_um + (o.shape[1] - 1) / 2 * o.pixel_um for o in outlines]
     y_um = [o.y0_um - (o.shape[0] - 1) / 2 * o.pixel_um for o in outlines]
     return np.array(x_um), np.array(y_um)
 
 
-def _eyes_on(heights: Sequence[HeightMap], stitching: Stitching, progress: Progress) -> OverlapObservers:
+def _in_memory_observers(heights: Sequence[HeightMap], stitching: Stitching, progress: Progress) -> OverlapObservers:
     """Return observers for maps in memory."""
     reach_um = None if stitching.search_um == "auto" else stitching.search_um
 

@@ -70,7 +70,7 @@ class ValidatedPeaks:
         return (*(_verdict(check, row, col) for check in self.checks), *_edge_verdicts(self, row, col))
 
 
-def judge(frames: Frames, settled: TunedSearch, peaks: Peaks, threads: int | None = None) -> ValidatedPeaks:
+def validate_peaks(frames: Frames, settled: TunedSearch, peaks: Peaks, threads: int | None = None) -> ValidatedPeaks:
     """Apply all gates and the edge processing of the recipe to the peaks of a field.
 
     threads: all cores if omitted.
@@ -85,7 +85,13 @@ def judge(frames: Frames, settled: TunedSearch, peaks: Peaks, threads: int | Non
     seen_um = z_um = peaks.z_um
     if edges is not None:
         z_um, origin = judge_edges(seen_um, origin, edges)
-    notes = _off(settled, frames.n_frames) if not enough else _walls_untested(frames, settled) if how else ()
+    notes = (
+        _disabled_gates_note(settled, frames.n_frames)
+        if not enough
+        else _walls_untested(frames, settled)
+        if how
+        else ()
+    )
     return ValidatedPeaks(dataclasses.replace(peaks, z_um=z_um), seen_um, origin, asked, edges, how is not None, notes)
 
 
@@ -117,7 +123,7 @@ def window_along(search: Search) -> int:
     return 2 * round((search.window * _BOXES_OF_A_TRIANGLE - 1) / 2) + 1
 
 
-def _off(settled: TunedSearch, n_frames: int) -> tuple[str, ...]:
+def _disabled_gates_note(settled: TunedSearch, n_frames: int) -> tuple[str, ...]:
     """Return a note on the requested gates that are disabled in a short stack."""
     recipe = settled.recipe
     wanted = (
@@ -171,7 +177,7 @@ def _edge_verdicts(judged: ValidatedPeaks, row: int, col: int) -> tuple[Verdict,
         limit=edges.tolerance_um,
         unit="um",
         passed=bool(known and off_um < edges.tolerance_um),
-        note=_beside(edges, row, col),
+        note=_wall_side_note(edges, row, col),
     )
     if edges.side[row, col] != EdgeSide.DARK:
         return (beside,)
@@ -186,7 +192,7 @@ def _edge_verdicts(judged: ValidatedPeaks, row: int, col: int) -> tuple[Verdict,
     return beside, along
 
 
-def _beside(edges: BleedingEdges, row: int, col: int) -> str:
+def _wall_side_note(edges: BleedingEdges, row: int, col: int) -> str:
     """Return a note with the pixel's side of the wall and any missing reference height."""
     where = {
         EdgeSide.DARK: "On the dark side of a wall",

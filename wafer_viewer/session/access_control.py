@@ -34,7 +34,7 @@ rig or changes the plan, the dataset or the results.
 """
 
 
-def seat(session: SessionApi, key: Callable[[], str]) -> SessionApi:
+def restricted_session(session: SessionApi, key: Callable[[], str]) -> SessionApi:
     """Return the session as the browser with key `key` may use it.
 
     It has all attributes of `session`. Commands that need control return a future that fails with ControlHeldError for
@@ -54,10 +54,10 @@ class _Seat:
         if path in FREE or name.startswith("_"):
             return meant
         if callable(meant):
-            return self._if_held(meant)
+            return self._require_control(meant)
         return _Seat(meant, self._why_not, f"{path}.") if _is_group(meant) else meant
 
-    def _if_held(self, verb: Callable[..., Any]) -> Callable[..., Any]:
+    def _require_control(self, verb: Callable[..., Any]) -> Callable[..., Any]:
         def ask(*args: Any, **kwargs: Any) -> Any:
             why = self._why_not()
             return verb(*args, **kwargs) if why is None else _refused(why)

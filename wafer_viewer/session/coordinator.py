@@ -28,7 +28,7 @@ from wafer_viewer.session.measurement.results import ResultsStore
 from wafer_viewer.session.measurement.review_notes import NotebookKeeper
 from wafer_viewer.session.planning.job_commands import JobKeeper
 from wafer_viewer.session.planning.plan_editor import Drafting, suggested_name
-from wafer_viewer.session.planning.preflight import look_round, require_go
+from wafer_viewer.session.planning.preflight import preflight_of_snapshot, require_passed
 from wafer_viewer.session.planning.trial_commands import TrialKeeper
 from wafer_viewer.session.planning.verdicts import Judge
 from wafer_viewer.session.session_restore import SessionRestore
@@ -95,7 +95,7 @@ class SessionCoordinator:
         self.gauge.close()
         self.rig.close()
         self.reconstruction.compute.close()
-        self.library.let_go()
+        self.library.release_lock()
 
     def open(self, path: Path) -> Path:
         """Open a dataset and compute the missing parts of its surface."""
@@ -103,7 +103,7 @@ class SessionCoordinator:
         self.reconstruction.abandon()
         self.library.open(path)
         self._open_books()
-        self._make_what_is_missing()
+        self._compute_missing()
         self.library.refresh()
         return path
 
@@ -133,7 +133,7 @@ class SessionCoordinator:
             self.reconstruction.abandon()
             self.library.show_result(result)
             self._open_books()
-            self._make_what_is_missing()
+            self._compute_missing()
 
     def move_to(self, move: Move, n_stops: int | None = None) -> Future[None]:
         """Move the stage; the sample on it must be confirmed."""
@@ -155,7 +155,7 @@ class SessionCoordinator:
         job, plan = self.drafting.ready()
         path = self._path_for(name or free_name(self._folder, f"{suggested_name(job)}-{time.strftime('%Y%m%d')}"))
         require_space(self._folder, plan.bytes_on_disk, path.stem)
-        require_go(look_round(self.desk.now, self.rig.latest_frame, today()))
+        require_passed(preflight_of_snapshot(self.desk.now, self.rig.latest_frame, today()))
         return self._begin(Scan(path, plan, job))
 
     def continue_scan(self) -> Future[Path]:
@@ -167,7 +167,7 @@ class SessionCoordinator:
             raise DatasetError(f"The scan cannot be continued: {shown.read_only}")
         if not self.library.dataset.missing():
             raise DatasetError(f"{shown.name} has all its frames: there is nothing to continue.")
-        self.library.let_go()
+        self.library.release_lock()
         return self._begin(Scan(shown.path, shown.plan, shown.job, goes_on=True))
 
     def stop_scan(self) -> Future[None]:
@@ -225,10 +225,10 @@ class SessionCoordinator:
         self.reconstruction.abandon()
         self._scan_over = Future()
         begun = self.rig.scan(scan)
-        begun.add_done_callback(lambda done: self.desk.note(self._unless_begun, done))
+        begun.add_done_callback(lambda done: self.desk.note(self._scan_refused, done))
         return self.desk.then(begun, lambda _: self._scan_begun(scan.path))
 
-    def _unless_begun(self, begun: Future[None]) -> None:
+    def _scan_refused(self, begun: Future[None]) -> None:
         """Take back the open dataset after the rig refused the scan."""
         if begun.exception() is None:
             return
@@ -280,7 +280,7 @@ class SessionCoordinator:
         self.drafting.price()
         self._scan_over.set_result(None)
 
-    def _make_what_is_missing(self) -> None:
+    def _compute_missing(self) -> None:
         """Compute missing heights, mosaic and summary, as far as the dataset is writable."""
         shown, result = self.library.shown, self.library.result
         taken = [n for n, s in shown.states.items() if s is FieldState.TAKEN]
@@ -304,10 +304,10 @@ def _sample_of(now: Snapshot) -> Sample | None:
 
 def _made(folder: Path) -> Path:
     """Return the data folder as an absolute path; create it if it does not exist."""
-    from wafer_viewer.store.io.atomic_files import writing
+    from wafer_viewer.store.io.atomic_files import os_errors_as_dataset_errors
 
     if folder.exists() and not folder.is_dir():
         raise DatasetError(f"{folder} is a file: choose a folder for the datasets.")
-    with writing(folder):
+    with os_errors_as_dataset_errors(folder):
         folder.mkdir(parents=True, exist_ok=True)
     return folder.absolute()

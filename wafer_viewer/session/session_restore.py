@@ -82,11 +82,11 @@ class SessionRestore:
         A folder that cannot be written to is no reason; the state is then not stored, and the log says so.
         """
         from wafer_viewer.store.dataset.lock import Lock, holder_of
-        from wafer_viewer.store.io.atomic_files import writing
+        from wafer_viewer.store.io.atomic_files import os_errors_as_dataset_errors
 
         folder = self._path.parent
         try:
-            with writing(folder):
+            with os_errors_as_dataset_errors(folder):
                 folder.mkdir(exist_ok=True)
             self._held = Lock.take(folder)
         except DatasetError as fault:

@@ -15,7 +15,7 @@ from wafer_viewer.model.inspection.golden_die import GoldenHeader
 from wafer_viewer.model.region import Point
 from wafer_viewer.model.spec import replace
 from wafer_viewer.session.inspection.inspection_files import SAME_PLACE_UM, DefectFiles
-from wafer_viewer.session.inspection.klarf_overlay import laid_over
+from wafer_viewer.session.inspection.klarf_overlay import overlay_klarf
 from wafer_viewer.session.state.inspection_resources import DefectShelf
 from wafer_viewer.store.tables.klarf_writer import write_klarf
 
@@ -91,7 +91,7 @@ class FakeDefectFiles(Recording):
     def lay_over(self, path: Path, unit: Any = None, within_um: float = SAME_PLACE_UM) -> Future[Any]:
         now = self._session.snapshot
         try:
-            other = laid_over(path, now.dataset.job.alignment, now.inspection.inspection, unit, within_um)
+            other = overlay_klarf(path, now.dataset.job.alignment, now.inspection.inspection, unit, within_um)
         except WaferViewerError as fault:
             refused: Future[Any] = Future()
             refused.set_exception(fault)

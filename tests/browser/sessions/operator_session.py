@@ -8,7 +8,7 @@ from typing import Any
 
 from tests.browser.sessions import fake_session as fake
 from tests.support.datasets.released import DIE, MARKS, release_of
-from wafer_viewer.measure.verdict import judge, judge_dies, overall, what_next
+from wafer_viewer.measure.verdict import judge, judge_dies, next_action, overall
 from wafer_viewer.model.acquisition.alignment import Alignment
 from wafer_viewer.model.job.job import Job
 from wafer_viewer.model.job.revision_trial import NotTried, Trial, TriedWafer, VerdictChange
@@ -59,7 +59,7 @@ def a_verdict(die_um: float, pad_um: float, u_um: float = 0.14) -> WaferVerdict:
     items = (judge(DIE, height_of(die_um, u_um)), judge(PAD, height_of(pad_um, 0.06)))
     return WaferVerdict(
         word=overall(items),
-        next=what_next(items),
+        next=next_action(items),
         items=items,
         job="Coupon 6 mm B",
         lot="L2231",
@@ -93,7 +93,7 @@ def on_dies() -> WaferVerdict:
         replace(judge(per_die, height_of(heights_um.get(die.name, 30.03), 0.14)), die=die.name) for die in dies.all()
     )
     items = (*items, judge(PAD, height_of(2.01, 0.06)))
-    return replace(PASS, word=overall(items), next=what_next(items), items=items, dies=judge_dies(items, dies))
+    return replace(PASS, word=overall(items), next=next_action(items), items=items, dies=judge_dies(items, dies))
 
 
 def a_trial() -> Trial:

@@ -7,7 +7,7 @@ import dataclasses
 from tests.browser.sessions.operator_session import height_of
 from tests.browser.sessions.stitched_session import StitchedSession
 from tests.support.datasets.released import DIE
-from wafer_viewer.measure.verdict import judge, overall, what_next
+from wafer_viewer.measure.verdict import judge, next_action, overall
 from wafer_viewer.model.job.verdict import FeatureVerdict, WaferVerdict
 from wafer_viewer.model.region import Region
 from wafer_viewer.model.spec import replace
@@ -22,7 +22,7 @@ def reviewed_session() -> StitchedSession:
     session = StitchedSession(3, 3)
     items = tuple(_judged(*measured) for measured in MEASURED)
     verdict = WaferVerdict(
-        word=overall(items), next=what_next(items), items=items, job="Coupon B", wafer_id="W07", released=True
+        word=overall(items), next=next_action(items), items=items, job="Coupon B", wafer_id="W07", released=True
     )
     data = session.snapshot.dataset
     if data is None:

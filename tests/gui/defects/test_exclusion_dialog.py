@@ -4,8 +4,8 @@ from __future__ import annotations
 
 from tests.browser.sessions.inspected_session import PLANTED, found
 from wafer_viewer.draw.charts.die_stack import die_stack_svg
-from wafer_viewer.gui.defects.exclusion_dialog import area_table, place_of
-from wafer_viewer.gui.defects.inspection_form_text import areas, left_out, more
+from wafer_viewer.gui.defects.exclusion_dialog import area_of_defect, area_table
+from wafer_viewer.gui.defects.inspection_form_text import advanced_settings_header, areas, exclusion_line_html
 from wafer_viewer.gui.presenters.review.inspection_form_values import DefectForm, form_of, recipe_of
 from wafer_viewer.model.inspection.defect import DefectRecipe
 from wafer_viewer.model.region import Region
@@ -24,10 +24,10 @@ def test_the_form_keeps_them_there_and_back():
 
 def test_how_many_there_are_is_said_in_the_form_folded_or_not():
     assert areas(DefectForm()) == "the whole die is searched"
-    assert "left out" not in more(DefectForm(), False)
+    assert "left out" not in advanced_settings_header(DefectForm(), False)
     two = DefectForm(excluded=(SQUARE, ROUND))
-    assert "2 areas of every die left out" in more(two, False)
-    assert "1 area of every die left out" in left_out(DefectForm(excluded=(SQUARE,)))
+    assert "2 areas of every die left out" in advanced_settings_header(two, False)
+    assert "1 area of every die left out" in exclusion_line_html(DefectForm(excluded=(SQUARE,)))
 
 
 def test_each_is_listed_with_its_extent_and_a_way_to_search_there_again():
@@ -41,7 +41,7 @@ def test_each_is_listed_with_its_extent_and_a_way_to_search_there_again():
 
 def test_the_place_of_a_defect_lies_round_it_counted_from_its_die():
     defect = next(d for d in found(PLANTED).found if d.in_die is not None)
-    (area,) = place_of(defect)
+    (area,) = area_of_defect(defect)
     x0, y0, x1, y1 = area.bounds_um
     xa, ya, xb, yb = defect.outline.bounds_um
     assert defect.in_die is not None
@@ -49,7 +49,7 @@ def test_the_place_of_a_defect_lies_round_it_counted_from_its_die():
     assert y0 < defect.in_die.y_um < y1
     assert (x1 - x0) > (xb - xa)
     assert (y1 - y0) > (yb - ya)
-    assert place_of(None) == place_of(replace(defect, in_die=None)) == ()
+    assert area_of_defect(None) == area_of_defect(replace(defect, in_die=None)) == ()
 
 
 def test_they_are_veiled_where_all_dies_lie_on_one():

@@ -9,7 +9,13 @@ import pytest
 
 from tests.browser.sessions.fake_defect_files import a_shelf
 from tests.browser.sessions.inspected_session import GRID, PLANTED, found
-from wafer_viewer.gui.defects.inspection_form_text import expectation, golden_table, more, unreadable, which_recipe
+from wafer_viewer.gui.defects.inspection_form_text import (
+    advanced_settings_header,
+    expectation,
+    golden_table,
+    recipe_origin_text,
+    unreadable,
+)
 from wafer_viewer.gui.presenters.review.defect_limits import limits_of, text_of, verdict
 from wafer_viewer.gui.presenters.review.inspection_form_values import (
     FORM,
@@ -110,15 +116,15 @@ def test_the_form_says_which_recipe_it_stands_for():
     standard = shelf.recipe_of("LX-7")
     assert standard is not None
     assert standard.name == "standard"
-    assert which_recipe(standard, standard, shelf, True) == "Recipe “standard” of LX-7, as saved."
-    assert "Applied automatically" in which_recipe(standard, standard, shelf, False)
+    assert recipe_origin_text(standard, standard, shelf, True) == "Recipe “standard” of LX-7, as saved."
+    assert "Applied automatically" in recipe_origin_text(standard, standard, shelf, False)
     turned = replace(standard, sensitivity=0.9)
-    assert "changed, not saved" in which_recipe(standard, turned, shelf, False)
-    assert "As no recipe of LX-7" in which_recipe(DefectRecipe(), replace(turned, name=""), shelf, False)
-    assert "As the surface was inspected" in which_recipe(turned, turned, shelf, True)
+    assert "changed, not saved" in recipe_origin_text(standard, turned, shelf, False)
+    assert "As no recipe of LX-7" in recipe_origin_text(DefectRecipe(), replace(turned, name=""), shelf, False)
+    assert "As the surface was inspected" in recipe_origin_text(turned, turned, shelf, True)
     other = DefectRecipe(product="LX-9")
-    assert "No recipe of LX-9 is kept" in which_recipe(other, other, shelf, False)
-    assert "Without a product" in which_recipe(other, DefectRecipe(), shelf, False)
+    assert "No recipe of LX-9 is kept" in recipe_origin_text(other, other, shelf, False)
+    assert "Without a product" in recipe_origin_text(other, DefectRecipe(), shelf, False)
     assert shelf.recipe_of("") is None
     assert unreadable(shelf) == ""
     assert unreadable(dataclasses.replace(shelf, problems=("torn",))).startswith("1 recipe file cannot be read")
@@ -135,10 +141,10 @@ def test_golden_dies_of_the_product_are_listed_and_the_newest_follows_its_name()
 
 
 def test_what_is_folded_away_is_told_in_a_line():
-    assert "no limits" in more(form_of(DefectRecipe(), None), False)
-    line = more(form_of(KEPT, None), False)
+    assert "no limits" in advanced_settings_header(form_of(DefectRecipe(), None), False)
+    line = advanced_settings_header(form_of(KEPT, None), False)
     assert "Picture; scales 0, 2.5 px; dies: the job's, or found; at most 3 per die and 0.1 per mm²" in unescape(line)
-    assert "scales" not in more(form_of(KEPT, None), True)
+    assert "scales" not in advanced_settings_header(form_of(KEPT, None), True)
 
 
 def test_limits_are_typed_and_lead_to_a_verdict():

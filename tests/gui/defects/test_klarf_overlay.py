@@ -7,15 +7,15 @@ from pathlib import Path
 
 from tests.browser.sessions.fake_defect_files import other_file
 from tests.browser.sessions.inspected_session import PLANTED, found
-from wafer_viewer.gui.defects.klarf_overlay import other_marks, told
-from wafer_viewer.session.inspection.klarf_overlay import laid_over
+from wafer_viewer.gui.defects.klarf_overlay import other_marks, overlay_html
+from wafer_viewer.session.inspection.klarf_overlay import overlay_klarf
 
 INSPECTION = found(PLANTED)
 
 
 def test_both_sides_are_counted_and_the_rest_is_listed(tmp_path: Path):
-    other = laid_over(other_file(tmp_path, INSPECTION), None, INSPECTION, within_um=20.0)
-    said = unescape(told(other, INSPECTION.defects))
+    other = overlay_klarf(other_file(tmp_path, INSPECTION), None, INSPECTION, within_um=20.0)
+    said = unescape(overlay_html(other, INSPECTION.defects))
     assert "8 places of another tool: 6 found here too, 2 not." in said
     assert "1 found here is not in the file." in said
     assert "The same within 20 µm" in said
@@ -24,7 +24,7 @@ def test_both_sides_are_counted_and_the_rest_is_listed(tmp_path: Path):
 
 
 def test_all_of_it_is_on_the_map_and_can_be_clicked(tmp_path: Path):
-    other = laid_over(other_file(tmp_path, INSPECTION), None, INSPECTION)
+    other = overlay_klarf(other_file(tmp_path, INSPECTION), None, INSPECTION)
     marks = other_marks(other)
     assert len(marks) == 8
     assert {mark.shape for mark in marks} == {"ring"}

@@ -9,7 +9,7 @@ import pytest
 
 from tests.support.made_up_sections import hill, section_of
 from wafer_viewer.gui.measure.live_profiles import LiveProfiles
-from wafer_viewer.gui.measure.plot_interaction import CursorMove, told_cursor, told_shares
+from wafer_viewer.gui.measure.plot_interaction import CursorMove, parse_cursor_event, parse_drag
 from wafer_viewer.gui.measure.profile_line_commands import LineVerbs
 from wafer_viewer.gui.presenters.profile import head
 from wafer_viewer.gui.state.browser_storage import changed
@@ -158,9 +158,9 @@ def test_what_is_typed_and_told_stays_on_the_line_and_on_the_plot():
     plot = with_cursor(with_cursor(PlotView(), 0, -0.2), 1, 1.7)
     assert plot.cursors == (0.0, 1.0)
     assert with_cursor(plot, 1, 0.4).cursors == (0.0, 0.4)
-    assert told_shares("-0.1:1.4") == (0.0, 1.0)
-    assert told_cursor("1:23.5::") == CursorMove(1, 23.5, by_key=False, released=False)
-    assert told_cursor("0:4:key:end") == CursorMove(0, 4.0, by_key=True, released=True)
+    assert parse_drag("-0.1:1.4") == (0.0, 1.0)
+    assert parse_cursor_event("1:23.5::") == CursorMove(1, 23.5, by_key=False, released=False)
+    assert parse_cursor_event("0:4:key:end") == CursorMove(0, 4.0, by_key=True, released=True)
 
 
 def test_the_head_names_every_line_and_reads_the_cursors():

@@ -11,7 +11,7 @@ from tests.browser.sessions import fake_session as fake
 from tests.support.made_up_poses import made_up_poses, stitching_of
 from tests.support.page_stand_in import grid
 from wafer_viewer.gui.page.control_handover import HANDS_ON
-from wafer_viewer.gui.page.status_bar import calibration, due, job_shown, motion, placement, sample, surface
+from wafer_viewer.gui.page.status_bar import calibration, calibration_due, job_shown, motion, placement, sample, surface
 from wafer_viewer.gui.state.view_state import View
 from wafer_viewer.model.acquisition.calibration import Calibration
 from wafer_viewer.model.acquisition.sample import Sample
@@ -38,19 +38,19 @@ def calibrated(until: str) -> Calibration:
     ],
 )
 def test_the_calibration_counts_down(until, said, tone):
-    words, colour, more = due(calibrated(until), TODAY)
+    words, colour, more = calibration_due(calibrated(until), TODAY)
     assert (words, colour) == (said, tone)
     assert "block 2" in more
 
 
 def test_the_calibration_of_a_simulation_is_never_due():
-    words, tone, more = due(replace(calibrated("2999-12-31"), simulated=True), TODAY)
+    words, tone, more = calibration_due(replace(calibrated("2999-12-31"), simulated=True), TODAY)
     assert (words, tone) == ("Calibrated by simulation", "")
     assert "nothing real" in more
 
 
 def test_no_calibration_is_said_in_words():
-    assert due(None, TODAY)[:2] == ("No calibration", "fault")
+    assert calibration_due(None, TODAY)[:2] == ("No calibration", "fault")
     now = fake.measured("imported without one")
     words, tone, more = calibration(now, View(step="surface"), TODAY)
     assert (words, tone) == ("Uncalibrated", "fault")

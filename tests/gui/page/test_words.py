@@ -13,8 +13,8 @@ from hypothesis import strategies as st
 
 from tests.browser.sessions import fake_session as fake
 from tests.browser.sessions import seen_session as seen
-from wafer_viewer.gui.page.bottom_panel import room_px
-from wafer_viewer.gui.page.dialogs import when
+from wafer_viewer.gui.page.bottom_panel import bottom_panel_height_px
+from wafer_viewer.gui.page.dialogs import format_time
 from wafer_viewer.gui.page.header import STEPS, done, possible
 from wafer_viewer.gui.presenters import focus_evidence, measurement
 from wafer_viewer.gui.state.view_state import View
@@ -58,7 +58,7 @@ NOW = datetime(2026, 11, 21, 12, 0, tzinfo=timezone(timedelta(hours=1)))
     ],
 )
 def test_times_read_as_people_say_them(taken, said):
-    assert when(taken, NOW) == said
+    assert format_time(taken, NOW) == said
 
 
 @pytest.mark.parametrize(
@@ -205,9 +205,11 @@ def test_what_a_gate_says_does_not_become_markup(text):
 
 def test_a_simulated_curve_says_so():
     curve = seen.a_focus_curve(0.0, 0.0)
-    assert focus_evidence.source(curve).startswith("SIMULATED · Tenengrad")
-    assert "SIMULATED" not in focus_evidence.source(replace(curve, simulated=False))
-    assert focus_evidence.source(replace(curve, focus_measure="of_old", simulated=False)).startswith("Of old,")
+    assert focus_evidence.focus_measurement_text(curve).startswith("SIMULATED · Tenengrad")
+    assert "SIMULATED" not in focus_evidence.focus_measurement_text(replace(curve, simulated=False))
+    assert focus_evidence.focus_measurement_text(replace(curve, focus_measure="of_old", simulated=False)).startswith(
+        "Of old,"
+    )
 
 
 @pytest.mark.parametrize(
@@ -222,4 +224,4 @@ def test_a_simulated_curve_says_so():
 )
 def test_one_curve_at_a_time_takes_the_room_below_the_scene(view, below):
     assert view.below == below
-    assert (room_px(view) > 0) == (below != "none")
+    assert (bottom_panel_height_px(view) > 0) == (below != "none")

@@ -15,7 +15,7 @@ from wafer_viewer.gui.presenters.preflight import section
 from wafer_viewer.gui.presenters.verdict import card, features
 from wafer_viewer.model.acquisition.devices import Overview
 from wafer_viewer.model.spec import replace
-from wafer_viewer.session.planning.preflight import look_round
+from wafer_viewer.session.planning.preflight import preflight_of_snapshot
 
 OVERVIEW = Overview(np.zeros((1000, 1000), np.uint8), 6.0, -2997.0, 2997.0, (), (), "wafer")
 JOB = day.a_released_job("W07")
@@ -59,7 +59,7 @@ def test_dies_suggest_corners_far_apart():
 
 
 def test_each_line_of_the_look_round_has_a_word_beside_its_colour():
-    said = section(look_round(day.aligned(14.6), None, "2026-11-21"))
+    said = section(preflight_of_snapshot(day.aligned(14.6), None, "2026-11-21"))
     assert [re.search(r'aria-label="(\w+)"', part).group(1) for part in said.split('role="listitem"')[1:]] == [
         *("ok", "stop", "ok", "ok", "ok", "ok")
     ]

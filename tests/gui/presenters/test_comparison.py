@@ -20,14 +20,14 @@ def plain(html: str) -> str:
 
 
 def test_pairs_are_called_by_what_tells_them_apart():
-    assert words.pair_words(FIRST, GOLDEN) == "L2231-W07-golden"
-    assert words.pair_words(RAW, CLEANED) == "Measured and filtered"
-    assert words.pair_words(FIRST, SurfaceName(path=FIRST.path, result="levy")) == "Result levy"
+    assert words.pair_label(FIRST, GOLDEN) == "L2231-W07-golden"
+    assert words.pair_label(RAW, CLEANED) == "Measured and filtered"
+    assert words.pair_label(FIRST, SurfaceName(path=FIRST.path, result="levy")) == "Result levy"
     assert (
         SurfaceName(path="C:\\data\\a.npz", result="levy", field=3, heights="raw").words
         == "a.npz · levy · field 3 · raw"
     )
-    assert words.subtracted(comparisons()[0].comparison) == "First: L2231-W07. Second: L2231-W07-after."
+    assert words.surfaces_sentence(comparisons()[0].comparison) == "First: L2231-W07. Second: L2231-W07-after."
 
 
 def test_every_number_of_an_alignment_stands_with_its_uncertainty():
@@ -50,16 +50,16 @@ def test_numbers_have_signs_and_limits():
     assert "beyond ±0.22 µm" in said
     assert "4.97 pl" in said
     assert words.volume(2.5e6).replace("\u202f", " ") == "2.50 nl"
-    assert "1.3" in plain(words.answer(CHANGE))
+    assert "1.3" in plain(words.change_figures(CHANGE))
 
 
 def test_what_weakens_a_comparison_is_said():
     comparison = comparisons()[0].comparison
-    assert "uncalibrated" in words.cautions(comparison, outdated=False)
-    assert words.OUTDATED in words.cautions(comparison, outdated=True)
+    assert "uncalibrated" in words.warnings(comparison, outdated=False)
+    assert words.OUTDATED in words.warnings(comparison, outdated=True)
     little = replace(comparison, calibrated=True, registration=replace(ALIGNED, overlap_fraction=0.2))
-    assert plain(words.cautions(little, outdated=False)).strip("|").startswith("Only 20.0 % of the first")
-    assert words.cautions(replace(comparison, calibrated=True), outdated=False) == ""
+    assert plain(words.warnings(little, outdated=False)).strip("|").startswith("Only 20.0 % of the first")
+    assert words.warnings(replace(comparison, calibrated=True), outdated=False) == ""
 
 
 @pytest.mark.parametrize("face", ComparisonFace)

@@ -21,7 +21,7 @@ from wafer_viewer.gui.presenters.gauge_procedure import next_point, points, proc
 from wafer_viewer.gui.presenters.gauge_rr import study
 from wafer_viewer.gui.presenters.site_range import sites
 from wafer_viewer.gui.state.view_state import View
-from wafer_viewer.gui.tools.gauge_regions import by_hand, in_scene
+from wafer_viewer.gui.tools.gauge_regions import default_faces, in_scene
 from wafer_viewer.model.errors import MeasureError
 from wafer_viewer.model.gauge.run_chart import RunChart
 from wafer_viewer.model.measurement.tool_options import SiteRangeOptions, ToolOptions
@@ -116,7 +116,7 @@ def test_faces_laid_by_hand_lie_side_by_side_on_the_surface():
     info = session.snapshot.surface
     session.close()
     assert info is not None
-    upper, lower = by_hand(info)
+    upper, lower = default_faces(info)
     assert lower.bounds_um[2] < upper.bounds_um[0]
     assert info.x0_um < lower.bounds_um[0]
     assert upper.bounds_um[2] < info.x0_um + info.cols * info.pixel_um

@@ -8,7 +8,7 @@ from tests.browser.sessions.measuring_session import MeasuringSession
 from tests.browser.sessions.shaped_session import ShapedSession
 from wafer_viewer.gui.presenters import measurement as words
 from wafer_viewer.gui.presenters.provenance import ZERO, source
-from wafer_viewer.gui.presenters.result_regions import bounds_of, drawn_of, places_of, tool_of
+from wafer_viewer.gui.presenters.result_regions import bounds_of, drawn_regions, input_regions, tool_of
 from wafer_viewer.gui.scenes.thumbnails import HEIGHT_PX, WIDTH_PX, framed, outlines
 from wafer_viewer.model.findings import AnyResult
 from wafer_viewer.model.measurement.levelling import PLACES, Levelling
@@ -78,8 +78,8 @@ def test_a_budget_stands_in_the_unit_of_its_answer():
 @pytest.mark.parametrize("tool", list(TOOLS))
 def test_every_result_leads_back_to_its_tool_and_its_places(tool, found):
     assert tool_of(found[tool]) == tool
-    assert places_of(found[tool]) == {**PLACES_OF, **SHAPED}[tool]
-    assert set(places_of(found[tool])) <= set(drawn_of(found[tool]))
+    assert input_regions(found[tool]) == {**PLACES_OF, **SHAPED}[tool]
+    assert set(input_regions(found[tool])) <= set(drawn_regions(found[tool]))
 
 
 @pytest.mark.parametrize("tool", list(TOOLS))
@@ -102,7 +102,7 @@ def test_every_way_of_levelling_has_words():
 
 
 def test_signs_are_letters_of_their_own(found):
-    assert len({words.letter(finding) for finding in found.values()}) == len(found)
+    assert len({words.symbol(finding) for finding in found.values()}) == len(found)
 
 
 def test_what_is_flown_to_holds_all_places_and_has_a_least_size(found):
@@ -116,4 +116,6 @@ def test_places_are_outlined_within_their_picture(tool, found):
     x0, y0, x1, y1 = box = framed(bounds_of(found[tool], 20))
     assert (x1 - x0) / (y1 - y0) == pytest.approx(WIDTH_PX / HEIGHT_PX)
     drawn = outlines(found[tool], box)
-    assert drawn.count("<circle") + drawn.count("<polygon") + drawn.count("<polyline") == len(drawn_of(found[tool]))
+    assert drawn.count("<circle") + drawn.count("<polygon") + drawn.count("<polyline") == len(
+        drawn_regions(found[tool])
+    )

@@ -39,8 +39,8 @@ def test_ready_recipes_go_by_their_names_and_others_are_ones_own():
 
 
 def test_one_line_says_how():
-    assert words.how(fake.SETTLED) == "Log-Laplacian · window 9\u202fpx · Blur law"
-    assert words.how(Recipe()) == "Log-Laplacian · window from the data · Blur law"
+    assert words.summary(fake.SETTLED) == "Log-Laplacian · window 9\u202fpx · Blur law"
+    assert words.summary(Recipe()) == "Log-Laplacian · window from the data · Blur law"
 
 
 def test_only_what_was_left_to_the_data_is_told_as_chosen_by_them():
@@ -64,7 +64,7 @@ def test_flights_are_told_where_there_are_any(mode, said):
 
 
 def test_only_the_papers_method_believes_every_peak():
-    assert [words.believes_all(READY_RECIPES[key]) for key in ("default", "paper")] == [False, True]
+    assert [words.accepts_all_peaks(READY_RECIPES[key]) for key in ("default", "paper")] == [False, True]
 
 
 def test_notes_that_differ_by_numbers_alone_are_told_once_and_unfold():

@@ -9,7 +9,7 @@ import pytest
 from tests.gui.plan.test_operator_words import words
 from tests.session.conftest import small_job
 from wafer_viewer.draw.charts.die_map import die_map_svg
-from wafer_viewer.gui.plan.dies_dialog import lattice_of, on_the_die_it_is_on, within_fields
+from wafer_viewer.gui.plan.dies_dialog import lattice_of, relative_to_die, within_fields
 from wafer_viewer.gui.plan.job_dialogs import trial_is_old
 from wafer_viewer.gui.presenters.result_features import kept_features
 from wafer_viewer.gui.presenters.revision_trial import MOST_CHANGES, before_release, trial
@@ -122,9 +122,9 @@ def test_the_dies_that_the_fields_show_whole_are_kept_and_a_place_is_counted_fro
     assert lattice_of(seen).cols == 4
     assert lattice_of(lattice) == lattice
     place = Region.rectangle(60, 10, 80, 20)
-    (counted,) = on_the_die_it_is_on((place,), seen)
+    (counted,) = relative_to_die((place,), seen)
     assert counted == Region.rectangle(10, 5, 30, 15)
     with pytest.raises(PlanError, match="lie on no die"):
-        on_the_die_it_is_on((Region.point(300, 300),), seen)
+        relative_to_die((Region.point(300, 300),), seen)
     with pytest.raises(PlanError, match="No die of this lattice"):
         within_fields(replace(lattice, x0_um=900.0), job)

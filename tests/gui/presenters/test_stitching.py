@@ -53,7 +53,7 @@ def test_the_form_that_the_stage_alone_knows_stands_in_the_details():
 
 
 def test_doubted_overlaps_are_named_the_farthest_off_first_and_blank_ones_last():
-    rows = rows_of(words.doubted(POSES, 0.5))
+    rows = rows_of(words.rejected_overlaps(POSES, 0.5))
     assert {row[0] for row in rows[:2]} == {"5 – 8", "1 – 2"}
     assert rows[2] == ["4 – 5", "nothing to compare", "–", "–"]
     off = [float(row[2]) for row in rows[:2]]
@@ -67,11 +67,11 @@ def test_many_doubted_overlaps_unfold_and_the_rest_is_counted():
     shifts = poses.shifts
     doubt = np.full(len(shifts.doubt), RejectionReason.UNLIKE, np.uint8)
     all_doubted = dataclasses.replace(poses, shifts=dataclasses.replace(shifts, doubt=doubt))
-    said = words.doubted(all_doubted, 0.5)
+    said = words.rejected_overlaps(all_doubted, 0.5)
     assert len(rows_of(said)) == words.LISTED
     assert f"{180 - words.SHOWN} more" in text(said)
     assert f"and {180 - words.LISTED} with smaller offsets" in text(said)
-    assert words.doubted(dataclasses.replace(poses, shifts=shifts), 0.5) == ""
+    assert words.rejected_overlaps(dataclasses.replace(poses, shifts=shifts), 0.5) == ""
 
 
 def test_what_a_person_should_look_at_is_said_in_sentences():

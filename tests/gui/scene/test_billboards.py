@@ -72,7 +72,7 @@ def test_nothing_of_the_surface_stands_before_a_sign(preset) -> None:
     land, gaze = walled(), gaze_from(direction_of(preset))
     corners = stand(land, gaze, np.array([0.15, 0.15, 0.0]), -12.0)
     ways = corners[:, None] + (gaze.eye - corners[:, None]) * np.linspace(0, 1, 400)[:, None]
-    assert (ways[..., 2] >= land.seen_z_mm(ways[..., 0], ways[..., 1])).all()
+    assert (ways[..., 2] >= land.visible_z_mm(ways[..., 0], ways[..., 1])).all()
 
 
 def test_a_sign_that_nothing_hides_stays_at_its_place() -> None:

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from tests.support.page_stand_in import MemoryShelf, height_map
-from wafer_viewer.gui.scene.fine_picking import land_nearby
+from wafer_viewer.gui.scene.fine_picking import refine_height_field
 from wafer_viewer.gui.scene.heightfield import HeightField
 from wafer_viewer.gui.scene.scene_contents import DisplayedSurface
 from wafer_viewer.model.errors import DatasetError
@@ -49,7 +49,7 @@ def test_a_click_hits_the_pixel_it_seems_to(surface, datum):
         over = datum.at(np.float64(x_um), np.float64(-400.0)) if datum else 0.0
         top = np.array([x_um * 1e-3, -0.4, on_show.scene_z(60.0 - float(over))])
         origin = top + np.array([0.0, -0.8, 1.1])
-        near = land_nearby(lambda show: surface, land, origin, top - origin)
+        near = refine_height_field(lambda show: surface, land, origin, top - origin)
         found = near.hit(origin, top - origin)
         assert found is not None
         assert np.hypot(found[0] - x_um, found[1] + 400.0) < 0.71 * PIXEL_UM
@@ -67,4 +67,4 @@ def test_a_surface_that_cannot_be_read_is_hit_where_the_coarse_heights_are(surfa
         raise DatasetError("The surface is gone.")
 
     origin = np.array([0.5, -0.5, 1.0])
-    assert land_nearby(gone, land, origin, np.array([0.0, 0.0, -1.0])) is land
+    assert refine_height_field(gone, land, origin, np.array([0.0, 0.0, -1.0])) is land

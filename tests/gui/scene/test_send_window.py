@@ -50,13 +50,13 @@ def test_a_browser_that_does_not_answer_gets_no_more_and_goes_on_when_it_is_back
     gate: SendWindow, browser: Browser
 ) -> None:
     gate.sent(FIRST_BYTES // 2)
-    assert gate.is_open
+    assert gate.has_room
     assert browser.asked.acquire(timeout=20)
     gate.sent(FIRST_BYTES // 2)
-    assert not gate.is_open
+    assert not gate.has_room
     browser.answers.release()
     assert browser.opened.acquire(timeout=20)
-    assert gate.is_open
+    assert gate.has_room
 
 
 def test_a_slow_browser_is_sent_less_at_a_time(browser: Browser) -> None:
@@ -66,7 +66,7 @@ def test_a_slow_browser_is_sent_less_at_a_time(browser: Browser) -> None:
     browser.answers.release()
     assert browser.opened.acquire(timeout=20)
     gate.sent(FIRST_BYTES // 2)
-    assert not gate.is_open
+    assert not gate.has_room
     browser.gone = True
     browser.answers.release()
     gate.close()

@@ -30,7 +30,7 @@ from tests.support.page_stand_in import (
 from tests.support.stage_props import Browser, RecordingScene
 from wafer_viewer.draw.surface.display_style import DisplayStyle
 from wafer_viewer.gui.scene.camera.camera_presets import Clear, direction_of, fit
-from wafer_viewer.gui.scene.lod.surface_tiles import VERTICES, cut, look_of
+from wafer_viewer.gui.scene.lod.surface_tiles import VERTICES, cut, display_style_of
 from wafer_viewer.gui.scene.plinth import block_items
 from wafer_viewer.gui.scene.reconciler import SceneItem, SceneReconciler
 from wafer_viewer.gui.scene.scene_contents import DisplayedSurface
@@ -494,7 +494,7 @@ def test_the_place_that_is_explained_is_marked_on_the_surface(browser: Browser, 
 
 def test_origins_are_drawn_in_little_light_for_their_colours_are_looked_up():
     scale = ColourScale("origin", 0.0, 1.0, 0.0, 1.0, 0.0, 1.0, ())
-    shades = [look_of(View(colour_by=by, hillshade=0.8), scale).hillshade for by in ("height", "origin")]
+    shades = [display_style_of(View(colour_by=by, hillshade=0.8), scale).hillshade for by in ("height", "origin")]
     assert shades == pytest.approx([0.8, 0.2])
 
 

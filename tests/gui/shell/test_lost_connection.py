@@ -9,7 +9,7 @@ import pytest
 from tests.browser.sessions import fake_session as fake
 from wafer_viewer.gui.page.browser_info import BrowserInfo, is_cramped
 from wafer_viewer.gui.page.header import STEPS, why_not
-from wafer_viewer.gui.shell.lost_connection import kept_over_restart, meanwhile, out_of_reach, state
+from wafer_viewer.gui.shell.lost_connection import disconnection_summary, out_of_reach, restart_summary, state
 from wafer_viewer.gui.state.browser_storage import PanelLayout
 from wafer_viewer.session.state.snapshot import RigStatus
 
@@ -25,20 +25,20 @@ def test_a_real_rig_has_a_red_button_and_a_simulated_one_harms_nobody():
 
 
 def test_what_went_on_meanwhile_is_told_with_its_numbers():
-    assert "frame 274 of 540, 1 missing, taken again later. Nothing to do." in meanwhile(fake.scanning())
+    assert "frame 274 of 540, 1 missing, taken again later. Nothing to do." in disconnection_summary(fake.scanning())
     assert (
-        meanwhile(fake.measured())
+        disconnection_summary(fake.measured())
         == "The scan has ended: 9 of 9 fields are complete; all frames are kept. Nothing to do."
     )
     lost = dataclasses.replace(fake.planned(), rig=RigStatus(state="fault", message="The box does not answer."))
-    assert meanwhile(lost) == "The box does not answer."
+    assert disconnection_summary(lost) == "The box does not answer."
 
 
 def test_after_a_restart_stands_what_is_kept_and_what_it_waits_for():
     now = fake.unfinished()
-    assert kept_over_restart(now) == "coupon-07: 3 of 9 fields are complete; all frames are kept."
+    assert restart_summary(now) == "coupon-07: 3 of 9 fields are complete; all frames are kept."
     waits = dataclasses.replace(now, draft=dataclasses.replace(now.draft, confirmed=False))
-    assert kept_over_restart(waits).endswith("Nothing moves before the sample is confirmed.")
+    assert restart_summary(waits).endswith("Nothing moves before the sample is confirmed.")
 
 
 @pytest.mark.parametrize(

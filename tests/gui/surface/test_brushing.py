@@ -9,7 +9,7 @@ from wafer_viewer.gui.scene.camera.camera_presets import CameraPose, pixel_ray
 from wafer_viewer.gui.state.browser_storage import changed, read, write
 from wafer_viewer.gui.state.view_state import View
 from wafer_viewer.gui.surface.heights_section import around, brushed_rows
-from wafer_viewer.gui.surface.histogram_pointer import histogram_area, told
+from wafer_viewer.gui.surface.histogram_pointer import histogram_area, parse_drag
 from wafer_viewer.gui.surface.points_section import amount, counted
 from wafer_viewer.gui.tools.profile_lines import nearest_share
 from wafer_viewer.model.region import Region
@@ -20,11 +20,11 @@ ENDS, ALL = (0.0, 10.0), (-5.0, 30.0)
 
 
 def test_a_drag_means_heights_and_its_ends_all_that_lies_beyond():
-    drag = told("brush:0.2:0.5", ENDS, ALL)
+    drag = parse_drag("brush:0.2:0.5", ENDS, ALL)
     assert (drag.act, drag.from_um, drag.to_um, drag.is_click) == ("brush", 2.0, 5.0, False)
-    assert told("high:0.9:1", ENDS, ALL).to_um == 30.0
-    assert told("brush:0.4:0", ENDS, ALL).to_um == -5.0
-    assert told("brush:0.4:0.401", ENDS, ALL).is_click
+    assert parse_drag("high:0.9:1", ENDS, ALL).to_um == 30.0
+    assert parse_drag("brush:0.4:0", ENDS, ALL).to_um == -5.0
+    assert parse_drag("brush:0.4:0.401", ENDS, ALL).is_click
 
 
 def test_only_a_point_cloud_has_grips():

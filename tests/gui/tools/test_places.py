@@ -15,7 +15,7 @@ from wafer_viewer.gui.scene.heightfield import HeightField
 from wafer_viewer.gui.scene.scene_contents import DisplayedSurface
 from wafer_viewer.gui.tools.initial_regions import FIRST, first_levelling
 from wafer_viewer.gui.tools.region_shapes import SHAPES, WHOLE, outline_of
-from wafer_viewer.gui.tools.region_tools import fits
+from wafer_viewer.gui.tools.region_tools import has_required_kinds
 from wafer_viewer.gui.widgets.echo_filter import EchoFilter
 from wafer_viewer.model.measurement.levelling import PLACES
 from wafer_viewer.model.measurement.tools import TOOLS
@@ -212,7 +212,7 @@ def test_an_echo_is_heard_once_and_what_was_told_before_it_is_past() -> None:
 
 def test_places_of_another_tool_do_not_fit() -> None:
     square = Region.rectangle(0, 0, 1, 1)
-    assert fits(TOOLS["flatness"], (square,))
-    assert not fits(TOOLS["step"], (square,))
-    assert not fits(TOOLS["radius"], (square,))
-    assert not fits(TOOLS["point"], ())
+    assert has_required_kinds(TOOLS["flatness"], (square,))
+    assert not has_required_kinds(TOOLS["step"], (square,))
+    assert not has_required_kinds(TOOLS["radius"], (square,))
+    assert not has_required_kinds(TOOLS["point"], ())

@@ -7,7 +7,7 @@ import pytest
 
 from tests.measure.defects.test_inspection import BUMP, DULL, PLANTED, at, inspected, made
 from tests.support.noisy_wafer import PIXEL_UM
-from wafer_viewer.measure.defects.exclusion_areas import excluded_of
+from wafer_viewer.measure.defects.exclusion_areas import exclusion_mask
 from wafer_viewer.measure.defects.inspection import inspect
 from wafer_viewer.measure.dies.die_cells import CellGrid
 from wafer_viewer.model.errors import MeasureError
@@ -50,11 +50,11 @@ def test_the_pixels_of_a_cell_that_are_left_out_are_those_inside() -> None:
     regions = (Region.circle(20.0, 14.0, 6.0), Region.polygon((40.0, 10.0), (55.0, 12.0), (47.0, 30.0)))
     rows, cols = np.indices(cells.shape).astype(float)
     inside = np.logical_or(*(region.contains(*cells.in_die(rows, cols)) for region in regions))
-    excluded = excluded_of(regions, cells)
+    excluded = exclusion_mask(regions, cells)
     assert excluded is not None
     assert inside.sum() > 500
     assert (excluded == inside).all()
-    assert excluded_of((Region.circle(-500.0, 14.0, 6.0),), cells) is None
+    assert exclusion_mask((Region.circle(-500.0, 14.0, 6.0),), cells) is None
 
 
 def test_without_dies_nothing_is_left_out_and_that_is_said() -> None:

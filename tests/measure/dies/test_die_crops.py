@@ -13,11 +13,11 @@ from wafer_viewer.measure.dies.die_crops import (
     LEAST_ALIKE,
     DieCrop,
     DiePatch,
-    cut,
+    align_crop,
+    crop,
     cut_of_golden,
-    laid_on,
     levelled_on,
-    usual,
+    median_crop,
 )
 from wafer_viewer.model.inspection.golden_die import GoldenDie, GoldenHeader
 from wafer_viewer.model.surface.height_map import HeightMap
@@ -57,11 +57,11 @@ def middle(one: DieCrop) -> float:
 def test_the_other_dies_show_the_place_without_the_defect(angle_deg: float):
     wafer = dataclasses.replace(WAFER, angle_deg=angle_deg)
     seen, here = with_particle(wafer), patch(wafer)
-    own = cut(seen, here)
+    own = crop(seen, here)
     assert own is not None
-    laid = [laid_on(own, seen, here.on_die(wafer.grid, HERE, die), 3) for die in OTHERS]
+    laid = [align_crop(own, seen, here.on_die(wafer.grid, HERE, die), 3) for die in OTHERS]
     assert all(one is not None and one.alike > LEAST_ALIKE for one in laid)
-    like = usual(own, [one.cut for one in laid if one is not None])
+    like = median_crop(own, [one.cut for one in laid if one is not None])
     assert middle(own) - middle(like) == pytest.approx(HEIGHT_UM, abs=0.3)
     apart = own.z_um - like.z_um
     assert abs(float(np.nanmedian(apart))) < 0.05
@@ -69,12 +69,12 @@ def test_the_other_dies_show_the_place_without_the_defect(angle_deg: float):
 
 def test_another_scan_is_laid_on_to_parts_of_a_pixel_whatever_its_height_tilt_and_light():
     """The wafer lay 9.3 um further right and 5.1 um further down on the stage; it is tilted and darker."""
-    own = cut(with_particle(), patch())
+    own = crop(with_particle(), patch())
     moved = surface(x0_um=WAFER.x0_um + 9.3, y0_um=WAFER.y0_um - 5.1, seed=7)
     tilt = 40 + 0.01 * moved.x_um[None, :] - 0.02 * moved.y_um[:, None]
     darker = (moved.all_in_focus * 0.6).astype(np.uint8)
     later = dataclasses.replace(moved, z_um=(moved.z_um + tilt).astype(np.float32), all_in_focus=darker)
-    laid = laid_on(own, later, patch(), 16)
+    laid = align_crop(own, later, patch(), 16)
     assert laid is not None
     assert laid.moved_um == pytest.approx((-5.1 * -1, 9.3), abs=0.35)
     apart = own.z_um - laid.cut.z_um
@@ -83,23 +83,23 @@ def test_another_scan_is_laid_on_to_parts_of_a_pixel_whatever_its_height_tilt_an
 
 
 def test_what_is_not_alike_is_known_as_such_and_what_lies_outside_is_nothing():
-    own = cut(with_particle(), patch())
+    own = crop(with_particle(), patch())
     rng = np.random.default_rng(2)
     other = dataclasses.replace(surface(), all_in_focus=rng.integers(0, 255, surface().shape).astype(np.uint8))
-    laid = laid_on(own, other, patch(), 8)
+    laid = align_crop(own, other, patch(), 8)
     assert laid is not None
     assert laid.alike < LEAST_ALIKE
     assert laid.moved_um == (0.0, 0.0)
     far = dataclasses.replace(patch(), x_um=1e6)
-    assert cut(surface(), far) is None
-    assert laid_on(own, surface(), far, 8) is None
+    assert crop(surface(), far) is None
+    assert align_crop(own, surface(), far, 8) is None
 
 
 def test_where_the_picture_shows_nothing_heights_lay_it():
     blank = {"all_in_focus": np.full(surface().shape, 90, np.uint8)}
-    own = cut(dataclasses.replace(with_particle(), **blank), patch())
+    own = crop(dataclasses.replace(with_particle(), **blank), patch())
     moved = dataclasses.replace(surface(x0_um=WAFER.x0_um + 6.0, seed=9), **blank)
-    laid = laid_on(own, moved, patch(), 8)
+    laid = align_crop(own, moved, patch(), 8)
     assert laid is not None
     assert laid.moved_um == pytest.approx((0.0, 6.0), abs=0.5)
 
@@ -127,6 +127,6 @@ def test_a_patch_of_a_large_box_or_a_die_has_few_pixels_and_lies_along_the_die()
     die = DiePatch.of_die(seen, wafer.grid, HERE, 300)
     x, y = die.to_stage(np.array([die.shape[0] - 0.5]), np.array([-0.5]))
     assert (float(x[0]), float(y[0])) == pytest.approx(wafer.grid.corner(*HERE), abs=1.5)
-    shown = cut(seen, die)
+    shown = crop(seen, die)
     assert shown is not None
     assert shown.measured > 0.9

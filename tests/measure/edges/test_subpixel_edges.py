@@ -7,7 +7,7 @@ import pytest
 from scipy.special import ndtr
 
 from tests.support.made_up_pictures import covered, disc, edge, pixels, strip
-from wafer_viewer.measure.base.chain_statistics import alike, chain_u
+from wafer_viewer.measure.base.chain_statistics import chain_uncertainty, correlation_length
 from wafer_viewer.measure.base.line_fit import fit_line
 from wafer_viewer.measure.edges.circular_edges import find_circle
 from wafer_viewer.measure.edges.search_strip import SearchStrip
@@ -98,10 +98,12 @@ def test_what_is_missing_of_a_disc_does_not_move_its_circle():
 def test_neighbours_that_err_alike_are_told_apart_from_those_that_do_not():
     rng = np.random.default_rng(0)
     white = rng.normal(size=4000)
-    assert alike(white) == pytest.approx(1, abs=0.4)
-    assert alike(np.repeat(white[:400], 10)) == pytest.approx(10, rel=0.4)
-    assert chain_u(np.ones((5000, 1)), rng.normal(size=5000), np.ones(1)) == pytest.approx(1 / np.sqrt(5000), rel=0.1)
-    assert chain_u(np.ones((4, 1)), white[:4], np.ones(1)) is None
+    assert correlation_length(white) == pytest.approx(1, abs=0.4)
+    assert correlation_length(np.repeat(white[:400], 10)) == pytest.approx(10, rel=0.4)
+    assert chain_uncertainty(np.ones((5000, 1)), rng.normal(size=5000), np.ones(1)) == pytest.approx(
+        1 / np.sqrt(5000), rel=0.1
+    )
+    assert chain_uncertainty(np.ones((4, 1)), white[:4], np.ones(1)) is None
 
 
 def noise(rows=200, cols=160):

@@ -10,7 +10,7 @@ import pytest
 from tests.support.gauge_repeats import CALIBRATION, LOWER, UPPER, certificate, repeat, repeats
 from tests.support.surfaces import gauge_blocks, surface_of
 from wafer_viewer.measure.gauge.gauge_budget import KnownTerms
-from wafer_viewer.measure.gauge.gauge_check import en, gauge_check, gauge_repeat, judged, refusal
+from wafer_viewer.measure.gauge.gauge_check import en, gauge_check, gauge_repeat, judge_error, refusal
 from wafer_viewer.model.errors import MeasureError
 from wafer_viewer.model.gauge.gauge_check import GaugeTerms
 from wafer_viewer.model.quantity import Length
@@ -53,12 +53,12 @@ def test_no_en_without_both_uncertainties():
     ],
 )
 def test_the_guard_band_by_hand(error, u, word):
-    assert judged(length(error, u), 0.5)[0] == word
+    assert judge_error(length(error, u), 0.5)[0] == word
 
 
 def test_neither_without_a_limit_nor_without_an_uncertainty_is_there_a_verdict():
-    assert judged(length(0.0, 0.1), None)[0] == "no verdict"
-    assert judged(Length(value_um=0.0), 0.5)[0] == "no verdict"
+    assert judge_error(length(0.0, 0.1), None)[0] == "no verdict"
+    assert judge_error(Length(value_um=0.0), 0.5)[0] == "no verdict"
 
 
 def test_the_error_leaves_the_z_scale_out_and_u_of_x_the_certificate():

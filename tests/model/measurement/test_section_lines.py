@@ -8,7 +8,15 @@ import pytest
 
 from wafer_viewer.model.errors import MeasureError
 from wafer_viewer.model.measurement.measurements import ProfileCurve
-from wafer_viewer.model.measurement.section_lines import across, beside, column_line, gap, nearest, numbered, row_line
+from wafer_viewer.model.measurement.section_lines import (
+    column_line,
+    cursor_difference,
+    nearest,
+    numbered,
+    parallel_line,
+    perpendicular_line,
+    row_line,
+)
 from wafer_viewer.model.region import Region
 
 
@@ -48,23 +56,23 @@ def test_a_place_names_the_nearest_row_of_the_surface():
 
 def test_a_line_across_another_has_its_middle_and_length_and_stays_on_the_surface():
     line = Region.line(0, 100, 200, 200, 3.0)
-    cross = across(line, LATTICE)
+    cross = perpendicular_line(line, LATTICE)
     (xa, ya), (xb, yb) = ((p.x_um, p.y_um) for p in cross.points)
     assert ((xa + xb) / 2, (ya + yb) / 2) == (100, 150)
     assert np.hypot(xb - xa, yb - ya) == pytest.approx(np.hypot(200, 100), abs=0.02)
     assert (xb - xa) * 200 + (yb - ya) * 100 == pytest.approx(0, abs=1e-6)
     assert cross.width_um == 3.0
-    _, low, _, high = across(Region.line(-100, 50, 899.5, 50), LATTICE).bounds_um
+    _, low, _, high = perpendicular_line(Region.line(-100, 50, 899.5, 50), LATTICE).bounds_um
     assert (low, high) == (-199.5, 299.5)
 
 
 def test_a_line_beside_another_is_parallel_to_it_on_the_side_where_there_is_room():
-    moved = beside(Region.line(0, 100, 120, 100, 3.0), LATTICE)
+    moved = parallel_line(Region.line(0, 100, 120, 100, 3.0), LATTICE)
     assert moved == Region.line(0, 120, 120, 120, 3.0)
-    assert beside(Region.line(0, 295, 120, 295), LATTICE) == Region.line(0, 275, 120, 275)
-    lower, upper = beside(Region.line(0, -199, 0, 299), LATTICE).points
+    assert parallel_line(Region.line(0, 295, 120, 295), LATTICE) == Region.line(0, 275, 120, 275)
+    lower, upper = parallel_line(Region.line(0, -199, 0, 299), LATTICE).points
     assert upper.x_um == lower.x_um < 0
-    whole = beside(row_line(LATTICE, 500), dataclasses.replace(LATTICE, shape=(1001, 2000)))
+    whole = parallel_line(row_line(LATTICE, 500), dataclasses.replace(LATTICE, shape=(1001, 2000)))
     assert whole.bounds_um[0] >= LATTICE.x0_um
 
 
@@ -74,19 +82,19 @@ def curve_of(z):
 
 
 def test_cursors_read_the_gap_between_measured_points():
-    read = gap(curve_of([1, 2, np.nan, np.nan, 7, 6]), (0.1, 0.75))
+    read = cursor_difference(curve_of([1, 2, np.nan, np.nan, 7, 6]), (0.1, 0.75))
     assert (read.at_um, read.dx_um, read.dz_um) == ((0.0, 8.0), 8.0, 6.0)
     assert read.angle_deg == pytest.approx(np.degrees(np.arctan2(6, 8)))
 
 
 def test_the_angle_is_the_surfaces_whichever_cursor_stands_left():
-    there, back = (gap(curve_of([0, 1, 2, 3]), ends) for ends in ((0.0, 1.0), (1.0, 0.0)))
+    there, back = (cursor_difference(curve_of([0, 1, 2, 3]), ends) for ends in ((0.0, 1.0), (1.0, 0.0)))
     assert back.dx_um == -there.dx_um
     assert back.dz_um == -there.dz_um
     assert back.angle_deg == pytest.approx(there.angle_deg)
-    assert np.isnan(gap(curve_of([0, 1, 2, 3]), (0.5, 0.5)).angle_deg)
+    assert np.isnan(cursor_difference(curve_of([0, 1, 2, 3]), (0.5, 0.5)).angle_deg)
 
 
 def test_no_cursor_stands_on_nothing():
     with pytest.raises(MeasureError, match="no measured point"):
-        gap(curve_of([np.nan, np.nan]), (0, 1))
+        cursor_difference(curve_of([np.nan, np.nan]), (0, 1))

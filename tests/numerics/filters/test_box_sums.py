@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from wafer_viewer.numerics.filters.box_sums import AHEAD, box, pieces_of
+from wafer_viewer.numerics.filters.box_sums import AHEAD, box, window_pieces
 from wafer_viewer.numerics.jit import lean_kernel
 
 
@@ -20,5 +20,5 @@ def test_a_box_is_the_sum_of_its_neighbours(window: int) -> None:
     row = np.random.default_rng(window).integers(-1000, 1000, 150).astype(np.int32)
     sums, out = np.zeros((4, row.size + AHEAD), np.int32), np.zeros(row.size - window + 1, np.int32)
     sums[0, : row.size] = row
-    _box(sums, pieces_of(window), out)
+    _box(sums, window_pieces(window), out)
     np.testing.assert_array_equal(out, np.convolve(row, np.ones(window, np.int32), "valid"))

@@ -8,7 +8,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from numpy.typing import NDArray
 
-from wafer_viewer.numerics.filters.line_median import REACH_PX, far_along_lines, line_medians_at
+from wafer_viewer.numerics.filters.line_median import REACH_PX, line_medians_at, line_outliers
 
 ALONG = ((0, 1), (1, 0), (1, 1), (1, -1))
 
@@ -30,7 +30,7 @@ def _lines(padded: NDArray, row: int, col: int) -> list[NDArray]:
 @given(seed=st.integers(0, 500), holes=st.sampled_from([0.0, 0.3]), limit=st.floats(0.05, 1.5))
 def test_counting_finds_the_same_pixels_as_sorting(seed: int, holes: float, limit: float) -> None:
     padded = _map(seed, holes)
-    far = far_along_lines(padded, np.float32(limit))
+    far = line_outliers(padded, np.float32(limit))
     for r, c in np.ndindex(far.shape):
         v = padded[r + REACH_PX, c + REACH_PX]
         if np.isnan(v):
@@ -56,5 +56,5 @@ def test_a_blob_up_to_five_wide_stands_apart_and_a_wider_one_does_not(wide: int)
     for side, apart in ((wide, True), (wide + 6, False)):
         z = np.zeros((40, 40), np.float32)
         z[15 : 15 + side, 15 : 15 + side] = 9
-        far = far_along_lines(np.pad(z, REACH_PX, constant_values=np.nan), 1.0)
+        far = line_outliers(np.pad(z, REACH_PX, constant_values=np.nan), 1.0)
         np.testing.assert_array_equal(far, (z > 0) & apart)

@@ -8,7 +8,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from numpy.typing import NDArray
 
-from wafer_viewer.numerics.filters.median_5x5 import far_from_median, medians_at, pad_with_nan
+from wafer_viewer.numerics.filters.median_5x5 import median_outliers, medians_at, pad_with_nan
 
 
 def _map(seed: int, holes: float) -> NDArray[np.float32]:
@@ -34,7 +34,7 @@ def test_a_median_is_that_of_numpy(seed: int, holes: float) -> None:
 def test_counting_finds_the_same_pixels_as_sorting(seed: int, holes: float, limit: float) -> None:
     z = _map(seed, holes)
     padded = pad_with_nan(z)
-    far = far_from_median(padded, np.float32(limit))
+    far = median_outliers(padded, np.float32(limit))
     for r, c in np.ndindex(z.shape):
         window = np.sort(padded[r : r + 5, c : c + 5], axis=None)
         window = window[np.isfinite(window)]

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from wafer_viewer.model.surface.height_map import Origin
-from wafer_viewer.numerics.grids.affine_resample import ResampledLayers, lay
+from wafer_viewer.numerics.grids.affine_resample import ResampledLayers, resample_affine
 
 
 def a_slope(shape=(6, 8)) -> ResampledLayers:
@@ -16,7 +16,7 @@ def a_slope(shape=(6, 8)) -> ResampledLayers:
 
 def laid(source: ResampledLayers, down: float, right: float) -> ResampledLayers:
     out = ResampledLayers(*(np.full_like(layer, 7) for layer in source))
-    lay(source, np.array([[down, 1.0, 0.0], [right, 0.0, 1.0]]), out)
+    resample_affine(source, np.array([[down, 1.0, 0.0], [right, 0.0, 1.0]]), out)
     return out
 
 
@@ -57,5 +57,5 @@ def test_a_gap_counts_where_it_has_a_share_and_gives_its_reason():
 def test_what_is_turned_by_a_quarter_is_read_so():
     source = a_slope((5, 5))
     out = ResampledLayers(*(np.zeros_like(layer) for layer in source))
-    lay(source, np.array([[0.0, 0.0, 1.0], [4.0, -1.0, 0.0]]), out)
+    resample_affine(source, np.array([[0.0, 0.0, 1.0], [4.0, -1.0, 0.0]]), out)
     assert np.array_equal(out.z, source.z.T[::-1])

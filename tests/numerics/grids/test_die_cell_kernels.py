@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from wafer_viewer.numerics.grids.die_cell_kernels import bridged, less_products, read_affine
+from wafer_viewer.numerics.grids.die_cell_kernels import fill_single_pixels, read_affine, subtract_products
 
 ROWS, COLS = np.mgrid[:90, :120].astype(np.float32)
 WAYS = {
@@ -25,7 +25,7 @@ def bent(rows: np.ndarray, cols: np.ndarray) -> np.ndarray:
 
 def read(plane: np.ndarray, way: tuple[float, ...], shape: tuple[int, int] = (40, 60)) -> np.ndarray:
     out = np.empty(shape, np.float32)
-    read_affine(plane.astype(np.float32), bridged(plane.astype(np.float32)), np.array(way), out)
+    read_affine(plane.astype(np.float32), fill_single_pixels(plane.astype(np.float32)), np.array(way), out)
     return out
 
 
@@ -42,7 +42,7 @@ def test_a_bent_surface_is_read_between_its_pixels(way: tuple[float, ...]) -> No
 def test_products_of_rows_and_columns_are_taken_off() -> None:
     out, plane = np.empty(ROWS.shape, np.float32), bent(ROWS, COLS).astype(np.float32)
     r, c = np.arange(90.0), np.arange(120.0)
-    less_products(plane, np.stack([r**0, r, r**2]), np.stack([0.02 * c**2, 0.001 * c - 0.3, 0.01 * c**0]), out)
+    subtract_products(plane, np.stack([r**0, r, r**2]), np.stack([0.02 * c**2, 0.001 * c - 0.3, 0.01 * c**0]), out)
     assert np.abs(out).max() < 1e-4
 
 

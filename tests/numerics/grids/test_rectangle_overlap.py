@@ -26,7 +26,10 @@ def test_a_window_meets_what_shares_a_point_with_it(n: int, seed: int, at: tuple
     row, col, end_row, end_col = *at, at[0] + 70, at[1] + 150
     with np.errstate(invalid="ignore"):
         meets = (top <= end_row) & (bottom >= row) & (left <= end_col) & (right >= col)
-    assert Rectangles.of(top, bottom, left, right).meeting(row, end_row, col, end_col) == np.flatnonzero(meets).tolist()
+    assert (
+        Rectangles.of(top, bottom, left, right).intersecting(row, end_row, col, end_col)
+        == np.flatnonzero(meets).tolist()
+    )
 
 
 @settings(max_examples=60)
@@ -46,6 +49,11 @@ def test_each_pair_that_shares_a_point_is_found_once(n: int, seed: int) -> None:
 def test_many_are_not_looked_at_one_by_one() -> None:
     rows, cols = np.divmod(np.arange(250_000), 500)
     fields = Rectangles.of(rows * 90.0, rows * 90.0 + 99, cols * 90.0, cols * 90.0 + 99)
-    assert fields.meeting(900.0, 980.0, 1800.0, 1880.0) == [9 * 500 + 19, 9 * 500 + 20, 10 * 500 + 19, 10 * 500 + 20]
+    assert fields.intersecting(900.0, 980.0, 1800.0, 1880.0) == [
+        9 * 500 + 19,
+        9 * 500 + 20,
+        10 * 500 + 19,
+        10 * 500 + 20,
+    ]
     first, _ = fields.pairs()
     assert len(first) == 2 * 499 * 500 + 2 * 499**2

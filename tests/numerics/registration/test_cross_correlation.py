@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from scipy.ndimage import gaussian_filter
 
-from wafer_viewer.numerics.registration.cross_correlation import contrast, likeness
+from wafer_viewer.numerics.registration.cross_correlation import contrast, normalised_cross_correlation
 
 
 def test_it_is_the_correlation_of_the_common_known_pixels():
@@ -14,7 +14,7 @@ def test_it_is_the_correlation_of_the_common_known_pixels():
     first, second = rng.normal(size=(30, 20)).astype(np.float32), rng.normal(size=(26, 23)).astype(np.float32)
     known, other = rng.random(first.shape) < 0.8, rng.random(second.shape) < 0.9
     first, second = first * known, second * other
-    alike = likeness(first, known, second, other, (3, -2), 4)
+    alike = normalised_cross_correlation(first, known, second, other, (3, -2), 4)
     for row in (-4, 0, 3):
         for col in (-4, 1, 4):
             down, right = 3 + row, -2 + col
@@ -34,7 +34,7 @@ def test_unlike_pictures_are_few_deviations_alike(blur):
     highest, known = [], np.ones((80, 40), bool)
     for _ in range(20):
         a, b = (gaussian_filter(rng.normal(size=(80, 40)), blur).astype(np.float32) for _ in range(2))
-        highest.append(likeness(a, known, b, known, (0, 0), 8).sigmas.max())
+        highest.append(normalised_cross_correlation(a, known, b, known, (0, 0), 8).sigmas.max())
     assert 1.0 < np.mean(highest) < 4.0
     assert np.max(highest) < 5.5
 

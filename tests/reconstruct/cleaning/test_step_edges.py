@@ -12,7 +12,7 @@ from wafer_viewer.model.spec import replace as changed
 from wafer_viewer.model.surface.height_map import Origin
 from wafer_viewer.model.surface.recipe import Outliers, Recipe
 from wafer_viewer.reconstruct.cleaning.clean import Cleaned, clean, settle_cleaning
-from wafer_viewer.reconstruct.cleaning.step_edges import apart_um
+from wafer_viewer.reconstruct.cleaning.step_edges import height_range_um
 from wafer_viewer.reconstruct.field_pipeline import reconstruct
 from wafer_viewer.reconstruct.focus_evidence import focus_curve
 
@@ -31,16 +31,16 @@ def test_heights_apart_are_seen_from_half_a_window_away() -> None:
     z_um[:, 20:] = 40.0
     z_um[5, :] = np.nan
     away = np.abs(np.arange(40) - 19.5)
-    found = apart_um(z_um, 9)
+    found = height_range_um(z_um, 9)
     assert (found[:, away < 4] == 40).all()
     assert (found[:, away > 6] == 0).all()
-    assert (apart_um(np.full((6, 7), np.nan, np.float32), 9) < 0).all()
+    assert (height_range_um(np.full((6, 7), np.nan, np.float32), 9) < 0).all()
 
 
 def test_a_slope_is_as_steep_at_the_border_as_inside() -> None:
     z_um = np.broadcast_to(np.arange(40, dtype=np.float32), (30, 40))
     for slope in (z_um, z_um.T):
-        found = apart_um(slope, 9)
+        found = height_range_um(slope, 9)
         assert np.ptp(found) == 0
         assert found[0, 0] == 9
 

@@ -11,7 +11,7 @@ from scipy.ndimage import convolve, uniform_filter
 
 from wafer_viewer.model.acquisition.focus_stack import FieldStack
 from wafer_viewer.model.surface.recipe import Noise, Recipe
-from wafer_viewer.reconstruct.auto_tuning import settle
+from wafer_viewer.reconstruct.auto_tuning import tune_recipe
 from wafer_viewer.reconstruct.focus.focus_volume import StackSource, Volume
 from wafer_viewer.reconstruct.focus.log_laplacian import (
     LEVEL_BITS,
@@ -149,7 +149,7 @@ def test_the_camera_that_the_recipe_names_is_the_one_that_is_used(plane_stack: F
     def contrast(gain_counts: float) -> float:
         recipe = Recipe(focus_measure="log_laplacian", window=9, noise=Noise(gain_counts=gain_counts))
         frames = prepare(plane_stack)
-        return float(np.median(search_field(frames, settle(frames, recipe).search, 1).contrast))
+        return float(np.median(search_field(frames, tune_recipe(frames, recipe).search, 1).contrast))
 
     assert contrast(0.02) > contrast(1.0) + 1
     assert contrast(1.0) > contrast(50.0) + 1

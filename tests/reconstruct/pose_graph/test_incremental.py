@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 
 from wafer_viewer.model.surface.field_poses import Poses, RejectionReason, Shifts, no_seams
-from wafer_viewer.reconstruct.pose_graph.incremental import PreviousSolution, held_still
+from wafer_viewer.reconstruct.pose_graph.incremental import PreviousSolution, freeze_unmoved_fields
 
 
 def _shifts(pairs: np.ndarray) -> Shifts:
@@ -72,7 +72,7 @@ def test_a_field_that_hardly_moves_stays_where_it_is_drawn():
         tilt_x=np.array([0.0, 0.0, 3e-5, 0.0, 0.0]),
         left_out=np.array([False, False, False, True, False]),
     )
-    held, moved = held_still(now, known, pixel_um=0.5, corner_um=400.0)
+    held, moved = freeze_unmoved_fields(now, known, pixel_um=0.5, corner_um=400.0)
     assert moved.tolist() == [False, True, True, True, True]
     assert held.x_um.tolist() == [0.0, 0.06, 0.0, 0.0, 0.01]
 
@@ -81,7 +81,7 @@ def test_without_an_earlier_solution_everything_is_new():
     known = PreviousSolution.of(None, np.array([1, 2], np.int32), np.ones(2, np.int64))
     assert not known.unchanged.any()
     poses = _poses([1, 2], [1, 1], _shifts(np.zeros((0, 2), int)))
-    assert held_still(poses, known, 0.5, 400.0)[1].all()
+    assert freeze_unmoved_fields(poses, known, 0.5, 400.0)[1].all()
 
 
 def test_what_moved_changed_or_is_gone_is_not_shown_where_it_was():

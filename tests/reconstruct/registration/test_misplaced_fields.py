@@ -12,9 +12,9 @@ from wafer_viewer.reconstruct.registration.misplaced_fields import (
     TURNS,
     has_no_heights,
     judge_misfit,
-    loose,
-    suspects,
-    turned,
+    misplaced_fields,
+    reoriented,
+    unverifiable_fields,
 )
 from wafer_viewer.reconstruct.registration.neighbour_pairs import neighbours
 from wafer_viewer.reconstruct.registration.pair_registration import register
@@ -53,43 +53,43 @@ def grid_edges(
 
 @pytest.mark.parametrize("misfits", [{4}, {0}, {4, 7}, {0, 8}, set()], ids=str)
 def test_fields_that_fit_none_of_their_neighbours_are_suspects(misfits):
-    assert set(suspects(9, told(grid_edges(3, 3, misfits)))) == misfits
+    assert set(misplaced_fields(9, told(grid_edges(3, 3, misfits)))) == misfits
 
 
 def test_blank_and_ambiguous_fields_are_innocent():
-    assert len(suspects(9, told(grid_edges(3, 3, {4}, RejectionReason.BLANK)))) == 0
-    assert len(suspects(9, told(grid_edges(3, 3, {4}, RejectionReason.AMBIGUOUS)))) == 0
+    assert len(misplaced_fields(9, told(grid_edges(3, 3, {4}, RejectionReason.BLANK)))) == 0
+    assert len(misplaced_fields(9, told(grid_edges(3, 3, {4}, RejectionReason.AMBIGUOUS)))) == 0
 
 
 def test_an_ambiguous_overlap_does_not_save_a_field_that_three_speak_against():
     edges = grid_edges(3, 3, {4})
     edges[2] = (*edges[2][:2], RejectionReason.AMBIGUOUS)
     assert 4 in edges[2][:2]
-    assert suspects(9, told(edges)).tolist() == [4]
+    assert misplaced_fields(9, told(edges)).tolist() == [4]
 
 
 def test_one_overlap_that_fits_is_enough_to_stay():
     edges = grid_edges(3, 3, {4})
     edges[2] = (*edges[2][:2], RejectionReason.NONE)
     assert 4 in edges[2][:2]
-    assert len(suspects(9, told(edges))) == 0
+    assert len(misplaced_fields(9, told(edges))) == 0
 
 
 def test_the_end_of_a_row_is_named_but_stays():
     edges = [(0, 1, RejectionReason.NONE), (1, 2, RejectionReason.NONE), (2, 3, RejectionReason.UNLIKE)]
-    assert suspects(4, told(edges)).tolist() == []
-    assert loose(4, told(edges)).tolist() == [3]
+    assert misplaced_fields(4, told(edges)).tolist() == []
+    assert unverifiable_fields(4, told(edges)).tolist() == [3]
 
 
 def test_two_datasets_in_one_the_smaller_is_left_out():
     own = [(a, b, d) for a, b, d in grid_edges(4, 4, set()) if (a % 4 == 3) == (b % 4 == 3)]
     across = [(a, a + 1, RejectionReason.UNLIKE) for a in (2, 6, 10, 14)]
-    assert suspects(16, told(own + across)).tolist() == [3, 7, 11, 15]
+    assert misplaced_fields(16, told(own + across)).tolist() == [3, 7, 11, 15]
 
 
 def test_islands_do_not_judge_each_other():
     one, two = grid_edges(2, 2, set()), [(a + 4, b + 4, d) for a, b, d in grid_edges(3, 3, {8})]
-    assert suspects(13, told(one + two)).tolist() == [12]
+    assert misplaced_fields(13, told(one + two)).tolist() == [12]
 
 
 @pytest.fixture(scope="module")
@@ -111,15 +111,15 @@ def test_a_field_held_the_wrong_way_is_found_and_told(heights, how):
         "turned by 90 degrees clockwise": "turned by 90 degrees anticlockwise",
         "turned by 90 degrees anticlockwise": "turned by 90 degrees clockwise",
     }
-    wrong = turned(heights[4], TURNS[back.get(how, how)])
+    wrong = reoriented(heights[4], TURNS[back.get(how, how)])
     assert f"Field 5 is {how} and" in judge_misfit(5, wrong, [heights[n] for n in (1, 3, 5, 7)])
 
 
 def test_a_grid_with_a_mirrored_field(heights):
-    mixed = [*heights[:4], turned(heights[4], np.fliplr), *heights[5:]]
+    mixed = [*heights[:4], reoriented(heights[4], np.fliplr), *heights[5:]]
     pairs = neighbours(mixed)
-    assert suspects(9, register(mixed, pairs, 8.0)).tolist() == [4]
-    assert len(suspects(9, register(heights, pairs, 8.0))) == 0
+    assert misplaced_fields(9, register(mixed, pairs, 8.0)).tolist() == [4]
+    assert len(misplaced_fields(9, register(heights, pairs, 8.0))) == 0
 
 
 def test_a_field_of_another_sample(heights):
@@ -137,7 +137,7 @@ def test_a_field_without_heights(heights):
 
 
 def test_turning_keeps_the_centre(heights):
-    held = turned(heights[0], TURNS["turned by 90 degrees clockwise"])
+    held = reoriented(heights[0], TURNS["turned by 90 degrees clockwise"])
     assert held.shape == SHAPE[::-1]
     for one, other in zip(
         np.reshape(heights[0].bounds_um, (2, 2)).mean(0), np.reshape(held.bounds_um, (2, 2)).mean(0), strict=True
@@ -148,5 +148,5 @@ def test_turning_keeps_the_centre(heights):
 def test_of_two_halves_that_do_not_fit_neither_is_left_out():
     none, unlike = RejectionReason.NONE, RejectionReason.UNLIKE
     halves = told([(0, 1, none), (2, 3, none), (0, 2, unlike), (1, 3, unlike)])
-    assert suspects(4, halves).size == 0
-    assert loose(4, halves).tolist() == [2, 3]
+    assert misplaced_fields(4, halves).size == 0
+    assert unverifiable_fields(4, halves).tolist() == [2, 3]

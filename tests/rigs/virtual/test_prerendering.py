@@ -9,7 +9,7 @@ import pytest
 
 from wafer_viewer.model.acquisition.plan import Field, FocusSweep, Leg, PulseTrain, ScanPlan, Shot
 from wafer_viewer.model.errors import RigError
-from wafer_viewer.rigs.virtual.prerendering import PrerenderJob, rehearse
+from wafer_viewer.rigs.virtual.prerendering import PrerenderJob, prerender
 from wafer_viewer.rigs.virtual.rig import VirtualRig, virtual_limits
 
 LIMITS = virtual_limits(48, 64)
@@ -72,7 +72,7 @@ def test_a_scan_in_real_time_replays_what_was_rendered_beforehand(monkeypatch):
 
 @pytest.mark.slow
 def test_elsewhere_it_renders_live():
-    replay = rehearse(ORDER, NoLive(), lambda: False)
+    replay = prerender(ORDER, NoLive(), lambda: False)
     with pytest.raises(AssertionError, match="rendered live"):
         replay.frame(500.0, 0.0, 0.0, 100.0, 1)
     with pytest.raises(AssertionError, match="rendered live"):
@@ -80,13 +80,13 @@ def test_elsewhere_it_renders_live():
 
 
 def test_it_can_be_stopped():
-    assert rehearse(ORDER, NoLive(), lambda: True) is None
+    assert prerender(ORDER, NoLive(), lambda: True) is None
 
 
 def test_a_process_that_fails_is_said_in_a_sentence():
     broken = PrerenderJob(scene="moon", seed=3, limits=LIMITS, plan=PLAN, here_um=(0.0, 0.0, 0.0))
     with pytest.raises(RigError, match=r"beforehand failed .*moon"):
-        rehearse(broken, NoLive(), lambda: False)
+        prerender(broken, NoLive(), lambda: False)
 
 
 def test_a_disk_that_is_too_small_is_said_in_a_sentence(monkeypatch):
@@ -95,4 +95,4 @@ def test_a_disk_that_is_too_small_is_said_in_a_sentence(monkeypatch):
 
     monkeypatch.setattr(shutil, "disk_usage", full)
     with pytest.raises(RigError, match=r"need 0.0 GB beforehand.*fewer fields"):
-        rehearse(ORDER, NoLive(), lambda: False)
+        prerender(ORDER, NoLive(), lambda: False)

@@ -11,7 +11,7 @@ from wafer_viewer.rigs.virtual.faults import Faults
 from wafer_viewer.rigs.virtual.rig import VirtualRig
 from wafer_viewer.session.acquisition.rig_messages import FieldComplete, FrameTaken, Paused, Scan, ScanEnded, ScanFault
 from wafer_viewer.session.acquisition.scan_monitor import Steering, clipped_fraction, order_of_fields
-from wafer_viewer.session.acquisition.scan_run import take, writer_of
+from wafer_viewer.session.acquisition.scan_run import run_scan_job, writer_of
 from wafer_viewer.session.planning.plan_editor import plan_of
 from wafer_viewer.store.dataset.dataset import Dataset
 
@@ -43,7 +43,7 @@ def go_on(scan):
 def test_it_tells_of_every_field_once_and_of_its_end(rig, scan):
     told = []
     with writer_of(scan, rig) as writer:
-        ended = take(scan, rig, writer, told.append, Steering())
+        ended = run_scan_job(scan, rig, writer, told.append, Steering())
     assert ended == ScanEnded(scan.path, stopped=False, n_missing=0, error=None)
     assert sorted(e.number for e in told if isinstance(e, FieldComplete)) == [1, 2, 3]
     last = [e for e in told if isinstance(e, FrameTaken)][-1]
@@ -63,7 +63,7 @@ def test_a_full_disk_ends_it_with_a_sentence_and_what_is_kept_is_good(rig, scan,
             keep(taken)
 
         monkeypatch.setattr(writer, "frame", frame)
-        ended = take(scan, rig, writer, lambda _: None, Steering())
+        ended = run_scan_job(scan, rig, writer, lambda _: None, Steering())
     assert ended.stopped
     assert "the disk is full" in ended.error
     rig.stage.wait()
@@ -73,7 +73,7 @@ def test_a_full_disk_ends_it_with_a_sentence_and_what_is_kept_is_good(rig, scan,
     assert not kept.finished
     assert kept.check().damaged == ()
     with writer_of(go_on(scan), rig) as writer:
-        assert take(go_on(scan), rig, writer, lambda _: None, Steering()).error is None
+        assert run_scan_job(go_on(scan), rig, writer, lambda _: None, Steering()).error is None
     assert Dataset.open(scan.path).check().ok
 
 
@@ -87,7 +87,7 @@ def test_a_stop_out_of_a_pause_is_told_and_ends_it(rig, scan):
             steering.stop()
 
     with writer_of(scan, rig) as writer:
-        ended = take(scan, rig, writer, tell, steering)
+        ended = run_scan_job(scan, rig, writer, tell, steering)
     assert ended.stopped
     assert ended.error is None
     assert told[:2] == [Paused(True), Paused(False)]
@@ -99,7 +99,7 @@ def test_once_nobody_is_there_no_scan_begins(rig, scan):
     steering.end()
     steering.reset()
     with writer_of(scan, rig) as writer:
-        assert take(scan, rig, writer, lambda _: None, steering).stopped
+        assert run_scan_job(scan, rig, writer, lambda _: None, steering).stopped
         assert not writer.kept
 
 
@@ -115,7 +115,7 @@ def test_an_error_of_a_device_is_not_told_as_a_full_disk(rig, scan, monkeypatch)
 
     monkeypatch.setattr(rig.camera, "next_image", unplugged)
     with writer_of(scan, rig) as writer:
-        ended = take(scan, rig, writer, lambda _: None, Steering())
+        ended = run_scan_job(scan, rig, writer, lambda _: None, Steering())
     assert ended.error == "The camera failed (No such device): check its cable and its power, and continue."
     assert Dataset.open(scan.path).faults == (ended.error,)
 
@@ -125,7 +125,7 @@ def test_a_pass_that_slipped_is_told_and_none_of_its_frames_is_counted_as_done(j
     made = job(cols=3, n_frames=10)
     scan, told = Scan(tmp_path / "scan.wafer", plan_of(made, rig.limits), made), []
     with writer_of(scan, rig) as writer:
-        ended = take(scan, rig, writer, told.append, Steering())
+        ended = run_scan_job(scan, rig, writer, told.append, Steering())
     rig.close()
     assert (ended.error, ended.n_missing) == (None, 0)
     (fault,) = [event.what for event in told if isinstance(event, ScanFault)]

@@ -5,7 +5,7 @@ from __future__ import annotations
 import pytest
 
 from wafer_viewer.model.errors import WaferViewerError
-from wafer_viewer.session.access_control import FREE, seat
+from wafer_viewer.session.access_control import FREE, restricted_session
 from wafer_viewer.session.core.command_queue import CommandQueue
 from wafer_viewer.session.core.control_handover import ANSWER_S, GRACE_S, Control
 from wafer_viewer.session.session import Session
@@ -189,7 +189,7 @@ class Told:
 def test_a_watcher_is_refused_what_changes_anything_and_may_look_and_stop(control, desk, hands):
     hands()
     told = Told(desk.snapshot)
-    watcher, holder = seat(told, lambda: "b"), seat(told, lambda: "a")
+    watcher, holder = restricted_session(told, lambda: "b"), restricted_session(told, lambda: "a")
     for verb in ("start_scan", "move_to", "edit_job", "open_dataset", "keep", "cancel"):
         with pytest.raises(WaferViewerError, match=r"^Anna holds the controls\. Ask"):
             getattr(watcher, verb)().result()
@@ -204,7 +204,7 @@ def test_a_watcher_is_refused_what_changes_anything_and_may_look_and_stop(contro
 def test_one_who_has_not_come_in_yet_may_look_only(control, desk, hands):
     hands()
     with pytest.raises(WaferViewerError, match="holds the controls"):
-        seat(Told(desk.snapshot), lambda: "").start_scan().result()
+        restricted_session(Told(desk.snapshot), lambda: "").start_scan().result()
 
 
 def test_a_group_of_verbs_is_refused_one_by_one(control, desk, hands):
@@ -212,7 +212,7 @@ def test_a_group_of_verbs_is_refused_one_by_one(control, desk, hands):
     told = Told(desk.snapshot)
     told.group = Control(desk)  # any group of the session's own
     with pytest.raises(WaferViewerError, match="holds the controls"):
-        seat(told, lambda: "b").group.ask("b").result()
+        restricted_session(told, lambda: "b").group.ask("b").result()
 
 
 def test_what_is_free_is_there():

@@ -73,7 +73,7 @@ class Bench:
     def close(self) -> None:
         self.desk.close()
         self.keeper.close()
-        self.library.let_go()
+        self.library.release_lock()
 
 
 @pytest.fixture

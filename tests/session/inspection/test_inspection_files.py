@@ -17,7 +17,7 @@ from wafer_viewer.model.errors import ControlHeldError, DatasetError, MeasureErr
 from wafer_viewer.model.inspection.defect import DefectRecipe
 from wafer_viewer.model.inspection.defect_limits import DefectLimits
 from wafer_viewer.model.spec import replace
-from wafer_viewer.session.access_control import seat
+from wafer_viewer.session.access_control import restricted_session
 from wafer_viewer.session.core.background_work import BackgroundWork
 from wafer_viewer.session.core.command_queue import CommandQueue
 from wafer_viewer.session.core.dataset_library import Library
@@ -242,7 +242,7 @@ def test_one_who_only_watches_may_write_a_file_and_keep_nothing(bench, tmp_path)
     whole = SimpleNamespace(
         snapshot=bench.desk.snapshot, defects=DefectVerbs(bench.desk.do, bench.defects, files, None)
     )
-    watcher = seat(whole, lambda: "b").defects.files
+    watcher = restricted_session(whole, lambda: "b").defects.files
     assert watcher.write("csv", tmp_path / "w.csv").result(20).exists()
     for asked in (watcher.keep_golden("lx7"), watcher.save_recipe(DefectRecipe(product="LX-7"))):
         with pytest.raises(ControlHeldError):

@@ -16,7 +16,7 @@ from wafer_viewer.session.core.command_queue import CommandQueue
 from wafer_viewer.session.planning.job_commands import JobKeeper
 from wafer_viewer.session.planning.job_releases import list_released, write_released
 from wafer_viewer.session.planning.plan_editor import Drafting
-from wafer_viewer.session.planning.preflight import look_round, stops
+from wafer_viewer.session.planning.preflight import preflight_of_snapshot, stops
 from wafer_viewer.session.state.snapshot import RigStatus, Snapshot
 
 LIMITS = virtual_limits(540, 720)
@@ -157,7 +157,7 @@ def test_another_wafer_is_aligned_anew(desk, taken_up):
     taken_up.edit(replace(job, sample=replace(job.sample, wafer_id="W1", operator="me")))
     align(taken_up)
     aligned = draft(desk).job
-    assert stops(look_round(desk.now, None, "2026-11-21")) == ()
+    assert stops(preflight_of_snapshot(desk.now, None, "2026-11-21")) == ()
     taken_up.edit(replace(aligned, sample=replace(aligned.sample, operator="you")))
     assert draft(desk).job.alignment is not None, "the operator's name moves no wafer"
     now = draft(desk).job
@@ -168,15 +168,15 @@ def test_another_wafer_is_aligned_anew(desk, taken_up):
     now = draft(desk)
     assert (now.job.sample.wafer_id, now.job.sample.operator, now.job.alignment) == ("", "you", None)
     assert not now.can_undo, "what was of the last wafer cannot come back"
-    assert [c.what for c in stops(look_round(desk.now, None, "2026-11-21"))] == ["Sample", "Alignment"]
+    assert [c.what for c in stops(preflight_of_snapshot(desk.now, None, "2026-11-21"))] == ["Sample", "Alignment"]
 
 
 def test_a_plan_that_is_opened_again_waits_for_a_person(desk, drafting):
     drafting.reopen(replace(engineered(small_job()), alignment=Alignment(n_marks=2)))
     assert draft(desk).job.alignment is None, "the wafer may have been taken off meanwhile"
     drafting.reopen(small_job())
-    assert [c.what for c in stops(look_round(desk.now, None, "2026-11-21"))] == ["Sample"]
+    assert [c.what for c in stops(preflight_of_snapshot(desk.now, None, "2026-11-21"))] == ["Sample"]
     drafting.edit(replace(small_job(), exposures_us=(50.0,)))
     assert not draft(desk).confirmed
     drafting.confirm()
-    assert stops(look_round(desk.now, None, "2026-11-21")) == ()
+    assert stops(preflight_of_snapshot(desk.now, None, "2026-11-21")) == ()

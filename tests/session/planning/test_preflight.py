@@ -12,7 +12,7 @@ from wafer_viewer.model.errors import PlanError
 from wafer_viewer.model.spec import replace
 from wafer_viewer.rigs.virtual.rig import CALIBRATION, SETUP, virtual_limits
 from wafer_viewer.session.planning.plan_editor import plan_of
-from wafer_viewer.session.planning.preflight import Preflight, preflight, require_go, stops
+from wafer_viewer.session.planning.preflight import Preflight, preflight, require_passed, stops
 
 LIMITS = virtual_limits(540, 720)
 
@@ -42,7 +42,7 @@ def test_a_plain_scan_is_fine_in_all_six_lines():
     assert [c.what for c in checks] == ["Sample", "Alignment", "Calibration", "Disk", "Clearance", "Light"]
     assert {c.state for c in checks} == {"ok"}
     assert all(c.found.endswith(".") and not c.mend for c in checks)
-    require_go(checks, confirmed=False)
+    require_passed(checks, confirmed=False)
 
 
 def aligned(residual_um):
@@ -102,9 +102,9 @@ def test_a_released_job_can_skip_nothing(what, changes):
 
 def test_a_stop_forbids_and_attention_asks():
     with pytest.raises(PlanError, match=r"The scan does not start\. Disk: .* free\. Free some space"):
-        require_go(preflight(facts(free_bytes=1)))
+        require_passed(preflight(facts(free_bytes=1)))
     warned = preflight(facts(clipped_fraction=0.5))
-    require_go(warned)
+    require_passed(warned)
     with pytest.raises(PlanError, match="Light"):
-        require_go(warned, confirmed=False)
+        require_passed(warned, confirmed=False)
     assert [c.what for c in stops(preflight(facts(free_bytes=1, confirmed=False)))] == ["Sample", "Disk"]

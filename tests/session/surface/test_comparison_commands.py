@@ -10,7 +10,7 @@ from wafer_viewer.model.errors import ComputeError, DatasetError, WaferViewerErr
 from wafer_viewer.model.region import Region
 from wafer_viewer.model.surface.comparison import ComparisonFace, SurfaceName, show_of
 from wafer_viewer.session.session import Session
-from wafer_viewer.session.surface.comparison_job import face_of, opened, subtract
+from wafer_viewer.session.surface.comparison_job import comparison_view, open_surface, subtract
 from wafer_viewer.store.dataset.dataset import Dataset
 
 NAME = "difference-after"
@@ -54,13 +54,14 @@ def test_a_difference_is_a_result_with_a_mosaic_of_its_own(pair, kept):
 
 def test_every_face_of_a_comparison_lies_on_the_lattice_of_the_first(pair, kept):
     first, second, difference = (
-        face_of(pair[0], NAME, f) for f in (ComparisonFace.FIRST, ComparisonFace.SECOND, ComparisonFace.DIFFERENCE)
+        comparison_view(pair[0], NAME, f)
+        for f in (ComparisonFace.FIRST, ComparisonFace.SECOND, ComparisonFace.DIFFERENCE)
     )
     assert first.shape == second.shape == difference.shape
     place = Region.rectangle(250, 400, 350, 500)
     one, other, off = (s.window(place) for s in (first, second, difference))
     assert np.nanmax(np.abs(other.z_um - one.z_um - off.z_um)) < 1e-4
-    both = face_of(pair[0], NAME, ComparisonFace.BESIDE)
+    both = comparison_view(pair[0], NAME, ComparisonFace.BESIDE)
     for level in (0, both.levels - 1):
         part, alone = both.window(None, level), first.window(None, level)
         rows, cols = alone.shape
@@ -73,7 +74,7 @@ def test_raw_and_cleaned_heights_of_one_surface(pair, names):
     raw, cleaned = (SurfaceName(path=names[0].path, heights=h) for h in ("raw", "cleaned"))
     made = subtract(pair[1], "difference-cleaned", raw, cleaned, "auto", False)
     assert made.registration.by == "same"
-    z = opened(names[0]).window()
+    z = open_surface(names[0]).window()
     assert made.change.sq_um == pytest.approx(float(np.nanstd(z.z_um - z.z_raw_um)), abs=1e-3)
     assert made.change.n_points == np.isfinite(z.z_um - z.z_raw_um).sum()
 

@@ -110,7 +110,7 @@ def test_what_was_broken_off_is_made_anew(dataset, made):
     kept = add_surfaces(dataset, made, range(4))
     bring_up_to_date(dataset, RESULT, REGISTERED)
     whole = kept.mosaic().window()
-    kept.begin_drawing(kept.poses())  # and its process was killed, with a part drawn
+    kept.begin_mosaic_update(kept.poses())  # and its process was killed, with a part drawn
     for file in kept.mosaic_path.rglob("z_um/0/c/*/*"):
         file.unlink()
     assert kept.broken_off

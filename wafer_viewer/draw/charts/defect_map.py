@@ -120,7 +120,7 @@ def die_shapes(
     grid, dies = inspection.grid, inspection.dies
     if grid is None or not dies:
         return ""
-    draw = _crowd if len(dies) > MOST_SINGLE else _singly
+    draw = _merged_shapes if len(dies) > MOST_SINGLE else _singly
     places = _places(frame, grid, dies)
     kinds = "".join(draw(_DieShape.of(frame, grid), list(zip(dies, places, strict=True)), fills))
     heavy = (at for die, at in zip(dies, places, strict=True) if die.name == chosen)
@@ -217,7 +217,7 @@ def _singly(shape: _DieShape, dies: Placed, fills: Mapping[str, DieFill]) -> Ite
         )
 
 
-def _crowd(shape: _DieShape, dies: Placed, fills: Mapping[str, DieFill]) -> Iterator[str]:
+def _merged_shapes(shape: _DieShape, dies: Placed, fills: Mapping[str, DieFill]) -> Iterator[str]:
     alike: dict[tuple[str, DieFill | None], list[Place]] = {}
     for die, place in dies:
         alike.setdefault((kind_of(die), fills.get(die.name)), []).append(place)

@@ -44,7 +44,7 @@ def run_chart_html(chart: RunChart, attributes: Attributes = lambda point: "", c
     return (
         f'<div class="wv-plot wv-run"><div style="position:absolute;{place}">'
         f'<svg viewBox="0 0 {_SIDE:g} {_SIDE:g}" preserveAspectRatio="none" role="img" aria-label="Run chart">'
-        f"{drawn}{_way(frame, points)}</svg>{words}{dots}</div>"
+        f"{drawn}{_connecting_line(frame, points)}</svg>{words}{dots}</div>"
         '<span class="wv-plot-y">Error, µm</span></div>'
     )
 
@@ -127,7 +127,7 @@ def _bars(frame: _Frame, points: Sequence[ChartPoint]) -> str:
     return _path(upright, "ink3", 1.2, 'opacity=".55"') if upright else ""
 
 
-def _way(frame: _Frame, points: Sequence[ChartPoint]) -> str:
+def _connecting_line(frame: _Frame, points: Sequence[ChartPoint]) -> str:
     """Return the line that connects the checks, without the failed ones."""
     good = [(k, p.value.value_um) for k, p in enumerate(points) if p.verdict != "fail"]
     d = "L".join(f"{_SIDE * frame.across(k):.1f} {_SIDE * frame.down(um):.1f}" for k, um in good)
@@ -137,11 +137,11 @@ def _way(frame: _Frame, points: Sequence[ChartPoint]) -> str:
 def _dot(frame: _Frame, k: int, point: ChartPoint, attributes: str, chosen: str) -> str:
     at = f"left:{100 * frame.across(k):.2f}%;top:{100 * frame.down(point.value.value_um):.2f}%"
     look = f"{point.verdict.replace(' ', '-')}{' sel' if point.at == chosen else ''}{' breaks' if point.breaks else ''}"
-    told = html.escape(_told(point), quote=True)
+    told = html.escape(_point_title(point), quote=True)
     return f'<u class="wv-dot {look}" style="{at}" title="{told}" aria-label="{told}" {attributes}></u>'
 
 
-def _told(point: ChartPoint) -> str:
+def _point_title(point: ChartPoint) -> str:
     value, u = value_and_u(point.value.value_um, point.value.expanded_um, 3, signed=True)
     with_u = f"{value} ± {u} µm" if point.value.expanded_um is not None else f"{value} µm"
     at = datetime.fromisoformat(point.at)

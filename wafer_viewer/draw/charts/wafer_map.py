@@ -128,7 +128,7 @@ def field_map_svg(
     whole = _bounds([*outline_um, *_corners(fields, field_width_um, field_height_um)])
     of_fields = _bounds(_corners(fields, field_width_um, field_height_um))
     inks = [(f, FIELD_INKS[(states or {}).get(f.number, "planned")]) for f in fields]
-    draw = _crowd if len(fields) > MOST_SINGLE else _singly
+    draw = _merged_shapes if len(fields) > MOST_SINGLE else _singly
     parts = [
         _sample(frame, outline_um, dies_um),
         draw(frame, inks, (field_width_um, field_height_um), selected, onclick),
@@ -163,7 +163,7 @@ def _singly(
     return "".join(_field(frame, f, *size_um, ink, f.number == selected, onclick) for f, ink in order)
 
 
-def _crowd(
+def _merged_shapes(
     frame: MapViewport,
     inks: Sequence[tuple[Field, FieldStyle]],
     size_um: tuple[float, float],

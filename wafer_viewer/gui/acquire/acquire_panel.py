@@ -121,7 +121,7 @@ class AcquirePanel:
         why = _why_not(snapshot) if unfinished else None
         set_prop(self._go_on, "visible", unfinished)
         set_prop(self._go_on, "disabled", why is not None)
-        self._why.show(f'<div class="wv-why">Not yet: {html.safe(html.micro(why))}</div>' if why else "")
+        self._why.show(f'<div class="wv-why">Not yet: {html.safe(html.with_micro_sign(why))}</div>' if why else "")
         done = not running and not unfinished and snapshot.surface is not None
         onward = done and _released(snapshot) and not awaited(snapshot)
         set_prop(self._look, "visible", done and not onward)

@@ -246,7 +246,7 @@ def _wait(verb: Future[Any]) -> None:
 
 
 def _lab(text: str) -> str:
-    return f'<div class="wv-lab" style="margin-bottom:9px">{html.safe(html.micro(text))}</div>'
+    return f'<div class="wv-lab" style="margin-bottom:9px">{html.safe(html.with_micro_sign(text))}</div>'
 
 
 @dataclass(frozen=True, slots=True)

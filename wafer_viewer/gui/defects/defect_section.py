@@ -4,13 +4,14 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import replace
+from functools import partial
 from typing import Any
 
 import viser
 
 from wafer_viewer.draw.surface.display_style import DisplayStyle
 from wafer_viewer.gui.defects.defect_dialogs import ERRANDS, recipes_dialog
-from wafer_viewer.gui.defects.exclusion_dialog import STAYS, ExcludedDialog, place_of
+from wafer_viewer.gui.defects.exclusion_dialog import STAYS, ExcludedDialog, area_of_defect
 from wafer_viewer.gui.defects.inspection_form import InspectionForm
 from wafer_viewer.gui.defects.klarf_overlay import OtherSection
 from wafer_viewer.gui.page.page import Page
@@ -29,7 +30,7 @@ from wafer_viewer.gui.scenes.thumbnails import Thumbnails, framed, thumbnail
 from wafer_viewer.gui.state.defect_list_state import SORTS
 from wafer_viewer.gui.state.view_state import View
 from wafer_viewer.gui.widgets import html
-from wafer_viewer.gui.widgets.command import Command, unless
+from wafer_viewer.gui.widgets.command import Command, with_precondition
 from wafer_viewer.gui.widgets.controls import HtmlBlock, set_prop
 from wafer_viewer.gui.widgets.error_guard import guarded
 from wafer_viewer.model.region import Region
@@ -59,7 +60,7 @@ class DefectSection:
             self._list = HtmlBlock(page.gui)
         page.on_pick("defect-form", lambda _: self.unfold())
         page.on_pick("defect-errand", self._run)
-        page.on_pick("defect-excluded", lambda key: self._leave_out(here=key == "here"))
+        page.on_pick("defect-excluded", lambda key: self._edit_excluded_areas(here=key == "here"))
         page.on_pick("defect-sort", lambda sort: self._list_by(sort=sort))
 
     def show(self, snapshot: Snapshot, view: View) -> None:
@@ -74,7 +75,7 @@ class DefectSection:
         found = state.inspection
         self._head.show(self._top(snapshot) + words.summary(state) + (verdict(found) if found is not None else ""))
         self.form.show(snapshot, (self._unfolded or found is None) and not state.work, _why_not(snapshot))
-        self._errands.show(_errands() if found is not None else "")
+        self._errands.show(_command_links_html() if found is not None else "")
         self._other.show(snapshot)
         self._list.show(self._listed(snapshot, view))
 
@@ -84,13 +85,13 @@ class DefectSection:
 
     def commands(self) -> list[Command]:
         """Return the palette commands that inspect, sort and export defects."""
-        icon = viser.Icon
-        return unless(
+        icon, leave_out_here = viser.Icon, partial(self._edit_excluded_areas, here=True)
+        return with_precondition(
             no_defects,
             Command("Search for defects…", None, self.unfold, icon.SEARCH, group="Review"),
             Command("Save the recipe for defects…", None, self.form.save, icon.DEVICE_FLOPPY, group="Review"),
-            Command("Areas left out of the search…", None, self._leave_out, icon.CROP, group="Review"),
-            Command("Leave this place out…", None, lambda: self._leave_out(here=True), icon.CROP, group="Review"),
+            Command("Areas left out of the search…", None, self._edit_excluded_areas, icon.CROP, group="Review"),
+            Command("Leave this place out…", None, leave_out_here, icon.CROP, group="Review"),
             Command("Recipes for defects…", None, lambda: recipes_dialog(self._page), icon.LIST, group="Review"),
             *(
                 Command(errand.name, None, lambda k=key: self._run(k), errand.icon, group="Review")
@@ -118,14 +119,14 @@ class DefectSection:
         asked = ERRANDS[errand]
         guarded(self._page, asked.failed)(asked.ask)(self._page)
 
-    def _leave_out(self, *, here: bool = False) -> None:
+    def _edit_excluded_areas(self, *, here: bool = False) -> None:
         """Open the dialog of areas to exclude on every die.
 
         The form then shows the areas, next to the button that inspects again.
         here: propose the area of the defect under review as well.
         """
         page = self._page
-        proposed = place_of(chosen_defect(page.session.snapshot, page.view.review)) if here else ()
+        proposed = area_of_defect(chosen_defect(page.session.snapshot, page.view.review)) if here else ()
 
         def keep(areas: tuple[Region, ...]) -> None:
             self._unfolded = True
@@ -174,7 +175,7 @@ class DefectSection:
         return "".join(thumbnail(self._thumbnails.painted(request)) for request in requests)
 
 
-def _errands() -> str:
+def _command_links_html() -> str:
     """Return the links of the commands on all defects as HTML."""
     links = (f'<span class="wv-link" {html.pick("defect-errand", key)}>{e.short}</span>' for key, e in ERRANDS.items())
     areas = f'<span class="wv-link" {html.pick("defect-excluded", "here")}>Leave out…</span>'

@@ -9,7 +9,7 @@ from wafer_viewer.draw.charts.profile_plot import profile_plot_html
 from wafer_viewer.draw.colormaps import PROFILE_COLOURS
 from wafer_viewer.gui.page.bottom_panel import BottomPanel
 from wafer_viewer.gui.page.page import Page
-from wafer_viewer.gui.presenters.measurement import whole
+from wafer_viewer.gui.presenters.measurement import format_quantity
 from wafer_viewer.gui.presenters.review.defect_items import chosen_defect
 from wafer_viewer.gui.presenters.review.defect_sections import DefectCut, cut_through
 from wafer_viewer.gui.state.view_state import View
@@ -67,7 +67,7 @@ class DefectDock:
             self._page.redraw()
 
     def _head(self, defect: Defect, cut: DefectCut) -> str:
-        words = " ".join(f"<span>{part}</span>" for part in _told(defect, cut, len(self._sections)))
+        words = " ".join(f"<span>{part}</span>" for part in _header_parts(defect, cut, len(self._sections)))
         return f'<div class="wv-dock wv-tight"><b>Profile through the defect</b>{words}</div>'
 
     def _curves(self) -> str:
@@ -78,8 +78,8 @@ class DefectDock:
         return profile_plot_html(self._sections, frame_of(self._sections), ())
 
 
-def _told(defect: Defect, cut: DefectCut, n_curves: int) -> Iterator[str]:
-    height = f"height <b>{whole(defect.height.quantity, signed=True)}</b>"
+def _header_parts(defect: Defect, cut: DefectCut, n_curves: int) -> Iterator[str]:
+    height = f"height <b>{format_quantity(defect.height.quantity, signed=True)}</b>"
     yield f'{html.chip("A", PROFILE_COLOURS[0])} {height} <span class="dim wv-hint">through the middle</span>'
     if cut.beside and n_curves > 1:
         beside = f"same row, die {html.safe(cut.beside)}"

@@ -18,12 +18,12 @@ from wafer_viewer.draw.charts.defect_symbols import KINDS
 from wafer_viewer.draw.charts.map_marks import MapMark, map_marks_svg
 from wafer_viewer.draw.charts.wafer_map import MOST_HEIGHT_PX, WIDTH_PX, MapViewport, Outline
 from wafer_viewer.gui.page.page import Page
-from wafer_viewer.gui.page.preconditions import elsewhere
+from wafer_viewer.gui.page.preconditions import require_step
 from wafer_viewer.gui.presenters.review.defect_items import chosen_defect, key_of, on_show
 from wafer_viewer.gui.presenters.review.defect_map import BY, map_head, map_html, other_signs
 from wafer_viewer.gui.state.defect_list_state import listed, next_die, next_kind
 from wafer_viewer.gui.state.view_state import View
-from wafer_viewer.gui.widgets.command import Command, unless
+from wafer_viewer.gui.widgets.command import Command, with_precondition
 from wafer_viewer.gui.widgets.controls import HtmlBlock, set_prop
 from wafer_viewer.model.inspection.defect import Defect, Inspection
 from wafer_viewer.session.state.snapshot import Snapshot
@@ -77,8 +77,8 @@ class DefectMap:
     def commands(self) -> list[Command]:
         """Return the commands that step through dies and classes."""
         icon = viser.Icon
-        return unless(
-            elsewhere("review"),
+        return with_precondition(
+            require_step("review"),
             *(
                 Command(name, key, lambda b=by: self._step_die(b), icon.GRID_DOTS, "alt", "Review")
                 for name, key, by in TO_DIES

@@ -16,7 +16,7 @@ from wafer_viewer.gui.presenters.review.defect_items import key_of, number_of
 from wafer_viewer.gui.state.defect_list_state import listed
 from wafer_viewer.gui.state.view_state import View
 from wafer_viewer.gui.widgets import html
-from wafer_viewer.gui.widgets.command import Command, unless
+from wafer_viewer.gui.widgets.command import Command, with_precondition
 from wafer_viewer.gui.widgets.error_guard import guarded
 from wafer_viewer.gui.widgets.latest_only import LatestOnlyWorker
 from wafer_viewer.model.inspection.defect import Defect, Inspection
@@ -39,7 +39,7 @@ class DefectStack:
         self._places: tuple[RepeatedPlace, ...] | None = None
         self._picture: DiePicture | None = None
         page.on_close(self._worker.close)
-        page.on_pick("defect-place", lambda key: self._only(int(key)))
+        page.on_pick("defect-place", lambda key: self._toggle_place_filter(int(key)))
 
     def show(self, snapshot: Snapshot, view: View) -> None:
         """Bring the sheet up to date."""
@@ -60,7 +60,7 @@ class DefectStack:
     def commands(self) -> list[Command]:
         """Return the command that opens the sheet and then steps from place to place."""
         name, icon = "All dies overlaid, next place", viser.Icon.STACK_2
-        return unless(nothing_inspected, Command(name, "backspace", self.go_on, icon, group="Review"))
+        return with_precondition(nothing_inspected, Command(name, "backspace", self.go_on, icon, group="Review"))
 
     def go_on(self) -> None:
         """Open the sheet; if it is open, filter by the next repeating place, and after the last one show all."""
@@ -69,9 +69,9 @@ class DefectStack:
             self._page.change(sheet="stack")
         elif places:
             now = place_of(view.defects.numbers, places)
-            self._only(0 if now is None else now + 1)
+            self._toggle_place_filter(0 if now is None else now + 1)
 
-    def _only(self, k: int) -> None:
+    def _toggle_place_filter(self, k: int) -> None:
         """Filter by the defects of one place and show the first; choosing the same place again removes the filter."""
         page, places = self._page, self._places or ()
         new = places[k].numbers if k < len(places) else ()

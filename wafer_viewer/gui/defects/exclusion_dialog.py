@@ -68,7 +68,7 @@ class ExcludedDialog:
         self._table.show(area_table(self._areas))
 
 
-def place_of(defect: Defect | None) -> Areas:
+def area_of_defect(defect: Defect | None) -> Areas:
     """Return the rectangle around a defect, relative to the corner of its die; empty if it is on no die."""
     if defect is None or defect.in_die is None:
         return ()

@@ -85,8 +85,8 @@ class InspectionForm:
         self._expected.show(_lab(words.expectation(form.sensitivity, snapshot.inspection.inspection)))
         golden = form.compare == GOLDEN
         self._golden.show(words.golden_table(snapshot.shelf, form.product.strip(), form.golden) if golden else "")
-        self._more.show(words.more(form, self._shows_more))
-        self._excluded.show(words.left_out(form))
+        self._more.show(words.advanced_settings_header(form, self._shows_more))
+        self._excluded.show(words.exclusion_line_html(form))
         set_prop(self._rest, "visible", self._shows_more)
         set_prop(self._given, "visible", form.dies == GIVEN and against_of(form) == "dies")
         set_prop(self._begin, "disabled", bool(why_not))
@@ -248,7 +248,7 @@ class InspectionForm:
             self._said.show(_lab(str(fault)))
             return
         self._recipes.show(now.name if now in shelf.recipes else NOT_KEPT)
-        told = words.which_recipe(self._recipe, now, shelf, inspected)
+        told = words.recipe_origin_text(self._recipe, now, shelf, inspected)
         self._said.show(_lab(f"{told} {words.unreadable(shelf)}".rstrip()))
 
     def _put(self, recipe: DefectRecipe, form: DefectForm) -> None:
@@ -287,4 +287,4 @@ class InspectionForm:
 
 
 def _lab(text: str) -> str:
-    return f'<div class="wv-lab" style="margin-bottom:5px">{html.safe(html.micro(text))}</div>'
+    return f'<div class="wv-lab" style="margin-bottom:5px">{html.safe(html.with_micro_sign(text))}</div>'

@@ -7,7 +7,7 @@ from collections.abc import Iterator
 from datetime import datetime
 
 from wafer_viewer.draw.number_format import number
-from wafer_viewer.gui.page.dialogs import when
+from wafer_viewer.gui.page.dialogs import format_time
 from wafer_viewer.gui.presenters.review.defects import per_mm2
 from wafer_viewer.gui.presenters.review.inspection_form_values import DefectForm
 from wafer_viewer.gui.widgets import html
@@ -26,13 +26,13 @@ def expectation(sensitivity: float, inspection: Inspection | None) -> str:
     expected = inspection.expected_false_at(sensitivity) if inspection is not None else None
     if inspection is None or expected is None:
         return f"{above} The expected number of false ones is shown after the first inspection."
-    here, wafer = _about(expected * inspection.inspected_mm2), _about(expected * WAFER_MM2)
+    here, wafer = _expected_count_text(expected * inspection.inspected_mm2), _expected_count_text(expected * WAFER_MM2)
     return (
         f"{above} Expected to be false by noise alone: {per_mm2(expected)}, {here} here, {wafer} on a wafer of 300 mm."
     )
 
 
-def which_recipe(recipe: DefectRecipe, now: DefectRecipe, shelf: DefectShelf, inspected: bool) -> str:
+def recipe_origin_text(recipe: DefectRecipe, now: DefectRecipe, shelf: DefectShelf, inspected: bool) -> str:
     """Return the origin of the form's settings and whether they were changed; `now` is its present recipe."""
     newest = shelf.recipe_of(recipe.product)
     if now in shelf.recipes:
@@ -71,7 +71,7 @@ def golden_table(shelf: DefectShelf, product: str, chosen: str) -> str:
     )
 
 
-def more(form: DefectForm, unfolded: bool) -> str:
+def advanced_settings_header(form: DefectForm, unfolded: bool) -> str:
     """Return the header of the additional settings as HTML, with a summary while they are folded."""
     link = f'<span class="wv-link" {html.pick("defect-more")}>{"Less" if unfolded else "Change…"}</span>'
     if unfolded:
@@ -87,7 +87,7 @@ def more(form: DefectForm, unfolded: bool) -> str:
     return f'<div class="wv-lab" style="margin:2px 0 6px">{html.safe("; ".join(told))} · {link}</div>'
 
 
-def left_out(form: DefectForm) -> str:
+def exclusion_line_html(form: DefectForm) -> str:
     """Return the form's line about excluded areas, with a link to edit them, as HTML."""
     link = f'<span class="wv-link" {html.pick("defect-excluded")}>Areas…</span>'
     told = areas(form)
@@ -126,10 +126,10 @@ def _row(header: GoldenHeader, name: str, chosen: bool) -> str:
 
 
 def _kept(header: GoldenHeader) -> str:
-    return when(header.made_at, datetime.now().astimezone())
+    return format_time(header.made_at, datetime.now().astimezone())
 
 
-def _about(count: float) -> str:
+def _expected_count_text(count: float) -> str:
     """Return an expected count rounded to two digits; one decimal below ten, "under 0.1" below 0.05."""
     if count < 0.05:
         return "under 0.1"

@@ -36,7 +36,7 @@ class OtherSection:
         other, defects = snapshot.shelf.other, snapshot.inspection.defects
         if self._of[0] is not other or self._of[1] is not defects:  # thousands of places take a tenth of a second
             self._of = other, defects
-            self._cell.show(told(other, defects) if other is not None else "")
+            self._cell.show(overlay_html(other, defects) if other is not None else "")
 
     def _go_to(self, number_there: str) -> None:
         now = self._page.session.snapshot
@@ -46,7 +46,7 @@ class OtherSection:
         pairs = zip(other.klarf.defects, other.places, strict=True)
         place = next((place for defect, place in pairs if defect.number == int(number_there)), None)
         if place is not None:
-            self._fly(_round(place.bounds_um, LEAST_PX * now.surface.pixel_um))
+            self._fly(_box_around(place.bounds_um, LEAST_PX * now.surface.pixel_um))
 
     def _take_away(self) -> None:
         self._page.ask("The overlay was not removed", self._page.session.defects.files.take_away())
@@ -70,7 +70,7 @@ def other_marks(other: OtherTool | None) -> list[MapMark]:
     ]
 
 
-def told(other: OtherTool, defects: tuple[Defect, ...]) -> str:
+def overlay_html(other: OtherTool, defects: tuple[Defect, ...]) -> str:
     """Return the match counts and the table of unmatched defects as HTML."""
     found = tuple(defect for defect in defects if defect.kind != "unmeasured")
     rest = other.unmatched(found)
@@ -97,7 +97,7 @@ def _row(defect: KlarfDefect) -> str:
     )
 
 
-def _round(bounds: Box, least_um: float) -> Box:
+def _box_around(bounds: Box, least_um: float) -> Box:
     x0, y0, x1, y1 = bounds
     half = max(ROUND * max(x1 - x0, y1 - y0), least_um) / 2
     x, y = (x0 + x1) / 2, (y0 + y1) / 2
@@ -109,4 +109,4 @@ def _counted(n: int, what: str) -> str:
 
 
 def _lab(text: str) -> str:
-    return f'<div class="wv-lab" style="margin-bottom:5px">{html.safe(html.micro(text))}</div>'
+    return f'<div class="wv-lab" style="margin-bottom:5px">{html.safe(html.with_micro_sign(text))}</div>'

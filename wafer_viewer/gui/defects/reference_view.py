@@ -14,7 +14,7 @@ from wafer_viewer.gui.presenters.review.defect_items import chosen_defect
 from wafer_viewer.gui.presenters.review.review_items import neighbour
 from wafer_viewer.gui.state.view_state import OF_DEFECT, View
 from wafer_viewer.gui.widgets import html
-from wafer_viewer.gui.widgets.command import Command, unless
+from wafer_viewer.gui.widgets.command import Command, with_precondition
 from wafer_viewer.gui.widgets.error_guard import guarded
 from wafer_viewer.gui.widgets.latest_only import LatestOnlyWorker
 from wafer_viewer.model.errors import WaferViewerError
@@ -51,12 +51,12 @@ class DefectBeside:
         if self._answer is not None:
             self._sheet.show(sheet(defect, self._answer, sizes), sizes.sheet_px)
         else:
-            self._sheet.show(_instead(defect, self._told), HEAD_PX + WAITING_PX + 2 * PAD_PX)
+            self._sheet.show(_placeholder_html(defect, self._told), HEAD_PX + WAITING_PX + 2 * PAD_PX)
 
     def commands(self) -> list[Command]:
         """Return the command that opens and closes the sheet."""
         icon = viser.Icon.LAYOUT_COLUMNS
-        return unless(no_defect, Command("Compare the defect", "Z", self.toggle, icon, group="Review"))
+        return with_precondition(no_defect, Command("Compare the defect", "Z", self.toggle, icon, group="Review"))
 
     def toggle(self) -> None:
         """Open or close the sheet."""
@@ -91,7 +91,7 @@ class DefectBeside:
             page.session.defects.views.beside(item.defect)
 
 
-def _instead(defect: Defect, told: str) -> str:
+def _placeholder_html(defect: Defect, told: str) -> str:
     """Return the placeholder shown until the pictures are ready, or if there are none, as HTML."""
-    said = html.empty(html.micro(told) if told else "Making the pictures …")
+    said = html.empty(html.with_micro_sign(told) if told else "Making the pictures …")
     return f'{head(defect)}<div style="height:{WAITING_PX}px">{said}</div>'

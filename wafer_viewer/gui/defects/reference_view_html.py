@@ -74,7 +74,7 @@ def _column(place: int, seen: ComparisonView, defect: Defect, answer: Comparison
         f'<small title="{html.safe(below)}">{html.safe(below)}</small></div>'
     )
     if seen.why_not:
-        why = f'<div class="wv-empty">{html.safe(html.micro(seen.why_not))}</div>'
+        why = f'<div class="wv-empty">{html.safe(html.with_micro_sign(seen.why_not))}</div>'
         return f'{names}<div style="grid-column:{place};grid-row:2/4">{why}</div>'
     over = _over(defect, answer, sizes)
     at = f'<div class="wv-over-picture" style="grid-column:{place};grid-row:'

@@ -6,7 +6,7 @@ from pathlib import Path
 
 from wafer_viewer.gui.page.page import Page
 from wafer_viewer.gui.state.view_state import View
-from wafer_viewer.gui.tools.gauge_regions import by_hand
+from wafer_viewer.gui.tools.gauge_regions import default_faces
 from wafer_viewer.gui.widgets.error_guard import guarded
 from wafer_viewer.gui.widgets.latest_only import LatestOnlyWorker
 from wafer_viewer.model.errors import WaferViewerError
@@ -46,12 +46,12 @@ class FaceFinder:
         if surface is not None:
             self._look(surface)
 
-    def lay_by_hand(self) -> None:
+    def place_default_regions(self) -> None:
         """Place the regions at default positions, to be dragged by hand."""
         info = self._page.session.snapshot.surface
         if info is not None:
             self.problem = ""
-            self._page.change(faces=by_hand(info))
+            self._page.change(faces=default_faces(info))
 
     def _look(self, surface: Surface) -> None:
         self._looked_at, self.looking, self.problem = surface, True, ""

@@ -25,7 +25,7 @@ class GaugeActions:
         page.on_pick(
             "gauge-drop", lambda k: page.ask("The repeat was not changed", page.session.gauge.drop_repeat(int(k)))
         )
-        page.on_pick("gauge-lay", lambda _: finder.lay_by_hand())
+        page.on_pick("gauge-lay", lambda _: finder.place_default_regions())
         page.on_pick("gauge-find", lambda _: finder.again())
 
     def go_on(self) -> None:

@@ -36,7 +36,9 @@ def below(chart: RunChart | None, serials: str, chosen: str) -> str:
     if chart is None or not chart.points:
         head = '<div class="wv-dock"><b>Run chart</b></div>'
         return f'{head}<div class="wv-run-empty">{html.empty(_EMPTY)}</div>'
-    warnings = "".join(f'<span class="wv-curve-note">{html.safe(html.micro(text))}</span>' for text in chart.warnings)
+    warnings = "".join(
+        f'<span class="wv-curve-note">{html.safe(html.with_micro_sign(text))}</span>' for text in chart.warnings
+    )
     notes = f'<div class="wv-dock">{warnings}</div>' if warnings else ""
     drawn = run_chart_html(chart, lambda point: html.pick("gauge-record", point.at), chosen)
     return f"{_head(chart, serials)}{notes}{drawn}"

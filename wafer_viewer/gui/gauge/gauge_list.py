@@ -33,7 +33,7 @@ class GaugeList:
         self._page.change(check=None if self._page.view.check == key else key)
 
 
-def looked_at(snapshot: Snapshot, view: View) -> GaugeCheck | None:
+def selected_check(snapshot: Snapshot, view: View) -> GaugeCheck | None:
     """Return the earlier check that is selected in a view; None if it is not of these blocks."""
     return next((record.check for record in snapshot.gauge.records if record.check.at == view.check), None)
 

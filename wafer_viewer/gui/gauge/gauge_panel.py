@@ -10,17 +10,17 @@ import viser
 from wafer_viewer.gui.gauge.face_finder import FaceFinder
 from wafer_viewer.gui.gauge.gauge_commands import GaugeActions
 from wafer_viewer.gui.gauge.gauge_conditions import TermsSection
-from wafer_viewer.gui.gauge.gauge_list import looked_at
+from wafer_viewer.gui.gauge.gauge_list import selected_check
 from wafer_viewer.gui.gauge.study_section import StudySection
 from wafer_viewer.gui.measure.live_measurement import Answering
 from wafer_viewer.gui.page.page import Page
-from wafer_viewer.gui.page.preconditions import elsewhere
+from wafer_viewer.gui.page.preconditions import require_step
 from wafer_viewer.gui.presenters import gauge as words
 from wafer_viewer.gui.presenters import gauge_uncertainty as unsure
 from wafer_viewer.gui.state.view_state import View
 from wafer_viewer.gui.tools.gauge_regions import in_scene
 from wafer_viewer.gui.widgets import html
-from wafer_viewer.gui.widgets.command import Command, unless
+from wafer_viewer.gui.widgets.command import Command, with_precondition
 from wafer_viewer.gui.widgets.controls import HtmlBlock, button, in_a_row, leading, set_prop
 from wafer_viewer.gui.widgets.style import by_id
 from wafer_viewer.model.gauge.gauge_check import GaugeCheck
@@ -54,7 +54,7 @@ class GaugePanel:
             return
         self.finder.follow(snapshot, view)
         self.live.follow(snapshot, in_scene(view))
-        earlier = looked_at(snapshot, view)
+        earlier = selected_check(snapshot, view)
         check = earlier or snapshot.gauge.signed or snapshot.gauge.check
         self._title.show(_title(earlier))
         self._notes.show(self._page.notes(snapshot))
@@ -75,8 +75,8 @@ class GaugePanel:
 
         return [
             Command("Next point of the check", "enter", verbs.go_on, ICON.ARROW_RIGHT, group="Gauge check", here=here),
-            *unless(
-                elsewhere("gauge"),
+            *with_precondition(
+                require_step("gauge"),
                 Command("Measure the step", None, verbs.measure, ICON.RULER_MEASURE, group="Gauge check"),
                 Command("Find the faces", None, self.finder.again, ICON.SEARCH, group="Gauge check"),
                 Command("Sign the check…", None, verbs.sign, ICON.SIGNATURE, group="Gauge check"),
@@ -115,13 +115,13 @@ class GaugePanel:
         if earlier is not None:
             self._state.show("")
         elif gauge.refusal is not None:
-            self._state.show(words.refused(gauge.refusal, bool(gauge.repeats)))
+            self._state.show(words.rejected_scan_note(gauge.refusal, bool(gauge.repeats)))
         elif snapshot.surface is None and not gauge.repeats:
             self._state.show(html.empty(*NO_SURFACE))
         else:
-            self._state.show(self._faces_told(snapshot, view))
+            self._state.show(self._faces_state_html(snapshot, view))
 
-    def _faces_told(self, snapshot: Snapshot, view: View) -> str:
+    def _faces_state_html(self, snapshot: Snapshot, view: View) -> str:
         """Return the state of the face regions before the step is measured, as HTML."""
         if self.finder.looking:
             return html.empty("Looking for the two faces.")
@@ -164,7 +164,7 @@ class GaugePanel:
         set_prop(self._other, "visible", own)
         may_measure = self._verbs.why_not(snapshot, view, "measure") is None
         set_prop(self._again, "disabled", not (may_measure and gauge.repeats))
-        why = f'<div class="wv-why">Not yet: {html.safe(html.micro(why_not))}</div>' if why_not else ""
+        why = f'<div class="wv-why">Not yet: {html.safe(html.with_micro_sign(why_not))}</div>' if why_not else ""
         self._why.show(why if own else "")
 
 

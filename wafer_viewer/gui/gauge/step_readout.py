@@ -4,11 +4,11 @@ from __future__ import annotations
 
 from collections.abc import Callable
 
-from wafer_viewer.gui.gauge.gauge_list import looked_at
+from wafer_viewer.gui.gauge.gauge_list import selected_check
 from wafer_viewer.gui.measure.live_measurement import Answer
 from wafer_viewer.gui.overlays.hud import EDGE_PX
 from wafer_viewer.gui.page.page import Page
-from wafer_viewer.gui.presenters.gauge import day_and_time, large
+from wafer_viewer.gui.presenters.gauge import day_and_time, scene_step_label
 from wafer_viewer.gui.state.view_state import View
 from wafer_viewer.gui.widgets.controls import FloatingPanel
 from wafer_viewer.model.measurement.step import StepHeight
@@ -27,10 +27,10 @@ class StepReadout:
         self._glass.show(self._content(snapshot, view) if view.step == "gauge" and not view.explains else "")
 
     def _content(self, snapshot: Snapshot, view: View) -> str:
-        earlier = looked_at(snapshot, view)
+        earlier = selected_check(snapshot, view)
         check = earlier or snapshot.gauge.signed or snapshot.gauge.check
         if check is not None:
             of = f", {day_and_time(check.at)}" if check.at else f", mean of {check.n}" if check.n > 1 else ""
-            return large(f"Measured step{of}", check.height)
+            return scene_step_label(f"Measured step{of}", check.height)
         step = self._live().finding
-        return large("Step between the regions, live", step.height) if isinstance(step, StepHeight) else ""
+        return scene_step_label("Step between the regions, live", step.height) if isinstance(step, StepHeight) else ""

@@ -38,7 +38,7 @@ class FacesSection:
         set_prop(self._button, "disabled", self._looking)
         set_prop(self._button, "label", LOOKING if self._looking else FIND)
         told = self._problem if there and not self._looking else ""
-        self._why.show(f'<div class="wv-why">{html.safe(html.micro(told))}</div>' if told else "")
+        self._why.show(f'<div class="wv-why">{html.safe(html.with_micro_sign(told))}</div>' if told else "")
 
     def _look_for(self, _: Any) -> None:
         if not self._looking:

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 
 from wafer_viewer.gui.page.page import Page
 from wafer_viewer.gui.state.view_state import View
-from wafer_viewer.gui.tools.region_tools import fits
+from wafer_viewer.gui.tools.region_tools import has_required_kinds
 from wafer_viewer.gui.widgets.error_guard import guarded
 from wafer_viewer.gui.widgets.latest_only import LatestOnlyWorker
 from wafer_viewer.model.errors import WaferViewerError
@@ -68,7 +68,7 @@ def _places(view: View) -> object:
     """Return the regions of the active tool; empty if it has none yet, and for profiles, which have curves instead."""
     if view.tool == "none" or view.tool == "profile":
         return ()
-    return view.places if fits(TOOLS[view.tool], view.places) else ()
+    return view.places if has_required_kinds(TOOLS[view.tool], view.places) else ()
 
 
 def _stamp(snapshot: Snapshot, show: int) -> object:

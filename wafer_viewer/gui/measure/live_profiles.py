@@ -12,7 +12,7 @@ from wafer_viewer.gui.widgets.error_guard import guarded
 from wafer_viewer.gui.widgets.latest_only import LatestOnlyWorker
 from wafer_viewer.model.errors import WaferViewerError
 from wafer_viewer.model.measurement.measurements import Profile
-from wafer_viewer.model.measurement.section_lines import Gap, gap
+from wafer_viewer.model.measurement.section_lines import Gap, cursor_difference
 from wafer_viewer.model.measurement.sections import Section, SectionAsked
 from wafer_viewer.session.state.snapshot import Snapshot
 
@@ -63,7 +63,7 @@ class LiveProfiles:
     def gap(self) -> Gap | None:
         """Cursor readings on the active line's curve, at the nearest measured points; None without a curve."""
         active = self.active
-        return None if active is None else gap(active.curve, self._page.view.plot.cursors)
+        return None if active is None else cursor_difference(active.curve, self._page.view.plot.cursors)
 
     def cursor_shares(self, view: View) -> tuple[float, float]:
         """Return the cursor positions as shares of the active line's length; the requested ones without a curve."""

@@ -13,14 +13,14 @@ from wafer_viewer.gui.measure.live_profiles import LiveProfiles
 from wafer_viewer.gui.measure.options_section import OptionsSection
 from wafer_viewer.gui.measure.profile_section import ProfileSection
 from wafer_viewer.gui.page.page import Page
-from wafer_viewer.gui.page.preconditions import elsewhere
+from wafer_viewer.gui.page.preconditions import require_step
 from wafer_viewer.gui.presenters import measurement as words
 from wafer_viewer.gui.presenters.provenance import source
 from wafer_viewer.gui.presenters.steps import not_evaluated
 from wafer_viewer.gui.scenes.scene_view import SceneView
 from wafer_viewer.gui.scenes.thumbnails import painted
 from wafer_viewer.gui.state.view_state import Tool, View
-from wafer_viewer.gui.tools.region_tools import fits
+from wafer_viewer.gui.tools.region_tools import has_required_kinds
 from wafer_viewer.gui.tools.tool_palette import tool_cards
 from wafer_viewer.gui.widgets import html
 from wafer_viewer.gui.widgets.controls import HtmlBlock, button, leading, set_prop
@@ -71,7 +71,7 @@ class MeasurePanel:
         self._faces.show(view, kept=chosen is not None)
         self._options.show(view, kept=chosen is not None)
         self._profiles.show(snapshot, view)
-        self._source.show(_rests_on(finding) if finding is not None else "")
+        self._source.show(_evidence_html(finding) if finding is not None else "")
         self._show_keep(snapshot, view, finding, chosen)
 
     def close(self) -> None:
@@ -85,7 +85,7 @@ class MeasurePanel:
         view = self._page.view
         stays = False
         if tool not in ("none", "profile") and view.tool != "none" and len(view.places) == 1:
-            stays = TOOLS[tool].places == TOOLS[view.tool].places and fits(TOOLS[tool], view.places)
+            stays = TOOLS[tool].places == TOOLS[view.tool].places and has_required_kinds(TOOLS[tool], view.places)
         self._page.change(step="measure", tool=tool, places=view.places if stays else (), selected=None, why=None)
 
     def _build(self, scene: SceneView, curves: LiveProfiles) -> None:
@@ -108,10 +108,10 @@ class MeasurePanel:
 
     def _show_answer(self, view: View, finding: AnyResult | None, chosen: AnyResult | None) -> None:
         if finding is None:
-            waits = html.micro(self.answer.problem) or WAITS
+            waits = html.with_micro_sign(self.answer.problem) or WAITS
             self._answer.show("" if view.tool == "none" else html.empty(waits))
             return
-        name = f"{words.letter(chosen)} · {chosen.name}" if chosen else "Not kept yet"
+        name = f"{words.symbol(chosen)} · {chosen.name}" if chosen else "Not kept yet"
         self._answer.show(words.card(finding, name))
 
     def _show_keep(self, snapshot: Snapshot, view: View, finding: AnyResult | None, chosen: AnyResult | None) -> None:
@@ -129,7 +129,7 @@ class MeasurePanel:
     def why_not_keep(self, snapshot: Snapshot, view: View) -> str | None:
         """Return the reason why no result can be saved now, or None."""
         data = snapshot.dataset
-        if (missing := elsewhere("measure")(snapshot, view)) is not None:
+        if (missing := require_step("measure")(snapshot, view)) is not None:
             return missing
         if view.tool == "none" or view.selected is not None:
             return "no tool is active: choose one first."
@@ -154,7 +154,7 @@ class MeasurePanel:
 _GAP = '<div style="height:8px"></div>'
 
 
-def _rests_on(finding: AnyResult) -> str:
+def _evidence_html(finding: AnyResult) -> str:
     return f"{source(finding)}{words.budget(finding.main)}{not_evaluated(finding)}{_GAP}"
 
 

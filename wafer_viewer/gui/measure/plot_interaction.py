@@ -52,7 +52,7 @@ def cursor_sliders(at_um: Sequence[float], ends_um: tuple[float, float], step_um
     )
 
 
-def told_shares(key: str) -> tuple[float, float]:
+def parse_drag(key: str) -> tuple[float, float]:
     """Return the two shares that `zoom_area` reported, clamped to the plot."""
     first, last = (min(max(float(share), 0.0), 1.0) for share in key.split(":"))
     return first, last
@@ -68,13 +68,13 @@ class CursorMove:
     released: bool
 
 
-def told_cursor(key: str) -> CursorMove:
+def parse_cursor_event(key: str) -> CursorMove:
     """Parse the event of a cursor slider."""
     number, at_um, by, end = key.split(":")
     return CursorMove(int(number), float(at_um), by == "key", end == "end")
 
 
-def focused(number: int) -> str:
+def focus_slider_html(number: int) -> str:
     """Return HTML that focuses the slider of a cursor again, after it was recreated during keyboard use."""
     script = f"document.querySelector('.wv-slide[name=&quot;{number}&quot;]')?.focus()"
     return f'<img src="data:," alt="" hidden onerror="{script}">'

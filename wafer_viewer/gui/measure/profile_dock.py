@@ -17,7 +17,7 @@ from wafer_viewer.gui.presenters import profile as words
 from wafer_viewer.gui.state.plot_state import with_cursor
 from wafer_viewer.gui.state.view_state import View
 from wafer_viewer.gui.widgets.controls import HtmlBlock
-from wafer_viewer.model.measurement.section_lines import Gap, gap, next_measured
+from wafer_viewer.model.measurement.section_lines import Gap, cursor_difference, next_measured
 from wafer_viewer.model.measurement.sections import Section
 from wafer_viewer.session.state.snapshot import Snapshot
 
@@ -98,7 +98,7 @@ class ProfileDock:
             self._slid, self._slider = None, (self._frame.x_um, read.at_um)
         ends_um, at_um = self._slider
         sliders = pointer.cursor_sliders(at_um, ends_um, _step_um(active))
-        focused = pointer.focused(self._focused) if self._focused is not None else ""
+        focused = pointer.focus_slider_html(self._focused) if self._focused is not None else ""
         self._sliders.show(f'<div class="wv-slides" data-rests="{self._rests}">{sliders}{focused}</div>')
 
     # ---------------------------------------------------------------- what the operator does
@@ -109,7 +109,7 @@ class ProfileDock:
             self._page.change(plot=replace(plot, span_um=None))
             return
         low, high = self._frame.x_um
-        first, last = (low + share * (high - low) for share in pointer.told_shares(key))
+        first, last = (low + share * (high - low) for share in pointer.parse_drag(key))
         if abs(last - first) > LEAST_ZOOM_SHARE * (high - low):
             self._page.change(plot=replace(plot, span_um=(min(first, last), max(first, last))))
         else:
@@ -128,11 +128,11 @@ class ProfileDock:
 
         Released at an unmeasured point it snaps to the nearest measured one; keys jump over the gap.
         """
-        told, active, before = pointer.told_cursor(key), self._curves.active, self._curves.gap
+        told, active, before = pointer.parse_cursor_event(key), self._curves.active, self._curves.gap
         if active is None or before is None:
             return
         length_um = float(active.curve.distance_um[-1])
-        stands_um = gap(active.curve, (told.at_um / length_um, 0.0)).at_um[0]
+        stands_um = cursor_difference(active.curve, (told.at_um / length_um, 0.0)).at_um[0]
         beside = abs(stands_um - told.at_um) > _step_um(active) / 2
         self._focused = told.number if told.by_key else None
         if told.by_key and told.released and beside:

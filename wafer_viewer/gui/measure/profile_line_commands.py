@@ -46,7 +46,10 @@ class LineVerbs:
         if line is not None and len(view.lines) < MOST_LINES:
             middle = section_lines.middle(line)
             crossed = sum(math.dist(section_lines.middle(other), middle) < _SAME_PLACE_UM for other in view.lines) > 1
-            lines = (*view.lines, (section_lines.beside if crossed else section_lines.across)(line, self._surface()))
+            lines = (
+                *view.lines,
+                (section_lines.parallel_line if crossed else section_lines.perpendicular_line)(line, self._surface()),
+            )
             self._page.change(lines=lines, line=len(lines) - 1, selected=None)
 
     def remove(self) -> None:

@@ -10,9 +10,9 @@ import viser
 from wafer_viewer.gui.page.dialogs import rename_dialog
 from wafer_viewer.gui.page.import_export_dialogs import save_dialog
 from wafer_viewer.gui.page.page import Page
-from wafer_viewer.gui.presenters.measurement import REGION_COLOUR, letter, list_text, sign_colour
-from wafer_viewer.gui.presenters.provenance import where
-from wafer_viewer.gui.presenters.result_regions import Box, bounds_of, places_of, tool_of
+from wafer_viewer.gui.presenters.measurement import REGION_COLOUR, list_text, sign_colour, symbol
+from wafer_viewer.gui.presenters.provenance import surface_name
+from wafer_viewer.gui.presenters.result_regions import Box, bounds_of, input_regions, tool_of
 from wafer_viewer.gui.scenes.thumbnails import Thumbnails
 from wafer_viewer.gui.state.view_state import View
 from wafer_viewer.gui.widgets import html
@@ -123,9 +123,9 @@ class ResultList:
 
 def _row(finding: AnyResult, view: View, thumbnail: str) -> str:
     colour = sign_colour(finding)
-    sign = html.chip(letter(finding), "" if colour == REGION_COLOUR else colour)
+    sign = html.chip(symbol(finding), "" if colour == REGION_COLOUR else colour)
     name = f'<span class="wv-cut wv-short" title="{html.safe(finding.name)}">{html.safe(finding.name)}</span>'
-    elsewhere = " · ".join(_elsewhere(finding, view))
+    elsewhere = " · ".join(_source_differences(finding, view))
     beside = f'<small class="wv-cut wv-short" title="{html.safe(elsewhere)}">{html.safe(elsewhere)}</small>'
     return html.row(
         [
@@ -139,15 +139,15 @@ def _row(finding: AnyResult, view: View, thumbnail: str) -> str:
     )
 
 
-def _elsewhere(finding: AnyResult, view: View) -> list[str]:
+def _source_differences(finding: AnyResult, view: View) -> list[str]:
     """Return the surface and levelling of a result, each only if it differs from the displayed one."""
-    told = [where(finding)] if finding.show != view.show else []
+    told = [surface_name(finding)] if finding.show != view.show else []
     return told + ([f"zero: {finding.levelling.by}"] if finding.levelling != view.levelling else [])
 
 
 def _as_measured(finding: AnyResult, view: View) -> dict[str, Any]:
     """Return the view changes that show a result as it was measured."""
-    tool, places = tool_of(finding), places_of(finding)
+    tool, places = tool_of(finding), input_regions(finding)
     changes: dict[str, Any] = {"why": None}
     if tool == "profile":
         changes |= {"tool": tool, "lines": places, "line": 0}

@@ -9,7 +9,7 @@ import numpy as np
 
 from wafer_viewer.draw.number_format import number, with_unit
 from wafer_viewer.draw.ticks import length_text, round_length
-from wafer_viewer.gui.page.bottom_panel import room_px
+from wafer_viewer.gui.page.bottom_panel import bottom_panel_height_px
 from wafer_viewer.gui.page.page import Page
 from wafer_viewer.gui.state.view_state import View
 from wafer_viewer.gui.tools.gauge_regions import in_scene
@@ -63,7 +63,7 @@ class ScaleBar:
     def show(self, snapshot: Snapshot, view: View) -> None:
         """Update the scale bar."""
         um_per_pixel = self._scene.um_per_pixel()
-        y_px = -(EDGE_PX + room_px(view))
+        y_px = -(EDGE_PX + bottom_panel_height_px(view))
         narrow = self._viewport.width_px < NARROW_SCENE_PX
         drawn = _drawn(snapshot, in_scene(view), narrow)
         self._glass.show(_scale_bar(um_per_pixel, drawn) if um_per_pixel else "", y_px=y_px)
@@ -93,7 +93,7 @@ class ReadOutBox:
     def show(self, snapshot: Snapshot, view: View) -> None:
         """Show the last read-out as long as the surface is the same."""
         on_surface = view.on_surface and self._of == _surface(snapshot, view)
-        y_px = -(EDGE_PX + room_px(view))
+        y_px = -(EDGE_PX + bottom_panel_height_px(view))
         ask = f'<span class="wv-link" title="Key C" {html.pick("why")}>Why this height?</span>'
         shown = f"{self._text}{'' if view.explains else ask}" if on_surface else ""
         self._glass.show(shown and f'<div class="wv-glass wv-read">{shown}</div>', y_px=y_px)

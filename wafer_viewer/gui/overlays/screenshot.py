@@ -13,9 +13,9 @@ from wafer_viewer.draw.number_format import number
 from wafer_viewer.draw.surface.display_style import QUANTITIES
 from wafer_viewer.gui.overlays.colour_legend import SIGNED
 from wafer_viewer.gui.page.page import Page
-from wafer_viewer.gui.page.preconditions import off_surface
+from wafer_viewer.gui.page.preconditions import surface_not_shown
 from wafer_viewer.gui.state.view_state import View
-from wafer_viewer.gui.widgets.command import Command, unless
+from wafer_viewer.gui.widgets.command import Command, with_precondition
 from wafer_viewer.gui.widgets.error_guard import guarded
 from wafer_viewer.gui.widgets.latest_only import LatestOnlyWorker
 from wafer_viewer.gui.widgets.style import RGB_OF_TONE
@@ -43,7 +43,9 @@ class PrintPicture:
 
     def commands(self) -> list[Command]:
         """Return the command and its key."""
-        return unless(off_surface, Command("Picture at print size", "P", self.take, viser.Icon.CAMERA, group="Look"))
+        return with_precondition(
+            surface_not_shown, Command("Picture at print size", "P", self.take, viser.Icon.CAMERA, group="Look")
+        )
 
     def take(self) -> None:
         """Take the picture, unless one is in progress."""

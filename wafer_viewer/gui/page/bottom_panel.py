@@ -11,7 +11,7 @@ FIRST_WIDTH_PX = 892
 """Initial width, until the browser reports the width of its scene."""
 
 
-def room_px(view: View) -> int:
+def bottom_panel_height_px(view: View) -> int:
     """Return the height of the bottom panel in CSS pixels; 0 if no curve is shown."""
     return PROFILE_PX if view.below != "none" else 0
 

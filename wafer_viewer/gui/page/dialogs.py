@@ -64,7 +64,7 @@ class Dialog:
             problem.show("")
             return
         except WaferViewerError as fault:
-            problem.show(f'<div class="wv-note fault">{html.safe(html.micro(str(fault)))}</div>')
+            problem.show(f'<div class="wv-note fault">{html.safe(html.with_micro_sign(str(fault)))}</div>')
             return
         self.close()
 
@@ -103,13 +103,16 @@ def dataset_table(entries: tuple[DatasetEntry, ...], opened: Path | None, what: 
         name = f'<span class="wv-cut" title="{html.safe(entry.path)}">{html.safe(entry.path.stem)}</span>{marks}'
         look = "sel" if entry.path == opened else ""
         return html.row(
-            [name, html.safe(when(entry.taken, datetime.now().astimezone()))], " n", html.pick(what, entry.path), look
+            [name, html.safe(format_time(entry.taken, datetime.now().astimezone()))],
+            " n",
+            html.pick(what, entry.path),
+            look,
         )
 
     return html.table(["Name", "Taken"], [line(entry) for entry in entries], " n")
 
 
-def when(taken: str, now: datetime) -> str:
+def format_time(taken: str, now: datetime) -> str:
     """Format an ISO 8601 time: today 08:41, yesterday 17:02, 12 Nov, 3 Feb 2025; return other text unchanged."""
     try:
         at = datetime.fromisoformat(taken).astimezone(now.tzinfo)
@@ -122,7 +125,7 @@ def when(taken: str, now: datetime) -> str:
     return f"{at.day} {at:%b}" + (f" {at.year}" if at.year != now.year else "")
 
 
-def unless_there(page: Page, path: Path, write: Callable[[], None]) -> None:
+def confirm_overwrite(page: Page, path: Path, write: Callable[[], None]) -> None:
     """Write a file; ask for confirmation before an existing file is replaced."""
     if not path.exists():
         write()

@@ -18,8 +18,8 @@ from typing import Any, get_args
 import viser
 
 from wafer_viewer.draw.number_format import number, size
-from wafer_viewer.gui.page.dialogs import Dialog, KeepOpen, unless_there, when
-from wafer_viewer.gui.page.uploads import put_down
+from wafer_viewer.gui.page.dialogs import Dialog, KeepOpen, confirm_overwrite, format_time
+from wafer_viewer.gui.page.uploads import save_upload
 from wafer_viewer.gui.widgets import html
 from wafer_viewer.gui.widgets.controls import HtmlBlock, outlined
 from wafer_viewer.gui.widgets.error_guard import guarded
@@ -151,7 +151,7 @@ class FileList:
             write()
             self._dialog.close()
 
-        unless_there(self._page, path, over)
+        confirm_overwrite(self._page, path, over)
         raise KeepOpen
 
     def add_upload(self, mime_type: str = "*/*", then: Callable[[], None] | None = None) -> None:
@@ -162,7 +162,7 @@ class FileList:
 
         @upload.on_upload
         def _(event: Any) -> None:
-            self.put(put_down(event.target.value), event.target.value.name)
+            self.put(save_upload(event.target.value), event.target.value.name)
             self._told.show(_told(f"{event.target.value.name} was sent and is chosen."))
             if then is not None:
                 then()
@@ -383,7 +383,7 @@ def _row(n: int, entry: FileEntry, now: datetime) -> str:
     name = html.safe(entry.path.name)
     below = entry.why_not or entry.note or ("" if entry.is_folder else entry.kind)
     off = ' aria-disabled="true"' if entry.why_not else ""
-    changed = when(datetime.fromtimestamp(entry.modified_s).astimezone().isoformat(), now)
+    changed = format_time(datetime.fromtimestamp(entry.modified_s).astimezone().isoformat(), now)
     weight = size(entry.size_bytes) if entry.size_bytes is not None else ""
     return (
         f'<div role="option" id="wv-file-{n}" data-n="{n}" aria-selected="false"{off} title="{name}">'

@@ -174,7 +174,7 @@ def _said(ending: str, every: float, size: tuple[int, int, float] | None) -> str
         pixel_um = number(size[2] * step, 3)
         written = f"{number(cols, 0)} × {number(rows, 0)} pixels of {pixel_um}\u202fµm, along x and y. "
     loses = FORMATS[ending].loses or "The file holds all there is of the surface."
-    return f'<div class="wv-lab" style="margin-bottom:9px">{html.safe(html.micro(written + loses))}</div>'
+    return f'<div class="wv-lab" style="margin-bottom:9px">{html.safe(html.with_micro_sign(written + loses))}</div>'
 
 
 def _ending_of(field: int | None) -> str:

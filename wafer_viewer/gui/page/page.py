@@ -18,10 +18,10 @@ from wafer_viewer.gui.state import browser_storage
 from wafer_viewer.gui.state.browser_storage import BrowserIdentity, Remembered
 from wafer_viewer.gui.state.view_state import ColourBy, View
 from wafer_viewer.gui.widgets.error_guard import guarded, tell_failure
-from wafer_viewer.gui.widgets.html import Tone, icon, micro, note, pick, read_picks, safe
+from wafer_viewer.gui.widgets.html import Tone, icon, note, pick, read_picks, safe, with_micro_sign
 from wafer_viewer.gui.widgets.style import RGB_OF_TONE
 from wafer_viewer.model.surface.clipping import Box
-from wafer_viewer.session.access_control import seat
+from wafer_viewer.session.access_control import restricted_session
 from wafer_viewer.session.rendering.render_request import ColourScale, Statistics
 from wafer_viewer.session.state.snapshot import Fault, Snapshot
 
@@ -51,7 +51,7 @@ class Page:
         self.client = client
         self.gui = client.gui
         self.viewport = Viewport(client.camera)
-        self.session = seat(session, lambda: self.browser.key)
+        self.session = restricted_session(session, lambda: self.browser.key)
         self.browser = BrowserIdentity()
         self.view = View()
         self.recalled = Remembered()
@@ -212,7 +212,7 @@ class Page:
     def _notify(self, fault: Fault) -> None:
         self._told[fault.id] = self.client.add_notification(
             fault.title,
-            micro(fault.text),
+            with_micro_sign(fault.text),
             auto_close_seconds=None if fault.needs_person else 8.0,
             color=RGB_OF_TONE["fault" if fault.needs_person else "attention"],
         )

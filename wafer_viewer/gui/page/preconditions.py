@@ -23,7 +23,7 @@ def no_surface(snapshot: Snapshot, view: View) -> str | None:
     return no_dataset(snapshot, view) or "the surface is not stitched yet."
 
 
-def out_of_sight(snapshot: Snapshot, view: View) -> str | None:
+def surface_not_drawable(snapshot: Snapshot, view: View) -> str | None:
     """Require a drawable surface and a step other than Plan."""
     if not possible("surface", snapshot):
         return no_dataset(snapshot, view) or "no field has heights yet."
@@ -32,12 +32,12 @@ def out_of_sight(snapshot: Snapshot, view: View) -> str | None:
 
 def no_fields_to_show(snapshot: Snapshot, view: View) -> str | None:
     """Require the step Surface with the stitched surface, over which fields and overlaps are drawn."""
-    if (missing := elsewhere("surface")(snapshot, view)) is not None:
+    if (missing := require_step("surface")(snapshot, view)) is not None:
         return missing
     return None if view.show == 0 else "they are drawn over the stitched surface: show that first."
 
 
-def off_surface(snapshot: Snapshot, view: View) -> str | None:
+def surface_not_shown(snapshot: Snapshot, view: View) -> str | None:
     """Require that the view shows a surface."""
     missing = no_dataset(snapshot, view)
     return missing or (None if view.on_surface else "the surface is not shown: go to Surface first.")
@@ -49,7 +49,7 @@ def no_way_to(step: Step) -> Obstacle:
     return lambda snapshot, _: why_not(step, snapshot)
 
 
-def elsewhere(step: Step) -> Obstacle:
+def require_step(step: Step) -> Obstacle:
     """Return the precondition that `step` is the current step."""
 
     def why_not(snapshot: Snapshot, view: View) -> str | None:
@@ -73,7 +73,7 @@ def no_defects(snapshot: Snapshot, view: View) -> str | None:
 def no_defect(snapshot: Snapshot, view: View) -> str | None:
     """Require a defect under review."""
     chosen = chosen_defect(snapshot, view.review) is not None
-    return elsewhere("review")(snapshot, view) or (
+    return require_step("review")(snapshot, view) or (
         None if chosen else "no defect is under review: Page Down goes to one."
     )
 
@@ -81,7 +81,7 @@ def no_defect(snapshot: Snapshot, view: View) -> str | None:
 def nothing_inspected(snapshot: Snapshot, view: View) -> str | None:
     """Require the step Review and an inspection."""
     there = snapshot.inspection.inspection is not None
-    return elsewhere("review")(snapshot, view) or (None if there else "the surface has not been inspected yet.")
+    return require_step("review")(snapshot, view) or (None if there else "the surface has not been inspected yet.")
 
 
 def no_line(_: Snapshot, view: View) -> str | None:
@@ -104,7 +104,9 @@ def no_other_line(snapshot: Snapshot, view: View) -> str | None:
 def no_result(snapshot: Snapshot, view: View) -> str | None:
     """Require the step Measure and a selected result."""
     chosen = any(finding.number == view.selected for finding in snapshot.findings)
-    return elsewhere("measure")(snapshot, view) or (None if chosen else "no result is chosen: click one in the list.")
+    return require_step("measure")(snapshot, view) or (
+        None if chosen else "no result is chosen: click one in the list."
+    )
 
 
 def nothing_to_undo(snapshot: Snapshot, view: View) -> str | None:

@@ -94,10 +94,10 @@ def calibration(snapshot: Snapshot, view: View, today: datetime.date) -> Words:
         return "Uncalibrated", "fault", f"Lengths have no U and no verdict: {data.calibration_problem}."
     if snapshot.rig.state in ("starting", "absent"):
         return "", "", ""
-    return due(snapshot.rig.calibration, today)
+    return calibration_due(snapshot.rig.calibration, today)
 
 
-def due(made: Calibration | None, today: datetime.date) -> Words:
+def calibration_due(made: Calibration | None, today: datetime.date) -> Words:
     """Return the days until a calibration is due."""
     if made is None:
         return "No calibration", "fault", "Lengths read 'uncalibrated': no U, no verdict."
@@ -148,7 +148,7 @@ def _days(days: int) -> str:
 
 def _item(words: str, tone: str, more: str) -> str:
     tip = f"{words}. {more}" if more else words
-    return f'<span class="{tone}" title="{html.safe(html.micro(tip))}">{html.safe(words)}</span>'
+    return f'<span class="{tone}" title="{html.safe(html.with_micro_sign(tip))}">{html.safe(words)}</span>'
 
 
 def _controls(hands: ControlState, key: str) -> str:

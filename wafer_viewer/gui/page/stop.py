@@ -35,14 +35,16 @@ def _stopped(page: Page, anything: bool, was_scanning: bool) -> None:
         if holds:
             _ask_what_next(page, data)
         else:
-            page.say("The scan is stopped", kept(data), "attention")
+            page.say("The scan is stopped", complete_fields_sentence(data), "attention")
     elif not holds:
         page.say("Stopped", f"The stage stands at {place(snapshot.rig)}.", "attention")
 
 
 def _ask_what_next(page: Page, data: OpenDataset) -> None:
     """Ask whether to continue or end the scan; close the dialog when it no longer applies."""
-    said = f"{kept(data)} To continue takes only the missing frames; that is possible later as well."
+    said = (
+        f"{complete_fields_sentence(data)} To continue takes only the missing frames; that is possible later as well."
+    )
     dialog = Dialog(page, "The scan is stopped", said)
     dialog.answers(
         "Continue the scan",
@@ -65,7 +67,7 @@ def _is_interrupted(now: Snapshot, data: OpenDataset | None) -> bool:
     return data is not None and shown is not None and shown.path == data.path and not (shown.finished or now.scanning)
 
 
-def kept(data: OpenDataset) -> str:
+def complete_fields_sentence(data: OpenDataset) -> str:
     """Return how many fields of a dataset are complete, as a sentence."""
     complete = sum(state in COMPLETE for state in data.states.values())
     return f"{complete} of {len(data.fields)} fields {'is' if complete == 1 else 'are'} complete; all frames are kept."

@@ -8,7 +8,7 @@ from pathlib import Path
 import viser
 
 
-def put_down(file: viser.UploadedFile, otherwise: str = "upload") -> Path:
+def save_upload(file: viser.UploadedFile, otherwise: str = "upload") -> Path:
     """Save an upload in a new temporary folder; of the sender's path only the file name is used.
 
     otherwise: file name if the sender gave none.

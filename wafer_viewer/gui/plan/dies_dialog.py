@@ -83,7 +83,7 @@ def suggested_dies(overview: Overview | None) -> Dies:
     return _lattice([box[:2] for box in boxes], x1 - x0, y1 - y0)
 
 
-def on_the_die_it_is_on(places: tuple[Region, ...], dies: Dies) -> tuple[Region, ...]:
+def relative_to_die(places: tuple[Region, ...], dies: Dies) -> tuple[Region, ...]:
     """Return regions in wafer µm relative to the corner of their die. Raises PlanError if they lie on no die."""
     boxes = [place.bounds_um for place in places]
     x_um = (min(box[0] for box in boxes) + max(box[2] for box in boxes)) / 2

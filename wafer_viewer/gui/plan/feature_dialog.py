@@ -8,7 +8,7 @@ import viser
 
 from wafer_viewer.gui.page.dialogs import Dialog
 from wafer_viewer.gui.page.page import Page
-from wafer_viewer.gui.plan.dies_dialog import on_the_die_it_is_on
+from wafer_viewer.gui.plan.dies_dialog import relative_to_die
 from wafer_viewer.gui.plan.job_dialogs import edit, required_job
 from wafer_viewer.gui.presenters.result_features import KeptFeature, kept_features
 from wafer_viewer.gui.presenters.verdict import RULES
@@ -103,7 +103,7 @@ class FeatureDialog:
         for handle in (*self._upper, *self._lower):
             set_prop(handle, "visible", self._tool == "step")
         words = f"{TOOLS[self._tool].title}; its limits are in {self._unit}."
-        self._what.show(f'<div class="wv-lab">{html.safe(html.micro(words))}</div>')
+        self._what.show(f'<div class="wv-lab">{html.safe(html.with_micro_sign(words))}</div>')
 
     def _chosen(self) -> KeptFeature | None:
         return self._kept.get(self._source.value)
@@ -145,7 +145,7 @@ class FeatureDialog:
             return places
         if counted:
             return tuple(on_die(place, self._dies.all()[0]) for place in places)
-        return on_the_die_it_is_on(places, self._dies)
+        return relative_to_die(places, self._dies)
 
 
 def _corners(gui: Any, name: str, places: tuple[Region, ...]) -> tuple[Any, Any]:

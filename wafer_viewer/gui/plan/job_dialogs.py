@@ -39,18 +39,18 @@ def jobs_dialog(page: Page) -> None:
 
     def listed(key: str) -> None:
         dialog.close()
-        take_up(page, Path(key))
+        load_job(page, Path(key))
 
     def typed() -> None:
         if files.is_empty:
             raise PlanError("No job is chosen: click one, or its file.")
-        take_up(page, files.path())
+        load_job(page, files.path())
 
     page.on_pick("job-in-dialog", listed)
     dialog.answers("Use this job", viser.Icon.FOLDER_OPEN, typed, "The job was not loaded")
 
 
-def take_up(page: Page, path: Path) -> None:
+def load_job(page: Page, path: Path) -> None:
     """Load a released job for the next wafer."""
     page.ask("The job was not loaded", page.session.jobs.take_up(path), lambda _: page.change(everything=False))
 

@@ -66,7 +66,7 @@ def text_of(form: PlanForm) -> str:
     return msgspec.json.encode(form).decode()
 
 
-def half_typed(typed: Typed | None) -> PlanForm | None:
+def stored_form(typed: Typed | None) -> PlanForm | None:
     """Return the stored form; None if there is none, or one of another version."""
     try:
         return msgspec.json.decode(typed.form, type=PlanForm) if typed is not None else None

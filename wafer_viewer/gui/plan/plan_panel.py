@@ -12,9 +12,9 @@ import viser
 from wafer_viewer.gui.page.import_export_dialogs import load_plan_dialog, save_dialog
 from wafer_viewer.gui.page.page import Page
 from wafer_viewer.gui.plan.align_section import Aligning, AlignSection
-from wafer_viewer.gui.plan.job_dialogs import job_table, jobs_dialog, required_job, start_dialog, take_up
+from wafer_viewer.gui.plan.job_dialogs import job_table, jobs_dialog, load_job, required_job, start_dialog
 from wafer_viewer.gui.plan.operator_view import OperatorView, folded, unfold
-from wafer_viewer.gui.plan.plan_form import PlanForm, form_of, half_typed, job_of, text_of, with_typed_range
+from wafer_viewer.gui.plan.plan_form import PlanForm, form_of, job_of, stored_form, text_of, with_typed_range
 from wafer_viewer.gui.plan.release_section import ReleaseSection
 from wafer_viewer.gui.presenters import plan as words
 from wafer_viewer.gui.presenters import preflight
@@ -28,7 +28,7 @@ from wafer_viewer.model.errors import PlanError
 from wafer_viewer.model.spec import replace
 from wafer_viewer.session.core.dataset_library import today
 from wafer_viewer.session.planning.plan_editor import PLAN_ENDING, suggested_name
-from wafer_viewer.session.planning.preflight import PreflightCheck, look_round, stops
+from wafer_viewer.session.planning.preflight import PreflightCheck, preflight_of_snapshot, stops
 from wafer_viewer.session.state.snapshot import Draft, Snapshot, Typed
 
 
@@ -43,7 +43,7 @@ class PlanPanel:
         with self._folder:
             self._build()
         page.on_pick("strategy", self._choose_strategy)
-        page.on_pick("job", lambda path: take_up(page, Path(path)))
+        page.on_pick("job", lambda path: load_job(page, Path(path)))
         page.on_pick("jobs", lambda _: jobs_dialog(page))
         page.on_pick("cover", lambda _: self._cover())
         page.on_pick("undo", lambda _: page.ask("Nothing was undone", page.session.undo()))
@@ -62,7 +62,7 @@ class PlanPanel:
         why = self._why_not(snapshot, checks)
         set_prop(self._start, "disabled", why is not None)
         told = bool(stops(checks)) and folded(snapshot, view)
-        self._foot.show("" if told else words.foot(snapshot.draft, why))
+        self._foot.show("" if told else words.start_hint(snapshot.draft, why))
 
     def start(self) -> None:
         """Start the scan and go to Acquire; ask for confirmation first if a preflight check is open."""
@@ -87,7 +87,7 @@ class PlanPanel:
         page.ask("The scan did not start", page.session.start_scan(), lambda _: page.change(step="acquire"))
 
     def _checks(self, snapshot: Snapshot) -> tuple[PreflightCheck, ...]:
-        return look_round(snapshot, self._page.session.latest_frame, today())
+        return preflight_of_snapshot(snapshot, self._page.session.latest_frame, today())
 
     def _why_not(self, snapshot: Snapshot, checks: tuple[PreflightCheck, ...]) -> str | None:
         draft, rig = snapshot.draft, snapshot.rig
@@ -271,9 +271,9 @@ class PlanPanel:
         self._notes.show(self._page.notes(snapshot))
         self._grid_head.show(words.grid(snapshot))
         self._sweep_head.show(words.sweep(draft))
-        self._depth.show(words.depth(snapshot, draft))
+        self._depth.show(words.depth_of_field_warning(snapshot, draft))
         self._strategies.show(words.strategies(snapshot, draft))
 
 
 def _form_of(draft: Draft) -> PlanForm:
-    return half_typed(draft.typed) or form_of(draft.job)
+    return stored_form(draft.typed) or form_of(draft.job)

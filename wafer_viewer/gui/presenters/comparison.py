@@ -27,7 +27,7 @@ _UM3_PER_PL = 1e3
 _LARGE_PL = 1e3
 
 
-def pair_words(first: SurfaceName, second: SurfaceName) -> str:
+def pair_label(first: SurfaceName, second: SurfaceName) -> str:
     """Return the label of a pair of surfaces in the list."""
     if (first.path, first.result, first.field) == (second.path, second.result, second.field):
         return "Measured and filtered"
@@ -36,15 +36,15 @@ def pair_words(first: SurfaceName, second: SurfaceName) -> str:
 
 def name_of(comparison: Comparison) -> str:
     """Return the name of a comparison in the list."""
-    return pair_words(comparison.first, comparison.second)
+    return pair_label(comparison.first, comparison.second)
 
 
-def subtracted(comparison: Comparison) -> str:
+def surfaces_sentence(comparison: Comparison) -> str:
     """Return a sentence that names the first and the second surface."""
     return f"First: {comparison.first.words}. Second: {comparison.second.words}."
 
 
-def answer(change: Change) -> str:
+def change_figures(change: Change) -> str:
     """Return the main figures: changed area in % and Sq of the difference in µm."""
     return html.columns(
         [
@@ -95,7 +95,7 @@ def alignment(found: Registration) -> str:
     return html.head("Alignment") + how + html.pairs(rows)
 
 
-def cautions(comparison: Comparison, outdated: bool) -> str:
+def warnings(comparison: Comparison, outdated: bool) -> str:
     """Return warnings: outdated surface, small overlap, missing or different calibration."""
     said = [OUTDATED] if outdated else []
     if comparison.registration.overlap_fraction < LITTLE_OVERLAP:

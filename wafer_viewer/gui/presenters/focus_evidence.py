@@ -31,20 +31,20 @@ FIGURES: dict[str, tuple[str, Callable[[float], str]]] = {
 """By the unit of a gate: word before its limit, and format of score and limit. Other units appear below the name."""
 
 
-def closing(word: str = "Close") -> str:
+def close_action(word: str = "Close") -> str:
     """Return the Close action for the head of a panel."""
     told = f'class="wv-action" title="Close · Esc" aria-label="Close" {html.pick("why-close")}'
     return f"<span {told}>{html.icon(viser.Icon.X)}{word}</span>"
 
 
-def place(at_um: tuple[float, float] | None) -> str:
+def format_position(at_um: tuple[float, float] | None) -> str:
     """Format a stage position in µm; empty for None."""
     return "" if at_um is None else f"x {number(at_um[0], 1)}, y {with_unit(at_um[1], 1)}"
 
 
-def where(curve: FocusCurve) -> str:
+def pixel_position_text(curve: FocusCurve) -> str:
     """Format stage position, field, row and column of the pixel."""
-    return f"{place((curve.x_um, curve.y_um))} · field {curve.field}, row {curve.row}, column {curve.col}"
+    return f"{format_position((curve.x_um, curve.y_um))} · field {curve.field}, row {curve.row}, column {curve.col}"
 
 
 def answer(curve: FocusCurve) -> str:
@@ -75,7 +75,7 @@ def rivals(curve: FocusCurve) -> str:
     return html.head("Rivals of the peak") + html.pairs(rows)
 
 
-def source(curve: FocusCurve) -> str:
+def focus_measurement_text(curve: FocusCurve) -> str:
     """Describe the focus measurement: measure, window, number of frames."""
     measure = MEASURES.get(curve.focus_measure, _capital(curve.focus_measure.replace("_", " ")))
     simulated = "SIMULATED · " if curve.simulated else ""
@@ -87,7 +87,7 @@ def _row(verdict: Verdict) -> str:
     before, figure = FIGURES.get(verdict.unit, ("", lambda value: number(value, 2)))
     unit = f"in {verdict.unit}" if verdict.unit and verdict.unit not in FIGURES else ""
     note = "" if verdict.note.rstrip(".").casefold().endswith(GATE_IS_OFF) else verdict.note
-    said = " · ".join(text for text in (word, unit, html.micro(note)) if text)
+    said = " · ".join(text for text in (word, unit, html.with_micro_sign(note)) if text)
     sign = f'<span style="color:var(--{tone})" aria-hidden="true">{html.icon(icon, 17)}</span>'
     question = f'{html.safe(verdict.question)}<small style="color:var(--{tone})">{html.safe(said)}</small>'
     score = NOTHING if verdict.score is None else figure(verdict.score)

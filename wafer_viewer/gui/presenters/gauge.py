@@ -38,7 +38,7 @@ def verdict_card(check: GaugeCheck) -> str:
     word, sign, tone = LOOKS[check.verdict]
     simulated = '<em class="wv-sim">SIMULATED</em>' if check.simulated else ""
     size = ' class="long"' if len(word) > 6 else ""
-    told = html.safe(html.micro(check.why)).replace(" µm", _MICRO)
+    told = html.safe(html.with_micro_sign(check.why)).replace(" µm", _MICRO)
     why = f'<p class="wv-gauge-why">{told}</p>'
     return (
         f'<div class="wv-verdict wv-gauge {tone}" role="status" aria-label="Verdict">'
@@ -57,7 +57,7 @@ def result(check: GaugeCheck) -> str:
         _line(measured, check.height, digits),
         _line("Error", check.deviation, digits, signed=True, look="strong"),
     ]
-    en = f'<div class="wv-lab">{html.safe(html.micro(check.en_why))}</div>' if check.en_why else ""
+    en = f'<div class="wv-lab">{html.safe(html.with_micro_sign(check.en_why))}</div>' if check.en_why else ""
     return html.head("Result", "k = 2") + html.table(["", "Step, µm", "U, µm"], rows, " nn") + en
 
 
@@ -110,7 +110,7 @@ def conditions(step: StepHeight | None, check: GaugeCheck | None, upper: Region 
     return html.head("Conditions") + html.pairs(pairs) if pairs else ""
 
 
-def told(check: GaugeCheck) -> str:
+def stored_check(check: GaugeCheck) -> str:
     """Return a stored check as a result: verdict, result, repeats, certificate."""
     word, _, tone = LOOKS[check.verdict]
     signed = f"signed by {check.signed_by}, {day_and_time(check.at)}" if check.signed_by else "not signed"
@@ -120,7 +120,7 @@ def told(check: GaugeCheck) -> str:
     return head + result(check) + repeats(check.repeats, check, may_drop=False) + html.pairs(blocks)
 
 
-def refused(sentence: str, has_others: bool) -> str:
+def rejected_scan_note(sentence: str, has_others: bool) -> str:
     """Return a note why the open scan cannot count; other repeats remain valid."""
     sign = html.icon(viser.Icon.HAND_STOP, 18)
     if has_others:
@@ -128,7 +128,7 @@ def refused(sentence: str, has_others: bool) -> str:
     return html.note("fault", "No check", sentence, sign=sign)
 
 
-def large(label: str, length: Length) -> str:
+def scene_step_label(label: str, length: Length) -> str:
     """Return the step in large type for the scene."""
     value, u = value_and_u(length.value_um, length.expanded_um, 3)
     beside = f" ± {u}{_MICRO}" if length.expanded_um is not None else _MICRO

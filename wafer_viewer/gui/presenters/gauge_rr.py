@@ -78,4 +78,4 @@ def _rest(found: GaugeRR) -> str:
 
 
 def _small(text: str) -> str:
-    return f'<div class="wv-lab" style="margin-top:4px">{html.safe(html.micro(text))}</div>'
+    return f'<div class="wv-lab" style="margin-top:4px">{html.safe(html.with_micro_sign(text))}</div>'

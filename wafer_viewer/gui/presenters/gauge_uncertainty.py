@@ -37,7 +37,7 @@ def not_evaluated(check: GaugeCheck) -> str:
     """Return the list of contributions that U does not contain; empty if there are none."""
     if not check.not_evaluated:
         return ""
-    items = "".join(f"<li>{html.safe(html.micro(item))}</li>" for item in check.not_evaluated)
+    items = "".join(f"<li>{html.safe(html.with_micro_sign(item))}</li>" for item in check.not_evaluated)
     return html.head("Not evaluated") + f'<ul class="wv-left-out">{items}</ul>'
 
 
@@ -50,7 +50,9 @@ def capability(found: Capability | None) -> str:
         word = "" if found.capable is None else " · capable" if found.capable else " · not capable"
         pairs.append(("Cg · Cgk", f"{number(found.cg, 2)} · {number(found.cgk, 2)}{word}"))
     words = " ".join(part for part in (found.why, found.variant) if part)
-    below = f'<div class="wv-lab" style="margin-top:4px">{html.safe(html.micro(words))}</div>' if words else ""
+    below = (
+        f'<div class="wv-lab" style="margin-top:4px">{html.safe(html.with_micro_sign(words))}</div>' if words else ""
+    )
     return html.head("Capability", "both 1.33 or more, over 25 scans") + html.pairs(pairs) + below
 
 
@@ -60,7 +62,7 @@ def correction(offered: ScaleCorrection | None) -> str:
         return ""
     by = with_unit(offered.changes_um, 3, signed=True)
     pairs = [("Certified over measured", number(offered.factor, 6)), ("The checked step would change by", by)]
-    advice = f'<div class="wv-lab" style="margin:4px 0 6px">{html.safe(html.micro(offered.advice))}</div>'
+    advice = f'<div class="wv-lab" style="margin:4px 0 6px">{html.safe(html.with_micro_sign(offered.advice))}</div>'
     return html.head("z scale", "nothing changes automatically") + html.pairs(pairs) + advice
 
 
@@ -74,4 +76,4 @@ def _part(role: Role, lines: Sequence[GaugeLine]) -> list[str]:
 
 def _name(name: str) -> str:
     titled = name if name.startswith("z ") else name[:1].upper() + name[1:]
-    return f'<span class="wv-under">{html.safe(html.micro(titled))}</span>'
+    return f'<span class="wv-under">{html.safe(html.with_micro_sign(titled))}</span>'

@@ -72,7 +72,7 @@ class ReadValue:
     unit: str
 
 
-def reading(quantity: Quantity) -> ReadValue:
+def display_unit(quantity: Quantity) -> ReadValue:
     """Return the display unit: nl or pl for volumes, mm² for large areas, else the unit of measurement."""
     for least, factor, unit in _LARGER.get(quantity.unit, ()):
         if abs(quantity.value) >= least:
@@ -82,14 +82,14 @@ def reading(quantity: Quantity) -> ReadValue:
 
 def value_texts(quantity: Quantity, *, signed: bool = False) -> tuple[str, str, str]:
     """Return value, U to two significant digits (a dash if there is none) and unit, as texts."""
-    read = reading(quantity)
+    read = display_unit(quantity)
     expanded = None if quantity.expanded is None else quantity.expanded * read.factor
     digits = _plain_digits(quantity) if read.factor == 1 else _digits(quantity.value * read.factor)
     value, u = value_and_u(quantity.value * read.factor, expanded, digits, signed=signed)
     return value, u, read.unit
 
 
-def whole(quantity: Quantity, *, signed: bool = False) -> str:
+def format_quantity(quantity: Quantity, *, signed: bool = False) -> str:
     """Format value, U and unit in one line: ``11.86 ± 0.31 µm``."""
     value, u, unit = value_texts(quantity, signed=signed)
     return with_unit_sign(f"{value} ± {u}" if quantity.expanded is not None else value, unit)
@@ -100,7 +100,7 @@ def with_unit_sign(text: str, unit: str) -> str:
     return f"{text}{unit}" if unit == "°" else f"{text}\u202f{unit}"
 
 
-def letter(finding: AnyResult) -> str:
+def symbol(finding: AnyResult) -> str:
     """Return the symbol of a result: P1, S2."""
     return f"{_LETTERS[_tag(finding)]}{finding.number or ''}"
 
@@ -114,7 +114,7 @@ def sign_colour(finding: AnyResult) -> str:
     return OTHER_COLOUR if isinstance(finding, GaugeCheck) else REGION_COLOUR
 
 
-def of_what(finding: AnyResult) -> str:
+def main_label(finding: AnyResult) -> str:
     """Return the label of a result's main quantity; empty if the tool's name tells it."""
     if isinstance(finding, AreaVolume):
         return "below" if finding.main == finding.volume_below else "above"
@@ -145,7 +145,7 @@ def answer(name: str, quantity: Quantity, signed: bool = False) -> str:
 
 def card(finding: AnyResult, name: str) -> str:
     """Return the card with a result's main quantity."""
-    named = " · ".join(part for part in (name, of_what(finding)) if part)
+    named = " · ".join(part for part in (name, main_label(finding)) if part)
     return answer(named, finding.main, _tag(finding) in _SIGNED)
 
 
@@ -155,7 +155,7 @@ def budget(quantity: Quantity) -> str:
         why = "A calibration of the rig gives it one." if quantity.status == "uncalibrated" else ""
         word = NO_U.get(quantity.status, "U not evaluated")
         return html.head("Uncertainty") + html.empty(f"{word[0].upper()}{word[1:]}.", why)
-    read = reading(quantity)
+    read = display_unit(quantity)
     digits = max(3, digits_of_u(quantity.expanded * read.factor) + 1)
     lines = [(line.name[:1].upper() + line.name[1:], line.u * read.factor) for line in quantity.budget]
     rows = [html.row([html.safe(name), number(u, digits)], " n") for name, u in lines]

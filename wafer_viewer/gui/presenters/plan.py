@@ -56,7 +56,7 @@ def sweep(draft: Draft) -> str:
     return html.head("Focus sweep", f"{sweep.n_frames} frames · {with_unit(sweep.range_um, 1)}")
 
 
-def depth(snapshot: Snapshot, draft: Draft) -> str:
+def depth_of_field_warning(snapshot: Snapshot, draft: Draft) -> str:
     """Return a warning if the z step exceeds half the depth of field."""
     limits = snapshot.rig.limits
     if draft.job is None or limits is None:
@@ -78,7 +78,9 @@ def strategies(snapshot: Snapshot, draft: Draft) -> str:
         return (
             html.head("Strategy")
             + html.empty(
-                html.micro(draft.problem) if draft.problem else "The time of every strategy is being estimated."
+                html.with_micro_sign(draft.problem)
+                if draft.problem
+                else "The time of every strategy is being estimated."
             )
             + _GAP
         )
@@ -102,10 +104,10 @@ def strategies(snapshot: Snapshot, draft: Draft) -> str:
     )
 
 
-def foot(draft: Draft, why_not: str | None) -> str:
+def start_hint(draft: Draft, why_not: str | None) -> str:
     """Return the line above the button: why it is disabled, else the cost of the scan (visible in low windows only)."""
     if why_not is not None:
-        return f'<div class="wv-why wv-at-foot">Not yet: {html.safe(html.micro(why_not))}</div>'
+        return f'<div class="wv-why wv-at-foot">Not yet: {html.safe(html.with_micro_sign(why_not))}</div>'
     if draft.plan is None:
         return ""
     free = f", {size(draft.free_bytes)} free" if draft.free_bytes is not None else ""
@@ -120,7 +122,7 @@ def _by_price(prices: tuple[Price, ...]) -> list[Price]:
 def _price_row(price: Price, best_s: float, chosen: bool) -> str:
     name = html.safe(price.title)
     if price.ruled_out is not None or price.predicted_s is None:
-        why = html.safe(html.micro(price.ruled_out or "not estimated"))
+        why = html.safe(html.with_micro_sign(price.ruled_out or "not estimated"))
         return f'<tr class="off"><td colspan="4">{name}<small>{why}</small></td></tr>'
     ratio = price.predicted_s / best_s if best_s else 1.0
     cells = [name, duration(price.predicted_s), number(price.motions, 0), number(ratio, 2 if ratio < 9.95 else 1)]

@@ -33,7 +33,7 @@ def lines(checks: Sequence[PreflightCheck]) -> str:
 
 def _line(check: PreflightCheck) -> str:
     sign, word = SIGNS[check.state]
-    mend = f" <b>{html.safe(html.micro(check.mend))}</b>" if check.mend else ""
+    mend = f" <b>{html.safe(html.with_micro_sign(check.mend))}</b>" if check.mend else ""
     told = f'<span role="img" aria-label="{word}">{html.icon(sign, 17)}</span>'
-    text = f"<span>{html.safe(html.micro(check.found))}{mend}</span>"
+    text = f"<span>{html.safe(html.with_micro_sign(check.found))}{mend}</span>"
     return f'<div class="{check.state}" role="listitem">{told}<em>{check.what}</em>{text}</div>'

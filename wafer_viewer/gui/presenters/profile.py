@@ -24,17 +24,17 @@ def head(
     own = {s.asked.place: s for s in sections if not s.asked.is_second}
     lines = "".join(_line(place, own.get(place), place == active) for place in range(n_lines))
     seconds = "".join(_second(s) for s in sections if s.asked.is_second)
-    notes = "".join(f'<span class="wv-curve-note">{html.safe(html.micro(text))}</span>' for text in problems)
+    notes = "".join(f'<span class="wv-curve-note">{html.safe(html.with_micro_sign(text))}</span>' for text in problems)
     waits = f'<span class="dim">{WAITS}</span>' if not sections and not problems else ""
     whole = f'<span class="wv-link" {html.pick("plot", "whole")}>Whole line</span>' if zoomed else ""
     name = "Section" if any(s.points is not None for s in own.values()) else "Profile"
     return (
         f'<div class="wv-dock wv-lines{_CROWDED[min(n_lines, 3)]}"><b>{name}</b>{lines}{seconds}{notes}{waits}'
-        f'<span class="wv-end">{whole}{read(gap) if gap is not None else ""}</span></div>'
+        f'<span class="wv-end">{whole}{cursor_readout(gap) if gap is not None else ""}</span></div>'
     )
 
 
-def read(gap: Gap) -> str:
+def cursor_readout(gap: Gap) -> str:
     """Return distance, height difference and angle between the cursors."""
     return (
         f"<span>Δx <b>{number(gap.dx_um, 1)}</b>&ensp;Δz <b>{with_unit(gap.dz_um, 2, signed=True)}</b>&ensp;"

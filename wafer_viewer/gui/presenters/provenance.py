@@ -7,8 +7,8 @@ from collections.abc import Callable
 
 from wafer_viewer.draw.number_format import number, share, with_unit
 from wafer_viewer.gui.presenters import shapes, steps
-from wafer_viewer.gui.presenters.gauge import told as gauge_told
-from wafer_viewer.gui.presenters.measurement import averaging, whole
+from wafer_viewer.gui.presenters.gauge import stored_check as gauge_told
+from wafer_viewer.gui.presenters.measurement import averaging, format_quantity
 from wafer_viewer.gui.presenters.site_range import sites
 from wafer_viewer.gui.presenters.texture import roughness, texture
 from wafer_viewer.gui.widgets import html
@@ -48,7 +48,7 @@ def source(finding: AnyResult) -> str:
     return html.head("Where it comes from", "µm") + body + _measured_on(finding)
 
 
-def where(finding: AnyResult) -> str:
+def surface_name(finding: AnyResult) -> str:
     """Return the name of the surface a result was measured on."""
     return f"field {finding.show}" if finding.show > 0 else "comparison" if finding.show < 0 else "stitched surface"
 
@@ -58,7 +58,7 @@ def _profile(finding: Profile) -> str:
         [
             ("Length", with_unit(finding.length_um, 1)),
             ("Averaged over", averaging(finding)),
-            ("Rise, first to last point", whole(finding.rise.quantity, signed=True)),
+            ("Rise, first to last point", format_quantity(finding.rise.quantity, signed=True)),
             ("Angle", with_unit(_angle(finding), 2, "°", signed=True)),
             ("Measured", share(finding.measured_fraction)),
         ]
@@ -72,9 +72,9 @@ def _point(finding: PointHeight) -> str:
 def _distance(finding: Distance) -> str:
     return html.pairs(
         [
-            ("On the map", whole(finding.lateral.quantity)),
-            ("Rise", whole(finding.dz.quantity, signed=True)),
-            ("Slope", whole(finding.slope)),
+            ("On the map", format_quantity(finding.lateral.quantity)),
+            ("Rise", format_quantity(finding.dz.quantity, signed=True)),
+            ("Slope", format_quantity(finding.slope)),
             _place("From", finding.start),
             _place("To", finding.end),
         ]
@@ -94,7 +94,7 @@ def _radius(finding: Radius) -> str:
     over = "Top over its surroundings" if finding.kind == "bump" else "Bottom under its surroundings"
     return html.pairs(
         [
-            (over, whole(finding.top.quantity)),
+            (over, format_quantity(finding.top.quantity)),
             ("Centre x, y", f"{number(finding.center.x_um, 1)}, {number(finding.center.y_um, 1)}"),
             ("Sq from the sphere", number(finding.sq_um, 2)),
             ("Points", number(finding.points, 0)),
@@ -105,13 +105,13 @@ def _radius(finding: Radius) -> str:
 def _volume(finding: AreaVolume) -> str:
     plane = "the plane through the region's border" if finding.reference == "border" else "the zero of heights"
     pairs = [
-        ("Volume above", whole(finding.volume_above)),
-        ("Volume below", whole(finding.volume_below)),
-        ("Area above", whole(finding.area_above)),
-        ("Area below", whole(finding.area_below)),
-        ("Area of the region", whole(finding.area)),
-        ("Highest", whole(finding.highest.quantity, signed=True)),
-        ("Lowest", whole(finding.lowest.quantity, signed=True)),
+        ("Volume above", format_quantity(finding.volume_above)),
+        ("Volume below", format_quantity(finding.volume_below)),
+        ("Area above", format_quantity(finding.area_above)),
+        ("Area below", format_quantity(finding.area_below)),
+        ("Area of the region", format_quantity(finding.area)),
+        ("Highest", format_quantity(finding.highest.quantity, signed=True)),
+        ("Lowest", format_quantity(finding.lowest.quantity, signed=True)),
         ("Measured", share(finding.measured_fraction)),
     ]
     noise = f"Within {with_unit(finding.noise_um, 2)} of it a height counts neither as above nor as below."
@@ -123,8 +123,8 @@ def _flatness(finding: Flatness) -> str:
     zone = finding.flt_t_minimum_zone
     return html.pairs(
         [
-            *([("FLTt, minimum zone", whole(zone.quantity))] if zone is not None else []),
-            ("FLTq", whole(finding.flt_q.quantity)),
+            *([("FLTt, minimum zone", format_quantity(zone.quantity))] if zone is not None else []),
+            ("FLTq", format_quantity(finding.flt_q.quantity)),
             ("Band with 99.73 %", number(finding.band_9973_um, 2)),
             ("Reference", plane),
             ("Points", number(finding.points, 0)),
@@ -168,11 +168,11 @@ def _angle(profile: Profile) -> float:
 
 def _measured_on(finding: AnyResult) -> str:
     lines = [
-        f"On the {where(finding)}: {LAYER_TITLES[finding.surface]}, filter: {finding.filter}.",
+        f"On the {surface_name(finding)}: {LAYER_TITLES[finding.surface]}, filter: {finding.filter}.",
         f"Heights are read from {ZERO[finding.levelling.by]}.",
     ]
     if isinstance(finding, _ON_PICTURE):
-        lines = [f"On the {where(finding)}."]
+        lines = [f"On the {surface_name(finding)}."]
     if finding.simulated:
         lines.append("SIMULATED: not a measurement of a real sample.")
     lines.extend(finding.notes)
@@ -180,4 +180,6 @@ def _measured_on(finding: AnyResult) -> str:
 
 
 def _small(lines: list[str]) -> str:
-    return "".join(f'<div class="wv-lab" style="margin-top:4px">{html.safe(html.micro(line))}</div>' for line in lines)
+    return "".join(
+        f'<div class="wv-lab" style="margin-top:4px">{html.safe(html.with_micro_sign(line))}</div>' for line in lines
+    )

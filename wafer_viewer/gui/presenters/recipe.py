@@ -44,12 +44,12 @@ def ready_name(recipe: Recipe) -> str:
     return next((name for name, key in READY.items() if READY_RECIPES[key] == recipe), OWN)
 
 
-def believes_all(recipe: Recipe) -> bool:
+def accepts_all_peaks(recipe: Recipe) -> bool:
     """Return whether every peak is accepted, so that neither second window nor edges are tested."""
     return recipe.min_confidence == 0
 
 
-def how(recipe: Recipe) -> str:
+def summary(recipe: Recipe) -> str:
     """Describe a recipe in one line."""
     return f"{name_of(FOCUS, recipe.focus_measure)} · window {_px(recipe.window)} · {name_of(PEAK, recipe.peak)}"
 
@@ -78,7 +78,7 @@ def _kind(alike: list[str], sign: Any) -> str:
 
 def _sentence(text: str) -> str:
     """Format a note: micro signs, multiplication signs, a full stop."""
-    return re.sub(r"(?<![.\w])x(?=\d)", "× ", html.micro(text)).rstrip(".") + "."
+    return re.sub(r"(?<![.\w])x(?=\d)", "× ", html.with_micro_sign(text)).rstrip(".") + "."
 
 
 def _px(window: int | str) -> str:

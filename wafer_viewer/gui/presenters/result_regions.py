@@ -68,7 +68,7 @@ def tool_of(finding: AnyResult) -> ToolName | None:
             return None
 
 
-def places_of(finding: AnyResult) -> tuple[Region, ...]:
+def input_regions(finding: AnyResult) -> tuple[Region, ...]:
     """Return the regions of a result, in the order of its tool's inputs."""
     match finding:
         case Profile() | Roughness() | StepProfile():
@@ -93,16 +93,16 @@ def places_of(finding: AnyResult) -> tuple[Region, ...]:
             return (finding.outline,)
 
 
-def drawn_of(finding: AnyResult) -> tuple[Region, ...]:
+def drawn_regions(finding: AnyResult) -> tuple[Region, ...]:
     """Return the regions to draw: inputs, all regions of a step, the line of a distance, detected edges."""
     if isinstance(finding, StepHeight):
         return finding.regions
     if isinstance(finding, Distance):
-        return *places_of(finding), way_between(*places_of(finding))
-    return *places_of(finding), *found_of(finding)
+        return *input_regions(finding), way_between(*input_regions(finding))
+    return *input_regions(finding), *detected_regions(finding)
 
 
-def found_of(finding: AnyResult) -> tuple[Region, ...]:
+def detected_regions(finding: AnyResult) -> tuple[Region, ...]:
     """Return the detected edges of a result; empty if there are none."""
     match finding:
         case KerfWidth():
@@ -127,7 +127,7 @@ def way_between(start: Region, end: Region) -> Region:
 
 def bounds_of(finding: AnyResult, least_um: float = 0.0) -> Box:
     """Return the bounding box of all regions of a result, at least `least_um` wide and high."""
-    boxes = [place.bounds_um for place in places_of(finding)]
+    boxes = [place.bounds_um for place in input_regions(finding)]
     x0, y0 = (min(box[k] for box in boxes) for k in (0, 1))
     x1, y1 = (max(box[k] for box in boxes) for k in (2, 3))
     spare_x, spare_y = (max(0.0, (least_um - side) / 2) for side in (x1 - x0, y1 - y0))

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from wafer_viewer.gui.presenters.measurement import whole
+from wafer_viewer.gui.presenters.measurement import format_quantity
 from wafer_viewer.gui.presenters.verdict import LOOKS, state
 from wafer_viewer.gui.widgets import html
 from wafer_viewer.model.decision_rule import Word
@@ -44,14 +44,18 @@ def _tone(done: Trial) -> html.Tone:
 
 
 def _change(wafer: TriedWafer, change: VerdictChange) -> str:
-    why = html.safe(html.micro(" ".join(change.why)))
+    why = html.safe(html.with_micro_sign(" ".join(change.why)))
     name = f"{html.safe(wafer.wafer_id or wafer.dataset)}, {html.safe(change.feature)}<small>{why}</small>"
     before = _word(change.before) + (_value(change) if change.measured_before != change.measured_after else "")
     return html.row([name, before, _word(change.after)], "   ")
 
 
 def _value(change: VerdictChange) -> str:
-    texts = [whole(quantity) for quantity in (change.measured_before, change.measured_after) if quantity is not None]
+    texts = [
+        format_quantity(quantity)
+        for quantity in (change.measured_before, change.measured_after)
+        if quantity is not None
+    ]
     return f"<small>{html.safe(' → '.join(texts))}</small>" if texts else ""
 
 
@@ -61,4 +65,4 @@ def _word(word: Word | None) -> str:
 
 def _left_out(item: NotTried) -> str:
     words = f"{item.dataset} was not judged. {item.why}"
-    return f'<div class="wv-lab" style="margin-top:4px">{html.safe(html.micro(words))}</div>'
+    return f'<div class="wv-lab" style="margin-top:4px">{html.safe(html.with_micro_sign(words))}</div>'

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from wafer_viewer.draw.number_format import number, share, with_unit
-from wafer_viewer.gui.presenters.measurement import whole
+from wafer_viewer.gui.presenters.measurement import format_quantity
 from wafer_viewer.gui.widgets import html
 from wafer_viewer.model.measurement.edge_and_bump_shapes import Chipping, CircleSize, Coplanarity, DieSize, KerfWidth
 from wafer_viewer.model.region import Point
@@ -16,9 +16,9 @@ def kerf(finding: KerfWidth) -> str:
     """Return extreme widths, angle between the edges, and edge points of a kerf."""
     return html.pairs(
         [
-            ("Narrowest", whole(finding.narrowest.quantity)),
-            ("Widest", whole(finding.widest.quantity)),
-            ("Angle between the edges", whole(finding.angle)),
+            ("Narrowest", format_quantity(finding.narrowest.quantity)),
+            ("Widest", format_quantity(finding.widest.quantity)),
+            ("Angle between the edges", format_quantity(finding.angle)),
             ("Kerf on the picture", finding.kerf),
             ("Edge points", number(finding.points, 0)),
         ]
@@ -29,10 +29,10 @@ def die(finding: DieSize) -> str:
     """Return size, rotation, squareness and centre of a die."""
     return html.pairs(
         [
-            ("Width", whole(finding.width.quantity)),
-            ("Height", whole(finding.height.quantity)),
-            ("Rotation", whole(finding.rotation, signed=True)),
-            ("Squareness, angle over 90°", whole(finding.squareness, signed=True)),
+            ("Width", format_quantity(finding.width.quantity)),
+            ("Height", format_quantity(finding.height.quantity)),
+            ("Rotation", format_quantity(finding.rotation, signed=True)),
+            ("Squareness, angle over 90°", format_quantity(finding.squareness, signed=True)),
             ("Centre x, y", _place(finding.center)),
             ("Rim on the picture", finding.die),
             ("Edge points", number(finding.points, 0)),
@@ -44,8 +44,8 @@ def circle(finding: CircleSize) -> str:
     """Return radius, roundness and centre of a circle."""
     return html.pairs(
         [
-            ("Radius", whole(finding.radius.quantity)),
-            ("Roundness RONt", whole(finding.roundness.quantity)),
+            ("Radius", format_quantity(finding.radius.quantity)),
+            ("Roundness RONt", format_quantity(finding.roundness.quantity)),
             ("Centre x, y", _place(finding.center)),
             ("Inside on the picture", finding.inside),
             ("Edge points", number(finding.points, 0)),
@@ -59,8 +59,8 @@ def chipping(finding: Chipping) -> str:
         [
             ("Deeper than", with_unit(finding.limit_um)),
             ("Chips", number(finding.n_chips, 0)),
-            ("Their area", whole(finding.area)),
-            ("Longest", whole(finding.longest.quantity)),
+            ("Their area", format_quantity(finding.area)),
+            ("Longest", format_quantity(finding.longest.quantity)),
             ("Share of the edge chipped", share(finding.chipped_fraction)),
             ("Length of the edge", with_unit(finding.edge_length_um, 1)),
             ("Die on the", f"{finding.die} side"),
@@ -85,8 +85,8 @@ def coplanarity(finding: Coplanarity) -> str:
             ("Plane", reference),
             ("Bumps", number(finding.n_bumps, 0)),
             *([("Left out, cut or not measured", number(finding.left_out, 0))] if finding.left_out else []),
-            ("Mean height", whole(finding.mean_height.quantity)),
-            ("Range of heights", whole(finding.height_range.quantity)),
+            ("Mean height", format_quantity(finding.mean_height.quantity)),
+            ("Range of heights", format_quantity(finding.height_range.quantity)),
             ("Tilt of the plane", with_unit(finding.tilt_mrad, 2, "mrad")),
         ]
     )

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from wafer_viewer.draw.charts.groove_svg import groove_svg
 from wafer_viewer.draw.number_format import number, share, with_unit
-from wafer_viewer.gui.presenters.measurement import averaging, whole
+from wafer_viewer.gui.presenters.measurement import averaging, format_quantity
 from wafer_viewer.gui.widgets import html
 from wafer_viewer.model.findings import AnyResult
 from wafer_viewer.model.measurement.step import StepHeight, StepProfile
@@ -18,13 +18,13 @@ def step(finding: StepHeight) -> str:
     ]
     pairs = [("Relative tilt", _tilt(finding))]
     if finding.at_joint is not None:
-        pairs.append(("Step at the joint", whole(finding.at_joint.quantity)))
+        pairs.append(("Step at the joint", format_quantity(finding.at_joint.quantity)))
     return html.table(["Face", "Mean", "Sq", "Points"], rows, " nnn") + html.pairs(pairs) + _small(finding.definition)
 
 
 def groove(finding: StepProfile) -> str:
     """Return the drawing, width and zones of a groove, and the definition of its height."""
-    width = [("Width", whole(finding.width.quantity))] if finding.width is not None else []
+    width = [("Width", format_quantity(finding.width.quantity))] if finding.width is not None else []
     zones = [(f"Zone {name}", f"{number(start, 1)} – {number(end, 1)}") for name, start, end in finding.zones]
     pairs = [
         ("What the line crosses", finding.kind),
@@ -46,7 +46,7 @@ def not_evaluated(finding: AnyResult) -> str:
 
 def _tilt(finding: StepHeight) -> str:
     if finding.tilt is not None:
-        return whole(finding.tilt)
+        return format_quantity(finding.tilt)
     return with_unit(finding.relative_tilt_mrad, 2, "mrad")
 
 
@@ -59,4 +59,4 @@ def _face(name: str, mean_um: float, sq_um: float, points: int) -> str:
 
 
 def _small(line: str) -> str:
-    return f'<div class="wv-lab" style="margin-top:4px">{html.safe(html.micro(line))}</div>'
+    return f'<div class="wv-lab" style="margin-top:4px">{html.safe(html.with_micro_sign(line))}</div>'

@@ -73,7 +73,7 @@ def by_stage(info: StitchingInfo, n_fields: int) -> tuple[str, str]:
     return f"{number(info.n_by_stage, 0)} of {number(n_fields, 0)} fields by the stage alone", reasons
 
 
-def doubted(poses: Poses, pixel_um: float) -> str:
+def rejected_overlaps(poses: Poses, pixel_um: float) -> str:
     """Return the table of rejected overlaps, largest residual first, blank ones last; empty if there are none."""
     rows = _doubted_rows(poses, pixel_um)
     if not rows:

@@ -9,7 +9,7 @@ import viser
 
 from wafer_viewer.draw.charts.die_map import die_map_svg
 from wafer_viewer.draw.number_format import number
-from wafer_viewer.gui.presenters.measurement import reading, value_texts, with_unit_sign
+from wafer_viewer.gui.presenters.measurement import display_unit, value_texts, with_unit_sign
 from wafer_viewer.gui.widgets import html
 from wafer_viewer.model.job.verdict import FeatureVerdict, WaferVerdict, Word
 from wafer_viewer.model.measurement.feature import DecisionRule, Feature
@@ -35,7 +35,7 @@ def card(verdict: WaferVerdict) -> str:
     return (
         f'<div class="wv-verdict {tone}" role="status" aria-label="Verdict">'
         f"<div{size}>{html.icon(sign, 46)}<b>{word}</b></div>"
-        f"<p>{html.safe(wafer)}{simulated}</p><p><strong>{html.safe(html.micro(verdict.next))}</strong></p></div>"
+        f"<p>{html.safe(wafer)}{simulated}</p><p><strong>{html.safe(html.with_micro_sign(verdict.next))}</strong></p></div>"
     )
 
 
@@ -58,7 +58,7 @@ def dies(verdict: WaferVerdict) -> str:
     return html.head("Dies", counts) + f'<div class="wv-map">{die_map_svg(verdict.dies)}</div>'
 
 
-def in_short(item: FeatureVerdict) -> str:
+def feature_summary(item: FeatureVerdict) -> str:
     """Return value ± U and limits of a feature for a list."""
     return f"{value_and_its_u(item)}<small>{limits(item.feature)}</small>"
 
@@ -76,7 +76,7 @@ def limits(feature: Feature) -> str:
         told = f"{_plain(low)} … {_plain(high)}"
     else:
         told = f"≤ {_plain(high)}" if high is not None else f"≥ {_plain(low)}"
-    return with_unit_sign(told, reading(Quantity(value=0.0, unit=feature.unit)).unit)
+    return with_unit_sign(told, display_unit(Quantity(value=0.0, unit=feature.unit)).unit)
 
 
 def value_and_its_u(item: FeatureVerdict) -> str:
@@ -108,7 +108,7 @@ def _on_dies(verdict: WaferVerdict) -> Iterator[str]:
 
 def _row(item: FeatureVerdict) -> str:
     feature, (word, sign, tone) = item.feature, LOOKS[item.word]
-    why = "" if item.word == "pass" else f"<small>{html.safe(html.micro(item.why))}</small>"
+    why = "" if item.word == "pass" else f"<small>{html.safe(html.with_micro_sign(item.why))}</small>"
     told = (
         f'<span style="color:var(--{tone})" title="{word}" role="img" aria-label="{word}">{html.icon(sign, 17)}</span>'
     )

@@ -14,7 +14,7 @@ from wafer_viewer.gui.page.page import Page
 from wafer_viewer.gui.page.preconditions import no_surface
 from wafer_viewer.gui.state.view_state import View
 from wafer_viewer.gui.widgets import html
-from wafer_viewer.gui.widgets.command import Command, unless
+from wafer_viewer.gui.widgets.command import Command, with_precondition
 from wafer_viewer.gui.widgets.controls import BoundInput, HtmlBlock, button, in_a_row, leading, set_prop
 from wafer_viewer.gui.widgets.error_guard import guarded
 from wafer_viewer.model.report import PART_TITLES, PARTS, Contents, Holds, Part, ReportOrder
@@ -66,7 +66,7 @@ class ReportPanel:
         """Return the commands that write the report, without and with a dialog."""
         write = Command("Write report", None, self.write, viser.Icon.FILE_TEXT, group="Report")
         ask = Command("Save report as…", None, self.ask_where, viser.Icon.DEVICE_FLOPPY, group="Report")
-        return unless(self._why_not, write, ask)
+        return with_precondition(self._why_not, write, ask)
 
     def _why_not(self, snapshot: Snapshot, view: View) -> str | None:
         if (missing := no_surface(snapshot, view)) is not None:
@@ -182,4 +182,4 @@ def _newest(path: Path | None) -> str:
 
 def _line(holds: Holds, chosen: bool) -> str:
     look = " none" if holds.nothing else "" if chosen else " off"
-    return f'<div class="wv-part{look}">{html.safe(html.micro(holds.words))}</div>'
+    return f'<div class="wv-part{look}">{html.safe(html.with_micro_sign(holds.words))}</div>'

@@ -13,7 +13,7 @@ from wafer_viewer.draw.charts.defect_symbols import KINDS
 from wafer_viewer.gui.page import judgement
 from wafer_viewer.gui.page.note_dialog import note_dialog
 from wafer_viewer.gui.page.page import Page
-from wafer_viewer.gui.page.preconditions import elsewhere, no_defect
+from wafer_viewer.gui.page.preconditions import no_defect, require_step
 from wafer_viewer.gui.page.verdict_section import awaited
 from wafer_viewer.gui.presenters.review.defect_items import chosen_defect
 from wafer_viewer.gui.presenters.review.defects import classes
@@ -24,7 +24,7 @@ from wafer_viewer.gui.presenters.verdict import waiting
 from wafer_viewer.gui.scenes.surface_scene import source_of
 from wafer_viewer.gui.state.view_state import View
 from wafer_viewer.gui.widgets import html
-from wafer_viewer.gui.widgets.command import Command, unless
+from wafer_viewer.gui.widgets.command import Command, with_precondition
 from wafer_viewer.gui.widgets.controls import BoundInput, HtmlBlock, ToggleGroup, button, in_a_row, leading, set_prop
 from wafer_viewer.gui.widgets.debounce import Debouncer
 from wafer_viewer.gui.widgets.error_guard import guarded
@@ -86,8 +86,8 @@ class ReviewPanel:
     def commands(self) -> list[Command]:
         """Return the keyboard commands: next, previous, accept, reject, classify, note."""
         icon = viser.Icon
-        return unless(
-            elsewhere("review"),
+        return with_precondition(
+            require_step("review"),
             Command("Next under review", "pagedown", lambda: self.step(1), icon.ARROW_RIGHT, group="Review"),
             Command("Previous under review", "pageup", lambda: self.step(-1), icon.ARROW_LEFT, group="Review"),
             Command("Accept", "Y", lambda: self.judge("accepted"), icon.CHECK, group="Review"),
@@ -195,7 +195,7 @@ class ReviewPanel:
 
 def _class_commands(classify: Callable[[DefectClass], None]) -> list[Command]:
     """Return one command with a key for each defect class."""
-    return unless(
+    return with_precondition(
         no_defect,
         *(
             Command(f"Class: {look.title}", look.key, lambda k=kind: classify(k), viser.Icon.TAG, group="Review")

@@ -54,7 +54,7 @@ def corner_on_screen(region: Region, land: HeightField, gaze: ViewAxes, right: f
     """
     x0, y0, x1, y1 = region.bounds_um
     x, y = np.array([x0, x1, x1, x0]), np.array([y0, y0, y1, y1])
-    corners = np.stack([x * 1e-3, y * 1e-3, land.seen_z_mm(x * 1e-3, y * 1e-3)], axis=1)
+    corners = np.stack([x * 1e-3, y * 1e-3, land.visible_z_mm(x * 1e-3, y * 1e-3)], axis=1)
     middle = corners.mean(axis=0)
     across, along, _ = gaze.axes.T
     reach_x, reach_y = ((corners - middle) @ axis for axis in (across, along))

@@ -92,7 +92,7 @@ class PlaceMark:
     def draw(self, land: HeightField, gaze: ViewAxes) -> None:
         """Draw the marker on the displayed surface, or at the bottom of a hole."""
         x, y = (np.array([v]) for v in self.place)
-        at = land.seen_points(x, y, 2 * gaze.mm_per_pixel)[0]
+        at = land.visible_points(x, y, 2 * gaze.mm_per_pixel)[0]
         self._knob.place(at, gaze.mm_per_pixel, gaze.towards)
 
     def remove(self) -> None:
@@ -111,7 +111,7 @@ class DrapedOutline:
         """Draw the rectangle on the displayed surface."""
         x0, y0, x1, y1 = self.box_um
         corners = np.array([(x0, y0), (x1, y0), (x1, y1), (x0, y1)])
-        self._line.lay(land.laid_round(corners, 2 * gaze.mm_per_pixel), None, 1.6 * gaze.mm_per_pixel)
+        self._line.lay(land.drape_outline(corners, 2 * gaze.mm_per_pixel), None, 1.6 * gaze.mm_per_pixel)
 
     def remove(self) -> None:
         """Remove the rectangle from the scene."""

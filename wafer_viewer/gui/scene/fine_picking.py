@@ -19,9 +19,9 @@ _REACH_PX, _MOST_PX = 4, 512
 """Margin around the ray's footprint in coarse pixels, and the most fine pixels per direction."""
 
 
-def land_nearby(read: Read, land: HeightField, origin: Floats, direction: Floats) -> HeightField:
+def refine_height_field(read: Read, land: HeightField, origin: Floats, direction: Floats) -> HeightField:
     """Return the heights under a ray at the surface's resolution; the coarse heights if no finer ones can be read."""
-    show, box = land.on_show.source.show, _under(land, origin, direction)
+    show, box = land.on_show.source.show, _ray_footprint(land, origin, direction)
     if show < 0:  # two surfaces compared are as coarse as they are drawn
         return land
     try:
@@ -36,7 +36,7 @@ def land_nearby(read: Read, land: HeightField, origin: Floats, direction: Floats
     return HeightField(_relief(part, land), land.on_show, land.holes)
 
 
-def _under(land: HeightField, origin: Floats, direction: Floats) -> Box:
+def _ray_footprint(land: HeightField, origin: Floats, direction: Floats) -> Box:
     """Return the footprint of a ray between the highest height and the ground, in um, with a margin."""
     on_show, reach_um = land.on_show, _REACH_PX * land.pixel_um
     levels = on_show.scene_z(on_show.facts.highest_um), 0.0

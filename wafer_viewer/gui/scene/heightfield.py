@@ -114,7 +114,7 @@ class HeightField:
         z = self.z_um(x_um, y_um)
         return np.where(self.measured(x_um, y_um), z, self.on_show.z0_um) if self._holes else z
 
-    def seen_z_mm(self, x_mm: Floats, y_mm: Floats) -> Floats:
+    def visible_z_mm(self, x_mm: Floats, y_mm: Floats) -> Floats:
         """Return scene z of the visible heights: the surface; in holes and outside of it the ground."""
         z_mm = (self.seen_um(x_mm * 1e3, y_mm * 1e3) - self.on_show.z0_um) * 1e-3 * self.on_show.stretch
         return np.where(self._inside(x_mm, y_mm), z_mm, 0.0)
@@ -124,12 +124,12 @@ class HeightField:
         z = (self.z_um(x_um, y_um) - self.on_show.z0_um) * 1e-3 * self.on_show.stretch + lift_mm
         return np.stack([np.asarray(x_um) * 1e-3, np.asarray(y_um) * 1e-3, z], axis=1).astype(np.float32)
 
-    def seen_points(self, x_um: Floats, y_um: Floats, lift_mm: float) -> NDArray[np.float32]:
+    def visible_points(self, x_um: Floats, y_um: Floats, lift_mm: float) -> NDArray[np.float32]:
         """Return positions at their visible heights (in a hole the ground) as scene points, float32 [n, 3]."""
         z = (self.seen_um(x_um, y_um) - self.on_show.z0_um) * 1e-3 * self.on_show.stretch + lift_mm
         return np.stack([np.asarray(x_um) * 1e-3, np.asarray(y_um) * 1e-3, z], axis=1).astype(np.float32)
 
-    def draped(self, a: Place, b: Place, lift_mm: float) -> tuple[NDArray[np.float32], NDArray[np.bool_]]:
+    def drape_line(self, a: Place, b: Place, lift_mm: float) -> tuple[NDArray[np.float32], NDArray[np.bool_]]:
         """Return a line from a to b draped on the surface, as points [n, 3] and the mask of measured pieces [n - 1]."""
         t = np.linspace(0, 1, 480)
         x, y = a[0] + (b[0] - a[0]) * t, a[1] + (b[1] - a[1]) * t
@@ -143,7 +143,7 @@ class HeightField:
         points[:, 2] = np.max([padded[k : k + len(points)] for k in range(5)], axis=0)
         return points
 
-    def laid_round(self, corners_um: Floats, lift_mm: float) -> NDArray[np.float32]:
+    def drape_outline(self, corners_um: Floats, lift_mm: float) -> NDArray[np.float32]:
         """Return the closed outline through corners [n, 2] draped on the surface, as segments [m, 2, 3]."""
         ends = np.roll(corners_um, -1, axis=0)
         t = np.linspace(0, 1, max(1, _ROUND_PIECES // len(corners_um)), endpoint=False)[:, None]

@@ -11,7 +11,7 @@ from wafer_viewer.draw.number_format import number
 from wafer_viewer.draw.surface import ground_plane, mesh
 from wafer_viewer.draw.surface.glb import painted
 from wafer_viewer.draw.ticks import ticks
-from wafer_viewer.gui.scene.primitives import Box, lines, lying
+from wafer_viewer.gui.scene.primitives import Box, add_image_plane, lines
 from wafer_viewer.gui.scene.reconciler import Handle, SceneItem
 from wafer_viewer.gui.scene.scene_theme import colours
 
@@ -86,7 +86,7 @@ def _shadow(scene: viser.SceneApi, name: str, _: bytes, *, box: Box, dark: bool,
         corners, width, height, pad / 3,
         darkness=palette.shadow_strength, shade=palette.shadow, ink=palette.ink, figures=_figures(box, pad),
     )  # fmt: skip
-    return lying(scene, name, picture, (box[0] - pad, box[1] - pad, box[2] + pad, box[3] + pad), z)
+    return add_image_plane(scene, name, picture, (box[0] - pad, box[1] - pad, box[2] + pad, box[3] + pad), z)
 
 
 def _tick_places(box: Box) -> tuple[list[float], list[float]]:

@@ -92,7 +92,7 @@ def closed(corners: Sequence[tuple[float, float]], z: float) -> Segments:
     return np.stack([points, np.roll(points, -1, axis=0)], axis=1)
 
 
-def way(points: NDArray[np.float32]) -> Segments:
+def polyline_segments(points: NDArray[np.float32]) -> Segments:
     """Return the segments of an open polyline through points [n, 3]."""
     return np.stack([points[:-1], points[1:]], axis=1)
 
@@ -123,7 +123,7 @@ def cased(
     )
 
 
-def lying(
+def add_image_plane(
     scene: viser.SceneApi, name: str, picture: NDArray[np.uint8], box: Box, z: float, *, blend: bool = True
 ) -> Handle:
     """Add an image in the plane of the sample, its top edge at the larger y.
@@ -152,4 +152,4 @@ def word(
     picture = tag(text, colour, pill)
     width_mm = height_mm * picture.shape[1] / picture.shape[0]
     x, y = at_mm[0] - anchor[0] * width_mm, at_mm[1] - anchor[1] * height_mm
-    return lying(scene, name, picture, (x, y, x + width_mm, y + height_mm), at_mm[2], blend=pill is None)
+    return add_image_plane(scene, name, picture, (x, y, x + width_mm, y + height_mm), at_mm[2], blend=pill is None)

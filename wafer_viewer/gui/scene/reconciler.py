@@ -165,7 +165,7 @@ class SceneReconciler:
         """Return the drawn handles of one type."""
         return [drawn.handle for drawn in self._drawn.values() if isinstance(drawn.handle, kind)]
 
-    def tidy(self) -> float | None:
+    def remove_expired(self) -> float | None:
         """Remove the nodes whose delay has expired; return seconds until the next is due, None if there are none."""
         now = time.monotonic()
         for _, handle in [entry for entry in self._leaving if entry[0] <= now]:
@@ -189,7 +189,7 @@ class SceneReconciler:
         data = b""
         if item.request is not None:
             try:
-                outcome = self._orders.outcome(item.request, self._gate is None or self._gate.is_open)
+                outcome = self._orders.outcome(item.request, self._gate is None or self._gate.has_room)
             except NotReady:
                 return False
             fault = outcome.exception()

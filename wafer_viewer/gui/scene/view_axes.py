@@ -68,5 +68,5 @@ class ViewAxes:
         reach = (top - float(places[..., 2].min())) / climb if climb > 0 else 1.0
         share = np.linspace(0, min(max(reach, 0.0), 1.0 - _NEAREST), _STEPS)
         ways = places + (self.eye - places) * share[:, None]
-        hidden = (ways[..., 2] < land.seen_z_mm(ways[..., 0], ways[..., 1]) + spare_mm).any(axis=0)
+        hidden = (ways[..., 2] < land.visible_z_mm(ways[..., 0], ways[..., 1]) + spare_mm).any(axis=0)
         return float(share[min(int(np.flatnonzero(hidden)[-1]) + 1, _STEPS - 1)]) if hidden.any() else 0.0

@@ -10,7 +10,17 @@ import viser
 from numpy.typing import NDArray
 
 from wafer_viewer.draw.number_format import with_unit
-from wafer_viewer.gui.scene.primitives import Box, Group, cased, dashed, lines, lying, rectangle, way, word
+from wafer_viewer.gui.scene.primitives import (
+    Box,
+    Group,
+    add_image_plane,
+    cased,
+    dashed,
+    lines,
+    polyline_segments,
+    rectangle,
+    word,
+)
 from wafer_viewer.gui.scene.reconciler import Handle, SceneItem
 from wafer_viewer.gui.scene.scene_theme import colours
 from wafer_viewer.model.acquisition.plan import Field, ScanPlan
@@ -93,7 +103,7 @@ def _overlap(scene: viser.SceneApi, name: str, _: bytes, *, boxes: list[Box], da
         count[rows, cols] = np.minimum(count[rows, cols] + 1, 2)
     alpha = np.array([0, 34, 118], np.uint8)[count]
     picture = np.dstack([np.full((*count.shape, 3), colours(dark).accent, np.uint8), alpha])
-    return lying(scene, name, picture, (x0, y0, x1, y1), 0.003 * _unit(boxes))
+    return add_image_plane(scene, name, picture, (x0, y0, x1, y1), 0.003 * _unit(boxes))
 
 
 def _size(scene: viser.SceneApi, name: str, _: bytes, *, box: Box) -> Group:
@@ -127,7 +137,7 @@ def stage_way(plan: ScanPlan) -> list[tuple[float, float]]:
 
 def _way(scene: viser.SceneApi, name: str, _: bytes, *, points: list[tuple[float, float]], unit: float) -> Group:
     at = np.array([(x * 1e-3, y * 1e-3, 0.016 * unit) for x, y in points], np.float32)
-    dashes = dashed(way(at), 0.13 * unit, 0.5)
+    dashes = dashed(polyline_segments(at), 0.13 * unit, 0.5)
     start = scene.add_icosphere(
         f"{name}/start", 0.055 * unit, (213, 94, 0), position=tuple(at[0]), cast_shadow=False, receive_shadow=False
     )

@@ -12,7 +12,7 @@ from PIL import Image, ImageDraw
 
 from wafer_viewer.draw.colormaps import Rgb
 from wafer_viewer.draw.surface import ground_plane
-from wafer_viewer.gui.scene.primitives import Box, Group, closed, dashed, lines, lying, rectangle
+from wafer_viewer.gui.scene.primitives import Box, Group, add_image_plane, closed, dashed, lines, rectangle
 from wafer_viewer.gui.scene.reconciler import Handle, SceneItem
 from wafer_viewer.gui.scene.scene_theme import colours
 from wafer_viewer.model.acquisition.devices import Overview
@@ -84,7 +84,7 @@ def _shadow(
         down, width, height, pad / 3,
         darkness=palette.shadow_strength * 0.9, shade=palette.shadow, long_side_px=640,
     )  # fmt: skip
-    return lying(scene, name, picture, (box[0] - pad, box[1] - pad, box[2] + pad, box[3] + pad), z - 0.01)
+    return add_image_plane(scene, name, picture, (box[0] - pad, box[1] - pad, box[2] + pad, box[3] + pad), z - 0.01)
 
 
 def _picture(
@@ -99,7 +99,7 @@ def _picture(
     box = (edge_x * 1e-3, (edge_y - height) * 1e-3, (edge_x + width) * 1e-3, edge_y * 1e-3)
     if overview.outline_um:
         picture = _cut_out(picture, [((x - edge_x) / width, (edge_y - y) / height) for x, y in overview.outline_um])
-    return lying(scene, name, picture, box, z, blend=False)
+    return add_image_plane(scene, name, picture, box, z, blend=False)
 
 
 def _smaller(image: NDArray[np.uint8] | None) -> NDArray[np.uint8]:

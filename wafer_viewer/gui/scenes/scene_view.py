@@ -251,7 +251,7 @@ class SceneView:
                 self._more, self._settled = False, False
                 self._begun = wanted = self._next()
             whole = self._turn(wanted)
-            pause = self._stage.tidy()
+            pause = self._stage.remove_expired()
             with self._due:
                 if whole:
                     self._begun = None

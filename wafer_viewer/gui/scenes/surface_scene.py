@@ -12,7 +12,7 @@ from wafer_viewer.gui.scene.camera.camera_presets import Clear
 from wafer_viewer.gui.scene.lod.quadtree import Span
 from wafer_viewer.gui.scene.lod.stable_range import DisplayRangeHysteresis, as_planned
 from wafer_viewer.gui.scene.lod.surface_cache import SurfaceInfoCache
-from wafer_viewer.gui.scene.lod.surface_tiles import Shown, TiledSurface, add_glb, bounds_mm, look_of
+from wafer_viewer.gui.scene.lod.surface_tiles import Shown, TiledSurface, add_glb, bounds_mm, display_style_of
 from wafer_viewer.gui.scene.lod.tile_heights import heights_of
 from wafer_viewer.gui.scene.plinth import block_items, figure_height_mm, plinth_mm
 from wafer_viewer.gui.scene.primitives import Box
@@ -79,21 +79,21 @@ def surface_contents(
     basis = _basis(source)
     datum = book.datum(basis, view.levelling)
     told = book.facts(basis, datum)
-    view = _with_what_there_is(view, told)
+    view = _with_available_quantity(view, told)
     shown = _shown(snapshot, source, steady.facts(basis, view, told), datum)
     facts, scale = shown.facts, steady.scale(basis, view, book.scale(basis, view, datum))
     z0 = facts.lowest_um - 0.02 * (facts.high_um - facts.low_um)
     on_show = DisplayedSurface(source, facts, scale, z0, view.exaggeration, datum)
     box, solid = bounds_mm(facts), view.look == "surface"
     heights = heights_of(on_show, book.relief_if_known(source, datum))
-    tiled = TiledSurface(shown, look_of(view, scale), view, z0, heights if view.look != "plan" else _level)
+    tiled = TiledSurface(shown, display_style_of(view, scale), view, z0, heights if view.look != "plan" else _level)
     ground = block_items(box, view.dark, plinth=solid)
     return SceneContents(
         items=(*ground, *_picture_at_z(snapshot, view, on_show), *_fields(poses, snapshot, view, on_show)),
         seen=tiled.items,
         rough=(*tiled.first_items(), *ground),
         corners_mm=corners_of(_with_figures(box), -plinth_mm(box), 0.0 if view.look == "plan" else _top(on_show)),
-        place=("surface", source.dataset, _standing(snapshot, view.show), view.look == "plan"),
+        place=("surface", source.dataset, _framed_surface(snapshot, view.show), view.look == "plan"),
         preset="top" if view.look == "plan" else "iso",
         stretch=view.exaggeration,
         on_show=on_show,
@@ -115,7 +115,7 @@ def _shown(snapshot: Snapshot, source: SurfaceKey, facts: SurfaceStatistics, dat
     return Shown(source, as_planned(facts, data.plan) if snapshot.scanning else facts, facts, stamps, datum)
 
 
-def _with_what_there_is(view: View, facts: SurfaceStatistics) -> View:
+def _with_available_quantity(view: View, facts: SurfaceStatistics) -> View:
     """Return the view with a quantity that this surface has.
 
     A missing overlap quantity is replaced by height, and the height of a difference is coloured as a difference.
@@ -131,7 +131,7 @@ def _basis(source: SurfaceKey) -> SurfaceKey:
     return replace(source, show=-ComparisonFace.FIRST) if source.show == -ComparisonFace.SECOND else source
 
 
-def _standing(snapshot: Snapshot, show: int) -> int:
+def _framed_surface(snapshot: Snapshot, show: int) -> int:
     """Return the surface that the camera frames: that of a comparison's first surface, except side by side."""
     asked = comparison_of(show)
     found = next((c for c in snapshot.comparisons if asked is not None and c.number == asked[0]), None)

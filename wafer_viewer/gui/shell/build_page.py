@@ -23,7 +23,7 @@ from wafer_viewer.gui.overlays.hud import Legend, ReadOutBox, ScaleBar
 from wafer_viewer.gui.overlays.pose_legend import PoseLegend
 from wafer_viewer.gui.overlays.screenshot import PrintPicture
 from wafer_viewer.gui.overlays.toolbar import Toolbar
-from wafer_viewer.gui.page.bottom_panel import room_px
+from wafer_viewer.gui.page.bottom_panel import bottom_panel_height_px
 from wafer_viewer.gui.page.browser_info import BrowserEvents
 from wafer_viewer.gui.page.control_handover import ControlLock, ControlRequestPrompt
 from wafer_viewer.gui.page.header import TITLES, Header, possible, why_not
@@ -50,7 +50,7 @@ from wafer_viewer.gui.shell.tour_guide import TourGuide
 from wafer_viewer.gui.shell.welcome import Welcome
 from wafer_viewer.gui.state.plot_state import with_cursor
 from wafer_viewer.gui.state.view_state import Step, View
-from wafer_viewer.gui.surface.clip_section import take_faces
+from wafer_viewer.gui.surface.clip_section import clip_box_callback
 from wafer_viewer.gui.surface.focus_curve_dock import WhyDock
 from wafer_viewer.gui.surface.focus_evidence_panel import WhyPanel
 from wafer_viewer.gui.surface.point_count import PointCount
@@ -79,7 +79,7 @@ class PageTheme:
 
     def show(self, snapshot: Snapshot, view: View) -> None:
         """Bring the theme up to date."""
-        self._sheet.show(sheet(view.dark, room_px(view)))
+        self._sheet.show(sheet(view.dark, bottom_panel_height_px(view)))
         if view.dark != self._dark:
             self._dark = view.dark
             self._gui.configure_theme(
@@ -263,7 +263,7 @@ def _listen_to_scene(page: Page, scene: SceneView, read_out: ReadOutBox, why: Wh
 
     scene.on_pick(picked)
     scene.on_select(guarded(page, failed)(lambda box: page.change(selection=box, counted="selection", selecting=False)))
-    scene.on_clip(take_faces(page))
+    scene.on_clip(clip_box_callback(page))
     scene.on_camera(page.redraw)
     scene.on_scale(page.show_scale)
     scene.on_points(page.show_points)

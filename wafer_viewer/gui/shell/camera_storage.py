@@ -23,7 +23,7 @@ class Viewpoint:
 
     def show(self, snapshot: Snapshot, view: View) -> None:
         """Restore the camera pose on the first call; save it later whenever it has changed."""
-        of = looked_at(snapshot, view)
+        of = camera_key(snapshot, view)
         if self._kept is None:
             self._kept = self._page.recalled.standpoint
             if self._kept.of == of:
@@ -35,7 +35,7 @@ class Viewpoint:
             keep_standpoint(self._page.client, self._kept)
 
 
-def looked_at(snapshot: Snapshot, view: View) -> str:
+def camera_key(snapshot: Snapshot, view: View) -> str:
     """Return the key of a camera pose: the dataset's path on a surface, else the step."""
     data = snapshot.dataset
     return f"{data.path}" if view.on_surface and data is not None else view.step

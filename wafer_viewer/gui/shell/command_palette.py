@@ -12,7 +12,7 @@ from wafer_viewer.gui.page.page import Page
 from wafer_viewer.gui.state.view_state import View
 from wafer_viewer.gui.widgets.command import Command
 from wafer_viewer.gui.widgets.error_guard import guarded
-from wafer_viewer.gui.widgets.html import micro
+from wafer_viewer.gui.widgets.html import with_micro_sign
 from wafer_viewer.session.state.snapshot import Snapshot
 
 Source = Callable[[Snapshot], Sequence[Command]]
@@ -56,7 +56,7 @@ def carry_out(page: Page, command: Command) -> None:
     if why is None:
         command.act()
     else:
-        page.say(command.name.removesuffix("…"), f"Not now: {micro(why)}", "attention")
+        page.say(command.name.removesuffix("…"), f"Not now: {with_micro_sign(why)}", "attention")
 
 
 def _name(command: Command) -> Name:

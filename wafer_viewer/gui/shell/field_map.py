@@ -48,7 +48,7 @@ class FieldMap:
 
     def show(self, snapshot: Snapshot, view: View) -> None:
         """Bring map and marks up to date."""
-        of = _essence(snapshot, view)
+        of = _redraw_key(snapshot, view)
         if self._of is None or any(a is not b and a != b for a, b in zip(of, self._of, strict=True)):
             self._of = of
             self._draw(snapshot, view)
@@ -128,7 +128,7 @@ def extent_um(snapshot: Snapshot) -> Outline:
     return (x0, y0), (x1, y0), (x1, y1), (x0, y1)
 
 
-def _essence(snapshot: Snapshot, view: View) -> tuple[object, ...]:
+def _redraw_key(snapshot: Snapshot, view: View) -> tuple[object, ...]:
     """Return the values that the map depends on; large ones are compared by identity first."""
     data = snapshot.dataset if view.step != "plan" else None
     job, limits = snapshot.draft.job, snapshot.rig.limits

@@ -12,7 +12,7 @@ import time
 from functools import cache
 
 from wafer_viewer.gui.page.page import Page
-from wafer_viewer.gui.page.stop import kept
+from wafer_viewer.gui.page.stop import complete_fields_sentence
 from wafer_viewer.gui.state.view_state import View
 from wafer_viewer.gui.widgets import html
 from wafer_viewer.gui.widgets.controls import HtmlBlock
@@ -48,8 +48,8 @@ class Contact:
             "since": SINCE,
             "state": state(snapshot),
             "box": out_of_reach(snapshot.rig),
-            "back": meanwhile(snapshot),
-            "anew": kept_over_restart(snapshot),
+            "back": disconnection_summary(snapshot),
+            "anew": restart_summary(snapshot),
             "look": "Look, and confirm the sample" if not snapshot.draft.confirmed else "Look",
         }
         self._words = " ".join(f'data-{name}="{html.safe(text)}"' for name, text in words.items())
@@ -81,7 +81,7 @@ def out_of_reach(rig: RigStatus) -> str:
     return f"{_STOP_OUT_OF_REACH}\n{'It is simulated: nothing real moves.' if rig.simulated else _RED_BUTTON}"
 
 
-def meanwhile(snapshot: Snapshot) -> str:
+def disconnection_summary(snapshot: Snapshot) -> str:
     """Return what happened while the page was disconnected, and whether action is needed."""
     scan, data = snapshot.scan, snapshot.dataset
     if snapshot.rig.state in ("fault", "absent"):
@@ -92,14 +92,16 @@ def meanwhile(snapshot: Snapshot) -> str:
         return f"The scan continued without this page: {frames}. Nothing to do."
     if scan is not None and scan.finished and data is not None:
         ended = "has ended" if data.finished else "is stopped"
-        return f"The scan {ended}: {kept(data)} Nothing to do."
+        return f"The scan {ended}: {complete_fields_sentence(data)} Nothing to do."
     return "Nothing moves. Nothing to do." if snapshot.rig.state == "ready" else f"The rig is {snapshot.rig.state}."
 
 
-def kept_over_restart(snapshot: Snapshot) -> str:
+def restart_summary(snapshot: Snapshot) -> str:
     """Return what was preserved over a restart of the program, and whether the sample must be confirmed."""
     data = snapshot.dataset
-    what = f"{data.path.stem}: {kept(data)}" if data is not None else "Datasets and results are kept."
+    what = (
+        f"{data.path.stem}: {complete_fields_sentence(data)}" if data is not None else "Datasets and results are kept."
+    )
     wait = "" if snapshot.draft.confirmed else " Nothing moves before the sample is confirmed."
     return f"{what}{wait}"
 

@@ -10,11 +10,11 @@ import viser
 
 from wafer_viewer.gui.page.dialogs import Dialog
 from wafer_viewer.gui.page.page import Page
-from wafer_viewer.gui.page.preconditions import off_surface
+from wafer_viewer.gui.page.preconditions import surface_not_shown
 from wafer_viewer.gui.scene.camera.camera_presets import CameraPose
 from wafer_viewer.gui.state.view_state import View
 from wafer_viewer.gui.widgets import html
-from wafer_viewer.gui.widgets.command import Command, spoken, unless
+from wafer_viewer.gui.widgets.command import Command, spoken, with_precondition
 from wafer_viewer.model.errors import DatasetError
 from wafer_viewer.model.job.review_notes import SavedView
 from wafer_viewer.session.state.snapshot import Snapshot
@@ -42,7 +42,7 @@ class SavedViews:
     def commands(self) -> list[Command]:
         """Return the command that saves a view."""
         save = Command("Save view…", "0", self.ask_name, viser.Icon.BOOKMARK_PLUS, "shift", "Look")
-        return unless(off_surface, save)
+        return with_precondition(surface_not_shown, save)
 
     def going(self, snapshot: Snapshot) -> list[Command]:
         """Return the commands that go to the saved views; the first ones have their numbers as keys."""

@@ -27,8 +27,8 @@ from wafer_viewer.gui.page.preconditions import (
     no_way_to,
     nothing_to_redo,
     nothing_to_undo,
-    off_surface,
-    out_of_sight,
+    surface_not_drawable,
+    surface_not_shown,
 )
 from wafer_viewer.gui.page.stop import stop
 from wafer_viewer.gui.plan.plan_panel import PlanPanel
@@ -36,7 +36,7 @@ from wafer_viewer.gui.state.view_state import Step, View
 from wafer_viewer.gui.surface.focus_evidence_panel import WhyPanel
 from wafer_viewer.gui.surface.surface_panel import COLOUR_BY, LOOKS, SurfacePanel
 from wafer_viewer.gui.tools.tool_palette import ICONS, TOOL_KEYS
-from wafer_viewer.gui.widgets.command import Command, unless
+from wafer_viewer.gui.widgets.command import Command, with_precondition
 from wafer_viewer.model.measurement.tools import TOOLS
 from wafer_viewer.session.state.snapshot import Snapshot
 
@@ -153,15 +153,17 @@ def _looking_at_surface(page: Page, parts: Parts) -> list[Command]:
     def export() -> None:
         export_dialog(page)
 
-    return unless(
-        out_of_sight,
+    return with_precondition(
+        surface_not_drawable,
         Command("Hillshade", "H", surface.toggle_hillshade, ICON.SUN, group="Surface"),
         Command("All-in-focus", "U", surface.toggle_all_in_focus, ICON.FOCUS_2, group="Surface"),
-        *unless(
+        *with_precondition(
             no_fields_to_show,
             Command("Fields and overlaps", "O", surface.toggle_fields, ICON.GRID_DOTS, group="Surface"),
         ),
-        *unless(off_surface, Command("Why this height?", "C", parts.why.toggle, ICON.ZOOM_QUESTION, group="Surface")),
+        *with_precondition(
+            surface_not_shown, Command("Why this height?", "C", parts.why.toggle, ICON.ZOOM_QUESTION, group="Surface")
+        ),
         Command("Higher z", "pageup", lambda: exaggerate(EXAGGERATION_STEP), ICON.ARROWS_VERTICAL, "shift", "Surface"),
         Command(
             "Lower z", "pagedown", lambda: exaggerate(-EXAGGERATION_STEP), ICON.ARROWS_VERTICAL, "shift", "Surface"
@@ -207,20 +209,22 @@ def _measuring(page: Page, parts: Parts) -> list[Command]:
     lines = LineVerbs(page)
     keep = Command("Keep the result", "enter", parts.measure.keep, ICON.CHECK, "cmd/ctrl", "Measure")
     return [
-        *unless(
+        *with_precondition(
             no_surface,
             *tools,
             Command("Horizontal cut", "H", lambda: lines.cut("row"), ICON.ARROWS_HORIZONTAL, "shift", "Measure"),
             Command("Vertical cut", "V", lambda: lines.cut("column"), ICON.ARROWS_VERTICAL, "shift", "Measure"),
         ),
-        *unless(no_room_for_lines, Command("Add a profile line", "L", lines.add, ICON.PLUS, "shift", "Measure")),
-        *unless(
+        *with_precondition(
+            no_room_for_lines, Command("Add a profile line", "L", lines.add, ICON.PLUS, "shift", "Measure")
+        ),
+        *with_precondition(
             no_other_line,
             Command("Remove the profile line", None, lines.remove, ICON.TRASH, group="Measure"),
             Command("Next profile line", "N", lines.next, ICON.ARROW_RIGHT, "shift", "Measure"),
         ),
-        *unless(parts.measure.why_not_keep, keep),
-        *unless(
+        *with_precondition(parts.measure.why_not_keep, keep),
+        *with_precondition(
             no_result,
             Command("Rename the result…", None, rename, ICON.PENCIL, group="Measure"),
             Command("Delete the result", "delete", delete, ICON.TRASH, group="Measure"),
@@ -270,8 +274,10 @@ def _of_the_page(page: Page, parts: Parts) -> list[Command]:
 
     return [
         Command("Leave the tool", "escape", leave, ICON.X, group="Page", here=in_use),
-        *unless(nothing_to_undo, Command("Undo", "Z", undo, ICON.ARROW_BACK_UP, "cmd/ctrl", "Page")),
-        *unless(nothing_to_redo, Command("Redo", "Z", redo, ICON.ARROW_FORWARD_UP, "cmd/ctrl+shift", "Page")),
+        *with_precondition(nothing_to_undo, Command("Undo", "Z", undo, ICON.ARROW_BACK_UP, "cmd/ctrl", "Page")),
+        *with_precondition(
+            nothing_to_redo, Command("Redo", "Z", redo, ICON.ARROW_FORWARD_UP, "cmd/ctrl+shift", "Page")
+        ),
         Command("Light or dark page", "D", lambda: page.change(dark=not page.view.dark), ICON.MOON, "shift", "Page"),
     ]
 

@@ -106,7 +106,7 @@ class ClipSection:
         self._page.change(clip=replace(self._page.view.clip, **changes))  # pyright: ignore[reportArgumentType]
 
 
-def take_faces(page: Page) -> Callable[[ClipBoxFaces, str], ClipBoxFaces]:
+def clip_box_callback(page: Page) -> Callable[[ClipBoxFaces, str], ClipBoxFaces]:
     """Return the callback for the box dragged in the scene; a face that was never moved clips nothing."""
 
     def moved(faces: ClipBoxFaces, key: str) -> ClipBoxFaces:

@@ -14,7 +14,7 @@ from wafer_viewer.gui.page.preconditions import no_comparison, no_surface
 from wafer_viewer.gui.presenters import comparison as words
 from wafer_viewer.gui.state.view_state import View
 from wafer_viewer.gui.widgets import html
-from wafer_viewer.gui.widgets.command import Command, unless
+from wafer_viewer.gui.widgets.command import Command, with_precondition
 from wafer_viewer.gui.widgets.controls import HtmlBlock, ToggleGroup, button, in_a_row, set_prop
 from wafer_viewer.gui.widgets.error_guard import guarded
 from wafer_viewer.gui.widgets.latest_only import LatestOnlyWorker
@@ -69,8 +69,10 @@ class CompareSection:
     def commands(self) -> list[Command]:
         """Return the comparison commands with their keys."""
         return [
-            *unless(no_surface, Command("Compare surfaces…", None, self.unfold, ICON.ARROWS_DIFF, group="Surface")),
-            *unless(
+            *with_precondition(
+                no_surface, Command("Compare surfaces…", None, self.unfold, ICON.ARROWS_DIFF, group="Surface")
+            ),
+            *with_precondition(
                 no_comparison,
                 Command("First or second surface", "B", self.blink, ICON.SWITCH_HORIZONTAL, "shift", "Surface"),
                 Command("Close the comparison", None, self.close, ICON.X, group="Surface"),
@@ -198,7 +200,7 @@ class CompareSection:
 
     def _take(self, show: int) -> None:
         pairs = self._page.session.comparing.choices(show)
-        self._pairs = {words.pair_words(first, second): (first, second) for first, second in pairs}
+        self._pairs = {words.pair_label(first, second): (first, second) for first, second in pairs}
         self._page.redraw()
 
 
@@ -231,10 +233,10 @@ def _told(known: Compared, face: ComparisonFace) -> str:
     comparison: Any = known.comparison
     beside = f'<div class="wv-lab">{words.BESIDE_SAID}</div>' if face is ComparisonFace.BESIDE else ""
     return (
-        f'<div class="wv-lab" style="margin-bottom:8px">{html.safe(words.subtracted(comparison))}</div>'
+        f'<div class="wv-lab" style="margin-bottom:8px">{html.safe(words.surfaces_sentence(comparison))}</div>'
         + beside
-        + words.answer(comparison.change)
-        + words.cautions(comparison, known.outdated)
+        + words.change_figures(comparison.change)
+        + words.warnings(comparison, known.outdated)
         + words.numbers(comparison.change)
         + words.alignment(comparison.registration)
     )

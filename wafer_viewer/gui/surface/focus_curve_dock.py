@@ -90,11 +90,13 @@ def _sharpest(curve: FocusCurve) -> int:
 
 
 def _head(curve: FocusCurve | None, reading: bool) -> str:
-    about = READING if reading and curve is not None else words.source(curve) if curve is not None else ""
+    about = (
+        READING if reading and curve is not None else words.focus_measurement_text(curve) if curve is not None else ""
+    )
     hint = "Drag through the curve to see its frames" if curve is not None else ""
     return (
         f'<div class="wv-dock"><b>Focus curve</b><span class="dim">{html.safe(about)}</span>'
-        f'<span class="wv-end"><span class="wv-hint">{hint}</span></span>{words.closing("")}</div>'
+        f'<span class="wv-end"><span class="wv-hint">{hint}</span></span>{words.close_action("")}</div>'
     )
 
 

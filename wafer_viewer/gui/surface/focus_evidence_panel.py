@@ -58,7 +58,13 @@ class WhyPanel:
             return
         self._ask_if_new(snapshot, view)
         curve = self.evidence.curve
-        self._title.show(html.title(TITLE, words.where(curve) if curve else words.place(view.why), words.closing()))
+        self._title.show(
+            html.title(
+                TITLE,
+                words.pixel_position_text(curve) if curve else words.format_position(view.why),
+                words.close_action(),
+            )
+        )
         self._notes.show(self._page.notes(snapshot))
         self._body.show(self._said())
 

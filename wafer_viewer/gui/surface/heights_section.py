@@ -96,7 +96,7 @@ class HeightsSection:
     def _dragged(self, key: str) -> None:
         if self._shown is None:
             return
-        drag = pointer.told(key, self._shown.ends_um, self._shown.span_um)
+        drag = pointer.parse_drag(key, self._shown.ends_um, self._shown.span_um)
         if drag.act == "brush":
             self._page.change(brush_um=None if drag.is_click else _sorted(drag.from_um, drag.to_um))
             return
@@ -105,11 +105,11 @@ class HeightsSection:
 
     def _typed_brush(self, ends: Span) -> None:
         if self._shown is not None:
-            self._page.change(brush_um=_unless_all(ends, self._shown.span_um))
+            self._page.change(brush_um=_range_or_none(ends, self._shown.span_um))
 
     def _clip_at(self, ends: Span) -> None:
         if self._shown is not None:
-            span = _unless_all(ends, self._shown.span_um)
+            span = _range_or_none(ends, self._shown.span_um)
             self._page.change(clip=replace(self._page.view.clip, heights_um=span))
 
     def _keep_it(self) -> None:
@@ -159,7 +159,7 @@ def _sorted(a: float, b: float) -> Span:
     return (a, b) if a <= b else (b, a)
 
 
-def _unless_all(ends: Span, whole_um: Span) -> Span | None:
+def _range_or_none(ends: Span, whole_um: Span) -> Span | None:
     """Return a range of heights; None if it contains all heights or is empty."""
     low, high = float(ends[0]), float(ends[1])
     all_of_it = low <= whole_um[0] + 10**-_DECIMALS and high >= whole_um[1] - 10**-_DECIMALS

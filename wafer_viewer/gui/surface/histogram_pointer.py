@@ -74,7 +74,7 @@ class Drag:
     is_click: bool
 
 
-def told(key: str, ends_um: Span, span_um: Span) -> Drag:
+def parse_drag(key: str, ends_um: Span, span_um: Span) -> Drag:
     """Parse a drag event; `span_um` is the lowest and the highest of all heights."""
     act, first, last = key.split(":")
     from_um, to_um = (_height(float(share), ends_um, span_um) for share in (first, last))

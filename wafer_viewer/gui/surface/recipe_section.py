@@ -39,7 +39,7 @@ class RecipeSection:
     def show(self, snapshot: Snapshot) -> None:
         """Bring the section up to date."""
         data, info = snapshot.dataset, snapshot.surface
-        self._forget_another(data)
+        self._discard_edited_recipe(data)
         self._head.show(_said(data, info, self._unfolded))
         set_prop(self._form, "visible", "form" in self._unfolded and data is not None)
         self._show_form(self._recipe or _asked(data, info))
@@ -110,7 +110,7 @@ class RecipeSection:
 
     # --- showing
 
-    def _forget_another(self, data: OpenDataset | None) -> None:
+    def _discard_edited_recipe(self, data: OpenDataset | None) -> None:
         """Discard the edited recipe when another dataset is open."""
         of = data.path if data else None
         if of != self._of:
@@ -122,7 +122,7 @@ class RecipeSection:
         self._ready.show(ready)
         for field, names, get in self._fields:
             field.show(words.name_of(names, get(recipe)))
-        doubts = not words.believes_all(recipe)
+        doubts = not words.accepts_all_peaks(recipe)
         self._second.enable(doubts)
         self._edges.enable(doubts)
         self._why_not.show("" if doubts else f'<div class="wv-why">{words.BELIEVES_ALL}</div>')
@@ -145,7 +145,7 @@ def _said(data: OpenDataset | None, info: SurfaceInfo | None, unfolded: set[str]
     ready = words.ready_name(asked)
     lead = f"{ready}: " if ready not in ("Default", words.OWN) else ""
     said = f'<div class="wv-h">Reconstruction<span>{" · ".join(links)}</span></div>'
-    said += f"<div>{html.safe(lead + words.how(settled))}</div>"
+    said += f"<div>{html.safe(lead + words.summary(settled))}</div>"
     if values and "values" in unfolded:
         said += f'<div class="wv-chosen"><div class="wv-lab">Chosen from the data</div>{html.pairs(values)}</div>'
     return said + words.notes(_noted(info) if info else ())

@@ -65,4 +65,6 @@ class StitchingSection:
     def _doubted(self, snapshot: Snapshot, info: SurfaceInfo) -> str:
         source = source_of(snapshot, 0)
         known = self._poses.at(source) if source is not None else None
-        return words.doubted(known.poses, info.pixel_um) if known is not None and known.poses is not None else ""
+        return (
+            words.rejected_overlaps(known.poses, info.pixel_um) if known is not None and known.poses is not None else ""
+        )

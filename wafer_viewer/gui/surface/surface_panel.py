@@ -218,7 +218,7 @@ class SurfacePanel:
         if view.counted == "selection" and view.selection is None:
             return html.empty("Drag a rectangle over the surface:", "its numbers come here.")
         if self._statistics.problem:
-            return html.empty(html.micro(self._statistics.problem))
+            return html.empty(html.with_micro_sign(self._statistics.problem))
         if info is None and not view.show:
             return html.empty("The numbers of the surface come", "when its fields are stitched.")
         return html.empty("Counting …")

@@ -58,7 +58,7 @@ def take_places(page: Page) -> Callable[[tuple[Region, ...]], None]:
     return take
 
 
-def by_hand(surface: SurfaceInfo) -> tuple[Region, Region]:
+def default_faces(surface: SurfaceInfo) -> tuple[Region, Region]:
     """Return two default faces side by side, to be dragged into position."""
     width, height = surface.cols * surface.pixel_um, surface.rows * surface.pixel_um
     y = surface.y0_um - height / 2

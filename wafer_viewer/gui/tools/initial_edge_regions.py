@@ -87,7 +87,7 @@ def bumps_box(land: HeightField, near: Place) -> tuple[Region, ...]:
     return (_rectangle(land, (x0 + x_in, y0 + y_in, x1 - x_in, y1 - y_in)),)
 
 
-def round_thing(land: HeightField, near: Place) -> tuple[Region, ...]:
+def initial_circle(land: HeightField, near: Place) -> tuple[Region, ...]:
     """Return a circle around the nearest round feature above the upper level; else around the most prominent bump."""
     _, high = _levels(land, near)
     out = _evened(land) > high + STANDS_OUT * span_um(land)

@@ -7,7 +7,7 @@ from collections.abc import Callable
 import numpy as np
 
 from wafer_viewer.gui.scene.heightfield import HeightField, Place
-from wafer_viewer.gui.tools.initial_edge_regions import bumps_box, die_box, edge_box, kerf_box, round_thing
+from wafer_viewer.gui.tools.initial_edge_regions import bumps_box, die_box, edge_box, initial_circle, kerf_box
 from wafer_viewer.gui.tools.initial_groove import groove_line
 from wafer_viewer.gui.tools.surface_landmarks import (
     PATCH_SHARES,
@@ -79,7 +79,7 @@ def _across_face(land: HeightField, near: Place) -> tuple[Region, ...]:
     return (Region.line(x0, (y0 + y1) / 2, x1, (y0 + y1) / 2),)
 
 
-def _most_of_it(land: HeightField, near: Place) -> tuple[Region, ...]:
+def _visible_without_border(land: HeightField, near: Place) -> tuple[Region, ...]:
     """Return the visible part without its border."""
     x0, y0, x1, y1 = land.bounds_um
     in_x, in_y = _BORDER * (x1 - x0), _BORDER * (y1 - y0)
@@ -97,10 +97,10 @@ FIRST: dict[ToolName, Callable[[HeightField, Place], tuple[Region, ...]]] = {
     "volume": _volume,
     "kerf": kerf_box,
     "die": die_box,
-    "circle": round_thing,
+    "circle": initial_circle,
     "chipping": edge_box,
     "coplanarity": bumps_box,
-    "site_range": _most_of_it,
+    "site_range": _visible_without_border,
     "flatness": _face,
     "texture": _face,
     "roughness": _across_face,

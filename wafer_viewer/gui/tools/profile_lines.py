@@ -48,7 +48,7 @@ class LineTool:
         """Draw the line on the displayed surface."""
         mm_per_pixel = gaze.mm_per_pixel
         first, last = ((p.x_um, p.y_um) for p in self.line.points)
-        points, measured = land.draped(first, last, 1.5 * mm_per_pixel)
+        points, measured = land.drape_line(first, last, 1.5 * mm_per_pixel)
         self._line.lay(np.stack([points[:-1], points[1:]], axis=1), measured, 1.8 * mm_per_pixel)
         up = np.array([0, 0, 5 * mm_per_pixel], np.float32)
         for knob, at in zip(self._knobs, (points[0], points[-1]), strict=True):
@@ -73,7 +73,7 @@ class Cursors:
     def draw(self, line: Region, land: HeightField, gaze: ViewAxes) -> None:
         """Draw the cursors on the displayed surface."""
         first, last = ((p.x_um, p.y_um) for p in line.points)
-        points, _ = land.draped(first, last, 6.5 * gaze.mm_per_pixel)
+        points, _ = land.drape_line(first, last, 6.5 * gaze.mm_per_pixel)
         for number, share in enumerate(self.shares):
             if not 0 < share < 1:
                 self._take_away(number)

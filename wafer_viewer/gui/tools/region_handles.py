@@ -48,10 +48,10 @@ class PlaceHandle:
         """Draw the region on the displayed surface."""
         mm_per_pixel = gaze.mm_per_pixel
         if self._outline is not None:
-            pieces = land.laid_round(self._shape.outline(self.region), 2 * mm_per_pixel)
+            pieces = land.drape_outline(self._shape.outline(self.region), 2 * mm_per_pixel)
             self._outline.lay(pieces, None, 1.6 * mm_per_pixel)
         for hold, (x, y) in self._shape.holds(self.region).items():
-            at = land.seen_points(np.array([x]), np.array([y]), 3 * mm_per_pixel)[0]
+            at = land.visible_points(np.array([x]), np.array([y]), 3 * mm_per_pixel)[0]
             self._knobs[hold].place(at, mm_per_pixel * self._knob_share(mm_per_pixel), gaze.towards)
         self._place_sign(land, gaze)
 
@@ -122,7 +122,7 @@ class Places:
             handle.draw(land, gaze)
         if self._way is not None:
             start, end = ((r.points[0].x_um, r.points[0].y_um) for r in self.regions)
-            points, measured = land.draped(start, end, 1.5 * gaze.mm_per_pixel)
+            points, measured = land.drape_line(start, end, 1.5 * gaze.mm_per_pixel)
             self._way.lay(np.stack([points[:-1], points[1:]], axis=1), measured, 1.6 * gaze.mm_per_pixel)
 
     def remove(self) -> None:

@@ -40,7 +40,7 @@ class PlaceTools:
             self.remove()
             return
         tool, new = TOOLS[view.tool], view.tool != self._tool
-        named = fits(tool, view.places)
+        named = has_required_kinds(tool, view.places)
         if named and (not self._echoes.is_echo(view.places) or new):
             self._become(tool, view.places, view.dark)
         elif not named and (new or self._named):
@@ -109,6 +109,6 @@ class LevelTools:
         self._echoes.forget()
 
 
-def fits(tool: MeasuringTool, places: tuple[Region, ...]) -> bool:
+def has_required_kinds(tool: MeasuringTool, places: tuple[Region, ...]) -> bool:
     """Return whether the regions have the kinds that a tool requires."""
     return tuple(place.kind for place in places) == tuple(asked.kind for asked in tool.places)

@@ -10,8 +10,8 @@ import viser
 from numpy.typing import NDArray
 
 from wafer_viewer.draw.colormaps import Rgb, rgb
-from wafer_viewer.gui.presenters.measurement import letter, sign_colour
-from wafer_viewer.gui.presenters.result_regions import drawn_of
+from wafer_viewer.gui.presenters.measurement import sign_colour, symbol
+from wafer_viewer.gui.presenters.result_regions import drawn_regions
 from wafer_viewer.gui.scene.billboards import Billboard, corner_on_screen
 from wafer_viewer.gui.scene.drag_handles import CasedLine
 from wafer_viewer.gui.scene.heightfield import HeightField
@@ -80,7 +80,7 @@ class KeptMarks:
 def _kept(finding: AnyResult, view: View) -> _Kept:
     chosen = finding.number == view.selected
     colour = colours(view.dark).mark if chosen else rgb(sign_colour(finding)[1:])
-    return _Kept(drawn_of(finding), letter(finding), colour, chosen)
+    return _Kept(drawn_regions(finding), symbol(finding), colour, chosen)
 
 
 def _outline(region: Region, land: HeightField, mm_per_pixel: float) -> NDArray[np.float32]:
@@ -88,13 +88,13 @@ def _outline(region: Region, land: HeightField, mm_per_pixel: float) -> NDArray[
     lift = _UP_PX * mm_per_pixel
     if region.kind == "line":
         first, last = ((p.x_um, p.y_um) for p in region.points)
-        points, _ = land.draped(first, last, lift)
+        points, _ = land.drape_line(first, last, lift)
         return np.stack([points[:-1], points[1:]], axis=1)
     corners = outline_of(region)
     if len(corners) == 0:
         ring_um, at = _RING_PX * 1e3 * mm_per_pixel, region.points[0]
         corners = np.stack([at.x_um + ring_um * np.cos(_ROUND), at.y_um + ring_um * np.sin(_ROUND)], axis=1)
-    return land.laid_round(corners, lift)
+    return land.drape_outline(corners, lift)
 
 
 def _place(sign: Billboard, region: Region, land: HeightField, gaze: ViewAxes) -> None:

@@ -11,7 +11,7 @@ import viser
 from wafer_viewer.gui.scene.camera.camera_controller import CameraController
 from wafer_viewer.gui.scene.camera.camera_presets import CameraPose, pixel_ray
 from wafer_viewer.gui.scene.drag_handles import DrapedOutline, PlaceMark
-from wafer_viewer.gui.scene.fine_picking import Read, land_nearby
+from wafer_viewer.gui.scene.fine_picking import Read, refine_height_field
 from wafer_viewer.gui.scene.heightfield import HeightField, Place
 from wafer_viewer.gui.scene.lod.surface_cache import SurfaceInfoCache
 from wafer_viewer.gui.scene.scene_contents import DisplayedSurface
@@ -164,7 +164,7 @@ class Tools:
         if land is None or not pose.is_same(before):
             return
         direction = pose.look_at - pose.position
-        share = land_nearby(self._read, land, pose.position, direction).reached(pose.position, direction)
+        share = refine_height_field(self._read, land, pose.position, direction).reached(pose.position, direction)
         if share is not None and pose.is_same(self._eye.pose):  # reading took time, and the camera may be elsewhere
             self._eye.aim(pose.position + direction * share)
 
@@ -248,7 +248,7 @@ class Tools:
         place = land.hit(origin, direction) if land is not None else None
         if land is None or place is None:
             return
-        place = land_nearby(self._read, land, origin, direction).hit(origin, direction) or place
+        place = refine_height_field(self._read, land, origin, direction).hit(origin, direction) or place
         with self._lock:
             if self._lines.put_cursor(place, _ON_LINE_PX * self._eye.um_per_pixel()):
                 return

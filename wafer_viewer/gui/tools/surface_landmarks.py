@@ -86,11 +86,11 @@ def first_line(land: HeightField, near: Place) -> tuple[Place, Place]:
     x = min(max(x, x0 + half * 1.1), x1 - half * 1.1)
     t = np.linspace(x - half, x + half, 200)
     rows = y + np.linspace(0, 0.3, 13)[:, None] * np.array([1.0, -1.0]) * (y1 - y0)
-    best = max(rows.ravel().tolist(), key=lambda row: _worth(land, t, row))
+    best = max(rows.ravel().tolist(), key=lambda row: _row_score(land, t, row))
     return land.clamped((x - half, best)), land.clamped((x + half, best))
 
 
-def _worth(land: HeightField, x_um: Floats, y_um: float) -> float:
+def _row_score(land: HeightField, x_um: Floats, y_um: float) -> float:
     """Return the score of a row: its measured fraction, weighted by its height range, rounded to one decimal."""
     y = np.full_like(x_um, y_um)
     there = land.measured(x_um, y)

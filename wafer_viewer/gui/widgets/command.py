@@ -57,7 +57,7 @@ def spoken(key: str, modifier: str | None = None) -> str:
     return " + ".join([*held, _SPOKEN.get(key, key.upper())])
 
 
-def unless(why_not: Obstacle, *commands: Command) -> list[Command]:
+def with_precondition(why_not: Obstacle, *commands: Command) -> list[Command]:
     """Return the commands with a common precondition; existing ones take precedence."""
     return [replace(command, why_not=command.why_not or why_not) for command in commands]
 

@@ -23,7 +23,7 @@ def safe(text: object) -> str:
     return html.escape(str(text), quote=True)
 
 
-def micro(text: str) -> str:
+def with_micro_sign(text: str) -> str:
     """Return a message with um and us as µm and µs; error messages use ASCII so that any terminal can show them."""
     return re.sub(r"\bu([ms])\b", r"µ\1", text)
 
@@ -119,7 +119,7 @@ def columns(items: Sequence[str], widths: str = "") -> str:
 
 def note(tone: Tone, name: str, text: str, foot: str = "", sign: str = "") -> str:
     """Return a permanent note: event, facts, remedy. `foot` and `sign` are HTML."""
-    lines = f"<b>{safe(name)}</b>" + (f"<p>{safe(micro(text))}</p>" if text else "")
+    lines = f"<b>{safe(name)}</b>" + (f"<p>{safe(with_micro_sign(text))}</p>" if text else "")
     end = f'<p class="wv-foot">{foot}</p>' if foot else ""
     return f'<div class="wv-note {tone}" role="status">{sign}<div>{lines}{end}</div></div>'
 

@@ -19,13 +19,13 @@ MIN_FREEDOM = 4
 MOST_LAGS = 200
 
 
-def chain_u(design: Floats, residuals: Floats, gradient: Floats) -> float | None:
+def chain_uncertainty(design: Floats, residuals: Floats, gradient: Floats) -> float | None:
     """Standard uncertainty of gradient [p] times the parameters of a fit of `design` [n, p], by its residuals [n].
 
     Rows must be in the order of the chain. Returns None with too few points. The value is widened by Student's t so
     that the expanded uncertainty with k = 2 still covers 95 % with few blocks.
     """
-    reach = alike(residuals)
+    reach = correlation_length(residuals)
     longest = len(residuals) // (design.shape[1] + MIN_FREEDOM)
     if not longest:
         return None
@@ -39,7 +39,7 @@ def chain_u(design: Floats, residuals: Floats, gradient: Floats) -> float | None
     return math.sqrt(max(0.0, factor) * float(np.sum(left**2)) / freedom) * _student(freedom) / 2
 
 
-def alike(residuals: Floats) -> float:
+def correlation_length(residuals: Floats) -> float:
     """Return the correlation length of errors, in points: 1 if uncorrelated (integrated autocorrelation)."""
     n = len(residuals)
     left = residuals - residuals.mean()

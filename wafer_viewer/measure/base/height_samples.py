@@ -100,7 +100,7 @@ def level_note(surface: Mosaic, level: int) -> tuple[str, ...]:
     return (f"Read at level {level}: each pixel is the mean of {4**level}.",) if level else ()
 
 
-def reported(value_um: float, provenance: Provenance, calibration_valid: bool) -> Length:
+def length_without_budget(value_um: float, provenance: Provenance, calibration_valid: bool) -> Length:
     """Return a length without a budget: 'not evaluated', or 'uncalibrated' without a valid calibration."""
     calibrated = calibration_valid and provenance.calibration is not None
     return Length(value_um=value_um, status="not evaluated" if calibrated else "uncalibrated")

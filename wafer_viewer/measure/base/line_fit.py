@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from wafer_viewer.measure.base.chain_statistics import chain_u
+from wafer_viewer.measure.base.chain_statistics import chain_uncertainty
 from wafer_viewer.measure.base.height_samples import Floats
 from wafer_viewer.measure.base.robust_plane import robust_fit
 from wafer_viewer.model.errors import MeasureError
@@ -53,12 +53,12 @@ class EdgeLine:
 
     def u_um(self, along_um: float = 0.0) -> float | None:
         """Standard uncertainty of the line's lateral position there, by its residuals; None with too few points."""
-        return chain_u(self._design, self.off_um, np.array([along_um, 1.0]))
+        return chain_uncertainty(self._design, self.off_um, np.array([along_um, 1.0]))
 
     @property
     def u_angle_deg(self) -> float | None:
         """Standard uncertainty of the angle; None with too few points."""
-        u = chain_u(self._design, self.off_um, np.array([1.0, 0.0]))
+        u = chain_uncertainty(self._design, self.off_um, np.array([1.0, 0.0]))
         return None if u is None else math.degrees(u)
 
     @property
@@ -108,7 +108,7 @@ def _rotated(way: tuple[float, float], angle: float) -> tuple[float, float]:
     return way[0] * cos - way[1] * sin, way[0] * sin + way[1] * cos
 
 
-def lines_between(first: EdgeLine, second: EdgeLine) -> float:
+def angle_between_lines(first: EdgeLine, second: EdgeLine) -> float:
     """Return the angle between two lines, degrees, 0 to 90, regardless of their orientation."""
     cross = first.direction[0] * second.direction[1] - first.direction[1] * second.direction[0]
     dot = first.direction[0] * second.direction[0] + first.direction[1] * second.direction[1]

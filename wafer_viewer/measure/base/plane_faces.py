@@ -10,7 +10,13 @@ import numpy as np
 
 from wafer_viewer.measure.base.height_samples import Floats, HeightSamples, Layer, points_in
 from wafer_viewer.measure.base.robust_plane import LevelPlane, fit_plane, plane_design
-from wafer_viewer.measure.base.tile_statistics import Labels, Scatter, Spread, scatter_of, spreads
+from wafer_viewer.measure.base.tile_statistics import (
+    Labels,
+    Scatter,
+    Spread,
+    extrapolated_uncertainty,
+    tile_covariances,
+)
 from wafer_viewer.model.errors import MeasureError
 from wafer_viewer.model.region import Region
 from wafer_viewer.model.surface.height_map import Mosaic
@@ -54,11 +60,11 @@ class Face:
     @cached_property
     def spreads(self) -> list[Spread]:
         """Covariances of the parameters, by tiles of several sizes."""
-        return spreads(self.points, self.design, self.residuals_um, self.part)
+        return tile_covariances(self.points, self.design, self.residuals_um, self.part)
 
     def scatter(self, gradient: Floats) -> Scatter | None:
         """Return the uncertainty of gradient [3] times the parameters; None with too few tiles."""
-        return scatter_of(self.spreads, gradient)
+        return extrapolated_uncertainty(self.spreads, gradient)
 
 
 def enough_points(surface: Mosaic, region: Region, layer: Layer, level: int, which: str, what: str) -> HeightSamples:

@@ -12,7 +12,7 @@ LEAST_MEASURED = 0.5
 """Smallest measured fraction of a region for a representative result."""
 
 
-def each_of(regions: Regions, which: str) -> tuple[Region, ...]:
+def as_region_tuple(regions: Regions, which: str) -> tuple[Region, ...]:
     """Return the regions as a tuple. Raises MeasureError when there is none."""
     each = (regions,) if isinstance(regions, Region) else tuple(regions)
     if not each:

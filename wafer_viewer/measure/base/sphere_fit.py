@@ -50,7 +50,7 @@ class Cap:
         along = self.curvature * x / cosine, self.curvature * y / cosine
         return np.stack([*along, np.ones(len(points)), -squares / (cosine * (1 + cosine))], axis=1)
 
-    def reaches(self, points: HeightSamples) -> NDArray[np.bool_]:
+    def within_reach(self, points: HeightSamples) -> NDArray[np.bool_]:
         """Return which points lie within the reach of the sphere, not beyond its walls."""
         return np.abs(self.curvature) * np.sqrt(self._squares(points)) < STEEPEST
 
@@ -75,7 +75,7 @@ def fit_cap(points: HeightSamples, start: Cap | None = None) -> tuple[Cap, Heigh
         before, cap = cap, _nearer(points, cap)
         if abs(cap.curvature - before.curvature) <= _SETTLED * abs(cap.curvature):
             break
-    near = points.kept(cap.reaches(points))
+    near = points.kept(cap.within_reach(points))
     kept = near.kept(robust_fit(cap.slopes(near), near.z_um - cap.at(near)).kept)
     if not cap.curvature or not len(kept):
         raise no_sphere()
@@ -84,7 +84,7 @@ def fit_cap(points: HeightSamples, start: Cap | None = None) -> tuple[Cap, Heigh
 
 def _nearer(points: HeightSamples, cap: Cap) -> Cap:
     """Return the sphere after one Gauss-Newton step with outlier rejection."""
-    near = points.kept(cap.reaches(points))
+    near = points.kept(cap.within_reach(points))
     if len(near) < LEAST_POINTS:
         raise no_sphere()
     return cap.moved(robust_fit(cap.slopes(near), near.z_um - cap.at(near)).coefficients)

@@ -98,7 +98,7 @@ def parameter_u(points: HeightSamples, design: Floats, residuals: Floats, gradie
 
     None with too few tiles. Widened by Student's t so that the expanded uncertainty with k = 2 covers 95 %.
     """
-    found = scatter_of(spreads(points, design, residuals), gradient)
+    found = extrapolated_uncertainty(tile_covariances(points, design, residuals), gradient)
     return None if found is None else found.widened
 
 
@@ -114,16 +114,18 @@ class Spread:
         return Scatter(math.sqrt(max(0.0, float(gradient @ self.covariance @ gradient))), self.freedom)
 
 
-def spreads(points: HeightSamples, design: Floats, residuals: Floats, part: Labels | None = None) -> list[Spread]:
+def tile_covariances(
+    points: HeightSamples, design: Floats, residuals: Floats, part: Labels | None = None
+) -> list[Spread]:
     """Return the covariances by tile size, smallest first, for sizes with enough tiles; part: region index."""
     tiles = [Tiles.of(points, np.column_stack([design, residuals]), part)]
     for _ in SIDES[1:]:
         tiles.append(tiles[-1].halved)
-    found = (spread_of(each.means) for each in tiles)
+    found = (covariance_of_means(each.means) for each in tiles)
     return [spread for spread in found if spread is not None]
 
 
-def scatter_of(found: Sequence[Spread], gradient: Floats, axes: int = 2) -> Scatter | None:
+def extrapolated_uncertainty(found: Sequence[Spread], gradient: Floats, axes: int = 2) -> Scatter | None:
     """Return the uncertainty of gradient [p] times the parameters, extrapolated to infinitely large tiles.
 
     None without tiles. found: covariances by tile size, smallest first, each twice the one before; axes: 2 for tiles of
@@ -150,7 +152,7 @@ def _extrapolated(small: Scatter, large: Scatter, axes: int) -> Scatter:
     return Scatter(max(u, large.u), 1 / lost if lost > 0 else large.freedom)
 
 
-def spread_of(means: Floats) -> Spread | None:
+def covariance_of_means(means: Floats) -> Spread | None:
     """Return the covariance from tile means [tile, c]; None with too few tiles.
 
     The columns are those of the design and, last, the residual.

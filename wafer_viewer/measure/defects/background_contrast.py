@@ -22,7 +22,7 @@ LOOKED_AT = "The picture was compared with what is around each place: wide and f
 LEFT_OUT = "The picture shows a pattern, or nothing, and was not looked at: only the heights were."
 
 
-def against_around(picture: Plane) -> Plane:
+def subtract_local_mean(picture: Plane) -> Plane:
     """Subtract the local mean of the known pixels; NaN where unknown."""
     known = np.isfinite(picture)
     total, weight = (
@@ -39,7 +39,7 @@ def contrast_of(picture: Plane) -> tuple[float, float]:
 
     Noise and grain average out over WIDE_PX, and few pixels of a plain surface are outliers; a pattern violates either.
     """
-    contrast = against_around(picture)
+    contrast = subtract_local_mean(picture)
     sigma = robust_sigma(contrast)
     if not sigma > 0:
         return float("nan"), float("nan")

@@ -12,7 +12,7 @@ NEAR_PX = 8.0
 """Pieces at a border with pixels within this distance are merged."""
 
 
-def merged(pieces: Sequence[DefectPiece], pixel_um: float) -> list[list[DefectPiece]]:
+def merge_border_pieces(pieces: Sequence[DefectPiece], pixel_um: float) -> list[list[DefectPiece]]:
     """Return the pieces in groups, one per defect."""
     from scipy.sparse import coo_array
     from scipy.sparse.csgraph import connected_components

@@ -9,15 +9,15 @@ from dataclasses import dataclass, field
 import numpy as np
 from numpy.typing import NDArray
 
-from wafer_viewer.measure.defects.background_contrast import against_around, contrast_of, is_plain
-from wafer_viewer.measure.defects.golden_die import LEAST_CONTRAST, ReferenceDie, registered, robust_sigma, spaced
+from wafer_viewer.measure.defects.background_contrast import contrast_of, is_plain, subtract_local_mean
+from wafer_viewer.measure.defects.golden_die import LEAST_CONTRAST, ReferenceDie, die_shift, evenly_spaced, robust_sigma
 from wafer_viewer.measure.defects.ground_kinds import kinds_of
 from wafer_viewer.measure.defects.matched_filters import spectrum_of
 from wafer_viewer.measure.defects.noise_model import NoiseModel, noise_of
 from wafer_viewer.measure.defects.scores import (
     Mask,
     Residual,
-    count,
+    add_to_peak_histogram,
     new_counts,
     picture_quotient,
     quotients,
@@ -64,16 +64,16 @@ class CellResult:
     differs_fraction: float = 0.0
 
 
-def compared(work: ComparisonWork, places: Sequence[Place], noise: NoiseModel) -> list[CellResult]:
+def compare_cells(work: ComparisonWork, places: Sequence[Place], noise: NoiseModel) -> list[CellResult]:
     """Compare adjacent cells with their reference; the surface is read once for all of them."""
     strip = work.source.strip(work.cells.around_all(places))
     return [CellResult(place) if strip is None else _result(work, strip, place, noise) for place in places]
 
 
-def noise_over(work: ComparisonWork, places: tuple[Place, ...]) -> NoiseModel:
+def estimate_noise(work: ComparisonWork, places: tuple[Place, ...]) -> NoiseModel:
     """Return the typical noise at each scale, estimated from a subset of the cells."""
     most = min(NOISE_CELLS, max(LEAST_NOISE_CELLS, NOISE_PIXELS // math.prod(work.cells.shape)))
-    read = (_residual(work, work.source, place) for place in spaced(places, most))
+    read = (_residual(work, work.source, place) for place in evenly_spaced(places, most))
     some = [found[0] for found in read if found is not None]
     spectrum = spectrum_of(picture_quotient(residual, work.golden) for residual in some)
     found = [quotients(residual, work.golden, work.recipe, spectrum) for residual in some]
@@ -89,10 +89,10 @@ class Plainness:
     plain: bool
 
 
-def plainness_over(source: CellSource, cells: CellGrid, places: tuple[Place, ...]) -> Plainness:
+def estimate_plainness(source: CellSource, cells: CellGrid, places: tuple[Place, ...]) -> Plainness:
     """Estimate the plainness from a few cells: heights over the form, image against its local mean."""
     sides = slice(0, cells.shape[0]), slice(0, cells.shape[1])
-    read = (source.read(cells, place, *sides, (0.0, 0.0)) for place in spaced(places, NOISE_CELLS))
+    read = (source.read(cells, place, *sides, (0.0, 0.0)) for place in evenly_spaced(places, NOISE_CELLS))
     over = ((over_levels(cell[0], source.levels_um), cell[1]) for cell in read if cell is not None)
     many = [(robust_sigma(z if walls is None else z[~walls]), *contrast_of(grey)) for (z, walls), grey in over]
     z, grey, patterned = np.array(many).reshape(-1, 3).T
@@ -105,7 +105,7 @@ def _usual(each: NDArray[np.float64]) -> float:
 
 
 def _residual(work: ComparisonWork, source: Read, place: Place) -> tuple[Residual, Shift] | None:
-    shift = registered(source, work.cells, place, work.golden) if work.on_dies else (0.0, 0.0)
+    shift = die_shift(source, work.cells, place, work.golden) if work.on_dies else (0.0, 0.0)
     if shift is None:
         return None
     rows, cols = work.cells.shape
@@ -115,7 +115,7 @@ def _residual(work: ComparisonWork, source: Read, place: Place) -> tuple[Residua
     excluded = work.excluded
     if not work.on_dies:
         z_um, excluded = over_levels(cell[0], work.source.levels_um)
-        cell = z_um, against_around(cell[1]) if work.recipe.evidence != "height" else cell[1]
+        cell = z_um, subtract_local_mean(cell[1]) if work.recipe.evidence != "height" else cell[1]
     return residual_of(place, cell, work.golden, work.cells.pixel_um, work.on_dies, excluded), shift
 
 
@@ -126,7 +126,7 @@ def _result(work: ComparisonWork, strip: CellStrip, place: Place, noise: NoiseMo
     residual, shift = found
     scores = scores_of(quotients(residual, work.golden, work.recipe, noise.spectrum), noise)
     where, counts = Where(work.cells, shift), new_counts()
-    count(scores, work.recipe, work.cells.shape, counts)
+    add_to_peak_histogram(scores, work.recipe, work.cells.shape, counts)
     pieces = pieces_of(residual, scores, work.golden.z_spread_um, work.recipe, where)
     return CellResult(
         place,

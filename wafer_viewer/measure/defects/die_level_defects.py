@@ -59,7 +59,7 @@ def _measured_enough(results: Sequence[CellResult]) -> list[CellResult]:
     return [result for result in known if result.compared_px >= LEAST_COMPARED * usual]
 
 
-def marked_repeats(defects: Sequence[Defect], n_dies: int, pixel_um: float) -> tuple[Defect, ...]:
+def mark_repeaters(defects: Sequence[Defect], n_dies: int, pixel_um: float) -> tuple[Defect, ...]:
     """Mark defects found at the same place in most dies as repeating; for stored golden dies only."""
     if n_dies < LEAST_TO_TELL:
         return tuple(defects)

@@ -14,7 +14,7 @@ NO_DIES = "No area was left out: the recipe's are areas of dies, and nothing was
 Mask = NDArray[np.bool_]
 
 
-def excluded_of(regions: Sequence[Region], cells: CellGrid) -> Mask | None:
+def exclusion_mask(regions: Sequence[Region], cells: CellGrid) -> Mask | None:
     """Return the mask of a cell, bool [row, col], for regions in um from the die's lower left corner.
 
     None where no pixel is excluded.

@@ -15,8 +15,8 @@ from wafer_viewer.measure.dies.die_cells import MARGIN_PX, REACH_PX, CellGrid, C
 from wafer_viewer.measure.dies.die_plane import DiePlane
 from wafer_viewer.model.errors import DiesNotFound
 from wafer_viewer.model.inspection.golden_die import GoldenDie, GoldenHeader
-from wafer_viewer.numerics.filters.sliding_filters import relief
-from wafer_viewer.numerics.grids.die_cell_kernels import MAD_TO_SIGMA, shift_sums, typical
+from wafer_viewer.numerics.filters.sliding_filters import sliding_range
+from wafer_viewer.numerics.grids.die_cell_kernels import MAD_TO_SIGMA, median_and_spread, shift_sums
 
 LEAST_DIES = 5
 """Smallest number of dies for a median die."""
@@ -96,8 +96,8 @@ class DiePose:
 
 def golden_of(source: CellSource, cells: CellGrid, places: tuple[Place, ...]) -> ReferenceDie:
     """Return the golden cell of the dies at places. Raises MeasureError with fewer than five measured dies."""
-    chosen = spaced(places, MOST_DIES)
-    poses = found_poses(source, cells, chosen)
+    chosen = evenly_spaced(places, MOST_DIES)
+    poses = register_dies(source, cells, chosen)
     if len(poses) < LEAST_DIES:
         raise DiesNotFound(
             f"Only {len(poses)} dies are measured in their middle: a golden die takes {LEAST_DIES}; "
@@ -112,9 +112,9 @@ def golden_of(source: CellSource, cells: CellGrid, places: tuple[Place, ...]) ->
         for k in range(2 if known else 0):
             stack = np.stack([cell[k] for cell in known])
             least = max(min(LEAST_DIES, len(known)), math.ceil(KNOWN_SHARE * len(known)))
-            typical(stack, least, layers[2 * k][block], layers[2 * k + 1][block])
+            median_and_spread(stack, least, layers[2 * k][block], layers[2 * k + 1][block])
     as_pooled = ((LEAST_HEIGHT_UM, POWERS[0]), (LEAST_CONTRAST, POWERS[1]))
-    steady = (steadied(layers[2 * k + 1], len(poses), *how) for k, how in enumerate(as_pooled))
+    steady = (pool_spread(layers[2 * k + 1], len(poses), *how) for k, how in enumerate(as_pooled))
     shifts = {place: pose.shift for place, pose in poses.items()}
     reach_px = _reach_px(np.array(list(shifts.values()), np.float32))
     spreads = (
@@ -138,7 +138,7 @@ def golden_die(golden: ReferenceDie, cells: CellGrid, dark: float, **told: str |
     return GoldenDie(header, *(np.ascontiguousarray(plane[part]) for plane in planes))
 
 
-def found_poses(source: CellSource, cells: CellGrid, places: tuple[Place, ...]) -> dict[Place, DiePose]:
+def register_dies(source: CellSource, cells: CellGrid, places: tuple[Place, ...]) -> dict[Place, DiePose]:
     """Return the pose of each die relative to the others; dies with an unmeasured centre are omitted."""
     patch = _patch(cells.shape)
     strips = {place: source.strip(cells.around(place, *patch, (0.0, 0.0), MARGIN_PX + REACH_PX)) for place in places}
@@ -164,7 +164,7 @@ def _pose(shift: Shift, cell: Cell, model: Cell, patch: tuple[slice, slice]) -> 
     return DiePose(shift, plane, _median(cell[1] - model[1]))
 
 
-def registered(source: Read, cells: CellGrid, place: Place, golden: ReferenceDie) -> Shift | None:
+def die_shift(source: Read, cells: CellGrid, place: Place, golden: ReferenceDie) -> Shift | None:
     """Return the shift of one die relative to the golden die, (down, right) in pixels.
 
     It is found on the central patch, or on the entire cell where the centre was not scanned, as for a die cut by the
@@ -183,7 +183,7 @@ def registered(source: Read, cells: CellGrid, place: Place, golden: ReferenceDie
     return None
 
 
-def spaced(places: tuple[Place, ...], most: int) -> tuple[Place, ...]:
+def evenly_spaced(places: tuple[Place, ...], most: int) -> tuple[Place, ...]:
     """Return at most `most` of the places, evenly spaced."""
     if len(places) <= most:
         return places
@@ -195,7 +195,7 @@ def levelled_pair(cell: Cell) -> Cell:
     return _less_median(cell[0]), _less_median(cell[1])
 
 
-def steadied(spread: Plane, n_dies: int, least: float, power: float) -> Plane:
+def pool_spread(spread: Plane, n_dies: int, least: float, power: float) -> Plane:
     """Pool the spread of each position with its neighbours, since that of few dies is uncertain; with a lower limit.
 
     power: exponent of the power mean; larger values give more weight to the widest spreads nearby.
@@ -233,7 +233,7 @@ def _with_border(spread: Plane, middle: Plane, reach_px: int) -> Plane:
     dies for a robust spread.
     """
     inner = slice(reach_px, -reach_px), slice(reach_px, -reach_px)
-    out = np.fmax(spread, relief(np.pad(middle, reach_px, "wrap"), 2 * reach_px + 1)[inner] - spread)
+    out = np.fmax(spread, sliding_range(np.pad(middle, reach_px, "wrap"), 2 * reach_px + 1)[inner] - spread)
     out[inner] = spread[inner]
     return out
 
@@ -248,7 +248,7 @@ def robust_sigma(values: NDArray[np.float32]) -> float:
 def _middle(planes: list[Plane]) -> Plane:
     stack = np.stack(planes)
     middle, spread = (np.empty(stack.shape[1:], np.float32) for _ in range(2))
-    typical(stack, 1, middle, spread)
+    median_and_spread(stack, 1, middle, spread)
     return middle
 
 

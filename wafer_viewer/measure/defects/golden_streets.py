@@ -6,7 +6,7 @@ import dataclasses
 
 import numpy as np
 
-from wafer_viewer.measure.defects.golden_die import LEAST_DIES, ReferenceDie, golden_of, registered, spaced
+from wafer_viewer.measure.defects.golden_die import LEAST_DIES, ReferenceDie, die_shift, evenly_spaced, golden_of
 from wafer_viewer.measure.dies.die_cells import CellGrid, CellSource, Place, Plane
 from wafer_viewer.model.errors import MeasureError
 
@@ -16,7 +16,7 @@ NOT_INSPECTED = "The streets are not in the golden die, and too few dies are mea
 BY_THEMSELVES = "The streets are not in the golden die: each is compared with those of the other dies."
 
 
-def with_own_streets(
+def add_median_streets(
     stored: ReferenceDie, source: CellSource, cells: CellGrid, places: tuple[Place, ...]
 ) -> tuple[ReferenceDie, tuple[str, ...]]:
     """Return a stored golden die with the median streets of this surface, and notes on them.
@@ -44,8 +44,8 @@ def streets_known(golden: ReferenceDie, cells: CellGrid) -> bool:
 
 def _lies_off(stored: ReferenceDie, own: ReferenceDie, source: CellSource, cells: CellGrid) -> np.ndarray | None:
     """Return the offset (down, right) in pixels of the stored die relative to the wafer's own median die."""
-    some = spaced(tuple(own.shifts), LAID_BY)
-    laid = {place: registered(source, cells, place, stored) for place in some}
+    some = evenly_spaced(tuple(own.shifts), LAID_BY)
+    laid = {place: die_shift(source, cells, place, stored) for place in some}
     off = [np.subtract(shift, own.shifts[place]) for place, shift in laid.items() if shift is not None]
     return np.median(off, axis=0) if off else None
 

@@ -7,7 +7,7 @@ from numpy.typing import NDArray
 
 from wafer_viewer.measure.defects.golden_die import ReferenceDie
 from wafer_viewer.measure.dies.die_cells import Plane
-from wafer_viewer.numerics.filters.sliding_filters import relief
+from wafer_viewer.numerics.filters.sliding_filters import sliding_range
 
 PLAIN_TO = 4.0
 """Largest relief of plain ground, in median spreads."""
@@ -23,7 +23,7 @@ Kinds = NDArray[np.uint8]
 def kinds_of(golden: ReferenceDie) -> Kinds:
     """Return the ground class of every pixel of a cell."""
     layers = (golden.picture, golden.picture_spread), (golden.z_um, golden.z_spread_um)
-    patterned, walled = (relief(layer, AROUND_PX) > PLAIN_TO * _usual(spread) for layer, spread in layers)
+    patterned, walled = (sliding_range(layer, AROUND_PX) > PLAIN_TO * _usual(spread) for layer, spread in layers)
     return np.select([walled, patterned, np.isnan(golden.z_um)], [3, 2, 1], 0).astype(np.uint8)
 
 

@@ -15,19 +15,19 @@ import numpy as np
 
 from wafer_viewer.measure.base.measurement_context import MeasurementContext
 from wafer_viewer.measure.defects.background_contrast import LEFT_OUT, LOOKED_AT
-from wafer_viewer.measure.defects.border_merge import merged
+from wafer_viewer.measure.defects.border_merge import merge_border_pieces
 from wafer_viewer.measure.defects.cell_comparison import (
     CellResult,
     ComparisonWork,
-    compared,
-    noise_over,
-    plainness_over,
+    compare_cells,
+    estimate_noise,
+    estimate_plainness,
 )
 from wafer_viewer.measure.defects.defect_builder import defect_of
-from wafer_viewer.measure.defects.die_level_defects import marked_repeats, whole_die_defects
-from wafer_viewer.measure.defects.exclusion_areas import excluded_of, notes_on
+from wafer_viewer.measure.defects.die_level_defects import mark_repeaters, whole_die_defects
+from wafer_viewer.measure.defects.exclusion_areas import exclusion_mask, notes_on
 from wafer_viewer.measure.defects.golden_die import LEAST_DIES, ReferenceDie, golden_die, golden_of
-from wafer_viewer.measure.defects.golden_streets import streets_known, with_own_streets
+from wafer_viewer.measure.defects.golden_streets import add_median_streets, streets_known
 from wafer_viewer.measure.defects.noise_model import NoiseModel
 from wafer_viewer.measure.defects.scores import false_counts
 from wafer_viewer.measure.defects.terraces import SEVERAL_LEVELS, WALL_PX, terraced
@@ -117,7 +117,7 @@ def inspect(
     on_dies = without_bare_rim(grid, dies) if grid is not None else None
     work, reference, notes = _work(source, on_dies, recipe, golden, no_dies)
     places = work.cells.grid.places
-    noise = noise_over(work, places)
+    noise = estimate_noise(work, places)
     rows = work.cells.side_by_side(places)
     with closing((rows_by or _one_by_one)(work, noise, rows)) as by_row:
         results = [result for row in _watched(by_row, len(rows), progress, should_stop) for result in row]
@@ -125,7 +125,7 @@ def inspect(
     whole = whole_die_defects(results, work, reading, noise) if work.on_dies else {}
     defects = _defects(results, whole, work, reading)
     if reference == "golden":
-        defects = marked_repeats(defects, sum(result.compared_px > 0 for result in results), surface.pixel_um)
+        defects = mark_repeaters(defects, sum(result.compared_px > 0 for result in results), surface.pixel_um)
     notes = (*notes, *_of_the_rim(grid, on_dies), *notes_on(recipe.excluded, work.excluded, work.on_dies))
     return _inspection(work, results, defects, reference, notes, reading, grid, dies)
 
@@ -188,11 +188,11 @@ def _work(
             )
         return _by_form(source, recipe, no_dies)
     cells = CellGrid.of(grid, source.surface.pixel_um)
-    places, excluded = _on_surface(source, cells), excluded_of(recipe.excluded, cells)
+    places, excluded = _on_surface(source, cells), exclusion_mask(recipe.excluded, cells)
     if golden is not None:
         sizes = {"width_um": grid.width_um, "height_um": grid.height_um}
         golden.require_fit(product=recipe.product, pixel_um=source.surface.pixel_um, **sizes)
-        stored, notes = with_own_streets(ReferenceDie.stored(golden, cells, source.dark), source, cells, places)
+        stored, notes = add_median_streets(ReferenceDie.stored(golden, cells, source.dark), source, cells, places)
         return ComparisonWork(source, cells, stored, recipe, True, excluded), "golden", notes
     if len(places) < LEAST_DIES:
         dies = "1 die" if len(places) == 1 else f"{len(places)} dies"
@@ -223,7 +223,7 @@ def _by_form(source: CellSource, recipe: DefectRecipe, why: str) -> tuple[Compar
     )
     cells = CellGrid.of(tiles, surface.pixel_um)
     source = terraced(source, recipe.form_order)
-    by = plainness_over(source, cells, tiles.places)
+    by = estimate_plainness(source, cells, tiles.places)
     notes = [f"{why}: compared with the fitted form."]
     if recipe.evidence != "height":
         notes.append(LOOKED_AT if by.plain else LEFT_OUT)
@@ -258,7 +258,7 @@ def _on_surface(source: CellSource, cells: CellGrid) -> tuple[Place, ...]:
 
 
 def _one_by_one(work: ComparisonWork, noise: NoiseModel, rows: Sequence[tuple[Place, ...]]) -> Generator[Row]:
-    return (compared(work, row, noise) for row in rows)
+    return (compare_cells(work, row, noise) for row in rows)
 
 
 def _watched(rows: Iterable[Row], n: int, progress: Progress | None, should_stop: ShouldStop | None) -> Iterator[Row]:
@@ -289,7 +289,7 @@ def _defects(
     pieces = [
         piece for result in results for piece in result.pieces if work.cells.grid.name(*result.place) not in whole
     ]
-    together = merged(pieces, work.cells.pixel_um)
+    together = merge_border_pieces(pieces, work.cells.pixel_um)
     strongest = sorted(together, key=lambda group: -max(piece.score for piece in group))[:MOST_DEFECTS]
     single = [defect_of(group, work.cells, reading, work.recipe, work.on_dies) for group in strongest]
     ordered = sorted([*whole.values(), *single], key=lambda d: -d.score)

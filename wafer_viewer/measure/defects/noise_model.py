@@ -20,8 +20,8 @@ from wafer_viewer.measure.defects.golden_die import robust_sigma
 from wafer_viewer.measure.defects.ground_kinds import KINDS, Kinds, coarser
 from wafer_viewer.measure.defects.matched_filters import SHARP, Spectrum, side_of
 from wafer_viewer.measure.dies.die_cells import Plane
-from wafer_viewer.numerics.filters.peak_regions import tops_over
-from wafer_viewer.numerics.grids.die_cell_kernels import typical
+from wafer_viewer.numerics.filters.peak_regions import region_maxima
+from wafer_viewer.numerics.grids.die_cell_kernels import median_and_spread
 
 Key = tuple[str, float]
 """Layer and scale in pixels."""
@@ -57,7 +57,7 @@ class NoiseModel:
     def _score(self, key: Key, plane: Plane) -> Plane:
         if key not in self.spread:
             return plane
-        return as_normal(plane / self._everywhere[key], self.fall[key], self._ground[side_of(*key)])
+        return to_normal_deviations(plane / self._everywhere[key], self.fall[key], self._ground[side_of(*key)])
 
     @cached_property
     def _ground(self) -> dict[int, Kinds]:
@@ -100,7 +100,7 @@ def _by_kind(measured: Callable[[Mask], float | None], ground: Kinds, otherwise:
     return np.array(found, np.float32)
 
 
-def as_normal(plane: Plane, fall: Floats, kinds: Kinds) -> Plane:
+def to_normal_deviations(plane: Plane, fall: Floats, kinds: Kinds) -> Plane:
     """Convert deviations of long-tailed noise to equally rare deviations of normal noise; signs are preserved."""
     slow = np.clip((NORMAL_FALL - fall) / (NORMAL_FALL - SLOW_FALL), 0, 1).astype(np.float32)
     if not slow.any():
@@ -118,7 +118,7 @@ def _fall(planes: Sequence[Plane], on: Mask) -> float | None:
 
     A cell with many more such peaks than the others, such as a missing die, is excluded.
     """
-    each = [tops_over(np.where(on, np.abs(plane), np.float32(0)), START) for plane in planes]
+    each = [region_maxima(np.where(on, np.abs(plane), np.float32(0)), START) for plane in planes]
     most = LEAST_TOPS + MOST_TIMES * float(np.median([tops.size for tops in each]))
     tops = np.concatenate([tops for tops in each if tops.size <= most])
     return math.log(2) / max(1e-3, float(np.median(tops)) - START) if tops.size >= LEAST_TOPS else None
@@ -140,6 +140,6 @@ def _of_each_place(planes: Sequence[Plane]) -> Plane:
 
     stack = np.stack(planes)
     middle, spread = np.empty(stack.shape[1:], np.float32), np.empty(stack.shape[1:], np.float32)
-    typical(stack, 3, middle, spread)
+    median_and_spread(stack, 3, middle, spread)
     off = np.where(np.isfinite(spread), spread**2 + middle**2, np.float32(1))
     return np.sqrt(np.maximum(1, uniform_filter(off, 3))).astype(np.float32)

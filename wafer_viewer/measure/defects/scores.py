@@ -21,7 +21,7 @@ from wafer_viewer.measure.dies.die_cells import Place, Plane
 from wafer_viewer.measure.dies.die_plane import DiePlane
 from wafer_viewer.model.inspection.defect import DefectRecipe, Evidence, FalseCounts
 from wafer_viewer.numerics.filters.multiscale_gaussian import gaussian_sums
-from wafer_viewer.numerics.filters.peak_regions import tops_over
+from wafer_viewer.numerics.filters.peak_regions import region_maxima
 
 LOUDEST = 15.0
 LOW_SHARE, LEAST_LOW = 0.6, 2.5
@@ -162,7 +162,7 @@ def limit_of(layer: str, scale_px: float, evidence: Evidence, limit: float) -> f
     return limit * alone * math.sqrt(1 - 2 * math.log(fewer) / RARE_AT**2)
 
 
-def low_of(threshold_sigma: float) -> float:
+def lower_threshold(threshold_sigma: float) -> float:
     """Return the lower hysteresis threshold for an upper one."""
     return max(LEAST_LOW, LOW_SHARE * threshold_sigma)
 
@@ -172,14 +172,16 @@ def new_counts() -> NDArray[np.int64]:
     return np.zeros(round(HISTOGRAM_END / HISTOGRAM_STEP), np.int64)
 
 
-def count(scores: DefectScores, recipe: DefectRecipe, shape: tuple[int, int], counts: NDArray[np.int64]) -> None:
+def add_to_peak_histogram(
+    scores: DefectScores, recipe: DefectRecipe, shape: tuple[int, int], counts: NDArray[np.int64]
+) -> None:
     """Add the peaks of a cell over COUNTED_FROM to a histogram of the score relative to its layer's limit."""
     highest = np.zeros(shape, np.float32)
     for (layer, scale), plane in scores.planes.items():
         if layer in SEEKING:
             by = np.abs(plane) * np.float32(1 / limit_of(layer, scale, recipe.evidence, 1.0))
             np.fmax(highest, enlarged(by, side_of(layer, scale), shape), out=highest)
-    tops = tops_over(highest, COUNTED_FROM)
+    tops = region_maxima(highest, COUNTED_FROM)
     counts += np.bincount(np.minimum(tops / HISTOGRAM_STEP, len(counts) - 1).astype(int), minlength=len(counts))
 
 

@@ -21,13 +21,13 @@ from wafer_viewer.measure.defects.scores import (
     Residual,
     enlarged,
     limit_of,
-    low_of,
+    lower_threshold,
 )
 from wafer_viewer.measure.dies.die_cells import CellGrid, Place, Plane, Shift
 from wafer_viewer.model.inspection.defect import DefectRecipe, Evidence
 from wafer_viewer.numerics.array_types import Float32s
 from wafer_viewer.numerics.filters.multiscale_gaussian import coarseness, smooth
-from wafer_viewer.numerics.filters.peak_regions import hanging_together, widened
+from wafer_viewer.numerics.filters.peak_regions import dilated, regions_with_peaks
 
 Floats = NDArray[np.float64]
 SPARE_PX = 8
@@ -96,7 +96,7 @@ def pieces_of(
     if not sought.any():
         return []
     labels = np.zeros(shape, np.int32)
-    label(widened(sought | shown, BRIDGE_PX), np.ones((3, 3), int), output=labels)
+    label(dilated(sought | shown, BRIDGE_PX), np.ones((3, 3), int), output=labels)
     boxes = enumerate(find_objects(labels), 1)
     found = (_piece(residual, scores, spread_um, labels, n, box, (shown, sought), where, recipe) for n, box in boxes)
     return [piece for piece in found if piece is not None and len(piece.x_um) >= recipe.min_area_px]
@@ -113,11 +113,11 @@ def _over(scores: DefectScores, recipe: DefectRecipe, shape: tuple[int, int]) ->
         if layer in SEEKING:
             high = limit_of(layer, scale, recipe.evidence, recipe.threshold_sigma)
             for signed in (plane,) if layer == "joint" else (plane, -plane):
-                tops, low, side = signed >= high, signed >= low_of(high), side_of(layer, scale)
+                tops, low, side = signed >= high, signed >= lower_threshold(high), side_of(layer, scale)
                 if tops.any():
                     tops = _crowded(tops, low, recipe) if scale == 0 else tops
                     peaks |= enlarged(tops, side, shape)
-                    found |= enlarged(hanging_together(low, tops), side, shape)
+                    found |= enlarged(regions_with_peaks(low, tops), side, shape)
     return found, _showing(scores, peaks) if peaks.any() else peaks
 
 
@@ -134,7 +134,7 @@ def _showing(scores: DefectScores, peaks: Mask) -> Mask:
         if layer in SHOWING:
             for signed in (plane,) if layer == "joint" else (plane, -plane):
                 over = enlarged(signed >= SHOWN_FROM, coarseness(scale), peaks.shape)
-                shown |= hanging_together(over, peaks & over)
+                shown |= regions_with_peaks(over, peaks & over)
     return shown
 
 
@@ -218,7 +218,7 @@ def smoothed_known(plane: Float32s, sigma_px: float) -> Float32s:
 
 def evidence_of(peaks: dict[str, float], threshold_sigma: float) -> Evidence:
     """Return the layers that show a defect, each on its own."""
-    limit = low_of(threshold_sigma)
+    limit = lower_threshold(threshold_sigma)
     height, picture = peaks.get("height", 0.0), max(peaks.get(layer, 0.0) for layer in PICTURED)
     if min(height, picture) >= limit:
         return "both"

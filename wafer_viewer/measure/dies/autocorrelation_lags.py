@@ -40,7 +40,7 @@ class Peak:
         return math.hypot(self.right, self.up)
 
 
-def alike_of(layers: Sequence[Float32s], size: int) -> Floats:
+def mean_autocorrelation(layers: Sequence[Float32s], size: int) -> Floats:
     """Return the mean autocorrelation of the layers with contrast, for lags up to half of the sides.
 
     Raises DiesNotFound where no layer has contrast.
@@ -71,7 +71,7 @@ def peaks_of(alike: Floats) -> list[Peak]:
     return [Peak(*lag) for lag in lags if math.hypot(lag[0], lag[1]) >= SHORTEST_PX]
 
 
-def cone(alike: Floats, peaks: Sequence[Peak], upright: bool, half_deg: float) -> list[Peak]:
+def peaks_near_axis(alike: Floats, peaks: Sequence[Peak], upright: bool, half_deg: float) -> list[Peak]:
     """Return the peaks near the x axis, to the right, or near the y axis, upwards, that are prominent over the ridge.
 
     A pattern that is continuous along an axis, such as a street, correlates at every lag along it. A peak therefore
@@ -105,7 +105,7 @@ def shortest(peaks: Sequence[Peak]) -> Peak:
     return min((peak for peak in peaks if peak.alike >= AS_ALIKE * best), key=lambda peak: peak.length)
 
 
-def lasting(alike: Floats, peaks: Sequence[Peak]) -> list[Peak]:
+def persistent_lags(alike: Floats, peaks: Sequence[Peak]) -> list[Peak]:
     """Return the lags that persist over the surface; patterns within a die, such as pads, end with the die."""
     return [peak for peak in peaks if _goes_on(alike, peak)]
 
@@ -131,7 +131,7 @@ def _stands_out(alike: Floats, place: Floats, half: Floats) -> float:
     return top - float(np.mean(valleys))
 
 
-def part_of(periods: Sequence[Peak]) -> Peak | None:
+def ambiguous_fraction(periods: Sequence[Peak]) -> Peak | None:
     """Return a half or a third of the period that may also be the period; None where unambiguous."""
     period = shortest(periods)
     near = (peak for peak in periods if _is_part(peak, period) and peak.alike >= HALF_ALIKE * period.alike)

@@ -23,7 +23,7 @@ from wafer_viewer.model.inspection.die_grid import DieGrid
 from wafer_viewer.model.measurement.levelling import Datum
 from wafer_viewer.model.region import Point, Region
 from wafer_viewer.model.surface.height_map import Heights, Mosaic
-from wafer_viewer.numerics.grids.die_cell_kernels import bridged, less_products, read_affine
+from wafer_viewer.numerics.grids.die_cell_kernels import fill_single_pixels, read_affine, subtract_products
 
 Plane = NDArray[np.float32]
 Place = tuple[int, int]
@@ -122,14 +122,14 @@ class CellSource:
         except MeasureError:
             return None
         z_um = np.empty(part.z_um.shape, np.float32)
-        less_products(part.z_um, *_as_products(self.form, part), z_um)
+        subtract_products(part.z_um, *_as_products(self.form, part), z_um)
         picture = np.log(part.picture + np.float32(self.dark))
-        return CellStrip(z_um, bridged(z_um), picture, part.pixel_um, part.x0_um, part.y0_um)
+        return CellStrip(z_um, fill_single_pixels(z_um), picture, part.pixel_um, part.x0_um, part.y0_um)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class CellStrip:
-    """A part of a surface in memory: heights over the form, the same `bridged`, and the log image."""
+    """A part of a surface in memory: heights over the form, the same `fill_single_pixels`, and the log image."""
 
     z_um: Plane
     whole_um: Plane

@@ -18,8 +18,8 @@ from wafer_viewer.model.inspection.die_grid import DieGrid
 from wafer_viewer.model.inspection.golden_die import GoldenDie
 from wafer_viewer.model.region import Region
 from wafer_viewer.model.surface.height_map import HeightMap, Mosaic, Origin
-from wafer_viewer.numerics.grids.die_cell_kernels import bridged, read_affine, typical
-from wafer_viewer.numerics.registration.cross_correlation import contrast, likeness
+from wafer_viewer.numerics.grids.die_cell_kernels import fill_single_pixels, median_and_spread, read_affine
+from wafer_viewer.numerics.registration.cross_correlation import contrast, normalised_cross_correlation
 from wafer_viewer.numerics.registration.subpixel_registration import RegisteredImage, align
 
 Plane = NDArray[np.float32]
@@ -113,13 +113,13 @@ class AlignedPatch:
     alike: float
 
 
-def cut(surface: Mosaic, patch: DiePatch) -> DieCrop | None:
+def crop(surface: Mosaic, patch: DiePatch) -> DieCrop | None:
     """Return the crop of a surface at a patch; None where the surface does not cover it."""
     part = _window(surface, patch, MARGIN_PX)
     return None if part is None else _sampled(part, patch)
 
 
-def laid_on(own: DieCrop, surface: Mosaic, patch: DiePatch, reach_px: int) -> AlignedPatch | None:
+def align_crop(own: DieCrop, surface: Mosaic, patch: DiePatch, reach_px: int) -> AlignedPatch | None:
     """Return the crop of a surface near a patch, aligned with `own` within `reach_px` pixels and levelled on it.
 
     Alignment uses the image, or heights if there is none. Without a match the crop is not shifted, and `alike` is below
@@ -135,12 +135,12 @@ def laid_on(own: DieCrop, surface: Mosaic, patch: DiePatch, reach_px: int) -> Al
     return AlignedPatch(found, (-lag[0] * patch.pixel_um, -lag[1] * patch.pixel_um), alike)
 
 
-def usual(own: DieCrop, cuts: Sequence[DieCrop]) -> DieCrop:
+def median_crop(own: DieCrop, cuts: Sequence[DieCrop]) -> DieCrop:
     """Return the median of several crops, each levelled on `own`; unknown where less than half of them are known."""
     layers = [np.empty(own.z_um.shape, np.float32) for _ in range(2)]
     for layer, name in zip(layers, ("z_um", "picture"), strict=True):
         stack = np.stack([getattr(one, name) for one in cuts])
-        typical(stack, (len(cuts) + 1) // 2, layer, np.empty_like(layer))
+        median_and_spread(stack, (len(cuts) + 1) // 2, layer, np.empty_like(layer))
     return DieCrop(*layers)
 
 
@@ -193,7 +193,7 @@ def _way(patch: DiePatch, to_pixels: Callable[[Floats, Floats], tuple[Floats, Fl
 def _read(plane: Plane, way: Floats, shape: tuple[int, int]) -> Plane:
     out = np.empty(shape, np.float32)
     known = np.ascontiguousarray(plane, np.float32)
-    read_affine(known, bridged(known), way, out)
+    read_affine(known, fill_single_pixels(known), way, out)
     return out
 
 
@@ -203,7 +203,9 @@ def _lag(own: DieCrop, other: DieCrop, reach_px: int) -> tuple[tuple[float, floa
     if not (one.known.sum() and two.known.sum()):
         return (0.0, 0.0), 0.0
     contrasts = (contrast(p.values, p.known > 0, DETAIL_PX) for p in (one, two))
-    found = likeness(next(contrasts), one.known > 0, next(contrasts), two.known > 0, (0, 0), reach_px)
+    found = normalised_cross_correlation(
+        next(contrasts), one.known > 0, next(contrasts), two.known > 0, (0, 0), reach_px
+    )
     good = found.correlation >= AS_GOOD * max(float(found.correlation.max()), LEAST_ALIKE)
     if not good.any():
         return (0.0, 0.0), float(found.correlation.max())

@@ -9,7 +9,7 @@ import numpy as np
 
 from wafer_viewer.measure.base.measurement_context import MeasurementContext
 from wafer_viewer.measure.dies.lattice_evidence import Coarse, Evidence, read_coarse, scanned_bounds
-from wafer_viewer.measure.dies.lattice_refinement import Registered, cells_over, not_alike, refined
+from wafer_viewer.measure.dies.lattice_refinement import Registered, cells_over, dissimilar_cells_error, refined
 from wafer_viewer.measure.dies.periodicity import Periods, periods_of
 from wafer_viewer.measure.dies.streets import Street, street_of
 from wafer_viewer.model.errors import DiesNotFound, MeasureError
@@ -75,7 +75,7 @@ def find_dies(surface: Mosaic, *, evidence: Evidence = "both") -> DieGrid:
     grid = with_streets(found)
     _require_crossing_streets(grid)
     if found.n_dies < SURE_DIES and grid.street_x_um == grid.street_y_um == 0:
-        raise not_alike(f"Only {found.n_dies}", found.lattice)
+        raise dissimilar_cells_error(f"Only {found.n_dies}", found.lattice)
     return on_surface(grid, surface)
 
 

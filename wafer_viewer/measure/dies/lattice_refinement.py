@@ -16,7 +16,7 @@ from wafer_viewer.model.inspection.die_grid import DieGrid
 from wafer_viewer.model.spec import replace
 from wafer_viewer.model.surface.height_map import Mosaic
 from wafer_viewer.numerics.array_types import Bools, Float32s
-from wafer_viewer.numerics.registration.cross_correlation import contrast, likeness
+from wafer_viewer.numerics.registration.cross_correlation import contrast, normalised_cross_correlation
 
 MOST_DIES, LEAST_DIES = 100, 25
 ENOUGH_INNER = 0.5
@@ -66,12 +66,12 @@ def refined(surface: Mosaic, rough: DieGrid, evidence: Evidence, pixel_um: float
         lattice = source.lattice(grid)
         cells = cells_of(source, grid, lattice, unlike)
         shifts = registered_shifts(cells, lattice)
-        grid, unlike = moved(grid, shifts), unlike | (cells.keys() - shifts.keys())
+        grid, unlike = fit_lattice(grid, shifts), unlike | (cells.keys() - shifts.keys())
     lattice = finest.lattice(grid)
     cells = cells_of(finest, grid, lattice, unlike)
     shifts = registered_shifts(cells, lattice)
     if grid.u_pitch_um > MOST_U * grid.pitch_x_um:
-        raise not_alike("Too few of the", lattice)
+        raise dissimilar_cells_error("Too few of the", lattice)
     return Registered(grid, median_cell([cells[at] for at in shifts]), lattice, len(shifts))
 
 
@@ -168,11 +168,11 @@ def registered_shifts(cells: dict[tuple[int, int], Cell], lattice: CellLattice) 
     found = {at: _shift(reference, _contrasts(cell)) for at, cell in cells.items()}
     shifts = {at: (-lag[1] * lattice.step_x_um, lag[0] * lattice.step_y_um) for at, lag in found.items() if lag}
     if len(shifts) < max(2, LEAST_SHARE * len(cells)):
-        raise not_alike(f"Only {len(shifts)} of {len(cells)}", lattice)
+        raise dissimilar_cells_error(f"Only {len(shifts)} of {len(cells)}", lattice)
     return shifts
 
 
-def not_alike(how_many: str, lattice: CellLattice) -> DiesNotFound:
+def dissimilar_cells_error(how_many: str, lattice: CellLattice) -> DiesNotFound:
     """Return the error for a repeating pattern that is not dies."""
     width_um, height_um = lattice.cols * lattice.step_x_um, lattice.rows * lattice.step_y_um
     return DiesNotFound(
@@ -202,7 +202,7 @@ def _shift(reference: Sequence[Contrast | None], cell: Sequence[Contrast | None]
     pairs = [(a, b) for a, b in zip(reference, cell, strict=True) if a is not None and b is not None]
     if not pairs:
         return None
-    each = [likeness(*a, *b, (0, 0), REACH_PX).correlation for a, b in pairs]
+    each = [normalised_cross_correlation(*a, *b, (0, 0), REACH_PX).correlation for a, b in pairs]
     best = max(float(alike.max()) for alike in each)
     if best < LEAST_ALIKE:
         return None
@@ -240,7 +240,7 @@ def _overlap(plane: np.ndarray, lag: tuple[int, int], way: int) -> np.ndarray:
     return plane[max(0, down) : rows + min(0, down), max(0, right) : cols + min(0, right)]
 
 
-def moved(grid: DieGrid, shifts: Shifts) -> DieGrid:
+def fit_lattice(grid: DieGrid, shifts: Shifts) -> DieGrid:
     """Fit origin, both pitches and angle of the lattice by least squares with outlier rejection; with uncertainties."""
     at, off = np.array(list(shifts), float), np.array(list(shifts.values()))
     center = at.mean(axis=0)

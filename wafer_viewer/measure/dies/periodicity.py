@@ -13,11 +13,11 @@ from wafer_viewer.measure.dies.autocorrelation_lags import (
     LEAST_ALIKE,
     MEND,
     Peak,
-    alike_of,
-    cone,
-    lasting,
-    part_of,
+    ambiguous_fraction,
+    mean_autocorrelation,
+    peaks_near_axis,
     peaks_of,
+    persistent_lags,
     shortest,
 )
 from wafer_viewer.model.errors import DiesNotFound
@@ -62,7 +62,7 @@ def periods_of(layers: Sequence[Float32s]) -> Periods:
     best = clearest(layers, [round(share * shorter) for share in SIZES])
     if best is None:
         raise nothing_repeats(layers)
-    across, up = (settled(periods, axis) for periods, axis in ((best.right, "x"), (best.up, "y")))
+    across, up = (unambiguous_period(periods, axis) for periods, axis in ((best.right, "x"), (best.up, "y")))
     return _checked(fitted(best.alike, across, up), _askew(best.alike, best.peaks))
 
 
@@ -81,7 +81,7 @@ class Periodicity:
     @property
     def clear(self) -> tuple[bool, float]:
         """Sort key: True if both periods are unambiguous, and the autocorrelation of the weaker one."""
-        plain = part_of(self.right) is None and part_of(self.up) is None
+        plain = ambiguous_fraction(self.right) is None and ambiguous_fraction(self.up) is None
         return plain, min(shortest(self.right).alike, shortest(self.up).alike)
 
 
@@ -96,15 +96,15 @@ def clearest(layers: Sequence[Float32s], sizes: Sequence[int]) -> Periodicity | 
 
 
 def _repeats(layers: Sequence[Float32s], size: int) -> Periodicity | None:
-    alike = alike_of(layers, size)
+    alike = mean_autocorrelation(layers, size)
     peaks = peaks_of(alike)
-    right, up = (lasting(alike, cone(alike, peaks, upright, SEARCHED_DEG)) for upright, _ in AXES)
+    right, up = (persistent_lags(alike, peaks_near_axis(alike, peaks, upright, SEARCHED_DEG)) for upright, _ in AXES)
     return Periodicity(alike, peaks, right, up) if right and up else None
 
 
-def settled(periods: Sequence[Peak], axis: str) -> Peak:
+def unambiguous_period(periods: Sequence[Peak], axis: str) -> Peak:
     """Return the period along an axis. Raises MeasureError where a fraction of it correlates nearly as well."""
-    period, part = shortest(periods), part_of(periods)
+    period, part = shortest(periods), ambiguous_fraction(periods)
     if part is not None:
         raise DiesNotFound(
             f"The pitch along {axis} may be all or 1/{round(period.length / part.length)} of what repeats best, for "
@@ -194,9 +194,9 @@ def turned_too_far(angle_deg: float) -> DiesNotFound:
 
 def nothing_repeats(layers: Sequence[Float32s]) -> DiesNotFound:
     """Return the error for a missing lattice: along which axis, or that it is rotated too far."""
-    alike = alike_of(layers, max(3, min(layers[0].shape) // 6))
+    alike = mean_autocorrelation(layers, max(3, min(layers[0].shape) // 6))
     peaks = peaks_of(alike)
-    right, up = (lasting(alike, cone(alike, peaks, upright, SEARCHED_DEG)) for upright, _ in AXES)
+    right, up = (persistent_lags(alike, peaks_near_axis(alike, peaks, upright, SEARCHED_DEG)) for upright, _ in AXES)
     if (askew := _askew(alike, peaks)) is not None:
         return turned_too_far(askew.turn_deg)
     axes = " or ".join(name for name, some in (("x", right), ("y", up)) if not some) or "x and y together"
@@ -209,7 +209,7 @@ def nothing_repeats(layers: Sequence[Float32s]) -> DiesNotFound:
 
 def _askew(alike: Floats, peaks: Sequence[Peak]) -> Askew | None:
     """Return the lattice of the shortest lags if both axes are rotated together beyond the limit; None otherwise."""
-    wide = [cone(alike, peaks, upright, WIDE_DEG) for upright in (False, True)]
+    wide = [peaks_near_axis(alike, peaks, upright, WIDE_DEG) for upright in (False, True)]
     if not all(wide):
         return None
     across, up = map(shortest, wide)

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.ndimage import map_coordinates, median_filter
 
-from wafer_viewer.measure.base.chain_statistics import chain_u
+from wafer_viewer.measure.base.chain_statistics import chain_uncertainty
 from wafer_viewer.measure.base.height_samples import Floats
 from wafer_viewer.measure.base.robust_plane import robust_fit
 from wafer_viewer.measure.edges.edge_search import ALL_ALONG, LEAST_STEEP, SEEN, Sign
@@ -73,7 +73,7 @@ class RoundEdge:
         """Standard uncertainty of the radius from the scatter of the points; None with too few."""
         angle = self.angle[self.kept]
         design = np.stack([np.cos(angle), np.sin(angle), np.ones(len(angle))], axis=1)
-        return chain_u(design, self.off_um[self.kept], np.array([0.0, 0.0, 1.0]))
+        return chain_uncertainty(design, self.off_um[self.kept], np.array([0.0, 0.0, 1.0]))
 
     @property
     def roundness_um(self) -> float:

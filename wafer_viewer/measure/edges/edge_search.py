@@ -64,7 +64,7 @@ class EdgeScores:
         weak = np.flatnonzero(~strong[start:])
         return start + int(np.argmax(self.best[start : start + int(weak[0]) if len(weak) else None]))
 
-    def besides(self, place: int, after: int = 0, up_to: int | None = None) -> float:
+    def strongest_other(self, place: int, after: int = 0, up_to: int | None = None) -> float:
         """Return the strength of the strongest other edge, or of that between two places."""
         low, high = self._extent(place)
         return max(float(part.max(initial=0.0)) for part in (self.best[after:low], self.best[high:up_to]))

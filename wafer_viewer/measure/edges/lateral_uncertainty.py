@@ -40,7 +40,7 @@ def angle(reading: MeasurementContext, value_deg: float, scatter_deg: float | No
     return reading.quantity(value_deg, "deg", lines)
 
 
-def together(*parts: float | None) -> float | None:
+def root_sum_of_squares(*parts: float | None) -> float | None:
     """Return the root sum of squares; None where one value is unknown."""
     known = [part for part in parts if part is not None]
     return math.hypot(*known) if len(known) == len(parts) else None

@@ -9,7 +9,7 @@ import numpy as np
 
 from wafer_viewer.measure.base.line_fit import EdgeLine, crossing
 from wafer_viewer.measure.edges.edge_search import BESIDE_PX, EdgeScores, Sign, scores_of
-from wafer_viewer.measure.edges.lateral_uncertainty import together
+from wafer_viewer.measure.edges.lateral_uncertainty import root_sum_of_squares
 from wafer_viewer.measure.edges.search_strip import SearchStrip
 from wafer_viewer.measure.edges.straight_edges import AS_STRONG, Found, fitted, follow, no_edge
 from wafer_viewer.model.errors import MeasureError
@@ -61,7 +61,7 @@ class DieEdges:
     def u_size_um(self, first: Side, second: Side) -> float | None:
         """Return the standard uncertainty of the size from the scatter of the points; None if unknown."""
         lines = (self.lines[side] for side in (first, second))
-        return together(*(line.u_um(float(line.along(*self.center))) for line in lines))
+        return root_sum_of_squares(*(line.u_um(float(line.along(*self.center))) for line in lines))
 
     @property
     def rotation_deg(self) -> float:
@@ -76,7 +76,7 @@ class DieEdges:
     @property
     def u_angle_deg(self) -> float | None:
         """Standard uncertainty of the squareness; that of the rotation is half of it."""
-        u = together(*(line.u_angle_deg for line in self.lines.values()))
+        u = root_sum_of_squares(*(line.u_angle_deg for line in self.lines.values()))
         return None if u is None else u / 2
 
     def _turn(self, first: Side, second: Side, upright_deg: float) -> float:

@@ -60,7 +60,7 @@ def require_clear(scores: EdgeScores, place: int, where: str) -> None:
     """Raise MeasureError when nothing stands out at a place, or another edge is about as strong."""
     if not scores.stands_out(place):
         raise no_edge(where)
-    if (rival := scores.besides(place)) > AS_STRONG * scores.best[place]:
+    if (rival := scores.strongest_other(place)) > AS_STRONG * scores.best[place]:
         share = 100 * rival / scores.best[place]
         raise MeasureError(
             f"Two edges {where} are about as strong, the second has {share:.0f} % of the first: "

@@ -158,7 +158,7 @@ def gauge_check(
     x = length_of(mean_um, lines, "scale", "measurement")
     reference = length_of(reference_um, lines, "reference")
     deviation = length_of(mean_um - reference_um, lines, "measurement", "reference")
-    verdict, why = judged(deviation, terms.limit_um)
+    verdict, why = judge_error(deviation, terms.limit_um)
     score = en(x, reference)
     return GaugeCheck(
         certificate=certificate,
@@ -190,7 +190,7 @@ def en(x: Length, reference: Length) -> float | None:
     return (x.value_um - reference.value_um) / expanded_um if expanded_um else None
 
 
-def judged(deviation: Length, limit_um: float | None) -> tuple[Word, str]:
+def judge_error(deviation: Length, limit_um: float | None) -> tuple[Word, str]:
     """Return the verdict on an error against its limit, and the reason.
 
     Guard band (ISO 14253-1): pass where all of error ± U lies within ± the limit, fail where none of it does.
@@ -221,7 +221,7 @@ def refusal(certificate: Certificate, calibration: Calibration | None, problem: 
             f"Certificate {certificate.number} expired on {certificate.expires.isoformat()} and the scan is of {day}: "
             "have the blocks certified again."
         )
-    if same := set_the_scale(certificate.serials, calibration):
+    if same := blocks_used_for_calibration(certificate.serials, calibration):
         return (
             f"Block {same[0]} set the z scale on {calibration.made}, so a comparison with it checks nothing: "
             "take other blocks."
@@ -229,7 +229,7 @@ def refusal(certificate: Certificate, calibration: Calibration | None, problem: 
     return None
 
 
-def set_the_scale(serials: Iterable[str], calibration: Calibration) -> tuple[str, ...]:
+def blocks_used_for_calibration(serials: Iterable[str], calibration: Calibration) -> tuple[str, ...]:
     """Return the serial numbers of blocks against which a calibration was made."""
     words = re.split(r"[\s,;:()]+", calibration.against)
     standards = {word.strip(".").casefold() for word in (*words, *calibration.z_against)}

@@ -12,7 +12,7 @@ from scipy.optimize import linprog
 
 from wafer_viewer.measure.base.height_samples import Floats, Layer, height_window, level_for, require_area
 from wafer_viewer.measure.base.measurement_context import MeasurementContext
-from wafer_viewer.measure.edges.lateral_uncertainty import together
+from wafer_viewer.measure.edges.lateral_uncertainty import root_sum_of_squares
 from wafer_viewer.measure.tools.bumps import Bumps, Top, find_bumps
 from wafer_viewer.model.errors import MeasureError
 from wafer_viewer.model.measurement.edge_and_bump_shapes import Bump, Coplanarity
@@ -181,12 +181,12 @@ def _over(places: Floats, z_um: Floats, slope_x: float, slope_y: float, zero: fl
 
 def _coplanarity(reading: MeasurementContext, tops: tuple[Top, ...], fitted: FittedBump) -> Length:
     low, high = (tops[k] for k in fitted.extremes)
-    return _length(reading, fitted.range_um, together(low.u_um, high.u_um))
+    return _length(reading, fitted.range_um, root_sum_of_squares(low.u_um, high.u_um))
 
 
 def _mean_height(reading: MeasurementContext, tops: tuple[Top, ...]) -> Length:
     """Return the mean bump height; errors of bumps are independent, so its uncertainty falls with their number."""
-    whole = together(*(together(top.u_um, top.u_round_um) for top in tops))
+    whole = root_sum_of_squares(*(root_sum_of_squares(top.u_um, top.u_round_um) for top in tops))
     mean_um = float(np.mean([top.height_um for top in tops]))
     return _length(reading, mean_um, None if whole is None else whole / len(tops))
 
@@ -194,7 +194,7 @@ def _mean_height(reading: MeasurementContext, tops: tuple[Top, ...]) -> Length:
 def _bump(reading: MeasurementContext, top: Top, deviation_um: float) -> Bump:
     return Bump(
         place=Point(x_um=round(top.x_um, 2), y_um=round(top.y_um, 2)),
-        height=_length(reading, top.height_um, together(top.u_um, top.u_round_um)),
+        height=_length(reading, top.height_um, root_sum_of_squares(top.u_um, top.u_round_um)),
         diameter_um=top.diameter_um,
         deviation=_length(reading, deviation_um, top.u_um),
     )

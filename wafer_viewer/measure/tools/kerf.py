@@ -9,11 +9,11 @@ from typing import Literal
 import numpy as np
 
 from wafer_viewer.measure.base.height_samples import Floats, Layer
-from wafer_viewer.measure.base.line_fit import lines_between
+from wafer_viewer.measure.base.line_fit import angle_between_lines
 from wafer_viewer.measure.base.measurement_context import MeasurementContext
 from wafer_viewer.measure.base.robust_plane import SIGMA_OF_MAD
 from wafer_viewer.measure.edges.edge_search import EdgeScores, Sign, scores_of
-from wafer_viewer.measure.edges.lateral_uncertainty import angle, between_edges, notes, together
+from wafer_viewer.measure.edges.lateral_uncertainty import angle, between_edges, notes, root_sum_of_squares
 from wafer_viewer.measure.edges.search_strip import SearchStrip, read_strip, require_rectangle
 from wafer_viewer.measure.edges.straight_edges import AS_STRONG, Found, fitted, no_edge
 from wafer_viewer.measure.edges.subpixel_edges import REACH_PX
@@ -52,12 +52,12 @@ class KerfEdges:
     def u_um(self) -> float | None:
         """Standard uncertainty of the width from the scatter of both edges' points; None if unknown."""
         lines = (self.first.line, self.second.line)
-        return together(*(line.u_um(float(line.along(*self._middle))) for line in lines))
+        return root_sum_of_squares(*(line.u_um(float(line.along(*self._middle))) for line in lines))
 
     @property
     def angle_deg(self) -> float:
         """Angle between the lines."""
-        return lines_between(self.first.line, self.second.line)
+        return angle_between_lines(self.first.line, self.second.line)
 
     @property
     def u_extreme_um(self) -> float:
@@ -133,7 +133,7 @@ def kerf_width(
     strip, level = read_strip(surface, region, "a kerf width")
     edges = kerf_edges(strip, SIGNS[kerf])
     lowest, highest = edges.extremes_um
-    u_angle = together(edges.first.line.u_angle_deg, edges.second.line.u_angle_deg)
+    u_angle = root_sum_of_squares(edges.first.line.u_angle_deg, edges.second.line.u_angle_deg)
     return KerfWidth(
         **reading.told(name, level, *notes(reading, EXTREMES)),
         region=region,
@@ -177,8 +177,8 @@ class _Way:
         first, second = self.places
         if not all(s.stands_out(p) for s, p in zip(self.scores, self.places, strict=True)) or not self.strength:
             raise no_edge("on both sides of a kerf in the region")
-        before = self.scores[0].besides(first, up_to=second) / self.scores[0].best[first]
-        behind = self.scores[1].besides(second, after=first) / self.scores[1].best[second]
+        before = self.scores[0].strongest_other(first, up_to=second) / self.scores[0].best[first]
+        behind = self.scores[1].strongest_other(second, after=first) / self.scores[1].best[second]
         if (rival := max(before, behind)) > AS_STRONG:
             raise MeasureError(
                 f"More than one kerf may be meant, because another edge has {100 * rival:.0f} % of the strength of the "

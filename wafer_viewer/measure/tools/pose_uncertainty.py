@@ -36,7 +36,7 @@ class PoseSensitivities(NamedTuple):
     weight: Floats
 
 
-def pulls_of(faces: StepFaces, of: LinearFunctional) -> PoseSensitivities:
+def pose_sensitivities(faces: StepFaces, of: LinearFunctional) -> PoseSensitivities:
     """Return the sensitivity coefficients of a linear functional of two faces, at the centres of tiles."""
     pairs = zip(_weights(faces.high, of.high), _weights(faces.low, of.low), strict=True)
     return PoseSensitivities(*(np.concatenate(pair) for pair in pairs))

@@ -8,7 +8,14 @@ from dataclasses import replace
 
 import numpy as np
 
-from wafer_viewer.measure.base.height_samples import Floats, Layer, height_window, layer_of, level_note, reported
+from wafer_viewer.measure.base.height_samples import (
+    Floats,
+    Layer,
+    height_window,
+    layer_of,
+    length_without_budget,
+    level_note,
+)
 from wafer_viewer.model.errors import MeasureError
 from wafer_viewer.model.measurement.measurements import Profile, ProfileCurve
 from wafer_viewer.model.region import Region
@@ -111,8 +118,8 @@ def numbers_of(
         notes=level_note(surface, level),
         line=line,
         length_um=length_um_of(line),
-        pt=reported(float(z_um.max() - z_um.min()), surface.provenance, calibration_valid),
-        rise=reported(float(z_um[-1] - z_um[0]), surface.provenance, calibration_valid),
+        pt=length_without_budget(float(z_um.max() - z_um.min()), surface.provenance, calibration_valid),
+        rise=length_without_budget(float(z_um[-1] - z_um[0]), surface.provenance, calibration_valid),
         measured_fraction=len(known) / len(curve.z_um),
     )
 

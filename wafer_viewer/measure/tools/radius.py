@@ -134,7 +134,7 @@ def _cap(points: HeightSamples, around: Face, circle: Region) -> tuple[Cap, Heig
 
 def _in_cap(points: HeightSamples, cap: Cap, around: Face) -> NDArray[np.bool_]:
     """Return which points have a sufficiently high sphere; selection by their own noisy heights would be biased."""
-    reached = cap.reaches(points)
+    reached = cap.within_reach(points)
     near = points.kept(reached)
     rises = cap.at(near) - np.asarray(around.plane.at(near.x_um, near.y_um))
     reached[reached] = rises / _top_um(cap, around.plane) >= CAP_FROM

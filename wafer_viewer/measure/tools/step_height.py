@@ -15,9 +15,9 @@ import numpy as np
 from wafer_viewer.measure.base.height_samples import HeightSamples, Layer, level_for, require_area
 from wafer_viewer.measure.base.measurement_context import Lines, MeasurementContext
 from wafer_viewer.measure.base.plane_faces import enough_points, face_of
-from wafer_viewer.measure.base.region_samples import Regions, each_of, require_measured
+from wafer_viewer.measure.base.region_samples import Regions, as_region_tuple, require_measured
 from wafer_viewer.measure.base.uncertainty_budget import LEVELLING, NOISE, POSES, Budget, step_budget
-from wafer_viewer.measure.tools.pose_uncertainty import poses_u_um, pulls_of
+from wafer_viewer.measure.tools.pose_uncertainty import pose_sensitivities, poses_u_um
 from wafer_viewer.measure.tools.step_definitions import SENTENCES, LinearFunctional, StepFaces, gradients, tilts
 from wafer_viewer.model.errors import MeasureError
 from wafer_viewer.model.measurement.step import StepHeight
@@ -95,7 +95,7 @@ def step_height(
     ----------
     .. [1] JCGM 100:2008, Evaluation of measurement data - Guide to the expression of uncertainty in measurement (GUM).
     """
-    uppers, lowers = each_of(upper, "upper"), each_of(lower, "lower")
+    uppers, lowers = as_region_tuple(upper, "upper"), as_region_tuple(lower, "lower")
     reading, level = MeasurementContext.of(surface, layer, calibration_valid), level_for(surface, *uppers, *lowers)
     above, below = (
         [_points(reading, region, level, f"{which} region") for region in regions]
@@ -157,7 +157,7 @@ def _budget(
     of_points = {
         NOISE: noise.widened,
         LEVELLING: _levelling_um(faces) if definition == "common_plane" else 0.0,
-        POSES: poses_u_um(reading.surface, pulls_of(faces, h)),
+        POSES: poses_u_um(reading.surface, pose_sensitivities(faces, h)),
     }
     return step_budget(h.value(faces), of_points, conditions, reading.surface.provenance)
 
@@ -188,7 +188,7 @@ def _tilt(reading: MeasurementContext, faces: StepFaces) -> Quantity:
     lines: Lines | None = None
     found = [slope.scatter(faces) for slope in tilts(faces)] if reading.calibrated else [None]
     if None not in found:
-        poses = [poses_u_um(reading.surface, pulls_of(faces, slope)) for slope in tilts(faces)]
+        poses = [poses_u_um(reading.surface, pose_sensitivities(faces, slope)) for slope in tilts(faces)]
         lines = {
             NOISE: 1e3 * max(scatter.widened for scatter in found if scatter is not None),
             "z scale": reading.u_z_scale * _tilt_mrad(faces),

@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 from wafer_viewer.measure.base.height_samples import Floats, Layer
 from wafer_viewer.measure.base.measurement_context import Lines, MeasurementContext
 from wafer_viewer.measure.base.robust_plane import least_squares
-from wafer_viewer.measure.base.tile_statistics import Scatter, scatter_of, spread_of
+from wafer_viewer.measure.base.tile_statistics import Scatter, covariance_of_means, extrapolated_uncertainty
 from wafer_viewer.measure.base.uncertainty_budget import INTERPOLATION, NOISE, POSES, step_budget
 from wafer_viewer.measure.tools.pose_uncertainty import PoseSensitivities, poses_u_um
 from wafer_viewer.measure.tools.profile import profile
@@ -275,8 +275,10 @@ def _scatter(fitted: FittedStep, zones: tuple[Zone, ...]) -> Scatter | None:
     found = []
     for pieces in PIECES:
         piece = ((fitted.at_um - start_um[fitted.zone]) / unit_um * pieces).astype(np.intp)
-        found.append(spread_of(_means(columns, fitted.zone * 2 * (pieces + 1) + piece)))
-    return scatter_of([spread for spread in found if spread is not None], np.array([0.0, 0.0, 1.0]), axes=1)
+        found.append(covariance_of_means(_means(columns, fitted.zone * 2 * (pieces + 1) + piece)))
+    return extrapolated_uncertainty(
+        [spread for spread in found if spread is not None], np.array([0.0, 0.0, 1.0]), axes=1
+    )
 
 
 def _means(columns: Floats, label: np.ndarray) -> Floats:

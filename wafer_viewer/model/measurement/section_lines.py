@@ -71,7 +71,7 @@ def nearest(outline: Outline, along: Along, x_um: float, y_um: float) -> int:
     return min(max(round(at / outline.pixel_um), 0), outline.shape[along == "column"] - 1)
 
 
-def across(line: Region, outline: Outline) -> Region:
+def perpendicular_line(line: Region, outline: Outline) -> Region:
     """Return the perpendicular bisector of a line with the same length and width, shortened to fit on the surface."""
     (xa, ya), (xb, yb) = ((p.x_um, p.y_um) for p in line.points)
     x, y, dx, dy = (xa + xb) / 2, (ya + yb) / 2, (xb - xa) / 2, (yb - ya) / 2
@@ -80,12 +80,12 @@ def across(line: Region, outline: Outline) -> Region:
     return Region.line(x - v, y + u, x + v, y - u, line.width_um)
 
 
-def beside(line: Region, outline: Outline) -> Region:
+def parallel_line(line: Region, outline: Outline) -> Region:
     """Return a parallel line, offset by a sixth of the line's length to a side that fits on the surface."""
     (xa, ya), (xb, yb) = ((p.x_um, p.y_um) for p in line.points)
     u, v = (xb - xa) / 6, (yb - ya) / 6
     ways = [Region.line(xa - k * v, ya + k * u, xb - k * v, yb + k * u, line.width_um) for k in (1, -1)]
-    return next((way for way in ways if _holds(outline, way)), _kept_within(outline, ways[0]))
+    return next((way for way in ways if _holds(outline, way)), _clipped(outline, ways[0]))
 
 
 def middle(line: Region) -> tuple[float, float]:
@@ -94,7 +94,7 @@ def middle(line: Region) -> tuple[float, float]:
     return (a.x_um + b.x_um) / 2, (a.y_um + b.y_um) / 2
 
 
-def gap(curve: ProfileCurve, shares: tuple[float, float]) -> Gap:
+def cursor_difference(curve: ProfileCurve, shares: tuple[float, float]) -> Gap:
     """Return the readings of two cursors, each on the measured point nearest to its share (0 ... 1) of the length.
 
     Raises MeasureError for a curve without a measured point.
@@ -142,7 +142,7 @@ def _holds(outline: Outline, line: Region) -> bool:
     return outline.x0_um <= x0 and x1 <= _far_x_um(outline) and _far_y_um(outline) <= y0 and y1 <= outline.y0_um
 
 
-def _kept_within(outline: Outline, line: Region) -> Region:
+def _clipped(outline: Outline, line: Region) -> Region:
     """Return a line with its ends clipped to the surface."""
     ends = (
         (min(max(p.x_um, outline.x0_um), _far_x_um(outline)), min(max(p.y_um, _far_y_um(outline)), outline.y0_um))

@@ -12,7 +12,7 @@ AHEAD = 64
 """Padding behind each row, for loops with even trip counts that read ahead."""
 
 
-def pieces_of(window: int) -> NDArray[np.int64]:
+def window_pieces(window: int) -> NDArray[np.int64]:
     """Return the decomposition of a window into pieces of 9, 3 and 1: 3 or 5 rows of (power of three, offset)."""
     found: list[tuple[int, int]] = []
     done = 0

@@ -8,7 +8,7 @@ from wafer_viewer.numerics.array_types import Bools, Float32s, Int32s, Real, Who
 from wafer_viewer.numerics.jit import lean_kernel
 
 
-def small_islands(z: Float32s, max_step: Real, min_pixels: Whole) -> Bools:
+def small_components(z: Float32s, max_step: Real, min_pixels: Whole) -> Bools:
     """Return a mask of finite pixels in components of fewer than `min_pixels`; bool [row, col].
 
     4-connectivity; two neighbours are connected if they differ by at most `max_step`.

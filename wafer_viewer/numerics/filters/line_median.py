@@ -15,7 +15,7 @@ REACH_PX = 5
 """Half length of a line: on its 11 pixels, a feature of up to 5 pixels is a minority."""
 
 
-def far_along_lines(padded: Float32s, limit: Real) -> Bools:
+def line_outliers(padded: Float32s, limit: Real) -> Bools:
     """Return a mask of pixels further than `limit` from the median of each of their four lines; bool [row, col].
 
     padded: a map with a border of `REACH_PX` NaN, which is removed. For an even number of measured pixels, any value
@@ -30,7 +30,7 @@ def far_along_lines(padded: Float32s, limit: Real) -> Bools:
 def line_medians_at(padded: Float32s, rows: Int64s, cols: Int64s) -> Float32s:
     """Return the mean of the two middle medians of the four lines through each (row, col) of the unpadded map.
 
-    Only for measured pixels, such as those of `far_along_lines`.
+    Only for measured pixels, such as those of `line_outliers`.
     """
     out = np.empty(rows.size, np.float32)
     places = np.ascontiguousarray(rows), np.ascontiguousarray(cols)  # views would be compiled for once more

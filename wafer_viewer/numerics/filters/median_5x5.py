@@ -35,7 +35,7 @@ def medians_at(padded: Float32s, rows: Int64s, cols: Int64s) -> Float32s:
 
 
 @kernel
-def far_from_median(padded: Float32s, limit: Real) -> Bools:
+def median_outliers(padded: Float32s, limit: Real) -> Bools:
     """Return a mask of measured pixels further than `limit` from the median of their 5 x 5 window, without the padding.
 
     A value is within `limit` of the median if and only if at least half of the window is above value - limit and at

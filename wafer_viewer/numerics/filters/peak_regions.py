@@ -11,7 +11,7 @@ from wafer_viewer.numerics.array_types import Bools, Float32s, Int32s, Real, Who
 from wafer_viewer.numerics.jit import kernel
 
 
-def tops_over(plane: Float32s, least: Real, least_px: Whole = 1) -> Float32s:
+def region_maxima(plane: Float32s, least: Real, least_px: Whole = 1) -> Float32s:
     """Return the maximum of each region of at least `least_px` pixels at or above `least`, in row-major order."""
     over = plane >= np.float32(least)
     n = int(np.count_nonzero(over))
@@ -19,16 +19,16 @@ def tops_over(plane: Float32s, least: Real, least_px: Whole = 1) -> Float32s:
     return tops[: _tops(plane, over, np.empty(n, np.int32), int(least_px), tops)] if n else tops
 
 
-def hanging_together(low: Bools, peaks: Bools) -> Bools:
+def regions_with_peaks(low: Bools, peaks: Bools) -> Bools:
     """Return a mask of the regions of `low` that contain a pixel of `peaks` (hysteresis threshold); bool [row, col]."""
     found = np.zeros(low.shape, np.bool_)
     n = int(np.count_nonzero(low))
     if n:
-        _hang(np.ascontiguousarray(peaks & low), low.copy(), np.empty(n, np.int32), found)
+        _mark_regions_with_peaks(np.ascontiguousarray(peaks & low), low.copy(), np.empty(n, np.int32), found)
     return found
 
 
-def widened(mask: Bools, reach_px: Whole) -> Bools:
+def dilated(mask: Bools, reach_px: Whole) -> Bools:
     """Dilate the mask by a square of `reach_px` rows and columns to each side; bool [row, col]."""
     out = np.zeros(mask.shape, np.bool_)
     _widen(np.ascontiguousarray(mask), int(reach_px), out)
@@ -42,7 +42,7 @@ def _tops(plane: Float32s, over: Bools, waiting: Int32s, least_px: Whole, tops: 
     for r in range(plane.shape[0]):
         for c in range(n_cols):
             if over[r, c]:
-                size = _walk(r, c, over, waiting)
+                size = _flood_fill(r, c, over, waiting)
                 if size >= least_px:
                     top = plane[r, c]
                     for k in range(size):
@@ -53,18 +53,18 @@ def _tops(plane: Float32s, over: Bools, waiting: Int32s, least_px: Whole, tops: 
 
 
 @kernel
-def _hang(peaks: Bools, low: Bools, waiting: Int32s, found: Bools) -> None:
+def _mark_regions_with_peaks(peaks: Bools, low: Bools, waiting: Int32s, found: Bools) -> None:
     """Write the mask of the regions that contain a peak; `low` is cleared there."""
     n_cols = low.shape[1]
     for r in range(low.shape[0]):
         for c in range(n_cols):
             if peaks[r, c] and low[r, c]:
-                for k in range(_walk(r, c, low, waiting)):
+                for k in range(_flood_fill(r, c, low, waiting)):
                     found[waiting[k] // n_cols, waiting[k] % n_cols] = True
 
 
 @kernel
-def _walk(row: Whole, col: Whole, open_ones: Bools, waiting: Int32s) -> int:
+def _flood_fill(row: Whole, col: Whole, open_ones: Bools, waiting: Int32s) -> int:
     """Flood fill from one pixel; return the region's size. Its pixels are written to `waiting` and closed."""
     n_rows, n_cols = open_ones.shape
     open_ones[row, col] = False

@@ -25,7 +25,7 @@ def lowest(plane: Plane, size: int) -> Plane:
     return _as(plane, minimum_filter(plane, size, mode="nearest"))
 
 
-def relief(plane: Floats, size: int) -> Floats:
+def sliding_range(plane: Floats, size: int) -> Floats:
     """Sliding range of the finite values of size x size pixels, 0 if there are none."""
     known = np.isfinite(plane)
     high = highest(np.where(known, plane, np.float32(-np.inf)), size)

@@ -26,7 +26,7 @@ class ResampledLayers(NamedTuple):
 
 
 @kernel
-def lay(source: ResampledLayers, motion: Float64s, out: ResampledLayers) -> None:
+def resample_affine(source: ResampledLayers, motion: Float64s, out: ResampledLayers) -> None:
     """Fill `out` with the source at (row, col) = motion [2, 3] @ (1, out row, out col); not covered beyond its border.
 
     A height is unmeasured if a pixel with weight is, with that pixel's reason, and filled if one of them is filled. Its

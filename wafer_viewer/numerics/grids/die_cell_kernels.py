@@ -14,7 +14,7 @@ MAD_TO_SIGMA = 1.4826
 
 
 @kernel
-def bridged(plane: Float32s) -> Float32s:
+def fill_single_pixels(plane: Float32s) -> Float32s:
     """Return a copy with single unknown pixels replaced by the mean of the two most similar opposite neighbours.
 
     This interpolates along an edge, never across it.
@@ -35,7 +35,7 @@ def bridged(plane: Float32s) -> Float32s:
 
 
 @kernel
-def less_products(plane: Float32s, by_row: Float64s, by_col: Float64s, out: Float32s) -> None:
+def subtract_products(plane: Float32s, by_row: Float64s, by_col: Float64s, out: Float32s) -> None:
     """Set out[r, c] = plane[r, c] - sum over k of by_row[k, r] * by_col[k, c]."""
     line = np.empty(plane.shape[1])
     for r in range(plane.shape[0]):
@@ -52,7 +52,7 @@ def less_products(plane: Float32s, by_row: Float64s, by_col: Float64s, out: Floa
 def read_affine(plane: Float32s, whole: Float32s, way: Float64s, out: Float32s) -> None:
     """Set out[i, j] to plane at row way[0] + way[1] i + way[2] j, column way[3] + way[4] i + way[5] j.
 
-    NaN if the nearest pixel is unknown. whole: the `bridged` plane, so that single unknown pixels do not spread.
+    NaN if the nearest pixel is unknown. whole: the plane of `fill_single_pixels`: single unknown pixels do not spread.
     Bicubic (Catmull-Rom) if all 16 pixels around a position are known, else bilinear of the known ones of the nearest
     four, NaN if the unknown ones have more than a quarter of the weight.
     """
@@ -141,7 +141,7 @@ def _bilinear(plane: Float32s, whole: Float32s, way: Float64s, i: int, j: int) -
 
 
 @kernel
-def typical(stack: Float32s, least: int, middle: Float32s, spread: Float32s) -> None:
+def median_and_spread(stack: Float32s, least: int, middle: Float32s, spread: Float32s) -> None:
     """Compute median and robust standard deviation (1.4826 MAD) over the first axis of stack [n, row, col].
 
     NaN if fewer than `least` are known.
@@ -159,7 +159,7 @@ def typical(stack: Float32s, least: int, middle: Float32s, spread: Float32s) -> 
             middle[r, c] = spread[r, c] = np.nan
             if known >= least and known > 0:
                 m = np.float32(0.5) * (values[(known - 1) // 2] + values[known // 2])
-                _far_from(values, known, m)
+                _replace_by_deviations(values, known, m)
                 middle[r, c] = m
                 spread[r, c] = np.float32(MAD_TO_SIGMA * 0.5) * (values[(known - 1) // 2] + values[known // 2])
 
@@ -174,7 +174,7 @@ def _insert(values: Float32s, known: int, v: Real) -> None:
 
 
 @kernel
-def _far_from(values: Float32s, known: int, middle: Real) -> None:
+def _replace_by_deviations(values: Float32s, known: int, middle: Real) -> None:
     """Replace the first values by their sorted distances from the middle."""
     for k in range(known):
         _insert(values, k, abs(values[k] - middle))

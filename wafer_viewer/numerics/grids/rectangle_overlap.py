@@ -34,7 +34,7 @@ class Rectangles:
         order = np.argsort(keys, kind="stable")
         return cls(top, bottom, left, right, (tallest, widest), keys[order], there[order])
 
-    def meeting(self, top: float, bottom: float, left: float, right: float) -> list[int]:
+    def intersecting(self, top: float, bottom: float, left: float, right: float) -> list[int]:
         """Return the indices of the rectangles that intersect a window, ascending."""
         rows = np.arange(np.floor(top / self.cell[0]) - 1, np.floor(bottom / self.cell[0]) + 1)
         first = np.searchsorted(self.keys, _keys(rows, np.floor(left / self.cell[1]) - 1))
@@ -47,18 +47,20 @@ class Rectangles:
     def pairs(self) -> tuple[Int64s, Int64s]:
         """Return the indices of all intersecting pairs, each pair once."""
         rows, cols = np.floor(self.top[self.order] / self.cell[0]), np.floor(self.left[self.order] / self.cell[1])
-        found = [self._ahead(_keys(rows + down, cols + right)) for down, right in ((0, 1), (1, -1), (1, 0), (1, 1))]
-        found.append(self._together())
+        found = [
+            self._pairs_in_cells(_keys(rows + down, cols + right)) for down, right in ((0, 1), (1, -1), (1, 0), (1, 1))
+        ]
+        found.append(self._pairs_in_own_cell())
         a, b = (np.concatenate([pair[side] for pair in found]) for side in (0, 1))
         meets = (self.top[a] <= self.bottom[b]) & (self.top[b] <= self.bottom[a])
         meets &= (self.left[a] <= self.right[b]) & (self.left[b] <= self.right[a])
         return a[meets], b[meets]
 
-    def _ahead(self, keys: Int64s) -> tuple[Int64s, Int64s]:
+    def _pairs_in_cells(self, keys: Int64s) -> tuple[Int64s, Int64s]:
         """Pair each rectangle with all those in the cell of its key."""
         return self._with(np.searchsorted(self.keys, keys), np.searchsorted(self.keys, keys, "right"))
 
-    def _together(self) -> tuple[Int64s, Int64s]:
+    def _pairs_in_own_cell(self) -> tuple[Int64s, Int64s]:
         """Pair each rectangle with the later ones in its own cell."""
         return self._with(np.arange(1, self.keys.size + 1), np.searchsorted(self.keys, self.keys, "right"))
 

@@ -63,12 +63,12 @@ def fit_plane(differences: Float32s, side: int) -> Plane | None:
     for _ in range(_STEPS):
         left = sample[:, 0] - plane[0] - sample[:, 1:] @ plane[1:]
         limit = _TUKEY * (_MAD * float(np.median(np.abs(left))) + _LEAST_SCALE)
-        normal, right = _normal(_summed(differences, plane, limit, side))
+        normal, right = _normal(_band_sums(differences, plane, limit, side))
         step = np.linalg.lstsq(normal, right, rcond=1e-9)[0]
         plane += step
         if np.all(np.abs(step) * np.array([1, *differences.shape]) < _CLOSE * limit):
             break
-    return _judged(plane, _summed(differences, plane, limit, side), side)
+    return _with_covariance(plane, _band_sums(differences, plane, limit, side), side)
 
 
 def _sample(differences: Float32s) -> Numbers:
@@ -79,7 +79,7 @@ def _sample(differences: Float32s) -> Numbers:
     return np.stack([some[rows, cols], rows * stride, cols * stride], axis=1).astype(np.float64)
 
 
-def _summed(differences: Float32s, plane: Numbers, limit: float, side: int) -> Numbers:
+def _band_sums(differences: Float32s, plane: Numbers, limit: float, side: int) -> Numbers:
     """Return sums over bands of about `side` rows, with weights w and residuals r, float64 [9, band, col].
 
     Of w, w row, w row^2, w r, w r row, (w r)^2, row (w r)^2, (row w r)^2 and the derivative of w r.
@@ -105,7 +105,7 @@ def _moments(w: Numbers, wy: Numbers, wyy: Numbers) -> Numbers:
     return np.array([[w.sum(), wy.sum(), w @ x], [wy.sum(), wyy.sum(), corner], [w @ x, corner, w @ x**2]])
 
 
-def _judged(plane: Numbers, sums: Numbers, side: int) -> Plane | None:
+def _with_covariance(plane: Numbers, sums: Numbers, side: int) -> Plane | None:
     """Return the plane about its centroid with the sandwich covariance of its residuals (P. J. Huber, 1967)."""
     normal = _moments(*sums[:3])
     weight = normal[0, 0]
@@ -114,7 +114,7 @@ def _judged(plane: Numbers, sums: Numbers, side: int) -> Plane | None:
     row0, col0 = normal[0, 1] / weight, normal[0, 2] / weight
     to_centroid = np.array([[1, 0, 0], [-row0, 1, 0], [-col0, 0, 1]])
     squares = _moments(*sums[5:8])
-    scatter = to_centroid @ squares @ to_centroid.T * _alike_pixels(sums[3], float(squares[0, 0]), side)
+    scatter = to_centroid @ squares @ to_centroid.T * _variance_inflation(sums[3], float(squares[0, 0]), side)
     about = to_centroid @ normal @ to_centroid.T * max(_LEAST_BEND, float(sums[8].sum()) / weight)
     scatter += _LEAST_SCALE**2 * about
     information: Numbers = about @ np.linalg.pinv(scatter, rcond=1e-14, hermitian=True) @ about
@@ -123,7 +123,7 @@ def _judged(plane: Numbers, sums: Numbers, side: int) -> Plane | None:
     return Plane(row0, col0, value, float(plane[1]), float(plane[2]), information, round(weight), rms)
 
 
-def _alike_pixels(left: Numbers, squares: float, side: int) -> float:
+def _variance_inflation(left: Numbers, squares: float, side: int) -> float:
     """Return the number of pixels equivalent to one independent pixel, from the excess variance of block sums.
 
     Rows and columns of blocks are also used, for residuals along a straight wall that is not quite aligned.

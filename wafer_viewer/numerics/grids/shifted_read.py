@@ -50,11 +50,11 @@ def read_heights(
         target = out[row + r, col : col + n]
         base, up = leaning.rows[r], leaning.up[r]
         if s == 0 and t == 0:
-            _upright(nearest, base, up, leaning.cols, leaning.right, target)
+            _subtract_tilt(nearest, base, up, leaning.cols, leaning.right, target)
         else:
             a, b = layer[i, shift.col : shift.col + n], layer[i, ahead : ahead + n]
             c, d = layer[k, shift.col : shift.col + n], layer[k, ahead : ahead + n]
-            _between(a, b, c, d, nearest, s, t, limit, base, up, leaning.cols, leaning.right, target)
+            _interpolate_row(a, b, c, d, nearest, s, t, limit, base, up, leaning.cols, leaning.right, target)
 
 
 @lean_kernel
@@ -72,13 +72,13 @@ def read_grey(picture: Greys, shift: Shift, out: Float32s) -> None:
 
 
 @lean_part
-def _upright(heights: Float32s, base: Real, up: Real, cols: Float32s, right: Float32s, out: Float32s) -> None:
+def _subtract_tilt(heights: Float32s, base: Real, up: Real, cols: Float32s, right: Float32s, out: Float32s) -> None:
     for x in range(out.size):
         out[x] = heights[x] - (base + cols[x] + up * right[x])
 
 
 @lean_part
-def _between(
+def _interpolate_row(
     a: Float32s,
     b: Float32s,
     c: Float32s,

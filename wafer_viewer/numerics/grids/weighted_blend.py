@@ -52,7 +52,7 @@ class Tally(NamedTuple):
 
 
 @lean_kernel
-def believe(layer: Float32s, confidence: Float32s, row: Whole, col: Whole, limit: Real, out: Float32s) -> None:
+def blend_weights(layer: Float32s, confidence: Float32s, row: Whole, col: Whole, limit: Real, out: Float32s) -> None:
     """Compute the weights of a field's heights for a piece whose pixel (0, 0) is nearest to (row, col) of the field.
 
     Product of the squared confidence, because errors grow as it falls, and the fraction of the eight neighbours within
@@ -68,11 +68,11 @@ def believe(layer: Float32s, confidence: Float32s, row: Whole, col: Whole, limit
         a, b = layer[above, col + first - 1 : col + end + 1], layer[i, col + first - 1 : col + end + 1]
         c = layer[below, col + first - 1 : col + end + 1]
         _count_near(a, b, c, np.float32(limit), out[r, first:end])
-        _trust(confidence[i, col : col + out.shape[1]], out[r])
+        _scale_by_confidence(confidence[i, col : col + out.shape[1]], out[r])
 
 
 @lean_kernel
-def blend_in(
+def accumulate(
     piece: BlendPiece, limit: Real, tally: Tally, scratch: Float32s, window: Blended, row: Whole, col: Whole
 ) -> None:
     """Blend one more field into a piece of the window that starts at (row, col).
@@ -91,9 +91,9 @@ def blend_in(
         _mix(z, piece.z[r], share)
         _mix(raw, piece.raw[r], share)
         _mix(window.confidence[row + r, col : col + n], piece.confidence[r], share)
-        _take_over(origin, piece.origin[r], share)
-        _gain(weight, new, share)
-        _spread(tally.lowest[r], tally.highest[r], piece.raw[r], window.overlap[row + r, col : col + n])
+        _update_origins(origin, piece.origin[r], share)
+        _update_weights(weight, new, share)
+        _extend_range(tally.lowest[r], tally.highest[r], piece.raw[r], window.overlap[row + r, col : col + n])
 
 
 @lean_kernel
@@ -126,7 +126,7 @@ def _count_near(a: Float32s, b: Float32s, c: Float32s, limit: Real, out: Float32
 
 
 @lean_part
-def _trust(confidence: Float32s, belief: Float32s) -> None:
+def _scale_by_confidence(confidence: Float32s, belief: Float32s) -> None:
     for x in range(belief.size):
         belief[x] *= confidence[x] * confidence[x] + _LEAST_TRUST
 
@@ -168,20 +168,20 @@ def _mix(old: Float32s, new: Float32s, share: Float32s) -> None:
 
 
 @lean_part
-def _take_over(origin: UInt8s, codes: UInt8s, share: Float32s) -> None:
+def _update_origins(origin: UInt8s, codes: UInt8s, share: Float32s) -> None:
     for x in range(origin.size):
         origin[x] = codes[x] if (share[x] > 0) | (origin[x] == _NOT_COVERED) else origin[x]
 
 
 @lean_part
-def _gain(weight: Float32s, new: Float32s, share: Float32s) -> None:
+def _update_weights(weight: Float32s, new: Float32s, share: Float32s) -> None:
     for x in range(weight.size):
         kept = weight[x] if share[x] < 1 else np.float32(0)
         weight[x] = kept + (new[x] if share[x] > 0 else np.float32(0))
 
 
 @lean_part
-def _spread(lowest: Float32s, highest: Float32s, raw: Float32s, overlap: Float32s) -> None:
+def _extend_range(lowest: Float32s, highest: Float32s, raw: Float32s, overlap: Float32s) -> None:
     """Extend the range of raw heights; with two or more of them it is the overlap difference."""
     for x in range(raw.size):
         top = raw[x] if raw[x] > highest[x] else highest[x]

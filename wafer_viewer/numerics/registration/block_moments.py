@@ -102,8 +102,8 @@ def _sum(
         _along(smooth, weights[2, 0], b)
         _along(slope, weights[2, 0], down)
         _along(smooth, weights[2, 1], right)
-        _both(first_known[row, left:], second_known[other, other_left:], known[:n_cols])
-        _hold(known[:n_cols], a, b, down, right)
+        _multiply(first_known[row, left:], second_known[other, other_left:], known[:n_cols])
+        _apply_mask(known[:n_cols], a, b, down, right)
         band = sums[r * n_bands // n_rows]
         n = 0
         for i in range(5):
@@ -133,13 +133,13 @@ def _along(row: Float32s, weights: Float32s, out: Float32s) -> None:
 
 
 @lean_part
-def _both(first: Float32s, second: Float32s, out: Float32s) -> None:
+def _multiply(first: Float32s, second: Float32s, out: Float32s) -> None:
     for x in range(out.size):
         out[x] = first[x] * second[x]
 
 
 @lean_part
-def _hold(known: Float32s, a: Float32s, b: Float32s, down: Float32s, right: Float32s) -> None:
+def _apply_mask(known: Float32s, a: Float32s, b: Float32s, down: Float32s, right: Float32s) -> None:
     for x in range(known.size):
         a[x], b[x], down[x], right[x] = a[x] * known[x], b[x] * known[x], down[x] * known[x], right[x] * known[x]
 

@@ -45,7 +45,7 @@ def contrast(picture: Float32s, known: Bools, size: int) -> Float32s:
     return np.asarray(detail / held, np.float32)
 
 
-def likeness(
+def normalised_cross_correlation(
     first: Float32s, first_known: Bools, second: Float32s, second_known: Bools, lag: tuple[int, int], reach: int
 ) -> Likeness:
     """Correlate two contrast images at all lags within `reach` of a lag (rows, cols).
@@ -54,7 +54,7 @@ def likeness(
     """
     import scipy.fft
 
-    shape = _room(first.shape, second.shape, lag, reach)
+    shape = _transform_shape(first.shape, second.shape, lag, reach)
     size: list[int] = [scipy.fft.next_fast_len(n, real=True) or n for n in shape]
     a: Any = scipy.fft.rfft2(_moments(first, first_known), size)
     b: Any = scipy.fft.rfft2(_moments(second, second_known), size)
@@ -66,12 +66,14 @@ def likeness(
     energy = np.sqrt(np.maximum(of_first, 0) * np.maximum(of_second, 0))
     floor = 1e-3 * float(energy.max(initial=0)) + 1e-12
     correlation = np.where(energy > floor, common / np.maximum(energy, floor), 0.0).clip(-1, 1)
-    alike = _alike_pixels(sums[0], first, second)
+    alike = _correlated_pixels(sums[0], first, second)
     sigmas = np.arctanh(correlation.clip(-0.9999, 0.9999)) * np.sqrt(pixels / alike)
     return Likeness(correlation, pixels, sigmas)
 
 
-def _room(first: tuple[int, ...], second: tuple[int, ...], lag: tuple[int, int], reach: int) -> tuple[int, int]:
+def _transform_shape(
+    first: tuple[int, ...], second: tuple[int, ...], lag: tuple[int, int], reach: int
+) -> tuple[int, int]:
     """Return the smallest size without wrap-around at any lag within reach."""
     rows, cols = (max(a, a - n + reach, b, b + n + reach) for a, b, n in zip(first, second, lag, strict=True))
     return rows, cols
@@ -81,7 +83,7 @@ def _moments(picture: Float32s, known: Bools) -> Float32s:
     return np.stack([picture, picture * picture, known.astype(np.float32)])
 
 
-def _alike_pixels(common: Float32s, first: Float32s, second: Float32s) -> float:
+def _correlated_pixels(common: Float32s, first: Float32s, second: Float32s) -> float:
     """Return the number of pixels equivalent to one independent pixel, after Bartlett.
 
     It is the sum of the product of both autocorrelations, which equals the mean square of the correlation over all

@@ -47,7 +47,7 @@ class Taps:
 
 def resampled(picture: Greys, rows: Taps, cols: Taps) -> Greys:
     """Resample a picture at the positions rows x cols, rounded to its dtype; border pixels are replicated."""
-    part = _repeated(_repeated(picture, rows.span, 0), cols.span, 1)
+    part = _edge_padded(_edge_padded(picture, rows.span, 0), cols.span, 1)
     out = np.empty((len(rows.first), len(cols.first)), picture.dtype)
     line = np.empty(part.shape[1], np.float32)
     most = np.float32(np.iinfo(picture.dtype).max)
@@ -56,7 +56,7 @@ def resampled(picture: Greys, rows: Taps, cols: Taps) -> Greys:
     return out
 
 
-def _repeated(picture: Greys, span: tuple[int, int], axis: int) -> Greys:
+def _edge_padded(picture: Greys, span: tuple[int, int], axis: int) -> Greys:
     """Return the pixels of a span along an axis, replicating border pixels outside the picture."""
     length = picture.shape[axis]
     if span[0] >= 0 and span[1] <= length:

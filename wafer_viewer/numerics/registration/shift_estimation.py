@@ -38,7 +38,7 @@ class BlockGradients:
     trust: Numbers
 
 
-def pulls_of(sums: Numbers, index: NDArray[np.intp], place: Numbers) -> BlockGradients:
+def block_gradients(sums: Numbers, index: NDArray[np.intp], place: Numbers) -> BlockGradients:
     """Return the block gradients with a separate brightness and contrast per block, so only a shift remains."""
     n = sums[:, 0, 0]
     spread = sums[:, 1:, 1:] - sums[:, 1:, :1] * sums[:, :1, 1:] / n[:, None, None]
@@ -95,7 +95,7 @@ def _spread_of(pull: Numbers, cluster: NDArray[np.intp]) -> Numbers:
     return np.asarray(sums.T @ sums * (len(sums) / max(1, len(sums) - 1)), np.float64)
 
 
-def agreeing(blocks: BlockGradients, noise: float) -> float:
+def agreement_fraction(blocks: BlockGradients, noise: float) -> float:
     """Return the fraction of the signal in blocks with at least half the correlation of the best ones.
 
     A block of strong contrast has no more weight than others with a signal above noise.
@@ -109,7 +109,7 @@ def agreeing(blocks: BlockGradients, noise: float) -> float:
     return float(seen[alike > 0.5 * best].sum() / seen.sum())
 
 
-def bent(blocks: BlockGradients) -> tuple[float, float]:
+def shift_gradient(blocks: BlockGradients) -> tuple[float, float]:
     """Return the deviation of lags at the ends from that in the middle, in pixels and in standard deviations.
 
     Fits a lag that varies linearly across the blocks, for contents rotated or scaled against each other.

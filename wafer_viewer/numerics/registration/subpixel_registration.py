@@ -16,11 +16,11 @@ from wafer_viewer.numerics.array_types import Float32s
 from wafer_viewer.numerics.registration.block_moments import block_sums
 from wafer_viewer.numerics.registration.shift_estimation import (
     BlockGradients,
-    agreeing,
-    bent,
+    agreement_fraction,
+    block_gradients,
     correlation,
     covariance,
-    pulls_of,
+    shift_gradient,
 )
 
 MOST_STEPS = 6
@@ -73,26 +73,26 @@ def align(first: RegisteredImage, second: RegisteredImage, lag: Lag, side: int, 
     side: approximate block size in pixels; roughly: stop at a twentieth of a pixel, with a covariance that is too small
     under strong noise.
     """
-    pulls, ease, close_px = _pulls(first, second, lag, side), 1.0, ROUGHLY_PX if roughly else CLOSE_PX
+    pulls, ease, close_px = _gradients(first, second, lag, side), 1.0, ROUGHLY_PX if roughly else CLOSE_PX
     for _ in range(MOST_STEPS):
         step, before = _step(pulls, ease), pulls
         lag = lag[0] + float(step[0]), lag[1] + float(step[1])
         if np.abs(step).max() < close_px:
             break
-        pulls = _pulls(first, second, lag, side)
+        pulls = _gradients(first, second, lag, side)
         if np.abs(step).max() > _TELLING_PX:
-            ease = _eased(before, pulls, step)
+            ease = _hessian_fraction(before, pulls, step)
     noise = math.sqrt(first.noise * second.noise)
     clear = roughly or _is_clear(pulls, noise)
-    stiffness = pulls.stiffness.sum(axis=0) if clear else _probed(first, second, lag, side)
-    bent_px, bent_sigmas = bent(pulls)
-    shares = correlation(pulls), agreeing(pulls, noise)
+    stiffness = pulls.stiffness.sum(axis=0) if clear else _hessian_by_differences(first, second, lag, side)
+    bent_px, bent_sigmas = shift_gradient(pulls)
+    shares = correlation(pulls), agreement_fraction(pulls, noise)
     return SubpixelShift(
         lag, covariance(pulls, stiffness), *shares, bent_px / ease, bent_sigmas, float(pulls.pixels.sum())
     )
 
 
-def _eased(before: BlockGradients, after: BlockGradients, step: Numbers) -> float:
+def _hessian_fraction(before: BlockGradients, after: BlockGradients, step: Numbers) -> float:
     """Return the real fraction of the Hessian: slopes of the noise do not move with the picture."""
     told = float(step @ (before.pull.sum(axis=0) - after.pull.sum(axis=0)))
     return min(1.0, max(_LEAST_EASE, told / max(float(step @ before.stiffness.sum(axis=0) @ step), 1e-30)))
@@ -104,26 +104,26 @@ def _is_clear(pulls: BlockGradients, noise: float) -> bool:
     return bool(np.linalg.eigvalsh(pulls.stiffness.sum(axis=0))[0] > _CLEARLY * of_noise)
 
 
-def _probed(first: RegisteredImage, second: RegisteredImage, lag: Lag, side: int) -> Numbers:
+def _hessian_by_differences(first: RegisteredImage, second: RegisteredImage, lag: Lag, side: int) -> Numbers:
     """Return the Hessian by finite differences of the gradient on both sides of a lag."""
     felt = np.empty((2, 2))
     for axis in (0, 1):
         ahead, behind = (
-            _pulls(first, second, (lag[0] + off * (1 - axis), lag[1] + off * axis), side).pull.sum(axis=0)
+            _gradients(first, second, (lag[0] + off * (1 - axis), lag[1] + off * axis), side).pull.sum(axis=0)
             for off in (_PROBE_PX, -_PROBE_PX)
         )
         felt[axis] = (behind - ahead) / (2 * _PROBE_PX)
     return (felt + felt.T) / 2
 
 
-def _pulls(first: RegisteredImage, second: RegisteredImage, lag: Lag, side: int) -> BlockGradients:
+def _gradients(first: RegisteredImage, second: RegisteredImage, lag: Lag, side: int) -> BlockGradients:
     sums = block_sums(first.values, first.known, second.values, second.known, lag, side)
     index = np.indices(sums.shape[:2]).reshape(2, -1).T
     place = 2 * (index + 0.5) / np.array(sums.shape[:2]) - 1
     flat = sums.reshape(-1, *sums.shape[2:])
     pixels = flat[:, 0, 0]
     enough = pixels > max(_LEAST_PIXELS * pixels.max(initial=0), 12.0)
-    return pulls_of(flat[enough], index[enough], place[enough])
+    return block_gradients(flat[enough], index[enough], place[enough])
 
 
 def _step(pulls: BlockGradients, ease: float) -> Numbers:

@@ -14,7 +14,7 @@ DIAGONAL = 0.25
 """Neighbours whose distances along x and y differ by less than this fraction of a field are diagonal."""
 
 
-def ramps(fields: Rectangles) -> Lengths:
+def feather_widths(fields: Rectangles) -> Lengths:
     """Return the lengths of all ramps, from a field's border to the start of its nearest neighbour on that side.
 
     A neighbour belongs to the side on which it is furthest away, relative to the size of the field; a diagonal

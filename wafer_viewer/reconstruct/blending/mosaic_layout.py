@@ -13,7 +13,7 @@ from wafer_viewer.model.errors import ComputeError
 from wafer_viewer.model.surface.field_poses import Poses
 from wafer_viewer.model.surface.height_map import Outline
 from wafer_viewer.numerics.grids.rectangle_overlap import Rectangles
-from wafer_viewer.reconstruct.blending.feather_widths import BOTTOM, LEFT, RIGHT, TOP, Lengths, ramps
+from wafer_viewer.reconstruct.blending.feather_widths import BOTTOM, LEFT, RIGHT, TOP, Lengths, feather_widths
 
 SNAP_PX = 1e-3
 """A field this close to the mosaic lattice is snapped to it; resampling would gain nothing."""
@@ -120,7 +120,7 @@ class MosaicLayout:
 
     def touching(self, rows: slice, cols: slice) -> list[int]:
         """Return the indices of the fields with pixels in a window."""
-        return self.borders.meeting(rows.start, rows.stop - 1, cols.start, cols.stop - 1)
+        return self.borders.intersecting(rows.start, rows.stop - 1, cols.start, cols.stop - 1)
 
     def place(self, n: int) -> FieldPlacement | None:
         """Return the placement of field n; None if it is excluded."""
@@ -162,7 +162,7 @@ def layout(
     lattice = lattice or _smallest(x0_um, y0_um, rows, cols, pixel_um)
     top, left = _snapped((lattice.y0_um - y0_um) / pixel_um), _snapped((x0_um - lattice.x0_um) / pixel_um)
     borders = Rectangles.of(top, top + rows - 1, left, left + cols - 1)
-    return MosaicLayout(lattice, outlines, borders, ramps(borders), poses)
+    return MosaicLayout(lattice, outlines, borders, feather_widths(borders), poses)
 
 
 def planned_lattice(outlines: Sequence[Outline], margin_px: int = MARGIN_PX) -> PixelLattice:

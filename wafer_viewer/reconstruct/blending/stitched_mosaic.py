@@ -23,7 +23,7 @@ from wafer_viewer.model.surface.height_map import HeightMap, Provenance, pixel_w
 from wafer_viewer.model.surface.recipe import Recipe
 from wafer_viewer.reconstruct.blending.height_pyramid import halved, joined
 from wafer_viewer.reconstruct.blending.mosaic_layout import MosaicLayout, layout
-from wafer_viewer.reconstruct.blending.window_blend import BLENDS, lay_over, lay_pictures
+from wafer_viewer.reconstruct.blending.window_blend import BLENDS, blend_layers, lay_pictures
 
 _COARSEST_PX = 512
 _BAND_PX = 2**23
@@ -126,7 +126,7 @@ def blend_window(
     touching = lattice.touching(rows, cols)
     provenance = provenance or mosaic_provenance([heights[n].provenance for n in touching], Recipe())
     return HeightMap(
-        **lay_over(heights, lattice, rows, cols, BLENDS[provenance.recipe.stitching.blend]),
+        **blend_layers(heights, lattice, rows, cols, BLENDS[provenance.recipe.stitching.blend]),
         pixel_um=lattice.pixel_um,
         x0_um=lattice.x0_um + cols.start * lattice.pixel_um,
         y0_um=lattice.y0_um - rows.start * lattice.pixel_um,

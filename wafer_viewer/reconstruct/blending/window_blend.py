@@ -142,7 +142,9 @@ class PlacedWindow:
         out = np.ones(self.shape, np.float32)
         if blend.judges:
             limit_um = _max_step_um(height) or np.inf
-            weighted_blend.believe(fixed(height.z_um), fixed(height.confidence), *self.nearest_corner, limit_um, out)
+            weighted_blend.blend_weights(
+                fixed(height.z_um), fixed(height.confidence), *self.nearest_corner, limit_um, out
+            )
         return out
 
     @property
@@ -162,7 +164,7 @@ class PlacedWindow:
         return out
 
 
-def lay_over(
+def blend_layers(
     heights: Sequence[HeightMap], layout: MosaicLayout, rows: slice, cols: slice, blend: Blend
 ) -> dict[str, Any]:
     """Return the layers of a window [rows, cols] of the mosaic by name; only fields that touch it are read."""
@@ -278,7 +280,7 @@ def _blend_in(
     scratch = np.empty((2, here[1].stop - here[1].start), np.float32)
     for height, laid in fields[1:]:
         piece = _read(height, laid, blend)
-        weighted_blend.blend_in(piece, limit_um or np.inf, tally, scratch, blended, here[0].start, here[1].start)
+        weighted_blend.accumulate(piece, limit_um or np.inf, tally, scratch, blended, here[0].start, here[1].start)
 
 
 def _read(height: HeightMap, laid: PlacedWindow, blend: Blend) -> BlendPiece:

@@ -12,11 +12,11 @@ from numpy.typing import NDArray
 
 from wafer_viewer.model.spec import replace
 from wafer_viewer.model.surface.recipe import Levy, Recipe
-from wafer_viewer.numerics.filters.connected_components import small_islands
+from wafer_viewer.numerics.filters.connected_components import small_components
 from wafer_viewer.reconstruct.cleaning.gap_fill import fill
 from wafer_viewer.reconstruct.cleaning.levy_flight import SMOOTHERS, bends_of, flight_lengths, height_noise_um, smooth
 from wafer_viewer.reconstruct.cleaning.outliers import find_outliers
-from wafer_viewer.reconstruct.cleaning.step_edges import JUMP_STEPS, apart_um
+from wafer_viewer.reconstruct.cleaning.step_edges import JUMP_STEPS, height_range_um
 
 OUTLIER_FLOOR_STEPS = 1.5
 
@@ -79,7 +79,7 @@ def clean(
 def _step_edges(z_um: Map, bled_um: Map | None, recipe: Recipe, resolution_um: float) -> NDArray[np.bool_]:
     """Return a mask of heights with another surface within about half a window."""
     seen_um = z_um if bled_um is None else np.where(np.isnan(z_um), bled_um, z_um)
-    return (apart_um(seen_um, int(recipe.window)) > JUMP_STEPS * resolution_um) & np.isfinite(z_um)
+    return (height_range_um(seen_um, int(recipe.window)) > JUMP_STEPS * resolution_um) & np.isfinite(z_um)
 
 
 def _leftovers(z_um: Map, recipe: Recipe, resolution_um: float) -> NDArray[np.bool_]:
@@ -87,7 +87,7 @@ def _leftovers(z_um: Map, recipe: Recipe, resolution_um: float) -> NDArray[np.bo
 
     A sliver of a slope caused by bleeding light may look flat by itself, and is smaller than the focus window.
     """
-    return small_islands(z_um, OUTLIER_FLOOR_STEPS * resolution_um, int(recipe.window) ** 2)
+    return small_components(z_um, OUTLIER_FLOOR_STEPS * resolution_um, int(recipe.window) ** 2)
 
 
 def settle_cleaning(maps: Sequence[Map], recipe: Recipe, resolution_um: float) -> Recipe:

@@ -18,8 +18,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from wafer_viewer.model.surface.recipe import Levy
-from wafer_viewer.numerics.filters.line_median import REACH_PX, far_along_lines, line_medians_at
-from wafer_viewer.numerics.filters.median_5x5 import far_from_median, medians_at, pad_with_nan
+from wafer_viewer.numerics.filters.line_median import REACH_PX, line_medians_at, line_outliers
+from wafer_viewer.numerics.filters.median_5x5 import median_outliers, medians_at, pad_with_nan
 from wafer_viewer.numerics.filters.opposite_pair_mean import pair_mean
 
 NOISE_LAG_PX = 15
@@ -114,7 +114,7 @@ def _guided(z_um: Map, levy: Levy, resolution_um: float) -> Iterator[Map]:
     limit = _limit_about_median(padded, z_um, levy, resolution_um)
     inner = padded[2:-2, 2:-2]
     while True:
-        rows, cols = np.nonzero(far_from_median(padded, limit))
+        rows, cols = np.nonzero(median_outliers(padded, limit))
         guide, values = medians_at(padded, rows, cols), inner[rows, cols]
         for _ in range(_GUIDE_RENEWED_EVERY):
             candidate = values + _flights(rng, values.size, levy) * (values - guide)
@@ -129,7 +129,7 @@ def _switching_median(z_um: Map, levy: Levy, resolution_um: float) -> Iterator[M
     limit = _limit_about_median(padded, z_um, levy, resolution_um)
     inner = padded[2:-2, 2:-2]
     while True:
-        rows, cols = np.nonzero(far_from_median(padded, limit))
+        rows, cols = np.nonzero(median_outliers(padded, limit))
         inner[rows, cols] = medians_at(padded, rows, cols)
         yield inner
         if not rows.size:
@@ -163,7 +163,7 @@ def _without_spikes(z_um: Map, limit_um: float) -> Map:
     padded = np.pad(z_um, REACH_PX, constant_values=np.nan)
     inner = padded[REACH_PX:-REACH_PX, REACH_PX:-REACH_PX]
     for _ in range(_SPIKE_PASSES):
-        rows, cols = np.nonzero(far_along_lines(padded, limit_um))
+        rows, cols = np.nonzero(line_outliers(padded, limit_um))
         if rows.size > _MANY_SPIKES * z_um.size:
             break
         inner[rows, cols] = line_medians_at(padded, rows, cols)

@@ -17,7 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from wafer_viewer.model.surface.recipe import Outliers, Recipe
-from wafer_viewer.numerics.filters.connected_components import narrow_parts, small_islands
+from wafer_viewer.numerics.filters.connected_components import narrow_parts, small_components
 from wafer_viewer.numerics.filters.neighbour_distances import REACH_PX, mean_distances, near_counts
 from wafer_viewer.numerics.filters.spline_fill import fill_gaps
 
@@ -48,7 +48,7 @@ def _lattice(raw_um: Map, smoothed_um: Map, pixel_um: float, recipe: Recipe) -> 
     found = far_on_lattice(smoothed_um, recipe.outliers) | _moved(raw_um, smoothed_um, floor_um)
     found |= narrow_parts(fill_gaps(smoothed_um, BRIDGED_PX, floor_um), floor_um, 3 * window // 4)
     rest = np.where(found, np.float32(np.nan), smoothed_um)
-    found |= small_islands(rest, floor_um, (2 * window) ** 2)
+    found |= small_components(rest, floor_um, (2 * window) ** 2)
     return found & np.isfinite(raw_um)
 
 

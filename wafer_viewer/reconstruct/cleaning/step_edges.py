@@ -20,7 +20,7 @@ JUMP_STEPS = 2.0
 _BEYOND_UM = np.float32(1e9)
 
 
-def apart_um(z_um: NDArray[np.float32], window: int) -> NDArray[np.float32]:
+def height_range_um(z_um: NDArray[np.float32], window: int) -> NDArray[np.float32]:
     """Return the height range within about half a window of each pixel; at most 0 where there are none.
 
     z_um: [row, col], NaN where unmeasured. Evaluated for 2 x 2 pixels together. At the border of the field the range is

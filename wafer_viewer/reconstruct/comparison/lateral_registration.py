@@ -253,7 +253,7 @@ def _turns() -> Iterator[float]:
 
 def _alike(read: Read, laid: ResampledMosaic, at_um: tuple[float, float], level: int) -> float:
     """Return the significance of the correlation of a patch, in standard deviations."""
-    from wafer_viewer.numerics.registration.cross_correlation import contrast, likeness
+    from wafer_viewer.numerics.registration.cross_correlation import contrast, normalised_cross_correlation
 
     pixel = laid.first.pixel_um * 2**level
     one = laid.first.window(_square(at_um, pixel, PATCH_PX).region, level)
@@ -261,6 +261,6 @@ def _alike(read: Read, laid: ResampledMosaic, at_um: tuple[float, float], level:
     pictures = [read(part, slice(0, part.shape[0]), slice(0, part.shape[1])) for part in (one, other)]
     known = [picture.known > 0 for picture in pictures]
     details = [contrast(p.values, k, 11) for p, k in zip(pictures, known, strict=True)]
-    alike = likeness(details[0], known[0], details[1], known[1], (0, 0), int(REACH_PX))
+    alike = normalised_cross_correlation(details[0], known[0], details[1], known[1], (0, 0), int(REACH_PX))
     enough = alike.pixels >= 0.3 * alike.pixels.max(initial=1.0)
     return float(np.where(enough, alike.sigmas, 0.0).max(initial=0.0))

@@ -111,13 +111,13 @@ class ResampledMosaic:
 
     def on(self, lattice: SampleGrid) -> HeightMap:
         """Return the second surface on any lattice in the first's stage coordinates."""
-        from wafer_viewer.numerics.grids.affine_resample import lay
+        from wafer_viewer.numerics.grids.affine_resample import resample_affine
 
         part = self._beneath(lattice)
         grey = np.uint8 if part is None else part.all_in_focus.dtype
         out = _not_covered(lattice.shape, grey)
         if part is not None:
-            lay(_layers_of(part), self._motion(lattice, part), out)
+            resample_affine(_layers_of(part), self._motion(lattice, part), out)
             self._move_heights(out.z, lattice)
             self._move_heights(out.raw, lattice)
         return HeightMap(

@@ -88,7 +88,7 @@ def count_clipped(grey: Greys, clipped_counts: Whole, clipped: UInt16s) -> None:
 
 
 @inlined_part
-def keep_row(volume: Volume, k: Whole, y: Whole) -> None:
+def accumulate_row(volume: Volume, k: Whole, y: Whole) -> None:
     """Update best level, peak frame and coarse volume from row y of frame k, whose levels are in the volume."""
     levels = volume.levels[k]
     last = levels.shape[0] - 1

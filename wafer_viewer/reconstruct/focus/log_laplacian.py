@@ -30,9 +30,16 @@ from numpy.typing import NDArray
 
 from wafer_viewer.numerics.array_types import Float32s, Greys, Int32s, Int64s, Real, UInt16s, Whole, aligned
 from wafer_viewer.numerics.fast_log2 import quick_log2
-from wafer_viewer.numerics.filters.box_sums import AHEAD, box, pieces_of
+from wafer_viewer.numerics.filters.box_sums import AHEAD, box, window_pieces
 from wafer_viewer.numerics.jit import inlined_part, lean_kernel, lean_part
-from wafer_viewer.reconstruct.focus.focus_volume import StackSource, Volume, count_clipped, empty, keep_row, take_grey
+from wafer_viewer.reconstruct.focus.focus_volume import (
+    StackSource,
+    Volume,
+    accumulate_row,
+    count_clipped,
+    empty,
+    take_grey,
+)
 from wafer_viewer.reconstruct.preprocess.camera_noise import CameraNoise
 
 LEVEL_BITS = 11
@@ -104,7 +111,7 @@ class LogRows(NamedTuple):
             slope=rows(1, np.int32)[0],
             sums=rows(8, np.int32).reshape(2, 4, -1),
             total=aligned((cols,), np.int32),
-            pieces=pieces_of(window),
+            pieces=window_pieces(window),
         )
 
 
@@ -145,7 +152,7 @@ def log_laplacian_block(
                 )
             if r >= 2 * margin:
                 _across(scale, rows, volume.levels[k, r - 2 * margin])
-                keep_row(volume, k, r - 2 * margin)
+                accumulate_row(volume, k, r - 2 * margin)
 
 
 @inlined_part

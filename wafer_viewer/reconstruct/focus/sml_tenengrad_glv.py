@@ -11,9 +11,16 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from wafer_viewer.numerics.array_types import Float32s, Greys, Int64s, UInt16s, Whole, Wholes, aligned
-from wafer_viewer.numerics.filters.box_sums import AHEAD, box, pieces_of
+from wafer_viewer.numerics.filters.box_sums import AHEAD, box, window_pieces
 from wafer_viewer.numerics.jit import inlined_part, lean_kernel, lean_part
-from wafer_viewer.reconstruct.focus.focus_volume import StackSource, Volume, count_clipped, empty, keep_row, take_grey
+from wafer_viewer.reconstruct.focus.focus_volume import (
+    StackSource,
+    Volume,
+    accumulate_row,
+    count_clipped,
+    empty,
+    take_grey,
+)
 
 SML, TENENGRAD, GLV = 0, 1, 2
 
@@ -23,7 +30,7 @@ class Rows(NamedTuple):
 
     grey: four rows of the frame; half: smoothing and derivative of the Sobel column pass; ring: energies in the sums;
     sums: of the energy, or of grey and of its square, over the window's rows, then over 3 and 9 neighbours, and a spare
-    row; total: over the window; value: the measure where it is not a sum; pieces: see `pieces_of`.
+    row; total: over the window; value: the measure where it is not a sum; pieces: see `window_pieces`.
     """
 
     grey: Greys
@@ -49,7 +56,7 @@ class Rows(NamedTuple):
             sums=aligned((2, 4, wide + AHEAD), whole),
             total=aligned((2, cols), whole),
             value=aligned((cols,), np.float32),
-            pieces=pieces_of(window),
+            pieces=window_pieces(window),
         )
 
 
@@ -78,7 +85,7 @@ def focus_block(source: StackSource, measure: Whole, window: Whole, rows: Rows, 
                     _as_levels(rows.value, shift, volume.levels[k, y])
                 else:
                     _as_levels(rows.total[0], shift, volume.levels[k, y])
-                keep_row(volume, k, y)
+                accumulate_row(volume, k, y)
 
 
 @lean_kernel

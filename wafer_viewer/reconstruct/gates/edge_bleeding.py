@@ -21,7 +21,7 @@ from wafer_viewer.reconstruct.focus.field_blocks import on_threads, read_part, r
 from wafer_viewer.reconstruct.focus.focus_volume import COARSE_PX
 from wafer_viewer.reconstruct.focus.log_laplacian import Stabiliser
 from wafer_viewer.reconstruct.focus.peak import Peaks
-from wafer_viewer.reconstruct.gates.edge_sides import Band, EdgeSide, Sides, find_band, outline_grey, tell_sides
+from wafer_viewer.reconstruct.gates.edge_sides import Band, EdgeSide, Sides, classify_sides, find_band, outline_grey
 from wafer_viewer.reconstruct.gates.edge_silhouettes import DARK_SHARE_OF_WHITE, silhouette_of
 from wafer_viewer.reconstruct.gates.side_heights import side_heights_um
 from wafer_viewer.reconstruct.gates.tangential_focus import (
@@ -98,7 +98,7 @@ def find_edges(
     if band is None:
         return None
     dark_counts = DARK_SHARE_OF_WHITE * frames.clipped_counts
-    sides = tell_sides(_outline_grey(frames, band, threads), band, dark_counts)
+    sides = classify_sides(_outline_grey(frames, band, threads), band, dark_counts)
     passed = origin == Origin.MEASURED
     dark_um, bright_um = side_heights_um(
         peaks.z_um, passed, peaks.all_in_focus, band, sides, dark_counts, how.tolerance_um

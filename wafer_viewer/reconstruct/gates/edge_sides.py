@@ -82,7 +82,7 @@ def find_band(silhouette: Silhouette, gap: int) -> Band | None:
     return Band(highest(wall, 2 * _REACH + 1), frame, ridge)
 
 
-def tell_sides(grey: NDArray[np.float32], band: Band, dark_counts: float) -> Sides:
+def classify_sides(grey: NDArray[np.float32], band: Band, dark_counts: float) -> Sides:
     """Classify the sides of a field; grey: from `outline_grey`, [row, col]."""
     halves = halved(grey)
     log = np.log(halves + np.float32(dark_counts))

@@ -83,7 +83,7 @@ class _Level:
         n = len(self.system.border)
         return np.vstack((self.down @ x[:n], x[n:]))
 
-    def raise_(self, x: Numbers) -> Numbers:
+    def prolongate(self, x: Numbers) -> Numbers:
         """Prolongate a correction from the coarser level."""
         n = self.up.shape[1]
         return np.vstack((self.up @ x[:n], x[n:]))
@@ -109,9 +109,9 @@ class Solver:
             return self.coarsest(right)
         begun = np.zeros_like(right) if start is None else start
         x, found = _conjugate_gradients(self.system, self._cycle, right, (tolerance, enough), begun)
-        return x if found else self._at_once(right)
+        return x if found else self._solve_direct(right)
 
-    def _at_once(self, right: Numbers) -> Numbers:
+    def _solve_direct(self, right: Numbers) -> Numbers:
         """Solve by direct factorisation: long rows of fields converge slowly but are cheap to factorise."""
         if len(right) > _MOST_AT_ONCE:
             raise ComputeError(
@@ -127,7 +127,7 @@ class Solver:
         level = self.levels[at]
         n = len(level.system.border)
         x = np.vstack((level.jacobi @ right[:n], np.zeros_like(right[n:])))
-        x += level.raise_(self._cycle(level.lower(right - level.system @ x), at + 1))
+        x += level.prolongate(self._cycle(level.lower(right - level.system @ x), at + 1))
         return level.smooth(x, right)
 
 

@@ -35,7 +35,7 @@ _MOST_TOGETHER = 8.0
 """Maximum effective number of averaged stage errors, which are not fully independent."""
 
 
-def verdicts(network: PoseGraph, values: Numbers, shared: Numbers, excess: float, believed: Flags) -> Numbers:
+def arbitrate_bridges(network: PoseGraph, values: Numbers, shared: Numbers, excess: float, believed: Flags) -> Numbers:
     """Return [e] 1 for contested overlaps to accept, 0 for those to reject, NaN for all others."""
     surprise = network.surprise(values, shared)
     lone = np.zeros(len(believed), np.bool_)
@@ -139,7 +139,7 @@ def _placed(ties: _Ties, size: Numbers, surprise: Numbers, sigma: Numbers) -> Nu
     together = np.minimum(size, _MOST_TOGETHER)
     while len((proposals := ties.proposals(placed, moved)).cluster):
         best = _best(proposals, surprise, sigma, together)
-        first = best.confirmed if np.any(best.confirmed) else _least_surprised(best, ties, len(size))
+        first = best.confirmed if np.any(best.confirmed) else _least_prior_residual(best, ties, len(size))
         by_stage = np.where(np.any(first), best.surprise < -1, True)
         chosen = first | by_stage
         moved[best.cluster[chosen]] = np.where(by_stage[:, None], -surprise[best.cluster], best.move)[chosen]
@@ -171,7 +171,7 @@ def _best(of: _Proposals, surprise: Numbers, sigma: Numbers, together: Numbers) 
     return _Choice(cluster, of.move[best], agreeing[best] > 1, far[best])
 
 
-def _least_surprised(best: _Choice, ties: _Ties, n: int) -> Flags:
+def _least_prior_residual(best: _Choice, ties: _Ties, n: int) -> Flags:
     """Return which choices the stage confirms with a prior residual no larger than that of adjacent clusters."""
     of_cluster = np.full(n, np.inf)
     of_cluster[best.cluster] = best.surprise

@@ -64,7 +64,7 @@ class PreviousSolution:
 
     def shifts(self, pairs: Pairs, look: Callable[[Pairs], Shifts]) -> Shifts:
         """Return the lateral shifts of overlaps; only changed overlaps are measured again."""
-        return self._and(pairs, look, None if self.poses is None else _undoubted(self.poses.shifts))
+        return self._and(pairs, look, None if self.poses is None else _without_disagreement(self.poses.shifts))
 
     def seams(self, pairs: Pairs, look: Callable[[Pairs], HeightOffsets]) -> HeightOffsets:
         """Return the height offsets of overlaps, reusing those between unchanged fields."""
@@ -93,7 +93,7 @@ def _keys(first: NDArray[np.int32], second: NDArray[np.int32], n: int) -> NDArra
     return first.astype(np.int64) * n + second
 
 
-def _undoubted(shifts: Shifts) -> Shifts:
+def _without_disagreement(shifts: Shifts) -> Shifts:
     """Clear the DISAGREES doubts of an earlier solution, because the conflicting overlaps may have changed."""
     doubt = np.where(shifts.doubt == RejectionReason.DISAGREES, np.uint8(RejectionReason.NONE), shifts.doubt)
     return replace(shifts, doubt=doubt.astype(np.uint8))
@@ -104,7 +104,7 @@ def _unsolved(seams: HeightOffsets) -> HeightOffsets:
     return replace(seams, rms_um=np.sqrt(np.maximum(seams.rms_um**2 - seams.step_um**2, 0)), step_um=seams.z_um)
 
 
-def held_still(
+def freeze_unmoved_fields(
     poses: Poses, known: PreviousSolution, pixel_um: float, corner_um: float
 ) -> tuple[Poses, NDArray[np.bool_]]:
     """Restore the drawn poses of fields that hardly moved, and return which fields are to be redrawn.

@@ -10,12 +10,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from wafer_viewer.model.surface.field_poses import Numbers, RejectionReason, Shifts
-from wafer_viewer.reconstruct.pose_graph.bridge_arbitration import verdicts
+from wafer_viewer.reconstruct.pose_graph.bridge_arbitration import arbitrate_bridges
 from wafer_viewer.reconstruct.pose_graph.camera_rotation_scale import LEAST_OVERLAPS, SIGMA, CameraAxes, shared_by_all
 from wafer_viewer.reconstruct.pose_graph.graph_components import groups
 from wafer_viewer.reconstruct.pose_graph.pose_covariance import shared_uncertainties, standard_uncertainties
 from wafer_viewer.reconstruct.pose_graph.pose_graph import Flags, GraphEdges, PoseGraph
-from wafer_viewer.reconstruct.pose_graph.robust_solver import REJECTED, RobustSolution, settle
+from wafer_viewer.reconstruct.pose_graph.robust_solver import REJECTED, RobustSolution, solve_robust
 
 _FLOOR_PX = 0.02
 """Minimum registration uncertainty: two images of the same spot differ by more than noise."""
@@ -120,7 +120,7 @@ class _Task:
         if self.start is not None:
             begun = np.column_stack((self.start[0] - x_um, self.start[1] - y_um))
             values[self.fixed] = begun[self.fixed]
-        return settle(self._network(camera, x_um, y_um, np.array(shared_sigma)), values, _decide, like)
+        return solve_robust(self._network(camera, x_um, y_um, np.array(shared_sigma)), values, _decide, like)
 
     def _network(self, camera: CameraAxes, x_um: Numbers, y_um: Numbers, shared_sigma: Numbers) -> PoseGraph:
         first, second, m = self.shifts.first, self.shifts.second, len(shared_sigma)
@@ -196,4 +196,4 @@ def _found(unturned: CameraAxes, at: RobustSolution) -> CameraAxes:
 
 def _decide(network: PoseGraph, at: RobustSolution) -> Numbers:
     """Return the overlap weights forced by the arbitration of clusters."""
-    return verdicts(network, at.values, at.shared, at.excess, at.weight >= REJECTED)
+    return arbitrate_bridges(network, at.values, at.shared, at.excess, at.weight >= REJECTED)

@@ -12,7 +12,7 @@ import numpy as np
 
 from wafer_viewer.model.surface.field_poses import Numbers
 from wafer_viewer.reconstruct.pose_graph.amg_solver import Solver
-from wafer_viewer.reconstruct.pose_graph.pose_graph import PoseGraph, pull
+from wafer_viewer.reconstruct.pose_graph.pose_graph import PoseGraph, gradient
 from wafer_viewer.reconstruct.pose_graph.robust_solver import RobustSolution
 
 _SAMPLES = 48
@@ -64,6 +64,6 @@ def _sampled(network: PoseGraph, at: RobustSolution, solver: Solver, n: int) -> 
         by_overlap = root @ random.normal(size=(*values.shape, _AT_ONCE))
         by_prior = random.normal(size=(len(network.x_um), network.size, _AT_ONCE)) / network.prior_sigma[:, None]
         by_shared = random.normal(size=(len(at.shared), _AT_ONCE)) / network.shared_sigma[:, None]
-        drawn = solver.solve(pull(network, by_overlap, by_prior, by_shared), _TOLERANCE)[:n]
+        drawn = solver.solve(gradient(network, by_overlap, by_prior, by_shared), _TOLERANCE)[:n]
         variance += np.einsum("nk,nk->n", drawn, drawn)
     return variance / _SAMPLES

@@ -119,12 +119,12 @@ def normal_equations(network: PoseGraph, weight: Numbers) -> System:
     among = _gram(network.at_shared, weighted @ network.at_shared) + _gram(network.prior_shared, expected)
     return System(
         _matrix(ties, diagonal + np.diag(precision), -from_a @ network.at_second),
-        flat((coupling - expected)[ties.free]),
+        flatten_blocks((coupling - expected)[ties.free]),
         among + np.diag(network.shared_sigma**-2.0),
     )
 
 
-def pull(network: PoseGraph, by_overlap: Numbers, by_prior: Numbers, by_shared: Numbers) -> Numbers:
+def gradient(network: PoseGraph, by_overlap: Numbers, by_prior: Numbers, by_shared: Numbers) -> Numbers:
     """Return the gradient of k cases with respect to the unknowns of the system, [free unknowns + m, k].
 
     Arguments are the weighted residuals of overlaps, [e, d, k], of the priors of fields, [n, d, k], and of the priors
@@ -134,10 +134,10 @@ def pull(network: PoseGraph, by_overlap: Numbers, by_prior: Numbers, by_shared: 
     fields = _add(ties.from_second, _turned(network.at_second) @ by_overlap)
     fields -= _add(ties.from_first, _turned(network.at_first) @ by_overlap)
     shared = _gram(network.at_shared, by_overlap) - _gram(network.prior_shared, by_prior)
-    return np.vstack((flat((fields + by_prior)[ties.free]), shared + by_shared))
+    return np.vstack((flatten_blocks((fields + by_prior)[ties.free]), shared + by_shared))
 
 
-def flat(of_fields: Numbers) -> Numbers:
+def flatten_blocks(of_fields: Numbers) -> Numbers:
     """Reshape [n, d, k] to rows of unknowns, [n * d, k]."""
     return of_fields.reshape(of_fields.shape[0] * of_fields.shape[1], of_fields.shape[2])
 
@@ -151,7 +151,7 @@ def _turned(matrices: Numbers) -> Numbers:
 
 
 def _gram(a: Numbers, b: Numbers) -> Numbers:
-    return flat(a).T @ flat(b)
+    return flatten_blocks(a).T @ flatten_blocks(b)
 
 
 def _add(adder: Sparse, of_overlaps: Numbers) -> Numbers:

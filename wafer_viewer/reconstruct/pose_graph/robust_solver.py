@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 from wafer_viewer.model.surface.field_poses import Numbers
 from wafer_viewer.reconstruct.pose_graph.amg_solver import Solver, prepare
 from wafer_viewer.reconstruct.pose_graph.graph_components import groups
-from wafer_viewer.reconstruct.pose_graph.pose_graph import PoseGraph, normal_equations, pull
+from wafer_viewer.reconstruct.pose_graph.pose_graph import PoseGraph, gradient, normal_equations
 
 REJECTED = 0.1
 """An overlap with less weight is rejected."""
@@ -70,7 +70,7 @@ class RobustSolution:
 Decide = Callable[[PoseGraph, RobustSolution], Numbers]
 
 
-def settle(
+def solve_robust(
     network: PoseGraph, values: Numbers, decide: Decide | None = None, like: RobustSolution | None = None
 ) -> tuple[PoseGraph, RobustSolution]:
     """Estimate the most probable values, starting from `values` [n, d]; fields that are not free stay fixed.
@@ -89,7 +89,7 @@ def settle(
         decided, before = decide(network, at) if decide else decided, decided
         if np.array_equal(decided, before, equal_nan=True):
             break
-    return network, _improved(network, at, on_the_way=False)
+    return network, _least_squares_step(network, at, on_the_way=False)
 
 
 def _rounds(
@@ -98,9 +98,9 @@ def _rounds(
     """Solve and reweight until the weights converge, except those that are `decided` (not NaN)."""
     for _ in range(_MOST_ROUNDS):
         before, sigma = at.weight, network.prior_sigma
-        at = _improved(network, at, on_the_way=True)
-        network = _with_priors_found(network, at)
-        at = _weighed(network, at, telling, decided)
+        at = _least_squares_step(network, at, on_the_way=True)
+        network = _with_estimated_priors(network, at)
+        at = _reweighted(network, at, telling, decided)
         restless = np.count_nonzero(np.abs(at.weight - before) > _STEADY)
         moved = np.abs(np.log(network.prior_sigma / sigma)).max()
         if at.scale <= _MISFITS * at.excess and restless <= _RESTLESS_FRACTION * len(before) and moved < _STEADY:
@@ -108,7 +108,7 @@ def _rounds(
     return network, at
 
 
-def _improved(network: PoseGraph, at: RobustSolution, on_the_way: bool) -> RobustSolution:
+def _least_squares_step(network: PoseGraph, at: RobustSolution, on_the_way: bool) -> RobustSolution:
     """Perform one least squares step with the current weights."""
     weight = at.weight / at.excess**2
     free = network.ties.free
@@ -130,7 +130,7 @@ def _gradient(network: PoseGraph, at: RobustSolution, weight: Numbers) -> Number
     by_overlap = weight[:, None, None] * (network.information @ network.misfit(at.values, at.shared)[:, :, None])
     by_prior = -network.surprise(at.values, at.shared) / network.prior_sigma**2
     by_shared = -at.shared / network.shared_sigma**2
-    return pull(network, by_overlap, by_prior[:, :, None], by_shared[:, None])
+    return gradient(network, by_overlap, by_prior[:, :, None], by_shared[:, None])
 
 
 def _probes(network: PoseGraph, solver: Solver) -> Numbers:
@@ -146,10 +146,10 @@ def _probes(network: PoseGraph, solver: Solver) -> Numbers:
     for k, group in enumerate(network.auto):
         signs[:, group, k * each : (k + 1) * each] = random.choice((-1.0, 1.0), (n, len(group), each))
     nothing = np.zeros((len(network.first), d, signs.shape[2]))
-    return pull(network, nothing, signs, np.zeros((m, signs.shape[2])))
+    return gradient(network, nothing, signs, np.zeros((m, signs.shape[2])))
 
 
-def _with_priors_found(network: PoseGraph, at: RobustSolution) -> PoseGraph:
+def _with_estimated_priors(network: PoseGraph, at: RobustSolution) -> PoseGraph:
     """Update the prior widths from prior residuals and their uncertainty (EM, Dempster 1977)."""
     if not network.auto or at.solver is None or at.echoes is None:
         return network
@@ -162,20 +162,20 @@ def _with_priors_found(network: PoseGraph, at: RobustSolution) -> PoseGraph:
     return dataclasses.replace(network, prior_sigma=sigma)
 
 
-def _weighed(network: PoseGraph, at: RobustSolution, telling: NDArray[np.intp], decided: Numbers) -> RobustSolution:
+def _reweighted(network: PoseGraph, at: RobustSolution, telling: NDArray[np.intp], decided: Numbers) -> RobustSolution:
     """Compute new weights at the next smaller scale, and the inflation of the residuals."""
     counts = telling > 0
     if not np.any(counts):
         return dataclasses.replace(at, scale=0.0)
     misfit = network.misfit(at.values, at.shared)
     chi2 = np.einsum("ea,eab,eb->e", misfit, network.information, misfit) / np.maximum(telling, 1)
-    excess = _excess(network, chi2, telling)
+    excess = _variance_inflation(network, chi2, telling)
     scale = max(_MISFITS * excess, min(at.scale, float(np.sqrt(chi2[counts].max()))) / 2)
     weight = np.where(np.isnan(decided), counts / (1 + chi2 / scale**2) ** 2, decided)
     return dataclasses.replace(at, weight=weight, excess=excess, scale=scale)
 
 
-def _excess(network: PoseGraph, chi2: Numbers, telling: NDArray[np.intp]) -> float:
+def _variance_inflation(network: PoseGraph, chi2: Numbers, telling: NDArray[np.intp]) -> float:
     """Return the variance inflation, at least 1, from the median residual and the redundancy."""
     counts, free = telling > 0, network.ties.free
     group = groups(len(free), network.first[counts], network.second[counts])

@@ -12,7 +12,7 @@ from wafer_viewer.model.surface.field_poses import Form, HeightOffsets, Numbers
 from wafer_viewer.reconstruct.pose_graph.amg_solver import rigid
 from wafer_viewer.reconstruct.pose_graph.pose_covariance import standard_uncertainties
 from wafer_viewer.reconstruct.pose_graph.pose_graph import Flags, GraphEdges, PoseGraph
-from wafer_viewer.reconstruct.pose_graph.robust_solver import RobustSolution, settle
+from wafer_viewer.reconstruct.pose_graph.robust_solver import RobustSolution, solve_robust
 from wafer_viewer.reconstruct.pose_graph.stage_form import FORM_TERMS, sag_between, uncertainty_of_form
 
 _FLOOR_UM = 0.002
@@ -80,7 +80,7 @@ def solve_heights(
     values = np.zeros((len(x_um), 3))
     if start is not None:
         values[fixed] = np.column_stack(start)[fixed]
-    network, at = settle(network, values)
+    network, at = solve_robust(network, values)
     sag_um = form.field_form_um if form is not None else (float(at.shared[2]), float(at.shared[3]), float(at.shared[4]))
     z_um, tilt_x, tilt_y = at.values.T
     z_sigma, tilt_sigma = float(network.prior_sigma[0]), float(network.prior_sigma[1])

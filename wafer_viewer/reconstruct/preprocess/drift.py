@@ -74,7 +74,7 @@ def drift_of(seen: Sightings, n_frames: int, shape: tuple[int, int]) -> Drift | 
     return Drift(rigid.moves[:, :2] * shifts, rigid.moves[:, 2] / radius_px * grows, shape)
 
 
-def told(drift: Drift, pixel_um: float) -> str:
+def drift_note(drift: Drift, pixel_um: float) -> str:
     """Return a one-sentence note on the drift."""
     shift = float(np.hypot(*np.ptp(drift.shift_px, axis=0)))
     growth = float(np.ptp(drift.growth))

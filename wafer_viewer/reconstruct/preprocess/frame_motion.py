@@ -61,7 +61,7 @@ class Sightings:
         return Sightings(*(getattr(self, name)[keep] for name in self.__dataclass_fields__))
 
 
-def sightings(read: ReadTile, shape: tuple[int, int], n_frames: int) -> Sightings:
+def measure_displacements(read: ReadTile, shape: tuple[int, int], n_frames: int) -> Sightings:
     """Measure the motion between the frames of a field of `shape` in all tiles."""
     side = _side_px(shape)
     corners = [(r, c) for r in _starts(shape[0], side, TILES[0]) for c in _starts(shape[1], side, TILES[1])]

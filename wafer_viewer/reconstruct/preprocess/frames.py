@@ -22,10 +22,10 @@ from wafer_viewer.model.surface.height_map import Origin
 from wafer_viewer.model.surface.recipe import Recipe
 from wafer_viewer.numerics.registration.lanczos import Taps, resampled
 from wafer_viewer.reconstruct.preprocess.defective_pixels import Flaws, find_flaws
-from wafer_viewer.reconstruct.preprocess.drift import Drift, drift_of, told
+from wafer_viewer.reconstruct.preprocess.drift import Drift, drift_note, drift_of
 from wafer_viewer.reconstruct.preprocess.exposure_fusion import Fusion, fusion_of
 from wafer_viewer.reconstruct.preprocess.frame_health import faulty_frames
-from wafer_viewer.reconstruct.preprocess.frame_motion import sightings
+from wafer_viewer.reconstruct.preprocess.frame_motion import measure_displacements
 
 CLIPPED_SHARE_OF_WHITE = 0.98
 """Fraction of white from which a pixel counts as clipped: 250 of 255."""
@@ -134,7 +134,7 @@ def prepare(stack: FieldStack, recipe: Recipe = Recipe()) -> Frames:
     frames = Frames(stack.images, _as_slice(slots), z_um, clipped, *optics, notes=notes)
     frames = _fused(stack, frames, white)
     frames = dataclasses.replace(frames, flaws=find_flaws([e.images for e in stack.exposures], slots, white))
-    return frames if recipe.drift == "none" else _steadied(stack, frames)
+    return frames if recipe.drift == "none" else _with_drift_correction(stack, frames)
 
 
 def clipped_from(white_counts: int) -> int:
@@ -227,7 +227,7 @@ def _fused(stack: FieldStack, frames: Frames, white_counts: int) -> Frames:
     return dataclasses.replace(frames, fusion=fusion, clipped_counts=clipped, notes=(*frames.notes, note))
 
 
-def _steadied(stack: FieldStack, frames: Frames) -> Frames:
+def _with_drift_correction(stack: FieldStack, frames: Frames) -> Frames:
     """Return frames with drift correction, if there is drift."""
 
     def read(rows: slice, cols: slice) -> Image:
@@ -235,10 +235,10 @@ def _steadied(stack: FieldStack, frames: Frames) -> Frames:
         read_block(frames, rows, cols, 0, block)
         return block
 
-    drift = drift_of(sightings(read, frames.shape, frames.n_frames), frames.n_frames, frames.shape)
+    drift = drift_of(measure_displacements(read, frames.shape, frames.n_frames), frames.n_frames, frames.shape)
     if drift is None:
         return frames
-    return dataclasses.replace(frames, drift=drift, notes=(*frames.notes, told(drift, stack.pixel_um)))
+    return dataclasses.replace(frames, drift=drift, notes=(*frames.notes, drift_note(drift, stack.pixel_um)))
 
 
 def _missing(stack: FieldStack, n_frames: int) -> tuple[str, ...]:

@@ -37,7 +37,7 @@ TURNS: dict[str, Turn] = {
 """Possible wrong orientations of a field, with the transformation that corrects each."""
 
 
-def suspects(n_fields: int, shifts: Shifts) -> NDArray[np.int32]:
+def misplaced_fields(n_fields: int, shifts: Shifts) -> NDArray[np.int32]:
     """Return the indices of the fields to exclude: with content, but inconsistent with consistent neighbours.
 
     Fields with matching overlaps form groups. Of each connected set of compared fields, the largest group is accepted.
@@ -48,7 +48,7 @@ def suspects(n_fields: int, shifts: Shifts) -> NDArray[np.int32]:
     return np.flatnonzero(lost >= LEAST_NEIGHBOURS).astype(np.int32)
 
 
-def loose(n_fields: int, shifts: Shifts) -> NDArray[np.int32]:
+def unverifiable_fields(n_fields: int, shifts: Shifts) -> NDArray[np.int32]:
     """Return the inconsistent fields with too few neighbours to decide which one is wrong; they stay in place."""
     lost = _lost_overlaps(n_fields, shifts)
     return np.flatnonzero((lost > 0) & (lost < LEAST_NEIGHBOURS)).astype(np.int32)
@@ -77,12 +77,12 @@ def has_no_heights(height: HeightMap) -> bool:
     return not (some or np.isfinite(height.z_raw_um).any())
 
 
-def of_empty(number: int) -> str:
+def empty_field_note(number: int) -> str:
     """Return the note for a field without heights."""
     return f"Field {number} has no height at all: it adds nothing to the surface; look at its images and scan it again."
 
 
-def of_loose(number: int) -> str:
+def unverifiable_field_note(number: int) -> str:
     """Return the note for a field that does not match its only informative neighbour."""
     return (
         f"Field {number} does not fit its neighbour, and no other overlap tells which of them is wrong: it stays where "
@@ -92,7 +92,7 @@ def of_loose(number: int) -> str:
 
 def judge_misfit(number: int, height: HeightMap, neighbours: Sequence[HeightMap]) -> str:
     """Return the note for an excluded field, after matching it rotated and mirrored against its neighbours."""
-    fits = {how: _fits(turned(height, turn), neighbours) for how, turn in TURNS.items()}
+    fits = {how: _fits(reoriented(height, turn), neighbours) for how, turn in TURNS.items()}
     how = max(fits, key=lambda name: fits[name])
     if fits[how] * 2 >= max(1, len(neighbours)):
         return f"Field {number} is {how} and was left out: put its images the right way round and reconstruct it again."
@@ -106,7 +106,7 @@ def _none_of(n_neighbours: int) -> str:
     return "not its one neighbour" if n_neighbours == 1 else f"none of its {n_neighbours} neighbours"
 
 
-def turned(height: HeightMap, turn: Turn) -> HeightMap:
+def reoriented(height: HeightMap, turn: Turn) -> HeightMap:
     """Return a field rotated or mirrored about its centre."""
     rows, cols = height.shape
     z_um, z_raw_um, confidence, all_in_focus, origin = (

@@ -8,9 +8,9 @@ import numpy as np
 
 from wafer_viewer.model.surface.field_poses import RejectionReason
 from wafer_viewer.model.surface.height_map import HeightMap
-from wafer_viewer.numerics.registration.cross_correlation import Likeness, contrast, likeness
+from wafer_viewer.numerics.registration.cross_correlation import Likeness, contrast, normalised_cross_correlation
 from wafer_viewer.numerics.registration.subpixel_registration import Lag, RegisteredImage, SubpixelShift, align
-from wafer_viewer.reconstruct.registration.overlap_strips import OverlapWindow, Read, shrunk
+from wafer_viewer.reconstruct.registration.overlap_strips import OverlapWindow, Read, binned_known
 
 SURE_SIGMAS = 7.0
 """The highest of several hundred correlations of unrelated images is three to four deviations high."""
@@ -71,7 +71,7 @@ def match(first: HeightMap, second: HeightMap, reach_px: float, read: Read) -> M
         one, other = read(first, *window.first), read(second, *window.second)
         lags, by_chance = _candidates(one, other, window, factor, reach)
     if not lags:
-        both_show = _shows(read(first, *window.common[0])) and _shows(read(second, *window.common[1]))
+        both_show = _has_structure(read(first, *window.common[0])) and _has_structure(read(second, *window.common[1]))
         return _nowhere(RejectionReason.UNLIKE if both_show else RejectionReason.BLANK)
     fits = _refined(one, other, lags, factor, _block_side(window))
     return _judged(fits, by_chance, window, reach_px) if fits else _nowhere(RejectionReason.UNLIKE)
@@ -103,11 +103,11 @@ def _candidates(
     one: RegisteredImage, other: RegisteredImage, window: OverlapWindow, factor: int, reach: int
 ) -> tuple[list[Lag], bool]:
     """Return candidate lags in full pixels, the most significant first, and whether they may be chance."""
-    one, other = shrunk(one, factor), shrunk(other, factor)
+    one, other = binned_known(one, factor), binned_known(other, factor)
     knowns = one.known > 0, other.known > 0
     details = contrast(one.values, knowns[0], _AROUND), contrast(other.values, knowns[1], _AROUND)
     middle = window.lag[0] // factor, window.lag[1] // factor
-    alike = likeness(details[0], knowns[0], details[1], knowns[1], middle, reach)
+    alike = normalised_cross_correlation(details[0], knowns[0], details[1], knowns[1], middle, reach)
     least = _LEAST_SHARE * window.overlap[0] * window.overlap[1] / factor**2
     peaks, by_chance = _peaks(alike, least, reach)
     return [((r + middle[0]) * factor, (c + middle[1]) * factor) for r, c in peaks], by_chance
@@ -133,7 +133,7 @@ def _refined(
     """Refine all candidates, and the best fit with its rivals again at each finer resolution."""
     fits: list[SubpixelShift] = []
     for f in _FACTORS[_FACTORS.index(factor) :]:
-        levels = shrunk(one, f), shrunk(other, f)
+        levels = binned_known(one, f), binned_known(other, f)
         fits = [_scaled(align(*levels, (r / f, c / f), max(6, side // f), f > 1), f) for r, c in lags]
         near = [fit for fit, lag in zip(fits, lags, strict=True) if _distance(fit.lag, lag) <= 2.0 * f]
         fits = _with_rivals(near, 1.5 * factor)
@@ -192,7 +192,7 @@ def _doubt(fits: list[SubpixelShift], by_chance: bool, beyond: bool) -> Rejectio
     return RejectionReason.END_OF_SEARCH if beyond else RejectionReason.NONE
 
 
-def _shows(picture: RegisteredImage) -> bool:
+def _has_structure(picture: RegisteredImage) -> bool:
     """Return whether an image has structure beyond noise along both axes.
 
     In structured images, nearby pixels are more alike than distant ones. A line alone leaves the position along it

@@ -118,7 +118,7 @@ def height_of(height: HeightMap, rows: slice, cols: slice) -> RegisteredImage:
     return RegisteredImage(np.where(known, detail, near), known.astype(np.float32), _FOCUS_NOISE)
 
 
-def shrunk(picture: RegisteredImage, factor: int) -> RegisteredImage:
+def binned_known(picture: RegisteredImage, factor: int) -> RegisteredImage:
     """Return means of the known ones of factor x factor pixels; known where at least half of them are."""
     if factor == 1:
         return picture

@@ -92,10 +92,10 @@ def _within(first: HeightMap, second: HeightMap, reach_px: float) -> PairShift:
     if seen.doubt in _LOST and _measured_share(first, second) < LEAST_MEASURED:
         return _by_stage(RejectionReason.BLANK)
     if seen.doubt is not RejectionReason.BLANK:
-        return _told(seen, first.pixel_um, ObservationSource.PICTURE)
+        return _pair_shift(seen, first.pixel_um, ObservationSource.PICTURE)
     felt = match(first, second, reach_px, height_of)
     if felt.doubt is RejectionReason.NONE:
-        return _told(felt, first.pixel_um, ObservationSource.HEIGHT)
+        return _pair_shift(felt, first.pixel_um, ObservationSource.HEIGHT)
     return _by_stage(RejectionReason.BLANK)
 
 
@@ -106,7 +106,7 @@ def _measured_share(first: HeightMap, second: HeightMap) -> float:
     return min(map(float, shares))
 
 
-def _told(found: Match, pixel_um: float, by: ObservationSource) -> PairShift:
+def _pair_shift(found: Match, pixel_um: float, by: ObservationSource) -> PairShift:
     down, right = found.off_px
     u_down, u_right = found.u_px
     return PairShift(

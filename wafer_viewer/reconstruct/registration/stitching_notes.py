@@ -10,12 +10,12 @@ from numpy.typing import NDArray
 from wafer_viewer.model.surface.field_poses import DOUBT_WORDS, Poses, RejectionReason, Shifts
 from wafer_viewer.model.surface.height_map import HeightMap
 from wafer_viewer.reconstruct.registration.misplaced_fields import (
+    empty_field_note,
     has_no_heights,
     judge_misfit,
-    loose,
-    of_empty,
-    of_loose,
     placed_by_stage,
+    unverifiable_field_note,
+    unverifiable_fields,
 )
 
 Open = Callable[[int], HeightMap]
@@ -23,13 +23,13 @@ NAMED = 8
 BY_STAGE_ALONE = "Stitched by the stage's positions alone"
 
 
-def remarks(poses: Poses, pairs: NDArray[np.int32], opened: Open) -> tuple[str, ...]:
+def stitching_notes(poses: Poses, pairs: NDArray[np.int32], opened: Open) -> tuple[str, ...]:
     """Return one sentence per note; `opened` opens a height map by index and is called for odd fields only.
 
     pairs: all fields that overlap, int32 [n, 2].
     """
     empty = list(_empty(poses, opened))
-    sentences = [of_empty(int(poses.numbers[place])) for place in empty]
+    sentences = [empty_field_note(int(poses.numbers[place])) for place in empty]
     return (
         *_by_stage(poses, empty),
         *_left_out(poses, pairs, opened),
@@ -46,9 +46,9 @@ def _by_stage(poses: Poses, empty: Sequence[int]) -> Iterator[str]:
         return
     shifts, numbers = poses.shifts, poses.numbers
     if not (shifts.believed & ~poses.left_out[shifts.first] & ~poses.left_out[shifts.second]).any():
-        yield f"{BY_STAGE_ALONE}: {_undecided(shifts, np.ones(shifts.first.size, bool))}.{_mend(shifts)}"
+        yield f"{BY_STAGE_ALONE}: {_undecided(shifts, np.ones(shifts.first.size, bool))}.{_pattern_advice(shifts)}"
         return
-    named = np.isin(np.arange(numbers.size), [*empty, *loose(numbers.size, shifts).tolist()])
+    named = np.isin(np.arange(numbers.size), [*empty, *unverifiable_fields(numbers.size, shifts).tolist()])
     hanging = by_stage & ~named
     across = by_stage[shifts.first] != by_stage[shifts.second]
     inside = hanging[shifts.first] | hanging[shifts.second]
@@ -57,7 +57,7 @@ def _by_stage(poses: Poses, empty: Sequence[int]) -> Iterator[str]:
         one = np.count_nonzero(hanging) == 1
         yield (
             f"{_listed(numbers[hanging].tolist())} {'is' if one else 'are'} placed by the stage alone: "
-            f"{_undecided(shifts, rest & ~shifts.believed)}.{_mend(shifts)}"
+            f"{_undecided(shifts, rest & ~shifts.believed)}.{_pattern_advice(shifts)}"
         )
 
 
@@ -69,7 +69,7 @@ def _undecided(shifts: Shifts, some: NDArray[np.bool_]) -> str:
     return ", ".join([f"{first[0]} of {of} overlaps {first[1]}", *(f"{n} {words}" for n, words in others)])
 
 
-def _mend(shifts: Shifts) -> str:
+def _pattern_advice(shifts: Shifts) -> str:
     """Return advice for repeating patterns, or an empty string."""
     if not (shifts.doubt == RejectionReason.AMBIGUOUS).any():
         return ""
@@ -84,8 +84,8 @@ def _left_out(poses: Poses, pairs: NDArray[np.int32], opened: Open) -> Iterator[
 
 
 def _loose(poses: Poses) -> Iterator[str]:
-    for place in loose(poses.numbers.size, poses.shifts).tolist():
-        yield of_loose(int(poses.numbers[place]))
+    for place in unverifiable_fields(poses.numbers.size, poses.shifts).tolist():
+        yield unverifiable_field_note(int(poses.numbers[place]))
 
 
 def _empty(poses: Poses, opened: Open) -> Iterator[int]:

@@ -119,7 +119,7 @@ class VirtualCamera:
         """Return the next image, or None on timeout."""
         if not self._clock.wait_for(lambda: bool(self._queue), timeout_s):
             return None
-        return self._developed(self._queue.popleft())
+        return self._rendered_image(self._queue.popleft())
 
     def _expose(self, time_s: float, exposure_us: float, number: int, count: int) -> Exposure:
         middle_s = time_s + (TRIGGER_DELAY_US + exposure_us / 2) * 1e-6
@@ -143,7 +143,7 @@ class VirtualCamera:
         if wait == self._waits and len(self._queue) < self._limits.queue_frames:
             self._queue.append(taken)
 
-    def _developed(self, taken: Exposure) -> CameraImage:
+    def _rendered_image(self, taken: Exposure) -> CameraImage:
         at, seed = taken.truth, self._seed * 1_000_003 + taken.number
         image = self.renderer.frame(at.x_um, at.y_um, at.z_um, taken.exposure_us, seed)
         status, count = FrameStatus.OK, taken.trigger_count

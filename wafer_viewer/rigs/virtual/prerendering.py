@@ -90,7 +90,7 @@ def scales_at_exposure(leg: Leg, limits: RigLimits, exposure_us: float) -> Itera
         yield Position(at["x"], at["y"], at["z"])
 
 
-def rehearse(order: PrerenderJob, live: Renderer, should_stop: ShouldStop) -> ReplayRenderer | None:
+def prerender(order: PrerenderJob, live: Renderer, should_stop: ShouldStop) -> ReplayRenderer | None:
     """Render all frames in a separate process and wait for it; None if stopped.
 
     Raises RigError when the disk is too small or the process fails.

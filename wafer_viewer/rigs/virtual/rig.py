@@ -185,7 +185,7 @@ class VirtualRig:
         """In real time, prerender the plan's frames in a separate process; otherwise do nothing."""
         if not self._real_time:
             return
-        from wafer_viewer.rigs.virtual.prerendering import PrerenderJob, rehearse
+        from wafer_viewer.rigs.virtual.prerendering import PrerenderJob, prerender
 
         here = self._stage.position()
         order = PrerenderJob(
@@ -195,11 +195,11 @@ class VirtualRig:
             plan=plan,
             here_um=(here.x_um, here.y_um, here.z_um),
         )
-        self._camera.renderer = rehearse(order, self._renderer, should_stop) or self._renderer
+        self._camera.renderer = prerender(order, self._renderer, should_stop) or self._renderer
 
     def close(self) -> None:
         """Stop motion, stop the pulses, and close the port."""
-        if not self._port.is_open:
+        if not self._port.has_room:
             return
         self._box.halt()
         self._stage.stop()

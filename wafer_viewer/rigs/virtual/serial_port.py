@@ -43,7 +43,7 @@ class VirtualPort:
         self._wire = interference or Interference()
         self._rng = np.random.default_rng(self._wire.seed)
         self._arrived = bytearray()
-        self.is_open = True
+        self.has_room = True
 
     @property
     def in_waiting(self) -> int:
@@ -68,7 +68,7 @@ class VirtualPort:
 
     def close(self) -> None:
         """Close the port."""
-        self.is_open = False
+        self.has_room = False
 
     def deliver(self, data: bytes, time_s: float) -> None:
         """Send bytes from the device, which reach the reader after the latency."""
@@ -77,7 +77,7 @@ class VirtualPort:
             self._clock.at(time_s + LATENCY_S, lambda _: self._arrived.extend(on_wire))
 
     def _check_open(self) -> None:
-        if not self.is_open:
+        if not self.has_room:
             raise RigError("The virtual pulse box's port is closed: open the rig again.")
 
     def _disturbed(self, data: bytes) -> bytes:

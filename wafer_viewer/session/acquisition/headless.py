@@ -15,7 +15,7 @@ from wafer_viewer.model.job.job import Job
 from wafer_viewer.model.progress import Progress
 from wafer_viewer.session.acquisition.rig_messages import FrameTaken, Scan, ScanFault
 from wafer_viewer.session.acquisition.scan_monitor import Steering
-from wafer_viewer.session.acquisition.scan_run import take, writer_of
+from wafer_viewer.session.acquisition.scan_run import run_scan_job, writer_of
 from wafer_viewer.session.core.dataset_library import today
 from wafer_viewer.session.planning.plan_editor import free_bytes, plan_of
 from wafer_viewer.session.planning.preflight import Preflight, PreflightCheck, preflight
@@ -46,10 +46,10 @@ def scan_to(
     Raises DatasetError when the dataset cannot be written, PlanError when it belongs to another job.
     """
     if path.exists():
-        scan = _goes_on(path, job)
+        scan = _continued_scan(path, job)
     else:
         scan = Scan(path, plan_of(job, rig.limits), job)
-        ready(_look_round(scan, rig))
+        ready(_preflight_checks(scan, rig))
     if isinstance(rig, SampleChanger):
         rig.load_sample(job.sample)
     steering = Steering()
@@ -61,14 +61,14 @@ def scan_to(
             warn(event.what)
 
     with writer_of(scan, rig) as writer, _interrupt_stops(steering):
-        ended = take(scan, rig, writer, report, steering)
+        ended = run_scan_job(scan, rig, writer, report, steering)
         kept = len(writer.kept)
     words = f"{kept} of {scan.plan.n_frames} frames kept"
     more = "; the same command continues it" if ended.stopped else ""
     return Ended(f"{words}{more}", ended.stopped, ended.error)
 
 
-def _goes_on(path: Path, job: Job) -> Scan:
+def _continued_scan(path: Path, job: Job) -> Scan:
     data = Dataset.open(path)
     if data.scan.job != job:
         raise PlanError(
@@ -79,7 +79,7 @@ def _goes_on(path: Path, job: Job) -> Scan:
     return Scan(path, data.scan.plan, job, goes_on=True)
 
 
-def _look_round(scan: Scan, rig: Rig) -> tuple[PreflightCheck, ...]:
+def _preflight_checks(scan: Scan, rig: Rig) -> tuple[PreflightCheck, ...]:
     return preflight(
         Preflight(
             job=scan.job,

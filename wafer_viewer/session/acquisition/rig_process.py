@@ -11,7 +11,7 @@ from dataclasses import dataclass, replace
 from multiprocessing.connection import Connection
 
 from wafer_viewer.acquire.motion import come_to_rest, device_errors, move
-from wafer_viewer.compute.child_process import ChildConnection, Request, live_in_the_background
+from wafer_viewer.compute.child_process import ChildConnection, Request, run_in_background
 from wafer_viewer.model.acquisition.devices import Rig, SampleChanger
 from wafer_viewer.model.acquisition.plan import Axis
 from wafer_viewer.model.acquisition.sample import Sample
@@ -30,13 +30,13 @@ from wafer_viewer.session.acquisition.rig_messages import (
     Stop,
 )
 from wafer_viewer.session.acquisition.scan_monitor import Steering
-from wafer_viewer.session.acquisition.scan_run import take, writer_of
+from wafer_viewer.session.acquisition.scan_run import run_scan_job, writer_of
 from wafer_viewer.session.planning.guided_tour import tour_of
 
 
 def run_rig(pipe: Connection, config: RigConfig) -> None:
     """Run the rig process until the pipe ends."""
-    live_in_the_background()
+    run_in_background()
     end = ChildConnection(pipe)
     try:
         rig = open_rig(config)
@@ -136,7 +136,7 @@ class RigExecutor:
             with device_errors("stage"):
                 move(self._rig, goal_um, lambda: self._stopped_since(order))
         finally:
-            self._tell_where()
+            self._report_position()
         self._end.answer(order.ask)
 
     def _load(self, sample: Sample | None) -> None:
@@ -151,7 +151,7 @@ class RigExecutor:
             self._steering.stop()
         with writer_of(scan, self._rig) as writer:
             self._end.answer(order.ask)
-            ended = take(scan, self._rig, writer, self._end.tell, self._steering)
+            ended = run_scan_job(scan, self._rig, writer, self._end.tell, self._steering)
         if ended.stopped:
             self._heeded = self._n_stops
         try:
@@ -159,10 +159,10 @@ class RigExecutor:
                 come_to_rest(self._rig)
         except RigError as fault:
             ended = replace(ended, stopped=True, error=ended.error or str(fault))
-        self._tell_where()
+        self._report_position()
         self._end.tell(ended)
 
-    def _tell_where(self) -> None:
+    def _report_position(self) -> None:
         """Report the position and whether the stage is homed; an interrupted reference search leaves it not homed."""
         stage = self._rig.stage
         self._end.tell(StageMoved(stage.position(), stage.homed()))

@@ -15,7 +15,7 @@ from wafer_viewer.model.acquisition.plan import Leg, ScanPlan, Shot
 from wafer_viewer.session.acquisition.rig_messages import FieldComplete, FrameTaken, Paused, ScanFault
 from wafer_viewer.session.state.snapshot import LatestFrame, ScanProgress
 from wafer_viewer.store.dataset.writer import DatasetWriter
-from wafer_viewer.store.io.atomic_files import writing
+from wafer_viewer.store.io.atomic_files import os_errors_as_dataset_errors
 
 REPORT_EVERY_S = 0.12
 RATE_KNOWN_AFTER = 10
@@ -108,12 +108,12 @@ class ScanWatch:
 
     def pass_begun(self, number: int, leg: Leg) -> None:
         """Start a leg."""
-        with writing(self._writer.path):
+        with os_errors_as_dataset_errors(self._writer.path):
             self._writer.pass_begun(number, leg)
 
     def frame(self, frame: Frame) -> None:
         """Store a frame, and report progress a few times a second."""
-        with writing(self._writer.path):
+        with os_errors_as_dataset_errors(self._writer.path):
             self._writer.frame(frame)
         self._pulses += 1
         self._done = self._writer.n_arrived
@@ -124,24 +124,24 @@ class ScanWatch:
     def missed(self, shot: Shot, pulse_count: int, why: str) -> None:
         """Record an empty slot."""
         self._empty.add(shot)
-        with writing(self._writer.path):
+        with os_errors_as_dataset_errors(self._writer.path):
             self._writer.missed(shot, pulse_count, why)
         self._done = self._writer.n_arrived
 
     def repaired(self, shot: Shot) -> None:
         """Record the frame of a slot that was empty."""
         self._empty.discard(shot)
-        with writing(self._writer.path):
+        with os_errors_as_dataset_errors(self._writer.path):
             self._writer.repaired(shot)
 
     def pass_ended(self, number: int, summary: PulseSummary) -> None:
         """End a leg."""
-        with writing(self._writer.path):
+        with os_errors_as_dataset_errors(self._writer.path):
             self._writer.pass_ended(number, summary)
 
     def fault(self, what: str) -> None:
         """Record and report a fault of the scan."""
-        with writing(self._writer.path):
+        with os_errors_as_dataset_errors(self._writer.path):
             self._writer.fault(what)
         self._tell(ScanFault(what))
 

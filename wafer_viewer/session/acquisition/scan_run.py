@@ -13,7 +13,7 @@ from wafer_viewer.model.errors import DatasetError, WaferViewerError
 from wafer_viewer.session.acquisition.rig_messages import Scan, ScanEnded
 from wafer_viewer.session.acquisition.scan_monitor import ScanWatch, Steering
 from wafer_viewer.store.dataset.writer import DatasetWriter
-from wafer_viewer.store.io.atomic_files import writing
+from wafer_viewer.store.io.atomic_files import os_errors_as_dataset_errors
 from wafer_viewer.store.records.calibrations import calibration_in_force
 
 
@@ -33,24 +33,26 @@ def writer_of(scan: Scan, rig: Rig) -> DatasetWriter:
     )
 
 
-def take(scan: Scan, rig: Rig, writer: DatasetWriter, tell: Callable[[Any], None], steering: Steering) -> ScanEnded:
+def run_scan_job(
+    scan: Scan, rig: Rig, writer: DatasetWriter, tell: Callable[[Any], None], steering: Steering
+) -> ScanEnded:
     """Run a scan; a fault that ends it early becomes the `error` text, because its dataset can be continued."""
     watch = ScanWatch(writer, scan.plan, tell, steering)
     try:
         with device_errors("rig"):
             outcome = run_scan(scan.plan, rig, watch, watch, skip=writer.kept)
         if not outcome.stopped:
-            with writing(scan.path):
+            with os_errors_as_dataset_errors(scan.path):
                 writer.finish()
     except WaferViewerError as fault:
-        return _broken_off(scan, writer, fault)
+        return _scan_end_after_fault(scan, writer, fault)
     finally:
         watch.finish()
     return ScanEnded(scan.path, outcome.stopped, len(outcome.missing), error=None)
 
 
-def _broken_off(scan: Scan, writer: DatasetWriter, fault: WaferViewerError) -> ScanEnded:
+def _scan_end_after_fault(scan: Scan, writer: DatasetWriter, fault: WaferViewerError) -> ScanEnded:
     """Return the end of a scan after a fault; the dataset records the fault if it can still be written."""
-    with suppress(DatasetError), writing(scan.path):
+    with suppress(DatasetError), os_errors_as_dataset_errors(scan.path):
         writer.fault(str(fault))
     return ScanEnded(scan.path, stopped=True, n_missing=0, error=str(fault))

@@ -46,7 +46,7 @@ class CommandQueue:
             answer.set_exception(WaferViewerError("The session is closed: restart the viewer."))
         else:
             done = self._thread.submit(self._carry_out, verb, *args, **kwargs)
-            done.add_done_callback(lambda done: _hand_on(done, answer))
+            done.add_done_callback(lambda done: _copy_outcome(done, answer))
         return answer
 
     def then(self, first: Future[Any], verb: Callable[[Any], Any]) -> Future[Any]:
@@ -56,7 +56,7 @@ class CommandQueue:
         def go_on(done: Future[Any]) -> None:
             failed = done.cancelled() or done.exception() is not None
             last = done if failed else self.do(verb, done.result())
-            last.add_done_callback(lambda last: _hand_on(last, answer))
+            last.add_done_callback(lambda last: _copy_outcome(last, answer))
 
         first.add_done_callback(go_on)
         return answer
@@ -64,7 +64,7 @@ class CommandQueue:
     def afterwards(self, first: Future[Any], verb: Callable[[], None]) -> Future[Any]:
         """Run a command after `first` is over, even if it failed; the future then has the outcome of `first`."""
         answer: Future[Any] = Future()
-        first.add_done_callback(lambda done: self.do(verb).add_done_callback(lambda _: _hand_on(done, answer)))
+        first.add_done_callback(lambda done: self.do(verb).add_done_callback(lambda _: _copy_outcome(done, answer)))
         return answer
 
     def note(self, event: Callable[..., None], *args: Any) -> None:
@@ -129,14 +129,14 @@ class CommandQueue:
             listener(self.snapshot)
 
 
-def _hand_on(done: Future[Any], answer: Future[Any]) -> None:
+def _copy_outcome(done: Future[Any], answer: Future[Any]) -> None:
     """Copy the outcome of `done` to `answer`; if the result is a future, wait for it as well."""
     if done.cancelled():
         answer.cancel()
     elif (fault := done.exception()) is not None:
         answer.set_exception(fault)
     elif isinstance(outcome := done.result(), Future):
-        outcome.add_done_callback(lambda last: _hand_on(last, answer))
+        outcome.add_done_callback(lambda last: _copy_outcome(last, answer))
     else:
         answer.set_result(outcome)
 

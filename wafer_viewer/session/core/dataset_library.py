@@ -91,7 +91,7 @@ class Library:
 
     def close(self) -> None:
         """Close the dataset."""
-        self.let_go()
+        self.release_lock()
         self._dataset = None
         self._desk.change(dataset=None, surface=None, scan=None)
 
@@ -99,14 +99,14 @@ class Library:
         """Take the dataset's lock; return the reason why it is read-only, or None."""
         from wafer_viewer.store.dataset.lock import Lock
 
-        self.let_go()
+        self.release_lock()
         try:
             self._lock = Lock.take(self.dataset.path)
         except DatasetError as fault:
             return str(fault)
         return None
 
-    def let_go(self) -> None:
+    def release_lock(self) -> None:
         """Release the lock, so that the rig process can take it."""
         if self._lock is not None:
             self._lock.release()

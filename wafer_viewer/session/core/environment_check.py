@@ -34,7 +34,7 @@ class EnvironmentCheck:
         return not self.mend
 
 
-def examine(config: RigConfig, data_folder: Path) -> Iterator[EnvironmentCheck]:
+def check_environment(config: RigConfig, data_folder: Path) -> Iterator[EnvironmentCheck]:
     """Run all checks, one after the other."""
     yield EnvironmentCheck("Python", sys.version.split()[0])
     yield from (_package(name) for name in PACKAGES)

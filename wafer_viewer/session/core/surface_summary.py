@@ -14,7 +14,7 @@ from wafer_viewer.store.dataset.result import Result
 from wafer_viewer.store.io.atomic_files import write_text
 from wafer_viewer.store.io.checksums import sealed_text, verified_text
 from wafer_viewer.store.mosaic.layout import SURFACE
-from wafer_viewer.store.mosaic.statistics import MosaicStatistics, facts_of
+from wafer_viewer.store.mosaic.statistics import MosaicStatistics, compute_statistics
 from wafer_viewer.store.mosaic.zarr_mosaic import ZarrMosaic
 
 SUMMARY = "surface.json"
@@ -75,7 +75,7 @@ def load_summary(result: Result) -> SurfaceInfo | None:
 
 def _facts_of(surface: HeightMap) -> MosaicStatistics:
     layers = {name: getattr(surface, name) for name in SURFACE if getattr(surface, name) is not None}
-    return facts_of(layers)
+    return compute_statistics(layers)
 
 
 def _rms_um(differences_um: NDArray[np.float32]) -> float | None:

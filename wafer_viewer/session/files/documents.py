@@ -54,10 +54,10 @@ class Documents:
         return written
 
     def _keep_picture(self, png: bytes) -> Path:
-        from wafer_viewer.store.io.atomic_files import replacing
+        from wafer_viewer.store.io.atomic_files import atomic_write
 
         path = free_path(self._library.shown.path, PICTURE, ".png")
-        with replacing(path) as beside:
+        with atomic_write(path) as beside:
             beside.write_bytes(png)
         self.pictures_kept += 1
         return path

@@ -353,10 +353,10 @@ def kind_of(ending: str) -> str:
 
 
 def _key(order: Order) -> Callable[[FileEntry], tuple[bool, float, list[str | int]]]:
-    from wafer_viewer.store.io.atomic_files import natural
+    from wafer_viewer.store.io.atomic_files import natural_sort_key
 
     def key(entry: FileEntry) -> tuple[bool, float, list[str | int]]:
-        name = natural(entry.path.name)
+        name = natural_sort_key(entry.path.name)
         if order == "name" or (order == "size" and entry.is_folder):
             return not entry.is_folder, 0.0, name
         value = entry.modified_s if order == "date" else float(entry.size_bytes or 0)

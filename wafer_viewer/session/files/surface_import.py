@@ -18,7 +18,7 @@ from wafer_viewer.session.core.surface_summary import save_summary, summarise
 from wafer_viewer.store.dataset.dataset import Dataset
 from wafer_viewer.store.dataset.journal import Finished, JournalWriter
 from wafer_viewer.store.dataset.scan_record import JOURNAL, ScanRecord, write_record
-from wafer_viewer.store.io.atomic_files import replacing
+from wafer_viewer.store.io.atomic_files import atomic_write
 
 READ_SHARE = 0.4
 """Fraction of the progress bar for reading the file, during an import."""
@@ -45,7 +45,7 @@ def import_surface(
         raise DatasetError(f"{out} exists already. Nothing was written. Choose another name.")
     read = partial(_part, progress, 0.0, READ_SHARE)
     surface = read_surface(src, says.z_unit, says.pixel_um, says.invert_z, read, should_stop)
-    with replacing(out) as beside:
+    with atomic_write(out) as beside:
         beside.mkdir(parents=True)
         _write(beside, surface, src.name, partial(_part, progress, READ_SHARE, 1 - READ_SHARE), should_stop)
     return out

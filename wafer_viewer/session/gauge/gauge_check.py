@@ -61,7 +61,7 @@ def find_faces(surface: Mosaic) -> Faces:
     return found.upper, found.lower
 
 
-def repeat_of(source: GaugeSource, certificate: Certificate, faces: Faces | None = None) -> GaugeRepeat:
+def measure_repeat(source: GaugeSource, certificate: Certificate, faces: Faces | None = None) -> GaugeRepeat:
     """Return the step in one scan; the faces are detected unless they are given.
 
     Raises MeasureError if this scan cannot be checked against the certificate or the step cannot be measured.
@@ -93,7 +93,7 @@ def signed(check: GaugeCheck, operator: str, records: Sequence[GaugeRecord]) -> 
     if not operator.strip():
         raise MeasureError("A check is signed with a name: say who made it.")
     for before in (record.check for record in records):
-        if (scan := _in_common(before, check.repeats)) is not None:
+        if (scan := _shared_scan(before, check.repeats)) is not None:
             raise MeasureError(
                 f"{scan} is in the check that {before.signed_by} signed on {before.at[:10]}: check new scans."
             )
@@ -109,10 +109,10 @@ def record_of(check: GaugeCheck, rig: str, result: str) -> GaugeRecord:
 
 def _others(records: Sequence[GaugeRecord], repeats: Sequence[GaugeRepeat]) -> list[GaugeRecord]:
     """Return the records of checks that share no scan with some repeats."""
-    return [record for record in records if _in_common(record.check, repeats) is None]
+    return [record for record in records if _shared_scan(record.check, repeats) is None]
 
 
-def _in_common(check: GaugeCheck, repeats: Sequence[GaugeRepeat]) -> str | None:
+def _shared_scan(check: GaugeCheck, repeats: Sequence[GaugeRepeat]) -> str | None:
     """Return the first scan that a check shares with some repeats; None if there is none."""
     return next((new.dataset for new in repeats if any(old.is_scan_of(new) for old in check.repeats)), None)
 

@@ -93,7 +93,7 @@ class GaugeVerbs:
             raise DatasetError(NOTHING_OPEN)
         surface = self._questions.surface_source(show)
         source = work.GaugeSource(surface, shown.name, shown.taken, shown.calibration_problem, show)
-        return work.repeat_of(source, certificate, faces)
+        return work.measure_repeat(source, certificate, faces)
 
 
 def _faces(upper: Region | None, lower: Region | None) -> Faces | None:

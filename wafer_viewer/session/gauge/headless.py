@@ -49,7 +49,7 @@ def check_sources(
         raise MeasureError(f"The scans are of several rigs ({', '.join(rigs)}): check one at a time.")
     records = _records(src, certificate, log)
     sources = [work.source_of(path, field_number, result) for path in src]
-    repeats = [work.repeat_of(source, certificate, faces) for source in sources]
+    repeats = [work.measure_repeat(source, certificate, faces) for source in sources]
     check = work.check_of(repeats, certificate, terms, records)
     return check, work.capability_of(records, terms.tolerance_um, check)
 

@@ -76,9 +76,9 @@ def compare_row(work: ComparisonWork, reference: Path, row: tuple[Place, ...]) -
 
 def compare_here(work: ComparisonWork, noise: NoiseModel, row: tuple[Place, ...]) -> list[CellResult]:
     """Compare the dies of one strip."""
-    from wafer_viewer.measure.defects.cell_comparison import compared
+    from wafer_viewer.measure.defects.cell_comparison import compare_cells
 
-    return compared(work, row, noise)
+    return compare_cells(work, row, noise)
 
 
 def in_order(outcomes: Iterable[Done]) -> Generator[Any]:

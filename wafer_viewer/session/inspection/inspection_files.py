@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any
 
 from wafer_viewer.model.inspection.defect import DefectRecipe
 from wafer_viewer.session.inspection.defect_export import Handover, hand_over, keep_golden
-from wafer_viewer.session.inspection.klarf_overlay import KlarfUnit, laid_over
+from wafer_viewer.session.inspection.klarf_overlay import KlarfUnit, overlay_klarf
 from wafer_viewer.session.state.inspection_resources import SAME_PLACE_UM, DefectShelf, OtherTool
 
 if TYPE_CHECKING:
@@ -93,7 +93,7 @@ class DefectFilesKeeper:
     def lay_over(self, path: Path, unit: KlarfUnit | None, within_um: float) -> OtherTool:
         """Read a KLARF file and overlay its defects on the surface."""
         alignment, inspection = self._library.shown.job.alignment, self._desk.now.inspection.inspection
-        other = laid_over(path, alignment, inspection, unit, within_um)
+        other = overlay_klarf(path, alignment, inspection, unit, within_um)
         self._put(other=other)
         return other
 

@@ -20,7 +20,7 @@ SAME_PITCH = 5e-3
 """Relative pitch difference above which dies are of different products."""
 
 
-def laid_over(
+def overlay_klarf(
     path: Path,
     alignment: Alignment | None,
     inspection: Inspection | None,

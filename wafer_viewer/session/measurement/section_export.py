@@ -45,10 +45,10 @@ def require_known(ending: str) -> None:
 
 def write_sections(sections: Sequence[Section], path: Path) -> None:
     """Write sections to a file atomically; its ending determines the format."""
-    from wafer_viewer.store.io.atomic_files import replacing
+    from wafer_viewer.store.io.atomic_files import atomic_write
 
     content = file_of(sections, path.suffix)
-    with replacing(path) as beside:
+    with atomic_write(path) as beside:
         beside.write_bytes(content)
 
 

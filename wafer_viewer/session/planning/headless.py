@@ -13,7 +13,7 @@ from wafer_viewer.model.job.verdict import WaferVerdict
 from wafer_viewer.model.progress import Progress
 from wafer_viewer.model.spec import replace
 from wafer_viewer.session.core.surface_summary import load_summary
-from wafer_viewer.session.planning.job_releases import blank, free_place, prepared, released, revised
+from wafer_viewer.session.planning.job_releases import for_next_wafer, free_place, prepared, released, revised
 from wafer_viewer.session.planning.plan_editor import read_job
 from wafer_viewer.session.planning.revision_trial import datasets_of, try_job
 from wafer_viewer.session.planning.verdicts import verdict_of
@@ -77,7 +77,7 @@ def verdict_kept_in(path: Path, result: str) -> WaferVerdict:
 
 def _is_of(out: Path, job: Job) -> bool:
     begun: Any = Dataset.open(out).scan.job
-    return job.released and prepared(begun) == prepared(blank(job))
+    return job.released and prepared(begun) == prepared(for_next_wafer(job))
 
 
 def _aligned(job: Job, corners_um: Sequence[float]) -> Job:

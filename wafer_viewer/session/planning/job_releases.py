@@ -68,7 +68,7 @@ def revised(job: Job) -> Job:
     return replace(prepared(job), **names, released=True)
 
 
-def blank(job: Job) -> Job:
+def for_next_wafer(job: Job) -> Job:
     """Return the job for another wafer: without wafer id and alignment."""
     return replace(job, sample=replace(job.sample, wafer_id="", name="", slot=0), alignment=None)
 
@@ -91,10 +91,10 @@ def require_as_released(before: Job | None, after: Job | None) -> None:
 
 def write_released(folder: Path, job: Job) -> Path:
     """Write a released job under its product and revision. Raises PlanError if that revision exists."""
-    from wafer_viewer.store.io.atomic_files import write_text, writing
+    from wafer_viewer.store.io.atomic_files import os_errors_as_dataset_errors, write_text
 
     path = free_place(folder, job)
-    with writing(path.parent):
+    with os_errors_as_dataset_errors(path.parent):
         path.parent.mkdir(parents=True, exist_ok=True)
     write_text(path, encode(job))
     return path

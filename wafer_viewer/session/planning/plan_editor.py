@@ -15,7 +15,7 @@ from wafer_viewer.model.spec import decode, encode, replace
 from wafer_viewer.model.surface.recipe import Recipe
 from wafer_viewer.session.core.command_queue import CommandQueue
 from wafer_viewer.session.core.undo_history import UndoHistory
-from wafer_viewer.session.planning.job_releases import as_released, blank, require_as_released, write_released
+from wafer_viewer.session.planning.job_releases import as_released, for_next_wafer, require_as_released, write_released
 from wafer_viewer.session.state.alignment_marks import SeenMark
 from wafer_viewer.session.state.snapshot import Draft, Typed
 
@@ -98,7 +98,7 @@ class Drafting:
     def next_wafer(self) -> None:
         """Start the same job for another wafer; undo cannot restore the data of the last one."""
         self._seen, self._confirmed = SeenMark(), True
-        self._jobs.restart(blank(self._job()))
+        self._jobs.restart(for_next_wafer(self._job()))
         self.price()
 
     def copy(self) -> None:
@@ -119,7 +119,7 @@ class Drafting:
     def _take_up(self, job: Job) -> None:
         """Load a job from a file; a released one has no wafer yet."""
         self._seen, self._confirmed = SeenMark(), True
-        self._put(blank(job) if job.released else job)
+        self._put(for_next_wafer(job) if job.released else job)
 
     def undo(self) -> None:
         """Undo the last edit."""

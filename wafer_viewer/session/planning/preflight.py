@@ -58,7 +58,7 @@ class Preflight:
     n_marked: int = 0
 
 
-def look_round(now: Snapshot, latest: LatestFrame | None, today: str) -> tuple[PreflightCheck, ...]:
+def preflight_of_snapshot(now: Snapshot, latest: LatestFrame | None, today: str) -> tuple[PreflightCheck, ...]:
     """Return the six checks of a snapshot's plan; none while there is no plan or no rig."""
     draft, rig = now.draft, now.rig
     if draft.job is None or draft.plan is None or rig.limits is None:
@@ -91,7 +91,7 @@ def stops(checks: Iterable[PreflightCheck]) -> tuple[PreflightCheck, ...]:
     return tuple(check for check in checks if check.state == "stop")
 
 
-def require_go(checks: Iterable[PreflightCheck], *, confirmed: bool = True) -> None:
+def require_passed(checks: Iterable[PreflightCheck], *, confirmed: bool = True) -> None:
     """Raise PlanError with the first check that forbids the scan, or that a person still has to confirm."""
     for check in checks:
         if check.state == "stop" or (check.state == "attention" and not confirmed):

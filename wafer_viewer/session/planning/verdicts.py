@@ -84,7 +84,7 @@ def verdict_of(data: Dataset, result: Result, *, keep: bool) -> WaferVerdict:
 
     Raises MeasureError if the job has no feature with a place, DatasetError without a stitched surface.
     """
-    from wafer_viewer.measure.verdict import judge_dies, judge_features, overall, what_next
+    from wafer_viewer.measure.verdict import judge_dies, judge_features, next_action, overall
     from wafer_viewer.store.io.checksums import save_json
 
     job, mosaic = data.scan.job, result.mosaic()
@@ -95,7 +95,7 @@ def verdict_of(data: Dataset, result: Result, *, keep: bool) -> WaferVerdict:
     items = judge_features(mosaic, job.features, job.alignment, calibration_valid=calibrated, dies=job.dies)
     verdict = WaferVerdict(
         word=overall(items),
-        next=what_next(items),
+        next=next_action(items),
         items=items,
         dies=judge_dies(items, job.dies),
         job=f"{job.product} {job.revision}".strip(),

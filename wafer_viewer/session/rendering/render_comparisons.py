@@ -18,11 +18,11 @@ from wafer_viewer.measure.dies.die_crops import (
     AlignedPatch,
     DieCrop,
     DiePatch,
-    cut,
+    align_crop,
+    crop,
     cut_of_golden,
-    laid_on,
     levelled_on,
-    usual,
+    median_crop,
 )
 from wafer_viewer.model.errors import MeasureError, WaferViewerError
 from wafer_viewer.session.rendering.comparison_views import (
@@ -54,7 +54,7 @@ def beside(shelf: SurfaceProvider, request: RenderRequest) -> bytes:
         return b""
     surface = shelf.surface(request.source)
     patch = DiePatch.of_box(surface, box, PLACE_PX)
-    own = cut(surface, patch)
+    own = crop(surface, patch)
     if own is None or not (np.isfinite(own.z_um).any() or np.isfinite(own.picture).any()):
         return b""
     found = [(ComparisonView("here"), own), *_others(shelf, request.source, like, surface, patch, own)]
@@ -88,11 +88,11 @@ def picture_of_die(surface: Mosaic, folder: Path, like: ComparisonRequest) -> Di
         with suppress(WaferViewerError):
             golden = _golden(folder, like, surface)
             return DiePicture(_grey(cut_of_golden(golden, like.grid, place, patch)), golden.header.dies, golden.title)
-    own = cut(surface, patch)
+    own = crop(surface, patch)
     if own is None:
         return nothing
     cuts = [own, *(one.cut for one in _laid(surface, replace(like, die=place, dies=like.dies[1:]), patch, own))]
-    return DiePicture(_grey(usual(own, cuts)), len(cuts))
+    return DiePicture(_grey(median_crop(own, cuts)), len(cuts))
 
 
 def _others(
@@ -117,14 +117,14 @@ def _of_dies(like: ComparisonRequest, surface: Mosaic, patch: DiePatch, own: Die
     laid = list(_laid(surface, like, patch, own))
     if not laid:
         return ComparisonView("dies", why_not="No other die was scanned completely."), None
-    return ComparisonView("dies", dies=len(laid)), usual(own, [one.cut for one in laid])
+    return ComparisonView("dies", dies=len(laid)), median_crop(own, [one.cut for one in laid])
 
 
 def _laid(surface: Mosaic, like: ComparisonRequest, patch: DiePatch, own: DieCrop) -> Iterator[AlignedPatch]:
     """Yield the same position of the other dies, as far as it is measured there."""
     for there in like.dies:
         if like.grid is not None and like.die is not None and there != like.die:
-            found = laid_on(own, surface, patch.on_die(like.grid, like.die, there), DIE_REACH_PX)
+            found = align_crop(own, surface, patch.on_die(like.grid, like.die, there), DIE_REACH_PX)
             if found is not None and found.cut.measured >= LEAST_MEASURED:
                 yield found
 
@@ -165,7 +165,7 @@ def _of_before(shelf: SurfaceProvider, like: ComparisonRequest, patch: DiePatch,
     except WaferViewerError as fault:
         return ComparisonView("before", name=name, why_not=str(fault)), None
     there = replace(patch, x_um=x_um, y_um=y_um, angle_rad=like.before_turn_rad)
-    laid = laid_on(own, earlier, there, SCAN_REACH_PX)
+    laid = align_crop(own, earlier, there, SCAN_REACH_PX)
     if laid is None or laid.cut.measured < LEAST_MEASURED:
         return ComparisonView(
             "before", name=name, why_not=f"{name} was not scanned, or not measured, at this place."

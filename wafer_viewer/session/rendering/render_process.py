@@ -14,7 +14,7 @@ from concurrent.futures.process import BrokenProcessPool
 from functools import lru_cache
 from typing import TYPE_CHECKING
 
-from wafer_viewer.compute.child_process import live_in_the_background
+from wafer_viewer.compute.child_process import run_in_background
 from wafer_viewer.model.acquisition.focus_stack import FieldStack
 from wafer_viewer.model.surface.comparison import ComparisonFace
 from wafer_viewer.model.surface.height_map import Mosaic
@@ -89,7 +89,7 @@ def _new_pool() -> ProcessPoolExecutor:
 
 def _settle_in() -> None:
     """Lower the priority below the scan's, and end with the viewer even if that is killed."""
-    live_in_the_background(NICENESS)
+    run_in_background(NICENESS)
     parent = multiprocessing.parent_process()
     if parent is not None:
         threading.Thread(target=lambda: (parent.join(), os._exit(0)), daemon=True).start()
@@ -135,9 +135,9 @@ def _surface(source: SurfaceKey) -> Mosaic:
     from wafer_viewer.store.dataset.dataset import Dataset
 
     if source.show < 0:
-        from wafer_viewer.session.surface.comparison_job import face_of
+        from wafer_viewer.session.surface.comparison_job import comparison_view
 
-        return face_of(source.dataset, source.result, ComparisonFace(-source.show))
+        return comparison_view(source.dataset, source.result, ComparisonFace(-source.show))
     dataset = Dataset.open(source.dataset)
     result = dataset.result(source.result)
     return result.mosaic() if source.show == 0 else result.surface(dataset.field(source.show))

@@ -55,7 +55,7 @@ def _plane(part: HeightMap) -> tuple[float, float, float]:
     if rows.size < 3:
         return 0.0, 0.0, 0.0
     design = np.stack([part.x_um[cols], part.y_um[rows], np.ones(rows.size)], axis=1)
-    plane = _laid(design, part.z_um[rows, cols].astype(float))
+    plane = _robust_least_squares(design, part.z_um[rows, cols].astype(float))
     return float(plane[0]), float(plane[1]), float(plane[2])
 
 
@@ -68,11 +68,11 @@ def _form(part: HeightMap) -> Form:
     x0, y0 = (x.min() + x.max()) / 2, (y.min() + y.max()) / 2
     half = max(float(np.ptp(x)), float(np.ptp(y)), part.pixel_um) / 2
     u, v = (x - x0) / half, (y - y0) / half
-    factors = _laid(np.stack([np.ones(rows.size), u, v, u * u, u * v, v * v], axis=1), z)
+    factors = _robust_least_squares(np.stack([np.ones(rows.size), u, v, u * u, u * v, v * v], axis=1), z)
     return (float(x0), float(y0), half, *factors.tolist())
 
 
-def _laid(design: NDArray[np.float64], z: NDArray[np.float64]) -> NDArray[np.float64]:
+def _robust_least_squares(design: NDArray[np.float64], z: NDArray[np.float64]) -> NDArray[np.float64]:
     """Fit by least squares to all points, then twice to the half of them with the smallest residuals."""
     factors = np.asarray(np.linalg.lstsq(design, z, rcond=None)[0], np.float64)
     for _ in range(2):

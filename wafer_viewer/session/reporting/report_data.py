@@ -67,10 +67,10 @@ class Material:
     @property
     def pictures(self) -> list[Path]:
         """Pictures next to the dataset, in the order of their numbers."""
-        from wafer_viewer.store.io.atomic_files import natural
+        from wafer_viewer.store.io.atomic_files import natural_sort_key
 
         path = self.dataset.path
-        return sorted(path.parent.glob(f"{path.stem}-picture-*.png"), key=lambda p: natural(p.name))
+        return sorted(path.parent.glob(f"{path.stem}-picture-*.png"), key=lambda p: natural_sort_key(p.name))
 
 
 def gather(folder: Path, result_name: str) -> Material:

@@ -25,7 +25,7 @@ Pairs = tuple[tuple[str, str], ...]
 
 def result_row(finding: AnyResult, notebook: Notebook) -> tuple[str, ...]:
     """Return number, name, kind, value, position and judgement of a result."""
-    said = thought(notebook.judgement(key_of_result(finding.number)))
+    said = judgement_text(notebook.judgement(key_of_result(finding.number)))
     return (f"{finding.number}", finding.name, kind_of(finding), quantity_text(finding.main), where(finding), said)
 
 
@@ -41,7 +41,7 @@ def feature_row(n: int, judged: FeatureVerdict, judgement: Judgement) -> tuple[s
     rule = f"{limits}, {feature.decision_rule.replace('_', ' ')}"
     value = quantity_text(judged.measured) if judged.measured is not None else "not measured"
     what = f", {title_of(feature.quantity)}" if feature.quantity else ""
-    return (f"F{n}", f"{judged.name}{what}", rule, value, judged.word.upper(), thought(judgement))
+    return (f"F{n}", f"{judged.name}{what}", rule, value, judged.word.upper(), judgement_text(judgement))
 
 
 def verdict_text(verdict: WaferVerdict) -> str:
@@ -49,7 +49,7 @@ def verdict_text(verdict: WaferVerdict) -> str:
     return f"{verdict.word.upper()}{f', {verdict.job}' if verdict.job else ''}"
 
 
-def thought(judgement: Judgement) -> str:
+def judgement_text(judgement: Judgement) -> str:
     """Return people's verdict on an item, and their note."""
     return " · ".join(part for part in (VERDICTS[judgement.verdict], judgement.note) if part)
 

@@ -26,7 +26,14 @@ from wafer_viewer.session.measurement.measurement_numbers import (
     title_of,
 )
 from wafer_viewer.session.reporting.report_data import Material
-from wafer_viewer.session.reporting.report_text import bounds_um, feature_row, kind_of, result_row, thought, where
+from wafer_viewer.session.reporting.report_text import (
+    bounds_um,
+    feature_row,
+    judgement_text,
+    kind_of,
+    result_row,
+    where,
+)
 
 MOST_SHEETS, MOST_PROFILES = 60, 24
 """Maximum numbers of result sheets and profiles; further results are in the table only, to limit the report's size."""
@@ -101,7 +108,7 @@ def results(material: Material) -> ReportSection:
 
 def _sheet(material: Material, finding: AnyResult) -> Sheet:
     main = main_field(finding)
-    judgement = thought(material.notebook.judgement(key_of_result(finding.number)))
+    judgement = judgement_text(material.notebook.judgement(key_of_result(finding.number)))
     below = (kind_of(finding), title_of(main) if main else "", where(finding), judgement)
     return Sheet(
         number=f"{finding.number}",

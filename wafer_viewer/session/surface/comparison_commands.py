@@ -143,9 +143,9 @@ def surface_of(now: Snapshot, show: int) -> Mosaic:
 
 @lru_cache(maxsize=4)
 def _surface(dataset: Path, name: str, face: ComparisonFace, stamp: int) -> Mosaic:
-    from wafer_viewer.session.surface.comparison_job import face_of
+    from wafer_viewer.session.surface.comparison_job import comparison_view
 
-    return face_of(dataset, name, face)
+    return comparison_view(dataset, name, face)
 
 
 def free_result(taken: tuple[str, ...], second: SurfaceName) -> str:

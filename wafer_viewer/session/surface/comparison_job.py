@@ -20,7 +20,7 @@ from wafer_viewer.session.core.dataset_library import ENDING, today
 from wafer_viewer.store.dataset.dataset import Dataset
 from wafer_viewer.store.dataset.lock import Lock
 from wafer_viewer.store.dataset.result import COMPARISON, MOSAIC
-from wafer_viewer.store.io.atomic_files import remove, replacing
+from wafer_viewer.store.io.atomic_files import atomic_write, remove
 from wafer_viewer.store.io.checksums import save_json
 
 PREFIX = "difference-"
@@ -29,7 +29,7 @@ ALIGN_SHARE = 0.15
 THREADS = 2
 
 
-def opened(name: SurfaceName) -> Mosaic:
+def open_surface(name: SurfaceName) -> Mosaic:
     """Return the surface of a name. Raises DatasetError when it does not exist."""
     from wafer_viewer.reconstruct.comparison.height_layer_choice import read_as
     from wafer_viewer.store.formats.readers import read_surface
@@ -54,7 +54,7 @@ def made_at(name: SurfaceName) -> float:
     return path.stat().st_mtime if path.exists() else 0.0
 
 
-def face_of(dataset: Path, result: str, face: ComparisonFace) -> Mosaic:
+def comparison_view(dataset: Path, result: str, face: ComparisonFace) -> Mosaic:
     """Return a layer of a comparison. Raises DatasetError when it, or one of its surfaces, does not exist."""
     from wafer_viewer.reconstruct.comparison.lazy_pyramid import as_pyramid
     from wafer_viewer.reconstruct.comparison.resampled_surface import ResampledMosaic
@@ -64,10 +64,10 @@ def face_of(dataset: Path, result: str, face: ComparisonFace) -> Mosaic:
     if face is ComparisonFace.DIFFERENCE:
         return kept.mosaic()
     comparison = kept.comparison()
-    first = as_pyramid(opened(comparison.first))
+    first = as_pyramid(open_surface(comparison.first))
     if face is ComparisonFace.FIRST:
         return first
-    laid = ResampledMosaic(first, as_pyramid(opened(comparison.second)), comparison.registration)
+    laid = ResampledMosaic(first, as_pyramid(open_surface(comparison.second)), comparison.registration)
     return laid if face is ComparisonFace.SECOND else SideBySideMosaic(laid)
 
 
@@ -106,7 +106,7 @@ def subtract(
     if should_stop():
         raise ComputeError("The comparison was stopped. Nothing was kept of it.")
     tallied = StreamingStatistics(difference)
-    with replacing(target.path) as beside:
+    with atomic_write(target.path) as beside:
         beside.mkdir(parents=True)
         write_mosaic(beside / MOSAIC, tallied, partial(_later, progress), should_stop, THREADS)
         comparison = replace(tallied.comparison(first, second), number=number)
@@ -139,7 +139,7 @@ def _compared(first: SurfaceName, second: SurfaceName, align: Align, keep_z: boo
 
     if first == second:
         raise DatasetError(f"{first.words} was to be compared with itself: choose another surface.")
-    difference = compare(opened(first), opened(second), align, keep_z)
+    difference = compare(open_surface(first), open_surface(second), align, keep_z)
     notes = (f"{second.words} minus {first.words}.", *difference.provenance.notes[1:])
     return dataclasses.replace(difference, provenance=replace(difference.provenance, notes=notes))
 

@@ -196,7 +196,7 @@ def _fields_to_do(data: Dataset, recipe: Recipe, result: str, again: bool) -> li
         raise DatasetError(f"{data.path.name} is a surface without frames: there is nothing to reconstruct.")
     if not complete:
         raise DatasetError(f"{data.path.name} has no field with all its frames yet: continue its scan.")
-    same = kept.exists and kept.surfaces_done(data.fields) and kept.has_heights_of(recipe)
+    same = kept.exists and kept.surfaces_done(data.fields) and kept.matches_recipe(recipe)
     kept.save_recipe(recipe)
     done = kept.surfaces_done(data.fields) if same and not again else set[int]()
     return [number for number in complete if number not in done]

@@ -51,7 +51,7 @@ def bring_up_to_date(
     an unreadable surface are omitted and reported. Raises DatasetError when no field has a surface, ComputeError when
     the work is stopped; an incomplete mosaic is drawn again next time.
     """
-    from wafer_viewer.reconstruct.pose_graph.incremental import held_still
+    from wafer_viewer.reconstruct.pose_graph.incremental import freeze_unmoved_fields
     from wafer_viewer.session.surface.stitching_inputs import StitchingInputs
 
     sheets = StitchingInputs.open(dataset.absolute(), result, recipe.stitching)
@@ -60,7 +60,7 @@ def bring_up_to_date(
     known = sheets.known()
     outline = sheets.outlines[0]
     found = _find_poses(sheets, recipe, known, final, hands)
-    poses, moved = held_still(found, known, outline.pixel_um, outline.corner_um)
+    poses, moved = freeze_unmoved_fields(found, known, outline.pixel_um, outline.corner_um)
     windows = None if known.poses is None else sheets.windows(known, poses, moved)
     if final and windows is not None and not windows and not sheets.mosaic_is_good():
         windows = None
@@ -175,7 +175,7 @@ def _draw(
     """Draw windows of the mosaic, or a new one next to the existing one; each task writes its own shards."""
     from wafer_viewer.store.mosaic.zarr_mosaic import patches
 
-    drawing = sheets.kept.begin_drawing(poses)
+    drawing = sheets.kept.begin_mosaic_update(poses)
     with _canvas(sheets, poses, recipe, fresh=windows is None) as canvas:
         work = patches(sheets.lattice.shape, windows)
         n_done = 0
@@ -184,13 +184,13 @@ def _draw(
             begin, end = (LOOK_SHARE + (1 - LOOK_SHARE) * n / len(work) for n in (n_done, n_done + len(items)))
             hands.each(draw_patch, items, begin, end)
             n_done += len(items)
-    sheets.kept.end_drawing()
+    sheets.kept.commit_mosaic_update()
 
 
 @contextmanager
 def _canvas(sheets: StitchingInputs, poses: Poses, recipe: Recipe, *, fresh: bool) -> Generator[Path]:
     """Provide the mosaic to draw on; a new one has a temporary name until it is complete."""
-    from wafer_viewer.store.io.atomic_files import replacing
+    from wafer_viewer.store.io.atomic_files import atomic_write
     from wafer_viewer.store.mosaic.zarr_mosaic import lay_out, rewrite_header
 
     source = sheets.source(poses, sheets.provenance(poses, recipe))
@@ -198,7 +198,7 @@ def _canvas(sheets: StitchingInputs, poses: Poses, recipe: Recipe, *, fresh: boo
         yield sheets.kept.mosaic_path
         rewrite_header(sheets.kept.mosaic_path, source)
         return
-    with replacing(sheets.kept.mosaic_path) as beside:
+    with atomic_write(sheets.kept.mosaic_path) as beside:
         lay_out(beside, source)
         yield beside
 

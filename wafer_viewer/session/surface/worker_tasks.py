@@ -41,7 +41,7 @@ def reconstruct_field(
     The `auto` choices of the first representative field are stored for the others, so that a scan is processed
     uniformly.
     """
-    from wafer_viewer.reconstruct.field_pipeline import reconstruct, speaks_for_scan
+    from wafer_viewer.reconstruct.field_pipeline import is_representative, reconstruct
     from wafer_viewer.store.dataset.dataset import Dataset
 
     data = Dataset.open(dataset)
@@ -49,7 +49,7 @@ def reconstruct_field(
     recipe = kept.settled() or recipe
     surface = reconstruct(data.stack(field_number), recipe, progress=progress, threads=threads)
     kept.save_surface(data.field(field_number), surface)
-    if recipe.heights_have_auto and speaks_for_scan(surface):
+    if recipe.heights_have_auto and is_representative(surface):
         kept.save_settled(surface.provenance.recipe)
 
 
@@ -127,7 +127,7 @@ def export_surface(
     """
     from wafer_viewer.model.surface.comparison import ComparisonFace
     from wafer_viewer.model.surface.height_map import Mosaic, PartOfMosaic
-    from wafer_viewer.session.surface.comparison_job import face_of
+    from wafer_viewer.session.surface.comparison_job import comparison_view
     from wafer_viewer.store.dataset.dataset import Dataset
     from wafer_viewer.store.formats.exporters import export
 
@@ -135,7 +135,7 @@ def export_surface(
     kept = data.result(result)
     surface: Mosaic
     if field_number is not None and field_number < 0:
-        surface = face_of(dataset, result, ComparisonFace(-field_number))
+        surface = comparison_view(dataset, result, ComparisonFace(-field_number))
     else:
         surface = kept.mosaic() if field_number is None else kept.surface(data.field(field_number))
     return export(surface if part is None else PartOfMosaic(surface, part), out, every, progress, should_stop)

@@ -27,8 +27,8 @@ from wafer_viewer.store.dataset.journal import (
 )
 from wafer_viewer.store.dataset.result import Result
 from wafer_viewer.store.dataset.scan_record import JOURNAL, RESULTS, ScanRecord, frames_file, read_record
-from wafer_viewer.store.io.checksums import KnownGood, file_mark, mend_of
-from wafer_viewer.store.io.progress import watched
+from wafer_viewer.store.io.checksums import KnownGood, file_mark, remedy
+from wafer_viewer.store.io.progress import with_progress
 
 if TYPE_CHECKING:
     from wafer_viewer.store.dataset.integrity import KindReport
@@ -187,7 +187,7 @@ class Dataset:
         there = [line for of_one in lines for line in of_one if line is not None]
         checksum = _checksum(there)
         if verify:
-            self._require_good(field, pages, there, checksum)
+            self._require_valid_pages(field, pages, there, checksum)
         return FieldStack(
             field=field,
             images=first.images,
@@ -207,11 +207,11 @@ class Dataset:
         """Verify the checksum of every page against the journal, and the checksums of all other files."""
         from wafer_viewer.store.dataset.integrity import check_files
 
-        files = check_files(self.path, _part(progress, 0.0, FILES_SHARE), should_stop)
-        progress = _part(progress, FILES_SHARE, 1.0)
+        files = check_files(self.path, _partial_progress(progress, 0.0, FILES_SHARE), should_stop)
+        progress = _partial_progress(progress, FILES_SHARE, 1.0)
         tags = self.scan.tags_crc32c()
         good, damaged, faults = 0, list[Shot](), list[str]()
-        for field in watched(self.fields, len(self.fields), "The check", progress, should_stop):
+        for field in with_progress(self.fields, len(self.fields), "The check", progress, should_stop):
             try:
                 self._require_good_tags(field, tags.get(field.number))
                 bad = self._damaged(field)
@@ -283,30 +283,30 @@ class Dataset:
 
     def _damaged(self, field: Field) -> list[Shot]:
         lines = [self._frames[shot] for shot in self._shots(field) if shot in self._frames]
-        return self._bad(map_pages(frames_file(self.path, field), self.scan.pages), lines) if lines else []
+        return self._damaged_slots(map_pages(frames_file(self.path, field), self.scan.pages), lines) if lines else []
 
-    def _bad(self, pages: Image, lines: Iterable[FrameKept]) -> list[Shot]:
+    def _damaged_slots(self, pages: Image, lines: Iterable[FrameKept]) -> list[Shot]:
         """Return the slots of the journal lines whose checksum differs from that of their page."""
         page_of = self.scan.page_of
         return [
             line.shot for line in lines if zlib.crc32(pages[page_of(line.shot.k, line.shot.exposure)]) != line.crc32
         ]
 
-    def _require_good(self, field: Field, pages: Image, lines: Iterable[FrameKept], checksum: str) -> None:
+    def _require_valid_pages(self, field: Field, pages: Image, lines: Iterable[FrameKept], checksum: str) -> None:
         """Raise DatasetError when a page differs from its checksum in the journal; a file is read once."""
         path = frames_file(self.path, field)
         key = file_mark(path), checksum
         if key in _good_stacks:
             return
-        if bad := self._bad(pages, lines):
+        if bad := self._damaged_slots(pages, lines):
             raise DatasetError(
                 f"{path} is damaged, the checksum of frame {bad[0].k} differs"
-                f"{f', and of {len(bad) - 1} others' if len(bad) > 1 else ''}: {mend_of(path)}."
+                f"{f', and of {len(bad) - 1} others' if len(bad) > 1 else ''}: {remedy(path)}."
             )
         _good_stacks.add(key)
 
 
-def _part(progress: Progress | None, begin: float, end: float) -> Progress | None:
+def _partial_progress(progress: Progress | None, begin: float, end: float) -> Progress | None:
     """Return a progress callback for a part of the work, from `begin` to `end` of the total."""
     return None if progress is None else lambda done: progress(begin + (end - begin) * done)
 

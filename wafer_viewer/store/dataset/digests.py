@@ -8,7 +8,7 @@ from pathlib import Path
 
 from wafer_viewer.store.dataset.result import FINDINGS, MOSAIC, POSES, SURFACES, Result
 from wafer_viewer.store.dataset.scan_record import JOURNAL
-from wafer_viewer.store.io.atomic_files import natural, size
+from wafer_viewer.store.io.atomic_files import natural_sort_key, size
 
 SCAN, VERDICT, NOTEBOOK = "scan.json", "verdict.json", "notebook.json"
 HELD = "the frames themselves are checked against the journal's crc32 of each by wafer-viewer check"
@@ -48,7 +48,9 @@ def digests_of_result(result: Result) -> tuple[Digest, ...]:
 def _files(place: Path) -> list[Path]:
     """Return a file, or all files in a folder in natural order of their names."""
     if place.is_dir():
-        return sorted((path for path in place.rglob("*") if path.is_file()), key=lambda path: natural(str(path)))
+        return sorted(
+            (path for path in place.rglob("*") if path.is_file()), key=lambda path: natural_sort_key(str(path))
+        )
     return [place] if place.exists() else []
 
 

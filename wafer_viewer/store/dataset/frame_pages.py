@@ -14,7 +14,7 @@ import numpy as np
 
 from wafer_viewer.model.acquisition.focus_stack import Image
 from wafer_viewer.model.errors import DatasetError
-from wafer_viewer.store.io.atomic_files import writing
+from wafer_viewer.store.io.atomic_files import os_errors_as_dataset_errors
 from wafer_viewer.store.io.checksums import crc32c
 
 _UM_PER_CM = 1e4
@@ -49,7 +49,7 @@ def create_pages(path: Path, shape: PageShape, pixel_um: float, description: str
     """Create the file at its full size with black pages. Raises DatasetError when it cannot be written."""
     import tifffile
 
-    with writing(path):
+    with os_errors_as_dataset_errors(path):
         tifffile.imwrite(
             path,
             shape=(shape.n_pages, shape.rows, shape.cols),
@@ -73,7 +73,7 @@ class PageWriter:
     def write(self, page: int, image: Image) -> None:
         """Write one page. Raises DatasetError when it cannot be written."""
         data = np.ascontiguousarray(image, self._shape.dtype).data.cast("B")
-        with writing(self._path), self._path.open("r+b", buffering=0) as file:
+        with os_errors_as_dataset_errors(self._path), self._path.open("r+b", buffering=0) as file:
             file.seek(self._begin + page * self._shape.page_bytes)
             while data:
                 data = data[file.write(data) :]

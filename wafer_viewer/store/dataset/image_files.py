@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 
 from wafer_viewer.model.acquisition.focus_stack import Image
 from wafer_viewer.model.errors import DatasetError
-from wafer_viewer.store.io.atomic_files import natural
+from wafer_viewer.store.io.atomic_files import natural_sort_key
 
 REC_709 = np.array([0.2126, 0.7152, 0.0722])
 """Weights of red, green and blue in luminance, ITU-R BT.709."""
@@ -50,7 +50,7 @@ def pictures(src: Paths) -> list[ImageFile]:
 def image_files(src: Paths) -> list[Path]:
     """Return the image files of a folder, or those given, in natural order."""
     if not isinstance(src, str | Path):
-        return sorted((file for one in src for file in image_files(one)), key=lambda p: natural(str(p)))
+        return sorted((file for one in src for file in image_files(one)), key=lambda p: natural_sort_key(str(p)))
     path = Path(src)
     if path.is_dir():
         return _files_in(path)
@@ -73,7 +73,7 @@ def damaged(name: str, fault: Exception | None = None) -> DatasetError:
 
 
 def _files_in(folder: Path) -> list[Path]:
-    found = sorted((p for p in folder.iterdir() if p.suffix.lower() in READERS), key=lambda p: natural(p.name))
+    found = sorted((p for p in folder.iterdir() if p.suffix.lower() in READERS), key=lambda p: natural_sort_key(p.name))
     visible = [p for p in found if not p.name.startswith(".")]
     if not visible:
         raise DatasetError(

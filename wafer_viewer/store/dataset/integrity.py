@@ -18,17 +18,17 @@ from wafer_viewer.model.errors import DatasetError
 from wafer_viewer.model.progress import Progress, ShouldStop
 from wafer_viewer.store.dataset.result import DRAWING
 from wafer_viewer.store.dataset.scan_record import FRAMES, JOURNAL
-from wafer_viewer.store.io.atomic_files import natural
+from wafer_viewer.store.io.atomic_files import natural_sort_key
 from wafer_viewer.store.io.checksums import (
     Checksum,
     archive_state,
     damaged,
     line_state,
-    mend_of,
+    remedy,
     require_json,
     text_state,
 )
-from wafer_viewer.store.io.progress import watched
+from wafer_viewer.store.io.progress import with_progress
 from wafer_viewer.store.mosaic import layout
 from wafer_viewer.store.mosaic.missing_shards import missing, missing_files
 from wafer_viewer.store.mosaic.statistics import facts_state
@@ -84,9 +84,9 @@ def check_files(
     """
     if not dataset.is_dir():
         raise DatasetError(f"{dataset} does not exist: check the path.")
-    files = sorted((p for p in dataset.rglob("*") if p.is_file()), key=lambda path: natural(str(path)))
+    files = sorted((p for p in dataset.rglob("*") if p.is_file()), key=lambda path: natural_sort_key(str(path)))
     states: dict[str, list[Checksum | str]] = defaultdict(list)
-    for path in watched(files, len(files), "The check", progress, should_stop):
+    for path in with_progress(files, len(files), "The check", progress, should_stop):
         kind = kind_of(path.relative_to(dataset).as_posix())
         if kind is None:
             states[UNKNOWN].append(Checksum.NONE)
@@ -153,10 +153,10 @@ def _journal_state(path: Path) -> Checksum:
     *lines, rest = content.split(b"\n")
     for number, line in enumerate(lines, 1):
         if line_state(line) is Checksum.DAMAGED:
-            raise DatasetError(f"{path} is damaged in line {number}, its checksum differs: {mend_of(path)}.")
+            raise DatasetError(f"{path} is damaged in line {number}, its checksum differs: {remedy(path)}.")
         require_json(line, f"{path}, line {number},")
     if rest:
-        raise DatasetError(f"{path} ends within a line, which is ignored: continue the scan, or {mend_of(path)}.")
+        raise DatasetError(f"{path} ends within a line, which is ignored: continue the scan, or {remedy(path)}.")
     return Checksum.NONE if any(line_state(line) is Checksum.NONE for line in lines) else Checksum.GOOD
 
 

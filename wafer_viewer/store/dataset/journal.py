@@ -14,7 +14,7 @@ import msgspec
 from wafer_viewer.model.acquisition.devices import PulseSummary
 from wafer_viewer.model.acquisition.plan import Axis, Shot
 from wafer_viewer.model.errors import DatasetError
-from wafer_viewer.store.io.atomic_files import writing
+from wafer_viewer.store.io.atomic_files import os_errors_as_dataset_errors
 from wafer_viewer.store.io.checksums import Checksum, line_state, sealed_line
 
 
@@ -128,7 +128,7 @@ class JournalWriter:
 
     def __init__(self, path: Path) -> None:
         self._path = path
-        with writing(path):
+        with os_errors_as_dataset_errors(path):
             path.touch()
             os.truncate(path, _end_of_whole_lines(path))
             self._file = path.open("ab", buffering=0)
@@ -136,7 +136,7 @@ class JournalWriter:
     def write(self, line: Line) -> None:
         """Append a line. Raises DatasetError when it cannot be written."""
         text = sealed_line(msgspec.json.encode(line)) + b"\n"
-        with writing(self._path):
+        with os_errors_as_dataset_errors(self._path):
             if self._file.write(text) != len(text):
                 raise DatasetError(f"{self._path} cannot be written: the disk is full: free some space.")
 

@@ -17,7 +17,7 @@ from pathlib import Path
 import msgspec
 
 from wafer_viewer.model.errors import DatasetError
-from wafer_viewer.store.io.atomic_files import writing
+from wafer_viewer.store.io.atomic_files import os_errors_as_dataset_errors
 
 _TRIES, _PAUSE_S = 5, 0.02
 """Number of attempts, and pause in s: `holder_of` locks the file briefly itself, so one refusal is no proof."""
@@ -43,7 +43,7 @@ class Lock:
     @classmethod
     def take(cls, folder: Path) -> Lock:
         """Acquire the lock. Raises DatasetError naming the holder when another process has it."""
-        with writing(folder / "lock"):
+        with os_errors_as_dataset_errors(folder / "lock"):
             descriptor = os.open(folder / "lock", os.O_RDWR | os.O_CREAT, 0o644)
         held = not _hold_patiently(descriptor)
         holder = _read(descriptor)

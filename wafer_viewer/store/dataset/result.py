@@ -16,7 +16,7 @@ from wafer_viewer.model.surface.field_poses import Poses
 from wafer_viewer.model.surface.height_map import HeightMap, Mosaic
 from wafer_viewer.model.surface.recipe import Recipe
 from wafer_viewer.store.formats.npz_file import read_npz, write_npz
-from wafer_viewer.store.io.atomic_files import replacing, writing
+from wafer_viewer.store.io.atomic_files import atomic_write, os_errors_as_dataset_errors
 from wafer_viewer.store.io.checksums import SURFACES, load_json, require_good_json, save_json
 from wafer_viewer.store.mosaic.missing_shards import require_whole_once
 from wafer_viewer.store.mosaic.poses_file import POSES, read_poses, write_poses
@@ -55,11 +55,11 @@ class Result:
 
     def save_recipe(self, recipe: Recipe) -> None:
         """Save the recipe, and delete the settled recipe if the new recipe yields other heights."""
-        if (self.path / RECIPE).exists() and not self.has_heights_of(recipe):
+        if (self.path / RECIPE).exists() and not self.matches_recipe(recipe):
             (self.path / SETTLED).unlink(missing_ok=True)
         self._save(RECIPE, recipe)
 
-    def has_heights_of(self, recipe: Recipe) -> bool:
+    def matches_recipe(self, recipe: Recipe) -> bool:
         """Return whether the surfaces match a recipe; False if the result's own recipe files are damaged."""
         try:
             self.settled()
@@ -89,7 +89,7 @@ class Result:
         """Save the surface of a field, replacing an earlier one."""
         path = self._surface_file(field)
         self._make_folder(path.parent)
-        with replacing(path) as beside:
+        with atomic_write(path) as beside:
             write_npz(surface, beside)
 
     def surfaces_done(self, fields: Iterable[Field]) -> set[int]:
@@ -128,15 +128,15 @@ class Result:
         """Return the field poses of the stitched surface; None if it uses stage positions or does not exist."""
         return read_poses(self.path / POSES) if (self.path / POSES).exists() else None
 
-    def begin_drawing(self, poses: Poses) -> Path:
-        """Save the poses of a mosaic update; until `end_drawing` the mosaic may show only some fields at them."""
+    def begin_mosaic_update(self, poses: Poses) -> Path:
+        """Save the poses of a mosaic update; until `commit_mosaic_update` only some fields may be drawn at them."""
         self._make_folder(self.path)
         write_poses(poses, self.path / DRAWING)
         return self.path / DRAWING
 
-    def end_drawing(self) -> None:
+    def commit_mosaic_update(self) -> None:
         """Commit the poses of the finished mosaic update."""
-        with writing(self.path / POSES):
+        with os_errors_as_dataset_errors(self.path / POSES):
             (self.path / DRAWING).replace(self.path / POSES)
 
     def shows_all(self, fields: Iterable[Field]) -> bool:
@@ -176,7 +176,7 @@ class Result:
         """Save the thumbnail of a measurement result."""
         path = self._thumbnail_file(number)
         self._make_folder(path.parent)
-        with replacing(path) as beside:
+        with atomic_write(path) as beside:
             beside.write_bytes(jpeg)
 
     def highest_thumbnail(self) -> int:
@@ -194,5 +194,5 @@ class Result:
         save_json(self.path / name, spec)
 
     def _make_folder(self, folder: Path) -> None:
-        with writing(folder):
+        with os_errors_as_dataset_errors(folder):
             folder.mkdir(parents=True, exist_ok=True)

@@ -13,7 +13,7 @@ from wafer_viewer.model.errors import DatasetError, WaferViewerError
 from wafer_viewer.model.job.job import Job
 from wafer_viewer.model.spec import Spec, Within, decode
 from wafer_viewer.store.dataset.frame_pages import PageShape
-from wafer_viewer.store.io.checksums import Checksum, damaged, save_json, text_state, unsealed
+from wafer_viewer.store.io.checksums import Checksum, damaged, save_json, strip_checksum, text_state
 
 SCHEMA_VERSION = 1
 RECORD, FRAMES, JOURNAL, RESULTS = "scan.json", "frames", "journal.jsonl", "results"
@@ -98,7 +98,7 @@ def read_record(folder: Path) -> ScanRecord:
             f"{folder} has format {version} and this program reads formats up to {SCHEMA_VERSION}: "
             "open it with a newer Wafer Viewer."
         )
-    return decode(unsealed(text), ScanRecord, str(folder / RECORD), "json")
+    return decode(strip_checksum(text), ScanRecord, str(folder / RECORD), "json")
 
 
 def _record_text(folder: Path) -> bytes:

@@ -25,8 +25,8 @@ from wafer_viewer.store.dataset.dataset import Dataset
 from wafer_viewer.store.dataset.filename_patterns import Cell, Slot, stacks_by_cell
 from wafer_viewer.store.dataset.image_files import NOTHING_WRITTEN, ImageFile, Paths, pictures
 from wafer_viewer.store.dataset.writer import DatasetWriter
-from wafer_viewer.store.io.atomic_files import replacing, require_space
-from wafer_viewer.store.io.progress import watched
+from wafer_viewer.store.io.atomic_files import atomic_write, require_space
+from wafer_viewer.store.io.progress import with_progress
 
 UNKNOWN_EXPOSURE_US = 1.0
 """Placeholder exposure time in us for images without one.
@@ -101,7 +101,7 @@ def open_stack(
        programme exchange.
     """
     step_um, pixel = _required(z_step_um, pixel_um)
-    found = _upward(pictures(src), step_um)
+    found = _in_ascending_z(pictures(src), step_um)
     _require_frames(len(found), "the source")
     images = _read_all(found, progress, should_stop)
     return FieldStack(
@@ -183,7 +183,7 @@ def import_dataset(
     depth_um = _depth_um(numerical_aperture, wavelength_um, pixel)
     _require_overlap(overlap_fraction)
     _require_free(target)
-    stacks = {cell: _upward(stack, step_um) for cell, stack in stacks_by_cell(srcs, pattern).items()}
+    stacks = {cell: _in_ascending_z(stack, step_um) for cell, stack in stacks_by_cell(srcs, pattern).items()}
     for cell, stack in stacks.items():
         what = "the source" if pattern is None else f"the field in row {cell[0]}, column {cell[1]}"
         _require_frames(sum(None not in slot for slot in stack), what)
@@ -191,7 +191,7 @@ def import_dataset(
     job = _job(stacks, first, abs(step_um), pixel, overlap_fraction)
     plan = _plan(job, first, pixel, depth_um)
     require_space(target.parent, plan.n_frames * first.nbytes, target.name)
-    with replacing(target) as beside:
+    with atomic_write(target) as beside:
         bits = 8 * first.dtype.itemsize
         with DatasetWriter.create(beside, plan, job, imported_from=_source_name(srcs), bits=bits) as writer:
             _copy(stacks, writer, progress, should_stop)
@@ -224,7 +224,9 @@ def _read_all(found: list[ImageFile], progress: Progress | None, should_stop: Sh
     dtype: np.dtype[Any] = first.dtype
     images = np.empty((len(found), *first.shape), dtype)
     images[0] = first
-    for k, picture in enumerate(watched(found[1:], len(found) - 1, "Reading the images", progress, should_stop), 1):
+    for k, picture in enumerate(
+        with_progress(found[1:], len(found) - 1, "Reading the images", progress, should_stop), 1
+    ):
         images[k] = alike.passed(picture)
     return images
 
@@ -232,7 +234,7 @@ def _read_all(found: list[ImageFile], progress: Progress | None, should_stop: Sh
 def _copy(stacks: Stacks, writer: DatasetWriter, progress: Progress | None, should_stop: ShouldStop | None) -> None:
     alike = _Alike()
     slots = list(_slots(stacks, writer.record.plan))
-    for shot, field, picture in watched(slots, len(slots), "The import", progress, should_stop):
+    for shot, field, picture in with_progress(slots, len(slots), "The import", progress, should_stop):
         if picture is None:
             writer.missed(shot, shot.k, "there was no such image")
         else:
@@ -302,7 +304,7 @@ def _plan(job: Job, first: Image, pixel_um: float, depth_um: float) -> ScanPlan:
     )
 
 
-def _upward(stack: list[P], z_step_um: float) -> list[P]:
+def _in_ascending_z(stack: list[P], z_step_um: float) -> list[P]:
     return stack[::-1] if z_step_um < 0 else stack
 
 

@@ -27,7 +27,7 @@ from wafer_viewer.store.dataset.dataset import Dataset
 from wafer_viewer.store.dataset.frame_pages import PageWriter, create_pages, tags_crc32c
 from wafer_viewer.store.dataset.lock import Lock
 from wafer_viewer.store.dataset.scan_record import FRAMES, JOURNAL, RESULTS, ScanRecord, frames_file, write_record
-from wafer_viewer.store.io.atomic_files import remove, require_space, writing
+from wafer_viewer.store.io.atomic_files import os_errors_as_dataset_errors, remove, require_space
 
 OnFieldComplete = Callable[[int], None]
 
@@ -88,7 +88,7 @@ class DatasetWriter:
         with contextlib.ExitStack() as undo:
             undo.callback(remove, folder)
             lock = Lock.take(folder)
-            _lay_out(folder, record)
+            _create_files(folder, record)
             made = cls(folder, record, lock, on_field_complete)
             undo.pop_all()
             return made
@@ -221,15 +221,15 @@ class DatasetWriter:
 def _make_folder(folder: Path) -> None:
     if folder.exists():
         raise DatasetError(f"{folder} exists already: choose another name, or continue its scan.")
-    with writing(folder):
+    with os_errors_as_dataset_errors(folder):
         folder.mkdir()
 
 
-def _lay_out(folder: Path, record: ScanRecord) -> None:
+def _create_files(folder: Path, record: ScanRecord) -> None:
     """Create everything except the frames; ``scan.json`` is last, so that a partial folder is no dataset."""
     pages = record.pages
     require_space(folder, pages.file_bytes * len(record.plan.fields), folder.name)
-    with writing(folder):
+    with os_errors_as_dataset_errors(folder):
         (folder / FRAMES).mkdir()
         (folder / RESULTS).mkdir()
         (folder / JOURNAL).touch()

@@ -83,7 +83,7 @@ def about(strips: Strips) -> str:
     return json.dumps(facts, ensure_ascii=True, separators=(",", ":"))
 
 
-def told_by(text: str | None) -> EmbeddedMetadata | None:
+def parse_metadata(text: str | None) -> EmbeddedMetadata | None:
     """Parse the machine-readable text; None if there is none or it is of an incompatible version."""
     try:
         facts: Any = json.loads(text or "")

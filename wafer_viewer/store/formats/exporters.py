@@ -23,7 +23,7 @@ from wafer_viewer.store.formats.surface_strips import Strips
 from wafer_viewer.store.formats.text_table import write_csv, write_xyz
 from wafer_viewer.store.formats.tiff import write_tiff
 from wafer_viewer.store.formats.x3p import write_x3p
-from wafer_viewer.store.io.atomic_files import replacing
+from wafer_viewer.store.io.atomic_files import atomic_write
 
 __all__ = ["EXPORTERS", "caveats", "export", "losses", "require_known", "write_surface"]
 
@@ -102,7 +102,7 @@ def export(
         raise DatasetError(
             f"{target.name} would pass the 4 GB of a GWY file: take X3P, or fewer points with --every 2."
         )
-    with replacing(target) as beside:
+    with atomic_write(target) as beside:
         write(strips, beside)
     return target
 

@@ -11,7 +11,7 @@ from pathlib import Path
 import numpy as np
 
 from wafer_viewer.model.surface.height_map import HeightMap
-from wafer_viewer.store.formats.embedded_metadata import OURS, about, title, told_by
+from wafer_viewer.store.formats.embedded_metadata import OURS, about, parse_metadata, title
 from wafer_viewer.store.formats.reader_support import ReadOptions, heights_only, scaled
 from wafer_viewer.store.formats.surface_strips import Strips
 
@@ -31,7 +31,7 @@ def write_gsf(strips: Strips, path: Path) -> None:
 
 def read_gsf(path: Path, asked: ReadOptions) -> HeightMap:
     """Read the heights of a GSF file. Raises DatasetError when it is no such file or states no units."""
-    said, begin = _said(path, asked)
+    said, begin = _read_header(path, asked)
     rows, cols = (_count(said, name, asked) for name in ("YRes", "XRes"))
     if path.stat().st_size != begin + 4 * rows * cols:
         raise asked.refuse("is cut off or too long: its header and its numbers do not fit, so write it again.")
@@ -42,7 +42,7 @@ def read_gsf(path: Path, asked: ReadOptions) -> HeightMap:
     pixel_um = asked.pixel_um(dx_um, dy_um)
     z_um = scaled(asked, np.memmap(path, "<f4", "r", begin, (rows, cols)), z_scale)
     x0_um, y0_um = (_number(said, name, asked, 0.0) * (unit_um or 0.0) for name in ("XOffset", "YOffset"))
-    told = told_by(said.get(OURS))
+    told = parse_metadata(said.get(OURS))
     return heights_only(
         asked, z_um, pixel_um, x0_um + pixel_um / 2, -y0_um - pixel_um / 2, told.provenance if told else None
     )
@@ -66,7 +66,7 @@ def _header(strips: Strips) -> bytes:
     return text + b"\0" * (4 - len(text) % 4)
 
 
-def _said(path: Path, asked: ReadOptions) -> tuple[dict[str, str], int]:
+def _read_header(path: Path, asked: ReadOptions) -> tuple[dict[str, str], int]:
     """Return the header entries, and the offset of the numbers."""
     with path.open("rb") as file:
         content = file.read(_LARGEST_HEADER)

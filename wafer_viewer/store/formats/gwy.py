@@ -17,7 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from wafer_viewer.model.surface.height_map import HeightMap, Provenance
-from wafer_viewer.store.formats.embedded_metadata import OURS, about, title, told_by
+from wafer_viewer.store.formats.embedded_metadata import OURS, about, parse_metadata, title
 from wafer_viewer.store.formats.gwy_tree import MAGIC, Tree, parsed
 from wafer_viewer.store.formats.reader_support import UNITS_UM, ReadOptions, heights_only, require_some, scaled
 from wafer_viewer.store.formats.surface_strips import Strips
@@ -98,7 +98,7 @@ def read_gwy(path: Path, asked: ReadOptions) -> HeightMap:
     number = titles.get(CHANNELS[0].title, next((n for n in sorted(channels) if _is_length(channels[n])), None))
     if number is None:
         raise asked.refuse("has no channel of heights, with a unit of length: give its unit in Gwyddion, and save it.")
-    told = told_by(tree.get(f"/{number}/meta", {}).get(OURS))
+    told = parse_metadata(tree.get(f"/{number}/meta", {}).get(OURS))
     if len(channels) > 1 and told is None:
         asked.notes.append(
             f"Its channel '{tree.get(f'/{number}/data/title', number)}' was read, one of {len(channels)}."

@@ -19,7 +19,7 @@ from wafer_viewer.model.region import Region
 from wafer_viewer.model.spec import decode, encode
 from wafer_viewer.model.surface.height_map import HeightMap, Provenance
 from wafer_viewer.model.surface.refused_points import RefusedHeights
-from wafer_viewer.store.io.checksums import SURFACES, mend_of, require_good_archive, seal_archive
+from wafer_viewer.store.io.checksums import SURFACES, remedy, require_good_archive, seal_archive
 
 if TYPE_CHECKING:
     from wafer_viewer.store.formats.surface_strips import Strips
@@ -113,7 +113,7 @@ def read_npz(path: str | Path, *, verify: bool = True) -> HeightMap:
             f"{place} is not a height map, {fault.args[0]}: give a file that Wafer Viewer wrote."
         ) from fault
     except (zipfile.BadZipFile, ValueError, OSError, struct.error) as fault:
-        mend = mend_of(place) if place.parent.name == SURFACES else "give a file that Wafer Viewer wrote"
+        mend = remedy(place) if place.parent.name == SURFACES else "give a file that Wafer Viewer wrote"
         raise DatasetError(f"{place} cannot be read as .npz: {mend}.") from fault
     try:
         return HeightMap(**layers, **where, provenance=provenance, refused=refused)

@@ -13,7 +13,7 @@ from pathlib import Path
 import numpy as np
 
 from wafer_viewer.model.surface.height_map import HeightMap
-from wafer_viewer.store.formats.embedded_metadata import OURS, heading, told_by
+from wafer_viewer.store.formats.embedded_metadata import OURS, heading, parse_metadata
 from wafer_viewer.store.formats.point_gridding import Block, PointCloud, surface_of_points
 from wafer_viewer.store.formats.point_records import AT_A_TIME, count, points_of, records, text_records, units_of
 from wafer_viewer.store.formats.reader_support import ReadOptions
@@ -55,7 +55,7 @@ def write_pcd(strips: Strips, path: Path) -> None:
 def read_pcd(path: Path, asked: ReadOptions) -> HeightMap:
     """Read the surface sampled by the points of a PCD file."""
     head = _head(path, asked)
-    about = told_by(head.comments.get(OURS))
+    about = parse_metadata(head.comments.get(OURS))
     points = PointCloud(lambda: _blocks(path, head, asked), units_of(head.comments.get("unit"), about, asked), about)
     return surface_of_points(points, asked)
 

@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 
 from wafer_viewer.model.surface.height_map import HeightMap
-from wafer_viewer.store.formats.embedded_metadata import OURS, heading, told_by
+from wafer_viewer.store.formats.embedded_metadata import OURS, heading, parse_metadata
 from wafer_viewer.store.formats.point_gridding import Block, PointCloud, surface_of_points
 from wafer_viewer.store.formats.point_records import (
     AT_A_TIME,
@@ -67,7 +67,7 @@ def write_ply(strips: Strips, path: Path) -> None:
 def read_ply(path: Path, asked: ReadOptions) -> HeightMap:
     """Read the surface sampled by the points of a PLY file, or by the vertices of a mesh."""
     head = _head(path, asked)
-    about = told_by(head.comments.get(OURS))
+    about = parse_metadata(head.comments.get(OURS))
     points = PointCloud(lambda: _blocks(path, head, asked), units_of(head.comments.get("unit"), about, asked), about)
     return surface_of_points(points, asked)
 

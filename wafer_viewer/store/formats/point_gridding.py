@@ -59,12 +59,12 @@ def surface_of_points(points: PointCloud, asked: ReadOptions) -> HeightMap:
     if about is not None:
         lattice = PointLattice(about.pixel_um, about.x0_um, about.y0_um, about.rows, about.cols)
         _require_room(lattice, asked)
-        if (found := _laid(points, lattice, asked)) is not None:
+        if (found := _assign_to_lattice(points, lattice, asked)) is not None:
             return found
-    lattice = _found(points, asked)
+    lattice = _detect_lattice(points, asked)
     if lattice is not None and (asked_um is None or abs(asked_um / lattice.pixel_um - 1) < _UNEVEN):
         _require_room(lattice, asked)
-        if (found := _laid(points, lattice, asked)) is not None:
+        if (found := _assign_to_lattice(points, lattice, asked)) is not None:
             return found
     if asked_um is None:
         raise asked.refuse(
@@ -73,7 +73,7 @@ def surface_of_points(points: PointCloud, asked: ReadOptions) -> HeightMap:
     return _gridded(points, asked_um, asked)
 
 
-def _laid(points: PointCloud, lattice: PointLattice, asked: ReadOptions) -> HeightMap | None:
+def _assign_to_lattice(points: PointCloud, lattice: PointLattice, asked: ReadOptions) -> HeightMap | None:
     """Assign each point to its lattice position; None if one is off the lattice, outside, or a duplicate."""
     layers = _Layers(lattice)
     for block in points.blocks():
@@ -159,7 +159,7 @@ def _gridded(points: PointCloud, pixel_um: float, asked: ReadOptions) -> HeightM
     return heights_only(asked, z_um.reshape(rows, cols), pixel_um, lattice.x0_um, lattice.y0_um, None)
 
 
-def _found(points: PointCloud, asked: ReadOptions) -> PointLattice | None:
+def _detect_lattice(points: PointCloud, asked: ReadOptions) -> PointLattice | None:
     """Detect the lattice of the points; None if there is none."""
     xs, ys, n_points = np.empty(0), np.empty(0), 0
     for block in points.blocks():

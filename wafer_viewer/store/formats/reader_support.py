@@ -16,7 +16,7 @@ from wafer_viewer.model.progress import Progress, ShouldStop
 from wafer_viewer.model.spec import replace
 from wafer_viewer.model.surface.height_map import HeightMap, Origin, Provenance
 from wafer_viewer.store.formats.surface_strips import STRIP_ROWS
-from wafer_viewer.store.io.progress import watched
+from wafer_viewer.store.io.progress import with_progress
 
 UNITS_UM = {
     **dict.fromkeys(("m", "meter", "metre", "meters", "metres"), 1e6),
@@ -89,7 +89,7 @@ class ReadOptions:
 
     def watch(self, items: list[Any]) -> Iterator[Any]:
         """Yield the items with a progress report after each. Raises DatasetError when stopped."""
-        return watched(items, len(items), f"Reading {self.name}", self.progress, self.should_stop)
+        return with_progress(items, len(items), f"Reading {self.name}", self.progress, self.should_stop)
 
     def _length(self, unit: str, what: str) -> float:
         found = UNITS_UM.get(unit.strip()) or UNITS_UM.get(unit.strip().lower())

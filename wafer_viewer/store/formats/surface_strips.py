@@ -12,7 +12,7 @@ from wafer_viewer.model.errors import DatasetError
 from wafer_viewer.model.progress import Progress, ShouldStop
 from wafer_viewer.model.region import Region
 from wafer_viewer.model.surface.height_map import HeightMap, Mosaic
-from wafer_viewer.store.io.progress import watched
+from wafer_viewer.store.io.progress import with_progress
 from wafer_viewer.store.mosaic.zarr_mosaic import ZarrMosaic
 
 STRIP_ROWS = 256
@@ -72,7 +72,7 @@ class Strips:
             if tell is not None:
                 tell((part + done) / of)
 
-        yield from watched(runs[::-1] if upward else runs, total, "Writing the surface", told, self.should_stop)
+        yield from with_progress(runs[::-1] if upward else runs, total, "Writing the surface", told, self.should_stop)
 
     def _read(self, name: str, rows: slice) -> NDArray[Any]:
         if isinstance(self.surface, ZarrMosaic):

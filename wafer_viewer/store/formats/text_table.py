@@ -11,7 +11,7 @@ from pathlib import Path
 import numpy as np
 
 from wafer_viewer.model.surface.height_map import HeightMap
-from wafer_viewer.store.formats.embedded_metadata import OURS, EmbeddedMetadata, heading, told_by
+from wafer_viewer.store.formats.embedded_metadata import OURS, EmbeddedMetadata, heading, parse_metadata
 from wafer_viewer.store.formats.point_gridding import Block, PointCloud, surface_of_points
 from wafer_viewer.store.formats.point_records import units_of
 from wafer_viewer.store.formats.reader_support import ReadOptions
@@ -92,9 +92,9 @@ def _head(path: Path, asked: ReadOptions) -> _Head:
     columns, units = _names(cells, asked)
     begin += 0 if _is_number(cells[0]) else len(raw)
     if (unit := comments.get("unit")) is not None:
-        _require_one(units, unit, asked)
+        _require_consistent_units(units, unit, asked)
         units = units or dict.fromkeys("xyz", unit)
-    return _Head(columns, units, delimiter, told_by(comments.get(OURS.lower())), begin)
+    return _Head(columns, units, delimiter, parse_metadata(comments.get(OURS.lower())), begin)
 
 
 def _names(cells: list[str], asked: ReadOptions) -> tuple[dict[str, int], dict[str, str]]:
@@ -130,7 +130,7 @@ def _units(head: _Head, asked: ReadOptions) -> tuple[float, float, float]:
     return x_um, y_um, asked.z_scale_um(head.units["z"])
 
 
-def _require_one(units: dict[str, str], said: str, asked: ReadOptions) -> None:
+def _require_consistent_units(units: dict[str, str], said: str, asked: ReadOptions) -> None:
     """Raise DatasetError when the units of columns and comment contradict each other."""
     for axis, unit in units.items():
         if asked.lateral_um(unit) != asked.lateral_um(said):

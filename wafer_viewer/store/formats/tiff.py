@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from wafer_viewer.model.surface.height_map import HeightMap
-from wafer_viewer.store.formats.embedded_metadata import about, told_by
+from wafer_viewer.store.formats.embedded_metadata import about, parse_metadata
 from wafer_viewer.store.formats.reader_support import ReadOptions, heights_only, same, scaled
 from wafer_viewer.store.formats.surface_strips import Strips
 
@@ -61,7 +61,7 @@ def read_tiff(path: Path, asked: ReadOptions) -> HeightMap:
     if n_pages > 1:
         asked.notes.append(f"Its first page was read, of {n_pages}.")
     asked.require_heights_up(str(facts.get("quantity", facts.get("kind", ""))))
-    told = told_by(json.dumps(facts))
+    told = parse_metadata(json.dumps(facts))
     if told is not None and (told.rows, told.cols) != raw.shape:
         told = None
     said_um = facts.get("pixel_um")

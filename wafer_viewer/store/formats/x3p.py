@@ -19,7 +19,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from wafer_viewer.model.surface.height_map import HeightMap
-from wafer_viewer.store.formats.embedded_metadata import about, caveats, told_by
+from wafer_viewer.store.formats.embedded_metadata import about, caveats, parse_metadata
 from wafer_viewer.store.formats.reader_support import ReadOptions, heights_only
 from wafer_viewer.store.formats.surface_strips import STRIP_ROWS, Strips
 
@@ -60,7 +60,7 @@ def _read(archive: zipfile.ZipFile, main: ElementTree.Element, asked: ReadOption
         raise asked.refuse("has z upside down, its increment is negative: give --invert-z to invert it.")
     pixel_um, m_um = asked.pixel_um(dx[0] / _M, dy[0] / _M), asked.z_scale_um("m")
     z_um = _heights(archive, main, dz[0] * m_um, dz[1] * m_um, asked)
-    told = told_by((_text(main, "Record2/Comment") or "").partition("\n")[2])
+    told = parse_metadata((_text(main, "Record2/Comment") or "").partition("\n")[2])
     y0_um = dy[1] / _M + (z_um.shape[0] - 1) * pixel_um
     return heights_only(asked, z_um, pixel_um, dx[1] / _M, y0_um, told.provenance if told else None)
 
@@ -74,9 +74,9 @@ def _main(strips: Strips, digest: str) -> bytes:
             "Revision": REVISION,
             "FeatureType": "SUR",
             "Axes": {
-                "CX": _said_axis("I", pixel_m, strips.surface.x0_um * _M),
-                "CY": _said_axis("I", pixel_m, strips.low_y_um * _M),
-                "CZ": _said_axis("A", 1.0, 0.0),
+                "CX": _axis_element("I", pixel_m, strips.surface.x0_um * _M),
+                "CY": _axis_element("I", pixel_m, strips.low_y_um * _M),
+                "CZ": _axis_element("A", 1.0, 0.0),
             },
         },
         "Record2": {
@@ -103,19 +103,19 @@ def _main(strips: Strips, digest: str) -> bytes:
     }
     ElementTree.register_namespace("p", NAMESPACE)
     root = ElementTree.Element(f"{{{NAMESPACE}}}ISO5436_2")
-    _grow(root, tree)
+    _append_elements(root, tree)
     return ElementTree.tostring(root, "UTF-8", xml_declaration=True)
 
 
-def _said_axis(kind: str, increment: float, offset: float) -> dict[str, Any]:
+def _axis_element(kind: str, increment: float, offset: float) -> dict[str, Any]:
     return {"AxisType": kind, "DataType": "D", "Increment": repr(increment), "Offset": repr(offset)}
 
 
-def _grow(parent: ElementTree.Element, tree: dict[str, Any]) -> None:
+def _append_elements(parent: ElementTree.Element, tree: dict[str, Any]) -> None:
     for name, below in tree.items():
         child = ElementTree.SubElement(parent, name)
         if isinstance(below, dict):
-            _grow(child, below)
+            _append_elements(child, below)
         else:
             child.text = str(below)
 
@@ -154,7 +154,7 @@ def _heights(
     link, kind = _text(main, "Record3/DataLink/PointDataLink"), _text(main, "Record1/Axes/CZ/DataType") or "D"
     if link is None or kind not in _TYPES:
         raise asked.refuse("keeps its heights as text or in an unknown type: write it again with binary data.")
-    name, dtype = _there(archive, link, asked), np.dtype(_TYPES[kind])
+    name, dtype = _member_name(archive, link, asked), np.dtype(_TYPES[kind])
     if archive.getinfo(name).file_size < rows * cols * dtype.itemsize:
         raise asked.refuse("is cut off: it has fewer heights than it says, so copy it again.")
     z_um, digest = np.empty((rows, cols), np.float32), hashlib.md5(usedforsecurity=False)
@@ -180,12 +180,12 @@ def _valid(archive: zipfile.ZipFile, main: ElementTree.Element, n: int, asked: R
     link = _text(main, "Record3/DataLink/ValidPointsLink")
     if link is None:
         return None
-    with archive.open(_there(archive, link, asked)) as file:
+    with archive.open(_member_name(archive, link, asked)) as file:
         bits = np.frombuffer(file.read(-(-n // 8)), np.uint8)
     return np.unpackbits(bits, count=n, bitorder="little").astype(bool)
 
 
-def _there(archive: zipfile.ZipFile, link: str, asked: ReadOptions) -> str:
+def _member_name(archive: zipfile.ZipFile, link: str, asked: ReadOptions) -> str:
     wanted = link.replace("\\", "/").removeprefix("./").removeprefix("/")
     found = next((n for n in archive.namelist() if n.replace("\\", "/") == wanted), None)
     if found is None:

@@ -26,14 +26,14 @@ _MENDS = {
 
 
 @contextmanager
-def replacing(path: Path) -> Generator[Path]:
+def atomic_write(path: Path) -> Generator[Path]:
     """Context manager for an atomic write: yields a temporary path, renamed to `path`, or removed on failure.
 
     The path may be a file or a folder. Raises DatasetError when it cannot be written to.
     """
     beside = path.with_name(f".{path.name}.{os.getpid()}-{secrets.token_hex(3)}.part")
     try:
-        with writing(path):
+        with os_errors_as_dataset_errors(path):
             yield beside
             _move(beside, path)
     except DatasetError as fault:  # people know the place by its own name
@@ -43,7 +43,7 @@ def replacing(path: Path) -> Generator[Path]:
 
 
 @contextmanager
-def writing(path: Path) -> Generator[None]:
+def os_errors_as_dataset_errors(path: Path) -> Generator[None]:
     """Convert an OSError on writing `path` to a DatasetError of one sentence."""
     try:
         yield
@@ -54,7 +54,7 @@ def writing(path: Path) -> Generator[None]:
 
 def write_text(path: Path, text: str) -> None:
     """Write a small text file atomically."""
-    with replacing(path) as beside:
+    with atomic_write(path) as beside:
         beside.write_text(text, encoding="utf-8")
 
 
@@ -86,7 +86,7 @@ def size(n_bytes: float) -> str:
     return f"{n_bytes:.1f} GB"
 
 
-def natural(name: str) -> list[str | int]:
+def natural_sort_key(name: str) -> list[str | int]:
     """Return a sort key for natural order: ``a2`` before ``a10``."""
     return [int(part) if i % 2 else part for i, part in enumerate(re.split(r"(\d+)", name.casefold()))]
 

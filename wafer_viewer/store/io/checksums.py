@@ -97,7 +97,7 @@ def line_state(line: bytes) -> Checksum:
     return Checksum.DAMAGED if nearly else Checksum.NONE
 
 
-def unsealed(content: bytes) -> bytes:
+def strip_checksum(content: bytes) -> bytes:
     """Return a JSON text without its checksum, which is not tested."""
     found = _SEAL.search(content, max(0, len(content) - _TAIL_BYTES))
     return content if found is None else content[: found.start()] + b"}"
@@ -147,7 +147,7 @@ def verified_text(path: Path) -> bytes:
         raise DatasetError(f"{path} cannot be read: {fault.strerror}.") from fault
     if text_state(content) is Checksum.DAMAGED:
         raise damaged(path)
-    return unsealed(content)
+    return strip_checksum(content)
 
 
 def require_json(content: bytes, name: str) -> None:
@@ -225,10 +225,10 @@ def _compared(digits: bytes, crc: int) -> Checksum:
 
 def damaged(path: Path) -> DatasetError:
     """Return the error for a file whose checksum differs, with its path and the remedy."""
-    return DatasetError(f"{path} is damaged, its checksum differs: {mend_of(path)}.")
+    return DatasetError(f"{path} is damaged, its checksum differs: {remedy(path)}.")
 
 
-def mend_of(path: Path) -> str:
+def remedy(path: Path) -> str:
     """Return the remedy for a damaged file of a dataset, as the end of a sentence."""
     dataset = next((p.name for p in path.parents if p.suffix == ".wafer"), "NAME.wafer")
     parts = path.parts

@@ -13,8 +13,8 @@ import msgspec
 
 from wafer_viewer.model.errors import DatasetError
 from wafer_viewer.model.spec import Spec, decode
-from wafer_viewer.store.io.atomic_files import writing
-from wafer_viewer.store.io.checksums import Checksum, line_state, sealed_line, unsealed
+from wafer_viewer.store.io.atomic_files import os_errors_as_dataset_errors
+from wafer_viewer.store.io.checksums import Checksum, line_state, sealed_line, strip_checksum
 
 S = TypeVar("S", bound=Spec)
 
@@ -22,7 +22,7 @@ S = TypeVar("S", bound=Spec)
 def append_line(path: Path, entry: Spec) -> None:
     """Append an entry. Raises DatasetError when it cannot be written; the entry then does not count."""
     text = sealed_line(msgspec.json.encode(entry)) + b"\n"
-    with writing(path):
+    with os_errors_as_dataset_errors(path):
         path.touch()
         os.truncate(path, _end_of_whole_lines(path.read_bytes()))
         with path.open("ab", buffering=0) as file:
@@ -46,7 +46,7 @@ def read_lines(path: Path, kind: type[S]) -> tuple[S, ...]:
 def _decoded(line: bytes, kind: type[S], name: str) -> S:
     if line_state(line) is Checksum.DAMAGED:
         raise DatasetError(f"{name} is damaged, its checksum differs: restore it from a copy.")
-    return decode(unsealed(line), kind, name, "json")
+    return decode(strip_checksum(line), kind, name, "json")
 
 
 def _end_of_whole_lines(text: bytes) -> int:

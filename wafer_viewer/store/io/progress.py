@@ -11,7 +11,7 @@ from wafer_viewer.model.progress import Progress, ShouldStop
 T = TypeVar("T")
 
 
-def watched(
+def with_progress(
     items: Iterable[T], total: int, what: str, progress: Progress | None, should_stop: ShouldStop | None
 ) -> Iterator[T]:
     """Yield the items and report the completed fraction after each. Raises DatasetError when stopped."""

@@ -11,14 +11,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from wafer_viewer.model.errors import DatasetError
-from wafer_viewer.store.io.atomic_files import replacing
+from wafer_viewer.store.io.atomic_files import atomic_write
 
 Planes = Mapping[str, NDArray[Any]]
 
 
 def write_planes(path: Path, planes: Planes) -> None:
     """Write arrays atomically. Raises DatasetError when the path cannot be written to."""
-    with replacing(path) as beside, beside.open("wb") as file:
+    with atomic_write(path) as beside, beside.open("wb") as file:
         np.savez(file, allow_pickle=False, **dict(planes))
 
 

@@ -11,7 +11,7 @@ from collections.abc import Iterator
 from pathlib import Path
 
 from wafer_viewer.model.errors import DatasetError
-from wafer_viewer.store.io.checksums import KnownGood, file_mark, mend_of
+from wafer_viewer.store.io.checksums import KnownGood, file_mark, remedy
 from wafer_viewer.store.mosaic import layout
 from wafer_viewer.store.mosaic.layout import FILLS, GROUP, SPANS, levels_of
 from wafer_viewer.store.mosaic.statistics import FACTS, blocks_with_heights
@@ -46,7 +46,7 @@ def missing_files(mosaic: ZarrMosaic, *, heights_only: bool = False) -> Iterator
         levels = levels_of(name, mosaic.header)
         there = {level: _shards(mosaic.path / name / str(level)) for level in levels}
         for level in levels[1:]:
-            yield from _finer(mosaic, name, level, there[level - 1], there[level])
+            yield from _missing_finer_shards(mosaic, name, level, there[level - 1], there[level])
             if name not in VANISHES:
                 wanted = {(row // 2, col // 2) for row, col in there[level - 1]}
                 yield from (_path(mosaic, name, level, place) for place in sorted(wanted - there[level]))
@@ -58,7 +58,7 @@ def missing_files(mosaic: ZarrMosaic, *, heights_only: bool = False) -> Iterator
     of_facts = {(row // 2, col // 2) for row, col in written}
     yield from (mosaic.path / FACTS / "c" / f"{row}" / f"{col}" / "0" for row, col in sorted(of_facts - told))
     if not heights_only:
-        yield from _by_facts(mosaic)
+        yield from _missing_by_statistics(mosaic)
 
 
 def require_whole(mosaic: ZarrMosaic) -> None:
@@ -77,10 +77,12 @@ def require_whole_once(mosaic: ZarrMosaic) -> None:
 
 def missing(path: Path) -> DatasetError:
     """Return the error for a missing mosaic file, with its path and the remedy."""
-    return DatasetError(f"{path} is missing, though it was written: {mend_of(path)}.")
+    return DatasetError(f"{path} is missing, though it was written: {remedy(path)}.")
 
 
-def _finer(mosaic: ZarrMosaic, name: str, level: int, finer: set[Place], there: set[Place]) -> Iterator[Path]:
+def _missing_finer_shards(
+    mosaic: ZarrMosaic, name: str, level: int, finer: set[Place], there: set[Place]
+) -> Iterator[Path]:
     """Yield missing shards of the finer level that are not empty according to a shard of this level."""
     for row, col in sorted(there):
         children = {(2 * row + r, 2 * col + c) for r in (0, 1) for c in (0, 1)} - finer
@@ -92,7 +94,7 @@ def _finer(mosaic: ZarrMosaic, name: str, level: int, finer: set[Place], there: 
             yield from (_path(mosaic, name, level - 1, place) for place in sorted(children & held))
 
 
-def _by_facts(mosaic: ZarrMosaic) -> Iterator[Path]:
+def _missing_by_statistics(mosaic: ZarrMosaic) -> Iterator[Path]:
     """Yield missing height shards of level 0 that contain heights according to the statistics."""
     per_shard = layout.SHARD // (2 * layout.CHUNK)
     wanted = {(row // per_shard, col // per_shard) for row, col in blocks_with_heights(mosaic.path, mosaic.shape)}

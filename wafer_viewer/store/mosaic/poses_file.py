@@ -14,8 +14,8 @@ import numpy as np
 
 from wafer_viewer.model.errors import DatasetError
 from wafer_viewer.model.surface.field_poses import Form, HeightOffsets, Poses, Shifts
-from wafer_viewer.store.io.atomic_files import replacing
-from wafer_viewer.store.io.checksums import mend_of, require_good_archive, seal_archive
+from wafer_viewer.store.io.atomic_files import atomic_write
+from wafer_viewer.store.io.checksums import remedy, require_good_archive, seal_archive
 
 POSES = "poses.npz"
 """File name in the folder of a result."""
@@ -32,7 +32,7 @@ _TABLES: dict[str, type[Any]] = {"shifts": Shifts, "seams": HeightOffsets, "form
 
 def write_poses(poses: Poses, path: Path) -> None:
     """Save poses, replacing earlier ones."""
-    with replacing(path) as beside:
+    with atomic_write(path) as beside:
         with beside.open("wb") as file:
             np.savez(file, allow_pickle=False, **_flat(poses, ""))
         seal_archive(beside)
@@ -46,7 +46,7 @@ def read_poses(path: Path) -> Poses:
             tables = {name: _built(kind, arrays, f"{name}.") for name, kind in _TABLES.items()}
             return _built(Poses, arrays, "", **tables)
     except _UNREADABLE as fault:
-        raise DatasetError(f"{path} holds no poses that can be read: {mend_of(path)}.") from fault
+        raise DatasetError(f"{path} holds no poses that can be read: {remedy(path)}.") from fault
 
 
 def write_poses_csv(poses: Poses, path: Path) -> None:
@@ -56,7 +56,7 @@ def write_poses_csv(poses: Poses, path: Path) -> None:
     """
     columns = ("numbers", *PLACES, "group", "left_out")
     lines = zip(*(getattr(poses, name).tolist() for name in columns), strict=True)
-    with replacing(path) as beside, beside.open("w", newline="", encoding="utf-8") as file:
+    with atomic_write(path) as beside, beside.open("w", newline="", encoding="utf-8") as file:
         table = csv.writer(file)
         table.writerow(("field", *PLACES, "group", "left_out"))
         table.writerows(

@@ -17,10 +17,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from wafer_viewer.model.errors import DatasetError
-from wafer_viewer.store.io.atomic_files import replacing
-from wafer_viewer.store.io.checksums import Checksum, mend_of
+from wafer_viewer.store.io.atomic_files import atomic_write
+from wafer_viewer.store.io.checksums import Checksum, remedy
 from wafer_viewer.store.mosaic import layout
-from wafer_viewer.store.mosaic.zarr_shards import checked, summed
+from wafer_viewer.store.mosaic.zarr_shards import append_checksum, strip_checksum
 
 if TYPE_CHECKING:
     from wafer_viewer.numerics.grids.pyramid_level import Layers
@@ -57,7 +57,7 @@ class MosaicStatistics:
         return self.lowest_um <= self.highest_um
 
 
-def facts_of(layers: Layers) -> MosaicStatistics:
+def compute_statistics(layers: Layers) -> MosaicStatistics:
     """Return the statistics of a surface in memory; the overlap layer is optional."""
     return _joined(_blocks_of(layers, _step(layers["z_um"].shape, 1)))
 
@@ -101,7 +101,7 @@ def facts_array(shape: tuple[int, int]) -> dict[str, Any]:
     }
 
 
-def keep_facts(mosaic: Path, shape: tuple[int, int], top: int, left: int, layers: Layers) -> None:
+def save_statistics(mosaic: Path, shape: tuple[int, int], top: int, left: int, layers: Layers) -> None:
     """Save the statistics of a window of level 0.
 
     It begins at pixel (top, left), a block boundary, and is within one shard of level 1.
@@ -110,18 +110,18 @@ def keep_facts(mosaic: Path, shape: tuple[int, int], top: int, left: int, layers
     row, col = top // size, left // size
     path = mosaic / FACTS / "c" / str(row // n) / str(col // n) / "0"
     blocks = _blocks_of(layers, _step(shape))
-    whole = _loaded(path, blocks.dtype) if path.exists() else _nothing((n, n), blocks.dtype)
+    whole = _loaded(path, blocks.dtype) if path.exists() else _empty_blocks((n, n), blocks.dtype)
     whole[row % n : row % n + blocks.shape[0], col % n : col % n + blocks.shape[1]] = blocks
     path.parent.mkdir(parents=True, exist_ok=True)
-    with replacing(path) as beside:
-        beside.write_bytes(summed(whole.tobytes()) if _has_checksums(mosaic) else whole.tobytes())
+    with atomic_write(path) as beside:
+        beside.write_bytes(append_checksum(whole.tobytes()) if _has_checksums(mosaic) else whole.tobytes())
 
 
-def kept_facts(mosaic: Path, shape: tuple[int, int]) -> MosaicStatistics:
+def load_statistics(mosaic: Path, shape: tuple[int, int]) -> MosaicStatistics:
     """Return the statistics of a mosaic. Raises DatasetError when they are missing or damaged."""
     files = sorted((mosaic / FACTS).glob("c/*/*/0"))
     if not files:
-        raise DatasetError(f"{mosaic / FACTS} is missing or empty: {mend_of(mosaic)}.")
+        raise DatasetError(f"{mosaic / FACTS} is missing or empty: {remedy(mosaic)}.")
     record = _record(_step(shape))
     return _joined(np.concatenate([_loaded(path, record).ravel() for path in files]))
 
@@ -143,7 +143,7 @@ def blocks_with_heights(mosaic: Path, shape: tuple[int, int]) -> set[tuple[int, 
 def facts_state(path: Path) -> Checksum:
     """Return the checksum state of one statistics file."""
     try:
-        checked(path.read_bytes())
+        strip_checksum(path.read_bytes())
     except ValueError:
         with suppress(DatasetError):
             return Checksum.DAMAGED if _has_checksums(path.parents[4]) else Checksum.NONE
@@ -157,7 +157,7 @@ def _has_checksums(mosaic: Path) -> bool:
         made = json.loads((mosaic / FACTS / "zarr.json").read_bytes())
         return any(codec["name"] == "crc32c" for codec in made["codecs"])
     except (OSError, ValueError, KeyError, TypeError) as fault:
-        raise DatasetError(f"{mosaic / FACTS} is missing or damaged: {mend_of(mosaic)}.") from fault
+        raise DatasetError(f"{mosaic / FACTS} is missing or damaged: {remedy(mosaic)}.") from fault
 
 
 def _per_shard() -> int:
@@ -180,7 +180,7 @@ def _record(step: int) -> np.dtype[Any]:
     )
 
 
-def _nothing(shape: tuple[int, int], dtype: np.dtype[Any]) -> Blocks:
+def _empty_blocks(shape: tuple[int, int], dtype: np.dtype[Any]) -> Blocks:
     """Return blocks without pixels."""
     blocks = np.zeros(shape, dtype)
     blocks["lowest"], blocks["highest"], blocks["heights"], blocks["overlaps"] = np.inf, -np.inf, np.nan, np.nan
@@ -198,9 +198,9 @@ def _loaded(path: Path, record: np.dtype[Any]) -> Blocks:
     try:
         content = path.read_bytes()
         older = len(content) == n * n * record.itemsize
-        return np.frombuffer(content if older else checked(content), record).reshape(n, n).copy()
+        return np.frombuffer(content if older else strip_checksum(content), record).reshape(n, n).copy()
     except (OSError, ValueError) as fault:
-        raise DatasetError(f"{path} is damaged: {mend_of(path)}.") from fault
+        raise DatasetError(f"{path} is damaged: {remedy(path)}.") from fault
 
 
 def _joined(blocks: Blocks) -> MosaicStatistics:

@@ -33,9 +33,9 @@ from wafer_viewer.model.surface.height_map import (
     pixel_window,
 )
 from wafer_viewer.model.surface.textured_surface import TexturedHeights, picture_of
-from wafer_viewer.store.io.atomic_files import replacing, write_text, writing
-from wafer_viewer.store.io.checksums import Checksum, damaged, mend_of, sealed_node, text_state
-from wafer_viewer.store.io.progress import watched
+from wafer_viewer.store.io.atomic_files import atomic_write, os_errors_as_dataset_errors, write_text
+from wafer_viewer.store.io.checksums import Checksum, damaged, remedy, sealed_node, text_state
+from wafer_viewer.store.io.progress import with_progress
 from wafer_viewer.store.mosaic import layout
 from wafer_viewer.store.mosaic.layout import (
     FILLS,
@@ -51,7 +51,7 @@ from wafer_viewer.store.mosaic.layout import (
     shards_of,
 )
 from wafer_viewer.store.mosaic.poses_file import POSES, read_poses
-from wafer_viewer.store.mosaic.statistics import FACTS, MosaicStatistics, facts_array, keep_facts, kept_facts
+from wafer_viewer.store.mosaic.statistics import FACTS, MosaicStatistics, facts_array, load_statistics, save_statistics
 from wafer_viewer.store.mosaic.write_patches import Patch, patches
 from wafer_viewer.store.mosaic.zarr_shards import ShardedArray, codecs
 
@@ -80,7 +80,7 @@ def write_mosaic(
 
     Raises DatasetError when the path cannot be written to or the work is stopped; then `path` is unchanged.
     """
-    with replacing(path) as beside:
+    with atomic_write(path) as beside:
         lay_out(beside, source)
         _write(beside, source, patches(source.shape), progress, should_stop, threads)
     return ZarrMosaic.open(path)
@@ -91,7 +91,7 @@ def lay_out(path: Path, source: Mosaic) -> MosaicHeader:
     import zarr
 
     header = header_of(source)
-    with writing(path):
+    with os_errors_as_dataset_errors(path):
         root = zarr.create_group(path, overwrite=True, zarr_format=3, attributes={OWN: as_json(header)})
         root.create_array(FACTS, **facts_array(header.shape_of(0)))
         for name, fill in FILLS.items():
@@ -159,7 +159,7 @@ def _write(
             for done in pool.map(partial(write_patch, path, source), of_level)
         )
         try:
-            for _ in watched(each, len(work), "Writing the mosaic", progress, should_stop):
+            for _ in with_progress(each, len(work), "Writing the mosaic", progress, should_stop):
                 pass
         finally:
             pool.shutdown(cancel_futures=True)
@@ -172,14 +172,14 @@ def _drawn(stored: ZarrMosaic, source: Mosaic, rows: slice, cols: slice) -> Laye
     layers: Layers = {name: getattr(part, name) for name in SURFACE if getattr(part, name) is not None}
     layers.setdefault("overlap_um", np.full(part.shape, np.nan, np.float32))
     _write_layers(stored, 0, rows.start, cols.start, layers)
-    with writing(stored.path):
-        keep_facts(stored.path, stored.shape, rows.start, cols.start, layers)
+    with os_errors_as_dataset_errors(stored.path):
+        save_statistics(stored.path, stored.shape, rows.start, cols.start, layers)
     return layers
 
 
 def _write_layers(stored: ZarrMosaic, level: int, top: int, left: int, layers: Layers) -> None:
     for name, layer in layers.items():
-        with writing(stored.path):
+        with os_errors_as_dataset_errors(stored.path):
             stored.array(name, level).write(layer, top, left)
 
 
@@ -203,7 +203,7 @@ class ZarrMosaic:
             root = json.loads(text)
             own = json.dumps(root["attributes"][OWN]).encode()
         except (OSError, ValueError, KeyError, TypeError) as fault:
-            raise DatasetError(f"{path} is not a mosaic of Wafer Viewer, or is damaged: {mend_of(path)}.") from fault
+            raise DatasetError(f"{path} is not a mosaic of Wafer Viewer, or is damaged: {remedy(path)}.") from fault
         return cls(path, decode(own, MosaicHeader, str(path / GROUP), "json"))
 
     def __reduce__(self) -> tuple[Callable[..., ZarrMosaic], tuple[Path, MosaicHeader]]:
@@ -280,7 +280,7 @@ class ZarrMosaic:
 
     def facts(self) -> MosaicStatistics:
         """Return the statistics. Raises DatasetError when they are missing or damaged."""
-        return kept_facts(self.path, self.shape)
+        return load_statistics(self.path, self.shape)
 
     def layers(self, level: int, rows: slice, cols: slice) -> Layers:
         """Return a part of all layers of a level."""

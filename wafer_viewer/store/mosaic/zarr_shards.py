@@ -18,8 +18,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from wafer_viewer.model.errors import DatasetError
-from wafer_viewer.store.io.atomic_files import replacing
-from wafer_viewer.store.io.checksums import crc32c, damaged, mend_of
+from wafer_viewer.store.io.atomic_files import atomic_write
+from wafer_viewer.store.io.checksums import crc32c, damaged, remedy
 
 ABSENT = 2**64 - 1
 """Index entry of a chunk that holds only the fill value."""
@@ -46,13 +46,13 @@ class Shards:
         try:
             with path.open("rb") as file:
                 index = self._index(file)
-                for place, inside, outside in _crossing(rows, cols, self.chunk_px):
+                for place, inside, outside in _overlapped_chunks(rows, cols, self.chunk_px):
                     if index[place][0] != ABSENT:
                         out[outside] = self._decoded(_cut(file, *index[place]))[inside]
         except FileNotFoundError:
             return out
         except (OSError, ValueError, RuntimeError) as fault:
-            raise DatasetError(f"{path} is damaged: {mend_of(path)}.") from fault
+            raise DatasetError(f"{path} is damaged: {remedy(path)}.") from fault
         return out
 
     def places(self, path: Path) -> set[tuple[int, int]]:
@@ -66,14 +66,14 @@ class Shards:
         except FileNotFoundError:
             return set()
         except (OSError, ValueError) as fault:
-            raise DatasetError(f"{path} is damaged: {mend_of(path)}.") from fault
+            raise DatasetError(f"{path} is damaged: {remedy(path)}.") from fault
         return {(row, col) for row, col in there}
 
     def require_good(self, path: Path) -> None:
         """Verify the checksums of the index and of all chunks. Raises DatasetError when one differs."""
         for chunk in self._kept(path).values():
             try:
-                checked(chunk)
+                strip_checksum(chunk)
             except ValueError as fault:
                 raise damaged(path) from fault
 
@@ -105,9 +105,9 @@ class Shards:
             index[place] = offset, len(chunk)
             offset += len(chunk)
         path.parent.mkdir(parents=True, exist_ok=True)
-        with replacing(path) as beside, beside.open("wb") as file:
+        with atomic_write(path) as beside, beside.open("wb") as file:
             file.writelines(chunks.values())
-            file.write(summed(index.tobytes()))
+            file.write(append_checksum(index.tobytes()))
 
     def _kept(self, path: Path) -> Chunks:
         """Return all encoded chunks of a file."""
@@ -119,13 +119,13 @@ class Shards:
         except FileNotFoundError:
             return {}
         except (OSError, ValueError) as fault:
-            raise DatasetError(f"{path} is damaged: {mend_of(path)}.") from fault
+            raise DatasetError(f"{path} is damaged: {remedy(path)}.") from fault
 
     def _index(self, file: IO[bytes]) -> NDArray[np.uint64]:
         """Return offset and number of bytes of each chunk."""
         n = self.shard_px // self.chunk_px
         file.seek(-(16 * n * n + _SUM_BYTES), os.SEEK_END)
-        return np.frombuffer(checked(file.read()), "<u8").reshape(n, n, 2)
+        return np.frombuffer(strip_checksum(file.read()), "<u8").reshape(n, n, 2)
 
     def _encoded(self, chunk: NDArray[Any]) -> bytes | None:
         """Return an encoded chunk; None if it holds only the fill value."""
@@ -134,10 +134,10 @@ class Shards:
         size = self.chunk_px
         if chunk.shape != (size, size):
             chunk = np.pad(chunk, ((0, size - chunk.shape[0]), (0, size - chunk.shape[1])), constant_values=self.fill)
-        return summed(_compressor().encode(np.ascontiguousarray(chunk)))
+        return append_checksum(_compressor().encode(np.ascontiguousarray(chunk)))
 
     def _decoded(self, chunk: bytes) -> NDArray[Any]:
-        flat = np.frombuffer(_compressor().decode(checked(chunk)), self.dtype)
+        flat = np.frombuffer(_compressor().decode(strip_checksum(chunk)), self.dtype)
         return flat.reshape(self.chunk_px, self.chunk_px)
 
 
@@ -153,7 +153,7 @@ class ShardedArray:
     def open(cls, folder: Path, shards: Shards, shape: tuple[int, int]) -> ShardedArray:
         """Open the array in a folder. Raises DatasetError when there is none."""
         if not (folder / "zarr.json").exists():
-            raise DatasetError(f"{folder} is missing or damaged: {mend_of(folder)}.")
+            raise DatasetError(f"{folder} is missing or damaged: {remedy(folder)}.")
         return cls(folder, shards, shape)
 
     def read(self, rows: slice, cols: slice) -> NDArray[Any]:
@@ -219,12 +219,12 @@ def codecs() -> list[Any]:
     return [BloscCodec(cname="lz4", clevel=5, shuffle="bitshuffle"), Crc32cCodec()]
 
 
-def summed(content: bytes) -> bytes:
+def append_checksum(content: bytes) -> bytes:
     """Return bytes with their checksum appended."""
     return content + crc32c(content).to_bytes(_SUM_BYTES, "little")
 
 
-def checked(content: bytes) -> bytes:
+def strip_checksum(content: bytes) -> bytes:
     """Return bytes without their checksum. Raises ValueError when it is wrong."""
     body = content[:-_SUM_BYTES]
     if crc32c(body).to_bytes(_SUM_BYTES, "little") != content[-_SUM_BYTES:]:
@@ -243,7 +243,7 @@ def _holds_only(chunk: NDArray[Any], fill: float) -> bool:
     return bool(chunk[0, 0] == fill and chunk[-1, -1] == fill and (chunk == fill).all())
 
 
-def _crossing(
+def _overlapped_chunks(
     rows: slice, cols: slice, size: int
 ) -> Iterator[tuple[tuple[int, int], tuple[slice, slice], tuple[slice, slice]]]:
     """Yield the chunks that a part overlaps: index, slices in the chunk, slices in the part."""

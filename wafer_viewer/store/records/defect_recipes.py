@@ -8,7 +8,7 @@ from pathlib import Path
 from wafer_viewer.model.errors import DatasetError, WaferViewerError
 from wafer_viewer.model.inspection.defect import DefectRecipe
 from wafer_viewer.model.spec import decode, encode, replace
-from wafer_viewer.store.io.atomic_files import remove, write_text, writing
+from wafer_viewer.store.io.atomic_files import os_errors_as_dataset_errors, remove, write_text
 
 FOLDER, ENDING = "recipes", ".defects.toml"
 
@@ -66,7 +66,7 @@ def save_defect_recipe(folder: Path, recipe: DefectRecipe) -> Path:
         When a file of that name exists and is no valid recipe.
     """
     path = _place(folder, recipe.product, recipe.name)
-    with writing(path):
+    with os_errors_as_dataset_errors(path):
         path.parent.mkdir(parents=True, exist_ok=True)
     write_text(path, encode(recipe))
     return path
@@ -85,7 +85,7 @@ def rename_defect_recipe(folder: Path, recipe: DefectRecipe, name: str) -> Path:
 def delete_defect_recipe(folder: Path, recipe: DefectRecipe) -> None:
     """Delete a saved recipe. Raises DatasetError when it does not exist or cannot be deleted."""
     path = _kept(folder, recipe)
-    with writing(path):
+    with os_errors_as_dataset_errors(path):
         path.unlink()
 
 

@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 from wafer_viewer.model.errors import DatasetError
 from wafer_viewer.model.inspection.golden_die import GoldenDie, GoldenHeader
 from wafer_viewer.model.spec import decode, encode, replace
-from wafer_viewer.store.io.atomic_files import natural, remove, writing
+from wafer_viewer.store.io.atomic_files import natural_sort_key, os_errors_as_dataset_errors, remove
 from wafer_viewer.store.io.checksums import require_good_archive, seal_archive
 
 FOLDER, ENDING = "golden", ".golden.npz"
@@ -60,7 +60,7 @@ def save_golden(golden: GoldenDie, path: str | Path) -> Path:
     kept = versions_of(folder, name)
     if kept:
         _require_product(header_of(kept[-1]), golden.header.product)
-    with writing(place):
+    with os_errors_as_dataset_errors(place):
         folder.mkdir(parents=True, exist_ok=True)
     return _write_next(golden, folder, name, _version(kept[-1]) + 1 if kept else 1)
 
@@ -132,7 +132,7 @@ def list_golden(folder: Path) -> tuple[GoldenHeader, ...]:
 
 def every_golden(folder: Path) -> tuple[GoldenHeader, ...]:
     """Return all versions of all golden dies in a folder, in reverse natural order of their file names."""
-    paths = sorted(folder.glob(f"*{ENDING}"), key=lambda path: natural(path.name), reverse=True)
+    paths = sorted(folder.glob(f"*{ENDING}"), key=lambda path: natural_sort_key(path.name), reverse=True)
     return tuple(header for path in paths if (header := _readable(path)) is not None)
 
 
@@ -161,10 +161,10 @@ def _write_next(golden: GoldenDie, folder: Path, name: str, version: int) -> Pat
         while True:
             path = folder / f"{name}.{version}{ENDING}"
             header = _kept_now(golden.header, name, version)
-            with writing(path), beside.open("wb") as file:
+            with os_errors_as_dataset_errors(path), beside.open("wb") as file:
                 members: dict[str, Any] = {layer: getattr(golden, layer) for layer in LAYERS}
                 np.savez_compressed(file, header=np.array(encode(header, "json")), **members)
-            with writing(path):
+            with os_errors_as_dataset_errors(path):
                 seal_archive(beside)
             if _named(beside, path):
                 return path
@@ -183,7 +183,7 @@ def _kept_now(header: GoldenHeader, name: str, version: int) -> GoldenHeader:
 def _named(beside: Path, path: Path) -> bool:
     """Hard-link a file unless the target exists; unlike a rename, a link never overwrites."""
     try:
-        with writing(path):
+        with os_errors_as_dataset_errors(path):
             path.hardlink_to(beside)
     except DatasetError as fault:
         if isinstance(fault.__cause__, FileExistsError):

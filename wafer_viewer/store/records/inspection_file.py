@@ -9,7 +9,7 @@ import numpy as np
 
 from wafer_viewer.model.inspection.defect import Defect, Inspection
 from wafer_viewer.model.spec import replace
-from wafer_viewer.store.io.atomic_files import writing
+from wafer_viewer.store.io.atomic_files import os_errors_as_dataset_errors
 from wafer_viewer.store.io.checksums import load_json, save_json
 
 DEFECTS = "defects.json"
@@ -25,7 +25,7 @@ def read_inspection(result: Path) -> Inspection | None:
 
 def write_inspection(result: Path, inspection: Inspection) -> None:
     """Save an inspection atomically, replacing an earlier one."""
-    with writing(result):
+    with os_errors_as_dataset_errors(result):
         result.mkdir(parents=True, exist_ok=True)
     save_json(result / DEFECTS, inspection)
 
@@ -41,7 +41,7 @@ def carry_over(before: Inspection, after: Inspection) -> Inspection:
     said = {new: _words(judged[old]) for old, new in pairs}
     kept = tuple(replace(defect, **said.get(n, {})) for n, defect in enumerate(after.defects))
     gone = sorted(judged[k].number for k in set(range(len(judged))) - {old for old, _ in pairs})
-    return replace(after, defects=kept, notes=(*after.notes, *_not_again(gone)))
+    return replace(after, defects=kept, notes=(*after.notes, *_unmatched_note(gone)))
 
 
 def is_judged(defect: Defect) -> bool:
@@ -75,6 +75,6 @@ def _within_reach(a: Defect, others: tuple[Defect, ...]) -> list[tuple[float, in
     return [(float(distance_um[j]), int(j)) for j in np.flatnonzero(distance_um <= reach_um)]
 
 
-def _not_again(numbers: Iterable[int]) -> tuple[str, ...]:
+def _unmatched_note(numbers: Iterable[int]) -> tuple[str, ...]:
     listed = ", ".join(str(number) for number in numbers)
     return (f"Judged before and not found this time: {listed} of the inspection before.",) if listed else ()

@@ -5,7 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 
 from wafer_viewer.model.job.review_notes import Notebook
-from wafer_viewer.store.io.atomic_files import writing
+from wafer_viewer.store.io.atomic_files import os_errors_as_dataset_errors
 from wafer_viewer.store.io.checksums import load_json, require_good_json, save_json
 
 NOTEBOOK = "notebook.json"
@@ -19,7 +19,7 @@ def read_notebook(result: Path) -> Notebook:
 
 def write_notebook(result: Path, notebook: Notebook) -> None:
     """Save a notebook, replacing the earlier one. Raises DatasetError when that is damaged."""
-    with writing(result):
+    with os_errors_as_dataset_errors(result):
         result.mkdir(parents=True, exist_ok=True)
     require_good_json(result / NOTEBOOK)
     save_json(result / NOTEBOOK, notebook)

@@ -30,7 +30,7 @@ def defects_csv(inspection: Inspection) -> str:
 
 
 def _row(defect: Defect) -> list[object]:
-    return [*_where(defect), *_said(defect), *_sizes(defect), *_how(defect)]
+    return [*_where(defect), *_review_cells(defect), *_sizes(defect), *_quality_cells(defect)]
 
 
 def _where(defect: Defect) -> list[object]:
@@ -39,7 +39,7 @@ def _where(defect: Defect) -> list[object]:
     return [defect.number, defect.die, *in_die, f"{defect.center.x_um:.3f}", f"{defect.center.y_um:.3f}"]
 
 
-def _said(defect: Defect) -> list[object]:
+def _review_cells(defect: Defect) -> list[object]:
     reasons = "; ".join(defect.reasons)
     by = (defect.judgement, defect.judged_by, defect.judged_at, defect.note)
     return [defect.seen_as, defect.kind, reasons, *by]
@@ -58,7 +58,7 @@ def _pair(quantity: Quantity) -> list[str]:
     return [f"{quantity.value:.6g}", "" if quantity.expanded is None else f"{quantity.expanded:.2g}"]
 
 
-def _how(defect: Defect) -> list[object]:
+def _quality_cells(defect: Defect) -> list[object]:
     yes = {True: "yes", False: "no"}
     return [
         f"{defect.score:.2f}",

@@ -199,7 +199,7 @@ def _facts(records: Records, um: float) -> dict[str, Any]:
         "version": ".".join(records["FileVersion"].words[:2]),
         **{name: _first(records, key) for name, key in _NAMES.items()},
         "notch": _first(records, "OrientationMarkLocation") or "DOWN",
-        "slot": _whole(_first(records, "Slot") or "0"),
+        "slot": _parse_integer(_first(records, "Slot") or "0"),
         "sample_mm": size[1],
         "pitch_x_um": pitch[0] * um,
         "pitch_y_um": pitch[1] * um,
@@ -224,7 +224,7 @@ def _numbers(records: Records, keyword: str) -> tuple[float, ...]:
 
 def _classes(records: Records) -> tuple[tuple[int, str], ...]:
     words = records["ClassLookup"].words[1:] if "ClassLookup" in records else ()
-    return tuple((_whole(n), name) for n, name in zip(words[::2], words[1::2], strict=False))
+    return tuple((_parse_integer(n), name) for n, name in zip(words[::2], words[1::2], strict=False))
 
 
 def _pairs(records: Records) -> tuple[tuple[int, int], ...]:
@@ -232,8 +232,8 @@ def _pairs(records: Records) -> tuple[tuple[int, int], ...]:
     found: dict[tuple[int, int], None] = {}
     for plan in records.all("SampleTestPlan"):
         words = plan.words
-        named = [(_whole(col), _whole(row)) for col, row in zip(words[1::2], words[2::2], strict=False)]
-        if len(named) != _whole(words[0]):
+        named = [(_parse_integer(col), _parse_integer(row)) for col, row in zip(words[1::2], words[2::2], strict=False)]
+        if len(named) != _parse_integer(words[0]):
             raise DatasetError(f"its test plan names {len(named)} of {words[0]} dies: export it again.")
         found |= dict.fromkeys(named)
     return tuple((-col, row) if _is_mirrored(records) else (col, row) for col, row in found)
@@ -244,7 +244,7 @@ def _is_mirrored(records: Records) -> bool:
     return _first(records, "CoordinatesMirrored").upper() in ("YES", "Y", "TRUE", "1")
 
 
-def _whole(word: str) -> int:
+def _parse_integer(word: str) -> int:
     """Parse an integer, which some programs write as ``0.000``. Raises ValueError for any other word."""
     value = float(word)
     if not value.is_integer():
@@ -282,7 +282,7 @@ def _rows(listed: DefectList) -> Iterator[dict[str, str]]:
         pending = joined if len(joined) < least else ()
         if not pending:
             values = dict(zip(listed.columns, joined, strict=False))
-            n_image_words = IMAGE_WORDS * _whole(values.get("IMAGECOUNT", "0"))
+            n_image_words = IMAGE_WORDS * _parse_integer(values.get("IMAGECOUNT", "0"))
             yield values
     if pending:
         raise DatasetError(_too_few(begun, len(pending), least))
@@ -295,11 +295,11 @@ def _too_few(line: int, n_words: int, least: int) -> str:
 def _defect(values: dict[str, str], names: dict[int, str], um: float, origin_um: tuple[float, ...]) -> KlarfDefect:
     """Return a defect; its position is relative to its die's origin, which may differ from the lower left corner."""
     lengths = {field: float(values.get(name, 0)) * um for field, name in _LENGTHS.items()}
-    counts = {field: _whole(values[name]) for field, name in _COUNTS.items() if name in values}
+    counts = {field: _parse_integer(values[name]) for field, name in _COUNTS.items() if name in values}
     return KlarfDefect(
-        number=_whole(values["DEFECTID"]),
-        col=_whole(values["XINDEX"]),
-        row=_whole(values["YINDEX"]),
+        number=_parse_integer(values["DEFECTID"]),
+        col=_parse_integer(values["XINDEX"]),
+        row=_parse_integer(values["YINDEX"]),
         u_um=float(values["XREL"]) * um + origin_um[0],
         v_um=float(values["YREL"]) * um + origin_um[1],
         area_um2=float(values.get("DEFECTAREA", 0)) * um**2,
@@ -313,10 +313,10 @@ def _require_all(records: Records, klarf: Klarf) -> None:
     """Raise DatasetError when the summary count differs from the number of listed defects."""
     if "SummaryList" not in records:
         return
-    width = _whole(_first(records, "SummarySpec") or "5")
+    width = _parse_integer(_first(records, "SummarySpec") or "5")
     columns = records["SummarySpec"].words[1:] if "SummarySpec" in records else ("TESTNO", "NDEFECT")
     at = columns.index("NDEFECT")
-    said = sum(_whole(count) for summary in records.all("SummaryList") for count in summary.words[at::width])
+    said = sum(_parse_integer(count) for summary in records.all("SummaryList") for count in summary.words[at::width])
     there = len(klarf.defects)
     if said != there:
         raise DatasetError(f"its summary counts {said} defects and {there} are listed: export it again.")

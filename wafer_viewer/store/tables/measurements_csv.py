@@ -40,9 +40,9 @@ def findings_csv(findings: MeasurementResults) -> str:
     table.writerow(COLUMNS)
     for finding in findings.items:
         for number in _numbers(finding):
-            table.writerow([*_who(finding), *_cells(number), *_where(finding), *_on_what(finding)])
+            table.writerow([*_identity_cells(finding), *_cells(number), *_where(finding), *_processing_cells(finding)])
         for number, place in _parts(finding):
-            table.writerow([*_who(finding), *_cells(number), *place, *_on_what(finding)])
+            table.writerow([*_identity_cells(finding), *_cells(number), *place, *_processing_cells(finding)])
     return text.getvalue()
 
 
@@ -84,7 +84,7 @@ def _of_quantity(name: str, quantity: Quantity) -> CsvNumber:
     return CsvNumber(name, quantity.value, quantity.unit, quantity.expanded, quantity.status)
 
 
-def _who(finding: AnyResult) -> list[object]:
+def _identity_cells(finding: AnyResult) -> list[object]:
     return [finding.number, finding.name, finding.__struct_config__.tag]
 
 
@@ -108,6 +108,6 @@ def _where(finding: AnyResult) -> list[str]:
     return [f"{(bounds[0] + bounds[2]) / 2:.2f}", f"{(bounds[1] + bounds[3]) / 2:.2f}"]
 
 
-def _on_what(finding: AnyResult) -> list[object]:
+def _processing_cells(finding: AnyResult) -> list[object]:
     simulated = "SIMULATED" if finding.simulated else ""
     return [finding.surface, finding.filter, finding.levelling.by, finding.show, simulated]

@@ -18,7 +18,7 @@ from wafer_viewer.model.errors import DatasetError
 from wafer_viewer.model.inspection.defect import Defect, Inspection
 from wafer_viewer.model.region import Region
 from wafer_viewer.model.surface.height_map import HeightMap, Mosaic
-from wafer_viewer.store.io.atomic_files import replacing
+from wafer_viewer.store.io.atomic_files import atomic_write
 
 MARGIN, LEAST_PX, MOST_PX = 1.0, 32, 512
 """Margin around a defect as a share of its length; least and greatest side of the crop in px."""
@@ -72,7 +72,7 @@ def write_training_set(inspection: Inspection, surface: Mosaic, folder: str | Pa
         raise DatasetError(f"{place} exists already: give the name of a new folder.")
     if not inspection.found:
         raise DatasetError("There are no defects to write a training set of.")
-    with replacing(place) as beside:
+    with atomic_write(place) as beside:
         beside.mkdir()
         rows = [_write_one(beside, surface, defect) for defect in inspection.found]
         (beside / "features.csv").write_text(_table(rows), encoding="utf-8")

@@ -76,7 +76,7 @@ def summary(state: InspectionState) -> str:
 
 def facts(inspection: Inspection) -> str:
     """Return area, density, reference, threshold, expected false detections and notes of an inspection, as HTML."""
-    return "".join(f'<div class="wv-sub">{html.safe(html.micro(line))}</div>' for line in _facts(inspection))
+    return "".join(f'<div class="wv-sub">{html.safe(html.with_micro_sign(line))}</div>' for line in _facts(inspection))
 
 
 def unknown(inspection: Inspection) -> str:

@@ -48,7 +48,7 @@ def numbers(item: ReviewItem) -> str:
     """Return all quantities of an item with their U, and the verdict with its reason."""
     rows = [html.row([html.safe(cell) for cell in row], " nn") for row in item.rows]
     word = f"{verdict.state(item.word)} · " if item.word is not None else ""
-    said = word + html.safe(html.micro(item.said))
+    said = word + html.safe(html.with_micro_sign(item.said))
     below = f'<div class="wv-sub" style="margin-top:6px">{said}</div>' if said else ""
     table = html.table(["", "Value", "± U, k = 2", ""], rows, " nn") if rows else ""
     return html.head("Numbers") + table + below

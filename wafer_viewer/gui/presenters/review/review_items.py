@@ -7,11 +7,11 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Iterator
 
-from wafer_viewer.gui.presenters.measurement import letter, list_text, of_what, sign_colour, value_texts
+from wafer_viewer.gui.presenters.measurement import list_text, main_label, sign_colour, symbol, value_texts
 from wafer_viewer.gui.presenters.result_regions import Box, bounds_of
 from wafer_viewer.gui.presenters.review.defect_items import defect_item, defect_items
 from wafer_viewer.gui.presenters.review.review_item import ReviewItem, Row
-from wafer_viewer.gui.presenters.verdict import in_short
+from wafer_viewer.gui.presenters.verdict import feature_summary
 from wafer_viewer.gui.state.defect_list_state import DefectListing
 from wafer_viewer.gui.state.view_state import ReviewFilter
 from wafer_viewer.model.acquisition.alignment import Alignment
@@ -80,9 +80,9 @@ def _results(snapshot: Snapshot, _: DefectListing) -> Iterator[ReviewItem]:
         key = key_of_result(finding.number)
         yield ReviewItem(
             key=key,
-            sign=letter(finding),
+            sign=symbol(finding),
             colour=sign_colour(finding),
-            title=finding.name or letter(finding),
+            title=finding.name or symbol(finding),
             below=_kind(finding),
             value=list_text(finding),
             rows=tuple(_rows(finding)),
@@ -109,7 +109,7 @@ def _features(snapshot: Snapshot, _: DefectListing) -> Iterator[ReviewItem]:
             colour="",
             title=judged.name,
             below="Feature of the released job" if verdict.released else "Feature of the job",
-            value=in_short(judged),
+            value=feature_summary(judged),
             rows=_feature_rows(judged),
             judgement=snapshot.notebook.book.judgement(key),
             box_um=_box_on_stage(places, data.job.alignment),
@@ -124,7 +124,7 @@ SOURCES: tuple[Callable[[Snapshot, DefectListing], Iterable[ReviewItem]], ...] =
 def _kind(finding: AnyResult) -> str:
     titles = {tool: made.title for tool, made in TOOLS.items()}
     tag = {"step_height": "step"}.get(str(finding.__struct_config__.tag), str(finding.__struct_config__.tag))
-    words = (titles.get(tag, tag.replace("_", " ").capitalize()), of_what(finding), LAYER_TITLES[finding.surface])
+    words = (titles.get(tag, tag.replace("_", " ").capitalize()), main_label(finding), LAYER_TITLES[finding.surface])
     return " · ".join(word for word in words if word)
 
 

@@ -101,10 +101,10 @@ class CameraController:
     def moved(self) -> CameraPose:
         """Handle a camera move: fit to a resized canvas, update the near plane and return the current pose."""
         self.refit()
-        self.come_near()
+        self.update_near_plane()
         return self.pose
 
-    def come_near(self) -> None:
+    def update_near_plane(self) -> None:
         """Adapt the near plane to the distance: no clipping of near parts, no flicker of thin layers far away."""
         camera, pose = self._client.camera, self.pose
         near = near_mm(pose)

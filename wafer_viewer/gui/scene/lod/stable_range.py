@@ -64,10 +64,12 @@ def _fits(held: SurfaceStatistics, now: SurfaceStatistics, with_plane: bool) -> 
     moved = max(abs(held.low_um - now.low_um), abs(held.high_um - now.high_um), now.lowest_um - held.lowest_um)
     deeper = held.lowest_um - now.lowest_um > _DEEPER * span
     relit = not 1 / _GAIN < now.gain / held.gain < _GAIN
-    return moved <= _HEIGHTS * span and not deeper and not relit and not (with_plane and _tipped(held, now, span))
+    return (
+        moved <= _HEIGHTS * span and not deeper and not relit and not (with_plane and _plane_changed(held, now, span))
+    )
 
 
-def _tipped(held: SurfaceStatistics, now: SurfaceStatistics, span: float) -> bool:
+def _plane_changed(held: SurfaceStatistics, now: SurfaceStatistics, span: float) -> bool:
     """Return whether the reference plane of deviations differs noticeably at the corners of the surface."""
     x = now.x0_um + np.array([now.first_col, now.end_col]) * now.pixel_um
     y = now.y0_um - np.array([now.first_row, now.end_row]) * now.pixel_um

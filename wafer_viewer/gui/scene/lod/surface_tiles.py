@@ -102,7 +102,7 @@ def bounds_mm(facts: SurfaceStatistics) -> tuple[float, float, float, float]:
     )  # fmt: skip
 
 
-def look_of(view: View, scale: ColourScale) -> DisplayStyle:
+def display_style_of(view: View, scale: ColourScale) -> DisplayStyle:
     """Return the display style of a view with the colour range; origin colours get little shading for legibility."""
     colours = OWN_COLOURS.get(view.colour_by, view.colours)
     light = LIGHT_ON.get(view.colour_by, 1.0)

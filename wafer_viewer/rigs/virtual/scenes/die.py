@@ -158,11 +158,15 @@ def cell_bars(x: float, row: int, salt: int, soft: float) -> float:
     """Return the coverage by bars 2.4 um wide, present or absent, with soft transitions between them."""
     number = math.floor(x / 2.4)
     along = x - 2.4 * number
-    before, here, after = taken(number - 1, row, salt), taken(number, row, salt), taken(number + 1, row, salt)
+    before, here, after = (
+        is_bar_present(number - 1, row, salt),
+        is_bar_present(number, row, salt),
+        is_bar_present(number + 1, row, salt),
+    )
     return blend(blend(before, here, inside(along, soft)), after, inside(along - 2.4, soft))
 
 
 @fast_kernel
-def taken(number: int, row: int, salt: int) -> float:
+def is_bar_present(number: int, row: int, salt: int) -> float:
     """Return 1 where there is a bar, otherwise 0."""
     return 1.0 if chance(number, row, salt) > 0.5 else 0.0
