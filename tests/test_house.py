@@ -39,6 +39,7 @@ def test_a_room_has_no_room_hidden_in_it():
     assert not full
 
 
+@pytest.mark.slow
 def test_a_public_name_means_one_thing():
     defined = Counter(
         node.name

@@ -45,6 +45,7 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return path
 
 
+@pytest.mark.slow
 def test_the_defect_is_told_counted_and_handed_over(folder: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]):
     out = {what: str(tmp_path / f"w.{what}") for what in ("klarf", "csv", "training")}
     flags = [word for what, path in out.items() for word in (f"--{what}", path)]
@@ -72,12 +73,14 @@ def test_the_defect_is_told_counted_and_handed_over(folder: Path, tmp_path: Path
     assert worst["number"] in beside["matched"].values()
 
 
+@pytest.mark.slow
 def test_within_its_limits_the_status_is_0(folder: Path, capsys: pytest.CaptureFixture[str]):
     flags = ("--max-per-die", "50", "--sensitivity", "0.2", *GIVEN)
     assert main(["measure", "defects", str(folder / "bumped.npz"), *flags]) == 0
     assert json.loads(capsys.readouterr().out)["inspection"]["recipe"]["sensitivity"] == 0.2
 
 
+@pytest.mark.slow
 def test_a_wafer_with_a_missing_field_is_not_clean(folder: Path, capsys: pytest.CaptureFixture[str]):
     assert main(["measure", "defects", str(folder / "gap.npz"), *GIVEN]) == 1
     verdict = json.loads(capsys.readouterr().out)["verdict"]
@@ -85,6 +88,7 @@ def test_a_wafer_with_a_missing_field_is_not_clean(folder: Path, capsys: pytest.
     assert "not clean" in verdict["why"][0]
 
 
+@pytest.mark.slow
 def test_areas_that_a_recipe_names_are_left_out_and_told(
     folder: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ):
@@ -123,6 +127,7 @@ def test_bad_input_is_one_sentence(
     assert said.err.count("\n") == 1
 
 
+@pytest.mark.slow
 def test_a_golden_die_of_another_product_is_refused(folder: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]):
     recipe = tmp_path / "r.toml"
     for product, flags in (("A", ("--save-golden", str(tmp_path / "std"))), ("B", ())):

@@ -41,6 +41,7 @@ def test_a_step_of_several_rectangles_by_a_definition(blocks, capsys):
     assert found["not_evaluated"] == ["z linearity", "drift during the scan", "Abbe offset"]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("words", [(), ("--faces", "auto")])
 def test_faces_are_found_where_none_are_given(blocks, capsys, words):
     found = told(capsys, "step", blocks, *words)

@@ -47,6 +47,7 @@ def test_the_width_stays_within_what_optics_allow(seed: int):
     assert 0.5 * depth_um < width_um(one.stack) < 2.1 * depth_um
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("depth", ["known", "unknown"])
 def test_a_bounded_width_keeps_false_heights_away(depth: str):
     shares = []

@@ -72,6 +72,7 @@ def test_every_seed_plants_other_defects_each_on_its_die():
         assert abs(defect.y_um - (defect.die[1] + 0.5) * PITCH_UM[1]) <= DIE_UM[1] / 2 + 1e-6
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("kind", ["particle", "pit", "residue", "edge chip"])
 def test_the_true_surface_has_the_height_of_what_was_planted(kind: str):
     plan = Plan(seed=4, odd_dies=False)

@@ -52,6 +52,7 @@ def test_light_is_neither_lost_nor_made_by_defocus():
     assert means == pytest.approx(means[1], rel=0.02)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("off_um", [0.0, 12.0, 30.0])
 @pytest.mark.parametrize("na", [0.28, 0.40])
 def test_a_point_out_of_focus_spreads_as_the_aperture_says(off_um: float, na: float):

@@ -95,6 +95,7 @@ def test_colours_run_between_the_heights_that_are_in_view(browser: Browser, scen
     assert told[0] == pytest.approx((12.0, 12.0), abs=0.3)
 
 
+@pytest.mark.slow
 def test_the_camera_flies_to_a_rectangle_and_tells_what_it_sees(browser: Browser, scene: SceneView) -> None:
     assert scene.pose is None
     on_show(scene, View(step="surface"))

@@ -46,6 +46,7 @@ def test_a_tilted_die_is_told_from_the_sliver_of_one():
     assert dies(die5=dataclasses.replace(odd, compared_px=300)) == {}
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("seed", range(3))
 def test_a_wafer_without_a_defect_has_no_tilted_die(seed):
     """Turned by half a degree, a tenth unmeasured, dies cut on all sides."""

@@ -57,6 +57,7 @@ def test_the_pixels_of_a_cell_that_are_left_out_are_those_inside() -> None:
     assert exclusion_mask((Region.circle(-500.0, 14.0, 6.0),), cells) is None
 
 
+@pytest.mark.slow
 def test_without_dies_nothing_is_left_out_and_that_is_said() -> None:
     inspection = inspect(made().surface, recipe=replace(DULL, excluded=(Region.circle(20.0, 14.0, 6.0),)))
     assert any(note.startswith("No area was left out") for note in inspection.notes)

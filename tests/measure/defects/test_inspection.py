@@ -232,6 +232,7 @@ def with_heights(surface: HeightMap, z: np.ndarray) -> HeightMap:
     return dataclasses.replace(surface, z_um=z, z_raw_um=z, origin=origin)
 
 
+@pytest.mark.slow
 def test_places_round_the_dies_that_hold_none_are_no_defects_and_that_is_said() -> None:
     of = wafer(6, (5, 5), (120, 140), no_die=((0, 0), (0, 4), (4, 0), (4, 4)))
     found = inspect(of.surface, replace(of.grid, named=False), DULL)

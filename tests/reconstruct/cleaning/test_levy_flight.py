@@ -181,6 +181,7 @@ def test_flights_of_the_chosen_length_converge_for_any_beta(step: tuple[NDArray,
     assert rmse(smooth(z, levy, 10.0), truth) < 1.65
 
 
+@pytest.mark.slow
 def test_rounds_end_when_nothing_changes(step: tuple[NDArray, NDArray]) -> None:
     quiet = np.zeros((64, 64), np.float32)
     assert all(settle_levy([quiet], Levy(mode=mode), 2.0).iterations == 1 for mode in SMOOTHERS if mode != "literal")

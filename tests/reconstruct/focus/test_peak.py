@@ -49,6 +49,7 @@ def test_a_missing_frame_costs_little(
     assert _rmse(holed, plane_um, "tent") < 1.5
 
 
+@pytest.mark.slow
 @settings(max_examples=100)
 @given(at=st.floats(-0.49, 0.49), below=st.floats(0.5, 4), above=st.floats(0.5, 4), slope=st.floats(0.1, 3))
 def test_a_tent_is_found_exactly_at_any_spacing(at: float, below: float, above: float, slope: float) -> None:

@@ -90,6 +90,7 @@ def test_a_change_of_magnification_is_found(wide_stack: FieldStack, growth: floa
     assert np.abs(drift.shift_px).max() < 0.3
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("rows_px", "growth"),
     [(20 * EVENLY, STILL), (jumps(), STILL), (STILL, 0.01 * EVENLY)],

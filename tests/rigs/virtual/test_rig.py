@@ -29,6 +29,7 @@ def stair():
     rig.close()
 
 
+@pytest.mark.slow
 def test_it_sees_the_scene_sharp_where_the_truth_is(stair):
     stair.stage.move_to(x_um=90.0, y_um=40.0)
     truth_um = float(stair.truth_for_tests(90.0, 40.0))
@@ -51,6 +52,7 @@ def test_it_takes_the_same_picture_again_when_switched_on_again():
     np.testing.assert_array_equal(*pictures)
 
 
+@pytest.mark.slow
 def test_its_overview_shows_the_sample_where_it_lies():
     rig = VirtualRig("wafer")
     seen = rig.overview()
@@ -73,6 +75,7 @@ def test_a_closed_rig_is_at_rest(stair):
     assert stair.stage.position().x_um < 100.0
 
 
+@pytest.mark.slow
 def test_it_loads_the_sample_that_a_job_for_it_names_and_else_its_own(stair):
     own = stair.overview().title
     tour = Sample(product="cone", mount=VIRTUAL_MOUNT)

@@ -57,6 +57,7 @@ def test_what_no_field_covers_is_nobodys_loss():
     assert (islands.measured_fraction, islands.unmeasured) == (1.0, ())
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("dx", "dy"), [(25.0, 0.0), (-25.0, 5.0), (0.0, 15.0), (10.0, -10.0)])
 def test_the_misfit_of_neighbours_is_found_where_they_overlap(dx, dy):
     assert misfit_of(flat(1.0), flat(1.25, x0_um=dx, y0_um=dy)) == pytest.approx(0.25)
@@ -72,6 +73,7 @@ def test_fields_that_do_not_touch_have_no_misfit():
     assert misfit_of(flat(1.0), flat(2.0, x0_um=1000.0)) is None
 
 
+@pytest.mark.slow
 def test_a_mosaic_on_disk_is_summarised_from_what_is_kept_beside_it(tmp_path):
     surface = unmeasured(flat(5.0, shape=(700, 1100), noise_um=0.1), slice(0, 70), slice(None), Origin.CLIPPED)
     surface = stitch([surface, flat(5.1, shape=(700, 1100), x0_um=500.0)], recipe=Recipe.paper())

@@ -68,6 +68,7 @@ class Elsewhere:
             yield Done(index, task(*items[index]))
 
 
+@pytest.mark.slow
 def test_hands_make_no_difference(made, alone):
     assert len(alone.found) == len(PLANTED)
     for crew in (LocalRunner(1), LocalRunner(3), Elsewhere()):
@@ -110,6 +111,7 @@ def test_the_first_fault_of_a_row_ends_the_inspection():
     assert list(in_order([Done(1, "b"), Done(2, "c"), Done(0, "a")])) == ["a", "b", "c"]
 
 
+@pytest.mark.slow
 def test_a_stopped_inspection_says_so_and_leaves_nothing(made):
     told: list[float] = []
     for crew in (None, Elsewhere()):

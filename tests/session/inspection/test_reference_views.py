@@ -129,6 +129,7 @@ def middle_grey(jpeg: bytes) -> float:
     return float(picture[rows // 2 - 3 : rows // 2 + 3, cols // 2 - 3 : cols // 2 + 3].mean())
 
 
+@pytest.mark.slow
 def test_a_defect_stands_beside_the_other_dies_and_the_last_scan(folder: Path):
     answer = views(folder).beside(1).result(20)
     seen = shown(answer)

@@ -151,6 +151,7 @@ def test_they_are_counted_by_reason_and_read_from_the_datum(field: HeightMap):
     assert counted(MemoryShelf({0: field}), 0).refused == RefusedCounts(0, 0, dict.fromkeys(CODES, 0), {}, 0, 0)
 
 
+@pytest.mark.slow
 def test_in_the_stitched_surface_they_lie_where_their_neighbours_do(tmp_path: Path):
     """Where a field is moved, lifted and tilted by stitching, its refused points move with it."""
     made = make(SMALL)

@@ -34,6 +34,7 @@ def taken(tmp_path_factory):
     return out
 
 
+@pytest.mark.slow
 def test_the_field_whose_centre_is_nearest_answers_unless_another_is_named(taken):
     left, right = Dataset.open(taken).fields
     shared = (left.x_um + 0.6 * (right.x_um - left.x_um), 0.0)
@@ -44,6 +45,7 @@ def test_the_field_whose_centre_is_nearest_answers_unless_another_is_named(taken
     assert asked.peak_z_um == pytest.approx(2.0 * BEST[1], abs=1.0)
 
 
+@pytest.mark.slow
 def test_the_surface_that_is_looked_at_answers_by_its_own_settings(taken):
     left, right = Dataset.open(taken).fields
     shared = (left.x_um + 0.6 * (right.x_um - left.x_um), 0.0)

@@ -76,6 +76,7 @@ def test_the_whole_dataset_is_good(dataset):
     assert all(kind.n_good and not kind.n_without and not kind.damaged for kind in report.files)
 
 
+@pytest.mark.slow
 def test_check_sees_a_flipped_bit_in_every_file(dataset):
     names = [name for name in files_of(dataset) if not harmless(name) and not name.startswith("frames/")]
     for bits in zip(*(bits_of(dataset / name, name) for name in names), strict=True):
@@ -137,6 +138,7 @@ NO_NUMBER = {
 """Files of which this program makes no number, with the reason."""
 
 
+@pytest.mark.slow
 def test_no_number_is_made_of_a_file_with_a_flipped_bit(dataset):
     made: list[str] = []
     for name in files_of(dataset):

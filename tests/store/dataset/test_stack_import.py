@@ -177,6 +177,7 @@ BRACKETS = {
 }
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("pattern", BRACKETS)
 def test_exposures_are_told_by_the_names_and_fused(tmp_path, tilted, pattern):
     for number, gain in ((1, 0.5), (2, 1.0)):

@@ -77,6 +77,7 @@ def test_only_what_changed_is_painted_again(browser: Browser, growing: GrowingSe
     assert len(before & tiles_on(browser)) >= len(before) - again
 
 
+@pytest.mark.slow
 def test_where_it_is_not_told_what_changed_all_is_painted_again(
     browser: Browser, growing: GrowingSession, scene: SceneView
 ) -> None:
@@ -130,6 +131,7 @@ def test_a_surface_that_grows_faster_than_it_is_painted_is_seen_all_the_same(
     assert {r.source.stamp for r in growing.painted[begun:] if r.what == "tile"} <= set(range(1, stamps[-1] + 1))
 
 
+@pytest.mark.slow
 def test_fields_and_overlaps_are_drawn_over_the_surface_and_follow_it(
     browser: Browser, growing: GrowingSession, scene: SceneView
 ) -> None:
@@ -151,6 +153,7 @@ def test_fields_and_overlaps_are_drawn_over_the_surface_and_follow_it(
     assert browser.scene.names("/poses/") == []
 
 
+@pytest.mark.slow
 def test_the_overlay_keeps_its_distances_on_the_screen_and_small_words_are_not_drawn(
     browser: Browser, whole: StitchedSession
 ) -> None:
@@ -170,6 +173,7 @@ def test_the_overlay_keeps_its_distances_on_the_screen_and_small_words_are_not_d
     scene.close()
 
 
+@pytest.mark.slow
 def test_overlays_are_of_the_stitched_surface_alone(browser: Browser, whole: StitchedSession) -> None:
     whole.shelf.surfaces[1] = whole.shelf.surfaces[0]
     scene = SceneView(browser, whole)  # pyright: ignore[reportArgumentType]

@@ -65,6 +65,7 @@ def test_the_die_layout_says_where_the_dies_are():
     assert np.all(wafer.truth(middle_x, middle_y) - wafer.truth(beside_x, beside_y) > 25)
 
 
+@pytest.mark.slow
 def test_nine_dies_of_the_tour_lie_whole_on_its_fields_and_carry_what_is_planted():
     tour = scene("tour_wafer")
     assert tour.dies is not None
