@@ -131,7 +131,6 @@ def come_to(visit: Visit, state: State) -> None:
     if state.act is not None:
         state.act(visit)
     visit.page.locator(state.until).first.wait_for()
-    visit.page.mouse.move(1, 1)  # what the pointer rests on would say what it does, over what stands beside it
 
 
 def turn(page: Page, dark: bool) -> None:

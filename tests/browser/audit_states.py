@@ -256,7 +256,6 @@ GROUPS = {
         "measure",
         (
             State("profile", keys("l"), ".wv-profiles"),
-            State("profiles", keys("Shift+L", "Shift+H"), ".wv-profiles"),
             *(State(name, keys(key), f".wv-title:has-text('{name}')") for key, name in TOOLS.items()),
             State("kept", then(keys("k"), press("Keep result")), "tr[data-pick=finding]"),
         ),
