@@ -256,6 +256,7 @@ GROUPS = {
         "measure",
         (
             State("profile", keys("l"), ".wv-profiles"),
+            State("profiles", keys("Shift+H", "Shift+L"), ".wv-profiles"),  # a row, and a line across it
             *(State(name, keys(key), f".wv-title:has-text('{name}')") for key, name in TOOLS.items()),
             State("kept", then(keys("k"), press("Keep result")), "tr[data-pick=finding]"),
         ),
