@@ -2,7 +2,7 @@
 # Every check of the project, with all its own set-up.
 #
 #   bash tests/run.sh          lint, types, layers and all tests, those in the browser too
-#   bash tests/run.sh fast     lint, types, layers and the fast tests: under two minutes once set up
+#   bash tests/run.sh fast     lint, types, layers and the fast tests
 #   bash tests/run.sh bench    the quick run of every benchmark
 #   bash tests/run.sh setup    only the set-up
 #

@@ -114,4 +114,4 @@ def _step_to_look_at(snapshot: Snapshot) -> str:
 
 @cache
 def _script() -> str:
-    return read_static("lost_connection.js")[0]
+    return read_static("lost_connection.js")

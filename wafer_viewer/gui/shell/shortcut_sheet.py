@@ -92,4 +92,4 @@ def _group(group: Group, rows: list[tuple[str, str]]) -> str:
 def _script() -> str:
     optional = f"window.wvOptional={json.dumps(EMPTY, ensure_ascii=False)};"
     picks = ",".join(f"'{what}':function(event){{{html.pick_script(what)}}}" for what in FILE_PICKS)
-    return "\n".join((optional, f"window.wvReport={{{picks}}};", *read_static(*SCRIPTS)))
+    return "\n".join((optional, f"window.wvReport={{{picks}}};", read_static(*SCRIPTS)))

@@ -52,7 +52,7 @@ class TourGuide:
     def __init__(self, page: Page) -> None:
         self._page = page
         self._cell = HtmlBlock(page.gui, padded=False)
-        script = read_static("tour.js")[0]
+        script = read_static("tour.js")
         page.gui.add_html(f'<img src="data:," alt="" style="display:none" onerror="{html.safe(script)}">')
         page.on_pick("tour", lambda _: self.begin())
         page.on_pick("tour-skip", lambda step: self._skip(int(step)))

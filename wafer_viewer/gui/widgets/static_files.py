@@ -2,12 +2,11 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from pathlib import Path
 
 FOLDER = Path(__file__).parents[1] / "static"
 
 
-def read_static(*names: str) -> Sequence[str]:
-    """Return the text of static files."""
-    return [(FOLDER / name).read_text() for name in names]
+def read_static(*names: str) -> str:
+    """Return the text of static files, one after the other."""
+    return "\n".join((FOLDER / name).read_text() for name in names)

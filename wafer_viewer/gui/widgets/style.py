@@ -76,4 +76,4 @@ def by_id(uuid: str) -> str:
 
 @cache
 def _page_css() -> str:
-    return "\n".join(read_static(*SHEETS))
+    return read_static(*SHEETS)
