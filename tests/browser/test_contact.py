@@ -63,7 +63,7 @@ def test_an_open_page_comes_back_by_itself_after_the_program_was_killed(
     page.get_by_role("button", name="Use the sample on the stage").click()  # there once the rig has looked
     expect(page.locator("[data-dock-region=right]")).to_contain_text("Predicted time")
     memory = tmp_path / ".wafer-viewer" / "session.json"
-    eventually(memory.exists, "the plan is remembered")
+    eventually(lambda: memory.exists() and '"job":' in memory.read_text(), "the plan is remembered")
     page.evaluate("window.stillTheSame = true")
 
     process.kill()
