@@ -44,34 +44,32 @@ if TYPE_CHECKING:
     from wafer_viewer.model.acquisition.plan import Field, FieldGrid, FocusSweep, ScanPlan
     from wafer_viewer.model.acquisition.sample import Sample
     from wafer_viewer.model.errors import WaferViewerError
-    from wafer_viewer.model.gauge.gauge_check import Certificate, GaugeCheck, GaugeTerms
-    from wafer_viewer.model.gauge.gauge_rr import GaugeRR
-    from wafer_viewer.model.inspection.defect import DefectRecipe
-    from wafer_viewer.model.inspection.defect_limits import DefectLimits
+    from wafer_viewer.model.gauge import Certificate, GaugeCheck, GaugeRR, GaugeTerms
+    from wafer_viewer.model.inspection.defect import DefectLimits, DefectRecipe
     from wafer_viewer.model.inspection.defect_verdict import verdict_of
     from wafer_viewer.model.inspection.die_grid import DieGrid
-    from wafer_viewer.model.job.job import Job
-    from wafer_viewer.model.measurement.edge_and_bump_shapes import (
+    from wafer_viewer.model.job import Job
+    from wafer_viewer.model.measurement.levelling import Levelling
+    from wafer_viewer.model.measurement.measurements import (
+        AreaVolume,
         Chipping,
         CircleSize,
         Coplanarity,
         DieSize,
-        KerfWidth,
-    )
-    from wafer_viewer.model.measurement.levelling import Levelling
-    from wafer_viewer.model.measurement.measurements import (
-        AreaVolume,
         Distance,
         FaceAngle,
         Flatness,
+        KerfWidth,
         PointHeight,
         Profile,
         ProfileCurve,
         Radius,
+        Roughness,
+        StepHeight,
+        StepProfile,
+        Texture,
     )
-    from wafer_viewer.model.measurement.step import StepHeight, StepProfile
-    from wafer_viewer.model.measurement.texture import Roughness, Texture
-    from wafer_viewer.model.measurement.uncertainty_conditions import Conditions
+    from wafer_viewer.model.measurement.tools import Conditions
     from wafer_viewer.model.quantity import Length, Quantity
     from wafer_viewer.model.region import Region
     from wafer_viewer.model.surface.field_poses import Poses
@@ -90,11 +88,10 @@ if TYPE_CHECKING:
     from wafer_viewer.store.formats.exporters import export, write_surface
     from wafer_viewer.store.formats.npz_file import read_npz
     from wafer_viewer.store.formats.readers import read_surface
-    from wafer_viewer.store.records.certificates import read_certificate
-    from wafer_viewer.store.records.defect_recipes import read_defect_recipe, save_defect_recipe
+    from wafer_viewer.store.records.gauge_records import read_certificate
     from wafer_viewer.store.records.golden_dies import open_golden, save_golden
-    from wafer_viewer.store.tables.klarf_reader import read_klarf
-    from wafer_viewer.store.tables.klarf_writer import write_klarf
+    from wafer_viewer.store.records.inspection_records import read_defect_recipe, save_defect_recipe
+    from wafer_viewer.store.tables.klarf import read_klarf, write_klarf
     from wafer_viewer.store.tables.training_set import write_training_set
 
 __all__ = [

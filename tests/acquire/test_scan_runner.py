@@ -229,6 +229,6 @@ def test_a_camera_that_goes_silent_ends_the_scan(virtual_rig, small_plan, record
 def test_a_scale_that_never_counts_is_a_missed_pulse(virtual_rig, small_plan, recorder, control, monkeypatch):
     rig = virtual_rig()
     plan = small_plan(rig)
-    monkeypatch.setattr("wafer_viewer.rigs.virtual.axis_motion.MotionProfile.crossing_s", lambda *_: None)
+    monkeypatch.setattr("wafer_viewer.rigs.virtual.stage.MotionProfile.crossing_s", lambda *_: None)
     with pytest.raises(MissedPulse, match="0 of 20 pulses"):
         run_scan(plan, rig, recorder, control())

@@ -23,7 +23,7 @@ import numpy as np
 
 from wafer_viewer.measure.tools.step_height import step_height
 from wafer_viewer.model.acquisition.plan import FieldGrid, FocusSweep
-from wafer_viewer.model.job.job import Job
+from wafer_viewer.model.job import Job
 from wafer_viewer.model.region import Region
 from wafer_viewer.model.surface.height_map import HeightMap, Mosaic
 from wafer_viewer.rigs.rig_config import RigConfig

@@ -28,13 +28,13 @@ from wafer_viewer.model.acquisition.plan import Field
 from wafer_viewer.model.surface.height_map import HeightMap
 from wafer_viewer.model.surface.recipe import Recipe
 from wafer_viewer.reconstruct.field_pipeline import reconstruct
-from wafer_viewer.reconstruct.focus.field_blocks import source_of
+from wafer_viewer.reconstruct.focus.focus_volume import source_of
 from wafer_viewer.reconstruct.focus.peak_search import STRIPE_ROWS, stripes
 from wafer_viewer.reconstruct.preprocess.drift import Drift
 from wafer_viewer.reconstruct.preprocess.frames import Frames, prepare, read_block
+from wafer_viewer.rigs.virtual.camera import Sensor
 from wafer_viewer.rigs.virtual.optics.optics import FieldPicture, Optics
 from wafer_viewer.rigs.virtual.scenes.catalogue import SCENES
-from wafer_viewer.rigs.virtual.sensor import Sensor
 
 ROWS, COLS, MARGIN, PIXEL_UM, FALSE_UM = 480, 660, 30, 0.46729, 4.0
 ORIGIN_FIELD = Field(number=1, row=0, col=0, x_um=0.0, y_um=0.0, z_start_um=0.0)

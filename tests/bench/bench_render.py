@@ -15,9 +15,9 @@ from typing import TypeVar
 
 import numpy as np
 
+from wafer_viewer.rigs.virtual.camera import FrameRenderer, Sensor, tour_range
 from wafer_viewer.rigs.virtual.optics.optics import FieldPicture, Optics
 from wafer_viewer.rigs.virtual.scenes.catalogue import SCENES, Scene
-from wafer_viewer.rigs.virtual.sensor import FrameRenderer, Sensor, tour_range
 
 T = TypeVar("T")
 SMALL, FULL = (540, 720), (1080, 1440)

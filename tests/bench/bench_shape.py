@@ -25,8 +25,7 @@ from tests.bench.tables import met, percent, show
 from tests.support.bumped_surface import bumped
 from tests.support.made_up_pictures import all_of, chipped_edge, covered, die, disc, edge, kerf, strip
 from wafer_viewer.measure.edges.circular_edges import find_circle
-from wafer_viewer.measure.edges.rectangle_edges import DieEdges, die_edges
-from wafer_viewer.measure.edges.straight_edges import find_edge, find_edge_any_way
+from wafer_viewer.measure.edges.straight_edges import DieEdges, die_edges, find_edge, find_edge_any_way
 from wafer_viewer.measure.tools.chipping import edge_depths
 from wafer_viewer.measure.tools.coplanarity import coplanarity
 from wafer_viewer.measure.tools.kerf import kerf_edges

@@ -30,12 +30,12 @@ from wafer_viewer.compute.local_or_cluster import crew_for
 from wafer_viewer.compute.task_runner import TaskRunner
 from wafer_viewer.model.acquisition.focus_stack import Frame, FrameStatus
 from wafer_viewer.model.acquisition.plan import FieldGrid, FocusSweep, ScanPlan, Shot
-from wafer_viewer.model.job.job import Job
+from wafer_viewer.model.job import Job
 from wafer_viewer.model.surface.recipe import Recipe
 from wafer_viewer.reconstruct.field_pipeline import warm_up
+from wafer_viewer.rigs.virtual.camera import FrameRenderer, Sensor
 from wafer_viewer.rigs.virtual.optics.optics import Optics
 from wafer_viewer.rigs.virtual.scenes.catalogue import SCENES
-from wafer_viewer.rigs.virtual.sensor import FrameRenderer, Sensor
 from wafer_viewer.session.surface.worker_tasks import reconstruct_field
 from wafer_viewer.store.dataset.dataset import Dataset
 from wafer_viewer.store.dataset.writer import DatasetWriter

@@ -18,13 +18,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from wafer_viewer.model.acquisition.plan import FieldGrid, FocusSweep, ScanPlan
-from wafer_viewer.model.job.job import Job
+from wafer_viewer.model.job import Job
 from wafer_viewer.model.region import Region
 from wafer_viewer.model.surface.height_map import HeightMap, Origin, Provenance, pixel_window
-from wafer_viewer.session.core.surface_summary import save_summary, summarise
+from wafer_viewer.session.core.dataset_library import save_summary, summarise
 from wafer_viewer.store.dataset.dataset import Dataset
-from wafer_viewer.store.dataset.journal import Finished, JournalWriter
-from wafer_viewer.store.dataset.scan_record import JOURNAL, ScanRecord, write_record
+from wafer_viewer.store.dataset.scan_record import JOURNAL, Finished, JournalWriter, ScanRecord, write_record
 from wafer_viewer.store.mosaic.zarr_mosaic import write_mosaic
 
 PIXEL_UM = 0.46729

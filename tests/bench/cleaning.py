@@ -32,11 +32,17 @@ from wafer_viewer.model.spec import replace  # noqa: E402
 from wafer_viewer.model.surface.height_map import Origin  # noqa: E402
 from wafer_viewer.model.surface.recipe import Fill, Levy, Outliers, Recipe  # noqa: E402
 from wafer_viewer.reconstruct.auto_tuning import tune_recipe  # noqa: E402
-from wafer_viewer.reconstruct.cleaning import outliers as rules  # noqa: E402
-from wafer_viewer.reconstruct.cleaning.clean import clean, settle_cleaning, settle_levy  # noqa: E402
-from wafer_viewer.reconstruct.cleaning.gap_fill import fill  # noqa: E402
+from wafer_viewer.reconstruct.cleaning import clean as rules  # noqa: E402
+from wafer_viewer.reconstruct.cleaning.clean import (  # noqa: E402  # noqa: E402
+    clean,
+    far_in_cloud,
+    far_on_lattice,
+    fill,
+    find_outliers,
+    settle_cleaning,
+    settle_levy,
+)
 from wafer_viewer.reconstruct.cleaning.levy_flight import SMOOTHERS, height_noise_um, smooth  # noqa: E402
-from wafer_viewer.reconstruct.cleaning.outliers import far_in_cloud, far_on_lattice, find_outliers  # noqa: E402
 from wafer_viewer.reconstruct.focus.peak_search import search_field  # noqa: E402
 from wafer_viewer.reconstruct.preprocess.frames import prepare  # noqa: E402
 from wafer_viewer.reconstruct.validity import validate_peaks  # noqa: E402
@@ -162,30 +168,23 @@ def show_compile_times() -> None:
 
 
 def compile_all() -> None:
-    from wafer_viewer.numerics.filters import (
-        connected_components,
-        line_median,
-        median_5x5,
-        neighbour_distances,
-        opposite_pair_mean,
-        spline_fill,
-    )
+    from wafer_viewer.numerics.filters import denoising, interpolation, regions
 
     z = np.random.default_rng(0).normal(0, 1, (60, 70)).astype(np.float32)
     z[20:24, 20:24] = np.nan
     at = np.nonzero(np.isfinite(z))
     padded = {n: np.pad(z, n, constant_values=np.nan) for n in (2, 3, 5)}
     kernels: dict[str, Callable[[], object]] = {
-        "lines": lambda: line_median.line_outliers(padded[5], 0.5),
-        "medians of lines": lambda: line_median.line_medians_at(padded[5], *at),
-        "pairs": lambda: opposite_pair_mean.pair_mean(z, 1.0),
-        "neighbours near": lambda: neighbour_distances.near_counts(padded[3], 1.0),
-        "distances": lambda: neighbour_distances.mean_distances(padded[3], *at, 15),
-        "narrow parts": lambda: connected_components.narrow_parts(z, 1.0, 6),
-        "islands": lambda: connected_components.small_components(z, 1.0, 81),
-        "splines": lambda: spline_fill.fill_gaps(z, 9, 1.0),
-        "(guided, switching: far)": lambda: median_5x5.median_outliers(padded[2], np.float32(1)),
-        "(guided, switching: medians)": lambda: median_5x5.medians_at(padded[2], *at),
+        "lines": lambda: denoising.line_outliers(padded[5], 0.5),
+        "medians of lines": lambda: denoising.line_medians_at(padded[5], *at),
+        "pairs": lambda: denoising.pair_mean(z, 1.0),
+        "neighbours near": lambda: denoising.near_counts(padded[3], 1.0),
+        "distances": lambda: denoising.mean_distances(padded[3], *at, 15),
+        "narrow parts": lambda: regions.narrow_parts(z, 1.0, 6),
+        "islands": lambda: regions.small_components(z, 1.0, 81),
+        "splines": lambda: interpolation.fill_gaps(z, 9, 1.0),
+        "(guided, switching: far)": lambda: denoising.median_outliers(padded[2], np.float32(1)),
+        "(guided, switching: medians)": lambda: denoising.medians_at(padded[2], *at),
     }
     np.median(z)
     spent = {name: seconds(kernel) for name, kernel in kernels.items()}

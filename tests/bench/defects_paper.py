@@ -28,9 +28,9 @@ from wafer_viewer.model.region import Region
 from wafer_viewer.model.surface.height_map import HeightMap, Provenance, pixel_window
 from wafer_viewer.model.surface.recipe import Recipe
 from wafer_viewer.reconstruct.field_pipeline import reconstruct
+from wafer_viewer.rigs.virtual.camera import Sensor
 from wafer_viewer.rigs.virtual.optics.optics import FieldPicture, Optics
 from wafer_viewer.rigs.virtual.scenes.catalogue import SCENES
-from wafer_viewer.rigs.virtual.sensor import Sensor
 from wafer_viewer.store.formats.npz_file import read_npz, write_npz
 from wafer_viewer.store.mosaic.zarr_mosaic import ZarrMosaic, write_mosaic
 

@@ -29,7 +29,7 @@ from wafer_viewer.model.inspection.defect import Inspection
 from wafer_viewer.model.region import Region
 from wafer_viewer.model.surface.height_map import HeightMap, Origin, Provenance, pixel_window
 from wafer_viewer.rigs.virtual.scenes.catalogue import Scene, SceneWindow
-from wafer_viewer.session.inspection.die_row_tasks import RowHands
+from wafer_viewer.session.inspection.inspection_job import RowHands
 from wafer_viewer.store.mosaic.zarr_mosaic import ZarrMosaic, write_mosaic
 
 GOALS = {3_000: (6.0, 3.0), 12_850: (120.0, 3.0)}

@@ -10,9 +10,9 @@ from wafer_viewer.measure.truth_comparison import quality
 from wafer_viewer.model.acquisition.focus_stack import FieldStack
 from wafer_viewer.model.acquisition.plan import Field
 from wafer_viewer.reconstruct.field_pipeline import reconstruct
+from wafer_viewer.rigs.virtual.camera import FrameRenderer, Sensor
 from wafer_viewer.rigs.virtual.optics.optics import Optics
 from wafer_viewer.rigs.virtual.scenes.catalogue import SCENES
-from wafer_viewer.rigs.virtual.sensor import FrameRenderer, Sensor
 
 FALSE_UM, PIXEL_UM = 4.0, 0.46729
 QUICK = ("stair",)

@@ -42,9 +42,9 @@ from wafer_viewer.reconstruct.focus.peak_search import search_field
 from wafer_viewer.reconstruct.live_field import LiveField
 from wafer_viewer.reconstruct.preprocess.frames import prepare
 from wafer_viewer.reconstruct.stitching import stitch
+from wafer_viewer.rigs.virtual.camera import FrameRenderer, Sensor
 from wafer_viewer.rigs.virtual.optics.optics import Optics
 from wafer_viewer.rigs.virtual.scenes.catalogue import SCENES
-from wafer_viewer.rigs.virtual.sensor import FrameRenderer, Sensor
 
 ROWS, COLS, PIXEL_UM, WINDOW = 1080, 1440, 0.46729, 9
 PLAIN_FRAMES = 4

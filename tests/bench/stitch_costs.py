@@ -29,7 +29,7 @@ from tests.truth.field_grid import SMALL, Grid, Made, make
 from wafer_viewer.model.surface.field_poses import Poses
 from wafer_viewer.model.surface.recipe import Stitching
 from wafer_viewer.reconstruct.blending.stitched_mosaic import StitchedMosaic, blend_window
-from wafer_viewer.reconstruct.focus.field_blocks import on_threads
+from wafer_viewer.reconstruct.focus.focus_volume import on_threads
 from wafer_viewer.reconstruct.pose_graph.vertical_poses import solve_heights
 from wafer_viewer.reconstruct.registration.height_seams import compare
 from wafer_viewer.reconstruct.registration.pair_registration import register

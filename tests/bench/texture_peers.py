@@ -22,14 +22,12 @@ from numpy.typing import NDArray
 from scipy.ndimage import gaussian_filter
 
 from tests.bench.tables import show
-from wafer_viewer.measure.texture.areal_texture import texture
-from wafer_viewer.measure.texture.hybrid_parameters import developed_fraction
+from wafer_viewer.measure.texture.areal_texture import developed_fraction, scale_limited, texture
 from wafer_viewer.measure.texture.roughness import roughness
-from wafer_viewer.measure.texture.scale_limited_surface import scale_limited
-from wafer_viewer.model.measurement.tool_options import TextureOptions
+from wafer_viewer.model.measurement.tools import TextureOptions
 from wafer_viewer.model.region import Region
 from wafer_viewer.model.surface.height_map import HeightMap
-from wafer_viewer.numerics.filters.iso_gaussian import ALPHA
+from wafer_viewer.numerics.filters.gaussian import ALPHA
 
 PIXEL_UM = 0.5
 QUICK_PX, FULL_PX = 256, 1000

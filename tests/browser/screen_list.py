@@ -27,10 +27,10 @@ from tests.browser.sessions.reviewed_session import reviewed_session
 from tests.browser.sessions.seen_session import SeenSession, a_focus_curve, came_to
 from tests.browser.sessions.shaped_session import ShapedSession
 from tests.browser.sessions.stitched_session import StitchedSession
-from wafer_viewer.model.job.review_notes import Judgement, Notebook, SavedView
+from wafer_viewer.model.job import Judgement, Notebook, SavedView
 from wafer_viewer.model.region import Region
-from wafer_viewer.session.state.gauge_state import GaugeState
-from wafer_viewer.session.state.review_state import NotebookState
+from wafer_viewer.session.state.inspection_state import GaugeState
+from wafer_viewer.session.state.snapshot import NotebookState
 
 Act = Callable[[Page], None]
 COUNT = "[data-pick=defect-map-by][data-k=count]"

@@ -12,7 +12,7 @@ from contextlib import suppress
 import numpy as np
 from playwright.sync_api import Locator, Page, TimeoutError, expect
 
-from wafer_viewer.gui.scene.camera.camera_presets import FOV_RAD
+from wafer_viewer.gui.scene.camera_presets import FOV_RAD
 from wafer_viewer.session.state.snapshot import Fault
 
 HAND_MS = 80

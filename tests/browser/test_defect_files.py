@@ -12,9 +12,9 @@ from tests.support.noisy_wafer import Planted, wafer
 from wafer_viewer.model.inspection.defect import DefectRecipe
 from wafer_viewer.session.session import Session
 from wafer_viewer.store.formats.npz_file import write_npz
-from wafer_viewer.store.records.defect_recipes import defect_recipes
 from wafer_viewer.store.records.golden_dies import open_golden
-from wafer_viewer.store.tables.klarf_reader import read_klarf
+from wafer_viewer.store.records.inspection_records import defect_recipes
+from wafer_viewer.store.tables.klarf import read_klarf
 
 pytestmark = [
     pytest.mark.browser,

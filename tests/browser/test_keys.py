@@ -9,7 +9,7 @@ from playwright.sync_api import Page, expect
 
 from tests.browser.sessions import fake_session as fake
 from tests.browser.steps import eventually, go_to, press, text_field, title_is, type_into
-from wafer_viewer.model.job.review_notes import SavedView
+from wafer_viewer.model.job import SavedView
 
 pytestmark = [
     pytest.mark.browser,

@@ -17,7 +17,7 @@ from wafer_viewer.model.region import Point, Region
 from wafer_viewer.model.spec import replace
 from wafer_viewer.session.session import Session
 from wafer_viewer.store.dataset.dataset import Dataset
-from wafer_viewer.store.records.inspection_file import read_inspection, write_inspection
+from wafer_viewer.store.records.inspection_records import read_inspection, write_inspection
 
 pytestmark = [
     pytest.mark.browser,

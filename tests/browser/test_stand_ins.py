@@ -20,7 +20,7 @@ from tests.browser.sessions.seen_session import SeenSession
 from tests.browser.sessions.shaped_session import ShapedSession
 from tests.browser.sessions.stitched_session import GrowingSession, StitchedSession
 from wafer_viewer.model.errors import WaferViewerError
-from wafer_viewer.model.job.review_notes import SavedView
+from wafer_viewer.model.job import SavedView
 from wafer_viewer.session.api import SessionApi
 from wafer_viewer.session.files.documents import Documents as TruePapers
 from wafer_viewer.session.session import Session

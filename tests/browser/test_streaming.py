@@ -15,11 +15,11 @@ from tests.browser.slow_line import SlowLine
 from tests.browser.steps import click_the_surface, eventually, go_to
 from tests.support.page_stand_in import grid, height_map, job_and_plan, snapshot_of
 from wafer_viewer.gui.app import start
-from wafer_viewer.gui.scene.lod import surface_tiles
-from wafer_viewer.gui.scene.send_window import MOST_BYTES
+from wafer_viewer.gui.scene import surface_tiles
+from wafer_viewer.gui.scene.reconciler import MOST_BYTES
 from wafer_viewer.model.region import Region
 from wafer_viewer.model.surface.height_map import Mosaic, Origin
-from wafer_viewer.session.core.surface_summary import load_summary
+from wafer_viewer.session.core.dataset_library import load_summary
 from wafer_viewer.session.measurement.dataset_queries import ReadOut
 from wafer_viewer.session.rendering.render_process import Painter, RenderRequest
 from wafer_viewer.store.dataset.dataset import Dataset
@@ -128,7 +128,7 @@ def test_a_hidden_page_is_sent_no_more_until_it_is_seen_again(
     address: str, sent: Sent, look_at: Callable[[str], Page], monkeypatch: pytest.MonkeyPatch
 ):
     for limit in ("FIRST_BYTES", "MOST_BYTES"):
-        monkeypatch.setattr(f"wafer_viewer.gui.scene.send_window.{limit}", HELD_BYTES)
+        monkeypatch.setattr(f"wafer_viewer.gui.scene.reconciler.{limit}", HELD_BYTES)
     page = look_at(address)
     go_to(page, "Surface")
     at_rest(page, sent)

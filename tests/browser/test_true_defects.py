@@ -14,8 +14,8 @@ from tests.support.noisy_wafer import Planted, wafer
 from wafer_viewer.session.session import Session
 from wafer_viewer.store.dataset.dataset import Dataset
 from wafer_viewer.store.formats.npz_file import write_npz
-from wafer_viewer.store.records.inspection_file import read_inspection
-from wafer_viewer.store.tables.klarf_reader import read_klarf
+from wafer_viewer.store.records.inspection_records import read_inspection
+from wafer_viewer.store.tables.klarf import read_klarf
 
 pytestmark = [
     pytest.mark.browser,

@@ -10,10 +10,10 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from wafer_viewer.calibrate.wafer_alignment import fit_alignment
-from wafer_viewer.model.acquisition.alignment import Alignment, AlignmentMark, Marks
 from wafer_viewer.model.acquisition.plan import FieldGrid, FocusSweep
+from wafer_viewer.model.acquisition.sample import Alignment, AlignmentMark, Marks
 from wafer_viewer.model.errors import PlanError
-from wafer_viewer.model.job.job import Job
+from wafer_viewer.model.job import Job
 from wafer_viewer.model.spec import replace
 
 PLACES = ((-2500.0, -400.0), (2400.0, 300.0), (100.0, 2300.0))

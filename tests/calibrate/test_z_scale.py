@@ -9,7 +9,7 @@ from wafer_viewer.calibrate.z_scale import scale_correction
 from wafer_viewer.measure.gauge.gauge_check import gauge_check, refusal
 from wafer_viewer.model.acquisition.calibration import OpticalSetup
 from wafer_viewer.model.errors import MeasureError
-from wafer_viewer.model.gauge.gauge_check import GaugeTerms
+from wafer_viewer.model.gauge import GaugeTerms
 from wafer_viewer.model.quantity import Length
 from wafer_viewer.model.spec import replace
 

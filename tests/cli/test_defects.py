@@ -18,9 +18,9 @@ from wafer_viewer.model.region import Region
 from wafer_viewer.model.spec import replace as spec_replace
 from wafer_viewer.model.surface.height_map import HeightMap
 from wafer_viewer.store.formats.npz_file import write_npz
-from wafer_viewer.store.records.defect_recipes import save_defect_recipe
 from wafer_viewer.store.records.golden_dies import open_golden, save_golden
-from wafer_viewer.store.tables.klarf_reader import read_klarf
+from wafer_viewer.store.records.inspection_records import save_defect_recipe
+from wafer_viewer.store.tables.klarf import read_klarf
 
 WAFER = Wafer(unmeasured_fraction=0.0)
 AT_UM = (480.0, 420.0)
@@ -143,7 +143,7 @@ def test_a_golden_die_of_another_product_is_refused(folder: Path, tmp_path: Path
 @pytest.fixture(scope="module")
 def dataset(folder: Path) -> Path:
     """A dataset of product LX-7, with a golden die and a recipe that names it beside."""
-    from wafer_viewer.session.files.surface_import import import_surface
+    from wafer_viewer.session.files.file_jobs import import_surface
     from wafer_viewer.store.dataset.scan_record import read_record, write_record
 
     path = import_surface(folder / "bumped.npz", folder / "w7.wafer")

@@ -9,7 +9,7 @@ import pytest
 from tests.support.patterned_surface import Wafer, made
 from wafer_viewer.cli.app import main
 from wafer_viewer.model.acquisition.plan import FieldGrid, FocusSweep
-from wafer_viewer.model.job.job import Job
+from wafer_viewer.model.job import Job
 from wafer_viewer.model.measurement.feature import Dies
 from wafer_viewer.model.spec import encode, replace
 from wafer_viewer.store.formats.npz_file import write_npz

@@ -13,8 +13,7 @@ from wafer_viewer.cli.app import main
 from wafer_viewer.model.spec import replace
 from wafer_viewer.store.dataset.dataset import Dataset
 from wafer_viewer.store.formats.npz_file import write_npz
-from wafer_viewer.store.records.calibrations import calibration_in_force
-from wafer_viewer.store.records.gauge_checks import GAUGE_LOG, sign
+from wafer_viewer.store.records.gauge_records import GAUGE_LOG, calibration_in_force, sign
 
 CERTIFICATE = ASSETS / "gauge" / "step.toml"
 CHECK = ("--certificate", str(CERTIFICATE), "--field", "1", *CORNERS)

@@ -10,7 +10,7 @@ import pytest
 from tests.cli.test_app import viewer
 from tests.test_house import ROOT
 from wafer_viewer.model.acquisition.sample import Sample
-from wafer_viewer.model.job.job import Job
+from wafer_viewer.model.job import Job
 from wafer_viewer.model.spec import decode, encode, replace
 from wafer_viewer.model.surface.recipe import Recipe
 from wafer_viewer.store.dataset.scan_record import read_record, write_record

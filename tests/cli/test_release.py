@@ -6,7 +6,7 @@ import pytest
 
 from tests.support.datasets.judged_datasets import ELSEWHERE, STEP, judged_dataset, released_job
 from wafer_viewer.cli.app import main
-from wafer_viewer.model.job.job import Job
+from wafer_viewer.model.job import Job
 from wafer_viewer.model.measurement.feature import Die, Dies
 from wafer_viewer.model.region import Region
 from wafer_viewer.model.spec import decode, encode, replace

@@ -11,7 +11,7 @@ import pytest
 USE = """
 import sys
 import psutil
-from wafer_viewer.compute.malloc_trim import return_what_is_freed
+from wafer_viewer.compute.child_process import return_what_is_freed
 
 if {mended}:
     return_what_is_freed()

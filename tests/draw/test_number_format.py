@@ -8,8 +8,22 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from wafer_viewer.draw.number_format import MINUS, NOTHING, THIN, duration, number, share, size, value_and_u, with_unit
-from wafer_viewer.draw.ticks import length_text, round_length, round_step, tick_digits, ticks
+from wafer_viewer.draw.number_format import (
+    MINUS,
+    NOTHING,
+    THIN,
+    duration,
+    length_text,
+    number,
+    round_length,
+    round_step,
+    share,
+    size,
+    tick_digits,
+    ticks,
+    value_and_u,
+    with_unit,
+)
 
 LENGTHS = st.floats(1e-6, 1e9)
 

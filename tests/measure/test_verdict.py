@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from tests.support.surfaces import STEP_UM, gauge_blocks
-from wafer_viewer.measure.base.uncertainty_budget import LESS_WITH_REPEATS
+from wafer_viewer.measure.base.measurement_context import LESS_WITH_REPEATS
 from wafer_viewer.measure.verdict import (
     judge,
     judge_dies,
@@ -18,9 +18,9 @@ from wafer_viewer.measure.verdict import (
     overall,
     scans_needed,
 )
-from wafer_viewer.model.acquisition.alignment import Alignment
+from wafer_viewer.model.acquisition.sample import Alignment
 from wafer_viewer.model.errors import PlanError
-from wafer_viewer.model.job.verdict import FeatureVerdict, WaferVerdict
+from wafer_viewer.model.job import FeatureVerdict, WaferVerdict
 from wafer_viewer.model.measurement.feature import Die, Dies, Feature
 from wafer_viewer.model.quantity import Contribution, Length, Quantity
 from wafer_viewer.model.region import Region

@@ -10,7 +10,7 @@ from wafer_viewer.model.acquisition.plan import FieldGrid, FocusSweep
 from wafer_viewer.model.acquisition.sample import Sample
 from wafer_viewer.model.errors import ComputeError, PlanError
 from wafer_viewer.model.findings import MeasurementResults
-from wafer_viewer.model.job.job import Job
+from wafer_viewer.model.job import Job
 from wafer_viewer.model.measurement.feature import Feature
 from wafer_viewer.model.measurement.measurements import Length, Profile
 from wafer_viewer.model.region import Region

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from wafer_viewer.numerics.fast_log2 import quick_log2
+from wafer_viewer.numerics.intrinsics import quick_log2
 from wafer_viewer.numerics.jit import bare_kernel
 
 

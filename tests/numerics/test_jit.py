@@ -33,7 +33,7 @@ def test_the_cache_can_be_moved_and_belongs_to_this_state_of_the_sources(monkeyp
 def test_a_change_of_any_kernel_source_changes_the_fingerprint(monkeypatch):
     before = source_fingerprint()
     read = Path.read_bytes
-    changed = next((PACKAGE / "rigs/virtual").rglob("value_noise.py"))
+    changed = next((PACKAGE / "rigs/virtual").rglob("drawing.py"))
     monkeypatch.setattr(Path, "read_bytes", lambda f: read(f) + b"#" * (f == changed))
     assert source_fingerprint() != before
 

@@ -10,9 +10,8 @@ import pytest
 import tifffile
 
 from tests.truth.bleeding import PIXEL_UM, Bleeding, Seen, drawn, seen
-from wafer_viewer.model.acquisition.calibration import Calibration, OpticalSetup
+from wafer_viewer.model.acquisition.calibration import Calibration, OpticalSetup, depth_of_field_um
 from wafer_viewer.model.acquisition.focus_stack import FieldStack
-from wafer_viewer.model.acquisition.optics import depth_of_field_um
 from wafer_viewer.model.spec import replace
 from wafer_viewer.model.surface.recipe import Recipe
 from wafer_viewer.reconstruct.auto_tuning import tune_recipe

@@ -9,7 +9,7 @@ import pytest
 from tests.support.patience import PATIENCE_S
 from wafer_viewer.model.acquisition.plan import FieldGrid, FocusSweep
 from wafer_viewer.model.acquisition.sample import Sample
-from wafer_viewer.model.job.job import Job
+from wafer_viewer.model.job import Job
 from wafer_viewer.session.session import Session
 
 

@@ -10,12 +10,11 @@ import pytest
 from tests.support.noisy_wafer import Planted, wafer
 from tests.support.patience import PATIENCE_S
 from wafer_viewer.model.errors import DatasetError, MeasureError
-from wafer_viewer.model.inspection.defect import DefectRecipe
-from wafer_viewer.model.inspection.defect_limits import DefectLimits
+from wafer_viewer.model.inspection.defect import DefectLimits, DefectRecipe
 from wafer_viewer.session.session import Session
 from wafer_viewer.store.formats.npz_file import write_npz
 from wafer_viewer.store.records.golden_dies import open_golden
-from wafer_viewer.store.tables.klarf_reader import read_klarf
+from wafer_viewer.store.tables.klarf import read_klarf
 
 pytestmark = pytest.mark.slow
 BUMP, PIT = Planted("bump", 250.0, 392.0, 30, 8), Planted("pit", 110.0, 110.0, 24, 10)

@@ -6,7 +6,7 @@ import datetime
 
 from tests.support.surfaces import calibration
 from wafer_viewer.measure.gauge.gauge_check import gauge_check
-from wafer_viewer.model.gauge.gauge_check import Certificate, GaugeCheck, GaugeRecord, GaugeRepeat, GaugeTerms
+from wafer_viewer.model.gauge import Certificate, GaugeCheck, GaugeRecord, GaugeRepeat, GaugeTerms
 from wafer_viewer.model.quantity import Contribution, Length
 from wafer_viewer.model.region import Region
 from wafer_viewer.model.spec import replace

@@ -6,7 +6,7 @@ import numpy as np
 from scipy.special import ndtr
 
 from tests.support.surfaces import PIXEL_UM, calibration, coordinates, noise_of, surface_of
-from wafer_viewer.measure.edges.search_strip import SearchStrip
+from wafer_viewer.measure.edges.edge_search import SearchStrip
 from wafer_viewer.model.region import Region
 from wafer_viewer.model.surface.height_map import HeightMap
 

@@ -9,7 +9,7 @@ import numpy as np
 
 from wafer_viewer.model.acquisition.focus_stack import FieldStack
 from wafer_viewer.model.acquisition.plan import Field, FieldGrid, FocusSweep, ScanPlan
-from wafer_viewer.model.job.job import Job
+from wafer_viewer.model.job import Job
 from wafer_viewer.model.surface.height_map import HeightMap, Mosaic, Origin
 from wafer_viewer.session.rendering.render_dispatch import paint
 from wafer_viewer.session.rendering.render_refused import PlacedField

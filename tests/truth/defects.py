@@ -26,9 +26,9 @@ from wafer_viewer.model.acquisition.plan import Field
 from wafer_viewer.model.surface.height_map import HeightMap
 from wafer_viewer.model.surface.recipe import Recipe
 from wafer_viewer.reconstruct.field_pipeline import reconstruct
+from wafer_viewer.rigs.virtual.camera import Sensor
 from wafer_viewer.rigs.virtual.optics.optics import FieldPicture, Optics
 from wafer_viewer.rigs.virtual.scenes.catalogue import Scene
-from wafer_viewer.rigs.virtual.sensor import Sensor
 
 FIELD_PX = (1020, 1360)
 """The largest part of a field that is used, (rows, cols)."""

@@ -14,10 +14,8 @@ from numba import njit
 
 from tests.truth.planted import DEPTH_UM, DIE_UM, PITCH_UM, PIXEL_UM, STREET_PX, Plan, Planted, die_errors
 from wafer_viewer.rigs.virtual.scenes.catalogue import Scene, rectangle
-from wafer_viewer.rigs.virtual.scenes.scene_sheets import Points, SceneSheets
-from wafer_viewer.rigs.virtual.scenes.shapes import bar, bars, blend, inside
-from wafer_viewer.rigs.virtual.scenes.shapes import rectangle as box
-from wafer_viewer.rigs.virtual.scenes.value_noise import grain
+from wafer_viewer.rigs.virtual.scenes.drawing import Points, SceneSheets, bar, bars, blend, grain, inside
+from wafer_viewer.rigs.virtual.scenes.drawing import rectangle as box
 
 GAIN, CONTRAST, CORNER_UM, ELSEWHERE_UM = 1.2, 0.12, 4.0, 20_000.0
 PARTICLE, PIT, SCRATCH, RESIDUE, CHIP = np.arange(5)

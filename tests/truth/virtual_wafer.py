@@ -13,7 +13,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from wafer_viewer.rigs.virtual.scenes import die, wafer
-from wafer_viewer.rigs.virtual.scenes.value_noise import chance, grain
+from wafer_viewer.rigs.virtual.scenes.drawing import chance, grain
 
 PIXEL_UM, ROOM_UM = 0.46729, 3.0
 EDGE_UM = 9.0

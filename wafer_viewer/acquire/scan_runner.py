@@ -7,11 +7,10 @@ from dataclasses import dataclass
 
 from wafer_viewer.acquire.pass_runner import PassResult, device_clock, rig_at_rest, run_pass
 from wafer_viewer.acquire.pulse_reconciliation import DeviceClock, MissingFrame
-from wafer_viewer.model.acquisition.devices import Rig
+from wafer_viewer.model.acquisition.devices import Rig, ScanControl, ScanSink
 from wafer_viewer.model.acquisition.focus_stack import Frame
 from wafer_viewer.model.acquisition.plan import Axis, Leg, ScanPlan, Shot
 from wafer_viewer.model.acquisition.rig_limits import RigLimits
-from wafer_viewer.model.acquisition.scan_roles import ScanControl, ScanSink
 from wafer_viewer.model.errors import RigError
 from wafer_viewer.model.spec import replace
 

@@ -8,7 +8,7 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import NDArray
 
-from wafer_viewer.model.acquisition.alignment import Alignment, Marks, Notch
+from wafer_viewer.model.acquisition.sample import Alignment, Marks, Notch
 from wafer_viewer.model.errors import PlanError
 from wafer_viewer.model.spec import replace
 

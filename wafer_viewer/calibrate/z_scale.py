@@ -6,7 +6,7 @@ import datetime
 
 from wafer_viewer.model.acquisition.calibration import Calibration
 from wafer_viewer.model.errors import MeasureError
-from wafer_viewer.model.gauge.gauge_check import GaugeCheck, ScaleCorrection
+from wafer_viewer.model.gauge import GaugeCheck, ScaleCorrection
 from wafer_viewer.model.spec import replace
 
 LEAST_REPEATS = 3

@@ -1,4 +1,7 @@
-"""Commands of the rig and its datasets. The signature of a command defines its flags, its docstring is the help."""
+"""Commands of the rig, its datasets and released jobs.
+
+The signature of a command defines its flags, its docstring is its help.
+"""
 
 from __future__ import annotations
 
@@ -7,7 +10,10 @@ import socket
 from collections.abc import Generator
 from contextlib import contextmanager
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Annotated
+
+import msgspec
+from tyro.conf import arg
 
 from wafer_viewer.cli.arguments import (
     DatasetFolder,
@@ -35,6 +41,7 @@ from wafer_viewer.cli.output import (
     print_passes,
     print_plan,
     print_preflight,
+    print_trial,
     print_verdict,
     progress,
     warn,
@@ -43,9 +50,10 @@ from wafer_viewer.model.errors import PlanError, RigError
 
 if TYPE_CHECKING:
     from wafer_viewer.model.acquisition.devices import Rig
-    from wafer_viewer.model.job.job import Job
+    from wafer_viewer.model.job import Job
     from wafer_viewer.rigs.rig_config import RigConfig
     from wafer_viewer.session.planning.preflight import PreflightCheck
+
 
 DATA_FOLDER = Path("~/wafer-viewer")
 INTERRUPTED = 130
@@ -72,7 +80,7 @@ def serve(
         open_browser: Also open the page in the browser of this machine.
         new_token: Replace the token of the folder's address: addresses printed earlier no longer open the page.
     """
-    from wafer_viewer.compute.malloc_trim import return_what_is_freed
+    from wafer_viewer.compute.child_process import return_what_is_freed
     from wafer_viewer.gui.app import serve as serve_page
     from wafer_viewer.session.core.page_token import page_token
     from wafer_viewer.session.session import Session
@@ -187,7 +195,7 @@ def import_(
         wavelength_um: Of the light; 0.55 um where it is not given.
     """
     from wafer_viewer.model.file_formats import Reading
-    from wafer_viewer.session.files.surface_import import import_surface
+    from wafer_viewer.session.files.file_jobs import import_surface
     from wafer_viewer.store.dataset.stack_import import import_dataset
     from wafer_viewer.store.formats.readers import is_surface_file
 
@@ -224,10 +232,8 @@ def check(dataset: DatasetFolder) -> int:
         dataset: The dataset.
     """
     from wafer_viewer.model.errors import DatasetError
-    from wafer_viewer.store.dataset.dataset import Dataset
-    from wafer_viewer.store.dataset.digests import digests_of_result, digests_of_scan
-    from wafer_viewer.store.dataset.integrity import check_files
-    from wafer_viewer.store.dataset.passes import check_passes
+    from wafer_viewer.store.dataset.dataset import Dataset, check_passes
+    from wafer_viewer.store.dataset.integrity import check_files, digests_of_result, digests_of_scan
 
     with progress("Check") as tell:
         try:
@@ -310,3 +316,55 @@ def _opened(rig: Path | None) -> Generator[Rig]:
         yield device
     finally:
         device.close()
+
+
+def release(
+    plan_file: PlanFile,
+    good: File = None,
+    product: Text = None,
+    revision: Text = None,
+    result: str = "default",
+    data: Path = Path("~/wafer-viewer"),
+    against: Annotated[tuple[Path, ...], arg(metavar="DATASET|FOLDER ...")] = (),
+    dry_run: bool = False,
+) -> None:
+    """Release a plan as a job that operators run with four actions; prints its file. A revision is never overwritten.
+
+    The plan names corners to align by, and features with their places and limits. Tried against stored datasets before,
+    it says which verdicts change, and why; a changed recipe makes their surfaces again, beside the existing ones.
+
+    Args:
+        plan_file: The plan, or a released job to make another revision of.
+        good: A stitched NAME.wafer of a good sample that settles what is 'auto'; a job without 'auto' needs none.
+        product: Name of the product, where the plan has none.
+        revision: The revision, where the plan has none.
+        result: Name of the reconstruction.
+        data: Folder of the datasets; released jobs lie in its folder jobs.
+        against: Stored datasets, or folders of them, to try it on before it is released.
+        dry_run: Only say what would change; release nothing.
+    """
+    from wafer_viewer.session.planning.headless import job_to_release, tried
+    from wafer_viewer.session.planning.job_releases import write_released
+
+    names, folder = {"product": product, "revision": revision}, data.expanduser()
+    job = job_to_release(plan_file, names, good, result, folder)
+    if against:
+        with progress("Judging stored datasets") as tell:
+            trial = tried(job, against, result, tell)
+        print_trial(trial)
+    if not dry_run:
+        print(write_released(folder, job))
+
+
+def measure_verdict(dataset: DatasetFolder, result: str = "default") -> int:
+    """The verdict on a wafer by the features of its job, as JSON; status 0 is pass, 1 any other verdict.
+
+    Args:
+        dataset: The dataset, stitched.
+        result: Name of the reconstruction.
+    """
+    from wafer_viewer.session.planning.headless import verdict_kept_in
+
+    verdict = verdict_kept_in(dataset, result)
+    print_json(msgspec.to_builtins(verdict))
+    return 0 if verdict.word == "pass" else 1

@@ -1,32 +1,33 @@
-"""Command that inspects for defects, with output as JSON, KLARF or CSV and an exit status by limits.
+"""Commands that find dies and inspect for defects, with output as JSON, KLARF or CSV and an exit code.
 
 The signature of a command defines its flags, its docstring is the help.
 """
 
 from __future__ import annotations
 
+from collections import Counter
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 import msgspec
 from tyro.conf import arg
 
-from wafer_viewer.cli.arguments import Count, File, Source, Text, Um
+from wafer_viewer.cli.arguments import Count, File, Place, Source, Text, Um
 from wafer_viewer.cli.output import print_json, progress, warn
 from wafer_viewer.model.errors import MeasureError
-from wafer_viewer.model.inspection.defect import DefectRecipe, Inspection
-from wafer_viewer.model.inspection.defect_limits import DefectLimits
+from wafer_viewer.model.inspection.defect import DefectLimits, DefectRecipe, Inspection
 from wafer_viewer.model.inspection.defect_verdict import verdict_of
 from wafer_viewer.model.spec import replace
-from wafer_viewer.session.inspection.defect_export import WRITERS, Handover
 from wafer_viewer.session.inspection.die_lattice_source import GivenDies
 from wafer_viewer.session.inspection.headless import Wafer, dies_on, inspected, wafer_of
+from wafer_viewer.session.inspection.inspection_files import WRITERS, Handover
 from wafer_viewer.session.inspection.klarf_overlay import compared, overlay_klarf
-from wafer_viewer.session.state.inspection_resources import product_of
+from wafer_viewer.session.state.inspection_state import product_of
 from wafer_viewer.session.surface.headless import LocalOrCluster
 
 if TYPE_CHECKING:
     from wafer_viewer.model.inspection.golden_die import GoldenDie
+
 
 BEYOND = 1
 Pair = Annotated[tuple[float, float] | None, arg(metavar="X Y")]
@@ -108,7 +109,7 @@ def _recipe(
 
     Sensitivity and limits from flags take precedence.
     """
-    from wafer_viewer.store.records.defect_recipes import read_defect_recipe
+    from wafer_viewer.store.records.inspection_records import read_defect_recipe
 
     own = read_defect_recipe(path) if path is not None else _of_product(wafer, src)
     dial = own.sensitivity if sensitivity is None else sensitivity
@@ -116,7 +117,7 @@ def _recipe(
 
 
 def _of_product(wafer: Wafer, src: Path) -> DefectRecipe:
-    from wafer_viewer.store.records.defect_recipes import readable_recipes
+    from wafer_viewer.store.records.inspection_records import readable_recipes
 
     product = product_of(wafer.job) if wafer.job is not None else ""
     kept, problems = readable_recipes(src.absolute().parent) if product else ((), ())
@@ -148,7 +149,7 @@ def _files(wafer: Wafer, found: Inspection, asked: dict[Handover, Path | None]) 
 
 def _require_readable(other: Path | None) -> None:
     """Read a KLARF file before the inspection, so that an invalid one fails early."""
-    from wafer_viewer.store.tables.klarf_reader import read_klarf
+    from wafer_viewer.store.tables.klarf import read_klarf
 
     if other is not None:
         read_klarf(other)
@@ -170,3 +171,56 @@ def _keep_golden(wafer: Wafer, found: Inspection, given: GivenDies, path: Path |
         return {}
     golden = golden_of_surface(wafer.surface, found.grid or dies_on(wafer, given), found.recipe, product=found.product)
     return {"golden": str(save_golden(golden, path))}
+
+
+Size = Annotated[tuple[float, float], arg(metavar="W H")]
+
+
+def measure_dies(
+    src: Source,
+    pitch_um: Place | None = None,
+    origin_um: Place | None = None,
+    size_um: Size | None = None,
+    angle_deg: float = 0.0,
+    job: File = None,
+    as_given: bool = False,
+    evidence: Literal["height", "picture", "both"] = "both",
+    field: int = 0,
+    result: str = "default",
+) -> None:
+    """The lattice of the dies and the state of each, whole, cut, partly or not scanned, missing; as JSON. Stage um.
+
+    Dies are those of the dataset's own job, or as the flags say, and lie where they are seen; `off` says how far that
+    is from where they were given. Without either they are found.
+
+    Args:
+        src: A NAME.wafer or a surface file, such as .x3p.
+        pitch_um: From die to die along x and y; found on the surface where it is left out.
+        origin_um: The lower left corner of die 0,0; with --pitch-um.
+        size_um: Width and height of a die without its street; with --pitch-um. As large as the pitch by default.
+        angle_deg: How the lattice is turned, anticlockwise; with --pitch-um.
+        job: The PLAN.toml whose dies these are, instead.
+        as_given: Leave given dies where they were given.
+        evidence: What dies are found by: heights, the all-in-focus picture, or both.
+        field: A field of the dataset; 0 is the stitched surface.
+        result: Name of the reconstruction.
+    """
+    from wafer_viewer.measure.dies.die_lattice import pitches
+    from wafer_viewer.measure.dies.die_status import statuses
+    from wafer_viewer.session.surface.headless import job_of, measured_surface
+
+    given = GivenDies(pitch_um, origin_um, size_um, angle_deg, job, as_given)
+    surface, calibrated = measured_surface(src, field, result)
+    dies = given.on(surface, job_of(src), evidence)
+    along_x, along_y = pitches(surface, dies.grid, calibration_valid=calibrated)
+    states = statuses(surface, dies.grid)
+    facts = {
+        "grid": dies.grid,
+        "off": dies.off,
+        "pitch_x": along_x,
+        "pitch_y": along_y,
+        "counts": Counter(die.state for die in states),
+        "dies": states,
+        "simulated": surface.provenance.simulated,
+    }
+    print_json(msgspec.to_builtins(facts))

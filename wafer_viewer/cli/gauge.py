@@ -11,8 +11,7 @@ from tyro.conf import Positional, arg
 from wafer_viewer.cli.arguments import File, Rectangle, Sources, Text
 from wafer_viewer.cli.output import print_json
 from wafer_viewer.model.errors import MeasureError
-from wafer_viewer.model.gauge.gauge_check import GaugeTerms
-from wafer_viewer.model.gauge.gauge_rr import GaugeRR, Method
+from wafer_viewer.model.gauge import GaugeRR, GaugeTerms, Method
 from wafer_viewer.model.region import Region
 from wafer_viewer.model.spec import replace
 
@@ -123,7 +122,7 @@ def measure_rr(
     """
     from wafer_viewer.measure.gauge.gauge_rr import gauge_rr, study_rr
     from wafer_viewer.session.gauge.repeat_scans import studies_of
-    from wafer_viewer.store.tables.study_csv import read_study
+    from wafer_viewer.store.tables.csv_tables import read_study
 
     if len(src) == 1 and src[0].suffix.lower() == ".csv":
         print_json(_rr_facts(gauge_rr(read_study(src[0]), method=method, tolerance=tolerance)))

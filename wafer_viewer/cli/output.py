@@ -19,16 +19,13 @@ from wafer_viewer.model.progress import Progress
 if TYPE_CHECKING:
     from pathlib import Path
 
-    from wafer_viewer.model.job.revision_trial import Trial
-    from wafer_viewer.model.job.verdict import WaferVerdict
+    from wafer_viewer.model.job import Trial, WaferVerdict
     from wafer_viewer.model.quantity import Quantity
     from wafer_viewer.session.core.environment_check import EnvironmentCheck
     from wafer_viewer.session.planning.preflight import PreflightCheck
     from wafer_viewer.session.state.snapshot import SurfaceInfo
-    from wafer_viewer.store.dataset.dataset import CheckReport, Dataset
-    from wafer_viewer.store.dataset.digests import Digest
-    from wafer_viewer.store.dataset.integrity import KindReport
-    from wafer_viewer.store.dataset.passes import PassReport
+    from wafer_viewer.store.dataset.dataset import CheckReport, Dataset, PassReport
+    from wafer_viewer.store.dataset.integrity import Digest, KindReport
 
 NAMED = 20
 """Maximum number of missing or damaged frames that are listed."""

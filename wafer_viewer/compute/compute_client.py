@@ -8,9 +8,8 @@ from multiprocessing.connection import Connection
 from typing import Any
 
 from wafer_viewer.compute.child_process import ChildProcess
-from wafer_viewer.compute.messages import Cancel, RunLedTask, RunTask
+from wafer_viewer.compute.messages import Answer, Args, Cancel, LedTask, RunLedTask, RunTask, WatchedTask
 from wafer_viewer.compute.task_runner import require_tls
-from wafer_viewer.compute.watched_tasks import Answer, Args, LedTask, WatchedTask
 
 
 class Compute:

@@ -19,9 +19,20 @@ from distributed import CancelledError, Client, Event, Future
 
 from wafer_viewer.compute.child_process import ChildConnection, Request, run_in_background
 from wafer_viewer.compute.dask_cluster import client_of
-from wafer_viewer.compute.messages import Cancel, ComputeAbsent, ComputeUp, ComputeWarm, Progressed, RunLedTask, RunTask
+from wafer_viewer.compute.messages import (
+    PROGRESS_TOPIC,
+    Cancel,
+    ComputeAbsent,
+    ComputeUp,
+    ComputeWarm,
+    Progressed,
+    RunLedTask,
+    RunTask,
+    run_watched,
+    stop_sign,
+    throttled,
+)
 from wafer_viewer.compute.task_runner import COUNT_EVERY_S, DaskRunner, n_local_workers
-from wafer_viewer.compute.watched_tasks import PROGRESS_TOPIC, run_watched, stop_sign, throttled
 from wafer_viewer.model.errors import ComputeError, WaferViewerError
 
 NICENESS = 5

@@ -18,7 +18,7 @@ def crew_for(scheduler: str | None = None, workers: int = 1) -> Generator[TaskRu
         yield LocalRunner()
         return
     require_tls(scheduler)
-    from wafer_viewer.compute.dask_cluster import client_of  # loads distributed
+    from wafer_viewer.compute.dask_cluster import client_of
 
     with client_of(scheduler, workers) as client:
         yield DaskRunner(client)

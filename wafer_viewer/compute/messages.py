@@ -1,12 +1,15 @@
-"""Commands to the compute host, and its events."""
+"""Messages between this process and the compute host, and tasks with progress and cancellation."""
 
 from __future__ import annotations
 
+import time
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, Protocol, TypeVar, TypeVarTuple
+
+from wafer_viewer.model.progress import Progress, ShouldStop
 
 if TYPE_CHECKING:
-    from wafer_viewer.compute.watched_tasks import LedTask, WatchedTask
+    from wafer_viewer.compute.task_runner import TaskRunner
 
 
 @dataclass(frozen=True, slots=True)
@@ -62,3 +65,73 @@ class Progressed:
 
     work: str
     fraction: float
+
+
+Args = TypeVarTuple("Args")
+Answer = TypeVar("Answer", covariant=True)
+PROGRESS_TOPIC = "wafer-viewer-progress"
+ASK_EVERY_S = 0.25
+
+
+class WatchedTask(Protocol[*Args, Answer]):
+    """Function that a worker runs; it reports its progress, 0 to 1, and stops on request."""
+
+    __name__: str
+
+    def __call__(self, *args: *Args, progress: Progress, should_stop: ShouldStop) -> Answer:
+        """Run the task; the return value goes back to the session."""
+        ...
+
+
+class LedTask(Protocol[*Args, Answer]):
+    """Function that the compute host runs, which may submit many tasks to the crew."""
+
+    __name__: str
+
+    def __call__(self, *args: *Args, crew: TaskRunner, progress: Progress, should_stop: ShouldStop) -> Answer:
+        """Run the task; the return value goes back to the session."""
+        ...
+
+
+def run_watched(work: str, task: WatchedTask[*Args, Answer], args: tuple[*Args]) -> Answer:
+    """Run a task on a worker, with its progress reported to the host and cancellation by the host."""
+    return task(*args, progress=_teller(work), should_stop=_listener(work))
+
+
+def stop_sign(work: str) -> str:
+    """Return the name of the event that stops the tasks of a work."""
+    return f"stop-{work}"
+
+
+def throttled(tell: Progress) -> Progress:
+    """Return a progress callback that is throttled to `ASK_EVERY_S`, and always reports the end."""
+    told_at = 0.0
+
+    def tell_sometimes(fraction: float) -> None:
+        nonlocal told_at
+        if fraction >= 1 or time.monotonic() - told_at >= ASK_EVERY_S:
+            told_at = time.monotonic()
+            tell(fraction)
+
+    return tell_sometimes
+
+
+def _teller(work: str) -> Progress:
+    from distributed import get_worker
+
+    return throttled(lambda done: get_worker().log_event(PROGRESS_TOPIC, {"work": work, "fraction": float(done)}))
+
+
+def _listener(work: str) -> ShouldStop:
+    from distributed import Event
+
+    asked_at, stop = 0.0, False
+
+    def should_stop() -> bool:
+        nonlocal asked_at, stop
+        if not stop and time.monotonic() - asked_at >= ASK_EVERY_S:
+            asked_at = time.monotonic()
+            stop = bool(Event(stop_sign(work)).is_set())
+        return stop
+
+    return should_stop

@@ -22,11 +22,11 @@ from typing import TYPE_CHECKING
 import viser
 
 from wafer_viewer.gui.page.page import Page
-from wafer_viewer.gui.security.access_guard import open_server
+from wafer_viewer.gui.security import open_server
 from wafer_viewer.gui.shell.build_page import build_page
+from wafer_viewer.gui.widgets.controls import cache_prop_types
 from wafer_viewer.gui.widgets.error_guard import log
-from wafer_viewer.gui.widgets.icons import quicken
-from wafer_viewer.gui.widgets.prop_types import cache_prop_types
+from wafer_viewer.gui.widgets.html import quicken
 from wafer_viewer.model.errors import WaferViewerError
 from wafer_viewer.session.files.documents import read_report
 

@@ -23,8 +23,7 @@ from wafer_viewer.measure.tools.volume import area_volume
 from wafer_viewer.model.errors import MeasureError
 from wafer_viewer.model.findings import AnyResult
 from wafer_viewer.model.measurement.measurements import Profile
-from wafer_viewer.model.measurement.tool_options import ToolOptions, keywords
-from wafer_viewer.model.measurement.tools import TOOLS, ToolName
+from wafer_viewer.model.measurement.tools import TOOLS, ToolName, ToolOptions, keywords
 from wafer_viewer.model.region import Region
 from wafer_viewer.model.surface.height_map import Mosaic
 

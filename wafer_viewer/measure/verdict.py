@@ -6,12 +6,12 @@ import math
 from collections import defaultdict
 from collections.abc import Iterator, Sequence
 
-from wafer_viewer.measure.base.uncertainty_budget import LESS_WITH_REPEATS
+from wafer_viewer.measure.base.measurement_context import LESS_WITH_REPEATS
 from wafer_viewer.measure.registry import measured
-from wafer_viewer.model.acquisition.alignment import Alignment
+from wafer_viewer.model.acquisition.sample import Alignment
 from wafer_viewer.model.errors import MeasureError
 from wafer_viewer.model.findings import AnyResult
-from wafer_viewer.model.job.verdict import GRAVEST, FeatureVerdict, JudgedDie, Word
+from wafer_viewer.model.job import GRAVEST, FeatureVerdict, JudgedDie, Word
 from wafer_viewer.model.measurement.feature import Die, Dies, Feature, on_die
 from wafer_viewer.model.quantity import Length, Quantity
 from wafer_viewer.model.region import Point, Region

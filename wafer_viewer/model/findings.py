@@ -5,21 +5,27 @@ from __future__ import annotations
 from typing import ClassVar
 
 from wafer_viewer.model.errors import MeasureError, WaferViewerError
-from wafer_viewer.model.gauge.gauge_check import GaugeCheck
+from wafer_viewer.model.gauge import GaugeCheck
 from wafer_viewer.model.inspection.defect import Defect
-from wafer_viewer.model.measurement.edge_and_bump_shapes import Chipping, CircleSize, Coplanarity, DieSize, KerfWidth
 from wafer_viewer.model.measurement.measurements import (
     AreaVolume,
+    Chipping,
+    CircleSize,
+    Coplanarity,
+    DieSize,
     Distance,
     FaceAngle,
     Flatness,
+    KerfWidth,
     PointHeight,
     Profile,
     Radius,
+    Roughness,
+    SiteRanges,
+    StepHeight,
+    StepProfile,
+    Texture,
 )
-from wafer_viewer.model.measurement.site_range import SiteRanges
-from wafer_viewer.model.measurement.step import StepHeight, StepProfile
-from wafer_viewer.model.measurement.texture import Roughness, Texture
 from wafer_viewer.model.spec import Spec
 
 AnyResult = (

@@ -1,4 +1,4 @@
-"""Quantities with a unit and their expanded uncertainty."""
+"""Quantities with a unit, their expanded uncertainty, and the outcomes of a decision on them."""
 
 from __future__ import annotations
 
@@ -70,3 +70,6 @@ class Length(Spec, frozen=True, kw_only=True):
 
 def _root_sum_of_squares(parts: Iterable[float]) -> float:
     return math.sqrt(sum(part**2 for part in parts))
+
+
+Word = Literal["pass", "fail", "inconclusive", "no verdict"]

@@ -5,8 +5,8 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import ClassVar, Literal, get_args
 
-from wafer_viewer.model.decision_rule import Word
 from wafer_viewer.model.errors import DatasetError, WaferViewerError
+from wafer_viewer.model.quantity import Word
 from wafer_viewer.model.spec import Spec
 
 Part = Literal[

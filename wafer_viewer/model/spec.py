@@ -6,6 +6,7 @@ sentence that names field, value and limit.
 
 from __future__ import annotations
 
+import dataclasses
 import math
 import numbers
 import tomllib
@@ -71,12 +72,15 @@ class Spec(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True
 
 
 S = TypeVar("S", bound=Spec)
+R = TypeVar("R")
 Form = Literal["toml", "json"]
 
 
-def replace(spec: S, **changes: Any) -> S:
-    """Return a copy of `spec` with some fields changed, validated again."""
-    return msgspec.structs.replace(spec, **changes)
+def replace(item: R, **changes: Any) -> R:
+    """Return a copy of a spec or a frozen dataclass with some fields changed; a spec is validated again."""
+    if dataclasses.is_dataclass(item):
+        return dataclasses.replace(item, **changes)  # type: ignore[return-value]
+    return msgspec.structs.replace(item, **changes)  # type: ignore[type-var]
 
 
 def decode(text: str | bytes, kind: type[S], name: str, form: Form = "toml") -> S:

@@ -1,4 +1,4 @@
-"""Compilation of kernels by numba, and location of their cache.
+"""Compilation of kernels by numba, location of their cache, and the types of their arguments.
 
 Compiled code is cached in the user's cache folder (``WAFER_VIEWER_CACHE`` overrides it), so a read-only installation
 still starts fast and every child process loads what the first one compiled. numba checks only the file of the
@@ -13,10 +13,12 @@ import os
 import zlib
 from collections.abc import Callable
 from pathlib import Path
-from typing import Any, TypeVar, cast
+from typing import Any, TypeAlias, TypeVar, cast
 
 import numba
+import numpy as np
 from numba.core import config as numba_config
+from numpy.typing import NDArray
 
 KERNEL_ROOMS = ("numerics", "reconstruct", "rigs/virtual")
 _UNCOUNTED: dict[str, Any] = {"_nrt": False}  # numba's run time with reference counts, an option its stubs leave out
@@ -84,3 +86,30 @@ def inlined_part(function: F) -> F:
 def inline_kernel(function: F) -> F:
     """Compile a small function that is inlined into its callers."""
     return cast(F, numba.njit(inline="always")(function))
+
+
+Bools: TypeAlias = NDArray[np.bool_]
+Float32s: TypeAlias = NDArray[np.float32]
+Float64s: TypeAlias = NDArray[np.float64]
+Int32s: TypeAlias = NDArray[np.int32]
+Int64s: TypeAlias = NDArray[np.int64]
+UInt8s: TypeAlias = NDArray[np.uint8]
+UInt16s: TypeAlias = NDArray[np.uint16]
+Wholes: TypeAlias = NDArray[Any]
+"""int32 if the sums of 8-bit grey fit, int64 for 16-bit grey."""
+Greys: TypeAlias = NDArray[Any]
+"""uint8 or uint16."""
+
+Whole: TypeAlias = int | np.integer[Any]
+Real: TypeAlias = float | np.floating[Any]
+
+_CACHE_LINE_BYTES = 64
+
+
+def aligned(shape: tuple[int, ...], dtype: Any) -> NDArray[Any]:
+    """Return zeros aligned to a cache line, because vectors that straddle two lines cost twice."""
+    dtype = np.dtype(dtype)
+    n_bytes = dtype.itemsize * int(np.prod(shape))
+    room = np.zeros(n_bytes + _CACHE_LINE_BYTES, np.uint8)
+    start = -room.ctypes.data % _CACHE_LINE_BYTES
+    return room[start : start + n_bytes].view(dtype).reshape(shape)

@@ -9,15 +9,14 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from wafer_viewer.model.acquisition.optics import WAVELENGTH_UM
+from wafer_viewer.model.acquisition.calibration import WAVELENGTH_UM
 from wafer_viewer.model.spec import replace
 from wafer_viewer.model.surface.height_map import Origin
 from wafer_viewer.model.surface.recipe import Recipe
 from wafer_viewer.reconstruct.cleaning.clean import settle_cleaning
 from wafer_viewer.reconstruct.focus.focus_measures import FOCUS_MEASURES
-from wafer_viewer.reconstruct.focus.noise_thresholds import noise_scores
 from wafer_viewer.reconstruct.focus.peak import Peaks
-from wafer_viewer.reconstruct.focus.peak_search import Search, ThreadScratch, search_part
+from wafer_viewer.reconstruct.focus.peak_search import Search, ThreadScratch, noise_scores, search_part
 from wafer_viewer.reconstruct.gates.gate import LEAST_FRAMES, auto_min_confidence, gate_of, origins
 from wafer_viewer.reconstruct.preprocess.camera_noise import camera_of, settled_noise
 from wafer_viewer.reconstruct.preprocess.frames import Frames

@@ -10,15 +10,12 @@ from numpy.typing import NDArray
 from wafer_viewer._version import __version__
 from wafer_viewer.model.acquisition.focus_stack import FieldStack
 from wafer_viewer.model.acquisition.plan import Field
-from wafer_viewer.model.surface.height_map import HeightMap, Origin, Provenance
+from wafer_viewer.model.surface.height_map import HeightMap, Origin, Provenance, RefusedHeights
 from wafer_viewer.model.surface.recipe import Recipe
-from wafer_viewer.model.surface.refused_points import RefusedHeights
 from wafer_viewer.reconstruct.auto_tuning import TunedSearch, tune_recipe
-from wafer_viewer.reconstruct.cleaning.clean import clean
-from wafer_viewer.reconstruct.cleaning.gap_fill import mark_filled
+from wafer_viewer.reconstruct.cleaning.clean import clean, mark_filled
 from wafer_viewer.reconstruct.focus.peak import Peaks
-from wafer_viewer.reconstruct.focus.peak_search import Progress, search_field
-from wafer_viewer.reconstruct.focus.window_sampling import coarse_step
+from wafer_viewer.reconstruct.focus.peak_search import Progress, coarse_step, search_field
 from wafer_viewer.reconstruct.gates import edge_bleeding
 from wafer_viewer.reconstruct.gates.gate import LEAST_FRAMES
 from wafer_viewer.reconstruct.preprocess.frames import Frames, prepare

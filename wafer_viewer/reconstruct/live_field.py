@@ -17,8 +17,7 @@ from wafer_viewer.reconstruct.auto_tuning import search_of, tune_recipe
 from wafer_viewer.reconstruct.field_pipeline import surface_of
 from wafer_viewer.reconstruct.focus.focus_measures import FOCUS_MEASURES
 from wafer_viewer.reconstruct.focus.focus_volume import StackSource, Volume
-from wafer_viewer.reconstruct.focus.peak import FocusCurves, Peaks
-from wafer_viewer.reconstruct.focus.peak_interpolation import InterpolationScratch
+from wafer_viewer.reconstruct.focus.peak import FocusCurves, InterpolationScratch, Peaks
 from wafer_viewer.reconstruct.focus.peak_search import Search, fill_volume, find_peaks, search_field, stripes
 from wafer_viewer.reconstruct.preprocess.frames import Frames, clipped_from, prepare
 

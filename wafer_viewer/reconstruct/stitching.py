@@ -18,15 +18,13 @@ from wafer_viewer.model.surface.height_map import HeightMap, Outline
 from wafer_viewer.model.surface.recipe import Recipe, Stitching
 from wafer_viewer.reconstruct.blending.mosaic_layout import layout
 from wafer_viewer.reconstruct.blending.stitched_mosaic import StitchedMosaic, mosaic_provenance, moved_to
-from wafer_viewer.reconstruct.pose_graph.camera_rotation_scale import CameraAxes
 from wafer_viewer.reconstruct.pose_graph.incremental import PreviousSolution
-from wafer_viewer.reconstruct.pose_graph.lateral_poses import Positions, solve_positions
+from wafer_viewer.reconstruct.pose_graph.lateral_poses import CameraAxes, Positions, solve_positions
 from wafer_viewer.reconstruct.pose_graph.vertical_poses import VerticalPoses, solve_heights
 from wafer_viewer.reconstruct.registration.height_seams import compare
-from wafer_viewer.reconstruct.registration.misplaced_fields import misplaced_fields
-from wafer_viewer.reconstruct.registration.neighbour_pairs import neighbours
+from wafer_viewer.reconstruct.registration.misplaced_fields import misplaced_fields, stitching_notes
+from wafer_viewer.reconstruct.registration.overlap_strips import neighbours
 from wafer_viewer.reconstruct.registration.pair_registration import register
-from wafer_viewer.reconstruct.registration.stitching_notes import stitching_notes
 
 Pairs = NDArray[np.int32]
 Um = NDArray[np.float64]

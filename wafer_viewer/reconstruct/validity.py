@@ -12,10 +12,8 @@ from numpy.typing import NDArray
 from wafer_viewer.model.surface.focus_curve import Verdict
 from wafer_viewer.model.surface.height_map import Origin
 from wafer_viewer.reconstruct.auto_tuning import GAP_WIDTHS, TunedSearch
-from wafer_viewer.reconstruct.focus.noise_thresholds import noise_scores
 from wafer_viewer.reconstruct.focus.peak import Peaks
-from wafer_viewer.reconstruct.focus.peak_search import Search
-from wafer_viewer.reconstruct.focus.wide_window_check import wide_heights
+from wafer_viewer.reconstruct.focus.peak_search import Search, noise_scores, wide_heights
 from wafer_viewer.reconstruct.gates.edge_bleeding import BleedingEdges, EdgeSearch, find_edges, judge_edges
 from wafer_viewer.reconstruct.gates.edge_sides import STANDING_GAPS, EdgeSide
 from wafer_viewer.reconstruct.gates.gate import LEAST_FRAMES, POWERS, Gate, GateTest, checks, first_failed, gate_of

@@ -1,4 +1,4 @@
-"""Session interface that the page uses, implemented by `Session` and by the test doubles.
+"""Session interface that the page uses, and the view of it per browser: reading is free, commands need control.
 
 The commands are documented in `Session` and in the classes of its groups.
 """
@@ -7,16 +7,17 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from concurrent.futures import Future
+from dataclasses import is_dataclass
 from pathlib import Path
-from typing import Protocol
+from typing import Any, Protocol, cast
 
 from wafer_viewer.model.acquisition.focus_stack import Image
+from wafer_viewer.model.errors import ControlHeldError
 from wafer_viewer.model.findings import AnyResult
-from wafer_viewer.model.job.job import Job
+from wafer_viewer.model.job import Job
 from wafer_viewer.model.measurement.levelling import Datum, Levelling
 from wafer_viewer.model.measurement.measurements import Profile, ProfileCurve
-from wafer_viewer.model.measurement.tool_options import ToolOptions
-from wafer_viewer.model.measurement.tools import ToolName
+from wafer_viewer.model.measurement.tools import ToolName, ToolOptions
 from wafer_viewer.model.region import Region
 from wafer_viewer.model.surface.field_poses import Poses
 from wafer_viewer.model.surface.focus_curve import FocusCurve
@@ -26,15 +27,14 @@ from wafer_viewer.session.core.control_handover import Control
 from wafer_viewer.session.core.dataset_library import DEFAULT_RESULT
 from wafer_viewer.session.files.documents import Documents
 from wafer_viewer.session.files.file_browser import Browsing
-from wafer_viewer.session.files.file_commands import Exchange
-from wafer_viewer.session.gauge.gauge_commands import GaugeVerbs
-from wafer_viewer.session.gauge.study_commands import Studies
+from wafer_viewer.session.files.file_jobs import Exchange
+from wafer_viewer.session.gauge.gauge_controller import GaugeVerbs
+from wafer_viewer.session.gauge.repeat_scans import Studies
 from wafer_viewer.session.inspection.inspection_commands import DefectVerbs
 from wafer_viewer.session.measurement.dataset_queries import ReadOut
-from wafer_viewer.session.measurement.review_notes import NotebookVerbs
-from wafer_viewer.session.measurement.section_commands import Sections
-from wafer_viewer.session.planning.job_commands import JobVerbs
-from wafer_viewer.session.planning.trial_commands import TrialVerbs
+from wafer_viewer.session.measurement.results import NotebookVerbs
+from wafer_viewer.session.measurement.sections import Sections
+from wafer_viewer.session.planning.job_commands import JobVerbs, TrialVerbs
 from wafer_viewer.session.rendering.render_request import RenderRequest
 from wafer_viewer.session.state.snapshot import LatestFrame, Snapshot, Typed
 from wafer_viewer.session.surface.comparison_commands import ComparingVerbs
@@ -139,3 +139,66 @@ class SessionApi(Protocol):
         self, path: Path, field: int | None = None, every: int | None = None, part: Region | None = None
     ) -> Future[Path]: ...
     def export_findings(self, path: Path) -> Future[Path]: ...
+
+
+FREE = frozenset(
+    {
+        *("snapshot", "latest_frame", "subscribe", "wait_until", "control"),
+        *("mosaic", "height_map", "surface_source", "poses", "frame", "frame_near", "paint", "refresh_datasets"),
+        *("profile", "read_out", "focus_curve", "measure", "datum", "thumbnail"),
+        *("export_surface", "export_findings", "exchange.is_surface"),
+        *("papers.keep_picture", "papers.write_report", "papers.contents"),
+        *("browsing.roots", "browsing.list_folder", "browsing.look", "browsing.allowed"),
+        *("browsing.path_of", "browsing.existing", "browsing.remember"),
+        *("stop", "stop_scan", "comparing.choices", "sections.section", "sections.others", "sections.file"),
+        "defects.files.write",
+        *("gauge.find_faces", "gauge.check", "studies.gauge_rr"),
+        *("defects.views.beside", "defects.views.die", "defects.views.repeats"),
+    }
+)
+"""Names that any browser may use: read, measure without storing, export to a file, and stop motion.
+
+A name in a command group is prefixed with the group's name, ``notebook.views``. Every name not listed here moves the
+rig or changes the plan, the dataset or the results.
+"""
+
+
+def restricted_session(session: SessionApi, key: Callable[[], str]) -> SessionApi:
+    """Return the session as the browser with key `key` may use it.
+
+    It has all attributes of `session`. Commands that need control return a future that fails with ControlHeldError for
+    browsers that only watch.
+    """
+    return cast("SessionApi", _Seat(session, lambda: session.snapshot.hands.why_not(key()), ""))
+
+
+class _Seat:
+    """Proxy of a session or of one of its command groups; checks `why_not` before every name not in `FREE`."""
+
+    def __init__(self, whole: Any, why_not: Callable[[], str | None], path: str) -> None:
+        self._whole, self._why_not, self._path = whole, why_not, path
+
+    def __getattr__(self, name: str) -> Any:
+        meant, path = getattr(self._whole, name), f"{self._path}{name}"
+        if path in FREE or name.startswith("_"):
+            return meant
+        if callable(meant):
+            return self._require_control(meant)
+        return _Seat(meant, self._why_not, f"{path}.") if _is_group(meant) else meant
+
+    def _require_control(self, verb: Callable[..., Any]) -> Callable[..., Any]:
+        def ask(*args: Any, **kwargs: Any) -> Any:
+            why = self._why_not()
+            return verb(*args, **kwargs) if why is None else _refused(why)
+
+        return ask
+
+
+def _is_group(thing: object) -> bool:
+    return type(thing).__module__.startswith(f"{__package__}.") and not is_dataclass(thing)
+
+
+def _refused(why: str) -> Future[Any]:
+    refusal: Future[Any] = Future()
+    refusal.set_exception(ControlHeldError(f"{why} Ask for them first: you are only watching."))
+    return refusal

@@ -16,20 +16,17 @@ from wafer_viewer.model.surface.recipe import Recipe
 from wafer_viewer.rigs.rig_config import RigConfig
 from wafer_viewer.session.acquisition.rig_client import RigCallbacks, RigClient
 from wafer_viewer.session.acquisition.rig_messages import FrameTaken, Move, OverviewReady, RigReady, Scan, ScanEnded
-from wafer_viewer.session.core.background_work import BackgroundWork
+from wafer_viewer.session.core.background_work import BackgroundWork, Notifications
 from wafer_viewer.session.core.command_queue import CommandQueue
 from wafer_viewer.session.core.dataset_library import ENDING, Library, free_name, today
-from wafer_viewer.session.core.notifications import Notifications
 from wafer_viewer.session.files.file_jobs import FileWork
 from wafer_viewer.session.gauge.gauge_controller import GaugeKeeper
 from wafer_viewer.session.inspection.inspection_commands import DefectKeeper
 from wafer_viewer.session.inspection.inspection_files import DefectFilesKeeper
-from wafer_viewer.session.measurement.results import ResultsStore
-from wafer_viewer.session.measurement.review_notes import NotebookKeeper
-from wafer_viewer.session.planning.job_commands import JobKeeper
+from wafer_viewer.session.measurement.results import NotebookKeeper, ResultsStore
+from wafer_viewer.session.planning.job_commands import JobKeeper, TrialKeeper
 from wafer_viewer.session.planning.plan_editor import Drafting, suggested_name
 from wafer_viewer.session.planning.preflight import preflight_of_snapshot, require_passed
-from wafer_viewer.session.planning.trial_commands import TrialKeeper
 from wafer_viewer.session.planning.verdicts import Judge
 from wafer_viewer.session.session_restore import SessionRestore
 from wafer_viewer.session.state.snapshot import FieldState, RigStatus, Snapshot

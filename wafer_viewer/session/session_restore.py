@@ -16,7 +16,7 @@ from typing import TYPE_CHECKING, Any
 import msgspec
 
 from wafer_viewer.model.errors import DatasetError, WaferViewerError
-from wafer_viewer.model.job.job import Job
+from wafer_viewer.model.job import Job
 from wafer_viewer.model.spec import decode, encode
 from wafer_viewer.session.state.snapshot import Snapshot, Typed
 

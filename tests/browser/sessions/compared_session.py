@@ -12,7 +12,7 @@ from tests.browser.sessions.seen_session import SeenSession
 from tests.support.page_stand_in import height_map
 from wafer_viewer.model.surface.comparison import Align, Change, Comparison, ComparisonFace, Registration, SurfaceName
 from wafer_viewer.model.surface.height_map import HeightMap
-from wafer_viewer.session.state.comparison_state import Compared
+from wafer_viewer.session.state.snapshot import Compared
 from wafer_viewer.session.surface.comparison_commands import ComparingVerbs
 
 BUMP = slice(200, 260), slice(120, 210)

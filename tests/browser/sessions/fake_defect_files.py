@@ -16,8 +16,8 @@ from wafer_viewer.model.region import Point
 from wafer_viewer.model.spec import replace
 from wafer_viewer.session.inspection.inspection_files import SAME_PLACE_UM, DefectFiles
 from wafer_viewer.session.inspection.klarf_overlay import overlay_klarf
-from wafer_viewer.session.state.inspection_resources import DefectShelf
-from wafer_viewer.store.tables.klarf_writer import write_klarf
+from wafer_viewer.session.state.inspection_state import DefectShelf
+from wafer_viewer.store.tables.klarf import write_klarf
 
 
 def a_shelf() -> DefectShelf:

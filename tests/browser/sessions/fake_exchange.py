@@ -6,7 +6,7 @@ from pathlib import Path
 from typing import Any
 
 from tests.browser.recording import Recording
-from wafer_viewer.session.files.file_commands import Exchange
+from wafer_viewer.session.files.file_jobs import Exchange
 
 
 class FakeExchange(Recording):

@@ -8,11 +8,11 @@ from pathlib import Path
 from typing import Any
 
 from tests.browser.recording import Recording
-from wafer_viewer.model.job.review_notes import Judgement, Notebook, SavedView
+from wafer_viewer.model.job import Judgement, Notebook, SavedView
 from wafer_viewer.model.report import Contents, Holds, ReportOrder
 from wafer_viewer.model.spec import replace
 from wafer_viewer.session.files.documents import Documents
-from wafer_viewer.session.measurement.review_notes import NotebookVerbs
+from wafer_viewer.session.measurement.results import NotebookVerbs
 
 
 class FakeNotebook(Recording):

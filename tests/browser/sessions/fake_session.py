@@ -23,10 +23,9 @@ from wafer_viewer.model.acquisition.devices import Overview
 from wafer_viewer.model.acquisition.plan import FieldGrid, FocusSweep
 from wafer_viewer.model.acquisition.sample import Sample
 from wafer_viewer.model.errors import DatasetError, MeasureError, PlanError
-from wafer_viewer.model.job.job import Job
+from wafer_viewer.model.job import Job
 from wafer_viewer.model.measurement.levelling import Levelling
-from wafer_viewer.model.measurement.measurements import Profile, ProfileCurve
-from wafer_viewer.model.measurement.step import StepHeight
+from wafer_viewer.model.measurement.measurements import Profile, ProfileCurve, StepHeight
 from wafer_viewer.model.quantity import Contribution, Length
 from wafer_viewer.model.region import Region
 from wafer_viewer.model.surface.field_poses import Poses, RejectionReason
@@ -34,7 +33,7 @@ from wafer_viewer.model.surface.recipe import Levy, Noise, Outliers, Recipe
 from wafer_viewer.rigs.virtual.rig import CALIBRATION, SETUP, virtual_limits
 from wafer_viewer.session.api import SessionApi
 from wafer_viewer.session.files.file_browser import Browsing
-from wafer_viewer.session.gauge.gauge_commands import GaugeVerbs
+from wafer_viewer.session.gauge.gauge_controller import GaugeVerbs
 from wafer_viewer.session.state.snapshot import (
     DatasetEntry,
     Draft,

@@ -12,8 +12,8 @@ from scipy import ndimage
 from tests.support.page_stand_in import height_map
 from wafer_viewer.model.acquisition.calibration import Calibration
 from wafer_viewer.model.acquisition.plan import Field, FocusSweep, ScanPlan
-from wafer_viewer.model.gauge.gauge_check import Certificate, GaugeBlock
-from wafer_viewer.model.job.job import Job
+from wafer_viewer.model.gauge import Certificate, GaugeBlock
+from wafer_viewer.model.job import Job
 from wafer_viewer.model.surface.height_map import HeightMap, Provenance
 from wafer_viewer.model.surface.recipe import Recipe, Stitching
 from wafer_viewer.rigs.virtual.rig import SETUP

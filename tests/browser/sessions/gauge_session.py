@@ -18,7 +18,7 @@ from tests.support.page_stand_in import MemoryShelf, StandIn, grid, job_and_plan
 from wafer_viewer.measure.gauge.run_chart import run_chart
 from wafer_viewer.model.errors import MeasureError
 from wafer_viewer.model.findings import AnyResult
-from wafer_viewer.model.gauge.gauge_check import (
+from wafer_viewer.model.gauge import (
     Certificate,
     GaugeCheck,
     GaugeRecord,
@@ -27,16 +27,15 @@ from wafer_viewer.model.gauge.gauge_check import (
     ScaleCorrection,
 )
 from wafer_viewer.model.measurement.levelling import Levelling
-from wafer_viewer.model.measurement.tool_options import ToolOptions
-from wafer_viewer.model.measurement.tools import ToolName
+from wafer_viewer.model.measurement.tools import ToolName, ToolOptions
 from wafer_viewer.model.region import Region
 from wafer_viewer.model.spec import replace
 from wafer_viewer.model.surface.height_map import HeightMap
 from wafer_viewer.session.gauge import gauge_check as work
-from wafer_viewer.session.gauge.gauge_commands import GaugeVerbs
-from wafer_viewer.session.gauge.study_commands import Studies
-from wafer_viewer.session.measurement.measure_commands import Measuring
-from wafer_viewer.session.state.gauge_state import GaugeState, Tick
+from wafer_viewer.session.gauge.gauge_controller import GaugeVerbs
+from wafer_viewer.session.gauge.repeat_scans import Studies
+from wafer_viewer.session.measurement.dataset_queries import Measuring
+from wafer_viewer.session.state.inspection_state import GaugeState, Tick
 
 UPPER = Region.rectangle(150, -40, 330, 190)
 LOWER = Region.rectangle(-330, -190, -150, 40)
@@ -53,7 +52,7 @@ class FakeGauge(Recording):
         self._session = session
 
     def load_certificate(self, path: Path) -> Future[Certificate]:
-        from wafer_viewer.store.records.certificates import read_certificate
+        from wafer_viewer.store.records.gauge_records import read_certificate
 
         try:
             read = read_certificate(path)

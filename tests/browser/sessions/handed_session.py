@@ -10,7 +10,7 @@ from playwright.sync_api import Page
 
 from tests.browser.sessions.fake_defect_files import other_file
 from tests.browser.sessions.inspected_session import InspectedSession, inspected_session
-from wafer_viewer.model.inspection.defect_limits import DefectLimits
+from wafer_viewer.model.inspection.defect import DefectLimits
 
 
 def with_other_tool() -> InspectedSession:

@@ -15,8 +15,7 @@ from tests.browser.sessions.fake_defect_files import FakeDefectFiles, a_shelf
 from tests.browser.sessions.fake_sections import FakeSections
 from tests.browser.sessions.stitched_session import PITCH_UM, STREET_UM, StitchedSession
 from tests.support.datasets.inspections import defect, inspection
-from wafer_viewer.model.inspection.defect import Defect, DefectClass, FalseCounts, Inspection
-from wafer_viewer.model.inspection.defect_limits import DefectLimits
+from wafer_viewer.model.inspection.defect import Defect, DefectClass, DefectLimits, FalseCounts, Inspection
 from wafer_viewer.model.inspection.die_grid import DieGrid, DieStatus
 from wafer_viewer.model.measurement.sections import Section, SectionAsked
 from wafer_viewer.model.quantity import Length
@@ -25,7 +24,7 @@ from wafer_viewer.model.spec import replace
 from wafer_viewer.model.surface.height_map import HeightMap
 from wafer_viewer.session.inspection.inspection_commands import DefectVerbs
 from wafer_viewer.session.inspection.reference_views import DefectViews, Earlier
-from wafer_viewer.session.measurement.section_export import cut
+from wafer_viewer.session.measurement.sections import cut
 from wafer_viewer.session.rendering.render_request import SurfaceKey
 
 GRID = DieGrid(

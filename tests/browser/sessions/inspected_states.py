@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 
 from tests.browser.sessions.inspected_session import PLANTED, InspectedSession, inspected_session
-from wafer_viewer.draw.charts.defect_symbols import KINDS
+from wafer_viewer.draw.charts.symbols import KINDS
 from wafer_viewer.model.inspection.defect import Defect, Inspection
 from wafer_viewer.model.inspection.die_grid import DieGrid, DieState, DieStatus
 from wafer_viewer.model.region import Point, Region

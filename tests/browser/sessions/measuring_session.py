@@ -27,16 +27,14 @@ from wafer_viewer.measure.gauge.find_faces import find_faces
 from wafer_viewer.model.acquisition.calibration import Calibration
 from wafer_viewer.model.findings import AnyResult
 from wafer_viewer.model.measurement.levelling import Datum, Levelling
-from wafer_viewer.model.measurement.tool_options import ToolOptions
-from wafer_viewer.model.measurement.tools import ToolName
+from wafer_viewer.model.measurement.tools import ToolName, ToolOptions
 from wafer_viewer.model.region import Region
 from wafer_viewer.model.spec import replace
 from wafer_viewer.model.surface.height_map import HeightMap, Origin, Provenance
-from wafer_viewer.session.core.undo_history import UndoHistory
-from wafer_viewer.session.gauge.gauge_commands import GaugeVerbs
-from wafer_viewer.session.measurement.dataset_queries import ReadOut
-from wafer_viewer.session.measurement.measure_commands import Measuring
-from wafer_viewer.session.measurement.section_commands import Sections
+from wafer_viewer.session.core.command_queue import UndoHistory
+from wafer_viewer.session.gauge.gauge_controller import GaugeVerbs
+from wafer_viewer.session.measurement.dataset_queries import Measuring, ReadOut
+from wafer_viewer.session.measurement.sections import Sections
 
 DIE_UM, DOME_UM, DOME_RADIUS_UM, TILT = 12.0, 14.0, 60.0, 0.02
 DOME_AT = (-60.0, 40.0)

@@ -9,15 +9,12 @@ from typing import Any
 from tests.browser.sessions import fake_session as fake
 from tests.support.datasets.released import DIE, MARKS, release_of
 from wafer_viewer.measure.verdict import judge, judge_dies, next_action, overall
-from wafer_viewer.model.acquisition.alignment import Alignment
-from wafer_viewer.model.job.job import Job
-from wafer_viewer.model.job.revision_trial import NotTried, Trial, TriedWafer, VerdictChange
-from wafer_viewer.model.job.verdict import WaferVerdict
+from wafer_viewer.model.acquisition.sample import Alignment
+from wafer_viewer.model.job import Job, NotTried, Trial, TriedWafer, VerdictChange, WaferVerdict
 from wafer_viewer.model.measurement.feature import Dies
 from wafer_viewer.model.quantity import Contribution, Length, Quantity
 from wafer_viewer.model.spec import replace
-from wafer_viewer.session.state.operator_state import JobEntry, Operating
-from wafer_viewer.session.state.snapshot import Snapshot
+from wafer_viewer.session.state.snapshot import JobEntry, Operating, Snapshot
 
 JOBS = (
     JobEntry(Path("/tmp/wafers/jobs/coupon-B.toml"), "Coupon 6 mm", "B", 9, 2),

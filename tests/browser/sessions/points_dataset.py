@@ -10,8 +10,7 @@ from numpy.typing import NDArray
 
 from tests.support.datasets.grid_dataset import REGISTERED, add_surfaces, make_dataset
 from tests.truth.field_grid import SMALL, Made, make
-from wafer_viewer.model.surface.height_map import UNMEASURED_FROM, HeightMap, Origin
-from wafer_viewer.model.surface.refused_points import RefusedHeights
+from wafer_viewer.model.surface.height_map import UNMEASURED_FROM, HeightMap, Origin, RefusedHeights
 
 FIELD = 5
 PILLAR_UM = 120.0

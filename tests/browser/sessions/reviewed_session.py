@@ -8,10 +8,10 @@ from tests.browser.sessions.operator_session import height_of
 from tests.browser.sessions.stitched_session import StitchedSession
 from tests.support.datasets.released import DIE
 from wafer_viewer.measure.verdict import judge, next_action, overall
-from wafer_viewer.model.job.verdict import FeatureVerdict, WaferVerdict
+from wafer_viewer.model.job import FeatureVerdict, WaferVerdict
 from wafer_viewer.model.region import Region
 from wafer_viewer.model.spec import replace
-from wafer_viewer.session.state.operator_state import Operating
+from wafer_viewer.session.state.snapshot import Operating
 
 MEASURED = (("Die 1 over street", 30.03, -80.0), ("Die 2 over street", 31.2, 70.0), ("Die 3 over street", 30.42, 0.0))
 """Name, height in um, x in um of each feature."""

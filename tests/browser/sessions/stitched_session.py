@@ -21,7 +21,7 @@ from tests.support.page_stand_in import (
 )
 from wafer_viewer.model.surface.field_poses import Poses, RejectionReason
 from wafer_viewer.model.surface.height_map import HeightMap, Mosaic
-from wafer_viewer.session.core.changes import with_change
+from wafer_viewer.session.core.dataset_library import with_change
 
 WIDTH_UM, HEIGHT_UM = COLS * PIXEL_UM, ROWS * PIXEL_UM
 PITCH_UM, STREET_UM = 148.0, 26.0

@@ -8,7 +8,8 @@ import xml.etree.ElementTree as ET
 import pytest
 
 from tests.support.datasets.inspections import GRID, defect, inspection
-from wafer_viewer.draw.charts.defect_map import (
+from wafer_viewer.draw.charts.defect_charts import pareto, pareto_svg
+from wafer_viewer.draw.charts.die_map import (
     DIE_LOOKS,
     defect_map_svg,
     die_frame,
@@ -19,7 +20,6 @@ from wafer_viewer.draw.charts.defect_map import (
     kinds_text,
     look_svg,
 )
-from wafer_viewer.draw.charts.pareto import pareto, pareto_svg
 from wafer_viewer.draw.charts.wafer_map import MOST_SINGLE
 from wafer_viewer.model.inspection.die_grid import DieStatus
 from wafer_viewer.model.spec import replace

@@ -13,7 +13,7 @@ from hypothesis import strategies as st
 from PIL import Image
 
 from wafer_viewer.draw.charts.focus_curve_plot import focus_plot_html
-from wafer_viewer.draw.surface.pixel_patch import greys, patch, patch_url
+from wafer_viewer.draw.surface.pictures import greys, patch, patch_url
 from wafer_viewer.model.spec import replace
 from wafer_viewer.model.surface.focus_curve import FocusCurve, Rival
 

@@ -3,7 +3,7 @@ from __future__ import annotations
 import xml.etree.ElementTree as ET
 
 from tests.measure.tools.test_step_profile import ACROSS, grooved
-from wafer_viewer.draw.charts.groove_svg import groove_svg
+from wafer_viewer.draw.charts.profile_plot import groove_svg
 from wafer_viewer.measure.tools.step_profile import step_profile
 from wafer_viewer.model.spec import replace
 

@@ -11,10 +11,9 @@ from hypothesis.extra.numpy import arrays
 from PIL import Image
 
 from tests.support.made_up_sections import hill, section_of
-from wafer_viewer.draw.charts.profile_axes import frame_of, round_ends, runs, thinned
-from wafer_viewer.draw.charts.profile_plot import profile_plot_html
+from wafer_viewer.draw.charts.profile_plot import frame_of, profile_plot_html, round_ends, runs, thinned
 from wafer_viewer.draw.colormaps import PROFILE_COLOURS, rgb
-from wafer_viewer.draw.print.profile_figure import HEIGHT_PX, WIDTH_PX, profile_png
+from wafer_viewer.draw.print_figures import HEIGHT_PX, WIDTH_PX, profile_png
 
 rng = np.random.default_rng(3)
 

@@ -4,9 +4,8 @@ from __future__ import annotations
 
 import xml.etree.ElementTree as ElementTree
 
-from wafer_viewer.draw.charts.map_marks import MapMark, map_marks_svg
 from wafer_viewer.draw.charts.symbols import SHAPES, symbol, symbol_svg
-from wafer_viewer.draw.charts.wafer_map import MapViewport
+from wafer_viewer.draw.charts.wafer_map import MapMark, MapViewport, map_marks_svg
 
 
 def test_every_shape_is_a_drawing_of_its_own_in_the_colour_asked_for():

@@ -7,8 +7,7 @@ from xml.etree import ElementTree
 
 import pytest
 
-from wafer_viewer.draw.charts.map_marks import MapMark, map_marks_svg
-from wafer_viewer.draw.charts.wafer_map import MOST_SINGLE, field_map_svg, map_frame
+from wafer_viewer.draw.charts.wafer_map import MOST_SINGLE, MapMark, field_map_svg, map_frame, map_marks_svg
 from wafer_viewer.model.acquisition.plan import FieldGrid
 
 SIDE = 100

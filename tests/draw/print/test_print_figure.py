@@ -9,7 +9,7 @@ import pytest
 from PIL import Image
 
 from wafer_viewer.draw.colormaps import table
-from wafer_viewer.draw.print.print_figure import (
+from wafer_viewer.draw.print_figures import (
     BAR_HIGH,
     DARK,
     FOOT_SHARE,

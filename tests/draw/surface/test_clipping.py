@@ -7,11 +7,10 @@ import dataclasses
 import numpy as np
 
 from tests.support.page_stand_in import height_map
-from wafer_viewer.draw.charts.histogram_html import histogram_html
+from wafer_viewer.draw.charts.colour_bar import histogram_html
 from wafer_viewer.draw.colormaps import BRUSH, rgb
-from wafer_viewer.draw.surface.clipping import depth_shade
 from wafer_viewer.draw.surface.display_style import DisplayStyle, Light
-from wafer_viewer.draw.surface.texture_baking import bake
+from wafer_viewer.draw.surface.texture_baking import bake, depth_shade
 
 PIT = np.s_[20:40, 20:40]
 

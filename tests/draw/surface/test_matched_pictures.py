@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from PIL import Image
 
-from wafer_viewer.draw.surface.matched_pictures import UNMEASURED, Range, greys_of, heights_of, picture_of
+from wafer_viewer.draw.surface.pictures import UNMEASURED, Range, greys_of, heights_of, picture_of
 
 FLAT = np.zeros((60, 80), np.float32)
 NOTHING = np.full((60, 80), np.nan, np.float32)

@@ -17,13 +17,9 @@ from tests.support.page_stand_in import height_map
 from wafer_viewer.draw.colormaps import COLOUR_MAPS, ELSEWHERE, table
 from wafer_viewer.draw.raster_text import sheet, tag
 from wafer_viewer.draw.surface import mesh
-from wafer_viewer.draw.surface.block_mean import reduced
 from wafer_viewer.draw.surface.display_style import DisplayStyle, Light
-from wafer_viewer.draw.surface.glb import painted
-from wafer_viewer.draw.surface.hillshade import light_gain, shade, without_gaps
-from wafer_viewer.draw.surface.mesh import plates
-from wafer_viewer.draw.surface.texture_baking import bake
-from wafer_viewer.draw.surface.tone_curve import as_shown, to_texture
+from wafer_viewer.draw.surface.mesh import as_shown, painted, plates, to_texture
+from wafer_viewer.draw.surface.texture_baking import bake, light_gain, reduced, shade, without_gaps
 from wafer_viewer.model.surface.height_map import HeightMap
 
 FLAT = DisplayStyle(hillshade=0.0, low=0.0, high=10.0)

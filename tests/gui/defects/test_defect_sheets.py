@@ -5,14 +5,14 @@ from __future__ import annotations
 import pytest
 
 from tests.browser.sessions.inspected_session import PLANTED, found, repeating_session
-from wafer_viewer.draw.charts.die_stack import MOST_MARKS, die_stack_svg, shown
-from wafer_viewer.gui.defects import die_stack_html as stacked
-from wafer_viewer.gui.defects import reference_view_html as beside
-from wafer_viewer.gui.overlays.scene_sheet import SheetRoom
+from wafer_viewer.draw.charts.defect_charts import MOST_MARKS, die_stack_svg, shown
+from wafer_viewer.gui.defects import die_stack_view as stacked
+from wafer_viewer.gui.defects import reference_view as beside
+from wafer_viewer.gui.overlays.hud import SheetRoom
 from wafer_viewer.gui.state.view_state import View
 from wafer_viewer.measure.defects.repeaters import repeated_places
 from wafer_viewer.model.spec import replace
-from wafer_viewer.session.rendering.comparison_views import ComparisonView, ComparisonViews, DiePicture
+from wafer_viewer.session.rendering.render_request import ComparisonView, ComparisonViews, DiePicture
 
 INSPECTION = found(PLANTED)
 DEFECT = INSPECTION.defects[0]

@@ -12,13 +12,11 @@ import pytest
 from tests.browser.sessions import fake_session as fake
 from tests.browser.sessions.inspected_session import GRID, PLANTED, found
 from tests.browser.sessions.inspected_states import wafer_of
-from wafer_viewer.draw.charts.defect_map import die_frame
-from wafer_viewer.draw.charts.defect_symbols import KINDS
+from wafer_viewer.draw.charts.die_map import die_frame
+from wafer_viewer.draw.charts.symbols import KINDS
 from wafer_viewer.gui.defects.die_map import DefectMap, die_at
-from wafer_viewer.gui.presenters.review.defect_map import MOST_SIGNS, counts_of, fills_by_class, map_html
-from wafer_viewer.gui.presenters.review.defect_pareto import chart_of, pareto_html
-from wafer_viewer.gui.state.defect_list_state import DefectListing, next_die, next_kind
-from wafer_viewer.gui.state.view_state import View
+from wafer_viewer.gui.presenters.defects import MOST_SIGNS, chart_of, counts_of, fills_by_class, map_html, pareto_html
+from wafer_viewer.gui.state.view_state import DefectListing, View, next_die, next_kind
 from wafer_viewer.model.spec import replace
 from wafer_viewer.session.state.inspection_state import InspectionState
 

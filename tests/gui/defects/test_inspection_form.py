@@ -9,15 +9,14 @@ import pytest
 
 from tests.browser.sessions.fake_defect_files import a_shelf
 from tests.browser.sessions.inspected_session import GRID, PLANTED, found
-from wafer_viewer.gui.defects.inspection_form_text import (
+from wafer_viewer.gui.defects.inspection_form import (
     advanced_settings_header,
     expectation,
     golden_table,
     recipe_origin_text,
     unreadable,
 )
-from wafer_viewer.gui.presenters.review.defect_limits import limits_of, text_of, verdict
-from wafer_viewer.gui.presenters.review.inspection_form_values import (
+from wafer_viewer.gui.presenters.inspection_form import (
     FORM,
     FOUND,
     GIVEN,
@@ -26,12 +25,13 @@ from wafer_viewer.gui.presenters.review.inspection_form_values import (
     against_of,
     dies_of,
     form_of,
+    limits_of,
     recipe_of,
+    text_of,
+    verdict,
 )
 from wafer_viewer.model.errors import MeasureError
-from wafer_viewer.model.inspection.class_rules import ClassRules
-from wafer_viewer.model.inspection.defect import DefectRecipe
-from wafer_viewer.model.inspection.defect_limits import DefectLimits
+from wafer_viewer.model.inspection.defect import ClassRules, DefectLimits, DefectRecipe
 from wafer_viewer.model.spec import replace
 
 INSPECTION = found(PLANTED)

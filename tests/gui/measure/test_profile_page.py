@@ -8,16 +8,14 @@ from types import SimpleNamespace
 import pytest
 
 from tests.support.made_up_sections import hill, section_of
-from wafer_viewer.gui.measure.live_profiles import LiveProfiles
-from wafer_viewer.gui.measure.plot_interaction import CursorMove, parse_cursor_event, parse_drag
-from wafer_viewer.gui.measure.profile_line_commands import LineVerbs
-from wafer_viewer.gui.presenters.profile import head
+from wafer_viewer.gui.measure.live_measurement import LiveProfiles
+from wafer_viewer.gui.measure.profile_dock import CursorMove, parse_cursor_event, parse_drag
+from wafer_viewer.gui.measure.profile_section import LineVerbs
+from wafer_viewer.gui.presenters.measurement import head
 from wafer_viewer.gui.state.browser_storage import changed
-from wafer_viewer.gui.state.plot_state import PlotView, with_cursor
-from wafer_viewer.gui.state.view_state import View
+from wafer_viewer.gui.state.view_state import PlotView, View, with_cursor
 from wafer_viewer.model.errors import MeasureError
-from wafer_viewer.model.measurement.section_lines import Gap, column_line, row_line
-from wafer_viewer.model.measurement.sections import OtherSurface, Section
+from wafer_viewer.model.measurement.sections import Gap, OtherSurface, Section, column_line, row_line
 from wafer_viewer.model.region import Region
 
 LATTICE = SimpleNamespace(pixel_um=0.5, x0_um=-100.0, y0_um=50.0, shape=(200, 400))

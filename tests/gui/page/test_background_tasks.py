@@ -7,10 +7,10 @@ import dataclasses
 import pytest
 
 from tests.browser.sessions import fake_session as fake
-from wafer_viewer.gui.page.background_tasks import job_list, state_of
+from wafer_viewer.gui.page.panels import job_list, state_of
 from wafer_viewer.gui.state.view_state import View
+from wafer_viewer.session.core.background_work import Notifications, seconds_left
 from wafer_viewer.session.core.command_queue import CommandQueue
-from wafer_viewer.session.core.notifications import Notifications, seconds_left
 from wafer_viewer.session.state.snapshot import Snapshot, Work
 
 READY = fake.planned()

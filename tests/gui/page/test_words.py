@@ -13,22 +13,21 @@ from hypothesis import strategies as st
 
 from tests.browser.sessions import fake_session as fake
 from tests.browser.sessions import seen_session as seen
-from wafer_viewer.gui.page.bottom_panel import bottom_panel_height_px
 from wafer_viewer.gui.page.dialogs import format_time
 from wafer_viewer.gui.page.header import STEPS, done, possible
-from wafer_viewer.gui.presenters import focus_evidence, measurement
+from wafer_viewer.gui.page.panels import bottom_panel_height_px
+from wafer_viewer.gui.presenters import measurement, surface
 from wafer_viewer.gui.state.view_state import View
 from wafer_viewer.gui.widgets import html
 from wafer_viewer.gui.widgets.error_guard import guarded
 from wafer_viewer.gui.widgets.style import DARK, LIGHT, sheet
 from wafer_viewer.model.errors import DatasetError
-from wafer_viewer.model.job.review_notes import Judgement, Notebook, key_of_result
+from wafer_viewer.model.job import Judgement, Notebook, key_of_result
 from wafer_viewer.model.measurement.measurements import Length
 from wafer_viewer.model.region import Region
 from wafer_viewer.model.spec import replace
 from wafer_viewer.reconstruct.gates.gate import POWERS
-from wafer_viewer.session.state.review_state import NotebookState
-from wafer_viewer.session.state.snapshot import Fault
+from wafer_viewer.session.state.snapshot import Fault, NotebookState
 
 
 @given(st.text())
@@ -162,54 +161,52 @@ def test_the_guard_tells_what_nobody_foresaw(caplog):
 
 def test_every_verdict_says_in_words_what_its_sign_says():
     curve = seen.a_focus_curve(0.0, 0.0, measured=False)
-    said = focus_evidence.verdicts(curve)
+    said = surface.verdicts(curve)
     for words in ("passed", "not passed", "gate is off", "Is there texture to focus on?"):
         assert words in said
     assert said.count("<tr") == 1 + len(curve.verdicts)
-    assert "Not measured" in focus_evidence.answer(curve)
-    assert "Ambiguous peak" in focus_evidence.answer(curve)
+    assert "Not measured" in surface.answer(curve)
+    assert "Ambiguous peak" in surface.answer(curve)
 
 
 def test_scores_and_limits_read_in_one_unit_that_needs_no_logarithm():
     curve = seen.a_focus_curve(0.0, 0.0)
-    said = focus_evidence.verdicts(curve)
+    said = surface.verdicts(curve)
     for words in ("× 2.89", 'over</span> × 1.56"', "× 21.1", "up to</span> 30.0\u202f%", "0.31\u202fµm"):
         assert words.replace('"', "") in said
     assert "powers" not in said
     assert "1 at an end" not in said
-    assert {v.unit for v in curve.verdicts} <= set(focus_evidence.FIGURES)
+    assert {v.unit for v in curve.verdicts} <= set(surface.FIGURES)
 
 
 def test_the_units_of_gates_are_known():
-    assert POWERS in focus_evidence.FIGURES
+    assert POWERS in surface.FIGURES
     odd = replace(seen.a_focus_curve(0.0, 0.0).verdicts[0], unit="furlongs", score=1.0, limit=2.0)
-    said = focus_evidence.verdicts(replace(seen.a_focus_curve(0.0, 0.0), verdicts=(odd,)))
+    said = surface.verdicts(replace(seen.a_focus_curve(0.0, 0.0), verdicts=(odd,)))
     assert "in furlongs" in said
     assert "1.00" in said
 
 
 def test_what_is_off_says_so_once():
     curve = seen.a_focus_curve(0.0, 0.0)
-    assert focus_evidence.verdicts(curve).count("gate is off") == 1
+    assert surface.verdicts(curve).count("gate is off") == 1
     told = replace(curve.verdicts[-1], note="Fewer than 12 frames.")
-    assert "gate is off · Fewer than 12 frames." in focus_evidence.verdicts(replace(curve, verdicts=(told,)))
+    assert "gate is off · Fewer than 12 frames." in surface.verdicts(replace(curve, verdicts=(told,)))
 
 
 @given(st.text())
 def test_what_a_gate_says_does_not_become_markup(text):
     curve = seen.a_focus_curve(0.0, 0.0)
     odd = replace(curve, origin=text, verdicts=(replace(curve.verdicts[0], question=text, note=text, unit=text),))
-    said = focus_evidence.verdicts(odd) + focus_evidence.answer(odd)
+    said = surface.verdicts(odd) + surface.answer(odd)
     assert stdlib_html.escape(text, quote=True) in said
 
 
 def test_a_simulated_curve_says_so():
     curve = seen.a_focus_curve(0.0, 0.0)
-    assert focus_evidence.focus_measurement_text(curve).startswith("SIMULATED · Tenengrad")
-    assert "SIMULATED" not in focus_evidence.focus_measurement_text(replace(curve, simulated=False))
-    assert focus_evidence.focus_measurement_text(replace(curve, focus_measure="of_old", simulated=False)).startswith(
-        "Of old,"
-    )
+    assert surface.focus_measurement_text(curve).startswith("SIMULATED · Tenengrad")
+    assert "SIMULATED" not in surface.focus_measurement_text(replace(curve, simulated=False))
+    assert surface.focus_measurement_text(replace(curve, focus_measure="of_old", simulated=False)).startswith("Of old,")
 
 
 @pytest.mark.parametrize(

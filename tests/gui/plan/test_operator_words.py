@@ -9,9 +9,9 @@ import numpy as np
 import pytest
 
 from tests.browser.sessions import operator_session as day
-from wafer_viewer.gui.plan.alignment_picture import clicked, corner_picture, expected_um, square_round
+from wafer_viewer.gui.plan.align_section import clicked, corner_picture, expected_um, square_round
 from wafer_viewer.gui.plan.job_dialogs import suggested_marks
-from wafer_viewer.gui.presenters.preflight import section
+from wafer_viewer.gui.presenters.plan import section
 from wafer_viewer.gui.presenters.verdict import card, features
 from wafer_viewer.model.acquisition.devices import Overview
 from wafer_viewer.model.spec import replace

@@ -8,11 +8,11 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from wafer_viewer.gui.plan.plan_form import FIRST_FRAMES, PlanForm, form_of, job_of, with_typed_range
+from wafer_viewer.gui.plan.plan_panel import FIRST_FRAMES, PlanForm, form_of, job_of, with_typed_range
 from wafer_viewer.model.acquisition.plan import Field, FieldGrid, FocusSweep
 from wafer_viewer.model.acquisition.sample import Sample
 from wafer_viewer.model.errors import PlanError
-from wafer_viewer.model.job.job import Job
+from wafer_viewer.model.job import Job
 from wafer_viewer.rigs.virtual.rig import virtual_limits
 
 LIMITS = virtual_limits(540, 720)

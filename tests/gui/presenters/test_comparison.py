@@ -7,7 +7,7 @@ import re
 import pytest
 
 from tests.browser.sessions.compared_session import AFTER, ALIGNED, CHANGE, CLEANED, FIRST, GOLDEN, RAW, comparisons
-from wafer_viewer.gui.presenters import comparison as words
+from wafer_viewer.gui.presenters import surface as words
 from wafer_viewer.gui.scenes.surface_scene import source_of
 from wafer_viewer.gui.state.view_state import View
 from wafer_viewer.model.spec import replace
@@ -45,7 +45,7 @@ def test_every_number_of_an_alignment_stands_with_its_uncertainty():
 
 
 def test_numbers_have_signs_and_limits():
-    said = plain(words.numbers(CHANGE))
+    said = plain(words.change_numbers(CHANGE))
     assert "+0.016 µm" in said
     assert "beyond ±0.22 µm" in said
     assert "4.97 pl" in said
@@ -82,4 +82,4 @@ def test_one_number_says_which_comparison_and_what_of_it(face):
 
 
 def test_the_second_to_be_compared_is_named_in_the_list():
-    assert words.name_of(comparisons()[0].comparison) == AFTER.words
+    assert words.comparison_name(comparisons()[0].comparison) == AFTER.words

@@ -11,23 +11,21 @@ import pytest
 from tests.browser.sessions.gauge_blocks import certificate
 from tests.browser.sessions.gauge_session import TERMS, a_study, checked, worked_out
 from tests.browser.sessions.measuring_session import MeasuringSession
+from wafer_viewer.draw.charts.die_map import site_map_svg
 from wafer_viewer.draw.charts.run_chart import MOST_POINTS, run_chart_html
-from wafer_viewer.draw.charts.site_map import site_map_svg
-from wafer_viewer.gui.gauge.gauge_dock import below
-from wafer_viewer.gui.gauge.gauge_list import earlier
+from wafer_viewer.gui.gauge.gauge_displays import below, earlier
+from wafer_viewer.gui.presenters import gauge as unsure
 from wafer_viewer.gui.presenters import gauge as words
-from wafer_viewer.gui.presenters import gauge_uncertainty as unsure
-from wafer_viewer.gui.presenters.gauge_procedure import next_point, points, procedure
-from wafer_viewer.gui.presenters.gauge_rr import study
-from wafer_viewer.gui.presenters.site_range import sites
+from wafer_viewer.gui.presenters.gauge import next_point, points, procedure, study
+from wafer_viewer.gui.presenters.measurement import sites
 from wafer_viewer.gui.state.view_state import View
-from wafer_viewer.gui.tools.gauge_regions import default_faces, in_scene
+from wafer_viewer.gui.tools.region_tools import default_faces, in_scene
 from wafer_viewer.model.errors import MeasureError
-from wafer_viewer.model.gauge.run_chart import RunChart
-from wafer_viewer.model.measurement.tool_options import SiteRangeOptions, ToolOptions
+from wafer_viewer.model.gauge import RunChart
+from wafer_viewer.model.measurement.tools import SiteRangeOptions, ToolOptions
 from wafer_viewer.model.region import Region
-from wafer_viewer.session.gauge.study_commands import Studies
-from wafer_viewer.session.state.gauge_state import GaugeState, Tick
+from wafer_viewer.session.gauge.repeat_scans import Studies
+from wafer_viewer.session.state.inspection_state import GaugeState, Tick
 from wafer_viewer.session.state.snapshot import Snapshot
 
 TODAY = datetime.date(2026, 11, 21)

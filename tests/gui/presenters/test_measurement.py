@@ -8,7 +8,7 @@ from tests.browser.sessions.measuring_session import MeasuringSession
 from tests.browser.sessions.shaped_session import ShapedSession
 from wafer_viewer.gui.presenters import measurement as words
 from wafer_viewer.gui.presenters.provenance import ZERO, source
-from wafer_viewer.gui.presenters.result_regions import bounds_of, drawn_regions, input_regions, tool_of
+from wafer_viewer.gui.presenters.results import bounds_of, drawn_regions, input_regions, tool_of
 from wafer_viewer.gui.scenes.thumbnails import HEIGHT_PX, WIDTH_PX, framed, outlines
 from wafer_viewer.model.findings import AnyResult
 from wafer_viewer.model.measurement.levelling import PLACES, Levelling

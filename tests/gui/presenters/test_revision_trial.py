@@ -9,21 +9,18 @@ import pytest
 from tests.gui.plan.test_operator_words import words
 from tests.session.conftest import small_job
 from wafer_viewer.draw.charts.die_map import die_map_svg
-from wafer_viewer.gui.plan.dies_dialog import lattice_of, relative_to_die, within_fields
-from wafer_viewer.gui.plan.job_dialogs import trial_is_old
-from wafer_viewer.gui.presenters.result_features import kept_features
-from wafer_viewer.gui.presenters.revision_trial import MOST_CHANGES, before_release, trial
+from wafer_viewer.gui.plan.job_dialogs import lattice_of, relative_to_die, trial_is_old, within_fields
+from wafer_viewer.gui.presenters.plan import MOST_CHANGES, before_release, trial
+from wafer_viewer.gui.presenters.results import kept_features
 from wafer_viewer.gui.presenters.verdict import dies, features
 from wafer_viewer.model.acquisition.plan import FieldGrid
 from wafer_viewer.model.errors import PlanError
-from wafer_viewer.model.job.revision_trial import NotTried, Trial, TriedWafer, VerdictChange
-from wafer_viewer.model.job.verdict import JudgedDie
+from wafer_viewer.model.job import JudgedDie, NotTried, Trial, TriedWafer, VerdictChange
 from wafer_viewer.model.measurement.feature import Dies
 from wafer_viewer.model.quantity import Quantity
 from wafer_viewer.model.region import Region
 from wafer_viewer.model.spec import replace
-from wafer_viewer.session.state.operator_state import Operating
-from wafer_viewer.session.state.snapshot import Snapshot
+from wafer_viewer.session.state.snapshot import Operating, Snapshot
 
 CHANGE = VerdictChange(
     feature="die <over> street",

@@ -9,7 +9,7 @@ import numpy as np
 
 from tests.support.made_up_poses import made_up_poses, stitching_of
 from tests.support.page_stand_in import COLS, PIXEL_UM, ROWS, grid
-from wafer_viewer.gui.presenters import stitching as words
+from wafer_viewer.gui.presenters import surface as words
 from wafer_viewer.model.surface.field_poses import RejectionReason
 
 FIELDS = grid(3, 3).fields(0.0)
@@ -34,13 +34,13 @@ def rows_of(html: str) -> list[list[str]]:
 
 
 def test_numbers_have_units_signs_and_two_figures():
-    said = text(words.numbers(FOUND))
+    said = text(words.stitching_numbers(FOUND))
     for phrase in ("9 of 12", "it fits at several places 1", "0.0083 µm", "0.052 µm", "± 0.062 µm"):
         assert phrase in said
 
 
 def test_steps_that_are_not_known_are_not_told():
-    said = text(words.numbers(dataclasses.replace(FOUND, step_median_um=None, step_p95_um=None)))
+    said = text(words.stitching_numbers(dataclasses.replace(FOUND, step_median_um=None, step_p95_um=None)))
     assert "Step" not in said
 
 

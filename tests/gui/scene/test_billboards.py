@@ -10,9 +10,9 @@ from tests.gui.tools.test_places import SIDE_PX, land_of, noise, xy
 from tests.support.stage_props import RecordingScene
 from wafer_viewer.draw.raster_text import tag
 from wafer_viewer.gui.scene.billboards import Billboard, corner_on_screen
-from wafer_viewer.gui.scene.camera.camera_presets import FOV_RAD, CameraPose, direction_of
+from wafer_viewer.gui.scene.camera_presets import FOV_RAD, CameraPose, direction_of
 from wafer_viewer.gui.scene.heightfield import HeightField
-from wafer_viewer.gui.scene.view_axes import ViewAxes
+from wafer_viewer.gui.scene.viewport import ViewAxes
 from wafer_viewer.model.region import Region
 
 HEIGHT_PX, WIDTH_PX, HIGH_PX = 850, 900, 26

@@ -9,8 +9,7 @@ import numpy as np
 import pytest
 
 from tests.support.page_stand_in import MemoryShelf, height_map
-from wafer_viewer.gui.scene.fine_picking import refine_height_field
-from wafer_viewer.gui.scene.heightfield import HeightField
+from wafer_viewer.gui.scene.heightfield import HeightField, refine_height_field
 from wafer_viewer.gui.scene.scene_contents import DisplayedSurface
 from wafer_viewer.model.errors import DatasetError
 from wafer_viewer.model.measurement.levelling import Datum

@@ -10,8 +10,7 @@ from concurrent.futures import Future
 import pytest
 
 from tests.support.stage_props import RecordingScene
-from wafer_viewer.gui.scene.reconciler import SceneItem, SceneReconciler, TileExtent
-from wafer_viewer.gui.scene.send_window import FIRST_BYTES, SendWindow
+from wafer_viewer.gui.scene.reconciler import FIRST_BYTES, SceneItem, SceneReconciler, SendWindow, TileExtent
 from wafer_viewer.session.rendering.render_request import RenderRequest, SurfaceKey
 
 SOURCE = SurfaceKey(None, "", 0, 1)  # type: ignore[arg-type]

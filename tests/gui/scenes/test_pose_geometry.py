@@ -12,8 +12,8 @@ from hypothesis import strategies as st
 
 from tests.support.made_up_poses import made_up_poses
 from tests.support.page_stand_in import COLS, PIXEL_UM, ROWS, grid
-from wafer_viewer.gui.scene.draped_lines import DrapedLines
-from wafer_viewer.gui.scenes.pose_geometry import Fields, in_dashes, round_below, sides
+from wafer_viewer.gui.scene.primitives import DrapedLines
+from wafer_viewer.gui.scenes.pose_overlay import Fields, in_dashes, round_below, sides
 from wafer_viewer.model.surface.field_poses import RejectionReason
 from wafer_viewer.session.rendering.render_request import CoarseHeightField
 

@@ -15,7 +15,7 @@ import viser
 import websockets.sync.client
 from websockets.exceptions import InvalidStatus
 
-from wafer_viewer.gui.security.access_guard import AccessGuard, open_server
+from wafer_viewer.gui.security import AccessGuard, open_server
 from wafer_viewer.session.core.page_token import new_token
 from wafer_viewer.session.files.documents import read_report
 

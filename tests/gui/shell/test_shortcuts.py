@@ -15,21 +15,18 @@ from wafer_viewer.gui.defects.die_map import DefectMap
 from wafer_viewer.gui.defects.die_stack_view import DefectStack
 from wafer_viewer.gui.defects.reference_view import DefectBeside
 from wafer_viewer.gui.overlays.screenshot import PrintPicture
-from wafer_viewer.gui.report.report_panel import ReportPanel
-from wafer_viewer.gui.review.review_panel import ReviewPanel
-from wafer_viewer.gui.shell.command_palette import Palette
+from wafer_viewer.gui.report import ReportPanel
+from wafer_viewer.gui.review import ReviewPanel
 from wafer_viewer.gui.shell.saved_views import SavedViews
-from wafer_viewer.gui.shell.shortcut_sheet import sheet_html
-from wafer_viewer.gui.shell.shortcuts import Parts, commands_of
-from wafer_viewer.gui.shell.welcome import Welcome
+from wafer_viewer.gui.shell.shortcuts import Palette, Parts, commands_of, sheet_html
+from wafer_viewer.gui.shell.tour_guide import Welcome
 from wafer_viewer.gui.state.view_state import View
 from wafer_viewer.gui.surface.compare_section import CompareSection
 from wafer_viewer.gui.widgets.command import Command, looking, spoken
-from wafer_viewer.model.job.review_notes import Notebook, SavedView
+from wafer_viewer.model.job import Notebook, SavedView
 from wafer_viewer.model.measurement.tools import TOOLS
 from wafer_viewer.model.region import Region
-from wafer_viewer.session.state.review_state import NotebookState
-from wafer_viewer.session.state.snapshot import Snapshot
+from wafer_viewer.session.state.snapshot import NotebookState, Snapshot
 
 CAMERA = set("WASDQE")
 OF_SLIDERS = {"end", "arrowup", "arrowdown", "arrowleft", "arrowright", "space", "tab"}

@@ -5,11 +5,10 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from wafer_viewer.gui.scene.camera.camera_presets import CameraPose, pixel_ray
+from wafer_viewer.gui.scene.camera_presets import CameraPose, pixel_ray
 from wafer_viewer.gui.state.browser_storage import changed, read, write
 from wafer_viewer.gui.state.view_state import View
-from wafer_viewer.gui.surface.heights_section import around, brushed_rows
-from wafer_viewer.gui.surface.histogram_pointer import histogram_area, parse_drag
+from wafer_viewer.gui.surface.heights_section import around, brushed_rows, histogram_area, parse_drag
 from wafer_viewer.gui.surface.points_section import amount, counted
 from wafer_viewer.gui.tools.profile_lines import nearest_share
 from wafer_viewer.model.region import Region

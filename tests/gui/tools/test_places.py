@@ -16,11 +16,11 @@ from wafer_viewer.gui.scene.scene_contents import DisplayedSurface
 from wafer_viewer.gui.tools.initial_regions import FIRST, first_levelling
 from wafer_viewer.gui.tools.region_shapes import SHAPES, WHOLE, outline_of
 from wafer_viewer.gui.tools.region_tools import has_required_kinds
-from wafer_viewer.gui.widgets.echo_filter import EchoFilter
+from wafer_viewer.gui.widgets.callback_timing import EchoFilter
 from wafer_viewer.model.measurement.levelling import PLACES
 from wafer_viewer.model.measurement.tools import TOOLS
 from wafer_viewer.model.region import Region
-from wafer_viewer.session.rendering import render_summary
+from wafer_viewer.session.rendering import render_statistics
 from wafer_viewer.session.rendering.render_request import (
     CoarseHeightField,
     ColourScale,
@@ -38,9 +38,11 @@ def land_of(z_um: np.ndarray) -> HeightField:
     import msgspec
 
     shelf = MemoryShelf({0: height_map(z_um, 1.0, 0.0, z_um.shape[0] - 1.0)})
-    facts = msgspec.msgpack.decode(render_summary.facts(shelf, RenderRequest(SOURCE, "facts")), type=SurfaceStatistics)
+    facts = msgspec.msgpack.decode(
+        render_statistics.facts(shelf, RenderRequest(SOURCE, "facts")), type=SurfaceStatistics
+    )
     relief = msgspec.msgpack.decode(
-        render_summary.relief(shelf, RenderRequest(SOURCE, "relief")), type=CoarseHeightField
+        render_statistics.relief(shelf, RenderRequest(SOURCE, "relief")), type=CoarseHeightField
     )
     scale = ColourScale("height", 0.0, 1.0, 0.0, 1.0, 0.0, 1.0, ())
     return HeightField(relief, DisplayedSurface(SOURCE, facts, scale, facts.lowest_um, 1.0))

@@ -7,7 +7,7 @@ import viser._gui_api
 import viser._gui_handles
 import viser._icons
 
-from wafer_viewer.gui.widgets.icons import quicken, svg
+from wafer_viewer.gui.widgets.html import quicken, svg
 
 READ_BY_VISER = viser._icons.svg_from_icon
 

@@ -7,8 +7,8 @@ from typing import get_type_hints
 import viser
 from viser._assignable_props_api import AssignablePropsBase
 
-from wafer_viewer.gui.security.access_guard import open_server
-from wafer_viewer.gui.widgets.prop_types import cache_prop_types, prop_types
+from wafer_viewer.gui.security import open_server
+from wafer_viewer.gui.widgets.controls import cache_prop_types, prop_types
 
 
 def test_handles_share_the_types_of_their_kind_and_still_take_values():

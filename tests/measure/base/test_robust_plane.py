@@ -5,9 +5,9 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from wafer_viewer.measure.base.correlated_errors import tile_means
 from wafer_viewer.measure.base.height_samples import HeightSamples
-from wafer_viewer.measure.base.robust_plane import fit_plane, least_squares, robust_fit
-from wafer_viewer.measure.base.tile_statistics import tile_means
+from wafer_viewer.measure.base.robust_fit import fit_plane, least_squares, robust_fit
 from wafer_viewer.model.errors import MeasureError
 
 SLOPES = st.floats(-1, 1)

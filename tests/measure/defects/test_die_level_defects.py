@@ -11,7 +11,7 @@ from tests.support.noisy_wafer import wafer
 from tests.support.patterned_surface import Wafer, made
 from wafer_viewer.measure.base.measurement_context import MeasurementContext
 from wafer_viewer.measure.defects.cell_comparison import CellResult, ComparisonWork
-from wafer_viewer.measure.defects.die_level_defects import whole_die_defects
+from wafer_viewer.measure.defects.defect_builder import whole_die_defects
 from wafer_viewer.measure.defects.golden_die import ReferenceDie
 from wafer_viewer.measure.defects.inspection import inspect
 from wafer_viewer.measure.dies.die_cells import CellGrid, source_of

@@ -7,8 +7,7 @@ import pytest
 
 from tests.measure.defects.test_inspection import BUMP, DULL, PLANTED, at, inspected, made
 from tests.support.noisy_wafer import PIXEL_UM
-from wafer_viewer.measure.defects.exclusion_areas import exclusion_mask
-from wafer_viewer.measure.defects.inspection import inspect
+from wafer_viewer.measure.defects.inspection import exclusion_mask, inspect
 from wafer_viewer.measure.dies.die_cells import CellGrid
 from wafer_viewer.model.errors import MeasureError
 from wafer_viewer.model.inspection.defect import Defect, DefectRecipe

@@ -9,12 +9,10 @@ import pytest
 from numpy.typing import NDArray
 
 from wafer_viewer.measure.defects.classification import classify
-from wafer_viewer.measure.defects.features import shape_of
-from wafer_viewer.measure.defects.outline import Gathered, height_of, outline_of
+from wafer_viewer.measure.defects.features import Gathered, height_of, outline_of, shape_of
 from wafer_viewer.measure.defects.segmentation import DefectPiece
 from wafer_viewer.measure.dies.die_cells import CellGrid
-from wafer_viewer.model.inspection.class_rules import DefectShape
-from wafer_viewer.model.inspection.defect import DefectRecipe
+from wafer_viewer.model.inspection.defect import DefectRecipe, DefectShape
 from wafer_viewer.model.inspection.die_grid import DieGrid
 
 Floats = NDArray[np.float64]

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from wafer_viewer.measure.defects.golden_die import ReferenceDie
-from wafer_viewer.measure.defects.ground_kinds import coarser, kinds_of
+from wafer_viewer.measure.defects.noise_model import coarser, kinds_of
 
 SHAPE = (60, 80)
 

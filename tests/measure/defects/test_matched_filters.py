@@ -7,7 +7,7 @@ import pytest
 from scipy.ndimage import gaussian_filter
 
 from wafer_viewer.measure.defects.matched_filters import BINS, DIAMETERS_PX, SHARP, SOFT, matched, spectrum_of
-from wafer_viewer.numerics.filters.multiscale_gaussian import coarseness
+from wafer_viewer.numerics.filters.gaussian import coarseness
 
 SHAPE, CELLS = (180, 200), 6
 ROW, COL = 70, 110

@@ -5,9 +5,8 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from wafer_viewer.measure.defects.ground_kinds import KINDS
 from wafer_viewer.measure.defects.matched_filters import BINS
-from wafer_viewer.measure.defects.noise_model import NORMAL_FALL, START, NoiseModel, Planes, to_normal_deviations
+from wafer_viewer.measure.defects.noise_model import KINDS, NORMAL_FALL, START, NoiseModel, Planes, to_normal_deviations
 from wafer_viewer.measure.defects.noise_model import noise_of as noise_over
 
 KEY = ("height", 0.0)

@@ -16,7 +16,7 @@ from tests.support.surfaces import calibration
 from wafer_viewer.measure.dies import lattice_refinement
 from wafer_viewer.measure.dies.die_lattice import find_dies, on_surface, pitches
 from wafer_viewer.measure.dies.die_status import statuses, without_bare_rim
-from wafer_viewer.model.acquisition.alignment import Alignment
+from wafer_viewer.model.acquisition.sample import Alignment
 from wafer_viewer.model.errors import MeasureError, PlanError
 from wafer_viewer.model.inspection.die_grid import DieGrid, DieStatus
 from wafer_viewer.model.measurement.feature import Die, Dies

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from wafer_viewer.measure.dies.die_plane import DiePlane
+from wafer_viewer.measure.dies.die_cells import DiePlane
 
 SHAPE = (90, 130)
 

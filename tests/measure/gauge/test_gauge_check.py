@@ -9,10 +9,9 @@ import pytest
 
 from tests.support.gauge_repeats import CALIBRATION, LOWER, UPPER, certificate, repeat, repeats
 from tests.support.surfaces import gauge_blocks, surface_of
-from wafer_viewer.measure.gauge.gauge_budget import KnownTerms
-from wafer_viewer.measure.gauge.gauge_check import en, gauge_check, gauge_repeat, judge_error, refusal
+from wafer_viewer.measure.gauge.gauge_check import KnownTerms, en, gauge_check, gauge_repeat, judge_error, refusal
 from wafer_viewer.model.errors import MeasureError
-from wafer_viewer.model.gauge.gauge_check import GaugeTerms
+from wafer_viewer.model.gauge import GaugeTerms
 from wafer_viewer.model.quantity import Length
 from wafer_viewer.model.spec import replace
 
@@ -108,7 +107,7 @@ def test_two_blocks_make_a_step_of_their_difference():
         {"serial_number": "B", "nominal_um": 1400.0, "value_um": 1399.9, "expanded_um": 0.03},
         {"serial_number": "A", "nominal_um": 1000.0, "value_um": 1000.02, "expanded_um": 0.04},
     )
-    from wafer_viewer.model.gauge.gauge_check import GaugeBlock
+    from wafer_viewer.model.gauge import GaugeBlock
 
     of_blocks = certificate(
         blocks=tuple(GaugeBlock(**block) for block in blocks),

@@ -6,7 +6,7 @@ import pytest
 
 from tests.support.gauge_repeats import CALIBRATION, record
 from wafer_viewer.measure.gauge.run_chart import ONE_SIDE, OUTSIDE, pooled_scatter, run_chart
-from wafer_viewer.model.gauge.gauge_check import GaugeTerms
+from wafer_viewer.model.gauge import GaugeTerms
 from wafer_viewer.model.spec import replace
 
 

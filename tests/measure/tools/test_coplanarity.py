@@ -8,8 +8,7 @@ import pytest
 from tests.support.bumped_surface import HEIGHT_UM, PITCH_UM, bumped
 from tests.support.made_up_pictures import all_of, covered
 from tests.support.surfaces import noise_of, surface_of
-from wafer_viewer.measure.tools.bumps import Top
-from wafer_viewer.measure.tools.coplanarity import coplanarity, least_squares, seating
+from wafer_viewer.measure.tools.coplanarity import Top, coplanarity, least_squares, seating
 from wafer_viewer.model.errors import MeasureError
 from wafer_viewer.model.region import Region
 

@@ -17,7 +17,7 @@ from wafer_viewer.model.findings import MeasurementResults
 from wafer_viewer.model.region import Region
 from wafer_viewer.model.spec import replace
 from wafer_viewer.model.surface.height_map import Origin
-from wafer_viewer.store.tables.measurements_csv import findings_csv
+from wafer_viewer.store.tables.csv_tables import findings_csv
 
 WHOLE = Region.rectangle(-20, -60, 20, 60)
 

@@ -8,8 +8,7 @@ import numpy as np
 import pytest
 
 from tests.support.page_stand_in import height_map
-from wafer_viewer.draw.charts.profile_axes import dots, frame_of
-from wafer_viewer.draw.charts.profile_plot import profile_plot_html
+from wafer_viewer.draw.charts.profile_plot import dots, frame_of, profile_plot_html
 from wafer_viewer.measure.tools import slab as slabs
 from wafer_viewer.measure.tools.slab import running_median, slab_profile
 from wafer_viewer.model.errors import MeasureError

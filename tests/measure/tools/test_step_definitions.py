@@ -10,7 +10,7 @@ import pytest
 from tests.support.surfaces import calibration, coordinates, gauge_blocks, noise_of, surface_of
 from wafer_viewer.measure.tools.step_height import step_height
 from wafer_viewer.model.errors import MeasureError
-from wafer_viewer.model.measurement.uncertainty_conditions import Conditions
+from wafer_viewer.model.measurement.tools import Conditions
 from wafer_viewer.model.region import Region
 from wafer_viewer.model.spec import replace
 from wafer_viewer.model.surface.field_poses import Form, Poses, no_seams, no_shifts

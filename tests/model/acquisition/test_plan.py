@@ -8,7 +8,7 @@ from hypothesis import strategies as st
 
 from wafer_viewer.model.acquisition.plan import FieldGrid, FocusSweep, Leg, PulseTrain, Shot
 from wafer_viewer.model.errors import PlanError
-from wafer_viewer.model.job.job import Job
+from wafer_viewer.model.job import Job
 
 
 def test_fields_are_numbered_row_by_row_from_the_top_left():

@@ -3,8 +3,7 @@
 from __future__ import annotations
 
 from tests.support.datasets.inspections import defect, inspection
-from wafer_viewer.model.inspection.defect import DefectRecipe
-from wafer_viewer.model.inspection.defect_limits import DefectLimits
+from wafer_viewer.model.inspection.defect import DefectLimits, DefectRecipe
 from wafer_viewer.model.inspection.defect_verdict import verdict_of
 
 

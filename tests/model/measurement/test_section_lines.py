@@ -8,7 +8,7 @@ import pytest
 
 from wafer_viewer.model.errors import MeasureError
 from wafer_viewer.model.measurement.measurements import ProfileCurve
-from wafer_viewer.model.measurement.section_lines import (
+from wafer_viewer.model.measurement.sections import (
     column_line,
     cursor_difference,
     nearest,

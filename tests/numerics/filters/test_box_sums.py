@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from wafer_viewer.numerics.filters.box_sums import AHEAD, box, window_pieces
+from wafer_viewer.numerics.filters.sliding_filters import AHEAD, box, window_pieces
 from wafer_viewer.numerics.jit import lean_kernel
 
 

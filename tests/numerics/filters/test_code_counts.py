@@ -2,7 +2,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from wafer_viewer.numerics.filters.code_counts import count_codes
+from wafer_viewer.numerics.filters.regions import count_codes
 
 
 def test_every_code_is_counted_whatever_part_of_a_map_it_is_in() -> None:

@@ -7,7 +7,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.ndimage import binary_opening, label
 
-from wafer_viewer.numerics.filters.connected_components import narrow_parts, small_components
+from wafer_viewer.numerics.filters.regions import narrow_parts, small_components
 
 
 @settings(max_examples=30)

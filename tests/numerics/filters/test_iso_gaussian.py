@@ -5,9 +5,9 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from wafer_viewer.numerics.filters.autocorrelation import autocorrelation
-from wafer_viewer.numerics.filters.iso_gaussian import ALPHA, gaussian_mean
-from wafer_viewer.numerics.filters.polynomial_fit import polynomial
+from wafer_viewer.numerics.correlation import autocorrelation
+from wafer_viewer.numerics.filters.gaussian import ALPHA, gaussian_mean
+from wafer_viewer.numerics.filters.interpolation import polynomial
 
 RNG = np.random.default_rng(4)
 

@@ -8,7 +8,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from numpy.typing import NDArray
 
-from wafer_viewer.numerics.filters.line_median import REACH_PX, line_medians_at, line_outliers
+from wafer_viewer.numerics.filters.denoising import LINE_REACH_PX, line_medians_at, line_outliers
 
 ALONG = ((0, 1), (1, 0), (1, 1), (1, -1))
 
@@ -17,12 +17,12 @@ def _map(seed: int, holes: float) -> NDArray[np.float32]:
     rng = np.random.default_rng(seed)
     z = rng.normal(0, 1, (19, 26)).astype(np.float32)
     z[rng.random(z.shape) < holes] = np.nan
-    return np.pad(z, REACH_PX, constant_values=np.nan)
+    return np.pad(z, LINE_REACH_PX, constant_values=np.nan)
 
 
 def _lines(padded: NDArray, row: int, col: int) -> list[NDArray]:
-    steps = np.arange(-REACH_PX, REACH_PX + 1)
-    lines = (padded[row + REACH_PX + steps * down, col + REACH_PX + steps * right] for down, right in ALONG)
+    steps = np.arange(-LINE_REACH_PX, LINE_REACH_PX + 1)
+    lines = (padded[row + LINE_REACH_PX + steps * down, col + LINE_REACH_PX + steps * right] for down, right in ALONG)
     return [np.sort(line[np.isfinite(line)]) for line in lines]
 
 
@@ -32,7 +32,7 @@ def test_counting_finds_the_same_pixels_as_sorting(seed: int, holes: float, limi
     padded = _map(seed, holes)
     far = line_outliers(padded, np.float32(limit))
     for r, c in np.ndindex(far.shape):
-        v = padded[r + REACH_PX, c + REACH_PX]
+        v = padded[r + LINE_REACH_PX, c + LINE_REACH_PX]
         if np.isnan(v):
             assert not far[r, c]
             continue
@@ -46,7 +46,7 @@ def test_counting_finds_the_same_pixels_as_sorting(seed: int, holes: float, limi
 @given(seed=st.integers(0, 500), holes=st.sampled_from([0.0, 0.5]))
 def test_the_replacement_is_the_middle_of_the_four_medians(seed: int, holes: float) -> None:
     padded = _map(seed, holes)
-    rows, cols = np.nonzero(np.isfinite(padded[REACH_PX:-REACH_PX, REACH_PX:-REACH_PX]))
+    rows, cols = np.nonzero(np.isfinite(padded[LINE_REACH_PX:-LINE_REACH_PX, LINE_REACH_PX:-LINE_REACH_PX]))
     expected = [np.median([np.median(line) for line in _lines(padded, r, c)]) for r, c in zip(rows, cols, strict=True)]
     np.testing.assert_allclose(line_medians_at(padded, rows, cols), expected, atol=1e-6)
 
@@ -56,5 +56,5 @@ def test_a_blob_up_to_five_wide_stands_apart_and_a_wider_one_does_not(wide: int)
     for side, apart in ((wide, True), (wide + 6, False)):
         z = np.zeros((40, 40), np.float32)
         z[15 : 15 + side, 15 : 15 + side] = 9
-        far = line_outliers(np.pad(z, REACH_PX, constant_values=np.nan), 1.0)
+        far = line_outliers(np.pad(z, LINE_REACH_PX, constant_values=np.nan), 1.0)
         np.testing.assert_array_equal(far, (z > 0) & apart)

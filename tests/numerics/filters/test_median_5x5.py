@@ -8,7 +8,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from numpy.typing import NDArray
 
-from wafer_viewer.numerics.filters.median_5x5 import median_outliers, medians_at, pad_with_nan
+from wafer_viewer.numerics.filters.denoising import median_outliers, medians_at, pad_with_nan
 
 
 def _map(seed: int, holes: float) -> NDArray[np.float32]:

@@ -6,7 +6,7 @@ import numpy as np
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from wafer_viewer.numerics.filters.neighbour_distances import REACH_PX, mean_distances, near_counts
+from wafer_viewer.numerics.filters.denoising import NEIGHBOUR_REACH_PX, mean_distances, near_counts
 
 
 @settings(max_examples=20)
@@ -15,7 +15,7 @@ def test_the_mean_distance_is_that_of_a_sorted_window(seed: int, neighbours: int
     rng = np.random.default_rng(seed)
     z = rng.normal(0, 1, (17, 19)).astype(np.float32)
     z[rng.random(z.shape) < holes] = np.nan
-    padded = np.pad(z, REACH_PX, constant_values=np.nan)
+    padded = np.pad(z, NEIGHBOUR_REACH_PX, constant_values=np.nan)
     rows, cols = np.nonzero(np.isfinite(z))
     expected = []
     for r, c in zip(rows, cols, strict=True):

@@ -6,7 +6,7 @@ import numpy as np
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from wafer_viewer.numerics.filters.opposite_pair_mean import pair_mean
+from wafer_viewer.numerics.filters.denoising import pair_mean
 
 
 @settings(max_examples=20)

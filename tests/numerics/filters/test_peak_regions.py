@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from scipy import ndimage
 
-from wafer_viewer.numerics.filters.peak_regions import dilated, region_maxima, regions_with_peaks
+from wafer_viewer.numerics.filters.regions import dilated, region_maxima, regions_with_peaks
 
 ALL_ROUND = np.ones((3, 3), int)
 

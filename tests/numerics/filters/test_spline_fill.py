@@ -7,7 +7,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.interpolate import CubicSpline
 
-from wafer_viewer.numerics.filters.spline_fill import fill_gaps, fill_rows
+from wafer_viewer.numerics.filters.interpolation import fill_gaps, fill_rows
 
 
 @settings(max_examples=40)

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from wafer_viewer.model.surface.height_map import Origin
-from wafer_viewer.numerics.grids.affine_resample import ResampledLayers, resample_affine
+from wafer_viewer.numerics.grids.resampling import ResampledLayers, resample_affine
 
 
 def a_slope(shape=(6, 8)) -> ResampledLayers:

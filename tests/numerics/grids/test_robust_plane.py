@@ -6,8 +6,7 @@ import numpy as np
 import pytest
 from scipy.ndimage import gaussian_filter
 
-from wafer_viewer.numerics.grids.height_differences import differences
-from wafer_viewer.numerics.grids.robust_plane import Plane, fit_plane
+from wafer_viewer.numerics.grids.robust_plane import Plane, differences, fit_plane
 
 SHAPE = 160, 50
 VALUE, DOWN, RIGHT = 0.4, 2e-3, -4e-3

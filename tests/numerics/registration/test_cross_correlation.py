@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from scipy.ndimage import gaussian_filter
 
-from wafer_viewer.numerics.registration.cross_correlation import contrast, normalised_cross_correlation
+from wafer_viewer.numerics.correlation import contrast, normalised_cross_correlation
 
 
 def test_it_is_the_correlation_of_the_common_known_pixels():

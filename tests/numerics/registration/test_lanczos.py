@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from wafer_viewer.numerics.registration.lanczos import Taps, resampled
+from wafer_viewer.numerics.grids.resampling import Taps, resampled
 
 
 def _waves(rows: np.ndarray, cols: np.ndarray) -> np.ndarray:

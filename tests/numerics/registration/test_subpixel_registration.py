@@ -7,8 +7,7 @@ import pytest
 from numpy.typing import NDArray
 from scipy.ndimage import affine_transform, gaussian_filter
 
-from wafer_viewer.numerics.registration.block_moments import block_sums, taps
-from wafer_viewer.numerics.registration.subpixel_registration import RegisteredImage, align
+from wafer_viewer.numerics.subpixel_registration import RegisteredImage, align, block_sums, taps
 
 SHAPE = 160, 90
 

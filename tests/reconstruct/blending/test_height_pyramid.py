@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 
 from wafer_viewer.model.surface.height_map import HeightMap, Origin
 from wafer_viewer.numerics.grids.pyramid_level import halve
-from wafer_viewer.reconstruct.blending.height_pyramid import LAYERS, halved
+from wafer_viewer.reconstruct.blending.stitched_mosaic import LAYERS, halved
 
 MakeMap = Callable[..., HeightMap]
 

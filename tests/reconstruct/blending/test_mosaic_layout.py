@@ -12,7 +12,7 @@ from hypothesis import strategies as st
 from wafer_viewer.model.surface.height_map import HeightMap
 from wafer_viewer.reconstruct.blending.mosaic_layout import MosaicLayout, layout
 from wafer_viewer.reconstruct.blending.stitched_mosaic import blend_window
-from wafer_viewer.reconstruct.blending.window_pieces import pieces
+from wafer_viewer.reconstruct.blending.window_blend import pieces
 
 MakeMap = Callable[..., HeightMap]
 ROWS, COLS = 60, 80

@@ -8,7 +8,7 @@ import numpy as np
 
 from wafer_viewer.model.acquisition.focus_stack import FieldStack
 from wafer_viewer.model.acquisition.plan import Field
-from wafer_viewer.reconstruct.blending.stitched_slice import picture_at, stitched_picture
+from wafer_viewer.reconstruct.blending.stitched_mosaic import picture_at, stitched_picture
 
 MakeStack = Callable[..., FieldStack]
 

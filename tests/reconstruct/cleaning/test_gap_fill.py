@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 
 from wafer_viewer.model.surface.height_map import Origin
 from wafer_viewer.model.surface.recipe import Fill
-from wafer_viewer.reconstruct.cleaning.gap_fill import fill, mark_filled
+from wafer_viewer.reconstruct.cleaning.clean import fill, mark_filled
 
 
 def _wave() -> NDArray[np.float32]:

@@ -7,8 +7,7 @@ import pytest
 from numpy.typing import NDArray
 
 from wafer_viewer.model.surface.recipe import Outliers, Recipe
-from wafer_viewer.reconstruct.cleaning.clean import clean, settle_cleaning
-from wafer_viewer.reconstruct.cleaning.outliers import far_in_cloud, far_on_lattice, find_outliers
+from wafer_viewer.reconstruct.cleaning.clean import clean, far_in_cloud, far_on_lattice, find_outliers, settle_cleaning
 
 
 def _recipe(mode: str = "lattice", floor_um: float = 6.0) -> Recipe:

@@ -11,8 +11,7 @@ from tests.truth.views import Optics
 from wafer_viewer.model.spec import replace as changed
 from wafer_viewer.model.surface.height_map import Origin
 from wafer_viewer.model.surface.recipe import Outliers, Recipe
-from wafer_viewer.reconstruct.cleaning.clean import Cleaned, clean, settle_cleaning
-from wafer_viewer.reconstruct.cleaning.step_edges import height_range_um
+from wafer_viewer.reconstruct.cleaning.clean import Cleaned, clean, height_range_um, settle_cleaning
 from wafer_viewer.reconstruct.field_pipeline import reconstruct
 from wafer_viewer.reconstruct.focus_evidence import focus_curve
 

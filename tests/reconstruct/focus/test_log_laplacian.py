@@ -22,8 +22,7 @@ from wafer_viewer.reconstruct.focus.log_laplacian import (
     log_laplacian_block,
     log_margin_px,
 )
-from wafer_viewer.reconstruct.focus.noise_thresholds import noise_scores
-from wafer_viewer.reconstruct.focus.peak_search import Search, search_field
+from wafer_viewer.reconstruct.focus.peak_search import Search, noise_scores, search_field
 from wafer_viewer.reconstruct.preprocess.camera_noise import CameraNoise
 from wafer_viewer.reconstruct.preprocess.frames import prepare
 

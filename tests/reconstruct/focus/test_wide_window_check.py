@@ -9,8 +9,14 @@ from scipy.ndimage import uniform_filter
 
 from wafer_viewer.model.acquisition.focus_stack import FieldStack
 from wafer_viewer.reconstruct.focus.peak import Peaks
-from wafer_viewer.reconstruct.focus.peak_search import Search, ThreadScratch, search_field, search_part
-from wafer_viewer.reconstruct.focus.wide_window_check import wide_cells, wide_heights
+from wafer_viewer.reconstruct.focus.peak_search import (
+    Search,
+    ThreadScratch,
+    search_field,
+    search_part,
+    wide_cells,
+    wide_heights,
+)
 from wafer_viewer.reconstruct.preprocess.frames import prepare
 
 

@@ -19,17 +19,16 @@ from wafer_viewer.model.surface.recipe import Recipe
 from wafer_viewer.reconstruct.field_pipeline import reconstruct
 from wafer_viewer.reconstruct.focus.log_laplacian import Stabiliser
 from wafer_viewer.reconstruct.focus_evidence import focus_curve
-from wafer_viewer.reconstruct.gates.edge_bleeding import noise_fall
-from wafer_viewer.reconstruct.gates.edge_sides import BAND_REACH_PX, find_band
-from wafer_viewer.reconstruct.gates.edge_silhouettes import Silhouette, silhouette_of
-from wafer_viewer.reconstruct.gates.tangential_focus import (
+from wafer_viewer.reconstruct.gates.edge_bleeding import (
     Near,
     Tile,
     Wall,
+    noise_fall,
     peaks_near,
     tangential_levels,
     tangential_margin_px,
 )
+from wafer_viewer.reconstruct.gates.edge_sides import BAND_REACH_PX, Silhouette, find_band, silhouette_of
 from wafer_viewer.reconstruct.preprocess.camera_noise import CameraNoise
 from wafer_viewer.reconstruct.preprocess.frames import prepare
 

@@ -14,9 +14,8 @@ from wafer_viewer.model.surface.height_map import Origin
 from wafer_viewer.model.surface.recipe import Recipe
 from wafer_viewer.reconstruct.field_pipeline import reconstruct
 from wafer_viewer.reconstruct.focus.focus_measures import FOCUS_MEASURES
-from wafer_viewer.reconstruct.focus.noise_thresholds import NoiseScores, noise_scores
 from wafer_viewer.reconstruct.focus.peak import Peaks
-from wafer_viewer.reconstruct.focus.peak_search import Search, search_field
+from wafer_viewer.reconstruct.focus.peak_search import NoiseScores, Search, noise_scores, search_field
 from wafer_viewer.reconstruct.gates.gate import Gate, auto_min_confidence, checks, gate_of, origins
 from wafer_viewer.reconstruct.preprocess.camera_noise import CameraNoise
 from wafer_viewer.reconstruct.preprocess.frames import Frames

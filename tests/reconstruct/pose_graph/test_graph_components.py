@@ -6,7 +6,7 @@ import numpy as np
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from wafer_viewer.reconstruct.pose_graph.graph_components import bridges, count_up, groups
+from wafer_viewer.reconstruct.pose_graph.bridge_arbitration import bridges, count_up, groups
 
 N = 9
 EDGES = st.lists(st.tuples(st.integers(0, N - 1), st.integers(0, N - 1)).filter(lambda e: e[0] != e[1]), max_size=16)

@@ -11,8 +11,7 @@ from tests.truth.overlaps import PIXEL_UM, STAGE_PX, Fields, grid, shifts_of, wa
 from wafer_viewer.model.errors import ComputeError
 from wafer_viewer.model.surface.field_poses import Form, Numbers, RejectionReason, Shifts, selected
 from wafer_viewer.reconstruct.pose_graph import amg_solver
-from wafer_viewer.reconstruct.pose_graph.camera_rotation_scale import CameraAxes
-from wafer_viewer.reconstruct.pose_graph.lateral_poses import Positions, solve_positions
+from wafer_viewer.reconstruct.pose_graph.lateral_poses import CameraAxes, Positions, solve_positions
 
 WHOLE = grid(13, 16)
 

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from wafer_viewer.model.acquisition.focus_stack import FieldStack
 from wafer_viewer.model.surface.recipe import Recipe
 from wafer_viewer.reconstruct.field_pipeline import reconstruct
-from wafer_viewer.reconstruct.focus.field_blocks import read_part, source_of
+from wafer_viewer.reconstruct.focus.focus_volume import read_part, source_of
 from wafer_viewer.reconstruct.preprocess.frames import prepare, read_block
 
 FLAWS = {

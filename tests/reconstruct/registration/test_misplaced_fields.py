@@ -16,7 +16,7 @@ from wafer_viewer.reconstruct.registration.misplaced_fields import (
     reoriented,
     unverifiable_fields,
 )
-from wafer_viewer.reconstruct.registration.neighbour_pairs import neighbours
+from wafer_viewer.reconstruct.registration.overlap_strips import neighbours
 from wafer_viewer.reconstruct.registration.pair_registration import register
 
 SHAPE = (120, 140)

@@ -8,7 +8,7 @@ import numpy as np
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from wafer_viewer.reconstruct.registration.neighbour_pairs import LEAST_WIDTH_PX, neighbours
+from wafer_viewer.reconstruct.registration.overlap_strips import LEAST_WIDTH_PX, neighbours
 
 
 @dataclass(frozen=True)

@@ -16,9 +16,9 @@ from wafer_viewer.model.acquisition.plan import Field
 from wafer_viewer.model.surface.field_poses import Poses
 from wafer_viewer.model.surface.height_map import HeightMap
 from wafer_viewer.model.surface.recipe import Recipe, Stitching
-from wafer_viewer.reconstruct.registration.stitching_notes import BY_STAGE_ALONE
+from wafer_viewer.reconstruct.registration.misplaced_fields import BY_STAGE_ALONE
 from wafer_viewer.reconstruct.stitching import stitch
-from wafer_viewer.session.surface.placement_summary import stitching_info
+from wafer_viewer.session.surface.focus_evidence import stitching_info
 from wafer_viewer.store.dataset.stack_import import import_dataset
 
 SHAPE = (120, 140)

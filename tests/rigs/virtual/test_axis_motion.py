@@ -8,10 +8,9 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from wafer_viewer.model.acquisition.devices import Position
-from wafer_viewer.rigs.virtual.axis_motion import halt, standing, trapezoid
 from wafer_viewer.rigs.virtual.clock import VirtualClock
 from wafer_viewer.rigs.virtual.rig import virtual_limits
-from wafer_viewer.rigs.virtual.stage import AXIAL_ERROR_UM, LATERAL_ERROR_UM, VirtualStage
+from wafer_viewer.rigs.virtual.stage import AXIAL_ERROR_UM, LATERAL_ERROR_UM, VirtualStage, halt, standing, trapezoid
 
 ENDS = st.floats(-5_000, 5_000)
 SPEEDS = st.floats(1, 5_000)

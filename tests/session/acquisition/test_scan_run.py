@@ -10,8 +10,13 @@ import pytest
 from wafer_viewer.rigs.virtual.faults import Faults
 from wafer_viewer.rigs.virtual.rig import VirtualRig
 from wafer_viewer.session.acquisition.rig_messages import FieldComplete, FrameTaken, Paused, Scan, ScanEnded, ScanFault
-from wafer_viewer.session.acquisition.scan_monitor import Steering, clipped_fraction, order_of_fields
-from wafer_viewer.session.acquisition.scan_run import run_scan_job, writer_of
+from wafer_viewer.session.acquisition.scan_run import (
+    Steering,
+    clipped_fraction,
+    order_of_fields,
+    run_scan_job,
+    writer_of,
+)
 from wafer_viewer.session.planning.plan_editor import plan_of
 from wafer_viewer.store.dataset.dataset import Dataset
 

@@ -19,8 +19,8 @@ from wafer_viewer.session.acquisition import rig_client as instrument_module
 from wafer_viewer.session.acquisition.rig_client import RigCallbacks, RigClient
 from wafer_viewer.session.acquisition.rig_messages import Move, Scan, ScanEnded, StageMoved, Stop
 from wafer_viewer.session.acquisition.rig_process import RigExecutor
+from wafer_viewer.session.core.background_work import Notifications
 from wafer_viewer.session.core.command_queue import CommandQueue as SessionDesk
-from wafer_viewer.session.core.notifications import Notifications
 from wafer_viewer.session.planning.plan_editor import plan_of
 from wafer_viewer.session.session import Session
 from wafer_viewer.session.state.snapshot import RigStatus, Snapshot

@@ -7,7 +7,7 @@ import dataclasses
 from hypothesis import given
 from hypothesis import strategies as st
 
-from wafer_viewer.session.core.changes import KEPT, stamp_of, with_change
+from wafer_viewer.session.core.dataset_library import KEPT, stamp_of, with_change
 from wafer_viewer.session.state.snapshot import Box, SurfaceInfo
 
 SIDE_UM = 1000.0

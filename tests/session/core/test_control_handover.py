@@ -5,7 +5,7 @@ from __future__ import annotations
 import pytest
 
 from wafer_viewer.model.errors import WaferViewerError
-from wafer_viewer.session.access_control import FREE, restricted_session
+from wafer_viewer.session.api import FREE, restricted_session
 from wafer_viewer.session.core.command_queue import CommandQueue
 from wafer_viewer.session.core.control_handover import ANSWER_S, GRACE_S, Control
 from wafer_viewer.session.session import Session

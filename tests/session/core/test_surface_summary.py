@@ -6,7 +6,7 @@ import pytest
 from wafer_viewer.model.surface.height_map import HeightMap, Origin
 from wafer_viewer.model.surface.recipe import Recipe
 from wafer_viewer.reconstruct.stitching import stitch
-from wafer_viewer.session.core.surface_summary import load_summary, save_summary, summarise
+from wafer_viewer.session.core.dataset_library import load_summary, save_summary, summarise
 from wafer_viewer.session.state.snapshot import SurfaceInfo
 from wafer_viewer.store.dataset.result import Result
 from wafer_viewer.store.mosaic.zarr_mosaic import write_mosaic

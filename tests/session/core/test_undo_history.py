@@ -3,7 +3,7 @@ from __future__ import annotations
 from hypothesis import given
 from hypothesis import strategies as st
 
-from wafer_viewer.session.core.undo_history import DEPTH, UndoHistory
+from wafer_viewer.session.core.command_queue import DEPTH, UndoHistory
 
 
 @given(st.lists(st.one_of(st.integers(), st.sampled_from(["undo", "redo"]))))

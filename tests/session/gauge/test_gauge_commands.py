@@ -10,8 +10,8 @@ from tests.support.datasets.gauge_scans import CALIBRATION, LOWER, RESULT, RIG, 
 from tests.support.paths import ASSETS
 from wafer_viewer.model.acquisition.plan import Field, FocusSweep
 from wafer_viewer.model.errors import DatasetError, MeasureError
-from wafer_viewer.model.gauge.gauge_check import GaugeCheck, GaugeTerms
-from wafer_viewer.model.job.job import Job
+from wafer_viewer.model.gauge import GaugeCheck, GaugeTerms
+from wafer_viewer.model.job import Job
 from wafer_viewer.model.spec import replace
 from wafer_viewer.rigs.virtual.rig import CALIBRATION as RIGS_OWN
 from wafer_viewer.rigs.virtual.rig import VirtualRig
@@ -19,23 +19,22 @@ from wafer_viewer.session.acquisition.rig_messages import Scan
 from wafer_viewer.session.acquisition.scan_run import writer_of
 from wafer_viewer.session.core.command_queue import CommandQueue
 from wafer_viewer.session.core.dataset_library import Library
-from wafer_viewer.session.gauge.gauge_commands import GaugeVerbs
-from wafer_viewer.session.gauge.gauge_controller import GaugeKeeper
+from wafer_viewer.session.gauge.gauge_controller import GaugeKeeper, GaugeVerbs
 from wafer_viewer.session.measurement.dataset_queries import DatasetQueries
 from wafer_viewer.session.measurement.results import ResultsStore
 from wafer_viewer.session.planning.plan_editor import plan_of
 from wafer_viewer.session.session import Session
 from wafer_viewer.session.state.snapshot import RigStatus, Snapshot
 from wafer_viewer.store.dataset.dataset import Dataset
-from wafer_viewer.store.records.calibrations import (
+from wafer_viewer.store.records.gauge_records import (
     CALIBRATIONS,
     CalibrationChange,
     calibration_changes,
     calibration_in_force,
+    read_certificate,
     record_change,
+    signed_checks,
 )
-from wafer_viewer.store.records.certificates import read_certificate
-from wafer_viewer.store.records.gauge_checks import signed_checks
 
 CERTIFICATE = ASSETS / "gauge" / "step.toml"
 

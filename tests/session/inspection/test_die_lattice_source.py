@@ -7,10 +7,10 @@ import math
 import pytest
 
 from tests.support.patterned_surface import Wafer, made
-from wafer_viewer.model.acquisition.alignment import Alignment, AlignmentMark, Marks
 from wafer_viewer.model.acquisition.plan import FieldGrid, FocusSweep
+from wafer_viewer.model.acquisition.sample import Alignment, AlignmentMark, Marks
 from wafer_viewer.model.errors import MeasureError
-from wafer_viewer.model.job.job import Job
+from wafer_viewer.model.job import Job
 from wafer_viewer.model.measurement.feature import Die, Dies
 from wafer_viewer.model.spec import encode, replace
 from wafer_viewer.session.inspection.die_lattice_source import GivenDies, dies_of_job

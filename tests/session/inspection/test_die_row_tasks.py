@@ -20,11 +20,10 @@ from wafer_viewer.measure.defects.noise_model import NoiseModel
 from wafer_viewer.measure.dies import die_cells
 from wafer_viewer.model.errors import ComputeError, DatasetError
 from wafer_viewer.model.inspection.defect import DefectRecipe, Inspection
-from wafer_viewer.session.inspection import die_row_tasks
+from wafer_viewer.session.inspection import inspection_job
 from wafer_viewer.session.inspection.die_lattice_source import GivenDies
-from wafer_viewer.session.inspection.die_row_tasks import in_order
 from wafer_viewer.session.inspection.headless import inspected, wafer_of
-from wafer_viewer.session.inspection.inspection_job import inspect_dataset
+from wafer_viewer.session.inspection.inspection_job import in_order, inspect_dataset
 from wafer_viewer.session.surface.headless import LocalOrCluster
 from wafer_viewer.store.dataset.dataset import Dataset
 
@@ -90,10 +89,10 @@ def test_what_a_killed_inspection_left_behind_is_swept_away(tmp_path):
     left = tmp_path / ".inspection-1f.npz"
     left.touch()
     quiet = NoiseModel({}, {}, {}, np.zeros((2, 2), np.uint8), np.ones(BINS, np.float32))
-    with die_row_tasks.kept(tmp_path, golden := ReferenceDie.nothing((2, 2), 1.0, 1.0), quiet):
+    with inspection_job.kept(tmp_path, golden := ReferenceDie.nothing((2, 2), 1.0, 1.0), quiet):
         assert left.exists()  # another one is at work
     os.utime(left, (0, 0))
-    with die_row_tasks.kept(tmp_path, golden, quiet) as own:
+    with inspection_job.kept(tmp_path, golden, quiet) as own:
         assert list(tmp_path.iterdir()) == [own]
 
 
@@ -102,7 +101,7 @@ def test_a_reference_that_is_gone_or_damaged_is_told(made, tmp_path):
     torn.write_bytes(b"PK")
     for path in (torn, tmp_path / "gone.npz"):
         with pytest.raises(DatasetError, match="cannot be read"):
-            die_row_tasks.compare_row(None, path, ())
+            inspection_job.compare_row(None, path, ())
 
 
 def test_the_first_fault_of_a_row_ends_the_inspection():

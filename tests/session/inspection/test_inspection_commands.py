@@ -11,15 +11,15 @@ from tests.support.datasets.inspections import defect, inspection
 from wafer_viewer.model.errors import DatasetError, MeasureError, WaferViewerError
 from wafer_viewer.model.inspection.defect import DefectRecipe
 from wafer_viewer.model.spec import replace
+from wafer_viewer.session.core.background_work import Notifications
 from wafer_viewer.session.core.command_queue import CommandQueue
 from wafer_viewer.session.core.dataset_library import Library
-from wafer_viewer.session.core.notifications import Notifications
 from wafer_viewer.session.inspection.inspection_commands import DefectKeeper
 from wafer_viewer.session.inspection.inspection_job import inspect_dataset, mosaic_mark
 from wafer_viewer.session.state.snapshot import Snapshot
 from wafer_viewer.store.dataset.dataset import Dataset
 from wafer_viewer.store.dataset.lock import Lock
-from wafer_viewer.store.records.inspection_file import read_inspection, write_inspection
+from wafer_viewer.store.records.inspection_records import read_inspection, write_inspection
 
 FOUND = inspection(defect(1, "0,0", 100.0, 80.0), defect(2, "1,0", 400.0, 300.0))
 

@@ -11,26 +11,21 @@ import pytest
 
 from tests.support.datasets.compared_datasets import two_datasets
 from tests.support.datasets.inspections import GRID, defect, inspection
-from wafer_viewer.model.acquisition.alignment import Alignment
-from wafer_viewer.model.acquisition.sample import Sample
+from wafer_viewer.model.acquisition.sample import Alignment, Sample
 from wafer_viewer.model.errors import ControlHeldError, DatasetError, MeasureError
-from wafer_viewer.model.inspection.defect import DefectRecipe
-from wafer_viewer.model.inspection.defect_limits import DefectLimits
+from wafer_viewer.model.inspection.defect import DefectLimits, DefectRecipe
 from wafer_viewer.model.spec import replace
-from wafer_viewer.session.access_control import restricted_session
-from wafer_viewer.session.core.background_work import BackgroundWork
+from wafer_viewer.session.api import restricted_session
+from wafer_viewer.session.core.background_work import BackgroundWork, Notifications
 from wafer_viewer.session.core.command_queue import CommandQueue
 from wafer_viewer.session.core.dataset_library import Library
-from wafer_viewer.session.core.notifications import Notifications
-from wafer_viewer.session.inspection.defect_export import hand_over, keep_golden
 from wafer_viewer.session.inspection.inspection_commands import DefectKeeper, DefectVerbs
-from wafer_viewer.session.inspection.inspection_files import DefectFiles, DefectFilesKeeper
+from wafer_viewer.session.inspection.inspection_files import DefectFiles, DefectFilesKeeper, hand_over, keep_golden
 from wafer_viewer.session.inspection.klarf_overlay import compared, lattice_for
 from wafer_viewer.session.state.snapshot import Snapshot
 from wafer_viewer.store.dataset.dataset import Dataset
-from wafer_viewer.store.records.inspection_file import read_inspection, write_inspection
-from wafer_viewer.store.tables.klarf_reader import read_klarf
-from wafer_viewer.store.tables.klarf_writer import write_klarf
+from wafer_viewer.store.records.inspection_records import read_inspection, write_inspection
+from wafer_viewer.store.tables.klarf import read_klarf, write_klarf
 
 FOUND = inspection(defect(1, "1,1", 300.0, 400.0), defect(2, "1,1", 500.0, 300.0))
 

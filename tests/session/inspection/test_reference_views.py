@@ -18,8 +18,7 @@ from tests.support.datasets.released import MARKS
 from tests.support.datasets.samples import make_job, make_plan
 from tests.support.page_stand_in import grid, job_and_plan, snapshot_of
 from tests.support.patterned_surface import Wafer, made
-from wafer_viewer.model.acquisition.alignment import Alignment
-from wafer_viewer.model.acquisition.sample import Sample
+from wafer_viewer.model.acquisition.sample import Alignment, Sample
 from wafer_viewer.model.errors import DatasetError, WaferViewerError
 from wafer_viewer.model.inspection.defect import DefectRecipe, Inspection
 from wafer_viewer.model.inspection.die_grid import DieStatus
@@ -29,12 +28,10 @@ from wafer_viewer.model.spec import replace
 from wafer_viewer.model.surface.comparison import Change, Comparison, ComparisonFace, Registration, SurfaceName
 from wafer_viewer.model.surface.height_map import HeightMap, Origin
 from wafer_viewer.session.inspection.reference_views import DefectViews, earlier_scan
-from wafer_viewer.session.rendering.comparison_views import ComparisonView, ComparisonViews
 from wafer_viewer.session.rendering.render_process import Painter, paint_from_store
-from wafer_viewer.session.rendering.render_request import SurfaceKey
-from wafer_viewer.session.state.comparison_state import Compared
+from wafer_viewer.session.rendering.render_request import ComparisonView, ComparisonViews, SurfaceKey
 from wafer_viewer.session.state.inspection_state import InspectionState
-from wafer_viewer.session.state.snapshot import DatasetEntry, Snapshot
+from wafer_viewer.session.state.snapshot import Compared, DatasetEntry, Snapshot
 from wafer_viewer.store.dataset.scan_record import JOURNAL, ScanRecord, write_record
 from wafer_viewer.store.mosaic.zarr_mosaic import write_mosaic
 from wafer_viewer.store.records.golden_dies import save_golden

@@ -14,7 +14,7 @@ from wafer_viewer.model.errors import MeasureError
 from wafer_viewer.model.measurement.levelling import Datum, Levelling
 from wafer_viewer.model.measurement.tools import TOOLS
 from wafer_viewer.model.region import Region
-from wafer_viewer.session.measurement.measure_commands import Measuring
+from wafer_viewer.session.measurement.dataset_queries import Measuring
 
 POINT, CIRCLE = Region.point(-20.0, 10.0), Region.circle(20.0, 0.0, 14.0)
 LEFT, RIGHT = Region.rectangle(-45, -30, -25, 30), Region.rectangle(-22, -30, 2, 30)

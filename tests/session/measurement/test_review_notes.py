@@ -8,12 +8,12 @@ from types import SimpleNamespace
 import pytest
 
 from wafer_viewer.model.errors import DatasetError
-from wafer_viewer.model.job.review_notes import SavedView
+from wafer_viewer.model.job import SavedView
 from wafer_viewer.session.core.command_queue import CommandQueue
 from wafer_viewer.session.files.documents import Documents
-from wafer_viewer.session.measurement.review_notes import NotebookKeeper, NotebookVerbs
+from wafer_viewer.session.measurement.results import NotebookKeeper, NotebookVerbs
 from wafer_viewer.session.state.snapshot import Snapshot
-from wafer_viewer.store.records.review_notes import read_notebook
+from wafer_viewer.store.records.inspection_records import read_notebook
 
 VIEW = SavedView(position_mm=(0.0, -3.0, 2.0), look_at_mm=(0.0, 0.0, 0.0), range_um=(-1.5, 9.0))
 

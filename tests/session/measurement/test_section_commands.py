@@ -14,8 +14,8 @@ from wafer_viewer.model.errors import DatasetError, MeasureError
 from wafer_viewer.model.measurement.levelling import Levelling
 from wafer_viewer.model.measurement.sections import OtherSurface, SectionAsked
 from wafer_viewer.model.region import Region
-from wafer_viewer.session.measurement.measure_commands import Measuring
-from wafer_viewer.session.measurement.section_commands import Sections
+from wafer_viewer.session.measurement.dataset_queries import Measuring
+from wafer_viewer.session.measurement.sections import Sections
 from wafer_viewer.store.dataset.dataset import Dataset
 from wafer_viewer.store.mosaic.zarr_mosaic import write_mosaic
 

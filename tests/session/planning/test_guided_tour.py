@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from wafer_viewer.gui.presenters.review.inspection_form_values import (
+from wafer_viewer.gui.presenters.inspection_form import (
     DefectForm,
     against_of,
     dies_of,

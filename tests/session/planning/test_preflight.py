@@ -6,8 +6,7 @@ import pytest
 
 from tests.session.conftest import small_job
 from tests.support.datasets.released import MARKS, release_of
-from wafer_viewer.model.acquisition.alignment import Alignment
-from wafer_viewer.model.acquisition.sample import Sample
+from wafer_viewer.model.acquisition.sample import Alignment, Sample
 from wafer_viewer.model.errors import PlanError
 from wafer_viewer.model.spec import replace
 from wafer_viewer.rigs.virtual.rig import CALIBRATION, SETUP, virtual_limits

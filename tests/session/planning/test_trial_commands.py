@@ -13,11 +13,11 @@ from wafer_viewer.model.errors import ComputeError, DatasetError, PlanError
 from wafer_viewer.model.spec import replace
 from wafer_viewer.model.surface.recipe import Stitching
 from wafer_viewer.rigs.virtual.rig import CALIBRATION, SETUP, virtual_limits
+from wafer_viewer.session.core.background_work import Notifications
 from wafer_viewer.session.core.command_queue import CommandQueue
-from wafer_viewer.session.core.notifications import Notifications
+from wafer_viewer.session.planning.job_commands import TrialKeeper
 from wafer_viewer.session.planning.plan_editor import Drafting
 from wafer_viewer.session.planning.revision_trial import try_job
-from wafer_viewer.session.planning.trial_commands import TrialKeeper
 from wafer_viewer.session.session import Session
 from wafer_viewer.session.state.snapshot import RigStatus, Snapshot
 

@@ -11,12 +11,11 @@ import pytest
 from tests.browser.sessions import operator_session as day
 from wafer_viewer.model.errors import MeasureError
 from wafer_viewer.model.spec import replace
+from wafer_viewer.session.core.background_work import Notifications
 from wafer_viewer.session.core.command_queue import CommandQueue
-from wafer_viewer.session.core.notifications import Notifications
 from wafer_viewer.session.planning import verdicts as module
 from wafer_viewer.session.planning.verdicts import Judge
-from wafer_viewer.session.state.operator_state import Operating
-from wafer_viewer.session.state.snapshot import Work
+from wafer_viewer.session.state.snapshot import Operating, Work
 
 STITCHING = (Work("w1", "Stitching the fields"),)
 PATIENCE_S = 20.0

@@ -13,14 +13,13 @@ from tests.support.datasets.grid_dataset import REGISTERED, add_surfaces, make_d
 from tests.support.page_stand_in import MemoryShelf, height_map
 from tests.truth.field_grid import SMALL, make
 from wafer_viewer.draw.colormaps import ORIGIN_COLOURS
-from wafer_viewer.draw.surface.clipping import CODES
+from wafer_viewer.draw.surface.texture_baking import CODES
 from wafer_viewer.model.errors import MeasureError
 from wafer_viewer.model.measurement.levelling import Datum
 from wafer_viewer.model.region import Region
 from wafer_viewer.model.surface.clipping import Clip, Slab
 from wafer_viewer.model.surface.field_poses import Poses
-from wafer_viewer.model.surface.height_map import HeightMap, Origin
-from wafer_viewer.model.surface.refused_points import RefusedHeights
+from wafer_viewer.model.surface.height_map import HeightMap, Origin, RefusedHeights
 from wafer_viewer.session.rendering.render_dispatch import paint
 from wafer_viewer.session.rendering.render_refused import PlacedField, placed_fields, points_of
 from wafer_viewer.session.rendering.render_request import (

@@ -8,12 +8,11 @@ import pytest
 
 from tests.support.datasets.inspections import defect, inspection
 from tests.support.datasets.judged_datasets import RESULT, judged_dataset, released_job
-from wafer_viewer.model.inspection.defect import DefectRecipe
-from wafer_viewer.model.inspection.defect_limits import DefectLimits
+from wafer_viewer.model.inspection.defect import DefectLimits, DefectRecipe
 from wafer_viewer.model.report import ReportOrder, ReportSection
 from wafer_viewer.session.reporting.report import contents, report_of
 from wafer_viewer.store.dataset.dataset import Dataset
-from wafer_viewer.store.records.inspection_file import write_inspection
+from wafer_viewer.store.records.inspection_records import write_inspection
 from wafer_viewer.store.records.report_file import report_html
 
 ORDER = ReportOrder(parts=("defects",))

@@ -17,22 +17,21 @@ from wafer_viewer.measure.tools.step_height import step_height
 from wafer_viewer.model.acquisition.sample import Sample
 from wafer_viewer.model.errors import ComputeError
 from wafer_viewer.model.findings import MeasurementResults
-from wafer_viewer.model.job.review_notes import Judgement, Notebook
-from wafer_viewer.model.job.verdict import FeatureVerdict, WaferVerdict
+from wafer_viewer.model.job import FeatureVerdict, Judgement, Notebook, WaferVerdict
 from wafer_viewer.model.measurement.feature import Feature
 from wafer_viewer.model.quantity import Quantity
 from wafer_viewer.model.region import Region
 from wafer_viewer.model.report import PARTS, Figure, Holds, Report, ReportOrder, ReportSection
 from wafer_viewer.model.spec import replace
 from wafer_viewer.model.surface.height_map import HeightMap
-from wafer_viewer.session.core.surface_summary import save_summary, summarise
-from wafer_viewer.session.reporting import report, results_section
+from wafer_viewer.session.core.dataset_library import save_summary, summarise
+from wafer_viewer.session.reporting import report, sections
 from wafer_viewer.session.reporting.report import contents, gather, make_report, report_of
 from wafer_viewer.store.dataset.dataset import Dataset
 from wafer_viewer.store.dataset.scan_record import JOURNAL, ScanRecord, write_record
 from wafer_viewer.store.mosaic.zarr_mosaic import write_mosaic
+from wafer_viewer.store.records.inspection_records import write_notebook
 from wafer_viewer.store.records.report_file import report_html
-from wafer_viewer.store.records.review_notes import write_notebook
 
 UPPER, LOWER = Region.rectangle(-60, -30, -20, 30), Region.rectangle(20, -30, 60, 30)
 
@@ -131,7 +130,7 @@ def a_verdict() -> WaferVerdict:
 def test_the_verdict_on_a_wafer_and_its_features_stand_first(dataset):
     noted = Notebook(judgements=(Judgement(key="feature die", verdict="accepted", note="measured by hand"),))
     material = dataclasses.replace(gather(dataset, RESULT), verdict=a_verdict(), notebook=noted)
-    told = results_section.verdict(material)
+    told = sections.verdict(material)
     (row,) = told.table.rows
     assert row[:3] == ("F1", "die", "11 to 13\u202fµm, guard band")
     assert row[-2:] == ("INCONCLUSIVE", "accepted · measured by hand")

@@ -22,9 +22,9 @@ from wafer_viewer.model.report import PART_TITLES, ReportOrder
 from wafer_viewer.model.spec import replace
 from wafer_viewer.session.measurement.measurement_numbers import numbers_of
 from wafer_viewer.session.reporting.report import make_report, report_of
-from wafer_viewer.store.dataset import digests
+from wafer_viewer.store.dataset import integrity
 from wafer_viewer.store.dataset.dataset import Dataset
-from wafer_viewer.store.dataset.digests import digests_of_result
+from wafer_viewer.store.dataset.integrity import digests_of_result
 from wafer_viewer.store.records.report_file import report_html
 
 FACE = Region.rectangle(-50, -30, -10, 30)
@@ -133,7 +133,7 @@ def test_data_is_told_by_checksums_that_change_with_it(report, dataset, tmp_path
 def test_what_is_too_large_to_be_read_is_told_by_names_and_sizes(dataset, monkeypatch):
     result = Dataset.open(dataset).result(RESULT)
     whole = {digest.what: digest.sha256 for digest in digests_of_result(result)}
-    monkeypatch.setattr(digests, "MOST_BYTES", 10_000)
+    monkeypatch.setattr(integrity, "MOST_BYTES", 10_000)
     large = {digest.what: digest for digest in digests_of_result(result)}
     assert "names and sizes alone, because they are" in large["Surface"].of
     assert large["Surface"].sha256 != whole["Surface"]

@@ -13,7 +13,7 @@ import pytest
 
 from tests.support.datasets.complete_dataset import complete_dataset
 from wafer_viewer.model.errors import DatasetError
-from wafer_viewer.session.core.surface_summary import load_summary
+from wafer_viewer.session.core.dataset_library import load_summary
 from wafer_viewer.session.planning.verdicts import kept_verdict
 from wafer_viewer.session.surface.stitching_job import bring_up_to_date
 from wafer_viewer.session.surface.worker_tasks import reconstruct_field
@@ -21,8 +21,7 @@ from wafer_viewer.store.dataset.dataset import Dataset
 from wafer_viewer.store.dataset.integrity import UNKNOWN, check_files
 from wafer_viewer.store.dataset.result import Result
 from wafer_viewer.store.mosaic.layout import FILLS, levels_of
-from wafer_viewer.store.records.inspection_file import read_inspection
-from wafer_viewer.store.records.review_notes import read_notebook, write_notebook
+from wafer_viewer.store.records.inspection_records import read_inspection, read_notebook, write_notebook
 
 FLIPS = 6
 """Bits flipped in each file, one at a time."""

@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 
 from wafer_viewer.model.acquisition.plan import Shot
 from wafer_viewer.model.errors import DatasetError
-from wafer_viewer.store.dataset.journal import FaultNoted, FrameKept, JournalReader, JournalWriter, Missed, Repaired
+from wafer_viewer.store.dataset.scan_record import FaultNoted, FrameKept, JournalReader, JournalWriter, Missed, Repaired
 from wafer_viewer.store.io.atomic_files import natural_sort_key
 
 NUMBERS = st.floats(-1e6, 1e6)

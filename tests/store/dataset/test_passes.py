@@ -10,9 +10,8 @@ import pytest
 from tests.support.datasets.samples import make_frame, make_job, make_plan
 from wafer_viewer.model.acquisition.devices import PulseSummary
 from wafer_viewer.model.acquisition.plan import Shot
-from wafer_viewer.store.dataset import journal
-from wafer_viewer.store.dataset.dataset import Dataset
-from wafer_viewer.store.dataset.passes import check_passes
+from wafer_viewer.store.dataset import scan_record
+from wafer_viewer.store.dataset.dataset import Dataset, check_passes
 from wafer_viewer.store.dataset.scan_record import JOURNAL
 from wafer_viewer.store.dataset.writer import DatasetWriter
 
@@ -116,5 +115,5 @@ def test_a_frame_that_is_missed_before_its_pass_ends_does_not_count(tmp_path):
     assert len(data.kept()) == N
     assert data.missed() == {}
     assert len(data.ever_missed()) == N
-    lines = list(journal.JournalReader(data.path / JOURNAL).new_lines())
-    assert sum(isinstance(line, journal.Missed) for line in lines) == N
+    lines = list(scan_record.JournalReader(data.path / JOURNAL).new_lines())
+    assert sum(isinstance(line, scan_record.Missed) for line in lines) == N

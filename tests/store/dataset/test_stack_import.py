@@ -8,7 +8,7 @@ import pytest
 import tifffile
 from PIL import Image as PillowImage
 
-from wafer_viewer.model.acquisition.optics import depth_of_field_um
+from wafer_viewer.model.acquisition.calibration import depth_of_field_um
 from wafer_viewer.model.acquisition.plan import Shot
 from wafer_viewer.model.errors import DatasetError
 from wafer_viewer.reconstruct.field_pipeline import reconstruct

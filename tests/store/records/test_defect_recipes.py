@@ -9,12 +9,10 @@ from pathlib import Path
 import pytest
 
 from wafer_viewer.model.errors import DatasetError, MeasureError
-from wafer_viewer.model.inspection.class_rules import ClassRules
-from wafer_viewer.model.inspection.defect import DefectRecipe
-from wafer_viewer.model.inspection.defect_limits import DefectLimits
+from wafer_viewer.model.inspection.defect import ClassRules, DefectLimits, DefectRecipe
 from wafer_viewer.model.region import Region
 from wafer_viewer.model.spec import replace
-from wafer_viewer.store.records.defect_recipes import (
+from wafer_viewer.store.records.inspection_records import (
     defect_recipes,
     delete_defect_recipe,
     read_defect_recipe,

@@ -9,9 +9,15 @@ from tests.support.gauge_repeats import CALIBRATION, record
 from wafer_viewer.model.acquisition.calibration import OpticalSetup
 from wafer_viewer.model.errors import DatasetError, MeasureError
 from wafer_viewer.model.spec import replace
-from wafer_viewer.store.records.calibrations import CalibrationChange, calibration_in_force, record_change
-from wafer_viewer.store.records.certificates import read_certificate
-from wafer_viewer.store.records.gauge_checks import GAUGE_LOG, sign, signed_checks
+from wafer_viewer.store.records.gauge_records import (
+    GAUGE_LOG,
+    CalibrationChange,
+    calibration_in_force,
+    read_certificate,
+    record_change,
+    sign,
+    signed_checks,
+)
 
 ASSETS = paths.ASSETS / "gauge"
 STEP = (ASSETS / "step.toml").read_text()

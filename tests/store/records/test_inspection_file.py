@@ -8,7 +8,7 @@ import pytest
 
 from tests.support.datasets.inspections import defect, inspection
 from wafer_viewer.model.errors import DatasetError, WaferViewerError
-from wafer_viewer.store.records.inspection_file import carry_over, read_inspection, write_inspection
+from wafer_viewer.store.records.inspection_records import carry_over, read_inspection, write_inspection
 
 
 def test_an_inspection_is_read_as_it_was_kept(tmp_path: Path):

@@ -6,7 +6,7 @@ import csv
 import io
 
 from tests.support.datasets.inspections import defect, inspection
-from wafer_viewer.store.tables.defects_csv import COLUMNS, defects_csv
+from wafer_viewer.store.tables.csv_tables import DEFECT_COLUMNS, defects_csv
 
 
 def test_a_line_for_each_with_its_u_and_whose_word_it_is():
@@ -16,7 +16,7 @@ def test_a_line_for_each_with_its_u_and_whose_word_it_is():
         defect(3, "1,0", 1.0, 2.0, kind="unmeasured"),
     )
     first, second, third = csv.DictReader(io.StringIO(defects_csv(found)))
-    assert tuple(first) == COLUMNS
+    assert tuple(first) == DEFECT_COLUMNS
     assert (first["die"], first["u_um"], first["v_um"]) == ("0,0", "100.000", "50.500")
     assert (first["class"], first["class by rules"], first["judged by"]) == ("pit", "particle", "RB")
     assert (first["height_um"], first["U height_um"], first["area_um2"], first["U area_um2"]) == ("6", "0.4", "94", "")
@@ -25,4 +25,4 @@ def test_a_line_for_each_with_its_u_and_whose_word_it_is():
 
 
 def test_a_clean_wafer_has_the_heads_alone():
-    assert defects_csv(inspection()) == ",".join(COLUMNS) + "\n"
+    assert defects_csv(inspection()) == ",".join(DEFECT_COLUMNS) + "\n"

@@ -13,8 +13,7 @@ from tests.support.datasets.inspections import GRID, defect, inspection
 from wafer_viewer.model.acquisition.sample import Sample
 from wafer_viewer.model.errors import DatasetError
 from wafer_viewer.model.inspection.klarf import CLASS_NUMBERS
-from wafer_viewer.store.tables.klarf_reader import read_klarf
-from wafer_viewer.store.tables.klarf_writer import write_klarf
+from wafer_viewer.store.tables.klarf import read_klarf, write_klarf
 
 SAMPLE = Sample(lot="L-204", wafer_id="W07", product="LX-7", slot=7, notch="left", width_um=100_000.0)
 FOUND = inspection(

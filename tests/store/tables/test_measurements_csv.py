@@ -7,12 +7,10 @@ import io
 
 from wafer_viewer.model.findings import MeasurementResults
 from wafer_viewer.model.measurement.levelling import Levelling
-from wafer_viewer.model.measurement.measurements import AreaVolume, Distance
-from wafer_viewer.model.measurement.step import StepHeight
-from wafer_viewer.model.measurement.texture import Texture
+from wafer_viewer.model.measurement.measurements import AreaVolume, Distance, StepHeight, Texture
 from wafer_viewer.model.quantity import BudgetLine, Contribution, Length, Quantity
 from wafer_viewer.model.region import Region
-from wafer_viewer.store.tables.measurements_csv import findings_csv
+from wafer_viewer.store.tables.csv_tables import findings_csv
 
 SQUARE = Region.rectangle(0, 0, 10, 20)
 STEP = {

@@ -5,7 +5,7 @@ import csv
 import numpy as np
 
 from tests.support.made_up_sections import hill, section_of
-from wafer_viewer.store.tables.profile_csv import profiles_csv
+from wafer_viewer.store.tables.csv_tables import profiles_csv
 
 
 def read(text: str) -> tuple[list[str], dict[str, np.ndarray]]:

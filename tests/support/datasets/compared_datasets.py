@@ -9,7 +9,7 @@ import numpy as np
 
 from tests.support.compared_surfaces import taken, tilted, with_bump
 from wafer_viewer.model.acquisition.plan import Field, FocusSweep, ScanPlan
-from wafer_viewer.model.job.job import Job
+from wafer_viewer.model.job import Job
 from wafer_viewer.model.surface.height_map import HeightMap, Provenance
 from wafer_viewer.model.surface.recipe import Recipe, Stitching
 from wafer_viewer.session.surface.stitching_job import bring_up_to_date

@@ -10,8 +10,7 @@ from tests.support.datasets.inspections import defect, inspection
 from tests.support.datasets.samples import CALIBRATION, SUMMARY, make_frame
 from wafer_viewer.model.acquisition.plan import FieldGrid, FocusSweep, ScanPlan, Shot
 from wafer_viewer.model.findings import MeasurementResults
-from wafer_viewer.model.job.job import Job
-from wafer_viewer.model.job.review_notes import Notebook, SavedView
+from wafer_viewer.model.job import Job, Notebook, SavedView
 from wafer_viewer.model.measurement.feature import Feature
 from wafer_viewer.model.progress import silent
 from wafer_viewer.model.region import Region
@@ -23,8 +22,7 @@ from wafer_viewer.session.surface.comparison_job import keep_difference
 from wafer_viewer.session.surface.headless import make_surface
 from wafer_viewer.store.dataset.dataset import Dataset
 from wafer_viewer.store.dataset.writer import DatasetWriter
-from wafer_viewer.store.records.inspection_file import write_inspection
-from wafer_viewer.store.records.review_notes import write_notebook
+from wafer_viewer.store.records.inspection_records import write_inspection, write_notebook
 
 ROWS, COLS, N_FRAMES, PIXEL_UM = 80, 120, 12, 0.5
 UPPER, LOWER = Region.rectangle(5, -15, 15, 15), Region.rectangle(25, -15, 35, 15)

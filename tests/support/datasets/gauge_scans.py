@@ -7,7 +7,7 @@ from pathlib import Path
 from tests.support.surfaces import PIXEL_UM, STEP_UM, gauge_blocks
 from wafer_viewer.model.acquisition.calibration import Calibration
 from wafer_viewer.model.acquisition.plan import Field, FocusSweep, ScanPlan
-from wafer_viewer.model.job.job import Job
+from wafer_viewer.model.job import Job
 from wafer_viewer.model.region import Region
 from wafer_viewer.model.surface.height_map import HeightMap
 from wafer_viewer.store.dataset.dataset import Dataset

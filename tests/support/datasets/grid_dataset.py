@@ -6,7 +6,7 @@ from pathlib import Path
 
 from tests.truth.field_grid import Made
 from wafer_viewer.model.acquisition.plan import FocusSweep, ScanPlan
-from wafer_viewer.model.job.job import Job
+from wafer_viewer.model.job import Job
 from wafer_viewer.model.surface.recipe import Recipe, Stitching
 from wafer_viewer.store.dataset.dataset import Dataset
 from wafer_viewer.store.dataset.result import Result

@@ -8,15 +8,14 @@ import numpy as np
 
 from tests.support.datasets.released import MARKS, SETTLED
 from tests.support.datasets.samples import CALIBRATION, make_job, make_plan
-from wafer_viewer.model.acquisition.alignment import Alignment
-from wafer_viewer.model.acquisition.sample import Sample
-from wafer_viewer.model.job.job import Job
+from wafer_viewer.model.acquisition.sample import Alignment, Sample
+from wafer_viewer.model.job import Job
 from wafer_viewer.model.measurement.feature import Dies, Feature
 from wafer_viewer.model.region import Region
 from wafer_viewer.model.spec import replace
 from wafer_viewer.model.surface.height_map import HeightMap, Provenance
 from wafer_viewer.model.surface.recipe import Stitching
-from wafer_viewer.session.core.surface_summary import save_summary, summarise
+from wafer_viewer.session.core.dataset_library import save_summary, summarise
 from wafer_viewer.session.planning.verdicts import verdict_of
 from wafer_viewer.store.dataset.dataset import Dataset
 from wafer_viewer.store.dataset.scan_record import JOURNAL, ScanRecord, write_record

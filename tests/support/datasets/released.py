@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from wafer_viewer.model.acquisition.alignment import AlignmentMark, Marks
-from wafer_viewer.model.job.job import Job
+from wafer_viewer.model.acquisition.sample import AlignmentMark, Marks
+from wafer_viewer.model.job import Job
 from wafer_viewer.model.measurement.feature import Feature
 from wafer_viewer.model.region import Region
 from wafer_viewer.model.spec import replace

@@ -8,7 +8,7 @@ from wafer_viewer.model.acquisition.calibration import Calibration
 from wafer_viewer.model.acquisition.devices import PulseSummary
 from wafer_viewer.model.acquisition.focus_stack import Frame, FrameStatus
 from wafer_viewer.model.acquisition.plan import FieldGrid, FocusSweep, Leg, PulseTrain, ScanPlan, Shot
-from wafer_viewer.model.job.job import Job
+from wafer_viewer.model.job import Job
 from wafer_viewer.model.surface.height_map import HeightMap, Origin, Provenance
 
 ROWS, COLS = 6, 8

@@ -1,16 +1,262 @@
-"""Die map of a wafer as SVG, coloured by verdict, for the page and for reports. Pure.
+"""Die and site maps of a wafer as SVG, coloured by verdict, defects or range, for the page and for reports.
 
-Colours are custom properties (``--good``, ``--fault`` …) of the embedding page; each verdict has a sign as well.
+Colours are custom properties (``--fault``, ``--good`` …) of the embedding page, so one drawing serves light and dark.
+Every state also has its own hatching, every verdict its own sign.
 """
 
 from __future__ import annotations
 
 import html
-from collections.abc import Sequence
+import math
+from collections import Counter
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass
 
-from wafer_viewer.draw.charts.wafer_map import Box, MapViewport
-from wafer_viewer.model.decision_rule import Word
-from wafer_viewer.model.job.verdict import JudgedDie
+import numpy as np
+
+from wafer_viewer.draw.charts.wafer_map import MOST_SINGLE, Box, MapViewport, Outline
+from wafer_viewer.draw.colormaps import table
+from wafer_viewer.draw.number_format import THIN, number
+from wafer_viewer.model.inspection.defect import Inspection
+from wafer_viewer.model.inspection.die_grid import DieGrid, DieStatus
+from wafer_viewer.model.job import JudgedDie
+from wafer_viewer.model.measurement.measurements import Site, SiteRanges
+from wafer_viewer.model.quantity import Word
+
+Segment = tuple[tuple[float, float], tuple[float, float]]
+"""Line on a die between two points, as fractions of its width and height from the lower left corner."""
+_LOWER: tuple[Segment, ...] = (((0, 0.33), (0.33, 0)), ((0, 0.67), (0.67, 0)), ((0, 1), (1, 0)))
+_UPPER: tuple[Segment, ...] = (((0.33, 1), (1, 0.33)), ((0.67, 1), (1, 0.67)))
+_CROSS: tuple[Segment, ...] = (((0, 0), (1, 1)), ((0, 1), (1, 0)))
+WITH_DEFECTS = "with defects"
+
+
+@dataclass(frozen=True, slots=True)
+class DieLook:
+    """Drawing style of a die state: ink, fill opacity, dashes, hatch lines and their name."""
+
+    ink: str
+    opacity: float = 0.0
+    dashed: bool = False
+    lines: tuple[Segment, ...] = ()
+    told: str = ""
+
+
+DIE_LOOKS: dict[str, DieLook] = {
+    WITH_DEFECTS: DieLook("fault", 0.08),
+    "clean": DieLook("good", 0.12),
+    "not inspected": DieLook("ink3"),
+    "cut": DieLook("ink3", 0.06, True, (((0.4, 1), (1, 0.4)),), "a corner off"),
+    "partly scanned": DieLook("ink3", 0.06, True, _LOWER, "half hatched"),
+    "not scanned": DieLook("ink3", 0.0, True, (*_LOWER, *_UPPER), "hatched"),
+    "missing": DieLook("ink3", 0.0, False, _CROSS, "crossed"),
+}
+"""Styles by die state, in the order of the legend."""
+
+
+@dataclass(frozen=True, slots=True)
+class DieFill:
+    """Fill of a die in addition to its state: CSS colour, opacity, and label."""
+
+    colour: str
+    opacity: float
+    text: str = ""
+
+
+_MARGIN_SHARE, _ZOOM_UNDER = 0.03, 0.45
+"""Margin as a share of the map; share of the sample below which the dies are enlarged, without its outline."""
+_LEAST_FOR_NUMBER_PX, _LEAST_FOR_LINES_PX = 9, 6
+
+
+def kind_of(die: DieStatus) -> str:
+    """Return the state of a die: a key of `DIE_LOOKS`."""
+    if die.state != "whole":
+        return die.state
+    return WITH_DEFECTS if die.defects else die.word.split(",")[0]  # after it: what a clean die was not looked at for
+
+
+def kinds_of(dies: Sequence[DieStatus]) -> dict[str, int]:
+    """Return the number of dies in each state that occurs."""
+    there = Counter(map(kind_of, dies))
+    return {kind: there[kind] for kind in DIE_LOOKS if there[kind]}
+
+
+def kinds_text(dies: Sequence[DieStatus]) -> str:
+    """Return the number of dies in each state, with the name of its hatching, as text."""
+    told = ((n, kind, DIE_LOOKS[kind].told) for kind, n in kinds_of(dies).items())
+    return ", ".join(f"{n} {kind}{f' ({how})' if how else ''}" for n, kind, how in told)
+
+
+def fills_by_count(counts: Mapping[str, int], colour: str = "var(--fault)") -> dict[str, DieFill]:
+    """Return fills by die name: the opacity increases with the number of defects, which is the label."""
+    most = max(counts.values(), default=0)
+    return {name: DieFill(colour, 0.1 + 0.4 * n / most, f"{n}") for name, n in counts.items() if n}
+
+
+def die_frame(
+    inspection: Inspection, outline_um: Outline = (), *, width_px: int = 300, most_height_px: int = 300
+) -> MapViewport | None:
+    """Return the viewport of the die map, None without dies; it contains the sample if the dies fill most of it."""
+    grid, dies = inspection.grid, inspection.dies
+    if grid is None or not dies:
+        return None
+    x, y = _corners(grid, dies)
+    box = float(x.min()), float(y.min()), float(x.max()), float(y.max())
+    if outline_um and _share(box, outline_um) >= _ZOOM_UNDER:
+        xs, ys = [*x.flat, *(p[0] for p in outline_um)], [*y.flat, *(p[1] for p in outline_um)]
+        box = min(xs), min(ys), max(xs), max(ys)
+    pad = _MARGIN_SHARE * max(box[2] - box[0], box[3] - box[1])
+    box = box[0] - pad, box[1] - pad, box[2] + pad, box[3] + pad
+    return MapViewport(box, width_px, min(most_height_px, max(40.0, width_px * (box[3] - box[1]) / (box[2] - box[0]))))
+
+
+def die_shapes(
+    frame: MapViewport,
+    inspection: Inspection,
+    fills: Mapping[str, DieFill],
+    *,
+    outline_um: Outline = (),
+    chosen: str = "",
+) -> str:
+    """Return the dies at their stage positions as SVG elements; the one named `chosen` has a heavy edge.
+
+    Each has its name and state as a title. Above `MOST_SINGLE` dies, those of the same style are one shape.
+    """
+    grid, dies = inspection.grid, inspection.dies
+    if grid is None or not dies:
+        return ""
+    draw = _merged_shapes if len(dies) > MOST_SINGLE else _singly
+    places = _places(frame, grid, dies)
+    kinds = "".join(draw(_DieShape.of(frame, grid), list(zip(dies, places, strict=True)), fills))
+    heavy = (at for die, at in zip(dies, places, strict=True) if die.name == chosen)
+    edge = "".join(_DieShape.of(frame, grid).edge(at) for at in heavy)
+    chosen_edge = f'<path class="wv-die-on" d="{edge}" fill="none" stroke="var(--ink)" stroke-width="2.4"/>'
+    return f"{_sample(frame, outline_um)}{kinds}{chosen_edge if edge else ''}"
+
+
+def defect_map_svg(inspection: Inspection, *, width_px: int = 300, most_height_px: int = 300) -> str:
+    """Return the die map coloured by defect count, for reports; empty without dies."""
+    frame = die_frame(inspection, width_px=width_px, most_height_px=most_height_px)
+    if frame is None:
+        return ""
+    fills = fills_by_count({die.name: die.defects or 0 for die in inspection.dies})
+    return (
+        f'<svg viewBox="0 0 {width_px} {frame.height_px:.0f}" width="{width_px}" role="img" '
+        f'aria-label="Dies by their defects" style="max-width:100%">{die_shapes(frame, inspection, fills)}</svg>'
+    )
+
+
+def look_svg(kind: str, side_px: int = 14) -> str:
+    """Return the legend symbol of a die state."""
+    die = _DieShape((side_px - 3.0, 0.0), (0.0, 3.0 - side_px))
+    drawn = die.drawn([(1.5, side_px - 1.5)], DIE_LOOKS[kind])
+    return f'<svg width="{side_px}" height="{side_px}" aria-hidden="true" style="vertical-align:-2px">{drawn}</svg>'
+
+
+Place = tuple[float, float]
+"""Lower left corner of a die in the image, px."""
+
+
+@dataclass(frozen=True, slots=True)
+class _DieShape:
+    """Lower and left edge vectors of the dies of a lattice in the image, px."""
+
+    across: Place
+    up: Place
+
+    @classmethod
+    def of(cls, frame: MapViewport, grid: DieGrid) -> _DieShape:
+        c, s = math.cos(grid.angle_rad) * frame.scale, math.sin(grid.angle_rad) * frame.scale
+        w, h = max(grid.width_um, 2 / frame.scale), max(grid.height_um, 2 / frame.scale)
+        return cls((c * w, -s * w), (-s * h, -c * h))
+
+    @property
+    def room_px(self) -> float:
+        return min(math.hypot(*self.across), math.hypot(*self.up))
+
+    def at(self, place: Place, u: float, v: float) -> Place:
+        return place[0] + u * self.across[0] + v * self.up[0], place[1] + u * self.across[1] + v * self.up[1]
+
+    def edge(self, place: Place) -> str:
+        (ax, ay), (ux, uy) = self.across, self.up
+        return f"M{place[0]:.1f} {place[1]:.1f}l{ax:.1f} {ay:.1f}l{ux:.1f} {uy:.1f}l{-ax:.1f} {-ay:.1f}z"
+
+    def lines(self, place: Place, segments: Sequence[Segment]) -> str:
+        ends = ((self.at(place, *a), self.at(place, *b)) for a, b in segments)
+        return "".join(f"M{a[0]:.1f} {a[1]:.1f}L{b[0]:.1f} {b[1]:.1f}" for a, b in ends)
+
+    def drawn(self, places: Sequence[Place], look: DieLook, fill: DieFill | None = None) -> str:
+        """Return dies of one style as one shape, with hatching if there is enough space."""
+        ink = f"var(--{look.ink})"
+        colour, opacity = (fill.colour, fill.opacity) if fill is not None else (ink, look.opacity)
+        dashes = ' stroke-dasharray="3 2"' if look.dashed else ""
+        body = (
+            f'<path d="{"".join(map(self.edge, places))}" fill="{colour}" fill-opacity="{opacity:.2f}" '
+            f'stroke="{ink}" stroke-width="{1.1 if self.room_px >= _LEAST_FOR_LINES_PX else 0.5}"{dashes}/>'
+        )
+        if not look.lines or self.room_px < _LEAST_FOR_LINES_PX:
+            return body
+        across = "".join(self.lines(place, look.lines) for place in places)
+        return f'{body}<path d="{across}" fill="none" stroke="{ink}" stroke-width="0.9"/>'
+
+    def text(self, place: Place, text: str) -> str:
+        if not text or self.room_px < _LEAST_FOR_NUMBER_PX:
+            return ""
+        (x, y), size = self.at(place, 0.5, 0.5), min(14.0, 0.6 * self.room_px)
+        return (
+            f'<text x="{x:.1f}" y="{y + 0.35 * size:.1f}" text-anchor="middle" font-size="{size:.1f}" '
+            f'fill="var(--ink)">{html.escape(text)}</text>'
+        )
+
+
+Placed = Sequence[tuple[DieStatus, Place]]
+
+
+def _singly(shape: _DieShape, dies: Placed, fills: Mapping[str, DieFill]) -> Iterator[str]:
+    for die, place in dies:
+        fill = fills.get(die.name)
+        words = " · ".join(dict.fromkeys((die.word, die.state))) if die.state != "whole" else die.word
+        yield (
+            f'<g data-die="{html.escape(die.name)}"><title>Die {html.escape(die.name)}: {html.escape(words)}</title>'
+            f"{shape.drawn([place], DIE_LOOKS[kind_of(die)], fill)}{shape.text(place, fill.text if fill else '')}</g>"
+        )
+
+
+def _merged_shapes(shape: _DieShape, dies: Placed, fills: Mapping[str, DieFill]) -> Iterator[str]:
+    alike: dict[tuple[str, DieFill | None], list[Place]] = {}
+    for die, place in dies:
+        alike.setdefault((kind_of(die), fills.get(die.name)), []).append(place)
+    for (kind, fill), places in alike.items():
+        yield shape.drawn(places, DIE_LOOKS[kind], fill)
+        yield "".join(shape.text(place, fill.text) for place in places if fill is not None)
+
+
+def _places(frame: MapViewport, grid: DieGrid, dies: Sequence[DieStatus]) -> list[Place]:
+    cols, rows = np.array([die.col for die in dies]), np.array([die.row for die in dies])
+    x_um, y_um = grid.to_stage(cols, rows)
+    return [(frame.x(x), frame.y(y)) for x, y in zip(x_um.tolist(), y_um.tolist(), strict=True)]
+
+
+def _corners(grid: DieGrid, dies: Sequence[DieStatus]) -> tuple[np.ndarray, np.ndarray]:
+    """Return x and y, um, of the four corners of all dies."""
+    u, v = grid.width_um * np.array([0, 1, 1, 0]), grid.height_um * np.array([0, 0, 1, 1])
+    cols, rows = np.array([die.col for die in dies])[:, None], np.array([die.row for die in dies])[:, None]
+    return grid.to_stage(cols, rows, u, v)
+
+
+def _share(box: tuple[float, float, float, float], outline_um: Outline) -> float:
+    """Return the larger of the fractions of width and height that a box takes of an outline."""
+    xs, ys = [x for x, _ in outline_um], [y for _, y in outline_um]
+    across, up = max(xs) - min(xs), max(ys) - min(ys)
+    return max((box[2] - box[0]) / max(across, 1e-9), (box[3] - box[1]) / max(up, 1e-9))
+
+
+def _sample(frame: MapViewport, outline_um: Outline) -> str:
+    if len(outline_um) < 3:
+        return ""
+    points = " ".join(f"{frame.x(x):.1f},{frame.y(y):.1f}" for x, y in outline_um)
+    return f'<polygon points="{points}" fill="none" stroke="var(--ink3)" stroke-width="1"/>'
+
 
 INKS: dict[Word, tuple[str, str]] = {
     "pass": ("good", ""),
@@ -82,3 +328,72 @@ def _die(frame: MapViewport, die: JudgedDie) -> str:
         f'<rect x="{x:.1f}" y="{y:.1f}" width="{w:.1f}" height="{h:.1f}" fill="var(--{ink})" fill-opacity=".28" '
         f'stroke="var(--{ink})"/>{text}</g>'
     )
+
+
+_WIDTH, _GAP = 360.0, 0.04
+"""Width of the drawing in its own units; gap between cells as a share of the cell side."""
+_WORDS_FROM = 34.0
+"""Cell width from which the range is written in the cell."""
+_LEAST_CONTRAST = 128
+"""Luma (of 255) below which text on a cell is white."""
+
+
+def site_map_svg(found: SiteRanges, colours: str = "mako") -> str:
+    """Return the lattice with row 0 at the top; each cell has its position and range as a tooltip."""
+    side = _WIDTH / found.cols
+    height = side * found.site_height_um / found.site_width_um
+    low, high = spread_um(found)
+    cells = "".join(
+        _cell(
+            site,
+            (k % found.cols) * side,
+            (k // found.cols) * height,
+            side,
+            height,
+            _relative_range(site, low, high),
+            colours,
+        )
+        for k, site in enumerate(found.sites)
+    )
+    return (
+        f'<svg class="wv-sites" viewBox="0 0 {_WIDTH:g} {height * found.rows:.1f}" role="img" '
+        f'aria-label="Site ranges"><defs><pattern id="wv-no-range" width="6" height="6" patternUnits="userSpaceOnUse" '
+        f'patternTransform="rotate(45)"><path d="M0 0V6" stroke="var(--ink3)" stroke-width="1.4"/></pattern></defs>'
+        f"{cells}</svg>"
+    )
+
+
+def spread_um(found: SiteRanges) -> tuple[float, float]:
+    """Return the smallest and the largest range of all sites."""
+    ranges = [site.range.value_um for site in found.sites if site.range is not None]
+    return min(ranges), max(ranges)
+
+
+def _relative_range(site: Site, low: float, high: float) -> float | None:
+    """Return the relative position of a range between the smallest and the largest; None without a range."""
+    if site.range is None:
+        return None
+    return (site.range.value_um - low) / (high - low) if high > low else 0.5
+
+
+def _cell(site: Site, x: float, y: float, side: float, height: float, share: float | None, colours: str) -> str:
+    gap = _GAP * min(side, height)
+    fill, ink = _inks(share, colours)
+    told = f"{number(site.range.value_um, 3)}{THIN}µm" if site.range is not None else "too little of it is measured"
+    where = f"x {number(site.x_um, 1)}, y {number(site.y_um, 1)}"
+    box = f'x="{x + gap:.2f}" y="{y + gap:.2f}" width="{side - 2 * gap:.2f}" height="{height - 2 * gap:.2f}"'
+    drawn = f'<rect {box} rx="2" fill="{fill}"><title>{html.escape(f"{where}: {told}")}</title></rect>'
+    if site.range is None or min(side, 2 * height) < _WORDS_FROM:
+        return drawn
+    at = f'x="{x + side / 2:.1f}" y="{y + height / 2:.1f}"'
+    size = min(12.0, 0.26 * side)
+    words = f'{at} fill="{ink}" font-size="{size:.1f}" text-anchor="middle" dominant-baseline="central"'
+    return f'{drawn}<text {words} pointer-events="none">{number(site.range.value_um, 2)}</text>'
+
+
+def _inks(share: float | None, colours: str) -> tuple[str, str]:
+    """Return the colours of a cell and of the text on it."""
+    if share is None:
+        return "url(#wv-no-range)", "var(--ink)"
+    r, g, b = (int(v) for v in table(colours)[round(255 * share)])
+    return f"rgb({r},{g},{b})", "#fff" if 0.299 * r + 0.587 * g + 0.114 * b < _LEAST_CONTRAST else "#15202B"

@@ -6,8 +6,7 @@ in a stretched SVG and labels are placed over it in percent, so the plot fills i
 
 from __future__ import annotations
 
-from wafer_viewer.draw.number_format import number, share, with_unit
-from wafer_viewer.draw.ticks import tick_digits, ticks
+from wafer_viewer.draw.number_format import number, share, tick_digits, ticks, with_unit
 from wafer_viewer.model.surface.focus_curve import FocusCurve, Rival
 
 LEFT_PX, RIGHT_PX, TOP_PX, FOOT_PX = 50, 14, 6, 40

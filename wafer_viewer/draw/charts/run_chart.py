@@ -11,10 +11,9 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from datetime import datetime
 
-from wafer_viewer.draw.number_format import number, value_and_u
-from wafer_viewer.draw.ticks import tick_digits, ticks
+from wafer_viewer.draw.number_format import number, tick_digits, ticks, value_and_u
 from wafer_viewer.model.errors import MeasureError
-from wafer_viewer.model.gauge.run_chart import ChartPoint, RunChart
+from wafer_viewer.model.gauge import ChartPoint, RunChart
 
 LEFT_PX, RIGHT_PX, TOP_PX, FOOT_PX = 64, 70, 8, 22
 MOST_POINTS = 30

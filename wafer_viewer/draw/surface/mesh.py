@@ -1,15 +1,25 @@
-"""Triangle meshes of a height map: surface with holes, walls of its block, flat images.
+"""Triangle meshes of a height map, and the unlit glTF that the browser draws with exact colours.
 
 Scene coordinates are mm; z is the height above a reference, in mm too: the scene scales it by the exaggeration.
+
+The page's 3D engine, three.js, sends every material through the filmic curve of S. Hill's fit of the ACES reference
+transforms (three.js, ``ACESFilmicToneMapping``): linear rgb / 0.6 -> input matrix -> (v (v + a) - b) / (v (c v + d) +
+e) -> output matrix -> sRGB. A texture baked with the inverse is displayed in the intended colours. The inverse exceeds
+1 for light colours; it is divided by `GAIN`, which the material multiplies back.
 """
 
 from __future__ import annotations
 
+import io
+import json
+import struct
 from dataclasses import dataclass
-from typing import Any
+from functools import cache
+from typing import Any, Literal
 
 import numpy as np
 from numpy.typing import NDArray
+from PIL import Image
 
 Floats = NDArray[np.float32]
 
@@ -171,4 +181,163 @@ def _wall(x: Floats, y: Floats, z: Floats, base_mm: float, u: float) -> Mesh:
         np.concatenate([top, foot]).astype(np.float32),
         np.stack([np.full(2 * len(x), u), v], axis=1).astype(np.float32),
         quads(2, len(x))[kept].reshape(-1, 3),
+    )
+
+
+GAIN = 3.0
+"""Base colour factor required of the material of these textures."""
+
+_EXPOSURE = 0.6
+_INPUT = np.array([[0.59719, 0.35458, 0.04823], [0.07600, 0.90834, 0.01566], [0.02840, 0.13383, 0.83777]])
+_OUTPUT = np.array([[1.60475, -0.53108, -0.07367], [-0.10208, 1.10813, -0.00605], [-0.00327, -0.07276, 1.07602]])
+_A, _B, _C, _D, _E = 0.0245786, 0.000090537, 0.983729, 0.4329510, 0.238081
+_WHITEST = 245
+"""Lightest displayed grey; lighter ones would need a factor over GAIN."""
+_MOST = 0.95
+"""Upper limit of the curve, so that the inverse stays finite (it reaches 1 / _C only at infinity)."""
+
+
+def to_texture(shown: NDArray[np.uint8]) -> NDArray[np.uint8]:
+    """Return the texture that is displayed as `shown`, both sRGB uint8 [..., 3]; exact to 3 of 255 for Mako."""
+    light = _linear_table()[np.minimum(shown, _WHITEST)]
+    before_output = np.clip(light @ np.linalg.inv(_OUTPUT).T.astype(np.float32), 0, _MOST)
+    texture = _inverse_curve(before_output) @ np.linalg.inv(_INPUT).T.astype(np.float32) * (_EXPOSURE / GAIN)
+    return _to_srgb(texture)
+
+
+def as_shown(texture: NDArray[np.uint8]) -> NDArray[np.uint8]:
+    """Return the displayed colours of a texture with base colour factor `GAIN`, for legends and tests."""
+    v = (_linear_table()[texture] * (GAIN / _EXPOSURE)) @ _INPUT.T
+    curve = (v * (v + _A) - _B) / (v * (_C * v + _D) + _E)
+    return _to_srgb((curve @ _OUTPUT.T).astype(np.float32))
+
+
+def _inverse_curve(y: NDArray[np.float32]) -> NDArray[np.float32]:
+    """Return the positive root v of (1 - c y) v^2 + (a - d y) v - (b + e y) = 0."""
+    p, q, r = 1 - _C * y, _A - _D * y, -(_B + _E * y)
+    return ((-q + np.sqrt(q * q - 4 * p * r)) / (2 * p)).astype(np.float32)
+
+
+@cache
+def _linear_table() -> NDArray[np.float32]:
+    """Return the linear light of every sRGB code."""
+    s = np.arange(256, dtype=np.float64) / 255
+    return np.where(s <= 0.04045, s / 12.92, ((s + 0.055) / 1.055) ** 2.4).astype(np.float32)
+
+
+def _to_srgb(linear: NDArray[np.float32]) -> NDArray[np.uint8]:
+    # A table of 4096 entries instead of a power for each pixel: at most one code off in the darkest tones.
+    return _srgb_table()[(np.clip(linear, 0, 1) ** 0.5 * 4095 + 0.5).astype(np.uint16)]
+
+
+@cache
+def _srgb_table() -> NDArray[np.uint8]:
+    t = (np.arange(4096, dtype=np.float64) / 4095) ** 2
+    s = np.where(t <= 0.0031308, t * 12.92, 1.055 * t ** (1 / 2.4) - 0.055)
+    return (s * 255 + 0.5).astype(np.uint8)
+
+
+Alpha = Literal["OPAQUE", "MASK", "BLEND"]
+_JPEG_QUALITY, _WEBP_QUALITY = 93, 92
+_WEBP = "EXT_texture_webp"
+_FLOAT, _USHORT, _UINT = 5126, 5123, 5125
+_LINEAR, _MIPMAPS, _CLAMP = 9729, 9987, 33071
+
+
+def jpeg(picture: NDArray[np.uint8], quality: int = _JPEG_QUALITY) -> bytes:
+    """Encode an image, grey [row, col] or rgb [row, col, 3], as JPEG without chroma subsampling."""
+    out = io.BytesIO()
+    Image.fromarray(picture).save(out, "JPEG", quality=quality, subsampling=0)
+    return out.getvalue()
+
+
+def webp(picture: NDArray[np.uint8]) -> bytes:
+    """Encode an image with sharp holes, rgba [row, col, 4], as WebP: a quarter of the PNG size at the same speed."""
+    out = io.BytesIO()
+    Image.fromarray(picture).save(out, "WEBP", quality=_WEBP_QUALITY, method=0, exact=True)
+    return out.getvalue()
+
+
+def png(picture: NDArray[np.uint8]) -> bytes:
+    """Encode an image of any kind as PNG, for speed rather than size."""
+    out = io.BytesIO()
+    Image.fromarray(picture).save(out, "PNG", compress_level=1)
+    return out.getvalue()
+
+
+def painted(mesh: Mesh, shown: NDArray[np.uint8], *, blend: bool = False) -> bytes:
+    """Return the GLB of a mesh that is displayed in the colours `shown`, uint8 rgb or rgba [row, col, 3 or 4].
+
+    Alpha cuts holes (pixels under 128 are not drawn), or with `blend` is translucent.
+    """
+    texture = to_texture(shown[..., :3])
+    if shown.shape[-1] == 3 or bool((shown[..., 3] == 255).all()):
+        return glb(mesh, jpeg(texture), "image/jpeg", "OPAQUE")
+    cut_out = np.dstack([texture, shown[..., 3]])
+    if blend:
+        return glb(mesh, png(cut_out), "image/png", "BLEND")
+    return glb(mesh, webp(cut_out), "image/webp", "MASK")
+
+
+def glb(mesh: Mesh, texture: bytes, mime_type: str, alpha: Alpha) -> bytes:
+    """Return the file of a mesh and its encoded texture; uv as normalised 16-bit, indices in the smallest type."""
+    indices = mesh.triangles.astype(np.uint16 if len(mesh.vertices) < 65535 else np.uint32)
+    uv = (np.clip(mesh.uv, 0, 1) * 65535 + 0.5).astype("<u2")
+    is_webp = mime_type == "image/webp"
+    extensions = [_WEBP] if is_webp else []
+    blob, views = _packed([mesh.vertices.astype("<f4").tobytes(), uv.tobytes(), indices.tobytes(), texture])
+    document = {
+        "asset": {"version": "2.0"},
+        "extensionsUsed": ["KHR_materials_unlit", *extensions],
+        **({"extensionsRequired": extensions} if extensions else {}),
+        "scene": 0,
+        "scenes": [{"nodes": [0]}],
+        "nodes": [{"mesh": 0}],
+        "meshes": [{"primitives": [{"attributes": {"POSITION": 0, "TEXCOORD_0": 1}, "indices": 2, "material": 0}]}],
+        "materials": [_material(alpha)],
+        "textures": [{"sampler": 0, "extensions": {_WEBP: {"source": 0}}} if is_webp else {"source": 0, "sampler": 0}],
+        "images": [{"bufferView": 3, "mimeType": mime_type}],
+        "samplers": [{"magFilter": _LINEAR, "minFilter": _MIPMAPS, "wrapS": _CLAMP, "wrapT": _CLAMP}],
+        "bufferViews": views,
+        "buffers": [{"byteLength": len(blob)}],
+        "accessors": _accessors(mesh, indices),
+    }
+    return _container(json.dumps(document, separators=(",", ":")).encode(), blob)
+
+
+def _material(alpha: Alpha) -> dict[str, Any]:
+    surface = {"baseColorTexture": {"index": 0}, "baseColorFactor": [GAIN, GAIN, GAIN, 1], "metallicFactor": 0}
+    return {
+        "pbrMetallicRoughness": surface,
+        "extensions": {"KHR_materials_unlit": {}},
+        "alphaMode": alpha,
+        "doubleSided": True,
+    }
+
+
+def _accessors(mesh: Mesh, indices: NDArray[np.generic]) -> list[dict[str, Any]]:
+    low, high = mesh.vertices.min(axis=0).tolist(), mesh.vertices.max(axis=0).tolist()
+    n = len(mesh.vertices)
+    kind = _USHORT if indices.dtype == np.uint16 else _UINT
+    return [
+        {"bufferView": 0, "componentType": _FLOAT, "count": n, "type": "VEC3", "min": low, "max": high},
+        {"bufferView": 1, "componentType": _USHORT, "normalized": True, "count": n, "type": "VEC2"},
+        {"bufferView": 2, "componentType": kind, "count": int(indices.size), "type": "SCALAR"},
+    ]
+
+
+def _packed(parts: list[bytes]) -> tuple[bytes, list[dict[str, int]]]:
+    """Concatenate the parts with 4-byte alignment, and return their buffer views."""
+    blob, views = bytearray(), []
+    for part in parts:
+        views.append({"buffer": 0, "byteOffset": len(blob), "byteLength": len(part)})
+        blob += part + b"\0" * (-len(part) % 4)
+    return bytes(blob), views
+
+
+def _container(document: bytes, blob: bytes) -> bytes:
+    document += b" " * (-len(document) % 4)
+    head = struct.pack("<4sII", b"glTF", 2, 12 + 8 + len(document) + 8 + len(blob))
+    return (
+        head + struct.pack("<I4s", len(document), b"JSON") + document + struct.pack("<I4s", len(blob), b"BIN\0") + blob
     )

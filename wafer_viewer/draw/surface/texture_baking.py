@@ -1,17 +1,167 @@
-"""Texture baking for a height map: colours of a quantity, lighting, and the all-in-focus image."""
+"""Texture baking for a height map: colours of a quantity, lighting, clipping, and the all-in-focus image.
+
+All functions take heights without gaps (`without_gaps`) and a gain that `light_gain` derives from the surface, so that
+a lapped block and a bumped die both show their relief, independent of pixel size and exaggeration.
+"""
 
 from __future__ import annotations
 
+import dataclasses
+import warnings
 from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy import ndimage
 
 from wafer_viewer.draw.colormaps import BRUSH, ELSEWHERE, origin_table, rgb, table
-from wafer_viewer.draw.surface.clipping import depth_shade
 from wafer_viewer.draw.surface.display_style import DisplayStyle, Form, Light, Plane, Quantity
-from wafer_viewer.draw.surface.hillshade import Shading, shade, without_gaps
+from wafer_viewer.model.surface.clipping import LEFT_OUT, Clip, LeftOut
 from wafer_viewer.model.surface.height_map import HeightMap, Origin
+
+Floats = NDArray[np.float64]
+
+DRAWN = 0
+CODES: dict[LeftOut, int] = {reason: code for code, reason in enumerate(LEFT_OUT, 1)}
+
+_RADII_PX = (1, 3, 9)
+_DIRECTIONS = (
+    *((1.0, 0.0), (-1.0, 0.0), (0.0, 1.0), (0.0, -1.0)),
+    *((0.7, 0.7), (-0.7, 0.7), (0.7, -0.7), (-0.7, -0.7)),
+)
+_DARKEST, _PER_SLOPE = 0.28, 0.55
+"""Darkest shade and its rate, chosen so that baked shading resembles eye-dome lighting."""
+
+
+def clip_codes(part: HeightMap, clip: Clip) -> NDArray[np.uint8]:
+    """Return the reason why each pixel is clipped as a code of `CODES`, or `DRAWN`; uint8 [row, col]."""
+    return point_codes(part.x_um[None, :], part.y_um[:, None], part.z_um, part.confidence, clip)
+
+
+def point_codes(
+    x_um: Floats, y_um: Floats, z_um: NDArray[np.float32], confidence: NDArray[np.float32], clip: Clip
+) -> NDArray[np.uint8]:
+    """Return the reason why each point is not drawn.
+
+    Parameters
+    ----------
+    x_um, y_um
+        Positions in um; they broadcast to the shape of `z_um`.
+    z_um, confidence
+        Height in um and confidence from 0 to 1 of each point.
+    clip
+        Clipping limits.
+
+    Returns
+    -------
+    NDArray[np.uint8]
+        A code of `CODES`, or `DRAWN`, in the shape of `z_um`.
+    """
+    codes = np.zeros(z_um.shape, np.uint8)
+    if clip.box_um is not None:
+        x0, y0, x1, y1 = clip.box_um
+        inside = ((y_um >= y0) & (y_um <= y1)) & ((x_um >= x0) & (x_um <= x1))
+        _mark(codes, ~inside, "box")
+    if clip.heights_um is not None:
+        low, high = clip.heights_um
+        _mark(codes, (z_um < low) | (z_um > high), "height")
+    if clip.least_confidence > 0:
+        _mark(codes, confidence < clip.least_confidence, "confidence")
+    if clip.slab is not None and clip.slab.before != "show":
+        line = clip.slab.line
+        _mark(codes, line.along_and_across_um(x_um, y_um)[1] < -line.width_um / 2, "slab")
+    return codes
+
+
+def depth_shade(z_um: NDArray[np.float32], pixel_um: float, gain: float) -> NDArray[np.float32]:
+    """Return the brightness of each pixel under occlusion by its surroundings, 0.28 ... 1; `gain` scales slopes.
+
+    z_um: heights without gaps. It does not depend on the camera, so it is baked into a tile once.
+    """
+    steepness = np.zeros_like(z_um)
+    for radius in _RADII_PX:
+        for dx, dy in _DIRECTIONS:
+            higher = _shifted(z_um, round(dy * radius), round(dx * radius)) - z_um
+            steepness += np.maximum(0, higher) / np.float32(radius * pixel_um * len(_DIRECTIONS))
+    return np.maximum(_DARKEST, np.exp(-_PER_SLOPE * gain * steepness)).astype(np.float32)
+
+
+def _mark(codes: NDArray[np.uint8], out: NDArray[np.bool_], why: LeftOut) -> None:
+    codes[(codes == DRAWN) & out] = CODES[why]
+
+
+def _shifted(z_um: NDArray[np.float32], down: int, right: int) -> NDArray[np.float32]:
+    """Return the heights shifted by some pixels, with edge values repeated."""
+    rows = np.clip(np.arange(z_um.shape[0]) + down, 0, z_um.shape[0] - 1)
+    cols = np.clip(np.arange(z_um.shape[1]) + right, 0, z_um.shape[1] - 1)
+    return z_um[rows[:, None], cols[None, :]]
+
+
+Heights = NDArray[np.float32]
+
+_AZIMUTH, _ALTITUDE = np.radians(315.0), np.radians(42.0)
+_LIGHT = np.array([np.sin(_AZIMUTH) * np.cos(_ALTITUDE), np.cos(_AZIMUTH) * np.cos(_ALTITUDE), np.sin(_ALTITUDE)])
+_UP = np.array([0.0, 0.0, 1.0])
+_HALFWAY = (_LIGHT + _UP) / np.linalg.norm(_LIGHT + _UP)
+_GLOSS_EXPONENT = 60
+_NOISE_PX = 0.9
+"""Sigma of the smoothing before differentiation, against glitter from pixel noise."""
+_WIDE_PX, _NARROW_PX = 19, 7
+
+
+@dataclass(frozen=True, slots=True)
+class Shading:
+    """Per pixel: `lambert` relative to level ground (1), `gloss` in 0 ... 1, `occlusion` in 0 ... 0.5."""
+
+    lambert: Heights
+    gloss: Heights
+    occlusion: Heights
+
+
+def without_gaps(z_um: Heights) -> Heights:
+    """Return the heights with gaps filled from the nearest measured pixel; zeros if nothing is measured."""
+    gaps = ~np.isfinite(z_um)
+    if not gaps.any():
+        return z_um
+    if gaps.all():
+        return np.zeros_like(z_um)
+    rows, cols = np.asarray(ndimage.distance_transform_edt(gaps, return_distances=False, return_indices=True))
+    return z_um[rows, cols]
+
+
+def light_gain(z_um: Heights, pixel_um: float) -> float:
+    """Return the slope gain for lighting, by which a typical slope of the surface is lit as one of 0.4."""
+    step_y, step_x = np.abs(np.diff(z_um, axis=0)), np.abs(np.diff(z_um, axis=1))
+    slopes = np.concatenate([step_y[np.isfinite(step_y)], step_x[np.isfinite(step_x)]]) / pixel_um
+    typical = float(np.sqrt(np.mean(np.minimum(slopes, 2.0) ** 2))) if slopes.size else 0.0
+    return float(np.clip(0.4 / max(typical, 1e-6), 0.4, 8.0))
+
+
+def shade(z_um: Heights, pixel_um: float, gain: float, span_um: float) -> Shading:
+    """Return the shading of heights without gaps; `span_um` is the height range that scales the occlusion."""
+    smooth = ndimage.gaussian_filter(z_um, _NOISE_PX) * np.float32(gain / pixel_um)
+    down, right = np.gradient(smooth)
+    flat = 1 / np.sqrt(right * right + down * down + 1)
+    lambert = np.clip((_LIGHT[2] - _LIGHT[0] * right + _LIGHT[1] * down) * flat, 0, None) / _LIGHT[2]
+    gloss = np.clip((_HALFWAY[2] - _HALFWAY[0] * right + _HALFWAY[1] * down) * flat, 0, 1) ** _GLOSS_EXPONENT
+    return Shading(lambert.astype(np.float32), gloss.astype(np.float32), _occlusion(z_um, span_um))
+
+
+def _occlusion(z_um: Heights, span_um: float) -> Heights:
+    """Return the depth of a pixel below its wide and narrow surroundings, relative to the height range."""
+    scale = np.float32(1 / max(span_um, 1e-6))
+    wide = np.clip((_mean(z_um, _WIDE_PX) - z_um) * scale * 0.66, 0, 0.28)
+    narrow = np.clip((_mean(z_um, _NARROW_PX) - z_um) * scale * 0.9, 0, 0.22)
+    return (wide + narrow).astype(np.float32)
+
+
+def _mean(z_um: Heights, width_px: int) -> Heights:
+    """Return two passes of a box filter: close to a Gaussian, with a cost independent of its width."""
+    once = ndimage.uniform_filter(z_um, width_px, mode="nearest")
+    return np.asarray(ndimage.uniform_filter(once, width_px, mode="nearest"), np.float32)
+
 
 Picture = NDArray[np.uint8]
 _BRUSH_SHARE = 0.86
@@ -123,3 +273,41 @@ def _lit(colour: NDArray[np.float32], shading: Shading, strength: float) -> NDAr
     factor *= 1 - np.float32(1.2 * strength) * shading.occlusion
     lit = colour * factor[..., None] + np.float32(38 * strength) * shading.gloss[..., None]
     return np.clip(lit, 0, 255).astype(np.float32)
+
+
+Layer = NDArray[np.float32] | NDArray[np.uint8] | NDArray[np.uint16]
+
+
+def reduced(part: HeightMap, factor: int) -> HeightMap:
+    """Return the map in blocks of factor x factor pixels; blocks at the right and lower edge may be partial.
+
+    A height is the mean of the measured pixels in its block; the origin is that of the best pixel, the lowest code.
+    """
+    if factor <= 1:
+        return part
+    shift = (factor - 1) / 2 * part.pixel_um
+    return dataclasses.replace(
+        part,
+        z_um=_mean_of_blocks(part.z_um, factor),
+        z_raw_um=_mean_of_blocks(part.z_raw_um, factor),
+        confidence=_mean_of_blocks(part.confidence, factor),
+        all_in_focus=_mean_of_blocks(part.all_in_focus, factor).astype(part.all_in_focus.dtype),
+        overlap_um=None if part.overlap_um is None else _mean_of_blocks(part.overlap_um, factor),
+        origin=_blocks(part.origin, factor, 255).min(axis=(1, 3)),
+        pixel_um=part.pixel_um * factor,
+        x0_um=part.x0_um + shift,
+        y0_um=part.y0_um - shift,
+    )
+
+
+def _mean_of_blocks(layer: Layer, factor: int) -> NDArray[np.float32]:
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", RuntimeWarning)  # a block without a measured pixel stays NaN
+        return np.nanmean(_blocks(layer.astype(np.float32), factor, np.nan), axis=(1, 3)).astype(np.float32)
+
+
+def _blocks(layer: Layer, factor: int, outside: float) -> NDArray[Any]:
+    """Return the layer as [row, factor, col, factor], padded with `outside`."""
+    rows, cols = layer.shape
+    padded = np.pad(layer, ((0, -rows % factor), (0, -cols % factor)), constant_values=outside)
+    return padded.reshape(padded.shape[0] // factor, factor, padded.shape[1] // factor, factor)

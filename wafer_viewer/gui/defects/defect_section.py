@@ -10,25 +10,20 @@ from typing import Any
 import viser
 
 from wafer_viewer.draw.surface.display_style import DisplayStyle
-from wafer_viewer.gui.defects.defect_dialogs import ERRANDS, recipes_dialog
-from wafer_viewer.gui.defects.exclusion_dialog import STAYS, ExcludedDialog, area_of_defect
+from wafer_viewer.gui.defects.defect_dialogs import ERRANDS, STAYS, ExcludedDialog, area_of_defect, recipes_dialog
 from wafer_viewer.gui.defects.inspection_form import InspectionForm
 from wafer_viewer.gui.defects.klarf_overlay import OtherSection
 from wafer_viewer.gui.page.page import Page
 from wafer_viewer.gui.page.preconditions import no_defects
-from wafer_viewer.gui.presenters.result_regions import Box
-from wafer_viewer.gui.presenters.review import defects as words
-from wafer_viewer.gui.presenters.review.defect_items import chosen_defect
-from wafer_viewer.gui.presenters.review.defect_limits import verdict
-from wafer_viewer.gui.presenters.review.defect_pareto import chart_of
-from wafer_viewer.gui.presenters.review.defect_table import rows, rows_of, sorting
-from wafer_viewer.gui.presenters.review.review import filters
-from wafer_viewer.gui.presenters.review.review_item import ReviewItem
-from wafer_viewer.gui.presenters.review.review_items import chosen_item, review_items
+from wafer_viewer.gui.presenters import defects as words
+from wafer_viewer.gui.presenters.defects import chart_of, chosen_defect, rows, rows_of, sorting
+from wafer_viewer.gui.presenters.inspection_form import verdict
+from wafer_viewer.gui.presenters.results import Box
+from wafer_viewer.gui.presenters.review import chosen_item, filters, review_items
+from wafer_viewer.gui.presenters.review_item import ReviewItem
 from wafer_viewer.gui.scenes.surface_scene import source_of
 from wafer_viewer.gui.scenes.thumbnails import Thumbnails, framed, thumbnail
-from wafer_viewer.gui.state.defect_list_state import SORTS
-from wafer_viewer.gui.state.view_state import View
+from wafer_viewer.gui.state.view_state import SORTS, View
 from wafer_viewer.gui.widgets import html
 from wafer_viewer.gui.widgets.command import Command, with_precondition
 from wafer_viewer.gui.widgets.controls import HtmlBlock, set_prop

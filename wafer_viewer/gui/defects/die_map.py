@@ -13,16 +13,13 @@ from typing import Any
 import numpy as np
 import viser
 
-from wafer_viewer.draw.charts.defect_map import die_frame
-from wafer_viewer.draw.charts.defect_symbols import KINDS
-from wafer_viewer.draw.charts.map_marks import MapMark, map_marks_svg
-from wafer_viewer.draw.charts.wafer_map import MOST_HEIGHT_PX, WIDTH_PX, MapViewport, Outline
+from wafer_viewer.draw.charts.die_map import die_frame
+from wafer_viewer.draw.charts.symbols import KINDS
+from wafer_viewer.draw.charts.wafer_map import MOST_HEIGHT_PX, WIDTH_PX, MapMark, MapViewport, Outline, map_marks_svg
 from wafer_viewer.gui.page.page import Page
 from wafer_viewer.gui.page.preconditions import require_step
-from wafer_viewer.gui.presenters.review.defect_items import chosen_defect, key_of, on_show
-from wafer_viewer.gui.presenters.review.defect_map import BY, map_head, map_html, other_signs
-from wafer_viewer.gui.state.defect_list_state import listed, next_die, next_kind
-from wafer_viewer.gui.state.view_state import View
+from wafer_viewer.gui.presenters.defects import BY, chosen_defect, key_of, map_head, map_html, on_show, other_signs
+from wafer_viewer.gui.state.view_state import View, listed, next_die, next_kind
 from wafer_viewer.gui.widgets.command import Command, with_precondition
 from wafer_viewer.gui.widgets.controls import HtmlBlock, set_prop
 from wafer_viewer.model.inspection.defect import Defect, Inspection

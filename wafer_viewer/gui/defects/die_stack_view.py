@@ -1,28 +1,119 @@
-"""Sheet over the scene with all dies overlaid, to find defects that repeat from die to die; key Backspace."""
+"""Sheet over the scene with all dies overlaid, to find defects that repeat from die to die."""
 
 from __future__ import annotations
 
-from collections.abc import Callable
+import base64
+from collections.abc import Callable, Sequence
 from dataclasses import replace
 from typing import Any
 
 import viser
 
-from wafer_viewer.gui.defects.die_stack_html import FOOT_PX, HEAD_PX, PAD_PX, drawing_px, head, place_of, sheet
-from wafer_viewer.gui.overlays.scene_sheet import OverScene
+from wafer_viewer.draw.charts.defect_charts import die_stack_svg, not_drawn, shown
+from wafer_viewer.draw.charts.symbols import KINDS, symbol_svg
+from wafer_viewer.draw.number_format import number
+from wafer_viewer.gui.overlays.hud import OverScene, SheetRoom
 from wafer_viewer.gui.page.page import Page
 from wafer_viewer.gui.page.preconditions import nothing_inspected
-from wafer_viewer.gui.presenters.review.defect_items import key_of, number_of
-from wafer_viewer.gui.state.defect_list_state import listed
-from wafer_viewer.gui.state.view_state import View
+from wafer_viewer.gui.presenters.defects import key_of, number_of
+from wafer_viewer.gui.state.view_state import View, listed
 from wafer_viewer.gui.widgets import html
+from wafer_viewer.gui.widgets.callback_timing import LatestOnlyWorker
 from wafer_viewer.gui.widgets.command import Command, with_precondition
 from wafer_viewer.gui.widgets.error_guard import guarded
-from wafer_viewer.gui.widgets.latest_only import LatestOnlyWorker
-from wafer_viewer.model.inspection.defect import Defect, Inspection
-from wafer_viewer.model.inspection.repeating_defect import RepeatedPlace
-from wafer_viewer.session.rendering.comparison_views import DiePicture
+from wafer_viewer.model.inspection.defect import LEAST_DIES, Defect, Inspection, RepeatedPlace
+from wafer_viewer.session.rendering.render_request import DiePicture
 from wafer_viewer.session.state.snapshot import Snapshot
+
+HEAD_PX, FOOT_PX, PAD_PX, LIST_PX = 30, 26, 12, 250
+MOST_ROWS = 60
+NO_DIES = "The surface was compared with its form: there are no dies to overlay."
+
+
+def drawing_px(inspection: Inspection, room: SheetRoom) -> tuple[int, int]:
+    """Return the width and height that the drawing can take next to the list, in pixels."""
+    grid = inspection.grid
+    aspect = grid.width_um / grid.height_um if grid is not None else 1.0
+    width, height = room.width_px - LIST_PX - 3 * PAD_PX, room.height_px - HEAD_PX - FOOT_PX - 2 * PAD_PX
+    return int(min(width, height * aspect)), int(min(height, width / aspect))
+
+
+def sheet(
+    inspection: Inspection,
+    places: Sequence[RepeatedPlace],
+    picture: DiePicture | None,
+    size_px: tuple[int, int],
+    chosen: int | None,
+    place: int | None,
+) -> str:
+    """Return the sheet as HTML."""
+    if inspection.grid is None:
+        return head(inspection) + html.empty(NO_DIES)
+    url = f"data:image/jpeg;base64,{base64.b64encode(picture.picture).decode()}" if picture and picture.picture else ""
+    drawn = die_stack_svg(
+        inspection,
+        places,
+        url,
+        width_px=size_px[0],
+        most_height_px=size_px[1],
+        chosen=chosen,
+        place=place,
+        attributes=html.pick,
+    )
+    beside = f'<div class="wv-stack-list" style="max-height:{size_px[1]}px">{_list(inspection, places, place)}</div>'
+    foot = f'<div class="wv-lab" style="height:{FOOT_PX}px;padding-top:6px">{_foot(inspection, places, picture)}</div>'
+    return f'{head(inspection)}<div class="wv-stacked"><div>{drawn}</div>{beside}</div>{foot}'
+
+
+def head(inspection: Inspection) -> str:
+    """Return the header with title and close link as HTML."""
+    whole = sum(die.state == "whole" for die in inspection.dies)
+    name = f"All {whole} whole dies overlaid" if whole else "All dies overlaid"
+    away = f'<span class="wv-link" {html.pick("sheet", "none")}>Close · Esc</span>'
+    return f'<div class="wv-over-head" style="height:{HEAD_PX}px"><b>{name}</b><span>{away}</span></div>'
+
+
+def place_of(numbers: tuple[int, ...], places: Sequence[RepeatedPlace]) -> int | None:
+    """Return the index of the place that shares most defects with a filter; None if no place shares any.
+
+    The numbers need not match exactly, because a defect that was rejected since is no longer part of its place.
+    """
+    common = [len(set(place.numbers) & set(numbers)) for place in places]
+    return common.index(max(common)) if any(common) else None
+
+
+def _list(inspection: Inspection, places: Sequence[RepeatedPlace], chosen: int | None) -> str:
+    if not places:
+        dies = "No two dies" if len({d.die for d in inspection.found if d.die}) < 2 else f"No {LEAST_DIES} dies"
+        return html.empty("Nothing repeats.", f"{dies} have a defect at the same place.")
+    rows = [_row(k, place, k == chosen) for k, place in enumerate(places[:MOST_ROWS])]
+    more = f'<div class="wv-lab">{len(places) - MOST_ROWS} more</div>' if len(places) > MOST_ROWS else ""
+    return html.head("Places that repeat", f"{len(places)}", first=True) + html.table([], rows, "  n") + more
+
+
+def _row(k: int, place: RepeatedPlace, chosen: bool) -> str:
+    look, at = KINDS[place.kind], place.in_die
+    name = (
+        f"{symbol_svg(look.shape, look.colour)} {look.title}"
+        f"<small>x {number(at.x_um, 1)}, y {number(at.y_um, 1)}\u202fµm</small>"
+    )
+    dies = f"<b>{len(place.dies)}</b><small>of {place.of_dies} dies</small>"
+    told = html.safe(f"Place {k + 1}, {look.title}, {place.words}")
+    attributes = f'{html.pick("defect-place", k)} aria-label="{told}"'
+    return html.row([f"{k + 1}", name, dies], "  n", attributes, "sel" if chosen else "")
+
+
+def _foot(inspection: Inspection, places: Sequence[RepeatedPlace], picture: DiePicture | None) -> str:
+    if picture is None:
+        ground = "The picture of the die is made …"
+    elif picture.why_not:
+        ground = picture.why_not
+    else:
+        ground = f"Picture: {picture.golden or f'median of {picture.dies} dies'}"
+    left = not_drawn(inspection, shown(inspection, places))
+    parts = [ground, f"{left} weaker ones are not drawn" if left else "", "Backspace: next place" if places else ""]
+    return html.safe(" · ".join(part for part in parts if part))
+
 
 WAITING_PX = 120
 

@@ -4,15 +4,15 @@ from __future__ import annotations
 
 from collections.abc import Callable
 
-from wafer_viewer.draw.charts.map_marks import MapMark
+from wafer_viewer.draw.charts.wafer_map import MapMark
 from wafer_viewer.draw.number_format import number
 from wafer_viewer.gui.page.page import Page
-from wafer_viewer.gui.presenters.result_regions import Box
+from wafer_viewer.gui.presenters.results import Box
 from wafer_viewer.gui.widgets import html
 from wafer_viewer.gui.widgets.controls import HtmlBlock
 from wafer_viewer.model.inspection.defect import Defect
 from wafer_viewer.model.inspection.klarf import KlarfDefect
-from wafer_viewer.session.state.inspection_resources import OtherTool
+from wafer_viewer.session.state.inspection_state import OtherTool
 from wafer_viewer.session.state.snapshot import Snapshot
 
 MOST_ROWS, MOST_MARKS = 6, 400

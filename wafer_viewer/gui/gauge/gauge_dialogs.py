@@ -18,7 +18,7 @@ from wafer_viewer.gui.widgets import html
 from wafer_viewer.gui.widgets.controls import HtmlBlock, duo
 from wafer_viewer.gui.widgets.number_field import OptionalNumber
 from wafer_viewer.model.errors import MeasureError
-from wafer_viewer.model.gauge.gauge_check import Certificate, GaugeCheck, ScaleCorrection
+from wafer_viewer.model.gauge import Certificate, GaugeCheck, ScaleCorrection
 
 WAIT_S = 20.0
 """Timeout for a session command, which is awaited so that the dialog can show its error."""

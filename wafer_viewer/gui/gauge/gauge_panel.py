@@ -1,31 +1,276 @@
-"""Panel of the gauge check: verdict, evidence, and the commands that lead to a signed check."""
+"""Panel of the gauge check: verdict, evidence, conditions, and the commands that lead to a signed check."""
 
 from __future__ import annotations
 
+from concurrent.futures import Future
 from datetime import date
-from typing import Any
+from pathlib import Path
+from typing import Any, Literal
 
 import viser
 
-from wafer_viewer.gui.gauge.face_finder import FaceFinder
-from wafer_viewer.gui.gauge.gauge_commands import GaugeActions
-from wafer_viewer.gui.gauge.gauge_conditions import TermsSection
-from wafer_viewer.gui.gauge.gauge_list import selected_check
-from wafer_viewer.gui.gauge.study_section import StudySection
+from wafer_viewer.gui.gauge.gauge_dialogs import certificate_dialog, correct_dialog, sign_dialog
+from wafer_viewer.gui.gauge.gauge_displays import selected_check
 from wafer_viewer.gui.measure.live_measurement import Answering
+from wafer_viewer.gui.page.dialogs import Dialog
+from wafer_viewer.gui.page.file_dialog import FileList
 from wafer_viewer.gui.page.page import Page
 from wafer_viewer.gui.page.preconditions import require_step
+from wafer_viewer.gui.presenters import gauge as unsure
 from wafer_viewer.gui.presenters import gauge as words
-from wafer_viewer.gui.presenters import gauge_uncertainty as unsure
+from wafer_viewer.gui.presenters.gauge import BY_HAND, METHODS, next_point, study
 from wafer_viewer.gui.state.view_state import View
-from wafer_viewer.gui.tools.gauge_regions import in_scene
+from wafer_viewer.gui.tools.region_tools import default_faces, in_scene
 from wafer_viewer.gui.widgets import html
+from wafer_viewer.gui.widgets.callback_timing import Debouncer, LatestOnlyWorker
 from wafer_viewer.gui.widgets.command import Command, with_precondition
-from wafer_viewer.gui.widgets.controls import HtmlBlock, button, in_a_row, leading, set_prop
+from wafer_viewer.gui.widgets.controls import BoundInput, HtmlBlock, button, in_a_row, leading, set_prop
+from wafer_viewer.gui.widgets.error_guard import guarded
+from wafer_viewer.gui.widgets.number_field import OptionalNumber, text_of
 from wafer_viewer.gui.widgets.style import by_id
-from wafer_viewer.model.gauge.gauge_check import GaugeCheck
-from wafer_viewer.model.measurement.step import StepHeight
+from wafer_viewer.model.errors import WaferViewerError
+from wafer_viewer.model.gauge import GaugeCheck, Method
+from wafer_viewer.model.measurement.measurements import StepHeight
+from wafer_viewer.model.spec import replace
 from wafer_viewer.session.state.snapshot import Snapshot
+
+Surface = tuple[Path, int, int]
+"""Dataset path, displayed field (0 for the stitched surface) and stamp of the surface."""
+
+
+class FaceFinder:
+    """Finder of the two faces, run when there are no faces of this dataset yet, and on request.
+
+    problem: why no faces were found, or empty; looking: whether a search is running.
+    """
+
+    def __init__(self, page: Page) -> None:
+        self._page = page
+        self._worker = LatestOnlyWorker("faces")
+        self._looked_at: Surface | None = None
+        self.problem = ""
+        self.looking = False
+        page.on_close(self._worker.close)
+
+    def follow(self, snapshot: Snapshot, view: View) -> None:
+        """Start a search if a surface without faces is displayed."""
+        surface = _surface(snapshot, view)
+        if surface is None or surface == self._looked_at:
+            return
+        of_others = self._looked_at is not None and self._looked_at[0] != surface[0]
+        if of_others or not view.faces:
+            self._look(surface)
+        self._looked_at = surface
+
+    def again(self) -> None:
+        """Search again and replace the present regions."""
+        surface = _surface(self._page.session.snapshot, self._page.view)
+        if surface is not None:
+            self._look(surface)
+
+    def place_default_regions(self) -> None:
+        """Place the regions at default positions, to be dragged by hand."""
+        info = self._page.session.snapshot.surface
+        if info is not None:
+            self.problem = ""
+            self._page.change(faces=default_faces(info))
+
+    def _look(self, surface: Surface) -> None:
+        self._looked_at, self.looking, self.problem = surface, True, ""
+        self._worker.ask(lambda: guarded(self._page, "The faces were not found")(self._find)(self._page.view.show))
+        self._page.redraw()
+
+    def _find(self, show: int) -> None:
+        try:
+            faces = self._page.session.gauge.find_faces(max(0, show))
+            self._page.change(faces=faces)
+        except WaferViewerError as fault:
+            self.problem = str(fault)
+        finally:
+            self.looking = False
+            self._page.redraw()
+
+
+def _surface(snapshot: Snapshot, view: View) -> Surface | None:
+    """Return the key of the displayed surface; None without one, or during a scan."""
+    data = snapshot.dataset
+    if data is None or snapshot.surface is None or snapshot.scanning:
+        return None
+    return data.path, max(0, view.show), snapshot.surface.stamp
+
+
+Lead = Literal["certificate", "measure", "sign", "new"]
+"""Command of the leading (filled) button."""
+
+
+class GaugeActions:
+    """Commands of a gauge check, for buttons, keys and clicks."""
+
+    def __init__(self, page: Page, finder: FaceFinder) -> None:
+        self._page, self._finder = page, finder
+        page.on_pick("gauge-tick", self._tick)
+        page.on_pick(
+            "gauge-drop", lambda k: page.ask("The repeat was not changed", page.session.gauge.drop_repeat(int(k)))
+        )
+        page.on_pick("gauge-lay", lambda _: finder.place_default_regions())
+        page.on_pick("gauge-find", lambda _: finder.again())
+
+    def go_on(self) -> None:
+        """Carry out the next point of the procedure, or ask for the certificate if it is missing."""
+        snapshot = self._page.session.snapshot
+        point = next_point(snapshot)
+        if point is None:
+            self.begin_anew()
+        elif point.name in BY_HAND:
+            self._tick(point.name)
+        elif point.name == "scan":
+            self._page.change(step="plan")
+        elif snapshot.gauge.certificate is None:
+            self.certificate()
+        elif point.name == "faces":
+            self.measure()
+        else:
+            self.sign()
+
+    def measure(self) -> None:
+        """Measure the step between the regions and add it as a repeat."""
+        view = self._page.view
+        upper, lower = view.faces or (None, None)
+        taken = self._page.session.gauge.add_repeat(upper, lower, max(0, view.show))
+        self._page.ask("The step was not measured", taken, lambda _: self._page.change(check=None))
+
+    def sign(self) -> None:
+        """Open the dialog that signs the check."""
+        check = self._page.session.snapshot.gauge.check
+        if check is not None:
+            guarded(self._page, "The check was not signed")(sign_dialog)(self._page, check)
+
+    def certificate(self) -> None:
+        """Open the dialog that loads a certificate."""
+        guarded(self._page, "The certificate was not loaded")(certificate_dialog)(self._page)
+
+    def correct(self) -> None:
+        """Open the dialog that corrects the z scale, if a correction is proposed."""
+        offered = self._page.session.snapshot.gauge.correction
+        if offered is not None:
+            guarded(self._page, "The z scale was not changed")(correct_dialog)(self._page, offered)
+
+    def begin_anew(self) -> None:
+        """Start a new check of the same blocks."""
+        self._page.ask(
+            "The check was not changed", self._page.session.gauge.clear(), lambda _: self._page.change(check=None)
+        )
+
+    def leading(self, snapshot: Snapshot) -> Lead:
+        """Return the command of the leading button."""
+        gauge = snapshot.gauge
+        if gauge.signed is not None:
+            return "new"
+        if gauge.check is not None:
+            return "sign"
+        return "certificate" if gauge.certificate is None else "measure"
+
+    def why_not(self, snapshot: Snapshot, view: View, verb: Lead) -> str | None:
+        """Return the reason why a command is not possible now, to follow "Not yet:"; None if it is."""
+        gauge, data = snapshot.gauge, snapshot.dataset
+        if verb == "measure":
+            if gauge.busy:
+                return "a repeat is being measured."
+            if snapshot.surface is None:
+                return "there is no surface to measure on."
+            return gauge.refusal or (None if view.faces else "the regions do not lie on the faces yet.")
+        if verb == "sign" and data is not None and data.read_only is not None:
+            return data.read_only
+        return None
+
+    def _tick(self, point: str) -> None:
+        done = any(tick.point == point for tick in self._page.session.snapshot.gauge.ticks)
+        self._page.ask("The point was not changed", self._page.session.gauge.tick(point, not done))
+
+
+FAILED = "The terms of the check were not changed"
+
+
+class TermsSection:
+    """Numeric fields of the terms; quantities that need an empty one are not evaluated."""
+
+    def __init__(self, page: Page) -> None:
+        self._page = page
+        self._edits = Debouncer(self._put, guarded(page, FAILED))
+        self._folder = page.gui.add_folder(None, visible=False)
+        with self._folder:
+            HtmlBlock(page.gui, html.head("Terms"))
+            self._fields = {
+                "limit_um": self._number("Limit, ± µm", over=0),
+                "temperature_c": self._number("Blocks, °C"),
+                "tolerance_um": self._number("Tolerance, µm", over=0),
+                "interval_days": self._number("Next in, days", over=0, whole=True),
+            }
+
+    def show(self, snapshot: Snapshot, earlier: bool) -> None:
+        """Bring the numbers up to date; they are hidden for an earlier check."""
+        set_prop(self._folder, "visible", not earlier)
+        for name, (_, field) in self._fields.items():
+            field.show(text_of(getattr(snapshot.gauge.terms, name)))
+
+    def _number(
+        self, label: str, over: float | None = None, whole: bool = False
+    ) -> tuple[OptionalNumber, BoundInput[str]]:
+        number = OptionalNumber(self._page.gui, label, over=over, whole=whole)
+        return number, BoundInput(number.handle, lambda _: self._edits.made(), self._page, FAILED)
+
+    def _put(self) -> Future[Any] | None:
+        put_in: dict[str, Any] = {name: number.value for name, (number, _) in self._fields.items()}
+        terms = self._page.session.snapshot.gauge.terms
+        days = put_in["interval_days"]
+        put_in["interval_days"] = terms.interval_days if days is None else int(days)
+        answer = self._page.session.gauge.set_terms(replace(terms, **put_in))
+        self._page.ask(FAILED, answer)
+        return answer
+
+
+STUDY_FAILED = "The study was not read"
+METHOD_OF: dict[str, Method] = {word.capitalize(): method for method, word in METHODS.items()}
+HEAD = "Repeatability and reproducibility"
+
+
+class StudySection:
+    """Result of the last study in this browser, and the button for a new one."""
+
+    def __init__(self, page: Page) -> None:
+        self._page = page
+        self._told = ""
+        self._cell = HtmlBlock(page.gui)
+        ask = guarded(page, STUDY_FAILED)(lambda _: self.ask())
+        in_a_row(page.gui, [button(page.gui, "Gauge R&R study…", viser.Icon.TABLE_IMPORT, ask)])
+
+    def show(self) -> None:
+        """Bring the section up to date."""
+        what = "Share of the variation that comes from the gauge, by AIAG."
+        waits = f'<div class="wv-lab" style="margin-bottom:6px">{what}</div>'
+        self._cell.show(html.head(HEAD) + (self._told or waits))
+
+    def ask(self) -> None:
+        """Open the dialog that reads a study with a method and a tolerance."""
+        below = "A CSV with the columns part, appraiser and value, or a folder of repeat scans of wafers with a job."
+        dialog = Dialog(self._page, "Gauge R&R study", below)
+        gui = self._page.gui
+        with dialog.modal:
+            files = FileList(dialog, "study", rows=6)
+            files.add_upload("text/csv")
+            method = gui.add_dropdown("Method", tuple(METHOD_OF))
+            tolerance = OptionalNumber(gui, "Tolerance", over=0)
+
+        def read() -> None:
+            self._read(files.path(), method.value, tolerance.value)
+
+        dialog.answers("Read the study", viser.Icon.TABLE_IMPORT, read, STUDY_FAILED)
+
+    def _read(self, path: Path, method: str, tolerance: float | None) -> None:
+        made = self._page.session.studies.gauge_rr(path, METHOD_OF[method], tolerance)
+        self._told = "".join(study(one) for one in made)
+        self._page.redraw()
+
 
 ICON = viser.Icon
 LEAD_PX = 58

@@ -1,16 +1,20 @@
-"""Live measurement with the active tool on a worker thread, updated while handles move."""
+"""Live measurements and profile curves on a worker thread, updated while handles are dragged."""
 
 from __future__ import annotations
 
+import threading
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 
 from wafer_viewer.gui.page.page import Page
 from wafer_viewer.gui.state.view_state import View
 from wafer_viewer.gui.tools.region_tools import has_required_kinds
+from wafer_viewer.gui.widgets.callback_timing import LatestOnlyWorker
 from wafer_viewer.gui.widgets.error_guard import guarded
-from wafer_viewer.gui.widgets.latest_only import LatestOnlyWorker
 from wafer_viewer.model.errors import WaferViewerError
 from wafer_viewer.model.findings import AnyResult
+from wafer_viewer.model.measurement.measurements import Profile
+from wafer_viewer.model.measurement.sections import Gap, Section, SectionAsked, cursor_difference
 from wafer_viewer.model.measurement.tools import TOOLS
 from wafer_viewer.session.state.snapshot import Snapshot
 
@@ -76,3 +80,129 @@ def _stamp(snapshot: Snapshot, show: int) -> object:
     if show > 0:
         return snapshot.dataset.stamps.get(show) if snapshot.dataset else None
     return snapshot.surface.stamp if snapshot.surface else None
+
+
+_NOT_FELT_S = 0.03
+
+
+@dataclass(frozen=True, slots=True)
+class Missing:
+    """Reason why there is no curve."""
+
+    why: str
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class CurveAnswer:
+    """Result of the measurement along the active line, or the problem."""
+
+    finding: Profile | None = None
+    problem: str = ""
+
+
+class LiveProfiles:
+    """Curves of all lines, and a second one for each comparison of the active line."""
+
+    def __init__(self, page: Page) -> None:
+        self._page = page
+        self._worker = LatestOnlyWorker("profile")
+        self._known: dict[SectionAsked, Section | Missing] = {}
+        self._asked: object = None
+        self._surface: object = None
+        self._line = 0
+        self._lock, self._measured = threading.Lock(), threading.Event()
+        self._news: Callable[[], None] = lambda: None
+        self.sections: tuple[Section, ...] = ()
+        self.problems: tuple[str, ...] = ()
+        page.on_close(self._worker.close)
+
+    def on_news(self, callback: Callable[[], None]) -> None:
+        """Set the callback for new curves; it runs on the measuring thread."""
+        self._news = callback
+
+    @property
+    def active(self) -> Section | None:
+        """Curve of the active line; None without one."""
+        return next((s for s in self.sections if s.asked.place == self._line and not s.asked.is_second), None)
+
+    @property
+    def gap(self) -> Gap | None:
+        """Cursor readings on the active line's curve, at the nearest measured points; None without a curve."""
+        active = self.active
+        return None if active is None else cursor_difference(active.curve, self._page.view.plot.cursors)
+
+    def cursor_shares(self, view: View) -> tuple[float, float]:
+        """Return the cursor positions as shares of the active line's length; the requested ones without a curve."""
+        read, active = self.gap, self.active
+        if read is None or active is None or view.tool != "profile":
+            return view.plot.cursors
+        length_um = float(active.curve.distance_um[-1])
+        return read.at_um[0] / length_um, read.at_um[1] / length_um
+
+    @property
+    def answer(self) -> CurveAnswer:
+        """Result of the active line, or the first problem."""
+        active = self.active
+        return CurveAnswer(active.profile if active else None, self.problems[0] if self.problems else "")
+
+    def show(self, snapshot: Snapshot, view: View) -> None:
+        """Request the curves that have changed; none are measured unless profiles are displayed."""
+        self._ask(snapshot)
+
+    def follow(self) -> None:
+        """Update the curves after a handle has moved, before its line is sent, so that one frame shows both.
+
+        Waits at most `_NOT_FELT_S`, which is imperceptible.
+        """
+        self._ask(self._page.session.snapshot)
+        self._measured.wait(_NOT_FELT_S)
+
+    def _ask(self, snapshot: Snapshot) -> None:
+        """Request curves for the newest view; the page may be drawing an older one while a handle moves."""
+        with self._lock:
+            view = self._page.view
+            if view.step != "measure" or view.tool != "profile" or snapshot.surface is None:
+                return
+            self._line = view.line
+            surface, wanted = _profile_stamp(snapshot, view.show), tuple(_asked(view))
+            if (surface, wanted) == self._asked:
+                return
+            self._asked = surface, wanted
+            self._measured.clear()
+            measure = guarded(self._page, "The measurement failed")(self._measure)
+            self._worker.ask(lambda: measure(surface, wanted))
+
+    def _measure(self, surface: object, wanted: tuple[SectionAsked, ...]) -> None:
+        if surface != self._surface:
+            self._surface, self._known = surface, {}
+        answers = {asked: self._known.get(asked) or self._section(asked) for asked in wanted}
+        self._known = answers
+        self.sections = tuple(answer for answer in answers.values() if isinstance(answer, Section))
+        self.problems = tuple(answer.why for answer in answers.values() if isinstance(answer, Missing))
+        self._news()
+        self._measured.set()
+        self._page.redraw()
+
+    def _section(self, asked: SectionAsked) -> Section | Missing:
+        try:
+            return self._page.session.sections.section(asked)
+        except WaferViewerError as fault:
+            return Missing(str(fault))
+
+
+def _asked(view: View) -> Iterator[SectionAsked]:
+    """Yield the request of every line, followed for the active one by its comparisons."""
+    for place, line in enumerate(view.lines):
+        yield SectionAsked(place, line, view.show, view.levelling, slab=view.look == "points")
+        if place == view.line and view.plot.cleaned:
+            yield SectionAsked(place, line, view.show, view.levelling, cleaned=True)
+        if place == view.line and view.plot.of is not None:
+            yield SectionAsked(place, line, 0, view.levelling, of=view.plot.of)
+
+
+def _profile_stamp(snapshot: Snapshot, show: int) -> object:
+    """Return a stamp that changes with the measured heights; None without a surface."""
+    data, surface = snapshot.dataset, snapshot.surface
+    if data is None or surface is None:
+        return None
+    return data.path, surface.result, surface.stamp if show <= 0 else data.stamps.get(show), show

@@ -1,25 +1,95 @@
-"""Bottom panel with the profiles as live curves in µm; the scene is resized to make room for it."""
+"""Bottom panel with the profiles as live curves in µm; pointer and keys zoom and move the cursors.
+
+viser reports no clicks on its plots, so these elements cover the curves and report through the page's hidden field.
+"""
 
 from __future__ import annotations
 
 import threading
 import time
 from collections.abc import Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 
-from wafer_viewer.draw.charts.profile_axes import Ends, ProfileFrame, frame_of
-from wafer_viewer.draw.charts.profile_plot import profile_plot_html
-from wafer_viewer.gui.measure import plot_interaction as pointer
-from wafer_viewer.gui.measure.live_profiles import LiveProfiles
-from wafer_viewer.gui.page.bottom_panel import BottomPanel
+from wafer_viewer.draw.charts.profile_plot import Ends, ProfileFrame, frame_of, profile_plot_html
+from wafer_viewer.gui.measure.live_measurement import LiveProfiles
 from wafer_viewer.gui.page.page import Page
-from wafer_viewer.gui.presenters import profile as words
-from wafer_viewer.gui.state.plot_state import with_cursor
-from wafer_viewer.gui.state.view_state import View
+from wafer_viewer.gui.page.panels import BottomPanel
+from wafer_viewer.gui.presenters import measurement as words
+from wafer_viewer.gui.state.view_state import View, with_cursor
+from wafer_viewer.gui.widgets import html
 from wafer_viewer.gui.widgets.controls import HtmlBlock
-from wafer_viewer.model.measurement.section_lines import Gap, cursor_difference, next_measured
-from wafer_viewer.model.measurement.sections import Section
+from wafer_viewer.model.measurement.sections import Gap, Section, cursor_difference, next_measured
 from wafer_viewer.session.state.snapshot import Snapshot
+
+ZOOM, CURSOR = "plot", "cursor"
+"""Events: start and end of a drag as shares of the plot's width; a cursor and its distance."""
+WHOLE = "whole"
+_ALONG = "(event.clientX-this.getBoundingClientRect().left)/this.clientWidth"
+_DOWN = f"if(event.button===0){{this.setPointerCapture(event.pointerId);window.plotFrom={_ALONG}}}"
+"""The drag is stored in the window, so that it continues on a plot that is redrawn meanwhile."""
+_MOVE = (
+    "if(!(event.buttons&1)){window.plotFrom=undefined;this.firstElementChild.style.display='none'}"
+    f"if(window.plotFrom!==undefined){{const a=window.plotFrom,b={_ALONG},s=this.firstElementChild.style;"
+    "s.display='block';s.left=100*Math.max(0,Math.min(a,b))+'%';s.right=100*Math.max(0,1-Math.max(a,b))+'%'}"
+)
+_UP = (
+    f"if(window.plotFrom!==undefined){{this.dataset.k=window.plotFrom+':'+{_ALONG};window.plotFrom=undefined;"
+    f"this.firstElementChild.style.display='none';{html.pick_script(ZOOM)}}}"
+)
+_WHOLE = f"this.dataset.k='{WHOLE}';{html.pick_script(ZOOM)}"
+_KEYS = "if(event.key.startsWith('Arrow'))event.stopPropagation()"
+"""Stops the arrow keys from moving the camera as well."""
+
+
+def zoom_area() -> str:
+    """Return the element over the curves as HTML: a drag zooms, a click moves the nearer cursor."""
+    heard = {"pointerdown": _DOWN, "pointermove": _MOVE, "pointerup": _UP, "dblclick": _WHOLE}
+    handlers = " ".join(f'on{event}="{html.safe(script)}"' for event, script in heard.items())
+    return f'<div class="wv-zoom" {handlers}><div></div></div>'
+
+
+def cursor_sliders(at_um: Sequence[float], ends_um: tuple[float, float], step_um: float) -> str:
+    """Return a slider over the plot for each cursor within its ends, as HTML; only the thumbs take the pointer."""
+    tell = "this.dataset.k=this.name+':'+this.value+':'+(this.dataset.by||'key')+':{end}';"
+    tell += html.pick_script(CURSOR, latest_only=True)
+    moved, released = (html.safe(tell.replace("{end}", end)) for end in ("", "end"))
+    released += ";delete this.dataset.by"
+    return "".join(
+        f'<input type="range" class="wv-slide" name="{k}" aria-label="Cursor {k + 1}, µm" '
+        f'min="{ends_um[0]!r}" max="{ends_um[1]!r}" step="{step_um * (1 - 1e-9)!r}" value="{at!r}" '
+        f'oninput="{moved}" onchange="{released}" onpointerdown="this.dataset.by=\'hand\'" onkeydown="{_KEYS}">'
+        for k, at in enumerate(at_um)
+        if ends_um[0] <= at <= ends_um[1]
+    )
+
+
+def parse_drag(key: str) -> tuple[float, float]:
+    """Return the two shares that `zoom_area` reported, clamped to the plot."""
+    first, last = (min(max(float(share), 0.0), 1.0) for share in key.split(":"))
+    return first, last
+
+
+@dataclass(frozen=True, slots=True)
+class CursorMove:
+    """Slider event: number of the cursor, its distance along the line in um, moved by key, released."""
+
+    number: int
+    at_um: float
+    by_key: bool
+    released: bool
+
+
+def parse_cursor_event(key: str) -> CursorMove:
+    """Parse the event of a cursor slider."""
+    number, at_um, by, end = key.split(":")
+    return CursorMove(int(number), float(at_um), by == "key", end == "end")
+
+
+def focus_slider_html(number: int) -> str:
+    """Return HTML that focuses the slider of a cursor again, after it was recreated during keyboard use."""
+    script = f"document.querySelector('.wv-slide[name=&quot;{number}&quot;]')?.focus()"
+    return f'<img src="data:," alt="" hidden onerror="{script}">'
+
 
 STILL_S = 0.6
 """Shorter intervals between curves mean that a handle is moving; the height axis is held meanwhile."""
@@ -46,8 +116,8 @@ class ProfileDock:
             self._over = HtmlBlock(page.gui)
             self._sliders = HtmlBlock(page.gui)
         page.on_pick("line", lambda place: page.change(line=int(place), selected=None))
-        page.on_pick(pointer.ZOOM, self._pointed)
-        page.on_pick(pointer.CURSOR, self._slide)
+        page.on_pick(ZOOM, self._pointed)
+        page.on_pick(CURSOR, self._slide)
         curves.on_news(lambda: self._draw(page.view))
 
     def show(self, snapshot: Snapshot, view: View) -> None:
@@ -70,7 +140,7 @@ class ProfileDock:
             plot = profile_plot_html(sections, self._frame, at_um, view.brush)
             self._show_below(self._head(view, read) + plot)
             # Always the same, and so never put in anew under the pointer that drags on it.
-            self._over.show(pointer.zoom_area())
+            self._over.show(zoom_area())
             self._show_sliders(view, active, read)
 
     def _show_below(self, content: str) -> None:
@@ -97,19 +167,19 @@ class ProfileDock:
         if view.plot.cursors != self._slid or self._slider[0] != self._frame.x_um:
             self._slid, self._slider = None, (self._frame.x_um, read.at_um)
         ends_um, at_um = self._slider
-        sliders = pointer.cursor_sliders(at_um, ends_um, _step_um(active))
-        focused = pointer.focus_slider_html(self._focused) if self._focused is not None else ""
+        sliders = cursor_sliders(at_um, ends_um, _step_um(active))
+        focused = focus_slider_html(self._focused) if self._focused is not None else ""
         self._sliders.show(f'<div class="wv-slides" data-rests="{self._rests}">{sliders}{focused}</div>')
 
     # ---------------------------------------------------------------- what the operator does
 
     def _pointed(self, key: str) -> None:
         plot = self._page.view.plot
-        if key == pointer.WHOLE:
+        if key == WHOLE:
             self._page.change(plot=replace(plot, span_um=None))
             return
         low, high = self._frame.x_um
-        first, last = (low + share * (high - low) for share in pointer.parse_drag(key))
+        first, last = (low + share * (high - low) for share in parse_drag(key))
         if abs(last - first) > LEAST_ZOOM_SHARE * (high - low):
             self._page.change(plot=replace(plot, span_um=(min(first, last), max(first, last))))
         else:
@@ -128,7 +198,7 @@ class ProfileDock:
 
         Released at an unmeasured point it snaps to the nearest measured one; keys jump over the gap.
         """
-        told, active, before = pointer.parse_cursor_event(key), self._curves.active, self._curves.gap
+        told, active, before = parse_cursor_event(key), self._curves.active, self._curves.gap
         if active is None or before is None:
             return
         length_um = float(active.curve.distance_um[-1])

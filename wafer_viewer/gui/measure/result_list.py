@@ -12,7 +12,7 @@ from wafer_viewer.gui.page.import_export_dialogs import save_dialog
 from wafer_viewer.gui.page.page import Page
 from wafer_viewer.gui.presenters.measurement import REGION_COLOUR, list_text, sign_colour, symbol
 from wafer_viewer.gui.presenters.provenance import surface_name
-from wafer_viewer.gui.presenters.result_regions import Box, bounds_of, input_regions, tool_of
+from wafer_viewer.gui.presenters.results import Box, bounds_of, input_regions, tool_of
 from wafer_viewer.gui.scenes.thumbnails import Thumbnails
 from wafer_viewer.gui.state.view_state import View
 from wafer_viewer.gui.widgets import html

@@ -1,20 +1,19 @@
-"""Overlays of the scene: legends, scale bar, read-out."""
+"""Overlays of the scene: legends, scale bar, read-out, and sheets as wide as the scene."""
 
 from __future__ import annotations
 
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
 
-from wafer_viewer.draw.number_format import number, with_unit
-from wafer_viewer.draw.ticks import length_text, round_length
-from wafer_viewer.gui.page.bottom_panel import bottom_panel_height_px
+from wafer_viewer.draw.number_format import length_text, number, round_length, with_unit
 from wafer_viewer.gui.page.page import Page
+from wafer_viewer.gui.page.panels import bottom_panel_height_px
 from wafer_viewer.gui.state.view_state import View
-from wafer_viewer.gui.tools.gauge_regions import in_scene
+from wafer_viewer.gui.tools.region_tools import in_scene
 from wafer_viewer.gui.widgets import html
-from wafer_viewer.gui.widgets.controls import FloatingPanel
+from wafer_viewer.gui.widgets.controls import FloatingPanel, HtmlBlock, set_prop
 from wafer_viewer.model.measurement.levelling import LevelBy
 from wafer_viewer.model.surface.height_map import ORIGIN_TITLES, Origin
 from wafer_viewer.session.measurement.dataset_queries import ReadOut
@@ -159,3 +158,49 @@ def _scale_bar(um_per_pixel: float, beside: str) -> str:
     length_um = round_length(BAR_PX * um_per_pixel)
     ruler = f'<div style="width:{length_um / um_per_pixel:.0f}px"><b>{length_text(length_um)}</b><i></i></div>'
     return f'<div class="wv-glass wv-scale">{ruler}<span>{html.safe(beside)}</span></div>'
+
+
+FIRST_PX = 892, 640
+"""Initial size, until the browser reports the size of its scene."""
+BORDER_PX = 18
+"""Extra height of the panel, without which viser clips its content at the bottom."""
+
+
+@dataclass(frozen=True, slots=True)
+class SheetRoom:
+    """Available size of a sheet in CSS pixels."""
+
+    width_px: int
+    height_px: int
+
+
+class OverScene:
+    """Sheet over the scene; the page is redrawn when the size of the scene changes."""
+
+    def __init__(self, page: Page) -> None:
+        self._page = page
+        self._panel = page.gui.add_panel(visible=False)
+        with self._panel.add_tab("·"):
+            self._cell = HtmlBlock(page.gui, padded=False)
+        self._place = (0, 0)
+        self._size = FIRST_PX
+        page.viewport.on_change(lambda: self._follow(page.viewport.width_px, page.viewport.height_px))
+
+    @property
+    def room(self) -> SheetRoom:
+        """Available size at present."""
+        width, height = self._size
+        return SheetRoom(max(360, width - 2 * EDGE_PX), max(240, height - 2 * EDGE_PX))
+
+    def show(self, content: str, height_px: int = 0) -> None:
+        """Show `content`, or nothing when it is empty."""
+        if content and (self.room.width_px, height_px) != self._place:
+            self._place = self.room.width_px, height_px
+            self._panel.float(x=EDGE_PX, y=EDGE_PX, width=self._place[0], height=height_px + BORDER_PX)
+        self._cell.show(content and f'<div class="wv-ov wv-over"><div class="wv-sheet-over">{content}</div></div>')
+        set_prop(self._panel, "visible", bool(content))
+
+    def _follow(self, width_px: int, height_px: int) -> None:
+        if (width_px, height_px) != self._size and width_px > 0 and height_px > 0:
+            self._size = width_px, height_px
+            self._page.redraw()

@@ -11,19 +11,19 @@ from numpy.typing import NDArray
 
 from wafer_viewer.draw.number_format import number
 from wafer_viewer.draw.surface.display_style import QUANTITIES
-from wafer_viewer.gui.overlays.colour_legend import SIGNED
+from wafer_viewer.gui.overlays.legends import SIGNED
 from wafer_viewer.gui.page.page import Page
 from wafer_viewer.gui.page.preconditions import surface_not_shown
 from wafer_viewer.gui.state.view_state import View
+from wafer_viewer.gui.widgets.callback_timing import LatestOnlyWorker
 from wafer_viewer.gui.widgets.command import Command, with_precondition
 from wafer_viewer.gui.widgets.error_guard import guarded
-from wafer_viewer.gui.widgets.latest_only import LatestOnlyWorker
 from wafer_viewer.gui.widgets.style import RGB_OF_TONE
 from wafer_viewer.model.errors import WaferViewerError
 from wafer_viewer.session.state.snapshot import Snapshot
 
 if TYPE_CHECKING:
-    from wafer_viewer.draw.print.print_figure import Caption, ColourKey
+    from wafer_viewer.draw.print_figures import Caption, ColourKey
     from wafer_viewer.gui.scenes.scene_view import SceneView
 
 PRINT_WIDTH_PX = 3000
@@ -86,7 +86,7 @@ class PrintPicture:
             ) from fault
 
     def _keep(self, rendered: NDArray[np.uint8], um_per_pixel: float, whole: bool) -> None:
-        from wafer_viewer.draw.print.print_figure import DARK, LIGHT, png, print_picture
+        from wafer_viewer.draw.print_figures import DARK, LIGHT, png, print_picture
 
         page, snapshot, view = self._page, self._page.session.snapshot, self._page.view
         paper = DARK if view.dark else LIGHT
@@ -102,7 +102,7 @@ class PrintPicture:
         page.ask("The picture was not saved", page.session.papers.keep_picture(data), kept)
 
     def _key(self, view: View) -> ColourKey | None:
-        from wafer_viewer.draw.print.print_figure import ColourKey
+        from wafer_viewer.draw.print_figures import ColourKey
 
         scale, by = self._page.scale, self._page.coloured_by(view)
         if scale is None or by == "origin":
@@ -113,7 +113,7 @@ class PrintPicture:
 
 def caption_of(snapshot: Snapshot, view: View) -> Caption:
     """Return the caption of the picture."""
-    from wafer_viewer.draw.print.print_figure import Caption
+    from wafer_viewer.draw.print_figures import Caption
 
     data = snapshot.dataset
     drawn = "seen from above" if view.look == "plan" else f"z drawn × {number(view.exaggeration, 1).removesuffix('.0')}"

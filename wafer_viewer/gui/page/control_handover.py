@@ -16,8 +16,7 @@ from wafer_viewer.gui.page.page import Page
 from wafer_viewer.gui.state.view_state import View
 from wafer_viewer.gui.widgets import html
 from wafer_viewer.gui.widgets.controls import HtmlBlock, bar, unbar
-from wafer_viewer.session.state.control_state import Browser, ControlState
-from wafer_viewer.session.state.snapshot import Snapshot
+from wafer_viewer.session.state.snapshot import Browser, ControlState, Snapshot
 
 HANDS_ON = frozenset(
     {

@@ -1,4 +1,4 @@
-"""File list inside a dialog: folders and files, shortcuts, and a path field.
+"""File list inside a dialog: folders and files, shortcuts, a path field, and files uploaded by the browser.
 
 The session lists folders and renders previews on its own threads; this module only shows its answers.
 """
@@ -8,6 +8,7 @@ from __future__ import annotations
 import base64
 import os
 import shlex
+import tempfile
 from collections.abc import Callable
 from concurrent.futures import Future
 from datetime import datetime
@@ -19,7 +20,6 @@ import viser
 
 from wafer_viewer.draw.number_format import number, size
 from wafer_viewer.gui.page.dialogs import Dialog, KeepOpen, confirm_overwrite, format_time
-from wafer_viewer.gui.page.uploads import save_upload
 from wafer_viewer.gui.widgets import html
 from wafer_viewer.gui.widgets.controls import HtmlBlock, outlined
 from wafer_viewer.gui.widgets.error_guard import guarded
@@ -35,6 +35,17 @@ from wafer_viewer.session.files.file_browser import (
     Root,
     saved_as,
 )
+
+
+def save_upload(file: viser.UploadedFile, otherwise: str = "upload") -> Path:
+    """Save an upload in a new temporary folder; of the sender's path only the file name is used.
+
+    otherwise: file name if the sender gave none.
+    """
+    target = Path(tempfile.mkdtemp(prefix="wafer-viewer-")) / (Path(file.name).name or otherwise)
+    target.write_bytes(file.content)
+    return target
+
 
 MOST_SHOWN = 2000
 """Largest number of rows; the rest is reached by typing the beginning of a name."""

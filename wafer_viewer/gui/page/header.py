@@ -15,8 +15,8 @@ from wafer_viewer.gui.state.view_state import Step, View
 from wafer_viewer.gui.widgets.controls import Gui, HtmlBlock, button, set_prop
 from wafer_viewer.gui.widgets.html import icon, pick, safe
 from wafer_viewer.gui.widgets.style import HEADER_PX, LEFT_PX, by_id
-from wafer_viewer.model.gauge.gauge_check import GaugeCheck
-from wafer_viewer.model.job.review_notes import keys_under_review
+from wafer_viewer.model.gauge import GaugeCheck
+from wafer_viewer.model.job import keys_under_review
 from wafer_viewer.session.state.snapshot import RigStatus, Snapshot
 
 STEPS: tuple[Step, ...] = get_args(Step)

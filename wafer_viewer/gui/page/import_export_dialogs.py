@@ -13,7 +13,7 @@ from wafer_viewer.draw.number_format import number
 from wafer_viewer.gui.page.dialogs import Dialog, open_dataset, open_surface
 from wafer_viewer.gui.page.file_dialog import FileList
 from wafer_viewer.gui.page.page import Page
-from wafer_viewer.gui.presenters.displayed_surface import name_of
+from wafer_viewer.gui.presenters.surface import surface_name
 from wafer_viewer.gui.widgets import html
 from wafer_viewer.gui.widgets.controls import HtmlBlock, duo
 from wafer_viewer.gui.widgets.number_field import OptionalNumber
@@ -134,7 +134,7 @@ def export_dialog(page: Page) -> None:
     stem = f"{data.path.stem if data else 'surface'}{_ending_of(field)}"
     told, box_um = page.statistics, page.counted_um
     part = Region.rectangle(*box_um) if box_um is not None else None
-    dialog = Dialog(page, "Export the surface", f"Writes: {name_of(page.view)}.")
+    dialog = Dialog(page, "Export the surface", f"Writes: {surface_name(page.view)}.")
     size = (told.rows, told.cols, told.pixel_um) if told else (info.rows, info.cols, info.pixel_um) if info else None
     with dialog.modal:
         first = next(iter(_TITLES.values()))

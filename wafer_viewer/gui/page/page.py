@@ -21,7 +21,7 @@ from wafer_viewer.gui.widgets.error_guard import guarded, tell_failure
 from wafer_viewer.gui.widgets.html import Tone, icon, note, pick, read_picks, safe, with_micro_sign
 from wafer_viewer.gui.widgets.style import RGB_OF_TONE
 from wafer_viewer.model.surface.clipping import Box
-from wafer_viewer.session.access_control import restricted_session
+from wafer_viewer.session.api import restricted_session
 from wafer_viewer.session.rendering.render_request import ColourScale, Statistics
 from wafer_viewer.session.state.snapshot import Fault, Snapshot
 

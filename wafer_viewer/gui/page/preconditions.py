@@ -1,14 +1,56 @@
-"""Preconditions of commands: each returns a reason that follows "Not now:", or None if the command is possible."""
+"""Preconditions of commands: each returns a reason that follows "Not now:", or None; and the dispatch of judgements."""
 
 from __future__ import annotations
 
-from wafer_viewer.gui.page import judgement
+from concurrent.futures import Future
+from typing import TYPE_CHECKING, Any
+
 from wafer_viewer.gui.page.header import TITLES, possible, why_not
-from wafer_viewer.gui.presenters.review.defect_items import chosen_defect
+from wafer_viewer.gui.presenters.defects import JUDGEMENT_OF, chosen_defect, number_of
 from wafer_viewer.gui.state.view_state import Step, View
 from wafer_viewer.gui.widgets.command import Obstacle
-from wafer_viewer.model.measurement.section_lines import MOST_LINES
+from wafer_viewer.model.job import Verdict
+from wafer_viewer.model.measurement.sections import MOST_LINES
 from wafer_viewer.session.state.snapshot import Snapshot
+
+if TYPE_CHECKING:
+    from wafer_viewer.session.api import SessionApi
+
+
+def judge(session: SessionApi, key: str, verdict: Verdict) -> Future[Any]:
+    """Accept, reject or reopen an item."""
+    number = number_of(key)
+    if number is None:
+        return session.notebook.judge(key, verdict)
+    return session.defects.judge(number, JUDGEMENT_OF[verdict])
+
+
+def note(session: SessionApi, key: str, text: str) -> Future[Any]:
+    """Save a note on an item."""
+    number = number_of(key)
+    return session.notebook.judge(key, note=text) if number is None else session.defects.judge(number, note=text)
+
+
+def undo(session: SessionApi, view: View) -> Future[Any]:
+    """Undo the last judgement in the store of the item under review."""
+    return session.notebook.undo() if number_of(view.review) is None else session.defects.undo()
+
+
+def redo(session: SessionApi, view: View) -> Future[Any]:
+    """Redo the last undone judgement in the store of the item under review."""
+    return session.notebook.redo() if number_of(view.review) is None else session.defects.redo()
+
+
+def can_undo(snapshot: Snapshot, view: View) -> bool:
+    """Return whether a judgement can be undone."""
+    of_defects = number_of(view.review) is not None
+    return snapshot.inspection.can_undo if of_defects else snapshot.notebook.can_undo
+
+
+def can_redo(snapshot: Snapshot, view: View) -> bool:
+    """Return whether a judgement can be redone."""
+    of_defects = number_of(view.review) is not None
+    return snapshot.inspection.can_redo if of_defects else snapshot.notebook.can_redo
 
 
 def no_dataset(snapshot: Snapshot, _: View) -> str | None:
@@ -112,16 +154,10 @@ def no_result(snapshot: Snapshot, view: View) -> str | None:
 def nothing_to_undo(snapshot: Snapshot, view: View) -> str | None:
     """Require a change to undo in the current step."""
     of = {"plan": snapshot.draft.can_undo, "acquire": snapshot.draft.can_undo, "measure": snapshot.findings_undo}
-    return (
-        None
-        if of.get(view.step, judgement.can_undo(snapshot, view))
-        else f"nothing was changed in {TITLES[view.step]}."
-    )
+    return None if of.get(view.step, can_undo(snapshot, view)) else f"nothing was changed in {TITLES[view.step]}."
 
 
 def nothing_to_redo(snapshot: Snapshot, view: View) -> str | None:
     """Require a change to redo in the current step."""
     of = {"plan": snapshot.draft.can_redo, "acquire": snapshot.draft.can_redo, "measure": snapshot.findings_redo}
-    return (
-        None if of.get(view.step, judgement.can_redo(snapshot, view)) else f"nothing was undone in {TITLES[view.step]}."
-    )
+    return None if of.get(view.step, can_redo(snapshot, view)) else f"nothing was undone in {TITLES[view.step]}."

@@ -1,4 +1,4 @@
-"""Status bar: sample, rig, calibration, displayed surface, holder of the controls."""
+"""Status bar, and the note after a restart that asks to confirm the sample."""
 
 from __future__ import annotations
 
@@ -8,15 +8,14 @@ import viser
 
 from wafer_viewer.draw.number_format import THIN, number, share
 from wafer_viewer.gui.page.page import Page
-from wafer_viewer.gui.presenters import stitching
+from wafer_viewer.gui.presenters import surface as stitching
 from wafer_viewer.gui.state.view_state import View
 from wafer_viewer.gui.widgets import html
 from wafer_viewer.gui.widgets.controls import HtmlBlock
 from wafer_viewer.model.acquisition.calibration import Calibration
-from wafer_viewer.model.job.job import Job
+from wafer_viewer.model.job import Job
 from wafer_viewer.session.rendering.render_request import Statistics
-from wafer_viewer.session.state.control_state import ControlState
-from wafer_viewer.session.state.snapshot import RigStatus, Snapshot, SurfaceInfo
+from wafer_viewer.session.state.snapshot import ControlState, RigStatus, Snapshot, SurfaceInfo
 
 SOON_DAYS = 14
 """A calibration that is due within this many days gets a warning."""
@@ -162,3 +161,26 @@ def _controls(hands: ControlState, key: str) -> str:
     look = "mine" if hands.holds(key) else "theirs"
     told = f'title="{html.safe(who)}: who is there, your name, and how to ask for the controls" {html.pick("hands")}'
     return f'<span class="wv-hand {look}" {told}>{sign}{html.safe(who + others)}</span>'
+
+
+class Reopened:
+    """Request to confirm the sample on the stage, in the steps that move the rig."""
+
+    def __init__(self, page: Page) -> None:
+        self._note = HtmlBlock(page.gui)
+        failed = "The sample is not confirmed"
+        page.on_pick("confirm-sample", lambda _: page.ask(failed, page.session.jobs.confirm()))
+
+    def show(self, snapshot: Snapshot, view: View) -> None:
+        """Show the note until the sample is confirmed."""
+        waits = not snapshot.draft.confirmed and view.step in ("plan", "acquire")
+        self._note.show(_words(snapshot, view) if waits else "")
+
+
+def _words(snapshot: Snapshot, view: View) -> str:
+    data = snapshot.dataset
+    name = sample(job_shown(snapshot, view))[0] or (data.path.stem if data is not None else "an unfinished plan")
+    said = f"Reopened from last time: {name}. Another sample may be on the stage now."
+    yes = f'<span class="wv-link" {html.pick("confirm-sample")}>It is this sample</span>'
+    sign = html.icon(viser.Icon.ALERT_TRIANGLE, 18)
+    return html.note("attention", "Nothing moves before you confirm the sample", said, yes, sign)

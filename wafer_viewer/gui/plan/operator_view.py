@@ -8,13 +8,13 @@ from typing import Any
 from wafer_viewer.draw.number_format import duration
 from wafer_viewer.gui.page.page import Page
 from wafer_viewer.gui.plan.align_section import Aligning, AlignSection
-from wafer_viewer.gui.presenters import preflight
+from wafer_viewer.gui.presenters import plan
 from wafer_viewer.gui.state.view_state import View
 from wafer_viewer.gui.widgets import html
+from wafer_viewer.gui.widgets.callback_timing import Debouncer
 from wafer_viewer.gui.widgets.controls import BoundInput, HtmlBlock, duo, set_prop
-from wafer_viewer.gui.widgets.debounce import Debouncer
 from wafer_viewer.gui.widgets.error_guard import guarded
-from wafer_viewer.model.job.job import Job
+from wafer_viewer.model.job import Job
 from wafer_viewer.model.spec import replace
 from wafer_viewer.session.planning.preflight import PreflightCheck
 from wafer_viewer.session.state.snapshot import Snapshot
@@ -58,7 +58,7 @@ class OperatorView:
             self._wafer_id.show(job.sample.wafer_id)
             self._lot.show(job.sample.lot)
             self._operator.show(job.sample.operator)
-        self._checks.show(preflight.section(checks, "3 · Start"))
+        self._checks.show(plan.section(checks, "3 · Start"))
 
     def _build_wafer(self) -> None:
         gui = self._page.gui

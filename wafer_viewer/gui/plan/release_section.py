@@ -8,23 +8,23 @@ import viser
 
 from wafer_viewer.draw.number_format import number
 from wafer_viewer.gui.page.page import Page
-from wafer_viewer.gui.plan.dies_dialog import dies_dialog
-from wafer_viewer.gui.plan.feature_dialog import feature_dialog
 from wafer_viewer.gui.plan.job_dialogs import (
     corners_dialog,
+    dies_dialog,
     edit,
+    feature_dialog,
     release_dialog,
     required_job,
     trial_dialog,
     trial_is_old,
 )
-from wafer_viewer.gui.presenters.revision_trial import trial
+from wafer_viewer.gui.presenters.plan import trial
 from wafer_viewer.gui.presenters.verdict import RULES, limits
 from wafer_viewer.gui.widgets import html
 from wafer_viewer.gui.widgets.controls import HtmlBlock, button, in_a_row, set_prop
 from wafer_viewer.gui.widgets.error_guard import guarded
-from wafer_viewer.model.acquisition.alignment import Marks
-from wafer_viewer.model.job.job import Job
+from wafer_viewer.model.acquisition.sample import Marks
+from wafer_viewer.model.job import Job
 from wafer_viewer.model.measurement.feature import Dies, Feature
 from wafer_viewer.model.measurement.tools import TOOLS
 from wafer_viewer.session.measurement.measurement_numbers import title_of

@@ -1,18 +1,35 @@
-"""HTML of the Gauge check panel: verdict, result, repeats, certificate, conditions. Pure functions."""
+"""HTML of the gauge check: procedure, verdict, repeats, budget, and the study. Pure functions."""
 
 from __future__ import annotations
 
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
 from datetime import date, datetime
+from typing import Literal
 
 import viser
 
-from wafer_viewer.draw.number_format import THIN, digits_of_u, number, value_and_u, with_unit
+from wafer_viewer.draw.number_format import NOTHING, THIN, digits_of_u, number, share, value_and_u, with_unit
+from wafer_viewer.gui.presenters.measurement import UNIT_SIGNS
 from wafer_viewer.gui.presenters.verdict import LOOKS
 from wafer_viewer.gui.widgets import html
-from wafer_viewer.model.gauge.gauge_check import Certificate, GaugeCheck, GaugeRepeat
-from wafer_viewer.model.measurement.step import StepHeight
-from wafer_viewer.model.quantity import Length
+from wafer_viewer.model.gauge import (
+    Capability,
+    Certificate,
+    GaugeCheck,
+    GaugeLine,
+    GaugeRepeat,
+    GaugeRR,
+    Method,
+    Role,
+    ScaleCorrection,
+)
+from wafer_viewer.model.measurement.measurements import StepHeight
+from wafer_viewer.model.quantity import Length, Unit
 from wafer_viewer.model.region import Region
+from wafer_viewer.session.gauge.repeat_scans import Studied
+from wafer_viewer.session.state.snapshot import Snapshot
 
 SOON_DAYS = 30
 """A certificate that expires within this many days gets a warning."""
@@ -183,3 +200,221 @@ def _runs_out(paper: Certificate, today: date) -> str:
 def _size(face: Region) -> str:
     x0, y0, x1, y1 = face.bounds_um
     return f"{number(x1 - x0, 0)} × {number(y1 - y0, 0)}"
+
+
+PointName = Literal["clean", "warm", "scan", "faces", "sign"]
+BY_HAND: tuple[PointName, ...] = ("clean", "warm")
+"""Points that a person ticks; the state of the others follows from the snapshot."""
+TITLES: dict[PointName, str] = {
+    "clean": "Clean the blocks, wring them",
+    "warm": "Warm up 20 min",
+    "scan": "Scan",
+    "faces": "Regions on both blocks",
+    "sign": "Sign",
+}
+
+
+@dataclass(frozen=True, slots=True)
+class ProcedurePoint:
+    """One point of the procedure; at: time of completion, ISO 8601 or empty."""
+
+    name: PointName
+    title: str
+    done: bool
+    at: str = ""
+
+
+def points(snapshot: Snapshot) -> tuple[ProcedurePoint, ...]:
+    """Return all points of the current check, in order."""
+    gauge, data = snapshot.gauge, snapshot.dataset
+    said = {tick.point: tick.at for tick in gauge.ticks}
+    by_hand = [ProcedurePoint(name, TITLES[name], name in said, said.get(name, "")) for name in BY_HAND]
+    scanned = snapshot.surface is not None or bool(gauge.repeats)
+    taken = gauge.repeats[-1].taken if gauge.repeats else data.taken if data is not None and scanned else ""
+    signed = gauge.signed is not None
+    return (
+        *by_hand,
+        ProcedurePoint("scan", _scan_title(snapshot), scanned, taken),
+        ProcedurePoint("faces", TITLES["faces"], bool(gauge.repeats) or signed),
+        ProcedurePoint("sign", TITLES["sign"], signed, gauge.signed.at if gauge.signed is not None else ""),
+    )
+
+
+def next_point(snapshot: Snapshot) -> ProcedurePoint | None:
+    """Return the first point that is not done; None if all are."""
+    return next((point for point in points(snapshot) if not point.done), None)
+
+
+def procedure(snapshot: Snapshot) -> str:
+    """Return the points as a list with ticks and times."""
+    now = next_point(snapshot)
+    rows = "".join(_row(point, now is not None and point.name == now.name) for point in points(snapshot))
+    foot = '<div class="wv-lab" style="margin-top:8px">Enter goes to the next point</div>' if now is not None else ""
+    return f'{html.head("Procedure", first=True)}<div class="wv-points">{rows}</div>{foot}'
+
+
+def _scan_title(snapshot: Snapshot) -> str:
+    job = snapshot.dataset.job if snapshot.dataset is not None else snapshot.draft.job
+    grid = job.grid if job is not None else None
+    return (
+        f"Scan, {grid.rows} × {grid.cols} field{'s' if grid.rows * grid.cols > 1 else ''}" if grid else TITLES["scan"]
+    )
+
+
+def _row(point: ProcedurePoint, now: bool) -> str:
+    sign = viser.Icon.CIRCLE_CHECK if point.done else viser.Icon.CIRCLE_DOT if now else viser.Icon.CIRCLE
+    tone = "good" if point.done else "accent" if now else "ink3"
+    state = "done" if point.done else "next" if now else "to do"
+    at = f'<span class="dim" title="{html.safe(day_and_time(point.at))}">{_clock(point.at)}</span>'
+    click = html.pick("gauge-tick", point.name) if point.name in BY_HAND else ""
+    look = f"{'now ' if now else ''}{'go' if click else ''}"
+    return (
+        f'<div class="{look}" aria-label="{html.safe(point.title)}, {state}" {click}>'
+        f'<span style="color:var(--{tone})">{html.icon(sign, 18)}</span><span>{html.safe(point.title)}</span>{at}</div>'
+    )
+
+
+def _clock(at: str) -> str:
+    try:
+        return f"{datetime.fromisoformat(at).astimezone():%H:%M}"
+    except ValueError:
+        return ""
+
+
+GOOD, MARGINAL, LEAST_CATEGORIES = 0.10, 0.30, 5
+"""AIAG limits: %GRR of an acceptable and of a marginal gauge, and the least number of distinct categories."""
+METHODS: dict[Method, str] = {"anova": "analysis of variance", "range": "average and range"}
+
+
+def study(studied: Studied) -> str:
+    """Return study size, verdict by the AIAG rule, and every standard deviation with its share."""
+    found = studied.found
+    by = f"{studied.name} · {METHODS[found.method]}{' · SIMULATED' if studied.simulated else ''}"
+    notes = "".join(_small(text) for text in found.notes)
+    return (
+        f'<div class="wv-lab" title="{html.safe(by)}">{html.safe(by)}</div>{_study_size(found)}{_word(found)}'
+        f"{_table(found, studied.unit)}{_rest(found)}{notes}"
+    )
+
+
+def _study_size(found: GaugeRR) -> str:
+    told = ((found.parts, "part"), (found.appraisers, "appraiser"), (found.trials, "trial"))
+    words = " · ".join(f"<b>{n}</b> {word}{'' if n == 1 else 's'}" for n, word in told)
+    return f'<div style="margin:3px 0 4px">{words}</div>'
+
+
+def _word(found: GaugeRR) -> str:
+    grr = found.share_of_variation
+    if math.isnan(grr):
+        return html.note("busy", "Nothing varies", "All values are the same: there is nothing to compare.")
+    told = f"Gauge R&R is {share(grr)} of the total variation; {found.distinct_categories} distinct categories."
+    if grr <= GOOD and found.distinct_categories >= LEAST_CATEGORIES:
+        return html.note("good", "Acceptable", told)
+    if grr <= MARGINAL:
+        return html.note("attention", "Acceptable for some uses", told)
+    return html.note("fault", "Not acceptable", told)
+
+
+def _table(found: GaugeRR, unit: Unit | None) -> str:
+    rows = (
+        ("Repeatability, EV", found.repeatability, ""),
+        ("Reproducibility, AV", found.reproducibility, ""),
+        ("Gauge R&R", found.gauge_rr, "strong"),
+        ("Part variation, PV", found.part_variation, ""),
+        ("Total variation, TV", found.total_variation, "strong"),
+    )
+    lines = [_variation_line(name, s, found.total_variation, look) for name, s, look in rows]
+    return html.table(["", f"s, {UNIT_SIGNS[unit]}" if unit else "s", "of total", ""], lines, " nn")
+
+
+def _variation_line(name: str, s: float, total: float, look: str) -> str:
+    part = s / total if total else math.nan
+    width = 0.0 if math.isnan(part) else 100 * min(part, 1.0)
+    bar = f'<div class="wv-rr"><i style="width:{width:.1f}%"></i></div>'
+    return html.row([html.safe(name), number(s, 4), share(part), bar], " nn", look=look)
+
+
+def _rest(found: GaugeRR) -> str:
+    of_tolerance = found.share_of_tolerance
+    pairs = [
+        ("Distinct categories", number(found.distinct_categories, 0)),
+        ("6 s of the gauge, of the tolerance", NOTHING if of_tolerance is None else share(of_tolerance)),
+    ]
+    if found.interaction is not None:
+        pairs.append(("Parts with appraisers, p", number(found.interaction, 3)))
+    return f'<div style="height:4px"></div>{html.pairs(pairs)}' + _small(
+        "Shares are of deviations, and do not sum up to 100 %."
+    )
+
+
+def _small(text: str) -> str:
+    return f'<div class="wv-lab" style="margin-top:4px">{html.safe(html.with_micro_sign(text))}</div>'
+
+
+_OF: dict[Role, str] = {
+    "scale": "Of the measured step alone",
+    "measurement": "Of the measured step and of the error",
+    "reference": "Of the certified step",
+}
+"""Headings of the budget's parts, in display order."""
+_DIGITS = 4
+
+
+def budget(check: GaugeCheck) -> str:
+    """Return the contributions grouped by role, and the three expanded uncertainties; empty without a budget."""
+    if not check.budget:
+        return ""
+    rows = [row for role in _OF for row in _part(role, [line for line in check.budget if line.of == role])]
+    sums = (("U measured", check.height), ("U certificate", check.reference), ("U error", check.deviation))
+    rows += [
+        html.row([html.safe(name), number(length.expanded_um, _DIGITS - 1)], " n", look="strong")
+        for name, length in sums
+        if length.expanded_um is not None
+    ]
+    return html.head("Uncertainty", "µm · lines k = 1, sums k = 2") + html.table([], rows, " n")
+
+
+def not_evaluated(check: GaugeCheck) -> str:
+    """Return the list of contributions that U does not contain; empty if there are none."""
+    if not check.not_evaluated:
+        return ""
+    items = "".join(f"<li>{html.safe(html.with_micro_sign(item))}</li>" for item in check.not_evaluated)
+    return html.head("Not evaluated") + f'<ul class="wv-left-out">{items}</ul>'
+
+
+def capability(found: Capability | None) -> str:
+    """Return Cg and Cgk, or the reason why there are none."""
+    if found is None:
+        return ""
+    pairs = [("Repeats", number(found.n, 0)), ("Tolerance of the product", with_unit(found.tolerance_um, 2))]
+    if found.cg is not None and found.cgk is not None:
+        word = "" if found.capable is None else " · capable" if found.capable else " · not capable"
+        pairs.append(("Cg · Cgk", f"{number(found.cg, 2)} · {number(found.cgk, 2)}{word}"))
+    words = " ".join(part for part in (found.why, found.variant) if part)
+    below = (
+        f'<div class="wv-lab" style="margin-top:4px">{html.safe(html.with_micro_sign(words))}</div>' if words else ""
+    )
+    return html.head("Capability", "both 1.33 or more, over 25 scans") + html.pairs(pairs) + below
+
+
+def correction(offered: ScaleCorrection | None) -> str:
+    """Return the suggested z scale factor with advice; empty without a suggestion."""
+    if offered is None:
+        return ""
+    by = with_unit(offered.changes_um, 3, signed=True)
+    pairs = [("Certified over measured", number(offered.factor, 6)), ("The checked step would change by", by)]
+    advice = f'<div class="wv-lab" style="margin:4px 0 6px">{html.safe(html.with_micro_sign(offered.advice))}</div>'
+    return html.head("z scale", "nothing changes automatically") + html.pairs(pairs) + advice
+
+
+def _part(role: Role, lines: Sequence[GaugeLine]) -> list[str]:
+    if not lines:
+        return []
+    together = math.sqrt(sum(line.u_um**2 for line in lines))
+    head = html.row([f"<b>{_OF[role]}</b>", f"<b>{number(together, _DIGITS)}</b>"], " n")
+    return [head, *(html.row([_name(line.name), number(line.u_um, _DIGITS)], " n") for line in lines)]
+
+
+def _name(name: str) -> str:
+    titled = name if name.startswith("z ") else name[:1].upper() + name[1:]
+    return f'<span class="wv-under">{html.safe(html.with_micro_sign(titled))}</span>'

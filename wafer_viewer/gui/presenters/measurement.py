@@ -1,20 +1,39 @@
-"""Presentation of measured quantities: symbol, value with U and unit, answer card, uncertainty budget."""
+"""HTML of measured quantities: symbol, value with U and unit, and the parameters of each kind of result."""
 
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass
 
-from wafer_viewer.draw.charts.defect_symbols import KINDS
-from wafer_viewer.draw.colormaps import PROFILE_COLOURS
-from wafer_viewer.draw.number_format import digits_of_u, number, value_and_u, with_unit
+from wafer_viewer.draw.charts.die_map import site_map_svg, spread_um
+from wafer_viewer.draw.charts.profile_plot import groove_svg
+from wafer_viewer.draw.charts.symbols import KINDS
+from wafer_viewer.draw.colormaps import PROFILE_COLOURS, css_gradient
+from wafer_viewer.draw.number_format import NOTHING, THIN, digits_of_u, number, share, value_and_u, with_unit
 from wafer_viewer.gui.widgets import html
 from wafer_viewer.model.findings import AnyResult
-from wafer_viewer.model.gauge.gauge_check import GaugeCheck
+from wafer_viewer.model.gauge import GaugeCheck
 from wafer_viewer.model.inspection.defect import Defect
-from wafer_viewer.model.measurement.measurements import AreaVolume, Profile
-from wafer_viewer.model.measurement.step import StepProfile
-from wafer_viewer.model.quantity import Quantity
+from wafer_viewer.model.measurement.measurements import (
+    AreaVolume,
+    Chipping,
+    CircleSize,
+    Coplanarity,
+    DieSize,
+    KerfWidth,
+    Profile,
+    Roughness,
+    Site,
+    SiteRanges,
+    StepHeight,
+    StepProfile,
+    Texture,
+)
+from wafer_viewer.model.measurement.sections import LETTERS, Gap, Section
+from wafer_viewer.model.quantity import Length, Quantity
+from wafer_viewer.model.region import Point
+from wafer_viewer.model.surface.height_map import LAYER_TITLES
 
 REGION_COLOUR = "#15202B"
 OTHER_COLOUR = "#5B6B7A"
@@ -183,3 +202,355 @@ def _digits(value: float) -> int:
 
 def _tag(finding: AnyResult) -> str:
     return str(finding.__struct_config__.tag)
+
+
+LISTED = 8
+"""Number of chips or bumps listed, the worst first."""
+
+
+def kerf(finding: KerfWidth) -> str:
+    """Return extreme widths, angle between the edges, and edge points of a kerf."""
+    return html.pairs(
+        [
+            ("Narrowest", format_quantity(finding.narrowest.quantity)),
+            ("Widest", format_quantity(finding.widest.quantity)),
+            ("Angle between the edges", format_quantity(finding.angle)),
+            ("Kerf on the picture", finding.kerf),
+            ("Edge points", number(finding.points, 0)),
+        ]
+    )
+
+
+def die(finding: DieSize) -> str:
+    """Return size, rotation, squareness and centre of a die."""
+    return html.pairs(
+        [
+            ("Width", format_quantity(finding.width.quantity)),
+            ("Height", format_quantity(finding.height.quantity)),
+            ("Rotation", format_quantity(finding.rotation, signed=True)),
+            ("Squareness, angle over 90°", format_quantity(finding.squareness, signed=True)),
+            ("Centre x, y", _place(finding.center)),
+            ("Rim on the picture", finding.die),
+            ("Edge points", number(finding.points, 0)),
+        ]
+    )
+
+
+def circle(finding: CircleSize) -> str:
+    """Return radius, roundness and centre of a circle."""
+    return html.pairs(
+        [
+            ("Radius", format_quantity(finding.radius.quantity)),
+            ("Roundness RONt", format_quantity(finding.roundness.quantity)),
+            ("Centre x, y", _place(finding.center)),
+            ("Inside on the picture", finding.inside),
+            ("Edge points", number(finding.points, 0)),
+        ]
+    )
+
+
+def chipping(finding: Chipping) -> str:
+    """Return chip threshold, totals over all chips, and a table of the worst."""
+    told = html.pairs(
+        [
+            ("Deeper than", with_unit(finding.limit_um)),
+            ("Chips", number(finding.n_chips, 0)),
+            ("Their area", format_quantity(finding.area)),
+            ("Longest", format_quantity(finding.longest.quantity)),
+            ("Share of the edge chipped", share(finding.chipped_fraction)),
+            ("Length of the edge", with_unit(finding.edge_length_um, 1)),
+            ("Die on the", f"{finding.die} side"),
+        ]
+    )
+    if not finding.chips:
+        return told
+    rows = [
+        html.row(
+            [_place(chip.place), number(chip.depth_um), number(chip.length_um, 1), number(chip.area_um2, 1)], " nnn"
+        )
+        for chip in finding.chips[:LISTED]
+    ]
+    return told + html.table(["Chip at x, y", "Depth", "Length", "Area"], rows, " nnn") + _more(finding.n_chips)
+
+
+def coplanarity(finding: Coplanarity) -> str:
+    """Return statistics of all bumps, and a table of those furthest from the plane."""
+    reference = {"least_squares": "least squares", "seating": "seating plane"}[finding.options.reference]
+    told = html.pairs(
+        [
+            ("Plane", reference),
+            ("Bumps", number(finding.n_bumps, 0)),
+            *([("Left out, cut or not measured", number(finding.left_out, 0))] if finding.left_out else []),
+            ("Mean height", format_quantity(finding.mean_height.quantity)),
+            ("Range of heights", format_quantity(finding.height_range.quantity)),
+            ("Tilt of the plane", with_unit(finding.tilt_mrad, 2, "mrad")),
+        ]
+    )
+    rows = [
+        html.row(
+            [
+                _place(bump.place),
+                number(bump.deviation.value_um, 2, signed=True),
+                number(bump.height.value_um),
+                number(bump.diameter_um, 1),
+            ],
+            " nnn",
+        )
+        for bump in finding.bumps[:LISTED]
+    ]
+    return told + html.table(["Bump at x, y", "Off plane", "Height", "Diameter"], rows, " nnn") + _more(finding.n_bumps)
+
+
+def _place(place: Point) -> str:
+    return f"{number(place.x_um, 1)}, {number(place.y_um, 1)}"
+
+
+def _more(count: int) -> str:
+    if count <= LISTED:
+        return ""
+    told = f"The worst {LISTED} of {count}; all are in the exported table."
+    return f'<div class="wv-lab" style="margin-top:4px">{told}</div>'
+
+
+MOST_ROWS = 12
+"""Number of sites listed, the largest ranges first; the map shows all."""
+
+
+def sites(found: SiteRanges) -> str:
+    """Return the map with its colour scale, and the table of the largest ranges."""
+    n, known = len(found.sites), [site for site in found.sites if site.range is not None]
+    size = f"{number(found.site_width_um, 1)} × {number(found.site_height_um, 1)}{THIN}µm"
+    pairs = [("Sites, columns × rows", f"{found.cols} × {found.rows}"), ("Size of a site", size)]
+    if len(known) < n:
+        pairs.append(("Without a range", f"{n - len(known)} of {n}"))
+    return html.pairs(pairs) + site_map_svg(found) + _scale(found) + _table(known)
+
+
+def _scale(found: SiteRanges) -> str:
+    low, high = (f"{number(um, 2)}{THIN}µm" for um in spread_um(found))
+    gradient = css_gradient("mako").replace("to top", "to right")
+    return (
+        f'<div class="wv-site-scale"><span>{low}</span><i style="background:{gradient}"></i><span>{high}</span></div>'
+    )
+
+
+def _table(known: list[Site]) -> str:
+    largest = sorted(known, key=lambda site: -(site.range.value_um if site.range else 0.0))[:MOST_ROWS]
+    more = f"the largest {len(largest)} of {len(known)}" if len(largest) < len(known) else ""
+    return html.head("Range of each site", more) + html.table(
+        ["Middle x, y", "Measured", "Range"], [_row(site) for site in largest], " nn"
+    )
+
+
+def _row(site: Site) -> str:
+    where = f"{number(site.x_um, 1)}, {number(site.y_um, 1)}"
+    value = number(site.range.value_um, 3) if site.range is not None else ""
+    return html.row([where, share(site.measured_fraction), value], " nn")
+
+
+def step(finding: StepHeight) -> str:
+    """Return both faces, their relative tilt, the step at the joint, and the definition of h."""
+    rows = [
+        _face(_named("Upper", finding.also_upper), finding.upper_mean_um, finding.upper_sq_um, finding.upper_points),
+        _face(_named("Lower", finding.also_lower), finding.lower_mean_um, finding.lower_sq_um, finding.lower_points),
+    ]
+    pairs = [("Relative tilt", _tilt(finding))]
+    if finding.at_joint is not None:
+        pairs.append(("Step at the joint", format_quantity(finding.at_joint.quantity)))
+    return html.table(["Face", "Mean", "Sq", "Points"], rows, " nnn") + html.pairs(pairs) + _small(finding.definition)
+
+
+def groove(finding: StepProfile) -> str:
+    """Return the drawing, width and zones of a groove, and the definition of its height."""
+    width = [("Width", format_quantity(finding.width.quantity))] if finding.width is not None else []
+    zones = [(f"Zone {name}", f"{number(start, 1)} – {number(end, 1)}") for name, start, end in finding.zones]
+    pairs = [
+        ("What the line crosses", finding.kind),
+        *width,
+        *zones,
+        ("Averaged over", averaging(finding)),
+        ("Sq from the fit", number(finding.sq_um, 2)),
+        ("Samples", number(finding.points, 0)),
+        ("Measured", share(finding.measured_fraction)),
+    ]
+    return groove_svg(finding) + html.pairs(pairs) + _small(finding.definition)
+
+
+def not_evaluated(finding: AnyResult) -> str:
+    """Return the contributions that are not evaluated, hence not in the budget; empty if there are none."""
+    missing: tuple[str, ...] = getattr(finding, "not_evaluated", ())
+    return _small(f"Not evaluated: {', '.join(missing)}.") if missing else ""
+
+
+def _tilt(finding: StepHeight) -> str:
+    if finding.tilt is not None:
+        return format_quantity(finding.tilt)
+    return with_unit(finding.relative_tilt_mrad, 2, "mrad")
+
+
+def _named(face: str, others: tuple[object, ...]) -> str:
+    return f"{face}, {1 + len(others)} regions" if others else face
+
+
+def _face(name: str, mean_um: float, sq_um: float, points: int) -> str:
+    return html.row([name, number(mean_um, 2, signed=True), number(sq_um, 2), number(points, 0)], " nnn")
+
+
+def _small(line: str) -> str:
+    return f'<div class="wv-lab" style="margin-top:4px">{html.safe(html.with_micro_sign(line))}</div>'
+
+
+Cells = Sequence[tuple[str, str]]
+COLUMNS = 3
+FIGURES, MOST_DECIMALS = 3, 4
+"""Significant digits of a texture height, and the largest number of decimals."""
+
+MEANINGS = {
+    "Sa": "Arithmetical mean height",
+    "Sq": "Root mean square height",
+    "Sz": "Highest peak over lowest pit",
+    "Sp": "Highest peak over the mean",
+    "Sv": "Lowest pit under the mean",
+    "Ssk": "Skewness: over 0 peaks, under 0 valleys prevail",
+    "Sku": "Kurtosis: 3 for normal heights",
+    "Sdq": "Root mean square slope",
+    "Sdr": "How much larger the surface is than its projection",
+    "Sk": "Height of the core",
+    "Spk": "Reduced height of the peaks over the core",
+    "Svk": "Reduced depth of the valleys under the core",
+    "Smr1": "Material ratio where peaks end",
+    "Smr2": "Material ratio where valleys begin",
+    "Sal": "Autocorrelation length: the shortest distance at which heights no longer correlate",
+    "Str": "Texture aspect ratio: near 1 isotropic, near 0 with a lay",
+    "Std": "Texture direction, across the lay, counter-clockwise from x",
+    "Ra": "Arithmetical mean height of the whole evaluation length",
+    "Rq": "Root mean square height of the whole evaluation length",
+    "Rt": "Highest over lowest of the whole evaluation length",
+    "Rsk": "Skewness: over 0 peaks, under 0 valleys prevail",
+    "Rku": "Kurtosis: 3 for normal heights",
+    "Rz": "Highest over lowest, mean of the sections",
+    "Rp": "Highest peak, mean of the sections",
+    "Rv": "Lowest pit, mean of the sections",
+}
+"""Tooltips of the parameters."""
+
+
+def texture(finding: Texture) -> str:
+    """Return all texture parameters by family, and the measured fraction."""
+    families: list[tuple[str, Cells]] = [
+        ("Height", (("Sa", _um(finding.sa)), ("Sq", _um(finding.sq)), ("Sz", _um(finding.sz)))),
+        ("", (("Sp", _um(finding.sp)), ("Sv", _um(finding.sv)))),
+        ("", (("Ssk", number(finding.ssk, 2, signed=True)), ("Sku", number(finding.sku, 2)))),
+        ("Hybrid", (("Sdq", figures(finding.sdq)), ("Sdr", _percent(finding.sdr_fraction)))),
+        ("Functional", (("Sk", _um(finding.sk)), ("Spk", _um(finding.spk)), ("Svk", _um(finding.svk)))),
+        ("", (("Smr1", _percent(finding.smr1_fraction)), ("Smr2", _percent(finding.smr2_fraction)))),
+        ("Spatial", (("Sal", _um(finding.sal)), ("Str", number(finding.str_ratio, 2)), ("Std", _std(finding)))),
+    ]
+    return _family_table(families) + _measured(finding)
+
+
+def roughness(finding: Roughness) -> str:
+    """Return all roughness parameters, the sampling lengths, and the measured fraction."""
+    families: list[tuple[str, Cells]] = [
+        ("Evaluation", (("Ra", _um(finding.ra)), ("Rq", _um(finding.rq)), ("Rt", _um(finding.rt)))),
+        ("", (("Rsk", number(finding.rsk, 2, signed=True)), ("Rku", number(finding.rku, 2)))),
+        ("Sections", (("Rz", _um(finding.rz)), ("Rp", _um(finding.rp)), ("Rv", _um(finding.rv)))),
+    ]
+    each = f"{finding.sections} × {with_unit(finding.section_um, 1)}"
+    return _family_table(families) + _measured(finding, ("Sampling lengths", each))
+
+
+def figures(value: float | None) -> str:
+    """Format a number to three significant digits, with at most four decimals."""
+    if value is None or not math.isfinite(value) or value == 0:
+        return number(value, 2)
+    digits = FIGURES - 1 - math.floor(math.log10(abs(value)))
+    return number(value, min(MOST_DECIMALS, max(0, digits)))
+
+
+def _family_table(families: Sequence[tuple[str, Cells]]) -> str:
+    rows = [html.row([html.safe(family), *_padded(cells)]) for family, cells in families]
+    return html.table([], rows)
+
+
+def _padded(cells: Cells) -> list[str]:
+    """Return the cells of a row, padded to `COLUMNS` so that all row lines have one length."""
+    return [*(_cell(*cell) for cell in cells), *[""] * (COLUMNS - len(cells))]
+
+
+def _cell(name: str, value: str) -> str:
+    shown = f'<span class="wv-lab">{html.safe(name)}</span> <b style="font-weight:550">{html.safe(value)}</b>'
+    return f'<span title="{html.safe(MEANINGS.get(name, ""))}">{shown}</span>'
+
+
+def _measured(finding: Texture | Roughness, *more: tuple[str, str]) -> str:
+    return html.pairs([*more, ("Points", number(finding.points, 0)), ("Measured", share(finding.measured_fraction))])
+
+
+def _um(length: Length | None) -> str:
+    return NOTHING if length is None else figures(length.value_um)
+
+
+def _percent(fraction: float | None) -> str:
+    return NOTHING if fraction is None else f"{figures(100 * fraction)}\u202f%"
+
+
+def _std(finding: Texture) -> str:
+    return NOTHING if finding.std is None else f"{number(finding.std.value, 1)}°"
+
+
+_CROWDED = ("", "", " wv-two", " wv-many")
+"""CSS class by number of lines: with many lines only the most important figures are shown."""
+WAITS = "The curve appears when the line lies on the surface."
+
+
+def head(
+    sections: Sequence[Section], problems: Sequence[str], n_lines: int, active: int, gap: Gap | None, zoomed: bool
+) -> str:
+    """Return the row above the plot; a line without a curve keeps its symbol."""
+    own = {s.asked.place: s for s in sections if not s.asked.is_second}
+    lines = "".join(_line(place, own.get(place), place == active) for place in range(n_lines))
+    seconds = "".join(_second(s) for s in sections if s.asked.is_second)
+    notes = "".join(f'<span class="wv-curve-note">{html.safe(html.with_micro_sign(text))}</span>' for text in problems)
+    waits = f'<span class="dim">{WAITS}</span>' if not sections and not problems else ""
+    whole = f'<span class="wv-link" {html.pick("plot", "whole")}>Whole line</span>' if zoomed else ""
+    name = "Section" if any(s.points is not None for s in own.values()) else "Profile"
+    return (
+        f'<div class="wv-dock wv-lines{_CROWDED[min(n_lines, 3)]}"><b>{name}</b>{lines}{seconds}{notes}{waits}'
+        f'<span class="wv-end">{whole}{cursor_readout(gap) if gap is not None else ""}</span></div>'
+    )
+
+
+def cursor_readout(gap: Gap) -> str:
+    """Return distance, height difference and angle between the cursors."""
+    return (
+        f"<span>Δx <b>{number(gap.dx_um, 1)}</b>&ensp;Δz <b>{with_unit(gap.dz_um, 2, signed=True)}</b>&ensp;"
+        f"{with_unit(gap.angle_deg, 2, '°')}</span>"
+    )
+
+
+def _line(place: int, section: Section | None, active: bool) -> str:
+    sign = html.chip(LETTERS[place], PROFILE_COLOURS[place])
+    about = _numbers(section) if section is not None else ""
+    look = f'class="wv-line{" sel" if active else ""}" aria-pressed="{str(active).lower()}"'
+    return f'<span {look} aria-label="Line {LETTERS[place]}" {html.pick("line", place)}>{sign} {about}</span>'
+
+
+def _numbers(section: Section) -> str:
+    profile, points = section.profile, section.points
+    if points is not None:
+        return (
+            f"spread about the line <b>{with_unit(points.spread_um, 2)}</b>"
+            f'<span class="dim wv-roomy">68 % of {number(len(points), 0)} points · '
+            f"{with_unit(points.width_um, 1)} wide · line: running median</span>"
+        )
+    return (
+        f"Pt <b>{with_unit(profile.pt.value_um, 2)}</b>"
+        f'<span class="dim wv-roomy">{with_unit(profile.length_um, 0)} long, {averaging(profile)} wide</span>'
+    )
+
+
+def _second(section: Section) -> str:
+    name = section.asked.of.title if section.asked.of is not None else LAYER_TITLES[section.profile.surface]
+    pt = with_unit(section.profile.pt.value_um, 2)
+    return f'<span class="wv-second"><i></i>{html.safe(name)} <span class="dim">Pt {pt}</span></span>'

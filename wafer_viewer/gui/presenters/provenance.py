@@ -6,28 +6,32 @@ import math
 from collections.abc import Callable
 
 from wafer_viewer.draw.number_format import number, share, with_unit
-from wafer_viewer.gui.presenters import shapes, steps
+from wafer_viewer.gui.presenters import measurement
 from wafer_viewer.gui.presenters.gauge import stored_check as gauge_told
-from wafer_viewer.gui.presenters.measurement import averaging, format_quantity
-from wafer_viewer.gui.presenters.site_range import sites
-from wafer_viewer.gui.presenters.texture import roughness, texture
+from wafer_viewer.gui.presenters.measurement import averaging, format_quantity, roughness, sites, texture
 from wafer_viewer.gui.widgets import html
 from wafer_viewer.model.findings import AnyResult
-from wafer_viewer.model.gauge.gauge_check import GaugeCheck
-from wafer_viewer.model.measurement.edge_and_bump_shapes import Chipping, CircleSize, Coplanarity, DieSize, KerfWidth
+from wafer_viewer.model.gauge import GaugeCheck
 from wafer_viewer.model.measurement.levelling import LevelBy
 from wafer_viewer.model.measurement.measurements import (
     AreaVolume,
+    Chipping,
+    CircleSize,
+    Coplanarity,
+    DieSize,
     Distance,
     FaceAngle,
     Flatness,
+    KerfWidth,
     PointHeight,
     Profile,
     Radius,
+    Roughness,
+    SiteRanges,
+    StepHeight,
+    StepProfile,
+    Texture,
 )
-from wafer_viewer.model.measurement.site_range import SiteRanges
-from wafer_viewer.model.measurement.step import StepHeight, StepProfile
-from wafer_viewer.model.measurement.texture import Roughness, Texture
 from wafer_viewer.model.region import Region
 from wafer_viewer.model.surface.height_map import LAYER_TITLES
 
@@ -137,19 +141,19 @@ _TOLD: dict[type, Callable[..., str]] = {
     Profile: _profile,
     PointHeight: _point,
     Distance: _distance,
-    StepHeight: steps.step,
-    StepProfile: steps.groove,
+    StepHeight: measurement.step,
+    StepProfile: measurement.groove,
     FaceAngle: _face_angle,
     Radius: _radius,
     AreaVolume: _volume,
     Flatness: _flatness,
     Texture: texture,
     Roughness: roughness,
-    KerfWidth: shapes.kerf,
-    DieSize: shapes.die,
-    CircleSize: shapes.circle,
-    Chipping: shapes.chipping,
-    Coplanarity: shapes.coplanarity,
+    KerfWidth: measurement.kerf,
+    DieSize: measurement.die,
+    CircleSize: measurement.circle,
+    Chipping: measurement.chipping,
+    Coplanarity: measurement.coplanarity,
     SiteRanges: sites,
     GaugeCheck: gauge_told,
 }

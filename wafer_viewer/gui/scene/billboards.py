@@ -8,10 +8,10 @@ import viser
 from wafer_viewer.draw.colormaps import Rgb
 from wafer_viewer.draw.raster_text import tag
 from wafer_viewer.draw.surface import mesh
-from wafer_viewer.draw.surface.glb import painted
-from wafer_viewer.gui.scene.camera.camera_presets import Vector
+from wafer_viewer.draw.surface.mesh import painted
+from wafer_viewer.gui.scene.camera_presets import Vector
 from wafer_viewer.gui.scene.heightfield import HeightField
-from wafer_viewer.gui.scene.view_axes import ViewAxes
+from wafer_viewer.gui.scene.viewport import ViewAxes
 from wafer_viewer.model.region import Region
 
 _FINER = 2

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from wafer_viewer.draw.colormaps import Rgb
 from wafer_viewer.gui.scene.heightfield import HeightField, Place
 from wafer_viewer.gui.scene.primitives import lines
-from wafer_viewer.gui.scene.view_axes import ViewAxes
+from wafer_viewer.gui.scene.viewport import ViewAxes
 
 Dragged = Callable[[str, np.ndarray, bool], None]
 """Called in order with the handle's name, the scene point under the pointer, and True when the drag has ended."""

@@ -7,10 +7,9 @@ from functools import partial
 import numpy as np
 import viser
 
-from wafer_viewer.draw.number_format import number
+from wafer_viewer.draw.number_format import number, ticks
 from wafer_viewer.draw.surface import ground_plane, mesh
-from wafer_viewer.draw.surface.glb import painted
-from wafer_viewer.draw.ticks import ticks
+from wafer_viewer.draw.surface.mesh import painted
 from wafer_viewer.gui.scene.primitives import Box, add_image_plane, lines
 from wafer_viewer.gui.scene.reconciler import Handle, SceneItem
 from wafer_viewer.gui.scene.scene_theme import colours

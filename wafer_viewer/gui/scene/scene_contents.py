@@ -7,8 +7,8 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from wafer_viewer.gui.scene.camera.camera_presets import Clear, Vector
-from wafer_viewer.gui.scene.camera.frustum import Frustum
+from wafer_viewer.gui.scene.camera_presets import Clear, Vector
+from wafer_viewer.gui.scene.frustum import Frustum
 from wafer_viewer.gui.scene.primitives import Box
 from wafer_viewer.gui.scene.reconciler import SceneItem
 from wafer_viewer.model.measurement.levelling import Datum

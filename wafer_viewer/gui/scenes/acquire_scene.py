@@ -10,17 +10,16 @@ import viser
 
 from wafer_viewer.draw.surface import mesh
 from wafer_viewer.draw.surface.display_style import DisplayStyle, eight_bit
-from wafer_viewer.draw.surface.glb import painted
-from wafer_viewer.gui.scene.camera.camera_presets import Clear
-from wafer_viewer.gui.scene.lod.surface_cache import SurfaceInfoCache
-from wafer_viewer.gui.scene.lod.surface_tiles import Shown, surface_items
+from wafer_viewer.draw.surface.mesh import painted
+from wafer_viewer.gui.scene.camera_presets import Clear
 from wafer_viewer.gui.scene.primitives import Box, Group, lines, rectangle, word
 from wafer_viewer.gui.scene.reconciler import SceneItem
 from wafer_viewer.gui.scene.scene_contents import SceneContents, corners_of
 from wafer_viewer.gui.scene.scene_theme import colours
+from wafer_viewer.gui.scene.surface_cache import SurfaceInfoCache
+from wafer_viewer.gui.scene.surface_tiles import Shown, surface_items
 from wafer_viewer.gui.scenes.field_outlines import box_edges, field_box, fields_box, flat_items
-from wafer_viewer.gui.scenes.plan_scene import plan_contents
-from wafer_viewer.gui.scenes.sample_scene import sample_items
+from wafer_viewer.gui.scenes.plan_scene import plan_contents, sample_items
 from wafer_viewer.gui.scenes.surface_scene import result_of
 from wafer_viewer.gui.state.view_state import View
 from wafer_viewer.model.acquisition.focus_stack import Image

@@ -9,25 +9,23 @@ from typing import Any
 
 import viser
 
-from wafer_viewer.gui.scene.camera.camera_controller import CameraController
-from wafer_viewer.gui.scene.camera.camera_presets import CameraPose
-from wafer_viewer.gui.scene.lod.stable_range import DisplayRangeHysteresis
-from wafer_viewer.gui.scene.lod.surface_cache import SurfaceInfoCache
-from wafer_viewer.gui.scene.lod.surface_tiles import PointTile
-from wafer_viewer.gui.scene.lod.visible_range import Range, range_in_view
+from wafer_viewer.gui.scene.camera_controller import CameraController
+from wafer_viewer.gui.scene.camera_presets import CameraPose
+from wafer_viewer.gui.scene.display_range import DisplayRangeHysteresis, Range, range_in_view
 from wafer_viewer.gui.scene.primitives import Box
-from wafer_viewer.gui.scene.reconciler import NotReady, SceneReconciler
+from wafer_viewer.gui.scene.reconciler import NotReady, SceneReconciler, SendWindow
 from wafer_viewer.gui.scene.scene_contents import DisplayedSurface, SceneContents, corners_over
-from wafer_viewer.gui.scene.send_window import SendWindow
+from wafer_viewer.gui.scene.surface_cache import SurfaceInfoCache
+from wafer_viewer.gui.scene.surface_tiles import PointTile
 from wafer_viewer.gui.scene.viewport import Viewport
 from wafer_viewer.gui.scenes.acquire_scene import acquire_contents
 from wafer_viewer.gui.scenes.plan_scene import plan_contents
-from wafer_viewer.gui.scenes.pose_cache import PoseCache
+from wafer_viewer.gui.scenes.pose_overlay import PoseCache
 from wafer_viewer.gui.scenes.surface_scene import marked, only_grew, source_of, surface_contents
 from wafer_viewer.gui.state.view_state import View
 from wafer_viewer.gui.tools.clip_box import Moved
 from wafer_viewer.gui.tools.scene_tools import Tools
-from wafer_viewer.gui.widgets.latest_only import LatestOnlyWorker
+from wafer_viewer.gui.widgets.callback_timing import LatestOnlyWorker
 from wafer_viewer.model.measurement.levelling import LevelBy, Levelling
 from wafer_viewer.model.region import Region
 from wafer_viewer.session.state.snapshot import Snapshot

@@ -7,24 +7,22 @@ from functools import partial
 
 import viser
 
-from wafer_viewer.gui.presenters.review.defect_items import chosen_defect
-from wafer_viewer.gui.scene.camera.camera_presets import Clear
-from wafer_viewer.gui.scene.lod.quadtree import Span
-from wafer_viewer.gui.scene.lod.stable_range import DisplayRangeHysteresis, as_planned
-from wafer_viewer.gui.scene.lod.surface_cache import SurfaceInfoCache
-from wafer_viewer.gui.scene.lod.surface_tiles import Shown, TiledSurface, add_glb, bounds_mm, display_style_of
-from wafer_viewer.gui.scene.lod.tile_heights import heights_of
+from wafer_viewer.gui.presenters.defects import chosen_defect
+from wafer_viewer.gui.scene.camera_presets import Clear
+from wafer_viewer.gui.scene.display_range import DisplayRangeHysteresis, as_planned
 from wafer_viewer.gui.scene.plinth import block_items, figure_height_mm, plinth_mm
 from wafer_viewer.gui.scene.primitives import Box
+from wafer_viewer.gui.scene.quadtree import Span
 from wafer_viewer.gui.scene.reconciler import Handle, SceneItem
 from wafer_viewer.gui.scene.scene_contents import DisplayedSurface, SceneContents, corners_of
-from wafer_viewer.gui.scenes.pose_cache import PoseCache
-from wafer_viewer.gui.scenes.pose_overlay import pose_items
+from wafer_viewer.gui.scene.surface_cache import SurfaceInfoCache, heights_of
+from wafer_viewer.gui.scene.surface_tiles import Shown, TiledSurface, add_glb, bounds_mm, display_style_of
+from wafer_viewer.gui.scenes.pose_overlay import PoseCache, pose_items
 from wafer_viewer.gui.state.view_state import View
 from wafer_viewer.model.findings import AnyResult
 from wafer_viewer.model.measurement.levelling import Datum
 from wafer_viewer.model.surface.comparison import ComparisonFace, comparison_of
-from wafer_viewer.session.core.changes import stamp_of
+from wafer_viewer.session.core.dataset_library import stamp_of
 from wafer_viewer.session.rendering.render_request import RenderRequest, SurfaceKey, SurfaceStatistics
 from wafer_viewer.session.state.snapshot import OpenDataset, Snapshot
 

@@ -10,7 +10,7 @@ import numpy as np
 
 from wafer_viewer.gui.page.page import Page
 from wafer_viewer.gui.presenters.measurement import sign_colour
-from wafer_viewer.gui.presenters.result_regions import Box, bounds_of, drawn_regions
+from wafer_viewer.gui.presenters.results import Box, bounds_of, drawn_regions
 from wafer_viewer.gui.scenes.surface_scene import source_of
 from wafer_viewer.gui.tools.region_shapes import outline_of
 from wafer_viewer.gui.widgets import html

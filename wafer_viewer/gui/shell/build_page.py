@@ -8,59 +8,46 @@ from typing import TYPE_CHECKING
 
 import viser
 
-from wafer_viewer.gui.acquire.acquire_panel import AcquirePanel
-from wafer_viewer.gui.defects.defect_section_dock import DefectDock
+from wafer_viewer.gui.acquire import AcquirePanel
 from wafer_viewer.gui.defects.die_stack_view import DefectStack
-from wafer_viewer.gui.defects.reference_view import DefectBeside
-from wafer_viewer.gui.gauge.gauge_dock import GaugeDock
+from wafer_viewer.gui.defects.reference_view import DefectBeside, DefectDock
+from wafer_viewer.gui.gauge.gauge_displays import GaugeDock, StepReadout
 from wafer_viewer.gui.gauge.gauge_panel import GaugePanel
-from wafer_viewer.gui.gauge.step_readout import StepReadout
-from wafer_viewer.gui.measure.live_profiles import LiveProfiles
+from wafer_viewer.gui.measure.live_measurement import LiveProfiles
 from wafer_viewer.gui.measure.measure_panel import MeasurePanel
 from wafer_viewer.gui.measure.profile_dock import ProfileDock
-from wafer_viewer.gui.overlays.colour_legend import ColourLegend
 from wafer_viewer.gui.overlays.hud import Legend, ReadOutBox, ScaleBar
-from wafer_viewer.gui.overlays.pose_legend import PoseLegend
+from wafer_viewer.gui.overlays.legends import ColourLegend, PoseLegend
 from wafer_viewer.gui.overlays.screenshot import PrintPicture
 from wafer_viewer.gui.overlays.toolbar import Toolbar
-from wafer_viewer.gui.page.bottom_panel import bottom_panel_height_px
 from wafer_viewer.gui.page.browser_info import BrowserEvents
 from wafer_viewer.gui.page.control_handover import ControlLock, ControlRequestPrompt
 from wafer_viewer.gui.page.header import TITLES, Header, possible, why_not
 from wafer_viewer.gui.page.page import Page, Part
-from wafer_viewer.gui.page.restart_notice import Reopened
-from wafer_viewer.gui.page.status_bar import StatusStrip
+from wafer_viewer.gui.page.panels import awaited, bottom_panel_height_px
+from wafer_viewer.gui.page.status_bar import Reopened, StatusStrip
 from wafer_viewer.gui.page.stop import NOT_STOPPED, stop
 from wafer_viewer.gui.page.tooltips import add_hints, add_titles
-from wafer_viewer.gui.page.verdict_section import awaited
 from wafer_viewer.gui.plan.plan_panel import PlanPanel
-from wafer_viewer.gui.report.report_panel import ReportPanel
-from wafer_viewer.gui.review.review_panel import ReviewPanel
-from wafer_viewer.gui.scenes.pose_cache import PoseCache
+from wafer_viewer.gui.report import ReportPanel
+from wafer_viewer.gui.review import ReviewPanel
+from wafer_viewer.gui.scenes.pose_overlay import PoseCache
 from wafer_viewer.gui.scenes.scene_view import SceneView
-from wafer_viewer.gui.shell.camera_storage import Viewpoint
-from wafer_viewer.gui.shell.command_palette import Palette
-from wafer_viewer.gui.shell.left_panel import LeftPanel
+from wafer_viewer.gui.shell.left_panel import LeftPanel, MapClicks
 from wafer_viewer.gui.shell.lost_connection import Contact
-from wafer_viewer.gui.shell.map_clicks import MapClicks
-from wafer_viewer.gui.shell.saved_views import SavedViews
-from wafer_viewer.gui.shell.shortcut_sheet import add_keys_sheet, glossary_command
-from wafer_viewer.gui.shell.shortcuts import Parts, commands_of
-from wafer_viewer.gui.shell.tour_guide import TourGuide
-from wafer_viewer.gui.shell.welcome import Welcome
-from wafer_viewer.gui.state.plot_state import with_cursor
-from wafer_viewer.gui.state.view_state import Step, View
-from wafer_viewer.gui.surface.clip_section import clip_box_callback
-from wafer_viewer.gui.surface.focus_curve_dock import WhyDock
-from wafer_viewer.gui.surface.focus_evidence_panel import WhyPanel
-from wafer_viewer.gui.surface.point_count import PointCount
-from wafer_viewer.gui.surface.shown_statistics import ShownStatistics
+from wafer_viewer.gui.shell.saved_views import SavedViews, Viewpoint
+from wafer_viewer.gui.shell.shortcuts import Palette, Parts, add_keys_sheet, commands_of, glossary_command
+from wafer_viewer.gui.shell.tour_guide import TourGuide, Welcome
+from wafer_viewer.gui.state.view_state import Step, View, with_cursor
+from wafer_viewer.gui.surface.focus_evidence import WhyDock, WhyPanel
+from wafer_viewer.gui.surface.heights_section import ShownStatistics
+from wafer_viewer.gui.surface.points_section import PointCount, clip_box_callback
 from wafer_viewer.gui.surface.surface_panel import SurfacePanel
-from wafer_viewer.gui.tools.gauge_regions import in_scene, take_places
+from wafer_viewer.gui.tools.region_tools import in_scene, take_places
+from wafer_viewer.gui.widgets.callback_timing import LatestOnlyWorker
 from wafer_viewer.gui.widgets.command import Command, looking
 from wafer_viewer.gui.widgets.controls import HtmlBlock, always_there
 from wafer_viewer.gui.widgets.error_guard import guarded, tell_failure
-from wafer_viewer.gui.widgets.latest_only import LatestOnlyWorker
 from wafer_viewer.gui.widgets.style import BRAND, RIGHT_PX, sheet
 from wafer_viewer.model.region import Region
 from wafer_viewer.session.state.snapshot import Snapshot

@@ -16,7 +16,7 @@ from wafer_viewer.gui.page.stop import complete_fields_sentence
 from wafer_viewer.gui.state.view_state import View
 from wafer_viewer.gui.widgets import html
 from wafer_viewer.gui.widgets.controls import HtmlBlock
-from wafer_viewer.gui.widgets.static_files import read_static
+from wafer_viewer.gui.widgets.style import read_static
 from wafer_viewer.session.state.snapshot import RigStatus, Snapshot
 
 BEAT_S = 1.0

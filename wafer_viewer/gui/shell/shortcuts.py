@@ -1,19 +1,25 @@
-"""Table of the page's commands with their keys, also listed in the command palette."""
+"""Table of the page's commands with their keys, their sheet, and the command palette.
+
+A command that is not possible notifies why when it is chosen, by key or in the palette.
+"""
 
 from __future__ import annotations
 
-from collections.abc import Callable
+import json
+from collections.abc import Callable, Sequence
 from concurrent.futures import Future
 from dataclasses import dataclass
-from typing import Any
+from functools import cache
+from typing import Any, get_args
 
 import viser
 
 from wafer_viewer.draw.colormaps import COLOUR_MAPS
-from wafer_viewer.gui.acquire.acquire_panel import AcquirePanel
+from wafer_viewer.gui.acquire import AcquirePanel
 from wafer_viewer.gui.measure.measure_panel import MeasurePanel
-from wafer_viewer.gui.measure.profile_line_commands import LineVerbs
-from wafer_viewer.gui.page import judgement
+from wafer_viewer.gui.measure.profile_section import LineVerbs
+from wafer_viewer.gui.page import preconditions as judgement
+from wafer_viewer.gui.page.dialogs import Dialog
 from wafer_viewer.gui.page.header import TITLES
 from wafer_viewer.gui.page.import_export_dialogs import export_dialog, import_dialog, load_plan_dialog, open_dialog
 from wafer_viewer.gui.page.page import Page
@@ -33,10 +39,17 @@ from wafer_viewer.gui.page.preconditions import (
 from wafer_viewer.gui.page.stop import stop
 from wafer_viewer.gui.plan.plan_panel import PlanPanel
 from wafer_viewer.gui.state.view_state import Step, View
-from wafer_viewer.gui.surface.focus_evidence_panel import WhyPanel
+from wafer_viewer.gui.surface.focus_evidence import WhyPanel
 from wafer_viewer.gui.surface.surface_panel import COLOUR_BY, LOOKS, SurfacePanel
 from wafer_viewer.gui.tools.tool_palette import ICONS, TOOL_KEYS
-from wafer_viewer.gui.widgets.command import Command, with_precondition
+from wafer_viewer.gui.widgets import html
+from wafer_viewer.gui.widgets.command import Command, Group, with_precondition
+from wafer_viewer.gui.widgets.controls import HtmlBlock
+from wafer_viewer.gui.widgets.error_guard import guarded
+from wafer_viewer.gui.widgets.html import with_micro_sign
+from wafer_viewer.gui.widgets.number_field import EMPTY
+from wafer_viewer.gui.widgets.style import read_static
+from wafer_viewer.model.glossary import Subject, terms_of
 from wafer_viewer.model.measurement.tools import TOOLS
 from wafer_viewer.session.state.snapshot import Snapshot
 
@@ -291,3 +304,130 @@ def _asking(page: Page) -> Callable[..., Callable[[], None]]:
         return lambda: page.ask(name, verb(), then)
 
     return ask
+
+
+SCRIPTS = "accessible_names.js", "file_dialog.js", "keyboard.js"
+"""Scripts in this order: the file dialog handles its keys before the keyboard script."""
+FILE_PICKS = "file-mark", "file-open", "file-parent"
+BESIDE_THE_TABLE: dict[Group, tuple[tuple[str, str], ...]] = {
+    "Page": (
+        ("Every command by name", "Ctrl + K"),
+        ("This list", "F1 or ?"),
+        ("Next, previous field or button", "Tab"),
+        ("Leave a text field", "Enter or Esc"),
+    ),
+    "Look": (("Saved view 1 … 9", "Shift + 1 … 9"), ("Move the camera", "W A S D Q E"), ("Turn it", "arrows")),
+}
+"""Keys without a command in the table, and keys that stand for several commands."""
+
+
+def sheet_html(commands: Sequence[Command]) -> str:
+    """Return all keys by group as HTML."""
+    groups = [(group, _rows(group, commands)) for group in get_args(Group)]
+    drawn = "".join(_group(group, rows) for group, rows in groups if rows)
+    return f'<div class="wv-sheet" role="region" aria-label="Keys" tabindex="0"><div>{drawn}</div></div>'
+
+
+def add_keys_sheet(page: Page, commands: Sequence[Command]) -> Command:
+    """Add the keyboard script to the page and return the command that shows the sheet."""
+
+    def show() -> None:
+        dialog = Dialog(page, "Keys", "Every command is also in the command palette: Ctrl + K.")
+        with dialog.modal:
+            HtmlBlock(page.gui, sheet_html(commands))
+        dialog.way_out("Close")
+
+    page.on_pick("keys", lambda _: show())
+    page.gui.add_html(f'<img src="data:," alt="" hidden onerror="{html.safe(_script())}">')
+    page.gui.add_html(f'<div hidden><span class="wv-keys-sheet" {html.pick("keys")}></span></div>')
+    return Command("Keys", None, show, group="Page")
+
+
+def glossary_html() -> str:
+    """Return the glossary by subject as HTML."""
+
+    def subject_html(subject: Subject) -> str:
+        rows = "".join(
+            f"<dt>{html.safe(term.word)}</dt><dd>{html.safe(term.meaning)} <small>{html.safe(term.source)}</small></dd>"
+            for term in terms_of(subject)
+        )
+        return f"<section><b>{html.safe(subject)}</b><dl>{rows}</dl></section>"
+
+    return f'<div class="wv-sheet wv-glossary"><div>{"".join(map(subject_html, get_args(Subject)))}</div></div>'
+
+
+def glossary_command(page: Page) -> Command:
+    """Return the command that shows the glossary."""
+
+    def show() -> None:
+        dialog = Dialog(page, "Glossary", "The words of this page, of the command line and of reports.")
+        with dialog.modal:
+            HtmlBlock(page.gui, glossary_html())
+        dialog.way_out("Close")
+
+    return Command("Glossary", None, show, group="Page")
+
+
+def _rows(group: Group, commands: Sequence[Command]) -> list[tuple[str, str]]:
+    named = [(c.name, c.spoken_key) for c in commands if c.group == group and c.key and c.listed]
+    return [*named, *BESIDE_THE_TABLE.get(group, ())]
+
+
+def _group(group: Group, rows: list[tuple[str, str]]) -> str:
+    lines = "".join(f"<div>{html.safe(name)}<kbd>{html.safe(key)}</kbd></div>" for name, key in rows)
+    return f"<section><b>{html.safe(group)}</b>{lines}</section>"
+
+
+@cache
+def _script() -> str:
+    optional = f"window.wvOptional={json.dumps(EMPTY, ensure_ascii=False)};"
+    picks = ",".join(f"'{what}':function(event){{{html.pick_script(what)}}}" for what in FILE_PICKS)
+    return "\n".join((optional, f"window.wvReport={{{picks}}};", read_static(*SCRIPTS)))
+
+
+Source = Callable[[Snapshot], Sequence[Command]]
+Name = tuple[str, Any, Any]
+"""Name, key and modifier of a command."""
+
+
+class Palette:
+    """Registration of the fixed commands and of `more`, which depend on the snapshot."""
+
+    def __init__(self, page: Page, commands: Sequence[Command], more: Source) -> None:
+        self._page, self._commands, self._more = page, commands, more
+        self._known: dict[Name, Any] = {}
+
+    def show(self, snapshot: Snapshot, view: View) -> None:
+        """Bring the browser's list up to date."""
+        everything = (*self._commands, *self._more(snapshot))
+        now = {_name(c): c for c in everything if c.here is None or c.here(snapshot, view)}
+        for gone in self._known.keys() - now.keys():
+            self._known.pop(gone).remove()
+        for name, command in now.items():
+            if name not in self._known:
+                self._known[name] = self._add(command)
+
+    def _add(self, command: Command) -> Any:
+        handle = self._page.gui.add_command(
+            command.name,
+            description=command.group,
+            hotkey=command.key,
+            modifier=command.modifier,
+            icon=command.icon,
+        )
+        heard = guarded(self._page, f"{command.name} failed")(lambda _: carry_out(self._page, command))
+        handle.on_trigger(heard)
+        return handle
+
+
+def carry_out(page: Page, command: Command) -> None:
+    """Carry out a command, or notify why it is not possible."""
+    why = command.why_not(page.session.snapshot, page.view) if command.why_not is not None else None
+    if why is None:
+        command.act()
+    else:
+        page.say(command.name.removesuffix("…"), f"Not now: {with_micro_sign(why)}", "attention")
+
+
+def _name(command: Command) -> Name:
+    return command.name, command.key, command.modifier

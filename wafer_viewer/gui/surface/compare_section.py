@@ -11,13 +11,13 @@ from wafer_viewer.gui.page.dialogs import Dialog
 from wafer_viewer.gui.page.file_dialog import FileList
 from wafer_viewer.gui.page.page import Page
 from wafer_viewer.gui.page.preconditions import no_comparison, no_surface
-from wafer_viewer.gui.presenters import comparison as words
+from wafer_viewer.gui.presenters import surface as words
 from wafer_viewer.gui.state.view_state import View
 from wafer_viewer.gui.widgets import html
+from wafer_viewer.gui.widgets.callback_timing import LatestOnlyWorker
 from wafer_viewer.gui.widgets.command import Command, with_precondition
 from wafer_viewer.gui.widgets.controls import HtmlBlock, ToggleGroup, button, in_a_row, set_prop
 from wafer_viewer.gui.widgets.error_guard import guarded
-from wafer_viewer.gui.widgets.latest_only import LatestOnlyWorker
 from wafer_viewer.model.errors import DatasetError
 from wafer_viewer.model.surface.comparison import (
     ALIGN_TITLES,
@@ -27,8 +27,7 @@ from wafer_viewer.model.surface.comparison import (
     comparison_of,
     show_of,
 )
-from wafer_viewer.session.state.comparison_state import Compared
-from wafer_viewer.session.state.snapshot import Snapshot
+from wafer_viewer.session.state.snapshot import Compared, Snapshot
 
 NOTHING_TO_COMPARE = "Nothing else yet"
 ICON = viser.Icon
@@ -112,7 +111,7 @@ class CompareSection:
             self._why_not = HtmlBlock(gui)
         self._on_show = gui.add_folder(None, visible=False)
         with self._on_show:
-            self._faces = ToggleGroup(gui, "Look at", words.FACES, self._choose_face)
+            self._faces = ToggleGroup(gui, "Look at", words.FACE_CHOICES, self._choose_face)
             close = button(gui, "Close comparison", ICON.X, lambda _: self.close())
             in_a_row(gui, [close])
             self._told = HtmlBlock(gui)
@@ -223,7 +222,7 @@ def _fold_word(unfolded: bool) -> str:
 
 
 def _row(compared: Compared, chosen: bool) -> str:
-    name = html.safe(words.name_of(compared.comparison))
+    name = html.safe(words.comparison_name(compared.comparison))
     away = f'<span class="wv-link" title="Remove" {html.pick("compare-remove", str(compared.number))}>'
     cells = (name, f"{away}{html.icon(ICON.X, 14)}</span>")
     return html.row(cells, " n", html.pick("compare-look", str(compared.number)), "sel" if chosen else "")
@@ -237,6 +236,6 @@ def _told(known: Compared, face: ComparisonFace) -> str:
         + beside
         + words.change_figures(comparison.change)
         + words.warnings(comparison, known.outdated)
-        + words.numbers(comparison.change)
+        + words.change_numbers(comparison.change)
         + words.alignment(comparison.registration)
     )

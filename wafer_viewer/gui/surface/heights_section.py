@@ -1,24 +1,111 @@
-"""Histogram of the displayed heights; a drag brushes a range, which is highlighted and listed in numbers."""
+"""Heights section: histogram with a brushed range, and statistics of what is on show.
+
+The panel, the histogram, the range of colours, the map and the export read the statistics from the page, so that they
+agree.
+"""
 
 from __future__ import annotations
 
-from dataclasses import replace
-from typing import Any
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from typing import Any, Literal
 
+import msgspec
 import viser
 
-from wafer_viewer.draw.charts.histogram_html import histogram_html
+from wafer_viewer.draw.charts.colour_bar import HEIGHT_PX, histogram_html, place_of
 from wafer_viewer.draw.number_format import number, share, with_unit
 from wafer_viewer.gui.page.page import Page
-from wafer_viewer.gui.scene.lod.surface_tiles import OWN_COLOURS
+from wafer_viewer.gui.scene.reconciler import NotReady, RenderQueue
+from wafer_viewer.gui.scene.scene_contents import DisplayedSurface
+from wafer_viewer.gui.scene.surface_tiles import OWN_COLOURS
+from wafer_viewer.gui.scenes.surface_scene import source_of
 from wafer_viewer.gui.state.view_state import View
-from wafer_viewer.gui.surface import histogram_pointer as pointer
 from wafer_viewer.gui.widgets import html
 from wafer_viewer.gui.widgets.controls import BoundInput, HtmlBlock, button, in_a_row, set_prop
 from wafer_viewer.gui.widgets.error_guard import guarded
+from wafer_viewer.model.errors import WaferViewerError
 from wafer_viewer.model.region import Region
 from wafer_viewer.model.surface.clipping import Box, Span
-from wafer_viewer.session.rendering.render_request import Brushed, Statistics
+from wafer_viewer.session.rendering.render_request import Brushed, RenderRequest, Statistics
+from wafer_viewer.session.state.snapshot import Snapshot, SurfaceInfo
+
+HISTOGRAM = "histogram"
+Act = Literal["brush", "low", "high"]
+_ACTS: dict[str, Act] = {"brush": "brush", "low": "low", "high": "high"}
+_GRIP_PX = 9
+_CLICK, _AT_END = 0.008, 0.006
+"""Shares of the histogram's width."""
+_ALONG = "Math.max(0,Math.min(1,(event.clientX-this.getBoundingClientRect().left)/this.clientWidth))"
+_DOWN = (
+    f"if(event.button===0){{event.stopPropagation();this.setPointerCapture(event.pointerId);const x={_ALONG};"
+    "const g=[...this.querySelectorAll('b')].map(e=>[Math.abs(parseFloat(e.style.left)/100-x),e.dataset.grip])"
+    f".filter(e=>e[0]<{_GRIP_PX}/this.clientWidth).sort((a,b)=>a[0]-b[0]);"
+    "window.wvBrush=[g.length?g[0][1]:'brush',x]}"
+)
+_MOVE = (
+    "const h=window.wvBrush;if(!(event.buttons&1)){window.wvBrush=undefined}else if(h){"
+    f"const x={_ALONG};if(h[0]==='brush'){{const s=this.firstElementChild.style;s.display='block';"
+    "s.left=100*Math.min(h[1],x)+'%';s.width=100*Math.abs(h[1]-x)+'%'}"
+    "else this.querySelector('b[data-grip='+h[0]+']').style.left=100*x+'%'}"
+)
+_UP = (
+    f"const h=window.wvBrush;if(h){{window.wvBrush=undefined;this.dataset.k=h[0]+':'+h[1]+':'+{_ALONG};"
+    f"{html.pick_script(HISTOGRAM)}}}"
+)
+
+
+def histogram_area(ends_um: Span, brush_um: Span | None, clip_um: Span | None, *, clips: bool) -> str:
+    """Return the element over the bars as HTML.
+
+    clips: add grips at the ends of `clip_um`, or of the histogram without one.
+    """
+    band = "display:none"
+    if brush_um is not None:
+        first, last = (place_of(z, ends_um) for z in brush_um)
+        band = f"left:{100 * first:.3f}%;width:{100 * (last - first):.3f}%"
+    grips = ""
+    if clips:
+        places = (0.0, 1.0) if clip_um is None else tuple(place_of(z, ends_um) for z in clip_um)
+        grips = "".join(
+            f'<b data-grip="{name}" style="left:{100 * at:.3f}%"></b>'
+            for name, at in zip(("low", "high"), places, strict=True)
+        )
+    heard = {"pointerdown": _DOWN, "pointermove": _MOVE, "pointerup": _UP}
+    handlers = " ".join(f'on{event}="{html.safe(script)}"' for event, script in heard.items())
+    return (
+        f'<div class="wv-over-hist"><div class="wv-brush" style="height:{HEIGHT_PX}px" '
+        f'title="Drag to brush heights, click to clear" {handlers}><div style="{band}"></div>{grips}</div></div>'
+    )
+
+
+@dataclass(frozen=True, slots=True)
+class Drag:
+    """Drag on the histogram: the brush or grip, and the heights at its start and end.
+
+    is_click: it did not move. Within `_AT_END` of an end of the histogram it includes all heights beyond.
+    """
+
+    act: Act
+    from_um: float
+    to_um: float
+    is_click: bool
+
+
+def parse_drag(key: str, ends_um: Span, span_um: Span) -> Drag:
+    """Parse a drag event; `span_um` is the lowest and the highest of all heights."""
+    act, first, last = key.split(":")
+    from_um, to_um = (_height(float(share), ends_um, span_um) for share in (first, last))
+    return Drag(_ACTS.get(act, "brush"), from_um, to_um, abs(float(first) - float(last)) < _CLICK)
+
+
+def _height(share: float, ends_um: Span, span_um: Span) -> float:
+    if share <= _AT_END:
+        return min(span_um[0], ends_um[0])
+    if share >= 1 - _AT_END:
+        return max(span_um[1], ends_um[1])
+    return ends_um[0] + share * (ends_um[1] - ends_um[0])
+
 
 FAILED = "The heights were not clipped"
 _ROOM = 0.5
@@ -43,7 +130,7 @@ class HeightsSection:
             gui, "Measure the place", viser.Icon.RULER_MEASURE, guarded(page, FAILED)(lambda _: self._measure_it())
         )
         in_a_row(gui, [self._keep, self._measure])
-        page.on_pick(pointer.HISTOGRAM, self._dragged)
+        page.on_pick(HISTOGRAM, self._dragged)
         page.on_pick("unbrush", lambda _: page.change(brush_um=None))
 
     def show(self, view: View) -> None:
@@ -61,7 +148,7 @@ class HeightsSection:
             return
         self._head.show(_head(view))
         self._area.show(
-            pointer.histogram_area(told.ends_um, view.brush_um, view.clip.heights_um if clips else None, clips=clips)
+            histogram_area(told.ends_um, view.brush_um, view.clip.heights_um if clips else None, clips=clips)
         )
         within = view.clip.heights_um if clips else None
         self._bars.show(histogram_html(told.counts, told.ends_um, self._colours(view), within))
@@ -96,7 +183,7 @@ class HeightsSection:
     def _dragged(self, key: str) -> None:
         if self._shown is None:
             return
-        drag = pointer.parse_drag(key, self._shown.ends_um, self._shown.span_um)
+        drag = parse_drag(key, self._shown.ends_um, self._shown.span_um)
         if drag.act == "brush":
             self._page.change(brush_um=None if drag.is_click else _sorted(drag.from_um, drag.to_um))
             return
@@ -164,3 +251,114 @@ def _range_or_none(ends: Span, whole_um: Span) -> Span | None:
     low, high = float(ends[0]), float(ends[1])
     all_of_it = low <= whole_um[0] + 10**-_DECIMALS and high >= whole_um[1] - 10**-_DECIMALS
     return None if high <= low or all_of_it else (low, high)
+
+
+Corners = tuple[tuple[float, float], ...]
+_KEPT = 64
+_ROUNDED = 200
+"""The view is rounded to this part of the surface, so that small camera moves start no new count."""
+
+
+class ShownStatistics:
+    """Part of the page that updates the statistics before the parts that show them; the painter counts."""
+
+    def __init__(self, page: Page, seen_um: Callable[[], Corners | None]) -> None:
+        self._page, self._seen_um = page, seen_um
+        self._orders = RenderQueue(page.session.paint, page.redraw)
+        self._known: dict[RenderRequest, Statistics] = {}
+        self._of: RenderRequest | None = None
+        self.problem = ""
+
+    def show(self, snapshot: Snapshot, view: View) -> None:
+        """Request new statistics if the displayed part has changed."""
+        self.problem = ""
+        request = self._request(snapshot, view)
+        self._page.counted_um = request.box_um if request is not None else None
+        if request is None:
+            self._page.statistics = _of_all(snapshot, view)
+            self._orders.keep_only(set())
+            return
+        self._orders.keep_only({request})
+        try:
+            self._page.statistics, self._of = self._counted(request), request
+        except NotReady:
+            if self._of is None or not _same_part(self._of, request):
+                self._page.statistics = _of_all(snapshot, view)
+        except WaferViewerError as fault:
+            self._page.statistics, self.problem = None, str(fault)
+
+    def seen_um(self) -> Box | None:
+        """Return the box of the surface in view; None if all of it is."""
+        return self._box_um(self._page.on_show, replace(self._page.view, counted="view"))
+
+    def _request(self, snapshot: Snapshot, view: View) -> RenderRequest | None:
+        on_show, source = self._page.on_show, source_of(snapshot, view.show)
+        looked_at = view.step in ("surface", "measure") and not snapshot.scanning
+        if not looked_at or on_show is None or source is None or on_show.source != source:
+            return None
+        if view.counted == "selection" and view.selection is None:
+            return None
+        return RenderRequest(
+            source,
+            "statistics",
+            datum=on_show.datum,
+            box_um=self._box_um(on_show, view),
+            clip=view.clipped,
+            brush_um=view.brush,
+            refused=view.draws_refused,
+        )
+
+    def _box_um(self, on_show: DisplayedSurface | None, view: View) -> Box | None:
+        if view.counted == "selection":
+            return view.selection
+        corners = self._seen_um() if view.counted == "view" else None
+        if corners is None or on_show is None:
+            return None
+        facts = on_show.facts
+        step = facts.pixel_um * max(1, max(facts.rows, facts.cols) // _ROUNDED)
+        x0, y1 = facts.x0_um, facts.y0_um
+        x1, y0 = x0 + (facts.cols - 1) * facts.pixel_um, y1 - (facts.rows - 1) * facts.pixel_um
+        xs, ys = ([round(v / step) * step for v in axis] for axis in zip(*corners, strict=True))
+        box = max(x0, min(xs)), max(y0, min(ys)), min(x1, max(xs)), min(y1, max(ys))
+        return None if box == (x0, y0, x1, y1) else box
+
+    def _counted(self, request: RenderRequest) -> Statistics:
+        """Return the statistics of a request. Raises NotReady, or WaferViewerError if they cannot be computed."""
+        if request not in self._known:
+            told = msgspec.msgpack.decode(self._orders.outcome(request).result(), type=Statistics)
+            self._known = dict(list(self._known.items())[1 - _KEPT :])
+            self._known[request] = told
+        return self._known[request]
+
+
+def _same_part(a: RenderRequest, b: RenderRequest) -> bool:
+    """Return whether two requests count the same part apart from clip, brush and rejected points.
+
+    The statistics of the first can then be shown until those of the second are ready.
+    """
+    return replace(a, clip=b.clip, brush_um=b.brush_um, refused=b.refused) == b
+
+
+def _of_all(snapshot: Snapshot, view: View) -> Statistics | None:
+    """Return the statistics that the session has of the whole stitched surface; None for any other part."""
+    info = snapshot.surface
+    whole = view.show == 0 and view.counted == "all" and view.levelling.by == "stage"
+    return _as_statistics(info) if info is not None and whole else None
+
+
+def _as_statistics(info: SurfaceInfo) -> Statistics:
+    n = round(info.rows * info.cols * info.measured_fraction)
+    return Statistics(
+        rows=info.rows,
+        cols=info.cols,
+        pixel_um=info.pixel_um,
+        n_heights=n,
+        n_points=n,
+        measured_fraction=info.measured_fraction,
+        filled_fraction=info.filled_fraction,
+        unmeasured=info.unmeasured,
+        lowest_um=info.lowest_um,
+        highest_um=info.highest_um,
+        mean_um=None,
+        spread_um=None,
+    )

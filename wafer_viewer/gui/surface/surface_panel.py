@@ -1,4 +1,4 @@
-"""Panel of the step Surface: display, statistics and reconstruction of the surface."""
+"""Panel of the step Surface: display, slice, statistics and reconstruction of the surface."""
 
 from __future__ import annotations
 
@@ -12,23 +12,94 @@ from wafer_viewer.draw.colormaps import COLOUR_MAPS
 from wafer_viewer.draw.number_format import number, share, with_unit
 from wafer_viewer.gui.page.import_export_dialogs import export_dialog
 from wafer_viewer.gui.page.page import Page
-from wafer_viewer.gui.page.verdict_section import VerdictSection
-from wafer_viewer.gui.presenters.displayed_surface import name_of
-from wafer_viewer.gui.scene.lod.surface_tiles import OWN_COLOURS
-from wafer_viewer.gui.scenes.pose_cache import PoseCache
+from wafer_viewer.gui.page.panels import VerdictSection
+from wafer_viewer.gui.presenters.surface import surface_name
+from wafer_viewer.gui.scene.surface_tiles import OWN_COLOURS
+from wafer_viewer.gui.scenes.pose_overlay import PoseCache
 from wafer_viewer.gui.state.view_state import ColourBy, Counted, View
-from wafer_viewer.gui.surface.clip_section import ClipSection
-from wafer_viewer.gui.surface.heights_section import HeightsSection
-from wafer_viewer.gui.surface.points_section import PointsSection
-from wafer_viewer.gui.surface.recipe_section import RecipeSection
-from wafer_viewer.gui.surface.shown_statistics import ShownStatistics
-from wafer_viewer.gui.surface.slice_section import SliceSection
-from wafer_viewer.gui.surface.stitching_section import StitchingSection
+from wafer_viewer.gui.surface.heights_section import HeightsSection, ShownStatistics
+from wafer_viewer.gui.surface.points_section import ClipSection, PointsSection
+from wafer_viewer.gui.surface.reconstruction_section import RecipeSection, StitchingSection
 from wafer_viewer.gui.widgets import html
 from wafer_viewer.gui.widgets.controls import BoundInput, HtmlBlock, ToggleGroup, button, in_a_row, leading, set_prop
+from wafer_viewer.model.acquisition.plan import ScanPlan
 from wafer_viewer.model.region import Region
 from wafer_viewer.session.rendering.render_request import Statistics
 from wafer_viewer.session.state.snapshot import OpenDataset, Snapshot, SurfaceInfo
+
+
+class SliceSection:
+    """Switch, and a slider over the frames of the displayed field or over z."""
+
+    def __init__(self, page: Page) -> None:
+        self._page = page
+        gui = page.gui
+        self._head = HtmlBlock(gui)
+        self._on = BoundInput(gui.add_checkbox("One frame", False), self._switch, page, "The frame was not changed")
+        self._frame = self._slider(gui.add_slider("Frame", 1, 3, 1, 1, visible=False), self._choose_frame)
+        self._z = self._slider(gui.add_slider("z, µm", 0.0, 1.0, 0.1, 0.0, visible=False), self._choose_z)
+
+    def show(self, snapshot: Snapshot, view: View) -> None:
+        """Bring the section up to date."""
+        plan = snapshot.dataset.plan if snapshot.dataset and snapshot.dataset.fields else None
+        single = view.show > 0
+        on = view.frame_k is not None if single else view.slice_z_um is not None
+        self._head.show(html.head("Pictures", _where(plan, view)))
+        set_prop(self._on.handle, "label", "One frame" if single else "One z")
+        self._on.show(on)
+        self._on.enable(plan is not None and view.show >= 0)
+        set_prop(self._frame.handle, "visible", single and on)
+        set_prop(self._z.handle, "visible", not single and on)
+        if plan is None:
+            return
+        set_prop(self._frame.handle, "max", plan.sweep.n_frames)
+        if view.frame_k is not None:
+            self._frame.show(view.frame_k + 1)
+        if view.slice_z_um is not None:
+            low, high = _z_range(plan)
+            set_prop(self._z.handle, "min", low)
+            set_prop(self._z.handle, "max", high)
+            set_prop(self._z.handle, "step", plan.sweep.z_step_um)
+            self._z.show(view.slice_z_um)
+
+    def _slider(self, handle: Any, act: Any) -> BoundInput[Any]:
+        return BoundInput(handle, act, self._page, "The frame was not changed")
+
+    def _switch(self, event: Any) -> None:
+        page, data = self._page, self._page.session.snapshot.dataset
+        if data is None:
+            return
+        middle = data.plan.sweep.n_frames // 2
+        if not event.target.value:
+            page.change(frame_k=None, slice_z_um=None)
+        elif page.view.show > 0:
+            page.change(frame_k=middle, slice_z_um=None)
+        else:
+            low, _ = _z_range(data.plan)
+            page.change(frame_k=None, slice_z_um=low + middle * data.plan.sweep.z_step_um)
+
+    def _choose_frame(self, event: Any) -> None:
+        self._page.change(frame_k=int(event.target.value) - 1)
+
+    def _choose_z(self, event: Any) -> None:
+        self._page.change(slice_z_um=float(event.target.value))
+
+
+def _z_range(plan: ScanPlan) -> tuple[float, float]:
+    low = min(field.z_start_um for field in plan.fields)
+    return low, max(field.z_start_um for field in plan.fields) + plan.sweep.range_um
+
+
+def _where(plan: ScanPlan | None, view: View) -> str:
+    if plan is None:
+        return ""
+    if view.show > 0 and view.frame_k is not None:
+        z_um = plan.sweep.z_um(plan.field(view.show), view.frame_k)
+        return f"frame {view.frame_k + 1} of {plan.sweep.n_frames} · z {with_unit(z_um, 1, signed=True)}"
+    if not view.show and view.slice_z_um is not None:
+        return f"stitched, z {with_unit(view.slice_z_um, 1, signed=True)}"
+    return "as the camera took them"
+
 
 COUNTED: tuple[tuple[Counted, str], ...] = (("all", "All"), ("view", "In view"), ("selection", "Selection"))
 LOOKS = (("surface", "Surface"), ("points", "Points"), ("plan", "Plan"))
@@ -80,7 +151,7 @@ class SurfacePanel:
         self._show_light(view)
         self._slice.show(snapshot, view)
         self._counted.show(view.counted)
-        self._head.show(html.head(name_of(view), data.results[0] if data and len(data.results) == 1 else ""))
+        self._head.show(html.head(surface_name(view), data.results[0] if data and len(data.results) == 1 else ""))
         self._numbers.show(self._numbers_of(data, info, view))
         selected = view.counted == "selection" and view.selection is not None
         for handle in (self._of_selection, self._deselect):
@@ -281,7 +352,7 @@ def _below(data: OpenDataset | None, info: SurfaceInfo | None, told: Statistics 
     calibrated = "" if data.calibration_problem is None else " · uncalibrated"
     if view.show == 0 and info is None:
         return f"{len(data.stamps)} of {len(data.fields)} fields reconstructed{calibrated}"
-    name = name_of(view)
+    name = surface_name(view)
     if view.show == 0 and view.counted == "all" and info is not None:
         name = "From a file" if not data.fields else "1 field" if info.n_fields == 1 else f"{info.n_fields} fields"
     if told is None:

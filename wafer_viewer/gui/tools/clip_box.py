@@ -14,9 +14,9 @@ from wafer_viewer.gui.scene.drag_handles import Dragged, DragHandle
 from wafer_viewer.gui.scene.heightfield import HeightField
 from wafer_viewer.gui.scene.primitives import dashed, lines
 from wafer_viewer.gui.scene.scene_contents import DisplayedSurface, corners_of
-from wafer_viewer.gui.scene.view_axes import ViewAxes
+from wafer_viewer.gui.scene.viewport import ViewAxes
 from wafer_viewer.gui.state.view_state import View
-from wafer_viewer.gui.widgets.echo_filter import EchoFilter
+from wafer_viewer.gui.widgets.callback_timing import EchoFilter
 from wafer_viewer.model.surface.clipping import Box, Span
 
 NAME = "clip"

@@ -1,14 +1,14 @@
-"""Initial regions of each tool, on features of the visible part, so that the first result is meaningful."""
+"""Initial regions of each tool, on features of the visible part, so that the first answer makes sense."""
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
 
 import numpy as np
+from numpy.typing import NDArray
 
-from wafer_viewer.gui.scene.heightfield import HeightField, Place
-from wafer_viewer.gui.tools.initial_edge_regions import bumps_box, die_box, edge_box, initial_circle, kerf_box
-from wafer_viewer.gui.tools.initial_groove import groove_line
+from wafer_viewer.gui.scene.heightfield import Box, Floats, HeightField, Place
 from wafer_viewer.gui.tools.surface_landmarks import (
     PATCH_SHARES,
     SAME_LEVEL,
@@ -23,6 +23,233 @@ from wafer_viewer.gui.tools.surface_landmarks import (
 from wafer_viewer.model.measurement.levelling import LevelBy, Levelling
 from wafer_viewer.model.measurement.tools import ToolName
 from wafer_viewer.model.region import Region
+
+LEAST_SHARE, FILLED, LEAST_PX = 0.01, 0.75, 8
+"""Least area of a die as a fraction of the visible part, least fill of its box, and least side in coarse pixels."""
+ROUND, OVER, ALONG, INSIDE = 0.4, 0.3, 0.7, 0.04
+"""Fractions of the street: margin around a die, reach across its edge. Fractions of the die: length along an edge,
+inset of the bump region."""
+STANDS_OUT, ROUND_FILL, ASPECT, ROOM = 0.05, (0.6, 0.9), 0.75, 1.24
+"""Detection of round features: least height as a fraction of the height range, fill of the bounding box, least aspect
+ratio; size of the circle drawn around it relative to the feature."""
+NO_STREET = 0.15
+"""Assumed street of an isolated die, as a fraction of its shorter side."""
+
+
+@dataclass(frozen=True, slots=True)
+class DieOutline:
+    """Outline of a die in um, and street widths: left, lower, right, upper; None if there is nothing beyond."""
+
+    box: Box
+    streets: tuple[float | None, float | None, float | None, float | None]
+
+    @property
+    def size(self) -> tuple[float, float]:
+        """Width and height."""
+        x0, y0, x1, y1 = self.box
+        return x1 - x0, y1 - y0
+
+    def away(self, at: Place) -> float:
+        """Return the distance of a position from the centre."""
+        x0, y0, x1, y1 = self.box
+        return float(np.hypot((x0 + x1) / 2 - at[0], (y0 + y1) / 2 - at[1]))
+
+    @property
+    def street(self) -> float:
+        """Width of the narrowest street."""
+        return min((street for street in self.streets if street), default=NO_STREET * min(self.size))
+
+
+def die_box(land: HeightField, near: Place) -> tuple[Region, ...]:
+    """Return a rectangle around a die that reaches into the streets."""
+    die = _die(land, near)
+    by = ROUND * die.street
+    x0, y0, x1, y1 = die.box
+    return (_rectangle(land, (x0 - by, y0 - by, x1 + by, y1 + by)),)
+
+
+def kerf_box(land: HeightField, near: Place) -> tuple[Region, ...]:
+    """Return a rectangle across a street, preferably the one below; across the die if it is isolated."""
+    die = _die(land, near)
+    (x0, y0, x1, y1), by = die.box, OVER * die.street
+    left, lower, right, upper = die.streets
+    x_half, y_half = ALONG * (x1 - x0) / 2, ALONG * (y1 - y0) / 2
+    x, y = (x0 + x1) / 2, (y0 + y1) / 2
+    if lower or upper:
+        low, high = (y0 - lower, y0) if lower else (y1, y1 + (upper or 0.0))
+        return (_rectangle(land, (x - x_half, low - by, x + x_half, high + by)),)
+    if right or left:
+        low, high = (x1, x1 + right) if right else (x0 - (left or 0.0), x0)
+        return (_rectangle(land, (low - by, y - y_half, high + by, y + y_half)),)
+    return (_rectangle(land, (x - x_half, y0 - by, x + x_half, y1 + by)),)
+
+
+def edge_box(land: HeightField, near: Place) -> tuple[Region, ...]:
+    """Return a rectangle along the lower edge of a die."""
+    die = _die(land, near)
+    (x0, y0, x1, _), by = die.box, OVER * die.street
+    half = ALONG * (x1 - x0) / 2
+    return (_rectangle(land, ((x0 + x1) / 2 - half, y0 - by, (x0 + x1) / 2 + half, y0 + by)),)
+
+
+def bumps_box(land: HeightField, near: Place) -> tuple[Region, ...]:
+    """Return a rectangle within a die."""
+    die = _die(land, near)
+    x0, y0, x1, y1 = die.box
+    x_in, y_in = (INSIDE * side for side in die.size)
+    return (_rectangle(land, (x0 + x_in, y0 + y_in, x1 - x_in, y1 - y_in)),)
+
+
+def initial_circle(land: HeightField, near: Place) -> tuple[Region, ...]:
+    """Return a circle around the nearest round feature above the upper level; else around the most prominent bump."""
+    _, high = _levels(land, near)
+    out = _evened(land) > high + STANDS_OUT * span_um(land)
+    found = [_in_um(land, out, *box) for box in _boxes(out, 0.0) if ROUND_FILL[0] <= _fill(out, *box) <= ROUND_FILL[1]]
+    disc = [die for die in found if min(die.size) >= ASPECT * max(die.size)]
+    if not disc:
+        middle, radius_um = bump(land, near)
+        return (Region.circle(*land.clamped(middle), round(radius_um, 2)),)
+    at = land.inner(near)
+    nearest = min(disc, key=lambda die: die.away(at))
+    (x0, y0, x1, y1), radius_um = nearest.box, ROOM * max(nearest.size) / 2
+    return (Region.circle(*land.clamped(((x0 + x1) / 2, (y0 + y1) / 2)), round(radius_um, 2)),)
+
+
+def _rectangle(land: HeightField, box: Box) -> Region:
+    x0, y0, x1, y1 = box
+    return Region.rectangle(*land.clamped((x0, y0)), *land.clamped((x1, y1)))
+
+
+def _die(land: HeightField, near: Place) -> DieOutline:
+    """Return the complete die nearest to a position; the central half of the visible part if there is none."""
+    low, high = _levels(land, near)
+    over = _evened(land) > (low + high) / 2
+    found = [_in_um(land, over, *box) for box in _boxes(over, LEAST_SHARE) if _fill(over, *box) >= FILLED]
+    if not found:
+        x0, y0, x1, y1 = land.bounds_um
+        x, y, half_x, half_y = (x0 + x1) / 2, (y0 + y1) / 2, (x1 - x0) / 4, (y1 - y0) / 4
+        return DieOutline((x - half_x, y - half_y, x + half_x, y + half_y), (None, None, None, None))
+    at = land.inner(near)
+    return min(found, key=lambda die: die.away(at))
+
+
+def _evened(land: HeightField) -> Floats:
+    """Return the heights without the median tilt."""
+    z = land.heights
+    along_x, along_y = (float(np.median(np.diff(z, axis=axis))) for axis in (1, 0))
+    row, col = np.indices(z.shape)
+    return z - along_x * col - along_y * row
+
+
+def _levels(land: HeightField, near: Place) -> tuple[float, float]:
+    """Return the lower and the upper level of a surface after removal of its tilt."""
+    upper, lower, _ = plateaus(land, near)
+    z, (x0, y0, x1, y1) = _evened(land), land.bounds_um
+    rows, cols = z.shape
+    found = [
+        float(z[round((y1 - y) / (y1 - y0) * (rows - 1)), round((x - x0) / (x1 - x0) * (cols - 1))])
+        for x, y in (land.clamped(lower), land.clamped(upper))
+    ]
+    return found[0], found[1]
+
+
+def _boxes(over: NDArray[np.bool_], share: float) -> list[tuple[slice, slice]]:
+    """Return bounding boxes, of at least `share` of the surface, of raised areas that do not touch the border."""
+    from scipy.ndimage import binary_fill_holes, binary_opening, find_objects, label
+
+    numbers = np.zeros(over.shape, np.int32)
+    label(binary_opening(binary_fill_holes(over), np.ones((3, 3), bool)), output=numbers)
+    found: list[tuple[slice, slice]] = []
+    for rows, cols in find_objects(numbers):
+        whole = rows.start > 0 and cols.start > 0 and rows.stop < over.shape[0] and cols.stop < over.shape[1]
+        sides = rows.stop - rows.start, cols.stop - cols.start
+        if whole and min(sides) >= LEAST_PX and sides[0] * sides[1] >= share * over.size:
+            found.append((rows, cols))
+    return found
+
+
+def _fill(over: NDArray[np.bool_], rows: slice, cols: slice) -> float:
+    """Return the filled fraction of a box."""
+    return float(over[rows, cols].mean())
+
+
+def _in_um(land: HeightField, over: NDArray[np.bool_], rows: slice, cols: slice) -> DieOutline:
+    x0, y1 = land.place(rows.start - 0.5, cols.start - 0.5)
+    x1, y0 = land.place(rows.stop - 0.5, cols.stop - 0.5)
+    row, col = (rows.start + rows.stop) // 2, (cols.start + cols.stop) // 2
+    ways = (
+        over[row, : cols.start][::-1],
+        over[rows.stop :, col],
+        over[row, cols.stop :],
+        over[: rows.start, col][::-1],
+    )
+    left, lower, right, upper = (float(np.argmax(way)) * land.pixel_um if way.any() else None for way in ways)
+    return DieOutline((float(x0), float(y0), float(x1), float(y1)), (left, lower, right, upper))
+
+
+SAMPLES = 400
+LINES = 12
+"""Lines evaluated in each direction, the nearest first."""
+REACH = 1.6
+"""Half length of the line in widths of the trench: half of the trench, one width of ground, and a margin."""
+LEAST_SAMPLES = 8
+LEVELS = (10, 90)
+"""Percentiles of the heights along a line; an edge is a crossing of their mean."""
+LEAST_MEASURED = 0.9
+
+
+def groove_line(land: HeightField, near: Place) -> tuple[Place, Place]:
+    """Return both ends of a line across a groove or ridge; the initial profile line if there is none."""
+    widest, found = 0.0, None
+    for start, end in _lines(land, land.inner(near)):
+        first, last = _widest(land, start, end)
+        width = float(np.hypot(*(last - first)))
+        if width > 1.2 * widest:
+            middle = (first + last) / 2
+            widest, found = width, (middle + REACH * (first - last), middle + REACH * (last - first))
+    if found is None:
+        return first_line(land, near)
+    begin, end = (land.clamped((float(x), float(y))) for x, y in found)
+    return begin, end
+
+
+def _lines(land: HeightField, near: Place) -> Iterator[tuple[Floats, Floats]]:
+    """Yield lines across the entire surface, along x and along y, the nearest first."""
+    x0, y0, x1, y1 = land.bounds_um
+    for away in np.linspace(0, 1, LINES):
+        for sign in (1, -1):
+            y = near[1] + sign * away * (y1 - y0) / 2
+            if y0 <= y <= y1:
+                yield np.array([x0, y]), np.array([x1, y])
+            x = near[0] + sign * away * (x1 - x0) / 2
+            if x0 <= x <= x1:
+                yield np.array([x, y0]), np.array([x, y1])
+
+
+def _widest(land: HeightField, start: Floats, end: Floats) -> tuple[Floats, Floats]:
+    """Return both edges of the widest trench or ridge along a line; two equal positions if there is none."""
+    share = np.linspace(0, 1, SAMPLES)
+    places = start + share[:, None] * (end - start)
+    there = land.measured(places[:, 0], places[:, 1])
+    z_um = land.z_um(places[:, 0], places[:, 1])
+    z_um = z_um - np.polyval(np.polyfit(share, z_um, 1), share)
+    edges = _edges(z_um)
+    best = 0, 0
+    for before, first, last, after in zip(edges, edges[1:], edges[2:], edges[3:], strict=False):
+        width = last - first
+        room = min(first - before, after - last) >= REACH * width - width / 2
+        seen = there[max(0, first - width) : last + width].mean() >= LEAST_MEASURED
+        if width >= LEAST_SAMPLES and room and seen and width > best[1] - best[0]:
+            best = first, last
+    return places[best[0]], places[best[1]]
+
+
+def _edges(z_um: Floats) -> list[int]:
+    """Return the samples at which a profile crosses its mid-level, and both of its ends."""
+    low, high = np.percentile(z_um, LEVELS)
+    over: NDArray[np.bool_] = z_um > (low + high) / 2
+    return [0, *(np.flatnonzero(over[1:] != over[:-1]) + 1).tolist(), len(z_um) - 1]
+
 
 _BORDER = 0.06
 """Margin as a fraction of a side of the surface."""

@@ -12,11 +12,11 @@ from wafer_viewer.draw.colormaps import PROFILE_COLOURS, rgb
 from wafer_viewer.gui.scene.billboards import Billboard
 from wafer_viewer.gui.scene.drag_handles import CasedLine, Dragged, DragHandle
 from wafer_viewer.gui.scene.heightfield import HeightField, Place
-from wafer_viewer.gui.scene.view_axes import ViewAxes
+from wafer_viewer.gui.scene.viewport import ViewAxes
 from wafer_viewer.gui.state.view_state import View
 from wafer_viewer.gui.tools.surface_landmarks import first_line
-from wafer_viewer.gui.widgets.echo_filter import EchoFilter
-from wafer_viewer.model.measurement.section_lines import LETTERS
+from wafer_viewer.gui.widgets.callback_timing import EchoFilter
+from wafer_viewer.model.measurement.sections import LETTERS
 from wafer_viewer.model.region import Region
 
 _CURSOR = rgb("15202B")

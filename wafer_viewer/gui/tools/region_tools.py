@@ -1,23 +1,148 @@
-"""Regions of the active tool and of the levelling: initial placement and dragging."""
+"""Regions of the active tool, of the levelling and of gauge block faces: placement, drawing and dragging."""
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 
+import numpy as np
 import viser
 
-from wafer_viewer.gui.scene.drag_handles import Dragged
+from wafer_viewer.draw.colormaps import Rgb
+from wafer_viewer.gui.page.page import Page
+from wafer_viewer.gui.scene.billboards import Billboard, corner_on_screen
+from wafer_viewer.gui.scene.drag_handles import CasedLine, Dragged, DragHandle
 from wafer_viewer.gui.scene.heightfield import HeightField, Place
 from wafer_viewer.gui.scene.scene_theme import colours
-from wafer_viewer.gui.scene.view_axes import ViewAxes
+from wafer_viewer.gui.scene.viewport import ViewAxes
 from wafer_viewer.gui.state.view_state import Tool, View
 from wafer_viewer.gui.tools.initial_regions import FIRST
-from wafer_viewer.gui.tools.region_handles import Places
-from wafer_viewer.gui.widgets.echo_filter import EchoFilter
+from wafer_viewer.gui.tools.region_shapes import SHAPES, WHOLE
+from wafer_viewer.gui.widgets.callback_timing import EchoFilter
 from wafer_viewer.model.measurement.levelling import Levelling
-from wafer_viewer.model.measurement.tools import TOOLS, MeasuringTool
+from wafer_viewer.model.measurement.tools import TOOLS, MeasuringTool, ToolOptions
 from wafer_viewer.model.region import Region
 from wafer_viewer.model.spec import replace
+from wafer_viewer.session.state.snapshot import SurfaceInfo
+
+_WHOLE_PX, _EDGE_PX, _POINT_PX = 7.5, 5.5, 8.5
+_SIGN_PX, _BESIDE_PX = 26, 12
+_ROOMY_PX, _LEAST_KNOB = 60, 0.4
+"""Size of a region in pixels from which handles have full size, and the smallest fraction of that size."""
+_ENDS_OF_A_WAY = ("point", "point")
+"""Region kinds that are joined by a line: exactly two points."""
+
+
+class PlaceHandle:
+    """One region. Its handles are named NAME/HOLD."""
+
+    def __init__(
+        self, scene: viser.SceneApi, name: str, title: str, region: Region, colour: Rgb, dragged: Dragged
+    ) -> None:
+        self.region = region
+        self._shape = SHAPES[region.kind]
+        outlined = len(self._shape.outline(region)) > 0
+        self._outline = CasedLine(scene, name, colour, 2.6) if outlined else None
+        whole_px = _WHOLE_PX if outlined else _POINT_PX
+        self._knobs = {
+            hold: DragHandle(scene, f"{name}/{hold}", colour, whole_px if hold == WHOLE else _EDGE_PX, dragged)
+            for hold in self._shape.holds(region)
+        }
+        self._sign = Billboard(scene, f"{name}/sign", title, colour, _SIGN_PX)
+
+    def pull(self, hold: str, to: Place, land: HeightField) -> None:
+        """Apply the new position of a handle."""
+        self.region = self._shape.pulled(self.region, hold, to, land)
+
+    def draw(self, land: HeightField, gaze: ViewAxes) -> None:
+        """Draw the region on the displayed surface."""
+        mm_per_pixel = gaze.mm_per_pixel
+        if self._outline is not None:
+            pieces = land.drape_outline(self._shape.outline(self.region), 2 * mm_per_pixel)
+            self._outline.lay(pieces, None, 1.6 * mm_per_pixel)
+        for hold, (x, y) in self._shape.holds(self.region).items():
+            at = land.visible_points(np.array([x]), np.array([y]), 3 * mm_per_pixel)[0]
+            self._knobs[hold].place(at, mm_per_pixel * self._knob_share(mm_per_pixel), gaze.towards)
+        self._place_sign(land, gaze)
+
+    def remove(self) -> None:
+        """Remove the region from the scene."""
+        for part in (self._outline, *self._knobs.values(), self._sign):
+            if part is not None:
+                part.remove()
+
+    def _knob_share(self, mm_per_pixel: float) -> float:
+        """Return the scale of the handles, reduced for small regions so that they do not hide them."""
+        x0, y0, x1, y1 = self.region.bounds_um
+        side_um = max(x1 - x0, y1 - y0) if self.region.kind == "line" else min(x1 - x0, y1 - y0)
+        side_px = side_um * 1e-3 / max(mm_per_pixel, 1e-12)
+        return 1.0 if self._outline is None else min(1.0, max(_LEAST_KNOB, side_px / _ROOMY_PX))
+
+    def _place_sign(self, land: HeightField, gaze: ViewAxes) -> None:
+        """Place the label to the left of the region on the screen."""
+        left = corner_on_screen(self.region, land, gaze, -1, 0)
+        self._sign.place(left, land, gaze, -_BESIDE_PX)
+
+
+class Places:
+    """A list of regions with a common name; their handles are named NAME/NUMBER/HOLD."""
+
+    def __init__(self, scene: viser.SceneApi, name: str, dragged: Dragged) -> None:
+        self._scene, self._name, self._dragged = scene, name, dragged
+        self._titles: tuple[str, ...] = ()
+        self._kinds: tuple[str, ...] = ()
+        self._colour: Rgb | None = None
+        self._handles: list[PlaceHandle] = []
+        self._way: CasedLine | None = None
+
+    @property
+    def regions(self) -> tuple[Region, ...]:
+        """Current regions."""
+        return tuple(handle.region for handle in self._handles)
+
+    def become(self, titles: Sequence[str], regions: Sequence[Region], colour: Rgb) -> None:
+        """Set titles, regions and colour; handles of the same kinds are moved, others are created again."""
+        kinds = tuple(region.kind for region in regions)
+        if (tuple(titles), kinds, colour) == (self._titles, self._kinds, self._colour):
+            self.move(regions)
+            return
+        self.remove()
+        self._titles, self._kinds, self._colour = tuple(titles), kinds, colour
+        self._handles = [
+            PlaceHandle(self._scene, f"{self._name}/{k}", title, region, colour, self._dragged)
+            for k, (title, region) in enumerate(zip(titles, regions, strict=True))
+        ]
+        if kinds == _ENDS_OF_A_WAY:
+            self._way = CasedLine(self._scene, f"{self._name}/way", colour, 2.0)
+
+    def move(self, regions: Sequence[Region]) -> None:
+        """Move to these regions of the same kinds."""
+        for handle, region in zip(self._handles, regions, strict=True):
+            handle.region = region
+
+    def pull(self, name: str, to: Place, land: HeightField) -> None:
+        """Apply the new position of a handle, NAME/NUMBER/HOLD."""
+        _, number, hold = name.split("/")
+        if int(number) < len(self._handles):
+            self._handles[int(number)].pull(hold, to, land)
+
+    def draw(self, land: HeightField, gaze: ViewAxes) -> None:
+        """Draw the regions on the displayed surface."""
+        for handle in self._handles:
+            handle.draw(land, gaze)
+        if self._way is not None:
+            start, end = ((r.points[0].x_um, r.points[0].y_um) for r in self.regions)
+            points, measured = land.drape_line(start, end, 1.5 * gaze.mm_per_pixel)
+            self._way.lay(np.stack([points[:-1], points[1:]], axis=1), measured, 1.6 * gaze.mm_per_pixel)
+
+    def remove(self) -> None:
+        """Remove the regions from the scene."""
+        for handle in self._handles:
+            handle.remove()
+        if self._way is not None:
+            self._way.remove()
+            self._way = None
+        self._handles, self._titles, self._kinds, self._colour = [], (), (), None
+
 
 Told = Callable[[tuple[Region, ...]], None]
 InSight = Callable[[HeightField], HeightField]
@@ -112,3 +237,62 @@ class LevelTools:
 def has_required_kinds(tool: MeasuringTool, places: tuple[Region, ...]) -> bool:
     """Return whether the regions have the kinds that a tool requires."""
     return tuple(place.kind for place in places) == tuple(asked.kind for asked in tool.places)
+
+
+_SHARE = 0.28
+"""Side of a default face, as a fraction of the surface's side."""
+
+
+def in_scene(view: View, surface: SurfaceInfo | None = None) -> View:
+    """Return the view for the scene; it differs from the page's view only in Gauge check.
+
+    surface: the displayed surface. Its colour range is widened, so that no face is drawn black or white.
+    """
+    if view.step != "gauge":
+        return view
+    dragged = bool(view.faces) and view.check is None
+    return replace(
+        view,
+        show=max(0, view.show),
+        tool="step" if dragged else "none",
+        places=view.faces,
+        options=ToolOptions(),
+        levelling=Levelling(),
+        exaggeration=1.0,
+        colour_by="height",
+        range_um=_colours_of(surface) if surface is not None else None,
+        frame_k=None,
+        slice_z_um=None,
+        selected=None,
+    )
+
+
+def _colours_of(surface: SurfaceInfo) -> tuple[float, float]:
+    low, high = surface.low_um, surface.high_um
+    span = max(high - low, 1e-6)
+    return low - 0.55 * span, high + 0.25 * span
+
+
+def take_places(page: Page) -> Callable[[tuple[Region, ...]], None]:
+    """Return a callback that stores dragged regions: as gauge faces in Gauge check, else as regions of the tool."""
+
+    def take(places: tuple[Region, ...]) -> None:
+        if page.view.step == "gauge":
+            page.change(faces=places)
+        else:
+            page.change(places=places, selected=None)
+
+    return take
+
+
+def default_faces(surface: SurfaceInfo) -> tuple[Region, Region]:
+    """Return two default faces side by side, to be dragged into position."""
+    width, height = surface.cols * surface.pixel_um, surface.rows * surface.pixel_um
+    y = surface.y0_um - height / 2
+
+    def face(share: float) -> Region:
+        x = surface.x0_um + share * width
+        half_x, half_y = _SHARE * width / 2, _SHARE * height / 2
+        return Region.rectangle(*(round(um, 2) for um in (x - half_x, y - half_y, x + half_x, y + half_y)))
+
+    return face(0.72), face(0.28)

@@ -1,13 +1,15 @@
-"""Wrappers of viser widgets: layout in rows, sending of changes only, and callbacks for user input only."""
+"""Wrappers of viser widgets: layout in rows, sending of changes only, and callbacks guarded against errors."""
 
 from __future__ import annotations
 
 import contextlib
+import functools
 import time
 from collections.abc import Callable, Generator, Sequence
-from typing import Any, Generic, Literal, Protocol, TypeVar
+from typing import Any, Generic, Literal, Protocol, TypeVar, get_type_hints
 
 import viser
+from viser import _assignable_props_api as api
 
 from wafer_viewer.gui.widgets.error_guard import ErrorSink, guarded
 from wafer_viewer.gui.widgets.style import by_id
@@ -266,3 +268,15 @@ def _alike(a: Any, b: Any) -> bool:
     if isinstance(a, int | float) and isinstance(b, int | float):
         return abs(a - b) <= 1e-9 * max(1.0, abs(a), abs(b))
     return a == b
+
+
+@functools.cache
+def prop_types(props: type) -> dict[str, Any]:
+    """Return the type of each property by name."""
+    return get_type_hints(props)
+
+
+def cache_prop_types() -> None:
+    """Make viser use the cached types: half of the server's work to build a page. Pinned to viser 1.1."""
+    hints = property(lambda handle: prop_types(type(handle._impl.props)))
+    api.AssignablePropsBase._prop_hints = hints  # pyright: ignore[reportAttributeAccessIssue]

@@ -1,10 +1,17 @@
-"""Colours and sizes of the page: two palettes, and the style sheet of the viser layout."""
+"""Style sheets and scripts of the page, and its two palettes of colours."""
 
 from __future__ import annotations
 
 from functools import cache
+from pathlib import Path
 
-from wafer_viewer.gui.widgets.static_files import read_static
+FOLDER = Path(__file__).parents[1] / "static"
+
+
+def read_static(*names: str) -> str:
+    """Return the text of static files, one after the other."""
+    return "\n".join((FOLDER / name).read_text() for name in names)
+
 
 LIGHT = {
     "panel": "#FFFFFF",

@@ -11,9 +11,18 @@ from numpy.typing import NDArray
 from wafer_viewer.model.errors import MeasureError
 from wafer_viewer.model.measurement.measurements import Length
 from wafer_viewer.model.region import Region
-from wafer_viewer.model.surface.height_map import HasLayers, HeightLayer, HeightMap, Heights, Mosaic, Provenance
+from wafer_viewer.model.surface.height_map import (
+    HasLayers,
+    HeightLayer,
+    HeightMap,
+    Heights,
+    Mosaic,
+    Provenance,
+    ProvidesTexture,
+    TexturedHeights,
+    picture_of,
+)
 from wafer_viewer.model.surface.recipe import Recipe
-from wafer_viewer.model.surface.textured_surface import ProvidesTexture, TexturedHeights, picture_of
 
 Layer = HeightLayer
 Floats = NDArray[np.float64]

@@ -19,7 +19,7 @@ from wafer_viewer.measure.base.height_samples import (
     points_in,
     require_area,
 )
-from wafer_viewer.measure.base.robust_plane import Fit, robust_fit
+from wafer_viewer.measure.base.robust_fit import Fit, robust_fit
 from wafer_viewer.model.errors import MeasureError
 from wafer_viewer.model.measurement.levelling import Datum, LevelBy, Levelling
 from wafer_viewer.model.region import Point, Region

@@ -1,4 +1,4 @@
-"""Plane faces for step and angle measurements."""
+"""Plane faces, and the measured points of their regions."""
 
 from __future__ import annotations
 
@@ -8,15 +8,16 @@ from functools import cached_property
 
 import numpy as np
 
-from wafer_viewer.measure.base.height_samples import Floats, HeightSamples, Layer, points_in
-from wafer_viewer.measure.base.robust_plane import LevelPlane, fit_plane, plane_design
-from wafer_viewer.measure.base.tile_statistics import (
+from wafer_viewer.measure.base.correlated_errors import (
     Labels,
     Scatter,
     Spread,
     extrapolated_uncertainty,
     tile_covariances,
 )
+from wafer_viewer.measure.base.height_samples import Floats, HeightSamples, Layer, level_for, points_in, require_area
+from wafer_viewer.measure.base.measurement_context import MeasurementContext
+from wafer_viewer.measure.base.robust_fit import LevelPlane, fit_plane, least_squares, plane_design
 from wafer_viewer.model.errors import MeasureError
 from wafer_viewer.model.region import Region
 from wafer_viewer.model.surface.height_map import Mosaic
@@ -96,3 +97,71 @@ def joined(parts: Sequence[HeightSamples]) -> HeightSamples:
     for part in parts[1:]:
         whole = whole.and_also(part)
     return whole
+
+
+Regions = Region | Sequence[Region]
+LEAST_MEASURED = 0.5
+"""Smallest measured fraction of a region for a representative result."""
+
+
+def as_region_tuple(regions: Regions, which: str) -> tuple[Region, ...]:
+    """Return the regions as a tuple. Raises MeasureError when there is none."""
+    each = (regions,) if isinstance(regions, Region) else tuple(regions)
+    if not each:
+        raise MeasureError(f"No {which} region was given: draw at least one on the {which} face.")
+    return each
+
+
+def require_measured(region: Region, measured_um2: float, which: str, what: str) -> float:
+    """Return the measured fraction of a region; pixels off the surface count as unmeasured.
+
+    which, what: words of the error message, as in 'The upper region … and a step height needs'. Raises MeasureError
+    when it is less than half.
+    """
+    share = min(1.0, measured_um2 / (region.area_um2 or measured_um2))
+    if share < LEAST_MEASURED:
+        raise MeasureError(
+            f"Only {100 * share:.0f} % of the {which} is measured and {what} needs {100 * LEAST_MEASURED:.0f} %: "
+            "draw it where the surface has fewer holes."
+        )
+    return share
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Area:
+    """Measured points of a region, with the pyramid level, the pixel size at that level and the measured fraction."""
+
+    points: HeightSamples
+    level: int
+    pixel_um: float
+    measured_fraction: float
+
+    @property
+    def um2(self) -> float:
+        """Projected area of the measured points."""
+        return len(self.points) * self.pixel_um**2
+
+
+def area_of(reading: MeasurementContext, region: Region, which: str, what: str) -> Area:
+    """Return the measured points of a region; pixels off the surface count as unmeasured.
+
+    which, what: words of the error message, as in 'The face … and flatness needs'. Raises MeasureError when the region
+    is a line, lies outside the surface, or has fewer than 200 measured points or less than half of its area measured.
+    """
+    require_area(region, which)
+    level = level_for(reading.surface, region)
+    points = enough_points(reading.surface, region, reading.layer, level, which, what)
+    pixel_um = reading.surface.pixel_um * 2**level
+    share = require_measured(region, len(points) * pixel_um**2, which, what)
+    return Area(points, level, pixel_um, share)
+
+
+def least_squares_plane(points: HeightSamples) -> tuple[LevelPlane, Floats]:
+    """Return the least-squares plane through all points (no outlier rejection), and the residuals.
+
+    Standards on form and texture require this plane.
+    """
+    x_um, y_um = float(points.x_um.mean()), float(points.y_um.mean())
+    slope_x, slope_y, z_um = least_squares(plane_design(points, (x_um, y_um)), points.z_um).tolist()
+    plane = LevelPlane(x_um, y_um, z_um, slope_x, slope_y)
+    return plane, points.z_um - np.asarray(plane.at(points.x_um, points.y_um))

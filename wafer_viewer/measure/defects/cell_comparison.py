@@ -9,11 +9,9 @@ from dataclasses import dataclass, field
 import numpy as np
 from numpy.typing import NDArray
 
-from wafer_viewer.measure.defects.background_contrast import contrast_of, is_plain, subtract_local_mean
 from wafer_viewer.measure.defects.golden_die import LEAST_CONTRAST, ReferenceDie, die_shift, evenly_spaced, robust_sigma
-from wafer_viewer.measure.defects.ground_kinds import kinds_of
-from wafer_viewer.measure.defects.matched_filters import spectrum_of
-from wafer_viewer.measure.defects.noise_model import NoiseModel, noise_of
+from wafer_viewer.measure.defects.matched_filters import contrast_of, is_plain, spectrum_of, subtract_local_mean
+from wafer_viewer.measure.defects.noise_model import NoiseModel, kinds_of, noise_of
 from wafer_viewer.measure.defects.scores import (
     Mask,
     Residual,

@@ -11,8 +11,7 @@ import math
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 
-from wafer_viewer.model.inspection.class_rules import ClassRules, DefectShape
-from wafer_viewer.model.inspection.defect import DefectClass
+from wafer_viewer.model.inspection.defect import ClassRules, DefectClass, DefectShape
 
 _LEAST_PX = 6.0
 """Length in pixels below which the shape is poorly resolved and the confidence is reduced."""

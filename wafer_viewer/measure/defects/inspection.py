@@ -1,4 +1,4 @@
-"""Inspection of a patterned wafer: each die against the median die, a stored golden die, or the fitted form.
+"""Inspection of a patterned wafer: each die against the median die, a stored golden die or its own surroundings.
 
 An empty list of defects is no result by itself. An inspection reports the reference, the measured area and the expected
 number of false defects.
@@ -12,10 +12,9 @@ from collections.abc import Callable, Generator, Iterable, Iterator, Sequence
 from contextlib import closing
 
 import numpy as np
+from numpy.typing import NDArray
 
 from wafer_viewer.measure.base.measurement_context import MeasurementContext
-from wafer_viewer.measure.defects.background_contrast import LEFT_OUT, LOOKED_AT
-from wafer_viewer.measure.defects.border_merge import merge_border_pieces
 from wafer_viewer.measure.defects.cell_comparison import (
     CellResult,
     ComparisonWork,
@@ -23,13 +22,19 @@ from wafer_viewer.measure.defects.cell_comparison import (
     estimate_noise,
     estimate_plainness,
 )
-from wafer_viewer.measure.defects.defect_builder import defect_of
-from wafer_viewer.measure.defects.die_level_defects import mark_repeaters, whole_die_defects
-from wafer_viewer.measure.defects.exclusion_areas import exclusion_mask, notes_on
-from wafer_viewer.measure.defects.golden_die import LEAST_DIES, ReferenceDie, golden_die, golden_of
-from wafer_viewer.measure.defects.golden_streets import add_median_streets, streets_known
+from wafer_viewer.measure.defects.defect_builder import defect_of, mark_repeaters, whole_die_defects
+from wafer_viewer.measure.defects.golden_die import (
+    LEAST_DIES,
+    ReferenceDie,
+    add_median_streets,
+    golden_die,
+    golden_of,
+    streets_known,
+)
+from wafer_viewer.measure.defects.matched_filters import LEFT_OUT, LOOKED_AT
 from wafer_viewer.measure.defects.noise_model import NoiseModel
 from wafer_viewer.measure.defects.scores import false_counts
+from wafer_viewer.measure.defects.segmentation import merge_border_pieces
 from wafer_viewer.measure.defects.terraces import SEVERAL_LEVELS, WALL_PX, terraced
 from wafer_viewer.measure.dies.die_cells import CellGrid, CellSource, Place, source_of
 from wafer_viewer.measure.dies.die_status import not_scanned_mm2, statuses, without_bare_rim
@@ -38,8 +43,50 @@ from wafer_viewer.model.inspection.defect import Defect, DefectRecipe, Inspectio
 from wafer_viewer.model.inspection.die_grid import DieGrid, DieStatus
 from wafer_viewer.model.inspection.golden_die import GoldenDie
 from wafer_viewer.model.progress import Progress, ShouldStop
+from wafer_viewer.model.region import Region
 from wafer_viewer.model.spec import replace
 from wafer_viewer.model.surface.height_map import Mosaic
+
+NO_DIES = "No area was left out: the recipe's are areas of dies, and nothing was compared die by die."
+Mask = NDArray[np.bool_]
+
+
+def exclusion_mask(regions: Sequence[Region], cells: CellGrid) -> Mask | None:
+    """Return the mask of a cell, bool [row, col], for regions in um from the die's lower left corner.
+
+    None where no pixel is excluded.
+    """
+    out = np.zeros(cells.shape, bool)
+    for region in regions:
+        rows, cols = _around(region, cells)
+        u_um, v_um = cells.in_die(
+            np.arange(rows.start, rows.stop)[:, None] + 0.0, np.arange(cols.start, cols.stop) + 0.0
+        )
+        out[rows, cols] |= region.contains(u_um, v_um)
+    return out if out.any() else None
+
+
+def notes_on(regions: Sequence[Region], excluded: Mask | None, on_dies: bool) -> tuple[str, ...]:
+    """Return the note on the excluded areas; none if no area was requested."""
+    if not regions:
+        return ()
+    if not on_dies:
+        return (NO_DIES,)
+    share = 0.0 if excluded is None else float(excluded.mean())
+    areas = "1 area" if len(regions) == 1 else f"{len(regions)} areas"
+    return (f"Left out of every die, as the recipe asks: {areas}, {100 * share:.2g} % of die and street.",)
+
+
+def _around(region: Region, cells: CellGrid) -> tuple[slice, slice]:
+    """Return the rows and columns of a cell that may intersect a region."""
+    x0, y0, x1, y1 = (um / cells.pixel_um for um in region.bounds_um)
+    top, left = cells.street[0] + cells.grid.height_um / cells.pixel_um, cells.street[1]
+    return _within(top - y1, top - y0, cells.shape[0]), _within(left + x0, left + x1, cells.shape[1])
+
+
+def _within(low: float, high: float, n: int) -> slice:
+    return slice(min(n, max(0, int(low) - 1)), min(n, max(0, int(high) + 2)))
+
 
 TILE_PX = 1024
 """Tile size for surfaces without a die grid."""

@@ -9,8 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from wafer_viewer.model.errors import MeasureError
-from wafer_viewer.model.inspection.defect import Defect, DefectClass, Inspection
-from wafer_viewer.model.inspection.repeating_defect import LEAST_DIES, RepeatedPlace
+from wafer_viewer.model.inspection.defect import LEAST_DIES, Defect, DefectClass, Inspection, RepeatedPlace
 from wafer_viewer.model.region import Point
 
 LEAST_WITHIN_UM = 5.0

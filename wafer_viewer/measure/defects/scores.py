@@ -17,11 +17,10 @@ from numpy.typing import NDArray
 from wafer_viewer.measure.defects.golden_die import Cell, ReferenceDie
 from wafer_viewer.measure.defects.matched_filters import SHARP, SOFT, Spectrum, matched, side_of
 from wafer_viewer.measure.defects.noise_model import NoiseModel, Planes
-from wafer_viewer.measure.dies.die_cells import Place, Plane
-from wafer_viewer.measure.dies.die_plane import DiePlane
+from wafer_viewer.measure.dies.die_cells import DiePlane, Place, Plane
 from wafer_viewer.model.inspection.defect import DefectRecipe, Evidence, FalseCounts
-from wafer_viewer.numerics.filters.multiscale_gaussian import gaussian_sums
-from wafer_viewer.numerics.filters.peak_regions import region_maxima
+from wafer_viewer.numerics.filters.gaussian import gaussian_sums
+from wafer_viewer.numerics.filters.regions import region_maxima
 
 LOUDEST = 15.0
 LOW_SHARE, LEAST_LOW = 0.6, 2.5

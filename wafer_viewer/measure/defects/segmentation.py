@@ -1,4 +1,4 @@
-"""Segmentation of a cell by hysteresis thresholding of its scores. Pure.
+"""Segmentation of cells by hysteresis thresholding of their scores, merged across cell borders. Pure.
 
 A piece stores its pixels in stage um, so that pieces of one defect on several dies can be merged.
 """
@@ -6,6 +6,7 @@ A piece stores its pixels in stage um, so that pieces of one defect on several d
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -25,9 +26,9 @@ from wafer_viewer.measure.defects.scores import (
 )
 from wafer_viewer.measure.dies.die_cells import CellGrid, Place, Plane, Shift
 from wafer_viewer.model.inspection.defect import DefectRecipe, Evidence
-from wafer_viewer.numerics.array_types import Float32s
-from wafer_viewer.numerics.filters.multiscale_gaussian import coarseness, smooth
-from wafer_viewer.numerics.filters.peak_regions import dilated, regions_with_peaks
+from wafer_viewer.numerics.filters.gaussian import coarseness, smooth
+from wafer_viewer.numerics.filters.regions import dilated, regions_with_peaks
+from wafer_viewer.numerics.jit import Float32s
 
 Floats = NDArray[np.float64]
 SPARE_PX = 8
@@ -227,3 +228,31 @@ def evidence_of(peaks: dict[str, float], threshold_sigma: float) -> Evidence:
 
 def _at_border(rows: Floats, cols: Floats, shape: tuple[int, ...]) -> Mask:
     return (rows < BORDER_PX) | (cols < BORDER_PX) | (rows >= shape[0] - BORDER_PX) | (cols >= shape[1] - BORDER_PX)
+
+
+NEAR_PX = 8.0
+"""Pieces at a border with pixels within this distance are merged."""
+
+
+def merge_border_pieces(pieces: Sequence[DefectPiece], pixel_um: float) -> list[list[DefectPiece]]:
+    """Return the pieces in groups, one per defect."""
+    from scipy.sparse import coo_array
+    from scipy.sparse.csgraph import connected_components
+    from scipy.spatial import KDTree
+
+    if not pieces:
+        return []
+    owner = np.concatenate([np.full(int(piece.border.sum()), k) for k, piece in enumerate(pieces)])
+    at = np.concatenate([np.stack([p.x_um[p.border], p.y_um[p.border]], axis=1) for p in pieces])
+    pairs = (
+        np.asarray(KDTree(at).query_pairs(NEAR_PX * pixel_um, output_type="ndarray"))
+        if len(at)
+        else np.zeros((0, 2), int)
+    )
+    first, second = owner[pairs[:, 0]], owner[pairs[:, 1]]
+    links = coo_array((np.ones(len(first)), (first, second)), shape=(len(pieces),) * 2)
+    n, group = connected_components(links, directed=False)
+    out: list[list[DefectPiece]] = [[] for _ in range(int(n))]
+    for piece, k in zip(pieces, group, strict=True):
+        out[int(k)].append(piece)
+    return out

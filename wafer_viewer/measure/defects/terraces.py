@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from wafer_viewer.measure.base.height_samples import Floats
-from wafer_viewer.measure.base.robust_plane import SIGMA_OF_MAD, robust_fit
+from wafer_viewer.measure.base.robust_fit import SIGMA_OF_MAD, robust_fit
 from wafer_viewer.measure.dies.die_cells import CellSource, Plane, form_powers, sample_of
 from wafer_viewer.model.errors import MeasureError
 from wafer_viewer.model.measurement.levelling import Datum

@@ -1,4 +1,4 @@
-"""Cells of a die lattice: each die with half of the surrounding streets, resampled on die axes. Pure.
+"""Cells of a die lattice: each die with half of the surrounding streets, resampled, and its offset and tilt.
 
 Cell pixels have the surface's pixel size; row 0 is the upper edge. A cell has heights over the form of the wafer and
 the logarithm of the all-in-focus image. Grain and uneven illumination are multiplicative, so that in the logarithm
@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from itertools import groupby
 from typing import Protocol
 
@@ -17,7 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from wafer_viewer.measure.base.height_samples import HeightSamples, Layer, heights, pictured_window
-from wafer_viewer.measure.base.robust_plane import robust_fit
+from wafer_viewer.measure.base.robust_fit import robust_fit
 from wafer_viewer.model.errors import MeasureError
 from wafer_viewer.model.inspection.die_grid import DieGrid
 from wafer_viewer.model.measurement.levelling import Datum
@@ -205,3 +205,40 @@ def _way(cells: CellGrid, place: Place, start: Place, part: CellStrip, shift: Sh
     x_um, y_um = cells.to_stage(place, *corner, shift)
     rows, cols = (part.y0_um - y_um) / part.pixel_um, (x_um - part.x0_um) / part.pixel_um
     return np.array([rows[0], rows[1] - rows[0], rows[2] - rows[0], cols[0], cols[1] - cols[0], cols[2] - cols[0]])
+
+
+POINTS, LEAST_POINTS = 6_000, 50
+
+
+@dataclass(frozen=True, slots=True)
+class DiePlane:
+    """Slopes in um per pixel down and right, and height in um at pixel (0, 0) of a cell."""
+
+    down: float = 0.0
+    right: float = 0.0
+    zero_um: float = 0.0
+
+    @classmethod
+    def of(cls, z_um: Plane) -> DiePlane:
+        """Fit a plane to the measured pixels with outlier rejection; zero with too few pixels."""
+        step = max(1, round((z_um.size / POINTS) ** 0.5))
+        some = z_um[::step, ::step]
+        rows, cols = np.nonzero(np.isfinite(some))
+        if len(rows) < LEAST_POINTS:
+            return cls()
+        design = np.stack([rows * float(step), cols * float(step), np.ones(len(rows))], axis=1).astype(np.float64)
+        return cls(*robust_fit(design, some[rows, cols].astype(np.float64)).coefficients.tolist())
+
+    def at(self, row: float, col: float) -> float:
+        """Return the height at a pixel, um."""
+        return self.down * row + self.right * col + self.zero_um
+
+    def seen_from(self, row: float, col: float) -> DiePlane:
+        """Return the same plane with another pixel as origin."""
+        return replace(self, zero_um=self.at(row, col))
+
+    def off(self, z_um: Plane) -> Plane:
+        """Subtract the plane from heights."""
+        rows, cols = z_um.shape
+        plane = self.down * np.arange(rows)[:, None] + self.right * np.arange(cols)[None, :] + self.zero_um
+        return z_um - plane.astype(np.float32)

@@ -11,14 +11,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from wafer_viewer.measure.base.height_samples import Floats, layer_of, pictured_window
-from wafer_viewer.measure.base.robust_plane import least_squares
+from wafer_viewer.measure.base.robust_fit import least_squares
 from wafer_viewer.measure.dies.lattice_evidence import CellLattice, bounds_of, coarse_level, median_of
 from wafer_viewer.model.errors import MeasureError
 from wafer_viewer.model.inspection.die_grid import DieGrid, DieState, DieStatus
 from wafer_viewer.model.region import Region
 from wafer_viewer.model.spec import replace
 from wafer_viewer.model.surface.height_map import Mosaic, Origin
-from wafer_viewer.numerics.array_types import Float32s
+from wafer_viewer.numerics.jit import Float32s
 
 DIE_PX = 200
 """Approximate number of pixels of the shorter pitch at the level that is read."""

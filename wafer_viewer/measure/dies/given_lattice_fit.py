@@ -15,8 +15,7 @@ from wafer_viewer.measure.dies.die_lattice import touching, with_streets
 from wafer_viewer.measure.dies.lattice_evidence import Evidence
 from wafer_viewer.measure.dies.lattice_refinement import Registered, refined
 from wafer_viewer.model.errors import MeasureError
-from wafer_viewer.model.inspection.die_grid import DieGrid
-from wafer_viewer.model.inspection.die_offset import DieOffset
+from wafer_viewer.model.inspection.die_grid import DieGrid, DieOffset
 from wafer_viewer.model.spec import replace
 from wafer_viewer.model.surface.height_map import Mosaic
 

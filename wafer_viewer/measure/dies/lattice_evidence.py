@@ -12,11 +12,10 @@ import numpy as np
 from wafer_viewer.measure.base.height_samples import Floats, heights, layer_of, pictured_window
 from wafer_viewer.model.inspection.die_grid import DieGrid
 from wafer_viewer.model.region import Region
-from wafer_viewer.model.surface.height_map import HeightMap, Mosaic, Origin
-from wafer_viewer.model.surface.textured_surface import picture_of
-from wafer_viewer.numerics.array_types import Float32s
-from wafer_viewer.numerics.filters.binning import binned
+from wafer_viewer.model.surface.height_map import HeightMap, Mosaic, Origin, picture_of
+from wafer_viewer.numerics.filters.gaussian import binned
 from wafer_viewer.numerics.filters.sliding_filters import blurred
+from wafer_viewer.numerics.jit import Float32s
 
 Evidence = Literal["height", "picture", "both"]
 LEVEL_PIXELS = 1_000_000

@@ -9,14 +9,14 @@ from dataclasses import dataclass
 import numpy as np
 
 from wafer_viewer.measure.base.height_samples import Floats
-from wafer_viewer.measure.base.robust_plane import robust_fit
+from wafer_viewer.measure.base.robust_fit import robust_fit
 from wafer_viewer.measure.dies.lattice_evidence import CellLattice, Cells, Evidence, bounds_of, median_cell
 from wafer_viewer.model.errors import DiesNotFound
 from wafer_viewer.model.inspection.die_grid import DieGrid
 from wafer_viewer.model.spec import replace
 from wafer_viewer.model.surface.height_map import Mosaic
-from wafer_viewer.numerics.array_types import Bools, Float32s
-from wafer_viewer.numerics.registration.cross_correlation import contrast, normalised_cross_correlation
+from wafer_viewer.numerics.correlation import contrast, normalised_cross_correlation
+from wafer_viewer.numerics.jit import Bools, Float32s
 
 MOST_DIES, LEAST_DIES = 100, 25
 ENOUGH_INNER = 0.5

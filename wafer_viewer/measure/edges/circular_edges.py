@@ -9,13 +9,22 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.ndimage import map_coordinates, median_filter
 
-from wafer_viewer.measure.base.chain_statistics import chain_uncertainty
+from wafer_viewer.measure.base.correlated_errors import chain_uncertainty
 from wafer_viewer.measure.base.height_samples import Floats
-from wafer_viewer.measure.base.robust_plane import robust_fit
-from wafer_viewer.measure.edges.edge_search import ALL_ALONG, LEAST_STEEP, SEEN, Sign
-from wafer_viewer.measure.edges.search_strip import SearchStrip
+from wafer_viewer.measure.base.robust_fit import robust_fit
+from wafer_viewer.measure.edges.edge_search import (
+    ALL_ALONG,
+    LEAST_STEEP,
+    SEEN,
+    Responses,
+    SearchStrip,
+    Sign,
+    between_pixels,
+    edges_near,
+    peaks,
+    responses,
+)
 from wafer_viewer.measure.edges.straight_edges import AS_STRONG, require_found
-from wafer_viewer.measure.edges.subpixel_edges import Responses, between_pixels, edges_near, peaks, responses
 from wafer_viewer.model.errors import MeasureError
 
 FROM, SMALLEST_PX = 0.25, 8.0

@@ -1,6 +1,9 @@
-"""Detection of straight edges across search lines, and their prominence. Pure.
+"""Search lines in the all-in-focus image, straight edges across them, and their subpixel positions.
 
-All slopes up to a limit are tried: along an edge's own slope the responses of all lines add up.
+The filter across an edge is the derivative of a Gaussian. Its response to a step blurred by a Gaussian is itself a
+Gaussian, whose logarithm is a parabola: three values determine it, and its vertex is the edge.
+
+All slopes of an edge up to a limit are tried: along an edge's own slope the responses of all lines add up.
 """
 
 from __future__ import annotations
@@ -11,11 +14,225 @@ from typing import Literal
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.ndimage import gaussian_filter1d, maximum_filter1d
 
-from wafer_viewer.measure.base.height_samples import Floats
-from wafer_viewer.measure.base.robust_plane import SIGMA_OF_MAD
-from wafer_viewer.measure.edges.search_strip import SearchStrip
-from wafer_viewer.measure.edges.subpixel_edges import SEARCH_SIGMA_PX, Responses, responses
+from wafer_viewer.measure.base.height_samples import Floats, level_for, require_area
+from wafer_viewer.measure.base.measurement_context import MeasurementContext
+from wafer_viewer.measure.base.robust_fit import SIGMA_OF_MAD
+from wafer_viewer.model.errors import MeasureError
+from wafer_viewer.model.quantity import Length, Quantity
+from wafer_viewer.model.region import Region
+from wafer_viewer.model.surface.height_map import HeightMap, Mosaic, Origin
+
+LEAST_PX = 16
+"""Smallest region in pixels each way; the edge filter extends six pixels."""
+LEAST_COVERED = 0.5
+"""Smallest fraction of a region covered by the image, for a representative result."""
+Way = tuple[float, float]
+"""x, y in um."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class SearchStrip:
+    """Grey values along search lines, float32 [line, place], and mask of covered pixels, bool [line, place].
+
+    A pixel lies at `corner_um` + line * `line_um` + place * `place_um`, each (x, y) in stage um.
+    """
+
+    grey: NDArray[np.float32]
+    there: NDArray[np.bool_]
+    corner_um: Way
+    line_um: Way
+    place_um: Way
+
+    @classmethod
+    def of(cls, grey: NDArray[np.generic], pixel_um: float, x0_um: float, y0_um: float) -> SearchStrip:
+        """Return a strip of a complete image [row, col]; search lines run along x."""
+        there = np.ones(grey.shape, bool)
+        return cls(grey.astype(np.float32), there, (x0_um, y0_um), (0.0, -pixel_um), (pixel_um, 0.0))
+
+    @property
+    def pixel_um(self) -> float:
+        """Pixel pitch along the search lines."""
+        return float(np.hypot(*self.place_um))
+
+    @property
+    def turned(self) -> SearchStrip:
+        """The same strip with its search lines transposed."""
+        return SearchStrip(self.grey.T, self.there.T, self.corner_um, self.place_um, self.line_um)
+
+    @property
+    def reversed(self) -> SearchStrip:
+        """The same strip with the direction of its search lines reversed."""
+        last = self.grey.shape[1] - 1
+        corner = self.corner_um[0] + last * self.place_um[0], self.corner_um[1] + last * self.place_um[1]
+        back = -self.place_um[0], -self.place_um[1]
+        return SearchStrip(self.grey[:, ::-1], self.there[:, ::-1], corner, self.line_um, back)
+
+    def part(self, lines: slice, places: slice) -> SearchStrip:
+        """Return some lines and places of it, as views; slices need a start and a step of one."""
+        x, y = self.at(np.array(float(lines.start or 0)), np.array(float(places.start or 0)))
+        grey, there = self.grey[lines, places], self.there[lines, places]
+        return SearchStrip(grey, there, (float(x), float(y)), self.line_um, self.place_um)
+
+    def at(self, line: Floats, place: Floats) -> tuple[Floats, Floats]:
+        """Return stage x and y of lines and places, which may be fractional."""
+        (x, y), (lx, ly), (px, py) = self.corner_um, self.line_um, self.place_um
+        return x + line * lx + place * px, y + line * ly + place * py
+
+    def where(self, x_um: Floats, y_um: Floats) -> tuple[Floats, Floats]:
+        """Return lines and places of stage x and y: the inverse of `at`."""
+        x, y = x_um - self.corner_um[0], y_um - self.corner_um[1]
+        square = self.pixel_um**2
+        line, place = ((x * way[0] + y * way[1]) / square for way in (self.line_um, self.place_um))
+        return line, place
+
+
+def read_strip(surface: Mosaic, region: Region, what: str) -> tuple[SearchStrip, int]:
+    """Return the image of a region, with search lines along x, and the level it was read at.
+
+    what: words of the error message, as in 'and a kerf width needs'. Raises MeasureError when the region has no area,
+    lies outside, is smaller than 16 pixels either way, or has less than half of its area covered by the image.
+    """
+    require_area(region, "measured")
+    level = level_for(surface, region)
+    part = surface.window(region, level)
+    _require_size(region, part, what)
+    strip = strip_of(part)
+    covered = np.count_nonzero(strip.there) * part.pixel_um**2
+    x0, y0, x1, y1 = region.bounds_um
+    share = covered / ((x1 - x0) * (y1 - y0))
+    if share < LEAST_COVERED:
+        raise MeasureError(
+            f"Only {100 * share:.0f} % of the region lies on the picture and {what} needs {100 * LEAST_COVERED:.0f} %: "
+            "move it to where fields were taken."
+        )
+    return strip, level
+
+
+def strip_of(part: HeightMap) -> SearchStrip:
+    """Return the image of a height map, without pixels that no field covers."""
+    image = SearchStrip.of(part.all_in_focus, part.pixel_um, part.x0_um, part.y0_um)
+    there = part.origin != Origin.NOT_COVERED
+    return SearchStrip(image.grey, there, image.corner_um, image.line_um, image.place_um)
+
+
+def require_rectangle(region: Region, what: str) -> None:
+    """Raise MeasureError for another kind of region. what: as in 'A kerf width'."""
+    if region.kind != "rectangle":
+        raise MeasureError(f"{what} is measured in a rectangle, this region is a {region.kind}: draw a rectangle.")
+
+
+def _require_size(region: Region, part: HeightMap, what: str) -> None:
+    x0, y0, x1, y1 = region.bounds_um
+    sides = (x1 - x0) / part.pixel_um, (y1 - y0) / part.pixel_um
+    if min(sides) < LEAST_PX or min(part.shape) < LEAST_PX:
+        raise MeasureError(
+            f"The region is {sides[0]:.0f} x {sides[1]:.0f} pixels large and {what} needs at least "
+            f"{LEAST_PX} x {LEAST_PX} on the surface: draw it larger."
+        )
+
+
+SIGMA_PX = 2.0
+"""Standard deviation of the Gaussian of the edge filter."""
+SEARCH_SIGMA_PX = 4.0
+"""Standard deviation for edge detection, where thin lines must count less than ragged edges of large areas."""
+REACH, REACH_PX = 3.0, 6
+"""Extent of the filter, in standard deviations and in pixels."""
+AS_STEEP = 0.5
+"""Smallest steepness of an edge point relative to the typical steepness of the edge."""
+U_SUBPIXEL_PX = 0.002
+"""Standard uncertainty (k = 1) of an edge due to its subpixel position, on steps blurred by 0.7 px or more.
+
+`tests/measure/edges/test_subpixel_edges.py` searches for a larger one.
+"""
+MOST_APART = 4
+Responses = NDArray[np.float32]
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class EdgePoints:
+    """Points of an edge, in line and place coordinates of a strip, float64 [n]."""
+
+    line: Floats
+    place: Floats
+
+    def __len__(self) -> int:
+        return len(self.line)
+
+
+def responses(
+    grey: NDArray[np.floating], there: NDArray[np.bool_] | None = None, sigma_px: float = SIGMA_PX
+) -> Responses:
+    """Return the gradient along search lines, [line, place], grey values per pixel; 0 near missing pixels."""
+    found: Responses = np.zeros(grey.shape, np.float32)
+    gaussian_filter1d(grey.astype(np.float32), sigma_px, axis=1, order=1, output=found, mode="nearest", truncate=4.0)
+    if there is not None and not there.all():
+        near_missing: NDArray[np.bool_] = np.empty(there.shape, bool)
+        maximum_filter1d(~there, 2 * round(REACH * sigma_px) + 1, axis=1, output=near_missing)
+        found[near_missing] = 0.0
+    found[:, : REACH_PX // 2] = found[:, -(REACH_PX // 2) :] = 0.0
+    return found
+
+
+def peaks(rising: Responses) -> NDArray[np.bool_]:
+    """Return the mask of local maxima along search lines, [line, place]."""
+    found = np.zeros(rising.shape, bool)
+    middle = rising[:, 1:-1]
+    found[:, 1:-1] = (middle > 0) & (middle > rising[:, :-2]) & (middle >= rising[:, 2:])
+    return found
+
+
+def between_pixels(rising: Responses, line: NDArray[np.intp], place: NDArray[np.intp]) -> Floats:
+    """Return the subpixel places of the peaks of one edge, float64 [n].
+
+    For wider edges, the values that determine the parabola are further apart, which reduces the effect of noise.
+    """
+    apart = _apart(rising, line, place)
+    before, top, after = _logarithms(rising, line, place, apart)
+    bend = before - 2 * top + after
+    moved = np.where(bend < 0, 0.5 * apart * (before - after) / np.where(bend < 0, bend, 1.0), 0.0)
+    return place.astype(np.float64) + np.clip(moved, -1.0, 1.0)
+
+
+def _apart(rising: Responses, line: NDArray[np.intp], place: NDArray[np.intp]) -> int:
+    """Return approximately the standard deviation of the response, in integer pixels."""
+    if not len(line):
+        return 1
+    before, top, after = (float(np.median(values)) for values in _logarithms(rising, line, place, 1))
+    bend = 2 * top - before - after
+    return int(np.clip(round(bend**-0.5), 1, MOST_APART)) if bend > 0 else MOST_APART
+
+
+def _logarithms(rising: Responses, line: NDArray[np.intp], place: NDArray[np.intp], apart: int) -> tuple[Floats, ...]:
+    last = rising.shape[1] - 1
+    values = (rising[line, np.clip(place + k, 0, last)] for k in (-apart, 0, apart))
+    return tuple(np.log(np.maximum(value, 1e-6).astype(np.float64)) for value in values)
+
+
+def edges_near(
+    rising: Responses, expected: Floats, reach: tuple[float, float], choose: Literal["nearest", "steepest"] = "steepest"
+) -> EdgePoints:
+    """Return one sufficiently steep edge point per line, near its expected place.
+
+    expected: a place on each line; reach: search distance before and behind it. Lines without an edge are left out.
+    """
+    place = np.arange(rising.shape[1])[None, :]
+    away = place - expected[:, None]
+    good = peaks(rising) & (away >= -reach[0]) & (away <= reach[1])
+    good &= rising >= AS_STEEP * typical(rising, expected)
+    worth = np.where(good, -np.abs(away) if choose == "nearest" else rising, -np.inf)
+    at = np.argmax(worth, axis=1)
+    line = np.flatnonzero(np.isfinite(worth[np.arange(len(at)), at]))
+    return EdgePoints(line.astype(np.float64), between_pixels(rising, line, at[line]))
+
+
+def typical(rising: Responses, expected: Floats) -> float:
+    """Return the steepness of an edge near its expected place: median over the lines."""
+    near = np.round(expected).astype(np.intp)[:, None] + np.arange(-REACH_PX // 2, REACH_PX // 2 + 1)[None, :]
+    inside = np.clip(near, 0, rising.shape[1] - 1)
+    return max(float(np.median(np.take_along_axis(rising, inside, axis=1).max(axis=1))), 1e-6)
+
 
 MOST_SLOPE = 0.12
 """Largest slope of an edge against the normal of the search lines: 6.8 degrees."""
@@ -127,3 +344,41 @@ def _along(bands: Responses, shifts: NDArray[np.intp]) -> Floats:
     place = np.arange(width)[None, :] + shifts[:, None]
     found = np.take_along_axis(bands, np.clip(place, 0, width - 1), axis=1)
     return np.where((place >= 0) & (place < width), found, 0.0).mean(axis=0)
+
+
+NOT_IN_BUDGET = (
+    "Not in the budget: where light and focus put an edge on the picture, distortion and shear of the picture, "
+    "positions of fields against each other, repeat scans, temperature other than 20 C."
+)
+ON_PICTURE = "Measured on the picture that is in focus everywhere."
+
+
+def notes(reading: MeasurementContext, *more: str) -> tuple[str, ...]:
+    """Return the notes of an image measurement; those on budgets only if calibrated."""
+    return (ON_PICTURE, *more, NOT_IN_BUDGET) if reading.calibrated else (ON_PICTURE, *more)
+
+
+def between_edges(
+    reading: MeasurementContext, value_um: float, pixel_um: float, scatter_um: float | None, n_edges: int = 2
+) -> Length:
+    """Return a length between edges. scatter_um: standard uncertainty from edge points; None: unknown."""
+    if scatter_um is None:
+        return reading.length(value_um, None)
+    lines = {
+        "pixel scale": reading.u_pixel_scale * abs(value_um),
+        "scatter of the edge points": scatter_um,
+        "place between two pixels": math.sqrt(n_edges) * U_SUBPIXEL_PX * pixel_um,
+    }
+    return reading.length(value_um, lines)
+
+
+def angle(reading: MeasurementContext, value_deg: float, scatter_deg: float | None) -> Quantity:
+    """Return an angle between edges. scatter_deg: standard uncertainty from edge points; None: unknown."""
+    lines = None if scatter_deg is None else {"scatter of the edge points": scatter_deg}
+    return reading.quantity(value_deg, "deg", lines)
+
+
+def root_sum_of_squares(*parts: float | None) -> float | None:
+    """Return the root sum of squares; None where one value is unknown."""
+    known = [part for part in parts if part is not None]
+    return math.hypot(*known) if len(known) == len(parts) else None

@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from wafer_viewer.measure.base.height_samples import Floats, HeightSamples, Layer, height_window, layer_of
-from wafer_viewer.measure.base.robust_plane import SIGMA_OF_MAD, LevelPlane, fit_plane
+from wafer_viewer.measure.base.robust_fit import SIGMA_OF_MAD, LevelPlane, fit_plane
 from wafer_viewer.model.errors import MeasureError
 from wafer_viewer.model.region import Region
 from wafer_viewer.model.surface.height_map import Heights, Mosaic

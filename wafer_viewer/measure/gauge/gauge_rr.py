@@ -9,7 +9,7 @@ from numpy.typing import ArrayLike, NDArray
 from scipy import stats
 
 from wafer_viewer.model.errors import MeasureError
-from wafer_viewer.model.gauge.gauge_rr import GaugeRR, Method, Repeats, Study
+from wafer_viewer.model.gauge import GaugeRR, Method, Repeats, Study
 
 Values = NDArray[np.float64]
 """Measured values, [part, appraiser, trial]."""

@@ -2,22 +2,307 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
-from wafer_viewer.measure.base.area_samples import area_of
 from wafer_viewer.measure.base.height_samples import Floats, Layer
 from wafer_viewer.measure.base.measurement_context import MeasurementContext
-from wafer_viewer.measure.texture.hybrid_parameters import developed_fraction, root_mean_square_gradient
-from wafer_viewer.measure.texture.material_ratio import bearing
+from wafer_viewer.measure.base.plane_faces import Area, area_of
 from wafer_viewer.measure.texture.resolvable_scales import near_noise, unseen_waves
-from wafer_viewer.measure.texture.scale_limited_surface import filter_words, form_notes, lattice_of, scale_limited
-from wafer_viewer.measure.texture.spatial_parameters import spatial
-from wafer_viewer.model.measurement.texture import Texture
-from wafer_viewer.model.measurement.tool_options import TextureOptions
+from wafer_viewer.model.errors import MeasureError
+from wafer_viewer.model.measurement.measurements import Texture
+from wafer_viewer.model.measurement.tools import TextureOptions
 from wafer_viewer.model.region import Region
 from wafer_viewer.model.surface.height_map import Mosaic
+from wafer_viewer.numerics.correlation import autocorrelation
+from wafer_viewer.numerics.filters.gaussian import gaussian_mean
+from wafer_viewer.numerics.filters.interpolation import polynomial
+
+
+def root_mean_square_gradient(z_um: Floats, pixel_um: float) -> float | None:
+    """Return Sdq of z [row, col] by forward differences along rows and columns; None if there are none.
+
+    Same as in Gwyddion and SurfaceTopography. The standard defines an integral and does not specify its sampling.
+    """
+    squares = [np.diff(z_um, axis=axis) ** 2 for axis in (0, 1)]
+    if not all(np.isfinite(square).any() for square in squares):
+        return None
+    return float(np.sqrt(sum(np.nanmean(square) for square in squares))) / pixel_um
+
+
+def developed_fraction(z_um: Floats, pixel_um: float) -> float | None:
+    """Return Sdr as a fraction: excess of the developed area over the projected one; None without any square.
+
+    Each square of four measured pixels is divided into four triangles that meet at its centre, at the mean of the four
+    heights.
+    """
+    a, b, c, d = z_um[:-1, :-1], z_um[:-1, 1:], z_um[1:, 1:], z_um[1:, :-1]
+    middle = (a + b + c + d) / 4
+    ratio = sum(
+        _triangle_areas(one - middle, other - middle, pixel_um) for one, other in ((a, b), (b, c), (c, d), (d, a))
+    )
+    known = np.isfinite(middle)
+    return float(np.mean(np.asarray(ratio)[known])) / 4 - 1 if known.any() else None
+
+
+def _triangle_areas(one: Floats, other: Floats, pixel_um: float) -> Floats:
+    """Return area over projected area of a triangle from a square's centre to two corners, by relative heights.
+
+    Its slopes are (other - one) along the side and (one + other) across it, per pixel.
+    """
+    return np.sqrt(1 + ((other - one) ** 2 + (one + other) ** 2) / pixel_um**2)
+
+
+CORE = 0.4
+"""Width of the secant of smallest slope, as a fraction of the material ratio."""
+
+
+@dataclass(frozen=True, slots=True)
+class Bearing:
+    """Core, reduced peak and reduced valley heights in um; material ratios Smr1 and Smr2 as fractions."""
+
+    sk_um: float
+    spk_um: float
+    svk_um: float
+    smr1: float
+    smr2: float
+
+
+def bearing(z_um: Floats) -> Bearing:
+    """Return the Sk parameters of heights [n] of equal area.
+
+    The core line is the least-squares line through the 40 % of the curve with the flattest secant (the first of equal
+    ones); Spk and Svk are the heights of triangles with the area of the curve beyond the core.
+    """
+    curve = np.sort(z_um)[::-1]
+    slope, top = _line(curve)
+    foot = top + slope
+    above, below = curve[curve > top], curve[curve < foot]
+    n = len(curve)
+    return Bearing(
+        sk_um=top - foot,
+        spk_um=_triangle(float(np.sum(above - top)), len(above)),
+        svk_um=_triangle(float(np.sum(foot - below)), len(below)),
+        smr1=len(above) / n,
+        smr2=1 - len(below) / n,
+    )
+
+
+def _line(curve: Floats) -> tuple[float, float]:
+    """Return slope per unit material ratio, and height at ratio 0, of the line through the flattest 40 %."""
+    width = max(1, round(CORE * len(curve)))
+    first = int(np.argmin(curve[:-width] - curve[width:]))
+    part = curve[first : first + width + 1]
+    ratio = (first + 0.5 + np.arange(len(part))) / len(curve)
+    from_middle = ratio - ratio.mean()
+    slope = float(from_middle @ part / (from_middle @ from_middle))
+    return slope, float(part.mean() - slope * ratio.mean())
+
+
+def _triangle(total_um: float, points: int) -> float:
+    """Return the height of a triangle with the given base, in points, and area."""
+    return 2 * total_um / points if points else 0.0
+
+
+FORMS = {0: "Form removed: the mean alone.", 1: "Form removed: plane of least squares."}
+UNFILTERED = "Neither S-filter nor L-filter: noise and waviness are in the numbers."
+BORDERS = (
+    "Filter at borders and holes: weights scaled to sum one (ISO 16610-28, moment criterion of order 0); nothing from "
+    "outside of the region."
+)
+
+
+def lattice_of(area: Area) -> Floats:
+    """Return the heights of a face, float64 [row, col] of its bounding rectangle; NaN where there are none."""
+    points, pixel_um = area.points, area.pixel_um
+    rows = np.rint((points.y_um.max() - points.y_um) / pixel_um).astype(np.intp)
+    cols = np.rint((points.x_um - points.x_um.min()) / pixel_um).astype(np.intp)
+    z_um = np.full((int(rows.max()) + 1, int(cols.max()) + 1), np.nan)
+    z_um[rows, cols] = points.z_um
+    return z_um
+
+
+def scale_limited(z_um: Floats, pixel_um: float, options: TextureOptions) -> Floats:
+    """Remove form, S-filtered and L-filtered waves from heights [row, col]; the result has zero mean.
+
+    The S-filter is applied to the residual from the form: it preserves polynomials, and a tilt causes no edge effects.
+    Raises MeasureError where a filter is longer than the face, or its points do not determine the form.
+    """
+    _require_room(z_um.shape, pixel_um, options)
+    left = _without_form(z_um - np.nanmean(z_um), options.form_order)
+    if options.s_filter_um is not None:
+        left = _without_form(gaussian_mean(left, options.s_filter_um / pixel_um), options.form_order)
+    if options.l_filter_um is not None:
+        left = left - gaussian_mean(left, options.l_filter_um / pixel_um)
+    return left - np.nanmean(left)
+
+
+def filter_words(options: TextureOptions) -> str:
+    """Return the description of the filters for a result."""
+    named = (("S", options.s_filter_um), ("L", options.l_filter_um))
+    told = [f"{name} {cutoff_um:g} um" for name, cutoff_um in named if cutoff_um is not None]
+    return f"Gaussian (ISO 16610-61), {', '.join(told)}" if told else "none"
+
+
+def form_notes(options: TextureOptions) -> tuple[str, ...]:
+    """Return notes on the removed form and on the filter borders."""
+    form = FORMS.get(options.form_order, f"Form removed: polynomial of least squares of order {options.form_order}.")
+    return form, UNFILTERED if filter_words(options) == "none" else BORDERS
+
+
+def _require_room(shape: tuple[int, ...], pixel_um: float, options: TextureOptions) -> None:
+    narrowest_um = min(shape) * pixel_um
+    for name, cutoff_um in (("S", options.s_filter_um), ("L", options.l_filter_um)):
+        if cutoff_um is not None and cutoff_um > narrowest_um:
+            raise MeasureError(
+                f"The {name}-filter of {cutoff_um:g} um is longer than the face, {narrowest_um:.4g} um at its "
+                "narrowest: draw it larger or take a shorter filter."
+            )
+
+
+def _without_form(z_um: Floats, order: int) -> Floats:
+    form = polynomial(z_um, order)
+    if form is None:
+        raise MeasureError(
+            f"The measured points of the face do not determine a form of order {order}: draw it larger or lower the "
+            "order."
+        )
+    return z_um - form
+
+
+DECAYED = 0.2
+"""Autocorrelation threshold of Sal and Str."""
+WITH_LAY = 0.5
+"""Str below which the texture has a lay and a direction."""
+STEP_PX = 0.25
+"""Sampling step along a ray."""
+FIRST_REACH_PX, GROWTH = 32, 4
+"""Initial half-size of the central part of the autocorrelation, and its growth until decay on all sides."""
+
+
+@dataclass(frozen=True, slots=True)
+class Spatial:
+    """Shortest and longest decay lengths of the autocorrelation in px, and the direction across the lay.
+
+    longest_px: a lower limit where `ends` is False, because along some direction there is no decay within the range.
+    """
+
+    shortest_px: float
+    longest_px: float
+    ends: bool
+    direction_deg: float | None
+
+    @property
+    def aspect(self) -> float:
+        """Str, an upper limit where `ends` is False."""
+        return self.shortest_px / self.longest_px
+
+
+def spatial(z_um: Floats) -> Spatial | None:
+    """Return the spatial parameters of z [row, col] with mean 0, NaN where unmeasured; None without any decay.
+
+    Lags are limited to half of the region's sides; beyond, too few pairs remain.
+    """
+    alike = autocorrelation(z_um)
+    degrees = np.arange(0.0, 180.0, 1.0)
+    ways, ends = _ways(alike, degrees)
+    if not ends.any():
+        return None
+    shortest = _finer(alike, degrees[int(np.argmin(np.where(ends, ways, np.inf)))], np.min, ends_only=True)
+    longest = _finer(alike, degrees[int(np.argmax(ways))], np.max)
+    all_end = bool(ends.all())
+    lay = shortest / longest < WITH_LAY
+    return Spatial(shortest, longest, all_end, direction_deg(alike) if lay else None)
+
+
+def direction_deg(alike: Floats) -> float:
+    """Return Std: direction of the largest angular spectrum, in 0 ... 180, counter-clockwise from +x.
+
+    The spectrum is the Fourier transform of the autocorrelation under a Hann window, which suppresses border effects.
+    """
+    spectrum = _spectrum(alike)
+    degrees = np.arange(0.0, 180.0, 1.0)
+    best = degrees[int(np.argmax(_angular(spectrum, alike.shape, degrees)))]
+    finer = best + np.arange(-1.0, 1.01, 0.1)
+    return round(float(finer[int(np.argmax(_angular(spectrum, alike.shape, finer)))]), 1) % 180
+
+
+def _ways(alike: Floats, degrees: Floats) -> tuple[Floats, NDArray[np.bool_]]:
+    """Return the decay length along each direction, px, and whether decay occurs within the range."""
+    middle = np.array([n // 2 for n in alike.shape])
+    ways, ends, reach = np.zeros(len(degrees)), np.zeros(len(degrees), bool), FIRST_REACH_PX
+    while True:
+        down, across = np.minimum(middle, reach)
+        part = alike[middle[0] - down : middle[0] + down + 1, middle[1] - across : middle[1] + across + 1]
+        going = np.flatnonzero(~ends)
+        ways[going], ends[going] = _ways_within(part, degrees[going])
+        if ends.all() or reach >= middle.max():
+            return ways, ends
+        reach *= GROWTH
+
+
+def _ways_within(alike: Floats, degrees: Floats) -> tuple[Floats, NDArray[np.bool_]]:
+    from scipy.ndimage import map_coordinates
+
+    middle = np.array([n // 2 for n in alike.shape])
+    along = np.arange(0.0, np.hypot(*middle) + 1, STEP_PX)
+    rows, cols = middle[0] - np.outer(_sin(degrees), along), middle[1] + np.outer(_cos(degrees), along)
+    known = np.isfinite(alike)
+    values: Any = map_coordinates(np.where(known, alike, 0.0), [rows, cols], order=3, mode="nearest")
+    seen = (rows >= 0) & (rows <= alike.shape[0] - 1) & (cols >= 0) & (cols <= alike.shape[1] - 1)
+    seen &= np.asarray(map_coordinates(known.astype(np.uint8), [rows, cols], order=0, mode="constant")) > 0
+    return _first_crossings(np.asarray(values), seen)
+
+
+def _first_crossings(values: Floats, seen: NDArray[np.bool_]) -> tuple[Floats, NDArray[np.bool_]]:
+    """Return, for each ray [ray, sample], the first crossing of DECAYED, or the end of the known range."""
+    stops = (values <= DECAYED) | ~seen
+    stops[:, -1] = True
+    at = np.argmax(stops, axis=1)
+    ray = np.arange(len(at))
+    ends = seen[ray, at] & (values[ray, at] <= DECAYED)
+    before, after = values[ray, at - 1], values[ray, at]
+    share = np.divide(before - DECAYED, before - after, out=np.zeros(len(at)), where=ends & (before > after))
+    return (at - 1 + share) * STEP_PX, ends
+
+
+def _finer(alike: Floats, degree: float, extreme: Any, *, ends_only: bool = False) -> float:
+    """Return the extreme decay length about a direction, in steps of a twentieth of a degree."""
+    ways, ends = _ways(alike, degree + np.arange(-1.0, 1.01, 0.05))
+    return float(extreme(ways[ends] if ends_only else ways))
+
+
+def _spectrum(alike: Floats) -> Floats:
+    """Return the power spectrum [row, col], with frequency 0 at the centre."""
+    from scipy.fft import fft2
+
+    windows = [np.hanning(n + 2)[1:-1] for n in alike.shape]
+    tapered = np.nan_to_num(alike) * np.outer(*windows)
+    transformed: Any = fft2(np.fft.ifftshift(tapered))
+    return np.abs(np.fft.fftshift(transformed.real))
+
+
+def _angular(spectrum: Floats, shape: tuple[int, ...], degrees: Floats) -> Floats:
+    """Return the power along each direction, summed over frequencies from the region's size to two pixels."""
+    from scipy.ndimage import map_coordinates
+
+    frequencies = np.arange(1.0, min(shape) / 2) / min(shape)
+    rows = shape[0] // 2 - np.outer(_sin(degrees), frequencies) * shape[0]
+    cols = shape[1] // 2 + np.outer(_cos(degrees), frequencies) * shape[1]
+    power: Any = map_coordinates(spectrum, [rows, cols], order=1, mode="nearest")
+    return np.asarray(power @ frequencies)
+
+
+def _sin(degrees: Floats) -> Floats:
+    return np.sin(np.deg2rad(degrees))
+
+
+def _cos(degrees: Floats) -> Floats:
+    return np.cos(np.deg2rad(degrees))
+
 
 ROUNDING = 1e-6
 """Sq relative to the largest height at or below which a surface is flat, without Ssk, Sku and spatial parameters."""

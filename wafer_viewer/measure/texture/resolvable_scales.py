@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 
-from wafer_viewer.model.acquisition.optics import WAVELENGTH_UM, engraved_aperture
+from wafer_viewer.model.acquisition.calibration import WAVELENGTH_UM, engraved_aperture
 from wafer_viewer.model.surface.height_map import Provenance
 
 PIXELS_A_WAVE = 3

@@ -6,11 +6,11 @@ import math
 
 import numpy as np
 
+from wafer_viewer.measure.base.correlated_errors import parameter_u
 from wafer_viewer.measure.base.height_samples import Floats, Layer, level_for, require_area
 from wafer_viewer.measure.base.measurement_context import Lines, MeasurementContext
 from wafer_viewer.measure.base.plane_faces import Face, enough_points, face_of
-from wafer_viewer.measure.base.robust_plane import plane_design
-from wafer_viewer.measure.base.tile_statistics import parameter_u
+from wafer_viewer.measure.base.robust_fit import plane_design
 from wafer_viewer.model.measurement.measurements import FaceAngle
 from wafer_viewer.model.region import Region
 from wafer_viewer.model.surface.height_map import Mosaic

@@ -11,16 +11,22 @@ from numpy.typing import NDArray
 from scipy.ndimage import median_filter
 
 from wafer_viewer.measure.base.height_samples import Floats, Layer, points_in
-from wafer_viewer.measure.base.line_fit import EdgeLine
 from wafer_viewer.measure.base.measurement_context import MeasurementContext
-from wafer_viewer.measure.base.robust_plane import SIGMA_OF_MAD
-from wafer_viewer.measure.edges.lateral_uncertainty import between_edges, notes
-from wafer_viewer.measure.edges.search_strip import SearchStrip, read_strip, require_rectangle
+from wafer_viewer.measure.base.robust_fit import SIGMA_OF_MAD, EdgeLine
+from wafer_viewer.measure.edges.edge_search import (
+    EdgePoints,
+    SearchStrip,
+    between_edges,
+    edges_near,
+    notes,
+    read_strip,
+    require_rectangle,
+    responses,
+)
 from wafer_viewer.measure.edges.straight_edges import REACH_PX, Found, expected_on, find_edge_any_way, require_found
-from wafer_viewer.measure.edges.subpixel_edges import EdgePoints, edges_near, responses
 from wafer_viewer.model.errors import MeasureError
-from wafer_viewer.model.measurement.edge_and_bump_shapes import Chip, Chipping, Side
-from wafer_viewer.model.measurement.tool_options import ChippingOptions
+from wafer_viewer.model.measurement.measurements import Chip, Chipping, Side
+from wafer_viewer.model.measurement.tools import ChippingOptions
 from wafer_viewer.model.quantity import Quantity
 from wafer_viewer.model.region import Point, Region
 from wafer_viewer.model.surface.height_map import Mosaic

@@ -7,12 +7,10 @@ from typing import Literal
 from wafer_viewer.measure.base.height_samples import Layer
 from wafer_viewer.measure.base.measurement_context import MeasurementContext
 from wafer_viewer.measure.edges.circular_edges import NEIGHBOURS, ROOM_PX, find_circle
-from wafer_viewer.measure.edges.edge_search import Sign
-from wafer_viewer.measure.edges.lateral_uncertainty import between_edges, notes
-from wafer_viewer.measure.edges.search_strip import read_strip
+from wafer_viewer.measure.edges.edge_search import Sign, between_edges, notes, read_strip
 from wafer_viewer.model.errors import MeasureError
-from wafer_viewer.model.measurement.edge_and_bump_shapes import CircleSize
-from wafer_viewer.model.measurement.tool_options import CircleOptions
+from wafer_viewer.model.measurement.measurements import CircleSize
+from wafer_viewer.model.measurement.tools import CircleOptions
 from wafer_viewer.model.region import Point, Region
 from wafer_viewer.model.surface.height_map import Mosaic
 

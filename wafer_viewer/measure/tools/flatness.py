@@ -6,9 +6,9 @@ import numpy as np
 from scipy.optimize import linprog
 from scipy.spatial import ConvexHull
 
-from wafer_viewer.measure.base.area_samples import area_of, least_squares_plane
 from wafer_viewer.measure.base.height_samples import Floats, HeightSamples, Layer
 from wafer_viewer.measure.base.measurement_context import MeasurementContext
+from wafer_viewer.measure.base.plane_faces import area_of, least_squares_plane
 from wafer_viewer.model.measurement.measurements import Flatness
 from wafer_viewer.model.region import Region
 from wafer_viewer.model.surface.height_map import Mosaic

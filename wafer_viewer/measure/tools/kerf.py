@@ -9,17 +9,25 @@ from typing import Literal
 import numpy as np
 
 from wafer_viewer.measure.base.height_samples import Floats, Layer
-from wafer_viewer.measure.base.line_fit import angle_between_lines
 from wafer_viewer.measure.base.measurement_context import MeasurementContext
-from wafer_viewer.measure.base.robust_plane import SIGMA_OF_MAD
-from wafer_viewer.measure.edges.edge_search import EdgeScores, Sign, scores_of
-from wafer_viewer.measure.edges.lateral_uncertainty import angle, between_edges, notes, root_sum_of_squares
-from wafer_viewer.measure.edges.search_strip import SearchStrip, read_strip, require_rectangle
+from wafer_viewer.measure.base.robust_fit import SIGMA_OF_MAD, angle_between_lines
+from wafer_viewer.measure.edges.edge_search import (
+    REACH_PX,
+    EdgeScores,
+    SearchStrip,
+    Sign,
+    angle,
+    between_edges,
+    notes,
+    read_strip,
+    require_rectangle,
+    root_sum_of_squares,
+    scores_of,
+)
 from wafer_viewer.measure.edges.straight_edges import AS_STRONG, Found, fitted, no_edge
-from wafer_viewer.measure.edges.subpixel_edges import REACH_PX
 from wafer_viewer.model.errors import MeasureError
-from wafer_viewer.model.measurement.edge_and_bump_shapes import KerfWidth
-from wafer_viewer.model.measurement.tool_options import KerfOptions
+from wafer_viewer.model.measurement.measurements import KerfWidth
+from wafer_viewer.model.measurement.tools import KerfOptions
 from wafer_viewer.model.region import Region
 from wafer_viewer.model.surface.height_map import Mosaic
 

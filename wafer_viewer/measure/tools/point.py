@@ -9,7 +9,7 @@ import numpy as np
 
 from wafer_viewer.measure.base.height_samples import HeightSamples, Layer, points_in
 from wafer_viewer.measure.base.measurement_context import Lines, MeasurementContext
-from wafer_viewer.measure.base.robust_plane import fit_plane
+from wafer_viewer.measure.base.robust_fit import fit_plane
 from wafer_viewer.model.errors import MeasureError
 from wafer_viewer.model.measurement.measurements import Distance, PointHeight
 from wafer_viewer.model.quantity import Quantity

@@ -11,12 +11,11 @@ import math
 import numpy as np
 from numpy.typing import NDArray
 
+from wafer_viewer.measure.base.correlated_errors import parameter_u
 from wafer_viewer.measure.base.height_samples import Floats, HeightSamples, Layer, level_for, points_in
 from wafer_viewer.measure.base.measurement_context import Lines, MeasurementContext
 from wafer_viewer.measure.base.plane_faces import Face, face_of
-from wafer_viewer.measure.base.robust_plane import LevelPlane, plane_design
-from wafer_viewer.measure.base.sphere_fit import Cap, fit_cap, no_sphere
-from wafer_viewer.measure.base.tile_statistics import parameter_u
+from wafer_viewer.measure.base.robust_fit import Cap, LevelPlane, fit_cap, no_sphere, plane_design
 from wafer_viewer.model.errors import MeasureError
 from wafer_viewer.model.measurement.measurements import Radius
 from wafer_viewer.model.region import Point, Region

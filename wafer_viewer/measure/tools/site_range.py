@@ -4,12 +4,12 @@ from __future__ import annotations
 
 import numpy as np
 
-from wafer_viewer.measure.base.area_samples import area_of, least_squares_plane
 from wafer_viewer.measure.base.height_samples import Layer
 from wafer_viewer.measure.base.levelled_surface import levelling_of
 from wafer_viewer.measure.base.measurement_context import MeasurementContext
+from wafer_viewer.measure.base.plane_faces import area_of, least_squares_plane
 from wafer_viewer.model.errors import MeasureError
-from wafer_viewer.model.measurement.site_range import Site, SiteRanges
+from wafer_viewer.model.measurement.measurements import Site, SiteRanges
 from wafer_viewer.model.region import Region
 from wafer_viewer.model.surface.height_map import Mosaic
 

@@ -1,4 +1,12 @@
-"""Step height between two faces, with its uncertainty budget.
+"""Step height between two faces, with its definitions and its uncertainty budget.
+
+The distance between tilted faces depends on the place, so the definition of h belongs to the result. Each definition is
+a pair of gradients: h is their product with (slope x, slope y, height at the centre) of the upper and of the lower
+face.
+
+A height or tilt error of a field shifts what is measured on it. Two regions of one field shift together, regions of
+neighbouring fields as far as their overlap couples them. The covariance of all poses therefore matters, from the
+overlaps and from the stage.
 
 Each face is one plane through one or several regions, fitted with rejection beyond 3 robust deviations. Where faces are
 tilted against each other the definition of h is part of the result, so the values of other definitions are reported
@@ -8,24 +16,246 @@ with it.
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
+from numpy.typing import NDArray
 
-from wafer_viewer.measure.base.height_samples import HeightSamples, Layer, level_for, require_area
-from wafer_viewer.measure.base.measurement_context import Lines, MeasurementContext
-from wafer_viewer.measure.base.plane_faces import enough_points, face_of
-from wafer_viewer.measure.base.region_samples import Regions, as_region_tuple, require_measured
-from wafer_viewer.measure.base.uncertainty_budget import LEVELLING, NOISE, POSES, Budget, step_budget
-from wafer_viewer.measure.tools.pose_uncertainty import pose_sensitivities, poses_u_um
-from wafer_viewer.measure.tools.step_definitions import SENTENCES, LinearFunctional, StepFaces, gradients, tilts
+from wafer_viewer.measure.base.correlated_errors import SIDES, Scatter, Tiles
+from wafer_viewer.measure.base.height_samples import Floats, HeightSamples, Layer, level_for, require_area
+from wafer_viewer.measure.base.measurement_context import (
+    LEVELLING,
+    NOISE,
+    POSES,
+    Budget,
+    Lines,
+    MeasurementContext,
+    step_budget,
+)
+from wafer_viewer.measure.base.plane_faces import (
+    Face,
+    Regions,
+    as_region_tuple,
+    enough_points,
+    face_of,
+    require_measured,
+)
 from wafer_viewer.model.errors import MeasureError
-from wafer_viewer.model.measurement.step import StepHeight
-from wafer_viewer.model.measurement.tool_options import StepDefinition, StepOptions
-from wafer_viewer.model.measurement.uncertainty_conditions import Conditions
+from wafer_viewer.model.measurement.measurements import StepHeight
+from wafer_viewer.model.measurement.tools import Conditions, StepDefinition, StepOptions
 from wafer_viewer.model.quantity import Length, Quantity
 from wafer_viewer.model.region import Region
-from wafer_viewer.model.surface.height_map import Mosaic
+from wafer_viewer.model.surface.field_poses import HasPoses, Poses
+from wafer_viewer.model.surface.height_map import HeightMap, Mosaic, ReadThrough
+
+TILTS = ((1.0, 0.0, 0.0), (0.0, 1.0, 0.0))
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class StepFaces:
+    """The upper and the lower face of a step."""
+
+    high: Face
+    low: Face
+
+    @property
+    def apart_um(self) -> Floats:
+        """Vector from the centre of the lower face to that of the upper one, (x, y)."""
+        high, low = self.high.plane, self.low.plane
+        return np.array([high.x_um - low.x_um, high.y_um - low.y_um])
+
+    @property
+    def joint_um(self) -> Floats:
+        """Midpoint between the facing borders of the regions, on the line between their centres.
+
+        Where regions of both faces alternate there is no such place; then the midpoint of their centres.
+        """
+        start, way = np.array([self.low.plane.x_um, self.low.plane.y_um]), self.apart_um
+        length = float(np.hypot(*way))
+        along = way / length if length > 0 else way
+        last_low = float(_along(self.low, start, along).max())
+        first_high = float(_along(self.high, start, along).min())
+        return start + along * ((last_low + first_high if last_low <= first_high else length) / 2)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class LinearFunctional:
+    """Linear functional of two faces: gradients [3] times the parameters of the upper and the lower one."""
+
+    high: Floats
+    low: Floats
+
+    def value(self, faces: StepFaces) -> float:
+        """Return the value of the functional."""
+        return float(self.high @ faces.high.parameters + self.low @ faces.low.parameters)
+
+    def scatter(self, faces: StepFaces) -> Scatter | None:
+        """Return its uncertainty from the scatter of tiles; None where a face has too few of them."""
+        high, low = faces.high.scatter(self.high), faces.low.scatter(self.low)
+        return None if high is None or low is None else Scatter.joined(high, low)
+
+    def minus(self, other: LinearFunctional) -> LinearFunctional:
+        """Return the difference of two functionals."""
+        return LinearFunctional(self.high - other.high, self.low - other.low)
+
+
+def gradients(faces: StepFaces, definition: StepDefinition) -> LinearFunctional:
+    """Return the functional of h for a definition."""
+    return DEFINITIONS[definition](faces)
+
+
+def tilts(faces: StepFaces) -> tuple[LinearFunctional, LinearFunctional]:
+    """Return the slopes along x and along y of the upper face relative to the lower one."""
+    along_x, along_y = (np.array(axis) for axis in TILTS)
+    return LinearFunctional(along_x, -along_x), LinearFunctional(along_y, -along_y)
+
+
+def _common_plane(faces: StepFaces) -> LinearFunctional:
+    """Return h by least squares of z = a x + b y + c + h [upper]; wider faces weigh more in the common slopes."""
+    high, low = _width(faces.high), _width(faces.low)
+    share = np.linalg.solve(high + low, high)
+    slopes = faces.apart_um @ share, faces.apart_um @ (np.eye(2) - share)
+    return LinearFunctional(np.array([*-slopes[0], 1.0]), np.array([*-slopes[1], -1.0]))
+
+
+def _upper_face(faces: StepFaces) -> LinearFunctional:
+    return LinearFunctional(np.array([*-faces.apart_um, 1.0]), np.array([0.0, 0.0, -1.0]))
+
+
+def _lower_face(faces: StepFaces) -> LinearFunctional:
+    return LinearFunctional(np.array([0.0, 0.0, 1.0]), np.array([*-faces.apart_um, -1.0]))
+
+
+def _joint(faces: StepFaces) -> LinearFunctional:
+    from_high, from_low = (
+        faces.joint_um - np.array([face.plane.x_um, face.plane.y_um]) for face in (faces.high, faces.low)
+    )
+    return LinearFunctional(np.array([*from_high, 1.0]), np.array([*-from_low, -1.0]))
+
+
+DEFINITIONS: dict[StepDefinition, Callable[[StepFaces], LinearFunctional]] = {
+    "common_plane": _common_plane,
+    "upper_face": _upper_face,
+    "lower_face": _lower_face,
+    "joint": _joint,
+}
+SENTENCES: dict[StepDefinition, str] = {
+    "common_plane": "Offset between the regions over one plane fitted to both: z = a x + b y + c + h [upper].",
+    "upper_face": "Upper face over the middle of the lower region, levelled to the upper face.",
+    "lower_face": "Middle of the upper region over the lower face, levelled to the lower face.",
+    "joint": "Both faces extended to the middle between the regions.",
+}
+"""Description of each definition in results."""
+
+
+def _width(face: Face) -> Floats:
+    """Return the sums of squares and products of x and y about the centre, [2, 2]."""
+    design = face.design[:, :2]
+    return design.T @ design
+
+
+def _along(face: Face, start: Floats, along: Floats) -> Floats:
+    return (face.points.x_um - start[0]) * along[0] + (face.points.y_um - start[1]) * along[1]
+
+
+MOST_FIELDS = 300
+"""Largest number of fields considered; more distant ones have negligible influence.
+
+Regions that extend beyond them have no such budget line.
+"""
+TILT_ERROR = 1e-3
+"""Prior standard deviation of a field's tilt, um per um: an upper bound, before overlaps are used."""
+
+
+class PoseSensitivities(NamedTuple):
+    """Places on the surface, and sensitivity coefficients of a number to the height at each: float64 [n]."""
+
+    x_um: Floats
+    y_um: Floats
+    weight: Floats
+
+
+def pose_sensitivities(faces: StepFaces, of: LinearFunctional) -> PoseSensitivities:
+    """Return the sensitivity coefficients of a linear functional of two faces, at the centres of tiles."""
+    pairs = zip(_weights(faces.high, of.high), _weights(faces.low, of.low), strict=True)
+    return PoseSensitivities(*(np.concatenate(pair) for pair in pairs))
+
+
+def poses_u_um(surface: Mosaic, pulls: PoseSensitivities) -> float | None:
+    """Return the standard uncertainty of a number due to the poses of its fields.
+
+    0 where all was measured in one field; None where the poses are unknown.
+    """
+    bare = surface
+    while isinstance(bare, ReadThrough) and not isinstance(bare, HasPoses):
+        bare = bare.surface
+    if isinstance(bare, HeightMap):
+        return 0.0 if bare.overlap_um is None else None
+    poses = bare.poses if isinstance(bare, HasPoses) else None
+    return None if poses is None else _of_fields(poses, pulls)
+
+
+def _of_fields(poses: Poses, pulls: PoseSensitivities) -> float | None:
+    x_um, y_um, weight = pulls
+    field = _field_of(poses, x_um, y_um)
+    if len(np.unique(field)) == 1:
+        return 0.0
+    if poses.z_error_um == 0:
+        return None
+    some = _nearest(poses, float(x_um.mean()), float(y_um.mean()))
+    if not np.isin(field, some).all():
+        return None
+    pull = np.zeros((len(poses.x_um), 3))
+    from_middle = np.stack([np.ones(len(field)), x_um - poses.x_um[field], y_um - poses.y_um[field]], axis=1)
+    np.add.at(pull, field, weight[:, None] * from_middle)
+    by = pull[some].ravel()
+    return float(np.sqrt(max(0.0, by @ np.linalg.solve(_information(poses, some), by))))
+
+
+def _weights(face: Face, gradient: Floats) -> tuple[Floats, Floats, Floats]:
+    """Return tile centres x, y of a face, and their sensitivity coefficients for gradient times the face's plane."""
+    columns = np.column_stack([face.points.x_um, face.points.y_um, face.design])
+    means = Tiles.of(face.points, columns, face.part, SIDES[0]).means
+    return means[:, 0], means[:, 1], gradient @ np.linalg.pinv(means[:, 2:])
+
+
+def _field_of(poses: Poses, x_um: Floats, y_um: Floats) -> NDArray[np.intp]:
+    """Return the field whose centre is nearest to each place, relative to the field size."""
+    from scipy.spatial import KDTree
+
+    there = np.flatnonzero(~poses.left_out)
+    size = np.array(poses.form.field_size_um)
+    middles = np.column_stack([poses.x_um[there], poses.y_um[there]]) / size
+    _, nearest = KDTree(middles).query(np.column_stack([x_um, y_um]) / size, p=np.inf)
+    return there[nearest]
+
+
+def _nearest(poses: Poses, x_um: float, y_um: float) -> NDArray[np.intp]:
+    return np.sort(np.argsort(np.hypot(poses.x_um - x_um, poses.y_um - y_um), kind="stable")[:MOST_FIELDS])
+
+
+def _information(poses: Poses, some: NDArray[np.intp]) -> Floats:
+    """Return the inverse covariance of (height, slope x, slope y) of some fields, from stage and overlaps."""
+    n, seams = len(some), poses.seams
+    told = np.diag(np.tile([poses.z_error_um**-2.0, TILT_ERROR**-2.0, TILT_ERROR**-2.0], n))
+    place = np.full(len(poses.x_um), -1)
+    place[some] = np.arange(n)
+    tells = (seams.weight > 0) & np.isfinite(seams.mid_x_um) & (seams.information[:, 0, 0] > 0)
+    for k in np.flatnonzero(tells & (place[seams.first] >= 0) & (place[seams.second] >= 0)):
+        a, b = int(seams.first[k]), int(seams.second[k])
+        arms = (_at(poses, field, float(seams.mid_x_um[k]), float(seams.mid_y_um[k])) for field in (a, b))
+        difference = np.concatenate([sign * arm for sign, arm in zip((-1, 1), arms, strict=True)], axis=1)
+        rows = np.concatenate([3 * place[field] + np.arange(3) for field in (a, b)])
+        told[np.ix_(rows, rows)] += seams.weight[k] * difference.T @ seams.information[k] @ difference
+    return told
+
+
+def _at(poses: Poses, field: int, x_um: float, y_um: float) -> Floats:
+    """Return the matrix [3, 3] from height and slopes at a field's centre to those at a place."""
+    return np.array([[1.0, x_um - poses.x_um[field], y_um - poses.y_um[field]], [0, 1, 0], [0, 0, 1]])
+
 
 WHAT = "a step height"
 

@@ -14,13 +14,12 @@ from typing import Literal
 
 import numpy as np
 
-from wafer_viewer.measure.base.area_samples import Area, area_of
+from wafer_viewer.measure.base.correlated_errors import parameter_u
 from wafer_viewer.measure.base.height_samples import Floats, HeightSamples, Layer
 from wafer_viewer.measure.base.levelled_surface import levelling_of
 from wafer_viewer.measure.base.measurement_context import Lines, MeasurementContext
-from wafer_viewer.measure.base.plane_faces import Face, face_of
-from wafer_viewer.measure.base.robust_plane import plane_design
-from wafer_viewer.measure.base.tile_statistics import parameter_u
+from wafer_viewer.measure.base.plane_faces import Area, Face, area_of, face_of
+from wafer_viewer.measure.base.robust_fit import plane_design
 from wafer_viewer.model.errors import MeasureError
 from wafer_viewer.model.measurement.measurements import AreaVolume
 from wafer_viewer.model.quantity import Quantity

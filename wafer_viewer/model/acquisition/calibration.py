@@ -1,8 +1,9 @@
-"""Calibration: pixel size and z scale with their uncertainties, and the optical setup they are valid for."""
+"""Calibration: pixel size and z scale with their uncertainties, and the optical settings."""
 
 from __future__ import annotations
 
 import datetime
+import re
 from typing import ClassVar
 
 from wafer_viewer.model.errors import RigError, WaferViewerError
@@ -59,3 +60,20 @@ class Calibration(Spec, frozen=True, kw_only=True):
         if today > self.due:
             return f"the calibration was due on {self.due}"
         return None
+
+
+WAVELENGTH_UM = 0.55
+"""Green light, the default."""
+
+_ENGRAVED = re.compile(r"\d\s*[xX×]?\s*/\s*([01]\.\d+)")
+
+
+def depth_of_field_um(numerical_aperture: float, pixel_um: float, wavelength_um: float = WAVELENGTH_UM) -> float:
+    """Return the depth of field, wavelength / NA^2 + pixel on the sample / NA, in um."""
+    return wavelength_um / numerical_aperture**2 + pixel_um / numerical_aperture
+
+
+def engraved_aperture(objective: str) -> float | None:
+    """Return the numerical aperture engraved in an objective's name, as in ``10x/0.28``, or None."""
+    found = _ENGRAVED.search(objective)
+    return float(found.group(1)) if found is not None else None

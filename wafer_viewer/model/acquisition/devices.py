@@ -1,4 +1,4 @@
-"""Device protocols, implemented by real rigs and by the simulated one."""
+"""Protocols of devices, implemented by real and simulated rigs, and of the consumers of a running scan."""
 
 from __future__ import annotations
 
@@ -9,8 +9,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from wafer_viewer.model.acquisition.calibration import Calibration, OpticalSetup
-from wafer_viewer.model.acquisition.focus_stack import FrameStatus, Image
-from wafer_viewer.model.acquisition.plan import Axis, PulseTrain, ScanPlan
+from wafer_viewer.model.acquisition.focus_stack import Frame, FrameStatus, Image
+from wafer_viewer.model.acquisition.plan import Axis, Leg, PulseTrain, ScanPlan, Shot
 from wafer_viewer.model.acquisition.rig_limits import RigLimits
 from wafer_viewer.model.acquisition.sample import Sample
 from wafer_viewer.model.progress import ShouldStop
@@ -278,4 +278,55 @@ class SampleChanger(Protocol):
 
     def load_sample(self, sample: Sample | None) -> bool:
         """Load a sample if the rig has it, else its initial one; return True if the sample has changed."""
+        ...
+
+
+class ScanSink(Protocol):
+    """Receiver of a scan's frames and events, such as the dataset writer.
+
+    Every call returns once the data is stored.
+    """
+
+    def pass_begun(self, number: int, leg: Leg) -> None:
+        """Record the start of a leg."""
+        ...
+
+    def frame(self, frame: Frame) -> None:
+        """Store a frame, which is valid once its pass has ended; a slot that is already stored is not written again."""
+        ...
+
+    def missed(self, shot: Shot, pulse_count: int, why: str) -> None:
+        """Record that a slot is empty, or that its frame of the current pass is to be discarded."""
+        ...
+
+    def repaired(self, shot: Shot) -> None:
+        """Record that a previously empty slot now has its frame."""
+        ...
+
+    def pass_ended(self, number: int, summary: PulseSummary) -> None:
+        """Record the end of a leg: its frames are valid."""
+        ...
+
+    def fault(self, what: str) -> None:
+        """Report a fault to the user."""
+        ...
+
+
+class ScanControl(Protocol):
+    """Monitoring and control of a running scan; the runner polls it between frames."""
+
+    def should_stop(self) -> bool:
+        """Return True to end the scan and leave the rig at rest."""
+        ...
+
+    def should_pause(self) -> bool:
+        """Return True to pause at the end of the current leg."""
+        ...
+
+    def wait_while_paused(self) -> None:
+        """Block until the pause is over or the scan is to stop."""
+        ...
+
+    def progress(self, plan: ScanPlan, frame: Frame) -> None:
+        """Report a stored frame."""
         ...

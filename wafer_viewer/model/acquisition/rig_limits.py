@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from typing import Annotated, ClassVar
 
-from wafer_viewer.model.acquisition.optics import depth_of_field_um
+from wafer_viewer.model.acquisition.calibration import depth_of_field_um
 from wafer_viewer.model.acquisition.plan import Axis
 from wafer_viewer.model.errors import RigError, WaferViewerError
 from wafer_viewer.model.spec import Count, NonNegative, Positive, Spec, Within

@@ -1,13 +1,69 @@
-"""The sample: its identification and its orientation on the stage."""
+"""The sample: identification, orientation on the stage, and its alignment by marks."""
 
 from __future__ import annotations
 
-from typing import Annotated
+import math
+from typing import Annotated, Literal
 
 import msgspec
 
-from wafer_viewer.model.acquisition.alignment import Notch
-from wafer_viewer.model.spec import NonNegative, Spec, Within
+from wafer_viewer.model.spec import NonNegative, Positive, Spec, Within
+
+Notch = Literal["down", "left", "up", "right", "none"]
+QUARTER_TURNS: dict[Notch, int] = {"down": 0, "left": -1, "up": 2, "right": 1, "none": 0}
+"""Anticlockwise quarter turns from a wafer with its notch down to one with this notch, seen from above."""
+
+
+class AlignmentMark(Spec, frozen=True, kw_only=True):
+    """A point that is easy to identify, usually a corner of a die: its name and its wafer coordinates."""
+
+    name: str
+    x_um: float
+    y_um: float
+
+
+class Marks(Spec, frozen=True, kw_only=True):
+    """Alignment marks of a product: at least two points far apart, in wafer um.
+
+    limit_um: largest residual of any mark at which a scan may start.
+    """
+
+    places: tuple[AlignmentMark, ...]
+    limit_um: Positive = 10.0
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        if len(self.places) < 2:
+            self.refuse("places", "at least 2 corners of dies, far apart")
+
+
+class Alignment(Spec, frozen=True, kw_only=True):
+    """Rigid transform from stage to wafer coordinates: a rotation about the stage origin, then a shift.
+
+    residual_um: largest residual of any mark; n_marks: number of marks in the fit.
+    """
+
+    rotation_rad: float = 0.0
+    shift_x_um: float = 0.0
+    shift_y_um: float = 0.0
+    residual_um: NonNegative = 0.0
+    n_marks: Annotated[int, Within(0)] = 0
+
+    def to_wafer(self, x_um: float, y_um: float) -> tuple[float, float]:
+        """Return the wafer coordinates of a stage position."""
+        c, s = math.cos(self.rotation_rad), math.sin(self.rotation_rad)
+        return c * x_um - s * y_um + self.shift_x_um, s * x_um + c * y_um + self.shift_y_um
+
+    def to_stage(self, x_um: float, y_um: float) -> tuple[float, float]:
+        """Return the stage coordinates of a wafer position."""
+        c, s = math.cos(self.rotation_rad), math.sin(self.rotation_rad)
+        dx, dy = x_um - self.shift_x_um, y_um - self.shift_y_um
+        return c * dx + s * dy, -s * dx + c * dy
+
+    @classmethod
+    def by_notch(cls, notch: Notch) -> Alignment:
+        """Return the alignment expected before marking: wafer centred on the stage, rotated as its notch points."""
+        return cls(rotation_rad=-QUARTER_TURNS[notch] * math.pi / 2)
 
 
 class Sample(Spec, frozen=True, kw_only=True):

@@ -5,8 +5,7 @@ from __future__ import annotations
 from typing import ClassVar
 
 from wafer_viewer.model.errors import MeasureError, WaferViewerError
-from wafer_viewer.model.inspection.defect import Defect, Inspection
-from wafer_viewer.model.inspection.defect_limits import DefectLimits
+from wafer_viewer.model.inspection.defect import Defect, DefectLimits, Inspection
 from wafer_viewer.model.spec import NonNegative, Spec
 
 LEAST_GAP = 0.02

@@ -8,7 +8,7 @@ from typing import Annotated, ClassVar, Literal, Self
 import numpy as np
 from numpy.typing import NDArray
 
-from wafer_viewer.model.acquisition.alignment import Alignment
+from wafer_viewer.model.acquisition.sample import Alignment
 from wafer_viewer.model.errors import MeasureError, PlanError, WaferViewerError
 from wafer_viewer.model.measurement.feature import MOST_DIES, Die, Dies
 from wafer_viewer.model.region import Region
@@ -197,3 +197,17 @@ class DieStatus(Spec, frozen=True, kw_only=True):
         lacks = f"{1 - self.measured_fraction:.0%} of it unmeasured" if self.measured_fraction < LEAST_KNOWN else ""
         street = "" if self.street_inspected else "street not inspected"
         return "".join(f", {word}" for word in (lacks, street) if word)
+
+
+class DieOffset(Spec, frozen=True, kw_only=True):
+    """Found minus given: corner of die 0,0, pitches in ppm, rotation.
+
+    farthest_um: largest offset of any die corner on the surface.
+    """
+
+    origin_x_um: float
+    origin_y_um: float
+    pitch_x_ppm: float
+    pitch_y_ppm: float
+    turn_mrad: float
+    farthest_um: NonNegative

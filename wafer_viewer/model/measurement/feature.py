@@ -7,8 +7,7 @@ from typing import Annotated, Any, Literal
 import msgspec
 
 from wafer_viewer.model.errors import PlanError
-from wafer_viewer.model.measurement.tool_options import ToolOptions
-from wafer_viewer.model.measurement.tools import TOOLS, ToolName
+from wafer_viewer.model.measurement.tools import TOOLS, ToolName, ToolOptions
 from wafer_viewer.model.quantity import Unit
 from wafer_viewer.model.region import Point, Region
 from wafer_viewer.model.spec import NonNegative, Spec, Within, replace

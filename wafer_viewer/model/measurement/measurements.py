@@ -1,4 +1,4 @@
-"""Measurement results: values with their uncertainty and the regions they were measured on.
+"""Measurement results: values with their uncertainty and the regions they were measured in.
 
 Every result has one `main` quantity, which represents it in a list.
 """
@@ -6,15 +6,45 @@ Every result has one `main` quantity, which represents it in a list.
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Literal
+from typing import ClassVar, Literal
 
 import numpy as np
 from numpy.typing import NDArray
 
-from wafer_viewer.model.measurement.measurement import MeasurementResult
+from wafer_viewer.model.errors import MeasureError, WaferViewerError
+from wafer_viewer.model.measurement.levelling import Levelling
+from wafer_viewer.model.measurement.tools import (
+    ChippingOptions,
+    CircleOptions,
+    CoplanarityOptions,
+    DieOptions,
+    GrooveOptions,
+    KerfOptions,
+    RoughnessOptions,
+    StepOptions,
+    TextureOptions,
+)
 from wafer_viewer.model.quantity import Length, Quantity
 from wafer_viewer.model.region import Point, Region
-from wafer_viewer.model.spec import Fraction, NonNegative
+from wafer_viewer.model.spec import Fraction, NonNegative, Positive, Spec
+
+
+class MeasurementResult(Spec, frozen=True, kw_only=True):
+    """Fields common to all results: name, surface and filter it was measured on, and whether any input is simulated.
+
+    show: 0 for the stitched surface, else the number of a field, negative for a comparison; levelling: the zero of the
+    heights.
+    """
+
+    error: ClassVar[type[WaferViewerError]] = MeasureError
+    name: str = ""
+    number: int = 0
+    show: int = 0
+    surface: Literal["unsmoothed", "smoothed", "filled"] = "unsmoothed"
+    filter: str = "none"
+    levelling: Levelling = Levelling()
+    simulated: bool = False
+    notes: tuple[str, ...] = ()
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -151,3 +181,313 @@ class Flatness(MeasurementResult, frozen=True, kw_only=True, tag="flatness"):
     def main(self) -> Quantity:
         """FLTt."""
         return self.flt_t.quantity
+
+
+class StepHeight(MeasurementResult, frozen=True, kw_only=True, tag="step_height"):
+    """Height of one face over another, with the definition of h.
+
+    also_upper, also_lower: further regions of the two faces; at_joint: step of both faces extrapolated to the middle
+    between the regions; tilt: of one face against the other, in mrad; not_evaluated: contributions missing from the
+    budget.
+    """
+
+    upper: Region
+    lower: Region
+    also_upper: tuple[Region, ...] = ()
+    also_lower: tuple[Region, ...] = ()
+    height: Length
+    definition: str
+    options: StepOptions = StepOptions()
+    at_joint: Length | None = None
+    tilt: Quantity | None = None
+    upper_mean_um: float
+    lower_mean_um: float
+    upper_sq_um: NonNegative
+    lower_sq_um: NonNegative
+    upper_points: int
+    lower_points: int
+    relative_tilt_mrad: NonNegative = 0.0
+    not_evaluated: tuple[str, ...] = ()
+
+    @property
+    def main(self) -> Quantity:
+        """The step height."""
+        return self.height.quantity
+
+    @property
+    def regions(self) -> tuple[Region, ...]:
+        """All regions of both faces, the first upper and the first lower one in front."""
+        return (self.upper, self.lower, *self.also_upper, *self.also_lower)
+
+
+class StepProfile(MeasurementResult, frozen=True, kw_only=True, tag="step_profile"):
+    """A groove, ridge or single step across a line, after ISO 5436-1: z = a x + b + h delta.
+
+    height: depth of a groove or height of a ridge, positive; for a step, the height behind its edge minus that before
+    it. edges_um: positions of the edges along the line; zones: names with their ends along the line, in um; curve: the
+    profile in a few hundred points, distance and height in um.
+    """
+
+    line: Region
+    kind: Literal["groove", "ridge", "step"]
+    height: Length
+    definition: str
+    options: GrooveOptions = GrooveOptions()
+    width: Length | None = None
+    edges_um: tuple[float, ...]
+    zones: tuple[tuple[str, float, float], ...]
+    curve: tuple[tuple[float, float], ...] = ()
+    sq_um: NonNegative
+    points: int
+    measured_fraction: NonNegative
+    not_evaluated: tuple[str, ...] = ()
+
+    @property
+    def main(self) -> Quantity:
+        """The height or depth."""
+        return self.height.quantity
+
+
+class Site(Spec, frozen=True, kw_only=True):
+    """One site with its centre in stage um; range is None if too little of it is measured."""
+
+    x_um: float
+    y_um: float
+    range: Length | None
+    measured_fraction: Fraction = 0.0
+
+
+class SiteRanges(MeasurementResult, frozen=True, kw_only=True, tag="site_range"):
+    """Front-surface site ranges, as mounted, row by row from the top left; `largest` of the measured ones.
+
+    Rows and columns count complete sites; the remaining border belongs to none.
+    """
+
+    region: Region
+    site_width_um: Positive
+    site_height_um: Positive
+    rows: int
+    cols: int
+    sites: tuple[Site, ...]
+    largest: Length
+
+    @property
+    def outlines(self) -> tuple[Region, ...]:
+        """Rectangles of all sites, in their order."""
+        x, y = self.site_width_um / 2, self.site_height_um / 2
+        return tuple(Region.rectangle(s.x_um - x, s.y_um - y, s.x_um + x, s.y_um + y) for s in self.sites)
+
+    @property
+    def main(self) -> Quantity:
+        """The largest range of all sites."""
+        return self.largest.quantity
+
+
+class Texture(MeasurementResult, frozen=True, kw_only=True, tag="texture"):
+    """ISO 25178-2 parameters of a region, after removal of form and filtered wavelengths.
+
+    Height: sa, sq, sp, sv, sz, ssk, sku. Hybrid: sdq (a slope), sdr_fraction. Functional: sk, spk, svk, smr1_fraction,
+    smr2_fraction. Spatial: sal, str_ratio, std (across the lay, anticlockwise from +x). None: not defined for this
+    surface; ssk, sku and sal for a flat one, std for one without a lay.
+    """
+
+    region: Region
+    options: TextureOptions = TextureOptions()
+    sa: Length
+    sq: Length
+    sp: Length
+    sv: Length
+    sz: Length
+    ssk: float | None
+    sku: float | None
+    sdq: NonNegative | None = None
+    sdr_fraction: NonNegative | None = None
+    sk: Length | None = None
+    spk: Length | None = None
+    svk: Length | None = None
+    smr1_fraction: Fraction | None = None
+    smr2_fraction: Fraction | None = None
+    sal: Length | None = None
+    str_ratio: Fraction | None = None
+    std: Quantity | None = None
+    points: int
+    measured_fraction: Fraction
+
+    @property
+    def main(self) -> Quantity:
+        """Sa."""
+        return self.sa.quantity
+
+
+class Roughness(MeasurementResult, frozen=True, kw_only=True, tag="roughness"):
+    """ISO 21920-2 parameters along a line.
+
+    ra, rq, rt, rsk, rku: over the whole evaluation length; rp, rv, rz: means over its sections of section_um each.
+    Without a cut-off the profile is the primary profile with one section, and the standard names are Pa, Pq, Pt ...
+    """
+
+    line: Region
+    options: RoughnessOptions = RoughnessOptions()
+    ra: Length
+    rq: Length
+    rz: Length
+    rt: Length
+    rp: Length
+    rv: Length
+    rsk: float | None
+    rku: float | None
+    sections: int
+    section_um: NonNegative
+    points: int
+    measured_fraction: Fraction
+
+    @property
+    def main(self) -> Quantity:
+        """Ra."""
+        return self.ra.quantity
+
+
+Side = Literal["left", "right", "lower", "upper"]
+
+
+class KerfWidth(MeasurementResult, frozen=True, kw_only=True, tag="kerf_width"):
+    """Width of a kerf between the lines through its two edges, measured in the middle, and its extremes.
+
+    first, second: the lines over the length of the detected edges; angle: between them, 0 if parallel.
+    """
+
+    region: Region
+    options: KerfOptions = KerfOptions()
+    width: Length
+    narrowest: Length
+    widest: Length
+    angle: Quantity
+    kerf: Literal["bright", "dark"]
+    first: Region
+    second: Region
+    points: int
+
+    @property
+    def main(self) -> Quantity:
+        """The mean width."""
+        return self.width.quantity
+
+
+class DieSize(MeasurementResult, frozen=True, kw_only=True, tag="die_size"):
+    """A die measured by its four edges: width and height through the centre, rotation and squareness.
+
+    rotation: anticlockwise from the stage axes; squareness: angle at the lower left corner minus 90 degrees; outline:
+    the four corners where the edges intersect, anticlockwise from the lower left.
+    """
+
+    region: Region
+    options: DieOptions = DieOptions()
+    width: Length
+    height: Length
+    rotation: Quantity
+    squareness: Quantity
+    center: Point
+    outline: Region
+    die: Literal["bright", "dark"]
+    points: int
+
+    @property
+    def main(self) -> Quantity:
+        """The width."""
+        return self.width.quantity
+
+
+class CircleSize(MeasurementResult, frozen=True, kw_only=True, tag="circle"):
+    """Least-squares circle through the edge of a round shape; roundness: RONt of ISO 12181 about it.
+
+    circle: the circle drawn by the user; found: the fitted circle.
+    """
+
+    circle: Region
+    options: CircleOptions = CircleOptions()
+    diameter: Length
+    radius: Length
+    roundness: Length
+    center: Point
+    found: Region
+    inside: Literal["bright", "dark"]
+    points: int
+
+    @property
+    def main(self) -> Quantity:
+        """The diameter."""
+        return self.diameter.quantity
+
+
+class Chip(Spec, frozen=True, kw_only=True):
+    """A chip: position of its deepest point, depth, length along the edge and area."""
+
+    error: ClassVar[type[WaferViewerError]] = MeasureError
+    place: Point
+    depth_um: NonNegative
+    length_um: NonNegative
+    area_um2: NonNegative
+
+
+class Chipping(MeasurementResult, frozen=True, kw_only=True, tag="chipping"):
+    """Material missing from a die along the straight line of its edge.
+
+    deepest: largest distance from the line into the die, chip or not; longest, area: of the chips, which are deeper
+    than limit_um; chips: the deepest first; edge: the line; die: side of the edge on which the die lies.
+    """
+
+    region: Region
+    options: ChippingOptions = ChippingOptions()
+    deepest: Length
+    longest: Length
+    area: Quantity
+    n_chips: int
+    chips: tuple[Chip, ...] = ()
+    limit_um: NonNegative
+    edge_length_um: NonNegative
+    chipped_fraction: Fraction
+    edge: Region
+    die: Side
+    points: int
+
+    @property
+    def main(self) -> Quantity:
+        """The largest depth."""
+        return self.deepest.quantity
+
+
+class Bump(Spec, frozen=True, kw_only=True):
+    """One bump: position, height of its top over its surroundings, width at half height, deviation.
+
+    deviation: of its top from the plane of all tops, positive away from the substrate.
+    """
+
+    error: ClassVar[type[WaferViewerError]] = MeasureError
+    place: Point
+    height: Length
+    diameter_um: NonNegative
+    deviation: Length
+
+
+class Coplanarity(MeasurementResult, frozen=True, kw_only=True, tag="coplanarity"):
+    """Coplanarity of the tops of bumps after JESD22-B108.
+
+    options.reference: least-squares plane through all tops, from which the range of deviations counts, or the seating
+    plane, on which the part would stand. mean_height, height_range: of the bumps over their surroundings.
+    left_out: bumps cut by the region, or with unmeasured tops.
+    """
+
+    region: Region
+    options: CoplanarityOptions = CoplanarityOptions()
+    coplanarity: Length
+    mean_height: Length
+    height_range: Length
+    n_bumps: int
+    left_out: int
+    tilt_mrad: NonNegative
+    bumps: tuple[Bump, ...] = ()
+
+    @property
+    def main(self) -> Quantity:
+        """The coplanarity."""
+        return self.coplanarity.quantity

@@ -1,4 +1,4 @@
-"""Surfaces: height maps of fields, and mosaics of many fields."""
+"""Surfaces: height maps of fields with their refused points, and mosaics of many fields."""
 
 from __future__ import annotations
 
@@ -15,7 +15,45 @@ from wafer_viewer.model.errors import MeasureError
 from wafer_viewer.model.region import Region
 from wafer_viewer.model.spec import Spec
 from wafer_viewer.model.surface.recipe import Recipe
-from wafer_viewer.model.surface.refused_points import RefusedHeights
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class RefusedHeights:
+    """Peaks of a field that failed a gate, with the heights they would have had.
+
+    Pixels filled afterwards are included: their origin in the height map is FILLED, their reason is stored here.
+
+    Parameters
+    ----------
+    at
+        Pixel numbers in row-major order, ascending; uint32 [n].
+    z_um
+        Height of the refused peak in um; float32 [n].
+    reason
+        Code of `Origin` of the first gate that failed; uint8 [n].
+
+    Raises
+    ------
+    MeasureError
+        If the three differ in length.
+    """
+
+    at: NDArray[np.uint32]
+    z_um: NDArray[np.float32]
+    reason: NDArray[np.uint8]
+
+    def __post_init__(self) -> None:
+        lengths = {len(self.at), len(self.z_um), len(self.reason)}
+        if len(lengths) != 1:
+            raise MeasureError(f"Refused heights have arrays of the lengths {sorted(lengths)}: give one length.")
+
+    def __len__(self) -> int:
+        return len(self.at)
+
+    def of_rows(self, first: int, end: int, cols: int) -> slice:
+        """Return the slice of points in the rows [first, end) of a map with `cols` columns."""
+        low, high = np.searchsorted(self.at, [max(0, first) * cols, max(0, end) * cols])
+        return slice(int(low), int(high))
 
 
 class Origin(IntEnum):
@@ -344,3 +382,26 @@ class PartOfMosaic(ReadThrough):
         xa, xb = (self.x0_um + col * self.pixel_um for col in (cols.start, cols.stop - 1))
         ya, yb = (self.y0_um - row * self.pixel_um for row in (rows.stop - 1, rows.start))
         return self.surface.window(Region.rectangle(xa, ya, xb, yb))
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class TexturedHeights(Heights):
+    """One layer of heights with the grey values on the same grid; picture: float32, NaN where no field covers it."""
+
+    picture: NDArray[np.float32]
+
+
+@runtime_checkable
+class ProvidesTexture(Protocol):
+    """A surface that can read heights and picture alone, which takes half of the work."""
+
+    def pictured(self, layer: HeightLayer, region: Region, level: int = 0) -> TexturedHeights:
+        """Return the part of a level that contains a region. Raises MeasureError if the region lies outside."""
+        ...
+
+
+def picture_of(all_in_focus: NDArray[np.uint8] | NDArray[np.uint16], origin: NDArray[np.uint8]) -> NDArray[np.float32]:
+    """Return the grey values as float32, NaN where no field covers the pixel."""
+    picture = all_in_focus.astype(np.float32)
+    picture[origin == Origin.NOT_COVERED] = np.nan
+    return picture

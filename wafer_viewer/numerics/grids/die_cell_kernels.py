@@ -7,8 +7,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from wafer_viewer.numerics.array_types import Float32s, Float64s, Real
-from wafer_viewer.numerics.jit import kernel
+from wafer_viewer.numerics.jit import Float32s, Float64s, Real, kernel
 
 MAD_TO_SIGMA = 1.4826
 

@@ -8,8 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from wafer_viewer.model.surface.height_map import Origin
-from wafer_viewer.numerics.array_types import Float32s, Greys, UInt8s
-from wafer_viewer.numerics.jit import lean_kernel, lean_part
+from wafer_viewer.numerics.jit import Float32s, Greys, UInt8s, lean_kernel, lean_part
 
 Layers = dict[str, NDArray[Any]]
 """Arrays [row, col] of one window of a level by name."""

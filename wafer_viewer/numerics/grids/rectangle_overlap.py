@@ -6,7 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from wafer_viewer.numerics.array_types import Float64s, Int64s
+from wafer_viewer.numerics.jit import Float64s, Int64s
 
 
 @dataclass(frozen=True, slots=True, eq=False)

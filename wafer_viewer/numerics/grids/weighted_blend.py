@@ -9,8 +9,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from wafer_viewer.numerics.array_types import Float32s, Greys, Real, UInt8s, Whole
-from wafer_viewer.numerics.jit import lean_kernel, lean_part
+from wafer_viewer.numerics.jit import Float32s, Greys, Real, UInt8s, Whole, lean_kernel, lean_part
 
 _MEASURED = 0
 _NOT_COVERED = 10

@@ -1,4 +1,4 @@
-"""Stitched mosaic of height maps, blended per window by confidence or by the paper's ramps (eq. 15 and 16).
+"""Stitched mosaic of height maps with its pyramid, and the stitched image at one height.
 
 Blending along X and then along Y equals one weight for each field, the product of its ramps; where a neighbour is
 missing or unmeasured, the weights of the measured fields are normalised to one.
@@ -11,9 +11,13 @@ import hashlib
 import math
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
 
 from wafer_viewer._version import __version__
-from wafer_viewer.model.acquisition.focus_stack import Image
+from wafer_viewer.model.acquisition.focus_stack import FieldStack, Image
 from wafer_viewer.model.acquisition.plan import Field
 from wafer_viewer.model.errors import ComputeError, MeasureError
 from wafer_viewer.model.region import Region
@@ -21,9 +25,39 @@ from wafer_viewer.model.spec import replace
 from wafer_viewer.model.surface.field_poses import Poses
 from wafer_viewer.model.surface.height_map import HeightMap, Provenance, pixel_window
 from wafer_viewer.model.surface.recipe import Recipe
-from wafer_viewer.reconstruct.blending.height_pyramid import halved, joined
+from wafer_viewer.numerics.grids.pyramid_level import halve
 from wafer_viewer.reconstruct.blending.mosaic_layout import MosaicLayout, layout
 from wafer_viewer.reconstruct.blending.window_blend import BLENDS, blend_layers, lay_pictures
+
+LAYERS = ("z_um", "z_raw_um", "confidence", "all_in_focus", "origin")
+
+
+def layers_of(height: HeightMap) -> dict[str, NDArray[Any]]:
+    """Return the layers of a map by name, including the overlap differences if it has them."""
+    names = LAYERS if height.overlap_um is None else (*LAYERS, "overlap_um")
+    return {name: getattr(height, name) for name in names}
+
+
+def halved(height: HeightMap) -> HeightMap:
+    """Return the next pyramid level: each pixel is the mean of the measured ones of 2 x 2."""
+    layers = layers_of(height)
+    half = halve(layers)
+    return dataclasses.replace(
+        height,
+        **{name: half[name] for name in layers},
+        pixel_um=2 * height.pixel_um,
+        x0_um=height.x0_um + 0.5 * height.pixel_um,
+        y0_um=height.y0_um - 0.5 * height.pixel_um,
+    )
+
+
+def joined(bands: Sequence[HeightMap]) -> HeightMap:
+    """Concatenate vertically adjacent maps, at the position of the first."""
+    if len(bands) == 1:
+        return bands[0]
+    layers = {name: np.concatenate([getattr(b, name) for b in bands]) for name in layers_of(bands[0])}
+    return dataclasses.replace(bands[0], **layers)
+
 
 _COARSEST_PX = 512
 _BAND_PX = 2**23
@@ -166,3 +200,33 @@ def _mixture(parts: Sequence[Provenance]) -> Iterator[str]:
     if len({p.z_step_um for p in parts}) > 1:
         steps_um = ", ".join(f"{step_um:g}" for step_um in sorted({p.z_step_um for p in parts}))
         yield f"The fields were taken in steps of {steps_um} um: they are of different scans."
+
+
+@dataclass(frozen=True, slots=True)
+class StackOutline:
+    """Position and size of the frames of a stack."""
+
+    pixel_um: float
+    x0_um: float
+    y0_um: float
+    shape: tuple[int, int]
+
+    @classmethod
+    def of(cls, stack: FieldStack) -> StackOutline:
+        """Return the outline of a stack's frames."""
+        return cls(stack.pixel_um, stack.x0_um, stack.y0_um, stack.images.shape[1:])
+
+
+def picture_at(stack: FieldStack, z_um: float) -> Image:
+    """Return the frame of a stack that was taken nearest to z_um, as a view."""
+    there = np.flatnonzero(stack.present)
+    return stack.images[there[np.argmin(np.abs(stack.z_um[there] - z_um))]]
+
+
+def stitched_picture(
+    stacks: Sequence[FieldStack], z_um: float, rows: slice | None = None, cols: slice | None = None
+) -> tuple[Image, MosaicLayout]:
+    """Return the pixels [rows, cols] (default: all) of the stitched image at one z, and its lattice."""
+    lattice = layout([StackOutline.of(s) for s in stacks])
+    rows, cols = rows or slice(0, lattice.shape[0]), cols or slice(0, lattice.shape[1])
+    return blend_pictures([picture_at(s, z_um) for s in stacks], lattice, rows, cols), lattice

@@ -7,7 +7,8 @@ is requested.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+import itertools
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -16,11 +17,35 @@ from numpy.typing import NDArray
 
 from wafer_viewer.model.acquisition.focus_stack import Image
 from wafer_viewer.model.surface.height_map import HeightMap, Origin
-from wafer_viewer.numerics.grids import shifted_read, weighted_blend
-from wafer_viewer.numerics.grids.shifted_read import Shift, TiltedField
+from wafer_viewer.numerics.grids import resampling as shifted_read
+from wafer_viewer.numerics.grids import weighted_blend
+from wafer_viewer.numerics.grids.resampling import Shift, TiltedField
 from wafer_viewer.numerics.grids.weighted_blend import Blended, BlendPiece, Tally
 from wafer_viewer.reconstruct.blending.mosaic_layout import FieldPlacement, MosaicLayout, Part
-from wafer_viewer.reconstruct.blending.window_pieces import pieces
+
+
+def pieces(window: Part, parts: Sequence[Part]) -> Iterator[tuple[Part, list[int]]]:
+    """Yield the pieces of a window from top to bottom, with the indices of the parts that cover each.
+
+    Together the pieces form the window.
+    """
+    rows, cols = window
+    for band in _cut(rows, (part[0] for part in parts)):
+        here = [n for n, (of_part, _) in enumerate(parts) if _holds(of_part, band)]
+        for strip in _cut(cols, (parts[n][1] for n in here)):
+            yield (band, strip), [n for n in here if _holds(parts[n][1], strip)]
+
+
+def _cut(whole: slice, parts: Iterable[slice]) -> Iterator[slice]:
+    """Split a range of pixels wherever a part begins or ends."""
+    inside = {end for part in parts for end in (part.start, part.stop) if whole.start < end < whole.stop}
+    ends = [whole.start, *sorted(inside), whole.stop]
+    return (slice(a, b) for a, b in itertools.pairwise(ends))
+
+
+def _holds(part: slice, run: slice) -> bool:
+    return part.start <= run.start and run.stop <= part.stop
+
 
 MAX_STEP_FRAMES = 2.0
 """Neighbouring heights that differ by over two frames of the sweep are two surfaces and are not interpolated."""

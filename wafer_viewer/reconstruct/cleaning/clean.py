@@ -1,9 +1,25 @@
-"""Cleaning of gated heights: smoothing, removal of outliers and step edges, filling; and `auto` parameters."""
+"""Cleaning of gated heights: smoothing, removal of outliers and step edges, filling of gaps.
+
+Outliers: `cloud` is the paper's form: neighbours in the point cloud, with their mean distance compared to its mean and
+deviation over the field. `lattice` takes the neighbours among the surrounding pixels and measures along z. On a clean
+field that deviation is tiny and the rule would remove the edges of steps, so it has a lower bound.
+
+`lattice` detects three more kinds of isolated pixels: those that smoothing moved by much more than usual, those on
+strips narrower than three quarters of the focus window, and those on islands smaller than the square of two windows.
+Any real structure appears at least as wide as the window; smaller ones are artefacts of light that bleeds over an edge.
+
+Edges of steps: a window across a jump sees the focus of both sides, and the sharper side wins, independent of the
+position of the jump. Where a silhouette separates the sides their heights are tested against them; here jumps without
+one are handled.
+
+The light of a defocused bright line ends in a disc, whose rim looks sharp everywhere: it creates a surface that falls
+away from the line as steeply as the aperture is wide. That is a jump within the window too.
+"""
 
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from itertools import islice
 
@@ -11,12 +27,162 @@ import numpy as np
 from numpy.typing import NDArray
 
 from wafer_viewer.model.spec import replace
-from wafer_viewer.model.surface.recipe import Levy, Recipe
-from wafer_viewer.numerics.filters.connected_components import small_components
-from wafer_viewer.reconstruct.cleaning.gap_fill import fill
+from wafer_viewer.model.surface.height_map import Origin
+from wafer_viewer.model.surface.recipe import Fill, Levy, Outliers, Recipe
+from wafer_viewer.numerics.filters.denoising import NEIGHBOUR_REACH_PX, mean_distances, near_counts
+from wafer_viewer.numerics.filters.interpolation import fill_gaps, fill_rows
+from wafer_viewer.numerics.filters.regions import narrow_parts, small_components
+from wafer_viewer.numerics.filters.sliding_filters import doubled, highest, lowest
 from wafer_viewer.reconstruct.cleaning.levy_flight import SMOOTHERS, bends_of, flight_lengths, height_noise_um, smooth
-from wafer_viewer.reconstruct.cleaning.outliers import find_outliers
-from wafer_viewer.reconstruct.cleaning.step_edges import JUMP_STEPS, height_range_um
+
+MAX_STEP_FRAMES = 1.5
+"""A gap whose sides differ by more than one and a half steps of the sweep is a step of the surface."""
+
+
+def fill(z_um: NDArray[np.float32], how: Fill, step_um: float) -> NDArray[np.float32]:
+    """Return a filled copy of a map.
+
+    `small_gaps`: along rows and along columns, the mean where both reach, never across a step. `all`: the paper's
+    method, along the rows and then along the columns of the result, across any gap; regions measured on one side only,
+    as at the border of the map, stay unmeasured.
+    """
+    if how.mode == "none":
+        return z_um.copy()
+    if how.mode == "small_gaps":
+        return fill_gaps(z_um, how.max_gap_px, MAX_STEP_FRAMES * step_um)
+    longest = max(z_um.shape)
+    return np.ascontiguousarray(fill_rows(fill_rows(z_um, longest, math.inf).T, longest, math.inf).T)
+
+
+def mark_filled(origin: NDArray[np.uint8], z_um: NDArray[np.float32]) -> NDArray[np.uint8]:
+    """Return the origins of a map after gap filling; unmeasured pixels with a height become FILLED."""
+    return np.where((origin != Origin.MEASURED) & np.isfinite(z_um), np.uint8(Origin.FILLED), origin)
+
+
+BRIDGED_PX = 2
+"""Gaps up to this size are bridged when the width of a strip is measured."""
+
+_SAMPLE_EVERY_PX = 7
+_MOVED_DEVIATIONS = 6.0
+_MOVED_FLOORS = 1 / 3
+_MAD_TO_DEVIATION = 1.4826
+
+Map = NDArray[np.float32]
+Found = NDArray[np.bool_]
+
+
+def find_outliers(raw_um: Map, smoothed_um: Map, pixel_um: float, recipe: Recipe) -> Found:
+    """Return a mask of the outliers among the measured pixels, by the settled recipe; bool [row, col]."""
+    return FINDERS[recipe.outliers.mode](raw_um, smoothed_um, pixel_um, recipe)
+
+
+def _none(raw_um: Map, smoothed_um: Map, pixel_um: float, recipe: Recipe) -> Found:
+    return np.zeros(raw_um.shape, bool)
+
+
+def _lattice(raw_um: Map, smoothed_um: Map, pixel_um: float, recipe: Recipe) -> Found:
+    """Judge moved pixels at their smoothed position, so that one wrong pixel does not make a strip narrow."""
+    floor_um, window = float(recipe.outliers.floor_um), int(recipe.window)
+    found = far_on_lattice(smoothed_um, recipe.outliers) | _moved(raw_um, smoothed_um, floor_um)
+    found |= narrow_parts(fill_gaps(smoothed_um, BRIDGED_PX, floor_um), floor_um, 3 * window // 4)
+    rest = np.where(found, np.float32(np.nan), smoothed_um)
+    found |= small_components(rest, floor_um, (2 * window) ** 2)
+    return found & np.isfinite(raw_um)
+
+
+def _cloud(raw_um: Map, smoothed_um: Map, pixel_um: float, recipe: Recipe) -> Found:
+    return far_in_cloud(smoothed_um, pixel_um, recipe.outliers)
+
+
+def _moved(raw_um: Map, smoothed_um: Map, floor_um: float) -> Found:
+    moved_um = np.abs(smoothed_um - raw_um)
+    some = moved_um[::_SAMPLE_EVERY_PX, ::_SAMPLE_EVERY_PX]
+    usual_um = _MAD_TO_DEVIATION * float(np.median(some[np.isfinite(some)])) if np.isfinite(some).any() else 0.0
+    return moved_um > max(_MOVED_FLOORS * floor_um, _MOVED_DEVIATIONS * usual_um)
+
+
+def far_on_lattice(z_um: Map, how: Outliers) -> Found:
+    """Detect outliers by the mean distance to the nearest of 7 x 7 pixels; too few neighbours also count.
+
+    Beyond its border the map is extended by its edge values, so that the edge of a step is no outlier there. Pixels
+    with enough neighbours within the threshold are skipped, which leaves few to test.
+    """
+    neighbours = min(how.neighbours, (2 * NEIGHBOUR_REACH_PX + 1) ** 2 // 2)
+    padded = np.pad(z_um, NEIGHBOUR_REACH_PX, mode="edge")
+    found = np.zeros(z_um.shape, bool)
+    rows, cols = np.nonzero(np.isfinite(z_um[::_SAMPLE_EVERY_PX, ::_SAMPLE_EVERY_PX]))
+    if not rows.size:
+        return found
+    usual = mean_distances(padded, rows * _SAMPLE_EVERY_PX, cols * _SAMPLE_EVERY_PX, neighbours)
+    threshold_um = _threshold(usual, how)
+    rows, cols = np.nonzero(np.isfinite(z_um) & (near_counts(padded, threshold_um) < neighbours))
+    found[rows, cols] = mean_distances(padded, rows, cols, neighbours) > threshold_um
+    return found
+
+
+def far_in_cloud(z_um: Map, pixel_um: float, how: Outliers) -> Found:
+    """Detect outliers by the paper's method, with Open3D's neighbour search."""
+    import open3d
+
+    rows, cols = np.nonzero(np.isfinite(z_um))
+    found = np.zeros(z_um.shape, bool)
+    if len(rows) <= how.neighbours:
+        return found
+    points = np.stack([cols * pixel_um, -rows * pixel_um, z_um[rows, cols]], axis=1).astype(np.float64)
+    cloud = open3d.core.Tensor.from_numpy(points)
+    tree = open3d.core.nns.NearestNeighborSearch(cloud)
+    tree.knn_index()
+    _, squared = tree.knn_search(cloud, how.neighbours + 1)
+    distance = np.sqrt(squared.numpy())[:, 1:].mean(axis=1)
+    far = distance > _threshold(distance, how)
+    found[rows[far], cols[far]] = True
+    return found
+
+
+def _threshold(distances: NDArray[np.floating], how: Outliers) -> float:
+    known, floor_um = distances[np.isfinite(distances)], float(how.floor_um)
+    if not known.size:
+        return floor_um
+    return float(known.mean() + max(how.n_sigma * known.std(), floor_um))
+
+
+FINDERS: dict[str, Callable[[Map, Map, float, Recipe], Found]] = {"none": _none, "lattice": _lattice, "cloud": _cloud}
+"""Each takes the raw and the smoothed map, the pixel size and the settled recipe."""
+
+
+JUMP_STEPS = 2.0
+"""Difference between two surfaces a few pixels apart, in steps of the resolution."""
+
+_BEYOND_UM = np.float32(1e9)
+
+
+def height_range_um(z_um: NDArray[np.float32], window: int) -> NDArray[np.float32]:
+    """Return the height range within about half a window of each pixel; at most 0 where there are none.
+
+    z_um: [row, col], NaN where unmeasured. Evaluated for 2 x 2 pixels together. At the border of the field the range is
+    taken within a full window, because heights cut off by the border are missing, and a slope must not look flatter
+    there.
+    """
+    reach = window // 4
+    high = highest(_of_cells(np.where(np.isnan(z_um), -_BEYOND_UM, z_um), np.maximum), 2 * reach + 1)
+    low = lowest(_of_cells(np.where(np.isnan(z_um), _BEYOND_UM, z_um), np.minimum), 2 * reach + 1)
+    return doubled(_whole_windows(high - low, reach), z_um.shape)
+
+
+def _whole_windows(plane: NDArray[np.float32], reach: int) -> NDArray[np.float32]:
+    """Replace border values by those of the nearest window inside; unchanged if none fits."""
+    if min(plane.shape) <= 2 * reach or not reach:
+        return plane
+    return np.pad(plane[reach:-reach, reach:-reach], reach, mode="edge")
+
+
+def _of_cells(plane: NDArray[np.float32], choose: np.ufunc) -> NDArray[np.float32]:
+    """Reduce 2 x 2 pixels to one value; at an odd border the edge pixels repeat."""
+    rows, cols = plane.shape
+    padded = np.pad(plane, ((0, rows % 2), (0, cols % 2)), mode="edge") if rows % 2 or cols % 2 else plane
+    tall = choose(padded[::2], padded[1::2])
+    return np.asarray(choose(tall[:, ::2], tall[:, 1::2]), np.float32)
+
 
 OUTLIER_FLOOR_STEPS = 1.5
 
@@ -31,8 +197,6 @@ _N_SIGMAS = (3.0, 3.5, 4.0, 4.5)
 _MORE_THAN_NOISE = 2.0
 _FLIGHTS_TRIED = 20_001
 _LEAST_FLIGHT_STEPS = 0.05
-
-Map = NDArray[np.float32]
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -18,9 +18,15 @@ import numpy as np
 from numpy.typing import NDArray
 
 from wafer_viewer.model.surface.recipe import Levy
-from wafer_viewer.numerics.filters.line_median import REACH_PX, line_medians_at, line_outliers
-from wafer_viewer.numerics.filters.median_5x5 import median_outliers, medians_at, pad_with_nan
-from wafer_viewer.numerics.filters.opposite_pair_mean import pair_mean
+from wafer_viewer.numerics.filters.denoising import (
+    LINE_REACH_PX,
+    line_medians_at,
+    line_outliers,
+    median_outliers,
+    medians_at,
+    pad_with_nan,
+    pair_mean,
+)
 
 NOISE_LAG_PX = 15
 """Distance at which errors are nearly independent: they share little of a focus window."""
@@ -160,8 +166,8 @@ def _limit_um(noise_um: float, levy: Levy, resolution_um: float) -> float:
 
 def _without_spikes(z_um: Map, limit_um: float) -> Map:
     """Remove adjacent spikes in several passes; stop where there are too many to repair."""
-    padded = np.pad(z_um, REACH_PX, constant_values=np.nan)
-    inner = padded[REACH_PX:-REACH_PX, REACH_PX:-REACH_PX]
+    padded = np.pad(z_um, LINE_REACH_PX, constant_values=np.nan)
+    inner = padded[LINE_REACH_PX:-LINE_REACH_PX, LINE_REACH_PX:-LINE_REACH_PX]
     for _ in range(_SPIKE_PASSES):
         rows, cols = np.nonzero(line_outliers(padded, limit_um))
         if rows.size > _MANY_SPIKES * z_um.size:

@@ -10,11 +10,9 @@ from wafer_viewer.model.spec import replace
 from wafer_viewer.model.surface.comparison import ALIGN_TITLES, FOUND_BY, Align, Registration
 from wafer_viewer.model.surface.field_poses import DOUBT_TITLES, RejectionReason
 from wafer_viewer.model.surface.height_map import Mosaic, Outline
-from wafer_viewer.reconstruct.comparison.height_difference import Difference, noise_of, provenance_of
-from wafer_viewer.reconstruct.comparison.lateral_registration import in_plane
-from wafer_viewer.reconstruct.comparison.lazy_pyramid import as_pyramid
+from wafer_viewer.reconstruct.comparison.height_difference import Difference, as_pyramid, noise_of, provenance_of
+from wafer_viewer.reconstruct.comparison.registration import in_plane, levelled, settled
 from wafer_viewer.reconstruct.comparison.resampled_surface import ResampledMosaic, SampleGrid
-from wafer_viewer.reconstruct.comparison.rigid_refinement import levelled, settled
 
 LEAST_OVERLAP_PX = 32
 _SEEN_PX = 512

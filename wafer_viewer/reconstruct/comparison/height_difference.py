@@ -1,4 +1,4 @@
-"""Difference of two surfaces, second minus first, computed when a window of it is requested."""
+"""Difference of two surfaces, second minus first, computed when a window of it is read."""
 
 from __future__ import annotations
 
@@ -6,7 +6,7 @@ import dataclasses
 import hashlib
 import math
 from collections.abc import Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
 from numpy.typing import NDArray
@@ -15,8 +15,17 @@ from wafer_viewer._version import __version__
 from wafer_viewer.model.errors import MeasureError
 from wafer_viewer.model.region import Region
 from wafer_viewer.model.spec import replace
-from wafer_viewer.model.surface.comparison import Change, Registration
-from wafer_viewer.model.surface.height_map import UNMEASURED_FROM, HeightMap, Provenance
+from wafer_viewer.model.surface.comparison import Change, Heights, Registration
+from wafer_viewer.model.surface.height_map import (
+    UNMEASURED_FROM,
+    HeightMap,
+    Mosaic,
+    Origin,
+    Provenance,
+    ReadThrough,
+    pixel_window,
+)
+from wafer_viewer.reconstruct.blending.stitched_mosaic import halved
 from wafer_viewer.reconstruct.comparison.resampled_surface import ResampledMosaic, SampleGrid
 
 CHANGED_SIGMAS = 3.0
@@ -193,3 +202,87 @@ def provenance_of(first: Provenance, second: Provenance, notes: tuple[str, ...])
         simulated=first.simulated or second.simulated,
         notes=notes,
     )
+
+
+_COARSEST_PX = 256
+
+
+@dataclass(frozen=True, eq=False)
+class Reduced:
+    """A `Mosaic` over a map in memory."""
+
+    whole: HeightMap
+    _made: list[HeightMap] = field(default_factory=list[HeightMap])
+
+    @property
+    def pixel_um(self) -> float:
+        """Pixel size of level 0."""
+        return self.whole.pixel_um
+
+    @property
+    def x0_um(self) -> float:
+        """Stage x of pixel (0, 0) of level 0."""
+        return self.whole.x0_um
+
+    @property
+    def y0_um(self) -> float:
+        """Stage y of pixel (0, 0) of level 0."""
+        return self.whole.y0_um
+
+    @property
+    def shape(self) -> tuple[int, int]:
+        """(rows, cols) of level 0."""
+        return self.whole.shape
+
+    @property
+    def levels(self) -> int:
+        """Number of levels until the longer side is about 256 pixels."""
+        return 1 + max(0, math.ceil(math.log2(max(self.shape) / _COARSEST_PX)))
+
+    @property
+    def provenance(self) -> Provenance:
+        """Provenance of the map."""
+        return self.whole.provenance
+
+    def window(self, region: Region | None = None, level: int = 0) -> HeightMap:
+        """Return the part of a level that holds a region. Raises MeasureError if either does not exist."""
+        if not 0 <= level < self.levels:
+            raise MeasureError(f"The surface has levels 0 to {self.levels - 1}, level {level} was asked for.")
+        if region is None:
+            return self._at(level)
+        return self._at(level).crop(*pixel_window(self, region, level))
+
+    def _at(self, level: int) -> HeightMap:
+        if level == 0:
+            return self.whole
+        while len(self._made) < level:
+            self._made.append(halved(self._made[-1] if self._made else self.whole))
+        return self._made[level - 1]
+
+
+def as_pyramid(surface: Mosaic) -> Mosaic:
+    """Return the surface itself, or a pyramid over it if it is a map with one level."""
+    return Reduced(surface) if isinstance(surface, HeightMap) else surface
+
+
+@dataclass(frozen=True, eq=False)
+class HeightLayerView(ReadThrough):
+    """A `Mosaic` with one height layer, raw or cleaned, in place of both."""
+
+    surface: Mosaic
+    heights: Heights
+
+    def window(self, region: Region | None = None, level: int = 0) -> HeightMap:
+        """Return the part of a level that holds a region, with one height layer."""
+        part = self.surface.window(region, level)
+        if self.heights == "cleaned":
+            return dataclasses.replace(part, z_raw_um=part.z_um)
+        raw = np.isfinite(part.z_raw_um)
+        why = np.where(part.origin >= UNMEASURED_FROM, part.origin, np.uint8(Origin.NOT_COVERED))
+        origin = np.where(raw, np.uint8(Origin.MEASURED), why).astype(np.uint8)
+        return dataclasses.replace(part, z_um=part.z_raw_um, origin=origin)
+
+
+def read_as(surface: Mosaic, heights: Heights) -> Mosaic:
+    """Return a view with one height layer, or the surface itself for "both"."""
+    return surface if heights == "both" else HeightLayerView(surface, heights)

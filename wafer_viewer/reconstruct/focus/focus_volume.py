@@ -1,4 +1,4 @@
-"""Common kernels of the focus measures: reading grey rows, and accumulating rows of levels.
+"""Parts of a field as sources for the kernels, and the rows of focus that these accumulate.
 
 A block of a stack is processed frame by frame and row by row. A measure makes a row of levels of each frame, log2 of
 the focus as 16 bits; the levels of the block are its focus volume (eq. 5). The best frame of each pixel (eq. 6), the
@@ -7,13 +7,18 @@ clipped frames and the coarse focus volume of the field are updated while the ro
 
 from __future__ import annotations
 
-from typing import NamedTuple
+import dataclasses
+import os
+from collections.abc import Callable, Iterable
+from concurrent.futures import ThreadPoolExecutor
+from typing import NamedTuple, TypeVar
 
 import numpy as np
 
-from wafer_viewer.numerics.array_types import Greys, Int64s, UInt16s, Whole
-from wafer_viewer.numerics.jit import inlined_part, lean_part
-from wafer_viewer.numerics.prefetch import prefetch
+from wafer_viewer.model.acquisition.focus_stack import Image
+from wafer_viewer.numerics.intrinsics import prefetch
+from wafer_viewer.numerics.jit import Greys, Int64s, UInt16s, Whole, inlined_part, lean_part
+from wafer_viewer.reconstruct.preprocess.frames import Frames, read_block
 
 COARSE_PX = 4
 """The coarse focus volume has one level for 4 x 4 pixels."""
@@ -130,3 +135,57 @@ def _coarsen(a: UInt16s, b: UInt16s, c: UInt16s, d: UInt16s, coarse: UInt16s) ->
             at = min(COARSE_PX * whole + j, a.size - 1)
             total = i(total + i(i(i(a[at]) + i(b[at])) + i(i(c[at]) + i(d[at]))))
         coarse[whole] = total >> 4
+
+
+Part = TypeVar("Part")
+
+
+def cores() -> int:
+    """Return the number of cores available to this process; the total number where affinity is unavailable."""
+    return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
+
+
+def on_threads(work: Callable[[Part], None], parts: Iterable[Part], threads: int | None) -> None:
+    """Process all parts on `threads` threads (default: all cores)."""
+    threads = threads or cores()
+    if threads == 1:
+        for part in parts:
+            work(part)
+        return
+    with ThreadPoolExecutor(threads) as pool:
+        list(pool.map(work, parts))
+
+
+def row_parts(n_rows: int, rows: int) -> list[slice]:
+    """Split rows into parts of `rows`; the last part may be shorter."""
+    return [slice(top, min(top + rows, n_rows)) for top in range(0, n_rows, rows)]
+
+
+def source_of(frames: Frames, rows: slice, cols: slice, margin: int, block: Image | None = None) -> StackSource:
+    """Return a part of a field for kernels that read `margin` pixels beyond it.
+
+    Pixels are read in place where possible, otherwise copied and corrected. block: [k, rows + 2 margin, cols + 2
+    margin] to copy to; allocated on demand if omitted.
+    """
+    if frames.ready(rows, margin):
+        return StackSource.of(frames.images, frames.slots, rows.start, cols.start, frames.clipped_counts)
+    if block is None:
+        block = read_part(frames, slice(0, frames.n_frames), rows, cols, margin)
+    else:
+        read_block(frames, rows, cols, margin, block)
+    return StackSource.of(block, np.arange(frames.n_frames), margin, margin, frames.clipped_counts)
+
+
+def source_of_rows(frames: Frames, rows: slice, margin: int) -> StackSource:
+    """Return full rows of a field, for kernels that read `margin` pixels beyond them."""
+    return source_of(frames, rows, slice(0, frames.shape[1]), margin)
+
+
+def read_part(frames: Frames, some: slice, rows: slice, cols: slice, margin: int) -> Image:
+    """Read a range of frames of a part of a field, with a margin; beyond the field its border repeats."""
+    alone = frames.drift is None  # the drift of a frame is known by its place among all of them
+    chosen = dataclasses.replace(frames, index=frames.slots[some]) if alone else frames
+    n_frames = some.stop - some.start if alone else frames.n_frames
+    block = np.empty((n_frames, rows.stop - rows.start + 2 * margin, cols.stop - cols.start + 2 * margin), frames.dtype)
+    read_block(chosen, rows, cols, margin, block)
+    return block if alone else block[some]

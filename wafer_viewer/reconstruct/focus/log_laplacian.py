@@ -28,10 +28,21 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from wafer_viewer.numerics.array_types import Float32s, Greys, Int32s, Int64s, Real, UInt16s, Whole, aligned
-from wafer_viewer.numerics.fast_log2 import quick_log2
-from wafer_viewer.numerics.filters.box_sums import AHEAD, box, window_pieces
-from wafer_viewer.numerics.jit import inlined_part, lean_kernel, lean_part
+from wafer_viewer.numerics.filters.sliding_filters import AHEAD, box, window_pieces
+from wafer_viewer.numerics.intrinsics import quick_log2
+from wafer_viewer.numerics.jit import (
+    Float32s,
+    Greys,
+    Int32s,
+    Int64s,
+    Real,
+    UInt16s,
+    Whole,
+    aligned,
+    inlined_part,
+    lean_kernel,
+    lean_part,
+)
 from wafer_viewer.reconstruct.focus.focus_volume import (
     StackSource,
     Volume,

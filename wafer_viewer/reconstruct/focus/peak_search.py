@@ -1,11 +1,21 @@
-"""Blockwise peak search: each block has all its frames, so that its focus volume stays in cache."""
+"""Blockwise peak search, with its checks: peaks of pure noise, the z sampling, and a wider window.
+
+A gate that requires more than noise reaches in 1 % of the pixels has a known false positive rate, for any number of
+frames, window and measure. The scores are ratios, so they do not depend on the strength of the noise, except for a
+measure that uses the camera noise: it is given the noise of the simulation.
+
+Where light bleeds from a bright neighbour, or texture runs out, the height depends on the window size; where both
+windows agree the height is that of the surface. The wide window is cheap: it averages the levels of the coarse focus
+volume, 4 x 4 pixels each, which the search computes anyway.
+"""
 
 from __future__ import annotations
 
 import queue
 from collections.abc import Callable, Iterator
 from concurrent.futures import ThreadPoolExecutor
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from functools import lru_cache
 from typing import Any
 
 import numpy as np
@@ -13,11 +23,31 @@ from numpy.typing import NDArray
 
 from wafer_viewer.model.acquisition.focus_stack import Image
 from wafer_viewer.model.progress import Progress
-from wafer_viewer.reconstruct.focus.field_blocks import cores, source_of
+from wafer_viewer.numerics.jit import (
+    Float32s,
+    Float64s,
+    Int32s,
+    UInt16s,
+    Whole,
+    aligned,
+    inlined_part,
+    lean_kernel,
+    lean_part,
+)
 from wafer_viewer.reconstruct.focus.focus_measures import FOCUS_MEASURES, USUAL_CAMERA, Focusing
-from wafer_viewer.reconstruct.focus.focus_volume import StackSource, Volume
-from wafer_viewer.reconstruct.focus.peak import FocusCurves, Peaks, describe
-from wafer_viewer.reconstruct.focus.peak_interpolation import PEAKS, InterpolationScratch, PeakInterpolation
+from wafer_viewer.reconstruct.focus.focus_volume import COARSE_PX, StackSource, Volume, cores, note, source_of
+from wafer_viewer.reconstruct.focus.log_laplacian import log_margin_px
+from wafer_viewer.reconstruct.focus.peak import (
+    PEAKS,
+    FocusCurves,
+    InterpolationScratch,
+    PeakInterpolation,
+    Peaks,
+    describe,
+    gather,
+    gather_blended,
+    place_row,
+)
 from wafer_viewer.reconstruct.preprocess.camera_noise import CameraNoise
 from wafer_viewer.reconstruct.preprocess.frames import Frames
 
@@ -176,3 +206,163 @@ def _each(work: Callable[[slice], None], parts: list[slice], threads: int) -> It
         yield from pool.map(work, parts)
     finally:
         pool.shutdown(cancel_futures=True)
+
+
+_SIDE_PX = 224
+"""Noise peaks are correlated over the window, so a large patch is needed to estimate the 99th percentile."""
+
+_MARGIN_PX = log_margin_px(25)
+_DEVIATION_COUNTS = 12.0
+_CAMERA = CameraNoise(gain_counts=1e-2, floor_counts2=_DEVIATION_COUNTS**2)
+_PERCENTILE = 99.0
+_SEED = 20240229
+
+
+@dataclass(frozen=True, slots=True)
+class NoiseScores:
+    """99th percentiles of the peak scores on pure noise, in powers of two."""
+
+    lead: float
+    fall: float
+    contrast: float
+
+
+def noise_scores(search: Search, n_frames: int) -> NoiseScores:
+    """Return the scores on a fixed patch of white noise of `n_frames` frames."""
+    return _noise_scores(replace(search, camera=_CAMERA), n_frames)
+
+
+@lru_cache(maxsize=64)
+def _noise_scores(search: Search, n_frames: int) -> NoiseScores:
+    grey, shape = _noise(n_frames), (_SIDE_PX, _SIDE_PX)
+    source = StackSource.of(grey, np.arange(n_frames), _MARGIN_PX, _MARGIN_PX, 256)
+    peaks = Peaks.empty(shape, grey.dtype)
+    bench = ThreadScratch.make(n_frames, shape, search, grey.dtype)
+    search_block(source, np.arange(n_frames, dtype=np.float64), search, bench, peaks)
+    inside = ~peaks.at_end
+    lead, fall, contrast = (
+        float(np.percentile(score[inside] if inside.any() else score, _PERCENTILE))
+        for score in (peaks.lead, peaks.fall, peaks.contrast)
+    )
+    return NoiseScores(lead, fall, contrast)
+
+
+@lru_cache(maxsize=1)
+def _noise(n_frames: int) -> NDArray[np.uint8]:
+    """Return white noise [k, row, col] with a margin for the largest window."""
+    side = _SIDE_PX + 2 * _MARGIN_PX
+    noise = np.random.default_rng(_SEED).standard_normal((n_frames, side, side), dtype=np.float32)
+    noise *= np.float32(_DEVIATION_COUNTS)
+    noise += np.float32(128.5)
+    return np.clip(noise, 0, 255, out=noise).astype(np.uint8)
+
+
+NARROWEST_STEPS = 1.2
+"""Focus curves no wider than this at half maximum, in steps, have a single frame at their peak."""
+
+
+def coarse_step(step_um: float, depth_of_field_um: float, focus_width_um: float) -> tuple[str, ...]:
+    """Return a note when the step is too coarse for the depth of field or, if that is 0 (unknown), the focus width."""
+    half_um = depth_of_field_um / 2
+    if half_um > 0 and step_um > half_um:
+        return (
+            f"The step of {step_um:.3g} um is over half the depth of field, {half_um:.2g} um: heights scatter more "
+            "than they need to; scan with a finer step.",
+        )
+    if half_um == 0 and focus_width_um <= NARROWEST_STEPS * step_um:
+        return (
+            f"Focus curves are hardly wider than a step, {focus_width_um:.3g} um of {step_um:.3g} um: heights scatter "
+            "more than they need to; take frames closer to each other.",
+        )
+    return ()
+
+
+def wide_cells(window: int) -> int:
+    """Return the number of coarse levels per axis to average for about twice a window.
+
+    The result is 3 for a window of 9, equivalent to a window of 17 to 20.
+    """
+    return 2 * ((window - 1) // (2 * COARSE_PX)) + 1
+
+
+def wide_heights(
+    peaks: Peaks, z_um: NDArray[np.float64], search: Search, cells: int | None = None
+) -> NDArray[np.float32]:
+    """Return z in um [row, col] of a field's peaks from coarse levels averaged over `cells` x `cells`.
+
+    All pixels of a 4 x 4 cell share a height. The window in pixels is that of the search plus 4 `cells` - 1; beyond the
+    border the border levels repeat. `peaks` must have its coarse volume.
+    """
+    n_frames, n_rows, cols = peaks.coarse.shape
+    cells = cells or wide_cells(search.window)
+    curves = FocusCurves.make(n_frames, (1, cols))
+    spots = InterpolationScratch.make(cols, FOCUS_MEASURES[search.measure].table(peaks.all_in_focus.dtype))
+    line = aligned((cols + cells - 1,), np.int32)
+    out = np.empty((n_rows, cols), np.float32)
+    _search_rows(
+        peaks.coarse,
+        cells,
+        line,
+        np.asarray(z_um, np.float64),
+        search.placing._replace(floored=False),
+        curves,
+        spots,
+        out,
+    )
+    rows, cols = peaks.z_um.shape
+    return out.repeat(COARSE_PX, axis=0)[:rows].repeat(COARSE_PX, axis=1)[:, :cols]
+
+
+@lean_kernel
+def _search_rows(
+    coarse: UInt16s,
+    cells: Whole,
+    line: Int32s,
+    z_um: Float64s,
+    how: PeakInterpolation,
+    curves: FocusCurves,
+    spots: InterpolationScratch,
+    out: Float32s,
+) -> None:
+    only = np.int64(0)  # a plain 0 would be a type of its own, and what takes it compiled once more
+    for y in range(out.shape[0]):
+        curves.best[:] = 0
+        curves.peak[:] = 0
+        for k in range(coarse.shape[0]):
+            _average(coarse, k, y, cells, line, curves.levels[k, 0])
+            note(curves.levels[k, 0], np.uint16(k), curves.best[0], curves.peak[0])
+        if how.blend:
+            gather_blended(curves, only, z_um, how, spots)
+        else:
+            gather(curves, only, z_um, how, spots)
+        place_row(how, spots, out[y])
+
+
+@inlined_part
+def _average(coarse: UInt16s, k: Whole, y: Whole, cells: Whole, line: Int32s, level: UInt16s) -> None:
+    """Compute a row of means over cells x cells levels: column sums with repeated borders, then along the row."""
+    half, last = cells // 2, coarse.shape[1] - 1
+    columns = line[half : half + level.size]
+    columns[:] = 0
+    for d in range(cells):
+        _add(coarse[k, min(max(y + d - half, 0), last)], columns)
+    for x in range(half):
+        line[x] = columns[0]
+        line[half + level.size + x] = columns[level.size - 1]
+    _mean_along(line, cells, level)
+
+
+@lean_part
+def _add(level: UInt16s, columns: Int32s) -> None:
+    for x in range(columns.size):
+        columns[x] = np.int32(columns[x] + np.int32(level[x]))
+
+
+@lean_part
+def _mean_along(line: Int32s, cells: Whole, level: UInt16s) -> None:
+    per_cell, half = np.float32(1 / cells**2), np.float32(0.5)
+    for x in range(level.size):
+        total = np.int32(0)
+        for d in range(cells):
+            total = np.int32(total + line[x + d])
+        level[x] = np.int32(np.float32(total) * per_cell + half)

@@ -10,9 +10,19 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from wafer_viewer.numerics.array_types import Float32s, Greys, Int64s, UInt16s, Whole, Wholes, aligned
-from wafer_viewer.numerics.filters.box_sums import AHEAD, box, window_pieces
-from wafer_viewer.numerics.jit import inlined_part, lean_kernel, lean_part
+from wafer_viewer.numerics.filters.sliding_filters import AHEAD, box, window_pieces
+from wafer_viewer.numerics.jit import (
+    Float32s,
+    Greys,
+    Int64s,
+    UInt16s,
+    Whole,
+    Wholes,
+    aligned,
+    inlined_part,
+    lean_kernel,
+    lean_part,
+)
 from wafer_viewer.reconstruct.focus.focus_volume import (
     StackSource,
     Volume,

@@ -1,23 +1,218 @@
-"""Classification of pixels near a wall into dark side, bright side and outline.
+"""Sides of a wall: silhouettes, classification of the pixels near it, and the height on each side.
+
+With b = ln(mean of 6 x 6 pixels + a dark grey), D is the largest change of b over 6 pixels along a row or a column. A
+pattern in one plane has such a contrast only within the depth of focus about that plane; the outline of a die next to a
+bright trench has it in all frames from the foot of its wall to the top. A silhouette that persists through many frames
+is therefore a wall, and can be detected before depth is known. Maps have half the resolution: pixel (i, j) stands for
+the 2 x 2 pixels from (2 i, 2 j).
 
 The frame in which the wall is sharpest is used: there, at the foot or the top of the wall, light does not bleed over
-it. A pixel next to the outline that is neither clearly dark nor clearly bright is assigned to no side. Maps at half
-resolution are those of `edge_silhouettes`.
+it. A pixel next to the outline that is neither clearly dark nor clearly bright is assigned to no side.
+
+Heights come from cells of 4 x 4 pixels, as in the coarse focus volume. A cell is an anchor of a side when it lies
+entirely on it, its pixels passed the gate, and it is flat together with its neighbours: false heights by bleeding light
+are not flat, they rise with the distance from the wall divided by the aperture. Small groups of cells are not accepted.
 """
 
 from __future__ import annotations
 
+import math
 from enum import IntEnum
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
-from wafer_viewer.numerics.array_types import Bools, Float32s, UInt8s, UInt16s, Whole
-from wafer_viewer.numerics.filters.sliding_filters import doubled, halved, highest, lowest, mean_of_known
-from wafer_viewer.numerics.jit import lean_kernel
-from wafer_viewer.reconstruct.focus.focus_volume import StackSource
-from wafer_viewer.reconstruct.gates.edge_silhouettes import Silhouette
+from wafer_viewer.model.acquisition.focus_stack import Image
+from wafer_viewer.numerics.filters.sliding_filters import (
+    doubled,
+    halved,
+    highest,
+    lowest,
+    mean,
+    mean_of_known,
+    nearest,
+    pieces,
+)
+from wafer_viewer.numerics.intrinsics import quick_log2
+from wafer_viewer.numerics.jit import (
+    Bools,
+    Float32s,
+    Greys,
+    Int32s,
+    Real,
+    UInt8s,
+    UInt16s,
+    Whole,
+    lean_kernel,
+    lean_part,
+)
+from wafer_viewer.reconstruct.focus.focus_volume import (
+    COARSE_PX,
+    StackSource,
+    on_threads,
+    row_parts,
+    source_of_rows,
+    take_grey,
+)
+from wafer_viewer.reconstruct.preprocess.frames import Frames
+
+SILHOUETTE_MARGIN_PX = 6
+"""Reach of the map beyond its pixels."""
+
+DARK_SHARE_OF_WHITE = 6 / 255
+"""Offset added to the grey, as a fraction of white; differences below it are noise."""
+
+STANDING_CONTRAST = 0.47
+"""Minimum D of a silhouette: bright is 1.6 times dark."""
+
+_STRIPE_ROWS = 64
+_SILHOUETTE_REACH = 2
+_PIXELS = 36
+_LN_2 = np.float32(math.log(2))
+
+
+class SilhouetteRows(NamedTuple):
+    """Half-resolution work rows of the kernel, one set for each thread."""
+
+    grey: Greys
+    pairs: Int32s
+    bins: Int32s
+    columns: Int32s
+    log: Float32s
+    change: Float32s
+
+    @classmethod
+    def make(cls, cols: int, dtype: np.dtype[Any]) -> SilhouetteRows:
+        """Allocate rows for blocks `cols` wide."""
+        half = half_size(cols) + 2 * _SILHOUETTE_REACH
+        return cls(
+            grey=np.zeros((2, 2 * half + 4), dtype),
+            pairs=np.zeros(2 * half + 4, np.int32),
+            bins=np.zeros((3, half + 2), np.int32),
+            columns=np.zeros(half + 2, np.int32),
+            log=np.zeros((5, half), np.float32),
+            change=np.zeros(half_size(cols), np.float32),
+        )
+
+
+class Silhouette(NamedTuple):
+    """Silhouettes of a field or of a part of it, all [row / 2, col / 2].
+
+    contrast: the largest D of all frames, natural logarithm; frame: index of that frame; standing: number of frames in
+    which D reaches the minimum of a silhouette.
+    """
+
+    contrast: Float32s
+    frame: UInt16s
+    standing: UInt16s
+
+    @classmethod
+    def empty(cls, shape: tuple[int, int]) -> Silhouette:
+        """Return an empty silhouette map for a field of `shape` pixels."""
+        half = half_size(shape[0]), half_size(shape[1])
+        return cls(np.zeros(half, np.float32), np.zeros(half, np.uint16), np.zeros(half, np.uint16))
+
+    def rows(self, part: slice) -> Silhouette:
+        """Return the part for a range of field rows, as views; the first row must be even."""
+        half = slice(part.start // 2, half_size(part.stop))
+        return Silhouette(self.contrast[half], self.frame[half], self.standing[half])
+
+
+def half_size(pixels: int) -> int:
+    """Return the size of the silhouette map for a number of rows or columns."""
+    return (pixels + 1) // 2
+
+
+def silhouette_of(frames: Frames, threads: int | None = None) -> Silhouette:
+    """Return the silhouettes of an entire field; threads: all cores if omitted."""
+    found = Silhouette.empty(frames.shape)
+    dark_counts = DARK_SHARE_OF_WHITE * frames.clipped_counts
+
+    def one(rows: slice) -> None:
+        source = source_of_rows(frames, rows, SILHOUETTE_MARGIN_PX)
+        silhouette_block(
+            source, 0, 1, dark_counts, SilhouetteRows.make(frames.shape[1], frames.dtype), found.rows(rows)
+        )
+
+    on_threads(one, row_parts(frames.shape[0], _STRIPE_ROWS), threads)
+    return found
+
+
+@lean_kernel
+def silhouette_block(
+    source: StackSource, first: Whole, every: Whole, dark_counts: Real, rows: SilhouetteRows, out: Silhouette
+) -> None:
+    """Accumulate the silhouettes of a block in `out`, which is empty initially; every: 1 for all frames, 2 for half.
+
+    first: index in the stack of the first frame of the source. Later frames may be added by another call.
+
+    The block must begin at an even row and column of the field, so that the maps of blocks fit together.
+    """
+    margin, cols = SILHOUETTE_MARGIN_PX, 2 * out.contrast.shape[1]
+    for k in range(0, source.slots.size, every):
+        for r in range(out.contrast.shape[0] + margin):
+            for n in range(2):
+                take_grey(source, k, 2 * r - margin + n, margin, cols, rows.grey[n])
+            _bin(rows.grey[0], rows.grey[1], rows.pairs, rows.bins[r % 3])
+            if r >= 2:
+                _log_row(rows.bins, np.float32(dark_counts), rows.columns, rows.log[r % 5])
+            if r >= 6:
+                y = r - 6
+                _contrast_row(rows.log, r, rows.change)
+                _note(rows.change, first + k, every, out.contrast[y], out.frame[y], out.standing[y])
+
+
+@lean_part
+def _bin(upper: Greys, lower: Greys, pairs: Int32s, bins: Int32s) -> None:
+    """Sum 2 x 2 pixels of two rows."""
+    i = np.int32
+    for x in range(pairs.size):
+        pairs[x] = i(i(upper[x]) + i(lower[x]))
+    for x in range(bins.size):
+        bins[x] = i(pairs[2 * x] + pairs[2 * x + 1])
+
+
+@lean_part
+def _log_row(bins: Int32s, dark_counts: Real, columns: Int32s, log: Float32s) -> None:
+    """Compute ln(mean of 6 x 6 pixels + dark)."""
+    i = np.int32
+    above, here, below = bins[0], bins[1], bins[2]
+    for x in range(columns.size):
+        columns[x] = i(i(above[x] + here[x]) + below[x])
+    part, one, two = np.float32(1 / _PIXELS), columns[1:], columns[2:]
+    for x in range(log.size):
+        total = i(i(columns[x] + one[x]) + two[x])
+        log[x] = _LN_2 * quick_log2(np.float32(total) * part + dark_counts)
+
+
+@lean_part
+def _contrast_row(log: Float32s, r: Whole, change: Float32s) -> None:
+    """Compute the largest change of the logarithm over three half-resolution pixels around one, along x and y."""
+    a, b, here, c, d = (
+        log[(r - 4) % 5, 2:],
+        log[(r - 3) % 5, 2:],
+        log[(r - 2) % 5],
+        log[(r - 1) % 5, 2:],
+        log[r % 5, 2:],
+    )
+    left_2, left, right, right_2 = here, here[1:], here[3:], here[4:]
+    for x in range(change.size):
+        along = max(abs(right_2[x] - left[x]), abs(right[x] - left_2[x]))
+        down = max(abs(d[x] - b[x]), abs(c[x] - a[x]))
+        change[x] = max(along, down)
+
+
+@lean_part
+def _note(change: Float32s, k: Whole, every: Whole, contrast: Float32s, frame: UInt16s, standing: UInt16s) -> None:
+    u, least = np.uint16, np.float32(STANDING_CONTRAST)
+    here, step = u(k), u(every)
+    for x in range(change.size):
+        d, most, at = change[x], contrast[x], frame[x]
+        contrast[x] = d if d > most else most
+        frame[x] = here if d > most else at
+        standing[x] = u(standing[x] + (step if d >= least else u(0)))
+
 
 STANDING_GAPS = 2.0
 """A silhouette is a wall if it persists for twice the rival gap; patterns in one plane reach half of that."""
@@ -149,3 +344,106 @@ def _extremes(log: NDArray[np.float32], inside: NDArray[np.bool_]) -> tuple[NDAr
     far, none = np.float32(1e3), np.float32(0)
     low, high = lowest(np.where(inside, log, far), _LEVELS_PX), highest(np.where(inside, log, -far), _LEVELS_PX)
     return np.where(inside, low, none), np.where(inside, high, none)
+
+
+ANCHOR_REACH_PX = 48
+"""Distance over which an anchor height is extrapolated towards the wall."""
+
+_ANCHOR_REACH = ANCHOR_REACH_PX // COARSE_PX
+_ENOUGH_PIXELS = 6
+_ENOUGH_NEIGHBOURS = 5
+_ENOUGH_CELLS = 10
+_PURE_SHARE = 0.95
+_PURE_CELLS = 2
+"""A focus window of 9, applied twice, reaches over two cells: all cells within this distance must lie on one side."""
+
+
+def side_heights_um(
+    z_um: NDArray[np.float32],
+    passed: NDArray[np.bool_],
+    all_in_focus: Image,
+    band: Band,
+    sides: Sides,
+    dark_counts: float,
+    tolerance_um: float,
+) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
+    """Return the heights of the dark and the bright side, float32 [row / 4, col / 4]; NaN without an anchor nearby.
+
+    z_um, passed, all_in_focus: [row, col], passed is the gate mask; tolerance_um: tolerance for equal heights.
+    """
+    near = highest(halved(band.inside) > 0, 2 * (_ANCHOR_REACH + 1) + 1)
+    heights = _cell_medians(z_um, passed, near)
+    dark, bright = _cell_sides(all_in_focus, band.inside, sides, dark_counts)
+    nothing = np.float32(np.nan)
+    return (
+        _from_anchors(np.where(dark, heights, nothing), tolerance_um),
+        _from_anchors(np.where(bright, heights, nothing), tolerance_um),
+    )
+
+
+def _cell_sides(
+    all_in_focus: Image, inside: NDArray[np.bool_], sides: Sides, dark_counts: float
+) -> tuple[NDArray[np.bool_], NDArray[np.bool_]]:
+    """Return masks of the cells entirely on the dark and on the bright side.
+
+    Beyond the band, cells are classified by their grey against the threshold at the nearest wall.
+    """
+    known = halved(inside)
+    in_band = known > 0
+    per_known = 1 / np.maximum(known, np.float32(1e-6))
+    grey = _cell_means(all_in_focus, in_band.shape)
+    _, at = nearest(in_band)
+    threshold = (halved(sides.threshold) * per_known)[at]
+    brighter = np.log(grey + np.float32(dark_counts)) >= threshold
+    bright = mean(np.where(in_band, halved(sides.bright_share) * per_known, brighter), 2 * _PURE_CELLS + 1)
+    return bright <= 1 - _PURE_SHARE, bright >= _PURE_SHARE
+
+
+def _from_anchors(heights: NDArray[np.float32], tolerance_um: float) -> NDArray[np.float32]:
+    """Return the height of the nearest anchor, NaN beyond its reach."""
+    anchors = _large_pieces(_flat(heights, tolerance_um))
+    if not anchors.any():
+        return np.full_like(heights, np.nan)
+    smooth = mean_of_known(heights, anchors, 3)
+    distance, at = nearest(anchors)
+    return np.where(distance <= _ANCHOR_REACH, smooth[at], np.float32(np.nan))
+
+
+def _flat(heights: NDArray[np.float32], tolerance_um: float) -> NDArray[np.bool_]:
+    """Return the cells with enough neighbours, all of the same height."""
+    known, far = np.isfinite(heights), np.float32(np.inf)
+    high, low = highest(np.where(known, heights, -far), 3), lowest(np.where(known, heights, far), 3)
+    return known & (high - low < tolerance_um) & (9 * mean(known, 3) > _ENOUGH_NEIGHBOURS - 0.5)
+
+
+def _large_pieces(anchors: NDArray[np.bool_]) -> NDArray[np.bool_]:
+    """Return the anchors in connected components of sufficient size."""
+    numbers = pieces(anchors)
+    sizes = np.bincount(numbers.ravel())
+    sizes[0] = 0
+    return sizes[numbers] >= _ENOUGH_CELLS
+
+
+def _cell_means(image: Image, shape: tuple[int, int]) -> NDArray[np.float32]:
+    rows, cols = (COARSE_PX * n for n in shape)
+    padded = np.pad(image, ((0, rows - image.shape[0]), (0, cols - image.shape[1])), mode="edge")
+    return padded.reshape(shape[0], COARSE_PX, shape[1], COARSE_PX).mean(axis=(1, 3), dtype=np.float32)
+
+
+def _cell_medians(z_um: NDArray[np.float32], passed: NDArray[np.bool_], near: NDArray[np.bool_]) -> NDArray[np.float32]:
+    """Return the median height of the accepted pixels of each cell; NaN where they are few or the cell is far."""
+    values = _pixels_of_cells(np.where(passed, z_um, np.float32(np.inf)), near, np.float32(np.inf))
+    values.sort(axis=1)
+    count = np.count_nonzero(values < np.inf, axis=1)
+    middle = values[np.arange(len(values)), np.maximum(count - 1, 0) // 2]
+    out = np.full(near.shape, np.nan, np.float32)
+    out[near] = np.where(count >= _ENOUGH_PIXELS, middle, np.float32(np.nan))
+    return out
+
+
+def _pixels_of_cells(plane: NDArray[np.float32], cells: NDArray[np.bool_], beyond: np.float32) -> NDArray[np.float32]:
+    """Return the 16 pixels of each selected cell."""
+    rows, cols = (COARSE_PX * n for n in cells.shape)
+    padded = np.pad(plane, ((0, rows - plane.shape[0]), (0, cols - plane.shape[1])), constant_values=beyond)
+    blocks = padded.reshape(cells.shape[0], COARSE_PX, cells.shape[1], COARSE_PX)
+    return blocks.transpose(0, 2, 1, 3)[cells].reshape(-1, COARSE_PX * COARSE_PX)

@@ -13,8 +13,8 @@ from numpy.typing import NDArray
 
 from wafer_viewer.model.surface.height_map import Origin
 from wafer_viewer.numerics.filters.sliding_filters import mean
-from wafer_viewer.reconstruct.focus.noise_thresholds import NoiseScores
 from wafer_viewer.reconstruct.focus.peak import Peaks, confidence_of, lead_of
+from wafer_viewer.reconstruct.focus.peak_search import NoiseScores
 
 LEAD_OVER_NOISE = 2.0
 """Required lead over the rival, relative to the noise lead; noise that varies along z exceeds steady noise."""

@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from wafer_viewer.model.surface.recipe import Noise
-from wafer_viewer.numerics.array_types import Greys
+from wafer_viewer.numerics.jit import Greys
 from wafer_viewer.reconstruct.preprocess.frames import Frames, read_block
 
 Floats = NDArray[np.floating[Any]]

@@ -19,8 +19,7 @@ from numpy.typing import NDArray
 
 from wafer_viewer.model.acquisition.focus_stack import Image
 from wafer_viewer.model.errors import ComputeError
-from wafer_viewer.numerics.array_types import Float32s, Greys, Real, UInt16s
-from wafer_viewer.numerics.jit import kernel
+from wafer_viewer.numerics.jit import Float32s, Greys, Real, UInt16s, kernel
 
 FULL_COUNTS = 65535
 """White of the shortest exposure in a fused image."""

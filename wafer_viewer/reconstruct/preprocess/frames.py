@@ -20,12 +20,10 @@ from wafer_viewer.model.acquisition.plan import MIN_FRAMES
 from wafer_viewer.model.errors import ComputeError
 from wafer_viewer.model.surface.height_map import Origin
 from wafer_viewer.model.surface.recipe import Recipe
-from wafer_viewer.numerics.registration.lanczos import Taps, resampled
-from wafer_viewer.reconstruct.preprocess.defective_pixels import Flaws, find_flaws
-from wafer_viewer.reconstruct.preprocess.drift import Drift, drift_note, drift_of
+from wafer_viewer.numerics.grids.resampling import Taps, resampled
+from wafer_viewer.reconstruct.preprocess.drift import Drift, drift_note, drift_of, measure_displacements
 from wafer_viewer.reconstruct.preprocess.exposure_fusion import Fusion, fusion_of
-from wafer_viewer.reconstruct.preprocess.frame_health import faulty_frames
-from wafer_viewer.reconstruct.preprocess.frame_motion import measure_displacements
+from wafer_viewer.reconstruct.preprocess.sensor_faults import Flaws, faulty_frames, find_flaws
 
 CLIPPED_SHARE_OF_WHITE = 0.98
 """Fraction of white from which a pixel counts as clipped: 250 of 255."""

@@ -1,4 +1,4 @@
-"""Pairwise registration of overlapping fields, with uncertainty and rejection reasons.
+"""Pairwise registration of overlapping fields, with uncertainty and rejection reason.
 
 The images are compared first: the normalised correlation of the true overlap at every shift within reach, at a quarter
 of the resolution. The best candidates are then refined to sub-pixel accuracy. Where the images are blank the heights
@@ -16,9 +16,216 @@ from numpy.typing import NDArray
 from wafer_viewer.model.progress import Progress
 from wafer_viewer.model.surface.field_poses import ObservationSource, RejectionReason, Shifts
 from wafer_viewer.model.surface.height_map import HeightMap
-from wafer_viewer.reconstruct.focus.field_blocks import on_threads
-from wafer_viewer.reconstruct.registration.overlap_matching import Match, match
-from wafer_viewer.reconstruct.registration.overlap_strips import OverlapWindow, height_of, picture_of
+from wafer_viewer.numerics.correlation import Likeness, contrast, normalised_cross_correlation
+from wafer_viewer.numerics.subpixel_registration import Lag, RegisteredImage, SubpixelShift, align
+from wafer_viewer.reconstruct.focus.focus_volume import on_threads
+from wafer_viewer.reconstruct.registration.overlap_strips import (
+    OverlapWindow,
+    Read,
+    binned_known,
+    height_of,
+    picture_of,
+)
+
+SURE_SIGMAS = 7.0
+"""The highest of several hundred correlations of unrelated images is three to four deviations high."""
+LIKE, SURELY_LIKE = 0.7, 0.9
+"""Correlations for a chance match and for a certain one.
+
+Coarse structures have few independent pixels and may correlate by chance. Such a match is ambiguous rather than unlike,
+unless it fits at one place only and at least as well as the second value.
+"""
+NEARLY = 0.35
+"""Minimum significance of a candidate relative to the best; fine patterns may lose half of it between search pixels."""
+PATTERNED = 6
+"""With more candidates than this the pattern may be finer than the search pixels, which are then halved."""
+CANDIDATES = 60
+CLEARLY, UNEXPLAINED = 0.8, 2.0
+"""A rival has four fifths of the best correlation, and at most twice its unexplained variance."""
+LEAST_AGREEING = 0.5
+"""Minimum fraction of the contrast where both images agree; rotated content agrees around one point only."""
+MOST_BENT_PX, SURELY_BENT = 1.0, 6.0
+"""Displacement of the ends of an overlap against its middle, and its significance, that indicate rotated content."""
+MOST_U_PX = 0.5
+"""Largest accepted uncertainty; along straight lines the position is undetermined, apart from noise."""
+LEAST_U_PX = 0.01
+"""Contribution of pixel shape and optics to the uncertainty, which no residual shows."""
+
+_FACTORS, _FINER = (4, 2, 1), 2
+_LEAST_SIDE = 12
+_AROUND = 11
+_LEAST_SHARE = 0.3
+"""Minimum fraction of the overlap at a shift that is searched."""
+_BLOCKS, _LEAST_BLOCK, _LARGEST_BLOCK = 24, 8, 32
+_LAGS = (2, 8)
+_BLANK = 0.88
+"""In pure noise, pixels two apart differ as much as pixels eight apart."""
+
+
+@dataclass(frozen=True, slots=True)
+class Match:
+    """Deviation of the second field from its stage position, (rows, cols) in px, with standard uncertainties."""
+
+    off_px: Lag
+    u_px: Lag
+    correlation: float
+    doubt: RejectionReason
+
+
+def match(first: HeightMap, second: HeightMap, reach_px: float, read: Read) -> Match:
+    """Match the second field to the first, within reach of the stage position."""
+    factor = _coarsest(first, second)
+    window, reach = _window(first, second, reach_px, factor)
+    if min(window.overlap) < _LEAST_SIDE / 2:
+        return _nowhere(RejectionReason.BLANK)
+    one, other = read(first, *window.first), read(second, *window.second)
+    lags, by_chance = _candidates(one, other, window, factor, reach)
+    if len(lags) > PATTERNED and factor > _FINER:
+        factor = _FINER
+        window, reach = _window(first, second, reach_px, factor)
+        one, other = read(first, *window.first), read(second, *window.second)
+        lags, by_chance = _candidates(one, other, window, factor, reach)
+    if not lags:
+        both_show = _has_structure(read(first, *window.common[0])) and _has_structure(read(second, *window.common[1]))
+        return _nowhere(RejectionReason.UNLIKE if both_show else RejectionReason.BLANK)
+    fits = _refined(one, other, lags, factor, _block_side(window))
+    return _judged(fits, by_chance, window, reach_px) if fits else _nowhere(RejectionReason.UNLIKE)
+
+
+def _window(first: HeightMap, second: HeightMap, reach_px: float, factor: int) -> tuple[OverlapWindow, int]:
+    """Return the possible overlap, and the search reach in search pixels, including one spare pixel."""
+    reach = int(np.ceil(reach_px / factor)) + 1
+    return OverlapWindow.of(first, second, reach * factor, factor), reach
+
+
+def _nowhere(doubt: RejectionReason) -> Match:
+    return Match((0.0, 0.0), (float("inf"), float("inf")), 0.0, doubt)
+
+
+def _coarsest(first: HeightMap, second: HeightMap) -> int:
+    """Return the binning factor of the search."""
+    side = min(OverlapWindow.of(first, second, 0, 1).overlap)
+    return next((f for f in _FACTORS if side >= f * _LEAST_SIDE), 1)
+
+
+def _block_side(window: OverlapWindow) -> int:
+    """Return a block size that gives about two dozen blocks."""
+    area = max(window.overlap[0], 1) * max(window.overlap[1], 1)
+    return int(np.clip((area / _BLOCKS) ** 0.5, _LEAST_BLOCK, _LARGEST_BLOCK))
+
+
+def _candidates(
+    one: RegisteredImage, other: RegisteredImage, window: OverlapWindow, factor: int, reach: int
+) -> tuple[list[Lag], bool]:
+    """Return candidate lags in full pixels, the most significant first, and whether they may be chance."""
+    one, other = binned_known(one, factor), binned_known(other, factor)
+    knowns = one.known > 0, other.known > 0
+    details = contrast(one.values, knowns[0], _AROUND), contrast(other.values, knowns[1], _AROUND)
+    middle = window.lag[0] // factor, window.lag[1] // factor
+    alike = normalised_cross_correlation(details[0], knowns[0], details[1], knowns[1], middle, reach)
+    least = _LEAST_SHARE * window.overlap[0] * window.overlap[1] / factor**2
+    peaks, by_chance = _peaks(alike, least, reach)
+    return [((r + middle[0]) * factor, (c + middle[1]) * factor) for r, c in peaks], by_chance
+
+
+def _peaks(alike: Likeness, least_pixels: float, reach: int) -> tuple[list[tuple[int, int]], bool]:
+    """Return the highest local maxima relative to the middle, none without correlation, and the chance flag."""
+    from wafer_viewer.numerics.filters.sliding_filters import highest
+
+    sigmas = np.where(alike.pixels >= least_pixels, alike.sigmas, 0.0)
+    top = float(sigmas.max())
+    by_chance = top < SURE_SIGMAS
+    if by_chance and float(alike.correlation[sigmas == top].max()) < LIKE:
+        return [], by_chance
+    rows, cols = np.nonzero((sigmas == highest(sigmas, 3)) & (sigmas >= NEARLY * top))
+    order = np.argsort(-sigmas[rows, cols], kind="stable")[:CANDIDATES]
+    return [(int(rows[n]) - reach, int(cols[n]) - reach) for n in order], by_chance
+
+
+def _refined(
+    one: RegisteredImage, other: RegisteredImage, lags: list[Lag], factor: int, side: int
+) -> list[SubpixelShift]:
+    """Refine all candidates, and the best fit with its rivals again at each finer resolution."""
+    fits: list[SubpixelShift] = []
+    for f in _FACTORS[_FACTORS.index(factor) :]:
+        levels = binned_known(one, f), binned_known(other, f)
+        fits = [_scaled(align(*levels, (r / f, c / f), max(6, side // f), f > 1), f) for r, c in lags]
+        near = [fit for fit, lag in zip(fits, lags, strict=True) if _distance(fit.lag, lag) <= 2.0 * f]
+        fits = _with_rivals(near, 1.5 * factor)
+        lags = [fit.lag for fit in fits]
+    return fits
+
+
+def _scaled(fit: SubpixelShift, factor: int) -> SubpixelShift:
+    """Convert a fit to full pixels."""
+    lag = fit.lag[0] * factor, fit.lag[1] * factor
+    return SubpixelShift(
+        lag,
+        fit.covariance * factor**2,
+        fit.correlation,
+        fit.agreeing,
+        fit.bent_px * factor,
+        fit.bent_sigmas,
+        fit.n_pixels * factor**2,
+    )
+
+
+def _distance(a: Lag, b: Lag) -> float:
+    return max(abs(a[0] - b[0]), abs(a[1] - b[1]))
+
+
+def _with_rivals(fits: list[SubpixelShift], apart_px: float) -> list[SubpixelShift]:
+    """Return the best fit, and fits elsewhere that are nearly as good."""
+    if not fits:
+        return []
+    best = max(fits, key=lambda fit: (fit.agreeing >= LEAST_AGREEING, fit.correlation * fit.n_pixels**0.5))
+    return [best, *(fit for fit in fits if _distance(fit.lag, best.lag) > apart_px and _nearly(fit, best))]
+
+
+def _nearly(fit: SubpixelShift, best: SubpixelShift) -> bool:
+    unexplained, least = 1 - fit.correlation**2, 1 - best.correlation**2
+    agrees = fit.agreeing >= LEAST_AGREEING or best.agreeing < LEAST_AGREEING
+    return agrees and fit.correlation > CLEARLY * best.correlation and unexplained < UNEXPLAINED * least
+
+
+def _judged(fits: list[SubpixelShift], by_chance: bool, window: OverlapWindow, reach_px: float) -> Match:
+    best = fits[0]
+    off = tuple(at - lag - part for at, lag, part in zip(best.lag, window.lag, window.part, strict=True))
+    u = tuple(np.sqrt(np.diag(best.covariance) + LEAST_U_PX**2).tolist())
+    doubt = _doubt(fits, by_chance, max(map(abs, off)) > reach_px)
+    return Match((off[0], off[1]), (u[0], u[1]), best.correlation, doubt)
+
+
+def _doubt(fits: list[SubpixelShift], by_chance: bool, beyond: bool) -> RejectionReason:
+    best = fits[0]
+    turned = best.bent_px > MOST_BENT_PX and best.bent_sigmas > SURELY_BENT
+    if turned or best.agreeing < LEAST_AGREEING:
+        return RejectionReason.UNLIKE
+    held = best.covariance.max() < MOST_U_PX**2
+    if not held or len(fits) > 1 or (by_chance and best.correlation < SURELY_LIKE):
+        return RejectionReason.AMBIGUOUS
+    return RejectionReason.END_OF_SEARCH if beyond else RejectionReason.NONE
+
+
+def _has_structure(picture: RegisteredImage) -> bool:
+    """Return whether an image has structure beyond noise along both axes.
+
+    In structured images, nearby pixels are more alike than distant ones. A line alone leaves the position along it
+    undetermined.
+    """
+    near, far = _LAGS
+    return all(_difference(picture, near, axis) < _BLANK * _difference(picture, far, axis) for axis in (0, 1))
+
+
+def _difference(picture: RegisteredImage, lag: int, axis: int) -> float:
+    """Return the mean squared difference of known pixels that are `lag` apart along an axis."""
+    ahead, behind = [slice(None), slice(None)], [slice(None), slice(None)]
+    ahead[axis], behind[axis] = slice(lag, None), slice(None, -lag)
+    a, b = tuple(ahead), tuple(behind)
+    known = picture.known[a] * picture.known[b]
+    off = (picture.values[a] - picture.values[b]) * known
+    return float(np.vdot(off, off)) / max(1.0, float(known.sum()))
+
 
 REACH_PX, WIDE_REACH_PX, WIDE_FRACTION = 40.0, 120.0, 0.125
 """Search reach: 40 px about the stage position by default, four standard deviations of a good stage.

@@ -1,17 +1,28 @@
-"""Virtual camera: one exposure per trigger when it is ready, with simulated faults."""
+"""Virtual camera: one exposure per trigger when it is ready, light to counts, with simulated faults.
+
+It also contains the frame renderer of the virtual rig.
+"""
 
 from __future__ import annotations
 
 from collections import deque
 from dataclasses import dataclass
+from functools import lru_cache
 from typing import Protocol
+
+import numpy as np
+from numpy.typing import NDArray
 
 from wafer_viewer.model.acquisition.devices import CameraImage, Position
 from wafer_viewer.model.acquisition.focus_stack import FrameStatus, Image
 from wafer_viewer.model.acquisition.rig_limits import CameraLimits
 from wafer_viewer.model.errors import RigError
+from wafer_viewer.numerics.jit import fast_kernel
 from wafer_viewer.rigs.virtual.clock import VirtualClock
 from wafer_viewer.rigs.virtual.faults import Faults
+from wafer_viewer.rigs.virtual.optics.blur import Plane
+from wafer_viewer.rigs.virtual.optics.optics import FieldPicture, Optics
+from wafer_viewer.rigs.virtual.scenes.catalogue import Scene, SceneWindow
 from wafer_viewer.rigs.virtual.stage import VirtualStage
 
 TRIGGER_DELAY_US = 12.0
@@ -153,3 +164,160 @@ class VirtualCamera:
         if self._faults.counter_wraps_at:
             count %= self._faults.counter_wraps_at
         return CameraImage(image, count if self._faults.trigger_counter else None, taken.device_time_us, status)
+
+
+NOISE_SIGMA = 32  # counts of one standard deviation in the table of noise
+NOISE_LENGTH = 1 << 20
+VIGNETTE, PIXEL_SPREAD = 0.09, 0.004
+REUSE_WITHIN_UM = 0.05  # a tenth of a pixel: more than the scatter of a stage that stands still
+HEADROOM_UM = 25.0  # prepared beyond the z asked for: a slow search for focus need not prepare at every step
+
+
+@dataclass(frozen=True, slots=True)
+class Sensor:
+    """Monochrome sensor: size, full well and read noise in electrons, bits per pixel.
+
+    `seed` selects the individual sensitivity pattern of the pixels. `nominal_exposure_us` is the exposure at which gain
+    1 maps radiance 1 to white.
+    """
+
+    rows: int
+    cols: int
+    well_e: float = 10_000.0
+    read_e: float = 8.0
+    bits: int = 8
+    seed: int = 7
+    nominal_exposure_us: float = 100.0
+
+    def __post_init__(self) -> None:
+        if self.bits not in (8, 16):
+            raise RigError(f"The virtual sensor has {self.bits} bits per pixel; choose 8 or 16.")
+
+    def expose(self, radiance: Plane, gain: float, seed: int) -> Image:
+        """Convert radiance [row, col] to counts of one exposure, deterministic for a seed, clipped at white.
+
+        The variance of a count d is white d / well + (white read / well)^2, plus that of rounding.
+        """
+        out: Image = np.empty(radiance.shape, np.uint8) if self.bits == 8 else np.empty(radiance.shape, np.uint16)
+        white = np.float32(2**self.bits - 1)
+        flat = flat_field(self.rows, self.cols, self.seed)
+        per_electron = white / np.float32(self.well_e)
+        expose(radiance, flat, np.float32(gain), white, per_electron, np.float32(self.read_e), seed, noise_table(), out)
+        return out
+
+
+@lru_cache(maxsize=4)
+def flat_field(rows: int, cols: int, seed: int) -> Plane:
+    """Return the sensitivity of every pixel: vignetting, and pixel variation; 1 in the centre."""
+    y = (np.arange(rows)[:, None] - (rows - 1) / 2) / (cols / 2)
+    x = (np.arange(cols)[None, :] - (cols - 1) / 2) / (cols / 2)
+    uneven = np.random.default_rng(seed).standard_normal((rows, cols))
+    return ((1 - VIGNETTE * (x**2 + y**2)) * (1 + PIXEL_SPREAD * uneven)).astype(np.float32)
+
+
+@lru_cache(maxsize=1)
+def noise_table() -> NDArray[np.int8]:
+    """Return a table of Gaussian noise for all rows; fresh noise would cost as much as the rest of the frame."""
+    draw = np.random.default_rng(12345).standard_normal(NOISE_LENGTH)
+    return np.clip(np.round(draw * NOISE_SIGMA), -127, 127).astype(np.int8)
+
+
+@fast_kernel
+def expose(
+    radiance: Plane,
+    flat: Plane,
+    gain: np.float32,
+    white: np.float32,
+    per_electron: np.float32,
+    read_e: np.float32,
+    seed: int,
+    noise: NDArray[np.int8],
+    out: Image,
+) -> None:
+    """Compute the counts of one exposure; (seed, row) selects the noise of each row from the table."""
+    rows, cols = out.shape
+    shot = per_electron / np.float32(NOISE_SIGMA**2)
+    read = (per_electron * read_e / np.float32(NOISE_SIGMA)) ** np.float32(2)
+    for y in range(rows):
+        start = scattered(seed, y) % np.uint64(noise.size - cols)
+        row = noise[start : start + np.uint64(cols)]
+        for x in range(cols):
+            count = radiance[y, x] * flat[y, x] * gain * white
+            count += np.sqrt(max(count, np.float32(0)) * shot + read) * np.float32(row[x]) + np.float32(0.5)
+            out[y, x] = min(max(count, np.float32(0)), white)
+
+
+@fast_kernel
+def scattered(seed: int, row: int) -> np.uint64:
+    """Return a 64-bit hash of a seed and a row (the finalizer of splitmix64)."""
+    h = np.uint64(seed) * np.uint64(0x9E3779B97F4A7C15) + np.uint64(row) * np.uint64(0xD1B54A32D192ED03)
+    h = (h ^ (h >> np.uint64(30))) * np.uint64(0xBF58476D1CE4E5B9)
+    h = (h ^ (h >> np.uint64(27))) * np.uint64(0x94D049BB133111EB)
+    return h ^ (h >> np.uint64(31))
+
+
+class FrameRenderer:
+    """Renderer of camera frames at any stage position.
+
+    Preparing a field takes ten to thirty times as long as a frame, so the last `keep` fields are cached, and a frame
+    within 0.05 um of one of them (a tenth of a pixel) reuses it. The x, y scatter of a stage at rest during a z pass
+    thus costs nothing, and is not visible in the frames.
+    """
+
+    def __init__(self, scene: Scene, optics: Optics, sensor: Sensor, keep: int = 3) -> None:
+        self._scene, self._optics, self._sensor, self._keep = scene, optics, sensor, keep
+        self._z_range_um = tour_range(scene)
+        self._fields: dict[tuple[float, float], FieldPicture] = {}
+
+    def frame(self, x_um: float, y_um: float, z_um: float, exposure_us: float, seed: int) -> Image:
+        """Return one frame centred at (x, y) with the focus at z; uint8 [row, col] (uint16 for 16 bits)."""
+        radiance = self._field(x_um, y_um, z_um).radiance(z_um)
+        gain = self._scene.gain * exposure_us / self._sensor.nominal_exposure_us
+        return self._sensor.expose(radiance, gain, seed)
+
+    def overview(self, width_px: int) -> NDArray[np.uint8]:
+        """Return an overview image of the sample in focus: uint8 [row, col], y up."""
+        return overview(self._scene, width_px)
+
+    def _field(self, x_um: float, y_um: float, z_um: float) -> FieldPicture:
+        low, high = self._z_range_um
+        if not low <= z_um <= high:
+            self._z_range_um = min(low, z_um - HEADROOM_UM), max(high, z_um + HEADROOM_UM)
+            self._fields.clear()
+        place = self._prepared_near(x_um, y_um) or (x_um, y_um)
+        field = self._fields.pop(place, None) or self._prepare(*place)
+        self._fields[place] = field
+        while len(self._fields) > self._keep:
+            del self._fields[next(iter(self._fields))]
+        return field
+
+    def _prepared_near(self, x_um: float, y_um: float) -> tuple[float, float] | None:
+        """Return the nearest prepared position if it is close enough, else None."""
+        away = {place: max(abs(place[0] - x_um), abs(place[1] - y_um)) for place in self._fields}
+        nearest = min(away, key=away.__getitem__, default=None)
+        return nearest if nearest is not None and away[nearest] <= REUSE_WITHIN_UM else None
+
+    def _prepare(self, x_um: float, y_um: float) -> FieldPicture:
+        sensor = self._sensor
+        return FieldPicture(self._scene, self._optics, x_um, y_um, sensor.rows, sensor.cols, self._z_range_um)
+
+
+def tour_range(scene: Scene) -> tuple[float, float]:
+    """Return the z range of the scene's tour and of its heights, with a margin of 5 um."""
+    tour_end = scene.tour_z_start_um + scene.tour_z_step_um * (scene.tour_frames - 1)
+    return min(scene.tour_z_start_um, scene.z_min_um) - 5, max(tour_end, scene.z_max_um) + 5
+
+
+def overview(scene: Scene, width_px: int, oversampling: int = 3) -> NDArray[np.uint8]:
+    """Return the sample from straight above, all in focus, uint8 [row, col]."""
+    pixel_um = scene.width_um / width_px
+    height_px = round(scene.height_um / pixel_um)
+    step_um = pixel_um / oversampling
+    x0, y0 = -scene.width_um / 2 + step_um / 2, scene.height_um / 2 - step_um / 2
+    picture = np.empty((height_px, width_px), np.uint8)
+    for row in range(height_px):
+        line = SceneWindow(x0, y0 - row * pixel_um, step_um, oversampling, oversampling * width_px)
+        seen = scene.raster(line).radiance()
+        grey = 255 * scene.gain * seen.reshape(oversampling, width_px, oversampling).mean((0, 2))
+        picture[row] = np.clip(grey, 0, 255)
+    return picture

@@ -242,9 +242,9 @@ class VirtualRig:
 
 def scene_renderer(name: str, limits: RigLimits) -> Renderer:
     """Return the renderer of a scene for the camera and objective of a rig."""
+    from wafer_viewer.rigs.virtual.camera import FrameRenderer, Sensor
     from wafer_viewer.rigs.virtual.optics.optics import Optics
     from wafer_viewer.rigs.virtual.scenes.catalogue import scene
-    from wafer_viewer.rigs.virtual.sensor import FrameRenderer, Sensor
 
     objective, camera = limits.objective, limits.camera
     optics = Optics(na=objective.numerical_aperture, wavelength_um=objective.wavelength_um, pixel_um=limits.pixel_um)
@@ -253,8 +253,8 @@ def scene_renderer(name: str, limits: RigLimits) -> Renderer:
 
 def scene_overview(name: str) -> Overview:
     """Return the overview image and the layout of a scene's sample."""
+    from wafer_viewer.rigs.virtual.camera import overview
     from wafer_viewer.rigs.virtual.scenes.catalogue import scene
-    from wafer_viewer.rigs.virtual.sensor import overview
 
     sample = scene(name)
     pixel_um = sample.width_um / OVERVIEW_PX

@@ -11,16 +11,15 @@ from typing import Any
 
 from wafer_viewer.model.acquisition.devices import Rig, SampleChanger
 from wafer_viewer.model.errors import DatasetError, PlanError
-from wafer_viewer.model.job.job import Job
+from wafer_viewer.model.job import Job
 from wafer_viewer.model.progress import Progress
 from wafer_viewer.session.acquisition.rig_messages import FrameTaken, Scan, ScanFault
-from wafer_viewer.session.acquisition.scan_monitor import Steering
-from wafer_viewer.session.acquisition.scan_run import run_scan_job, writer_of
+from wafer_viewer.session.acquisition.scan_run import Steering, run_scan_job, writer_of
 from wafer_viewer.session.core.dataset_library import today
 from wafer_viewer.session.planning.plan_editor import free_bytes, plan_of
 from wafer_viewer.session.planning.preflight import Preflight, PreflightCheck, preflight
 from wafer_viewer.store.dataset.dataset import Dataset
-from wafer_viewer.store.records.calibrations import calibration_in_force
+from wafer_viewer.store.records.gauge_records import calibration_in_force
 
 
 @dataclass(frozen=True, slots=True)

@@ -30,8 +30,8 @@ from wafer_viewer.session.acquisition.rig_messages import (
     StageMoved,
     Stop,
 )
+from wafer_viewer.session.core.background_work import Notifications
 from wafer_viewer.session.core.command_queue import CommandQueue
-from wafer_viewer.session.core.notifications import Notifications
 from wafer_viewer.session.state.snapshot import LatestFrame, RigStatus
 
 
@@ -180,7 +180,7 @@ class RigClient:
 
     def _calibration(self, event: RigReady) -> Calibration | None:
         """Return the calibration in force: a later correction if there is one, else the rig's own."""
-        from wafer_viewer.store.records.calibrations import calibration_in_force
+        from wafer_viewer.store.records.gauge_records import calibration_in_force
 
         try:
             return calibration_in_force(self._desk.now.data_folder, event.name, event.calibration)

@@ -10,7 +10,7 @@ from wafer_viewer.model.acquisition.devices import Overview, Position
 from wafer_viewer.model.acquisition.plan import ScanPlan
 from wafer_viewer.model.acquisition.rig_limits import RigLimits
 from wafer_viewer.model.acquisition.sample import Sample
-from wafer_viewer.model.job.job import Job
+from wafer_viewer.model.job import Job
 from wafer_viewer.session.state.snapshot import LatestFrame, ScanProgress
 
 

@@ -29,8 +29,7 @@ from wafer_viewer.session.acquisition.rig_messages import (
     StageMoved,
     Stop,
 )
-from wafer_viewer.session.acquisition.scan_monitor import Steering
-from wafer_viewer.session.acquisition.scan_run import run_scan_job, writer_of
+from wafer_viewer.session.acquisition.scan_run import Steering, run_scan_job, writer_of
 from wafer_viewer.session.planning.guided_tour import tour_of
 
 

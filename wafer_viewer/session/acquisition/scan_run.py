@@ -1,20 +1,229 @@
-"""Complete run of a scan, in the process that owns the rig: frames go to a dataset, reports to `tell`."""
+"""Run of a scan in the process that owns the rig: frames go to a dataset, progress and verdicts are reported."""
 
 from __future__ import annotations
 
+import threading
+import time
 from collections.abc import Callable
 from contextlib import suppress
 from typing import Any
 
+import numpy as np
+
 from wafer_viewer.acquire.motion import device_errors
 from wafer_viewer.acquire.scan_runner import run_scan
-from wafer_viewer.model.acquisition.devices import Rig
+from wafer_viewer.model.acquisition.devices import Position, PulseSummary, Rig
+from wafer_viewer.model.acquisition.focus_stack import Frame, Image
+from wafer_viewer.model.acquisition.plan import Leg, ScanPlan, Shot
 from wafer_viewer.model.errors import DatasetError, WaferViewerError
-from wafer_viewer.session.acquisition.rig_messages import Scan, ScanEnded
-from wafer_viewer.session.acquisition.scan_monitor import ScanWatch, Steering
+from wafer_viewer.session.acquisition.rig_messages import FieldComplete, FrameTaken, Paused, Scan, ScanEnded, ScanFault
+from wafer_viewer.session.state.snapshot import LatestFrame, ScanProgress
 from wafer_viewer.store.dataset.writer import DatasetWriter
 from wafer_viewer.store.io.atomic_files import os_errors_as_dataset_errors
-from wafer_viewer.store.records.calibrations import calibration_in_force
+from wafer_viewer.store.records.gauge_records import calibration_in_force
+
+REPORT_EVERY_S = 0.12
+RATE_KNOWN_AFTER = 10
+"""Number of frames after which the remaining time follows from the measured rate instead of the plan's prediction."""
+
+
+class Steering:
+    """Pause and stop flags of the running scan; set on one thread, read on another."""
+
+    def __init__(self) -> None:
+        self._stop, self._ended = threading.Event(), threading.Event()
+        self._go = threading.Event()
+        self._go.set()
+
+    def reset(self) -> None:
+        """Reset for a new scan: neither paused nor stopped."""
+        self._stop.clear()
+        self._go.set()
+
+    def pause(self) -> None:
+        """Pause at the end of the pass."""
+        self._go.clear()
+
+    def resume(self) -> None:
+        """Resume."""
+        self._go.set()
+
+    def stop(self) -> None:
+        """End the scan soon, also while paused."""
+        self._stop.set()
+        self._go.set()
+
+    def end(self) -> None:
+        """End this scan and every later one, because the client is gone."""
+        self._ended.set()
+        self._go.set()
+
+    def should_stop(self) -> bool:
+        """Return whether the scan has to end."""
+        return self._stop.is_set() or self._ended.is_set()
+
+    def should_pause(self) -> bool:
+        """Return whether the scan has to pause."""
+        return not self._go.is_set()
+
+    def wait_while_paused(self) -> None:
+        """Wait until the pause is over or the scan has to end."""
+        self._go.wait()
+
+
+class Stopwatch:
+    """Elapsed time of a scan in seconds, without pauses."""
+
+    def __init__(self) -> None:
+        self._since, self._gone_s = time.monotonic(), 0.0
+
+    def halt(self) -> None:
+        """Pause the stopwatch."""
+        self._gone_s = self.seconds()
+        self._since = float("inf")
+
+    def go_on(self) -> None:
+        """Resume the stopwatch."""
+        self._since = time.monotonic()
+
+    def seconds(self) -> float:
+        """Return the elapsed seconds."""
+        return self._gone_s + max(0.0, time.monotonic() - self._since)
+
+
+class ScanWatch:
+    """Frame sink and scan control in one object, as the scan runner uses them.
+
+    Write errors of the operating system become DatasetErrors here, so any other OSError comes from a device.
+    """
+
+    def __init__(self, writer: DatasetWriter, plan: ScanPlan, tell: Callable[[Any], None], steering: Steering) -> None:
+        self._writer, self._plan, self._tell, self._steering = writer, plan, tell, steering
+        writer.on_field_complete = lambda number: tell(FieldComplete(number))
+        self._fields = {f.number: f for f in plan.fields}
+        self._order = {number: i for i, number in enumerate(order_of_fields(plan), 1)}
+        self._kept_before = len(writer.kept)
+        self._done = self._kept_before
+        self._empty: set[Shot] = set()
+        self._pulses = 0
+        self._watch = Stopwatch()
+        self._started = time.strftime("%H:%M:%S")
+        self._reported_at = -REPORT_EVERY_S
+        self._last: Frame | None = None
+
+    def pass_begun(self, number: int, leg: Leg) -> None:
+        """Start a leg."""
+        with os_errors_as_dataset_errors(self._writer.path):
+            self._writer.pass_begun(number, leg)
+
+    def frame(self, frame: Frame) -> None:
+        """Store a frame, and report progress a few times a second."""
+        with os_errors_as_dataset_errors(self._writer.path):
+            self._writer.frame(frame)
+        self._pulses += 1
+        self._done = self._writer.n_arrived
+        self._last = frame
+        if time.monotonic() - self._reported_at >= REPORT_EVERY_S:
+            self._report(frame)
+
+    def missed(self, shot: Shot, pulse_count: int, why: str) -> None:
+        """Record an empty slot."""
+        self._empty.add(shot)
+        with os_errors_as_dataset_errors(self._writer.path):
+            self._writer.missed(shot, pulse_count, why)
+        self._done = self._writer.n_arrived
+
+    def repaired(self, shot: Shot) -> None:
+        """Record the frame of a slot that was empty."""
+        self._empty.discard(shot)
+        with os_errors_as_dataset_errors(self._writer.path):
+            self._writer.repaired(shot)
+
+    def pass_ended(self, number: int, summary: PulseSummary) -> None:
+        """End a leg."""
+        with os_errors_as_dataset_errors(self._writer.path):
+            self._writer.pass_ended(number, summary)
+
+    def fault(self, what: str) -> None:
+        """Record and report a fault of the scan."""
+        with os_errors_as_dataset_errors(self._writer.path):
+            self._writer.fault(what)
+        self._tell(ScanFault(what))
+
+    def should_stop(self) -> bool:
+        """Return whether the scan has to end."""
+        return self._steering.should_stop()
+
+    def should_pause(self) -> bool:
+        """Return whether the scan has to pause at the end of this leg."""
+        return self._steering.should_pause()
+
+    def wait_while_paused(self) -> None:
+        """Report the pause and wait until it is over or the scan has to stop."""
+        self._watch.halt()
+        self._tell(Paused(True))
+        self._steering.wait_while_paused()
+        self._watch.go_on()
+        self._tell(Paused(False))
+
+    def progress(self, plan: ScanPlan, frame: Frame) -> None:
+        """Do nothing: `frame` has already reported the progress."""
+
+    def finish(self) -> None:
+        """Report the final progress of the scan."""
+        if self._last is not None:
+            self._report(self._last, finished=True)
+
+    def _report(self, frame: Frame, *, finished: bool = False) -> None:
+        self._reported_at = time.monotonic()
+        position = Position(frame.x_um, frame.y_um, frame.z_um)
+        self._tell(FrameTaken(self._progress(frame, finished), position, self._latest(frame)))
+
+    def _progress(self, frame: Frame, finished: bool) -> ScanProgress:
+        return ScanProgress(
+            field=self._fields[frame.shot.field],
+            k=frame.shot.k,
+            z_um=frame.z_um,
+            order=self._order[frame.shot.field],
+            frames_done=self._done,
+            frames_total=self._plan.n_frames,
+            frames_missing=len(self._empty),
+            pulses=self._pulses,
+            seconds_left=0.0 if finished else self._seconds_left(),
+            seconds_gone=self._watch.seconds(),
+            started=self._started,
+            strategy=self._plan.strategy,
+            finished=finished,
+        )
+
+    def _seconds_left(self) -> float:
+        """Return the remaining seconds: from the measured rate, or at the very beginning from the prediction."""
+        left, new = self._plan.n_frames - self._done, self._done - self._kept_before
+        if new < RATE_KNOWN_AFTER:
+            return self._plan.predicted_s * left / self._plan.n_frames
+        return self._watch.seconds() / new * left
+
+    def _latest(self, frame: Frame) -> LatestFrame | None:
+        if frame.image is None:
+            return None
+        return LatestFrame(
+            image=frame.image,
+            field=self._fields[frame.shot.field],
+            k=frame.shot.k,
+            z_um=frame.z_um,
+            brightest=int(frame.image.max()),
+            clipped_fraction=clipped_fraction(frame.image),
+        )
+
+
+def clipped_fraction(image: Image) -> float:
+    """Return the fraction of pixels at the top of the image's range."""
+    return float(np.count_nonzero(image == np.iinfo(image.dtype).max)) / image.size
+
+
+def order_of_fields(plan: ScanPlan) -> list[int]:
+    """Return the field numbers in the order of their first frame."""
+    return list(dict.fromkeys(shot.field for leg in plan.legs for shot in leg.shots))
 
 
 def writer_of(scan: Scan, rig: Rig) -> DatasetWriter:

@@ -1,13 +1,90 @@
-"""Background tasks on workers, shown with progress and a cancel button."""
+"""Notifications for the operator, and background tasks with progress and a cancel button."""
 
 from __future__ import annotations
 
+import time
+from collections.abc import Callable
 from concurrent.futures import Future
+from dataclasses import replace
+from itertools import count
+from typing import Any, Literal
 
 from wafer_viewer.compute.compute_client import Compute
-from wafer_viewer.compute.watched_tasks import Answer, Args, WatchedTask
+from wafer_viewer.compute.messages import Answer, Args, WatchedTask
 from wafer_viewer.session.core.command_queue import CommandQueue
-from wafer_viewer.session.core.notifications import Notifications
+from wafer_viewer.session.state.snapshot import Fault, Work
+
+Source = Literal["plan", "scan", "import", "open", "surface", "measure", "export", "rig", "other"]
+KEPT = 50
+"""Maximum number of faults in the list; the oldest are dropped."""
+
+KNOWN_AFTER_S, KNOWN_AFTER = 2.0, 0.05
+"""Elapsed seconds and completed fraction from which the remaining time of a work item is estimated."""
+
+
+class Notifications:
+    """Faults and work items of the snapshot. Use on the session's thread only."""
+
+    def __init__(self, desk: CommandQueue, clock_s: Callable[[], float] = time.monotonic) -> None:
+        self._desk, self._clock_s = desk, clock_s
+        self._begun: dict[str, tuple[float, float]] = {}
+        self._numbers = count(1)
+        self._stops: dict[str, Callable[[], None]] = {}
+
+    def fault(self, title: str, text: str, source: Source, *, where: str = "", needs_person: bool = True) -> None:
+        """Add a fault to the list; an identical earlier one is replaced."""
+        known = [f for f in self._desk.now.faults if (f.title, f.text, f.where) != (title, text, where)]
+        fault = Fault(f"fault-{next(self._numbers)}", title, text, _clock(), where, needs_person, source)
+        self._desk.change(faults=(*known, fault)[-KEPT:])
+
+    def dismiss(self, fault_id: str) -> None:
+        """Remove a fault from the list."""
+        self._desk.change(faults=tuple(f for f in self._desk.now.faults if f.id != fault_id))
+
+    def begin(self, title: str, stop: Callable[[], None] | None = None, waits_for: str = "") -> str:
+        """Add a work item and return its id.
+
+        `stop` is called when a person cancels it. `waits_for` is shown until it makes progress.
+        """
+        work = Work(f"work-{next(self._numbers)}", title, cancellable=stop is not None, waits_for=waits_for)
+        if stop is not None:
+            self._stops[work.id] = stop
+        self._desk.change(works=(*self._desk.now.works, work))
+        return work.id
+
+    def progress(self, work_id: str, fraction: float) -> None:
+        """Set the progress of a work item."""
+        begun_at_s, begun = self._begun.setdefault(work_id, (self._clock_s(), fraction))
+        left_s = seconds_left(self._clock_s() - begun_at_s, begun, fraction)
+        self._amend(work_id, fraction=fraction, seconds_left=left_s)
+
+    def end(self, work_id: str) -> None:
+        """Remove a finished or failed work item."""
+        self._stops.pop(work_id, None)
+        self._begun.pop(work_id, None)
+        self._desk.change(works=tuple(w for w in self._desk.now.works if w.id != work_id))
+
+    def cancel(self, work_id: str) -> None:
+        """Cancel a work item; one that is over is ignored."""
+        if (stop := self._stops.pop(work_id, None)) is not None:
+            self._amend(work_id, cancellable=False, stopping=True)
+            stop()
+
+    def _amend(self, work_id: str, **changes: Any) -> None:
+        works = self._desk.now.works
+        if any(w.id == work_id for w in works):
+            self._desk.change(works=tuple(replace(w, **changes) if w.id == work_id else w for w in works))
+
+
+def seconds_left(gone_s: float, begun: float, now: float) -> float | None:
+    """Return the remaining seconds of work that advanced from `begun` to `now`; None while that is too uncertain."""
+    if gone_s < KNOWN_AFTER_S or now - begun < KNOWN_AFTER:
+        return None
+    return gone_s * (1.0 - now) / (now - begun)
+
+
+def _clock() -> str:
+    return time.strftime("%H:%M:%S")
 
 
 class BackgroundWork:

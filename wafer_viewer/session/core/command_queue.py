@@ -1,4 +1,4 @@
-"""Command queue of the session: one thread that runs commands in order, the latest snapshot, and its listeners."""
+"""Command queue of the session: one thread that runs commands in order; and the history that undoes them."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ import threading
 import time
 from collections.abc import Callable
 from concurrent.futures import Future, ThreadPoolExecutor
-from typing import Any, TypeVar
+from typing import Any, Generic, TypeVar
 
 from wafer_viewer.model.errors import WaferViewerError
 from wafer_viewer.session.state.snapshot import Snapshot
@@ -144,3 +144,50 @@ def _copy_outcome(done: Future[Any], answer: Future[Any]) -> None:
 def _log_failure(done: Future[Any]) -> None:
     if not done.cancelled() and (fault := done.exception()) is not None:
         log.error("An event could not be dealt with.", exc_info=fault)
+
+
+DEPTH = 200
+
+
+class UndoHistory(Generic[T]):
+    """Value with its earlier and undone values; at most `DEPTH` earlier values are stored."""
+
+    def __init__(self, value: T) -> None:
+        self.value = value
+        self._before: list[T] = []
+        self._undone: list[T] = []
+
+    def put(self, value: T) -> None:
+        """Set a new value; undone values are dropped."""
+        self._before = [*self._before, self.value][-DEPTH:]
+        self._undone = []
+        self.value = value
+
+    def undo(self) -> T:
+        """Return to the previous value, if there is one."""
+        if self._before:
+            self._undone.append(self.value)
+            self.value = self._before.pop()
+        return self.value
+
+    def redo(self) -> T:
+        """Return to the value undone last, if there is one."""
+        if self._undone:
+            self._before.append(self.value)
+            self.value = self._undone.pop()
+        return self.value
+
+    def restart(self, value: T) -> None:
+        """Set a new value and clear the history."""
+        self.value = value
+        self._before, self._undone = [], []
+
+    @property
+    def can_undo(self) -> bool:
+        """True if there is a previous value."""
+        return bool(self._before)
+
+    @property
+    def can_redo(self) -> bool:
+        """True if there is an undone value."""
+        return bool(self._undone)

@@ -15,7 +15,7 @@ from typing import Any
 
 from wafer_viewer.model.errors import WaferViewerError
 from wafer_viewer.session.core.command_queue import CommandQueue
-from wafer_viewer.session.state.control_state import Browser, ControlState
+from wafer_viewer.session.state.snapshot import Browser, ControlState
 
 ANSWER_S = 15.0
 """Time in seconds in which the holder can answer a request; after that, control passes to the requester."""

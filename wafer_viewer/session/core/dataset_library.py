@@ -1,4 +1,4 @@
-"""Datasets of the data folder, and the open one."""
+"""Datasets of the data folder, the open one, the summary of its surface and its changed areas."""
 
 from __future__ import annotations
 
@@ -8,15 +8,68 @@ from itertools import count
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+import msgspec
+import numpy as np
+from numpy.typing import NDArray
+
 from wafer_viewer.model.errors import DatasetError, WaferViewerError
-from wafer_viewer.session.core.changes import with_change
+from wafer_viewer.model.surface.height_map import ORIGIN_TITLES, UNMEASURED_FROM, HeightMap, Mosaic, Origin
+from wafer_viewer.model.surface.recipe import Recipe
 from wafer_viewer.session.core.command_queue import CommandQueue
-from wafer_viewer.session.state.snapshot import DatasetEntry, FieldState, OpenDataset, SurfaceInfo
+from wafer_viewer.session.state.snapshot import Box, DatasetEntry, FieldState, OpenDataset, SurfaceInfo
+from wafer_viewer.store.dataset.result import Result
+from wafer_viewer.store.io.atomic_files import write_text
+from wafer_viewer.store.io.checksums import sealed_text, verified_text
+from wafer_viewer.store.mosaic.layout import SURFACE
+from wafer_viewer.store.mosaic.statistics import MosaicStatistics, compute_statistics
+from wafer_viewer.store.mosaic.zarr_mosaic import ZarrMosaic
 
 if TYPE_CHECKING:
     from wafer_viewer.store.dataset.dataset import Dataset
     from wafer_viewer.store.dataset.lock import Lock
-    from wafer_viewer.store.dataset.result import Result
+
+
+KEPT = 32
+"""Maximum number of separate changes; older ones are merged."""
+
+
+def with_change(now: SurfaceInfo, before: SurfaceInfo | None, box_um: Box) -> SurfaceInfo:
+    """Return the summary of a surface that differs from `before` only inside a box.
+
+    The surface is new everywhere if there is no `before`, or if its pixel lattice differs.
+    """
+    if before is None or _lattice(now) != _lattice(before):
+        return replace(now, changed=())
+    earlier = before.changed or ((before.stamp, _whole(before)),)
+    changed = (*earlier, (now.stamp, box_um))
+    while len(changed) > KEPT:
+        (_, first), (stamp, second), *rest = changed
+        changed = ((stamp, _both(first, second)), *rest)
+    return replace(now, changed=changed)
+
+
+def stamp_of(info: SurfaceInfo, box_um: Box) -> int:
+    """Return the stamp of the last change of a part of a surface."""
+    return max((stamp for stamp, box in info.changed if _meet(box, box_um)), default=info.stamp)
+
+
+def _lattice(info: SurfaceInfo) -> tuple[object, ...]:
+    return info.result, info.rows, info.cols, info.pixel_um, info.x0_um, info.y0_um
+
+
+def _whole(info: SurfaceInfo) -> Box:
+    """Return the box of all pixels, enlarged by one pixel on each side."""
+    x0, y1 = info.x0_um - info.pixel_um, info.y0_um + info.pixel_um
+    return x0, y1 - (info.rows + 1) * info.pixel_um, x0 + (info.cols + 1) * info.pixel_um, y1
+
+
+def _both(a: Box, b: Box) -> Box:
+    return min(a[0], b[0]), min(a[1], b[1]), max(a[2], b[2]), max(a[3], b[3])
+
+
+def _meet(a: Box, b: Box) -> bool:
+    return a[0] <= b[2] and b[0] <= a[2] and a[1] <= b[3] and b[1] <= a[3]
+
 
 ENDING = ".wafer"
 DEFAULT_RESULT = "default"
@@ -161,7 +214,6 @@ class Library:
         self._desk.change(surface=stamped)
 
     def _stored_surface(self) -> SurfaceInfo | None:
-        from wafer_viewer.session.core.surface_summary import load_summary
 
         try:
             info = load_summary(self.result) if self.result.has_mosaic and self.result.mosaic() else None
@@ -210,3 +262,90 @@ def _states(dataset: Dataset, result: Result) -> dict[int, FieldState]:
     known |= dict.fromkeys(complete, FieldState.TAKEN)
     known |= dict.fromkeys(measured, FieldState.MEASURED)
     return {f.number: known.get(f.number, FieldState.TO_COME) for f in dataset.fields}
+
+
+SUMMARY = "surface.json"
+COLOUR_RANGE_PERCENT = (0.5, 99.5)
+OUTLIERS_BEYOND = 3.0
+"""Robust deviations beyond which an overlap difference counts as a false height, not as a misfit of fields."""
+HALF_NORMAL_MEDIAN = 0.6745
+"""Median of the absolute values of normal errors with standard deviation 1."""
+
+
+def summarise(mosaic: Mosaic, n_fields: int, result: str, asked: Recipe | None = None) -> SurfaceInfo:
+    """Return the summary of a mosaic of `n_fields` fields made with the recipe `asked`.
+
+    The statistics stored with the mosaic are used; for a surface in memory they are computed. Fractions refer to the
+    pixels covered by fields, so the area outside a round wafer does not count.
+    """
+    rows, cols = mosaic.shape
+    facts = mosaic.facts() if isinstance(mosaic, ZarrMosaic) else _facts_of(mosaic.window())
+    covered = max(1, int(facts.counts.sum() - facts.counts[Origin.NOT_COVERED]))
+    low_um, high_um = _colour_range(facts.heights_um)
+    return SurfaceInfo(
+        result=result,
+        stamp=0,
+        rows=rows,
+        cols=cols,
+        pixel_um=mosaic.pixel_um,
+        x0_um=mosaic.x0_um,
+        y0_um=mosaic.y0_um,
+        levels=mosaic.levels,
+        n_fields=n_fields,
+        highest_um=facts.highest_um if facts.has_heights else 0.0,
+        lowest_um=facts.lowest_um if facts.has_heights else 0.0,
+        measured_fraction=float(facts.counts[Origin.MEASURED]) / covered,
+        filled_fraction=float(facts.counts[Origin.FILLED]) / covered,
+        unmeasured=unmeasured_reasons(facts.counts, covered),
+        overlap_rms_um=_rms_um(facts.overlaps_um),
+        low_um=low_um,
+        high_um=high_um,
+        recipe_notes=mosaic.provenance.notes,
+        asked=asked,
+        settled=mosaic.provenance.recipe,
+    )
+
+
+def save_summary(result: Result, info: SurfaceInfo) -> None:
+    """Write a summary next to its mosaic."""
+    text = msgspec.json.format(msgspec.json.encode(info), indent=2).decode()
+    write_text(result.path / SUMMARY, sealed_text(text))
+
+
+def load_summary(result: Result) -> SurfaceInfo | None:
+    """Return the stored summary; None if it is missing, damaged or of another version."""
+    try:
+        return msgspec.json.decode(verified_text(result.path / SUMMARY), type=SurfaceInfo)
+    except (DatasetError, msgspec.DecodeError, UnicodeDecodeError):
+        return None
+
+
+def _facts_of(surface: HeightMap) -> MosaicStatistics:
+    layers = {name: getattr(surface, name) for name in SURFACE if getattr(surface, name) is not None}
+    return compute_statistics(layers)
+
+
+def _rms_um(differences_um: NDArray[np.float32]) -> float | None:
+    """Return the rms difference of neighbours in their overlaps, um; None without overlaps.
+
+    Differences above the outlier limit, three robust deviations of normal errors, are excluded; the differences are
+    never negative.
+    """
+    if not differences_um.size:
+        return None
+    limit_um = OUTLIERS_BEYOND * float(np.median(differences_um)) / HALF_NORMAL_MEDIAN
+    near = differences_um[differences_um <= limit_um + 1e-6]
+    return float(np.sqrt(np.mean(near**2)))
+
+
+def _colour_range(heights_um: NDArray[np.float32]) -> tuple[float, float]:
+    if not heights_um.size:
+        return 0.0, 1.0
+    low_um, high_um = np.percentile(heights_um, COLOUR_RANGE_PERCENT)
+    return float(low_um), float(high_um)
+
+
+def unmeasured_reasons(counts: NDArray[np.int64], covered: int) -> tuple[tuple[str, float], ...]:
+    """Return the reasons for unmeasured covered pixels and their fractions, the most frequent first."""
+    codes = [o for o in Origin if o >= UNMEASURED_FROM and o != Origin.NOT_COVERED and counts[o] > 0]
+    return tuple((ORIGIN_TITLES[o], float(counts[o]) / covered) for o in sorted(codes, key=lambda o: -int(counts[o])))

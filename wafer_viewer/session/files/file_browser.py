@@ -258,7 +258,7 @@ class Browsing:
         return self._looking.submit(self._look, path)
 
     def _look(self, path: Path) -> bytes:
-        from wafer_viewer.store.dataset.previews import preview
+        from wafer_viewer.store.dataset.image_files import preview
 
         if not self.allowed(path):
             return b""

@@ -9,12 +9,11 @@ from pathlib import Path
 
 from wafer_viewer.model.acquisition.calibration import Calibration
 from wafer_viewer.model.errors import MeasureError
-from wafer_viewer.model.gauge.gauge_check import Certificate, GaugeCheck, GaugeRecord, GaugeRepeat, GaugeTerms
-from wafer_viewer.model.gauge.run_chart import Capability
+from wafer_viewer.model.gauge import Capability, Certificate, GaugeCheck, GaugeRecord, GaugeRepeat, GaugeTerms
 from wafer_viewer.model.spec import replace
 from wafer_viewer.model.surface.height_map import Mosaic
 from wafer_viewer.session.core.dataset_library import today
-from wafer_viewer.session.state.gauge_state import Faces
+from wafer_viewer.session.state.inspection_state import Faces
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -121,8 +120,7 @@ def capability_of(
     records: Sequence[GaugeRecord], tolerance_um: float | None, latest: GaugeCheck | None = None
 ) -> Capability | None:
     """Return Cg and Cgk over every scan of signed checks and of the latest, signed or not; None without a tolerance."""
-    from wafer_viewer.measure.gauge.capability import capability
-    from wafer_viewer.measure.gauge.run_chart import errors_of_scans, same_scale
+    from wafer_viewer.measure.gauge.run_chart import capability, errors_of_scans, same_scale
 
     if tolerance_um is None:
         return None

@@ -8,16 +8,14 @@ from typing import ClassVar
 
 from wafer_viewer.model.errors import MeasureError, WaferViewerError
 from wafer_viewer.model.findings import MeasurementResults
-from wafer_viewer.model.gauge.gauge_check import Certificate, GaugeCheck, GaugeRecord, GaugeTerms
-from wafer_viewer.model.gauge.run_chart import Capability, RunChart
+from wafer_viewer.model.gauge import Capability, Certificate, GaugeCheck, GaugeRecord, GaugeTerms, RunChart
 from wafer_viewer.model.spec import Spec, replace
 from wafer_viewer.session.gauge import gauge_check as work
-from wafer_viewer.session.state.gauge_state import Faces
+from wafer_viewer.session.state.inspection_state import Faces
 from wafer_viewer.session.surface.headless import is_dataset
 from wafer_viewer.store.dataset.dataset import Dataset
 from wafer_viewer.store.dataset.lock import Lock
-from wafer_viewer.store.records.certificates import read_certificate
-from wafer_viewer.store.records.gauge_checks import sign, signed_checks
+from wafer_viewer.store.records.gauge_records import read_certificate, sign, signed_checks
 
 
 class History(Spec, frozen=True, kw_only=True):

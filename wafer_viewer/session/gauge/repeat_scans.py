@@ -1,4 +1,4 @@
-"""Repeatability studies from repeat scans: a wafer is a part, its operator the appraiser, each scan a trial."""
+"""Repeatability studies from a table or from repeat scans: a wafer is a part, its operator the appraiser."""
 
 from __future__ import annotations
 
@@ -8,10 +8,10 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from wafer_viewer.model.errors import MeasureError
-from wafer_viewer.model.gauge.gauge_rr import Study
-from wafer_viewer.model.job.job import Job
+from wafer_viewer.model.gauge import GaugeRR, Method, Study
+from wafer_viewer.model.job import Job
 from wafer_viewer.model.measurement.feature import Die, Feature
-from wafer_viewer.model.quantity import Quantity
+from wafer_viewer.model.quantity import Quantity, Unit
 from wafer_viewer.session.core.dataset_library import DEFAULT_RESULT
 from wafer_viewer.session.planning.plan_editor import read_job
 from wafer_viewer.session.planning.revision_trial import datasets_of, judged_places
@@ -151,3 +151,42 @@ def _require_balanced(cells: Cells, name: str, parts: Sequence[str], appraisers:
                     f"The study of '{name}' is not balanced: part {part} has {n} {'scan' if n == 1 else 'scans'} by "
                     f"{appraiser} where others have {most}: scan it again, or leave others out."
                 )
+
+
+@dataclass(frozen=True, slots=True)
+class Studied:
+    """Result of a study of one quantity; unit None: a table's values have an unknown unit."""
+
+    name: str
+    found: GaugeRR
+    unit: Unit | None = None
+    simulated: bool = False
+
+
+class Studies:
+    """Gauge studies, which any thread can request and which change nothing.
+
+    Methods raise WaferViewerError on failure.
+    """
+
+    def gauge_rr(self, path: Path, method: Method = "anova", tolerance: float | None = None) -> tuple[Studied, ...]:
+        """Return the share of the gauge in the observed spread.
+
+        path: a CSV with part, appraiser and value, or a folder of repeat scans, which are measured if they have no
+        verdict: one study for each feature of their job. tolerance: of a table's values, in their unit; scans have
+        those of their job.
+        """
+        from wafer_viewer.measure.gauge.gauge_rr import gauge_rr
+        from wafer_viewer.store.tables.csv_tables import read_study
+
+        path = Path(path).expanduser()
+        if path.is_dir():
+            return _of_scans(path, method)
+        return (Studied(path.name, gauge_rr(read_study(path), method=method, tolerance=tolerance)),)
+
+
+def _of_scans(folder: Path, method: Method) -> tuple[Studied, ...]:
+    from wafer_viewer.measure.gauge.gauge_rr import study_rr
+
+    made = studies_of([folder])
+    return tuple(Studied(study.feature, study_rr(study, method), study.unit, study.simulated) for study in made)

@@ -7,11 +7,15 @@ from pathlib import Path
 
 from wafer_viewer.model.acquisition.calibration import Calibration
 from wafer_viewer.model.errors import MeasureError
-from wafer_viewer.model.gauge.gauge_check import GaugeRecord, ScaleCorrection
+from wafer_viewer.model.gauge import GaugeRecord, ScaleCorrection
 from wafer_viewer.session.core.dataset_library import today
 from wafer_viewer.session.gauge.gauge_check import now
-from wafer_viewer.store.records.calibrations import CalibrationChange, calibration_in_force, record_change
-from wafer_viewer.store.records.gauge_checks import signed_checks
+from wafer_viewer.store.records.gauge_records import (
+    CalibrationChange,
+    calibration_in_force,
+    record_change,
+    signed_checks,
+)
 
 
 def offered(record: GaugeRecord, in_force: Calibration) -> ScaleCorrection:

@@ -8,10 +8,10 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Literal
 
-from wafer_viewer.model.acquisition.alignment import Alignment
+from wafer_viewer.model.acquisition.sample import Alignment
 from wafer_viewer.model.errors import DiesNotFound, MeasureError
 from wafer_viewer.model.inspection.die_grid import DieGrid
-from wafer_viewer.model.job.job import Job
+from wafer_viewer.model.job import Job
 from wafer_viewer.model.surface.height_map import Mosaic
 
 if TYPE_CHECKING:

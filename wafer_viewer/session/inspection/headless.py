@@ -12,13 +12,12 @@ from wafer_viewer.model.acquisition.sample import Sample
 from wafer_viewer.model.inspection.defect import DefectRecipe, Inspection
 from wafer_viewer.model.inspection.die_grid import DieGrid
 from wafer_viewer.model.inspection.golden_die import GoldenDie
-from wafer_viewer.model.job.job import Job
+from wafer_viewer.model.job import Job
 from wafer_viewer.model.progress import Progress
 from wafer_viewer.model.spec import replace
 from wafer_viewer.model.surface.height_map import Mosaic
 from wafer_viewer.session.inspection.die_lattice_source import GivenDies, dies_or_why
-from wafer_viewer.session.inspection.die_row_tasks import RowHands
-from wafer_viewer.session.inspection.inspection_job import NOT_BY_DIES
+from wafer_viewer.session.inspection.inspection_job import NOT_BY_DIES, RowHands
 from wafer_viewer.session.surface.headless import LocalOrCluster, is_dataset, measured_surface
 from wafer_viewer.store.dataset.dataset import Dataset
 
@@ -43,7 +42,7 @@ class Wafer:
 
 def wafer_of(src: Path, result: str) -> Wafer:
     """Return the stitched surface of a dataset, or that of a file. Raises DatasetError if there is none."""
-    from wafer_viewer.store.records.inspection_file import read_inspection
+    from wafer_viewer.store.records.inspection_records import read_inspection
 
     surface, calibrated = measured_surface(src, 0, result)
     if not is_dataset(src):
@@ -70,7 +69,7 @@ def inspected(
     if nothing can be inspected.
     """
     from wafer_viewer.measure.defects.inspection import inspect
-    from wafer_viewer.store.records.inspection_file import carry_over
+    from wafer_viewer.store.records.inspection_records import carry_over
 
     known = replace(recipe, product=recipe.product or wafer.sample.product)
     grid, no_dies = None, NOT_BY_DIES

@@ -11,17 +11,16 @@ from typing import TYPE_CHECKING, Any
 from wafer_viewer.model.errors import DatasetError, WaferViewerError
 from wafer_viewer.model.inspection.defect import Defect, DefectClass, DefectRecipe, Inspection, Judgement
 from wafer_viewer.model.spec import replace
-from wafer_viewer.session.core.undo_history import UndoHistory
+from wafer_viewer.session.core.command_queue import UndoHistory
 from wafer_viewer.session.inspection.inspection_job import Against, Dies, inspect_dataset, mosaic_mark
-from wafer_viewer.session.state.inspection_resources import product_of
-from wafer_viewer.session.state.inspection_state import InspectionState
+from wafer_viewer.session.state.inspection_state import InspectionState, product_of
 
 if TYPE_CHECKING:
     from wafer_viewer.compute.compute_client import Compute
-    from wafer_viewer.model.inspection.defect_limits import DefectLimits
+    from wafer_viewer.model.inspection.defect import DefectLimits
+    from wafer_viewer.session.core.background_work import Notifications
     from wafer_viewer.session.core.command_queue import CommandQueue
     from wafer_viewer.session.core.dataset_library import Library
-    from wafer_viewer.session.core.notifications import Notifications
     from wafer_viewer.session.inspection.inspection_files import DefectFiles
     from wafer_viewer.session.inspection.reference_views import DefectViews
     from wafer_viewer.session.state.snapshot import Snapshot
@@ -42,7 +41,7 @@ class DefectKeeper:
 
     def open(self) -> None:
         """Read the inspection of the displayed surface; a running inspection of another one is cancelled."""
-        from wafer_viewer.store.records.inspection_file import read_inspection
+        from wafer_viewer.store.records.inspection_records import read_inspection
 
         of = self._looked_at
         if self._work and of != self._of:
@@ -121,7 +120,7 @@ class DefectKeeper:
 
     def _take_over(self, found: Inspection) -> None:
         """Store the inspection, with earlier judgements of the same places carried over."""
-        from wafer_viewer.store.records.inspection_file import carry_over, write_inspection
+        from wafer_viewer.store.records.inspection_records import carry_over, write_inspection
 
         before = self._history.value
         inspection = found if before is None else carry_over(before, found)
@@ -129,7 +128,7 @@ class DefectKeeper:
         self._history.restart(inspection)
 
     def _save(self) -> None:
-        from wafer_viewer.store.records.inspection_file import write_inspection
+        from wafer_viewer.store.records.inspection_records import write_inspection
 
         if (inspection := self._history.value) is not None:
             write_inspection(self._library.result.path, inspection)

@@ -1,4 +1,4 @@
-"""Inspection recipes, golden dies and defect files: storage next to the datasets, exports, and KLARF overlays."""
+"""Inspection recipes, golden dies and defect files, and the export of defects to other programs."""
 
 from __future__ import annotations
 
@@ -6,18 +6,110 @@ from collections.abc import Callable
 from concurrent.futures import Future
 from dataclasses import replace as with_changes
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, Literal
 
+from wafer_viewer.model.errors import DatasetError, MeasureError
 from wafer_viewer.model.inspection.defect import DefectRecipe
-from wafer_viewer.session.inspection.defect_export import Handover, hand_over, keep_golden
+from wafer_viewer.model.progress import Progress, ShouldStop, never, silent
 from wafer_viewer.session.inspection.klarf_overlay import KlarfUnit, overlay_klarf
-from wafer_viewer.session.state.inspection_resources import SAME_PLACE_UM, DefectShelf, OtherTool
+from wafer_viewer.session.state.inspection_state import SAME_PLACE_UM, DefectShelf, OtherTool
 
 if TYPE_CHECKING:
+    from wafer_viewer.model.inspection.defect import Inspection
     from wafer_viewer.model.inspection.golden_die import GoldenHeader
     from wafer_viewer.session.core.background_work import BackgroundWork
     from wafer_viewer.session.core.command_queue import CommandQueue
     from wafer_viewer.session.core.dataset_library import Library
+    from wafer_viewer.session.inspection.headless import Wafer
+
+
+Handover = Literal["klarf", "csv", "training"]
+
+
+def write_klarf(wafer: Wafer, found: Inspection, path: Path) -> Path:
+    """Write a KLARF 1.2 file."""
+    from wafer_viewer.store.tables.klarf import write_klarf
+
+    return write_klarf(found, path, wafer.sample, center_um=wafer.center_um)
+
+
+def write_csv(wafer: Wafer, found: Inspection, path: Path) -> Path:
+    """Write a table for a spreadsheet."""
+    from wafer_viewer.store.io.atomic_files import write_text
+    from wafer_viewer.store.tables.csv_tables import defects_csv
+
+    write_text(path, defects_csv(found))
+    return path
+
+
+def write_training(wafer: Wafer, found: Inspection, path: Path) -> Path:
+    """Write a folder of image crops with the classes assigned by the rules and by people."""
+    from wafer_viewer.store.tables.training_set import write_training_set
+
+    return write_training_set(found, wafer.surface, path)
+
+
+WRITERS: dict[Handover, Callable[[Wafer, Inspection, Path], Path]] = {
+    "klarf": write_klarf,
+    "csv": write_csv,
+    "training": write_training,
+}
+
+
+def hand_over(
+    dataset: Path,
+    result: str,
+    what: Handover,
+    path: Path,
+    *,
+    progress: Progress = silent,
+    should_stop: ShouldStop = never,
+) -> Path:
+    """Write the stored defects of a dataset to a file or a folder, with their current judgements.
+
+    Raises DatasetError if there are none, the format cannot hold them, or the path cannot be written to; for image
+    crops also if the surface has changed since.
+    """
+    wafer, found = _inspected(dataset, result, same_surface=what == "training")
+    return WRITERS[what](wafer, found, path)
+
+
+def keep_golden(
+    dataset: Path,
+    result: str,
+    name: str,
+    *,
+    progress: Progress = silent,
+    should_stop: ShouldStop = never,
+) -> Path:
+    """Store the typical die of an inspected surface as the next version of a golden die, next to the dataset.
+
+    Raises DatasetError if this surface was not inspected, the name is invalid or another product's, or the folder
+    cannot be written to; MeasureError if there are no dies, or too few of them.
+    """
+    from wafer_viewer.measure.defects.inspection import golden_of_surface
+    from wafer_viewer.store.records.golden_dies import FOLDER, save_golden
+
+    wafer, found = _inspected(dataset, result, same_surface=True)
+    if found.grid is None:
+        raise MeasureError("A golden die is made from dies and this inspection has none: inspect die to die first.")
+    golden = golden_of_surface(wafer.surface, found.grid, found.recipe, product=found.product, made_of=dataset.stem)
+    return save_golden(golden, dataset.parent / FOLDER / name)
+
+
+def _inspected(dataset: Path, result: str, *, same_surface: bool) -> tuple[Wafer, Inspection]:
+    """Return the surface and its inspection; same_surface: require that this very surface was inspected."""
+    from wafer_viewer.session.inspection.headless import wafer_of
+    from wafer_viewer.session.inspection.inspection_job import mosaic_mark
+    from wafer_viewer.store.dataset.dataset import Dataset
+
+    wafer = wafer_of(dataset, result)
+    if (found := wafer.before) is None:
+        raise DatasetError(f"{dataset.stem} was not inspected for defects yet: inspect it first.")
+    if same_surface and found.mark not in ("", mosaic_mark(Dataset.open(dataset).result(result))):
+        raise DatasetError(f"The surface of {dataset.stem} was reconstructed since it was inspected: inspect it again.")
+    return wafer, found
+
 
 TITLES: dict[Handover, str] = {"klarf": "KLARF", "csv": "Table of defects", "training": "Training set"}
 
@@ -35,8 +127,8 @@ class DefectFilesKeeper:
 
     def refresh(self) -> None:
         """List recipes and golden dies again."""
-        from wafer_viewer.store.records.defect_recipes import readable_recipes
         from wafer_viewer.store.records.golden_dies import FOLDER, every_golden
+        from wafer_viewer.store.records.inspection_records import readable_recipes
 
         recipes, problems = readable_recipes(self._folder)
         golden = sorted(every_golden(self._folder / FOLDER), key=lambda header: header.name.casefold())
@@ -44,7 +136,7 @@ class DefectFilesKeeper:
 
     def save_recipe(self, recipe: DefectRecipe) -> Path:
         """Save a recipe under its product and name."""
-        from wafer_viewer.store.records.defect_recipes import save_defect_recipe
+        from wafer_viewer.store.records.inspection_records import save_defect_recipe
 
         path = save_defect_recipe(self._folder, recipe)
         self.refresh()
@@ -52,14 +144,14 @@ class DefectFilesKeeper:
 
     def rename_recipe(self, recipe: DefectRecipe, name: str) -> None:
         """Rename a stored recipe."""
-        from wafer_viewer.store.records.defect_recipes import rename_defect_recipe
+        from wafer_viewer.store.records.inspection_records import rename_defect_recipe
 
         rename_defect_recipe(self._folder, recipe, name)
         self.refresh()
 
     def delete_recipe(self, recipe: DefectRecipe) -> None:
         """Delete a stored recipe."""
-        from wafer_viewer.store.records.defect_recipes import delete_defect_recipe
+        from wafer_viewer.store.records.inspection_records import delete_defect_recipe
 
         delete_defect_recipe(self._folder, recipe)
         self.refresh()

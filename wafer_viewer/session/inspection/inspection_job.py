@@ -1,14 +1,24 @@
-"""Defect inspection of a dataset on a task runner: reads the dataset, returns the inspection."""
+"""Defect inspection of a dataset on a task runner: rows of dies are compared on workers.
+
+The reference data may be large. They are stored in a temporary file with the result, and every worker reads them once.
+"""
 
 from __future__ import annotations
 
 import hashlib
-from collections.abc import Generator
-from contextlib import contextmanager
+import time
+from collections.abc import Generator, Iterable, Sequence
+from contextlib import closing, contextmanager
+from dataclasses import dataclass
+from functools import lru_cache
 from pathlib import Path
-from typing import TYPE_CHECKING, Literal
+from typing import TYPE_CHECKING, Any, Literal
+from uuid import uuid4
 
-from wafer_viewer.compute.task_runner import LocalRunner, TaskRunner
+import numpy as np
+from numpy.typing import NDArray
+
+from wafer_viewer.compute.task_runner import Done, LocalRunner, TaskRunner
 from wafer_viewer.model.errors import ComputeError, WaferViewerError
 from wafer_viewer.model.inspection.defect import DefectRecipe, Inspection
 from wafer_viewer.model.inspection.die_grid import DieGrid
@@ -16,12 +26,127 @@ from wafer_viewer.model.progress import Progress, ShouldStop, never, silent
 from wafer_viewer.model.spec import replace
 from wafer_viewer.session.core.dataset_library import today
 from wafer_viewer.session.inspection.die_lattice_source import GivenDies, dies_or_why
-from wafer_viewer.session.inspection.die_row_tasks import RowHands
+from wafer_viewer.store.io.atomic_files import remove
+from wafer_viewer.store.mosaic.poses_file import read_planes, write_planes
 
 if TYPE_CHECKING:
+    from wafer_viewer.measure.defects.cell_comparison import CellResult, ComparisonWork
+    from wafer_viewer.measure.defects.golden_die import ReferenceDie
+    from wafer_viewer.measure.defects.noise_model import NoiseModel
+    from wafer_viewer.measure.dies.die_cells import Place
     from wafer_viewer.model.surface.height_map import Mosaic
     from wafer_viewer.store.dataset.dataset import Dataset
     from wafer_viewer.store.dataset.result import Result
+
+
+PLANES = ("z_um", "z_spread_um", "picture", "picture_spread")
+BY_KEY, OF_ALL = ("spread", "fall", "places"), ("kinds", "spectrum")
+BEGINS, ENDS = ".inspection-", ".npz"
+LEFT_FOR_S = 86_400.0
+"""Age in seconds beyond which a reference file counts as left behind by a killed process."""
+
+
+@dataclass(frozen=True, slots=True)
+class RowHands:
+    """Task runner for the die rows of one inspection; folder: location of the temporary reference file."""
+
+    crew: TaskRunner
+    folder: Path
+    should_stop: ShouldStop = never
+
+    @classmethod
+    def of(cls, crew: TaskRunner, dataset: Path, folder: Path, should_stop: ShouldStop = never) -> RowHands:
+        """Create the runner for a dataset's surface.
+
+        Raises ComputeError with the machine's name if a worker has no access.
+        """
+        crew.require_sight(dataset)
+        return cls(crew, folder, should_stop)
+
+    def __call__(
+        self, work: ComparisonWork, noise: NoiseModel, rows: Sequence[tuple[Place, ...]]
+    ) -> Generator[list[CellResult]]:
+        """See `RowsBy`. Raises ComputeError when the work is stopped or no worker is left."""
+        if isinstance(self.crew, LocalRunner):
+            yield from self._done(compare_here, [(work, noise, row) for row in rows])
+            return
+        with kept(self.folder, work.golden, noise) as reference:
+            lean = replace(work, golden=replace(work.golden, **dict.fromkeys(PLANES, np.empty((0, 0), np.float32))))
+            yield from self._done(compare_row, [(lean, reference, row) for row in rows])
+
+    def _done(self, task: Any, items: Sequence[tuple[Any, ...]]) -> Generator[list[CellResult]]:
+        with closing(self.crew.each(task, items, should_stop=self.should_stop)) as outcomes:
+            yield from in_order(outcomes)
+
+
+def compare_row(work: ComparisonWork, reference: Path, row: tuple[Place, ...]) -> list[CellResult]:
+    """Compare the dies of one strip with the reference file, as a worker's task."""
+    golden, noise = _reference(reference)
+    return compare_here(replace(work, golden=replace(work.golden, **golden)), noise, row)
+
+
+def compare_here(work: ComparisonWork, noise: NoiseModel, row: tuple[Place, ...]) -> list[CellResult]:
+    """Compare the dies of one strip."""
+    from wafer_viewer.measure.defects.cell_comparison import compare_cells
+
+    return compare_cells(work, row, noise)
+
+
+def in_order(outcomes: Iterable[Done]) -> Generator[Any]:
+    """Yield the values of items in the order of the items; the first fault is raised."""
+    early: dict[int, Any] = {}
+    wanted = 0
+    for done in outcomes:
+        if done.fault is not None:
+            raise done.fault
+        early[done.index] = done.value
+        while wanted in early:
+            yield early.pop(wanted)
+            wanted += 1
+
+
+@contextmanager
+def kept(folder: Path, golden: ReferenceDie, noise: NoiseModel) -> Generator[Path]:
+    """Store the reference data of the comparison in a temporary file."""
+    _sweep(folder)
+    path = folder / f"{BEGINS}{uuid4().hex[:12]}{ENDS}"
+    write_planes(path, {name: getattr(golden, name) for name in PLANES} | _planes_of(noise))
+    try:
+        yield path
+    finally:
+        remove(path)
+
+
+def _sweep(folder: Path) -> None:
+    for left in folder.glob(f"{BEGINS}*{ENDS}"):
+        if time.time() - left.stat().st_mtime > LEFT_FOR_S:
+            remove(left)
+
+
+@lru_cache(maxsize=1)
+def _reference(path: Path) -> tuple[dict[str, NDArray[Any]], NoiseModel]:
+    """Return the golden planes by name and the noise; cached from row to row."""
+    planes = read_planes(path)
+    return {name: planes.pop(name) for name in PLANES}, _noise_of(planes)
+
+
+def _planes_of(noise: NoiseModel) -> dict[str, NDArray[Any]]:
+    """Return the arrays of the noise model by name, with layer and scale where they have one."""
+    facts = {name: getattr(noise, name) for name in BY_KEY}
+    named = {f"{name}/{k[0]}/{k[1]!r}": value for name, by in facts.items() for k, value in by.items()}
+    return named | {name: getattr(noise, name) for name in OF_ALL}
+
+
+def _noise_of(planes: dict[str, NDArray[Any]]) -> NoiseModel:
+    from wafer_viewer.measure.defects.noise_model import NoiseModel
+
+    whole: dict[str, Any] = {name: planes.pop(name) for name in OF_ALL}
+    facts: dict[str, dict[tuple[str, float], Any]] = {name: {} for name in BY_KEY}
+    for title, value in planes.items():
+        name, layer, scale = title.split("/")
+        facts[name][layer, float(scale)] = value
+    return NoiseModel(**facts, **whole)
+
 
 Against = Literal["dies", "form"]
 """Reference of the comparison: the other dies or a golden die, or a form fitted to the surface."""

@@ -7,13 +7,13 @@ from typing import Any, Literal
 
 import numpy as np
 
-from wafer_viewer.model.acquisition.alignment import Alignment
+from wafer_viewer.model.acquisition.sample import Alignment
 from wafer_viewer.model.errors import DatasetError
 from wafer_viewer.model.inspection.defect import Inspection
 from wafer_viewer.model.inspection.die_grid import DieGrid
 from wafer_viewer.model.inspection.klarf import Klarf
 from wafer_viewer.model.spec import replace
-from wafer_viewer.session.state.inspection_resources import SAME_PLACE_UM, OtherTool
+from wafer_viewer.session.state.inspection_state import SAME_PLACE_UM, OtherTool
 
 KlarfUnit = Literal["um", "nm", "mm"]
 SAME_PITCH = 5e-3
@@ -31,7 +31,7 @@ def overlay_klarf(
 
     Raises DatasetError for what `read_klarf` refuses, dies of another pitch, and a distance that is not positive.
     """
-    from wafer_viewer.store.tables.klarf_reader import read_klarf
+    from wafer_viewer.store.tables.klarf import read_klarf
 
     if within_um <= 0:
         raise DatasetError(f"The same place is within {within_um:g} um: give more than 0.")

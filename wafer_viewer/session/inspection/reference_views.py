@@ -15,13 +15,19 @@ import msgspec
 from wafer_viewer.model.errors import DatasetError, WaferViewerError
 from wafer_viewer.model.inspection.defect import Defect, Inspection
 from wafer_viewer.model.surface.comparison import ComparisonFace
-from wafer_viewer.session.rendering.comparison_views import ComparisonRequest, ComparisonViews, DiePicture, Place
-from wafer_viewer.session.rendering.render_request import RenderRequest, SurfaceKey
+from wafer_viewer.session.rendering.render_request import (
+    ComparisonRequest,
+    ComparisonViews,
+    DiePicture,
+    Place,
+    RenderRequest,
+    SurfaceKey,
+)
 
 if TYPE_CHECKING:
-    from wafer_viewer.model.acquisition.alignment import Alignment
-    from wafer_viewer.model.inspection.repeating_defect import RepeatedPlace
-    from wafer_viewer.model.job.job import Job
+    from wafer_viewer.model.acquisition.sample import Alignment
+    from wafer_viewer.model.inspection.defect import RepeatedPlace
+    from wafer_viewer.model.job import Job
     from wafer_viewer.session.state.snapshot import OpenDataset, Snapshot, SurfaceInfo
 
 T = TypeVar("T")

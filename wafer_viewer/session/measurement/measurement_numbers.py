@@ -9,7 +9,7 @@ from typing import Any
 from wafer_viewer.draw.number_format import number, share, value_and_u
 from wafer_viewer.model.findings import AnyResult
 from wafer_viewer.model.measurement.levelling import Levelling
-from wafer_viewer.model.measurement.measurement import MeasurementResult
+from wafer_viewer.model.measurement.measurements import MeasurementResult
 from wafer_viewer.model.quantity import BudgetLine, Length, Quantity
 from wafer_viewer.model.region import Point, Region
 from wafer_viewer.model.spec import Spec

@@ -1,4 +1,4 @@
-"""Results list of the open dataset: add, rename and delete with undo, saved at every change.
+"""Results list and notebook of the open dataset: edited with undo, saved at every change.
 
 Thumbnails are stored next to the list. A number is never reused, so that the thumbnail of a deleted result still
 belongs to it after the deletion is undone.
@@ -6,30 +6,40 @@ belongs to it after the deletion is undone.
 
 from __future__ import annotations
 
+from collections.abc import Callable
+from concurrent.futures import Future
 from itertools import count
 from pathlib import Path
+from typing import Any
 
-from wafer_viewer.model.errors import MeasureError
+from wafer_viewer.model.errors import DatasetError, MeasureError
 from wafer_viewer.model.findings import AnyResult, MeasurementResults
-from wafer_viewer.model.gauge.gauge_check import GaugeCheck
+from wafer_viewer.model.gauge import GaugeCheck
 from wafer_viewer.model.inspection.defect import Defect
-from wafer_viewer.model.measurement.edge_and_bump_shapes import Chipping, CircleSize, Coplanarity, DieSize, KerfWidth
+from wafer_viewer.model.job import Notebook, SavedView, Verdict
 from wafer_viewer.model.measurement.measurements import (
     AreaVolume,
+    Chipping,
+    CircleSize,
+    Coplanarity,
+    DieSize,
     Distance,
     FaceAngle,
     Flatness,
+    KerfWidth,
     PointHeight,
     Profile,
     Radius,
+    Roughness,
+    SiteRanges,
+    StepHeight,
+    StepProfile,
+    Texture,
 )
-from wafer_viewer.model.measurement.site_range import SiteRanges
-from wafer_viewer.model.measurement.step import StepHeight, StepProfile
-from wafer_viewer.model.measurement.texture import Roughness, Texture
 from wafer_viewer.model.spec import replace
-from wafer_viewer.session.core.command_queue import CommandQueue
+from wafer_viewer.session.core.command_queue import CommandQueue, UndoHistory
 from wafer_viewer.session.core.dataset_library import Library
-from wafer_viewer.session.core.undo_history import UndoHistory
+from wafer_viewer.session.state.snapshot import NotebookState
 
 NAMES: dict[type[AnyResult], str] = {
     Profile: "Profile",
@@ -107,7 +117,7 @@ class ResultsStore:
     def export(self, path: Path) -> Path:
         """Write the list as CSV."""
         from wafer_viewer.store.io.atomic_files import write_text
-        from wafer_viewer.store.tables.measurements_csv import findings_csv
+        from wafer_viewer.store.tables.csv_tables import findings_csv
 
         write_text(path, findings_csv(MeasurementResults(items=self._items.value)))
         return path
@@ -141,3 +151,119 @@ class ResultsStore:
     def _require_writable(self) -> None:
         if (why := self._library.shown.read_only) is not None:
             raise MeasureError(f"Results cannot be kept: {why}")
+
+
+class NotebookKeeper:
+    """Controller of the notebook. Use on the session's thread only."""
+
+    def __init__(self, desk: CommandQueue, library: Library) -> None:
+        self._desk, self._library = desk, library
+        self._history: UndoHistory[Notebook] = UndoHistory(Notebook())
+
+    def open(self) -> None:
+        """Read the notebook of the displayed result; it is empty without a dataset."""
+        from wafer_viewer.store.records.inspection_records import read_notebook
+
+        shown = self._desk.now.dataset
+        self._history.restart(Notebook())  # that of another dataset must not stay where this cannot be read
+        self._history.restart(read_notebook(self._library.result.path) if shown is not None else Notebook())
+        self._show()
+
+    def save_view(self, view: SavedView) -> SavedView:
+        """Save a view with a number; a view without a name is named after its number."""
+        views = self._history.value.views
+        number = next(n for n in range(1, len(views) + 2) if all(v.number != n for v in views))
+        kept = replace(view, number=number, name=view.name.strip() or f"View {number}")
+        self._put(views=tuple(sorted((*views, kept), key=lambda v: v.number)))
+        return kept
+
+    def rename_view(self, number: int, name: str) -> None:
+        """Rename a view."""
+        old = self._numbered(number)
+        renamed = replace(old, name=name.strip() or old.name)
+        self._put(views=tuple(renamed if v.number == number else v for v in self._history.value.views))
+
+    def delete_view(self, number: int) -> None:
+        """Delete a view."""
+        self._numbered(number)
+        self._put(views=tuple(v for v in self._history.value.views if v.number != number))
+
+    def judge(self, key: str, verdict: Verdict | None, note: str | None) -> None:
+        """Set the judgement of an item; None leaves the verdict or the note unchanged."""
+        old = self._history.value.judgement(key)
+        new = replace(
+            old,
+            verdict=old.verdict if verdict is None else verdict,
+            note=old.note if note is None else note.strip(),
+        )
+        if new != old:
+            others = tuple(j for j in self._history.value.judgements if j.key != key)
+            self._put(judgements=tuple(sorted((*others, new), key=lambda j: j.key)))
+
+    def undo(self) -> None:
+        """Undo the last change of the notebook."""
+        self._require_writable()
+        self._history.undo()
+        self._save()
+
+    def redo(self) -> None:
+        """Redo the last undone change."""
+        self._require_writable()
+        self._history.redo()
+        self._save()
+
+    def _put(self, **changes: Any) -> None:
+        self._require_writable()
+        self._history.put(replace(self._history.value, **changes))
+        self._save()
+
+    def _save(self) -> None:
+        from wafer_viewer.store.records.inspection_records import write_notebook
+
+        write_notebook(self._library.result.path, self._history.value)
+        self._show()
+
+    def _show(self) -> None:
+        history = self._history
+        self._desk.change(notebook=NotebookState(history.value, history.can_undo, history.can_redo))
+
+    def _numbered(self, number: int) -> SavedView:
+        found = self._history.value.view(number)
+        if found is None:
+            raise DatasetError(f"There is no view {number}: it was deleted, choose another.")
+        return found
+
+    def _require_writable(self) -> None:
+        if (why := self._library.shown.read_only) is not None:
+            raise DatasetError(f"Nothing can be noted down: {why}")
+
+
+class NotebookVerbs:
+    """Notebook commands of the page; every command returns a future."""
+
+    def __init__(self, do: Callable[..., Future[Any]], keeper: NotebookKeeper) -> None:
+        self._do, self._keeper = do, keeper
+
+    def save_view(self, view: SavedView) -> Future[SavedView]:
+        """Save a view of the surface with a number and a name."""
+        return self._do(self._keeper.save_view, view)
+
+    def rename_view(self, number: int, name: str) -> Future[None]:
+        """Rename a saved view."""
+        return self._do(self._keeper.rename_view, number, name)
+
+    def delete_view(self, number: int) -> Future[None]:
+        """Delete a saved view."""
+        return self._do(self._keeper.delete_view, number)
+
+    def judge(self, key: str, verdict: Verdict | None = None, note: str | None = None) -> Future[None]:
+        """Accept or reject an item under review, or set a note."""
+        return self._do(self._keeper.judge, key, verdict, note)
+
+    def undo(self) -> Future[None]:
+        """Undo the last change of the notebook."""
+        return self._do(self._keeper.undo)
+
+    def redo(self) -> Future[None]:
+        """Redo the last undone change."""
+        return self._do(self._keeper.redo)

@@ -9,7 +9,7 @@ from __future__ import annotations
 from wafer_viewer.model.acquisition.devices import Rig
 from wafer_viewer.model.acquisition.plan import FieldGrid, FocusSweep
 from wafer_viewer.model.acquisition.sample import Sample
-from wafer_viewer.model.job.job import Job
+from wafer_viewer.model.job import Job
 from wafer_viewer.rigs.rig_config import RigConfig
 
 TOUR_FIELDS = 3

@@ -7,12 +7,10 @@ from pathlib import Path
 from typing import Any
 
 from wafer_viewer.model.errors import DatasetError, PlanError
-from wafer_viewer.model.job.job import Job
-from wafer_viewer.model.job.revision_trial import Trial
-from wafer_viewer.model.job.verdict import WaferVerdict
+from wafer_viewer.model.job import Job, Trial, WaferVerdict
 from wafer_viewer.model.progress import Progress
 from wafer_viewer.model.spec import replace
-from wafer_viewer.session.core.surface_summary import load_summary
+from wafer_viewer.session.core.dataset_library import load_summary
 from wafer_viewer.session.planning.job_releases import for_next_wafer, free_place, prepared, released, revised
 from wafer_viewer.session.planning.plan_editor import read_job
 from wafer_viewer.session.planning.revision_trial import datasets_of, try_job

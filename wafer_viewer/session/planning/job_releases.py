@@ -6,10 +6,10 @@ from pathlib import Path
 
 from wafer_viewer.model.acquisition.plan import ScanPlan
 from wafer_viewer.model.errors import PlanError, WaferViewerError
-from wafer_viewer.model.job.job import Job
+from wafer_viewer.model.job import Job
 from wafer_viewer.model.spec import decode, encode, replace
 from wafer_viewer.model.surface.recipe import Recipe, Stitching
-from wafer_viewer.session.state.operator_state import JobEntry
+from wafer_viewer.session.state.snapshot import JobEntry
 
 FOLDER, ENDING = "jobs", ".toml"
 OF_ONE_WAFER = {"name": "", "lot": "", "wafer_id": "", "slot": 0, "operator": ""}

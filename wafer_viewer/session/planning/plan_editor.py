@@ -10,14 +10,12 @@ from wafer_viewer.model.acquisition.devices import Overview
 from wafer_viewer.model.acquisition.plan import FieldGrid, FocusSweep, ScanPlan
 from wafer_viewer.model.acquisition.rig_limits import RigLimits
 from wafer_viewer.model.errors import PlanError, WaferViewerError
-from wafer_viewer.model.job.job import Job
+from wafer_viewer.model.job import Job
 from wafer_viewer.model.spec import decode, encode, replace
 from wafer_viewer.model.surface.recipe import Recipe
-from wafer_viewer.session.core.command_queue import CommandQueue
-from wafer_viewer.session.core.undo_history import UndoHistory
+from wafer_viewer.session.core.command_queue import CommandQueue, UndoHistory
 from wafer_viewer.session.planning.job_releases import as_released, for_next_wafer, require_as_released, write_released
-from wafer_viewer.session.state.alignment_marks import SeenMark
-from wafer_viewer.session.state.snapshot import Draft, Typed
+from wafer_viewer.session.state.snapshot import Draft, SeenMark, Typed
 
 PLAN_ENDING = ".toml"
 RIG_STARTS = "The rig is starting: its time is estimated as soon as the rig answers."

@@ -11,7 +11,7 @@ from wafer_viewer.model.acquisition.calibration import Calibration, OpticalSetup
 from wafer_viewer.model.acquisition.plan import ScanPlan
 from wafer_viewer.model.acquisition.rig_limits import RigLimits
 from wafer_viewer.model.errors import PlanError
-from wafer_viewer.model.job.job import Job
+from wafer_viewer.model.job import Job
 from wafer_viewer.session.state.snapshot import LatestFrame, Snapshot
 from wafer_viewer.store.io.atomic_files import size
 

@@ -9,13 +9,12 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from wafer_viewer.model.errors import MeasureError
-from wafer_viewer.model.job.job import Job
-from wafer_viewer.model.job.verdict import WaferVerdict
+from wafer_viewer.model.job import Job, WaferVerdict
 from wafer_viewer.model.spec import encode
 from wafer_viewer.model.surface.height_map import Provenance
+from wafer_viewer.session.core.background_work import Notifications
 from wafer_viewer.session.core.command_queue import CommandQueue
 from wafer_viewer.session.core.dataset_library import Library, today
-from wafer_viewer.session.core.notifications import Notifications
 from wafer_viewer.session.state.snapshot import Snapshot
 
 if TYPE_CHECKING:

@@ -12,7 +12,7 @@ import msgspec
 import numpy as np
 from numpy.typing import NDArray
 
-from wafer_viewer.draw.surface.matched_pictures import Range, greys_of, heights_of, picture_of
+from wafer_viewer.draw.surface.pictures import Range, greys_of, heights_of, picture_of
 from wafer_viewer.measure.dies.die_crops import (
     LEAST_ALIKE,
     AlignedPatch,
@@ -25,13 +25,14 @@ from wafer_viewer.measure.dies.die_crops import (
     median_crop,
 )
 from wafer_viewer.model.errors import MeasureError, WaferViewerError
-from wafer_viewer.session.rendering.comparison_views import (
+from wafer_viewer.session.rendering.render_request import (
     ComparisonRequest,
     ComparisonView,
     ComparisonViews,
     DiePicture,
+    RenderRequest,
+    SurfaceKey,
 )
-from wafer_viewer.session.rendering.render_request import RenderRequest, SurfaceKey
 from wafer_viewer.session.rendering.surface_source import SurfaceProvider
 
 if TYPE_CHECKING:

@@ -145,7 +145,7 @@ def _surface(source: SurfaceKey) -> Mosaic:
 
 @lru_cache(maxsize=2)
 def _stacks(source: SurfaceKey) -> list[FieldStack]:
-    from wafer_viewer.session.surface.placement_summary import as_stitched
+    from wafer_viewer.session.surface.focus_evidence import as_stitched
     from wafer_viewer.store.dataset.dataset import Dataset
 
     dataset = Dataset.open(source.dataset)

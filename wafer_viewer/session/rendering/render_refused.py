@@ -9,7 +9,7 @@ from functools import cached_property, partial
 import numpy as np
 from numpy.typing import NDArray
 
-from wafer_viewer.draw.surface.clipping import CODES, DRAWN, Floats, point_codes
+from wafer_viewer.draw.surface.texture_baking import CODES, DRAWN, Floats, point_codes
 from wafer_viewer.model.measurement.levelling import Datum
 from wafer_viewer.model.surface.clipping import Box
 from wafer_viewer.model.surface.height_map import HeightMap

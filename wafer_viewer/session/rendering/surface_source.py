@@ -8,7 +8,7 @@ from typing import Protocol
 
 import numpy as np
 
-from wafer_viewer.draw.surface.block_mean import reduced
+from wafer_viewer.draw.surface.texture_baking import reduced
 from wafer_viewer.model.acquisition.focus_stack import FieldStack
 from wafer_viewer.model.measurement.levelling import Datum
 from wafer_viewer.model.region import Region

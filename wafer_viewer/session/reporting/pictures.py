@@ -10,8 +10,7 @@ import numpy as np
 from PIL import Image
 
 from wafer_viewer.draw.surface.display_style import DisplayStyle, Light
-from wafer_viewer.draw.surface.hillshade import light_gain
-from wafer_viewer.draw.surface.texture_baking import bake
+from wafer_viewer.draw.surface.texture_baking import bake, light_gain
 from wafer_viewer.model.errors import MeasureError
 from wafer_viewer.model.region import Region
 from wafer_viewer.model.surface.height_map import HeightMap, Mosaic

@@ -11,7 +11,7 @@ from pathlib import Path
 from wafer_viewer._version import __version__
 from wafer_viewer.draw.number_format import number
 from wafer_viewer.model.errors import ComputeError
-from wafer_viewer.model.job.review_notes import keys_of_features, keys_under_review
+from wafer_viewer.model.job import keys_of_features, keys_under_review
 from wafer_viewer.model.progress import Progress, ShouldStop, never, silent
 from wafer_viewer.model.report import (
     PART_TITLES,
@@ -25,16 +25,16 @@ from wafer_viewer.model.report import (
     Table,
 )
 from wafer_viewer.session.measurement.measurement_numbers import not_evaluated
-from wafer_viewer.session.reporting.defects_section import defects, defects_held
-from wafer_viewer.session.reporting.report_data import Material, gather
-from wafer_viewer.session.reporting.report_text import (
+from wafer_viewer.session.reporting.report_data import (
+    Material,
     calibration_pairs,
+    gather,
     plan_pairs,
     recipe_pairs,
     surface_pairs,
     verdict_text,
 )
-from wafer_viewer.session.reporting.results_section import gauge, profiles, results, verdict
+from wafer_viewer.session.reporting.sections import defects, defects_held, gauge, profiles, results, verdict
 
 OF_A_SCAN: tuple[Part, ...] = ("plan", "recipe")
 """Parts that a surface from a file does not have."""
@@ -238,7 +238,7 @@ def _left_out(material: Material) -> Iterator[str]:
 
 
 def _checksums(material: Material) -> ReportSection:
-    from wafer_viewer.store.dataset.digests import digests_of_result, digests_of_scan
+    from wafer_viewer.store.dataset.integrity import digests_of_result, digests_of_scan
 
     digests = (*digests_of_scan(material.dataset.path), *digests_of_result(material.result))
     made = material.result.mosaic().provenance.software_version if material.result.has_mosaic else ""

@@ -1,24 +1,169 @@
-"""Input data of the report's parts, read once from a dataset's folder."""
+"""Data and texts of a report, read once from a dataset's folder."""
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any, cast
 
+from wafer_viewer.draw.number_format import duration, number, share, size, with_unit
+from wafer_viewer.model.acquisition.calibration import Calibration
+from wafer_viewer.model.acquisition.plan import ScanPlan
 from wafer_viewer.model.findings import AnyResult
-from wafer_viewer.model.gauge.gauge_check import GaugeCheck
+from wafer_viewer.model.gauge import GaugeCheck
 from wafer_viewer.model.inspection.defect import Inspection
-from wafer_viewer.model.job.review_notes import Notebook
-from wafer_viewer.model.job.verdict import FeatureVerdict, WaferVerdict
+from wafer_viewer.model.job import FeatureVerdict, Job, Judgement, Notebook, WaferVerdict, key_of_result
+from wafer_viewer.model.measurement.feature import limits_text
 from wafer_viewer.model.region import Region
+from wafer_viewer.model.spec import Spec
+from wafer_viewer.model.surface.height_map import LAYER_TITLES
+from wafer_viewer.session.measurement.measurement_numbers import UNITS, quantity_text, spaced, title_of
 from wafer_viewer.session.planning.verdicts import kept_verdict
-from wafer_viewer.session.reporting.report_text import regions
 from wafer_viewer.session.state.snapshot import SurfaceInfo
 
 if TYPE_CHECKING:
     from wafer_viewer.store.dataset.dataset import Dataset
     from wafer_viewer.store.dataset.result import Result
+
+
+VERDICTS = {"open": "", "accepted": "accepted", "rejected": "rejected"}
+Pairs = tuple[tuple[str, str], ...]
+
+
+def result_row(finding: AnyResult, notebook: Notebook) -> tuple[str, ...]:
+    """Return number, name, kind, value, position and judgement of a result."""
+    said = judgement_text(notebook.judgement(key_of_result(finding.number)))
+    return (f"{finding.number}", finding.name, kind_of(finding), quantity_text(finding.main), where(finding), said)
+
+
+def kind_of(finding: AnyResult) -> str:
+    """Return the kind of a result, with its height layer and datum."""
+    return f"{spaced(type(finding).__name__)}{_terms(finding)}"
+
+
+def feature_row(n: int, judged: FeatureVerdict, judgement: Judgement) -> tuple[str, ...]:
+    """Return number and name of a feature of the job, its limits and value, the verdict and people's judgement."""
+    feature = judged.feature
+    limits = limits_text(feature).replace(f" {feature.unit}", f"\u202f{UNITS.get(feature.unit, feature.unit)}")
+    rule = f"{limits}, {feature.decision_rule.replace('_', ' ')}"
+    value = quantity_text(judged.measured) if judged.measured is not None else "not measured"
+    what = f", {title_of(feature.quantity)}" if feature.quantity else ""
+    return (f"F{n}", f"{judged.name}{what}", rule, value, judged.word.upper(), judgement_text(judgement))
+
+
+def verdict_text(verdict: WaferVerdict) -> str:
+    """Return the verdict on the wafer, and the job that it is of."""
+    return f"{verdict.word.upper()}{f', {verdict.job}' if verdict.job else ''}"
+
+
+def judgement_text(judgement: Judgement) -> str:
+    """Return people's verdict on an item, and their note."""
+    return " · ".join(part for part in (VERDICTS[judgement.verdict], judgement.note) if part)
+
+
+def regions(finding: AnyResult) -> tuple[Region, ...]:
+    """Return the regions of a result."""
+    held = (getattr(finding, name) for name in finding.__struct_fields__)
+    return tuple(region for value in held for region in _regions_of(value))
+
+
+def bounds_um(finding: AnyResult) -> tuple[float, float, float, float] | None:
+    """Return the upright rectangle around all regions of a result; None if it has none."""
+    boxes = [region.bounds_um for region in regions(finding)]
+    if not boxes:
+        return None
+    x0, y0, x1, y1 = zip(*boxes, strict=True)
+    return min(x0), min(y0), max(x1), max(y1)
+
+
+def where(finding: AnyResult) -> str:
+    """Return the centre of the regions of a result, stage um."""
+    box = bounds_um(finding)
+    if box is None:
+        return ""
+    of = f"field {finding.show}, " if finding.show > 0 else ""
+    return f"{of}{number((box[0] + box[2]) / 2, 1)}, {number((box[1] + box[3]) / 2, 1)}"
+
+
+def surface_pairs(info: SurfaceInfo) -> Pairs:
+    """Return the numbers of the surface."""
+    rows = [
+        ("Points", f"{number(info.cols, 0)} × {number(info.rows, 0)}, {number(info.pixel_um, 4)}\u202fµm apart"),
+        ("Fields", f"{info.n_fields}"),
+        ("Highest", with_unit(info.highest_um, 2, signed=True)),
+        ("Lowest", with_unit(info.lowest_um, 2, signed=True)),
+        ("Measured", share(info.measured_fraction)),
+        ("Filled", share(info.filled_fraction)),
+        *((f"Not measured: {words}", share(part)) for words, part in info.unmeasured if part > 0),
+    ]
+    if info.overlap_rms_um is not None:
+        rows.append(("Height difference in overlaps, rms", with_unit(info.overlap_rms_um, 2)))
+    if (placed := info.stitching) is not None:
+        rows += [
+            ("Overlaps accepted", f"{placed.n_believed} of {placed.n_overlaps}"),
+            ("Places, U (k = 2)", with_unit(placed.position_u_um, 3)),
+            ("Heights of fields, U (k = 2)", with_unit(placed.height_u_um, 3)),
+        ]
+    return tuple(rows)
+
+
+def plan_pairs(plan: ScanPlan, job: Job) -> Pairs:
+    """Return the scan's fields, frames, exposures and strategy."""
+    grid = f", {job.grid.rows} rows × {job.grid.cols} columns" if job.grid else ""
+    return (
+        ("Fields", f"{len(plan.fields)}{grid}"),
+        ("Frames per field", f"{plan.sweep.n_frames}, {number(plan.sweep.z_step_um, 3)}\u202fµm apart"),
+        ("Exposures", ", ".join(f"{e:g}" for e in plan.exposures_us) + "\u202fµs"),
+        ("Strategy", plan.strategy.replace("_", " ")),
+        ("Predicted time", duration(plan.predicted_s)),
+        ("Frames", f"{number(plan.n_frames, 0)}, {size(plan.bytes_on_disk)}"),
+    )
+
+
+def recipe_pairs(spec: Spec, before: str = "") -> Pairs:
+    """Return every setting with its value; nested groups are listed one after the other."""
+    pairs: list[tuple[str, str]] = []
+    for name in spec.__struct_fields__:
+        value = getattr(spec, name)
+        if isinstance(value, Spec):
+            pairs += recipe_pairs(value, f"{before}{spaced(name)}: ")
+        else:
+            pairs.append((f"{before}{spaced(name)}", _setting(value)))
+    return tuple(pairs)
+
+
+def _setting(value: object) -> str:
+    if isinstance(value, bool):
+        return "yes" if value else "no"
+    return f"{value:.6g}" if isinstance(value, float) else f"{value}".replace("_", " ")
+
+
+def calibration_pairs(calibration: Calibration) -> Pairs:
+    """Return pixel size and z scale with uncertainty, setup, reference standard and validity dates."""
+    setup = calibration.setup
+    return (
+        ("Pixel", f"{calibration.pixel_um:.6g} ± {2 * calibration.u_pixel_um:.2g}\u202fµm (k = 2)"),
+        ("z scale", f"{calibration.z_scale:.7g} ± {2 * calibration.u_z_scale:.2g} (k = 2)"),
+        ("Objective", setup.objective or "–"),
+        ("Camera", setup.camera or "–"),
+        ("Against", calibration.against),
+        ("Made, due", f"{calibration.made}, {calibration.due}"),
+        *((("z scale set by gauge blocks", ", ".join(calibration.z_against)),) if calibration.z_against else ()),
+    )
+
+
+def _terms(finding: AnyResult) -> str:
+    """Return the height layer and the levelling of a result."""
+    levelled = "" if finding.levelling.by == "stage" else f", levelled by {finding.levelling.by}"
+    return f", {LAYER_TITLES[finding.surface]}{levelled}"
+
+
+def _regions_of(value: Any) -> Iterator[Region]:
+    if isinstance(value, Region):
+        yield value
+    elif isinstance(value, tuple):
+        yield from (item for item in cast(tuple[Any, ...], value) if isinstance(item, Region))
 
 
 @dataclass(frozen=True, slots=True)
@@ -75,10 +220,9 @@ class Material:
 
 def gather(folder: Path, result_name: str) -> Material:
     """Read the report data of a dataset. Raises DatasetError when the folder is no dataset."""
-    from wafer_viewer.session.core.surface_summary import load_summary
+    from wafer_viewer.session.core.dataset_library import load_summary
     from wafer_viewer.store.dataset.dataset import Dataset
-    from wafer_viewer.store.records.inspection_file import read_inspection
-    from wafer_viewer.store.records.review_notes import read_notebook
+    from wafer_viewer.store.records.inspection_records import read_inspection, read_notebook
 
     dataset = Dataset.open(folder)
     result = dataset.result(result_name)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field, replace
 from enum import Enum
 from pathlib import Path
 from typing import Literal
@@ -12,16 +12,107 @@ from wafer_viewer.model.acquisition.devices import Overview
 from wafer_viewer.model.acquisition.focus_stack import Image
 from wafer_viewer.model.acquisition.plan import Field, ScanPlan
 from wafer_viewer.model.acquisition.rig_limits import RigLimits
+from wafer_viewer.model.errors import PlanError
 from wafer_viewer.model.findings import AnyResult
-from wafer_viewer.model.job.job import Job
+from wafer_viewer.model.job import Job, Notebook, Trial, WaferVerdict
+from wafer_viewer.model.surface.comparison import Comparison
 from wafer_viewer.model.surface.recipe import Recipe
-from wafer_viewer.session.state.comparison_state import Compared
-from wafer_viewer.session.state.control_state import ControlState
-from wafer_viewer.session.state.gauge_state import GaugeState
-from wafer_viewer.session.state.inspection_resources import DefectShelf
-from wafer_viewer.session.state.inspection_state import InspectionState
-from wafer_viewer.session.state.operator_state import Operating
-from wafer_viewer.session.state.review_state import NotebookState
+from wafer_viewer.session.state.inspection_state import DefectShelf, GaugeState, InspectionState
+
+
+@dataclass(frozen=True, slots=True)
+class Compared:
+    """Comparison that can be displayed.
+
+    `stamp` changes whenever it does; outdated: a surface has been recomputed since.
+    """
+
+    number: int
+    name: str
+    comparison: Comparison
+    stamp: int
+    outdated: bool = False
+
+
+@dataclass(frozen=True, slots=True)
+class Browser:
+    """Connected browser with its name. present: False while its return is expected, as after a reload."""
+
+    key: str
+    name: str
+    present: bool = True
+
+
+@dataclass(frozen=True, slots=True)
+class ControlState:
+    """Connected browsers, and the holder and requester of control.
+
+    browsers: in order of arrival. holder, asking: keys, None for nobody. asked_at: clock time in s of the request,
+    after which the holder has `answer_s` to refuse it. kept_from: key of the last refused requester.
+    """
+
+    browsers: tuple[Browser, ...] = ()
+    holder: str | None = None
+    asking: str | None = None
+    asked_at: float = 0.0
+    answer_s: float = 0.0
+    kept_from: str | None = None
+
+    def browser(self, key: str | None) -> Browser | None:
+        """Return the browser with a key; None if it is not connected."""
+        return next((b for b in self.browsers if b.key == key), None)
+
+    def name_of(self, key: str | None) -> str:
+        """Return the name of a browser; empty if it is not connected."""
+        found = self.browser(key)
+        return found.name if found is not None else ""
+
+    def holds(self, key: str) -> bool:
+        """Return whether a browser has control."""
+        return bool(key) and key == self.holder
+
+    def why_not(self, key: str) -> str | None:
+        """Return why a browser does not have control; None if it does."""
+        if self.holds(key):
+            return None
+        name = self.name_of(self.holder)
+        return f"{name} holds the controls." if name else "Nobody holds the controls."
+
+
+@dataclass(frozen=True, slots=True)
+class JobEntry:
+    """Entry of the list of released jobs."""
+
+    path: Path
+    product: str
+    revision: str
+    n_fields: int
+    n_features: int
+
+
+@dataclass(frozen=True, slots=True)
+class Operating:
+    """Released jobs, wafer verdict and trial.
+
+    judging: the features of the open dataset are being measured for their verdict. trial: result of a plan on stored
+    wafers, `trial_of` that plan; trying: a trial is running.
+    """
+
+    jobs: tuple[JobEntry, ...] = ()
+    verdict: WaferVerdict | None = None
+    judging: bool = False
+    trial: Trial | None = None
+    trial_of: Job | None = None
+    trying: bool = False
+
+
+@dataclass(frozen=True, slots=True)
+class NotebookState:
+    """Saved views and judgements, and whether their last change can be undone or redone."""
+
+    book: Notebook = Notebook()
+    can_undo: bool = False
+    can_redo: bool = False
 
 
 class FieldState(Enum):
@@ -299,3 +390,32 @@ class Snapshot:
     def dataset_overview(self) -> Overview | None:
         """Overview image if it shows the sample of the open dataset; None for data of another instrument."""
         return self.overview if self.is_of_this_rig else None
+
+
+Place = tuple[float, float]
+
+
+@dataclass(frozen=True, slots=True)
+class SeenMark:
+    """Stage x, y in um of corners by number from 0; empty for another wafer or other corners."""
+
+    of: tuple[object, ...] = ()
+    at_um: dict[int, Place] = field(default_factory=dict[int, Place])
+
+    def with_place(self, job: Job, n: int, place_um: Place) -> SeenMark:
+        """Return a copy with the position of the n-th corner. Raises PlanError when the job has no such corner."""
+        if job.marks is None or not 0 <= n < len(job.marks.places):
+            raise PlanError(f"There is no corner {n + 1} to mark: the job names how many there are.")
+        before = self.at_um if self.of == _wafer(job) else {}
+        return replace(self, of=_wafer(job), at_um={**before, n: place_um})
+
+    def places_um(self, job: Job) -> tuple[Place | None, ...]:
+        """Return the position of each corner of the job; None for a corner not marked yet."""
+        if job.marks is None:
+            return ()
+        at_um = self.at_um if self.of == _wafer(job) else {}
+        return tuple(at_um.get(n) for n in range(len(job.marks.places)))
+
+
+def _wafer(job: Job) -> tuple[object, ...]:
+    return job.product, job.marks, job.sample.lot, job.sample.wafer_id

@@ -13,14 +13,14 @@ from typing import TYPE_CHECKING, Any
 
 from wafer_viewer.model.errors import DatasetError, WaferViewerError
 from wafer_viewer.model.surface.comparison import Align, Comparison, ComparisonFace, SurfaceName, comparison_of
-from wafer_viewer.session.state.comparison_state import Compared
+from wafer_viewer.session.state.snapshot import Compared
 
 if TYPE_CHECKING:
     from wafer_viewer.compute.compute_client import Compute
     from wafer_viewer.model.surface.height_map import Mosaic
+    from wafer_viewer.session.core.background_work import Notifications
     from wafer_viewer.session.core.command_queue import CommandQueue
     from wafer_viewer.session.core.dataset_library import Library
-    from wafer_viewer.session.core.notifications import Notifications
     from wafer_viewer.session.state.snapshot import Snapshot
 
 Pair = tuple[SurfaceName, SurfaceName]

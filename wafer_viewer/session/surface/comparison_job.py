@@ -31,7 +31,7 @@ THREADS = 2
 
 def open_surface(name: SurfaceName) -> Mosaic:
     """Return the surface of a name. Raises DatasetError when it does not exist."""
-    from wafer_viewer.reconstruct.comparison.height_layer_choice import read_as
+    from wafer_viewer.reconstruct.comparison.height_difference import read_as
     from wafer_viewer.store.formats.readers import read_surface
 
     path = Path(name.path)
@@ -56,9 +56,8 @@ def made_at(name: SurfaceName) -> float:
 
 def comparison_view(dataset: Path, result: str, face: ComparisonFace) -> Mosaic:
     """Return a layer of a comparison. Raises DatasetError when it, or one of its surfaces, does not exist."""
-    from wafer_viewer.reconstruct.comparison.lazy_pyramid import as_pyramid
-    from wafer_viewer.reconstruct.comparison.resampled_surface import ResampledMosaic
-    from wafer_viewer.reconstruct.comparison.side_by_side import SideBySideMosaic
+    from wafer_viewer.reconstruct.comparison.height_difference import as_pyramid
+    from wafer_viewer.reconstruct.comparison.resampled_surface import ResampledMosaic, SideBySideMosaic
 
     kept = Dataset.open(dataset).result(result)
     if face is ComparisonFace.DIFFERENCE:

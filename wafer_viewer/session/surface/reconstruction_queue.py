@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 import time
+from collections import deque
 from collections.abc import Callable, Iterable
 from concurrent.futures import Future
+from dataclasses import dataclass, field
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -14,13 +16,59 @@ from wafer_viewer.compute.compute_client import Compute
 from wafer_viewer.compute.messages import ComputeAbsent, ComputeUp, ComputeWarm, Progressed
 from wafer_viewer.model.errors import ComputeError
 from wafer_viewer.model.surface.recipe import Recipe
+from wafer_viewer.session.core.background_work import Notifications
 from wafer_viewer.session.core.command_queue import CommandQueue
 from wafer_viewer.session.core.dataset_library import Library
-from wafer_viewer.session.core.notifications import Notifications
 from wafer_viewer.session.state.snapshot import FieldState, SurfaceInfo
-from wafer_viewer.session.surface.reconstruction_run import ReconstructionRun
 from wafer_viewer.session.surface.stitching_job import bring_up_to_date, describe_mosaic
 from wafer_viewer.session.surface.worker_tasks import reconstruct_field, reconstruct_live, warm_up
+
+
+@dataclass(slots=True)
+class ReconstructionRun:
+    """Reconstruction of the open dataset; fields can be added while a scan runs.
+
+    complete: fields that have all their frames; live: those reconstructed during their scan, of which made_live have
+    their heights. restitch: the mosaic lacks available heights; grown: fields were added before all were available, so
+    their poses still have to be solved jointly; grows_again_at: earliest clock time of the next update.
+    """
+
+    path: Path
+    result: str
+    recipe: Recipe
+    work: str
+    waiting: deque[int] = field(default_factory=deque[int])
+    busy: set[int] = field(default_factory=set[int])
+    total: int = 0
+    complete: set[int] = field(default_factory=set[int])
+    live: set[int] = field(default_factory=set[int])
+    made_live: set[int] = field(default_factory=set[int])
+    restitch: bool = False
+    grown: bool = False
+    stitching: bool = False
+    grows_again_at: float = 0.0
+    answered: bool = False
+    answer: Future[None] | None = None
+
+    @property
+    def settling(self) -> bool:
+        """True while the first field still has to resolve `auto` for all; it is processed alone."""
+        return self.recipe.heights_have_auto and not self.answered
+
+    @property
+    def idle(self) -> bool:
+        """True if no field is queued or on a worker."""
+        return not self.waiting and not self.busy
+
+    @property
+    def growing_work(self) -> str:
+        """Name of the work item for updates of the growing mosaic."""
+        return f"{self.work}-growing"
+
+    def live_work(self, number: int) -> str:
+        """Return the name of the work item of a field's live reconstruction."""
+        return f"{self.work}-live-{number}"
+
 
 GROWING_PAUSES = 3.0
 """Pause between updates of a growing mosaic, relative to the duration of an update; field heights have priority."""

@@ -228,7 +228,7 @@ def describe_mosaic(
     dataset: Path, result: str, *, progress: Progress = silent, should_stop: ShouldStop = never
 ) -> SurfaceInfo:
     """Compute the summary of an existing mosaic, as a worker's task."""
-    from wafer_viewer.session.core.surface_summary import save_summary, summarise
+    from wafer_viewer.session.core.dataset_library import save_summary, summarise
     from wafer_viewer.session.surface.stitching_inputs import StitchingInputs
     from wafer_viewer.store.dataset.dataset import Dataset
 
@@ -250,8 +250,8 @@ def _summary(sheets: StitchingInputs, poses: Poses, recipe: Recipe, windows: Seq
 
 def _described(sheets: StitchingInputs, poses: Poses | None, recipe: Recipe) -> SurfaceInfo:
     """Compute and store the summary of the mosaic."""
-    from wafer_viewer.session.core.surface_summary import save_summary, summarise
-    from wafer_viewer.session.surface.placement_summary import stitching_info
+    from wafer_viewer.session.core.dataset_library import save_summary, summarise
+    from wafer_viewer.session.surface.focus_evidence import stitching_info
 
     info = summarise(sheets.kept.mosaic(), len(sheets.fields), sheets.kept.name, recipe)
     info = replace(info, stitching=None if poses is None else stitching_info(poses))

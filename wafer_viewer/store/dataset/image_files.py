@@ -1,4 +1,4 @@
-"""Image files from other sources: a folder, a multi-page TIFF or a list of files, read lazily.
+"""Image files from other sources, and thumbnails made without reading large files.
 
 Colour is converted to luminance (Rec. 709 weights on the stored values), 8 and 16 bits are preserved, and files are
 sorted in natural order: 2 before 10.
@@ -6,6 +6,7 @@ sorted in natural order: 2 before 10.
 
 from __future__ import annotations
 
+import io
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import partial
@@ -16,7 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from wafer_viewer.model.acquisition.focus_stack import Image
-from wafer_viewer.model.errors import DatasetError
+from wafer_viewer.model.errors import DatasetError, WaferViewerError
 from wafer_viewer.store.io.atomic_files import natural_sort_key
 
 REC_709 = np.array([0.2126, 0.7152, 0.0722])
@@ -178,3 +179,108 @@ def as_grey(values: NDArray[Any], name: str) -> Image:
 
 def _endings() -> str:
     return ", ".join(READERS)
+
+
+SIDE_PX = 96
+"""Longer side of a preview in px: twice the displayed size, for high-density screens."""
+JPEG_QUALITY = 80
+MAX_FILE_BYTES = 64_000_000
+MAX_TIFF_BYTES = 4_000_000_000
+"""Largest TIFF in bytes; only one page of it is read."""
+MAX_PIXELS = 40_000_000
+STRETCH_PERCENT = 0.5, 99.5
+"""Percentiles that are stretched to the full grey range, so that dark images are readable at this size."""
+DATASET_ENDING = ".wafer"
+
+
+def preview(path: Path) -> bytes:
+    """Return a thumbnail of a file or folder as JPEG; empty bytes if there is none.
+
+    Parameters
+    ----------
+    path : Path
+        An image, a multi-page TIFF, a folder of images, or a dataset NAME.wafer.
+    """
+    try:
+        image = _image_of(path)
+    except (WaferViewerError, OSError, ValueError, RuntimeError, SyntaxError, KeyError, IndexError, EOFError):
+        return b""
+    return b"" if image is None else _jpeg(image)
+
+
+def _image_of(path: Path) -> NDArray[Any] | None:
+    if path.name.endswith(DATASET_ENDING) and path.is_dir():
+        return _of_dataset(path)
+    if path.is_dir():
+        files = image_files(path)
+        path = files[len(files) // 2]
+    if not path.is_file():
+        return None
+    ending = path.suffix.lower()
+    if ending in TIFF_ENDINGS:
+        return _middle_page(path)
+    if ending not in READERS or path.stat().st_size > MAX_FILE_BYTES or _n_pixels(path) > MAX_PIXELS:
+        return None
+    return as_grey(READERS[ending](path), path.name)
+
+
+def _middle_page(path: Path) -> NDArray[Any] | None:
+    import tifffile
+
+    if path.stat().st_size > MAX_TIFF_BYTES:
+        return None
+    with tifffile.TiffFile(path) as file:
+        page: Any = file.pages[len(file.pages) // 2]
+        if page.imagewidth * page.imagelength > MAX_PIXELS:
+            return None
+        values = np.asarray(page.asarray())
+    values = np.moveaxis(values, 0, -1) if page.axes.startswith("S") else values
+    return values if values.dtype.kind == "f" and values.ndim == 2 else as_grey(values, path.name)
+
+
+def _n_pixels(path: Path) -> int:
+    import PIL.Image
+
+    with PIL.Image.open(path) as image:  # reads the header alone
+        return image.width * image.height
+
+
+def _of_dataset(path: Path) -> NDArray[Any] | None:
+    """Return the all-in-focus image of the stitched surface, or the middle frame of the first field with frames."""
+    from wafer_viewer.store.dataset.dataset import Dataset
+    from wafer_viewer.store.mosaic.zarr_mosaic import ZarrMosaic
+
+    dataset = Dataset.open(path)
+    for name in dataset.results():
+        result = dataset.result(name)
+        if result.has_mosaic and isinstance(mosaic := result.mosaic(), ZarrMosaic):
+            level = next((n for n in range(mosaic.levels) if _small(mosaic, n)), mosaic.levels - 1)
+            rows, cols = mosaic.header.shape_of(level)
+            return mosaic.read("all_in_focus", level, slice(0, rows), slice(0, cols))
+    for field in dataset.fields:
+        frames = sorted({shot.k for shot in dataset.kept() if shot.field == field.number})
+        if frames:
+            return np.asarray(dataset.stack(field.number, verify=False).images[frames[len(frames) // 2]])
+    return None
+
+
+def _small(mosaic: Any, level: int) -> bool:
+    rows, cols = mosaic.header.shape_of(level)
+    return max(rows, cols) <= 4 * SIDE_PX
+
+
+def _jpeg(values: NDArray[Any]) -> bytes:
+    from PIL import Image
+
+    step = max(1, max(values.shape) // (4 * SIDE_PX))  # a percentile of all pixels costs more than shows
+    thin = np.asarray(values[::step, ::step], np.float32)
+    finite = thin[np.isfinite(thin)]
+    if not finite.size:
+        return b""
+    low, high = (float(v) for v in np.percentile(finite, STRETCH_PERCENT))
+    grey = np.nan_to_num((thin - low) / max(high - low, 1e-9)).clip(0, 1) * 255
+    picture = Image.fromarray(grey.astype(np.uint8))
+    picture.thumbnail((SIDE_PX, SIDE_PX))
+    out = io.BytesIO()
+    picture.save(out, "JPEG", quality=JPEG_QUALITY)
+    return out.getvalue()

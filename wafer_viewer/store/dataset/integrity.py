@@ -1,4 +1,4 @@
-"""Integrity of a dataset: every file by kind, with the state of its checksum.
+"""Integrity of a dataset: the checksum of every file, and the digests that identify it.
 
 Frames are verified by `Dataset.check`, which compares them with the journal. A file of a kind that is not listed here
 is reported as unknown, so that a new kind of file cannot go unchecked unnoticed.
@@ -6,6 +6,7 @@ is reported as unknown, so that a new kind of file cannot go unchecked unnoticed
 
 from __future__ import annotations
 
+import hashlib
 import re
 from collections import defaultdict
 from collections.abc import Callable
@@ -15,10 +16,10 @@ from pathlib import Path
 import numpy as np
 
 from wafer_viewer.model.errors import DatasetError
-from wafer_viewer.model.progress import Progress, ShouldStop
-from wafer_viewer.store.dataset.result import DRAWING
+from wafer_viewer.model.progress import Progress, ShouldStop, with_progress
+from wafer_viewer.store.dataset.result import DRAWING, FINDINGS, MOSAIC, POSES, SURFACES, Result
 from wafer_viewer.store.dataset.scan_record import FRAMES, JOURNAL
-from wafer_viewer.store.io.atomic_files import natural_sort_key
+from wafer_viewer.store.io.atomic_files import natural_sort_key, size
 from wafer_viewer.store.io.checksums import (
     Checksum,
     archive_state,
@@ -28,7 +29,6 @@ from wafer_viewer.store.io.checksums import (
     require_json,
     text_state,
 )
-from wafer_viewer.store.io.progress import with_progress
 from wafer_viewer.store.mosaic import layout
 from wafer_viewer.store.mosaic.missing_shards import missing, missing_files
 from wafer_viewer.store.mosaic.statistics import facts_state
@@ -187,3 +187,66 @@ KINDS = (
     _kind("Lock", r"lock", None),  # names the process that writes; the lock of the operating system counts
     _kind("Left by a process that ended", r"(.+/)?\.[^/]+\.part(/.*)?", None),  # never read
 )
+
+
+SCAN, VERDICT, NOTEBOOK = "scan.json", "verdict.json", "notebook.json"
+HELD = "the frames themselves are checked against the journal's crc32 of each by wafer-viewer check"
+PIECE = 1 << 20
+MOST_BYTES = 20e9
+"""Size limit in bytes; of larger file sets only names and sizes are hashed, so that a report does not take minutes."""
+
+
+@dataclass(frozen=True, slots=True)
+class Digest:
+    """SHA-256 of some files of a dataset, and a description of them."""
+
+    what: str
+    of: str
+    sha256: str
+
+
+def digests_of_scan(dataset: Path) -> tuple[Digest, ...]:
+    """Return the digest of the record and the journal, which holds a checksum of every frame."""
+    return (_digest("Frames", f"{SCAN} and {JOURNAL}; {HELD}", dataset, [dataset / SCAN, dataset / JOURNAL]),)
+
+
+def digests_of_result(result: Result) -> tuple[Digest, ...]:
+    """Return the digests of the surfaces, the results, the verdict and the judgements; missing files are omitted."""
+    path, of_result = result.path, f"of result {result.name}"
+    sets = (
+        ("Fields", f"{SURFACES} {of_result}", [path / SURFACES]),
+        ("Surface", f"{MOSAIC} and {POSES} {of_result}", [path / MOSAIC, path / POSES]),
+        ("Results", FINDINGS, [path / FINDINGS]),
+        ("Verdict", VERDICT, [path / VERDICT]),
+        ("Judgements", NOTEBOOK, [path / NOTEBOOK]),
+    )
+    found = ((what, of, [file for place in places for file in _files(place)]) for what, of, places in sets)
+    return tuple(_digest(what, of, path, files) for what, of, files in found if files)
+
+
+def _files(place: Path) -> list[Path]:
+    """Return a file, or all files in a folder in natural order of their names."""
+    if place.is_dir():
+        return sorted(
+            (path for path in place.rglob("*") if path.is_file()), key=lambda path: natural_sort_key(str(path))
+        )
+    return [place] if place.exists() else []
+
+
+def _digest(what: str, of: str, folder: Path, files: list[Path]) -> Digest:
+    """Return the digest over names, sizes and contents, in order."""
+    sizes = [path.stat().st_size for path in files]
+    too_large = sum(sizes) > MOST_BYTES
+    digest = hashlib.sha256()
+    for path, n_bytes in zip(files, sizes, strict=True):
+        digest.update(f"{path.relative_to(folder).as_posix()}\n{n_bytes}\n".encode())
+        if not too_large:
+            _add(digest, path)
+    told = f"{of}; names and sizes alone, because they are {size(sum(sizes))}" if too_large else of
+    return Digest(what, told, digest.hexdigest())
+
+
+def _add(digest: hashlib._Hash, path: Path) -> None:
+    with path.open("rb") as file:
+        while piece := file.read(PIECE):
+            digest.update(piece)

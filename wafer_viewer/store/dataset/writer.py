@@ -20,9 +20,9 @@ from wafer_viewer.model.acquisition.devices import PulseSummary
 from wafer_viewer.model.acquisition.focus_stack import Frame, FrameStatus, Image
 from wafer_viewer.model.acquisition.plan import Leg, ScanPlan, Shot
 from wafer_viewer.model.errors import DatasetError
-from wafer_viewer.model.job.job import Job
+from wafer_viewer.model.job import Job
 from wafer_viewer.model.spec import replace
-from wafer_viewer.store.dataset import journal
+from wafer_viewer.store.dataset import scan_record
 from wafer_viewer.store.dataset.dataset import Dataset
 from wafer_viewer.store.dataset.frame_pages import PageWriter, create_pages, tags_crc32c
 from wafer_viewer.store.dataset.lock import Lock
@@ -44,7 +44,7 @@ class DatasetWriter:
         self._lock = lock
         self._fields = {f.number: f for f in record.plan.fields}
         self._files: dict[int, PageWriter] = {}
-        self._journal = journal.JournalWriter(path / JOURNAL)
+        self._journal = scan_record.JournalWriter(path / JOURNAL)
         self._kept = Dataset(path, record).kept()
         self._provisional: set[Shot] | None = None
         """Slots with a frame of the current pass; None between passes, where a frame counts at once."""
@@ -118,7 +118,7 @@ class DatasetWriter:
     def pass_begun(self, number: int, leg: Leg) -> None:
         """Start a leg; its frames count once it has ended."""
         self._provisional = set()
-        begun = journal.PassBegun(number, leg.train.axis, leg.train.n_frames, _now(), provisional=True)
+        begun = scan_record.PassBegun(number, leg.train.axis, leg.train.n_frames, _now(), provisional=True)
         self._journal.write(begun)
 
     def frame(self, frame: Frame) -> None:
@@ -136,25 +136,25 @@ class DatasetWriter:
         """Record an empty slot, or reject its frame of the current pass."""
         if self._provisional is not None:
             self._provisional.discard(shot)
-        self._journal.write(journal.Missed(shot, pulse_count, why))
+        self._journal.write(scan_record.Missed(shot, pulse_count, why))
 
     def repaired(self, shot: Shot) -> None:
         """Record that an empty slot now has its frame."""
-        self._journal.write(journal.Repaired(shot))
+        self._journal.write(scan_record.Repaired(shot))
 
     def pass_ended(self, number: int, summary: PulseSummary) -> None:
         """End a leg; its frames count from now on."""
-        self._journal.write(journal.PassEnded(number, summary, _now()))
+        self._journal.write(scan_record.PassEnded(number, summary, _now()))
         shots, self._provisional = self._provisional or set[Shot](), None
         self._count(shots)
 
     def fault(self, what: str) -> None:
         """Record a fault for the operator."""
-        self._journal.write(journal.FaultNoted(what, _now()))
+        self._journal.write(scan_record.FaultNoted(what, _now()))
 
     def finish(self) -> None:
         """Mark the scan as finished; slots that are empty now stay empty."""
-        self._journal.write(journal.Finished(_now()))
+        self._journal.write(scan_record.Finished(_now()))
 
     def close(self) -> None:
         """Close the journal and release the lock; idempotent."""
@@ -173,7 +173,7 @@ class DatasetWriter:
         shot = frame.shot
         self._file(shot.field).write(self.record.page_of(shot.k, shot.exposure), image)
         self._journal.write(
-            journal.FrameKept(
+            scan_record.FrameKept(
                 shot=shot,
                 pulse_count=frame.pulse_count,
                 x_um=frame.x_um,

@@ -17,8 +17,7 @@ from numpy.typing import NDArray
 from wafer_viewer.model.errors import DatasetError, WaferViewerError
 from wafer_viewer.model.region import Region
 from wafer_viewer.model.spec import decode, encode
-from wafer_viewer.model.surface.height_map import HeightMap, Provenance
-from wafer_viewer.model.surface.refused_points import RefusedHeights
+from wafer_viewer.model.surface.height_map import HeightMap, Provenance, RefusedHeights
 from wafer_viewer.store.io.checksums import SURFACES, remedy, require_good_archive, seal_archive
 
 if TYPE_CHECKING:

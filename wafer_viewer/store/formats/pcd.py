@@ -14,8 +14,17 @@ import numpy as np
 
 from wafer_viewer.model.surface.height_map import HeightMap
 from wafer_viewer.store.formats.embedded_metadata import OURS, heading, parse_metadata
-from wafer_viewer.store.formats.point_gridding import Block, PointCloud, surface_of_points
-from wafer_viewer.store.formats.point_records import AT_A_TIME, count, points_of, records, text_records, units_of
+from wafer_viewer.store.formats.point_gridding import (
+    AT_A_TIME,
+    Block,
+    PointCloud,
+    count,
+    points_of,
+    records,
+    surface_of_points,
+    text_records,
+    units_of,
+)
 from wafer_viewer.store.formats.reader_support import ReadOptions
 from wafer_viewer.store.formats.surface_strips import Strips
 

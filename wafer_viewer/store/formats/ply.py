@@ -10,13 +10,15 @@ import numpy as np
 
 from wafer_viewer.model.surface.height_map import HeightMap
 from wafer_viewer.store.formats.embedded_metadata import OURS, heading, parse_metadata
-from wafer_viewer.store.formats.point_gridding import Block, PointCloud, surface_of_points
-from wafer_viewer.store.formats.point_records import (
+from wafer_viewer.store.formats.point_gridding import (
     AT_A_TIME,
+    Block,
+    PointCloud,
     count,
     eight_bits,
     points_of,
     records,
+    surface_of_points,
     text_records,
     units_of,
 )

@@ -12,11 +12,10 @@ from numpy.typing import NDArray
 
 from wafer_viewer.model.errors import DatasetError
 from wafer_viewer.model.file_formats import Reading
-from wafer_viewer.model.progress import Progress, ShouldStop
+from wafer_viewer.model.progress import Progress, ShouldStop, with_progress
 from wafer_viewer.model.spec import replace
 from wafer_viewer.model.surface.height_map import HeightMap, Origin, Provenance
 from wafer_viewer.store.formats.surface_strips import STRIP_ROWS
-from wafer_viewer.store.io.progress import with_progress
 
 UNITS_UM = {
     **dict.fromkeys(("m", "meter", "metre", "meters", "metres"), 1e6),

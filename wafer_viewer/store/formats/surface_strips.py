@@ -9,10 +9,9 @@ from typing import Any
 from numpy.typing import NDArray
 
 from wafer_viewer.model.errors import DatasetError
-from wafer_viewer.model.progress import Progress, ShouldStop
+from wafer_viewer.model.progress import Progress, ShouldStop, with_progress
 from wafer_viewer.model.region import Region
 from wafer_viewer.model.surface.height_map import HeightMap, Mosaic
-from wafer_viewer.store.io.progress import with_progress
 from wafer_viewer.store.mosaic.zarr_mosaic import ZarrMosaic
 
 STRIP_ROWS = 256

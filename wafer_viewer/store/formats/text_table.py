@@ -12,8 +12,7 @@ import numpy as np
 
 from wafer_viewer.model.surface.height_map import HeightMap
 from wafer_viewer.store.formats.embedded_metadata import OURS, EmbeddedMetadata, heading, parse_metadata
-from wafer_viewer.store.formats.point_gridding import Block, PointCloud, surface_of_points
-from wafer_viewer.store.formats.point_records import units_of
+from wafer_viewer.store.formats.point_gridding import Block, PointCloud, surface_of_points, units_of
 from wafer_viewer.store.formats.reader_support import ReadOptions
 from wafer_viewer.store.formats.surface_strips import Strips
 

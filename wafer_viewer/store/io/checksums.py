@@ -1,9 +1,11 @@
-"""CRC-32C checksums embedded in the files: they remain valid in a copy, and are written with the file.
+"""CRC-32C checksums embedded in the files: they remain valid in a copy; and append-only logs whose lines carry one.
 
 A JSON text and a line of a log end with the member ``"crc32c"``: eight hex digits over all bytes before them. An
 ``.npz`` ends with ``crc32c=`` and such digits as the comment of the archive. Shards and chunks of a mosaic have the
 codec ``crc32c`` of Zarr. Files of older versions have no checksum and are read as they are. Any single flipped bit is
 detected, also in the checksum itself.
+
+A torn last line, as after a power failure, is ignored and truncated before the next entry.
 """
 
 from __future__ import annotations
@@ -21,7 +23,7 @@ import numpy as np
 
 from wafer_viewer.model.errors import DatasetError
 from wafer_viewer.model.spec import Spec, decode, encode
-from wafer_viewer.store.io.atomic_files import write_text
+from wafer_viewer.store.io.atomic_files import os_errors_as_dataset_errors, write_text
 
 SURFACES = "surfaces"
 """Folder of the field surfaces in a result."""
@@ -261,3 +263,37 @@ _OTHER_MENDS = {
     "notebook.json": "restore it from a copy, or remove it: saved views and judgements are in it",
     "surface.json": "remove it: it is made again from the stitched surface",
 }
+
+
+def append_line(path: Path, entry: Spec) -> None:
+    """Append an entry. Raises DatasetError when it cannot be written; the entry then does not count."""
+    text = sealed_line(msgspec.json.encode(entry)) + b"\n"
+    with os_errors_as_dataset_errors(path):
+        path.touch()
+        os.truncate(path, _end_of_whole_lines(path.read_bytes()))
+        with path.open("ab", buffering=0) as file:
+            if file.write(text) != len(text):
+                raise DatasetError(f"{path} cannot be written: the disk is full: free some space.")
+            os.fsync(file.fileno())
+
+
+def read_lines(path: Path, kind: type[S]) -> tuple[S, ...]:
+    """Return the entries, oldest first; empty if there is no log. Raises DatasetError when one is damaged."""
+    if not path.exists():
+        return ()
+    try:
+        text = path.read_bytes()
+    except OSError as fault:
+        raise DatasetError(f"{path} cannot be read: {fault.strerror}.") from fault
+    lines = text[: _end_of_whole_lines(text)].splitlines()
+    return tuple(_decoded(line, kind, f"{path}, line {n}") for n, line in enumerate(lines, 1))
+
+
+def _decoded(line: bytes, kind: type[S], name: str) -> S:
+    if line_state(line) is Checksum.DAMAGED:
+        raise DatasetError(f"{name} is damaged, its checksum differs: restore it from a copy.")
+    return decode(strip_checksum(line), kind, name, "json")
+
+
+def _end_of_whole_lines(text: bytes) -> int:
+    return text.rfind(b"\n") + 1

@@ -69,7 +69,7 @@ def _step(shape: tuple[int, ...], finest: int = FINEST_KEPT) -> int:
 
 def _blocks_of(layers: Layers, step: int) -> Blocks:
     """Return the statistics of each block of a window of level 0 that begins at a block boundary."""
-    from wafer_viewer.numerics.filters.code_counts import count_codes
+    from wafer_viewer.numerics.filters.regions import count_codes
 
     size = 2 * layout.CHUNK
     rows, cols = layers["z_um"].shape

@@ -1,4 +1,4 @@
-"""Stitched surface on disk: a pyramid in Zarr 3, one OME-NGFF 0.5 multiscale group per layer.
+"""Stitched surface on disk: a pyramid in Zarr 3, one OME-NGFF 0.5 multiscale group.
 
 A pixel of level l covers 2^l pixels of level 0 along each axis. z_min_um and z_max_um are the height range under a
 pixel; at level 0 they would equal z_um, so their groups begin with level 1. The work is divided into patches that share
@@ -10,6 +10,7 @@ from __future__ import annotations
 import json
 from collections.abc import Callable, Iterable, Sequence
 from concurrent.futures import ThreadPoolExecutor
+from dataclasses import dataclass
 from functools import cached_property, partial
 from itertools import groupby
 from pathlib import Path
@@ -19,7 +20,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from wafer_viewer.model.errors import DatasetError
-from wafer_viewer.model.progress import Progress, ShouldStop
+from wafer_viewer.model.progress import Progress, ShouldStop, with_progress
 from wafer_viewer.model.region import Region
 from wafer_viewer.model.spec import decode
 from wafer_viewer.model.surface.field_poses import Poses
@@ -30,12 +31,12 @@ from wafer_viewer.model.surface.height_map import (
     Mosaic,
     Origin,
     Provenance,
+    TexturedHeights,
+    picture_of,
     pixel_window,
 )
-from wafer_viewer.model.surface.textured_surface import TexturedHeights, picture_of
 from wafer_viewer.store.io.atomic_files import atomic_write, os_errors_as_dataset_errors, write_text
 from wafer_viewer.store.io.checksums import Checksum, damaged, remedy, sealed_node, text_state
-from wafer_viewer.store.io.progress import with_progress
 from wafer_viewer.store.mosaic import layout
 from wafer_viewer.store.mosaic.layout import (
     FILLS,
@@ -46,17 +47,102 @@ from wafer_viewer.store.mosaic.layout import (
     MosaicHeader,
     as_json,
     header_of,
+    levels_for,
     levels_of,
     multiscale,
     shards_of,
 )
 from wafer_viewer.store.mosaic.poses_file import POSES, read_poses
 from wafer_viewer.store.mosaic.statistics import FACTS, MosaicStatistics, facts_array, load_statistics, save_statistics
-from wafer_viewer.store.mosaic.write_patches import Patch, patches
-from wafer_viewer.store.mosaic.zarr_shards import ShardedArray, codecs
+from wafer_viewer.store.mosaic.zarr_shards import ShardedArray, codecs, cut
 
 if TYPE_CHECKING:
     from wafer_viewer.numerics.grids.pyramid_level import Layers
+
+
+Window = tuple[slice, slice]
+"""Rows and columns."""
+
+
+@dataclass(frozen=True, slots=True)
+class Patch:
+    """Chunks of one shard of a level from 1 on: rows top ... bottom - 1 and columns left ... right - 1.
+
+    It is computed from the level below; a patch of level 1 also writes level 0.
+    """
+
+    level: int
+    top: int
+    bottom: int
+    left: int
+    right: int
+
+    @property
+    def rows(self) -> slice:
+        """Rows in the level."""
+        return slice(self.top, self.bottom)
+
+    @property
+    def cols(self) -> slice:
+        """Columns in the level."""
+        return slice(self.left, self.right)
+
+    def below(self, shape: tuple[int, int]) -> list[Window]:
+        """Return the source windows in the level below, one per shard; `shape` is that of the level below."""
+        ends = min(2 * self.bottom, shape[0]), min(2 * self.right, shape[1])
+        return [
+            (rows, cols)
+            for rows in cut(2 * self.top, ends[0], layout.SHARD)
+            for cols in cut(2 * self.left, ends[1], layout.SHARD)
+        ]
+
+
+def patches(shape: tuple[int, int], windows: Iterable[Window] | None = None) -> list[Patch]:
+    """Return the patches that cover some windows of level 0 (default: all of it) of a mosaic of a shape.
+
+    They are ordered by level; patches of one level can be written in parallel.
+    """
+    windows = [(slice(0, shape[0]), slice(0, shape[1]))] if windows is None else windows
+    of_level: list[Patch] = []
+    found: list[Patch] = []
+    for level in range(1, levels_for(shape)):
+        of_level = _patches(level, _shape_of(shape, level), [(_halved(r), _halved(c)) for r, c in windows])
+        windows = [(patch.rows, patch.cols) for patch in of_level]
+        found += of_level
+    return found
+
+
+def _patches(level: int, shape: tuple[int, int], windows: Sequence[Window]) -> list[Patch]:
+    """Return the patches of a level that cover some of its windows: one for each shard."""
+    hulls: dict[tuple[int, int], tuple[int, int, int, int]] = {}
+    for rows, cols in windows:
+        for part_r in cut(rows.start, min(rows.stop, shape[0]), layout.SHARD):
+            for part_c in cut(cols.start, min(cols.stop, shape[1]), layout.SHARD):
+                shard = part_r.start // layout.SHARD, part_c.start // layout.SHARD
+                here = part_r.start, part_r.stop, part_c.start, part_c.stop
+                hulls[shard] = _hull(hulls.get(shard, here), here)
+    return [_aligned(level, shape, hull) for _, hull in sorted(hulls.items())]
+
+
+def _hull(a: tuple[int, int, int, int], b: tuple[int, int, int, int]) -> tuple[int, int, int, int]:
+    return min(a[0], b[0]), max(a[1], b[1]), min(a[2], b[2]), max(a[3], b[3])
+
+
+def _aligned(level: int, shape: tuple[int, int], hull: tuple[int, int, int, int]) -> Patch:
+    """Return the patch of all chunks in a bounding box."""
+    top, bottom, left, right = hull
+    chunk = layout.CHUNK
+    bottom, right = (min(-(-end // chunk) * chunk, size) for end, size in zip((bottom, right), shape, strict=True))
+    return Patch(level, top // chunk * chunk, bottom, left // chunk * chunk, right)
+
+
+def _halved(run: slice) -> slice:
+    return slice(run.start // 2, -(-run.stop // 2))
+
+
+def _shape_of(shape: tuple[int, int], level: int) -> tuple[int, int]:
+    return -(-shape[0] // 2**level), -(-shape[1] // 2**level)
+
 
 __all__ = [
     "Patch",

@@ -8,17 +8,24 @@ import pytest
 
 from tests.browser.sessions import fake_session as fake
 from tests.browser.sessions.inspected_session import PLANTED, found
-from wafer_viewer.draw.charts.defect_symbols import KINDS
+from wafer_viewer.draw.charts.symbols import KINDS
 from wafer_viewer.gui.page.header import all_judged, possible
-from wafer_viewer.gui.page.judgement import can_undo
-from wafer_viewer.gui.presenters.review.defect_items import chosen_defect, number_of
-from wafer_viewer.gui.presenters.review.defect_sections import cut_through
-from wafer_viewer.gui.presenters.review.defect_table import MOST_ROWS, rows, rows_of
-from wafer_viewer.gui.presenters.review.defects import classes, facts, nothing_found, per_mm2, summary
-from wafer_viewer.gui.presenters.review.review import numbers
-from wafer_viewer.gui.presenters.review.review_items import chosen_item, neighbour, review_items
-from wafer_viewer.gui.state.defect_list_state import SORTS, DefectListing, listed
-from wafer_viewer.gui.state.view_state import View
+from wafer_viewer.gui.page.preconditions import can_undo
+from wafer_viewer.gui.presenters.defects import (
+    MOST_ROWS,
+    chosen_defect,
+    classes,
+    cut_through,
+    facts,
+    nothing_found,
+    number_of,
+    per_mm2,
+    rows,
+    rows_of,
+    summary,
+)
+from wafer_viewer.gui.presenters.review import chosen_item, neighbour, numbers, review_items
+from wafer_viewer.gui.state.view_state import SORTS, DefectListing, View, listed
 from wafer_viewer.model.spec import replace
 from wafer_viewer.session.state.inspection_state import InspectionState
 from wafer_viewer.session.state.snapshot import Snapshot

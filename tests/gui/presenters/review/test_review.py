@@ -9,17 +9,14 @@ import numpy as np
 from tests.browser.sessions import fake_session as fake
 from tests.browser.sessions import operator_session as operator
 from wafer_viewer.gui.page.header import done
-from wafer_viewer.gui.presenters.review.review import numbers, review_list
-from wafer_viewer.gui.presenters.review.review_items import chosen_item, neighbour, review_items
-from wafer_viewer.gui.scene.camera.camera_presets import CameraPose
-from wafer_viewer.gui.shell.field_map import field_at
+from wafer_viewer.gui.presenters.review import chosen_item, neighbour, numbers, review_items, review_list
+from wafer_viewer.gui.scene.camera_presets import CameraPose
+from wafer_viewer.gui.shell.left_panel import field_at
 from wafer_viewer.gui.shell.saved_views import LOOKED, choices, saved
 from wafer_viewer.gui.state.view_state import View
-from wafer_viewer.model.job.review_notes import Judgement, Notebook, keys_of_features
+from wafer_viewer.model.job import Judgement, Notebook, keys_of_features
 from wafer_viewer.model.spec import replace
-from wafer_viewer.session.state.operator_state import Operating
-from wafer_viewer.session.state.review_state import NotebookState
-from wafer_viewer.session.state.snapshot import Snapshot
+from wafer_viewer.session.state.snapshot import NotebookState, Operating, Snapshot
 
 POSE = CameraPose(np.array([0.1, -0.9, 0.8]), np.array([0.0, 0.1, 0.0]))
 

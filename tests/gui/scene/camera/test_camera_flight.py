@@ -13,7 +13,7 @@ from hypothesis import strategies as st
 
 from tests.gui.scenes.test_scene_view import until
 from wafer_viewer.gui.page.browser_info import BrowserInfo, may_fly
-from wafer_viewer.gui.scene.camera.camera_flight import (
+from wafer_viewer.gui.scene.camera_controller import (
     FLIGHT_S,
     LATE_S,
     STEP_S,
@@ -21,7 +21,7 @@ from wafer_viewer.gui.scene.camera.camera_flight import (
     CameraTransition,
     between,
 )
-from wafer_viewer.gui.scene.camera.camera_presets import CameraPose, direction_of
+from wafer_viewer.gui.scene.camera_presets import CameraPose, direction_of
 
 AT = np.array([1.0, 2.0, 0.1])
 TOP, ISO = (CameraPose(AT + direction_of(preset) * 4, AT) for preset in ("top", "iso"))

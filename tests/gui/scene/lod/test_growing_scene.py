@@ -11,8 +11,8 @@ import pytest
 from tests.browser.sessions.stitched_session import GrowingSession, StitchedSession
 from tests.gui.scenes.test_scene_view import settled, until
 from tests.support.stage_props import Browser
-from wafer_viewer.gui.scene.lod.quadtree import Node
-from wafer_viewer.gui.scene.lod.surface_tiles import MOST_TILES
+from wafer_viewer.gui.scene.quadtree import Node
+from wafer_viewer.gui.scene.surface_tiles import MOST_TILES
 from wafer_viewer.gui.scenes.scene_view import SceneView
 from wafer_viewer.gui.state.view_state import View
 from wafer_viewer.model.errors import DatasetError
@@ -24,7 +24,7 @@ VIEW = View(step="surface")
 def hasty(monkeypatch: pytest.MonkeyPatch) -> None:
     """No grace, and small tiles of a small surface, as many as are wanted."""
     monkeypatch.setattr("wafer_viewer.gui.scene.reconciler._GRACE_S", 0.0)
-    monkeypatch.setattr("wafer_viewer.gui.scene.lod.quadtree.TILE_PX", 64)
+    monkeypatch.setattr("wafer_viewer.gui.scene.quadtree.TILE_PX", 64)
     monkeypatch.setitem(MOST_TILES, "surface", 200)
 
 

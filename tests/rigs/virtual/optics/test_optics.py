@@ -12,9 +12,9 @@ from scipy.ndimage import laplace, uniform_filter
 from scipy.special import erf
 
 from wafer_viewer.model.errors import RigError
+from wafer_viewer.rigs.virtual.camera import FrameRenderer, Sensor, flat_field
 from wafer_viewer.rigs.virtual.optics.optics import FieldPicture, Optics
 from wafer_viewer.rigs.virtual.scenes.catalogue import scene
-from wafer_viewer.rigs.virtual.sensor import FrameRenderer, Sensor, flat_field
 
 OPTICS = Optics()
 DOT_UM = 0.8

@@ -9,8 +9,8 @@ from hypothesis import strategies as st
 
 from wafer_viewer.model.errors import RigError
 from wafer_viewer.rigs.virtual.scenes.catalogue import SCENES, SceneWindow, scene
+from wafer_viewer.rigs.virtual.scenes.drawing import grain
 from wafer_viewer.rigs.virtual.scenes.tour_wafer import planted
-from wafer_viewer.rigs.virtual.scenes.value_noise import grain
 
 FAR = st.floats(-3000, 3000)
 

@@ -14,12 +14,10 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from wafer_viewer.rigs.virtual.optics.blur_levels import FINE_MARGIN, Law, blur_law, coarse_window, make_levels
-from wafer_viewer.rigs.virtual.optics.frame_composition import SceneHeights, compose
-from wafer_viewer.rigs.virtual.optics.gaussian_blur import Plane
-from wafer_viewer.rigs.virtual.optics.row_spans import make_stretches
+from wafer_viewer.rigs.virtual.optics.blur import FINE_MARGIN, Law, Plane, blur_law, coarse_window, make_levels
+from wafer_viewer.rigs.virtual.optics.frame_composition import SceneHeights, compose, make_stretches
 from wafer_viewer.rigs.virtual.scenes.catalogue import Scene, SceneWindow
-from wafer_viewer.rigs.virtual.scenes.scene_sheets import SceneSheets
+from wafer_viewer.rigs.virtual.scenes.drawing import SceneSheets
 
 
 @dataclass(frozen=True, slots=True)

@@ -16,7 +16,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from wafer_viewer.model.errors import RigError
 from wafer_viewer.rigs.virtual.scenes import cone, die, gauge_blocks, plane, staircase, tour_wafer, wafer
-from wafer_viewer.rigs.virtual.scenes.scene_sheets import Points, SceneSheets, empty_sheets
+from wafer_viewer.rigs.virtual.scenes.drawing import Points, SceneSheets, empty_sheets
 
 Outline = tuple[tuple[float, float], ...]
 SHARP_UM = 1e-3  # a footprint so small that every edge is hard

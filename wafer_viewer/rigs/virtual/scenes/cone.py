@@ -7,8 +7,7 @@ import math
 import numpy as np
 
 from wafer_viewer.numerics.jit import fast_kernel
-from wafer_viewer.rigs.virtual.scenes.scene_sheets import Points, SceneSheets
-from wafer_viewer.rigs.virtual.scenes.value_noise import grain
+from wafer_viewer.rigs.virtual.scenes.drawing import Points, SceneSheets, grain
 
 HEIGHT_UM, SLOPE = 120.0, 0.30
 

@@ -11,9 +11,7 @@ import math
 import numpy as np
 
 from wafer_viewer.numerics.jit import fast_kernel
-from wafer_viewer.rigs.virtual.scenes.scene_sheets import Points, SceneSheets
-from wafer_viewer.rigs.virtual.scenes.shapes import inside
-from wafer_viewer.rigs.virtual.scenes.value_noise import Integer, grain
+from wafer_viewer.rigs.virtual.scenes.drawing import Integer, Points, SceneSheets, grain, inside
 
 STEP_UM = 399.88
 GAP_UM, CHAMFER_UM = 70.0, 45.0

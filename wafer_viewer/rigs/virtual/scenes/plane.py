@@ -5,8 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from wafer_viewer.numerics.jit import fast_kernel
-from wafer_viewer.rigs.virtual.scenes.scene_sheets import Points, SceneSheets
-from wafer_viewer.rigs.virtual.scenes.value_noise import grain
+from wafer_viewer.rigs.virtual.scenes.drawing import Points, SceneSheets, grain
 
 TILT_X, TILT_Y = 4e-3, 1.5e-3
 

@@ -7,9 +7,7 @@ import math
 import numpy as np
 
 from wafer_viewer.numerics.jit import fast_kernel
-from wafer_viewer.rigs.virtual.scenes.scene_sheets import Points, SceneSheets
-from wafer_viewer.rigs.virtual.scenes.shapes import bars
-from wafer_viewer.rigs.virtual.scenes.value_noise import grain
+from wafer_viewer.rigs.virtual.scenes.drawing import Points, SceneSheets, bars, grain
 
 TREAD_UM, RISE_UM = 180.0, 20.0
 

@@ -15,9 +15,18 @@ import numpy as np
 from wafer_viewer.numerics.jit import fast_kernel
 from wafer_viewer.rigs.virtual.scenes import die as full_size
 from wafer_viewer.rigs.virtual.scenes.die import bevel_drop, die
-from wafer_viewer.rigs.virtual.scenes.scene_sheets import Points, SceneSheets
-from wafer_viewer.rigs.virtual.scenes.shapes import bar, bars, blend, inside, rectangle, wrapped
-from wafer_viewer.rigs.virtual.scenes.value_noise import chance, grain
+from wafer_viewer.rigs.virtual.scenes.drawing import (
+    Points,
+    SceneSheets,
+    bar,
+    bars,
+    blend,
+    chance,
+    grain,
+    inside,
+    rectangle,
+    wrapped,
+)
 from wafer_viewer.rigs.virtual.scenes.wafer import (
     BROAD,
     COARSE,

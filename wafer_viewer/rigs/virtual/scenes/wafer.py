@@ -12,9 +12,18 @@ import numpy as np
 
 from wafer_viewer.numerics.jit import fast_kernel
 from wafer_viewer.rigs.virtual.scenes.die import HEIGHT_UM, WIDTH_UM, bevel_drop, die
-from wafer_viewer.rigs.virtual.scenes.scene_sheets import Points, SceneSheets
-from wafer_viewer.rigs.virtual.scenes.shapes import bar, bars, blend, inside, rectangle, wrapped
-from wafer_viewer.rigs.virtual.scenes.value_noise import chance, grain
+from wafer_viewer.rigs.virtual.scenes.drawing import (
+    Points,
+    SceneSheets,
+    bar,
+    bars,
+    blend,
+    chance,
+    grain,
+    inside,
+    rectangle,
+    wrapped,
+)
 
 PITCH_X_UM, PITCH_Y_UM, TRENCH_UM = 520.0, 400.0, 64.0
 FIRST_COLUMN, FIRST_ROW = -5, -6  # the cell of the die numbered column 0, row 0, counted from stage (0, 0)

@@ -1,0 +1,174 @@
+"""Charts of defects as SVG and HTML: all dies overlaid, and the classes by count.
+
+Colours of lines and text are custom properties (``--ink``, ``--line`` …) of the embedding page.
+"""
+
+from __future__ import annotations
+
+import html
+from collections import Counter
+from collections.abc import Callable, Collection, Iterable, Sequence
+from dataclasses import dataclass
+
+from wafer_viewer.draw.charts.symbols import KINDS, symbol
+from wafer_viewer.model.inspection.defect import Defect, DefectClass, Inspection, RepeatedPlace
+from wafer_viewer.model.region import Region
+
+Attributes = Callable[[str, object], str]
+"""Function that returns the HTML attributes of a clickable part, from its kind and its key."""
+MOST_MARKS = 1500
+"""Greatest number of drawn defects; those of repeated places have priority."""
+_MARGIN_PX, _MARK_PX, _LEAST_RING_PX = 10.0, 3.6, 9.0
+
+
+def die_stack_svg(
+    inspection: Inspection,
+    places: Sequence[RepeatedPlace],
+    picture_url: str = "",
+    *,
+    width_px: int = 420,
+    most_height_px: int = 420,
+    chosen: int | None = None,
+    place: int | None = None,
+    attributes: Attributes = lambda what, key: "",
+) -> str:
+    """Return the overlay of all dies; empty without dies. chosen: a defect number, place: index in `places`."""
+    grid = inspection.grid
+    if grid is None:
+        return ""
+    room = width_px - 2 * _MARGIN_PX, most_height_px - 2 * _MARGIN_PX
+    scale = min(room[0] / grid.width_um, room[1] / grid.height_um)
+    width, height = grid.width_um * scale, grid.height_um * scale
+
+    def at(u_um: float, v_um: float) -> tuple[float, float]:
+        """Return the image position; marks outside the die are clamped to its margin."""
+        x, y = _MARGIN_PX + u_um * scale, _MARGIN_PX + height - v_um * scale
+        return min(max(x, 2.0), width + 2 * _MARGIN_PX - 2), min(max(y, 2.0), height + 2 * _MARGIN_PX - 2)
+
+    box = f'x="{_MARGIN_PX:g}" y="{_MARGIN_PX:g}" width="{width:.1f}" height="{height:.1f}"'
+    image = f'<image {box} href="{html.escape(picture_url)}" preserveAspectRatio="none"/>' if picture_url else ""
+    frame = f'<rect {box} fill="{"none" if picture_url else "var(--fill)"}" stroke="var(--ink3)"/>'
+    drawn = shown(inspection, places)
+    areas = "".join(_left_out(area, at) for area in inspection.recipe.excluded)
+    marks = "".join(_mark(d, at, d.number == chosen, attributes) for d in drawn if d.in_die is not None)
+    rings = "".join(_ring(k, one, at, scale, k == place, attributes) for k, one in enumerate(places))
+    w, h = width + 2 * _MARGIN_PX, height + 2 * _MARGIN_PX
+    return (
+        f'<svg class="wv-stack" viewBox="0 0 {w:.0f} {h:.0f}" width="{w:.0f}" height="{h:.0f}" role="img" '
+        f'aria-label="All dies overlaid" style="max-width:100%">{image}{frame}{areas}{rings}{marks}</svg>'
+    )
+
+
+def shown(inspection: Inspection, places: Sequence[RepeatedPlace]) -> list[Defect]:
+    """Return the drawn defects, those of repeated places last, so that they are on top."""
+    repeated = {number for place in places for number in place.numbers}
+    on_dies = [defect for defect in inspection.found if defect.in_die is not None and defect.die]
+    some = sorted(on_dies, key=lambda defect: (defect.number not in repeated, -defect.score))[:MOST_MARKS]
+    return some[::-1]
+
+
+def not_drawn(inspection: Inspection, drawn: Collection[Defect]) -> int:
+    """Return the number of defects on dies that are not drawn."""
+    return sum(bool(d.die) and d.in_die is not None for d in inspection.found) - len(drawn)
+
+
+def _left_out(area: Region, at: Callable[[float, float], tuple[float, float]]) -> str:
+    """Return an excluded area: a translucent fill with a dashed outline."""
+    x0, y0, x1, y1 = area.bounds_um
+    corners = (
+        [(p.x_um, p.y_um) for p in area.points] if area.kind == "polygon" else [(x0, y0), (x1, y0), (x1, y1), (x0, y1)]
+    )
+    (left, low), (right, high) = at(x0, y0), at(x1, y1)
+    look = 'fill="#fff" fill-opacity=".55" stroke="#15202B" stroke-width="1.2" stroke-dasharray="4 3"'
+    if area.kind == "circle":
+        middle = f'cx="{(left + right) / 2:.1f}" cy="{(low + high) / 2:.1f}"'
+        shape = f'<ellipse {middle} rx="{(right - left) / 2:.1f}" ry="{(low - high) / 2:.1f}" {look}/>'
+    else:
+        shape = f'<polygon points="{" ".join(f"{x:.1f},{y:.1f}" for x, y in (at(*c) for c in corners))}" {look}/>'
+    return f"<g><title>Left out: not searched</title>{shape}</g>"
+
+
+def _mark(
+    defect: Defect, at: Callable[[float, float], tuple[float, float]], chosen: bool, attributes: Attributes
+) -> str:
+    if defect.in_die is None:
+        return ""
+    x, y = at(defect.in_die.x_um, defect.in_die.y_um)
+    look = KINDS[defect.seen_as]
+    name = html.escape(f"D{defect.number}, {look.title}, die {defect.die}", quote=True)
+    ring = f'<circle cx="{x:.1f}" cy="{y:.1f}" r="8" fill="none" stroke="#15202B" stroke-width="2"/>' if chosen else ""
+    faint = ' opacity=".35"' if defect.judgement == "nuisance" else ""
+    return (
+        f'<g {attributes("review", f"defect {defect.number}")} aria-label="{name}"{faint}><title>{name}</title>{ring}'
+        f'<g stroke="#fff" stroke-width="1.4" paint-order="stroke">{symbol(look.shape, look.colour, x, y, _MARK_PX)}'
+        "</g></g>"
+    )
+
+
+def _ring(
+    k: int,
+    place: RepeatedPlace,
+    at: Callable[[float, float], tuple[float, float]],
+    scale: float,
+    chosen: bool,
+    attributes: Attributes,
+) -> str:
+    x, y = at(place.in_die.x_um, place.in_die.y_um)
+    radius = max(_LEAST_RING_PX, place.reach_um * scale + 6)
+    name = html.escape(f"Place {k + 1}, {place.words}", quote=True)
+    lines = "".join(
+        f'<circle cx="{x:.1f}" cy="{y:.1f}" r="{radius:.1f}" fill="none" stroke="{ink}" stroke-width="{width}"/>'
+        for ink, width in (("#fff", 4.5), ("#15202B", 2.6 if chosen else 1.5))
+    )
+    word = (
+        f'<text x="{x + radius + 2:.1f}" y="{y - radius + 5:.1f}" font-size="12" font-weight="650" fill="#15202B" '
+        f'stroke="#fff" stroke-width="3" paint-order="stroke">{k + 1}</text>'
+    )
+    return f'<g {attributes("defect-place", k)} aria-label="{name}"><title>{name}</title>{lines}{word}</g>'
+
+
+_ROW_PX, _SIGN_PX, _NAME_PX, _NUMBER_PX = 20, 16, 100, 36
+
+
+@dataclass(frozen=True, slots=True)
+class Bar:
+    """One class: count, share of all defects, and cumulative share."""
+
+    kind: DefectClass
+    count: int
+    share: float
+    cumulated: float
+
+
+def pareto(kinds: Iterable[DefectClass]) -> tuple[Bar, ...]:
+    """Return a bar for each class that occurs; classes of equal count are in order of first occurrence."""
+    counts, bars, so_far = Counter(kinds), list[Bar](), 0
+    total = sum(counts.values())
+    for kind, n in counts.most_common():
+        so_far += n
+        bars.append(Bar(kind, n, n / total, so_far / total))
+    return tuple(bars)
+
+
+def pareto_svg(kinds: Iterable[DefectClass], *, width_px: int = 300) -> str:
+    """Return the bars with counts and cumulative shares, for reports."""
+    bars = pareto(kinds)
+    most = max((bar.count for bar in bars), default=1)
+    drawn = "".join(_row(k * _ROW_PX, bar, most, width_px) for k, bar in enumerate(bars))
+    label = "Defects by class, the most frequent first; the share of all up to each"
+    return (
+        f'<svg viewBox="0 0 {width_px} {len(bars) * _ROW_PX}" width="{width_px}" role="img" '
+        f'aria-label="{label}">{drawn}</svg>'
+    )
+
+
+def _row(y: int, bar: Bar, most: int, width_px: int) -> str:
+    look, length = KINDS[bar.kind], (width_px - _NAME_PX - 2 * _NUMBER_PX) * bar.count / most
+    return (
+        f"{symbol(look.shape, look.colour, 6, y + 10)}"
+        f'<text x="{_SIGN_PX}" y="{y + 14}" font-size="12" fill="var(--ink)">{look.title}</text>'
+        f'<rect x="{_NAME_PX}" y="{y + 4}" width="{length:.1f}" height="{_ROW_PX - 8}" fill="{look.colour}"/>'
+        f'<text x="{_NAME_PX + length + 6:.1f}" y="{y + 14}" font-size="12" fill="var(--ink)">{bar.count}</text>'
+        f'<text x="{width_px}" y="{y + 14}" font-size="12" text-anchor="end" fill="var(--ink3)">'
+        f"{100 * bar.cumulated:.0f} %</text>"
+    )

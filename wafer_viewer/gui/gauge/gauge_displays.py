@@ -1,0 +1,141 @@
+"""Displays of the gauge check around the scene: run chart, points of the procedure, and the measured step."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+from wafer_viewer.draw.charts.run_chart import MOST_POINTS, run_chart_html
+from wafer_viewer.draw.number_format import THIN, number, value_and_u
+from wafer_viewer.gui.measure.live_measurement import Answer
+from wafer_viewer.gui.overlays.hud import EDGE_PX
+from wafer_viewer.gui.page.page import Page
+from wafer_viewer.gui.page.panels import BottomPanel
+from wafer_viewer.gui.presenters.gauge import day_and_time, procedure, scene_step_label
+from wafer_viewer.gui.presenters.verdict import LOOKS
+from wafer_viewer.gui.state.view_state import View
+from wafer_viewer.gui.widgets import html
+from wafer_viewer.gui.widgets.controls import FloatingPanel, HtmlBlock
+from wafer_viewer.model.gauge import GaugeCheck, GaugeRecord, RunChart
+from wafer_viewer.model.measurement.measurements import StepHeight
+from wafer_viewer.session.state.snapshot import Snapshot
+
+_EMPTY = "Signed checks of these blocks are drawn here, with limits, mean and drift."
+
+
+class GaugeDock:
+    """Header with mean, s and drift, warnings, and the chart."""
+
+    def __init__(self, page: Page) -> None:
+        self._panel = BottomPanel(page, "gauge")
+        with self._panel.tab:
+            self._plot = HtmlBlock(page.gui)
+
+    def show(self, snapshot: Snapshot, view: View) -> None:
+        """Bring the chart up to date."""
+        if self._panel.show(view):
+            gauge = snapshot.gauge
+            serials = " / ".join(gauge.certificate.serials) if gauge.certificate is not None else ""
+            self._plot.show(f'<div class="wv-below">{below(gauge.chart, serials, view.check or "")}</div>')
+
+
+def below(chart: RunChart | None, serials: str, chosen: str) -> str:
+    """Return the content of the panel as HTML; a placeholder if no check is signed yet."""
+    if chart is None or not chart.points:
+        head = '<div class="wv-dock"><b>Run chart</b></div>'
+        return f'{head}<div class="wv-run-empty">{html.empty(_EMPTY)}</div>'
+    warnings = "".join(
+        f'<span class="wv-curve-note">{html.safe(html.with_micro_sign(text))}</span>' for text in chart.warnings
+    )
+    notes = f'<div class="wv-dock">{warnings}</div>' if warnings else ""
+    drawn = run_chart_html(chart, lambda point: html.pick("gauge-record", point.at), chosen)
+    return f"{_head(chart, serials)}{notes}{drawn}"
+
+
+def _head(chart: RunChart, serials: str) -> str:
+    n = len(chart.points)
+    of = f"Last {MOST_POINTS} of {n} checks" if n > MOST_POINTS else f"{n} check{'' if n == 1 else 's'}"
+    spread = f"<span>s <b>{number(chart.s_um, 3)}{THIN}µm</b></span>" if chart.s_um is not None else ""
+    mean = f"<span>mean <b>{number(chart.mean_um, 3, signed=True)}{THIN}µm</b></span>" if n > 1 else ""
+    whole = f"{of} of {html.safe(serials)}"
+    limit = (
+        f'<span class="wv-hint">limit ± {number(chart.limit_um, 2)}{THIN}µm · </span>'
+        if chart.limit_um is not None
+        else ""
+    )
+    return (
+        f'<div class="wv-dock wv-run-head"><b>Run chart</b><span class="dim wv-cut" title="{whole}">{whole}</span>'
+        f'{mean}{spread}<span class="wv-end">{limit}{_drift(chart)}</span></div>'
+    )
+
+
+def _drift(chart: RunChart) -> str:
+    drift = chart.drift_um_per_day
+    if drift is None:
+        return ""
+    value, u = value_and_u(drift.value_um, drift.expanded_um, 4, signed=True)
+    beside = f" ± {u}" if drift.expanded_um is not None else ""
+    return f"drift <b>{value}{beside}{THIN}µm per day</b>"
+
+
+MOST_ROWS = 30
+
+
+class GaugeList:
+    """List shown in the gauge check; a click selects an earlier check, a second click deselects it."""
+
+    def __init__(self, page: Page) -> None:
+        self._page = page
+        self._cell = HtmlBlock(page.gui)
+        page.on_pick("gauge-record", self._choose)
+
+    def show(self, snapshot: Snapshot, view: View) -> None:
+        """Bring the list up to date."""
+        there = view.step == "gauge"
+        self._cell.show(procedure(snapshot) + earlier(snapshot.gauge.records, view.check) if there else "")
+
+    def _choose(self, key: str) -> None:
+        self._page.change(check=None if self._page.view.check == key else key)
+
+
+def selected_check(snapshot: Snapshot, view: View) -> GaugeCheck | None:
+    """Return the earlier check that is selected in a view; None if it is not of these blocks."""
+    return next((record.check for record in snapshot.gauge.records if record.check.at == view.check), None)
+
+
+def earlier(records: tuple[GaugeRecord, ...], chosen: str | None) -> str:
+    """Return the table of earlier checks, newest first, with date, error and verdict, as HTML."""
+    head = html.head("Earlier checks", str(len(records) or ""))
+    if not records:
+        return head + html.empty("Signed checks of these blocks", "are listed here.")
+    rows = [_row(record.check, record.check.at == chosen) for record in reversed(records[-MOST_ROWS:])]
+    return head + html.table(["Check", "Error, µm", "Verdict"], rows, " n") + '<div style="height:8px"></div>'
+
+
+def _row(check: GaugeCheck, chosen: bool) -> str:
+    word, sign, tone = LOOKS[check.verdict]
+    verdict = f'<span style="color:var(--{tone});white-space:nowrap">{html.icon(sign, 15)} {word.lower()}</span>'
+    told = f"{day_and_time(check.at)}, {check.verdict}, signed by {check.signed_by}"
+    attributes = f'{html.pick("gauge-record", check.at)} title="{html.safe(told)}"'
+    error = number(check.deviation.value_um, 3, signed=True)
+    return html.row([html.safe(day_and_time(check.at)), error, verdict], " n", attributes, "sel" if chosen else "")
+
+
+class StepReadout:
+    """Read-out of the mean of the repeats, of an earlier check, or of the live step before the first repeat."""
+
+    def __init__(self, page: Page, live: Callable[[], Answer]) -> None:
+        self._live = live
+        self._glass = FloatingPanel(page.gui, -EDGE_PX, EDGE_PX, 330, 88, align="right")
+
+    def show(self, snapshot: Snapshot, view: View) -> None:
+        """Bring the figure up to date."""
+        self._glass.show(self._content(snapshot, view) if view.step == "gauge" and not view.explains else "")
+
+    def _content(self, snapshot: Snapshot, view: View) -> str:
+        earlier = selected_check(snapshot, view)
+        check = earlier or snapshot.gauge.signed or snapshot.gauge.check
+        if check is not None:
+            of = f", {day_and_time(check.at)}" if check.at else f", mean of {check.n}" if check.n > 1 else ""
+            return scene_step_label(f"Measured step{of}", check.height)
+        step = self._live().finding
+        return scene_step_label("Step between the regions, live", step.height) if isinstance(step, StepHeight) else ""

@@ -1,0 +1,116 @@
+"""Parts that several panels share: the panel below the scene, the verdict, and the list of background jobs."""
+
+from __future__ import annotations
+
+import viser
+
+from wafer_viewer.draw.number_format import duration, share
+from wafer_viewer.gui.page.page import Page
+from wafer_viewer.gui.presenters import verdict as words
+from wafer_viewer.gui.state.view_state import Below, View
+from wafer_viewer.gui.widgets import html
+from wafer_viewer.gui.widgets.controls import HtmlBlock, set_prop
+from wafer_viewer.gui.widgets.style import PROFILE_PX
+from wafer_viewer.session.state.snapshot import Snapshot, Work
+
+FIRST_WIDTH_PX = 892
+"""Initial width, until the browser reports the width of its scene."""
+
+
+def bottom_panel_height_px(view: View) -> int:
+    """Return the height of the bottom panel in CSS pixels; 0 if no curve is shown."""
+    return PROFILE_PX if view.below != "none" else 0
+
+
+class BottomPanel:
+    """Panel that is visible while the view shows its curve; add contents `with tab:`."""
+
+    def __init__(self, page: Page, curve: Below) -> None:
+        self._curve = curve
+        self._panel = page.gui.add_panel(visible=False)
+        self.tab = self._panel.add_tab(curve.capitalize())
+        with self.tab:
+            page.gui.add_html('<div class="wv-bottom"></div>')
+        self._panel.float(x=0, y=-1, width=FIRST_WIDTH_PX, height=PROFILE_PX)
+        self._width = 0
+        page.viewport.on_change(lambda: self._follow(page.viewport.width_px))
+
+    def show(self, view: View) -> bool:
+        """Show or hide the panel by the view; return whether it is visible."""
+        there = view.below == self._curve
+        set_prop(self._panel, "visible", there)
+        return there
+
+    def _follow(self, width_px: int) -> None:
+        """Match the width of the scene, which depends on the side panels."""
+        if width_px not in (0, self._width):
+            self._width = width_px
+            self._panel.set_width(width_px)
+
+
+class VerdictSection:
+    """Verdict section; empty if the job has no feature to judge."""
+
+    def __init__(self, page: Page) -> None:
+        self._cell = HtmlBlock(page.gui)
+
+    def show(self, snapshot: Snapshot) -> None:
+        """Update the section."""
+        self._cell.show(_content(snapshot))
+
+
+def awaited(snapshot: Snapshot) -> bool:
+    """Return whether the verdict of the open dataset is pending."""
+    return has_features(snapshot) and snapshot.operating.verdict is None
+
+
+def has_features(snapshot: Snapshot) -> bool:
+    """Return whether the open dataset's job has a feature to judge."""
+    data = snapshot.dataset
+    return data is not None and any(feature.has_place for feature in data.job.features)
+
+
+def _content(snapshot: Snapshot) -> str:
+    verdict = snapshot.operating.verdict
+    if not has_features(snapshot) or snapshot.scanning:
+        return ""
+    if verdict is None:
+        return words.waiting(snapshot.operating.judging)
+    return words.card(verdict) + words.dies(verdict) + words.features(verdict) + '<div style="height:8px"></div>'
+
+
+HINT_S = 3.0
+"""Times left below this are not shown: they are over before they can be read."""
+
+
+def job_list(snapshot: Snapshot, view: View) -> str:
+    """Return the running and queued jobs; finished ones are not listed, failures appear among the notes."""
+    if not snapshot.works:
+        idle = html.empty("Reconstruction and stitching", "will be shown here.")
+        return html.head("Jobs") + idle if view.step == "acquire" else ""
+    jobs = "".join(_job(work, snapshot) for work in snapshot.works)
+    return html.head("Jobs", str(len(snapshot.works))) + jobs
+
+
+def state_of(work: Work, snapshot: Snapshot) -> str:
+    """Describe the state of a job."""
+    if work.fraction is None:
+        if not snapshot.compute_ready:
+            return "queued: waiting for the workers"
+        return f"queued: waiting for {work.waits_for}" if work.waits_for else "running"
+    left_s = work.seconds_left
+    left = f"{duration(left_s)} left · " if left_s is not None and left_s >= HINT_S else ""
+    return left + share(work.fraction, 0)
+
+
+def _job(work: Work, snapshot: Snapshot) -> str:
+    name = f"Cancel: {html.safe(work.title)}"
+    cross = html.icon(viser.Icon.X, 14)
+    link = f'<span class="wv-link" title="{name}" aria-label="{name}" {html.pick("cancel", work.id)}>{cross}</span>'
+    stop = link if work.cancellable else '<span class="dim">stopping</span>' if work.stopping else ""
+    waits = work.fraction is None and (bool(work.waits_for) or not snapshot.compute_ready)
+    bar = "" if waits else html.bar(work.fraction)
+    return (
+        f'<div class="wv-job"><div><b title="{html.safe(work.title)}">{html.safe(work.title)}</b>'
+        f"<span>{html.safe(state_of(work, snapshot))} {stop}</span></div>{bar}</div>"
+    )

@@ -1,0 +1,236 @@
+"""Items under review: defects, features of a verdict and results, with their HTML. Pure.
+
+To add another kind of item, add a function to `SOURCES`.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable, Iterator
+
+from wafer_viewer.gui.presenters import verdict
+from wafer_viewer.gui.presenters.defects import defect_item, defect_items
+from wafer_viewer.gui.presenters.measurement import list_text, main_label, sign_colour, symbol, value_texts
+from wafer_viewer.gui.presenters.results import Box, bounds_of
+from wafer_viewer.gui.presenters.review_item import VERDICT_LOOKS, VERDICTS, ReviewItem, Row
+from wafer_viewer.gui.presenters.verdict import feature_summary
+from wafer_viewer.gui.state.view_state import DefectListing, ReviewFilter, View
+from wafer_viewer.gui.widgets import html
+from wafer_viewer.model.acquisition.sample import Alignment
+from wafer_viewer.model.findings import AnyResult
+from wafer_viewer.model.gauge import GaugeCheck
+from wafer_viewer.model.job import FeatureVerdict, Job, Word, key_of_result, keys_of_features
+from wafer_viewer.model.measurement.feature import on_die
+from wafer_viewer.model.measurement.tools import TOOLS
+from wafer_viewer.model.quantity import Length, Quantity
+from wafer_viewer.model.region import Region
+from wafer_viewer.model.surface.height_map import LAYER_TITLES
+from wafer_viewer.session.measurement.measurement_numbers import title_of
+from wafer_viewer.session.state.snapshot import Snapshot
+
+FILTERS: tuple[tuple[ReviewFilter, str], ...] = (
+    ("all", "All"),
+    ("open", "Open"),
+    ("accepted", "Accepted"),
+    ("rejected", "Rejected"),
+)
+EVERYTHING = DefectListing()
+GRAVEST: tuple[Word, ...] = ("fail", "inconclusive", "no verdict", "pass")
+"""Verdicts in order of review, the worst first."""
+
+
+def review_items(
+    snapshot: Snapshot, only: ReviewFilter = "all", listing: DefectListing = EVERYTHING
+) -> tuple[ReviewItem, ...]:
+    """Return the items under review whose verdict matches the filter `only`; defects in list order."""
+    items = (item for source in SOURCES for item in source(snapshot, listing))
+    return tuple(item for item in items if only in ("all", item.judgement.verdict))
+
+
+def chosen_item(snapshot: Snapshot, key: str | None, listing: DefectListing = EVERYTHING) -> ReviewItem | None:
+    """Return the item of a key; the first item if the key is None or unknown; None without items."""
+    known = defect_item(snapshot, key)
+    if known is not None:
+        return known
+    items = review_items(snapshot, "all", listing)
+    return next((item for item in items if item.key == key), items[0] if items else None)
+
+
+def neighbour(
+    snapshot: Snapshot,
+    key: str | None,
+    by: int,
+    only: ReviewFilter = "all",
+    listing: DefectListing = EVERYTHING,
+) -> ReviewItem | None:
+    """Return the next open item after `key`, or with negative `by` the previous item; wraps around the ends.
+
+    Without another open item, return the next of the items that match the filter `only`; None without any.
+    """
+    items = review_items(snapshot, "all", listing)
+    at = next((k for k, item in enumerate(items) if item.key == key), -1 if by > 0 else 0)
+    round_trip = (items[(at + by * n) % len(items)] for n in range(1, len(items) + 1))
+    ahead = [item for item in round_trip if only in ("all", item.judgement.verdict)]
+    still_open = (item for item in ahead if by > 0 and item.key != key and item.judgement.verdict == "open")
+    return next(still_open, next(iter(ahead), None))
+
+
+def _results(snapshot: Snapshot, _: DefectListing) -> Iterator[ReviewItem]:
+    for finding in snapshot.findings:
+        key = key_of_result(finding.number)
+        yield ReviewItem(
+            key=key,
+            sign=symbol(finding),
+            colour=sign_colour(finding),
+            title=finding.name or symbol(finding),
+            below=_kind(finding),
+            value=list_text(finding),
+            rows=tuple(_rows(finding)),
+            judgement=snapshot.notebook.book.judgement(key),
+            box_um=bounds_of(finding),
+            show=finding.show,
+            levelling=finding.levelling,
+            number=finding.number,
+            word=finding.verdict if isinstance(finding, GaugeCheck) else None,
+            said=finding.why if isinstance(finding, GaugeCheck) else "",
+        )
+
+
+def _features(snapshot: Snapshot, _: DefectListing) -> Iterator[ReviewItem]:
+    verdict, data = snapshot.operating.verdict, snapshot.dataset
+    if verdict is None or data is None:
+        return
+    keyed = enumerate(zip(keys_of_features(verdict), verdict.items, strict=True), 1)
+    for n, (key, judged) in sorted(keyed, key=lambda of: GRAVEST.index(of[1][1].word)):
+        places = _places(judged, data.job)
+        yield ReviewItem(
+            key=key,
+            sign=f"F{n}",
+            colour="",
+            title=judged.name,
+            below="Feature of the released job" if verdict.released else "Feature of the job",
+            value=feature_summary(judged),
+            rows=_feature_rows(judged),
+            judgement=snapshot.notebook.book.judgement(key),
+            box_um=_box_on_stage(places, data.job.alignment),
+            word=judged.word,
+            said=judged.why,
+        )
+
+
+SOURCES: tuple[Callable[[Snapshot, DefectListing], Iterable[ReviewItem]], ...] = (defect_items, _features, _results)
+
+
+def _kind(finding: AnyResult) -> str:
+    titles = {tool: made.title for tool, made in TOOLS.items()}
+    tag = {"step_height": "step"}.get(str(finding.__struct_config__.tag), str(finding.__struct_config__.tag))
+    words = (titles.get(tag, tag.replace("_", " ").capitalize()), main_label(finding), LAYER_TITLES[finding.surface])
+    return " · ".join(word for word in words if word)
+
+
+def _rows(finding: AnyResult) -> Iterator[Row]:
+    for name in finding.__struct_fields__:
+        held = getattr(finding, name)
+        if isinstance(held, Length | Quantity):
+            quantity = held.quantity if isinstance(held, Length) else held
+            yield (title_of(name), *value_texts(quantity))
+
+
+def _feature_rows(judged: FeatureVerdict) -> tuple[Row, ...]:
+    feature, what = judged.feature, judged.feature.quantity or TOOLS[judged.feature.tool].title
+    measured = ((title_of(what), *value_texts(judged.measured)),) if judged.measured else ()
+    named = (("Nominal", feature.nominal), ("Lower limit", feature.lower_limit), ("Upper limit", feature.upper_limit))
+    given = [(name, Quantity(value=value, unit=feature.unit)) for name, value in named if value is not None]
+    texts = [(name, *value_texts(quantity)) for name, quantity in given]
+    return (*measured, *((name, value, "", unit) for name, value, _, unit in texts))
+
+
+def _places(judged: FeatureVerdict, job: Job) -> list[Region]:
+    """Return the regions of a feature in wafer µm."""
+    dies = job.dies.all() if job.dies is not None and judged.die else ()
+    die = next((die for die in dies if die.name == judged.die), None)
+    return [place if die is None else on_die(place, die) for place in judged.feature.places]
+
+
+def _box_on_stage(places: list[Region], alignment: Alignment | None) -> Box | None:
+    """Return the stage bounding box of regions on the wafer; None without regions."""
+    boxes = [place.bounds_um for place in places]
+    corners = [(x, y) for x0, y0, x1, y1 in boxes for x in (x0, x1) for y in (y0, y1)]
+    if alignment is not None:
+        corners = [alignment.to_stage(x, y) for x, y in corners]
+    xs, ys = [x for x, _ in corners], [y for _, y in corners]
+    return (min(xs), min(ys), max(xs), max(ys)) if corners else None
+
+
+_NONE: dict[ReviewFilter, str] = {
+    "all": "Nothing is under review.",
+    "open": "Nothing is left open.",
+    "accepted": "Nothing was accepted.",
+    "rejected": "Nothing was rejected.",
+}
+
+
+def review_list(snapshot: Snapshot, view: View) -> str:
+    """Return the list of features and results in the left panel, with the filter; empty in other steps.
+
+    If there are defects, the filter is part of their list above.
+    """
+    everything = [item for item in review_items(snapshot) if item.defect is None]
+    if view.step != "review" or not everything:
+        return ""
+    listed = [item for item in review_items(snapshot, view.review_filter) if item.defect is None]
+    now = chosen_item(snapshot, view.review, view.defects)
+    judged = sum(item.judgement.verdict != "open" for item in everything)
+    rows = [_row(item, now is not None and item.key == now.key) for item in listed]
+    body = html.table([], rows, "  n") if rows else html.empty(_NONE[view.review_filter])
+    head = html.head("Under review", f"{judged} of {len(everything)} judged")
+    over = "" if snapshot.inspection.defects else filters(view)
+    return f'{head}{over}{body}<div style="height:6px"></div>'
+
+
+def picture(item: ReviewItem, url: str) -> str:
+    """Return the picture of an item; a sentence if it has no position on the surface."""
+    if item.box_um is None:
+        return html.empty("It has no place on the surface.")
+    inside = f'<img alt="{html.safe(item.title)}" src="{url}">' if url else ""
+    return f'<div class="wv-review-picture">{inside}</div>'
+
+
+def numbers(item: ReviewItem) -> str:
+    """Return all quantities of an item with their U, and the verdict with its reason."""
+    rows = [html.row([html.safe(cell) for cell in row], " nn") for row in item.rows]
+    word = f"{verdict.state(item.word)} · " if item.word is not None else ""
+    said = word + html.safe(html.with_micro_sign(item.said))
+    below = f'<div class="wv-sub" style="margin-top:6px">{said}</div>' if said else ""
+    table = html.table(["", "Value", "± U, k = 2", ""], rows, " nn") if rows else ""
+    return html.head("Numbers") + table + below
+
+
+def progress(items: tuple[ReviewItem, ...]) -> str:
+    """Describe the progress of the review."""
+    left = sum(item.judgement.verdict == "open" for item in items)
+    rejected = sum(item.judgement.verdict == "rejected" for item in items)
+    said = f"{left} still open" if left else "Everything is judged"
+    on = "Page Down goes to the next open one" if left else "Page Down continues"
+    return f'<div class="wv-why">{said}{f" · {rejected} rejected" if rejected else ""} · {on}</div>'
+
+
+def _row(item: ReviewItem, chosen: bool) -> str:
+    sign, colour = VERDICT_LOOKS[item.judgement.verdict]
+    state = f"<small>{verdict.state(item.word)}</small>" if item.word is not None else ""
+    name = (
+        f'<span class="wv-cut wv-short" title="{html.safe(item.title)}">{html.safe(item.title)}</span>'
+        f"{state}<small style='color:var(--{colour})'>{html.icon(sign, 14)} {VERDICTS[item.judgement.verdict]}</small>"
+    )
+    attributes = f'{html.pick("review", item.key)} aria-label="{html.safe(f"{item.title}, {item.told}")}"'
+    return html.row([html.chip(item.sign, item.colour), name, item.value], "  n", attributes, "sel" if chosen else "")
+
+
+def filters(view: View) -> str:
+    """Return the filter buttons."""
+    chosen = view.review_filter
+    buttons = "".join(
+        f'<span class="{"on" if key == chosen else ""}" aria-pressed="{str(key == chosen).lower()}" '
+        f"{html.pick('review-filter', key)}>{name}</span>"
+        for key, name in FILTERS
+    )
+    return f'<div class="wv-segments">{buttons}</div>'

@@ -1,1 +1,0 @@
-"""Text and HTML of the review of defects and results."""

@@ -1,1 +1,0 @@
-"""Camera presets, frustum and animated transitions."""

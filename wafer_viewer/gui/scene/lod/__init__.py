@@ -1,1 +1,0 @@
-"""Level of detail: quadtree, tiles and their caches."""

@@ -1,0 +1,140 @@
+"""Selection of pyramid tiles for a camera: a quadtree, split where the texels are large on the screen.
+
+The leaves always cover the entire surface, so that turning the camera never shows holes. Leaves out of view are drafts.
+Levels below 0 are finer meshes of the pixels of level 0, for close views.
+"""
+
+from __future__ import annotations
+
+import heapq
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
+
+from wafer_viewer.gui.scene.frustum import AABB, Frustum
+
+TILE_PX = 256
+FINEST_LEVEL = -3
+DRAFT_LEVELS = 2
+"""Number of levels by which a tile out of view is coarser."""
+MOST_ROOTS = 6
+Span = tuple[int, int]
+"""[first, end) of rows or columns."""
+Heights = Callable[[Span, Span], tuple[float, float]]
+"""Returns the lowest and highest height, scene mm, of rows and columns of level 0."""
+
+
+@dataclass(frozen=True, slots=True)
+class Node:
+    """A square tile of `TILE_PX` pixels at a level, by its tile row and column."""
+
+    level: int
+    row: int
+    col: int
+
+    @property
+    def side_px(self) -> int:
+        """Side length in pixels of level 0."""
+        return TILE_PX << self.level if self.level >= 0 else TILE_PX >> -self.level
+
+    @property
+    def spans(self) -> tuple[Span, Span]:
+        """Rows and columns of level 0."""
+        side = self.side_px
+        return (self.row * side, (self.row + 1) * side), (self.col * side, (self.col + 1) * side)
+
+    @property
+    def quarters(self) -> Iterator[Node]:
+        """The four child nodes at the next finer level."""
+        return (Node(self.level - 1, 2 * self.row + n // 2, 2 * self.col + n % 2) for n in range(4))
+
+
+@dataclass(frozen=True, slots=True)
+class Leaf:
+    """A node to be drawn; `seen`: True if in view, drawn at full resolution."""
+
+    node: Node
+    seen: bool
+
+
+@dataclass(frozen=True, slots=True)
+class Ground:
+    """Geometry of a surface: window of level 0, corner of pixel (0, 0) and heights.
+
+    x0_mm, y0_mm: outer corner of pixel (0, 0) in mm.
+    """
+
+    rows: Span
+    cols: Span
+    x0_mm: float
+    y0_mm: float
+    pixel_mm: float
+    heights_mm: Heights
+
+    def holds(self, node: Node) -> bool:
+        """Return whether the window overlaps a node."""
+        rows, cols = node.spans
+        return _meet(rows, self.rows) and _meet(cols, self.cols)
+
+    def box(self, node: Node) -> AABB:
+        """Return the bounding box of the window's part within a node, with its heights."""
+        rows, cols = (_common(*spans) for spans in zip(node.spans, (self.rows, self.cols), strict=True))
+        low, high = self.heights_mm(rows, cols)
+        x, y = ([self.x0_mm + c * self.pixel_mm for c in cols], [self.y0_mm - r * self.pixel_mm for r in rows])
+        return AABB((x[0], y[1], low), (x[1], y[0], high))
+
+    def texel_px(self, node: Node, box: AABB, sight: Frustum) -> float:
+        """Return the maximum screen size of a pixel at the node's level."""
+        return self.pixel_mm * node.side_px / TILE_PX * sight.px_per_mm(box)
+
+
+def roots(ground: Ground) -> list[Node]:
+    """Return the nodes of the finest level at which at most `MOST_ROOTS` nodes cover the window."""
+    level = 0
+    while True:
+        side = TILE_PX << level
+        rows, cols = (range(first // side, -(-end // side)) for first, end in (ground.rows, ground.cols))
+        if len(rows) * len(cols) <= MOST_ROOTS:
+            return [Node(level, row, col) for row in rows for col in cols]
+        level += 1
+
+
+def leaves(ground: Ground, sight: Frustum, sharp_px: float, most: int) -> list[Leaf]:
+    """Return the nodes to draw, those in the centre of the view first.
+
+    Visible nodes are split until no texel exceeds `sharp_px` or `most` tiles are reached. The largest texels are split
+    first, so that a tile limit reduces the resolution evenly.
+    """
+    heap, unseen = list[tuple[float, int, Node]](), list[Node]()
+    settled = list[Node]()
+    number = 0
+
+    def sort_in(node: Node) -> None:
+        nonlocal number
+        box = ground.box(node)
+        if not sight.sees(box):
+            unseen.append(node)
+            return
+        number += 1
+        heapq.heappush(heap, (-ground.texel_px(node, box, sight), number, node))
+
+    for node in roots(ground):
+        sort_in(node)
+    while heap and -heap[0][0] > sharp_px and len(heap) + len(settled) + 3 <= most:
+        node = heapq.heappop(heap)[2]
+        if node.level == FINEST_LEVEL:
+            settled.append(node)
+            continue
+        for quarter in node.quarters:
+            if ground.holds(quarter):
+                sort_in(quarter)
+    seen = sorted([*settled, *(node for _, _, node in heap)], key=lambda node: sight.aside(ground.box(node)))
+    unseen.sort(key=lambda node: -node.level)
+    return [*(Leaf(node, True) for node in seen), *(Leaf(node, False) for node in unseen)]
+
+
+def _meet(a: Span, b: Span) -> bool:
+    return a[0] < b[1] and b[0] < a[1]
+
+
+def _common(a: Span, b: Span) -> Span:
+    return max(a[0], b[0]), min(a[1], b[1])

@@ -1,1 +1,0 @@
-"""Gauge checks and repeatability studies."""

@@ -1,1 +1,0 @@
-"""Verdicts, revisions and reviews of jobs."""

@@ -1,0 +1,134 @@
+"""Masked cross-correlation of two pictures, and autocorrelation of a grid with unmeasured points.
+
+Source: D. Padfield, Masked object registration in the Fourier domain, IEEE Trans. Image Process. 21 (2012) 2706,
+for pictures with the local mean removed.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from wafer_viewer.numerics.filters.gaussian import fast_length
+from wafer_viewer.numerics.jit import Bools, Float32s
+
+_STEEPEST = 3.0
+"""Contrast saturates at about three times its typical value, so that one bright spot does not dominate the overlap."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Likeness:
+    """Correlation over a square of lags, all [lag row, lag col].
+
+    correlation: -1 ... 1, 0 with too few common pixels; pixels: number of common pixels; sigmas: excess of the
+    correlation over that of two unrelated pictures with equal structure, in standard deviations.
+    """
+
+    correlation: NDArray[np.float64]
+    pixels: NDArray[np.float64]
+    sigmas: NDArray[np.float64]
+
+
+def contrast(picture: Float32s, known: Bools, size: int) -> Float32s:
+    """Return the picture minus its local mean of size x size pixels, with saturated contrast; 0 where unknown.
+
+    Invariant, except for scale, to uniform or slowly varying changes of brightness.
+    """
+    from wafer_viewer.numerics.filters.sliding_filters import mean, mean_of_known
+
+    local = mean(picture, size) if known.all() else mean_of_known(picture, known, size)
+    detail = np.where(known, picture - local, np.float32(0))
+    usual = _STEEPEST * float(np.median(np.abs(detail[known][::3]))) if known.any() else 0.0
+    held: Float32s = np.sqrt(1 + (detail / np.float32(usual)) ** 2) if usual > 0 else np.ones_like(detail)
+    return np.asarray(detail / held, np.float32)
+
+
+def normalised_cross_correlation(
+    first: Float32s, first_known: Bools, second: Float32s, second_known: Bools, lag: tuple[int, int], reach: int
+) -> Likeness:
+    """Correlate two contrast images at all lags within `reach` of a lag (rows, cols).
+
+    At a lag, pixel (r, c) of the second is at pixel (r + lag row, c + lag col) of the first. Unknown pixels are 0.
+    """
+    import scipy.fft
+
+    shape = _transform_shape(first.shape, second.shape, lag, reach)
+    size: list[int] = [scipy.fft.next_fast_len(n, real=True) or n for n in shape]
+    a: Any = scipy.fft.rfft2(_moments(first, first_known), size)
+    b: Any = scipy.fft.rfft2(_moments(second, second_known), size)
+    products = np.stack([a[0] * b[0].conj(), a[1] * b[2].conj(), a[2] * b[1].conj(), a[2] * b[2].conj()])
+    sums: Any = scipy.fft.irfft2(products, size)
+    rows, cols = (np.arange(n - reach, n + reach + 1) % m for n, m in zip(lag, size, strict=True))
+    common, of_first, of_second, pixels = (s[np.ix_(rows, cols)].astype(np.float64) for s in sums)
+    pixels = np.rint(pixels)
+    energy = np.sqrt(np.maximum(of_first, 0) * np.maximum(of_second, 0))
+    floor = 1e-3 * float(energy.max(initial=0)) + 1e-12
+    correlation = np.where(energy > floor, common / np.maximum(energy, floor), 0.0).clip(-1, 1)
+    alike = _correlated_pixels(sums[0], first, second)
+    sigmas = np.arctanh(correlation.clip(-0.9999, 0.9999)) * np.sqrt(pixels / alike)
+    return Likeness(correlation, pixels, sigmas)
+
+
+def _transform_shape(
+    first: tuple[int, ...], second: tuple[int, ...], lag: tuple[int, int], reach: int
+) -> tuple[int, int]:
+    """Return the smallest size without wrap-around at any lag within reach."""
+    rows, cols = (max(a, a - n + reach, b, b + n + reach) for a, b, n in zip(first, second, lag, strict=True))
+    return rows, cols
+
+
+def _moments(picture: Float32s, known: Bools) -> Float32s:
+    return np.stack([picture, picture * picture, known.astype(np.float32)])
+
+
+def _correlated_pixels(common: Float32s, first: Float32s, second: Float32s) -> float:
+    """Return the number of pixels equivalent to one independent pixel, after Bartlett.
+
+    It is the sum of the product of both autocorrelations, which equals the mean square of the correlation over all
+    shifts. It is large for structures that extend over many pixels.
+    """
+    energy = float(np.vdot(first, first)) * float(np.vdot(second, second))
+    return max(1.0, float(np.vdot(common, common)) / energy) if energy > 0 else 1.0
+
+
+Floats = NDArray[np.float64]
+LEAST_PAIRS = 0.05
+"""Fraction of the measured points; a lag with fewer pairs has no value."""
+
+
+def autocorrelation(z: Floats) -> Floats:
+    """Return the autocorrelation of z [row, col] with mean 0, for lags up to half of its sides.
+
+    Shape [2 r + 1, 2 c + 1], 1 in the middle. The value of a lag is the mean product over pairs of measured points at
+    this lag, divided by the mean square; NaN with fewer pairs than a twentieth of the measured points.
+    """
+    known = np.isfinite(z)
+    n_known = int(known.sum())
+    reach = z.shape[0] // 2, z.shape[1] // 2
+    products = _lagged(np.where(known, z, 0.0), reach)
+    pairs = _full_pairs(z.shape, reach) if n_known == z.size else np.rint(_lagged(known.astype(np.float64), reach))
+    middle = float(products[reach]) / n_known
+    return np.divide(products / middle, pairs, out=np.full(pairs.shape, np.nan), where=pairs >= LEAST_PAIRS * n_known)
+
+
+def _lagged(plane: Floats, reach: tuple[int, int]) -> Floats:
+    """Return the sums of products of points one lag apart."""
+    from scipy.fft import irfft2, rfft2
+
+    padded = [fast_length(n + r) for n, r in zip(plane.shape, reach, strict=True)]
+    spectrum: Any = rfft2(plane, padded)
+    power = spectrum.real**2 + spectrum.imag**2
+    lags: Any = irfft2(power, padded)
+    down, across = reach
+    middle = np.roll(lags[:, : across + 1], down, axis=0)[: 2 * down + 1]
+    # The same lag backwards has the same pairs.
+    return np.hstack([middle[::-1, :0:-1], middle])
+
+
+def _full_pairs(shape: tuple[int, int], reach: tuple[int, int]) -> Floats:
+    """Return the number of pairs per lag of a grid without holes."""
+    down, across = (n - np.abs(np.arange(-r, r + 1)) for n, r in zip(shape, reach, strict=True))
+    return np.outer(down, across).astype(np.float64)

@@ -1,0 +1,113 @@
+"""Polynomials and cubic splines over grids with unmeasured points."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.polynomial.legendre import legvander
+from numpy.typing import NDArray
+
+from wafer_viewer.numerics.jit import Float32s, Float64s, Real, Whole, lean_kernel
+
+Floats = NDArray[np.float64]
+TOO_FEW = 1e-10
+"""Smallest ratio of the extreme eigenvalues at which the normal equations are considered solvable."""
+
+
+def polynomial(z: Floats, order: int) -> Floats | None:
+    """Return the least-squares polynomial of total degree `order` through z [row, col], at every grid point.
+
+    Unmeasured points (NaN) have no weight. None if the measured points do not determine it.
+    """
+    known = np.isfinite(z)
+    down, across = (_basis(n, order) for n in z.shape)
+    i, j = (np.array(power) for power in zip(*_powers(order), strict=True))
+    # Sums over the lattice of products of Legendre polynomials, first along rows, then along columns.
+    pairs_down, pairs_across = (_pairs(basis) for basis in (down, across))
+    sums = (pairs_down.T @ (known.astype(np.float64) @ pairs_across)).reshape((order + 1,) * 4)
+    normal = sums[i[:, None], i[None, :], j[:, None], j[None, :]]
+    wanted = (down.T @ np.where(known, z, 0.0) @ across)[i, j]
+    values, vectors = np.linalg.eigh(normal)
+    if values[0] <= TOO_FEW * values[-1]:
+        return None
+    coefficients = np.zeros((order + 1, order + 1))
+    coefficients[i, j] = vectors @ ((vectors.T @ wanted) / values)
+    return down @ coefficients @ across.T
+
+
+def _basis(n: int, order: int) -> Floats:
+    """Return the Legendre polynomials up to an order at n points over -1 ... 1, [n, order + 1]."""
+    return np.asarray(legvander(np.linspace(-1, 1, n) if n > 1 else np.zeros(1), order), np.float64)
+
+
+def _powers(order: int) -> list[tuple[int, int]]:
+    return [(i, total - i) for total in range(order + 1) for i in range(total + 1)]
+
+
+def _pairs(basis: Floats) -> Floats:
+    """Return the products of all pairs of columns of a basis [n, p], as [n, p * p]."""
+    return (basis[:, :, None] * basis[:, None, :]).reshape(len(basis), -1)
+
+
+def fill_rows(z: Float32s, max_gap: Whole, max_step: Real) -> Float32s:
+    """Return a copy of z with gaps of NaN up to `max_gap` pixels along each row filled, without extrapolation.
+
+    A gap whose two sides differ by more than `max_step` is a step: it is not filled, and no spline crosses it or a
+    longer gap. Each run between these is a separate natural cubic spline, solved by the Thomas algorithm.
+    """
+    out = np.array(z, np.float32, order="C")
+    _fill(out, max_gap, float(max_step), np.empty((3, z.shape[1])))
+    return out
+
+
+def fill_gaps(z: Float32s, max_gap: Whole, max_step: Real) -> Float32s:
+    """Return a copy of z with its gaps filled along rows and along columns, by the mean where both are available.
+
+    Both start from the measured pixels, so neither direction leaves streaks and no gap is longer than allowed.
+    """
+    by_row, by_col = fill_rows(z, max_gap, max_step), fill_rows(z.T, max_gap, max_step).T
+    by_row = np.where(np.isnan(by_row), by_col, by_row)
+    return np.float32(0.5) * (by_row + np.where(np.isnan(by_col), by_row, by_col))
+
+
+@lean_kernel
+def _fill(z: Float32s, max_gap: Whole, max_step: Real, scratch: Float64s) -> None:
+    """Fill run by run: from its first measured pixel to the last one before a step or a long gap."""
+    at, bend, factor = scratch[0], scratch[1], scratch[2]
+    for r in range(z.shape[0]):
+        row, count = z[r], np.int64(0)
+        for x in range(row.size + 1):
+            ends = x == row.size
+            if not ends and row[x] == row[x]:
+                if count > 0:
+                    last = int(at[count - 1])
+                    ends = x - last - 1 > max_gap or abs(row[x] - row[last]) > max_step
+            elif not ends:
+                continue
+            if ends and count > 1 and at[count - 1] - at[0] > count - 1:
+                _spline(row, at, count, bend, factor)
+            count = np.int64(0) if ends else count
+            at[count] = x
+            count += 1
+
+
+@lean_kernel
+def _spline(row: Float32s, at: Float64s, count: Whole, bend: Float64s, factor: Float64s) -> None:
+    """Solve for the second derivatives at the measured pixels, zero at both ends, then interpolate."""
+    last = count - 1
+    bend[0], factor[0], bend[last] = 0.0, 0.0, 0.0
+    for n in range(1, last):
+        x0, x1, x2 = int(at[n - 1]), int(at[n]), int(at[n + 1])
+        before, after = at[n] - at[n - 1], at[n + 1] - at[n]
+        rise = (row[x2] - row[x1]) / after - (row[x1] - row[x0]) / before
+        pivot = 2.0 * (before + after) - before * factor[n - 1]
+        factor[n] = after / pivot
+        bend[n] = (6.0 * rise - before * bend[n - 1]) / pivot
+    for n in range(last - 1, 0, -1):
+        bend[n] -= factor[n] * bend[n + 1]
+    for n in range(last):
+        a, b = int(at[n]), int(at[n + 1])
+        wide = float(b - a)
+        for x in range(a + 1, b):
+            s, t = (b - x) / wide, (x - a) / wide
+            curve = (s * s * s - s) * bend[n] + (t * t * t - t) * bend[n + 1]
+            row[x] = s * row[a] + t * row[b] + curve * wide * wide / 6.0

@@ -1,0 +1,182 @@
+"""Connected regions of a map, and counts of its codes.
+
+8-connectivity; NaN is above no threshold.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from wafer_viewer.numerics.jit import Bools, Float32s, Int32s, Int64s, Real, UInt8s, Whole, kernel, lean_kernel
+
+
+def small_components(z: Float32s, max_step: Real, min_pixels: Whole) -> Bools:
+    """Return a mask of finite pixels in components of fewer than `min_pixels`; bool [row, col].
+
+    4-connectivity; two neighbours are connected if they differ by at most `max_step`.
+    """
+    root = np.arange(z.size, dtype=np.int32)
+    _join_alike(z, np.float32(max_step), root)
+    size = np.bincount(root, minlength=z.size)
+    return np.isfinite(z) & (size[root] < min_pixels).reshape(z.shape)
+
+
+def narrow_parts(z: Float32s, max_step: Real, side: Whole) -> Bools:
+    """Return a mask of finite pixels in no fully connected square of side x side finite pixels; bool [row, col].
+
+    The map is extended by its edge values, so a component cut by the border does not count as narrow for that.
+    """
+    wider = np.pad(z, side, mode="edge")
+    covered = np.zeros(wider.shape, np.bool_)
+    _cover(wider, np.float32(max_step), side, np.zeros((2, wider.shape[1]), np.int32), covered)
+    return np.isfinite(z) & ~covered[side:-side, side:-side]
+
+
+@lean_kernel
+def _join_alike(z: Float32s, max_step: Real, root: Int32s) -> None:
+    """Union-find with path halving; a root is the first pixel of its component, so the last sweep needs no search."""
+    n_cols = z.shape[1]
+    for r in range(z.shape[0]):
+        for c in range(n_cols):
+            for back in range(2):
+                r2, c2 = r - back, c - 1 + back
+                if r2 >= 0 and c2 >= 0 and abs(z[r, c] - z[r2, c2]) <= max_step:
+                    a, b = r * n_cols + c, r2 * n_cols + c2
+                    while root[a] != a:
+                        root[a] = root[root[a]]
+                        a = root[a]
+                    while root[b] != b:
+                        root[b] = root[root[b]]
+                        b = root[b]
+                    root[max(a, b)] = min(a, b)
+    for n in range(root.size):
+        root[n] = root[root[n]]
+
+
+@lean_kernel
+def _cover(z: Float32s, max_step: Real, side: Whole, scratch: Int32s, covered: Bools) -> None:
+    """Mark the pixels covered by connected squares: from their lower right pixels leftward, then upward.
+
+    squares: side of the largest connected square with its lower right pixel at each pixel of the row.
+    """
+    n_rows, n_cols = z.shape
+    for r in range(n_rows):
+        above, squares = scratch[(r + 1) % 2], scratch[r % 2]
+        for c in range(n_cols):
+            v = z[r, c]
+            squares[c] = v == v
+            if r and c:
+                joined = abs(v - z[r - 1, c]) <= max_step and abs(v - z[r, c - 1]) <= max_step
+                if joined and abs(v - z[r - 1, c - 1]) <= max_step:
+                    squares[c] = 1 + min(above[c], squares[c - 1], above[c - 1])
+        left = 0
+        for c in range(n_cols - 1, -1, -1):
+            left = side if squares[c] >= side else max(left - 1, 0)
+            covered[r, c] = left > 0
+    up = scratch[0]
+    up[:] = 0
+    for r in range(n_rows - 1, -1, -1):
+        for c in range(n_cols):
+            up[c] = side if covered[r, c] else max(up[c] - 1, 0)
+            covered[r, c] = up[c] > 0
+
+
+def region_maxima(plane: Float32s, least: Real, least_px: Whole = 1) -> Float32s:
+    """Return the maximum of each region of at least `least_px` pixels at or above `least`, in row-major order."""
+    over = plane >= np.float32(least)
+    n = int(np.count_nonzero(over))
+    tops = np.empty(n, np.float32)
+    return tops[: _tops(plane, over, np.empty(n, np.int32), int(least_px), tops)] if n else tops
+
+
+def regions_with_peaks(low: Bools, peaks: Bools) -> Bools:
+    """Return a mask of the regions of `low` that contain a pixel of `peaks` (hysteresis threshold); bool [row, col]."""
+    found = np.zeros(low.shape, np.bool_)
+    n = int(np.count_nonzero(low))
+    if n:
+        _mark_regions_with_peaks(np.ascontiguousarray(peaks & low), low.copy(), np.empty(n, np.int32), found)
+    return found
+
+
+def dilated(mask: Bools, reach_px: Whole) -> Bools:
+    """Dilate the mask by a square of `reach_px` rows and columns to each side; bool [row, col]."""
+    out = np.zeros(mask.shape, np.bool_)
+    _widen(np.ascontiguousarray(mask), int(reach_px), out)
+    return out
+
+
+@kernel
+def _tops(plane: Float32s, over: Bools, waiting: Int32s, least_px: Whole, tops: Float32s) -> int:
+    """Write the maxima and return their number; `over` is cleared."""
+    n_cols, n = plane.shape[1], 0
+    for r in range(plane.shape[0]):
+        for c in range(n_cols):
+            if over[r, c]:
+                size = _flood_fill(r, c, over, waiting)
+                if size >= least_px:
+                    top = plane[r, c]
+                    for k in range(size):
+                        top = max(top, plane[waiting[k] // n_cols, waiting[k] % n_cols])
+                    tops[n] = top
+                    n += 1
+    return n
+
+
+@kernel
+def _mark_regions_with_peaks(peaks: Bools, low: Bools, waiting: Int32s, found: Bools) -> None:
+    """Write the mask of the regions that contain a peak; `low` is cleared there."""
+    n_cols = low.shape[1]
+    for r in range(low.shape[0]):
+        for c in range(n_cols):
+            if peaks[r, c] and low[r, c]:
+                for k in range(_flood_fill(r, c, low, waiting)):
+                    found[waiting[k] // n_cols, waiting[k] % n_cols] = True
+
+
+@kernel
+def _flood_fill(row: Whole, col: Whole, open_ones: Bools, waiting: Int32s) -> int:
+    """Flood fill from one pixel; return the region's size. Its pixels are written to `waiting` and closed."""
+    n_rows, n_cols = open_ones.shape
+    open_ones[row, col] = False
+    waiting[0] = row * n_cols + col
+    n_met, n_done = 1, 0
+    while n_done < n_met:
+        r, c = waiting[n_done] // n_cols, waiting[n_done] % n_cols
+        n_done += 1
+        for r2 in range(max(0, r - 1), min(n_rows, r + 2)):
+            for c2 in range(max(0, c - 1), min(n_cols, c + 2)):
+                if open_ones[r2, c2]:
+                    open_ones[r2, c2] = False
+                    waiting[n_met] = r2 * n_cols + c2
+                    n_met += 1
+    return n_met
+
+
+@kernel
+def _widen(mask: Bools, reach: Whole, out: Bools) -> None:
+    n_rows, n_cols = mask.shape
+    for r in range(n_rows):
+        until = 0
+        for c in range(n_cols):
+            if mask[r, c]:
+                for c2 in range(max(until, c - reach), min(n_cols, c + reach + 1)):
+                    for r2 in range(max(0, r - reach), min(n_rows, r + reach + 1)):
+                        out[r2, c2] = True
+                until = c + reach + 1
+
+
+def count_codes(codes: UInt8s, n_codes: int) -> Int64s:
+    """Return the number of pixels of each code from 0 to n_codes - 1, for a map [row, col] without larger codes.
+
+    n_codes: a power of two.
+    """
+    counts = np.zeros((4, n_codes), np.int64)
+    _count(np.ascontiguousarray(codes).ravel(), counts)
+    return counts.sum(axis=0)
+
+
+@lean_kernel
+def _count(codes: UInt8s, counts: Int64s) -> None:
+    """Count in four alternating tables, because repeated additions to one number wait for each other."""
+    for i in range(codes.size):
+        counts[i & 3, codes[i] & (counts.shape[1] - 1)] += 1

@@ -1,0 +1,58 @@
+"""Instructions for kernels: software prefetch, and a logarithm that vectorises."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+from llvmlite import ir
+from numba.core import types
+from numba.extending import intrinsic
+
+from wafer_viewer.numerics.jit import Greys, Real, inline_kernel, inlined_part
+
+_LINE_BYTES = 64
+_TO_READ, _KEEP, _DATA = 0, 3, 1
+
+
+@inlined_part
+def prefetch(row: Greys) -> None:
+    """Prefetch a row into the caches, without waiting and without side effects."""
+    for x in range(0, row.size, _LINE_BYTES // row.itemsize):
+        _prefetch(row, x)
+
+
+def _typed(_: Any, row: Any, index: Any) -> Any:
+    return types.void(row, index), _emit
+
+
+def _emit(context: Any, builder: Any, signature: Any, args: Any) -> Any:
+    data = context.make_array(signature.args[0])(context, builder, args[0]).data
+    number = ir.IntType(32)
+    kind = ir.FunctionType(ir.VoidType(), [data.type, number, number, number])
+    instruction = builder.module.declare_intrinsic("llvm.prefetch", [data.type], kind)
+    builder.call(instruction, [builder.gep(data, [args[1]]), *(number(n) for n in (_TO_READ, _KEEP, _DATA))])
+    return context.get_dummy_value()
+
+
+_prefetch: Any = intrinsic(_typed)
+
+
+# log2(1 + f) - f = f (1 - f) (c0 + c1 f + c2 f^2) for 0 <= f < 1, within 0.00012.
+_C0, _C1, _C2 = np.float32(0.43872573), np.float32(-0.2390582), np.float32(0.08213066)
+_MANTISSA = np.int32((1 << 23) - 1)
+_MANTISSA_BITS = np.int32(23)
+_PER_MANTISSA = np.float32(2.0**-23)
+_BIAS = np.float32(127)
+
+
+@inline_kernel
+def quick_log2(value: Real) -> Real:
+    """Return log2 of a positive float32, within 0.00012.
+
+    The exponent is the integer part. The mantissa f is the fraction, except for a correction between powers of two.
+    """
+    bits = np.float32(value).view(np.int32)
+    f = np.float32(np.int32(bits & _MANTISSA)) * _PER_MANTISSA
+    bow = f * (np.float32(1) - f) * (_C0 + f * (_C1 + f * _C2))
+    return np.float32(np.int32(bits >> _MANTISSA_BITS)) - _BIAS + f + bow

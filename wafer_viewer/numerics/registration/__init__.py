@@ -1,1 +1,0 @@
-"""Subpixel registration of images."""

@@ -1,0 +1,306 @@
+"""Faults of sensor and light: hot and dead pixels, flashes and dead frames.
+
+The optics spread every point over more than a pixel, and defocus spreads it further. A pixel that is brighter (or
+darker) than its neighbours two pixels away on both sides, in every frame from one end of the sweep to the other, is
+therefore a sensor defect. Left uncorrected, a hot column is sharpest where its neighbours are darkest: a false ridge.
+
+Defocus only spreads light, so the mean grey of a frame changes slowly along z, and lamp flicker scatters all frames
+alike. A frame is excluded when it differs from both sides and far exceeds that scatter. A step of the light, a
+gradient, or a peak of brightness with the focus is not a fault.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Iterator, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.lib.stride_tricks import sliding_window_view
+from numpy.typing import NDArray
+
+from wafer_viewer.model.acquisition.focus_stack import Bracket, Image
+
+LEAST_FRAMES = 6
+"""In fewer frames a sharp detail of the sample may look the same in all of them."""
+MOST_FLAWED = 0.02
+"""Maximum fraction of defects; with more, the detections are features of the sample."""
+LEAST_SHARE_OF_WHITE = 0.016
+"""Minimum difference between a defect and its neighbours, as a fraction of white: 4 of 255."""
+LEAST_NOISE = 6.0
+"""Minimum difference between a defect and its neighbours, in standard deviations of the noise."""
+
+_FRAMES = 14
+_APART = 2
+_REACH = 4
+_SAMPLED_ROWS = 16
+
+Places = NDArray[np.intp]
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Flaws:
+    """Defective pixels sorted by row, with two sound neighbours each: [flaw, (row, col)] arrays."""
+
+    at: Places
+    one: Places
+    other: Places
+
+    def __len__(self) -> int:
+        return len(self.at)
+
+    def part(self, rows: slice, cols: slice) -> Flaws:
+        """Return the defects in the pixels [rows, cols] with both neighbours inside, relative to that origin."""
+        begin, end = np.array([rows.start, cols.start]), np.array([rows.stop, cols.stop])
+        inside = np.all([((p >= begin) & (p < end)).all(axis=1) for p in (self.at, self.one, self.other)], axis=0)
+        return Flaws(self.at[inside] - begin, self.one[inside] - begin, self.other[inside] - begin)
+
+    def touch(self, rows: slice) -> bool:
+        """Return whether any defect lies in these rows."""
+        first, last = self._within(rows)
+        return first < last
+
+    def mend(self, part: Image, images: Image, slots: Places, rows: slice, cols: slice) -> None:
+        """Replace the defects in `part` [k, row, col], which holds the pixels [rows, cols] of the images `slots`.
+
+        Each becomes the mean of its sound neighbours, which are read from the images because a part may end at a
+        defect.
+        """
+        first, last = self._within(rows)
+        inside = (self.at[first:last, 1] >= cols.start) & (self.at[first:last, 1] < cols.stop)
+        if not inside.any():
+            return
+        at, one, other = (of_all[first:last][inside].T for of_all in (self.at, self.one, self.other))
+        k, pixels = slots[:, None], np.asarray(images)
+        sum_of_two = pixels[k, one[0], one[1]].astype(np.int32) + pixels[k, other[0], other[1]]
+        part[:, at[0] - rows.start, at[1] - cols.start] = (sum_of_two + 1) // 2
+
+    def _within(self, rows: slice) -> tuple[int, int]:
+        """Return the index of the first defect in these rows, and one past the last."""
+        first, last = np.searchsorted(self.at[:, 0], (rows.start, rows.stop))
+        return int(first), int(last)
+
+
+def find_flaws(exposures: Iterable[Image], slots: NDArray[np.intp], white_counts: int) -> Flaws | None:
+    """Return the defective pixels found in the frames `slots` of all exposures; None if there are none."""
+    if len(slots) < LEAST_FRAMES:
+        return None
+    picked: NDArray[np.intp] = slots[np.unique(np.linspace(0, len(slots) - 1, _FRAMES).astype(int))]
+    found = [_flawed(images, picked, white_counts) for images in exposures]
+    shape = found[0].shape
+    flawed = _whole_lines(np.logical_or.reduce(found))
+    if not flawed.any() or flawed.mean() > MOST_FLAWED or min(shape) <= 2 * _REACH:
+        return None
+    return _with_neighbours(flawed)
+
+
+def _whole_lines(flawed: NDArray[np.bool_]) -> NDArray[np.bool_]:
+    """Complete rows and columns of which half is defective, because texture hides weak defects in places."""
+    lines = [flawed.mean(axis=axis, keepdims=True) >= 0.5 for axis in (0, 1)]
+    return flawed | lines[0] | lines[1]
+
+
+def _flawed(images: Image, slots: NDArray[np.intp], white_counts: int) -> NDArray[np.bool_]:
+    """Return a mask of pixels that stand out in all frames, up or down, along the row or the column."""
+    first, last = images[slots[0]], images[slots[-1]]
+    least = _least_difference(first, white_counts)
+    flawed = np.zeros(first.shape, bool)
+    if min(first.shape) <= 2 * _REACH or least > white_counts // 2:
+        return flawed
+    for brighter in (True, False):
+        for axis in (0, 1):
+            at = np.argwhere(_stands_out(first, axis, brighter, least) & _stands_out(last, axis, brighter, least))
+            for slot in slots[1:-1]:
+                at = at[_stand_out_at(images[slot], at, axis, brighter, least)]
+            flawed[tuple(at.T)] = True
+    return flawed
+
+
+def _least_difference(frame: Image, white_counts: int) -> int:
+    rows = frame[:: max(1, len(frame) // _SAMPLED_ROWS)].astype(np.float32)
+    noise = 1.4826 * float(np.median(np.abs(np.diff(rows, axis=1)))) / np.sqrt(2) if rows.shape[1] > 1 else 0.0
+    return int(np.ceil(max(LEAST_SHARE_OF_WHITE * white_counts, LEAST_NOISE * noise)))
+
+
+def _stands_out(frame: Image, axis: int, brighter: bool, least: int) -> NDArray[np.bool_]:
+    """Return a mask of pixels beyond both neighbours two pixels away along the axis by more than `least`."""
+    turned = frame if axis else frame.T
+    ahead = turned[:, 2 * _APART :]
+    behind, here = turned[:, : -2 * _APART], turned[:, _APART:-_APART]
+    out = np.zeros(turned.shape, bool)
+    inner = out[:, _APART:-_APART]
+    if brighter:
+        top = np.iinfo(frame.dtype).max - least
+        np.greater(here, np.minimum(np.maximum(ahead, behind), top) + frame.dtype.type(least), out=inner)
+    else:
+        np.less(here, np.maximum(np.minimum(ahead, behind), least) - frame.dtype.type(least), out=inner)
+    return out if axis else out.T
+
+
+def _stand_out_at(frame: Image, at: Places, axis: int, brighter: bool, least: int) -> NDArray[np.bool_]:
+    """Apply the test of `_stands_out` to selected pixels."""
+    step = np.array([0, _APART] if axis else [_APART, 0])
+    here, ahead, behind = (frame[tuple(p.T)].astype(np.int32) for p in (at, at + step, at - step))
+    return here > np.maximum(ahead, behind) + least if brighter else here < np.minimum(ahead, behind) - least
+
+
+def _with_neighbours(flawed: NDArray[np.bool_]) -> Flaws | None:
+    """Return the defects with sound pixels on both sides within reach, along the row or else the column."""
+    at = np.argwhere(flawed)
+    one, other = at.copy(), at.copy()
+    sound = np.zeros(len(at), bool)
+    for step in ((0, 1), (1, 0)):
+        for out, sign in ((one, -1), (other, 1)):
+            todo = ~sound
+            out[todo] = _nearest_sound(flawed, at[todo], sign * np.array(step))
+        sound = ~flawed[tuple(one.T)] & ~flawed[tuple(other.T)]
+    return Flaws(at[sound], one[sound], other[sound]) if sound.any() else None
+
+
+def _nearest_sound(flawed: NDArray[np.bool_], at: Places, step: NDArray[np.intp]) -> Places:
+    """Return the first sound pixel from each in steps, or the pixel itself if there is none within reach."""
+    out = at.copy()
+    for n in range(_REACH, 0, -1):
+        there = at + n * step
+        inside = ((there >= 0) & (there < flawed.shape)).all(axis=1)
+        good = np.zeros(len(at), bool)
+        good[inside] = ~flawed[tuple(there[inside].T)]
+        out[good] = there[good]
+    return out
+
+
+LEAST_RATIO = 1.4
+"""Minimum grey ratio between a flash or dead frame and both sides."""
+LEAST_SIGMAS = 8.0
+"""Minimum difference in standard deviations of the frames' own scatter, in logarithms."""
+LEAST_RATIO_AT_END = 4.0
+"""Minimum grey ratio for the first and the last frame, which have one side only."""
+LEAST_CLIPPED = 0.5
+"""Minimum fraction of pixels that a flash clips in addition to the frames on both sides."""
+DEAD_SHARE = 0.25
+"""A blank frame has less than this fraction of the lowest focus energy of the others."""
+LEAST_JUMP = 2.0
+"""Minimum ratio of the change into and out of a flash to the change before and after."""
+SHARPER = 1.3
+"""A frame with this much more contrast than both sides is in focus, however bright."""
+MOST_FAULTY = 0.2
+"""Maximum fraction of faulty frames; beyond it the light is unsteady and no frame can serve as reference."""
+
+_SIDE = 3
+_ROWS = 10
+_DARK_SHARE_OF_WHITE = 6 / 255
+_LEAST_VARIANCE = 0.1
+
+Stats = NDArray[np.float64]
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class FrameStats:
+    """Statistics of each frame, [k]: mean grey, clipped fraction, and focus energy (mean squared gradient)."""
+
+    grey: Stats
+    clipped: Stats
+    energy: Stats
+
+    @classmethod
+    def of(cls, images: Image, slots: NDArray[np.intp], clipped_counts: int) -> FrameStats:
+        """Measure the frames `slots` on a few rows each."""
+        rows = slice(None, None, max(1, images.shape[1] // _ROWS))
+        found = [_stats(images[slot, rows], clipped_counts) for slot in slots]
+        return cls(*np.array(found, np.float64).T)
+
+
+def faulty_frames(
+    exposures: Sequence[Bracket], slots: NDArray[np.intp], white_counts: int, clipped_counts: int
+) -> dict[int, str]:
+    """Find the flashes and dead frames of a stack.
+
+    Parameters
+    ----------
+    exposures : Sequence[Bracket]
+        All exposures of the slots; a slot is faulty when it is in one of them.
+    slots : ndarray of int, [k]
+        The slots in the order of z.
+    white_counts, clipped_counts : int
+        White of the camera, and the grey from which a pixel is clipped.
+
+    Returns
+    -------
+    dict[int, str]
+        What is wrong with a slot, by slot; empty where more than a fifth of the frames would be.
+    """
+    if len(slots) < LEAST_FRAMES:
+        return {}
+    found: dict[int, str] = {}
+    for one in exposures:
+        stats = FrameStats.of(one.images, slots, clipped_counts)
+        found |= {int(slots[k]): why for k, why in _faults(stats, white_counts)}
+    return found if len(found) <= MOST_FAULTY * len(slots) else {}
+
+
+def _stats(rows: Image, clipped_counts: int) -> tuple[float, float, float]:
+    slope = np.diff(rows.astype(np.float32), axis=1)
+    return float(rows.mean()), float(np.mean(rows >= clipped_counts)), float(np.vdot(slope, slope)) / max(1, slope.size)
+
+
+def _faults(stats: FrameStats, white_counts: int) -> Iterator[tuple[int, str]]:
+    """Yield the index along z and a description of each faulty frame."""
+    dark = _DARK_SHARE_OF_WHITE * white_counts
+    log = np.log(stats.grey + dark)
+    below, above = _sides(log)
+    off = _nearer(log - below, log - above)
+    scatter = 1.4826 * float(np.median(np.abs(off[1:-1])))
+    limit = np.full(len(log), max(np.log(LEAST_RATIO), LEAST_SIGMAS * scatter))
+    limit[[0, -1]] = np.maximum(limit[[0, -1]], np.log(LEAST_RATIO_AT_END))
+    contrast = np.log(stats.energy + _LEAST_VARIANCE) - 2 * log
+    sharper = _nearer(*(contrast - side for side in _sides(contrast))) > np.log(SHARPER)
+    flash = (off > limit) & ~sharper
+    clips = _nearer(*(stats.clipped - side for side in _sides(stats.clipped))) > LEAST_CLIPPED
+    black = (off < -limit) & (log < np.percentile(log, 10) - np.log(LEAST_RATIO))
+    lit = _abrupt(flash | clips | black, log)
+    blank = _is_blank(stats.energy)
+    sides = np.exp((below + above) / 2) - dark
+    for k in np.flatnonzero(lit | blank).tolist():
+        greys = f"mean grey {stats.grey[k]:.3g} against {sides[k]:.3g} of {white_counts}"
+        if not lit[k]:
+            yield k, "shows nothing, unlike the frames beside it"
+        elif black[k]:
+            yield k, f"is far darker than the frames beside it ({greys})"
+        else:
+            yield k, f"is far brighter than the frames beside it ({greys}, {stats.clipped[k]:.0%} clipped)"
+
+
+def _abrupt(flagged: NDArray[np.bool_], log: Stats) -> NDArray[np.bool_]:
+    """Select the runs of flagged frames that begin and end with a jump, unlike the top of a smooth curve."""
+    step = np.abs(np.diff(log))
+    kept = flagged.copy()
+    for run in np.split(np.flatnonzero(flagged), np.flatnonzero(np.diff(np.flatnonzero(flagged)) > 1) + 1):
+        if not run.size:
+            continue
+        first, last = run[0], run[-1]
+        begins = first < 2 or step[first - 1] > LEAST_JUMP * step[first - 2]
+        ends = last > len(log) - 3 or step[last] > LEAST_JUMP * step[last + 1]
+        kept[run] = begins and ends
+    return kept
+
+
+def _sides(values: Stats) -> tuple[Stats, Stats]:
+    """Return the medians of the frames before and after each; at an end both are those of the one side."""
+    windows = sliding_window_view(np.pad(values, _SIDE, mode="edge"), _SIDE)
+    medians = np.median(windows, axis=1)
+    before, after = medians[: len(values)].copy(), medians[_SIDE + 1 :].copy()
+    before[0], after[-1] = after[0], before[-1]
+    return before, after
+
+
+def _nearer(one: Stats, other: Stats) -> Stats:
+    """Return the smaller of two differences where they have the same sign, else 0."""
+    least = np.where(np.abs(one) < np.abs(other), one, other)
+    return np.where(one * other > 0, least, 0.0)
+
+
+def _is_blank(energy: Stats) -> NDArray[np.bool_]:
+    """Return a mask of a frame with far less focus energy than any other, even out of focus."""
+    least, next_least = np.partition(energy, 1)[:2]
+    if least >= DEAD_SHARE * next_least or next_least <= _LEAST_VARIANCE:
+        return np.zeros(len(energy), np.bool_)
+    return energy == least

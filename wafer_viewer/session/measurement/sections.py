@@ -1,0 +1,127 @@
+"""Sections of surfaces along lines: curves for the page, files for other programs."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from pathlib import Path
+
+from wafer_viewer._version import __version__
+from wafer_viewer.measure.base.height_samples import Layer
+from wafer_viewer.model.errors import DatasetError, MeasureError
+from wafer_viewer.model.measurement.levelling import Datum, Levelling
+from wafer_viewer.model.measurement.sections import OtherSurface, Section, SectionAsked
+from wafer_viewer.model.surface.height_map import Mosaic
+from wafer_viewer.session.measurement.dataset_queries import DatasetQueries
+from wafer_viewer.session.state.snapshot import Snapshot
+
+
+def cut(asked: SectionAsked, surface: Mosaic, calibrated: bool, source: str) -> Section:
+    """Return a section of a surface. Raises MeasureError when nothing was measured along the line."""
+    from wafer_viewer.measure.tools.profile import profile
+
+    layer = other_layer(surface) if asked.cleaned else None
+    try:
+        found, curve = profile(surface, asked.line, calibration_valid=calibrated, layer=layer)
+    except MeasureError as fault:
+        if asked.of is None:
+            raise
+        raise MeasureError(f"{source} has no heights along line {asked.letter}. {fault}") from fault
+    return Section(asked, found, curve, source)
+
+
+def other_layer(surface: Mosaic) -> Layer:
+    """Return the layer that is not measured on, of measured and filtered heights."""
+    return "unsmoothed" if surface.provenance.recipe.measure_on == "smoothed" else "filled"
+
+
+def file_of(sections: Sequence[Section], ending: str) -> bytes:
+    """Return sections as the content of a file with that ending. Raises DatasetError as `require_known` does."""
+    require_known(ending)
+    return FILES[ending.lower()](sections)
+
+
+def require_known(ending: str) -> None:
+    """Raise DatasetError if sections cannot be written to a file with that ending."""
+    if ending.lower() not in FILES:
+        raise DatasetError(f"Profiles cannot be written as '{ending}': use {' or '.join(FILES)}.")
+
+
+def write_sections(sections: Sequence[Section], path: Path) -> None:
+    """Write sections to a file atomically; its ending determines the format."""
+    from wafer_viewer.store.io.atomic_files import atomic_write
+
+    content = file_of(sections, path.suffix)
+    with atomic_write(path) as beside:
+        beside.write_bytes(content)
+
+
+def _table(sections: Sequence[Section]) -> bytes:
+    from wafer_viewer.store.tables.csv_tables import profiles_csv
+
+    return profiles_csv(sections, __version__).encode()
+
+
+def _picture(sections: Sequence[Section]) -> bytes:
+    from wafer_viewer.draw.print_figures import profile_png
+
+    return profile_png(sections)
+
+
+FILES: dict[str, Callable[[Sequence[Section]], bytes]] = {".csv": _table, ".png": _picture}
+"""Section writers by file ending."""
+
+
+class Sections:
+    """Section queries, from any thread. Methods raise WaferViewerError on failure."""
+
+    def __init__(self, questions: DatasetQueries, snapshot: Callable[[], Snapshot]) -> None:
+        self._questions, self._snapshot = questions, snapshot
+        self._zero: tuple[tuple[OtherSurface, Levelling], Datum] | None = None
+
+    def section(self, asked: SectionAsked) -> Section:
+        """Return a section along a line of the displayed surface, or of another one."""
+        if asked.of is not None:
+            return self._of_other(asked, asked.of)
+        shown = self._snapshot().dataset
+        name = shown.name if shown is not None else ""
+        source, measuring = name if asked.show <= 0 else f"{name}, field {asked.show}", self._questions.measuring
+        if asked.slab:
+            found, curve, points = measuring.slab(asked.line, asked.show, asked.levelling)
+            return Section(asked, found, curve, source, points)
+        layer = other_layer(self._questions.surface_source(asked.show)) if asked.cleaned else None
+        return Section(asked, *measuring.profile(asked.line, asked.show, asked.levelling, layer), source)
+
+    def others(self) -> tuple[OtherSurface, ...]:
+        """Return the stitched surfaces of the data folder, except the displayed one."""
+        now = self._snapshot()
+        shown = str(now.dataset.path) if now.dataset is not None else ""
+        found = (
+            OtherSurface(str(entry.path), mosaic.parent.name)
+            for entry in now.datasets
+            for mosaic in sorted(entry.path.glob("results/*/mosaic.zarr"))
+        )
+        looked_at = (shown, now.surface.result if now.surface is not None else "")
+        return tuple(other for other in found if (other.folder, other.result) != looked_at)
+
+    def _of_other(self, asked: SectionAsked, other: OtherSurface) -> Section:
+        """Return the section along the same line of another surface, levelled in the same way."""
+        from wafer_viewer.session.core.dataset_library import today
+        from wafer_viewer.store.dataset.dataset import Dataset
+
+        dataset = Dataset.open(Path(other.folder))
+        calibrated = dataset.calibration_problem(today()) is None
+        surface = self._levelled(other, dataset.result(other.result).mosaic(), asked.levelling)
+        return cut(asked, surface, calibrated, other.title)
+
+    def _levelled(self, other: OtherSurface, surface: Mosaic, levelling: Levelling) -> Mosaic:
+        from wafer_viewer.measure.base.levelled_surface import Levelled, datum
+
+        if levelling.by == "stage":
+            return surface
+        if self._zero is None or self._zero[0] != (other, levelling):
+            self._zero = (other, levelling), datum(surface, levelling)
+        return Levelled(surface, self._zero[1], levelling)
+
+    def file(self, sections: Sequence[Section], ending: str) -> bytes:
+        """Return the sections as the content of a file with that ending, ``.csv`` or ``.png``."""
+        return file_of(sections, ending)

@@ -1,0 +1,347 @@
+"""Sections of a report: verdict, results with their budgets, defects and dies overlaid."""
+
+from __future__ import annotations
+
+import base64
+from collections.abc import Iterator
+
+from wafer_viewer.draw.charts.defect_charts import die_stack_svg, pareto_svg
+from wafer_viewer.draw.charts.die_map import defect_map_svg, kinds_text
+from wafer_viewer.draw.charts.symbols import KINDS
+from wafer_viewer.draw.number_format import digits_of_u, number, share
+from wafer_viewer.model.errors import MeasureError
+from wafer_viewer.model.findings import AnyResult
+from wafer_viewer.model.gauge import GaugeCheck
+from wafer_viewer.model.inspection.defect import Defect, Inspection
+from wafer_viewer.model.inspection.defect_verdict import verdict_of
+from wafer_viewer.model.job import GRAVEST, FeatureVerdict, WaferVerdict, key_of_result, keys_of_features
+from wafer_viewer.model.measurement.sections import SectionAsked
+from wafer_viewer.model.measurement.tools import TOOLS
+from wafer_viewer.model.quantity import BudgetLine
+from wafer_viewer.model.region import Region
+from wafer_viewer.model.report import PART_TITLES, Figure, Holds, Pairs, ReportSection, Sheet, Table
+from wafer_viewer.model.surface.height_map import Mosaic
+from wafer_viewer.session.measurement.measurement_numbers import (
+    UNITS,
+    budget_of,
+    main_field,
+    not_evaluated,
+    numbers_of,
+    quantity_text,
+    title_of,
+)
+from wafer_viewer.session.reporting.report_data import (
+    Material,
+    bounds_um,
+    feature_row,
+    judgement_text,
+    kind_of,
+    result_row,
+    where,
+)
+
+MOST_SHEETS, MOST_PROFILES = 60, 24
+"""Maximum numbers of result sheets and profiles; further results are in the table only, to limit the report's size."""
+RESULT_HEADS = ("No.", "Result", "What, on which heights", "Value, k = 2", "x, y of the stage, µm", "Judgement")
+FEATURE_HEADS = ("No.", "Feature", "Limits", "Value, k = 2", "Word", "Judgement")
+GAUGE_HEADS = ("No.", "Certificate", "Scans", "Mean", "Reference", "Error", "En", "Limit", "Word")
+
+
+def verdict(material: Material) -> ReportSection:
+    """Return the section with the wafer's verdict, its dies, and every feature with its limits."""
+    title, judged = PART_TITLES["verdict"], material.verdict
+    if judged is None:
+        return ReportSection(
+            title, empty="No verdict was kept on this surface: wafer-viewer measure verdict gives one."
+        )
+    keyed = enumerate(zip(keys_of_features(judged), judged.items, strict=True), 1)
+    rows = tuple(feature_row(n, item, material.notebook.judgement(key)) for n, (key, item) in keyed)
+    told = (f"{item.name}: {item.why}" for item in judged.items if item.word != "pass")
+    return ReportSection(
+        title,
+        word=judged.word,
+        beside=" · ".join(part for part in (judged.job, judged.next) if part),
+        table=Table(FEATURE_HEADS, rows, "n  n"),
+        figures=_die_map(material, judged),
+        sentences=tuple(sentence.replace(" um", "\u202fµm") for sentence in told),
+        sheets=tuple(_of_feature(n, item) for n, item in _one_of_each(judged)),
+    )
+
+
+def _one_of_each(judged: WaferVerdict) -> Iterator[tuple[int, FeatureVerdict]]:
+    """Yield the item with the worst verdict of every feature, with its number; the budgets of dies are similar."""
+    numbered = list(enumerate(judged.items, 1))
+    for name in dict.fromkeys(item.feature.name for item in judged.items):
+        of_name = [(n, item) for n, item in numbered if item.feature.name == name]
+        yield min(of_name, key=lambda of: GRAVEST.index(of[1].word))
+
+
+def _of_feature(n: int, item: FeatureVerdict) -> Sheet:
+    """Return the uncertainty sheet of a feature."""
+    feature, measured = item.feature, item.measured
+    what = (TOOLS[feature.tool].title, title_of(feature.quantity) if feature.quantity else "")
+    return Sheet(
+        number=f"F{n}",
+        title=item.name,
+        below=", ".join(part for part in what if part),
+        value=quantity_text(measured) if measured is not None else "not measured",
+        budget=budget_table(measured.budget, UNITS.get(measured.unit, measured.unit)) if measured else None,
+        missing=item.not_evaluated,
+    )
+
+
+def _die_map(material: Material, judged: WaferVerdict) -> tuple[Figure, ...]:
+    from wafer_viewer.draw.charts.die_map import die_map_svg
+
+    if not judged.dies:
+        return ()
+    job = material.dataset.scan.job
+    counts = ", ".join(f"{n} {word}" for word, n in judged.die_counts.items())
+    across_um = (job.sample.width_um or 0.0) if job.marks is not None else 0.0
+    dies = "1 die" if len(judged.dies) == 1 else f"{len(judged.dies)} dies"
+    caption = f"{dies}: {counts}. The notch points down; seen from above."
+    return (Figure("", caption, svg=die_map_svg(judged.dies, across_um, width_px=260, most_height_px=260)),)
+
+
+def results(material: Material) -> ReportSection:
+    """Return the section with a table of all results, and a sheet of each."""
+    rows = tuple(result_row(finding, material.notebook) for finding in material.findings)
+    sheets = tuple(_sheet(material, finding) for finding in material.findings[:MOST_SHEETS])
+    title = PART_TITLES["results"]
+    return ReportSection(title, table=Table(RESULT_HEADS, rows, "n"), sheets=sheets, empty="No results were kept.")
+
+
+def _sheet(material: Material, finding: AnyResult) -> Sheet:
+    main = main_field(finding)
+    judgement = judgement_text(material.notebook.judgement(key_of_result(finding.number)))
+    below = (kind_of(finding), title_of(main) if main else "", where(finding), judgement)
+    return Sheet(
+        number=f"{finding.number}",
+        title=finding.name,
+        below=" · ".join(part for part in below if part),
+        value=quantity_text(finding.main),
+        picture=_place(material, finding),
+        pairs=numbers_of(finding),
+        budget=budget_table(budget_of(finding), UNITS.get(finding.main.unit, finding.main.unit)),
+        missing=not_evaluated(finding),
+    )
+
+
+def budget_table(lines: tuple[BudgetLine, ...], unit: str) -> Table | None:
+    """Return contributions with their share of the variance, the largest first; None without a budget."""
+    variance = sum(line.u**2 for line in lines)
+    if not variance:
+        return None
+    ordered = sorted(lines, key=lambda line: -line.u)
+    rows = [(line.name, _two_figures(line.u), share(line.u**2 / variance)) for line in ordered]
+    total = ("combined, k = 1", _two_figures(variance**0.5), "")
+    return Table(("Contribution", f"u, {unit}", "of u²"), (*rows, total), " nn")
+
+
+def _two_figures(u: float) -> str:
+    return number(u, min(digits_of_u(u), 6)) if u else "0"
+
+
+def _place(material: Material, finding: AnyResult) -> str:
+    """Return a picture of the region of a result, if it was measured on the stitched surface."""
+    from wafer_viewer.session.reporting.pictures import place_picture
+
+    box, info = bounds_um(finding), material.info
+    if box is None or info is None or finding.show != 0:
+        return ""
+    return place_picture(material.result.mosaic(), box, info.low_um, info.high_um)
+
+
+def profiles(material: Material) -> ReportSection:
+    """Return the section with the curve of every result along a line."""
+    figures = (_curve(material, finding, line) for finding, line in material.lines[:MOST_PROFILES])
+    told = tuple(figure for figure in figures if figure is not None)
+    return ReportSection(PART_TITLES["profiles"], figures=told, empty="No result lies along a line.")
+
+
+def _curve(material: Material, finding: AnyResult, line: Region) -> Figure | None:
+    """Return the section of a result as a figure, cut again at the same line; None if the surface is missing."""
+    from wafer_viewer.draw.charts.profile_plot import profile_svg
+    from wafer_viewer.measure.base.levelled_surface import levelled
+    from wafer_viewer.measure.tools.profile import profile
+    from wafer_viewer.model.measurement.sections import Section as Cut
+
+    surface = _surface(material, finding.show)
+    if surface is None:
+        return None
+    try:
+        found, curve = profile(levelled(surface, finding.levelling), line, layer=finding.surface)
+    except MeasureError:
+        return None
+    cut = Cut(SectionAsked(place=0, line=line, show=finding.show, levelling=finding.levelling), found, curve, "")
+    width = f", mean over {number(line.width_um, 1)}\u202fµm" if line.width_um else ""
+    caption = f"{finding.number} · {finding.name}: {quantity_text(finding.main)}; {kind_of(finding)}{width}"
+    return Figure("", caption, svg=profile_svg(cut))
+
+
+def _surface(material: Material, show: int) -> Mosaic | None:
+    if show == 0:
+        return material.result.mosaic() if material.result.has_mosaic else None
+    field = material.dataset.field(show)
+    done = material.result.surfaces_done([field])
+    return material.result.surface(field) if done else None
+
+
+def gauge(material: Material) -> ReportSection:
+    """Return the section of the gauge-block checks among the results."""
+    checks = material.gauge_checks
+    table = Table(GAUGE_HEADS, tuple(_gauge_row(check) for check in checks), "n nnnnnn")
+    told = tuple(_of_check(check).replace(" um", "\u202fµm") for check in checks)
+    return ReportSection(PART_TITLES["gauge"], table=table, sentences=told, empty="No gauge-block check was kept.")
+
+
+def _gauge_row(check: GaugeCheck) -> tuple[str, ...]:
+    limit_um = check.terms.limit_um
+    heights = (quantity_text(length.quantity) for length in (check.height, check.reference, check.deviation))
+    limit = f"±{number(limit_um, 3)}\u202fµm" if limit_um is not None else "none"
+    word = check.verdict.upper()
+    return (f"{check.number}", check.certificate.number, f"{check.n}", *heights, number(check.en, 2), limit, word)
+
+
+def _of_check(check: GaugeCheck) -> str:
+    """Return the details of a check: reason of the verdict, certificate and signer."""
+    paper = check.certificate
+    blocks = f"Certificate {paper.number} of {paper.laboratory}, blocks {', '.join(paper.serials)}, to {paper.expires}"
+    signed = f"; signed by {check.signed_by}, {check.at[:16].replace('T', ' ')}" if check.signed_by else ""
+    return f"{check.number}: {check.why} {blocks}{signed}."
+
+
+MOST_PLACES = 10
+"""Maximum number of listed positions; the report gives the number of further ones."""
+WIDTH_PX = 420
+
+
+def stacked(material: Material, found: Inspection) -> Iterator[Figure]:
+    """Yield the figure with the defects of all dies overlaid; none without dies or without defects on them."""
+    from wafer_viewer.measure.defects.repeaters import repeated_places
+
+    if found.grid is None or not any(defect.die for defect in found.found):
+        return
+    places = repeated_places(found)
+    ringed = " Rings: places that repeat." if places else ""
+    caption = f"All dies overlaid, their defects by class.{ringed}"
+    yield Figure("", caption, svg=die_stack_svg(found, places, _ground(material, found), width_px=WIDTH_PX))
+
+
+def repeated(found: Inspection) -> Iterator[str]:
+    """Yield the positions at which several dies have a defect."""
+    from wafer_viewer.measure.defects.repeaters import repeated_places
+
+    places = repeated_places(found)
+    if places:
+        yield "Defects that repeat at the same place of several dies are systematic, of the mask or the process."
+    for k, place in enumerate(places[:MOST_PLACES], 1):
+        x, y = number(place.in_die.x_um, 1), number(place.in_die.y_um, 1)
+        kind = KINDS[place.kind].title.lower()
+        yield f"Place {k}, x {x}, y {y} µm of the die: {kind} {place.words}."
+    if len(places) > MOST_PLACES:
+        yield f"{len(places) - MOST_PLACES} more places repeat."
+
+
+def _ground(material: Material, found: Inspection) -> str:
+    """Return the picture of the typical die as a data URL; empty if there is none."""
+    from wafer_viewer.session.inspection.reference_views import like_die
+    from wafer_viewer.session.rendering.render_comparisons import picture_of_die
+
+    if material.info is None or not material.result.has_mosaic:
+        return ""
+    seen = picture_of_die(material.result.mosaic(), material.dataset.path.parent, like_die(found))
+    return f"data:image/jpeg;base64,{base64.b64encode(seen.picture).decode()}" if seen.picture else ""
+
+
+MOST_ROWS, MOST_PICTURES = 40, 12
+"""Maximum numbers of rows and pictures.
+
+The report gives the number of omitted ones, which the CSV and KLARF contain.
+"""
+REFERENCES = {"dies": "the median of its dies", "golden": "a stored golden die", "form": "the fitted form"}
+HEADS = ("No.", "Class", "Die", "Height, k = 2", "Length", "x, y of the stage, µm", "Judgement")
+
+
+def defects(material: Material) -> ReportSection:
+    """Return the section with counts by class and die, and a table of the largest defects."""
+    title, found = PART_TITLES["defects"], material.inspection
+    if found is None:
+        return ReportSection(title, empty="No defects were looked for.")
+    largest = sorted(found.found, key=lambda defect: -defect.area.value)
+    return ReportSection(
+        title,
+        pairs=_inspected(found),
+        table=Table(HEADS, tuple(_row(defect) for defect in largest[:MOST_ROWS]), "nwwnnw"),
+        figures=tuple(_figures(material, found, largest)),
+        sentences=tuple(_sentences(found)),
+    )
+
+
+def defects_held(material: Material) -> Holds:
+    """Return the number of defects, and how many of them people judged."""
+    found = material.inspection
+    if found is None:
+        return Holds("not looked for yet", nothing=True)
+    judged = sum(defect.judgement != "open" for defect in found.found)
+    n = len(found.found)
+    return Holds(f"{number(n, 0)} defect{'' if n == 1 else 's'}, {judged} judged")
+
+
+def _inspected(found: Inspection) -> Pairs:
+    expected = found.expected_false_per_mm2
+    false = f"{expected:.2g} per mm² expected" if expected is not None else "not known"
+    return (
+        ("Defects", number(len(found.found), 0)),
+        ("Compared with", REFERENCES[found.reference]),
+        ("Inspected", f"{found.inspected_mm2:.3g}\u202fmm²; unmeasured {found.unmeasured_mm2:.3g}\u202fmm²"),
+        ("Recipe", f"{found.recipe.name}, sensitivity {found.recipe.sensitivity:g}"),
+        ("False defects", false),
+        ("Limits", _held(found)),
+    )
+
+
+def _held(found: Inspection) -> str:
+    """Return the verdict by the limits of the recipe with its reasons, or that no limits are set."""
+    if not found.recipe.limits.are_set:
+        return "none set"
+    verdict = verdict_of(found)
+    return f"within, {verdict.counted} counted" if verdict.within else " ".join(("not within.", *verdict.why))
+
+
+def _row(defect: Defect) -> tuple[str, ...]:
+    length = quantity_text(defect.major.quantity) if defect.size_resolved else "not resolved"
+    place = f"{number(defect.center.x_um, 1)}, {number(defect.center.y_um, 1)}"
+    word = " ".join(part for part in (defect.judgement, defect.judged_by) if part and part != "open")
+    height = quantity_text(defect.height.quantity)
+    return (f"{defect.number}", defect.seen_as, defect.die, height, length, place, word)
+
+
+def _figures(material: Material, found: Inspection, largest: list[Defect]) -> Iterator[Figure]:
+    """Yield the map of dies, the Pareto chart, and pictures of the largest defects."""
+    from wafer_viewer.session.reporting.pictures import place_picture
+
+    if dies := defect_map_svg(found):
+        yield Figure("", f"Defects on each die: {kinds_text(found.dies)}.", svg=dies)
+    if found.found:
+        chart = pareto_svg(defect.seen_as for defect in found.found)
+        yield Figure("", "Defects by class; at the right the share of all up to each.", svg=chart)
+    yield from stacked(material, found)
+    info = material.info
+    if info is None or not material.result.has_mosaic:
+        return
+    surface = material.result.mosaic()
+    for defect in largest[:MOST_PICTURES]:
+        if url := place_picture(surface, defect.outline.bounds_um, info.low_um, info.high_um):
+            yield Figure(url, f"{defect.number} · {defect.seen_as}", small=True)
+
+
+def _sentences(found: Inspection) -> Iterator[str]:
+    """Yield sentences on limitations of the numbers."""
+    if len(found.found) > MOST_ROWS:
+        yield f"The {MOST_ROWS} largest of {number(len(found.found), 0)} defects are listed."
+    not_clean = [die.name for die in found.dies if die.state in ("partly scanned", "not scanned")]
+    if not_clean:
+        yield f"Not or only partly scanned, so not clean: {'; '.join(not_clean)}."
+    yield from repeated(found)
+    yield from found.notes

@@ -1,0 +1,225 @@
+"""Records of inspection: recipes by product, ``defects.json``, and ``notebook.json``."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Iterable
+from pathlib import Path
+
+import numpy as np
+
+from wafer_viewer.model.errors import DatasetError, WaferViewerError
+from wafer_viewer.model.inspection.defect import Defect, DefectRecipe, Inspection
+from wafer_viewer.model.job import Notebook
+from wafer_viewer.model.spec import decode, encode, replace
+from wafer_viewer.store.io.atomic_files import os_errors_as_dataset_errors, remove, write_text
+from wafer_viewer.store.io.checksums import load_json, require_good_json, save_json
+
+FOLDER, ENDING = "recipes", ".defects.toml"
+
+
+def read_defect_recipe(path: str | Path) -> DefectRecipe:
+    """Read a defect recipe from a file.
+
+    Parameters
+    ----------
+    path : str or Path
+        TOML file with the fields of `DefectRecipe`.
+
+    Returns
+    -------
+    DefectRecipe
+        Settings of the defect inspection; fields that are not in the file have their default values.
+
+    Raises
+    ------
+    DatasetError
+        When the file cannot be read.
+    MeasureError
+        When it is no valid TOML, or has an unknown or invalid field.
+    """
+    place = Path(path)
+    try:
+        return decode(place.read_bytes(), DefectRecipe, place.name)
+    except OSError as fault:
+        raise DatasetError(f"{place} cannot be read: {(fault.strerror or str(fault)).lower()}.") from fault
+
+
+def save_defect_recipe(folder: Path, recipe: DefectRecipe) -> Path:
+    """Save a defect recipe under its product and name.
+
+    An earlier version of the recipe is replaced.
+
+    Parameters
+    ----------
+    folder : Path
+        Folder of the datasets.
+    recipe : DefectRecipe
+        Recipe to save; its product and its name must not be empty.
+
+    Returns
+    -------
+    Path
+        The file written, ``recipes/PRODUCT-NAME.defects.toml`` in `folder`. Characters other than letters, digits and
+        ``_ . + -`` become hyphens in its name.
+
+    Raises
+    ------
+    DatasetError
+        When product or name is empty, the file belongs to another recipe, or it cannot be written.
+    MeasureError
+        When a file of that name exists and is no valid recipe.
+    """
+    path = _place(folder, recipe.product, recipe.name)
+    with os_errors_as_dataset_errors(path):
+        path.parent.mkdir(parents=True, exist_ok=True)
+    write_text(path, encode(recipe))
+    return path
+
+
+def rename_defect_recipe(folder: Path, recipe: DefectRecipe, name: str) -> Path:
+    """Rename a saved recipe. Raises DatasetError when it does not exist, or the name is taken."""
+    old, new = _kept(folder, recipe), _place(folder, recipe.product, name)
+    if new.exists():
+        raise DatasetError(f"There is a recipe '{name}' of {recipe.product} already: choose another name.")
+    save_defect_recipe(folder, replace(read_defect_recipe(old), name=name))
+    remove(old)
+    return new
+
+
+def delete_defect_recipe(folder: Path, recipe: DefectRecipe) -> None:
+    """Delete a saved recipe. Raises DatasetError when it does not exist or cannot be deleted."""
+    path = _kept(folder, recipe)
+    with os_errors_as_dataset_errors(path):
+        path.unlink()
+
+
+def defect_recipes(folder: Path, product: str = "") -> tuple[DefectRecipe, ...]:
+    """Return the saved recipes, optionally of one product, by product and name; damaged ones raise."""
+    read = (read_defect_recipe(path) for path in _files(folder))
+    return tuple(recipe for recipe in read if not product or recipe.product == product)
+
+
+def readable_recipes(folder: Path) -> tuple[tuple[DefectRecipe, ...], tuple[str, ...]]:
+    """Return the readable recipes, most recently saved first, and one sentence per unreadable file."""
+    recipes: list[DefectRecipe] = []
+    problems: list[str] = []
+    for path in sorted(_files(folder), key=lambda path: -path.stat().st_mtime_ns):
+        try:
+            recipes.append(read_defect_recipe(path))
+        except WaferViewerError as fault:
+            problems.append(str(fault))
+    return tuple(recipes), tuple(problems)
+
+
+def _files(folder: Path) -> list[Path]:
+    return sorted((folder / FOLDER).glob(f"*{ENDING}"))
+
+
+def _place(folder: Path, product: str, name: str) -> Path:
+    """Return the path of a recipe. Raises DatasetError for an empty name, or if another recipe has the same file."""
+    if not product.strip() or not name.strip():
+        raise DatasetError("A defect recipe is kept under a product and a name: give both.")
+    path = folder / FOLDER / f"{_plain(product)}-{_plain(name)}{ENDING}"
+    if path.exists():
+        there = read_defect_recipe(path)
+        if (there.product, there.name) != (product, name):
+            raise DatasetError(f"{path.name} is the recipe '{there.name}' of {there.product}: choose another name.")
+    return path
+
+
+def _kept(folder: Path, recipe: DefectRecipe) -> Path:
+    path = _place(folder, recipe.product, recipe.name)
+    if not path.exists():
+        raise DatasetError(f"There is no recipe '{recipe.name}' of {recipe.product} any more: choose one of the list.")
+    return path
+
+
+def _plain(name: str) -> str:
+    """Return a name reduced to valid characters of a file name."""
+    return re.sub(r"[^\w.+-]+", "-", name.strip())
+
+
+DEFECTS = "defects.json"
+WORDS = ("judgement", "judged_kind", "note", "judged_by", "judged_at")
+"""Fields of a defect set by reviewers; all others are measured."""
+
+
+def read_inspection(result: Path) -> Inspection | None:
+    """Read the inspection of a result; None if there is none. Raises DatasetError when it is unreadable."""
+    path = result / DEFECTS
+    return load_json(path, Inspection) if path.exists() else None
+
+
+def write_inspection(result: Path, inspection: Inspection) -> None:
+    """Save an inspection atomically, replacing an earlier one."""
+    with os_errors_as_dataset_errors(result):
+        result.mkdir(parents=True, exist_ok=True)
+    save_json(result / DEFECTS, inspection)
+
+
+def carry_over(before: Inspection, after: Inspection) -> Inspection:
+    """Return `after` with the review data of matching defects in `before`; its notes list unmatched judged ones.
+
+    Two defects match if their centres are no further apart than half the length of the longer one; the nearest pairs
+    are matched first, each defect once.
+    """
+    judged = [defect for defect in before.defects if is_judged(defect)]
+    pairs = _pairs(judged, after.defects)
+    said = {new: _words(judged[old]) for old, new in pairs}
+    kept = tuple(replace(defect, **said.get(n, {})) for n, defect in enumerate(after.defects))
+    gone = sorted(judged[k].number for k in set(range(len(judged))) - {old for old, _ in pairs})
+    return replace(after, defects=kept, notes=(*after.notes, *_unmatched_note(gone)))
+
+
+def is_judged(defect: Defect) -> bool:
+    """Return whether a reviewer judged, classified or commented on a defect."""
+    return defect.judgement != "open" or defect.judged_kind is not None or bool(defect.note)
+
+
+def _words(defect: Defect) -> dict[str, str | None]:
+    return {name: getattr(defect, name) for name in WORDS}
+
+
+def _pairs(old: list[Defect], new: tuple[Defect, ...]) -> list[tuple[int, int]]:
+    """Return index pairs of matching old and new defects, nearest first and each once."""
+    near = sorted((distance, i, j) for i, a in enumerate(old) for distance, j in _within_reach(a, new))
+    taken_old: set[int] = set()
+    taken_new: set[int] = set()
+    pairs: list[tuple[int, int]] = []
+    for _, i, j in near:
+        if i not in taken_old and j not in taken_new:
+            pairs.append((i, j))
+            taken_old.add(i)
+            taken_new.add(j)
+    return pairs
+
+
+def _within_reach(a: Defect, others: tuple[Defect, ...]) -> list[tuple[float, int]]:
+    """Return (distance, index) of the candidates for a match."""
+    x, y = (np.array([getattr(b.center, axis) for b in others]) for axis in ("x_um", "y_um"))
+    reach_um = np.maximum([b.major.value_um for b in others], a.major.value_um) / 2
+    distance_um = np.hypot(x - a.center.x_um, y - a.center.y_um)
+    return [(float(distance_um[j]), int(j)) for j in np.flatnonzero(distance_um <= reach_um)]
+
+
+def _unmatched_note(numbers: Iterable[int]) -> tuple[str, ...]:
+    listed = ", ".join(str(number) for number in numbers)
+    return (f"Judged before and not found this time: {listed} of the inspection before.",) if listed else ()
+
+
+NOTEBOOK = "notebook.json"
+
+
+def read_notebook(result: Path) -> Notebook:
+    """Read the notebook of a result; an empty one if there is none. Raises DatasetError when it is unreadable."""
+    path = result / NOTEBOOK
+    return load_json(path, Notebook) if path.exists() else Notebook()
+
+
+def write_notebook(result: Path, notebook: Notebook) -> None:
+    """Save a notebook, replacing the earlier one. Raises DatasetError when that is damaged."""
+    with os_errors_as_dataset_errors(result):
+        result.mkdir(parents=True, exist_ok=True)
+    require_good_json(result / NOTEBOOK)
+    save_json(result / NOTEBOOK, notebook)

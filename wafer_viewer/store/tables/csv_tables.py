@@ -1,0 +1,280 @@
+"""Tables for spreadsheets: results, defects, profiles and studies, each number with its unit."""
+
+from __future__ import annotations
+
+import csv
+import io
+from collections import defaultdict
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, replace
+from itertools import zip_longest
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from wafer_viewer.model.errors import MeasureError
+from wafer_viewer.model.findings import AnyResult, MeasurementResults
+from wafer_viewer.model.inspection.defect import Defect, Inspection
+from wafer_viewer.model.measurement.measurements import Bump, Chip, Chipping, Coplanarity, MeasurementResult
+from wafer_viewer.model.measurement.sections import Section
+from wafer_viewer.model.quantity import Length, Quantity
+from wafer_viewer.model.region import Region
+from wafer_viewer.model.surface.height_map import LAYER_TITLES
+
+RESULT_COLUMNS = (
+    *("number", "name", "kind", "quantity", "value", "U", "unit", "k", "status"),
+    *("x_um", "y_um", "surface", "filter", "levelled by", "show", "simulated"),
+)
+UNITS = ("um2", "um3", "um", "deg", "mrad")
+"""Name suffixes that give the unit of a plain number; without one it is a count or a ratio, unit 1."""
+OF_ALL = frozenset(MeasurementResult.__struct_fields__)
+
+
+@dataclass(frozen=True, slots=True)
+class CsvNumber:
+    """One number of a result; status is empty for numbers without an uncertainty."""
+
+    name: str
+    value: float
+    unit: str
+    expanded: float | None = None
+    status: str = ""
+
+
+def findings_csv(findings: MeasurementResults) -> str:
+    """Return the table; U is expanded (k = 2). x_um, y_um: centre of the first region; show 0: entire surface."""
+    text = io.StringIO()
+    table = csv.writer(text, lineterminator="\n")
+    table.writerow(RESULT_COLUMNS)
+    for finding in findings.items:
+        for number in _numbers(finding):
+            table.writerow([*_identity_cells(finding), *_cells(number), *_place(finding), *_processing_cells(finding)])
+        for number, place in _parts(finding):
+            table.writerow([*_identity_cells(finding), *_cells(number), *place, *_processing_cells(finding)])
+    return text.getvalue()
+
+
+def _numbers(finding: AnyResult) -> Iterator[CsvNumber]:
+    """Yield the numbers of a result, the main one first."""
+    found = [n for name in finding.__struct_fields__ if name not in OF_ALL and (n := _number(finding, name))]
+    main = finding.main
+    return iter(sorted(found, key=lambda n: (n.value, n.unit, n.status) != (main.value, main.unit, main.status)))
+
+
+def _parts(finding: AnyResult) -> Iterator[tuple[CsvNumber, list[str]]]:
+    """Yield the numbers of each chip or bump of a result, with its position."""
+    parts: dict[str, tuple[Chip | Bump, ...]] = {}
+    if isinstance(finding, Chipping):
+        parts["chip"] = finding.chips
+    if isinstance(finding, Coplanarity):
+        parts["bump"] = finding.bumps
+    for kind, found in parts.items():
+        for k, part in enumerate(found, 1):
+            at = [f"{part.place.x_um:.2f}", f"{part.place.y_um:.2f}"]
+            numbers = (n for name in part.__struct_fields__ if (n := _number(part, name)))
+            yield from ((replace(n, name=f"{kind} {k} {n.name}"), at) for n in numbers)
+
+
+def _number(finding: AnyResult | Chip | Bump, name: str) -> CsvNumber | None:
+    match getattr(finding, name):
+        case Length() as length:
+            return _of_quantity(name, length.quantity)
+        case Quantity() as quantity:
+            return _of_quantity(name, quantity)
+        case int() | float() as value:
+            unit = next((unit for unit in UNITS if name.endswith(f"_{unit}")), "")
+            return CsvNumber(name.removesuffix(f"_{unit}") if unit else name, value, unit or "1")
+        case _:
+            return None
+
+
+def _of_quantity(name: str, quantity: Quantity) -> CsvNumber:
+    return CsvNumber(name, quantity.value, quantity.unit, quantity.expanded, quantity.status)
+
+
+def _identity_cells(finding: AnyResult) -> list[object]:
+    return [finding.number, finding.name, finding.__struct_config__.tag]
+
+
+def _cells(number: CsvNumber) -> list[object]:
+    known = number.expanded is not None
+    return [
+        number.name,
+        f"{number.value:.6g}",
+        f"{number.expanded:.2g}" if known else "",
+        number.unit,
+        2 if known else "",
+        number.status,
+    ]
+
+
+def _place(finding: AnyResult) -> list[str]:
+    places = (getattr(finding, name) for name in finding.__struct_fields__)
+    bounds = next((place.bounds_um for place in places if isinstance(place, Region)), None)
+    if bounds is None:
+        return ["", ""]
+    return [f"{(bounds[0] + bounds[2]) / 2:.2f}", f"{(bounds[1] + bounds[3]) / 2:.2f}"]
+
+
+def _processing_cells(finding: AnyResult) -> list[object]:
+    simulated = "SIMULATED" if finding.simulated else ""
+    return [finding.surface, finding.filter, finding.levelling.by, finding.show, simulated]
+
+
+DEFECT_COLUMNS = (
+    *("number", "die", "u_um", "v_um", "x_um", "y_um", "class", "class by rules", "reasons", "judgement", "judged by"),
+    *("judged at", "note", "height_um", "U height_um", "major_um", "U major_um", "minor_um", "U minor_um", "angle_deg"),
+    *("area_um2", "U area_um2", "volume_um3", "score", "confidence", "scale_px", "evidence", "size resolved"),
+    *("repeats", "simulated"),
+)
+
+
+def defects_csv(inspection: Inspection) -> str:
+    """Return the table; U is expanded (k = 2), empty if not evaluated.
+
+    x_um, y_um are stage coordinates; u_um, v_um are relative to the lower left corner of the die. Heights are empty for
+    unmeasured areas, lateral sizes where they are not resolved.
+    """
+    text = io.StringIO()
+    table = csv.writer(text, lineterminator="\n")
+    table.writerow(DEFECT_COLUMNS)
+    table.writerows(_row(defect) for defect in inspection.defects)
+    return text.getvalue()
+
+
+def _row(defect: Defect) -> list[object]:
+    return [*_position(defect), *_review_cells(defect), *_sizes(defect), *_quality_cells(defect)]
+
+
+def _position(defect: Defect) -> list[object]:
+    at = defect.in_die
+    in_die = [f"{at.x_um:.3f}", f"{at.y_um:.3f}"] if at is not None else ["", ""]
+    return [defect.number, defect.die, *in_die, f"{defect.center.x_um:.3f}", f"{defect.center.y_um:.3f}"]
+
+
+def _review_cells(defect: Defect) -> list[object]:
+    reasons = "; ".join(defect.reasons)
+    by = (defect.judgement, defect.judged_by, defect.judged_at, defect.note)
+    return [defect.seen_as, defect.kind, reasons, *by]
+
+
+def _sizes(defect: Defect) -> list[str]:
+    measured, resolved = defect.kind != "unmeasured", defect.size_resolved
+    height = _pair(defect.height.quantity) if measured else ["", ""]
+    lengths = [*_pair(defect.major.quantity), *_pair(defect.minor.quantity)] if resolved else [""] * 4
+    angle = [f"{defect.angle_deg:.1f}"] if resolved else [""]
+    area = _pair(defect.area) if resolved else ["", ""]
+    return [*height, *lengths, *angle, *area, f"{defect.volume.value:.6g}" if measured else ""]
+
+
+def _pair(quantity: Quantity) -> list[str]:
+    return [f"{quantity.value:.6g}", "" if quantity.expanded is None else f"{quantity.expanded:.2g}"]
+
+
+def _quality_cells(defect: Defect) -> list[object]:
+    yes = {True: "yes", False: "no"}
+    return [
+        f"{defect.score:.2f}",
+        f"{defect.confidence:.2f}",
+        f"{defect.scale_px:g}",
+        defect.evidence,
+        yes[defect.size_resolved],
+        yes[defect.repeats],
+        "SIMULATED" if defect.simulated else "",
+    ]
+
+
+PROFILE_COLUMNS = ("distance_um", "x_um", "y_um", "z_um")
+
+
+def profiles_csv(sections: Sequence[Section], software_version: str) -> str:
+    """Return the table; lines that begin with ``#`` state the sources, empty cells are unmeasured heights."""
+    text = io.StringIO()
+    text.writelines(f"# {line}\n" for line in _heading(sections, software_version))
+    table = csv.writer(text, lineterminator="\n")
+    table.writerow([f"{section.title} {column}" for section in sections for column in PROFILE_COLUMNS])
+    blocks = [_rows(section) for section in sections]
+    nothing = [""] * len(PROFILE_COLUMNS)
+    table.writerows([cell for part in row for cell in part] for row in zip_longest(*blocks, fillvalue=nothing))
+    return text.getvalue()
+
+
+def _heading(sections: Sequence[Section], software_version: str) -> list[str]:
+    simulated = any(section.profile.simulated for section in sections)
+    return [
+        f"Wafer Viewer {software_version}: profiles, um, stage coordinates",
+        *(["SIMULATED: not measurements of a real sample."] if simulated else []),
+        *(_about(section) for section in sections),
+    ]
+
+
+def _about(section: Section) -> str:
+    profile = section.profile
+    (xa, ya), (xb, yb) = ((p.x_um, p.y_um) for p in profile.line.points)
+    facts = [
+        section.source,
+        f"from ({xa:.2f}, {ya:.2f}) to ({xb:.2f}, {yb:.2f}) um",
+        f"width {profile.line.width_um:g} um",
+        LAYER_TITLES[profile.surface],
+        f"filter {profile.filter}",
+        f"levelled by {section.asked.levelling.by}",
+        "SIMULATED" if profile.simulated else "real",
+        f"Pt {profile.pt.value_um:.6g} um ({profile.pt.status})",
+        *profile.notes,
+    ]
+    return f"{section.title}: {'; '.join(facts)}"
+
+
+def _rows(section: Section) -> list[list[str]]:
+    curve = section.curve
+    columns = (curve.distance_um, curve.x_um, curve.y_um, curve.z_um)
+    return [["" if v != v else f"{v:.4f}" for v in row] for row in zip(*(c.tolist() for c in columns), strict=True)]
+
+
+STUDY_COLUMNS = ("part", "appraiser", "value")
+HOW = "a study has the columns part, appraiser and value, and a line for each trial"
+
+
+def read_study(path: Path) -> NDArray[np.float64]:
+    """Read the values of a CSV file, [part, appraiser, trial]; trials in line order. Lines with # are skipped.
+
+    Raises MeasureError when the file cannot be read, lacks a column, holds a non-number, or has unequal numbers of
+    trials.
+    """
+    cells: dict[tuple[str, str], list[float]] = defaultdict(list)
+    for number, line in _lines(path):
+        try:
+            cells[line["part"].strip(), line["appraiser"].strip()].append(float(line["value"]))
+        except (ValueError, TypeError, AttributeError) as fault:
+            raise MeasureError(
+                f"{path.name}, line {number}: {line.get('value')!r} is not a number: correct the line."
+            ) from fault
+    if not cells:
+        raise MeasureError(f"{path.name} holds no values: {HOW}.")
+    parts, appraisers = (list(dict.fromkeys(key[k] for key in cells)) for k in range(2))
+    trials = len(next(iter(cells.values())))
+    for part in parts:
+        for appraiser in appraisers:
+            if (found := len(cells.get((part, appraiser), ()))) != trials:
+                raise MeasureError(
+                    f"{path.name}: part {part} has {found} values of {appraiser}, the first has {trials}: "
+                    f"everyone measures every part equally often."
+                )
+    return np.array([[cells[part, appraiser] for appraiser in appraisers] for part in parts])
+
+
+def _lines(path: Path) -> list[tuple[int, dict[str, str]]]:
+    try:
+        kept = [(n, text) for n, text in enumerate(path.read_text("utf-8-sig").splitlines(), 1) if _counts(text)]
+    except (OSError, UnicodeDecodeError) as fault:
+        raise MeasureError(f"{path} cannot be read ({fault}): {HOW}.") from fault
+    table = csv.DictReader(text for _, text in kept)
+    missing = [name for name in STUDY_COLUMNS if name not in (table.fieldnames or ())]
+    if missing:
+        raise MeasureError(f"{path.name} has no column {missing[0]}: {HOW}.")
+    return [(n, line) for (n, _), line in zip(kept[1:], table, strict=False)]
+
+
+def _counts(text: str) -> bool:
+    return bool(text.strip()) and not text.startswith("#")
