@@ -69,7 +69,7 @@ if TYPE_CHECKING:
         StepProfile,
         Texture,
     )
-    from wafer_viewer.model.measurement.tools import Conditions
+    from wafer_viewer.model.measurement.tool_options import Conditions
     from wafer_viewer.model.quantity import Length, Quantity
     from wafer_viewer.model.region import Region
     from wafer_viewer.model.surface.field_poses import Poses

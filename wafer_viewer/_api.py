@@ -8,7 +8,7 @@ MODULES = {
     "Certificate": "model.gauge",
     "Chipping": "model.measurement.measurements",
     "CircleSize": "model.measurement.measurements",
-    "Conditions": "model.measurement.tools",
+    "Conditions": "model.measurement.tool_options",
     "Coplanarity": "model.measurement.measurements",
     "Dataset": "store.dataset.dataset",
     "DefectLimits": "model.inspection.defect",

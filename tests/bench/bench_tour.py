@@ -27,7 +27,7 @@ from wafer_viewer.gui.app import start
 from wafer_viewer.gui.scene.heightfield import HeightField
 from wafer_viewer.gui.scene.scene_contents import DisplayedSurface
 from wafer_viewer.gui.scenes.surface_scene import source_of
-from wafer_viewer.gui.tools.initial_regions import FIRST
+from wafer_viewer.gui.tools.initial_regions import initial_regions
 from wafer_viewer.model.region import Region
 from wafer_viewer.model.report import ReportOrder
 from wafer_viewer.session.rendering.render_request import (
@@ -142,7 +142,7 @@ def first_step(session: Session) -> tuple[Region, ...]:
     scale = ColourScale("height", 0.0, 1.0, 0.0, 1.0, 0.0, 1.0, ())
     land = HeightField(relief, DisplayedSurface(source, facts, scale, facts.lowest_um, 1.0))
     x0, y0, x1, y1 = land.bounds_um
-    return FIRST["step"](land, ((x0 + x1) / 2, (y0 + y1) / 2))
+    return initial_regions("step", land, ((x0 + x1) / 2, (y0 + y1) / 2))
 
 
 def goal(seconds: float, limit_s: float) -> str:

@@ -24,7 +24,7 @@ from scipy.ndimage import gaussian_filter
 from tests.bench.tables import show
 from wafer_viewer.measure.texture.areal_texture import developed_fraction, scale_limited, texture
 from wafer_viewer.measure.texture.roughness import roughness
-from wafer_viewer.model.measurement.tools import TextureOptions
+from wafer_viewer.model.measurement.tool_options import TextureOptions
 from wafer_viewer.model.region import Region
 from wafer_viewer.model.surface.height_map import HeightMap
 from wafer_viewer.numerics.filters.gaussian import ALPHA

@@ -9,7 +9,6 @@ from playwright.sync_api import Locator, Page, expect
 
 from tests.browser.sessions.measuring_session import MeasuringSession
 from tests.browser.steps import go_to, press, title_is, type_into
-from wafer_viewer.gui.tools.tool_palette import ON_TOOLBAR, TOOL_KEYS
 from wafer_viewer.model.errors import MeasureError
 from wafer_viewer.model.measurement.tools import TOOLS
 from wafer_viewer.model.region import Region
@@ -61,9 +60,9 @@ def take(page: Page, tool: str) -> None:
     """Take a tool by its key or on the toolbar, and wait for its answer."""
     if tool in KEYS:
         page.keyboard.press(KEYS[tool])
-    elif not any(tool in group for group in ON_TOOLBAR):
-        key, held = TOOL_KEYS[tool]
-        page.keyboard.press(f"{held.title()}+{key}" if held else key.lower())
+    elif not TOOLS[tool].on_toolbar:
+        key = TOOLS[tool].key
+        page.keyboard.press(f"Shift+{key}" if TOOLS[tool].shift else key.lower())
     else:
         page.locator(".wv-tools").locator(f"[data-pick=tool][data-k={tool}]").click()
     expect(page.locator(".wv-title").first).to_contain_text(TOOLS[tool].title)

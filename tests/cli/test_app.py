@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 import tifffile
 
-from wafer_viewer.cli.app import COMMANDS
+from wafer_viewer.cli.app import commands
 from wafer_viewer.store.dataset.dataset import Dataset
 
 pytestmark = pytest.mark.slow
@@ -94,11 +94,11 @@ def images(tmp_path):
 def test_the_overview_names_every_command():
     said = viewer("--help")
     assert said.returncode == 0
-    assert all(f"  {name} " in said.stdout for name in COMMANDS)
+    assert all(f"  {name} " in said.stdout for name in commands())
     assert viewer("--version").stdout.startswith("wafer-viewer ")
 
 
-@pytest.mark.parametrize("command", COMMANDS)
+@pytest.mark.parametrize("command", commands())
 def test_every_command_explains_itself_without_frames(command):
     said = viewer(*command.split(), "--help")
     assert said.returncode == 0, said.stderr

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from tests.support.surfaces import calibration, coordinates, noise_of, surface_of
-from wafer_viewer.cli.app import COMMANDS, main
+from wafer_viewer.cli.app import commands, main
 from wafer_viewer.store.formats.npz_file import write_npz
 
 TILT, RADIUS_UM, FOOT_UM = 0.02, 60.0, 25.0
@@ -150,7 +150,7 @@ def test_what_cannot_be_measured_is_one_sentence(refused, tool, flags, sentence)
 
 
 def test_each_is_a_command_with_help():
-    tools = [name for name in COMMANDS if name.startswith("measure ")]
+    tools = [name for name in commands() if name.startswith("measure ")]
     assert len(tools) >= 9
     command = [sys.executable, "-m", "wafer_viewer", "measure", "radius", "--help"]
     done = subprocess.run(command, capture_output=True, text=True, check=True)

@@ -30,26 +30,9 @@ COMMANDS: dict[str, CommandEntry] = {
     "reconstruct": CommandEntry("surface", "make a surface of a focus stack or a dataset, as a file"),
     "release": CommandEntry("acquisition", "make a plan a job that operators run with four actions"),
     "stitch": CommandEntry("surface", "make the stitched surface of a dataset"),
-    "measure point": CommandEntry("measure", "the height at a point"),
-    "measure distance": CommandEntry("measure", "the distance between two points"),
-    "measure step": CommandEntry("measure", "the height of one region over another"),
-    "measure groove": CommandEntry("measure", "the depth of a groove, or the height of a step, along a line"),
-    "measure angle": CommandEntry("measure", "the angle between two faces"),
-    "measure radius": CommandEntry("measure", "the radius and the height of a bump or pit"),
-    "measure volume": CommandEntry("measure", "area and volume over and under a plane"),
-    "measure flatness": CommandEntry("measure", "the flatness of a face"),
-    "measure texture": CommandEntry("measure", "the texture of a face"),
-    "measure roughness": CommandEntry("measure", "the roughness along a line"),
-    "measure kerf": CommandEntry("measure", "the width of a kerf, on the picture"),
-    "measure die": CommandEntry("measure", "the size of a die, on the picture"),
     "measure dies": CommandEntry(
         "defects", "the lattice of the dies, and which are whole, cut, not scanned or missing"
     ),
-    "measure circle": CommandEntry("measure", "the diameter of something round, on the picture"),
-    "measure chipping": CommandEntry("measure", "the chips along an edge of a die, on the picture"),
-    "measure coplanarity": CommandEntry("measure", "how far bumps lie from one plane, and how high each is"),
-    "measure profile": CommandEntry("measure", "sections along lines, rows and columns: numbers, table or picture"),
-    "measure site-range": CommandEntry("measure", "front-surface site range, as mounted", "measure_site_range"),
     "measure gauge": CommandEntry("gauge", "check the instrument against certified gauge blocks; history of checks"),
     "measure rr": CommandEntry("gauge", "repeatability and reproducibility of repeated measurements"),
     "measure defects": CommandEntry(
@@ -68,6 +51,17 @@ COMMANDS: dict[str, CommandEntry] = {
 }
 OWN_RECIPE = frozenset({"measure defects"})
 """Commands whose --recipe is not a reconstruction recipe; they parse it themselves."""
+
+
+@functools.cache
+def commands() -> dict[str, CommandEntry]:
+    """Return all commands by name, with one for each measuring tool."""
+    from wafer_viewer.model.measurement.tools import TOOLS
+
+    tools = {f"measure {tool.name.replace('_', '-')}": CommandEntry("measure", tool.summary) for tool in TOOLS.values()}
+    before = list(COMMANDS).index("measure dies")
+    listed = list(COMMANDS.items())
+    return dict((*listed[:before], *tools.items(), *listed[before:]))
 
 
 def main(argv: Sequence[str] | None = None) -> int:
@@ -107,14 +101,14 @@ def _command(argv: list[str]) -> tuple[str, list[str]]:
     if argv[0].startswith("-"):
         return "serve", argv
     for words in (2, 1):
-        if (name := " ".join(argv[:words])) in COMMANDS:
+        if (name := " ".join(argv[:words])) in commands():
             return name, argv[words:]
-    group = [name for name in COMMANDS if name.startswith(f"{argv[0]} ")]
+    group = [name for name in commands() if name.startswith(f"{argv[0]} ")]
     if argv[0] == "measure":
         _refuse_two_sided(argv[1:2])
     if group:
         raise PlanError(f"'{argv[0]}' needs to be told what: {', '.join(group)}.")
-    raise PlanError(f"There is no command '{argv[0]}': choose one of {', '.join(COMMANDS)}.")
+    raise PlanError(f"There is no command '{argv[0]}': choose one of {', '.join(commands())}.")
 
 
 def _refuse_two_sided(terms: list[str]) -> None:
@@ -142,14 +136,20 @@ def _call(name: str, rest: list[str]) -> int | None:
 
 
 def _function(name: str) -> Callable[..., int | None]:
-    command = COMMANDS[name]
+    """Return the function of a command; one is made of its descriptor for a measuring tool that has none."""
+    command = commands()[name]
     module = importlib.import_module(f"wafer_viewer.cli.{command.module}")
-    return getattr(module, command.function or name.replace(" ", "_"))
+    named = command.function or name.replace(" ", "_").replace("-", "_")
+    if (function := getattr(module, named, None)) is not None:
+        return function
+    from wafer_viewer.model.measurement.tools import TOOLS
+
+    return module.tool_command(TOOLS[named.removeprefix("measure_")])
 
 
 def _overview() -> str:
-    width = max(map(len, COMMANDS))
-    lines = [f"  {name:<{width}}  {command.summary}" for name, command in COMMANDS.items()]
+    width = max(map(len, commands()))
+    lines = [f"  {name:<{width}}  {command.summary}" for name, command in commands().items()]
     return "\n".join(
         [
             f"usage: {PROGRAM} [COMMAND] [OPTIONS]",

@@ -2,8 +2,11 @@
 
 from __future__ import annotations
 
+import inspect
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Any
 
 from tyro.conf import Positional, arg
 
@@ -33,6 +36,27 @@ Integers = Annotated[tuple[int, ...], arg(metavar="N ...")]
 Circle = Annotated[tuple[float, float, float], arg(metavar="X Y RADIUS")]
 Level = Annotated[tuple[str, ...], arg(metavar="WAY [NUMBER ...]")]
 NewFile = Annotated[Positional[Path], arg(metavar="FILE")]
+_KEYWORD = inspect.Parameter.KEYWORD_ONLY
+
+
+@dataclass(frozen=True, slots=True)
+class Flag:
+    """One flag of a command that is made of a descriptor; without a default it is required."""
+
+    name: str
+    kind: Any
+    help: str
+    default: Any = inspect.Parameter.empty
+
+
+def with_flags(run: Callable[..., None], about: str, flags: Sequence[Flag]) -> Callable[..., None]:
+    """Return `run` with the signature and the docstring that these flags give it."""
+    run.__signature__ = inspect.Signature(  # type: ignore[attr-defined]
+        [inspect.Parameter(f.name, _KEYWORD, default=f.default, annotation=f.kind) for f in flags]
+    )
+    run.__annotations__ = {flag.name: flag.kind for flag in flags}
+    run.__doc__ = "\n".join([about, "", "Args:", *(f"    {flag.name}: {flag.help}" for flag in flags)])
+    return run
 
 
 def require_sources(src: tuple[Path, ...]) -> None:

@@ -7,10 +7,10 @@ What is not known of the conditions is left out and then listed as not evaluated
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Annotated, Any, Literal
+from typing import Annotated, Any, Literal, get_type_hints
 
 import msgspec
 from tyro.conf import OmitArgPrefixes, arg
@@ -18,6 +18,7 @@ from tyro.conf import OmitArgPrefixes, arg
 from wafer_viewer.cli.arguments import (
     Circle,
     File,
+    Flag,
     Integers,
     Level,
     Line,
@@ -26,12 +27,13 @@ from wafer_viewer.cli.arguments import (
     Place,
     Rectangle,
     Source,
-    Um,
     levelling_from,
+    with_flags,
 )
 from wafer_viewer.cli.output import print_json
 from wafer_viewer.model.errors import MeasureError
 from wafer_viewer.model.findings import AnyResult
+from wafer_viewer.model.measurement.measuring_tool import MeasuringTool, ToolName
 from wafer_viewer.model.measurement.sections import (
     MOST_LINES,
     OtherSurface,
@@ -40,22 +42,14 @@ from wafer_viewer.model.measurement.sections import (
     column_line,
     row_line,
 )
-from wafer_viewer.model.measurement.tools import (
+from wafer_viewer.model.measurement.tool_options import (
     STEEL_PER_K,
-    ChippingOptions,
-    CircleOptions,
     Conditions,
-    CoplanarityOptions,
-    DieOptions,
     GrooveOptions,
-    KerfOptions,
-    RoughnessOptions,
     StepDefinition,
-    TextureOptions,
-    ToolName,
-    ToolOptions,
 )
-from wafer_viewer.model.region import Region
+from wafer_viewer.model.measurement.tools import ToolOptions
+from wafer_viewer.model.region import Region, RegionKind
 from wafer_viewer.model.spec import replace
 from wafer_viewer.model.spec import replace as finding_replace
 from wafer_viewer.model.surface.height_map import Mosaic, Outline
@@ -87,160 +81,55 @@ def _surface(src: Path, level: tuple[str, ...], field: int, result: str) -> tupl
     return levelled(surface, levelling), calibrated
 
 
+def tool_command(tool: MeasuringTool) -> Callable[..., None]:
+    """Return the command of a tool, whose flags are its regions and options."""
+
+    def run(src: Path, field: int, result: str, level: tuple[str, ...] = (), **given: Any) -> None:
+        widths = {"width_um": given.pop("width_um")} if "width_um" in given else {}
+        places = tuple(_REGIONS[place.kind](*given.pop(place.flag), **widths) for place in tool.places)
+        options = ToolOptions(**{tool.name: tool.options(**given)}) if tool.options is not None else None
+        _measure(tool.name, places, src, level, field, result, options)
+
+    flags = [Flag("src", Source, "A NAME.wafer or a surface file, such as .x3p."), *_region_flags(tool)]
+    flags += _option_flags(tool)
+    if not tool.on_picture:
+        flags.append(Flag("level", Level, _LEVEL_HELP, ()))
+    flags.append(Flag("field", int, "A field of the dataset; 0 is the stitched surface.", 0))
+    flags.append(Flag("result", str, "Name of the reconstruction.", "default"))
+    return with_flags(run, tool.help, flags)
+
+
+def _region_flags(tool: MeasuringTool) -> list[Flag]:
+    """Return a flag for each region, and one for the width of a line."""
+    flags = [Flag(place.flag, _REGION_TYPES[place.kind], place.help) for place in tool.places]
+    if any(place.kind == "line" for place in tool.places):
+        flags.append(Flag("width_um", float, "How wide a strip across the line is averaged over; 0: a pixel.", 0.0))
+    return flags
+
+
+def _option_flags(tool: MeasuringTool) -> list[Flag]:
+    """Return a flag for each option of a tool."""
+    if tool.options is None:
+        return []
+    helps = {control.field: control.help or control.hint for control in tool.controls}
+    hints, default = get_type_hints(tool.options), tool.options()
+    names = tool.options.__struct_fields__
+    return [Flag(name, hints[name], helps.get(name, ""), getattr(default, name)) for name in names]
+
+
+_REGIONS: dict[RegionKind, Callable[..., Region]] = {
+    "point": Region.point,
+    "line": Region.line,
+    "rectangle": Region.rectangle,
+    "circle": Region.circle,
+}
+_REGION_TYPES: dict[RegionKind, Any] = {"point": Place, "line": Line, "rectangle": Rectangle, "circle": Circle}
+_LEVEL_HELP = "Heights over: plane, form [ORDER], region X0 Y0 X1 Y1, points X Y X Y X Y. The stage's zero by default."
+
+
 def _print(found: AnyResult, field: int) -> None:
     """Print a result as JSON on standard output."""
     print_json(msgspec.to_builtins(replace(found, show=field)))
-
-
-def measure_point(src: Source, at: Place, level: Level = (), field: int = 0, result: str = "default") -> None:
-    """The height at a point, with its uncertainty, as JSON. Stage um.
-
-    Args:
-        src: A NAME.wafer or a surface file, such as .x3p.
-        at: Where the point is.
-        level: Heights over: plane, form [ORDER], region X0 Y0 X1 Y1, points X Y X Y X Y. The stage's zero by default.
-        field: A field of the dataset; 0 is the stitched surface.
-        result: Name of the reconstruction.
-    """
-    _measure("point", (Region.point(*at),), src, level, field, result)
-
-
-def measure_distance(
-    src: Source, start: Place, end: Place, level: Level = (), field: int = 0, result: str = "default"
-) -> None:
-    """The distance between two points: in space, lateral, along z, its slope; with uncertainties, as JSON. Stage um.
-
-    Args:
-        src: A NAME.wafer or a surface file, such as .x3p.
-        start: Where it begins.
-        end: Where it ends.
-        level: Heights over: plane, form [ORDER], region X0 Y0 X1 Y1, points X Y X Y X Y. The stage's zero by default.
-        field: A field of the dataset; 0 is the stitched surface.
-        result: Name of the reconstruction.
-    """
-    _measure("distance", (Region.point(*start), Region.point(*end)), src, level, field, result)
-
-
-def measure_angle(
-    src: Source, first: Rectangle, second: Rectangle, level: Level = (), field: int = 0, result: str = "default"
-) -> None:
-    """The angle between two faces, with its uncertainty, as JSON. Stage um.
-
-    Args:
-        src: A NAME.wafer or a surface file, such as .x3p.
-        first: Two opposite corners of a rectangle on the one face.
-        second: The same on the other.
-        level: Heights over: plane, form [ORDER], region X0 Y0 X1 Y1, points X Y X Y X Y. The stage's zero by default.
-        field: A field of the dataset; 0 is the stitched surface.
-        result: Name of the reconstruction.
-    """
-    _measure("angle", (Region.rectangle(*first), Region.rectangle(*second)), src, level, field, result)
-
-
-def measure_radius(src: Source, circle: Circle, level: Level = (), field: int = 0, result: str = "default") -> None:
-    """The radius of a bump or pit and the height of its top, with uncertainties, as JSON. Stage um.
-
-    Args:
-        src: A NAME.wafer or a surface file, such as .x3p.
-        circle: Centre and radius of a circle round it.
-        level: Heights over: plane, form [ORDER], region X0 Y0 X1 Y1, points X Y X Y X Y. The stage's zero by default.
-        field: A field of the dataset; 0 is the stitched surface.
-        result: Name of the reconstruction.
-    """
-    _measure("radius", (Region.circle(*circle),), src, level, field, result)
-
-
-def measure_volume(
-    src: Source,
-    region: Rectangle,
-    reference: Literal["border", "zero"] | None = None,
-    level: Level = (),
-    field: int = 0,
-    result: str = "default",
-) -> None:
-    """Area and volume over and under a plane, with uncertainties, as JSON. Stage um.
-
-    Args:
-        src: A NAME.wafer or a surface file, such as .x3p.
-        region: Two opposite corners of a rectangle.
-        reference: The plane through the rectangle's border, or the zero of --level; that of --level where it is given.
-        level: Heights over: plane, form [ORDER], region X0 Y0 X1 Y1, points X Y X Y X Y. The stage's zero by default.
-        field: A field of the dataset; 0 is the stitched surface.
-        result: Name of the reconstruction.
-    """
-    from wafer_viewer.measure.tools.volume import area_volume
-
-    surface, calibrated = _surface(src, level, field, result)
-    place = Region.rectangle(*region)
-    _print(area_volume(surface, place, reference=reference, calibration_valid=calibrated), field)
-
-
-def measure_flatness(
-    src: Source, region: Rectangle, level: Level = (), field: int = 0, result: str = "default"
-) -> None:
-    """Flatness of a face, FLTt and FLTq of ISO 12781, as JSON. Stage um.
-
-    Args:
-        src: A NAME.wafer or a surface file, such as .x3p.
-        region: Two opposite corners of a rectangle.
-        level: Heights over: plane, form [ORDER], region X0 Y0 X1 Y1, points X Y X Y X Y. The stage's zero by default.
-        field: A field of the dataset; 0 is the stitched surface.
-        result: Name of the reconstruction.
-    """
-    _measure("flatness", (Region.rectangle(*region),), src, level, field, result)
-
-
-def measure_texture(
-    src: Source,
-    region: Rectangle,
-    form_order: int = 1,
-    s_filter_um: Um = None,
-    l_filter_um: Um = None,
-    level: Level = (),
-    field: int = 0,
-    result: str = "default",
-) -> None:
-    """Texture of a face, the parameters of ISO 25178 of what form and filters leave, as JSON. Stage um.
-
-    Args:
-        src: A NAME.wafer or a surface file, such as .x3p.
-        region: Two opposite corners of a rectangle.
-        form_order: Order of the polynomial that is removed as form; 0 the mean alone, 1 a plane.
-        s_filter_um: Nesting index of the Gaussian filter that removes shorter wavelengths; none by default.
-        l_filter_um: Nesting index of the Gaussian filter that removes longer wavelengths; none by default.
-        level: Heights over: plane, form [ORDER], region X0 Y0 X1 Y1, points X Y X Y X Y. The stage's zero by default.
-        field: A field of the dataset; 0 is the stitched surface.
-        result: Name of the reconstruction.
-    """
-    own = TextureOptions(form_order=form_order, s_filter_um=s_filter_um, l_filter_um=l_filter_um)
-    _measure("texture", (Region.rectangle(*region),), src, level, field, result, ToolOptions(texture=own))
-
-
-def measure_roughness(
-    src: Source,
-    line: Line,
-    width_um: float = 0.0,
-    lambda_c_um: Um = None,
-    lambda_s_um: Um = None,
-    level: Level = (),
-    field: int = 0,
-    result: str = "default",
-) -> None:
-    """Roughness along a line, the parameters of ISO 21920 of what the filters leave, as JSON. Stage um.
-
-    Args:
-        src: A NAME.wafer or a surface file, such as .x3p.
-        line: The two ends of the line.
-        width_um: Width across the line that is averaged over.
-        lambda_c_um: Cut-off of the Gaussian filter against longer wavelengths, the sampling length; none by default.
-        lambda_s_um: Cut-off of the Gaussian filter that removes shorter wavelengths; none by default.
-        level: Heights over: plane, form [ORDER], region X0 Y0 X1 Y1, points X Y X Y X Y. The stage's zero by default.
-        field: A field of the dataset; 0 is the stitched surface.
-        result: Name of the reconstruction.
-    """
-    own = RoughnessOptions(lambda_c_um=lambda_c_um, lambda_s_um=lambda_s_um)
-    place = Region.line(*line, width_um=width_um)
-    _measure("roughness", (place,), src, level, field, result, ToolOptions(roughness=own))
 
 
 def measure_site_range(
@@ -356,101 +245,6 @@ def _facts(section: Section, points: bool) -> dict[str, Any]:
         curve = section.curve
         facts["points"] = {"distance_um": curve.distance_um.tolist(), "z_um": curve.z_um.tolist()}
     return facts
-
-
-Brightness = Literal["either", "bright", "dark"]
-
-
-def measure_kerf(
-    src: Source, region: Rectangle, kerf: Brightness = "either", field: int = 0, result: str = "default"
-) -> None:
-    """The width of a kerf on the picture: mean, narrowest, widest, angle of its edges; with uncertainties, as JSON.
-
-    Args:
-        src: A NAME.wafer or a surface file, such as .x3p.
-        region: Two opposite corners of a rectangle across the kerf, stage um.
-        kerf: Whether it is brighter or darker than the ground beside it.
-        field: A field of the dataset; 0 is the stitched surface.
-        result: Name of the reconstruction.
-    """
-    options = ToolOptions(kerf=KerfOptions(kerf=kerf))
-    _measure("kerf", (Region.rectangle(*region),), src, (), field, result, options)
-
-
-def measure_die(
-    src: Source, region: Rectangle, die: Brightness = "either", field: int = 0, result: str = "default"
-) -> None:
-    """The size of a die on the picture, its centre, how it is turned and how square it is; with uncertainties, as JSON.
-
-    Args:
-        src: A NAME.wafer or a surface file, such as .x3p.
-        region: Two opposite corners of a rectangle round the die, stage um.
-        die: Whether its rim is brighter or darker than its surroundings.
-        field: A field of the dataset; 0 is the stitched surface.
-        result: Name of the reconstruction.
-    """
-    options = ToolOptions(die=DieOptions(die=die))
-    _measure("die", (Region.rectangle(*region),), src, (), field, result, options)
-
-
-def measure_circle(
-    src: Source, circle: Circle, inside: Brightness = "either", field: int = 0, result: str = "default"
-) -> None:
-    """The diameter of something round on the picture, its centre and roundness; with uncertainties, as JSON.
-
-    Args:
-        src: A NAME.wafer or a surface file, such as .x3p.
-        circle: Centre and radius of a circle drawn round it, stage um.
-        inside: Whether the picture is brighter or darker inside of the edge.
-        field: A field of the dataset; 0 is the stitched surface.
-        result: Name of the reconstruction.
-    """
-    options = ToolOptions(circle=CircleOptions(inside=inside))
-    _measure("circle", (Region.circle(*circle),), src, (), field, result, options)
-
-
-def measure_chipping(
-    src: Source,
-    region: Rectangle,
-    limit_um: float | None = None,
-    die: Literal["auto", "bright", "dark"] = "auto",
-    field: int = 0,
-    result: str = "default",
-) -> None:
-    """Depth, length and area of the chips along an edge of a die on the picture; with uncertainties, as JSON.
-
-    Args:
-        src: A NAME.wafer or a surface file, such as .x3p.
-        region: Two opposite corners of a rectangle over one edge, stage um.
-        limit_um: What is deeper is a chip; by default four robust deviations of the edge, two pixels at least.
-        die: The side of the edge that the die lies on; auto takes the higher one.
-        field: A field of the dataset; 0 is the stitched surface.
-        result: Name of the reconstruction.
-    """
-    options = ToolOptions(chipping=ChippingOptions(limit_um=limit_um, die=die))
-    _measure("chipping", (Region.rectangle(*region),), src, (), field, result, options)
-
-
-def measure_coplanarity(
-    src: Source,
-    region: Rectangle,
-    reference: Literal["least_squares", "seating"] = "least_squares",
-    level: Level = (),
-    field: int = 0,
-    result: str = "default",
-) -> None:
-    """Coplanarity of the bumps in a region (JESD22-B108), place and height of each; with uncertainties, as JSON.
-
-    Args:
-        src: A NAME.wafer or a surface file, such as .x3p.
-        region: Two opposite corners of a rectangle over the bumps, stage um.
-        reference: The plane of least squares through all tops, or the seating plane.
-        level: Heights over: plane, form [ORDER], region X0 Y0 X1 Y1, points X Y X Y X Y. The stage's zero by default.
-        field: A field of the dataset; 0 is the stitched surface.
-        result: Name of the reconstruction.
-    """
-    options = ToolOptions(coplanarity=CoplanarityOptions(reference=reference))
-    _measure("coplanarity", (Region.rectangle(*region),), src, level, field, result, options)
 
 
 Rectangles = Annotated[tuple[tuple[float, float, float, float], ...], arg(metavar="X0 Y0 X1 Y1 ...")]

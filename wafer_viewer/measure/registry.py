@@ -1,57 +1,24 @@
-"""Measuring functions by tool name."""
+"""Measuring functions of the tools, imported when they are first used."""
 
 from __future__ import annotations
 
 from collections.abc import Callable
+from functools import cache
+from pkgutil import resolve_name
 
-from wafer_viewer.measure.texture.areal_texture import texture
-from wafer_viewer.measure.texture.roughness import roughness
-from wafer_viewer.measure.tools.angle import face_angle
-from wafer_viewer.measure.tools.chipping import chipping
-from wafer_viewer.measure.tools.circle import circle_size
-from wafer_viewer.measure.tools.coplanarity import coplanarity
-from wafer_viewer.measure.tools.die_size import die_size
-from wafer_viewer.measure.tools.flatness import flatness
-from wafer_viewer.measure.tools.kerf import kerf_width
-from wafer_viewer.measure.tools.point import distance, point_height
-from wafer_viewer.measure.tools.profile import profile
-from wafer_viewer.measure.tools.radius import bump_radius
-from wafer_viewer.measure.tools.site_range import sites_of_region
-from wafer_viewer.measure.tools.step_height import step_height
-from wafer_viewer.measure.tools.step_profile import step_profile
-from wafer_viewer.measure.tools.volume import area_volume
 from wafer_viewer.model.errors import MeasureError
 from wafer_viewer.model.findings import AnyResult
-from wafer_viewer.model.measurement.measurements import Profile
-from wafer_viewer.model.measurement.tools import TOOLS, ToolName, ToolOptions, keywords
+from wafer_viewer.model.measurement.measuring_tool import ToolName
+from wafer_viewer.model.measurement.tools import TOOLS, ToolOptions, keywords
 from wafer_viewer.model.region import Region
 from wafer_viewer.model.surface.height_map import Mosaic
 
 
-def _section(surface: Mosaic, line: Region, *, calibration_valid: bool) -> Profile:
-    return profile(surface, line, calibration_valid=calibration_valid)[0]
-
-
-MEASUREMENTS: dict[ToolName, Callable[..., AnyResult]] = {
-    "profile": _section,
-    "point": point_height,
-    "distance": distance,
-    "step": step_height,
-    "groove": step_profile,
-    "angle": face_angle,
-    "radius": bump_radius,
-    "volume": area_volume,
-    "flatness": flatness,
-    "texture": texture,
-    "roughness": roughness,
-    "kerf": kerf_width,
-    "die": die_size,
-    "circle": circle_size,
-    "chipping": chipping,
-    "coplanarity": coplanarity,
-    "site_range": sites_of_region,
-}
-"""Each takes a surface and the regions that its tool requires."""
+@cache
+def measuring_function(tool: ToolName) -> Callable[..., AnyResult]:
+    """Return the function of a tool, ``f(surface, *regions, calibration_valid=..., **options)``."""
+    measure = TOOLS[tool].measure
+    return resolve_name(measure) if isinstance(measure, str) else measure
 
 
 def measured(
@@ -69,4 +36,4 @@ def measured(
             f"{TOOLS[tool].title} is measured at {len(asked)} places ({names}), {len(places)} are given: give as many."
         )
     chosen = keywords(options or ToolOptions(), tool)
-    return MEASUREMENTS[tool](surface, *places, calibration_valid=calibration_valid, **chosen)
+    return measuring_function(tool)(surface, *places, calibration_valid=calibration_valid, **chosen)

@@ -155,6 +155,7 @@ class GaugeRepeat(Spec, frozen=True, kw_only=True):
     taken: str = ""
     surface: str = ""
     show: int = 0
+    input_fields: ClassVar[tuple[str, ...]] = ("upper", "lower")
     upper: Region
     lower: Region
     height: Length

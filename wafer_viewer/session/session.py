@@ -17,7 +17,8 @@ from wafer_viewer.model.findings import AnyResult
 from wafer_viewer.model.job import Job
 from wafer_viewer.model.measurement.levelling import Datum, Levelling
 from wafer_viewer.model.measurement.measurements import Profile, ProfileCurve
-from wafer_viewer.model.measurement.tools import ToolName, ToolOptions
+from wafer_viewer.model.measurement.measuring_tool import ToolName
+from wafer_viewer.model.measurement.tools import ToolOptions
 from wafer_viewer.model.region import Region
 from wafer_viewer.model.surface.field_poses import Poses
 from wafer_viewer.model.surface.focus_curve import FocusCurve

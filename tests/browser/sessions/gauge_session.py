@@ -27,7 +27,8 @@ from wafer_viewer.model.gauge import (
     ScaleCorrection,
 )
 from wafer_viewer.model.measurement.levelling import Levelling
-from wafer_viewer.model.measurement.tools import ToolName, ToolOptions
+from wafer_viewer.model.measurement.measuring_tool import ToolName
+from wafer_viewer.model.measurement.tools import ToolOptions
 from wafer_viewer.model.region import Region
 from wafer_viewer.model.spec import replace
 from wafer_viewer.model.surface.height_map import HeightMap

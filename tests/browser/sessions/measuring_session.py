@@ -27,7 +27,8 @@ from wafer_viewer.measure.gauge.find_faces import find_faces
 from wafer_viewer.model.acquisition.calibration import Calibration
 from wafer_viewer.model.findings import AnyResult
 from wafer_viewer.model.measurement.levelling import Datum, Levelling
-from wafer_viewer.model.measurement.tools import ToolName, ToolOptions
+from wafer_viewer.model.measurement.measuring_tool import ToolName
+from wafer_viewer.model.measurement.tools import ToolOptions
 from wafer_viewer.model.region import Region
 from wafer_viewer.model.spec import replace
 from wafer_viewer.model.surface.height_map import HeightMap, Origin, Provenance

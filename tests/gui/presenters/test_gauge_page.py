@@ -22,7 +22,8 @@ from wafer_viewer.gui.state.view_state import View
 from wafer_viewer.gui.tools.region_tools import default_faces, in_scene
 from wafer_viewer.model.errors import MeasureError
 from wafer_viewer.model.gauge import RunChart
-from wafer_viewer.model.measurement.tools import SiteRangeOptions, ToolOptions
+from wafer_viewer.model.measurement.tool_options import SiteRangeOptions
+from wafer_viewer.model.measurement.tools import ToolOptions
 from wafer_viewer.model.region import Region
 from wafer_viewer.session.gauge.repeat_scans import Studies
 from wafer_viewer.session.state.inspection_state import GaugeState, Tick

@@ -8,11 +8,12 @@ from tests.browser.sessions.measuring_session import MeasuringSession
 from tests.browser.sessions.shaped_session import ShapedSession
 from wafer_viewer.gui.presenters import measurement as words
 from wafer_viewer.gui.presenters.provenance import ZERO, source
-from wafer_viewer.gui.presenters.results import bounds_of, drawn_regions, input_regions, tool_of
+from wafer_viewer.gui.presenters.results import bounds_of
 from wafer_viewer.gui.scenes.thumbnails import HEIGHT_PX, WIDTH_PX, framed, outlines
 from wafer_viewer.model.findings import AnyResult
 from wafer_viewer.model.measurement.levelling import PLACES, Levelling
-from wafer_viewer.model.measurement.tools import TOOLS, ToolName
+from wafer_viewer.model.measurement.measuring_tool import ToolName
+from wafer_viewer.model.measurement.tools import TOOL_OF_RESULT, TOOLS
 from wafer_viewer.model.quantity import BudgetLine, Quantity
 from wafer_viewer.model.region import Region
 
@@ -77,9 +78,9 @@ def test_a_budget_stands_in_the_unit_of_its_answer():
 
 @pytest.mark.parametrize("tool", list(TOOLS))
 def test_every_result_leads_back_to_its_tool_and_its_places(tool, found):
-    assert tool_of(found[tool]) == tool
-    assert input_regions(found[tool]) == {**PLACES_OF, **SHAPED}[tool]
-    assert set(input_regions(found[tool])) <= set(drawn_regions(found[tool]))
+    assert TOOL_OF_RESULT[type(found[tool])].name == tool
+    assert found[tool].inputs == {**PLACES_OF, **SHAPED}[tool]
+    assert set(found[tool].inputs) <= set(found[tool].drawn)
 
 
 @pytest.mark.parametrize("tool", list(TOOLS))
@@ -116,6 +117,4 @@ def test_places_are_outlined_within_their_picture(tool, found):
     x0, y0, x1, y1 = box = framed(bounds_of(found[tool], 20))
     assert (x1 - x0) / (y1 - y0) == pytest.approx(WIDTH_PX / HEIGHT_PX)
     drawn = outlines(found[tool], box)
-    assert drawn.count("<circle") + drawn.count("<polygon") + drawn.count("<polyline") == len(
-        drawn_regions(found[tool])
-    )
+    assert drawn.count("<circle") + drawn.count("<polygon") + drawn.count("<polyline") == len(found[tool].drawn)

@@ -13,7 +13,7 @@ from hypothesis import strategies as st
 from tests.support.page_stand_in import MemoryShelf, height_map
 from wafer_viewer.gui.scene.heightfield import HeightField
 from wafer_viewer.gui.scene.scene_contents import DisplayedSurface
-from wafer_viewer.gui.tools.initial_regions import FIRST, first_levelling
+from wafer_viewer.gui.tools.initial_regions import first_levelling, initial_regions
 from wafer_viewer.gui.tools.region_shapes import SHAPES, WHOLE, outline_of
 from wafer_viewer.gui.tools.region_tools import has_required_kinds
 from wafer_viewer.gui.widgets.callback_timing import EchoFilter
@@ -72,10 +72,10 @@ def roof() -> np.ndarray:
 
 def test_radius_and_volume_begin_at_what_stands_out() -> None:
     land = land_of(bumped())
-    (circle,) = FIRST["radius"](land, (150.0, 150.0))
+    (circle,) = initial_regions("radius", land, (150.0, 150.0))
     assert (circle.points[0].x_um, circle.points[0].y_um) == pytest.approx((90, 200), abs=8)
     assert 20 < circle.radius_um < 55
-    (square,) = FIRST["volume"](land, (150.0, 150.0))
+    (square,) = initial_regions("volume", land, (150.0, 150.0))
     x0, y0, x1, y1 = square.bounds_um
     assert x0 < 60
     assert x1 > 120
@@ -87,7 +87,7 @@ def test_a_bump_is_found_where_its_die_ends_nearby() -> None:
     x, y = xy()
     die = (np.abs(x - 150) < 110) & (np.abs(y - 150) < 90)
     dome = np.maximum(0, 14 * (1 - ((x - 100) ** 2 + (y - 180) ** 2) / 50**2))
-    (circle,) = FIRST["radius"](land_of(np.where(die, 12 + dome, 0) + noise()), (150.0, 150.0))
+    (circle,) = initial_regions("radius", land_of(np.where(die, 12 + dome, 0) + noise()), (150.0, 150.0))
     assert (circle.points[0].x_um, circle.points[0].y_um) == pytest.approx((100, 180), abs=15)
     assert 25 < circle.radius_um < 70
 
@@ -95,21 +95,21 @@ def test_a_bump_is_found_where_its_die_ends_nearby() -> None:
 def test_among_bumps_side_by_side_a_top_nearby_is_chosen() -> None:
     x, y = xy()
     z = 6 * np.clip(np.cos(x * (2 * np.pi / 30)) * np.cos(y * (2 * np.pi / 30)) - 0.4, 0, None) + noise()
-    (circle,) = FIRST["radius"](land_of(z), (152.0, 152.0))
+    (circle,) = initial_regions("radius", land_of(z), (152.0, 152.0))
     at = circle.points[0]
     assert np.cos(at.x_um * (2 * np.pi / 30)) * np.cos(at.y_um * (2 * np.pi / 30)) > 0.8
     assert np.hypot(at.x_um - 152, at.y_um - 152) < 40
 
 
 def test_an_angle_begins_on_the_slope_and_the_level_face() -> None:
-    steep, level = FIRST["angle"](land_of(roof()), (150.0, 150.0))
+    steep, level = initial_regions("angle", land_of(roof()), (150.0, 150.0))
     assert steep.bounds_um[0] > 150
     assert level.bounds_um[2] < 155
 
 
 @pytest.mark.parametrize("tool", ["flatness", "texture"])
 def test_a_face_is_looked_for_where_nothing_stands_out(tool) -> None:
-    (square,) = FIRST[tool](land_of(bumped()), (90.0, 200.0))
+    (square,) = initial_regions(tool, land_of(bumped()), (90.0, 200.0))
     x0, y0, x1, y1 = square.bounds_um
     away = math.hypot(max(x0 - 90, 0, 90 - x1), max(y0 - 200, 0, 200 - y1))
     assert away > 15
@@ -120,7 +120,7 @@ def test_a_face_is_looked_for_where_nothing_stands_out(tool) -> None:
 @pytest.mark.parametrize("surface", [bumped, roof])
 def test_every_tool_begins_with_the_places_it_asks_for_on_the_surface(tool, surface: Callable[[], np.ndarray]) -> None:
     land = land_of(surface())
-    places = FIRST[tool](land, (250.0, 40.0))
+    places = initial_regions(tool, land, (250.0, 40.0))
     assert tuple(p.kind for p in places) == tuple(asked.kind for asked in TOOLS[tool].places)
     for place in places:
         for point in place.points:
@@ -130,7 +130,7 @@ def test_every_tool_begins_with_the_places_it_asks_for_on_the_surface(tool, surf
 @pytest.mark.parametrize("tool", ["point", "distance"])
 def test_points_begin_where_there_is_a_height(tool) -> None:
     land = land_of(bumped())
-    for place in FIRST[tool](land, (295.0, 150.0)):
+    for place in initial_regions(tool, land, (295.0, 150.0)):
         assert land.measured(np.array([place.points[0].x_um]), np.array([place.points[0].y_um]))[0]
 
 
@@ -159,7 +159,7 @@ def test_tools_begin_in_what_is_in_sight() -> None:
     land = land_of(z)
     sight = land.within((30.0, 140.0, 150.0, 260.0))
     assert sight.bounds_um == (30.0, 140.0, 150.0, 260.0)
-    (circle,) = FIRST["radius"](sight, (90.0, 200.0))
+    (circle,) = initial_regions("radius", sight, (90.0, 200.0))
     assert (circle.points[0].x_um, circle.points[0].y_um) == pytest.approx((90, 200), abs=8)
     assert land.within((500.0, 500.0, 600.0, 600.0)) is land
 

@@ -9,7 +9,8 @@ from tests.support.surfaces import PIXEL_UM, coordinates, noise_of, surface_of
 from wafer_viewer.measure.registry import measured
 from wafer_viewer.measure.texture.roughness import roughness
 from wafer_viewer.model.errors import MeasureError
-from wafer_viewer.model.measurement.tools import RoughnessOptions, ToolOptions
+from wafer_viewer.model.measurement.tool_options import RoughnessOptions
+from wafer_viewer.model.measurement.tools import ToolOptions
 from wafer_viewer.model.region import Region
 
 SHAPE = 40, 1200

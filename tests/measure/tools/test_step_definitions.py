@@ -10,7 +10,7 @@ import pytest
 from tests.support.surfaces import calibration, coordinates, gauge_blocks, noise_of, surface_of
 from wafer_viewer.measure.tools.step_height import step_height
 from wafer_viewer.model.errors import MeasureError
-from wafer_viewer.model.measurement.tools import Conditions
+from wafer_viewer.model.measurement.tool_options import Conditions
 from wafer_viewer.model.region import Region
 from wafer_viewer.model.spec import replace
 from wafer_viewer.model.surface.field_poses import Form, Poses, no_seams, no_shifts
@@ -74,7 +74,7 @@ def test_a_face_may_have_several_regions():
     step = step_height(terraced(), uppers, lowers)
     assert step.height.value_um == pytest.approx(5.0, abs=0.02)
     assert abs(step.height.value_um - 5.0) <= step.height.expanded_um
-    assert step.regions == (uppers[0], lowers[0], uppers[1], lowers[1])
+    assert step.drawn == (uppers[0], lowers[0], uppers[1], lowers[1])
     one_sided = step_height(terraced(), uppers[:1], lowers[0])
     assert step.height.expanded_um < one_sided.height.expanded_um, "faces on both sides tell the tilt"
 

@@ -6,7 +6,7 @@ import pytest
 from tests.support.surfaces import PIXEL_UM, calibration, coordinates, noise_of, surface_of
 from wafer_viewer.measure.tools.step_profile import step_profile
 from wafer_viewer.model.errors import MeasureError
-from wafer_viewer.model.measurement.tools import Conditions
+from wafer_viewer.model.measurement.tool_options import Conditions
 from wafer_viewer.model.region import Region
 
 ACROSS = Region.line(-90, 0, 90, 0, width_um=10)

@@ -12,13 +12,14 @@ from wafer_viewer.gui.page.import_export_dialogs import save_dialog
 from wafer_viewer.gui.page.page import Page
 from wafer_viewer.gui.presenters.measurement import REGION_COLOUR, list_text, sign_colour, symbol
 from wafer_viewer.gui.presenters.provenance import surface_name
-from wafer_viewer.gui.presenters.results import Box, bounds_of, input_regions, tool_of
+from wafer_viewer.gui.presenters.results import Box, bounds_of
 from wafer_viewer.gui.scenes.thumbnails import Thumbnails
 from wafer_viewer.gui.state.view_state import View
 from wafer_viewer.gui.widgets import html
 from wafer_viewer.gui.widgets.controls import HtmlBlock, button, in_a_row, set_prop
 from wafer_viewer.gui.widgets.error_guard import guarded
 from wafer_viewer.model.findings import AnyResult
+from wafer_viewer.model.measurement.tools import TOOL_OF_RESULT
 from wafer_viewer.session.state.snapshot import Snapshot
 
 ROUND_PLACES = 2.4
@@ -147,12 +148,11 @@ def _source_differences(finding: AnyResult, view: View) -> list[str]:
 
 def _as_measured(finding: AnyResult, view: View) -> dict[str, Any]:
     """Return the view changes that show a result as it was measured."""
-    tool, places = tool_of(finding), input_regions(finding)
+    tool = TOOL_OF_RESULT.get(type(finding))
     changes: dict[str, Any] = {"why": None}
-    if tool == "profile":
-        changes |= {"tool": tool, "lines": places, "line": 0}
-    elif tool is not None:
-        changes |= {"tool": tool, "places": places}
+    if tool is not None:
+        changes["tool"] = tool.name
+        changes |= {"lines": finding.inputs, "line": 0} if tool.name == "profile" else {"places": finding.inputs}
     if (finding.show, finding.levelling) != (view.show, view.levelling):
         changes |= {"show": finding.show, "levelling": finding.levelling, "range_um": None}
         changes |= {"frame_k": None, "slice_z_um": None}

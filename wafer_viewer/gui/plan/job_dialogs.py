@@ -24,7 +24,8 @@ from wafer_viewer.model.acquisition.sample import AlignmentMark, Marks
 from wafer_viewer.model.errors import PlanError
 from wafer_viewer.model.job import Job
 from wafer_viewer.model.measurement.feature import Die, Dies, Feature, on_die
-from wafer_viewer.model.measurement.tools import TOOLS, ToolName, ToolOptions
+from wafer_viewer.model.measurement.measuring_tool import ToolName
+from wafer_viewer.model.measurement.tools import TOOLS, ToolOptions
 from wafer_viewer.model.quantity import Unit
 from wafer_viewer.model.region import Region
 from wafer_viewer.model.spec import replace

@@ -31,6 +31,7 @@ from wafer_viewer.model.measurement.measurements import (
     Texture,
 )
 from wafer_viewer.model.measurement.sections import LETTERS, Gap, Section
+from wafer_viewer.model.measurement.tools import TOOL_OF_RESULT
 from wafer_viewer.model.quantity import Length, Quantity
 from wafer_viewer.model.region import Point
 from wafer_viewer.model.surface.height_map import LAYER_TITLES
@@ -38,46 +39,8 @@ from wafer_viewer.model.surface.height_map import LAYER_TITLES
 REGION_COLOUR = "#15202B"
 OTHER_COLOUR = "#5B6B7A"
 NO_U = {"not evaluated": "U not evaluated", "uncalibrated": "uncalibrated"}
-_LETTERS = {
-    "profile": "P",
-    "point": "H",
-    "distance": "L",
-    "step_height": "S",
-    "step_profile": "K",
-    "angle": "A",
-    "radius": "R",
-    "volume": "V",
-    "flatness": "F",
-    "texture": "T",
-    "roughness": "N",
-    "kerf_width": "W",
-    "die_size": "Z",
-    "circle": "O",
-    "chipping": "C",
-    "coplanarity": "B",
-    "site_range": "U",
-    "gauge_check": "G",
-    "defect": "D",
-}
-_MAIN = {
-    "profile": "total height Pt",
-    "point": "height",
-    "distance": "in space",
-    "angle": "between the faces",
-    "radius": "of the sphere",
-    "flatness": "FLTt",
-    "texture": "Sa",
-    "roughness": "Ra",
-    "kerf_width": "mean width",
-    "die_size": "width",
-    "circle": "diameter",
-    "chipping": "deepest",
-    "coplanarity": "from lowest to highest top",
-    "site_range": "largest, front surface, as mounted",
-    "gauge_check": "error",
-}
-"""Label of a result's main quantity, if the name of its tool does not tell it."""
-_SIGNED = ("point", "gauge_check", "defect")
+_OTHER_LETTERS: dict[type[AnyResult], str] = {GaugeCheck: "G", Defect: "D"}
+"""Symbols of results that no tool makes."""
 UNIT_SIGNS = {"um": "µm", "um2": "µm²", "um3": "µm³", "deg": "°", "mrad": "mrad"}
 _LARGER = {"um2": ((1e5, 1e-6, "mm²"),), "um3": ((1e5, 1e-6, "nl"), (0.0, 1e-3, "pl"))}
 """Display units by quantity unit: (smallest value, factor, unit sign), largest first."""
@@ -121,7 +84,9 @@ def with_unit_sign(text: str, unit: str) -> str:
 
 def symbol(finding: AnyResult) -> str:
     """Return the symbol of a result: P1, S2."""
-    return f"{_LETTERS[_tag(finding)]}{finding.number or ''}"
+    tool = TOOL_OF_RESULT.get(type(finding))
+    letter = tool.symbol if tool is not None else _OTHER_LETTERS[type(finding)]
+    return f"{letter}{finding.number or ''}"
 
 
 def sign_colour(finding: AnyResult) -> str:
@@ -137,12 +102,13 @@ def main_label(finding: AnyResult) -> str:
     """Return the label of a result's main quantity; empty if the tool's name tells it."""
     if isinstance(finding, AreaVolume):
         return "below" if finding.main == finding.volume_below else "above"
-    return _MAIN.get(_tag(finding), "")
+    tool = TOOL_OF_RESULT.get(type(finding))
+    return tool.main if tool is not None else "error" if isinstance(finding, GaugeCheck) else ""
 
 
 def list_text(finding: AnyResult) -> str:
     """Return value, uncertainty and unit for the list, as HTML."""
-    value, u, unit = value_texts(finding.main, signed=_tag(finding) in _SIGNED)
+    value, u, unit = value_texts(finding.main, signed=_is_signed(finding))
     beside = f"± {u}" if finding.main.expanded is not None else NO_U.get(finding.main.status, "")
     return f"<b>{value}</b>{with_unit_sign('', unit)}<small>{html.safe(beside)}</small>"
 
@@ -165,7 +131,7 @@ def answer(name: str, quantity: Quantity, signed: bool = False) -> str:
 def card(finding: AnyResult, name: str) -> str:
     """Return the card with a result's main quantity."""
     named = " · ".join(part for part in (name, main_label(finding)) if part)
-    return answer(named, finding.main, _tag(finding) in _SIGNED)
+    return answer(named, finding.main, _is_signed(finding))
 
 
 def budget(quantity: Quantity) -> str:
@@ -200,8 +166,9 @@ def _digits(value: float) -> int:
     return max(0, 3 - math.floor(math.log10(abs(value)))) if value else 2
 
 
-def _tag(finding: AnyResult) -> str:
-    return str(finding.__struct_config__.tag)
+def _is_signed(finding: AnyResult) -> bool:
+    tool = TOOL_OF_RESULT.get(type(finding))
+    return tool.signed if tool is not None else True
 
 
 LISTED = 8

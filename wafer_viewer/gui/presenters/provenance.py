@@ -32,8 +32,10 @@ from wafer_viewer.model.measurement.measurements import (
     StepProfile,
     Texture,
 )
+from wafer_viewer.model.measurement.tools import TOOL_OF_RESULT
 from wafer_viewer.model.region import Region
 from wafer_viewer.model.surface.height_map import LAYER_TITLES
+from wafer_viewer.session.measurement.measurement_numbers import numbers_of
 
 ZERO: dict[LevelBy, str] = {
     "stage": "the stage's zero",
@@ -48,7 +50,8 @@ Pairs = list[tuple[str, str]]
 
 def source(finding: AnyResult) -> str:
     """Return the provenance of a result: regions, points, surface."""
-    body = next((tell(finding) for kind, tell in _TOLD.items() if isinstance(finding, kind)), "")
+    tell = _TOLD.get(type(finding))
+    body = tell(finding) if tell is not None else html.pairs(numbers_of(finding))
     return html.head("Where it comes from", "µm") + body + _measured_on(finding)
 
 
@@ -157,8 +160,6 @@ _TOLD: dict[type, Callable[..., str]] = {
     SiteRanges: sites,
     GaugeCheck: gauge_told,
 }
-_ON_PICTURE = (KerfWidth, DieSize, CircleSize, Chipping)
-"""Results measured on the picture, independent of heights."""
 
 
 def _place(name: str, place: Region) -> tuple[str, str]:
@@ -175,7 +176,8 @@ def _measured_on(finding: AnyResult) -> str:
         f"On the {surface_name(finding)}: {LAYER_TITLES[finding.surface]}, filter: {finding.filter}.",
         f"Heights are read from {ZERO[finding.levelling.by]}.",
     ]
-    if isinstance(finding, _ON_PICTURE):
+    tool = TOOL_OF_RESULT.get(type(finding))
+    if tool is not None and tool.on_picture:
         lines = [f"On the {surface_name(finding)}."]
     if finding.simulated:
         lines.append("SIMULATED: not a measurement of a real sample.")

@@ -7,41 +7,12 @@ from dataclasses import dataclass
 from wafer_viewer.draw.number_format import number
 from wafer_viewer.model.acquisition.sample import Alignment
 from wafer_viewer.model.findings import AnyResult
-from wafer_viewer.model.gauge import GaugeCheck
-from wafer_viewer.model.inspection.defect import Defect
-from wafer_viewer.model.measurement.measurements import (
-    AreaVolume,
-    Chipping,
-    CircleSize,
-    Coplanarity,
-    DieSize,
-    Distance,
-    FaceAngle,
-    Flatness,
-    KerfWidth,
-    PointHeight,
-    Profile,
-    Radius,
-    Roughness,
-    SiteRanges,
-    StepHeight,
-    StepProfile,
-    Texture,
-)
-from wafer_viewer.model.measurement.tools import TOOLS, ToolName, ToolOptions
+from wafer_viewer.model.measurement.measuring_tool import MeasuringTool, ToolName
+from wafer_viewer.model.measurement.tools import TOOL_OF_RESULT, ToolOptions
 from wafer_viewer.model.quantity import Length, Quantity, Unit
 from wafer_viewer.model.region import Point, Region
 from wafer_viewer.model.spec import replace
 from wafer_viewer.session.state.snapshot import Snapshot
-
-TOOL_OF: dict[str, ToolName] = {
-    **{tool: tool for tool in TOOLS},
-    "step_height": "step",
-    "step_profile": "groove",
-    "kerf_width": "kerf",
-    "die_size": "die",
-}
-"""Tool by the tag of the result it makes."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -75,9 +46,10 @@ def kept_features(snapshot: Snapshot) -> dict[str, KeptFeature]:
 
 
 def _feature(finding: AnyResult, lies: Alignment | None) -> KeptFeature | None:
-    tool = TOOL_OF.get(str(finding.__struct_config__.tag))
-    if tool is None or (places := _places(finding, tool)) is None:
+    made_by = TOOL_OF_RESULT.get(type(finding))
+    if made_by is None or (places := _places(finding, made_by)) is None:
         return None
+    tool = made_by.name
     held = {name: getattr(finding, name) for name in finding.__struct_fields__}
     quantities = {name: q for name, value in held.items() if (q := _quantity(value)) is not None}
     options = held.get("options")
@@ -89,11 +61,11 @@ def _quantity(value: object) -> Quantity | None:
     return value.quantity if isinstance(value, Length) else value if isinstance(value, Quantity) else None
 
 
-def _places(finding: AnyResult, tool: ToolName) -> tuple[Region, ...] | None:
+def _places(finding: AnyResult, tool: MeasuringTool) -> tuple[Region, ...] | None:
     """Return the regions the tool needs, in its order; None if the result lacks them."""
     held = (getattr(finding, name) for name in finding.__struct_fields__)
-    regions = tuple(value for value in held if isinstance(value, Region))[: len(TOOLS[tool].places)]
-    kinds = tuple(place.kind for place in TOOLS[tool].places)
+    regions = tuple(value for value in held if isinstance(value, Region))[: len(tool.places)]
+    kinds = tuple(place.kind for place in tool.places)
     return regions if tuple(region.kind for region in regions) == kinds else None
 
 
@@ -105,113 +77,13 @@ def _on_wafer(region: Region, lies: Alignment | None) -> Region:
     return replace(region, points=tuple(Point(x_um=x, y_um=y) for x, y in points))
 
 
-MOST_SITES = 400
-"""With more sites only the region is drawn."""
 Box = tuple[float, float, float, float]
 """x low, y low, x high, y high in um."""
 
 
-def tool_of(finding: AnyResult) -> ToolName | None:
-    """Return the tool that measures such a result; None for gauge checks and defects."""
-    match finding:
-        case Profile():
-            return "profile"
-        case PointHeight():
-            return "point"
-        case Distance():
-            return "distance"
-        case StepHeight():
-            return "step"
-        case StepProfile():
-            return "groove"
-        case FaceAngle():
-            return "angle"
-        case Radius():
-            return "radius"
-        case AreaVolume():
-            return "volume"
-        case Flatness():
-            return "flatness"
-        case Texture():
-            return "texture"
-        case Roughness():
-            return "roughness"
-        case KerfWidth():
-            return "kerf"
-        case DieSize():
-            return "die"
-        case CircleSize():
-            return "circle"
-        case Chipping():
-            return "chipping"
-        case Coplanarity():
-            return "coplanarity"
-        case SiteRanges():
-            return "site_range"
-        case GaugeCheck() | Defect():
-            return None
-
-
-def input_regions(finding: AnyResult) -> tuple[Region, ...]:
-    """Return the regions of a result, in the order of its tool's inputs."""
-    match finding:
-        case Profile() | Roughness() | StepProfile():
-            return (finding.line,)
-        case PointHeight():
-            return (finding.place,)
-        case Distance():
-            return finding.start, finding.end
-        case StepHeight():
-            return finding.upper, finding.lower
-        case FaceAngle():
-            return finding.first, finding.second
-        case Radius() | CircleSize():
-            return (finding.circle,)
-        case (
-            AreaVolume() | Flatness() | Texture() | KerfWidth() | DieSize() | Chipping() | Coplanarity() | SiteRanges()
-        ):
-            return (finding.region,)
-        case GaugeCheck():
-            return finding.upper, finding.lower
-        case Defect():
-            return (finding.outline,)
-
-
-def drawn_regions(finding: AnyResult) -> tuple[Region, ...]:
-    """Return the regions to draw: inputs, all regions of a step, the line of a distance, detected edges."""
-    if isinstance(finding, StepHeight):
-        return finding.regions
-    if isinstance(finding, Distance):
-        return *input_regions(finding), way_between(*input_regions(finding))
-    return *input_regions(finding), *detected_regions(finding)
-
-
-def detected_regions(finding: AnyResult) -> tuple[Region, ...]:
-    """Return the detected edges of a result; empty if there are none."""
-    match finding:
-        case KerfWidth():
-            return finding.first, finding.second
-        case DieSize():
-            return (finding.outline,)
-        case CircleSize():
-            return (finding.found,)
-        case Chipping():
-            return (finding.edge,)
-        case SiteRanges() if len(finding.sites) <= MOST_SITES:
-            return finding.outlines
-        case _:
-            return ()
-
-
-def way_between(start: Region, end: Region) -> Region:
-    """Return the line between two points."""
-    (a,), (b,) = start.points, end.points
-    return Region.line(a.x_um, a.y_um, b.x_um, b.y_um)
-
-
 def bounds_of(finding: AnyResult, least_um: float = 0.0) -> Box:
     """Return the bounding box of all regions of a result, at least `least_um` wide and high."""
-    boxes = [place.bounds_um for place in input_regions(finding)]
+    boxes = [place.bounds_um for place in finding.inputs]
     x0, y0 = (min(box[k] for box in boxes) for k in (0, 1))
     x1, y1 = (max(box[k] for box in boxes) for k in (2, 3))
     spare_x, spare_y = (max(0.0, (least_um - side) / 2) for side in (x1 - x0, y1 - y0))

@@ -10,7 +10,7 @@ import numpy as np
 
 from wafer_viewer.gui.page.page import Page
 from wafer_viewer.gui.presenters.measurement import sign_colour
-from wafer_viewer.gui.presenters.results import Box, bounds_of, drawn_regions
+from wafer_viewer.gui.presenters.results import Box, bounds_of
 from wafer_viewer.gui.scenes.surface_scene import source_of
 from wafer_viewer.gui.tools.region_shapes import outline_of
 from wafer_viewer.gui.widgets import html
@@ -88,7 +88,7 @@ def framed(bounds: Box) -> Box:
 
 def outlines(finding: AnyResult, box: Box) -> str:
     """Return the regions of a result over the image of a box, as SVG."""
-    paths = "".join(_path(place, box) for place in drawn_regions(finding))
+    paths = "".join(_path(place, box) for place in finding.drawn)
     style = f'style="--tone:{html.safe(sign_colour(finding))}"'
     return f'<svg viewBox="0 0 {WIDTH_PX} {HEIGHT_PX}" {style}>{paths}</svg>'
 

@@ -41,7 +41,7 @@ from wafer_viewer.gui.plan.plan_panel import PlanPanel
 from wafer_viewer.gui.state.view_state import Step, View
 from wafer_viewer.gui.surface.focus_evidence import WhyPanel
 from wafer_viewer.gui.surface.surface_panel import COLOUR_BY, LOOKS, SurfacePanel
-from wafer_viewer.gui.tools.tool_palette import ICONS, TOOL_KEYS
+from wafer_viewer.gui.tools.tool_palette import icon_of
 from wafer_viewer.gui.widgets import html
 from wafer_viewer.gui.widgets.command import Command, Group, with_precondition
 from wafer_viewer.gui.widgets.controls import HtmlBlock
@@ -216,8 +216,16 @@ def _measuring(page: Page, parts: Parts) -> list[Command]:
             page.ask("The result was not changed", deleted, lambda _: page.change(selected=None))
 
     tools = [
-        Command(TOOLS[tool].title, key, lambda t=tool: parts.measure.use(t), ICONS[tool], held, "Measure")
-        for tool, (key, held) in TOOL_KEYS.items()
+        Command(
+            tool.title,
+            tool.key,
+            lambda t=tool.name: parts.measure.use(t),
+            icon_of(tool),
+            "shift" if tool.shift else None,
+            "Measure",
+        )
+        for tool in TOOLS.values()
+        if tool.key
     ]
     lines = LineVerbs(page)
     keep = Command("Keep the result", "enter", parts.measure.keep, ICON.CHECK, "cmd/ctrl", "Measure")

@@ -9,8 +9,9 @@ from typing import Any, Literal
 
 from wafer_viewer.model.inspection.defect import Defect
 from wafer_viewer.model.measurement.levelling import Levelling
+from wafer_viewer.model.measurement.measuring_tool import ToolName
 from wafer_viewer.model.measurement.sections import OtherSurface
-from wafer_viewer.model.measurement.tools import ToolName, ToolOptions
+from wafer_viewer.model.measurement.tools import ToolOptions
 from wafer_viewer.model.region import Region
 from wafer_viewer.model.surface.clipping import BeforeSlab, Box, Clip, Slab, Span
 from wafer_viewer.model.surface.comparison import ComparisonFace, comparison_of
@@ -116,7 +117,8 @@ def with_cursor(plot: PlotView, number: int, share: float) -> PlotView:
 Step = Literal["plan", "acquire", "surface", "measure", "gauge", "review", "report"]
 Look = Literal["surface", "points", "plan"]
 ColourBy = Literal["height", "confidence", "slope", "deviation", "form", "overlap", "grey", "origin", "difference"]
-Tool = Literal["none"] | ToolName
+Tool = ToolName
+"""Active tool, or none."""
 ReviewFilter = Literal["all", "open", "accepted", "rejected"]
 Sheet = Literal["none", "beside", "stack"]
 Counted = Literal["all", "view", "selection"]

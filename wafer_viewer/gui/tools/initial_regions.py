@@ -21,7 +21,8 @@ from wafer_viewer.gui.tools.surface_landmarks import (
     two_faces,
 )
 from wafer_viewer.model.measurement.levelling import LevelBy, Levelling
-from wafer_viewer.model.measurement.tools import ToolName
+from wafer_viewer.model.measurement.measuring_tool import InitialRegions, ToolName
+from wafer_viewer.model.measurement.tools import TOOLS
 from wafer_viewer.model.region import Region
 
 LEAST_SHARE, FILLED, LEAST_PX = 0.01, 0.75, 8
@@ -313,26 +314,30 @@ def _visible_without_border(land: HeightField, near: Place) -> tuple[Region, ...
     return (Region.rectangle(*(round(um, 2) for um in (x0 + in_x, y0 + in_y, x1 - in_x, y1 - in_y))),)
 
 
-FIRST: dict[ToolName, Callable[[HeightField, Place], tuple[Region, ...]]] = {
-    "profile": lambda land, near: (Region.line(*(v for end in first_line(land, near) for v in end)),),
+INITIAL_REGIONS: dict[InitialRegions, Callable[[HeightField, Place], tuple[Region, ...]]] = {
+    "informative line": lambda land, near: (Region.line(*(v for end in first_line(land, near) for v in end)),),
+    "line across a groove": lambda land, near: (Region.line(*(v for end in groove_line(land, near) for v in end)),),
+    "line across a face": _across_face,
     "point": _point,
-    "distance": _distance,
-    "step": _step,
-    "groove": lambda land, near: (Region.line(*(v for end in groove_line(land, near) for v in end)),),
-    "angle": _angle,
-    "radius": _radius,
-    "volume": _volume,
+    "two points": _distance,
+    "two levels": _step,
+    "two faces": _angle,
+    "bump": _radius,
+    "around a bump": _volume,
+    "bumps": bumps_box,
+    "face": _face,
     "kerf": kerf_box,
     "die": die_box,
-    "circle": initial_circle,
-    "chipping": edge_box,
-    "coplanarity": bumps_box,
-    "site_range": _visible_without_border,
-    "flatness": _face,
-    "texture": _face,
-    "roughness": _across_face,
+    "round shape": initial_circle,
+    "die edge": edge_box,
+    "all in view": _visible_without_border,
 }
-"""Initial regions of each tool, in the order of its inputs."""
+"""Regions on a feature of the visible part, nearest to the point looked at."""
+
+
+def initial_regions(tool: ToolName, land: HeightField, near: Place) -> tuple[Region, ...]:
+    """Return the first regions of a tool, in the order of its inputs."""
+    return INITIAL_REGIONS[TOOLS[tool].initial](land, near)
 
 
 def _three_points(land: HeightField, near: Place) -> tuple[Region, ...]:

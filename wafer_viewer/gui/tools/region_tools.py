@@ -15,11 +15,12 @@ from wafer_viewer.gui.scene.heightfield import HeightField, Place
 from wafer_viewer.gui.scene.scene_theme import colours
 from wafer_viewer.gui.scene.viewport import ViewAxes
 from wafer_viewer.gui.state.view_state import Tool, View
-from wafer_viewer.gui.tools.initial_regions import FIRST
+from wafer_viewer.gui.tools.initial_regions import initial_regions
 from wafer_viewer.gui.tools.region_shapes import SHAPES, WHOLE
 from wafer_viewer.gui.widgets.callback_timing import EchoFilter
 from wafer_viewer.model.measurement.levelling import Levelling
-from wafer_viewer.model.measurement.tools import TOOLS, MeasuringTool, ToolOptions
+from wafer_viewer.model.measurement.measuring_tool import MeasuringTool
+from wafer_viewer.model.measurement.tools import TOOLS, ToolOptions
 from wafer_viewer.model.region import Region
 from wafer_viewer.model.spec import replace
 from wafer_viewer.session.state.snapshot import SurfaceInfo
@@ -169,7 +170,7 @@ class PlaceTools:
         if named and (not self._echoes.is_echo(view.places) or new):
             self._become(tool, view.places, view.dark)
         elif not named and (new or self._named):
-            self._become(tool, FIRST[view.tool](self._in_sight(land), near), view.dark)
+            self._become(tool, initial_regions(view.tool, self._in_sight(land), near), view.dark)
             self._told()
         self._tool, self._named = view.tool, named
 

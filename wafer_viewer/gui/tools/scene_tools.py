@@ -12,7 +12,6 @@ from numpy.typing import NDArray
 
 from wafer_viewer.draw.colormaps import Rgb, rgb
 from wafer_viewer.gui.presenters.measurement import sign_colour, symbol
-from wafer_viewer.gui.presenters.results import drawn_regions
 from wafer_viewer.gui.scene.billboards import Billboard, corner_on_screen
 from wafer_viewer.gui.scene.camera_controller import CameraController
 from wafer_viewer.gui.scene.camera_presets import CameraPose, pixel_ray
@@ -94,7 +93,7 @@ class KeptMarks:
 def _kept(finding: AnyResult, view: View) -> _Kept:
     chosen = finding.number == view.selected
     colour = colours(view.dark).mark if chosen else rgb(sign_colour(finding)[1:])
-    return _Kept(drawn_regions(finding), symbol(finding), colour, chosen)
+    return _Kept(finding.drawn, symbol(finding), colour, chosen)
 
 
 def _outline(region: Region, land: HeightField, mm_per_pixel: float) -> NDArray[np.float32]:

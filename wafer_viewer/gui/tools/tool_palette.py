@@ -2,102 +2,41 @@
 
 from __future__ import annotations
 
-from typing import Any
+from typing import Any, get_args
 
 import viser
 
 from wafer_viewer.gui.state.view_state import Tool
 from wafer_viewer.gui.widgets import html
-from wafer_viewer.model.measurement.tools import TOOLS, ToolName
+from wafer_viewer.model.measurement.measuring_tool import MeasuringTool, ToolGroup
+from wafer_viewer.model.measurement.tools import TOOLS
 
-GROUPS: dict[str, tuple[ToolName, ...]] = {
-    "Sections and steps": ("profile", "step", "groove", "angle"),
-    "Places": ("point", "distance"),
-    "What stands out": ("radius", "volume", "coplanarity"),
-    "On the picture": ("die", "kerf", "chipping", "circle"),
-    "Faces": ("flatness", "texture", "roughness", "site_range"),
+GROUPS: dict[str, tuple[MeasuringTool, ...]] = {
+    group: tuple(tool for tool in TOOLS.values() if tool.group == group) for group in get_args(ToolGroup)
 }
-ON_TOOLBAR: tuple[tuple[ToolName, ...], ...] = (
-    ("profile", "step", "angle"),
-    ("point", "distance"),
-    ("radius", "volume"),
-    ("flatness", "texture"),
-)
+ON_TOOLBAR = tuple(listed for group in GROUPS.values() if (listed := tuple(t for t in group if t.on_toolbar)))
 """Tools on the toolbar, by group; the others are only in the panel."""
-ICONS: dict[ToolName, Any] = {
-    "profile": viser.Icon.LINE,
-    "step": viser.Icon.STAIRS_UP,
-    "groove": viser.Icon.WAVE_SQUARE,
-    "angle": viser.Icon.ANGLE,
-    "point": viser.Icon.POINT,
-    "distance": viser.Icon.RULER_MEASURE,
-    "radius": viser.Icon.CIRCLE,
-    "volume": viser.Icon.DROPLET,
-    "kerf": viser.Icon.ARROW_AUTOFIT_WIDTH,
-    "die": viser.Icon.DIMENSIONS,
-    "circle": viser.Icon.CIRCLE_DASHED,
-    "chipping": viser.Icon.PUZZLE,
-    "coplanarity": viser.Icon.LAYOUT_ALIGN_BOTTOM,
-    "site_range": viser.Icon.GRID_PATTERN,
-    "flatness": viser.Icon.LAYERS_SUBTRACT,
-    "texture": viser.Icon.GRAIN,
-    "roughness": viser.Icon.WAVE_SAW_TOOL,
-}
-SHORT: dict[ToolName, str] = {
-    "profile": "Profile",
-    "step": "Step",
-    "groove": "Groove",
-    "angle": "Angle",
-    "point": "Point",
-    "distance": "Distance",
-    "radius": "Radius",
-    "volume": "Volume",
-    "kerf": "Kerf",
-    "die": "Die size",
-    "circle": "Circle",
-    "chipping": "Chipping",
-    "coplanarity": "Coplanar",
-    "site_range": "Sites",
-    "flatness": "Flatness",
-    "texture": "Texture",
-    "roughness": "Roughness",
-}
-TOOL_KEYS: dict[ToolName, tuple[str, str | None]] = {
-    "profile": ("L", None),
-    "point": ("X", None),
-    "distance": ("M", None),
-    "step": ("K", None),
-    "groove": ("K", "shift"),
-    "angle": ("B", None),
-    "radius": ("R", None),
-    "volume": ("V", None),
-    "kerf": ("U", "shift"),
-    "die": ("W", "shift"),
-    "circle": ("Y", "shift"),
-    "chipping": ("X", "shift"),
-    "coplanarity": ("Q", "shift"),
-    "site_range": ("Z", "shift"),
-    "flatness": ("F", "shift"),
-    "texture": ("T", "shift"),
-    "roughness": ("J", "shift"),
-}
-"""Key of each tool, and its modifier."""
 GAP = '<i class="wv-gap"></i>'
 """Separator between groups on the toolbar."""
 
 
-def hint(tool: ToolName) -> str:
+def icon_of(tool: MeasuringTool) -> Any:
+    """Return the page's icon of a tool; a ruler for a name that the page does not know."""
+    return getattr(viser.Icon, tool.icon.upper().replace("-", "_"), viser.Icon.RULER)
+
+
+def hint(tool: MeasuringTool) -> str:
     """Return the tooltip of a tool: its title and key."""
-    key, held = TOOL_KEYS[tool]
-    return f"{TOOLS[tool].title} · {f'{held} + ' if held else ''}{key}"
+    keys = f" · {'shift + ' if tool.shift else ''}{tool.key}" if tool.key else ""
+    return f"{tool.title}{keys}"
 
 
 def tool_strip(chosen: Tool) -> str:
     """Return the toolbar icons; the active tool shows its name, in place of the last group if it is not listed."""
-    groups: tuple[tuple[ToolName, ...], ...] = ON_TOOLBAR
-    if chosen != "none" and not any(chosen in group for group in ON_TOOLBAR):
-        groups = (*ON_TOOLBAR[:-1], (chosen,))
-    return GAP.join("".join(_icon(tool, tool == chosen) for tool in group) for group in groups)
+    groups = ON_TOOLBAR
+    if (tool := TOOLS.get(chosen)) is not None and not tool.on_toolbar:
+        groups = (*ON_TOOLBAR[:-1], (tool,))
+    return GAP.join("".join(_icon(tool, tool.name == chosen) for tool in group) for group in groups)
 
 
 def tool_cards() -> str:
@@ -108,14 +47,14 @@ def tool_cards() -> str:
     )
 
 
-def _icon(tool: ToolName, chosen: bool) -> str:
-    on, word = (' class="on"', html.safe(SHORT[tool])) if chosen else ("", "")
-    told = f'title="{html.safe(hint(tool))}" aria-label="{SHORT[tool]}"'
-    return f"<span{on} {told} {html.pick('tool', tool)}>{html.icon(ICONS[tool], 17)}{word}</span>"
+def _icon(tool: MeasuringTool, chosen: bool) -> str:
+    on, word = (' class="on"', html.safe(tool.short)) if chosen else ("", "")
+    told = f'title="{html.safe(hint(tool))}" aria-label="{html.safe(tool.short)}"'
+    return f"<span{on} {told} {html.pick('tool', tool.name)}>{html.icon(icon_of(tool), 17)}{word}</span>"
 
 
-def _card(tool: ToolName) -> str:
-    key, held = TOOL_KEYS[tool]
-    keys = f"<kbd>{'⇧' if held else ''}{key}</kbd>"
-    told = f'title="{html.safe(TOOLS[tool].how)}" aria-label="{html.safe(TOOLS[tool].title)}"'
-    return f"<div {told} {html.pick('tool', tool)}>{html.icon(ICONS[tool], 18)}<span>{SHORT[tool]}</span>{keys}</div>"
+def _card(tool: MeasuringTool) -> str:
+    keys = f"<kbd>{'⇧' if tool.shift else ''}{tool.key}</kbd>" if tool.key else ""
+    told = f'title="{html.safe(tool.how)}" aria-label="{html.safe(tool.title)}"'
+    name = html.safe(tool.short)
+    return f"<div {told} {html.pick('tool', tool.name)}>{html.icon(icon_of(tool), 18)}<span>{name}</span>{keys}</div>"

@@ -8,7 +8,7 @@ from typing import Any, Self
 
 from wafer_viewer.measure.base.height_samples import Layer, layer_of, level_note
 from wafer_viewer.measure.base.levelled_surface import levelling_of
-from wafer_viewer.model.measurement.tools import Conditions
+from wafer_viewer.model.measurement.tool_options import Conditions
 from wafer_viewer.model.quantity import BudgetLine, Contribution, Length, Quantity, Unit, UStatus
 from wafer_viewer.model.surface.height_map import Mosaic, Provenance
 

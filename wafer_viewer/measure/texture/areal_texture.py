@@ -14,7 +14,7 @@ from wafer_viewer.measure.base.plane_faces import Area, area_of
 from wafer_viewer.measure.texture.resolvable_scales import near_noise, unseen_waves
 from wafer_viewer.model.errors import MeasureError
 from wafer_viewer.model.measurement.measurements import Texture
-from wafer_viewer.model.measurement.tools import TextureOptions
+from wafer_viewer.model.measurement.tool_options import TextureOptions
 from wafer_viewer.model.region import Region
 from wafer_viewer.model.surface.height_map import Mosaic
 from wafer_viewer.numerics.correlation import autocorrelation

@@ -15,7 +15,7 @@ from wafer_viewer.measure.texture.resolvable_scales import near_noise, unseen_wa
 from wafer_viewer.measure.tools.profile import profile
 from wafer_viewer.model.errors import MeasureError
 from wafer_viewer.model.measurement.measurements import ProfileCurve, Roughness
-from wafer_viewer.model.measurement.tools import RoughnessOptions
+from wafer_viewer.model.measurement.tool_options import RoughnessOptions
 from wafer_viewer.model.region import Region
 from wafer_viewer.model.surface.height_map import Mosaic
 from wafer_viewer.numerics.filters.gaussian import gaussian_mean

@@ -26,7 +26,7 @@ from wafer_viewer.measure.edges.edge_search import (
 from wafer_viewer.measure.edges.straight_edges import REACH_PX, Found, expected_on, find_edge_any_way, require_found
 from wafer_viewer.model.errors import MeasureError
 from wafer_viewer.model.measurement.measurements import Chip, Chipping, Side
-from wafer_viewer.model.measurement.tools import ChippingOptions
+from wafer_viewer.model.measurement.tool_options import ChippingOptions
 from wafer_viewer.model.quantity import Quantity
 from wafer_viewer.model.region import Point, Region
 from wafer_viewer.model.surface.height_map import Mosaic

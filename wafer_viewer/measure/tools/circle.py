@@ -10,7 +10,7 @@ from wafer_viewer.measure.edges.circular_edges import NEIGHBOURS, ROOM_PX, find_
 from wafer_viewer.measure.edges.edge_search import Sign, between_edges, notes, read_strip
 from wafer_viewer.model.errors import MeasureError
 from wafer_viewer.model.measurement.measurements import CircleSize
-from wafer_viewer.model.measurement.tools import CircleOptions
+from wafer_viewer.model.measurement.tool_options import CircleOptions
 from wafer_viewer.model.region import Point, Region
 from wafer_viewer.model.surface.height_map import Mosaic
 

@@ -26,7 +26,7 @@ from wafer_viewer.measure.base.robust_fit import LevelPlane, fit_cap, plane_desi
 from wafer_viewer.measure.edges.edge_search import root_sum_of_squares
 from wafer_viewer.model.errors import MeasureError
 from wafer_viewer.model.measurement.measurements import Bump, Coplanarity
-from wafer_viewer.model.measurement.tools import CoplanarityOptions
+from wafer_viewer.model.measurement.tool_options import CoplanarityOptions
 from wafer_viewer.model.quantity import Length
 from wafer_viewer.model.region import Point, Region
 from wafer_viewer.model.surface.height_map import Heights, Mosaic

@@ -9,7 +9,7 @@ from wafer_viewer.measure.base.measurement_context import MeasurementContext
 from wafer_viewer.measure.edges.edge_search import Sign, angle, between_edges, notes, read_strip, require_rectangle
 from wafer_viewer.measure.edges.straight_edges import OPPOSITE, die_edges
 from wafer_viewer.model.measurement.measurements import DieSize
-from wafer_viewer.model.measurement.tools import DieOptions
+from wafer_viewer.model.measurement.tool_options import DieOptions
 from wafer_viewer.model.region import Point, Region
 from wafer_viewer.model.surface.height_map import Mosaic
 

@@ -27,7 +27,7 @@ from wafer_viewer.measure.edges.edge_search import (
 from wafer_viewer.measure.edges.straight_edges import AS_STRONG, Found, fitted, no_edge
 from wafer_viewer.model.errors import MeasureError
 from wafer_viewer.model.measurement.measurements import KerfWidth
-from wafer_viewer.model.measurement.tools import KerfOptions
+from wafer_viewer.model.measurement.tool_options import KerfOptions
 from wafer_viewer.model.region import Region
 from wafer_viewer.model.surface.height_map import Mosaic
 

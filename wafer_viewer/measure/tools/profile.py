@@ -92,6 +92,11 @@ def profile(
     return numbers_of(surface, line, curve, measured_on, at_level, about, calibration_valid, name), curve
 
 
+def section(surface: Mosaic, line: Region, *, calibration_valid: bool = True) -> Profile:
+    """Return the profile along a line without its curve."""
+    return profile(surface, line, calibration_valid=calibration_valid)[0]
+
+
 def numbers_of(
     surface: Mosaic,
     line: Region,

@@ -44,7 +44,7 @@ from wafer_viewer.measure.base.plane_faces import (
 )
 from wafer_viewer.model.errors import MeasureError
 from wafer_viewer.model.measurement.measurements import StepHeight
-from wafer_viewer.model.measurement.tools import Conditions, StepDefinition, StepOptions
+from wafer_viewer.model.measurement.tool_options import Conditions, StepDefinition, StepOptions
 from wafer_viewer.model.quantity import Length, Quantity
 from wafer_viewer.model.region import Region
 from wafer_viewer.model.surface.field_poses import HasPoses, Poses

@@ -32,7 +32,7 @@ from wafer_viewer.measure.tools.profile import profile
 from wafer_viewer.measure.tools.step_height import PoseSensitivities, poses_u_um
 from wafer_viewer.model.errors import MeasureError
 from wafer_viewer.model.measurement.measurements import ProfileCurve, StepProfile
-from wafer_viewer.model.measurement.tools import Conditions, GrooveOptions
+from wafer_viewer.model.measurement.tool_options import Conditions, GrooveOptions
 from wafer_viewer.model.region import Region
 from wafer_viewer.model.surface.height_map import Mosaic
 

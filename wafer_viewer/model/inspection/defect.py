@@ -183,6 +183,7 @@ class Defect(MeasurementResult, frozen=True, kw_only=True, tag="defect"):
 
     center: Point
     outline: Region
+    input_fields: ClassVar[tuple[str, ...]] = ("outline",)
     kind: DefectClass
     die: str = ""
     in_die: Point | None = None

@@ -7,7 +7,8 @@ from typing import Annotated, Any, Literal
 import msgspec
 
 from wafer_viewer.model.errors import PlanError
-from wafer_viewer.model.measurement.tools import TOOLS, ToolName, ToolOptions
+from wafer_viewer.model.measurement.measuring_tool import ToolName
+from wafer_viewer.model.measurement.tools import TOOLS, ToolOptions
 from wafer_viewer.model.quantity import Unit
 from wafer_viewer.model.region import Point, Region
 from wafer_viewer.model.spec import NonNegative, Spec, Within, replace
@@ -51,6 +52,8 @@ class Feature(Spec, frozen=True, kw_only=True, omit_defaults=True):
             self.refuse("upper_limit", f"a number in {self.unit}, or else lower_limit: by one of them it is judged")
         if self.lower_limit is not None and self.upper_limit is not None and self.upper_limit <= self.lower_limit:
             self.refuse("upper_limit", f"over the lower limit {self.lower_limit:g} {self.unit}")
+        if self.tool not in TOOLS:
+            self.refuse("tool", f"one of {', '.join(map(repr, TOOLS))}")
         asked = TOOLS[self.tool].places
         if self.places and [place.kind for place in self.places] != [place.kind for place in asked]:
             self._require_places(len(asked))

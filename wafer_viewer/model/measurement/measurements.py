@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from wafer_viewer.model.errors import MeasureError, WaferViewerError
 from wafer_viewer.model.measurement.levelling import Levelling
-from wafer_viewer.model.measurement.tools import (
+from wafer_viewer.model.measurement.tool_options import (
     ChippingOptions,
     CircleOptions,
     CoplanarityOptions,
@@ -46,6 +46,29 @@ class MeasurementResult(Spec, frozen=True, kw_only=True):
     simulated: bool = False
     notes: tuple[str, ...] = ()
 
+    input_fields: ClassVar[tuple[str, ...]] = ("region",)
+    """Fields with the regions that the tool was given, in its order."""
+
+    @property
+    def main(self) -> Quantity:
+        """Quantity that represents the result in a list."""
+        raise NotImplementedError
+
+    @property
+    def inputs(self) -> tuple[Region, ...]:
+        """Regions that the tool was given."""
+        return tuple(getattr(self, name) for name in self.input_fields)
+
+    @property
+    def detected(self) -> tuple[Region, ...]:
+        """Edges and outlines that the tool found."""
+        return ()
+
+    @property
+    def drawn(self) -> tuple[Region, ...]:
+        """All regions to draw."""
+        return (*self.inputs, *self.detected)
+
 
 @dataclass(frozen=True, slots=True, eq=False)
 class ProfileCurve:
@@ -60,6 +83,7 @@ class ProfileCurve:
 class Profile(MeasurementResult, frozen=True, kw_only=True, tag="profile"):
     """A profile along a line: total height Pt, and rise from its first to its last measured point."""
 
+    input_fields: ClassVar[tuple[str, ...]] = ("line",)
     line: Region
     length_um: NonNegative
     pt: Length
@@ -75,6 +99,7 @@ class Profile(MeasurementResult, frozen=True, kw_only=True, tag="profile"):
 class PointHeight(MeasurementResult, frozen=True, kw_only=True, tag="point"):
     """Height at a point: the median of the measured pixels around it."""
 
+    input_fields: ClassVar[tuple[str, ...]] = ("place",)
     place: Region
     height: Length
     points: int
@@ -88,12 +113,19 @@ class PointHeight(MeasurementResult, frozen=True, kw_only=True, tag="point"):
 class Distance(MeasurementResult, frozen=True, kw_only=True, tag="distance"):
     """Distance between two points on the surface: in space, lateral, along z, and the slope."""
 
+    input_fields: ClassVar[tuple[str, ...]] = ("start", "end")
     start: Region
     end: Region
     distance: Length
     lateral: Length
     dz: Length
     slope: Quantity
+
+    @property
+    def detected(self) -> tuple[Region, ...]:
+        """Line between the two points."""
+        (a,), (b,) = self.start.points, self.end.points
+        return (Region.line(a.x_um, a.y_um, b.x_um, b.y_um),)
 
     @property
     def main(self) -> Quantity:
@@ -104,6 +136,7 @@ class Distance(MeasurementResult, frozen=True, kw_only=True, tag="distance"):
 class FaceAngle(MeasurementResult, frozen=True, kw_only=True, tag="angle"):
     """Angle between the normals of two faces, 0 if parallel; the tilts are those of the single faces."""
 
+    input_fields: ClassVar[tuple[str, ...]] = ("first", "second")
     first: Region
     second: Region
     angle: Quantity
@@ -126,6 +159,7 @@ class Radius(MeasurementResult, frozen=True, kw_only=True, tag="radius"):
     sq_um: root mean square residual of the points from the sphere, along z.
     """
 
+    input_fields: ClassVar[tuple[str, ...]] = ("circle",)
     circle: Region
     kind: Literal["bump", "pit"]
     radius: Length
@@ -191,6 +225,7 @@ class StepHeight(MeasurementResult, frozen=True, kw_only=True, tag="step_height"
     budget.
     """
 
+    input_fields: ClassVar[tuple[str, ...]] = ("upper", "lower")
     upper: Region
     lower: Region
     also_upper: tuple[Region, ...] = ()
@@ -210,14 +245,14 @@ class StepHeight(MeasurementResult, frozen=True, kw_only=True, tag="step_height"
     not_evaluated: tuple[str, ...] = ()
 
     @property
+    def detected(self) -> tuple[Region, ...]:
+        """Further regions of the two faces."""
+        return (*self.also_upper, *self.also_lower)
+
+    @property
     def main(self) -> Quantity:
         """The step height."""
         return self.height.quantity
-
-    @property
-    def regions(self) -> tuple[Region, ...]:
-        """All regions of both faces, the first upper and the first lower one in front."""
-        return (self.upper, self.lower, *self.also_upper, *self.also_lower)
 
 
 class StepProfile(MeasurementResult, frozen=True, kw_only=True, tag="step_profile"):
@@ -228,6 +263,7 @@ class StepProfile(MeasurementResult, frozen=True, kw_only=True, tag="step_profil
     profile in a few hundred points, distance and height in um.
     """
 
+    input_fields: ClassVar[tuple[str, ...]] = ("line",)
     line: Region
     kind: Literal["groove", "ridge", "step"]
     height: Length
@@ -246,6 +282,10 @@ class StepProfile(MeasurementResult, frozen=True, kw_only=True, tag="step_profil
     def main(self) -> Quantity:
         """The height or depth."""
         return self.height.quantity
+
+
+MOST_SITES = 400
+"""With more sites only the region is drawn."""
 
 
 class Site(Spec, frozen=True, kw_only=True):
@@ -276,6 +316,11 @@ class SiteRanges(MeasurementResult, frozen=True, kw_only=True, tag="site_range")
         """Rectangles of all sites, in their order."""
         x, y = self.site_width_um / 2, self.site_height_um / 2
         return tuple(Region.rectangle(s.x_um - x, s.y_um - y, s.x_um + x, s.y_um + y) for s in self.sites)
+
+    @property
+    def detected(self) -> tuple[Region, ...]:
+        """Outlines of the sites, unless there are very many."""
+        return self.outlines if len(self.sites) <= MOST_SITES else ()
 
     @property
     def main(self) -> Quantity:
@@ -326,6 +371,7 @@ class Roughness(MeasurementResult, frozen=True, kw_only=True, tag="roughness"):
     Without a cut-off the profile is the primary profile with one section, and the standard names are Pa, Pq, Pt ...
     """
 
+    input_fields: ClassVar[tuple[str, ...]] = ("line",)
     line: Region
     options: RoughnessOptions = RoughnessOptions()
     ra: Length
@@ -368,6 +414,11 @@ class KerfWidth(MeasurementResult, frozen=True, kw_only=True, tag="kerf_width"):
     points: int
 
     @property
+    def detected(self) -> tuple[Region, ...]:
+        """Both edges."""
+        return self.first, self.second
+
+    @property
     def main(self) -> Quantity:
         """The mean width."""
         return self.width.quantity
@@ -392,6 +443,11 @@ class DieSize(MeasurementResult, frozen=True, kw_only=True, tag="die_size"):
     points: int
 
     @property
+    def detected(self) -> tuple[Region, ...]:
+        """Outline of the die."""
+        return (self.outline,)
+
+    @property
     def main(self) -> Quantity:
         """The width."""
         return self.width.quantity
@@ -403,6 +459,7 @@ class CircleSize(MeasurementResult, frozen=True, kw_only=True, tag="circle"):
     circle: the circle drawn by the user; found: the fitted circle.
     """
 
+    input_fields: ClassVar[tuple[str, ...]] = ("circle",)
     circle: Region
     options: CircleOptions = CircleOptions()
     diameter: Length
@@ -412,6 +469,11 @@ class CircleSize(MeasurementResult, frozen=True, kw_only=True, tag="circle"):
     found: Region
     inside: Literal["bright", "dark"]
     points: int
+
+    @property
+    def detected(self) -> tuple[Region, ...]:
+        """The fitted circle."""
+        return (self.found,)
 
     @property
     def main(self) -> Quantity:
@@ -449,6 +511,11 @@ class Chipping(MeasurementResult, frozen=True, kw_only=True, tag="chipping"):
     edge: Region
     die: Side
     points: int
+
+    @property
+    def detected(self) -> tuple[Region, ...]:
+        """Line of the edge."""
+        return (self.edge,)
 
     @property
     def main(self) -> Quantity:

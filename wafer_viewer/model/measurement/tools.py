@@ -1,245 +1,559 @@
-"""Measuring tools: their titles, options and conditions, and the regions that each needs."""
+"""Measuring tools: one descriptor each, which page, commands, jobs, reports and the Python API read.
+
+Other packages bring tools as entry points of the group ``wafer_viewer.measuring_tools``.
+"""
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-from typing import Annotated, Any, ClassVar, Literal
+from typing import TYPE_CHECKING, Any, ClassVar
 
 import msgspec
 
 from wafer_viewer.model.errors import MeasureError, WaferViewerError
-from wafer_viewer.model.region import RegionKind
-from wafer_viewer.model.spec import NonNegative, Positive, Spec, Within
+from wafer_viewer.model.measurement.measurements import (
+    AreaVolume,
+    Chipping,
+    CircleSize,
+    Coplanarity,
+    DieSize,
+    Distance,
+    FaceAngle,
+    Flatness,
+    KerfWidth,
+    MeasurementResult,
+    PointHeight,
+    Profile,
+    Radius,
+    Roughness,
+    SiteRanges,
+    StepHeight,
+    StepProfile,
+    Texture,
+)
+from wafer_viewer.model.measurement.measuring_tool import (
+    ChoiceControl,
+    MeasuringTool,
+    NumberControl,
+    PlaceAsked,
+    ToolName,
+)
+from wafer_viewer.model.measurement.tool_options import (
+    ChippingOptions,
+    CircleOptions,
+    CoplanarityOptions,
+    DieOptions,
+    GrooveOptions,
+    KerfOptions,
+    OptionsSpec,
+    RoughnessOptions,
+    SiteRangeOptions,
+    StepOptions,
+    TextureOptions,
+    VolumeOptions,
+)
+from wafer_viewer.model.plugins import plugins
+from wafer_viewer.model.spec import Spec
 
-ToolName = Literal[
-    "profile",
-    "point",
-    "distance",
-    "step",
-    "angle",
-    "radius",
-    "volume",
-    "flatness",
-    "texture",
-    "roughness",
-    "groove",
-    "kerf",
-    "die",
-    "circle",
-    "chipping",
-    "coplanarity",
-    "site_range",
-]
+
+def _rectangle(name: str, help: str = "Two opposite corners of a rectangle.", flag: str = "region") -> PlaceAsked:
+    return PlaceAsked(name, "rectangle", flag, help)
 
 
-@dataclass(frozen=True, slots=True)
-class PlaceAsked:
-    """One region that a tool needs: its name on the page and its kind."""
-
-    name: str
-    kind: RegionKind
+def _line(help: str) -> PlaceAsked:
+    return PlaceAsked("line", "line", "line", help)
 
 
-@dataclass(frozen=True, slots=True)
-class MeasuringTool:
-    """A measuring tool: title, instruction for the operator, and its regions.
+_CONDITIONS = (
+    NumberControl("Repeats s, µm", "conditions.repeatability_um", "Spread of repeated measurements; empty: not known"),
+    NumberControl("Drift u, µm", "conditions.drift_um", "Standard uncertainty by drift; empty: not known"),
+    NumberControl(
+        "Sample, °C", "conditions.temperature_c", "Of the sample while it was scanned; empty: not known", None
+    ),
+)
+_BRIGHTNESS = {"Either": "either", "Bright": "bright", "Dark": "dark"}
+_FORMS = {"Mean": 0, "Plane": 1, "Order 2": 2, "Order 3": 3, "Order 4": 4, "Order 6": 6, "Order 8": 8}
 
-    on_picture: it evaluates the all-in-focus picture and no heights.
-    """
-
-    title: str
-    how: str
-    places: tuple[PlaceAsked, ...]
-    on_picture: bool = False
-
-
-def _rectangles(*names: str) -> tuple[PlaceAsked, ...]:
-    return tuple(PlaceAsked(name, "rectangle") for name in names)
-
+_BUILT_IN = (
+    MeasuringTool(
+        name="profile",
+        title="Profile",
+        short="Profile",
+        summary="sections along lines, rows and columns: numbers, table or picture",
+        help="Section along a line, as JSON. Stage um.",
+        how="Drag the two handles over the surface.",
+        result=Profile,
+        measure="wafer_viewer.measure.tools.profile:section",
+        places=(_line("The two ends of the line."),),
+        initial="informative line",
+        group="Sections and steps",
+        symbol="P",
+        main="total height Pt",
+        icon="line",
+        key="L",
+        shift=False,
+        on_toolbar=True,
+    ),
+    MeasuringTool(
+        name="step",
+        title="Step height",
+        short="Step",
+        summary="the height of one region over another",
+        help="The height of one face over another, as JSON. Stage um.",
+        how="Drag the upper and the lower region over the surface.",
+        result=StepHeight,
+        measure="wafer_viewer.measure.tools.step_height:step_height",
+        places=(
+            _rectangle("upper", "Two opposite corners of the upper rectangle.", "upper"),
+            _rectangle("lower", "The same of the lower face.", "lower"),
+        ),
+        initial="two levels",
+        group="Sections and steps",
+        symbol="S",
+        icon="stairs-up",
+        key="K",
+        shift=False,
+        on_toolbar=True,
+        options=StepOptions,
+        controls=(
+            ChoiceControl(
+                "Height taken",
+                "definition",
+                {
+                    "Over a common plane": "common_plane",
+                    "Over the lower face": "lower_face",
+                    "Over the upper face": "upper_face",
+                    "At the joint": "joint",
+                },
+                "The distance between tilted faces depends on the place",
+            ),
+            *_CONDITIONS,
+        ),
+    ),
+    MeasuringTool(
+        name="groove",
+        title="Groove",
+        short="Groove",
+        summary="the depth of a groove, or the height of a step, along a line",
+        help="The depth of a groove, the height of a ridge or of a single step that a line crosses, as JSON. Stage um.",
+        how="Drag the line across a groove or step.",
+        result=StepProfile,
+        measure="wafer_viewer.measure.tools.step_profile:step_profile",
+        places=(_line("Both ends; it reaches beyond each edge as far as the groove is wide."),),
+        initial="line across a groove",
+        group="Sections and steps",
+        symbol="K",
+        icon="wave-square",
+        key="K",
+        options=GrooveOptions,
+        controls=(
+            ChoiceControl(
+                "It crosses", "shape", {"A groove or ridge": "groove", "A single step": "step"}, "Two edges or one"
+            ),
+            *_CONDITIONS,
+        ),
+    ),
+    MeasuringTool(
+        name="angle",
+        title="Angle",
+        short="Angle",
+        summary="the angle between two faces",
+        help="The angle between two faces, with its uncertainty, as JSON. Stage um.",
+        how="Drag a region onto each of the two faces.",
+        result=FaceAngle,
+        measure="wafer_viewer.measure.tools.angle:face_angle",
+        places=(
+            _rectangle("first", "Two opposite corners of a rectangle on the one face.", "first"),
+            _rectangle("second", "The same on the other.", "second"),
+        ),
+        initial="two faces",
+        group="Sections and steps",
+        symbol="A",
+        main="between the faces",
+        icon="angle",
+        key="B",
+        shift=False,
+        on_toolbar=True,
+    ),
+    MeasuringTool(
+        name="point",
+        title="Point",
+        short="Point",
+        summary="the height at a point",
+        help="The height at a point, with its uncertainty, as JSON. Stage um.",
+        how="Drag the point, or click where to measure.",
+        result=PointHeight,
+        measure="wafer_viewer.measure.tools.point:point_height",
+        places=(PlaceAsked("point", "point", "at", "Where the point is."),),
+        initial="point",
+        group="Places",
+        symbol="H",
+        main="height",
+        signed=True,
+        icon="point",
+        key="X",
+        shift=False,
+        on_toolbar=True,
+    ),
+    MeasuringTool(
+        name="distance",
+        title="Distance",
+        short="Distance",
+        summary="the distance between two points",
+        help="The distance between two points: in space, lateral, along z, its slope; with uncertainties, as JSON. "
+        "Stage um.",
+        how="Drag both points over the surface.",
+        result=Distance,
+        measure="wafer_viewer.measure.tools.point:distance",
+        places=(
+            PlaceAsked("from", "point", "start", "Where it begins."),
+            PlaceAsked("to", "point", "end", "Where it ends."),
+        ),
+        initial="two points",
+        group="Places",
+        symbol="L",
+        main="in space",
+        icon="ruler-measure",
+        key="M",
+        shift=False,
+        on_toolbar=True,
+    ),
+    MeasuringTool(
+        name="radius",
+        title="Radius",
+        short="Radius",
+        summary="the radius and the height of a bump or pit",
+        help="The radius of a bump or pit and the height of its top, with uncertainties, as JSON. Stage um.",
+        how="Drag the circle round the bump or the pit.",
+        result=Radius,
+        measure="wafer_viewer.measure.tools.radius:bump_radius",
+        places=(PlaceAsked("bump", "circle", "circle", "Centre and radius of a circle round it."),),
+        initial="bump",
+        group="What stands out",
+        symbol="R",
+        main="of the sphere",
+        icon="circle",
+        key="R",
+        shift=False,
+        on_toolbar=True,
+    ),
+    MeasuringTool(
+        name="volume",
+        title="Area and volume",
+        short="Volume",
+        summary="area and volume over and under a plane",
+        help="Area and volume over and under a plane, with uncertainties, as JSON. Stage um.",
+        how="Drag the region over what stands out of its surroundings.",
+        result=AreaVolume,
+        measure="wafer_viewer.measure.tools.volume:area_volume",
+        places=(_rectangle("region"),),
+        initial="around a bump",
+        group="What stands out",
+        symbol="V",
+        icon="droplet",
+        key="V",
+        shift=False,
+        on_toolbar=True,
+        options=VolumeOptions,
+        controls=(
+            ChoiceControl(
+                "Reference",
+                "reference",
+                {"As heights are read": None, "Plane of the border": "border", "Zero of heights": "zero"},
+                "Reference that the volume lies above and below",
+                "The plane through the rectangle's border, or the zero of --level; that of --level where it is given.",
+            ),
+        ),
+    ),
+    MeasuringTool(
+        name="coplanarity",
+        title="Coplanarity",
+        short="Coplanar",
+        summary="how far bumps lie from one plane, and how high each is",
+        help="Coplanarity of the bumps in a region (JESD22-B108), place and height of each; with uncertainties, as "
+        "JSON.",
+        how="Drag the region over the bumps of a die.",
+        result=Coplanarity,
+        measure="wafer_viewer.measure.tools.coplanarity:coplanarity",
+        places=(_rectangle("bumps", "Two opposite corners of a rectangle over the bumps, stage um."),),
+        initial="bumps",
+        group="What stands out",
+        symbol="B",
+        main="from lowest to highest top",
+        icon="layout-align-bottom",
+        result_name="Coplanarity",
+        key="Q",
+        options=CoplanarityOptions,
+        controls=(
+            ChoiceControl(
+                "Plane",
+                "reference",
+                {"Least squares": "least_squares", "Seating plane": "seating"},
+                help="The plane of least squares through all tops, or the seating plane.",
+            ),
+        ),
+    ),
+    MeasuringTool(
+        name="die",
+        title="Die size",
+        short="Die size",
+        summary="the size of a die, on the picture",
+        help="The size of a die on the picture, its centre, how it is turned and how square it is; with uncertainties, "
+        "as JSON.",
+        how="Drag the region round a die.",
+        result=DieSize,
+        measure="wafer_viewer.measure.tools.die_size:die_size",
+        places=(_rectangle("die", "Two opposite corners of a rectangle round the die, stage um."),),
+        initial="die",
+        group="On the picture",
+        symbol="Z",
+        main="width",
+        icon="dimensions",
+        key="W",
+        on_picture=True,
+        options=DieOptions,
+        controls=(
+            ChoiceControl(
+                "Rim of the die",
+                "die",
+                _BRIGHTNESS,
+                "Relative to its surroundings in the picture",
+                "Whether its rim is brighter or darker than its surroundings.",
+            ),
+        ),
+    ),
+    MeasuringTool(
+        name="kerf",
+        title="Kerf width",
+        short="Kerf",
+        summary="the width of a kerf, on the picture",
+        help="The width of a kerf on the picture: mean, narrowest, widest, angle of its edges; with uncertainties, as "
+        "JSON.",
+        how="Drag the region across a kerf.",
+        result=KerfWidth,
+        measure="wafer_viewer.measure.tools.kerf:kerf_width",
+        places=(_rectangle("kerf", "Two opposite corners of a rectangle across the kerf, stage um."),),
+        initial="kerf",
+        group="On the picture",
+        symbol="W",
+        main="mean width",
+        icon="arrow-autofit-width",
+        key="U",
+        on_picture=True,
+        options=KerfOptions,
+        controls=(
+            ChoiceControl(
+                "Kerf",
+                "kerf",
+                _BRIGHTNESS,
+                "Relative to the ground beside it in the picture",
+                "Whether it is brighter or darker than the ground beside it.",
+            ),
+        ),
+    ),
+    MeasuringTool(
+        name="chipping",
+        title="Chipping",
+        short="Chipping",
+        summary="the chips along an edge of a die, on the picture",
+        help="Depth, length and area of the chips along an edge of a die on the picture; with uncertainties, as JSON.",
+        how="Drag the region along the edge of a die.",
+        result=Chipping,
+        measure="wafer_viewer.measure.tools.chipping:chipping",
+        places=(_rectangle("edge", "Two opposite corners of a rectangle over one edge, stage um."),),
+        initial="die edge",
+        group="On the picture",
+        symbol="C",
+        main="deepest",
+        icon="puzzle",
+        key="X",
+        on_picture=True,
+        options=ChippingOptions,
+        controls=(
+            NumberControl(
+                "Chip over, µm",
+                "limit_um",
+                "Empty: four standard deviations of the edge",
+                help="What is deeper is a chip; by default four robust deviations of the edge, two pixels at least.",
+            ),
+            ChoiceControl(
+                "Die on the",
+                "die",
+                {"Higher side": "auto", "Bright side": "bright", "Dark side": "dark"},
+                help="The side of the edge that the die lies on; auto takes the higher one.",
+            ),
+        ),
+    ),
+    MeasuringTool(
+        name="circle",
+        title="Circle",
+        short="Circle",
+        summary="the diameter of something round, on the picture",
+        help="The diameter of something round on the picture, its centre and roundness; with uncertainties, as JSON.",
+        how="Drag the circle round something round.",
+        result=CircleSize,
+        measure="wafer_viewer.measure.tools.circle:circle_size",
+        places=(PlaceAsked("circle", "circle", "circle", "Centre and radius of a circle drawn round it, stage um."),),
+        initial="round shape",
+        group="On the picture",
+        symbol="O",
+        main="diameter",
+        icon="circle-dashed",
+        key="Y",
+        on_picture=True,
+        options=CircleOptions,
+        controls=(
+            ChoiceControl(
+                "Inside",
+                "inside",
+                _BRIGHTNESS,
+                "Relative to the outside in the picture",
+                "Whether the picture is brighter or darker inside of the edge.",
+            ),
+        ),
+    ),
+    MeasuringTool(
+        name="flatness",
+        title="Flatness",
+        short="Flatness",
+        summary="the flatness of a face",
+        help="Flatness of a face, FLTt and FLTq of ISO 12781, as JSON. Stage um.",
+        how="Drag the region over the face.",
+        result=Flatness,
+        measure="wafer_viewer.measure.tools.flatness:flatness",
+        places=(_rectangle("face"),),
+        initial="face",
+        group="Faces",
+        symbol="F",
+        main="FLTt",
+        icon="layers-subtract",
+        key="F",
+        on_toolbar=True,
+    ),
+    MeasuringTool(
+        name="texture",
+        title="Texture",
+        short="Texture",
+        summary="the texture of a face",
+        help="Texture of a face, the parameters of ISO 25178 of what form and filters leave, as JSON. Stage um.",
+        how="Drag the region over the face.",
+        result=Texture,
+        measure="wafer_viewer.measure.texture.areal_texture:texture",
+        places=(_rectangle("face"),),
+        initial="face",
+        group="Faces",
+        symbol="T",
+        main="Sa",
+        icon="grain",
+        key="T",
+        on_toolbar=True,
+        options=TextureOptions,
+        controls=(
+            ChoiceControl(
+                "Form removed",
+                "form_order",
+                _FORMS,
+                "Polynomial of least squares",
+                "Order of the polynomial that is removed as form; 0 the mean alone, 1 a plane.",
+            ),
+            NumberControl(
+                "S-filter, µm",
+                "s_filter_um",
+                "Removes shorter wavelengths; empty: no filter",
+                help="Nesting index of the Gaussian filter that removes shorter wavelengths; none by default.",
+            ),
+            NumberControl(
+                "L-filter, µm",
+                "l_filter_um",
+                "Removes longer wavelengths; empty: no filter",
+                help="Nesting index of the Gaussian filter that removes longer wavelengths; none by default.",
+            ),
+        ),
+    ),
+    MeasuringTool(
+        name="roughness",
+        title="Roughness",
+        short="Roughness",
+        summary="the roughness along a line",
+        help="Roughness along a line, the parameters of ISO 21920 of what the filters leave, as JSON. Stage um.",
+        how="Drag the line over the face.",
+        result=Roughness,
+        measure="wafer_viewer.measure.texture.roughness:roughness",
+        places=(_line("The two ends of the line."),),
+        initial="line across a face",
+        group="Faces",
+        symbol="N",
+        main="Ra",
+        icon="wave-saw-tool",
+        key="J",
+        options=RoughnessOptions,
+        controls=(
+            NumberControl(
+                "λc, µm",
+                "lambda_c_um",
+                "Removes longer wavelengths; the sampling length; empty: no filter",
+                help="Cut-off of the Gaussian filter against longer wavelengths, the sampling length; none by default.",
+            ),
+            NumberControl(
+                "λs, µm",
+                "lambda_s_um",
+                "Removes shorter wavelengths; empty: no filter",
+                help="Cut-off of the Gaussian filter that removes shorter wavelengths; none by default.",
+            ),
+        ),
+    ),
+    MeasuringTool(
+        name="site_range",
+        title="Site range",
+        short="Sites",
+        summary="front-surface site range, as mounted",
+        help="Front-surface site range, as mounted: the range of heights in each site about its own plane, as JSON.",
+        how="Drag the region over the sites: front surface, as mounted.",
+        result=SiteRanges,
+        measure="wafer_viewer.measure.tools.site_range:sites_of_region",
+        places=(_rectangle("sites"),),
+        initial="all in view",
+        group="Faces",
+        symbol="U",
+        main="largest, front surface, as mounted",
+        icon="grid-pattern",
+        result_name="Site range",
+        key="Z",
+        options=SiteRangeOptions,
+        controls=(
+            NumberControl("Site width, µm", "width_um", "Empty: a quarter of the region"),
+            NumberControl("Site height, µm", "height_um", "Empty: a quarter of the region"),
+        ),
+    ),
+)
 
 TOOLS: dict[ToolName, MeasuringTool] = {
-    "profile": MeasuringTool("Profile", "Drag the two handles over the surface.", (PlaceAsked("line", "line"),)),
-    "point": MeasuringTool("Point", "Drag the point, or click where to measure.", (PlaceAsked("point", "point"),)),
-    "distance": MeasuringTool(
-        "Distance", "Drag both points over the surface.", (PlaceAsked("from", "point"), PlaceAsked("to", "point"))
-    ),
-    "step": MeasuringTool(
-        "Step height", "Drag the upper and the lower region over the surface.", _rectangles("upper", "lower")
-    ),
-    "angle": MeasuringTool("Angle", "Drag a region onto each of the two faces.", _rectangles("first", "second")),
-    "radius": MeasuringTool("Radius", "Drag the circle round the bump or the pit.", (PlaceAsked("bump", "circle"),)),
-    "volume": MeasuringTool(
-        "Area and volume", "Drag the region over what stands out of its surroundings.", _rectangles("region")
-    ),
-    "flatness": MeasuringTool("Flatness", "Drag the region over the face.", _rectangles("face")),
-    "texture": MeasuringTool("Texture", "Drag the region over the face.", _rectangles("face")),
-    "groove": MeasuringTool("Groove", "Drag the line across a groove or step.", (PlaceAsked("line", "line"),)),
-    "roughness": MeasuringTool("Roughness", "Drag the line over the face.", (PlaceAsked("line", "line"),)),
-    "kerf": MeasuringTool("Kerf width", "Drag the region across a kerf.", _rectangles("kerf"), True),
-    "die": MeasuringTool("Die size", "Drag the region round a die.", _rectangles("die"), True),
-    "circle": MeasuringTool(
-        "Circle", "Drag the circle round something round.", (PlaceAsked("circle", "circle"),), True
-    ),
-    "chipping": MeasuringTool("Chipping", "Drag the region along the edge of a die.", _rectangles("edge"), True),
-    "coplanarity": MeasuringTool("Coplanarity", "Drag the region over the bumps of a die.", _rectangles("bumps")),
-    "site_range": MeasuringTool(
-        "Site range", "Drag the region over the sites: front surface, as mounted.", _rectangles("sites")
-    ),
+    tool.name: tool for tool in (*_BUILT_IN, *plugins("measuring_tools", MeasuringTool))
 }
+TOOL_OF_RESULT: dict[type[MeasurementResult], MeasuringTool] = {tool.result: tool for tool in TOOLS.values()}
 
+if TYPE_CHECKING:
 
-STEEL_PER_K = 11.5e-6
-"""Thermal expansion of steel gauge blocks, relative per kelvin (ISO 3650)."""
+    class ToolOptions(Spec, frozen=True, kw_only=True):
+        """Options of all tools that have any, by tool name."""
 
+        def __init__(self, **by_tool: OptionsSpec) -> None: ...
 
-class Conditions(Spec, frozen=True, kw_only=True):
-    """Standard uncertainties (k = 1) of a step height by cause; None: unknown, and listed as not evaluated.
+        def __getattr__(self, tool: str) -> Any: ...
 
-    repeatability_um: standard deviation of the height over repeat scans; drift_um: of z between the two faces during
-    the scan; z_linearity_um: error of the z axis over the step besides its scale; abbe_um: pitch of the stage times the
-    offset of the sample from the axis of its scale; temperature_c, u_temperature_c: of the sample; expansion_per_k: of
-    its material, relative.
-    """
-
-    error: ClassVar[type[WaferViewerError]] = MeasureError
-    repeatability_um: NonNegative | None = None
-    drift_um: NonNegative | None = None
-    z_linearity_um: NonNegative | None = None
-    abbe_um: NonNegative | None = None
-    temperature_c: float | None = None
-    u_temperature_c: NonNegative = 0.5
-    expansion_per_k: NonNegative = STEEL_PER_K
-
-
-class OptionsSpec(Spec, frozen=True, kw_only=True):
-    """Base class of all tool options."""
-
-    error: ClassVar[type[WaferViewerError]] = MeasureError
-
-
-StepDefinition = Literal["common_plane", "upper_face", "lower_face", "joint"]
-"""Position at which the faces of a step are compared.
-
-The middle of each region, over a common plane or the plane of one of them; or the middle between the regions, to which
-both are extrapolated.
-"""
-
-
-class StepOptions(OptionsSpec, frozen=True, kw_only=True):
-    """Options of the step height: its definition, and the conditions of the measurement."""
-
-    definition: StepDefinition = "common_plane"
-    conditions: Conditions = Conditions()
-
-
-class GrooveOptions(OptionsSpec, frozen=True, kw_only=True):
-    """Options of the groove tool. shape: a groove (or a ridge) with two edges, or a single step."""
-
-    shape: Literal["groove", "step"] = "groove"
-    conditions: Conditions = Conditions()
-
-
-class VolumeOptions(OptionsSpec, frozen=True, kw_only=True):
-    """Options of the volume tool.
-
-    reference: plane through the border of the region, or the zero of heights; None: the border if heights are read from
-    the zero of the stage, else the chosen zero.
-    """
-
-    reference: Literal["border", "zero"] | None = None
-
-
-class TextureOptions(OptionsSpec, frozen=True, kw_only=True):
-    """Options of the areal texture.
-
-    form_order: order of the least-squares polynomial removed as form; 0 is the mean, 1 a plane.
-    s_filter_um, l_filter_um: nesting indices of the Gaussian filters of ISO 16610-61 that remove shorter and longer
-    wavelengths; None: no filter.
-    """
-
-    form_order: Annotated[int, Within(0, 8)] = 1
-    s_filter_um: Positive | None = None
-    l_filter_um: Positive | None = None
-
-    def __post_init__(self) -> None:
-        super().__post_init__()
-        if self.s_filter_um is not None and self.l_filter_um is not None and self.s_filter_um >= self.l_filter_um:
-            self.refuse("s_filter_um", f"under l_filter_um, which is {self.l_filter_um:g}: else nothing is left")
-
-
-class RoughnessOptions(OptionsSpec, frozen=True, kw_only=True):
-    """Options of the profile roughness.
-
-    lambda_c_um, lambda_s_um: cut-offs of the Gaussian filters of ISO 16610-21 that remove longer and shorter
-    wavelengths; None: no filter.
-    """
-
-    lambda_c_um: Positive | None = None
-    lambda_s_um: Positive | None = None
-
-    def __post_init__(self) -> None:
-        super().__post_init__()
-        if self.lambda_s_um is not None and self.lambda_c_um is not None and self.lambda_s_um >= self.lambda_c_um:
-            self.refuse("lambda_s_um", f"under lambda_c_um, which is {self.lambda_c_um:g}: else nothing is left")
-
-
-class KerfOptions(OptionsSpec, frozen=True, kw_only=True):
-    """Options of the kerf width. kerf: brighter or darker in the picture than its surroundings."""
-
-    kerf: Literal["either", "bright", "dark"] = "either"
-
-
-class DieOptions(OptionsSpec, frozen=True, kw_only=True):
-    """Options of the die size. die: its rim is brighter or darker in the picture than its surroundings."""
-
-    die: Literal["either", "bright", "dark"] = "either"
-
-
-class CircleOptions(OptionsSpec, frozen=True, kw_only=True):
-    """Options of the circle. inside: the picture is brighter or darker inside the edge."""
-
-    inside: Literal["either", "bright", "dark"] = "either"
-
-
-class ChippingOptions(OptionsSpec, frozen=True, kw_only=True):
-    """Options of chipping. limit_um: depth above which a deviation is a chip.
-
-    None: four robust standard deviations of the edge, at least two pixels. die: the brighter or darker side of the
-    edge; auto: the higher side.
-    """
-
-    limit_um: Positive | None = None
-    die: Literal["auto", "bright", "dark"] = "auto"
-
-
-class CoplanarityOptions(OptionsSpec, frozen=True, kw_only=True):
-    """Options of coplanarity. reference: the least-squares plane of the tops, or the seating plane."""
-
-    reference: Literal["least_squares", "seating"] = "least_squares"
-
-
-class SiteRangeOptions(OptionsSpec, frozen=True, kw_only=True):
-    """Options of the site range. width_um, height_um: of a site; None: a quarter of the region's side."""
-
-    width_um: Positive | None = None
-    height_um: Positive | None = None
-
-
-class ToolOptions(Spec, frozen=True, kw_only=True):
-    """Options of all tools that have any, by tool name."""
-
-    error: ClassVar[type[WaferViewerError]] = MeasureError
-    step: StepOptions = StepOptions()
-    groove: GrooveOptions = GrooveOptions()
-    volume: VolumeOptions = VolumeOptions()
-    texture: TextureOptions = TextureOptions()
-    roughness: RoughnessOptions = RoughnessOptions()
-    kerf: KerfOptions = KerfOptions()
-    die: DieOptions = DieOptions()
-    circle: CircleOptions = CircleOptions()
-    chipping: ChippingOptions = ChippingOptions()
-    coplanarity: CoplanarityOptions = CoplanarityOptions()
-    site_range: SiteRangeOptions = SiteRangeOptions()
+else:
+    ToolOptions = msgspec.defstruct(
+        "ToolOptions",
+        [(tool.name, tool.options, tool.options()) for tool in TOOLS.values() if tool.options is not None],
+        bases=(Spec,),
+        module=__name__,
+        namespace={
+            "__doc__": "Options of all tools that have any, by tool name.",
+            "__annotations__": {"error": ClassVar[type[WaferViewerError]]},
+            "error": MeasureError,
+        },
+        frozen=True,
+        kw_only=True,
+    )
 
 
 def keywords(options: ToolOptions, tool: ToolName) -> dict[str, Any]:

@@ -13,8 +13,9 @@ from wafer_viewer.model.errors import DatasetError, MeasureError
 from wafer_viewer.model.findings import AnyResult
 from wafer_viewer.model.measurement.levelling import Datum, Levelling
 from wafer_viewer.model.measurement.measurements import MeasurementResult, Profile, ProfileCurve
+from wafer_viewer.model.measurement.measuring_tool import ToolName
 from wafer_viewer.model.measurement.sections import SlabPoints
-from wafer_viewer.model.measurement.tools import ToolName, ToolOptions
+from wafer_viewer.model.measurement.tools import ToolOptions
 from wafer_viewer.model.region import Region
 from wafer_viewer.model.spec import replace
 from wafer_viewer.model.surface.field_poses import Poses

@@ -15,54 +15,19 @@ from typing import Any
 from wafer_viewer.model.errors import DatasetError, MeasureError
 from wafer_viewer.model.findings import AnyResult, MeasurementResults
 from wafer_viewer.model.gauge import GaugeCheck
-from wafer_viewer.model.inspection.defect import Defect
 from wafer_viewer.model.job import Notebook, SavedView, Verdict
-from wafer_viewer.model.measurement.measurements import (
-    AreaVolume,
-    Chipping,
-    CircleSize,
-    Coplanarity,
-    DieSize,
-    Distance,
-    FaceAngle,
-    Flatness,
-    KerfWidth,
-    PointHeight,
-    Profile,
-    Radius,
-    Roughness,
-    SiteRanges,
-    StepHeight,
-    StepProfile,
-    Texture,
-)
+from wafer_viewer.model.measurement.tools import TOOL_OF_RESULT
 from wafer_viewer.model.spec import replace
 from wafer_viewer.session.core.command_queue import CommandQueue, UndoHistory
 from wafer_viewer.session.core.dataset_library import Library
 from wafer_viewer.session.state.snapshot import NotebookState
 
-NAMES: dict[type[AnyResult], str] = {
-    Profile: "Profile",
-    PointHeight: "Point",
-    Distance: "Distance",
-    StepHeight: "Step",
-    StepProfile: "Groove",
-    FaceAngle: "Angle",
-    Radius: "Radius",
-    AreaVolume: "Volume",
-    Flatness: "Flatness",
-    Texture: "Texture",
-    Roughness: "Roughness",
-    KerfWidth: "Kerf",
-    DieSize: "Die size",
-    CircleSize: "Circle",
-    Chipping: "Chipping",
-    Coplanarity: "Coplanarity",
-    GaugeCheck: "Gauge check",
-    SiteRanges: "Site range",
-    Defect: "Defect",
-}
-"""Default names of results by type, followed by a count."""
+
+def default_name(finding: AnyResult) -> str:
+    """Return the name of a new result, which a count follows."""
+    if (tool := TOOL_OF_RESULT.get(type(finding))) is not None:
+        return tool.result_name or tool.short
+    return "Gauge check" if isinstance(finding, GaugeCheck) else "Defect"
 
 
 class ResultsStore:
@@ -139,7 +104,7 @@ class ResultsStore:
     def _name_for(self, finding: AnyResult) -> str:
         """Return the first of 'Step 1', 'Step 2', … that no result has."""
         taken = {f.name for f in self._items.value}
-        names = (f"{NAMES[type(finding)]} {nth}" for nth in count(1))
+        names = (f"{default_name(finding)} {nth}" for nth in count(1))
         return next(name for name in names if name not in taken)
 
     def _numbered(self, number: int) -> AnyResult:
