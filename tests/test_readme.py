@@ -51,7 +51,7 @@ def test_every_path_that_the_documentation_names_is_there():
 def test_the_page_on_extending_names_files_of_the_package():
     text = (ROOT / "assets/docs/how-to/extend.md").read_text()
     paths = [path for path in re.findall(r"`(\w+/[\w./]+\.py)`", text) if not path.startswith("tests/")]
-    assert len(paths) >= 20
+    assert len(paths) >= 12
     assert not [path for path in paths if not (ROOT / "wafer_viewer" / path).exists()]
 
 
