@@ -2,7 +2,8 @@
 
 Neighbouring fields are aggregated into one coarse field, which moves them like a rigid plate; coarse fields are
 aggregated again, until few enough are left to be factorised (Vanek, Mandel, Brezina 1996: Algebraic multigrid by
-smoothed aggregation). A small system is factorised directly, so that the same code serves one field and a million.
+smoothed aggregation). A small system is factorised directly, so that the same code serves one field and a million. It
+solves all right-hand sides at once and takes a half to a fifth of the time of PyAMG (tests/bench/solver_peers.py).
 """
 
 from __future__ import annotations
