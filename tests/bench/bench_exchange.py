@@ -91,7 +91,7 @@ def main() -> int:
     print(f"{side_px} x {side_px} points; meshes of a million at most")
     print("format   file, MB   write, s    MB   read, s    MB")
     failed = 0
-    for ending in (e for e in FORMATS if e != ".tiff"):
+    for ending in (kind.suffixes[0] for kind in FORMATS):
         folder = Path(tempfile.mkdtemp(prefix="wafer-viewer-exchange-", dir=asked.folder))
         try:
             words = [sys.executable, __file__, "--one", ending, "--folder", str(folder)]

@@ -194,7 +194,7 @@ def import_(
         na: Numerical aperture of the objective, in air: bounds the width of focus curves.
         wavelength_um: Of the light; 0.55 um where it is not given.
     """
-    from wafer_viewer.model.file_formats import Reading
+    from wafer_viewer.model.surface_format import Reading
     from wafer_viewer.session.files.file_jobs import import_surface
     from wafer_viewer.store.dataset.stack_import import import_dataset
     from wafer_viewer.store.formats.readers import is_surface_file

@@ -24,6 +24,7 @@ from wafer_viewer.cli.arguments import (
 )
 from wafer_viewer.cli.output import print_json, print_surface, progress, warn
 from wafer_viewer.model.errors import DatasetError
+from wafer_viewer.model.file_formats import with_suffixes
 from wafer_viewer.model.report import PARTS, Part, ReportOrder
 from wafer_viewer.model.surface.comparison import Align, Comparison, Heights, SurfaceName
 from wafer_viewer.model.surface.height_map import Mosaic
@@ -140,6 +141,7 @@ def why(
     print_json(msgspec.to_builtins(found))
 
 
+@with_suffixes
 def convert(
     src: Source,
     out: NewFile,
@@ -152,7 +154,7 @@ def convert(
 ) -> None:
     """Write a surface in another format, named by the ending; what that cannot hold is said on standard error.
 
-    Reads NAME.wafer .npz .gwy .x3p .gsf .tif .ply .pcd .csv .xyz; writes these files and .stl .obj .glb.
+    Reads NAME.wafer {READ}; writes {WRITTEN}.
 
     Args:
         src: A surface file, or a NAME.wafer, of which the mosaic is written.
@@ -164,7 +166,7 @@ def convert(
         invert_z: The numbers of SRC are depths: invert them.
         result: Name of the reconstruction of a NAME.wafer.
     """
-    from wafer_viewer.model.file_formats import Reading
+    from wafer_viewer.model.surface_format import Reading
     from wafer_viewer.session.surface.headless import file_or_mosaic
     from wafer_viewer.store.formats.exporters import density, require_known
 

@@ -1,13 +1,17 @@
-"""File formats for surfaces: their titles, what each cannot store, and read options."""
+"""Table of the surface file formats: those of this program and those of other packages."""
 
 from __future__ import annotations
 
 import math
-from typing import ClassVar
+import warnings
+from collections.abc import Callable
+from typing import TypeVar
 
-from wafer_viewer.model.errors import DatasetError, WaferViewerError
-from wafer_viewer.model.spec import Positive, Spec
+from wafer_viewer.model.plugins import PluginWarning, plugins
+from wafer_viewer.model.surface_format import SurfaceFormat
 
+F = TypeVar("F", bound=Callable[..., object])
+_STORE = "wafer_viewer.store.formats"
 _HEIGHTS_ONLY = (
     "It holds heights only: confidence, the all-in-focus picture, measured heights, what was filled in and why "
     "pixels are unmeasured stay behind"
@@ -16,73 +20,146 @@ _MESH = "It is a drawing, not data: a part of the heights as a mesh, without gap
 MESH_POINTS = 1_000_000
 """Default number of points of a mesh."""
 
-
-class FileFormat(Spec, frozen=True, kw_only=True):
-    """A file format: its title, what it cannot store (a sentence, or empty) and whether it can be read."""
-
-    title: str
-    loses: str = ""
-    is_read: bool = True
-    is_mesh: bool = False
-
-
-class Reading(Spec, frozen=True, kw_only=True):
-    """User-supplied properties of a surface file that does not contain them.
-
-    z_unit: unit of its heights, and of all three coordinates of points; pixel_um: pixel size, or the grid spacing for
-    scattered points; invert_z: its values are depths, so the sign is inverted.
-    """
-
-    error: ClassVar[type[WaferViewerError]] = DatasetError
-    z_unit: str | None = None
-    pixel_um: Positive | None = None
-    invert_z: bool = False
-
-
-FORMATS: dict[str, FileFormat] = {
-    ".npz": FileFormat(title="NumPy, all layers"),
-    ".gwy": FileFormat(title="GWY, Gwyddion with layers as channels", loses="Differences in overlaps stay behind."),
-    ".x3p": FileFormat(
+OWN_FORMATS = (
+    SurfaceFormat(
+        suffixes=(".npz",),
+        title="NumPy, all layers",
+        layout="µm, row 0 at the top edge",
+        reader=f"{_STORE}.npz_file:read_npz_surface",
+        writer=f"{_STORE}.npz_file:write_npz_strips",
+    ),
+    SurfaceFormat(
+        suffixes=(".gwy",),
+        title="GWY, Gwyddion with layers as channels",
+        loses="Differences in overlaps stay behind.",
+        layout="m, y downward from minus the stage's y",
+        reader=f"{_STORE}.gwy:read_gwy",
+        writer=f"{_STORE}.gwy:write_gwy",
+        loses_more=f"{_STORE}.gwy:lost_layers",
+    ),
+    SurfaceFormat(
+        suffixes=(".x3p",),
         title="X3P, ISO 25178-72",
         loses=f"{_HEIGHTS_ONLY}. Gwyddion draws its rows downward, not up as the standard has them.",
+        layout="m, first row at the bottom, revision ISO5436_2000",
+        reader=f"{_STORE}.x3p:read_x3p",
+        writer=f"{_STORE}.x3p:write_x3p",
     ),
-    ".gsf": FileFormat(
-        title="GSF, Gwyddion's simple field", loses=f"{_HEIGHTS_ONLY}. Heights are rounded to 7 digits."
+    SurfaceFormat(
+        suffixes=(".gsf",),
+        title="GSF, Gwyddion's simple field",
+        loses=f"{_HEIGHTS_ONLY}. Heights are rounded to 7 digits.",
+        layout="m, y downward from minus the stage's y",
+        reader=f"{_STORE}.gsf:read_gsf",
+        writer=f"{_STORE}.gsf:write_gsf",
     ),
-    ".tif": FileFormat(title="TIFF, heights as 32-bit float", loses=f"{_HEIGHTS_ONLY}."),
-    ".tiff": FileFormat(title="TIFF, heights as 32-bit float", loses=f"{_HEIGHTS_ONLY}."),
-    ".ply": FileFormat(
+    SurfaceFormat(
+        suffixes=(".tif", ".tiff"),
+        title="TIFF, heights as 32-bit float",
+        loses=f"{_HEIGHTS_ONLY}.",
+        layout="µm, pixel size as resolution; Gwyddion reads no units of it",
+        reader=f"{_STORE}.tiff:read_tiff",
+        writer=f"{_STORE}.tiff:write_tiff",
+        is_surface=f"{_STORE}.tiff:is_heights",
+    ),
+    SurfaceFormat(
+        suffixes=(".ply",),
         title="PLY, points with colour",
         loses="It holds points with a height: measured heights and why pixels are unmeasured stay behind, "
         "16-bit pictures become 8-bit.",
+        layout="stage µm, 64-bit",
+        reader=f"{_STORE}.ply:read_ply",
+        writer=f"{_STORE}.ply:write_ply",
     ),
-    ".pcd": FileFormat(
+    SurfaceFormat(
+        suffixes=(".pcd",),
         title="PCD, points",
         loses="It holds points with a height as 32-bit floats, x and y from the corner of the surface: confidence, the "
         "all-in-focus picture, measured heights and why pixels are unmeasured stay behind.",
+        layout="µm from the surface's corner, which a comment names: Open3D reads zeros from 64-bit PCD",
+        reader=f"{_STORE}.pcd:read_pcd",
+        writer=f"{_STORE}.pcd:write_pcd",
     ),
-    ".csv": FileFormat(
+    SurfaceFormat(
+        suffixes=(".csv",),
         title="CSV, x y z",
         loses="It holds points with a height, rounded to 0.1 nm in x and y and 0.01 nm in z: confidence, the "
         "all-in-focus picture, measured heights and why pixels are unmeasured stay behind.",
+        layout="stage µm",
+        reader=f"{_STORE}.text_table:read_table",
+        writer=f"{_STORE}.text_table:write_csv",
     ),
-    ".xyz": FileFormat(
+    SurfaceFormat(
+        suffixes=(".xyz",),
         title="XYZ, x y z",
         loses="It holds points with a height, rounded to 0.1 nm in x and y and 0.01 nm in z: confidence, the "
         "all-in-focus picture, measured heights, what was filled in and why pixels are unmeasured stay behind.",
+        layout="stage µm",
+        reader=f"{_STORE}.text_table:read_table",
+        writer=f"{_STORE}.text_table:write_xyz",
     ),
-    ".stl": FileFormat(
+    SurfaceFormat(
+        suffixes=(".stl",),
         title="STL, a mesh",
         loses=f"{_MESH}; x and y are counted from the corner of the surface.",
-        is_read=False,
+        layout="µm from the surface's corner",
+        writer=f"{_STORE}.mesh:write_stl",
         is_mesh=True,
     ),
-    ".obj": FileFormat(title="OBJ, a mesh", loses=f"{_MESH}.", is_read=False, is_mesh=True),
-    ".glb": FileFormat(title="GLB, a mesh with grey", loses=f"{_MESH}.", is_read=False, is_mesh=True),
-}
-"""Formats by file extension."""
-READ = tuple(ending for ending, kind in FORMATS.items() if kind.is_read)
-MESHES = tuple(ending for ending, kind in FORMATS.items() if kind.is_mesh)
+    SurfaceFormat(
+        suffixes=(".obj",),
+        title="OBJ, a mesh",
+        loses=f"{_MESH}.",
+        layout="stage µm",
+        writer=f"{_STORE}.mesh:write_obj",
+        is_mesh=True,
+    ),
+    SurfaceFormat(
+        suffixes=(".glb",),
+        title="GLB, a mesh with grey",
+        loses=f"{_MESH}.",
+        layout="m, y up",
+        writer=f"{_STORE}.mesh:write_glb",
+        is_mesh=True,
+    ),
+)
+
+
+def _all_formats() -> tuple[SurfaceFormat, ...]:
+    """Return the formats of this program, then those of other packages that take no suffix or title of another."""
+    found = list(OWN_FORMATS)
+    for brought in plugins("surface_formats", SurfaceFormat):
+        taken = {name for one in found for name in (one.title, *one.suffixes)}
+        if twice := taken.intersection((brought.title, *brought.suffixes)):
+            sentence = f"The format '{brought.title}' is left out, {', '.join(sorted(twice))} is taken: rename it."
+            warnings.warn(sentence, PluginWarning, stacklevel=2)
+        else:
+            found.append(brought)
+    return tuple(found)
+
+
+FORMATS = _all_formats()
+BY_SUFFIX = {suffix: one for one in FORMATS for suffix in one.suffixes}
+READ = tuple(suffix for suffix, one in BY_SUFFIX.items() if one.reader is not None)
+WRITTEN = tuple(suffix for suffix, one in BY_SUFFIX.items() if one.writer is not None)
+MESHES = tuple(suffix for suffix, one in BY_SUFFIX.items() if one.is_mesh)
+
+
+def with_suffixes(function: F) -> F:
+    """Fill the suffixes of the formats into a docstring that names ``{READ}`` and ``{WRITTEN}``."""
+    text = function.__doc__ or ""
+    function.__doc__ = text.replace("{READ}", " ".join(READ)).replace("{WRITTEN}", " ".join(WRITTEN))
+    return function
+
+
+def formats_markdown() -> str:
+    """Return the table of this program's formats in the documentation."""
+    rows = (
+        f"| {', '.join(f'`{suffix}`' for suffix in one.suffixes)} | {one.title} | {one.layout} | {one.loses} "
+        f"| {'yes' if one.reader else 'no'} |"
+        for one in OWN_FORMATS
+    )
+    return "\n".join(("| ending | format | units, orientation | stays behind | read |", "|---|---|---|---|---|", *rows))
 
 
 def every_for(shape: tuple[int, int], most_points: int) -> int:

@@ -7,9 +7,9 @@ import pytest
 
 from tests.support.datasets.samples import CALIBRATION, make_surface
 from wafer_viewer.model.errors import DatasetError
-from wafer_viewer.model.file_formats import Reading
 from wafer_viewer.model.report import ReportOrder
 from wafer_viewer.model.surface.recipe import Recipe
+from wafer_viewer.model.surface_format import Reading
 from wafer_viewer.session.files.file_jobs import import_surface
 from wafer_viewer.session.reporting.report import contents, report_of
 from wafer_viewer.session.surface.focus_evidence import focus_curve

@@ -10,13 +10,14 @@ import trimesh
 
 from tests.support.datasets.samples import CALIBRATION, assert_same_surface, make_surface
 from wafer_viewer.model.errors import DatasetError
+from wafer_viewer.model.file_formats import WRITTEN
 from wafer_viewer.model.surface.height_map import HeightMap
 from wafer_viewer.model.surface.recipe import Recipe
-from wafer_viewer.store.formats.exporters import EXPORTERS, caveats, export
+from wafer_viewer.store.formats.exporters import caveats, export
 from wafer_viewer.store.formats.npz_file import read_npz
 from wafer_viewer.store.mosaic.zarr_mosaic import write_mosaic
 
-TEXTS = [ending for ending in EXPORTERS if ending not in (".npz", ".glb")]
+TEXTS = [ending for ending in WRITTEN if ending not in (".npz", ".glb")]
 
 
 @pytest.mark.parametrize("grey", [np.uint8, np.uint16])

@@ -13,7 +13,8 @@ import numpy as np
 import pytest
 
 from tests.store.formats.test_formats import letter_f
-from wafer_viewer.store.formats.exporters import EXPORTERS, export
+from wafer_viewer.model.file_formats import WRITTEN
+from wafer_viewer.store.formats.exporters import export
 from wafer_viewer.store.formats.readers import read_surface
 
 PLACE = {"pixel_um": 0.5, "x0_um": 1000.25, "y0_um": 2000.75}
@@ -27,7 +28,7 @@ POINTS = 60 * 80 - 60
 def written(tmp_path_factory):
     """The surface in every format, its meshes at full density."""
     folder = tmp_path_factory.mktemp("oracles")
-    for ending in EXPORTERS:
+    for ending in WRITTEN:
         export(letter_f(**PLACE), folder / f"a{ending}", every=1)
     return folder
 

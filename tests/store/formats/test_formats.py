@@ -13,11 +13,13 @@ import trimesh
 
 from tests.bench.big_mosaic import MadeWafer
 from tests.support.datasets.samples import CALIBRATION, assert_same_surface, make_surface
+from tests.support.paths import ROOT
 from wafer_viewer.model.errors import DatasetError
-from wafer_viewer.model.file_formats import FORMATS, MESHES, READ, every_for
+from wafer_viewer.model.file_formats import MESHES, READ, WRITTEN, every_for, formats_markdown
 from wafer_viewer.model.surface.height_map import HeightMap, Origin
-from wafer_viewer.store.formats.exporters import EXPORTERS, density, export, losses
-from wafer_viewer.store.formats.readers import READERS, is_surface_file, read_surface
+from wafer_viewer.model.surface_format import SurfaceFormat
+from wafer_viewer.store.formats.exporters import density, export, losses
+from wafer_viewer.store.formats.readers import is_surface_file, read_surface
 from wafer_viewer.store.mosaic.zarr_mosaic import write_mosaic
 
 NEARLY = {".gsf": 2e-6, ".csv": 6e-6, ".xyz": 6e-6}
@@ -48,10 +50,22 @@ def plain(z, **at) -> HeightMap:
     )
 
 
-def test_the_tables_of_formats_agree():
-    assert list(EXPORTERS) == list(FORMATS)
-    assert list(READERS) == list(READ)
-    assert set(FORMATS) - set(READERS) == set(MESHES)
+def test_the_documentation_has_the_table_of_the_formats():
+    assert formats_markdown() in (ROOT / "assets/docs/how-to/exchange-files.md").read_text()
+
+
+@pytest.mark.parametrize(
+    ("given", "sentence"),
+    [
+        ({"suffixes": (), "reader": "a:b"}, "The suffixes of 'Mine' are"),
+        ({"suffixes": ("mine",), "reader": "a:b"}, "give them as in"),
+        ({"suffixes": (".MINE",), "reader": "a:b"}, "give them as in"),
+        ({"suffixes": (".mine",)}, "has neither a reader nor a writer"),
+    ],
+)
+def test_a_descriptor_that_cannot_work_is_refused(given, sentence):
+    with pytest.raises(DatasetError, match=sentence):
+        SurfaceFormat(title="Mine", **given)
 
 
 @pytest.mark.parametrize("ending", READ)
@@ -120,7 +134,7 @@ def test_what_holds_all_says_nothing(tmp_path):
     assert losses(make_surface(), tmp_path / "a.npz") == ()
 
 
-@pytest.mark.parametrize("ending", EXPORTERS)
+@pytest.mark.parametrize("ending", WRITTEN)
 def test_a_mosaic_is_written_strip_by_strip_as_a_map_is(tmp_path, ending):
     surface = make_surface(rows=300, cols=100, x0_um=0.0, y0_um=0.0)
     told: list[float] = []
@@ -128,7 +142,7 @@ def test_a_mosaic_is_written_strip_by_strip_as_a_map_is(tmp_path, ending):
     export(write_mosaic(tmp_path / "m.zarr", surface), tmp_path / f"b{ending}", every=3, progress=told.append)
     assert told == sorted(told)
     assert told[-1] == pytest.approx(1.0)
-    if ending not in READERS:
+    if ending not in READ:
         assert (tmp_path / f"a{ending}").read_bytes() == (tmp_path / f"b{ending}").read_bytes()
         return
     one, other = (read_surface(tmp_path / f"{name}{ending}") for name in "ab")
@@ -137,7 +151,7 @@ def test_a_mosaic_is_written_strip_by_strip_as_a_map_is(tmp_path, ending):
     assert one.pixel_um == other.pixel_um == pytest.approx(1.5)
 
 
-@pytest.mark.parametrize("ending", EXPORTERS)
+@pytest.mark.parametrize("ending", WRITTEN)
 def test_a_writing_that_is_stopped_leaves_nothing(tmp_path, ending):
     asked = iter([False, True, True])
     with pytest.raises(DatasetError, match=r"was stopped at 1 of \d\. Nothing was kept"):
@@ -145,7 +159,7 @@ def test_a_writing_that_is_stopped_leaves_nothing(tmp_path, ending):
     assert not list(tmp_path.iterdir())
 
 
-@pytest.mark.parametrize("ending", EXPORTERS)
+@pytest.mark.parametrize("ending", WRITTEN)
 def test_a_full_disk_is_said_and_leaves_nothing(tmp_path, ending):
     def full(_):
         raise OSError(errno.ENOSPC, "No space left on device")

@@ -15,7 +15,7 @@ from wafer_viewer.gui.widgets import html
 from wafer_viewer.gui.widgets.controls import HtmlBlock, button, in_a_row
 from wafer_viewer.gui.widgets.error_guard import guarded
 from wafer_viewer.model.errors import WaferViewerError
-from wafer_viewer.model.file_formats import Reading
+from wafer_viewer.model.surface_format import Reading
 from wafer_viewer.session.state.snapshot import DatasetEntry
 
 

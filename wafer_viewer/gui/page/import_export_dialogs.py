@@ -18,16 +18,18 @@ from wafer_viewer.gui.widgets import html
 from wafer_viewer.gui.widgets.controls import HtmlBlock, duo
 from wafer_viewer.gui.widgets.number_field import OptionalNumber
 from wafer_viewer.model.errors import DatasetError
-from wafer_viewer.model.file_formats import FORMATS, MESH_POINTS, READ, Reading, every_for
+from wafer_viewer.model.file_formats import BY_SUFFIX, FORMATS, MESH_POINTS, every_for
 from wafer_viewer.model.region import Region
+from wafer_viewer.model.surface_format import Reading
 
-_TITLES = {kind.title: ending for ending, kind in FORMATS.items() if ending != ".tiff"}
-_FILES = ", ".join(ending for ending in READ if ending != ".tiff")
+WRITTEN_TITLES = {kind.title: kind.suffixes[0] for kind in FORMATS if kind.writer is not None}
+"""Formats of the export dialog: suffixes by title."""
+READ_FILES = ", ".join(kind.suffixes[0] for kind in FORMATS if kind.reader is not None)
 
 
 def open_dialog(page: Page) -> None:
     """Open the dialog that opens a dataset, or imports a surface file as one."""
-    dialog = Dialog(page, "Open a dataset", f"A dataset NAME.wafer, or a surface file ({_FILES}).")
+    dialog = Dialog(page, "Open a dataset", f"A dataset NAME.wafer, or a surface file ({READ_FILES}).")
     with dialog.modal:
         files = FileList(dialog, "dataset", rows=9)
 
@@ -137,22 +139,22 @@ def export_dialog(page: Page) -> None:
     dialog = Dialog(page, "Export the surface", f"Writes: {surface_name(page.view)}.")
     size = (told.rows, told.cols, told.pixel_um) if told else (info.rows, info.cols, info.pixel_um) if info else None
     with dialog.modal:
-        first = next(iter(_TITLES.values()))
+        first = next(iter(WRITTEN_TITLES.values()))
         files = FileList(dialog, "any", rows=6, saving=f"{stem}{first}", ending=first)
-        kind = page.gui.add_dropdown("Format", tuple(_TITLES))
+        kind = page.gui.add_dropdown("Format", tuple(WRITTEN_TITLES))
         every = page.gui.add_number("One pixel in", 1, min=1, max=1000, step=1)
         said = HtmlBlock(page.gui, _said(first, 1, size))
 
     @kind.on_update
     def _(_: Any) -> None:
-        ending = _TITLES[kind.value]
+        ending = WRITTEN_TITLES[kind.value]
         files.save_as(f"{Path(files.field.value).stem}{ending}", ending)
-        every.value = every_for(size[:2], MESH_POINTS) if size and FORMATS[ending].is_mesh else 1
+        every.value = every_for(size[:2], MESH_POINTS) if size and BY_SUFFIX[ending].is_mesh else 1
         said.show(_said(ending, every.value, size))
 
     @every.on_update
     def _(_: Any) -> None:
-        said.show(_said(_TITLES[kind.value], every.value, size))
+        said.show(_said(WRITTEN_TITLES[kind.value], every.value, size))
 
     def write() -> None:
         target = files.target()
@@ -173,7 +175,7 @@ def _said(ending: str, every: float, size: tuple[int, int, float] | None) -> str
         rows, cols = (-(-n // step) for n in size[:2])
         pixel_um = number(size[2] * step, 3)
         written = f"{number(cols, 0)} × {number(rows, 0)} pixels of {pixel_um}\u202fµm, along x and y. "
-    loses = FORMATS[ending].loses or "The file holds all there is of the surface."
+    loses = BY_SUFFIX[ending].loses or "The file holds all there is of the surface."
     return f'<div class="wv-lab" style="margin-bottom:9px">{html.safe(html.with_micro_sign(written + loses))}</div>'
 
 

@@ -15,13 +15,13 @@ from typing import Any
 from wafer_viewer.model.acquisition.calibration import OpticalSetup
 from wafer_viewer.model.acquisition.plan import MIN_FRAMES, FieldGrid, FocusSweep, ScanPlan
 from wafer_viewer.model.errors import DatasetError
-from wafer_viewer.model.file_formats import Reading
 from wafer_viewer.model.job import Job
 from wafer_viewer.model.progress import Progress, ShouldStop, never, silent
 from wafer_viewer.model.region import Region
 from wafer_viewer.model.report import ReportOrder
 from wafer_viewer.model.surface.comparison import comparison_of
 from wafer_viewer.model.surface.height_map import HeightMap
+from wafer_viewer.model.surface_format import Reading
 from wafer_viewer.session.core.background_work import BackgroundWork
 from wafer_viewer.session.core.command_queue import CommandQueue
 from wafer_viewer.session.core.dataset_library import (

@@ -12,12 +12,12 @@ from wafer_viewer.compute.dask_worker import attempt
 from wafer_viewer.compute.local_or_cluster import crew_for
 from wafer_viewer.compute.task_runner import LocalRunner, TaskRunner, n_local_workers, require_tls
 from wafer_viewer.model.errors import ComputeError, DatasetError, PlanError, WaferViewerError
-from wafer_viewer.model.file_formats import Reading
 from wafer_viewer.model.job import Job
 from wafer_viewer.model.progress import Progress
 from wafer_viewer.model.surface.focus_curve import FocusCurve
 from wafer_viewer.model.surface.height_map import Mosaic
 from wafer_viewer.model.surface.recipe import Recipe
+from wafer_viewer.model.surface_format import Reading
 from wafer_viewer.session.core.dataset_library import ENDING, summarise, today
 from wafer_viewer.session.state.snapshot import SurfaceInfo
 from wafer_viewer.session.surface.focus_evidence import focus_curve

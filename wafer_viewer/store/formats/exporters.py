@@ -1,4 +1,4 @@
-"""Export of surfaces to files of other programs, by suffix; model/formats.py lists what each format loses.
+"""Export of surfaces to files of other programs, by suffix; `SurfaceFormat` states what each loses.
 
 Every format that can hold text states whether the data are simulated or uncalibrated.
 """
@@ -9,43 +9,20 @@ from collections.abc import Callable
 from pathlib import Path
 
 from wafer_viewer.model.errors import DatasetError
-from wafer_viewer.model.file_formats import FORMATS, MESH_POINTS, every_for
+from wafer_viewer.model.file_formats import BY_SUFFIX, MESH_POINTS, WRITTEN, every_for, with_suffixes
 from wafer_viewer.model.progress import Progress, ShouldStop
 from wafer_viewer.model.surface.height_map import HeightMap, Mosaic
+from wafer_viewer.model.surface_format import imported
 from wafer_viewer.store.formats.embedded_metadata import caveats
-from wafer_viewer.store.formats.gsf import write_gsf
-from wafer_viewer.store.formats.gwy import fits, fits_heights, write_gwy
-from wafer_viewer.store.formats.mesh import write_glb, write_obj, write_stl
-from wafer_viewer.store.formats.npz_file import write_npz_strips
-from wafer_viewer.store.formats.pcd import write_pcd
-from wafer_viewer.store.formats.ply import write_ply
 from wafer_viewer.store.formats.surface_strips import Strips
-from wafer_viewer.store.formats.text_table import write_csv, write_xyz
-from wafer_viewer.store.formats.tiff import write_tiff
-from wafer_viewer.store.formats.x3p import write_x3p
 from wafer_viewer.store.io.atomic_files import atomic_write
 
-__all__ = ["EXPORTERS", "caveats", "export", "losses", "require_known", "write_surface"]
+__all__ = ["caveats", "export", "losses", "require_known", "write_surface"]
 
 Writer = Callable[[Strips, Path], None]
-EXPORTERS: dict[str, Writer] = {
-    ".npz": write_npz_strips,
-    ".gwy": write_gwy,
-    ".x3p": write_x3p,
-    ".gsf": write_gsf,
-    ".tif": write_tiff,
-    ".tiff": write_tiff,
-    ".ply": write_ply,
-    ".pcd": write_pcd,
-    ".csv": write_csv,
-    ".xyz": write_xyz,
-    ".stl": write_stl,
-    ".obj": write_obj,
-    ".glb": write_glb,
-}
-"""Surface writers by file suffix."""
 
 
+@with_suffixes
 def export(
     surface: HeightMap | Mosaic,
     path: str | Path,
@@ -62,9 +39,7 @@ def export(
     surface : HeightMap or Mosaic
         Surface to write; heights in um.
     path : str or Path
-        File to write. Its suffix, one of `EXPORTERS`, selects the format: ``.npz``, ``.gwy``, ``.x3p``, ``.gsf``,
-        ``.tif``, ``.tiff``, ``.ply``, ``.pcd``, ``.csv``, ``.xyz``, ``.stl``, ``.obj`` or ``.glb``. An existing file
-        is replaced.
+        File to write. Its suffix selects the format: ``{WRITTEN}``. An existing file is replaced.
     every : int, optional
         Write only every n-th row and column. Default: all of them; for a mesh (``.stl``, ``.obj``, ``.glb``) the
         smallest n that gives at most a million points.
@@ -98,10 +73,6 @@ def export(
     target = Path(path)
     write = require_known(target)
     strips = Strips(surface, every or density(surface, target), progress, should_stop)
-    if target.suffix.lower() == ".gwy" and not fits_heights(strips):
-        raise DatasetError(
-            f"{target.name} would pass the 4 GB of a GWY file: take X3P, or fewer points with --every 2."
-        )
     with atomic_write(target) as beside:
         write(strips, beside)
     return target
@@ -135,25 +106,27 @@ def write_surface(height: HeightMap | Mosaic, path: str | Path) -> Path:
 
 def require_known(path: Path) -> Writer:
     """Return the exporter for a file's suffix. Raises DatasetError when there is none."""
-    if (found := EXPORTERS.get(path.suffix.lower())) is None:
-        raise DatasetError(f"{path.name} has no ending that is known: take one of {', '.join(EXPORTERS)}.")
-    return found
+    kind = BY_SUFFIX.get(path.suffix.lower())
+    if kind is None or kind.writer is None:
+        raise DatasetError(f"{path.name} has no ending that is known: take one of {', '.join(WRITTEN)}.")
+    return imported(kind.writer)
 
 
 def density(surface: HeightMap | Mosaic, path: Path, most_points: int | None = None) -> int:
     """Return n for writing every n-th pixel: 1 by default, more for a mesh or a limited number of points."""
     if most_points is not None and most_points < 4:
         raise DatasetError(f"--max-points is {most_points}: a surface has at least 4.")
-    if most_points is None and not FORMATS[path.suffix.lower()].is_mesh:
+    if most_points is None and not BY_SUFFIX[path.suffix.lower()].is_mesh:
         return 1
     return every_for(surface.shape, most_points or MESH_POINTS)
 
 
 def losses(surface: HeightMap | Mosaic, path: Path, every: int = 1) -> tuple[str, ...]:
     """Return what a file cannot hold of a surface, one sentence each; empty if it holds everything."""
-    said = [FORMATS[path.suffix.lower()].loses]
+    kind = BY_SUFFIX[path.suffix.lower()]
+    said = [kind.loses]
     if every > 1:
         said.append(f"One row and one column in {every} are written, {surface.pixel_um * every:.4g} um apart.")
-    if path.suffix.lower() == ".gwy" and not fits(Strips(surface, every)):
-        said.append("All layers would pass the 4 GB of a GWY file: it holds heights only.")
+    if kind.loses_more is not None:
+        said.append(imported(kind.loses_more)(Strips(surface, every)))
     return tuple(one for one in said if one)

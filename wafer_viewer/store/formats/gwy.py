@@ -16,6 +16,7 @@ from typing import Any, TypeGuard
 import numpy as np
 from numpy.typing import NDArray
 
+from wafer_viewer.model.errors import DatasetError
 from wafer_viewer.model.surface.height_map import HeightMap, Provenance
 from wafer_viewer.store.formats.embedded_metadata import OURS, about, parse_metadata, title
 from wafer_viewer.store.formats.reader_support import UNITS_UM, ReadOptions, heights_only, require_some, scaled
@@ -133,10 +134,13 @@ class _Numbers:
 
 
 def write_gwy(strips: Strips, path: Path) -> None:
-    """Write all layers as channels, or only the heights if all would exceed the 4 GB limit of the format."""
-    parts = _parts(strips, CHANNELS)
+    """Write all layers as channels, or only the heights if all would exceed the 4 GB limit of the format.
+
+    Raises DatasetError if the heights alone exceed it.
+    """
+    parts = _parts(strips, CHANNELS[:1] if lost_layers(strips) else CHANNELS)
     if _size(strips, parts) > _LARGEST_BYTES:
-        parts = _parts(strips, CHANNELS[:1])
+        raise DatasetError(f"{path.name} would pass the 4 GB of a GWY file: take X3P, or fewer points with --every 2.")
     arrays = [part for part in parts if isinstance(part, _Numbers)]
     with path.open("wb") as file:
         file.write(MAGIC + b"GwyContainer\0" + struct.pack("<I", _size(strips, parts)))
@@ -148,14 +152,10 @@ def write_gwy(strips: Strips, path: Path) -> None:
                 file.write(data)
 
 
-def fits(strips: Strips) -> bool:
-    """Return whether all layers fit into the 4 GB limit; see `fits_heights` for the heights alone."""
-    return _size(strips, _parts(strips, CHANNELS)) <= _LARGEST_BYTES
-
-
-def fits_heights(strips: Strips) -> bool:
-    """Return whether the heights alone fit into the 4 GB limit."""
-    return _size(strips, _parts(strips, CHANNELS[:1])) <= _LARGEST_BYTES
+def lost_layers(strips: Strips) -> str:
+    """Return a sentence if only the heights of a surface fit into the 4 GB limit, otherwise an empty text."""
+    fits = _size(strips, _parts(strips, CHANNELS)) <= _LARGEST_BYTES
+    return "" if fits else "All layers would pass the 4 GB of a GWY file: it holds heights only."
 
 
 def read_gwy(path: Path, asked: ReadOptions) -> HeightMap:

@@ -21,6 +21,7 @@ from wafer_viewer.model.surface.height_map import HeightMap, Provenance, Refused
 from wafer_viewer.store.io.checksums import SURFACES, remedy, require_good_archive, seal_archive
 
 if TYPE_CHECKING:
+    from wafer_viewer.store.formats.reader_support import ReadOptions
     from wafer_viewer.store.formats.surface_strips import Strips
 
 LAYERS = ("z_um", "z_raw_um", "confidence", "all_in_focus", "origin")
@@ -62,6 +63,15 @@ def write_npz_strips(strips: Strips, path: Path) -> None:
             with archive.open(f"{name}.npy", "w") as file:
                 np.lib.format.write_array(file, np.array(value))
     seal_archive(path)
+
+
+def read_npz_surface(path: Path, asked: ReadOptions) -> HeightMap:
+    """Read a height map, for which no options are needed. Raises DatasetError if there is no height."""
+    from wafer_viewer.store.formats.reader_support import require_some
+
+    surface = read_npz(path)
+    require_some(asked, np.isfinite(surface.z_um))
+    return surface
 
 
 def read_npz(path: str | Path, *, verify: bool = True) -> HeightMap:

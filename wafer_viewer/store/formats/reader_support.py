@@ -11,10 +11,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from wafer_viewer.model.errors import DatasetError
-from wafer_viewer.model.file_formats import Reading
 from wafer_viewer.model.progress import Progress, ShouldStop, with_progress
 from wafer_viewer.model.spec import replace
 from wafer_viewer.model.surface.height_map import HeightMap, Origin, Provenance
+from wafer_viewer.model.surface_format import Reading
 from wafer_viewer.store.formats.surface_strips import STRIP_ROWS
 
 UNITS_UM = {

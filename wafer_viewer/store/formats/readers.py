@@ -10,49 +10,22 @@ from pathlib import Path
 import numpy as np
 
 from wafer_viewer.model.errors import DatasetError
-from wafer_viewer.model.file_formats import FORMATS, READ, Reading
+from wafer_viewer.model.file_formats import BY_SUFFIX, READ, with_suffixes
 from wafer_viewer.model.progress import Progress, ShouldStop
 from wafer_viewer.model.surface.height_map import HeightMap
-from wafer_viewer.store.formats.gsf import read_gsf
-from wafer_viewer.store.formats.gwy import read_gwy
-from wafer_viewer.store.formats.npz_file import read_npz
-from wafer_viewer.store.formats.pcd import read_pcd
-from wafer_viewer.store.formats.ply import read_ply
-from wafer_viewer.store.formats.reader_support import ReadOptions, require_some
-from wafer_viewer.store.formats.text_table import read_table
-from wafer_viewer.store.formats.tiff import is_heights, read_tiff
-from wafer_viewer.store.formats.x3p import read_x3p
+from wafer_viewer.model.surface_format import Reading, imported
+from wafer_viewer.store.formats.reader_support import ReadOptions
 
-__all__ = ["READERS", "is_surface_file", "read_surface"]
+__all__ = ["is_surface_file", "read_surface"]
 
 Reader = Callable[[Path, ReadOptions], HeightMap]
-
-
-def _read_npz(path: Path, asked: ReadOptions) -> HeightMap:
-    surface = read_npz(path)
-    require_some(asked, np.isfinite(surface.z_um))
-    return surface
-
-
-READERS: dict[str, Reader] = {
-    ".npz": _read_npz,
-    ".gwy": read_gwy,
-    ".x3p": read_x3p,
-    ".gsf": read_gsf,
-    ".tif": read_tiff,
-    ".tiff": read_tiff,
-    ".ply": read_ply,
-    ".pcd": read_pcd,
-    ".csv": read_table,
-    ".xyz": read_table,
-}
-"""Surface readers by file suffix."""
 
 
 DAMAGE = (OSError, ValueError, OverflowError, SyntaxError, KeyError, TypeError, struct.error, tokenize.TokenError)
 """Exceptions that libraries raise for damage that no reader checks for."""
 
 
+@with_suffixes
 def read_surface(
     path: str | Path,
     z_unit: str | None = None,
@@ -68,8 +41,7 @@ def read_surface(
     Parameters
     ----------
     path : str or Path
-        File to read: ``.npz``, ``.gwy``, ``.x3p``, ``.gsf``, ``.tif``, ``.tiff``, ``.ply``, ``.pcd``, ``.csv`` or
-        ``.xyz``.
+        File to read. Its suffix selects the format: ``{READ}``.
     z_unit : str, optional
         Unit of the heights if the file states none (m, cm, mm, um, nm, pm or inch), for points of all three
         coordinates.
@@ -119,17 +91,17 @@ def read_surface(
 
 def is_surface_file(path: Path) -> bool:
     """Return whether the suffix is that of a surface file; a TIFF must also hold floats."""
-    ending = path.suffix.lower()
-    if ending in (".tif", ".tiff"):
-        return path.is_file() and is_heights(path)
-    return ending in FORMATS
+    kind = BY_SUFFIX.get(path.suffix.lower())
+    if kind is None or kind.is_surface is None:
+        return kind is not None
+    return path.is_file() and imported(kind.is_surface)(path)
 
 
 def _reader_of(path: Path) -> Reader:
-    ending = path.suffix.lower()
-    if (found := READERS.get(ending)) is not None:
-        return found
-    if ending in FORMATS:
+    kind = BY_SUFFIX.get(path.suffix.lower())
+    if kind is not None and kind.reader is not None:
+        return imported(kind.reader)
+    if kind is not None and kind.is_mesh:
         raise DatasetError(
             f"{path.name} is a mesh, a drawing of a surface without its lattice, gaps and units: "
             "give the file it was made of, or one as X3P, GWY or PLY."
