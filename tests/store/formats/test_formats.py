@@ -5,6 +5,7 @@ from __future__ import annotations
 import dataclasses
 import errno
 import math
+import tracemalloc
 
 import numpy as np
 import pytest
@@ -202,6 +203,58 @@ def test_a_mesh_lies_as_the_surface_does(tmp_path, ending):
     np.testing.assert_allclose(np.ptp(corners, axis=0), [78 * 0.5, 58 * 0.5, 40.125 + 0.78], atol=1e-3)
     up = mesh.face_normals[:, 1 if ending == ".glb" else 2]
     assert (up > 0).all()
+
+
+@pytest.mark.parametrize("ending", MESHES)
+def test_a_mesh_has_no_seam_where_its_pieces_meet(tmp_path, ending):
+    """Two triangles between every four neighbours, each vertex with its own grey, over several strips."""
+    rng = np.random.default_rng(3)
+    z = rng.uniform(1, 2, (300, 9)).astype(np.float32)
+    z[rng.random(z.shape) < 0.1] = np.nan
+    z[64] = np.nan
+    surface = plain(z, pixel_um=1.0, x0_um=0.0, y0_um=0.0)
+    export(surface, tmp_path / f"a{ending}")
+    mesh = trimesh.load(tmp_path / f"a{ending}", force="mesh", process=False)
+    known = np.isfinite(z)
+    squares = known[:-1, :-1] & known[:-1, 1:] & known[1:, :-1] & known[1:, 1:]
+    assert len(mesh.faces) == 2 * squares.sum()
+    flat = trimesh.Trimesh(mesh.vertices * (1, 1, 0) if ending != ".glb" else mesh.vertices * (1, 0, 1), mesh.faces)
+    assert flat.area == pytest.approx(squares.sum() * (1e-12 if ending == ".glb" else 1.0))
+    assert flat.euler_number == trimesh.Trimesh(*by_hand(z)).euler_number
+    if ending == ".glb":
+        np.testing.assert_array_equal(mesh.visual.vertex_colors[:, 0], surface.all_in_focus[known])
+
+
+def by_hand(z):
+    """Vertices and triangles of a surface, one square after the other."""
+    number = np.arange(z.size).reshape(z.shape)
+    rows, cols = np.mgrid[: z.shape[0], : z.shape[1]]
+    squares = [number[r : r + 2, c : c + 2] for r, c in np.ndindex(z.shape[0] - 1, z.shape[1] - 1)]
+    whole = [n.ravel() for n in squares if np.isfinite(z.ravel()[n]).all()]
+    points = np.stack([cols.ravel(), -rows.ravel(), np.zeros(z.size)], axis=1)
+    return points, [t for a, b, c, d in whole for t in ((a, c, b), (b, c, d))]
+
+
+@pytest.mark.parametrize("ending", MESHES)
+def test_a_mesh_is_written_without_holding_all_of_it(tmp_path, ending):
+    def peak_bytes(rows):
+        surface = plain(np.ones((rows, 40), np.float32), pixel_um=1.0, x0_um=0.0, y0_um=0.0)
+        tracemalloc.start()
+        try:
+            export(surface, tmp_path / f"a{ending}")
+            return tracemalloc.get_traced_memory()[1]
+        finally:
+            tracemalloc.stop()
+
+    peak_bytes(64)
+    assert peak_bytes(512) < 1.3 * peak_bytes(128)
+
+
+def test_a_mesh_of_over_four_gigabytes_is_refused(tmp_path, monkeypatch):
+    monkeypatch.setattr("wafer_viewer.store.formats.mesh._LARGEST_BYTES", 10_000)
+    with pytest.raises(DatasetError, match=r"^a\.glb would pass the 4 GB of a GLB file: take fewer points"):
+        export(letter_f(), tmp_path / "a.glb")
+    assert not list(tmp_path.iterdir())
 
 
 def test_the_density_of_a_mesh_is_chosen(tmp_path):
