@@ -36,9 +36,9 @@ from tests.truth.views import Camera  # noqa: E402
 from wafer_viewer.measure.truth_comparison import Quality, error_by_distance, quality  # noqa: E402
 from wafer_viewer.model.acquisition.focus_stack import FieldStack  # noqa: E402
 from wafer_viewer.model.spec import replace as changed  # noqa: E402
+from wafer_viewer.model.surface.focus_measures import focus_measures  # noqa: E402
 from wafer_viewer.model.surface.recipe import Recipe  # noqa: E402
 from wafer_viewer.reconstruct.field_pipeline import reconstruct  # noqa: E402
-from wafer_viewer.reconstruct.focus.focus_measures import FOCUS_MEASURES  # noqa: E402
 from wafer_viewer.reconstruct.focus.peak import PEAKS  # noqa: E402
 
 FALSE_UM = 4.0
@@ -114,7 +114,7 @@ def plane(quick: bool) -> None:
     taken = seen(PLANE, 96 if quick else 256, PLANE_SWEEP_UM)
     steps = (2, 4) if quick else (1, 2, 4, 8)
     rows: list[tuple[str | float, ...]] = []
-    for measure in FOCUS_MEASURES:
+    for measure in focus_measures():
         for peak in PEAKS:
             recipe = changed(ungated(measure), window=9, peak=peak)
             rows.append((f"{measure}, {peak}", *(plane_error(taken, recipe, n).rmse_um for n in steps)))

@@ -11,9 +11,10 @@ from numpy.typing import NDArray
 
 from wafer_viewer.model.acquisition.focus_stack import FieldStack
 from wafer_viewer.model.spec import replace
+from wafer_viewer.model.surface.focus_measures import focus_measures
 from wafer_viewer.model.surface.recipe import Fill, Outliers, Recipe
 from wafer_viewer.reconstruct.field_pipeline import reconstruct
-from wafer_viewer.reconstruct.focus.focus_measures import FOCUS_MEASURES, focus_image
+from wafer_viewer.reconstruct.focus.sml_tenengrad_glv import focus_image
 
 WINDOW = 9
 
@@ -72,7 +73,7 @@ def ungated(measure: str) -> Recipe:
     )
 
 
-MEASURES: dict[str, Recipe] = {measure: replace(DEFAULT, focus_measure=measure) for measure in FOCUS_MEASURES}
+MEASURES: dict[str, Recipe] = {measure: replace(DEFAULT, focus_measure=measure) for measure in focus_measures()}
 
 GATES: dict[str, dict[str, object]] = {
     "less rims that are seen from above": {"edges": "band"},

@@ -32,12 +32,12 @@ from tests.bench.peers import Sharpness, opencv_sharpness, skimage_sharpness
 from tests.bench.tables import met, show
 from wafer_viewer.model.acquisition.focus_stack import FieldStack
 from wafer_viewer.model.acquisition.plan import Field
+from wafer_viewer.model.surface.focus_measures import focus_measures
 from wafer_viewer.model.surface.height_map import HeightMap, Provenance
 from wafer_viewer.model.surface.recipe import Recipe
 from wafer_viewer.reconstruct.auto_tuning import tune_recipe
 from wafer_viewer.reconstruct.cleaning.clean import clean
 from wafer_viewer.reconstruct.field_pipeline import reconstruct, warm_up
-from wafer_viewer.reconstruct.focus.focus_measures import FOCUS_MEASURES
 from wafer_viewer.reconstruct.focus.peak_search import search_field
 from wafer_viewer.reconstruct.live_field import LiveField
 from wafer_viewer.reconstruct.preprocess.frames import prepare
@@ -101,7 +101,7 @@ def show_measures(stack: FieldStack, runs: int) -> None:
     """The search with tent, confidence and all-in-focus image, all frames of a field, against plain libraries."""
     goal_ms = 1.7 if has_avx512() else 2.7
     rows: list[tuple[str | float | None, ...]] = []
-    for measure in FOCUS_MEASURES:
+    for measure in focus_measures():
         one, one_clock, two_clock = search_ms(stack, measure, runs)
         plain = [plain_ms(stack, measure, sharpness) for sharpness in (opencv_sharpness, skimage_sharpness)]
         ratios = [None if ms is None else f"{ms / one:.1f} x" for ms in plain]

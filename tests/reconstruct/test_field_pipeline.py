@@ -12,10 +12,10 @@ from numpy.typing import NDArray
 from wafer_viewer import __version__
 from wafer_viewer.model.acquisition.focus_stack import FieldStack
 from wafer_viewer.model.errors import ComputeError
+from wafer_viewer.model.surface.focus_measures import focus_measures
 from wafer_viewer.model.surface.height_map import HeightMap, Origin
 from wafer_viewer.model.surface.recipe import Levy, Recipe
 from wafer_viewer.reconstruct.field_pipeline import reconstruct, settled_recipe, warm_up
-from wafer_viewer.reconstruct.focus.focus_measures import FOCUS_MEASURES
 from wafer_viewer.reconstruct.focus.log_laplacian import log_laplacian_block
 from wafer_viewer.reconstruct.focus.peak_search import STRIPE_ROWS
 
@@ -58,7 +58,7 @@ def test_a_settled_recipe_gives_the_same_map(plane_stack: FieldStack, plane_map:
     np.testing.assert_array_equal(again.origin, plane_map.origin)
 
 
-@pytest.mark.parametrize("measure", FOCUS_MEASURES)
+@pytest.mark.parametrize("measure", focus_measures())
 def test_a_step_keeps_its_height(make_stack: MakeStack, measure: str) -> None:
     truth = np.full((96, 160), 20.0)
     truth[:, 80:] = 60.0

@@ -11,10 +11,10 @@ from numpy.typing import NDArray
 
 from wafer_viewer.model.acquisition.calibration import WAVELENGTH_UM
 from wafer_viewer.model.spec import replace
+from wafer_viewer.model.surface.focus_measures import focus_measures
 from wafer_viewer.model.surface.height_map import Origin
 from wafer_viewer.model.surface.recipe import Recipe
 from wafer_viewer.reconstruct.cleaning.clean import settle_cleaning
-from wafer_viewer.reconstruct.focus.focus_measures import FOCUS_MEASURES
 from wafer_viewer.reconstruct.focus.peak import Peaks
 from wafer_viewer.reconstruct.focus.peak_search import Search, ThreadScratch, noise_scores, search_part
 from wafer_viewer.reconstruct.gates.gate import LEAST_FRAMES, auto_min_confidence, gate_of, origins
@@ -110,7 +110,7 @@ def focus_width(frames: Frames, recipe: Recipe) -> FocusWidth:
     curves the result is the known depth of field, at least one step.
     """
     probe = Search(recipe.focus_measure, _PROBE_WINDOW, "argmax", 1, camera=camera_of(recipe.noise))
-    power = FOCUS_MEASURES[recipe.focus_measure].power
+    power = focus_measures()[recipe.focus_measure].power
     widths = np.concatenate([_clean_widths(bench, peaks, power) for bench, peaks in _tiles(frames, probe)])
     step_um, known_um = frames.step_um, frames.depth_of_field_um
     if len(widths) < _ENOUGH_CURVES:

@@ -15,7 +15,7 @@ from wafer_viewer.model.surface.height_map import HeightMap
 from wafer_viewer.model.surface.recipe import Recipe
 from wafer_viewer.reconstruct.auto_tuning import search_of, tune_recipe
 from wafer_viewer.reconstruct.field_pipeline import surface_of
-from wafer_viewer.reconstruct.focus.focus_measures import FOCUS_MEASURES
+from wafer_viewer.reconstruct.focus.focus_measures import focus_kernels
 from wafer_viewer.reconstruct.focus.focus_volume import StackSource, Volume
 from wafer_viewer.reconstruct.focus.peak import FocusCurves, InterpolationScratch, Peaks
 from wafer_viewer.reconstruct.focus.peak_search import Search, fill_volume, find_peaks, search_field, stripes
@@ -52,9 +52,9 @@ class LiveField:
             curves.peak[:] = 0
         stripe = _length(self._stripes[0][0]), cols
         self._best, self._peak, self._clipped = (np.empty(stripe, np.uint16) for _ in range(3))
-        measure = FOCUS_MEASURES[self._search.measure]
-        self._rows = measure.make_rows(cols, self._search.window, images.dtype)
-        self._spots = InterpolationScratch.make(cols, measure.table(images.dtype))
+        kernels = focus_kernels(self._search.measure)
+        self._rows = kernels.make_rows(cols, self._search.window, images.dtype)
+        self._spots = InterpolationScratch.make(cols, kernels.table(images.dtype))
         self._came = np.zeros(len(images), np.bool_)
 
     @property

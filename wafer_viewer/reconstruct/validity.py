@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from wafer_viewer.model.surface.focus_curve import Verdict
+from wafer_viewer.model.surface.focus_measures import focus_measures
 from wafer_viewer.model.surface.height_map import Origin
 from wafer_viewer.reconstruct.auto_tuning import GAP_WIDTHS, TunedSearch
 from wafer_viewer.reconstruct.focus.peak import Peaks
@@ -27,9 +28,6 @@ TOO_WIDE = 2.0
 
 LEAST_GAP = 4
 """Minimum rival gap in frames: focus along a wall is smoothed over three frames and placed by three more."""
-
-_BOXES_OF_A_TRIANGLE = np.sqrt(0.5)
-"""A box filter applied twice is as wide as a single box sqrt(2) times its size."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -115,10 +113,12 @@ def edge_search(settled: TunedSearch) -> EdgeSearch | None:
 
 
 def window_along(search: Search) -> int:
-    """Return the window of the focus along walls: a box applied twice, as wide as that of the search."""
-    if search.measure == "log_laplacian":
-        return search.window
-    return 2 * round((search.window * _BOXES_OF_A_TRIANGLE - 1) / 2) + 1
+    """Return the window of the focus along walls: a box applied twice, as wide as that of the search.
+
+    A box applied n times is as wide as a single box sqrt(n) times its size.
+    """
+    boxes = focus_measures()[search.measure].passes
+    return 2 * round((search.window * np.sqrt(boxes / 2) - 1) / 2) + 1
 
 
 def _disabled_gates_note(settled: TunedSearch, n_frames: int) -> tuple[str, ...]:

@@ -11,8 +11,8 @@ from scipy.ndimage import convolve, uniform_filter
 
 from wafer_viewer.model.acquisition.focus_stack import FieldStack
 from wafer_viewer.reconstruct.focus import peak_search as search_module
-from wafer_viewer.reconstruct.focus.focus_measures import PAPER_MEASURES, focus_image
 from wafer_viewer.reconstruct.focus.peak_search import Search, search_field
+from wafer_viewer.reconstruct.focus.sml_tenengrad_glv import PAPER_MEASURES, focus_image
 from wafer_viewer.reconstruct.preprocess.frames import prepare
 
 _SOBEL = np.array([[-1, 0, 1], [-2, 0, 2], [-1, 0, 1]], float)

@@ -10,10 +10,10 @@ import pytest
 from numpy.typing import NDArray
 
 from wafer_viewer.model.acquisition.focus_stack import FieldStack
+from wafer_viewer.model.surface.focus_measures import focus_measures
 from wafer_viewer.model.surface.height_map import Origin
 from wafer_viewer.model.surface.recipe import Recipe
 from wafer_viewer.reconstruct.field_pipeline import reconstruct
-from wafer_viewer.reconstruct.focus.focus_measures import FOCUS_MEASURES
 from wafer_viewer.reconstruct.focus.peak import Peaks
 from wafer_viewer.reconstruct.focus.peak_search import NoiseScores, Search, noise_scores, search_field
 from wafer_viewer.reconstruct.gates.gate import Gate, auto_min_confidence, checks, gate_of, origins
@@ -27,7 +27,7 @@ def _share(origin: NDArray, *codes: Origin) -> float:
     return float(np.isin(origin, codes).mean())
 
 
-@pytest.mark.parametrize("measure", FOCUS_MEASURES)
+@pytest.mark.parametrize("measure", focus_measures())
 @pytest.mark.parametrize("n_frames", [10, 40])
 @pytest.mark.parametrize("noise_counts", [0.5, 3.0])
 def test_pure_noise_is_not_measured(make_stack: MakeStack, measure: str, n_frames: int, noise_counts: float) -> None:

@@ -23,6 +23,7 @@ from wafer_viewer.model.surface.comparison import (
 )
 from wafer_viewer.model.surface.field_poses import DOUBT_TITLES, Poses, RejectionReason
 from wafer_viewer.model.surface.focus_curve import FocusCurve, Verdict
+from wafer_viewer.model.surface.focus_measures import focus_measures
 from wafer_viewer.model.surface.recipe import READY_RECIPES, Recipe
 from wafer_viewer.session.state.snapshot import StitchingInfo
 
@@ -143,7 +144,7 @@ READY = {"Default": "default", "The paper's method": "paper"}
 OWN = "Custom"
 """Name of a recipe that matches no preset."""
 DRIFT = {"Correct": "correct", "Leave": "none"}
-FOCUS = {"Log-Laplacian": "log_laplacian", "Tenengrad": "tenengrad", "SML": "sml", "GLV": "glv"}
+FOCUS = {measure.title: name for name, measure in focus_measures().items()}
 WINDOW = {"From the data": "auto", **{f"{n} px": n for n in range(3, 27, 2)}}
 PEAK = {"Blur law": "blur_law", "Tent": "tent", "Gaussian": "gaussian", "Highest frame": "argmax"}
 SECOND_WINDOW = {"Must agree": True, "Not tested": False}
@@ -367,8 +368,6 @@ def _plus_minus(u_um: float) -> str:
     return f"±{THIN}{_length(u_um)}"
 
 
-MEASURES = {key: name for name, key in FOCUS.items()}
-"""Display names of focus measures; others are shown by their own name with spaces."""
 GATE_IS_OFF = "gate is off"
 
 
@@ -432,8 +431,9 @@ def rivals(curve: FocusCurve) -> str:
 
 
 def focus_measurement_text(curve: FocusCurve) -> str:
-    """Describe the focus measurement: measure, window, number of frames."""
-    measure = MEASURES.get(curve.focus_measure, _capital(curve.focus_measure.replace("_", " ")))
+    """Describe the focus measurement: measure, window, number of frames; an unknown measure by its name."""
+    known = focus_measures().get(curve.focus_measure)
+    measure = known.title if known else _capital(curve.focus_measure.replace("_", " "))
     simulated = "SIMULATED · " if curve.simulated else ""
     return f"{simulated}{measure}, window {curve.window} × {curve.window} px, {len(curve.z_um)} frames"
 

@@ -2,15 +2,20 @@
 
 from __future__ import annotations
 
-from typing import Annotated, ClassVar, Literal
+from typing import TYPE_CHECKING, Annotated, ClassVar, Literal
 
 import msgspec
 
 from wafer_viewer.model.errors import ComputeError, WaferViewerError
 from wafer_viewer.model.spec import Positive, Spec, Within, replace
+from wafer_viewer.model.surface.focus_measures import focus_measures
 
 Auto = Literal["auto"]
 Window = Annotated[int, Within(3, 25, odd=True)]
+if TYPE_CHECKING:
+    FocusMeasureName = str
+else:
+    FocusMeasureName = Literal[tuple(focus_measures())]
 
 
 class Levy(Spec, frozen=True, kw_only=True):
@@ -91,7 +96,7 @@ class Recipe(Spec, frozen=True, kw_only=True):
 
     error: ClassVar[type[WaferViewerError]] = ComputeError
     drift: Literal["none", "correct"] = "correct"
-    focus_measure: Literal["log_laplacian", "tenengrad", "sml", "glv"] = "log_laplacian"
+    focus_measure: FocusMeasureName = "log_laplacian"
     window: Window | Auto = "auto"
     peak: Literal["argmax", "gaussian", "tent", "blur_law"] = "blur_law"
     focus_width_um: Positive | Auto = "auto"

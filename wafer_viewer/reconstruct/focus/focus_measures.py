@@ -1,120 +1,83 @@
-"""Registry of the focus measures, with the functions that the search needs of each."""
+"""Implementations of the focus measures: compiled kernels, or plain functions that are applied frame by frame."""
 
 from __future__ import annotations
 
+import importlib
 from collections.abc import Callable
-from dataclasses import dataclass
-from functools import partial
+from functools import cache, partial
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from wafer_viewer.model.acquisition.focus_stack import Image
-from wafer_viewer.reconstruct.focus.focus_volume import StackSource, Volume
-from wafer_viewer.reconstruct.focus.log_laplacian import (
-    LEVEL_BITS,
-    LogRows,
-    Stabiliser,
-    log_laplacian_block,
-    log_margin_px,
+from wafer_viewer.model.errors import ComputeError
+from wafer_viewer.model.surface.focus_measures import FocusMeasure, focus_measures
+from wafer_viewer.reconstruct.focus.focus_volume import (
+    Focusing,
+    FocusKernels,
+    StackSource,
+    Volume,
+    accumulate_levels,
+    fraction_table,
 )
-from wafer_viewer.reconstruct.focus.sml_tenengrad_glv import (
-    GLV,
-    SML,
-    TENENGRAD,
-    Rows,
-    focus_block,
-    focus_values,
-    paper_margin_px,
-)
-from wafer_viewer.reconstruct.preprocess.camera_noise import CameraNoise
+from wafer_viewer.reconstruct.focus.log_laplacian import Stabiliser
 
-Table = NDArray[np.float32]
+FocusFunction = Callable[[NDArray[np.float32], int], NDArray[Any]]
 
-USUAL_CAMERA = CameraNoise(gain_counts=0.02, floor_counts2=0.2)
-"""8 bits over 13 000 electrons, and noise of a third of a grey level."""
+_BITS, _OFFSET = 9, 64
+"""A level of a plain function is 2^9 (log2 of the focus + 64), which holds every scale from 2^-64 to 2^64."""
 
 
-@dataclass(frozen=True, slots=True)
-class Focusing:
-    """Parameters of a focus measure: window and, where it uses them, camera noise and high-pass along z."""
-
-    window: int
-    camera: CameraNoise = USUAL_CAMERA
-    lag: int = 0
-
-
-@dataclass(frozen=True, slots=True)
-class FocusMeasure:
-    """A focus measure: title, source, and the functions that the search needs.
-
-    power: the measure falls as the blur variance to minus this power. The energy of white texture under a Gaussian blur
-    of variance v goes as 1 / v^2 for first and 1 / v^3 for second derivatives; the power of the variance in a window,
-    which removes the mean, was measured, and the power of a mean of logarithms equals that of its energy. margin_px:
-    reach of a window beyond a pixel. table: contribution of the lower bits of a level to log2, the other bits being the
-    integer part. make_rows: allocates the work rows of the kernel, for a number of columns, a window and a dtype. fill:
-    measures the frames of a source into a volume.
-    """
-
-    title: str
-    source: str
-    power: float
-    margin_px: Callable[[int], int]
-    table: Callable[[np.dtype[Any]], Table]
-    make_rows: Callable[[int, int, np.dtype[Any]], Any]
-    fill: Callable[[StackSource, Focusing, Any, Volume], None]
+@cache
+def focus_kernels(name: str) -> FocusKernels:
+    """Return the implementation of a focus measure. Raises ComputeError if it cannot be imported."""
+    measure = focus_measures()[name]
+    module, _, attribute = measure.implementation.partition(":")
+    try:
+        found = getattr(importlib.import_module(module), attribute)
+    except (ImportError, AttributeError, ValueError) as fault:
+        raise ComputeError(
+            f"The focus measure '{name}' cannot be imported from {measure.implementation} ({fault}): update or remove "
+            "the package that brings it."
+        ) from fault
+    return found if isinstance(found, FocusKernels) else kernels_of_function(measure, found)
 
 
-def _of_the_paper(title: str, equation: str, power: float, code: int) -> FocusMeasure:
-    fill = partial(_fill_by_energy, code)
-    return FocusMeasure(title, equation, power, paper_margin_px, _mantissa_table, Rows.make, fill)
+def kernels_of_function(measure: FocusMeasure, function: FocusFunction) -> FocusKernels:
+    """Return an implementation that applies a plain function to one frame of a block after the other."""
+    return FocusKernels(lambda _: fraction_table(_BITS), lambda *_: None, partial(_fill, measure, function))
 
 
-def _fill_by_energy(code: int, source: StackSource, how: Focusing, rows: Rows, volume: Volume) -> None:
-    focus_block(source, code, how.window, rows, volume)
+def _fill(
+    measure: FocusMeasure, function: FocusFunction, source: StackSource, how: Focusing, _: None, volume: Volume
+) -> None:
+    """Measure the frames of a source, each with the margin of the window; image borders repeat."""
+    margin, (n_rows, cols) = measure.margin_px(how.window), volume.best.shape
+    around = np.ix_(
+        _with_margin(source.top, n_rows, margin, source.images.shape[1]),
+        _with_margin(source.left, cols, margin, source.images.shape[2]),
+    )
+    for level, slot in zip(volume.levels, source.slots, strict=True):
+        image = source.images[slot][around].astype(np.float32)
+        if measure.uses_camera_noise:
+            scale, offset = Stabiliser.of(how.camera)
+            image = np.sqrt(image * np.float32(scale) + np.float32(offset))
+        focus = np.asarray(function(image, how.window))
+        if focus.shape != image.shape:
+            raise ComputeError(
+                f"The focus measure '{measure.name}' returns an array of shape {focus.shape} for an image of shape "
+                f"{image.shape}: it must return one value for each pixel."
+            )
+        level[:] = _levels(focus[margin : margin + n_rows, margin : margin + cols])
+    accumulate_levels(source, volume)
 
 
-def _fill_by_logarithm(source: StackSource, how: Focusing, rows: LogRows, volume: Volume) -> None:
-    log_laplacian_block(source, how.window, Stabiliser.of(how.camera), how.lag, rows, volume)
+def _with_margin(start: int, length: int, margin: int, size: int) -> NDArray[np.int64]:
+    return np.arange(start - margin, start + length + margin).clip(0, size - 1)
 
 
-def _mantissa_table(dtype: np.dtype[Any]) -> Table:
-    """Return log2(1 + fraction) for levels that are the bits of a float32, five or six of them before the point."""
-    bits = 11 if np.dtype(dtype).itemsize == 1 else 10
-    return np.log2(1 + np.arange(2**bits) / 2**bits).astype(np.float32)
-
-
-def _linear_table(dtype: np.dtype[Any]) -> Table:
-    """Return the table for levels that are logarithms with the same number of fraction bits for every dtype."""
-    return (np.arange(2**LEVEL_BITS) / 2**LEVEL_BITS).astype(np.float32)
-
-
-FOCUS_MEASURES: dict[str, FocusMeasure] = {
-    "sml": _of_the_paper("Sum of the squared second derivatives", "eq. 2", 3.0, SML),
-    "tenengrad": _of_the_paper("Sum of the squared Sobel gradients", "eq. 3", 2.0, TENENGRAD),
-    "glv": _of_the_paper("Variance of the grey levels", "eq. 4", 1.7, GLV),
-    "log_laplacian": FocusMeasure(
-        "Mean logarithm of a Laplacian's energy over the camera's noise",
-        "log_laplacian.py",
-        3.0,
-        log_margin_px,
-        _linear_table,
-        LogRows.make,
-        _fill_by_logarithm,
-    ),
-}
-
-_CODES = {"sml": SML, "tenengrad": TENENGRAD, "glv": GLV}
-PAPER_MEASURES = tuple(_CODES)
-
-
-def focus_image(image: Image, measure: str, window: int) -> NDArray[np.float32]:
-    """Return the focus measure of one image [row, col], eq. 2, 3 or 4, as float32 of the same shape.
-
-    Beyond the border the border pixels repeat. Raises KeyError for a measure that is not one of the paper's.
-    """
-    source = StackSource.of(np.ascontiguousarray(image)[None], np.zeros(1, np.int64), 0, 0, 0)
-    out = np.empty(image.shape, np.float32)
-    focus_values(source, _CODES[measure], window, Rows.make(image.shape[1], window, image.dtype), out)
-    return out / np.float32(window * window) if measure == "glv" else out
+def _levels(focus: NDArray[Any]) -> NDArray[np.uint16]:
+    """Return log2 of the focus as 16 bits; 0 where there is none."""
+    with np.errstate(divide="ignore", invalid="ignore"):
+        level = (np.log2(focus) + _OFFSET) * 2**_BITS + 0.5
+    return np.nan_to_num(level, nan=0.0).clip(0, 65535).astype(np.uint16)

@@ -11,13 +11,15 @@ import dataclasses
 import os
 from collections.abc import Callable, Iterable
 from concurrent.futures import ThreadPoolExecutor
-from typing import NamedTuple, TypeVar
+from dataclasses import dataclass
+from typing import Any, NamedTuple, TypeVar
 
 import numpy as np
 
 from wafer_viewer.model.acquisition.focus_stack import Image
 from wafer_viewer.numerics.intrinsics import prefetch
-from wafer_viewer.numerics.jit import Greys, Int64s, UInt16s, Whole, inlined_part, lean_part
+from wafer_viewer.numerics.jit import Float32s, Greys, Int64s, UInt16s, Whole, inlined_part, lean_kernel, lean_part
+from wafer_viewer.reconstruct.preprocess.camera_noise import CameraNoise
 from wafer_viewer.reconstruct.preprocess.frames import Frames, read_block
 
 COARSE_PX = 4
@@ -56,6 +58,38 @@ class Volume(NamedTuple):
     peak: UInt16s
     clipped: UInt16s
     coarse: UInt16s
+
+
+USUAL_CAMERA = CameraNoise(gain_counts=0.02, floor_counts2=0.2)
+"""8 bits over 13 000 electrons, and noise of a third of a grey level."""
+
+
+@dataclass(frozen=True, slots=True)
+class Focusing:
+    """Parameters of a focus measure: window and, where it uses them, camera noise and high-pass along z."""
+
+    window: int
+    camera: CameraNoise = USUAL_CAMERA
+    lag: int = 0
+
+
+@dataclass(frozen=True, slots=True)
+class FocusKernels:
+    """Implementation of a focus measure: the functions that the search needs.
+
+    table: contribution of the lower bits of a level to log2, the other bits being the integer part. make_rows:
+    allocates the work rows of the kernel, for a number of columns, a window and a dtype. fill: measures the frames of a
+    source into a volume.
+    """
+
+    table: Callable[[np.dtype[Any]], Float32s]
+    make_rows: Callable[[int, int, np.dtype[Any]], Any]
+    fill: Callable[[StackSource, Focusing, Any, Volume], None]
+
+
+def fraction_table(bits: int) -> Float32s:
+    """Return the table of levels that are logarithms with `bits` fraction bits."""
+    return (np.arange(2**bits) / 2**bits).astype(np.float32)
 
 
 @inlined_part
@@ -107,6 +141,19 @@ def accumulate_row(volume: Volume, k: Whole, y: Whole) -> None:
             levels[min(top + 3, last)],
             volume.coarse[k, y // COARSE_PX],
         )
+
+
+@lean_kernel
+def accumulate_levels(source: StackSource, volume: Volume) -> None:
+    """Compute all of a volume from its levels and the greys of their frames."""
+    empty(volume)
+    n_rows, cols = volume.best.shape
+    for k in range(volume.levels.shape[0]):
+        image = source.images[source.slots[k]]
+        for y in range(n_rows):
+            grey = image[source.top + y, source.left : source.left + cols]
+            count_clipped(grey, source.clipped_counts, volume.clipped[y])
+            accumulate_row(volume, k, y)
 
 
 @lean_part

@@ -44,11 +44,14 @@ from wafer_viewer.numerics.jit import (
     lean_part,
 )
 from wafer_viewer.reconstruct.focus.focus_volume import (
+    Focusing,
+    FocusKernels,
     StackSource,
     Volume,
     accumulate_row,
     count_clipped,
     empty,
+    fraction_table,
     take_grey,
 )
 from wafer_viewer.reconstruct.preprocess.camera_noise import CameraNoise
@@ -164,6 +167,13 @@ def log_laplacian_block(
             if r >= 2 * margin:
                 _across(scale, rows, volume.levels[k, r - 2 * margin])
                 accumulate_row(volume, k, r - 2 * margin)
+
+
+def _fill(source: StackSource, how: Focusing, rows: LogRows, volume: Volume) -> None:
+    log_laplacian_block(source, how.window, Stabiliser.of(how.camera), how.lag, rows, volume)
+
+
+KERNELS = FocusKernels(lambda _: fraction_table(LEVEL_BITS), LogRows.make, _fill)
 
 
 @inlined_part

@@ -23,6 +23,7 @@ from numpy.typing import NDArray
 
 from wafer_viewer.model.acquisition.focus_stack import Image
 from wafer_viewer.model.progress import Progress
+from wafer_viewer.model.surface.focus_measures import focus_measures
 from wafer_viewer.numerics.jit import (
     Float32s,
     Float64s,
@@ -34,8 +35,17 @@ from wafer_viewer.numerics.jit import (
     lean_kernel,
     lean_part,
 )
-from wafer_viewer.reconstruct.focus.focus_measures import FOCUS_MEASURES, USUAL_CAMERA, Focusing
-from wafer_viewer.reconstruct.focus.focus_volume import COARSE_PX, StackSource, Volume, cores, note, source_of
+from wafer_viewer.reconstruct.focus.focus_measures import focus_kernels
+from wafer_viewer.reconstruct.focus.focus_volume import (
+    COARSE_PX,
+    USUAL_CAMERA,
+    Focusing,
+    StackSource,
+    Volume,
+    cores,
+    note,
+    source_of,
+)
 from wafer_viewer.reconstruct.focus.log_laplacian import log_margin_px
 from wafer_viewer.reconstruct.focus.peak import (
     PEAKS,
@@ -78,16 +88,15 @@ class Search:
     @property
     def margin_px(self) -> int:
         """Reach of the focus measure beyond a pixel, in pixels."""
-        return FOCUS_MEASURES[self.measure].margin_px(self.window)
+        return focus_measures()[self.measure].margin_px(self.window)
 
     @property
     def placing(self) -> PeakInterpolation:
         """Interpolation parameters for the kernels."""
         how = PEAKS[self.estimator]
         blend = self.blend if how.blended else 0
-        return PeakInterpolation(
-            how.code, FOCUS_MEASURES[self.measure].power, self.gap, self.reach, blend, self.floored
-        )
+        power = focus_measures()[self.measure].power
+        return PeakInterpolation(how.code, power, self.gap, self.reach, blend, self.floored)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -104,9 +113,9 @@ class ThreadScratch:
         """Allocate buffers for blocks of `shape` pixels; the block uses no memory until pixels are copied to it."""
         native, margin = np.dtype(dtype).newbyteorder("="), search.margin_px
         block = np.empty((n_frames, shape[0] + 2 * margin, shape[1] + 2 * margin), native)
-        measure = FOCUS_MEASURES[search.measure]
-        rows = measure.make_rows(shape[1], search.window, native)
-        spots = InterpolationScratch.make(shape[1], measure.table(native))
+        kernels = focus_kernels(search.measure)
+        rows = kernels.make_rows(shape[1], search.window, native)
+        spots = InterpolationScratch.make(shape[1], kernels.table(native))
         return cls(block, FocusCurves.make(n_frames, shape), rows, spots)
 
     def cut(self, n_rows: int) -> ThreadScratch:
@@ -168,7 +177,7 @@ def fill_volume(source: StackSource, search: Search, rows: Any, volume: Volume) 
     """
     focusing = Focusing(search.window, search.camera, search.lag)
     coarse = np.empty(volume.coarse.shape, np.uint16)
-    FOCUS_MEASURES[search.measure].fill(source, focusing, rows, volume._replace(coarse=coarse))
+    focus_kernels(search.measure).fill(source, focusing, rows, volume._replace(coarse=coarse))
     volume.coarse[:] = coarse
 
 
@@ -296,7 +305,7 @@ def wide_heights(
     n_frames, n_rows, cols = peaks.coarse.shape
     cells = cells or wide_cells(search.window)
     curves = FocusCurves.make(n_frames, (1, cols))
-    spots = InterpolationScratch.make(cols, FOCUS_MEASURES[search.measure].table(peaks.all_in_focus.dtype))
+    spots = InterpolationScratch.make(cols, focus_kernels(search.measure).table(peaks.all_in_focus.dtype))
     line = aligned((cols + cells - 1,), np.int32)
     out = np.empty((n_rows, cols), np.float32)
     _search_rows(

@@ -6,10 +6,13 @@ values enter and leave. The sums are added up along the row, and the logarithm o
 
 from __future__ import annotations
 
+from functools import partial
 from typing import Any, NamedTuple
 
 import numpy as np
+from numpy.typing import NDArray
 
+from wafer_viewer.model.acquisition.focus_stack import Image
 from wafer_viewer.numerics.filters.sliding_filters import AHEAD, box, window_pieces
 from wafer_viewer.numerics.jit import (
     Float32s,
@@ -24,6 +27,8 @@ from wafer_viewer.numerics.jit import (
     lean_part,
 )
 from wafer_viewer.reconstruct.focus.focus_volume import (
+    Focusing,
+    FocusKernels,
     StackSource,
     Volume,
     accumulate_row,
@@ -33,6 +38,8 @@ from wafer_viewer.reconstruct.focus.focus_volume import (
 )
 
 SML, TENENGRAD, GLV = 0, 1, 2
+_CODES = {"sml": SML, "tenengrad": TENENGRAD, "glv": GLV}
+PAPER_MEASURES = tuple(_CODES)
 
 
 class Rows(NamedTuple):
@@ -70,14 +77,9 @@ class Rows(NamedTuple):
         )
 
 
-def paper_margin_px(window: int) -> int:
-    """Return the margin of a block in pixels: half the window, and one pixel for the derivatives."""
-    return window // 2 + 1
-
-
 @lean_kernel
 def focus_block(source: StackSource, measure: Whole, window: Whole, rows: Rows, volume: Volume) -> None:
-    """Compute the focus volume of a block of frames."""
+    """Compute the focus volume of a block of frames; its margin is half the window, and a pixel for the derivatives."""
     empty(volume)
     shift = np.int32(12 if source.images.itemsize == 1 else 13)
     margin = window // 2 + 1
@@ -113,6 +115,34 @@ def focus_values(source: StackSource, measure: Whole, window: Whole, rows: Rows,
             _add_up(measure, window, rows)
             for x in range(out.shape[1]):
                 out[y, x] = rows.value[x] if measure == GLV else rows.total[0, x]
+
+
+def focus_image(image: Image, measure: str, window: int) -> NDArray[np.float32]:
+    """Return the focus measure of one image [row, col], eq. 2, 3 or 4, as float32 of the same shape.
+
+    Beyond the border the border pixels repeat. Raises KeyError for a measure that is not one of the paper's.
+    """
+    source = StackSource.of(np.ascontiguousarray(image)[None], np.zeros(1, np.int64), 0, 0, 0)
+    out = np.empty(image.shape, np.float32)
+    focus_values(source, _CODES[measure], window, Rows.make(image.shape[1], window, image.dtype), out)
+    return out / np.float32(window * window) if measure == "glv" else out
+
+
+def _kernels(code: int) -> FocusKernels:
+    return FocusKernels(_mantissa_table, Rows.make, partial(_fill, code))
+
+
+def _fill(code: int, source: StackSource, how: Focusing, rows: Rows, volume: Volume) -> None:
+    focus_block(source, code, how.window, rows, volume)
+
+
+def _mantissa_table(dtype: np.dtype[Any]) -> Float32s:
+    """Return log2(1 + fraction) for levels that are the bits of a float32, five or six of them before the point."""
+    bits = 11 if np.dtype(dtype).itemsize == 1 else 10
+    return np.log2(1 + np.arange(2**bits) / 2**bits).astype(np.float32)
+
+
+SML_KERNELS, TENENGRAD_KERNELS, GLV_KERNELS = (_kernels(code) for code in (SML, TENENGRAD, GLV))
 
 
 @inlined_part

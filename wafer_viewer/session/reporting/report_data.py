@@ -17,6 +17,7 @@ from wafer_viewer.model.job import FeatureVerdict, Job, Judgement, Notebook, Waf
 from wafer_viewer.model.measurement.feature import limits_text
 from wafer_viewer.model.region import Region
 from wafer_viewer.model.spec import Spec
+from wafer_viewer.model.surface.focus_measures import focus_measures
 from wafer_viewer.model.surface.height_map import LAYER_TITLES
 from wafer_viewer.session.measurement.measurement_numbers import UNITS, quantity_text, spaced, title_of
 from wafer_viewer.session.planning.verdicts import kept_verdict
@@ -129,11 +130,14 @@ def recipe_pairs(spec: Spec, before: str = "") -> Pairs:
         if isinstance(value, Spec):
             pairs += recipe_pairs(value, f"{before}{spaced(name)}: ")
         else:
-            pairs.append((f"{before}{spaced(name)}", _setting(value)))
+            pairs.append((f"{before}{spaced(name)}", _setting(name, value)))
     return tuple(pairs)
 
 
-def _setting(value: object) -> str:
+def _setting(name: str, value: object) -> str:
+    if name == "focus_measure":
+        measure = focus_measures()[str(value)]
+        return f"{measure.title}: {measure.description}"
     if isinstance(value, bool):
         return "yes" if value else "no"
     return f"{value:.6g}" if isinstance(value, float) else f"{value}".replace("_", " ")
