@@ -68,7 +68,7 @@ print(json.dumps({
     "of_noise": float(of_noise.measured.mean()),
     "choices": FOCUS,
     "summary": summary(settled),
-    "report": dict(recipe_pairs(settled))["focus measure"],
+    "report": dict(recipe_pairs(settled))["Focus measure"],
     "refusal": refusal,
 }))
 """
@@ -119,12 +119,12 @@ def test_it_is_known_and_used_everywhere(
 @pytest.mark.slow
 def test_the_command_line_takes_it(installed: Path, pages: Path, tmp_path: Path, plane_um: NDArray[np.float64]) -> None:
     out = tmp_path / "z.npz"
-    words = ["reconstruct", pages, "--z-step-um", 4, "--z-start-um", 20, "--pixel-um", 0.5, "-o", out]
+    words = ["reconstruct", pages, "--z-step-um", 4, "--pixel-um", 0.5, "-o", out]
     flag = "--recipe.focus-measure"
     run_with(installed, "-W", "error", "-m", "wafer_viewer", *map(str, words), flag, NAME)
     with np.load(out) as kept:
         assert json.loads(str(kept["provenance"]))["recipe"]["focus_measure"] == NAME
-        assert_is_plane(kept["z_um"], plane_um)
+        assert_is_plane(kept["z_um"] + 20, plane_um)
     refused = run_with(installed, "-m", "wafer_viewer", *map(str, words), flag, "sharpness", check=False)
     assert refused.returncode == 2
     assert f"it must be one of log_laplacian, tenengrad, sml, glv, {NAME};" in refused.stderr
@@ -143,9 +143,9 @@ def added(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
         )
         monkeypatch.setitem(focus_measures(), "own", measure)
 
-    focus_kernels.cache_clear()
     yield add
     focus_kernels.cache_clear()
+    peak_search._noise_scores.cache_clear()
 
 
 def contrast(image: NDArray, window: int) -> NDArray:
@@ -195,7 +195,6 @@ def test_peaks_of_pure_noise_are_simulated_for_it(added) -> None:
     of_sml = noise_scores(Search("sml", 5, "argmax", 3), 30)
     assert wide.lead < narrow.lead
     assert narrow.lead == pytest.approx(of_sml.lead, rel=0.3)
-    noise_scores.__globals__["_noise_scores"].cache_clear()
 
 
 def test_one_that_asks_for_it_gets_the_grey_in_units_of_the_noise(added) -> None:
@@ -207,7 +206,6 @@ def test_one_that_asks_for_it_gets_the_grey_in_units_of_the_noise(added) -> None
 
     added(spread, uses_camera_noise=True)
     noise_scores(Search("own", 9, "argmax", 3), 12)
-    noise_scores.__globals__["_noise_scores"].cache_clear()
     assert seen == pytest.approx([1.0] * 12, abs=0.05)
 
 
