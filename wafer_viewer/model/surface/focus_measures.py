@@ -35,8 +35,8 @@ class FocusMeasure(Spec, frozen=True, kw_only=True):
     passes, taps_px : int
         Reach beyond a pixel: number of times that the window is applied, and pixels of the derivatives.
     uses_camera_noise : bool
-        True if the grey values are divided by the camera noise at their brightness first. A plain function receives
-        them so divided.
+        True if the measure takes stabilised grey values, whose camera noise has unit variance at every grey. A plain
+        function receives them in place of the grey values.
     """
 
     error: ClassVar[type[WaferViewerError]] = ComputeError

@@ -87,11 +87,11 @@ class Stitching(Spec, frozen=True, kw_only=True):
 class Recipe(Spec, frozen=True, kw_only=True):
     """All settings from stack to surface. A result carries the recipe with the values chosen by ``auto``.
 
-    focus_width_um: full width at half maximum of a focus curve, which sets the scale for competing maxima, flanks and
-    edges; drift: correct frames shifted or scaled by more than half a pixel, estimated per field; compare_windows:
-    require agreement with the height from a window twice as wide; edges: treatment of walls between bright and dark
-    heights: unchecked (`none`), required to agree with the surface further from the wall (`band`), or searched again
-    along the wall as well (`rims`).
+    focus_measure: a name in `focus_measures`; focus_width_um: full width at half maximum of a focus curve, which sets
+    the scale for competing maxima, flanks and edges; drift: correct frames shifted or scaled by more than half a pixel,
+    estimated per field; compare_windows: require agreement with the height from a window twice as wide; edges:
+    treatment of walls between bright and dark heights: unchecked (`none`), required to agree with the surface further
+    from the wall (`band`), or searched again along the wall as well (`rims`).
     """
 
     error: ClassVar[type[WaferViewerError]] = ComputeError

@@ -78,6 +78,6 @@ def _with_margin(start: int, length: int, margin: int, size: int) -> NDArray[np.
 
 def _levels(focus: NDArray[Any]) -> NDArray[np.uint16]:
     """Return log2 of the focus as 16 bits; 0 where there is none."""
-    with np.errstate(divide="ignore", invalid="ignore"):
-        level = (np.log2(focus) + _OFFSET) * 2**_BITS + 0.5
+    with np.errstate(all="ignore"):
+        level = (np.log2(focus.astype(np.float32)) + _OFFSET) * 2**_BITS + 0.5
     return np.nan_to_num(level, nan=0.0).clip(0, 65535).astype(np.uint16)

@@ -95,7 +95,7 @@ class Search:
         """Interpolation parameters for the kernels."""
         how = PEAKS[self.estimator]
         blend = self.blend if how.blended else 0
-        power = focus_measures()[self.measure].power
+        power = float(focus_measures()[self.measure].power)
         return PeakInterpolation(how.code, power, self.gap, self.reach, blend, self.floored)
 
 
