@@ -57,7 +57,15 @@ def test_the_picture_of_the_architecture_shows_every_room(room):
 
 
 def test_importing_the_package_pulls_in_nothing_heavy():
-    heavy = ["numba", "viser", "open3d", "zarr", "distributed", "scipy", "trimesh", "tifffile", "skimage"]
+    heavy = ["numba", "viser", "open3d", "zarr", "distributed", "scipy", "trimesh", "tifffile", "skimage", "matplotlib"]
     code = f"import sys, wafer_viewer; print([m for m in {heavy!r} if m in sys.modules])"
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
     assert done.stdout.strip() == "[]"
+
+
+@pytest.mark.slow
+def test_the_page_and_its_render_process_start_without_what_draws_for_print():
+    started = "wafer_viewer.gui.app, wafer_viewer.session.rendering.render_dispatch"
+    code = f"import sys, {started}; print('matplotlib' in sys.modules)"
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    assert done.stdout.strip() == "False"

@@ -59,10 +59,13 @@ def test_heights_are_read_from_another_zero(tilted, capsys, tmp_path):
     assert "SIMULATED" in text
 
 
-def test_a_picture_and_a_table_are_written_of_several_lines(tilted, capsys, tmp_path):
-    for name in ("cuts.png", "cuts.csv"):
+def test_figures_and_a_table_are_written_of_several_lines(tilted, capsys, tmp_path):
+    for name in ("cuts.png", "cuts.pdf", "cuts.svg", "cuts.csv"):
         told(capsys, tilted, "--line", -15, 0, 15, 0, -15, 5, 15, 5, "--column", 10, "-o", tmp_path / name)
     assert Image.open(io.BytesIO((tmp_path / "cuts.png").read_bytes())).size == (2008, 1063)
+    assert (tmp_path / "cuts.pdf").read_bytes().startswith(b"%PDF")
+    drawn = (tmp_path / "cuts.svg").read_text()
+    assert all(words in drawn for words in ("z, µm", "Distance along the profile, µm", ">SIMULATED<"))
     heads = next(line for line in (tmp_path / "cuts.csv").read_text().splitlines() if not line.startswith("#"))
     assert [heads.count(f"{letter} z_um") for letter in "ABCD"] == [1, 1, 1, 0]
 
@@ -74,7 +77,7 @@ def test_a_picture_and_a_table_are_written_of_several_lines(tilted, capsys, tmp_
         (("--line", 1, 2, 3), "--line has 3 numbers: give X0 Y0 X1 Y1 for each line."),
         ((), "0 lines are asked for: give 1 to 4"),
         (("--row", 1, 2, 3, 4, 5), "5 lines are asked for: give 1 to 4"),
-        (("--row", 1, "-o", "cut.pdf"), "Profiles cannot be written as '.pdf': use .csv or .png."),
+        (("--row", 1, "-o", "cut.xls"), "Profiles cannot be written as '.xls': use .csv, .png, .pdf or .svg."),
     ],
 )
 def test_what_cannot_be_cut_is_one_sentence(tilted, capsys, tmp_path, monkeypatch, flags, sentence):

@@ -185,7 +185,7 @@ def measure_profile(
         field: A field of the dataset; 0 is the stitched surface.
         result: Name of the reconstruction.
         points: Also print the points of each section.
-        out: Also write all curves to this file, .csv a table, .png a picture at print size.
+        out: Also write all curves to this file, .csv a table, .png, .pdf or .svg a figure for print.
     """
     from wafer_viewer.session.measurement.sections import require_known, write_sections
 

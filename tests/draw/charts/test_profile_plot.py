@@ -1,6 +1,5 @@
 from __future__ import annotations
 
-import io
 import re
 
 import numpy as np
@@ -8,12 +7,10 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
-from PIL import Image
 
 from tests.support.made_up_sections import hill, section_of
 from wafer_viewer.draw.charts.profile_plot import frame_of, profile_plot_html, round_ends, runs, thinned
-from wafer_viewer.draw.colormaps import PROFILE_COLOURS, rgb
-from wafer_viewer.draw.print_figures import HEIGHT_PX, WIDTH_PX, profile_png
+from wafer_viewer.draw.colormaps import PROFILE_COLOURS
 
 rng = np.random.default_rng(3)
 
@@ -102,23 +99,3 @@ def test_every_line_has_its_colour_and_what_is_compared_lies_over_it_in_dashes()
     assert html.count("stroke-dasharray") == 1
     assert html.count("wv-cursor") == 1
     assert len(html) < 60_000
-
-
-def counts(png: bytes, colour: str) -> int:
-    image = np.asarray(Image.open(io.BytesIO(png)).convert("RGB"), int)
-    return int((np.abs(image - np.array(rgb(colour[1:]))).max(axis=2) < 12).sum())
-
-
-@pytest.mark.slow
-def test_the_picture_for_print_shows_both_curves_in_their_colours_and_says_that_it_is_simulated():
-    z = hill()
-    z[:3000] = np.nan
-    png = profile_png([section_of(z), section_of(hill() - 10, 1, simulated=False)])
-    image = Image.open(io.BytesIO(png))
-    assert image.size == (WIDTH_PX, HEIGHT_PX)
-    assert image.info["dpi"] == pytest.approx((300, 300), abs=0.1)
-    assert counts(png, PROFILE_COLOURS[0]) > 2000
-    assert counts(png, PROFILE_COLOURS[1]) > 1.5 * counts(png, PROFILE_COLOURS[0])
-    assert counts(png, PROFILE_COLOURS[2]) == 0
-    red, real = counts(png, "#B42318"), counts(profile_png([section_of(hill(), simulated=False)]), "#B42318")
-    assert red > 500 > 10 > real

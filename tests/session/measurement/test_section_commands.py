@@ -119,5 +119,7 @@ def test_the_files_are_those_of_their_endings(sections):
     found = [sections.section(SectionAsked(0, LINE))]
     assert sections.file(found, ".csv").startswith(b"# Wafer Viewer")
     assert sections.file(found, ".png").startswith(b"\x89PNG")
-    with pytest.raises(DatasetError, match=r"use \.csv or \.png"):
+    assert sections.file(found, ".PDF").startswith(b"%PDF")
+    assert b"<svg" in sections.file(found, ".svg")
+    with pytest.raises(DatasetError, match=r"use \.csv, \.png, \.pdf or \.svg"):
         sections.file(found, ".xls")

@@ -7,15 +7,15 @@ from collections.abc import Sequence
 
 import numpy as np
 
+from wafer_viewer.draw.charts.axes import Axis, round_ticks
 from wafer_viewer.draw.colormaps import ELSEWHERE, ORIGIN_COLOURS, css_gradient, table
-from wafer_viewer.draw.number_format import number, tick_digits, ticks
 from wafer_viewer.model.surface.clipping import Span
 from wafer_viewer.model.surface.height_map import ORIGIN_TITLES
 
 _HISTOGRAM_PX = 44
 _LONG_TITLE = 12
 """Title length in characters above which a smaller font is used."""
-_BAR_PX = 19
+_BAR_PX, _TOP_PX = 19, 34
 LINE_PX = 20
 NOT_MEASURED_CSS = "repeating-linear-gradient(45deg,var(--ink3) 0 1px,transparent 1px 4px)"
 
@@ -40,15 +40,17 @@ def colour_bar_html(
     """
     foot_px = LINE_PX if elsewhere else 0
     title_px = 13.5 if len(title) <= _LONG_TITLE else 12
-    values = ticks(low, high, max(3, height_px // 48))
-    labels = "".join(_label(v, (v - low) / max(high - low, 1e-12), height_px, values, signed) for v in values)
+    axis = Axis((low, high), (_TOP_PX + height_px, _TOP_PX))
+    ticks = round_ticks(axis.ends, max(3, height_px // 48), signed=signed)
+    labels = "".join(_label(axis.at(value), text) for value, text in ticks)
     return (
         f'<div style="position:relative;height:{height_px + 78 + foot_px}px;width:124px">'
         f'<div style="position:absolute;left:12px;top:8px;font-weight:650;font-size:{title_px}px">{html.escape(title)} '
         f'<span style="font-weight:450;color:var(--ink3)">{html.escape(unit)}</span></div>'
         f"{_histogram(counts, height_px)}"
-        f'<div style="position:absolute;left:54px;top:34px;width:{_BAR_PX}px;height:{height_px}px;border-radius:2px;'
-        f'border:1px solid var(--line);box-sizing:border-box;background:{css_gradient(colours)}!important"></div>'
+        f'<div style="position:absolute;left:54px;top:{_TOP_PX}px;width:{_BAR_PX}px;height:{height_px}px;'
+        f"border-radius:2px;border:1px solid var(--line);box-sizing:border-box;"
+        f'background:{css_gradient(colours)}!important"></div>'
         f"{labels}{not_measured_html(f'position:absolute;left:12px;bottom:{9 + foot_px}px')}"
         f"{_elsewhere_html(elsewhere) if elsewhere else ''}</div>"
     )
@@ -93,14 +95,12 @@ def _histogram(counts: Sequence[float], height_px: int) -> str:
     )
     outline = f"{_HISTOGRAM_PX},{height_px} {edge} {_HISTOGRAM_PX},0"
     return (
-        f'<svg style="position:absolute;left:8px;top:34px" width="{_HISTOGRAM_PX}" height="{height_px}">'
+        f'<svg style="position:absolute;left:8px;top:{_TOP_PX}px" width="{_HISTOGRAM_PX}" height="{height_px}">'
         f'<polygon points="{outline}" fill="var(--ink3)" opacity=".38"/></svg>'
     )
 
 
-def _label(value: float, place: float, height_px: int, values: list[float], signed: bool) -> str:
-    top = 34 + height_px * (1 - place)
-    text = number(value, tick_digits(values), signed=signed)
+def _label(top: float, text: str) -> str:
     dash = f"position:absolute;left:74px;top:{top:.0f}px;width:6px;height:1px;background:var(--ink2)!important"
     word = f"position:absolute;left:84px;top:{top - 9:.0f}px;font-size:12.5px;white-space:nowrap"
     return f'<div style="{dash}"></div><div style="{word}">{text}</div>'
@@ -132,14 +132,14 @@ def histogram_html(
     return (
         f'<div class="wv-hist" style="height:{HEIGHT_PX + TICKS_PX}px"><svg viewBox="0 0 {_SIDE} {_SIDE}" '
         f'preserveAspectRatio="none" style="height:{HEIGHT_PX}px" role="img" aria-label="Histogram of heights">{bars}'
-        f"</svg>{_ticks(low, high)}</div>"
+        f"</svg>{_ticks(ends_um)}</div>"
     )
 
 
 def place_of(z_um: float, ends_um: Span) -> float:
     """Return the position of a height, from 0 (left) to 1 (right), clamped to the ends."""
-    low, high = ends_um
-    return min(max((z_um - low) / max(high - low, 1e-12), 0.0), 1.0)
+    axis = Axis(ends_um, (0.0, 1.0))
+    return axis.at(axis.within(z_um))
 
 
 def _fill(z_um: float, colours: tuple[str, float, float] | None, within_um: Span | None) -> str:
@@ -150,9 +150,6 @@ def _fill(z_um: float, colours: tuple[str, float, float] | None, within_um: Span
     return f"rgb({red},{green},{blue})"
 
 
-def _ticks(low: float, high: float) -> str:
-    values = ticks(low, high, 6)
-    return "".join(
-        f'<i style="left:{100 * place_of(v, (low, high)):.2f}%">{number(v, tick_digits(values), signed=v != 0)}</i>'
-        for v in values
-    )
+def _ticks(ends_um: Span) -> str:
+    axis = Axis(ends_um, (0, 100), round_ticks(ends_um, 6, signed=True))
+    return "".join(f'<i style="left:{axis.at(value):.2f}%">{text}</i>' for value, text in axis.ticks)

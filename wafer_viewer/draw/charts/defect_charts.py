@@ -10,6 +10,7 @@ from collections import Counter
 from collections.abc import Callable, Collection, Iterable, Sequence
 from dataclasses import dataclass
 
+from wafer_viewer.draw.charts.axes import Axis
 from wafer_viewer.draw.charts.symbols import KINDS, symbol
 from wafer_viewer.model.inspection.defect import Defect, DefectClass, Inspection, RepeatedPlace
 from wafer_viewer.model.region import Region
@@ -154,7 +155,8 @@ def pareto_svg(kinds: Iterable[DefectClass], *, width_px: int = 300) -> str:
     """Return the bars with counts and cumulative shares, for reports."""
     bars = pareto(kinds)
     most = max((bar.count for bar in bars), default=1)
-    drawn = "".join(_row(k * _ROW_PX, bar, most, width_px) for k, bar in enumerate(bars))
+    counts = Axis((0, most), (_NAME_PX, width_px - 2 * _NUMBER_PX))
+    drawn = "".join(_row(k * _ROW_PX, bar, counts, width_px) for k, bar in enumerate(bars))
     label = "Defects by class, the most frequent first; the share of all up to each"
     return (
         f'<svg viewBox="0 0 {width_px} {len(bars) * _ROW_PX}" width="{width_px}" role="img" '
@@ -162,13 +164,13 @@ def pareto_svg(kinds: Iterable[DefectClass], *, width_px: int = 300) -> str:
     )
 
 
-def _row(y: int, bar: Bar, most: int, width_px: int) -> str:
-    look, length = KINDS[bar.kind], (width_px - _NAME_PX - 2 * _NUMBER_PX) * bar.count / most
+def _row(y: int, bar: Bar, counts: Axis, width_px: int) -> str:
+    look, end = KINDS[bar.kind], counts.at(bar.count)
     return (
         f"{symbol(look.shape, look.colour, 6, y + 10)}"
         f'<text x="{_SIGN_PX}" y="{y + 14}" font-size="12" fill="var(--ink)">{look.title}</text>'
-        f'<rect x="{_NAME_PX}" y="{y + 4}" width="{length:.1f}" height="{_ROW_PX - 8}" fill="{look.colour}"/>'
-        f'<text x="{_NAME_PX + length + 6:.1f}" y="{y + 14}" font-size="12" fill="var(--ink)">{bar.count}</text>'
+        f'<rect x="{_NAME_PX}" y="{y + 4}" width="{end - _NAME_PX:.1f}" height="{_ROW_PX - 8}" fill="{look.colour}"/>'
+        f'<text x="{end + 6:.1f}" y="{y + 14}" font-size="12" fill="var(--ink)">{bar.count}</text>'
         f'<text x="{width_px}" y="{y + 14}" font-size="12" text-anchor="end" fill="var(--ink3)">'
         f"{100 * bar.cumulated:.0f} %</text>"
     )

@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
+from functools import partial
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 from wafer_viewer._version import __version__
 from wafer_viewer.measure.base.height_samples import Layer
@@ -13,6 +15,9 @@ from wafer_viewer.model.measurement.sections import OtherSurface, Section, Secti
 from wafer_viewer.model.surface.height_map import Mosaic
 from wafer_viewer.session.measurement.dataset_queries import DatasetQueries
 from wafer_viewer.session.state.snapshot import Snapshot
+
+if TYPE_CHECKING:
+    from wafer_viewer.draw.print_figures import ProfileFormat
 
 
 def cut(asked: SectionAsked, surface: Mosaic, calibrated: bool, source: str) -> Section:
@@ -42,8 +47,9 @@ def file_of(sections: Sequence[Section], ending: str) -> bytes:
 
 def require_known(ending: str) -> None:
     """Raise DatasetError if sections cannot be written to a file with that ending."""
-    if ending.lower() not in FILES:
-        raise DatasetError(f"Profiles cannot be written as '{ending}': use {' or '.join(FILES)}.")
+    known = list(FILES)
+    if ending.lower() not in known:
+        raise DatasetError(f"Profiles cannot be written as '{ending}': use {', '.join(known[:-1])} or {known[-1]}.")
 
 
 def write_sections(sections: Sequence[Section], path: Path) -> None:
@@ -61,13 +67,18 @@ def _table(sections: Sequence[Section]) -> bytes:
     return profiles_csv(sections, __version__).encode()
 
 
-def _picture(sections: Sequence[Section]) -> bytes:
-    from wafer_viewer.draw.print_figures import profile_png
+def _figure(sections: Sequence[Section], kind: ProfileFormat) -> bytes:
+    from wafer_viewer.draw.print_figures import profile_figure
 
-    return profile_png(sections)
+    return profile_figure(sections, kind)
 
 
-FILES: dict[str, Callable[[Sequence[Section]], bytes]] = {".csv": _table, ".png": _picture}
+FILES: dict[str, Callable[[Sequence[Section]], bytes]] = {
+    ".csv": _table,
+    ".png": partial(_figure, kind="png"),
+    ".pdf": partial(_figure, kind="pdf"),
+    ".svg": partial(_figure, kind="svg"),
+}
 """Section writers by file ending."""
 
 
@@ -123,5 +134,5 @@ class Sections:
         return Levelled(surface, self._zero[1], levelling)
 
     def file(self, sections: Sequence[Section], ending: str) -> bytes:
-        """Return the sections as the content of a file with that ending, ``.csv`` or ``.png``."""
+        """Return the sections as the content of a file with that ending, one of `FILES`."""
         return file_of(sections, ending)

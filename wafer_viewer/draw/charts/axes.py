@@ -1,0 +1,151 @@
+"""Axes of charts: limits, ticks and positions in the drawing; grid lines, labels and the plot as SVG and HTML.
+
+Colours are the page's custom properties (``--ink``, ``--line``, ...), so one drawing serves light and dark.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TypeVar
+
+import numpy as np
+from numpy.typing import NDArray
+
+from wafer_viewer.draw.number_format import number, tick_digits, ticks
+
+Floats = NDArray[np.float64]
+Ends = tuple[float, float]
+Tick = tuple[float, str]
+"""Value and label."""
+Value = TypeVar("Value", float, Floats)
+SIDE = 1000
+"""Side of a stretched drawing in its own units."""
+_LEAST_RANGE = 1e-12
+
+
+def round_ticks(ends: Ends, most: int, *, signed: bool = False) -> tuple[Tick, ...]:
+    """Return round values between two ends, at most about `most`, labelled with the decimals that they need."""
+    values = ticks(*ends, most)
+    digits = tick_digits(values)
+    return tuple((value, number(value, digits, signed=signed)) for value in values)
+
+
+@dataclass(frozen=True, slots=True)
+class Axis:
+    """Linear axis: the values at its low and high end, the positions of these ends in the drawing, and its ticks."""
+
+    ends: Ends
+    span: Ends
+    ticks: tuple[Tick, ...] = ()
+
+    def at(self, value: Value) -> Value:
+        """Return the position of a value in the drawing."""
+        low, high = self.ends
+        first, last = self.span
+        return first + (value - low) / (high - low or _LEAST_RANGE) * (last - first)
+
+    def within(self, value: float) -> float:
+        """Return a value clamped to the ends."""
+        low, high = sorted(self.ends)
+        return min(max(value, low), high)
+
+    def percent(self, value: float) -> float:
+        """Return the position of a value from the left or the top of a drawing that starts at 0, in percent."""
+        return 100 * self.at(value) / max(self.span)
+
+
+@dataclass(frozen=True, slots=True)
+class Axes:
+    """Two axes: x to the right, y upwards. The span of y is its foot and its top, since y grows downwards in SVG."""
+
+    x: Axis
+    y: Axis
+
+    @classmethod
+    def stretched(
+        cls, x: Ends, y: Ends, x_ticks: tuple[Tick, ...], y_ticks: tuple[Tick, ...], side: float = SIDE
+    ) -> Axes:
+        """Return axes over a whole square drawing, which `plot_html` stretches."""
+        return cls(Axis(x, (0, side), x_ticks), Axis(y, (side, 0), y_ticks))
+
+    def level(self, value: float) -> str:
+        """Return the path of a horizontal line across the plot."""
+        left, right = self.x.span
+        return f"M{left:g} {self.y.at(value):.1f}H{right:g}"
+
+    def upright(self, value: float) -> str:
+        """Return the path of a vertical line across the plot."""
+        foot, top = self.y.span
+        return f"M{self.x.at(value):.1f} {top:g}V{foot:g}"
+
+    def grid(self) -> str:
+        """Return the path of the grid lines."""
+        return "".join([*(self.upright(x) for x, _ in self.x.ticks), *(self.level(y) for y, _ in self.y.ticks)])
+
+    def labels_html(self) -> str:
+        """Return the tick labels, placed in percent beside a stretched drawing."""
+        below = (f'<i class="x" style="left:{self.x.percent(x):.2f}%">{text}</i>' for x, text in self.x.ticks)
+        beside = (f'<i class="y" style="top:{self.y.percent(y):.2f}%">{text}</i>' for y, text in self.y.ticks)
+        return "".join([*below, *beside])
+
+    def labels_svg(self) -> str:
+        """Return the tick labels as text elements below and left of the plot."""
+        left, foot = self.x.span[0] - 6, self.y.span[0] + 14
+        below = (
+            f'<text x="{self.x.at(x):.1f}" y="{foot:g}" text-anchor="middle">{text}</text>' for x, text in self.x.ticks
+        )
+        beside = (
+            f'<text x="{left:g}" y="{self.y.at(y) + 4:.1f}" text-anchor="end">{text}</text>' for y, text in self.y.ticks
+        )
+        return "".join([*below, *beside])
+
+    def frame(self) -> str:
+        """Return the path around the plot."""
+        (left, right), (foot, top) = self.x.span, self.y.span
+        return f"M{left:g} {top:g}H{right:g}V{foot:g}H{left:g}Z"
+
+
+def line_svg(d: str, colour: str, width_px: float, more: str = "") -> str:
+    """Return a path as a line in a colour of the page; `more`: further attributes."""
+    return f'<path d="{d}" stroke="var(--{colour})" stroke-width="{width_px:g}" {more}/>'
+
+
+@dataclass(frozen=True, slots=True)
+class PlotLook:
+    """Names of a plot and of its axes, its margins in px, and the classes and style of its element."""
+
+    name: str
+    y_title: str
+    x_title: str = ""
+    left_px: int = 50
+    right_px: int = 14
+    top_px: int = 8
+    foot_px: int = 40
+    classes: str = ""
+    style: str = ""
+
+
+def plot_html(axes: Axes, look: PlotLook, drawn: str, over: str = "") -> str:
+    """Return a plot that fills its container.
+
+    Parameters
+    ----------
+    axes
+        Stretched axes, whose grid and labels are drawn.
+    look
+        Names, margins and classes.
+    drawn
+        SVG elements over the grid, in the units of the axes.
+    over
+        HTML over the drawing, placed in percent.
+    """
+    place = f"left:{look.left_px}px;right:{look.right_px}px;top:{look.top_px}px;bottom:{look.foot_px}px"
+    across, down = max(axes.x.span), max(axes.y.span)
+    style = f' style="{look.style}"' if look.style else ""
+    x_title = f'<span class="wv-plot-x">{look.x_title}</span>' if look.x_title else ""
+    return (
+        f'<div class="{f"wv-plot {look.classes}".strip()}"{style}><div style="position:absolute;{place}">'
+        f'<svg viewBox="0 0 {across:g} {down:g}" preserveAspectRatio="none" role="img" aria-label="{look.name}">'
+        f"{line_svg(axes.grid(), 'line', 1)}{drawn}</svg>{axes.labels_html()}{over}</div>"
+        f'<span class="wv-plot-y">{look.y_title}</span>{x_title}</div>'
+    )
