@@ -32,6 +32,7 @@ _STYLE: Mapping[str, Any] = {
     "pdf.fonttype": 42,  # letters as TrueType, and in SVG as text: they can be searched and edited
     "svg.fonttype": "none",
     "svg.hashsalt": "wafer-viewer",  # the same figure is the same file
+    "text.parse_math": False,  # names may have dollar signs
 }
 _STYLE_LOCK = threading.Lock()
 """Lock of matplotlib's settings, which are global."""

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 import io
 import re
 import xml.etree.ElementTree as ElementTree
@@ -52,6 +53,11 @@ def test_the_words_of_a_drawing_are_text_with_units_and_sources():
     assert {"z, µm", "Distance along the profile, µm", "1\u202f000", "SIMULATED"} <= set(told)
     assert any(text.startswith("A\u2003coupon-07, measured heights") for text in told)
     assert "SIMULATED" not in texts(profile_figure([section_of(hill(), simulated=False)], "svg"))
+
+
+def test_dollar_signs_in_a_name_are_letters():
+    section = dataclasses.replace(section_of(hill(50)), source="lot_$7_x^$")
+    assert any("lot_$7_x^$" in text for text in texts(profile_figure([section], "svg")))
 
 
 def test_a_gap_stays_open_and_a_single_point_in_it_is_a_dot():
