@@ -138,8 +138,7 @@ def histogram_html(
 
 def place_of(z_um: float, ends_um: Span) -> float:
     """Return the position of a height, from 0 (left) to 1 (right), clamped to the ends."""
-    axis = Axis(ends_um, (0.0, 1.0))
-    return axis.at(axis.within(z_um))
+    return min(max(Axis(ends_um, (0.0, 1.0)).at(z_um), 0.0), 1.0)
 
 
 def _fill(z_um: float, colours: tuple[str, float, float] | None, within_um: Span | None) -> str:
