@@ -10,6 +10,7 @@ from collections.abc import Callable
 from concurrent.futures import Future
 from typing import Any, get_type_hints
 
+from wafer_viewer.session.core.commands import Command
 from wafer_viewer.session.inspection.inspection_files import DefectFiles
 from wafer_viewer.session.inspection.reference_views import DefectViews
 
@@ -27,11 +28,11 @@ def groups_of(true: type) -> dict[str, type]:
 
 def verbs_of(true: type) -> dict[str, inspect.Signature]:
     """The public verbs of a class, with their signatures as a caller sees them."""
-    return {
-        name: _called(verb)
-        for name, verb in inspect.getmembers_static(true, inspect.isfunction)
-        if not name.startswith("_")
-    }
+    return {name: _called(verb) for name, verb in inspect.getmembers_static(true, _is_verb) if not name.startswith("_")}
+
+
+def _is_verb(member: Any) -> bool:
+    return inspect.isfunction(member) or isinstance(member, Command)
 
 
 def answers_later(signature: inspect.Signature) -> bool:
@@ -44,12 +45,18 @@ def _called(verb: Callable[..., Any]) -> inspect.Signature:
     return signature.replace(parameters=list(signature.parameters.values())[1:])
 
 
+def _needs_control(true: type, name: str) -> bool:
+    return getattr(getattr(true, name), "needs_control", True)
+
+
 class Recording:
     """Stands in for `true`: a subclass answers some verbs itself, the rest are recorded under their path."""
 
     def __init__(self, true: type, record: Record, path: str = "") -> None:
         self._true, self._record, self._path = true, record, path
         self._groups: dict[str, Recording] = {}
+        for name in verbs_of(true).keys() & verbs_of(type(self)).keys():
+            getattr(type(self), name).needs_control = _needs_control(true, name)
 
     def __getattr__(self, name: str) -> Any:
         if name.startswith("_"):
@@ -66,5 +73,5 @@ class Recording:
             signature.bind(*args, **kwargs)
             return self._record(f"{self._path}{name}", args, kwargs)
 
-        verb.__signature__ = signature
+        verb.__signature__, verb.needs_control = signature, _needs_control(self._true, name)
         return verb

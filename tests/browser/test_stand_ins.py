@@ -21,7 +21,6 @@ from tests.browser.sessions.shaped_session import ShapedSession
 from tests.browser.sessions.stitched_session import GrowingSession, StitchedSession
 from wafer_viewer.model.errors import WaferViewerError
 from wafer_viewer.model.job import SavedView
-from wafer_viewer.session.api import SessionApi
 from wafer_viewer.session.files.documents import Documents as TruePapers
 from wafer_viewer.session.session import Session
 
@@ -38,20 +37,11 @@ STAND_INS: dict[str, Callable[[], Any]] = {
 }
 
 
-def test_the_session_has_every_verb_of_its_interface_and_the_page_can_ask_for_every_verb_it_has():
-    """`Session.close` and `wait_until` are for who made it, not for a page."""
-    own = verbs_of(Session)
-    assert set(own) - {"close", "wait_until"} == set(verbs_of(SessionApi))
-    assert {name: str(verbs_of(SessionApi)[name]) for name in verbs_of(SessionApi)} == {
-        name: str(signature) for name, signature in own.items() if name not in ("close", "wait_until")
-    }
-
-
 @pytest.mark.parametrize("name", STAND_INS)
 def test_a_stand_in_has_the_verbs_of_the_session_and_no_others(name: str):
     session = STAND_INS[name]()
     try:
-        assert list(differences(session, SessionApi, "session")) == []
+        assert list(differences(session, Session, "session")) == []
     finally:
         getattr(session, "close", lambda: None)()
 
@@ -167,7 +157,7 @@ VERBS: dict[str, Callable[[Any], Any]] = {
 
 @pytest.mark.parametrize("name", VERBS)
 def test_both_answer_in_the_same_way(session: Any, name: str):
-    expected = verbs_of(SessionApi).get(name) or _of_group(name)
+    expected = verbs_of(Session).get(name) or _of_group(name)
     answer = VERBS[name](session)
     assert isinstance(answer, Future) == answers_later(expected)
     if isinstance(answer, Future) and (fault := answer.exception(60)) is not None:
@@ -176,4 +166,4 @@ def test_both_answer_in_the_same_way(session: Any, name: str):
 
 def _of_group(name: str) -> inspect.Signature:
     group, verb = name.split(".")
-    return verbs_of(groups_of(SessionApi)[group])[verb]
+    return verbs_of(groups_of(Session)[group])[verb]

@@ -31,7 +31,7 @@ from wafer_viewer.model.errors import WaferViewerError
 from wafer_viewer.session.files.documents import read_report
 
 if TYPE_CHECKING:
-    from wafer_viewer.session.api import SessionApi
+    from wafer_viewer.session.session import Session
 
 with contextlib.suppress(ImportError):
     importlib.import_module("cv2")
@@ -53,7 +53,7 @@ class Running:
 
 
 def serve(
-    session: SessionApi,
+    session: Session,
     host: str = "127.0.0.1",
     port: int = 8080,
     announce: Callable[[str], None] = functools.partial(print, flush=True),
@@ -99,7 +99,7 @@ def _hear_requests_to_end() -> threading.Event:
     return asked
 
 
-def start(session: SessionApi, host: str = "127.0.0.1", port: int = 0, token: str | None = None) -> Running:
+def start(session: Session, host: str = "127.0.0.1", port: int = 0, token: str | None = None) -> Running:
     """Serve the session to browsers and return at once; port 0 takes a free port, no token a new one.
 
     Raises WaferViewerError when the port is in use.
@@ -139,7 +139,7 @@ def start(session: SessionApi, host: str = "127.0.0.1", port: int = 0, token: st
     return Running(guard.address, stop)
 
 
-def _report_folders(session: SessionApi) -> tuple[Path, ...]:
+def _report_folders(session: Session) -> tuple[Path, ...]:
     now = session.snapshot
     beside = (now.dataset.path.parent,) if now.dataset is not None else ()
     return *beside, now.data_folder

@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+import threading
 import time
 from concurrent.futures import Future
 from dataclasses import replace
 from itertools import count
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 from wafer_viewer.model.acquisition.plan import MIN_FRAMES
 from wafer_viewer.model.acquisition.sample import Sample
@@ -18,51 +20,67 @@ from wafer_viewer.session.acquisition.rig_client import RigCallbacks, RigClient
 from wafer_viewer.session.acquisition.rig_messages import FrameTaken, Move, OverviewReady, RigReady, Scan, ScanEnded
 from wafer_viewer.session.core.background_work import BackgroundWork, Notifications
 from wafer_viewer.session.core.command_queue import CommandQueue
-from wafer_viewer.session.core.dataset_library import ENDING, Library, free_name, today
-from wafer_viewer.session.files.file_jobs import FileWork
-from wafer_viewer.session.gauge.gauge_controller import GaugeKeeper
-from wafer_viewer.session.inspection.inspection_commands import DefectKeeper
-from wafer_viewer.session.inspection.inspection_files import DefectFilesKeeper
-from wafer_viewer.session.measurement.results import NotebookKeeper, ResultsStore
-from wafer_viewer.session.planning.job_commands import JobKeeper, TrialKeeper
+from wafer_viewer.session.core.commands import command, observer_command, query
+from wafer_viewer.session.core.dataset_library import DEFAULT_RESULT, ENDING, Library, free_name, today
+from wafer_viewer.session.files.documents import Documents
+from wafer_viewer.session.files.file_jobs import FileJobs
+from wafer_viewer.session.gauge.gauge_controller import GaugeController
+from wafer_viewer.session.inspection.inspection_commands import DefectController
+from wafer_viewer.session.inspection.inspection_files import DefectFiles
+from wafer_viewer.session.inspection.reference_views import DefectViews
+from wafer_viewer.session.measurement.dataset_queries import DatasetQueries
+from wafer_viewer.session.measurement.results import NotebookController, ResultsStore
+from wafer_viewer.session.planning.job_commands import JobController, TrialController
 from wafer_viewer.session.planning.plan_editor import Drafting, suggested_name
 from wafer_viewer.session.planning.preflight import preflight_of_snapshot, require_passed
 from wafer_viewer.session.planning.verdicts import Judge
 from wafer_viewer.session.session_restore import SessionRestore
 from wafer_viewer.session.state.snapshot import FieldState, RigStatus, Snapshot
-from wafer_viewer.session.surface.comparison_commands import ComparingKeeper
+from wafer_viewer.session.surface.comparison_commands import ComparisonController
 from wafer_viewer.session.surface.focus_evidence import focus_curve
 from wafer_viewer.session.surface.reconstruction_queue import Reconstruction
 
+if TYPE_CHECKING:
+    from wafer_viewer.session.rendering.render_process import Painter
+    from wafer_viewer.session.rendering.render_request import RenderRequest
+
 
 class SessionCoordinator:
-    """Coordinator of the session; all methods except the constructor and `close` run on the session's thread."""
+    """Controller of what needs several parts of the session.
+
+    All methods except the constructor, `move_to`, `stop`, `paint` and `close` run on the session's thread.
+    """
 
     def __init__(self, folder: Path, config: RigConfig, scheduler: str | None) -> None:
         self._folder = _made(folder)
         status = RigStatus(name=config.name, simulated=config.kind == "virtual")
-        self.desk = desk = CommandQueue(Snapshot(rig=status, data_folder=self._folder, reopening=True))
+        self.desk = self._desk = desk = CommandQueue(Snapshot(rig=status, data_folder=self._folder, reopening=True))
         self.reopening = SessionRestore(self._folder)
         self.notices = Notifications(desk)
         self.drafting = Drafting(desk, self._folder)
         self.library = Library(desk, self._folder)
         self.reconstruction = Reconstruction(desk, self.notices, self.library, scheduler)
         self.background = BackgroundWork(desk, self.notices, self.reconstruction.compute)
-        self.files = FileWork(desk, self.library, self.background)
+        self.files = FileJobs(desk, self.library, self.background, self.open.run)
+        self.papers = Documents(desk, self.library, self.files)
+        self.queries = DatasetQueries(self.library, lambda: desk.snapshot)
         self.book = ResultsStore(desk, self.library)
-        self.notebook = NotebookKeeper(desk, self.library)
-        self.comparing = ComparingKeeper(desk, self.notices, self.library, self.reconstruction.compute)
-        self.defects = DefectKeeper(desk, self.notices, self.library, self.reconstruction.compute)
-        self.defect_files = DefectFilesKeeper(desk, self.library, self.background, self._folder)
-        self.jobs = JobKeeper(desk, self.drafting, self._folder)
-        self.gauge = GaugeKeeper(desk, self.library, self.book, self._folder)
-        self.trials = TrialKeeper(desk, self.notices, self.drafting, self.reconstruction.compute)
+        self.notebook = NotebookController(desk, self.library)
+        self.comparing = ComparisonController(desk, self.library, self.background)
+        files = DefectFiles(desk, self.library, self.background, self._folder)
+        views = DefectViews(self.paint, lambda: desk.snapshot)
+        self.defects = DefectController(desk, self.library, self.background, files, views)
+        self.jobs = JobController(desk, self.drafting, self._folder)
+        self.gauge = GaugeController(desk, self.library, self.book, self.queries, self._folder)
+        self.trials = TrialController(desk, self.background, self.drafting)
         self.judge = Judge(desk, self.library, self.notices)
         reports = RigCallbacks(self._rig_ready, self._sample_seen, self._taken, self._field_complete, self._scan_ended)
         self.rig = RigClient(desk, self.notices, config, reports)
         self._sample: Sample | None = None
         self._scan_over: Future[None] = Future()
         self._asked = count(1)
+        self._painter: Painter | None = None
+        self._painter_lock = threading.Lock()
 
     def start(self) -> None:
         """Start the rig and list the available data.
@@ -73,9 +91,9 @@ class SessionCoordinator:
         self.defects.watch()
         self.desk.subscribe(lambda now: self.desk.note(self._load_sample) if _sample_of(now) != self._sample else None)
         self.drafting.price()
-        self.library.refresh()
-        self.jobs.refresh()
-        self.defect_files.refresh()
+        self.library.refresh.run()
+        self.jobs.refresh.run()
+        self.defects.files.refresh.run()
         try:
             self._reopen()
         except WaferViewerError as fault:
@@ -93,15 +111,28 @@ class SessionCoordinator:
         self.rig.close()
         self.reconstruction.compute.close()
         self.library.release_lock()
+        if self._painter is not None:
+            self._painter.close()
 
+    @query
+    def paint(self, request: RenderRequest) -> Future[bytes]:
+        """Render an image tile, in a separate process, which starts with the first one."""
+        from wafer_viewer.session.rendering.render_process import Painter
+
+        with self._painter_lock:
+            self._painter = self._painter or Painter()
+        return self._painter.paint(request)
+
+    @command
     def open(self, path: Path) -> Path:
         """Open a dataset and compute the missing parts of its surface."""
+        path = Path(path)
         self.rig.require_idle("open another dataset")
         self.reconstruction.abandon()
         self.library.open(path)
         self._open_books()
         self._compute_missing()
-        self.library.refresh()
+        self.library.refresh.run()
         return path
 
     def _reopen(self) -> None:
@@ -118,7 +149,7 @@ class SessionCoordinator:
         path = Path(kept.dataset)
         if not path.exists():
             raise DatasetError(f"{path} was open and is not there any more: open it from where it is now.")
-        self.open(path)
+        self.open.run(path)
         if kept.result in self.library.shown.results:
             self._look_at(kept.result)
         if (why := self.library.shown.read_only) is not None:
@@ -132,11 +163,18 @@ class SessionCoordinator:
             self._open_books()
             self._compute_missing()
 
-    def move_to(self, move: Move, n_stops: int | None = None) -> Future[None]:
-        """Move the stage; the sample on it must be confirmed."""
+    def move_to(self, x_um: float | None = None, y_um: float | None = None, z_um: float | None = None) -> Future[None]:
+        """Move the stage; the future is done on arrival, or fails with MotionStopped.
+
+        The sample on the stage must be confirmed. A move that is queued when motion is stopped does not start.
+        """
+        return self._desk.do(self._move, Move(x_um, y_um, z_um), self.rig.n_stops)
+
+    def _move(self, move: Move, n_stops: int) -> Future[None]:
         self.drafting.require_confirmed()
         return self.rig.move_to(move, n_stops)
 
+    @command
     def close_dataset(self) -> None:
         """Close the dataset."""
         self.rig.require_idle("close its dataset")
@@ -144,8 +182,12 @@ class SessionCoordinator:
         self.library.close()
         self._open_books()
 
-    def start_scan(self, name: str | None) -> Future[Path]:
-        """Scan the plan into a new dataset."""
+    @command
+    def start_scan(self, name: str | None = None) -> Future[Path]:
+        """Scan the plan into a new dataset, which is then the open one.
+
+        The future is done once the scan has started.
+        """
         from wafer_viewer.store.io.atomic_files import require_space
 
         self.rig.require_idle("start another")
@@ -155,8 +197,9 @@ class SessionCoordinator:
         require_passed(preflight_of_snapshot(self.desk.now, self.rig.latest_frame, today()))
         return self._begin(Scan(path, plan, job))
 
+    @command
     def continue_scan(self) -> Future[Path]:
-        """Scan the missing frames of the open dataset."""
+        """Scan the missing frames of the open dataset; the future is done once the scan has started."""
         self.rig.require_idle("start another")
         self.drafting.require_confirmed()
         shown = self.library.shown
@@ -167,8 +210,12 @@ class SessionCoordinator:
         self.library.release_lock()
         return self._begin(Scan(shown.path, shown.plan, shown.job, goes_on=True))
 
+    @observer_command
     def stop_scan(self) -> Future[None]:
-        """End the scan; the future is done when the scan is over, at once if none is running."""
+        """End the scan; the future is done when the rig is at rest, at once without a scan.
+
+        This is no emergency stop.
+        """
         if not self.desk.now.scanning:
             over: Future[None] = Future()
             over.set_result(None)
@@ -176,14 +223,23 @@ class SessionCoordinator:
         self.rig.stop_scan()
         return self._scan_over
 
-    def stop(self, at_once: Future[bool]) -> Future[bool]:
+    @query
+    def stop(self) -> Future[bool]:
+        """Stop all motion at once, including a scan's; the result at rest is False if nothing moved.
+
+        This is no emergency stop.
+        """
+        return self._desk.do(self._stop, self.rig.stop_at_once())
+
+    def _stop(self, at_once: Future[bool]) -> Future[bool]:
         """Stop queued commands that precede a stop already sent to the rig directly (`at_once`)."""
         if self.desk.now.scanning:
-            return self.desk.then(self.stop_scan(), lambda _: True)
+            return self.desk.then(self.stop_scan.run(), lambda _: True)
         return self.desk.then(self.rig.break_off(), lambda anything: anything or at_once.result())
 
-    def reconstruct(self, recipe: Recipe | None, result: str) -> Future[None]:
-        """Recompute all heights of the open dataset."""
+    @command
+    def reconstruct(self, recipe: Recipe | None = None, result: str = DEFAULT_RESULT) -> Future[None]:
+        """Recompute all heights of the open dataset and stitch them; the future is done when the surface exists."""
         shown = self.library.shown
         if not shown.fields:
             raise DatasetError(f"{shown.name} is a surface without frames: there is nothing to reconstruct.")
@@ -199,8 +255,12 @@ class SessionCoordinator:
         self.reconstruction.begin(recipe or shown.job.recipe, result, fields, answer)
         return answer
 
-    def focus_curve(self, x_um: float, y_um: float, show: int) -> Future[FocusCurve]:
-        """Compute the focus curve of a pixel on a worker."""
+    @observer_command
+    def focus_curve(self, x_um: float, y_um: float, show: int = 0) -> Future[FocusCurve]:
+        """Return the focus curve that determines the height of a pixel.
+
+        Show 0 uses the field with the nearest centre.
+        """
         asked = (self.library.dataset.path, self.library.result_name, show, x_um, y_um)
         return self.reconstruction.compute.run(f"why-{next(self._asked)}", focus_curve, *asked)
 
@@ -210,7 +270,7 @@ class SessionCoordinator:
         self.notebook.open()
         self.comparing.open()
         self.defects.open()
-        self.defect_files.open()
+        self.defects.files.open()
 
     def _path_for(self, name: str) -> Path:
         path = self._folder / f"{Path(name).name.removesuffix(ENDING)}{ENDING}"
@@ -240,7 +300,7 @@ class SessionCoordinator:
         shown = self.library.shown
         taken = [n for n, state in shown.states.items() if state is FieldState.TAKEN]
         self.reconstruction.begin(shown.job.recipe, self.library.result_name, taken)
-        self.library.refresh()
+        self.library.refresh.run()
         return path
 
     def _load_sample(self) -> None:

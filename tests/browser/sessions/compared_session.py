@@ -13,7 +13,7 @@ from tests.support.page_stand_in import height_map
 from wafer_viewer.model.surface.comparison import Align, Change, Comparison, ComparisonFace, Registration, SurfaceName
 from wafer_viewer.model.surface.height_map import HeightMap
 from wafer_viewer.session.state.snapshot import Compared
-from wafer_viewer.session.surface.comparison_commands import ComparingVerbs
+from wafer_viewer.session.surface.comparison_commands import ComparisonController
 
 BUMP = slice(200, 260), slice(120, 210)
 CHANGE = Change(
@@ -42,7 +42,7 @@ class ComparedSession(SeenSession):
     def __init__(self) -> None:
         super().__init__()
         self.change(comparisons=comparisons())
-        self.comparing = _Comparing(ComparingVerbs, self._done, "comparing.")
+        self.comparing = _Comparing(ComparisonController, self._done, "comparing.")
         surfaces = self._painter.shelf.surfaces
         surfaces |= _faces(surfaces[0])
 

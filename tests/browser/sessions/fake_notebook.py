@@ -12,14 +12,14 @@ from wafer_viewer.model.job import Judgement, Notebook, SavedView
 from wafer_viewer.model.report import Contents, Holds, ReportOrder
 from wafer_viewer.model.spec import replace
 from wafer_viewer.session.files.documents import Documents
-from wafer_viewer.session.measurement.results import NotebookVerbs
+from wafer_viewer.session.measurement.results import NotebookController
 
 
 class FakeNotebook(Recording):
     """Remembers what it is asked and changes the notebook of the snapshot at once."""
 
     def __init__(self, session: Any) -> None:
-        super().__init__(NotebookVerbs, session._done, "notebook.")
+        super().__init__(NotebookController, session._done, "notebook.")
         self._session = session
         self._before: list[Notebook] = []
 

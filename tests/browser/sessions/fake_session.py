@@ -31,9 +31,9 @@ from wafer_viewer.model.region import Region
 from wafer_viewer.model.surface.field_poses import Poses, RejectionReason
 from wafer_viewer.model.surface.recipe import Levy, Noise, Outliers, Recipe
 from wafer_viewer.rigs.virtual.rig import CALIBRATION, SETUP, virtual_limits
-from wafer_viewer.session.api import SessionApi
 from wafer_viewer.session.files.file_browser import Browsing
-from wafer_viewer.session.gauge.gauge_controller import GaugeVerbs
+from wafer_viewer.session.gauge.gauge_controller import GaugeController
+from wafer_viewer.session.session import Session
 from wafer_viewer.session.state.snapshot import (
     DatasetEntry,
     Draft,
@@ -57,7 +57,7 @@ class FakeSession(Recording):
     """Every verb is remembered in `asked` and done at once; `edit_job` makes a new draft."""
 
     def __init__(self, snapshot: Snapshot) -> None:
-        super().__init__(SessionApi, lambda *asked: self._done(*asked))
+        super().__init__(Session, lambda *asked: self._done(*asked))
         self.snapshot = snapshot
         self.latest_frame: LatestFrame | None = None
         self.asked: list[tuple[str, tuple[Any, ...], dict[str, Any]]] = []
@@ -68,7 +68,7 @@ class FakeSession(Recording):
         self.sections = FakeSections()
         self.browsing = Browsing(DATA, (Path(tempfile.gettempdir()),), home=None)
         self.notebook, self.papers = FakeNotebook(self), FakePapers(self)
-        self.gauge: Any = NoFaces(GaugeVerbs, self._done, "gauge.")
+        self.gauge: Any = NoFaces(GaugeController, self._done, "gauge.")
 
     def subscribe(self, listener: Callable[[Snapshot], None]) -> Callable[[], None]:
         self._listeners.append(listener)
@@ -96,7 +96,9 @@ class FakeSession(Recording):
         answer.set_result(anything)
         return answer
 
-    def profile(self, line: Region, show: int = 0, levelling: Levelling | None = None) -> tuple[Profile, ProfileCurve]:
+    def profile(
+        self, line: Region, show: int = 0, levelling: Levelling | None = None, layer: Any = None
+    ) -> tuple[Profile, ProfileCurve]:
         return a_profile(line)
 
     def read_out(self, x_um: float, y_um: float, show: int = 0) -> Any:

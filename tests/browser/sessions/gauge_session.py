@@ -33,7 +33,7 @@ from wafer_viewer.model.region import Region
 from wafer_viewer.model.spec import replace
 from wafer_viewer.model.surface.height_map import HeightMap
 from wafer_viewer.session.gauge import gauge_check as work
-from wafer_viewer.session.gauge.gauge_controller import GaugeVerbs
+from wafer_viewer.session.gauge.gauge_controller import GaugeController
 from wafer_viewer.session.gauge.repeat_scans import Studies
 from wafer_viewer.session.measurement.dataset_queries import Measuring
 from wafer_viewer.session.state.inspection_state import GaugeState, Tick
@@ -49,7 +49,7 @@ class FakeGauge(Recording):
     """The verbs of a check; each repeat is a scan of its own, a little off the one before."""
 
     def __init__(self, session: GaugeSession) -> None:
-        super().__init__(GaugeVerbs, session._done, "gauge.")
+        super().__init__(GaugeController, session._done, "gauge.")
         self._session = session
 
     def load_certificate(self, path: Path) -> Future[Certificate]:

@@ -22,7 +22,7 @@ from wafer_viewer.model.quantity import Length
 from wafer_viewer.model.region import Point, Region
 from wafer_viewer.model.spec import replace
 from wafer_viewer.model.surface.height_map import HeightMap
-from wafer_viewer.session.inspection.inspection_commands import DefectVerbs
+from wafer_viewer.session.inspection.inspection_commands import DefectController
 from wafer_viewer.session.inspection.reference_views import DefectViews, Earlier
 from wafer_viewer.session.measurement.sections import cut
 from wafer_viewer.session.rendering.render_request import SurfaceKey
@@ -113,7 +113,7 @@ class FakeDefects(Recording):
     """Judges at once, with undo."""
 
     def __init__(self, session: Any) -> None:
-        super().__init__(DefectVerbs, session._done, "defects.")
+        super().__init__(DefectController, session._done, "defects.")
         self._session = session
         self.files = FakeDefectFiles(session)
         self._before: list[Inspection] = []

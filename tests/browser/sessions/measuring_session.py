@@ -33,7 +33,7 @@ from wafer_viewer.model.region import Region
 from wafer_viewer.model.spec import replace
 from wafer_viewer.model.surface.height_map import HeightMap, Origin, Provenance
 from wafer_viewer.session.core.command_queue import UndoHistory
-from wafer_viewer.session.gauge.gauge_controller import GaugeVerbs
+from wafer_viewer.session.gauge.gauge_controller import GaugeController
 from wafer_viewer.session.measurement.dataset_queries import Measuring, ReadOut
 from wafer_viewer.session.measurement.sections import Sections
 
@@ -77,7 +77,7 @@ class MeasuringSession(FakeSession):
     def datum(self, levelling: Levelling, show: int = 0) -> Datum:
         return self._measuring.datum(levelling, show)
 
-    def profile(self, line: Region, show: int = 0, levelling: Levelling | None = None) -> Any:
+    def profile(self, line: Region, show: int = 0, levelling: Levelling | None = None, layer: Any = None) -> Any:
         return self._measuring.profile(line, show, levelling)
 
     def read_out(self, x_um: float, y_um: float, show: int = 0) -> Any:
@@ -125,7 +125,7 @@ class _Faces(Recording):
     """Finds the faces of what lies in memory."""
 
     def __init__(self, session: MeasuringSession) -> None:
-        super().__init__(GaugeVerbs, session._done, "gauge.")
+        super().__init__(GaugeController, session._done, "gauge.")
         self._surfaces = session.shelf.surfaces
 
     def find_faces(self, show: int = 0) -> tuple[Region, Region]:

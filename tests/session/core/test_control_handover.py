@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import pytest
 
+from tests.browser.recording import groups_of, verbs_of
 from wafer_viewer.model.errors import WaferViewerError
-from wafer_viewer.session.api import FREE, restricted_session
 from wafer_viewer.session.core.command_queue import CommandQueue
 from wafer_viewer.session.core.control_handover import ANSWER_S, GRACE_S, Control
 from wafer_viewer.session.session import Session
@@ -176,45 +176,24 @@ def test_a_name_can_be_changed_and_not_emptied(control, hands):
     assert hands().name_of("b") == "Ben Weiss"
 
 
-class Told:
-    """Stands for a session: remembers what was asked of it."""
-
-    def __init__(self, snapshot):
-        self.snapshot, self.asked = snapshot, []
-
-    def __getattr__(self, name):
-        return lambda *args: self.asked.append(name)
-
-
-def test_a_watcher_is_refused_what_changes_anything_and_may_look_and_stop(control, desk, hands):
-    hands()
-    told = Told(desk.snapshot)
-    watcher, holder = restricted_session(told, lambda: "b"), restricted_session(told, lambda: "a")
-    for verb in ("start_scan", "move_to", "edit_job", "open_dataset", "keep", "cancel"):
-        with pytest.raises(WaferViewerError, match=r"^Anna holds the controls\. Ask"):
-            getattr(watcher, verb)().result()
-    assert told.asked == []
-    watcher.profile(None)
-    watcher.stop_scan()
-    watcher.stop()
-    holder.start_scan()
-    assert told.asked == ["profile", "stop_scan", "stop", "start_scan"]
+FREE = {
+    *("subscribe", "wait_until", "mosaic", "height_map", "surface_source", "poses", "frame", "frame_near", "paint"),
+    *("profile", "read_out", "focus_curve", "measure", "datum", "thumbnail", "refresh_datasets"),
+    *("export_surface", "export_findings", "exchange.is_surface", "exchange.export_surface", "stop", "stop_scan"),
+    *("control.arrive", "control.leave", "control.rename", "control.ask", "control.hand_over", "control.keep"),
+    *("papers.keep_picture", "papers.write_report", "papers.contents"),
+    *("browsing.list_folder", "browsing.look", "browsing.allowed"),
+    *("browsing.path_of", "browsing.existing", "browsing.remember"),
+    *("comparing.choices", "sections.section", "sections.others", "sections.file", "defects.files.write"),
+    *("gauge.find_faces", "gauge.check", "studies.gauge_rr"),
+    *("defects.views.beside", "defects.views.die", "defects.views.repeats"),
+}
 
 
-def test_one_who_has_not_come_in_yet_may_look_only(control, desk, hands):
-    hands()
-    with pytest.raises(WaferViewerError, match="holds the controls"):
-        restricted_session(Told(desk.snapshot), lambda: "").start_scan().result()
+def free_verbs(true: type, path: str = "") -> set[str]:
+    own = {f"{path}{name}" for name in verbs_of(true) if not getattr(getattr(true, name), "needs_control", True)}
+    return own.union(*(free_verbs(group, f"{path}{name}.") for name, group in groups_of(true).items()))
 
 
-def test_a_group_of_verbs_is_refused_one_by_one(control, desk, hands):
-    hands()
-    told = Told(desk.snapshot)
-    told.group = Control(desk)  # any group of the session's own
-    with pytest.raises(WaferViewerError, match="holds the controls"):
-        restricted_session(told, lambda: "b").group.ask("b").result()
-
-
-def test_what_is_free_is_there():
-    known = set(dir(Session)) | {"control", "measure", "datum"}
-    assert {name for name in FREE if "." not in name} <= known
+def test_an_observer_may_look_measure_export_and_stop_and_nothing_else():
+    assert free_verbs(Session) == FREE

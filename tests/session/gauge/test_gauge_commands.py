@@ -19,7 +19,7 @@ from wafer_viewer.session.acquisition.rig_messages import Scan
 from wafer_viewer.session.acquisition.scan_run import writer_of
 from wafer_viewer.session.core.command_queue import CommandQueue
 from wafer_viewer.session.core.dataset_library import Library
-from wafer_viewer.session.gauge.gauge_controller import GaugeKeeper, GaugeVerbs
+from wafer_viewer.session.gauge.gauge_controller import GaugeController
 from wafer_viewer.session.measurement.dataset_queries import DatasetQueries
 from wafer_viewer.session.measurement.results import ResultsStore
 from wafer_viewer.session.planning.plan_editor import plan_of
@@ -49,9 +49,8 @@ class Bench:
         )
         self.library = Library(self.desk, folder)
         self.book = ResultsStore(self.desk, self.library)
-        self.keeper = GaugeKeeper(self.desk, self.library, self.book, folder)
         questions = DatasetQueries(self.library, lambda: self.desk.snapshot)
-        self.gauge = GaugeVerbs(self.desk.do, self.keeper, questions, lambda: self.desk.snapshot)
+        self.gauge = GaugeController(self.desk, self.library, self.book, questions, folder)
 
     def open(self, path: Path) -> None:
         self.desk.do(self.library.open, path).result()
@@ -71,7 +70,7 @@ class Bench:
 
     def close(self) -> None:
         self.desk.close()
-        self.keeper.close()
+        self.gauge.close()
         self.library.release_lock()
 
 

@@ -11,10 +11,10 @@ from tests.support.datasets.inspections import defect, inspection
 from wafer_viewer.model.errors import DatasetError, MeasureError, WaferViewerError
 from wafer_viewer.model.inspection.defect import DefectRecipe
 from wafer_viewer.model.spec import replace
-from wafer_viewer.session.core.background_work import Notifications
+from wafer_viewer.session.core.background_work import BackgroundWork, Notifications
 from wafer_viewer.session.core.command_queue import CommandQueue
 from wafer_viewer.session.core.dataset_library import Library
-from wafer_viewer.session.inspection.inspection_commands import DefectKeeper
+from wafer_viewer.session.inspection.inspection_commands import DefectController
 from wafer_viewer.session.inspection.inspection_job import inspect_dataset, mosaic_mark
 from wafer_viewer.session.state.snapshot import Snapshot
 from wafer_viewer.store.dataset.dataset import Dataset
@@ -47,7 +47,9 @@ class Bench:
         self.desk = CommandQueue(Snapshot())
         self.library = Library(self.desk, folder)
         self.hired = Hired()
-        self.keeper = DefectKeeper(self.desk, Notifications(self.desk), self.library, self.hired)
+        self.keeper = DefectController(
+            self.desk, self.library, BackgroundWork(self.desk, Notifications(self.desk), self.hired), None, None
+        )
         self.do(self.keeper.watch)
         self.open(path)
 
@@ -119,12 +121,12 @@ def test_an_inspection_of_a_surface_that_is_another_now_is_stale(bench, result):
 def test_what_people_said_outlives_a_new_inspection(bench, result):
     first = bench.state.defects[0].number
     bench.do(bench.keeper.judge, first, "real", None, None)
-    found = bench.desk.do(bench.keeper.begin, DefectRecipe(sensitivity=0.7), None, "dies")
+    found = bench.desk.do(bench.keeper.inspect, DefectRecipe(sensitivity=0.7), None, "dies")
     bench.do(lambda: None)
     assert bench.state.work
     assert bench.hired.asked[0][2:5] == (bench.library.dataset.path, "default", DefectRecipe(sensitivity=0.7))
     with pytest.raises(DatasetError, match="searched for already"):
-        bench.do(bench.keeper.begin, DefectRecipe(), None, "dies")
+        bench.do(bench.keeper.inspect, DefectRecipe(), None, "dies")
     bench.hired.done.set_result(replace(FOUND, threshold_sigma=3.0, mark=mosaic_mark(result)))
     found.result(20)
     assert (bench.state.work, bench.state.inspection.threshold_sigma) == ("", 3.0)
@@ -136,7 +138,7 @@ def test_what_people_said_outlives_a_new_inspection(bench, result):
 def test_why_nothing_was_found_out_stands_where_the_list_would_be(bench, result):
     (result.path / "defects.json").unlink()
     bench.do(bench.keeper.open)
-    found = bench.desk.do(bench.keeper.begin, DefectRecipe(), None, "dies")
+    found = bench.desk.do(bench.keeper.inspect, DefectRecipe(), None, "dies")
     bench.hired.done.set_exception(MeasureError("The surface has no period: give the dies."))
     with pytest.raises(MeasureError):
         found.result(20)
@@ -158,7 +160,7 @@ def test_a_dataset_that_is_held_elsewhere_is_looked_at_and_not_judged(pair, resu
         with pytest.raises(DatasetError, match="Defects were not changed"):
             bench.do(bench.keeper.judge, bench.state.defects[0].number, "real", None, None)
         with pytest.raises(DatasetError, match="Defects were not changed"):
-            bench.do(bench.keeper.begin, DefectRecipe(), None, "dies")
+            bench.do(bench.keeper.inspect, DefectRecipe(), None, "dies")
     finally:
         bench.close()
         lock.release()

@@ -15,12 +15,12 @@ from wafer_viewer.model.acquisition.sample import Alignment, Sample
 from wafer_viewer.model.errors import ControlHeldError, DatasetError, MeasureError
 from wafer_viewer.model.inspection.defect import DefectLimits, DefectRecipe
 from wafer_viewer.model.spec import replace
-from wafer_viewer.session.api import restricted_session
 from wafer_viewer.session.core.background_work import BackgroundWork, Notifications
 from wafer_viewer.session.core.command_queue import CommandQueue
+from wafer_viewer.session.core.commands import restricted_session
 from wafer_viewer.session.core.dataset_library import Library
-from wafer_viewer.session.inspection.inspection_commands import DefectKeeper, DefectVerbs
-from wafer_viewer.session.inspection.inspection_files import DefectFiles, DefectFilesKeeper, hand_over, keep_golden
+from wafer_viewer.session.inspection.inspection_commands import DefectController
+from wafer_viewer.session.inspection.inspection_files import DefectFiles, hand_over, keep_golden
 from wafer_viewer.session.inspection.klarf_overlay import compared, lattice_for
 from wafer_viewer.session.state.snapshot import Snapshot
 from wafer_viewer.store.dataset.dataset import Dataset
@@ -53,9 +53,9 @@ class Bench:
         self.folder, self.desk = path.parent, CommandQueue(Snapshot())
         notices, compute = Notifications(self.desk), AtOnce()
         self.library = Library(self.desk, self.folder)
-        self.defects = DefectKeeper(self.desk, notices, self.library, compute)
-        files = BackgroundWork(self.desk, notices, compute)
-        self.keeper = DefectFilesKeeper(self.desk, self.library, files, self.folder)
+        background = BackgroundWork(self.desk, notices, compute)
+        self.keeper = DefectFiles(self.desk, self.library, background, self.folder)
+        self.defects = DefectController(self.desk, self.library, background, self.keeper, None)
         self.do(self.library.open, path)
         self.do(self.defects.open)
         self.do(self.keeper.open)
@@ -233,10 +233,7 @@ def test_another_numbering_of_dies_is_told_by_the_wafers_center(tmp_path):
 
 
 def test_one_who_only_watches_may_write_a_file_and_keep_nothing(bench, tmp_path):
-    files = DefectFiles(bench.desk.do, bench.keeper)
-    whole = SimpleNamespace(
-        snapshot=bench.desk.snapshot, defects=DefectVerbs(bench.desk.do, bench.defects, files, None)
-    )
+    whole = SimpleNamespace(snapshot=bench.desk.snapshot, defects=bench.defects)
     watcher = restricted_session(whole, lambda: "b").defects.files
     assert watcher.write("csv", tmp_path / "w.csv").result(20).exists()
     for asked in (watcher.keep_golden("lx7"), watcher.save_recipe(DefectRecipe(product="LX-7"))):

@@ -56,26 +56,26 @@ def test_every_kind_is_counted_by_itself_and_named(book, desk):
     line = Region.line(0, 0, 5, 0)
     nothing = Length(value_um=0.0)
     for finding in (point(), point(), Profile(line=line, length_um=5.0, pt=nothing, rise=nothing, measured_fraction=1)):
-        book.keep(finding)
-    book.keep(point(name="top of the bump"))
+        book.keep.run(finding)
+    book.keep.run(point(name="top of the bump"))
     assert names(desk) == ["Point 1", "Point 2", "Profile 1", "top of the bump"]
-    book.delete(1)
-    book.keep(point())
+    book.delete.run(1)
+    book.keep.run(point())
     assert names(desk) == ["Point 2", "Profile 1", "top of the bump", "Point 1"], "no two bear the same name"
 
 
 def test_what_was_undone_can_be_done_again_until_something_else_is_done(book, desk, tmp_path):
-    book.keep(point())
-    book.rename(1, "left bump")
+    book.keep.run(point())
+    book.rename.run(1, "left bump")
     assert (desk.now.findings_undo, desk.now.findings_redo) == (True, False)
-    book.undo()
+    book.undo.run()
     assert names(desk) == ["Point 1"]
     assert desk.now.findings_redo
-    book.redo()
+    book.redo.run()
     assert names(desk) == ["left bump"]
     assert not desk.now.findings_redo
-    book.undo()
-    book.keep(point())
+    book.undo.run()
+    book.keep.run(point())
     assert not desk.now.findings_redo
     again = Desk()
     opened(again, tmp_path)
@@ -85,26 +85,26 @@ def test_what_was_undone_can_be_done_again_until_something_else_is_done(book, de
 
 def test_a_small_picture_outlives_a_deletion_that_is_undone(book, desk, tmp_path):
     result = Result.of(tmp_path, "default")
-    first = book.keep(point(), b"\xff\xd8 first").number
-    book.delete(first)
-    second = book.keep(point(), b"\xff\xd8 second").number
-    book.undo()
-    book.undo()
+    first = book.keep.run(point(), b"\xff\xd8 first").number
+    book.delete.run(first)
+    second = book.keep.run(point(), b"\xff\xd8 second").number
+    book.undo.run()
+    book.undo.run()
     assert [f.number for f in desk.now.findings] == [first]
     assert result.thumbnail(first) == b"\xff\xd8 first"
     assert result.thumbnail(second) == b"\xff\xd8 second"
 
 
 def test_a_result_without_a_picture_has_none_though_a_deleted_one_had(book, desk, tmp_path):
-    book.delete(book.keep(point(), b"\xff\xd8 old").number)
-    later = opened(desk, tmp_path).keep(point())
+    book.delete.run(book.keep.run(point(), b"\xff\xd8 old").number)
+    later = opened(desk, tmp_path).keep.run(point())
     assert Result.of(tmp_path, "default").thumbnail(later.number) is None
 
 
 def test_a_dataset_that_others_hold_keeps_nothing(book, desk, tmp_path):
     desk.now.dataset.read_only = "process 7 holds it."
     with pytest.raises(MeasureError, match="cannot be kept: process 7 holds it"):
-        book.keep(point(), b"\xff\xd8")
+        book.keep.run(point(), b"\xff\xd8")
     with pytest.raises(MeasureError, match="cannot be kept"):
-        book.redo()
+        book.redo.run()
     assert Result.of(tmp_path, "default").thumbnail(1) is None

@@ -11,7 +11,7 @@ from wafer_viewer.model.errors import DatasetError
 from wafer_viewer.model.job import SavedView
 from wafer_viewer.session.core.command_queue import CommandQueue
 from wafer_viewer.session.files.documents import Documents
-from wafer_viewer.session.measurement.results import NotebookKeeper, NotebookVerbs
+from wafer_viewer.session.measurement.results import NotebookController
 from wafer_viewer.session.state.snapshot import Snapshot
 from wafer_viewer.store.records.inspection_records import read_notebook
 
@@ -29,9 +29,8 @@ class Bench:
         self.open()
 
     def open(self):
-        keeper = NotebookKeeper(self.desk, self.library)
-        self.desk.do(keeper.open).result()
-        self.verbs = NotebookVerbs(self.desk.do, keeper)
+        self.verbs = NotebookController(self.desk, self.library)
+        self.desk.do(self.verbs.open).result()
 
     @property
     def names(self):
@@ -100,7 +99,7 @@ def test_a_notebook_that_is_none_is_said_by_its_name(bench):
 
 
 def test_pictures_are_numbered_beside_the_dataset(bench):
-    papers = Documents(bench.desk.do, bench.library, None)
+    papers = Documents(bench.desk, bench.library, None)
     first, second = (papers.keep_picture(png).result() for png in (b"one", b"two"))
     assert (first.name, second.name) == ("coupon-picture-1.png", "coupon-picture-2.png")
     assert second.read_bytes() == b"two"

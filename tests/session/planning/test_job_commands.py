@@ -12,7 +12,7 @@ from wafer_viewer.model.spec import decode, encode, replace
 from wafer_viewer.model.surface.recipe import Recipe
 from wafer_viewer.rigs.virtual.rig import CALIBRATION, SETUP, virtual_limits
 from wafer_viewer.session.core.command_queue import CommandQueue
-from wafer_viewer.session.planning.job_commands import JobKeeper
+from wafer_viewer.session.planning.job_commands import JobController
 from wafer_viewer.session.planning.job_releases import list_released, write_released
 from wafer_viewer.session.planning.plan_editor import Drafting
 from wafer_viewer.session.planning.preflight import preflight_of_snapshot, stops
@@ -38,7 +38,7 @@ def drafting(desk, tmp_path):
 @pytest.fixture
 def taken_up(drafting, tmp_path):
     """A released job, taken up from its file."""
-    drafting.load(write_released(tmp_path, release_of(small_job())))
+    drafting.load.run(write_released(tmp_path, release_of(small_job())))
     return drafting
 
 
@@ -48,7 +48,7 @@ def draft(desk):
 
 def test_a_release_settles_what_was_auto_and_forgets_the_wafer(desk, drafting, tmp_path):
     job = replace(engineered(small_job()), sample=Sample(wafer_id="W1", lot="L1", operator="me", width_um=6000.0))
-    drafting.edit(job)
+    drafting.edit.run(job)
     path = drafting.release(SETTLED, (2.5, 0.9))
     kept = decode(path.read_text(), type(job), path.name)
     assert (path.parent.name, path.name) == ("jobs", "wafer-A.toml")
@@ -63,14 +63,14 @@ def test_a_release_settles_what_was_auto_and_forgets_the_wafer(desk, drafting, t
 
 
 def test_a_revision_is_never_overwritten(desk, drafting):
-    drafting.edit(engineered(small_job()))
+    drafting.edit.run(engineered(small_job()))
     drafting.release(SETTLED, None)
-    drafting.copy()
+    drafting.copy.run()
     assert not draft(desk).job.released
-    drafting.edit(replace(draft(desk).job, revision="A"))
+    drafting.edit.run(replace(draft(desk).job, revision="A"))
     with pytest.raises(PlanError, match=r"Revision A of wafer is released already .*: choose another revision"):
         drafting.release(SETTLED, None)
-    drafting.edit(replace(draft(desk).job, revision="B"))
+    drafting.edit.run(replace(draft(desk).job, revision="B"))
     assert drafting.release(SETTLED, None).name == "wafer-B.toml"
 
 
@@ -86,7 +86,7 @@ def test_a_revision_is_never_overwritten(desk, drafting):
     ],
 )
 def test_what_is_missing_for_a_release_is_said(drafting, tmp_path, change, settled, words):
-    drafting.edit(replace(engineered(small_job()), **change))
+    drafting.edit.run(replace(engineered(small_job()), **change))
     with pytest.raises(PlanError, match=words):
         drafting.release(settled, None)
     assert list_released(tmp_path) == ()
@@ -97,7 +97,7 @@ def test_released_jobs_are_listed_by_product_newest_revision_first(desk, draftin
         write_released(tmp_path, replace(release_of(small_job()), product=product, revision=revision))
     (tmp_path / "jobs" / "plan.toml").write_text(encode(small_job()))
     (tmp_path / "jobs" / "torn.toml").write_text("product = ")
-    JobKeeper(desk, drafting, tmp_path).refresh()
+    JobController(desk, drafting, tmp_path).refresh.run()
     listed = [(e.product, e.revision, e.n_fields, e.n_features) for e in desk.now.operating.jobs]
     assert listed == [("Anchor", "1", 2, 1), ("wafer", "B", 2, 1), ("wafer", "A", 2, 1)]
 
@@ -105,65 +105,65 @@ def test_released_jobs_are_listed_by_product_newest_revision_first(desk, draftin
 def test_a_released_job_takes_names_and_nothing_else(desk, taken_up):
     job = draft(desk).job
     named = replace(job, sample=replace(job.sample, wafer_id="W9", operator="K. Adler"))
-    taken_up.edit(named)
+    taken_up.edit.run(named)
     assert draft(desk).job.sample.wafer_id == "W9"
     for change in ({"exposures_us": (50.0,)}, {"features": ()}, {"product": "other"}, {"sample": Sample(notch="up")}):
         with pytest.raises(PlanError, match="released and stays as it is"):
-            taken_up.edit(replace(named, **change))
+            taken_up.edit.run(replace(named, **change))
     with pytest.raises(PlanError, match="stays as it is"):
-        taken_up.centre_on_stage()
+        taken_up.centre_on_stage.run()
     assert draft(desk).job == named
-    taken_up.copy()
-    taken_up.edit(replace(draft(desk).job, exposures_us=(50.0,)))
+    taken_up.copy.run()
+    taken_up.edit.run(replace(draft(desk).job, exposures_us=(50.0,)))
     assert draft(desk).job.exposures_us == (50.0,)
 
 
 def align(drafting):
-    drafting.mark(0, *LEFT)
-    drafting.mark(1, *RIGHT)
+    drafting.mark.run(0, *LEFT)
+    drafting.mark.run(1, *RIGHT)
 
 
 def test_two_corners_align_the_wafer_and_move_its_fields(desk, taken_up):
-    taken_up.mark(1, *RIGHT)
+    taken_up.mark.run(1, *RIGHT)
     assert draft(desk).seen_um == (None, RIGHT)
     assert draft(desk).job.alignment is None
-    taken_up.mark(0, *LEFT)
+    taken_up.mark.run(0, *LEFT)
     found = draft(desk).job.alignment
     assert (found.n_marks, found.residual_um) == (2, pytest.approx(0, abs=1e-6))
     on_stage, planned = draft(desk).plan.fields, release_of(small_job()).all_fields()
     assert [(a.x_um - b.x_um, a.y_um - b.y_um) for a, b in zip(on_stage, planned, strict=True)] == [
         (pytest.approx(10), pytest.approx(5))
     ] * 2
-    taken_up.mark(0, -1980.0, 5.0)
+    taken_up.mark.run(0, -1980.0, 5.0)
     assert draft(desk).job.alignment.residual_um == pytest.approx(5)
-    taken_up.unmark()
+    taken_up.unmark.run()
     assert (draft(desk).job.alignment, draft(desk).seen_um) == (None, (None, None))
 
 
 def test_corners_that_make_no_alignment_are_refused_and_can_be_marked_again(desk, taken_up):
-    taken_up.mark(0, *LEFT)
+    taken_up.mark.run(0, *LEFT)
     with pytest.raises(PlanError, match="turned by"):
-        taken_up.mark(1, 0.0, 2010.0)
+        taken_up.mark.run(1, 0.0, 2010.0)
     assert draft(desk).job.alignment is None
-    taken_up.mark(1, *RIGHT)
+    taken_up.mark.run(1, *RIGHT)
     assert draft(desk).job.alignment.n_marks == 2
     with pytest.raises(PlanError, match="no corner 3"):
-        taken_up.mark(2, 0.0, 0.0)
+        taken_up.mark.run(2, 0.0, 0.0)
 
 
 def test_another_wafer_is_aligned_anew(desk, taken_up):
     job = draft(desk).job
-    taken_up.edit(replace(job, sample=replace(job.sample, wafer_id="W1", operator="me")))
+    taken_up.edit.run(replace(job, sample=replace(job.sample, wafer_id="W1", operator="me")))
     align(taken_up)
     aligned = draft(desk).job
     assert stops(preflight_of_snapshot(desk.now, None, "2026-11-21")) == ()
-    taken_up.edit(replace(aligned, sample=replace(aligned.sample, operator="you")))
+    taken_up.edit.run(replace(aligned, sample=replace(aligned.sample, operator="you")))
     assert draft(desk).job.alignment is not None, "the operator's name moves no wafer"
     now = draft(desk).job
-    taken_up.edit(replace(now, sample=replace(now.sample, wafer_id="W2")))
+    taken_up.edit.run(replace(now, sample=replace(now.sample, wafer_id="W2")))
     assert (draft(desk).job.alignment, draft(desk).seen_um) == (None, (None, None))
     align(taken_up)
-    taken_up.next_wafer()
+    taken_up.next_wafer.run()
     now = draft(desk)
     assert (now.job.sample.wafer_id, now.job.sample.operator, now.job.alignment) == ("", "you", None)
     assert not now.can_undo, "what was of the last wafer cannot come back"
@@ -175,7 +175,7 @@ def test_a_plan_that_is_opened_again_waits_for_a_person(desk, drafting):
     assert draft(desk).job.alignment is None, "the wafer may have been taken off meanwhile"
     drafting.reopen(small_job())
     assert [c.what for c in stops(preflight_of_snapshot(desk.now, None, "2026-11-21"))] == ["Sample"]
-    drafting.edit(replace(small_job(), exposures_us=(50.0,)))
+    drafting.edit.run(replace(small_job(), exposures_us=(50.0,)))
     assert not draft(desk).confirmed
-    drafting.confirm()
+    drafting.confirm.run()
     assert stops(preflight_of_snapshot(desk.now, None, "2026-11-21")) == ()

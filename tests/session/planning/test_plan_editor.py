@@ -30,20 +30,20 @@ def drafting(desk, tmp_path):
 
 
 def test_every_edit_is_priced_and_can_be_undone(desk, drafting, job):
-    drafting.edit(job())
+    drafting.edit.run(job())
     assert desk.now.draft.plan.strategy == "z_snake"
     assert desk.now.draft.free_bytes > 0
-    drafting.edit(job(cols=4))
+    drafting.edit.run(job(cols=4))
     assert len(desk.now.draft.plan.fields) == 4
-    drafting.undo()
+    drafting.undo.run()
     assert len(desk.now.draft.plan.fields) == 2
     assert (desk.now.draft.can_undo, desk.now.draft.can_redo) == (True, True)
-    drafting.redo()
+    drafting.redo.run()
     assert len(desk.now.draft.plan.fields) == 4
 
 
 def test_a_plan_that_cannot_be_says_why_and_is_no_plan(desk, drafting, job):
-    drafting.edit(replace(job(), sweep=FocusSweep(z_step_um=5000.0, n_frames=10)))
+    drafting.edit.run(replace(job(), sweep=FocusSweep(z_step_um=5000.0, n_frames=10)))
     assert desk.now.draft.plan is None
     assert "um" in desk.now.draft.problem
     with pytest.raises(PlanError) as refusal:
@@ -53,7 +53,7 @@ def test_a_plan_that_cannot_be_says_why_and_is_no_plan(desk, drafting, job):
 
 def test_before_the_rig_answers_the_plan_waits(desk, drafting, job):
     desk.change(rig=RigStatus())
-    drafting.edit(job())
+    drafting.edit.run(job())
     assert desk.now.draft.problem == RIG_STARTS
     desk.change(rig=RigStatus(limits=virtual_limits(540, 720)))
     drafting.price()
@@ -61,24 +61,24 @@ def test_before_the_rig_answers_the_plan_waits(desk, drafting, job):
 
 
 def test_the_sample_is_covered_round_its_middle(desk, drafting, job):
-    drafting.edit(replace(job(), sample=Sample(width_um=2000.0, height_um=1000.0)))
+    drafting.edit.run(replace(job(), sample=Sample(width_um=2000.0, height_um=1000.0)))
     before = desk.now.draft.job.grid.center_um
-    drafting.cover_sample()
+    drafting.cover_sample.run()
     grid = desk.now.draft.job.grid
     assert grid.width_um >= 2000.0 > grid.width_um - grid.pitch_x_um
     assert grid.height_um >= 1000.0 > grid.height_um - grid.pitch_y_um
     assert grid.center_um == pytest.approx(before)
-    drafting.edit(replace(job(), sample=Sample()))
+    drafting.edit.run(replace(job(), sample=Sample()))
     with pytest.raises(PlanError, match="The sample has no size"):
-        drafting.cover_sample()
+        drafting.cover_sample.run()
     desk.change(overview=Overview(None, 1.0, 0.0, 0.0, OUTLINE, (), "a plate"))
-    drafting.cover_sample()
+    drafting.cover_sample.run()
     assert desk.now.draft.job.grid.width_um >= 6000
     assert desk.now.draft.job.grid.center_um == pytest.approx((0, 0), abs=1e-6)
 
 
 def test_a_first_plan_can_begin_where_the_stage_stands(desk, drafting):
-    drafting.centre_on_stage()
+    drafting.centre_on_stage.run()
     job = desk.now.draft.job
     assert job.grid.center_um == pytest.approx((250.0, -40.0))
     assert job.sweep.z_step_um <= desk.now.rig.limits.depth_of_field_um / 2 + 0.1
@@ -86,24 +86,24 @@ def test_a_first_plan_can_begin_where_the_stage_stands(desk, drafting):
 
 
 def test_a_plan_is_kept_in_a_file_and_comes_back(desk, drafting, job, tmp_path):
-    drafting.edit(job())
-    path = drafting.save(None)
+    drafting.edit.run(job())
+    path = drafting.save.run(None)
     assert path.parent == tmp_path
     assert read_job(path) == job()
-    drafting.edit(None)
-    drafting.load(path)
+    drafting.edit.run(None)
+    drafting.load.run(path)
     assert desk.now.draft.job == job()
     (tmp_path / "odd.toml").write_bytes(b"\xff\xfe")
     with pytest.raises(PlanError, match=r"odd\.toml"):
-        drafting.load(tmp_path / "odd.toml")
+        drafting.load.run(tmp_path / "odd.toml")
     assert desk.now.draft.job == job()
 
 
 def test_the_tour_needs_a_rig_that_brings_one(drafting, job):
     with pytest.raises(PlanError, match="virtual rig"):
-        drafting.take_tour()
+        drafting.take_tour.run()
     drafting.tour = job()
-    drafting.take_tour()
+    drafting.take_tour.run()
     assert drafting.ready()[0] == job()
 
 

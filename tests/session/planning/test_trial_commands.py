@@ -13,9 +13,9 @@ from wafer_viewer.model.errors import ComputeError, DatasetError, PlanError
 from wafer_viewer.model.spec import replace
 from wafer_viewer.model.surface.recipe import Stitching
 from wafer_viewer.rigs.virtual.rig import CALIBRATION, SETUP, virtual_limits
-from wafer_viewer.session.core.background_work import Notifications
+from wafer_viewer.session.core.background_work import BackgroundWork, Notifications
 from wafer_viewer.session.core.command_queue import CommandQueue
-from wafer_viewer.session.planning.job_commands import TrialKeeper
+from wafer_viewer.session.planning.job_commands import TrialController
 from wafer_viewer.session.planning.plan_editor import Drafting
 from wafer_viewer.session.planning.revision_trial import try_job
 from wafer_viewer.session.session import Session
@@ -44,8 +44,8 @@ def trials(tmp_path):
     rig = RigStatus(state="ready", limits=virtual_limits(540, 720), calibration=CALIBRATION, setup=SETUP)
     desk = CommandQueue(Snapshot(rig=rig))
     drafting = Drafting(desk, tmp_path)
-    keeper = TrialKeeper(desk, Notifications(desk), drafting, Workers())
-    keeper.desk, keeper.drafting, keeper.workers = desk, drafting, keeper._compute
+    keeper = TrialController(desk, BackgroundWork(desk, Notifications(desk), Workers()), drafting)
+    keeper.desk, keeper.drafting, keeper.workers = desk, drafting, keeper._background._compute
     yield keeper
     desk.close()
 
@@ -56,8 +56,8 @@ def plan(**changes):
 
 def test_the_plan_is_tried_as_it_would_be_released_and_the_outcome_is_shown(trials, tmp_path):
     judged_dataset(tmp_path / "w1.wafer", 12.0, replace(released_job(), product="wafer"))
-    trials.drafting.edit(plan(revision=" "))
-    done = trials.desk.do(trials.begin, (tmp_path,), "default")
+    trials.drafting.edit.run(plan(revision=" "))
+    done = trials.begin((tmp_path,))
     now = trials.desk.wait_until(lambda now: now.works, PATIENCE_S)
     assert (now.works[0].title, now.operating.trying) == ("Trial of wafer next", True)
     _, task, (job, datasets, result), answer = trials.workers.asked[0]
@@ -73,12 +73,12 @@ def test_the_plan_is_tried_as_it_would_be_released_and_the_outcome_is_shown(tria
 
 def test_a_trial_can_be_cancelled_and_only_one_runs_at_a_time(trials, tmp_path):
     judged_dataset(tmp_path / "w1.wafer", 12.0, released_job())
-    trials.drafting.edit(plan())
-    done = trials.desk.do(trials.begin, (tmp_path,), "default")
+    trials.drafting.edit.run(plan())
+    done = trials.begin((tmp_path,))
     work = trials.desk.wait_until(lambda now: now.works, PATIENCE_S).works[0]
     with pytest.raises(PlanError, match="being tried already"):
-        trials.desk.do(trials.begin, (tmp_path,), "default").result(PATIENCE_S)
-    trials.desk.do(trials._notices.cancel, work.id).result(PATIENCE_S)
+        trials.begin((tmp_path,)).result(PATIENCE_S)
+    trials.desk.do(trials._background.cancel, work.id).result(PATIENCE_S)
     assert trials.workers.cancelled == [work.id]
     trials.workers.asked[0][-1].set_exception(ComputeError("The trial was stopped."))
     with pytest.raises(ComputeError):
@@ -88,12 +88,12 @@ def test_a_trial_can_be_cancelled_and_only_one_runs_at_a_time(trials, tmp_path):
 
 
 def test_what_cannot_be_released_cannot_be_tried(trials, tmp_path):
-    trials.drafting.edit(plan(features=()))
+    trials.drafting.edit.run(plan(features=()))
     with pytest.raises(PlanError, match="no feature"):
-        trials.desk.do(trials.begin, (tmp_path,), "default").result(PATIENCE_S)
-    trials.drafting.edit(plan())
+        trials.begin((tmp_path,)).result(PATIENCE_S)
+    trials.drafting.edit.run(plan())
     with pytest.raises(DatasetError, match="There is no dataset"):
-        trials.desk.do(trials.begin, (tmp_path,), "default").result(PATIENCE_S)
+        trials.begin((tmp_path,)).result(PATIENCE_S)
     assert not trials.desk.now.operating.trying
 
 

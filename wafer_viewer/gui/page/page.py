@@ -21,12 +21,12 @@ from wafer_viewer.gui.widgets.error_guard import guarded, tell_failure
 from wafer_viewer.gui.widgets.html import Tone, icon, note, pick, read_picks, safe, with_micro_sign
 from wafer_viewer.gui.widgets.style import RGB_OF_TONE
 from wafer_viewer.model.surface.clipping import Box
-from wafer_viewer.session.api import restricted_session
+from wafer_viewer.session.core.commands import restricted_session
 from wafer_viewer.session.rendering.render_request import ColourScale, Statistics
 from wafer_viewer.session.state.snapshot import Fault, Snapshot
 
 if TYPE_CHECKING:
-    from wafer_viewer.session.api import SessionApi
+    from wafer_viewer.session.session import Session
 
 SETTLE_S = 0.9
 """Delay in s of a second draw after a change, when widgets moved by the user are at rest."""
@@ -47,7 +47,7 @@ class Page:
     that need control while another browser holds it.
     """
 
-    def __init__(self, client: viser.ClientHandle, session: SessionApi) -> None:
+    def __init__(self, client: viser.ClientHandle, session: Session) -> None:
         self.client = client
         self.gui = client.gui
         self.viewport = Viewport(client.camera)

@@ -14,10 +14,10 @@ from wafer_viewer.model.measurement.sections import MOST_LINES
 from wafer_viewer.session.state.snapshot import Snapshot
 
 if TYPE_CHECKING:
-    from wafer_viewer.session.api import SessionApi
+    from wafer_viewer.session.session import Session
 
 
-def judge(session: SessionApi, key: str, verdict: Verdict) -> Future[Any]:
+def judge(session: Session, key: str, verdict: Verdict) -> Future[Any]:
     """Accept, reject or reopen an item."""
     number = number_of(key)
     if number is None:
@@ -25,18 +25,18 @@ def judge(session: SessionApi, key: str, verdict: Verdict) -> Future[Any]:
     return session.defects.judge(number, JUDGEMENT_OF[verdict])
 
 
-def note(session: SessionApi, key: str, text: str) -> Future[Any]:
+def note(session: Session, key: str, text: str) -> Future[Any]:
     """Save a note on an item."""
     number = number_of(key)
     return session.notebook.judge(key, note=text) if number is None else session.defects.judge(number, note=text)
 
 
-def undo(session: SessionApi, view: View) -> Future[Any]:
+def undo(session: Session, view: View) -> Future[Any]:
     """Undo the last judgement in the store of the item under review."""
     return session.notebook.undo() if number_of(view.review) is None else session.defects.undo()
 
 
-def redo(session: SessionApi, view: View) -> Future[Any]:
+def redo(session: Session, view: View) -> Future[Any]:
     """Redo the last undone judgement in the store of the item under review."""
     return session.notebook.redo() if number_of(view.review) is None else session.defects.redo()
 

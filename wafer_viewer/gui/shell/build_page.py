@@ -53,7 +53,7 @@ from wafer_viewer.model.region import Region
 from wafer_viewer.session.state.snapshot import Snapshot
 
 if TYPE_CHECKING:
-    from wafer_viewer.session.api import SessionApi
+    from wafer_viewer.session.session import Session
 
 
 class PageTheme:
@@ -111,7 +111,7 @@ def go_to(page: Page, step: Step) -> None:
         page.say(TITLES[step], f"Not yet: {why}", "attention")
 
 
-def build_page(client: viser.ClientHandle, session: SessionApi) -> Page:
+def build_page(client: viser.ClientHandle, session: Session) -> Page:
     """Create the page of a newly connected browser and start drawing it."""
     page = Page(client, session)
     page.gui.main_panel.dock_right()

@@ -32,6 +32,7 @@ from wafer_viewer.session.acquisition.rig_messages import (
 )
 from wafer_viewer.session.core.background_work import Notifications
 from wafer_viewer.session.core.command_queue import CommandQueue
+from wafer_viewer.session.core.commands import command
 from wafer_viewer.session.state.snapshot import LatestFrame, RigStatus
 
 
@@ -112,14 +113,16 @@ class RigClient:
         begun.add_done_callback(lambda done: self._desk.note(self._begun, done))
         return begun
 
+    @command
     def pause(self) -> Future[None]:
-        """Pause the scan at the end of the current pass."""
+        """Pause at the end of the current pass."""
         self._require_scan("pause")
         self._show(message="Halts at the end of this pass.")
         return self.start().ask(Pause())
 
+    @command
     def resume(self) -> Future[None]:
-        """Resume a paused scan."""
+        """Resume after a pause."""
         self._require_scan("continue")
         self._show(message="")
         return self.start().ask(Resume())

@@ -5,16 +5,18 @@ from __future__ import annotations
 import time
 from collections.abc import Callable
 from concurrent.futures import Future
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from itertools import count
-from typing import Any, Literal
+from typing import Any, Generic, Literal
 
 from wafer_viewer.compute.compute_client import Compute
-from wafer_viewer.compute.messages import Answer, Args, WatchedTask
+from wafer_viewer.compute.messages import Answer, Args, LedTask, WatchedTask
 from wafer_viewer.session.core.command_queue import CommandQueue
+from wafer_viewer.session.core.commands import command
 from wafer_viewer.session.state.snapshot import Fault, Work
 
 Source = Literal["plan", "scan", "import", "open", "surface", "measure", "export", "rig", "other"]
+Ended = Callable[[Future[Answer]], None]
 KEPT = 50
 """Maximum number of faults in the list; the oldest are dropped."""
 
@@ -23,7 +25,7 @@ KNOWN_AFTER_S, KNOWN_AFTER = 2.0, 0.05
 
 
 class Notifications:
-    """Faults and work items of the snapshot. Use on the session's thread only."""
+    """Controller of the snapshot's faults and work items; use all but the commands on the session's thread only."""
 
     def __init__(self, desk: CommandQueue, clock_s: Callable[[], float] = time.monotonic) -> None:
         self._desk, self._clock_s = desk, clock_s
@@ -37,6 +39,7 @@ class Notifications:
         fault = Fault(f"fault-{next(self._numbers)}", title, text, _clock(), where, needs_person, source)
         self._desk.change(faults=(*known, fault)[-KEPT:])
 
+    @command
     def dismiss(self, fault_id: str) -> None:
         """Remove a fault from the list."""
         self._desk.change(faults=tuple(f for f in self._desk.now.faults if f.id != fault_id))
@@ -64,6 +67,7 @@ class Notifications:
         self._begun.pop(work_id, None)
         self._desk.change(works=tuple(w for w in self._desk.now.works if w.id != work_id))
 
+    @command
     def cancel(self, work_id: str) -> None:
         """Cancel a work item; one that is over is ignored."""
         if (stop := self._stops.pop(work_id, None)) is not None:
@@ -87,16 +91,53 @@ def _clock() -> str:
     return time.strftime("%H:%M:%S")
 
 
+def _ignore(_: Future[Any]) -> None: ...
+
+
+@dataclass(frozen=True, slots=True)
+class RunningWork(Generic[Answer]):
+    """Work item of the snapshot, and its outcome."""
+
+    id: str
+    done: Future[Answer]
+
+
 class BackgroundWork:
-    """Runner of titled tasks on the workers. Use on the session's thread only."""
+    """Runner of titled tasks that a person can cancel. Use on the session's thread only.
+
+    `ended` is called with the outcome when the work item is removed; `RunningWork.done` is done after that.
+    """
 
     def __init__(self, desk: CommandQueue, notices: Notifications, compute: Compute) -> None:
         self._desk, self._notices, self._compute = desk, notices, compute
 
-    def run(self, title: str, task: WatchedTask[*Args, Answer], *args: *Args) -> Future[Answer]:
-        """Run a task that a person can cancel."""
+    def run(
+        self,
+        title: str,
+        task: WatchedTask[*Args, Answer],
+        *args: *Args,
+        ended: Ended[Answer] = _ignore,
+    ) -> RunningWork[Answer]:
+        """Run a task on a worker."""
+        return self._begin(title, lambda work: self._compute.run(work, task, *args), ended)
+
+    def lead(
+        self, title: str, task: LedTask[*Args, Answer], *args: *Args, ended: Ended[Answer] = _ignore
+    ) -> RunningWork[Answer]:
+        """Run a task that submits many tasks to the workers."""
+        return self._begin(title, lambda work: self._compute.lead(work, task, *args), ended)
+
+    def cancel(self, work_id: str) -> None:
+        """Cancel a running task; one that is over is ignored."""
+        self._notices.cancel.run(work_id)
+
+    def _begin(self, title: str, submit: Callable[[str], Future[Answer]], ended: Ended[Answer]) -> RunningWork[Answer]:
         work = ""
         work = self._notices.begin(title, lambda: self._compute.cancel(work))
-        done = self._compute.run(work, task, *args)
-        done.add_done_callback(lambda _: self._desk.note(self._notices.end, work))
-        return done
+        done = submit(work)
+
+        def over() -> None:
+            self._notices.end(work)
+            ended(done)
+
+        return RunningWork(work, self._desk.afterwards(done, over))

@@ -9,12 +9,12 @@ import threading
 import time
 from collections import Counter
 from collections.abc import Callable
-from concurrent.futures import Future
 from dataclasses import replace
 from typing import Any
 
 from wafer_viewer.model.errors import WaferViewerError
 from wafer_viewer.session.core.command_queue import CommandQueue
+from wafer_viewer.session.core.commands import observer_command
 from wafer_viewer.session.state.snapshot import Browser, ControlState
 
 ANSWER_S = 15.0
@@ -47,32 +47,6 @@ class Control:
         self._waiting: Callable[[], None] | None = None
         self._came = 0
 
-    def arrive(self, key: str, name: str = "") -> Future[None]:
-        """Register a new window of a browser; the very first browser gets control."""
-        return self._desk.do(self._arrive, key, name)
-
-    def leave(self, key: str) -> Future[None]:
-        """Register a closed window; control becomes free if the browser does not return soon."""
-        return self._desk.do(self._leave, key)
-
-    def rename(self, key: str, name: str) -> Future[None]:
-        """Change the name of a browser."""
-        return self._desk.do(self._rename, key, name)
-
-    def ask(self, key: str) -> Future[None]:
-        """Take control if it is free, else request it from the holder, who has `ANSWER_S` seconds to refuse."""
-        return self._desk.do(self._ask, key)
-
-    def hand_over(self, key: str, to: str) -> Future[None]:
-        """Pass control to another browser. Raises WaferViewerError if `key` does not hold it."""
-        return self._desk.do(self._hand_over, key, to)
-
-    def keep(self, key: str) -> Future[None]:
-        """Refuse the pending request."""
-        return self._desk.do(self._keep, key)
-
-    # --- on the session's thread
-
     @property
     def _hands(self) -> ControlState:
         return self._desk.now.hands
@@ -80,7 +54,9 @@ class Control:
     def _show(self, **changes: Any) -> None:
         self._desk.change(hands=replace(self._hands, **changes))
 
-    def _arrive(self, key: str, name: str) -> None:
+    @observer_command
+    def arrive(self, key: str, name: str = "") -> None:
+        """Register a new window of a browser; the very first browser gets control."""
         self._windows[key] += 1
         if (call_off := self._expected.pop(key, None)) is not None:
             call_off()
@@ -92,7 +68,9 @@ class Control:
         if self._hands.holder is None and len(self._hands.browsers) == 1:
             self._pass_to(key)
 
-    def _leave(self, key: str) -> None:
+    @observer_command
+    def leave(self, key: str) -> None:
+        """Register a closed window; control becomes free if the browser does not return soon."""
         browser = self._hands.browser(key)
         if self._windows[key] < 1 or browser is None:
             return
@@ -120,12 +98,16 @@ class Control:
             asked = self._hands.asking
             self._pass_to(asked if asked is not None else heirs[0] if len(heirs) == 1 else None)
 
-    def _rename(self, key: str, name: str) -> None:
+    @observer_command
+    def rename(self, key: str, name: str) -> None:
+        """Change the name of a browser."""
         browser = self._hands.browser(key)
         if browser is not None and _tidy(name):
             self._put(replace(browser, name=_tidy(name)))
 
-    def _ask(self, key: str) -> None:
+    @observer_command
+    def ask(self, key: str) -> None:
+        """Take control if it is free, else request it from the holder, who has `ANSWER_S` seconds to refuse."""
         hands = self._hands
         if hands.browser(key) is None or hands.holds(key):
             return
@@ -143,13 +125,17 @@ class Control:
         if self._hands.asking == key:
             self._pass_to(key)
 
-    def _hand_over(self, key: str, to: str) -> None:
+    @observer_command
+    def hand_over(self, key: str, to: str) -> None:
+        """Pass control to another browser. Raises WaferViewerError if `key` does not hold it."""
         self._require_holder(key)
         if self._hands.browser(to) is None:
             raise WaferViewerError("That browser has disconnected: control was not handed over.")
         self._pass_to(to)
 
-    def _keep(self, key: str) -> None:
+    @observer_command
+    def keep(self, key: str) -> None:
+        """Refuse the pending request."""
         self._require_holder(key)
         asking = self._hands.asking
         self._end_asking()

@@ -16,6 +16,7 @@ from wafer_viewer.model.errors import DatasetError, WaferViewerError
 from wafer_viewer.model.surface.height_map import ORIGIN_TITLES, UNMEASURED_FROM, HeightMap, Mosaic, Origin
 from wafer_viewer.model.surface.recipe import Recipe
 from wafer_viewer.session.core.command_queue import CommandQueue
+from wafer_viewer.session.core.commands import observer_command
 from wafer_viewer.session.state.snapshot import Box, DatasetEntry, FieldState, OpenDataset, SurfaceInfo
 from wafer_viewer.store.dataset.result import Result
 from wafer_viewer.store.io.atomic_files import write_text
@@ -105,6 +106,7 @@ class Library:
         """Displayed result of the open dataset."""
         return self.dataset.result(self.result_name)
 
+    @observer_command
     def refresh(self) -> None:
         """List the data folder again."""
         paths = sorted(self._folder.glob(f"*{ENDING}")) if self._folder.is_dir() else []
@@ -174,7 +176,7 @@ class Library:
             n: fresh[n] if s in (FieldState.TO_COME, FieldState.TAKING) else s for n, s in self.shown.states.items()
         }
         self._show(states=states, finished=self.dataset.finished, read_only=read_only)
-        self.refresh()
+        self.refresh.run()
 
     def set_state(self, field_number: int, state: FieldState) -> None:
         """Set the state of a field; a measured field gets a new stamp."""

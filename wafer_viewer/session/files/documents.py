@@ -4,15 +4,16 @@ from __future__ import annotations
 
 import glob
 import re
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Iterable, Mapping
 from concurrent.futures import Future
 from itertools import count
 from pathlib import Path
-from typing import Any
 
 from wafer_viewer.model.report import Contents, ReportOrder
+from wafer_viewer.session.core.command_queue import CommandQueue
+from wafer_viewer.session.core.commands import observer_command
 from wafer_viewer.session.core.dataset_library import Library
-from wafer_viewer.session.files.file_jobs import FileWork
+from wafer_viewer.session.files.file_jobs import FileJobs
 from wafer_viewer.session.reporting.report import contents
 
 PICTURE, REPORT = "picture", "report"
@@ -20,23 +21,32 @@ _REPORT_NAME = re.compile(r"[^/\\]+-report-\d+\.html")
 
 
 class Documents:
-    """Document commands of the page; every command returns a future."""
+    """Documents of the open dataset, ``session.papers``; every command returns a future."""
 
-    def __init__(self, do: Callable[..., Future[Any]], library: Library, files: FileWork) -> None:
-        self._do, self._library, self._files = do, library, files
+    def __init__(self, desk: CommandQueue, library: Library, files: FileJobs) -> None:
+        self._desk, self._library, self._files = desk, library, files
         self.pictures_kept = 0
         """Number of pictures stored since the start; a change means that a report may have more to show."""
         self.saved_reports: dict[str, Path] = {}
         """Reports written to a path chosen by a person, by file name."""
 
-    def keep_picture(self, png: bytes) -> Future[Path]:
+    @observer_command
+    def keep_picture(self, png: bytes) -> Path:
         """Store a picture next to the open dataset, as ``NAME-picture-3.png``; the future's result is its path."""
-        return self._do(self._keep_picture, png)
+        from wafer_viewer.store.io.atomic_files import atomic_write
 
-    def contents(self) -> Future[Contents]:
+        path = free_path(self._library.shown.path, PICTURE, ".png")
+        with atomic_write(path) as beside:
+            beside.write_bytes(png)
+        self.pictures_kept += 1
+        return path
+
+    @observer_command
+    def contents(self) -> Contents:
         """Return a short description of each part that a report of the open dataset would have."""
-        return self._do(lambda: contents(self._library.dataset.path, self._library.result_name))
+        return contents(self._library.dataset.path, self._library.result_name)
 
+    @observer_command
     def write_report(self, order: ReportOrder, path: Path | None = None) -> Future[Path]:
         """Write the report; the future's result is its path.
 
@@ -47,20 +57,9 @@ class Documents:
             if path is not None and not done.cancelled() and done.exception() is None:
                 self.saved_reports[path.name] = path
 
-        written = self._do(
-            lambda: self._files.write_report(order, path or free_path(self._library.shown.path, REPORT, ".html"))
-        )
+        written = self._files.write_report(order, path or free_path(self._library.shown.path, REPORT, ".html"))
         written.add_done_callback(note)
         return written
-
-    def _keep_picture(self, png: bytes) -> Path:
-        from wafer_viewer.store.io.atomic_files import atomic_write
-
-        path = free_path(self._library.shown.path, PICTURE, ".png")
-        with atomic_write(path) as beside:
-            beside.write_bytes(png)
-        self.pictures_kept += 1
-        return path
 
 
 def newest_report(dataset: Path) -> Path | None:

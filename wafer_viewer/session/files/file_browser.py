@@ -21,6 +21,7 @@ import msgspec
 
 from wafer_viewer.model.errors import DatasetError
 from wafer_viewer.model.file_formats import READ
+from wafer_viewer.session.core.commands import query
 
 Order = Literal["date", "name", "size"]
 KindName = Literal[
@@ -148,6 +149,7 @@ class Browsing:
 
     # --- what may be chosen
 
+    @query
     def allowed(self, path: Path) -> bool:
         """Return whether a path is inside a root after its symbolic links are resolved."""
         try:
@@ -156,6 +158,7 @@ class Browsing:
             return False
         return any(real.is_relative_to(os.path.realpath(root.path)) for root in self.roots)
 
+    @query
     def path_of(self, text: str, folder: Path) -> Path:
         """Return the absolute path of a typed text, relative to the displayed `folder`; ~ is the home folder.
 
@@ -172,6 +175,7 @@ class Browsing:
             )
         return path
 
+    @query
     def existing(self, text: str, folder: Path) -> Path:
         """Return the path of a typed text. Raises DatasetError if nothing exists there."""
         path = self.path_of(text, folder)
@@ -181,6 +185,7 @@ class Browsing:
 
     # --- folders
 
+    @query
     def list_folder(
         self, folder: Path, kind: FileKind, *, prefix: str = "", order: Order = "date", limit: int = PAGE
     ) -> Future[Listing]:
@@ -253,6 +258,7 @@ class Browsing:
 
     # --- small pictures
 
+    @query
     def look(self, path: Path) -> Future[bytes]:
         """Return a preview of a file as JPEG bytes; empty bytes if there is nothing to show."""
         return self._looking.submit(self._look, path)
@@ -275,6 +281,7 @@ class Browsing:
 
     # --- what was taken last
 
+    @query
     def remember(self, kind: KindName, path: Path) -> None:
         """Store a chosen path, so that it is offered first the next time."""
         from wafer_viewer.store.io.atomic_files import write_text

@@ -10,7 +10,6 @@ from collections.abc import Callable
 from concurrent.futures import Future
 from functools import partial
 from pathlib import Path
-from typing import Any
 
 from wafer_viewer.model.acquisition.calibration import OpticalSetup
 from wafer_viewer.model.acquisition.plan import MIN_FRAMES, FieldGrid, FocusSweep, ScanPlan
@@ -24,6 +23,7 @@ from wafer_viewer.model.surface.height_map import HeightMap
 from wafer_viewer.model.surface_format import Reading
 from wafer_viewer.session.core.background_work import BackgroundWork
 from wafer_viewer.session.core.command_queue import CommandQueue
+from wafer_viewer.session.core.commands import command, observer_command, query
 from wafer_viewer.session.core.dataset_library import (
     DEFAULT_RESULT,
     ENDING,
@@ -130,60 +130,83 @@ def _part(tell: Progress, begin: float, length: float, share: float) -> None:
     tell(begin + length * share)
 
 
-class FileWork:
-    """Import, export and report work. Use on the session's thread only."""
-
-    def __init__(self, desk: CommandQueue, library: Library, background: BackgroundWork) -> None:
-        self._desk, self._library, self._background = desk, library, background
-
-    def import_images(self, srcs: tuple[Path, ...], options: dict[str, Any], name: str | None) -> Future[Path]:
-        """Import images into a dataset; the future's result is its path."""
-        folder = self._desk.now.data_folder
-        wish = Path(name).name.removesuffix(ENDING) if name else free_name(folder, srcs[0].stem if srcs else "import")
-        out = folder / f"{wish}{ENDING}"
-        return self._background.run(
-            f"Import of {out.stem}", import_images, tuple(Path(s).absolute() for s in srcs), out, options
-        )
-
-    def import_surface(self, src: Path, says: Reading, name: str | None) -> Future[Path]:
-        """Import a surface file into a dataset; the future's result is its path."""
-        wish = Path(name).name.removesuffix(ENDING) if name else free_name(self._desk.now.data_folder, src.stem)
-        out = self._desk.now.data_folder / f"{wish}{ENDING}"
-        return self._background.run(f"Import of {out.stem}", import_surface, src.absolute(), out, says)
-
-    def export_surface(
-        self, path: Path, field_number: int | None, every: int | None = None, part: Region | None = None
-    ) -> Future[Path]:
-        """Write the mosaic, a field's surface or the displayed comparison layer to a file; the result is its path."""
-        dataset, result = self._library.dataset, self._library.result_name
-        if (asked := comparison_of(field_number or 0)) is not None:
-            result = next((c.name for c in self._desk.now.comparisons if c.number == asked[0]), result)
-            field_number = -asked[1]
-        args = (dataset.path, result, field_number, path.absolute(), every, part)
-        return self._background.run(f"Export to {path.name}", export_surface, *args)
-
-    def write_report(self, order: ReportOrder, out: Path) -> Future[Path]:
-        """Write the report of the open dataset; the future's result is its path."""
-        dataset = self._library.dataset
-        args = (dataset.path, self._library.result_name, order, out.absolute())
-        return self._background.run(f"Report of {dataset.path.stem}", make_report, *args)
-
-
-class Exchange:
-    """Import commands for the page and for notebooks; commands return futures."""
+class FileJobs:
+    """Import, export and report jobs, ``session.exchange``; commands return futures."""
 
     def __init__(
-        self, do: Callable[..., Future[Any]], desk: CommandQueue, files: FileWork, open_dataset: Callable[[Path], Path]
+        self, desk: CommandQueue, library: Library, background: BackgroundWork, open_dataset: Callable[[Path], Path]
     ) -> None:
-        self._do, self._desk, self._files, self._open = do, desk, files, open_dataset
+        self._desk, self._library, self._background, self._open = desk, library, background, open_dataset
 
+    @query
     def is_surface(self, path: Path) -> bool:
         """Return whether a path names a surface file, rather than a dataset or images."""
         from wafer_viewer.store.formats.readers import is_surface_file
 
         return is_surface_file(Path(path))
 
+    @command
+    def import_images(
+        self,
+        srcs: tuple[Path, ...],
+        *,
+        z_step_um: float | None,
+        pixel_um: float | None,
+        pattern: str | None = None,
+        name: str | None = None,
+        overlap_fraction: float = 0.1,
+        numerical_aperture: float | None = None,
+        wavelength_um: float | None = None,
+    ) -> Future[Path]:
+        """Import images from another instrument into a dataset, open and reconstruct it.
+
+        The future is done when it is open. numerical_aperture: of the objective, in air; None: unknown. wavelength_um:
+        None means 0.55 um.
+        """
+        options = {
+            "z_step_um": z_step_um,
+            "pixel_um": pixel_um,
+            "pattern": pattern,
+            "overlap_fraction": overlap_fraction,
+            "numerical_aperture": numerical_aperture,
+            "wavelength_um": wavelength_um,
+        }
+        out = self._new_dataset(name, srcs[0].stem if srcs else "import")
+        files = tuple(Path(src).absolute() for src in srcs)
+        made = self._background.run(f"Import of {out.stem}", import_images, files, out, options)
+        return self._desk.then(made.done, self._open)
+
+    @command
     def import_surface(self, path: Path, says: Reading = Reading(), name: str | None = None) -> Future[Path]:
         """Import a surface file into a dataset and open it. says: values that the file does not contain."""
-        made = self._do(self._files.import_surface, Path(path), says, name)
-        return self._desk.then(made, self._open)
+        src = Path(path).absolute()
+        out = self._new_dataset(name, src.stem)
+        made = self._background.run(f"Import of {out.stem}", import_surface, src, out, says)
+        return self._desk.then(made.done, self._open)
+
+    @observer_command
+    def export_surface(
+        self, path: Path, field: int | None = None, every: int | None = None, part: Region | None = None
+    ) -> Future[Path]:
+        """Write the stitched surface, a field's or a comparison layer, with every n-th pixel.
+
+        The file ending determines the format. part: only the upright rectangle around this region.
+        """
+        out, dataset, result = Path(path).absolute(), self._library.dataset, self._library.result_name
+        if (asked := comparison_of(field or 0)) is not None:
+            result = next((c.name for c in self._desk.now.comparisons if c.number == asked[0]), result)
+            field = -asked[1]
+        return self._background.run(
+            f"Export to {out.name}", export_surface, dataset.path, result, field, out, every, part
+        ).done
+
+    def write_report(self, order: ReportOrder, out: Path) -> Future[Path]:
+        """Write the report of the open dataset, on the session's thread; the future's result is its path."""
+        dataset = self._library.dataset
+        args = (dataset.path, self._library.result_name, order, out.absolute())
+        return self._background.run(f"Report of {dataset.path.stem}", make_report, *args).done
+
+    def _new_dataset(self, name: str | None, stem: str) -> Path:
+        folder = self._desk.now.data_folder
+        wish = Path(name).name.removesuffix(ENDING) if name else free_name(folder, stem)
+        return folder / f"{wish}{ENDING}"

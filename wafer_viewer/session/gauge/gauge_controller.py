@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from concurrent.futures import Future, ThreadPoolExecutor
 from dataclasses import replace
 from pathlib import Path
@@ -21,6 +20,7 @@ from wafer_viewer.model.gauge import (
 )
 from wafer_viewer.model.region import Region
 from wafer_viewer.session.core.command_queue import CommandQueue
+from wafer_viewer.session.core.commands import command, query
 from wafer_viewer.session.core.dataset_library import NOTHING_OPEN, Library, today
 from wafer_viewer.session.gauge import gauge_check as work
 from wafer_viewer.session.measurement.dataset_queries import DatasetQueries
@@ -29,14 +29,18 @@ from wafer_viewer.session.state.inspection_state import Faces, GaugeState, Tick
 from wafer_viewer.session.state.snapshot import Snapshot
 
 NO_CERTIFICATE = "There is no certificate: load the one of the blocks first."
-Measure = Callable[[Faces | None, int], GaugeRepeat]
 
 
-class GaugeKeeper:
-    """Controller of the gauge-block check. Use on the session's thread only; `measure` runs on a separate one."""
+class GaugeController:
+    """Controller of the gauge-block check, ``session.gauge``; commands return futures.
 
-    def __init__(self, desk: CommandQueue, library: Library, book: ResultsStore, folder: Path) -> None:
-        self._desk, self._library, self._book, self._folder = desk, library, book, folder
+    `find_faces` and `check` run on the calling thread and block it; a repeat is measured on a separate thread.
+    """
+
+    def __init__(
+        self, desk: CommandQueue, library: Library, book: ResultsStore, questions: DatasetQueries, folder: Path
+    ) -> None:
+        self._desk, self._library, self._book, self._questions, self._folder = desk, library, book, questions, folder
         self._at_work = ThreadPoolExecutor(1, thread_name_prefix="gauge")
         self._of: object = None
         desk.subscribe(self._look)
@@ -47,39 +51,50 @@ class GaugeKeeper:
         return self._desk.now.gauge
 
     def close(self) -> None:
-        """End the thread."""
+        """End the thread of the measurements."""
         self._at_work.shutdown(wait=True, cancel_futures=True)
 
+    @command
     def put_certificate(self, certificate: Certificate | None) -> None:
-        """Set the certificate or None; repeats against another certificate are removed."""
+        """Set the certificate, None removes it; repeats against another certificate are removed."""
         if certificate != self.state.certificate:
             self._show(certificate=certificate, repeats=(), faces=None, signed=None)
 
+    @command
     def load_certificate(self, path: Path) -> Certificate:
-        """Load the certificate in a file."""
+        """Load the certificate in a TOML file. Raises MeasureError if it lacks what a check needs."""
         from wafer_viewer.store.records.gauge_records import read_certificate
 
-        certificate = read_certificate(path)
-        self.put_certificate(certificate)
+        certificate = read_certificate(Path(path))
+        self.put_certificate.run(certificate)
         return certificate
 
+    @command
     def set_terms(self, terms: GaugeTerms) -> None:
-        """Set the terms of the check."""
+        """Set limit, temperature, tolerance and interval."""
         self._show(terms=terms)
 
-    def tick(self, point: str, done: bool) -> None:
+    @command
+    def tick(self, point: str, done: bool = True) -> None:
         """Mark a step of the preparation as done, or as not done."""
         others = tuple(tick for tick in self.state.ticks if tick.point != point)
         self._show(ticks=(*others, Tick(point, work.now())) if done else others)
 
-    def add_repeat(self, measure: Measure, faces: Faces | None, show: int) -> Future[GaugeRepeat]:
-        """Measure the open dataset as one repeat, on a separate thread; the future is done when the repeat is added."""
-        self.require_certificate()
+    @command
+    def add_repeat(
+        self, upper: Region | None = None, lower: Region | None = None, show: int = 0
+    ) -> Future[GaugeRepeat]:
+        """Measure the open dataset as one repeat, without regions at detected faces.
+
+        The future is done when the repeat is added.
+        """
+        _certificate(self.state)
         self._desk.change(gauge=replace(self.state, busy=True))
-        measured = self._at_work.submit(measure, faces, show)
+        measured = self._at_work.submit(self._measured, _faces(upper, lower), show)
         counted = self._desk.then(measured, self._count)
         return self._desk.afterwards(counted, lambda: self._desk.change(gauge=replace(self.state, busy=False)))
 
+    @command
     def drop_repeat(self, n: int) -> None:
         """Remove a repeat, by its index from 0."""
         repeats = self.state.repeats
@@ -87,10 +102,12 @@ class GaugeKeeper:
             raise MeasureError(f"The check has {len(repeats)} repeats and no number {n + 1}: choose one of them.")
         self._show(repeats=(*repeats[:n], *repeats[n + 1 :]), signed=None)
 
+    @command
     def clear(self) -> None:
-        """Start again with the same certificate and terms."""
+        """Remove all repeats and start again with the same certificate and terms."""
         self._show(repeats=(), ticks=(), faces=None, signed=None)
 
+    @command
     def sign(self, operator: str) -> GaugeRecord:
         """Sign the check and store it in the log of the data folder and as a result of the open dataset."""
         from wafer_viewer.store.records.gauge_records import sign
@@ -107,12 +124,13 @@ class GaugeKeeper:
         check = work.signed(state.check, operator, state.records)
         record = work.record_of(check, self._library.dataset.scan.rig, self._library.result_name)
         sign(self._folder, record)
-        self._book.keep(check)
+        self._book.keep.run(check)
         self._show(signed=check)
         return record
 
-    def correct_scale(self, operator: str, why: str) -> Calibration:
-        """Apply the correction offered by the signed check to the rig's next scans."""
+    @command
+    def correct_scale(self, operator: str, why: str = "") -> Calibration:
+        """Set the rig's z scale from the signed check, for its next scans; existing scans do not change."""
         from wafer_viewer.session.gauge.z_scale_correction import correct
 
         record, rig = self._signed_record(), self._desk.now.rig
@@ -127,11 +145,27 @@ class GaugeKeeper:
         self._show()
         return after
 
-    def require_certificate(self) -> Certificate:
-        """Return the certificate. Raises MeasureError if there is none."""
-        if (certificate := self.state.certificate) is None:
-            raise MeasureError(NO_CERTIFICATE)
-        return certificate
+    @query
+    def find_faces(self, show: int = 0) -> Faces:
+        """Return the upper and the lower face of the blocks on a surface. Raises MeasureError if there are none."""
+        return work.find_faces(self._questions.surface_source(show))
+
+    @query
+    def check(self, upper: Region, lower: Region, show: int = 0) -> GaugeCheck:
+        """Return the check with the open dataset measured at these faces. Raises MeasureError."""
+        state, repeat = self._desk.snapshot.gauge, self._measured((upper, lower), show)
+        before = () if state.signed is not None else state.repeats
+        others = tuple(other for other in before if not other.is_scan_of(repeat))
+        return work.check_of((*others, repeat), _certificate(state), state.terms, state.records)
+
+    def _measured(self, faces: Faces | None, show: int) -> GaugeRepeat:
+        """Measure the open dataset, on any thread."""
+        certificate, shown = _certificate(self._desk.snapshot.gauge), self._desk.snapshot.dataset
+        if shown is None:
+            raise DatasetError(NOTHING_OPEN)
+        surface = self._questions.surface_source(show)
+        source = work.GaugeSource(surface, shown.name, shown.taken, shown.calibration_problem, show)
+        return work.measure_repeat(source, certificate, faces)
 
     def _count(self, repeat: GaugeRepeat) -> GaugeRepeat:
         """Add a repeat; the first one after a signed check starts a new check."""
@@ -139,7 +173,7 @@ class GaugeKeeper:
 
         before = () if self.state.signed is not None else self.state.repeats
         require_new(repeat, before)
-        work.check_of((*before, repeat), self.require_certificate(), self.state.terms, self.state.records)
+        work.check_of((*before, repeat), _certificate(self.state), self.state.terms, self.state.records)
         self._show(repeats=(*before, repeat), faces=(repeat.upper, repeat.lower), signed=None)
         return repeat
 
@@ -218,81 +252,10 @@ def _chart(records: tuple[GaugeRecord, ...]) -> RunChart | None:
     return run_chart(records)
 
 
-class GaugeVerbs:
-    """Gauge-block check commands, which return futures.
-
-    `find_faces` and `check` run on the calling thread and block it.
-    """
-
-    def __init__(
-        self,
-        do: Callable[..., Future[Any]],
-        keeper: GaugeKeeper,
-        questions: DatasetQueries,
-        snapshot: Callable[[], Snapshot],
-    ) -> None:
-        self._do, self._keeper, self._questions, self._snapshot = do, keeper, questions, snapshot
-
-    def load_certificate(self, path: Path) -> Future[Certificate]:
-        """Load the certificate in a TOML file. MeasureError if it lacks what a check needs."""
-        return self._do(self._keeper.load_certificate, Path(path))
-
-    def put_certificate(self, certificate: Certificate | None) -> Future[None]:
-        """Set the certificate; None removes it."""
-        return self._do(self._keeper.put_certificate, certificate)
-
-    def set_terms(self, terms: GaugeTerms) -> Future[None]:
-        """Set limit, temperature, tolerance and interval."""
-        return self._do(self._keeper.set_terms, terms)
-
-    def tick(self, point: str, done: bool = True) -> Future[None]:
-        """Mark a step of the preparation as done, or as not done."""
-        return self._do(self._keeper.tick, point, done)
-
-    def add_repeat(
-        self, upper: Region | None = None, lower: Region | None = None, show: int = 0
-    ) -> Future[GaugeRepeat]:
-        """Measure the open dataset as one repeat; without regions the faces are detected."""
-        return self._do(self._keeper.add_repeat, self._measured, _faces(upper, lower), show)
-
-    def drop_repeat(self, n: int) -> Future[None]:
-        """Remove a repeat, by its index from 0."""
-        return self._do(self._keeper.drop_repeat, n)
-
-    def clear(self) -> Future[None]:
-        """Remove all repeats and start again."""
-        return self._do(self._keeper.clear)
-
-    def sign(self, operator: str) -> Future[GaugeRecord]:
-        """Sign the check and store it in the log and as a result of the open dataset."""
-        return self._do(self._keeper.sign, operator)
-
-    def correct_scale(self, operator: str, why: str = "") -> Future[Calibration]:
-        """Set the rig's z scale from the signed check, for its next scans; existing scans do not change."""
-        return self._do(self._keeper.correct_scale, operator, why)
-
-    def find_faces(self, show: int = 0) -> Faces:
-        """Return the upper and the lower face of the blocks on a surface. Raises MeasureError if there are none."""
-        return work.find_faces(self._questions.surface_source(show))
-
-    def check(self, upper: Region, lower: Region, show: int = 0) -> GaugeCheck:
-        """Return the check with the open dataset measured at these faces. Raises MeasureError."""
-        state, repeat = self._snapshot().gauge, self._measured((upper, lower), show)
-        if state.certificate is None:
-            raise MeasureError(NO_CERTIFICATE)
-        before = () if state.signed is not None else state.repeats
-        others = tuple(other for other in before if not other.is_scan_of(repeat))
-        return work.check_of((*others, repeat), state.certificate, state.terms, state.records)
-
-    def _measured(self, faces: Faces | None, show: int) -> GaugeRepeat:
-        certificate, shown = self._snapshot().gauge.certificate, self._snapshot().dataset
-        if certificate is None:
-            raise MeasureError(NO_CERTIFICATE)
-        if shown is None:
-            raise DatasetError(NOTHING_OPEN)
-        surface = self._questions.surface_source(show)
-        source = work.GaugeSource(surface, shown.name, shown.taken, shown.calibration_problem, show)
-        return work.measure_repeat(source, certificate, faces)
+def _certificate(state: GaugeState) -> Certificate:
+    if state.certificate is None:
+        raise MeasureError(NO_CERTIFICATE)
+    return state.certificate
 
 
 def _faces(upper: Region | None, lower: Region | None) -> Faces | None:

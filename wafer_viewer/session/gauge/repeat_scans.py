@@ -12,6 +12,7 @@ from wafer_viewer.model.gauge import GaugeRR, Method, Study
 from wafer_viewer.model.job import Job
 from wafer_viewer.model.measurement.feature import Die, Feature
 from wafer_viewer.model.quantity import Quantity, Unit
+from wafer_viewer.session.core.commands import query
 from wafer_viewer.session.core.dataset_library import DEFAULT_RESULT
 from wafer_viewer.session.planning.plan_editor import read_job
 from wafer_viewer.session.planning.revision_trial import datasets_of, judged_places
@@ -169,6 +170,7 @@ class Studies:
     Methods raise WaferViewerError on failure.
     """
 
+    @query
     def gauge_rr(self, path: Path, method: Method = "anova", tolerance: float | None = None) -> tuple[Studied, ...]:
         """Return the share of the gauge in the observed spread.
 

@@ -3,22 +3,21 @@
 from __future__ import annotations
 
 import datetime
-from collections.abc import Callable
 from concurrent.futures import Future
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 from wafer_viewer.model.errors import DatasetError, WaferViewerError
 from wafer_viewer.model.inspection.defect import Defect, DefectClass, DefectRecipe, Inspection, Judgement
 from wafer_viewer.model.spec import replace
 from wafer_viewer.session.core.command_queue import UndoHistory
+from wafer_viewer.session.core.commands import command
 from wafer_viewer.session.inspection.inspection_job import Against, Dies, inspect_dataset, mosaic_mark
 from wafer_viewer.session.state.inspection_state import InspectionState, product_of
 
 if TYPE_CHECKING:
-    from wafer_viewer.compute.compute_client import Compute
     from wafer_viewer.model.inspection.defect import DefectLimits
-    from wafer_viewer.session.core.background_work import Notifications
+    from wafer_viewer.session.core.background_work import BackgroundWork
     from wafer_viewer.session.core.command_queue import CommandQueue
     from wafer_viewer.session.core.dataset_library import Library
     from wafer_viewer.session.inspection.inspection_files import DefectFiles
@@ -26,11 +25,17 @@ if TYPE_CHECKING:
     from wafer_viewer.session.state.snapshot import Snapshot
 
 
-class DefectKeeper:
-    """Controller of the snapshot's inspection. Use on the session's thread only."""
+class DefectController:
+    """Controller of the inspection, ``session.defects``; commands return futures."""
 
-    def __init__(self, desk: CommandQueue, notices: Notifications, library: Library, compute: Compute) -> None:
-        self._desk, self._notices, self._library, self._compute = desk, notices, library, compute
+    files: DefectFiles
+    views: DefectViews
+
+    def __init__(
+        self, desk: CommandQueue, library: Library, background: BackgroundWork, files: DefectFiles, views: DefectViews
+    ) -> None:
+        self._desk, self._library, self._background = desk, library, background
+        self.files, self.views = files, views
         self._history: UndoHistory[Inspection | None] = UndoHistory(None)
         self._of: tuple[Path, str] | None = None
         self._work, self._problem, self._stamp = "", "", 0
@@ -45,7 +50,7 @@ class DefectKeeper:
 
         of = self._looked_at
         if self._work and of != self._of:
-            self._notices.cancel(self._work)
+            self._background.cancel(self._work)
         self._problem, kept = "", None
         if of is not None:
             try:
@@ -55,22 +60,36 @@ class DefectKeeper:
         self._history.restart(kept)
         self._show()
 
-    def begin(self, recipe: DefectRecipe | None, dies: Dies, against: Against) -> Future[Inspection]:
-        """Inspect the stitched surface for defects; the future's result is the inspection."""
+    @command
+    def inspect(
+        self, recipe: DefectRecipe | None = None, dies: Dies = None, against: Against = "dies"
+    ) -> Future[Inspection]:
+        """Inspect the stitched surface for defects; the work can be cancelled.
+
+        recipe: by default the last one saved for the product of the dataset. dies: a lattice, "found" to detect the
+        dies on the surface, or None: the job's, else detected. against: the reference of the comparison; without dies,
+        the fitted form.
+        """
         self._require_writable()
         if self._work:
             raise DatasetError("Defects are being searched for already: wait, or cancel it in the job list.")
         if self._desk.now.surface is None:
             raise DatasetError("There is no stitched surface yet: defects are searched for on that.")
-        work = self._notices.begin("Search for defects", lambda: self._compute.cancel(work))
-        self._work, self._of, self._problem = work, self._looked_at, ""
-        of = self._library.dataset.path, self._library.result_name
-        done = self._compute.lead(work, inspect_dataset, *of, recipe or self._own_recipe, dies, against)
+        asked = (self._library.dataset.path, self._library.result_name, recipe or self._own_recipe, dies, against)
+        running = self._background.lead("Search for defects", inspect_dataset, *asked, ended=self._ended)
+        self._work, self._of, self._problem = running.id, self._looked_at, ""
         self._show()
-        return self._desk.afterwards(done, lambda: self._over(work, done))
+        return running.done
 
-    def judge(self, number: int, judgement: Judgement | None, kind: DefectClass | None, note: str | None) -> None:
-        """Set the judgement of a defect; None leaves judgement, class or note unchanged."""
+    @command
+    def judge(
+        self,
+        number: int,
+        judgement: Judgement | None = None,
+        kind: DefectClass | None = None,
+        note: str | None = None,
+    ) -> None:
+        """Judge a defect as real or nuisance, set its class, or set a note; None leaves it unchanged."""
         self._require_writable()
         inspection, old = self._numbered(number)
         new = replace(
@@ -86,8 +105,9 @@ class DefectKeeper:
         self._history.put(replace(inspection, defects=defects))
         self._save()
 
+    @command
     def limit(self, limits: DefectLimits) -> None:
-        """Set the allowed number of defects per die and per wafer."""
+        """Set the allowed number of defects per die and per wafer; `verdict_of` compares the inspection with them."""
         self._require_writable()
         if (inspection := self._history.value) is None:
             raise DatasetError("Limits are for what was found: inspect for defects first.")
@@ -95,21 +115,22 @@ class DefectKeeper:
             self._history.put(replace(inspection, recipe=replace(inspection.recipe, limits=limits)))
             self._save()
 
+    @command
     def undo(self) -> None:
         """Undo the last change of judgements or limits."""
         self._require_writable()
         self._history.undo()
         self._save()
 
+    @command
     def redo(self) -> None:
         """Redo the last undone change."""
         self._require_writable()
         self._history.redo()
         self._save()
 
-    def _over(self, work: str, done: Future[Inspection]) -> None:
+    def _ended(self, done: Future[Inspection]) -> None:
         """Store the inspection; if it failed, show the reason in place of the defect list."""
-        self._notices.end(work)
         self._work = ""
         if self._of == self._looked_at:
             try:
@@ -168,51 +189,6 @@ class DefectKeeper:
     def _require_writable(self) -> None:
         if (why := self._library.shown.read_only) is not None:
             raise DatasetError(f"Defects were not changed: {why}")
-
-
-class DefectVerbs:
-    """Defect commands of the page, ``session.defects``; commands return futures."""
-
-    files: DefectFiles
-    views: DefectViews
-
-    def __init__(
-        self, do: Callable[..., Future[Any]], keeper: DefectKeeper, files: DefectFiles, views: DefectViews
-    ) -> None:
-        self._do, self._keeper, self.files, self.views = do, keeper, files, views
-
-    def inspect(
-        self, recipe: DefectRecipe | None = None, dies: Dies = None, against: Against = "dies"
-    ) -> Future[Inspection]:
-        """Inspect the stitched surface for defects; the work can be cancelled.
-
-        recipe: by default the last one saved for the product of the dataset. dies: a lattice, "found" to detect the
-        dies on the surface, or None: the job's, else detected. against: the reference of the comparison; without dies,
-        the fitted form.
-        """
-        return self._do(self._keeper.begin, recipe, dies, against)
-
-    def judge(
-        self,
-        number: int,
-        judgement: Judgement | None = None,
-        kind: DefectClass | None = None,
-        note: str | None = None,
-    ) -> Future[None]:
-        """Judge a defect as real or nuisance, set its class, or set a note."""
-        return self._do(self._keeper.judge, number, judgement, kind, note)
-
-    def limit(self, limits: DefectLimits) -> Future[None]:
-        """Set the allowed number of defects per die and per wafer; `verdict_of` compares the inspection with them."""
-        return self._do(self._keeper.limit, limits)
-
-    def undo(self) -> Future[None]:
-        """Undo the last change of judgements or limits."""
-        return self._do(self._keeper.undo)
-
-    def redo(self) -> Future[None]:
-        """Redo the last undone change."""
-        return self._do(self._keeper.redo)
 
 
 def now() -> str:

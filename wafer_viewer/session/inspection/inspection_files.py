@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, Any, Literal
 from wafer_viewer.model.errors import DatasetError, MeasureError
 from wafer_viewer.model.inspection.defect import DefectRecipe
 from wafer_viewer.model.progress import Progress, ShouldStop, never, silent
+from wafer_viewer.session.core.commands import command, observer_command
 from wafer_viewer.session.inspection.klarf_overlay import KlarfUnit, overlay_klarf
 from wafer_viewer.session.state.inspection_state import SAME_PLACE_UM, DefectShelf, OtherTool
 
@@ -114,17 +115,18 @@ def _inspected(dataset: Path, result: str, *, same_surface: bool) -> tuple[Wafer
 TITLES: dict[Handover, str] = {"klarf": "KLARF", "csv": "Table of defects", "training": "Training set"}
 
 
-class DefectFilesKeeper:
-    """Controller of the snapshot's inspection resources. Use on the session's thread only."""
+class DefectFiles:
+    """Controller of recipes, golden dies and defect files, ``session.defects.files``; commands return futures."""
 
     def __init__(self, desk: CommandQueue, library: Library, background: BackgroundWork, folder: Path) -> None:
         self._desk, self._library, self._background, self._folder = desk, library, background, folder
 
     def open(self) -> None:
         """Remove the overlay of the previous surface, and list recipes and golden dies again."""
-        self.take_away()
-        self.refresh()
+        self.take_away.run()
+        self.refresh.run()
 
+    @command
     def refresh(self) -> None:
         """List recipes and golden dies again."""
         from wafer_viewer.store.records.golden_dies import FOLDER, every_golden
@@ -134,61 +136,73 @@ class DefectFilesKeeper:
         golden = sorted(every_golden(self._folder / FOLDER), key=lambda header: header.name.casefold())
         self._put(recipes=recipes, golden=tuple(golden), problems=problems)
 
+    @command
     def save_recipe(self, recipe: DefectRecipe) -> Path:
-        """Save a recipe under its product and name."""
+        """Save a recipe under its product and name; an earlier one is replaced."""
         from wafer_viewer.store.records.inspection_records import save_defect_recipe
 
         path = save_defect_recipe(self._folder, recipe)
-        self.refresh()
+        self.refresh.run()
         return path
 
+    @command
     def rename_recipe(self, recipe: DefectRecipe, name: str) -> None:
         """Rename a stored recipe."""
         from wafer_viewer.store.records.inspection_records import rename_defect_recipe
 
         rename_defect_recipe(self._folder, recipe, name)
-        self.refresh()
+        self.refresh.run()
 
+    @command
     def delete_recipe(self, recipe: DefectRecipe) -> None:
-        """Delete a stored recipe."""
+        """Delete a stored recipe and its file."""
         from wafer_viewer.store.records.inspection_records import delete_defect_recipe
 
         delete_defect_recipe(self._folder, recipe)
-        self.refresh()
+        self.refresh.run()
 
+    @command
     def keep_golden(self, name: str) -> Future[Path]:
-        """Store the typical die as a golden die, on a worker; the list is updated afterwards."""
-        done = self._background.run(f"Golden die {name}", keep_golden, *self._looked_at, name)
-        return self._desk.afterwards(done, self.refresh)
+        """Store the typical die of the inspected surface as the next version of a name; no version is overwritten."""
+        title, asked = f"Golden die {name}", (*self._looked_at, name)
+        return self._background.run(title, keep_golden, *asked, ended=lambda _: self.refresh.run()).done
 
+    @command
     def add_golden(self, path: Path) -> GoldenHeader:
-        """Copy a golden die from a file as the next version of its name.
+        """Copy a golden die from a file, as the next version of its name; the future's result is its header.
 
         A golden die in the data folder is not copied.
         """
         from wafer_viewer.store.records.golden_dies import ENDING, FOLDER, header_of, open_golden, save_golden
 
-        folder = self._folder / FOLDER
+        path, folder = Path(path), self._folder / FOLDER
         if path.absolute().parent == folder.absolute():
             header = header_of(path)
         else:
             golden = open_golden(path)
             name = golden.header.name or path.name.removesuffix(ENDING)
             header = header_of(save_golden(golden, folder / name))
-        self.refresh()
+        self.refresh.run()
         return header
 
+    @observer_command
     def write(self, what: Handover, path: Path) -> Future[Path]:
-        """Write the defects to a file or a folder, on a worker."""
-        return self._background.run(f"{TITLES[what]} {path.name}", hand_over, *self._looked_at, what, path.absolute())
+        """Write the defects with their judgements: ``klarf`` and ``csv`` to a file, ``training`` to a new folder."""
+        out = Path(path).absolute()
+        return self._background.run(f"{TITLES[what]} {out.name}", hand_over, *self._looked_at, what, out).done
 
-    def lay_over(self, path: Path, unit: KlarfUnit | None, within_um: float) -> OtherTool:
-        """Read a KLARF file and overlay its defects on the surface."""
+    @command
+    def lay_over(self, path: Path, unit: KlarfUnit | None = None, within_um: float = SAME_PLACE_UM) -> OtherTool:
+        """Overlay the defects of a KLARF file on the surface; lengths are um unless the file or `unit` says otherwise.
+
+        within_um: maximum distance between positions of the same defect.
+        """
         alignment, inspection = self._library.shown.job.alignment, self._desk.now.inspection.inspection
-        other = overlay_klarf(path, alignment, inspection, unit, within_um)
+        other = overlay_klarf(Path(path), alignment, inspection, unit, within_um)
         self._put(other=other)
         return other
 
+    @command
     def take_away(self) -> None:
         """Remove the overlay."""
         if self._desk.now.shelf.other is not None:
@@ -202,51 +216,3 @@ class DefectFilesKeeper:
         shelf: DefectShelf = with_changes(self._desk.now.shelf, **changes)
         if shelf != self._desk.now.shelf:
             self._desk.change(shelf=shelf)
-
-
-class DefectFiles:
-    """Defect file commands of the page, ``session.defects.files``; commands return futures."""
-
-    def __init__(self, do: Callable[..., Future[Any]], keeper: DefectFilesKeeper) -> None:
-        self._do, self._keeper = do, keeper
-
-    def save_recipe(self, recipe: DefectRecipe) -> Future[Path]:
-        """Save a recipe under its product and name; an earlier one is replaced."""
-        return self._do(self._keeper.save_recipe, recipe)
-
-    def rename_recipe(self, recipe: DefectRecipe, name: str) -> Future[None]:
-        """Rename a stored recipe."""
-        return self._do(self._keeper.rename_recipe, recipe, name)
-
-    def delete_recipe(self, recipe: DefectRecipe) -> Future[None]:
-        """Delete a stored recipe and its file."""
-        return self._do(self._keeper.delete_recipe, recipe)
-
-    def keep_golden(self, name: str) -> Future[Path]:
-        """Store the typical die of the inspected surface as the next version of a name; no version is overwritten."""
-        return self._do(self._keeper.keep_golden, name)
-
-    def add_golden(self, path: Path) -> Future[GoldenHeader]:
-        """Copy a golden die from a file, as the next version of its name; the future's result is its header."""
-        return self._do(self._keeper.add_golden, Path(path))
-
-    def write(self, what: Handover, path: Path) -> Future[Path]:
-        """Write the defects with their judgements: ``klarf`` and ``csv`` to a file, ``training`` to a new folder."""
-        return self._do(self._keeper.write, what, Path(path))
-
-    def lay_over(
-        self, path: Path, unit: KlarfUnit | None = None, within_um: float = SAME_PLACE_UM
-    ) -> Future[OtherTool]:
-        """Overlay the defects of a KLARF file on the surface; lengths are um unless the file or `unit` says otherwise.
-
-        within_um: maximum distance between positions of the same defect.
-        """
-        return self._do(self._keeper.lay_over, Path(path), unit, within_um)
-
-    def take_away(self) -> Future[None]:
-        """Remove the overlay."""
-        return self._do(self._keeper.take_away)
-
-    def refresh(self) -> Future[None]:
-        """List recipes and golden dies again."""
-        return self._do(self._keeper.refresh)

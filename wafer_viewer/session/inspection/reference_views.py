@@ -15,6 +15,7 @@ import msgspec
 from wafer_viewer.model.errors import DatasetError, WaferViewerError
 from wafer_viewer.model.inspection.defect import Defect, Inspection
 from wafer_viewer.model.surface.comparison import ComparisonFace
+from wafer_viewer.session.core.commands import query
 from wafer_viewer.session.rendering.render_request import (
     ComparisonRequest,
     ComparisonViews,
@@ -62,6 +63,7 @@ class DefectViews:
     ) -> None:
         self._paint, self._snapshot, self._earlier = paint, snapshot, earlier or earlier_scan
 
+    @query
     def beside(self, number: int) -> Future[ComparisonViews | None]:
         """Return views of a defect, of the same position on other dies or the golden die, and in the last scan.
 
@@ -78,6 +80,7 @@ class DefectViews:
             self._paint(RenderRequest(_source(data, surface), "beside", box_um=box, like=like)), ComparisonViews
         )
 
+    @query
     def die(self) -> Future[DiePicture | None]:
         """Return a typical die: the golden one, or the median of some completely scanned dies."""
         now = self._snapshot()
@@ -87,6 +90,7 @@ class DefectViews:
         request = RenderRequest(_source(data, surface), "die", like=like_die(inspection))
         return _read(self._paint(request), DiePicture)
 
+    @query
     def repeats(self, within_um: float | None = None) -> tuple[RepeatedPlace, ...]:
         """Return the positions at which at least three dies have a defect; see `wafer_viewer.repeated_places`."""
         from wafer_viewer.measure.defects.repeaters import repeated_places

@@ -20,6 +20,7 @@ from wafer_viewer.model.region import Region
 from wafer_viewer.model.spec import replace
 from wafer_viewer.model.surface.field_poses import Poses
 from wafer_viewer.model.surface.height_map import HeightMap, Mosaic, Origin
+from wafer_viewer.session.core.commands import query
 from wafer_viewer.session.core.dataset_library import Library
 from wafer_viewer.session.state.snapshot import Snapshot
 from wafer_viewer.session.surface.comparison_commands import surface_of
@@ -41,6 +42,7 @@ class Measuring:
         self._surfaces, self._snapshot = surfaces, snapshot
         self._datums: dict[object, Datum] = {}
 
+    @query
     def measure(
         self,
         tool: ToolName,
@@ -49,22 +51,24 @@ class Measuring:
         levelling: Levelling | None = None,
         options: ToolOptions | None = None,
     ) -> AnyResult:
-        """Return the result of a measuring tool at its regions of the displayed surface."""
+        """Return the result of a measuring tool at its regions, heights relative to the stage's zero or levelled."""
         from wafer_viewer.measure.registry import measured
 
         found = measured(self._levelled(levelling, show), tool, places, self._calibrated(), options)
         return self._told(found, show, levelling)
 
+    @query
     def profile(
         self, line: Region, show: int = 0, levelling: Levelling | None = None, layer: Layer | None = None
     ) -> tuple[Profile, ProfileCurve]:
-        """Return a section along a line."""
+        """Return a section along a line. layer: the heights to cut, by default those that are measured on."""
         from wafer_viewer.measure.tools.profile import profile
 
         surface = self._levelled(levelling, show)
         found, curve = profile(surface, line, calibration_valid=self._calibrated(), layer=layer)
         return self._told(found, show, levelling), curve
 
+    @query
     def slab(
         self, line: Region, show: int = 0, levelling: Levelling | None = None
     ) -> tuple[Profile, ProfileCurve, SlabPoints]:
@@ -75,6 +79,7 @@ class Measuring:
         found, curve, points = slab_profile(surface, line, calibration_valid=self._calibrated())
         return self._told(found, show, levelling), curve, points
 
+    @query
     def datum(self, levelling: Levelling, show: int = 0) -> Datum:
         """Return the datum of a levelling on the displayed surface; cached for each state of the surface."""
         from wafer_viewer.measure.base.levelled_surface import datum
@@ -127,20 +132,24 @@ class DatasetQueries:
         self._library, self._snapshot = library, snapshot
         self.measuring = Measuring(self.surface_source, snapshot)
 
+    @query
     def mosaic(self) -> Mosaic:
         """Return the stitched surface of the open dataset."""
         return self._library.result.mosaic()
 
-    def height_map(self, field_number: int) -> HeightMap:
+    @query
+    def height_map(self, field: int) -> HeightMap:
         """Return the surface of one field."""
-        return self._library.result.surface(self._library.dataset.field(field_number))
+        return self._library.result.surface(self._library.dataset.field(field))
 
+    @query
     def surface_source(self, show: int) -> Mosaic:
         """Return the displayed surface: 0 the stitched one, above 0 the field of that number, below 0 a comparison."""
         if show < 0:
             return surface_of(self._snapshot(), show)
         return self.mosaic() if show == 0 else self.height_map(show)
 
+    @query
     def poses(self) -> Poses | None:
         """Return the field poses and overlap measurements of the stitched surface.
 
@@ -148,23 +157,27 @@ class DatasetQueries:
         """
         return self._library.result.poses()
 
-    def frame(self, field_number: int, k: int) -> Image:
+    @query
+    def frame(self, field: int, k: int) -> Image:
         """Return one frame of a field, as it was stored."""
-        stack = self._library.dataset.stack(field_number, verify=False)
+        stack = self._library.dataset.stack(field, verify=False)
         if not 0 <= k < stack.n_frames or not stack.present[k]:
-            raise DatasetError(f"Field {field_number} has no frame {k} of {stack.n_frames}: choose another.")
+            raise DatasetError(f"Field {field} has no frame {k} of {stack.n_frames}: choose another.")
         return np.array(stack.images[k])
 
-    def frame_near(self, field_number: int, z_um: float) -> Image:
+    @query
+    def frame_near(self, field: int, z_um: float) -> Image:
         """Return the frame of a field nearest to a z, as it was stored."""
-        stack = self._library.dataset.stack(field_number, verify=False)
+        stack = self._library.dataset.stack(field, verify=False)
         away = np.where(stack.present, np.abs(stack.z_um - z_um), np.inf)
         return np.array(stack.images[int(away.argmin())])
 
+    @query
     def thumbnail(self, number: int) -> bytes | None:
         """Return the thumbnail of a result, JPEG; None if there is none."""
         return self._library.result.thumbnail(number)
 
+    @query
     def read_out(self, x_um: float, y_um: float, show: int = 0) -> ReadOut:
         """Return the surface at a point. Raises MeasureError if the point is outside."""
         at = self.surface_source(show).window(Region.rectangle(x_um, y_um, x_um, y_um))

@@ -6,8 +6,6 @@ belongs to it after the deletion is undone.
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from concurrent.futures import Future
 from itertools import count
 from pathlib import Path
 from typing import Any
@@ -19,6 +17,7 @@ from wafer_viewer.model.job import Notebook, SavedView, Verdict
 from wafer_viewer.model.measurement.tools import TOOL_OF_RESULT
 from wafer_viewer.model.spec import replace
 from wafer_viewer.session.core.command_queue import CommandQueue, UndoHistory
+from wafer_viewer.session.core.commands import command, observer_command
 from wafer_viewer.session.core.dataset_library import Library
 from wafer_viewer.session.state.snapshot import NotebookState
 
@@ -31,7 +30,7 @@ def default_name(finding: AnyResult) -> str:
 
 
 class ResultsStore:
-    """Results of the snapshot. Use on the session's thread only."""
+    """Controller of the results list; every command returns a future."""
 
     def __init__(self, desk: CommandQueue, library: Library) -> None:
         self._desk, self._library = desk, library
@@ -47,6 +46,7 @@ class ResultsStore:
         self._highest = max((pictured, *(f.number for f in self._items.value)))
         self._show()
 
+    @command
     def keep(self, finding: AnyResult, thumbnail: bytes | None = None) -> AnyResult:
         """Add a result with a number and a name; thumbnail: a small picture of the region, JPEG."""
         self._require_writable()
@@ -57,33 +57,39 @@ class ResultsStore:
         self._change((*self._items.value, kept))
         return kept
 
+    @command
     def rename(self, number: int, name: str) -> None:
         """Rename a result."""
         renamed = replace(self._numbered(number), name=name.strip() or self._numbered(number).name)
         self._change(tuple(renamed if f.number == number else f for f in self._items.value))
 
+    @command
     def delete(self, number: int) -> None:
         """Delete a result."""
         self._numbered(number)
         self._change(tuple(f for f in self._items.value if f.number != number))
 
+    @command
     def undo(self) -> None:
         """Undo the last change of the list."""
         self._require_writable()
         self._items.undo()
         self._save()
 
+    @command
     def redo(self) -> None:
         """Redo the change of the list that was undone last."""
         self._require_writable()
         self._items.redo()
         self._save()
 
+    @observer_command
     def export(self, path: Path) -> Path:
         """Write the list as CSV."""
         from wafer_viewer.store.io.atomic_files import write_text
         from wafer_viewer.store.tables.csv_tables import findings_csv
 
+        path = Path(path)
         write_text(path, findings_csv(MeasurementResults(items=self._items.value)))
         return path
 
@@ -118,8 +124,8 @@ class ResultsStore:
             raise MeasureError(f"Results cannot be kept: {why}")
 
 
-class NotebookKeeper:
-    """Controller of the notebook. Use on the session's thread only."""
+class NotebookController:
+    """Controller of the notebook, ``session.notebook``; every command returns a future."""
 
     def __init__(self, desk: CommandQueue, library: Library) -> None:
         self._desk, self._library = desk, library
@@ -134,6 +140,7 @@ class NotebookKeeper:
         self._history.restart(read_notebook(self._library.result.path) if shown is not None else Notebook())
         self._show()
 
+    @command
     def save_view(self, view: SavedView) -> SavedView:
         """Save a view with a number; a view without a name is named after its number."""
         views = self._history.value.views
@@ -142,19 +149,22 @@ class NotebookKeeper:
         self._put(views=tuple(sorted((*views, kept), key=lambda v: v.number)))
         return kept
 
+    @command
     def rename_view(self, number: int, name: str) -> None:
         """Rename a view."""
         old = self._numbered(number)
         renamed = replace(old, name=name.strip() or old.name)
         self._put(views=tuple(renamed if v.number == number else v for v in self._history.value.views))
 
+    @command
     def delete_view(self, number: int) -> None:
         """Delete a view."""
         self._numbered(number)
         self._put(views=tuple(v for v in self._history.value.views if v.number != number))
 
-    def judge(self, key: str, verdict: Verdict | None, note: str | None) -> None:
-        """Set the judgement of an item; None leaves the verdict or the note unchanged."""
+    @command
+    def judge(self, key: str, verdict: Verdict | None = None, note: str | None = None) -> None:
+        """Accept or reject an item under review, or set a note; None leaves the verdict or the note unchanged."""
         old = self._history.value.judgement(key)
         new = replace(
             old,
@@ -165,12 +175,14 @@ class NotebookKeeper:
             others = tuple(j for j in self._history.value.judgements if j.key != key)
             self._put(judgements=tuple(sorted((*others, new), key=lambda j: j.key)))
 
+    @command
     def undo(self) -> None:
         """Undo the last change of the notebook."""
         self._require_writable()
         self._history.undo()
         self._save()
 
+    @command
     def redo(self) -> None:
         """Redo the last undone change."""
         self._require_writable()
@@ -201,34 +213,3 @@ class NotebookKeeper:
     def _require_writable(self) -> None:
         if (why := self._library.shown.read_only) is not None:
             raise DatasetError(f"Nothing can be noted down: {why}")
-
-
-class NotebookVerbs:
-    """Notebook commands of the page; every command returns a future."""
-
-    def __init__(self, do: Callable[..., Future[Any]], keeper: NotebookKeeper) -> None:
-        self._do, self._keeper = do, keeper
-
-    def save_view(self, view: SavedView) -> Future[SavedView]:
-        """Save a view of the surface with a number and a name."""
-        return self._do(self._keeper.save_view, view)
-
-    def rename_view(self, number: int, name: str) -> Future[None]:
-        """Rename a saved view."""
-        return self._do(self._keeper.rename_view, number, name)
-
-    def delete_view(self, number: int) -> Future[None]:
-        """Delete a saved view."""
-        return self._do(self._keeper.delete_view, number)
-
-    def judge(self, key: str, verdict: Verdict | None = None, note: str | None = None) -> Future[None]:
-        """Accept or reject an item under review, or set a note."""
-        return self._do(self._keeper.judge, key, verdict, note)
-
-    def undo(self) -> Future[None]:
-        """Undo the last change of the notebook."""
-        return self._do(self._keeper.undo)
-
-    def redo(self) -> Future[None]:
-        """Redo the last undone change."""
-        return self._do(self._keeper.redo)

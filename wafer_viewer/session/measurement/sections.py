@@ -13,6 +13,7 @@ from wafer_viewer.model.errors import DatasetError, MeasureError
 from wafer_viewer.model.measurement.levelling import Datum, Levelling
 from wafer_viewer.model.measurement.sections import OtherSurface, Section, SectionAsked
 from wafer_viewer.model.surface.height_map import Mosaic
+from wafer_viewer.session.core.commands import query
 from wafer_viewer.session.measurement.dataset_queries import DatasetQueries
 from wafer_viewer.session.state.snapshot import Snapshot
 
@@ -89,6 +90,7 @@ class Sections:
         self._questions, self._snapshot = questions, snapshot
         self._zero: tuple[tuple[OtherSurface, Levelling], Datum] | None = None
 
+    @query
     def section(self, asked: SectionAsked) -> Section:
         """Return a section along a line of the displayed surface, or of another one."""
         if asked.of is not None:
@@ -102,6 +104,7 @@ class Sections:
         layer = other_layer(self._questions.surface_source(asked.show)) if asked.cleaned else None
         return Section(asked, *measuring.profile(asked.line, asked.show, asked.levelling, layer), source)
 
+    @query
     def others(self) -> tuple[OtherSurface, ...]:
         """Return the stitched surfaces of the data folder, except the displayed one."""
         now = self._snapshot()
@@ -133,6 +136,7 @@ class Sections:
             self._zero = (other, levelling), datum(surface, levelling)
         return Levelled(surface, self._zero[1], levelling)
 
+    @query
     def file(self, sections: Sequence[Section], ending: str) -> bytes:
         """Return the sections as the content of a file with that ending, one of `FILES`."""
         return file_of(sections, ending)

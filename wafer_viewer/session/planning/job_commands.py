@@ -2,39 +2,54 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from concurrent.futures import Future
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
-from wafer_viewer.compute.compute_client import Compute
 from wafer_viewer.model.errors import PlanError
 from wafer_viewer.model.job import Trial
 from wafer_viewer.model.spec import replace as replace_in
 from wafer_viewer.model.surface.recipe import Recipe
-from wafer_viewer.session.core.background_work import Notifications
+from wafer_viewer.session.core.background_work import BackgroundWork
 from wafer_viewer.session.core.command_queue import CommandQueue
+from wafer_viewer.session.core.commands import command, forwarded
 from wafer_viewer.session.core.dataset_library import DEFAULT_RESULT
 from wafer_viewer.session.planning.job_releases import as_released, list_released
 from wafer_viewer.session.planning.plan_editor import Drafting
 from wafer_viewer.session.state.snapshot import Snapshot
 
+NEXT = "next"
+"""Revision name of a plan that has none yet."""
 
-class JobKeeper:
-    """Controller of the snapshot's released jobs. Use on the session's thread only."""
+
+def _plan(jobs: JobController) -> Drafting:
+    return jobs._drafting
+
+
+class JobController:
+    """Controller of released jobs, ``session.jobs``; every command returns a future."""
+
+    take_up = forwarded(Drafting.load, _plan)
+    copy = forwarded(Drafting.copy, _plan)
+    confirm = forwarded(Drafting.confirm, _plan)
+    mark = forwarded(Drafting.mark, _plan)
+    unmark = forwarded(Drafting.unmark, _plan)
+    next_wafer = forwarded(Drafting.next_wafer, _plan)
 
     def __init__(self, desk: CommandQueue, drafting: Drafting, folder: Path) -> None:
         self._desk, self._drafting, self._folder = desk, drafting, folder
 
+    @command
     def refresh(self) -> None:
-        """List the folder of released jobs again."""
+        """List the released jobs again."""
         self._desk.change(operating=replace(self._desk.now.operating, jobs=list_released(self._folder)))
 
+    @command
     def release(self) -> Path:
-        """Release the plan with the recipe of the displayed surface."""
+        """Release the plan under its product and revision; ``auto`` gets the values resolved for the open surface."""
         path = self._drafting.release(*settled_by(self._desk.now))
-        self.refresh()
+        self.refresh.run()
         return path
 
 
@@ -49,89 +64,32 @@ def settled_by(now: Snapshot) -> tuple[Recipe | None, tuple[float, float] | None
     return surface.settled if surface is not None else None, errors_um
 
 
-class JobVerbs:
-    """Job commands for the page and the prompt, ``session.jobs``; every command returns a future."""
+class TrialController:
+    """Controller of the trial, ``session.trials``."""
 
-    def __init__(self, do: Callable[..., Future[Any]], keeper: JobKeeper, drafting: Drafting) -> None:
-        self._do, self._keeper, self._drafting = do, keeper, drafting
+    def __init__(self, desk: CommandQueue, background: BackgroundWork, drafting: Drafting) -> None:
+        self._desk, self._background, self._drafting = desk, background, drafting
 
-    def refresh(self) -> Future[None]:
-        """List the released jobs again."""
-        return self._do(self._keeper.refresh)
+    @command
+    def begin(self, paths: tuple[Path, ...], result: str = DEFAULT_RESULT) -> Future[Trial]:
+        """Judge stored datasets, and folders of them, by the plan as it would be released.
 
-    def release(self) -> Future[Path]:
-        """Release the plan under its product and revision; ``auto`` gets the values resolved for the open surface."""
-        return self._do(self._keeper.release)
-
-    def take_up(self, path: Path) -> Future[None]:
-        """Load a released job for the next wafer."""
-        return self._do(self._drafting.load, Path(path))
-
-    def copy(self) -> Future[None]:
-        """Copy the released job to an editable plan."""
-        return self._do(self._drafting.copy)
-
-    def confirm(self) -> Future[None]:
-        """Confirm that the sample on the stage is the named one."""
-        return self._do(self._drafting.confirm)
-
-    def mark(self, n: int, x_um: float, y_um: float) -> Future[None]:
-        """Set the stage position of the n-th alignment corner, from 0."""
-        return self._do(self._drafting.mark, n, x_um, y_um)
-
-    def unmark(self) -> Future[None]:
-        """Clear the marked corners."""
-        return self._do(self._drafting.unmark)
-
-    def next_wafer(self) -> Future[None]:
-        """Start the same job for the next wafer."""
-        return self._do(self._drafting.next_wafer)
-
-
-NEXT = "next"
-"""Revision name of a plan that has none yet."""
-
-
-class TrialKeeper:
-    """Controller of the snapshot's trial. Use on the session's thread only."""
-
-    def __init__(self, desk: CommandQueue, notices: Notifications, drafting: Drafting, compute: Compute) -> None:
-        self._desk, self._notices, self._drafting, self._compute = desk, notices, drafting, compute
-
-    def begin(self, paths: tuple[Path, ...], result: str) -> Future[Trial]:
-        """Judge stored datasets by the plan. Raises PlanError if it could not be released yet."""
+        The work can be cancelled. Raises PlanError if the plan could not be released yet.
+        """
         from wafer_viewer.session.planning.revision_trial import datasets_of, try_job
 
         if self._desk.now.operating.trying:
             raise PlanError("The plan is being tried already: wait for it, or cancel it in the job list.")
         job, plan = self._drafting.ready()
         job = as_released(replace_in(job, revision=job.revision.strip() or NEXT), plan, *settled_by(self._desk.now))
-        datasets = datasets_of(paths)
+        datasets = datasets_of([Path(path) for path in paths])
         title = f"Trial of {job.product} {job.revision}".strip()
-        work = self._notices.begin(title, lambda: self._compute.cancel(work))
         self._show(trial=None, trial_of=self._desk.now.draft.job, trying=True)
-        done = self._compute.lead(work, try_job, job, datasets, result)
-        done.add_done_callback(lambda done: self._desk.note(self._over, work, done))
-        return done
+        return self._background.lead(title, try_job, job, datasets, result, ended=self._ended).done
 
-    def _over(self, work: str, done: Future[Trial]) -> None:
-        self._notices.end(work)
+    def _ended(self, done: Future[Trial]) -> None:
         failed = done.cancelled() or done.exception() is not None
         self._show(trial=None if failed else done.result(), trying=False)
 
     def _show(self, **changes: Any) -> None:
         self._desk.change(operating=replace(self._desk.now.operating, **changes))
-
-
-class TrialVerbs:
-    """Trial commands of the page, ``session.trials``."""
-
-    def __init__(self, do: Callable[..., Future[Any]], keeper: TrialKeeper) -> None:
-        self._do, self._keeper = do, keeper
-
-    def begin(self, paths: tuple[Path, ...], result: str = DEFAULT_RESULT) -> Future[Trial]:
-        """Judge stored datasets, and folders of them, by the plan as it would be released.
-
-        The work can be cancelled.
-        """
-        return self._do(self._keeper.begin, tuple(Path(path) for path in paths), result)

@@ -14,6 +14,7 @@ from wafer_viewer.model.job import Job
 from wafer_viewer.model.spec import decode, encode, replace
 from wafer_viewer.model.surface.recipe import Recipe
 from wafer_viewer.session.core.command_queue import CommandQueue, UndoHistory
+from wafer_viewer.session.core.commands import command
 from wafer_viewer.session.planning.job_releases import as_released, for_next_wafer, require_as_released, write_released
 from wafer_viewer.session.state.snapshot import Draft, SeenMark, Typed
 
@@ -27,7 +28,7 @@ NO_JOB = "There is no plan yet: lay a field grid over the sample first."
 
 
 class Drafting:
-    """Draft of the snapshot. Use on the session's thread only."""
+    """Controller of the plan and its draft in the snapshot; every command returns a future."""
 
     def __init__(self, desk: CommandQueue, folder: Path) -> None:
         self._desk, self._folder = desk, folder
@@ -38,8 +39,12 @@ class Drafting:
         self._typed_over: Job | None = None
         self.tour: Job | None = None
 
+    @command
     def edit(self, job: Job | None) -> None:
-        """Set the job; None clears it. Raises PlanError if that changes a released job."""
+        """Set the plan; its scan time and size are calculated at once.
+
+        None clears it. Raises PlanError if that changes a released job.
+        """
         before = self._jobs.value
         require_as_released(before, job)
         if job is not None and before is not None and before.alignment == job.alignment and _another(before, job):
@@ -53,8 +58,9 @@ class Drafting:
         """
         self._jobs.restart(None if job is None else replace(job, alignment=None))
         self._confirmed = False
-        self.keep_typed(typed)
+        self.keep_typed.run(typed)
 
+    @command
     def keep_typed(self, typed: Typed | None) -> None:
         """Store form input that makes no plan yet; None when the input is a plan again. Any edit clears it as well."""
         self._typed, self._typed_over = typed, self._jobs.value
@@ -65,11 +71,13 @@ class Drafting:
         if not self._confirmed:
             raise PlanError(UNCONFIRMED)
 
+    @command
     def confirm(self) -> None:
         """Confirm that the sample on the stage is the named one."""
         self._confirmed = True
         self.price()
 
+    @command
     def mark(self, n: int, x_um: float, y_um: float) -> None:
         """Set the stage position of the n-th corner, from 0; after the last one the wafer is aligned.
 
@@ -87,18 +95,21 @@ class Drafting:
             found = fit_alignment(job.marks, seen_um, job.sample.notch)
             self._put(replace(job, alignment=found))
 
+    @command
     def unmark(self) -> None:
         """Clear the marked corners."""
         self._seen = SeenMark()
         if (job := self._jobs.value) is not None:
             self._put(replace(job, alignment=None))
 
+    @command
     def next_wafer(self) -> None:
         """Start the same job for another wafer; undo cannot restore the data of the last one."""
         self._seen, self._confirmed = SeenMark(), True
         self._jobs.restart(for_next_wafer(self._job()))
         self.price()
 
+    @command
     def copy(self) -> None:
         """Copy a released job to an editable plan for another revision."""
         self._put(replace(self._job(), released=False, revision="", alignment=None))
@@ -119,11 +130,13 @@ class Drafting:
         self._seen, self._confirmed = SeenMark(), True
         self._put(for_next_wafer(job) if job.released else job)
 
+    @command
     def undo(self) -> None:
         """Undo the last edit."""
         self._jobs.undo()
         self.price()
 
+    @command
     def redo(self) -> None:
         """Redo the last undone edit."""
         self._jobs.redo()
@@ -139,6 +152,7 @@ class Drafting:
         draft = Draft(job, plan, problem, *can, free_bytes(self._folder), seen_um, self._confirmed, typed)
         self._desk.change(draft=draft)
 
+    @command
     def cover_sample(self) -> None:
         """Set the grid to cover the sample, centred on it."""
         job = self._job()
@@ -154,13 +168,15 @@ class Drafting:
             center_x_um=x_um,
             center_y_um=y_um,
         )
-        self.edit(replace(job, grid=covering, fields=()))
+        self.edit.run(replace(job, grid=covering, fields=()))
 
+    @command
     def centre_on_stage(self) -> None:
         """Centre the grid on the current stage position."""
         job, rig = self._job(), self._desk.now.rig
-        self.edit(replace(job, grid=self._grid(job).centred_on(rig.x_um, rig.y_um), fields=()))
+        self.edit.run(replace(job, grid=self._grid(job).centred_on(rig.x_um, rig.y_um), fields=()))
 
+    @command
     def take_tour(self) -> None:
         """Load the tour job of the virtual rig."""
         if self.tour is None:
@@ -169,11 +185,13 @@ class Drafting:
             )
         self._take_up(self.tour)
 
+    @command
     def load(self, path: Path) -> None:
         """Read a job from PLAN.toml."""
-        self._take_up(read_job(path))
+        self._take_up(read_job(Path(path)))
 
-    def save(self, path: Path | None) -> Path:
+    @command
+    def save(self, path: Path | None = None) -> Path:
         """Write the job to PLAN.toml, next to the datasets if no path is given, and return the path."""
         from wafer_viewer.store.io.atomic_files import write_text
 

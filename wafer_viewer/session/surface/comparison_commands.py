@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import re
 import shutil
-from collections.abc import Callable
 from concurrent.futures import Future
 from functools import lru_cache
 from itertools import count
@@ -13,25 +12,24 @@ from typing import TYPE_CHECKING, Any
 
 from wafer_viewer.model.errors import DatasetError, WaferViewerError
 from wafer_viewer.model.surface.comparison import Align, Comparison, ComparisonFace, SurfaceName, comparison_of
+from wafer_viewer.session.core.commands import command, query
 from wafer_viewer.session.state.snapshot import Compared
 
 if TYPE_CHECKING:
-    from wafer_viewer.compute.compute_client import Compute
     from wafer_viewer.model.surface.height_map import Mosaic
-    from wafer_viewer.session.core.background_work import Notifications
+    from wafer_viewer.session.core.background_work import BackgroundWork
     from wafer_viewer.session.core.command_queue import CommandQueue
     from wafer_viewer.session.core.dataset_library import Library
     from wafer_viewer.session.state.snapshot import Snapshot
 
 Pair = tuple[SurfaceName, SurfaceName]
-Do = Callable[..., Future[Any]]
 
 
-class ComparingKeeper:
-    """Controller of the snapshot's comparisons. Use on the session's thread only."""
+class ComparisonController:
+    """Controller of the comparisons, ``session.comparing``; commands return futures."""
 
-    def __init__(self, desk: CommandQueue, notices: Notifications, library: Library, compute: Compute) -> None:
-        self._desk, self._notices, self._library, self._compute = desk, notices, library, compute
+    def __init__(self, desk: CommandQueue, library: Library, background: BackgroundWork) -> None:
+        self._desk, self._library, self._background = desk, library, background
         self._stamps = count(1)
         self._work, self._of = "", Path()
 
@@ -39,11 +37,34 @@ class ComparingKeeper:
         """Show the comparisons of the open dataset; a running one of another dataset is cancelled."""
         now = self._desk.now.dataset
         if self._work and (now is None or now.path != self._of):
-            self._notices.cancel(self._work)
+            self._background.cancel(self._work)
         self._show()
 
-    def begin(self, first: SurfaceName, second: SurfaceName, align: Align, keep_z: bool) -> Future[int]:
-        """Subtract two surfaces; the future's result is the number of the comparison."""
+    @query
+    def choices(self, show: int = 0) -> tuple[Pair, ...]:
+        """Return the surface pairs that can be compared: the stitched surface, or a field, with others.
+
+        Reads the disk.
+        """
+        now = self._desk.snapshot
+        if now.dataset is None:
+            return ()
+        field = max(show, 0)
+        first = SurfaceName(path=str(now.dataset.path), result=self._library.result_name, field=field)
+        raw, cleaned = (_of(first, heights) for heights in ("raw", "cleaned"))
+        others = [
+            name for entry in now.datasets for name in _surfaces_of(entry.path, field, entry.path == now.dataset.path)
+        ]
+        return (*((first, other) for other in others if other != first), (raw, cleaned))
+
+    @command
+    def begin(
+        self, first: SurfaceName, second: SurfaceName, align: Align = "auto", keep_z: bool = False
+    ) -> Future[int]:
+        """Subtract two surfaces.
+
+        The future's result is the number of the comparison, which `show_of` maps to its layers.
+        """
         from wafer_viewer.session.surface.comparison_job import subtract
 
         shown = self._library.shown
@@ -52,12 +73,12 @@ class ComparingKeeper:
         if self._work:
             raise DatasetError("Two surfaces are being compared already: wait for them, or cancel it in the job list.")
         dataset, name = self._library.dataset, free_result(self._library.dataset.differences(), second)
-        work = self._notices.begin(f"Compare with {second.words}", lambda: self._compute.cancel(work))
-        self._work, self._of = work, dataset.path
-        done = self._compute.run(work, subtract, dataset.path, name, first, second, align, keep_z)
-        done.add_done_callback(lambda _: self._desk.note(self._over, work))
-        return self._desk.then(done, lambda comparison: comparison.number)
+        title, ended = f"Compare with {second.words}", self._ended
+        running = self._background.run(title, subtract, dataset.path, name, first, second, align, keep_z, ended=ended)
+        self._work, self._of = running.id, dataset.path
+        return self._desk.then(running.done, lambda comparison: comparison.number)
 
+    @command
     def remove(self, number: int) -> None:
         """Delete a comparison. Raises DatasetError when there is none of that number, or it cannot be removed."""
         found = next((c for c in self._desk.now.comparisons if c.number == number), None)
@@ -72,8 +93,7 @@ class ComparingKeeper:
             raise DatasetError(f"{path} cannot be removed: {fault.strerror}.") from fault
         self._show()
 
-    def _over(self, work: str) -> None:
-        self._notices.end(work)
+    def _ended(self, _: Future[Comparison]) -> None:
         self._work = ""
         self._show()
 
@@ -91,42 +111,6 @@ class ComparingKeeper:
             outdated = _outdated(dataset.result(name).path, comparison)
             found.append(Compared(comparison.number, name, comparison, stamp, outdated))
         return found
-
-
-class ComparingVerbs:
-    """Comparison commands of the session; `choices` can be called on any thread."""
-
-    def __init__(self, do: Do, keeper: ComparingKeeper, library: Library, snapshot: Callable[[], Snapshot]) -> None:
-        self._do, self._keeper, self._library, self._snapshot = do, keeper, library, snapshot
-
-    def choices(self, show: int = 0) -> tuple[Pair, ...]:
-        """Return the surface pairs that can be compared: the stitched surface, or a field, with others.
-
-        Reads the disk.
-        """
-        now = self._snapshot()
-        if now.dataset is None:
-            return ()
-        field = max(show, 0)
-        first = SurfaceName(path=str(now.dataset.path), result=self._library.result_name, field=field)
-        raw, cleaned = (_of(first, heights) for heights in ("raw", "cleaned"))
-        others = [
-            name for entry in now.datasets for name in _surfaces_of(entry.path, field, entry.path == now.dataset.path)
-        ]
-        return (*((first, other) for other in others if other != first), (raw, cleaned))
-
-    def begin(
-        self, first: SurfaceName, second: SurfaceName, align: Align = "auto", keep_z: bool = False
-    ) -> Future[int]:
-        """Subtract two surfaces.
-
-        The future's result is the number of the comparison, which `show_of` maps to its layers.
-        """
-        return self._do(self._keeper.begin, first, second, align, keep_z)
-
-    def remove(self, number: int) -> Future[None]:
-        """Delete a comparison."""
-        return self._do(self._keeper.remove, number)
 
 
 def surface_of(now: Snapshot, show: int) -> Mosaic:
