@@ -17,7 +17,7 @@ from wafer_viewer.gui.page.stop import NOT_STOPPED, stop
 from wafer_viewer.gui.plan.operator_view import unfold
 from wafer_viewer.gui.state.view_state import View
 from wafer_viewer.gui.widgets import html
-from wafer_viewer.gui.widgets.controls import HtmlBlock, button, in_a_row, leading, outlined, set_prop
+from wafer_viewer.gui.widgets.controls import HtmlBlock, button, command_button, in_a_row, leading, outlined, set_prop
 from wafer_viewer.gui.widgets.error_guard import guarded
 from wafer_viewer.model.acquisition.focus_stack import Image
 from wafer_viewer.session.state.snapshot import LatestFrame, OpenDataset, ScanProgress, Snapshot
@@ -72,7 +72,7 @@ class AcquirePanel:
         self._running = gui.add_folder(None, visible=False)
         with self._running:
             pause = guarded(page, "The scan did not pause")(lambda _: self.pause_or_resume())
-            self._pause = button(gui, "Pause", viser.Icon.PLAYER_PAUSE, pause)
+            self._pause = command_button(gui, "Pause", viser.Icon.PLAYER_PAUSE, pause)
             halt = guarded(page, NOT_STOPPED)(lambda _: stop(page))
             self._stop = button(gui, "Stop scan", viser.Icon.PLAYER_STOP, halt)
             in_a_row(gui, [self._pause, self._stop], 40)
@@ -85,11 +85,11 @@ class AcquirePanel:
         self._image = gui.add_image(np.zeros((3, 4, 3), np.uint8), format="jpeg", jpeg_quality=80, visible=False)
         self._frame_words = HtmlBlock(gui)
         self._why = HtmlBlock(gui)
-        self._go_on = button(gui, "Continue the scan", viser.Icon.PLAYER_PLAY, self._continue())
+        self._go_on = command_button(gui, "Continue the scan", viser.Icon.PLAYER_PLAY, self._continue())
         look = button(gui, "Look at the surface", viser.Icon.CUBE, lambda _: page.change(step="surface"))
         beside = button(gui, "Look at the surface", viser.Icon.CUBE, lambda _: page.change(step="surface"))
         self._look, self._look_beside = look, beside
-        self._next = button(gui, "Next wafer", viser.Icon.PLAYER_TRACK_NEXT, self._next_wafer())
+        self._next = command_button(gui, "Next wafer", viser.Icon.PLAYER_TRACK_NEXT, self._next_wafer())
         self._again = button(gui, "Scan it again", viser.Icon.REPEAT, lambda _: page.change(step="plan"))
         outlined(gui, beside, 36)
         outlined(gui, self._again, 36)

@@ -24,7 +24,17 @@ from wafer_viewer.gui.state.view_state import View
 from wafer_viewer.gui.widgets import html
 from wafer_viewer.gui.widgets.callback_timing import Debouncer
 from wafer_viewer.gui.widgets.command import Command, with_precondition
-from wafer_viewer.gui.widgets.controls import BoundInput, HtmlBlock, ToggleGroup, button, in_a_row, leading, set_prop
+from wafer_viewer.gui.widgets.controls import (
+    BoundInput,
+    HtmlBlock,
+    ToggleGroup,
+    button,
+    command_button,
+    controlled,
+    in_a_row,
+    leading,
+    set_prop,
+)
 from wafer_viewer.gui.widgets.error_guard import guarded
 from wafer_viewer.model.inspection.defect import DefectClass
 from wafer_viewer.model.job import Verdict
@@ -160,10 +170,10 @@ class ReviewPanel:
         self._judgement = ToggleGroup(
             gui, "Decision", JUDGEMENTS, guarded(page, "The judgement was not saved")(self.judge)
         )
-        note = gui.add_text("Note", "", hint="Saved with the judgement and shown in the report")
+        note = controlled(gui.add_text("Note", "", hint="Saved with the judgement and shown in the report"))
         self._note: BoundInput[str] = BoundInput(note, lambda _: self._edits.made(), page, "The note was not changed")
-        self._undo = button(gui, "Undo", viser.Icon.ARROW_BACK_UP, self._taking_back("undo"))
-        self._redo = button(gui, "Redo", viser.Icon.ARROW_FORWARD_UP, self._taking_back("redo"))
+        self._undo = command_button(gui, "Undo", viser.Icon.ARROW_BACK_UP, self._taking_back("undo"))
+        self._redo = command_button(gui, "Redo", viser.Icon.ARROW_FORWARD_UP, self._taking_back("redo"))
         in_a_row(gui, [self._undo, self._redo], 30)
         self._done = HtmlBlock(gui)
         on = button(

@@ -10,7 +10,6 @@ import pytest
 from tests.browser.sessions import fake_session as fake
 from tests.support.made_up_poses import made_up_poses, stitching_of
 from tests.support.page_stand_in import grid
-from wafer_viewer.gui.page.control_handover import HANDS_ON
 from wafer_viewer.gui.page.status_bar import calibration, calibration_due, job_shown, motion, placement, sample, surface
 from wafer_viewer.gui.state.view_state import View
 from wafer_viewer.model.acquisition.calibration import Calibration
@@ -100,7 +99,3 @@ def test_a_surface_that_only_the_stage_placed_is_drawn_attention_to():
     undecided = dataclasses.replace(found, n_believed=0, n_by_stage=9)
     said, tone, _ = placement(dataclasses.replace(info, stitching=undecided, n_fields=9))
     assert (said, tone) == ("Stitched by the stage alone", "attention")
-
-
-def test_stop_is_never_taken_from_a_watcher():
-    assert not {label for label in HANDS_ON if "stop" in label.lower()}

@@ -73,7 +73,7 @@ def export_defects_dialog(page: Page) -> None:
         done = page.session.defects.files.write(what, target)
         page.ask("Export failed", done, lambda out: page.say("Exported", str(out)))
 
-    dialog.answers("Export", viser.Icon.DOWNLOAD, write, "Export failed")
+    dialog.answers("Export", viser.Icon.DOWNLOAD, write, "Export failed", needs_control=False)
 
 
 def klarf_dialog(page: Page) -> None:

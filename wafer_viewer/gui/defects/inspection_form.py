@@ -32,7 +32,7 @@ from wafer_viewer.gui.presenters.inspection_form import (
 )
 from wafer_viewer.gui.widgets import html
 from wafer_viewer.gui.widgets.callback_timing import Debouncer
-from wafer_viewer.gui.widgets.controls import BoundInput, HtmlBlock, button, in_a_row, set_prop
+from wafer_viewer.gui.widgets.controls import BoundInput, HtmlBlock, button, command_button, in_a_row, set_prop
 from wafer_viewer.gui.widgets.error_guard import guarded, tell_failure
 from wafer_viewer.gui.widgets.number_field import PLACE, OptionalPair
 from wafer_viewer.model.errors import MeasureError
@@ -88,7 +88,9 @@ def golden_table(shelf: DefectShelf, product: str, chosen: str) -> str:
     mine = [header for header in shelf.golden if not product or header.product in ("", product)]
     others = len(shelf.golden) - len(mine)
     left = f"{others} of other products" if others else ""
-    link = f'<div class="wv-lab"><span class="wv-link" {html.pick("defect-golden-file")}>From a file…</span></div>'
+    link = (
+        f'<div class="wv-lab"><span class="wv-link" {html.command_pick("defect-golden-file")}>From a file…</span></div>'
+    )
     if not mine:
         return html.empty("No golden die is kept", "compare with the fitted form, or die to die.") + _lab(left) + link
     rows = [_row(header, name, name == chosen) for header, name in _named(mine)][:MOST_GOLDEN]
@@ -199,7 +201,7 @@ class InspectionForm:
                 self._build_limits(gui)
             self._why = HtmlBlock(gui)
             begin = guarded(page, FAILED)(lambda _: self.inspect())
-            self._begin = button(gui, "Inspect", viser.Icon.SEARCH, begin)
+            self._begin = command_button(gui, "Inspect", viser.Icon.SEARCH, begin)
             in_a_row(gui, [self._begin], 34)
             self._build_recipe(gui)
         page.on_pick("defect-golden", self._choose_golden)

@@ -24,7 +24,16 @@ from wafer_viewer.gui.tools.region_tools import default_faces, in_scene
 from wafer_viewer.gui.widgets import html
 from wafer_viewer.gui.widgets.callback_timing import Debouncer, LatestOnlyWorker
 from wafer_viewer.gui.widgets.command import Command, with_precondition
-from wafer_viewer.gui.widgets.controls import BoundInput, HtmlBlock, button, in_a_row, leading, set_prop
+from wafer_viewer.gui.widgets.controls import (
+    BoundInput,
+    HtmlBlock,
+    button,
+    command_button,
+    controlled,
+    in_a_row,
+    leading,
+    set_prop,
+)
 from wafer_viewer.gui.widgets.error_guard import guarded
 from wafer_viewer.gui.widgets.number_field import OptionalNumber, text_of
 from wafer_viewer.gui.widgets.style import by_id
@@ -217,7 +226,7 @@ class TermsSection:
         self, label: str, over: float | None = None, whole: bool = False
     ) -> tuple[OptionalNumber, BoundInput[str]]:
         number = OptionalNumber(self._page.gui, label, over=over, whole=whole)
-        return number, BoundInput(number.handle, lambda _: self._edits.made(), self._page, FAILED)
+        return number, BoundInput(controlled(number.handle), lambda _: self._edits.made(), self._page, FAILED)
 
     def _put(self) -> Future[Any] | None:
         put_in: dict[str, Any] = {name: number.value for name, (number, _) in self._fields.items()}
@@ -264,7 +273,7 @@ class StudySection:
         def read() -> None:
             self._read(files.path(), method.value, tolerance.value)
 
-        dialog.answers("Read the study", viser.Icon.TABLE_IMPORT, read, STUDY_FAILED)
+        dialog.answers("Read the study", viser.Icon.TABLE_IMPORT, read, STUDY_FAILED, needs_control=False)
 
     def _read(self, path: Path, method: str, tolerance: float | None) -> None:
         made = self._page.session.studies.gauge_rr(path, METHOD_OF[method], tolerance)
@@ -337,20 +346,22 @@ class GaugePanel:
         self._terms = TermsSection(self._page)
         self._sums = HtmlBlock(gui)
         self._scale = HtmlBlock(gui)
-        self._correct = button(gui, "Correct the z scale…", ICON.ARROWS_VERTICAL, lambda _: verbs.correct())
+        self._correct = command_button(gui, "Correct the z scale…", ICON.ARROWS_VERTICAL, lambda _: verbs.correct())
         in_a_row(gui, [self._correct])
         self._studies = StudySection(self._page)
         HtmlBlock(gui, '<div style="height:10px"></div>')
         self._why = HtmlBlock(gui)
-        self._again = button(gui, "Measure again", ICON.REFRESH, lambda _: verbs.measure())
-        self._other = button(gui, "Certificate…", ICON.CERTIFICATE, lambda _: verbs.certificate())
+        self._again = command_button(gui, "Measure again", ICON.REFRESH, lambda _: verbs.measure())
+        self._other = command_button(gui, "Certificate…", ICON.CERTIFICATE, lambda _: verbs.certificate())
         in_a_row(gui, [self._again, self._other], 34)
         gui.add_html(f"<style>{_at_foot(self._again)}{_at_foot(self._other)}</style>")
         self._leads = {
-            "certificate": button(gui, "Load the certificate…", ICON.CERTIFICATE, lambda _: verbs.certificate()),
-            "measure": button(gui, "Measure the step", ICON.RULER_MEASURE, lambda _: verbs.measure()),
-            "sign": button(gui, "Sign and save", ICON.SIGNATURE, lambda _: verbs.sign()),
-            "new": button(gui, "New check", ICON.PLUS, lambda _: verbs.begin_anew()),
+            "certificate": command_button(
+                gui, "Load the certificate…", ICON.CERTIFICATE, lambda _: verbs.certificate()
+            ),
+            "measure": command_button(gui, "Measure the step", ICON.RULER_MEASURE, lambda _: verbs.measure()),
+            "sign": command_button(gui, "Sign and save", ICON.SIGNATURE, lambda _: verbs.sign()),
+            "new": command_button(gui, "New check", ICON.PLUS, lambda _: verbs.begin_anew()),
         }
         for handle in self._leads.values():
             leading(gui, handle)

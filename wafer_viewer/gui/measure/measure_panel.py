@@ -22,7 +22,16 @@ from wafer_viewer.gui.tools.region_tools import has_required_kinds
 from wafer_viewer.gui.tools.tool_palette import tool_cards
 from wafer_viewer.gui.widgets import html
 from wafer_viewer.gui.widgets.callback_timing import Debouncer, LatestOnlyWorker
-from wafer_viewer.gui.widgets.controls import BoundInput, HtmlBlock, button, leading, outlined, set_prop
+from wafer_viewer.gui.widgets.controls import (
+    BoundInput,
+    HtmlBlock,
+    button,
+    command_button,
+    controlled,
+    leading,
+    outlined,
+    set_prop,
+)
 from wafer_viewer.gui.widgets.error_guard import guarded
 from wafer_viewer.gui.widgets.number_field import OptionalNumber, number_of, text_of
 from wafer_viewer.model.errors import WaferViewerError
@@ -245,14 +254,14 @@ class MeasurePanel:
         self._notes = HtmlBlock(gui)
         self._tools = HtmlBlock(gui)
         self._answer = HtmlBlock(gui)
-        self._name = gui.add_text("Name", "", visible=False)
+        self._name = controlled(gui.add_text("Name", "", visible=False))
         self._level = LevellingSection(self._page, scene)
         self._faces = FacesSection(self._page)
         self._options = OptionsSection(self._page)
         self._profiles = ProfileSection(self._page, curves)
         self._source = HtmlBlock(gui)
         self._why = HtmlBlock(gui)
-        self._keep = button(
+        self._keep = command_button(
             gui, "Keep result", viser.Icon.CHECK, guarded(self._page, "The result was not kept")(self._keep_it)
         )
         leading(gui, self._keep)

@@ -16,7 +16,7 @@ from wafer_viewer.gui.presenters.results import Box, bounds_of
 from wafer_viewer.gui.scenes.thumbnails import Thumbnails
 from wafer_viewer.gui.state.view_state import View
 from wafer_viewer.gui.widgets import html
-from wafer_viewer.gui.widgets.controls import HtmlBlock, button, in_a_row, set_prop
+from wafer_viewer.gui.widgets.controls import HtmlBlock, button, command_button, in_a_row, set_prop
 from wafer_viewer.gui.widgets.error_guard import guarded
 from wafer_viewer.model.findings import AnyResult
 from wafer_viewer.model.measurement.tools import TOOL_OF_RESULT
@@ -40,15 +40,19 @@ class ResultList:
         with self._folder:
             self._list = HtmlBlock(gui)
             self._csv = button(gui, "CSV…", viser.Icon.TABLE_EXPORT, self._on("Export failed", self._export))
-            self._rename = button(
+            self._rename = command_button(
                 gui, "Rename", viser.Icon.PENCIL, self._on("The name was not changed", self._ask_name)
             )
-            self._delete = button(
+            self._delete = command_button(
                 gui, "Delete", viser.Icon.TRASH, self._on("The result was not changed", self._delete_it)
             )
             in_a_row(gui, [self._csv, self._rename, self._delete], 30)
-            self._undo = button(gui, "Undo", viser.Icon.ARROW_BACK_UP, self._on("Nothing was undone", self.undo))
-            self._redo = button(gui, "Redo", viser.Icon.ARROW_FORWARD_UP, self._on("Nothing was redone", self.redo))
+            self._undo = command_button(
+                gui, "Undo", viser.Icon.ARROW_BACK_UP, self._on("Nothing was undone", self.undo)
+            )
+            self._redo = command_button(
+                gui, "Redo", viser.Icon.ARROW_FORWARD_UP, self._on("Nothing was redone", self.redo)
+            )
             in_a_row(gui, [self._undo, self._redo], 30)
         page.on_pick("finding", lambda key: self.choose(int(key)))
 

@@ -18,40 +18,7 @@ from wafer_viewer.gui.widgets import html
 from wafer_viewer.gui.widgets.controls import HtmlBlock, bar, unbar
 from wafer_viewer.session.state.snapshot import Browser, ControlState, Snapshot
 
-HANDS_ON = frozenset(
-    {
-        *("Name", "Lot", "Wafer", "Product", "Operator", "Size, mm", "Columns, rows", "Overlap, %", "Centre, µm"),
-        *("From, to, µm", "Step, µm", "Exposures, µs"),
-        *("Cover the sample", "Move to stage", "Save plan…", "Load plan…", "Start scan"),
-        *("Pause", "Continue", "Continue the scan"),
-        *("Plan a scan", "Open a dataset…", "Import images…", "Open…", "Import…"),
-        *("Wafer id", "Go there", "Mark here", "Corners…", "Feature…", "Release…", "Copy to a new plan", "Next wafer"),
-        "Try on wafers…",
-        "Dies…",
-        *("Reconstruct again", "Keep result", "Rename", "Delete", "Undo", "Redo", "Compare"),
-        *("Accept", "Reject", "Note", "Save view", "Move there", "Inspect"),
-        *("Load the certificate…", "Certificate…", "Measure the step", "Measure again", "Sign and save", "New check"),
-        *("Correct the z scale…", "Limit, ± µm", "Blocks, °C", "Tolerance, µm", "Next in, days"),
-    }
-)
-"""Labels of the widgets that move the rig, or change the plan, the dataset or the results.
-
-viser's button groups cannot be disabled: the session refuses their commands.
-"""
-OF_JOBS = ("job", "jobs", "corner-at", "unmark", "feature", "no-feature")
-OF_GAUGE = ("gauge-tick", "gauge-drop")
-OF_DEFECTS = ("defect-class", "defect-golden-file")
-OF_VIEWS = ("view-save", "view-rename", "view-delete", "view-undo")
-PICKS = (
-    *("strategy", "cover", "undo", "redo", "cancel", "tour", "open", "confirm", "confirm-sample", "compare-remove"),
-    *OF_JOBS,
-    *OF_VIEWS,
-    *OF_GAUGE,
-    *OF_DEFECTS,
-)
-"""Pick names of HTML elements with the same effect."""
-_OFF = ",".join(f"[data-pick={what}]" for what in PICKS)
-_STYLE = f"<style>{_OFF}{{opacity:.5;pointer-events:none}}</style>"
+_STYLE = f"<style>[{html.NEEDS_CONTROL}]{{opacity:.5;pointer-events:none}}</style>"
 
 
 class ControlLock:
@@ -80,7 +47,7 @@ class ControlLock:
         wanted: dict[str, Any] = {}
         if watching:
             handles = dict(self._page.gui._gui_input_handle_from_uuid)
-            wanted = {uuid: h for uuid, h in handles.items() if getattr(h, "label", None) in HANDS_ON}
+            wanted = {uuid: handle for uuid, handle in handles.items() if getattr(handle, "needs_control", False)}
         for handle in wanted.values():
             bar(handle)
         for uuid in self._barred.keys() - wanted.keys():
@@ -152,10 +119,10 @@ def hands_dialog(page: Page) -> None:
 
     page.on_pick("hands-to", pass_on)
     if holds:
-        dialog.answers("Done", viser.Icon.CHECK, done, "The name was not changed")
+        dialog.answers("Done", viser.Icon.CHECK, done, "The name was not changed", needs_control=False)
     else:
         verb = "Ask for the controls" if hands.holder else "Take the controls"
-        dialog.answers(verb, viser.Icon.HAND_STOP, done, "Control was not handed over")
+        dialog.answers(verb, viser.Icon.HAND_STOP, done, "Control was not handed over", needs_control=False)
 
 
 def _call(page: Page, name: str) -> None:

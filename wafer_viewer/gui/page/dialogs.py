@@ -12,7 +12,7 @@ import viser
 from wafer_viewer.gui.page.page import Page
 from wafer_viewer.gui.page.tooltips import add_hints
 from wafer_viewer.gui.widgets import html
-from wafer_viewer.gui.widgets.controls import HtmlBlock, button, in_a_row
+from wafer_viewer.gui.widgets.controls import HtmlBlock, button, command_button, in_a_row
 from wafer_viewer.gui.widgets.error_guard import guarded
 from wafer_viewer.model.errors import WaferViewerError
 from wafer_viewer.model.surface_format import Reading
@@ -34,13 +34,26 @@ class Dialog:
         with self.modal:
             HtmlBlock(page.gui, f'<div class="wv-sub">{html.safe(below)}</div>')
 
-    def answers(self, name: str, icon: Any, act: Callable[[], None], failed: str, away: str = "Cancel") -> None:
-        """Add the two buttons at the foot. If `act` raises, the dialog stays open and shows the error."""
+    def answers(
+        self,
+        name: str,
+        icon: Any,
+        act: Callable[[], None],
+        failed: str,
+        away: str = "Cancel",
+        *,
+        needs_control: bool = True,
+    ) -> None:
+        """Add the two buttons at the foot. If `act` raises, the dialog stays open and shows the error.
+
+        needs_control: False for an action that only reads, exports or asks for control.
+        """
         with self.modal:
             problem = HtmlBlock(self.page.gui)
             leave = button(self.page.gui, away, None, lambda _: self.close())
             self.press = guarded(self.page, failed)(lambda: self._do(act, problem))
-            do = button(self.page.gui, name, icon, lambda _: self.press())
+            add = command_button if needs_control else button
+            do = add(self.page.gui, name, icon, lambda _: self.press())
             in_a_row(self.page.gui, [leave, do], 38, filled=do)
             HtmlBlock(self.page.gui, _on_key("wv-away", leave) + _on_key("wv-do", do), padded=False)
         add_hints(self.page.gui)
@@ -105,7 +118,7 @@ def dataset_table(entries: tuple[DatasetEntry, ...], opened: Path | None, what: 
         return html.row(
             [name, html.safe(format_time(entry.taken, datetime.now().astimezone()))],
             " n",
-            html.pick(what, entry.path),
+            html.command_pick(what, entry.path),
             look,
         )
 
@@ -132,7 +145,7 @@ def confirm_overwrite(page: Page, path: Path, write: Callable[[], None]) -> None
         return
     below = f"It is in {path.parent} already; its contents will be lost; this cannot be undone."
     dialog = Dialog(page, f"Replace {path.name}?", below)
-    dialog.answers(f"Replace {path.name}", viser.Icon.REPLACE, write, "Nothing was replaced")
+    dialog.answers(f"Replace {path.name}", viser.Icon.REPLACE, write, "Nothing was replaced", needs_control=False)
 
 
 def reconstruct_dialog(page: Page, again: Callable[[], None]) -> None:

@@ -72,7 +72,7 @@ def save_dialog(
         target = files.target()
         files.write_to(target, lambda: begin(target))
 
-    dialog.answers("Save", viser.Icon.DEVICE_FLOPPY, save, failed)
+    dialog.answers("Save", viser.Icon.DEVICE_FLOPPY, save, failed, needs_control=False)
 
 
 def load_plan_dialog(page: Page) -> None:
@@ -164,7 +164,7 @@ def export_dialog(page: Page) -> None:
         done = page.session.export_surface(target, field, int(every.value), part)
         page.ask("Export failed", done, lambda out: page.say("Exported", str(out)))
 
-    dialog.answers("Export", viser.Icon.DOWNLOAD, write, "Export failed")
+    dialog.answers("Export", viser.Icon.DOWNLOAD, write, "Export failed", needs_control=False)
 
 
 def _said(ending: str, every: float, size: tuple[int, int, float] | None) -> str:

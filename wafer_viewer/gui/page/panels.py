@@ -105,8 +105,8 @@ def state_of(work: Work, snapshot: Snapshot) -> str:
 
 def _job(work: Work, snapshot: Snapshot) -> str:
     name = f"Cancel: {html.safe(work.title)}"
-    cross = html.icon(viser.Icon.X, 14)
-    link = f'<span class="wv-link" title="{name}" aria-label="{name}" {html.pick("cancel", work.id)}>{cross}</span>'
+    told = f'title="{name}" aria-label="{name}" {html.command_pick("cancel", work.id)}'
+    link = f'<span class="wv-link" {told}>{html.icon(viser.Icon.X, 14)}</span>'
     stop = link if work.cancellable else '<span class="dim">stopping</span>' if work.stopping else ""
     waits = work.fraction is None and (bool(work.waits_for) or not snapshot.compute_ready)
     bar = "" if waits else html.bar(work.fraction)

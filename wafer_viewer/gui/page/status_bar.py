@@ -181,6 +181,6 @@ def _words(snapshot: Snapshot, view: View) -> str:
     data = snapshot.dataset
     name = sample(job_shown(snapshot, view))[0] or (data.path.stem if data is not None else "an unfinished plan")
     said = f"Reopened from last time: {name}. Another sample may be on the stage now."
-    yes = f'<span class="wv-link" {html.pick("confirm-sample")}>It is this sample</span>'
+    yes = f'<span class="wv-link" {html.command_pick("confirm-sample")}>It is this sample</span>'
     sign = html.icon(viser.Icon.ALERT_TRIANGLE, 18)
     return html.note("attention", "Nothing moves before you confirm the sample", said, yes, sign)

@@ -11,7 +11,7 @@ from wafer_viewer.draw.number_format import number, with_unit
 from wafer_viewer.draw.surface.pictures import greys, patch_url
 from wafer_viewer.gui.page.page import Page
 from wafer_viewer.gui.widgets import html
-from wafer_viewer.gui.widgets.controls import HtmlBlock, button, in_a_row, set_prop
+from wafer_viewer.gui.widgets.controls import HtmlBlock, command_button, in_a_row, set_prop
 from wafer_viewer.gui.widgets.error_guard import guarded
 from wafer_viewer.model.acquisition.devices import Overview
 from wafer_viewer.model.acquisition.sample import Alignment
@@ -92,7 +92,9 @@ def _pick() -> str:
     """Return attributes as `html.pick`, with the click position in the key; Enter picks the expected position."""
     script = html.safe(_CLICK + html.pick_script("corner-at"))
     keys = "if(event.key==='Enter'||event.key===' '){event.preventDefault();this.click()}"
-    return f'data-pick="corner-at" role="button" tabindex="0" onclick="{script}" onkeydown="{keys}"'
+    return (
+        f'data-pick="corner-at" role="button" tabindex="0" onclick="{script}" onkeydown="{keys}" {html.NEEDS_CONTROL}'
+    )
 
 
 def _cross(at: tuple[float, float], kind: str) -> str:
@@ -160,8 +162,8 @@ class AlignSection:
             go = guarded(page, "The stage did not move")(lambda _: aligning.go())
             here = guarded(page, FAILED)(lambda _: aligning.here())
             self._buttons = (
-                button(page.gui, "Go there", viser.Icon.CROSSHAIR, go),
-                button(page.gui, "Mark here", viser.Icon.MAP_PIN, here),
+                command_button(page.gui, "Go there", viser.Icon.CROSSHAIR, go),
+                command_button(page.gui, "Mark here", viser.Icon.MAP_PIN, here),
             )
             in_a_row(page.gui, self._buttons)
 
@@ -192,7 +194,7 @@ def _fit(job: Job) -> str:
         return ""
     good = found.residual_um <= marks.limit_um
     words = f"{found.n_marks} corners, residual {with_unit(found.residual_um, 1)} of {with_unit(marks.limit_um, 0)}"
-    again = f'<span class="wv-link" {html.pick("unmark")}>Mark again</span>'
+    again = f'<span class="wv-link" {html.command_pick("unmark")}>Mark again</span>'
     text = "" if good else "Too large: mark the named corners again."
     sign = html.icon(viser.Icon.CIRCLE_CHECK if good else viser.Icon.HAND_STOP, 18)
     return html.note("good" if good else "fault", words, text, again, sign)

@@ -69,7 +69,7 @@ def job_table(entries: tuple[JobEntry, ...], what: str) -> str:
 
     def line(entry: JobEntry) -> str:
         name = f"{html.safe(entry.product)}<small>revision {html.safe(entry.revision)}</small>"
-        return html.row([name, str(entry.n_fields), str(entry.n_features)], " nn", html.pick(what, entry.path))
+        return html.row([name, str(entry.n_fields), str(entry.n_features)], " nn", html.command_pick(what, entry.path))
 
     return html.table(["Released job", "Fields", "Features"], [line(entry) for entry in entries], " nn")
 

@@ -12,7 +12,7 @@ from wafer_viewer.gui.presenters import plan
 from wafer_viewer.gui.state.view_state import View
 from wafer_viewer.gui.widgets import html
 from wafer_viewer.gui.widgets.callback_timing import Debouncer
-from wafer_viewer.gui.widgets.controls import BoundInput, HtmlBlock, duo, set_prop
+from wafer_viewer.gui.widgets.controls import BoundInput, HtmlBlock, controlled, duo, set_prop
 from wafer_viewer.gui.widgets.error_guard import guarded
 from wafer_viewer.model.job import Job
 from wafer_viewer.model.spec import replace
@@ -70,7 +70,7 @@ class OperatorView:
         self._focus = HtmlBlock(gui, padded=False)
 
     def _field(self, handle: Any) -> BoundInput[str]:
-        return BoundInput(handle, lambda _: self._edits.made(), self._page, FAILED)
+        return BoundInput(controlled(handle), lambda _: self._edits.made(), self._page, FAILED)
 
     def _commit(self) -> Future[Any] | None:
         page, job = self._page, self._page.session.snapshot.draft.job
@@ -107,4 +107,4 @@ def unfold(more: bool) -> str:
 
 
 def _other_job() -> str:
-    return f'<span class="wv-action" {html.pick("jobs")}>Another job…</span>'
+    return f'<span class="wv-action" {html.command_pick("jobs")}>Another job…</span>'

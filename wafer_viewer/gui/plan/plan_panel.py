@@ -23,7 +23,16 @@ from wafer_viewer.gui.presenters import plan as words
 from wafer_viewer.gui.state.view_state import View
 from wafer_viewer.gui.widgets import html
 from wafer_viewer.gui.widgets.callback_timing import Debouncer
-from wafer_viewer.gui.widgets.controls import BoundInput, HtmlBlock, button, duo, in_a_row, leading, set_prop
+from wafer_viewer.gui.widgets.controls import (
+    BoundInput,
+    HtmlBlock,
+    command_button,
+    controlled,
+    duo,
+    in_a_row,
+    leading,
+    set_prop,
+)
 from wafer_viewer.gui.widgets.error_guard import guarded
 from wafer_viewer.gui.widgets.number_field import OptionalPair, Pair, pair_of, pair_text
 from wafer_viewer.model.acquisition.plan import FieldGrid, FocusSweep
@@ -295,7 +304,9 @@ class PlanPanel:
         with self._form:
             self._build_form(aligning)
         self._foot = HtmlBlock(gui)
-        self._start = button(gui, "Start scan", viser.Icon.PLAYER_PLAY, self._on("The scan did not start", self.start))
+        self._start = command_button(
+            gui, "Start scan", viser.Icon.PLAYER_PLAY, self._on("The scan did not start", self.start)
+        )
         leading(gui, self._start, 46)
 
     def _build_form(self, aligning: Aligning) -> None:
@@ -307,8 +318,10 @@ class PlanPanel:
         self._build_grid()
         self._build_sweep()
         self._strategies = HtmlBlock(gui)
-        save = button(gui, "Save plan…", viser.Icon.DEVICE_FLOPPY, self._on("The plan was not saved", self.save))
-        load = button(gui, "Load plan…", viser.Icon.FOLDER_OPEN, lambda _: load_plan_dialog(self._page))
+        save = command_button(
+            gui, "Save plan…", viser.Icon.DEVICE_FLOPPY, self._on("The plan was not saved", self.save)
+        )
+        load = command_button(gui, "Load plan…", viser.Icon.FOLDER_OPEN, lambda _: load_plan_dialog(self._page))
         in_a_row(gui, [save, load])
         self._release = ReleaseSection(self._page)
         self._align = AlignSection(aligning, "Align")
@@ -333,10 +346,10 @@ class PlanPanel:
             self._columns_rows = self._field(gui.add_vector2("Columns, rows", (1.0, 1.0), min=(1, 1), step=1))
             self._overlap = self._field(gui.add_slider("Overlap, %", 0.0, 50.0, 0.5, 10.0))
             self._centre = self._field(gui.add_vector2("Centre, µm", (0.0, 0.0), step=0.1))
-            cover = button(
+            cover = command_button(
                 gui, "Cover the sample", viser.Icon.ARROWS_MAXIMIZE, self._on("The grid was not changed", self._cover)
             )
-            centre = button(
+            centre = command_button(
                 gui, "Move to stage", viser.Icon.CROSSHAIR, self._on("The grid was not changed", self._to_stage)
             )
             self._moves = (cover, centre)
@@ -349,7 +362,7 @@ class PlanPanel:
         with self._sweep_fields:
             sweep = gui.add_vector2("From, to, µm", (0.0, 0.0), step=0.5)
             self._range: BoundInput[tuple[float, float]] = BoundInput(
-                sweep, self._typed, self._page, "The plan was not changed"
+                controlled(sweep), self._typed, self._page, "The plan was not changed"
             )
             self._step = self._field(gui.add_number("Step, µm", 1.0, min=0.0, step=0.05))
             self._exposures = self._field(gui.add_text("Exposures, µs", "100"))
@@ -362,7 +375,7 @@ class PlanPanel:
         return (*places, self._range, self._step, self._exposures)
 
     def _field(self, handle: Any) -> BoundInput[Any]:
-        return BoundInput(handle, lambda _: self._edits.made(), self._page, "The plan was not changed")
+        return BoundInput(controlled(handle), lambda _: self._edits.made(), self._page, "The plan was not changed")
 
     def _on(self, name: str, verb: Any) -> Any:
         return guarded(self._page, name)(lambda _: verb())

@@ -21,7 +21,7 @@ from wafer_viewer.gui.plan.job_dialogs import (
 from wafer_viewer.gui.presenters.plan import trial
 from wafer_viewer.gui.presenters.verdict import RULES, limits
 from wafer_viewer.gui.widgets import html
-from wafer_viewer.gui.widgets.controls import HtmlBlock, button, in_a_row, set_prop
+from wafer_viewer.gui.widgets.controls import HtmlBlock, command_button, in_a_row, set_prop
 from wafer_viewer.gui.widgets.error_guard import guarded
 from wafer_viewer.model.acquisition.sample import Marks
 from wafer_viewer.model.job import Job
@@ -68,7 +68,7 @@ class ReleaseSection:
         set_prop(self._copy, "visible", job.released)
 
     def _button(self, name: str, icon: Any, ask: Any) -> Any:
-        return button(
+        return command_button(
             self._page.gui, name, icon, guarded(self._page, "The plan was not changed")(lambda _: ask(self._page))
         )
 
@@ -107,6 +107,7 @@ def _feature(n: int, feature: Feature, released: bool) -> str:
     where = " · on every die" if feature.per_die else "" if feature.has_place else " · no place"
     what = " · ".join(part for part in (TOOLS[feature.tool].title, title_of(feature.quantity)) if part)
     name = f"{html.safe(feature.name)}<small>{what}{where}<br>{RULES[feature.decision_rule]}</small>"
-    away = f'<span class="wv-link" title="Remove" {html.pick("no-feature", n)}>{html.icon(viser.Icon.X, 14)}</span>'
+    pick = html.command_pick("no-feature", n)
+    away = f'<span class="wv-link" title="Remove" {pick}>{html.icon(viser.Icon.X, 14)}</span>'
     cells = [name, number(feature.nominal, 2), limits(feature), "" if released else away]
-    return html.row(cells, " nn ", "" if released else html.pick("feature", n))
+    return html.row(cells, " nn ", "" if released else html.command_pick("feature", n))

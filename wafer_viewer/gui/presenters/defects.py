@@ -131,7 +131,7 @@ def classes(defect: Defect) -> str:
     now = defect.seen_as
     tiles = (
         f'<span class="{"on" if kind == now else ""}" aria-pressed="{str(kind == now).lower()}" '
-        f"{html.pick('defect-class', kind)}><kbd>{look.key}</kbd>{sign_of(kind)} {look.title}</span>"
+        f"{html.command_pick('defect-class', kind)}><kbd>{look.key}</kbd>{sign_of(kind)} {look.title}</span>"
         for kind, look in KINDS.items()
     )
     return html.head("Class", "keys 1 – 9") + f'<div class="wv-classes">{"".join(tiles)}</div>'

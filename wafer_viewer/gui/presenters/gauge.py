@@ -183,7 +183,8 @@ def _no_u(length: Length) -> str:
 
 def _repeat(k: int, repeat: GaugeRepeat, may_drop: bool) -> str:
     name = repeat.dataset.removesuffix(".wafer")
-    away = f'<span class="wv-act" title="Remove" aria-label="Take repeat {k + 1} off" {html.pick("gauge-drop", k)}>'
+    pick = html.command_pick("gauge-drop", k)
+    away = f'<span class="wv-act" title="Remove" aria-label="Take repeat {k + 1} off" {pick}>'
     cross = f"{away}{html.icon(viser.Icon.X, 14)}</span>" if may_drop else ""
     cut = f'<span class="wv-cut wv-short" title="{html.safe(name)}">{html.safe(name)}</span>'
     value, _ = value_and_u(repeat.height.value_um, repeat.height.expanded_um, 3)
@@ -266,7 +267,7 @@ def _row(point: ProcedurePoint, now: bool) -> str:
     tone = "good" if point.done else "accent" if now else "ink3"
     state = "done" if point.done else "next" if now else "to do"
     at = f'<span class="dim" title="{html.safe(day_and_time(point.at))}">{_clock(point.at)}</span>'
-    click = html.pick("gauge-tick", point.name) if point.name in BY_HAND else ""
+    click = html.command_pick("gauge-tick", point.name) if point.name in BY_HAND else ""
     look = f"{'now ' if now else ''}{'go' if click else ''}"
     return (
         f'<div class="{look}" aria-label="{html.safe(point.title)}, {state}" {click}>'

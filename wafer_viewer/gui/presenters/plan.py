@@ -24,7 +24,7 @@ def history(draft: Draft) -> str:
     """Return the undo and redo actions of the title."""
 
     def action(what: str, name: str, sign: Any, possible: bool) -> str:
-        state = html.pick(what) if possible else 'aria-disabled="true"'
+        state = html.command_pick(what) if possible else 'aria-disabled="true"'
         return (
             f'<span class="wv-action{"" if possible else " off"}" title="{name}" {state}>{html.icon(sign, 17)}</span>'
         )
@@ -51,7 +51,8 @@ def _on_stage(snapshot: Snapshot) -> str:
     """Return a link that lays the grid over the sample on the stage; empty without an overview."""
     if snapshot.overview is None:
         return ""
-    return f'<div class="wv-why"><span class="wv-link" {html.pick("cover")}>Use the sample on the stage</span></div>'
+    link = f'<span class="wv-link" {html.command_pick("cover")}>Use the sample on the stage</span>'
+    return f'<div class="wv-why">{link}</div>'
 
 
 def sweep(draft: Draft) -> str:
@@ -132,14 +133,14 @@ def _price_row(price: Price, best_s: float, chosen: bool) -> str:
         return f'<tr class="off"><td colspan="4">{name}<small>{why}</small></td></tr>'
     ratio = price.predicted_s / best_s if best_s else 1.0
     cells = [name, duration(price.predicted_s), number(price.motions, 0), number(ratio, 2 if ratio < 9.95 else 1)]
-    return html.row(cells, " nnn", html.pick("strategy", price.strategy), "sel" if chosen else "")
+    return html.row(cells, " nnn", html.command_pick("strategy", price.strategy), "sel" if chosen else "")
 
 
 def _by_hand(strategy: str) -> str:
     """Return a link that undoes the manual choice of a strategy; empty if it is automatic."""
     if strategy == "auto":
         return ""
-    link = f'<span class="wv-link" {html.pick("strategy", "auto")}>Use the fastest</span>'
+    link = f'<span class="wv-link" {html.command_pick("strategy", "auto")}>Use the fastest</span>'
     return f'<div class="wv-lab" style="padding:4px 6px">Chosen by hand. {link}</div>'
 
 

@@ -41,7 +41,7 @@ from wafer_viewer.gui.shell.saved_views import views_html
 from wafer_viewer.gui.state.view_state import View
 from wafer_viewer.gui.surface.compare_section import CompareSection
 from wafer_viewer.gui.widgets import html
-from wafer_viewer.gui.widgets.controls import Gui, HtmlBlock, button, in_a_row, set_prop
+from wafer_viewer.gui.widgets.controls import Gui, HtmlBlock, command_button, in_a_row, set_prop
 from wafer_viewer.gui.widgets.style import LEFT_PX
 from wafer_viewer.model.acquisition.plan import Field
 from wafer_viewer.session.rendering.render_request import Brushed
@@ -283,8 +283,8 @@ class LeftPanel:
         self._datasets = page.gui.add_folder(None, visible=False)
         with self._datasets:
             self._list = HtmlBlock(page.gui)
-            opener = button(page.gui, "Open…", viser.Icon.FOLDER_OPEN, lambda _: open_dialog(page))
-            importer = button(page.gui, "Import…", viser.Icon.PHOTO_PLUS, lambda _: import_dialog(page))
+            opener = command_button(page.gui, "Open…", viser.Icon.FOLDER_OPEN, lambda _: open_dialog(page))
+            importer = command_button(page.gui, "Import…", viser.Icon.PHOTO_PLUS, lambda _: import_dialog(page))
             in_a_row(page.gui, [opener, importer])
 
     def _dataset_rows(self, snapshot: Snapshot, opened: Path | None) -> str:

@@ -123,8 +123,8 @@ def views_html(snapshot: Snapshot, view: View) -> str:
     rows = [_row(kept) for kept in state.book.views]
     listed = html.table([], rows) if rows else ""
     undone = state.can_undo and view.step != "review"  # where judgements are taken back, too
-    undo = f'<span class="wv-link" {html.pick("view-undo")}>undo</span>' if undone else ""
-    save = f'<span class="wv-link" title="Key Shift + 0" {html.pick("view-save")}>Save view…</span>'
+    undo = f'<span class="wv-link" {html.command_pick("view-undo")}>undo</span>' if undone else ""
+    save = f'<span class="wv-link" title="Key Shift + 0" {html.command_pick("view-save")}>Save view…</span>'
     told = "3000 px wide, with scale and colours · Key P"
     picture = f'<span class="wv-link" title="{told}" {html.pick("picture")}>Picture</span>'
     foot = f'<div style="display:flex;justify-content:space-between;margin:4px 6px 6px">{save}{picture}{undo}</div>'
@@ -151,7 +151,7 @@ def _row(kept: SavedView) -> str:
 def _act(what: str, kept: SavedView, word: str, sign: Any) -> str:
     label = html.safe(f"{word} {kept.name}")
     told = f'title="{label}" aria-label="{label}"'
-    return f'<span class="wv-act" {told} {html.pick(what, kept.number)}>{html.icon(sign, 14)}</span>'
+    return f'<span class="wv-act" {told} {html.command_pick(what, kept.number)}>{html.icon(sign, 14)}</span>'
 
 
 MOVED_MM = 1e-5

@@ -21,7 +21,7 @@ from wafer_viewer.gui.review import JUDGEMENTS
 from wafer_viewer.gui.state.view_state import Tour, View
 from wafer_viewer.gui.widgets import html
 from wafer_viewer.gui.widgets.command import Command
-from wafer_viewer.gui.widgets.controls import HtmlBlock, button, leading, outlined, set_prop
+from wafer_viewer.gui.widgets.controls import HtmlBlock, command_button, leading, outlined, set_prop
 from wafer_viewer.gui.widgets.error_guard import guarded
 from wafer_viewer.gui.widgets.style import read_static
 from wafer_viewer.model.measurement.measurements import StepHeight
@@ -338,12 +338,16 @@ class Welcome:
         with self._panel.add_tab("Start"):
             gui.add_html('<div class="wv-card"></div>')
             HtmlBlock(gui, _HEAD)
-            plan = button(
+            plan = command_button(
                 gui, "Plan a scan", viser.Icon.LAYOUT_GRID, guarded(page, "There is no plan")(lambda _: self._plan())
             )
             leading(gui, plan, 46, sticky=False)
-            outlined(gui, button(gui, "Open a dataset…", viser.Icon.FOLDER_OPEN, lambda _: open_dialog(page)), 42)
-            outlined(gui, button(gui, "Import images…", viser.Icon.PHOTO_PLUS, lambda _: import_dialog(page)), 42)
+            outlined(
+                gui, command_button(gui, "Open a dataset…", viser.Icon.FOLDER_OPEN, lambda _: open_dialog(page)), 42
+            )
+            outlined(
+                gui, command_button(gui, "Import images…", viser.Icon.PHOTO_PLUS, lambda _: import_dialog(page)), 42
+            )
             self._tour = HtmlBlock(gui)
 
     def show(self, snapshot: Snapshot, view: View) -> None:
@@ -353,7 +357,7 @@ class Welcome:
         if not first:
             return
         self._centre()
-        link = f'<span class="wv-link" {html.pick("tour")}>Take the tour on the virtual rig</span>, {TOUR_TIME}'
+        link = f'<span class="wv-link" {html.command_pick("tour")}>Take the tour on the virtual rig</span>, {TOUR_TIME}'
         way = link if snapshot.rig.limits is not None else "The virtual rig is starting …"
         tour = f"No sample at hand? &ensp;{way}" if snapshot.rig.simulated else ""
         self._tour.show(f'<div class="wv-lab" style="text-align:center;padding:4px 0 6px">{tour}</div>')

@@ -16,7 +16,7 @@ from wafer_viewer.gui.state.view_state import View
 from wafer_viewer.gui.widgets import html
 from wafer_viewer.gui.widgets.callback_timing import LatestOnlyWorker
 from wafer_viewer.gui.widgets.command import Command, with_precondition
-from wafer_viewer.gui.widgets.controls import HtmlBlock, ToggleGroup, button, in_a_row, set_prop
+from wafer_viewer.gui.widgets.controls import HtmlBlock, ToggleGroup, button, command_button, in_a_row, set_prop
 from wafer_viewer.gui.widgets.error_guard import guarded
 from wafer_viewer.model.errors import DatasetError
 from wafer_viewer.model.surface.comparison import (
@@ -105,7 +105,7 @@ class CompareSection:
             self._align = gui.add_dropdown("Align", tuple(ALIGN_TITLES.values()))
             self._keep_z = gui.add_checkbox("Keep height and tilt", False)
             begin = guarded(self._page, "Nothing was compared")(lambda _: self._begin())
-            self._begin_button = button(gui, "Compare", ICON.ARROWS_DIFF, begin, disabled=True)
+            self._begin_button = command_button(gui, "Compare", ICON.ARROWS_DIFF, begin, disabled=True)
             other = button(gui, "From a file…", ICON.FOLDER_OPEN, lambda _: self._ask_other())
             in_a_row(gui, [self._begin_button, other], 34)
             self._why_not = HtmlBlock(gui)
@@ -223,7 +223,7 @@ def _fold_word(unfolded: bool) -> str:
 
 def _row(compared: Compared, chosen: bool) -> str:
     name = html.safe(words.comparison_name(compared.comparison))
-    away = f'<span class="wv-link" title="Remove" {html.pick("compare-remove", str(compared.number))}>'
+    away = f'<span class="wv-link" title="Remove" {html.command_pick("compare-remove", str(compared.number))}>'
     cells = (name, f"{away}{html.icon(ICON.X, 14)}</span>")
     return html.row(cells, " n", html.pick("compare-look", str(compared.number)), "sel" if chosen else "")
 

@@ -14,7 +14,7 @@ from wafer_viewer.gui.scenes.pose_overlay import PoseCache
 from wafer_viewer.gui.scenes.surface_scene import source_of
 from wafer_viewer.gui.state.view_state import View
 from wafer_viewer.gui.widgets import html
-from wafer_viewer.gui.widgets.controls import BoundInput, HtmlBlock, button, in_a_row, set_prop
+from wafer_viewer.gui.widgets.controls import BoundInput, HtmlBlock, command_button, in_a_row, set_prop
 from wafer_viewer.gui.widgets.error_guard import guarded
 from wafer_viewer.model.spec import replace
 from wafer_viewer.model.surface.recipe import READY_RECIPES, Recipe
@@ -76,7 +76,7 @@ class RecipeSection:
         )
         self._add("Fill", words.FILL, lambda r: r.fill.mode, lambda r, v: replace(r, fill=replace(r.fill, mode=v)))
         again = guarded(self._page, "The surface was not changed")(lambda _: self._again())
-        self._button = button(gui, "Reconstruct again", viser.Icon.REFRESH, again)
+        self._button = command_button(gui, "Reconstruct again", viser.Icon.REFRESH, again)
         in_a_row(gui, [self._button], 34)
 
     def _add(self, label: str, names: dict[str, Any], get: Callable[[Recipe], Any], put: Put) -> BoundInput[str]:

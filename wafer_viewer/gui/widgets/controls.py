@@ -122,11 +122,25 @@ def unbar(handle: Any) -> None:
             set_prop(handle, "disabled", own)
 
 
+def controlled(handle: Any) -> Any:
+    """Declare that a widget needs control: it moves the rig, or changes the plan, the dataset or the results.
+
+    viser's button groups cannot be disabled: the session refuses their commands.
+    """
+    handle.needs_control = True
+    return handle
+
+
 def button(gui: Gui, label: str, icon: Any, on_click: Callable[[Any], None], disabled: bool = False) -> Any:
     """Add a button with its callback."""
     handle = gui.add_button(label, icon=icon, disabled=disabled)
     handle.on_click(on_click)
     return handle
+
+
+def command_button(gui: Gui, label: str, icon: Any, on_click: Callable[[Any], None], disabled: bool = False) -> Any:
+    """Add a button that needs control."""
+    return controlled(button(gui, label, icon, on_click, disabled))
 
 
 def in_a_row(gui: Gui, buttons: Sequence[Any], height_px: int = 32, filled: Any = None) -> None:

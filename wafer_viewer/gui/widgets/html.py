@@ -92,6 +92,15 @@ def pick(what: str, key: object = "") -> str:
     )
 
 
+NEEDS_CONTROL = "data-needs-control"
+"""Attribute of elements that move the rig, or change the plan, the dataset or the results."""
+
+
+def command_pick(what: str, key: object = "") -> str:
+    """Return the attributes of `pick` for an element that needs control."""
+    return f"{pick(what, key)} {NEEDS_CONTROL}"
+
+
 def title(text: str, below: str = "", beside: str = "") -> str:
     """Return the title of a panel, with a subtitle and small actions. `beside` is HTML."""
     sub = f'<div class="wv-sub">{safe(below)}</div>' if below else ""
