@@ -1,7 +1,4 @@
-"""Import of images and surface files, and export of surfaces, as background work.
-
-For exports see session/file_work.py.
-"""
+"""Import of images and surface files, and export of surfaces, as background work."""
 
 from __future__ import annotations
 

@@ -8,6 +8,7 @@ from collections.abc import Callable
 from contextlib import suppress
 from functools import partial
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 from wafer_viewer.model.errors import ComputeError, DatasetError
 from wafer_viewer.model.progress import Progress, ShouldStop, never, silent
@@ -15,13 +16,15 @@ from wafer_viewer.model.region import Region
 from wafer_viewer.model.spec import replace
 from wafer_viewer.model.surface.comparison import Align, Comparison, ComparisonFace, SurfaceName
 from wafer_viewer.model.surface.height_map import HeightMap, Mosaic, Provenance
-from wafer_viewer.reconstruct.comparison.height_difference import Difference, DifferenceStatistics
 from wafer_viewer.session.core.dataset_library import ENDING, today
 from wafer_viewer.store.dataset.dataset import Dataset
 from wafer_viewer.store.dataset.lock import Lock
 from wafer_viewer.store.dataset.result import COMPARISON, MOSAIC
 from wafer_viewer.store.io.atomic_files import atomic_write, remove
 from wafer_viewer.store.io.checksums import save_json
+
+if TYPE_CHECKING:
+    from wafer_viewer.reconstruct.comparison.height_difference import Difference, DifferenceStatistics
 
 PREFIX = "difference-"
 ALIGN_SHARE = 0.15
@@ -208,6 +211,8 @@ class StreamingStatistics:
 
         Without any window, the statistics cover the full difference.
         """
+        from wafer_viewer.reconstruct.comparison.height_difference import DifferenceStatistics
+
         total = sum(self._sums.values(), DifferenceStatistics()) if self._sums else None
         provenance = self.provenance
         calibration = provenance.calibration
