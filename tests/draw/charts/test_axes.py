@@ -24,7 +24,8 @@ def test_round_ticks_lie_within_the_ends_and_no_two_labels_are_alike(ends, most)
     ticks = round_ticks(ends, most)
     assert 1 <= len(ticks) <= most + 1
     assert len({text for _, text in ticks}) == len(ticks)
-    assert all(ends[0] - 1e-6 <= value <= ends[1] + 1e-6 for value, _ in ticks)
+    slack = 1e-6 * (ends[1] - ends[0])
+    assert all(ends[0] - slack <= value <= ends[1] + slack for value, _ in ticks)
 
 
 def test_an_array_is_placed_as_each_of_its_values():
