@@ -29,9 +29,7 @@ sys.path.insert(0, str(ROOT))
 from tests.support.noisy_maps import noisy_step, rmse  # noqa: E402
 from tests.truth.layouts import PILLBOX, TUNING, Layout, take  # noqa: E402
 from wafer_viewer.model.spec import replace  # noqa: E402
-from wafer_viewer.model.surface.height_map import Origin  # noqa: E402
 from wafer_viewer.model.surface.recipe import Fill, Levy, Outliers, Recipe  # noqa: E402
-from wafer_viewer.reconstruct.auto_tuning import tune_recipe  # noqa: E402
 from wafer_viewer.reconstruct.cleaning import clean as rules  # noqa: E402
 from wafer_viewer.reconstruct.cleaning.clean import (  # noqa: E402  # noqa: E402
     clean,
@@ -43,9 +41,12 @@ from wafer_viewer.reconstruct.cleaning.clean import (  # noqa: E402  # noqa: E40
     settle_levy,
 )
 from wafer_viewer.reconstruct.cleaning.levy_flight import SMOOTHERS, height_noise_um, smooth  # noqa: E402
-from wafer_viewer.reconstruct.focus.peak_search import search_field  # noqa: E402
-from wafer_viewer.reconstruct.preprocess.frames import prepare  # noqa: E402
-from wafer_viewer.reconstruct.validity import validate_peaks  # noqa: E402
+from wafer_viewer.reconstruct.field_pipeline import (  # noqa: E402
+    correct_edges,
+    gate_peaks,
+    prepare_field,
+    search_peaks,
+)
 
 KEPT_LIGHT = Path(tempfile.gettempdir()) / "wafer-viewer-truth"
 FALSE_UM, PIXEL_UM, STEP_UM = 4.0, 0.46729, 4.0
@@ -197,13 +198,11 @@ def scenes(quick: bool) -> Iterator[Seen]:
     """Gated, uncleaned maps of scenes made by rays."""
     for layout in SCENES[:1] if quick else (*SCENES, *TUNING.values()):
         taken = take(layout, (128, 128) if quick else (320, 320), keep_in=KEPT_LIGHT)
-        frames = prepare(taken.stack)
-        settled = tune_recipe(frames, Recipe())
-        peaks = search_field(frames, settled.search)
-        judged = validate_peaks(frames, settled, peaks)
-        z = np.where(judged.origin == Origin.MEASURED, judged.peaks.z_um, np.float32(np.nan))
-        recipe = settle_cleaning([z], replace(settled.recipe, levy=Levy()), settled.resolution_um)
-        yield Seen(layout.name, z, taken.scene.truth_um, recipe, settled.resolution_um)
+        field = prepare_field(taken.stack)
+        z = correct_edges(field, gate_peaks(field, search_peaks(field))).measured_um
+        tuned = field.tuned
+        recipe = settle_cleaning([z], replace(tuned.recipe, levy=Levy()), tuned.resolution_um)
+        yield Seen(layout.name, z, taken.scene.truth_um, recipe, tuned.resolution_um)
 
 
 def show_smoothing(seen: Seen) -> None:

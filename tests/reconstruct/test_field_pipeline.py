@@ -15,7 +15,7 @@ from wafer_viewer.model.errors import ComputeError
 from wafer_viewer.model.surface.focus_measures import focus_measures
 from wafer_viewer.model.surface.height_map import HeightMap, Origin
 from wafer_viewer.model.surface.recipe import Levy, Recipe
-from wafer_viewer.reconstruct.field_pipeline import reconstruct, settled_recipe, warm_up
+from wafer_viewer.reconstruct.field_pipeline import SEARCH_SHARE, reconstruct, settled_recipe, warm_up
 from wafer_viewer.reconstruct.focus.log_laplacian import log_laplacian_block
 from wafer_viewer.reconstruct.focus.peak_search import STRIPE_ROWS
 
@@ -123,6 +123,15 @@ def test_progress_rises_to_one_and_can_stop_the_work(plane_stack: FieldStack) ->
 
     def stop(share: float) -> None:
         raise ComputeError("stopped")
+
+    with pytest.raises(ComputeError, match="stopped"):
+        reconstruct(plane_stack, progress=stop)
+
+
+def test_work_can_be_stopped_after_the_peaks_too(plane_stack: FieldStack) -> None:
+    def stop(share: float) -> None:
+        if share > SEARCH_SHARE:
+            raise ComputeError("stopped")
 
     with pytest.raises(ComputeError, match="stopped"):
         reconstruct(plane_stack, progress=stop)

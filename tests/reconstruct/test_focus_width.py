@@ -14,10 +14,9 @@ from wafer_viewer.model.acquisition.calibration import Calibration, OpticalSetup
 from wafer_viewer.model.acquisition.focus_stack import FieldStack
 from wafer_viewer.model.spec import replace
 from wafer_viewer.model.surface.recipe import Recipe
-from wafer_viewer.reconstruct.auto_tuning import tune_recipe
+from wafer_viewer.reconstruct.auto_tuning import TOO_WIDE, tune_recipe
 from wafer_viewer.reconstruct.field_pipeline import reconstruct
 from wafer_viewer.reconstruct.preprocess.frames import prepare
-from wafer_viewer.reconstruct.validity import TOO_WIDE
 from wafer_viewer.store.dataset.stack_import import open_stack
 
 SEEDS = (4, 11, 13, 17, 1002, 1003)

@@ -1,8 +1,7 @@
-"""Estimation of recipe parameters left at `auto`, from a few tiles of the field."""
+"""Tuning of a recipe to a field: values for `auto` from a few tiles, and the parameters of all later stages."""
 
 from __future__ import annotations
 
-import dataclasses
 from collections.abc import Iterator
 from dataclasses import dataclass
 
@@ -16,8 +15,10 @@ from wafer_viewer.model.surface.height_map import Origin
 from wafer_viewer.model.surface.recipe import Recipe
 from wafer_viewer.reconstruct.cleaning.clean import settle_cleaning
 from wafer_viewer.reconstruct.focus.peak import Peaks
-from wafer_viewer.reconstruct.focus.peak_search import Search, ThreadScratch, noise_scores, search_part
-from wafer_viewer.reconstruct.gates.gate import LEAST_FRAMES, auto_min_confidence, gate_of, origins
+from wafer_viewer.reconstruct.focus.peak_search import Search, ThreadScratch, coarse_step, search_part
+from wafer_viewer.reconstruct.gates.edge_bleeding import EdgeSearch, edge_search_for
+from wafer_viewer.reconstruct.gates.edge_sides import STANDING_GAPS
+from wafer_viewer.reconstruct.gates.gate import LEAST_FRAMES, Gate, gate_for, origins
 from wafer_viewer.reconstruct.preprocess.camera_noise import camera_of, settled_noise
 from wafer_viewer.reconstruct.preprocess.frames import Frames
 
@@ -45,6 +46,9 @@ FINEST_PX = 4.0
 LARGEST_APERTURE = 0.95
 """Largest numerical aperture in air."""
 
+TOO_WIDE = 2.0
+"""Largest plausible focus width, in depths of field; wide-open and apodised pupils reach 1.5."""
+
 _PROBE_WINDOW = 9
 _AIRY = 0.61
 _LEAST_CONTRAST = 2.0
@@ -54,15 +58,18 @@ _TILES = 3
 
 
 @dataclass(frozen=True, slots=True)
-class TunedSearch:
-    """A recipe without `auto`, its search parameters, and the axial resolution.
+class TunedRecipe:
+    """A recipe without `auto`, and the parameters that the later stages take from it.
 
-    resolution_um is the step of the sweep, or the step that suits the optics where the sweep is finer. notes: one
-    sentence for each choice that the data did not support.
+    search, gate, edges: parameters of the peak search, of the gates and of the search at edges, None where edges are
+    not searched; resolution_um: the step of the sweep, or the step that suits the optics where the sweep is finer;
+    notes: one sentence for each choice that the data did not support, and for requested tests that were not possible.
     """
 
     recipe: Recipe
     search: Search
+    gate: Gate
+    edges: EdgeSearch | None
     resolution_um: float
     notes: tuple[str, ...] = ()
 
@@ -75,26 +82,27 @@ class FocusWidth:
     notes: tuple[str, ...] = ()
 
 
-def tune_recipe(frames: Frames, recipe: Recipe) -> TunedSearch:
-    """Replace every `auto` of a recipe by a value estimated from the data."""
+def tune_recipe(frames: Frames, recipe: Recipe) -> TunedRecipe:
+    """Replace every `auto` of a recipe by a value estimated from the data, each from those before it."""
+    n_frames = frames.n_frames
     recipe = replace(recipe, noise=settled_noise(frames, recipe.noise))
-    found = focus_width(frames, recipe) if recipe.focus_width_um == "auto" else FocusWidth(recipe.focus_width_um)
-    width_um = found.um
-    width = width_um / frames.step_um
-    probe = _search(recipe, _PROBE_WINDOW, width, frames.n_frames)
-    window = best_window(frames, recipe, probe) if recipe.window == "auto" else recipe.window
-    search = dataclasses.replace(probe, window=window)
-    resolution_um = max(1.0, width / SUITABLE_WIDTH) * frames.step_um
-    confidence = _min_confidence(recipe, search, frames.n_frames)
-    settled = replace(recipe, window=window, focus_width_um=width_um, min_confidence=confidence)
-    maps = gated_tiles(frames, settled, search) if settled.heights_have_auto else []
-    return TunedSearch(settle_cleaning(maps, settled, resolution_um), search, resolution_um, found.notes)
+    width = focus_width(frames, recipe) if recipe.focus_width_um == "auto" else FocusWidth(recipe.focus_width_um)
+    recipe = replace(recipe, focus_width_um=width.um)
+    recipe = replace(recipe, window=best_window(frames, recipe) if recipe.window == "auto" else recipe.window)
+    search = search_of(recipe, n_frames, frames.step_um)
+    resolution_um = max(1.0, width.um / frames.step_um / SUITABLE_WIDTH) * frames.step_um
+    gate = gate_for(recipe, search, n_frames, resolution_um)
+    recipe = replace(recipe, min_confidence=gate.min_confidence)
+    maps = gated_tiles(frames, search, gate) if recipe.heights_have_auto else []
+    recipe = settle_cleaning(maps, recipe, resolution_um)
+    edges = edge_search_for(recipe, search, n_frames, resolution_um)
+    coarse = coarse_step(frames.step_um, frames.depth_of_field_um, width.um)
+    notes = (*coarse, *width.notes, *_untested(frames, recipe, edges))
+    return TunedRecipe(recipe, search, gate, edges, resolution_um, notes)
 
 
-def gated_tiles(frames: Frames, recipe: Recipe, search: Search) -> list[NDArray[np.float32]]:
-    """Return the heights of a few tiles, NaN where the gate of the settled recipe rejects them."""
-    noise = noise_scores(search, frames.n_frames)
-    gate = gate_of(noise, _min_confidence(recipe, search, frames.n_frames), recipe.clipped_fraction, search.window)
+def gated_tiles(frames: Frames, search: Search, gate: Gate) -> list[NDArray[np.float32]]:
+    """Return the heights of a few tiles, NaN where the gate rejects them."""
     return [
         np.where(origins(peaks, gate, frames.n_frames) == Origin.MEASURED, peaks.z_um, np.float32(np.nan))
         for _, peaks in _tiles(frames, search)
@@ -122,11 +130,11 @@ def focus_width(frames: Frames, recipe: Recipe) -> FocusWidth:
     return FocusWidth(most_um, (_too_wide(found_um, most_um, frames.pixel_um),))
 
 
-def best_window(frames: Frames, recipe: Recipe, probe: Search) -> int:
-    """Return the smallest window with nearly the coverage of the largest."""
+def best_window(frames: Frames, recipe: Recipe) -> int:
+    """Return the smallest window with nearly the coverage of the largest, for a recipe with a settled focus width."""
 
     def coverage(window: int) -> float:
-        return _coverage(frames, recipe, dataclasses.replace(probe, window=window))
+        return _coverage(frames, replace(recipe, window=window))
 
     *smaller, largest = AUTO_WINDOWS
     enough = ENOUGH_COVERAGE * coverage(largest)
@@ -134,36 +142,25 @@ def best_window(frames: Frames, recipe: Recipe, probe: Search) -> int:
 
 
 def search_of(recipe: Recipe, n_frames: int, step_um: float) -> Search:
-    """Return the search parameters of a settled recipe for a stack that is not yet available."""
-    return _search(recipe, int(recipe.window), float(recipe.focus_width_um) / step_um, n_frames)
+    """Return the search parameters of a recipe with settled window, focus width and noise.
 
-
-def _search(recipe: Recipe, window: int, width: float, n_frames: int) -> Search:
-    """Return search parameters: rivals two widths from the peak, interpolation points half a width away.
-
-    The rival gap is at most a quarter of the stack.
+    Rivals are two widths from the peak, at most a quarter of the stack; interpolation points half a width.
     """
+    width = float(recipe.focus_width_um) / step_um
     most = max(1, (n_frames - 1) // 4)
     gap = int(np.clip(round(GAP_WIDTHS * width), 1, most))
     reach = int(np.clip(round(REACH_WIDTHS * width), 1, gap))
     blend = max(1, round(BLEND_WIDTHS * width)) if n_frames >= LEAST_FRAMES else 0
     floored = n_frames >= max(LEAST_FRAMES, FLOOR_WIDTHS * width)
-    return Search(recipe.focus_measure, window, recipe.peak, gap, reach, blend, floored, camera_of(recipe.noise))
+    camera = camera_of(recipe.noise)
+    return Search(recipe.focus_measure, int(recipe.window), recipe.peak, gap, reach, blend, floored, camera)
 
 
-def _min_confidence(recipe: Recipe, search: Search, n_frames: int) -> float:
-    if recipe.min_confidence == "auto":
-        return auto_min_confidence(noise_scores(search, n_frames))
-    return recipe.min_confidence
-
-
-def _coverage(frames: Frames, recipe: Recipe, search: Search) -> float:
+def _coverage(frames: Frames, recipe: Recipe) -> float:
     """Return the fraction of pixels that pass the gate, ignoring clipping."""
-    noise = noise_scores(search, frames.n_frames)
-    gate = gate_of(noise, _min_confidence(recipe, search, frames.n_frames), 1.0, search.window)
-    return float(
-        np.mean([np.mean(origins(p, gate, frames.n_frames) == Origin.MEASURED) for _, p in _tiles(frames, search)])
-    )
+    search = search_of(recipe, frames.n_frames, frames.step_um)
+    gate = gate_for(replace(recipe, clipped_fraction=1.0), search, frames.n_frames, np.inf)
+    return float(np.mean([np.mean(np.isfinite(z_um)) for z_um in gated_tiles(frames, search, gate)]))
 
 
 def _clean_widths(bench: ThreadScratch, peaks: Peaks, power: float) -> NDArray[np.float32]:
@@ -205,6 +202,35 @@ def _too_wide(found_um: float, most_um: float, pixel_um: float) -> str:
         f"wide, as bleeding light makes them, so {most_um:.3g} um was assumed from the pixel of {pixel_um:.3g} um. "
         + _GIVE_APERTURE
     )
+
+
+def _untested(frames: Frames, recipe: Recipe, edges: EdgeSearch | None) -> tuple[str, ...]:
+    """Return a note on the requested tests that are disabled in a short stack, or else on walls that do not show."""
+    if frames.n_frames >= LEAST_FRAMES:
+        return () if edges is None else _walls_untested(frames, float(recipe.focus_width_um))
+    wanted = (
+        ("windows are not compared", recipe.compare_windows),
+        ("edges are not looked for", recipe.edges != "none"),
+    )
+    off = " and ".join(words for words, asked in wanted if asked)
+    return (f"The stack has {frames.n_frames} frames: in fewer than {LEAST_FRAMES} {off}.",) if off else ()
+
+
+def _walls_untested(frames: Frames, width_um: float) -> tuple[str, ...]:
+    """Return a note where the focus width is too large, against the optics or the sweep, to detect walls."""
+    depth_um = frames.depth_of_field_um
+    sweep_um, least_um = float(np.ptp(frames.z_um)), STANDING_GAPS * GAP_WIDTHS * width_um
+    if depth_um > 0 and width_um > TOO_WIDE * max(depth_um, frames.step_um):
+        return (
+            f"Walls between bright and dark heights could not be tested: the focus width of {width_um:.3g} um is "
+            f"{width_um / depth_um:.2g} times the depth of field. Leave focus_width_um to the data.",
+        )
+    if sweep_um < least_um:
+        return (
+            f"Walls between bright and dark heights could not be tested: they show in a sweep of {least_um:.3g} um or "
+            f"more, and this one is {sweep_um:.3g} um long.",
+        )
+    return ()
 
 
 def _largest_depth_um(pixel_um: float) -> float:

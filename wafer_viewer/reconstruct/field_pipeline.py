@@ -1,7 +1,15 @@
-"""Reconstruction of a height map from the focus stack of a field."""
+"""Reconstruction of a height map from the focus stack of a field: a sequence of stages.
+
+field -> peaks -> gated peaks -> corrected peaks -> cleaned heights -> height map
+
+`reconstruct` runs all stages on the frames of a complete field. `LiveField` searches the peaks while frames arrive and
+joins the sequence after them; `focus_curve` runs it on a part of a field.
+"""
 
 from __future__ import annotations
 
+import dataclasses
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -10,16 +18,21 @@ from numpy.typing import NDArray
 from wafer_viewer._version import __version__
 from wafer_viewer.model.acquisition.focus_stack import FieldStack
 from wafer_viewer.model.acquisition.plan import Field
+from wafer_viewer.model.progress import Progress, silent
 from wafer_viewer.model.surface.height_map import HeightMap, Origin, Provenance, RefusedHeights
 from wafer_viewer.model.surface.recipe import Recipe
-from wafer_viewer.reconstruct.auto_tuning import TunedSearch, tune_recipe
+from wafer_viewer.reconstruct.auto_tuning import TunedRecipe, tune_recipe
 from wafer_viewer.reconstruct.cleaning.clean import clean, mark_filled
 from wafer_viewer.reconstruct.focus.peak import Peaks
-from wafer_viewer.reconstruct.focus.peak_search import Progress, coarse_step, search_field
-from wafer_viewer.reconstruct.gates import edge_bleeding
-from wafer_viewer.reconstruct.gates.gate import LEAST_FRAMES
+from wafer_viewer.reconstruct.focus.peak_search import search_field, wide_heights
+from wafer_viewer.reconstruct.gates.edge_bleeding import BleedingEdges, find_edges, judge_edges
+from wafer_viewer.reconstruct.gates.edge_bleeding import warm_up as warm_up_edges
+from wafer_viewer.reconstruct.gates.edge_sides import EdgeSide
+from wafer_viewer.reconstruct.gates.gate import LEAST_FRAMES, GateTest, checks, first_failed
 from wafer_viewer.reconstruct.preprocess.frames import Frames, prepare
-from wafer_viewer.reconstruct.validity import ValidatedPeaks, validate_peaks
+
+SEARCH_SHARE, EDGES_SHARE = 0.6, 0.9
+"""Finished fraction after the peak search and after the edges, from 60 frames of 1000 x 1320 pixels."""
 
 ENOUGH_TO_SETTLE = 0.2
 """Fraction of measured pixels from which the settled recipe of a field may be reused for its neighbours."""
@@ -64,71 +77,204 @@ def reconstruct(
     ----------
     .. [1] S. K. Nayar, Y. Nakagawa, Shape from focus, IEEE Trans. Pattern Anal. Mach. Intell. 16 (1994) 824.
     """
+    progress = progress or silent
+    field = prepare_field(stack, recipe)
+    peaks = search_peaks(field, threads, lambda share: progress(SEARCH_SHARE * share))
+    return reconstruct_from_peaks(field, peaks, threads, progress).height_map
+
+
+def reconstruct_from_peaks(
+    field: PreparedField, peaks: Peaks, threads: int | None = None, progress: Progress = silent
+) -> ReconstructedField:
+    """Run the stages after the peak search; progress continues from `SEARCH_SHARE` to 1."""
+    gated = gate_peaks(field, peaks)
+    corrected = correct_edges(field, gated, threads)
+    progress(EDGES_SHARE)
+    cleaned = clean_heights(field, corrected)
+    height_map = assemble(field, corrected, cleaned)
+    progress(1.0)
+    return ReconstructedField(corrected, height_map)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class ReconstructedField:
+    """Height map of a field, or of a part of it, with the gated and corrected peaks that explain it."""
+
+    corrected: CorrectedPeaks
+    height_map: HeightMap
+
+
+# ------------------------------------------------------------------------------------------- frames and tuned recipe
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class PreparedField:
+    """A field, or a part of it: stack, frames in use with their corrections, and the recipe tuned to them."""
+
+    stack: FieldStack
+    frames: Frames
+    tuned: TunedRecipe
+
+    def part(self, rows: slice, cols: slice) -> PreparedField:
+        """Return the pixels [rows, cols], with corrections and recipe of the entire field."""
+        return dataclasses.replace(self, stack=self.stack.part(rows, cols), frames=self.frames.part(rows, cols))
+
+
+def prepare_field(stack: FieldStack, recipe: Recipe = Recipe()) -> PreparedField:
+    """Select the frames, determine their corrections, and replace every `auto` of the recipe."""
     frames = prepare(stack, recipe)
-    settled = tune_recipe(frames, recipe)
-    peaks = search_field(frames, settled.search, threads, progress)
-    return surface_of(stack, frames, settled, peaks, threads)
+    return PreparedField(stack, frames, tune_recipe(frames, recipe))
 
 
-def surface_of(
-    stack: FieldStack, frames: Frames, settled: TunedSearch, peaks: Peaks, threads: int | None = None
-) -> HeightMap:
-    """Return the height map of frames whose peaks have been searched."""
-    return build_height_map(stack, frames, settled, validate_peaks(frames, settled, peaks, threads))
+# --------------------------------------------------------------------------------------------------------------- peaks
+
+
+def search_peaks(field: PreparedField, threads: int | None = None, progress: Progress = silent) -> Peaks:
+    """Search the focus peak of every pixel, stripe by stripe."""
+    return search_field(field.frames, field.tuned.search, threads, progress)
+
+
+# --------------------------------------------------------------------------------------------------------------- gates
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class GatedPeaks:
+    """Peaks with the tests of all gates, and the code of `Origin` of the first failed test, uint8 [row, col]."""
+
+    peaks: Peaks
+    tests: tuple[GateTest, ...]
+    origin: NDArray[np.uint8]
+
+
+def gate_peaks(field: PreparedField, peaks: Peaks) -> GatedPeaks:
+    """Test the peaks against noise, rivals, the ends of the sweep and a wider window."""
+    frames, search, gate = field.frames, field.tuned.search, field.tuned.gate
+    wide_um = wide_heights(peaks, frames.z_um, search) if np.isfinite(gate.window_tolerance_um) else None
+    tests = checks(peaks, gate, frames.n_frames, wide_um)
+    covered = frames.covered(search.margin_px)
+    return GatedPeaks(peaks, tests, np.where(covered, first_failed(tests), np.uint8(Origin.TOO_FEW_FRAMES)))
+
+
+# --------------------------------------------------------------------------------------------------------------- edges
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class CorrectedPeaks:
+    """Peaks after the correction at edges: heights in um and codes of `Origin` [row, col].
+
+    edges: None where there are no walls, and where the recipe does not search for them.
+    """
+
+    gated: GatedPeaks
+    z_um: NDArray[np.float32]
+    origin: NDArray[np.uint8]
+    edges: BleedingEdges | None
+
+    @property
+    def searched_um(self) -> NDArray[np.float32]:
+        """Heights as searched, before the correction."""
+        return self.gated.peaks.z_um
+
+    @property
+    def measured_um(self) -> NDArray[np.float32]:
+        """Heights of the measured pixels, NaN elsewhere."""
+        return np.where(self.origin == Origin.MEASURED, self.z_um, np.float32(np.nan))
+
+
+def correct_edges(field: PreparedField, gated: GatedPeaks, threads: int | None = None) -> CorrectedPeaks:
+    """Reject heights made by light that bleeds over walls, and search them again along the wall."""
+    how, z_um = field.tuned.edges, gated.peaks.z_um
+    edges = None if how is None else find_edges(field.frames, how, gated.peaks, gated.origin, threads)
+    if edges is None:
+        return CorrectedPeaks(gated, z_um, gated.origin, None)
+    return CorrectedPeaks(gated, *judge_edges(z_um, gated.origin, edges), edges)
+
+
+# ------------------------------------------------------------------------------------------------------------ cleaning
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class CleanedHeights:
+    """Heights after cleaning, float32 [row, col], NaN where there is none.
+
+    z_um: smoothed, with small gaps filled; z_raw_um: measured; origin: codes of `Origin`; refused: heights of the peaks
+    that do not count.
+    """
+
+    z_um: NDArray[np.float32]
+    z_raw_um: NDArray[np.float32]
+    origin: NDArray[np.uint8]
+    refused: RefusedHeights
+
+
+def clean_heights(field: PreparedField, corrected: CorrectedPeaks) -> CleanedHeights:
+    """Smooth heights, remove outliers and the edges of steps, and fill small gaps."""
+    tuned, origin, edges = field.tuned, corrected.origin, corrected.edges
+    side_known = bleeding_um = None
+    if tuned.edges is not None:
+        side_known = np.zeros(origin.shape, np.bool_) if edges is None else edges.side != EdgeSide.AWAY
+    if edges is not None:
+        bleeding_um = np.where(origin == Origin.BLEEDING_EDGE, corrected.searched_um, np.float32(np.nan))
+    found = clean(
+        corrected.measured_um, field.stack.pixel_um, tuned.recipe, tuned.resolution_um, side_known, bleeding_um
+    )
+    origin = np.where(found.outlier, np.uint8(Origin.OUTLIER), origin)
+    origin = np.where(found.step_edge, np.uint8(Origin.STEP_EDGE), origin)
+    refused = _refused_heights(corrected, origin)
+    return CleanedHeights(found.z_um, found.raw_um, mark_filled(origin, found.z_um), refused)
+
+
+def _refused_heights(corrected: CorrectedPeaks, origin: NDArray[np.uint8]) -> RefusedHeights:
+    """Return the heights of every covered pixel that is not measured and has a peak.
+
+    A peak that a gate refused has the height that was searched; one refused later has its corrected height. origin:
+    before gaps are filled.
+    """
+    z_um = np.where(corrected.origin == Origin.MEASURED, corrected.z_um, corrected.searched_um)
+    refused = (origin != Origin.MEASURED) & (origin != Origin.NOT_COVERED) & np.isfinite(z_um)
+    at = np.flatnonzero(refused)
+    return RefusedHeights(at.astype(np.uint32), z_um.ravel()[at], origin.ravel()[at].astype(np.uint8))
+
+
+# ---------------------------------------------------------------------------------------------------------- height map
+
+
+def assemble(field: PreparedField, corrected: CorrectedPeaks, cleaned: CleanedHeights) -> HeightMap:
+    """Return the height map with its layers, position and provenance."""
+    stack, peaks = field.stack, corrected.gated.peaks
+    return HeightMap(
+        z_um=cleaned.z_um,
+        z_raw_um=cleaned.z_raw_um,
+        confidence=peaks.confidence,
+        all_in_focus=peaks.all_in_focus,
+        origin=cleaned.origin,
+        pixel_um=stack.pixel_um,
+        x0_um=stack.x0_um,
+        y0_um=stack.y0_um,
+        provenance=Provenance(
+            recipe=field.tuned.recipe,
+            calibration=stack.calibration,
+            software_version=__version__,
+            input_checksum=stack.checksum,
+            simulated=stack.simulated,
+            z_step_um=field.frames.step_um,
+            notes=(*field.frames.notes, *field.tuned.notes),
+        ),
+        refused=cleaned.refused,
+    )
+
+
+# -------------------------------------------------------------------------------------------- recipes of a scan, start
 
 
 def settled_recipe(stack: FieldStack, recipe: Recipe = Recipe()) -> Recipe:
     """Replace every `auto` of a recipe by values from this stack, for use by all fields of a scan."""
-    return tune_recipe(prepare(stack, recipe), recipe).recipe
+    return prepare_field(stack, recipe).tuned.recipe
 
 
 def is_representative(surface: HeightMap) -> bool:
     """Return whether enough of a field is measured to reuse its settled recipe for the neighbouring fields."""
     return bool(surface.measured.mean() >= ENOUGH_TO_SETTLE)
-
-
-def build_height_map(stack: FieldStack, frames: Frames, settled: TunedSearch, judged: ValidatedPeaks) -> HeightMap:
-    """Smooth heights, remove outliers and fill small gaps; z_raw_um only has the outliers removed."""
-    peaks, origin = judged.peaks, judged.origin
-    recipe, resolution_um = settled.recipe, settled.resolution_um
-    raw = np.where(origin == Origin.MEASURED, peaks.z_um, np.float32(np.nan))
-    clear = clean(raw, stack.pixel_um, recipe, resolution_um, judged.told_apart, judged.bled_um)
-    origin = np.where(clear.outlier, np.uint8(Origin.OUTLIER), origin)
-    origin = np.where(clear.step_edge, np.uint8(Origin.STEP_EDGE), origin)
-    return HeightMap(
-        z_um=clear.z_um,
-        z_raw_um=clear.raw_um,
-        confidence=peaks.confidence,
-        all_in_focus=peaks.all_in_focus,
-        origin=mark_filled(origin, clear.z_um),
-        pixel_um=stack.pixel_um,
-        x0_um=stack.x0_um,
-        y0_um=stack.y0_um,
-        provenance=_provenance(stack, frames, recipe, (*settled.notes, *judged.notes)),
-        refused=refused_heights(judged, origin),
-    )
-
-
-def refused_heights(judged: ValidatedPeaks, origin: NDArray[np.uint8]) -> RefusedHeights:
-    """Return the heights that gates, outlier removal and the edges of steps refused.
-
-    Parameters
-    ----------
-    judged
-        Peaks of a field. A peak that a gate refused has the height that the search saw; one refused later has its
-        height after the edges were judged.
-    origin
-        Codes of `Origin` before gaps were filled; uint8 [row, col].
-
-    Returns
-    -------
-    RefusedHeights
-        Every covered pixel that is not measured and has a peak.
-    """
-    z_um = np.where(judged.origin == Origin.MEASURED, judged.peaks.z_um, judged.seen_um)
-    refused = (origin != Origin.MEASURED) & (origin != Origin.NOT_COVERED) & np.isfinite(z_um)
-    at = np.flatnonzero(refused)
-    return RefusedHeights(at.astype(np.uint32), z_um.ravel()[at], origin.ravel()[at].astype(np.uint8))
 
 
 def warm_up(dtype: Any = np.uint8, recipe: Recipe = Recipe()) -> None:
@@ -140,22 +286,4 @@ def warm_up(dtype: Any = np.uint8, recipe: Recipe = Recipe()) -> None:
     stack = FieldStack(field, grey, np.arange(float(n_frames)), np.ones(n_frames, bool), 1.0)
     reconstruct(stack, recipe, threads=1)
     if recipe.edges != "none":
-        edge_bleeding.warm_up(prepare(stack), window=9)
-
-
-def _provenance(stack: FieldStack, frames: Frames, recipe: Recipe, notes: tuple[str, ...]) -> Provenance:
-    coarse = coarse_step(frames.step_um, frames.depth_of_field_um, _number(recipe.focus_width_um))
-    return Provenance(
-        recipe=recipe,
-        calibration=stack.calibration,
-        software_version=__version__,
-        input_checksum=stack.checksum,
-        simulated=stack.simulated,
-        z_step_um=frames.step_um,
-        notes=(*frames.notes, *coarse, *notes),
-    )
-
-
-def _number(value: float | str) -> float:
-    """Return a settled parameter, which is no longer `auto`, as a number."""
-    return float(value)
+        warm_up_edges(prepare(stack), window=9)

@@ -1,6 +1,8 @@
-"""Diagnosis of a single pixel: reconstruct a small region around it and report every gate."""
+"""Diagnosis of a single pixel: reconstruct a small region around it and report every test."""
 
 from __future__ import annotations
+
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -10,12 +12,19 @@ from wafer_viewer.model.errors import ComputeError
 from wafer_viewer.model.surface.focus_curve import FocusCurve, Rival, Verdict
 from wafer_viewer.model.surface.height_map import ORIGIN_TITLES, Origin
 from wafer_viewer.model.surface.recipe import Recipe
-from wafer_viewer.reconstruct.auto_tuning import tune_recipe
-from wafer_viewer.reconstruct.field_pipeline import build_height_map, settled_recipe
+from wafer_viewer.reconstruct.field_pipeline import (
+    CorrectedPeaks,
+    PreparedField,
+    prepare_field,
+    reconstruct_from_peaks,
+    search_peaks,
+)
 from wafer_viewer.reconstruct.focus.peak import Peaks
-from wafer_viewer.reconstruct.focus.peak_search import Search, ThreadScratch, search_field, search_part
-from wafer_viewer.reconstruct.preprocess.frames import Frames, prepare, read_block
-from wafer_viewer.reconstruct.validity import validate_peaks
+from wafer_viewer.reconstruct.focus.peak_search import ThreadScratch, search_part
+from wafer_viewer.reconstruct.gates.edge_bleeding import BleedingEdges
+from wafer_viewer.reconstruct.gates.edge_sides import EdgeSide
+from wafer_viewer.reconstruct.gates.gate import POWERS, GateTest
+from wafer_viewer.reconstruct.preprocess.frames import read_block
 
 MOST_RIVALS = 3
 _LEFT_OUT_BY_CLEANING = {
@@ -57,17 +66,13 @@ def focus_curve(stack: FieldStack, x_um: float, y_um: float, recipe: Recipe = Re
         When the position is outside the field, and for every stack that `reconstruct` rejects.
     """
     row, col = pixel_at(stack, x_um, y_um)
-    recipe = settled_recipe(stack, recipe) if recipe.heights_have_auto else recipe
     rows, cols = _around(row), _around(col)
-    part, r, c = stack.part(rows, cols), row - rows.start, col - cols.start
-    frames = prepare(stack, recipe).part(rows, cols)
-    settled = tune_recipe(frames, recipe)
-    peaks = search_field(frames, settled.search, threads=1)
-    judged = validate_peaks(frames, settled, peaks, threads=1)
-    height = build_height_map(part, frames, settled, judged)
-    curve, grey = curve_at(frames, settled.search, r, c)
-    peak = int(curve.argmax())
-    z_um, origin = float(height.z_raw_um[r, c]), Origin(int(height.origin[r, c]))
+    field, r, c = prepare_field(stack, recipe).part(rows, cols), row - rows.start, col - cols.start
+    search, z_um = field.tuned.search, field.frames.z_um
+    peaks = search_peaks(field, threads=1)
+    found = reconstruct_from_peaks(field, peaks, threads=1)
+    height_um, origin = float(found.height_map.z_raw_um[r, c]), Origin(int(found.height_map.origin[r, c]))
+    curve, grey = curve_at(field, r, c)
     return FocusCurve(
         field=stack.field.number,
         row=row,
@@ -75,30 +80,37 @@ def focus_curve(stack: FieldStack, x_um: float, y_um: float, recipe: Recipe = Re
         x_um=stack.x0_um + col * stack.pixel_um,
         y_um=stack.y0_um - row * stack.pixel_um,
         focus_measure=recipe.focus_measure,
-        window=settled.search.window,
-        z_um=tuple(frames.z_um.tolist()),
+        window=search.window,
+        z_um=tuple(z_um.tolist()),
         focus=tuple(curve.tolist()),
         grey=tuple(grey.tolist()),
         peak_z_um=float(peaks.z_um[r, c]),
-        height_um=z_um if np.isfinite(z_um) else None,
+        height_um=_finite(height_um),
         origin=ORIGIN_TITLES[origin],
         confidence=float(peaks.confidence[r, c]),
-        rivals=rivals_of(frames.z_um, curve, peak, settled.search.gap),
-        verdicts=(*judged.verdicts(r, c), *cleaning_verdicts(origin)),
+        rivals=rivals_of(z_um, curve, int(curve.argmax()), search.gap),
+        verdicts=(*verdicts_of(found.corrected, r, c), *cleaning_verdicts(origin)),
         simulated=stack.simulated,
     )
 
 
-def curve_at(frames: Frames, search: Search, row: int, col: int) -> tuple[NDArray[np.float64], NDArray[np.int64]]:
+def curve_at(field: PreparedField, row: int, col: int) -> tuple[NDArray[np.float64], NDArray[np.int64]]:
     """Return the focus measure of a pixel in each frame, as a fraction of its maximum, and its grey values."""
+    frames, search, at = field.frames, field.tuned.search, (slice(row, row + 1), slice(col, col + 1))
     bench = ThreadScratch.make(frames.n_frames, (1, 1), search, frames.dtype)
-    search_part(frames, slice(row, row + 1), slice(col, col + 1), search, bench, Peaks.empty((1, 1), bench.block.dtype))
+    search_part(frames, *at, search, bench, Peaks.empty((1, 1), bench.block.dtype))
     levels = bench.curves.levels[:, 0, 0].astype(np.int64)
     bits, table = bench.spots.bits, bench.spots.table
     log2 = (levels >> bits) + table[levels & (table.size - 1)]
     grey = np.empty((frames.n_frames, 1, 1), frames.dtype)
-    read_block(frames, slice(row, row + 1), slice(col, col + 1), 0, grey)
+    read_block(frames, *at, 0, grey)
     return np.exp2(log2 - log2.max()), grey[:, 0, 0].astype(np.int64)
+
+
+def verdicts_of(corrected: CorrectedPeaks, row: int, col: int) -> tuple[Verdict, ...]:
+    """Return the verdict of every gate on a pixel, the most explanatory first, and of the tests at edges."""
+    tests = corrected.gated.tests
+    return (*(_gate_verdict(test, row, col) for test in tests), *_edge_verdicts(corrected, row, col))
 
 
 def cleaning_verdicts(origin: Origin) -> tuple[Verdict, ...]:
@@ -132,3 +144,59 @@ def rivals_of(z_um: NDArray[np.float64], focus: NDArray[np.float64], peak: int, 
 def _around(n: int) -> slice:
     """Return the rows, or columns, around a pixel."""
     return slice(max(0, n - REACH_PX) // COARSE_PX * COARSE_PX, n + REACH_PX + 1)
+
+
+def _gate_verdict(test: GateTest, row: int, col: int) -> Verdict:
+    return Verdict(
+        gate=test.name,
+        question=test.question,
+        score=_finite(test.score[row, col]),
+        limit=_finite(test.limit),
+        unit=test.unit,
+        passed=bool(test.passed[row, col]),
+        note="" if np.isfinite(test.limit) else "This gate is off.",
+    )
+
+
+def _edge_verdicts(corrected: CorrectedPeaks, row: int, col: int) -> tuple[Verdict, ...]:
+    """Return the verdicts near a wall: agreement with the pixel's own side, and focus along the wall."""
+    edges = corrected.edges
+    if edges is None or edges.side[row, col] == EdgeSide.AWAY:
+        return ()
+    off_um = abs(float(corrected.searched_um[row, col]) - float(edges.expected_um[row, col]))
+    known = edges.side[row, col] != EdgeSide.OUTLINE
+    beside = Verdict(
+        gate="edge",
+        question="Is the height that of the surface further from the wall?",
+        score=_finite(off_um),
+        limit=edges.tolerance_um,
+        unit="um",
+        passed=bool(known and off_um < edges.tolerance_um),
+        note=_wall_side_note(edges, row, col),
+    )
+    if edges.side[row, col] != EdgeSide.DARK:
+        return (beside,)
+    along = Verdict(
+        gate="along",
+        question="Does the focus along the wall peak at that height?",
+        score=_finite(edges.fall[row, col]),
+        limit=edges.min_fall,
+        unit=POWERS,
+        passed=bool(edges.along[row, col]),
+    )
+    return beside, along
+
+
+def _wall_side_note(edges: BleedingEdges, row: int, col: int) -> str:
+    """Return a note with the pixel's side of the wall and any missing reference height."""
+    where = {
+        EdgeSide.DARK: "On the dark side of a wall",
+        EdgeSide.BRIGHT: "On the bright side of a wall",
+        EdgeSide.OUTLINE: "On the outline of a wall, neither side's for sure",
+    }[EdgeSide(int(edges.side[row, col]))]
+    known = np.isfinite(edges.expected_um[row, col]) or edges.side[row, col] == EdgeSide.OUTLINE
+    return f"{where}." if known else f"{where}, with nothing measured further from it."
+
+
+def _finite(value: float | np.floating[Any]) -> float | None:
+    return float(value) if np.isfinite(value) else None

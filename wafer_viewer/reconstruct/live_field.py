@@ -13,13 +13,13 @@ from wafer_viewer.model.acquisition.focus_stack import FieldStack, Image
 from wafer_viewer.model.errors import ComputeError
 from wafer_viewer.model.surface.height_map import HeightMap
 from wafer_viewer.model.surface.recipe import Recipe
-from wafer_viewer.reconstruct.auto_tuning import search_of, tune_recipe
-from wafer_viewer.reconstruct.field_pipeline import surface_of
+from wafer_viewer.reconstruct.auto_tuning import search_of
+from wafer_viewer.reconstruct.field_pipeline import PreparedField, prepare_field, reconstruct_from_peaks, search_peaks
 from wafer_viewer.reconstruct.focus.focus_measures import focus_kernels
 from wafer_viewer.reconstruct.focus.focus_volume import StackSource, Volume
 from wafer_viewer.reconstruct.focus.peak import FocusCurves, InterpolationScratch, Peaks
-from wafer_viewer.reconstruct.focus.peak_search import Search, fill_volume, find_peaks, search_field, stripes
-from wafer_viewer.reconstruct.preprocess.frames import Frames, clipped_from, prepare
+from wafer_viewer.reconstruct.focus.peak_search import fill_volume, find_peaks, stripes
+from wafer_viewer.reconstruct.preprocess.frames import clipped_from
 
 WHITE_COUNTS = 255
 
@@ -88,16 +88,21 @@ class LiveField:
 
         If the pixels need correction after all, or frames are missing, the complete stack is searched again.
         """
-        frames = prepare(stack, self._recipe)
-        settled = tune_recipe(frames, self._recipe)
-        known = self._came.all() and _as_expected(frames, settled.search, self._search)
-        peaks = self._found(frames, settled.search) if known else search_field(frames, settled.search, threads=1)
-        return surface_of(stack, frames, settled, peaks)
+        field = prepare_field(stack, self._recipe)
+        peaks = self._found(field) if self._is_complete(field) else search_peaks(field, threads=1)
+        return reconstruct_from_peaks(field, peaks).height_map
 
-    def _found(self, frames: Frames, search: Search) -> Peaks:
-        slots = np.arange(len(self._images))
+    def _is_complete(self, field: PreparedField) -> bool:
+        """Return whether all frames were measured, unmodified, with the measure, window and camera noise in use."""
+        frames, search, own = field.frames, field.tuned.search, self._search
+        whole = frames.as_stored and np.array_equal(frames.slots, np.arange(len(frames.images)))
+        alike = (search.measure, search.window, search.camera) == (own.measure, own.window, own.camera)
+        return bool(self._came.all()) and whole and alike
+
+    def _found(self, field: PreparedField) -> Peaks:
+        slots, z_um, search = np.arange(len(self._images)), field.frames.z_um, field.tuned.search
         for rows, curves in self._stripes:
-            find_peaks(self._source(rows, slots), frames.z_um, search, curves, self._spots, self._peaks.rows(rows))
+            find_peaks(self._source(rows, slots), z_um, search, curves, self._spots, self._peaks.rows(rows))
         return self._peaks
 
     def _source(self, rows: slice, slots: NDArray[np.int64]) -> StackSource:
@@ -109,16 +114,6 @@ def _keep_better(curves: FocusCurves, best: NDArray[np.uint16], peak: NDArray[np
     better = (best > curves.best) | ((best == curves.best) & (peak < curves.peak))
     np.copyto(curves.best, best, where=better)
     np.copyto(curves.peak, peak, where=better)
-
-
-def _as_expected(frames: Frames, search: Search, expected: Search) -> bool:
-    """Return whether all frames are used unmodified, with the expected measure, window and camera noise."""
-    whole = frames.as_stored and np.array_equal(frames.slots, np.arange(len(frames.images)))
-    return whole and (search.measure, search.window, search.camera) == (
-        expected.measure,
-        expected.window,
-        expected.camera,
-    )
 
 
 def _length(part: slice) -> int:

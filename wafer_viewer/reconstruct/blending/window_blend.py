@@ -22,6 +22,7 @@ from wafer_viewer.numerics.grids import weighted_blend
 from wafer_viewer.numerics.grids.resampling import Shift, TiltedField
 from wafer_viewer.numerics.grids.weighted_blend import Blended, BlendPiece, Tally
 from wafer_viewer.reconstruct.blending.mosaic_layout import FieldPlacement, MosaicLayout, Part
+from wafer_viewer.reconstruct.registration.height_seams import MAX_STEP_FRAMES
 
 
 def pieces(window: Part, parts: Sequence[Part]) -> Iterator[tuple[Part, list[int]]]:
@@ -47,8 +48,6 @@ def _holds(part: slice, run: slice) -> bool:
     return part.start <= run.start and run.stop <= part.stop
 
 
-MAX_STEP_FRAMES = 2.0
-"""Neighbouring heights that differ by over two frames of the sweep are two surfaces and are not interpolated."""
 LEAST_WEIGHT = 1e-6
 """Minimum weight of a border pixel: negligible against a neighbour, but sufficient where that is unmeasured."""
 FADE_SHARE = 0.3

@@ -218,31 +218,31 @@ def clean(
     pixel_um: float,
     recipe: Recipe,
     resolution_um: float,
-    told_apart: NDArray[np.bool_] | None = None,
-    bled_um: Map | None = None,
+    side_known: NDArray[np.bool_] | None = None,
+    bleeding_um: Map | None = None,
 ) -> Cleaned:
     """Clean a gated map, NaN where unmeasured, by a settled recipe.
 
-    resolution_um: axial resolution of the optics, the reference for steps of the surface; told_apart: mask of pixels
-    with a known wall side, None if step edges are not requested; bled_um: heights rejected because light bled there,
-    NaN elsewhere: measured heights that continue from them also lie next to a jump.
+    resolution_um: axial resolution of the optics, the reference for steps of the surface; side_known: mask of pixels
+    with a known wall side, None if step edges are not requested; bleeding_um: heights rejected because light bled
+    there, NaN elsewhere: measured heights that continue from them also lie next to a jump.
     """
     smoothed = smooth(z_um, recipe.levy, resolution_um)
     outlier = find_outliers(z_um, smoothed, pixel_um, recipe)
     raw, step_edge = np.where(outlier, np.float32(np.nan), z_um), np.zeros(z_um.shape, np.bool_)
-    if told_apart is not None:
-        step_edge = _step_edges(raw, bled_um, recipe, resolution_um) & ~told_apart
+    if side_known is not None:
+        step_edge = _step_edges(raw, bleeding_um, recipe, resolution_um) & ~side_known
         raw[step_edge] = np.nan
         if step_edge.any():
-            outlier |= _leftovers(raw, recipe, resolution_um) & ~told_apart
+            outlier |= _leftovers(raw, recipe, resolution_um) & ~side_known
             raw[outlier] = np.nan
     smoothed[outlier | step_edge] = np.nan
     return Cleaned(fill(smoothed, recipe.fill, resolution_um), raw, outlier, step_edge)
 
 
-def _step_edges(z_um: Map, bled_um: Map | None, recipe: Recipe, resolution_um: float) -> NDArray[np.bool_]:
+def _step_edges(z_um: Map, bleeding_um: Map | None, recipe: Recipe, resolution_um: float) -> NDArray[np.bool_]:
     """Return a mask of heights with another surface within about half a window."""
-    seen_um = z_um if bled_um is None else np.where(np.isnan(z_um), bled_um, z_um)
+    seen_um = z_um if bleeding_um is None else np.where(np.isnan(z_um), bleeding_um, z_um)
     return (height_range_um(seen_um, int(recipe.window)) > JUMP_STEPS * resolution_um) & np.isfinite(z_um)
 
 

@@ -24,7 +24,9 @@ from typing import Literal, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from wafer_viewer.model.surface.focus_measures import focus_measures
 from wafer_viewer.model.surface.height_map import Origin
+from wafer_viewer.model.surface.recipe import Recipe
 from wafer_viewer.numerics.filters.sliding_filters import blurred, lowest
 from wafer_viewer.numerics.intrinsics import quick_log2
 from wafer_viewer.numerics.jit import (
@@ -41,6 +43,7 @@ from wafer_viewer.numerics.jit import (
 from wafer_viewer.reconstruct.focus.focus_volume import COARSE_PX, on_threads, read_part, row_parts, source_of_rows
 from wafer_viewer.reconstruct.focus.log_laplacian import Stabiliser
 from wafer_viewer.reconstruct.focus.peak import Peaks
+from wafer_viewer.reconstruct.focus.peak_search import Search
 from wafer_viewer.reconstruct.gates.edge_sides import (
     DARK_SHARE_OF_WHITE,
     Band,
@@ -52,6 +55,7 @@ from wafer_viewer.reconstruct.gates.edge_sides import (
     side_heights_um,
     silhouette_of,
 )
+from wafer_viewer.reconstruct.gates.gate import LEAST_FRAMES
 from wafer_viewer.reconstruct.preprocess.camera_noise import CameraNoise
 from wafer_viewer.reconstruct.preprocess.frames import Frames
 
@@ -303,6 +307,9 @@ def _smoothed(levels: Float32s, k: Whole, y: Whole, x: Whole) -> Real:
 AGREEING_STEPS = 1.25
 """Tolerance for heights of the same surface, in steps of the resolution."""
 
+LEAST_GAP = 4
+"""Minimum rival gap in frames: focus along a wall is smoothed over three frames and placed by three more."""
+
 _TILE_PX = 96
 _WALL_SIGMA = 3.0
 _BORDER = 3
@@ -353,6 +360,23 @@ class EdgeSearch:
     def tolerance_um(self) -> float:
         """Maximum difference between two heights of the same surface."""
         return AGREEING_STEPS * self.resolution_um
+
+
+def edge_search_for(recipe: Recipe, search: Search, n_frames: int, resolution_um: float) -> EdgeSearch | None:
+    """Return the edge search of a settled recipe; None if edges or gating are disabled, and in short stacks."""
+    if recipe.edges == "none" or float(recipe.min_confidence) <= 0 or n_frames < LEAST_FRAMES:
+        return None
+    gap = max(search.gap, LEAST_GAP)
+    return EdgeSearch(recipe.edges, _window_along(search), gap, search.camera, resolution_um)
+
+
+def _window_along(search: Search) -> int:
+    """Return the window of the focus along walls: a box applied twice, as wide as that of the search.
+
+    A box applied n times is as wide as a single box sqrt(n) times its size.
+    """
+    boxes = focus_measures()[search.measure].passes
+    return 2 * round((search.window * np.sqrt(boxes / 2) - 1) / 2) + 1
 
 
 def find_edges(

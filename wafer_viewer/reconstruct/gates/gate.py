@@ -12,9 +12,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from wafer_viewer.model.surface.height_map import Origin
+from wafer_viewer.model.surface.recipe import Recipe
 from wafer_viewer.numerics.filters.sliding_filters import mean
 from wafer_viewer.reconstruct.focus.peak import Peaks, confidence_of, lead_of
-from wafer_viewer.reconstruct.focus.peak_search import NoiseScores
+from wafer_viewer.reconstruct.focus.peak_search import NoiseScores, Search, noise_scores
 
 LEAD_OVER_NOISE = 2.0
 """Required lead over the rival, relative to the noise lead; noise that varies along z exceeds steady noise."""
@@ -23,6 +24,9 @@ CLIPPED_FRAMES_FRACTION = 0.02
 
 LEAST_FRAMES = 12
 """In a shorter stack a wider window adds nothing, and a wall cannot be distinguished from a pattern in focus."""
+
+WINDOW_STEPS = 1.5
+"""Tolerance between the heights of two windows, in steps of the resolution."""
 
 POWERS = "powers of two"
 """Unit of scores that are ratios of the focus measure."""
@@ -66,6 +70,18 @@ class GateTest:
         return self.score <= self.limit if self.at_most else self.score > self.limit
 
 
+def gate_for(recipe: Recipe, search: Search, n_frames: int, resolution_um: float) -> Gate:
+    """Return the gate of a recipe for a search in `n_frames` frames, with the automatic confidence where it is `auto`.
+
+    Windows are compared only in stacks that are long enough.
+    """
+    noise = noise_scores(search, n_frames)
+    confidence = auto_min_confidence(noise) if recipe.min_confidence == "auto" else recipe.min_confidence
+    compare = recipe.compare_windows and n_frames >= LEAST_FRAMES
+    tolerance_um = WINDOW_STEPS * resolution_um if compare else np.inf
+    return gate_of(noise, confidence, recipe.clipped_fraction, search.window, tolerance_um)
+
+
 def auto_min_confidence(noise: NoiseScores) -> float:
     """Return the confidence that separates a peak from noise, for this number of frames and this window."""
     return confidence_of(LEAD_OVER_NOISE * noise.lead)
@@ -98,11 +114,11 @@ def origins(peaks: Peaks, gate: Gate, n_frames: int, wide_um: NDArray[np.float32
     return first_failed(checks(peaks, gate, n_frames, wide_um))
 
 
-def first_failed(asked: tuple[GateTest, ...]) -> NDArray[np.uint8]:
+def first_failed(tests: tuple[GateTest, ...]) -> NDArray[np.uint8]:
     """Return the origin of the first failed test of each pixel, measured where none failed; uint8 [row, col]."""
-    origin = np.full(asked[0].score.shape, Origin.MEASURED, np.uint8)
-    for check in reversed(asked):
-        origin[~check.passed] = check.origin
+    origin = np.full(tests[0].score.shape, Origin.MEASURED, np.uint8)
+    for test in reversed(tests):
+        origin[~test.passed] = test.origin
     return origin
 
 

@@ -18,7 +18,6 @@ from numpy.typing import NDArray
 from wafer_viewer.model.acquisition.focus_stack import FieldStack, Image
 from wafer_viewer.model.acquisition.plan import MIN_FRAMES
 from wafer_viewer.model.errors import ComputeError
-from wafer_viewer.model.surface.height_map import Origin
 from wafer_viewer.model.surface.recipe import Recipe
 from wafer_viewer.numerics.grids.resampling import Taps, resampled
 from wafer_viewer.reconstruct.preprocess.drift import Drift, drift_note, drift_of, measure_displacements
@@ -95,6 +94,15 @@ class Frames:
         """Slots of the stack that contain the frames."""
         return np.arange(len(self.images))[self.index]
 
+    def covered(self, margin: int) -> NDArray[np.bool_]:
+        """Return a mask of the pixels whose window of `margin` per side is covered by every frame, bool [row, col]."""
+        if self.drift is None:
+            return np.ones(self.shape, np.bool_)
+        inside = [_shrunk(self.drift.covered(axis, length), margin, length) for axis, length in enumerate(self.shape)]
+        mask = np.zeros(self.shape, np.bool_)
+        mask[tuple(inside)] = True
+        return mask
+
     def part(self, rows: slice, cols: slice) -> Frames:
         """Return the pixels [rows, cols] with the corrections found on the entire field; borders repeat beyond it."""
         at = rows.start, cols.start
@@ -155,16 +163,6 @@ def read_block(frames: Frames, rows: slice, cols: slice, margin: int, block: Ima
     block[:, r:r_end, c_end:] = block[:, r:r_end, c_end - 1 : c_end]
     block[:, :r] = block[:, r : r + 1]
     block[:, r_end:] = block[:, r_end - 1 : r_end]
-
-
-def mark_uncovered(origin: NDArray[np.uint8], frames: Frames, margin: int) -> NDArray[np.uint8]:
-    """Return the origins, TOO_FEW_FRAMES where a window of `margin` per side is not covered by every frame."""
-    if frames.drift is None:
-        return origin
-    inside = [_shrunk(frames.drift.covered(axis, length), margin, length) for axis, length in enumerate(origin.shape)]
-    marked = np.full_like(origin, Origin.TOO_FEW_FRAMES)
-    marked[tuple(inside)] = origin[tuple(inside)]
-    return marked
 
 
 def _shrunk(seen: slice, margin: int, length: int) -> slice:

@@ -14,8 +14,10 @@ from wafer_viewer.model.surface.field_poses import HeightOffsets
 from wafer_viewer.model.surface.height_map import HeightMap
 from wafer_viewer.numerics.filters.gaussian import binned
 from wafer_viewer.numerics.grids.robust_plane import Plane, differences, fit_plane
-from wafer_viewer.reconstruct.blending.window_blend import MAX_STEP_FRAMES
 from wafer_viewer.reconstruct.focus.focus_volume import on_threads
+
+MAX_STEP_FRAMES = 2.0
+"""Neighbouring heights that differ by over two frames of the sweep are two surfaces and are not interpolated."""
 
 CELL_PX, STEEP = 4, 4.0
 """Walls are cells of 4 x 4 pixels that differ from a neighbour by four times the 70th percentile."""
