@@ -33,7 +33,7 @@ from wafer_viewer.reconstruct.focus.focus_volume import on_threads
 from wafer_viewer.reconstruct.pose_graph.vertical_poses import solve_heights
 from wafer_viewer.reconstruct.registration.height_seams import compare
 from wafer_viewer.reconstruct.registration.pair_registration import register
-from wafer_viewer.reconstruct.stitching import OverlapObservers, find_poses
+from wafer_viewer.reconstruct.stitching import FieldsToPlace, OverlapObservers, find_poses
 from wafer_viewer.store.mosaic.zarr_mosaic import write_mosaic
 
 REGISTERED = Stitching(poses="registered", blend="confidence")
@@ -107,7 +107,8 @@ def found_poses(made: Made, meter: Meter | None = None) -> Poses:
         made.heights.__getitem__,
     )
     numbers, marks = [f.number for f in made.fields], np.zeros(len(made.fields), np.int64)
-    poses = meter("poses", lambda: find_poses(made.heights, numbers, marks, REGISTERED, eyes))
+    listed = FieldsToPlace.of(made.heights, numbers, marks, REGISTERED)
+    poses = meter("poses", lambda: find_poses(listed, eyes))
     meter.without("poses", "registration", "seams")
     return poses
 

@@ -1,17 +1,23 @@
-"""Stitching of height maps: neighbour search, registration, pose estimation, height offsets and blending."""
+"""Stitching of height maps into one surface: a sequence of stages.
+
+fields -> registered overlaps -> lateral poses -> vertical poses -> poses -> layout -> mosaic
+
+`stitch` runs all stages in memory. The mosaic of a dataset is updated by the same `find_poses`, with overlaps measured
+on workers and poses of unchanged fields reused.
+"""
 
 from __future__ import annotations
 
+import dataclasses
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from dataclasses import replace as replaced
 
 import numpy as np
 from numpy.typing import NDArray
 
 from wafer_viewer.model.acquisition.plan import Field
 from wafer_viewer.model.errors import ComputeError
-from wafer_viewer.model.progress import Progress
+from wafer_viewer.model.progress import Progress, silent
 from wafer_viewer.model.spec import replace
 from wafer_viewer.model.surface.field_poses import Form, HeightOffsets, Poses, Shifts, no_seams, no_shifts
 from wafer_viewer.model.surface.height_map import HeightMap, Outline
@@ -30,19 +36,6 @@ Pairs = NDArray[np.int32]
 Um = NDArray[np.float64]
 REGISTER_SHARE = 0.8
 """Registration's share of the work in `stitch`; blending is deferred until a window is requested."""
-
-
-@dataclass(frozen=True, slots=True)
-class OverlapObservers:
-    """Functions that measure overlaps, either in memory or on workers that open the maps themselves.
-
-    register(pairs): lateral shifts in x and y; compare(pairs, x_um, y_um): height offsets in z, at the centres of all
-    fields; opened(place): the height map of one field, by its index in the list.
-    """
-
-    register: Callable[[Pairs], Shifts]
-    compare: Callable[[Pairs, Um, Um], HeightOffsets]
-    opened: Callable[[int], HeightMap]
 
 
 def stitch(
@@ -93,136 +86,83 @@ def stitch(
         raise ComputeError("There is no field to stitch: give at least one height map.")
     placed = heights if fields is None else moved_to(heights, fields)
     numbers = range(1, len(placed) + 1) if fields is None else [f.number for f in fields]
-    eyes = _in_memory_observers(placed, recipe.stitching, progress or (lambda share: None))
-    poses = find_poses(placed, numbers, np.zeros(len(placed), np.int64), recipe.stitching, eyes)
+    listed = FieldsToPlace.of(placed, numbers, np.zeros(len(placed), np.int64), recipe.stitching)
+    poses = find_poses(listed, _in_memory_observers(placed, recipe.stitching, progress or silent))
     joint = mosaic_provenance([h.provenance for h in placed], recipe)
     return StitchedMosaic(placed, layout(placed, poses), replace(joint, notes=joint.notes + poses.notes))
 
 
-def find_poses(
-    outlines: Sequence[Outline],
-    numbers: Sequence[int],
-    marks: NDArray[np.int64],
-    stitching: Stitching,
-    eyes: OverlapObservers,
-    known: PreviousSolution | None = None,
-    *,
-    final: bool = True,
-) -> Poses:
+def find_poses(fields: FieldsToPlace, observers: OverlapObservers) -> Poses:
     """Estimate position, height and tilt of each field from the overlaps, with the stage as prior.
 
-    numbers, marks: as in `Poses`. known: an earlier solution; overlaps of unchanged fields are not registered again.
-    final: solve for all fields; otherwise only new fields are placed and the others stay fixed. Raises ComputeError
-    when the overlaps contradict the pixel size.
+    Raises ComputeError when the overlaps contradict the pixel size.
     """
-    listed = np.array(numbers, np.int32)
-    known = known or PreviousSolution.of(None, listed, marks)
-    task = _Task(outlines, stitching, known, None if final else known.unchanged)
-    if stitching.poses == "stage":
-        return task.at_stage(listed, marks)
-    pairs = neighbours(outlines)
-    shifts = known.shifts(pairs, eyes.register)
-    positions = task.positions(shifts)
-    left_out = np.isin(np.arange(len(outlines)), misplaced_fields(len(outlines), shifts))
-    seen = pairs[~left_out[pairs].any(axis=1)]
-
-    def look(pairs: Pairs) -> HeightOffsets:
-        return eyes.compare(pairs, positions.x_um, positions.y_um)
-
-    levels = task.levels(positions, look(seen) if final else known.seams(seen, look))
-    poses = task.poses(listed, marks, left_out, positions, levels)
-    return replaced(poses, notes=poses.notes + stitching_notes(poses, pairs, eyes.opened))
+    if fields.stitching.poses == "stage":
+        return stage_poses(fields)
+    registered = register_overlaps(fields, observers)
+    lateral = solve_lateral(fields, registered)
+    vertical = solve_vertical(fields, registered, lateral, observers)
+    return combine(fields, registered, lateral, vertical, observers)
 
 
-@dataclass(frozen=True, slots=True)
-class _Task:
-    """A pose estimation problem: outlines, stitching parameters, earlier solution, and mask of fixed fields."""
+# -------------------------------------------------------------------------------------------------------------- fields
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class FieldsToPlace:
+    """Fields at their stage positions, stitching parameters, and an earlier solution.
+
+    numbers, marks: as in `Poses`; fixed: fields that keep their earlier pose, bool [n], None to solve for all jointly.
+    """
 
     outlines: Sequence[Outline]
+    numbers: NDArray[np.int32]
+    marks: NDArray[np.int64]
     stitching: Stitching
     known: PreviousSolution
     fixed: NDArray[np.bool_] | None
 
-    def positions(self, shifts: Shifts) -> Positions:
-        x_um, y_um = field_centres(self.outlines)
-        return solve_positions(
-            x_um,
-            y_um,
-            shifts,
-            self.outlines[0].pixel_um,
-            stage_error_um=self.stitching.stage_error_um,
-            fixed=self.fixed,
-            start=(self.known.earlier("x_um", x_um), self.known.earlier("y_um", y_um)),
-            camera=self._form and CameraAxes.of(self._form),
-        )
-
-    def levels(self, positions: Positions, seams: HeightOffsets) -> VerticalPoses:
-        first, zero, earlier = self.outlines[0], np.zeros(len(self.outlines)), self.known.earlier
-        return solve_heights(
-            positions.x_um,
-            positions.y_um,
-            seams,
-            z_error_um=self.stitching.z_error_um,
-            tilt_error=self.stitching.tilt_error,
-            field_size_um=(first.shape[1] * first.pixel_um, first.shape[0] * first.pixel_um),
-            fixed=self.fixed,
-            start=(earlier("z_um", zero), earlier("tilt_x", zero), earlier("tilt_y", zero)),
-            form=self._form,
-        )
+    @classmethod
+    def of(
+        cls,
+        outlines: Sequence[Outline],
+        numbers: Sequence[int],
+        marks: NDArray[np.int64],
+        stitching: Stitching,
+        known: PreviousSolution | None = None,
+        *,
+        final: bool = True,
+    ) -> FieldsToPlace:
+        """Return fields to be solved jointly or, if not `final`, new ones to be placed against the fixed others."""
+        listed = np.array(numbers, np.int32)
+        known = known or PreviousSolution.of(None, listed, marks)
+        return cls(outlines, listed, marks, stitching, known, None if final else known.unchanged)
 
     @property
-    def _form(self) -> Form | None:
+    def centres_um(self) -> tuple[Um, Um]:
+        """Stage coordinates (x_um, y_um) of the field centres, [n] each."""
+        x_um = [o.x0_um + (o.shape[1] - 1) / 2 * o.pixel_um for o in self.outlines]
+        y_um = [o.y0_um - (o.shape[0] - 1) / 2 * o.pixel_um for o in self.outlines]
+        return np.array(x_um), np.array(y_um)
+
+    @property
+    def form(self) -> Form | None:
         """Shared terms of the earlier solution; None where they are to be estimated again."""
         poses = self.known.poses
         return None if self.fixed is None or poses is None or not self.fixed.any() else poses.form
 
-    def poses(
-        self,
-        numbers: NDArray[np.int32],
-        marks: NDArray[np.int64],
-        left_out: NDArray[np.bool_],
-        positions: Positions,
-        levels: VerticalPoses,
-    ) -> Poses:
-        stage_x_um, stage_y_um = field_centres(self.outlines)
-        return Poses(
-            numbers=numbers,
-            marks=marks,
-            stage_x_um=stage_x_um,
-            stage_y_um=stage_y_um,
-            x_um=positions.x_um,
-            y_um=positions.y_um,
-            z_um=levels.z_um,
-            tilt_x=levels.tilt_x,
-            tilt_y=levels.tilt_y,
-            u_x_um=positions.u_x_um,
-            u_y_um=positions.u_y_um,
-            u_z_um=levels.u_z_um,
-            group=positions.group,
-            left_out=left_out,
-            shifts=positions.shifts,
-            seams=levels.seams,
-            form=positions.camera.in_form(levels.form),
-            stage_error_um=positions.stage_error_um,
-            z_error_um=levels.z_error_um,
-            final=self.fixed is None,
-            notes=positions.notes + levels.notes,
-        )
 
-    def at_stage(self, numbers: NDArray[np.int32], marks: NDArray[np.int64]) -> Poses:
-        """Return poses with every field at its stage position, without tilt; the uncertainties are NaN."""
-        (x_um, y_um), zero = field_centres(self.outlines), np.zeros(len(numbers))
-        unknown, alone = np.full(len(numbers), np.nan), np.arange(len(numbers), dtype=np.int32)
-        whole = np.zeros(len(numbers), bool)
-        place = (x_um, y_um, x_um, y_um, zero, zero, zero, unknown, unknown, unknown)
-        return Poses(numbers, marks, *place, alone, whole, no_shifts(), no_seams())
+@dataclass(frozen=True, slots=True)
+class OverlapObservers:
+    """Functions that measure overlaps, either in memory or on workers that open the maps themselves.
 
+    register(pairs): lateral shifts in x and y; compare(pairs, x_um, y_um): height offsets in z, at the centres of all
+    fields; opened(place): the height map of one field, by its index in the list.
+    """
 
-def field_centres(outlines: Sequence[Outline]) -> tuple[Um, Um]:
-    """Return the stage coordinates (x_um, y_um) of the field centres, [n] each."""
-    x_um = [o.x0_um + (o.shape[1] - 1) / 2 * o.pixel_um for o in outlines]
-    y_um = [o.y0_um - (o.shape[0] - 1) / 2 * o.pixel_um for o in outlines]
-    return np.array(x_um), np.array(y_um)
+    register: Callable[[Pairs], Shifts]
+    compare: Callable[[Pairs, Um, Um], HeightOffsets]
+    opened: Callable[[int], HeightMap]
 
 
 def _in_memory_observers(heights: Sequence[HeightMap], stitching: Stitching, progress: Progress) -> OverlapObservers:
@@ -237,3 +177,128 @@ def _in_memory_observers(heights: Sequence[HeightMap], stitching: Stitching, pro
         return compare(heights, pairs, x_um, y_um, progress=lambda share: progress(REGISTER_SHARE + rest * share))
 
     return OverlapObservers(registered, compared, heights.__getitem__)
+
+
+# ------------------------------------------------------------------------------------------------------------ overlaps
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class RegisteredOverlaps:
+    """Pairs of overlapping fields, int32 [e, 2], their shifts, and a mask of the fields that fit none, bool [n]."""
+
+    pairs: Pairs
+    shifts: Shifts
+    left_out: NDArray[np.bool_]
+
+    @property
+    def usable_pairs(self) -> Pairs:
+        """Pairs of fields that both stay in the mosaic."""
+        return self.pairs[~self.left_out[self.pairs].any(axis=1)]
+
+
+def register_overlaps(fields: FieldsToPlace, observers: OverlapObservers) -> RegisteredOverlaps:
+    """Register all overlaps, except those of unchanged fields, and exclude the fields that fit no neighbour."""
+    pairs, n_fields = neighbours(fields.outlines), len(fields.outlines)
+    shifts = fields.known.shifts(pairs, observers.register)
+    return RegisteredOverlaps(pairs, shifts, np.isin(np.arange(n_fields), misplaced_fields(n_fields, shifts)))
+
+
+# --------------------------------------------------------------------------------------------------------------- poses
+
+
+def solve_lateral(fields: FieldsToPlace, registered: RegisteredOverlaps) -> Positions:
+    """Solve for the lateral positions of the fields and the rotation and scale of the camera."""
+    x_um, y_um = fields.centres_um
+    return solve_positions(
+        x_um,
+        y_um,
+        registered.shifts,
+        fields.outlines[0].pixel_um,
+        stage_error_um=fields.stitching.stage_error_um,
+        fixed=fields.fixed,
+        start=(fields.known.earlier("x_um", x_um), fields.known.earlier("y_um", y_um)),
+        camera=fields.form and CameraAxes.of(fields.form),
+    )
+
+
+def solve_vertical(
+    fields: FieldsToPlace, registered: RegisteredOverlaps, lateral: Positions, observers: OverlapObservers
+) -> VerticalPoses:
+    """Compare the heights in the overlaps at their lateral positions, and solve for heights, tilts and shared sag."""
+
+    def look(pairs: Pairs) -> HeightOffsets:
+        return observers.compare(pairs, lateral.x_um, lateral.y_um)
+
+    pairs, known = registered.usable_pairs, fields.known
+    first, zero = fields.outlines[0], np.zeros(len(fields.outlines))
+    return solve_heights(
+        lateral.x_um,
+        lateral.y_um,
+        look(pairs) if fields.fixed is None else known.seams(pairs, look),
+        z_error_um=fields.stitching.z_error_um,
+        tilt_error=fields.stitching.tilt_error,
+        field_size_um=(first.shape[1] * first.pixel_um, first.shape[0] * first.pixel_um),
+        fixed=fields.fixed,
+        start=(known.earlier("z_um", zero), known.earlier("tilt_x", zero), known.earlier("tilt_y", zero)),
+        form=fields.form,
+    )
+
+
+def combine(
+    fields: FieldsToPlace,
+    registered: RegisteredOverlaps,
+    lateral: Positions,
+    vertical: VerticalPoses,
+    observers: OverlapObservers,
+) -> Poses:
+    """Return lateral and vertical poses together, with notes on what is odd about the fields."""
+    stage_x_um, stage_y_um = fields.centres_um
+    poses = Poses(
+        numbers=fields.numbers,
+        marks=fields.marks,
+        stage_x_um=stage_x_um,
+        stage_y_um=stage_y_um,
+        x_um=lateral.x_um,
+        y_um=lateral.y_um,
+        z_um=vertical.z_um,
+        tilt_x=vertical.tilt_x,
+        tilt_y=vertical.tilt_y,
+        u_x_um=lateral.u_x_um,
+        u_y_um=lateral.u_y_um,
+        u_z_um=vertical.u_z_um,
+        group=lateral.group,
+        left_out=registered.left_out,
+        shifts=lateral.shifts,
+        seams=vertical.seams,
+        form=lateral.camera.in_form(vertical.form),
+        stage_error_um=lateral.stage_error_um,
+        z_error_um=vertical.z_error_um,
+        final=fields.fixed is None,
+        notes=lateral.notes + vertical.notes,
+    )
+    notes = stitching_notes(poses, registered.pairs, observers.opened)
+    return dataclasses.replace(poses, notes=poses.notes + notes)
+
+
+def stage_poses(fields: FieldsToPlace) -> Poses:
+    """Return poses with every field at its stage position, without tilt; the uncertainties are NaN."""
+    (x_um, y_um), n_fields = fields.centres_um, len(fields.numbers)
+    zero, unknown = np.zeros(n_fields), np.full(n_fields, np.nan)
+    return Poses(
+        numbers=fields.numbers,
+        marks=fields.marks,
+        stage_x_um=x_um,
+        stage_y_um=y_um,
+        x_um=x_um,
+        y_um=y_um,
+        z_um=zero,
+        tilt_x=zero,
+        tilt_y=zero,
+        u_x_um=unknown,
+        u_y_um=unknown,
+        u_z_um=unknown,
+        group=np.arange(n_fields, dtype=np.int32),
+        left_out=np.zeros(n_fields, np.bool_),
+        shifts=no_shifts(),
+        seams=no_seams(),
+    )

@@ -98,12 +98,13 @@ class _Hands:
 
 
 def _find_poses(sheets: StitchingInputs, recipe: Recipe, known: PreviousSolution, final: bool, hands: _Hands) -> Poses:
-    from wafer_viewer.reconstruct.stitching import OverlapObservers, find_poses
+    from wafer_viewer.reconstruct.stitching import FieldsToPlace, OverlapObservers, find_poses
 
-    eyes = OverlapObservers(
+    fields = FieldsToPlace.of(sheets.outlines, sheets.numbers, sheets.marks, recipe.stitching, known, final=final)
+    observers = OverlapObservers(
         partial(_register, hands, recipe.stitching), partial(_compare, hands), sheets.surfaces.__getitem__
     )
-    return find_poses(sheets.outlines, sheets.numbers, sheets.marks, recipe.stitching, eyes, known, final=final)
+    return find_poses(fields, observers)
 
 
 def _register(hands: _Hands, stitching: Stitching, pairs: NDArray[np.int32]) -> Shifts:
