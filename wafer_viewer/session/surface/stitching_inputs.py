@@ -20,7 +20,7 @@ from wafer_viewer.model.errors import DatasetError
 from wafer_viewer.model.spec import replace
 from wafer_viewer.model.surface.field_poses import Poses
 from wafer_viewer.model.surface.height_map import HeightMap, Provenance
-from wafer_viewer.model.surface.recipe import Recipe, Stitching
+from wafer_viewer.model.surface.recipe import Recipe
 from wafer_viewer.reconstruct.blending.mosaic_layout import PixelLattice, layout, planned_lattice
 from wafer_viewer.reconstruct.blending.stitched_mosaic import StitchedMosaic, mosaic_provenance
 from wafer_viewer.reconstruct.pose_graph.incremental import PreviousSolution
@@ -63,13 +63,13 @@ class StitchingInputs:
 
     data: Dataset
     kept: Result
-    stitching: Stitching
+    recipe: Recipe
     fields: tuple[Field, ...]
     marks: NDArray[np.int64]
     faults: tuple[str, ...]
 
     @classmethod
-    def open(cls, dataset: Path, result: str, stitching: Stitching) -> StitchingInputs:
+    def open(cls, dataset: Path, result: str, recipe: Recipe) -> StitchingInputs:
         """Return all existing surfaces. Raises DatasetError when there is none."""
         data = Dataset.open(dataset)
         kept = data.result(result)
@@ -79,15 +79,20 @@ class StitchingInputs:
                 " ".join(faults) or f"Result {result!r} has no surfaces to stitch: reconstruct it first."
             )
         marks = np.array([kept.field_stamp(f) for f in readable], np.int64)
-        return cls(data, kept, stitching, tuple(readable), marks, tuple(faults))
+        return cls(data, kept, recipe, tuple(readable), marks, tuple(faults))
 
     @classmethod
-    def drawn(cls, dataset: Path, result: str, stitching: Stitching, poses: Poses) -> StitchingInputs:
+    def drawn(cls, dataset: Path, result: str, recipe: Recipe, poses: Poses) -> StitchingInputs:
         """Return the surfaces of solved poses."""
         data = Dataset.open(dataset)
         fields = {f.number: f for f in data.fields}
         listed = tuple(fields[number] for number in poses.numbers.tolist())
-        return cls(data, data.result(result), stitching, listed, poses.marks, ())
+        return cls(data, data.result(result), recipe, listed, poses.marks, ())
+
+    @property
+    def name(self) -> tuple[Path, str]:
+        """Path of the dataset and name of the result, for a worker that opens them itself."""
+        return self.data.path, self.kept.name
 
     @property
     def numbers(self) -> list[int]:
@@ -103,7 +108,7 @@ class StitchingInputs:
     def lattice(self) -> PixelLattice:
         """Pixel lattice of all planned fields, with a margin for moves; it does not depend on which fields exist."""
         outlines = [FieldOutline.of(self.data, f) for f in self.data.fields]
-        stays = len(outlines) == 1 or self.stitching.poses == "stage"
+        stays = len(outlines) == 1 or self.recipe.stitching.poses == "stage"
         return planned_lattice(outlines, 0) if stays else planned_lattice(outlines)
 
     def known(self) -> PreviousSolution:
@@ -112,15 +117,9 @@ class StitchingInputs:
         if header is not None:
             there = header.x0_um, header.y0_um, header.pixel_um, (header.rows, header.cols)
             wanted = self.lattice.x0_um, self.lattice.y0_um, self.lattice.pixel_um, self.lattice.shape
-            if there != wanted or header.provenance.recipe.stitching != self.stitching:
+            if there != wanted or header.provenance.recipe.stitching != self.recipe.stitching:
                 poses = None
         return PreviousSolution.of(poses, np.array(self.numbers, np.int32), self.marks)
-
-    def mosaic_is_good(self) -> bool:
-        """Return whether all files of the mosaic on disk are undamaged; reads all of it."""
-        from wafer_viewer.store.dataset.integrity import is_mosaic_good
-
-        return is_mosaic_good(self.kept.mosaic_path)
 
     def _stitched(self) -> tuple[Poses | None, MosaicHeader | None]:
         """Return poses and header of a complete mosaic on disk; None for both if it is missing or damaged."""
@@ -137,14 +136,14 @@ class StitchingInputs:
         """Height maps, each opened on access."""
         return Surfaces(self.kept, self.fields, self.marks)
 
-    def source(self, poses: Poses, provenance: Provenance) -> StitchedMosaic:
+    def mosaic(self, poses: Poses, provenance: Provenance) -> StitchedMosaic:
         """Return the mosaic to be drawn."""
         return StitchedMosaic(self.surfaces, layout(self.outlines, poses, self.lattice), provenance)
 
-    def provenance(self, poses: Poses, recipe: Recipe) -> Provenance:
+    def provenance(self, poses: Poses) -> Provenance:
         """Return the provenance of the mosaic: the common values of its fields, and all notes."""
         opened = (_opened(self.kept, *name, verify=False) for name in zip(self.fields, self.marks, strict=True))
-        joint = mosaic_provenance([surface.provenance for surface in opened], recipe)
+        joint = mosaic_provenance([surface.provenance for surface in opened], self.recipe)
         return replace(joint, notes=(*joint.notes, *poses.notes, *self.faults))
 
     def windows(self, known: PreviousSolution, poses: Poses, moved: NDArray[np.bool_]) -> list[Window]:

@@ -9,7 +9,7 @@ from __future__ import annotations
 from collections.abc import Callable, Generator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, replace
-from functools import lru_cache, partial
+from functools import lru_cache
 from itertools import groupby
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -20,17 +20,18 @@ from numpy.typing import NDArray
 from wafer_viewer.compute.task_runner import LocalRunner, TaskRunner
 from wafer_viewer.model.errors import DatasetError
 from wafer_viewer.model.progress import Progress, ShouldStop, never, silent
-from wafer_viewer.model.surface.recipe import Recipe, Stitching
+from wafer_viewer.model.surface.recipe import Recipe
 from wafer_viewer.session.state.snapshot import Box, SurfaceInfo
 
 if TYPE_CHECKING:
     from wafer_viewer.model.surface.field_poses import HeightOffsets, Poses, Shifts
+    from wafer_viewer.reconstruct.blending.mosaic_layout import PixelLattice
     from wafer_viewer.reconstruct.blending.stitched_mosaic import StitchedMosaic
     from wafer_viewer.reconstruct.pose_graph.incremental import PreviousSolution
     from wafer_viewer.session.surface.stitching_inputs import StitchingInputs, Window
     from wafer_viewer.store.mosaic.zarr_mosaic import Patch
 
-LOOK_SHARE = 0.4
+OVERLAP_SHARE = 0.4
 """Fraction of the progress bar for the overlaps."""
 PAIRS_A_TASK = 8
 
@@ -54,36 +55,57 @@ def bring_up_to_date(
     from wafer_viewer.reconstruct.pose_graph.incremental import freeze_unmoved_fields
     from wafer_viewer.session.surface.stitching_inputs import StitchingInputs
 
-    sheets = StitchingInputs.open(dataset.absolute(), result, recipe.stitching)
-    hands = _Hands(sheets, crew or LocalRunner(), progress, should_stop)
-    hands.crew.require_sight(sheets.data.path)
-    known = sheets.known()
-    outline = sheets.outlines[0]
-    found = _find_poses(sheets, recipe, known, final, hands)
-    poses, moved = freeze_unmoved_fields(found, known, outline.pixel_um, outline.corner_um)
-    windows = None if known.poses is None else sheets.windows(known, poses, moved)
-    if final and windows is not None and not windows and not sheets.mosaic_is_good():
-        windows = None
-    try:
-        _draw(sheets, poses, recipe, windows, hands)
-    except DatasetError:
-        if windows is None:
-            raise
-        windows = None  # what is to be drawn over is damaged
-        _draw(sheets, poses, recipe, windows, hands)
-    return _summary(sheets, poses, recipe, windows)
+    inputs = StitchingInputs.open(dataset.absolute(), result, recipe)
+    tasks = _Tasks(inputs, crew or LocalRunner(), progress, should_stop)
+    tasks.crew.require_sight(inputs.data.path)
+    known, outline = inputs.known(), inputs.outlines[0]
+    solved = _solve_poses(tasks, known, final)
+    poses, moved = freeze_unmoved_fields(solved, known, outline.pixel_um, outline.corner_um)
+    windows = _windows_to_draw(inputs, known, poses, moved, final)
+    drawn = _draw(tasks, poses, windows)
+    info = _summary(inputs, poses)
+    return info if drawn is None else replace(info, changed=tuple((0, box) for box in _hull_um(inputs.lattice, drawn)))
 
 
 @dataclass(frozen=True, slots=True)
-class _Hands:
-    """Runner of a stitching job, with its surfaces, progress callback and stop condition."""
+class _Tasks:
+    """Work of a stitching job that is carried out by a task runner, with its progress and stop condition."""
 
-    sheets: StitchingInputs
+    inputs: StitchingInputs
     crew: TaskRunner
     progress: Progress
     should_stop: ShouldStop
 
-    def each(self, task: Callable[..., Any], items: Sequence[tuple[Any, ...]], begin: float, end: float) -> list[Any]:
+    def register(self, pairs: NDArray[np.int32]) -> Shifts:
+        """Register pairs of fields in x and y."""
+        from wafer_viewer.model.surface.field_poses import joined, no_shifts
+
+        search_um = self.inputs.recipe.stitching.search_um
+        reach_um = None if search_um == "auto" else search_um
+        items = [(*self._names(part), reach_um) for part in _batches(pairs)]
+        found = self._each(register_pairs, items, 0.0, 0.7 * OVERLAP_SHARE)
+        return _of_fields(joined(found), pairs) if found else no_shifts()
+
+    def compare(self, pairs: NDArray[np.int32], x_um: NDArray[np.float64], y_um: NDArray[np.float64]) -> HeightOffsets:
+        """Compare the heights of pairs of fields, with the centres of all fields given."""
+        from wafer_viewer.model.surface.field_poses import joined, no_seams
+
+        items = [(*self._names(part), x_um[np.unique(part)], y_um[np.unique(part)]) for part in _batches(pairs)]
+        found = self._each(compare_pairs, items, 0.7 * OVERLAP_SHARE, OVERLAP_SHARE)
+        return _of_fields(joined(found), pairs) if found else no_seams()
+
+    def draw(self, windows: Sequence[Window] | None, drawing: Path, canvas: Path) -> None:
+        """Draw windows of the mosaic, or all of it; each task writes its own shards, level by level."""
+        from wafer_viewer.store.mosaic.zarr_mosaic import patches
+
+        work, n_done = patches(self.inputs.lattice.shape, windows), 0
+        for _, level in groupby(work, lambda patch: patch.level):
+            items = [(*self.inputs.name, self.inputs.recipe, drawing, canvas, patch) for patch in level]
+            begin, end = (OVERLAP_SHARE + (1 - OVERLAP_SHARE) * n / len(work) for n in (n_done, n_done + len(items)))
+            self._each(draw_patch, items, begin, end)
+            n_done += len(items)
+
+    def _each(self, task: Callable[..., Any], items: Sequence[tuple[Any, ...]], begin: float, end: float) -> list[Any]:
         """Return the values of a task for all items, in their order; the first fault is raised."""
         values: list[Any] = [None] * len(items)
         for n, done in enumerate(self.crew.each(task, items, should_stop=self.should_stop), 1):
@@ -93,53 +115,31 @@ class _Hands:
             self.progress(begin + (end - begin) * n / len(items))
         return values
 
-
-# ------------------------------------------------------------------------------------------------ looking at overlaps
-
-
-def _find_poses(sheets: StitchingInputs, recipe: Recipe, known: PreviousSolution, final: bool, hands: _Hands) -> Poses:
-    from wafer_viewer.reconstruct.stitching import FieldsToPlace, OverlapObservers, find_poses
-
-    fields = FieldsToPlace.of(sheets.outlines, sheets.numbers, sheets.marks, recipe.stitching, known, final=final)
-    observers = OverlapObservers(
-        partial(_register, hands, recipe.stitching), partial(_compare, hands), sheets.surfaces.__getitem__
-    )
-    return find_poses(fields, observers)
-
-
-def _register(hands: _Hands, stitching: Stitching, pairs: NDArray[np.int32]) -> Shifts:
-    from wafer_viewer.model.surface.field_poses import joined, no_shifts
-
-    reach_um = None if stitching.search_um == "auto" else stitching.search_um
-    items = [(*_names(hands, part), reach_um) for part in _batches(pairs)]
-    found = hands.each(register_pairs, items, 0.0, 0.7 * LOOK_SHARE)
-    return _of_fields(joined(found), pairs) if found else no_shifts()
-
-
-def _compare(
-    hands: _Hands, pairs: NDArray[np.int32], x_um: NDArray[np.float64], y_um: NDArray[np.float64]
-) -> HeightOffsets:
-    from wafer_viewer.model.surface.field_poses import joined, no_seams
-
-    items = [(*_names(hands, part), x_um[np.unique(part)], y_um[np.unique(part)]) for part in _batches(pairs)]
-    found = hands.each(compare_pairs, items, 0.7 * LOOK_SHARE, LOOK_SHARE)
-    return _of_fields(joined(found), pairs) if found else no_seams()
+    def _names(self, pairs: NDArray[np.int32]) -> tuple[Path, str, list[int], NDArray[np.int32]]:
+        """Return pairs for a worker: the numbers of their fields, and pairs of indices into that list."""
+        places, local = np.unique(pairs, return_inverse=True)
+        numbers = [self.inputs.numbers[place] for place in places]
+        return *self.inputs.name, numbers, local.reshape(pairs.shape).astype(np.int32)
 
 
 def _batches(pairs: NDArray[np.int32]) -> list[NDArray[np.int32]]:
     return [pairs[i : i + PAIRS_A_TASK] for i in range(0, len(pairs), PAIRS_A_TASK)]
 
 
-def _names(hands: _Hands, pairs: NDArray[np.int32]) -> tuple[Path, str, list[int], NDArray[np.int32]]:
-    """Return pairs for a worker: the numbers of their fields, and pairs of indices into that list."""
-    places, local = np.unique(pairs, return_inverse=True)
-    numbers = [hands.sheets.numbers[place] for place in places]
-    return hands.sheets.data.path, hands.sheets.kept.name, numbers, local.reshape(pairs.shape).astype(np.int32)
-
-
 def _of_fields(table: Any, pairs: NDArray[np.int32]) -> Any:
     """Return a table of pairs with the indices of the fields in the complete list."""
     return replace(table, first=pairs[:, 0].copy(), second=pairs[:, 1].copy())
+
+
+# --------------------------------------------------------------------------------------------------------------- poses
+
+
+def _solve_poses(tasks: _Tasks, known: PreviousSolution, final: bool) -> Poses:
+    from wafer_viewer.reconstruct.stitching import FieldsToPlace, OverlapObservers, find_poses
+
+    inputs, stitching = tasks.inputs, tasks.inputs.recipe.stitching
+    fields = FieldsToPlace.of(inputs.outlines, inputs.numbers, inputs.marks, stitching, known, final=final)
+    return find_poses(fields, OverlapObservers(tasks.register, tasks.compare, inputs.surfaces.__getitem__))
 
 
 def register_pairs(
@@ -167,40 +167,56 @@ def compare_pairs(
     return compare(surfaces_of(dataset, result, numbers), pairs, x_um, y_um, threads=1)
 
 
-# ------------------------------------------------------------------------------------------------ drawing
+# ------------------------------------------------------------------------------------------------------------- drawing
 
 
-def _draw(
-    sheets: StitchingInputs, poses: Poses, recipe: Recipe, windows: Sequence[Window] | None, hands: _Hands
-) -> None:
-    """Draw windows of the mosaic, or a new one next to the existing one; each task writes its own shards."""
-    from wafer_viewer.store.mosaic.zarr_mosaic import patches
+def _windows_to_draw(
+    inputs: StitchingInputs, known: PreviousSolution, poses: Poses, moved: NDArray[np.bool_], final: bool
+) -> list[Window] | None:
+    """Return the windows of the mosaic in which fields moved; None to draw all of it."""
+    from wafer_viewer.store.dataset.integrity import is_mosaic_good
 
-    drawing = sheets.kept.begin_mosaic_update(poses)
-    with _canvas(sheets, poses, recipe, fresh=windows is None) as canvas:
-        work = patches(sheets.lattice.shape, windows)
-        n_done = 0
-        for _, level in groupby(work, lambda patch: patch.level):
-            items = [(sheets.data.path, sheets.kept.name, recipe, drawing, canvas, patch) for patch in level]
-            begin, end = (LOOK_SHARE + (1 - LOOK_SHARE) * n / len(work) for n in (n_done, n_done + len(items)))
-            hands.each(draw_patch, items, begin, end)
-            n_done += len(items)
-    sheets.kept.commit_mosaic_update()
+    if known.poses is None:
+        return None
+    windows = inputs.windows(known, poses, moved)
+    if final and not windows and not is_mosaic_good(inputs.kept.mosaic_path):
+        return None
+    return windows
+
+
+def _draw(tasks: _Tasks, poses: Poses, windows: list[Window] | None) -> list[Window] | None:
+    """Draw windows of the mosaic, or all of it if there are none or it is damaged; return what was drawn."""
+    if windows is not None:
+        try:
+            _draw_windows(tasks, poses, windows)
+        except DatasetError:
+            windows = None  # the mosaic that is to be drawn over is damaged
+    if windows is None:
+        _draw_windows(tasks, poses, None)
+    return windows
+
+
+def _draw_windows(tasks: _Tasks, poses: Poses, windows: Sequence[Window] | None) -> None:
+    """Draw windows of the mosaic on disk, or a new one beside it that replaces it when complete."""
+    drawing = tasks.inputs.kept.begin_mosaic_update(poses)
+    with _canvas(tasks.inputs, poses, fresh=windows is None) as canvas:
+        tasks.draw(windows, drawing, canvas)
+    tasks.inputs.kept.commit_mosaic_update()
 
 
 @contextmanager
-def _canvas(sheets: StitchingInputs, poses: Poses, recipe: Recipe, *, fresh: bool) -> Generator[Path]:
+def _canvas(inputs: StitchingInputs, poses: Poses, *, fresh: bool) -> Generator[Path]:
     """Provide the mosaic to draw on; a new one has a temporary name until it is complete."""
     from wafer_viewer.store.io.atomic_files import atomic_write
     from wafer_viewer.store.mosaic.zarr_mosaic import lay_out, rewrite_header
 
-    source = sheets.source(poses, sheets.provenance(poses, recipe))
+    path, mosaic = inputs.kept.mosaic_path, inputs.mosaic(poses, inputs.provenance(poses))
     if not fresh:
-        yield sheets.kept.mosaic_path
-        rewrite_header(sheets.kept.mosaic_path, source)
+        yield path
+        rewrite_header(path, mosaic)
         return
-    with atomic_write(sheets.kept.mosaic_path) as beside:
-        lay_out(beside, source)
+    with atomic_write(path) as beside:
+        lay_out(beside, mosaic)
         yield beside
 
 
@@ -208,21 +224,21 @@ def draw_patch(dataset: Path, result: str, recipe: Recipe, drawing: Path, canvas
     """Blend and write one patch of the mosaic, as a worker's task."""
     from wafer_viewer.store.mosaic.zarr_mosaic import write_patch
 
-    write_patch(canvas, _source(dataset, result, recipe, drawing, drawing.stat().st_mtime_ns), patch)
+    write_patch(canvas, _mosaic(dataset, result, recipe, drawing, drawing.stat().st_mtime_ns), patch)
 
 
 @lru_cache(maxsize=2)
-def _source(dataset: Path, result: str, recipe: Recipe, drawing: Path, mark: int) -> StitchedMosaic:
+def _mosaic(dataset: Path, result: str, recipe: Recipe, drawing: Path, mark: int) -> StitchedMosaic:
     """Return the mosaic to be drawn, cached from patch to patch; `mark` identifies the drawing."""
     from wafer_viewer.model.surface.height_map import Provenance
     from wafer_viewer.session.surface.stitching_inputs import StitchingInputs
     from wafer_viewer.store.mosaic.poses_file import read_poses
 
     poses = read_poses(drawing)
-    return StitchingInputs.drawn(dataset, result, recipe.stitching, poses).source(poses, Provenance(recipe=recipe))
+    return StitchingInputs.drawn(dataset, result, recipe, poses).mosaic(poses, Provenance(recipe=recipe))
 
 
-# ------------------------------------------------------------------------------------------------ saying how it looks
+# ------------------------------------------------------------------------------------------------------------- summary
 
 
 def describe_mosaic(
@@ -240,33 +256,26 @@ def describe_mosaic(
         info = summarise(mosaic, 0, result, recipe)
         save_summary(kept, info)
         return info
-    sheets = StitchingInputs.open(dataset, result, recipe.stitching)
-    return _described(sheets, sheets.kept.poses(), recipe)
+    return _summary(StitchingInputs.open(dataset, result, recipe), kept.poses())
 
 
-def _summary(sheets: StitchingInputs, poses: Poses, recipe: Recipe, windows: Sequence[Window] | None) -> SurfaceInfo:
-    info = _described(sheets, poses, recipe)
-    return info if windows is None else replace(info, changed=tuple((0, box) for box in _hull_um(sheets, windows)))
-
-
-def _described(sheets: StitchingInputs, poses: Poses | None, recipe: Recipe) -> SurfaceInfo:
+def _summary(inputs: StitchingInputs, poses: Poses | None) -> SurfaceInfo:
     """Compute and store the summary of the mosaic."""
     from wafer_viewer.session.core.dataset_library import save_summary, summarise
     from wafer_viewer.session.surface.focus_evidence import stitching_info
 
-    info = summarise(sheets.kept.mosaic(), len(sheets.fields), sheets.kept.name, recipe)
+    info = summarise(inputs.kept.mosaic(), len(inputs.fields), inputs.kept.name, inputs.recipe)
     info = replace(info, stitching=None if poses is None else stitching_info(poses))
-    save_summary(sheets.kept, info)
+    save_summary(inputs.kept, info)
     return info
 
 
-def _hull_um(sheets: StitchingInputs, windows: Sequence[Window]) -> list[Box]:
+def _hull_um(lattice: PixelLattice, windows: Sequence[Window]) -> list[Box]:
     """Return the box around all windows; empty without windows."""
     if not windows:
         return []
-    lattice, pixel_um = sheets.lattice, sheets.lattice.pixel_um
     rows, cols = zip(*windows, strict=True)
     top, bottom = min(r.start for r in rows), max(r.stop for r in rows)
     left, right = min(c.start for c in cols), max(c.stop for c in cols)
-    x0_um, y0_um = lattice.x0_um, lattice.y0_um
+    x0_um, y0_um, pixel_um = lattice.x0_um, lattice.y0_um, lattice.pixel_um
     return [(x0_um + left * pixel_um, y0_um - bottom * pixel_um, x0_um + right * pixel_um, y0_um - top * pixel_um)]
