@@ -264,7 +264,7 @@ def assemble(field: PreparedField, corrected: CorrectedPeaks, cleaned: CleanedHe
     )
 
 
-# -------------------------------------------------------------------------------------------- recipes of a scan, start
+# ------------------------------------------------------------------------------------------ recipes of a scan, warm-up
 
 
 def settled_recipe(stack: FieldStack, recipe: Recipe = Recipe()) -> Recipe:
