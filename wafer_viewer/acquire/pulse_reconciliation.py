@@ -21,6 +21,7 @@ from wafer_viewer.model.acquisition.devices import CameraImage, Pulse
 from wafer_viewer.model.acquisition.focus_stack import Frame, FrameStatus
 from wafer_viewer.model.acquisition.plan import Leg, Shot
 from wafer_viewer.model.acquisition.rig_limits import RigLimits
+from wafer_viewer.numerics.normal_statistics import MAD_TO_SIGMA
 
 TRACKED = 9
 """Number of latest images whose median gives the current clock difference of camera and box."""
@@ -34,7 +35,6 @@ SHARP = 0.05
 """Permitted distance of an image from its pulse in pulse periods, in any case: a twentieth of a step in z."""
 SIGMAS = 5.0
 """Permitted distance of an image from its pulse, in standard deviations of all images of the pass."""
-MAD_TO_SIGMA = 1.4826
 
 
 @dataclass(frozen=True, slots=True)

@@ -18,6 +18,11 @@ from wafer_viewer.numerics.jit import Bools, Float32s
 _STEEPEST = 3.0
 """Contrast saturates at about three times its typical value, so that one bright spot does not dominate the overlap."""
 
+_MOST_CORRELATION = 0.9999
+"""Correlation at which the Fisher transform is clipped, which is infinite at 1."""
+_LEAST_ENERGY = 1e-3
+"""Smallest contrast energy of an overlap relative to the largest one, for a correlation."""
+
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Likeness:
@@ -65,10 +70,10 @@ def normalised_cross_correlation(
     common, of_first, of_second, pixels = (s[np.ix_(rows, cols)].astype(np.float64) for s in sums)
     pixels = np.rint(pixels)
     energy = np.sqrt(np.maximum(of_first, 0) * np.maximum(of_second, 0))
-    floor = 1e-3 * float(energy.max(initial=0)) + 1e-12
+    floor = _LEAST_ENERGY * float(energy.max(initial=0)) + 1e-12
     correlation = np.where(energy > floor, common / np.maximum(energy, floor), 0.0).clip(-1, 1)
     alike = _correlated_pixels(sums[0], first, second)
-    sigmas = np.arctanh(correlation.clip(-0.9999, 0.9999)) * np.sqrt(pixels / alike)
+    sigmas = np.arctanh(correlation.clip(-_MOST_CORRELATION, _MOST_CORRELATION)) * np.sqrt(pixels / alike)
     return Likeness(correlation, pixels, sigmas)
 
 

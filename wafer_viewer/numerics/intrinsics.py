@@ -9,16 +9,20 @@ from llvmlite import ir
 from numba.core import types
 from numba.extending import intrinsic
 
-from wafer_viewer.numerics.jit import Greys, Real, inline_kernel, inlined_part
+from wafer_viewer.numerics.jit import CACHE_LINE_BYTES, Greys, Real, inline_kernel, inlined_part
 
-_LINE_BYTES = 64
-_TO_READ, _KEEP, _DATA = 0, 3, 1
+_TO_READ = 0
+"""Argument `rw` of `llvm.prefetch`: the row is read."""
+_KEEP = 3
+"""Argument `locality` of `llvm.prefetch`: the row stays in all caches."""
+_DATA = 1
+"""Argument `cache type` of `llvm.prefetch`: data, not instructions."""
 
 
 @inlined_part
 def prefetch(row: Greys) -> None:
     """Prefetch a row into the caches, without waiting and without side effects."""
-    for x in range(0, row.size, _LINE_BYTES // row.itemsize):
+    for x in range(0, row.size, CACHE_LINE_BYTES // row.itemsize):
         _prefetch(row, x)
 
 
@@ -38,12 +42,16 @@ def _emit(context: Any, builder: Any, signature: Any, args: Any) -> Any:
 _prefetch: Any = intrinsic(_typed)
 
 
-# log2(1 + f) - f = f (1 - f) (c0 + c1 f + c2 f^2) for 0 <= f < 1, within 0.00012.
 _C0, _C1, _C2 = np.float32(0.43872573), np.float32(-0.2390582), np.float32(0.08213066)
+"""Coefficients of log2(1 + f) - f = f (1 - f) (c0 + c1 f + c2 f^2) for 0 <= f < 1, within 0.00012."""
 _MANTISSA = np.int32((1 << 23) - 1)
+"""Mask of the mantissa bits of a float32."""
 _MANTISSA_BITS = np.int32(23)
+"""Number of mantissa bits of a float32."""
 _PER_MANTISSA = np.float32(2.0**-23)
+"""Value of the lowest mantissa bit of a float32 in 1 ... 2."""
 _BIAS = np.float32(127)
+"""Exponent bias of a float32."""
 
 
 @inline_kernel

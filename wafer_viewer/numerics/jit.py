@@ -103,13 +103,14 @@ Greys: TypeAlias = NDArray[Any]
 Whole: TypeAlias = int | np.integer[Any]
 Real: TypeAlias = float | np.floating[Any]
 
-_CACHE_LINE_BYTES = 64
+CACHE_LINE_BYTES = 64
+"""Bytes of a cache line of the processors that the kernels run on."""
 
 
 def aligned(shape: tuple[int, ...], dtype: Any) -> NDArray[Any]:
     """Return zeros aligned to a cache line, because vectors that straddle two lines cost twice."""
     dtype = np.dtype(dtype)
     n_bytes = dtype.itemsize * int(np.prod(shape))
-    room = np.zeros(n_bytes + _CACHE_LINE_BYTES, np.uint8)
-    start = -room.ctypes.data % _CACHE_LINE_BYTES
+    room = np.zeros(n_bytes + CACHE_LINE_BYTES, np.uint8)
+    start = -room.ctypes.data % CACHE_LINE_BYTES
     return room[start : start + n_bytes].view(dtype).reshape(shape)

@@ -23,9 +23,11 @@ from wafer_viewer.numerics.jit import Float32s, Int64s, lean_kernel, lean_part
 REACH = 3
 """Half width of the interpolation kernel in pixels."""
 N_LINES = 5
+"""Number of quantities multiplied in pairs: 1, both values, slope down, slope right."""
 N_PRODUCTS = 15
+"""Number of different products of two of them."""
 _SIGMA_PX = 0.85
-_TAPS = 2 * REACH + 1
+"""Standard deviation of the Gaussian interpolation kernel, wide enough for equal noise at every position, px."""
 
 
 def taps(part: float) -> Float32s:
@@ -114,8 +116,8 @@ def _sum(
         _apply_mask(known[:n_cols], a, b, down, right)
         band = sums[r * n_bands // n_rows]
         n = 0
-        for i in range(5):
-            for j in range(i, 5):
+        for i in range(N_LINES):
+            for j in range(i, N_LINES):
                 _add_product(lines[i], lines[j], band[n])
                 n += 1
 
@@ -159,8 +161,11 @@ def _add_product(first: Float32s, second: Float32s, total: Float32s) -> None:
 
 
 _AREAS = (4, 8)
-_SHOWS, _SMOOTHED = 3.0, 0.33
-"""A block has signal if its variance exceeds three times that of the noise left after smoothing."""
+"""Sides of the areas, in blocks, over which errors may be correlated."""
+_SHOWS = 3.0
+"""Variance of a block with signal, relative to that of the noise left after smoothing."""
+_SMOOTHED = 0.33
+"""Noise left after smoothing, relative to that of a pixel."""
 
 Numbers = NDArray[np.float64]
 
@@ -276,15 +281,52 @@ def shift_gradient(blocks: BlockGradients) -> tuple[float, float]:
     return float(np.abs(bend[most])), float(np.abs(bend[most]) / np.sqrt(max(spread[most, most], 1e-30)))
 
 
-MOST_STEPS = 6
-CLOSE_PX, ROUGHLY_PX = 0.005, 0.05
-_TELLING_PX, _PROBE_PX = 0.05, 0.2
-_LEAST_EASE = 0.05
-_NOISE_SLOPE = 0.3
-_CLEARLY = 10.0
-"""Slopes above ten times those of the noise are attributed to the picture; weaker ones are probed."""
-_LEAST_PIXELS = 0.2
-"""Smallest known fraction of a block's pixels, relative to the fullest block."""
+@dataclass(frozen=True, slots=True)
+class AlignmentParameters:
+    """Limits of the subpixel alignment.
+
+    Parameters
+    ----------
+    most_steps : int
+        Largest number of Gauss-Newton steps.
+    close_px : float, px
+        Step below which the alignment ends.
+    roughly_close_px : float, px
+        The same for a rough alignment.
+    telling_px : float, px
+        Step above which the change of the gradient shows the real fraction of the Hessian.
+    probe_px : float, px
+        Distance to either side of the lag for a Hessian by finite differences.
+    least_hessian_fraction : float
+        Lower limit of the real fraction of the Hessian.
+    noise_slope : float, per px
+        Slope of the interpolated noise, relative to the noise of a pixel.
+    clearly : float
+        Smallest ratio of the stiffness to that of noise, to attribute it to the picture; a weaker one is
+        probed.
+    least_filled : float
+        Smallest known fraction of a block's pixels, relative to the fullest block.
+    least_pixels : float, px
+        Smallest number of known pixels of a block.
+
+    Notes
+    -----
+    `tests/bench/bench_overlaps.py` compares the errors of overlaps with their uncertainties.
+    """
+
+    most_steps: int = 6
+    close_px: float = 0.005
+    roughly_close_px: float = 0.05
+    telling_px: float = 0.05
+    probe_px: float = 0.2
+    least_hessian_fraction: float = 0.05
+    noise_slope: float = 0.3
+    clearly: float = 10.0
+    least_filled: float = 0.2
+    least_pixels: float = 12.0
+
+
+ALIGNMENT = AlignmentParameters()
 
 Lag = tuple[float, float]
 
@@ -325,14 +367,18 @@ def align(first: RegisteredImage, second: RegisteredImage, lag: Lag, side: int, 
     side: approximate block size in pixels; roughly: stop at a twentieth of a pixel, with a covariance that is too small
     under strong noise.
     """
-    pulls, ease, close_px = _gradients(first, second, lag, side), 1.0, ROUGHLY_PX if roughly else CLOSE_PX
-    for _ in range(MOST_STEPS):
+    pulls, ease, close_px = (
+        _gradients(first, second, lag, side),
+        1.0,
+        ALIGNMENT.roughly_close_px if roughly else ALIGNMENT.close_px,
+    )
+    for _ in range(ALIGNMENT.most_steps):
         step, before = _step(pulls, ease), pulls
         lag = lag[0] + float(step[0]), lag[1] + float(step[1])
         if np.abs(step).max() < close_px:
             break
         pulls = _gradients(first, second, lag, side)
-        if np.abs(step).max() > _TELLING_PX:
+        if np.abs(step).max() > ALIGNMENT.telling_px:
             ease = _hessian_fraction(before, pulls, step)
     noise = math.sqrt(first.noise * second.noise)
     clear = roughly or _is_clear(pulls, noise)
@@ -347,13 +393,15 @@ def align(first: RegisteredImage, second: RegisteredImage, lag: Lag, side: int, 
 def _hessian_fraction(before: BlockGradients, after: BlockGradients, step: Numbers) -> float:
     """Return the real fraction of the Hessian: slopes of the noise do not move with the picture."""
     told = float(step @ (before.pull.sum(axis=0) - after.pull.sum(axis=0)))
-    return min(1.0, max(_LEAST_EASE, told / max(float(step @ before.stiffness.sum(axis=0) @ step), 1e-30)))
+    return min(
+        1.0, max(ALIGNMENT.least_hessian_fraction, told / max(float(step @ before.stiffness.sum(axis=0) @ step), 1e-30))
+    )
 
 
 def _is_clear(pulls: BlockGradients, noise: float) -> bool:
     """Return whether the slopes are those of the picture in every direction."""
-    of_noise = float((pulls.trust * pulls.pixels).sum()) * (_NOISE_SLOPE * noise) ** 2
-    return bool(np.linalg.eigvalsh(pulls.stiffness.sum(axis=0))[0] > _CLEARLY * of_noise)
+    of_noise = float((pulls.trust * pulls.pixels).sum()) * (ALIGNMENT.noise_slope * noise) ** 2
+    return bool(np.linalg.eigvalsh(pulls.stiffness.sum(axis=0))[0] > ALIGNMENT.clearly * of_noise)
 
 
 def _hessian_by_differences(first: RegisteredImage, second: RegisteredImage, lag: Lag, side: int) -> Numbers:
@@ -362,9 +410,9 @@ def _hessian_by_differences(first: RegisteredImage, second: RegisteredImage, lag
     for axis in (0, 1):
         ahead, behind = (
             _gradients(first, second, (lag[0] + off * (1 - axis), lag[1] + off * axis), side).pull.sum(axis=0)
-            for off in (_PROBE_PX, -_PROBE_PX)
+            for off in (ALIGNMENT.probe_px, -ALIGNMENT.probe_px)
         )
-        felt[axis] = (behind - ahead) / (2 * _PROBE_PX)
+        felt[axis] = (behind - ahead) / (2 * ALIGNMENT.probe_px)
     return (felt + felt.T) / 2
 
 
@@ -374,7 +422,7 @@ def _gradients(first: RegisteredImage, second: RegisteredImage, lag: Lag, side: 
     place = 2 * (index + 0.5) / np.array(sums.shape[:2]) - 1
     flat = sums.reshape(-1, *sums.shape[2:])
     pixels = flat[:, 0, 0]
-    enough = pixels > max(_LEAST_PIXELS * pixels.max(initial=0), 12.0)
+    enough = pixels > max(ALIGNMENT.least_filled * pixels.max(initial=0), ALIGNMENT.least_pixels)
     return block_gradients(flat[enough], index[enough], place[enough])
 
 

@@ -19,6 +19,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from wafer_viewer.measure.base.height_samples import Floats, HeightSamples
+from wafer_viewer.numerics.normal_statistics import TWO_SIGMA_QUANTILE
 
 PIECE = 3.0
 """Block length, in correlation lengths of the errors."""
@@ -71,7 +72,7 @@ def _student(freedom: int) -> float:
     """Two-sided 95.45 % point of Student's t, which is 2 for many degrees of freedom."""
     from scipy.special import stdtrit
 
-    return float(stdtrit(freedom, 0.97725))
+    return float(stdtrit(freedom, TWO_SIGMA_QUANTILE))
 
 
 SIDES = (16, 8, 4)
@@ -101,7 +102,7 @@ class Scatter:
         """Standard uncertainty widened by Student's t, so that k = 2 covers 95.45 % with few degrees of freedom."""
         from scipy.special import stdtrit
 
-        return self.u * float(stdtrit(self.freedom, 0.97725)) / 2
+        return self.u * float(stdtrit(self.freedom, TWO_SIGMA_QUANTILE)) / 2
 
     @classmethod
     def joined(cls, *parts: Scatter) -> Scatter:

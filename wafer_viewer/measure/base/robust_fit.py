@@ -16,10 +16,9 @@ from wafer_viewer.measure.base.correlated_errors import chain_uncertainty
 from wafer_viewer.measure.base.height_samples import Floats, HeightSamples
 from wafer_viewer.model.errors import MeasureError
 from wafer_viewer.model.region import Region
+from wafer_viewer.numerics.normal_statistics import MAD_TO_SIGMA
 
 REJECT_BEYOND = 3.0
-SIGMA_OF_MAD = 1.4826
-"""Ratio of standard deviation to median absolute deviation for normal noise."""
 SIGMAS_OF_75 = 1.1503
 """Half-width, in standard deviations, of the interval that contains 75 % of normal noise."""
 ROUNDING = float(np.finfo(np.float32).eps)
@@ -147,7 +146,7 @@ def _spread(deviations: Floats, rounding: float) -> float:
     Heights from unrefined focus peaks cluster at two values: by the MAD alone the smaller cluster would be outliers.
     """
     half, most = np.quantile(deviations, (0.5, 0.75))
-    return max(SIGMA_OF_MAD * float(half), float(most) / SIGMAS_OF_75, rounding)
+    return max(MAD_TO_SIGMA * float(half), float(most) / SIGMAS_OF_75, rounding)
 
 
 _TURNS = 3

@@ -22,6 +22,7 @@ from wafer_viewer.measure.dies.die_cells import CellGrid
 from wafer_viewer.model.inspection.defect import RESOLVED_FROM_PX, Defect, DefectRecipe, DefectShape
 from wafer_viewer.model.region import Point, Region
 from wafer_viewer.model.spec import replace
+from wafer_viewer.numerics.normal_statistics import MAD_TO_SIGMA
 
 NOT_RESOLVED = "Detected, size not resolved: under 20 px."
 SIZE_NOTE = "Lengths and area are those over half of the peak."
@@ -175,7 +176,7 @@ def whole_die_defects(
     half_um = min(work.cells.grid.width_um, work.cells.grid.height_um) / 2
     offset_off, offset_limit = _off(offsets, 6 * noise_um)
     tilt_off = np.hypot(*(tilts - np.median(tilts, axis=0)).T)
-    tilt_limit = max(FAR * 1.4826 * float(np.median(tilt_off)), LEAST_TILT_PX * noise_um / half_um)
+    tilt_limit = max(FAR * MAD_TO_SIGMA * float(np.median(tilt_off)), LEAST_TILT_PX * noise_um / half_um)
     tilted = (tilt_off > tilt_limit) & (tilt_off * 1e3 > work.recipe.rules.tilt_mrad)
     offset = (np.abs(offset_off) > offset_limit) & (np.abs(offset_off) > work.recipe.rules.missing_height_um / 4)
     found: dict[str, Defect] = {}
@@ -216,7 +217,7 @@ def _dies_near(
 
 def _off(values: np.ndarray, least: float) -> tuple[np.ndarray, float]:
     off = values - np.median(values)
-    return off, max(FAR * 1.4826 * float(np.median(np.abs(off))), least)
+    return off, max(FAR * MAD_TO_SIGMA * float(np.median(np.abs(off))), least)
 
 
 def _whole(

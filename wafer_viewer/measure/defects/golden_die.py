@@ -26,7 +26,8 @@ from wafer_viewer.measure.dies.die_cells import (
 from wafer_viewer.model.errors import DiesNotFound, MeasureError
 from wafer_viewer.model.inspection.golden_die import GoldenDie, GoldenHeader
 from wafer_viewer.numerics.filters.sliding_filters import sliding_range
-from wafer_viewer.numerics.grids.die_cell_kernels import MAD_TO_SIGMA, median_and_spread, shift_sums
+from wafer_viewer.numerics.grids.die_cell_kernels import median_and_spread, shift_sums
+from wafer_viewer.numerics.normal_statistics import MAD_TO_SIGMA
 
 LEAST_DIES = 5
 """Smallest number of dies for a median die."""

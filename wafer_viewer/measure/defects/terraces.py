@@ -14,11 +14,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from wafer_viewer.measure.base.height_samples import Floats
-from wafer_viewer.measure.base.robust_fit import SIGMA_OF_MAD, robust_fit
+from wafer_viewer.measure.base.robust_fit import robust_fit
 from wafer_viewer.measure.dies.die_cells import CellSource, Plane, form_powers, sample_of
 from wafer_viewer.model.errors import MeasureError
 from wafer_viewer.model.measurement.levelling import Datum
 from wafer_viewer.model.region import Point
+from wafer_viewer.numerics.normal_statistics import MAD_TO_SIGMA
 
 BINS = 200
 LEAST_SHARE = 0.05
@@ -77,7 +78,7 @@ def levels_of(left_um: Floats) -> tuple[float, ...]:
     parts = np.split(np.sort(left_um), np.searchsorted(np.sort(left_um), edges[borders]))
     parts = [part for part in parts if len(part) >= LEAST_SHARE * len(left_um)]
     levels = [float(np.median(part)) for part in parts]
-    sigmas = [SIGMA_OF_MAD * float(np.median(np.abs(part - at))) for part, at in zip(parts, levels, strict=True)]
+    sigmas = [MAD_TO_SIGMA * float(np.median(np.abs(part - at))) for part, at in zip(parts, levels, strict=True)]
     pairs = itertools.pairwise(zip(levels, sigmas, strict=True))
     apart = all(b - a > APART_SIGMA * max(s, t) for (a, s), (b, t) in pairs)
     return tuple(levels) if apart and 1 < len(levels) <= MOST_LEVELS else middle

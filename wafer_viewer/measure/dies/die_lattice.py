@@ -21,6 +21,7 @@ from wafer_viewer.model.quantity import Length
 from wafer_viewer.model.spec import replace
 from wafer_viewer.model.surface.height_map import Mosaic
 from wafer_viewer.numerics.jit import Float32s
+from wafer_viewer.numerics.normal_statistics import MAD_TO_SIGMA
 
 WIDEST = 0.3
 """Largest width of a street, relative to the pitch."""
@@ -83,7 +84,7 @@ def _street(plane: Floats) -> Street | None:
         return None
     plane = _upright(plane)
     slope = edges_profile(plane)
-    spread = 1.4826 * float(np.median(np.abs(slope - np.median(slope)))) or float(np.abs(slope).max()) / 1e3
+    spread = MAD_TO_SIGMA * float(np.median(np.abs(slope - np.median(slope)))) or float(np.abs(slope).max()) / 1e3
     best, begin, width = _strongest_pair(slope)
     if not spread or best < STANDS_OUT * spread:
         return None
@@ -129,7 +130,7 @@ def _scatter(plane: Floats, place: int) -> float:
     """Return the standard uncertainty of the mean edge position, from bands of the cell."""
     each = np.array([_near(edges_profile(part), place) for part in np.array_split(plane, BANDS)])
     middle = float(np.median(each))
-    return 1.4826 * float(np.median(np.abs(each - middle))) / math.sqrt(BANDS)
+    return MAD_TO_SIGMA * float(np.median(np.abs(each - middle))) / math.sqrt(BANDS)
 
 
 def _near(slope: Floats, place: int, reach: int = 3) -> float:

@@ -18,11 +18,11 @@ from scipy.ndimage import gaussian_filter1d, maximum_filter1d
 
 from wafer_viewer.measure.base.height_samples import Floats, level_for, require_area
 from wafer_viewer.measure.base.measurement_context import MeasurementContext
-from wafer_viewer.measure.base.robust_fit import SIGMA_OF_MAD
 from wafer_viewer.model.errors import MeasureError
 from wafer_viewer.model.quantity import Length, Quantity
 from wafer_viewer.model.region import Region
 from wafer_viewer.model.surface.height_map import HeightMap, Mosaic, Origin
+from wafer_viewer.numerics.normal_statistics import MAD_TO_SIGMA
 
 LEAST_PX = 16
 """Smallest region in pixels each way; the edge filter extends six pixels."""
@@ -300,7 +300,7 @@ class EdgeScores:
         if len(rest) < LEAST_REST:
             return bool(self.best[place] > LEAST_STEEP)
         middle = float(np.median(rest))
-        spread = SIGMA_OF_MAD * float(np.median(np.abs(rest - middle)))
+        spread = MAD_TO_SIGMA * float(np.median(np.abs(rest - middle)))
         return bool(self.best[place] > max(middle + STANDS_OUT * spread, LEAST_STEEP))
 
     def _all_along(self, place: int) -> bool:

@@ -14,10 +14,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from wafer_viewer.measure.base.height_samples import Floats, HeightSamples, Layer, height_window, layer_of
-from wafer_viewer.measure.base.robust_fit import SIGMA_OF_MAD, LevelPlane, fit_plane
+from wafer_viewer.measure.base.robust_fit import LevelPlane, fit_plane
 from wafer_viewer.model.errors import MeasureError
 from wafer_viewer.model.region import Region
 from wafer_viewer.model.surface.height_map import Heights, Mosaic
+from wafer_viewer.numerics.normal_statistics import MAD_TO_SIGMA
 
 SIZE_PX = 800
 """Side of the areas on which the paper measures its blocks."""
@@ -189,7 +190,7 @@ def _planes(seen: SeenFace) -> list[FacePlane]:
         near_um = off_um[off_um <= plane.band_um]
         if len(near_um) < least / 2:
             break
-        band_um = WITHIN_SIGMAS * max(SIGMA_OF_MAD * float(np.median(near_um)), plane.band_um / SEARCH_SIGMAS)
+        band_um = WITHIN_SIGMAS * max(MAD_TO_SIGMA * float(np.median(near_um)), plane.band_um / SEARCH_SIGMAS)
         if np.count_nonzero(off_um <= band_um) < least:
             break
         found.append(plane._replace(band_um=band_um))
@@ -221,7 +222,7 @@ def _noise_um(z_um: Floats) -> float:
     """Return the robust deviation of heights from detrended differences at a lag beyond the error correlation."""
     lag = max(1, z_um.shape[1] // LAGS)
     differ = z_um[:, lag:] - z_um[:, :-lag]
-    return max(LEAST_NOISE_UM, SIGMA_OF_MAD / math.sqrt(2) * float(np.nanmedian(np.abs(differ - np.nanmedian(differ)))))
+    return max(LEAST_NOISE_UM, MAD_TO_SIGMA / math.sqrt(2) * float(np.nanmedian(np.abs(differ - np.nanmedian(differ)))))
 
 
 def _room_um(seen: SeenFace, own: FacePlane, other: FacePlane, shade_um: float) -> Floats:

@@ -12,7 +12,7 @@ from scipy.ndimage import median_filter
 
 from wafer_viewer.measure.base.height_samples import Floats, Layer, points_in
 from wafer_viewer.measure.base.measurement_context import MeasurementContext
-from wafer_viewer.measure.base.robust_fit import SIGMA_OF_MAD, EdgeLine
+from wafer_viewer.measure.base.robust_fit import EdgeLine
 from wafer_viewer.measure.edges.edge_search import (
     EdgePoints,
     SearchStrip,
@@ -30,6 +30,7 @@ from wafer_viewer.model.measurement.tool_options import ChippingOptions
 from wafer_viewer.model.quantity import Quantity
 from wafer_viewer.model.region import Point, Region
 from wafer_viewer.model.surface.height_map import Mosaic
+from wafer_viewer.numerics.normal_statistics import MAD_TO_SIGMA
 
 NEIGHBOURS = 3
 """Number of neighbouring search lines of the median filter for depths."""
@@ -58,12 +59,12 @@ class Depths:
     def noise_um(self) -> float:
         """Standard deviation of the depth on one search line, from differences between neighbours."""
         steps = np.diff(self.depth_um)
-        return SIGMA_OF_MAD * float(np.median(np.abs(steps - np.median(steps)))) / math.sqrt(2)
+        return MAD_TO_SIGMA * float(np.median(np.abs(steps - np.median(steps)))) / math.sqrt(2)
 
     @property
     def spread_um(self) -> float:
         """Robust standard deviation of the edge about its line, chips included."""
-        return SIGMA_OF_MAD * float(np.median(np.abs(self.depth_um)))
+        return MAD_TO_SIGMA * float(np.median(np.abs(self.depth_um)))
 
     def chips(self, limit_um: float) -> tuple[Chip, ...]:
         """Return the chips deeper than a limit, the deepest first."""

@@ -10,7 +10,7 @@ import numpy as np
 
 from wafer_viewer.measure.base.height_samples import Floats, Layer
 from wafer_viewer.measure.base.measurement_context import MeasurementContext
-from wafer_viewer.measure.base.robust_fit import SIGMA_OF_MAD, angle_between_lines
+from wafer_viewer.measure.base.robust_fit import angle_between_lines
 from wafer_viewer.measure.edges.edge_search import (
     REACH_PX,
     EdgeScores,
@@ -30,6 +30,7 @@ from wafer_viewer.model.measurement.measurements import KerfWidth
 from wafer_viewer.model.measurement.tool_options import KerfOptions
 from wafer_viewer.model.region import Region
 from wafer_viewer.model.surface.height_map import Mosaic
+from wafer_viewer.numerics.normal_statistics import MAD_TO_SIGMA
 
 NEIGHBOURS = 5
 """Number of neighbouring search lines of the median for the narrowest and the widest place."""
@@ -71,7 +72,7 @@ class KerfEdges:
     def u_extreme_um(self) -> float:
         """Standard uncertainty of the median of neighbouring widths, from differences between neighbours."""
         steps = np.diff(self.widths_um)
-        return U_OF_MEDIAN * SIGMA_OF_MAD * float(np.median(np.abs(steps - np.median(steps)))) / math.sqrt(2)
+        return U_OF_MEDIAN * MAD_TO_SIGMA * float(np.median(np.abs(steps - np.median(steps)))) / math.sqrt(2)
 
     @property
     def extremes_um(self) -> tuple[float, float]:

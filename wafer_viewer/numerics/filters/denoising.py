@@ -20,7 +20,7 @@ LINE_REACH_PX = 5
 def line_outliers(padded: Float32s, limit: Real) -> Bools:
     """Return a mask of pixels further than `limit` from the median of each of their four lines; bool [row, col].
 
-    padded: a map with a border of `REACH_PX` NaN, which is removed. For an even number of measured pixels, any value
+    padded: a map with a border of `LINE_REACH_PX` NaN, which is removed. For an even number of measured pixels, any value
     between the two middle ones counts as the median of a line.
     """
     shape = padded.shape[0] - 2 * LINE_REACH_PX, padded.shape[1] - 2 * LINE_REACH_PX
@@ -94,6 +94,7 @@ def insert_sorted(values: Float32s, count: Whole, v: Real) -> int:
 
 
 MEDIAN_REACH_PX = 2
+"""Half width of the window of the median, in pixels."""
 
 
 def pad_with_nan(values: Float32s) -> Float32s:
@@ -108,11 +109,11 @@ def medians_at(padded: Float32s, rows: Int64s, cols: Int64s) -> Float32s:
     padded: from `pad_with_nan`; NaN for a window without finite pixels.
     """
     out = np.empty(rows.size, np.float32)
-    window = np.empty(25, np.float32)
+    window = np.empty((2 * MEDIAN_REACH_PX + 1) ** 2, np.float32)
     for n in range(rows.size):
         count = 0
-        for r in range(rows[n], rows[n] + 5):
-            for c in range(cols[n], cols[n] + 5):
+        for r in range(rows[n], rows[n] + 2 * MEDIAN_REACH_PX + 1):
+            for c in range(cols[n], cols[n] + 2 * MEDIAN_REACH_PX + 1):
                 v = padded[r, c]
                 if v == v:
                     count = _insert(window, count, v)
@@ -128,16 +129,16 @@ def median_outliers(padded: Float32s, limit: Real) -> Bools:
     least half is below value + limit. Counting can be vectorised, sorting cannot. For an even number of values, any
     value between the two middle ones counts as the median.
     """
-    n_rows, n_cols = padded.shape[0] - 4, padded.shape[1] - 4
+    n_rows, n_cols = padded.shape[0] - 2 * MEDIAN_REACH_PX, padded.shape[1] - 2 * MEDIAN_REACH_PX
     far = np.zeros((n_rows, n_cols), np.bool_)
     above = np.zeros(n_cols, np.int32)
     below = np.zeros(n_cols, np.int32)
     finite = np.zeros(n_cols, np.int32)
     for r in range(n_rows):
         above[:], below[:], finite[:] = 0, 0, 0
-        here = padded[r + 2, 2:]
-        for d in range(5):
-            for e in range(5):
+        here = padded[r + MEDIAN_REACH_PX, MEDIAN_REACH_PX:]
+        for d in range(2 * MEDIAN_REACH_PX + 1):
+            for e in range(2 * MEDIAN_REACH_PX + 1):
                 _count(here, padded[r + d, e:], limit, above, below, finite)
         _judge(here, above, below, finite, far[r])
     return far
@@ -170,6 +171,7 @@ def _judge(here: Float32s, above: Int32s, below: Int32s, finite: Int32s, far: Bo
 
 
 PAIR_REACH_PX = 4
+"""Largest distance of a pair from its pixel along rows and columns, in pixels."""
 _STRIDE_PX = 2
 """Neighbouring pixels share most of their focus window, so their errors are correlated; every second pixel suffices."""
 
@@ -205,6 +207,7 @@ def _average(padded: Float32s, limit: Real, scratch: Float32s, out: Float32s) ->
 
 
 NEIGHBOUR_REACH_PX = 3
+"""Half width of the window of the nearest neighbours, in pixels."""
 
 
 def mean_distances(padded: Float32s, rows: Int64s, cols: Int64s, neighbours: Whole) -> Float32s:

@@ -8,8 +8,10 @@ from __future__ import annotations
 import numpy as np
 
 from wafer_viewer.numerics.jit import Float32s, Float64s, Real, kernel
+from wafer_viewer.numerics.normal_statistics import MAD_TO_SIGMA
 
-MAD_TO_SIGMA = 1.4826
+_LEAST_KNOWN_WEIGHT = np.float32(0.75)
+"""Smallest bilinear weight of the known pixels around a position, for a value there."""
 
 
 @kernel
@@ -136,7 +138,7 @@ def _bilinear(plane: Float32s, whole: Float32s, way: Float64s, i: int, j: int) -
                 if value == value:
                     total += part * value
                     weight += part
-    return total / weight if nearest == nearest and weight >= np.float32(0.75) else np.float32(np.nan)
+    return total / weight if nearest == nearest and weight >= _LEAST_KNOWN_WEIGHT else np.float32(np.nan)
 
 
 @kernel

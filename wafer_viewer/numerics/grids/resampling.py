@@ -29,6 +29,7 @@ from wafer_viewer.numerics.jit import (
 )
 
 _NOT_COVERED = 10
+"""Code of a pixel that no field covers, `Origin.NOT_COVERED`."""
 _ON_PIXEL = 1e-4
 """Distance in pixels below which a position counts as on a pixel and its neighbours are ignored."""
 

@@ -14,19 +14,48 @@ import numpy as np
 from numpy.typing import NDArray
 
 from wafer_viewer.numerics.jit import Float32s, Real, lean_kernel, lean_part
+from wafer_viewer.numerics.normal_statistics import MAD_TO_SIGMA
 
-LEAST_PIXELS = 30
+
+@dataclass(frozen=True, slots=True)
+class PlaneFitParameters:
+    """Limits of the robust plane fit.
+
+    Parameters
+    ----------
+    least_pixels : int
+        Smallest number of pixels with a difference for a plane.
+    most_steps : int
+        Largest number of reweighted steps.
+    samples : int
+        Approximate number of pixels for the start and for the scale of the residuals.
+    least_bend : float
+        Smallest mean derivative of the weighted residuals, 1 for small ones; it bounds the covariance.
+    least_scale : float, in units of the differences
+        Lower limit of the residual scale, and of its part in the covariance.
+    close : float
+        Largest change of the plane, relative to the cut-off of the biweight, at which the fit ends.
+
+    Notes
+    -----
+    `tests/bench/bench_overlaps.py` compares the errors of overlaps with their uncertainties.
+    """
+
+    least_pixels: int = 30
+    most_steps: int = 8
+    samples: int = 5_000
+    least_bend: float = 0.2
+    least_scale: float = 1e-5
+    close: float = 1e-3
+
+
+PLANE_FIT = PlaneFitParameters()
 _TUKEY = 4.685
 """Cut-off of the biweight in standard deviations: 95 % efficiency for normal errors."""
 _TUKEY_SQUARES = 0.6605
 """Weighted sum of squares over the sum of weights for normal errors of standard deviation 1."""
-_MAD = 1.4826
-_STEPS = 8
-_SAMPLES = 5000
 _N_SUMS = 9
-_LEAST_BEND = 0.2
-_LEAST_SCALE = 1e-5
-_CLOSE = 1e-3
+"""Number of sums for each band and column, see `_band_sums`."""
 
 Numbers = NDArray[np.float64]
 
@@ -55,24 +84,24 @@ def fit_plane(differences: Float32s, side: int) -> Plane | None:
     side: block size, larger than the correlation length of the errors.
     """
     sample = _sample(differences)
-    if len(sample) < min(LEAST_PIXELS, differences.size):
+    if len(sample) < min(PLANE_FIT.least_pixels, differences.size):
         return None
     plane: Numbers = np.array([float(np.median(sample[:, 0])), 0.0, 0.0])
     limit = 1.0
-    for _ in range(_STEPS):
+    for _ in range(PLANE_FIT.most_steps):
         left = sample[:, 0] - plane[0] - sample[:, 1:] @ plane[1:]
-        limit = _TUKEY * (_MAD * float(np.median(np.abs(left))) + _LEAST_SCALE)
+        limit = _TUKEY * (MAD_TO_SIGMA * float(np.median(np.abs(left))) + PLANE_FIT.least_scale)
         normal, right = _normal(_band_sums(differences, plane, limit, side))
         step = np.linalg.lstsq(normal, right, rcond=1e-9)[0]
         plane += step
-        if np.all(np.abs(step) * np.array([1, *differences.shape]) < _CLOSE * limit):
+        if np.all(np.abs(step) * np.array([1, *differences.shape]) < PLANE_FIT.close * limit):
             break
     return _with_covariance(plane, _band_sums(differences, plane, limit, side), side)
 
 
 def _sample(differences: Float32s) -> Numbers:
     """Return difference, row and column of a sample of the known pixels, [n, 3]."""
-    stride = max(1, math.isqrt(differences.size // _SAMPLES))
+    stride = max(1, math.isqrt(differences.size // PLANE_FIT.samples))
     some = differences[::stride, ::stride]
     rows, cols = np.nonzero(some == some)
     return np.stack([some[rows, cols], rows * stride, cols * stride], axis=1).astype(np.float64)
@@ -114,8 +143,8 @@ def _with_covariance(plane: Numbers, sums: Numbers, side: int) -> Plane | None:
     to_centroid = np.array([[1, 0, 0], [-row0, 1, 0], [-col0, 0, 1]])
     squares = _moments(*sums[5:8])
     scatter = to_centroid @ squares @ to_centroid.T * _variance_inflation(sums[3], float(squares[0, 0]), side)
-    about = to_centroid @ normal @ to_centroid.T * max(_LEAST_BEND, float(sums[8].sum()) / weight)
-    scatter += _LEAST_SCALE**2 * about
+    about = to_centroid @ normal @ to_centroid.T * max(PLANE_FIT.least_bend, float(sums[8].sum()) / weight)
+    scatter += PLANE_FIT.least_scale**2 * about
     information: Numbers = about @ np.linalg.pinv(scatter, rcond=1e-14, hermitian=True) @ about
     value = float(plane[0] + plane[1] * row0 + plane[2] * col0)
     rms = math.sqrt(float(squares[0, 0]) / (weight * _TUKEY_SQUARES))

@@ -12,9 +12,13 @@ import numpy as np
 from wafer_viewer.numerics.jit import Float32s, Greys, Real, UInt8s, Whole, lean_kernel, lean_part
 
 _MEASURED = 0
+"""Code of a measured height, `Origin.MEASURED`."""
 _NOT_COVERED = 10
-_LEAST_TRUST, _LEAST_SHARE = np.float32(1e-4), np.float32(0.01)
-"""Minimum weights of a height without any confidence, and of one without any agreeing neighbour."""
+"""Code of a pixel that no field covers, `Origin.NOT_COVERED`."""
+_LEAST_TRUST = np.float32(1e-4)
+"""Smallest weight by confidence, of a height without any."""
+_LEAST_SHARE = np.float32(0.01)
+"""Smallest weight by agreeing neighbours, of a height without any."""
 
 
 class Blended(NamedTuple):

@@ -33,6 +33,7 @@ from wafer_viewer.numerics.filters.denoising import NEIGHBOUR_REACH_PX, mean_dis
 from wafer_viewer.numerics.filters.interpolation import fill_gaps, fill_rows
 from wafer_viewer.numerics.filters.regions import narrow_parts, small_components
 from wafer_viewer.numerics.filters.sliding_filters import doubled, highest, lowest
+from wafer_viewer.numerics.normal_statistics import MAD_TO_SIGMA
 from wafer_viewer.reconstruct.cleaning.levy_flight import SMOOTHERS, bends_of, flight_lengths, height_noise_um, smooth
 
 MAX_STEP_FRAMES = 1.5
@@ -65,7 +66,6 @@ BRIDGED_PX = 2
 _SAMPLE_EVERY_PX = 7
 _MOVED_DEVIATIONS = 6.0
 _MOVED_FLOORS = 1 / 3
-_MAD_TO_DEVIATION = 1.4826
 
 Map = NDArray[np.float32]
 Found = NDArray[np.bool_]
@@ -97,7 +97,7 @@ def _cloud(raw_um: Map, smoothed_um: Map, pixel_um: float, recipe: Recipe) -> Fo
 def _moved(raw_um: Map, smoothed_um: Map, floor_um: float) -> Found:
     moved_um = np.abs(smoothed_um - raw_um)
     some = moved_um[::_SAMPLE_EVERY_PX, ::_SAMPLE_EVERY_PX]
-    usual_um = _MAD_TO_DEVIATION * float(np.median(some[np.isfinite(some)])) if np.isfinite(some).any() else 0.0
+    usual_um = MAD_TO_SIGMA * float(np.median(some[np.isfinite(some)])) if np.isfinite(some).any() else 0.0
     return moved_um > max(_MOVED_FLOORS * floor_um, _MOVED_DEVIATIONS * usual_um)
 
 

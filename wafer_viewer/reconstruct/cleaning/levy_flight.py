@@ -27,12 +27,12 @@ from wafer_viewer.numerics.filters.denoising import (
     pad_with_nan,
     pair_mean,
 )
+from wafer_viewer.numerics.normal_statistics import MAD_TO_SIGMA
 
 NOISE_LAG_PX = 15
 """Distance at which errors are nearly independent: they share little of a focus window."""
 
 _GUIDE_RENEWED_EVERY = 5
-_MAD_TO_DEVIATION = 1.4826
 _SAMPLE_EVERY_PX = 5
 _SPIKE_PASSES = 3
 _MANY_SPIKES = 0.25
@@ -65,7 +65,7 @@ def flight_lengths(rng: np.random.Generator, count: int, beta: float) -> NDArray
 def height_noise_um(z_um: Map) -> float:
     """Return the robust standard deviation of height errors from second differences, insensitive to slopes."""
     bends = bends_of(z_um)
-    return _MAD_TO_DEVIATION * float(np.median(np.abs(bends))) if bends.size else 0.0
+    return MAD_TO_SIGMA * float(np.median(np.abs(bends))) if bends.size else 0.0
 
 
 def bends_of(z_um: Map) -> NDArray[np.float32]:
@@ -149,7 +149,7 @@ def _limit_about_median(padded: Map, z_um: Map, levy: Levy, resolution_um: float
         return np.float32(np.inf)
     rows, cols = rows * _SAMPLE_EVERY_PX, cols * _SAMPLE_EVERY_PX
     away = np.abs(z_um[rows, cols] - medians_at(padded, rows, cols))
-    return np.float32(_limit_um(_MAD_TO_DEVIATION * float(np.median(away)), levy, resolution_um))
+    return np.float32(_limit_um(MAD_TO_SIGMA * float(np.median(away)), levy, resolution_um))
 
 
 def _sigma_filter(z_um: Map, levy: Levy, resolution_um: float) -> Iterator[Map]:

@@ -25,11 +25,11 @@ from wafer_viewer.model.surface.height_map import (
     ReadThrough,
     pixel_window,
 )
+from wafer_viewer.numerics.normal_statistics import MAD_TO_SIGMA
 from wafer_viewer.reconstruct.blending.stitched_mosaic import halved
 from wafer_viewer.reconstruct.comparison.resampled_surface import ResampledMosaic, SampleGrid
 
 CHANGED_SIGMAS = 3.0
-_MAD = 1.4826
 _LEAST_LIMIT_UM = 1e-4
 _LOOKS, _LOOK_PX = 6, 192
 """Samples per side of the grid on which the noise is estimated, and their width in pixels."""
@@ -172,7 +172,7 @@ def noise_of(laid: ResampledMosaic, region: Region) -> tuple[float, float]:
         raise MeasureError("No place is measured in both surfaces: take surfaces of the same part of the sample.")
     off = np.concatenate(found)
     median = float(np.median(off))
-    return median, max(_LEAST_LIMIT_UM, CHANGED_SIGMAS * _MAD * float(np.median(np.abs(off - median))))
+    return median, max(_LEAST_LIMIT_UM, CHANGED_SIGMAS * MAD_TO_SIGMA * float(np.median(np.abs(off - median))))
 
 
 def _looks(laid: ResampledMosaic, region: Region) -> Iterator[Region]:

@@ -27,6 +27,7 @@ from wafer_viewer.model.surface.comparison import FoundBy, Registration
 from wafer_viewer.model.surface.field_poses import RejectionReason
 from wafer_viewer.model.surface.height_map import HeightMap, Mosaic
 from wafer_viewer.numerics.grids.robust_plane import Plane, fit_plane
+from wafer_viewer.numerics.normal_statistics import MAD_TO_SIGMA
 from wafer_viewer.reconstruct.comparison.resampled_surface import ResampledMosaic, SampleGrid
 from wafer_viewer.reconstruct.registration.overlap_strips import Read, height_of, picture_of
 from wafer_viewer.reconstruct.registration.pair_registration import match
@@ -198,7 +199,7 @@ def _agreed(at: Numbers, off: Numbers, u: Numbers, pixel_um: float) -> tuple[NDA
         motion, covariance, left = _through(at, off, u, kept)
         if kept.sum() < LEAST_PATCHES:
             break
-        spread = max(1.4826 * float(np.median(np.abs(left[kept]))), _LEAST_SPREAD_PX * pixel_um)
+        spread = max(MAD_TO_SIGMA * float(np.median(np.abs(left[kept]))), _LEAST_SPREAD_PX * pixel_um)
         kept = np.abs(left).max(axis=1) <= _FAR_OFF * spread
     return kept, motion, covariance
 

@@ -20,6 +20,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from wafer_viewer.model.acquisition.focus_stack import Image
+from wafer_viewer.numerics.normal_statistics import MAD_TO_SIGMA
 
 TILES = (3, 4)
 TILE_PX = (64, 192)
@@ -298,7 +299,7 @@ def _solve(seen: Sightings, n_frames: int, radius_px: float, growth_tie: float) 
         rows = _rows(seen, moves, radius_px)
         off = seen.moved_px - np.einsum("nab,nb->na", rows, moves[seen.second] - moves[seen.first])
         far = np.hypot(off[:, 0], off[:, 1])
-        trust = seen.weight / (1 + (far / max(_SCATTER_PX, 1.4826 * float(np.median(far)))) ** 2)
+        trust = seen.weight / (1 + (far / max(_SCATTER_PX, MAD_TO_SIGMA * float(np.median(far)))) ** 2)
         if n >= _ROUNDS // 2:
             pace = problem.pace(moves)
     without = [problem.moves(rows, trust * (seen.tile != tile), pace) for tile in np.unique(seen.tile)]

@@ -19,6 +19,7 @@ from numpy.lib.stride_tricks import sliding_window_view
 from numpy.typing import NDArray
 
 from wafer_viewer.model.acquisition.focus_stack import Bracket, Image
+from wafer_viewer.numerics.normal_statistics import MAD_TO_SIGMA
 
 LEAST_FRAMES = 6
 """In fewer frames a sharp detail of the sample may look the same in all of them."""
@@ -117,7 +118,7 @@ def _flawed(images: Image, slots: NDArray[np.intp], white_counts: int) -> NDArra
 
 def _least_difference(frame: Image, white_counts: int) -> int:
     rows = frame[:: max(1, len(frame) // _SAMPLED_ROWS)].astype(np.float32)
-    noise = 1.4826 * float(np.median(np.abs(np.diff(rows, axis=1)))) / np.sqrt(2) if rows.shape[1] > 1 else 0.0
+    noise = MAD_TO_SIGMA * float(np.median(np.abs(np.diff(rows, axis=1)))) / np.sqrt(2) if rows.shape[1] > 1 else 0.0
     return int(np.ceil(max(LEAST_SHARE_OF_WHITE * white_counts, LEAST_NOISE * noise)))
 
 
@@ -248,7 +249,7 @@ def _faults(stats: FrameStats, white_counts: int) -> Iterator[tuple[int, str]]:
     log = np.log(stats.grey + dark)
     below, above = _sides(log)
     off = _nearer(log - below, log - above)
-    scatter = 1.4826 * float(np.median(np.abs(off[1:-1])))
+    scatter = MAD_TO_SIGMA * float(np.median(np.abs(off[1:-1])))
     limit = np.full(len(log), max(np.log(LEAST_RATIO), LEAST_SIGMAS * scatter))
     limit[[0, -1]] = np.maximum(limit[[0, -1]], np.log(LEAST_RATIO_AT_END))
     contrast = np.log(stats.energy + _LEAST_VARIANCE) - 2 * log
