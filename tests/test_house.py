@@ -6,6 +6,7 @@ import ast
 import subprocess
 import sys
 from collections import Counter
+from itertools import pairwise
 
 import pytest
 
@@ -24,6 +25,7 @@ QUESTIONS = {"What", "How", "Where", "Whether", "When", "Who", "Which", "Why"}
 MOST_FILES = 23
 MOST_SHARED_NAMES = 10
 DEFINED_ONCE = ("Stage", "Field", "Camera", "Frame", "Gate", "Profile")
+EXPLAINED_ROOMS = ("numerics", "measure", "acquire", "calibrate")
 DOCUMENTED = ast.Module, ast.ClassDef, ast.FunctionDef, ast.AsyncFunctionDef
 
 
@@ -32,6 +34,41 @@ def test_a_docstring_begins_with_a_verb_or_a_noun(module):
     nodes = [node for node in ast.walk(ast.parse(module.read_text())) if isinstance(node, DOCUMENTED)]
     texts = [text for node in nodes if (text := ast.get_docstring(node))]
     assert not [text for text in texts if text.split()[0].rstrip(",.:") in QUESTIONS]
+
+
+@pytest.mark.parametrize("room", EXPLAINED_ROOMS)
+def test_a_number_says_what_it_means(room):
+    assert not [
+        f"{module.relative_to(ROOT)}:{node.lineno}"
+        for module in MODULES
+        if module.is_relative_to(ROOT / "wafer_viewer" / room)
+        for node, below in pairwise([*ast.parse(module.read_text()).body, ast.Pass()])
+        if isinstance(node, ast.Assign | ast.AnnAssign) and holds_a_number(node.value) and not is_text(below)
+    ]
+
+
+@pytest.mark.parametrize("room", EXPLAINED_ROOMS)
+def test_parameters_of_an_algorithm_say_what_they_mean(room):
+    structs = [
+        node
+        for module in MODULES
+        if module.is_relative_to(ROOT / "wafer_viewer" / room)
+        for node in ast.parse(module.read_text()).body
+        if isinstance(node, ast.ClassDef) and node.name.endswith("Parameters")
+    ]
+    fields = [
+        (node, ast.unparse(one.target)) for node in structs for one in node.body if isinstance(one, ast.AnnAssign)
+    ]
+    assert not [f"{node.name}.{name}" for node, name in fields if f"\n{name} : " not in (ast.get_docstring(node) or "")]
+
+
+def holds_a_number(value: ast.expr | None) -> bool:
+    values = [node.value for node in ast.walk(value) if isinstance(node, ast.Constant)] if value else []
+    return any(isinstance(one, int | float) and not isinstance(one, bool) for one in values)
+
+
+def is_text(node: ast.stmt) -> bool:
+    return isinstance(node, ast.Expr) and isinstance(node.value, ast.Constant) and isinstance(node.value.value, str)
 
 
 def test_a_room_has_no_room_hidden_in_it():

@@ -11,13 +11,15 @@ from wafer_viewer.model.errors import MotionStopped, RigError, RigTimeout
 from wafer_viewer.model.progress import ShouldStop
 
 SPARE_FRACTION = 0.5
+"""Margin of the deadline of a motion for slow drivers, as a fraction of its expected duration."""
 SPARE_S = 2.0
-"""Margin of a motion: half of its expected duration plus two seconds, for slow drivers and controllers."""
+"""Further margin of a deadline for slow controllers, s."""
 HOMING_SPEED_FRACTION = 0.1
 """Assumed speed of an axis during homing, as a fraction of its full speed."""
 ARRIVED_WITHIN_UM = 1.0
 """Distance from the goal at which an axis has arrived."""
 LOOK_S = 0.01
+"""Time between two looks at the position of the stage, s."""
 
 
 class Deadline:

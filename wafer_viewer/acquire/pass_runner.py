@@ -19,9 +19,11 @@ POLL_S = 0.05
 GRACE_S = 0.25
 """Extra time for an image after the last pulse's exposure and readout."""
 SYNC_TRIES = 3
+"""Largest number of test pulses for the clock of the camera."""
 COUNT_TOLERANCE = 2
 """Permitted difference of pulse box and stage at rest in counts: both round, and an axis at rest still vibrates."""
 NOTHING_SENT = PulseSummary(emitted=0, suppressed=0, quadrature_errors=0, exposures=0)
+"""Counts of a pass that was stopped before its pulses."""
 
 
 @dataclass(frozen=True, slots=True)

@@ -23,18 +23,39 @@ from wafer_viewer.model.acquisition.plan import Leg, Shot
 from wafer_viewer.model.acquisition.rig_limits import RigLimits
 from wafer_viewer.numerics.normal_statistics import MAD_TO_SIGMA
 
-TRACKED = 9
-"""Number of latest images whose median gives the current clock difference of camera and box."""
-FIT_FROM = 8
-"""Smallest number of images for a clock fit; with fewer, the clock of the previous pass is adjusted."""
-FOLLOWED = 0.25
-"""Largest adjustment of the clock by a few images, as a fraction of the limit for an image."""
-AT_ONCE = 0.25
-"""Distance in pulse periods below which an image is assigned to a pulse immediately."""
-SHARP = 0.05
-"""Permitted distance of an image from its pulse in pulse periods, in any case: a twentieth of a step in z."""
-SIGMAS = 5.0
-"""Permitted distance of an image from its pulse, in standard deviations of all images of the pass."""
+
+@dataclass(frozen=True, slots=True)
+class PairingParameters:
+    """Limits of the pairing of images with pulses.
+
+    Parameters
+    ----------
+    tracked : int
+        Number of latest images whose median gives the current clock difference of camera and box.
+    fit_from : int
+        Smallest number of images for a clock fit; with fewer, the clock of the previous pass is adjusted.
+    followed : float
+        Largest adjustment of the clock by a few images, as a fraction of the limit for an image.
+    at_once : float, pulse periods
+        Distance below which an image is assigned to a pulse immediately.
+    sharp : float, pulse periods
+        Permitted distance of an image from its pulse, in any case: a twentieth of a step in z.
+    sigmas : float
+        Permitted distance of an image from its pulse, in standard deviations of all images of the pass.
+    one_off : tuple[float, float], pulse periods
+        Distance before the first pulse, or after the last one, of an image that may belong to a pulse of the pass.
+    """
+
+    tracked: int = 9
+    fit_from: int = 8
+    followed: float = 0.25
+    at_once: float = 0.25
+    sharp: float = 0.05
+    sigmas: float = 5.0
+    one_off: tuple[float, float] = (0.5, 1.5)
+
+
+PAIRING = PairingParameters()
 
 
 @dataclass(frozen=True, slots=True)
@@ -122,7 +143,7 @@ class Reconciler:
         self._seen: set[tuple[int, int | None]] = set()
         self._rivals = 0
         """Images for slots that already have one."""
-        self._off_us: deque[float] = deque(maxlen=TRACKED)
+        self._off_us: deque[float] = deque(maxlen=PAIRING.tracked)
 
     @property
     def all_paired(self) -> bool:
@@ -196,7 +217,7 @@ class Reconciler:
         near = self._pulses[max(0, at - 1) : at + 1]
         nearest = min(near, key=lambda p: abs(p.time_us + shift_us - image.device_time_us))
         away_us = abs(nearest.time_us + shift_us - image.device_time_us)
-        return nearest if away_us < AT_ONCE * self._timing.period_us else None
+        return nearest if away_us < PAIRING.at_once * self._timing.period_us else None
 
     def _fitted(self, matches: Sequence[_Match]) -> DeviceClock:
         """Return the camera's clock fitted to the images of this pass, robust against outliers."""
@@ -206,10 +227,10 @@ class Reconciler:
         times_us = np.array([match.pulse.time_us for match in matches], np.float64)
         off_us = np.array([match.device_time_us - match.pulse.time_us for match in matches], np.float64)
         at_us = float(times_us.mean())
-        if len(matches) < FIT_FROM:
+        if len(matches) < PAIRING.fit_from:
             # A few images do not say which of them is the odd one: they move the clock of before by a little only.
             carried_us = before.offset_us + before.drift * (at_us - before.at_us)
-            step_us = self._limit_us(before) * FOLLOWED
+            step_us = self._limit_us(before) * PAIRING.followed
             moved_us = min(max(float(np.median(off_us)) - carried_us, -step_us), step_us)
             return DeviceClock(carried_us + moved_us, at_us, before.drift, before.spread_us)
         drift = _slope(times_us, off_us)
@@ -220,7 +241,7 @@ class Reconciler:
 
     def _limit_us(self, clock: DeviceClock) -> float:
         """Return the permitted time difference between an image and its pulse."""
-        return max(SHARP * self._timing.period_us, SIGMAS * clock.spread_us)
+        return max(PAIRING.sharp * self._timing.period_us, PAIRING.sigmas * clock.spread_us)
 
     def _doubt(self, clock: DeviceClock, *, counter_differs: bool, has_counter: bool) -> str:
         period_us = self._timing.period_us
@@ -228,7 +249,7 @@ class Reconciler:
             return f"{len(self._waiting)} images came, and none of them at the time of a pulse"
         if self._shifted(clock):
             return "images came before the first or after the last pulse where others lack theirs"
-        if SIGMAS * clock.spread_us > period_us / 2 and (counter_differs or not has_counter):
+        if PAIRING.sigmas * clock.spread_us > period_us / 2 and (counter_differs or not has_counter):
             return (
                 f"the times of the images scatter by {clock.spread_us / 1000:.1f} ms about the pulses, "
                 f"{period_us / 1000:.1f} ms apart, and no counter tells them apart"
@@ -241,8 +262,9 @@ class Reconciler:
             return False
         first, last, period_us = self._pulses[0], self._pulses[-1], self._timing.period_us
         taken = {match.pulse.number for match in self._matches.values()}
-        before = any(0.5 < (clock.image_us(first) - i.device_time_us) / period_us < 1.5 for i in self._waiting)
-        after = any(0.5 < (i.device_time_us - clock.image_us(last)) / period_us < 1.5 for i in self._waiting)
+        low, high = PAIRING.one_off
+        before = any(low < (clock.image_us(first) - i.device_time_us) / period_us < high for i in self._waiting)
+        after = any(low < (i.device_time_us - clock.image_us(last)) / period_us < high for i in self._waiting)
         return (before and last.number not in taken) or (after and first.number not in taken)
 
     def _holes(self, revoked: dict[int, float]) -> tuple[MissingFrame, ...]:

@@ -21,7 +21,7 @@ _STEEPEST = 3.0
 _MOST_CORRELATION = 0.9999
 """Correlation at which the Fisher transform is clipped, which is infinite at 1."""
 _LEAST_ENERGY = 1e-3
-"""Smallest contrast energy of an overlap relative to the largest one, for a correlation."""
+"""Smallest contrast energy of an overlap for a correlation, relative to the largest one over all lags."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -166,6 +166,10 @@ _SHOWS = 3.0
 """Variance of a block with signal, relative to that of the noise left after smoothing."""
 _SMOOTHED = 0.33
 """Noise left after smoothing, relative to that of a pixel."""
+_LEAST_BLOCKS = 4
+"""Smallest number of blocks for a covariance."""
+_LEAST_BLOCKS_BENT = 8
+"""Smallest number of blocks for a shift that varies across them."""
 
 Numbers = NDArray[np.float64]
 
@@ -214,7 +218,11 @@ def correlation(blocks: BlockGradients) -> float:
 def covariance(blocks: BlockGradients, stiffness: Numbers) -> Numbers:
     """Return the covariance of the lag from the scatter of the gradients; infinite for a singular Hessian."""
     n = len(blocks.pixels)
-    if n < 4 or not (np.diag(stiffness) > 0).all() or np.linalg.det(stiffness) <= 1e-9 * np.prod(np.diag(stiffness)):
+    if (
+        n < _LEAST_BLOCKS
+        or not (np.diag(stiffness) > 0).all()
+        or np.linalg.det(stiffness) <= 1e-9 * np.prod(np.diag(stiffness))
+    ):
         return np.full((2, 2), np.inf)
     spread = blocks.pull.T @ blocks.pull * (n / (n - 2))
     inverse = np.linalg.inv(stiffness)
@@ -267,7 +275,7 @@ def shift_gradient(blocks: BlockGradients) -> tuple[float, float]:
     Fits a lag that varies linearly across the blocks, for contents rotated or scaled against each other.
     """
     n = len(blocks.pixels)
-    if n < 8:
+    if n < _LEAST_BLOCKS_BENT:
         return 0.0, 0.0
     basis = np.einsum("bi,jk->bijk", blocks.place, np.eye(2)).reshape(n, 4, 2)
     pulls = np.einsum("bpj,bj->bp", basis, blocks.pull)

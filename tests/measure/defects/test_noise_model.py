@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from wafer_viewer.measure.defects.matched_filters import BINS
-from wafer_viewer.measure.defects.noise_model import KINDS, NORMAL_FALL, START, NoiseModel, Planes, to_normal_deviations
+from wafer_viewer.measure.defects.noise_model import KINDS, NOISE, NoiseModel, Planes, to_normal_deviations
 from wafer_viewer.measure.defects.noise_model import noise_of as noise_over
 
 KEY = ("height", 0.0)
@@ -69,11 +69,11 @@ def test_a_wide_scale_of_which_hardly_anything_stands_out_has_the_tail_of_the_on
 
 def test_scores_keep_their_order_and_sign_beyond_the_start_of_the_tail() -> None:
     plane = np.linspace(-20, 20, 401, dtype=np.float32)[None, :]
-    falls = np.full(KINDS, 0.5 * NORMAL_FALL, np.float32)
+    falls = np.full(KINDS, 0.5 * NOISE.normal_fall, np.float32)
     scores = to_normal_deviations(plane, falls, np.zeros(plane.shape, np.uint8))
     assert (np.diff(scores[0]) > 0).all()
     assert scores[0, ::-1] == pytest.approx(-scores[0])
-    assert scores[np.abs(plane) <= START] == pytest.approx(plane[np.abs(plane) <= START])
+    assert scores[np.abs(plane) <= NOISE.start] == pytest.approx(plane[np.abs(plane) <= NOISE.start])
     assert scores.max() < plane.max() / 2
 
 

@@ -116,7 +116,8 @@ def test_dies_missing_beside_a_gap_within_the_wafer_are_no_rim():
 
 
 def test_a_lattice_is_found_whose_corners_hold_no_dies(monkeypatch):
-    monkeypatch.setattr(lattice_refinement, "CELLS_PIXELS", 1)
+    few = dataclasses.replace(lattice_refinement.REFINEMENT, cells_pixels=1)
+    monkeypatch.setattr(lattice_refinement, "REFINEMENT", few)
     out, _, _ = corners(Wafer())
     require_found(find_dies(made(no_die=tuple(sorted(out)))), Wafer())
 

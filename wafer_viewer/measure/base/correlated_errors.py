@@ -26,6 +26,7 @@ PIECE = 3.0
 MIN_CHAIN_FREEDOM = 4
 """Lower limit of the degrees of freedom; it bounds the block length."""
 MOST_LAGS = 200
+"""Largest lag of the autocorrelation of errors, in points."""
 
 
 def chain_uncertainty(design: Floats, residuals: Floats, gradient: Floats) -> float | None:
@@ -80,6 +81,7 @@ SIDES = (16, 8, 4)
 MIN_FILL = 0.25
 """Smallest number of points of a tile that is used, relative to the median tile."""
 MIN_FREEDOM = 2
+"""Smallest number of degrees of freedom of a covariance from tiles."""
 STILL_GROWING = 1.5
 """Ratio of the scatter of double tiles to that of single ones above which the correlation exceeds a tile."""
 SURPRISING = 1.75

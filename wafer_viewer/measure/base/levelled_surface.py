@@ -31,6 +31,7 @@ ROUND_POINT_PX = 5
 """Radius, in pixels, over which the median height of each of three levelling points is taken."""
 Powers = tuple[tuple[int, int], ...]
 FLAT: Powers = ((1, 0), (0, 1), (0, 0))
+"""Exponents of x and y of a plane."""
 
 
 class Levelled(ReadThrough):

@@ -19,6 +19,7 @@ from wafer_viewer.model.region import Region
 from wafer_viewer.numerics.normal_statistics import MAD_TO_SIGMA
 
 REJECT_BEYOND = 3.0
+"""Distance from the median, in robust deviations of the accepted points, beyond which a point is rejected."""
 SIGMAS_OF_75 = 1.1503
 """Half-width, in standard deviations, of the interval that contains 75 % of normal noise."""
 ROUNDING = float(np.finfo(np.float32).eps)
@@ -34,6 +35,7 @@ BEGIN_WITH = 40_000
 Only the last rounds use every point.
 """
 _MAX_ROUNDS = 20
+"""Largest number of rounds of rejection."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -150,6 +152,7 @@ def _spread(deviations: Floats, rounding: float) -> float:
 
 
 _TURNS = 3
+"""Number of rounds of a line fit; each turns the axes along the line of the round before."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -263,7 +266,9 @@ def crossing(first: EdgeLine, second: EdgeLine) -> tuple[float, float]:
 STEEPEST = 0.95
 """Largest distance from the axis, in sphere radii; beyond it walls are too steep for a height map."""
 LEAST_POINTS = 10
+"""Smallest number of points within reach of a sphere for a step of its fit."""
 _ROUNDS = 50
+"""Largest number of steps of the fit of a sphere."""
 _SETTLED = 1e-4
 """Relative convergence limit of the curvature; convergence is quadratic, so the next step is negligible."""
 

@@ -9,7 +9,7 @@ from dataclasses import dataclass, field
 import numpy as np
 from numpy.typing import NDArray
 
-from wafer_viewer.measure.defects.golden_die import LEAST_CONTRAST, ReferenceDie, die_shift, evenly_spaced, robust_sigma
+from wafer_viewer.measure.defects.golden_die import SPREAD, ReferenceDie, die_shift, evenly_spaced, robust_sigma
 from wafer_viewer.measure.defects.matched_filters import contrast_of, is_plain, spectrum_of, subtract_local_mean
 from wafer_viewer.measure.defects.noise_model import NoiseModel, kinds_of, noise_of
 from wafer_viewer.measure.defects.scores import (
@@ -28,9 +28,16 @@ from wafer_viewer.measure.dies.die_cells import CellGrid, CellSource, CellStrip,
 from wafer_viewer.model.inspection.defect import DefectRecipe
 
 NOISE_CELLS = 24
-NOISE_PIXELS, LEAST_NOISE_CELLS = 20_000_000, 5
-"""Memory limit of the noise estimate: the largest number of pixels, and the smallest number of cells."""
+"""Largest number of cells for the noise estimate."""
+NOISE_PIXELS = 20_000_000
+"""Largest number of their pixels together; it bounds the memory."""
+LEAST_NOISE_CELLS = 5
+"""Number of cells for the noise estimate whatever their size."""
 LEAST_MEASURED = 0.02
+"""Smallest measured fraction of a cell for its comparison."""
+
+DIFFERS_SIGMA = 5
+"""Deviation from the reference, in spreads of its position, from which a pixel differs."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -94,7 +101,7 @@ def estimate_plainness(source: CellSource, cells: CellGrid, places: tuple[Place,
     over = ((over_levels(cell[0], source.levels_um), cell[1]) for cell in read if cell is not None)
     many = [(robust_sigma(z if walls is None else z[~walls]), *contrast_of(grey)) for (z, walls), grey in over]
     z, grey, patterned = np.array(many).reshape(-1, 3).T
-    return Plainness(max(1e-6, _usual(z)), max(LEAST_CONTRAST, _usual(grey)), is_plain(patterned))
+    return Plainness(max(1e-6, _usual(z)), max(SPREAD.least_contrast, _usual(grey)), is_plain(patterned))
 
 
 def _usual(each: NDArray[np.float64]) -> float:
@@ -140,6 +147,6 @@ def _result(work: ComparisonWork, strip: CellStrip, place: Place, noise: NoiseMo
 
 def _differs(z_um: Plane, spread_um: Plane) -> float:
     """Return the fraction of the compared pixels that deviate far from the reference."""
-    some, by = np.abs(z_um[::3, ::3]), 5 * spread_um[::3, ::3]
+    some, by = np.abs(z_um[::3, ::3]), DIFFERS_SIGMA * spread_um[::3, ::3]
     known = np.isfinite(some) & np.isfinite(by)
     return float((some[known] > by[known]).mean()) if known.any() else 0.0

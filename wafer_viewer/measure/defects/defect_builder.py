@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -31,6 +32,9 @@ NARROW_WINDOWS = 2
 """Width in focus windows below which heights are underestimated: by half in scratches one window wide."""
 U_EDGE_PX = 0.5
 """Standard uncertainty (k = 1) of the position of an outline, due to pixel quantisation."""
+
+ROUND_TO = 1.3
+"""Ratio of major to minor axis below which an outline is a circle."""
 
 
 def defect_of(
@@ -74,7 +78,7 @@ def confidence(score: float, recipe: DefectRecipe, of_class: float) -> float:
 def _region(outline: DefectOutline, pixel_um: float) -> Region:
     """Return a circle for a nearly round outline, else the ellipse as a polygon."""
     major, minor = max(outline.major_um, 2 * pixel_um), max(outline.minor_um, 2 * pixel_um)
-    if major < 1.3 * minor:
+    if major < ROUND_TO * minor:
         return Region.circle(outline.x_um, outline.y_um, major / 2)
     turn, c, s = np.arange(16) * math.pi / 8, *_direction(outline.angle_deg)
     a, b = major / 2 * np.cos(turn), minor / 2 * np.sin(turn)
@@ -152,15 +156,45 @@ def _notes(reading: MeasurementContext, resolved: bool) -> tuple[str, ...]:
     return (SIZE_NOTE, *(() if resolved else (NOT_RESOLVED,)), *reading.not_in_budget())
 
 
-FAR = 8.0
-"""Deviations from the other dies beyond which an entire die is a defect."""
-LEAST_TILT_PX = 6.0
-"""Smallest tilt, as the lift of the die's edge in deviations of its heights."""
-REPEATS_FROM = 0.5
-NEAR_PX = 6.0
-LEAST_TO_TELL = 4
-LEAST_COMPARED = 0.5
-"""Smallest compared area of a die, relative to the median, for its offset and tilt to be evaluated."""
+@dataclass(frozen=True, slots=True)
+class DieLevelParameters:
+    """Limits of defects of entire dies, and of repeating defects.
+
+    Parameters
+    ----------
+    far : float
+        Robust deviations from the other dies beyond which an entire die is a defect.
+    least_tilt : float
+        Smallest tilt, as the lift of the die's edge in deviations of its heights.
+    least_offset : float
+        Smallest offset of a die, in deviations of its heights.
+    least_offset_share : float
+        Smallest offset of a die, relative to the height of a missing one.
+    least_dies : int
+        Smallest number of dies for a comparison of them.
+    least_compared : float
+        Smallest compared area of a die, relative to the median, for its offset and tilt to be evaluated.
+    repeats_from : float
+        Fraction of the dies from which a defect at the same place in them repeats.
+    near_px : float, px
+        Distance within which two defects are at the same place.
+
+    Notes
+    -----
+    `tests/bench/bench_defects_truth.py` plants such defects.
+    """
+
+    far: float = 8.0
+    least_tilt: float = 6.0
+    least_offset: float = 6
+    least_offset_share: float = 0.25
+    least_dies: int = 4
+    least_compared: float = 0.5
+    repeats_from: float = 0.5
+    near_px: float = 6.0
+
+
+DIE_LEVEL = DieLevelParameters()
 
 
 def whole_die_defects(
@@ -168,20 +202,24 @@ def whole_die_defects(
 ) -> dict[str, Defect]:
     """Return defects of entire dies by die name: those at another height or tilt than the others."""
     seen = _measured_enough(results)
-    if len(seen) < LEAST_TO_TELL:
+    if len(seen) < DIE_LEVEL.least_dies:
         return {}
     offsets = np.array([result.offset_um for result in seen])
     tilts = np.array([result.tilt for result in seen])
     noise_um = float(np.nanmedian(work.golden.z_spread_um))
     half_um = min(work.cells.grid.width_um, work.cells.grid.height_um) / 2
-    offset_off, offset_limit = _off(offsets, 6 * noise_um)
+    offset_off, offset_limit = _off(offsets, DIE_LEVEL.least_offset * noise_um)
     tilt_off = np.hypot(*(tilts - np.median(tilts, axis=0)).T)
-    tilt_limit = max(FAR * MAD_TO_SIGMA * float(np.median(tilt_off)), LEAST_TILT_PX * noise_um / half_um)
+    tilt_limit = max(
+        DIE_LEVEL.far * MAD_TO_SIGMA * float(np.median(tilt_off)), DIE_LEVEL.least_tilt * noise_um / half_um
+    )
     tilted = (tilt_off > tilt_limit) & (tilt_off * 1e3 > work.recipe.rules.tilt_mrad)
-    offset = (np.abs(offset_off) > offset_limit) & (np.abs(offset_off) > work.recipe.rules.missing_height_um / 4)
+    offset = (np.abs(offset_off) > offset_limit) & (
+        np.abs(offset_off) > work.recipe.rules.missing_height_um * DIE_LEVEL.least_offset_share
+    )
     found: dict[str, Defect] = {}
     for k in np.flatnonzero(tilted | offset):
-        score = max(abs(offset_off[k]) / max(offset_limit, 1e-9), tilt_off[k] / max(tilt_limit, 1e-12)) * FAR
+        score = max(abs(offset_off[k]) / max(offset_limit, 1e-9), tilt_off[k] / max(tilt_limit, 1e-12)) * DIE_LEVEL.far
         height_um = float(offset_off[k]) if offset[k] else float(tilt_off[k]) * half_um
         name = work.cells.grid.name(*seen[k].place)
         found[name] = _whole(seen[k], work, reading, height_um, float(tilt_off[k]) * 1e3, float(score))
@@ -192,16 +230,16 @@ def _measured_enough(results: Sequence[CellResult]) -> list[CellResult]:
     """Return the cells with enough compared pixels; a plane through a sliver of a die has a random tilt."""
     known = [result for result in results if result.compared_px]
     usual = float(np.median([result.compared_px for result in known])) if known else 0.0
-    return [result for result in known if result.compared_px >= LEAST_COMPARED * usual]
+    return [result for result in known if result.compared_px >= DIE_LEVEL.least_compared * usual]
 
 
 def mark_repeaters(defects: Sequence[Defect], n_dies: int, pixel_um: float) -> tuple[Defect, ...]:
     """Mark defects found at the same place in most dies as repeating; for stored golden dies only."""
-    if n_dies < LEAST_TO_TELL:
+    if n_dies < DIE_LEVEL.least_dies:
         return tuple(defects)
     at = [(d.in_die.x_um, d.in_die.y_um) if d.in_die is not None else (math.inf, math.inf) for d in defects]
     return tuple(
-        replace(d, repeats=True) if _dies_near(at[k], at, defects, pixel_um) >= REPEATS_FROM * n_dies else d
+        replace(d, repeats=True) if _dies_near(at[k], at, defects, pixel_um) >= DIE_LEVEL.repeats_from * n_dies else d
         for k, d in enumerate(defects)
     )
 
@@ -211,13 +249,13 @@ def _dies_near(
 ) -> int:
     if math.isinf(here[0]):
         return 0
-    near = NEAR_PX * pixel_um
+    near = DIE_LEVEL.near_px * pixel_um
     return len({d.die for d, (u, v) in zip(defects, at, strict=True) if math.hypot(u - here[0], v - here[1]) <= near})
 
 
 def _off(values: np.ndarray, least: float) -> tuple[np.ndarray, float]:
     off = values - np.median(values)
-    return off, max(FAR * MAD_TO_SIGMA * float(np.median(np.abs(off))), least)
+    return off, max(DIE_LEVEL.far * MAD_TO_SIGMA * float(np.median(np.abs(off))), least)
 
 
 def _whole(

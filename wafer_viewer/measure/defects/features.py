@@ -13,16 +13,57 @@ from wafer_viewer.measure.defects.segmentation import DefectPiece, Floats, Mask,
 from wafer_viewer.measure.dies.die_cells import CellGrid
 from wafer_viewer.model.inspection.defect import DefectRecipe, DefectShape
 
-HALF, PICTURE_SURE = 0.5, 5.5
-"""Fraction of the peak that bounds the outline, and lower limit of a reliable image score, in deviations."""
-THIN = 3.0
-HEIGHT_SHARE, HEIGHT_SURE = 0.4, 4.5
-"""Fraction of the score, and deviations, below which heights are too faint to define the outline.
 
-If the height peak is also within so many deviations of its local noise, the outline contains all pixels that differ.
-"""
-CLEAR_PX, APART_PX = 4, 5
-"""Smallest number of pixels with image contrast that define a shape, and distance from which pixels are separate."""
+@dataclass(frozen=True, slots=True)
+class OutlineParameters:
+    """Limits of the outline and of the shape features of a defect.
+
+    Parameters
+    ----------
+    half : float
+        Fraction of the peak that bounds the outline; also the fraction of pixels, or of the higher extreme,
+        that decides between two.
+    picture_sure : float
+        Lower limit of a reliable image score, in deviations.
+    thin : float
+        Ratio of major to minor axis above which a defect is thin: its length is the extent of its pixels.
+    height_share : float
+        Height score, relative to the best score, below which heights are too faint to define the outline.
+    height_sure : float
+        Upper limit of that height score, in deviations. If the height peak is also within so many deviations of
+        its local noise, the outline contains all pixels that differ.
+    clear_px : int, px
+        Smallest number of pixels with image contrast that define a shape.
+    apart_px : float, px
+        Distance from which pixels are separate.
+    edge_px : float, px
+        Distance from the die's edge within which a pixel lies on it.
+    crossing : float
+        Fraction of pixels further out in the street above which a defect crosses the edge.
+    flank : tuple[float, float]
+        Range of heights, relative to the peak, in which the steepness is taken.
+    least_slopes : int
+        Smallest number of slopes for a steepness.
+
+    Notes
+    -----
+    `tests/bench/bench_defects_truth.py` compares class and size with those of the planted defects.
+    """
+
+    half: float = 0.5
+    picture_sure: float = 5.5
+    thin: float = 3.0
+    height_share: float = 0.4
+    height_sure: float = 4.5
+    clear_px: int = 4
+    apart_px: float = 5
+    edge_px: float = 2.0
+    crossing: float = 0.1
+    flank: tuple[float, float] = (0.3, 0.7)
+    least_slopes: int = 3
+
+
+OUTLINE = OutlineParameters()
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -44,7 +85,7 @@ class Gathered(Pixels):
     def pictured(self) -> Mask | None:
         """Mask of the pixels with image contrast; None where they are too few to define a shape."""
         clear = self.clear > 0
-        return clear if np.count_nonzero(clear) >= CLEAR_PX else None
+        return clear if np.count_nonzero(clear) >= OUTLINE.clear_px else None
 
 
 @dataclass(frozen=True, slots=True)
@@ -71,12 +112,12 @@ def height_of(whole: Gathered, pixel_um: float) -> tuple[float, Mask]:
     if not known.any():
         return 0.0, np.ones(len(whole.x_um), bool)
     height_um = _peak(whole, whole.smooth_um[known])
-    faint = whole.peaks.get("height", 0.0) < min(HEIGHT_SURE, HEIGHT_SHARE * whole.first.score)
-    if faint and abs(height_um) < HEIGHT_SURE * whole.first.noise_um:
+    faint = whole.peaks.get("height", 0.0) < min(OUTLINE.height_sure, OUTLINE.height_share * whole.first.score)
+    if faint and abs(height_um) < OUTLINE.height_sure * whole.first.noise_um:
         return height_um, np.ones(len(whole.x_um), bool)
     with np.errstate(invalid="ignore"):
-        inside = known & (whole.smooth_um * math.copysign(1, height_um) >= HALF * abs(height_um))
-    return height_um, inside | _seen_elsewhere(whole, inside, APART_PX * pixel_um)
+        inside = known & (whole.smooth_um * math.copysign(1, height_um) >= OUTLINE.half * abs(height_um))
+    return height_um, inside | _seen_elsewhere(whole, inside, OUTLINE.apart_px * pixel_um)
 
 
 def _seen_elsewhere(whole: Gathered, inside: Mask, apart_um: float) -> Mask:
@@ -87,11 +128,11 @@ def _seen_elsewhere(whole: Gathered, inside: Mask, apart_um: float) -> Mask:
     from scipy.spatial import KDTree
 
     pictured = whole.pictured
-    if pictured is None or max(whole.peaks.get(layer, 0.0) for layer in (SHARP, SOFT)) < PICTURE_SURE:
+    if pictured is None or max(whole.peaks.get(layer, 0.0) for layer in (SHARP, SOFT)) < OUTLINE.picture_sure:
         return np.zeros(len(inside), bool)
     heights, seen = (np.stack([whole.x_um[some], whole.y_um[some]], axis=1) for some in (inside, pictured))
     away_um, _ = KDTree(heights).query(seen)
-    return pictured if np.mean(away_um > apart_um) > HALF else np.zeros(len(inside), bool)
+    return pictured if np.mean(away_um > apart_um) > OUTLINE.half else np.zeros(len(inside), bool)
 
 
 def _peak(whole: Gathered, values: Floats) -> float:
@@ -103,7 +144,7 @@ def _peak(whole: Gathered, values: Floats) -> float:
     high, low = max(upper, 0.0), max(-lower, 0.0)
     lying = whole.z_um if whole.pictured is None else whole.z_um[whole.pictured]
     lying = lying[np.isfinite(lying)]
-    if min(high, low) <= HALF * max(high, low) or not lying.size:
+    if min(high, low) <= OUTLINE.half * max(high, low) or not lying.size:
         return upper if upper >= -lower else lower
     return upper if float(np.median(lying)) >= 0 else lower
 
@@ -114,7 +155,7 @@ def outline_of(x_um: Floats, y_um: Floats, pixel_um: float) -> DefectOutline:
     angle = math.radians(one.angle_deg)
     along = (x_um - one.x_um) * math.cos(angle) + (y_um - one.y_um) * math.sin(angle)
     reach = float(np.ptp(along)) + pixel_um
-    if one.major_um <= THIN * one.minor_um:
+    if one.major_um <= OUTLINE.thin * one.minor_um:
         return replace(one, major_um=min(one.major_um, reach), minor_um=min(one.minor_um, reach))
     return replace(one, major_um=reach, minor_um=min(one.minor_um, one.area_um2 / reach))
 
@@ -130,9 +171,6 @@ def ellipse_of(x_um: Floats, y_um: Floats, weight: Floats, pixel_um: float) -> D
     angle = 0.5 * math.atan2(2 * xy, xx - yy)
     major, minor = 4 * math.sqrt(middle + half), 4 * math.sqrt(max(own, middle - half))
     return DefectOutline(x, y, major, minor, math.degrees(angle), len(x_um) * pixel_um**2)
-
-
-EDGE_PX, CROSSING = 2.0, 0.1
 
 
 def shape_of(
@@ -191,9 +229,11 @@ def _steepness(whole: Gathered, height_um: float, outline: DefectOutline) -> flo
         return 0.0
     share = whole.smooth_um / height_um
     with np.errstate(invalid="ignore"):
-        slopes = whole.slope[(share > 0.3) & (share < 0.7)]
+        slopes = whole.slope[(share > OUTLINE.flank[0]) & (share < OUTLINE.flank[1])]
     slopes = slopes[np.isfinite(slopes)]
-    return float(np.median(slopes)) * outline.minor_um / 2 / abs(height_um) if len(slopes) >= 3 else 0.0
+    return (
+        float(np.median(slopes)) * outline.minor_um / 2 / abs(height_um) if len(slopes) >= OUTLINE.least_slopes else 0.0
+    )
 
 
 def _on_edge(whole: Gathered, inside: Mask, cells: CellGrid) -> float:
@@ -203,10 +243,10 @@ def _on_edge(whole: Gathered, inside: Mask, cells: CellGrid) -> float:
     crosses the edge and has a fraction of 0.
     """
     its = inside if whole.pictured is None else whole.pictured
-    pixel_um, near = cells.pixel_um, EDGE_PX * cells.pixel_um
+    pixel_um, near = cells.pixel_um, OUTLINE.edge_px * cells.pixel_um
     u, v = whole.u_um[its], whole.v_um[its]
     within = np.minimum.reduce((u, cells.grid.width_um - u, v, cells.grid.height_um - v))
-    if np.mean(within < -near) > CROSSING:
+    if np.mean(within < -near) > OUTLINE.crossing:
         return 0.0
     along_um = float(np.count_nonzero(np.abs(within) <= near)) * pixel_um**2 / (2 * near)
     around = ellipse_of(whole.x_um[its], whole.y_um[its], np.ones(len(u)), pixel_um).around_um

@@ -29,38 +29,119 @@ from wafer_viewer.numerics.filters.sliding_filters import sliding_range
 from wafer_viewer.numerics.grids.die_cell_kernels import median_and_spread, shift_sums
 from wafer_viewer.numerics.normal_statistics import MAD_TO_SIGMA
 
-LEAST_DIES = 5
-"""Smallest number of dies for a median die."""
-KNOWN_SHARE = 0.5
-"""Smallest fraction of dies with a known value at a position.
 
-At a polished rim, the few dies with values there are chipped ones.
-"""
-MOST_DIES = 32
-"""Largest number of dies used for the golden die, evenly spaced."""
-BLOCK_PIXELS = 24_000_000
-PATCH_PX = 384
-"""Size of the central patch of the dies on which shifts are found."""
-FURTHEST_PX = 3.0
-LEAST_KNOWN_PX = 3_000
-"""Smallest number of known pixels for the registration of a die that is cut by the border."""
-ROUNDS = 3
-POOLED_PX, POOLED_AS = (5, 21), 20
-"""Window sizes of the neighbourhoods over which spreads are pooled, and the weight of the wider one, in dies."""
-POWERS = 2.0, 1.0
-"""Exponents of the power mean of spreads, for heights and image.
+@dataclass(frozen=True, slots=True)
+class DieRegistrationParameters:
+    """Limits of the registration of dies to their median.
 
-Height errors are clustered, so that few neighbours are representative; errors of the image are more uniform.
-"""
-LEAST_HEIGHT_UM, LEAST_CONTRAST = 1e-6, 2e-3
-"""Lower limits of the spread: for heights stored too coarsely to differ, and for the log image."""
-FLOOR = 0.7
-"""Lower limit of the spread of a position, relative to the median spread."""
-EDGE_OFF_PX, EDGE_BLUR = 0.04, 0.12
-"""Residual misregistration of a die, in pixels, and the share of curvature lost by interpolation (k = 1)."""
-MOST_OFF = 3.0
-"""Largest expected shift of a die, in deviations of all shifts."""
+    Parameters
+    ----------
+    least_dies : int
+        Smallest number of dies for a median die.
+    most_dies : int
+        Largest number of dies used for the golden die, evenly spaced.
+    known_share : float
+        Smallest fraction of dies with a known value at a position. At a polished rim, the few dies with values
+        there are chipped ones.
+    block_pixels : int, px
+        Approximate largest number of pixels of a block of rows of all dies; it bounds the memory.
+    least_block_rows : int, px
+        Smallest number of rows of a block.
+    patch_px : int, px
+        Size of the central patch of the dies on which shifts are found.
+    furthest_px : float, px
+        Largest shift of a die from its place; a step beyond it is not taken.
+    least_known_px : int, px
+        Smallest number of known pixels for the registration of a die that is cut by the border.
+    enough_known : float
+        Known fraction of a patch above which it is registered.
+    within_sigmas : float
+        Distance from the median difference within which pixels count for a shift, in robust deviations.
+    least_common_px : int, px
+        Smallest number of such pixels.
+    rounds : int
+        Number of rounds of median die and shifts.
+    laid_by : int
+        Largest number of dies used to find the offset between the wafer's median die and the stored one.
+
+    Notes
+    -----
+    `tests/bench/bench_defects.py` and `tests/bench/bench_defects_truth.py` count captured and false defects with
+    these values.
+    """
+
+    least_dies: int = 5
+    most_dies: int = 32
+    known_share: float = 0.5
+    block_pixels: int = 24_000_000
+    least_block_rows: int = 16
+    patch_px: int = 384
+    furthest_px: float = 3.0
+    least_known_px: int = 3_000
+    enough_known: float = 0.3
+    within_sigmas: float = 6
+    least_common_px: int = 100
+    rounds: int = 3
+    laid_by: int = 8
+
+
+REGISTRATION = DieRegistrationParameters()
+
+
+@dataclass(frozen=True, slots=True)
+class SpreadParameters:
+    """Limits of the spread of a position from die to die.
+
+    Parameters
+    ----------
+    pooled_px : tuple[int, int], px
+        Window sizes of the neighbourhoods over which spreads are pooled.
+    pooled_as : float, dies
+        Weight of the wider neighbourhood.
+    powers : tuple[float, float]
+        Exponents of the power mean of spreads, for heights and image. Height errors are clustered, so that few
+        neighbours are representative; errors of the image are more uniform.
+    least_height_um : float, um
+        Lower limit for heights, which may be stored too coarsely to differ.
+    least_contrast : float
+        Lower limit for the log image.
+    floor : float
+        Lower limit relative to the median spread.
+    own : float
+        Lower limit relative to the spread of the position itself.
+    edge_off_px : float, px
+        Residual misregistration of a die (k = 1).
+    edge_blur : float
+        Share of curvature lost by interpolation (k = 1).
+    edge_px : int, px
+        Window over which the spread at an edge extends.
+    most_off : float
+        Largest expected shift of a die, in deviations of all shifts.
+
+    Notes
+    -----
+    `tests/bench/bench_defects.py` and `tests/bench/bench_defects_truth.py` count captured and false defects with
+    these values.
+    """
+
+    pooled_px: tuple[int, int] = (5, 21)
+    pooled_as: float = 20
+    powers: tuple[float, float] = (2.0, 1.0)
+    least_height_um: float = 1e-6
+    least_contrast: float = 2e-3
+    floor: float = 0.7
+    own: float = 0.7
+    edge_off_px: float = 0.04
+    edge_blur: float = 0.12
+    edge_px: int = 5
+    most_off: float = 3.0
+
+
+SPREAD = SpreadParameters()
 Cell = tuple[Plane, Plane]
+
+SPREAD_SAMPLE = 20_000
+"""Approximate number of values of which a robust deviation is taken."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -87,7 +168,7 @@ class ReferenceDie:
     def stored(cls, die: GoldenDie, cells: CellGrid, dark: float) -> ReferenceDie:
         """Convert a stored golden die, in grey levels, to a cell with unknown streets. dark: as in `CellSource`."""
         lit = die.picture + np.float32(dark)
-        planes = (die.z_um, die.z_spread_um, np.log(lit), np.maximum(die.picture_spread / lit, LEAST_CONTRAST))
+        planes = (die.z_um, die.z_spread_um, np.log(lit), np.maximum(die.picture_spread / lit, SPREAD.least_contrast))
         z_um, spread_um, picture, spread = (_with_street(plane, cells) for plane in planes)
         return cls(z_um, spread_um, picture, spread, die.header.dies)
 
@@ -107,13 +188,13 @@ class DiePose:
 
 def golden_of(source: CellSource, cells: CellGrid, places: tuple[Place, ...]) -> ReferenceDie:
     """Return the golden cell of the dies at places. Raises MeasureError with fewer than five measured dies."""
-    chosen = evenly_spaced(places, MOST_DIES)
+    chosen = evenly_spaced(places, REGISTRATION.most_dies)
     poses = register_dies(source, cells, chosen)
-    if len(poses) < LEAST_DIES:
+    if len(poses) < REGISTRATION.least_dies:
         raise DiesNotFound(
-            f"Only {len(poses)} dies are measured in their middle: a golden die takes {LEAST_DIES}; "
+            f"Only {len(poses)} dies are measured in their middle: a golden die takes {REGISTRATION.least_dies}; "
             "give a stored one, or compare with the fitted form.",
-            f"{len(poses)} dies measured in their middle, {LEAST_DIES} needed",
+            f"{len(poses)} dies measured in their middle, {REGISTRATION.least_dies} needed",
         )
     rows, cols = cells.shape
     layers = [np.full((rows, cols), np.nan, np.float32) for _ in range(4)]
@@ -122,9 +203,9 @@ def golden_of(source: CellSource, cells: CellGrid, places: tuple[Place, ...]) ->
         known = [pose.levelled(cell, block.start) for pose, cell in read if cell is not None]
         for k in range(2 if known else 0):
             stack = np.stack([cell[k] for cell in known])
-            least = max(min(LEAST_DIES, len(known)), math.ceil(KNOWN_SHARE * len(known)))
+            least = max(min(REGISTRATION.least_dies, len(known)), math.ceil(REGISTRATION.known_share * len(known)))
             median_and_spread(stack, least, layers[2 * k][block], layers[2 * k + 1][block])
-    as_pooled = ((LEAST_HEIGHT_UM, POWERS[0]), (LEAST_CONTRAST, POWERS[1]))
+    as_pooled = ((SPREAD.least_height_um, SPREAD.powers[0]), (SPREAD.least_contrast, SPREAD.powers[1]))
     steady = (pool_spread(layers[2 * k + 1], len(poses), *how) for k, how in enumerate(as_pooled))
     shifts = {place: pose.shift for place, pose in poses.items()}
     reach_px = _reach_px(np.array(list(shifts.values()), np.float32))
@@ -157,7 +238,7 @@ def register_dies(source: CellSource, cells: CellGrid, places: tuple[Place, ...]
     shifts: dict[Place, Shift] = dict.fromkeys(held, (0.0, 0.0))
     known: dict[Place, Cell] = {}
     model: Cell | None = None
-    for _ in range(ROUNDS):
+    for _ in range(REGISTRATION.rounds):
         read = {place: held[place].read(cells, place, *patch, shift) for place, shift in shifts.items()}
         known = {place: cell for place, cell in read.items() if _enough(cell)}
         if not known:
@@ -186,7 +267,7 @@ def die_shift(source: Read, cells: CellGrid, place: Place, golden: ReferenceDie)
     whole = slice(0, cells.shape[0]), slice(0, cells.shape[1])
     for rows, cols in (_patch(cells.shape), whole):
         cell = source.read(cells, place, rows, cols, (0.0, 0.0))
-        if cell is not None and (_enough(cell) or np.isfinite(cell[0]).sum() >= LEAST_KNOWN_PX):
+        if cell is not None and (_enough(cell) or np.isfinite(cell[0]).sum() >= REGISTRATION.least_known_px):
             model = golden.z_um[rows, cols], golden.picture[rows, cols]
             shift = _held((0.0, 0.0), _step(levelled_pair(cell), model))
             again = source.read(cells, place, rows, cols, shift)
@@ -215,11 +296,11 @@ def pool_spread(spread: Plane, n_dies: int, least: float, power: float) -> Plane
 
     known = np.isfinite(spread)
     share, powers = known.astype(np.float32), np.where(known, spread, np.float32(0)) ** power
-    near, wide = (uniform_filter(powers, n) / np.maximum(uniform_filter(share, n), 1e-3) for n in POOLED_PX)
-    pooled = np.maximum(near, (n_dies * near + POOLED_AS * wide) / (n_dies + POOLED_AS))
+    near, wide = (uniform_filter(powers, n) / np.maximum(uniform_filter(share, n), 1e-3) for n in SPREAD.pooled_px)
+    pooled = np.maximum(near, (n_dies * near + SPREAD.pooled_as * wide) / (n_dies + SPREAD.pooled_as))
     usual = float(np.median(spread[known])) if known.any() else 1.0
-    held = np.maximum(pooled ** (1 / power), max(FLOOR * usual, least))
-    return np.where(known, np.maximum(held, 0.7 * np.where(known, spread, 0)), np.nan).astype(np.float32)
+    held = np.maximum(pooled ** (1 / power), max(SPREAD.floor * usual, least))
+    return np.where(known, np.maximum(held, SPREAD.own * np.where(known, spread, 0)), np.nan).astype(np.float32)
 
 
 def _with_edges(spread: Plane, middle: Plane) -> Plane:
@@ -228,13 +309,13 @@ def _with_edges(spread: Plane, middle: Plane) -> Plane:
 
     down, right = np.gradient(middle)
     bend = np.abs(np.gradient(down, axis=0)) + np.abs(np.gradient(right, axis=1))
-    edge = EDGE_OFF_PX * np.hypot(down, right) + EDGE_BLUR * bend
-    return np.hypot(spread, maximum_filter(np.nan_to_num(edge), 5)).astype(np.float32)
+    edge = SPREAD.edge_off_px * np.hypot(down, right) + SPREAD.edge_blur * bend
+    return np.hypot(spread, maximum_filter(np.nan_to_num(edge), SPREAD.edge_px)).astype(np.float32)
 
 
 def _reach_px(shifts: NDArray[np.float32]) -> int:
     """Return the distance in pixels over which neighbours with misplaced dies extend into a cell, plus one."""
-    return min(REACH_PX, 1 + math.ceil(MOST_OFF * robust_sigma(shifts)))
+    return min(REACH_PX, 1 + math.ceil(SPREAD.most_off * robust_sigma(shifts)))
 
 
 def _with_border(spread: Plane, middle: Plane, reach_px: int) -> Plane:
@@ -251,7 +332,7 @@ def _with_border(spread: Plane, middle: Plane, reach_px: int) -> Plane:
 
 def robust_sigma(values: NDArray[np.float32]) -> float:
     """Return 1.4826 MAD of the known values, of about twenty thousand at most; NaN where none is known."""
-    some = values.ravel()[:: max(1, values.size // 20_000)]
+    some = values.ravel()[:: max(1, values.size // SPREAD_SAMPLE)]
     some = some[np.isfinite(some)]
     return float(np.median(np.abs(some - np.median(some)))) * MAD_TO_SIGMA if some.size else float("nan")
 
@@ -278,8 +359,8 @@ def _step(cell: Cell, model: Cell) -> NDArray[np.float64]:
         if not sigma > 0:
             continue
         offset = _median(left)
-        sums = shift_sums(here, np.ascontiguousarray(typical_one), offset, 6 * sigma)
-        if sums[0, 0] < 100:
+        sums = shift_sums(here, np.ascontiguousarray(typical_one), offset, REGISTRATION.within_sigmas * sigma)
+        if sums[0, 0] < REGISTRATION.least_common_px:
             continue
         normal += (sums[1:, 1:3] - np.outer(sums[1:, 0], sums[0, 1:3]) / sums[0, 0]) / sigma**2
         right += (sums[1:, 3] - sums[1:, 0] * sums[0, 3] / sums[0, 0]) / sigma**2
@@ -289,13 +370,13 @@ def _step(cell: Cell, model: Cell) -> NDArray[np.float64]:
 
 
 def _held(shift: Shift, step: NDArray[np.float64]) -> Shift:
-    """Return the shift plus the step, or the shift unchanged if the sum exceeds FURTHEST_PX."""
+    """Return the shift plus the step, or the shift unchanged if the sum exceeds `REGISTRATION.furthest_px`."""
     down, right = shift[0] + float(step[0]), shift[1] + float(step[1])
-    return (down, right) if max(abs(down), abs(right)) <= FURTHEST_PX else shift
+    return (down, right) if max(abs(down), abs(right)) <= REGISTRATION.furthest_px else shift
 
 
 def _enough(cell: Cell) -> bool:
-    return bool(np.isfinite(cell[0]).mean() > 0.3)
+    return bool(np.isfinite(cell[0]).mean() > REGISTRATION.enough_known)
 
 
 def _less_median(plane: Plane) -> Plane:
@@ -303,12 +384,14 @@ def _less_median(plane: Plane) -> Plane:
 
 
 def _patch(shape: tuple[int, int]) -> tuple[slice, slice]:
-    rows, cols = (slice(max(0, (n - PATCH_PX) // 2), min(n, (n + PATCH_PX) // 2)) for n in shape)
+    rows, cols = (
+        slice(max(0, (n - REGISTRATION.patch_px) // 2), min(n, (n + REGISTRATION.patch_px) // 2)) for n in shape
+    )
     return rows, cols
 
 
 def _blocks(rows: int, cols: int, n: int) -> list[slice]:
-    side = max(16, BLOCK_PIXELS // max(1, cols * n))
+    side = max(REGISTRATION.least_block_rows, REGISTRATION.block_pixels // max(1, cols * n))
     return [slice(start, min(rows, start + side)) for start in range(0, rows, side)]
 
 
@@ -320,8 +403,6 @@ def _with_street(layer: Plane, cells: CellGrid) -> Plane:
     return out
 
 
-LAID_BY = 8
-"""Number of dies used to find the offset between the wafer's median die and the stored one."""
 NOT_INSPECTED = "The streets are not in the golden die, and too few dies are measured to compare them: not inspected."
 BY_THEMSELVES = "The streets are not in the golden die: each is compared with those of the other dies."
 
@@ -336,7 +417,7 @@ def add_median_streets(
     if not sum(cells.street):
         return stored, ()
     try:
-        own = golden_of(source, cells, places) if len(places) >= LEAST_DIES else None
+        own = golden_of(source, cells, places) if len(places) >= REGISTRATION.least_dies else None
     except MeasureError:
         own = None
     off = _lies_off(stored, own, source, cells) if own is not None else None
@@ -354,7 +435,7 @@ def streets_known(golden: ReferenceDie, cells: CellGrid) -> bool:
 
 def _lies_off(stored: ReferenceDie, own: ReferenceDie, source: CellSource, cells: CellGrid) -> np.ndarray | None:
     """Return the offset (down, right) in pixels of the stored die relative to the wafer's own median die."""
-    some = evenly_spaced(tuple(own.shifts), LAID_BY)
+    some = evenly_spaced(tuple(own.shifts), REGISTRATION.laid_by)
     laid = {place: die_shift(source, cells, place, stored) for place in some}
     off = [np.subtract(shift, own.shifts[place]) for place, shift in laid.items() if shift is not None]
     return np.median(off, axis=0) if off else None

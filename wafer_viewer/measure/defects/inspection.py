@@ -24,7 +24,7 @@ from wafer_viewer.measure.defects.cell_comparison import (
 )
 from wafer_viewer.measure.defects.defect_builder import defect_of, mark_repeaters, whole_die_defects
 from wafer_viewer.measure.defects.golden_die import (
-    LEAST_DIES,
+    REGISTRATION,
     ReferenceDie,
     add_median_streets,
     golden_die,
@@ -35,7 +35,7 @@ from wafer_viewer.measure.defects.matched_filters import LEFT_OUT, LOOKED_AT
 from wafer_viewer.measure.defects.noise_model import NoiseModel
 from wafer_viewer.measure.defects.scores import false_counts
 from wafer_viewer.measure.defects.segmentation import merge_border_pieces
-from wafer_viewer.measure.defects.terraces import SEVERAL_LEVELS, WALL_PX, terraced
+from wafer_viewer.measure.defects.terraces import SEVERAL_LEVELS, TERRACES, terraced
 from wafer_viewer.measure.dies.die_cells import CellGrid, CellSource, Place, source_of
 from wafer_viewer.measure.dies.die_status import not_scanned_mm2, statuses, without_bare_rim
 from wafer_viewer.model.errors import DiesNotFound, MeasureError
@@ -89,9 +89,11 @@ def _within(low: float, high: float, n: int) -> slice:
 
 
 TILE_PX = 1024
-"""Tile size for surfaces without a die grid."""
+"""Approximate largest side of a tile of a surface without a die grid, px."""
 MOST_DEFECTS = 5000
+"""Largest number of defects of an inspection, the strongest ones."""
 OTHER_PRODUCT = 0.1
+"""Median fraction of a die that differs, above which the golden die is of another product."""
 Row = list[CellResult]
 RowsBy = Callable[[ComparisonWork, NoiseModel, Sequence[tuple[Place, ...]]], Generator[Row]]
 """Runner of ``compared(work, row, noise)`` for each row, which yields the results in row order."""
@@ -241,9 +243,9 @@ def _work(
         golden.require_fit(product=recipe.product, pixel_um=source.surface.pixel_um, **sizes)
         stored, notes = add_median_streets(ReferenceDie.stored(golden, cells, source.dark), source, cells, places)
         return ComparisonWork(source, cells, stored, recipe, True, excluded), "golden", notes
-    if len(places) < LEAST_DIES:
+    if len(places) < REGISTRATION.least_dies:
         dies = "1 die" if len(places) == 1 else f"{len(places)} dies"
-        return _by_form(source, recipe, f"{dies} found, {LEAST_DIES} needed to compare die to die")
+        return _by_form(source, recipe, f"{dies} found, {REGISTRATION.least_dies} needed to compare die to die")
     try:
         median = golden_of(source, cells, places)
     except DiesNotFound as few:
@@ -275,7 +277,7 @@ def _by_form(source: CellSource, recipe: DefectRecipe, why: str) -> tuple[Compar
     if recipe.evidence != "height":
         notes.append(LOOKED_AT if by.plain else LEFT_OUT)
     if len(source.levels_um) > 1:
-        notes.append(SEVERAL_LEVELS.format(len(source.levels_um), WALL_PX))
+        notes.append(SEVERAL_LEVELS.format(len(source.levels_um), TERRACES.wall_px))
     seen = recipe if by.plain else replace(recipe, evidence="height")
     return (
         ComparisonWork(source, cells, ReferenceDie.nothing(cells.shape, by.z_um, by.grey), seen, False),

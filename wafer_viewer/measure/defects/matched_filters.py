@@ -10,12 +10,13 @@ Local contrast is meaningful on a plain surface only: on a pattern every edge co
 from __future__ import annotations
 
 from collections.abc import Iterable
+from dataclasses import dataclass
 from functools import lru_cache
 
 import numpy as np
 from numpy.typing import NDArray
 
-from wafer_viewer.measure.defects.golden_die import LEAST_CONTRAST, robust_sigma
+from wafer_viewer.measure.defects.golden_die import SPREAD, robust_sigma
 from wafer_viewer.measure.dies.die_cells import Plane
 from wafer_viewer.numerics.filters.gaussian import FINE_PX, binned, coarseness, smooth
 
@@ -27,9 +28,12 @@ BLUR_PX = 0.9
 """Standard deviation of the Gaussian blur of an outline by optics and interpolation."""
 FLOOR = 0.05
 """Lower limit of the noise power at any frequency, relative to the noise of a pixel."""
-BINS, HIGHEST = 96, 0.7072
-"""Number of frequency bins, and highest frequency in cycles per pixel, that of a diagonal."""
+BINS = 96
+"""Number of frequency bins of a spectrum."""
+HIGHEST = 0.7072
+"""Highest frequency of a spectrum, in cycles per pixel: that of a diagonal."""
 PADDED_PX = 24
+"""Width of the mirrored border of a cell under the filters, px."""
 Spectrum = NDArray[np.float32]
 """Noise power by spatial frequency, [BINS]; 1 everywhere for uncorrelated noise of deviation 1."""
 
@@ -125,12 +129,32 @@ def _where_known(answer: Plane, known: NDArray[np.bool_], side: int) -> Plane:
     return np.where(share >= side**2 / 2, binned(answer, side), np.float32(np.nan))
 
 
-AROUND_PX = 20.0
-"""Standard deviation of the Gaussian for the local mean."""
-FAR, FEW = 6.0, 0.003
-"""Outlier limit in deviations of the local contrast; largest outlier fraction of a plain surface, defects aside."""
-WIDE_PX, EVEN = 8.0, 0.3
-"""Smoothing width, and the largest ratio of smoothed to single-pixel scatter of a plain surface."""
+@dataclass(frozen=True, slots=True)
+class PlainnessParameters:
+    """Limits of a plain image, which is compared with its local mean.
+
+    Parameters
+    ----------
+    around_px : float, px
+        Standard deviation of the Gaussian for the local mean.
+    far : float
+        Outlier limit in deviations of the local contrast.
+    few : float
+        Largest outlier fraction of a plain surface, defects aside.
+    wide_px : float, px
+        Standard deviation of the Gaussian over which noise and grain average out.
+    even : float
+        Largest ratio of so smoothed to single-pixel scatter of a plain surface.
+    """
+
+    around_px: float = 20.0
+    far: float = 6.0
+    few: float = 0.003
+    wide_px: float = 8.0
+    even: float = 0.3
+
+
+PLAIN = PlainnessParameters()
 LOOKED_AT = "The picture was compared with what is around each place: wide and faint stains do not show there."
 LEFT_OUT = "The picture shows a pattern, or nothing, and was not looked at: only the heights were."
 
@@ -139,8 +163,8 @@ def subtract_local_mean(picture: Plane) -> Plane:
     """Subtract the local mean of the known pixels; NaN where unknown."""
     known = np.isfinite(picture)
     total, weight = (
-        smooth(np.where(known, picture, np.float32(0)), AROUND_PX),
-        smooth(known.astype(np.float32), AROUND_PX),
+        smooth(np.where(known, picture, np.float32(0)), PLAIN.around_px),
+        smooth(known.astype(np.float32), PLAIN.around_px),
     )
     return np.where(known, picture - total / np.maximum(weight, np.float32(1e-6)), np.float32(np.nan)).astype(
         np.float32
@@ -150,16 +174,17 @@ def subtract_local_mean(picture: Plane) -> Plane:
 def contrast_of(picture: Plane) -> tuple[float, float]:
     """Return the scatter of the local contrast and a pattern measure: over 1 for a pattern, NaN for an empty image.
 
-    Noise and grain average out over WIDE_PX, and few pixels of a plain surface are outliers; a pattern violates either.
+    Noise and grain average out over `PLAIN.wide_px`, and few pixels of a plain surface are outliers; a pattern violates
+    either.
     """
     contrast = subtract_local_mean(picture)
     sigma = robust_sigma(contrast)
     if not sigma > 0:
         return float("nan"), float("nan")
     known = np.isfinite(contrast)
-    wide = robust_sigma(smooth(np.where(known, contrast, np.float32(0)), WIDE_PX)) / sigma
-    far = float((np.abs(contrast[known]) > FAR * max(sigma, LEAST_CONTRAST)).mean())
-    return sigma, max(wide / EVEN, far / FEW)
+    wide = robust_sigma(smooth(np.where(known, contrast, np.float32(0)), PLAIN.wide_px)) / sigma
+    far = float((np.abs(contrast[known]) > PLAIN.far * max(sigma, SPREAD.least_contrast)).mean())
+    return sigma, max(wide / PLAIN.even, far / PLAIN.few)
 
 
 def is_plain(patterned: NDArray[np.float64]) -> bool:

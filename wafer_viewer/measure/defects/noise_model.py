@@ -1,9 +1,9 @@
 """Noise model of the quotients over some cells, by the kind of ground. Pure.
 
 Height errors from focus are clustered; their tail is much longer than that of normal noise, and depends on the surface
-and on the ground. It is therefore measured: beyond START the tail is modelled as an exponential where it falls more
-slowly than a normal one. A score is the deviation that normal noise exceeds equally rarely. One threshold then has the
-same meaning for heights and image at every scale.
+and on the ground. It is therefore measured: beyond `NOISE.start` the tail is modelled as an exponential where it falls
+more slowly than a normal one. A score is the deviation that normal noise exceeds equally rarely. One threshold then has
+the same meaning for heights and image at every scale.
 """
 
 from __future__ import annotations
@@ -23,9 +23,59 @@ from wafer_viewer.numerics.filters.regions import region_maxima
 from wafer_viewer.numerics.filters.sliding_filters import sliding_range
 from wafer_viewer.numerics.grids.die_cell_kernels import median_and_spread
 
-PLAIN_TO = 4.0
-"""Largest relief of plain ground, in median spreads."""
-AROUND_PX = 5
+
+@dataclass(frozen=True, slots=True)
+class NoiseParameters:
+    """Limits of the noise model.
+
+    Parameters
+    ----------
+    plain_to : float
+        Largest relief of plain ground, in median spreads.
+    around_px : int, px
+        Window of that relief.
+    start : float
+        Deviation from which the tail is measured: noise peaks are many there, and defects few among them.
+    normal_fall : float
+        Decay rate of the log number of peaks by deviation, of normal noise at `start`.
+    slow_fall : float
+        The same of a surely longer tail.
+    least_tops : int
+        Smallest number of peaks beyond `start` for a decay rate.
+    most_times : float
+        A cell with more peaks than `least_tops` plus so many times the median is excluded.
+    least_pixels : int
+        Smallest number of pixels of a class of ground for a spread.
+    sample : int
+        Approximate number of pixels of all cells of which a spread is taken.
+    local_from_cells : int
+        Number of cells from which the noise at wide scales is local.
+    least_local : int
+        Smallest number of known values of a position for its own spread.
+    local_px : int, px
+        Window over which local spreads are pooled.
+
+    Notes
+    -----
+    `tests/bench/bench_defects.py` and `tests/bench/bench_defects_truth.py` count captured and false defects with
+    these values.
+    """
+
+    plain_to: float = 4.0
+    around_px: int = 5
+    start: float = 3.0
+    normal_fall: float = 2.75
+    slow_fall: float = 2.2
+    least_tops: int = 30
+    most_times: float = 3
+    least_pixels: int = 500
+    sample: int = 200_000
+    local_from_cells: int = 5
+    least_local: int = 3
+    local_px: int = 3
+
+
+NOISE = NoiseParameters()
 KINDS = 4
 """Number of ground classes: plain (0), without heights (1), uneven in the image (2), uneven in the heights (3).
 
@@ -37,7 +87,9 @@ Kinds = NDArray[np.uint8]
 def kinds_of(golden: ReferenceDie) -> Kinds:
     """Return the ground class of every pixel of a cell."""
     layers = (golden.picture, golden.picture_spread), (golden.z_um, golden.z_spread_um)
-    patterned, walled = (sliding_range(layer, AROUND_PX) > PLAIN_TO * _usual(spread) for layer, spread in layers)
+    patterned, walled = (
+        sliding_range(layer, NOISE.around_px) > NOISE.plain_to * _usual(spread) for layer, spread in layers
+    )
     return np.select([walled, patterned, np.isnan(golden.z_um)], [3, 2, 1], 0).astype(np.uint8)
 
 
@@ -56,13 +108,6 @@ Key = tuple[str, float]
 """Layer and scale in pixels."""
 Planes = dict[Key, Plane]
 Floats, Mask = NDArray[np.float32], NDArray[np.bool_]
-START = 3.0
-"""Deviation from which the tail is measured: noise peaks are many there, and defects few among them."""
-NORMAL_FALL, SLOW_FALL = 2.75, 2.2
-"""Decay rate of the log number of peaks by deviation: of normal noise at START, and of a surely longer tail."""
-LEAST_TOPS, MOST_TIMES = 30, 3
-LEAST_PIXELS, SAMPLE = 500, 200_000
-LOCAL_FROM_CELLS = 5
 
 
 @dataclass(frozen=True, eq=False)
@@ -112,11 +157,11 @@ def noise_of(many: Sequence[Planes], kinds: Kinds, spectrum: Spectrum) -> NoiseM
         planes, ground = [planes[key] for planes in many], coarser(kinds, side_of(*key))
         spread[key] = usual = _by_kind(lambda on, planes=planes: _spread(planes, on), ground, 1.0)
         even = [plane / usual[ground] for plane in planes]
-        if len(planes) >= LOCAL_FROM_CELLS and (side_of(*key) > 1 or key[0] in ("detail", SHARP)):
+        if len(planes) >= NOISE.local_from_cells and (side_of(*key) > 1 or key[0] in ("detail", SHARP)):
             places[key] = wider = _of_each_place(even)
             even = [plane / wider for plane in even]
         narrower = [float(falls[0]) for (layer, _), falls in fall.items() if layer == key[0]]
-        fall[key] = _by_kind(lambda on, even=even: _fall(even, on), ground, (narrower or [NORMAL_FALL])[-1])
+        fall[key] = _by_kind(lambda on, even=even: _fall(even, on), ground, (narrower or [NOISE.normal_fall])[-1])
     return NoiseModel(spread, fall, places, kinds, spectrum)
 
 
@@ -131,34 +176,34 @@ def _by_kind(measured: Callable[[Mask], float | None], ground: Kinds, otherwise:
 
 def to_normal_deviations(plane: Plane, fall: Floats, kinds: Kinds) -> Plane:
     """Convert deviations of long-tailed noise to equally rare deviations of normal noise; signs are preserved."""
-    slow = np.clip((NORMAL_FALL - fall) / (NORMAL_FALL - SLOW_FALL), 0, 1).astype(np.float32)
+    slow = np.clip((NOISE.normal_fall - fall) / (NOISE.normal_fall - NOISE.slow_fall), 0, 1).astype(np.float32)
     if not slow.any():
         return plane
     out = plane.copy()
-    far = np.abs(plane) > START
+    far = np.abs(plane) > NOISE.start
     beyond, kind = np.abs(plane[far]), kinds[far]
-    seldom = np.sqrt(START**2 + 2 * fall[kind] * (beyond - START))
+    seldom = np.sqrt(NOISE.start**2 + 2 * fall[kind] * (beyond - NOISE.start))
     out[far] = np.copysign(beyond + slow[kind] * (np.minimum(seldom, beyond) - beyond), plane[far])
     return out
 
 
 def _fall(planes: Sequence[Plane], on: Mask) -> float | None:
-    """Return the decay rate from the median excess of peaks over START, which few defects hardly affect.
+    """Return the decay rate from the median excess of peaks over `NOISE.start`, which few defects hardly affect.
 
     A cell with many more such peaks than the others, such as a missing die, is excluded.
     """
-    each = [region_maxima(np.where(on, np.abs(plane), np.float32(0)), START) for plane in planes]
-    most = LEAST_TOPS + MOST_TIMES * float(np.median([tops.size for tops in each]))
+    each = [region_maxima(np.where(on, np.abs(plane), np.float32(0)), NOISE.start) for plane in planes]
+    most = NOISE.least_tops + NOISE.most_times * float(np.median([tops.size for tops in each]))
     tops = np.concatenate([tops for tops in each if tops.size <= most])
-    return math.log(2) / max(1e-3, float(np.median(tops)) - START) if tops.size >= LEAST_TOPS else None
+    return math.log(2) / max(1e-3, float(np.median(tops)) - NOISE.start) if tops.size >= NOISE.least_tops else None
 
 
 def _spread(planes: Sequence[Plane], on: Mask) -> float | None:
     """Return the median spread over all cells, which a missing one does not widen."""
     at = np.flatnonzero(on)
-    if at.size < LEAST_PIXELS:
+    if at.size < NOISE.least_pixels:
         return None
-    some = at[:: max(1, at.size * len(planes) // SAMPLE)]
+    some = at[:: max(1, at.size * len(planes) // NOISE.sample)]
     sigmas = [sigma for plane in planes if (sigma := robust_sigma(plane.ravel()[some])) > 0]
     return float(np.median(sigmas)) if sigmas else None
 
@@ -169,6 +214,6 @@ def _of_each_place(planes: Sequence[Plane]) -> Plane:
 
     stack = np.stack(planes)
     middle, spread = np.empty(stack.shape[1:], np.float32), np.empty(stack.shape[1:], np.float32)
-    median_and_spread(stack, 3, middle, spread)
+    median_and_spread(stack, NOISE.least_local, middle, spread)
     off = np.where(np.isfinite(spread), spread**2 + middle**2, np.float32(1))
-    return np.sqrt(np.maximum(1, uniform_filter(off, 3))).astype(np.float32)
+    return np.sqrt(np.maximum(1, uniform_filter(off, NOISE.local_px))).astype(np.float32)

@@ -31,14 +31,54 @@ from wafer_viewer.numerics.filters.regions import dilated, regions_with_peaks
 from wafer_viewer.numerics.jit import Float32s
 
 Floats = NDArray[np.float64]
-SPARE_PX = 8
-BRIDGE_PX = 4
-"""Widest gap bridged within a defect."""
-BORDER_PX = 4
-SHOWN_FROM = 3.5
-"""Threshold in deviations for pixels connected to a detection."""
-CLEAR_FROM, CLEAR_MOST = 2.5, 6.0
-"""Lower threshold of the image score that contributes to a shape, and the upper limit of a pixel's weight."""
+
+
+@dataclass(frozen=True, slots=True)
+class SegmentationParameters:
+    """Limits of the segmentation of cells.
+
+    Parameters
+    ----------
+    spare_px : int, px
+        Margin around a piece in which its heights are smoothed.
+    bridge_px : int, px
+        Widest gap bridged within a defect.
+    border_px : int, px
+        Distance from the border of a cell within which a pixel lies at it.
+    near_px : float, px
+        Distance of their pixels within which pieces at a border are merged.
+    shown_from : float
+        Threshold in deviations for pixels connected to a detection.
+    clear_from : float
+        Lower threshold of the image score that contributes to a shape, in deviations.
+    clear_most : float
+        Upper limit of a pixel's weight, in deviations over that.
+    smoothing : float
+        Standard deviation of the smoothing of a piece, relative to its width.
+    smoothing_px : tuple[float, float], px
+        Limits of that standard deviation.
+    least_weight : float
+        Known share of a Gaussian mean above which it is taken.
+
+    Notes
+    -----
+    `tests/bench/bench_defects.py` and `tests/bench/bench_defects_truth.py` count captured and false defects with
+    these values.
+    """
+
+    spare_px: int = 8
+    bridge_px: int = 4
+    border_px: int = 4
+    near_px: float = 8.0
+    shown_from: float = 3.5
+    clear_from: float = 2.5
+    clear_most: float = 6.0
+    smoothing: float = 0.125
+    smoothing_px: tuple[float, float] = (0.6, 4.0)
+    least_weight: float = 0.2
+
+
+SEGMENTATION = SegmentationParameters()
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -46,7 +86,7 @@ class Pixels:
     """Pixels that differ, float64 [n] each: stage and die coordinates, and values.
 
     z_um: residual, NaN where unmeasured; smooth_um: the residual smoothed to the size of the defect; slope: gradient
-    magnitude of that; clear: image score in excess of CLEAR_FROM in deviations, 0 below it.
+    magnitude of that; clear: image score in excess of `SEGMENTATION.clear_from` in deviations, 0 below it.
     """
 
     x_um: Floats
@@ -97,7 +137,7 @@ def pieces_of(
     if not sought.any():
         return []
     labels = np.zeros(shape, np.int32)
-    label(dilated(sought | shown, BRIDGE_PX), np.ones((3, 3), int), output=labels)
+    label(dilated(sought | shown, SEGMENTATION.bridge_px), np.ones((3, 3), int), output=labels)
     boxes = enumerate(find_objects(labels), 1)
     found = (_piece(residual, scores, spread_um, labels, n, box, (shown, sought), where, recipe) for n, box in boxes)
     return [piece for piece in found if piece is not None and len(piece.x_um) >= recipe.min_area_px]
@@ -129,12 +169,12 @@ def _crowded(tops: Mask, low: Mask, recipe: DefectRecipe) -> Mask:
 
 
 def _showing(scores: DefectScores, peaks: Mask) -> Mask:
-    """Return the pixels above SHOWN_FROM connected to peaks of any layer; independent of the threshold setting."""
+    """Return the pixels above `SEGMENTATION.shown_from` connected to peaks of any layer, whatever the threshold."""
     shown = np.zeros(peaks.shape, bool)
     for (layer, scale), plane in scores.planes.items():
         if layer in SHOWING:
             for signed in (plane,) if layer == "joint" else (plane, -plane):
-                over = enlarged(signed >= SHOWN_FROM, coarseness(scale), peaks.shape)
+                over = enlarged(signed >= SEGMENTATION.shown_from, coarseness(scale), peaks.shape)
                 shown |= regions_with_peaks(over, peaks & over)
     return shown
 
@@ -151,7 +191,7 @@ def _piece(
     recipe: DefectRecipe,
 ) -> DefectPiece | None:
     rows, cols = (
-        slice(max(0, side.start - SPARE_PX), min(n, side.stop + SPARE_PX))
+        slice(max(0, side.start - SEGMENTATION.spare_px), min(n, side.stop + SEGMENTATION.spare_px))
         for side, n in zip(box, labels.shape, strict=True)
     )
     inside, sought = ((labels[rows, cols] == number) & mask[rows, cols] for mask in masks)
@@ -163,7 +203,7 @@ def _piece(
     own = (labels[rows, cols] == number) | (labels[rows, cols] == 0)
     z_um = np.where(own, residual.z_um[rows, cols], np.float32(np.nan))
     width = np.count_nonzero(inside) / math.hypot(*inside.shape)
-    sigma = float(np.clip(width / 8, 0.6, 4.0))
+    sigma = float(np.clip(width * SEGMENTATION.smoothing, *SEGMENTATION.smoothing_px))
     r, c = np.nonzero(inside)
     at = (r + rows.start).astype(float), (c + cols.start).astype(float)
     x_um, y_um = where.cells.to_stage(residual.place, *at, where.shift)
@@ -180,13 +220,13 @@ def _piece(
 
 
 def _clear(scores: DefectScores, rows: slice, cols: slice) -> Plane:
-    """Return the image score in excess of CLEAR_FROM at the finest scale; 0 if the image is not inspected."""
+    """Return the image score over `SEGMENTATION.clear_from` at the finest scale; 0 if the image is not inspected."""
     shape = rows.stop - rows.start, cols.stop - cols.start
     scales = [scale for layer, scale in scores.planes if layer == "picture" and coarseness(scale) == 1]
     if not scales:
         return np.zeros(shape, np.float32)
     score = np.nan_to_num(scores.planes["picture", min(scales)][rows, cols])
-    return np.clip(np.abs(score) - np.float32(CLEAR_FROM), 0, np.float32(CLEAR_MOST))
+    return np.clip(np.abs(score) - np.float32(SEGMENTATION.clear_from), 0, np.float32(SEGMENTATION.clear_most))
 
 
 def _median(values: Float32s) -> float:
@@ -214,7 +254,9 @@ def smoothed_known(plane: Float32s, sigma_px: float) -> Float32s:
     known = np.isfinite(plane)
     weight = smooth(known.astype(np.float32), sigma_px)
     value = smooth(np.where(known, plane, np.float32(0)), sigma_px)
-    return np.divide(value, weight, out=np.full(plane.shape, np.nan, np.float32), where=weight > 0.2)
+    return np.divide(
+        value, weight, out=np.full(plane.shape, np.nan, np.float32), where=weight > SEGMENTATION.least_weight
+    )
 
 
 def evidence_of(peaks: dict[str, float], threshold_sigma: float) -> Evidence:
@@ -227,11 +269,12 @@ def evidence_of(peaks: dict[str, float], threshold_sigma: float) -> Evidence:
 
 
 def _at_border(rows: Floats, cols: Floats, shape: tuple[int, ...]) -> Mask:
-    return (rows < BORDER_PX) | (cols < BORDER_PX) | (rows >= shape[0] - BORDER_PX) | (cols >= shape[1] - BORDER_PX)
-
-
-NEAR_PX = 8.0
-"""Pieces at a border with pixels within this distance are merged."""
+    return (
+        (rows < SEGMENTATION.border_px)
+        | (cols < SEGMENTATION.border_px)
+        | (rows >= shape[0] - SEGMENTATION.border_px)
+        | (cols >= shape[1] - SEGMENTATION.border_px)
+    )
 
 
 def merge_border_pieces(pieces: Sequence[DefectPiece], pixel_um: float) -> list[list[DefectPiece]]:
@@ -245,7 +288,7 @@ def merge_border_pieces(pieces: Sequence[DefectPiece], pixel_um: float) -> list[
     owner = np.concatenate([np.full(int(piece.border.sum()), k) for k, piece in enumerate(pieces)])
     at = np.concatenate([np.stack([p.x_um[p.border], p.y_um[p.border]], axis=1) for p in pieces])
     pairs = (
-        np.asarray(KDTree(at).query_pairs(NEAR_PX * pixel_um, output_type="ndarray"))
+        np.asarray(KDTree(at).query_pairs(SEGMENTATION.near_px * pixel_um, output_type="ndarray"))
         if len(at)
         else np.zeros((0, 2), int)
     )

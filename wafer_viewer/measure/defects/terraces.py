@@ -7,7 +7,7 @@ is fitted together with an offset for each level, and every pixel is compared wi
 from __future__ import annotations
 
 import itertools
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -21,19 +21,46 @@ from wafer_viewer.model.measurement.levelling import Datum
 from wafer_viewer.model.region import Point
 from wafer_viewer.numerics.normal_statistics import MAD_TO_SIGMA
 
-BINS = 200
-LEAST_SHARE = 0.05
-"""Smallest fraction of the measured pixels of a level; fewer are defects or lie between two levels."""
-VALLEY = 0.25
-"""Largest histogram count between two levels, relative to the lower of their maxima."""
-APART_SIGMA = 8.0
-"""Smallest separation of levels, in their own deviations."""
-MOST_LEVELS = 6
-ISLAND_PX = 2500
-"""Smallest area of a patch of a level; a smaller patch at another level is a defect."""
-WALL_PX = 12
-"""Distance from a wall between levels that is not compared: focus errors occur there, and edges are bevelled."""
-ROUNDS = 2
+
+@dataclass(frozen=True, slots=True)
+class TerraceParameters:
+    """Limits of the search for the levels of a surface.
+
+    Parameters
+    ----------
+    bins : int
+        Number of bins of the histogram of heights over the form.
+    percentiles : tuple[float, float]
+        Percentiles of those heights between which the histogram lies.
+    least_share : float
+        Smallest fraction of the measured pixels of a level; fewer are defects or lie between two levels.
+    valley : float
+        Largest histogram count between two levels, relative to the lower of their maxima.
+    apart_sigma : float
+        Smallest separation of levels, in their own deviations.
+    most_levels : int
+        Largest number of levels; with more, a surface counts as one.
+    island_px : int, px
+        Smallest area of a patch of a level; a smaller patch at another level is a defect.
+    wall_px : int, px
+        Distance from a wall between levels that is not compared: focus errors occur there, and edges are
+        bevelled.
+    rounds : int
+        Number of fits of the form with an offset for each level.
+    """
+
+    bins: int = 200
+    percentiles: tuple[float, float] = (0.5, 99.5)
+    least_share: float = 0.05
+    valley: float = 0.25
+    apart_sigma: float = 8.0
+    most_levels: int = 6
+    island_px: int = 2500
+    wall_px: int = 12
+    rounds: int = 2
+
+
+TERRACES = TerraceParameters()
 SEVERAL_LEVELS = "The surface has {} levels, each compared with its own height; {} px beside walls were left out."
 Labels = NDArray[np.intp]
 Mask = NDArray[np.bool_]
@@ -47,7 +74,7 @@ def terraced(source: CellSource, order: int) -> CellSource:
     terms = np.stack([u**i * v**j for i, j in powers], axis=1)
     left = points.z_um - source.form.at(points.x_um, points.y_um)
     levels_um = levels_of(left)
-    for _ in range(ROUNDS if len(levels_um) > 1 else 0):
+    for _ in range(TERRACES.rounds if len(levels_um) > 1 else 0):
         on = nearest(left, levels_um)
         offsets = (on[:, None] == np.arange(1, len(levels_um))).astype(float)
         try:
@@ -66,22 +93,22 @@ def levels_of(left_um: Floats) -> tuple[float, ...]:
     """Return the modal heights of a surface, ascending; the median alone if no levels are clearly separate."""
     from scipy.signal import find_peaks, peak_prominences
 
-    low, high = np.percentile(left_um, (0.5, 99.5))
+    low, high = np.percentile(left_um, TERRACES.percentiles)
     middle = (float(np.median(left_um)),)
     if not high > low:
         return middle
-    counts, edges = np.histogram(left_um, BINS, (low, high))
+    counts, edges = np.histogram(left_um, TERRACES.bins, (low, high))
     smooth = np.pad(np.convolve(counts, np.ones(3) / 3, "same"), 1)
     tops, _ = find_peaks(smooth)
-    tops = tops[peak_prominences(smooth, tops)[0] >= (1 - VALLEY) * smooth[tops]] - 1
+    tops = tops[peak_prominences(smooth, tops)[0] >= (1 - TERRACES.valley) * smooth[tops]] - 1
     borders = [a + int(np.argmin(counts[a : b + 1])) for a, b in itertools.pairwise(tops.tolist())]
     parts = np.split(np.sort(left_um), np.searchsorted(np.sort(left_um), edges[borders]))
-    parts = [part for part in parts if len(part) >= LEAST_SHARE * len(left_um)]
+    parts = [part for part in parts if len(part) >= TERRACES.least_share * len(left_um)]
     levels = [float(np.median(part)) for part in parts]
     sigmas = [MAD_TO_SIGMA * float(np.median(np.abs(part - at))) for part, at in zip(parts, levels, strict=True)]
     pairs = itertools.pairwise(zip(levels, sigmas, strict=True))
-    apart = all(b - a > APART_SIGMA * max(s, t) for (a, s), (b, t) in pairs)
-    return tuple(levels) if apart and 1 < len(levels) <= MOST_LEVELS else middle
+    apart = all(b - a > TERRACES.apart_sigma * max(s, t) for (a, s), (b, t) in pairs)
+    return tuple(levels) if apart and 1 < len(levels) <= TERRACES.most_levels else middle
 
 
 def nearest(z_um: NDArray[np.floating], levels_um: tuple[float, ...]) -> Labels:
@@ -104,7 +131,7 @@ def over_levels(z_um: Plane, levels_um: tuple[float, ...]) -> tuple[Plane, Mask 
         return z_um, None
     at: Any = distance_transform_edt(~known, return_distances=False, return_indices=True)
     on = _without_islands(nearest(z_um[tuple(at)], levels_um), len(levels_um)).astype(np.uint8)
-    side = 2 * WALL_PX + 1
+    side = 2 * TERRACES.wall_px + 1
     walls = maximum_filter(on, side) != minimum_filter(on, side)
     return z_um - np.array(levels_um, np.float32)[on], walls
 
@@ -117,7 +144,7 @@ def _without_islands(on: Labels, n: int) -> Labels:
     for level in range(n):
         patches = np.zeros(on.shape, np.int32)
         label(on == level, np.ones((3, 3), int), output=patches)
-        small = np.bincount(patches.ravel()) < ISLAND_PX
+        small = np.bincount(patches.ravel()) < TERRACES.island_px
         for k, box in enumerate(find_objects(patches), 1):
             if not small[k]:
                 continue

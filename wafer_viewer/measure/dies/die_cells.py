@@ -29,11 +29,18 @@ Plane = NDArray[np.float32]
 Place = tuple[int, int]
 Shift = tuple[float, float]
 FORM_POINTS = 120_000
-MARGIN_PX, REACH_PX = 4, 4
-"""Margin read around a cell, and largest shift of a cell from its place."""
+"""Approximate number of pixels to which the form of a surface is fitted."""
+MARGIN_PX = 4
+"""Margin read around a cell for its interpolation, px."""
+REACH_PX = 4
+"""Largest shift of a cell from its place, px."""
 STRIP_PIXELS = 4_000_000
+"""Largest number of pixels of a strip of adjacent cells, which is read at once; it bounds the memory."""
 DARK_SHARE = 0.05
 """Fraction of the median grey added before the logarithm; darker values are camera noise."""
+
+LEAST_FORM_POINTS = 100
+"""Smallest number of measured pixels for a form."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -166,7 +173,7 @@ def source_of(surface: Mosaic, layer: Layer, order: int) -> CellSource:
     Raises MeasureError where too little is measured to fit it.
     """
     points, grey = sample_of(surface, layer)
-    if len(points) < 100:
+    if len(points) < LEAST_FORM_POINTS:
         raise MeasureError("The surface has hardly any measured pixels: there is nothing to inspect for defects.")
     powers = form_powers(order)
     center = float(points.x_um.mean()), float(points.y_um.mean())
@@ -207,7 +214,10 @@ def _way(cells: CellGrid, place: Place, start: Place, part: CellStrip, shift: Sh
     return np.array([rows[0], rows[1] - rows[0], rows[2] - rows[0], cols[0], cols[1] - cols[0], cols[2] - cols[0]])
 
 
-POINTS, LEAST_POINTS = 6_000, 50
+POINTS = 6_000
+"""Approximate number of pixels to which the plane of a die is fitted."""
+LEAST_POINTS = 50
+"""Smallest number of measured ones among them for a plane."""
 
 
 @dataclass(frozen=True, slots=True)

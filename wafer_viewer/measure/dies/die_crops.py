@@ -26,13 +26,22 @@ Plane = NDArray[np.float32]
 Floats = NDArray[np.float64]
 Place = tuple[int, int]
 MARGIN_PX = 4
-DETAIL_PX, BLOCK_PX = 15, 40
-"""Scale of the high-pass for alignment, and block size; slower brightness changes do not locate a patch."""
+"""Margin read around a patch for its interpolation, in pixels of the patch."""
+DETAIL_PX = 15
+"""Window of the high-pass before alignment, px; slower brightness changes do not locate a patch."""
+BLOCK_PX = 40
+"""Side of the blocks of the subpixel alignment, px."""
 LEAST_ALIKE = 0.35
 """Correlation below which two patches do not show the same place."""
 AS_GOOD = 0.95
 """Fraction of the best correlation above which the place nearest to the stage position is taken: patterns repeat."""
 LEAST_POINTS = 50
+"""Smallest number of common pixels for a plane between two crops."""
+
+FURTHEST_PX = 1.5
+"""Largest distance of the subpixel lag from the correlation maximum; a further one is not taken."""
+LEAST_SIDE_PX = 8
+"""Smallest side of a patch, px."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -62,7 +71,7 @@ class DiePatch:
     def _over(cls, surface: Mosaic, at: tuple[float, float], size_um: tuple[float, float], most_px: int) -> DiePatch:
         coarser = max(0, math.ceil(math.log2(max(size_um) / surface.pixel_um / most_px)))
         pixel_um = surface.pixel_um * 2**coarser
-        cols, rows = (max(8, round(side / pixel_um)) for side in size_um)
+        cols, rows = (max(LEAST_SIDE_PX, round(side / pixel_um)) for side in size_um)
         return cls(*at, pixel_um, (rows, cols))
 
     def to_stage(self, rows: Floats, cols: Floats) -> tuple[Floats, Floats]:
@@ -214,7 +223,7 @@ def _lag(own: DieCrop, other: DieCrop, reach_px: int) -> tuple[tuple[float, floa
     row, col = _summit(found.correlation, int(rows[nearest]), int(cols[nearest]))
     begun = float(row - reach_px), float(col - reach_px)
     lag = align(one, two, begun, BLOCK_PX).lag
-    near = max(abs(lag[0] - begun[0]), abs(lag[1] - begun[1])) <= 1.5
+    near = max(abs(lag[0] - begun[0]), abs(lag[1] - begun[1])) <= FURTHEST_PX
     return (lag if near else begun), float(found.correlation[row, col])
 
 

@@ -23,19 +23,49 @@ from wafer_viewer.model.surface.height_map import Mosaic
 from wafer_viewer.numerics.jit import Float32s
 from wafer_viewer.numerics.normal_statistics import MAD_TO_SIGMA
 
-WIDEST = 0.3
-"""Largest width of a street, relative to the pitch."""
-NARROWEST_PX = 2
-STANDS_OUT = 6.0
-"""Smallest prominence of both street edges, in robust deviations of the edge profile."""
-SURE = 18.0
-"""Prominence from which the first layer (heights) takes precedence."""
-MOST_DIFFERING_PX = 8
-"""Largest difference between the edges of the same street in two layers."""
-ON_TOP = 1e-3
-"""Weight of both edges relative to the weaker one; it breaks ties near the maximum of a strong edge."""
-BANDS = 4
-"""Number of bands of the cell; the scatter of the edges between them gives their uncertainty."""
+
+@dataclass(frozen=True, slots=True)
+class StreetParameters:
+    """Limits of the search for the street of a cell.
+
+    Parameters
+    ----------
+    widest : float
+        Largest width of a street, relative to the pitch.
+    narrowest_px : int, px
+        Smallest width of a street.
+    stands_out : float
+        Smallest prominence of both street edges, in robust deviations of the edge profile.
+    sure : float
+        Prominence from which the first layer (heights) takes precedence.
+    most_differing_px : float, px
+        Largest difference of begin and width, added, of the same street in two layers.
+    on_top : float
+        Weight of both edges relative to the weaker one; it breaks ties near the maximum of a strong edge.
+    bands : int
+        Number of bands of the cell; the scatter of the edges between them gives their uncertainty.
+    least_known : float
+        Smallest known fraction of a layer that is searched.
+    least_cols : int, px
+        Smallest number of columns of a cell.
+
+    Notes
+    -----
+    `tests/bench/bench_dies.py` counts the lattices found, missed and wrong with these values on made-up wafers.
+    """
+
+    widest: float = 0.3
+    narrowest_px: int = 2
+    stands_out: float = 6.0
+    sure: float = 18.0
+    most_differing_px: float = 8
+    on_top: float = 1e-3
+    bands: int = 4
+    least_known: float = 0.3
+    least_cols: int = 8
+
+
+STREET = StreetParameters()
 
 
 @dataclass(frozen=True, slots=True)
@@ -54,17 +84,21 @@ def street_of(layers: Sequence[Float32s], upright: bool) -> Street | None:
     Taken from the first layer that shows it well, else from the one that shows it best. Heights take precedence: the
     image is blurred at the walls of a street. The cell repeats, so a street may cross its border.
     """
-    planes = [_filled(layer if upright else layer.T) for layer in layers if np.isfinite(layer).mean() > 0.3]
+    planes = [
+        _filled(layer if upright else layer.T) for layer in layers if np.isfinite(layer).mean() > STREET.least_known
+    ]
     found = [street for plane in planes if (street := _street(plane)) is not None]
     if not found:
         return None
-    best = found[0] if found[0].clear >= SURE else max(found, key=lambda street: street.clear)
+    best = found[0] if found[0].clear >= STREET.sure else max(found, key=lambda street: street.clear)
     return dataclasses.replace(best, u_px=math.hypot(best.u_px, _differing(best, found)))
 
 
 def _differing(best: Street, found: Sequence[Street]) -> float:
     """Return the standard uncertainty of an edge due to the difference between layers: half of it, rectangular."""
-    other = [one for one in found if abs(one.begin - best.begin) + abs(one.width - best.width) < MOST_DIFFERING_PX]
+    other = [
+        one for one in found if abs(one.begin - best.begin) + abs(one.width - best.width) < STREET.most_differing_px
+    ]
     each = [max(abs(one.begin - best.begin), abs(one.begin + one.width - best.begin - best.width)) for one in other]
     return max(each) / 2 / math.sqrt(3)
 
@@ -80,13 +114,13 @@ def _filled(plane: Float32s) -> Floats:
 
 
 def _street(plane: Floats) -> Street | None:
-    if len(plane) < BANDS or plane.shape[1] < 8:
+    if len(plane) < STREET.bands or plane.shape[1] < STREET.least_cols:
         return None
     plane = _upright(plane)
     slope = edges_profile(plane)
     spread = MAD_TO_SIGMA * float(np.median(np.abs(slope - np.median(slope)))) or float(np.abs(slope).max()) / 1e3
     best, begin, width = _strongest_pair(slope)
-    if not spread or best < STANDS_OUT * spread:
+    if not spread or best < STREET.stands_out * spread:
         return None
     edges = [_between(slope, begin), _between(slope, begin + width)]
     u_px = math.hypot(*(_scatter(plane, round(edge)) for edge in edges)) / math.sqrt(2)
@@ -110,9 +144,9 @@ def edges_profile(plane: Floats) -> Floats:
 def _strongest_pair(slope: Floats) -> tuple[float, int, int]:
     """Return (strength of the weaker edge, begin, width) of the strongest pair of opposite edges."""
     best = (0.0, 0, 0)
-    for width in range(NARROWEST_PX, math.floor(WIDEST * len(slope)) + 1):
+    for width in range(STREET.narrowest_px, math.floor(STREET.widest * len(slope)) + 1):
         after = np.roll(slope, -width)
-        both = np.minimum(np.abs(slope), np.abs(after)) + ON_TOP * (np.abs(slope) + np.abs(after))
+        both = np.minimum(np.abs(slope), np.abs(after)) + STREET.on_top * (np.abs(slope) + np.abs(after))
         pair = np.where(slope * after < 0, both, 0.0)
         begin = int(np.argmax(pair))
         best = max(best, (float(pair[begin]), begin, width))
@@ -128,9 +162,9 @@ def _between(slope: Floats, place: int) -> float:
 
 def _scatter(plane: Floats, place: int) -> float:
     """Return the standard uncertainty of the mean edge position, from bands of the cell."""
-    each = np.array([_near(edges_profile(part), place) for part in np.array_split(plane, BANDS)])
+    each = np.array([_near(edges_profile(part), place) for part in np.array_split(plane, STREET.bands)])
     middle = float(np.median(each))
-    return MAD_TO_SIGMA * float(np.median(np.abs(each - middle))) / math.sqrt(BANDS)
+    return MAD_TO_SIGMA * float(np.median(np.abs(each - middle))) / math.sqrt(STREET.bands)
 
 
 def _near(slope: Floats, place: int, reach: int = 3) -> float:
@@ -141,8 +175,10 @@ def _near(slope: Floats, place: int, reach: int = 3) -> float:
 
 SURE_DIES = 9
 """Number of dies accepted without streets; fewer may be any similar places."""
-ACROSS, LEAST_ON_SURFACE = 10, 0.1
-"""Sample points across and up a die, and the smallest fraction of them on the surface."""
+ACROSS = 10
+"""Number of sample points across a die and up it, by which its area on the surface is told."""
+LEAST_ON_SURFACE = 0.1
+"""Smallest fraction of them on the scanned surface, for a die that touches it."""
 NO_STREET = "No street stands out along {}: a die is taken as large as its pitch, and where it begins is open."
 
 

@@ -20,25 +20,71 @@ from wafer_viewer.model.spec import replace
 from wafer_viewer.model.surface.height_map import Mosaic, Origin
 from wafer_viewer.numerics.jit import Float32s
 
-DIE_PX = 200
-"""Approximate number of pixels of the shorter pitch at the level that is read."""
-PLACES = 32
-"""Sample points along the longer side of a cell."""
-WINDOW_PIXELS = 4_000_000
-"""Largest number of pixels read at once."""
-MEDIAN_OF = 200
-"""Largest number of dies for the median die."""
-ALL = 0.998
-"""Fraction of a die's sample points from which it counts as completely scanned."""
-LEAST_MEASURED = 0.5
-LEAST_ALIKE, AS_CLEAR = 0.6, 0.7
-"""Correlation limits, as fractions: of the typical die for a die to be present; of the better layer to be used."""
-HALF_ALIKE = 0.4
-"""Smallest correlation of an entire cell for a whole die, relative to the typical one."""
-LEAST_JUDGED = 0.1
-"""Smallest known fraction of a cell for a decision whether a die is present."""
-CUT_OFF = 0.1
-"""Excess fraction of deviating sample points from which a die at the rim of the lattice is cut."""
+
+@dataclass(frozen=True, slots=True)
+class DieStatusParameters:
+    """Limits of the states of dies.
+
+    Parameters
+    ----------
+    die_px : int, px
+        Approximate number of pixels of the shorter pitch at the level that is read.
+    places : int
+        Sample points along the longer side of a cell.
+    window_pixels : int, px
+        Largest number of pixels read at once; it bounds the memory.
+    median_of : int
+        Approximate largest number of dies for the median die.
+    all_scanned : float
+        Fraction of a die's sample points from which it counts as completely scanned.
+    least_measured : float
+        Smallest measured fraction of a whole die, and of a cell for the median die.
+    least_alike : float
+        Smallest correlation with the median die, relative to the typical one, of a place that holds a die. A
+        typical correlation below half of this number is no pattern.
+    as_clear : float
+        Smallest typical correlation of a layer relative to the better layer, for its use.
+    half_alike : float
+        Smallest correlation of an entire cell for a whole die, relative to the typical one.
+    least_judged : float
+        Smallest known fraction of a cell for a decision whether a die is present.
+    cut_off : float
+        Excess fraction of deviating sample points from which a die at the rim of the lattice is cut.
+    least_form_points : int
+        Smallest number of known sample points for a form, which is then subtracted.
+    most_form_points : int
+        Approximate largest number of sample points to which the form is fitted.
+    contrast_percentiles : tuple[float, float]
+        Percentiles of the median die between which its contrast lies.
+    differs_by : float
+        Deviation from the median die, in contrasts, from which a sample point deviates.
+    usual_percentile : float
+        Percentile of the correlation of well-known cells that is taken as typical.
+
+    Notes
+    -----
+    `tests/bench/bench_defects_truth.py` inspects wafers of the virtual optics with these values.
+    """
+
+    die_px: int = 200
+    places: int = 32
+    window_pixels: int = 4_000_000
+    median_of: int = 200
+    all_scanned: float = 0.998
+    least_measured: float = 0.5
+    least_alike: float = 0.6
+    as_clear: float = 0.7
+    half_alike: float = 0.4
+    least_judged: float = 0.1
+    cut_off: float = 0.1
+    least_form_points: int = 100
+    most_form_points: int = 100_000
+    contrast_percentiles: tuple[float, float] = (95, 5)
+    differs_by: float = 0.5
+    usual_percentile: float = 75
+
+
+STATUS = DieStatusParameters()
 Places = Sequence[tuple[int, int]]
 Bools = NDArray[np.bool_]
 
@@ -92,7 +138,7 @@ def statuses(surface: Mosaic, grid: DieGrid) -> tuple[DieStatus, ...]:
     - whole.
     """
     places = grid.places
-    lattice = CellLattice.of(grid, max(grid.pitch_x_um, grid.pitch_y_um) / PLACES)
+    lattice = CellLattice.of(grid, max(grid.pitch_x_um, grid.pitch_y_um) / STATUS.places)
     seen = _seen(surface, grid, places, lattice)
     if not seen.scanned.any():
         raise MeasureError("No die of the lattice lies on the surface: give an origin and a pitch that fit it.")
@@ -125,7 +171,7 @@ def without_bare_rim(grid: DieGrid, dies: Sequence[DieStatus]) -> DieGrid:
         rim |= met
         waiting.extend(met)
     bare = {at for at in rim if places[at] == "missing"}
-    slivers = {(die.col, die.row) for die in dies if die.state == "cut" and die.measured_fraction < LEAST_JUDGED}
+    slivers = {(die.col, die.row) for die in dies if die.state == "cut" and die.measured_fraction < STATUS.least_judged}
     bare |= {at for at in slivers if bare.intersection(_beside(at))}
     return replace(grid, left_out=(*grid.left_out, *sorted(grid.name(*at) for at in bare)))
 
@@ -144,7 +190,7 @@ def not_scanned_mm2(surface: Mosaic) -> float:
 
 def _seen(surface: Mosaic, grid: DieGrid, places: Places, lattice: CellLattice) -> DieCoverage:
     shorter_px = min(grid.pitch_x_um, grid.pitch_y_um) / surface.pixel_um
-    level = min(surface.levels - 1, max(0, math.floor(math.log2(max(1.0, shorter_px / DIE_PX)))))
+    level = min(surface.levels - 1, max(0, math.floor(math.log2(max(1.0, shorter_px / STATUS.die_px)))))
     parts = [_piece(surface, grid, piece, lattice, level) for piece in _pieces(surface, grid, places, level)]
     layers = tuple(np.concatenate([part.layers[k] for part in parts]) for k in range(2))
     rest = (np.concatenate([getattr(part, name) for part in parts]) for name in ("scanned", "x_um", "y_um"))
@@ -156,7 +202,7 @@ def _pieces(surface: Mosaic, grid: DieGrid, places: Places, level: int) -> Itera
     pixel_um = surface.pixel_um * 2**level
     width_px, height_px = grid.pitch_x_um / pixel_um, grid.pitch_y_um / pixel_um
     rise = abs(math.tan(grid.angle_rad))
-    most = max(1, math.floor(WINDOW_PIXELS / (width_px * (height_px + rise * grid.cols * width_px))))
+    most = max(1, math.floor(STATUS.window_pixels / (width_px * (height_px + rise * grid.cols * width_px))))
     for row in range(grid.first_row, grid.first_row + grid.rows):
         of_row = [at for at in places if at[1] == row]
         for first in range(0, len(of_row), most):
@@ -194,11 +240,11 @@ def _looked_at(seen: DieCoverage, on_die: Bools) -> tuple[Bools, Floats]:
     levelled = _without_form(seen)
     compared = [_compared(layer, on_die) for layer in (levelled, seen.layers[1])]
     best = max(compared, key=lambda one: one[2])
-    if best[2] < LEAST_ALIKE / 2:
+    if best[2] < STATUS.least_alike / 2:
         return np.ones(len(best[0]), bool), np.zeros(len(best[0]))
-    clear = [one[0] / one[2] for one in compared if one[2] >= AS_CLEAR * best[2]]
+    clear = [one[0] / one[2] for one in compared if one[2] >= STATUS.as_clear * best[2]]
     known = np.maximum(*(np.isfinite(layer).mean(axis=(1, 2)) for layer in seen.layers))
-    there = (np.mean(clear, axis=0) >= LEAST_ALIKE) | (known < LEAST_JUDGED)
+    there = (np.mean(clear, axis=0) >= STATUS.least_alike) | (known < STATUS.least_judged)
     return there, best[1] - np.median(best[1][there] if there.any() else best[1])
 
 
@@ -206,12 +252,12 @@ def _without_form(seen: DieCoverage) -> Float32s:
     """Subtract tilt and bow from the heights."""
     z_um = seen.layers[0]
     known = np.isfinite(z_um)
-    if known.sum() < 100:
+    if known.sum() < STATUS.least_form_points:
         return z_um
     x_um, y_um = ((a - a.mean()) / max(float(np.ptp(a)), 1.0) for a in (seen.x_um, seen.y_um))
     powers = np.stack([np.ones_like(x_um), x_um, y_um, x_um**2, x_um * y_um, y_um**2], axis=-1)
     some = powers[known], z_um[known].astype(np.float64)
-    step = max(1, len(some[1]) // 100_000)
+    step = max(1, len(some[1]) // STATUS.most_form_points)
     form = powers @ least_squares(some[0][::step], some[1][::step])
     return (z_um - form).astype(np.float32)
 
@@ -220,13 +266,13 @@ def _compared(layer: Float32s, on_die: Bools) -> tuple[Floats, Floats, float]:
     """Return correlation with the median cell or half of it, deviating fraction, [n] each, and typical correlation."""
     middle = np.array([float(np.median(one[np.isfinite(one)])) if np.isfinite(one).any() else 0.0 for one in layer])
     cells = layer - middle[:, None, None].astype(np.float32)
-    some = [one for one in cells if np.isfinite(one).mean() > LEAST_MEASURED] or list(cells)
-    median = median_of(np.stack(some[:: max(1, len(some) // MEDIAN_OF)]))
+    some = [one for one in cells if np.isfinite(one).mean() > STATUS.least_measured] or list(cells)
+    median = median_of(np.stack(some[:: max(1, len(some) // STATUS.median_of)]))
     n_known = (np.isfinite(cells) & np.isfinite(median)).sum(axis=(1, 2))
     each = np.array([_alike(cells[:, rows, cols], median[rows, cols]) for rows, cols in _parts(median.shape)])
     usual = _usual(each[0], n_known)
     # A place that is like the median die in one half only is no whole die, whatever its levels are.
-    unlike = np.where(each[0] < HALF_ALIKE * usual, 1.0, _unlike(cells, median, on_die))
+    unlike = np.where(each[0] < STATUS.half_alike * usual, 1.0, _unlike(cells, median, on_die))
     return each.max(axis=0), unlike, usual
 
 
@@ -251,15 +297,15 @@ def _alike(cells: Float32s, median: Float32s) -> Floats:
 def _unlike(cells: Float32s, median: Float32s, on_die: Bools) -> Floats:
     """Return the fraction of each die's points that deviate by half of the contrast, or are unknown."""
     known = median[np.isfinite(median)]
-    contrast = float(np.subtract(*np.percentile(known, (95, 5)))) if known.size else 0.0
-    like = np.abs(cells - median) <= 0.5 * contrast
+    contrast = float(np.subtract(*np.percentile(known, STATUS.contrast_percentiles))) if known.size else 0.0
+    like = np.abs(cells - median) <= STATUS.differs_by * contrast
     return cast("Floats", 1 - like[:, on_die].mean(axis=1))
 
 
 def _usual(alike: Floats, n_known: NDArray[np.int_]) -> float:
     """Return the 75th percentile of the correlation of well-known cells; many places at a round rim hold no die."""
     well = alike[n_known > 0.5 * n_known.max()]
-    return float(np.percentile(well, 75)) if well.size else 0.0
+    return float(np.percentile(well, STATUS.usual_percentile)) if well.size else 0.0
 
 
 def _beyond(surface: Mosaic, grid: DieGrid, places: Places) -> Bools:
@@ -278,7 +324,7 @@ def _states(
 ) -> list[DieState]:
     present = {at for at, share, die in zip(places, scanned, there, strict=True) if share > 0 and die}
     rim = [any((col + i, row + j) not in present for i in (-1, 0, 1) for j in (-1, 0, 1)) for col, row in places]
-    facts = zip(scanned, measured, there, (cut_off > CUT_OFF) & np.array(rim), beyond, strict=True)
+    facts = zip(scanned, measured, there, (cut_off > STATUS.cut_off) & np.array(rim), beyond, strict=True)
     return [_state(*fact) for fact in facts]
 
 
@@ -289,6 +335,6 @@ def _state(scanned: float, measured: float, there: bool, cut: bool, beyond: bool
         return "missing"
     if beyond:
         return "cut"
-    if scanned < ALL or (measured < LEAST_MEASURED and not cut):
+    if scanned < STATUS.all_scanned or (measured < STATUS.least_measured and not cut):
         return "partly scanned"
     return "cut" if cut else "whole"

@@ -19,13 +19,15 @@ from wafer_viewer.numerics.jit import Float32s
 
 Evidence = Literal["height", "picture", "both"]
 LEVEL_PIXELS = 1_000_000
+"""Largest number of pixels of the pyramid level by which the scanned part of a surface is found."""
 COARSE_PIXELS = 400_000
 """Largest number of pixels for the coarse read of a surface."""
-SOFT_PX, PAD_PX = 1.0, 4
-"""Blur, and the margin read around a cell so that its border is blurred like the rest."""
+SOFT_PX = 1.0
+"""Standard deviation of the blur of a die before it is sampled, px of its level."""
 LEAST_PIXELS = 10
+"""Smallest number of known pixels for the plane of a die."""
 SPARE_PX = 8.0
-"""Margin of the cached part around a die."""
+"""Margin of the cached part around a die, px of its level."""
 LEAST_SHARE = 0.4
 """Smallest known fraction under the blur for a known pixel."""
 

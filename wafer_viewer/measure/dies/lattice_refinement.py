@@ -18,29 +18,62 @@ from wafer_viewer.model.surface.height_map import Mosaic
 from wafer_viewer.numerics.correlation import contrast, normalised_cross_correlation
 from wafer_viewer.numerics.jit import Bools, Float32s
 
-MOST_DIES, LEAST_DIES = 100, 25
-ENOUGH_INNER = 0.5
-"""Fraction of similar cells without a dissimilar neighbour above which the others are omitted."""
-CELLS_PIXELS = 2_000_000
-"""Largest number of pixels of all registered cells together; it limits the number of dies."""
-CELL_PX = 420
-"""Largest number of pixels along the longer side of a cell at the level that is read."""
-REACH_PX = 6
-LEAST_KNOWN = 0.4
-"""Smallest measured fraction of a cell for registration."""
-LEAST_ALIKE = 0.35
-"""Smallest correlation of a cell with the median die."""
-AS_CLEAR = 0.5
-"""Smallest correlation of a layer relative to the best layer; weaker layers are noise."""
-LEAST_SHARE = 0.65
-"""Smallest fraction of similar cells for a lattice of dies.
 
-A round wafer fills 0.78 of its bounding square; patterns within a large die fill hardly half of a surface.
-"""
-MOST_U = 0.003
-"""Largest standard uncertainty of a pitch relative to the pitch, for a lattice."""
-ROUNDS = 2
-"""Rounds at the finest level; coarser levels need only approximate the lattice."""
+@dataclass(frozen=True, slots=True)
+class LatticeRefinementParameters:
+    """Limits of the refinement of a lattice by registered dies.
+
+    Parameters
+    ----------
+    most_dies : int
+        Largest number of registered dies.
+    least_dies : int
+        Number of dies that are registered whatever their size.
+    enough_inner : float
+        Fraction of similar cells without a dissimilar neighbour above which the others are omitted.
+    cells_pixels : int, px
+        Largest number of pixels of all registered cells together; it limits the number of dies.
+    cell_px : int, px
+        Largest number of pixels along the longer side of a cell at the level that is read.
+    reach_px : int, px
+        Largest shift of a cell from its place, in pixels of the cell.
+    least_known : float
+        Smallest measured fraction of a cell for registration; half of it for a layer.
+    least_alike : float
+        Smallest correlation of a cell with the median die.
+    as_clear : float
+        Smallest correlation of a layer relative to the best layer; weaker layers are noise.
+    least_share : float
+        Smallest fraction of similar cells for a lattice of dies. A round wafer fills 0.78 of its bounding
+        square; patterns within a large die fill hardly half of a surface.
+    most_u_pitch : float
+        Largest standard uncertainty of a pitch relative to the pitch, for a lattice.
+    least_window_px : int, px
+        Smallest window of the high-pass of a cell, which is otherwise half of its shorter side.
+    rounds : int
+        Rounds at the finest level; coarser levels need only approximate the lattice.
+
+    Notes
+    -----
+    `tests/bench/bench_dies.py` counts the lattices found, missed and wrong with these values on made-up wafers.
+    """
+
+    most_dies: int = 100
+    least_dies: int = 25
+    enough_inner: float = 0.5
+    cells_pixels: int = 2_000_000
+    cell_px: int = 420
+    reach_px: int = 6
+    least_known: float = 0.4
+    least_alike: float = 0.35
+    as_clear: float = 0.5
+    least_share: float = 0.65
+    most_u_pitch: float = 0.003
+    rounds: int = 2
+    least_window_px: int = 5
+
+
+REFINEMENT = LatticeRefinementParameters()
 Cell = tuple[Float32s, ...]
 
 
@@ -62,7 +95,7 @@ def refined(surface: Mosaic, rough: DieGrid, evidence: Evidence, pixel_um: float
     grid = rough
     *coarse, finest = (Cells(surface, level, evidence) for level in levels_for(surface, rough, pixel_um))
     unlike: set[tuple[int, int]] = set()
-    for source in (*coarse, *[finest] * ROUNDS):
+    for source in (*coarse, *[finest] * REFINEMENT.rounds):
         lattice = source.lattice(grid)
         cells = cells_of(source, grid, lattice, unlike)
         shifts = registered_shifts(cells, lattice)
@@ -70,7 +103,7 @@ def refined(surface: Mosaic, rough: DieGrid, evidence: Evidence, pixel_um: float
     lattice = finest.lattice(grid)
     cells = cells_of(finest, grid, lattice, unlike)
     shifts = registered_shifts(cells, lattice)
-    if grid.u_pitch_um > MOST_U * grid.pitch_x_um:
+    if grid.u_pitch_um > REFINEMENT.most_u_pitch * grid.pitch_x_um:
         raise dissimilar_cells_error("Too few of the", lattice)
     return Registered(grid, median_cell([cells[at] for at in shifts]), lattice, len(shifts))
 
@@ -78,7 +111,7 @@ def refined(surface: Mosaic, rough: DieGrid, evidence: Evidence, pixel_um: float
 def levels_for(surface: Mosaic, grid: DieGrid, pixel_um: float) -> tuple[int, ...]:
     """Return the pyramid levels to process, from about that of the rough lattice to the finest needed."""
     longer_px = max(grid.pitch_x_um, grid.pitch_y_um) / surface.pixel_um
-    finest = min(surface.levels - 1, max(0, math.ceil(math.log2(longer_px / CELL_PX))))
+    finest = min(surface.levels - 1, max(0, math.ceil(math.log2(longer_px / REFINEMENT.cell_px))))
     coarsest = min(surface.levels - 1, max(0, round(math.log2(pixel_um / surface.pixel_um))))
     return (*range(coarsest, finest, -2), finest)
 
@@ -90,10 +123,12 @@ def cells_of(
 
     Raises MeasureError where there are fewer than two.
     """
-    most = max(LEAST_DIES, min(MOST_DIES, CELLS_PIXELS // (lattice.rows * lattice.cols)))
+    most = max(
+        REFINEMENT.least_dies, min(REFINEMENT.most_dies, REFINEMENT.cells_pixels // (lattice.rows * lattice.cols))
+    )
     places = spread(_best_of(whole_cells(source.surface, grid), unlike, most), most)
     read = {at: source.read(grid, at, lattice) for at in places}
-    cells = {at: cell for at, cell in read.items() if any(_known(layer) >= LEAST_KNOWN for layer in cell)}
+    cells = {at: cell for at, cell in read.items() if any(_known(layer) >= REFINEMENT.least_known for layer in cell)}
     if len(cells) < 2:
         found = f"{len(cells)} whole {'die' if len(cells) == 1 else 'dies'} found, 2 needed"
         raise DiesNotFound(
@@ -112,7 +147,7 @@ def _best_of(places: Sequence[tuple[int, int]], unlike: Set[tuple[int, int]], mo
     like = [at for at in places if at not in unlike]
     beside = {(col + i, row + j) for col, row in unlike for i in (-1, 0, 1) for j in (-1, 0, 1)}
     inner = [at for at in like if at not in beside]
-    return inner if len(like) > most and len(inner) >= ENOUGH_INNER * len(like) else like
+    return inner if len(like) > most and len(inner) >= REFINEMENT.enough_inner * len(like) else like
 
 
 def _known(layer: Float32s) -> float:
@@ -162,12 +197,12 @@ Shifts = dict[tuple[int, int], tuple[float, float]]
 def registered_shifts(cells: dict[tuple[int, int], Cell], lattice: CellLattice) -> Shifts:
     """Return the shift (du_um, dv_um) of each similar cell from its lattice place.
 
-    Raises MeasureError where fewer than LEAST_SHARE are similar.
+    Raises MeasureError where fewer than `REFINEMENT.least_share` are similar.
     """
     reference = _contrasts(median_cell(list(cells.values())))
     found = {at: _shift(reference, _contrasts(cell)) for at, cell in cells.items()}
     shifts = {at: (-lag[1] * lattice.step_x_um, lag[0] * lattice.step_y_um) for at, lag in found.items() if lag}
-    if len(shifts) < max(2, LEAST_SHARE * len(cells)):
+    if len(shifts) < max(2, REFINEMENT.least_share * len(cells)):
         raise dissimilar_cells_error(f"Only {len(shifts)} of {len(cells)}", lattice)
     return shifts
 
@@ -186,13 +221,13 @@ Contrast = tuple[Float32s, Bools]
 
 
 def _contrasts(cell: Cell) -> list[Contrast | None]:
-    size = max(5, min(cell[0].shape) // 2)
+    size = max(REFINEMENT.least_window_px, min(cell[0].shape) // 2)
     return [_contrast(layer, size) for layer in cell]
 
 
 def _contrast(layer: Float32s, size: int) -> Contrast | None:
     known = np.isfinite(layer)
-    if known.mean() < LEAST_KNOWN / 2 or float(np.ptp(layer[known])) == 0:
+    if known.mean() < REFINEMENT.least_known / 2 or float(np.ptp(layer[known])) == 0:
         return None
     return contrast(np.where(known, layer, np.float32(0)), known, size), known
 
@@ -202,16 +237,18 @@ def _shift(reference: Sequence[Contrast | None], cell: Sequence[Contrast | None]
     pairs = [(a, b) for a, b in zip(reference, cell, strict=True) if a is not None and b is not None]
     if not pairs:
         return None
-    each = [normalised_cross_correlation(*a, *b, (0, 0), REACH_PX).correlation for a, b in pairs]
+    each = [normalised_cross_correlation(*a, *b, (0, 0), REFINEMENT.reach_px).correlation for a, b in pairs]
     best = max(float(alike.max()) for alike in each)
-    if best < LEAST_ALIKE:
+    if best < REFINEMENT.least_alike:
         return None
-    clear = [k for k, alike in enumerate(each) if alike.max() >= AS_CLEAR * best]
+    clear = [k for k, alike in enumerate(each) if alike.max() >= REFINEMENT.as_clear * best]
     alike = np.mean([each[k] for k in clear], axis=0)
     row, col = (int(k) for k in np.unravel_index(int(np.argmax(alike)), alike.shape))
-    if alike[row, col] < LEAST_ALIKE or not (0 < row < 2 * REACH_PX and 0 < col < 2 * REACH_PX):
+    if alike[row, col] < REFINEMENT.least_alike or not (
+        0 < row < 2 * REFINEMENT.reach_px and 0 < col < 2 * REFINEMENT.reach_px
+    ):
         return None
-    lag = row - REACH_PX, col - REACH_PX
+    lag = row - REFINEMENT.reach_px, col - REFINEMENT.reach_px
     down, right = _between([pairs[k] for k in clear], lag)
     return lag[0] + down, lag[1] + right
 

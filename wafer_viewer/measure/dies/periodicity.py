@@ -13,15 +13,76 @@ from wafer_viewer.model.errors import DiesNotFound
 from wafer_viewer.numerics.correlation import autocorrelation, contrast
 from wafer_viewer.numerics.jit import Float32s
 
-LEAST_ALIKE = 0.15
-"""Smallest autocorrelation of a lag at which a pattern repeats."""
-AS_ALIKE, HALF_ALIKE = 0.85, 0.5
-"""Fractions of the best autocorrelation: above the first a shorter lag is the period, in between it is ambiguous."""
-SHORTEST_PX = 5
-STANDS_OUT = 0.2
-"""Smallest prominence of a lag over the surrounding lags, relative to its autocorrelation."""
-GOES_ON = 0.3
-"""Smallest prominence of far multiples relative to the first lag; patterns within a die do not reach it."""
+
+@dataclass(frozen=True, slots=True)
+class PeriodicityParameters:
+    """Limits of the search for a lattice in an autocorrelation.
+
+    Parameters
+    ----------
+    least_alike : float
+        Smallest autocorrelation of a lag at which a pattern repeats.
+    as_alike : float
+        Fraction of the best autocorrelation above which a shorter lag is the period.
+    half_alike : float
+        Fraction of the autocorrelation of the period from which a part of it makes the period ambiguous.
+    shortest_px : int, px
+        Shortest lag of a period.
+    stands_out : float
+        Smallest prominence of a lag over the surrounding lags, relative to its autocorrelation.
+    goes_on : float
+        Smallest prominence of far multiples relative to the first lag; patterns within a die do not reach it.
+    limit_deg : float, deg
+        Largest rotation of dies against the stage axes; beyond it rows and columns are confused.
+    searched_deg : float, deg
+        Half angle of the cone about an axis in which its period is searched.
+    wide_deg : float, deg
+        The same in the search for a lattice that is rotated too far.
+    sizes : tuple[float, ...]
+        Candidate high-pass scales, relative to the shorter side, used while the period is unknown.
+    off_square_rad : float, rad
+        Largest deviation of the two periods from a right angle, apart from two pixels on each.
+    smaller : float
+        Area ratio below which the smaller cell of a rotated lattice is taken.
+    smoothing_px : float, px
+        Standard deviation of the Gaussian that smooths an autocorrelation before its maxima are found.
+    top_px : int, px
+        Window in which a maximum is the largest.
+    near : float
+        Distance from the expected place of a maximum within which it is looked for, in periods.
+    part_tolerance : float
+        Largest deviation of a part of a period from a half or a third, relative to it.
+    most_nodes : int
+        Number of periods to either side beyond which the fit of the lattice is not extended.
+    together_deg : float, deg
+        Largest difference of the rotations of two axes that are rotated together.
+
+    Notes
+    -----
+    `tests/bench/bench_dies.py` counts the lattices found, missed and wrong with these values on made-up wafers.
+    """
+
+    least_alike: float = 0.15
+    as_alike: float = 0.85
+    half_alike: float = 0.5
+    shortest_px: int = 5
+    stands_out: float = 0.2
+    goes_on: float = 0.3
+    limit_deg: float = 5.0
+    searched_deg: float = 6.0
+    wide_deg: float = 40.0
+    sizes: tuple[float, ...] = (1 / 3, 1 / 6, 1 / 12, 1 / 24)
+    off_square_rad: float = 0.02
+    smaller: float = 0.75
+    smoothing_px: float = 0.7
+    top_px: int = 5
+    near: float = 0.15
+    part_tolerance: float = 0.05
+    most_nodes: int = 32
+    together_deg: float = 2
+
+
+PERIODICITY = PeriodicityParameters()
 MEND = "give pitch, origin and size of the dies instead"
 
 
@@ -62,12 +123,12 @@ def peaks_of(alike: Floats) -> list[Peak]:
     """Return the local maxima of an autocorrelation, except the central one."""
     from scipy.ndimage import gaussian_filter, maximum_filter
 
-    smooth = np.asarray(gaussian_filter(np.nan_to_num(alike, nan=-1.0), 0.7))
-    tops = (smooth == np.asarray(maximum_filter(smooth, 5))) & (smooth > LEAST_ALIKE)
+    smooth = np.asarray(gaussian_filter(np.nan_to_num(alike, nan=-1.0), PERIODICITY.smoothing_px))
+    tops = (smooth == np.asarray(maximum_filter(smooth, PERIODICITY.top_px))) & (smooth > PERIODICITY.least_alike)
     rows, cols = np.nonzero(tops)
     middle_row, middle_col = (n // 2 for n in alike.shape)
     lags = zip((cols - middle_col).tolist(), (middle_row - rows).tolist(), smooth[rows, cols].tolist(), strict=True)
-    return [Peak(*lag) for lag in lags if math.hypot(lag[0], lag[1]) >= SHORTEST_PX]
+    return [Peak(*lag) for lag in lags if math.hypot(lag[0], lag[1]) >= PERIODICITY.shortest_px]
 
 
 def peaks_near_axis(alike: Floats, peaks: Sequence[Peak], upright: bool, half_deg: float) -> list[Peak]:
@@ -80,11 +141,13 @@ def peaks_near_axis(alike: Floats, peaks: Sequence[Peak], upright: bool, half_de
     ridge = _ridge(alike.T[::-1, ::-1] if upright else alike, steep)
 
     def within(along: float, aside: float) -> bool:
-        return along >= SHORTEST_PX and abs(aside) <= steep * along + 1
+        return along >= PERIODICITY.shortest_px and abs(aside) <= steep * along + 1
 
     near = [peak for peak in peaks if within(*((peak.up, peak.right) if upright else (peak.right, peak.up)))]
     over = [Peak(peak.right, peak.up, peak.alike - ridge) for peak in near]
-    return [peak for peak in over if peak.alike >= STANDS_OUT * max(LEAST_ALIKE, peak.alike + ridge)]
+    return [
+        peak for peak in over if peak.alike >= PERIODICITY.stands_out * max(PERIODICITY.least_alike, peak.alike + ridge)
+    ]
 
 
 def _ridge(alike: Floats, steep: float) -> float:
@@ -92,7 +155,7 @@ def _ridge(alike: Floats, steep: float) -> float:
     row, col = (n // 2 for n in alike.shape)
     most = [
         float(np.nanmax(alike[max(0, row - aside) : row + aside + 1, col + along], initial=-1.0))
-        for along in range(SHORTEST_PX, col + 1)
+        for along in range(PERIODICITY.shortest_px, col + 1)
         for aside in [min(row, math.floor(steep * along + 1))]
     ]
     return max(0.0, float(np.median(most)) if most else 0.0)
@@ -101,7 +164,7 @@ def _ridge(alike: Floats, steep: float) -> float:
 def shortest(peaks: Sequence[Peak]) -> Peak:
     """Return the shortest lag with an autocorrelation close to the best."""
     best = max(peak.alike for peak in peaks)
-    return min((peak for peak in peaks if peak.alike >= AS_ALIKE * best), key=lambda peak: peak.length)
+    return min((peak for peak in peaks if peak.alike >= PERIODICITY.as_alike * best), key=lambda peak: peak.length)
 
 
 def persistent_lags(alike: Floats, peaks: Sequence[Peak]) -> list[Peak]:
@@ -119,11 +182,11 @@ def _goes_on(alike: Floats, peak: Peak) -> bool:
     step = np.array([-peak.up, peak.right])
     most = math.floor(float(np.min((middle - 2) / np.maximum(1, np.abs(step))) - 0.5))
     over = [_stands_out(alike, middle + times * step, step / 2) for times in range(1, most + 1)]
-    return len(over) < 2 or float(np.median(over[len(over) // 2 :])) >= GOES_ON * over[0]
+    return len(over) < 2 or float(np.median(over[len(over) // 2 :])) >= PERIODICITY.goes_on * over[0]
 
 
 def _stands_out(alike: Floats, place: Floats, half: Floats) -> float:
-    near = max(1, round(0.15 * 2 * float(np.hypot(*half))))
+    near = max(1, round(PERIODICITY.near * 2 * float(np.hypot(*half))))
     row, col = (max(0, round(float(k))) for k in place)
     top = float(np.nanmax(alike[max(0, row - near) : row + near + 1, max(0, col - near) : col + near + 1], initial=-1))
     valleys = [alike[tuple(np.rint(place + side * half).astype(int))] for side in (-1, 1)]
@@ -133,23 +196,15 @@ def _stands_out(alike: Floats, place: Floats, half: Floats) -> float:
 def ambiguous_fraction(periods: Sequence[Peak]) -> Peak | None:
     """Return a half or a third of the period that may also be the period; None where unambiguous."""
     period = shortest(periods)
-    near = (peak for peak in periods if _is_part(peak, period) and peak.alike >= HALF_ALIKE * period.alike)
+    near = (peak for peak in periods if _is_part(peak, period) and peak.alike >= PERIODICITY.half_alike * period.alike)
     return next(near, None)
 
 
 def _is_part(peak: Peak, period: Peak) -> bool:
     times = period.length / peak.length
-    return round(times) in (2, 3) and abs(times - round(times)) < 0.05 * times
+    return round(times) in (2, 3) and abs(times - round(times)) < PERIODICITY.part_tolerance * times
 
 
-LIMIT_DEG = 5.0
-"""Largest rotation of dies against the stage axes; beyond it rows and columns are confused."""
-SEARCHED_DEG, WIDE_DEG = 6.0, 40.0
-SIZES = (1 / 3, 1 / 6, 1 / 12, 1 / 24)
-"""Candidate high-pass scales, relative to the shorter side, used while the period is unknown."""
-OFF_SQUARE_RAD = 0.02
-SMALLER = 0.75
-"""Area ratio below which the smaller cell of a rotated lattice is taken."""
 AXES = ((False, "x"), (True, "y"))
 
 
@@ -175,10 +230,10 @@ def periods_of(layers: Sequence[Float32s]) -> Periods:
     """Return the lattice of layers [row, col] that show one pattern, NaN where unknown.
 
     Raises MeasureError where nothing repeats along an axis within half of its side, where the period is ambiguous with
-    a fraction of it, and where the lattice is rotated by more than LIMIT_DEG.
+    a fraction of it, and where the lattice is rotated by more than `PERIODICITY.limit_deg`.
     """
     shorter = min(layers[0].shape)
-    best = clearest(layers, [round(share * shorter) for share in SIZES])
+    best = clearest(layers, [round(share * shorter) for share in PERIODICITY.sizes])
     if best is None:
         raise nothing_repeats(layers)
     across, up = (unambiguous_period(periods, axis) for periods, axis in ((best.right, "x"), (best.up, "y")))
@@ -217,7 +272,9 @@ def clearest(layers: Sequence[Float32s], sizes: Sequence[int]) -> Periodicity | 
 def _repeats(layers: Sequence[Float32s], size: int) -> Periodicity | None:
     alike = mean_autocorrelation(layers, size)
     peaks = peaks_of(alike)
-    right, up = (persistent_lags(alike, peaks_near_axis(alike, peaks, upright, SEARCHED_DEG)) for upright, _ in AXES)
+    right, up = (
+        persistent_lags(alike, peaks_near_axis(alike, peaks, upright, PERIODICITY.searched_deg)) for upright, _ in AXES
+    )
     return Periodicity(alike, peaks, right, up) if right and up else None
 
 
@@ -242,7 +299,7 @@ def fitted(alike: Floats, across: Peak, up: Peak) -> tuple[Floats, Floats, float
         if len(nodes) > 2:
             basis = np.asarray(np.linalg.lstsq(nodes, places, rcond=None)[0], np.float64)
         limits = [half / (2 * reach) for half in (alike.shape[1] // 2, alike.shape[0] // 2)]
-        if reach > 32 or all(abs(basis[k, k]) > limits[k] for k in (0, 1)):
+        if reach > PERIODICITY.most_nodes or all(abs(basis[k, k]) > limits[k] for k in (0, 1)):
             return basis[0], basis[1], min(across.alike, up.alike)
         reach *= 2
 
@@ -250,7 +307,7 @@ def fitted(alike: Floats, across: Peak, up: Peak) -> tuple[Floats, Floats, float
 def _nodes_near(alike: Floats, basis: Floats, reach: int) -> tuple[Floats, Floats]:
     """Return multiples (i, j) of the periods, and the subpixel lag of the local maximum near each."""
     middle = np.array([n // 2 for n in alike.shape])
-    near = max(2, round(0.15 * float(np.abs(np.diag(basis)).min())))
+    near = max(2, round(PERIODICITY.near * float(np.abs(np.diag(basis)).min())))
     nodes: list[tuple[int, int]] = []
     places: list[tuple[float, float]] = []
     for i in range(-reach, reach + 1):
@@ -269,7 +326,7 @@ def top_near(alike: Floats, row: int, col: int, near: int) -> tuple[float, float
     part = alike[max(0, low_row) : row + near + 1, max(0, low_col) : col + near + 1]
     if low_row < 1 or low_col < 1 or row + near + 2 > alike.shape[0] or col + near + 2 > alike.shape[1]:
         return None
-    if np.isnan(part).any() or part.max() < LEAST_ALIKE / 2:
+    if np.isnan(part).any() or part.max() < PERIODICITY.least_alike / 2:
         return None
     r, c = (int(k) for k in np.unravel_index(int(np.argmax(part)), part.shape))
     r, c = r + low_row, c + low_col
@@ -285,10 +342,10 @@ def vertex(before: float, at: float, after: float) -> float:
 def _checked(found: tuple[Floats, Floats, float], askew: Askew | None) -> Periods:
     """Return the periods. Raises MeasureError where the lattice is rotated too far or not square."""
     across, up, alike = found
-    if askew is not None and askew.area < SMALLER * abs(float(np.linalg.det([across, up]))):
+    if askew is not None and askew.area < PERIODICITY.smaller * abs(float(np.linalg.det([across, up]))):
         raise turned_too_far(askew.turn_deg)
     turn_x, turn_y = math.atan2(across[1], across[0]), math.atan2(-up[0], up[1])
-    if abs(turn_x - turn_y) > OFF_SQUARE_RAD + 2 / math.hypot(*across) + 2 / math.hypot(*up):
+    if abs(turn_x - turn_y) > PERIODICITY.off_square_rad + 2 / math.hypot(*across) + 2 / math.hypot(*up):
         if askew is not None:
             raise turned_too_far(askew.turn_deg)
         raise DiesNotFound(
@@ -297,7 +354,7 @@ def _checked(found: tuple[Floats, Floats, float], askew: Askew | None) -> Period
         )
     lengths = float(np.hypot(*across)), float(np.hypot(*up))
     angle = (turn_x * lengths[0] + turn_y * lengths[1]) / sum(lengths)
-    if abs(math.degrees(angle)) > LIMIT_DEG:
+    if abs(math.degrees(angle)) > PERIODICITY.limit_deg:
         raise turned_too_far(math.degrees(angle))
     return Periods(*lengths, angle, alike)
 
@@ -305,8 +362,8 @@ def _checked(found: tuple[Floats, Floats, float], askew: Askew | None) -> Period
 def turned_too_far(angle_deg: float) -> DiesNotFound:
     """Return the error for a wafer that is rotated too far."""
     return DiesNotFound(
-        f"The dies are turned by {angle_deg:.1f} degrees and at most {LIMIT_DEG:g} can be found: turn the wafer, or "
-        f"{MEND}.",
+        f"The dies are turned by {angle_deg:.1f} degrees and at most {PERIODICITY.limit_deg:g} can be found: turn the "
+        f"wafer, or {MEND}.",
         f"No dies found: turned by {angle_deg:.1f} degrees",
     )
 
@@ -315,7 +372,9 @@ def nothing_repeats(layers: Sequence[Float32s]) -> DiesNotFound:
     """Return the error for a missing lattice: along which axis, or that it is rotated too far."""
     alike = mean_autocorrelation(layers, max(3, min(layers[0].shape) // 6))
     peaks = peaks_of(alike)
-    right, up = (persistent_lags(alike, peaks_near_axis(alike, peaks, upright, SEARCHED_DEG)) for upright, _ in AXES)
+    right, up = (
+        persistent_lags(alike, peaks_near_axis(alike, peaks, upright, PERIODICITY.searched_deg)) for upright, _ in AXES
+    )
     if (askew := _askew(alike, peaks)) is not None:
         return turned_too_far(askew.turn_deg)
     axes = " or ".join(name for name, some in (("x", right), ("y", up)) if not some) or "x and y together"
@@ -328,10 +387,10 @@ def nothing_repeats(layers: Sequence[Float32s]) -> DiesNotFound:
 
 def _askew(alike: Floats, peaks: Sequence[Peak]) -> Askew | None:
     """Return the lattice of the shortest lags if both axes are rotated together beyond the limit; None otherwise."""
-    wide = [peaks_near_axis(alike, peaks, upright, WIDE_DEG) for upright in (False, True)]
+    wide = [peaks_near_axis(alike, peaks, upright, PERIODICITY.wide_deg) for upright in (False, True)]
     if not all(wide):
         return None
     across, up = map(shortest, wide)
     turn_x, turn_y = (math.degrees(math.atan2(*lag)) for lag in ((across.up, across.right), (-up.right, up.up)))
-    far = abs(turn_x - turn_y) < 2 and abs(turn_x) > LIMIT_DEG
+    far = abs(turn_x - turn_y) < PERIODICITY.together_deg and abs(turn_x) > PERIODICITY.limit_deg
     return Askew(turn_x, across.length * up.length) if far else None

@@ -13,9 +13,7 @@ from wafer_viewer.measure.base.correlated_errors import chain_uncertainty
 from wafer_viewer.measure.base.height_samples import Floats
 from wafer_viewer.measure.base.robust_fit import robust_fit
 from wafer_viewer.measure.edges.edge_search import (
-    ALL_ALONG,
-    LEAST_STEEP,
-    SEEN,
+    STRAIGHT_EDGE,
     Responses,
     SearchStrip,
     Sign,
@@ -27,26 +25,80 @@ from wafer_viewer.measure.edges.edge_search import (
 from wafer_viewer.measure.edges.straight_edges import AS_STRONG, require_found
 from wafer_viewer.model.errors import MeasureError
 
-FROM, SMALLEST_PX = 0.25, 8.0
-"""Smallest radius searched, relative to the drawn circle and in pixels."""
-RAYS = (64, 720)
-PER_RAY = 3
-"""Number of edge candidates per ray, the steepest ones."""
-DRAWS, NEAR_PX, SEED = 600, 1.5, 1
-"""Number of random three-point circles, support distance in pixels, and seed."""
-BESIDE_PX = 4.0
-"""Points closer to the detected circle than this support no other circle."""
-OVER_REST = 1.25
-"""Smallest ratio of the steepness of a circular edge to that elsewhere on the rays."""
-BANDS, NEAR_STEPS = 24, 3
-"""Number of angular bands, and steps around the circle, in which the edge is looked for."""
-JUMPS_PX = 0.7
-"""Largest median jump of an edge from one ray to the next."""
-REACH_PX, ROOM_PX = 6.0, 14
-"""Distance from the detected circle within which the edge is followed, and extent of the rays there."""
-NEIGHBOURS = 5
-"""Number of neighbouring rays of the median filter for roundness."""
-_ROUNDS = 20
+
+@dataclass(frozen=True, slots=True)
+class CircleSearchParameters:
+    """Limits of the search for a circular edge.
+
+    Parameters
+    ----------
+    smallest : float
+        Smallest radius searched, relative to the drawn circle.
+    smallest_px : float, px
+        Smallest radius searched.
+    largest : float
+        Distance from the centre of the drawn circle, in its radii, within which a detected circle lies.
+    rays : tuple[int, int]
+        Smallest and largest number of rays; half of the smallest is the smallest number of candidates.
+    covered : float
+        Fraction of the image at a place on a ray from which the place counts as covered.
+    per_ray : int
+        Number of edge candidates per ray, the steepest ones.
+    draws : int
+        Number of random three-point circles.
+    near_px : float, px
+        Distance from a circle within which a candidate supports it.
+    seed : int
+        Seed of the random circles, fixed so that the same image gives the same circle.
+    beside_px : float, px
+        Points closer to the detected circle than this support no other circle.
+    elsewhere : float
+        Distance from the detected circle beyond which a place on a ray is elsewhere, in `beside_px`.
+    over_rest : float
+        Smallest ratio of the steepness of a circular edge to that elsewhere on the rays.
+    bands : int
+        Number of angular bands in which the edge is looked for.
+    near_steps : int, px
+        Distance from the circle along a ray within which the edge is looked for.
+    jumps_px : float, px
+        Largest median jump of an edge from one ray to the next.
+    reach_px : float, px
+        Distance from the detected circle within which the edge is followed.
+    room_px : int, px
+        Extent of the rays to both sides of it.
+    neighbours : int
+        Number of neighbouring rays of the median filter for roundness.
+    most_rounds : int
+        Largest number of steps of the circle fit.
+
+    Notes
+    -----
+    `tests/bench/bench_shape.py` measures the errors of edges, and the coverage of their uncertainties, with these
+    values.
+    """
+
+    smallest: float = 0.25
+    smallest_px: float = 8.0
+    largest: float = 1.1
+    rays: tuple[int, int] = (64, 720)
+    covered: float = 0.99
+    per_ray: int = 3
+    draws: int = 600
+    near_px: float = 1.5
+    seed: int = 1
+    beside_px: float = 4.0
+    elsewhere: float = 1.5
+    over_rest: float = 1.25
+    bands: int = 24
+    near_steps: int = 3
+    jumps_px: float = 0.7
+    reach_px: float = 6.0
+    room_px: int = 14
+    neighbours: int = 5
+    most_rounds: int = 20
+
+
+CIRCLE_SEARCH = CircleSearchParameters()
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -87,7 +139,7 @@ class RoundEdge:
     @property
     def roundness_um(self) -> float:
         """Peak-to-valley radial deviation, of medians of neighbours."""
-        return float(np.ptp(median_filter(self.off_um, NEIGHBOURS, mode="wrap")))
+        return float(np.ptp(median_filter(self.off_um, CIRCLE_SEARCH.neighbours, mode="wrap")))
 
 
 def find_circle(
@@ -99,7 +151,7 @@ def find_circle(
     """
     line, place = (float(v) for v in strip.where(np.array(x_um), np.array(y_um)))
     drawn = Ring(line, place, radius_um / strip.pixel_um)
-    rays = _Rays.over(strip, drawn, max(FROM * drawn.radius, 2.0), drawn.radius)
+    rays = _Rays.over(strip, drawn, max(CIRCLE_SEARCH.smallest * drawn.radius, 2.0), drawn.radius)
     found = sorted((_consensus(rays, drawn, sign) for sign in signs), key=lambda c: -c.score)
     best = found[0]
     _require_clear(rays, best, max(best.rival, *(c.score for c in found[1:]), 0.0))
@@ -118,20 +170,20 @@ class _Rays:
     @classmethod
     def over(cls, strip: SearchStrip, center: Ring, first: float, last: float) -> _Rays:
         """Return rays a pixel apart on the circle, from one radius to another."""
-        n = int(np.clip(2 * math.pi * last, *RAYS))
+        n = int(np.clip(2 * math.pi * last, *CIRCLE_SEARCH.rays))
         angle = np.arange(n, dtype=np.float64) * (2 * math.pi / n)
         radius = np.arange(first, last + 1)
         line, place = _polar(center, angle[:, None], radius[None, :])
         at = np.stack([line, place])
         grey = map_coordinates(strip.grey, at, order=3, mode="nearest")
-        there = map_coordinates(strip.there.astype(np.float32), at, order=1, mode="constant") > 0.99
+        there = map_coordinates(strip.there.astype(np.float32), at, order=1, mode="constant") > CIRCLE_SEARCH.covered
         return cls(center, angle, first, responses(grey, there))
 
     def elsewhere(self, ring: Ring) -> float:
         """Return the root mean square gradient away from a circle; 0 where there is none."""
         step = np.arange(self.response.shape[1], dtype=np.float64)
         off = ring.off(*_polar(self.center, self.angle[:, None], self.first + step[None, :]))
-        apart = np.abs(off) > 1.5 * BESIDE_PX
+        apart = np.abs(off) > CIRCLE_SEARCH.elsewhere * CIRCLE_SEARCH.beside_px
         return float(np.sqrt(np.mean(self.response[apart].astype(np.float64) ** 2))) if apart.any() else 0.0
 
     def points(self, ray: NDArray[np.intp], step: Floats) -> tuple[Floats, Floats]:
@@ -171,23 +223,23 @@ def _consensus(rays: _Rays, drawn: Ring, sign: Sign) -> _Consensus:
     ring, score = _best_ring(found, drawn, len(rays.angle))
     if ring is None:
         return _Consensus(drawn, sign, 0.0, 0.0)
-    others = found.kept(np.abs(ring.off(found.line, found.place)) > BESIDE_PX)
+    others = found.kept(np.abs(ring.off(found.line, found.place)) > CIRCLE_SEARCH.beside_px)
     return _Consensus(ring, sign, score, _best_ring(others, drawn, len(rays.angle))[1])
 
 
 def _candidates(rays: _Rays, sign: Sign) -> _Candidates:
     rising = sign * rays.response
     worth = np.where(peaks(rising), rising, 0.0)
-    step = np.argsort(-worth, axis=1)[:, :PER_RAY].ravel()
-    ray = np.repeat(np.arange(len(rising)), PER_RAY)[: len(step)]
-    some = worth[ray, step] > LEAST_STEEP
+    step = np.argsort(-worth, axis=1)[:, : CIRCLE_SEARCH.per_ray].ravel()
+    ray = np.repeat(np.arange(len(rising)), CIRCLE_SEARCH.per_ray)[: len(step)]
+    some = worth[ray, step] > STRAIGHT_EDGE.least_steep
     ray, step = ray[some], step[some]
     return _Candidates(ray, *rays.points(ray, between_pixels(rising, ray, step)), worth[ray, step].astype(np.float64))
 
 
 def _best_ring(found: _Candidates, drawn: Ring, n_rays: int) -> tuple[Ring | None, float]:
     """Return the random three-point circle with the best support, within the drawn circle."""
-    if len(found.ray) < RAYS[0] // 2:
+    if len(found.ray) < CIRCLE_SEARCH.rays[0] // 2:
         return None, 0.0
     rings = _through_three(found, drawn)
     scores = [_support(found, ring, n_rays) for ring in rings]
@@ -198,7 +250,7 @@ def _best_ring(found: _Candidates, drawn: Ring, n_rays: int) -> tuple[Ring | Non
 
 
 def _through_three(found: _Candidates, drawn: Ring) -> list[Ring]:
-    drawn_by_chance = np.random.default_rng(SEED).integers(0, len(found.ray), (DRAWS, 3))
+    drawn_by_chance = np.random.default_rng(CIRCLE_SEARCH.seed).integers(0, len(found.ray), (CIRCLE_SEARCH.draws, 3))
     x, y = found.place[drawn_by_chance], found.line[drawn_by_chance]
     ax, ay, bx, by = x[:, 1] - x[:, 0], y[:, 1] - y[:, 0], x[:, 2] - x[:, 0], y[:, 2] - y[:, 0]
     cross = 2 * (ax * by - ay * bx)
@@ -207,20 +259,24 @@ def _through_three(found: _Candidates, drawn: Ring) -> list[Ring]:
     u, v = (by[good] * a2 - ay[good] * b2) / cross, (ax[good] * b2 - bx[good] * a2) / cross
     place, line, radius = x[good, 0] + u, y[good, 0] + v, np.hypot(u, v)
     away = np.hypot(place - drawn.place, line - drawn.line)
-    fits = (away + radius <= 1.1 * drawn.radius) & (radius >= max(SMALLEST_PX, FROM * drawn.radius)) & (away <= radius)
+    fits = (
+        (away + radius <= CIRCLE_SEARCH.largest * drawn.radius)
+        & (radius >= max(CIRCLE_SEARCH.smallest_px, CIRCLE_SEARCH.smallest * drawn.radius))
+        & (away <= radius)
+    )
     return [Ring(*ring) for ring in zip(line[fits].tolist(), place[fits].tolist(), radius[fits].tolist(), strict=True)]
 
 
 def _support(found: _Candidates, ring: Ring, n_rays: int) -> float:
     """Return the mean over all rays of the steepness of the points on a circle."""
-    near = np.abs(ring.off(found.line, found.place)) <= NEAR_PX
+    near = np.abs(ring.off(found.line, found.place)) <= CIRCLE_SEARCH.near_px
     steepest = np.zeros(n_rays)
     np.maximum.at(steepest, found.ray[near], found.steep[near])
     return float(steepest.mean())
 
 
 def _require_clear(rays: _Rays, best: _Consensus, rival: float) -> None:
-    if best.score <= max(OVER_REST * rays.elsewhere(best.ring), LEAST_STEEP):
+    if best.score <= max(CIRCLE_SEARCH.over_rest * rays.elsewhere(best.ring), STRAIGHT_EDGE.least_steep):
         raise MeasureError("No round edge stands out in the circle: draw it round something that the picture shows.")
     if rival > AS_STRONG * best.score:
         raise MeasureError(
@@ -240,9 +296,9 @@ def _fitted(strip: SearchStrip, start: Ring, sign: Sign) -> RoundEdge:
 
 def _nearer(strip: SearchStrip, ring: Ring, sign: Sign) -> tuple[Ring, Floats, Floats, NDArray[np.bool_]]:
     """Return the circle through the edge points near a ring, their lines and places, and the mask of accepted ones."""
-    rays = _Rays.over(strip, ring, max(1.0, ring.radius - ROOM_PX), ring.radius + ROOM_PX)
+    rays = _Rays.over(strip, ring, max(1.0, ring.radius - CIRCLE_SEARCH.room_px), ring.radius + CIRCLE_SEARCH.room_px)
     rising, expected = sign * rays.response, np.full(len(rays.angle), ring.radius - rays.first)
-    points = edges_near(rising, expected, (REACH_PX, REACH_PX), "nearest")
+    points = edges_near(rising, expected, (CIRCLE_SEARCH.reach_px, CIRCLE_SEARCH.reach_px), "nearest")
     require_found(points, len(rising))
     _require_all_round(rising, expected, points.place)
     line, place = rays.points(points.line.astype(np.intp), points.place)
@@ -253,10 +309,15 @@ def _nearer(strip: SearchStrip, ring: Ring, sign: Sign) -> tuple[Ring, Floats, F
 def _require_all_round(rising: Responses, expected: Floats, place: Floats) -> None:
     """Raise MeasureError where an edge is not detected in most directions, as for chance alignments of noise."""
     at = np.round(expected).astype(np.intp)
-    near = np.stack([rising[np.arange(len(at)), at + k] for k in range(-NEAR_STEPS, NEAR_STEPS + 1)]).max(axis=0)
-    bands = np.array([part.mean() for part in np.array_split(near, BANDS)])
+    near = np.stack(
+        [rising[np.arange(len(at)), at + k] for k in range(-CIRCLE_SEARCH.near_steps, CIRCLE_SEARCH.near_steps + 1)]
+    ).max(axis=0)
+    bands = np.array([part.mean() for part in np.array_split(near, CIRCLE_SEARCH.bands)])
     jumps = float(np.median(np.abs(np.diff(place))))
-    if np.mean(bands > SEEN * np.median(bands)) < ALL_ALONG or jumps > JUMPS_PX:
+    if (
+        np.mean(bands > STRAIGHT_EDGE.seen * np.median(bands)) < STRAIGHT_EDGE.all_along
+        or jumps > CIRCLE_SEARCH.jumps_px
+    ):
         raise MeasureError("The round edge is not seen all round: draw the circle round one that the picture shows.")
 
 
@@ -267,7 +328,7 @@ def fit_ring(line: Floats, place: Floats, start: Ring) -> tuple[Ring, NDArray[np
     determine a circle.
     """
     ring, kept = start, np.ones(len(line), bool)
-    for _ in range(_ROUNDS):
+    for _ in range(CIRCLE_SEARCH.most_rounds):
         away = np.maximum(np.hypot(line - ring.line, place - ring.place), 1e-9)
         design = np.stack([(line - ring.line) / away, (place - ring.place) / away, np.ones(len(away))], axis=1)
         fit = robust_fit(design, away - ring.radius)

@@ -133,20 +133,50 @@ def _require_size(region: Region, part: HeightMap, what: str) -> None:
         )
 
 
-SIGMA_PX = 2.0
-"""Standard deviation of the Gaussian of the edge filter."""
-SEARCH_SIGMA_PX = 4.0
-"""Standard deviation for edge detection, where thin lines must count less than ragged edges of large areas."""
-REACH, REACH_PX = 3.0, 6
-"""Extent of the filter, in standard deviations and in pixels."""
-AS_STEEP = 0.5
-"""Smallest steepness of an edge point relative to the typical steepness of the edge."""
+@dataclass(frozen=True, slots=True)
+class EdgeFilterParameters:
+    """Scales of the filter across an edge, the derivative of a Gaussian.
+
+    Parameters
+    ----------
+    sigma_px : float, px
+        Standard deviation of the Gaussian for the places of edges.
+    search_sigma_px : float, px
+        Standard deviation for edge detection, where thin lines must count less than ragged edges of large
+        areas.
+    truncate_sigmas : float
+        Half length of the filter, in its standard deviations.
+    reach_sigmas : float
+        Distance from a missing pixel, in standard deviations of the filter, within which there are no edges.
+    reach_px : int, px
+        Width about the expected place of an edge in which its typical steepness is taken; half of it is left
+        out at both ends of a search line.
+    as_steep : float
+        Smallest steepness of an edge point relative to the typical steepness of the edge.
+    most_apart_px : int, px
+        Largest distance between the values that determine the parabola of an edge.
+
+    Notes
+    -----
+    `tests/bench/bench_shape.py` measures the errors of edges, and the coverage of their uncertainties, with these
+    values.
+    """
+
+    sigma_px: float = 2.0
+    search_sigma_px: float = 4.0
+    truncate_sigmas: float = 4.0
+    reach_sigmas: float = 3.0
+    reach_px: int = 6
+    as_steep: float = 0.5
+    most_apart_px: int = 4
+
+
+EDGE_FILTER = EdgeFilterParameters()
 U_SUBPIXEL_PX = 0.002
 """Standard uncertainty (k = 1) of an edge due to its subpixel position, on steps blurred by 0.7 px or more.
 
 `tests/measure/edges/test_subpixel_edges.py` searches for a larger one.
 """
-MOST_APART = 4
 Responses = NDArray[np.float32]
 
 
@@ -162,16 +192,24 @@ class EdgePoints:
 
 
 def responses(
-    grey: NDArray[np.floating], there: NDArray[np.bool_] | None = None, sigma_px: float = SIGMA_PX
+    grey: NDArray[np.floating], there: NDArray[np.bool_] | None = None, sigma_px: float = EDGE_FILTER.sigma_px
 ) -> Responses:
     """Return the gradient along search lines, [line, place], grey values per pixel; 0 near missing pixels."""
     found: Responses = np.zeros(grey.shape, np.float32)
-    gaussian_filter1d(grey.astype(np.float32), sigma_px, axis=1, order=1, output=found, mode="nearest", truncate=4.0)
+    gaussian_filter1d(
+        grey.astype(np.float32),
+        sigma_px,
+        axis=1,
+        order=1,
+        output=found,
+        mode="nearest",
+        truncate=EDGE_FILTER.truncate_sigmas,
+    )
     if there is not None and not there.all():
         near_missing: NDArray[np.bool_] = np.empty(there.shape, bool)
-        maximum_filter1d(~there, 2 * round(REACH * sigma_px) + 1, axis=1, output=near_missing)
+        maximum_filter1d(~there, 2 * round(EDGE_FILTER.reach_sigmas * sigma_px) + 1, axis=1, output=near_missing)
         found[near_missing] = 0.0
-    found[:, : REACH_PX // 2] = found[:, -(REACH_PX // 2) :] = 0.0
+    found[:, : EDGE_FILTER.reach_px // 2] = found[:, -(EDGE_FILTER.reach_px // 2) :] = 0.0
     return found
 
 
@@ -201,7 +239,7 @@ def _apart(rising: Responses, line: NDArray[np.intp], place: NDArray[np.intp]) -
         return 1
     before, top, after = (float(np.median(values)) for values in _logarithms(rising, line, place, 1))
     bend = 2 * top - before - after
-    return int(np.clip(round(bend**-0.5), 1, MOST_APART)) if bend > 0 else MOST_APART
+    return int(np.clip(round(bend**-0.5), 1, EDGE_FILTER.most_apart_px)) if bend > 0 else EDGE_FILTER.most_apart_px
 
 
 def _logarithms(rising: Responses, line: NDArray[np.intp], place: NDArray[np.intp], apart: int) -> tuple[Floats, ...]:
@@ -220,7 +258,7 @@ def edges_near(
     place = np.arange(rising.shape[1])[None, :]
     away = place - expected[:, None]
     good = peaks(rising) & (away >= -reach[0]) & (away <= reach[1])
-    good &= rising >= AS_STEEP * typical(rising, expected)
+    good &= rising >= EDGE_FILTER.as_steep * typical(rising, expected)
     worth = np.where(good, -np.abs(away) if choose == "nearest" else rising, -np.inf)
     at = np.argmax(worth, axis=1)
     line = np.flatnonzero(np.isfinite(worth[np.arange(len(at)), at]))
@@ -229,25 +267,60 @@ def edges_near(
 
 def typical(rising: Responses, expected: Floats) -> float:
     """Return the steepness of an edge near its expected place: median over the lines."""
-    near = np.round(expected).astype(np.intp)[:, None] + np.arange(-REACH_PX // 2, REACH_PX // 2 + 1)[None, :]
+    near = (
+        np.round(expected).astype(np.intp)[:, None]
+        + np.arange(-EDGE_FILTER.reach_px // 2, EDGE_FILTER.reach_px // 2 + 1)[None, :]
+    )
     inside = np.clip(near, 0, rising.shape[1] - 1)
     return max(float(np.median(np.take_along_axis(rising, inside, axis=1).max(axis=1))), 1e-6)
 
 
-MOST_SLOPE = 0.12
-"""Largest slope of an edge against the normal of the search lines: 6.8 degrees."""
-SLOPE_STEP_PX = 4.0
-"""Step between trial slopes: largest displacement of an edge's ends relative to its centre, px."""
-BANDS = 64
-"""Largest number of bands to which search lines are averaged before slopes are tried."""
-STANDS_OUT = 5.0
-"""Smallest prominence of an edge, in robust deviations of all places."""
-LEAST_STEEP, LEAST_REST = 0.05, 16
-"""Smallest gradient of an edge, in grey values per pixel; smallest number of places for the noise estimate."""
-SEEN, ALL_ALONG = 0.4, 0.8
-"""Fraction of an edge's mean steepness required in a band, and fraction of the bands that must reach it."""
-HALF_WAY, BESIDE_PX = 0.5, 10
-"""Fraction of its maximum that bounds a peak, and its smallest half-width in pixels."""
+@dataclass(frozen=True, slots=True)
+class StraightEdgeParameters:
+    """Limits of the search for a straight edge over all slopes.
+
+    Parameters
+    ----------
+    most_slope : float, px per line
+        Largest slope of an edge against the normal of the search lines: 6.8 degrees.
+    slope_step_px : float, px
+        Step between trial slopes: largest displacement of an edge's ends relative to its centre.
+    bands : int
+        Largest number of bands to which search lines are averaged before slopes are tried.
+    stands_out : float
+        Smallest prominence of an edge, in robust deviations of all places.
+    least_steep : float, grey values per px
+        Smallest gradient of an edge.
+    least_rest : int
+        Smallest number of places for the noise estimate.
+    seen : float
+        Fraction of an edge's mean steepness required in a band.
+    all_along : float
+        Fraction of the bands that must reach it.
+    half_way : float
+        Fraction of its maximum that bounds a peak.
+    beside_px : int, px
+        Smallest half-width of a peak.
+
+    Notes
+    -----
+    `tests/bench/bench_shape.py` measures the errors of edges, and the coverage of their uncertainties, with these
+    values.
+    """
+
+    most_slope: float = 0.12
+    slope_step_px: float = 4.0
+    bands: int = 64
+    stands_out: float = 5.0
+    least_steep: float = 0.05
+    least_rest: int = 16
+    seen: float = 0.4
+    all_along: float = 0.8
+    half_way: float = 0.5
+    beside_px: int = 10
+
+
+STRAIGHT_EDGE = StraightEdgeParameters()
 Sign = Literal[-1, 1]
 """1: from dark to bright along the search lines."""
 
@@ -297,32 +370,36 @@ class EdgeScores:
         wide = high - low
         behind = self.best[:0] if only_before else self.best[high + wide :]
         rest = np.concatenate([self.best[: max(0, low - wide)], behind])
-        if len(rest) < LEAST_REST:
-            return bool(self.best[place] > LEAST_STEEP)
+        if len(rest) < STRAIGHT_EDGE.least_rest:
+            return bool(self.best[place] > STRAIGHT_EDGE.least_steep)
         middle = float(np.median(rest))
         spread = MAD_TO_SIGMA * float(np.median(np.abs(rest - middle)))
-        return bool(self.best[place] > max(middle + STANDS_OUT * spread, LEAST_STEEP))
+        return bool(self.best[place] > max(middle + STRAIGHT_EDGE.stands_out * spread, STRAIGHT_EDGE.least_steep))
 
     def _all_along(self, place: int) -> bool:
         """Return whether an edge is present in most bands; chance alignments of noise are not."""
         at = np.round(place + float(self.slope[place]) * self.middles).astype(np.intp)
         seen = self.bands[np.arange(len(at)), np.clip(at, 0, self.bands.shape[1] - 1)]
-        return bool(np.mean(seen > SEEN * self.best[place]) >= ALL_ALONG)
+        return bool(np.mean(seen > STRAIGHT_EDGE.seen * self.best[place]) >= STRAIGHT_EDGE.all_along)
 
     def _extent(self, place: int) -> tuple[int, int]:
         """Return the first place of a peak and the first after it; at least the width of the filter response."""
-        below = self.best < HALF_WAY * self.best[place]
+        below = self.best < STRAIGHT_EDGE.half_way * self.best[place]
         low, high = np.flatnonzero(below[:place]), np.flatnonzero(below[place:])
         first = int(low[-1]) + 1 if len(low) else 0
         last = place + int(high[0]) if len(high) else len(self.best)
-        return max(0, min(first, place - BESIDE_PX)), max(last, place + BESIDE_PX + 1)
+        return max(0, min(first, place - STRAIGHT_EDGE.beside_px)), max(last, place + STRAIGHT_EDGE.beside_px + 1)
 
 
 def scores_of(strip: SearchStrip, sign: Sign) -> EdgeScores:
     """Return the strength of a straight edge of a sign at every place of the middle line, over all slopes."""
-    middles, bands = _bands(responses(strip.grey, strip.there, SEARCH_SIGMA_PX), sign)
+    middles, bands = _bands(responses(strip.grey, strip.there, EDGE_FILTER.search_sigma_px), sign)
     n_lines = len(strip.grey)
-    slopes = np.linspace(-MOST_SLOPE, MOST_SLOPE, 2 * math.ceil(MOST_SLOPE * n_lines / SLOPE_STEP_PX / 2) + 1)
+    slopes = np.linspace(
+        -STRAIGHT_EDGE.most_slope,
+        STRAIGHT_EDGE.most_slope,
+        2 * math.ceil(STRAIGHT_EDGE.most_slope * n_lines / STRAIGHT_EDGE.slope_step_px / 2) + 1,
+    )
     found = np.stack([_along(bands, np.round(slope * middles).astype(np.intp)) for slope in slopes])
     which = np.argmax(found, axis=0)
     return EdgeScores(
@@ -332,7 +409,7 @@ def scores_of(strip: SearchStrip, sign: Sign) -> EdgeScores:
 
 def _bands(response: Responses, sign: Sign) -> tuple[Floats, Responses]:
     """Return the means of neighbouring lines, and the offsets of their centres from the middle line."""
-    cuts = np.linspace(0, len(response), min(BANDS, len(response)) + 1).astype(np.intp)
+    cuts = np.linspace(0, len(response), min(STRAIGHT_EDGE.bands, len(response)) + 1).astype(np.intp)
     sums = np.add.reduceat(response, cuts[:-1], axis=0)
     middles = (cuts[:-1] + cuts[1:] - 1) / 2 - (len(response) - 1) / 2
     return middles, (sign * sums / np.diff(cuts)[:, None]).astype(np.float32)

@@ -10,7 +10,7 @@ import numpy as np
 from wafer_viewer.measure.base.height_samples import Floats
 from wafer_viewer.measure.base.robust_fit import EdgeLine, crossing, fit_line, robust_fit
 from wafer_viewer.measure.edges.edge_search import (
-    BESIDE_PX,
+    STRAIGHT_EDGE,
     EdgePoints,
     EdgeScores,
     Responses,
@@ -31,6 +31,9 @@ REACH_PX = 8.0
 LEAST_FOUND = 0.5
 """Smallest fraction of the search lines on which an edge is detected."""
 
+LEAST_LINES = 8
+"""Smallest number of search lines on which an edge is detected."""
+
 
 def edge_points(response: Responses, sign: Sign, scores: EdgeScores, place: int) -> EdgePoints:
     """Return the points of the edge through a place of the middle line. Raises MeasureError with too few."""
@@ -45,7 +48,7 @@ def edge_points(response: Responses, sign: Sign, scores: EdgeScores, place: int)
 
 def require_found(found: EdgePoints, n_lines: int) -> None:
     """Raise MeasureError when an edge is detected on less than half of the search lines."""
-    if len(found) < max(LEAST_FOUND * n_lines, 8):
+    if len(found) < max(LEAST_FOUND * n_lines, LEAST_LINES):
         raise MeasureError(
             f"The edge is seen on {len(found)} of {n_lines} search lines and {100 * LEAST_FOUND:.0f} % are needed: "
             "draw the region so that the edge runs all through it."
@@ -141,6 +144,7 @@ FIRST_LINES = (0.3, 0.7)
 OUTERMOST = 0.6
 """Fraction of a side's strongest edge from which the outermost edge is taken as the die's."""
 BOTH: tuple[Sign, ...] = (1, -1)
+"""Signs of an edge along its search lines: to bright, and to dark."""
 CORNER = 0.05
 """Fraction of a side excluded at either end, where corners are round."""
 OPPOSITE: tuple[tuple[Side, Side], ...] = (("left", "right"), ("lower", "upper"))
@@ -239,7 +243,7 @@ def _first(side: SearchStrip, name: Side, sign: Sign, scores: EdgeScores, others
     place, where = scores.first(OUTERMOST), f"on the {name} side of the region"
     if not scores.stands_out(place, only_before=True):
         raise no_edge(where)
-    outside = float(others.best[: max(0, place - BESIDE_PX)].max(initial=0.0)) / float(scores.best[place])
+    outside = float(others.best[: max(0, place - STRAIGHT_EDGE.beside_px)].max(initial=0.0)) / float(scores.best[place])
     if outside > AS_STRONG:
         raise MeasureError(
             f"Two edges {where} may be the die's, because further out the brightness changes the other way with "

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import importlib
 import math
+from dataclasses import dataclass
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -22,36 +23,79 @@ from wafer_viewer.numerics.normal_statistics import MAD_TO_SIGMA
 
 SIZE_PX = 800
 """Side of the areas on which the paper measures its blocks."""
-LATTICE = 250_000
-"""Largest number of surface points used."""
-CLOUD = 20_000
-"""Largest number of points for the plane search."""
-LEAST_POINTS = 500
-LEAST_SHARE = 0.08
-"""Smallest fraction of the measured points that forms a face."""
-MOST_PLANES = 3
-MOST_TILT = 0.02
-"""Largest tilt between parallel faces, um per um; wrung blocks are within a hundredth of it."""
-SEARCH_SIGMAS, WITHIN_SIGMAS = 3.0, 5.0
-"""Inlier bands of a plane in robust deviations: during the search, and for the final plane."""
-LEAST_NOISE_UM = 0.01
-TRIES = 1000
-LAGS = 16
-"""The lag for the noise estimate is the surface's width divided by this."""
-SHADE = 0.3
-"""Shaded distance at the foot of a wall relative to its height: tangent for an aperture of 0.28."""
-RIM = 0.25
-"""Distance of the upper square from its face's rim, relative to the shaded distance."""
-TIGHT = 0.9
-"""Largest fraction of the available room that a square takes."""
-WHOLE_PX = 10
-"""Step, in pixels, to which the side of a reduced square is rounded."""
-ROUND_ABOUT = 9
-"""Window, in lattice pixels, in which the majority must lie on a face."""
-SMALLEST_PX = 50
-SEED = 0
-STEEP = 0.5
-"""Smallest z component of a plane's normal for a visible face."""
+
+
+@dataclass(frozen=True, slots=True)
+class FaceSearchParameters:
+    """Limits of the search for two parallel faces.
+
+    Parameters
+    ----------
+    lattice : int
+        Largest number of surface points used.
+    cloud : int
+        Approximate number of points for the plane search.
+    least_points : int
+        Smallest number of measured points of a surface.
+    least_share : float
+        Smallest fraction of the measured points that forms a face.
+    most_planes : int
+        Number of planes at which the search ends; with a third one the surface is refused.
+    most_tilt : float, um per um
+        Largest tilt between parallel faces; wrung blocks are within a hundredth of it.
+    search_sigmas : float
+        Inlier band of a plane during the search, in robust deviations.
+    within_sigmas : float
+        Inlier band of the final plane, in robust deviations.
+    least_noise_um : float, um
+        Lower limit of the noise of the heights.
+    tries : int
+        Number of random planes of each search.
+    refits : int
+        Number of least-squares fits to the inliers of the best of them.
+    lags : int
+        The lag for the noise estimate is the surface's width divided by this.
+    shade : float
+        Shaded distance at the foot of a wall relative to its height: tangent for an aperture of 0.28.
+    rim : float
+        Distance of the upper square from its face's rim, relative to the shaded distance.
+    tight : float
+        Largest fraction of the available room that a square takes.
+    whole_px : int, px
+        Step to which the side of a reduced square is rounded.
+    round_about : int, lattice px
+        Window in which the majority must lie on a face.
+    smallest_px : int, px
+        Smallest side of a square.
+    seed : int
+        Seed of the random planes, fixed so that the same surface gives the same squares.
+    steep : float
+        Smallest z component of a plane's normal for a visible face.
+    """
+
+    lattice: int = 250_000
+    cloud: int = 20_000
+    least_points: int = 500
+    least_share: float = 0.08
+    most_planes: int = 3
+    most_tilt: float = 0.02
+    search_sigmas: float = 3.0
+    within_sigmas: float = 5.0
+    least_noise_um: float = 0.01
+    tries: int = 1000
+    refits: int = 2
+    lags: int = 16
+    shade: float = 0.3
+    rim: float = 0.25
+    tight: float = 0.9
+    whole_px: int = 10
+    round_about: int = 9
+    smallest_px: int = 50
+    seed: int = 0
+    steep: float = 0.5
+
+
+FACE_SEARCH = FaceSearchParameters()
 Mask = NDArray[np.bool_]
 Place = NDArray[np.float64]
 
@@ -125,14 +169,14 @@ def find_faces(surface: Mosaic, *, size_px: float = SIZE_PX, layer: Layer | None
     seen = _seen(surface, layer_of(surface.provenance.recipe, layer))
     middle = float(seen.x_um.mean()), float(seen.y_um.mean())
     low, high = sorted(_two_parallel(seen), key=lambda plane: plane.fitted.at(*middle))
-    shade_um = SHADE * float(high.fitted.at(*middle) - low.fitted.at(*middle))
-    above_um, below_um = _room_um(seen, high, low, RIM * shade_um), _room_um(seen, low, high, shade_um)
-    room_px = TIGHT * 2 * float(min(above_um.max(), below_um.max())) / surface.pixel_um
-    side_px = size_px if room_px >= size_px else WHOLE_PX * (room_px // WHOLE_PX)
-    if room_px < SMALLEST_PX:
+    shade_um = FACE_SEARCH.shade * float(high.fitted.at(*middle) - low.fitted.at(*middle))
+    above_um, below_um = _room_um(seen, high, low, FACE_SEARCH.rim * shade_um), _room_um(seen, low, high, shade_um)
+    room_px = FACE_SEARCH.tight * 2 * float(min(above_um.max(), below_um.max())) / surface.pixel_um
+    side_px = size_px if room_px >= size_px else FACE_SEARCH.whole_px * (room_px // FACE_SEARCH.whole_px)
+    if room_px < FACE_SEARCH.smallest_px:
         which = "upper" if above_um.max() < below_um.max() else "lower"
         raise MeasureError(
-            f"The {which} face has no room for a square of {SMALLEST_PX} pixels away from its borders: "
+            f"The {which} face has no room for a square of {FACE_SEARCH.smallest_px} pixels away from its borders: "
             "draw the two regions by hand."
         )
     side_um = side_px * surface.pixel_um
@@ -142,12 +186,12 @@ def find_faces(surface: Mosaic, *, size_px: float = SIZE_PX, layer: Layer | None
 
 def _seen(surface: Mosaic, layer: Layer) -> SeenFace:
     rows, cols = surface.shape
-    level = min(surface.levels - 1, max(0, math.ceil(math.log(rows * cols / LATTICE, 4))))
+    level = min(surface.levels - 1, max(0, math.ceil(math.log(rows * cols / FACE_SEARCH.lattice, 4))))
     part = height_window(surface, layer, _whole(surface), level)
-    step = max(1, math.ceil(math.sqrt(part.z_um.size / LATTICE)))
+    step = max(1, math.ceil(math.sqrt(part.z_um.size / FACE_SEARCH.lattice)))
     z_um, x_um, y_um = _thinned(part, step)
     known_rows, known_cols = np.nonzero(np.isfinite(z_um))
-    if len(known_rows) < LEAST_POINTS:
+    if len(known_rows) < FACE_SEARCH.least_points:
         raise MeasureError("Too little of the surface is measured to look for faces: scan it again.")
     points = np.stack([x_um[known_cols], y_um[known_rows], z_um[known_rows, known_cols]], axis=1)
     return SeenFace(z_um, x_um, y_um, points)
@@ -172,10 +216,10 @@ def _two_parallel(seen: SeenFace) -> tuple[FacePlane, FacePlane]:
         )
     a, b = (plane.fitted for plane in planes)
     tilt = math.hypot(a.slope_x - b.slope_x, a.slope_y - b.slope_y)
-    if tilt > MOST_TILT:
+    if tilt > FACE_SEARCH.most_tilt:
         raise MeasureError(
-            f"The two faces are {1e3 * tilt:.0f} mrad apart in tilt, {1e3 * MOST_TILT:.0f} mrad at most are parallel: "
-            "draw the two regions by hand."
+            f"The two faces are {1e3 * tilt:.0f} mrad apart in tilt, {1e3 * FACE_SEARCH.most_tilt:.0f} mrad at most "
+            "are parallel: draw the two regions by hand."
         )
     return planes[0], planes[1]
 
@@ -183,14 +227,16 @@ def _two_parallel(seen: SeenFace) -> tuple[FacePlane, FacePlane]:
 def _planes(seen: SeenFace) -> list[FacePlane]:
     """Return up to three planes in order of their number of points; each removes its points from the search."""
     left, found = seen.points, list[FacePlane]()
-    least = LEAST_SHARE * len(seen.points)
-    while len(left) >= least and len(found) < MOST_PLANES:
+    least = FACE_SEARCH.least_share * len(seen.points)
+    while len(left) >= least and len(found) < FACE_SEARCH.most_planes:
         plane = _searched(left, _noise_um(seen.z_um))
         off_um = np.abs(left[:, 2] - plane.fitted.at(left[:, 0], left[:, 1]))
         near_um = off_um[off_um <= plane.band_um]
         if len(near_um) < least / 2:
             break
-        band_um = WITHIN_SIGMAS * max(MAD_TO_SIGMA * float(np.median(near_um)), plane.band_um / SEARCH_SIGMAS)
+        band_um = FACE_SEARCH.within_sigmas * max(
+            MAD_TO_SIGMA * float(np.median(near_um)), plane.band_um / FACE_SEARCH.search_sigmas
+        )
         if np.count_nonzero(off_um <= band_um) < least:
             break
         found.append(plane._replace(band_um=band_um))
@@ -201,17 +247,17 @@ def _planes(seen: SeenFace) -> list[FacePlane]:
 def _searched(points: Floats, noise_um: float) -> FacePlane:
     """Find the plane with the most points, then fit it to them."""
     open3d = _open3d()
-    open3d.utility.random.seed(SEED)
-    some = points[:: max(1, len(points) // CLOUD)]
+    open3d.utility.random.seed(FACE_SEARCH.seed)
+    some = points[:: max(1, len(points) // FACE_SEARCH.cloud)]
     middle = some.mean(axis=0)
     x_um, y_um, z_um = middle.tolist()
     cloud = open3d.geometry.PointCloud(open3d.utility.Vector3dVector(some - middle))
-    band_um = SEARCH_SIGMAS * noise_um
-    (a, b, c, d), _ = cloud.segment_plane(distance_threshold=band_um, ransac_n=3, num_iterations=TRIES)
-    if abs(c) < STEEP:
+    band_um = FACE_SEARCH.search_sigmas * noise_um
+    (a, b, c, d), _ = cloud.segment_plane(distance_threshold=band_um, ransac_n=3, num_iterations=FACE_SEARCH.tries)
+    if abs(c) < FACE_SEARCH.steep:
         return FacePlane(LevelPlane(x_um, y_um, z_um, 0.0, 0.0), 0.0)
     rough = LevelPlane(x_um, y_um, z_um - d / c, -a / c, -b / c)
-    for _ in range(2):
+    for _ in range(FACE_SEARCH.refits):
         rough = fit_plane(
             HeightSamples(*points[np.abs(points[:, 2] - rough.at(points[:, 0], points[:, 1])) <= band_um].T)
         )[0]
@@ -220,9 +266,12 @@ def _searched(points: Floats, noise_um: float) -> FacePlane:
 
 def _noise_um(z_um: Floats) -> float:
     """Return the robust deviation of heights from detrended differences at a lag beyond the error correlation."""
-    lag = max(1, z_um.shape[1] // LAGS)
+    lag = max(1, z_um.shape[1] // FACE_SEARCH.lags)
     differ = z_um[:, lag:] - z_um[:, :-lag]
-    return max(LEAST_NOISE_UM, MAD_TO_SIGMA / math.sqrt(2) * float(np.nanmedian(np.abs(differ - np.nanmedian(differ)))))
+    return max(
+        FACE_SEARCH.least_noise_um,
+        MAD_TO_SIGMA / math.sqrt(2) * float(np.nanmedian(np.abs(differ - np.nanmedian(differ)))),
+    )
 
 
 def _room_um(seen: SeenFace, own: FacePlane, other: FacePlane, shade_um: float) -> Floats:
@@ -238,7 +287,7 @@ def _on(seen: SeenFace, plane: FacePlane) -> Mask:
 
     z_um = plane.fitted.at(seen.x_um[None, :], seen.y_um[:, None])
     on = np.abs(seen.z_um - z_um) <= plane.band_um
-    return uniform_filter(on.astype(np.float32), ROUND_ABOUT, mode="constant") > 0.5
+    return uniform_filter(on.astype(np.float32), FACE_SEARCH.round_about, mode="constant") > 0.5
 
 
 def _distance(mask: Mask, *, beyond: bool) -> Floats:

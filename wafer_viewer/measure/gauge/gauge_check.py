@@ -24,11 +24,10 @@ from wafer_viewer.model.quantity import Contribution, Length, Word
 from wafer_viewer.model.region import Region
 from wafer_viewer.model.spec import encode
 from wafer_viewer.model.surface.height_map import Mosaic
+from wafer_viewer.numerics.normal_statistics import TWO_SIGMA_QUANTILE
 
 OF_THE_SCALE = (Z_SCALE, LINEARITY, ABBE)
 """Lines of a step's budget that are errors of the instrument's scale."""
-COVERED = 0.97725
-"""Cumulative probability at the upper end of a two-sided interval with k = 2."""
 ODD = 0.99
 """Confidence level of the variance-ratio test; a scatter that fails it is not pooled with earlier ones."""
 
@@ -82,7 +81,7 @@ def student(freedom: int) -> float:
     """Two-sided 95.45 % point of Student's t, which is 2 for many degrees of freedom."""
     from scipy.special import stdtrit
 
-    return float(stdtrit(freedom, COVERED))
+    return float(stdtrit(freedom, TWO_SIGMA_QUANTILE))
 
 
 def _of_scans(repeats: Sequence[GaugeRepeat]) -> list[tuple[str, float, Role]]:
@@ -149,8 +148,10 @@ def _warmer_k(certificate: Certificate, terms: GaugeTerms) -> float:
     return 0.0 if terms.temperature_c is None else terms.temperature_c - certificate.temperature_c
 
 
-FAR_FRACTION, FAR_UM = 0.02, 1.0
-"""Deviations from the nominal step, relative and in um; beyond both, the blocks are other ones."""
+FAR_FRACTION = 0.02
+"""Deviation from the nominal step, relative to it, beyond which the blocks are other ones."""
+FAR_UM = 1.0
+"""Smallest such deviation, um."""
 
 
 def gauge_repeat(

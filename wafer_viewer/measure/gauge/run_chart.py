@@ -161,6 +161,10 @@ def _days(checks: Sequence[GaugeCheck]) -> np.ndarray:
 
 LEAST_REPEATS = 25
 """Smallest number of repeats for a verdict; each is a new scan."""
+CG_SHARE = 0.2
+"""Share of the tolerance with which Cg compares six standard deviations."""
+CGK_SHARE = 0.1
+"""Share of the tolerance that Cgk leaves for the bias to either side."""
 LEAST = 1.33
 """Lower limit of Cg and of Cgk."""
 VARIANT = "Cg = 0.2 T / (6 s), Cgk = (0.1 T - |mean error|) / (3 s), both >= 1.33 over 25 repeats"
@@ -171,8 +175,8 @@ def capability(errors_um: Sequence[float], tolerance_um: float) -> Capability:
     n = len(errors_um)
     mean_um = fmean(errors_um) if n else 0.0
     s_um = stdev(errors_um) if n > 1 else None
-    cg = 0.2 * tolerance_um / (6 * s_um) if s_um else None
-    cgk = (0.1 * tolerance_um - abs(mean_um)) / (3 * s_um) if s_um else None
+    cg = CG_SHARE * tolerance_um / (6 * s_um) if s_um else None
+    cgk = (CGK_SHARE * tolerance_um - abs(mean_um)) / (3 * s_um) if s_um else None
     capable = None if cg is None or cgk is None or n < LEAST_REPEATS else min(cg, cgk) >= LEAST
     return Capability(
         n=n,

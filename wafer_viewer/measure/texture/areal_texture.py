@@ -108,6 +108,7 @@ def _triangle(total_um: float, points: int) -> float:
 
 
 FORMS = {0: "Form removed: the mean alone.", 1: "Form removed: plane of least squares."}
+"""Notes on the removed form by the order of its polynomial."""
 UNFILTERED = "Neither S-filter nor L-filter: noise and waviness are in the numbers."
 BORDERS = (
     "Filter at borders and holes: weights scaled to sum one (ISO 16610-28, moment criterion of order 0); nothing from "
@@ -179,8 +180,15 @@ WITH_LAY = 0.5
 """Str below which the texture has a lay and a direction."""
 STEP_PX = 0.25
 """Sampling step along a ray."""
-FIRST_REACH_PX, GROWTH = 32, 4
-"""Initial half-size of the central part of the autocorrelation, and its growth until decay on all sides."""
+FIRST_REACH_PX = 32
+"""Initial half-size of the central part of the autocorrelation, px."""
+GROWTH = 4
+"""Factor by which that grows until the autocorrelation has decayed on all sides."""
+
+DECAY_STEP_DEG = 0.05
+"""Step of the fine search for the shortest and the longest decay, degrees."""
+STD_STEP_DEG = 0.1
+"""Step of the fine search for the direction of the texture, degrees."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -226,7 +234,7 @@ def direction_deg(alike: Floats) -> float:
     spectrum = _spectrum(alike)
     degrees = np.arange(0.0, 180.0, 1.0)
     best = degrees[int(np.argmax(_angular(spectrum, alike.shape, degrees)))]
-    finer = best + np.arange(-1.0, 1.01, 0.1)
+    finer = best + np.arange(-1.0, 1.01, STD_STEP_DEG)
     return round(float(finer[int(np.argmax(_angular(spectrum, alike.shape, finer)))]), 1) % 180
 
 
@@ -271,7 +279,7 @@ def _first_crossings(values: Floats, seen: NDArray[np.bool_]) -> tuple[Floats, N
 
 def _finer(alike: Floats, degree: float, extreme: Any, *, ends_only: bool = False) -> float:
     """Return the extreme decay length about a direction, in steps of a twentieth of a degree."""
-    ways, ends = _ways(alike, degree + np.arange(-1.0, 1.01, 0.05))
+    ways, ends = _ways(alike, degree + np.arange(-1.0, 1.01, DECAY_STEP_DEG))
     return float(extreme(ways[ends] if ends_only else ways))
 
 

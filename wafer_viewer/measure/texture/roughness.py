@@ -27,6 +27,7 @@ RUN_UP = 0.5
 LEAST_POINTS = 20
 """Smallest number of measured points of a section."""
 LEAST_MEASURED = 0.5
+"""Smallest measured fraction of a line."""
 ROUNDING = 1e-6
 """Rq relative to the largest height at or below which a line is flat, without skewness and kurtosis."""
 LINE_REMOVED = "Form removed: straight line of least squares."

@@ -15,7 +15,12 @@ from wafer_viewer.model.measurement.measurements import FaceAngle
 from wafer_viewer.model.region import Region
 from wafer_viewer.model.surface.height_map import Mosaic
 
-ALONG_X, ALONG_Y = np.array([1.0, 0.0, 0.0]), np.array([0.0, 1.0, 0.0])
+ALONG_X = np.array([1.0, 0.0, 0.0])
+"""Gradient of the slope of a face along x by its parameters: slope x, slope y, height."""
+ALONG_Y = np.array([0.0, 1.0, 0.0])
+"""The same of the slope along y."""
+SCALE_STEP = 1e-3
+"""Relative step of the scale for the derivative of an angle by it."""
 
 
 def face_angle(
@@ -105,7 +110,7 @@ def _lines(reading: MeasurementContext, a: Face, b: Face) -> Lines | None:
     if spread[0] is None or spread[1] is None:
         return None
     slopes = _slopes(a), _slopes(b)
-    per_scale = abs(_angle_deg(slopes[0] * 1.001, slopes[1] * 1.001) - _angle_deg(*slopes)) / 0.001
+    per_scale = abs(_angle_deg(*(slope * (1 + SCALE_STEP) for slope in slopes)) - _angle_deg(*slopes)) / SCALE_STEP
     return {
         "z scale": per_scale * reading.u_z_scale,
         "pixel scale": per_scale * reading.u_pixel_scale,

@@ -36,12 +36,16 @@ NEIGHBOURS = 3
 """Number of neighbouring search lines of the median filter for depths."""
 U_OF_MEDIAN = 0.67
 """Ratio of the standard deviation of the median of three to that of one."""
-BEYOND, LEAST_PX = 4.0, 2.0
-"""Default depth limit of a chip: robust deviations of the edge, and pixels; the larger applies."""
+BEYOND = 4.0
+"""Default depth limit of a chip, in robust deviations of the edge."""
+LEAST_PX = 2.0
+"""Smallest default depth limit of a chip, px."""
 FOOT = 0.25
 """Depth that bounds the length of a chip, relative to the limit."""
-LEAST_POINTS, AS_HIGH_UM = 50, 1.0
-"""Smallest number of heights on each side, and smallest height difference in um, to locate the die."""
+LEAST_POINTS = 50
+"""Smallest number of measured heights on each side, to locate the die."""
+AS_HIGH_UM = 1.0
+"""Smallest height difference of the sides, to locate the die, um."""
 DieOn = Literal["auto", "bright", "dark"]
 
 

@@ -6,7 +6,7 @@ from typing import Literal
 
 from wafer_viewer.measure.base.height_samples import Layer
 from wafer_viewer.measure.base.measurement_context import MeasurementContext
-from wafer_viewer.measure.edges.circular_edges import NEIGHBOURS, ROOM_PX, find_circle
+from wafer_viewer.measure.edges.circular_edges import CIRCLE_SEARCH, find_circle
 from wafer_viewer.measure.edges.edge_search import Sign, between_edges, notes, read_strip
 from wafer_viewer.model.errors import MeasureError
 from wafer_viewer.model.measurement.measurements import CircleSize
@@ -19,7 +19,7 @@ SIGNS: dict[Inside, tuple[Sign, ...]] = {"either": (1, -1), "bright": (-1,), "da
 """Signs of the brightness change from inside to outside."""
 ROOM = 1.2
 """Ratio of the image area read to the drawn circle; an edge near the circle needs both its sides."""
-ROUNDNESS = f"Roundness is that of medians of {NEIGHBOURS} neighbouring rays; noise makes it larger."
+ROUNDNESS = f"Roundness is that of medians of {CIRCLE_SEARCH.neighbours} neighbouring rays; noise makes it larger."
 
 
 def circle_size(
@@ -79,7 +79,7 @@ def circle_size(
         raise MeasureError(f"A diameter is measured in a circle, this region is a {circle.kind}: draw a circle.")
     reading = MeasurementContext.of(surface, layer, calibration_valid)
     drawn = circle.points[0]
-    room = Region.circle(drawn.x_um, drawn.y_um, ROOM * circle.radius_um + ROOM_PX * surface.pixel_um)
+    room = Region.circle(drawn.x_um, drawn.y_um, ROOM * circle.radius_um + CIRCLE_SEARCH.room_px * surface.pixel_um)
     strip, level = read_strip(surface, room, "a diameter")
     edge = find_circle(strip, drawn.x_um, drawn.y_um, circle.radius_um, SIGNS[inside])
     u_um = edge.u_radius_um

@@ -31,21 +31,65 @@ from wafer_viewer.model.quantity import Length
 from wafer_viewer.model.region import Point, Region
 from wafer_viewer.model.surface.height_map import Heights, Mosaic
 
-STANDS_OUT = 6.0
-"""Smallest prominence of a bump over the ground, in deviations of the ground."""
-HALF_WAY, CAP_FROM = 0.5, 0.7
-"""Fractions of a bump's height: for its width, and the lower bound of the top fit."""
-ALIKE = 4.0
-"""Largest ratio of a bump's area to the typical area, either way."""
-LEAST_PX = 12
-"""Smallest number of pixels of a bump above half of its height."""
-LEAST_MEASURED = 0.5
-"""Smallest measured fraction of a bump's outline for a top height."""
-RING = (1.3, 2.2)
-"""Inner and outer radius of the surroundings, in radii of the bump."""
-LEAST_ROUND = 20
-MIN_TOP_POINTS = 12
-_ROUNDS = 12
+
+@dataclass(frozen=True, slots=True)
+class BumpSearchParameters:
+    """Limits of the search for bumps and of their tops.
+
+    Parameters
+    ----------
+    stands_out : float
+        Smallest prominence of a bump over the ground, in deviations of the ground.
+    half_way : float
+        Fraction of a bump's height for its width.
+    cap_from : float
+        Fraction of a bump's height above which its top is fitted.
+    alike : float
+        Largest ratio of a bump's area to the typical area, either way.
+    least_px : int, px
+        Smallest number of pixels of a bump above half of its height.
+    least_measured : float
+        Smallest measured fraction of a bump's outline for a top height.
+    ring : tuple[float, float]
+        Inner and outer radius of the surroundings, in radii of the bump.
+    least_round : int
+        Smallest number of measured points of the surroundings, and of the ground.
+    least_top_points : int
+        Smallest number of measured points of a top.
+    most_rounds : int
+        Largest number of rounds of rejection of prominent points from the ground.
+    ground_sigmas : float
+        Height over the ground, in deviations of the lower points, beyond which a point is rejected.
+    ground_points : int
+        Approximate number of points to which the ground is fitted.
+    highest : float
+        Quantile of a bump's heights that is taken as its height.
+    ring_below : float
+        Largest height of the surroundings over the ground, relative to the highest point in them.
+
+    Notes
+    -----
+    `tests/bench/bench_shape.py` measures the errors of bumps, and the coverage of their uncertainties, with these
+    values.
+    """
+
+    stands_out: float = 6.0
+    half_way: float = 0.5
+    cap_from: float = 0.7
+    alike: float = 4.0
+    least_px: int = 12
+    least_measured: float = 0.5
+    ring: tuple[float, float] = (1.3, 2.2)
+    least_round: int = 20
+    least_top_points: int = 12
+    most_rounds: int = 12
+    ground_sigmas: float = 2
+    ground_points: int = 200_000
+    highest: float = 0.98
+    ring_below: float = 0.25
+
+
+BUMP_SEARCH = BumpSearchParameters()
 Mask = NDArray[np.bool_]
 Box = tuple[slice, slice]
 
@@ -87,7 +131,7 @@ def find_bumps(part: Heights, within: Mask) -> Bumps:
     usual_px = _usual([(float(outline.sum()), int(outline.sum())) for outline in outlines])
     found, left_out = list[Top](), 0
     for box, outline in zip(boxes, outlines, strict=True):
-        if max(usual_px / ALIKE, LEAST_PX) <= outline.sum() <= ALIKE * usual_px:
+        if max(usual_px / BUMP_SEARCH.alike, BUMP_SEARCH.least_px) <= outline.sum() <= BUMP_SEARCH.alike * usual_px:
             top = _top(part, z_um, over, box, outline) if _whole(outline, box, within, z_um) else None
             found, left_out = (found, left_out + 1) if top is None else ([*found, top], left_out)
     return Bumps(tuple(found), left_out)
@@ -100,9 +144,9 @@ def _over_ground(part: Heights, z_um: Floats) -> tuple[Floats, float]:
     """
     rows, cols = np.nonzero(np.isfinite(z_um))
     points = HeightSamples(part.x_um[cols], part.y_um[rows], z_um[rows, cols])
-    if len(points) < LEAST_ROUND:
+    if len(points) < BUMP_SEARCH.least_round:
         raise MeasureError("Nothing is measured in the region: move it to where the surface has heights.")
-    every = max(1, len(points) // 200_000)
+    every = max(1, len(points) // BUMP_SEARCH.ground_points)
     some = points.kept(np.arange(len(points)) % every == 0)
     plane, noise_um = _ground(some)
     return z_um - np.asarray(plane.at(part.x_um[None, :], part.y_um[:, None])), noise_um
@@ -113,12 +157,12 @@ def _ground(points: HeightSamples) -> tuple[LevelPlane, float]:
     design = plane_design(points, center)
     kept, below = np.ones(len(points), bool), 0.0
     slope_x = slope_y = z_um = 0.0
-    for _ in range(_ROUNDS):
+    for _ in range(BUMP_SEARCH.most_rounds):
         slope_x, slope_y, z_um = robust_fit(design[kept], points.z_um[kept]).coefficients.tolist()
         left = points.z_um - design @ np.array([slope_x, slope_y, z_um])
         below = float(np.sqrt(np.mean(left[left < 0] ** 2))) if (left < 0).any() else 0.0
-        lower = left <= 2 * max(below, 1e-9)
-        if np.array_equal(lower, kept) or np.count_nonzero(lower) < LEAST_ROUND:
+        lower = left <= BUMP_SEARCH.ground_sigmas * max(below, 1e-9)
+        if np.array_equal(lower, kept) or np.count_nonzero(lower) < BUMP_SEARCH.least_round:
             break
         kept = lower
     return LevelPlane(*center, z_um, slope_x, slope_y), below
@@ -126,15 +170,15 @@ def _ground(points: HeightSamples) -> tuple[LevelPlane, float]:
 
 def _outlines(over: Floats, noise_um: float) -> tuple[NDArray[np.int32], list[Box]]:
     """Return labels [row, col] of objects above half of the typical height, and their bounding boxes."""
-    numbers, boxes = _labelled(over > STANDS_OUT * max(noise_um, 1e-6))
+    numbers, boxes = _labelled(over > BUMP_SEARCH.stands_out * max(noise_um, 1e-6))
     inside = [over[box][numbers[box] == k] for k, box in enumerate(boxes, 1)]
-    tops = [(float(np.nanmax(heights)), len(heights)) for heights in inside if len(heights) >= LEAST_PX]
+    tops = [(float(np.nanmax(heights)), len(heights)) for heights in inside if len(heights) >= BUMP_SEARCH.least_px]
     if not tops:
         raise MeasureError(
-            f"No bump stands out of the ground by {STANDS_OUT:g} of its deviations ({STANDS_OUT * noise_um:.2f} um): "
-            "draw the region over bumps that are measured."
+            f"No bump stands out of the ground by {BUMP_SEARCH.stands_out:g} of its deviations "
+            f"({BUMP_SEARCH.stands_out * noise_um:.2f} um): draw the region over bumps that are measured."
         )
-    return _labelled(over > max(HALF_WAY * _usual(tops), STANDS_OUT * noise_um))
+    return _labelled(over > max(BUMP_SEARCH.half_way * _usual(tops), BUMP_SEARCH.stands_out * noise_um))
 
 
 def _usual(values: list[tuple[float, int]]) -> float:
@@ -155,14 +199,14 @@ def _whole(outline: Mask, box: Box, within: Mask, z_um: Floats) -> bool:
     rows, cols = (slice(max(0, side.start - 1), side.stop + 1) for side in box)
     at_border = box[0].start == 0 or box[1].start == 0 or box[0].stop == len(within) or box[1].stop == within.shape[1]
     measured = np.isfinite(z_um[box])[outline].mean()
-    return not at_border and bool(within[rows, cols].all()) and measured >= LEAST_MEASURED
+    return not at_border and bool(within[rows, cols].all()) and measured >= BUMP_SEARCH.least_measured
 
 
 def _top(part: Heights, z_um: Floats, over: Floats, box: Box, outline: Mask) -> Top | None:
     """Return the top from a sphere fit; None where none fits."""
-    highest = float(np.nanquantile(over[box][outline], 0.98))
-    points = _points(part, z_um, box, outline & (over[box] >= CAP_FROM * highest))
-    if len(points) < MIN_TOP_POINTS:
+    highest = float(np.nanquantile(over[box][outline], BUMP_SEARCH.highest))
+    points = _points(part, z_um, box, outline & (over[box] >= BUMP_SEARCH.cap_from * highest))
+    if len(points) < BUMP_SEARCH.least_top_points:
         return None
     try:
         cap, kept = fit_cap(points)
@@ -182,14 +226,14 @@ def _round(
     part: Heights, z_um: Floats, over: Floats, at: tuple[float, float], radius_um: float
 ) -> tuple[float, float | None] | None:
     """Return the height of the surroundings under a bump's top, and its standard uncertainty; None if unmeasured."""
-    reach = RING[1] * radius_um
+    reach = BUMP_SEARCH.ring[1] * radius_um
     col, row = (at[0] - part.x0_um) / part.pixel_um, (part.y0_um - at[1]) / part.pixel_um
     px = reach / part.pixel_um
     box = slice(max(0, round(row - px)), round(row + px) + 1), slice(max(0, round(col - px)), round(col + px) + 1)
-    ring = _points(part, z_um, box, over[box] < 0.25 * np.nanmax(over[box]))
+    ring = _points(part, z_um, box, over[box] < BUMP_SEARCH.ring_below * np.nanmax(over[box]))
     away = np.hypot(ring.x_um - at[0], ring.y_um - at[1]) / radius_um
-    ring = ring.kept((away >= RING[0]) & (away <= RING[1]))
-    if len(ring) < LEAST_ROUND:
+    ring = ring.kept((away >= BUMP_SEARCH.ring[0]) & (away <= BUMP_SEARCH.ring[1]))
+    if len(ring) < BUMP_SEARCH.least_round:
         return None
     design = plane_design(ring, at)
     fit = robust_fit(design, ring.z_um)

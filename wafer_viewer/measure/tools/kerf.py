@@ -12,7 +12,7 @@ from wafer_viewer.measure.base.height_samples import Floats, Layer
 from wafer_viewer.measure.base.measurement_context import MeasurementContext
 from wafer_viewer.measure.base.robust_fit import angle_between_lines
 from wafer_viewer.measure.edges.edge_search import (
-    REACH_PX,
+    EDGE_FILTER,
     EdgeScores,
     SearchStrip,
     Sign,
@@ -36,7 +36,7 @@ NEIGHBOURS = 5
 """Number of neighbouring search lines of the median for the narrowest and the widest place."""
 U_OF_MEDIAN = 0.54
 """Ratio of the standard deviation of the median of five to that of one."""
-LEAST_APART_PX = 2 * REACH_PX
+LEAST_APART_PX = 2 * EDGE_FILTER.reach_px
 """Smallest distance of edges; closer edges shift each other."""
 Kerf = Literal["either", "bright", "dark"]
 SIGNS: dict[Kerf, tuple[Sign, ...]] = {"either": (1, -1), "bright": (1,), "dark": (-1,)}

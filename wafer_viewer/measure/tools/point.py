@@ -27,6 +27,7 @@ them.
 UNKNOWN_WINDOW = 15
 """Focus window assumed where the surface does not specify one."""
 MIN_NOISE_POINTS = 100
+"""Smallest number of measured points around a point for its noise."""
 BY_HAND = "Not in the budget: where the points were set, distortion of the lens, places of the fields."
 
 

@@ -7,6 +7,7 @@ of the top height.
 from __future__ import annotations
 
 import math
+from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
@@ -21,16 +22,36 @@ from wafer_viewer.model.measurement.measurements import Radius
 from wafer_viewer.model.region import Point, Region
 from wafer_viewer.model.surface.height_map import Mosaic
 
-CAP_FROM = 0.3
-"""Fraction of the top height above which the sphere is fitted; below it bumps have feet."""
-RING = 1.25
-"""Outer radius of the surroundings, relative to the circle."""
-MIDDLE = 0.3
-"""Radius of the initial search for the top, relative to the circle."""
-MIN_POINTS = 50
-FITTED_POINTS = 100_000
-"""Largest number of fitted points; with more, correlated errors do not reduce the uncertainty."""
-_ROUNDS = 3
+
+@dataclass(frozen=True, slots=True)
+class RadiusParameters:
+    """Limits of the sphere fit to a bump or a pit.
+
+    Parameters
+    ----------
+    cap_from : float
+        Fraction of the top height above which the sphere is fitted; below it bumps have feet.
+    ring : float
+        Outer radius of the surroundings, relative to the circle.
+    middle : float
+        Radius of the initial search for the top, relative to the circle.
+    least_points : int
+        Smallest number of measured points of the surroundings, and of the bump.
+    fitted_points : int
+        Largest number of fitted points; with more, correlated errors do not reduce the uncertainty.
+    rounds : int
+        Number of times that the points of the sphere are chosen by the sphere of the time before.
+    """
+
+    cap_from: float = 0.3
+    ring: float = 1.25
+    middle: float = 0.3
+    least_points: int = 50
+    fitted_points: int = 100_000
+    rounds: int = 3
+
+
+RADIUS = RadiusParameters()
 
 
 def bump_radius(
@@ -96,20 +117,20 @@ def bump_radius(
 
 
 def _thinned(points: HeightSamples) -> HeightSamples:
-    every = -(-len(points) // FITTED_POINTS) or 1
+    every = -(-len(points) // RADIUS.fitted_points) or 1
     return points.kept(np.arange(len(points)) % every == 0)
 
 
 def _wider(circle: Region) -> Region:
     at = circle.points[0]
-    return Region.circle(at.x_um, at.y_um, RING * circle.radius_um)
+    return Region.circle(at.x_um, at.y_um, RADIUS.ring * circle.radius_um)
 
 
 def _surroundings(points: HeightSamples) -> Face:
     """Fit the face around a bump. Raises MeasureError with too few points."""
-    if len(points) < MIN_POINTS:
+    if len(points) < RADIUS.least_points:
         raise MeasureError(
-            f"Round the circle {len(points)} points are measured and a radius needs at least {MIN_POINTS}: "
+            f"Round the circle {len(points)} points are measured and a radius needs at least {RADIUS.least_points}: "
             "draw it larger, where its surroundings are measured."
         )
     return face_of(points)
@@ -123,8 +144,8 @@ def _over(points: HeightSamples, plane: LevelPlane) -> Floats:
 def _cap(points: HeightSamples, around: Face, circle: Region) -> tuple[Cap, HeightSamples]:
     """Fit the sphere to points that rise over the surroundings; return it and its points."""
     over, top_um = _over(points, around.plane), _first_top_um(points, around, circle)
-    cap, kept = _fitted(points.kept(over / top_um >= CAP_FROM))
-    for _ in range(_ROUNDS):
+    cap, kept = _fitted(points.kept(over / top_um >= RADIUS.cap_from))
+    for _ in range(RADIUS.rounds):
         if cap.curvature * top_um < 0 or not circle.contains(np.array(cap.x_um), np.array(cap.y_um)):
             raise no_sphere()
         cap, kept = _fitted(points.kept(_in_cap(points, cap, around)), cap)
@@ -136,14 +157,14 @@ def _in_cap(points: HeightSamples, cap: Cap, around: Face) -> NDArray[np.bool_]:
     reached = cap.within_reach(points)
     near = points.kept(reached)
     rises = cap.at(near) - np.asarray(around.plane.at(near.x_um, near.y_um))
-    reached[reached] = rises / _top_um(cap, around.plane) >= CAP_FROM
+    reached[reached] = rises / _top_um(cap, around.plane) >= RADIUS.cap_from
     return reached
 
 
 def _fitted(rising: HeightSamples, start: Cap | None = None) -> tuple[Cap, HeightSamples]:
-    if len(rising) < MIN_POINTS:
+    if len(rising) < RADIUS.least_points:
         raise MeasureError(
-            f"The bump has {len(rising)} measured points and a radius needs at least {MIN_POINTS}: "
+            f"The bump has {len(rising)} measured points and a radius needs at least {RADIUS.least_points}: "
             "choose one that is larger or better measured."
         )
     return fit_cap(rising, start)
@@ -151,7 +172,7 @@ def _fitted(rising: HeightSamples, start: Cap | None = None) -> tuple[Cap, Heigh
 
 def _first_top_um(points: HeightSamples, around: Face, circle: Region) -> float:
     at = circle.points[0]
-    middle = Region.circle(at.x_um, at.y_um, MIDDLE * circle.radius_um).contains(points.x_um, points.y_um)
+    middle = Region.circle(at.x_um, at.y_um, RADIUS.middle * circle.radius_um).contains(points.x_um, points.y_um)
     if not middle.any():
         raise MeasureError("Nothing is measured in the middle of the circle: draw it round a bump that is measured.")
     top_um = float(np.median(_over(points.kept(middle), around.plane)))
@@ -174,7 +195,7 @@ def _radius_lines(reading: MeasurementContext, cap: Cap, kept: HeightSamples, ar
     u_curvature = parameter_u(kept, cap.slopes(kept), kept.z_um - cap.at(kept), np.array([0.0, 0.0, 0.0, 1.0]))
     if u_curvature is None:
         return None
-    cap_um = (1 - CAP_FROM) * abs(_top_um(cap, around.plane))
+    cap_um = (1 - RADIUS.cap_from) * abs(_top_um(cap, around.plane))
     return {
         "z scale": reading.u_z_scale * cap.radius_um,
         "pixel scale": 2 * reading.u_pixel_scale * cap.radius_um,

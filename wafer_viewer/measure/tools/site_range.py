@@ -27,6 +27,7 @@ REFUSED = {
 }
 """SEMI terms that cannot be measured here, with the reason."""
 MOST_SITES = 10_000
+"""Largest number of sites of a lattice."""
 QUARTER = 0.25
 """Default size of a site, relative to the region's sides."""
 Box = tuple[float, float, float, float]

@@ -23,6 +23,7 @@ MEDIAN_SAMPLES = 3
 SPREAD_PERCENT = 68.27
 """Percentage of points within the spread about the line: one standard deviation of a normal distribution."""
 _LEAST_PIECE_PX = 256
+"""Smallest length of the pieces along the line in which a slab is read, px; it is four widths of a wide slab."""
 
 
 def slab_profile(

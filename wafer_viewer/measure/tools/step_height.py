@@ -51,6 +51,7 @@ from wafer_viewer.model.surface.field_poses import HasPoses, Poses
 from wafer_viewer.model.surface.height_map import HeightMap, Mosaic, ReadThrough
 
 TILTS = ((1.0, 0.0, 0.0), (0.0, 1.0, 0.0))
+"""Gradients of the slopes of a face along x and along y by its parameters: slope x, slope y, height."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -36,12 +36,54 @@ from wafer_viewer.model.measurement.tool_options import Conditions, GrooveOption
 from wafer_viewer.model.region import Region
 from wafer_viewer.model.surface.height_map import Mosaic
 
-BINS = 300
-"""Number of means along the profile for the exhaustive search; then single samples are tried."""
-MEDIAN_OF = 5
-"""Window of the running median, in samples, which removes single false heights."""
-LEAST_BINS = 2
-ROUNDS = 3
+
+@dataclass(frozen=True, slots=True)
+class StepProfileParameters:
+    """Limits of the edge search along a profile, and of the evaluation of its zones.
+
+    Parameters
+    ----------
+    bins : int
+        Number of means along the profile for the exhaustive search; then single samples are tried.
+    median_of : int
+        Window of the running median, in samples, which removes single false heights.
+    least_bins : int
+        Smallest width of the bottom and of each side, in means; for a single step in samples.
+    rounds : int
+        Number of times that both edges are moved in turn, sample by sample.
+    pieces : tuple[int, ...]
+        Numbers of pieces per zone unit, by piece size; the means of the pieces are the observations.
+    least_samples : int
+        Smallest number of measured samples of a zone.
+    usual : float
+        Quantile of the distances from the running median that is taken as usual.
+    false : float
+        Multiple of the usual distance beyond which a height is false.
+    rounding_um : float, um
+        Distance from the running median within which no height is false.
+    least_measured : float
+        Smallest measured fraction of a zone.
+    drawn : int
+        Largest number of curve points in a result.
+    stands_out : float
+        Smallest ratio of a jump to its noise; the jump is the largest of very many.
+    """
+
+    bins: int = 300
+    median_of: int = 5
+    least_bins: int = 2
+    rounds: int = 3
+    pieces: tuple[int, ...] = (8, 4, 2)
+    least_samples: int = 10
+    usual: float = 0.9
+    false: float = 3.0
+    rounding_um: float = 1e-4
+    least_measured: float = 0.5
+    drawn: int = 240
+    stands_out: float = 6.0
+
+
+STEP_PROFILE = StepProfileParameters()
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -75,11 +117,15 @@ def groove_edges(x: Floats, z: Floats) -> tuple[int, int]:
     coarse = SideSums.of(_side_means(x, ends), _side_means(even, ends))
     n = len(ends) - 1
     first, end = np.meshgrid(np.arange(n + 1), np.arange(n + 1), indexing="ij")
-    allowed = (first >= LEAST_BINS) & (end <= n - LEAST_BINS) & (end - first >= LEAST_BINS)
+    allowed = (
+        (first >= STEP_PROFILE.least_bins)
+        & (end <= n - STEP_PROFILE.least_bins)
+        & (end - first >= STEP_PROFILE.least_bins)
+    )
     best = np.argmax(np.where(allowed, coarse.explained(first, end), -1.0))
     i, j = (int(ends[k]) for k in divmod(int(best), n + 1))
     fine, reach = SideSums.of(x, even), 2 * -(-len(x) // n)
-    for _ in range(ROUNDS):
+    for _ in range(STEP_PROFILE.rounds):
         i = _best(fine, np.arange(max(1, i - reach), min(j, i + reach + 1)), np.array(j))
         j = _best(fine, np.array(i), np.arange(max(i + 1, j - reach), min(len(x), j + reach + 1)))
     return i, j
@@ -88,7 +134,7 @@ def groove_edges(x: Floats, z: Floats) -> tuple[int, int]:
 def step_edge(x: Floats, z: Floats) -> int:
     """Return the first sample beyond the edge of a single step."""
     sums = SideSums.of(x, smooth(z))
-    return _best(sums, np.arange(LEAST_BINS, len(x) - LEAST_BINS), np.array(len(x)))
+    return _best(sums, np.arange(STEP_PROFILE.least_bins, len(x) - STEP_PROFILE.least_bins), np.array(len(x)))
 
 
 def _best(sums: SideSums, first: np.ndarray, end: np.ndarray) -> int:
@@ -101,11 +147,11 @@ def smooth(z: Floats) -> Floats:
     """Remove single false heights with a running median."""
     from scipy.ndimage import median_filter
 
-    return median_filter(z, MEDIAN_OF, mode="nearest")
+    return median_filter(z, STEP_PROFILE.median_of, mode="nearest")
 
 
 def _bins(n: int) -> np.ndarray:
-    return np.unique(np.linspace(0, n, min(n, BINS) + 1).round().astype(np.intp))
+    return np.unique(np.linspace(0, n, min(n, STEP_PROFILE.bins) + 1).round().astype(np.intp))
 
 
 def _side_means(values: Floats, ends: np.ndarray) -> Floats:
@@ -113,18 +159,6 @@ def _side_means(values: Floats, ends: np.ndarray) -> Floats:
 
 
 Shape = Literal["groove", "step"]
-PIECES = (8, 4, 2)
-"""Numbers of pieces per zone unit, by piece size; the means of the pieces are the observations."""
-LEAST_SAMPLES = 10
-USUAL, FALSE = 0.9, 3.0
-"""Quantile of the distances from the running median, and the multiple of it beyond which a height is false."""
-ROUNDING_UM = 1e-4
-LEAST_MEASURED = 0.5
-"""Smallest measured fraction of a zone."""
-DRAWN = 240
-"""Largest number of curve points in a result."""
-STANDS_OUT = 6.0
-"""Smallest ratio of a jump to its noise; the jump is the largest of very many."""
 GROOVE = "ISO 5436-1: z = a x + b + h delta, delta +1 in the zones A and B and -1 in C; the depth is 2 h."
 STEP = "z = a x + b + h delta, delta 0 in the zone A before the edge and 1 in B beyond it."
 
@@ -236,14 +270,14 @@ def step_profile(
     reading = MeasurementContext.of(surface, layer, calibration_valid)
     section, curve = profile(surface, line, calibration_valid=calibration_valid, layer=layer)
     measured = _some(curve, np.isfinite(curve.z_um))
-    if len(measured.z_um) < 3 * LEAST_SAMPLES:
+    if len(measured.z_um) < 3 * STEP_PROFILE.least_samples:
         raise MeasureError(
             "Too few heights were measured along the line: draw it longer, or where the surface has fewer holes."
         )
     plan = PLANS[shape](measured.distance_um, measured.z_um, section.length_um)
     fitted = _fitted(_trusted(measured), curve.distance_um, plan.zones)
     scatter = _scatter(fitted, plan.zones)
-    if scatter is not None and abs(fitted.h_um) <= STANDS_OUT * scatter.u:
+    if scatter is not None and abs(fitted.h_um) <= STEP_PROFILE.stands_out * scatter.u:
         raise MeasureError(f"No {shape} stands out of the noise along the line: draw it across one.")
     height_um = plan.times * fitted.h_um
     kind = shape if shape == "step" else "groove" if height_um > 0 else "ridge"
@@ -323,13 +357,13 @@ def _fitted(curve: ProfileCurve, samples_um: Floats, zones: tuple[Zone, ...]) ->
 def _trusted(curve: ProfileCurve) -> ProfileCurve:
     """Remove samples far from a running median: single false heights."""
     off_um = np.abs(curve.z_um - smooth(curve.z_um))
-    kept = off_um <= max(FALSE * float(np.quantile(off_um, USUAL)), ROUNDING_UM)
+    kept = off_um <= max(STEP_PROFILE.false * float(np.quantile(off_um, STEP_PROFILE.usual)), STEP_PROFILE.rounding_um)
     return _some(curve, kept)
 
 
 def _drawn(curve: ProfileCurve) -> tuple[tuple[float, float], ...]:
     """Return every point, or means of neighbours if there are too many."""
-    step = -(-len(curve.z_um) // DRAWN)
+    step = -(-len(curve.z_um) // STEP_PROFILE.drawn)
     starts = np.arange(0, len(curve.z_um), step)
     count = np.diff(np.append(starts, len(curve.z_um)))
     at_um, z_um = (np.add.reduceat(column, starts) / count for column in (curve.distance_um, curve.z_um))
@@ -341,11 +375,11 @@ def _some(curve: ProfileCurve, which: NDArray[np.bool_]) -> ProfileCurve:
 
 
 def _require_enough(zone: Zone, measured: int, samples: int) -> None:
-    if measured < max(LEAST_SAMPLES, LEAST_MEASURED * samples):
+    if measured < max(STEP_PROFILE.least_samples, STEP_PROFILE.least_measured * samples):
+        needed = max(STEP_PROFILE.least_samples, round(STEP_PROFILE.least_measured * samples))
         raise MeasureError(
             f"Zone {zone.name} of the profile has {measured} measured samples of {samples} and needs "
-            f"{max(LEAST_SAMPLES, round(LEAST_MEASURED * samples))}: draw the line where the surface has fewer holes, "
-            "or across something wider."
+            f"{needed}: draw the line where the surface has fewer holes, or across something wider."
         )
 
 
@@ -355,7 +389,7 @@ def _scatter(fitted: FittedStep, zones: tuple[Zone, ...]) -> Scatter | None:
     start_um = np.array([zone.start_um for zone in zones])
     columns = np.column_stack([fitted.design, fitted.left_um])
     found = []
-    for pieces in PIECES:
+    for pieces in STEP_PROFILE.pieces:
         piece = ((fitted.at_um - start_um[fitted.zone]) / unit_um * pieces).astype(np.intp)
         found.append(covariance_of_means(_means(columns, fitted.zone * 2 * (pieces + 1) + piece)))
     return extrapolated_uncertainty(

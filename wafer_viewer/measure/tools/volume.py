@@ -29,9 +29,13 @@ from wafer_viewer.model.surface.height_map import Mosaic
 BORDER = 0.08
 """Width of the border, in sides of a square with the area of the region."""
 LEAST_BORDER_PX = 2.0
+"""Smallest width of the border, px."""
 MIN_BORDER_POINTS = 100
+"""Smallest number of measured points of the border."""
 NOISE_DEVIATIONS = 3.0
+"""Distance from the plane that is noise, in standard deviations of the border."""
 OFFSET = np.array([0.0, 0.0, 1.0])
+"""Gradient of the height in the middle of a plane by its parameters: slope x, slope y, height."""
 Reference = Literal["border", "zero"]
 REFERENCES: dict[Reference, str] = {
     "border": "Reference: the plane through the border of the region.",

@@ -20,8 +20,8 @@ LINE_REACH_PX = 5
 def line_outliers(padded: Float32s, limit: Real) -> Bools:
     """Return a mask of pixels further than `limit` from the median of each of their four lines; bool [row, col].
 
-    padded: a map with a border of `LINE_REACH_PX` NaN, which is removed. For an even number of measured pixels, any value
-    between the two middle ones counts as the median of a line.
+    padded: a map with a border of `LINE_REACH_PX` NaN, which is removed. For an even number of measured pixels, any
+    value between the two middle ones counts as the median of a line.
     """
     shape = padded.shape[0] - 2 * LINE_REACH_PX, padded.shape[1] - 2 * LINE_REACH_PX
     far = np.zeros(shape, np.bool_)

@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 from wafer_viewer.model.errors import DatasetError, WaferViewerError
 from wafer_viewer.model.surface.height_map import ORIGIN_TITLES, UNMEASURED_FROM, HeightMap, Mosaic, Origin
 from wafer_viewer.model.surface.recipe import Recipe
+from wafer_viewer.numerics.normal_statistics import HALF_NORMAL_MEDIAN
 from wafer_viewer.session.core.command_queue import CommandQueue
 from wafer_viewer.session.core.commands import observer_command
 from wafer_viewer.session.state.snapshot import Box, DatasetEntry, FieldState, OpenDataset, SurfaceInfo
@@ -270,8 +271,6 @@ SUMMARY = "surface.json"
 COLOUR_RANGE_PERCENT = (0.5, 99.5)
 OUTLIERS_BEYOND = 3.0
 """Robust deviations beyond which an overlap difference counts as a false height, not as a misfit of fields."""
-HALF_NORMAL_MEDIAN = 0.6745
-"""Median of the absolute values of normal errors with standard deviation 1."""
 
 
 def summarise(mosaic: Mosaic, n_fields: int, result: str, asked: Recipe | None = None) -> SurfaceInfo:
