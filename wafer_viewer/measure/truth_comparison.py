@@ -6,6 +6,7 @@ reported too. A height is *false* when it is off by more than a tolerance, by de
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 from itertools import pairwise
@@ -158,24 +159,27 @@ def error_by_distance(
 
 def rmse(error_um: Heights) -> float:
     """Return the root mean square of errors in um, eq. 17; NaN without any."""
-    return float(np.sqrt(np.mean(np.square(error_um)))) if error_um.size else float("nan")
+    from skimage.metrics import mean_squared_error
+
+    return math.sqrt(mean_squared_error(error_um, np.zeros_like(error_um))) if error_um.size else math.nan
 
 
 def correlation(z_um: Heights, truth_um: Heights) -> float:
     """Return Pearson's correlation of heights with their truth, eq. 18; NaN where either is constant."""
-    if not z_um.size:
-        return float("nan")
-    z, truth = z_um - z_um.mean(), truth_um - truth_um.mean()
-    spread = float(np.sqrt(np.sum(z * z) * np.sum(truth * truth)))
-    return float(np.sum(z * truth)) / spread if spread > 0 else float("nan")
+    from skimage.measure import pearson_corr_coeff
+
+    if z_um.size < 2 or np.ptp(z_um) == 0 or np.ptp(truth_um) == 0:
+        return math.nan
+    return float(pearson_corr_coeff(z_um, truth_um)[0])
 
 
 def psnr(error_um: Heights, peak_um: float) -> float:
     """Return the peak signal-to-noise ratio, 20 log10(peak / RMSE) in dB; infinite without an error."""
-    noise_um = rmse(error_um)
-    if noise_um == 0:
-        return float("inf")
-    return 20 * float(np.log10(peak_um / noise_um)) if peak_um > 0 else float("nan")
+    from skimage.metrics import peak_signal_noise_ratio
+
+    if not error_um.any():
+        return math.nan if not error_um.size else math.inf
+    return peak_signal_noise_ratio(np.zeros_like(error_um), error_um, data_range=peak_um) if peak_um > 0 else math.nan
 
 
 def smoothness(z_um: Heights) -> float:

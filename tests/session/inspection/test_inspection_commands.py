@@ -121,7 +121,7 @@ def test_an_inspection_of_a_surface_that_is_another_now_is_stale(bench, result):
 def test_what_people_said_outlives_a_new_inspection(bench, result):
     first = bench.state.defects[0].number
     bench.do(bench.keeper.judge, first, "real", None, None)
-    found = bench.desk.do(bench.keeper.inspect, DefectRecipe(sensitivity=0.7), None, "dies")
+    found = bench.keeper.inspect(DefectRecipe(sensitivity=0.7), None, "dies")
     bench.do(lambda: None)
     assert bench.state.work
     assert bench.hired.asked[0][2:5] == (bench.library.dataset.path, "default", DefectRecipe(sensitivity=0.7))
@@ -138,7 +138,7 @@ def test_what_people_said_outlives_a_new_inspection(bench, result):
 def test_why_nothing_was_found_out_stands_where_the_list_would_be(bench, result):
     (result.path / "defects.json").unlink()
     bench.do(bench.keeper.open)
-    found = bench.desk.do(bench.keeper.inspect, DefectRecipe(), None, "dies")
+    found = bench.keeper.inspect(DefectRecipe(), None, "dies")
     bench.hired.done.set_exception(MeasureError("The surface has no period: give the dies."))
     with pytest.raises(MeasureError):
         found.result(20)

@@ -121,11 +121,12 @@ def _detail(layer: Float32s, size: int) -> Floats | None:
 
 def peaks_of(alike: Floats) -> list[Peak]:
     """Return the local maxima of an autocorrelation, except the central one."""
-    from scipy.ndimage import gaussian_filter, maximum_filter
+    from scipy.ndimage import gaussian_filter
+    from skimage.feature import peak_local_max
 
     smooth = np.asarray(gaussian_filter(np.nan_to_num(alike, nan=-1.0), PERIODICITY.smoothing_px))
-    tops = (smooth == np.asarray(maximum_filter(smooth, PERIODICITY.top_px))) & (smooth > PERIODICITY.least_alike)
-    rows, cols = np.nonzero(tops)
+    around = np.ones((PERIODICITY.top_px, PERIODICITY.top_px), bool)
+    rows, cols = peak_local_max(smooth, threshold_abs=PERIODICITY.least_alike, exclude_border=False, footprint=around).T
     middle_row, middle_col = (n // 2 for n in alike.shape)
     lags = zip((cols - middle_col).tolist(), (middle_row - rows).tolist(), smooth[rows, cols].tolist(), strict=True)
     return [Peak(*lag) for lag in lags if math.hypot(lag[0], lag[1]) >= PERIODICITY.shortest_px]
