@@ -140,9 +140,9 @@ def first_step(session: Session) -> tuple[Region, ...]:
         session.paint(RenderRequest(source, "relief")).result(PATIENCE_S), type=CoarseHeightField
     )
     scale = ColourScale("height", 0.0, 1.0, 0.0, 1.0, 0.0, 1.0, ())
-    land = HeightField(relief, DisplayedSurface(source, facts, scale, facts.lowest_um, 1.0))
-    x0, y0, x1, y1 = land.bounds_um
-    return initial_regions("step", land, ((x0 + x1) / 2, (y0 + y1) / 2))
+    height_field = HeightField(relief, DisplayedSurface(source, facts, scale, facts.lowest_um, 1.0))
+    x0, y0, x1, y1 = height_field.bounds_um
+    return initial_regions("step", height_field, ((x0 + x1) / 2, (y0 + y1) / 2))
 
 
 def goal(seconds: float, limit_s: float) -> str:

@@ -32,25 +32,25 @@ class Program:
 
     def __init__(self, folder):
         self.folder = folder
-        self.rooms = None
+        self.coordinator = None
 
     def start(self):
-        self.rooms = SessionCoordinator(self.folder, RigConfig(), None)
-        self.rooms.rig.start = lambda: None
-        self.do(self.rooms.start)
+        self.coordinator = SessionCoordinator(self.folder, RigConfig(), None)
+        self.coordinator.rig.start = lambda: None
+        self.do(self.coordinator.start)
         return self.now
 
     def do(self, verb, *args):
-        return self.rooms.desk.do(verb, *args).result(10)
+        return self.coordinator.command_queue.do(verb, *args).result(10)
 
     @property
     def now(self):
-        return self.rooms.desk.snapshot
+        return self.coordinator.command_queue.snapshot
 
     def end(self):
-        if self.rooms is not None:
-            self.rooms.close()
-            self.rooms = None
+        if self.coordinator is not None:
+            self.coordinator.close()
+            self.coordinator = None
 
 
 @pytest.fixture
@@ -85,9 +85,9 @@ def test_a_first_start_opens_nothing_and_needs_no_word(program):
 
 def test_plan_dataset_and_what_was_half_typed_are_there_after_a_restart(program, dataset):
     program.start()
-    program.do(program.rooms.drafting.edit, small_job())
-    program.do(program.rooms.open, dataset)
-    program.do(program.rooms.drafting.keep_typed, HALF)
+    program.do(program.coordinator.drafting.edit, small_job())
+    program.do(program.coordinator.open, dataset)
+    program.do(program.coordinator.drafting.keep_typed, HALF)
     program.end()
     now = program.start()
     assert now.draft.job == small_job()
@@ -99,19 +99,19 @@ def test_plan_dataset_and_what_was_half_typed_are_there_after_a_restart(program,
 
 def test_nothing_moves_before_the_sample_is_confirmed(program, dataset):
     program.start()
-    program.do(program.rooms.open, dataset)
+    program.do(program.coordinator.open, dataset)
     program.end()
     program.start()
-    rooms = program.rooms
-    for verb, *args in ((rooms.move_to, Move(x_um=0.0)), (rooms.continue_scan,)):
+    coordinator = program.coordinator
+    for verb, *args in ((coordinator.move_to, Move(x_um=0.0)), (coordinator.continue_scan,)):
         with pytest.raises(PlanError, match="confirm the sample before anything moves"):
             program.do(verb, *args)
-    program.do(rooms.drafting.confirm)
+    program.do(coordinator.drafting.confirm)
     assert program.now.draft.confirmed
-    rooms.rig.start = lambda: pytest.fail("the rig was asked")
-    rooms.rig.require_idle = refuse
+    coordinator.rig.start = lambda: pytest.fail("the rig was asked")
+    coordinator.rig.require_idle = refuse
     with pytest.raises(RigError, match="asked"):
-        program.do(rooms.move_to, Move(x_um=0.0))
+        program.do(coordinator.move_to, Move(x_um=0.0))
 
 
 def refuse(what):
@@ -120,7 +120,7 @@ def refuse(what):
 
 def test_what_is_half_typed_is_no_plan_until_it_is_mended(program):
     program.start()
-    drafting = program.rooms.drafting
+    drafting = program.coordinator.drafting
     program.do(drafting.edit, small_job())
     program.do(drafting.keep_typed, HALF)
     with pytest.raises(PlanError, match="read 'quick'"):
@@ -134,8 +134,8 @@ def test_what_is_half_typed_is_no_plan_until_it_is_mended(program):
 
 def test_a_dataset_that_has_gone_is_told_and_the_plan_is_there_all_the_same(program, dataset):
     program.start()
-    program.do(program.rooms.drafting.edit, small_job())
-    program.do(program.rooms.open, dataset)
+    program.do(program.coordinator.drafting.edit, small_job())
+    program.do(program.coordinator.open, dataset)
     program.end()
     shutil.move(dataset, dataset.with_name("elsewhere.wafer"))
     now = program.start()
@@ -146,7 +146,7 @@ def test_a_dataset_that_has_gone_is_told_and_the_plan_is_there_all_the_same(prog
 
 def test_a_dataset_that_another_program_holds_is_open_for_reading_and_that_is_said(program, dataset, monkeypatch):
     program.start()
-    program.do(program.rooms.open, dataset)
+    program.do(program.coordinator.open, dataset)
     program.end()
     monkeypatch.setattr(Lock, "take", held_elsewhere)
     now = program.start()
@@ -178,22 +178,22 @@ def test_a_file_that_cannot_be_read_costs_the_memory_and_not_the_start(program, 
     assert why.lower() in fault.text.lower()
     assert fault.text.endswith("Nothing to do.")
     assert not fault.needs_person
-    program.do(program.rooms.drafting.edit, small_job())
+    program.do(program.coordinator.drafting.edit, small_job())
     program.end()
     assert program.start().draft.job == small_job()
 
 
 def test_a_closed_dataset_stays_closed(program, dataset):
     program.start()
-    program.do(program.rooms.open, dataset)
-    program.do(program.rooms.close_dataset)
+    program.do(program.coordinator.open, dataset)
+    program.do(program.coordinator.close_dataset)
     program.end()
     assert program.start().dataset is None
 
 
 def test_the_file_is_small_and_plain(program):
     program.start()
-    program.do(program.rooms.drafting.edit, small_job())
+    program.do(program.coordinator.drafting.edit, small_job())
     program.end()
     kept = msgspec.json.decode(kept_file(program).read_bytes())
     assert set(kept) == {"version", "job"}
@@ -210,14 +210,14 @@ def second(program):
 
 def test_the_second_program_on_a_folder_says_that_it_remembers_nothing_and_leaves_the_first_alone(program, second):
     program.start()
-    program.do(program.rooms.drafting.edit, small_job())
-    program.do(program.rooms.drafting.keep_typed, HALF)
+    program.do(program.coordinator.drafting.edit, small_job())
+    program.do(program.coordinator.drafting.keep_typed, HALF)
     now = second.start()
     assert now.draft.job is None
     (fault,) = now.faults
     assert (fault.title, fault.needs_person) == ("What is open here is not remembered", False)
     assert f"process {os.getpid()}" in fault.text
-    second.do(second.rooms.drafting.edit, small_job(cols=3))
+    second.do(second.coordinator.drafting.edit, small_job(cols=3))
     second.end()
     program.end()
     now = program.start()
@@ -226,7 +226,7 @@ def test_the_second_program_on_a_folder_says_that_it_remembers_nothing_and_leave
 
 def test_who_comes_after_the_first_has_ended_remembers_again(program, second):
     program.start()
-    program.do(program.rooms.drafting.edit, small_job())
+    program.do(program.coordinator.drafting.edit, small_job())
     program.end()
     assert second.start().draft.job == small_job()
     assert second.now.faults == ()
@@ -256,7 +256,7 @@ def test_a_lock_of_another_machine_is_believed_and_the_way_out_is_said(program):
 def test_a_folder_that_nobody_may_write_to_costs_the_memory_and_not_the_start(program, monkeypatch):
     monkeypatch.setattr(Lock, "take", held_elsewhere)
     assert program.start().faults == ()
-    program.do(program.rooms.drafting.edit, small_job())
+    program.do(program.coordinator.drafting.edit, small_job())
     program.end()
     assert not kept_file(program).exists()
 

@@ -84,7 +84,7 @@ class Host:
         crew, told = DaskRunner(self._client), 0
         with suppress(ComputeError):
             while not self._closing.is_set():
-                if (now := crew.n_hands) != told:
+                if (now := crew.n_slots) != told:
                     self._end.tell(ComputeUp(now))
                     told = now
                 self._closing.wait(COUNT_EVERY_S)

@@ -58,7 +58,7 @@ class TaskRunner(Protocol):
     """Runner of many small tasks."""
 
     @property
-    def n_hands(self) -> int:
+    def n_slots(self) -> int:
         """Number of tasks that can run concurrently at present."""
         ...
 
@@ -85,7 +85,7 @@ class LocalRunner:
     """Runner in this process: one task at a time on all cores, or several threads with one task each."""
 
     def __init__(self, threads: int = 1) -> None:
-        self.n_hands = threads
+        self.n_slots = threads
         self.threads_each = None if threads == 1 else 1
 
     def require_sight(self, dataset: Path) -> None:
@@ -93,13 +93,13 @@ class LocalRunner:
 
     def each(self, task: Task, items: Sequence[Item], *, should_stop: ShouldStop = lambda: False) -> Generator[Done]:
         """See `TaskRunner`. An error that is no WaferViewerError is raised."""
-        if self.n_hands == 1:
+        if self.n_slots == 1:
             for index, item in enumerate(items):
                 _require_going(should_stop, index, len(items))
                 yield Done(index, *attempt(task, item))
             return
-        with ThreadPoolExecutor(self.n_hands) as pool:
-            flight = _Flight(lambda index: pool.submit(attempt, task, items[index]), lambda: self.n_hands)
+        with ThreadPoolExecutor(self.n_slots) as pool:
+            flight = _Flight(lambda index: pool.submit(attempt, task, items[index]), lambda: self.n_slots)
             for index, future in flight.results(range(len(items)), should_stop, _cancel_each):
                 yield Done(index, *future.result())
 
@@ -114,24 +114,24 @@ class DaskRunner:
 
     def __init__(self, client: Client) -> None:
         self._client = client
-        self._n_hands, self._counted_at = 0, float("-inf")
+        self._n_slots, self._counted_at = 0, float("-inf")
         self._seen_at = time.monotonic()
         self._wanted: WorkerFingerprint | None = None
 
     @property
-    def n_hands(self) -> int:
+    def n_slots(self) -> int:
         """Number of threads of running workers. Raises ComputeError after `NO_WORKER_PATIENCE_S` without any."""
         now = time.monotonic()
         if now - self._counted_at >= COUNT_EVERY_S:
-            self._n_hands, self._counted_at = self._count(), now
-        if self._n_hands:
+            self._n_slots, self._counted_at = self._count(), now
+        if self._n_slots:
             self._seen_at = now
         elif now - self._seen_at > NO_WORKER_PATIENCE_S:
             raise ComputeError(
                 f"The cluster has had no worker for {NO_WORKER_PATIENCE_S:.0f} s: start one and try again; "
                 "what was done is kept."
             )
-        return self._n_hands
+        return self._n_slots
 
     def require_sight(self, dataset: Path) -> None:
         """See `TaskRunner`. An unfit worker that joins later takes no tasks and logs the reason on its own terminal."""
@@ -164,7 +164,7 @@ class DaskRunner:
             key = f"{task.__name__}-{job}-{index}"
             return self._client.submit(attempt_if_fit, self._wanted, task, items[index], key=key, pure=False)
 
-        flight = _Flight(submit, lambda: IN_FLIGHT * self.n_hands)
+        flight = _Flight(submit, lambda: IN_FLIGHT * self.n_slots)
         for index, future in flight.results(indices, should_stop, partial(self._give_up, job)):
             yield _outcome(f"{task.__name__} of item {index + 1} of {len(items)}", index, future)
 

@@ -54,28 +54,30 @@ class SessionCoordinator:
     def __init__(self, folder: Path, config: RigConfig, scheduler: str | None) -> None:
         self._folder = _made(folder)
         status = RigStatus(name=config.name, simulated=config.kind == "virtual")
-        self.desk = self._desk = desk = CommandQueue(Snapshot(rig=status, data_folder=self._folder, reopening=True))
+        self.command_queue = self._command_queue = command_queue = CommandQueue(
+            Snapshot(rig=status, data_folder=self._folder, reopening=True)
+        )
         self.reopening = SessionRestore(self._folder)
-        self.notices = Notifications(desk)
-        self.drafting = Drafting(desk, self._folder)
-        self.library = Library(desk, self._folder)
-        self.reconstruction = Reconstruction(desk, self.notices, self.library, scheduler)
-        self.background = BackgroundWork(desk, self.notices, self.reconstruction.compute)
-        self.files = FileJobs(desk, self.library, self.background, self.open.run)
-        self.papers = Documents(desk, self.library, self.files)
-        self.queries = DatasetQueries(self.library, lambda: desk.snapshot)
-        self.book = ResultsStore(desk, self.library)
-        self.notebook = NotebookController(desk, self.library)
-        self.comparing = ComparisonController(desk, self.library, self.background)
-        files = DefectFiles(desk, self.library, self.background, self._folder)
-        views = DefectViews(self.paint, lambda: desk.snapshot)
-        self.defects = DefectController(desk, self.library, self.background, files, views)
-        self.jobs = JobController(desk, self.drafting, self._folder)
-        self.gauge = GaugeController(desk, self.library, self.book, self.queries, self._folder)
-        self.trials = TrialController(desk, self.background, self.drafting)
-        self.judge = Judge(desk, self.library, self.notices)
+        self.notices = Notifications(command_queue)
+        self.drafting = Drafting(command_queue, self._folder)
+        self.library = Library(command_queue, self._folder)
+        self.reconstruction = Reconstruction(command_queue, self.notices, self.library, scheduler)
+        self.background = BackgroundWork(command_queue, self.notices, self.reconstruction.compute)
+        self.files = FileJobs(command_queue, self.library, self.background, self.open.run)
+        self.papers = Documents(command_queue, self.library, self.files)
+        self.queries = DatasetQueries(self.library, lambda: command_queue.snapshot)
+        self.book = ResultsStore(command_queue, self.library)
+        self.notebook = NotebookController(command_queue, self.library)
+        self.comparing = ComparisonController(command_queue, self.library, self.background)
+        files = DefectFiles(command_queue, self.library, self.background, self._folder)
+        views = DefectViews(self.paint, lambda: command_queue.snapshot)
+        self.defects = DefectController(command_queue, self.library, self.background, files, views)
+        self.jobs = JobController(command_queue, self.drafting, self._folder)
+        self.gauge = GaugeController(command_queue, self.library, self.book, self.queries, self._folder)
+        self.trials = TrialController(command_queue, self.background, self.drafting)
+        self.judge = Judge(command_queue, self.library, self.notices)
         reports = RigCallbacks(self._rig_ready, self._sample_seen, self._taken, self._field_complete, self._scan_ended)
-        self.rig = RigClient(desk, self.notices, config, reports)
+        self.rig = RigClient(command_queue, self.notices, config, reports)
         self._sample: Sample | None = None
         self._scan_over: Future[None] = Future()
         self._asked = count(1)
@@ -89,7 +91,9 @@ class SessionCoordinator:
         """
         self.rig.start()
         self.defects.watch()
-        self.desk.subscribe(lambda now: self.desk.note(self._load_sample) if _sample_of(now) != self._sample else None)
+        self.command_queue.subscribe(
+            lambda now: self.command_queue.note(self._load_sample) if _sample_of(now) != self._sample else None
+        )
         self.drafting.price()
         self.library.refresh.run()
         self.jobs.refresh.run()
@@ -99,13 +103,13 @@ class SessionCoordinator:
         except WaferViewerError as fault:
             self.notices.fault("What was open is not open again", str(fault), "open", needs_person=False)
         finally:
-            self.desk.change(reopening=False)
-            self.desk.subscribe(lambda now: self.reopening.keep(now, self.library.result_name))
+            self.command_queue.change(reopening=False)
+            self.command_queue.subscribe(lambda now: self.reopening.keep(now, self.library.result_name))
 
     def close(self) -> None:
         """Bring the rig to rest and end all processes."""
-        self.desk.close()
-        self.reopening.close(self.desk.snapshot, self.library.result_name)
+        self.command_queue.close()
+        self.reopening.close(self.command_queue.snapshot, self.library.result_name)
         self.judge.close()
         self.gauge.close()
         self.rig.close()
@@ -168,7 +172,7 @@ class SessionCoordinator:
 
         The sample on the stage must be confirmed. A move that is queued when motion is stopped does not start.
         """
-        return self._desk.do(self._move, Move(x_um, y_um, z_um), self.rig.n_stops)
+        return self._command_queue.do(self._move, Move(x_um, y_um, z_um), self.rig.n_stops)
 
     def _move(self, move: Move, n_stops: int) -> Future[None]:
         self.drafting.require_confirmed()
@@ -194,7 +198,7 @@ class SessionCoordinator:
         job, plan = self.drafting.ready()
         path = self._path_for(name or free_name(self._folder, f"{suggested_name(job)}-{time.strftime('%Y%m%d')}"))
         require_space(self._folder, plan.bytes_on_disk, path.stem)
-        require_passed(preflight_of_snapshot(self.desk.now, self.rig.latest_frame, today()))
+        require_passed(preflight_of_snapshot(self.command_queue.now, self.rig.latest_frame, today()))
         return self._begin(Scan(path, plan, job))
 
     @command
@@ -216,7 +220,7 @@ class SessionCoordinator:
 
         This is no emergency stop.
         """
-        if not self.desk.now.scanning:
+        if not self.command_queue.now.scanning:
             over: Future[None] = Future()
             over.set_result(None)
             return over
@@ -229,13 +233,13 @@ class SessionCoordinator:
 
         This is no emergency stop.
         """
-        return self._desk.do(self._stop, self.rig.stop_at_once())
+        return self._command_queue.do(self._stop, self.rig.stop_at_once())
 
     def _stop(self, at_once: Future[bool]) -> Future[bool]:
         """Stop queued commands that precede a stop already sent to the rig directly (`at_once`)."""
-        if self.desk.now.scanning:
-            return self.desk.then(self.stop_scan.run(), lambda _: True)
-        return self.desk.then(self.rig.break_off(), lambda anything: anything or at_once.result())
+        if self.command_queue.now.scanning:
+            return self.command_queue.then(self.stop_scan.run(), lambda _: True)
+        return self.command_queue.then(self.rig.break_off(), lambda anything: anything or at_once.result())
 
     @command
     def reconstruct(self, recipe: Recipe | None = None, result: str = DEFAULT_RESULT) -> Future[None]:
@@ -282,14 +286,14 @@ class SessionCoordinator:
         self.reconstruction.abandon()
         self._scan_over = Future()
         begun = self.rig.scan(scan)
-        begun.add_done_callback(lambda done: self.desk.note(self._scan_refused, done))
-        return self.desk.then(begun, lambda _: self._scan_begun(scan.path))
+        begun.add_done_callback(lambda done: self.command_queue.note(self._scan_refused, done))
+        return self.command_queue.then(begun, lambda _: self._scan_begun(scan.path))
 
     def _scan_refused(self, begun: Future[None]) -> None:
         """Take back the open dataset after the rig refused the scan."""
         if begun.exception() is None:
             return
-        if self.desk.now.dataset is not None:
+        if self.command_queue.now.dataset is not None:
             self.library.hold()
         self._scan_over.set_result(None)
 
@@ -305,11 +309,11 @@ class SessionCoordinator:
 
     def _load_sample(self) -> None:
         """Load the sample of the plan, or of the open dataset if there is no plan."""
-        self._sample = _sample_of(self.desk.now)
+        self._sample = _sample_of(self.command_queue.now)
         self.rig.load(self._sample)
 
     def _sample_seen(self, event: OverviewReady) -> None:
-        self.desk.change(overview=event.overview)
+        self.command_queue.change(overview=event.overview)
         self.reconstruction.compute.start()
 
     def _rig_ready(self, event: RigReady) -> None:
@@ -329,8 +333,8 @@ class SessionCoordinator:
         """Update the state after a scan, from the data on disk; the event is None when the rig process died."""
         self.library.scan_ended()
         self.reconstruction.no_more_frames()
-        if (scan := self.desk.now.scan) is not None:
-            self.desk.change(scan=replace(scan, finished=True, seconds_left=0.0))
+        if (scan := self.command_queue.now.scan) is not None:
+            self.command_queue.change(scan=replace(scan, finished=True, seconds_left=0.0))
         if event is not None and not event.stopped:
             self.reconstruction.add([n for n, s in self.library.shown.states.items() if s is FieldState.TO_REPEAT])
         self.reconstruction.go_on()
@@ -344,7 +348,7 @@ class SessionCoordinator:
         if shown.read_only is None and (taken or (shown.stamps and not result.shows_all(shown.fields))):
             recipe = result.recipe() if shown.stamps else shown.job.recipe
             self.reconstruction.begin(recipe, result.name, taken, restitch=True)
-        elif result.has_mosaic and self.desk.now.surface is None:
+        elif result.has_mosaic and self.command_queue.now.surface is None:
             self.reconstruction.describe()
 
     def _has_stack(self, number: int, state: FieldState) -> bool:

@@ -44,18 +44,18 @@ class _Part(Generic[Part]):
         self._part = part
 
     def __call__(self, verb: Callable[Concatenate[Part, P], T]) -> Callable[Concatenate[Session, P], T]:
-        return forwarded(verb, lambda session: self._part(session._rooms))
+        return forwarded(verb, lambda session: self._part(session._coordinator))
 
 
-_plan = _Part(lambda rooms: rooms.drafting)
-_rig = _Part(lambda rooms: rooms.rig)
-_whole = _Part(lambda rooms: rooms)
-_library = _Part(lambda rooms: rooms.library)
-_files = _Part(lambda rooms: rooms.files)
-_notices = _Part(lambda rooms: rooms.notices)
-_results = _Part(lambda rooms: rooms.book)
-_queries = _Part(lambda rooms: rooms.queries)
-_measuring = _Part(lambda rooms: rooms.queries.measuring)
+_plan = _Part(lambda coordinator: coordinator.drafting)
+_rig = _Part(lambda coordinator: coordinator.rig)
+_whole = _Part(lambda coordinator: coordinator)
+_library = _Part(lambda coordinator: coordinator.library)
+_files = _Part(lambda coordinator: coordinator.files)
+_notices = _Part(lambda coordinator: coordinator.notices)
+_results = _Part(lambda coordinator: coordinator.book)
+_queries = _Part(lambda coordinator: coordinator.queries)
+_measuring = _Part(lambda coordinator: coordinator.queries.measuring)
 
 
 class Session:
@@ -140,26 +140,26 @@ class Session:
         scheduler: str | None = None,
         browse: tuple[Path, ...] = (),
     ) -> None:
-        self._rooms = rooms = SessionCoordinator(Path(data_folder), rig or RigConfig(), scheduler)
-        self._desk = rooms.desk
-        self.browsing = Browsing(rooms.desk.snapshot.data_folder, browse)
-        self.control = Control(rooms.desk)
-        self.notebook, self.comparing, self.defects = rooms.notebook, rooms.comparing, rooms.defects
-        self.jobs, self.trials, self.gauge = rooms.jobs, rooms.trials, rooms.gauge
-        self.papers, self.exchange = rooms.papers, rooms.files
-        self.sections, self.studies = Sections(rooms.queries, lambda: self.snapshot), Studies()
-        self._desk.note(rooms.start)
+        self._coordinator = coordinator = SessionCoordinator(Path(data_folder), rig or RigConfig(), scheduler)
+        self._command_queue = coordinator.command_queue
+        self.browsing = Browsing(coordinator.command_queue.snapshot.data_folder, browse)
+        self.control = Control(coordinator.command_queue)
+        self.notebook, self.comparing, self.defects = coordinator.notebook, coordinator.comparing, coordinator.defects
+        self.jobs, self.trials, self.gauge = coordinator.jobs, coordinator.trials, coordinator.gauge
+        self.papers, self.exchange = coordinator.papers, coordinator.files
+        self.sections, self.studies = Sections(coordinator.queries, lambda: self.snapshot), Studies()
+        self._command_queue.note(coordinator.start)
         atexit.register(self.close)
 
     @property
     def snapshot(self) -> Snapshot:
         """Latest state."""
-        return self._desk.snapshot
+        return self._command_queue.snapshot
 
     @property
     def latest_frame(self) -> LatestFrame | None:
         """Latest frame of the running scan, or of the last one."""
-        return self._rooms.rig.latest_frame
+        return self._coordinator.rig.latest_frame
 
     @query
     def subscribe(self, listener: Callable[[Snapshot], None]) -> Callable[[], None]:
@@ -167,15 +167,15 @@ class Session:
 
         Return the unsubscribe function.
         """
-        return self._desk.subscribe(listener)
+        return self._command_queue.subscribe(listener)
 
     @query
     def wait_until(self, condition: Callable[[Snapshot], bool], timeout_s: float = 60.0) -> Snapshot:
         """Wait, on a thread other than the session's, until `condition` holds for a snapshot. Raises TimeoutError."""
-        return self._desk.wait_until(condition, timeout_s)
+        return self._command_queue.wait_until(condition, timeout_s)
 
     def close(self) -> None:
         """Bring the rig to rest and end all processes; can be called twice."""
         atexit.unregister(self.close)
-        self._rooms.close()
+        self._coordinator.close()
         self.browsing.close()

@@ -53,17 +53,17 @@ def test_time_left_follows_from_what_was_done_since_the_first_word():
 
 
 def test_progress_tells_the_time_left_and_an_end_takes_the_job_off_the_list():
-    desk, now_s = CommandQueue(Snapshot()), [100.0]
+    command_queue, now_s = CommandQueue(Snapshot()), [100.0]
     try:
-        notices = Notifications(desk, lambda: now_s[0])
-        work = desk.do(notices.begin, "Stitching", lambda: None, "the first field").result()
-        desk.do(notices.progress, work, 0.2).result()
+        notices = Notifications(command_queue, lambda: now_s[0])
+        work = command_queue.do(notices.begin, "Stitching", lambda: None, "the first field").result()
+        command_queue.do(notices.progress, work, 0.2).result()
         now_s[0] = 120.0
-        desk.do(notices.progress, work, 0.4).result()
-        assert desk.snapshot.works[0].seconds_left == pytest.approx(60.0)
-        desk.do(notices.cancel, work).result()
-        assert (desk.snapshot.works[0].stopping, desk.snapshot.works[0].cancellable) == (True, False)
-        desk.do(notices.end, work).result()
-        assert desk.snapshot.works == ()
+        command_queue.do(notices.progress, work, 0.4).result()
+        assert command_queue.snapshot.works[0].seconds_left == pytest.approx(60.0)
+        command_queue.do(notices.cancel, work).result()
+        assert (command_queue.snapshot.works[0].stopping, command_queue.snapshot.works[0].cancellable) == (True, False)
+        command_queue.do(notices.end, work).result()
+        assert command_queue.snapshot.works == ()
     finally:
-        desk.close()
+        command_queue.close()

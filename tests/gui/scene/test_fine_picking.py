@@ -43,12 +43,12 @@ def test_a_click_hits_the_pixel_it_seems_to(surface, datum):
         for what, kind in (("facts", SurfaceStatistics), ("scale", ColourScale), ("relief", CoarseHeightField))
     )
     on_show = DisplayedSurface(SOURCE, facts, scale, facts.lowest_um, 3.0, datum)
-    land = HeightField(relief, on_show)
+    height_field = HeightField(relief, on_show)
     for x_um in (604.0, 704.2, 985.6):
         over = datum.at(np.float64(x_um), np.float64(-400.0)) if datum else 0.0
         top = np.array([x_um * 1e-3, -0.4, on_show.scene_z(60.0 - float(over))])
         origin = top + np.array([0.0, -0.8, 1.1])
-        near = refine_height_field(lambda show: surface, land, origin, top - origin)
+        near = refine_height_field(lambda show: surface, height_field, origin, top - origin)
         found = near.hit(origin, top - origin)
         assert found is not None
         assert np.hypot(found[0] - x_um, found[1] + 400.0) < 0.71 * PIXEL_UM
@@ -60,10 +60,10 @@ def test_a_surface_that_cannot_be_read_is_hit_where_the_coarse_heights_are(surfa
     relief = msgspec.msgpack.decode(paint(shelf, RenderRequest(SOURCE, "relief")), type=CoarseHeightField)
     facts = msgspec.msgpack.decode(paint(shelf, RenderRequest(SOURCE, "facts")), type=SurfaceStatistics)
     scale = ColourScale("height", 0.0, 1.0, 0.0, 1.0, 0.0, 1.0, ())
-    land = HeightField(relief, DisplayedSurface(SOURCE, facts, scale, 0.0, 1.0))
+    height_field = HeightField(relief, DisplayedSurface(SOURCE, facts, scale, 0.0, 1.0))
 
     def gone(show: int):
         raise DatasetError("The surface is gone.")
 
     origin = np.array([0.5, -0.5, 1.0])
-    assert refine_height_field(gone, land, origin, np.array([0.0, 0.0, -1.0])) is land
+    assert refine_height_field(gone, height_field, origin, np.array([0.0, 0.0, -1.0])) is height_field

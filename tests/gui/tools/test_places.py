@@ -33,7 +33,7 @@ SIDE_PX = 300
 SOURCE = SurfaceKey(None, "", 0, 1)  # type: ignore[arg-type]
 
 
-def land_of(z_um: np.ndarray) -> HeightField:
+def height_field_of(z_um: np.ndarray) -> HeightField:
     """A surface with pixels of 1 um, its lower left corner at (0, 0)."""
     import msgspec
 
@@ -71,11 +71,11 @@ def roof() -> np.ndarray:
 
 
 def test_radius_and_volume_begin_at_what_stands_out() -> None:
-    land = land_of(bumped())
-    (circle,) = initial_regions("radius", land, (150.0, 150.0))
+    height_field = height_field_of(bumped())
+    (circle,) = initial_regions("radius", height_field, (150.0, 150.0))
     assert (circle.points[0].x_um, circle.points[0].y_um) == pytest.approx((90, 200), abs=8)
     assert 20 < circle.radius_um < 55
-    (square,) = initial_regions("volume", land, (150.0, 150.0))
+    (square,) = initial_regions("volume", height_field, (150.0, 150.0))
     x0, y0, x1, y1 = square.bounds_um
     assert x0 < 60
     assert x1 > 120
@@ -87,7 +87,7 @@ def test_a_bump_is_found_where_its_die_ends_nearby() -> None:
     x, y = xy()
     die = (np.abs(x - 150) < 110) & (np.abs(y - 150) < 90)
     dome = np.maximum(0, 14 * (1 - ((x - 100) ** 2 + (y - 180) ** 2) / 50**2))
-    (circle,) = initial_regions("radius", land_of(np.where(die, 12 + dome, 0) + noise()), (150.0, 150.0))
+    (circle,) = initial_regions("radius", height_field_of(np.where(die, 12 + dome, 0) + noise()), (150.0, 150.0))
     assert (circle.points[0].x_um, circle.points[0].y_um) == pytest.approx((100, 180), abs=15)
     assert 25 < circle.radius_um < 70
 
@@ -95,21 +95,21 @@ def test_a_bump_is_found_where_its_die_ends_nearby() -> None:
 def test_among_bumps_side_by_side_a_top_nearby_is_chosen() -> None:
     x, y = xy()
     z = 6 * np.clip(np.cos(x * (2 * np.pi / 30)) * np.cos(y * (2 * np.pi / 30)) - 0.4, 0, None) + noise()
-    (circle,) = initial_regions("radius", land_of(z), (152.0, 152.0))
+    (circle,) = initial_regions("radius", height_field_of(z), (152.0, 152.0))
     at = circle.points[0]
     assert np.cos(at.x_um * (2 * np.pi / 30)) * np.cos(at.y_um * (2 * np.pi / 30)) > 0.8
     assert np.hypot(at.x_um - 152, at.y_um - 152) < 40
 
 
 def test_an_angle_begins_on_the_slope_and_the_level_face() -> None:
-    steep, level = initial_regions("angle", land_of(roof()), (150.0, 150.0))
+    steep, level = initial_regions("angle", height_field_of(roof()), (150.0, 150.0))
     assert steep.bounds_um[0] > 150
     assert level.bounds_um[2] < 155
 
 
 @pytest.mark.parametrize("tool", ["flatness", "texture"])
 def test_a_face_is_looked_for_where_nothing_stands_out(tool) -> None:
-    (square,) = initial_regions(tool, land_of(bumped()), (90.0, 200.0))
+    (square,) = initial_regions(tool, height_field_of(bumped()), (90.0, 200.0))
     x0, y0, x1, y1 = square.bounds_um
     away = math.hypot(max(x0 - 90, 0, 90 - x1), max(y0 - 200, 0, 200 - y1))
     assert away > 15
@@ -119,24 +119,24 @@ def test_a_face_is_looked_for_where_nothing_stands_out(tool) -> None:
 @pytest.mark.parametrize("tool", list(TOOLS))
 @pytest.mark.parametrize("surface", [bumped, roof])
 def test_every_tool_begins_with_the_places_it_asks_for_on_the_surface(tool, surface: Callable[[], np.ndarray]) -> None:
-    land = land_of(surface())
-    places = initial_regions(tool, land, (250.0, 40.0))
+    height_field = height_field_of(surface())
+    places = initial_regions(tool, height_field, (250.0, 40.0))
     assert tuple(p.kind for p in places) == tuple(asked.kind for asked in TOOLS[tool].places)
     for place in places:
         for point in place.points:
-            assert land.clamped((point.x_um, point.y_um)) == (point.x_um, point.y_um)
+            assert height_field.clamped((point.x_um, point.y_um)) == (point.x_um, point.y_um)
 
 
 @pytest.mark.parametrize("tool", ["point", "distance"])
 def test_points_begin_where_there_is_a_height(tool) -> None:
-    land = land_of(bumped())
-    for place in initial_regions(tool, land, (295.0, 150.0)):
-        assert land.measured(np.array([place.points[0].x_um]), np.array([place.points[0].y_um]))[0]
+    height_field = height_field_of(bumped())
+    for place in initial_regions(tool, height_field, (295.0, 150.0)):
+        assert height_field.measured(np.array([place.points[0].x_um]), np.array([place.points[0].y_um]))[0]
 
 
 @pytest.mark.parametrize("by", list(PLACES))
 def test_every_way_of_levelling_begins_with_its_places(by) -> None:
-    levelling = first_levelling(by, land_of(bumped()), (150.0, 150.0))
+    levelling = first_levelling(by, height_field_of(bumped()), (150.0, 150.0))
     assert levelling.by == by
     assert len(levelling.places) == PLACES[by]
 
@@ -145,7 +145,7 @@ def test_three_points_lie_far_apart_and_not_on_the_bump() -> None:
     x, y = np.array(
         [
             (p.points[0].x_um, p.points[0].y_um)
-            for p in first_levelling("three points", land_of(bumped()), (0, 0)).places
+            for p in first_levelling("three points", height_field_of(bumped()), (0, 0)).places
         ]
     ).T
     area = abs((x[1] - x[0]) * (y[2] - y[0]) - (x[2] - x[0]) * (y[1] - y[0])) / 2
@@ -156,15 +156,15 @@ def test_three_points_lie_far_apart_and_not_on_the_bump() -> None:
 def test_tools_begin_in_what_is_in_sight() -> None:
     x, y = xy()
     z = bumped() + np.maximum(0, 30 * (1 - ((x - 200) ** 2 + (y - 60) ** 2) / 40**2))
-    land = land_of(z)
-    sight = land.within((30.0, 140.0, 150.0, 260.0))
+    height_field = height_field_of(z)
+    sight = height_field.within((30.0, 140.0, 150.0, 260.0))
     assert sight.bounds_um == (30.0, 140.0, 150.0, 260.0)
     (circle,) = initial_regions("radius", sight, (90.0, 200.0))
     assert (circle.points[0].x_um, circle.points[0].y_um) == pytest.approx((90, 200), abs=8)
-    assert land.within((500.0, 500.0, 600.0, 600.0)) is land
+    assert height_field.within((500.0, 500.0, 600.0, 600.0)) is height_field
 
 
-LAND = land_of(bumped())
+LAND = height_field_of(bumped())
 PLACES_ON_IT = st.tuples(st.floats(-200, 500), st.floats(-200, 500))
 SHAPED = {
     "point": Region.point(120, 90),

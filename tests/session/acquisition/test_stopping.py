@@ -67,7 +67,7 @@ def rig():
 
 
 @pytest.fixture
-def desk(rig):
+def command_queue(rig):
     ours, theirs = Pipe()
     work = threading.Thread(target=RigExecutor(rig, ChildConnection(theirs)).work)
     work.start()
@@ -86,56 +86,56 @@ def on_its_way(rig):
         assert time.monotonic() < until, "the stage never moved"
 
 
-def test_a_stop_breaks_off_the_move_under_way_and_forgets_those_behind_it(rig, desk):
-    desk.ask((1, Move(x_um=FAR_UM)), (2, Move(x_um=-FAR_UM)))
+def test_a_stop_breaks_off_the_move_under_way_and_forgets_those_behind_it(rig, command_queue):
+    command_queue.ask((1, Move(x_um=FAR_UM)), (2, Move(x_um=-FAR_UM)))
     on_its_way(rig)
-    desk.ask((3, Stop()), (4, Stop()))
-    first, second = desk.answer(1), desk.answer(2)
+    command_queue.ask((3, Stop()), (4, Stop()))
+    first, second = command_queue.answer(1), command_queue.answer(2)
     assert isinstance(first.error, MotionStopped)
     assert isinstance(second.error, MotionStopped)
-    assert desk.answer(3).value
-    assert desk.answer(4).value
-    stood = desk.where()
+    assert command_queue.answer(3).value
+    assert command_queue.answer(4).value
+    stood = command_queue.where()
     assert stood == rig.stage.position()
     assert 0.0 < stood.x_um < FAR_UM
     assert f"X {stood.x_um / 1000:+.4f}" in str(first.error)
 
-    desk.ask((5, Stop()), (6, Move(x_um=stood.x_um + 100.0)))
-    assert not desk.answer(5).value
-    assert desk.answer(6).error is None
-    assert desk.where().x_um == pytest.approx(stood.x_um + 100.0)
+    command_queue.ask((5, Stop()), (6, Move(x_um=stood.x_um + 100.0)))
+    assert not command_queue.answer(5).value
+    assert command_queue.answer(6).error is None
+    assert command_queue.where().x_um == pytest.approx(stood.x_um + 100.0)
 
 
-def test_the_end_of_the_pipe_breaks_off_a_move(rig, desk):
-    desk.ask((1, Move(x_um=FAR_UM)))
+def test_the_end_of_the_pipe_breaks_off_a_move(rig, command_queue):
+    command_queue.ask((1, Move(x_um=FAR_UM)))
     on_its_way(rig)
-    desk.pipe.send(None)
-    assert isinstance(desk.answer(1).error, MotionStopped)
-    desk.work.join(60.0)
+    command_queue.pipe.send(None)
+    assert isinstance(command_queue.answer(1).error, MotionStopped)
+    command_queue.work.join(60.0)
     assert not rig.stage.moving()
     assert rig.stage.position().x_um < FAR_UM
 
 
-def test_a_scan_that_waited_behind_a_move_ends_with_it(rig, desk, job, tmp_path):
+def test_a_scan_that_waited_behind_a_move_ends_with_it(rig, command_queue, job, tmp_path):
     made = job()
     scan = Scan(tmp_path / "scan.wafer", plan_of(made, rig.limits), made)
-    desk.ask((1, Move(x_um=FAR_UM)), (2, scan))
+    command_queue.ask((1, Move(x_um=FAR_UM)), (2, scan))
     on_its_way(rig)
-    desk.ask((3, Stop()))
-    assert isinstance(desk.answer(1).error, MotionStopped)
-    assert desk.answer(3).value
-    (ended,) = (event for event in desk.events if isinstance(event, ScanEnded))
+    command_queue.ask((3, Stop()))
+    assert isinstance(command_queue.answer(1).error, MotionStopped)
+    assert command_queue.answer(3).value
+    (ended,) = (event for event in command_queue.events if isinstance(event, ScanEnded))
     assert (ended.stopped, ended.error) == (True, None)
     assert rig.stage.position().x_um < FAR_UM
 
 
-def test_a_search_for_the_reference_that_was_broken_off_leaves_it_not_homed(rig, desk, monkeypatch):
+def test_a_search_for_the_reference_that_was_broken_off_leaves_it_not_homed(rig, command_queue, monkeypatch):
     monkeypatch.setattr(rig.stage, "homed", lambda: False)
-    desk.ask((1, Move(x_um=FAR_UM)))
+    command_queue.ask((1, Move(x_um=FAR_UM)))
     on_its_way(rig)
-    desk.ask((2, Stop()))
-    assert desk.answer(2).value
-    assert [event.homed for event in desk.events if isinstance(event, StageMoved)] == [False]
+    command_queue.ask((2, Stop()))
+    assert command_queue.answer(2).value
+    assert [event.homed for event in command_queue.events if isinstance(event, StageMoved)] == [False]
 
 
 class StandingLink:
@@ -155,41 +155,41 @@ class StandingLink:
 def instrument(monkeypatch):
     """An instrument whose rig is ready and stands still, and its session's desk."""
     monkeypatch.setattr(instrument_module, "ChildProcess", StandingLink)
-    desk = SessionDesk(Snapshot(rig=RigStatus(state="ready", homed=True)))
+    command_queue = SessionDesk(Snapshot(rig=RigStatus(state="ready", homed=True)))
     nobody = RigCallbacks(*[lambda _: None] * 5)
-    made = RigClient(desk, Notifications(desk), RigConfig(), nobody)
-    link = desk.do(made.start).result()
-    desk.do(desk.change, rig=RigStatus(state="ready", homed=True)).result()
-    yield made, desk, link
-    desk.close()
+    made = RigClient(command_queue, Notifications(command_queue), RigConfig(), nobody)
+    link = command_queue.do(made.start).result()
+    command_queue.do(command_queue.change, rig=RigStatus(state="ready", homed=True)).result()
+    yield made, command_queue, link
+    command_queue.close()
 
 
 def test_it_moves_from_the_first_of_several_moves_to_the_end_of_the_last(instrument):
-    rig, desk, link = instrument
-    moves = [desk.do(rig.move_to, Move(x_um=x_um)) for x_um in (1.0, 2.0)]
-    desk.wait_until(lambda s: s.rig.state == "moving", 60.0)
-    desk.do(lambda: None).result()
+    rig, command_queue, link = instrument
+    moves = [command_queue.do(rig.move_to, Move(x_um=x_um)) for x_um in (1.0, 2.0)]
+    command_queue.wait_until(lambda s: s.rig.state == "moving", 60.0)
+    command_queue.do(lambda: None).result()
     link.tell(StageMoved(Position(1.0, 0.0, 0.0), homed=True))
     link.asked[0][1].set_result(None)
     moves[0].result(60.0)
-    assert (desk.snapshot.rig.state, desk.snapshot.rig.x_um) == ("moving", 1.0)
+    assert (command_queue.snapshot.rig.state, command_queue.snapshot.rig.x_um) == ("moving", 1.0)
     link.tell(StageMoved(Position(1.5, 0.0, 0.0), homed=False))
     link.asked[1][1].set_exception(MotionStopped.at(1.5, 0.0, 0.0))
     with pytest.raises(MotionStopped):
         moves[1].result(60.0)
-    stood = desk.snapshot.rig
+    stood = command_queue.snapshot.rig
     assert (stood.state, stood.x_um, stood.homed) == ("ready", 1.5, False)
 
 
 def test_a_move_that_waited_when_a_stop_came_is_not_begun(instrument):
-    rig, desk, link = instrument
+    rig, command_queue, link = instrument
     asked_before = rig.n_stops
     rig.stop_at_once()
     with pytest.raises(MotionStopped, match=r"stopped at X \+0\.0000"):
-        desk.do(rig.move_to, Move(x_um=1.0), asked_before).result(60.0)
-    assert desk.snapshot.rig.state == "ready"
-    desk.do(rig.move_to, Move(x_um=2.0), rig.n_stops)
-    desk.wait_until(lambda s: s.rig.state == "moving", 60.0)
+        command_queue.do(rig.move_to, Move(x_um=1.0), asked_before).result(60.0)
+    assert command_queue.snapshot.rig.state == "ready"
+    command_queue.do(rig.move_to, Move(x_um=2.0), rig.n_stops)
+    command_queue.wait_until(lambda s: s.rig.state == "moving", 60.0)
     assert [verb for verb, _ in link.asked] == [Stop(), Move(x_um=2.0)]
 
 

@@ -22,8 +22,8 @@ REFUSED = r"^Anna holds the controls\. Ask for them first: you are only watching
 class Counter:
     """A controller of a number."""
 
-    def __init__(self, desk: CommandQueue) -> None:
-        self._desk = desk
+    def __init__(self, command_queue: CommandQueue) -> None:
+        self._command_queue = command_queue
         self.value, self.threads = 0, set[str]()
 
     @command
@@ -62,24 +62,24 @@ class Whole:
     write = forwarded(Counter.write, lambda whole: whole.counter)
     read = forwarded(Counter.read, lambda whole: whole.counter)
 
-    def __init__(self, desk: CommandQueue) -> None:
-        self.counter, self._desk = Counter(desk), desk
+    def __init__(self, command_queue: CommandQueue) -> None:
+        self.counter, self._command_queue = Counter(command_queue), command_queue
 
     @property
     def snapshot(self) -> Snapshot:
-        return self._desk.snapshot
+        return self._command_queue.snapshot
 
 
 @pytest.fixture
-def desk():
+def command_queue():
     made = CommandQueue(Snapshot(hands=ControlState(browsers=(ANNA, BEN), holder="a")))
     yield made
     made.close()
 
 
 @pytest.fixture
-def whole(desk):
-    return Whole(desk)
+def whole(command_queue):
+    return Whole(command_queue)
 
 
 def test_commands_run_in_order_on_the_thread_of_the_queue(whole):
@@ -103,8 +103,8 @@ def test_an_exception_and_a_future_reach_the_caller(whole):
         whole.counter.add().result(10)
 
 
-def test_an_observer_is_refused_what_changes_anything_and_may_read(desk, whole):
-    whole.notebook = NotebookController(desk, None)  # a group of the session's own
+def test_an_observer_is_refused_what_changes_anything_and_may_read(command_queue, whole):
+    whole.notebook = NotebookController(command_queue, None)  # a group of the session's own
     watcher, holder = restricted_session(whole, lambda: "b"), restricted_session(whole, lambda: "a")
     stranger = restricted_session(whole, lambda: "")
     for refused in (watcher.add(1), watcher.notebook.undo(), watcher.notebook.open(), stranger.add(1)):
@@ -113,7 +113,7 @@ def test_an_observer_is_refused_what_changes_anything_and_may_read(desk, whole):
     assert holder.add(2).result(10) == 2
     assert watcher.read() == threading.current_thread().name
     assert watcher.write().result(10) == 2
-    assert watcher.snapshot is desk.snapshot
+    assert watcher.snapshot is command_queue.snapshot
 
 
 def test_help_shows_a_command_as_its_caller_sees_it(whole):

@@ -38,7 +38,7 @@ class Hourglass:
 
 
 @pytest.fixture
-def desk():
+def command_queue():
     made = CommandQueue(Snapshot())
     yield made
     made.close()
@@ -50,18 +50,18 @@ def glass():
 
 
 @pytest.fixture
-def control(desk, glass):
-    made = Control(desk, glass.later)
+def control(command_queue, glass):
+    made = Control(command_queue, glass.later)
     made.arrive("a", "Anna").result()
     made.arrive("b").result()
     return made
 
 
 @pytest.fixture
-def hands(desk):
+def hands(command_queue):
     def now():
-        desk.do(lambda: None).result()
-        return desk.snapshot.hands
+        command_queue.do(lambda: None).result()
+        return command_queue.snapshot.hands
 
     return now
 

@@ -44,17 +44,17 @@ class Bench:
 
     def __init__(self, folder: Path) -> None:
         self.folder = folder
-        self.desk = CommandQueue(
+        self.command_queue = CommandQueue(
             Snapshot(data_folder=folder, rig=RigStatus(name=RIG, state="ready", calibration=CALIBRATION))
         )
-        self.library = Library(self.desk, folder)
-        self.book = ResultsStore(self.desk, self.library)
-        questions = DatasetQueries(self.library, lambda: self.desk.snapshot)
-        self.gauge = GaugeController(self.desk, self.library, self.book, questions, folder)
+        self.library = Library(self.command_queue, folder)
+        self.book = ResultsStore(self.command_queue, self.library)
+        questions = DatasetQueries(self.library, lambda: self.command_queue.snapshot)
+        self.gauge = GaugeController(self.command_queue, self.library, self.book, questions, folder)
 
     def open(self, path: Path) -> None:
-        self.desk.do(self.library.open, path).result()
-        self.desk.do(self.book.open).result()
+        self.command_queue.do(self.library.open, path).result()
+        self.command_queue.do(self.book.open).result()
 
     def add(self, path: Path):
         self.open(path)
@@ -62,14 +62,14 @@ class Bench:
 
     def wait_refused(self, said: str) -> None:
         """Another dataset is seen to by itself, soon after it was opened."""
-        self.desk.wait_until(lambda now: said in (now.gauge.refusal or ""), 20.0)
+        self.command_queue.wait_until(lambda now: said in (now.gauge.refusal or ""), 20.0)
 
     @property
     def state(self):
-        return self.desk.snapshot.gauge
+        return self.command_queue.snapshot.gauge
 
     def close(self) -> None:
-        self.desk.close()
+        self.command_queue.close()
         self.gauge.close()
         self.library.release_lock()
 
@@ -136,7 +136,7 @@ def test_the_z_scale_is_offered_after_signing_and_set_by_a_person(bench, scans):
 
     corrected = bench.gauge.correct_scale("Ann", "after the move").result()
     assert corrected == offered.calibration
-    assert bench.desk.snapshot.rig.calibration == corrected
+    assert bench.command_queue.snapshot.rig.calibration == corrected
     assert calibration_in_force(bench.folder, RIG, CALIBRATION) == corrected
     (change,) = calibration_changes(bench.folder, RIG)
     assert (change.by, change.why, change.before) == ("Ann", "after the move", CALIBRATION)

@@ -53,7 +53,7 @@ def kept(made):
 class Elsewhere:
     """Hands that are no part of this process, as far as anybody sees; they finish the last item first."""
 
-    n_hands, threads_each = 2, 1
+    n_slots, threads_each = 2, 1
 
     def __init__(self) -> None:
         self.seen: list[tuple[object, ...]] = []
@@ -166,8 +166,8 @@ class Mortal:
         self.crew, self.killed = crew, 0
 
     @property
-    def n_hands(self):
-        return self.crew.n_hands
+    def n_slots(self):
+        return self.crew.n_slots
 
     def require_sight(self, dataset):
         self.crew.require_sight(dataset)

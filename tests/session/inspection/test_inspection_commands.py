@@ -44,29 +44,33 @@ class Bench:
     """The parts of a session that keep defects, on its thread."""
 
     def __init__(self, folder, path) -> None:
-        self.desk = CommandQueue(Snapshot())
-        self.library = Library(self.desk, folder)
+        self.command_queue = CommandQueue(Snapshot())
+        self.library = Library(self.command_queue, folder)
         self.hired = Hired()
-        self.keeper = DefectController(
-            self.desk, self.library, BackgroundWork(self.desk, Notifications(self.desk), self.hired), None, None
+        self.controller = DefectController(
+            self.command_queue,
+            self.library,
+            BackgroundWork(self.command_queue, Notifications(self.command_queue), self.hired),
+            None,
+            None,
         )
-        self.do(self.keeper.watch)
+        self.do(self.controller.watch)
         self.open(path)
 
     def do(self, verb, *args):
-        return self.desk.do(verb, *args).result(20)
+        return self.command_queue.do(verb, *args).result(20)
 
     def open(self, path) -> None:
         self.do(self.library.open, path)
-        self.do(self.keeper.open)
+        self.do(self.controller.open)
 
     @property
     def state(self):
-        return self.desk.snapshot.inspection
+        return self.command_queue.snapshot.inspection
 
     def close(self) -> None:
         self.do(self.library.close)
-        self.desk.close()
+        self.command_queue.close()
 
 
 @pytest.fixture(scope="module")
@@ -97,48 +101,48 @@ def test_what_was_found_is_read_again_with_its_dataset_and_belongs_to_it(bench, 
 
 def test_a_judgement_is_kept_at_once_and_can_be_undone(bench, result):
     first = bench.state.defects[0].number
-    bench.do(bench.keeper.judge, first, "nuisance", None, None)
-    bench.do(bench.keeper.judge, first, None, "pit", " dust ")
+    bench.do(bench.controller.judge, first, "nuisance", None, None)
+    bench.do(bench.controller.judge, first, None, "pit", " dust ")
     kept = bench.state.defect(first)
     assert (kept.judgement, kept.seen_as, kept.note, bool(kept.judged_at)) == ("nuisance", "pit", "dust", True)
     assert kept.kind == FOUND.defects[0].kind
     assert read_inspection(result.path).defects == bench.state.defects
-    bench.do(bench.keeper.undo)
+    bench.do(bench.controller.undo)
     assert bench.state.defect(first).judgement == "nuisance"
     assert bench.state.defect(first).judged_kind is None
-    bench.do(bench.keeper.redo)
+    bench.do(bench.controller.redo)
     assert bench.state.defect(first).note == "dust"
     with pytest.raises(DatasetError, match="There is no defect 9999"):
-        bench.do(bench.keeper.judge, 9999, "real", None, None)
+        bench.do(bench.controller.judge, 9999, "real", None, None)
 
 
 def test_an_inspection_of_a_surface_that_is_another_now_is_stale(bench, result):
     write_inspection(result.path, replace(FOUND, mark="of an older surface"))
-    bench.do(bench.keeper.open)
+    bench.do(bench.controller.open)
     assert bench.state.stale
 
 
 def test_what_people_said_outlives_a_new_inspection(bench, result):
     first = bench.state.defects[0].number
-    bench.do(bench.keeper.judge, first, "real", None, None)
-    found = bench.keeper.inspect(DefectRecipe(sensitivity=0.7), None, "dies")
+    bench.do(bench.controller.judge, first, "real", None, None)
+    found = bench.controller.inspect(DefectRecipe(sensitivity=0.7), None, "dies")
     bench.do(lambda: None)
     assert bench.state.work
     assert bench.hired.asked[0][2:5] == (bench.library.dataset.path, "default", DefectRecipe(sensitivity=0.7))
     with pytest.raises(DatasetError, match="searched for already"):
-        bench.do(bench.keeper.inspect, DefectRecipe(), None, "dies")
+        bench.do(bench.controller.inspect, DefectRecipe(), None, "dies")
     bench.hired.done.set_result(replace(FOUND, threshold_sigma=3.0, mark=mosaic_mark(result)))
     found.result(20)
     assert (bench.state.work, bench.state.inspection.threshold_sigma) == ("", 3.0)
     assert bench.state.defect(first).judgement == "real"
     assert read_inspection(result.path).threshold_sigma == 3.0
-    assert bench.desk.snapshot.works == ()
+    assert bench.command_queue.snapshot.works == ()
 
 
 def test_why_nothing_was_found_out_stands_where_the_list_would_be(bench, result):
     (result.path / "defects.json").unlink()
-    bench.do(bench.keeper.open)
-    found = bench.keeper.inspect(DefectRecipe(), None, "dies")
+    bench.do(bench.controller.open)
+    found = bench.controller.inspect(DefectRecipe(), None, "dies")
     bench.hired.done.set_exception(MeasureError("The surface has no period: give the dies."))
     with pytest.raises(MeasureError):
         found.result(20)
@@ -147,7 +151,7 @@ def test_why_nothing_was_found_out_stands_where_the_list_would_be(bench, result)
 
 def test_an_inspection_that_cannot_be_read_is_no_clean_surface(bench, result):
     (result.path / "defects.json").write_text("{")
-    bench.do(bench.keeper.open)
+    bench.do(bench.controller.open)
     assert bench.state.inspection is None
     assert "defects.json" in bench.state.problem
 
@@ -158,9 +162,9 @@ def test_a_dataset_that_is_held_elsewhere_is_looked_at_and_not_judged(pair, resu
     try:
         assert bench.state.defects == FOUND.defects
         with pytest.raises(DatasetError, match="Defects were not changed"):
-            bench.do(bench.keeper.judge, bench.state.defects[0].number, "real", None, None)
+            bench.do(bench.controller.judge, bench.state.defects[0].number, "real", None, None)
         with pytest.raises(DatasetError, match="Defects were not changed"):
-            bench.do(bench.keeper.inspect, DefectRecipe(), None, "dies")
+            bench.do(bench.controller.inspect, DefectRecipe(), None, "dies")
     finally:
         bench.close()
         lock.release()

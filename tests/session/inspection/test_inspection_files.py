@@ -50,26 +50,26 @@ class Bench:
     """The parts of a session that keep defects and what belongs to them, on its thread."""
 
     def __init__(self, path: Path) -> None:
-        self.folder, self.desk = path.parent, CommandQueue(Snapshot())
-        notices, compute = Notifications(self.desk), AtOnce()
-        self.library = Library(self.desk, self.folder)
-        background = BackgroundWork(self.desk, notices, compute)
-        self.keeper = DefectFiles(self.desk, self.library, background, self.folder)
-        self.defects = DefectController(self.desk, self.library, background, self.keeper, None)
+        self.folder, self.command_queue = path.parent, CommandQueue(Snapshot())
+        notices, compute = Notifications(self.command_queue), AtOnce()
+        self.library = Library(self.command_queue, self.folder)
+        background = BackgroundWork(self.command_queue, notices, compute)
+        self.controller = DefectFiles(self.command_queue, self.library, background, self.folder)
+        self.defects = DefectController(self.command_queue, self.library, background, self.controller, None)
         self.do(self.library.open, path)
         self.do(self.defects.open)
-        self.do(self.keeper.open)
+        self.do(self.controller.open)
 
     def do(self, verb, *args):
-        return self.desk.do(verb, *args).result(20)
+        return self.command_queue.do(verb, *args).result(20)
 
     @property
     def shelf(self):
-        return self.desk.snapshot.shelf
+        return self.command_queue.snapshot.shelf
 
     def close(self) -> None:
         self.do(self.library.close)
-        self.desk.close()
+        self.command_queue.close()
 
 
 @pytest.fixture(scope="module")
@@ -89,17 +89,17 @@ def bench(inspected):
 
 def test_recipes_are_kept_renamed_and_deleted_and_that_saved_last_is_taken_by_itself(bench):
     keen = DefectRecipe(product="LX-7", name="keen", sensitivity=0.7)
-    path = bench.do(bench.keeper.save_recipe, keen)
+    path = bench.do(bench.controller.save_recipe, keen)
     assert path.parent == bench.folder / "recipes"
     assert bench.shelf.recipe_of("LX-7") == keen
-    bench.do(bench.keeper.rename_recipe, keen, "night")
+    bench.do(bench.controller.rename_recipe, keen, "night")
     night = replace(keen, name="night")
     assert bench.shelf.recipes == (night,)
     path.with_name("LX-7-torn.defects.toml").write_text("sensitvity = 1")
-    bench.do(bench.keeper.refresh)
+    bench.do(bench.controller.refresh)
     assert bench.shelf.recipes == (night,)
     assert "unknown key 'sensitvity'" in bench.shelf.problems[0]
-    bench.do(bench.keeper.delete_recipe, night)
+    bench.do(bench.controller.delete_recipe, night)
     assert bench.shelf.recipes == ()
 
 
@@ -108,28 +108,28 @@ def test_limits_hold_for_what_was_found_and_can_be_undone(bench, inspected):
     bench.do(bench.defects.limit, strict)
     assert read_inspection(Dataset.open(inspected).result("default").path).recipe.limits == strict
     bench.do(bench.defects.undo)
-    assert bench.desk.snapshot.inspection.inspection.recipe.limits == DefectLimits()
+    assert bench.command_queue.snapshot.inspection.inspection.recipe.limits == DefectLimits()
 
 
 def test_defects_go_out_as_they_are_judged(bench, tmp_path):
     bench.do(bench.defects.judge, 1, "nuisance", "pit", None)
-    klarf = bench.do(bench.keeper.write, "klarf", tmp_path / "w.klarf")
+    klarf = bench.do(bench.controller.write, "klarf", tmp_path / "w.klarf")
     kept = read_klarf(klarf)
     assert [(d.number, d.bin, d.class_name) for d in kept.defects] == [(1, 2, "Pit"), (2, 0, "Particle")]
-    table = bench.do(bench.keeper.write, "csv", tmp_path / "w.csv").read_text()
+    table = bench.do(bench.controller.write, "csv", tmp_path / "w.csv").read_text()
     assert ",pit,particle," in table.splitlines()[1]
-    folder = bench.do(bench.keeper.write, "training", tmp_path / "set")
+    folder = bench.do(bench.controller.write, "training", tmp_path / "set")
     assert (folder / "0002.npy").exists()
-    assert bench.desk.snapshot.works == ()
+    assert bench.command_queue.snapshot.works == ()
     with pytest.raises(DatasetError, match="exists already: give the name of a new folder"):
-        bench.do(bench.keeper.write, "training", tmp_path / "set")
+        bench.do(bench.controller.write, "training", tmp_path / "set")
 
 
 @pytest.mark.parametrize("what", ["klarf", "csv", "training"])
 def test_a_place_that_cannot_be_written_to_is_told_in_a_sentence(bench, tmp_path, what):
     with pytest.raises(DatasetError, match=r"cannot be written: its folder does not exist"):
-        bench.do(bench.keeper.write, what, tmp_path / "gone" / "w.out")
-    assert bench.desk.snapshot.works == ()
+        bench.do(bench.controller.write, what, tmp_path / "gone" / "w.out")
+    assert bench.command_queue.snapshot.works == ()
 
 
 @pytest.mark.parametrize("what", ["klarf", "csv", "training"])
@@ -139,7 +139,7 @@ def test_a_full_disk_is_told_and_nothing_is_left_there(bench, tmp_path, monkeypa
 
     monkeypatch.setattr(Path, "write_text", full)
     with pytest.raises(DatasetError, match="the disk is full: free some space"):
-        bench.do(bench.keeper.write, what, tmp_path / "w.out")
+        bench.do(bench.controller.write, what, tmp_path / "w.out")
     assert list(tmp_path.iterdir()) == []
 
 
@@ -166,7 +166,7 @@ def test_places_on_a_surface_that_is_another_by_now_are_cut_out_of_none(inspecte
 
 def test_what_another_tool_found_is_laid_over_and_matched(bench, tmp_path):
     more = replace(FOUND, defects=(FOUND.defects[0], defect(7, "2,1", 50.0, 60.0)))
-    other = bench.do(bench.keeper.lay_over, write_klarf(more, tmp_path / "other.klarf"), None, 25.0)
+    other = bench.do(bench.controller.lay_over, write_klarf(more, tmp_path / "other.klarf"), None, 25.0)
     assert other.matched(FOUND.defects) == {1: 1}
     ((missed, place),) = other.unmatched(FOUND.defects)
     assert (missed.number, missed.col, missed.row) == (7, 2, 1)
@@ -175,13 +175,13 @@ def test_what_another_tool_found_is_laid_over_and_matched(bench, tmp_path):
     told = compared(other, FOUND)
     assert (told["matched"], told["not_found_here"], told["not_in_file"]) == ({"1": 1}, [7], [2])
     assert bench.shelf.other is other
-    bench.do(bench.keeper.take_away)
+    bench.do(bench.controller.take_away)
     assert bench.shelf.other is None
 
 
 def test_it_goes_when_another_surface_is_looked_at(bench, tmp_path):
-    bench.do(bench.keeper.lay_over, write_klarf(FOUND, tmp_path / "other.klarf"), None, 25.0)
-    bench.do(bench.keeper.open)
+    bench.do(bench.controller.lay_over, write_klarf(FOUND, tmp_path / "other.klarf"), None, 25.0)
+    bench.do(bench.controller.open)
     assert bench.shelf.other is None
 
 
@@ -204,13 +204,13 @@ def test_a_file_that_does_not_fit_is_refused_in_a_sentence(bench, tmp_path, dama
     path = write_klarf(FOUND, tmp_path / "other.klarf")
     path.write_text(damage(path.read_text()))
     with pytest.raises(DatasetError, match=says):
-        bench.do(bench.keeper.lay_over, path, None, 25.0)
+        bench.do(bench.controller.lay_over, path, None, 25.0)
     assert bench.shelf.other is None
 
 
 def test_a_distance_of_nothing_is_refused(bench, tmp_path):
     with pytest.raises(DatasetError, match="within 0 um: give more than 0"):
-        bench.do(bench.keeper.lay_over, write_klarf(FOUND, tmp_path / "other.klarf"), None, 0.0)
+        bench.do(bench.controller.lay_over, write_klarf(FOUND, tmp_path / "other.klarf"), None, 0.0)
 
 
 def test_another_numbering_of_dies_is_told_by_the_wafers_center(tmp_path):
@@ -233,7 +233,7 @@ def test_another_numbering_of_dies_is_told_by_the_wafers_center(tmp_path):
 
 
 def test_one_who_only_watches_may_write_a_file_and_keep_nothing(bench, tmp_path):
-    whole = SimpleNamespace(snapshot=bench.desk.snapshot, defects=bench.defects)
+    whole = SimpleNamespace(snapshot=bench.command_queue.snapshot, defects=bench.defects)
     watcher = restricted_session(whole, lambda: "b").defects.files
     assert watcher.write("csv", tmp_path / "w.csv").result(20).exists()
     for asked in (watcher.keep_golden("lx7"), watcher.save_recipe(DefectRecipe(product="LX-7"))):

@@ -27,18 +27,18 @@ class Desk:
 
 
 @pytest.fixture
-def desk():
+def command_queue():
     return Desk()
 
 
 @pytest.fixture
-def book(desk, tmp_path):
-    return opened(desk, tmp_path)
+def book(command_queue, tmp_path):
+    return opened(command_queue, tmp_path)
 
 
-def opened(desk, folder):
-    library = SimpleNamespace(result=Result.of(folder, "default"), shown=desk.now.dataset)
-    made = ResultsStore(desk, library)
+def opened(command_queue, folder):
+    library = SimpleNamespace(result=Result.of(folder, "default"), shown=command_queue.now.dataset)
+    made = ResultsStore(command_queue, library)
     made.open()
     return made
 
@@ -48,61 +48,61 @@ def point(z_um=1.0, name=""):
     return PointHeight(name=name, place=place, height=Length(value_um=z_um), points=9)
 
 
-def names(desk):
-    return [f.name for f in desk.now.findings]
+def names(command_queue):
+    return [f.name for f in command_queue.now.findings]
 
 
-def test_every_kind_is_counted_by_itself_and_named(book, desk):
+def test_every_kind_is_counted_by_itself_and_named(book, command_queue):
     line = Region.line(0, 0, 5, 0)
     nothing = Length(value_um=0.0)
     for finding in (point(), point(), Profile(line=line, length_um=5.0, pt=nothing, rise=nothing, measured_fraction=1)):
         book.keep.run(finding)
     book.keep.run(point(name="top of the bump"))
-    assert names(desk) == ["Point 1", "Point 2", "Profile 1", "top of the bump"]
+    assert names(command_queue) == ["Point 1", "Point 2", "Profile 1", "top of the bump"]
     book.delete.run(1)
     book.keep.run(point())
-    assert names(desk) == ["Point 2", "Profile 1", "top of the bump", "Point 1"], "no two bear the same name"
+    assert names(command_queue) == ["Point 2", "Profile 1", "top of the bump", "Point 1"], "no two bear the same name"
 
 
-def test_what_was_undone_can_be_done_again_until_something_else_is_done(book, desk, tmp_path):
+def test_what_was_undone_can_be_done_again_until_something_else_is_done(book, command_queue, tmp_path):
     book.keep.run(point())
     book.rename.run(1, "left bump")
-    assert (desk.now.findings_undo, desk.now.findings_redo) == (True, False)
+    assert (command_queue.now.findings_undo, command_queue.now.findings_redo) == (True, False)
     book.undo.run()
-    assert names(desk) == ["Point 1"]
-    assert desk.now.findings_redo
+    assert names(command_queue) == ["Point 1"]
+    assert command_queue.now.findings_redo
     book.redo.run()
-    assert names(desk) == ["left bump"]
-    assert not desk.now.findings_redo
+    assert names(command_queue) == ["left bump"]
+    assert not command_queue.now.findings_redo
     book.undo.run()
     book.keep.run(point())
-    assert not desk.now.findings_redo
+    assert not command_queue.now.findings_redo
     again = Desk()
     opened(again, tmp_path)
-    assert names(again) == names(desk), "what is on the list is on the disk"
+    assert names(again) == names(command_queue), "what is on the list is on the disk"
     assert (again.now.findings_undo, again.now.findings_redo) == (False, False)
 
 
-def test_a_small_picture_outlives_a_deletion_that_is_undone(book, desk, tmp_path):
+def test_a_small_picture_outlives_a_deletion_that_is_undone(book, command_queue, tmp_path):
     result = Result.of(tmp_path, "default")
     first = book.keep.run(point(), b"\xff\xd8 first").number
     book.delete.run(first)
     second = book.keep.run(point(), b"\xff\xd8 second").number
     book.undo.run()
     book.undo.run()
-    assert [f.number for f in desk.now.findings] == [first]
+    assert [f.number for f in command_queue.now.findings] == [first]
     assert result.thumbnail(first) == b"\xff\xd8 first"
     assert result.thumbnail(second) == b"\xff\xd8 second"
 
 
-def test_a_result_without_a_picture_has_none_though_a_deleted_one_had(book, desk, tmp_path):
+def test_a_result_without_a_picture_has_none_though_a_deleted_one_had(book, command_queue, tmp_path):
     book.delete.run(book.keep.run(point(), b"\xff\xd8 old").number)
-    later = opened(desk, tmp_path).keep.run(point())
+    later = opened(command_queue, tmp_path).keep.run(point())
     assert Result.of(tmp_path, "default").thumbnail(later.number) is None
 
 
-def test_a_dataset_that_others_hold_keeps_nothing(book, desk, tmp_path):
-    desk.now.dataset.read_only = "process 7 holds it."
+def test_a_dataset_that_others_hold_keeps_nothing(book, command_queue, tmp_path):
+    command_queue.now.dataset.read_only = "process 7 holds it."
     with pytest.raises(MeasureError, match="cannot be kept: process 7 holds it"):
         book.keep.run(point(), b"\xff\xd8")
     with pytest.raises(MeasureError, match="cannot be kept"):

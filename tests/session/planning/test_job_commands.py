@@ -23,7 +23,7 @@ LEFT, RIGHT = (-1990.0, 5.0), (2010.0, 5.0)
 
 
 @pytest.fixture
-def desk():
+def command_queue():
     rig = RigStatus(state="ready", limits=LIMITS, calibration=CALIBRATION, setup=SETUP)
     made = CommandQueue(Snapshot(rig=rig))
     yield made
@@ -31,8 +31,8 @@ def desk():
 
 
 @pytest.fixture
-def drafting(desk, tmp_path):
-    return Drafting(desk, tmp_path)
+def drafting(command_queue, tmp_path):
+    return Drafting(command_queue, tmp_path)
 
 
 @pytest.fixture
@@ -42,11 +42,11 @@ def taken_up(drafting, tmp_path):
     return drafting
 
 
-def draft(desk):
-    return desk.now.draft
+def draft(command_queue):
+    return command_queue.now.draft
 
 
-def test_a_release_settles_what_was_auto_and_forgets_the_wafer(desk, drafting, tmp_path):
+def test_a_release_settles_what_was_auto_and_forgets_the_wafer(command_queue, drafting, tmp_path):
     job = replace(engineered(small_job()), sample=Sample(wafer_id="W1", lot="L1", operator="me", width_um=6000.0))
     drafting.edit.run(job)
     path = drafting.release(SETTLED, (2.5, 0.9))
@@ -55,22 +55,22 @@ def test_a_release_settles_what_was_auto_and_forgets_the_wafer(desk, drafting, t
     assert kept.released
     assert not kept.recipe.has_auto
     assert (kept.recipe.window, kept.recipe.stitching.stage_error_um) == (9, 2.5)
-    assert kept.strategy == draft(desk).plan.strategy == "z_snake"
+    assert kept.strategy == draft(command_queue).plan.strategy == "z_snake"
     assert kept.sample == Sample(width_um=6000.0)
     assert kept.features == (DIE,)
-    assert draft(desk).job == kept
+    assert draft(command_queue).job == kept
     assert decode(encode(kept), type(kept), "again") == kept
 
 
-def test_a_revision_is_never_overwritten(desk, drafting):
+def test_a_revision_is_never_overwritten(command_queue, drafting):
     drafting.edit.run(engineered(small_job()))
     drafting.release(SETTLED, None)
     drafting.copy.run()
-    assert not draft(desk).job.released
-    drafting.edit.run(replace(draft(desk).job, revision="A"))
+    assert not draft(command_queue).job.released
+    drafting.edit.run(replace(draft(command_queue).job, revision="A"))
     with pytest.raises(PlanError, match=r"Revision A of wafer is released already .*: choose another revision"):
         drafting.release(SETTLED, None)
-    drafting.edit.run(replace(draft(desk).job, revision="B"))
+    drafting.edit.run(replace(draft(command_queue).job, revision="B"))
     assert drafting.release(SETTLED, None).name == "wafer-B.toml"
 
 
@@ -92,30 +92,30 @@ def test_what_is_missing_for_a_release_is_said(drafting, tmp_path, change, settl
     assert list_released(tmp_path) == ()
 
 
-def test_released_jobs_are_listed_by_product_newest_revision_first(desk, drafting, tmp_path):
+def test_released_jobs_are_listed_by_product_newest_revision_first(command_queue, drafting, tmp_path):
     for product, revision in (("wafer", "A"), ("Anchor", "1"), ("wafer", "B")):
         write_released(tmp_path, replace(release_of(small_job()), product=product, revision=revision))
     (tmp_path / "jobs" / "plan.toml").write_text(encode(small_job()))
     (tmp_path / "jobs" / "torn.toml").write_text("product = ")
-    JobController(desk, drafting, tmp_path).refresh.run()
-    listed = [(e.product, e.revision, e.n_fields, e.n_features) for e in desk.now.operating.jobs]
+    JobController(command_queue, drafting, tmp_path).refresh.run()
+    listed = [(e.product, e.revision, e.n_fields, e.n_features) for e in command_queue.now.operating.jobs]
     assert listed == [("Anchor", "1", 2, 1), ("wafer", "B", 2, 1), ("wafer", "A", 2, 1)]
 
 
-def test_a_released_job_takes_names_and_nothing_else(desk, taken_up):
-    job = draft(desk).job
+def test_a_released_job_takes_names_and_nothing_else(command_queue, taken_up):
+    job = draft(command_queue).job
     named = replace(job, sample=replace(job.sample, wafer_id="W9", operator="K. Adler"))
     taken_up.edit.run(named)
-    assert draft(desk).job.sample.wafer_id == "W9"
+    assert draft(command_queue).job.sample.wafer_id == "W9"
     for change in ({"exposures_us": (50.0,)}, {"features": ()}, {"product": "other"}, {"sample": Sample(notch="up")}):
         with pytest.raises(PlanError, match="released and stays as it is"):
             taken_up.edit.run(replace(named, **change))
     with pytest.raises(PlanError, match="stays as it is"):
         taken_up.centre_on_stage.run()
-    assert draft(desk).job == named
+    assert draft(command_queue).job == named
     taken_up.copy.run()
-    taken_up.edit.run(replace(draft(desk).job, exposures_us=(50.0,)))
-    assert draft(desk).job.exposures_us == (50.0,)
+    taken_up.edit.run(replace(draft(command_queue).job, exposures_us=(50.0,)))
+    assert draft(command_queue).job.exposures_us == (50.0,)
 
 
 def align(drafting):
@@ -123,59 +123,62 @@ def align(drafting):
     drafting.mark.run(1, *RIGHT)
 
 
-def test_two_corners_align_the_wafer_and_move_its_fields(desk, taken_up):
+def test_two_corners_align_the_wafer_and_move_its_fields(command_queue, taken_up):
     taken_up.mark.run(1, *RIGHT)
-    assert draft(desk).seen_um == (None, RIGHT)
-    assert draft(desk).job.alignment is None
+    assert draft(command_queue).seen_um == (None, RIGHT)
+    assert draft(command_queue).job.alignment is None
     taken_up.mark.run(0, *LEFT)
-    found = draft(desk).job.alignment
+    found = draft(command_queue).job.alignment
     assert (found.n_marks, found.residual_um) == (2, pytest.approx(0, abs=1e-6))
-    on_stage, planned = draft(desk).plan.fields, release_of(small_job()).all_fields()
+    on_stage, planned = draft(command_queue).plan.fields, release_of(small_job()).all_fields()
     assert [(a.x_um - b.x_um, a.y_um - b.y_um) for a, b in zip(on_stage, planned, strict=True)] == [
         (pytest.approx(10), pytest.approx(5))
     ] * 2
     taken_up.mark.run(0, -1980.0, 5.0)
-    assert draft(desk).job.alignment.residual_um == pytest.approx(5)
+    assert draft(command_queue).job.alignment.residual_um == pytest.approx(5)
     taken_up.unmark.run()
-    assert (draft(desk).job.alignment, draft(desk).seen_um) == (None, (None, None))
+    assert (draft(command_queue).job.alignment, draft(command_queue).seen_um) == (None, (None, None))
 
 
-def test_corners_that_make_no_alignment_are_refused_and_can_be_marked_again(desk, taken_up):
+def test_corners_that_make_no_alignment_are_refused_and_can_be_marked_again(command_queue, taken_up):
     taken_up.mark.run(0, *LEFT)
     with pytest.raises(PlanError, match="turned by"):
         taken_up.mark.run(1, 0.0, 2010.0)
-    assert draft(desk).job.alignment is None
+    assert draft(command_queue).job.alignment is None
     taken_up.mark.run(1, *RIGHT)
-    assert draft(desk).job.alignment.n_marks == 2
+    assert draft(command_queue).job.alignment.n_marks == 2
     with pytest.raises(PlanError, match="no corner 3"):
         taken_up.mark.run(2, 0.0, 0.0)
 
 
-def test_another_wafer_is_aligned_anew(desk, taken_up):
-    job = draft(desk).job
+def test_another_wafer_is_aligned_anew(command_queue, taken_up):
+    job = draft(command_queue).job
     taken_up.edit.run(replace(job, sample=replace(job.sample, wafer_id="W1", operator="me")))
     align(taken_up)
-    aligned = draft(desk).job
-    assert stops(preflight_of_snapshot(desk.now, None, "2026-11-21")) == ()
+    aligned = draft(command_queue).job
+    assert stops(preflight_of_snapshot(command_queue.now, None, "2026-11-21")) == ()
     taken_up.edit.run(replace(aligned, sample=replace(aligned.sample, operator="you")))
-    assert draft(desk).job.alignment is not None, "the operator's name moves no wafer"
-    now = draft(desk).job
+    assert draft(command_queue).job.alignment is not None, "the operator's name moves no wafer"
+    now = draft(command_queue).job
     taken_up.edit.run(replace(now, sample=replace(now.sample, wafer_id="W2")))
-    assert (draft(desk).job.alignment, draft(desk).seen_um) == (None, (None, None))
+    assert (draft(command_queue).job.alignment, draft(command_queue).seen_um) == (None, (None, None))
     align(taken_up)
     taken_up.next_wafer.run()
-    now = draft(desk)
+    now = draft(command_queue)
     assert (now.job.sample.wafer_id, now.job.sample.operator, now.job.alignment) == ("", "you", None)
     assert not now.can_undo, "what was of the last wafer cannot come back"
-    assert [c.what for c in stops(preflight_of_snapshot(desk.now, None, "2026-11-21"))] == ["Sample", "Alignment"]
+    assert [c.what for c in stops(preflight_of_snapshot(command_queue.now, None, "2026-11-21"))] == [
+        "Sample",
+        "Alignment",
+    ]
 
 
-def test_a_plan_that_is_opened_again_waits_for_a_person(desk, drafting):
+def test_a_plan_that_is_opened_again_waits_for_a_person(command_queue, drafting):
     drafting.reopen(replace(engineered(small_job()), alignment=Alignment(n_marks=2)))
-    assert draft(desk).job.alignment is None, "the wafer may have been taken off meanwhile"
+    assert draft(command_queue).job.alignment is None, "the wafer may have been taken off meanwhile"
     drafting.reopen(small_job())
-    assert [c.what for c in stops(preflight_of_snapshot(desk.now, None, "2026-11-21"))] == ["Sample"]
+    assert [c.what for c in stops(preflight_of_snapshot(command_queue.now, None, "2026-11-21"))] == ["Sample"]
     drafting.edit.run(replace(small_job(), exposures_us=(50.0,)))
-    assert not draft(desk).confirmed
+    assert not draft(command_queue).confirmed
     drafting.confirm.run()
-    assert stops(preflight_of_snapshot(desk.now, None, "2026-11-21")) == ()
+    assert stops(preflight_of_snapshot(command_queue.now, None, "2026-11-21")) == ()

@@ -18,85 +18,85 @@ OUTLINE = ((-3000.0, -2000.0), (3000.0, -2000.0), (3000.0, 2000.0), (-3000.0, 20
 
 
 @pytest.fixture
-def desk():
+def command_queue():
     made = CommandQueue(Snapshot(rig=RigStatus(limits=virtual_limits(540, 720), x_um=250.0, y_um=-40.0)))
     yield made
     made.close()
 
 
 @pytest.fixture
-def drafting(desk, tmp_path):
-    return Drafting(desk, tmp_path)
+def drafting(command_queue, tmp_path):
+    return Drafting(command_queue, tmp_path)
 
 
-def test_every_edit_is_priced_and_can_be_undone(desk, drafting, job):
+def test_every_edit_is_priced_and_can_be_undone(command_queue, drafting, job):
     drafting.edit.run(job())
-    assert desk.now.draft.plan.strategy == "z_snake"
-    assert desk.now.draft.free_bytes > 0
+    assert command_queue.now.draft.plan.strategy == "z_snake"
+    assert command_queue.now.draft.free_bytes > 0
     drafting.edit.run(job(cols=4))
-    assert len(desk.now.draft.plan.fields) == 4
+    assert len(command_queue.now.draft.plan.fields) == 4
     drafting.undo.run()
-    assert len(desk.now.draft.plan.fields) == 2
-    assert (desk.now.draft.can_undo, desk.now.draft.can_redo) == (True, True)
+    assert len(command_queue.now.draft.plan.fields) == 2
+    assert (command_queue.now.draft.can_undo, command_queue.now.draft.can_redo) == (True, True)
     drafting.redo.run()
-    assert len(desk.now.draft.plan.fields) == 4
+    assert len(command_queue.now.draft.plan.fields) == 4
 
 
-def test_a_plan_that_cannot_be_says_why_and_is_no_plan(desk, drafting, job):
+def test_a_plan_that_cannot_be_says_why_and_is_no_plan(command_queue, drafting, job):
     drafting.edit.run(replace(job(), sweep=FocusSweep(z_step_um=5000.0, n_frames=10)))
-    assert desk.now.draft.plan is None
-    assert "um" in desk.now.draft.problem
+    assert command_queue.now.draft.plan is None
+    assert "um" in command_queue.now.draft.problem
     with pytest.raises(PlanError) as refusal:
         drafting.ready()
-    assert str(refusal.value) == desk.now.draft.problem
+    assert str(refusal.value) == command_queue.now.draft.problem
 
 
-def test_before_the_rig_answers_the_plan_waits(desk, drafting, job):
-    desk.change(rig=RigStatus())
+def test_before_the_rig_answers_the_plan_waits(command_queue, drafting, job):
+    command_queue.change(rig=RigStatus())
     drafting.edit.run(job())
-    assert desk.now.draft.problem == RIG_STARTS
-    desk.change(rig=RigStatus(limits=virtual_limits(540, 720)))
+    assert command_queue.now.draft.problem == RIG_STARTS
+    command_queue.change(rig=RigStatus(limits=virtual_limits(540, 720)))
     drafting.price()
-    assert desk.now.draft.problem is None
+    assert command_queue.now.draft.problem is None
 
 
-def test_the_sample_is_covered_round_its_middle(desk, drafting, job):
+def test_the_sample_is_covered_round_its_middle(command_queue, drafting, job):
     drafting.edit.run(replace(job(), sample=Sample(width_um=2000.0, height_um=1000.0)))
-    before = desk.now.draft.job.grid.center_um
+    before = command_queue.now.draft.job.grid.center_um
     drafting.cover_sample.run()
-    grid = desk.now.draft.job.grid
+    grid = command_queue.now.draft.job.grid
     assert grid.width_um >= 2000.0 > grid.width_um - grid.pitch_x_um
     assert grid.height_um >= 1000.0 > grid.height_um - grid.pitch_y_um
     assert grid.center_um == pytest.approx(before)
     drafting.edit.run(replace(job(), sample=Sample()))
     with pytest.raises(PlanError, match="The sample has no size"):
         drafting.cover_sample.run()
-    desk.change(overview=Overview(None, 1.0, 0.0, 0.0, OUTLINE, (), "a plate"))
+    command_queue.change(overview=Overview(None, 1.0, 0.0, 0.0, OUTLINE, (), "a plate"))
     drafting.cover_sample.run()
-    assert desk.now.draft.job.grid.width_um >= 6000
-    assert desk.now.draft.job.grid.center_um == pytest.approx((0, 0), abs=1e-6)
+    assert command_queue.now.draft.job.grid.width_um >= 6000
+    assert command_queue.now.draft.job.grid.center_um == pytest.approx((0, 0), abs=1e-6)
 
 
-def test_a_first_plan_can_begin_where_the_stage_stands(desk, drafting):
+def test_a_first_plan_can_begin_where_the_stage_stands(command_queue, drafting):
     drafting.centre_on_stage.run()
-    job = desk.now.draft.job
+    job = command_queue.now.draft.job
     assert job.grid.center_um == pytest.approx((250.0, -40.0))
-    assert job.sweep.z_step_um <= desk.now.rig.limits.depth_of_field_um / 2 + 0.1
-    assert desk.now.draft.problem is None
+    assert job.sweep.z_step_um <= command_queue.now.rig.limits.depth_of_field_um / 2 + 0.1
+    assert command_queue.now.draft.problem is None
 
 
-def test_a_plan_is_kept_in_a_file_and_comes_back(desk, drafting, job, tmp_path):
+def test_a_plan_is_kept_in_a_file_and_comes_back(command_queue, drafting, job, tmp_path):
     drafting.edit.run(job())
     path = drafting.save.run(None)
     assert path.parent == tmp_path
     assert read_job(path) == job()
     drafting.edit.run(None)
     drafting.load.run(path)
-    assert desk.now.draft.job == job()
+    assert command_queue.now.draft.job == job()
     (tmp_path / "odd.toml").write_bytes(b"\xff\xfe")
     with pytest.raises(PlanError, match=r"odd\.toml"):
         drafting.load.run(tmp_path / "odd.toml")
-    assert desk.now.draft.job == job()
+    assert command_queue.now.draft.job == job()
 
 
 def test_the_tour_needs_a_rig_that_brings_one(drafting, job):

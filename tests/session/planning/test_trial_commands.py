@@ -42,12 +42,18 @@ class Workers:
 @pytest.fixture
 def trials(tmp_path):
     rig = RigStatus(state="ready", limits=virtual_limits(540, 720), calibration=CALIBRATION, setup=SETUP)
-    desk = CommandQueue(Snapshot(rig=rig))
-    drafting = Drafting(desk, tmp_path)
-    keeper = TrialController(desk, BackgroundWork(desk, Notifications(desk), Workers()), drafting)
-    keeper.desk, keeper.drafting, keeper.workers = desk, drafting, keeper._background._compute
-    yield keeper
-    desk.close()
+    command_queue = CommandQueue(Snapshot(rig=rig))
+    drafting = Drafting(command_queue, tmp_path)
+    controller = TrialController(
+        command_queue, BackgroundWork(command_queue, Notifications(command_queue), Workers()), drafting
+    )
+    controller.command_queue, controller.drafting, controller.workers = (
+        command_queue,
+        drafting,
+        controller._background._compute,
+    )
+    yield controller
+    command_queue.close()
 
 
 def plan(**changes):
@@ -58,7 +64,7 @@ def test_the_plan_is_tried_as_it_would_be_released_and_the_outcome_is_shown(tria
     judged_dataset(tmp_path / "w1.wafer", 12.0, replace(released_job(), product="wafer"))
     trials.drafting.edit.run(plan(revision=" "))
     done = trials.begin((tmp_path,))
-    now = trials.desk.wait_until(lambda now: now.works, PATIENCE_S)
+    now = trials.command_queue.wait_until(lambda now: now.works, PATIENCE_S)
     assert (now.works[0].title, now.operating.trying) == ("Trial of wafer next", True)
     _, task, (job, datasets, result), answer = trials.workers.asked[0]
     assert (task, job.released, job.revision, result) == (try_job, True, "next", "default")
@@ -66,24 +72,24 @@ def test_the_plan_is_tried_as_it_would_be_released_and_the_outcome_is_shown(tria
     trial = try_job(job, datasets, result)
     answer.set_result(trial)
     assert done.result(PATIENCE_S) == trial
-    now = trials.desk.wait_until(lambda now: not now.operating.trying, PATIENCE_S)
+    now = trials.command_queue.wait_until(lambda now: not now.operating.trying, PATIENCE_S)
     assert (now.operating.trial, now.works) == (trial, ())
-    assert now.operating.trial_of == trials.desk.now.draft.job
+    assert now.operating.trial_of == trials.command_queue.now.draft.job
 
 
 def test_a_trial_can_be_cancelled_and_only_one_runs_at_a_time(trials, tmp_path):
     judged_dataset(tmp_path / "w1.wafer", 12.0, released_job())
     trials.drafting.edit.run(plan())
     done = trials.begin((tmp_path,))
-    work = trials.desk.wait_until(lambda now: now.works, PATIENCE_S).works[0]
+    work = trials.command_queue.wait_until(lambda now: now.works, PATIENCE_S).works[0]
     with pytest.raises(PlanError, match="being tried already"):
         trials.begin((tmp_path,)).result(PATIENCE_S)
-    trials.desk.do(trials._background.cancel, work.id).result(PATIENCE_S)
+    trials.command_queue.do(trials._background.cancel, work.id).result(PATIENCE_S)
     assert trials.workers.cancelled == [work.id]
     trials.workers.asked[0][-1].set_exception(ComputeError("The trial was stopped."))
     with pytest.raises(ComputeError):
         done.result(PATIENCE_S)
-    now = trials.desk.wait_until(lambda now: not now.operating.trying, PATIENCE_S)
+    now = trials.command_queue.wait_until(lambda now: not now.operating.trying, PATIENCE_S)
     assert (now.operating.trial, now.works) == (None, ())
 
 
@@ -94,7 +100,7 @@ def test_what_cannot_be_released_cannot_be_tried(trials, tmp_path):
     trials.drafting.edit.run(plan())
     with pytest.raises(DatasetError, match="There is no dataset"):
         trials.begin((tmp_path,)).result(PATIENCE_S)
-    assert not trials.desk.now.operating.trying
+    assert not trials.command_queue.now.operating.trying
 
 
 @pytest.mark.slow

@@ -40,7 +40,7 @@ def verdicts(monkeypatch):
 
 
 @pytest.fixture
-def desk(verdicts):
+def command_queue(verdicts):
     made = CommandQueue(day.judged(None))
     made.do(made.change, operating=Operating()).result()
     library = SimpleNamespace(dataset=None, result=None, shown=made.now.dataset)
@@ -51,50 +51,52 @@ def desk(verdicts):
     judge.close()
 
 
-def change(desk, **fields):
-    desk.do(lambda: desk.change(**fields)).result()
+def change(command_queue, **fields):
+    command_queue.do(lambda: command_queue.change(**fields)).result()
 
 
-def came_to(desk, verdict):
-    return desk.wait_until(lambda now: now.operating.verdict == verdict and not now.operating.judging, PATIENCE_S)
+def came_to(command_queue, verdict):
+    return command_queue.wait_until(
+        lambda now: now.operating.verdict == verdict and not now.operating.judging, PATIENCE_S
+    )
 
 
-def test_a_surface_is_judged_when_it_is_whole_and_once(desk, verdicts):
+def test_a_surface_is_judged_when_it_is_whole_and_once(command_queue, verdicts):
     verdicts.answers, verdicts.go = [day.PASS], threading.Event()
-    change(desk, works=STITCHING)
-    change(desk, works=())
-    desk.wait_until(lambda now: now.operating.judging, PATIENCE_S)
+    change(command_queue, works=STITCHING)
+    change(command_queue, works=())
+    command_queue.wait_until(lambda now: now.operating.judging, PATIENCE_S)
     verdicts.go.set()
-    came_to(desk, day.PASS)
-    change(desk, works=(Work("w2", "Export"),))
-    change(desk, works=())
-    came_to(desk, day.PASS)
+    came_to(command_queue, day.PASS)
+    change(command_queue, works=(Work("w2", "Export"),))
+    change(command_queue, works=())
+    came_to(command_queue, day.PASS)
     assert verdicts.n == 1, "other work on the same surface asks for no other verdict"
 
 
-def test_another_surface_is_judged_anew_and_none_without_a_dataset(desk, verdicts):
+def test_another_surface_is_judged_anew_and_none_without_a_dataset(command_queue, verdicts):
     verdicts.answers = [day.PASS, day.FAIL]
-    change(desk, works=())
-    came_to(desk, day.PASS)
-    surface = desk.now.surface
-    change(desk, works=STITCHING, surface=dataclasses.replace(surface, stamp=surface.stamp + 1))
-    desk.wait_until(lambda now: now.operating.verdict is None, PATIENCE_S)
-    change(desk, works=())
-    came_to(desk, day.FAIL)
-    change(desk, dataset=None, surface=None)
-    came_to(desk, None)
+    change(command_queue, works=())
+    came_to(command_queue, day.PASS)
+    surface = command_queue.now.surface
+    change(command_queue, works=STITCHING, surface=dataclasses.replace(surface, stamp=surface.stamp + 1))
+    command_queue.wait_until(lambda now: now.operating.verdict is None, PATIENCE_S)
+    change(command_queue, works=())
+    came_to(command_queue, day.FAIL)
+    change(command_queue, dataset=None, surface=None)
+    came_to(command_queue, None)
 
 
-def test_what_cannot_be_judged_is_told(desk, verdicts):
+def test_what_cannot_be_judged_is_told(command_queue, verdicts):
     verdicts.answers = [MeasureError("The disk is gone: look at it.")]
-    change(desk, works=())
-    told = desk.wait_until(lambda now: now.faults, PATIENCE_S)
+    change(command_queue, works=())
+    told = command_queue.wait_until(lambda now: now.faults, PATIENCE_S)
     assert (told.faults[0].title, told.faults[0].text) == ("There is no verdict", "The disk is gone: look at it.")
 
 
-def test_without_a_feature_nothing_is_judged(desk, verdicts):
-    data = desk.now.dataset
-    change(desk, dataset=dataclasses.replace(data, job=replace(data.job, features=())))
-    change(desk, works=())
+def test_without_a_feature_nothing_is_judged(command_queue, verdicts):
+    data = command_queue.now.dataset
+    change(command_queue, dataset=dataclasses.replace(data, job=replace(data.job, features=())))
+    change(command_queue, works=())
     assert verdicts.n == 0
-    assert desk.now.operating == Operating()
+    assert command_queue.now.operating == Operating()

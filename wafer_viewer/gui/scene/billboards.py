@@ -30,33 +30,35 @@ class Billboard:
         data = painted(flat, picture, blend=True)
         self._node = scene.add_glb(f"/tools/{name}", data, cast_shadow=False, receive_shadow=False)
 
-    def place(self, by: Vector, land: HeightField, gaze: ViewAxes, right_px: float, up_px: float = 0.0) -> None:
+    def place(
+        self, by: Vector, height_field: HeightField, view_axes: ViewAxes, right_px: float, up_px: float = 0.0
+    ) -> None:
         """Place the label `right_px` right (negative: left) and `up_px` above a scene point, clear of any occluder."""
-        pixel = gaze.pixel_at(by)
-        right, up, _ = gaze.axes.T * pixel
+        pixel = view_axes.pixel_at(by)
+        right, up, _ = view_axes.axes.T * pixel
         at = by + right * (right_px + (self._wide_px if right_px > 0 else 0)) + up * up_px
         foot = at - right * self._wide_px - up * self._high_px / 2
         corners = np.stack([foot, foot + right * self._wide_px, foot + up * self._high_px])
-        share = gaze.before(land, corners, _SPARE_PX * pixel)
-        self._node.wxyz = gaze.wxyz
+        share = view_axes.before(height_field, corners, _SPARE_PX * pixel)
+        self._node.wxyz = view_axes.wxyz
         self._node.scale = pixel * (1 - share)
-        self._node.position = tuple((at + (gaze.eye - at) * share).tolist())
+        self._node.position = tuple((at + (view_axes.eye - at) * share).tolist())
 
     def remove(self) -> None:
         """Remove the label from the scene."""
         self._node.remove()
 
 
-def corner_on_screen(region: Region, land: HeightField, gaze: ViewAxes, right: float, up: float) -> Vector:
+def corner_on_screen(region: Region, height_field: HeightField, view_axes: ViewAxes, right: float, up: float) -> Vector:
     """Return a point on the edge of a region's screen extent, in scene mm.
 
     right, up: position within the extent, from -1 (left or lower edge) to 1 (right or upper edge).
     """
     x0, y0, x1, y1 = region.bounds_um
     x, y = np.array([x0, x1, x1, x0]), np.array([y0, y0, y1, y1])
-    corners = np.stack([x * 1e-3, y * 1e-3, land.visible_z_mm(x * 1e-3, y * 1e-3)], axis=1)
+    corners = np.stack([x * 1e-3, y * 1e-3, height_field.visible_z_mm(x * 1e-3, y * 1e-3)], axis=1)
     middle = corners.mean(axis=0)
-    across, along, _ = gaze.axes.T
+    across, along, _ = view_axes.axes.T
     reach_x, reach_y = ((corners - middle) @ axis for axis in (across, along))
     return middle + across * _between(reach_x, right) + along * _between(reach_y, up)
 

@@ -162,7 +162,7 @@ class CameraAnimator:
             self._stand(pose)
             with self._due:
                 self._due.wait_for(lambda: self._flight is not flight, LAND_S if flight.over else STEP_S)
-        self._land(flight)
+        self._height_field(flight)
 
     def _step(self, flight: CameraTransition) -> CameraPose | None:
         with self._due:
@@ -173,7 +173,7 @@ class CameraAnimator:
                 self._rests_until_s = self._clock() + REST_S
             return pose
 
-    def _land(self, flight: CameraTransition) -> None:
+    def _height_field(self, flight: CameraTransition) -> None:
         """Set the goal once more if a report received meanwhile has changed the pose."""
         with self._due:
             if self._flight is not flight:

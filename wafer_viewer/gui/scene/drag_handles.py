@@ -89,11 +89,11 @@ class PlaceMark:
         self.place: Place = (0.0, 0.0)
         self._knob = DragHandle(scene, "mark", colour, 5.0)
 
-    def draw(self, land: HeightField, gaze: ViewAxes) -> None:
+    def draw(self, height_field: HeightField, view_axes: ViewAxes) -> None:
         """Draw the marker on the displayed surface, or at the bottom of a hole."""
         x, y = (np.array([v]) for v in self.place)
-        at = land.visible_points(x, y, 2 * gaze.mm_per_pixel)[0]
-        self._knob.place(at, gaze.mm_per_pixel, gaze.towards)
+        at = height_field.visible_points(x, y, 2 * view_axes.mm_per_pixel)[0]
+        self._knob.place(at, view_axes.mm_per_pixel, view_axes.towards)
 
     def remove(self) -> None:
         """Remove the marker from the scene."""
@@ -107,11 +107,13 @@ class DrapedOutline:
         self.box_um = (0.0, 0.0, 0.0, 0.0)
         self._line = CasedLine(scene, "selection", _SELECTION, 2.4)
 
-    def draw(self, land: HeightField, gaze: ViewAxes) -> None:
+    def draw(self, height_field: HeightField, view_axes: ViewAxes) -> None:
         """Draw the rectangle on the displayed surface."""
         x0, y0, x1, y1 = self.box_um
         corners = np.array([(x0, y0), (x1, y0), (x1, y1), (x0, y1)])
-        self._line.lay(land.drape_outline(corners, 2 * gaze.mm_per_pixel), None, 1.6 * gaze.mm_per_pixel)
+        self._line.lay(
+            height_field.drape_outline(corners, 2 * view_axes.mm_per_pixel), None, 1.6 * view_axes.mm_per_pixel
+        )
 
     def remove(self) -> None:
         """Remove the rectangle from the scene."""

@@ -103,7 +103,7 @@ class ViewAxes:
         """Return the pixel size in mm at a point."""
         return self.mm_per_pixel * max(float((self.eye - place) @ self.towards), 0.0) / max(self.distance_mm, 1e-12)
 
-    def before(self, land: HeightField, corners: Vector, spare_mm: float) -> float:
+    def before(self, height_field: HeightField, corners: Vector, spare_mm: float) -> float:
         """Return the smallest fractional shift towards the camera that clears an image of occlusion by the surface.
 
         corners: lower left, lower right and upper left corner of the image, [3, 3] in scene mm. The image keeps its
@@ -111,10 +111,10 @@ class ViewAxes:
         """
         first, right, up = corners[0], corners[1] - corners[0], corners[2] - corners[0]
         places = (first + _ACROSS[:, None, None] * right + _DOWN[:, None] * up).reshape(-1, 1, 3)
-        top = land.on_show.scene_z(land.on_show.facts.highest_um) + spare_mm
+        top = height_field.on_show.scene_z(height_field.on_show.facts.highest_um) + spare_mm
         climb = self.eye[2] - float(places[..., 2].min())
         reach = (top - float(places[..., 2].min())) / climb if climb > 0 else 1.0
         share = np.linspace(0, min(max(reach, 0.0), 1.0 - _NEAREST), _STEPS)
         ways = places + (self.eye - places) * share[:, None]
-        hidden = (ways[..., 2] < land.visible_z_mm(ways[..., 0], ways[..., 1]) + spare_mm).any(axis=0)
+        hidden = (ways[..., 2] < height_field.visible_z_mm(ways[..., 0], ways[..., 1]) + spare_mm).any(axis=0)
         return float(share[min(int(np.flatnonzero(hidden)[-1]) + 1, _STEPS - 1)]) if hidden.any() else 0.0

@@ -85,19 +85,19 @@ class ClipBox:
                 if key not in self._knobs:
                     self._knobs[key] = DragHandle(self._scene, f"{NAME}/{key}", _BALL, _BALL_PX, self._dragged)
 
-    def draw(self, land: HeightField, gaze: ViewAxes) -> None:
+    def draw(self, height_field: HeightField, view_axes: ViewAxes) -> None:
         """Draw the box for the displayed surface."""
         if self._faces is None:
             return
-        corners = corners_mm(self._faces, land.on_show)
-        pixel = gaze.mm_per_pixel
+        corners = corners_mm(self._faces, height_field.on_show)
+        pixel = view_axes.mm_per_pixel
         edges = dashed(corners[_EDGES].astype(np.float32), _DASH_PX * pixel)
         if self._edges is None:
             self._edges = lines(self._scene, f"/tools/{NAME}/edges", edges, INK[self._dark], _LINE_PX)
         else:
             self._edges.points = edges
         for key, knob in self._knobs.items():
-            knob.place(ball_mm(corners, key), pixel, gaze.towards)
+            knob.place(ball_mm(corners, key), pixel, view_axes.towards)
 
     def drag(self, name: str, origin: Vector, direction: Vector, on_show: DisplayedSurface) -> None:
         """Move the face of the named handle, ``clip/x0``, to the point of its axis nearest to the pointer ray."""

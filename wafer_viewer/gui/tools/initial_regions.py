@@ -61,95 +61,99 @@ class DieOutline:
         return min((street for street in self.streets if street), default=NO_STREET * min(self.size))
 
 
-def die_box(land: HeightField, near: Place) -> tuple[Region, ...]:
+def die_box(height_field: HeightField, near: Place) -> tuple[Region, ...]:
     """Return a rectangle around a die that reaches into the streets."""
-    die = _die(land, near)
+    die = _die(height_field, near)
     by = ROUND * die.street
     x0, y0, x1, y1 = die.box
-    return (_rectangle(land, (x0 - by, y0 - by, x1 + by, y1 + by)),)
+    return (_rectangle(height_field, (x0 - by, y0 - by, x1 + by, y1 + by)),)
 
 
-def kerf_box(land: HeightField, near: Place) -> tuple[Region, ...]:
+def kerf_box(height_field: HeightField, near: Place) -> tuple[Region, ...]:
     """Return a rectangle across a street, preferably the one below; across the die if it is isolated."""
-    die = _die(land, near)
+    die = _die(height_field, near)
     (x0, y0, x1, y1), by = die.box, OVER * die.street
     left, lower, right, upper = die.streets
     x_half, y_half = ALONG * (x1 - x0) / 2, ALONG * (y1 - y0) / 2
     x, y = (x0 + x1) / 2, (y0 + y1) / 2
     if lower or upper:
         low, high = (y0 - lower, y0) if lower else (y1, y1 + (upper or 0.0))
-        return (_rectangle(land, (x - x_half, low - by, x + x_half, high + by)),)
+        return (_rectangle(height_field, (x - x_half, low - by, x + x_half, high + by)),)
     if right or left:
         low, high = (x1, x1 + right) if right else (x0 - (left or 0.0), x0)
-        return (_rectangle(land, (low - by, y - y_half, high + by, y + y_half)),)
-    return (_rectangle(land, (x - x_half, y0 - by, x + x_half, y1 + by)),)
+        return (_rectangle(height_field, (low - by, y - y_half, high + by, y + y_half)),)
+    return (_rectangle(height_field, (x - x_half, y0 - by, x + x_half, y1 + by)),)
 
 
-def edge_box(land: HeightField, near: Place) -> tuple[Region, ...]:
+def edge_box(height_field: HeightField, near: Place) -> tuple[Region, ...]:
     """Return a rectangle along the lower edge of a die."""
-    die = _die(land, near)
+    die = _die(height_field, near)
     (x0, y0, x1, _), by = die.box, OVER * die.street
     half = ALONG * (x1 - x0) / 2
-    return (_rectangle(land, ((x0 + x1) / 2 - half, y0 - by, (x0 + x1) / 2 + half, y0 + by)),)
+    return (_rectangle(height_field, ((x0 + x1) / 2 - half, y0 - by, (x0 + x1) / 2 + half, y0 + by)),)
 
 
-def bumps_box(land: HeightField, near: Place) -> tuple[Region, ...]:
+def bumps_box(height_field: HeightField, near: Place) -> tuple[Region, ...]:
     """Return a rectangle within a die."""
-    die = _die(land, near)
+    die = _die(height_field, near)
     x0, y0, x1, y1 = die.box
     x_in, y_in = (INSIDE * side for side in die.size)
-    return (_rectangle(land, (x0 + x_in, y0 + y_in, x1 - x_in, y1 - y_in)),)
+    return (_rectangle(height_field, (x0 + x_in, y0 + y_in, x1 - x_in, y1 - y_in)),)
 
 
-def initial_circle(land: HeightField, near: Place) -> tuple[Region, ...]:
+def initial_circle(height_field: HeightField, near: Place) -> tuple[Region, ...]:
     """Return a circle around the nearest round feature above the upper level; else around the most prominent bump."""
-    _, high = _levels(land, near)
-    out = _evened(land) > high + STANDS_OUT * span_um(land)
-    found = [_in_um(land, out, *box) for box in _boxes(out, 0.0) if ROUND_FILL[0] <= _fill(out, *box) <= ROUND_FILL[1]]
+    _, high = _levels(height_field, near)
+    out = _evened(height_field) > high + STANDS_OUT * span_um(height_field)
+    found = [
+        _in_um(height_field, out, *box)
+        for box in _boxes(out, 0.0)
+        if ROUND_FILL[0] <= _fill(out, *box) <= ROUND_FILL[1]
+    ]
     disc = [die for die in found if min(die.size) >= ASPECT * max(die.size)]
     if not disc:
-        middle, radius_um = bump(land, near)
-        return (Region.circle(*land.clamped(middle), round(radius_um, 2)),)
-    at = land.inner(near)
+        middle, radius_um = bump(height_field, near)
+        return (Region.circle(*height_field.clamped(middle), round(radius_um, 2)),)
+    at = height_field.inner(near)
     nearest = min(disc, key=lambda die: die.away(at))
     (x0, y0, x1, y1), radius_um = nearest.box, ROOM * max(nearest.size) / 2
-    return (Region.circle(*land.clamped(((x0 + x1) / 2, (y0 + y1) / 2)), round(radius_um, 2)),)
+    return (Region.circle(*height_field.clamped(((x0 + x1) / 2, (y0 + y1) / 2)), round(radius_um, 2)),)
 
 
-def _rectangle(land: HeightField, box: Box) -> Region:
+def _rectangle(height_field: HeightField, box: Box) -> Region:
     x0, y0, x1, y1 = box
-    return Region.rectangle(*land.clamped((x0, y0)), *land.clamped((x1, y1)))
+    return Region.rectangle(*height_field.clamped((x0, y0)), *height_field.clamped((x1, y1)))
 
 
-def _die(land: HeightField, near: Place) -> DieOutline:
+def _die(height_field: HeightField, near: Place) -> DieOutline:
     """Return the complete die nearest to a position; the central half of the visible part if there is none."""
-    low, high = _levels(land, near)
-    over = _evened(land) > (low + high) / 2
-    found = [_in_um(land, over, *box) for box in _boxes(over, LEAST_SHARE) if _fill(over, *box) >= FILLED]
+    low, high = _levels(height_field, near)
+    over = _evened(height_field) > (low + high) / 2
+    found = [_in_um(height_field, over, *box) for box in _boxes(over, LEAST_SHARE) if _fill(over, *box) >= FILLED]
     if not found:
-        x0, y0, x1, y1 = land.bounds_um
+        x0, y0, x1, y1 = height_field.bounds_um
         x, y, half_x, half_y = (x0 + x1) / 2, (y0 + y1) / 2, (x1 - x0) / 4, (y1 - y0) / 4
         return DieOutline((x - half_x, y - half_y, x + half_x, y + half_y), (None, None, None, None))
-    at = land.inner(near)
+    at = height_field.inner(near)
     return min(found, key=lambda die: die.away(at))
 
 
-def _evened(land: HeightField) -> Floats:
+def _evened(height_field: HeightField) -> Floats:
     """Return the heights without the median tilt."""
-    z = land.heights
+    z = height_field.heights
     along_x, along_y = (float(np.median(np.diff(z, axis=axis))) for axis in (1, 0))
     row, col = np.indices(z.shape)
     return z - along_x * col - along_y * row
 
 
-def _levels(land: HeightField, near: Place) -> tuple[float, float]:
+def _levels(height_field: HeightField, near: Place) -> tuple[float, float]:
     """Return the lower and the upper level of a surface after removal of its tilt."""
-    upper, lower, _ = plateaus(land, near)
-    z, (x0, y0, x1, y1) = _evened(land), land.bounds_um
+    upper, lower, _ = plateaus(height_field, near)
+    z, (x0, y0, x1, y1) = _evened(height_field), height_field.bounds_um
     rows, cols = z.shape
     found = [
         float(z[round((y1 - y) / (y1 - y0) * (rows - 1)), round((x - x0) / (x1 - x0) * (cols - 1))])
-        for x, y in (land.clamped(lower), land.clamped(upper))
+        for x, y in (height_field.clamped(lower), height_field.clamped(upper))
     ]
     return found[0], found[1]
 
@@ -174,9 +178,9 @@ def _fill(over: NDArray[np.bool_], rows: slice, cols: slice) -> float:
     return float(over[rows, cols].mean())
 
 
-def _in_um(land: HeightField, over: NDArray[np.bool_], rows: slice, cols: slice) -> DieOutline:
-    x0, y1 = land.place(rows.start - 0.5, cols.start - 0.5)
-    x1, y0 = land.place(rows.stop - 0.5, cols.stop - 0.5)
+def _in_um(height_field: HeightField, over: NDArray[np.bool_], rows: slice, cols: slice) -> DieOutline:
+    x0, y1 = height_field.place(rows.start - 0.5, cols.start - 0.5)
+    x1, y0 = height_field.place(rows.stop - 0.5, cols.stop - 0.5)
     row, col = (rows.start + rows.stop) // 2, (cols.start + cols.stop) // 2
     ways = (
         over[row, : cols.start][::-1],
@@ -184,7 +188,7 @@ def _in_um(land: HeightField, over: NDArray[np.bool_], rows: slice, cols: slice)
         over[row, cols.stop :],
         over[: rows.start, col][::-1],
     )
-    left, lower, right, upper = (float(np.argmax(way)) * land.pixel_um if way.any() else None for way in ways)
+    left, lower, right, upper = (float(np.argmax(way)) * height_field.pixel_um if way.any() else None for way in ways)
     return DieOutline((float(x0), float(y0), float(x1), float(y1)), (left, lower, right, upper))
 
 
@@ -199,24 +203,24 @@ LEVELS = (10, 90)
 LEAST_MEASURED = 0.9
 
 
-def groove_line(land: HeightField, near: Place) -> tuple[Place, Place]:
+def groove_line(height_field: HeightField, near: Place) -> tuple[Place, Place]:
     """Return both ends of a line across a groove or ridge; the initial profile line if there is none."""
     widest, found = 0.0, None
-    for start, end in _lines(land, land.inner(near)):
-        first, last = _widest(land, start, end)
+    for start, end in _lines(height_field, height_field.inner(near)):
+        first, last = _widest(height_field, start, end)
         width = float(np.hypot(*(last - first)))
         if width > 1.2 * widest:
             middle = (first + last) / 2
             widest, found = width, (middle + REACH * (first - last), middle + REACH * (last - first))
     if found is None:
-        return first_line(land, near)
-    begin, end = (land.clamped((float(x), float(y))) for x, y in found)
+        return first_line(height_field, near)
+    begin, end = (height_field.clamped((float(x), float(y))) for x, y in found)
     return begin, end
 
 
-def _lines(land: HeightField, near: Place) -> Iterator[tuple[Floats, Floats]]:
+def _lines(height_field: HeightField, near: Place) -> Iterator[tuple[Floats, Floats]]:
     """Yield lines across the entire surface, along x and along y, the nearest first."""
-    x0, y0, x1, y1 = land.bounds_um
+    x0, y0, x1, y1 = height_field.bounds_um
     for away in np.linspace(0, 1, LINES):
         for sign in (1, -1):
             y = near[1] + sign * away * (y1 - y0) / 2
@@ -227,12 +231,12 @@ def _lines(land: HeightField, near: Place) -> Iterator[tuple[Floats, Floats]]:
                 yield np.array([x, y0]), np.array([x, y1])
 
 
-def _widest(land: HeightField, start: Floats, end: Floats) -> tuple[Floats, Floats]:
+def _widest(height_field: HeightField, start: Floats, end: Floats) -> tuple[Floats, Floats]:
     """Return both edges of the widest trench or ridge along a line; two equal positions if there is none."""
     share = np.linspace(0, 1, SAMPLES)
     places = start + share[:, None] * (end - start)
-    there = land.measured(places[:, 0], places[:, 1])
-    z_um = land.z_um(places[:, 0], places[:, 1])
+    there = height_field.measured(places[:, 0], places[:, 1])
+    z_um = height_field.z_um(places[:, 0], places[:, 1])
     z_um = z_um - np.polyval(np.polyfit(share, z_um, 1), share)
     edges = _edges(z_um)
     best = 0, 0
@@ -258,65 +262,69 @@ _WELL_INSIDE = 0.8
 """Side of an initial region, as a fraction of the flat square found."""
 
 
-def _square(land: HeightField, at: Place, side_um: float) -> Region:
+def _square(height_field: HeightField, at: Place, side_um: float) -> Region:
     (x, y), half = at, side_um / 2
-    return Region.rectangle(*land.clamped((x - half, y - half)), *land.clamped((x + half, y + half)))
+    return Region.rectangle(*height_field.clamped((x - half, y - half)), *height_field.clamped((x + half, y + half)))
 
 
-def _inside(land: HeightField, at: Place, side_um: float) -> Region:
-    return _square(land, at, _WELL_INSIDE * side_um)
+def _inside(height_field: HeightField, at: Place, side_um: float) -> Region:
+    return _square(height_field, at, _WELL_INSIDE * side_um)
 
 
-def _point(land: HeightField, near: Place) -> tuple[Region, ...]:
-    return (Region.point(*land.nearest_measured(land.inner(near))),)
+def _point(height_field: HeightField, near: Place) -> tuple[Region, ...]:
+    return (Region.point(*height_field.nearest_measured(height_field.inner(near))),)
 
 
-def _distance(land: HeightField, near: Place) -> tuple[Region, ...]:
-    x0, _, x1, _ = land.bounds_um
-    x, y = land.inner(near)
+def _distance(height_field: HeightField, near: Place) -> tuple[Region, ...]:
+    x0, _, x1, _ = height_field.bounds_um
+    x, y = height_field.inner(near)
     ends = ((x - 0.16 * (x1 - x0), y), (x + 0.16 * (x1 - x0), y))
-    return tuple(Region.point(*land.nearest_measured(end)) for end in ends)
+    return tuple(Region.point(*height_field.nearest_measured(end)) for end in ends)
 
 
-def _step(land: HeightField, near: Place) -> tuple[Region, ...]:
-    upper, lower, side_um = plateaus(land, near)
-    return _inside(land, upper, side_um), _inside(land, lower, side_um)
+def _step(height_field: HeightField, near: Place) -> tuple[Region, ...]:
+    upper, lower, side_um = plateaus(height_field, near)
+    return _inside(height_field, upper, side_um), _inside(height_field, lower, side_um)
 
 
-def _angle(land: HeightField, near: Place) -> tuple[Region, ...]:
-    first, second, side_um = two_faces(land, near)
-    return _inside(land, first, side_um), _inside(land, second, side_um)
+def _angle(height_field: HeightField, near: Place) -> tuple[Region, ...]:
+    first, second, side_um = two_faces(height_field, near)
+    return _inside(height_field, first, side_um), _inside(height_field, second, side_um)
 
 
-def _radius(land: HeightField, near: Place) -> tuple[Region, ...]:
-    middle, radius_um = bump(land, near)
-    return (Region.circle(*land.clamped(middle), round(radius_um, 2)),)
+def _radius(height_field: HeightField, near: Place) -> tuple[Region, ...]:
+    middle, radius_um = bump(height_field, near)
+    return (Region.circle(*height_field.clamped(middle), round(radius_um, 2)),)
 
 
-def _volume(land: HeightField, near: Place) -> tuple[Region, ...]:
-    middle, radius_um = bump(land, near)
-    return (_square(land, middle, 3 * radius_um),)
+def _volume(height_field: HeightField, near: Place) -> tuple[Region, ...]:
+    middle, radius_um = bump(height_field, near)
+    return (_square(height_field, middle, 3 * radius_um),)
 
 
-def _face(land: HeightField, near: Place) -> tuple[Region, ...]:
-    return (_inside(land, *face(land, near)),)
+def _face(height_field: HeightField, near: Place) -> tuple[Region, ...]:
+    return (_inside(height_field, *face(height_field, near)),)
 
 
-def _across_face(land: HeightField, near: Place) -> tuple[Region, ...]:
-    x0, y0, x1, y1 = _inside(land, *face(land, near)).bounds_um
+def _across_face(height_field: HeightField, near: Place) -> tuple[Region, ...]:
+    x0, y0, x1, y1 = _inside(height_field, *face(height_field, near)).bounds_um
     return (Region.line(x0, (y0 + y1) / 2, x1, (y0 + y1) / 2),)
 
 
-def _visible_without_border(land: HeightField, near: Place) -> tuple[Region, ...]:
+def _visible_without_border(height_field: HeightField, near: Place) -> tuple[Region, ...]:
     """Return the visible part without its border."""
-    x0, y0, x1, y1 = land.bounds_um
+    x0, y0, x1, y1 = height_field.bounds_um
     in_x, in_y = _BORDER * (x1 - x0), _BORDER * (y1 - y0)
     return (Region.rectangle(*(round(um, 2) for um in (x0 + in_x, y0 + in_y, x1 - in_x, y1 - in_y))),)
 
 
 INITIAL_REGIONS: dict[InitialRegions, Callable[[HeightField, Place], tuple[Region, ...]]] = {
-    "informative line": lambda land, near: (Region.line(*(v for end in first_line(land, near) for v in end)),),
-    "line across a groove": lambda land, near: (Region.line(*(v for end in groove_line(land, near) for v in end)),),
+    "informative line": lambda height_field, near: (
+        Region.line(*(v for end in first_line(height_field, near) for v in end)),
+    ),
+    "line across a groove": lambda height_field, near: (
+        Region.line(*(v for end in groove_line(height_field, near) for v in end)),
+    ),
     "line across a face": _across_face,
     "point": _point,
     "two points": _distance,
@@ -335,22 +343,24 @@ INITIAL_REGIONS: dict[InitialRegions, Callable[[HeightField, Place], tuple[Regio
 """Regions on a feature of the visible part, nearest to the point looked at."""
 
 
-def initial_regions(tool: ToolName, land: HeightField, near: Place) -> tuple[Region, ...]:
+def initial_regions(tool: ToolName, height_field: HeightField, near: Place) -> tuple[Region, ...]:
     """Return the first regions of a tool, in the order of its inputs."""
-    return INITIAL_REGIONS[TOOLS[tool].initial](land, near)
+    return INITIAL_REGIONS[TOOLS[tool].initial](height_field, near)
 
 
-def _three_points(land: HeightField, near: Place) -> tuple[Region, ...]:
+def _three_points(height_field: HeightField, near: Place) -> tuple[Region, ...]:
     """Return three distant points, if possible all on the level of most of the surface."""
-    x0, y0, x1, y1 = land.bounds_um
+    x0, y0, x1, y1 = height_field.bounds_um
     wanted = [(x0 + u * (x1 - x0), y0 + v * (y1 - y0)) for u, v in ((0.15, 0.15), (0.85, 0.15), (0.5, 0.85))]
-    found = patches(land, PATCH_SHARES[-1])
+    found = patches(height_field, PATCH_SHARES[-1])
     level = (
-        found.only(np.abs(found.level - np.median(found.level)) <= SAME_LEVEL * span_um(land)) if len(found) else found
+        found.only(np.abs(found.level - np.median(found.level)) <= SAME_LEVEL * span_um(height_field))
+        if len(found)
+        else found
     )
     if len(level) < 3:
-        return tuple(Region.point(*land.nearest_measured(place)) for place in wanted)
-    return tuple(Region.point(*land.clamped(level.middle(level.nearest(place)))) for place in wanted)
+        return tuple(Region.point(*height_field.nearest_measured(place)) for place in wanted)
+    return tuple(Region.point(*height_field.clamped(level.middle(level.nearest(place)))) for place in wanted)
 
 
 _LEVEL_AT: dict[LevelBy, Callable[[HeightField, Place], tuple[Region, ...]]] = {
@@ -359,6 +369,6 @@ _LEVEL_AT: dict[LevelBy, Callable[[HeightField, Place], tuple[Region, ...]]] = {
 }
 
 
-def first_levelling(by: LevelBy, land: HeightField, near: Place) -> Levelling:
+def first_levelling(by: LevelBy, height_field: HeightField, near: Place) -> Levelling:
     """Return a levelling with initial regions."""
-    return Levelling(by=by, places=_LEVEL_AT[by](land, near) if by in _LEVEL_AT else ())
+    return Levelling(by=by, places=_LEVEL_AT[by](height_field, near) if by in _LEVEL_AT else ())

@@ -44,17 +44,17 @@ class LineTool:
         places[end] = to
         self.line = Region.line(*places[0], *places[1], self.line.width_um)
 
-    def draw(self, land: HeightField, gaze: ViewAxes) -> None:
+    def draw(self, height_field: HeightField, view_axes: ViewAxes) -> None:
         """Draw the line on the displayed surface."""
-        mm_per_pixel = gaze.mm_per_pixel
+        mm_per_pixel = view_axes.mm_per_pixel
         first, last = ((p.x_um, p.y_um) for p in self.line.points)
-        points, measured = land.drape_line(first, last, 1.5 * mm_per_pixel)
+        points, measured = height_field.drape_line(first, last, 1.5 * mm_per_pixel)
         self._line.lay(np.stack([points[:-1], points[1:]], axis=1), measured, 1.8 * mm_per_pixel)
         up = np.array([0, 0, 5 * mm_per_pixel], np.float32)
         for knob, at in zip(self._knobs, (points[0], points[-1]), strict=True):
-            knob.place(at + up, mm_per_pixel, gaze.towards)
-        outwards = -1 if float((points[-1] - points[0]) @ gaze.axes[:, 0]) >= 0 else 1
-        self._sign.place(np.asarray(points[0] + up, float), land, gaze, outwards * _BESIDE_PX)
+            knob.place(at + up, mm_per_pixel, view_axes.towards)
+        outwards = -1 if float((points[-1] - points[0]) @ view_axes.axes[:, 0]) >= 0 else 1
+        self._sign.place(np.asarray(points[0] + up, float), height_field, view_axes, outwards * _BESIDE_PX)
 
     def remove(self) -> None:
         """Remove the line from the scene."""
@@ -70,17 +70,19 @@ class Cursors:
         self._knobs: dict[int, DragHandle] = {}
         self.line, self.shares = 0, (0.0, 1.0)
 
-    def draw(self, line: Region, land: HeightField, gaze: ViewAxes) -> None:
+    def draw(self, line: Region, height_field: HeightField, view_axes: ViewAxes) -> None:
         """Draw the cursors on the displayed surface."""
         first, last = ((p.x_um, p.y_um) for p in line.points)
-        points, _ = land.drape_line(first, last, 6.5 * gaze.mm_per_pixel)
+        points, _ = height_field.drape_line(first, last, 6.5 * view_axes.mm_per_pixel)
         for number, share in enumerate(self.shares):
             if not 0 < share < 1:
                 self._take_away(number)
                 continue
             if number not in self._knobs:
                 self._knobs[number] = DragHandle(self._scene, f"cursor/{number}", _CURSOR, _CURSOR_PX, self._dragged)
-            self._knobs[number].place(points[round(share * (len(points) - 1))], gaze.mm_per_pixel, gaze.towards)
+            self._knobs[number].place(
+                points[round(share * (len(points) - 1))], view_axes.mm_per_pixel, view_axes.towards
+            )
 
     def remove(self) -> None:
         """Remove the cursors from the scene."""
@@ -103,13 +105,13 @@ class LineTools:
         self._cursors = Cursors(scene, dragged)
         self._cursor_moved: CursorMoved = lambda number, share: None
 
-    def show(self, view: View, land: HeightField, near: Place) -> None:
+    def show(self, view: View, height_field: HeightField, near: Place) -> None:
         """Show the lines of a view; a view without lines gets an initial one near a position."""
         if view.lines:
             if not self._echoes.is_echo(view.lines):
                 self._lay(view.lines)
         elif self._had_lines or not self._tools:
-            first, last = first_line(land, near)
+            first, last = first_line(height_field, near)
             self._lay((Region.line(*first, *last),))
             self._told(0)
         self._had_lines = bool(view.lines)
@@ -149,12 +151,12 @@ class LineTools:
         place = self._cursors.line
         return self._tools[place].line if place < len(self._tools) else None
 
-    def draw(self, land: HeightField, gaze: ViewAxes) -> None:
+    def draw(self, height_field: HeightField, view_axes: ViewAxes) -> None:
         """Draw all lines on the displayed surface."""
         for tool in self._tools:
-            tool.draw(land, gaze)
+            tool.draw(height_field, view_axes)
         if self._cursors.line < len(self._tools):
-            self._cursors.draw(self._tools[self._cursors.line].line, land, gaze)
+            self._cursors.draw(self._tools[self._cursors.line].line, height_field, view_axes)
 
     def remove(self) -> None:
         """Remove all lines from the scene."""

@@ -39,8 +39,8 @@ def _point_holds(region: Region) -> dict[str, Place]:
     return {WHOLE: (region.points[0].x_um, region.points[0].y_um)}
 
 
-def _point_pulled(region: Region, hold: str, to: Place, land: HeightField) -> Region:
-    return Region.point(*land.clamped(to))
+def _point_pulled(region: Region, hold: str, to: Place, height_field: HeightField) -> Region:
+    return Region.point(*height_field.clamped(to))
 
 
 def _corners(region: Region) -> Corners:
@@ -54,13 +54,13 @@ def _rectangle_holds(region: Region) -> dict[str, Place]:
     return {**corners, WHOLE: ((x0 + x1) / 2, (y0 + y1) / 2)}
 
 
-def _rectangle_pulled(region: Region, hold: str, to: Place, land: HeightField) -> Region:
+def _rectangle_pulled(region: Region, hold: str, to: Place, height_field: HeightField) -> Region:
     x0, y0, x1, y1 = region.bounds_um
     if hold == WHOLE:
         half = (x1 - x0) / 2, (y1 - y0) / 2
-        x, y = _kept_inside(to, half, land)
+        x, y = _kept_inside(to, half, height_field)
         return _rectangle(x - half[0], y - half[1], x + half[0], y + half[1])
-    least, k = LEAST_PX * land.on_show.facts.pixel_um, int(hold)
+    least, k = LEAST_PX * height_field.on_show.facts.pixel_um, int(hold)
     x0, x1 = (min(to[0], x1 - least), x1) if k in (0, 3) else (x0, max(to[0], x0 + least))
     y0, y1 = (min(to[1], y1 - least), y1) if k in (0, 1) else (y0, max(to[1], y0 + least))
     return _rectangle(x0, y0, x1, y1)
@@ -76,16 +76,16 @@ def _circle_holds(region: Region) -> dict[str, Place]:
     return {"rim": (center.x_um + region.radius_um, center.y_um), WHOLE: (center.x_um, center.y_um)}
 
 
-def _circle_pulled(region: Region, hold: str, to: Place, land: HeightField) -> Region:
+def _circle_pulled(region: Region, hold: str, to: Place, height_field: HeightField) -> Region:
     """Move the circle by its centre, or set its radius by its rim, limited to the surface."""
-    x0, y0, x1, y1 = land.bounds_um
+    x0, y0, x1, y1 = height_field.bounds_um
     center = region.points[0]
     if hold == WHOLE:
-        x, y = _kept_inside(to, (region.radius_um, region.radius_um), land)
+        x, y = _kept_inside(to, (region.radius_um, region.radius_um), height_field)
         return Region.circle(_hundredth(x), _hundredth(y), region.radius_um)
     x, y = center.x_um, center.y_um
     most = min(x - x0, x1 - x, y - y0, y1 - y)
-    wanted = max(math.hypot(to[0] - x, to[1] - y), LEAST_PX * land.on_show.facts.pixel_um)
+    wanted = max(math.hypot(to[0] - x, to[1] - y), LEAST_PX * height_field.on_show.facts.pixel_um)
     return Region.circle(x, y, _hundredth(min(wanted, max(most, region.radius_um))))
 
 
@@ -98,23 +98,23 @@ def _line_holds(region: Region) -> dict[str, Place]:
     return {"0": (xa, ya), "1": (xb, yb), WHOLE: ((xa + xb) / 2, (ya + yb) / 2)}
 
 
-def _line_pulled(region: Region, hold: str, to: Place, land: HeightField) -> Region:
+def _line_pulled(region: Region, hold: str, to: Place, height_field: HeightField) -> Region:
     """Move the line by its centre, or one end by its handle."""
     (xa, ya), (xb, yb) = ((p.x_um, p.y_um) for p in region.points)
     if hold == WHOLE:
-        x, y = _kept_inside(to, (abs(xb - xa) / 2, abs(yb - ya) / 2), land)
+        x, y = _kept_inside(to, (abs(xb - xa) / 2, abs(yb - ya) / 2), height_field)
         dx, dy = x - (xa + xb) / 2, y - (ya + yb) / 2
         ends = (xa + dx, ya + dy, xb + dx, yb + dy)
     else:
-        x, y = land.clamped(to)
+        x, y = height_field.clamped(to)
         ends = (x, y, xb, yb) if hold == "0" else (xa, ya, x, y)
     line = Region.line(*(_hundredth(v) for v in ends), width_um=region.width_um)
-    return line if math.dist(ends[:2], ends[2:]) >= LEAST_PX * land.on_show.facts.pixel_um else region
+    return line if math.dist(ends[:2], ends[2:]) >= LEAST_PX * height_field.on_show.facts.pixel_um else region
 
 
-def _kept_inside(to: Place, half: Place, land: HeightField) -> Place:
+def _kept_inside(to: Place, half: Place, height_field: HeightField) -> Place:
     """Return the centre nearest to `to` for which the given half extents stay on the surface."""
-    x0, y0, x1, y1 = land.bounds_um
+    x0, y0, x1, y1 = height_field.bounds_um
     return min(max(to[0], x0 + half[0]), x1 - half[0]), min(max(to[1], y0 + half[1]), y1 - half[1])
 
 

@@ -50,20 +50,20 @@ class PlaceHandle:
         }
         self._sign = Billboard(scene, f"{name}/sign", title, colour, _SIGN_PX)
 
-    def pull(self, hold: str, to: Place, land: HeightField) -> None:
+    def pull(self, hold: str, to: Place, height_field: HeightField) -> None:
         """Apply the new position of a handle."""
-        self.region = self._shape.pulled(self.region, hold, to, land)
+        self.region = self._shape.pulled(self.region, hold, to, height_field)
 
-    def draw(self, land: HeightField, gaze: ViewAxes) -> None:
+    def draw(self, height_field: HeightField, view_axes: ViewAxes) -> None:
         """Draw the region on the displayed surface."""
-        mm_per_pixel = gaze.mm_per_pixel
+        mm_per_pixel = view_axes.mm_per_pixel
         if self._outline is not None:
-            pieces = land.drape_outline(self._shape.outline(self.region), 2 * mm_per_pixel)
+            pieces = height_field.drape_outline(self._shape.outline(self.region), 2 * mm_per_pixel)
             self._outline.lay(pieces, None, 1.6 * mm_per_pixel)
         for hold, (x, y) in self._shape.holds(self.region).items():
-            at = land.visible_points(np.array([x]), np.array([y]), 3 * mm_per_pixel)[0]
-            self._knobs[hold].place(at, mm_per_pixel * self._knob_share(mm_per_pixel), gaze.towards)
-        self._place_sign(land, gaze)
+            at = height_field.visible_points(np.array([x]), np.array([y]), 3 * mm_per_pixel)[0]
+            self._knobs[hold].place(at, mm_per_pixel * self._knob_share(mm_per_pixel), view_axes.towards)
+        self._place_sign(height_field, view_axes)
 
     def remove(self) -> None:
         """Remove the region from the scene."""
@@ -78,10 +78,10 @@ class PlaceHandle:
         side_px = side_um * 1e-3 / max(mm_per_pixel, 1e-12)
         return 1.0 if self._outline is None else min(1.0, max(_LEAST_KNOB, side_px / _ROOMY_PX))
 
-    def _place_sign(self, land: HeightField, gaze: ViewAxes) -> None:
+    def _place_sign(self, height_field: HeightField, view_axes: ViewAxes) -> None:
         """Place the label to the left of the region on the screen."""
-        left = corner_on_screen(self.region, land, gaze, -1, 0)
-        self._sign.place(left, land, gaze, -_BESIDE_PX)
+        left = corner_on_screen(self.region, height_field, view_axes, -1, 0)
+        self._sign.place(left, height_field, view_axes, -_BESIDE_PX)
 
 
 class Places:
@@ -120,20 +120,20 @@ class Places:
         for handle, region in zip(self._handles, regions, strict=True):
             handle.region = region
 
-    def pull(self, name: str, to: Place, land: HeightField) -> None:
+    def pull(self, name: str, to: Place, height_field: HeightField) -> None:
         """Apply the new position of a handle, NAME/NUMBER/HOLD."""
         _, number, hold = name.split("/")
         if int(number) < len(self._handles):
-            self._handles[int(number)].pull(hold, to, land)
+            self._handles[int(number)].pull(hold, to, height_field)
 
-    def draw(self, land: HeightField, gaze: ViewAxes) -> None:
+    def draw(self, height_field: HeightField, view_axes: ViewAxes) -> None:
         """Draw the regions on the displayed surface."""
         for handle in self._handles:
-            handle.draw(land, gaze)
+            handle.draw(height_field, view_axes)
         if self._way is not None:
             start, end = ((r.points[0].x_um, r.points[0].y_um) for r in self.regions)
-            points, measured = land.drape_line(start, end, 1.5 * gaze.mm_per_pixel)
-            self._way.lay(np.stack([points[:-1], points[1:]], axis=1), measured, 1.6 * gaze.mm_per_pixel)
+            points, measured = height_field.drape_line(start, end, 1.5 * view_axes.mm_per_pixel)
+            self._way.lay(np.stack([points[:-1], points[1:]], axis=1), measured, 1.6 * view_axes.mm_per_pixel)
 
     def remove(self) -> None:
         """Remove the regions from the scene."""
@@ -160,7 +160,7 @@ class PlaceTools:
         self._named = False
         self._echoes: EchoFilter[tuple[Region, ...]] = EchoFilter()
 
-    def show(self, view: View, land: HeightField, near: Place) -> None:
+    def show(self, view: View, height_field: HeightField, near: Place) -> None:
         """Show the regions of a view's tool; echoes of a drag are ignored."""
         if view.tool in ("none", "profile"):
             self.remove()
@@ -170,13 +170,13 @@ class PlaceTools:
         if named and (not self._echoes.is_echo(view.places) or new):
             self._become(tool, view.places, view.dark)
         elif not named and (new or self._named):
-            self._become(tool, initial_regions(view.tool, self._in_sight(land), near), view.dark)
+            self._become(tool, initial_regions(view.tool, self._in_sight(height_field), near), view.dark)
             self._told()
         self._tool, self._named = view.tool, named
 
-    def drag(self, name: str, to: Place, land: HeightField, last: bool) -> None:
+    def drag(self, name: str, to: Place, height_field: HeightField, last: bool) -> None:
         """Apply the new position of a handle."""
-        self._places.pull(name, to, land)
+        self._places.pull(name, to, height_field)
         self._told()
 
     def put(self, to: Place) -> None:
@@ -185,9 +185,9 @@ class PlaceTools:
             self._places.move((Region.point(*to),))
             self._told()
 
-    def draw(self, land: HeightField, gaze: ViewAxes) -> None:
+    def draw(self, height_field: HeightField, view_axes: ViewAxes) -> None:
         """Draw the regions on the displayed surface."""
-        self._places.draw(land, gaze)
+        self._places.draw(height_field, view_axes)
 
     def remove(self) -> None:
         """Remove the regions from the scene."""
@@ -211,7 +211,7 @@ class LevelTools:
         self._levelling = Levelling()
         self._echoes: EchoFilter[Levelling] = EchoFilter()
 
-    def show(self, view: View, land: HeightField, near: Place) -> None:
+    def show(self, view: View, height_field: HeightField, near: Place) -> None:
         """Show the regions of a view's levelling."""
         if self._echoes.is_echo(view.levelling):
             return
@@ -219,15 +219,15 @@ class LevelTools:
         signs = LEVEL_SIGNS.get(view.levelling.by, ())
         self._places.become(signs, view.levelling.places, colours(view.dark).mark)
 
-    def drag(self, name: str, to: Place, land: HeightField, last: bool) -> None:
+    def drag(self, name: str, to: Place, height_field: HeightField, last: bool) -> None:
         """Apply the new position of a handle; report the levelling when it is released."""
-        self._places.pull(name, to, land)
+        self._places.pull(name, to, height_field)
         if last:
             self._tell(self._echoes.tell(replace(self._levelling, places=self._places.regions)))
 
-    def draw(self, land: HeightField, gaze: ViewAxes) -> None:
+    def draw(self, height_field: HeightField, view_axes: ViewAxes) -> None:
         """Draw the regions on the displayed surface."""
-        self._places.draw(land, gaze)
+        self._places.draw(height_field, view_axes)
 
     def remove(self) -> None:
         """Remove the regions from the scene."""

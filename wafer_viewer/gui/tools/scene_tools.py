@@ -74,14 +74,14 @@ class KeptMarks:
             Billboard(self._scene, f"kept/sign/{k}", one.sign, one.colour, _SIGN_PX) for k, one in enumerate(kept)
         ]
 
-    def draw(self, land: HeightField, gaze: ViewAxes) -> None:
+    def draw(self, height_field: HeightField, view_axes: ViewAxes) -> None:
         """Draw the markers on the displayed surface."""
         for colour, line in self._lines.items():
             drawn = [p for one in self._kept if one.colour == colour and not one.chosen for p in one.places]
-            pieces = np.concatenate([_outline(p, land, gaze.mm_per_pixel) for p in drawn])
-            line.lay(pieces, None, 1.6 * gaze.mm_per_pixel)
+            pieces = np.concatenate([_outline(p, height_field, view_axes.mm_per_pixel) for p in drawn])
+            line.lay(pieces, None, 1.6 * view_axes.mm_per_pixel)
         for one, sign in zip(self._kept, self._signs, strict=True):
-            _place(sign, one.places[0], land, gaze)
+            _place(sign, one.places[0], height_field, view_axes)
 
     def remove(self) -> None:
         """Remove all markers from the scene."""
@@ -96,25 +96,28 @@ def _kept(finding: AnyResult, view: View) -> _Kept:
     return _Kept(finding.drawn, symbol(finding), colour, chosen)
 
 
-def _outline(region: Region, land: HeightField, mm_per_pixel: float) -> NDArray[np.float32]:
+def _outline(region: Region, height_field: HeightField, mm_per_pixel: float) -> NDArray[np.float32]:
     """Return the segments of an outline, [n, 2, 3]: a line is draped, a point gets a ring."""
     lift = _UP_PX * mm_per_pixel
     if region.kind == "line":
         first, last = ((p.x_um, p.y_um) for p in region.points)
-        points, _ = land.drape_line(first, last, lift)
+        points, _ = height_field.drape_line(first, last, lift)
         return np.stack([points[:-1], points[1:]], axis=1)
     corners = outline_of(region)
     if len(corners) == 0:
         ring_um, at = _RING_PX * 1e3 * mm_per_pixel, region.points[0]
         corners = np.stack([at.x_um + ring_um * np.cos(_ROUND), at.y_um + ring_um * np.sin(_ROUND)], axis=1)
-    return land.drape_outline(corners, lift)
+    return height_field.drape_outline(corners, lift)
 
 
-def _place(sign: Billboard, region: Region, land: HeightField, gaze: ViewAxes) -> None:
+def _place(sign: Billboard, region: Region, height_field: HeightField, view_axes: ViewAxes) -> None:
     """Place a label at the upper left corner of a region on the screen, or at the end of a line."""
     place = region if region.kind != "line" else Region.point(region.points[1].x_um, region.points[1].y_um)
-    corner, up_px = corner_on_screen(place, land, gaze, -1, 1), _ABOVE_PX if region.kind == "point" else _BESIDE_PX
-    sign.place(corner, land, gaze, -_BESIDE_PX, up_px)
+    corner, up_px = (
+        corner_on_screen(place, height_field, view_axes, -1, 1),
+        _ABOVE_PX if region.kind == "point" else _BESIDE_PX,
+    )
+    sign.place(corner, height_field, view_axes, -_BESIDE_PX, up_px)
 
 
 _ON_LINE_PX = 9.0
@@ -126,7 +129,7 @@ class Tools:
 
     def __init__(self, client: viser.ClientHandle, eye: CameraController, read: Read) -> None:
         self._client, self._eye, self._read = client, eye, read
-        self._land: HeightField | None = None
+        self._height_field: HeightField | None = None
         scene = client.scene
         self._lines = LineTools(scene, self._dragged, lambda lines, line: self._lined(lines, line))
         self._places = PlaceTools(scene, self._dragged, lambda places: self._placed(places), self._in_sight)
@@ -178,10 +181,10 @@ class Tools:
 
     def first_levelling(self, by: LevelBy) -> Levelling:
         """Return a levelling with initial regions on the surface. Raises MeasureError before a surface is drawn."""
-        land = self._land
-        if land is None:
+        height_field = self._height_field
+        if height_field is None:
             raise MeasureError("The surface is not drawn yet: level it when it is.")
-        return first_levelling(by, land, self._looked_at())
+        return first_levelling(by, height_field, self._looked_at())
 
     def _listen_to_rectangles(self, wanted: bool) -> None:
         """Set whether a drag selects without the Shift key; otherwise it turns the camera."""
@@ -201,14 +204,14 @@ class Tools:
 
     def _select(self, low: Place, high: Place) -> None:
         """Report the bounding box of the surface under a screen rectangle, whose corners may be off the surface."""
-        land = self._land
-        if land is None:
+        height_field = self._height_field
+        if height_field is None:
             return
         pose, camera = self._eye.pose, self._client.camera
         places: list[Place] = []
         for u, v in ((low[0], low[1]), (high[0], low[1]), (high[0], high[1]), (low[0], high[1])):
             ray = pixel_ray(pose, camera.fov, camera.image_width / max(1, camera.image_height), u, v)
-            places.append(land.hit(pose.position, ray) or self._level_place(pose.position, ray))
+            places.append(height_field.hit(pose.position, ray) or self._level_place(pose.position, ray))
         xs, ys = zip(*places, strict=True)
         if max(xs) > min(xs) and max(ys) > min(ys):
             self._selected((min(xs), min(ys), max(xs), max(ys)))
@@ -222,18 +225,20 @@ class Tools:
         self, view: View, on_show: DisplayedSurface | None, book: SurfaceInfoCache, findings: Sequence[AnyResult] = ()
     ) -> None:
         """Show the view's tool, the saved results, the marker and the selection on the displayed surface."""
-        land = HeightField(book.relief(on_show), on_show, view.colour_by != "origin") if on_show is not None else None
+        height_field = (
+            HeightField(book.relief(on_show), on_show, view.colour_by != "origin") if on_show is not None else None
+        )
         with self._lock:
-            self._land = land
-            self._show_tools(view, land if view.step in ("measure", "gauge") else None)
-            self._kept.show(findings if view.step in ("measure", "review") and land is not None else (), view)
-            self._show_mark(view, land)
-            self._show_selection(view, land)
+            self._height_field = height_field
+            self._show_tools(view, height_field if view.step in ("measure", "gauge") else None)
+            self._kept.show(findings if view.step in ("measure", "review") and height_field is not None else (), view)
+            self._show_mark(view, height_field)
+            self._show_selection(view, height_field)
             if on_show is None:
                 self._clip.remove()
             else:
                 self._clip.show(view, on_show)
-            self._listen_to_rectangles(view.selecting and view.step == "surface" and land is not None)
+            self._listen_to_rectangles(view.selecting and view.step == "surface" and height_field is not None)
             self._redraw()
 
     def resize(self) -> None:
@@ -246,27 +251,29 @@ class Tools:
         The default point looked at has a height between lowest and highest; zooming towards it would enter higher
         parts.
         """
-        land, pose = self._land, self._eye.pose
-        if land is None or not pose.is_same(before):
+        height_field, pose = self._height_field, self._eye.pose
+        if height_field is None or not pose.is_same(before):
             return
         direction = pose.look_at - pose.position
-        share = refine_height_field(self._read, land, pose.position, direction).reached(pose.position, direction)
+        share = refine_height_field(self._read, height_field, pose.position, direction).reached(
+            pose.position, direction
+        )
         if share is not None and pose.is_same(self._eye.pose):  # reading took time, and the camera may be elsewhere
             self._eye.aim(pose.position + direction * share)
 
-    def _show_tools(self, view: View, land: HeightField | None) -> None:
-        if land is None or view.tool != "profile":
+    def _show_tools(self, view: View, height_field: HeightField | None) -> None:
+        if height_field is None or view.tool != "profile":
             self._lines.remove()
         else:
-            self._lines.show(view, land, self._looked_at())
+            self._lines.show(view, height_field, self._looked_at())
         for tool in (self._places, self._level):
-            if land is None:
+            if height_field is None:
                 tool.remove()
             else:
-                tool.show(view, land, self._looked_at())
+                tool.show(view, height_field, self._looked_at())
 
-    def _show_mark(self, view: View, land: HeightField | None) -> None:
-        place = view.why if view.explains and land is not None else None
+    def _show_mark(self, view: View, height_field: HeightField | None) -> None:
+        place = view.why if view.explains and height_field is not None else None
         if place is None:
             if self._mark is not None:
                 self._mark.remove()
@@ -275,9 +282,9 @@ class Tools:
         self._mark = self._mark or PlaceMark(self._client.scene, colours(view.dark).mark)
         self._mark.place = place
 
-    def _show_selection(self, view: View, land: HeightField | None) -> None:
+    def _show_selection(self, view: View, height_field: HeightField | None) -> None:
         """Show the outline of the selection in the Surface step."""
-        box = view.selection if view.step == "surface" and land is not None else None
+        box = view.selection if view.step == "surface" and height_field is not None else None
         if box is None:
             if self._outline is not None:
                 self._outline.remove()
@@ -288,13 +295,13 @@ class Tools:
 
     def _redraw(self) -> None:
         with self._lock:
-            if self._land is None:
+            if self._height_field is None:
                 return
-            gaze = ViewAxes.of(self._eye.pose, self._eye.um_per_pixel() * 1e-3)
+            view_axes = ViewAxes.of(self._eye.pose, self._eye.um_per_pixel() * 1e-3)
             with self._client.atomic():
                 for tool in (self._lines, self._places, self._level, self._kept, self._clip, self._mark, self._outline):
                     if tool is not None:
-                        tool.draw(self._land, gaze)
+                        tool.draw(self._height_field, view_axes)
 
     # ---------------------------------------------------------------- what the operator does
 
@@ -305,36 +312,36 @@ class Tools:
 
     def _move(self, name: str, origin: np.ndarray, direction: np.ndarray, last: bool) -> None:
         with self._lock:
-            if self._land is None:
+            if self._height_field is None:
                 return
-            place = self._land.hit(origin, direction) or self._level_place(origin, direction)
+            place = self._height_field.hit(origin, direction) or self._level_place(origin, direction)
             if name.startswith(f"{CLIP}/"):
-                self._clip.drag(name, origin, direction, self._land.on_show)
+                self._clip.drag(name, origin, direction, self._height_field.on_show)
             elif name.startswith("profile/"):
                 self._lines.drag(name, place)
             elif name.startswith("cursor/"):
                 self._lines.drag_cursor(name, place)
             else:
-                (self._level if name.startswith("level/") else self._places).drag(name, place, self._land, last)
+                (self._level if name.startswith("level/") else self._places).drag(name, place, self._height_field, last)
         self._redraw()
 
     def _level_place(self, origin: np.ndarray, direction: np.ndarray) -> Place:
         """Return the intersection of a ray with the lowest level, clamped to the surface."""
-        if self._land is None or abs(direction[2]) < 1e-9:
+        if self._height_field is None or abs(direction[2]) < 1e-9:
             return 0.0, 0.0
         x, y, _ = origin - direction * (origin[2] / direction[2])
-        return self._land.clamped((float(x) * 1e3, float(y) * 1e3))
+        return self._height_field.clamped((float(x) * 1e3, float(y) * 1e3))
 
     def _clicked(self, event: viser.SceneClickEvent) -> None:
         origin, direction = np.asarray(event.ray_origin, float), np.asarray(event.ray_direction, float)
         self._clicks.ask(lambda: self._pick(origin, direction))
 
     def _pick(self, origin: np.ndarray, direction: np.ndarray) -> None:
-        land = self._land
-        place = land.hit(origin, direction) if land is not None else None
-        if land is None or place is None:
+        height_field = self._height_field
+        place = height_field.hit(origin, direction) if height_field is not None else None
+        if height_field is None or place is None:
             return
-        place = refine_height_field(self._read, land, origin, direction).hit(origin, direction) or place
+        place = refine_height_field(self._read, height_field, origin, direction).hit(origin, direction) or place
         with self._lock:
             if self._lines.put_cursor(place, _ON_LINE_PX * self._eye.um_per_pixel()):
                 return
@@ -347,8 +354,8 @@ class Tools:
         x, y, _ = self._eye.pose.look_at * 1e3
         return float(x), float(y)
 
-    def _in_sight(self, land: HeightField) -> HeightField:
+    def _in_sight(self, height_field: HeightField) -> HeightField:
         """Return the surface around the point looked at, within half of the canvas's shorter side."""
         x, y = self._looked_at()
         reach_um = self._eye.um_per_pixel() * min(self._eye.canvas_px) / 2
-        return land.within((x - reach_um, y - reach_um, x + reach_um, y + reach_um))
+        return height_field.within((x - reach_um, y - reach_um, x + reach_um, y + reach_um))

@@ -53,13 +53,13 @@ class Patches:
         return len(self.places)
 
 
-def patches(land: HeightField, share: float) -> Patches:
+def patches(height_field: HeightField, share: float) -> Patches:
     """Return squares with a side of `share` of the surface's shorter side, half a side apart."""
-    rows, cols = land.heights.shape
+    rows, cols = height_field.heights.shape
     side = max(_LEAST_PATCH_PX, round(min(rows, cols) * share) // 2 * 2)
     step, half = side // 2, side // 2
-    z = land.heights - land.on_show.z0_um
-    n, total, squares = (_box_sums(layer, (side, side), step) for layer in (land.there.astype(float), z, z * z))
+    z = height_field.heights - height_field.on_show.z0_um
+    n, total, squares = (_box_sums(layer, (side, side), step) for layer in (height_field.there.astype(float), z, z * z))
     left, top = _box_sums(z, (side, half), step), _box_sums(z, (half, side), step)
     row, col = np.nonzero(n > 0.98 * side * side)
     mean = total[row, col] / side**2
@@ -67,62 +67,64 @@ def patches(land: HeightField, share: float) -> Patches:
     # Half a square's mean differs from the other half's by the tilt times half a side.
     across = [2 * (total[row, col] - 2 * part[row, col]) / side**2 for part in (left, top)]
     tilted = (across[0] ** 2 + across[1] ** 2) / 3
-    x, y = land.place(row * step + (side - 1) / 2, col * step + (side - 1) / 2)
+    x, y = height_field.place(row * step + (side - 1) / 2, col * step + (side - 1) / 2)
     return Patches(
-        side_um=side * land.pixel_um,
+        side_um=side * height_field.pixel_um,
         places=np.stack([x, y], axis=1),
         level=mean,
         spread=np.sqrt(variance),
         rough=np.sqrt(np.maximum(variance - tilted, 0)),
-        tilt=np.hypot(*across) / (half * land.pixel_um),
+        tilt=np.hypot(*across) / (half * height_field.pixel_um),
     )
 
 
-def first_line(land: HeightField, near: Place) -> tuple[Place, Place]:
+def first_line(height_field: HeightField, near: Place) -> tuple[Place, Place]:
     """Return an initial profile: along x, near the point looked at, at the most informative row."""
-    x0, y0, x1, y1 = land.bounds_um
-    x, y = land.inner(near)
+    x0, y0, x1, y1 = height_field.bounds_um
+    x, y = height_field.inner(near)
     half = 0.32 * (x1 - x0)
     x = min(max(x, x0 + half * 1.1), x1 - half * 1.1)
     t = np.linspace(x - half, x + half, 200)
     rows = y + np.linspace(0, 0.3, 13)[:, None] * np.array([1.0, -1.0]) * (y1 - y0)
-    best = max(rows.ravel().tolist(), key=lambda row: _row_score(land, t, row))
-    return land.clamped((x - half, best)), land.clamped((x + half, best))
+    best = max(rows.ravel().tolist(), key=lambda row: _row_score(height_field, t, row))
+    return height_field.clamped((x - half, best)), height_field.clamped((x + half, best))
 
 
-def _row_score(land: HeightField, x_um: Floats, y_um: float) -> float:
+def _row_score(height_field: HeightField, x_um: Floats, y_um: float) -> float:
     """Return the score of a row: its measured fraction, weighted by its height range, rounded to one decimal."""
     y = np.full_like(x_um, y_um)
-    there = land.measured(x_um, y)
+    there = height_field.measured(x_um, y)
     if not there.any():
         return 0.0
-    climb = float(np.ptp(land.z_um(x_um, y)[there])) / max(span_um(land), 1e-9)
+    climb = float(np.ptp(height_field.z_um(x_um, y)[there])) / max(span_um(height_field), 1e-9)
     return round(float(there.mean()) * (1 + min(climb, 1.5)), 1)
 
 
-def plateaus(land: HeightField, near: Place) -> tuple[Place, Place, float]:
+def plateaus(height_field: HeightField, near: Place) -> tuple[Place, Place, float]:
     """Return centres of an upper and a lower plateau near a position, and the side of squares that fit on both.
 
     The plateaus are on the two most frequent levels of the surface, so that a bump on the upper one is not selected.
     """
     for share in PATCH_SHARES:
-        found = patches(land, share)
-        flat = found.only(_small(found.spread, land))
-        levels = _two_levels(flat.level, span_um(land))
+        found = patches(height_field, share)
+        flat = found.only(_small(found.spread, height_field))
+        levels = _two_levels(flat.level, span_um(height_field))
         if levels is None:
             continue
-        low, high = (flat.only(np.abs(flat.level - level) <= SAME_LEVEL / 2 * span_um(land)) for level in levels)
-        upper = high.middle(high.nearest(land.inner(near)))
+        low, high = (
+            flat.only(np.abs(flat.level - level) <= SAME_LEVEL / 2 * span_um(height_field)) for level in levels
+        )
+        upper = high.middle(high.nearest(height_field.inner(near)))
         return upper, low.middle(low.nearest(upper)), flat.side_um
-    (x, y), side_um = land.inner(near), _least_side(land)
+    (x, y), side_um = height_field.inner(near), _least_side(height_field)
     return (x, y + 2 * side_um), (x, y - 2 * side_um), side_um
 
 
-def _small(spread: Floats, land: HeightField) -> NDArray[np.bool_]:
+def _small(spread: Floats, height_field: HeightField) -> NDArray[np.bool_]:
     """Return the mask of flat patches, whose spread is close to the noise level (10th percentile)."""
     if len(spread) == 0:
         return np.zeros(0, bool)
-    noise, span = float(np.percentile(spread, 10)), span_um(land)
+    noise, span = float(np.percentile(spread, 10)), span_um(height_field)
     return spread <= min(_FLAT * span, max(2 * noise, _LEAST_FLAT * span))
 
 
@@ -139,21 +141,21 @@ def _two_levels(levels: Floats, span: float) -> tuple[float, float] | None:
     return min(first, second), max(first, second)
 
 
-def face(land: HeightField, near: Place) -> tuple[Place, float]:
+def face(height_field: HeightField, near: Place) -> tuple[Place, float]:
     """Return the centre of a flat face near a position, and the side of a square that fits on it."""
     for share in PATCH_SHARES:
-        found = patches(land, share)
-        flat = found.only(_small(found.rough, land))
+        found = patches(height_field, share)
+        flat = found.only(_small(found.rough, height_field))
         if len(flat):
-            return flat.middle(flat.nearest(land.inner(near))), flat.side_um
-    return land.inner(near), _least_side(land)
+            return flat.middle(flat.nearest(height_field.inner(near))), flat.side_um
+    return height_field.inner(near), _least_side(height_field)
 
 
-def two_faces(land: HeightField, near: Place) -> tuple[Place, Place, float]:
+def two_faces(height_field: HeightField, near: Place) -> tuple[Place, Place, float]:
     """Return centres of the steepest plane face and a nearby face of low tilt, and the side of the squares."""
     for share in PATCH_SHARES[1:]:
-        found = patches(land, share)
-        even = found.only(_small(found.rough, land))
+        found = patches(height_field, share)
+        even = found.only(_small(found.rough, height_field))
         if len(even) < 2:
             continue
         steep = even.middle(int(np.argmax(even.tilt)))
@@ -162,47 +164,51 @@ def two_faces(land: HeightField, near: Place) -> tuple[Place, Place, float]:
         if len(rest):
             level = rest.only(rest.tilt <= np.percentile(rest.tilt, 30))
             return steep, level.middle(level.nearest(steep)), even.side_um
-    (x, y), side_um = land.inner(near), _least_side(land)
+    (x, y), side_um = height_field.inner(near), _least_side(height_field)
     return (x - side_um, y), (x + side_um, y), side_um
 
 
-def bump(land: HeightField, near: Place) -> tuple[Place, float]:
+def bump(height_field: HeightField, near: Place) -> tuple[Place, float]:
     """Return centre and radius of the most prominent feature, up or down, on level surroundings.
 
     If there is none, as with adjacent bumps, return a small high feature near a position.
     """
-    rows, cols = land.heights.shape
+    rows, cols = height_field.heights.shape
     best, middle, radius_um = _STANDS_OUT, None, 0.0
     for share in _BUMP_SHARES:
         side = max(_LEAST_PATCH_PX, round(min(rows, cols) * share))
-        found = _standing_out(land, side)
+        found = _standing_out(height_field, side)
         if found is not None and found[0] > best:
-            best, middle, radius_um = *found, 0.5 * _ROOM_ROUND_BUMP * side * land.pixel_um
-    return (middle, radius_um) if middle is not None else (_high(land, near), 1.5 * _LEAST_PATCH_PX * land.pixel_um)
+            best, middle, radius_um = *found, 0.5 * _ROOM_ROUND_BUMP * side * height_field.pixel_um
+    return (
+        (middle, radius_um)
+        if middle is not None
+        else (_high(height_field, near), 1.5 * _LEAST_PATCH_PX * height_field.pixel_um)
+    )
 
 
-def _high(land: HeightField, near: Place) -> Place:
+def _high(height_field: HeightField, near: Place) -> Place:
     """Return a high position near another."""
     side = _LEAST_PATCH_PX
-    levels = _box_sums(land.heights - land.on_show.z0_um, (side, side), 1)
+    levels = _box_sums(height_field.heights - height_field.on_show.z0_um, (side, side), 1)
     row, col = np.nonzero(levels >= np.percentile(levels, 98))
-    x, y = land.place(row + (side - 1) / 2, col + (side - 1) / 2)
-    away = np.hypot(x - land.inner(near)[0], y - land.inner(near)[1])
+    x, y = height_field.place(row + (side - 1) / 2, col + (side - 1) / 2)
+    away = np.hypot(x - height_field.inner(near)[0], y - height_field.inner(near)[1])
     # The top of the nearest: of the high places about as near the highest.
-    reach = away <= away.min() + 4 * side * land.pixel_um
+    reach = away <= away.min() + 4 * side * height_field.pixel_um
     best = int(np.argmax(np.where(reach, levels[row, col], -np.inf)))
     return float(x[best]), float(y[best])
 
 
-def _standing_out(land: HeightField, side: int) -> tuple[float, Place] | None:
+def _standing_out(height_field: HeightField, side: int) -> tuple[float, Place] | None:
     """Return the highest prominence of a square of `side` pixels, and its centre; None if the surface is too small.
 
     Prominence: height difference from the surrounding ring, divided by the spread of the ring.
     """
-    z, wide, step = land.heights - land.on_show.z0_um, 2 * side, max(1, side // 4)
+    z, wide, step = height_field.heights - height_field.on_show.z0_um, 2 * side, max(1, side // 4)
     if min(z.shape) < wide:
         return None
-    there = _box_sums(land.there.astype(float), (wide, wide), step)
+    there = _box_sums(height_field.there.astype(float), (wide, wide), step)
     total, squares = (_box_sums(layer, (wide, wide), step) for layer in (z, z * z))
     edge = side // 2
     inner = z[edge : z.shape[0] - (wide - side - edge), edge : z.shape[1] - (wide - side - edge)]
@@ -212,20 +218,20 @@ def _standing_out(land: HeightField, side: int) -> tuple[float, Place] | None:
     n = wide**2 - side**2
     ring = (total - mine) / n
     spread = np.sqrt(np.maximum((squares - mine2) / n - ring**2, 0))
-    out = np.abs(mine / side**2 - ring) / (spread + 0.02 * span_um(land))
+    out = np.abs(mine / side**2 - ring) / (spread + 0.02 * span_um(height_field))
     out[there < 0.98 * wide**2] = 0
     row, col = np.unravel_index(int(np.argmax(out)), out.shape)
-    middle = land.place(float(row * step + wide / 2), float(col * step + wide / 2))
+    middle = height_field.place(float(row * step + wide / 2), float(col * step + wide / 2))
     return float(out[row, col]), middle
 
 
-def span_um(land: HeightField) -> float:
+def span_um(height_field: HeightField) -> float:
     """Return the range of heights without outliers."""
-    return land.on_show.facts.high_um - land.on_show.facts.low_um
+    return height_field.on_show.facts.high_um - height_field.on_show.facts.low_um
 
 
-def _least_side(land: HeightField) -> float:
-    return max(_LEAST_PATCH_PX, min(land.heights.shape) * PATCH_SHARES[-1]) * land.pixel_um
+def _least_side(height_field: HeightField) -> float:
+    return max(_LEAST_PATCH_PX, min(height_field.heights.shape) * PATCH_SHARES[-1]) * height_field.pixel_um
 
 
 def _box_sums(layer: Floats, sides: tuple[int, int], step: int) -> Floats:

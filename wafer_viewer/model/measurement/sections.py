@@ -77,8 +77,8 @@ def perpendicular_line(line: Region, outline: Outline) -> Region:
     """Return the perpendicular bisector of a line with the same length and width, shortened to fit on the surface."""
     (xa, ya), (xb, yb) = ((p.x_um, p.y_um) for p in line.points)
     x, y, dx, dy = (xa + xb) / 2, (ya + yb) / 2, (xb - xa) / 2, (yb - ya) / 2
-    rooms = *_room(x, -dy, outline.x0_um, _far_x_um(outline)), *_room(y, dx, _far_y_um(outline), outline.y0_um)
-    u, v = (round(half * min((1.0, *rooms)), 2) for half in (dx, dy))
+    coordinator = *_room(x, -dy, outline.x0_um, _far_x_um(outline)), *_room(y, dx, _far_y_um(outline), outline.y0_um)
+    u, v = (round(half * min((1.0, *coordinator)), 2) for half in (dx, dy))
     return Region.line(x - v, y + u, x + v, y - u, line.width_um)
 
 

@@ -51,8 +51,10 @@ class RigCallbacks:
 class RigClient:
     """Rig of the snapshot. Use on the session's thread only."""
 
-    def __init__(self, desk: CommandQueue, notices: Notifications, config: RigConfig, reports: RigCallbacks) -> None:
-        self._desk, self._notices, self._config, self._reports = desk, notices, config, reports
+    def __init__(
+        self, command_queue: CommandQueue, notices: Notifications, config: RigConfig, reports: RigCallbacks
+    ) -> None:
+        self._command_queue, self._notices, self._config, self._reports = command_queue, notices, config, reports
         self._link: ChildProcess | None = None
         self._sample: Sample | None = None
         """Sample of the last load request."""
@@ -98,19 +100,19 @@ class RigClient:
         """
         self.require_idle("move the stage")
         if n_stops is not None and n_stops < self.n_stops:
-            stood = self._desk.now.rig
+            stood = self._command_queue.now.rig
             raise MotionStopped.at(stood.x_um, stood.y_um, stood.z_um)
         link = self.start()
         self._moves += 1
         self._show_moves()
-        return self._desk.afterwards(link.ask(move), self._move_over)
+        return self._command_queue.afterwards(link.ask(move), self._move_over)
 
     def scan(self, scan: Scan) -> Future[None]:
         """Start a scan; the future is done once the scan has started."""
         link = self.start()
         self._show(state="scanning", message="")
         begun = link.ask(scan)
-        begun.add_done_callback(lambda done: self._desk.note(self._begun, done))
+        begun.add_done_callback(lambda done: self._command_queue.note(self._begun, done))
         return begun
 
     @command
@@ -151,7 +153,7 @@ class RigClient:
 
     def require_idle(self, what: str) -> None:
         """Raise RigError while a scan is running."""
-        if self._desk.now.scanning:
+        if self._command_queue.now.scanning:
             raise RigError(f"A scan is running: stop it or wait for its end to {what}.")
 
     def close(self) -> None:
@@ -160,13 +162,13 @@ class RigClient:
             self._link.close()
 
     def _heard(self, event: Any) -> None:
-        self._desk.note(self._on[type(event)], event)
+        self._command_queue.note(self._on[type(event)], event)
 
     def _gone(self, exit_code: int | None) -> None:
-        self._desk.note(self._died, exit_code)
+        self._command_queue.note(self._died, exit_code)
 
     def _ready(self, event: RigReady) -> None:
-        state = "scanning" if self._desk.now.scanning else "ready"
+        state = "scanning" if self._command_queue.now.scanning else "ready"
         status = RigStatus(
             event.name,
             event.simulated,
@@ -176,7 +178,7 @@ class RigClient:
             setup=event.setup,
             homed=event.homed,
         )
-        self._desk.change(rig=status)
+        self._command_queue.change(rig=status)
         self._at(StageMoved(event.position))
         self._show_moves()
         self._reports.ready(event)
@@ -186,7 +188,7 @@ class RigClient:
         from wafer_viewer.store.records.gauge_records import calibration_in_force
 
         try:
-            return calibration_in_force(self._desk.now.data_folder, event.name, event.calibration)
+            return calibration_in_force(self._command_queue.now.data_folder, event.name, event.calibration)
         except DatasetError as fault:
             self._notices.fault("The rig's calibration is not known", str(fault), "rig")
             return None
@@ -196,7 +198,7 @@ class RigClient:
 
     def _at(self, event: StageMoved) -> None:
         p, homed = event.position, event.homed
-        known = self._desk.now.rig.homed if homed is None else homed
+        known = self._command_queue.now.rig.homed if homed is None else homed
         self._show(x_um=p.x_um, y_um=p.y_um, z_um=p.z_um, homed=known)
 
     def _move_over(self) -> None:
@@ -205,24 +207,24 @@ class RigClient:
 
     def _show_moves(self) -> None:
         """Show the rig as moving from the start of the first of several moves to the end of the last."""
-        if self._desk.now.rig.state in ("ready", "moving"):
+        if self._command_queue.now.rig.state in ("ready", "moving"):
             self._show(state="moving" if self._moves else "ready")
 
     def _paused(self, event: Paused) -> None:
-        if self._desk.now.rig.state != "stopping":
+        if self._command_queue.now.rig.state != "stopping":
             self._show(state="paused" if event.paused else "scanning", message="")
 
     def _taken(self, event: FrameTaken) -> None:
         self.latest_frame = event.latest or self.latest_frame
         self._at(StageMoved(event.position))
-        self._desk.change(scan=event.progress)
+        self._command_queue.change(scan=event.progress)
         self._reports.taken(event)
 
     def _scan_fault(self, event: ScanFault) -> None:
         self._notices.fault("The scan reports a fault", event.what, "scan")
 
     def _begun(self, done: Future[None]) -> None:
-        if done.exception() is not None and self._desk.now.scanning:
+        if done.exception() is not None and self._command_queue.now.scanning:
             self._show(state="ready")
 
     def _scan_ended(self, event: ScanEnded) -> None:
@@ -233,7 +235,7 @@ class RigClient:
 
     def _died(self, exit_code: int | None) -> None:
         """Report that the process died unexpectedly; an absent rig has already given its reason."""
-        snapshot = self._desk.now
+        snapshot = self._command_queue.now
         if snapshot.rig.state == "absent":
             return
         kept = " The frames of complete passes are kept." if snapshot.scanning else ""
@@ -244,11 +246,11 @@ class RigClient:
             self._reports.scan_ended(None)
 
     def _require_scan(self, what: str) -> None:
-        if not self._desk.now.scanning:
+        if not self._command_queue.now.scanning:
             raise RigError(f"No scan is running: there is nothing to {what}.")
 
     def _show(self, **changes: Any) -> None:
-        self._desk.change(rig=replace(self._desk.now.rig, **changes))
+        self._command_queue.change(rig=replace(self._command_queue.now.rig, **changes))
 
 
 def _own_rig(pipe: Connection, config: RigConfig) -> None:

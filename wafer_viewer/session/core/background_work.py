@@ -27,22 +27,22 @@ KNOWN_AFTER_S, KNOWN_AFTER = 2.0, 0.05
 class Notifications:
     """Controller of the snapshot's faults and work items; use all but the commands on the session's thread only."""
 
-    def __init__(self, desk: CommandQueue, clock_s: Callable[[], float] = time.monotonic) -> None:
-        self._desk, self._clock_s = desk, clock_s
+    def __init__(self, command_queue: CommandQueue, clock_s: Callable[[], float] = time.monotonic) -> None:
+        self._command_queue, self._clock_s = command_queue, clock_s
         self._begun: dict[str, tuple[float, float]] = {}
         self._numbers = count(1)
         self._stops: dict[str, Callable[[], None]] = {}
 
     def fault(self, title: str, text: str, source: Source, *, where: str = "", needs_person: bool = True) -> None:
         """Add a fault to the list; an identical earlier one is replaced."""
-        known = [f for f in self._desk.now.faults if (f.title, f.text, f.where) != (title, text, where)]
+        known = [f for f in self._command_queue.now.faults if (f.title, f.text, f.where) != (title, text, where)]
         fault = Fault(f"fault-{next(self._numbers)}", title, text, _clock(), where, needs_person, source)
-        self._desk.change(faults=(*known, fault)[-KEPT:])
+        self._command_queue.change(faults=(*known, fault)[-KEPT:])
 
     @command
     def dismiss(self, fault_id: str) -> None:
         """Remove a fault from the list."""
-        self._desk.change(faults=tuple(f for f in self._desk.now.faults if f.id != fault_id))
+        self._command_queue.change(faults=tuple(f for f in self._command_queue.now.faults if f.id != fault_id))
 
     def begin(self, title: str, stop: Callable[[], None] | None = None, waits_for: str = "") -> str:
         """Add a work item and return its id.
@@ -52,7 +52,7 @@ class Notifications:
         work = Work(f"work-{next(self._numbers)}", title, cancellable=stop is not None, waits_for=waits_for)
         if stop is not None:
             self._stops[work.id] = stop
-        self._desk.change(works=(*self._desk.now.works, work))
+        self._command_queue.change(works=(*self._command_queue.now.works, work))
         return work.id
 
     def progress(self, work_id: str, fraction: float) -> None:
@@ -65,7 +65,7 @@ class Notifications:
         """Remove a finished or failed work item."""
         self._stops.pop(work_id, None)
         self._begun.pop(work_id, None)
-        self._desk.change(works=tuple(w for w in self._desk.now.works if w.id != work_id))
+        self._command_queue.change(works=tuple(w for w in self._command_queue.now.works if w.id != work_id))
 
     @command
     def cancel(self, work_id: str) -> None:
@@ -75,9 +75,9 @@ class Notifications:
             stop()
 
     def _amend(self, work_id: str, **changes: Any) -> None:
-        works = self._desk.now.works
+        works = self._command_queue.now.works
         if any(w.id == work_id for w in works):
-            self._desk.change(works=tuple(replace(w, **changes) if w.id == work_id else w for w in works))
+            self._command_queue.change(works=tuple(replace(w, **changes) if w.id == work_id else w for w in works))
 
 
 def seconds_left(gone_s: float, begun: float, now: float) -> float | None:
@@ -108,8 +108,8 @@ class BackgroundWork:
     `ended` is called with the outcome when the work item is removed; `RunningWork.done` is done after that.
     """
 
-    def __init__(self, desk: CommandQueue, notices: Notifications, compute: Compute) -> None:
-        self._desk, self._notices, self._compute = desk, notices, compute
+    def __init__(self, command_queue: CommandQueue, notices: Notifications, compute: Compute) -> None:
+        self._command_queue, self._notices, self._compute = command_queue, notices, compute
 
     def run(
         self,
@@ -140,4 +140,4 @@ class BackgroundWork:
             self._notices.end(work)
             ended(done)
 
-        return RunningWork(work, self._desk.afterwards(done, over))
+        return RunningWork(work, self._command_queue.afterwards(done, over))

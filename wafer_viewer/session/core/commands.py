@@ -21,7 +21,7 @@ from wafer_viewer.session.core.command_queue import CommandQueue
 class Controller(Protocol):
     """Object whose commands run on a command queue."""
 
-    _desk: CommandQueue
+    _command_queue: CommandQueue
 
 
 C = TypeVar("C", bound=Controller)
@@ -52,7 +52,7 @@ class Command(Generic[C, P, R, T]):
 
     def __call__(self, controller: C, *args: P.args, **kwargs: P.kwargs) -> Future[T]:
         """Submit the command to the queue of its controller."""
-        return controller._desk.do(self.method, controller, *args, **kwargs)
+        return controller._command_queue.do(self.method, controller, *args, **kwargs)
 
     @property
     def __signature__(self) -> inspect.Signature:

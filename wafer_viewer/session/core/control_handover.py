@@ -40,8 +40,8 @@ class Control:
     A browser is identified by its key and may have several windows; it has gone when the last of them has closed.
     """
 
-    def __init__(self, desk: CommandQueue, later: Later = after) -> None:
-        self._desk, self._later = desk, later
+    def __init__(self, command_queue: CommandQueue, later: Later = after) -> None:
+        self._command_queue, self._later = command_queue, later
         self._windows: Counter[str] = Counter()
         self._expected: dict[str, Callable[[], None]] = {}
         self._waiting: Callable[[], None] | None = None
@@ -49,10 +49,10 @@ class Control:
 
     @property
     def _hands(self) -> ControlState:
-        return self._desk.now.hands
+        return self._command_queue.now.hands
 
     def _show(self, **changes: Any) -> None:
-        self._desk.change(hands=replace(self._hands, **changes))
+        self._command_queue.change(hands=replace(self._hands, **changes))
 
     @observer_command
     def arrive(self, key: str, name: str = "") -> None:
@@ -78,7 +78,7 @@ class Control:
         if self._windows[key] > 0:
             return
         self._put(replace(browser, present=False))
-        self._expected[key] = self._later(GRACE_S, lambda: self._desk.note(self._gone, key))
+        self._expected[key] = self._later(GRACE_S, lambda: self._command_queue.note(self._gone, key))
 
     def _gone(self, key: str) -> None:
         """Remove a browser that did not return.
@@ -119,7 +119,7 @@ class Control:
         if hands.asking is not None:
             raise WaferViewerError(f"{hands.name_of(hands.asking)} asks for the controls already: wait for the answer.")
         self._show(asking=key, asked_at=time.time(), answer_s=ANSWER_S, kept_from=None)
-        self._waiting = self._later(ANSWER_S, lambda: self._desk.note(self._unanswered, key))
+        self._waiting = self._later(ANSWER_S, lambda: self._command_queue.note(self._unanswered, key))
 
     def _unanswered(self, key: str) -> None:
         if self._hands.asking == key:

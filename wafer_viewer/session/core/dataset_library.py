@@ -81,8 +81,8 @@ NOTHING_OPEN = "No dataset is open: open one, import images or start a scan firs
 class Library:
     """Datasets of the snapshot; changed on the session's thread only, readable from any."""
 
-    def __init__(self, desk: CommandQueue, folder: Path) -> None:
-        self._desk, self._folder = desk, folder
+    def __init__(self, command_queue: CommandQueue, folder: Path) -> None:
+        self._command_queue, self._folder = command_queue, folder
         self._dataset: Dataset | None = None
         self._lock: Lock | None = None
         self._stamps = count(1)
@@ -98,7 +98,7 @@ class Library:
     @property
     def shown(self) -> OpenDataset:
         """Open dataset as in the snapshot. Raises DatasetError when there is none."""
-        if (shown := self._desk.now.dataset) is None:
+        if (shown := self._command_queue.now.dataset) is None:
             raise DatasetError(NOTHING_OPEN)
         return shown
 
@@ -112,7 +112,7 @@ class Library:
         """List the data folder again."""
         paths = sorted(self._folder.glob(f"*{ENDING}")) if self._folder.is_dir() else []
         entries = [entry for path in paths if (entry := _entry(path)) is not None]
-        self._desk.change(datasets=tuple(sorted(entries, key=lambda e: e.taken, reverse=True)))
+        self._command_queue.change(datasets=tuple(sorted(entries, key=lambda e: e.taken, reverse=True)))
 
     def open(self, path: Path, *, taking: bool = False) -> None:
         """Open a dataset, for writing if no other process holds it. taking: our own rig holds it and writes frames."""
@@ -125,7 +125,7 @@ class Library:
         states = _states(dataset, self.result)
         stamps = {n: next(self._stamps) for n, state in states.items() if state is FieldState.MEASURED}
         record = dataset.scan
-        self._desk.change(
+        self._command_queue.change(
             dataset=OpenDataset(
                 path=dataset.path,
                 name=dataset.name,
@@ -149,7 +149,7 @@ class Library:
         """Close the dataset."""
         self.release_lock()
         self._dataset = None
-        self._desk.change(dataset=None, surface=None, scan=None)
+        self._command_queue.change(dataset=None, surface=None, scan=None)
 
     def hold(self) -> str | None:
         """Take the dataset's lock; return the reason why it is read-only, or None."""
@@ -206,15 +206,15 @@ class Library:
         states = _states(self.dataset, self.result)
         stamps = {n: next(self._stamps) for n, state in states.items() if state is FieldState.MEASURED}
         self._show(states=states, stamps=stamps, results=self.dataset.results())
-        self._desk.change(surface=self._stored_surface())
+        self._command_queue.change(surface=self._stored_surface())
 
     def show_surface(self, info: SurfaceInfo) -> None:
         """Publish a new or updated stitched surface."""
         self._show(results=self.dataset.results())
-        stamped, before = replace(info, stamp=next(self._stamps)), self._desk.now.surface
+        stamped, before = replace(info, stamp=next(self._stamps)), self._command_queue.now.surface
         if info.changed:
             stamped = with_change(stamped, before, info.changed[-1][1])
-        self._desk.change(surface=stamped)
+        self._command_queue.change(surface=stamped)
 
     def _stored_surface(self) -> SurfaceInfo | None:
 
@@ -225,7 +225,7 @@ class Library:
         return None if info is None else replace(info, stamp=next(self._stamps))
 
     def _show(self, **changes: Any) -> None:
-        self._desk.change(dataset=replace(self.shown, **changes))
+        self._command_queue.change(dataset=replace(self.shown, **changes))
 
 
 def today() -> str:

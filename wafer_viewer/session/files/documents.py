@@ -23,8 +23,8 @@ _REPORT_NAME = re.compile(r"[^/\\]+-report-\d+\.html")
 class Documents:
     """Documents of the open dataset, ``session.papers``; every command returns a future."""
 
-    def __init__(self, desk: CommandQueue, library: Library, files: FileJobs) -> None:
-        self._desk, self._library, self._files = desk, library, files
+    def __init__(self, command_queue: CommandQueue, library: Library, files: FileJobs) -> None:
+        self._command_queue, self._library, self._files = command_queue, library, files
         self.pictures_kept = 0
         """Number of pictures stored since the start; a change means that a report may have more to show."""
         self.saved_reports: dict[str, Path] = {}

@@ -131,9 +131,18 @@ class FileJobs:
     """Import, export and report jobs, ``session.exchange``; commands return futures."""
 
     def __init__(
-        self, desk: CommandQueue, library: Library, background: BackgroundWork, open_dataset: Callable[[Path], Path]
+        self,
+        command_queue: CommandQueue,
+        library: Library,
+        background: BackgroundWork,
+        open_dataset: Callable[[Path], Path],
     ) -> None:
-        self._desk, self._library, self._background, self._open = desk, library, background, open_dataset
+        self._command_queue, self._library, self._background, self._open = (
+            command_queue,
+            library,
+            background,
+            open_dataset,
+        )
 
     @query
     def is_surface(self, path: Path) -> bool:
@@ -171,7 +180,7 @@ class FileJobs:
         out = self._new_dataset(name, srcs[0].stem if srcs else "import")
         files = tuple(Path(src).absolute() for src in srcs)
         made = self._background.run(f"Import of {out.stem}", import_images, files, out, options)
-        return self._desk.then(made.done, self._open)
+        return self._command_queue.then(made.done, self._open)
 
     @command
     def import_surface(self, path: Path, says: Reading = Reading(), name: str | None = None) -> Future[Path]:
@@ -179,7 +188,7 @@ class FileJobs:
         src = Path(path).absolute()
         out = self._new_dataset(name, src.stem)
         made = self._background.run(f"Import of {out.stem}", import_surface, src, out, says)
-        return self._desk.then(made.done, self._open)
+        return self._command_queue.then(made.done, self._open)
 
     @observer_command
     def export_surface(
@@ -191,7 +200,7 @@ class FileJobs:
         """
         out, dataset, result = Path(path).absolute(), self._library.dataset, self._library.result_name
         if (asked := comparison_of(field or 0)) is not None:
-            result = next((c.name for c in self._desk.now.comparisons if c.number == asked[0]), result)
+            result = next((c.name for c in self._command_queue.now.comparisons if c.number == asked[0]), result)
             field = -asked[1]
         return self._background.run(
             f"Export to {out.name}", export_surface, dataset.path, result, field, out, every, part
@@ -204,6 +213,6 @@ class FileJobs:
         return self._background.run(f"Report of {dataset.path.stem}", make_report, *args).done
 
     def _new_dataset(self, name: str | None, stem: str) -> Path:
-        folder = self._desk.now.data_folder
+        folder = self._command_queue.now.data_folder
         wish = Path(name).name.removesuffix(ENDING) if name else free_name(folder, stem)
         return folder / f"{wish}{ENDING}"

@@ -38,17 +38,23 @@ class GaugeController:
     """
 
     def __init__(
-        self, desk: CommandQueue, library: Library, book: ResultsStore, questions: DatasetQueries, folder: Path
+        self, command_queue: CommandQueue, library: Library, book: ResultsStore, questions: DatasetQueries, folder: Path
     ) -> None:
-        self._desk, self._library, self._book, self._questions, self._folder = desk, library, book, questions, folder
+        self._command_queue, self._library, self._book, self._questions, self._folder = (
+            command_queue,
+            library,
+            book,
+            questions,
+            folder,
+        )
         self._at_work = ThreadPoolExecutor(1, thread_name_prefix="gauge")
         self._of: object = None
-        desk.subscribe(self._look)
+        command_queue.subscribe(self._look)
 
     @property
     def state(self) -> GaugeState:
         """State as seen by the running command."""
-        return self._desk.now.gauge
+        return self._command_queue.now.gauge
 
     def close(self) -> None:
         """End the thread of the measurements."""
@@ -89,10 +95,12 @@ class GaugeController:
         The future is done when the repeat is added.
         """
         _certificate(self.state)
-        self._desk.change(gauge=replace(self.state, busy=True))
+        self._command_queue.change(gauge=replace(self.state, busy=True))
         measured = self._at_work.submit(self._measured, _faces(upper, lower), show)
-        counted = self._desk.then(measured, self._count)
-        return self._desk.afterwards(counted, lambda: self._desk.change(gauge=replace(self.state, busy=False)))
+        counted = self._command_queue.then(measured, self._count)
+        return self._command_queue.afterwards(
+            counted, lambda: self._command_queue.change(gauge=replace(self.state, busy=False))
+        )
 
     @command
     def drop_repeat(self, n: int) -> None:
@@ -133,15 +141,15 @@ class GaugeController:
         """Set the rig's z scale from the signed check, for its next scans; existing scans do not change."""
         from wafer_viewer.session.gauge.z_scale_correction import correct
 
-        record, rig = self._signed_record(), self._desk.now.rig
+        record, rig = self._signed_record(), self._command_queue.now.rig
         if record is None:
             raise MeasureError("The z scale is corrected by a signed check: sign it first.")
         if record.rig != rig.name or rig.calibration is None:
             raise MeasureError(f"The check is of {record.rig or 'no rig'} and {rig.name} is here: correct it there.")
-        if self._desk.now.scanning:
+        if self._command_queue.now.scanning:
             raise MeasureError("A scan is running: correct the z scale when it has ended.")
         after = correct(self._folder, record, rig.calibration, operator, why).calibration
-        self._desk.change(rig=replace(rig, calibration=after))
+        self._command_queue.change(rig=replace(rig, calibration=after))
         self._show()
         return after
 
@@ -153,14 +161,14 @@ class GaugeController:
     @query
     def check(self, upper: Region, lower: Region, show: int = 0) -> GaugeCheck:
         """Return the check with the open dataset measured at these faces. Raises MeasureError."""
-        state, repeat = self._desk.snapshot.gauge, self._measured((upper, lower), show)
+        state, repeat = self._command_queue.snapshot.gauge, self._measured((upper, lower), show)
         before = () if state.signed is not None else state.repeats
         others = tuple(other for other in before if not other.is_scan_of(repeat))
         return work.check_of((*others, repeat), _certificate(state), state.terms, state.records)
 
     def _measured(self, faces: Faces | None, show: int) -> GaugeRepeat:
         """Measure the open dataset, on any thread."""
-        certificate, shown = _certificate(self._desk.snapshot.gauge), self._desk.snapshot.dataset
+        certificate, shown = _certificate(self._command_queue.snapshot.gauge), self._command_queue.snapshot.dataset
         if shown is None:
             raise DatasetError(NOTHING_OPEN)
         surface = self._questions.surface_source(show)
@@ -183,15 +191,15 @@ class GaugeController:
         of = (data and (data.path, data.calibration_problem), rig.name, rig.calibration)
         if of != self._of:
             self._of = of
-            self._desk.note(self._show)
+            self._command_queue.note(self._show)
 
     def _show(self, **changes: Any) -> None:
         """Publish the state with its derived values."""
         state = replace(self.state, **changes)
         records = self._records(state.certificate)
-        self._desk.change(gauge=replace(state, records=records))
+        self._command_queue.change(gauge=replace(state, records=records))
         check = _check(state, records)
-        self._desk.change(
+        self._command_queue.change(
             gauge=replace(
                 self.state,
                 refusal=self._refusal(state.certificate),
@@ -207,14 +215,14 @@ class GaugeController:
 
         if certificate is None:
             return ()
-        shown, records = self._desk.now.dataset, signed_checks(self._folder, certificate.serials)
-        rig = self._desk.now.rig.name if shown is None else self._library.dataset.scan.rig
+        shown, records = self._command_queue.now.dataset, signed_checks(self._folder, certificate.serials)
+        rig = self._command_queue.now.rig.name if shown is None else self._library.dataset.scan.rig
         return tuple(record for record in records if record.rig == rig)
 
     def _refusal(self, certificate: Certificate | None) -> str | None:
         from wafer_viewer.measure.gauge.gauge_check import refusal
 
-        shown = self._desk.now.dataset
+        shown = self._command_queue.now.dataset
         if certificate is None or shown is None:
             return None
         scan = self._library.dataset.scan
@@ -227,7 +235,7 @@ class GaugeController:
     def _correction(self) -> ScaleCorrection | None:
         from wafer_viewer.session.gauge.z_scale_correction import offered
 
-        record, rig = self._signed_record(), self._desk.now.rig
+        record, rig = self._signed_record(), self._command_queue.now.rig
         in_force = rig.calibration
         if record is None or in_force is None or record.rig != rig.name:
             return None

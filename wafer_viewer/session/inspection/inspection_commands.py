@@ -32,9 +32,14 @@ class DefectController:
     views: DefectViews
 
     def __init__(
-        self, desk: CommandQueue, library: Library, background: BackgroundWork, files: DefectFiles, views: DefectViews
+        self,
+        command_queue: CommandQueue,
+        library: Library,
+        background: BackgroundWork,
+        files: DefectFiles,
+        views: DefectViews,
     ) -> None:
-        self._desk, self._library, self._background = desk, library, background
+        self._command_queue, self._library, self._background = command_queue, library, background
         self.files, self.views = files, views
         self._history: UndoHistory[Inspection | None] = UndoHistory(None)
         self._of: tuple[Path, str] | None = None
@@ -42,7 +47,9 @@ class DefectController:
 
     def watch(self) -> None:
         """Check whether the inspection is still valid whenever the surface changes."""
-        self._desk.subscribe(lambda now: self._desk.note(self._look_again) if self._stamp != _stamp(now) else None)
+        self._command_queue.subscribe(
+            lambda now: self._command_queue.note(self._look_again) if self._stamp != _stamp(now) else None
+        )
 
     def open(self) -> None:
         """Read the inspection of the displayed surface; a running inspection of another one is cancelled."""
@@ -73,7 +80,7 @@ class DefectController:
         self._require_writable()
         if self._work:
             raise DatasetError("Defects are being searched for already: wait, or cancel it in the job list.")
-        if self._desk.now.surface is None:
+        if self._command_queue.now.surface is None:
             raise DatasetError("There is no stitched surface yet: defects are searched for on that.")
         asked = (self._library.dataset.path, self._library.result_name, recipe or self._own_recipe, dies, against)
         running = self._background.lead("Search for defects", inspect_dataset, *asked, ended=self._ended)
@@ -157,14 +164,14 @@ class DefectController:
 
     def _look_again(self) -> None:
         """Update the state if the surface has changed."""
-        if self._stamp != _stamp(self._desk.now):
+        if self._stamp != _stamp(self._command_queue.now):
             self._show()
 
     def _show(self) -> None:
         history, inspection = self._history, self._history.value
-        self._stamp = _stamp(self._desk.now)
+        self._stamp = _stamp(self._command_queue.now)
         stale = inspection is not None and inspection.mark not in ("", mosaic_mark(self._library.result))
-        self._desk.change(
+        self._command_queue.change(
             inspection=InspectionState(inspection, stale, self._problem, self._work, history.can_undo, history.can_redo)
         )
 
@@ -172,11 +179,11 @@ class DefectController:
     def _own_recipe(self) -> DefectRecipe:
         """Recipe stored for the product of the dataset, else the default one."""
         product = product_of(self._library.shown.job)
-        return self._desk.now.shelf.recipe_of(product) or DefectRecipe(product=product)
+        return self._command_queue.now.shelf.recipe_of(product) or DefectRecipe(product=product)
 
     @property
     def _looked_at(self) -> tuple[Path, str] | None:
-        shown = self._desk.now.dataset
+        shown = self._command_queue.now.dataset
         return (shown.path, self._library.result_name) if shown is not None else None
 
     def _numbered(self, number: int) -> tuple[Inspection, Defect]:

@@ -118,8 +118,8 @@ TITLES: dict[Handover, str] = {"klarf": "KLARF", "csv": "Table of defects", "tra
 class DefectFiles:
     """Controller of recipes, golden dies and defect files, ``session.defects.files``; commands return futures."""
 
-    def __init__(self, desk: CommandQueue, library: Library, background: BackgroundWork, folder: Path) -> None:
-        self._desk, self._library, self._background, self._folder = desk, library, background, folder
+    def __init__(self, command_queue: CommandQueue, library: Library, background: BackgroundWork, folder: Path) -> None:
+        self._command_queue, self._library, self._background, self._folder = command_queue, library, background, folder
 
     def open(self) -> None:
         """Remove the overlay of the previous surface, and list recipes and golden dies again."""
@@ -197,7 +197,7 @@ class DefectFiles:
 
         within_um: maximum distance between positions of the same defect.
         """
-        alignment, inspection = self._library.shown.job.alignment, self._desk.now.inspection.inspection
+        alignment, inspection = self._library.shown.job.alignment, self._command_queue.now.inspection.inspection
         other = overlay_klarf(Path(path), alignment, inspection, unit, within_um)
         self._put(other=other)
         return other
@@ -205,7 +205,7 @@ class DefectFiles:
     @command
     def take_away(self) -> None:
         """Remove the overlay."""
-        if self._desk.now.shelf.other is not None:
+        if self._command_queue.now.shelf.other is not None:
             self._put(other=None)
 
     @property
@@ -213,6 +213,6 @@ class DefectFiles:
         return self._library.dataset.path, self._library.result_name
 
     def _put(self, **changes: Any) -> None:
-        shelf: DefectShelf = with_changes(self._desk.now.shelf, **changes)
-        if shelf != self._desk.now.shelf:
-            self._desk.change(shelf=shelf)
+        shelf: DefectShelf = with_changes(self._command_queue.now.shelf, **changes)
+        if shelf != self._command_queue.now.shelf:
+            self._command_queue.change(shelf=shelf)

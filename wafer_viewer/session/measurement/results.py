@@ -32,14 +32,14 @@ def default_name(finding: AnyResult) -> str:
 class ResultsStore:
     """Controller of the results list; every command returns a future."""
 
-    def __init__(self, desk: CommandQueue, library: Library) -> None:
-        self._desk, self._library = desk, library
+    def __init__(self, command_queue: CommandQueue, library: Library) -> None:
+        self._command_queue, self._library = command_queue, library
         self._items: UndoHistory[tuple[AnyResult, ...]] = UndoHistory(())
         self._highest = 0
 
     def open(self) -> None:
         """Read the results of the displayed surface; the list is empty without a dataset."""
-        shown = self._desk.now.dataset
+        shown = self._command_queue.now.dataset
         self._items.restart(())  # those of another dataset must not stay where these cannot be read
         self._items.restart(self._library.result.findings().items if shown is not None else ())
         pictured = self._library.result.highest_thumbnail() if shown is not None else 0
@@ -103,7 +103,7 @@ class ResultsStore:
         self._show()
 
     def _show(self) -> None:
-        self._desk.change(
+        self._command_queue.change(
             findings=self._items.value, findings_undo=self._items.can_undo, findings_redo=self._items.can_redo
         )
 
@@ -127,15 +127,15 @@ class ResultsStore:
 class NotebookController:
     """Controller of the notebook, ``session.notebook``; every command returns a future."""
 
-    def __init__(self, desk: CommandQueue, library: Library) -> None:
-        self._desk, self._library = desk, library
+    def __init__(self, command_queue: CommandQueue, library: Library) -> None:
+        self._command_queue, self._library = command_queue, library
         self._history: UndoHistory[Notebook] = UndoHistory(Notebook())
 
     def open(self) -> None:
         """Read the notebook of the displayed result; it is empty without a dataset."""
         from wafer_viewer.store.records.inspection_records import read_notebook
 
-        shown = self._desk.now.dataset
+        shown = self._command_queue.now.dataset
         self._history.restart(Notebook())  # that of another dataset must not stay where this cannot be read
         self._history.restart(read_notebook(self._library.result.path) if shown is not None else Notebook())
         self._show()
@@ -202,7 +202,7 @@ class NotebookController:
 
     def _show(self) -> None:
         history = self._history
-        self._desk.change(notebook=NotebookState(history.value, history.can_undo, history.can_redo))
+        self._command_queue.change(notebook=NotebookState(history.value, history.can_undo, history.can_redo))
 
     def _numbered(self, number: int) -> SavedView:
         found = self._history.value.view(number)

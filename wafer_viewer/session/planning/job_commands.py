@@ -37,18 +37,20 @@ class JobController:
     unmark = forwarded(Drafting.unmark, _plan)
     next_wafer = forwarded(Drafting.next_wafer, _plan)
 
-    def __init__(self, desk: CommandQueue, drafting: Drafting, folder: Path) -> None:
-        self._desk, self._drafting, self._folder = desk, drafting, folder
+    def __init__(self, command_queue: CommandQueue, drafting: Drafting, folder: Path) -> None:
+        self._command_queue, self._drafting, self._folder = command_queue, drafting, folder
 
     @command
     def refresh(self) -> None:
         """List the released jobs again."""
-        self._desk.change(operating=replace(self._desk.now.operating, jobs=list_released(self._folder)))
+        self._command_queue.change(
+            operating=replace(self._command_queue.now.operating, jobs=list_released(self._folder))
+        )
 
     @command
     def release(self) -> Path:
         """Release the plan under its product and revision; ``auto`` gets the values resolved for the open surface."""
-        path = self._drafting.release(*settled_by(self._desk.now))
+        path = self._drafting.release(*settled_by(self._command_queue.now))
         self.refresh.run()
         return path
 
@@ -67,8 +69,8 @@ def settled_by(now: Snapshot) -> tuple[Recipe | None, tuple[float, float] | None
 class TrialController:
     """Controller of the trial, ``session.trials``."""
 
-    def __init__(self, desk: CommandQueue, background: BackgroundWork, drafting: Drafting) -> None:
-        self._desk, self._background, self._drafting = desk, background, drafting
+    def __init__(self, command_queue: CommandQueue, background: BackgroundWork, drafting: Drafting) -> None:
+        self._command_queue, self._background, self._drafting = command_queue, background, drafting
 
     @command
     def begin(self, paths: tuple[Path, ...], result: str = DEFAULT_RESULT) -> Future[Trial]:
@@ -78,13 +80,15 @@ class TrialController:
         """
         from wafer_viewer.session.planning.revision_trial import datasets_of, try_job
 
-        if self._desk.now.operating.trying:
+        if self._command_queue.now.operating.trying:
             raise PlanError("The plan is being tried already: wait for it, or cancel it in the job list.")
         job, plan = self._drafting.ready()
-        job = as_released(replace_in(job, revision=job.revision.strip() or NEXT), plan, *settled_by(self._desk.now))
+        job = as_released(
+            replace_in(job, revision=job.revision.strip() or NEXT), plan, *settled_by(self._command_queue.now)
+        )
         datasets = datasets_of([Path(path) for path in paths])
         title = f"Trial of {job.product} {job.revision}".strip()
-        self._show(trial=None, trial_of=self._desk.now.draft.job, trying=True)
+        self._show(trial=None, trial_of=self._command_queue.now.draft.job, trying=True)
         return self._background.lead(title, try_job, job, datasets, result, ended=self._ended).done
 
     def _ended(self, done: Future[Trial]) -> None:
@@ -92,4 +96,4 @@ class TrialController:
         self._show(trial=None if failed else done.result(), trying=False)
 
     def _show(self, **changes: Any) -> None:
-        self._desk.change(operating=replace(self._desk.now.operating, **changes))
+        self._command_queue.change(operating=replace(self._command_queue.now.operating, **changes))

@@ -30,8 +30,8 @@ NO_JOB = "There is no plan yet: lay a field grid over the sample first."
 class Drafting:
     """Controller of the plan and its draft in the snapshot; every command returns a future."""
 
-    def __init__(self, desk: CommandQueue, folder: Path) -> None:
-        self._desk, self._folder = desk, folder
+    def __init__(self, command_queue: CommandQueue, folder: Path) -> None:
+        self._command_queue, self._folder = command_queue, folder
         self._jobs: UndoHistory[Job | None] = UndoHistory(None)
         self._seen = SeenMark()
         self._confirmed = True
@@ -144,19 +144,19 @@ class Drafting:
 
     def price(self) -> None:
         """Recalculate the plan of the job: after an edit, and when the rig is ready."""
-        job, limits = self._jobs.value, self._desk.now.rig.limits
+        job, limits = self._jobs.value, self._command_queue.now.rig.limits
         plan, problem = _plan(job, limits)
         typed = self._typed if self._typed_over is job else None
         seen_um = self._seen.places_um(job) if job is not None else ()
         can = self._jobs.can_undo, self._jobs.can_redo
         draft = Draft(job, plan, problem, *can, free_bytes(self._folder), seen_um, self._confirmed, typed)
-        self._desk.change(draft=draft)
+        self._command_queue.change(draft=draft)
 
     @command
     def cover_sample(self) -> None:
         """Set the grid to cover the sample, centred on it."""
         job = self._job()
-        x_um, y_um, width_um, height_um = _extent(job, self._desk.now.overview)
+        x_um, y_um, width_um, height_um = _extent(job, self._command_queue.now.overview)
         grid = self._grid(job)
         covering = FieldGrid.covering(
             width_um,
@@ -173,7 +173,7 @@ class Drafting:
     @command
     def centre_on_stage(self) -> None:
         """Centre the grid on the current stage position."""
-        job, rig = self._job(), self._desk.now.rig
+        job, rig = self._job(), self._command_queue.now.rig
         self.edit.run(replace(job, grid=self._grid(job).centred_on(rig.x_um, rig.y_um), fields=()))
 
     @command
@@ -202,7 +202,7 @@ class Drafting:
 
     def ready(self) -> tuple[Job, ScanPlan]:
         """Return the job and its plan. Raises PlanError with the reason when there is none to scan."""
-        draft = self._desk.now.draft
+        draft = self._command_queue.now.draft
         if draft.typed is not None:
             raise PlanError(draft.typed.problem)
         if draft.job is None or draft.plan is None:
@@ -210,7 +210,7 @@ class Drafting:
         return draft.job, draft.plan
 
     def _job(self) -> Job:
-        limits = self._desk.now.rig.limits
+        limits = self._command_queue.now.rig.limits
         if self._jobs.value is not None:
             return self._jobs.value
         if limits is None:
@@ -220,7 +220,7 @@ class Drafting:
     def _grid(self, job: Job) -> FieldGrid:
         if job.grid is not None:
             return job.grid
-        limits = self._desk.now.rig.limits
+        limits = self._command_queue.now.rig.limits
         if limits is None:
             raise PlanError(RIG_STARTS)
         return one_field(limits)

@@ -28,11 +28,11 @@ Subject = tuple[Path, str, int]
 class Judge:
     """Controller of the snapshot's verdict, which follows the surface. Changed on the session's thread only."""
 
-    def __init__(self, desk: CommandQueue, library: Library, notices: Notifications) -> None:
-        self._desk, self._library, self._notices = desk, library, notices
+    def __init__(self, command_queue: CommandQueue, library: Library, notices: Notifications) -> None:
+        self._command_queue, self._library, self._notices = command_queue, library, notices
         self._at_work = ThreadPoolExecutor(1, thread_name_prefix="judge")
         self._of: Subject | None = None
-        desk.subscribe(self._look)
+        command_queue.subscribe(self._look)
 
     def close(self) -> None:
         """End the thread."""
@@ -45,15 +45,15 @@ class Judge:
         if subject == self._of or not (ready or self._of is not None):
             return
         self._of = subject if ready else None
-        self._desk.note(self._begin, self._of)
+        self._command_queue.note(self._begin, self._of)
 
     def _begin(self, subject: Subject | None) -> None:
         self._show(None, judging=subject is not None)
-        if subject is None or subject != _subject(self._desk.now):
+        if subject is None or subject != _subject(self._command_queue.now):
             return
         data, result = self._library.dataset, self._library.result
         done = self._at_work.submit(verdict_of, data, result, keep=self._library.shown.read_only is None)
-        done.add_done_callback(lambda done: self._desk.note(self._judged, subject, done))
+        done.add_done_callback(lambda done: self._command_queue.note(self._judged, subject, done))
 
     def _judged(self, subject: Subject, done: Future[WaferVerdict]) -> None:
         if subject != self._of or done.cancelled():
@@ -64,7 +64,9 @@ class Judge:
         self._show(done.result() if fault is None else None, judging=False)
 
     def _show(self, verdict: WaferVerdict | None, *, judging: bool) -> None:
-        self._desk.change(operating=replace(self._desk.now.operating, verdict=verdict, judging=judging))
+        self._command_queue.change(
+            operating=replace(self._command_queue.now.operating, verdict=verdict, judging=judging)
+        )
 
 
 def kept_verdict(result: Result) -> WaferVerdict | None:

@@ -28,14 +28,14 @@ Pair = tuple[SurfaceName, SurfaceName]
 class ComparisonController:
     """Controller of the comparisons, ``session.comparing``; commands return futures."""
 
-    def __init__(self, desk: CommandQueue, library: Library, background: BackgroundWork) -> None:
-        self._desk, self._library, self._background = desk, library, background
+    def __init__(self, command_queue: CommandQueue, library: Library, background: BackgroundWork) -> None:
+        self._command_queue, self._library, self._background = command_queue, library, background
         self._stamps = count(1)
         self._work, self._of = "", Path()
 
     def open(self) -> None:
         """Show the comparisons of the open dataset; a running one of another dataset is cancelled."""
-        now = self._desk.now.dataset
+        now = self._command_queue.now.dataset
         if self._work and (now is None or now.path != self._of):
             self._background.cancel(self._work)
         self._show()
@@ -46,7 +46,7 @@ class ComparisonController:
 
         Reads the disk.
         """
-        now = self._desk.snapshot
+        now = self._command_queue.snapshot
         if now.dataset is None:
             return ()
         field = max(show, 0)
@@ -76,12 +76,12 @@ class ComparisonController:
         title, ended = f"Compare with {second.words}", self._ended
         running = self._background.run(title, subtract, dataset.path, name, first, second, align, keep_z, ended=ended)
         self._work, self._of = running.id, dataset.path
-        return self._desk.then(running.done, lambda comparison: comparison.number)
+        return self._command_queue.then(running.done, lambda comparison: comparison.number)
 
     @command
     def remove(self, number: int) -> None:
         """Delete a comparison. Raises DatasetError when there is none of that number, or it cannot be removed."""
-        found = next((c for c in self._desk.now.comparisons if c.number == number), None)
+        found = next((c for c in self._command_queue.now.comparisons if c.number == number), None)
         if found is None:
             raise DatasetError(f"There is no comparison {number}: choose one of the list.")
         if (why := self._library.shown.read_only) is not None:
@@ -99,8 +99,10 @@ class ComparisonController:
 
     def _show(self) -> None:
         """Update the list from disk; unchanged comparisons get their earlier stamps."""
-        known = {(c.name, c.comparison): c.stamp for c in self._desk.now.comparisons}
-        self._desk.change(comparisons=tuple(self._found(known)) if self._desk.now.dataset is not None else ())
+        known = {(c.name, c.comparison): c.stamp for c in self._command_queue.now.comparisons}
+        self._command_queue.change(
+            comparisons=tuple(self._found(known)) if self._command_queue.now.dataset is not None else ()
+        )
 
     def _found(self, known: dict[tuple[str, Comparison], int]) -> list[Compared]:
         from wafer_viewer.session.surface.comparison_job import comparisons_of

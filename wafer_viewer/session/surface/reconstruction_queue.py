@@ -82,8 +82,10 @@ class Reconstruction:
     Use on the session's thread only. While a scan runs one worker stays free for the rig.
     """
 
-    def __init__(self, desk: CommandQueue, notices: Notifications, library: Library, scheduler: str | None) -> None:
-        self._desk, self._notices, self._library = desk, notices, library
+    def __init__(
+        self, command_queue: CommandQueue, notices: Notifications, library: Library, scheduler: str | None
+    ) -> None:
+        self._command_queue, self._notices, self._library = command_queue, notices, library
         self.compute = Compute(scheduler, warm_up, self._heard, self._gone)
         self._n_workers, self._warm, self._restarts = 1, False, 0
         self._told_why = False
@@ -158,7 +160,7 @@ class Reconstruction:
             self._start(run, run.waiting.popleft())
         if run.stitching:
             return
-        if run.idle and not self._desk.now.scanning:
+        if run.idle and not self._command_queue.now.scanning:
             self._finish(run)
         elif run.restitch and time.monotonic() >= run.grows_again_at:
             self._stitch(run, run.growing_work, final=False)
@@ -172,11 +174,11 @@ class Reconstruction:
         """Compute the summary of an existing mosaic that has none."""
         run = (self._library.dataset.path, self._library.result_name)
         done = self.compute.run("describe", describe_mosaic, *run)
-        done.add_done_callback(lambda info: self._desk.note(self._described, run, info))
+        done.add_done_callback(lambda info: self._command_queue.note(self._described, run, info))
 
     @property
     def _room(self) -> int:
-        return max(1, self._n_workers - 1) if self._desk.now.scanning else self._n_workers
+        return max(1, self._n_workers - 1) if self._command_queue.now.scanning else self._n_workers
 
     def _start(self, run: ReconstructionRun, number: int) -> None:
         run.busy.add(number)
@@ -247,7 +249,7 @@ class Reconstruction:
         self.go_on()
 
     def _described(self, run: tuple[Path, str], done: Future[SurfaceInfo]) -> None:
-        shown = self._desk.now.dataset
+        shown = self._command_queue.now.dataset
         if shown is None or (shown.path, self._library.result_name) != run:
             return
         if (fault := done.exception()) is not None:
@@ -273,17 +275,17 @@ class Reconstruction:
             run.answer.set_result(None) if fault is None else run.answer.set_exception(fault)
 
     def _heard(self, event: Any) -> None:
-        self._desk.note(self._on[type(event)], event)
+        self._command_queue.note(self._on[type(event)], event)
 
     def _later(self, then: Callable[..., None], *args: Any) -> None:
-        self._desk.note(then, *args)
+        self._command_queue.note(then, *args)
 
     def _up(self, event: ComputeUp) -> None:
         self._n_workers = event.n_workers
 
     def _warmed(self, _: ComputeWarm) -> None:
         self._warm = True
-        self._desk.change(compute_ready=True)
+        self._command_queue.change(compute_ready=True)
         self.go_on()
 
     def _absent(self, event: ComputeAbsent) -> None:
@@ -291,14 +293,14 @@ class Reconstruction:
         self._notices.fault("Nothing can be reconstructed", event.why, "surface")
 
     def _gone(self, exit_code: int | None) -> None:
-        self._desk.note(self._died, exit_code)
+        self._command_queue.note(self._died, exit_code)
 
     def _died(self, exit_code: int | None) -> None:
         """Restart the compute host after an unexpected end, a limited number of times."""
         if self._told_why:
             return
         self._warm = False
-        self._desk.change(compute_ready=False)
+        self._command_queue.change(compute_ready=False)
         self._restarts += 1
         mended = self._restarts <= RESTARTS
         text = f"The process that hosts the workers ended (exit code {exit_code})."
