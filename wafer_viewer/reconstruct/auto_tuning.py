@@ -29,8 +29,11 @@ ENOUGH_COVERAGE = 0.92
 """The smallest window with at least 92 % of the coverage of the largest is selected."""
 
 GAP_WIDTHS = 2.0
+"""Distance from a peak to its rivals, in widths of the focus curve."""
 REACH_WIDTHS = 0.55
+"""Distance from a peak to its interpolation points, in widths of the focus curve."""
 BLEND_WIDTHS = 0.33
+"""Averaging distance along z before interpolation, in widths of the focus curve."""
 FLOOR_WIDTHS = 5.0
 """A sweep at least this many focus-curve widths long reaches the noise floor of the curve."""
 
@@ -51,10 +54,13 @@ TOO_WIDE = 2.0
 
 _PROBE_WINDOW = 9
 _AIRY = 0.61
+"""Airy radius in units of wavelength / aperture."""
 _LEAST_CONTRAST = 2.0
 _ENOUGH_CURVES = 64
 _TILE_PX = (32, 128)
+"""Rows and columns of a sampled tile."""
 _TILES = 3
+"""Largest number of sampled tiles along each axis."""
 
 
 @dataclass(frozen=True, slots=True)

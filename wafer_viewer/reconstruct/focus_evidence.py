@@ -27,6 +27,7 @@ from wafer_viewer.reconstruct.gates.gate import POWERS, GateTest
 from wafer_viewer.reconstruct.preprocess.frames import read_block
 
 MOST_RIVALS = 3
+"""Largest number of rivals that a focus curve lists."""
 _LEFT_OUT_BY_CLEANING = {
     Origin.OUTLIER: "Does it agree with its neighbours?",
     Origin.STEP_EDGE: "Are the heights around it of one surface?",

@@ -22,6 +22,7 @@ from wafer_viewer.reconstruct.focus.peak_search import fill_volume, find_peaks, 
 from wafer_viewer.reconstruct.preprocess.frames import clipped_from
 
 WHITE_COUNTS = 255
+"""White of 8-bit frames."""
 
 
 class LiveField:

@@ -17,6 +17,7 @@ from wafer_viewer.numerics.grids.rectangle_overlap import Rectangles
 Lengths = NDArray[np.float64]
 """[n, 4]: ramp lengths of n fields at their top, bottom, left and right border, in pixels; 0 without a neighbour."""
 TOP, BOTTOM, LEFT, RIGHT = range(4)
+"""Columns of `Lengths`."""
 DIAGONAL = 0.25
 """Neighbours whose distances along x and y differ by less than this fraction of a field are diagonal."""
 
@@ -54,6 +55,7 @@ SNAP_PX = 1e-3
 MARGIN_PX = 32
 """Margin around the planned fields, for fields that are added later or found elsewhere."""
 SAME_PIXEL_FRACTION = 1e-6
+"""Largest relative difference between the pixel sizes of the fields of a mosaic."""
 
 Numbers = NDArray[np.float64]
 Part = tuple[slice, slice]

@@ -60,7 +60,9 @@ def joined(bands: Sequence[HeightMap]) -> HeightMap:
 
 
 _COARSEST_PX = 512
+"""Largest longer side of the coarsest level, in pixels."""
 _BAND_PX = 2**23
+"""Approximate number of pixels of level 0 that are blended together."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -64,8 +64,11 @@ BRIDGED_PX = 2
 """Gaps up to this size are bridged when the width of a strip is measured."""
 
 _SAMPLE_EVERY_PX = 7
+"""Stride at which moves by smoothing and distances to neighbours are sampled, in pixels."""
 _MOVED_DEVIATIONS = 6.0
+"""Smallest move of an outlier by smoothing, in standard deviations of the moves."""
 _MOVED_FLOORS = 1 / 3
+"""Smallest move of an outlier by smoothing, as a fraction of the outlier floor."""
 
 Map = NDArray[np.float32]
 Found = NDArray[np.bool_]
@@ -154,6 +157,7 @@ JUMP_STEPS = 2.0
 """Difference between two surfaces a few pixels apart, in steps of the resolution."""
 
 _BEYOND_UM = np.float32(1e9)
+"""Magnitude of a height beyond all others, which stands for unmeasured ones."""
 
 
 def height_range_um(z_um: NDArray[np.float32], window: int) -> NDArray[np.float32]:
@@ -185,6 +189,7 @@ def _of_cells(plane: NDArray[np.float32], choose: np.ufunc) -> NDArray[np.float3
 
 
 OUTLIER_FLOOR_STEPS = 1.5
+"""Outlier floor of `auto`, and height tolerance within a remnant, in steps of the resolution."""
 
 MOST_ROUNDS = {"none": 1, "literal": 30, "guided": 30, "switching_median": 6, "sigma_filter": 2}
 """Maximum rounds per smoother. Two rounds of averages reach 8 px.

@@ -33,10 +33,15 @@ NOISE_LAG_PX = 15
 """Distance at which errors are nearly independent: they share little of a focus window."""
 
 _GUIDE_RENEWED_EVERY = 5
+"""Number of rounds of flights towards the same medians."""
 _SAMPLE_EVERY_PX = 5
+"""Stride at which deviations from the median are sampled, in pixels."""
 _SPIKE_PASSES = 3
+"""Largest number of passes over the spikes in a round."""
 _MANY_SPIKES = 0.25
+"""Largest fraction of pixels that are spikes; more cannot be repaired."""
 _LEAST_STEPS = 0.05
+"""Smallest noise limit, in steps of the resolution."""
 
 Map = NDArray[np.float32]
 Rounds = Callable[[Map, Levy, float], Iterator[Map]]

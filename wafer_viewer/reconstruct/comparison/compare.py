@@ -15,7 +15,9 @@ from wafer_viewer.reconstruct.comparison.registration import in_plane, levelled,
 from wafer_viewer.reconstruct.comparison.resampled_surface import ResampledMosaic, SampleGrid
 
 LEAST_OVERLAP_PX = 32
+"""Smallest overlap of two surfaces along x and along y, in pixels of the first."""
 _SEEN_PX = 512
+"""Largest longer side of the level on which the overlap fraction is counted, in pixels."""
 _MEND = "align by the stage, or take surfaces of the same part of the sample"
 _MENDS: dict[RejectionReason, str] = {
     RejectionReason.BLANK: "there is nothing to be seen in both",

@@ -30,7 +30,9 @@ from wafer_viewer.reconstruct.blending.stitched_mosaic import halved
 from wafer_viewer.reconstruct.comparison.resampled_surface import ResampledMosaic, SampleGrid
 
 CHANGED_SIGMAS = 3.0
+"""Limit of unchanged heights, in standard deviations of the differences."""
 _LEAST_LIMIT_UM = 1e-4
+"""Smallest limit of unchanged heights."""
 _LOOKS, _LOOK_PX = 6, 192
 """Samples per side of the grid on which the noise is estimated, and their width in pixels."""
 _BAND_PX = 2**22
@@ -205,6 +207,7 @@ def provenance_of(first: Provenance, second: Provenance, notes: tuple[str, ...])
 
 
 _COARSEST_PX = 256
+"""Approximate longer side of the coarsest level, in pixels."""
 
 
 @dataclass(frozen=True, eq=False)

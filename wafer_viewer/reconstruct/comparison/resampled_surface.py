@@ -22,6 +22,7 @@ if TYPE_CHECKING:
 Affine = NDArray[np.float64]
 """[2, 3]: the images of (1, a, b)."""
 _MARGIN_PX = 2
+"""Margin around the part of the second that is read, in pixels of its level."""
 _FINER = 1.42
 """The pixels of the level read may be larger than those requested by this factor: half an octave."""
 

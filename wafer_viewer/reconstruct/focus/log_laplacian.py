@@ -66,10 +66,15 @@ NOISE_ENERGY = 19 / 64
 """E[L^2] on white noise of unit variance: the sum of the squares of L's coefficients."""
 
 _TAPS_PX = 3
+"""Reach of L and of the mean of its square together, in pixels."""
 _UNIT_OF_L = 1 / 48
+"""L per unit of 48 L, which has integer coefficients."""
 _MOST_ENERGY = 2.0**29
+"""Upper limit of the energy; its level, 2^11 (29 + 2), fits 16 bits."""
 _HIGH_PASS = math.sqrt(2 / 3)
+"""Factor of the high-pass along z with which white noise retains its variance."""
 _HIGH_PASS_AT_AN_END = math.sqrt(1 / 2)
+"""The same at the ends of the stack, where a single frame is subtracted."""
 
 
 class Stabiliser(NamedTuple):

@@ -33,11 +33,13 @@ from wafer_viewer.numerics.jit import (
 from wafer_viewer.reconstruct.focus.focus_volume import COARSE_PX, StackSource
 
 _ARGMAX, _GAUSSIAN, _TENT, _BLUR_LAW = 0, 1, 2, 3
+"""Codes of the estimators, for the kernels."""
 
 _LEAST_SHARE = 0.02
 """Minimum fraction of a level that counts as focus rather than noise floor."""
 
 _LN2 = float(np.log(2))
+"""Natural logarithm of 2."""
 _ROUNDER = 1.5 * 2.0**52
 """A float64 this large has no fraction bits; its lowest mantissa bits hold an integer."""
 
@@ -204,6 +206,7 @@ _AHEAD = 4
 
 
 _NO_FLOOR = -64.0
+"""Noise floor of a curve that does not reach it, as a logarithm to base 2."""
 _NEAR_TOPS = 2
 """Averages above and below the peak that may replace the one at the peak itself."""
 

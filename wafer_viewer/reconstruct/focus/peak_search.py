@@ -221,10 +221,15 @@ _SIDE_PX = 224
 """Noise peaks are correlated over the window, so a large patch is needed to estimate the 99th percentile."""
 
 _MARGIN_PX = log_margin_px(25)
+"""Margin around the patch, for the largest window."""
 _DEVIATION_COUNTS = 12.0
+"""Standard deviation of the simulated noise."""
 _CAMERA = CameraNoise(gain_counts=1e-2, floor_counts2=_DEVIATION_COUNTS**2)
+"""Camera noise of the simulation, for the measures that use it."""
 _PERCENTILE = 99.0
+"""Percentile of the scores on noise: 1 % of the pixels exceed it."""
 _SEED = 20240229
+"""Seed of the simulated noise."""
 
 
 @dataclass(frozen=True, slots=True)

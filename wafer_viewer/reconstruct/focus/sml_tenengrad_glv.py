@@ -38,6 +38,7 @@ from wafer_viewer.reconstruct.focus.focus_volume import (
 )
 
 SML, TENENGRAD, GLV = 0, 1, 2
+"""Codes of the measures, for the kernels."""
 _CODES = {"sml": SML, "tenengrad": TENENGRAD, "glv": GLV}
 PAPER_MEASURES = tuple(_CODES)
 

@@ -311,12 +311,17 @@ LEAST_GAP = 4
 """Minimum rival gap in frames: focus along a wall is smoothed over three frames and placed by three more."""
 
 _TILE_PX = 96
+"""Side of the tiles that are searched along walls, and rows that are read together, in pixels."""
 _WALL_SIGMA = 3.0
+"""Standard deviation of the Gaussian that smooths wall directions, in pixels of half resolution."""
 _BORDER = 3
 """Margin at the border of the band, beyond which values are unknown."""
 _NOISE_SIDE_PX = 320
+"""Side of the patch of simulated noise, in pixels."""
 _PERCENTILE = 99.0
+"""Percentile of the fall on noise: 1 % of the pixels exceed it."""
 _SEED = 20240301
+"""Seed of the simulated noise."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -67,9 +67,13 @@ STANDING_CONTRAST = 0.47
 """Minimum D of a silhouette: bright is 1.6 times dark."""
 
 _STRIPE_ROWS = 64
+"""Rows of a field that one task processes."""
 _SILHOUETTE_REACH = 2
+"""Reach of the contrast beyond a pixel, in pixels of half resolution."""
 _PIXELS = 36
+"""Number of pixels of the mean, 6 x 6."""
 _LN_2 = np.float32(math.log(2))
+"""Natural logarithm of 2."""
 
 
 class SilhouetteRows(NamedTuple):
@@ -228,10 +232,14 @@ DEEP_SHARE = 0.9
 
 _LEVELS_PX = 5
 _REACH = BAND_REACH_PX // 2
+"""`BAND_REACH_PX` in pixels of half resolution."""
 _NEARER_FIRST = (_REACH // 2, 2 * _REACH)
+"""Distances at which walls are searched for, one after the other, in pixels of half resolution."""
 _RIDGE_SHARE = 0.8
 _CONTRAST_UNIT = 16384.0
+"""Integer steps per unit of contrast, in the upper 16 bits of a key."""
 _LOG_UNIT = 4096.0
+"""Integer steps per unit of a logarithm, in the lower 16 bits of a key."""
 
 
 class EdgeSide(IntEnum):

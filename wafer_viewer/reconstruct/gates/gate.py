@@ -21,6 +21,7 @@ LEAD_OVER_NOISE = 2.0
 """Required lead over the rival, relative to the noise lead; noise that varies along z exceeds steady noise."""
 
 CLIPPED_FRAMES_FRACTION = 0.02
+"""Smallest fraction of frames in which a pixel must be clipped to count as clipped."""
 
 LEAST_FRAMES = 12
 """In a shorter stack a wider window adds nothing, and a wall cannot be distinguished from a pattern in focus."""

@@ -33,8 +33,11 @@ LEAST_OVERLAPS = 4
 """With fewer overlaps, a single wrong one looks like a wrong pixel size."""
 
 _SIGNIFICANT = 4.0
+"""Smallest rotation or scale that is noted, in standard uncertainties."""
 _WORTH_PX = 0.1
+"""Smallest shift of a neighbour by rotation or scale that is noted, in pixels."""
 _WRONG_SCALE = 0.03
+"""Largest error of a given pixel size (fraction); a larger one cannot be right."""
 
 
 @dataclass(frozen=True, slots=True)

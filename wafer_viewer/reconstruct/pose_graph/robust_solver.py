@@ -194,9 +194,13 @@ def _variance_inflation(network: PoseGraph, chi2: Numbers, telling: NDArray[np.i
 
 
 _SAMPLES = 48
+"""Number of sets of errors that are drawn for the uncertainties of many fields."""
 _AT_ONCE = 4
+"""Number of drawn sets of errors that are solved together."""
 _COLUMNS = 256
+"""Number of columns of the inverse that are solved together."""
 _TOLERANCE = 1e-2
+"""Relative error of the solutions from which uncertainties are computed."""
 
 
 def standard_uncertainties(network: PoseGraph, at: RobustSolution, wanted: tuple[int, ...]) -> Numbers:

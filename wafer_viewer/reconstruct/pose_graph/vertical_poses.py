@@ -68,6 +68,7 @@ _FLOOR_UM = 0.002
 """Minimum uncertainty of a height offset: heights of two fields at one spot differ by more than noise."""
 
 _FLOOR_SLOPE = 5e-6
+"""Minimum uncertainty of a tilt between two fields (um per um)."""
 _USUAL_Z_UM, _USUAL_TILT = 1.0, 1e-4
 """Initial guesses of the stage errors."""
 

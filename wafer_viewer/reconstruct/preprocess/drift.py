@@ -34,6 +34,7 @@ LEAST_SHARPNESS = 0.3
 FRAMES = (12, 36)
 
 _BIN = 2
+"""Side of the squares of pixels that are summed before tiles are compared, in pixels."""
 _STEEPEST = 2.0
 _SMOOTH_PX = 1.0
 _EVERY_ROW = 8

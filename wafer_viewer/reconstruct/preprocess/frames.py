@@ -28,6 +28,7 @@ CLIPPED_SHARE_OF_WHITE = 0.98
 """Fraction of white from which a pixel counts as clipped: 250 of 255."""
 
 _SAMPLED_ROWS = 24
+"""Approximate number of rows of a frame in which its highest grey is searched for."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -23,6 +23,7 @@ CELL_PX, STEEP = 4, 4.0
 """Walls are cells of 4 x 4 pixels that differ from a neighbour by four times the 70th percentile."""
 
 _USUAL, _EVERY = 0.7, 4
+"""Quantile of the differences between neighbouring cells that walls exceed, and stride of its sample."""
 _BLOCKS, _LEAST_BLOCK, _LARGEST_BLOCK = 40, 8, 40
 """Blocks are wider than the windows of the focus measures, within which errors are correlated."""
 

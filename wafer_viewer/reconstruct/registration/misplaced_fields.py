@@ -21,6 +21,7 @@ FEWER = 2
 _LOST = (RejectionReason.UNLIKE, RejectionReason.END_OF_SEARCH)
 _FITS = (RejectionReason.NONE, RejectionReason.DISAGREES)
 _EVERY = 16
+"""Stride of the sparse sample of a field, in pixels."""
 
 Layer = NDArray[np.generic]
 Turn = Callable[[Layer], Layer]
@@ -167,6 +168,7 @@ def _joined(n_fields: int, shifts: Shifts, kept: NDArray[np.bool_]) -> NDArray[n
 
 Open = Callable[[int], HeightMap]
 NAMED = 8
+"""Largest number of fields that a note lists."""
 BY_STAGE_ALONE = "Stitched by the stage's positions alone"
 
 

@@ -22,8 +22,11 @@ _NOT_SEEN = (Origin.NOT_COVERED, Origin.TOO_FEW_FRAMES)
 _FOCUS_NOISE = 1e3
 """Height errors are correlated over a focus window instead of varying per pixel, so contrast alone counts."""
 _AROUND_PX = 31
+"""Side of the square whose mean height is subtracted, in pixels."""
 _ENOUGH = 20000
+"""Approximate number of pixels from which the noise of an image is estimated."""
 _STEEPEST = 6.0
+"""Limit at which heights are clipped, in medians of their absolute values."""
 
 
 @dataclass(frozen=True, slots=True)
