@@ -40,23 +40,41 @@ FLOOR_WIDTHS = 5.0
 SUITABLE_WIDTH = 2.5
 """Full width at half maximum of a well-sampled focus curve, in frames."""
 
-CLEAN_PERCENTILE = 5.0
-"""Percentile of the widths of single-peaked curves. Bleeding light only widens a curve: tests/truth/bleeding.py."""
 
-FINEST_PX = 4.0
-"""Maximum number of pixels per Airy radius of the objective; it bounds an unknown aperture."""
+@dataclass(frozen=True, slots=True)
+class FocusWidthParameters:
+    """Limits of the estimate of the focus width from a few tiles.
 
-LARGEST_APERTURE = 0.95
-"""Largest numerical aperture in air."""
+    Parameters
+    ----------
+    probe_window : int, px
+        Window of the focus measure whose curves are measured.
+    least_contrast : float
+        Smallest contrast of a curve that is measured, in powers of two of the focus measure.
+    enough_curves : int
+        Smallest number of single-peaked curves that determine the width.
+    percentile : float
+        Percentile of the widths of single-peaked curves. Bleeding light only widens a curve: tests/truth/bleeding.py.
+    finest_px : float, px
+        Largest number of pixels per Airy radius of the objective; it bounds an unknown aperture.
+    largest_aperture : float
+        Largest numerical aperture in air.
+    """
 
+    probe_window: int = 9
+    least_contrast: float = 2.0
+    enough_curves: int = 64
+    percentile: float = 5.0
+    finest_px: float = 4.0
+    largest_aperture: float = 0.95
+
+
+FOCUS_WIDTH = FocusWidthParameters()
 TOO_WIDE = 2.0
 """Largest plausible focus width, in depths of field; wide-open and apodised pupils reach 1.5."""
 
-_PROBE_WINDOW = 9
 _AIRY = 0.61
 """Airy radius in units of wavelength / aperture."""
-_LEAST_CONTRAST = 2.0
-_ENOUGH_CURVES = 64
 _TILE_PX = (32, 128)
 """Rows and columns of a sampled tile."""
 _TILES = 3
@@ -123,13 +141,13 @@ def focus_width(frames: Frames, recipe: Recipe) -> FocusWidth:
     or, where that is unknown, to the depth of field of the smallest aperture that fits the pixel size. Without enough
     curves the result is the known depth of field, at least one step.
     """
-    probe = Search(recipe.focus_measure, _PROBE_WINDOW, "argmax", 1, camera=camera_of(recipe.noise))
+    probe = Search(recipe.focus_measure, FOCUS_WIDTH.probe_window, "argmax", 1, camera=camera_of(recipe.noise))
     power = focus_measures()[recipe.focus_measure].power
     widths = np.concatenate([_clean_widths(bench, peaks, power) for bench, peaks in _tiles(frames, probe)])
     step_um, known_um = frames.step_um, frames.depth_of_field_um
-    if len(widths) < _ENOUGH_CURVES:
+    if len(widths) < FOCUS_WIDTH.enough_curves:
         return FocusWidth(max(step_um, known_um), () if known_um > 0 else (_NO_CURVES,))
-    found_um = max(step_um, step_um * float(np.percentile(widths, CLEAN_PERCENTILE)))
+    found_um = max(step_um, step_um * float(np.percentile(widths, FOCUS_WIDTH.percentile)))
     most_um = max(step_um, known_um or _largest_depth_um(frames.pixel_um))
     if known_um > 0 or found_um <= most_um:
         return FocusWidth(min(found_um, most_um))
@@ -176,7 +194,7 @@ def _clean_widths(bench: ThreadScratch, peaks: Peaks, power: float) -> NDArray[n
     optics whatever the measure. The lowest frame is taken as noise floor and subtracted. Crossings are interpolated
     between frames.
     """
-    textured = (peaks.contrast > _LEAST_CONTRAST) & ~peaks.at_end
+    textured = (peaks.contrast > FOCUS_WIDTH.least_contrast) & ~peaks.at_end
     levels = bench.curves.levels[:, textured].astype(np.float32)
     over_floor = 1 + (np.exp2(peaks.contrast[textured]) - 1) * np.float32(2 ** (-power / 2))
     half = levels.min(axis=0, initial=65535) + np.log2(over_floor) * np.float32(2**bench.spots.bits)
@@ -240,8 +258,8 @@ def _walls_untested(frames: Frames, width_um: float) -> tuple[str, ...]:
 
 
 def _largest_depth_um(pixel_um: float) -> float:
-    """Return the depth of field of the smallest aperture with at most `FINEST_PX` pixels per Airy radius."""
-    aperture = min(LARGEST_APERTURE, _AIRY * WAVELENGTH_UM / (FINEST_PX * pixel_um))
+    """Return the depth of field of the smallest aperture with at most `finest_px` pixels per Airy radius."""
+    aperture = min(FOCUS_WIDTH.largest_aperture, _AIRY * WAVELENGTH_UM / (FOCUS_WIDTH.finest_px * pixel_um))
     return WAVELENGTH_UM / aperture**2
 
 

@@ -22,26 +22,50 @@ Floats = NDArray[np.floating[Any]]
 QUANTISATION_COUNTS2 = 1 / 12
 """Variance of rounding to integer counts."""
 
-_MOST_ELECTRONS = 1e6
-"""Upper bound of the full-well capacity, in electrons; it keeps the gain of a noise-free stack positive."""
 
-_USUAL_ELECTRONS = 1e4
-"""Full-well capacity of a small pixel, in electrons, used where the stack gives no estimate."""
+@dataclass(frozen=True, slots=True)
+class NoiseEstimateParameters:
+    """Sample of a stack and limits of the estimate of its camera noise.
 
-_FRAMES = 12
-_STRIPS = 3
-_CELL_PX = (8, 16)
-_PERCENTILE = 20.0
-_OF_THE_MEAN = 0.80
-"""Ratio of the 20th percentile of a cell's variance to its mean, for pure noise."""
+    Parameters
+    ----------
+    frames : int
+        Largest number of sampled frames.
+    strips : int
+        Largest number of sampled strips of a frame.
+    cell_px : tuple[int, int], px
+        Rows and columns of a cell; a strip has two rows of cells.
+    levels : int
+        Number of grey levels, of equal width, by which the cells are sorted.
+    enough_cells : int
+        Smallest number of cells of a level that counts.
+    percentile : float
+        Percentile of the variance of the cells of a level.
+    of_the_mean : float
+        Ratio of the 20th percentile of a cell's variance to its mean, for pure noise.
+    too_low : float
+        Weight of a level below the line against one above it: texture only adds to the noise variance.
+    most_electrons : float, electrons
+        Upper bound of the full-well capacity; it keeps the gain of a noise-free stack positive.
+    usual_electrons : float, electrons
+        Full-well capacity of a small pixel, used where the stack gives no estimate.
+    """
 
+    frames: int = 12
+    strips: int = 3
+    cell_px: tuple[int, int] = (8, 16)
+    levels: int = 16
+    enough_cells: int = 24
+    percentile: float = 20.0
+    of_the_mean: float = 0.80
+    too_low: float = 3.0
+    most_electrons: float = 1e6
+    usual_electrons: float = 1e4
+
+
+NOISE_ESTIMATE = NoiseEstimateParameters()
 _HIGH_PASS_GAIN = 36.0
 """Sum of the squares of [1 -2 1] x [1 -2 1]."""
-
-_LEVELS = 16
-_ENOUGH_CELLS = 24
-_TOO_LOW = 3.0
-"""Weight of a level below the line against one above it: texture only adds to the noise variance."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -72,10 +96,10 @@ def estimate_camera_noise(frames: Frames) -> CameraNoise:
     """
     strips = _sample(frames)
     step = _count_step(strips)
-    least = CameraNoise(_white(frames) / _MOST_ELECTRONS, QUANTISATION_COUNTS2 * step**2)
+    least = CameraNoise(_white(frames) / NOISE_ESTIMATE.most_electrons, QUANTISATION_COUNTS2 * step**2)
     grey, variance, weight = _levels(_unclipped_cells(strips, frames.clipped_counts))
     if not grey.size:
-        return CameraNoise(_white(frames) / _USUAL_ELECTRONS, least.floor_counts2)
+        return CameraNoise(_white(frames) / NOISE_ESTIMATE.usual_electrons, least.floor_counts2)
     return _line(grey, variance, weight, least)
 
 
@@ -97,10 +121,10 @@ def camera_of(noise: Noise) -> CameraNoise:
 def _sample(frames: Frames) -> Greys:
     """Sample strips of a few frames, two rows of cells and their neighbours each: [strip, row, col]."""
     n_rows, n_cols = frames.shape
-    high = min(2 * _CELL_PX[0] + 2, n_rows)
-    picked = np.unique(np.linspace(0, frames.n_frames - 1, _FRAMES).round().astype(int))
+    high = min(2 * NOISE_ESTIMATE.cell_px[0] + 2, n_rows)
+    picked = np.unique(np.linspace(0, frames.n_frames - 1, NOISE_ESTIMATE.frames).round().astype(int))
     strips: list[Greys] = []
-    for top in np.unique(np.linspace(0, n_rows - high, 2 * _STRIPS + 1).astype(int)[1::2]):
+    for top in np.unique(np.linspace(0, n_rows - high, 2 * NOISE_ESTIMATE.strips + 1).astype(int)[1::2]):
         strip = np.empty((frames.n_frames, high, n_cols), frames.dtype)
         read_block(frames, slice(int(top), int(top) + high), slice(0, n_cols), 0, strip)
         strips.append(strip[picked])
@@ -138,7 +162,7 @@ def _by_cell(values: Floats) -> Floats:
     """Return the mean of every complete cell, or of a smaller image as one cell; nothing for an empty image."""
     if not values.size:
         return values.ravel()
-    high, wide = (min(size, cell) for size, cell in zip(values.shape[1:], _CELL_PX, strict=True))
+    high, wide = (min(size, cell) for size, cell in zip(values.shape[1:], NOISE_ESTIMATE.cell_px, strict=True))
     n_rows, n_cols = values.shape[1] // high, values.shape[2] // wide
     whole = values[:, : n_rows * high, : n_cols * wide]
     return whole.reshape(len(values), n_rows, high, n_cols, wide).mean(axis=(2, 4)).ravel()
@@ -148,13 +172,13 @@ def _levels(cells: _Cells) -> tuple[Floats, Floats, Floats]:
     """Return grey, variance and cell count of every sufficiently filled grey level, or else of all cells."""
     if not cells.grey.size:
         return cells.grey, cells.variance, cells.grey
-    edges = np.linspace(cells.grey.min(), cells.grey.max(), _LEVELS + 1)[1:-1]
+    edges = np.linspace(cells.grey.min(), cells.grey.max(), NOISE_ESTIMATE.levels + 1)[1:-1]
     level = np.digitize(cells.grey, edges)
-    enough = [n for n in range(_LEVELS) if np.count_nonzero(level == n) >= _ENOUGH_CELLS]
+    enough = [n for n in range(NOISE_ESTIMATE.levels) if np.count_nonzero(level == n) >= NOISE_ESTIMATE.enough_cells]
     groups = [level == n for n in enough] or [np.ones(level.shape, bool)]
     grey = np.array([cells.grey[group].mean() for group in groups], np.float64)
-    variance = np.array([np.percentile(cells.variance[group], _PERCENTILE) for group in groups]) / _OF_THE_MEAN
-    return grey, variance, np.array([float(np.count_nonzero(group)) for group in groups])
+    low = np.array([np.percentile(cells.variance[group], NOISE_ESTIMATE.percentile) for group in groups])
+    return grey, low / NOISE_ESTIMATE.of_the_mean, np.array([float(np.count_nonzero(group)) for group in groups])
 
 
 def _line(grey: Floats, variance: Floats, weight: Floats, least: CameraNoise) -> CameraNoise:
@@ -176,4 +200,4 @@ def _misfit(grey: Floats, variance: Floats, weight: Floats, gain: float, floor: 
     wrong line.
     """
     off = np.log(np.maximum(variance, QUANTISATION_COUNTS2) / (gain * grey + floor))
-    return float((np.sqrt(weight) * np.where(off < 0, -_TOO_LOW * off, np.minimum(off, 1.0))).sum())
+    return float((np.sqrt(weight) * np.where(off < 0, -NOISE_ESTIMATE.too_low * off, np.minimum(off, 1.0))).sum())

@@ -22,22 +22,47 @@ from numpy.typing import NDArray
 from wafer_viewer.model.acquisition.focus_stack import Image
 from wafer_viewer.numerics.normal_statistics import MAD_TO_SIGMA
 
-TILES = (3, 4)
-TILE_PX = (64, 192)
-"""Limits of the tile size; a tile is a third of the field high and a quarter wide."""
-LAGS = (1, 4)
-"""Distances between compared frames: neighbours look most alike, distant pairs accumulate less error."""
-LEAST_PEAK = 9.0
-"""Minimum correlation peak, in standard deviations of the correlation."""
-LEAST_SHARPNESS = 0.3
-"""Minimum fraction of the sharpness range of a tile; 12 to 36 of its sharpest frames are used."""
-FRAMES = (12, 36)
 
+@dataclass(frozen=True, slots=True)
+class DisplacementParameters:
+    """Tiles and frames in which displacements are measured, and the limits of a measurement.
+
+    Parameters
+    ----------
+    tiles : tuple[int, int]
+        Largest number of tiles along the rows and along the columns of a field.
+    tile_px : tuple[int, int], px
+        Limits of the tile size; a tile is a third of the field high and a quarter wide.
+    lags : tuple[int, int], frames
+        Distances between compared frames: neighbours look most alike, distant pairs accumulate less error.
+    least_peak : float
+        Minimum correlation peak, in standard deviations of the correlation.
+    least_sharpness : float
+        Minimum fraction of the sharpness range of a tile.
+    frames : tuple[int, int]
+        Limits of the number of the sharpest frames of a tile that are used.
+    every_row : int, px
+        Stride of the rows on which the sharpness of a tile is measured.
+    steepest : float
+        Gradient above which gradients count by their direction alone, in medians of a frame.
+    smooth_px : float, summed pixels
+        Half width at 1/e of the Gaussian that smooths the gradients.
+    """
+
+    tiles: tuple[int, int] = (3, 4)
+    tile_px: tuple[int, int] = (64, 192)
+    lags: tuple[int, int] = (1, 4)
+    least_peak: float = 9.0
+    least_sharpness: float = 0.3
+    frames: tuple[int, int] = (12, 36)
+    every_row: int = 8
+    steepest: float = 2.0
+    smooth_px: float = 1.0
+
+
+DISPLACEMENT = DisplacementParameters()
 _BIN = 2
 """Side of the squares of pixels that are summed before tiles are compared, in pixels."""
-_STEEPEST = 2.0
-_SMOOTH_PX = 1.0
-_EVERY_ROW = 8
 
 ReadTile = Callable[[slice, slice], Image]
 """Function that reads the pixels [k, row, col] of a rectangle of all frames."""
@@ -69,8 +94,8 @@ class Sightings:
 
 def measure_displacements(read: ReadTile, shape: tuple[int, int], n_frames: int) -> Sightings:
     """Measure the motion between the frames of a field of `shape` in all tiles."""
-    side = _side_px(shape)
-    corners = [(r, c) for r in _starts(shape[0], side, TILES[0]) for c in _starts(shape[1], side, TILES[1])]
+    side, (high, wide) = _side_px(shape), DISPLACEMENT.tiles
+    corners = [(r, c) for r in _starts(shape[0], side, high) for c in _starts(shape[1], side, wide)]
     found = [
         _of_tile(n, read(slice(r, r + side), slice(c, c + side)), _middle((r, c), side, shape))
         for n, (r, c) in enumerate(corners if min(shape) >= side and n_frames > 1 else [])
@@ -79,8 +104,8 @@ def measure_displacements(read: ReadTile, shape: tuple[int, int], n_frames: int)
 
 
 def _side_px(shape: tuple[int, int]) -> int:
-    least, most = TILE_PX
-    return int(np.clip(min(shape[0] // TILES[0], shape[1] // TILES[1]), least, most)) // _BIN * _BIN
+    (least, most), (high, wide) = DISPLACEMENT.tile_px, DISPLACEMENT.tiles
+    return int(np.clip(min(shape[0] // high, shape[1] // wide), least, most)) // _BIN * _BIN
 
 
 def _starts(length: int, side: int, most: int) -> list[int]:
@@ -107,7 +132,7 @@ def _of_tile(tile: int, images: Image, at_px: NDArray[np.float64]) -> list[Sight
     spectra = _spectra(images[frames])
     place = np.full(len(images), -1)
     place[frames] = np.arange(len(frames))
-    return [_of_pairs(tile, spectra, place, lag, at_px) for lag in LAGS if lag < len(images)]
+    return [_of_pairs(tile, spectra, place, lag, at_px) for lag in DISPLACEMENT.lags if lag < len(images)]
 
 
 def _of_pairs(tile: int, spectra: Complex, place: NDArray[np.intp], lag: int, at_px: NDArray[np.float64]) -> Sightings:
@@ -117,20 +142,20 @@ def _of_pairs(tile: int, spectra: Complex, place: NDArray[np.intp], lag: int, at
     many = Sightings(
         np.full(len(first), tile), first, first + lag, np.tile(at_px, (len(first), 1)), moved, (height / 10) ** 2
     )
-    return many.where(height > LEAST_PEAK)
+    return many.where(height > DISPLACEMENT.least_peak)
 
 
 def _sharp_frames(images: Image) -> NDArray[np.intp]:
     """Return the frames in which a tile is sharp, by the gradients along some of its rows."""
-    rows = images[:, ::_EVERY_ROW].astype(np.float32)
+    rows = images[:, :: DISPLACEMENT.every_row].astype(np.float32)
     slopes = rows[:, :, 2:] - rows[:, :, :-2]
     sharpness = np.einsum("kyx,kyx->k", slopes, slopes)
     if not sharpness.any():
         return np.zeros(0, np.intp)
     low, high = float(sharpness.min()), float(sharpness.max())
     order = np.argsort(-sharpness, kind="stable")
-    enough = np.count_nonzero(sharpness >= low + LEAST_SHARPNESS * (high - low))
-    return np.sort(order[: int(np.clip(enough, *FRAMES))])
+    enough = np.count_nonzero(sharpness >= low + DISPLACEMENT.least_sharpness * (high - low))
+    return np.sort(order[: int(np.clip(enough, *DISPLACEMENT.frames))])
 
 
 def _spectra(images: Image) -> Complex:
@@ -143,11 +168,11 @@ def _spectra(images: Image) -> Complex:
     slope.real[:, :, 1:-1] = grey[:, :, 2:] - grey[:, :, :-2]
     slope.imag[:, 1:-1] = grey[:, 2:] - grey[:, :-2]
     steep = np.abs(slope)
-    usual = _STEEPEST * np.median(steep[:, 1::3, 1::3], axis=(1, 2))[:, None, None] + np.float32(1e-6)
+    usual = DISPLACEMENT.steepest * np.median(steep[:, 1::3, 1::3], axis=(1, 2))[:, None, None] + np.float32(1e-6)
     fade = np.hanning(side + 2)[1:-1].astype(np.float32)
     slope *= fade[:, None] * fade / np.maximum(steep, usual)
     frequency = np.fft.fftfreq(side)
-    smooth = np.exp(-((np.pi * _SMOOTH_PX * frequency) ** 2)).astype(np.float32)
+    smooth = np.exp(-((np.pi * DISPLACEMENT.smooth_px * frequency) ** 2)).astype(np.float32)
     spectra: Any = scipy.fft.fft2(slope, axes=(1, 2))
     return spectra * (smooth[:, None] * smooth)
 
@@ -182,18 +207,44 @@ def _vertex(before: NDArray[np.float32], top: NDArray[np.float32], after: NDArra
     return np.where(bend < 0, 0.5 * (low - right) / np.minimum(bend, -1e-12), 0)
 
 
-LEAST_DRIFT_PX = 0.5
-"""Smaller drift is not corrected; growth is judged by its rms displacement over the field."""
-LEAST_TILES = 4
-"""Fewer tiles cannot distinguish motion from light that bends round an edge."""
-STEADY_SHARE = 0.25
-"""Minimum fraction of frames that must show the drift rate before it is extrapolated."""
+@dataclass(frozen=True, slots=True)
+class DriftParameters:
+    """Limits and weights of the estimate of the drift from displacements.
 
-_ROUNDS = 8
-_SCATTER_PX = 0.05
-_SHIFT_TIE, _GROWTH_TIE = 1e-3, 0.1
-_RIGID = 1e6
-_SURE_ERRORS = 3.0
+    Parameters
+    ----------
+    least_px : float, px
+        Smaller drift is not corrected; growth is judged by its rms displacement over the field.
+    least_tiles : int
+        Fewer tiles cannot distinguish motion from light that bends round an edge.
+    steady_share : float
+        Minimum fraction of frames that must show the drift rate before it is extrapolated.
+    rounds : int
+        Number of weighted solutions; the drift rate is estimated in the second half of them.
+    scatter_px : float, px
+        Smallest residual at which the weight of a measurement has fallen to half.
+    shift_tie : float
+        Weight of the tie of the shifts of neighbouring frames to the drift rate.
+    growth_tie : float
+        Weight of the tie of their growth.
+    rigid : float
+        Weight of the tie of growth that suppresses it.
+    sure_errors : float
+        Standard errors by which the range of the drift exceeds its lower bound.
+    """
+
+    least_px: float = 0.5
+    least_tiles: int = 4
+    steady_share: float = 0.25
+    rounds: int = 8
+    scatter_px: float = 0.05
+    shift_tie: float = 1e-3
+    growth_tie: float = 0.1
+    rigid: float = 1e6
+    sure_errors: float = 3.0
+
+
+DRIFT = DriftParameters()
 _MEAN_OVER_FIELD = 3**-0.5
 """Ratio of the rms distance from the middle of a rectangle to that of its corner."""
 
@@ -233,10 +284,10 @@ def drift_of(seen: Sightings, n_frames: int, shape: tuple[int, int]) -> Drift | 
     """
     seen = _agreed(seen, n_frames)
     radius_px = float(np.hypot(*shape)) / 2
-    free = _solve(seen, n_frames, radius_px, _GROWTH_TIE)
-    grows = _least_extent(free, seen, [2]) * _MEAN_OVER_FIELD > LEAST_DRIFT_PX
-    rigid = free if grows else _solve(seen, n_frames, radius_px, _RIGID)
-    shifts = _least_extent(rigid, seen, [0, 1]) > LEAST_DRIFT_PX
+    free = _solve(seen, n_frames, radius_px, DRIFT.growth_tie)
+    grows = _least_extent(free, seen, [2]) * _MEAN_OVER_FIELD > DRIFT.least_px
+    rigid = free if grows else _solve(seen, n_frames, radius_px, DRIFT.rigid)
+    shifts = _least_extent(rigid, seen, [0, 1]) > DRIFT.least_px
     if not grows and not shifts:
         return None
     return Drift(rigid.moves[:, :2] * shifts, rigid.moves[:, 2] / radius_px * grows, shape)
@@ -255,7 +306,7 @@ def drift_note(drift: Drift, pixel_um: float) -> str:
 def _agreed(seen: Sightings, n_frames: int) -> Sightings:
     """Return the measurements of frame pairs with enough tiles."""
     _, of_pair, count = np.unique(seen.first * n_frames + seen.second, return_inverse=True, return_counts=True)
-    return seen.where(count[of_pair] >= LEAST_TILES) if len(seen) else seen
+    return seen.where(count[of_pair] >= DRIFT.least_tiles) if len(seen) else seen
 
 
 def _runs(seen: Sightings, n_frames: int) -> list[Wholes]:
@@ -280,7 +331,7 @@ def _least_extent(solved: _Solved, seen: Sightings, axes: list[int]) -> float:
         without = np.array([one[ends[1]] - one[ends[0]] for one in solved.without])[:, axes]
         spread = without - without.mean(axis=0)
         error = np.sqrt((len(without) - 1) / len(without) * (spread**2).sum())
-        surely = max(surely, float(np.hypot.reduce(np.ptp(path, axis=0)) - _SURE_ERRORS * error))
+        surely = max(surely, float(np.hypot.reduce(np.ptp(path, axis=0)) - DRIFT.sure_errors * error))
     return surely
 
 
@@ -293,15 +344,15 @@ def _solve(seen: Sightings, n_frames: int, radius_px: float, growth_tie: float) 
     moves = np.zeros((n_frames, 3))
     if not len(seen):
         return _Solved(moves, [])
-    problem = _Problem.of(seen, n_frames, np.array([_SHIFT_TIE, _SHIFT_TIE, growth_tie]))
+    problem = _Problem.of(seen, n_frames, np.array([DRIFT.shift_tie, DRIFT.shift_tie, growth_tie]))
     pace, trust, rows = np.zeros(3), seen.weight, _rows(seen, moves, radius_px)
-    for n in range(_ROUNDS):
+    for n in range(DRIFT.rounds):
         moves = problem.moves(rows, trust, pace)
         rows = _rows(seen, moves, radius_px)
         off = seen.moved_px - np.einsum("nab,nb->na", rows, moves[seen.second] - moves[seen.first])
         far = np.hypot(off[:, 0], off[:, 1])
-        trust = seen.weight / (1 + (far / max(_SCATTER_PX, MAD_TO_SIGMA * float(np.median(far)))) ** 2)
-        if n >= _ROUNDS // 2:
+        trust = seen.weight / (1 + (far / max(DRIFT.scatter_px, MAD_TO_SIGMA * float(np.median(far)))) ** 2)
+        if n >= DRIFT.rounds // 2:
             pace = problem.pace(moves)
     without = [problem.moves(rows, trust * (seen.tile != tile), pace) for tile in np.unique(seen.tile)]
     return _Solved(moves, without)
@@ -361,7 +412,7 @@ class _Problem:
     def pace(self, moves: Floats) -> Floats:
         """Return the median motion between consecutive measured frames, 0 if too few are measured."""
         near = self.tied[:-1][np.diff(self.tied) == 1]
-        if len(near) < STEADY_SHARE * self.n_frames:
+        if len(near) < DRIFT.steady_share * self.n_frames:
             return np.zeros(3)
         return np.median(moves[near + 1] - moves[near], axis=0)
 

@@ -26,17 +26,42 @@ FULL_COUNTS = 65535
 FADES_FROM = 0.8
 """An exposure loses weight from this fraction of the clipping level on."""
 
-_FRAMES = 12
-_STRIPS = 6
-_CELL_PX = 8
-_ENOUGH_CELLS = 40
-_GROUPS = 10
-_ALIKE = 1.15
-"""Exposures with a smaller ratio do not determine the black level."""
-_MOST_BLACK = 0.1
-_ENOUGH_RANGE = 0.2
-"""Minimum grey range of the longer exposure, as a fraction of white, to separate gain and black level."""
 
+@dataclass(frozen=True, slots=True)
+class ExposureRatioParameters:
+    """Sample of a stack and limits of the estimate of gains and black level from its exposures.
+
+    Parameters
+    ----------
+    frames : int
+        Largest number of sampled frames.
+    strips : int
+        Largest number of sampled strips of a frame.
+    cell_px : int, px
+        Side of a square whose mean grey is compared.
+    enough_cells : int
+        Smallest number of squares that are well exposed in both of two exposures.
+    groups : int
+        Number of groups of squares of similar grey, through whose means a line is fitted.
+    enough_range : float
+        Minimum grey range of the longer exposure, as a fraction of white, to separate gain and black level.
+    alike : float
+        Exposures with a smaller ratio do not determine the black level.
+    most_black : float
+        Largest black level, as a fraction of white.
+    """
+
+    frames: int = 12
+    strips: int = 6
+    cell_px: int = 8
+    enough_cells: int = 40
+    groups: int = 10
+    enough_range: float = 0.2
+    alike: float = 1.15
+    most_black: float = 0.1
+
+
+EXPOSURE_RATIO = ExposureRatioParameters()
 Cells = tuple[NDArray[np.float32], NDArray[np.float32]]
 
 
@@ -84,8 +109,8 @@ def fusion_of(
     cells = [_cells(one, slots) for one in images]
     order = np.argsort([mean.mean() for mean, _ in cells], kind="stable")
     pairs = [_compare(cells[a], cells[b], nominal[b] / nominal[a], clipped) for a, b in pairwise(order)]
-    black = [pair[1] for pair in pairs if pair[0] > _ALIKE]
-    black_counts = float(np.clip(np.median(black), 0, _MOST_BLACK * white_counts)) if black else 0.0
+    black = [pair[1] for pair in pairs if pair[0] > EXPOSURE_RATIO.alike]
+    black_counts = float(np.clip(np.median(black), 0, EXPOSURE_RATIO.most_black * white_counts)) if black else 0.0
     gains = np.cumprod([1.0, *(pair[0] for pair in pairs)])
     return Fusion(tuple(images[i] for i in order), tuple(gains.tolist()), black_counts, white_counts, clipped)
 
@@ -93,9 +118,9 @@ def fusion_of(
 def _cells(images: Image, slots: NDArray[np.intp]) -> Cells:
     """Return mean and highest grey of small squares in some strips of some frames."""
     n_rows, n_cols = images.shape[1:]
-    high, wide = min(_CELL_PX, n_rows), min(_CELL_PX, n_cols)
-    tops = np.unique(np.linspace(0, n_rows - high, _STRIPS).astype(int))
-    picked = slots[np.unique(np.linspace(0, len(slots) - 1, _FRAMES).astype(int))]
+    high, wide = min(EXPOSURE_RATIO.cell_px, n_rows), min(EXPOSURE_RATIO.cell_px, n_cols)
+    tops = np.unique(np.linspace(0, n_rows - high, EXPOSURE_RATIO.strips).astype(int))
+    picked = slots[np.unique(np.linspace(0, len(slots) - 1, EXPOSURE_RATIO.frames).astype(int))]
     cut = n_cols // wide * wide
     strips = np.concatenate([images[picked, top : top + high, :cut] for top in tops]).astype(np.float32)
     squares = strips.reshape(len(strips), high, cut // wide, wide)
@@ -111,19 +136,19 @@ def _compare(short: Cells, long: Cells, nominal: float, clipped_counts: int) -> 
     """
     known = bool(np.isfinite(nominal)) and nominal > 1
     seen = long[1] < clipped_counts
-    if np.count_nonzero(seen) < _ENOUGH_CELLS:
+    if np.count_nonzero(seen) < EXPOSURE_RATIO.enough_cells:
         return _by_times(nominal if known else None), 0.0
     x, y = short[0][seen].astype(np.float64), long[0][seen].astype(np.float64)
-    groups = np.array_split(np.argsort(x * y.mean() / max(x.mean(), 1.0) + y), _GROUPS)
+    groups = np.array_split(np.argsort(x * y.mean() / max(x.mean(), 1.0) + y), EXPOSURE_RATIO.groups)
     means = np.array([(x[g].mean(), y[g].mean()) for g in groups])
-    if np.ptp(means[:, 1]) > _ENOUGH_RANGE * clipped_counts:
+    if np.ptp(means[:, 1]) > EXPOSURE_RATIO.enough_range * clipped_counts:
         slope, offset = np.polyfit(means[:, 0], means[:, 1], 1)
     else:
         slope = nominal if known else y.mean() / max(x.mean(), 1.0)
         offset = y.mean() - slope * x.mean() if known else 0.0
-    if slope < 1 / _ALIKE:
+    if slope < 1 / EXPOSURE_RATIO.alike:
         return _by_times(nominal if known else None), 0.0
-    return float(slope), float(offset / (1 - slope)) if slope > _ALIKE else 0.0
+    return float(slope), float(offset / (1 - slope)) if slope > EXPOSURE_RATIO.alike else 0.0
 
 
 def _by_times(nominal: float | None) -> float:

@@ -23,18 +23,40 @@ from wafer_viewer.numerics.normal_statistics import MAD_TO_SIGMA
 
 LEAST_FRAMES = 6
 """In fewer frames a sharp detail of the sample may look the same in all of them."""
-MOST_FLAWED = 0.02
-"""Maximum fraction of defects; with more, the detections are features of the sample."""
-LEAST_SHARE_OF_WHITE = 0.016
-"""Minimum difference between a defect and its neighbours, as a fraction of white: 4 of 255."""
-LEAST_NOISE = 6.0
-"""Minimum difference between a defect and its neighbours, in standard deviations of the noise."""
 
-_FRAMES = 14
-_APART = 2
-_REACH = 4
-_SAMPLED_ROWS = 16
 
+@dataclass(frozen=True, slots=True)
+class FlawParameters:
+    """Sample of a stack and limits of a defective pixel.
+
+    Parameters
+    ----------
+    frames : int
+        Largest number of frames in which a defect must show.
+    most_flawed : float
+        Maximum fraction of defects; with more, the detections are features of the sample.
+    least_share_of_white : float
+        Minimum difference between a defect and its neighbours, as a fraction of white: 4 of 255.
+    least_noise : float
+        Minimum difference between a defect and its neighbours, in standard deviations of the noise.
+    sampled_rows : int
+        Approximate number of rows on which the noise is measured.
+    apart_px : int, px
+        Distance between a pixel and the neighbours that it is compared with.
+    reach_px : int, px
+        Largest distance of the sound neighbours that replace a defect.
+    """
+
+    frames: int = 14
+    most_flawed: float = 0.02
+    least_share_of_white: float = 0.016
+    least_noise: float = 6.0
+    sampled_rows: int = 16
+    apart_px: int = 2
+    reach_px: int = 4
+
+
+FLAW = FlawParameters()
 Places = NDArray[np.intp]
 
 
@@ -85,11 +107,11 @@ def find_flaws(exposures: Iterable[Image], slots: NDArray[np.intp], white_counts
     """Return the defective pixels found in the frames `slots` of all exposures; None if there are none."""
     if len(slots) < LEAST_FRAMES:
         return None
-    picked: NDArray[np.intp] = slots[np.unique(np.linspace(0, len(slots) - 1, _FRAMES).astype(int))]
+    picked: NDArray[np.intp] = slots[np.unique(np.linspace(0, len(slots) - 1, FLAW.frames).astype(int))]
     found = [_flawed(images, picked, white_counts) for images in exposures]
     shape = found[0].shape
     flawed = _whole_lines(np.logical_or.reduce(found))
-    if not flawed.any() or flawed.mean() > MOST_FLAWED or min(shape) <= 2 * _REACH:
+    if not flawed.any() or flawed.mean() > FLAW.most_flawed or min(shape) <= 2 * FLAW.reach_px:
         return None
     return _with_neighbours(flawed)
 
@@ -105,7 +127,7 @@ def _flawed(images: Image, slots: NDArray[np.intp], white_counts: int) -> NDArra
     first, last = images[slots[0]], images[slots[-1]]
     least = _least_difference(first, white_counts)
     flawed = np.zeros(first.shape, bool)
-    if min(first.shape) <= 2 * _REACH or least > white_counts // 2:
+    if min(first.shape) <= 2 * FLAW.reach_px or least > white_counts // 2:
         return flawed
     for brighter in (True, False):
         for axis in (0, 1):
@@ -117,18 +139,18 @@ def _flawed(images: Image, slots: NDArray[np.intp], white_counts: int) -> NDArra
 
 
 def _least_difference(frame: Image, white_counts: int) -> int:
-    rows = frame[:: max(1, len(frame) // _SAMPLED_ROWS)].astype(np.float32)
+    rows = frame[:: max(1, len(frame) // FLAW.sampled_rows)].astype(np.float32)
     noise = MAD_TO_SIGMA * float(np.median(np.abs(np.diff(rows, axis=1)))) / np.sqrt(2) if rows.shape[1] > 1 else 0.0
-    return int(np.ceil(max(LEAST_SHARE_OF_WHITE * white_counts, LEAST_NOISE * noise)))
+    return int(np.ceil(max(FLAW.least_share_of_white * white_counts, FLAW.least_noise * noise)))
 
 
 def _stands_out(frame: Image, axis: int, brighter: bool, least: int) -> NDArray[np.bool_]:
     """Return a mask of pixels beyond both neighbours two pixels away along the axis by more than `least`."""
     turned = frame if axis else frame.T
-    ahead = turned[:, 2 * _APART :]
-    behind, here = turned[:, : -2 * _APART], turned[:, _APART:-_APART]
+    ahead = turned[:, 2 * FLAW.apart_px :]
+    behind, here = turned[:, : -2 * FLAW.apart_px], turned[:, FLAW.apart_px : -FLAW.apart_px]
     out = np.zeros(turned.shape, bool)
-    inner = out[:, _APART:-_APART]
+    inner = out[:, FLAW.apart_px : -FLAW.apart_px]
     if brighter:
         top = np.iinfo(frame.dtype).max - least
         np.greater(here, np.minimum(np.maximum(ahead, behind), top) + frame.dtype.type(least), out=inner)
@@ -139,7 +161,7 @@ def _stands_out(frame: Image, axis: int, brighter: bool, least: int) -> NDArray[
 
 def _stand_out_at(frame: Image, at: Places, axis: int, brighter: bool, least: int) -> NDArray[np.bool_]:
     """Apply the test of `_stands_out` to selected pixels."""
-    step = np.array([0, _APART] if axis else [_APART, 0])
+    step = np.array([0, FLAW.apart_px] if axis else [FLAW.apart_px, 0])
     here, ahead, behind = (frame[tuple(p.T)].astype(np.int32) for p in (at, at + step, at - step))
     return here > np.maximum(ahead, behind) + least if brighter else here < np.minimum(ahead, behind) - least
 
@@ -160,7 +182,7 @@ def _with_neighbours(flawed: NDArray[np.bool_]) -> Flaws | None:
 def _nearest_sound(flawed: NDArray[np.bool_], at: Places, step: NDArray[np.intp]) -> Places:
     """Return the first sound pixel from each in steps, or the pixel itself if there is none within reach."""
     out = at.copy()
-    for n in range(_REACH, 0, -1):
+    for n in range(FLAW.reach_px, 0, -1):
         there = at + n * step
         inside = ((there >= 0) & (there < flawed.shape)).all(axis=1)
         good = np.zeros(len(at), bool)
@@ -169,28 +191,54 @@ def _nearest_sound(flawed: NDArray[np.bool_], at: Places, step: NDArray[np.intp]
     return out
 
 
-LEAST_RATIO = 1.4
-"""Minimum grey ratio between a flash or dead frame and both sides."""
-LEAST_SIGMAS = 8.0
-"""Minimum difference in standard deviations of the frames' own scatter, in logarithms."""
-LEAST_RATIO_AT_END = 4.0
-"""Minimum grey ratio for the first and the last frame, which have one side only."""
-LEAST_CLIPPED = 0.5
-"""Minimum fraction of pixels that a flash clips in addition to the frames on both sides."""
-DEAD_SHARE = 0.25
-"""A blank frame has less than this fraction of the lowest focus energy of the others."""
-LEAST_JUMP = 2.0
-"""Minimum ratio of the change into and out of a flash to the change before and after."""
-SHARPER = 1.3
-"""A frame with this much more contrast than both sides is in focus, however bright."""
-MOST_FAULTY = 0.2
-"""Maximum fraction of faulty frames; beyond it the light is unsteady and no frame can serve as reference."""
+@dataclass(frozen=True, slots=True)
+class FaultParameters:
+    """Limits of a flash and of a dead frame.
 
-_SIDE = 3
-_ROWS = 10
-_DARK_SHARE_OF_WHITE = 6 / 255
-_LEAST_VARIANCE = 0.1
+    Parameters
+    ----------
+    least_ratio : float
+        Minimum grey ratio between a flash or dead frame and both sides.
+    least_ratio_at_end : float
+        Minimum grey ratio for the first and the last frame, which have one side only.
+    least_sigmas : float
+        Minimum difference in standard deviations of the frames' own scatter, in logarithms.
+    least_clipped : float
+        Minimum fraction of pixels that a flash clips in addition to the frames on both sides.
+    dead_share : float
+        A blank frame has less than this fraction of the lowest focus energy of the others.
+    least_jump : float
+        Minimum ratio of the change into and out of a flash to the change before and after.
+    sharper : float
+        A frame with this much more contrast than both sides is in focus, however bright.
+    most_faulty : float
+        Maximum fraction of faulty frames; beyond it the light is unsteady and no frame can serve as reference.
+    side : int
+        Number of frames on each side whose median a frame is compared with.
+    rows : int
+        Approximate number of rows on which a frame is measured.
+    dark_share_of_white : float
+        Offset added to the mean grey before its logarithm, as a fraction of white.
+    least_energy : float, counts^2
+        Offset added to the focus energy before its logarithm; no frame counts as blank where the second lowest energy
+        is not larger.
+    """
 
+    least_ratio: float = 1.4
+    least_ratio_at_end: float = 4.0
+    least_sigmas: float = 8.0
+    least_clipped: float = 0.5
+    dead_share: float = 0.25
+    least_jump: float = 2.0
+    sharper: float = 1.3
+    most_faulty: float = 0.2
+    side: int = 3
+    rows: int = 10
+    dark_share_of_white: float = 6 / 255
+    least_energy: float = 0.1
+
+
+FAULT = FaultParameters()
 Stats = NDArray[np.float64]
 
 
@@ -205,7 +253,7 @@ class FrameStats:
     @classmethod
     def of(cls, images: Image, slots: NDArray[np.intp], clipped_counts: int) -> FrameStats:
         """Measure the frames `slots` on a few rows each."""
-        rows = slice(None, None, max(1, images.shape[1] // _ROWS))
+        rows = slice(None, None, max(1, images.shape[1] // FAULT.rows))
         found = [_stats(images[slot, rows], clipped_counts) for slot in slots]
         return cls(*np.array(found, np.float64).T)
 
@@ -235,7 +283,7 @@ def faulty_frames(
     for one in exposures:
         stats = FrameStats.of(one.images, slots, clipped_counts)
         found |= {int(slots[k]): why for k, why in _faults(stats, white_counts)}
-    return found if len(found) <= MOST_FAULTY * len(slots) else {}
+    return found if len(found) <= FAULT.most_faulty * len(slots) else {}
 
 
 def _stats(rows: Image, clipped_counts: int) -> tuple[float, float, float]:
@@ -245,18 +293,18 @@ def _stats(rows: Image, clipped_counts: int) -> tuple[float, float, float]:
 
 def _faults(stats: FrameStats, white_counts: int) -> Iterator[tuple[int, str]]:
     """Yield the index along z and a description of each faulty frame."""
-    dark = _DARK_SHARE_OF_WHITE * white_counts
+    dark = FAULT.dark_share_of_white * white_counts
     log = np.log(stats.grey + dark)
     below, above = _sides(log)
     off = _nearer(log - below, log - above)
     scatter = MAD_TO_SIGMA * float(np.median(np.abs(off[1:-1])))
-    limit = np.full(len(log), max(np.log(LEAST_RATIO), LEAST_SIGMAS * scatter))
-    limit[[0, -1]] = np.maximum(limit[[0, -1]], np.log(LEAST_RATIO_AT_END))
-    contrast = np.log(stats.energy + _LEAST_VARIANCE) - 2 * log
-    sharper = _nearer(*(contrast - side for side in _sides(contrast))) > np.log(SHARPER)
+    limit = np.full(len(log), max(np.log(FAULT.least_ratio), FAULT.least_sigmas * scatter))
+    limit[[0, -1]] = np.maximum(limit[[0, -1]], np.log(FAULT.least_ratio_at_end))
+    contrast = np.log(stats.energy + FAULT.least_energy) - 2 * log
+    sharper = _nearer(*(contrast - side for side in _sides(contrast))) > np.log(FAULT.sharper)
     flash = (off > limit) & ~sharper
-    clips = _nearer(*(stats.clipped - side for side in _sides(stats.clipped))) > LEAST_CLIPPED
-    black = (off < -limit) & (log < np.percentile(log, 10) - np.log(LEAST_RATIO))
+    clips = _nearer(*(stats.clipped - side for side in _sides(stats.clipped))) > FAULT.least_clipped
+    black = (off < -limit) & (log < np.percentile(log, 10) - np.log(FAULT.least_ratio))
     lit = _abrupt(flash | clips | black, log)
     blank = _is_blank(stats.energy)
     sides = np.exp((below + above) / 2) - dark
@@ -278,17 +326,17 @@ def _abrupt(flagged: NDArray[np.bool_], log: Stats) -> NDArray[np.bool_]:
         if not run.size:
             continue
         first, last = run[0], run[-1]
-        begins = first < 2 or step[first - 1] > LEAST_JUMP * step[first - 2]
-        ends = last > len(log) - 3 or step[last] > LEAST_JUMP * step[last + 1]
+        begins = first < 2 or step[first - 1] > FAULT.least_jump * step[first - 2]
+        ends = last > len(log) - 3 or step[last] > FAULT.least_jump * step[last + 1]
         kept[run] = begins and ends
     return kept
 
 
 def _sides(values: Stats) -> tuple[Stats, Stats]:
     """Return the medians of the frames before and after each; at an end both are those of the one side."""
-    windows = sliding_window_view(np.pad(values, _SIDE, mode="edge"), _SIDE)
+    windows = sliding_window_view(np.pad(values, FAULT.side, mode="edge"), FAULT.side)
     medians = np.median(windows, axis=1)
-    before, after = medians[: len(values)].copy(), medians[_SIDE + 1 :].copy()
+    before, after = medians[: len(values)].copy(), medians[FAULT.side + 1 :].copy()
     before[0], after[-1] = after[0], before[-1]
     return before, after
 
@@ -302,6 +350,6 @@ def _nearer(one: Stats, other: Stats) -> Stats:
 def _is_blank(energy: Stats) -> NDArray[np.bool_]:
     """Return a mask of a frame with far less focus energy than any other, even out of focus."""
     least, next_least = np.partition(energy, 1)[:2]
-    if least >= DEAD_SHARE * next_least or next_least <= _LEAST_VARIANCE:
+    if least >= FAULT.dead_share * next_least or next_least <= FAULT.least_energy:
         return np.zeros(len(energy), np.bool_)
     return energy == least
