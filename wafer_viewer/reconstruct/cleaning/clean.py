@@ -197,11 +197,33 @@ MOST_ROUNDS = {"none": 1, "literal": 30, "guided": 30, "switching_median": 6, "s
 A structure 20 px wide, the smallest to trust at a window of 9, then retains its height.
 """
 
-_LEAST_GAIN = 1e-4
-_N_SIGMAS = (3.0, 3.5, 4.0, 4.5)
-_MORE_THAN_NOISE = 2.0
-_FLIGHTS_TRIED = 20_001
-_LEAST_FLIGHT_STEPS = 0.05
+
+@dataclass(frozen=True, slots=True)
+class LevyTuningParameters:
+    """Limits by which noise limit, flight length and number of rounds are chosen for a map.
+
+    Parameters
+    ----------
+    n_sigmas : tuple[float, ...]
+        Noise limits that are compared, rising, in standard deviations of the noise.
+    more_than_noise : float
+        Number of errors beyond a noise limit, relative to that of Gaussian noise, from which the limit is taken.
+    flights : int
+        Number of flights whose median length is taken.
+    least_flight_steps : float
+        Smallest length of the median literal flight, in steps of the resolution.
+    least_gain : float
+        Smallest move of the map in a round that counts, relative to the largest move.
+    """
+
+    n_sigmas: tuple[float, ...] = (3.0, 3.5, 4.0, 4.5)
+    more_than_noise: float = 2.0
+    flights: int = 20_001
+    least_flight_steps: float = 0.05
+    least_gain: float = 1e-4
+
+
+LEVY_TUNING = LevyTuningParameters()
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -286,11 +308,11 @@ def _n_sigma(maps: Sequence[Map]) -> float:
     """
     bends = np.concatenate([np.zeros(0, np.float32), *(bends_of(z) for z in maps)])
     noise_um = max((height_noise_um(z) for z in maps), default=0.0)
-    for n in _N_SIGMAS[:-1]:
+    for n in LEVY_TUNING.n_sigmas[:-1]:
         beyond = np.count_nonzero(np.abs(bends) > n * noise_um)
-        if beyond > _MORE_THAN_NOISE * math.erfc(n / math.sqrt(2)) * bends.size:
+        if beyond > LEVY_TUNING.more_than_noise * math.erfc(n / math.sqrt(2)) * bends.size:
             return n
-    return _N_SIGMAS[-1]
+    return LEVY_TUNING.n_sigmas[-1]
 
 
 def _alpha(maps: Sequence[Map], levy: Levy, resolution_um: float) -> float:
@@ -298,9 +320,9 @@ def _alpha(maps: Sequence[Map], levy: Levy, resolution_um: float) -> float:
 
     A guided flight is measured relative to the distance to its guide, a literal one in um.
     """
-    middle = float(np.median(flight_lengths(np.random.default_rng(levy.seed), _FLIGHTS_TRIED, levy.beta)))
+    middle = float(np.median(flight_lengths(np.random.default_rng(levy.seed), LEVY_TUNING.flights, levy.beta)))
     noise_um = float(np.median([height_noise_um(z) for z in maps] or [0.0]))
-    return (max(noise_um, _LEAST_FLIGHT_STEPS * resolution_um) if levy.mode == "literal" else 1.0) / middle
+    return (max(noise_um, LEVY_TUNING.least_flight_steps * resolution_um) if levy.mode == "literal" else 1.0) / middle
 
 
 def _rounds_that_count(z_um: Map, levy: Levy, resolution_um: float) -> int:
@@ -309,4 +331,4 @@ def _rounds_that_count(z_um: Map, levy: Levy, resolution_um: float) -> int:
     for after in islice(SMOOTHERS[levy.mode](z_um, levy, resolution_um), MOST_ROUNDS[levy.mode]):
         moves.append(float(np.nansum(np.abs(after - before), dtype=np.float64)))
         before = after.copy()
-    return max((n for n, move in enumerate(moves, 1) if move > _LEAST_GAIN * max(moves)), default=1)
+    return max((n for n, move in enumerate(moves, 1) if move > LEVY_TUNING.least_gain * max(moves)), default=1)

@@ -32,20 +32,55 @@ from wafer_viewer.reconstruct.comparison.resampled_surface import ResampledMosai
 from wafer_viewer.reconstruct.registration.overlap_strips import Read, height_of, picture_of
 from wafer_viewer.reconstruct.registration.pair_registration import match
 
-PATCH_PX = 256
-REACH_PX, NEAR_PX = 96.0, 8.0
-"""Search reach of a patch initially, and after a coarser resolution has located it."""
-MOST_TURN_MRAD, TURN_STEP_MRAD = 60.0, 6.0
-"""Range and step of the rotations tried if no match is found without; a step moves a patch's rim by at most 1 px."""
-LEAST_PATCHES = 3
-"""Minimum number of patches to estimate a rotation with redundancy."""
-_GRID = 5
-_LEVELS_AT_ONCE = 2
-_FAR_OFF = 4.0
-_MOST_TURN = 0.05
-_LEAST_SPREAD_PX, _LEAST_U_PX = 0.03, 0.02
-"""Minimum scatter of patches, and their common error, due to interpolation and pixel shape."""
 
+@dataclass(frozen=True, slots=True)
+class PatchParameters:
+    """Patches that are matched between two surfaces, and the limits of their agreement.
+
+    Parameters
+    ----------
+    side_px : int, px
+        Side of a patch.
+    grid : int
+        Largest number of patches along each axis.
+    levels_at_once : int
+        Step between the levels that are searched.
+    reach_px : float, px
+        Search reach of a patch initially.
+    near_px : float, px
+        Search reach of a patch after a coarser resolution has located it.
+    most_turn_mrad : float, mrad
+        Range of the rotations tried if no match is found without, in both directions.
+    turn_step_mrad : float, mrad
+        Step of those rotations; a step moves a patch's rim by at most 1 px.
+    least : int
+        Minimum number of patches to estimate a rotation with redundancy.
+    far_off : float
+        Largest deviation of an agreeing patch: from the median in pixels at first, then from the fit in standard
+        deviations of the patches.
+    most_turn : float, rad
+        Rotation that is allowed for when deviations from the median are judged.
+    least_spread_px : float, px
+        Minimum scatter of patches, due to interpolation and pixel shape.
+    least_u_px : float, px
+        Common error of the patches, due to interpolation and pixel shape.
+    """
+
+    side_px: int = 256
+    grid: int = 5
+    levels_at_once: int = 2
+    reach_px: float = 96.0
+    near_px: float = 8.0
+    most_turn_mrad: float = 60.0
+    turn_step_mrad: float = 6.0
+    least: int = 3
+    far_off: float = 4.0
+    most_turn: float = 0.05
+    least_spread_px: float = 0.03
+    least_u_px: float = 0.02
+
+
+PATCHES = PatchParameters()
 Numbers = NDArray[np.float64]
 Bounds = tuple[float, float, float, float]
 """x low, y low, x high, y high in um."""
@@ -104,14 +139,17 @@ def _levels(first: Mosaic, overlap_um: Bounds) -> list[int]:
     """Return the levels, from the one at which 1.5 patches span the overlap to full resolution, which is used twice."""
     xa, ya, xb, yb = overlap_um
     side_px = max(xb - xa, yb - ya) / first.pixel_um
-    coarsest = min(first.levels - 1, max(0, math.ceil(math.log2(side_px / (1.5 * PATCH_PX)))))
-    return [*range(coarsest, 0, -_LEVELS_AT_ONCE), 0, 0]
+    coarsest = min(first.levels - 1, max(0, math.ceil(math.log2(side_px / (1.5 * PATCHES.side_px)))))
+    return [*range(coarsest, 0, -PATCHES.levels_at_once), 0, 0]
 
 
 def _sightings(read: Read, laid: ResampledMosaic, overlap_um: Bounds, level: int, begun: bool) -> _Sightings:
     """Match the patches of a level, with a wide search until a coarser level has succeeded."""
     pixel = laid.first.pixel_um * 2**level
-    found = [_sighting(read, laid, at, level, NEAR_PX if begun else REACH_PX) for at in _centres(overlap_um, pixel)]
+    found = [
+        _sighting(read, laid, at, level, PATCHES.near_px if begun else PATCHES.reach_px)
+        for at in _centres(overlap_um, pixel)
+    ]
     at, off, u, doubts = zip(*found, strict=True)
     return _Sightings(np.array(at), np.array(off), np.array(u), list(doubts))
 
@@ -119,7 +157,7 @@ def _sightings(read: Read, laid: ResampledMosaic, overlap_um: Bounds, level: int
 def _centres(overlap_um: Bounds, pixel_um: float) -> list[tuple[float, float]]:
     """Return the centres of a grid of patches over the overlap; patches overlap where space is limited."""
     xa, ya, xb, yb = overlap_um
-    half = PATCH_PX / 2 * pixel_um
+    half = PATCHES.side_px / 2 * pixel_um
     xs, ys = _along(xa, xb, half), _along(ya, yb, half)
     return [(x, y) for x in xs for y in ys]
 
@@ -127,7 +165,7 @@ def _centres(overlap_um: Bounds, pixel_um: float) -> list[tuple[float, float]]:
 def _along(low: float, high: float, half: float) -> Numbers:
     if high - low <= 2.2 * half:
         return np.array([(low + high) / 2])
-    n = min(_GRID, max(2, math.ceil((high - low) / half) - 1))
+    n = min(PATCHES.grid, max(2, math.ceil((high - low) / half) - 1))
     return np.linspace(low + half, high - half, n)
 
 
@@ -138,10 +176,10 @@ def _sighting(
     pixel = laid.first.pixel_um * 2**level
     nowhere = at_um, (0.0, 0.0), (math.inf, math.inf), RejectionReason.BLANK
     try:
-        one = laid.first.window(_square(at_um, pixel, PATCH_PX).region, level)
+        one = laid.first.window(_square(at_um, pixel, PATCHES.side_px).region, level)
     except MeasureError:
         return nowhere
-    other = laid.on(_on_pixels_of(one, _square(at_um, pixel, PATCH_PX)))
+    other = laid.on(_on_pixels_of(one, _square(at_um, pixel, PATCHES.side_px)))
     if not (_holds_enough(one) and _holds_enough(other)):
         return nowhere
     fit = match(one, other, reach_px, read)
@@ -162,7 +200,7 @@ def _on_pixels_of(one: HeightMap, square: SampleGrid) -> SampleGrid:
 
 
 def _holds_enough(part: HeightMap) -> bool:
-    return min(part.shape) >= PATCH_PX // 8
+    return min(part.shape) >= PATCHES.side_px // 8
 
 
 def _solved(before: Registration, seen: _Sightings, pixel_um: float) -> InPlane:
@@ -175,7 +213,7 @@ def _solved(before: Registration, seen: _Sightings, pixel_um: float) -> InPlane:
     kept, motion, covariance = _agreed(at, off, u, pixel_um)
     if kept.sum() < believed.sum() / 2:
         return InPlane(before, covariance, RejectionReason.AMBIGUOUS)
-    if kept.sum() < min(LEAST_PATCHES, max(1, len(believed) // 2)):
+    if kept.sum() < min(PATCHES.least, max(1, len(believed) // 2)):
         return InPlane(before, covariance, RejectionReason.UNLIKE)
     after = replace(
         before,
@@ -184,23 +222,23 @@ def _solved(before: Registration, seen: _Sightings, pixel_um: float) -> InPlane:
         turn_mrad=before.turn_mrad + float(motion[2]) * 1e3,
     )
     reach_um = max(float(np.hypot(*at.T).max()), pixel_um)
-    floor = np.diag([1.0, 1.0, 1 / reach_um**2]) * (_LEAST_U_PX * pixel_um) ** 2
+    floor = np.diag([1.0, 1.0, 1 / reach_um**2]) * (PATCHES.least_u_px * pixel_um) ** 2
     return InPlane(after, covariance + floor, RejectionReason.NONE)
 
 
 def _agreed(at: Numbers, off: Numbers, u: Numbers, pixel_um: float) -> tuple[NDArray[np.bool_], Numbers, Numbers]:
     """Return (mask of agreeing patches, shift and rotation, covariance); the others may have changed."""
-    u = np.hypot(u, _LEAST_SPREAD_PX * pixel_um)
+    u = np.hypot(u, PATCHES.least_spread_px * pixel_um)
     kept = np.hypot(*(off - np.median(off, axis=0)).T) <= max(
-        _FAR_OFF * pixel_um, 0.05 * float(np.abs(at).max(initial=0))
+        PATCHES.far_off * pixel_um, PATCHES.most_turn * float(np.abs(at).max(initial=0))
     )
     motion, covariance = np.zeros(3), np.diag([np.inf] * 3)
     for _ in range(4):
         motion, covariance, left = _through(at, off, u, kept)
-        if kept.sum() < LEAST_PATCHES:
+        if kept.sum() < PATCHES.least:
             break
-        spread = max(MAD_TO_SIGMA * float(np.median(np.abs(left[kept]))), _LEAST_SPREAD_PX * pixel_um)
-        kept = np.abs(left).max(axis=1) <= _FAR_OFF * spread
+        spread = max(MAD_TO_SIGMA * float(np.median(np.abs(left[kept]))), PATCHES.least_spread_px * pixel_um)
+        kept = np.abs(left).max(axis=1) <= PATCHES.far_off * spread
     return kept, motion, covariance
 
 
@@ -212,7 +250,7 @@ def _through(at: Numbers, off: Numbers, u: Numbers, kept: NDArray[np.bool_]) -> 
     n = len(at)
     design = np.zeros((n, 2, 3))
     design[:, 0, 0] = design[:, 1, 1] = 1
-    if kept.sum() >= LEAST_PATCHES:
+    if kept.sum() >= PATCHES.least:
         design[:, 0, 2], design[:, 1, 2] = -at[:, 1], at[:, 0]
     rows, values, weights = design[kept].reshape(-1, 3), off[kept].ravel(), 1 / u[kept].ravel()
     normal = (rows * weights[:, None] ** 2).T @ rows
@@ -256,8 +294,8 @@ def _turned(
 
 
 def _turns() -> Iterator[float]:
-    n = round(MOST_TURN_MRAD / TURN_STEP_MRAD)
-    return (k * TURN_STEP_MRAD for k in range(-n, n + 1))
+    n = round(PATCHES.most_turn_mrad / PATCHES.turn_step_mrad)
+    return (k * PATCHES.turn_step_mrad for k in range(-n, n + 1))
 
 
 def _alike(read: Read, laid: ResampledMosaic, at_um: tuple[float, float], level: int) -> float:
@@ -265,25 +303,48 @@ def _alike(read: Read, laid: ResampledMosaic, at_um: tuple[float, float], level:
     from wafer_viewer.numerics.correlation import contrast, normalised_cross_correlation
 
     pixel = laid.first.pixel_um * 2**level
-    one = laid.first.window(_square(at_um, pixel, PATCH_PX).region, level)
-    other = laid.on(_on_pixels_of(one, _square(at_um, pixel, PATCH_PX)))
+    one = laid.first.window(_square(at_um, pixel, PATCHES.side_px).region, level)
+    other = laid.on(_on_pixels_of(one, _square(at_um, pixel, PATCHES.side_px)))
     pictures = [read(part, slice(0, part.shape[0]), slice(0, part.shape[1])) for part in (one, other)]
     known = [picture.known > 0 for picture in pictures]
     details = [contrast(p.values, k, 11) for p, k in zip(pictures, known, strict=True)]
-    alike = normalised_cross_correlation(details[0], known[0], details[1], known[1], (0, 0), int(REACH_PX))
+    alike = normalised_cross_correlation(details[0], known[0], details[1], known[1], (0, 0), int(PATCHES.reach_px))
     enough = alike.pixels >= 0.3 * alike.pixels.max(initial=1.0)
     return float(np.where(enough, alike.sigmas, 0.0).max(initial=0.0))
 
 
-SAMPLE_PX = 256
-"""Number of sample points along each side of the common region."""
-LEAST_POINTS = 100
-_BLOCK_PX = 16
-_TUKEY = 4.685
-_STEEPEST = 1.0
-"""Slope above which a height is a wall, whose position depends more on the microscope than on the sample."""
-_LEAST_REFINED_U_PX = 0.1
-"""Minimum lateral uncertainty of a sample point, because points are means of many pixels."""
+@dataclass(frozen=True, slots=True)
+class ReliefParameters:
+    """Sample of two surfaces, and limits of their alignment by the relief.
+
+    Parameters
+    ----------
+    sample_px : int
+        Number of sample points along each side of the common region.
+    least_points : int
+        Smallest number of sample points that are measured in both.
+    block_px : int, sample points
+        Side of the blocks of the plane fit.
+    tukey : float
+        Scale of Tukey's loss, in standard deviations of the differences; points beyond it do not count.
+    least_sigma_um : float, um
+        Smallest standard deviation of the differences.
+    steepest : float, um per um
+        Slope above which a height is a wall, whose position depends more on the microscope than on the sample.
+    least_u_px : float, sample points
+        Minimum lateral uncertainty of a sample point, because points are means of many pixels.
+    """
+
+    sample_px: int = 256
+    least_points: int = 100
+    block_px: int = 16
+    tukey: float = 4.685
+    least_sigma_um: float = 1e-4
+    steepest: float = 1.0
+    least_u_px: float = 0.1
+
+
+RELIEF = ReliefParameters()
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -338,7 +399,7 @@ def settled(
 def _sample(laid: ResampledMosaic, region: Region) -> _Sample:
     xa, ya, xb, yb = region.bounds_um
     side_px = max(xb - xa, yb - ya) / laid.first.pixel_um
-    level = min(laid.first.levels - 1, max(0, int(np.ceil(np.log2(max(side_px, 1.0) / SAMPLE_PX)))))
+    level = min(laid.first.levels - 1, max(0, int(np.ceil(np.log2(max(side_px, 1.0) / RELIEF.sample_px)))))
     one = laid.first.window(region, level)
     other = laid.on(SampleGrid(one.pixel_um, one.x0_um, one.y0_um, one.shape))
     return _Sample(SampleGrid(one.pixel_um, one.x0_um, one.y0_um, one.shape), _heights(one), _heights(other))
@@ -351,10 +412,10 @@ def _heights(part: HeightMap) -> NDArray[np.float32]:
 def _plane(sample: _Sample) -> Plane:
     """Fit a robust plane to the differences. Raises MeasureError when there are too few."""
     n = int(np.isfinite(sample.difference_um).sum())
-    found = fit_plane(sample.difference_um, _BLOCK_PX) if n >= LEAST_POINTS else None
+    found = fit_plane(sample.difference_um, RELIEF.block_px) if n >= RELIEF.least_points else None
     if found is None:
         raise MeasureError(
-            f"Both surfaces are measured at {n} of the places looked at and at least {LEAST_POINTS} are needed: "
+            f"Both surfaces are measured at {n} of the places looked at and at least {RELIEF.least_points} are needed: "
             "take surfaces of the same part of the sample."
         )
     return found
@@ -382,12 +443,12 @@ def _on_plane(registration: Registration, sample: _Sample, plane: Plane) -> Regi
 def _icp(sample: _Sample, plane: Plane, about_um: tuple[float, float]) -> tuple[Numbers, Numbers]:
     """Return the motion (x, y, turn) of the second estimated from its relief, and its inverse covariance."""
     target, source, normals = _points(sample, about_um)
-    if len(target) < LEAST_POINTS:
+    if len(target) < RELIEF.least_points:
         return np.zeros(3), np.zeros((3, 3))
     registration = _open3d().pipelines.registration
-    sigma = max(plane.rms, 1e-4)
-    estimation = registration.TransformationEstimationPointToPlane(registration.TukeyLoss(k=_TUKEY * sigma))
-    reach_um = float(np.hypot(sample.lattice.pixel_um, 2 * _TUKEY * sigma))
+    sigma = max(plane.rms, RELIEF.least_sigma_um)
+    estimation = registration.TransformationEstimationPointToPlane(registration.TukeyLoss(k=RELIEF.tukey * sigma))
+    reach_um = float(np.hypot(sample.lattice.pixel_um, 2 * RELIEF.tukey * sigma))
     found = registration.registration_icp(
         _cloud(source), _cloud(target, normals), reach_um, np.eye(4), estimation
     ).transformation
@@ -400,7 +461,7 @@ def _icp(sample: _Sample, plane: Plane, about_um: tuple[float, float]) -> tuple[
 def _points(sample: _Sample, about_um: tuple[float, float]) -> tuple[Numbers, Numbers, Numbers]:
     """Return points of both, [n, 3] in um from the centre, and normals of the first, without walls and edges."""
     down, right = (np.asarray(d, np.float64) for d in np.gradient(sample.first_um, sample.lattice.pixel_um))
-    there = np.isfinite(down + right + sample.second_um) & (np.hypot(down, right) < _STEEPEST)
+    there = np.isfinite(down + right + sample.second_um) & (np.hypot(down, right) < RELIEF.steepest)
     rows, cols = np.nonzero(there)
     x = sample.lattice.x0_um + cols * sample.lattice.pixel_um - about_um[0]
     y = sample.lattice.y0_um - rows * sample.lattice.pixel_um - about_um[1]
@@ -419,12 +480,13 @@ def _information(target: Numbers, normals: Numbers, source: Numbers, plane: Plan
     x, y = target[:, 0], target[:, 1]
     nx, ny, nz = normals.T
     design = np.stack([nx, ny, x * ny - y * nx, nz, x * nz, y * nz], axis=1)
-    design = design[np.abs(((source - target) * normals).sum(axis=1)) < _TUKEY * max(plane.rms, 1e-4)]
-    alike = max(1.0, plane.n_pixels / max(plane.rms, 1e-4) ** 2 / max(float(plane.information[0, 0]), 1e-30))
-    full = design.T @ design / (max(plane.rms, 1e-4) ** 2 * alike)
+    sigma = max(plane.rms, RELIEF.least_sigma_um)
+    design = design[np.abs(((source - target) * normals).sum(axis=1)) < RELIEF.tukey * sigma]
+    alike = max(1.0, plane.n_pixels / sigma**2 / max(float(plane.information[0, 0]), 1e-30))
+    full = design.T @ design / (sigma**2 * alike)
     free = full[:3, :3] - full[:3, 3:] @ np.linalg.pinv(full[3:, 3:], hermitian=True) @ full[3:, :3]
     reach_um = max(float(np.hypot(x, y).max()), pixel_um)
-    floor = np.diag([1.0, 1.0, 1 / reach_um**2]) * (_LEAST_REFINED_U_PX * pixel_um) ** 2
+    floor = np.diag([1.0, 1.0, 1 / reach_um**2]) * (RELIEF.least_u_px * pixel_um) ** 2
     return np.asarray(np.linalg.pinv(np.linalg.pinv(free, hermitian=True) + floor, hermitian=True), np.float64)
 
 

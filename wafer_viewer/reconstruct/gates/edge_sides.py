@@ -17,6 +17,7 @@ are not flat, they rise with the distance from the wall divided by the aperture.
 from __future__ import annotations
 
 import math
+from dataclasses import dataclass
 from enum import IntEnum
 from typing import Any, NamedTuple
 
@@ -224,18 +225,37 @@ STANDING_GAPS = 2.0
 BAND_REACH_PX = 8
 """Distance beyond the silhouette, which is about 8 pixels wide, over which light bleeds visibly."""
 
-SURELY_DARK, SURELY_BRIGHT = 0.35, 0.78
-"""Thresholds for certain pixels at the outline, from the local minimum (0) to maximum (1) of log grey."""
 
-DEEP_SHARE = 0.9
-"""Fraction of neighbours on one side that classifies an uncertain pixel; single grains may differ from their side."""
+@dataclass(frozen=True, slots=True)
+class SideParameters:
+    """Thresholds of the classification of pixels near a wall.
 
-_LEVELS_PX = 5
+    Parameters
+    ----------
+    surely_dark : float
+        Threshold for certainly dark pixels at the outline, from the local minimum (0) to maximum (1) of log grey.
+    surely_bright : float
+        Threshold for certainly bright pixels on the same scale.
+    deep_share : float
+        Fraction of neighbours on one side that classifies an uncertain pixel; single grains may differ from their side.
+    levels_px : int, pixels of half resolution
+        Side of the square in which the extremes of log grey and of contrast are taken.
+    ridge_share : float
+        Smallest contrast along the middle of a wall, relative to the largest nearby.
+    """
+
+    surely_dark: float = 0.35
+    surely_bright: float = 0.78
+    deep_share: float = 0.9
+    levels_px: int = 5
+    ridge_share: float = 0.8
+
+
+SIDE = SideParameters()
 _REACH = BAND_REACH_PX // 2
 """`BAND_REACH_PX` in pixels of half resolution."""
 _NEARER_FIRST = (_REACH // 2, 2 * _REACH)
 """Distances at which walls are searched for, one after the other, in pixels of half resolution."""
-_RIDGE_SHARE = 0.8
 _CONTRAST_UNIT = 16384.0
 """Integer steps per unit of contrast, in the upper 16 bits of a key."""
 _LOG_UNIT = 4096.0
@@ -280,7 +300,9 @@ def find_band(silhouette: Silhouette, gap: int) -> Band | None:
     if not wall.any():
         return None
     contrast = np.where(wall, silhouette.contrast, np.float32(0))
-    ridge = np.where(contrast >= np.float32(_RIDGE_SHARE) * highest(contrast, _LEVELS_PX), contrast, np.float32(0))
+    ridge = np.where(
+        contrast >= np.float32(SIDE.ridge_share) * highest(contrast, SIDE.levels_px), contrast, np.float32(0)
+    )
     frame = (_strongest(ridge, silhouette.frame) & np.uint32(0xFFFF)).astype(np.uint16)
     return Band(highest(wall, 2 * _REACH + 1), frame, ridge)
 
@@ -294,17 +316,17 @@ def classify_sides(grey: NDArray[np.float32], band: Band, dark_counts: float) ->
     surely_dark, middle, surely_bright = (
         doubled(np.exp(level) - np.float32(dark_counts), grey.shape)
         for level in (
-            low + np.float32(SURELY_DARK) * (high - low),
+            low + np.float32(SIDE.surely_dark) * (high - low),
             threshold,
-            low + np.float32(SURELY_BRIGHT) * (high - low),
+            low + np.float32(SIDE.surely_bright) * (high - low),
         )
     )
     inside, bright = doubled(band.inside, grey.shape), grey >= middle
     share = np.where(band.inside, halved(bright), np.float32(0))
     around = doubled(mean_of_known(share, band.inside, 3), grey.shape)
     side = np.where(inside, np.uint8(EdgeSide.OUTLINE), np.uint8(EdgeSide.AWAY))
-    side[inside & ~bright & ((grey < surely_dark) | (around <= 1 - DEEP_SHARE))] = EdgeSide.DARK
-    side[inside & bright & ((grey > surely_bright) | (around >= DEEP_SHARE))] = EdgeSide.BRIGHT
+    side[inside & ~bright & ((grey < surely_dark) | (around <= 1 - SIDE.deep_share))] = EdgeSide.DARK
+    side[inside & bright & ((grey > surely_bright) | (around >= SIDE.deep_share))] = EdgeSide.BRIGHT
     return Sides(side, share, np.where(band.inside, threshold, np.float32(0)))
 
 
@@ -350,20 +372,41 @@ def _spread(contrast: NDArray[np.float32], log: NDArray[np.float32]) -> NDArray[
 def _extremes(log: NDArray[np.float32], inside: NDArray[np.bool_]) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
     """Return the local minimum and maximum of the logarithm; 0 outside."""
     far, none = np.float32(1e3), np.float32(0)
-    low, high = lowest(np.where(inside, log, far), _LEVELS_PX), highest(np.where(inside, log, -far), _LEVELS_PX)
+    low, high = lowest(np.where(inside, log, far), SIDE.levels_px), highest(np.where(inside, log, -far), SIDE.levels_px)
     return np.where(inside, low, none), np.where(inside, high, none)
 
 
-ANCHOR_REACH_PX = 48
-"""Distance over which an anchor height is extrapolated towards the wall."""
+@dataclass(frozen=True, slots=True)
+class AnchorParameters:
+    """Limits of the cells of 4 x 4 pixels that give the height of a side of a wall.
 
-_ANCHOR_REACH = ANCHOR_REACH_PX // COARSE_PX
-_ENOUGH_PIXELS = 6
-_ENOUGH_NEIGHBOURS = 5
-_ENOUGH_CELLS = 10
-_PURE_SHARE = 0.95
-_PURE_CELLS = 2
-"""A focus window of 9, applied twice, reaches over two cells: all cells within this distance must lie on one side."""
+    Parameters
+    ----------
+    reach_px : int, px
+        Distance over which an anchor height is extrapolated towards the wall.
+    enough_pixels : int
+        Smallest number of pixels of a cell that passed the gate.
+    enough_neighbours : int
+        Smallest number of cells with a height among 3 x 3 cells around an anchor.
+    enough_cells : int
+        Smallest number of connected anchors.
+    pure_share : float
+        Smallest fraction of the pixels around an anchor that lie on its side.
+    pure_cells : int, cells
+        Distance within which these pixels lie: a focus window of 9, applied twice, reaches over two cells.
+    """
+
+    reach_px: int = 48
+    enough_pixels: int = 6
+    enough_neighbours: int = 5
+    enough_cells: int = 10
+    pure_share: float = 0.95
+    pure_cells: int = 2
+
+
+ANCHOR = AnchorParameters()
+_ANCHOR_REACH = ANCHOR.reach_px // COARSE_PX
+"""Reach of an anchor, in cells."""
 
 
 def side_heights_um(
@@ -403,8 +446,8 @@ def _cell_sides(
     _, at = nearest(in_band)
     threshold = (halved(sides.threshold) * per_known)[at]
     brighter = np.log(grey + np.float32(dark_counts)) >= threshold
-    bright = mean(np.where(in_band, halved(sides.bright_share) * per_known, brighter), 2 * _PURE_CELLS + 1)
-    return bright <= 1 - _PURE_SHARE, bright >= _PURE_SHARE
+    bright = mean(np.where(in_band, halved(sides.bright_share) * per_known, brighter), 2 * ANCHOR.pure_cells + 1)
+    return bright <= 1 - ANCHOR.pure_share, bright >= ANCHOR.pure_share
 
 
 def _from_anchors(heights: NDArray[np.float32], tolerance_um: float) -> NDArray[np.float32]:
@@ -421,7 +464,7 @@ def _flat(heights: NDArray[np.float32], tolerance_um: float) -> NDArray[np.bool_
     """Return the cells with enough neighbours, all of the same height."""
     known, far = np.isfinite(heights), np.float32(np.inf)
     high, low = highest(np.where(known, heights, -far), 3), lowest(np.where(known, heights, far), 3)
-    return known & (high - low < tolerance_um) & (9 * mean(known, 3) > _ENOUGH_NEIGHBOURS - 0.5)
+    return known & (high - low < tolerance_um) & (9 * mean(known, 3) > ANCHOR.enough_neighbours - 0.5)
 
 
 def _large_pieces(anchors: NDArray[np.bool_]) -> NDArray[np.bool_]:
@@ -429,7 +472,7 @@ def _large_pieces(anchors: NDArray[np.bool_]) -> NDArray[np.bool_]:
     numbers = pieces(anchors)
     sizes = np.bincount(numbers.ravel())
     sizes[0] = 0
-    return sizes[numbers] >= _ENOUGH_CELLS
+    return sizes[numbers] >= ANCHOR.enough_cells
 
 
 def _cell_means(image: Image, shape: tuple[int, int]) -> NDArray[np.float32]:
@@ -445,7 +488,7 @@ def _cell_medians(z_um: NDArray[np.float32], passed: NDArray[np.bool_], near: ND
     count = np.count_nonzero(values < np.inf, axis=1)
     middle = values[np.arange(len(values)), np.maximum(count - 1, 0) // 2]
     out = np.full(near.shape, np.nan, np.float32)
-    out[near] = np.where(count >= _ENOUGH_PIXELS, middle, np.float32(np.nan))
+    out[near] = np.where(count >= ANCHOR.enough_pixels, middle, np.float32(np.nan))
     return out
 
 

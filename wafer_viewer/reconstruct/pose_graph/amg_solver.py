@@ -21,15 +21,33 @@ from wafer_viewer.model.surface.field_poses import Numbers
 DIRECT_FIELDS = 2000
 """Systems of up to this many fields are factorised directly."""
 
-_CELL_FIELDS = 3.0
-"""Side of the cell that becomes one coarse field, in typical distances between fields."""
 
-_MOST_STEPS = 200
-_MOST_AT_ONCE = 500_000
-_POWER_STEPS = 12
-_JACOBI = 4 / 3
-"""Damping of smoothed aggregation, divided by the largest eigenvalue."""
+@dataclass(frozen=True, slots=True)
+class MultigridParameters:
+    """Sizes and limits of the solver of large systems.
 
+    Parameters
+    ----------
+    cell_fields : float
+        Side of the cell that becomes one coarse field, in typical distances between fields.
+    jacobi : float
+        Damping of smoothed aggregation, divided by the largest eigenvalue.
+    power_steps : int
+        Number of steps of the power iteration for the largest eigenvalue.
+    most_steps : int
+        Largest number of steps of conjugate gradients.
+    most_unknowns : int
+        Largest number of unknowns that are factorised directly where those steps do not suffice.
+    """
+
+    cell_fields: float = 3.0
+    jacobi: float = 4 / 3
+    power_steps: int = 12
+    most_steps: int = 200
+    most_unknowns: int = 500_000
+
+
+MULTIGRID = MultigridParameters()
 Sparse = Any
 Apply = Callable[[Numbers], Numbers]
 
@@ -114,10 +132,10 @@ class Solver:
 
     def _solve_direct(self, right: Numbers) -> Numbers:
         """Solve by direct factorisation: long rows of fields converge slowly but are cheap to factorise."""
-        if len(right) > _MOST_AT_ONCE:
+        if len(right) > MULTIGRID.most_unknowns:
             raise ComputeError(
-                f"The poses of so many fields ({len(right)} unknowns) were not found in {_MOST_STEPS} steps: stitch "
-                "fewer fields at a time."
+                f"The poses of so many fields ({len(right)} unknowns) were not found in {MULTIGRID.most_steps} steps: "
+                "stitch fewer fields at a time."
             )
         return _factorised(self.system)(right)
 
@@ -166,7 +184,7 @@ def _coarsened(system: System, x_um: Numbers, y_um: Numbers) -> tuple[_Level, Nu
     blocks = system.blocks
     cell, mid_x_um, mid_y_um = _cells(x_um, y_um)
     inverse = _inverse_diagonal(blocks)
-    jacobi = inverse * (_JACOBI / _largest_eigenvalue(blocks, inverse))
+    jacobi = inverse * (MULTIGRID.jacobi / _largest_eigenvalue(blocks, inverse))
     size = blocks.blocksize[0]
     lumped = _bsr(rigid(x_um - mid_x_um[cell], y_um - mid_y_um[cell], size), cell, len(mid_x_um))
     up = (lumped - jacobi @ (blocks @ lumped)).tobsr((size, size))
@@ -175,7 +193,7 @@ def _coarsened(system: System, x_um: Numbers, y_um: Numbers) -> tuple[_Level, Nu
 
 def _cells(x_um: Numbers, y_um: Numbers) -> tuple[NDArray[np.intp], Numbers, Numbers]:
     """Return the cell of each field and the mean position per cell; at most half as many cells as fields."""
-    side = _CELL_FIELDS * _typical_distance(x_um, y_um)
+    side = MULTIGRID.cell_fields * _typical_distance(x_um, y_um)
     while True:
         cols, rows = (np.floor((a - a.min()) / side) for a in (x_um, y_um))
         _, cell, count = np.unique(rows * (cols.max() + 1) + cols, return_inverse=True, return_counts=True)
@@ -215,7 +233,7 @@ def _largest_eigenvalue(matrix: Sparse, inverse: Sparse) -> float:
     """Estimate the largest eigenvalue of inverse @ matrix, slightly overestimated."""
     vector = np.random.default_rng(1).normal(size=matrix.shape[0])
     largest = 1.0
-    for _ in range(_POWER_STEPS):
+    for _ in range(MULTIGRID.power_steps):
         vector = inverse @ (matrix @ (vector / np.linalg.norm(vector)))
         largest = float(np.linalg.norm(vector))
     return 1.1 * largest
@@ -230,7 +248,7 @@ def _conjugate_gradients(
     ahead = precondition(residual)
     direction, energy = ahead, _dots(residual, ahead)
     goal = np.maximum(goals[0] ** 2 * _dots(right, precondition(right)), goals[1])
-    for _ in range(_MOST_STEPS):
+    for _ in range(MULTIGRID.most_steps):
         if np.all(energy <= goal):
             return x, True
         pushed = system @ direction

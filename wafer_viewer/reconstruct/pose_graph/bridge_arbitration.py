@@ -81,19 +81,36 @@ def count_up(lengths: Wholes) -> Wholes:
     return np.arange(lengths.sum()) - np.repeat(np.cumsum(lengths) - lengths, lengths)
 
 
-_AGREES = 15.0
-"""Log likelihood ratio of an edge that agrees with another: about 3 % are wrong, uniformly within the search range."""
+@dataclass(frozen=True, slots=True)
+class ArbitrationParameters:
+    """Limits of the arbitration between contradicting edges.
 
-_ALONE = 7.0
-"""Log likelihood ratio of an edge that only the stage confirms: 3.7 standard deviations of the stage."""
+    Parameters
+    ----------
+    agrees : float
+        Log likelihood ratio of an edge that agrees with another: about 3 % are wrong, uniformly within the search
+        range.
+    alone : float
+        Log likelihood ratio of an edge that only the stage confirms: 3.7 standard deviations of the stage.
+    slack : float
+        Tolerance factor: neighbours of contested clusters are not yet at their final positions.
+    most_ties : int
+        Largest number of proposals for a cluster that are compared with each other.
+    least_degrees : int
+        Smallest number of degrees of freedom from which the stage error within cores is estimated.
+    most_together : float
+        Maximum effective number of averaged stage errors, which are not fully independent.
+    """
 
-_SLACK = 2.0
-"""Tolerance factor: neighbours of contested clusters are not yet at their final positions."""
+    agrees: float = 15.0
+    alone: float = 7.0
+    slack: float = 2.0
+    most_ties: int = 64
+    least_degrees: int = 8
+    most_together: float = 8.0
 
-_MOST_TIES = 64
-_LEAST_DEGREES = 8
-_MOST_TOGETHER = 8.0
-"""Maximum effective number of averaged stage errors, which are not fully independent."""
+
+ARBITRATION = ArbitrationParameters()
 
 
 def arbitrate_bridges(network: PoseGraph, values: Numbers, shared: Numbers, excess: float, believed: Flags) -> Numbers:
@@ -111,7 +128,7 @@ def arbitrate_bridges(network: PoseGraph, values: Numbers, shared: Numbers, exce
             cluster[network.first[ties]],
             cluster[network.second[ties]],
             network.misfit(values, shared)[ties],
-            np.einsum("eaa->ea", network.information[ties]) / (2 * _SLACK * excess**2),
+            np.einsum("eaa->ea", network.information[ties]) / (2 * ARBITRATION.slack * excess**2),
         )
         size = np.bincount(cluster).astype(float)
         size[cluster[~network.ties.free]] = np.inf
@@ -131,7 +148,7 @@ class _Ties:
     def agree(self, moved: Numbers) -> Flags:
         """Return which edges fit once clusters have moved by [clusters, d]."""
         left = self.misfit - moved[self.second] + moved[self.first]
-        return np.sum(self.precision * left**2, axis=1) < _AGREES
+        return np.sum(self.precision * left**2, axis=1) < ARBITRATION.agrees
 
     def proposals(self, placed: Flags, moved: Numbers) -> _Proposals:
         """Return the proposals of edges between placed and unplaced clusters."""
@@ -166,7 +183,7 @@ class _Choice:
 def _scatter(surprise: Numbers, core: Whole32s, sigma: Numbers) -> Numbers:
     """Return the stage error [d] within cores, at most `sigma`, which a misplaced core overestimates."""
     degrees = len(core) - len(np.unique(core))
-    if degrees < _LEAST_DEGREES:
+    if degrees < ARBITRATION.least_degrees:
         return sigma
     inside = surprise - _mean_of(surprise, core)[core]
     return np.minimum(sigma, np.sqrt(np.sum(inside**2, axis=0) / degrees))
@@ -174,9 +191,9 @@ def _scatter(surprise: Numbers, core: Whole32s, sigma: Numbers) -> Numbers:
 
 def _suspect(network: PoseGraph, surprise: Numbers, core: Whole32s, sigma: Numbers, believed: Flags) -> Flags:
     """Return a mask of cores with rejected edges or implausible stage residuals."""
-    far = np.minimum(np.bincount(core), _MOST_TOGETHER) * _chi2(_mean_of(surprise, core), sigma) / 2
+    far = np.minimum(np.bincount(core), ARBITRATION.most_together) * _chi2(_mean_of(surprise, core), sigma) / 2
     rejected = network.tells.any(axis=1) & ~believed
-    suspect = far > _ALONE
+    suspect = far > ARBITRATION.alone
     suspect[core[network.first[rejected]]] = suspect[core[network.second[rejected]]] = True
     return suspect
 
@@ -197,7 +214,7 @@ def _placed(ties: _Ties, size: Numbers, surprise: Numbers, sigma: Numbers) -> Nu
     """Return the displacement [clusters, d] of each cluster, after placing all of them."""
     moved = np.zeros_like(surprise)
     placed = _largest(ties, size)
-    together = np.minimum(size, _MOST_TOGETHER)
+    together = np.minimum(size, ARBITRATION.most_together)
     while len((proposals := ties.proposals(placed, moved)).cluster):
         best = _best(proposals, surprise, sigma, together)
         first = best.confirmed if np.any(best.confirmed) else _least_prior_residual(best, ties, len(size))
@@ -220,13 +237,13 @@ def _largest(ties: _Ties, size: Numbers) -> Flags:
 def _best(of: _Proposals, surprise: Numbers, sigma: Numbers, together: Numbers) -> _Choice:
     """Return for each cluster the proposal with the least disagreement of its edges and prior residual."""
     cluster, start, count = np.unique(of.cluster, return_index=True, return_counts=True)
-    voting = np.minimum(count, _MOST_TIES)
+    voting = np.minimum(count, ARBITRATION.most_ties)
     some = np.repeat(start, voting) + count_up(voting)
     many = np.repeat(voting, voting)
     one, other = np.repeat(some, many), np.repeat(np.repeat(start, voting), many) + count_up(many)
     apart = np.sum(of.precision[other] * (of.move[other] - of.move[one]) ** 2, axis=1)
-    disagreement = np.bincount(one, np.minimum(apart, _AGREES), len(of.cluster))
-    agreeing = np.bincount(one, apart < _AGREES, len(of.cluster))
+    disagreement = np.bincount(one, np.minimum(apart, ARBITRATION.agrees), len(of.cluster))
+    agreeing = np.bincount(one, apart < ARBITRATION.agrees, len(of.cluster))
     far = together[of.cluster] * _chi2(surprise[of.cluster] + of.move * (of.precision > 0), sigma) / 2
     best = some[_least(disagreement[some] + far[some], voting)]
     return _Choice(cluster, of.move[best], agreeing[best] > 1, far[best])
@@ -239,7 +256,7 @@ def _least_prior_residual(best: _Choice, ties: _Ties, n: int) -> Flags:
     beside = np.full(n, np.inf)
     np.minimum.at(beside, ties.first, of_cluster[ties.second])
     np.minimum.at(beside, ties.second, of_cluster[ties.first])
-    return (best.surprise < _ALONE) & (best.surprise <= beside[best.cluster])
+    return (best.surprise < ARBITRATION.alone) & (best.surprise <= beside[best.cluster])
 
 
 def _mean_of(values: Numbers, cluster: Whole32s) -> Numbers:

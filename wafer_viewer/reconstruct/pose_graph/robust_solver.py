@@ -27,29 +27,57 @@ from wafer_viewer.reconstruct.pose_graph.pose_graph import PoseGraph, gradient, 
 REJECTED = 0.1
 """An overlap with less weight is rejected."""
 
-_MISFITS = 3.0
-"""Residual, in standard deviations, at which a weight has fallen to a quarter."""
 
-_MOST_EXCESS = 5.0
-"""Maximum inflation of the overlap uncertainties; beyond it the overlap itself is wrong."""
+@dataclass(frozen=True, slots=True)
+class RobustSolverParameters:
+    """Limits of the robust solution and of its iterations.
 
-_MOST_ROUNDS = 30
-_MOST_VERDICTS = 8
-_STEADY, _RESTLESS_FRACTION = 0.05, 1e-3
-_ON_THE_WAY = 3e-2
-"""Relative error of an intermediate solution that only determines weights."""
+    Parameters
+    ----------
+    misfits : float
+        Residual, in standard deviations, at which a weight has fallen to a quarter.
+    most_excess : float
+        Maximum inflation of the overlap uncertainties; beyond it the overlap itself is wrong.
+    least_redundancy : float
+        Smallest redundancy of the overlaps from which their inflation is estimated.
+    most_rounds : int
+        Largest number of rounds of solving and reweighting.
+    most_verdicts : int
+        Largest number of decisions on overlaps that residuals alone cannot determine.
+    steady : float
+        Change of a weight, or of the logarithm of a prior's width, that is no longer followed.
+    restless_fraction : float
+        Largest fraction of overlaps with a larger change in the last round.
+    on_the_way : float
+        Relative error of an intermediate solution that only determines weights.
+    enough_each : float, variances per unknown
+        Negligible energy of the error of an intermediate solution.
+    enough : float, variances
+        Negligible energy of the error of the result, in total.
+    probes : int
+        Number of random sign vectors for each estimated prior, in systems that are factorised directly.
+    far : float
+        Residuals beyond this many standard deviations are clipped when the prior is estimated.
+    usually : int, fields
+        Weight of the initial guess of a prior.
+    """
 
-_ENOUGH_EACH, _ENOUGH = 1e-4, 1e-2
-"""Negligible energy of an error, in variances: per unknown for residuals, and in total for the result."""
+    misfits: float = 3.0
+    most_excess: float = 5.0
+    least_redundancy: float = 0.1
+    most_rounds: int = 30
+    most_verdicts: int = 8
+    steady: float = 0.05
+    restless_fraction: float = 1e-3
+    on_the_way: float = 3e-2
+    enough_each: float = 1e-4
+    enough: float = 1e-2
+    probes: int = 4
+    far: float = 4.0
+    usually: int = 4
 
-_LEAST_REDUNDANCY = 0.1
-_PROBES = 4
-_FAR = 4.0
-"""Residuals beyond this many standard deviations are clipped when the prior is estimated."""
 
-_USUALLY = 4
-"""Weight of the initial guess of a prior, in fields."""
-
+ROBUST = RobustSolverParameters()
 _MEDIAN_CHI2 = (1.0, 0.455, 0.693, 0.789)
 """Median of chi squared per degree of freedom, indexed by the degrees of freedom."""
 
@@ -89,7 +117,7 @@ def solve_robust(
     if like is not None:
         at = RobustSolution(like.values, shared, like.weight, like.excess, like.scale)
     decided = np.full(len(telling), np.nan)
-    for _ in range(_MOST_VERDICTS if decide else 1):
+    for _ in range(ROBUST.most_verdicts if decide else 1):
         network, at = _rounds(network, at, telling, decided)
         decided, before = decide(network, at) if decide else decided, decided
         if np.array_equal(decided, before, equal_nan=True):
@@ -101,14 +129,18 @@ def _rounds(
     network: PoseGraph, at: RobustSolution, telling: NDArray[np.intp], decided: Numbers
 ) -> tuple[PoseGraph, RobustSolution]:
     """Solve and reweight until the weights converge, except those that are `decided` (not NaN)."""
-    for _ in range(_MOST_ROUNDS):
+    for _ in range(ROBUST.most_rounds):
         before, sigma = at.weight, network.prior_sigma
         at = _least_squares_step(network, at, on_the_way=True)
         network = _with_estimated_priors(network, at)
         at = _reweighted(network, at, telling, decided)
-        restless = np.count_nonzero(np.abs(at.weight - before) > _STEADY)
+        restless = np.count_nonzero(np.abs(at.weight - before) > ROBUST.steady)
         moved = np.abs(np.log(network.prior_sigma / sigma)).max()
-        if at.scale <= _MISFITS * at.excess and restless <= _RESTLESS_FRACTION * len(before) and moved < _STEADY:
+        if (
+            at.scale <= ROBUST.misfits * at.excess
+            and restless <= ROBUST.restless_fraction * len(before)
+            and moved < ROBUST.steady
+        ):
             break
     return network, at
 
@@ -122,8 +154,8 @@ def _least_squares_step(network: PoseGraph, at: RobustSolution, on_the_way: bool
     probes = _probes(network, solver) if on_the_way else downhill[:, :0]
     begun = np.hstack((np.zeros_like(downhill), 0 * probes if at.echoes is None else at.echoes[:, : probes.shape[1]]))
     enough = np.zeros(begun.shape[1])
-    enough[0] = _ENOUGH_EACH * len(downhill) if on_the_way else _ENOUGH
-    solved = solver.solve(np.hstack((downhill, probes)), _ON_THE_WAY if on_the_way else 0.0, begun, enough)
+    enough[0] = ROBUST.enough_each * len(downhill) if on_the_way else ROBUST.enough
+    solved = solver.solve(np.hstack((downhill, probes)), ROBUST.on_the_way if on_the_way else 0.0, begun, enough)
     step, shared_step = np.split(solved[:, 0], (network.size * int(free.sum()),))
     values = at.values.copy()
     values[free] += step.reshape(-1, network.size)
@@ -144,7 +176,7 @@ def _probes(network: PoseGraph, solver: Solver) -> Numbers:
     The product of a probe with its solution is, on average, the trace of the inverse (Hutchinson 1990); in large
     systems one probe suffices.
     """
-    each = 1 if solver.levels else _PROBES
+    each = 1 if solver.levels else ROBUST.probes
     n, d, m = len(network.x_um), network.size, len(network.shared_sigma)
     signs = np.zeros((n, d, each * len(network.auto)))
     random = np.random.default_rng(3)
@@ -158,12 +190,12 @@ def _with_estimated_priors(network: PoseGraph, at: RobustSolution) -> PoseGraph:
     """Update the prior widths from prior residuals and their uncertainty (EM, Dempster 1977)."""
     if not network.auto or at.solver is None or at.echoes is None:
         return network
-    surprise = np.clip(network.surprise(at.values, at.shared), *_FAR * np.outer((-1, 1), network.prior_sigma))
+    surprise = np.clip(network.surprise(at.values, at.shared), *ROBUST.far * np.outer((-1, 1), network.prior_sigma))
     traces = np.einsum("nk,nk->k", _probes(network, at.solver), at.echoes).reshape(len(network.auto), -1).mean(axis=1)
     sigma = network.prior_sigma.copy()
     for group, trace in zip(network.auto, traces, strict=True):
-        total = np.sum(surprise[:, group] ** 2) + trace + _USUALLY * np.sum(network.prior_guess[list(group)] ** 2)
-        sigma[list(group)] = np.sqrt(total / ((len(surprise) + _USUALLY) * len(group)))
+        total = np.sum(surprise[:, group] ** 2) + trace + ROBUST.usually * np.sum(network.prior_guess[list(group)] ** 2)
+        sigma[list(group)] = np.sqrt(total / ((len(surprise) + ROBUST.usually) * len(group)))
     return dataclasses.replace(network, prior_sigma=sigma)
 
 
@@ -175,7 +207,7 @@ def _reweighted(network: PoseGraph, at: RobustSolution, telling: NDArray[np.intp
     misfit = network.misfit(at.values, at.shared)
     chi2 = np.einsum("ea,eab,eb->e", misfit, network.information, misfit) / np.maximum(telling, 1)
     excess = _variance_inflation(network, chi2, telling)
-    scale = max(_MISFITS * excess, min(at.scale, float(np.sqrt(chi2[counts].max()))) / 2)
+    scale = max(ROBUST.misfits * excess, min(at.scale, float(np.sqrt(chi2[counts].max()))) / 2)
     weight = np.where(np.isnan(decided), counts / (1 + chi2 / scale**2) ** 2, decided)
     return dataclasses.replace(at, weight=weight, excess=excess, scale=scale)
 
@@ -187,10 +219,10 @@ def _variance_inflation(network: PoseGraph, chi2: Numbers, telling: NDArray[np.i
     loose = len(np.setdiff1d(group[free], group[~free]))
     unknowns = network.size * (int(free.sum()) - loose)
     redundancy = 1 - unknowns / telling.sum()
-    if redundancy < _LEAST_REDUNDANCY:
+    if redundancy < ROBUST.least_redundancy:
         return 1.0
     expected = _MEDIAN_CHI2[round(float(np.median(telling[counts])))] * redundancy
-    return float(np.clip(np.sqrt(np.median(chi2[counts]) / expected), 1.0, _MOST_EXCESS))
+    return float(np.clip(np.sqrt(np.median(chi2[counts]) / expected), 1.0, ROBUST.most_excess))
 
 
 _SAMPLES = 48

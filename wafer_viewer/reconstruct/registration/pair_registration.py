@@ -27,37 +27,92 @@ from wafer_viewer.reconstruct.registration.overlap_strips import (
     picture_of,
 )
 
-SURE_SIGMAS = 7.0
-"""The highest of several hundred correlations of unrelated images is three to four deviations high."""
-LIKE, SURELY_LIKE = 0.7, 0.9
-"""Correlations for a chance match and for a certain one.
 
-Coarse structures have few independent pixels and may correlate by chance. Such a match is ambiguous rather than unlike,
-unless it fits at one place only and at least as well as the second value.
-"""
-NEARLY = 0.35
-"""Minimum significance of a candidate relative to the best; fine patterns may lose half of it between search pixels."""
-PATTERNED = 6
-"""With more candidates than this the pattern may be finer than the search pixels, which are then halved."""
-CANDIDATES = 60
-CLEARLY, UNEXPLAINED = 0.8, 2.0
-"""A rival has four fifths of the best correlation, and at most twice its unexplained variance."""
-LEAST_AGREEING = 0.5
-"""Minimum fraction of the contrast where both images agree; rotated content agrees around one point only."""
-MOST_BENT_PX, SURELY_BENT = 1.0, 6.0
-"""Displacement of the ends of an overlap against its middle, and its significance, that indicate rotated content."""
-MOST_U_PX = 0.5
-"""Largest accepted uncertainty; along straight lines the position is undetermined, apart from noise."""
-LEAST_U_PX = 0.01
-"""Contribution of pixel shape and optics to the uncertainty, which no residual shows."""
+@dataclass(frozen=True, slots=True)
+class MatchSearchParameters:
+    """Limits of the search for places at which two images may match; search pixels are binned.
 
-_FACTORS, _FINER = (4, 2, 1), 2
-_LEAST_SIDE = 12
-_AROUND = 11
-_LEAST_SHARE = 0.3
-"""Minimum fraction of the overlap at a shift that is searched."""
+    Parameters
+    ----------
+    factors : tuple[int, ...]
+        Binning factors of the search and of its refinement; the search takes the largest that suits the overlap.
+    finer : int
+        Binning factor of a second search, for fine patterns.
+    least_side : int, search pixels
+        Smallest width of an overlap; one of fewer than half as many pixels is not compared.
+    around : int, search pixels
+        Side of the square whose mean is subtracted before images are correlated.
+    least_share : float
+        Minimum fraction of the overlap at a shift that is searched.
+    sure_sigmas : float
+        Significance below which a match may be chance; the highest of several hundred correlations of unrelated images
+        is three to four deviations high.
+    like : float
+        Smallest correlation of a match that may be chance: coarse structures have few independent pixels and may
+        correlate by chance.
+    nearly : float
+        Minimum significance of a candidate relative to the best; fine patterns may lose half of it between search
+        pixels.
+    patterned : int
+        With more candidates than this the pattern may be finer than the search pixels, which are then halved.
+    candidates : int
+        Largest number of candidates that are refined.
+    """
+
+    factors: tuple[int, ...] = (4, 2, 1)
+    finer: int = 2
+    least_side: int = 12
+    around: int = 11
+    least_share: float = 0.3
+    sure_sigmas: float = 7.0
+    like: float = 0.7
+    nearly: float = 0.35
+    patterned: int = 6
+    candidates: int = 60
+
+
+MATCH_SEARCH = MatchSearchParameters()
+
+
+@dataclass(frozen=True, slots=True)
+class MatchAcceptanceParameters:
+    """Limits that a refined match must keep.
+
+    Parameters
+    ----------
+    surely_like : float
+        Smallest correlation of a match that may be chance; below, it is ambiguous rather than unlike.
+    clearly : float
+        Smallest correlation of a rival, relative to the best.
+    unexplained : float
+        Largest unexplained variance of a rival, relative to the best.
+    least_agreeing : float
+        Minimum fraction of the contrast where both images agree; rotated content agrees around one point only.
+    most_bent_px : float, px
+        Displacement of the ends of an overlap against its middle that indicates rotated content.
+    surely_bent : float
+        Significance of that displacement, in standard deviations.
+    most_u_px : float, px
+        Largest accepted uncertainty; along straight lines the position is undetermined, apart from noise.
+    least_u_px : float, px
+        Contribution of pixel shape and optics to the uncertainty, which no residual shows.
+    """
+
+    surely_like: float = 0.9
+    clearly: float = 0.8
+    unexplained: float = 2.0
+    least_agreeing: float = 0.5
+    most_bent_px: float = 1.0
+    surely_bent: float = 6.0
+    most_u_px: float = 0.5
+    least_u_px: float = 0.01
+
+
+MATCH_ACCEPTANCE = MatchAcceptanceParameters()
 _BLOCKS, _LEAST_BLOCK, _LARGEST_BLOCK = 24, 8, 32
+"""Approximate number of blocks into which a refinement divides an overlap, and limits of their side in pixels."""
 _LAGS = (2, 8)
+"""Distances at which the pixels of an image are compared, to detect structure, in pixels."""
 _BLANK = 0.88
 """In pure noise, pixels two apart differ as much as pixels eight apart."""
 
@@ -76,12 +131,12 @@ def match(first: HeightMap, second: HeightMap, reach_px: float, read: Read) -> M
     """Match the second field to the first, within reach of the stage position."""
     factor = _coarsest(first, second)
     window, reach = _window(first, second, reach_px, factor)
-    if min(window.overlap) < _LEAST_SIDE / 2:
+    if min(window.overlap) < MATCH_SEARCH.least_side / 2:
         return _nowhere(RejectionReason.BLANK)
     one, other = read(first, *window.first), read(second, *window.second)
     lags, by_chance = _candidates(one, other, window, factor, reach)
-    if len(lags) > PATTERNED and factor > _FINER:
-        factor = _FINER
+    if len(lags) > MATCH_SEARCH.patterned and factor > MATCH_SEARCH.finer:
+        factor = MATCH_SEARCH.finer
         window, reach = _window(first, second, reach_px, factor)
         one, other = read(first, *window.first), read(second, *window.second)
         lags, by_chance = _candidates(one, other, window, factor, reach)
@@ -105,7 +160,7 @@ def _nowhere(doubt: RejectionReason) -> Match:
 def _coarsest(first: HeightMap, second: HeightMap) -> int:
     """Return the binning factor of the search."""
     side = min(OverlapWindow.of(first, second, 0, 1).overlap)
-    return next((f for f in _FACTORS if side >= f * _LEAST_SIDE), 1)
+    return next((f for f in MATCH_SEARCH.factors if side >= f * MATCH_SEARCH.least_side), 1)
 
 
 def _block_side(window: OverlapWindow) -> int:
@@ -120,10 +175,13 @@ def _candidates(
     """Return candidate lags in full pixels, the most significant first, and whether they may be chance."""
     one, other = binned_known(one, factor), binned_known(other, factor)
     knowns = one.known > 0, other.known > 0
-    details = contrast(one.values, knowns[0], _AROUND), contrast(other.values, knowns[1], _AROUND)
+    details = (
+        contrast(one.values, knowns[0], MATCH_SEARCH.around),
+        contrast(other.values, knowns[1], MATCH_SEARCH.around),
+    )
     middle = window.lag[0] // factor, window.lag[1] // factor
     alike = normalised_cross_correlation(details[0], knowns[0], details[1], knowns[1], middle, reach)
-    least = _LEAST_SHARE * window.overlap[0] * window.overlap[1] / factor**2
+    least = MATCH_SEARCH.least_share * window.overlap[0] * window.overlap[1] / factor**2
     peaks, by_chance = _peaks(alike, least, reach)
     return [((r + middle[0]) * factor, (c + middle[1]) * factor) for r, c in peaks], by_chance
 
@@ -134,11 +192,11 @@ def _peaks(alike: Likeness, least_pixels: float, reach: int) -> tuple[list[tuple
 
     sigmas = np.where(alike.pixels >= least_pixels, alike.sigmas, 0.0)
     top = float(sigmas.max())
-    by_chance = top < SURE_SIGMAS
-    if by_chance and float(alike.correlation[sigmas == top].max()) < LIKE:
+    by_chance = top < MATCH_SEARCH.sure_sigmas
+    if by_chance and float(alike.correlation[sigmas == top].max()) < MATCH_SEARCH.like:
         return [], by_chance
-    rows, cols = np.nonzero((sigmas == highest(sigmas, 3)) & (sigmas >= NEARLY * top))
-    order = np.argsort(-sigmas[rows, cols], kind="stable")[:CANDIDATES]
+    rows, cols = np.nonzero((sigmas == highest(sigmas, 3)) & (sigmas >= MATCH_SEARCH.nearly * top))
+    order = np.argsort(-sigmas[rows, cols], kind="stable")[: MATCH_SEARCH.candidates]
     return [(int(rows[n]) - reach, int(cols[n]) - reach) for n in order], by_chance
 
 
@@ -147,7 +205,7 @@ def _refined(
 ) -> list[SubpixelShift]:
     """Refine all candidates, and the best fit with its rivals again at each finer resolution."""
     fits: list[SubpixelShift] = []
-    for f in _FACTORS[_FACTORS.index(factor) :]:
+    for f in MATCH_SEARCH.factors[MATCH_SEARCH.factors.index(factor) :]:
         levels = binned_known(one, f), binned_known(other, f)
         fits = [_scaled(align(*levels, (r / f, c / f), max(6, side // f), f > 1), f) for r, c in lags]
         near = [fit for fit, lag in zip(fits, lags, strict=True) if _distance(fit.lag, lag) <= 2.0 * f]
@@ -178,31 +236,37 @@ def _with_rivals(fits: list[SubpixelShift], apart_px: float) -> list[SubpixelShi
     """Return the best fit, and fits elsewhere that are nearly as good."""
     if not fits:
         return []
-    best = max(fits, key=lambda fit: (fit.agreeing >= LEAST_AGREEING, fit.correlation * fit.n_pixels**0.5))
+    best = max(
+        fits, key=lambda fit: (fit.agreeing >= MATCH_ACCEPTANCE.least_agreeing, fit.correlation * fit.n_pixels**0.5)
+    )
     return [best, *(fit for fit in fits if _distance(fit.lag, best.lag) > apart_px and _nearly(fit, best))]
 
 
 def _nearly(fit: SubpixelShift, best: SubpixelShift) -> bool:
     unexplained, least = 1 - fit.correlation**2, 1 - best.correlation**2
-    agrees = fit.agreeing >= LEAST_AGREEING or best.agreeing < LEAST_AGREEING
-    return agrees and fit.correlation > CLEARLY * best.correlation and unexplained < UNEXPLAINED * least
+    agrees = fit.agreeing >= MATCH_ACCEPTANCE.least_agreeing or best.agreeing < MATCH_ACCEPTANCE.least_agreeing
+    return (
+        agrees
+        and fit.correlation > MATCH_ACCEPTANCE.clearly * best.correlation
+        and unexplained < MATCH_ACCEPTANCE.unexplained * least
+    )
 
 
 def _judged(fits: list[SubpixelShift], by_chance: bool, window: OverlapWindow, reach_px: float) -> Match:
     best = fits[0]
     off = tuple(at - lag - part for at, lag, part in zip(best.lag, window.lag, window.part, strict=True))
-    u = tuple(np.sqrt(np.diag(best.covariance) + LEAST_U_PX**2).tolist())
+    u = tuple(np.sqrt(np.diag(best.covariance) + MATCH_ACCEPTANCE.least_u_px**2).tolist())
     doubt = _doubt(fits, by_chance, max(map(abs, off)) > reach_px)
     return Match((off[0], off[1]), (u[0], u[1]), best.correlation, doubt)
 
 
 def _doubt(fits: list[SubpixelShift], by_chance: bool, beyond: bool) -> RejectionReason:
     best = fits[0]
-    turned = best.bent_px > MOST_BENT_PX and best.bent_sigmas > SURELY_BENT
-    if turned or best.agreeing < LEAST_AGREEING:
+    turned = best.bent_px > MATCH_ACCEPTANCE.most_bent_px and best.bent_sigmas > MATCH_ACCEPTANCE.surely_bent
+    if turned or best.agreeing < MATCH_ACCEPTANCE.least_agreeing:
         return RejectionReason.UNLIKE
-    held = best.covariance.max() < MOST_U_PX**2
-    if not held or len(fits) > 1 or (by_chance and best.correlation < SURELY_LIKE):
+    held = best.covariance.max() < MATCH_ACCEPTANCE.most_u_px**2
+    if not held or len(fits) > 1 or (by_chance and best.correlation < MATCH_ACCEPTANCE.surely_like):
         return RejectionReason.AMBIGUOUS
     return RejectionReason.END_OF_SEARCH if beyond else RejectionReason.NONE
 
