@@ -25,7 +25,7 @@ QUESTIONS = {"What", "How", "Where", "Whether", "When", "Who", "Which", "Why"}
 MOST_FILES = 23
 MOST_SHARED_NAMES = 10
 DEFINED_ONCE = ("Stage", "Field", "Camera", "Frame", "Gate", "Profile")
-EXPLAINED_ROOMS = ("numerics", "measure", "acquire", "calibrate")
+EXPLAINED_ROOMS = ("numerics", "measure", "acquire", "calibrate", "reconstruct")
 DOCUMENTED = ast.Module, ast.ClassDef, ast.FunctionDef, ast.AsyncFunctionDef
 
 
