@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-import re
 import sys
 from pathlib import Path
 
@@ -13,6 +12,7 @@ import tifffile
 from numpy.typing import NDArray
 from scipy import ndimage
 
+from tests.support.documentation import code_block
 from tests.support.paths import ROOT
 from tests.support.plugin_packages import run_with, write_package
 from wafer_viewer.model.acquisition.focus_stack import FieldStack
@@ -28,9 +28,7 @@ from wafer_viewer.reconstruct.focus.peak_search import Search, ThreadScratch, no
 from wafer_viewer.reconstruct.preprocess.frames import prepare
 
 NAME = "laplacian_variance"
-OF_THE_PAGE = re.search(
-    r"^```python\n(.*?)^```", (ROOT / "assets/docs/how-to/extend.md").read_text(), re.MULTILINE | re.DOTALL
-)
+OF_THE_PAGE = code_block("how-to/extend.md", '"""Variance of the Laplacian')
 USE = """
 import json, sys
 from concurrent.futures import ProcessPoolExecutor
@@ -75,8 +73,7 @@ print(json.dumps({
 
 
 def install(folder: Path) -> Path:
-    assert OF_THE_PAGE is not None
-    return write_package(folder, NAME, OF_THE_PAGE[1], {"focus_measures": f"{NAME} = {NAME}:MEASURE"})
+    return write_package(folder, NAME, OF_THE_PAGE, {"focus_measures": f"{NAME} = {NAME}:MEASURE"})
 
 
 @pytest.fixture(scope="module")
