@@ -9,7 +9,6 @@ from typing import TYPE_CHECKING, Any, Literal
 
 import viser
 
-from wafer_viewer.draw.charts.symbols import KINDS
 from wafer_viewer.gui.page import preconditions as judgement
 from wafer_viewer.gui.page.dialogs import Dialog
 from wafer_viewer.gui.page.page import Page
@@ -36,7 +35,7 @@ from wafer_viewer.gui.widgets.controls import (
     set_prop,
 )
 from wafer_viewer.gui.widgets.error_guard import guarded
-from wafer_viewer.model.inspection.defect import DefectClass
+from wafer_viewer.model.inspection.defect_classes import DEFECT_CLASSES, DefectClass
 from wafer_viewer.model.job import Verdict
 from wafer_viewer.session.rendering.render_request import RenderRequest
 from wafer_viewer.session.state.snapshot import Snapshot
@@ -224,7 +223,7 @@ def _class_commands(classify: Callable[[DefectClass], None]) -> list[Command]:
         no_defect,
         *(
             Command(f"Class: {look.title}", look.key, lambda k=kind: classify(k), viser.Icon.TAG, group="Review")
-            for kind, look in KINDS.items()
+            for kind, look in DEFECT_CLASSES.items()
         ),
     )
 

@@ -15,7 +15,8 @@ from tests.browser.sessions.fake_defect_files import FakeDefectFiles, a_shelf
 from tests.browser.sessions.fake_sections import FakeSections
 from tests.browser.sessions.stitched_session import PITCH_UM, STREET_UM, StitchedSession
 from tests.support.datasets.inspections import defect, inspection
-from wafer_viewer.model.inspection.defect import Defect, DefectClass, DefectLimits, FalseCounts, Inspection
+from wafer_viewer.model.inspection.defect import Defect, DefectLimits, FalseCounts, Inspection
+from wafer_viewer.model.inspection.defect_classes import DefectClass
 from wafer_viewer.model.inspection.die_grid import DieGrid, DieStatus
 from wafer_viewer.model.measurement.sections import Section, SectionAsked
 from wafer_viewer.model.quantity import Length

@@ -9,9 +9,10 @@ import pytest
 from skimage.color import deltaE_ciede2000
 
 from tests.draw.test_colormaps import seen_by
-from wafer_viewer.draw.charts.symbols import KINDS, SHAPES
+from wafer_viewer.draw.charts.symbols import SHAPES
+from wafer_viewer.model.inspection.defect_classes import DEFECT_CLASSES
 
-COLOURS = {kind: [int(look.colour[k : k + 2], 16) for k in (1, 3, 5)] for kind, look in KINDS.items()}
+COLOURS = {kind: [int(look.colour[k : k + 2], 16) for k in (1, 3, 5)] for kind, look in DEFECT_CLASSES.items()}
 
 
 @pytest.mark.parametrize("eyes", ["all colours", "red-blind", "green-blind"])
@@ -27,8 +28,8 @@ def test_every_class_stands_out_from_the_page(page):
 
 
 def test_every_class_has_a_shape_of_its_own():
-    shapes = [look.shape for look in KINDS.values()]
-    assert len(set(shapes)) == len(KINDS)
+    shapes = [look.shape for look in DEFECT_CLASSES.values()]
+    assert len(set(shapes)) == len(DEFECT_CLASSES)
     assert set(shapes) <= set(SHAPES)
 
 

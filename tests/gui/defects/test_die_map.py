@@ -13,10 +13,10 @@ from tests.browser.sessions import fake_session as fake
 from tests.browser.sessions.inspected_session import GRID, PLANTED, found
 from tests.browser.sessions.inspected_states import wafer_of
 from wafer_viewer.draw.charts.die_map import die_frame
-from wafer_viewer.draw.charts.symbols import KINDS
 from wafer_viewer.gui.defects.die_map import DefectMap, die_at
 from wafer_viewer.gui.presenters.defects import MOST_SIGNS, chart_of, counts_of, fills_by_class, map_html, pareto_html
 from wafer_viewer.gui.state.view_state import DefectListing, View, next_die, next_kind
+from wafer_viewer.model.inspection.defect_classes import DEFECT_CLASSES
 from wafer_viewer.model.spec import replace
 from wafer_viewer.session.state.inspection_state import InspectionState
 
@@ -187,7 +187,7 @@ def test_of_too_many_defects_each_die_has_the_colour_of_its_commonest_class():
     assert "data-d=" not in text
     assert "commonest class" in text
     fills = fills_by_class(INSPECTION.defects)
-    assert fills["0,0"].colour == KINDS["scratch"].colour
+    assert fills["0,0"].colour == DEFECT_CLASSES["scratch"].colour
 
 
 def test_an_area_without_heights_counts_as_no_defect_in_map_and_chart():

@@ -31,7 +31,8 @@ from wafer_viewer.gui.presenters.inspection_form import (
     verdict,
 )
 from wafer_viewer.model.errors import MeasureError
-from wafer_viewer.model.inspection.defect import ClassRules, DefectLimits, DefectRecipe
+from wafer_viewer.model.inspection.defect import DefectLimits, DefectRecipe
+from wafer_viewer.model.inspection.defect_classes import ClassRules
 from wafer_viewer.model.spec import replace
 
 INSPECTION = found(PLANTED)

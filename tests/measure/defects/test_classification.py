@@ -7,9 +7,9 @@ from typing import Any
 
 import pytest
 
-from wafer_viewer.measure.defects.classification import RULES, classify
+from wafer_viewer.measure.defects.classification import classify
 from wafer_viewer.model.errors import MeasureError
-from wafer_viewer.model.inspection.defect import ClassRules, DefectShape
+from wafer_viewer.model.inspection.defect_classes import RULES, ClassRules, DefectShape
 
 PARTICLE = DefectShape(
     height_um=6.0, score=12.0, area_um2=80.0, major_um=10.0, minor_um=10.0, roughness_ratio=1.2, steepness=4.0

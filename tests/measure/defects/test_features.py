@@ -12,7 +12,8 @@ from wafer_viewer.measure.defects.classification import classify
 from wafer_viewer.measure.defects.features import Gathered, height_of, outline_of, shape_of
 from wafer_viewer.measure.defects.segmentation import DefectPiece
 from wafer_viewer.measure.dies.die_cells import CellGrid
-from wafer_viewer.model.inspection.defect import DefectRecipe, DefectShape
+from wafer_viewer.model.inspection.defect import DefectRecipe
+from wafer_viewer.model.inspection.defect_classes import DefectShape
 from wafer_viewer.model.inspection.die_grid import DieGrid
 
 Floats = NDArray[np.float64]

@@ -9,7 +9,8 @@ from pathlib import Path
 import pytest
 
 from wafer_viewer.model.errors import DatasetError, MeasureError
-from wafer_viewer.model.inspection.defect import ClassRules, DefectLimits, DefectRecipe
+from wafer_viewer.model.inspection.defect import DefectLimits, DefectRecipe
+from wafer_viewer.model.inspection.defect_classes import ClassRules
 from wafer_viewer.model.region import Region
 from wafer_viewer.model.spec import replace
 from wafer_viewer.store.records.inspection_records import (

@@ -11,8 +11,9 @@ from collections.abc import Callable, Collection, Iterable, Sequence
 from dataclasses import dataclass
 
 from wafer_viewer.draw.charts.axes import Axis
-from wafer_viewer.draw.charts.symbols import KINDS, symbol
-from wafer_viewer.model.inspection.defect import Defect, DefectClass, Inspection, RepeatedPlace
+from wafer_viewer.draw.charts.symbols import symbol
+from wafer_viewer.model.inspection.defect import Defect, Inspection, RepeatedPlace
+from wafer_viewer.model.inspection.defect_classes import DEFECT_CLASSES, DefectClass
 from wafer_viewer.model.region import Region
 
 Attributes = Callable[[str, object], str]
@@ -95,7 +96,7 @@ def _mark(
     if defect.in_die is None:
         return ""
     x, y = at(defect.in_die.x_um, defect.in_die.y_um)
-    look = KINDS[defect.seen_as]
+    look = DEFECT_CLASSES[defect.seen_as]
     name = html.escape(f"D{defect.number}, {look.title}, die {defect.die}", quote=True)
     ring = f'<circle cx="{x:.1f}" cy="{y:.1f}" r="8" fill="none" stroke="#15202B" stroke-width="2"/>' if chosen else ""
     faint = ' opacity=".35"' if defect.judgement == "nuisance" else ""
@@ -165,7 +166,7 @@ def pareto_svg(kinds: Iterable[DefectClass], *, width_px: int = 300) -> str:
 
 
 def _row(y: int, bar: Bar, counts: Axis, width_px: int) -> str:
-    look, end = KINDS[bar.kind], counts.at(bar.count)
+    look, end = DEFECT_CLASSES[bar.kind], counts.at(bar.count)
     return (
         f"{symbol(look.shape, look.colour, 6, y + 10)}"
         f'<text x="{_SIGN_PX}" y="{y + 14}" font-size="12" fill="var(--ink)">{look.title}</text>'

@@ -14,7 +14,6 @@ import numpy as np
 import viser
 
 from wafer_viewer.draw.charts.die_map import die_frame
-from wafer_viewer.draw.charts.symbols import KINDS
 from wafer_viewer.draw.charts.wafer_map import MOST_HEIGHT_PX, WIDTH_PX, MapMark, MapViewport, Outline, map_marks_svg
 from wafer_viewer.gui.page.page import Page
 from wafer_viewer.gui.page.preconditions import require_step
@@ -23,6 +22,7 @@ from wafer_viewer.gui.state.view_state import View, listed, next_die, next_kind
 from wafer_viewer.gui.widgets.command import Command, with_precondition
 from wafer_viewer.gui.widgets.controls import HtmlBlock, set_prop
 from wafer_viewer.model.inspection.defect import Defect, Inspection
+from wafer_viewer.model.inspection.defect_classes import DEFECT_CLASSES
 from wafer_viewer.session.state.snapshot import Snapshot
 
 TO_DIES = (("Next die with open defects", "pagedown", 1), ("Previous die with open defects", "pageup", -1))
@@ -153,6 +153,6 @@ def _on_map(snapshot: Snapshot, view: View) -> tuple[Defect, ...]:
 
 
 def _mark(defect: Defect) -> MapMark:
-    look = KINDS[defect.seen_as]
+    look = DEFECT_CLASSES[defect.seen_as]
     name = f"D{defect.number} · {look.title}"
     return MapMark(defect.center.x_um, defect.center.y_um, look.colour, name, chosen=True, shape=look.shape)

@@ -10,7 +10,7 @@ from typing import Any
 import viser
 
 from wafer_viewer.draw.charts.defect_charts import die_stack_svg, not_drawn, shown
-from wafer_viewer.draw.charts.symbols import KINDS, symbol_svg
+from wafer_viewer.draw.charts.symbols import symbol_svg
 from wafer_viewer.draw.number_format import number
 from wafer_viewer.gui.overlays.hud import OverScene, SheetRoom
 from wafer_viewer.gui.page.page import Page
@@ -22,6 +22,7 @@ from wafer_viewer.gui.widgets.callback_timing import LatestOnlyWorker
 from wafer_viewer.gui.widgets.command import Command, with_precondition
 from wafer_viewer.gui.widgets.error_guard import guarded
 from wafer_viewer.model.inspection.defect import LEAST_DIES, Defect, Inspection, RepeatedPlace
+from wafer_viewer.model.inspection.defect_classes import DEFECT_CLASSES
 from wafer_viewer.session.rendering.render_request import DiePicture
 from wafer_viewer.session.state.snapshot import Snapshot
 
@@ -92,7 +93,7 @@ def _list(inspection: Inspection, places: Sequence[RepeatedPlace], chosen: int |
 
 
 def _row(k: int, place: RepeatedPlace, chosen: bool) -> str:
-    look, at = KINDS[place.kind], place.in_die
+    look, at = DEFECT_CLASSES[place.kind], place.in_die
     name = (
         f"{symbol_svg(look.shape, look.colour)} {look.title}"
         f"<small>x {number(at.x_um, 1)}, y {number(at.y_um, 1)}\u202fµm</small>"

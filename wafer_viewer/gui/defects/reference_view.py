@@ -12,7 +12,7 @@ import numpy as np
 import viser
 
 from wafer_viewer.draw.charts.profile_plot import frame_of, profile_plot_html
-from wafer_viewer.draw.charts.symbols import KINDS, symbol_svg
+from wafer_viewer.draw.charts.symbols import symbol_svg
 from wafer_viewer.draw.colormaps import PROFILE_COLOURS, css_gradient
 from wafer_viewer.draw.number_format import length_text, number, round_length, tick_digits, ticks, with_unit
 from wafer_viewer.gui.overlays.hud import OverScene, SheetRoom
@@ -31,6 +31,7 @@ from wafer_viewer.gui.widgets.controls import HtmlBlock
 from wafer_viewer.gui.widgets.error_guard import guarded
 from wafer_viewer.model.errors import WaferViewerError
 from wafer_viewer.model.inspection.defect import Defect
+from wafer_viewer.model.inspection.defect_classes import DEFECT_CLASSES
 from wafer_viewer.model.measurement.sections import Section, SectionAsked
 from wafer_viewer.session.rendering.render_request import ComparisonView, ComparisonViews, Like
 from wafer_viewer.session.state.snapshot import Snapshot
@@ -77,7 +78,7 @@ def sheet(defect: Defect, answer: ComparisonViews, sizes: Sizes) -> str:
 
 def head(defect: Defect) -> str:
     """Return the header with title and close link as HTML."""
-    look = KINDS[defect.seen_as]
+    look = DEFECT_CLASSES[defect.seen_as]
     name = f"{symbol_svg(look.shape, look.colour)} D{defect.number} · {look.title} compared"
     away = f'<span class="wv-link" {html.pick("sheet", "none")}>Close · Z</span>'
     return f'<div class="wv-over-head" style="height:{HEAD_PX}px"><b>{name}</b><span>{away}</span></div>'
@@ -129,7 +130,7 @@ def _over(defect: Defect, answer: ComparisonViews, sizes: Sizes) -> str:
     x = (corners[:, 0] - x0) / (x1 - x0) * sizes.width_px
     y = (y1 - corners[:, 1]) / (y1 - y0) * sizes.height_px
     points = " ".join(f"{a:.1f},{b:.1f}" for a, b in zip(x.tolist(), y.tolist(), strict=True))
-    colour = KINDS[defect.seen_as].colour
+    colour = DEFECT_CLASSES[defect.seen_as].colour
     lines = "".join(
         f'<polygon points="{points}" fill="none" stroke="{ink}" stroke-width="{width}"/>'
         for ink, width in (("#fff", 4), (colour, 2))

@@ -13,7 +13,7 @@ from functools import lru_cache
 
 from wafer_viewer.draw.charts.defect_charts import Bar, pareto
 from wafer_viewer.draw.charts.die_map import DieFill, die_shapes, fills_by_count, kinds_of, look_svg
-from wafer_viewer.draw.charts.symbols import KINDS, symbol, symbol_svg
+from wafer_viewer.draw.charts.symbols import symbol, symbol_svg
 from wafer_viewer.draw.charts.wafer_map import MapViewport, Outline
 from wafer_viewer.draw.number_format import number, with_unit
 from wafer_viewer.gui.presenters.measurement import value_texts
@@ -21,7 +21,8 @@ from wafer_viewer.gui.presenters.results import bounds_of
 from wafer_viewer.gui.presenters.review_item import VERDICT_LOOKS, ReviewItem, Row
 from wafer_viewer.gui.state.view_state import OF_DEFECT, SORTS, DefectListing, MapBy, ReviewFilter, listed
 from wafer_viewer.gui.widgets import html
-from wafer_viewer.model.inspection.defect import Defect, DefectClass, Inspection, Judgement
+from wafer_viewer.model.inspection.defect import Defect, Inspection, Judgement
+from wafer_viewer.model.inspection.defect_classes import DEFECT_CLASSES, DefectClass
 from wafer_viewer.model.inspection.die_grid import DieStatus
 from wafer_viewer.model.job import Judgement as Noted
 from wafer_viewer.model.job import Verdict
@@ -43,7 +44,7 @@ JUDGED = {"open": "open", "real": "real defect", "nuisance": "not a defect"}
 
 def sign_of(kind: DefectClass, side_px: int = 14) -> str:
     """Return the symbol of a class, with its colour and shape."""
-    return symbol_svg(KINDS[kind].shape, KINDS[kind].colour, side_px)
+    return symbol_svg(DEFECT_CLASSES[kind].shape, DEFECT_CLASSES[kind].colour, side_px)
 
 
 def size_text(defect: Defect) -> str:
@@ -56,7 +57,11 @@ def below(defect: Defect) -> str:
     where = f"Die {defect.die}" if defect.die else "Outside of the dies"
     place = f"x {number(defect.center.x_um, 1)}, y {with_unit(defect.center.y_um, 1)}"
     own = defect.judged_kind is None
-    by = f"proposed with {number(defect.confidence, 2)}" if own else f"proposed: {KINDS[defect.kind].title.lower()}"
+    by = (
+        f"proposed with {number(defect.confidence, 2)}"
+        if own
+        else f"proposed: {DEFECT_CLASSES[defect.kind].title.lower()}"
+    )
     return f"{where} · {place} · {by}"
 
 
@@ -132,7 +137,7 @@ def classes(defect: Defect) -> str:
     tiles = (
         f'<span class="{"on" if kind == now else ""}" aria-pressed="{str(kind == now).lower()}" '
         f"{html.command_pick('defect-class', kind)}><kbd>{look.key}</kbd>{sign_of(kind)} {look.title}</span>"
-        for kind, look in KINDS.items()
+        for kind, look in DEFECT_CLASSES.items()
     )
     return html.head("Class", "keys 1 – 9") + f'<div class="wv-classes">{"".join(tiles)}</div>'
 
@@ -202,7 +207,7 @@ def _item(defect: Defect) -> ReviewItem:
 
 
 def _made(defect: Defect) -> ReviewItem:
-    look, height = KINDS[defect.seen_as], value_texts(defect.height.quantity, signed=True)
+    look, height = DEFECT_CLASSES[defect.seen_as], value_texts(defect.height.quantity, signed=True)
     return ReviewItem(
         key=key_of(defect),
         sign=f"D{defect.number}",
@@ -273,7 +278,10 @@ def fills_by_class(defects: Sequence[Defect]) -> dict[str, DieFill]:
     on: dict[str, Counter[DefectClass]] = {}
     for defect in defects:
         on.setdefault(defect.die, Counter())[defect.seen_as] += 1
-    return {die: DieFill(KINDS[max(kinds, key=kinds.__getitem__)].colour, CLASS_OPACITY) for die, kinds in on.items()}
+    return {
+        die: DieFill(DEFECT_CLASSES[max(kinds, key=kinds.__getitem__)].colour, CLASS_OPACITY)
+        for die, kinds in on.items()
+    }
 
 
 def counts_of(defects: Sequence[Defect]) -> Counter[str]:
@@ -295,7 +303,7 @@ def other_signs(frame: MapViewport, other: OtherTool) -> str:
 
 
 def _sign(frame: MapViewport, defect: Defect) -> str:
-    look, at = KINDS[defect.seen_as], (frame.x(defect.center.x_um), frame.y(defect.center.y_um))
+    look, at = DEFECT_CLASSES[defect.seen_as], (frame.x(defect.center.x_um), frame.y(defect.center.y_um))
     faint = "" if defect.judgement == "open" else f' opacity="{JUDGED_OPACITY}"'
     return (
         f'<g data-d="{key_of(defect)}" class="wv-go"{faint} stroke="var(--panel)" stroke-width="1.2" '
@@ -354,7 +362,8 @@ def _class_row(kind: DefectClass, n: int, chosen: str, bar: str, cumulated: str)
     on = kind == chosen
     return (
         f'<span class="{"on" if on else ""}" aria-pressed="{str(on).lower()}" {html.pick("defect-kind", kind)}>'
-        f"<span>{sign_of(kind)} {KINDS[kind].title}</span>{bar}<b>{number(n, 0)}</b><small>{cumulated}</small></span>"
+        f"<span>{sign_of(kind)} {DEFECT_CLASSES[kind].title}</span>"
+        f"{bar}<b>{number(n, 0)}</b><small>{cumulated}</small></span>"
     )
 
 
@@ -363,7 +372,7 @@ def _bar(bar: Bar) -> str:
     told = f"{number(100 * bar.share, 0)} % of all, {number(100 * bar.cumulated, 0)} % with those above"
     return (
         f'<i title="{told}"><i style="width:{100 * bar.cumulated:.1f}%"></i>'
-        f'<i style="width:{100 * bar.share:.1f}%;background:{KINDS[bar.kind].colour}"></i></i>'
+        f'<i style="width:{100 * bar.share:.1f}%;background:{DEFECT_CLASSES[bar.kind].colour}"></i></i>'
     )
 
 
@@ -409,7 +418,7 @@ def _alone(listing: DefectListing, inspection: Inspection) -> str:
     """Return the active filters with a link that clears them; empty if everything is listed."""
     state = next((die.word for die in inspection.dies if die.name == listing.die), "")
     told = [f"Die {listing.die} ({state})" if state else f"Die {listing.die}"] if listing.die else []
-    told += [KINDS[kind].title for kind in KINDS if kind == listing.kind]
+    told += [DEFECT_CLASSES[kind].title for kind in DEFECT_CLASSES if kind == listing.kind]
     told += [f"{len(listing.numbers)} of one place on the dies"] if listing.numbers else []
     link = f'<span class="wv-link" {html.pick("defect-all")}>all</span>'
     return f'<div class="wv-lab wv-alone">{html.safe(" · ".join(told))} alone · {link}</div>' if told else ""

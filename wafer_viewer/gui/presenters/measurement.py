@@ -8,13 +8,13 @@ from dataclasses import dataclass
 
 from wafer_viewer.draw.charts.die_map import site_map_svg, spread_um
 from wafer_viewer.draw.charts.profile_plot import groove_svg
-from wafer_viewer.draw.charts.symbols import KINDS
 from wafer_viewer.draw.colormaps import PROFILE_COLOURS, css_gradient
 from wafer_viewer.draw.number_format import NOTHING, THIN, digits_of_u, number, share, value_and_u, with_unit
 from wafer_viewer.gui.widgets import html
 from wafer_viewer.model.findings import AnyResult
 from wafer_viewer.model.gauge import GaugeCheck
 from wafer_viewer.model.inspection.defect import Defect
+from wafer_viewer.model.inspection.defect_classes import DEFECT_CLASSES
 from wafer_viewer.model.measurement.measurements import (
     AreaVolume,
     Chipping,
@@ -94,7 +94,7 @@ def sign_colour(finding: AnyResult) -> str:
     if isinstance(finding, Profile):
         return PROFILE_COLOURS[0]
     if isinstance(finding, Defect):
-        return KINDS[finding.seen_as].colour
+        return DEFECT_CLASSES[finding.seen_as].colour
     return OTHER_COLOUR if isinstance(finding, GaugeCheck) else REGION_COLOUR
 
 

@@ -12,7 +12,6 @@ from pathlib import Path
 
 import viser
 
-from wafer_viewer.draw.charts.symbols import KINDS
 from wafer_viewer.draw.number_format import duration, number, size, with_unit
 from wafer_viewer.gui.page.import_export_dialogs import import_dialog, open_dialog
 from wafer_viewer.gui.page.page import Page
@@ -24,6 +23,7 @@ from wafer_viewer.gui.widgets.command import Command
 from wafer_viewer.gui.widgets.controls import HtmlBlock, command_button, leading, outlined, set_prop
 from wafer_viewer.gui.widgets.error_guard import guarded
 from wafer_viewer.gui.widgets.style import read_static
+from wafer_viewer.model.inspection.defect_classes import DEFECT_CLASSES
 from wafer_viewer.model.measurement.measurements import StepHeight
 from wafer_viewer.session.files.documents import newest_report
 from wafer_viewer.session.planning.guided_tour import is_tour
@@ -309,7 +309,7 @@ def _found(snapshot: Snapshot) -> Result:
     inspection = snapshot.inspection.inspection
     if inspection is None:
         return "Found", "not inspected", "skipped", False
-    kinds = Counter(KINDS[defect.seen_as].title.lower() for defect in inspection.found)
+    kinds = Counter(DEFECT_CLASSES[defect.seen_as].title.lower() for defect in inspection.found)
     n = len(inspection.found)
     below = ", ".join(f"{count} {kind}" for kind, count in kinds.most_common(3))
     return "Found", f"{number(n, 0)} defect{'' if n == 1 else 's'}", below or "on no die", True

@@ -20,7 +20,8 @@ from wafer_viewer.measure.defects.features import DefectOutline, Gathered, Mask,
 from wafer_viewer.measure.defects.noise_model import NoiseModel
 from wafer_viewer.measure.defects.segmentation import DefectPiece, evidence_of
 from wafer_viewer.measure.dies.die_cells import CellGrid
-from wafer_viewer.model.inspection.defect import RESOLVED_FROM_PX, Defect, DefectRecipe, DefectShape
+from wafer_viewer.model.inspection.defect import RESOLVED_FROM_PX, Defect, DefectRecipe
+from wafer_viewer.model.inspection.defect_classes import DefectShape
 from wafer_viewer.model.region import Point, Region
 from wafer_viewer.model.spec import replace
 from wafer_viewer.numerics.normal_statistics import MAD_TO_SIGMA

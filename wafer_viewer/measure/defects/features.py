@@ -11,7 +11,8 @@ import numpy as np
 from wafer_viewer.measure.defects.matched_filters import SHARP, SOFT
 from wafer_viewer.measure.defects.segmentation import DefectPiece, Floats, Mask, Pixels, evidence_of
 from wafer_viewer.measure.dies.die_cells import CellGrid
-from wafer_viewer.model.inspection.defect import DefectRecipe, DefectShape
+from wafer_viewer.model.inspection.defect import DefectRecipe
+from wafer_viewer.model.inspection.defect_classes import DefectShape
 
 
 @dataclass(frozen=True, slots=True)

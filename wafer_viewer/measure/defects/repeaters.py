@@ -9,7 +9,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from wafer_viewer.model.errors import MeasureError
-from wafer_viewer.model.inspection.defect import LEAST_DIES, Defect, DefectClass, Inspection, RepeatedPlace
+from wafer_viewer.model.inspection.defect import LEAST_DIES, Defect, Inspection, RepeatedPlace
+from wafer_viewer.model.inspection.defect_classes import DefectClass
 from wafer_viewer.model.region import Point
 
 LEAST_WITHIN_UM = 5.0

@@ -7,21 +7,13 @@ from typing import Annotated, ClassVar
 import numpy as np
 
 from wafer_viewer.model.errors import DatasetError, WaferViewerError
-from wafer_viewer.model.inspection.defect import Defect, DefectClass
+from wafer_viewer.model.inspection.defect import Defect
+from wafer_viewer.model.inspection.defect_classes import DEFECT_CLASSES
 from wafer_viewer.model.inspection.die_grid import DieGrid
 from wafer_viewer.model.region import Region
 from wafer_viewer.model.spec import NonNegative, Positive, Spec, Within
 
-CLASS_NUMBERS: dict[DefectClass, int] = {
-    "particle": 1,
-    "pit": 2,
-    "scratch": 3,
-    "residue": 4,
-    "missing die": 5,
-    "tilted die": 6,
-    "edge chip": 7,
-    "pattern": 8,
-}
+CLASS_NUMBERS = {entry.name: entry.klarf_number for entry in DEFECT_CLASSES.values() if entry.klarf_number}
 """CLASSNUMBER of each class; 0 is Unclassified. Unmeasured areas are not defects and are not exported."""
 BINS = {"open": 0, "real": 1, "nuisance": 2}
 """ROUGHBINNUMBER of each judgement."""

@@ -8,7 +8,8 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from wafer_viewer.model.errors import DatasetError, WaferViewerError
-from wafer_viewer.model.inspection.defect import Defect, DefectClass, DefectRecipe, Inspection, Judgement
+from wafer_viewer.model.inspection.defect import Defect, DefectRecipe, Inspection, Judgement
+from wafer_viewer.model.inspection.defect_classes import DefectClass
 from wafer_viewer.model.spec import replace
 from wafer_viewer.session.core.command_queue import UndoHistory
 from wafer_viewer.session.core.commands import command

@@ -7,12 +7,12 @@ from collections.abc import Iterator
 
 from wafer_viewer.draw.charts.defect_charts import die_stack_svg, pareto_svg
 from wafer_viewer.draw.charts.die_map import defect_map_svg, kinds_text
-from wafer_viewer.draw.charts.symbols import KINDS
 from wafer_viewer.draw.number_format import digits_of_u, number, share
 from wafer_viewer.model.errors import MeasureError
 from wafer_viewer.model.findings import AnyResult
 from wafer_viewer.model.gauge import GaugeCheck
 from wafer_viewer.model.inspection.defect import Defect, Inspection
+from wafer_viewer.model.inspection.defect_classes import DEFECT_CLASSES
 from wafer_viewer.model.inspection.defect_verdict import verdict_of
 from wafer_viewer.model.job import GRAVEST, FeatureVerdict, WaferVerdict, key_of_result, keys_of_features
 from wafer_viewer.model.measurement.sections import SectionAsked
@@ -237,7 +237,7 @@ def repeated(found: Inspection) -> Iterator[str]:
         yield "Defects that repeat at the same place of several dies are systematic, of the mask or the process."
     for k, place in enumerate(places[:MOST_PLACES], 1):
         x, y = number(place.in_die.x_um, 1), number(place.in_die.y_um, 1)
-        kind = KINDS[place.kind].title.lower()
+        kind = DEFECT_CLASSES[place.kind].title.lower()
         yield f"Place {k}, x {x}, y {y} µm of the die: {kind} {place.words}."
     if len(places) > MOST_PLACES:
         yield f"{len(places) - MOST_PLACES} more places repeat."

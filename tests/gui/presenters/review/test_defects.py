@@ -8,7 +8,6 @@ import pytest
 
 from tests.browser.sessions import fake_session as fake
 from tests.browser.sessions.inspected_session import PLANTED, found
-from wafer_viewer.draw.charts.symbols import KINDS
 from wafer_viewer.gui.page.header import all_judged, possible
 from wafer_viewer.gui.page.preconditions import can_undo
 from wafer_viewer.gui.presenters.defects import (
@@ -26,6 +25,7 @@ from wafer_viewer.gui.presenters.defects import (
 )
 from wafer_viewer.gui.presenters.review import chosen_item, neighbour, numbers, review_items
 from wafer_viewer.gui.state.view_state import SORTS, DefectListing, View, listed
+from wafer_viewer.model.inspection.defect_classes import DEFECT_CLASSES
 from wafer_viewer.model.spec import replace
 from wafer_viewer.session.state.inspection_state import InspectionState
 from wafer_viewer.session.state.snapshot import Snapshot
@@ -134,8 +134,8 @@ def test_the_expected_false_count_is_shown_from_the_data():
 
 
 def test_classes_differ_by_shape_as_well_as_by_colour_and_have_keys():
-    assert len({look.shape for look in KINDS.values()}) == len(KINDS)
-    assert sorted(look.key for look in KINDS.values()) == [str(n) for n in range(1, 10)]
+    assert len({look.shape for look in DEFECT_CLASSES.values()}) == len(DEFECT_CLASSES)
+    assert sorted(look.key for look in DEFECT_CLASSES.values()) == [str(n) for n in range(1, 10)]
     assert 'aria-pressed="true"' in classes(INSPECTION.defects[0])
 
 
