@@ -155,7 +155,6 @@ class GaugeRepeat(Spec, frozen=True, kw_only=True):
     taken: str = ""
     surface: str = ""
     show: int = 0
-    input_fields: ClassVar[tuple[str, ...]] = ("upper", "lower")
     upper: Region
     lower: Region
     height: Length
@@ -188,6 +187,7 @@ class GaugeCheck(MeasurementResult, frozen=True, kw_only=True, tag="gauge_check"
     (ISO 14253-5). s_um, range_um: of the repeats. signed_by and at are empty until the check is signed.
     """
 
+    input_fields: ClassVar[tuple[str, ...]] = ("upper", "lower")
     certificate: Certificate
     terms: GaugeTerms = GaugeTerms()
     repeats: tuple[GaugeRepeat, ...]
