@@ -10,7 +10,7 @@ from collections.abc import Callable
 from concurrent.futures import Future
 from typing import Any, get_type_hints
 
-from wafer_viewer.session.core.commands import Command
+from wafer_viewer.session.core.commands import SessionCommand
 from wafer_viewer.session.inspection.inspection_files import DefectFiles
 from wafer_viewer.session.inspection.reference_views import DefectViews
 
@@ -32,7 +32,7 @@ def verbs_of(true: type) -> dict[str, inspect.Signature]:
 
 
 def _is_verb(member: Any) -> bool:
-    return inspect.isfunction(member) or isinstance(member, Command)
+    return inspect.isfunction(member) or isinstance(member, SessionCommand)
 
 
 def answers_later(signature: inspect.Signature) -> bool:

@@ -51,7 +51,6 @@ from wafer_viewer.model.measurement.tool_options import (
 from wafer_viewer.model.measurement.tools import ToolOptions
 from wafer_viewer.model.region import Region, RegionKind
 from wafer_viewer.model.spec import replace
-from wafer_viewer.model.spec import replace as finding_replace
 from wafer_viewer.model.surface.height_map import Mosaic, Outline
 
 
@@ -239,7 +238,7 @@ def _cut(asked: Sequence[SectionAsked], surface: Mosaic, calibrated: bool, sourc
 
 def _facts(section: Section, points: bool) -> dict[str, Any]:
     """Return the numbers of a section and its source."""
-    found = finding_replace(section.profile, levelling=section.asked.levelling, show=section.asked.show)
+    found = replace(section.profile, levelling=section.asked.levelling, show=section.asked.show)
     facts: dict[str, Any] = {"curve": section.title, "source": section.source, **msgspec.to_builtins(found)}
     if points:
         curve = section.curve

@@ -27,12 +27,14 @@ from wafer_viewer.model.surface.focus_measures import focus_measures
 from wafer_viewer.model.surface.recipe import READY_RECIPES, Recipe
 from wafer_viewer.session.state.snapshot import StitchingInfo
 
-FACE_CHOICES: tuple[tuple[ComparisonFace, str], ...] = (
-    (ComparisonFace.DIFFERENCE, "Difference"),
-    (ComparisonFace.FIRST, "First"),
-    (ComparisonFace.SECOND, "Second"),
-    (ComparisonFace.BESIDE, "Both"),
-)
+FACES: dict[ComparisonFace, tuple[str, str]] = {
+    ComparisonFace.DIFFERENCE: ("Difference", "Second − first"),
+    ComparisonFace.FIRST: ("First", "First surface"),
+    ComparisonFace.SECOND: ("Second", "Second surface"),
+    ComparisonFace.BESIDE: ("Both", "Both surfaces"),
+}
+"""Faces of a comparison: label of the choice, and name of what is shown."""
+FACE_CHOICES = tuple((face, label) for face, (label, _) in FACES.items())
 OUTDATED = "One of the surfaces has changed or was deleted: compare again."
 BESIDE_SAID = "The second stands to the right of the first, in the same colours and range."
 LITTLE_OVERLAP = 0.5
@@ -124,19 +126,13 @@ def _with_u(value: float, expanded: float | None, unit: str) -> str:
     return f"{shown} {unit}" if expanded is None else f"{shown} ± {u} {unit}"
 
 
-FACES: dict[ComparisonFace, str] = {
-    ComparisonFace.DIFFERENCE: "Second − first",
-    ComparisonFace.FIRST: "First surface",
-    ComparisonFace.SECOND: "Second surface",
-    ComparisonFace.BESIDE: "Both surfaces",
-}
 PARTS = {"all": "", "view": ", in view", "selection": ", selection"}
 
 
 def surface_name(view: View) -> str:
     """Return the name of the surface part that statistics cover, such as ``Field 5, in view``."""
     compared = comparison_of(view.show)
-    whole = FACES[compared[1]] if compared is not None else f"Field {view.show}" if view.show else "Stitched surface"
+    whole = FACES[compared[1]][1] if compared is not None else f"Field {view.show}" if view.show else "Stitched surface"
     return whole + PARTS[view.counted]
 
 

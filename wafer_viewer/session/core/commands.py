@@ -33,7 +33,7 @@ S = TypeVar("S")
 Part = TypeVar("Part")
 
 
-class Command(Generic[C, P, R, T]):
+class SessionCommand(Generic[C, P, R, T]):
     """Method of a controller that runs on its command queue; a call returns a future.
 
     R is the return type of the method, T the type of the future's result: the same, unless the method returns a future.
@@ -44,10 +44,10 @@ class Command(Generic[C, P, R, T]):
         self.method, self.needs_control = method, needs_control
 
     @overload
-    def __get__(self, controller: None, owner: type) -> Command[C, P, R, T]: ...
+    def __get__(self, controller: None, owner: type) -> SessionCommand[C, P, R, T]: ...
     @overload
     def __get__(self, controller: C, owner: type) -> BoundCommand[P, R, T]: ...
-    def __get__(self, controller: C | None, owner: type) -> Command[C, P, R, T] | BoundCommand[P, R, T]:
+    def __get__(self, controller: C | None, owner: type) -> SessionCommand[C, P, R, T] | BoundCommand[P, R, T]:
         return self if controller is None else BoundCommand(self, controller)
 
     def __call__(self, controller: C, *args: P.args, **kwargs: P.kwargs) -> Future[T]:
@@ -64,7 +64,7 @@ class Command(Generic[C, P, R, T]):
 class BoundCommand(Generic[P, R, T]):
     """Command of one controller."""
 
-    def __init__(self, command: Command[Any, P, R, T], controller: Controller) -> None:
+    def __init__(self, command: SessionCommand[Any, P, R, T], controller: Controller) -> None:
         functools.update_wrapper(self, command.method)
         self._command, self._controller = command, controller
         self.needs_control = command.needs_control
@@ -90,12 +90,12 @@ class CommandDeclaration:
     needs_control: bool
 
     @overload
-    def __call__(self, method: Callable[Concatenate[C, P], Future[T]]) -> Command[C, P, Future[T], T]: ...
+    def __call__(self, method: Callable[Concatenate[C, P], Future[T]]) -> SessionCommand[C, P, Future[T], T]: ...
     @overload
-    def __call__(self, method: Callable[Concatenate[C, P], T]) -> Command[C, P, T, T]: ...
-    def __call__(self, method: Callable[..., Any]) -> Command[Any, ..., Any, Any]:
+    def __call__(self, method: Callable[Concatenate[C, P], T]) -> SessionCommand[C, P, T, T]: ...
+    def __call__(self, method: Callable[..., Any]) -> SessionCommand[Any, ..., Any, Any]:
         """Return the method as a command."""
-        return Command(method, self.needs_control)
+        return SessionCommand(method, self.needs_control)
 
 
 command = CommandDeclaration(needs_control=True)
