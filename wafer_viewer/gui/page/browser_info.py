@@ -5,6 +5,8 @@ viser never reports a layout: a script observes the widths, and they are restore
 
 from __future__ import annotations
 
+import math
+import threading
 from collections.abc import Callable
 from dataclasses import replace
 from typing import Any
@@ -65,7 +67,8 @@ const tell = () => {{
   const field = document.querySelector('div:has(>.wv-tells)+div input');
   if (now === told || !field) return;
   told = now;
-  Object.getOwnPropertyDescriptor(HTMLInputElement.prototype, 'value').set.call(field, now);
+  const timed = JSON.stringify({{...JSON.parse(now), at_ms: performance.now()}});
+  Object.getOwnPropertyDescriptor(HTMLInputElement.prototype, 'value').set.call(field, timed);
   field.dispatchEvent(new Event('input', {{bubbles: true}}));
 }};
 window.wvTelling = setInterval(tell, {_EVERY_MS});
@@ -78,6 +81,7 @@ class BrowserInfo(msgspec.Struct, frozen=True):
 
     renderer: WebGL renderer, empty if the browser does not report it; still: the user prefers reduced motion.
     window: width of the page in CSS pixels, 0 until it is reported; scene: size of the scene, likewise.
+    at_ms: when the browser wrote the report, since the page was loaded.
     """
 
     system: str = ""
@@ -87,12 +91,16 @@ class BrowserInfo(msgspec.Struct, frozen=True):
     still: bool = False
     window: int = 0
     scene: tuple[int, int] = (0, 0)
+    at_ms: float = 0.0
 
 
 class BrowserEvents:
     """Handler of the reports of a page's browser: stores the layout, and names the browser after its system.
 
     `left` is the left side panel; it and the main panel get their stored widths when the page is first drawn.
+
+    viser runs callbacks on several threads: a report that is overtaken by a later one is dropped. Were it not, the
+    panel would follow a size that the window no longer has, and no further report would correct it.
     """
 
     def __init__(self, page: Page) -> None:
@@ -100,6 +108,10 @@ class BrowserEvents:
         self._system: str | None = None
         self._restored = False
         self._cramped = False
+        self._unfolding = False
+        """The left panel was told to unfold, and the browser has not reported it so yet."""
+        self._one_at_a_time = threading.Lock()
+        self._latest_ms = -math.inf
         self.left: Any = None
         self._can_fly = False
         self._let_fly: Callable[[bool], None] = lambda able: None
@@ -124,19 +136,29 @@ class BrowserEvents:
             self._system = None
 
     def _hear(self, text: str) -> None:
-        page, told = self._page, msgspec.json.decode(text, type=BrowserInfo)
+        told = msgspec.json.decode(text, type=BrowserInfo)
+        with self._one_at_a_time:
+            if told.at_ms < self._latest_ms:
+                return
+            self._latest_ms = told.at_ms
+            self._take(told)
+        self._page.redraw()
+
+    def _take(self, told: BrowserInfo) -> None:
+        page = self._page
         self._system = system_name(told.system)
         self._can_fly = may_fly(told)
         self._let_fly(self._can_fly)
         page.viewport.set_size(*told.scene)
         layout = layout_of(told, page.browser.layout)
-        if self._cramped:  # folded for want of room, not by a person
+        if told.left is not None and not told.left[1]:
+            self._unfolding = False
+        if self._cramped or self._unfolding:  # folded for want of room, not by a person
             layout = replace(layout, left_folded=page.browser.layout.left_folded)
         if self._restored and layout != page.browser.layout:
             page.remember(replace(page.browser, layout=layout))
         if self._restored:
             self._make_room(told, layout)
-        page.redraw()
 
     def _make_room(self, told: BrowserInfo, layout: PanelLayout) -> None:
         """Fold the left panel if the scene gets too narrow, and unfold it when there is room again."""
@@ -147,6 +169,7 @@ class BrowserEvents:
             self.left.minimize()
         elif not layout.left_folded:
             self.left.expand()
+            self._unfolding = True
 
 
 def restore(layout: PanelLayout, left: Any, right: Any) -> None:
