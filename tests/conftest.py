@@ -3,9 +3,11 @@
 from __future__ import annotations
 
 import signal
+from collections.abc import Iterator
 
 import pytest
 from hypothesis import HealthCheck, settings
+from markupsafe import Markup
 
 from tests.support.patience import PATIENCE_S
 
@@ -17,6 +19,18 @@ if signal.getsignal(signal.SIGINT) is signal.SIG_IGN:
 # How long an example takes tells of the machine and of what else it does.
 settings.register_profile("any machine", deadline=None, suppress_health_check=[HealthCheck.too_slow])
 settings.load_profile("any machine")
+
+
+@pytest.fixture(scope="session", autouse=True)
+def no_markup_in_f_strings() -> Iterator[None]:
+    """Markup in an f-string raises: it would become plain text, and be escaped where it enters the page."""
+
+    def refuse(markup: Markup, spec: str) -> str:
+        raise TypeError(f"Write Markup(...).format(...) instead of an f-string: {str(markup)[:80]!r} lost its type.")
+
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(Markup, "__format__", refuse)
+        yield
 
 
 @pytest.fixture(scope="session")

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import ast
+import re
 import subprocess
 import sys
 from collections import Counter
@@ -13,6 +14,7 @@ import pytest
 from tests.support.paths import ROOT
 
 MODULES = sorted((ROOT / "wafer_viewer").rglob("*.py"))
+DRAWS_HTML = [m for m in MODULES if {"gui", "charts"} & set(m.relative_to(ROOT).parts)]
 ROOMS = sorted(p.name for p in (ROOT / "wafer_viewer").iterdir() if (p / "__init__.py").exists())
 
 
@@ -69,6 +71,15 @@ def holds_a_number(value: ast.expr | None) -> bool:
 
 def is_text(node: ast.stmt) -> bool:
     return isinstance(node, ast.Expr) and isinstance(node.value, ast.Constant) and isinstance(node.value.value, str)
+
+
+@pytest.mark.parametrize("module", DRAWS_HTML, ids=lambda p: str(p.relative_to(ROOT)))
+def test_html_is_written_as_markup(module):
+    """An f-string with a tag would put a value into the page unescaped."""
+    tree = ast.parse(module.read_text())
+    texts = (node for node in ast.walk(tree) if isinstance(node, ast.JoinedStr))
+    literals = [part.value for text in texts for part in text.values if isinstance(part, ast.Constant)]
+    assert not [text for text in literals if re.search(r"<[a-zA-Z/!]", text)]
 
 
 def test_a_room_has_no_room_hidden_in_it():

@@ -8,6 +8,7 @@
   const ASIDE = '[aria-hidden=true], [inert], .mantine-Notification-root, .u-over';
   const SCROLLER = '.mantine-ScrollArea-viewport, .wv-sheet, .mantine-Modal-content, .mantine-ScrollArea-root';
   const RESTING_FRAMES = 2, REST_MS = 6000;
+  const TAG = /<\/[a-z]+>|<[a-z]+ [a-z-]+=|&(?:[a-z]+|#\d+);/i;
   const CRAMPED_PX = 300 + 404 + 440;  // browser.py: below it the left panel is folded away
 
   const all = selector => [...document.querySelectorAll(selector)];
@@ -243,6 +244,7 @@
     inputs(found);
     const seen = texts();
     for (const text of seen) whole(found, text);
+    for (const { said } of seen) if (TAG.test(said)) found.push(`markup shown as text: "${said}"`);
     found.push(...pale(seen));
     if (!other) return [[...new Set(found)], []];
     turn(other);

@@ -40,6 +40,8 @@ FAULTS = {
         const [a, b] = boxes.filter(e => e.checkVisibility() && !e.disabled);
         const [p, q] = [a, b].map(e => e.getBoundingClientRect());
         b.style.transform = `translate(${p.left - q.left + 10}px, ${p.top - q.top}px)`;""",
+    'markup shown as text: "<b>12</b> ': """
+        document.querySelector('.wv-title span').append('<b>12</b> fields');""",
     "layout: the panel below the scene": """
         document.body.insertAdjacentHTML('beforeend',
           '<div data-floating-window style="position: fixed; width: 90px; height: 9px; bottom: 0">' +

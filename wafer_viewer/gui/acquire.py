@@ -7,6 +7,7 @@ from collections.abc import Callable
 
 import numpy as np
 import viser
+from markupsafe import Markup
 from numpy.typing import NDArray
 
 from wafer_viewer.draw.number_format import duration, number, share, size, with_unit
@@ -52,7 +53,11 @@ class AcquirePanel:
         self._notes.show(self._page.notes(snapshot))
         self._verdict.show(snapshot)
         few = _few(snapshot, view)
-        self._more.show(f'<div class="wv-more-of">{unfold(not view.everything)}</div>' if _released(snapshot) else "")
+        self._more.show(
+            Markup('<div class="wv-more-of">{}</div>').format(unfold(not view.everything))
+            if _released(snapshot)
+            else Markup()
+        )
         self._counters.show(_counters(scan) if scan and not few else "")
         self._show_frame(snapshot, few)
 
@@ -76,7 +81,9 @@ class AcquirePanel:
             halt = guarded(page, NOT_STOPPED)(lambda _: stop(page))
             self._stop = button(gui, "Stop scan", viser.Icon.PLAYER_STOP, halt)
             in_a_row(gui, [self._pause, self._stop], 40)
-            HtmlBlock(gui, '<div class="wv-why">Stop halts at once, in software: it is no emergency stop.</div>')
+            HtmlBlock(
+                gui, Markup('<div class="wv-why">Stop halts at once, in software: it is no emergency stop.</div>')
+            )
         self._notes = HtmlBlock(gui)
         self._verdict = VerdictSection(page)
         self._more = HtmlBlock(gui)
@@ -121,7 +128,9 @@ class AcquirePanel:
         why = _why_not(snapshot) if unfinished else None
         set_prop(self._go_on, "visible", unfinished)
         set_prop(self._go_on, "disabled", why is not None)
-        self._why.show(f'<div class="wv-why">Not yet: {html.safe(html.with_micro_sign(why))}</div>' if why else "")
+        self._why.show(
+            Markup('<div class="wv-why">Not yet: {}</div>').format(html.with_micro_sign(why)) if why else Markup()
+        )
         done = not running and not unfinished and snapshot.surface is not None
         onward = done and _released(snapshot) and not awaited(snapshot)
         set_prop(self._look, "visible", done and not onward)
@@ -209,20 +218,19 @@ def _done(scan: ScanProgress) -> float:
     return scan.frames_done / max(1, scan.frames_total)
 
 
-def _figures(scan: ScanProgress) -> str:
+def _figures(scan: ScanProgress) -> Markup:
     done = 100 * _done(scan)
     left = html.figure(
         "Took" if scan.finished else "Time left",
         duration(scan.seconds_gone if scan.finished else scan.seconds_left),
         size_px=46,
     )
-    return (
-        html.columns([left, html.figure("Done", number(int(done), 0), "%", size_px=46)], "1.1fr 1fr")
-        + '<div style="height:9px"></div>'
+    return html.columns([left, html.figure("Done", number(int(done), 0), "%", size_px=46)], "1.1fr 1fr") + Markup(
+        '<div style="height:9px"></div>'
     )
 
 
-def _counters(scan: ScanProgress) -> str:
+def _counters(scan: ScanProgress) -> Markup:
     rate = scan.frames_done / scan.seconds_gone if scan.seconds_gone > 0 else None
     missing = html.figure(
         "Missing", number(scan.frames_missing, 0), size_px=19, tone="attention" if scan.frames_missing else None
@@ -236,13 +244,13 @@ def _counters(scan: ScanProgress) -> str:
     return html.head("Counters", f"{number(rate, 1)} frames/s") + html.columns(cells)
 
 
-def _frame_head(frame: LatestFrame | None) -> str:
+def _frame_head(frame: LatestFrame | None) -> Markup:
     if frame is None:
         return html.head("Last frame")
     return html.head("Last frame", f"field {frame.field.number} · z {with_unit(frame.z_um, 1, signed=True)}")
 
 
-def _frame_words(frame: LatestFrame, snapshot: Snapshot) -> str:
+def _frame_words(frame: LatestFrame, snapshot: Snapshot) -> Markup:
     limit = 65535 if frame.image.dtype == np.uint16 else 255
     rows = [
         ("Brightest pixel", f"{number(frame.brightest, 0)} of {number(limit, 0)}"),
@@ -253,4 +261,4 @@ def _frame_words(frame: LatestFrame, snapshot: Snapshot) -> str:
         whole = data.plan.bytes_on_disk
         free = f" · {size(snapshot.draft.free_bytes)} free" if snapshot.draft.free_bytes is not None else ""
         rows.append(("Disk", f"{size(whole * _done(scan))} of {size(whole)}{free}"))
-    return html.pairs(rows) + '<div style="height:10px"></div>'
+    return html.pairs(rows) + Markup('<div style="height:10px"></div>')

@@ -8,6 +8,7 @@ from typing import Any
 from urllib.parse import quote
 
 import viser
+from markupsafe import Markup
 
 from wafer_viewer.gui.page.import_export_dialogs import save_dialog
 from wafer_viewer.gui.page.page import Page
@@ -57,7 +58,9 @@ class ReportPanel:
             self._boxes[part].enable(not holds.nothing)
             told.show(_line(holds, part in chosen))
         self._outcome.show(
-            _newest(self._last(data.path)) if chosen else '<div class="wv-why">Not yet: no section is selected.</div>'
+            _newest(self._last(data.path))
+            if chosen
+            else Markup('<div class="wv-why">Not yet: no section is selected.</div>')
         )
         for act in (self._elsewhere, self._write):
             set_prop(act, "disabled", self._busy or not chosen)
@@ -171,15 +174,17 @@ def report_address(report: Path) -> str:
     return f"/reports/{quote(report.name)}"
 
 
-def _newest(path: Path | None) -> str:
+def _newest(path: Path | None) -> Markup:
     """Return a note with a link to the newest report; empty for None."""
     if path is None:
-        return ""
-    link = f'<a class="wv-link" href="{report_address(path)}" target="_blank" rel="noopener">Open the report</a>'
-    words = f'<div><b>The report is written.</b><p>{html.safe(path)}</p><p class="wv-foot">{link}</p></div>'
-    return f'<div class="wv-note good" role="status">{words}</div>'
+        return Markup()
+    link = Markup('<a class="wv-link" href="{}" target="_blank" rel="noopener">Open the report</a>').format(
+        report_address(path)
+    )
+    words = Markup('<div><b>The report is written.</b><p>{}</p><p class="wv-foot">{}</p></div>').format(path, link)
+    return Markup('<div class="wv-note good" role="status">{}</div>').format(words)
 
 
-def _line(holds: Holds, chosen: bool) -> str:
+def _line(holds: Holds, chosen: bool) -> Markup:
     look = " none" if holds.nothing else "" if chosen else " off"
-    return f'<div class="wv-part{look}">{html.safe(html.with_micro_sign(holds.words))}</div>'
+    return Markup('<div class="wv-part{}">{}</div>').format(look, html.with_micro_sign(holds.words))

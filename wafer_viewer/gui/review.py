@@ -8,6 +8,7 @@ from concurrent.futures import Future
 from typing import TYPE_CHECKING, Any, Literal
 
 import viser
+from markupsafe import Markup
 
 from wafer_viewer.gui.page import preconditions as judgement
 from wafer_viewer.gui.page.dialogs import Dialog
@@ -228,7 +229,7 @@ def _class_commands(classify: Callable[[DefectClass], None]) -> list[Command]:
     )
 
 
-def _nothing_yet(snapshot: Snapshot) -> str:
+def _nothing_yet(snapshot: Snapshot) -> Markup:
     """Return the hint shown when nothing is under review."""
     if awaited(snapshot):
         return waiting(snapshot.operating.judging)

@@ -32,7 +32,7 @@ FOUND = inspection(
 
 def shapes_of(text: str) -> dict[str, str]:
     """What is drawn of each die, by its name."""
-    root = ET.fromstring(f"<svg>{text}</svg>")
+    root = ET.fromstring("<svg>" + str(text) + "</svg>")
     return {g.get("data-die", ""): ET.tostring(g, "unicode") for g in root.iter("g") if g.get("data-die")}
 
 

@@ -74,7 +74,7 @@ def test_what_needs_control_is_locked_while_another_holds_it(gui, lock):
 
 def test_elements_of_html_that_need_control_are_named_by_their_attribute(gui, lock):
     assert html.NEEDS_CONTROL not in html.pick("theme")
-    assert html.command_pick("undo", 3) == f"{html.pick('undo', 3)} {html.NEEDS_CONTROL}"
+    assert html.command_pick("undo", 3) == html.pick("undo", 3) + " " + html.NEEDS_CONTROL
     lock.show(held_by("a"), View())
     assert f"[{html.NEEDS_CONTROL}]{{" in gui.drawn[0].content
     lock.show(held_by("b"), View())

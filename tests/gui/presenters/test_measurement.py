@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import pytest
+from markupsafe import escape
 
 from tests.browser.sessions.measuring_session import MeasuringSession
 from tests.browser.sessions.shaped_session import ShapedSession
@@ -92,9 +93,7 @@ def test_every_result_says_where_it_comes_from_and_from_which_zero(tool, found):
 
 
 def stage_zero() -> str:
-    from wafer_viewer.gui.widgets import html
-
-    return html.safe(f"Heights are read from {ZERO['stage']}.")
+    return escape(f"Heights are read from {ZERO['stage']}.")
 
 
 def test_every_way_of_levelling_has_words():

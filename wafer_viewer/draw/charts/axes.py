@@ -9,6 +9,7 @@ from dataclasses import dataclass
 from typing import TypeVar
 
 import numpy as np
+from markupsafe import Markup
 from numpy.typing import NDArray
 
 from wafer_viewer.draw.number_format import number, tick_digits, ticks
@@ -78,26 +79,34 @@ class Axes:
         foot, top = self.y.span
         return f"M{self.x.at(value):.1f} {top:g}V{foot:g}"
 
-    def grid(self) -> str:
+    def grid(self) -> Markup:
         """Return the path of the grid lines."""
-        return "".join([*(self.upright(x) for x, _ in self.x.ticks), *(self.level(y) for y, _ in self.y.ticks)])
+        return Markup("").join([*(self.upright(x) for x, _ in self.x.ticks), *(self.level(y) for y, _ in self.y.ticks)])
 
-    def labels_html(self) -> str:
+    def labels_html(self) -> Markup:
         """Return the tick labels, placed in percent beside a stretched drawing."""
-        below = (f'<i class="x" style="left:{self.x.percent(x):.2f}%">{text}</i>' for x, text in self.x.ticks)
-        beside = (f'<i class="y" style="top:{self.y.percent(y):.2f}%">{text}</i>' for y, text in self.y.ticks)
-        return "".join([*below, *beside])
+        below = (
+            Markup('<i class="x" style="left:{:.2f}%">{}</i>').format(self.x.percent(x), text)
+            for x, text in self.x.ticks
+        )
+        beside = (
+            Markup('<i class="y" style="top:{:.2f}%">{}</i>').format(self.y.percent(y), text)
+            for y, text in self.y.ticks
+        )
+        return Markup("").join([*below, *beside])
 
-    def labels_svg(self) -> str:
+    def labels_svg(self) -> Markup:
         """Return the tick labels as text elements below and left of the plot."""
         left, foot = self.x.span[0] - 6, self.y.span[0] + 14
         below = (
-            f'<text x="{self.x.at(x):.1f}" y="{foot:g}" text-anchor="middle">{text}</text>' for x, text in self.x.ticks
+            Markup('<text x="{:.1f}" y="{:g}" text-anchor="middle">{}</text>').format(self.x.at(x), foot, text)
+            for x, text in self.x.ticks
         )
         beside = (
-            f'<text x="{left:g}" y="{self.y.at(y) + 4:.1f}" text-anchor="end">{text}</text>' for y, text in self.y.ticks
+            Markup('<text x="{:g}" y="{:.1f}" text-anchor="end">{}</text>').format(left, self.y.at(y) + 4, text)
+            for y, text in self.y.ticks
         )
-        return "".join([*below, *beside])
+        return Markup("").join([*below, *beside])
 
     def frame(self) -> str:
         """Return the path around the plot."""
@@ -105,9 +114,11 @@ class Axes:
         return f"M{left:g} {top:g}H{right:g}V{foot:g}H{left:g}Z"
 
 
-def line_svg(d: str, colour: str, width_px: float, more: str = "") -> str:
+def line_svg(d: str, colour: str, width_px: float, more: str = "") -> Markup:
     """Return a path as a line in a colour of the page; `more`: further attributes."""
-    return f'<path d="{d}" stroke="var(--{colour})" stroke-width="{width_px:g}" {more}/>'
+    return Markup('<path d="{d}" stroke="var(--{colour})" stroke-width="{width_px:g}" {more}/>').format(
+        d=d, colour=colour, width_px=width_px, more=more
+    )
 
 
 @dataclass(frozen=True, slots=True)
@@ -125,7 +136,7 @@ class PlotLook:
     style: str = ""
 
 
-def plot_html(axes: Axes, look: PlotLook, drawn: str, over: str = "") -> str:
+def plot_html(axes: Axes, look: PlotLook, drawn: str, over: str = "") -> Markup:
     """Return a plot that fills its container.
 
     Parameters
@@ -141,11 +152,24 @@ def plot_html(axes: Axes, look: PlotLook, drawn: str, over: str = "") -> str:
     """
     place = f"left:{look.left_px}px;right:{look.right_px}px;top:{look.top_px}px;bottom:{look.foot_px}px"
     across, down = max(axes.x.span), max(axes.y.span)
-    style = f' style="{look.style}"' if look.style else ""
-    x_title = f'<span class="wv-plot-x">{look.x_title}</span>' if look.x_title else ""
-    return (
-        f'<div class="{f"wv-plot {look.classes}".strip()}"{style}><div style="position:absolute;{place}">'
-        f'<svg viewBox="0 0 {across:g} {down:g}" preserveAspectRatio="none" role="img" aria-label="{look.name}">'
-        f"{line_svg(axes.grid(), 'line', 1)}{drawn}</svg>{axes.labels_html()}{over}</div>"
-        f'<span class="wv-plot-y">{look.y_title}</span>{x_title}</div>'
+    style = Markup(' style="{}"').format(look.style) if look.style else Markup()
+    x_title = Markup('<span class="wv-plot-x">{}</span>').format(look.x_title) if look.x_title else Markup()
+    return Markup(
+        '<div class="{strip}"{style}><div style="position:absolute;{place}">'
+        '<svg viewBox="0 0 {across:g} {down:g}" preserveAspectRatio="none" role="img" aria-label="{name}">'
+        "{line_svg}{drawn}</svg>{labels_html}{over}</div>"
+        '<span class="wv-plot-y">{y_title}</span>{x_title}</div>'
+    ).format(
+        strip=f"wv-plot {look.classes}".strip(),
+        style=style,
+        place=place,
+        across=across,
+        down=down,
+        name=look.name,
+        line_svg=line_svg(axes.grid(), "line", 1),
+        drawn=drawn,
+        labels_html=axes.labels_html(),
+        over=over,
+        y_title=look.y_title,
+        x_title=x_title,
     )

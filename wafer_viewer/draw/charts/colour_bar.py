@@ -2,10 +2,10 @@
 
 from __future__ import annotations
 
-import html
 from collections.abc import Sequence
 
 import numpy as np
+from markupsafe import Markup
 
 from wafer_viewer.draw.charts.axes import Axis, round_ticks
 from wafer_viewer.draw.colormaps import ELSEWHERE, ORIGIN_COLOURS, css_gradient, table
@@ -31,7 +31,7 @@ def colour_bar_html(
     height_px: int = 300,
     signed: bool = True,
     elsewhere: str = "",
-) -> str:
+) -> Markup:
     """Return the colour bar from low to high, with the histogram `counts` in equal bins between them.
 
     The bars are square roots of the counts, so that rare values stay visible. The legend is 124 px wide and `height_px`
@@ -42,68 +42,83 @@ def colour_bar_html(
     title_px = 13.5 if len(title) <= _LONG_TITLE else 12
     axis = Axis((low, high), (_TOP_PX + height_px, _TOP_PX))
     ticks = round_ticks(axis.ends, max(3, height_px // 48), signed=signed)
-    labels = "".join(_label(axis.at(value), text) for value, text in ticks)
-    return (
-        f'<div style="position:relative;height:{height_px + 78 + foot_px}px;width:124px">'
-        f'<div style="position:absolute;left:12px;top:8px;font-weight:650;font-size:{title_px}px">{html.escape(title)} '
-        f'<span style="font-weight:450;color:var(--ink3)">{html.escape(unit)}</span></div>'
-        f"{_histogram(counts, height_px)}"
-        f'<div style="position:absolute;left:54px;top:{_TOP_PX}px;width:{_BAR_PX}px;height:{height_px}px;'
-        f"border-radius:2px;border:1px solid var(--line);box-sizing:border-box;"
-        f'background:{css_gradient(colours)}!important"></div>'
-        f"{labels}{not_measured_html(f'position:absolute;left:12px;bottom:{9 + foot_px}px')}"
-        f"{_elsewhere_html(elsewhere) if elsewhere else ''}</div>"
+    labels = Markup("").join(_label(axis.at(value), text) for value, text in ticks)
+    return Markup(
+        '<div style="position:relative;height:{height}px;width:124px">'
+        '<div style="position:absolute;left:12px;top:8px;font-weight:650;font-size:{title_px}px">{title} '
+        '<span style="font-weight:450;color:var(--ink3)">{unit}</span></div>'
+        "{histogram}"
+        '<div style="position:absolute;left:54px;top:{top_px}px;width:{bar_px}px;height:{height_px}px;'
+        "border-radius:2px;border:1px solid var(--line);box-sizing:border-box;"
+        'background:{background}!important"></div>'
+        "{labels}{not_measured_html}"
+        "{elsewhere_html}</div>"
+    ).format(
+        height=height_px + 78 + foot_px,
+        title_px=title_px,
+        title=title,
+        unit=unit,
+        histogram=_histogram(counts, height_px),
+        top_px=_TOP_PX,
+        bar_px=_BAR_PX,
+        height_px=height_px,
+        background=css_gradient(colours),
+        labels=labels,
+        not_measured_html=not_measured_html(f"position:absolute;left:12px;bottom:{9 + foot_px}px"),
+        elsewhere_html=_elsewhere_html(elsewhere) if elsewhere else "",
     )
 
 
-def origin_legend_html(shares: dict[int, float]) -> str:
+def origin_legend_html(shares: dict[int, float]) -> Markup:
     """Return the legend of `origin`: the codes that occur on the surface; shares are fractions of the pixels."""
-    rows = "".join(
-        f'<div style="display:flex;gap:7px;align-items:center;white-space:nowrap">'
-        f'<i style="width:13px;height:10px;background:rgb{ORIGIN_COLOURS[origin]}!important;display:inline-block"></i>'
-        f"{html.escape(ORIGIN_TITLES[origin])}</div>"
+    rows = Markup("").join(
+        Markup(
+            '<div style="display:flex;gap:7px;align-items:center;white-space:nowrap">'
+            '<i style="width:13px;height:10px;background:rgb{}!important;display:inline-block"></i>'
+            "{}</div>"
+        ).format(ORIGIN_COLOURS[origin], ORIGIN_TITLES[origin])
         for origin in ORIGIN_TITLES
         if shares.get(int(origin), 0) > 0
     )
-    return f'<div style="padding:8px 12px;font-size:12px;display:grid;gap:4px">{rows}</div>'
+    return Markup('<div style="padding:8px 12px;font-size:12px;display:grid;gap:4px">{}</div>').format(rows)
 
 
-def not_measured_html(style: str = "") -> str:
+def not_measured_html(style: str = "") -> Markup:
     """Return the legend line for holes."""
-    return (
-        f'<div style="font-size:12px;color:var(--ink2);display:flex;gap:6px;align-items:center;{style}">'
-        f'<i style="width:13px;height:10px;border:1.5px solid var(--ink3);display:inline-block;'
-        f'background:{NOT_MEASURED_CSS}!important"></i>not measured</div>'
-    )
+    return Markup(
+        '<div style="font-size:12px;color:var(--ink2);display:flex;gap:6px;align-items:center;{}">'
+        '<i style="width:13px;height:10px;border:1.5px solid var(--ink3);display:inline-block;'
+        'background:{}!important"></i>not measured</div>'
+    ).format(style, NOT_MEASURED_CSS)
 
 
-def _elsewhere_html(text: str) -> str:
+def _elsewhere_html(text: str) -> Markup:
     swatch = f"width:13px;height:10px;display:inline-block;background:rgb{ELSEWHERE}!important"
-    return (
+    return Markup(
         '<div style="font-size:12px;color:var(--ink2);display:flex;gap:6px;align-items:center;white-space:nowrap;'
-        f'position:absolute;left:12px;bottom:9px"><i style="{swatch}"></i>{html.escape(text)}</div>'
-    )
+        'position:absolute;left:12px;bottom:9px"><i style="{}"></i>{}</div>'
+    ).format(swatch, text)
 
 
-def _histogram(counts: Sequence[float], height_px: int) -> str:
+def _histogram(counts: Sequence[float], height_px: int) -> Markup:
     root = np.sqrt(np.asarray(counts, float))
     if root.size == 0 or root.max() <= 0:
-        return ""
+        return Markup()
     share, n = root / root.max(), root.size
     edge = " ".join(
         f"{_HISTOGRAM_PX * (1 - s):.1f},{height_px * (1 - (k + 0.5) / n):.1f}" for k, s in enumerate(share.tolist())
     )
     outline = f"{_HISTOGRAM_PX},{height_px} {edge} {_HISTOGRAM_PX},0"
-    return (
-        f'<svg style="position:absolute;left:8px;top:{_TOP_PX}px" width="{_HISTOGRAM_PX}" height="{height_px}">'
-        f'<polygon points="{outline}" fill="var(--ink3)" opacity=".38"/></svg>'
-    )
+    return Markup(
+        '<svg style="position:absolute;left:8px;top:{top_px}px" width="{histogram_px}" height="{height_px}">'
+        '<polygon points="{outline}" fill="var(--ink3)" opacity=".38"/></svg>'
+    ).format(top_px=_TOP_PX, histogram_px=_HISTOGRAM_PX, height_px=height_px, outline=outline)
 
 
-def _label(top: float, text: str) -> str:
+def _label(top: float, text: str) -> Markup:
     dash = f"position:absolute;left:74px;top:{top:.0f}px;width:6px;height:1px;background:var(--ink2)!important"
     word = f"position:absolute;left:84px;top:{top - 9:.0f}px;font-size:12.5px;white-space:nowrap"
-    return f'<div style="{dash}"></div><div style="{word}">{text}</div>'
+    return Markup('<div style="{}"></div><div style="{}">{}</div>').format(dash, word, text)
 
 
 HEIGHT_PX, TICKS_PX = 92, 20
@@ -112,28 +127,33 @@ _SIDE = 1000
 
 def histogram_html(
     counts: Sequence[int], ends_um: Span, colours: tuple[str, float, float] | None, within_um: Span | None = None
-) -> str:
+) -> Markup:
     """Return the histogram of `counts` in equal bins between `ends_um`, as square roots to show rare heights.
 
     colours: a colour map and the heights at its ends; None draws all bars grey, like those outside `within_um`.
     """
     root = np.sqrt(np.asarray(counts, float))
     if root.size == 0 or root.max() <= 0:
-        return ""
+        return Markup()
     low, high = ends_um
     n = root.size
     middles = low + (np.arange(n) + 0.5) / n * (high - low)
-    bars = "".join(
-        f'<rect x="{_SIDE * k / n:.1f}" y="{_SIDE * (1 - s):.0f}" width="{_SIDE / n + 0.6:.1f}" '
-        f'height="{_SIDE * s:.0f}" fill="{_fill(z, colours, within_um)}"/>'
+    bars = Markup("").join(
+        Markup('<rect x="{x:.1f}" y="{y:.0f}" width="{width:.1f}" height="{height:.0f}" fill="{fill}"/>').format(
+            x=_SIDE * k / n,
+            y=_SIDE * (1 - s),
+            width=_SIDE / n + 0.6,
+            height=_SIDE * s,
+            fill=_fill(z, colours, within_um),
+        )
         for k, (s, z) in enumerate(zip((0.96 * root / root.max()).tolist(), middles.tolist(), strict=True))
         if s > 0
     )
-    return (
-        f'<div class="wv-hist" style="height:{HEIGHT_PX + TICKS_PX}px"><svg viewBox="0 0 {_SIDE} {_SIDE}" '
-        f'preserveAspectRatio="none" style="height:{HEIGHT_PX}px" role="img" aria-label="Histogram of heights">{bars}'
-        f"</svg>{_ticks(ends_um)}</div>"
-    )
+    return Markup(
+        '<div class="wv-hist" style="height:{height}px"><svg viewBox="0 0 {side} {side}" '
+        'preserveAspectRatio="none" style="height:{height_px}px" role="img" aria-label="Histogram of heights">{bars}'
+        "</svg>{ticks}</div>"
+    ).format(height=HEIGHT_PX + TICKS_PX, side=_SIDE, height_px=HEIGHT_PX, bars=bars, ticks=_ticks(ends_um))
 
 
 def place_of(z_um: float, ends_um: Span) -> float:
@@ -149,6 +169,8 @@ def _fill(z_um: float, colours: tuple[str, float, float] | None, within_um: Span
     return f"rgb({red},{green},{blue})"
 
 
-def _ticks(ends_um: Span) -> str:
+def _ticks(ends_um: Span) -> Markup:
     axis = Axis(ends_um, (0, 100), round_ticks(ends_um, 6, signed=True))
-    return "".join(f'<i style="left:{axis.at(value):.2f}%">{text}</i>' for value, text in axis.ticks)
+    return Markup("").join(
+        Markup('<i style="left:{:.2f}%">{}</i>').format(axis.at(value), text) for value, text in axis.ticks
+    )

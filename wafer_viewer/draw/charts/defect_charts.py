@@ -5,10 +5,11 @@ Colours of lines and text are custom properties (``--ink``, ``--line`` …) of t
 
 from __future__ import annotations
 
-import html
 from collections import Counter
 from collections.abc import Callable, Collection, Iterable, Sequence
 from dataclasses import dataclass
+
+from markupsafe import Markup
 
 from wafer_viewer.draw.charts.axes import Axis
 from wafer_viewer.draw.charts.symbols import symbol
@@ -33,11 +34,11 @@ def die_stack_svg(
     chosen: int | None = None,
     place: int | None = None,
     attributes: Attributes = lambda what, key: "",
-) -> str:
+) -> Markup:
     """Return the overlay of all dies; empty without dies. chosen: a defect number, place: index in `places`."""
     grid = inspection.grid
     if grid is None:
-        return ""
+        return Markup()
     room = width_px - 2 * _MARGIN_PX, most_height_px - 2 * _MARGIN_PX
     scale = min(room[0] / grid.width_um, room[1] / grid.height_um)
     width, height = grid.width_um * scale, grid.height_um * scale
@@ -47,18 +48,22 @@ def die_stack_svg(
         x, y = _MARGIN_PX + u_um * scale, _MARGIN_PX + height - v_um * scale
         return min(max(x, 2.0), width + 2 * _MARGIN_PX - 2), min(max(y, 2.0), height + 2 * _MARGIN_PX - 2)
 
-    box = f'x="{_MARGIN_PX:g}" y="{_MARGIN_PX:g}" width="{width:.1f}" height="{height:.1f}"'
-    image = f'<image {box} href="{html.escape(picture_url)}" preserveAspectRatio="none"/>' if picture_url else ""
-    frame = f'<rect {box} fill="{"none" if picture_url else "var(--fill)"}" stroke="var(--ink3)"/>'
-    drawn = shown(inspection, places)
-    areas = "".join(_left_out(area, at) for area in inspection.recipe.excluded)
-    marks = "".join(_mark(d, at, d.number == chosen, attributes) for d in drawn if d.in_die is not None)
-    rings = "".join(_ring(k, one, at, scale, k == place, attributes) for k, one in enumerate(places))
-    w, h = width + 2 * _MARGIN_PX, height + 2 * _MARGIN_PX
-    return (
-        f'<svg class="wv-stack" viewBox="0 0 {w:.0f} {h:.0f}" width="{w:.0f}" height="{h:.0f}" role="img" '
-        f'aria-label="All dies overlaid" style="max-width:100%">{image}{frame}{areas}{rings}{marks}</svg>'
+    box = Markup('x="{margin_px:g}" y="{margin_px:g}" width="{width:.1f}" height="{height:.1f}"').format(
+        margin_px=_MARGIN_PX, width=width, height=height
     )
+    image = (
+        Markup('<image {} href="{}" preserveAspectRatio="none"/>').format(box, picture_url) if picture_url else Markup()
+    )
+    frame = Markup('<rect {} fill="{}" stroke="var(--ink3)"/>').format(box, "none" if picture_url else "var(--fill)")
+    drawn = shown(inspection, places)
+    areas = Markup("").join(_left_out(area, at) for area in inspection.recipe.excluded)
+    marks = Markup("").join(_mark(d, at, d.number == chosen, attributes) for d in drawn if d.in_die is not None)
+    rings = Markup("").join(_ring(k, one, at, scale, k == place, attributes) for k, one in enumerate(places))
+    w, h = width + 2 * _MARGIN_PX, height + 2 * _MARGIN_PX
+    return Markup(
+        '<svg class="wv-stack" viewBox="0 0 {w:.0f} {h:.0f}" width="{w:.0f}" height="{h:.0f}" role="img" '
+        'aria-label="All dies overlaid" style="max-width:100%">{image}{frame}{areas}{rings}{marks}</svg>'
+    ).format(w=w, h=h, image=image, frame=frame, areas=areas, rings=rings, marks=marks)
 
 
 def shown(inspection: Inspection, places: Sequence[RepeatedPlace]) -> list[Defect]:
@@ -74,36 +79,50 @@ def not_drawn(inspection: Inspection, drawn: Collection[Defect]) -> int:
     return sum(bool(d.die) and d.in_die is not None for d in inspection.found) - len(drawn)
 
 
-def _left_out(area: Region, at: Callable[[float, float], tuple[float, float]]) -> str:
+def _left_out(area: Region, at: Callable[[float, float], tuple[float, float]]) -> Markup:
     """Return an excluded area: a translucent fill with a dashed outline."""
     x0, y0, x1, y1 = area.bounds_um
     corners = (
         [(p.x_um, p.y_um) for p in area.points] if area.kind == "polygon" else [(x0, y0), (x1, y0), (x1, y1), (x0, y1)]
     )
     (left, low), (right, high) = at(x0, y0), at(x1, y1)
-    look = 'fill="#fff" fill-opacity=".55" stroke="#15202B" stroke-width="1.2" stroke-dasharray="4 3"'
+    look = Markup('fill="#fff" fill-opacity=".55" stroke="#15202B" stroke-width="1.2" stroke-dasharray="4 3"')
     if area.kind == "circle":
-        middle = f'cx="{(left + right) / 2:.1f}" cy="{(low + high) / 2:.1f}"'
-        shape = f'<ellipse {middle} rx="{(right - left) / 2:.1f}" ry="{(low - high) / 2:.1f}" {look}/>'
+        middle = Markup('cx="{:.1f}" cy="{:.1f}"').format((left + right) / 2, (low + high) / 2)
+        shape = Markup('<ellipse {middle} rx="{rx:.1f}" ry="{ry:.1f}" {look}/>').format(
+            middle=middle, rx=(right - left) / 2, ry=(low - high) / 2, look=look
+        )
     else:
-        shape = f'<polygon points="{" ".join(f"{x:.1f},{y:.1f}" for x, y in (at(*c) for c in corners))}" {look}/>'
-    return f"<g><title>Left out: not searched</title>{shape}</g>"
+        shape = Markup('<polygon points="{}" {}/>').format(
+            Markup(" ").join(f"{x:.1f},{y:.1f}" for x, y in (at(*c) for c in corners)), look
+        )
+    return Markup("<g><title>Left out: not searched</title>{}</g>").format(shape)
 
 
 def _mark(
     defect: Defect, at: Callable[[float, float], tuple[float, float]], chosen: bool, attributes: Attributes
-) -> str:
+) -> Markup:
     if defect.in_die is None:
-        return ""
+        return Markup()
     x, y = at(defect.in_die.x_um, defect.in_die.y_um)
     look = DEFECT_CLASSES[defect.seen_as]
-    name = html.escape(f"D{defect.number}, {look.title}, die {defect.die}", quote=True)
-    ring = f'<circle cx="{x:.1f}" cy="{y:.1f}" r="8" fill="none" stroke="#15202B" stroke-width="2"/>' if chosen else ""
-    faint = ' opacity=".35"' if defect.judgement == "nuisance" else ""
-    return (
-        f'<g {attributes("review", f"defect {defect.number}")} aria-label="{name}"{faint}><title>{name}</title>{ring}'
-        f'<g stroke="#fff" stroke-width="1.4" paint-order="stroke">{symbol(look.shape, look.colour, x, y, _MARK_PX)}'
+    name = f"D{defect.number}, {look.title}, die {defect.die}"
+    ring = (
+        Markup('<circle cx="{:.1f}" cy="{:.1f}" r="8" fill="none" stroke="#15202B" stroke-width="2"/>').format(x, y)
+        if chosen
+        else Markup()
+    )
+    faint = Markup(' opacity=".35"') if defect.judgement == "nuisance" else Markup()
+    return Markup(
+        '<g {attributes} aria-label="{name}"{faint}><title>{name}</title>{ring}'
+        '<g stroke="#fff" stroke-width="1.4" paint-order="stroke">{symbol}'
         "</g></g>"
+    ).format(
+        attributes=attributes("review", f"defect {defect.number}"),
+        name=name,
+        faint=faint,
+        ring=ring,
+        symbol=symbol(look.shape, look.colour, x, y, _MARK_PX),
     )
 
 
@@ -114,19 +133,23 @@ def _ring(
     scale: float,
     chosen: bool,
     attributes: Attributes,
-) -> str:
+) -> Markup:
     x, y = at(place.in_die.x_um, place.in_die.y_um)
     radius = max(_LEAST_RING_PX, place.reach_um * scale + 6)
-    name = html.escape(f"Place {k + 1}, {place.words}", quote=True)
-    lines = "".join(
-        f'<circle cx="{x:.1f}" cy="{y:.1f}" r="{radius:.1f}" fill="none" stroke="{ink}" stroke-width="{width}"/>'
+    name = f"Place {k + 1}, {place.words}"
+    lines = Markup("").join(
+        Markup(
+            '<circle cx="{x:.1f}" cy="{y:.1f}" r="{radius:.1f}" fill="none" stroke="{ink}" stroke-width="{width}"/>'
+        ).format(x=x, y=y, radius=radius, ink=ink, width=width)
         for ink, width in (("#fff", 4.5), ("#15202B", 2.6 if chosen else 1.5))
     )
-    word = (
-        f'<text x="{x + radius + 2:.1f}" y="{y - radius + 5:.1f}" font-size="12" font-weight="650" fill="#15202B" '
-        f'stroke="#fff" stroke-width="3" paint-order="stroke">{k + 1}</text>'
+    word = Markup(
+        '<text x="{:.1f}" y="{:.1f}" font-size="12" font-weight="650" fill="#15202B" '
+        'stroke="#fff" stroke-width="3" paint-order="stroke">{}</text>'
+    ).format(x + radius + 2, y - radius + 5, k + 1)
+    return Markup('<g {attributes} aria-label="{name}"><title>{name}</title>{lines}{word}</g>').format(
+        attributes=attributes("defect-place", k), name=name, lines=lines, word=word
     )
-    return f'<g {attributes("defect-place", k)} aria-label="{name}"><title>{name}</title>{lines}{word}</g>'
 
 
 _ROW_PX, _SIGN_PX, _NAME_PX, _NUMBER_PX = 20, 16, 100, 36
@@ -152,26 +175,39 @@ def pareto(kinds: Iterable[DefectClass]) -> tuple[Bar, ...]:
     return tuple(bars)
 
 
-def pareto_svg(kinds: Iterable[DefectClass], *, width_px: int = 300) -> str:
+def pareto_svg(kinds: Iterable[DefectClass], *, width_px: int = 300) -> Markup:
     """Return the bars with counts and cumulative shares, for reports."""
     bars = pareto(kinds)
     most = max((bar.count for bar in bars), default=1)
     counts = Axis((0, most), (_NAME_PX, width_px - 2 * _NUMBER_PX))
-    drawn = "".join(_row(k * _ROW_PX, bar, counts, width_px) for k, bar in enumerate(bars))
+    drawn = Markup("").join(_row(k * _ROW_PX, bar, counts, width_px) for k, bar in enumerate(bars))
     label = "Defects by class, the most frequent first; the share of all up to each"
-    return (
-        f'<svg viewBox="0 0 {width_px} {len(bars) * _ROW_PX}" width="{width_px}" role="img" '
-        f'aria-label="{label}">{drawn}</svg>'
-    )
+    return Markup(
+        '<svg viewBox="0 0 {width_px} {box}" width="{width_px}" role="img" aria-label="{label}">{drawn}</svg>'
+    ).format(width_px=width_px, box=len(bars) * _ROW_PX, label=label, drawn=drawn)
 
 
-def _row(y: int, bar: Bar, counts: Axis, width_px: int) -> str:
+def _row(y: int, bar: Bar, counts: Axis, width_px: int) -> Markup:
     look, end = DEFECT_CLASSES[bar.kind], counts.at(bar.count)
-    return (
-        f"{symbol(look.shape, look.colour, 6, y + 10)}"
-        f'<text x="{_SIGN_PX}" y="{y + 14}" font-size="12" fill="var(--ink)">{look.title}</text>'
-        f'<rect x="{_NAME_PX}" y="{y + 4}" width="{end - _NAME_PX:.1f}" height="{_ROW_PX - 8}" fill="{look.colour}"/>'
-        f'<text x="{end + 6:.1f}" y="{y + 14}" font-size="12" fill="var(--ink)">{bar.count}</text>'
-        f'<text x="{width_px}" y="{y + 14}" font-size="12" text-anchor="end" fill="var(--ink3)">'
-        f"{100 * bar.cumulated:.0f} %</text>"
+    return Markup(
+        "{symbol}"
+        '<text x="{sign_px}" y="{y}" font-size="12" fill="var(--ink)">{title}</text>'
+        '<rect x="{name_px}" y="{y2}" width="{width:.1f}" height="{height}" fill="{colour}"/>'
+        '<text x="{x:.1f}" y="{y}" font-size="12" fill="var(--ink)">{count}</text>'
+        '<text x="{width_px}" y="{y}" font-size="12" text-anchor="end" fill="var(--ink3)">'
+        "{cumulated:.0f} %</text>"
+    ).format(
+        symbol=symbol(look.shape, look.colour, 6, y + 10),
+        sign_px=_SIGN_PX,
+        y=y + 14,
+        title=look.title,
+        name_px=_NAME_PX,
+        y2=y + 4,
+        width=end - _NAME_PX,
+        height=_ROW_PX - 8,
+        colour=look.colour,
+        x=end + 6,
+        count=bar.count,
+        width_px=width_px,
+        cumulated=100 * bar.cumulated,
     )

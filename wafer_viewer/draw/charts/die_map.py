@@ -6,13 +6,13 @@ Every state also has its own hatching, every verdict its own sign.
 
 from __future__ import annotations
 
-import html
 import math
 from collections import Counter
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
+from markupsafe import Markup
 
 from wafer_viewer.draw.charts.wafer_map import MOST_SINGLE, Box, MapViewport, Outline
 from wafer_viewer.draw.colormaps import table
@@ -127,30 +127,34 @@ def die_shapes(
         return ""
     draw = _merged_shapes if len(dies) > MOST_SINGLE else _singly
     places = _places(frame, grid, dies)
-    kinds = "".join(draw(_DieShape.of(frame, grid), list(zip(dies, places, strict=True)), fills))
+    kinds = Markup("").join(draw(_DieShape.of(frame, grid), list(zip(dies, places, strict=True)), fills))
     heavy = (at for die, at in zip(dies, places, strict=True) if die.name == chosen)
     edge = "".join(_DieShape.of(frame, grid).edge(at) for at in heavy)
-    chosen_edge = f'<path class="wv-die-on" d="{edge}" fill="none" stroke="var(--ink)" stroke-width="2.4"/>'
-    return f"{_sample(frame, outline_um)}{kinds}{chosen_edge if edge else ''}"
+    chosen_edge = Markup('<path class="wv-die-on" d="{}" fill="none" stroke="var(--ink)" stroke-width="2.4"/>').format(
+        edge
+    )
+    return _sample(frame, outline_um) + kinds + (chosen_edge if edge else Markup())
 
 
-def defect_map_svg(inspection: Inspection, *, width_px: int = 300, most_height_px: int = 300) -> str:
+def defect_map_svg(inspection: Inspection, *, width_px: int = 300, most_height_px: int = 300) -> Markup:
     """Return the die map coloured by defect count, for reports; empty without dies."""
     frame = die_frame(inspection, width_px=width_px, most_height_px=most_height_px)
     if frame is None:
-        return ""
+        return Markup()
     fills = fills_by_count({die.name: die.defects or 0 for die in inspection.dies})
-    return (
-        f'<svg viewBox="0 0 {width_px} {frame.height_px:.0f}" width="{width_px}" role="img" '
-        f'aria-label="Dies by their defects" style="max-width:100%">{die_shapes(frame, inspection, fills)}</svg>'
-    )
+    return Markup(
+        '<svg viewBox="0 0 {width_px} {height_px:.0f}" width="{width_px}" role="img" '
+        'aria-label="Dies by their defects" style="max-width:100%">{die_shapes}</svg>'
+    ).format(width_px=width_px, height_px=frame.height_px, die_shapes=die_shapes(frame, inspection, fills))
 
 
-def look_svg(kind: str, side_px: int = 14) -> str:
+def look_svg(kind: str, side_px: int = 14) -> Markup:
     """Return the legend symbol of a die state."""
     die = _DieShape((side_px - 3.0, 0.0), (0.0, 3.0 - side_px))
     drawn = die.drawn([(1.5, side_px - 1.5)], DIE_LOOKS[kind])
-    return f'<svg width="{side_px}" height="{side_px}" aria-hidden="true" style="vertical-align:-2px">{drawn}</svg>'
+    return Markup('<svg width="{}" height="{}" aria-hidden="true" style="vertical-align:-2px">{}</svg>').format(
+        side_px, side_px, drawn
+    )
 
 
 Place = tuple[float, float]
@@ -185,28 +189,34 @@ class _DieShape:
         ends = ((self.at(place, *a), self.at(place, *b)) for a, b in segments)
         return "".join(f"M{a[0]:.1f} {a[1]:.1f}L{b[0]:.1f} {b[1]:.1f}" for a, b in ends)
 
-    def drawn(self, places: Sequence[Place], look: DieLook, fill: DieFill | None = None) -> str:
+    def drawn(self, places: Sequence[Place], look: DieLook, fill: DieFill | None = None) -> Markup:
         """Return dies of one style as one shape, with hatching if there is enough space."""
         ink = f"var(--{look.ink})"
         colour, opacity = (fill.colour, fill.opacity) if fill is not None else (ink, look.opacity)
-        dashes = ' stroke-dasharray="3 2"' if look.dashed else ""
-        body = (
-            f'<path d="{"".join(map(self.edge, places))}" fill="{colour}" fill-opacity="{opacity:.2f}" '
-            f'stroke="{ink}" stroke-width="{1.1 if self.room_px >= _LEAST_FOR_LINES_PX else 0.5}"{dashes}/>'
+        dashes = Markup(' stroke-dasharray="3 2"') if look.dashed else Markup()
+        body = Markup(
+            '<path d="{map}" fill="{colour}" fill-opacity="{opacity:.2f}" '
+            'stroke="{ink}" stroke-width="{stroke_width}"{dashes}/>'
+        ).format(
+            map=Markup("").join(map(self.edge, places)),
+            colour=colour,
+            opacity=opacity,
+            ink=ink,
+            stroke_width=1.1 if self.room_px >= _LEAST_FOR_LINES_PX else 0.5,
+            dashes=dashes,
         )
         if not look.lines or self.room_px < _LEAST_FOR_LINES_PX:
             return body
         across = "".join(self.lines(place, look.lines) for place in places)
-        return f'{body}<path d="{across}" fill="none" stroke="{ink}" stroke-width="0.9"/>'
+        return Markup('{}<path d="{}" fill="none" stroke="{}" stroke-width="0.9"/>').format(body, across, ink)
 
-    def text(self, place: Place, text: str) -> str:
+    def text(self, place: Place, text: str) -> Markup:
         if not text or self.room_px < _LEAST_FOR_NUMBER_PX:
-            return ""
+            return Markup()
         (x, y), size = self.at(place, 0.5, 0.5), min(14.0, 0.6 * self.room_px)
-        return (
-            f'<text x="{x:.1f}" y="{y + 0.35 * size:.1f}" text-anchor="middle" font-size="{size:.1f}" '
-            f'fill="var(--ink)">{html.escape(text)}</text>'
-        )
+        return Markup(
+            '<text x="{x:.1f}" y="{y:.1f}" text-anchor="middle" font-size="{size:.1f}" fill="var(--ink)">{text}</text>'
+        ).format(x=x, y=y + 0.35 * size, size=size, text=text)
 
 
 Placed = Sequence[tuple[DieStatus, Place]]
@@ -217,8 +227,12 @@ def _singly(shape: _DieShape, dies: Placed, fills: Mapping[str, DieFill]) -> Ite
         fill = fills.get(die.name)
         words = " · ".join(dict.fromkeys((die.word, die.state))) if die.state != "whole" else die.word
         yield (
-            f'<g data-die="{html.escape(die.name)}"><title>Die {html.escape(die.name)}: {html.escape(words)}</title>'
-            f"{shape.drawn([place], DIE_LOOKS[kind_of(die)], fill)}{shape.text(place, fill.text if fill else '')}</g>"
+            Markup('<g data-die="{name}"><title>Die {name}: {words}</title>{drawn}{text}</g>').format(
+                name=die.name,
+                words=words,
+                drawn=shape.drawn([place], DIE_LOOKS[kind_of(die)], fill),
+                text=shape.text(place, fill.text if fill else ""),
+            )
         )
 
 
@@ -228,7 +242,7 @@ def _merged_shapes(shape: _DieShape, dies: Placed, fills: Mapping[str, DieFill])
         alike.setdefault((kind_of(die), fills.get(die.name)), []).append(place)
     for (kind, fill), places in alike.items():
         yield shape.drawn(places, DIE_LOOKS[kind], fill)
-        yield "".join(shape.text(place, fill.text) for place in places if fill is not None)
+        yield Markup("").join(shape.text(place, fill.text) for place in places if fill is not None)
 
 
 def _places(frame: MapViewport, grid: DieGrid, dies: Sequence[DieStatus]) -> list[Place]:
@@ -251,11 +265,11 @@ def _share(box: tuple[float, float, float, float], outline_um: Outline) -> float
     return max((box[2] - box[0]) / max(across, 1e-9), (box[3] - box[1]) / max(up, 1e-9))
 
 
-def _sample(frame: MapViewport, outline_um: Outline) -> str:
+def _sample(frame: MapViewport, outline_um: Outline) -> Markup:
     if len(outline_um) < 3:
-        return ""
+        return Markup()
     points = " ".join(f"{frame.x(x):.1f},{frame.y(y):.1f}" for x, y in outline_um)
-    return f'<polygon points="{points}" fill="none" stroke="var(--ink3)" stroke-width="1"/>'
+    return Markup('<polygon points="{}" fill="none" stroke="var(--ink3)" stroke-width="1"/>').format(points)
 
 
 INKS: dict[Word, tuple[str, str]] = {
@@ -271,17 +285,22 @@ _LEAST_FOR_SIGN_PX = 9
 
 def die_map_svg(
     dies: Sequence[JudgedDie], across_um: float = 0.0, *, width_px: int = 276, most_height_px: int = 236
-) -> str:
+) -> Markup:
     """Return the dies at their wafer positions, notch down; across_um: diameter of the wafer, 0 without outline.
 
     The outline is drawn if the dies take enough of it to be distinguishable.
     """
     frame = _frame(dies, across_um, width_px, most_height_px)
     outline = _outline(frame, across_um) if _shows_wafer(dies, across_um) else ""
-    return (
-        f'<svg viewBox="0 0 {width_px} {frame.height_px:.0f}" width="{width_px}" role="img" '
-        f'aria-label="Dies by their word" style="max-width:100%">'
-        f"{outline}{''.join(_die(frame, die) for die in dies)}</svg>"
+    return Markup(
+        '<svg viewBox="0 0 {width_px} {height_px:.0f}" width="{width_px}" role="img" '
+        'aria-label="Dies by their word" style="max-width:100%">'
+        "{outline}{die}</svg>"
+    ).format(
+        width_px=width_px,
+        height_px=frame.height_px,
+        outline=outline,
+        die=Markup("").join(_die(frame, die) for die in dies),
     )
 
 
@@ -306,28 +325,32 @@ def _bounds(dies: Sequence[JudgedDie]) -> Box:
     return x0, y0, max(die.x_um + die.width_um for die in dies), max(die.y_um + die.height_um for die in dies)
 
 
-def _outline(frame: MapViewport, across_um: float) -> str:
+def _outline(frame: MapViewport, across_um: float) -> Markup:
     x, y, r = frame.x(0.0), frame.y(0.0), across_um / 2 * frame.scale
-    notch = f'<path d="M{x - 4:.1f} {y + r:.1f}l4 -6l4 6z" fill="var(--ink3)"/>'
-    return f'<circle cx="{x:.1f}" cy="{y:.1f}" r="{r:.1f}" fill="var(--fill)" stroke="var(--ink3)"/>{notch}'
+    notch = Markup('<path d="M{:.1f} {:.1f}l4 -6l4 6z" fill="var(--ink3)"/>').format(x - 4, y + r)
+    return Markup(
+        '<circle cx="{x:.1f}" cy="{y:.1f}" r="{radius:.1f}" fill="var(--fill)" stroke="var(--ink3)"/>{notch}'
+    ).format(x=x, y=y, radius=r, notch=notch)
 
 
-def _die(frame: MapViewport, die: JudgedDie) -> str:
+def _die(frame: MapViewport, die: JudgedDie) -> Markup:
     ink, sign = INKS[die.word]
     x, y = frame.x(die.x_um), frame.y(die.y_um + die.height_um)
     w, h = max(2.0, die.width_um * frame.scale - 1), max(2.0, die.height_um * frame.scale - 1)
     size = min(16.0, 0.7 * min(w, h))
     text = (
-        f'<text x="{x + w / 2:.1f}" y="{y + h / 2 + 0.35 * size:.1f}" text-anchor="middle" font-size="{size:.1f}" '
-        f'font-weight="700" fill="var(--{ink})">{sign}</text>'
+        Markup(
+            '<text x="{x:.1f}" y="{y:.1f}" text-anchor="middle" font-size="{size:.1f}" '
+            'font-weight="700" fill="var(--{ink})">{sign}</text>'
+        ).format(x=x + w / 2, y=y + h / 2 + 0.35 * size, size=size, ink=ink, sign=sign)
         if sign and min(w, h) >= _LEAST_FOR_SIGN_PX
-        else ""
+        else Markup()
     )
-    return (
-        f'<g data-die="{html.escape(die.name, quote=True)}"><title>Die {html.escape(die.name)}: {die.word}</title>'
-        f'<rect x="{x:.1f}" y="{y:.1f}" width="{w:.1f}" height="{h:.1f}" fill="var(--{ink})" fill-opacity=".28" '
-        f'stroke="var(--{ink})"/>{text}</g>'
-    )
+    return Markup(
+        '<g data-die="{name}"><title>Die {name}: {word}</title>'
+        '<rect x="{x:.1f}" y="{y:.1f}" width="{w:.1f}" height="{h:.1f}" fill="var(--{ink})" fill-opacity=".28" '
+        'stroke="var(--{ink})"/>{text}</g>'
+    ).format(name=die.name, word=die.word, x=x, y=y, w=w, h=h, ink=ink, text=text)
 
 
 _WIDTH, _GAP = 360.0, 0.04
@@ -338,12 +361,12 @@ _LEAST_CONTRAST = 128
 """Luma (of 255) below which text on a cell is white."""
 
 
-def site_map_svg(found: SiteRanges, colours: str = "mako") -> str:
+def site_map_svg(found: SiteRanges, colours: str = "mako") -> Markup:
     """Return the lattice with row 0 at the top; each cell has its position and range as a tooltip."""
     side = _WIDTH / found.cols
     height = side * found.site_height_um / found.site_width_um
     low, high = spread_um(found)
-    cells = "".join(
+    cells = Markup("").join(
         _cell(
             site,
             (k % found.cols) * side,
@@ -355,12 +378,12 @@ def site_map_svg(found: SiteRanges, colours: str = "mako") -> str:
         )
         for k, site in enumerate(found.sites)
     )
-    return (
-        f'<svg class="wv-sites" viewBox="0 0 {_WIDTH:g} {height * found.rows:.1f}" role="img" '
-        f'aria-label="Site ranges"><defs><pattern id="wv-no-range" width="6" height="6" patternUnits="userSpaceOnUse" '
-        f'patternTransform="rotate(45)"><path d="M0 0V6" stroke="var(--ink3)" stroke-width="1.4"/></pattern></defs>'
-        f"{cells}</svg>"
-    )
+    return Markup(
+        '<svg class="wv-sites" viewBox="0 0 {:g} {:.1f}" role="img" '
+        'aria-label="Site ranges"><defs><pattern id="wv-no-range" width="6" height="6" patternUnits="userSpaceOnUse" '
+        'patternTransform="rotate(45)"><path d="M0 0V6" stroke="var(--ink3)" stroke-width="1.4"/></pattern></defs>'
+        "{}</svg>"
+    ).format(_WIDTH, height * found.rows, cells)
 
 
 def spread_um(found: SiteRanges) -> tuple[float, float]:
@@ -376,19 +399,23 @@ def _relative_range(site: Site, low: float, high: float) -> float | None:
     return (site.range.value_um - low) / (high - low) if high > low else 0.5
 
 
-def _cell(site: Site, x: float, y: float, side: float, height: float, share: float | None, colours: str) -> str:
+def _cell(site: Site, x: float, y: float, side: float, height: float, share: float | None, colours: str) -> Markup:
     gap = _GAP * min(side, height)
     fill, ink = _inks(share, colours)
     told = f"{number(site.range.value_um, 3)}{THIN}µm" if site.range is not None else "too little of it is measured"
     where = f"x {number(site.x_um, 1)}, y {number(site.y_um, 1)}"
-    box = f'x="{x + gap:.2f}" y="{y + gap:.2f}" width="{side - 2 * gap:.2f}" height="{height - 2 * gap:.2f}"'
-    drawn = f'<rect {box} rx="2" fill="{fill}"><title>{html.escape(f"{where}: {told}")}</title></rect>'
+    box = Markup('x="{x:.2f}" y="{y:.2f}" width="{width:.2f}" height="{height:.2f}"').format(
+        x=x + gap, y=y + gap, width=side - 2 * gap, height=height - 2 * gap
+    )
+    drawn = Markup('<rect {} rx="2" fill="{}"><title>{}</title></rect>').format(box, fill, f"{where}: {told}")
     if site.range is None or min(side, 2 * height) < _WORDS_FROM:
         return drawn
-    at = f'x="{x + side / 2:.1f}" y="{y + height / 2:.1f}"'
+    at = Markup('x="{:.1f}" y="{:.1f}"').format(x + side / 2, y + height / 2)
     size = min(12.0, 0.26 * side)
-    words = f'{at} fill="{ink}" font-size="{size:.1f}" text-anchor="middle" dominant-baseline="central"'
-    return f'{drawn}<text {words} pointer-events="none">{number(site.range.value_um, 2)}</text>'
+    words = Markup('{} fill="{}" font-size="{:.1f}" text-anchor="middle" dominant-baseline="central"').format(
+        at, ink, size
+    )
+    return Markup('{}<text {} pointer-events="none">{}</text>').format(drawn, words, number(site.range.value_um, 2))
 
 
 def _inks(share: float | None, colours: str) -> tuple[str, str]:

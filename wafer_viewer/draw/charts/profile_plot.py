@@ -9,6 +9,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
+from markupsafe import Markup
 
 from wafer_viewer.draw.charts.axes import Axes, Axis, Ends, Floats, PlotLook, plot_html, round_ticks
 from wafer_viewer.draw.colormaps import BRUSH, PROFILE_COLOURS
@@ -120,7 +121,7 @@ def thinned(x: Floats, z: Floats, most: int) -> tuple[Floats, Floats]:
 _SIDE = 8000
 """Side of the drawing in its own units: tenths of a pixel on a wide screen."""
 _DOT_PX = 2.2
-_DASHES = 'stroke-dasharray="5 3"'
+_DASHES = Markup('stroke-dasharray="5 3"')
 
 
 def profile_plot_html(
@@ -128,56 +129,65 @@ def profile_plot_html(
     frame: ProfileFrame,
     cursors_um: Sequence[float],
     brush_um: tuple[float, float] | None = None,
-) -> str:
+) -> Markup:
     """Return the plot, which fills its container. brush_um: a height range highlighted on the curves."""
     axes = Axes.stretched(frame.x_um, frame.z_um, round_ticks(frame.x_um, 11), round_ticks(frame.z_um, 5), _SIDE)
-    points = "".join(_dots(section.points, frame, axes) for section in sections if section.points is not None)
+    points = Markup("").join(_dots(section.points, frame, axes) for section in sections if section.points is not None)
     ordered = sorted(sections, key=lambda section: section.asked.is_second)
-    curves = points + "".join(_curve(section, frame, axes) for section in ordered)
+    curves = points + Markup("").join(_curve(section, frame, axes) for section in ordered)
     if brush_um is not None:
-        brushed = "".join(_brushed(section, frame, axes, brush_um) for section in sections)
+        brushed = Markup("").join(_brushed(section, frame, axes, brush_um) for section in sections)
         curves = _band(axes, brush_um) + curves + brushed
-    cursors = "".join(_cursor(axes, at) for at in cursors_um if frame.x_um[0] <= at <= frame.x_um[1])
+    cursors = Markup("").join(_cursor(axes, at) for at in cursors_um if frame.x_um[0] <= at <= frame.x_um[1])
     x_title = f"Distance along the {'slab' if points else 'profile'}, µm"
     look = PlotLook("Profiles", "z, µm", x_title, left_px=58, classes="wv-profiles")
-    return plot_html(axes, look, f"<g>{curves}</g>{cursors}")
+    return plot_html(axes, look, Markup("<g>{}</g>{}").format(curves, cursors))
 
 
-def _dots(points: SlabPoints, frame: ProfileFrame, axes: Axes) -> str:
+def _dots(points: SlabPoints, frame: ProfileFrame, axes: Axes) -> Markup:
     """Return the points of a slab as dots; the running median is drawn over them."""
     x_um, z_um = dots(points, frame)
     at = np.rint(np.column_stack([axes.x.at(x_um), axes.y.at(z_um)])).astype(int).tolist()
     d = "".join(f"M{x} {y}h1" for x, y in at)
-    look = f'stroke="var(--ink3)" stroke-opacity=".5" stroke-width="{_DOT_PX}" stroke-linecap="round"'
-    return f'<path class="wv-slab-points" data-points="{len(points)}" d="{d}" {look}/>'
+    look = Markup('stroke="var(--ink3)" stroke-opacity=".5" stroke-width="{}" stroke-linecap="round"').format(_DOT_PX)
+    return Markup('<path class="wv-slab-points" data-points="{}" d="{}" {}/>').format(len(points), d, look)
 
 
-def _curve(section: Section, frame: ProfileFrame, axes: Axes) -> str:
+def _curve(section: Section, frame: ProfileFrame, axes: Axes) -> Markup:
     second = section.asked.is_second
     d = _path_of_runs(section, frame, axes)
     colour = PROFILE_COLOURS[section.asked.place]
     # In its line's colour drawn towards that of text: it is seen over a noisy curve, on light and on dark.
     colour = f"color-mix(in srgb, {colour} 45%, var(--ink))" if second else colour
     more = _DASHES if second else ""
-    return (
-        f'<path class="wv-curve" data-curve="{section.asked.letter}{"+" if second else ""}" d="{d}" '
-        f'stroke="{colour}" stroke-width="{1.4 if second else 1.8}" stroke-linecap="round" {more}/>'
+    return Markup(
+        '<path class="wv-curve" data-curve="{letter}{data_curve}" d="{d}" '
+        'stroke="{colour}" stroke-width="{stroke_width}" stroke-linecap="round" {more}/>'
+    ).format(
+        letter=section.asked.letter,
+        data_curve="+" if second else "",
+        d=d,
+        colour=colour,
+        stroke_width=1.4 if second else 1.8,
+        more=more,
     )
 
 
-def _band(axes: Axes, brush_um: tuple[float, float]) -> str:
+def _band(axes: Axes, brush_um: tuple[float, float]) -> Markup:
     """Return the brushed range as a band behind the curves."""
     foot, top = (axes.y.at(axes.y.within(z)) for z in brush_um)
-    return f'<path d="M0 {top:.0f}H{_SIDE}V{foot:.0f}H0Z" fill="{BRUSH}" fill-opacity=".09" stroke="none"/>'
+    return Markup(
+        '<path d="M0 {top:.0f}H{side}V{foot:.0f}H0Z" fill="{brush}" fill-opacity=".09" stroke="none"/>'
+    ).format(top=top, side=_SIDE, foot=foot, brush=BRUSH)
 
 
-def _brushed(section: Section, frame: ProfileFrame, axes: Axes, brush_um: tuple[float, float]) -> str:
+def _brushed(section: Section, frame: ProfileFrame, axes: Axes, brush_um: tuple[float, float]) -> Markup:
     """Return the parts of a curve within the brushed range."""
     z = section.curve.z_um
     curve = replace(section.curve, z_um=np.where((z >= brush_um[0]) & (z <= brush_um[1]), z, np.nan))
     d = _path_of_runs(replace(section, curve=curve), frame, axes)
-    look = f'stroke="{BRUSH}" stroke-width="2.6" stroke-linecap="round"'
-    return f'<path class="wv-brushed" d="{d}" {look}/>' if d else ""
+    look = Markup('stroke="{}" stroke-width="2.6" stroke-linecap="round"').format(BRUSH)
+    return Markup('<path class="wv-brushed" d="{}" {}/>').format(d, look) if d else Markup()
 
 
 def _path_of_runs(section: Section, frame: ProfileFrame, axes: Axes) -> str:
@@ -190,8 +200,8 @@ def _path_of_runs(section: Section, frame: ProfileFrame, axes: Axes) -> str:
     return d
 
 
-def _cursor(axes: Axes, at_um: float) -> str:
-    return f'<path class="wv-cursor" d="{axes.upright(at_um)}" stroke="var(--ink)" stroke-width="1.2"/>'
+def _cursor(axes: Axes, at_um: float) -> Markup:
+    return Markup('<path class="wv-cursor" d="{}" stroke="var(--ink)" stroke-width="1.2"/>').format(axes.upright(at_um))
 
 
 _WIDTH, _HEIGHT = 680, 210
@@ -200,7 +210,7 @@ _MOST_POINTS = 1200
 _INK, _SOFT, _LINE = "#15202B", "#445463", "#DCE3EA"
 
 
-def profile_svg(section: Section) -> str:
+def profile_svg(section: Section) -> Markup:
     """Return the plot of one profile, distance and height in um, scaled to the available width."""
     frame = frame_of([section])
     axes = Axes(
@@ -208,26 +218,41 @@ def profile_svg(section: Section) -> str:
         Axis(frame.z_um, (_HEIGHT - _FOOT, _TOP), round_ticks(frame.z_um, 6)),
     )
     middle_x, middle_y = sum(axes.x.span) / 2, sum(axes.y.span) / 2
-    return (
-        f'<svg viewBox="0 0 {_WIDTH} {_HEIGHT}" width="100%" role="img" font-size="11" fill="{_SOFT}">'
-        f'<path d="{axes.grid()}" fill="none" stroke="{_LINE}"/>{axes.labels_svg()}'
-        f'<path d="{axes.frame()}" fill="none" stroke="{_SOFT}" stroke-width=".8"/>'
-        f"{_printed_curve(section, frame, axes)}"
-        f'<g fill="{_INK}" text-anchor="middle">'
-        f'<text x="{middle_x:.1f}" y="{_HEIGHT - 4}">Distance along the line, µm</text>'
-        f'<text transform="translate(12 {middle_y:.1f}) rotate(-90)">z, µm</text></g></svg>'
+    return Markup(
+        '<svg viewBox="0 0 {width} {height}" width="100%" role="img" font-size="11" fill="{soft}">'
+        '<path d="{grid}" fill="none" stroke="{line}"/>{labels_svg}'
+        '<path d="{frame}" fill="none" stroke="{soft}" stroke-width=".8"/>'
+        "{printed_curve}"
+        '<g fill="{ink}" text-anchor="middle">'
+        '<text x="{middle_x:.1f}" y="{y}">Distance along the line, µm</text>'
+        '<text transform="translate(12 {middle_y:.1f}) rotate(-90)">z, µm</text></g></svg>'
+    ).format(
+        width=_WIDTH,
+        height=_HEIGHT,
+        soft=_SOFT,
+        grid=axes.grid(),
+        line=_LINE,
+        labels_svg=axes.labels_svg(),
+        frame=axes.frame(),
+        printed_curve=_printed_curve(section, frame, axes),
+        ink=_INK,
+        middle_x=middle_x,
+        y=_HEIGHT - 4,
+        middle_y=middle_y,
     )
 
 
-def _printed_curve(section: Section, frame: ProfileFrame, axes: Axes) -> str:
+def _printed_curve(section: Section, frame: ProfileFrame, axes: Axes) -> Markup:
     """Return each measured segment as a separate path; a single point is a dot."""
     pieces: list[str] = []
     for x_um, z_um in runs(section, frame, _MOST_POINTS):
         positions = zip(axes.x.at(x_um).tolist(), axes.y.at(z_um).tolist(), strict=True)
         points = [f"{x:.1f} {y:.1f}" for x, y in positions]
         pieces.append(f"M{points[0]}" + (f"L{' '.join(points[1:])}" if len(points) > 1 else "h.1"))
-    look = 'fill="none" stroke-width="1.4" stroke-linejoin="round" stroke-linecap="round"'
-    return f'<path d="{"".join(pieces)}" {look} stroke="{PROFILE_COLOURS[section.asked.place]}"/>'
+    look = Markup('fill="none" stroke-width="1.4" stroke-linejoin="round" stroke-linecap="round"')
+    return Markup('<path d="{}" {} stroke="{}"/>').format(
+        Markup("").join(pieces), look, PROFILE_COLOURS[section.asked.place]
+    )
 
 
 _GROOVE_W, _GROOVE_H = 372, 118
@@ -237,33 +262,51 @@ _GAP = 3.0
 """Point distance, in multiples of the median distance, above which the curve is interrupted."""
 
 
-def groove_svg(finding: StepProfile) -> str:
+def groove_svg(finding: StepProfile) -> Markup:
     """Return the profile as SVG, distance to the right, height upwards, zones as pale bands; empty without a curve."""
     if len(finding.curve) < 2:
-        return ""
+        return Markup()
     at_um, z_um = np.array(finding.curve, float).T
     length_um = max(float(at_um[-1]), max((end for _, _, end in finding.zones), default=0.0), 1e-9)
     low_um, high_um = float(z_um.min()), float(z_um.max())
     room_um = _HEADROOM * max(high_um - low_um, 1e-9) / (1 - 2 * _HEADROOM)
     x = Axis((0.0, length_um), (_GROOVE_SIDE, _GROOVE_W - _GROOVE_SIDE))
     y = Axis((low_um - room_um, high_um + room_um), (_GROOVE_H - _GROOVE_FOOT, _GROOVE_TOP))
-    bands = "".join(_zone_band(name, x.at(start), x.at(end)) for name, start, end in finding.zones)
-    return (
-        f'<svg viewBox="0 0 {_GROOVE_W} {_GROOVE_H}" width="100%" role="img" aria-label="Profile with its zones" '
-        f'font-size="11" fill="currentColor">{bands}'
-        f'<path d="{_path(x.at(at_um), y.at(z_um))}" fill="none" stroke="{PROFILE_COLOURS[0]}" stroke-width="1.6" '
+    bands = Markup("").join(_zone_band(name, x.at(start), x.at(end)) for name, start, end in finding.zones)
+    return Markup(
+        '<svg viewBox="0 0 {groove_w} {groove_h}" width="100%" role="img" aria-label="Profile with its zones" '
+        'font-size="11" fill="currentColor">{bands}'
+        '<path d="{path}" fill="none" stroke="{stroke}" stroke-width="1.6" '
         'stroke-linejoin="round" stroke-linecap="round"/>'
-        f'<text x="{_GROOVE_SIDE}" y="{_GROOVE_H - 3}">0</text>'
-        f'<text x="{_GROOVE_W - _GROOVE_SIDE}" y="{_GROOVE_H - 3}" text-anchor="end">{number(length_um, 1)} µm</text>'
+        '<text x="{groove_side}" y="{y}">0</text>'
+        '<text x="{x}" y="{y}" text-anchor="end">{number} µm</text>'
         "</svg>"
+    ).format(
+        groove_w=_GROOVE_W,
+        groove_h=_GROOVE_H,
+        bands=bands,
+        path=_path(x.at(at_um), y.at(z_um)),
+        stroke=PROFILE_COLOURS[0],
+        groove_side=_GROOVE_SIDE,
+        y=_GROOVE_H - 3,
+        x=_GROOVE_W - _GROOVE_SIDE,
+        number=number(length_um, 1),
     )
 
 
-def _zone_band(name: str, left: float, right: float) -> str:
-    return (
-        f'<rect x="{left:.1f}" y="{_GROOVE_TOP}" width="{right - left:.1f}" '
-        f'height="{_GROOVE_H - _GROOVE_TOP - _GROOVE_FOOT}" opacity=".08"/>'
-        f'<text x="{(left + right) / 2:.1f}" y="{_GROOVE_TOP - 4}" text-anchor="middle">{name}</text>'
+def _zone_band(name: str, left: float, right: float) -> Markup:
+    return Markup(
+        '<rect x="{left:.1f}" y="{groove_top}" width="{width:.1f}" '
+        'height="{height}" opacity=".08"/>'
+        '<text x="{x:.1f}" y="{y}" text-anchor="middle">{name}</text>'
+    ).format(
+        left=left,
+        groove_top=_GROOVE_TOP,
+        width=right - left,
+        height=_GROOVE_H - _GROOVE_TOP - _GROOVE_FOOT,
+        x=(left + right) / 2,
+        y=_GROOVE_TOP - 4,
+        name=name,
     )
 
 

@@ -5,10 +5,11 @@ Lines are in a stretched SVG, points and labels are placed over it in percent, s
 
 from __future__ import annotations
 
-import html
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from datetime import datetime
+
+from markupsafe import Markup
 
 from wafer_viewer.draw.charts.axes import Axes, PlotLook, Tick, line_svg, plot_html, round_ticks
 from wafer_viewer.draw.number_format import value_and_u
@@ -21,12 +22,12 @@ _ROOM = 0.08
 """Margin above and below the extreme values as a share of their range."""
 _MOST_Y, _MOST_X, _LABEL_PERCENT = 5, 10, 11.5
 _LOOK = PlotLook("Run chart", "Error, µm", left_px=64, right_px=70, foot_px=22, classes="wv-run")
-_DASHES, _DOTS = 'stroke-dasharray="7 5"', 'stroke-dasharray="2 4"'
+_DASHES, _DOTS = Markup('stroke-dasharray="7 5"'), Markup('stroke-dasharray="2 4"')
 Attributes = Callable[[ChartPoint], str]
 """Function that returns the HTML attributes of a clickable point."""
 
 
-def run_chart_html(chart: RunChart, attributes: Attributes = lambda point: "", chosen: str = "") -> str:
+def run_chart_html(chart: RunChart, attributes: Attributes = lambda point: "", chosen: str = "") -> Markup:
     """Return the chart of the newest checks; `chosen`: signing time of the selected check.
 
     Raises MeasureError for a chart without a point.
@@ -35,8 +36,10 @@ def run_chart_html(chart: RunChart, attributes: Attributes = lambda point: "", c
     if not points:
         raise MeasureError("The run chart has no point: sign a check first.")
     axes, lines = _axes(chart, points), _lines(chart)
-    drawn = "".join((*(_level(axes, line) for line in lines), _bars(axes, points), _connecting_line(axes, points)))
-    dots = "".join(_dot(axes, k, point, attributes(point), chosen) for k, point in enumerate(points))
+    drawn = Markup("").join(
+        (*(_level(axes, line) for line in lines), _bars(axes, points), _connecting_line(axes, points))
+    )
+    dots = Markup("").join(_dot(axes, k, point, attributes(point), chosen) for k, point in enumerate(points))
     return plot_html(axes, _LOOK, drawn, _names(axes, lines) + dots)
 
 
@@ -72,31 +75,33 @@ def _axes(chart: RunChart, points: Sequence[ChartPoint]) -> Axes:
     return Axes.stretched((-0.5, len(points) - 0.5), ends_um, _days(points), round_ticks(ends_um, _MOST_Y, signed=True))
 
 
-def _level(axes: Axes, line: _Line) -> str:
+def _level(axes: Axes, line: _Line) -> Markup:
     return line_svg(axes.level(line.um), line.colour, line.width_px, line.dashes)
 
 
-def _bars(axes: Axes, points: Sequence[ChartPoint]) -> str:
+def _bars(axes: Axes, points: Sequence[ChartPoint]) -> Markup:
     """Return the U of every check as a vertical line through its point."""
     known = [
         (k, p.value.value_um, p.value.expanded_um) for k, p in enumerate(points) if p.value.expanded_um is not None
     ]
     upright = "".join(f"M{axes.x.at(k):.1f} {axes.y.at(um + u):.1f}V{axes.y.at(um - u):.1f}" for k, um, u in known)
-    return line_svg(upright, "ink3", 1.2, 'opacity=".55"') if upright else ""
+    return line_svg(upright, "ink3", 1.2, Markup('opacity=".55"')) if upright else Markup()
 
 
-def _connecting_line(axes: Axes, points: Sequence[ChartPoint]) -> str:
+def _connecting_line(axes: Axes, points: Sequence[ChartPoint]) -> Markup:
     """Return the line that connects the checks, without the failed ones."""
     good = [(k, p.value.value_um) for k, p in enumerate(points) if p.verdict != "fail"]
     d = "L".join(f"{axes.x.at(k):.1f} {axes.y.at(um):.1f}" for k, um in good)
-    return line_svg(f"M{d}", "accent", 1.6, 'opacity=".75"') if len(good) > 1 else ""
+    return line_svg(f"M{d}", "accent", 1.6, Markup('opacity=".75"')) if len(good) > 1 else Markup()
 
 
-def _dot(axes: Axes, k: int, point: ChartPoint, attributes: str, chosen: str) -> str:
+def _dot(axes: Axes, k: int, point: ChartPoint, attributes: str, chosen: str) -> Markup:
     at = f"left:{axes.x.percent(k):.2f}%;top:{axes.y.percent(point.value.value_um):.2f}%"
     look = f"{point.verdict.replace(' ', '-')}{' sel' if point.at == chosen else ''}{' breaks' if point.breaks else ''}"
-    told = html.escape(_point_title(point), quote=True)
-    return f'<u class="wv-dot {look}" style="{at}" title="{told}" aria-label="{told}" {attributes}></u>'
+    told = _point_title(point)
+    return Markup('<u class="wv-dot {look}" style="{at}" title="{told}" aria-label="{told}" {attributes}></u>').format(
+        look=look, at=at, told=told, attributes=attributes
+    )
 
 
 def _point_title(point: ChartPoint) -> str:
@@ -130,5 +135,7 @@ def _names(axes: Axes, lines: Sequence[_Line]) -> str:
         down = axes.y.percent(line.um)
         if all(abs(down - other) >= _LABEL_PERCENT for other in placed):
             placed.append(down)
-            words += f'<b class="wv-run-name" style="top:{down:.2f}%;color:var(--{line.colour})">{line.name}</b>'
+            words += Markup('<b class="wv-run-name" style="top:{:.2f}%;color:var(--{})">{}</b>').format(
+                down, line.colour, line.name
+            )
     return words

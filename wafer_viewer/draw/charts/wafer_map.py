@@ -5,9 +5,10 @@ Colours are the page's custom properties (``--ink``, ``--accent``, ...), so one 
 
 from __future__ import annotations
 
-import html
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+
+from markupsafe import Markup
 
 from wafer_viewer.draw.charts.symbols import symbol
 from wafer_viewer.model.acquisition.plan import Field
@@ -114,7 +115,7 @@ def field_map_svg(
     onplace: str = "",
     width_px: int = WIDTH_PX,
     most_height_px: int = MOST_HEIGHT_PX,
-) -> str:
+) -> Markup:
     """Return the map. `states` by field number are keys of `FIELD_INKS`; the default state is planned.
 
     Each field is a focusable group with ``data-k`` (its number) and the handler `onclick`. Above `MOST_SINGLE` fields,
@@ -125,7 +126,7 @@ def field_map_svg(
         fields, field_width_um, field_height_um, outline_um, width_px=width_px, most_height_px=most_height_px
     )
     if frame is None:
-        return ""
+        return Markup()
     whole = _bounds([*outline_um, *_corners(fields, field_width_um, field_height_um)])
     of_fields = _bounds(_corners(fields, field_width_um, field_height_um))
     inks = [(f, FIELD_INKS[(states or {}).get(f.number, "planned")]) for f in fields]
@@ -136,10 +137,12 @@ def field_map_svg(
     ]
     if whole and of_fields and _zoomed(of_fields, whole):
         parts.append(_inset(frame, whole, of_fields, outline_um))
-    size = f'width="{frame.width_px:.0f}" height="{frame.height_px:.0f}"'
-    place = f' onclick="{html.escape(_located(frame) + onplace, quote=True)}"' if onplace else ""
-    head = f'<svg {size} class="wv-map" role="img" aria-label="Map of the sample" style="display:block"{place}>'
-    return f"{head}{''.join(parts)}</svg>"
+    size = Markup('width="{:.0f}" height="{:.0f}"').format(frame.width_px, frame.height_px)
+    place = Markup(' onclick="{}"').format(_located(frame) + onplace) if onplace else Markup()
+    head = Markup('<svg {} class="wv-map" role="img" aria-label="Map of the sample" style="display:block"{}>').format(
+        size, place
+    )
+    return Markup("{}{}</svg>").format(head, Markup("").join(parts))
 
 
 def _located(frame: MapViewport) -> str:
@@ -158,10 +161,10 @@ def _singly(
     size_um: tuple[float, float],
     selected: int | None,
     onclick: str,
-) -> str:
+) -> Markup:
     """Return every field with its number, the selected one on top."""
     order = sorted(inks, key=lambda of: (of[0].number == selected, of[0].number))
-    return "".join(_field(frame, f, *size_um, ink, f.number == selected, onclick) for f, ink in order)
+    return Markup("").join(_field(frame, f, *size_um, ink, f.number == selected, onclick) for f, ink in order)
 
 
 def _merged_shapes(
@@ -170,83 +173,91 @@ def _merged_shapes(
     size_um: tuple[float, float],
     selected: int | None,
     onclick: str,
-) -> str:
+) -> Markup:
     """Return one shape per state for large numbers of fields, with the selected field on top."""
     w, h = (max(0.8, side * frame.scale - 0.3) for side in size_um)
     shapes: dict[FieldStyle, list[str]] = {}
     for field, ink in inks:
         x, y = frame.x(field.x_um - size_um[0] / 2), frame.y(field.y_um + size_um[1] / 2)
         shapes.setdefault(ink, []).append(f"M{x:.1f} {y:.1f}h{w:.1f}v{h:.1f}h-{w:.1f}z")
-    drawn = "".join(
-        f'<path d="{"".join(shape)}" fill="var(--{ink.edge})" fill-opacity="{max(ink.fill_opacity, 0.12):g}" '
-        f'stroke="var(--{ink.edge})" stroke-width=".4"><title>{ink.title}</title></path>'
+    drawn = Markup("").join(
+        Markup(
+            '<path d="{shape}" fill="var(--{edge})" fill-opacity="{fill_opacity:g}" '
+            'stroke="var(--{edge})" stroke-width=".4"><title>{title}</title></path>'
+        ).format(shape=Markup("").join(shape), edge=ink.edge, fill_opacity=max(ink.fill_opacity, 0.12), title=ink.title)
         for ink, shape in shapes.items()
     )
     chosen = [(field, ink) for field, ink in inks if field.number == selected]
     return drawn + _singly(frame, chosen, size_um, selected, onclick)
 
 
-def _sample(frame: MapViewport, outline_um: Outline, dies_um: Sequence[Outline]) -> str:
+def _sample(frame: MapViewport, outline_um: Outline, dies_um: Sequence[Outline]) -> Markup:
     """Return the sample outline and those dies that are large enough to be visible."""
     if len(outline_um) < 3:
-        return ""
+        return Markup()
     edge = _points(frame, outline_um)
-    out = f'<polygon points="{edge}" fill="var(--fill)" stroke="var(--ink3)" stroke-width="1.3"/>'
+    out = Markup('<polygon points="{}" fill="var(--fill)" stroke="var(--ink3)" stroke-width="1.3"/>').format(edge)
     shown = [die for die in dies_um if _seen(frame, die)]
-    dies = "".join(f'<polygon points="{_points(frame, die)}"/>' for die in shown)
-    return out + f'<g fill="none" stroke="var(--line)" stroke-width="1.2">{dies}</g>'
+    dies = Markup("").join(Markup('<polygon points="{}"/>').format(_points(frame, die)) for die in shown)
+    return out + Markup('<g fill="none" stroke="var(--line)" stroke-width="1.2">{}</g>').format(dies)
 
 
 def _field(
     frame: MapViewport, field: Field, width_um: float, height_um: float, ink: FieldStyle, selected: bool, onclick: str
-) -> str:
+) -> Markup:
     x, y = frame.x(field.x_um - width_um / 2) + 0.5, frame.y(field.y_um + height_um / 2) + 0.5
     w, h = max(1.0, width_um * frame.scale - 1), max(1.0, height_um * frame.scale - 1)
-    handler = f' onclick="{html.escape(onclick, quote=True)}" style="cursor:pointer"' if onclick else ""
+    handler = Markup(' onclick="{}" style="cursor:pointer"').format(onclick) if onclick else Markup()
     name = f"Field {field.number}, {ink.title}"
-    return (
-        f'<g data-k="{field.number}" tabindex="0" role="button" aria-label="{name}"{handler}>'
-        f"<title>{name}</title>{_box(x, y, w, h, ink, selected)}"
-        f"{_number(field.number, ink, x + w / 2, y + h / 2, min(w, h))}</g>"
+    return Markup(
+        '<g data-k="{number}" tabindex="0" role="button" aria-label="{name}"{handler}>'
+        "<title>{name}</title>{box}"
+        "{number2}</g>"
+    ).format(
+        number=field.number,
+        name=name,
+        handler=handler,
+        box=_box(x, y, w, h, ink, selected),
+        number2=_number(field.number, ink, x + w / 2, y + h / 2, min(w, h)),
     )
 
 
-def _box(x: float, y: float, w: float, h: float, ink: FieldStyle, selected: bool) -> str:
-    dashes = ' stroke-dasharray="3 3"' if ink.dashed else ""
+def _box(x: float, y: float, w: float, h: float, ink: FieldStyle, selected: bool) -> Markup:
+    dashes = Markup(' stroke-dasharray="3 3"') if ink.dashed else Markup()
     weight = 2.6 if ink.heavy or selected else 1.2
     edge = "ink" if selected else ink.edge
-    place = f'x="{x:.1f}" y="{y:.1f}" width="{w:.1f}" height="{h:.1f}"'
-    return (
-        f'<rect {place} fill="var(--{ink.edge})" fill-opacity="{ink.fill_opacity:g}" '
-        f'stroke="var(--{edge})" stroke-width="{weight}"{dashes}/>'
-    )
+    place = Markup('x="{x:.1f}" y="{y:.1f}" width="{w:.1f}" height="{h:.1f}"').format(x=x, y=y, w=w, h=h)
+    return Markup(
+        '<rect {place} fill="var(--{edge})" fill-opacity="{fill_opacity:g}" '
+        'stroke="var(--{edge2})" stroke-width="{weight}"{dashes}/>'
+    ).format(place=place, edge=ink.edge, fill_opacity=ink.fill_opacity, edge2=edge, weight=weight, dashes=dashes)
 
 
-def _number(number: int, ink: FieldStyle, x: float, y: float, room_px: float) -> str:
+def _number(number: int, ink: FieldStyle, x: float, y: float, room_px: float) -> Markup:
     if room_px < _LEAST_FOR_NUMBER_PX:
-        return ""
+        return Markup()
     size = min(13.0, room_px * 0.62)
     colour = ink.edge if ink.edge in ("warn", "bad", "ink3") else "ink"
     text = f"{number} {ink.sign}".strip()
     weight = 700 if ink.heavy or ink.sign else 550
-    return (
-        f'<text x="{x:.1f}" y="{y + 0.36 * size:.1f}" text-anchor="middle" font-size="{size:.1f}" '
-        f'font-weight="{weight}" fill="var(--{colour})">{text}</text>'
-    )
+    return Markup(
+        '<text x="{x:.1f}" y="{y:.1f}" text-anchor="middle" font-size="{size:.1f}" '
+        'font-weight="{weight}" fill="var(--{colour})">{text}</text>'
+    ).format(x=x, y=y + 0.36 * size, size=size, weight=weight, colour=colour, text=text)
 
 
-def _inset(frame: MapViewport, whole: Box, of_fields: Box, outline_um: Outline) -> str:
+def _inset(frame: MapViewport, whole: Box, of_fields: Box, outline_um: Outline) -> Markup:
     """Return an overview of the sample in the lower right corner, with the area of the fields."""
     left, top = frame.width_px - _INSET_PX, frame.height_px - _INSET_PX
     small = MapViewport(whole, _INSET_PX, _INSET_PX, left, top)
     x, y = small.x(of_fields[0]), small.y(of_fields[3])
     w, h = (max(3.0, (of_fields[k + 2] - of_fields[k]) * small.scale) for k in (0, 1))
-    return (
-        f'<rect x="{left:.0f}" y="{top:.0f}" width="{_INSET_PX}" height="{_INSET_PX}" rx="4" fill="var(--panel)" '
-        f'fill-opacity=".9" stroke="var(--line)"/>'
-        f'<polygon points="{_points(small, outline_um)}" fill="var(--fill)" stroke="var(--ink3)"/>'
-        f'<rect x="{x:.1f}" y="{y:.1f}" width="{w:.1f}" height="{h:.1f}" fill="var(--accent)"/>'
-    )
+    return Markup(
+        '<rect x="{left:.0f}" y="{top:.0f}" width="{inset_px}" height="{inset_px}" rx="4" fill="var(--panel)" '
+        'fill-opacity=".9" stroke="var(--line)"/>'
+        '<polygon points="{points}" fill="var(--fill)" stroke="var(--ink3)"/>'
+        '<rect x="{x:.1f}" y="{y:.1f}" width="{w:.1f}" height="{h:.1f}" fill="var(--accent)"/>'
+    ).format(left=left, top=top, inset_px=_INSET_PX, points=_points(small, outline_um), x=x, y=y, w=w, h=h)
 
 
 def _corners(fields: Sequence[Field], width_um: float, height_um: float) -> list[tuple[float, float]]:
@@ -331,23 +342,29 @@ class MarkedArea:
 
 def map_marks_svg(
     frame: MapViewport, seen_um: Outline, marks: Sequence[MapMark], areas: Sequence[MarkedArea] = ()
-) -> str:
+) -> Markup:
     """Return the overlay in the size of the map; `seen_um`: corners of the area in the camera view."""
     shapes = [*(_area(frame, area) for area in areas), *_camera_view(frame, seen_um)]
     shapes += [*(_mark(frame, mark) for mark in sorted(marks, key=lambda mark: mark.chosen))]
     w, h = f"{frame.width_px:.0f}", f"{frame.height_px:.0f}"
-    size = f'width="{w}" height="{h}" viewBox="0 0 {w} {h}"'
-    return f'<svg {size} class="wv-map-marks" style="display:block">{"".join(shapes)}</svg>' if shapes else ""
+    size = Markup('width="{w}" height="{h}" viewBox="0 0 {w} {h}"').format(w=w, h=h)
+    return (
+        Markup('<svg {} class="wv-map-marks" style="display:block">{}</svg>').format(size, Markup("").join(shapes))
+        if shapes
+        else Markup()
+    )
 
 
-def _area(frame: MapViewport, area: MarkedArea) -> str:
+def _area(frame: MapViewport, area: MarkedArea) -> Markup:
     x0, y0, x1, y1 = area.box_um
     left, top = frame.x(x0), frame.y(y1)
     width, height = (max(_LEAST_AREA_PX, v) for v in (frame.x(x1) - left, frame.y(y0) - top))
-    look = f'fill="none" stroke="{area.colour}" stroke-width="1.8" stroke-dasharray="5 3"'
-    look = look if area.dashed else f'fill="{area.colour}" fill-opacity=".75"'
-    place = f'x="{left:.1f}" y="{top:.1f}" width="{width:.1f}" height="{height:.1f}"'
-    return f"<rect {place} {look}><title>{html.escape(area.name, quote=True)}</title></rect>"
+    look = Markup('fill="none" stroke="{}" stroke-width="1.8" stroke-dasharray="5 3"').format(area.colour)
+    look = look if area.dashed else Markup('fill="{}" fill-opacity=".75"').format(area.colour)
+    place = Markup('x="{left:.1f}" y="{top:.1f}" width="{width:.1f}" height="{height:.1f}"').format(
+        left=left, top=top, width=width, height=height
+    )
+    return Markup("<rect {} {}><title>{}</title></rect>").format(place, look, area.name)
 
 
 def _camera_view(frame: MapViewport, corners_um: Outline) -> list[str]:
@@ -355,18 +372,29 @@ def _camera_view(frame: MapViewport, corners_um: Outline) -> list[str]:
         return []
     points = [(frame.x(x), frame.y(y)) for x, y in corners_um]
     xs, ys = [x for x, _ in points], [y for _, y in points]
-    style = 'fill="none" stroke="var(--attention)" stroke-width="1.6" stroke-linejoin="round"'
+    style = Markup('fill="none" stroke="var(--attention)" stroke-width="1.6" stroke-linejoin="round"')
     if max(max(xs) - min(xs), max(ys) - min(ys)) < _LEAST_SEEN_PX:
         x, y = sum(xs) / len(xs), sum(ys) / len(ys)
-        return [f'<path d="M{x - 7:.1f} {y:.1f}h14M{x:.1f} {y - 7:.1f}v14" {style}/>']
-    return [f'<polygon points="{" ".join(f"{x:.1f},{y:.1f}" for x, y in points)}" {style}/>']
+        return [
+            Markup('<path d="M{x:.1f} {y:.1f}h14M{x2:.1f} {y2:.1f}v14" {style}/>').format(
+                x=x - 7, y=y, x2=x, y2=y - 7, style=style
+            )
+        ]
+    return [Markup('<polygon points="{}" {}/>').format(Markup(" ").join(f"{x:.1f},{y:.1f}" for x, y in points), style)]
 
 
-def _mark(frame: MapViewport, mark: MapMark) -> str:
+def _mark(frame: MapViewport, mark: MapMark) -> Markup:
     x, y = frame.x(mark.x_um), frame.y(mark.y_um)
-    ring = f'<circle cx="{x:.1f}" cy="{y:.1f}" r="7" fill="none" stroke="var(--ink)" stroke-width="1.6"/>'
-    name = html.escape(mark.name, quote=True)
-    return (
-        f'<g {mark.attributes} aria-label="{name}"><title>{name}</title>{ring if mark.chosen else ""}'
-        f'<g stroke="#fff" stroke-width="1.2" paint-order="stroke">{symbol(mark.shape, mark.colour, x, y, 3.6)}</g></g>'
+    ring = Markup('<circle cx="{:.1f}" cy="{:.1f}" r="7" fill="none" stroke="var(--ink)" stroke-width="1.6"/>').format(
+        x, y
+    )
+    name = mark.name
+    return Markup(
+        '<g {attributes} aria-label="{name}"><title>{name}</title>{ring}'
+        '<g stroke="#fff" stroke-width="1.2" paint-order="stroke">{symbol}</g></g>'
+    ).format(
+        attributes=mark.attributes,
+        name=name,
+        ring=ring if mark.chosen else "",
+        symbol=symbol(mark.shape, mark.colour, x, y, 3.6),
     )

@@ -9,6 +9,7 @@ from pathlib import Path
 from typing import Any
 
 import viser
+from markupsafe import Markup
 
 from wafer_viewer.draw.number_format import number
 from wafer_viewer.gui.page.dialogs import Dialog
@@ -175,7 +176,7 @@ def recipes_dialog(page: Page) -> None:
         "The one saved last is applied automatically when a dataset of its product is opened.",
     )
     with dialog.modal:
-        HtmlBlock(page.gui, recipe_table(shelf.recipes) + _lab("") + "".join(map(_lab, shelf.problems)))
+        HtmlBlock(page.gui, recipe_table(shelf.recipes) + _lab("") + Markup("").join(map(_lab, shelf.problems)))
 
     def choose(ask: Callable[[Page, DefectRecipe], None], key: str) -> None:
         dialog.close()
@@ -186,7 +187,7 @@ def recipes_dialog(page: Page) -> None:
     dialog.way_out("Close")
 
 
-def recipe_table(recipes: tuple[DefectRecipe, ...]) -> str:
+def recipe_table(recipes: tuple[DefectRecipe, ...]) -> Markup:
     """Return the table of recipes as HTML, with links to rename and delete each."""
     if not recipes:
         return html.empty("No recipe is saved yet.")
@@ -195,12 +196,14 @@ def recipe_table(recipes: tuple[DefectRecipe, ...]) -> str:
     )
 
 
-def _recipe_row(place: int, recipe: DefectRecipe) -> str:
-    verbs = " · ".join(
-        f'<span class="wv-link" title="{html.safe(f"{verb} {recipe.name}")}" {html.pick(what, place)}>{verb}</span>'
+def _recipe_row(place: int, recipe: DefectRecipe) -> Markup:
+    verbs = Markup(" · ").join(
+        Markup('<span class="wv-link" title="{}" {}>{}</span>').format(
+            f"{verb} {recipe.name}", html.pick(what, place), verb
+        )
         for verb, what in (("Rename…", "defect-recipe-name"), ("Delete…", "defect-recipe-away"))
     )
-    return html.row([html.safe(recipe.name), html.safe(recipe.product), f"{recipe.sensitivity:g}", verbs], "  n")
+    return html.row([recipe.name, recipe.product, f"{recipe.sensitivity:g}", verbs], "  n")
 
 
 def required_inspection(page: Page) -> Inspection:
@@ -248,8 +251,8 @@ def _wait(verb: Future[Any]) -> None:
     verb.result(WAIT_S)
 
 
-def _lab(text: str) -> str:
-    return f'<div class="wv-lab" style="margin-bottom:9px">{html.safe(html.with_micro_sign(text))}</div>'
+def _lab(text: str) -> Markup:
+    return Markup('<div class="wv-lab" style="margin-bottom:9px">{}</div>').format(html.with_micro_sign(text))
 
 
 @dataclass(frozen=True, slots=True)
@@ -335,20 +338,20 @@ def area_of_defect(defect: Defect | None) -> Areas:
     return (Region.rectangle(*(round(um, 1) for um in (u - half_x, v - half_y, u + half_x, v + half_y))),)
 
 
-def area_table(areas: Areas) -> str:
+def area_table(areas: Areas) -> Markup:
     """Return the table of excluded areas with links to edit and remove them, as HTML."""
     if not areas:
         return html.empty("The whole die is searched.")
     return html.table(["", "x, µm", "y, µm", ""], [_row(k, area) for k, area in enumerate(areas)], " nn ")
 
 
-def _row(k: int, area: Region) -> str:
+def _row(k: int, area: Region) -> Markup:
     """Return the table row of an area as HTML; only rectangles can be edited."""
     x0, y0, x1, y1 = area.bounds_um
     change, away = ("Change", "change", "Edit its corners"), ("Remove", "away", "Search there again")
-    verbs = " · ".join(
-        f'<span class="wv-link" title="{title}" {html.pick(f"defect-area-{what}", k)}>{verb}</span>'
+    verbs = Markup(" · ").join(
+        Markup('<span class="wv-link" title="{}" {}>{}</span>').format(title, html.pick(f"defect-area-{what}", k), verb)
         for verb, what, title in ((change, away) if area.kind == "rectangle" else (away,))
     )
     spans = (f"{number(low, 1)} – {number(high, 1)}" for low, high in ((x0, x1), (y0, y1)))
-    return html.row([str(k + 1), *spans, f'<span style="white-space:nowrap">{verbs}</span>'], " nn ")
+    return html.row([str(k + 1), *spans, Markup('<span style="white-space:nowrap">{}</span>').format(verbs)], " nn ")

@@ -8,6 +8,7 @@ from functools import partial
 from typing import Any
 
 import viser
+from markupsafe import Markup
 
 from wafer_viewer.draw.surface.display_style import DisplayStyle
 from wafer_viewer.gui.defects.defect_dialogs import ERRANDS, STAYS, ExcludedDialog, area_of_defect, recipes_dialog
@@ -134,7 +135,7 @@ class DefectSection:
 
     # --- showing
 
-    def _top(self, snapshot: Snapshot) -> str:
+    def _top(self, snapshot: Snapshot) -> Markup:
         state = snapshot.inspection
         if state.work:
             return html.head("Defects", "being searched for")
@@ -142,14 +143,14 @@ class DefectSection:
             first = html.empty("Nothing was inspected yet:", "set the dial and press Inspect.")
             return html.head("Defects") + ("" if state.problem else first)
         fold = "Less" if self._unfolded else "Inspect again…"
-        link = f'<span class="wv-link" {html.pick("defect-form")}>{fold}</span>'
+        link = Markup('<span class="wv-link" {}>{}</span>').format(html.pick("defect-form"), fold)
         told = words.judged(state.inspection)
-        return f'<div class="wv-h">Defects<span class="wv-mid">{told}</span><span>{link}</span></div>'
+        return Markup('<div class="wv-h">Defects<span class="wv-mid">{}</span><span>{}</span></div>').format(told, link)
 
-    def _listed(self, snapshot: Snapshot, view: View) -> str:
+    def _listed(self, snapshot: Snapshot, view: View) -> Markup:
         inspection = snapshot.inspection.inspection
         if inspection is None:
-            return ""
+            return Markup()
         if not inspection.defects:
             return words.nothing_found(inspection) + words.facts(inspection)
         items = [i for i in review_items(snapshot, view.review_filter, view.defects) if i.defect is not None]
@@ -160,21 +161,24 @@ class DefectSection:
         choices = filters(view) + sorting(view.defects, inspection)
         return chart + choices + there + words.facts(inspection)
 
-    def _thumbs(self, item: ReviewItem, snapshot: Snapshot) -> str:
+    def _thumbs(self, item: ReviewItem, snapshot: Snapshot) -> Markup:
         """Return the thumbnails of a defect, heights and picture, as HTML."""
         source = source_of(snapshot, item.show)
         if source is None or item.box_um is None:
-            return ""
+            return Markup()
         box = framed(_at_least(item.box_um, LEAST_PX * (snapshot.surface.pixel_um if snapshot.surface else 1.0)))
         requests = (RenderRequest(source, "picture", box_um=box, look=look) for look in LAYERS)
-        return "".join(thumbnail(self._thumbnails.painted(request)) for request in requests)
+        return Markup("").join(thumbnail(self._thumbnails.painted(request)) for request in requests)
 
 
-def _command_links_html() -> str:
+def _command_links_html() -> Markup:
     """Return the links of the commands on all defects as HTML."""
-    links = (f'<span class="wv-link" {html.pick("defect-errand", key)}>{e.short}</span>' for key, e in ERRANDS.items())
-    areas = f'<span class="wv-link" {html.pick("defect-excluded", "here")}>Leave out…</span>'
-    return f'<div class="wv-legend" style="margin:2px 0 6px">{"".join(links)}{areas}</div>'
+    links = (
+        Markup('<span class="wv-link" {}>{}</span>').format(html.pick("defect-errand", key), e.short)
+        for key, e in ERRANDS.items()
+    )
+    areas = Markup('<span class="wv-link" {}>Leave out…</span>').format(html.pick("defect-excluded", "here"))
+    return Markup('<div class="wv-legend" style="margin:2px 0 6px">{}{}</div>').format(Markup("").join(links), areas)
 
 
 def _why_not(snapshot: Snapshot) -> str:

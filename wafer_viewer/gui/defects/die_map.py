@@ -12,6 +12,7 @@ from typing import Any
 
 import numpy as np
 import viser
+from markupsafe import Markup
 
 from wafer_viewer.draw.charts.die_map import die_frame
 from wafer_viewer.draw.charts.wafer_map import MOST_HEIGHT_PX, WIDTH_PX, MapMark, MapViewport, Outline, map_marks_svg
@@ -134,7 +135,7 @@ class DefectMap:
             return
         here = chosen_defect(snapshot, view.review)
         drawing = map_marks_svg(self._frame, self._seen() or (), [_mark(here)] if here is not None else ())
-        self._over.show(drawing and f'<div class="wv-over-map wv-dies">{drawing}</div>')
+        self._over.show(drawing and Markup('<div class="wv-over-map wv-dies">{}</div>').format(drawing))
 
 
 def die_at(inspection: Inspection, x_um: float, y_um: float) -> str:

@@ -8,6 +8,7 @@ from dataclasses import replace
 from typing import Any
 
 import viser
+from markupsafe import Markup, escape
 
 from wafer_viewer.draw.charts.defect_charts import die_stack_svg, not_drawn, shown
 from wafer_viewer.draw.charts.symbols import symbol_svg
@@ -46,7 +47,7 @@ def sheet(
     size_px: tuple[int, int],
     chosen: int | None,
     place: int | None,
-) -> str:
+) -> Markup:
     """Return the sheet as HTML."""
     if inspection.grid is None:
         return head(inspection) + html.empty(NO_DIES)
@@ -61,17 +62,25 @@ def sheet(
         place=place,
         attributes=html.pick,
     )
-    beside = f'<div class="wv-stack-list" style="max-height:{size_px[1]}px">{_list(inspection, places, place)}</div>'
-    foot = f'<div class="wv-lab" style="height:{FOOT_PX}px;padding-top:6px">{_foot(inspection, places, picture)}</div>'
-    return f'{head(inspection)}<div class="wv-stacked"><div>{drawn}</div>{beside}</div>{foot}'
+    beside = Markup('<div class="wv-stack-list" style="max-height:{}px">{}</div>').format(
+        size_px[1], _list(inspection, places, place)
+    )
+    foot = Markup('<div class="wv-lab" style="height:{}px;padding-top:6px">{}</div>').format(
+        FOOT_PX, _foot(inspection, places, picture)
+    )
+    return Markup('{head}<div class="wv-stacked"><div>{drawn}</div>{beside}</div>{foot}').format(
+        head=head(inspection), drawn=drawn, beside=beside, foot=foot
+    )
 
 
-def head(inspection: Inspection) -> str:
+def head(inspection: Inspection) -> Markup:
     """Return the header with title and close link as HTML."""
     whole = sum(die.state == "whole" for die in inspection.dies)
     name = f"All {whole} whole dies overlaid" if whole else "All dies overlaid"
-    away = f'<span class="wv-link" {html.pick("sheet", "none")}>Close · Esc</span>'
-    return f'<div class="wv-over-head" style="height:{HEAD_PX}px"><b>{name}</b><span>{away}</span></div>'
+    away = Markup('<span class="wv-link" {}>Close · Esc</span>').format(html.pick("sheet", "none"))
+    return Markup('<div class="wv-over-head" style="height:{}px"><b>{}</b><span>{}</span></div>').format(
+        HEAD_PX, name, away
+    )
 
 
 def place_of(numbers: tuple[int, ...], places: Sequence[RepeatedPlace]) -> int | None:
@@ -83,28 +92,34 @@ def place_of(numbers: tuple[int, ...], places: Sequence[RepeatedPlace]) -> int |
     return common.index(max(common)) if any(common) else None
 
 
-def _list(inspection: Inspection, places: Sequence[RepeatedPlace], chosen: int | None) -> str:
+def _list(inspection: Inspection, places: Sequence[RepeatedPlace], chosen: int | None) -> Markup:
     if not places:
         dies = "No two dies" if len({d.die for d in inspection.found if d.die}) < 2 else f"No {LEAST_DIES} dies"
         return html.empty("Nothing repeats.", f"{dies} have a defect at the same place.")
     rows = [_row(k, place, k == chosen) for k, place in enumerate(places[:MOST_ROWS])]
-    more = f'<div class="wv-lab">{len(places) - MOST_ROWS} more</div>' if len(places) > MOST_ROWS else ""
+    more = (
+        Markup('<div class="wv-lab">{} more</div>').format(len(places) - MOST_ROWS)
+        if len(places) > MOST_ROWS
+        else Markup()
+    )
     return html.head("Places that repeat", f"{len(places)}", first=True) + html.table([], rows, "  n") + more
 
 
-def _row(k: int, place: RepeatedPlace, chosen: bool) -> str:
+def _row(k: int, place: RepeatedPlace, chosen: bool) -> Markup:
     look, at = DEFECT_CLASSES[place.kind], place.in_die
-    name = (
-        f"{symbol_svg(look.shape, look.colour)} {look.title}"
-        f"<small>x {number(at.x_um, 1)}, y {number(at.y_um, 1)}\u202fµm</small>"
+    name = Markup("{symbol_svg} {title}<small>x {number}, y {number2}\u202fµm</small>").format(
+        symbol_svg=symbol_svg(look.shape, look.colour),
+        title=look.title,
+        number=number(at.x_um, 1),
+        number2=number(at.y_um, 1),
     )
-    dies = f"<b>{len(place.dies)}</b><small>of {place.of_dies} dies</small>"
-    told = html.safe(f"Place {k + 1}, {look.title}, {place.words}")
-    attributes = f'{html.pick("defect-place", k)} aria-label="{told}"'
+    dies = Markup("<b>{}</b><small>of {} dies</small>").format(len(place.dies), place.of_dies)
+    told = f"Place {k + 1}, {look.title}, {place.words}"
+    attributes = Markup('{} aria-label="{}"').format(html.pick("defect-place", k), told)
     return html.row([f"{k + 1}", name, dies], "  n", attributes, "sel" if chosen else "")
 
 
-def _foot(inspection: Inspection, places: Sequence[RepeatedPlace], picture: DiePicture | None) -> str:
+def _foot(inspection: Inspection, places: Sequence[RepeatedPlace], picture: DiePicture | None) -> Markup:
     if picture is None:
         ground = "The picture of the die is made …"
     elif picture.why_not:
@@ -113,7 +128,7 @@ def _foot(inspection: Inspection, places: Sequence[RepeatedPlace], picture: DieP
         ground = f"Picture: {picture.golden or f'median of {picture.dies} dies'}"
     left = not_drawn(inspection, shown(inspection, places))
     parts = [ground, f"{left} weaker ones are not drawn" if left else "", "Backspace: next place" if places else ""]
-    return html.safe(" · ".join(part for part in parts if part))
+    return escape(" · ".join(part for part in parts if part))
 
 
 WAITING_PX = 120
@@ -142,7 +157,9 @@ class DefectStack:
         self._ask((snapshot.dataset.path, snapshot.surface.stamp, inspection.mark, inspection.recipe), inspection)
         width, height = drawing_px(inspection, self._sheet.room)
         if self._places is None:
-            waits = f'{head(inspection)}<div style="height:{WAITING_PX}px">{html.empty("Comparing dies …")}</div>'
+            waits = Markup('{}<div style="height:{}px">{}</div>').format(
+                head(inspection), WAITING_PX, html.empty("Comparing dies …")
+            )
             self._sheet.show(waits, HEAD_PX + WAITING_PX + 2 * PAD_PX)
             return
         place = place_of(view.defects.numbers, self._places)

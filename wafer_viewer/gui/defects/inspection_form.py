@@ -10,6 +10,7 @@ from datetime import datetime
 from typing import Any
 
 import viser
+from markupsafe import Markup
 
 from wafer_viewer.draw.number_format import number
 from wafer_viewer.gui.defects.defect_dialogs import golden_file_dialog, recipes_dialog, save_recipe_dialog
@@ -83,13 +84,13 @@ def unreadable(shelf: DefectShelf) -> str:
     return f"{n} recipe {'file' if n == 1 else 'files'} cannot be read: Recipes… says why." if n else ""
 
 
-def golden_table(shelf: DefectShelf, product: str, chosen: str) -> str:
+def golden_table(shelf: DefectShelf, product: str, chosen: str) -> Markup:
     """Return the table of golden dies of a product as HTML; those of other products are only counted."""
     mine = [header for header in shelf.golden if not product or header.product in ("", product)]
     others = len(shelf.golden) - len(mine)
     left = f"{others} of other products" if others else ""
-    link = (
-        f'<div class="wv-lab"><span class="wv-link" {html.command_pick("defect-golden-file")}>From a file…</span></div>'
+    link = Markup('<div class="wv-lab"><span class="wv-link" {}>From a file…</span></div>').format(
+        html.command_pick("defect-golden-file")
     )
     if not mine:
         return html.empty("No golden die is kept", "compare with the fitted form, or die to die.") + _lab(left) + link
@@ -101,11 +102,13 @@ def golden_table(shelf: DefectShelf, product: str, chosen: str) -> str:
     )
 
 
-def advanced_settings_header(form: DefectForm, unfolded: bool) -> str:
+def advanced_settings_header(form: DefectForm, unfolded: bool) -> Markup:
     """Return the header of the additional settings as HTML, with a summary while they are folded."""
-    link = f'<span class="wv-link" {html.pick("defect-more")}>{"Less" if unfolded else "Change…"}</span>'
+    link = Markup('<span class="wv-link" {}>{}</span>').format(
+        html.pick("defect-more"), "Less" if unfolded else "Change…"
+    )
     if unfolded:
-        return f'<div class="wv-h">More settings<span>{link}</span></div>'
+        return Markup('<div class="wv-h">More settings<span>{}</span></div>').format(link)
     limits = [text for text in (form.max_per_die and f"{form.max_per_die} per die", _a_mm2(form.max_per_mm2)) if text]
     told = (
         form.evidence,
@@ -114,14 +117,16 @@ def advanced_settings_header(form: DefectForm, unfolded: bool) -> str:
         f"dies: {form.dies[0].lower()}{form.dies[1:]}",
         f"at most {' and '.join(limits)}" if limits else "no limits",
     )
-    return f'<div class="wv-lab" style="margin:2px 0 6px">{html.safe("; ".join(told))} · {link}</div>'
+    return Markup('<div class="wv-lab" style="margin:2px 0 6px">{} · {}</div>').format("; ".join(told), link)
 
 
-def exclusion_line_html(form: DefectForm) -> str:
+def exclusion_line_html(form: DefectForm) -> Markup:
     """Return the form's line about excluded areas, with a link to edit them, as HTML."""
-    link = f'<span class="wv-link" {html.pick("defect-excluded")}>Areas…</span>'
+    link = Markup('<span class="wv-link" {}>Areas…</span>').format(html.pick("defect-excluded"))
     told = areas(form)
-    return f'<div class="wv-lab" style="margin:2px 0 6px">{told[0].upper()}{told[1:]} · {link}</div>'
+    return Markup('<div class="wv-lab" style="margin:2px 0 6px">{}{} · {}</div>').format(
+        told[0].upper(), told[1:], link
+    )
 
 
 def areas(form: DefectForm) -> str:
@@ -145,13 +150,13 @@ def _named(headers: tuple[GoldenHeader, ...] | list[GoldenHeader]) -> Iterator[t
         seen.add(header.name)
 
 
-def _row(header: GoldenHeader, name: str, chosen: bool) -> str:
+def _row(header: GoldenHeader, name: str, chosen: bool) -> Markup:
     version = f"version {header.version}" + ("" if "." in name else ", the newest")
     of, made_of = header.product or "no product", header.made_of or "a file"
     title = f"{header.name} version {header.version} of {of}, made of {made_of}"
-    told = f'<span class="wv-cut wv-short" title="{html.safe(title)}">{html.safe(header.name)}</span>'
-    cells = [f"{told}<small>{version}</small>", number(header.dies, 0), html.safe(_kept(header))]
-    attributes = f'{html.pick("defect-golden", name)} aria-pressed="{str(chosen).lower()}"'
+    told = Markup('<span class="wv-cut wv-short" title="{}">{}</span>').format(title, header.name)
+    cells = [Markup("{}<small>{}</small>").format(told, version), number(header.dies, 0), _kept(header)]
+    attributes = Markup('{} aria-pressed="{}"').format(html.pick("defect-golden", name), str(chosen).lower())
     return html.row(cells, " nn", attributes, "sel" if chosen else "")
 
 
@@ -168,8 +173,8 @@ def _expected_count_text(count: float) -> str:
     return number(round(count, 1 - math.floor(math.log10(count))), 0)
 
 
-def _lab(text: str) -> str:
-    return f'<div class="wv-lab">{html.safe(text)}</div>' if text else ""
+def _lab(text: str) -> Markup:
+    return Markup('<div class="wv-lab">{}</div>').format(text) if text else Markup()
 
 
 NOT_KEPT = "not kept"
@@ -420,5 +425,5 @@ class InspectionForm:
         return guarded(self._page, failed)(lambda _: act())
 
 
-def _label(text: str) -> str:
-    return f'<div class="wv-lab" style="margin-bottom:5px">{html.safe(html.with_micro_sign(text))}</div>'
+def _label(text: str) -> Markup:
+    return Markup('<div class="wv-lab" style="margin-bottom:5px">{}</div>').format(html.with_micro_sign(text))

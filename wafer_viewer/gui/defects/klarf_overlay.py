@@ -4,6 +4,8 @@ from __future__ import annotations
 
 from collections.abc import Callable
 
+from markupsafe import Markup
+
 from wafer_viewer.draw.charts.wafer_map import MapMark
 from wafer_viewer.draw.number_format import number
 from wafer_viewer.gui.page.page import Page
@@ -70,31 +72,31 @@ def other_marks(other: OtherTool | None) -> list[MapMark]:
     ]
 
 
-def overlay_html(other: OtherTool, defects: tuple[Defect, ...]) -> str:
+def overlay_html(other: OtherTool, defects: tuple[Defect, ...]) -> Markup:
     """Return the match counts and the table of unmatched defects as HTML."""
     found = tuple(defect for defect in defects if defect.kind != "unmeasured")
     rest = other.unmatched(found)
     both, n = len(other.klarf.defects) - len(rest), len(other.klarf.defects)
-    away = f'<span class="wv-link" {html.pick("defect-other-away")}>Remove overlay</span>'
-    head = f'<div class="wv-h">{html.safe(other.name)}<span>{away}</span></div>'
+    away = Markup('<span class="wv-link" {}>Remove overlay</span>').format(html.pick("defect-other-away"))
+    head = Markup('<div class="wv-h">{}<span>{}</span></div>').format(other.name, away)
     said = (
         f"{_counted(n, 'place')} of another tool: {both} found here too, {len(rest)} not. "
         f"{len(found) - both} found here {'is' if len(found) - both == 1 else 'are'} not in the file. "
         f"The same within {number(other.within_um, 0)} µm; {other.by}."
     )
-    notes = "".join(_lab(note) for note in other.klarf.notes)
+    notes = Markup("").join(_lab(note) for note in other.klarf.notes)
     more = _lab(f"{len(rest) - MOST_ROWS} more on the map.") if len(rest) > MOST_ROWS else ""
     rows = [_row(defect) for defect, _ in rest[:MOST_ROWS]]
     table = html.table(["Not found here", "Die", "Size, µm"], rows, " nn") if rows else ""
-    return f'{head}{_lab(said)}{notes}{table}{more}<div style="height:8px"></div>'
+    return Markup('{head}{lab}{notes}{table}{more}<div style="height:8px"></div>').format(
+        head=head, lab=_lab(said), notes=notes, table=table, more=more
+    )
 
 
-def _row(defect: KlarfDefect) -> str:
+def _row(defect: KlarfDefect) -> Markup:
     name = f"{defect.number} {defect.class_name}".strip()
     size = number(defect.size_um, 1) if defect.size_um else "–"
-    return html.row(
-        [html.safe(name), f"{defect.col},{defect.row}", size], " nn", html.pick("defect-other", str(defect.number))
-    )
+    return html.row([name, f"{defect.col},{defect.row}", size], " nn", html.pick("defect-other", str(defect.number)))
 
 
 def _box_around(bounds: Box, least_um: float) -> Box:
@@ -108,5 +110,5 @@ def _counted(n: int, what: str) -> str:
     return f"1 {what}" if n == 1 else f"{number(n, 0)} {what}s"
 
 
-def _lab(text: str) -> str:
-    return f'<div class="wv-lab" style="margin-bottom:5px">{html.safe(html.with_micro_sign(text))}</div>'
+def _lab(text: str) -> Markup:
+    return Markup('<div class="wv-lab" style="margin-bottom:5px">{}</div>').format(html.with_micro_sign(text))

@@ -10,6 +10,7 @@ from typing import Any
 
 import numpy as np
 import viser
+from markupsafe import Markup
 
 from wafer_viewer.draw.charts.profile_plot import frame_of, profile_plot_html
 from wafer_viewer.draw.charts.symbols import symbol_svg
@@ -64,39 +65,45 @@ class Sizes:
         return cls(width, height, 2 * height + rest)
 
 
-def sheet(defect: Defect, answer: ComparisonViews, sizes: Sizes) -> str:
+def sheet(defect: Defect, answer: ComparisonViews, sizes: Sizes) -> Markup:
     """Return the sheet as HTML."""
     style = (
         f"grid-template-columns:repeat({COLUMNS},{sizes.width_px}px) {BAR_PX}px;"
         f"grid-template-rows:{NAMES_PX}px repeat(2,{sizes.height_px}px)"
     )
-    columns = "".join(_column(n, seen, defect, answer, sizes) for n, seen in enumerate(answer.seen, 1))
-    bar = f'<div style="grid-column:{COLUMNS + 1};grid-row:2">{_bar(answer, sizes.height_px)}</div>'
-    foot = f'<div class="wv-lab" style="height:{FOOT_PX}px;padding-top:5px">{html.safe(_foot(answer))}</div>'
-    return f'{head(defect)}<div class="wv-beside" style="{style}">{columns}{bar}</div>{foot}'
+    columns = Markup("").join(_column(n, seen, defect, answer, sizes) for n, seen in enumerate(answer.seen, 1))
+    bar = Markup('<div style="grid-column:{};grid-row:2">{}</div>').format(COLUMNS + 1, _bar(answer, sizes.height_px))
+    foot = Markup('<div class="wv-lab" style="height:{}px;padding-top:5px">{}</div>').format(FOOT_PX, _foot(answer))
+    return Markup('{head}<div class="wv-beside" style="{style}">{columns}{bar}</div>{foot}').format(
+        head=head(defect), style=style, columns=columns, bar=bar, foot=foot
+    )
 
 
-def head(defect: Defect) -> str:
+def head(defect: Defect) -> Markup:
     """Return the header with title and close link as HTML."""
     look = DEFECT_CLASSES[defect.seen_as]
-    name = f"{symbol_svg(look.shape, look.colour)} D{defect.number} · {look.title} compared"
-    away = f'<span class="wv-link" {html.pick("sheet", "none")}>Close · Z</span>'
-    return f'<div class="wv-over-head" style="height:{HEAD_PX}px"><b>{name}</b><span>{away}</span></div>'
-
-
-def _column(place: int, seen: ComparisonView, defect: Defect, answer: ComparisonViews, sizes: Sizes) -> str:
-    title, below = _named(seen, defect, answer.pixel_um)
-    names = (
-        f'<div style="grid-column:{place};grid-row:1" class="wv-over-name"><b>{html.safe(title)}</b>'
-        f'<small title="{html.safe(below)}">{html.safe(below)}</small></div>'
+    name = Markup("{} D{} · {} compared").format(symbol_svg(look.shape, look.colour), defect.number, look.title)
+    away = Markup('<span class="wv-link" {}>Close · Z</span>').format(html.pick("sheet", "none"))
+    return Markup('<div class="wv-over-head" style="height:{}px"><b>{}</b><span>{}</span></div>').format(
+        HEAD_PX, name, away
     )
+
+
+def _column(place: int, seen: ComparisonView, defect: Defect, answer: ComparisonViews, sizes: Sizes) -> Markup:
+    title, below = _named(seen, defect, answer.pixel_um)
+    names = Markup(
+        '<div style="grid-column:{place};grid-row:1" class="wv-over-name"><b>{title}</b>'
+        '<small title="{below}">{below}</small></div>'
+    ).format(place=place, title=title, below=below)
     if seen.why_not:
-        why = f'<div class="wv-empty">{html.safe(html.with_micro_sign(seen.why_not))}</div>'
-        return f'{names}<div style="grid-column:{place};grid-row:2/4">{why}</div>'
+        why = Markup('<div class="wv-empty">{}</div>').format(html.with_micro_sign(seen.why_not))
+        return Markup('{}<div style="grid-column:{};grid-row:2/4">{}</div>').format(names, place, why)
     over = _over(defect, answer, sizes)
-    at = f'<div class="wv-over-picture" style="grid-column:{place};grid-row:'
+    at = Markup('<div class="wv-over-picture" style="grid-column:{};grid-row:').format(place)
     height, picture = _image(seen.height, title, "heights"), _image(seen.picture, title, "in focus everywhere")
-    return f'{names}{at}2">{height}{over}</div>{at}3">{picture}{over}</div>'
+    return Markup('{names}{at}2">{height}{over}</div>{at}3">{picture}{over}</div>').format(
+        names=names, at=at, height=height, over=over, picture=picture
+    )
 
 
 def _named(seen: ComparisonView, defect: Defect, pixel_um: float) -> tuple[str, str]:
@@ -114,14 +121,14 @@ def _moved(seen: ComparisonView, pixel_um: float) -> str:
     return "" if seen.why_not or away_um < _STILL_PX * pixel_um else f"found {with_unit(away_um, 1)} off"
 
 
-def _image(jpeg: bytes, title: str, what: str) -> str:
+def _image(jpeg: bytes, title: str, what: str) -> Markup:
     if not jpeg:
         return html.empty("Not measured here.")
     url = f"data:image/jpeg;base64,{base64.b64encode(jpeg).decode()}"
-    return f'<img alt="{html.safe(title)}, {what}" src="{url}">'
+    return Markup('<img alt="{}, {}" src="{}">').format(title, what, url)
 
 
-def _over(defect: Defect, answer: ComparisonViews, sizes: Sizes) -> str:
+def _over(defect: Defect, answer: ComparisonViews, sizes: Sizes) -> Markup:
     """Return the overlay of a picture, the defect's outline and the scale bar, as SVG."""
     x0, y0, x1, y1 = answer.box_um
     corners = outline_of(defect.outline)
@@ -131,36 +138,40 @@ def _over(defect: Defect, answer: ComparisonViews, sizes: Sizes) -> str:
     y = (y1 - corners[:, 1]) / (y1 - y0) * sizes.height_px
     points = " ".join(f"{a:.1f},{b:.1f}" for a, b in zip(x.tolist(), y.tolist(), strict=True))
     colour = DEFECT_CLASSES[defect.seen_as].colour
-    lines = "".join(
-        f'<polygon points="{points}" fill="none" stroke="{ink}" stroke-width="{width}"/>'
+    lines = Markup("").join(
+        Markup('<polygon points="{}" fill="none" stroke="{}" stroke-width="{}"/>').format(points, ink, width)
         for ink, width in (("#fff", 4), (colour, 2))
     )
-    return f'<svg viewBox="0 0 {sizes.width_px} {sizes.height_px}">{lines}{_scale_bar(x1 - x0, sizes)}</svg>'
+    return Markup('<svg viewBox="0 0 {width_px} {height_px}">{lines}{scale_bar}</svg>').format(
+        width_px=sizes.width_px, height_px=sizes.height_px, lines=lines, scale_bar=_scale_bar(x1 - x0, sizes)
+    )
 
 
-def _scale_bar(width_um: float, sizes: Sizes) -> str:
+def _scale_bar(width_um: float, sizes: Sizes) -> Markup:
     length_um = round_length(_BAR_OF_PICTURE * width_um)
     length_px, foot = length_um / width_um * sizes.width_px, sizes.height_px - 8
-    text = (
-        f'<text x="8" y="{foot - 6}" font-size="11.5" fill="#fff" stroke="#15202B" stroke-width="3" '
-        f'paint-order="stroke">{length_text(length_um)}</text>'
-    )
-    return f'{text}<path d="M8 {foot}h{length_px:.1f}" stroke="#15202B" stroke-width="5"/>' + (
-        f'<path d="M9 {foot}h{length_px - 2:.1f}" stroke="#fff" stroke-width="2.5"/>'
+    text = Markup(
+        '<text x="8" y="{}" font-size="11.5" fill="#fff" stroke="#15202B" stroke-width="3" '
+        'paint-order="stroke">{}</text>'
+    ).format(foot - 6, length_text(length_um))
+    return Markup('{}<path d="M8 {}h{:.1f}" stroke="#15202B" stroke-width="5"/>').format(text, foot, length_px) + (
+        Markup('<path d="M9 {}h{:.1f}" stroke="#fff" stroke-width="2.5"/>').format(foot, length_px - 2)
     )
 
 
-def _bar(answer: ComparisonViews, height_px: int) -> str:
+def _bar(answer: ComparisonViews, height_px: int) -> Markup:
     """Return the colour bar of heights relative to the middle of the reference, as HTML."""
     low, high = answer.low_um - answer.zero_um, answer.high_um - answer.zero_um
     values = ticks(low, high, max(3, height_px // 40))
     digits = tick_digits(values)
-    marks = "".join(
-        f'<i style="bottom:{100 * (value - low) / max(high - low, 1e-9):.1f}%">{number(value, digits, signed=True)}</i>'
+    marks = Markup("").join(
+        Markup('<i style="bottom:{:.1f}%">{}</i>').format(
+            100 * (value - low) / max(high - low, 1e-9), number(value, digits, signed=True)
+        )
         for value in values
     )
-    return (
-        f'<div class="wv-over-bar"><u style="background:{css_gradient("mako")}!important"></u>{marks}<em>µm</em></div>'
+    return Markup('<div class="wv-over-bar"><u style="background:{}!important"></u>{}<em>µm</em></div>').format(
+        css_gradient("mako"), marks
     )
 
 
@@ -242,10 +253,10 @@ class DefectBeside:
             page.session.defects.views.beside(item.defect)
 
 
-def _placeholder_html(defect: Defect, told: str) -> str:
+def _placeholder_html(defect: Defect, told: str) -> Markup:
     """Return the placeholder shown until the pictures are ready, or if there are none, as HTML."""
     said = html.empty(html.with_micro_sign(told) if told else "Making the pictures …")
-    return f'{head(defect)}<div style="height:{WAITING_PX}px">{said}</div>'
+    return Markup('{}<div style="height:{}px">{}</div>').format(head(defect), WAITING_PX, said)
 
 
 CUTTING = "Measuring the profile …"
@@ -276,7 +287,7 @@ class DefectDock:
             measure = guarded(self._page, "The profile was not measured")(self._measure)
             asked = self._asked
             self._worker.ask(lambda: measure(asked))
-        self._plot.show(f'<div class="wv-below">{self._head(defect, cut)}{self._curves()}</div>')
+        self._plot.show(Markup('<div class="wv-below">{}{}</div>').format(self._head(defect, cut), self._curves()))
 
     def _measure(self, asked: tuple[DefectCut, int]) -> None:
         """Measure the profiles on the worker's thread; drop the result if another defect is under review by then."""
@@ -292,11 +303,13 @@ class DefectDock:
             self._sections, self._problem = tuple(sections), problem
             self._page.redraw()
 
-    def _head(self, defect: Defect, cut: DefectCut) -> str:
-        words = " ".join(f"<span>{part}</span>" for part in _header_parts(defect, cut, len(self._sections)))
-        return f'<div class="wv-dock wv-tight"><b>Profile through the defect</b>{words}</div>'
+    def _head(self, defect: Defect, cut: DefectCut) -> Markup:
+        words = Markup(" ").join(
+            Markup("<span>{}</span>").format(part) for part in _header_parts(defect, cut, len(self._sections))
+        )
+        return Markup('<div class="wv-dock wv-tight"><b>Profile through the defect</b>{}</div>').format(words)
 
-    def _curves(self) -> str:
+    def _curves(self) -> Markup:
         if self._problem:
             return html.note("attention", "No profile", self._problem)
         if not self._sections:
@@ -305,8 +318,12 @@ class DefectDock:
 
 
 def _header_parts(defect: Defect, cut: DefectCut, n_curves: int) -> Iterator[str]:
-    height = f"height <b>{format_quantity(defect.height.quantity, signed=True)}</b>"
-    yield f'{html.chip("A", PROFILE_COLOURS[0])} {height} <span class="dim wv-hint">through the middle</span>'
+    height = Markup("height <b>{}</b>").format(format_quantity(defect.height.quantity, signed=True))
+    yield Markup('{} {} <span class="dim wv-hint">through the middle</span>').format(
+        html.chip("A", PROFILE_COLOURS[0]), height
+    )
     if cut.beside and n_curves > 1:
-        beside = f"same row, die {html.safe(cut.beside)}"
-        yield f'{html.chip("B", PROFILE_COLOURS[1])} <span class="dim" title="{beside}">{beside}</span>'
+        beside = f"same row, die {cut.beside}"
+        yield Markup('{} <span class="dim" title="{}">{}</span>').format(
+            html.chip("B", PROFILE_COLOURS[1]), beside, beside
+        )

@@ -8,6 +8,7 @@ from datetime import date
 from typing import Any
 
 import viser
+from markupsafe import Markup
 
 from wafer_viewer.draw.number_format import number, with_unit
 from wafer_viewer.gui.page.dialogs import Dialog
@@ -64,9 +65,11 @@ def sign_dialog(page: Page, check: GaugeCheck) -> None:
         page, "Sign this check?", "It is saved with the dataset and in the log of checks and cannot be changed."
     )
     error = with_unit(check.deviation.value_um, 3, signed=True)
-    told = f'<b style="color:var(--{tone})">{word}</b> · error {error} · {check.n} scan{"" if check.n == 1 else "s"}'
+    told = Markup('<b style="color:var(--{tone})">{word}</b> · error {error} · {n} scan{n2}').format(
+        tone=tone, word=word, error=error, n=check.n, n2="" if check.n == 1 else "s"
+    )
     with dialog.modal:
-        HtmlBlock(page.gui, f'<div style="padding:2px 0 8px">{told}</div>')
+        HtmlBlock(page.gui, Markup('<div style="padding:2px 0 8px">{}</div>').format(told))
         name = page.gui.add_text("Signed by", page.browser.name or _operator(page))
 
     def sign() -> None:
@@ -102,7 +105,7 @@ def correct_dialog(page: Page, offered: ScaleCorrection) -> None:
     dialog.answers("Correct the z scale", viser.Icon.ARROWS_VERTICAL, correct, "The z scale was not changed")
 
 
-def _warned(offered: ScaleCorrection) -> str:
+def _warned(offered: ScaleCorrection) -> Markup:
     same = "These blocks can no longer check this scale, because it was set with them. Use others."
     return html.note("attention", same, offered.advice)
 

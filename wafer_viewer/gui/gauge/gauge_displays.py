@@ -4,6 +4,8 @@ from __future__ import annotations
 
 from collections.abc import Callable
 
+from markupsafe import Markup
+
 from wafer_viewer.draw.charts.run_chart import MOST_POINTS, run_chart_html
 from wafer_viewer.draw.number_format import THIN, number, value_and_u
 from wafer_viewer.gui.measure.live_measurement import Answer
@@ -35,46 +37,56 @@ class GaugeDock:
         if self._panel.show(view):
             gauge = snapshot.gauge
             serials = " / ".join(gauge.certificate.serials) if gauge.certificate is not None else ""
-            self._plot.show(f'<div class="wv-below">{below(gauge.chart, serials, view.check or "")}</div>')
+            self._plot.show(
+                Markup('<div class="wv-below">{}</div>').format(below(gauge.chart, serials, view.check or ""))
+            )
 
 
-def below(chart: RunChart | None, serials: str, chosen: str) -> str:
+def below(chart: RunChart | None, serials: str, chosen: str) -> Markup:
     """Return the content of the panel as HTML; a placeholder if no check is signed yet."""
     if chart is None or not chart.points:
-        head = '<div class="wv-dock"><b>Run chart</b></div>'
-        return f'{head}<div class="wv-run-empty">{html.empty(_EMPTY)}</div>'
-    warnings = "".join(
-        f'<span class="wv-curve-note">{html.safe(html.with_micro_sign(text))}</span>' for text in chart.warnings
+        head = Markup('<div class="wv-dock"><b>Run chart</b></div>')
+        return Markup('{}<div class="wv-run-empty">{}</div>').format(head, html.empty(_EMPTY))
+    warnings = Markup("").join(
+        Markup('<span class="wv-curve-note">{}</span>').format(html.with_micro_sign(text)) for text in chart.warnings
     )
-    notes = f'<div class="wv-dock">{warnings}</div>' if warnings else ""
+    notes = Markup('<div class="wv-dock">{}</div>').format(warnings) if warnings else Markup()
     drawn = run_chart_html(chart, lambda point: html.pick("gauge-record", point.at), chosen)
-    return f"{_head(chart, serials)}{notes}{drawn}"
+    return _head(chart, serials) + notes + drawn
 
 
-def _head(chart: RunChart, serials: str) -> str:
+def _head(chart: RunChart, serials: str) -> Markup:
     n = len(chart.points)
     of = f"Last {MOST_POINTS} of {n} checks" if n > MOST_POINTS else f"{n} check{'' if n == 1 else 's'}"
-    spread = f"<span>s <b>{number(chart.s_um, 3)}{THIN}µm</b></span>" if chart.s_um is not None else ""
-    mean = f"<span>mean <b>{number(chart.mean_um, 3, signed=True)}{THIN}µm</b></span>" if n > 1 else ""
-    whole = f"{of} of {html.safe(serials)}"
+    spread = (
+        Markup("<span>s <b>{}{}µm</b></span>").format(number(chart.s_um, 3), THIN)
+        if chart.s_um is not None
+        else Markup()
+    )
+    mean = (
+        Markup("<span>mean <b>{}{}µm</b></span>").format(number(chart.mean_um, 3, signed=True), THIN)
+        if n > 1
+        else Markup()
+    )
+    whole = f"{of} of {serials}"
     limit = (
-        f'<span class="wv-hint">limit ± {number(chart.limit_um, 2)}{THIN}µm · </span>'
+        Markup('<span class="wv-hint">limit ± {}{}µm · </span>').format(number(chart.limit_um, 2), THIN)
         if chart.limit_um is not None
-        else ""
+        else Markup()
     )
-    return (
-        f'<div class="wv-dock wv-run-head"><b>Run chart</b><span class="dim wv-cut" title="{whole}">{whole}</span>'
-        f'{mean}{spread}<span class="wv-end">{limit}{_drift(chart)}</span></div>'
-    )
+    return Markup(
+        '<div class="wv-dock wv-run-head"><b>Run chart</b><span class="dim wv-cut" title="{whole}">{whole}</span>'
+        '{mean}{spread}<span class="wv-end">{limit}{drift}</span></div>'
+    ).format(whole=whole, mean=mean, spread=spread, limit=limit, drift=_drift(chart))
 
 
-def _drift(chart: RunChart) -> str:
+def _drift(chart: RunChart) -> Markup:
     drift = chart.drift_um_per_day
     if drift is None:
-        return ""
+        return Markup()
     value, u = value_and_u(drift.value_um, drift.expanded_um, 4, signed=True)
     beside = f" ± {u}" if drift.expanded_um is not None else ""
-    return f"drift <b>{value}{beside}{THIN}µm per day</b>"
+    return Markup("drift <b>{}{}{}µm per day</b>").format(value, beside, THIN)
 
 
 MOST_ROWS = 30
@@ -102,22 +114,24 @@ def selected_check(snapshot: Snapshot, view: View) -> GaugeCheck | None:
     return next((record.check for record in snapshot.gauge.records if record.check.at == view.check), None)
 
 
-def earlier(records: tuple[GaugeRecord, ...], chosen: str | None) -> str:
+def earlier(records: tuple[GaugeRecord, ...], chosen: str | None) -> Markup:
     """Return the table of earlier checks, newest first, with date, error and verdict, as HTML."""
     head = html.head("Earlier checks", str(len(records) or ""))
     if not records:
         return head + html.empty("Signed checks of these blocks", "are listed here.")
     rows = [_row(record.check, record.check.at == chosen) for record in reversed(records[-MOST_ROWS:])]
-    return head + html.table(["Check", "Error, µm", "Verdict"], rows, " n") + '<div style="height:8px"></div>'
+    return head + html.table(["Check", "Error, µm", "Verdict"], rows, " n") + Markup('<div style="height:8px"></div>')
 
 
-def _row(check: GaugeCheck, chosen: bool) -> str:
+def _row(check: GaugeCheck, chosen: bool) -> Markup:
     word, sign, tone = LOOKS[check.verdict]
-    verdict = f'<span style="color:var(--{tone});white-space:nowrap">{html.icon(sign, 15)} {word.lower()}</span>'
+    verdict = Markup('<span style="color:var(--{});white-space:nowrap">{} {}</span>').format(
+        tone, html.icon(sign, 15), word.lower()
+    )
     told = f"{day_and_time(check.at)}, {check.verdict}, signed by {check.signed_by}"
-    attributes = f'{html.pick("gauge-record", check.at)} title="{html.safe(told)}"'
+    attributes = Markup('{} title="{}"').format(html.pick("gauge-record", check.at), told)
     error = number(check.deviation.value_um, 3, signed=True)
-    return html.row([html.safe(day_and_time(check.at)), error, verdict], " n", attributes, "sel" if chosen else "")
+    return html.row([day_and_time(check.at), error, verdict], " n", attributes, "sel" if chosen else "")
 
 
 class StepReadout:
@@ -131,11 +145,15 @@ class StepReadout:
         """Bring the figure up to date."""
         self._glass.show(self._content(snapshot, view) if view.step == "gauge" and not view.explains else "")
 
-    def _content(self, snapshot: Snapshot, view: View) -> str:
+    def _content(self, snapshot: Snapshot, view: View) -> Markup:
         earlier = selected_check(snapshot, view)
         check = earlier or snapshot.gauge.signed or snapshot.gauge.check
         if check is not None:
             of = f", {day_and_time(check.at)}" if check.at else f", mean of {check.n}" if check.n > 1 else ""
             return scene_step_label(f"Measured step{of}", check.height)
         step = self._live().finding
-        return scene_step_label("Step between the regions, live", step.height) if isinstance(step, StepHeight) else ""
+        return (
+            scene_step_label("Step between the regions, live", step.height)
+            if isinstance(step, StepHeight)
+            else Markup()
+        )

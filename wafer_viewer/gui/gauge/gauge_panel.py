@@ -8,6 +8,7 @@ from pathlib import Path
 from typing import Any, Literal
 
 import viser
+from markupsafe import Markup
 
 from wafer_viewer.gui.gauge.gauge_dialogs import certificate_dialog, correct_dialog, sign_dialog
 from wafer_viewer.gui.gauge.gauge_displays import selected_check
@@ -27,6 +28,7 @@ from wafer_viewer.gui.widgets.command import Command, with_precondition
 from wafer_viewer.gui.widgets.controls import (
     BoundInput,
     HtmlBlock,
+    add_html,
     button,
     command_button,
     controlled,
@@ -256,7 +258,7 @@ class StudySection:
     def show(self) -> None:
         """Bring the section up to date."""
         what = "Share of the variation that comes from the gauge, by AIAG."
-        waits = f'<div class="wv-lab" style="margin-bottom:6px">{what}</div>'
+        waits = Markup('<div class="wv-lab" style="margin-bottom:6px">{}</div>').format(what)
         self._cell.show(html.head(HEAD) + (self._told or waits))
 
     def ask(self) -> None:
@@ -277,7 +279,7 @@ class StudySection:
 
     def _read(self, path: Path, method: str, tolerance: float | None) -> None:
         made = self._page.session.studies.gauge_rr(path, METHOD_OF[method], tolerance)
-        self._told = "".join(study(one) for one in made)
+        self._told = Markup("").join(study(one) for one in made)
         self._page.redraw()
 
 
@@ -349,12 +351,12 @@ class GaugePanel:
         self._correct = command_button(gui, "Correct the z scale…", ICON.ARROWS_VERTICAL, lambda _: verbs.correct())
         in_a_row(gui, [self._correct])
         self._studies = StudySection(self._page)
-        HtmlBlock(gui, '<div style="height:10px"></div>')
+        HtmlBlock(gui, Markup('<div style="height:10px"></div>'))
         self._why = HtmlBlock(gui)
         self._again = command_button(gui, "Measure again", ICON.REFRESH, lambda _: verbs.measure())
         self._other = command_button(gui, "Certificate…", ICON.CERTIFICATE, lambda _: verbs.certificate())
         in_a_row(gui, [self._again, self._other], 34)
-        gui.add_html(f"<style>{_at_foot(self._again)}{_at_foot(self._other)}</style>")
+        add_html(gui, html.style_sheet(_at_foot(self._again) + _at_foot(self._other)))
         self._leads = {
             "certificate": command_button(
                 gui, "Load the certificate…", ICON.CERTIFICATE, lambda _: verbs.certificate()
@@ -377,17 +379,17 @@ class GaugePanel:
         else:
             self._state.show(self._faces_state_html(snapshot, view))
 
-    def _faces_state_html(self, snapshot: Snapshot, view: View) -> str:
+    def _faces_state_html(self, snapshot: Snapshot, view: View) -> Markup:
         """Return the state of the face regions before the step is measured, as HTML."""
         if self.finder.looking:
             return html.empty("Looking for the two faces.")
         if self.finder.problem and not view.faces:
-            way = f'<span class="wv-link" {html.pick("gauge-lay")}>Place the regions by hand</span>'
+            way = Markup('<span class="wv-link" {}>Place the regions by hand</span>').format(html.pick("gauge-lay"))
             return html.note("attention", "The faces were not found", self.finder.problem, way)
         if view.faces and not isinstance(self.live.answer.finding, StepHeight) and self.live.answer.problem:
             return html.note("attention", "Nothing is measured there", self.live.answer.problem)
         waits = snapshot.gauge.check is None and snapshot.gauge.signed is None and bool(view.faces)
-        return html.empty("Drag the regions onto the two faces, then measure.") if waits else ""
+        return html.empty("Drag the regions onto the two faces, then measure.") if waits else Markup()
 
     def _show_paper(self, snapshot: Snapshot, earlier: GaugeCheck | None, check: GaugeCheck | None) -> None:
         paper = earlier.certificate if earlier is not None else snapshot.gauge.certificate
@@ -404,7 +406,7 @@ class GaugePanel:
             parts += [unsure.budget(check), unsure.not_evaluated(check)]
         if earlier is None:
             parts.append(unsure.capability(snapshot.gauge.capability))
-        self._sums.show("".join(parts))
+        self._sums.show(Markup("").join(parts))
         offered = snapshot.gauge.correction if earlier is None else None
         self._scale.show(unsure.correction(offered))
         set_prop(self._correct, "visible", offered is not None)
@@ -420,7 +422,11 @@ class GaugePanel:
         set_prop(self._other, "visible", own)
         may_measure = self._verbs.why_not(snapshot, view, "measure") is None
         set_prop(self._again, "disabled", not (may_measure and gauge.repeats))
-        why = f'<div class="wv-why">Not yet: {html.safe(html.with_micro_sign(why_not))}</div>' if why_not else ""
+        why = (
+            Markup('<div class="wv-why">Not yet: {}</div>').format(html.with_micro_sign(why_not))
+            if why_not
+            else Markup()
+        )
         self._why.show(why if own else "")
 
 
@@ -430,9 +436,9 @@ def _at_foot(handle: Any) -> str:
     return f"div:has(>{at}){{{sticks};background:var(--panel);box-shadow:6px 0 0 var(--panel)}}"
 
 
-def _title(earlier: GaugeCheck | None) -> str:
+def _title(earlier: GaugeCheck | None) -> Markup:
     if earlier is None:
         return html.title("Gauge check", "Two gauge blocks, step against the certificate.")
-    back = f'<span class="wv-action" {html.pick("gauge-record", earlier.at)}>Back to this check</span>'
+    back = Markup('<span class="wv-action" {}>Back to this check</span>').format(html.pick("gauge-record", earlier.at))
     below = f"Signed by {earlier.signed_by}, {words.day_and_time(earlier.at)}."
     return html.title("Earlier check", below, back)

@@ -7,6 +7,7 @@ from operator import attrgetter
 from typing import Any
 
 import viser
+from markupsafe import Markup
 
 from wafer_viewer.gui.measure.live_measurement import Answer, Answering, LiveProfiles
 from wafer_viewer.gui.measure.profile_section import ProfileSection
@@ -66,7 +67,7 @@ class FacesSection:
         set_prop(self._button, "disabled", self._looking)
         set_prop(self._button, "label", LOOKING if self._looking else FIND)
         told = self._problem if there and not self._looking else ""
-        self._why.show(f'<div class="wv-why">{html.safe(html.with_micro_sign(told))}</div>' if told else "")
+        self._why.show(Markup('<div class="wv-why">{}</div>').format(html.with_micro_sign(told)) if told else Markup())
 
     def _look_for(self, _: Any) -> None:
         if not self._looking:
@@ -116,10 +117,14 @@ class LevellingSection:
             return
         by = view.levelling.by
         self._choice.show(next(name for name, way in NAMES.items() if way == by))
-        back = f' <span class="wv-link" {html.pick("stage-zero")}>Back to the stage</span>' if by != "stage" else ""
+        back = (
+            Markup(' <span class="wv-link" {}>Back to the stage</span>').format(html.pick("stage-zero"))
+            if by != "stage"
+            else Markup()
+        )
         how = f" {_HOW[by]}" if by in _HOW else ""
         told = f"Heights are read from {ZERO[by]}.{how}"
-        self._told.show(f'<div class="wv-zero{" on" if by != "stage" else ""}">{html.safe(told)}{back}</div>')
+        self._told.show(Markup('<div class="wv-zero{}">{}{}</div>').format(" on" if by != "stage" else "", told, back))
 
     def _choose(self, event: Any) -> None:
         levelling = self._scene.first_levelling(NAMES[event.target.value])
@@ -279,7 +284,7 @@ class MeasurePanel:
         set_prop(self._name, "visible", chosen is None and finding is not None)
         set_prop(self._keep, "visible", chosen is None and view.tool != "none")
         set_prop(self._keep, "disabled", finding is None or read_only is not None)
-        self._why.show(f'<div class="wv-why">Not kept: {html.safe(read_only)}</div>' if read_only else "")
+        self._why.show(Markup('<div class="wv-why">Not kept: {}</div>').format(read_only) if read_only else Markup())
 
     def keep(self) -> None:
         """Save the live result, as the button does."""
@@ -311,15 +316,15 @@ class MeasurePanel:
         page.ask("The result was not kept", page.session.keep(replace(finding, name=name), picture), kept)
 
 
-_GAP = '<div style="height:8px"></div>'
+_GAP = Markup('<div style="height:8px"></div>')
 
 
-def _evidence_html(finding: AnyResult) -> str:
-    return f"{source(finding)}{words.budget(finding.main)}{not_evaluated(finding)}{_GAP}"
+def _evidence_html(finding: AnyResult) -> Markup:
+    return source(finding) + words.budget(finding.main) + not_evaluated(finding) + _GAP
 
 
-def _title(tool: Tool) -> str:
+def _title(tool: Tool) -> Markup:
     if tool == "none":
         return html.title("Measure", "Choose what to measure.")
-    others = f'<span class="wv-action" title="Key Escape" {html.pick("tool", "none")}>All tools</span>'
+    others = Markup('<span class="wv-action" title="Key Escape" {}>All tools</span>').format(html.pick("tool", "none"))
     return html.title(TOOLS[tool].title, TOOLS[tool].how, others)

@@ -10,6 +10,8 @@ import time
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
+from markupsafe import Markup
+
 from wafer_viewer.draw.charts.profile_plot import Ends, ProfileFrame, frame_of, profile_plot_html
 from wafer_viewer.gui.measure.live_measurement import LiveProfiles
 from wafer_viewer.gui.page.page import Page
@@ -41,23 +43,35 @@ _KEYS = "if(event.key.startsWith('Arrow'))event.stopPropagation()"
 """Stops the arrow keys from moving the camera as well."""
 
 
-def zoom_area() -> str:
+def zoom_area() -> Markup:
     """Return the element over the curves as HTML: a drag zooms, a click moves the nearer cursor."""
     heard = {"pointerdown": _DOWN, "pointermove": _MOVE, "pointerup": _UP, "dblclick": _WHOLE}
-    handlers = " ".join(f'on{event}="{html.safe(script)}"' for event, script in heard.items())
-    return f'<div class="wv-zoom" {handlers}><div></div></div>'
+    handlers = " ".join(Markup('on{}="{}"').format(event, script) for event, script in heard.items())
+    return Markup('<div class="wv-zoom" {}><div></div></div>').format(handlers)
 
 
-def cursor_sliders(at_um: Sequence[float], ends_um: tuple[float, float], step_um: float) -> str:
+def cursor_sliders(at_um: Sequence[float], ends_um: tuple[float, float], step_um: float) -> Markup:
     """Return a slider over the plot for each cursor within its ends, as HTML; only the thumbs take the pointer."""
     tell = "this.dataset.k=this.name+':'+this.value+':'+(this.dataset.by||'key')+':{end}';"
     tell += html.pick_script(CURSOR, latest_only=True)
-    moved, released = (html.safe(tell.replace("{end}", end)) for end in ("", "end"))
+    moved, released = (tell.replace("{end}", end) for end in ("", "end"))
     released += ";delete this.dataset.by"
-    return "".join(
-        f'<input type="range" class="wv-slide" name="{k}" aria-label="Cursor {k + 1}, µm" '
-        f'min="{ends_um[0]!r}" max="{ends_um[1]!r}" step="{step_um * (1 - 1e-9)!r}" value="{at!r}" '
-        f'oninput="{moved}" onchange="{released}" onpointerdown="this.dataset.by=\'hand\'" onkeydown="{_KEYS}">'
+    return Markup("").join(
+        Markup(
+            '<input type="range" class="wv-slide" name="{k}" aria-label="Cursor {aria_label}, µm" '
+            'min="{min!r}" max="{max!r}" step="{step!r}" value="{at!r}" '
+            'oninput="{moved}" onchange="{released}" onpointerdown="this.dataset.by=\'hand\'" onkeydown="{keys}">'
+        ).format(
+            k=k,
+            aria_label=k + 1,
+            min=ends_um[0],
+            max=ends_um[1],
+            step=step_um * (1 - 1e-9),
+            at=at,
+            moved=moved,
+            released=released,
+            keys=_KEYS,
+        )
         for k, at in enumerate(at_um)
         if ends_um[0] <= at <= ends_um[1]
     )
@@ -85,10 +99,9 @@ def parse_cursor_event(key: str) -> CursorMove:
     return CursorMove(int(number), float(at_um), by == "key", end == "end")
 
 
-def focus_slider_html(number: int) -> str:
+def focus_slider_html(number: int) -> Markup:
     """Return HTML that focuses the slider of a cursor again, after it was recreated during keyboard use."""
-    script = f"document.querySelector('.wv-slide[name=&quot;{number}&quot;]')?.focus()"
-    return f'<img src="data:," alt="" hidden onerror="{script}">'
+    return html.run_script(f"document.querySelector('.wv-slide[name=\"{number}\"]')?.focus()")
 
 
 STILL_S = 0.6
@@ -144,7 +157,7 @@ class ProfileDock:
             self._show_sliders(view, active, read)
 
     def _show_below(self, content: str) -> None:
-        self._plot.show(f'<div class="wv-below">{content}</div>')
+        self._plot.show(Markup('<div class="wv-below">{}</div>').format(content))
 
     def _framed(self, sections: Sequence[Section], span_um: Ends | None) -> ProfileFrame:
         """Return the plot's frame; its height axis is held while a handle moves and fitted afterwards."""
@@ -155,7 +168,7 @@ class ProfileDock:
         fitted = frame_of(sections, span_um)
         return fitted.holding(self._frame.z_um) if moving else fitted
 
-    def _head(self, view: View, read: Gap | None) -> str:
+    def _head(self, view: View, read: Gap | None) -> Markup:
         zoomed = view.plot.span_um is not None
         return words.head(self._curves.sections, self._curves.problems, len(view.lines), view.line, read, zoomed)
 
@@ -169,7 +182,9 @@ class ProfileDock:
         ends_um, at_um = self._slider
         sliders = cursor_sliders(at_um, ends_um, _step_um(active))
         focused = focus_slider_html(self._focused) if self._focused is not None else ""
-        self._sliders.show(f'<div class="wv-slides" data-rests="{self._rests}">{sliders}{focused}</div>')
+        self._sliders.show(
+            Markup('<div class="wv-slides" data-rests="{}">{}{}</div>').format(self._rests, sliders, focused)
+        )
 
     # ---------------------------------------------------------------- what the operator does
 

@@ -7,11 +7,11 @@ from collections.abc import Callable
 from typing import Any
 
 import viser
+from markupsafe import Markup
 
 from wafer_viewer.gui.measure.live_measurement import LiveProfiles
 from wafer_viewer.gui.page.page import Page
 from wafer_viewer.gui.state.view_state import PlotView, View, with_cursor
-from wafer_viewer.gui.widgets import html
 from wafer_viewer.gui.widgets.callback_timing import LatestOnlyWorker
 from wafer_viewer.gui.widgets.controls import BoundInput, HtmlBlock, ToggleGroup, button, duo, in_a_row, set_prop
 from wafer_viewer.gui.widgets.error_guard import guarded
@@ -192,7 +192,7 @@ class ProfileSection:
         rows, cols = surface.shape
         where = f"field {view.show}" if view.show > 0 else "the stitched surface"
         text = f"Rows 0 to {rows - 1}, columns 0 to {cols - 1} of {where}."
-        self._numbers.show(f'<div class="wv-lab">{html.safe(text)}</div>')
+        self._numbers.show(Markup('<div class="wv-lab">{}</div>').format(text))
 
     def _show_cursors(self) -> None:
         """Show the positions of the cursors, the same as on plot and read-out."""

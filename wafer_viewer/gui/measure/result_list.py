@@ -6,6 +6,7 @@ from collections.abc import Callable
 from typing import Any
 
 import viser
+from markupsafe import Markup
 
 from wafer_viewer.gui.page.dialogs import rename_dialog
 from wafer_viewer.gui.page.import_export_dialogs import save_dialog
@@ -119,23 +120,23 @@ class ResultList:
                 page, "Save the results", name, page.session.export_findings, "Results exported", "Export failed"
             )
 
-    def _rows(self, snapshot: Snapshot, view: View) -> str:
+    def _rows(self, snapshot: Snapshot, view: View) -> Markup:
         if not snapshot.findings:
-            return html.empty("What you keep is listed here.") + '<div style="height:8px"></div>'
+            return html.empty("What you keep is listed here.") + Markup('<div style="height:8px"></div>')
         rows = [_row(f, view, self._thumbnails.of(f, snapshot)) for f in snapshot.findings]
-        return html.table(["", "Result", "k = 2"], rows, "  n") + '<div style="height:6px"></div>'
+        return html.table(["", "Result", "k = 2"], rows, "  n") + Markup('<div style="height:6px"></div>')
 
 
-def _row(finding: AnyResult, view: View, thumbnail: str) -> str:
+def _row(finding: AnyResult, view: View, thumbnail: str) -> Markup:
     colour = sign_colour(finding)
     sign = html.chip(symbol(finding), "" if colour == REGION_COLOUR else colour)
-    name = f'<span class="wv-cut wv-short" title="{html.safe(finding.name)}">{html.safe(finding.name)}</span>'
+    name = Markup('<span class="wv-cut wv-short" title="{}">{}</span>').format(finding.name, finding.name)
     elsewhere = " · ".join(_source_differences(finding, view))
-    beside = f'<small class="wv-cut wv-short" title="{html.safe(elsewhere)}">{html.safe(elsewhere)}</small>'
+    beside = Markup('<small class="wv-cut wv-short" title="{}">{}</small>').format(elsewhere, elsewhere)
     return html.row(
         [
             thumbnail,
-            f'<div class="wv-result">{sign}<div>{name}{beside if elsewhere else ""}</div></div>',
+            Markup('<div class="wv-result">{}<div>{}{}</div></div>').format(sign, name, beside if elsewhere else ""),
             list_text(finding),
         ],
         "  n",

@@ -6,6 +6,7 @@ from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
+from markupsafe import Markup, escape
 
 from wafer_viewer.draw.number_format import length_text, number, round_length, with_unit
 from wafer_viewer.gui.page.page import Page
@@ -49,7 +50,7 @@ class Legend:
             content = _plan_legend(snapshot)
         elif view.step == "acquire" and snapshot.scanning and snapshot.scan is not None:
             content = _frame_place(snapshot.scan, snapshot)
-        self._glass.show(content and f'<div class="wv-glass wv-legend-card">{content}</div>')
+        self._glass.show(content and Markup('<div class="wv-glass wv-legend-card">{}</div>').format(content))
 
 
 class ScaleBar:
@@ -74,7 +75,7 @@ class ReadOutBox:
     def __init__(self, page: Page) -> None:
         self._page = page
         self._glass = FloatingPanel(page.gui, -EDGE_PX, -EDGE_PX, 420, READ_OUT_PX, align="right")
-        self._text = ""
+        self._text = Markup()
         self._of: object = None
 
     def at(self, x_um: float, y_um: float) -> None:
@@ -84,8 +85,10 @@ class ReadOutBox:
         if read.z_um is not None and view.levelling.by != "stage":
             zero = session.datum(view.levelling, view.show).at(np.array([x_um]), np.array([y_um]))
             read = replace(read, z_um=read.z_um - float(zero[0]))
-        place = f"x <b>{number(x_um, 1)}</b>&ensp;y <b>{number(y_um, 1)}</b>&ensp;"
-        self._text = f'{place}{_height(read, view)}<br><span class="dim">{_trust(read)}</span>&ensp;'
+        place = Markup("x <b>{}</b>&ensp;y <b>{}</b>&ensp;").format(number(x_um, 1), number(y_um, 1))
+        self._text = Markup('{}{}<br><span class="dim">{}</span>&ensp;').format(
+            place, _height(read, view), _trust(read)
+        )
         self._of = _surface(session.snapshot, view)
         self._page.redraw()
 
@@ -93,9 +96,9 @@ class ReadOutBox:
         """Show the last read-out as long as the surface is the same."""
         on_surface = view.on_surface and self._of == _surface(snapshot, view)
         y_px = -(EDGE_PX + bottom_panel_height_px(view))
-        ask = f'<span class="wv-link" title="Key C" {html.pick("why")}>Why this height?</span>'
-        shown = f"{self._text}{'' if view.explains else ask}" if on_surface else ""
-        self._glass.show(shown and f'<div class="wv-glass wv-read">{shown}</div>', y_px=y_px)
+        ask = Markup('<span class="wv-link" title="Key C" {}>Why this height?</span>').format(html.pick("why"))
+        shown = self._text + ("" if view.explains else ask) if on_surface else Markup()
+        self._glass.show(shown and Markup('<div class="wv-glass wv-read">{}</div>').format(shown), y_px=y_px)
 
 
 def _surface(snapshot: Snapshot, view: View) -> tuple[object, ...]:
@@ -103,38 +106,41 @@ def _surface(snapshot: Snapshot, view: View) -> tuple[object, ...]:
     return (snapshot.dataset.path if snapshot.dataset else None, view.show, view.levelling, stamp)
 
 
-def _height(read: ReadOut, view: View) -> str:
+def _height(read: ReadOut, view: View) -> Markup:
     """Return the height with its reference; empty if there is none, as the line below gives the reason."""
     if read.z_um is None:
-        return ""
-    over = f' <span class="dim">{OVER[view.levelling.by]}</span>' if view.levelling.by != "stage" else ""
-    return f"z <b>{with_unit(read.z_um, 2, signed=True)}</b>{over}&ensp;"
+        return Markup()
+    over = (
+        Markup(' <span class="dim">{}</span>').format(OVER[view.levelling.by])
+        if view.levelling.by != "stage"
+        else Markup()
+    )
+    return Markup("z <b>{}</b>{}&ensp;").format(with_unit(read.z_um, 2, signed=True), over)
 
 
 def _trust(read: ReadOut) -> str:
     if read.origin != Origin.MEASURED:
-        return html.safe(ORIGIN_TITLES[read.origin])
+        return escape(ORIGIN_TITLES[read.origin])
     return f"confidence {number(read.confidence, 2)}"
 
 
-def _plan_legend(snapshot: Snapshot) -> str:
+def _plan_legend(snapshot: Snapshot) -> Markup:
     job = snapshot.draft.job
     parts: list[str] = []
     if job is not None and job.grid is not None and job.grid.rows * job.grid.cols > 1:
         shade = html.swatch("color-mix(in srgb,var(--accent) 45%,transparent)", "var(--accent)")
-        parts.append(f"<span>{shade} overlap {number(100 * job.grid.overlap_x_fraction, 0)} %</span>")
+        parts.append(Markup("<span>{} overlap {} %</span>").format(shade, number(100 * job.grid.overlap_x_fraction, 0)))
     if snapshot.draft.plan is not None:
-        parts.append('<span><i class="wv-way"></i> path of the stage</span>')
-    return "".join(parts)
+        parts.append(Markup('<span><i class="wv-way"></i> path of the stage</span>'))
+    return Markup("").join(parts)
 
 
-def _frame_place(scan: ScanProgress, snapshot: Snapshot) -> str:
+def _frame_place(scan: ScanProgress, snapshot: Snapshot) -> Markup:
     data = snapshot.dataset
     of = f" of {data.plan.sweep.n_frames}" if data else ""
-    return (
-        f"<span>Field {scan.field.number}</span><span>z <b>{with_unit(scan.z_um, 1, signed=True)}</b></span>"
-        f'<span class="dim">frame {scan.k + 1}{of}</span>'
-    )
+    return Markup(
+        '<span>Field {number}</span><span>z <b>{with_unit}</b></span><span class="dim">frame {k}{of}</span>'
+    ).format(number=scan.field.number, with_unit=with_unit(scan.z_um, 1, signed=True), k=scan.k + 1, of=of)
 
 
 def _drawn(snapshot: Snapshot, view: View, narrow: bool) -> str:
@@ -154,10 +160,12 @@ def _drawn(snapshot: Snapshot, view: View, narrow: bool) -> str:
     return f"z drawn × {view.exaggeration:g}{shape}{light}"
 
 
-def _scale_bar(um_per_pixel: float, beside: str) -> str:
+def _scale_bar(um_per_pixel: float, beside: str) -> Markup:
     length_um = round_length(BAR_PX * um_per_pixel)
-    ruler = f'<div style="width:{length_um / um_per_pixel:.0f}px"><b>{length_text(length_um)}</b><i></i></div>'
-    return f'<div class="wv-glass wv-scale">{ruler}<span>{html.safe(beside)}</span></div>'
+    ruler = Markup('<div style="width:{:.0f}px"><b>{}</b><i></i></div>').format(
+        length_um / um_per_pixel, length_text(length_um)
+    )
+    return Markup('<div class="wv-glass wv-scale">{}<span>{}</span></div>').format(ruler, beside)
 
 
 FIRST_PX = 892, 640
@@ -197,7 +205,9 @@ class OverScene:
         if content and (self.room.width_px, height_px) != self._place:
             self._place = self.room.width_px, height_px
             self._panel.float(x=EDGE_PX, y=EDGE_PX, width=self._place[0], height=height_px + BORDER_PX)
-        self._cell.show(content and f'<div class="wv-ov wv-over"><div class="wv-sheet-over">{content}</div></div>')
+        self._cell.show(
+            content and Markup('<div class="wv-ov wv-over"><div class="wv-sheet-over">{}</div></div>').format(content)
+        )
         set_prop(self._panel, "visible", bool(content))
 
     def _follow(self, width_px: int, height_px: int) -> None:

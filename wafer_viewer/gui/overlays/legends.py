@@ -3,6 +3,9 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from typing import Literal
+
+from markupsafe import Markup
 
 from wafer_viewer.draw.charts.colour_bar import LINE_PX, colour_bar_html, origin_legend_html
 from wafer_viewer.draw.number_format import number
@@ -14,7 +17,6 @@ from wafer_viewer.gui.scenes.pose_overlay import LEAST_STITCH_PX, STITCH, Cached
 from wafer_viewer.gui.scenes.surface_scene import source_of
 from wafer_viewer.gui.state.view_state import ColourBy, View
 from wafer_viewer.gui.widgets.controls import FloatingPanel
-from wafer_viewer.gui.widgets.html import safe
 from wafer_viewer.session.rendering.render_request import ColourScale
 from wafer_viewer.session.state.snapshot import OpenDataset, Snapshot
 
@@ -60,7 +62,7 @@ def _origins_px(rows: int) -> int:
     return ORIGIN_ROW_PX * rows + ORIGINS_EDGES_PX
 
 
-def _bar(scale: ColourScale, view: View, quantity: ColourBy, bar_px: int) -> str:
+def _bar(scale: ColourScale, view: View, quantity: ColourBy, bar_px: int) -> Markup:
     title, unit = QUANTITIES[quantity]
     colours = OWN_COLOURS.get(quantity, view.colours)
     return colour_bar_html(
@@ -76,21 +78,27 @@ def _bar(scale: ColourScale, view: View, quantity: ColourBy, bar_px: int) -> str
     )
 
 
-def _on_glass(content: str) -> str:
-    return content and f'<div class="wv-glass">{content}</div>'
+def _on_glass(content: Markup | Literal[""]) -> Markup:
+    return Markup('<div class="wv-glass">{}</div>').format(content) if content else Markup()
 
 
 POSE_LEGEND_PX, ROW_PX, EDGES_PX = 580, 21, 15
 ABOVE_SCALE_PX = 62
 _SIGNS = {
-    "field": '<rect x="3" y="2" width="22" height="10" stroke="{field}" stroke-width="1.8"/>',
-    "arrow": '<path d="M3 7H24M19 3.5L24.5 7L19 10.5" stroke="{arrow}" stroke-width="2"/>',
-    "circle": '<circle cx="14" cy="7" r="5" stroke="{arrow}" stroke-width="1.6"/>',
-    "stitch": '<path d="M7 7H21" stroke="{field}" stroke-width="2.8"/>',
-    "doubt": '<rect x="3" y="2.5" width="22" height="9" stroke="{doubt}" stroke-width="2.4" stroke-dasharray="4 3"/>',
-    "blank": '<rect x="3" y="2.5" width="22" height="9" stroke="{blank}" stroke-width="1.8" stroke-dasharray="4 3"/>',
-    "out": '<g stroke="{doubt}" stroke-width="1.8"><path d="M3 2L25 12M3 12L25 2"/>'
-    '<path d="M3 2H25V12H3Z" stroke-dasharray="4 3"/></g>',
+    "field": Markup('<rect x="3" y="2" width="22" height="10" stroke="{field}" stroke-width="1.8"/>'),
+    "arrow": Markup('<path d="M3 7H24M19 3.5L24.5 7L19 10.5" stroke="{arrow}" stroke-width="2"/>'),
+    "circle": Markup('<circle cx="14" cy="7" r="5" stroke="{arrow}" stroke-width="1.6"/>'),
+    "stitch": Markup('<path d="M7 7H21" stroke="{field}" stroke-width="2.8"/>'),
+    "doubt": Markup(
+        '<rect x="3" y="2.5" width="22" height="9" stroke="{doubt}" stroke-width="2.4" stroke-dasharray="4 3"/>'
+    ),
+    "blank": Markup(
+        '<rect x="3" y="2.5" width="22" height="9" stroke="{blank}" stroke-width="1.8" stroke-dasharray="4 3"/>'
+    ),
+    "out": Markup(
+        '<g stroke="{doubt}" stroke-width="1.8"><path d="M3 2L25 12M3 12L25 2"/>'
+        '<path d="M3 2H25V12H3Z" stroke-dasharray="4 3"/></g>'
+    ),
 }
 
 
@@ -108,9 +116,11 @@ class PoseLegend:
         """Update the legend."""
         fields = self._on_show(snapshot, view)
         rows = self._seen(fields) if fields is not None else []
-        lines = "".join(f"<div>{_sign(kind, view.dark)}<span>{safe(words)}</span></div>" for kind, words in rows)
+        lines = Markup("").join(
+            Markup("<div>{}<span>{}</span></div>").format(_sign(kind, view.dark), words) for kind, words in rows
+        )
         down = f"grid-template-rows:repeat({-(-len(rows) // 2)},18px)"
-        content = f'<div class="wv-glass wv-lines" style="{down}">{lines}</div>' if rows else ""
+        content = Markup('<div class="wv-glass wv-lines" style="{}">{}</div>').format(down, lines) if rows else Markup()
         self._glass.show(content, height_px=ROW_PX * max(1, -(-len(rows) // 2)) + EDGES_PX)
 
     def _seen(self, fields: Fields) -> list[tuple[str, str]]:
@@ -159,6 +169,8 @@ def _rows(fields: Fields) -> list[tuple[str, str]]:
     return [(kind, words) for kind, words in rows if there.get(kind, 1)]
 
 
-def _sign(kind: str, dark: bool) -> str:
+def _sign(kind: str, dark: bool) -> Markup:
     tones = {name: f"rgb{getattr(inks(dark), name)}" for name in ("field", "arrow", "doubt", "blank")}
-    return f'<svg width="28" height="14" fill="none" aria-hidden="true">{_SIGNS[kind].format(**tones)}</svg>'
+    return Markup('<svg width="28" height="14" fill="none" aria-hidden="true">{}</svg>').format(
+        _SIGNS[kind].format(**tones)
+    )

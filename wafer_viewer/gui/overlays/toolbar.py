@@ -5,6 +5,7 @@ from __future__ import annotations
 from typing import Any
 
 import viser
+from markupsafe import Markup
 
 from wafer_viewer.gui.overlays.hud import EDGE_PX
 from wafer_viewer.gui.page.page import Page
@@ -42,24 +43,36 @@ class Toolbar:
         measuring = view.step == "measure"
         scene_px = self._viewport.width_px
         short = measuring or 0 < scene_px < NARROW_SCENE_PX
-        looks = "".join(_way(*way, short=short) for way in WAYS_TO_LOOK)
-        parts = f"{tool_strip(view.tool)}{GAP}{looks}" if measuring else looks
+        looks = Markup("").join(_way(*way, short=short) for way in WAYS_TO_LOOK)
+        parts = tool_strip(view.tool) + GAP + looks if measuring else looks
         if view.step == "surface":
             parts += GAP + _select(view.selecting)
         two_rows = measuring and 0 < scene_px < NARROW_SCENE_PX
-        room = f' style="flex-wrap:wrap;max-width:{scene_px - _BESIDE_PX - EDGE_PX}px"' if two_rows else ""
-        content = f'<div class="wv-glass wv-tools{" many" if measuring else ""}"{room}>{parts}</div>'
+        room = (
+            Markup(' style="flex-wrap:wrap;max-width:{}px"').format(scene_px - _BESIDE_PX - EDGE_PX)
+            if two_rows
+            else Markup()
+        )
+        content = Markup('<div class="wv-glass wv-tools{}"{}>{}</div>').format(
+            " many" if measuring else "", room, parts
+        )
         self._glass.show(content, height_px=2 * _HEIGHT_PX if two_rows else _HEIGHT_PX)
 
 
-def _way(key: str, name: str, hint: str, sign: Any, short: bool) -> str:
-    words = "" if short else html.safe(name)
-    told = f'title="{html.safe(hint)}" aria-label="{name}"'
-    return f"<span {told} {html.pick('look', key)}>{html.icon(sign, 17)}{words}</span>"
+def _way(key: str, name: str, hint: str, sign: Any, short: bool) -> Markup:
+    words = "" if short else name
+    told = Markup('title="{}" aria-label="{}"').format(hint, name)
+    return Markup("<span {told} {pick}>{icon}{words}</span>").format(
+        told=told, pick=html.pick("look", key), icon=html.icon(sign, 17), words=words
+    )
 
 
-def _select(selecting: bool) -> str:
+def _select(selecting: bool) -> Markup:
     """Return the Select toggle: if on, a drag over the scene selects; with Shift it always does."""
-    told = f'title="Select an area · or drag with Shift" aria-label="Select" aria-pressed="{str(selecting).lower()}"'
-    on = ' class="on"' if selecting else ""
-    return f"<span{on} {told} {html.pick('select')}>{html.icon(viser.Icon.MARQUEE_2, 17)}Select</span>"
+    told = Markup('title="Select an area · or drag with Shift" aria-label="Select" aria-pressed="{}"').format(
+        str(selecting).lower()
+    )
+    on = Markup(' class="on"') if selecting else Markup()
+    return Markup("<span{on} {told} {pick}>{icon}Select</span>").format(
+        on=on, told=told, pick=html.pick("select"), icon=html.icon(viser.Icon.MARQUEE_2, 17)
+    )

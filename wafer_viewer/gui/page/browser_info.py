@@ -12,12 +12,14 @@ from dataclasses import replace
 from typing import Any
 
 import msgspec
+from markupsafe import Markup
 
 from wafer_viewer.gui.page.page import Page
 from wafer_viewer.gui.state.browser_storage import PanelLayout
 from wafer_viewer.gui.state.view_state import View
+from wafer_viewer.gui.widgets import html
+from wafer_viewer.gui.widgets.controls import add_html
 from wafer_viewer.gui.widgets.error_guard import guarded
-from wafer_viewer.gui.widgets.html import safe
 from wafer_viewer.gui.widgets.style import LEFT_PX, RIGHT_PX
 from wafer_viewer.session.state.snapshot import Snapshot
 
@@ -115,10 +117,10 @@ class BrowserEvents:
         self.left: Any = None
         self._can_fly = False
         self._let_fly: Callable[[bool], None] = lambda able: None
-        page.gui.add_html('<div class="wv-tells"></div>')
+        add_html(page.gui, Markup('<div class="wv-tells"></div>'))
         failed = "The layout was not saved"
         page.gui.add_text("tells", "").on_update(guarded(page, failed)(lambda event: self._hear(event.target.value)))
-        page.gui.add_html(f'<img src="data:," alt="" style="display:none" onerror="{safe(_SCRIPT)}">')
+        add_html(page.gui, html.run_script(_SCRIPT))
 
     def on_motion(self, callback: Callable[[bool], None]) -> None:
         """Call `callback` with whether camera animation is enabled, now and after each report."""

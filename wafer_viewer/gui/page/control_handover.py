@@ -10,6 +10,7 @@ from dataclasses import replace
 from typing import Any
 
 import viser
+from markupsafe import Markup
 
 from wafer_viewer.gui.page.dialogs import Dialog
 from wafer_viewer.gui.page.page import Page
@@ -18,7 +19,7 @@ from wafer_viewer.gui.widgets import html
 from wafer_viewer.gui.widgets.controls import HtmlBlock, bar, unbar
 from wafer_viewer.session.state.snapshot import Browser, ControlState, Snapshot
 
-_STYLE = f"<style>[{html.NEEDS_CONTROL}]{{opacity:.5;pointer-events:none}}</style>"
+_STYLE = html.style_sheet(f"[{html.NEEDS_CONTROL}]{{opacity:.5;pointer-events:none}}")
 
 
 class ControlLock:
@@ -134,44 +135,48 @@ def _call(page: Page, name: str) -> None:
         page.remember(replace(page.browser, name=name))
 
 
-def _people(hands: ControlState, key: str) -> str:
-    def line(browser: Browser) -> str:
+def _people(hands: ControlState, key: str) -> Markup:
+    def line(browser: Browser) -> Markup:
         me = " (this browser)" if browser.key == key else ""
-        return html.row([html.safe(browser.name + me), _state(hands, browser, key)], " n")
+        return html.row([browser.name + me, _state(hands, browser, key)], " n")
 
-    return html.table([], [line(browser) for browser in hands.browsers], " n") + '<div style="height:8px"></div>'
+    return html.table([], [line(browser) for browser in hands.browsers], " n") + Markup(
+        '<div style="height:8px"></div>'
+    )
 
 
-def _state(hands: ControlState, browser: Browser, key: str) -> str:
+def _state(hands: ControlState, browser: Browser, key: str) -> Markup:
     if hands.holds(browser.key):
-        return "<b>holds the controls</b>"
+        return Markup("<b>holds the controls</b>")
     if not browser.present:
-        return '<span class="dim">disconnected</span>'
+        return Markup('<span class="dim">disconnected</span>')
     if hands.holds(key):
-        return f'<span class="wv-link" {html.pick("hands-to", browser.key)}>Hand over</span>'
-    return '<span class="dim">watches</span>'
+        return Markup('<span class="wv-link" {}>Hand over</span>').format(html.pick("hands-to", browser.key))
+    return Markup('<span class="dim">watches</span>')
 
 
-def _watching(hands: ControlState, key: str) -> str:
+def _watching(hands: ControlState, key: str) -> Markup:
     """Return the note above an observer's panel."""
     if hands.asking == key:
-        end = f'<span class="dim">Asked; {html.safe(hands.name_of(hands.holder))} has {hands.answer_s:.0f} s.</span>'
+        end = Markup('<span class="dim">Asked; {} has {:.0f} s.</span>').format(
+            hands.name_of(hands.holder), hands.answer_s
+        )
     else:
         verb = "Ask for them" if hands.holder else "Take them"
-        end = f'<span class="wv-link" {html.pick("hands-ask")}>{verb}</span>'
+        end = Markup('<span class="wv-link" {}>{}</span>').format(html.pick("hands-ask"), verb)
     sign = html.icon(viser.Icon.EYE, 18)
     return html.note("busy", hands.why_not(key) or "", "You may look, measure and stop all motion.", end, sign)
 
 
-def _question(hands: ControlState) -> str:
+def _question(hands: ControlState) -> Markup:
     """Return the request with its two answers and a bar that runs down until control passes."""
-    name = html.safe(hands.name_of(hands.asking))
+    name = hands.name_of(hands.asking)
     gone_s = max(0.0, time.time() - hands.asked_at)
     over, stay = html.pick("hands-over", hands.asking), html.pick("hands-keep")
-    return (
-        f'<div class="wv-asked" role="alertdialog" aria-label="{name} asks for the controls">'
-        f"<b>{name} asks for the controls</b>"
-        f"<span>Without an answer they pass in {hands.answer_s:.0f} s. A running scan continues.</span>"
-        f'<div><span class="wv-yes" {over}>Hand over</span><span class="wv-no" {stay}>Keep</span></div>'
-        f'<i style="animation:wv-drain {hands.answer_s:g}s linear -{gone_s:.1f}s both"></i></div>'
-    )
+    return Markup(
+        '<div class="wv-asked" role="alertdialog" aria-label="{name} asks for the controls">'
+        "<b>{name} asks for the controls</b>"
+        "<span>Without an answer they pass in {answer_s:.0f} s. A running scan continues.</span>"
+        '<div><span class="wv-yes" {over}>Hand over</span><span class="wv-no" {stay}>Keep</span></div>'
+        '<i style="animation:wv-drain {answer_s:g}s linear -{gone_s:.1f}s both"></i></div>'
+    ).format(name=name, answer_s=hands.answer_s, over=over, stay=stay, gone_s=gone_s)

@@ -8,6 +8,7 @@ from pathlib import Path
 from typing import Any
 
 import viser
+from markupsafe import Markup
 
 from wafer_viewer.gui.page.page import Page
 from wafer_viewer.gui.page.tooltips import add_hints
@@ -32,7 +33,7 @@ class Dialog:
         self.press: Callable[[], None] = lambda: None
         """Run the action of the confirming button."""
         with self.modal:
-            HtmlBlock(page.gui, f'<div class="wv-sub">{html.safe(below)}</div>')
+            HtmlBlock(page.gui, Markup('<div class="wv-sub">{}</div>').format(below))
 
     def answers(
         self,
@@ -77,14 +78,14 @@ class Dialog:
             problem.show("")
             return
         except WaferViewerError as fault:
-            problem.show(f'<div class="wv-note fault">{html.safe(html.with_micro_sign(str(fault)))}</div>')
+            problem.show(Markup('<div class="wv-note fault">{}</div>').format(html.with_micro_sign(str(fault))))
             return
         self.close()
 
 
-def _on_key(marker: str, handle: Any) -> str:
+def _on_key(marker: str, handle: Any) -> Markup:
     """Return a hidden marker that tells the key script which button Escape or Enter presses."""
-    return f'<span hidden class="{marker}" data-button="{handle._impl.uuid}"></span>'
+    return Markup('<span hidden class="{}" data-button="{}"></span>').format(marker, handle._impl.uuid)
 
 
 def open_dataset(page: Page, path: Path) -> None:
@@ -105,18 +106,22 @@ def open_surface(page: Page, path: Path, says: Reading, name: str | None) -> Non
     page.ask("The surface was not opened", done, lambda _: page.change(**look))
 
 
-def dataset_table(entries: tuple[DatasetEntry, ...], opened: Path | None, what: str) -> str:
+def dataset_table(entries: tuple[DatasetEntry, ...], opened: Path | None, what: str) -> Markup:
     """Return the table of datasets in the data folder; a click on one picks `what`."""
     if not entries:
         return html.empty("No datasets here yet.")
 
-    def line(entry: DatasetEntry) -> str:
+    def line(entry: DatasetEntry) -> Markup:
         signs = [word for word, yes in (("unfinished", entry.unfinished), ("simulated", entry.simulated)) if yes]
-        marks = f'<small style="color:var(--attention)">{" · ".join(signs)}</small>' if signs else ""
-        name = f'<span class="wv-cut" title="{html.safe(entry.path)}">{html.safe(entry.path.stem)}</span>{marks}'
+        marks = (
+            Markup('<small style="color:var(--attention)">{}</small>').format(Markup(" · ").join(signs))
+            if signs
+            else Markup()
+        )
+        name = Markup('<span class="wv-cut" title="{}">{}</span>{}').format(entry.path, entry.path.stem, marks)
         look = "sel" if entry.path == opened else ""
         return html.row(
-            [name, html.safe(format_time(entry.taken, datetime.now().astimezone()))],
+            [name, format_time(entry.taken, datetime.now().astimezone())],
             " n",
             html.command_pick(what, entry.path),
             look,

@@ -17,11 +17,12 @@ from pathlib import Path
 from typing import Any, get_args
 
 import viser
+from markupsafe import Markup
 
 from wafer_viewer.draw.number_format import number, size
 from wafer_viewer.gui.page.dialogs import Dialog, KeepOpen, confirm_overwrite, format_time
 from wafer_viewer.gui.widgets import html
-from wafer_viewer.gui.widgets.controls import HtmlBlock, outlined
+from wafer_viewer.gui.widgets.controls import HtmlBlock, add_html, outlined
 from wafer_viewer.gui.widgets.error_guard import guarded
 from wafer_viewer.model.errors import DatasetError, WaferViewerError
 from wafer_viewer.session.files.file_browser import (
@@ -90,7 +91,7 @@ class FileList:
         self._places = HtmlBlock(gui)
         self._list = HtmlBlock(gui, padded=False)
         self._looks = HtmlBlock(gui, padded=False)
-        gui.add_html('<div class="wv-file-field"></div>')
+        add_html(gui, Markup('<div class="wv-file-field"></div>'))
         self.field = gui.add_text("File name", saving) if self._saving else gui.add_text("Path", "")
         self._told = HtmlBlock(gui)
         self._listen()
@@ -198,7 +199,7 @@ class FileList:
         if (fault := done.exception()) is not None:
             if not isinstance(fault, WaferViewerError):
                 raise fault
-            self._told.show(f'<div class="wv-note fault">{html.safe(str(fault))}</div>')
+            self._told.show(Markup('<div class="wv-note fault">{}</div>').format(str(fault)))
             return
         listing = done.result()
         self._folder, self._shown = listing.folder, listing
@@ -226,7 +227,7 @@ class FileList:
                 row = f'.wv-files [data-n="{n}"] .wv-file-look'
                 rules.append(f"{row}{{background-image:url({url})}}{row} .wv-i{{display:none}}")
             if rules and (last or len(rules) % LOOKS_AT_ONCE == 0):
-                self._looks.show(f"<style>{''.join(rules)}</style>")
+                self._looks.show(html.style_sheet("".join(rules)))
 
         for n, entry in asked:
             future = self._browsing.look(entry.path)
@@ -338,69 +339,87 @@ def _has_look(entry: FileEntry) -> bool:
     return not entry.why_not and (image or entry.kind == "Dataset" or bool(entry.note))
 
 
-def _places(listing: Listing, roots: tuple[Root, ...], recent: tuple[Path, ...]) -> str:
+def _places(listing: Listing, roots: tuple[Root, ...], recent: tuple[Path, ...]) -> Markup:
     """Return the roots, the breadcrumbs from a root to the folder, and the recent paths."""
     inside = [root for root in roots if listing.folder.is_relative_to(root.path)]
     root = max(inside, key=lambda r: len(r.path.parts), default=None)
-    chips = "".join(_place(each.path, each.name, "on" if each is root else "") for each in roots)
+    chips = Markup("").join(_place(each.path, each.name, "on" if each is root else "") for each in roots)
     parts = listing.folder.relative_to(root.path).parts if root is not None else ()
     ways = [] if root is None else [root.path.joinpath(*parts[: k + 1]) for k in range(len(parts))]
-    crumbs = "".join(f"<i>/</i>{_place(way, way.name)}" for way in ways)
+    crumbs = Markup("").join(Markup("<i>/</i>{}").format(_place(way, way.name)) for way in ways)
     up = ""
     if listing.parent is not None:
-        told = 'class="wv-act" title="Folder above (Backspace)" aria-label="Folder above"'
-        up = f"<span {told} {html.pick('file-go', listing.parent)}>{html.icon(viser.Icon.ARROW_UP, 15)}</span>"
-    names = "".join(_place(path, path.name, what="file-recent") for path in recent)
-    last = f'<div class="wv-file-recent"><em>Recent</em>{names}</div>' if names else ""
-    return f'{last}<div class="wv-file-places">{chips}<div>{crumbs}</div>{up}</div>'
+        told = Markup('class="wv-act" title="Folder above (Backspace)" aria-label="Folder above"')
+        up = Markup("<span {} {}>{}</span>").format(
+            told, html.pick("file-go", listing.parent), html.icon(viser.Icon.ARROW_UP, 15)
+        )
+    names = Markup("").join(_place(path, path.name, what="file-recent") for path in recent)
+    last = Markup('<div class="wv-file-recent"><em>Recent</em>{}</div>').format(names) if names else Markup()
+    return Markup('{last}<div class="wv-file-places">{chips}<div>{crumbs}</div>{up}</div>').format(
+        last=last, chips=chips, crumbs=crumbs, up=up
+    )
 
 
-def _place(path: Path, name: str, look: str = "", what: str = "file-go") -> str:
-    return f'<span class="{look}" title="{html.safe(path)}" {html.pick(what, path)}>{html.safe(name)}</span>'
+def _place(path: Path, name: str, look: str = "", what: str = "file-go") -> Markup:
+    return Markup('<span class="{look}" title="{path}" {pick}>{name}</span>').format(
+        look=look, path=path, pick=html.pick(what, path), name=name
+    )
 
 
-def _list(listing: Listing, of: int, order: Order, kind: FileKind, rows: int) -> str:
-    heads = "".join(
-        f'<span class="{"on" if name == order else ""}" {html.pick("file-order", name)}>{title}</span>'
+def _list(listing: Listing, of: int, order: Order, kind: FileKind, rows: int) -> Markup:
+    heads = Markup("").join(
+        Markup('<span class="{}" {}>{}</span>').format(
+            "on" if name == order else "", html.pick("file-order", name), title
+        )
         for name, title in ORDERS.items()
     )
     now = datetime.now().astimezone()
-    lines = "".join(_row(n, entry, now) for n, entry in enumerate(listing.entries))
+    lines = Markup("").join(_row(n, entry, now) for n, entry in enumerate(listing.entries))
     if not lines:
         lines = html.empty("No such file here." if listing.n_hidden else "Nothing here.")
-    several = ' data-several="1" aria-multiselectable="true"' if kind.several else ""
-    sign = '<img src="data:," alt="" hidden onerror="window.wvFiles&&window.wvFiles.came(this)">'
-    return (
-        f'<div class="wv wv-file-box"><div class="wv-file-heads"><span></span>{heads}</div>'
-        f'<div class="wv-files" role="listbox" tabindex="0" aria-label="{html.safe(kind.title)}" '
-        f'data-of="{of}"{several} data-completion="{html.safe(listing.completion)}" style="--rows:{rows}">'
-        f"{lines}{_left(listing)}{sign}</div></div>"
+    several = Markup(' data-several="1" aria-multiselectable="true"') if kind.several else Markup()
+    sign = Markup('<img src="data:," alt="" hidden onerror="window.wvFiles&&window.wvFiles.came(this)">')
+    return Markup(
+        '<div class="wv wv-file-box"><div class="wv-file-heads"><span></span>{heads}</div>'
+        '<div class="wv-files" role="listbox" tabindex="0" aria-label="{title}" '
+        'data-of="{of}"{several} data-completion="{completion}" style="--rows:{rows}">'
+        "{lines}{left}{sign}</div></div>"
+    ).format(
+        heads=heads,
+        title=kind.title,
+        of=of,
+        several=several,
+        completion=listing.completion,
+        rows=rows,
+        lines=lines,
+        left=_left(listing),
+        sign=sign,
     )
 
 
-def _left(listing: Listing) -> str:
+def _left(listing: Listing) -> Markup:
     """Return the number of entries not listed yet, with a link or hint to reach them."""
     left = listing.n_matching - len(listing.entries)
     if left <= 0:
-        return ""
+        return Markup()
     if len(listing.entries) < MOST_SHOWN:
-        more = f'<span class="wv-link" {html.pick("file-more")}>Show more</span>'
-        return f'<div class="wv-file-more">{more} ({number(left, 0)} left)</div>'
-    return f'<div class="wv-file-more">{number(left, 0)} more: type the beginning of the name.</div>'
+        more = Markup('<span class="wv-link" {}>Show more</span>').format(html.pick("file-more"))
+        return Markup('<div class="wv-file-more">{} ({} left)</div>').format(more, number(left, 0))
+    return Markup('<div class="wv-file-more">{} more: type the beginning of the name.</div>').format(number(left, 0))
 
 
-def _row(n: int, entry: FileEntry, now: datetime) -> str:
+def _row(n: int, entry: FileEntry, now: datetime) -> Markup:
     sign = viser.Icon.FOLDER if entry.is_folder else viser.Icon.STACK_2 if entry.kind == "Dataset" else viser.Icon.FILE
-    name = html.safe(entry.path.name)
+    name = entry.path.name
     below = entry.why_not or entry.note or ("" if entry.is_folder else entry.kind)
-    off = ' aria-disabled="true"' if entry.why_not else ""
+    off = Markup(' aria-disabled="true"') if entry.why_not else Markup()
     changed = format_time(datetime.fromtimestamp(entry.modified_s).astimezone().isoformat(), now)
     weight = size(entry.size_bytes) if entry.size_bytes is not None else ""
-    return (
-        f'<div role="option" id="wv-file-{n}" data-n="{n}" aria-selected="false"{off} title="{name}">'
-        f'<span class="wv-file-look">{html.icon(sign, 17)}</span><span class="wv-file-name"><b>{name}</b>'
-        f"<small>{html.safe(below)}</small></span><span>{weight}</span><span>{html.safe(changed)}</span></div>"
-    )
+    return Markup(
+        '<div role="option" id="wv-file-{n}" data-n="{n}" aria-selected="false"{off} title="{name}">'
+        '<span class="wv-file-look">{icon}</span><span class="wv-file-name"><b>{name}</b>'
+        "<small>{below}</small></span><span>{weight}</span><span>{changed}</span></div>"
+    ).format(n=n, off=off, name=name, icon=html.icon(sign, 17), below=below, weight=weight, changed=changed)
 
 
 def _summary(listing: Listing, kind: FileKind, saving: bool) -> str:
@@ -422,5 +441,5 @@ def _chosen(entries: list[FileEntry]) -> str:
     return f"{entries[0].note} chosen." if entries and entries[0].is_folder and entries[0].note else ""
 
 
-def _told(text: str) -> str:
-    return f'<div class="wv-lab wv-file-told">{html.safe(text)}</div>'
+def _told(text: str) -> Markup:
+    return Markup('<div class="wv-lab wv-file-told">{}</div>').format(text)

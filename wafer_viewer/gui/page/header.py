@@ -8,12 +8,14 @@ from dataclasses import dataclass
 from typing import Any, get_args
 
 import viser
+from markupsafe import Markup
 
 from wafer_viewer.gui.page.status_bar import where
 from wafer_viewer.gui.page.stop import can_stop
 from wafer_viewer.gui.state.view_state import Step, View
-from wafer_viewer.gui.widgets.controls import Gui, HtmlBlock, button, set_prop
-from wafer_viewer.gui.widgets.html import icon, pick, safe
+from wafer_viewer.gui.widgets import html
+from wafer_viewer.gui.widgets.controls import Gui, HtmlBlock, add_html, button, set_prop
+from wafer_viewer.gui.widgets.html import icon, pick
 from wafer_viewer.gui.widgets.style import HEADER_PX, LEFT_PX, by_id
 from wafer_viewer.model.gauge import GaugeCheck
 from wafer_viewer.model.job import keys_under_review
@@ -65,7 +67,7 @@ ROOMS = (
     HeaderRoom(f"(min-width:{MIDDLE_PX}px) and (max-width:{WIDE_PX - 1}px)", LEFT_PX, 52),
     HeaderRoom(f"(max-width:{MIDDLE_PX - 1}px)", 218, 42),
 )
-_MARK = (
+_MARK = Markup(
     '<svg width="34" height="34" viewBox="0 0 34 34" aria-hidden="true"><g fill="none" stroke="var(--accent)">'
     '<circle cx="17" cy="17" r="15.5" stroke-width="2"/>'
     '<path d="M4 21h6l2.5-9H21l2.5 9H30" stroke-width="2.6" stroke-linejoin="round"/></g></svg>'
@@ -149,7 +151,7 @@ class Header:
         }
         self._ids: dict[Step, str] = {step: handle._impl.uuid for step, handle in steps.items()}
         places = _places(stop_at, {step: by_id(uuid) for step, uuid in self._ids.items()})
-        gui.add_html(f"<style>{places}</style>")
+        add_html(gui, html.style_sheet(places))
         self._stop_at = stop_at
         self._bar = HtmlBlock(gui, padded=False)
         self._style = HtmlBlock(gui, padded=False)
@@ -157,12 +159,12 @@ class Header:
 
     def show(self, snapshot: Snapshot, view: View) -> None:
         """Update the header."""
-        self._bar.show(f'<div class="wv-hd">{_mark(snapshot)}{_state(snapshot, view)}</div>')
-        self._style.show(f"<style>{_step_style(self._ids, view.step, snapshot)}</style>")
+        self._bar.show(Markup('<div class="wv-hd">{}{}</div>').format(_mark(snapshot), _state(snapshot, view)))
+        self._style.show(html.style_sheet(_step_style(self._ids, view.step, snapshot)))
         self._tips.show(_tips(self._ids, view.step, snapshot))
         set_prop(self._stop, "disabled", not can_stop(snapshot))
         out = f"{self._stop_at} .mantine-Button-label{{text-decoration:line-through}}"
-        self._stop_style.show(f"<style>{out}</style>" if snapshot.rig.state in ("fault", "absent") else "")
+        self._stop_style.show(html.style_sheet(out) if snapshot.rig.state in ("fault", "absent") else Markup())
 
 
 def _places(stop: str, steps: dict[Step, str]) -> str:
@@ -238,18 +240,20 @@ _TICK = f"{_mask('M4 13l5 5L20 6')};background:var(--good)"
 """Marks of a step, before its name or at the corner of its icon: not available yet, and done."""
 
 
-def _tips(ids: dict[Step, str], current: Step, snapshot: Snapshot) -> str:
+def _tips(ids: dict[Step, str], current: Step, snapshot: Snapshot) -> Markup:
     """Return the tooltips of the steps, shown on hover and focus; a script links them to the buttons."""
     tips, rules, ties = "", "", list[tuple[str, str, bool, bool]]()
     for step, uuid in ids.items():
         why = why_not(step, snapshot)
         said = f"Not yet: {why}" if why is not None else "Done." if done(step, snapshot) else ""
         tip = f"wv-tip-{step}"
-        tips += f'<div class="wv-tip" role="tooltip" id="{tip}"><b>{TITLES[step]}</b><span>{safe(said)}</span></div>'
+        tips += Markup('<div class="wv-tip" role="tooltip" id="{}"><b>{}</b><span>{}</span></div>').format(
+            tip, TITLES[step], said
+        )
         rules += f"body:has({by_id(uuid)}:is(:hover,:focus-visible)) #{tip}{{visibility:visible}}"
         ties.append((uuid, tip, why is not None, step == current))
-    script = safe(_TIE.replace("TIES", json.dumps(ties)))
-    return f'<style>{rules}</style>{tips}<img src="data:," alt="" hidden onerror="{script}">'
+    script = _TIE.replace("TIES", json.dumps(ties))
+    return html.style_sheet(rules) + tips + html.run_script(script)
 
 
 _TIE = """
@@ -269,28 +273,31 @@ tie(100);
 """Script that sets aria attributes. An unavailable step stays focusable for its tooltip, unlike a disabled button."""
 
 
-def _mark(snapshot: Snapshot) -> str:
+def _mark(snapshot: Snapshot) -> Markup:
     data = snapshot.dataset
     if data is None:
         sign, name = "", "New scan" if snapshot.draft.job else "No dataset open"
     else:
         alone = "" if snapshot.rig.simulated else " alone"  # the pill of the rig does not say it too
-        sign, name = f'<em class="wv-sim{alone}">SIMULATED</em>' if data.simulated else "", data.path.stem
-    words = f'<b><span>Wafer Viewer</span>{sign}</b><small title="{safe(name)}">{safe(name)}</small>'
-    return f'<div class="wv-mark">{_MARK}<div>{words}</div></div>'
+        sign, name = (
+            Markup('<em class="wv-sim{}">SIMULATED</em>').format(alone) if data.simulated else Markup(),
+            data.path.stem,
+        )
+    words = Markup('<b><span>Wafer Viewer</span>{}</b><small title="{}">{}</small>').format(sign, name, name)
+    return Markup('<div class="wv-mark">{}<div>{}</div></div>').format(_MARK, words)
 
 
-def _state(snapshot: Snapshot, view: View) -> str:
+def _state(snapshot: Snapshot, view: View) -> Markup:
     rig = snapshot.rig
     switch = icon(viser.Icon.SUN if view.dark else viser.Icon.MOON, 19)
     name = "Light" if view.dark else "Dark"
-    return (
-        f'<div class="wv-state"><div>{_pill_over(snapshot, view)}<div class="wv-where">{where(rig)}</div></div>'
-        f'<span class="wv-switch" title="{name} page" aria-label="{name} page" {pick("theme")}>{switch}</span></div>'
-    )
+    return Markup(
+        '<div class="wv-state"><div>{pill_over}<div class="wv-where">{where}</div></div>'
+        '<span class="wv-switch" title="{name} page" aria-label="{name} page" {pick}>{switch}</span></div>'
+    ).format(pill_over=_pill_over(snapshot, view), where=where(rig), name=name, pick=pick("theme"), switch=switch)
 
 
-def _pill_over(snapshot: Snapshot, view: View) -> str:
+def _pill_over(snapshot: Snapshot, view: View) -> Markup:
     """Return the status pill: of imported data if they are shown and the rig is at rest, else of the rig."""
     data, rig = snapshot.dataset, snapshot.rig
     at_rest = rig.state in ("starting", "ready", "absent")
@@ -298,15 +305,17 @@ def _pill_over(snapshot: Snapshot, view: View) -> str:
         return _pill(rig)
     state = f"{rig.name}{', simulated' if rig.simulated else ''}: {rig.state}"
     told = f"The data were taken elsewhere. {state}."
-    return f'<span class="wv-pill imported" title="{safe(told)}"><i></i><span><em>Imported</em> · no rig</span></span>'
+    return Markup(
+        '<span class="wv-pill imported" title="{}"><i></i><span><em>Imported</em> · no rig</span></span>'
+    ).format(told)
 
 
-def _pill(rig: RigStatus) -> str:
+def _pill(rig: RigStatus) -> Markup:
     """Return the rig's pill: REAL in the colour of its state, SIMULATED in amber unless the rig is at fault."""
     tone = _TONE[rig.state]
     colour = "simulated" if rig.simulated and tone != "fault" else tone
     word = "SIMULATED" if rig.simulated else "REAL"
-    return (
-        f'<span class="wv-pill {colour}" title="{safe(rig.message)}"><i></i><span><em>{word}</em> · '
-        f'<u title="{safe(rig.name)}">{safe(rig.name)} · </u>{safe(rig.state)}</span></span>'
-    )
+    return Markup(
+        '<span class="wv-pill {colour}" title="{message}"><i></i><span><em>{word}</em> · '
+        '<u title="{name}">{name} · </u>{state}</span></span>'
+    ).format(colour=colour, message=rig.message, word=word, name=rig.name, state=rig.state)

@@ -8,6 +8,7 @@ from pathlib import Path
 from typing import Any
 
 import viser
+from markupsafe import Markup
 
 from wafer_viewer.draw.number_format import number
 from wafer_viewer.gui.page.dialogs import Dialog, open_dataset, open_surface
@@ -167,7 +168,7 @@ def export_dialog(page: Page) -> None:
     dialog.answers("Export", viser.Icon.DOWNLOAD, write, "Export failed", needs_control=False)
 
 
-def _said(ending: str, every: float, size: tuple[int, int, float] | None) -> str:
+def _said(ending: str, every: float, size: tuple[int, int, float] | None) -> Markup:
     """Return output size and losses of the format. size: rows, columns, µm per pixel of the surface, or None."""
     written = ""
     if size is not None:
@@ -176,7 +177,9 @@ def _said(ending: str, every: float, size: tuple[int, int, float] | None) -> str
         pixel_um = number(size[2] * step, 3)
         written = f"{number(cols, 0)} × {number(rows, 0)} pixels of {pixel_um}\u202fµm, along x and y. "
     loses = BY_SUFFIX[ending].loses or "The file holds all there is of the surface."
-    return f'<div class="wv-lab" style="margin-bottom:9px">{html.safe(html.with_micro_sign(written + loses))}</div>'
+    return Markup('<div class="wv-lab" style="margin-bottom:9px">{}</div>').format(
+        html.with_micro_sign(written + loses)
+    )
 
 
 def _ending_of(field: int | None) -> str:

@@ -11,14 +11,16 @@ from dataclasses import replace
 from typing import TYPE_CHECKING, Any, Protocol
 
 import viser
+from markupsafe import Markup
 
 from wafer_viewer.gui.scene.scene_contents import DisplayedSurface
 from wafer_viewer.gui.scene.viewport import Viewport
 from wafer_viewer.gui.state import browser_storage
 from wafer_viewer.gui.state.browser_storage import BrowserIdentity, Remembered
 from wafer_viewer.gui.state.view_state import ColourBy, View
+from wafer_viewer.gui.widgets.controls import add_html
 from wafer_viewer.gui.widgets.error_guard import guarded, tell_failure
-from wafer_viewer.gui.widgets.html import Tone, icon, note, pick, read_picks, safe, with_micro_sign
+from wafer_viewer.gui.widgets.html import Tone, icon, note, pick, read_picks, with_micro_sign
 from wafer_viewer.gui.widgets.style import RGB_OF_TONE
 from wafer_viewer.model.surface.clipping import Box
 from wafer_viewer.session.core.commands import restricted_session
@@ -164,7 +166,7 @@ class Page:
 
     def add_picks(self) -> None:
         """Add the hidden text field through which HTML elements report clicks."""
-        self.gui.add_html('<div class="wv-picks"></div>')
+        add_html(self.gui, Markup('<div class="wv-picks"></div>'))
         self.gui.add_text("picks", "").on_update(guarded(self, "The click failed")(self._picked))
 
     # --- what the operator is told
@@ -197,11 +199,11 @@ class Page:
         else:
             self.ask("The note was not changed", self.session.dismiss(fault_id))
 
-    def notes(self, snapshot: Snapshot) -> str:
+    def notes(self, snapshot: Snapshot) -> Markup:
         """Return all open notes as HTML, the newest first."""
         told = {(f.title, f.text) for f in snapshot.faults}
         own = tuple(n for n in self.notices if (n.title, n.text) not in told)
-        return "".join(_note(fault) for fault in reversed((*snapshot.faults, *own)))
+        return Markup("").join(_note(fault) for fault in reversed((*snapshot.faults, *own)))
 
     def _note_down(self, notices: tuple[Fault, ...]) -> None:
         self.notices = notices
@@ -285,8 +287,8 @@ class Page:
                 notification.remove()
 
 
-def _note(fault: Fault) -> str:
+def _note(fault: Fault) -> Markup:
     sign = icon(viser.Icon.ALERT_CIRCLE if fault.needs_person else viser.Icon.ALERT_TRIANGLE, 18)
-    away = f'<span class="wv-link" {pick("dismiss", fault.id)}>dismiss</span>'
+    away = Markup('<span class="wv-link" {}>dismiss</span>').format(pick("dismiss", fault.id))
     where = f"{fault.at} · {fault.where} · " if fault.where else f"{fault.at} · "
-    return note("fault" if fault.needs_person else "attention", fault.title, fault.text, safe(where) + away, sign)
+    return note("fault" if fault.needs_person else "attention", fault.title, fault.text, where + away, sign)

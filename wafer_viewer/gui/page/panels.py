@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 import viser
+from markupsafe import Markup
 
 from wafer_viewer.draw.number_format import duration, share
 from wafer_viewer.gui.page.page import Page
 from wafer_viewer.gui.presenters import verdict as words
 from wafer_viewer.gui.state.view_state import Below, View
 from wafer_viewer.gui.widgets import html
-from wafer_viewer.gui.widgets.controls import HtmlBlock, set_prop
+from wafer_viewer.gui.widgets.controls import HtmlBlock, add_html, set_prop
 from wafer_viewer.gui.widgets.style import PROFILE_PX
 from wafer_viewer.session.state.snapshot import Snapshot, Work
 
@@ -30,7 +31,7 @@ class BottomPanel:
         self._panel = page.gui.add_panel(visible=False)
         self.tab = self._panel.add_tab(curve.capitalize())
         with self.tab:
-            page.gui.add_html('<div class="wv-bottom"></div>')
+            add_html(page.gui, Markup('<div class="wv-bottom"></div>'))
         self._panel.float(x=0, y=-1, width=FIRST_WIDTH_PX, height=PROFILE_PX)
         self._width = 0
         page.viewport.on_change(lambda: self._follow(page.viewport.width_px))
@@ -70,25 +71,27 @@ def has_features(snapshot: Snapshot) -> bool:
     return data is not None and any(feature.has_place for feature in data.job.features)
 
 
-def _content(snapshot: Snapshot) -> str:
+def _content(snapshot: Snapshot) -> Markup:
     verdict = snapshot.operating.verdict
     if not has_features(snapshot) or snapshot.scanning:
-        return ""
+        return Markup()
     if verdict is None:
         return words.waiting(snapshot.operating.judging)
-    return words.card(verdict) + words.dies(verdict) + words.features(verdict) + '<div style="height:8px"></div>'
+    return (
+        words.card(verdict) + words.dies(verdict) + words.features(verdict) + Markup('<div style="height:8px"></div>')
+    )
 
 
 HINT_S = 3.0
 """Times left below this are not shown: they are over before they can be read."""
 
 
-def job_list(snapshot: Snapshot, view: View) -> str:
+def job_list(snapshot: Snapshot, view: View) -> Markup:
     """Return the running and queued jobs; finished ones are not listed, failures appear among the notes."""
     if not snapshot.works:
         idle = html.empty("Reconstruction and stitching", "will be shown here.")
-        return html.head("Jobs") + idle if view.step == "acquire" else ""
-    jobs = "".join(_job(work, snapshot) for work in snapshot.works)
+        return html.head("Jobs") + idle if view.step == "acquire" else Markup()
+    jobs = Markup("").join(_job(work, snapshot) for work in snapshot.works)
     return html.head("Jobs", str(len(snapshot.works))) + jobs
 
 
@@ -103,14 +106,13 @@ def state_of(work: Work, snapshot: Snapshot) -> str:
     return left + share(work.fraction, 0)
 
 
-def _job(work: Work, snapshot: Snapshot) -> str:
-    name = f"Cancel: {html.safe(work.title)}"
-    told = f'title="{name}" aria-label="{name}" {html.command_pick("cancel", work.id)}'
-    link = f'<span class="wv-link" {told}>{html.icon(viser.Icon.X, 14)}</span>'
-    stop = link if work.cancellable else '<span class="dim">stopping</span>' if work.stopping else ""
+def _job(work: Work, snapshot: Snapshot) -> Markup:
+    name = f"Cancel: {work.title}"
+    told = Markup('title="{}" aria-label="{}" {}').format(name, name, html.command_pick("cancel", work.id))
+    link = Markup('<span class="wv-link" {}>{}</span>').format(told, html.icon(viser.Icon.X, 14))
+    stop = link if work.cancellable else Markup('<span class="dim">stopping</span>') if work.stopping else Markup()
     waits = work.fraction is None and (bool(work.waits_for) or not snapshot.compute_ready)
     bar = "" if waits else html.bar(work.fraction)
-    return (
-        f'<div class="wv-job"><div><b title="{html.safe(work.title)}">{html.safe(work.title)}</b>'
-        f"<span>{html.safe(state_of(work, snapshot))} {stop}</span></div>{bar}</div>"
-    )
+    return Markup(
+        '<div class="wv-job"><div><b title="{title}">{title}</b><span>{state_of} {stop}</span></div>{bar}</div>'
+    ).format(title=work.title, state_of=state_of(work, snapshot), stop=stop, bar=bar)

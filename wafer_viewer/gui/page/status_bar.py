@@ -5,6 +5,7 @@ from __future__ import annotations
 import datetime
 
 import viser
+from markupsafe import Markup
 
 from wafer_viewer.draw.number_format import THIN, number, share
 from wafer_viewer.gui.page.page import Page
@@ -52,9 +53,9 @@ class StatusStrip:
             placement(snapshot.surface if view.on_surface else None),
         ]
         items = [_item(*words) for words in said if words[0]]
-        left = "".join([*items, f'<span class="wv-xyz">{where(snapshot.rig)}</span>'])
+        left = Markup("").join([*items, Markup('<span class="wv-xyz">{}</span>').format(where(snapshot.rig))])
         right = _controls(snapshot.hands, self._page.browser.key)
-        self._strip.show(f'<div class="wv-strip" role="contentinfo"><div>{left}</div>{right}</div>')
+        self._strip.show(Markup('<div class="wv-strip" role="contentinfo"><div>{}</div>{}</div>').format(left, right))
 
 
 def job_shown(snapshot: Snapshot, view: View) -> Job | None:
@@ -126,11 +127,13 @@ def surface(info: SurfaceInfo | None, told: Statistics | None = None, view: View
     return (done + filled, "", f"Result {info.result}."), (f"{share(max(0.0, missing))} unmeasured", "", reasons)
 
 
-def where(rig: RigStatus) -> str:
+def where(rig: RigStatus) -> Markup:
     """Return the stage position in mm as HTML, for the header, or for the status bar in narrow windows."""
     axes = (("X", rig.x_um), ("Y", rig.y_um), ("Z", rig.z_um))
-    said = "".join(f"{axis}&nbsp;<span>{number(um / 1000, 4, signed=True)}</span> " for axis, um in axes)
-    return f"{said}{THIN}mm"
+    said = Markup("").join(
+        Markup("{}&nbsp;<span>{}</span> ").format(axis, number(um / 1000, 4, signed=True)) for axis, um in axes
+    )
+    return said + f"{THIN}mm"
 
 
 def placement(info: SurfaceInfo | None) -> Words:
@@ -145,22 +148,26 @@ def _days(days: int) -> str:
     return f"{days} day{'' if days == 1 else 's'}"
 
 
-def _item(words: str, tone: str, more: str) -> str:
+def _item(words: str, tone: str, more: str) -> Markup:
     tip = f"{words}. {more}" if more else words
-    return f'<span class="{tone}" title="{html.safe(html.with_micro_sign(tip))}">{html.safe(words)}</span>'
+    return Markup('<span class="{}" title="{}">{}</span>').format(tone, html.with_micro_sign(tip), words)
 
 
-def _controls(hands: ControlState, key: str) -> str:
+def _controls(hands: ControlState, key: str) -> Markup:
     """Return the holder of the controls; a click opens the list of browsers."""
     if hands.browser(key) is None:
-        return ""
+        return Markup()
     watching = len([b for b in hands.browsers if b.present]) - (1 if hands.holder else 0)
     others = f" · {watching} watch{'es' if watching == 1 else ''}" if watching > 0 and hands.holds(key) else ""
     who = "You hold the controls" if hands.holds(key) else (hands.why_not(key) or "").rstrip(".")
     sign = html.icon(viser.Icon.HAND_STOP if hands.holds(key) else viser.Icon.EYE, 14)
     look = "mine" if hands.holds(key) else "theirs"
-    told = f'title="{html.safe(who)}: who is there, your name, and how to ask for the controls" {html.pick("hands")}'
-    return f'<span class="wv-hand {look}" {told}>{sign}{html.safe(who + others)}</span>'
+    told = Markup('title="{}: who is there, your name, and how to ask for the controls" {}').format(
+        who, html.pick("hands")
+    )
+    return Markup('<span class="wv-hand {look}" {told}>{sign}{who}</span>').format(
+        look=look, told=told, sign=sign, who=who + others
+    )
 
 
 class Reopened:
@@ -177,10 +184,10 @@ class Reopened:
         self._note.show(_words(snapshot, view) if waits else "")
 
 
-def _words(snapshot: Snapshot, view: View) -> str:
+def _words(snapshot: Snapshot, view: View) -> Markup:
     data = snapshot.dataset
     name = sample(job_shown(snapshot, view))[0] or (data.path.stem if data is not None else "an unfinished plan")
     said = f"Reopened from last time: {name}. Another sample may be on the stage now."
-    yes = f'<span class="wv-link" {html.command_pick("confirm-sample")}>It is this sample</span>'
+    yes = Markup('<span class="wv-link" {}>It is this sample</span>').format(html.command_pick("confirm-sample"))
     sign = html.icon(viser.Icon.ALERT_TRIANGLE, 18)
     return html.note("attention", "Nothing moves before you confirm the sample", said, yes, sign)

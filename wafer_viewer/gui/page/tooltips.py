@@ -13,7 +13,7 @@ from typing import Any
 from wafer_viewer.gui.page.page import Page
 from wafer_viewer.gui.widgets import html
 from wafer_viewer.gui.widgets.command import Command
-from wafer_viewer.gui.widgets.controls import Gui, set_prop
+from wafer_viewer.gui.widgets.controls import Gui, add_html, set_prop
 from wafer_viewer.model.acquisition.plan import FieldGrid, FocusSweep
 from wafer_viewer.model.acquisition.sample import Sample
 from wafer_viewer.model.spec import Spec, limit_of
@@ -171,7 +171,7 @@ def add_hints(gui: Gui) -> None:
 def add_titles(page: Page, commands: Sequence[Command]) -> None:
     """Add the keys of commands to the titles of their buttons."""
     titles = json.dumps(titles_of(commands), ensure_ascii=False)
-    page.gui.add_html(f'<img src="data:," alt="" hidden onerror="{html.safe(_SCRIPT + titles)}">')
+    add_html(page.gui, html.run_script(_SCRIPT + titles))
 
 
 def titles_of(commands: Sequence[Command]) -> dict[str, str]:

@@ -6,6 +6,7 @@ from dataclasses import dataclass
 from typing import Any
 
 import viser
+from markupsafe import Markup
 
 from wafer_viewer.draw.number_format import number, with_unit
 from wafer_viewer.draw.surface.pictures import greys, patch_url
@@ -67,18 +68,25 @@ def square_round(overview: Overview, place_um: Place) -> tuple[Square, int, int,
     return Square(left_um, top_um, side_px * overview.pixel_um), row, col, side_px
 
 
-def corner_picture(overview: Overview | None, job: Job, seen_um: tuple[Place | None, ...], n: int) -> str:
+def corner_picture(overview: Overview | None, job: Job, seen_um: tuple[Place | None, ...], n: int) -> Markup:
     """Return the picture with expected and marked position of the corner; a click picks ``corner-at``."""
     if overview is None or overview.image is None or job.marks is None:
         return html.empty("No picture of the stage:", "drive there and mark", "where the stage stands.")
     expected = expected_um(job, seen_um, n)
     square, row, col, side_px = square_round(overview, expected)
     url = patch_url(overview.image, row, col, side_px, greys(overview.image))
-    name = html.safe(f"Click corner {n + 1}: {job.marks.places[n].name}")
+    name = f"Click corner {n + 1}: {job.marks.places[n].name}"
     at = f"{n};{square.left_um!r};{square.top_um!r};{square.side_um!r}"
-    return (
-        f'<div class="wv-corner" aria-label="{name}" title="{name}" data-at="{at}" {_pick()}><img src="{url}" alt="">'
-        f"{_cross(square.shares(expected), 'due')}{_cross(square.shares(p), 'seen') if (p := seen_um[n]) else ''}</div>"
+    return Markup(
+        '<div class="wv-corner" aria-label="{name}" title="{name}" data-at="{at}" {pick}><img src="{url}" alt="">'
+        "{cross}{cross2}</div>"
+    ).format(
+        name=name,
+        at=at,
+        pick=_pick(),
+        url=url,
+        cross=_cross(square.shares(expected), "due"),
+        cross2=_cross(square.shares(p), "seen") if (p := seen_um[n]) else "",
     )
 
 
@@ -88,17 +96,17 @@ def clicked(key: str) -> tuple[int, Place]:
     return int(n), Square(float(left), float(top), float(side)).at(float(across), float(down))
 
 
-def _pick() -> str:
+def _pick() -> Markup:
     """Return attributes as `html.pick`, with the click position in the key; Enter picks the expected position."""
-    script = html.safe(_CLICK + html.pick_script("corner-at"))
+    script = _CLICK + html.pick_script("corner-at")
     keys = "if(event.key==='Enter'||event.key===' '){event.preventDefault();this.click()}"
-    return (
-        f'data-pick="corner-at" role="button" tabindex="0" onclick="{script}" onkeydown="{keys}" {html.NEEDS_CONTROL}'
+    return Markup('data-pick="corner-at" role="button" tabindex="0" onclick="{}" onkeydown="{}" {}').format(
+        script, keys, html.NEEDS_CONTROL
     )
 
 
-def _cross(at: tuple[float, float], kind: str) -> str:
-    return f'<i class="{kind}" style="left:{100 * at[0]:.2f}%;top:{100 * at[1]:.2f}%"></i>'
+def _cross(at: tuple[float, float], kind: str) -> Markup:
+    return Markup('<i class="{}" style="left:{:.2f}%;top:{:.2f}%"></i>').format(kind, 100 * at[0], 100 * at[1])
 
 
 FAILED = "The corner was not marked"
@@ -187,36 +195,40 @@ class AlignSection:
             set_prop(handle, "disabled", snapshot.rig.state != "ready")
 
 
-def _fit(job: Job) -> str:
+def _fit(job: Job) -> Markup:
     """Return the residual of the alignment, with its limit."""
     found, marks = job.alignment, job.marks
     if found is None or marks is None:
-        return ""
+        return Markup()
     good = found.residual_um <= marks.limit_um
     words = f"{found.n_marks} corners, residual {with_unit(found.residual_um, 1)} of {with_unit(marks.limit_um, 0)}"
-    again = f'<span class="wv-link" {html.command_pick("unmark")}>Mark again</span>'
+    again = Markup('<span class="wv-link" {}>Mark again</span>').format(html.command_pick("unmark"))
     text = "" if good else "Too large: mark the named corners again."
     sign = html.icon(viser.Icon.CIRCLE_CHECK if good else viser.Icon.HAND_STOP, 18)
     return html.note("good" if good else "fault", words, text, again, sign)
 
 
-def _corner(snapshot: Snapshot, job: Job, seen_um: tuple[Any, ...], n: int) -> str:
+def _corner(snapshot: Snapshot, job: Job, seen_um: tuple[Any, ...], n: int) -> Markup:
     """Return the picture of a corner, the instruction, and the list of corners."""
     if job.marks is None:
-        return ""
-    chips = "".join(_chip(k, n, seen_um[k] is not None) for k in range(len(job.marks.places)))
+        return Markup()
+    chips = Markup("").join(_chip(k, n, seen_um[k] is not None) for k in range(len(job.marks.places)))
     rig = snapshot.rig
     stage = f"{number(rig.x_um / 1000, 3)}, {with_unit(rig.y_um / 1000, 3, 'mm')}"
-    text = (
-        f'<div class="wv-chips" role="group" aria-label="Corners">{chips}</div>'
-        f"<p><b>{html.safe(job.marks.places[n].name)}</b></p>"
+    text = Markup(
+        '<div class="wv-chips" role="group" aria-label="Corners">{}</div>'
+        "<p><b>{}</b></p>"
         "<p>Click where it is. The thin cross is where it should be.</p>"
-        f'<p class="dim">Stage at {stage}</p>'
+        '<p class="dim">Stage at {}</p>'
+    ).format(chips, job.marks.places[n].name, stage)
+    return Markup('<div class="wv-align">{}<div>{}</div></div>').format(
+        corner_picture(snapshot.overview, job, seen_um, n), text
     )
-    return f'<div class="wv-align">{corner_picture(snapshot.overview, job, seen_um, n)}<div>{text}</div></div>'
 
 
-def _chip(k: int, current: int, seen: bool) -> str:
+def _chip(k: int, current: int, seen: bool) -> Markup:
     sign = html.icon(viser.Icon.CHECK, 13) if seen else ""
-    chosen = ' class="on"' if k == current else ""
-    return f"<span{chosen} {html.pick('corner', k)}>{sign}Corner {k + 1}</span>"
+    chosen = Markup(' class="on"') if k == current else Markup()
+    return Markup("<span{chosen} {pick}>{sign}Corner {k}</span>").format(
+        chosen=chosen, pick=html.pick("corner", k), sign=sign, k=k + 1
+    )

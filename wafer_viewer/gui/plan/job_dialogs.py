@@ -7,6 +7,7 @@ from pathlib import Path
 from typing import Any
 
 import viser
+from markupsafe import Markup
 
 from wafer_viewer.gui.page.dialogs import Dialog
 from wafer_viewer.gui.page.file_dialog import FileList
@@ -62,13 +63,13 @@ def load_job(page: Page, path: Path) -> None:
     page.ask("The job was not loaded", page.session.jobs.take_up(path), lambda _: page.change(everything=False))
 
 
-def job_table(entries: tuple[JobEntry, ...], what: str) -> str:
+def job_table(entries: tuple[JobEntry, ...], what: str) -> Markup:
     """Return the table of released jobs; a click on one picks `what`."""
     if not entries:
         return html.empty("No job is released yet.")
 
-    def line(entry: JobEntry) -> str:
-        name = f"{html.safe(entry.product)}<small>revision {html.safe(entry.revision)}</small>"
+    def line(entry: JobEntry) -> Markup:
+        name = Markup("{}<small>revision {}</small>").format(entry.product, entry.revision)
         return html.row([name, str(entry.n_fields), str(entry.n_features)], " nn", html.command_pick(what, entry.path))
 
     return html.table(["Released job", "Fields", "Features"], [line(entry) for entry in entries], " nn")
@@ -368,7 +369,7 @@ class FeatureDialog:
         for handle in (*self._upper, *self._lower):
             set_prop(handle, "visible", self._tool == "step")
         words = f"{TOOLS[self._tool].title}; its limits are in {self._unit}."
-        self._what.show(f'<div class="wv-lab">{html.safe(html.with_micro_sign(words))}</div>')
+        self._what.show(Markup('<div class="wv-lab">{}</div>').format(html.with_micro_sign(words)))
 
     def _chosen(self) -> KeptFeature | None:
         return self._kept.get(self._source.value)

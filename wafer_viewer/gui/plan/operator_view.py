@@ -5,6 +5,8 @@ from __future__ import annotations
 from concurrent.futures import Future
 from typing import Any
 
+from markupsafe import Markup
+
 from wafer_viewer.draw.number_format import duration
 from wafer_viewer.gui.page.page import Page
 from wafer_viewer.gui.plan.align_section import Aligning, AlignSection
@@ -12,7 +14,7 @@ from wafer_viewer.gui.presenters import plan
 from wafer_viewer.gui.state.view_state import View
 from wafer_viewer.gui.widgets import html
 from wafer_viewer.gui.widgets.callback_timing import Debouncer
-from wafer_viewer.gui.widgets.controls import BoundInput, HtmlBlock, controlled, duo, set_prop
+from wafer_viewer.gui.widgets.controls import BoundInput, HtmlBlock, add_html, controlled, duo, set_prop
 from wafer_viewer.gui.widgets.error_guard import guarded
 from wafer_viewer.model.job import Job
 from wafer_viewer.model.spec import replace
@@ -20,7 +22,7 @@ from wafer_viewer.session.planning.preflight import PreflightCheck
 from wafer_viewer.session.state.snapshot import Snapshot
 
 FAILED = "The names were not changed"
-FOCUS = (
+FOCUS = Markup(
     '<img src="data:," alt="" hidden onerror="setTimeout(()=>document.querySelector('
     "'div:has(>.wv-scan)+div input')?.focus(),300)\">"
 )
@@ -63,7 +65,7 @@ class OperatorView:
     def _build_wafer(self) -> None:
         gui = self._page.gui
         HtmlBlock(gui, html.head("1 · Wafer", "type the id or scan its barcode"))
-        gui.add_html('<div class="wv-scan"></div>')
+        add_html(gui, Markup('<div class="wv-scan"></div>'))
         self._wafer_id = self._field(gui.add_text("Wafer id", ""))
         duo(gui)
         self._lot, self._operator = self._field(gui.add_text("Lot", "")), self._field(gui.add_text("Operator", ""))
@@ -92,7 +94,7 @@ def folded(snapshot: Snapshot, view: View) -> bool:
     return job is not None and job.released and not view.everything
 
 
-def _title(snapshot: Snapshot, job: Job) -> str:
+def _title(snapshot: Snapshot, job: Job) -> Markup:
     plan = snapshot.draft.plan
     n = len(job.all_fields())
     takes = f" · {duration(plan.predicted_s)}" if plan is not None else ""
@@ -100,11 +102,11 @@ def _title(snapshot: Snapshot, job: Job) -> str:
     return html.title(job.product, below, _other_job() + unfold(True))
 
 
-def unfold(more: bool) -> str:
+def unfold(more: bool) -> Markup:
     """Return the link that unfolds the full panel, or folds it again."""
     name = "Show everything" if more else "Show less"
-    return f'<span class="wv-action" {html.pick("everything", "yes" if more else "no")}>{name}</span>'
+    return Markup('<span class="wv-action" {}>{}</span>').format(html.pick("everything", "yes" if more else "no"), name)
 
 
-def _other_job() -> str:
-    return f'<span class="wv-action" {html.command_pick("jobs")}>Another job…</span>'
+def _other_job() -> Markup:
+    return Markup('<span class="wv-action" {}>Another job…</span>').format(html.command_pick("jobs"))

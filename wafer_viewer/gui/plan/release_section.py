@@ -5,6 +5,7 @@ from __future__ import annotations
 from typing import Any
 
 import viser
+from markupsafe import Markup
 
 from wafer_viewer.draw.number_format import number
 from wafer_viewer.gui.page.page import Page
@@ -80,34 +81,36 @@ class ReleaseSection:
         edit(self._page, features=(*features[:n], *features[n + 1 :]))
 
 
-def _corners(marks: Marks | None) -> str:
+def _corners(marks: Marks | None) -> Markup:
     if marks is None:
         return html.head("Alignment") + html.empty("Two corners of dies to align wafers by.")
-    rows = [html.row([html.safe(m.name), number(m.x_um, 1), number(m.y_um, 1)], " nn") for m in marks.places]
+    rows = [html.row([m.name, number(m.x_um, 1), number(m.y_um, 1)], " nn") for m in marks.places]
     head = html.head("Alignment", f"residual at most {number(marks.limit_um, 1)} µm")
     return head + html.table(["Corner, wafer µm", "x", "y"], rows, " nn")
 
 
-def _dies(dies: Dies | None) -> str:
+def _dies(dies: Dies | None) -> Markup:
     """Return number and size of the dies; empty if none are defined."""
     if dies is None:
-        return ""
+        return Markup()
     told = f"{len(dies.all())} of {number(dies.width_um, 0)} × {number(dies.height_um, 0)} µm"
     return html.head("Dies", told)
 
 
-def _features(job: Job) -> str:
+def _features(job: Job) -> Markup:
     if not job.features:
         return html.head("Features") + html.empty("Any quantity of a tool, with its limits, gives a verdict.")
     rows = [_feature(n, feature, job.released) for n, feature in enumerate(job.features)]
     return html.head("Features") + html.table(["Name", "Nominal", "Limits", ""], rows, " nn ")
 
 
-def _feature(n: int, feature: Feature, released: bool) -> str:
+def _feature(n: int, feature: Feature, released: bool) -> Markup:
     where = " · on every die" if feature.per_die else "" if feature.has_place else " · no place"
     what = " · ".join(part for part in (TOOLS[feature.tool].title, title_of(feature.quantity)) if part)
-    name = f"{html.safe(feature.name)}<small>{what}{where}<br>{RULES[feature.decision_rule]}</small>"
+    name = Markup("{name}<small>{what}{where}<br>{rules}</small>").format(
+        name=feature.name, what=what, where=where, rules=RULES[feature.decision_rule]
+    )
     pick = html.command_pick("no-feature", n)
-    away = f'<span class="wv-link" title="Remove" {pick}>{html.icon(viser.Icon.X, 14)}</span>'
+    away = Markup('<span class="wv-link" title="Remove" {}>{}</span>').format(pick, html.icon(viser.Icon.X, 14))
     cells = [name, number(feature.nominal, 2), limits(feature), "" if released else away]
     return html.row(cells, " nn ", "" if released else html.command_pick("feature", n))

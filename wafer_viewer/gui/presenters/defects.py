@@ -11,6 +11,8 @@ from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from functools import lru_cache
 
+from markupsafe import Markup
+
 from wafer_viewer.draw.charts.defect_charts import Bar, pareto
 from wafer_viewer.draw.charts.die_map import DieFill, die_shapes, fills_by_count, kinds_of, look_svg
 from wafer_viewer.draw.charts.symbols import symbol, symbol_svg
@@ -42,7 +44,7 @@ REFERENCES = {
 JUDGED = {"open": "open", "real": "real defect", "nuisance": "not a defect"}
 
 
-def sign_of(kind: DefectClass, side_px: int = 14) -> str:
+def sign_of(kind: DefectClass, side_px: int = 14) -> Markup:
     """Return the symbol of a class, with its colour and shape."""
     return symbol_svg(DEFECT_CLASSES[kind].shape, DEFECT_CLASSES[kind].colour, side_px)
 
@@ -98,24 +100,26 @@ def summary(state: InspectionState) -> str:
     return problem + stale + unknown(inspection)
 
 
-def facts(inspection: Inspection) -> str:
+def facts(inspection: Inspection) -> Markup:
     """Return area, density, reference, threshold, expected false detections and notes of an inspection, as HTML."""
-    return "".join(f'<div class="wv-sub">{html.safe(html.with_micro_sign(line))}</div>' for line in _facts(inspection))
+    return Markup("").join(
+        Markup('<div class="wv-sub">{}</div>').format(html.with_micro_sign(line)) for line in _facts(inspection)
+    )
 
 
-def unknown(inspection: Inspection) -> str:
+def unknown(inspection: Inspection) -> Markup:
     """Return a warning on dies and areas not inspected; empty if everything was inspected."""
     blind = [die for die in inspection.dies if die.state not in ("whole", "missing")]
     told = [f"{n} {'die' if n == 1 else 'dies'} {state}" for state, n in Counter(d.state for d in blind).items()]
     if inspection.unmeasured_mm2 > 0:
         told.append(f"{number(inspection.unmeasured_mm2, 2)} mm² unmeasured")
     if not told:
-        return ""
+        return Markup()
     said = f"{', '.join(told)}: these parts were not inspected."
-    return f'<div class="wv-blind">{html.note("attention", "Not all of it was inspected", said)}</div>'
+    return Markup('<div class="wv-blind">{}</div>').format(html.note("attention", "Not all of it was inspected", said))
 
 
-def nothing_found(inspection: Inspection) -> str:
+def nothing_found(inspection: Inspection) -> Markup:
     """Return the placeholder of an empty defect list."""
     if inspection.inspected_mm2 <= 0:
         return html.empty("Nothing could be inspected:", "this does not mean that the wafer is clean.")
@@ -131,15 +135,23 @@ def judged(inspection: Inspection) -> str:
     return f"{n} of {len(inspection.defects)} judged" if inspection.defects else ""
 
 
-def classes(defect: Defect) -> str:
+def classes(defect: Defect) -> Markup:
     """Return the class buttons with their keys, the current class marked."""
     now = defect.seen_as
     tiles = (
-        f'<span class="{"on" if kind == now else ""}" aria-pressed="{str(kind == now).lower()}" '
-        f"{html.command_pick('defect-class', kind)}><kbd>{look.key}</kbd>{sign_of(kind)} {look.title}</span>"
+        Markup(
+            '<span class="{kind}" aria-pressed="{aria_pressed}" {command_pick}><kbd>{key}</kbd>{sign_of} {title}</span>'
+        ).format(
+            kind="on" if kind == now else "",
+            aria_pressed=str(kind == now).lower(),
+            command_pick=html.command_pick("defect-class", kind),
+            key=look.key,
+            sign_of=sign_of(kind),
+            title=look.title,
+        )
         for kind, look in DEFECT_CLASSES.items()
     )
-    return html.head("Class", "keys 1 – 9") + f'<div class="wv-classes">{"".join(tiles)}</div>'
+    return html.head("Class", "keys 1 – 9") + Markup('<div class="wv-classes">{}</div>').format(Markup("").join(tiles))
 
 
 def _facts(inspection: Inspection) -> list[str]:
@@ -214,7 +226,7 @@ def _made(defect: Defect) -> ReviewItem:
         colour=look.colour,
         title=look.title,
         below=below(defect),
-        value=f"<b>{size_text(defect)}</b><small>{height[0]} {height[2]}</small>",
+        value=Markup("<b>{}</b><small>{} {}</small>").format(size_text(defect), height[0], height[2]),
         rows=tuple(_rows(defect)),
         judgement=Noted(key=key_of(defect), verdict=VERDICT_OF[defect.judgement], note=defect.note),
         box_um=bounds_of(defect),
@@ -242,15 +254,19 @@ MOST_SIGNS = 400
 CLASS_OPACITY, JUDGED_OPACITY, OTHER_HALF_PX = 0.45, 0.35, 6
 
 
-def map_head(listing: DefectListing) -> str:
+def map_head(listing: DefectListing) -> Markup:
     """Return the head with the switch between colouring by class and by count."""
-    ways = "".join(
-        f'<span class="{"on" if by == listing.map_by else ""}" aria-pressed="{str(by == listing.map_by).lower()}" '
-        f"{html.pick('defect-map-by', by)}>{name}</span>"
+    ways = Markup("").join(
+        Markup('<span class="{by}" aria-pressed="{aria_pressed}" {pick}>{name}</span>').format(
+            by="on" if by == listing.map_by else "",
+            aria_pressed=str(by == listing.map_by).lower(),
+            pick=html.pick("defect-map-by", by),
+            name=name,
+        )
         for by, name in BY.items()
     )
-    switch = f'<span class="wv-by" aria-label="Coloured by">{ways}</span>'
-    return f'<div class="wv-h first">Defects on the dies{switch}</div>'
+    switch = Markup('<span class="wv-by" aria-label="Coloured by">{}</span>').format(ways)
+    return Markup('<div class="wv-h first">Defects on the dies{}</div>').format(switch)
 
 
 def map_html(
@@ -260,17 +276,17 @@ def map_html(
     listing: DefectListing,
     outline_um: Outline = (),
     over: str = "",
-) -> str:
+) -> Markup:
     """Return the map of dies with the defects `there`, and its legend; the SVG `over` is drawn on top."""
     many, by_class = len(there) > MOST_SIGNS, listing.map_by == "class"
     fills = fills_by_count(counts_of(there)) if not by_class else fills_by_class(there) if many else {}
     shapes = die_shapes(frame, inspection, fills, outline_um=outline_um, chosen=listing.die)
-    signs = "".join(_sign(frame, defect) for defect in there) if by_class and not many else ""
+    signs = Markup("").join(_sign(frame, defect) for defect in there) if by_class and not many else ""
     kinds = kinds_of(inspection.dies).items()
     legend = html.legend((look_svg(kind), f"{number(n, 0)} {kind}") for kind, n in kinds)
     said = "Each die has the colour of its commonest class." if by_class and many else ""
-    below = f'<div class="wv-lab">{said}</div>' if said else ""
-    return f'<div class="wv-dies-and">{_svg(frame, shapes + signs + over)}{legend}</div>{below}'
+    below = Markup('<div class="wv-lab">{}</div>').format(said) if said else Markup()
+    return Markup('<div class="wv-dies-and">{}{}</div>{}').format(_svg(frame, shapes + signs + over), legend, below)
 
 
 def fills_by_class(defects: Sequence[Defect]) -> dict[str, DieFill]:
@@ -289,36 +305,45 @@ def counts_of(defects: Sequence[Defect]) -> Counter[str]:
     return Counter(defect.die for defect in defects if defect.seen_as != "unmeasured")
 
 
-def other_signs(frame: MapViewport, other: OtherTool) -> str:
+def other_signs(frame: MapViewport, other: OtherTool) -> Markup:
     """Return squares at the defects of another tool; a symbol inside a square marks a match."""
-    drawn: list[str] = []
+    drawn: list[Markup] = []
     for defect, place in zip(other.klarf.defects, other.places, strict=True):
         (x0, y0, x1, y1), half = place.bounds_um, OTHER_HALF_PX
         x, y = frame.x((x0 + x1) / 2) - half, frame.y((y0 + y1) / 2) - half
         drawn.append(
-            f'<rect x="{x:.1f}" y="{y:.1f}" width="{2 * half}" height="{2 * half}" fill="none" stroke="var(--ink2)">'
-            f"<title>{html.safe(other.name)}: no. {defect.number}</title></rect>"
+            Markup(
+                '<rect x="{x:.1f}" y="{y:.1f}" width="{width}" height="{width}" fill="none" stroke="var(--ink2)">'
+                "<title>{name}: no. {number}</title></rect>"
+            ).format(x=x, y=y, width=2 * half, name=other.name, number=defect.number)
         )
-    return f'<g class="wv-other">{"".join(drawn)}</g>'
+    return Markup('<g class="wv-other">{}</g>').format(Markup("").join(drawn))
 
 
-def _sign(frame: MapViewport, defect: Defect) -> str:
+def _sign(frame: MapViewport, defect: Defect) -> Markup:
     look, at = DEFECT_CLASSES[defect.seen_as], (frame.x(defect.center.x_um), frame.y(defect.center.y_um))
-    faint = "" if defect.judgement == "open" else f' opacity="{JUDGED_OPACITY}"'
-    return (
-        f'<g data-d="{key_of(defect)}" class="wv-go"{faint} stroke="var(--panel)" stroke-width="1.2" '
-        f'paint-order="stroke"><title>D{defect.number} · {look.title}, {JUDGED[defect.judgement]}</title>'
-        f"{symbol(look.shape, look.colour, *at, 3.6)}</g>"
+    faint = Markup() if defect.judgement == "open" else Markup(' opacity="{}"').format(JUDGED_OPACITY)
+    return Markup(
+        '<g data-d="{data_d}" class="wv-go"{faint} stroke="var(--panel)" stroke-width="1.2" '
+        'paint-order="stroke"><title>D{number} · {title}, {judged}</title>'
+        "{symbol}</g>"
+    ).format(
+        data_d=key_of(defect),
+        faint=faint,
+        number=defect.number,
+        title=look.title,
+        judged=JUDGED[defect.judgement],
+        symbol=symbol(look.shape, look.colour, *at, 3.6),
     )
 
 
-def _svg(frame: MapViewport, shapes: str) -> str:
+def _svg(frame: MapViewport, shapes: str) -> Markup:
     w, h = round(frame.width_px), round(frame.height_px)
-    return (
-        f'<div class="wv-dies"><svg class="wv-map wv-go" width="{w}" height="{h}" viewBox="0 0 {w} {h}" role="img" '
-        f'aria-label="Dies of the sample with their defects" style="display:block" '
-        f'onclick="{html.safe(_clicked(frame))}">{shapes}</svg></div>'
-    )
+    return Markup(
+        '<div class="wv-dies"><svg class="wv-map wv-go" width="{w}" height="{h}" viewBox="0 0 {w} {h}" role="img" '
+        'aria-label="Dies of the sample with their defects" style="display:block" '
+        'onclick="{onclick}">{shapes}</svg></div>'
+    ).format(w=w, h=h, onclick=_clicked(frame), shapes=shapes)
 
 
 def _clicked(frame: MapViewport) -> str:
@@ -333,17 +358,17 @@ def _clicked(frame: MapViewport) -> str:
     )
 
 
-def chart_of(state: InspectionState, listing: DefectListing, only: ReviewFilter) -> str:
+def chart_of(state: InspectionState, listing: DefectListing, only: ReviewFilter) -> Markup:
     """Return the chart of the listed defects, with all classes; cached."""
     return _chart(state, replace(listing, sort="size", map_by="class"), only)
 
 
 @lru_cache(maxsize=8)
-def _chart(state: InspectionState, listing: DefectListing, only: ReviewFilter) -> str:
+def _chart(state: InspectionState, listing: DefectListing, only: ReviewFilter) -> Markup:
     return pareto_html(on_show(state.defects, replace(listing, kind=""), only), listing.kind)
 
 
-def pareto_html(defects: Iterable[Defect], chosen: str) -> str:
+def pareto_html(defects: Iterable[Defect], chosen: str) -> Markup:
     """Return the Pareto chart; the operator's class overrides the proposed one, `chosen` is the filtered class.
 
     Unmeasured areas are no defects and have no share.
@@ -353,27 +378,42 @@ def pareto_html(defects: Iterable[Defect], chosen: str) -> str:
     bars = pareto(found)
     rows = [_class_row(bar.kind, bar.count, chosen, _bar(bar), f"{number(100 * bar.cumulated, 0)} %") for bar in bars]
     if (unmeasured := kinds.count("unmeasured")) > 0:
-        rows.append(_class_row("unmeasured", unmeasured, chosen, "<i></i>", ""))
-    head = '<div class="wv-pareto-head"><span>Class</span><span>Share</span><span>n</span><span>Sum</span></div>'
-    return f'<div class="wv-pareto" aria-label="Classes">{head}{"".join(rows)}</div>' if rows else ""
-
-
-def _class_row(kind: DefectClass, n: int, chosen: str, bar: str, cumulated: str) -> str:
-    on = kind == chosen
+        rows.append(_class_row("unmeasured", unmeasured, chosen, Markup("<i></i>"), ""))
+    head = Markup(
+        '<div class="wv-pareto-head"><span>Class</span><span>Share</span><span>n</span><span>Sum</span></div>'
+    )
     return (
-        f'<span class="{"on" if on else ""}" aria-pressed="{str(on).lower()}" {html.pick("defect-kind", kind)}>'
-        f"<span>{sign_of(kind)} {DEFECT_CLASSES[kind].title}</span>"
-        f"{bar}<b>{number(n, 0)}</b><small>{cumulated}</small></span>"
+        Markup('<div class="wv-pareto" aria-label="Classes">{}{}</div>').format(head, Markup("").join(rows))
+        if rows
+        else Markup()
     )
 
 
-def _bar(bar: Bar) -> str:
+def _class_row(kind: DefectClass, n: int, chosen: str, bar: str, cumulated: str) -> Markup:
+    on = kind == chosen
+    return Markup(
+        '<span class="{on}" aria-pressed="{aria_pressed}" {pick}>'
+        "<span>{sign_of} {title}</span>"
+        "{bar}<b>{number}</b><small>{cumulated}</small></span>"
+    ).format(
+        on="on" if on else "",
+        aria_pressed=str(on).lower(),
+        pick=html.pick("defect-kind", kind),
+        sign_of=sign_of(kind),
+        title=DEFECT_CLASSES[kind].title,
+        bar=bar,
+        number=number(n, 0),
+        cumulated=cumulated,
+    )
+
+
+def _bar(bar: Bar) -> Markup:
     """Return the bar with the share of a class, and in a paler colour the cumulative share."""
     told = f"{number(100 * bar.share, 0)} % of all, {number(100 * bar.cumulated, 0)} % with those above"
-    return (
-        f'<i title="{told}"><i style="width:{100 * bar.cumulated:.1f}%"></i>'
-        f'<i style="width:{100 * bar.share:.1f}%;background:{DEFECT_CLASSES[bar.kind].colour}"></i></i>'
-    )
+    return Markup(
+        '<i title="{told}"><i style="width:{width:.1f}%"></i>'
+        '<i style="width:{width2:.1f}%;background:{colour}"></i></i>'
+    ).format(told=told, width=100 * bar.cumulated, width2=100 * bar.share, colour=DEFECT_CLASSES[bar.kind].colour)
 
 
 MOST_ROWS, ROWS_BEFORE = 40, 2
@@ -391,7 +431,7 @@ def rows_of(items: Sequence[ReviewItem], now: ReviewItem | None) -> Sequence[Rev
 
 def rows(
     items: Sequence[ReviewItem], shown: Sequence[ReviewItem], now: ReviewItem | None, thumbs: Sequence[str]
-) -> str:
+) -> Markup:
     """Return the list, with links to the items before and after."""
     if not shown:
         return html.empty("No defect matches.")
@@ -401,48 +441,69 @@ def rows(
         _row(item, now is not None and item.key == now.key, thumb) for item, thumb in zip(shown, thumbs, strict=True)
     ]
     more = _more(before, "before") + html.table([], body, "  n") + _more(after, "more")
-    return f'<div class="wv-defects">{more}</div><div style="height:8px"></div>'
+    return Markup('<div class="wv-defects">{}</div><div style="height:8px"></div>').format(more)
 
 
-def sorting(listing: DefectListing, inspection: Inspection) -> str:
+def sorting(listing: DefectListing, inspection: Inspection) -> Markup:
     """Return the sort buttons and the active filters."""
-    buttons = "".join(
-        f'<span class="{"on" if sort == listing.sort else ""}" aria-pressed="{str(sort == listing.sort).lower()}" '
-        f"{html.pick('defect-sort', sort)}>{name}</span>"
+    buttons = Markup("").join(
+        Markup('<span class="{sort}" aria-pressed="{aria_pressed}" {pick}>{name}</span>').format(
+            sort="on" if sort == listing.sort else "",
+            aria_pressed=str(sort == listing.sort).lower(),
+            pick=html.pick("defect-sort", sort),
+            name=name,
+        )
         for sort, (name, _) in SORTS.items()
     )
-    return f'<div class="wv-segments" aria-label="Sort by">{buttons}</div>{_alone(listing, inspection)}'
+    return Markup('<div class="wv-segments" aria-label="Sort by">{}</div>{}').format(
+        buttons, _alone(listing, inspection)
+    )
 
 
-def _alone(listing: DefectListing, inspection: Inspection) -> str:
+def _alone(listing: DefectListing, inspection: Inspection) -> Markup:
     """Return the active filters with a link that clears them; empty if everything is listed."""
     state = next((die.word for die in inspection.dies if die.name == listing.die), "")
     told = [f"Die {listing.die} ({state})" if state else f"Die {listing.die}"] if listing.die else []
     told += [DEFECT_CLASSES[kind].title for kind in DEFECT_CLASSES if kind == listing.kind]
     told += [f"{len(listing.numbers)} of one place on the dies"] if listing.numbers else []
-    link = f'<span class="wv-link" {html.pick("defect-all")}>all</span>'
-    return f'<div class="wv-lab wv-alone">{html.safe(" · ".join(told))} alone · {link}</div>' if told else ""
-
-
-def _more(items: Sequence[ReviewItem], word: str) -> str:
-    if not items:
-        return ""
-    link = f'<span class="wv-link" {html.pick("review", items[0].key)}>{len(items)} {word} …</span>'
-    return f'<div class="wv-lab">{link}</div>'
-
-
-def _row(item: ReviewItem, chosen: bool, thumbs: str) -> str:
-    sign, colour = VERDICT_LOOKS[item.judgement.verdict]
-    title, where = html.safe(item.title), item.below.split(" · ")[0].lower()
-    told = html.safe(f"{item.sign}, {item.title}, {where}, {JUDGED_BRIEFLY[item.judgement.verdict]}")
-    name = (
-        f'<span class="wv-cut wv-short" title="{title}">{symbol_svg(item.shape, item.colour)} {title}</span>'
-        f'<small title="{told}"><span style="color:var(--{colour})">{html.icon(sign, 13)}</span> '
-        f"{html.safe(item.sign)} · {html.safe(where.removeprefix('die '))}</small>"
+    link = Markup('<span class="wv-link" {}>all</span>').format(html.pick("defect-all"))
+    return (
+        Markup('<div class="wv-lab wv-alone">{} alone · {}</div>').format(Markup(" · ").join(told), link)
+        if told
+        else Markup()
     )
-    attributes = f'{html.pick("review", item.key)} aria-label="{told}"'
+
+
+def _more(items: Sequence[ReviewItem], word: str) -> Markup:
+    if not items:
+        return Markup()
+    link = Markup('<span class="wv-link" {}>{} {} …</span>').format(html.pick("review", items[0].key), len(items), word)
+    return Markup('<div class="wv-lab">{}</div>').format(link)
+
+
+def _row(item: ReviewItem, chosen: bool, thumbs: str) -> Markup:
+    sign, colour = VERDICT_LOOKS[item.judgement.verdict]
+    title, where = item.title, item.below.split(" · ")[0].lower()
+    told = f"{item.sign}, {item.title}, {where}, {JUDGED_BRIEFLY[item.judgement.verdict]}"
+    name = Markup(
+        '<span class="wv-cut wv-short" title="{title}">{symbol_svg} {title}</span>'
+        '<small title="{told}"><span style="color:var(--{colour})">{icon}</span> '
+        "{sign} · {value}</small>"
+    ).format(
+        title=title,
+        symbol_svg=symbol_svg(item.shape, item.colour),
+        told=told,
+        colour=colour,
+        icon=html.icon(sign, 13),
+        sign=item.sign,
+        value=where.removeprefix("die "),
+    )
+    attributes = Markup('{} aria-label="{}"').format(html.pick("review", item.key), told)
     return html.row(
-        [f'<div class="wv-pair">{thumbs}</div>', name, item.value], "  n", attributes, "sel" if chosen else ""
+        [Markup('<div class="wv-pair">{}</div>').format(thumbs), name, item.value],
+        "  n",
+        attributes,
+        "sel" if chosen else "",
     )
 
 

@@ -9,6 +9,7 @@ from datetime import date, datetime
 from typing import Literal
 
 import viser
+from markupsafe import Markup
 
 from wafer_viewer.draw.number_format import NOTHING, THIN, digits_of_u, number, share, value_and_u, with_unit
 from wafer_viewer.gui.presenters.measurement import UNIT_SIGNS
@@ -50,20 +51,28 @@ def day(of: date) -> str:
     return f"{of.day} {of:%b} {of.year}"
 
 
-def verdict_card(check: GaugeCheck) -> str:
+def verdict_card(check: GaugeCheck) -> Markup:
     """Return the verdict in large type, then error, limit and En, then the reason."""
     word, sign, tone = LOOKS[check.verdict]
-    simulated = '<em class="wv-sim">SIMULATED</em>' if check.simulated else ""
-    size = ' class="long"' if len(word) > 6 else ""
-    told = html.safe(html.with_micro_sign(check.why)).replace(" µm", _MICRO)
-    why = f'<p class="wv-gauge-why">{told}</p>'
-    return (
-        f'<div class="wv-verdict wv-gauge {tone}" role="status" aria-label="Verdict">'
-        f"<div{size}>{html.icon(sign, 46)}<b>{word}</b>{simulated}</div><p>{_in_short(check)}</p>{why}</div>"
+    simulated = Markup('<em class="wv-sim">SIMULATED</em>') if check.simulated else Markup()
+    size = Markup(' class="long"') if len(word) > 6 else Markup()
+    told = html.with_micro_sign(check.why).replace(" µm", _MICRO)
+    why = Markup('<p class="wv-gauge-why">{}</p>').format(told)
+    return Markup(
+        '<div class="wv-verdict wv-gauge {tone}" role="status" aria-label="Verdict">'
+        "<div{size}>{icon}<b>{word}</b>{simulated}</div><p>{in_short}</p>{why}</div>"
+    ).format(
+        tone=tone,
+        size=size,
+        icon=html.icon(sign, 46),
+        word=word,
+        simulated=simulated,
+        in_short=_in_short(check),
+        why=why,
     )
 
 
-def result(check: GaugeCheck) -> str:
+def result(check: GaugeCheck) -> Markup:
     """Return certified step, measured step and error, each with its U, all with the same number of decimals."""
     warm = check.terms.temperature_c
     certified = f"Certificate at {number(warm, 1)}{THIN}°C" if warm is not None else "Certificate"
@@ -74,14 +83,14 @@ def result(check: GaugeCheck) -> str:
         _line(measured, check.height, digits),
         _line("Error", check.deviation, digits, signed=True, look="strong"),
     ]
-    en = f'<div class="wv-lab">{html.safe(html.with_micro_sign(check.en_why))}</div>' if check.en_why else ""
+    en = Markup('<div class="wv-lab">{}</div>').format(html.with_micro_sign(check.en_why)) if check.en_why else Markup()
     return html.head("Result", "k = 2") + html.table(["", "Step, µm", "U, µm"], rows, " nn") + en
 
 
-def repeats(taken: tuple[GaugeRepeat, ...], check: GaugeCheck | None, may_drop: bool) -> str:
+def repeats(taken: tuple[GaugeRepeat, ...], check: GaugeCheck | None, may_drop: bool) -> Markup:
     """Return the table of repeats with n, s and range; a click on a cross removes one."""
     if not taken:
-        return ""
+        return Markup()
     rows = [_repeat(k, repeat, may_drop) for k, repeat in enumerate(taken)]
     spread = ""
     if check is not None and check.s_um is not None and check.range_um is not None:
@@ -89,7 +98,7 @@ def repeats(taken: tuple[GaugeRepeat, ...], check: GaugeCheck | None, may_drop: 
     return html.head("Repeats", f"n {len(taken)}{spread}") + html.table(["Scan", "Taken", "Step, µm", ""], rows, " nn")
 
 
-def certificate(paper: Certificate | None, today: date) -> str:
+def certificate(paper: Certificate | None, today: date) -> Markup:
     """Return the certificate: blocks, step with U, laboratory, expiry date."""
     if paper is None:
         return html.head("Certificate") + html.empty(
@@ -104,13 +113,13 @@ def certificate(paper: Certificate | None, today: date) -> str:
         ("Laboratory", paper.laboratory),
         ("Number", paper.number),
     ]
-    note = f'<div class="wv-lab" style="margin-top:4px">{html.safe(paper.note)}</div>' if paper.note else ""
+    note = Markup('<div class="wv-lab" style="margin-top:4px">{}</div>').format(paper.note) if paper.note else Markup()
     until = "expired" if paper.expires < today else "valid until"
     head = html.head("Certificate", f"{until} {day(paper.expires)}")
     return head + html.pairs(pairs) + note + _runs_out(paper, today)
 
 
-def conditions(step: StepHeight | None, check: GaugeCheck | None, upper: Region | None, lower: Region | None) -> str:
+def conditions(step: StepHeight | None, check: GaugeCheck | None, upper: Region | None, lower: Region | None) -> Markup:
     """Return the conditions of the measurement: faces, points, tilt, source of the z scale."""
     pairs: list[tuple[str, str]] = []
     if upper is not None and lower is not None:
@@ -124,20 +133,20 @@ def conditions(step: StepHeight | None, check: GaugeCheck | None, upper: Region 
     if check is not None and check.repeats[-1].calibration is not None:
         made = check.repeats[-1].calibration
         pairs.append(("z scale from", f"{made.against}, {day(date.fromisoformat(made.made))}"))
-    return html.head("Conditions") + html.pairs(pairs) if pairs else ""
+    return html.head("Conditions") + html.pairs(pairs) if pairs else Markup()
 
 
-def stored_check(check: GaugeCheck) -> str:
+def stored_check(check: GaugeCheck) -> Markup:
     """Return a stored check as a result: verdict, result, repeats, certificate."""
     word, _, tone = LOOKS[check.verdict]
     signed = f"signed by {check.signed_by}, {day_and_time(check.at)}" if check.signed_by else "not signed"
-    head = f'<div><b style="color:var(--{tone})">{word}</b> · {html.safe(signed)}</div>'
+    head = Markup('<div><b style="color:var(--{})">{}</b> · {}</div>').format(tone, word, signed)
     paper = check.certificate
     blocks = [("Blocks", " / ".join(paper.serials)), ("Certificate", f"{paper.number}, {paper.laboratory}")]
     return head + result(check) + repeats(check.repeats, check, may_drop=False) + html.pairs(blocks)
 
 
-def rejected_scan_note(sentence: str, has_others: bool) -> str:
+def rejected_scan_note(sentence: str, has_others: bool) -> Markup:
     """Return a note why the open scan cannot count; other repeats remain valid."""
     sign = html.icon(viser.Icon.HAND_STOP, 18)
     if has_others:
@@ -145,30 +154,34 @@ def rejected_scan_note(sentence: str, has_others: bool) -> str:
     return html.note("fault", "No check", sentence, sign=sign)
 
 
-def scene_step_label(label: str, length: Length) -> str:
+def scene_step_label(label: str, length: Length) -> Markup:
     """Return the step in large type for the scene."""
     value, u = value_and_u(length.value_um, length.expanded_um, 3)
     beside = f" ± {u}{_MICRO}" if length.expanded_um is not None else _MICRO
-    word = "" if length.expanded_um is not None else f'<div class="wv-lab">{html.safe(_no_u(length))}</div>'
-    return (
-        f'<div class="wv-glass wv-gauge-glass"><div class="wv-lab">{html.safe(label)}</div>'
-        f"<b>{value}</b><span>{beside}</span>{word}</div>"
-    )
+    word = Markup() if length.expanded_um is not None else Markup('<div class="wv-lab">{}</div>').format(_no_u(length))
+    return Markup(
+        '<div class="wv-glass wv-gauge-glass"><div class="wv-lab">{label}</div>'
+        "<b>{value}</b><span>{beside}</span>{word}</div>"
+    ).format(label=label, value=value, beside=beside, word=word)
 
 
-def _in_short(check: GaugeCheck) -> str:
+def _in_short(check: GaugeCheck) -> Markup:
     value, _ = value_and_u(check.deviation.value_um, check.deviation.expanded_um, 3, signed=True)
-    parts = [f"Error <strong>{value}{_MICRO}</strong>"]
+    parts = [Markup("Error <strong>{}{}</strong>").format(value, _MICRO)]
     if check.terms.limit_um is not None:
-        parts.append(f"limit ± {number(check.terms.limit_um, 2)}{_MICRO}")
+        parts.append(Markup("limit ± {}{}").format(number(check.terms.limit_um, 2), _MICRO))
     if check.en is not None:
-        parts.append(f"<i>E</i><sub>n</sub> <strong>{number(check.en, 2)}</strong>")
-    return " · ".join(parts)
+        parts.append(Markup("<i>E</i><sub>n</sub> <strong>{}</strong>").format(number(check.en, 2)))
+    return Markup(" · ").join(parts)
 
 
-def _line(name: str, length: Length, digits: int, signed: bool = False, look: str = "") -> str:
-    u = number(length.expanded_um, digits) if length.expanded_um is not None else f"<small>{_no_u(length)}</small>"
-    return html.row([html.safe(name), number(length.value_um, digits, signed=signed), u], " nn", look=look)
+def _line(name: str, length: Length, digits: int, signed: bool = False, look: str = "") -> Markup:
+    u = (
+        number(length.expanded_um, digits)
+        if length.expanded_um is not None
+        else Markup("<small>{}</small>").format(_no_u(length))
+    )
+    return html.row([name, number(length.value_um, digits, signed=signed), u], " nn", look=look)
 
 
 def _digits(*lengths: Length) -> int:
@@ -181,20 +194,20 @@ def _no_u(length: Length) -> str:
     return "uncalibrated" if length.status == "uncalibrated" else "U not evaluated"
 
 
-def _repeat(k: int, repeat: GaugeRepeat, may_drop: bool) -> str:
+def _repeat(k: int, repeat: GaugeRepeat, may_drop: bool) -> Markup:
     name = repeat.dataset.removesuffix(".wafer")
     pick = html.command_pick("gauge-drop", k)
-    away = f'<span class="wv-act" title="Remove" aria-label="Take repeat {k + 1} off" {pick}>'
-    cross = f"{away}{html.icon(viser.Icon.X, 14)}</span>" if may_drop else ""
-    cut = f'<span class="wv-cut wv-short" title="{html.safe(name)}">{html.safe(name)}</span>'
+    away = Markup('<span class="wv-act" title="Remove" aria-label="Take repeat {} off" {}>').format(k + 1, pick)
+    cross = Markup("{}{}</span>").format(away, html.icon(viser.Icon.X, 14)) if may_drop else Markup()
+    cut = Markup('<span class="wv-cut wv-short" title="{}">{}</span>').format(name, name)
     value, _ = value_and_u(repeat.height.value_um, repeat.height.expanded_um, 3)
-    return html.row([cut, html.safe(day_and_time(repeat.taken)), value, cross], " nn")
+    return html.row([cut, day_and_time(repeat.taken), value, cross], " nn")
 
 
-def _runs_out(paper: Certificate, today: date) -> str:
+def _runs_out(paper: Certificate, today: date) -> Markup:
     left = (paper.expires - today).days
     if left < 0 or left > SOON_DAYS:
-        return ""
+        return Markup()
     return html.note("attention", f"It expires in {left} day{'' if left == 1 else 's'}", "Have the blocks recertified.")
 
 
@@ -246,12 +259,16 @@ def next_point(snapshot: Snapshot) -> ProcedurePoint | None:
     return next((point for point in points(snapshot) if not point.done), None)
 
 
-def procedure(snapshot: Snapshot) -> str:
+def procedure(snapshot: Snapshot) -> Markup:
     """Return the points as a list with ticks and times."""
     now = next_point(snapshot)
-    rows = "".join(_row(point, now is not None and point.name == now.name) for point in points(snapshot))
-    foot = '<div class="wv-lab" style="margin-top:8px">Enter goes to the next point</div>' if now is not None else ""
-    return f'{html.head("Procedure", first=True)}<div class="wv-points">{rows}</div>{foot}'
+    rows = Markup("").join(_row(point, now is not None and point.name == now.name) for point in points(snapshot))
+    foot = (
+        Markup('<div class="wv-lab" style="margin-top:8px">Enter goes to the next point</div>')
+        if now is not None
+        else Markup()
+    )
+    return Markup('{}<div class="wv-points">{}</div>{}').format(html.head("Procedure", first=True), rows, foot)
 
 
 def _scan_title(snapshot: Snapshot) -> str:
@@ -262,17 +279,17 @@ def _scan_title(snapshot: Snapshot) -> str:
     )
 
 
-def _row(point: ProcedurePoint, now: bool) -> str:
+def _row(point: ProcedurePoint, now: bool) -> Markup:
     sign = viser.Icon.CIRCLE_CHECK if point.done else viser.Icon.CIRCLE_DOT if now else viser.Icon.CIRCLE
     tone = "good" if point.done else "accent" if now else "ink3"
     state = "done" if point.done else "next" if now else "to do"
-    at = f'<span class="dim" title="{html.safe(day_and_time(point.at))}">{_clock(point.at)}</span>'
+    at = Markup('<span class="dim" title="{}">{}</span>').format(day_and_time(point.at), _clock(point.at))
     click = html.command_pick("gauge-tick", point.name) if point.name in BY_HAND else ""
     look = f"{'now ' if now else ''}{'go' if click else ''}"
-    return (
-        f'<div class="{look}" aria-label="{html.safe(point.title)}, {state}" {click}>'
-        f'<span style="color:var(--{tone})">{html.icon(sign, 18)}</span><span>{html.safe(point.title)}</span>{at}</div>'
-    )
+    return Markup(
+        '<div class="{look}" aria-label="{title}, {state}" {click}>'
+        '<span style="color:var(--{tone})">{icon}</span><span>{title}</span>{at}</div>'
+    ).format(look=look, title=point.title, state=state, click=click, tone=tone, icon=html.icon(sign, 18), at=at)
 
 
 def _clock(at: str) -> str:
@@ -287,24 +304,28 @@ GOOD, MARGINAL, LEAST_CATEGORIES = 0.10, 0.30, 5
 METHODS: dict[Method, str] = {"anova": "analysis of variance", "range": "average and range"}
 
 
-def study(studied: Studied) -> str:
+def study(studied: Studied) -> Markup:
     """Return study size, verdict by the AIAG rule, and every standard deviation with its share."""
     found = studied.found
     by = f"{studied.name} · {METHODS[found.method]}{' · SIMULATED' if studied.simulated else ''}"
-    notes = "".join(_small(text) for text in found.notes)
-    return (
-        f'<div class="wv-lab" title="{html.safe(by)}">{html.safe(by)}</div>{_study_size(found)}{_word(found)}'
-        f"{_table(found, studied.unit)}{_rest(found)}{notes}"
+    notes = Markup("").join(_small(text) for text in found.notes)
+    return Markup('<div class="wv-lab" title="{by}">{by}</div>{study_size}{word}{table}{rest}{notes}').format(
+        by=by,
+        study_size=_study_size(found),
+        word=_word(found),
+        table=_table(found, studied.unit),
+        rest=_rest(found),
+        notes=notes,
     )
 
 
-def _study_size(found: GaugeRR) -> str:
+def _study_size(found: GaugeRR) -> Markup:
     told = ((found.parts, "part"), (found.appraisers, "appraiser"), (found.trials, "trial"))
-    words = " · ".join(f"<b>{n}</b> {word}{'' if n == 1 else 's'}" for n, word in told)
-    return f'<div style="margin:3px 0 4px">{words}</div>'
+    words = Markup(" · ").join(Markup("<b>{}</b> {}{}").format(n, word, "" if n == 1 else "s") for n, word in told)
+    return Markup('<div style="margin:3px 0 4px">{}</div>').format(words)
 
 
-def _word(found: GaugeRR) -> str:
+def _word(found: GaugeRR) -> Markup:
     grr = found.share_of_variation
     if math.isnan(grr):
         return html.note("busy", "Nothing varies", "All values are the same: there is nothing to compare.")
@@ -316,7 +337,7 @@ def _word(found: GaugeRR) -> str:
     return html.note("fault", "Not acceptable", told)
 
 
-def _table(found: GaugeRR, unit: Unit | None) -> str:
+def _table(found: GaugeRR, unit: Unit | None) -> Markup:
     rows = (
         ("Repeatability, EV", found.repeatability, ""),
         ("Reproducibility, AV", found.reproducibility, ""),
@@ -328,14 +349,14 @@ def _table(found: GaugeRR, unit: Unit | None) -> str:
     return html.table(["", f"s, {UNIT_SIGNS[unit]}" if unit else "s", "of total", ""], lines, " nn")
 
 
-def _variation_line(name: str, s: float, total: float, look: str) -> str:
+def _variation_line(name: str, s: float, total: float, look: str) -> Markup:
     part = s / total if total else math.nan
     width = 0.0 if math.isnan(part) else 100 * min(part, 1.0)
-    bar = f'<div class="wv-rr"><i style="width:{width:.1f}%"></i></div>'
-    return html.row([html.safe(name), number(s, 4), share(part), bar], " nn", look=look)
+    bar = Markup('<div class="wv-rr"><i style="width:{:.1f}%"></i></div>').format(width)
+    return html.row([name, number(s, 4), share(part), bar], " nn", look=look)
 
 
-def _rest(found: GaugeRR) -> str:
+def _rest(found: GaugeRR) -> Markup:
     of_tolerance = found.share_of_tolerance
     pairs = [
         ("Distinct categories", number(found.distinct_categories, 0)),
@@ -343,13 +364,13 @@ def _rest(found: GaugeRR) -> str:
     ]
     if found.interaction is not None:
         pairs.append(("Parts with appraisers, p", number(found.interaction, 3)))
-    return f'<div style="height:4px"></div>{html.pairs(pairs)}' + _small(
+    return Markup('<div style="height:4px"></div>{}').format(html.pairs(pairs)) + _small(
         "Shares are of deviations, and do not sum up to 100 %."
     )
 
 
-def _small(text: str) -> str:
-    return f'<div class="wv-lab" style="margin-top:4px">{html.safe(html.with_micro_sign(text))}</div>'
+def _small(text: str) -> Markup:
+    return Markup('<div class="wv-lab" style="margin-top:4px">{}</div>').format(html.with_micro_sign(text))
 
 
 _OF: dict[Role, str] = {
@@ -361,61 +382,67 @@ _OF: dict[Role, str] = {
 _DIGITS = 4
 
 
-def budget(check: GaugeCheck) -> str:
+def budget(check: GaugeCheck) -> Markup:
     """Return the contributions grouped by role, and the three expanded uncertainties; empty without a budget."""
     if not check.budget:
-        return ""
+        return Markup()
     rows = [row for role in _OF for row in _part(role, [line for line in check.budget if line.of == role])]
     sums = (("U measured", check.height), ("U certificate", check.reference), ("U error", check.deviation))
     rows += [
-        html.row([html.safe(name), number(length.expanded_um, _DIGITS - 1)], " n", look="strong")
+        html.row([name, number(length.expanded_um, _DIGITS - 1)], " n", look="strong")
         for name, length in sums
         if length.expanded_um is not None
     ]
     return html.head("Uncertainty", "µm · lines k = 1, sums k = 2") + html.table([], rows, " n")
 
 
-def not_evaluated(check: GaugeCheck) -> str:
+def not_evaluated(check: GaugeCheck) -> Markup:
     """Return the list of contributions that U does not contain; empty if there are none."""
     if not check.not_evaluated:
-        return ""
-    items = "".join(f"<li>{html.safe(html.with_micro_sign(item))}</li>" for item in check.not_evaluated)
-    return html.head("Not evaluated") + f'<ul class="wv-left-out">{items}</ul>'
+        return Markup()
+    items = Markup("").join(Markup("<li>{}</li>").format(html.with_micro_sign(item)) for item in check.not_evaluated)
+    return html.head("Not evaluated") + Markup('<ul class="wv-left-out">{}</ul>').format(items)
 
 
-def capability(found: Capability | None) -> str:
+def capability(found: Capability | None) -> Markup:
     """Return Cg and Cgk, or the reason why there are none."""
     if found is None:
-        return ""
+        return Markup()
     pairs = [("Repeats", number(found.n, 0)), ("Tolerance of the product", with_unit(found.tolerance_um, 2))]
     if found.cg is not None and found.cgk is not None:
         word = "" if found.capable is None else " · capable" if found.capable else " · not capable"
         pairs.append(("Cg · Cgk", f"{number(found.cg, 2)} · {number(found.cgk, 2)}{word}"))
     words = " ".join(part for part in (found.why, found.variant) if part)
     below = (
-        f'<div class="wv-lab" style="margin-top:4px">{html.safe(html.with_micro_sign(words))}</div>' if words else ""
+        Markup('<div class="wv-lab" style="margin-top:4px">{}</div>').format(html.with_micro_sign(words))
+        if words
+        else Markup()
     )
     return html.head("Capability", "both 1.33 or more, over 25 scans") + html.pairs(pairs) + below
 
 
-def correction(offered: ScaleCorrection | None) -> str:
+def correction(offered: ScaleCorrection | None) -> Markup:
     """Return the suggested z scale factor with advice; empty without a suggestion."""
     if offered is None:
-        return ""
+        return Markup()
     by = with_unit(offered.changes_um, 3, signed=True)
     pairs = [("Certified over measured", number(offered.factor, 6)), ("The checked step would change by", by)]
-    advice = f'<div class="wv-lab" style="margin:4px 0 6px">{html.safe(html.with_micro_sign(offered.advice))}</div>'
+    advice = Markup('<div class="wv-lab" style="margin:4px 0 6px">{}</div>').format(
+        html.with_micro_sign(offered.advice)
+    )
     return html.head("z scale", "nothing changes automatically") + html.pairs(pairs) + advice
 
 
-def _part(role: Role, lines: Sequence[GaugeLine]) -> list[str]:
+def _part(role: Role, lines: Sequence[GaugeLine]) -> list[Markup]:
     if not lines:
         return []
     together = math.sqrt(sum(line.u_um**2 for line in lines))
-    head = html.row([f"<b>{_OF[role]}</b>", f"<b>{number(together, _DIGITS)}</b>"], " n")
+    head = html.row(
+        [Markup("<b>{}</b>").format(_OF[role]), Markup("<b>{}</b>").format(number(together, _DIGITS))], " n"
+    )
     return [head, *(html.row([_name(line.name), number(line.u_um, _DIGITS)], " n") for line in lines)]
 
 
-def _name(name: str) -> str:
+def _name(name: str) -> Markup:
     titled = name if name.startswith("z ") else name[:1].upper() + name[1:]
-    return f'<span class="wv-under">{html.safe(html.with_micro_sign(titled))}</span>'
+    return Markup('<span class="wv-under">{}</span>').format(html.with_micro_sign(titled))

@@ -6,6 +6,8 @@ import math
 from dataclasses import dataclass, replace
 from typing import Any
 
+from markupsafe import Markup
+
 from wafer_viewer.draw.number_format import number
 from wafer_viewer.gui.widgets import html
 from wafer_viewer.gui.widgets.number_field import PLACE, Pair, pair_of, pair_text
@@ -32,17 +34,17 @@ def limits_of(per_die: str, per_mm2: str) -> DefectLimits:
     return DefectLimits(max_per_die=None if most is None else int(most), max_per_mm2=_typed(per_mm2, "per mm2"))
 
 
-def verdict(inspection: Inspection) -> str:
+def verdict(inspection: Inspection) -> Markup:
     """Return the verdict by the defect limits with its reasons, as HTML; empty without limits."""
     limits = inspection.recipe.limits
     if not limits.are_set:
-        return ""
+        return Markup()
     said = verdict_of(inspection, limits)
     if said.within:
         note = html.note("good", "Within the limits", f"{said.counted} counted, {_allowed(limits)} allowed.")
     else:
         note = html.note("fault", "Not within the limits", " ".join(said.why).replace("mm2", "mm²"))
-    return f'<div class="wv-blind">{note}</div>'
+    return Markup('<div class="wv-blind">{}</div>').format(note)
 
 
 def _allowed(limits: DefectLimits) -> str:

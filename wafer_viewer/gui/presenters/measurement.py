@@ -6,6 +6,8 @@ import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 
+from markupsafe import Markup
+
 from wafer_viewer.draw.charts.die_map import site_map_svg, spread_um
 from wafer_viewer.draw.charts.profile_plot import groove_svg
 from wafer_viewer.draw.colormaps import PROFILE_COLOURS, css_gradient
@@ -106,35 +108,37 @@ def main_label(finding: AnyResult) -> str:
     return tool.main if tool is not None else "error" if isinstance(finding, GaugeCheck) else ""
 
 
-def list_text(finding: AnyResult) -> str:
+def list_text(finding: AnyResult) -> Markup:
     """Return value, uncertainty and unit for the list, as HTML."""
     value, u, unit = value_texts(finding.main, signed=_is_signed(finding))
     beside = f"± {u}" if finding.main.expanded is not None else NO_U.get(finding.main.status, "")
-    return f"<b>{value}</b>{with_unit_sign('', unit)}<small>{html.safe(beside)}</small>"
+    return Markup("<b>{}</b>{}<small>{}</small>").format(value, with_unit_sign("", unit), beside)
 
 
-def answer(name: str, quantity: Quantity, signed: bool = False) -> str:
+def answer(name: str, quantity: Quantity, signed: bool = False) -> Markup:
     """Return the card with a quantity in large type."""
     value, u, unit = value_texts(quantity, signed=signed)
     if quantity.expanded is not None:
-        told = html.safe(with_unit_sign(f"± {u}", unit))
-        below = f'{told} <span class="dim" style="font-size:13px">expanded, k = 2</span>'
+        told = with_unit_sign(f"± {u}", unit)
+        below = Markup('{} <span class="dim" style="font-size:13px">expanded, k = 2</span>').format(told)
     else:
-        below = f'<span style="color:var(--attention)">{NO_U.get(quantity.status, "U not evaluated")}</span>'
-    return (
-        f'<div class="wv-answer"><div class="wv-lab">{html.safe(name)}</div>'
-        f'<div class="wv-big" style="font-size:40px">{value}<span class="wv-unit"> {unit}</span></div>'
-        f'<div style="font-size:17px;color:var(--ink2);font-weight:500">{below}</div></div>'
-    )
+        below = Markup('<span style="color:var(--attention)">{}</span>').format(
+            NO_U.get(quantity.status, "U not evaluated")
+        )
+    return Markup(
+        '<div class="wv-answer"><div class="wv-lab">{name}</div>'
+        '<div class="wv-big" style="font-size:40px">{value}<span class="wv-unit"> {unit}</span></div>'
+        '<div style="font-size:17px;color:var(--ink2);font-weight:500">{below}</div></div>'
+    ).format(name=name, value=value, unit=unit, below=below)
 
 
-def card(finding: AnyResult, name: str) -> str:
+def card(finding: AnyResult, name: str) -> Markup:
     """Return the card with a result's main quantity."""
     named = " · ".join(part for part in (name, main_label(finding)) if part)
     return answer(named, finding.main, _is_signed(finding))
 
 
-def budget(quantity: Quantity) -> str:
+def budget(quantity: Quantity) -> Markup:
     """Return the uncertainty budget: contributions, then combined and expanded uncertainty."""
     if not quantity.budget or quantity.expanded is None:
         why = "A calibration of the rig gives it one." if quantity.status == "uncalibrated" else ""
@@ -143,7 +147,7 @@ def budget(quantity: Quantity) -> str:
     read = display_unit(quantity)
     digits = max(3, digits_of_u(quantity.expanded * read.factor) + 1)
     lines = [(line.name[:1].upper() + line.name[1:], line.u * read.factor) for line in quantity.budget]
-    rows = [html.row([html.safe(name), number(u, digits)], " n") for name, u in lines]
+    rows = [html.row([name, number(u, digits)], " n") for name, u in lines]
     combined = math.sqrt(sum(u**2 for _, u in lines))
     total = f"{number(combined, digits)} · {number(2 * combined, digits)}"
     rows.append(html.row(["Combined · expanded, k = 2", total], " n", look="strong"))
@@ -175,7 +179,7 @@ LISTED = 8
 """Number of chips or bumps listed, the worst first."""
 
 
-def kerf(finding: KerfWidth) -> str:
+def kerf(finding: KerfWidth) -> Markup:
     """Return extreme widths, angle between the edges, and edge points of a kerf."""
     return html.pairs(
         [
@@ -188,7 +192,7 @@ def kerf(finding: KerfWidth) -> str:
     )
 
 
-def die(finding: DieSize) -> str:
+def die(finding: DieSize) -> Markup:
     """Return size, rotation, squareness and centre of a die."""
     return html.pairs(
         [
@@ -203,7 +207,7 @@ def die(finding: DieSize) -> str:
     )
 
 
-def circle(finding: CircleSize) -> str:
+def circle(finding: CircleSize) -> Markup:
     """Return radius, roundness and centre of a circle."""
     return html.pairs(
         [
@@ -216,7 +220,7 @@ def circle(finding: CircleSize) -> str:
     )
 
 
-def chipping(finding: Chipping) -> str:
+def chipping(finding: Chipping) -> Markup:
     """Return chip threshold, totals over all chips, and a table of the worst."""
     told = html.pairs(
         [
@@ -240,7 +244,7 @@ def chipping(finding: Chipping) -> str:
     return told + html.table(["Chip at x, y", "Depth", "Length", "Area"], rows, " nnn") + _more(finding.n_chips)
 
 
-def coplanarity(finding: Coplanarity) -> str:
+def coplanarity(finding: Coplanarity) -> Markup:
     """Return statistics of all bumps, and a table of those furthest from the plane."""
     reference = {"least_squares": "least squares", "seating": "seating plane"}[finding.options.reference]
     told = html.pairs(
@@ -272,18 +276,18 @@ def _place(place: Point) -> str:
     return f"{number(place.x_um, 1)}, {number(place.y_um, 1)}"
 
 
-def _more(count: int) -> str:
+def _more(count: int) -> Markup:
     if count <= LISTED:
-        return ""
+        return Markup()
     told = f"The worst {LISTED} of {count}; all are in the exported table."
-    return f'<div class="wv-lab" style="margin-top:4px">{told}</div>'
+    return Markup('<div class="wv-lab" style="margin-top:4px">{}</div>').format(told)
 
 
 MOST_ROWS = 12
 """Number of sites listed, the largest ranges first; the map shows all."""
 
 
-def sites(found: SiteRanges) -> str:
+def sites(found: SiteRanges) -> Markup:
     """Return the map with its colour scale, and the table of the largest ranges."""
     n, known = len(found.sites), [site for site in found.sites if site.range is not None]
     size = f"{number(found.site_width_um, 1)} × {number(found.site_height_um, 1)}{THIN}µm"
@@ -293,15 +297,15 @@ def sites(found: SiteRanges) -> str:
     return html.pairs(pairs) + site_map_svg(found) + _scale(found) + _table(known)
 
 
-def _scale(found: SiteRanges) -> str:
+def _scale(found: SiteRanges) -> Markup:
     low, high = (f"{number(um, 2)}{THIN}µm" for um in spread_um(found))
     gradient = css_gradient("mako").replace("to top", "to right")
-    return (
-        f'<div class="wv-site-scale"><span>{low}</span><i style="background:{gradient}"></i><span>{high}</span></div>'
-    )
+    return Markup(
+        '<div class="wv-site-scale"><span>{}</span><i style="background:{}"></i><span>{}</span></div>'
+    ).format(low, gradient, high)
 
 
-def _table(known: list[Site]) -> str:
+def _table(known: list[Site]) -> Markup:
     largest = sorted(known, key=lambda site: -(site.range.value_um if site.range else 0.0))[:MOST_ROWS]
     more = f"the largest {len(largest)} of {len(known)}" if len(largest) < len(known) else ""
     return html.head("Range of each site", more) + html.table(
@@ -309,13 +313,13 @@ def _table(known: list[Site]) -> str:
     )
 
 
-def _row(site: Site) -> str:
+def _row(site: Site) -> Markup:
     where = f"{number(site.x_um, 1)}, {number(site.y_um, 1)}"
     value = number(site.range.value_um, 3) if site.range is not None else ""
     return html.row([where, share(site.measured_fraction), value], " nn")
 
 
-def step(finding: StepHeight) -> str:
+def step(finding: StepHeight) -> Markup:
     """Return both faces, their relative tilt, the step at the joint, and the definition of h."""
     rows = [
         _face(_named("Upper", finding.also_upper), finding.upper_mean_um, finding.upper_sq_um, finding.upper_points),
@@ -327,7 +331,7 @@ def step(finding: StepHeight) -> str:
     return html.table(["Face", "Mean", "Sq", "Points"], rows, " nnn") + html.pairs(pairs) + _small(finding.definition)
 
 
-def groove(finding: StepProfile) -> str:
+def groove(finding: StepProfile) -> Markup:
     """Return the drawing, width and zones of a groove, and the definition of its height."""
     width = [("Width", format_quantity(finding.width.quantity))] if finding.width is not None else []
     zones = [(f"Zone {name}", f"{number(start, 1)} – {number(end, 1)}") for name, start, end in finding.zones]
@@ -343,10 +347,10 @@ def groove(finding: StepProfile) -> str:
     return groove_svg(finding) + html.pairs(pairs) + _small(finding.definition)
 
 
-def not_evaluated(finding: AnyResult) -> str:
+def not_evaluated(finding: AnyResult) -> Markup:
     """Return the contributions that are not evaluated, hence not in the budget; empty if there are none."""
     missing: tuple[str, ...] = getattr(finding, "not_evaluated", ())
-    return _small(f"Not evaluated: {', '.join(missing)}.") if missing else ""
+    return _small(f"Not evaluated: {', '.join(missing)}.") if missing else Markup()
 
 
 def _tilt(finding: StepHeight) -> str:
@@ -359,12 +363,12 @@ def _named(face: str, others: tuple[object, ...]) -> str:
     return f"{face}, {1 + len(others)} regions" if others else face
 
 
-def _face(name: str, mean_um: float, sq_um: float, points: int) -> str:
+def _face(name: str, mean_um: float, sq_um: float, points: int) -> Markup:
     return html.row([name, number(mean_um, 2, signed=True), number(sq_um, 2), number(points, 0)], " nnn")
 
 
-def _small(line: str) -> str:
-    return f'<div class="wv-lab" style="margin-top:4px">{html.safe(html.with_micro_sign(line))}</div>'
+def _small(line: str) -> Markup:
+    return Markup('<div class="wv-lab" style="margin-top:4px">{}</div>').format(html.with_micro_sign(line))
 
 
 Cells = Sequence[tuple[str, str]]
@@ -402,7 +406,7 @@ MEANINGS = {
 """Tooltips of the parameters."""
 
 
-def texture(finding: Texture) -> str:
+def texture(finding: Texture) -> Markup:
     """Return all texture parameters by family, and the measured fraction."""
     families: list[tuple[str, Cells]] = [
         ("Height", (("Sa", _um(finding.sa)), ("Sq", _um(finding.sq)), ("Sz", _um(finding.sz)))),
@@ -416,7 +420,7 @@ def texture(finding: Texture) -> str:
     return _family_table(families) + _measured(finding)
 
 
-def roughness(finding: Roughness) -> str:
+def roughness(finding: Roughness) -> Markup:
     """Return all roughness parameters, the sampling lengths, and the measured fraction."""
     families: list[tuple[str, Cells]] = [
         ("Evaluation", (("Ra", _um(finding.ra)), ("Rq", _um(finding.rq)), ("Rt", _um(finding.rt)))),
@@ -435,8 +439,8 @@ def figures(value: float | None) -> str:
     return number(value, min(MOST_DECIMALS, max(0, digits)))
 
 
-def _family_table(families: Sequence[tuple[str, Cells]]) -> str:
-    rows = [html.row([html.safe(family), *_padded(cells)]) for family, cells in families]
+def _family_table(families: Sequence[tuple[str, Cells]]) -> Markup:
+    rows = [html.row([family, *_padded(cells)]) for family, cells in families]
     return html.table([], rows)
 
 
@@ -445,12 +449,12 @@ def _padded(cells: Cells) -> list[str]:
     return [*(_cell(*cell) for cell in cells), *[""] * (COLUMNS - len(cells))]
 
 
-def _cell(name: str, value: str) -> str:
-    shown = f'<span class="wv-lab">{html.safe(name)}</span> <b style="font-weight:550">{html.safe(value)}</b>'
-    return f'<span title="{html.safe(MEANINGS.get(name, ""))}">{shown}</span>'
+def _cell(name: str, value: str) -> Markup:
+    shown = Markup('<span class="wv-lab">{}</span> <b style="font-weight:550">{}</b>').format(name, value)
+    return Markup('<span title="{}">{}</span>').format(MEANINGS.get(name, ""), shown)
 
 
-def _measured(finding: Texture | Roughness, *more: tuple[str, str]) -> str:
+def _measured(finding: Texture | Roughness, *more: tuple[str, str]) -> Markup:
     return html.pairs([*more, ("Points", number(finding.points, 0)), ("Measured", share(finding.measured_fraction))])
 
 
@@ -473,51 +477,64 @@ WAITS = "The curve appears when the line lies on the surface."
 
 def head(
     sections: Sequence[Section], problems: Sequence[str], n_lines: int, active: int, gap: Gap | None, zoomed: bool
-) -> str:
+) -> Markup:
     """Return the row above the plot; a line without a curve keeps its symbol."""
     own = {s.asked.place: s for s in sections if not s.asked.is_second}
-    lines = "".join(_line(place, own.get(place), place == active) for place in range(n_lines))
-    seconds = "".join(_second(s) for s in sections if s.asked.is_second)
-    notes = "".join(f'<span class="wv-curve-note">{html.safe(html.with_micro_sign(text))}</span>' for text in problems)
-    waits = f'<span class="dim">{WAITS}</span>' if not sections and not problems else ""
-    whole = f'<span class="wv-link" {html.pick("plot", "whole")}>Whole line</span>' if zoomed else ""
+    lines = Markup("").join(_line(place, own.get(place), place == active) for place in range(n_lines))
+    seconds = Markup("").join(_second(s) for s in sections if s.asked.is_second)
+    notes = Markup("").join(
+        Markup('<span class="wv-curve-note">{}</span>').format(html.with_micro_sign(text)) for text in problems
+    )
+    waits = Markup('<span class="dim">{}</span>').format(WAITS) if not sections and not problems else Markup()
+    whole = (
+        Markup('<span class="wv-link" {}>Whole line</span>').format(html.pick("plot", "whole")) if zoomed else Markup()
+    )
     name = "Section" if any(s.points is not None for s in own.values()) else "Profile"
-    return (
-        f'<div class="wv-dock wv-lines{_CROWDED[min(n_lines, 3)]}"><b>{name}</b>{lines}{seconds}{notes}{waits}'
-        f'<span class="wv-end">{whole}{cursor_readout(gap) if gap is not None else ""}</span></div>'
+    return Markup(
+        '<div class="wv-dock wv-lines{crowded}"><b>{name}</b>{lines}{seconds}{notes}{waits}'
+        '<span class="wv-end">{whole}{cursor_readout}</span></div>'
+    ).format(
+        crowded=_CROWDED[min(n_lines, 3)],
+        name=name,
+        lines=lines,
+        seconds=seconds,
+        notes=notes,
+        waits=waits,
+        whole=whole,
+        cursor_readout=cursor_readout(gap) if gap is not None else "",
     )
 
 
-def cursor_readout(gap: Gap) -> str:
+def cursor_readout(gap: Gap) -> Markup:
     """Return distance, height difference and angle between the cursors."""
-    return (
-        f"<span>Δx <b>{number(gap.dx_um, 1)}</b>&ensp;Δz <b>{with_unit(gap.dz_um, 2, signed=True)}</b>&ensp;"
-        f"{with_unit(gap.angle_deg, 2, '°')}</span>"
+    return Markup("<span>Δx <b>{}</b>&ensp;Δz <b>{}</b>&ensp;{}</span>").format(
+        number(gap.dx_um, 1), with_unit(gap.dz_um, 2, signed=True), with_unit(gap.angle_deg, 2, "°")
     )
 
 
-def _line(place: int, section: Section | None, active: bool) -> str:
+def _line(place: int, section: Section | None, active: bool) -> Markup:
     sign = html.chip(LETTERS[place], PROFILE_COLOURS[place])
     about = _numbers(section) if section is not None else ""
-    look = f'class="wv-line{" sel" if active else ""}" aria-pressed="{str(active).lower()}"'
-    return f'<span {look} aria-label="Line {LETTERS[place]}" {html.pick("line", place)}>{sign} {about}</span>'
-
-
-def _numbers(section: Section) -> str:
-    profile, points = section.profile, section.points
-    if points is not None:
-        return (
-            f"spread about the line <b>{with_unit(points.spread_um, 2)}</b>"
-            f'<span class="dim wv-roomy">68 % of {number(len(points), 0)} points · '
-            f"{with_unit(points.width_um, 1)} wide · line: running median</span>"
-        )
-    return (
-        f"Pt <b>{with_unit(profile.pt.value_um, 2)}</b>"
-        f'<span class="dim wv-roomy">{with_unit(profile.length_um, 0)} long, {averaging(profile)} wide</span>'
+    look = Markup('class="wv-line{}" aria-pressed="{}"').format(" sel" if active else "", str(active).lower())
+    return Markup('<span {look} aria-label="Line {aria_label}" {pick}>{sign} {about}</span>').format(
+        look=look, aria_label=LETTERS[place], pick=html.pick("line", place), sign=sign, about=about
     )
 
 
-def _second(section: Section) -> str:
+def _numbers(section: Section) -> Markup:
+    profile, points = section.profile, section.points
+    if points is not None:
+        return Markup(
+            "spread about the line <b>{}</b>"
+            '<span class="dim wv-roomy">68 % of {} points · '
+            "{} wide · line: running median</span>"
+        ).format(with_unit(points.spread_um, 2), number(len(points), 0), with_unit(points.width_um, 1))
+    return Markup('Pt <b>{}</b><span class="dim wv-roomy">{} long, {} wide</span>').format(
+        with_unit(profile.pt.value_um, 2), with_unit(profile.length_um, 0), averaging(profile)
+    )
+
+
+def _second(section: Section) -> Markup:
     name = section.asked.of.title if section.asked.of is not None else LAYER_TITLES[section.profile.surface]
     pt = with_unit(section.profile.pt.value_um, 2)
-    return f'<span class="wv-second"><i></i>{html.safe(name)} <span class="dim">Pt {pt}</span></span>'
+    return Markup('<span class="wv-second"><i></i>{} <span class="dim">Pt {}</span></span>').format(name, pt)

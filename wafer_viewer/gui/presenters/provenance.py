@@ -5,6 +5,8 @@ from __future__ import annotations
 import math
 from collections.abc import Callable
 
+from markupsafe import Markup
+
 from wafer_viewer.draw.number_format import number, share, with_unit
 from wafer_viewer.gui.presenters import measurement
 from wafer_viewer.gui.presenters.gauge import stored_check as gauge_told
@@ -48,7 +50,7 @@ ZERO: dict[LevelBy, str] = {
 Pairs = list[tuple[str, str]]
 
 
-def source(finding: AnyResult) -> str:
+def source(finding: AnyResult) -> Markup:
     """Return the provenance of a result: regions, points, surface."""
     tell = _TOLD.get(type(finding))
     body = tell(finding) if tell is not None else html.pairs(numbers_of(finding))
@@ -60,7 +62,7 @@ def surface_name(finding: AnyResult) -> str:
     return f"field {finding.show}" if finding.show > 0 else "comparison" if finding.show < 0 else "stitched surface"
 
 
-def _profile(finding: Profile) -> str:
+def _profile(finding: Profile) -> Markup:
     return html.pairs(
         [
             ("Length", with_unit(finding.length_um, 1)),
@@ -72,11 +74,11 @@ def _profile(finding: Profile) -> str:
     )
 
 
-def _point(finding: PointHeight) -> str:
+def _point(finding: PointHeight) -> Markup:
     return html.pairs([_place("Place", finding.place), ("Pixels, their median", number(finding.points, 0))])
 
 
-def _distance(finding: Distance) -> str:
+def _distance(finding: Distance) -> Markup:
     return html.pairs(
         [
             ("On the map", format_quantity(finding.lateral.quantity)),
@@ -88,7 +90,7 @@ def _distance(finding: Distance) -> str:
     )
 
 
-def _face_angle(finding: FaceAngle) -> str:
+def _face_angle(finding: FaceAngle) -> Markup:
     faces = (
         ("First face", finding.first_tilt_deg, finding.first_sq_um, finding.first_points),
         ("Second face", finding.second_tilt_deg, finding.second_sq_um, finding.second_points),
@@ -97,7 +99,7 @@ def _face_angle(finding: FaceAngle) -> str:
     return html.table(["Face", "Tilt, °", "Sq", "Points"], rows, " nnn")
 
 
-def _radius(finding: Radius) -> str:
+def _radius(finding: Radius) -> Markup:
     over = "Top over its surroundings" if finding.kind == "bump" else "Bottom under its surroundings"
     return html.pairs(
         [
@@ -109,7 +111,7 @@ def _radius(finding: Radius) -> str:
     )
 
 
-def _volume(finding: AreaVolume) -> str:
+def _volume(finding: AreaVolume) -> Markup:
     plane = "the plane through the region's border" if finding.reference == "border" else "the zero of heights"
     pairs = [
         ("Volume above", format_quantity(finding.volume_above)),
@@ -125,7 +127,7 @@ def _volume(finding: AreaVolume) -> str:
     return html.pairs(pairs) + _small([f"Above and below {plane}.", noise])
 
 
-def _flatness(finding: Flatness) -> str:
+def _flatness(finding: Flatness) -> Markup:
     plane = {"least_squares": "least-squares plane", "minimum_zone": "minimum zone"}[finding.reference]
     zone = finding.flt_t_minimum_zone
     return html.pairs(
@@ -171,7 +173,7 @@ def _angle(profile: Profile) -> float:
     return math.degrees(math.atan2(profile.rise.value_um, profile.length_um)) if profile.length_um else math.nan
 
 
-def _measured_on(finding: AnyResult) -> str:
+def _measured_on(finding: AnyResult) -> Markup:
     lines = [
         f"On the {surface_name(finding)}: {LAYER_TITLES[finding.surface]}, filter: {finding.filter}.",
         f"Heights are read from {ZERO[finding.levelling.by]}.",
@@ -185,7 +187,8 @@ def _measured_on(finding: AnyResult) -> str:
     return _small(lines)
 
 
-def _small(lines: list[str]) -> str:
-    return "".join(
-        f'<div class="wv-lab" style="margin-top:4px">{html.safe(html.with_micro_sign(line))}</div>' for line in lines
+def _small(lines: list[str]) -> Markup:
+    return Markup("").join(
+        Markup('<div class="wv-lab" style="margin-top:4px">{}</div>').format(html.with_micro_sign(line))
+        for line in lines
     )

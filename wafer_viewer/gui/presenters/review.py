@@ -7,6 +7,8 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Iterator
 
+from markupsafe import Markup
+
 from wafer_viewer.gui.presenters import verdict
 from wafer_viewer.gui.presenters.defects import defect_item, defect_items
 from wafer_viewer.gui.presenters.measurement import list_text, main_label, sign_colour, symbol, value_texts
@@ -169,14 +171,14 @@ _NONE: dict[ReviewFilter, str] = {
 }
 
 
-def review_list(snapshot: Snapshot, view: View) -> str:
+def review_list(snapshot: Snapshot, view: View) -> Markup:
     """Return the list of features and results in the left panel, with the filter; empty in other steps.
 
     If there are defects, the filter is part of their list above.
     """
     everything = [item for item in review_items(snapshot) if item.defect is None]
     if view.step != "review" or not everything:
-        return ""
+        return Markup()
     listed = [item for item in review_items(snapshot, view.review_filter) if item.defect is None]
     now = chosen_item(snapshot, view.review, view.defects)
     judged = sum(item.judgement.verdict != "open" for item in everything)
@@ -184,53 +186,63 @@ def review_list(snapshot: Snapshot, view: View) -> str:
     body = html.table([], rows, "  n") if rows else html.empty(_NONE[view.review_filter])
     head = html.head("Under review", f"{judged} of {len(everything)} judged")
     over = "" if snapshot.inspection.defects else filters(view)
-    return f'{head}{over}{body}<div style="height:6px"></div>'
+    return Markup('{}{}{}<div style="height:6px"></div>').format(head, over, body)
 
 
-def picture(item: ReviewItem, url: str) -> str:
+def picture(item: ReviewItem, url: str) -> Markup:
     """Return the picture of an item; a sentence if it has no position on the surface."""
     if item.box_um is None:
         return html.empty("It has no place on the surface.")
-    inside = f'<img alt="{html.safe(item.title)}" src="{url}">' if url else ""
-    return f'<div class="wv-review-picture">{inside}</div>'
+    inside = Markup('<img alt="{}" src="{}">').format(item.title, url) if url else Markup()
+    return Markup('<div class="wv-review-picture">{}</div>').format(inside)
 
 
-def numbers(item: ReviewItem) -> str:
+def numbers(item: ReviewItem) -> Markup:
     """Return all quantities of an item with their U, and the verdict with its reason."""
-    rows = [html.row([html.safe(cell) for cell in row], " nn") for row in item.rows]
-    word = f"{verdict.state(item.word)} · " if item.word is not None else ""
-    said = word + html.safe(html.with_micro_sign(item.said))
-    below = f'<div class="wv-sub" style="margin-top:6px">{said}</div>' if said else ""
+    rows = [html.row(row, " nn") for row in item.rows]
+    word = verdict.state(item.word) + " · " if item.word is not None else Markup()
+    said = word + html.with_micro_sign(item.said)
+    below = Markup('<div class="wv-sub" style="margin-top:6px">{}</div>').format(said) if said else Markup()
     table = html.table(["", "Value", "± U, k = 2", ""], rows, " nn") if rows else ""
     return html.head("Numbers") + table + below
 
 
-def progress(items: tuple[ReviewItem, ...]) -> str:
+def progress(items: tuple[ReviewItem, ...]) -> Markup:
     """Describe the progress of the review."""
     left = sum(item.judgement.verdict == "open" for item in items)
     rejected = sum(item.judgement.verdict == "rejected" for item in items)
     said = f"{left} still open" if left else "Everything is judged"
     on = "Page Down goes to the next open one" if left else "Page Down continues"
-    return f'<div class="wv-why">{said}{f" · {rejected} rejected" if rejected else ""} · {on}</div>'
+    return Markup('<div class="wv-why">{}{} · {}</div>').format(said, f" · {rejected} rejected" if rejected else "", on)
 
 
-def _row(item: ReviewItem, chosen: bool) -> str:
+def _row(item: ReviewItem, chosen: bool) -> Markup:
     sign, colour = VERDICT_LOOKS[item.judgement.verdict]
-    state = f"<small>{verdict.state(item.word)}</small>" if item.word is not None else ""
-    name = (
-        f'<span class="wv-cut wv-short" title="{html.safe(item.title)}">{html.safe(item.title)}</span>'
-        f"{state}<small style='color:var(--{colour})'>{html.icon(sign, 14)} {VERDICTS[item.judgement.verdict]}</small>"
+    state = Markup("<small>{}</small>").format(verdict.state(item.word)) if item.word is not None else Markup()
+    name = Markup(
+        '<span class="wv-cut wv-short" title="{title}">{title}</span>'
+        "{state}<small style='color:var(--{colour})'>{icon} {verdicts}</small>"
+    ).format(
+        title=item.title,
+        state=state,
+        colour=colour,
+        icon=html.icon(sign, 14),
+        verdicts=VERDICTS[item.judgement.verdict],
     )
-    attributes = f'{html.pick("review", item.key)} aria-label="{html.safe(f"{item.title}, {item.told}")}"'
+    attributes = Markup('{} aria-label="{}"').format(html.pick("review", item.key), f"{item.title}, {item.told}")
     return html.row([html.chip(item.sign, item.colour), name, item.value], "  n", attributes, "sel" if chosen else "")
 
 
-def filters(view: View) -> str:
+def filters(view: View) -> Markup:
     """Return the filter buttons."""
     chosen = view.review_filter
-    buttons = "".join(
-        f'<span class="{"on" if key == chosen else ""}" aria-pressed="{str(key == chosen).lower()}" '
-        f"{html.pick('review-filter', key)}>{name}</span>"
+    buttons = Markup("").join(
+        Markup('<span class="{key}" aria-pressed="{aria_pressed}" {pick}>{name}</span>').format(
+            key="on" if key == chosen else "",
+            aria_pressed=str(key == chosen).lower(),
+            pick=html.pick("review-filter", key),
+            name=name,
+        )
         for key, name in FILTERS
     )
-    return f'<div class="wv-segments">{buttons}</div>'
+    return Markup('<div class="wv-segments">{}</div>').format(buttons)

@@ -8,6 +8,7 @@ from typing import Any
 
 import numpy as np
 import viser
+from markupsafe import Markup
 
 from wafer_viewer.draw.number_format import NOTHING, THIN, digits_of_u, number, share, value_and_u, with_unit
 from wafer_viewer.gui.state.view_state import View
@@ -60,7 +61,7 @@ def surfaces_sentence(comparison: Comparison) -> str:
     return f"First: {comparison.first.words}. Second: {comparison.second.words}."
 
 
-def change_figures(change: Change) -> str:
+def change_figures(change: Change) -> Markup:
     """Return the main figures: changed area in % and Sq of the difference in µm."""
     return html.columns(
         [
@@ -70,7 +71,7 @@ def change_figures(change: Change) -> str:
     )
 
 
-def change_numbers(change: Change) -> str:
+def change_numbers(change: Change) -> Markup:
     """Return the table of difference statistics."""
     rows = [
         ("Mean", with_unit(change.mean_um, 3, signed=True)),
@@ -90,7 +91,7 @@ def volume(um3: float) -> str:
     return with_unit(pl / _LARGE_PL, 2, "nl") if pl >= _LARGE_PL else with_unit(pl, 2, "pl")
 
 
-def alignment(found: Registration) -> str:
+def alignment(found: Registration) -> Markup:
     """Return the table of registration parameters of the second surface, each with its U."""
     rows = [("Found", FOUND_BY[found.by])] if found.by == "same" else []
     if found.by in ("images", "heights"):
@@ -107,18 +108,22 @@ def alignment(found: Registration) -> str:
             ("Residual, rms", with_unit(found.residual_um, digits_of_u(found.residual_um))),
         ]
     rows.append(("Share of the first compared", share(found.overlap_fraction)))
-    how = "" if found.by == "same" else f'<div class="wv-lab">Found {html.safe(FOUND_BY[found.by])}; k = 2.</div>'
+    how = (
+        Markup()
+        if found.by == "same"
+        else Markup('<div class="wv-lab">Found {}; k = 2.</div>').format(FOUND_BY[found.by])
+    )
     return html.head("Alignment") + how + html.pairs(rows)
 
 
-def warnings(comparison: Comparison, outdated: bool) -> str:
+def warnings(comparison: Comparison, outdated: bool) -> Markup:
     """Return warnings: outdated surface, small overlap, missing or different calibration."""
     said = [OUTDATED] if outdated else []
     if comparison.registration.overlap_fraction < LITTLE_OVERLAP:
         said.append(f"Only {share(comparison.registration.overlap_fraction)} of the first surface lies on the second.")
     if not comparison.calibrated:
         said.append("Lengths are uncalibrated, or the calibrations differ.")
-    return "".join(f'<div class="wv-lab" style="margin:4px 0">{html.safe(text)}</div>' for text in said)
+    return Markup("").join(Markup('<div class="wv-lab" style="margin:4px 0">{}</div>').format(text) for text in said)
 
 
 def _with_u(value: float, expanded: float | None, unit: str) -> str:
@@ -185,21 +190,23 @@ def chosen_by_data(asked: Recipe, settled: Recipe) -> list[tuple[str, str]]:
     return [(name, told(settled)) for name, get, told in _LEFT_TO_DATA if get(asked) == "auto" != get(settled)]
 
 
-def notes(sentences: Iterable[str], sign: Any = viser.Icon.INFO_CIRCLE, tone: str = "") -> str:
+def notes(sentences: Iterable[str], sign: Any = viser.Icon.INFO_CIRCLE, tone: str = "") -> Markup:
     """Return the notes; those that differ only in numbers are folded into one. `tone`: '' or 'attention'."""
     kinds: dict[str, list[str]] = {}
     for sentence in sentences:
         kinds.setdefault(re.sub(r"\d[\d.]*", "0", sentence), []).append(sentence)
-    said = "".join(_kind(alike, sign) for alike in kinds.values())
-    return said and f'<div class="wv-notes {tone}">{said}</div>'
+    said = Markup("").join(_kind(alike, sign) for alike in kinds.values())
+    return said and Markup('<div class="wv-notes {}">{}</div>').format(tone, said)
 
 
-def _kind(alike: list[str], sign: Any) -> str:
-    first, *others = (html.safe(_sentence(text)) for text in alike)
+def _kind(alike: list[str], sign: Any) -> Markup:
+    first, *others = (_sentence(text) for text in alike)
     if others:
-        more = "".join(f"<p>{other}</p>" for other in others)
-        first = f"<details><summary>{first} <u>{len(others)} more like it</u></summary>{more}</details>"
-    return f"<div>{html.icon(sign, 15)}<div>{first}</div></div>"
+        more = Markup("").join(Markup("<p>{}</p>").format(other) for other in others)
+        first = Markup("<details><summary>{} <u>{} more like it</u></summary>{}</details>").format(
+            first, len(others), more
+        )
+    return Markup("<div>{}<div>{}</div></div>").format(html.icon(sign, 15), first)
 
 
 def _sentence(text: str) -> str:
@@ -255,7 +262,7 @@ NAMED = 8
 Rows = list[tuple[str, str]]
 
 
-def stitching_numbers(info: StitchingInfo) -> str:
+def stitching_numbers(info: StitchingInfo) -> Markup:
     """Return the main figures of the stitching: accepted overlaps, residual steps, uncertainties."""
     rows: Rows = [("Overlaps accepted", f"{number(info.n_believed, 0)} of {number(info.n_overlaps, 0)}")]
     rows += [(f"– {words}", number(n, 0)) for words, n in info.doubts if n]
@@ -270,7 +277,7 @@ def stitching_numbers(info: StitchingInfo) -> str:
     return html.pairs(rows)
 
 
-def details(info: StitchingInfo) -> str:
+def details(info: StitchingInfo) -> Markup:
     """Return the estimated stage errors, and the form components known only from the stage."""
     rows: Rows = [
         ("Field offset from the stage, rms", _length(info.moved_rms_um)),
@@ -278,15 +285,15 @@ def details(info: StitchingInfo) -> str:
         ("Error of the stage, x and y", _length(info.stage_error_um)),
         ("– along z", _length(info.z_error_um)),
     ]
-    said = f'<div class="wv-chosen">{html.pairs(rows)}</div>'
+    said = Markup('<div class="wv-chosen">{}</div>').format(html.pairs(rows))
     form = [(name[:1].upper() + name[1:], _plus_minus(u)) for name, u in info.form]
     if form:
-        head = '<div class="wv-lab">Known only from the stage, U (k = 2) at the edge</div>'
-        said += f'<div class="wv-chosen">{head}{html.pairs(form)}</div>'
+        head = Markup('<div class="wv-lab">Known only from the stage, U (k = 2) at the edge</div>')
+        said += Markup('<div class="wv-chosen">{}{}</div>').format(head, html.pairs(form))
     return said
 
 
-def cautions(info: StitchingInfo) -> str:
+def cautions(info: StitchingInfo) -> Markup:
     """Return the warnings; an excluded field that a note already names is not listed again."""
     noted = " ".join(info.notes)
     unsaid = tuple(n for n in info.left_out if f"ield {n} " not in noted)
@@ -309,27 +316,30 @@ def by_stage(info: StitchingInfo, n_fields: int) -> tuple[str, str]:
     return f"{number(info.n_by_stage, 0)} of {number(n_fields, 0)} fields by the stage alone", reasons
 
 
-def rejected_overlaps(poses: Poses, pixel_um: float) -> str:
+def rejected_overlaps(poses: Poses, pixel_um: float) -> Markup:
     """Return the table of rejected overlaps, largest residual first, blank ones last; empty if there are none."""
     rows = _doubted_rows(poses, pixel_um)
     if not rows:
-        return ""
+        return Markup()
     said = _table(("Fields", "Rejected because", "Offset, µm", "px"), rows[:SHOWN])
     if len(rows) > SHOWN:
         beyond = len(rows) - LISTED
-        tail = f'<div class="wv-lab">and {number(beyond, 0)} with smaller offsets</div>' if beyond > 0 else ""
-        more = f"<summary><u>{number(len(rows) - SHOWN, 0)} more</u></summary>"
-        said += f'<details class="wv-more">{more}{_table((), rows[SHOWN:LISTED])}{tail}</details>'
-    return f'<div class="wv-chosen">{said}</div>'
+        tail = (
+            Markup('<div class="wv-lab">and {} with smaller offsets</div>').format(number(beyond, 0))
+            if beyond > 0
+            else Markup()
+        )
+        more = Markup("<summary><u>{} more</u></summary>").format(number(len(rows) - SHOWN, 0))
+        said += Markup('<details class="wv-more">{}{}{}</details>').format(more, _table((), rows[SHOWN:LISTED]), tail)
+    return Markup('<div class="wv-chosen">{}</div>').format(said)
 
 
-def _table(heads: tuple[str, ...], rows: list[str]) -> str:
+def _table(heads: tuple[str, ...], rows: list[Markup]) -> Markup:
     """Return a table with the column widths shared by both tables."""
-    widths = '<colgroup><col style="width:74px"><col><col style="width:60px"><col style="width:46px"></colgroup>'
-    return html.table(heads, rows, "  nn").replace(">", f">{widths}", 1)
+    return html.table(heads, rows, "  nn", widths_px=(74, None, 60, 46))
 
 
-def _doubted_rows(poses: Poses, pixel_um: float) -> list[str]:
+def _doubted_rows(poses: Poses, pixel_um: float) -> list[Markup]:
     shifts = poses.shifts
     off_um = np.hypot(shifts.residual_x_um, shifts.residual_y_um)
     rows = np.flatnonzero(~shifts.believed)
@@ -338,13 +348,13 @@ def _doubted_rows(poses: Poses, pixel_um: float) -> list[str]:
     return [_doubted_row(poses, row, float(off_um[row]), pixel_um) for row in rows[order].tolist()]
 
 
-def _doubted_row(poses: Poses, row: int, off_um: float, pixel_um: float) -> str:
+def _doubted_row(poses: Poses, row: int, off_um: float, pixel_um: float) -> Markup:
     shifts = poses.shifts
     first, second = (int(poses.numbers[k]) for k in (shifts.first[row], shifts.second[row]))
     doubt = RejectionReason(int(shifts.doubt[row]))
     off = None if doubt is RejectionReason.BLANK else off_um
     figures = [number(off, 2), number(None if off is None else off / pixel_um, 1)]
-    return html.row([f"{first}{THIN}–{THIN}{second}", html.safe(DOUBT_TITLES[doubt]), *figures], "  nn")
+    return html.row([f"{first}{THIN}–{THIN}{second}", DOUBT_TITLES[doubt], *figures], "  nn")
 
 
 def _left_out(fields: tuple[int, ...]) -> str:
@@ -382,10 +392,10 @@ FIGURES: dict[str, tuple[str, Callable[[float], str]]] = {
 """By the unit of a gate: word before its limit, and format of score and limit. Other units appear below the name."""
 
 
-def close_action(word: str = "Close") -> str:
+def close_action(word: str = "Close") -> Markup:
     """Return the Close action for the head of a panel."""
-    told = f'class="wv-action" title="Close · Esc" aria-label="Close" {html.pick("why-close")}'
-    return f"<span {told}>{html.icon(viser.Icon.X)}{word}</span>"
+    told = Markup('class="wv-action" title="Close · Esc" aria-label="Close" {}').format(html.pick("why-close"))
+    return Markup("<span {}>{}{}</span>").format(told, html.icon(viser.Icon.X), word)
 
 
 def format_position(at_um: tuple[float, float] | None) -> str:
@@ -398,16 +408,16 @@ def pixel_position_text(curve: FocusCurve) -> str:
     return f"{format_position((curve.x_um, curve.y_um))} · field {curve.field}, row {curve.row}, column {curve.col}"
 
 
-def answer(curve: FocusCurve) -> str:
+def answer(curve: FocusCurve) -> Markup:
     """Return the card with the height, or with the reason why there is none."""
     if curve.height_um is None:
         peak = f"no height; the peak is at {with_unit(curve.peak_z_um, 2, signed=True)}"
-        return _card("Not measured", html.safe(_capital(curve.origin)), "", peak, "color:var(--attention)", 24)
-    trust = f"{html.safe(curve.origin)}, confidence {number(curve.confidence, 2)}"
+        return _card("Not measured", _capital(curve.origin), "", peak, "color:var(--attention)", 24)
+    trust = f"{curve.origin}, confidence {number(curve.confidence, 2)}"
     return _card("Measured height", number(curve.height_um, 2, signed=True), "µm", trust, "", 40)
 
 
-def verdicts(curve: FocusCurve) -> str:
+def verdicts(curve: FocusCurve) -> Markup:
     """Return the table of gates: question, result, score and limit."""
     ratios = any(v.unit == "powers of two" for v in curve.verdicts)
     heads = ("", "Question", "Score", "Limit")
@@ -415,10 +425,10 @@ def verdicts(curve: FocusCurve) -> str:
     return html.head("What the gates found", beside) + html.table(heads, map(_row, curve.verdicts), "  nn")
 
 
-def rivals(curve: FocusCurve) -> str:
+def rivals(curve: FocusCurve) -> Markup:
     """Return the table of the other maxima of the focus curve; empty if there are none."""
     if not curve.rivals:
-        return ""
+        return Markup()
     rows = [
         (with_unit(rival.z_um, 2, signed=True), f"{share(rival.share, 0 if rival.share >= 0.1 else 1)} of the peak")
         for rival in curve.rivals
@@ -434,17 +444,17 @@ def focus_measurement_text(curve: FocusCurve) -> str:
     return f"{simulated}{measure}, window {curve.window} × {curve.window} px, {len(curve.z_um)} frames"
 
 
-def _row(verdict: Verdict) -> str:
+def _row(verdict: Verdict) -> Markup:
     icon, tone, word = _sign(verdict)
     before, figure = FIGURES.get(verdict.unit, ("", lambda value: number(value, 2)))
     unit = f"in {verdict.unit}" if verdict.unit and verdict.unit not in FIGURES else ""
     note = "" if verdict.note.rstrip(".").casefold().endswith(GATE_IS_OFF) else verdict.note
     said = " · ".join(text for text in (word, unit, html.with_micro_sign(note)) if text)
-    sign = f'<span style="color:var(--{tone})" aria-hidden="true">{html.icon(icon, 17)}</span>'
-    question = f'{html.safe(verdict.question)}<small style="color:var(--{tone})">{html.safe(said)}</small>'
+    sign = Markup('<span style="color:var(--{})" aria-hidden="true">{}</span>').format(tone, html.icon(icon, 17))
+    question = Markup('{}<small style="color:var(--{})">{}</small>').format(verdict.question, tone, said)
     score = NOTHING if verdict.score is None else figure(verdict.score)
     limit = NOTHING if verdict.limit is None else figure(verdict.limit)
-    bound = f'<span class="dim">{before}</span> {limit}' if before and limit != NOTHING else limit
+    bound = Markup('<span class="dim">{}</span> {}').format(before, limit) if before and limit != NOTHING else limit
     return html.row((sign, question, score, bound), "  nn")
 
 
@@ -457,13 +467,13 @@ def _sign(verdict: Verdict) -> tuple[object, str, str]:
     return viser.Icon.X, "fault", "not passed"
 
 
-def _card(label: str, value: str, unit: str, below: str, style: str, size_px: int) -> str:
-    unit_html = f'<span class="wv-unit"> {unit}</span>' if unit else ""
-    return (
-        f'<div class="wv-answer"><div class="wv-lab">{label}</div>'
-        f'<div class="wv-big" style="font-size:{size_px}px;white-space:normal;{style}">{value}{unit_html}</div>'
-        f'<div style="color:var(--ink2)">{below}</div></div>'
-    )
+def _card(label: str, value: str, unit: str, below: str, style: str, size_px: int) -> Markup:
+    unit_html = Markup('<span class="wv-unit"> {}</span>').format(unit) if unit else Markup()
+    return Markup(
+        '<div class="wv-answer"><div class="wv-lab">{label}</div>'
+        '<div class="wv-big" style="font-size:{size_px}px;white-space:normal;{style}">{value}{unit_html}</div>'
+        '<div style="color:var(--ink2)">{below}</div></div>'
+    ).format(label=label, size_px=size_px, style=style, value=value, unit_html=unit_html, below=below)
 
 
 def _capital(text: str) -> str:

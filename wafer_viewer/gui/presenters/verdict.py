@@ -6,6 +6,7 @@ from collections.abc import Iterator
 from typing import Any
 
 import viser
+from markupsafe import Markup, escape
 
 from wafer_viewer.draw.charts.die_map import die_map_svg
 from wafer_viewer.draw.number_format import number
@@ -25,24 +26,32 @@ LOOKS: dict[Word, tuple[str, Any, html.Tone]] = {
 RULES: dict[DecisionRule, str] = {"guard_band": "guard band, ISO 14253-1", "simple_acceptance": "simple acceptance"}
 
 
-def card(verdict: WaferVerdict) -> str:
+def card(verdict: WaferVerdict) -> Markup:
     """Return the verdict in the largest type of the page, with wafer, job and next action."""
     word, sign, tone = LOOKS[verdict.word]
-    simulated = '<em class="wv-sim">SIMULATED</em>' if verdict.simulated else ""
+    simulated = Markup('<em class="wv-sim">SIMULATED</em>') if verdict.simulated else Markup()
     trial = "" if verdict.released else "a trial: the job is not released"
     wafer = " · ".join(part for part in (verdict.wafer_id, verdict.lot, verdict.job, trial) if part)
-    size = ' class="long"' if len(word) > 6 else ""
-    return (
-        f'<div class="wv-verdict {tone}" role="status" aria-label="Verdict">'
-        f"<div{size}>{html.icon(sign, 46)}<b>{word}</b></div>"
-        f"<p>{html.safe(wafer)}{simulated}</p><p><strong>{html.safe(html.with_micro_sign(verdict.next))}</strong></p></div>"
+    size = Markup(' class="long"') if len(word) > 6 else Markup()
+    return Markup(
+        '<div class="wv-verdict {tone}" role="status" aria-label="Verdict">'
+        "<div{size}>{icon}<b>{word}</b></div>"
+        "<p>{wafer}{simulated}</p><p><strong>{next}</strong></p></div>"
+    ).format(
+        tone=tone,
+        size=size,
+        icon=html.icon(sign, 46),
+        word=word,
+        wafer=wafer,
+        simulated=simulated,
+        next=html.with_micro_sign(verdict.next),
     )
 
 
-def features(verdict: WaferVerdict) -> str:
+def features(verdict: WaferVerdict) -> Markup:
     """Return the table of features: value ± U, limits, verdict; with the reason if it does not pass."""
     if not verdict.items:
-        return ""
+        return Markup()
     rules = dict.fromkeys(RULES[item.feature.decision_rule] for item in verdict.items)
     rows = [*_on_dies(verdict), *(_row(item) for item in verdict.items if not (item.die and item.word == "pass"))]
     return html.head("Features", f"U: k = 2 · {', '.join(rules)}") + html.table(
@@ -50,23 +59,23 @@ def features(verdict: WaferVerdict) -> str:
     )
 
 
-def dies(verdict: WaferVerdict) -> str:
+def dies(verdict: WaferVerdict) -> Markup:
     """Return the wafer map of dies coloured by verdict, with counts; empty without dies."""
     if not verdict.dies:
-        return ""
+        return Markup()
     counts = ", ".join(f"{n} {word}" for word, n in verdict.die_counts.items())
-    return html.head("Dies", counts) + f'<div class="wv-map">{die_map_svg(verdict.dies)}</div>'
+    return html.head("Dies", counts) + Markup('<div class="wv-map">{}</div>').format(die_map_svg(verdict.dies))
 
 
-def feature_summary(item: FeatureVerdict) -> str:
+def feature_summary(item: FeatureVerdict) -> Markup:
     """Return value ± U and limits of a feature for a list."""
-    return f"{value_and_its_u(item)}<small>{limits(item.feature)}</small>"
+    return Markup("{}<small>{}</small>").format(value_and_its_u(item), limits(item.feature))
 
 
-def state(word: Word) -> str:
+def state(word: Word) -> Markup:
     """Return a verdict with its icon, in its colour."""
     name, sign, tone = LOOKS[word]
-    return f'<b style="color:var(--{tone})">{html.icon(sign, 14)} {name}</b>'
+    return Markup('<b style="color:var(--{})">{} {}</b>').format(tone, html.icon(sign, 14), name)
 
 
 def limits(feature: Feature) -> str:
@@ -79,21 +88,25 @@ def limits(feature: Feature) -> str:
     return with_unit_sign(told, display_unit(Quantity(value=0.0, unit=feature.unit)).unit)
 
 
-def value_and_its_u(item: FeatureVerdict) -> str:
+def value_and_its_u(item: FeatureVerdict) -> Markup:
     """Return the measured value ± U of a feature, as HTML."""
     if item.measured is None:
-        return "not measured"
+        return escape("not measured")
     value, u, _ = value_texts(item.measured)
-    return f"<b>{value}</b> ± {u}" if item.measured.expanded is not None else f"{value}<small>no U</small>"
+    return (
+        Markup("<b>{}</b> ± {}").format(value, u)
+        if item.measured.expanded is not None
+        else Markup("{}<small>no U</small>").format(value)
+    )
 
 
-def waiting(judging: bool) -> str:
+def waiting(judging: bool) -> Markup:
     """Return the placeholder until there is a verdict."""
     doing = "The features are being measured." if judging else "The verdict follows when the surface is whole."
     return html.empty(doing)
 
 
-def _on_dies(verdict: WaferVerdict) -> Iterator[str]:
+def _on_dies(verdict: WaferVerdict) -> Iterator[Markup]:
     """Yield a row per feature repeated over dies, with its number of passing dies; other dies have their own rows."""
     words: dict[str, list[Word]] = {}
     for item in verdict.items:
@@ -103,16 +116,16 @@ def _on_dies(verdict: WaferVerdict) -> Iterator[str]:
     for name, of_dies in words.items():
         dies = "1 die passes" if len(of_dies) == 1 else f"{len(of_dies)} dies pass"
         good = f"{of_dies.count('pass')} of {dies}"
-        yield html.row([html.safe(name), good, limits(first[name]), ""], " nn ")
+        yield html.row([name, good, limits(first[name]), ""], " nn ")
 
 
-def _row(item: FeatureVerdict) -> str:
+def _row(item: FeatureVerdict) -> Markup:
     feature, (word, sign, tone) = item.feature, LOOKS[item.word]
-    why = "" if item.word == "pass" else f"<small>{html.safe(html.with_micro_sign(item.why))}</small>"
-    told = (
-        f'<span style="color:var(--{tone})" title="{word}" role="img" aria-label="{word}">{html.icon(sign, 17)}</span>'
-    )
-    return html.row([f"{html.safe(item.name)}{why}", value_and_its_u(item), limits(feature), told], " nn ")
+    why = Markup() if item.word == "pass" else Markup("<small>{}</small>").format(html.with_micro_sign(item.why))
+    told = Markup(
+        '<span style="color:var(--{tone})" title="{word}" role="img" aria-label="{word}">{icon}</span>'
+    ).format(tone=tone, word=word, icon=html.icon(sign, 17))
+    return html.row([item.name + why, value_and_its_u(item), limits(feature), told], " nn ")
 
 
 def _plain(value: float | None) -> str:

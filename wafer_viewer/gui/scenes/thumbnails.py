@@ -7,13 +7,13 @@ import math
 from concurrent.futures import CancelledError, Future
 
 import numpy as np
+from markupsafe import Markup
 
 from wafer_viewer.gui.page.page import Page
 from wafer_viewer.gui.presenters.measurement import sign_colour
 from wafer_viewer.gui.presenters.results import Box, bounds_of
 from wafer_viewer.gui.scenes.surface_scene import source_of
 from wafer_viewer.gui.tools.region_shapes import outline_of
-from wafer_viewer.gui.widgets import html
 from wafer_viewer.model.errors import WaferViewerError
 from wafer_viewer.model.findings import AnyResult
 from wafer_viewer.model.region import Region
@@ -32,7 +32,7 @@ class Thumbnails:
         self._page = page
         self._asked: dict[RenderRequest, Future[bytes]] = {}
 
-    def of(self, finding: AnyResult, snapshot: Snapshot) -> str:
+    def of(self, finding: AnyResult, snapshot: Snapshot) -> Markup:
         """Return the thumbnail of a result, with its regions outlined in its colour, as HTML."""
         request = picture_of(finding, snapshot)
         data = self.painted(request) if request is not None else b""
@@ -47,10 +47,14 @@ class Thumbnails:
         return future.result() if future.done() and future.exception() is None else b""
 
 
-def thumbnail(jpeg: bytes, over: str = "") -> str:
+def thumbnail(jpeg: bytes, over: str = "") -> Markup:
     """Return a thumbnail with an overlay as HTML."""
-    image = f'<img alt="" src="data:image/jpeg;base64,{base64.b64encode(jpeg).decode()}">' if jpeg else ""
-    return f'<span class="wv-thumb">{image}{over}</span>'
+    image = (
+        Markup('<img alt="" src="data:image/jpeg;base64,{}">').format(base64.b64encode(jpeg).decode())
+        if jpeg
+        else Markup()
+    )
+    return Markup('<span class="wv-thumb">{}{}</span>').format(image, over)
 
 
 def painted(page: Page, finding: AnyResult, wait_s: float) -> bytes | None:
@@ -86,21 +90,27 @@ def framed(bounds: Box) -> Box:
     return x - width / 2, y - width / aspect / 2, x + width / 2, y + width / aspect / 2
 
 
-def outlines(finding: AnyResult, box: Box) -> str:
+def outlines(finding: AnyResult, box: Box) -> Markup:
     """Return the regions of a result over the image of a box, as SVG."""
-    paths = "".join(_path(place, box) for place in finding.drawn)
-    style = f'style="--tone:{html.safe(sign_colour(finding))}"'
-    return f'<svg viewBox="0 0 {WIDTH_PX} {HEIGHT_PX}" {style}>{paths}</svg>'
+    paths = Markup("").join(_path(place, box) for place in finding.drawn)
+    style = Markup('style="--tone:{}"').format(sign_colour(finding))
+    return Markup('<svg viewBox="0 0 {width_px} {height_px}" {style}>{paths}</svg>').format(
+        width_px=WIDTH_PX, height_px=HEIGHT_PX, style=style, paths=paths
+    )
 
 
-def _path(place: Region, box: Box) -> str:
+def _path(place: Region, box: Box) -> Markup:
     x0, y0, x1, y1 = box
     corners = outline_of(place)
     if len(corners) == 0:
         corners = np.array([(point.x_um, point.y_um) for point in place.points])
     x, y = (corners[:, 0] - x0) / (x1 - x0) * WIDTH_PX, (y1 - corners[:, 1]) / (y1 - y0) * HEIGHT_PX
     if place.kind == "point":
-        return f'<circle cx="{x[0]:.1f}" cy="{y[0]:.1f}" r="3"/>'
+        return Markup('<circle cx="{:.1f}" cy="{:.1f}" r="3"/>').format(x[0], y[0])
     step = max(1, math.ceil(len(x) / 24))
     points = " ".join(f"{a:.1f},{b:.1f}" for a, b in zip(x[::step], y[::step], strict=True))
-    return f'<polyline points="{points}"/>' if place.kind == "line" else f'<polygon points="{points}"/>'
+    return (
+        Markup('<polyline points="{}"/>').format(points)
+        if place.kind == "line"
+        else Markup('<polygon points="{}"/>').format(points)
+    )

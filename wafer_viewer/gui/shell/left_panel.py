@@ -11,6 +11,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 import viser
+from markupsafe import Markup
 
 from wafer_viewer.draw.charts.wafer_map import (
     FIELD_INKS,
@@ -87,7 +88,7 @@ class FieldMap:
             return
         areas = _areas(view, self._brushed())
         drawing = map_marks_svg(self._frame, self._seen() or (), _marks(snapshot, view), areas)
-        self._marks.show(drawing and f'<div class="wv-over-map">{drawing}</div>')
+        self._marks.show(drawing and Markup('<div class="wv-over-map">{}</div>').format(drawing))
 
     def _draw(self, snapshot: Snapshot, view: View) -> None:
         fields, states, size_um = drawn(snapshot, view)
@@ -115,7 +116,7 @@ class FieldMap:
         self._map.show(drawing + below)
 
 
-def _nothing(snapshot: Snapshot, view: View) -> str:
+def _nothing(snapshot: Snapshot, view: View) -> Markup:
     if snapshot.dataset is not None and view.step != "plan":
         return html.empty("A surface from a file:", "it has no fields.")
     return html.empty("The sample and its fields", "will be drawn here.")
@@ -209,18 +210,18 @@ def _at(item: ReviewItem, colour: str, chosen: bool, attributes: str, told: str 
     return MapMark((x0 + x1) / 2, (y0 + y1) / 2, colour, f"{item.sign} · {item.title}{told}", chosen, attributes)
 
 
-def _legend(states: dict[int, str]) -> str:
+def _legend(states: dict[int, str]) -> Markup:
     present = set(states.values())
     shown = [word for word in FIELD_INKS if word in present] or ["planned"]
     return html.legend((_swatch(FIELD_INKS[word]), FIELD_INKS[word].title) for word in shown)
 
 
-def _swatch(ink: FieldStyle) -> str:
+def _swatch(ink: FieldStyle) -> Markup:
     fill = f"color-mix(in srgb,var(--{ink.edge}) {100 * ink.fill_opacity:.0f}%,transparent)"
     return html.swatch(fill, f"var(--{ink.edge})", ink.dashed)
 
 
-def _hint(snapshot: Snapshot, view: View) -> str:
+def _hint(snapshot: Snapshot, view: View) -> Markup:
     if view.on_surface:
         text = (
             "Click a field to show only that one, again for all."
@@ -229,10 +230,10 @@ def _hint(snapshot: Snapshot, view: View) -> str:
         )
         text += " Elsewhere to fly there. The amber frame is in view."
     elif snapshot.scanning:
-        return ""
+        return Markup()
     else:
         text = "Click a field to move the stage there." if snapshot.rig.state == "ready" else ""
-    return f'<div class="wv-lab" style="margin-top:4px">{text}</div>' if text else ""
+    return Markup('<div class="wv-lab" style="margin-top:4px">{}</div>').format(text) if text else Markup()
 
 
 class LeftPanel:
@@ -287,13 +288,12 @@ class LeftPanel:
             importer = command_button(page.gui, "Import…", viser.Icon.PHOTO_PLUS, lambda _: import_dialog(page))
             in_a_row(page.gui, [opener, importer])
 
-    def _dataset_rows(self, snapshot: Snapshot, opened: Path | None) -> str:
+    def _dataset_rows(self, snapshot: Snapshot, opened: Path | None) -> Markup:
         if not snapshot.datasets:
-            return (
-                html.empty("No datasets in", f"{_shortened(snapshot.data_folder)} yet.")
-                + '<div style="height:8px"></div>'
+            return html.empty("No datasets in", f"{_shortened(snapshot.data_folder)} yet.") + Markup(
+                '<div style="height:8px"></div>'
             )
-        return dataset_table(snapshot.datasets, opened, "open") + '<div style="height:6px"></div>'
+        return dataset_table(snapshot.datasets, opened, "open") + Markup('<div style="height:6px"></div>')
 
 
 def _shortened(folder: Path) -> str:

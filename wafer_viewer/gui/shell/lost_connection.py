@@ -11,11 +11,13 @@ import threading
 import time
 from functools import cache
 
+from markupsafe import Markup
+
 from wafer_viewer.gui.page.page import Page
 from wafer_viewer.gui.page.stop import complete_fields_sentence
 from wafer_viewer.gui.state.view_state import View
 from wafer_viewer.gui.widgets import html
-from wafer_viewer.gui.widgets.controls import HtmlBlock
+from wafer_viewer.gui.widgets.controls import HtmlBlock, add_html
 from wafer_viewer.gui.widgets.style import read_static
 from wafer_viewer.session.state.snapshot import RigStatus, Snapshot
 
@@ -35,7 +37,7 @@ class Contact:
         self._cell = HtmlBlock(page.gui, padded=False)
         self._closed = threading.Event()
         self._lock = threading.Lock()
-        page.gui.add_html(f'<img src="data:," alt="" hidden onerror="{html.safe(_script())}">')
+        add_html(page.gui, html.run_script(_script()))
         page.on_pick("contact-look", lambda _: page.change(step=_step_to_look_at(page.session.snapshot), why=None))
         page.on_close(self._closed.set)
         threading.Thread(target=self._beat, name="contact", daemon=True).start()
@@ -52,7 +54,7 @@ class Contact:
             "anew": restart_summary(snapshot),
             "look": "Look, and confirm the sample" if not snapshot.draft.confirmed else "Look",
         }
-        self._words = " ".join(f'data-{name}="{html.safe(text)}"' for name, text in words.items())
+        self._words = " ".join(Markup('data-{}="{}"').format(name, text) for name, text in words.items())
         self._tell()
 
     def _beat(self) -> None:
@@ -62,9 +64,11 @@ class Contact:
     def _tell(self) -> None:
         if self._words and not self._closed.is_set():
             with self._lock:
-                look = f"<span {html.pick('contact-look')}></span>"
+                look = Markup("<span {}></span>").format(html.pick("contact-look"))
                 self._cell.show(
-                    f'<div hidden class="wv-contact" {self._words} data-beat="{next(self._beats)}">{look}</div>'
+                    Markup('<div hidden class="wv-contact" {} data-beat="{}">{}</div>').format(
+                        self._words, next(self._beats), look
+                    )
                 )
 
 

@@ -7,6 +7,7 @@ from typing import Any
 import msgspec
 import numpy as np
 import viser
+from markupsafe import Markup
 
 from wafer_viewer.gui.page.dialogs import Dialog
 from wafer_viewer.gui.page.page import Page
@@ -115,27 +116,30 @@ def choices(kept: SavedView, snapshot: Snapshot) -> dict[str, Any]:
     return {**looked, "look": known.look, "colour_by": known.colour_by}
 
 
-def views_html(snapshot: Snapshot, view: View) -> str:
+def views_html(snapshot: Snapshot, view: View) -> Markup:
     """Return the list of the left panel as HTML; empty without a surface."""
     if not view.on_surface or snapshot.dataset is None:
-        return ""
+        return Markup()
     state = snapshot.notebook
     rows = [_row(kept) for kept in state.book.views]
     listed = html.table([], rows) if rows else ""
     undone = state.can_undo and view.step != "review"  # where judgements are taken back, too
-    undo = f'<span class="wv-link" {html.command_pick("view-undo")}>undo</span>' if undone else ""
-    save = f'<span class="wv-link" title="Key Shift + 0" {html.command_pick("view-save")}>Save view…</span>'
+    undo = Markup('<span class="wv-link" {}>undo</span>').format(html.command_pick("view-undo")) if undone else Markup()
+    save = Markup('<span class="wv-link" title="Key Shift + 0" {}>Save view…</span>').format(
+        html.command_pick("view-save")
+    )
     told = "3000 px wide, with scale and colours · Key P"
-    picture = f'<span class="wv-link" title="{told}" {html.pick("picture")}>Picture</span>'
-    foot = f'<div style="display:flex;justify-content:space-between;margin:4px 6px 6px">{save}{picture}{undo}</div>'
+    picture = Markup('<span class="wv-link" title="{}" {}>Picture</span>').format(told, html.pick("picture"))
+    foot = Markup('<div style="display:flex;justify-content:space-between;margin:4px 6px 6px">{}{}{}</div>').format(
+        save, picture, undo
+    )
     return html.head("Views") + listed + foot
 
 
-def _row(kept: SavedView) -> str:
-    key = f"<kbd>{html.safe(spoken(str(kept.number), 'shift'))}</kbd>" if kept.number <= WITH_KEYS else ""
-    name = (
-        f'<span class="wv-cut wv-short" title="Look from here" {html.pick("view", kept.number)}>'
-        f"{html.safe(kept.name)}</span>"
+def _row(kept: SavedView) -> Markup:
+    key = Markup("<kbd>{}</kbd>").format(spoken(str(kept.number), "shift")) if kept.number <= WITH_KEYS else Markup()
+    name = Markup('<span class="wv-cut wv-short" title="Look from here" {}>{}</span>').format(
+        html.pick("view", kept.number), kept.name
     )
     return html.row(
         [
@@ -148,10 +152,12 @@ def _row(kept: SavedView) -> str:
     )
 
 
-def _act(what: str, kept: SavedView, word: str, sign: Any) -> str:
-    label = html.safe(f"{word} {kept.name}")
-    told = f'title="{label}" aria-label="{label}"'
-    return f'<span class="wv-act" {told} {html.command_pick(what, kept.number)}>{html.icon(sign, 14)}</span>'
+def _act(what: str, kept: SavedView, word: str, sign: Any) -> Markup:
+    label = f"{word} {kept.name}"
+    told = Markup('title="{}" aria-label="{}"').format(label, label)
+    return Markup('<span class="wv-act" {} {}>{}</span>').format(
+        told, html.command_pick(what, kept.number), html.icon(sign, 14)
+    )
 
 
 MOVED_MM = 1e-5

@@ -13,6 +13,7 @@ from functools import cache
 from typing import Any, get_args
 
 import viser
+from markupsafe import Markup
 
 from wafer_viewer.draw.colormaps import COLOUR_MAPS
 from wafer_viewer.gui.acquire import AcquirePanel
@@ -44,7 +45,7 @@ from wafer_viewer.gui.surface.surface_panel import COLOUR_BY, LOOKS, SurfacePane
 from wafer_viewer.gui.tools.tool_palette import icon_of
 from wafer_viewer.gui.widgets import html
 from wafer_viewer.gui.widgets.command import Command, Group, with_precondition
-from wafer_viewer.gui.widgets.controls import HtmlBlock
+from wafer_viewer.gui.widgets.controls import HtmlBlock, add_html
 from wafer_viewer.gui.widgets.error_guard import guarded
 from wafer_viewer.gui.widgets.html import with_micro_sign
 from wafer_viewer.gui.widgets.number_field import EMPTY
@@ -329,11 +330,13 @@ BESIDE_THE_TABLE: dict[Group, tuple[tuple[str, str], ...]] = {
 """Keys without a command in the table, and keys that stand for several commands."""
 
 
-def sheet_html(commands: Sequence[Command]) -> str:
+def sheet_html(commands: Sequence[Command]) -> Markup:
     """Return all keys by group as HTML."""
     groups = [(group, _rows(group, commands)) for group in get_args(Group)]
-    drawn = "".join(_group(group, rows) for group, rows in groups if rows)
-    return f'<div class="wv-sheet" role="region" aria-label="Keys" tabindex="0"><div>{drawn}</div></div>'
+    drawn = Markup("").join(_group(group, rows) for group, rows in groups if rows)
+    return Markup('<div class="wv-sheet" role="region" aria-label="Keys" tabindex="0"><div>{}</div></div>').format(
+        drawn
+    )
 
 
 def add_keys_sheet(page: Page, commands: Sequence[Command]) -> Command:
@@ -346,22 +349,24 @@ def add_keys_sheet(page: Page, commands: Sequence[Command]) -> Command:
         dialog.way_out("Close")
 
     page.on_pick("keys", lambda _: show())
-    page.gui.add_html(f'<img src="data:," alt="" hidden onerror="{html.safe(_script())}">')
-    page.gui.add_html(f'<div hidden><span class="wv-keys-sheet" {html.pick("keys")}></span></div>')
+    add_html(page.gui, html.run_script(_script()))
+    add_html(page.gui, Markup('<div hidden><span class="wv-keys-sheet" {}></span></div>').format(html.pick("keys")))
     return Command("Keys", None, show, group="Page")
 
 
-def glossary_html() -> str:
+def glossary_html() -> Markup:
     """Return the glossary by subject as HTML."""
 
-    def subject_html(subject: Subject) -> str:
-        rows = "".join(
-            f"<dt>{html.safe(term.word)}</dt><dd>{html.safe(term.meaning)} <small>{html.safe(term.source)}</small></dd>"
+    def subject_html(subject: Subject) -> Markup:
+        rows = Markup("").join(
+            Markup("<dt>{}</dt><dd>{} <small>{}</small></dd>").format(term.word, term.meaning, term.source)
             for term in terms_of(subject)
         )
-        return f"<section><b>{html.safe(subject)}</b><dl>{rows}</dl></section>"
+        return Markup("<section><b>{}</b><dl>{}</dl></section>").format(subject, rows)
 
-    return f'<div class="wv-sheet wv-glossary"><div>{"".join(map(subject_html, get_args(Subject)))}</div></div>'
+    return Markup('<div class="wv-sheet wv-glossary"><div>{}</div></div>').format(
+        Markup("").join(map(subject_html, get_args(Subject)))
+    )
 
 
 def glossary_command(page: Page) -> Command:
@@ -381,9 +386,9 @@ def _rows(group: Group, commands: Sequence[Command]) -> list[tuple[str, str]]:
     return [*named, *BESIDE_THE_TABLE.get(group, ())]
 
 
-def _group(group: Group, rows: list[tuple[str, str]]) -> str:
-    lines = "".join(f"<div>{html.safe(name)}<kbd>{html.safe(key)}</kbd></div>" for name, key in rows)
-    return f"<section><b>{html.safe(group)}</b>{lines}</section>"
+def _group(group: Group, rows: list[tuple[str, str]]) -> Markup:
+    lines = Markup("").join(Markup("<div>{}<kbd>{}</kbd></div>").format(name, key) for name, key in rows)
+    return Markup("<section><b>{}</b>{}</section>").format(group, lines)
 
 
 @cache

@@ -11,6 +11,7 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 
 import viser
+from markupsafe import Markup
 
 from wafer_viewer.draw.number_format import duration, number, size, with_unit
 from wafer_viewer.gui.page.import_export_dialogs import import_dialog, open_dialog
@@ -20,7 +21,7 @@ from wafer_viewer.gui.review import JUDGEMENTS
 from wafer_viewer.gui.state.view_state import Tour, View
 from wafer_viewer.gui.widgets import html
 from wafer_viewer.gui.widgets.command import Command
-from wafer_viewer.gui.widgets.controls import HtmlBlock, command_button, leading, outlined, set_prop
+from wafer_viewer.gui.widgets.controls import HtmlBlock, add_html, command_button, leading, outlined, set_prop
 from wafer_viewer.gui.widgets.error_guard import guarded
 from wafer_viewer.gui.widgets.style import read_static
 from wafer_viewer.model.inspection.defect_classes import DEFECT_CLASSES
@@ -53,7 +54,7 @@ class TourGuide:
         self._page = page
         self._cell = HtmlBlock(page.gui, padded=False)
         script = read_static("tour.js")
-        page.gui.add_html(f'<img src="data:," alt="" style="display:none" onerror="{html.safe(script)}">')
+        add_html(page.gui, html.run_script(script))
         page.on_pick("tour", lambda _: self.begin())
         page.on_pick("tour-skip", lambda step: self._skip(int(step)))
         page.on_pick("tour-end", lambda _: self.end())
@@ -166,15 +167,17 @@ def note_of(step: int, snapshot: Snapshot, view: View) -> Note:
         case 0:
             job = snapshot.draft.job
             fields = len(job.all_fields()) if job is not None else 0
-            text = f"{number(fields, 0)} fields of a virtual wafer are planned. Press <b>Start scan</b>."
+            text = Markup("{} fields of a virtual wafer are planned. Press <b>Start scan</b>.").format(
+                number(fields, 0)
+            )
             here = view.step == "plan"
             return Note("Scan a wafer", text, "Start scan" if here else "Plan")
         case 1:
             return _watch(snapshot, view)
         case 2:
             if view.step != "surface":
-                return Note("Turn the surface", "Press <b>Surface</b>.", "Surface")
-            text = "Drag to turn it, turn the wheel to come closer. Then press <b>Measure this surface</b>."
+                return Note("Turn the surface", Markup("Press <b>Surface</b>."), "Surface")
+            text = Markup("Drag to turn it, turn the wheel to come closer. Then press <b>Measure this surface</b>.")
             return Note("Turn the surface", text, "Measure this surface")
         case 3:
             return _measure(view)
@@ -182,15 +185,17 @@ def note_of(step: int, snapshot: Snapshot, view: View) -> Note:
             return _inspect(snapshot, view)
         case 5:
             if view.step != "review":
-                return Note("Judge a defect", "Press <b>Review</b>.", "Review")
+                return Note("Judge a defect", Markup("Press <b>Review</b>."), "Review")
             label = JUDGEMENTS[0][1]
-            text = f"Picture, heights and class are on the right. Is it real? Press <b>{label}</b> or key Y."
+            text = Markup("Picture, heights and class are on the right. Is it real? Press <b>{}</b> or key Y.").format(
+                label
+            )
             return Note("Judge a defect", text, label)
         case _:
             if view.step != "report":
-                text = "All of it goes into one file. Press <b>Report</b>."
+                text = Markup("All of it goes into one file. Press <b>Report</b>.")
                 return Note("Write the report", text, "Report")
-            text = "Results, defects and the wafer map stand in one HTML file. Press <b>Write report</b>."
+            text = Markup("Results, defects and the wafer map stand in one HTML file. Press <b>Write report</b>.")
             return Note("Write the report", text, "Write report")
 
 
@@ -198,86 +203,116 @@ def _watch(snapshot: Snapshot, view: View) -> Note:
     data, title = snapshot.dataset, "Watch the surface grow"
     if data is not None and not data.finished and not snapshot.scanning and snapshot.rig.state == "ready":
         if view.step != "acquire":
-            return Note(title, "The scan is unfinished. Press <b>Acquire</b>.", "Acquire")
-        return Note(title, "The scan is unfinished. Press <b>Continue the scan</b>.", "Continue the scan")
+            return Note(title, Markup("The scan is unfinished. Press <b>Acquire</b>."), "Acquire")
+        return Note(title, Markup("The scan is unfinished. Press <b>Continue the scan</b>."), "Continue the scan")
     if data is None or not data.finished:
         text = "The focus sweeps through each field. Heights appear as soon as a field has all its frames."
         return Note(title, text)
     if not snapshot.surface_is_whole:
         return Note(title, "All frames are taken. The last fields are reconstructed and stitched to the others.")
     if view.step != "acquire":
-        return Note(title, "The fields are scanned and stitched. Press <b>Surface</b>.", "Surface")
-    return Note(title, "The fields are scanned and stitched. Press <b>Look at the surface</b>.", "Look at the surface")
+        return Note(title, Markup("The fields are scanned and stitched. Press <b>Surface</b>."), "Surface")
+    return Note(
+        title, Markup("The fields are scanned and stitched. Press <b>Look at the surface</b>."), "Look at the surface"
+    )
 
 
 def _measure(view: View) -> Note:
     title = "Measure a step"
     if view.step != "measure":
-        return Note(title, "Press <b>Measure</b>.", "Measure")
+        return Note(title, Markup("Press <b>Measure</b>."), "Measure")
     if view.tool != "step":
-        text = "Below is a profile of the surface. Press <b>Step</b> for the height of one face over another."
+        text = Markup("Below is a profile of the surface. Press <b>Step</b> for the height of one face over another.")
         return Note(title, text, at="[data-pick=tool][data-k=step]")
-    text = "Two faces were found. Press <b>Keep result</b>: the height and its uncertainty go into the list."
+    text = Markup("Two faces were found. Press <b>Keep result</b>: the height and its uncertainty go into the list.")
     return Note(title, text, "Keep result")
 
 
 def _inspect(snapshot: Snapshot, view: View) -> Note:
     title, state = "Find the defects", snapshot.inspection
     if view.step != "review":
-        return Note(title, "Every die can be compared with the others. Press <b>Review</b>.", "Review")
+        return Note(title, Markup("Every die can be compared with the others. Press <b>Review</b>."), "Review")
     if state.work:
         return Note(title, "The dies are compared with each other …")
-    text = "Every die is compared with the others. Press <b>Inspect</b>: it finds a gel drop, a scratch and particles."
+    text = Markup(
+        "Every die is compared with the others. Press <b>Inspect</b>: it finds a gel drop, a scratch and particles."
+    )
     return Note(title, text, "Inspect")
 
 
-def _note_html(note: Note, step: int) -> str:
-    dashes = "".join(f'<i class="{"done" if k < step else "now" if k == step else ""}"></i>' for k in range(N_STEPS))
-    aim = f'data-button="{html.safe(note.button)}" data-at="{html.safe(note.at)}"'
+def _note_html(note: Note, step: int) -> Markup:
+    dashes = Markup("").join(
+        Markup('<i class="{}"></i>').format("done" if k < step else "now" if k == step else "") for k in range(N_STEPS)
+    )
+    aim = Markup('data-button="{}" data-at="{}"').format(note.button, note.at)
     press = (
-        ""
+        Markup()
         if not (note.button or note.at)
         else (
-            '<span class="wv-tour-press">or <a role="button" tabindex="0" onclick="wvTourPress()" '
-            "onkeydown=\"if(event.key==='Enter')wvTourPress()\">Press it for me</a></span>"
+            Markup(
+                '<span class="wv-tour-press">or <a role="button" tabindex="0" onclick="wvTourPress()" '
+                "onkeydown=\"if(event.key==='Enter')wvTourPress()\">Press it for me</a></span>"
+            )
         )
     )
-    skip = f'<a class="wv-tour-skip" {html.pick("tour-skip", step)}>Skip</a>'
-    return (
+    skip = Markup('<a class="wv-tour-skip" {}>Skip</a>').format(html.pick("tour-skip", step))
+    return Markup(
         '<div class="wv-tour-ring"></div>'
-        f'<div class="wv-tour" role="dialog" aria-label="Tour, step {step + 1} of {N_STEPS}" {aim}>'
+        '<div class="wv-tour" role="dialog" aria-label="Tour, step {aria_label} of {n_steps}" {aim}>'
         '<div class="wv-tour-arrow"></div>'
-        f'<div class="wv-tour-head"><span>Tour · {step + 1} of {N_STEPS}</span>'
-        f"<a {html.pick('tour-end')}>Escape ends it</a></div>"
-        f'<b class="wv-tour-title">{html.safe(note.title)}</b><p>{note.text}</p>'
-        f'<div class="wv-tour-foot"><span class="wv-tour-dashes">{dashes}</span>{press}'
-        f"{skip}</div></div>"
+        '<div class="wv-tour-head"><span>Tour · {aria_label} of {n_steps}</span>'
+        "<a {pick}>Escape ends it</a></div>"
+        '<b class="wv-tour-title">{title}</b><p>{text}</p>'
+        '<div class="wv-tour-foot"><span class="wv-tour-dashes">{dashes}</span>{press}'
+        "{skip}</div></div>"
+    ).format(
+        aria_label=step + 1,
+        n_steps=N_STEPS,
+        aim=aim,
+        pick=html.pick("tour-end"),
+        title=note.title,
+        text=note.text,
+        dashes=dashes,
+        press=press,
+        skip=skip,
     )
 
 
-def end_card(snapshot: Snapshot, tour: Tour, report: Path | None) -> str:
+def end_card(snapshot: Snapshot, tour: Tour, report: Path | None) -> Markup:
     """Return the final card with the results of scan, measurement, inspection and report, as HTML."""
     data = snapshot.dataset
     took = duration((tour.ended_s or tour.since_s) - tour.since_s)
-    name = html.safe(data.path.stem) if data is not None else ""
-    results = "".join(
-        f'<div class="{"" if there else "none"}"><small>{html.safe(what)}</small><b>{html.safe(value)}</b>'
-        f"<span>{html.safe(below)}</span></div>"
+    name = data.path.stem if data is not None else ""
+    results = Markup("").join(
+        Markup('<div class="{there}"><small>{what}</small><b>{value}</b><span>{below}</span></div>').format(
+            there="" if there else "none", what=what, value=value, below=below
+        )
         for what, value, below, there in (_scanned(snapshot), _stepped(snapshot), _found(snapshot), _written(report))
     )
     link = (
-        f'<a class="yes" href="{report_address(report)}" target="_blank" rel="noopener">Open the report</a>'
+        Markup('<a class="yes" href="{}" target="_blank" rel="noopener">Open the report</a>').format(
+            report_address(report)
+        )
         if report is not None
-        else ""
+        else Markup()
     )
-    return (
+    return Markup(
         '<div class="wv-tour-end" role="dialog" aria-label="Results of the tour">'
-        f"<header><b>Seen, measured, reported</b><span>{N_STEPS} of {N_STEPS} · {took} in all</span></header>"
-        f'<div class="wv-tour-results">{results}</div>'
+        "<header><b>Seen, measured, reported</b><span>{n_steps} of {n_steps} · {took} in all</span></header>"
+        '<div class="wv-tour-results">{results}</div>'
         '<p>All of it is <b class="wv-sim">SIMULATED</b>: no sample was there. '
-        f"The dataset stays in the list as <b>{name}</b>.</p>"
-        f'<div class="wv-tour-ways">{link}<a {html.pick("tour-plan")}>Plan a scan of my own</a>'
-        f"<a {html.pick('tour-import')}>Import images…</a><a {html.pick('tour-end')}>Close</a></div></div>"
+        "The dataset stays in the list as <b>{name}</b>.</p>"
+        '<div class="wv-tour-ways">{link}<a {pick}>Plan a scan of my own</a>'
+        "<a {pick2}>Import images…</a><a {pick3}>Close</a></div></div>"
+    ).format(
+        n_steps=N_STEPS,
+        took=took,
+        results=results,
+        name=name,
+        link=link,
+        pick=html.pick("tour-plan"),
+        pick2=html.pick("tour-import"),
+        pick3=html.pick("tour-end"),
     )
 
 
@@ -336,7 +371,7 @@ class Welcome:
         gui = page.gui
         self._panel = gui.add_panel(visible=False)
         with self._panel.add_tab("Start"):
-            gui.add_html('<div class="wv-card"></div>')
+            add_html(gui, Markup('<div class="wv-card"></div>'))
             HtmlBlock(gui, _HEAD)
             plan = command_button(
                 gui, "Plan a scan", viser.Icon.LAYOUT_GRID, guarded(page, "There is no plan")(lambda _: self._plan())
@@ -357,10 +392,12 @@ class Welcome:
         if not first:
             return
         self._centre()
-        link = f'<span class="wv-link" {html.command_pick("tour")}>Take the tour on the virtual rig</span>, {TOUR_TIME}'
+        link = Markup('<span class="wv-link" {}>Take the tour on the virtual rig</span>, {}').format(
+            html.command_pick("tour"), TOUR_TIME
+        )
         way = link if snapshot.rig.limits is not None else "The virtual rig is starting …"
-        tour = f"No sample at hand? &ensp;{way}" if snapshot.rig.simulated else ""
-        self._tour.show(f'<div class="wv-lab" style="text-align:center;padding:4px 0 6px">{tour}</div>')
+        tour = Markup("No sample at hand? &ensp;{}").format(way) if snapshot.rig.simulated else Markup()
+        self._tour.show(Markup('<div class="wv-lab" style="text-align:center;padding:4px 0 6px">{}</div>').format(tour))
 
     def commands(self) -> list[Command]:
         """Return the command that plans a scan."""
@@ -387,7 +424,7 @@ class Welcome:
             self._panel.float(x=max(0, place[0]), y=place[1], width=WIDTH_PX)
 
 
-_HEAD = (
+_HEAD = Markup(
     '<div class="wv-hello"><b>Start with a sample</b>'
     "<span>Lay a field grid on it and scan, or open<br>what was measured before.</span></div>"
 )

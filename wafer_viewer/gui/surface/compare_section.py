@@ -6,6 +6,7 @@ from collections.abc import Hashable
 from typing import Any
 
 import viser
+from markupsafe import Markup
 
 from wafer_viewer.gui.page.dialogs import Dialog
 from wafer_viewer.gui.page.file_dialog import FileList
@@ -177,7 +178,7 @@ class CompareSection:
             self._with.options = titles
         set_prop(self._begin_button, "disabled", not self._pairs)
         why = "" if self._pairs else "Not yet: there is no other surface in the data folder."
-        self._why_not.show(f'<div class="wv-lab">{why}</div>' if why else "")
+        self._why_not.show(Markup('<div class="wv-lab">{}</div>').format(why) if why else Markup())
 
     def _show_known(self, known: Compared | None, view: View) -> None:
         set_prop(self._on_show, "visible", known is not None)
@@ -207,32 +208,38 @@ def _align(title: str) -> Align:
     return next(key for key, name in ALIGN_TITLES.items() if name == title)
 
 
-def _list(snapshot: Snapshot, known: Compared | None, unfolded: bool) -> str:
+def _list(snapshot: Snapshot, known: Compared | None, unfolded: bool) -> Markup:
     """Return the header with the link for a new comparison, and the list of comparisons, as HTML."""
     link = (
-        "" if known is not None else f'<span class="wv-link" {html.pick("compare-new")}>{_fold_word(unfolded)}</span>'
+        Markup()
+        if known is not None
+        else Markup('<span class="wv-link" {}>{}</span>').format(html.pick("compare-new"), _fold_word(unfolded))
     )
-    head = f'<div class="wv-h">Compare<span>{link}</span></div>'
+    head = Markup('<div class="wv-h">Compare<span>{}</span></div>').format(link)
     rows = [_row(c, chosen=known is not None and c.number == known.number) for c in snapshot.comparisons]
-    return head + (html.table((), rows, " n") + '<div style="height:8px"></div>' if rows else "")
+    return head + (html.table((), rows, " n") + Markup('<div style="height:8px"></div>') if rows else "")
 
 
 def _fold_word(unfolded: bool) -> str:
     return "Less" if unfolded else "New…"
 
 
-def _row(compared: Compared, chosen: bool) -> str:
-    name = html.safe(words.comparison_name(compared.comparison))
-    away = f'<span class="wv-link" title="Remove" {html.command_pick("compare-remove", str(compared.number))}>'
-    cells = (name, f"{away}{html.icon(ICON.X, 14)}</span>")
+def _row(compared: Compared, chosen: bool) -> Markup:
+    name = words.comparison_name(compared.comparison)
+    away = Markup('<span class="wv-link" title="Remove" {}>').format(
+        html.command_pick("compare-remove", str(compared.number))
+    )
+    cells = (name, Markup("{}{}</span>").format(away, html.icon(ICON.X, 14)))
     return html.row(cells, " n", html.pick("compare-look", str(compared.number)), "sel" if chosen else "")
 
 
-def _told(known: Compared, face: ComparisonFace) -> str:
+def _told(known: Compared, face: ComparisonFace) -> Markup:
     comparison: Any = known.comparison
-    beside = f'<div class="wv-lab">{words.BESIDE_SAID}</div>' if face is ComparisonFace.BESIDE else ""
+    beside = (
+        Markup('<div class="wv-lab">{}</div>').format(words.BESIDE_SAID) if face is ComparisonFace.BESIDE else Markup()
+    )
     return (
-        f'<div class="wv-lab" style="margin-bottom:8px">{html.safe(words.surfaces_sentence(comparison))}</div>'
+        Markup('<div class="wv-lab" style="margin-bottom:8px">{}</div>').format(words.surfaces_sentence(comparison))
         + beside
         + words.change_figures(comparison.change)
         + words.warnings(comparison, known.outdated)

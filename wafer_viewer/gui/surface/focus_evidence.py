@@ -6,6 +6,8 @@ from collections.abc import Hashable
 from concurrent.futures import Future
 from dataclasses import dataclass, replace
 
+from markupsafe import Markup
+
 from wafer_viewer.draw.charts.focus_curve_plot import focus_plot_html
 from wafer_viewer.draw.number_format import with_unit
 from wafer_viewer.draw.surface.pictures import Greys, greys, patch, patch_url
@@ -16,7 +18,7 @@ from wafer_viewer.gui.scene.heightfield import Place
 from wafer_viewer.gui.state.view_state import View
 from wafer_viewer.gui.widgets import html
 from wafer_viewer.gui.widgets.callback_timing import LatestOnlyWorker
-from wafer_viewer.gui.widgets.controls import HtmlBlock, set_prop
+from wafer_viewer.gui.widgets.controls import HtmlBlock, add_html, set_prop
 from wafer_viewer.gui.widgets.error_guard import guarded, tell_failure
 from wafer_viewer.gui.widgets.style import PROFILE_PX
 from wafer_viewer.model.errors import WaferViewerError
@@ -95,12 +97,12 @@ class WhyPanel:
         """Close the panel."""
         self._page.change(why=None)
 
-    def _said(self) -> str:
+    def _said(self) -> Markup:
         curve = self.evidence.curve
         if curve is None:
-            return ""
-        said = "".join(part(curve) for part in (words.answer, words.verdicts, words.rivals))
-        return f'<div class="wv-pale">{said}</div>' if self.evidence.reading else said
+            return Markup()
+        said = Markup("").join(part(curve) for part in (words.answer, words.verdicts, words.rivals))
+        return Markup('<div class="wv-pale">{}</div>').format(said) if self.evidence.reading else said
 
     def _ask_if_new(self, snapshot: Snapshot, view: View) -> None:
         asked = (view.why, view.show, _stamp(snapshot, view))
@@ -151,11 +153,11 @@ class WhyDock:
         self._worker = LatestOnlyWorker("frame")
         self._curve: FocusCurve | None = None
         self._greys: Greys = 0.0, 1.0
-        self._picture = ""
+        self._picture = Markup()
         self._panel = BottomPanel(page, "why")
         with self._panel.tab:
             self._head = HtmlBlock(page.gui)
-            page.gui.add_html('<div class="wv-why"></div>')
+            add_html(page.gui, Markup('<div class="wv-why"></div>'))
             self._plot = HtmlBlock(page.gui)
             self._frame = HtmlBlock(page.gui)
         page.on_pick("why-frame", lambda z_um: self._look_at(float(z_um)))
@@ -170,19 +172,23 @@ class WhyDock:
         curve = evidence.curve
         self._head.show(_head(curve, evidence.reading))
         if curve is None:
-            problem = evidence.problem and html.note("attention", FAILED, evidence.problem)
-            self._plot.show(problem or html.empty(READING))
+            problem = html.note("attention", FAILED, evidence.problem) if evidence.problem else html.empty(READING)
+            self._plot.show(problem)
             self._frame.show("")
             return
         if curve is not self._curve:
             self._begin(curve)
         pale = " wv-pale" if evidence.reading else ""
-        self._plot.show(f'<div class="{pale}">{focus_plot_html(curve, PROFILE_PX - HEAD_PX, _slider(curve))}</div>')
+        self._plot.show(
+            Markup('<div class="{}">{}</div>').format(
+                pale, focus_plot_html(curve, PROFILE_PX - HEAD_PX, _slider(curve))
+            )
+        )
         self._frame.show(self._picture)
 
     def _begin(self, curve: FocusCurve) -> None:
         """Start with another pixel at the frame of its peak, whose grey range is used for all of its frames."""
-        self._curve, self._picture = curve, ""
+        self._curve, self._picture = curve, Markup()
         self._look_at(curve.z_um[_sharpest(curve)])
 
     def _look_at(self, z_um: float) -> None:
@@ -207,46 +213,48 @@ def _sharpest(curve: FocusCurve) -> int:
     return max(range(len(curve.focus)), key=lambda k: curve.focus[k])
 
 
-def _head(curve: FocusCurve | None, reading: bool) -> str:
+def _head(curve: FocusCurve | None, reading: bool) -> Markup:
     about = (
         READING if reading and curve is not None else words.focus_measurement_text(curve) if curve is not None else ""
     )
     hint = "Drag through the curve to see its frames" if curve is not None else ""
-    return (
-        f'<div class="wv-dock"><b>Focus curve</b><span class="dim">{html.safe(about)}</span>'
-        f'<span class="wv-end"><span class="wv-hint">{hint}</span></span>{words.close_action("")}</div>'
-    )
+    return Markup(
+        '<div class="wv-dock"><b>Focus curve</b><span class="dim">{}</span>'
+        '<span class="wv-end"><span class="wv-hint">{}</span></span>{}</div>'
+    ).format(about, hint, words.close_action(""))
 
 
-def _slider(curve: FocusCurve) -> str:
+def _slider(curve: FocusCurve) -> Markup:
     """Return the frame selector as HTML: a slider over z that covers the plot, so that it can be dragged anywhere."""
     low, high = curve.z_um[0], curve.z_um[-1]
     step = (high - low) / (len(curve.z_um) - 1) * (1 - 1e-9)  # or the last frame would lie beyond the last step
-    tell = html.safe(f"this.dataset.k=this.value;{html.pick_script('why-frame', latest_only=True)}")
+    tell = f"this.dataset.k=this.value;{html.pick_script('why-frame', latest_only=True)}"
     hold = "if(event.key.startsWith('Arrow'))event.stopPropagation()"  # or the camera would move too
-    return (
-        f'<input type="range" class="wv-scrub" aria-label="Frame at z, µm" min="{low!r}" max="{high!r}" '
-        f'step="{step!r}" value="{curve.z_um[_sharpest(curve)]!r}" oninput="{tell}" onkeydown="{hold}">'
-    )
+    return Markup(
+        '<input type="range" class="wv-scrub" aria-label="Frame at z, µm" min="{low!r}" max="{high!r}" '
+        'step="{step!r}" value="{value!r}" oninput="{tell}" onkeydown="{hold}">'
+    ).format(low=low, high=high, step=step, value=curve.z_um[_sharpest(curve)], tell=tell, hold=hold)
 
 
-def _cross_hair(window_px: int) -> str:
+def _cross_hair(window_px: int) -> Markup:
     """Return a cross hair around the pixel and the outline of its focus window, as SVG."""
     half, low, high = PATCH_PX / 2, PATCH_PX / 2 + 0.5 - window_px / 2, PATCH_PX / 2 + 0.5 + window_px / 2
     middle, gap, end = half + 0.5, 12, PATCH_PX
     lines = f"M0 {middle}H{low - gap}M{high + gap} {middle}H{end}M{middle} 0V{low - gap}M{middle} {high + gap}V{end}"
     d = f"{lines}M{low} {low}H{high}V{high}H{low}Z"
     strokes = (("rgba(0,0,0,.65)", 3.4), ("#fff", 1.5))
-    paths = "".join(f'<path d="{d}" stroke="{colour}" stroke-width="{width}"/>' for colour, width in strokes)
-    return f'<svg viewBox="0 0 {PATCH_PX} {PATCH_PX}">{paths}</svg>'
+    paths = Markup("").join(
+        Markup('<path d="{}" stroke="{}" stroke-width="{}"/>').format(d, colour, width) for colour, width in strokes
+    )
+    return Markup('<svg viewBox="0 0 {} {}">{}</svg>').format(PATCH_PX, PATCH_PX, paths)
 
 
-def _picture(curve: FocusCurve, k: int, url: str) -> str:
+def _picture(curve: FocusCurve, k: int, url: str) -> Markup:
     """Return the picture of the pixel's surroundings in a frame, with the frame's number and z, as HTML."""
     z = with_unit(curve.z_um[k], 2, signed=True)
-    return (
-        f'<figure class="wv-patch" style="width:{PICTURE_PX}px">'
-        f'<div style="height:{PICTURE_PX}px"><img src="{url}" alt="Frame {k + 1} round the pixel">'
-        f"{_cross_hair(curve.window)}</div>"
-        f"<figcaption><b>z {z}</b><span>frame {k + 1} of {len(curve.z_um)}</span></figcaption></figure>"
-    )
+    return Markup(
+        '<figure class="wv-patch" style="width:{picture_px}px">'
+        '<div style="height:{picture_px}px"><img src="{url}" alt="Frame {alt} round the pixel">'
+        "{cross_hair}</div>"
+        "<figcaption><b>z {z}</b><span>frame {alt} of {z_um}</span></figcaption></figure>"
+    ).format(picture_px=PICTURE_PX, url=url, alt=k + 1, cross_hair=_cross_hair(curve.window), z=z, z_um=len(curve.z_um))

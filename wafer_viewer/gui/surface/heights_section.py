@@ -12,6 +12,7 @@ from typing import Any, Literal
 
 import msgspec
 import viser
+from markupsafe import Markup
 
 from wafer_viewer.draw.charts.colour_bar import HEIGHT_PX, histogram_html, place_of
 from wafer_viewer.draw.number_format import number, share, with_unit
@@ -37,12 +38,12 @@ _GRIP_PX = 9
 _CLICK, _AT_END = 0.008, 0.006
 """Shares of the histogram's width."""
 _ALONG = "Math.max(0,Math.min(1,(event.clientX-this.getBoundingClientRect().left)/this.clientWidth))"
-_DOWN = (
-    f"if(event.button===0){{event.stopPropagation();this.setPointerCapture(event.pointerId);const x={_ALONG};"
+_DOWN = Markup(
+    "if(event.button===0){{event.stopPropagation();this.setPointerCapture(event.pointerId);const x={};"
     "const g=[...this.querySelectorAll('b')].map(e=>[Math.abs(parseFloat(e.style.left)/100-x),e.dataset.grip])"
-    f".filter(e=>e[0]<{_GRIP_PX}/this.clientWidth).sort((a,b)=>a[0]-b[0]);"
-    "window.wvBrush=[g.length?g[0][1]:'brush',x]}"
-)
+    ".filter(e=>e[0]<{}/this.clientWidth).sort((a,b)=>a[0]-b[0]);"
+    "window.wvBrush=[g.length?g[0][1]:'brush',x]}}"
+).format(_ALONG, _GRIP_PX)
 _MOVE = (
     "const h=window.wvBrush;if(!(event.buttons&1)){window.wvBrush=undefined}else if(h){"
     f"const x={_ALONG};if(h[0]==='brush'){{const s=this.firstElementChild.style;s.display='block';"
@@ -55,7 +56,7 @@ _UP = (
 )
 
 
-def histogram_area(ends_um: Span, brush_um: Span | None, clip_um: Span | None, *, clips: bool) -> str:
+def histogram_area(ends_um: Span, brush_um: Span | None, clip_um: Span | None, *, clips: bool) -> Markup:
     """Return the element over the bars as HTML.
 
     clips: add grips at the ends of `clip_um`, or of the histogram without one.
@@ -67,16 +68,16 @@ def histogram_area(ends_um: Span, brush_um: Span | None, clip_um: Span | None, *
     grips = ""
     if clips:
         places = (0.0, 1.0) if clip_um is None else tuple(place_of(z, ends_um) for z in clip_um)
-        grips = "".join(
-            f'<b data-grip="{name}" style="left:{100 * at:.3f}%"></b>'
+        grips = Markup("").join(
+            Markup('<b data-grip="{}" style="left:{:.3f}%"></b>').format(name, 100 * at)
             for name, at in zip(("low", "high"), places, strict=True)
         )
     heard = {"pointerdown": _DOWN, "pointermove": _MOVE, "pointerup": _UP}
-    handlers = " ".join(f'on{event}="{html.safe(script)}"' for event, script in heard.items())
-    return (
-        f'<div class="wv-over-hist"><div class="wv-brush" style="height:{HEIGHT_PX}px" '
-        f'title="Drag to brush heights, click to clear" {handlers}><div style="{band}"></div>{grips}</div></div>'
-    )
+    handlers = " ".join(Markup('on{}="{}"').format(event, script) for event, script in heard.items())
+    return Markup(
+        '<div class="wv-over-hist"><div class="wv-brush" style="height:{height_px}px" '
+        'title="Drag to brush heights, click to clear" {handlers}><div style="{band}"></div>{grips}</div></div>'
+    ).format(height_px=HEIGHT_PX, handlers=handlers, band=band, grips=grips)
 
 
 @dataclass(frozen=True, slots=True)
@@ -232,14 +233,14 @@ def around(box: Box) -> Region:
     return Region.rectangle(*(round(v, 2) for v in (x0 - dx, y0 - dy, x1 + dx, y1 + dy)))
 
 
-def _head(view: View) -> str:
+def _head(view: View) -> Markup:
     if view.brush_um is None:
         return html.head("Heights", "Drag to brush")
     low, high = view.brush_um
     words = f"{number(low, 2, signed=True)} … {with_unit(high, 2, signed=True)}"
-    clear = f'<span class="wv-link" title="Key Escape" {html.pick("unbrush")}>Clear</span>'
-    sign = '<i class="wv-swatch-brush"></i> Brushed'
-    return f'<div class="wv-h"><b>{sign}</b><span>{html.safe(words)} &ensp;{clear}</span></div>'
+    clear = Markup('<span class="wv-link" title="Key Escape" {}>Clear</span>').format(html.pick("unbrush"))
+    sign = Markup('<i class="wv-swatch-brush"></i> Brushed')
+    return Markup('<div class="wv-h"><b>{}</b><span>{} &ensp;{}</span></div>').format(sign, words, clear)
 
 
 def _sorted(a: float, b: float) -> Span:

@@ -9,6 +9,7 @@ from dataclasses import replace
 from typing import Any
 
 import viser
+from markupsafe import Markup
 
 from wafer_viewer.draw.colormaps import ORIGIN_COLOURS
 from wafer_viewer.draw.number_format import number
@@ -88,7 +89,7 @@ class PointsSection:
         return BoundInput(handle, lambda event: act(event.target.value), self._page, FAILED)
 
 
-def counted(told: Statistics, drawn: int, view: View) -> str:
+def counted(told: Statistics, drawn: int, view: View) -> Markup:
     """Return the number of drawn points of all, and the reasons for the others, as HTML."""
     refused = told.refused
     n_all, n_left, left_out = _totals(told)
@@ -102,8 +103,8 @@ def counted(told: Statistics, drawn: int, view: View) -> str:
         rest.append(f"{amount(nearer)} when nearer or in view")
     if refused is not None and refused.n_heights:
         rest.insert(0, f"{amount(refused.n_heights)} of them refused")
-    beside = f' <span class="dim">· {" · ".join(rest)}</span>' if rest else ""
-    return f"<b>{amount(min(drawn, n_all))} of {amount(n_all)} points</b>{beside}"
+    beside = Markup(' <span class="dim">· {}</span>').format(Markup(" · ").join(rest)) if rest else Markup()
+    return Markup("<b>{} of {} points</b>{}").format(amount(min(drawn, n_all)), amount(n_all), beside)
 
 
 def amount(n: float) -> str:
@@ -113,21 +114,24 @@ def amount(n: float) -> str:
     return f"{number(n / _KILO, 0 if n >= 9950 else 1)} k" if n >= _KILO else number(n, 0)
 
 
-def refused_legend(refused: RefusedCounts) -> str:
+def refused_legend(refused: RefusedCounts) -> Markup:
     """Return the legend of rejection reasons with their colours and counts, most frequent first, as HTML."""
     found = sorted(refused.by_reason.items(), key=lambda item: -item[1])
-    rows = "".join(
-        f"{html.swatch(f'rgb{ORIGIN_COLOURS[Origin(code)]}!important', 'var(--ink3)')}"
-        f"<span>{html.safe(ORIGIN_TITLES[Origin(code)])}</span><b>{number(n, 0)}</b>"
+    rows = Markup("").join(
+        Markup("{}<span>{}</span><b>{}</b>").format(
+            html.swatch(f"rgb{ORIGIN_COLOURS[Origin(code)]}!important", "var(--ink3)"),
+            ORIGIN_TITLES[Origin(code)],
+            number(n, 0),
+        )
         for code, n in found
     )
-    return f'<div class="wv-reasons">{rows}</div>' if rows else ""
+    return Markup('<div class="wv-reasons">{}</div>').format(rows) if rows else Markup()
 
 
-def _refused_words(told: Statistics | None, view: View) -> str:
+def _refused_words(told: Statistics | None, view: View) -> Markup:
     """Return the legend of rejected points, or the reason why there are none, as HTML."""
     if not view.refused:
-        return ""
+        return Markup()
     if view.show < 0:
         return _remark(NO_FIELDS)
     refused = told.refused if told is not None else None
@@ -142,8 +146,8 @@ def _refused_words(told: Statistics | None, view: View) -> str:
     return (refused_legend(refused) or _remark(none)) + (_remark(some) if refused.n_fields_without else "")
 
 
-def _remark(text: str) -> str:
-    return f'<div class="wv-lab">{html.safe(text)}</div>'
+def _remark(text: str) -> Markup:
+    return Markup('<div class="wv-lab">{}</div>').format(text)
 
 
 def _totals(told: Statistics) -> tuple[int, int, dict[LeftOut, int]]:
@@ -158,15 +162,15 @@ def _totals(told: Statistics) -> tuple[int, int, dict[LeftOut, int]]:
     return told.n_heights + refused.n_heights, told.n_points + refused.n_points, left_out
 
 
-def _shares(told: Statistics, drawn: int) -> str:
+def _shares(told: Statistics, drawn: int) -> Markup:
     """Return a bar of the points drawn, drawn when closer, and clipped, as HTML."""
     n_all, n_left, _ = _totals(told)
     whole = max(1, n_all)
     now, later = 100 * min(1.0, drawn / whole), 100 * max(0.0, (n_left - drawn) / whole)
-    return (
+    return Markup(
         '<div class="wv-share" style="margin:0 0 6px">'
-        f'<i style="width:{now:.1f}%"></i><i style="width:{later:.1f}%;opacity:.3"></i></div>'
-    )
+        '<i style="width:{:.1f}%"></i><i style="width:{:.1f}%;opacity:.3"></i></div>'
+    ).format(now, later)
 
 
 CLIP_FAILED = "The clip box was not changed"
@@ -306,7 +310,9 @@ class PointCount:
             return
         words = counted(told, self._page.drawn_points, view)
         width_px, height_px = size_px(words, self._page.client.camera.image_width)
-        self._glass.show(f'<div class="wv-glass wv-points">{words}</div>', width_px=width_px, height_px=height_px)
+        self._glass.show(
+            Markup('<div class="wv-glass wv-points">{}</div>').format(words), width_px=width_px, height_px=height_px
+        )
 
 
 def size_px(words: str, scene_px: int) -> tuple[int, int]:

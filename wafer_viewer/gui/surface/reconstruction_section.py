@@ -6,6 +6,7 @@ from collections.abc import Callable
 from typing import Any
 
 import viser
+from markupsafe import Markup
 
 from wafer_viewer.gui.page.dialogs import reconstruct_dialog
 from wafer_viewer.gui.page.page import Page
@@ -14,7 +15,7 @@ from wafer_viewer.gui.scenes.pose_overlay import PoseCache
 from wafer_viewer.gui.scenes.surface_scene import source_of
 from wafer_viewer.gui.state.view_state import View
 from wafer_viewer.gui.widgets import html
-from wafer_viewer.gui.widgets.controls import BoundInput, HtmlBlock, command_button, in_a_row, set_prop
+from wafer_viewer.gui.widgets.controls import BoundInput, HtmlBlock, add_html, command_button, in_a_row, set_prop
 from wafer_viewer.gui.widgets.error_guard import guarded
 from wafer_viewer.model.spec import replace
 from wafer_viewer.model.surface.recipe import READY_RECIPES, Recipe
@@ -128,7 +129,7 @@ class RecipeSection:
         doubts = not words.accepts_all_peaks(recipe)
         self._second.enable(doubts)
         self._edges.enable(doubts)
-        self._why_not.show("" if doubts else f'<div class="wv-why">{words.BELIEVES_ALL}</div>')
+        self._why_not.show(Markup() if doubts else Markup('<div class="wv-why">{}</div>').format(words.BELIEVES_ALL))
 
 
 def _asked(data: OpenDataset | None, info: SurfaceInfo | None) -> Recipe:
@@ -138,7 +139,7 @@ def _asked(data: OpenDataset | None, info: SurfaceInfo | None) -> Recipe:
     return data.job.recipe if data is not None else Recipe()
 
 
-def _said(data: OpenDataset | None, info: SurfaceInfo | None, unfolded: set[str]) -> str:
+def _said(data: OpenDataset | None, info: SurfaceInfo | None, unfolded: set[str]) -> Markup:
     """Return header, recipe in one line, values chosen from the data, and notes, as HTML."""
     asked = _asked(data, info)
     settled = (info.settled if info else None) or asked
@@ -147,10 +148,12 @@ def _said(data: OpenDataset | None, info: SurfaceInfo | None, unfolded: set[str]
     links += [_link("form", "Change", unfolded)] if data else []
     ready = words.ready_name(asked)
     lead = f"{ready}: " if ready not in ("Default", words.OWN) else ""
-    said = f'<div class="wv-h">Reconstruction<span>{" · ".join(links)}</span></div>'
-    said += f"<div>{html.safe(lead + words.summary(settled))}</div>"
+    said = Markup('<div class="wv-h">Reconstruction<span>{}</span></div>').format(Markup(" · ").join(links))
+    said += Markup("<div>{}</div>").format(lead + words.summary(settled))
     if values and "values" in unfolded:
-        said += f'<div class="wv-chosen"><div class="wv-lab">Chosen from the data</div>{html.pairs(values)}</div>'
+        said += Markup('<div class="wv-chosen"><div class="wv-lab">Chosen from the data</div>{}</div>').format(
+            html.pairs(values)
+        )
     return said + words.notes(_noted(info) if info else ())
 
 
@@ -160,9 +163,9 @@ def _noted(info: SurfaceInfo) -> list[str]:
     return [note for note in info.recipe_notes if note not in elsewhere]
 
 
-def _link(part: str, name: str, unfolded: set[str]) -> str:
+def _link(part: str, name: str, unfolded: set[str]) -> Markup:
     shown = "Close" if part == "form" and part in unfolded else "Less" if part in unfolded else name
-    return f'<span class="wv-link" {html.pick("recipe", part)}>{shown}</span>'
+    return Markup('<span class="wv-link" {}>{}</span>').format(html.pick("recipe", part), shown)
 
 
 class StitchingSection:
@@ -175,7 +178,7 @@ class StitchingSection:
         self._folder = gui.add_folder(None, visible=False)
         with self._folder:
             self._head = HtmlBlock(gui)
-            gui.add_html('<div class="wv-wide"></div>')
+            add_html(gui, Markup('<div class="wv-wide"></div>'))
             box = gui.add_checkbox("Fields and overlaps", False, hint="Key O")
             self._on = BoundInput(
                 box, lambda event: page.change(fields=bool(event.target.value)), page, "The display was not changed"
@@ -199,15 +202,19 @@ class StitchingSection:
         self._unfolded = not self._unfolded
         self._page.redraw()
 
-    def _headed(self, info: SurfaceInfo) -> str:
+    def _headed(self, info: SurfaceInfo) -> Markup:
         name = "Less" if self._unfolded else "Details"
-        link = f'<span class="wv-link" {html.pick("stitching")}>{name}</span>' if info.stitching else ""
-        return f'<div class="wv-h">Stitching<span>{link}</span></div>'
+        link = (
+            Markup('<span class="wv-link" {}>{}</span>').format(html.pick("stitching"), name)
+            if info.stitching
+            else Markup()
+        )
+        return Markup('<div class="wv-h">Stitching<span>{}</span></div>').format(link)
 
-    def _all_said(self, snapshot: Snapshot, info: SurfaceInfo, view: View) -> str:
+    def _all_said(self, snapshot: Snapshot, info: SurfaceInfo, view: View) -> Markup:
         found = info.stitching
         if found is None:
-            return f'<div class="wv-lab">{words.BY_STAGE}</div>'
+            return Markup('<div class="wv-lab">{}</div>').format(words.BY_STAGE)
         said = words.cautions(found) + words.stitching_numbers(found)
         if self._unfolded:
             said += words.details(found)
@@ -215,9 +222,11 @@ class StitchingSection:
             said += self._doubted(snapshot, info)
         return said
 
-    def _doubted(self, snapshot: Snapshot, info: SurfaceInfo) -> str:
+    def _doubted(self, snapshot: Snapshot, info: SurfaceInfo) -> Markup:
         source = source_of(snapshot, 0)
         known = self._poses.at(source) if source is not None else None
         return (
-            words.rejected_overlaps(known.poses, info.pixel_um) if known is not None and known.poses is not None else ""
+            words.rejected_overlaps(known.poses, info.pixel_um)
+            if known is not None and known.poses is not None
+            else Markup()
         )

@@ -7,6 +7,7 @@ from collections.abc import Callable
 from typing import Any
 
 import viser
+from markupsafe import Markup
 
 from wafer_viewer.draw.colormaps import COLOUR_MAPS
 from wafer_viewer.draw.number_format import number, share, with_unit
@@ -282,7 +283,7 @@ class SurfacePanel:
         if shown in options:
             self._shown.show(shown)
 
-    def _numbers_of(self, data: OpenDataset | None, info: SurfaceInfo | None, view: View) -> str:
+    def _numbers_of(self, data: OpenDataset | None, info: SurfaceInfo | None, view: View) -> Markup:
         told = self._page.statistics
         if told is not None:
             return _numbers(data, info if view.show == 0 and view.counted == "all" else None, told)
@@ -361,7 +362,7 @@ def _below(data: OpenDataset | None, info: SurfaceInfo | None, told: Statistics 
     return f"{name} · {size} · {share(told.measured_fraction)} measured{calibrated}"
 
 
-def _numbers(data: OpenDataset | None, info: SurfaceInfo | None, told: Statistics) -> str:
+def _numbers(data: OpenDataset | None, info: SurfaceInfo | None, told: Statistics) -> Markup:
     """Return the statistics as HTML; `info` is that of the stitched surface if all of it is counted."""
     rows = [
         ("Highest", with_unit(told.highest_um, 2, signed=True)),
@@ -382,9 +383,13 @@ def _numbers(data: OpenDataset | None, info: SurfaceInfo | None, told: Statistic
     if info is not None and info.overlap_rms_um is not None and info.stitching is None:
         rows.append(("Height difference in overlaps, rms", with_unit(info.overlap_rms_um, 2)))
     blocks = f"Heights are means of {told.block_px} × {told.block_px} points." if told.block_px > 1 else ""
-    note = f'<div class="wv-lab">{blocks}</div>' if blocks else ""
+    note = Markup('<div class="wv-lab">{}</div>').format(blocks) if blocks else Markup()
     problem = data.calibration_problem if data else None
-    why = f'<div class="wv-lab" style="margin-top:5px">uncalibrated: {html.safe(problem)}</div>' if problem else ""
+    why = (
+        Markup('<div class="wv-lab" style="margin-top:5px">uncalibrated: {}</div>').format(problem)
+        if problem
+        else Markup()
+    )
     return html.pairs(rows) + note + why
 
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 from typing import Any, get_args
 
 import viser
+from markupsafe import Markup
 
 from wafer_viewer.gui.state.view_state import Tool
 from wafer_viewer.gui.widgets import html
@@ -16,7 +17,7 @@ GROUPS: dict[str, tuple[MeasuringTool, ...]] = {
 }
 ON_TOOLBAR = tuple(listed for group in GROUPS.values() if (listed := tuple(t for t in group if t.on_toolbar)))
 """Tools on the toolbar, by group; the others are only in the panel."""
-GAP = '<i class="wv-gap"></i>'
+GAP = Markup('<i class="wv-gap"></i>')
 """Separator between groups on the toolbar."""
 
 
@@ -31,30 +32,36 @@ def hint(tool: MeasuringTool) -> str:
     return f"{tool.title}{keys}"
 
 
-def tool_strip(chosen: Tool) -> str:
+def tool_strip(chosen: Tool) -> Markup:
     """Return the toolbar icons; the active tool shows its name, in place of the last group if it is not listed."""
     groups = ON_TOOLBAR
     if (tool := TOOLS.get(chosen)) is not None and not tool.on_toolbar:
         groups = (*ON_TOOLBAR[:-1], (tool,))
-    return GAP.join("".join(_icon(tool, tool.name == chosen) for tool in group) for group in groups)
+    return GAP.join(Markup("").join(_icon(tool, tool.name == chosen) for tool in group) for group in groups)
 
 
-def tool_cards() -> str:
+def tool_cards() -> Markup:
     """Return all tools with their names as a selection."""
-    return "".join(
-        f'{html.head(name)}<div class="wv-cards">{"".join(_card(tool) for tool in group)}</div>'
+    return Markup("").join(
+        Markup('{}<div class="wv-cards">{}</div>').format(
+            html.head(name), Markup("").join(_card(tool) for tool in group)
+        )
         for name, group in GROUPS.items()
     )
 
 
-def _icon(tool: MeasuringTool, chosen: bool) -> str:
-    on, word = (' class="on"', html.safe(tool.short)) if chosen else ("", "")
-    told = f'title="{html.safe(hint(tool))}" aria-label="{html.safe(tool.short)}"'
-    return f"<span{on} {told} {html.pick('tool', tool.name)}>{html.icon(icon_of(tool), 17)}{word}</span>"
+def _icon(tool: MeasuringTool, chosen: bool) -> Markup:
+    on, word = (Markup(' class="on"'), tool.short) if chosen else ("", "")
+    told = Markup('title="{}" aria-label="{}"').format(hint(tool), tool.short)
+    return Markup("<span{on} {told} {pick}>{icon}{word}</span>").format(
+        on=on, told=told, pick=html.pick("tool", tool.name), icon=html.icon(icon_of(tool), 17), word=word
+    )
 
 
-def _card(tool: MeasuringTool) -> str:
-    keys = f"<kbd>{'⇧' if tool.shift else ''}{tool.key}</kbd>" if tool.key else ""
-    told = f'title="{html.safe(tool.how)}" aria-label="{html.safe(tool.title)}"'
-    name = html.safe(tool.short)
-    return f"<div {told} {html.pick('tool', tool.name)}>{html.icon(icon_of(tool), 18)}<span>{name}</span>{keys}</div>"
+def _card(tool: MeasuringTool) -> Markup:
+    keys = Markup("<kbd>{}{}</kbd>").format("⇧" if tool.shift else "", tool.key) if tool.key else Markup()
+    told = Markup('title="{}" aria-label="{}"').format(tool.how, tool.title)
+    name = tool.short
+    return Markup("<div {told} {pick}>{icon}<span>{name}</span>{keys}</div>").format(
+        told=told, pick=html.pick("tool", tool.name), icon=html.icon(icon_of(tool), 18), name=name, keys=keys
+    )

@@ -9,8 +9,10 @@ from collections.abc import Callable, Generator, Sequence
 from typing import Any, Generic, Literal, Protocol, TypeVar, get_type_hints
 
 import viser
+from markupsafe import Markup, escape
 from viser import _assignable_props_api as api
 
+from wafer_viewer.gui.widgets import html
 from wafer_viewer.gui.widgets.error_guard import ErrorSink, guarded
 from wafer_viewer.gui.widgets.style import by_id
 
@@ -23,22 +25,31 @@ TIGHT_ROW = 3
 """Number of buttons in a row from which their labels get compact spacing."""
 
 
-class HtmlBlock:
-    """A block of HTML on the page."""
+def add_html(gui: Gui, content: Markup | Literal[""]) -> viser.GuiHtmlHandle:
+    """Add an element of HTML to the page; text that is not Markup is escaped."""
+    return gui.add_html(_sent(content))
 
-    def __init__(self, gui: Gui, content: str = "", padded: bool = True) -> None:
+
+def _sent(content: Markup | Literal[""]) -> str:
+    return str(escape(content))
+
+
+class HtmlBlock:
+    """A block of HTML on the page. Text that is not Markup is shown as text."""
+
+    def __init__(self, gui: Gui, content: Markup | Literal[""] = "", padded: bool = True) -> None:
         self._padded = padded
         self._content = content
-        self._handle = gui.add_html(self._framed(content))
+        self._handle = add_html(gui, self._framed(content))
 
-    def show(self, content: str) -> None:
+    def show(self, content: Markup | Literal[""]) -> None:
         """Set the content if it has changed."""
         if content != self._content:
             self._content = content
-            self._handle.content = self._framed(content)
+            self._handle.content = _sent(self._framed(content))
 
-    def _framed(self, content: str) -> str:
-        return f'<div class="wv">{content}</div>' if self._padded and content else content
+    def _framed(self, content: Markup | Literal[""]) -> Markup | Literal[""]:
+        return Markup('<div class="wv">{}</div>').format(content) if self._padded and content else content
 
 
 class Drawn(ErrorSink, Protocol):
@@ -154,12 +165,12 @@ def in_a_row(gui: Gui, buttons: Sequence[Any], height_px: int = 32, filled: Any 
         + (_tight(b) if len(buttons) >= TIGHT_ROW else "")
         for k, b in enumerate(buttons)
     )
-    gui.add_html(f"<style>{rules}</style>")
+    add_html(gui, html.style_sheet(rules))
 
 
 def outlined(gui: Gui, handle: Any, height_px: int = 36) -> None:
     """Draw a button with an outline, as a secondary action."""
-    gui.add_html(f"<style>{_outlined(handle, height_px)}</style>")
+    add_html(gui, html.style_sheet(_outlined(handle, height_px)))
 
 
 def leading(gui: Gui, handle: Any, height_px: int = 44, sticky: bool = True) -> None:
@@ -169,12 +180,12 @@ def leading(gui: Gui, handle: Any, height_px: int = 44, sticky: bool = True) -> 
     if sticky:
         foot = "position:sticky;bottom:0;z-index:3;background:var(--panel);padding:6px 0 8px!important"
         rules += f"div:has(>{at}){{{foot}}}"
-    gui.add_html(f"<style>{rules}</style>")
+    add_html(gui, html.style_sheet(rules))
 
 
 def duo(gui: Gui) -> None:
     """Arrange the next two widgets in a row."""
-    gui.add_html('<div class="wv-duo"></div>')
+    add_html(gui, Markup('<div class="wv-duo"></div>'))
 
 
 class ToggleGroup:
@@ -198,12 +209,12 @@ class ToggleGroup:
     def _click(self, event: Any) -> None:
         self._on_change(self._keys[self._titles.index(event.target.value)])
 
-    def _style(self, chosen: int) -> str:
+    def _style(self, chosen: int) -> Markup:
         group = f"div:has(>.{self._mark})+div button"
         rest = "height:28px!important;border-color:var(--line)!important;color:var(--ink)!important"
         this = "background:var(--accent)!important;color:var(--panel)!important;border-color:var(--accent)!important"
         rules = f"{group}{{{rest}}}{group}:nth-child({chosen + 1}){{{this}}}"
-        return f'<div class="{self._mark}"></div><style>{rules}</style>'
+        return Markup('<div class="{}"></div>{}').format(self._mark, html.style_sheet(rules))
 
 
 @contextlib.contextmanager
@@ -211,7 +222,7 @@ def always_there(gui: Gui) -> Generator[None]:
     """Context for content that stays on the page while panels are folded, because viser removes folded content."""
     panel = gui.add_panel()
     with panel.add_tab("·"):
-        gui.add_html('<div class="wv-ov wv-frame"></div>')
+        add_html(gui, Markup('<div class="wv-ov wv-frame"></div>'))
         yield
     panel.float(x=0, y=0, width=1, height=1)
 
@@ -247,9 +258,9 @@ class FloatingPanel:
         # viser cuts a panel's content at the bottom unless the panel is 18 px higher.
         self._panel.float(x=x, y=y, width=width, height=height + 18)
 
-    def _framed(self, content: str) -> str:
+    def _framed(self, content: str) -> Markup:
         right = "display:flex;justify-content:flex-end" if self._align == "right" else ""
-        return f'<div class="wv-ov" style="{right}">{content}</div>'
+        return Markup('<div class="wv-ov" style="{}">{}</div>').format(right, content)
 
 
 def _tight(handle: Any) -> str:

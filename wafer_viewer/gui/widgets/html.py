@@ -1,12 +1,12 @@
 """HTML elements without a viser widget: headings, tables, notes, large figures, icons.
 
-All functions return HTML text. Text from users or files must be escaped by `safe`.
+Every function returns Markup, and every argument may be text or Markup: what is not Markup is escaped where it enters
+an element. So markup is written only as a literal, and a value from a user or a file never becomes part of it.
 """
 
 from __future__ import annotations
 
 import functools
-import html
 import json
 import re
 import threading
@@ -17,13 +17,14 @@ from typing import Any, Literal
 import viser._gui_api
 import viser._gui_handles
 import viser._icons
+from markupsafe import Markup
 
 _reading = threading.Lock()
 
 
 @functools.cache
 def svg(name: str) -> str:
-    """Return the text of an icon's ``<svg>`` element."""
+    """Return the text of an icon's ``<svg>`` element, which comes with viser."""
     with _reading:
         return _archive().read(f"{name}.svg").decode()
 
@@ -44,9 +45,14 @@ PICKS_HELD_MS = 2000
 """Time for which a pick is reported again together with later ones."""
 
 
-def safe(text: object) -> str:
-    """Return text escaped for use in an element or an attribute."""
-    return html.escape(str(text), quote=True)
+def style_sheet(rules: str) -> Markup:
+    """Return a style element with CSS of the program; text from elsewhere has no place in `rules`."""
+    return Markup("<style>{}</style>").format(Markup(rules))
+
+
+def run_script(script: str) -> Markup:
+    """Return an invisible element that runs a script of the program as soon as it is on the page."""
+    return Markup('<img src="data:," alt="" style="display:none" onerror="{}">').format(script)
 
 
 def with_micro_sign(text: str) -> str:
@@ -54,9 +60,11 @@ def with_micro_sign(text: str) -> str:
     return re.sub(r"\bu([ms])\b", r"µ\1", text)
 
 
-def icon(name: Any, size_px: int = 16) -> str:
+def icon(name: Any, size_px: int = 16) -> Markup:
     """Return an icon of viser's set, in the colour of the surrounding text."""
-    return f'<span class="wv-i" style="width:{size_px}px;height:{size_px}px">{svg(name)}</span>'
+    return Markup('<span class="wv-i" style="width:{}px;height:{}px">{}</span>').format(
+        size_px, size_px, Markup(svg(name))
+    )
 
 
 def pick_script(what: str, latest_only: bool = False) -> str:
@@ -84,102 +92,125 @@ def read_picks(text: str, after: int) -> list[tuple[int, str, str]]:
     return [(number, what, key) for number, what, key, _ in json.loads(text) if number > after]
 
 
-def pick(what: str, key: object = "") -> str:
+def pick(what: str, key: object = "") -> Markup:
     """Return attributes that make an element a button which picks `key` of `what`, a fixed word of the program."""
-    return (
-        f'data-pick="{what}" data-k="{safe(key)}" role="button" tabindex="0" onclick="{safe(pick_script(what))}" '
-        "onkeydown=\"if(event.key==='Enter'||event.key===' '){event.preventDefault();this.click()}\""
-    )
+    return Markup(
+        'data-pick="{}" data-k="{}" role="button" tabindex="0" onclick="{}" '
+        "onkeydown=\"if(event.key==='Enter'||event.key===' '){{event.preventDefault();this.click()}}\""
+    ).format(what, key, pick_script(what))
 
 
 NEEDS_CONTROL = "data-needs-control"
 """Attribute of elements that move the rig, or change the plan, the dataset or the results."""
 
 
-def command_pick(what: str, key: object = "") -> str:
+def command_pick(what: str, key: object = "") -> Markup:
     """Return the attributes of `pick` for an element that needs control."""
-    return f"{pick(what, key)} {NEEDS_CONTROL}"
+    return pick(what, key) + f" {NEEDS_CONTROL}"
 
 
-def title(text: str, below: str = "", beside: str = "") -> str:
-    """Return the title of a panel, with a subtitle and small actions. `beside` is HTML."""
-    sub = f'<div class="wv-sub">{safe(below)}</div>' if below else ""
-    return f'<div class="wv-title"><span>{safe(text)}</span><span class="wv-actions">{beside}</span></div>{sub}'
-
-
-def head(text: str, beside: str = "", first: bool = False) -> str:
-    """Return the heading of a section with a line above it, and a small remark at its right end."""
-    return f'<div class="wv-h{" first" if first else ""}">{safe(text)}<span>{safe(beside)}</span></div>'
-
-
-def empty(*lines: str) -> str:
-    """Return the placeholder of an empty section: a description of its future content, or an instruction."""
-    return f'<div class="wv-empty">{"<br>".join(safe(line) for line in lines)}</div>'
-
-
-def pairs(rows: Iterable[tuple[str, str]]) -> str:
-    """Return rows of names on the left and values on the right."""
-    cells = "".join(f"<div>{safe(name)}</div><div>{safe(value)}</div>" for name, value in rows)
-    return f'<div class="wv-kv">{cells}</div>'
-
-
-def table(heads: Sequence[str], rows: Iterable[str], right: str = "") -> str:
-    """Return a table of rows made by `row`; `right` has an 'n' for each numeric column."""
-    top = "".join(f'<th class="{"n" if right[i : i + 1] == "n" else ""}">{safe(h)}</th>' for i, h in enumerate(heads))
-    return f'<table class="wv-t">{f"<tr>{top}</tr>" if heads else ""}{"".join(rows)}</table>'
-
-
-def row(cells: Sequence[str], right: str = "", attributes: str = "", look: str = "") -> str:
-    """Return one row; cells are HTML. `look`: 'sel' selected, 'off' not selectable, 'strong' a sum."""
-    go = "go " if attributes else ""
-    body = "".join(f'<td class="{"n" if right[i : i + 1] == "n" else ""}">{c}</td>' for i, c in enumerate(cells))
-    return f'<tr class="{go}{look}" {attributes}>{body}</tr>'
-
-
-def figure(label: str, value: str, unit: str = "", size_px: int = 30, tone: Tone | None = None) -> str:
-    """Return a number in large type under its label."""
-    colour = f"color:var(--{tone})" if tone else ""
-    unit_html = f'<span class="wv-unit"> {safe(unit)}</span>' if unit else ""
-    return (
-        f'<div><div class="wv-lab">{safe(label)}</div>'
-        f'<div class="wv-big" style="font-size:{size_px}px;{colour}">{safe(value)}{unit_html}</div></div>'
+def title(text: str, below: str = "", beside: str = "") -> Markup:
+    """Return the title of a panel, with a subtitle and small actions."""
+    sub = Markup('<div class="wv-sub">{}</div>').format(below) if below else Markup()
+    return Markup('<div class="wv-title"><span>{}</span><span class="wv-actions">{}</span></div>{}').format(
+        text, beside, sub
     )
 
 
-def columns(items: Sequence[str], widths: str = "") -> str:
+def head(text: str, beside: str = "", first: bool = False) -> Markup:
+    """Return the heading of a section with a line above it, and a small remark at its right end."""
+    return Markup('<div class="wv-h{}">{}<span>{}</span></div>').format(" first" if first else "", text, beside)
+
+
+def empty(*lines: str) -> Markup:
+    """Return the placeholder of an empty section: a description of its future content, or an instruction."""
+    return Markup('<div class="wv-empty">{}</div>').format(Markup("<br>").join(lines))
+
+
+def pairs(rows: Iterable[tuple[str, str]]) -> Markup:
+    """Return rows of names on the left and values on the right."""
+    cells = Markup("").join(Markup("<div>{}</div><div>{}</div>").format(name, value) for name, value in rows)
+    return Markup('<div class="wv-kv">{}</div>').format(cells)
+
+
+def table(
+    heads: Sequence[str], rows: Iterable[Markup], right: str = "", widths_px: Sequence[int | None] = ()
+) -> Markup:
+    """Return a table of rows made by `row`; `right` has an 'n' for each numeric column."""
+    widths = Markup("").join(Markup('<col style="width:{}px">').format(w) if w else Markup("<col>") for w in widths_px)
+    top = Markup("").join(
+        Markup('<th class="{}">{}</th>').format("n" if right[i : i + 1] == "n" else "", h) for i, h in enumerate(heads)
+    )
+    return Markup('<table class="wv-t">{}{}{}</table>').format(
+        Markup("<colgroup>{}</colgroup>").format(widths) if widths else "",
+        Markup("<tr>{}</tr>").format(top) if heads else "",
+        Markup("").join(rows),
+    )
+
+
+def row(cells: Sequence[str], right: str = "", attributes: Markup | Literal[""] = "", look: str = "") -> Markup:
+    """Return one row; `look`: 'sel' selected, 'off' not selectable, 'strong' a sum."""
+    go = "go " if attributes else ""
+    body = Markup("").join(
+        Markup('<td class="{}">{}</td>').format("n" if right[i : i + 1] == "n" else "", c) for i, c in enumerate(cells)
+    )
+    return Markup('<tr class="{go}{look}" {attributes}>{body}</tr>').format(
+        go=go, look=look, attributes=attributes, body=body
+    )
+
+
+def figure(label: str, value: str, unit: str = "", size_px: int = 30, tone: Tone | None = None) -> Markup:
+    """Return a number in large type under its label."""
+    colour = f"color:var(--{tone})" if tone else ""
+    unit_html = Markup('<span class="wv-unit"> {}</span>').format(unit) if unit else Markup()
+    return Markup(
+        '<div><div class="wv-lab">{label}</div>'
+        '<div class="wv-big" style="font-size:{size_px}px;{colour}">{value}{unit_html}</div></div>'
+    ).format(label=label, size_px=size_px, colour=colour, value=value, unit_html=unit_html)
+
+
+def columns(items: Sequence[Markup], widths: str = "") -> Markup:
     """Return elements side by side."""
     widths = widths or f"repeat({len(items)},1fr)"
-    return f'<div class="wv-cols" style="grid-template-columns:{widths}">{"".join(items)}</div>'
+    return Markup('<div class="wv-cols" style="grid-template-columns:{}">{}</div>').format(
+        widths, Markup("").join(items)
+    )
 
 
-def note(tone: Tone, name: str, text: str, foot: str = "", sign: str = "") -> str:
+def note(tone: Tone, name: str, text: str, foot: str = "", sign: str = "") -> Markup:
     """Return a permanent note: event, facts, remedy. `foot` and `sign` are HTML."""
-    lines = f"<b>{safe(name)}</b>" + (f"<p>{safe(with_micro_sign(text))}</p>" if text else "")
-    end = f'<p class="wv-foot">{foot}</p>' if foot else ""
-    return f'<div class="wv-note {tone}" role="status">{sign}<div>{lines}{end}</div></div>'
+    lines = Markup("<b>{}</b>").format(name) + (Markup("<p>{}</p>").format(with_micro_sign(text)) if text else Markup())
+    end = Markup('<p class="wv-foot">{}</p>').format(foot) if foot else Markup()
+    return Markup('<div class="wv-note {tone}" role="status">{sign}<div>{lines}{end}</div></div>').format(
+        tone=tone, sign=sign, lines=lines, end=end
+    )
 
 
-def swatch(fill: str, edge: str, dashed: bool = False) -> str:
+def swatch(fill: str, edge: str, dashed: bool = False) -> Markup:
     """Return the small square of a legend."""
     line = "dashed" if dashed else "solid"
-    return f'<i class="wv-sw" style="background:{fill};border:1.5px {line} {edge}"></i>'
+    return Markup('<i class="wv-sw" style="background:{};border:1.5px {} {}"></i>').format(fill, line, edge)
 
 
-def legend(items: Iterable[tuple[str, str]]) -> str:
+def legend(items: Iterable[tuple[str, str]]) -> Markup:
     """Return swatches with their labels."""
-    return f'<div class="wv-legend">{"".join(f"<span>{sign} {safe(word)}</span>" for sign, word in items)}</div>'
+    return Markup('<div class="wv-legend">{}</div>').format(
+        Markup("").join(Markup("<span>{} {}</span>").format(sign, word) for sign, word in items)
+    )
 
 
-def chip(text: str, colour: str = "") -> str:
+def chip(text: str, colour: str = "") -> Markup:
     """Return the label of a result, white on its colour; in text colours if there is none."""
     if not colour:
-        return f'<span class="wv-chip ink">{safe(text)}</span>'
+        return Markup('<span class="wv-chip ink">{}</span>').format(text)
     ground = f"color-mix(in srgb,{colour} 84%,#000)"  # white keeps 4.5 : 1 on every colour of lines and classes
-    return f'<span class="wv-chip" style="background:{ground}">{safe(text)}</span>'
+    return Markup('<span class="wv-chip" style="background:{}">{}</span>').format(ground, text)
 
 
-def bar(fraction: float | None) -> str:
+def bar(fraction: float | None) -> Markup:
     """Return a thin progress bar; None: running with unknown progress."""
     if fraction is None:
-        return '<div class="wv-bar"><div class="wv-going"></div></div>'
-    return f'<div class="wv-bar"><div style="width:{100 * min(max(fraction, 0.0), 1.0):.0f}%"></div></div>'
+        return Markup('<div class="wv-bar"><div class="wv-going"></div></div>')
+    return Markup('<div class="wv-bar"><div style="width:{:.0f}%"></div></div>').format(
+        100 * min(max(fraction, 0.0), 1.0)
+    )

@@ -5,6 +5,10 @@ from __future__ import annotations
 from functools import cache
 from pathlib import Path
 
+from markupsafe import Markup
+
+from wafer_viewer.gui.widgets.html import style_sheet
+
 FOLDER = Path(__file__).parents[1] / "static"
 
 
@@ -70,10 +74,10 @@ def palette(dark: bool) -> dict[str, str]:
     return DARK if dark else LIGHT
 
 
-def sheet(dark: bool, bottom_px: int) -> str:
+def sheet(dark: bool, bottom_px: int) -> Markup:
     """Return the style element of the page; `bottom_px`: height of the panel with a curve below the scene."""
     colours = ";".join(f"--{name}:{value}" for name, value in palette(dark).items())
-    return f"<style>:root,[data-mantine-color-scheme]{{{colours};--bottom:{bottom_px}px}}\n{_page_css()}</style>"
+    return style_sheet(f":root,[data-mantine-color-scheme]{{{colours};--bottom:{bottom_px}px}}\n{_page_css()}")
 
 
 def by_id(uuid: str) -> str:
