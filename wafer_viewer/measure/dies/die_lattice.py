@@ -13,7 +13,7 @@ import numpy as np
 from wafer_viewer.measure.base.height_samples import Floats
 from wafer_viewer.measure.base.measurement_context import MeasurementContext
 from wafer_viewer.measure.dies.lattice_evidence import Coarse, Evidence, read_coarse, scanned_bounds
-from wafer_viewer.measure.dies.lattice_refinement import Registered, cells_over, dissimilar_cells_error, refined
+from wafer_viewer.measure.dies.lattice_refinement import Registered, cells_over, dissimilar_cells, refined
 from wafer_viewer.measure.dies.periodicity import Periods, periods_of, vertex
 from wafer_viewer.model.errors import DiesNotFound, MeasureError
 from wafer_viewer.model.inspection.die_grid import DieGrid
@@ -232,7 +232,7 @@ def find_dies(surface: Mosaic, *, evidence: Evidence = "both") -> DieGrid:
     grid = with_streets(found)
     _require_crossing_streets(grid)
     if found.n_dies < SURE_DIES and grid.street_x_um == grid.street_y_um == 0:
-        raise dissimilar_cells_error(f"Only {found.n_dies}", found.lattice)
+        raise DiesNotFound(*dissimilar_cells(f"Only {found.n_dies}", found.lattice))
     return on_surface(grid, surface)
 
 
@@ -331,7 +331,10 @@ def over_surface(grid: DieGrid, surface: Mosaic) -> DieGrid:
 def touching(grid: DieGrid, surface: Mosaic) -> tuple[np.ndarray, np.ndarray]:
     """Return columns and rows of the dies with at least a tenth of their area on the scanned surface.
 
-    Raises MeasureError where there is none.
+    Raises
+    ------
+    MeasureError
+        If there is none.
     """
     low_x, low_y, high_x, high_y = scanned_bounds(surface)
     cols, rows = cells_over(grid, (low_x, low_y, high_x, high_y))

@@ -104,7 +104,7 @@ def refined(surface: Mosaic, rough: DieGrid, evidence: Evidence, pixel_um: float
     cells = cells_of(finest, grid, lattice, unlike)
     shifts = registered_shifts(cells, lattice)
     if grid.u_pitch_um > REFINEMENT.most_u_pitch * grid.pitch_x_um:
-        raise dissimilar_cells_error("Too few of the", lattice)
+        raise DiesNotFound(*dissimilar_cells("Too few of the", lattice))
     return Registered(grid, median_cell([cells[at] for at in shifts]), lattice, len(shifts))
 
 
@@ -203,14 +203,14 @@ def registered_shifts(cells: dict[tuple[int, int], Cell], lattice: CellLattice) 
     found = {at: _shift(reference, _contrasts(cell)) for at, cell in cells.items()}
     shifts = {at: (-lag[1] * lattice.step_x_um, lag[0] * lattice.step_y_um) for at, lag in found.items() if lag}
     if len(shifts) < max(2, REFINEMENT.least_share * len(cells)):
-        raise dissimilar_cells_error(f"Only {len(shifts)} of {len(cells)}", lattice)
+        raise DiesNotFound(*dissimilar_cells(f"Only {len(shifts)} of {len(cells)}", lattice))
     return shifts
 
 
-def dissimilar_cells_error(how_many: str, lattice: CellLattice) -> DiesNotFound:
-    """Return the error for a repeating pattern that is not dies."""
+def dissimilar_cells(how_many: str, lattice: CellLattice) -> tuple[str, str]:
+    """Return the message and the brief of the error for a repeating pattern that is not dies."""
     width_um, height_um = lattice.cols * lattice.step_x_um, lattice.rows * lattice.step_y_um
-    return DiesNotFound(
+    return (
         f"{how_many} places that repeat every {width_um:.0f} x {height_um:.0f} um look alike, so they are no whole "
         "dies: scan at least two dies along each axis, or give pitch, origin and size of the dies instead.",
         "No dies found: what repeats does not look alike",

@@ -211,7 +211,10 @@ def _behind(strip: SearchStrip, line: EdgeLine, inwards: bool) -> float:
 def _higher_behind(reading: MeasurementContext, region: Region, level: int, strip: SearchStrip, edge: Found) -> bool:
     """Return whether the surface is higher in the direction of the search lines.
 
-    Raises MeasureError when the heights do not decide it.
+    Raises
+    ------
+    MeasureError
+        If the heights do not decide it.
     """
     points = points_in(reading.surface, region, reading.layer, level)
     off = _behind(strip, edge.line, True) * np.asarray(edge.line.off(points.x_um, points.y_um))

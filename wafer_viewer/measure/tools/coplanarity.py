@@ -141,6 +141,11 @@ def _over_ground(part: Heights, z_um: Floats) -> tuple[Floats, float]:
     """Return the heights over the ground plane, and the scatter of the ground about it.
 
     Prominent points are rejected iteratively, so that the plane converges to the lowest level.
+
+    Raises
+    ------
+    MeasureError
+        If too few points are measured.
     """
     rows, cols = np.nonzero(np.isfinite(z_um))
     points = HeightSamples(part.x_um[cols], part.y_um[rows], z_um[rows, cols])

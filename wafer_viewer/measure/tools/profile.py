@@ -109,7 +109,10 @@ def numbers_of(
 ) -> Profile:
     """Return the numbers of a curve along a line; `about` describes its filter.
 
-    Raises MeasureError when fewer than two of its points were measured.
+    Raises
+    ------
+    MeasureError
+        If fewer than two of its points were measured.
     """
     known = np.flatnonzero(np.isfinite(curve.z_um))
     if len(known) < 2:

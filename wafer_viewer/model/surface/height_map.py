@@ -189,7 +189,10 @@ class HeightMap:
     def window(self, region: Region | None = None, level: int = 0) -> HeightMap:
         """Return the smallest part that contains a region, or the whole map; the only level is 0.
 
-        Raises MeasureError if the region lies outside or for another level.
+        Raises
+        ------
+        MeasureError
+            If the region lies outside, or for another level.
         """
         if level != 0:
             raise MeasureError(f"This surface has one level, level {level} was asked for: take level 0.")
@@ -323,7 +326,10 @@ class ReadThrough:
 def pixel_window(surface: Mosaic | HeightMap, region: Region, level: int = 0) -> tuple[slice, slice]:
     """Return the rows and columns of a level that contain a region.
 
-    Raises MeasureError if the region lies outside the surface.
+    Raises
+    ------
+    MeasureError
+        If the region lies outside the surface.
     """
     scale = 2**level
     pixel = surface.pixel_um * scale
@@ -347,7 +353,10 @@ def pixel_window(surface: Mosaic | HeightMap, region: Region, level: int = 0) ->
 class PartOfMosaic(ReadThrough):
     """Part of a mosaic in the bounding box of a region, at full resolution.
 
-    Raises MeasureError if the region lies outside the surface.
+    Raises
+    ------
+    MeasureError
+        If the region lies outside the surface.
     """
 
     def __init__(self, surface: Mosaic, region: Region) -> None:

@@ -48,7 +48,10 @@ def stacks_by_cell(src: Paths, pattern: str | None) -> dict[Cell, list[Slot]]:
     Without a pattern all images form one field with one exposure; a pattern without ``{k}`` uses the pages of each
     file. A pattern with a slash is matched to the path relative to the given folder, otherwise to the file name.
 
-    Raises DatasetError when a file does not match the pattern, or two files are the same frame.
+    Raises
+    ------
+    DatasetError
+        If a file does not match the pattern, or two files are the same frame.
     """
     if pattern is None:
         return {(0, 0): [(picture,) for picture in pictures(src)]}
@@ -58,9 +61,8 @@ def stacks_by_cell(src: Paths, pattern: str | None) -> dict[Cell, list[Slot]]:
         cell, frames = _frames_of(path, name, expression, pattern)
         stack = found.setdefault(cell, {})
         if twice := stack.keys() & frames.keys():
-            raise _stopped(
-                name, f"frame {min(twice)[0]} of row {cell[0]}, column {cell[1]} is there twice", "Take one out."
-            )
+            why = f"frame {min(twice)[0]} of row {cell[0]}, column {cell[1]} is there twice"
+            raise DatasetError(_stopped(name, why, "Take one out."))
         stack |= frames
     ks, es = (sorted({of_frame[i] for stack in found.values() for of_frame in stack}) for i in (0, 1))
     return {cell: [tuple(found[cell].get((k, e)) for e in es) for k in ks] for cell in sorted(found)}
@@ -70,6 +72,11 @@ def compile_pattern(pattern: str) -> re.Pattern[str]:
     """Return the pattern as a regular expression with a named group for each part.
 
     The parts are row, col, k and e; a single field with several exposures needs neither row nor col.
+
+    Raises
+    ------
+    DatasetError
+        If the pattern does not identify the field of a file, or has unknown or repeated parts.
     """
     parts = re.split(r"\{(\w+)\}", pattern)
     names = parts[1::2]
@@ -91,7 +98,8 @@ def _named_files(src: Paths, deep: bool) -> list[tuple[Path, str]]:
         return [(path, path.name) for path in image_files(src)]
     below = [(p, folder) for folder in folders for p in sorted(folder.rglob("*")) if p.suffix.lower() in READERS]
     if not below:
-        raise _stopped(str(folders[0]), "the folder holds no images", "Give the folder that the pattern starts from.")
+        mend = "Give the folder that the pattern starts from."
+        raise DatasetError(_stopped(str(folders[0]), "the folder holds no images", mend))
     return [(path, path.relative_to(folder).as_posix()) for path, folder in below]
 
 
@@ -101,20 +109,20 @@ def _frames_of(
     """Return the field of a file, and its images by (k, exposure)."""
     match = expression.fullmatch(name)
     if match is None:
-        raise _stopped(
-            name, f"its name does not fit the pattern {pattern!r}", "Take the file out or change the pattern."
-        )
+        why = f"its name does not fit the pattern {pattern!r}"
+        raise DatasetError(_stopped(name, why, "Take the file out or change the pattern."))
     numbers, of_file = {part: int(digits) for part, digits in match.groupdict().items()}, pictures_of(path)
     cell, exposure = (numbers.get("row", 0), numbers.get("col", 0)), numbers.get("e", 0)
     if "k" not in numbers:
         return cell, {(k, exposure): picture for k, picture in enumerate(of_file)}
     if len(of_file) > 1:
-        raise _stopped(name, f"it has {len(of_file)} pages and the pattern says one frame a file", "Leave out {k}.")
+        why = f"it has {len(of_file)} pages and the pattern says one frame a file"
+        raise DatasetError(_stopped(name, why, "Leave out {k}."))
     return cell, {(numbers["k"], exposure): of_file[0]}
 
 
-def _stopped(name: str, why: str, mend: str) -> DatasetError:
-    return DatasetError(f"Import stopped at {name}: {why}. {NOTHING_WRITTEN} {mend}")
+def _stopped(name: str, why: str, mend: str) -> str:
+    return f"Import stopped at {name}: {why}. {NOTHING_WRITTEN} {mend}"
 
 
 UNKNOWN_EXPOSURE_US = 1.0
@@ -155,7 +163,7 @@ def open_stack(
     pixel_um : float
         Pixel size on the sample in um, required, over 0.
     z_start_um : float, default 0.0
-        z of the lowest frame in um.
+        Height of the lowest frame in um.
     progress : callable, optional
         Receives the completed fraction, 0 to 1.
     should_stop : callable, optional

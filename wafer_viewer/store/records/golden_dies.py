@@ -113,7 +113,10 @@ def _members(path: Path) -> Generator[tuple[GoldenHeader, Mapping[str, Any]]]:
 def golden_named(folder: Path, name: str, product: str = "") -> GoldenDie:
     """Return the newest version of a golden die, or that of ``NAME.VERSION``; `product`: the required product.
 
-    Raises DatasetError when there is none, or it is of another product.
+    Raises
+    ------
+    DatasetError
+        If there is none, or it is of another product.
     """
     exact = folder / f"{name}{ENDING}"
     kept = (exact,) if exact.exists() else versions_of(folder, name)

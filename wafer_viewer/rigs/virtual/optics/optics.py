@@ -30,7 +30,7 @@ class Optics:
 
     @property
     def depth_of_field_um(self) -> float:
-        """lambda / NA^2 + e / (M NA) in air; e / M is the pixel size on the sample."""
+        """Depth of field lambda / NA^2 + e / (M NA) in air; e / M is the pixel size on the sample."""
         return self.wavelength_um / self.na**2 + self.pixel_um / self.na
 
     @property
