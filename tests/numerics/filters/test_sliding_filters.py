@@ -15,7 +15,6 @@ from wafer_viewer.numerics.filters.sliding_filters import (
     mean,
     mean_of_known,
     nearest,
-    pieces,
 )
 
 RNG = np.random.default_rng(6)
@@ -45,12 +44,6 @@ def test_the_nearest_is_found_and_how_far_it_is() -> None:
     assert (rows[0, 0], cols[0, 0]) == (1, 2)
     assert distance[0, 0] == pytest.approx(np.sqrt(5))
     assert (rows[4, 4], cols[4, 4]) == (4, 5)
-
-
-def test_pieces_hang_together_by_their_sides() -> None:
-    found = pieces(np.array([[1, 0, 1], [1, 0, 1], [0, 1, 0]], bool))
-    assert len(np.unique(found[found > 0])) == 3
-    assert found[0, 0] == found[1, 0]
 
 
 def test_halved_and_doubled_fit_together_at_odd_borders() -> None:

@@ -65,13 +65,6 @@ def nearest(wanted: NDArray[np.bool_]) -> tuple[NDArray[np.float64], tuple[NDArr
     return distance.astype(np.float64), (rows, cols)
 
 
-def pieces(wanted: NDArray[np.bool_]) -> NDArray[np.intp]:
-    """Return the label of the 4-connected component of each True pixel; 0 elsewhere."""
-    from scipy.ndimage import label
-
-    return np.asarray(label(wanted)[0], np.intp)  # pyright: ignore[reportIndexIssue, reportArgumentType]
-
-
 def halved(plane: NDArray[Any]) -> Floats:
     """Return the mean of 2 x 2 pixels; at an odd border, of the available ones."""
     rows, cols = plane.shape

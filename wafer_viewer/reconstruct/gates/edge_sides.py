@@ -33,7 +33,6 @@ from wafer_viewer.numerics.filters.sliding_filters import (
     mean,
     mean_of_known,
     nearest,
-    pieces,
 )
 from wafer_viewer.numerics.intrinsics import quick_log2
 from wafer_viewer.numerics.jit import (
@@ -451,8 +450,10 @@ def _cell_sides(
 
 
 def _from_anchors(heights: NDArray[np.float32], tolerance_um: float) -> NDArray[np.float32]:
-    """Return the height of the nearest anchor, NaN beyond its reach."""
-    anchors = _large_pieces(_flat(heights, tolerance_um))
+    """Return the height of the nearest anchor, NaN beyond its reach; small components are no anchors."""
+    from skimage.morphology import remove_small_objects
+
+    anchors = remove_small_objects(_flat(heights, tolerance_um), max_size=ANCHOR.enough_cells - 1)
     if not anchors.any():
         return np.full_like(heights, np.nan)
     smooth = mean_of_known(heights, anchors, 3)
@@ -465,14 +466,6 @@ def _flat(heights: NDArray[np.float32], tolerance_um: float) -> NDArray[np.bool_
     known, far = np.isfinite(heights), np.float32(np.inf)
     high, low = highest(np.where(known, heights, -far), 3), lowest(np.where(known, heights, far), 3)
     return known & (high - low < tolerance_um) & (9 * mean(known, 3) > ANCHOR.enough_neighbours - 0.5)
-
-
-def _large_pieces(anchors: NDArray[np.bool_]) -> NDArray[np.bool_]:
-    """Return the anchors in connected components of sufficient size."""
-    numbers = pieces(anchors)
-    sizes = np.bincount(numbers.ravel())
-    sizes[0] = 0
-    return sizes[numbers] >= ANCHOR.enough_cells
 
 
 def _cell_means(image: Image, shape: tuple[int, int]) -> NDArray[np.float32]:
