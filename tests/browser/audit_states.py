@@ -105,19 +105,24 @@ def command(name: str) -> Act:
     return act
 
 
+def click_here(selector: str) -> Act:
+    """Click the first element of a kind, and leave the tool as it is."""
+    return lambda visit: visit.page.locator(selector).first.click()
+
+
 def click(selector: str) -> Act:
-    """Click the first element of a kind, from outside of any dialog."""
+    """Click the first element of a kind, from outside of any dialog or tool."""
+    return then(escape, click_here(selector))
 
-    def act(visit: Visit) -> None:
-        escape(visit)
-        visit.page.locator(selector).first.click()
 
-    return act
+def button(name: str) -> str:
+    """Selector of the button in sight with a name."""
+    return f"[data-dock-region] button:has-text('{name}'):not([data-disabled])"
 
 
 def press(name: str) -> Act:
-    """Press the button in sight with a name, from outside of any dialog."""
-    return click(f"[data-dock-region] button:has-text('{name}'):not([data-disabled])")
+    """Press the button in sight with a name, from outside of any dialog or tool."""
+    return click(button(name))
 
 
 def then(*acts: Act) -> Act:
@@ -257,7 +262,7 @@ GROUPS = {
             State("profile", keys("l"), ".wv-profiles"),
             State("profiles", keys("Shift+H", "Shift+L"), ".wv-profiles"),  # a row, and a line across it
             *(State(name, keys(key), f".wv-title:has-text('{name}')") for key, name in TOOLS.items()),
-            State("kept", then(keys("k"), press("Keep result")), "tr[data-pick=finding]"),
+            State("kept", then(keys("k"), click_here(button("Keep result"))), "tr[data-pick=finding]"),
         ),
     ),
     "gauge": Group(
