@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from wafer_viewer.model.measurement.measurements import Length, Profile, ProfileCurve
-from wafer_viewer.model.measurement.sections import Section, SectionAsked
+from wafer_viewer.model.measurement.sections import Section, SectionRequest
 from wafer_viewer.model.region import Region
 
 
@@ -25,7 +25,7 @@ def section_of(z_um, place: int = 0, step_um: float = 0.5, simulated: bool = Tru
         surface="filled" if asked.get("cleaned") else "unsmoothed",
     )
     curve = ProfileCurve(along, z, along, np.full(len(z), 10.0 * place))
-    return Section(SectionAsked(place, line, **asked), found, curve, "coupon-07")
+    return Section(SectionRequest(place, line, **asked), found, curve, "coupon-07")
 
 
 def hill(n: int = 6001, height_um: float = 20.0) -> np.ndarray:

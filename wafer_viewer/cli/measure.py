@@ -38,7 +38,7 @@ from wafer_viewer.model.measurement.sections import (
     MOST_LINES,
     OtherSurface,
     Section,
-    SectionAsked,
+    SectionRequest,
     column_line,
     row_line,
 )
@@ -186,14 +186,14 @@ def measure_profile(
         points: Also print the points of each section.
         out: Also write all curves to this file, .csv a table, .png, .pdf or .svg a figure for print.
     """
-    from wafer_viewer.session.measurement.sections import require_known, write_sections
+    from wafer_viewer.session.measurement.sections import require_section_format, write_sections
 
     if out is not None:
-        require_known(out.suffix)
+        require_section_format(out.suffix)
     surface, calibrated = _opened(src, field, result)
     lines = _lines(surface, line, row, column, width_um)
     levelling = levelling_from(level)
-    asked = [SectionAsked(place, at, field, levelling) for place, at in enumerate(lines)]
+    asked = [SectionRequest(place, at, field, levelling) for place, at in enumerate(lines)]
     source = src.stem if field == 0 else f"{src.stem}, field {field}"
     sections = _cut(asked, surface, calibrated, source)
     if cleaned:
@@ -227,7 +227,7 @@ def _lines(surface: Outline, ends: Numbers, rows: Integers, columns: Integers, w
     return lines
 
 
-def _cut(asked: Sequence[SectionAsked], surface: Mosaic, calibrated: bool, source: str) -> list[Section]:
+def _cut(asked: Sequence[SectionRequest], surface: Mosaic, calibrated: bool, source: str) -> list[Section]:
     """Return the sections along all lines, with their common levelling."""
     from wafer_viewer.measure.base.levelled_surface import levelled
     from wafer_viewer.session.measurement.sections import cut

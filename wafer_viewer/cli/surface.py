@@ -61,10 +61,10 @@ def reconstruct(
         wavelength_um: Of the light, for `na`; 0.55 um where it is not given.
     """
     from wafer_viewer.session.surface.headless import LocalOrCluster, surface_of
-    from wafer_viewer.store.formats.exporters import require_known
+    from wafer_viewer.store.formats.exporters import require_format
 
     require_sources(src)
-    require_known(out)
+    require_format(out)
     hire = LocalOrCluster(scheduler, workers)
     with progress("Reconstruction") as tell:
         surface, info = surface_of(
@@ -168,9 +168,9 @@ def convert(
     """
     from wafer_viewer.model.surface_format import Reading
     from wafer_viewer.session.surface.headless import file_or_mosaic
-    from wafer_viewer.store.formats.exporters import density, require_known
+    from wafer_viewer.store.formats.exporters import density, require_format
 
-    require_known(out)
+    require_format(out)
     if every is not None and max_points is not None:
         raise DatasetError("--every and --max-points both say how much is written: give one of them.")
     with progress("Reading") as tell:
@@ -253,7 +253,7 @@ def compare(
 
 def _compared(one: SurfaceName, other: SurfaceName, align: Align, keep_z: bool, out: Path | None) -> Comparison:
     from wafer_viewer.session.surface.comparison_job import compare_files, keep_difference
-    from wafer_viewer.store.formats.exporters import export, losses, require_known
+    from wafer_viewer.store.formats.exporters import export, losses, require_format
 
     if out is not None and not out.suffix:
         if Path(one.path).suffix != ".wafer" or out.name != str(out):
@@ -263,7 +263,7 @@ def _compared(one: SurfaceName, other: SurfaceName, align: Align, keep_z: bool, 
         with progress("Comparison") as tell:
             return keep_difference(Path(one.path), out.name, one, other, align, keep_z, tell)
     if out is not None:
-        require_known(out)
+        require_format(out)
     difference, numbers = compare_files(one, other, align, keep_z)
     if out is not None:
         export(difference, out)

@@ -5,13 +5,13 @@ from __future__ import annotations
 import numpy as np
 
 from wafer_viewer.model.measurement.measurements import Length, Profile, ProfileCurve
-from wafer_viewer.model.measurement.sections import OtherSurface, Section, SectionAsked
+from wafer_viewer.model.measurement.sections import OtherSurface, Section, SectionRequest
 
 
 class FakeSections:
     """The same hill over streets along every line."""
 
-    def section(self, asked: SectionAsked) -> Section:
+    def section(self, asked: SectionRequest) -> Section:
         distance, along = np.linspace(0, 2100, 4000), np.linspace(0, 1, 4000)
         z = 34 * np.exp(-(((distance - 1320) / 110) ** 2)) + 1.2 * np.sin(distance / 20)
         z[(distance % 430) < 55] -= 12

@@ -18,7 +18,7 @@ from tests.support.datasets.inspections import defect, inspection
 from wafer_viewer.model.inspection.defect import Defect, DefectLimits, FalseCounts, Inspection
 from wafer_viewer.model.inspection.defect_classes import DefectClass
 from wafer_viewer.model.inspection.die_grid import DieGrid, DieStatus
-from wafer_viewer.model.measurement.sections import Section, SectionAsked
+from wafer_viewer.model.measurement.sections import Section, SectionRequest
 from wafer_viewer.model.quantity import Length
 from wafer_viewer.model.region import Point, Region
 from wafer_viewer.model.spec import replace
@@ -106,7 +106,7 @@ class CutSections(FakeSections):
     def __init__(self, surfaces: dict[int, HeightMap]) -> None:
         self._surfaces = surfaces
 
-    def section(self, asked: SectionAsked) -> Section:
+    def section(self, asked: SectionRequest) -> Section:
         return cut(asked, self._surfaces[asked.show], True, "coupon-07")
 
 

@@ -12,7 +12,7 @@ from wafer_viewer.draw.charts.profile_plot import dots, frame_of, profile_plot_h
 from wafer_viewer.measure.tools import slab as slabs
 from wafer_viewer.measure.tools.slab import running_median, slab_profile
 from wafer_viewer.model.errors import MeasureError
-from wafer_viewer.model.measurement.sections import Section, SectionAsked
+from wafer_viewer.model.measurement.sections import Section, SectionRequest
 from wafer_viewer.model.region import Region
 from wafer_viewer.model.surface.height_map import HeightMap
 
@@ -91,7 +91,7 @@ def test_where_no_point_is_near_there_is_no_line():
 
 def test_the_plot_draws_points_below_their_line(surface: HeightMap):
     line = Region.line(0.0, -50.0, 149.5, -50.0, 10.0)
-    section = Section(SectionAsked(0, line, slab=True), *slab_profile(surface, line)[:2], "x")
+    section = Section(SectionRequest(0, line, slab=True), *slab_profile(surface, line)[:2], "x")
     points = slab_profile(surface, line)[2]
     section = dataclasses.replace(section, points=points)
     frame = frame_of([section])

@@ -12,7 +12,7 @@ from tests.support.surfaces import coordinates, surface_of
 from wafer_viewer.model.acquisition.plan import FieldGrid
 from wafer_viewer.model.errors import DatasetError, MeasureError
 from wafer_viewer.model.measurement.levelling import Levelling
-from wafer_viewer.model.measurement.sections import OtherSurface, SectionAsked
+from wafer_viewer.model.measurement.sections import OtherSurface, SectionRequest
 from wafer_viewer.model.region import Region
 from wafer_viewer.session.measurement.dataset_queries import Measuring
 from wafer_viewer.session.measurement.sections import Sections
@@ -76,7 +76,7 @@ def other(folder, name, result=RESULT):
 
 
 def test_the_same_line_on_raw_and_cleaned_heights(sections):
-    asked = SectionAsked(1, LINE)
+    asked = SectionRequest(1, LINE)
     raw, cleaned = (sections.section(dataclasses.replace(asked, cleaned=which)) for which in (False, True))
     assert (raw.title, cleaned.title) == ("B", "B filtered and filled heights")
     assert np.isnan(raw.curve.z_um).any()
@@ -85,8 +85,8 @@ def test_the_same_line_on_raw_and_cleaned_heights(sections):
 
 
 def test_the_same_line_on_another_dataset(sections, folder):
-    here = sections.section(SectionAsked(0, LINE))
-    there = sections.section(SectionAsked(0, LINE, of=other(folder, "after")))
+    here = sections.section(SectionRequest(0, LINE))
+    there = sections.section(SectionRequest(0, LINE, of=other(folder, "after")))
     assert there.title == "A after"
     known = np.isfinite(here.curve.z_um)
     np.testing.assert_allclose((there.curve.z_um - here.curve.z_um)[known], 5.0, atol=1e-5)
@@ -95,7 +95,7 @@ def test_the_same_line_on_another_dataset(sections, folder):
 def test_both_are_read_from_a_zero_laid_through_each(sections, folder):
     level = Levelling(by="plane")
     for of in (None, other(folder, "after")):
-        found = sections.section(SectionAsked(0, LINE, levelling=level, of=of))
+        found = sections.section(SectionRequest(0, LINE, levelling=level, of=of))
         np.testing.assert_allclose(found.curve.z_um[np.isfinite(found.curve.z_um)], 0.0, atol=1e-3)
 
 
@@ -105,18 +105,18 @@ def test_every_stitched_surface_but_the_one_looked_at_is_offered(sections):
 
 def test_where_they_do_not_overlap_the_other_is_named(sections, folder):
     with pytest.raises(MeasureError, match=r"^far has no heights along line A. The line from"):
-        sections.section(SectionAsked(0, LINE, of=other(folder, "far")))
+        sections.section(SectionRequest(0, LINE, of=other(folder, "far")))
 
 
 def test_a_dataset_that_is_gone_is_one_sentence(sections, folder, tmp_path):
     path = a_dataset(tmp_path, "gone", tilted())
     shutil.rmtree(path)
     with pytest.raises(DatasetError):
-        sections.section(SectionAsked(0, LINE, of=other(tmp_path, "gone")))
+        sections.section(SectionRequest(0, LINE, of=other(tmp_path, "gone")))
 
 
 def test_the_files_are_those_of_their_endings(sections):
-    found = [sections.section(SectionAsked(0, LINE))]
+    found = [sections.section(SectionRequest(0, LINE))]
     assert sections.file(found, ".csv").startswith(b"# Wafer Viewer")
     assert sections.file(found, ".png").startswith(b"\x89PNG")
     assert sections.file(found, ".PDF").startswith(b"%PDF")

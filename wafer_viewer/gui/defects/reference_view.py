@@ -33,7 +33,7 @@ from wafer_viewer.gui.widgets.error_guard import guarded
 from wafer_viewer.model.errors import WaferViewerError
 from wafer_viewer.model.inspection.defect import Defect
 from wafer_viewer.model.inspection.defect_classes import DEFECT_CLASSES
-from wafer_viewer.model.measurement.sections import Section, SectionAsked
+from wafer_viewer.model.measurement.sections import Section, SectionRequest
 from wafer_viewer.session.rendering.render_request import ComparisonView, ComparisonViews, Like
 from wafer_viewer.session.state.snapshot import Snapshot
 
@@ -295,7 +295,7 @@ class DefectDock:
         sections: list[Section] = []
         for place, line in enumerate(cut.lines):
             try:
-                wanted = SectionAsked(place, line, cut.show, cut.levelling)
+                wanted = SectionRequest(place, line, cut.show, cut.levelling)
                 sections.append(self._page.session.sections.section(wanted))
             except WaferViewerError as fault:
                 problem = problem or (str(fault) if place == 0 else "")

@@ -14,7 +14,7 @@ from wafer_viewer.gui.widgets.error_guard import guarded
 from wafer_viewer.model.errors import WaferViewerError
 from wafer_viewer.model.findings import AnyResult
 from wafer_viewer.model.measurement.measurements import Profile
-from wafer_viewer.model.measurement.sections import Gap, Section, SectionAsked, cursor_difference
+from wafer_viewer.model.measurement.sections import Gap, Section, SectionRequest, cursor_difference
 from wafer_viewer.model.measurement.tools import TOOLS
 from wafer_viewer.session.state.snapshot import Snapshot
 
@@ -106,7 +106,7 @@ class LiveProfiles:
     def __init__(self, page: Page) -> None:
         self._page = page
         self._worker = LatestOnlyWorker("profile")
-        self._known: dict[SectionAsked, Section | Missing] = {}
+        self._known: dict[SectionRequest, Section | Missing] = {}
         self._asked: object = None
         self._surface: object = None
         self._line = 0
@@ -172,7 +172,7 @@ class LiveProfiles:
             measure = guarded(self._page, "The measurement failed")(self._measure)
             self._worker.ask(lambda: measure(surface, wanted))
 
-    def _measure(self, surface: object, wanted: tuple[SectionAsked, ...]) -> None:
+    def _measure(self, surface: object, wanted: tuple[SectionRequest, ...]) -> None:
         if surface != self._surface:
             self._surface, self._known = surface, {}
         answers = {asked: self._known.get(asked) or self._section(asked) for asked in wanted}
@@ -183,21 +183,21 @@ class LiveProfiles:
         self._measured.set()
         self._page.redraw()
 
-    def _section(self, asked: SectionAsked) -> Section | Missing:
+    def _section(self, asked: SectionRequest) -> Section | Missing:
         try:
             return self._page.session.sections.section(asked)
         except WaferViewerError as fault:
             return Missing(str(fault))
 
 
-def _asked(view: View) -> Iterator[SectionAsked]:
+def _asked(view: View) -> Iterator[SectionRequest]:
     """Yield the request of every line, followed for the active one by its comparisons."""
     for place, line in enumerate(view.lines):
-        yield SectionAsked(place, line, view.show, view.levelling, slab=view.look == "points")
+        yield SectionRequest(place, line, view.show, view.levelling, slab=view.look == "points")
         if place == view.line and view.plot.cleaned:
-            yield SectionAsked(place, line, view.show, view.levelling, cleaned=True)
+            yield SectionRequest(place, line, view.show, view.levelling, cleaned=True)
         if place == view.line and view.plot.of is not None:
-            yield SectionAsked(place, line, 0, view.levelling, of=view.plot.of)
+            yield SectionRequest(place, line, 0, view.levelling, of=view.plot.of)
 
 
 def _profile_stamp(snapshot: Snapshot, show: int) -> object:

@@ -190,7 +190,7 @@ class SlabPoints:
 
 
 @dataclass(frozen=True, slots=True)
-class SectionAsked:
+class SectionRequest:
     """A requested curve: its line, surface and levelling.
 
     place: index of the line, 0 is A; show: 0 for the stitched surface, else a field; cleaned: whichever of measured and
@@ -224,7 +224,7 @@ class Section:
     points: of the slab whose running median the curve is; None for a mean across the line.
     """
 
-    asked: SectionAsked
+    asked: SectionRequest
     profile: Profile
     curve: ProfileCurve
     source: str

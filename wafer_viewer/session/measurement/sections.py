@@ -11,7 +11,7 @@ from wafer_viewer._version import __version__
 from wafer_viewer.measure.base.height_samples import Layer
 from wafer_viewer.model.errors import DatasetError, MeasureError
 from wafer_viewer.model.measurement.levelling import Datum, Levelling
-from wafer_viewer.model.measurement.sections import OtherSurface, Section, SectionAsked
+from wafer_viewer.model.measurement.sections import OtherSurface, Section, SectionRequest
 from wafer_viewer.model.surface.height_map import Mosaic
 from wafer_viewer.session.core.commands import query
 from wafer_viewer.session.measurement.dataset_queries import DatasetQueries
@@ -21,7 +21,7 @@ if TYPE_CHECKING:
     from wafer_viewer.draw.print_figures import ProfileFormat
 
 
-def cut(asked: SectionAsked, surface: Mosaic, calibrated: bool, source: str) -> Section:
+def cut(asked: SectionRequest, surface: Mosaic, calibrated: bool, source: str) -> Section:
     """Return a section of a surface. Raises MeasureError when nothing was measured along the line."""
     from wafer_viewer.measure.tools.profile import profile
 
@@ -41,12 +41,12 @@ def other_layer(surface: Mosaic) -> Layer:
 
 
 def file_of(sections: Sequence[Section], ending: str) -> bytes:
-    """Return sections as the content of a file with that ending. Raises DatasetError as `require_known` does."""
-    require_known(ending)
+    """Return sections as the content of a file with that ending. See `require_section_format`."""
+    require_section_format(ending)
     return FILES[ending.lower()](sections)
 
 
-def require_known(ending: str) -> None:
+def require_section_format(ending: str) -> None:
     """Raise DatasetError if sections cannot be written to a file with that ending."""
     known = list(FILES)
     if ending.lower() not in known:
@@ -91,7 +91,7 @@ class Sections:
         self._zero: tuple[tuple[OtherSurface, Levelling], Datum] | None = None
 
     @query
-    def section(self, asked: SectionAsked) -> Section:
+    def section(self, asked: SectionRequest) -> Section:
         """Return a section along a line of the displayed surface, or of another one."""
         if asked.of is not None:
             return self._of_other(asked, asked.of)
@@ -117,7 +117,7 @@ class Sections:
         looked_at = (shown, now.surface.result if now.surface is not None else "")
         return tuple(other for other in found if (other.folder, other.result) != looked_at)
 
-    def _of_other(self, asked: SectionAsked, other: OtherSurface) -> Section:
+    def _of_other(self, asked: SectionRequest, other: OtherSurface) -> Section:
         """Return the section along the same line of another surface, levelled in the same way."""
         from wafer_viewer.session.core.dataset_library import today
         from wafer_viewer.store.dataset.dataset import Dataset

@@ -15,7 +15,7 @@ from wafer_viewer.model.inspection.defect import Defect, Inspection
 from wafer_viewer.model.inspection.defect_classes import DEFECT_CLASSES
 from wafer_viewer.model.inspection.defect_verdict import verdict_of
 from wafer_viewer.model.job import GRAVEST, FeatureVerdict, WaferVerdict, key_of_result, keys_of_features
-from wafer_viewer.model.measurement.sections import SectionAsked
+from wafer_viewer.model.measurement.sections import SectionRequest
 from wafer_viewer.model.measurement.tools import TOOLS
 from wafer_viewer.model.quantity import BudgetLine
 from wafer_viewer.model.region import Region
@@ -173,7 +173,7 @@ def _curve(material: Material, finding: AnyResult, line: Region) -> Figure | Non
         found, curve = profile(levelled(surface, finding.levelling), line, layer=finding.surface)
     except MeasureError:
         return None
-    cut = Cut(SectionAsked(place=0, line=line, show=finding.show, levelling=finding.levelling), found, curve, "")
+    cut = Cut(SectionRequest(place=0, line=line, show=finding.show, levelling=finding.levelling), found, curve, "")
     width = f", mean over {number(line.width_um, 1)}\u202fµm" if line.width_um else ""
     caption = f"{finding.number} · {finding.name}: {quantity_text(finding.main)}; {kind_of(finding)}{width}"
     return Figure("", caption, svg=profile_svg(cut))

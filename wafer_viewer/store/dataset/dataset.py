@@ -144,12 +144,12 @@ class Dataset:
 
     def field(self, number: int) -> Field:
         """Return the field with a number. Raises DatasetError when there is none."""
-        found = next((f for f in self.fields if f.number == number), None)
-        if found is None:
+        field = next((f for f in self.fields if f.number == number), None)
+        if field is None:
             raise DatasetError(
                 f"{self.path.name} has {len(self.fields)} fields and no field {number}: choose one of them."
             )
-        return found
+        return field
 
     def calibration_problem(self, today: str) -> str | None:
         """Return why lengths are uncalibrated, or None if calibrated. `today`: ISO 8601 date."""
@@ -194,16 +194,16 @@ class Dataset:
         wanted = range(self.n_exposures) if exposure is None else (self._exposure(exposure),)
         lines = [self._lines(field_number, e) for e in wanted]
         pages = map_pages(frames_file(self.path, field), self.scan.pages)
-        first, *others = (self._bracket(pages, e, of_one) for e, of_one in zip(wanted, lines, strict=True))
+        first, *others = (self._bracket(pages, e, exposed) for e, exposed in zip(wanted, lines, strict=True))
         self._require_frames(field, int(first.present.sum()))
-        there = [line for of_one in lines for line in of_one if line is not None]
-        checksum = _checksum(there)
+        present = [line for exposed in lines for line in exposed if line is not None]
+        checksum = _checksum(present)
         if verify:
-            self._require_valid_pages(field, pages, there, checksum)
+            self._require_valid_pages(field, pages, present, checksum)
         return FieldStack(
             field=field,
             images=first.images,
-            z_um=np.mean([self._z_um(field, of_one) for of_one in lines], axis=0),
+            z_um=np.mean([self._z_um(field, exposed) for exposed in lines], axis=0),
             present=first.present,
             pixel_um=self.scan.pixel_um,
             calibration=self.scan.calibration,
@@ -237,12 +237,12 @@ class Dataset:
 
     def results(self) -> tuple[str, ...]:
         """Return the names of the reconstructions."""
-        return tuple(sorted(kept.name for kept in self._results() if not kept.is_difference))
+        return tuple(sorted(result.name for result in self._results() if not result.is_difference))
 
     def differences(self) -> tuple[str, ...]:
         """Return the names of the results that compare two surfaces, oldest first."""
-        found = [kept for kept in self._results() if kept.is_difference]
-        return tuple(kept.name for kept in sorted(found, key=lambda kept: kept.path.stat().st_mtime))
+        results = [result for result in self._results() if result.is_difference]
+        return tuple(result.name for result in sorted(results, key=lambda result: result.path.stat().st_mtime))
 
     def result(self, name: str = "default") -> Result:
         """Return a reconstruction by name; its folder is created on the first save."""
@@ -251,8 +251,8 @@ class Dataset:
     def _results(self) -> list[Result]:
         """Return all results, without those that are still being written."""
         folder = self.path / RESULTS
-        there = [p for p in folder.iterdir() if p.is_dir()] if folder.is_dir() else []
-        return [Result(p) for p in there if not p.name.startswith(".")]
+        folders = [p for p in folder.iterdir() if p.is_dir()] if folder.is_dir() else []
+        return [Result(p) for p in folders if not p.name.startswith(".")]
 
     def _lines(self, field_number: int, exposure: int) -> list[FrameKept | None]:
         n_frames = self.scan.plan.sweep.n_frames
@@ -375,15 +375,15 @@ def check_passes(data: Dataset) -> PassReport:
 
 def _passes(lines: Iterable[Line]) -> list[_Pass]:
     """Return the passes with the frames that count."""
-    found: list[_Pass] = []
+    passes: list[_Pass] = []
     now: _Pass | None = None
     for line in lines:
         match line:
             case PassBegun():
                 if now is not None and now.begun.provisional:
-                    found.pop()
+                    passes.pop()
                 now = _Pass(line)
-                found.append(now)
+                passes.append(now)
             case FrameKept() if now is not None:
                 now.frames.append(line)
             case Missed() if now is not None and now.begun.provisional:
@@ -393,22 +393,22 @@ def _passes(lines: Iterable[Line]) -> list[_Pass]:
             case _:
                 pass
     if now is not None and now.begun.provisional:
-        found.pop()
-    return found
+        passes.pop()
+    return passes
 
 
 def _count_doubts(one: _Pass) -> Iterable[str]:
-    if (said := one.summary) is None:
+    if (summary := one.summary) is None:
         return
     counted = {
-        "quadrature errors": said.quadrature_errors,
-        "suppressed pulses": said.suppressed,
-        "exposures more than pulses": max(0, said.exposures - said.emitted),
+        "quadrature errors": summary.quadrature_errors,
+        "suppressed pulses": summary.suppressed,
+        "exposures more than pulses": max(0, summary.exposures - summary.emitted),
     }
-    for what, number in counted.items():
+    for kind, number in counted.items():
         if number:
             yield (
-                f"{_name(one)}: {len(one.frames)} frames were kept although the pulse box reported {number} {what}: "
+                f"{_name(one)}: {len(one.frames)} frames were kept although the pulse box reported {number} {kind}: "
                 "their heights may be off; scan these fields again."
             )
 
@@ -417,12 +417,12 @@ def _time_doubts(one: _Pass) -> Iterable[str]:
     frames = sorted(one.frames, key=lambda frame: frame.device_time_us)
     times_us = np.array([frame.device_time_us for frame in frames], np.float64)
     counts = np.array([frame.pulse_count for frame in frames], np.float64)
-    gaps_us, ways = np.diff(times_us), np.abs(np.diff(counts))
-    if not ways.all():
+    gaps_us, steps = np.diff(times_us), np.abs(np.diff(counts))
+    if not steps.all():
         yield f"{_name(one)}: two frames have the same scale count: scan these fields again."
         return
-    us_per_count = float(np.median(gaps_us / ways))
-    off_periods = (gaps_us - us_per_count * ways) / (us_per_count * float(ways.min()))
+    us_per_count = float(np.median(gaps_us / steps))
+    off_periods = (gaps_us - us_per_count * steps) / (us_per_count * float(steps.min()))
     wrong = np.flatnonzero(np.abs(off_periods) > OFF_PERIODS)
     if wrong.size:
         first = frames[int(wrong[0]) + 1].shot

@@ -220,8 +220,8 @@ def digests_of_result(result: Result) -> tuple[Digest, ...]:
         ("Verdict", VERDICT, [path / VERDICT]),
         ("Judgements", NOTEBOOK, [path / NOTEBOOK]),
     )
-    found = ((what, of, [file for place in places for file in _files(place)]) for what, of, places in sets)
-    return tuple(_digest(what, of, path, files) for what, of, files in found if files)
+    sets_of_files = ((what, of, [file for place in places for file in _files(place)]) for what, of, places in sets)
+    return tuple(_digest(what, of, path, files) for what, of, files in sets_of_files if files)
 
 
 def _files(place: Path) -> list[Path]:
@@ -233,7 +233,7 @@ def _files(place: Path) -> list[Path]:
     return [place] if place.exists() else []
 
 
-def _digest(what: str, of: str, folder: Path, files: list[Path]) -> Digest:
+def _digest(what: str, subject: str, folder: Path, files: list[Path]) -> Digest:
     """Return the digest over names, sizes and contents, in order."""
     sizes = [path.stat().st_size for path in files]
     too_large = sum(sizes) > MOST_BYTES
@@ -242,8 +242,8 @@ def _digest(what: str, of: str, folder: Path, files: list[Path]) -> Digest:
         digest.update(f"{path.relative_to(folder).as_posix()}\n{n_bytes}\n".encode())
         if not too_large:
             _add(digest, path)
-    told = f"{of}; names and sizes alone, because they are {size(sum(sizes))}" if too_large else of
-    return Digest(what, told, digest.hexdigest())
+    scope = f"{subject}; names and sizes alone, because they are {size(sum(sizes))}" if too_large else subject
+    return Digest(what, scope, digest.hexdigest())
 
 
 def _add(digest: hashlib._Hash, path: Path) -> None:

@@ -18,7 +18,7 @@ from wafer_viewer.model.surface.recipe import Recipe
 from wafer_viewer.store.formats.npz_file import read_npz, write_npz
 from wafer_viewer.store.io.atomic_files import atomic_write, os_errors_as_dataset_errors
 from wafer_viewer.store.io.checksums import SURFACES, load_json, require_good_json, save_json
-from wafer_viewer.store.mosaic.missing_shards import require_whole_once
+from wafer_viewer.store.mosaic.missing_shards import require_complete_once
 from wafer_viewer.store.mosaic.poses_file import POSES, read_poses, write_poses
 from wafer_viewer.store.mosaic.zarr_mosaic import ZarrMosaic
 
@@ -89,8 +89,8 @@ class Result:
         """Save the surface of a field, replacing an earlier one."""
         path = self._surface_file(field)
         self._make_folder(path.parent)
-        with atomic_write(path) as beside:
-            write_npz(surface, beside)
+        with atomic_write(path) as temporary:
+            write_npz(surface, temporary)
 
     def surfaces_done(self, fields: Iterable[Field]) -> set[int]:
         """Return the numbers of those fields that have a surface."""
@@ -121,7 +121,7 @@ class Result:
             raise DatasetError(f"Result {self.name!r} has no stitched surface: stitch its fields first.")
         mosaic = ZarrMosaic.open(self.mosaic_path)
         if not self.broken_off:
-            require_whole_once(mosaic)
+            require_complete_once(mosaic)
         return mosaic
 
     def poses(self) -> Poses | None:
@@ -176,8 +176,8 @@ class Result:
         """Save the thumbnail of a measurement result."""
         path = self._thumbnail_file(number)
         self._make_folder(path.parent)
-        with atomic_write(path) as beside:
-            beside.write_bytes(jpeg)
+        with atomic_write(path) as temporary:
+            temporary.write_bytes(jpeg)
 
     def highest_thumbnail(self) -> int:
         """Return the highest thumbnail number, 0 if there is none; numbers are never reused."""

@@ -227,8 +227,8 @@ class JournalReader:
                 text = file.read()
         except OSError as fault:
             raise DatasetError(f"{self._path} cannot be read: {fault.strerror}.") from fault
-        whole = text[: text.rfind(b"\n") + 1]
-        return whole.split(b"\n")[:-1]
+        complete = text[: text.rfind(b"\n") + 1]
+        return complete.split(b"\n")[:-1]
 
     def _decode(self, text: bytes) -> Line | None:
         try:
@@ -249,7 +249,7 @@ class JournalWriter:
         self._path = path
         with os_errors_as_dataset_errors(path):
             path.touch()
-            os.truncate(path, _end_of_whole_lines(path))
+            os.truncate(path, _end_of_complete_lines(path))
             self._file = path.open("ab", buffering=0)
 
     def write(self, line: Line) -> None:
@@ -271,7 +271,7 @@ def _decoded(text: bytes) -> Line:
     return _DECODER.decode(text)
 
 
-def _end_of_whole_lines(path: Path) -> int:
+def _end_of_complete_lines(path: Path) -> int:
     """Return the end offset of the last complete and readable line."""
     text = path.read_bytes()
     end = text.rfind(b"\n") + 1

@@ -56,16 +56,16 @@ def stacks_by_cell(src: Paths, pattern: str | None) -> dict[Cell, list[Slot]]:
     if pattern is None:
         return {(0, 0): [(picture,) for picture in pictures(src)]}
     expression = compile_pattern(pattern)
-    found: dict[Cell, dict[tuple[int, int], ImageFile]] = {}
+    stacks: dict[Cell, dict[tuple[int, int], ImageFile]] = {}
     for path, name in _named_files(src, "/" in pattern):
         cell, frames = _frames_of(path, name, expression, pattern)
-        stack = found.setdefault(cell, {})
+        stack = stacks.setdefault(cell, {})
         if twice := stack.keys() & frames.keys():
             why = f"frame {min(twice)[0]} of row {cell[0]}, column {cell[1]} is there twice"
             raise DatasetError(_stopped(name, why, "Take one out."))
         stack |= frames
-    ks, es = (sorted({of_frame[i] for stack in found.values() for of_frame in stack}) for i in (0, 1))
-    return {cell: [tuple(found[cell].get((k, e)) for e in es) for k in ks] for cell in sorted(found)}
+    ks, es = (sorted({key[i] for stack in stacks.values() for key in stack}) for i in (0, 1))
+    return {cell: [tuple(stacks[cell].get((k, e)) for e in es) for k in ks] for cell in sorted(stacks)}
 
 
 def compile_pattern(pattern: str) -> re.Pattern[str]:
@@ -80,8 +80,8 @@ def compile_pattern(pattern: str) -> re.Pattern[str]:
     """
     parts = re.split(r"\{(\w+)\}", pattern)
     names = parts[1::2]
-    told_apart = {"row", "col"} <= set(names) or ("e" in names and not {"row", "col"} & set(names))
-    if not told_apart or not set(names) <= _PARTS or len(names) != len(set(names)):
+    distinguishable = {"row", "col"} <= set(names) or ("e" in names and not {"row", "col"} & set(names))
+    if not distinguishable or not set(names) <= _PARTS or len(names) != len(set(names)):
         raise DatasetError(
             f"The pattern {pattern!r} does not say which field a file is: it needs {{row}} and {{col}}, "
             "{k} where each frame is a file, and {e} where each z was taken in several exposures, once each, "
@@ -111,14 +111,14 @@ def _frames_of(
     if match is None:
         why = f"its name does not fit the pattern {pattern!r}"
         raise DatasetError(_stopped(name, why, "Take the file out or change the pattern."))
-    numbers, of_file = {part: int(digits) for part, digits in match.groupdict().items()}, pictures_of(path)
+    numbers, pages = {part: int(digits) for part, digits in match.groupdict().items()}, pictures_of(path)
     cell, exposure = (numbers.get("row", 0), numbers.get("col", 0)), numbers.get("e", 0)
     if "k" not in numbers:
-        return cell, {(k, exposure): picture for k, picture in enumerate(of_file)}
-    if len(of_file) > 1:
-        why = f"it has {len(of_file)} pages and the pattern says one frame a file"
+        return cell, {(k, exposure): picture for k, picture in enumerate(pages)}
+    if len(pages) > 1:
+        why = f"it has {len(pages)} pages and the pattern says one frame a file"
         raise DatasetError(_stopped(name, why, "Leave out {k}."))
-    return cell, {(numbers["k"], exposure): of_file[0]}
+    return cell, {(numbers["k"], exposure): pages[0]}
 
 
 def _stopped(name: str, why: str, mend: str) -> str:
@@ -198,14 +198,14 @@ def open_stack(
        programme exchange.
     """
     step_um, pixel = _required(z_step_um, pixel_um)
-    found = _in_ascending_z(pictures(src), step_um)
-    _require_frames(len(found), "the source")
-    images = _read_all(found, progress, should_stop)
+    images_in_z = _in_ascending_z(pictures(src), step_um)
+    _require_frames(len(images_in_z), "the source")
+    images = _read_all(images_in_z, progress, should_stop)
     return FieldStack(
         field=Field(number=1, row=0, col=0, x_um=0.0, y_um=0.0, z_start_um=z_start_um),
         images=images,
-        z_um=z_start_um + abs(step_um) * np.arange(len(found), dtype=np.float64),
-        present=np.ones(len(found), bool),
+        z_um=z_start_um + abs(step_um) * np.arange(len(images_in_z), dtype=np.float64),
+        present=np.ones(len(images_in_z), bool),
         pixel_um=pixel,
         checksum=hashlib.sha256(b"".join(b"%08x" % zlib.crc32(image.data) for image in images)).hexdigest(),
         source=_source_name(src),
@@ -282,27 +282,27 @@ def import_dataset(
     _require_free(target)
     stacks = {cell: _in_ascending_z(stack, step_um) for cell, stack in stacks_by_cell(srcs, pattern).items()}
     for cell, stack in stacks.items():
-        what = "the source" if pattern is None else f"the field in row {cell[0]}, column {cell[1]}"
-        _require_frames(sum(None not in slot for slot in stack), what)
+        source = "the source" if pattern is None else f"the field in row {cell[0]}, column {cell[1]}"
+        _require_frames(sum(None not in slot for slot in stack), source)
     first = next(p for stack in stacks.values() for slot in stack for p in slot if p is not None).read()
     job = _job(stacks, first, abs(step_um), pixel, overlap_fraction)
     plan = _plan(job, first, pixel, depth_um)
     require_space(target.parent, plan.n_frames * first.nbytes, target.name)
-    with atomic_write(target) as beside:
+    with atomic_write(target) as temporary:
         bits = 8 * first.dtype.itemsize
-        with DatasetWriter.create(beside, plan, job, imported_from=_source_name(srcs), bits=bits) as writer:
+        with DatasetWriter.create(temporary, plan, job, imported_from=_source_name(srcs), bits=bits) as writer:
             _copy(stacks, writer, progress, should_stop)
     return Dataset.open(target)
 
 
 @dataclass(slots=True)
-class _Alike:
+class _UniformFormat:
     """Check that all images have the size and depth of the first one."""
 
     first: Image | None = None
     n_before: int = 0
 
-    def passed(self, picture: ImageFile) -> Image:
+    def checked(self, picture: ImageFile) -> Image:
         image = picture.read()
         first = image if self.first is None else self.first
         if _kind(image) != _kind(first):
@@ -315,27 +315,27 @@ class _Alike:
         return image
 
 
-def _read_all(found: list[ImageFile], progress: Progress | None, should_stop: ShouldStop | None) -> Image:
-    alike = _Alike()
-    first = alike.passed(found[0])
+def _read_all(pictures: list[ImageFile], progress: Progress | None, should_stop: ShouldStop | None) -> Image:
+    uniform = _UniformFormat()
+    first = uniform.checked(pictures[0])
     dtype: np.dtype[Any] = first.dtype
-    images = np.empty((len(found), *first.shape), dtype)
+    images = np.empty((len(pictures), *first.shape), dtype)
     images[0] = first
     for k, picture in enumerate(
-        with_progress(found[1:], len(found) - 1, "Reading the images", progress, should_stop), 1
+        with_progress(pictures[1:], len(pictures) - 1, "Reading the images", progress, should_stop), 1
     ):
-        images[k] = alike.passed(picture)
+        images[k] = uniform.checked(picture)
     return images
 
 
 def _copy(stacks: Stacks, writer: DatasetWriter, progress: Progress | None, should_stop: ShouldStop | None) -> None:
-    alike = _Alike()
+    uniform = _UniformFormat()
     slots = list(_slots(stacks, writer.record.plan))
     for shot, field, picture in with_progress(slots, len(slots), "The import", progress, should_stop):
         if picture is None:
             writer.missed(shot, shot.k, "there was no such image")
         else:
-            writer.frame(_frame(shot, field, writer.record.plan.sweep, alike.passed(picture)))
+            writer.frame(_frame(shot, field, writer.record.plan.sweep, uniform.checked(picture)))
     writer.finish()
 
 
@@ -444,11 +444,11 @@ def _require_free(target: Path) -> None:
         raise DatasetError(f"{target} exists already. {NOTHING_WRITTEN} Choose another name.")
 
 
-def _require_frames(n_frames: int, what: str) -> None:
+def _require_frames(n_frames: int, source: str) -> None:
     if n_frames < MIN_FRAMES:
         raise DatasetError(
-            f"Import stopped: {what} has {n_frames} frames and at least {MIN_FRAMES} are needed to find a focus peak. "
-            f"{NOTHING_WRITTEN} Give the whole stack."
+            f"Import stopped: {source} has {n_frames} frames and at least {MIN_FRAMES} are needed to find a focus peak."
+            f" {NOTHING_WRITTEN} Give the whole stack."
         )
 
 

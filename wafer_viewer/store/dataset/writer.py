@@ -45,10 +45,10 @@ class DatasetWriter:
         self._fields = {f.number: f for f in record.plan.fields}
         self._files: dict[int, PageWriter] = {}
         self._journal = scan_record.JournalWriter(path / JOURNAL)
-        self._kept = Dataset(path, record).kept()
+        self._stored = Dataset(path, record).kept()
         self._provisional: set[Shot] | None = None
         """Slots with a frame of the current pass; None between passes, where a frame counts at once."""
-        self._kept_of_field = Counter(shot.field for shot in self._kept)
+        self._n_stored_of_field = Counter(shot.field for shot in self._stored)
 
     @classmethod
     def create(
@@ -108,12 +108,12 @@ class DatasetWriter:
     @property
     def kept(self) -> frozenset[Shot]:
         """Slots that have a frame, which a resumed scan may skip."""
-        return frozenset(self._kept)
+        return frozenset(self._stored)
 
     @property
     def n_arrived(self) -> int:
         """Number of slots that have a frame, including those of the current pass."""
-        return len(self._kept) + len(self._provisional or ())
+        return len(self._stored) + len(self._provisional or ())
 
     def pass_begun(self, number: int, leg: Leg) -> None:
         """Start a leg; its frames count once it has ended."""
@@ -129,8 +129,8 @@ class DatasetWriter:
         """
         if frame.image is None or frame.status is not FrameStatus.OK:
             self.missed(frame.shot, frame.pulse_count, f"the image was {frame.status.value}")
-        elif frame.shot not in self._kept and frame.shot not in (self._provisional or ()):
-            self._keep(frame, self._checked(frame.shot, frame.image))
+        elif frame.shot not in self._stored and frame.shot not in (self._provisional or ()):
+            self._store(frame, self._checked(frame.shot, frame.image))
 
     def missed(self, shot: Shot, pulse_count: int, why: str) -> None:
         """Record an empty slot, or reject its frame of the current pass."""
@@ -169,7 +169,7 @@ class DatasetWriter:
     ) -> None:
         self.close()
 
-    def _keep(self, frame: Frame, image: Image) -> None:
+    def _store(self, frame: Frame, image: Image) -> None:
         shot = frame.shot
         self._file(shot.field).write(self.record.page_of(shot.k, shot.exposure), image)
         self._journal.write(
@@ -191,10 +191,10 @@ class DatasetWriter:
 
     def _count(self, shots: set[Shot]) -> None:
         """Count frames as kept, and report the fields that they complete."""
-        self._kept |= shots
+        self._stored |= shots
         for number, n_new in Counter(shot.field for shot in shots).items():
-            self._kept_of_field[number] += n_new
-            if self._kept_of_field[number] == self.record.pages.n_pages and self.on_field_complete is not None:
+            self._n_stored_of_field[number] += n_new
+            if self._n_stored_of_field[number] == self.record.pages.n_pages and self.on_field_complete is not None:
                 self.on_field_complete(number)
 
     def _checked(self, shot: Shot, image: Image) -> Image:
@@ -258,14 +258,14 @@ def _description(record: ScanRecord, field_number: int) -> str:
 
 def _require_distinct_names(plan: ScanPlan) -> None:
     """Raise DatasetError when two fields share a grid position, and hence a file, or a number."""
-    for what, names in (
+    for property_name, names in (
         ("place in the grid", [f.name for f in plan.fields]),
         ("number", [f.number for f in plan.fields]),
     ):
         twice = [name for name, count in Counter(names).items() if count > 1]
         if twice:
             raise DatasetError(
-                f"Two fields have the same {what}, {twice[0]}: give each its own row, column and number."
+                f"Two fields have the same {property_name}, {twice[0]}: give each its own row, column and number."
             )
 
 

@@ -62,8 +62,8 @@ def heading(strips: Strips) -> list[str]:
 
 def _in_short_lines(text: str) -> list[str]:
     """Split JSON into lines without blanks: some programs fail at a line or word of some hundred characters."""
-    whole = text.replace(" ", "\\u0020")
-    return [whole[at : at + LINE_LETTERS] for at in range(0, len(whole), LINE_LETTERS)]
+    escaped = text.replace(" ", "\\u0020")
+    return [escaped[start : start + LINE_LETTERS] for start in range(0, len(escaped), LINE_LETTERS)]
 
 
 def about(strips: Strips) -> str:

@@ -17,7 +17,7 @@ from wafer_viewer.store.formats.embedded_metadata import caveats
 from wafer_viewer.store.formats.surface_strips import Strips
 from wafer_viewer.store.io.atomic_files import atomic_write
 
-__all__ = ["caveats", "export", "losses", "require_known", "write_surface"]
+__all__ = ["caveats", "export", "losses", "require_format", "write_surface"]
 
 Writer = Callable[[Strips, Path], None]
 
@@ -71,10 +71,10 @@ def export(
        x3p.
     """
     target = Path(path)
-    write = require_known(target)
+    write = require_format(target)
     strips = Strips(surface, every or density(surface, target), progress, should_stop)
-    with atomic_write(target) as beside:
-        write(strips, beside)
+    with atomic_write(target) as temporary:
+        write(strips, temporary)
     return target
 
 
@@ -104,7 +104,7 @@ def write_surface(height: HeightMap | Mosaic, path: str | Path) -> Path:
     return export(height, path)
 
 
-def require_known(path: Path) -> Writer:
+def require_format(path: Path) -> Writer:
     """Return the exporter for a file's suffix. Raises DatasetError when there is none."""
     kind = BY_SUFFIX.get(path.suffix.lower())
     if kind is None or kind.writer is None:
@@ -124,9 +124,9 @@ def density(surface: HeightMap | Mosaic, path: Path, most_points: int | None = N
 def losses(surface: HeightMap | Mosaic, path: Path, every: int = 1) -> tuple[str, ...]:
     """Return what a file cannot hold of a surface, one sentence each; empty if it holds everything."""
     kind = BY_SUFFIX[path.suffix.lower()]
-    said = [kind.loses]
+    sentences = [kind.loses]
     if every > 1:
-        said.append(f"One row and one column in {every} are written, {surface.pixel_um * every:.4g} um apart.")
+        sentences.append(f"One row and one column in {every} are written, {surface.pixel_um * every:.4g} um apart.")
     if kind.loses_more is not None:
-        said.append(imported(kind.loses_more)(Strips(surface, every)))
-    return tuple(one for one in said if one)
+        sentences.append(imported(kind.loses_more)(Strips(surface, every)))
+    return tuple(one for one in sentences if one)

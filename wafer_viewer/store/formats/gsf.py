@@ -29,22 +29,22 @@ def write_gsf(strips: Strips, path: Path) -> None:
             file.write((z_um.astype(np.float64) * _M).astype("<f4").tobytes())
 
 
-def read_gsf(path: Path, asked: ReadOptions) -> HeightMap:
+def read_gsf(path: Path, options: ReadOptions) -> HeightMap:
     """Read the heights of a GSF file. Raises DatasetError when it is no such file or states no units."""
-    said, begin = _read_header(path, asked)
-    rows, cols = (_count(said, name, asked) for name in ("YRes", "XRes"))
+    header, begin = _read_header(path, options)
+    rows, cols = (_count(header, name, options) for name in ("YRes", "XRes"))
     if path.stat().st_size != begin + 4 * rows * cols:
-        raise asked.refuse("is cut off or too long: its header and its numbers do not fit, so write it again.")
-    asked.require_heights_up(said.get("Title", ""))
-    z_scale = asked.z_scale_um(said.get("ZUnits"))
-    unit_um = asked.lateral_um(said.get("XYUnits"))
-    dx_um, dy_um = (_pitch_um(said, name, n, unit_um, asked) for name, n in (("XReal", cols), ("YReal", rows)))
-    pixel_um = asked.pixel_um(dx_um, dy_um)
-    z_um = scaled(asked, np.memmap(path, "<f4", "r", begin, (rows, cols)), z_scale)
-    x0_um, y0_um = (_number(said, name, asked, 0.0) * (unit_um or 0.0) for name in ("XOffset", "YOffset"))
-    told = parse_metadata(said.get(OURS))
+        raise options.refuse("is cut off or too long: its header and its numbers do not fit, so write it again.")
+    options.require_heights_up(header.get("Title", ""))
+    z_scale = options.z_scale_um(header.get("ZUnits"))
+    unit_um = options.lateral_um(header.get("XYUnits"))
+    dx_um, dy_um = (_pitch_um(header, name, n, unit_um, options) for name, n in (("XReal", cols), ("YReal", rows)))
+    pixel_um = options.pixel_um(dx_um, dy_um)
+    z_um = scaled(options, np.memmap(path, "<f4", "r", begin, (rows, cols)), z_scale)
+    x0_um, y0_um = (_number(header, name, options, 0.0) * (unit_um or 0.0) for name in ("XOffset", "YOffset"))
+    metadata = parse_metadata(header.get(OURS))
     return heights_only(
-        asked, z_um, pixel_um, x0_um + pixel_um / 2, -y0_um - pixel_um / 2, told.provenance if told else None
+        options, z_um, pixel_um, x0_um + pixel_um / 2, -y0_um - pixel_um / 2, metadata.provenance if metadata else None
     )
 
 
@@ -66,36 +66,36 @@ def _header(strips: Strips) -> bytes:
     return text + b"\0" * (4 - len(text) % 4)
 
 
-def _read_header(path: Path, asked: ReadOptions) -> tuple[dict[str, str], int]:
+def _read_header(path: Path, options: ReadOptions) -> tuple[dict[str, str], int]:
     """Return the header entries, and the offset of the numbers."""
     with path.open("rb") as file:
         content = file.read(_LARGEST_HEADER)
     end = content.find(b"\0")
     if content[: len(MAGIC)] != MAGIC or end < 0:
-        raise asked.refuse("has no header of a GSF file: give a file that begins with 'Gwyddion Simple Field 1.0'.")
-    said: dict[str, str] = {}
+        raise options.refuse("has no header of a GSF file: give a file that begins with 'Gwyddion Simple Field 1.0'.")
+    header: dict[str, str] = {}
     for line in content[len(MAGIC) : end].decode("utf-8", "replace").splitlines():
         name, _, value = (part.strip() for part in line.partition("="))
-        if said.get(name, value) != value:
-            raise asked.refuse(f"says {name} twice, {said[name]} and {value}: keep the line that is right.")
-        said[name] = value
-    return said, end + 4 - end % 4
+        if header.get(name, value) != value:
+            raise options.refuse(f"says {name} twice, {header[name]} and {value}: keep the line that is right.")
+        header[name] = value
+    return header, end + 4 - end % 4
 
 
-def _count(said: dict[str, str], name: str, asked: ReadOptions) -> int:
-    if not said.get(name, "").isdigit() or int(said[name]) < 1:
-        raise asked.refuse(f"has no {name} in its header: write it again with its numbers of rows and columns.")
-    return int(said[name])
+def _count(header: dict[str, str], name: str, options: ReadOptions) -> int:
+    if not header.get(name, "").isdigit() or int(header[name]) < 1:
+        raise options.refuse(f"has no {name} in its header: write it again with its numbers of rows and columns.")
+    return int(header[name])
 
 
-def _number(said: dict[str, str], name: str, asked: ReadOptions, otherwise: float) -> float:
+def _number(header: dict[str, str], name: str, options: ReadOptions, otherwise: float) -> float:
     try:
-        return float(said.get(name, otherwise))
+        return float(header.get(name, otherwise))
     except ValueError as fault:
-        raise asked.refuse(f"has {said[name]!r} for {name} in its header: it must be a number.") from fault
+        raise options.refuse(f"has {header[name]!r} for {name} in its header: it must be a number.") from fault
 
 
-def _pitch_um(said: dict[str, str], name: str, n: int, unit_um: float | None, asked: ReadOptions) -> float | None:
-    if name not in said or unit_um is None:
+def _pitch_um(header: dict[str, str], name: str, n: int, unit_um: float | None, options: ReadOptions) -> float | None:
+    if name not in header or unit_um is None:
         return None
-    return _number(said, name, asked, 0.0) / n * unit_um
+    return _number(header, name, options, 0.0) / n * unit_um

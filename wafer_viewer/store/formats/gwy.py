@@ -32,16 +32,16 @@ Tree = dict[str, Any]
 
 def parsed(content: NDArray[np.uint8]) -> Tree:
     """Parse the container of a file. Raises ValueError or struct.error when the file ends too early."""
-    return _Parser(content).whole()
+    return _Parser(content).container()
 
 
 class _Parser:
     """Component parser; arrays are views of the file. Raises ValueError or struct.error when it ends too early."""
 
     def __init__(self, content: NDArray[np.uint8]) -> None:
-        self._content, self._at = content, len(MAGIC)
+        self._content, self._position = content, len(MAGIC)
 
-    def whole(self) -> Tree:
+    def container(self) -> Tree:
         """Return the container of the file."""
         return self._object(len(self._content), 0)
 
@@ -50,14 +50,14 @@ class _Parser:
             raise ValueError("objects lie too deep in each other")
         self._text()
         (n_bytes,) = struct.unpack("<I", self._bytes(4))
-        end = self._at + n_bytes
+        end = self._position + n_bytes
         if end > limit:
             raise ValueError("an object ends after the file")
-        found: Tree = {}
-        while self._at < end:
+        values: Tree = {}
+        while self._position < end:
             name, kind = self._text(), self._bytes(1).decode("ascii")
-            found[name] = self._value(kind, end, depth)
-        return found
+            values[name] = self._value(kind, end, depth)
+        return values
 
     def _value(self, kind: str, end: int, depth: int) -> Any:
         if kind == "o":
@@ -77,24 +77,24 @@ class _Parser:
         raise ValueError(f"a component is of an unknown kind {kind!r}")
 
     def _text(self) -> str:
-        end = self._at
-        while not (found := np.flatnonzero(self._content[end : end + 256] == 0)).size:
+        end = self._position
+        while not (ends := np.flatnonzero(self._content[end : end + 256] == 0)).size:
             end += 256
             if end >= len(self._content):
                 raise ValueError("a text has no end")
-        end += int(found[0])
-        text = bytes(self._content[self._at : end]).decode()
-        self._at = end + 1
+        end += int(ends[0])
+        text = bytes(self._content[self._position : end]).decode()
+        self._position = end + 1
         return text
 
     def _bytes(self, n: int) -> bytes:
         return bytes(self._view(n))
 
     def _view(self, n: int) -> NDArray[np.uint8]:
-        if self._at + n > len(self._content):
+        if self._position + n > len(self._content):
             raise ValueError("the file ends too early")
-        view = self._content[self._at : self._at + n]
-        self._at += n
+        view = self._content[self._position : self._position + n]
+        self._position += n
         return view
 
 
@@ -158,27 +158,29 @@ def lost_layers(strips: Strips) -> str:
     return "" if fits else "All layers would pass the 4 GB of a GWY file: it holds heights only."
 
 
-def read_gwy(path: Path, asked: ReadOptions) -> HeightMap:
+def read_gwy(path: Path, options: ReadOptions) -> HeightMap:
     """Read all layers of a Wafer Viewer file, else the heights only. Raises DatasetError if there are no heights."""
     with path.open("rb") as file:
-        is_ours = file.read(len(MAGIC)) == MAGIC
-    if not is_ours:
-        raise asked.refuse("is not a GWY file: give a file that Gwyddion or Wafer Viewer wrote.")
+        is_gwy = file.read(len(MAGIC)) == MAGIC
+    if not is_gwy:
+        raise options.refuse("is not a GWY file: give a file that Gwyddion or Wafer Viewer wrote.")
     try:
         tree = parsed(np.memmap(path, np.uint8, "r"))
     except (struct.error, ValueError, IndexError, UnicodeDecodeError) as fault:
-        raise asked.refuse("is cut off or damaged: copy it again, or save it again in Gwyddion.") from fault
+        raise options.refuse("is cut off or damaged: copy it again, or save it again in Gwyddion.") from fault
     channels = {int(key.split("/")[1]): tree[key] for key in tree if _is_channel(key, tree[key])}
     titles = {tree.get(f"/{n}/data/title"): n for n in channels}
     number = titles.get(CHANNELS[0].title, next((n for n in sorted(channels) if _is_length(channels[n])), None))
     if number is None:
-        raise asked.refuse("has no channel of heights, with a unit of length: give its unit in Gwyddion, and save it.")
-    told = parse_metadata(tree.get(f"/{number}/meta", {}).get(OURS))
-    if len(channels) > 1 and told is None:
-        asked.notes.append(
+        raise options.refuse(
+            "has no channel of heights, with a unit of length: give its unit in Gwyddion, and save it."
+        )
+    metadata = parse_metadata(tree.get(f"/{number}/meta", {}).get(OURS))
+    if len(channels) > 1 and metadata is None:
+        options.notes.append(
             f"Its channel '{tree.get(f'/{number}/data/title', number)}' was read, one of {len(channels)}."
         )
-    return _surface(tree, channels, titles, number, told.provenance if told else None, asked)
+    return _surface(tree, channels, titles, number, metadata.provenance if metadata else None, options)
 
 
 def _surface(
@@ -187,27 +189,27 @@ def _surface(
     titles: dict[Any, int],
     number: int,
     came_from: Provenance | None,
-    asked: ReadOptions,
+    options: ReadOptions,
 ) -> HeightMap:
     field = channels[number]
-    asked.require_heights_up(str(tree.get(f"/{number}/data/title", "")))
-    unit_um = asked.lateral_um(_unit(field, "si_unit_xy"))
+    options.require_heights_up(str(tree.get(f"/{number}/data/title", "")))
+    unit_um = options.lateral_um(_unit(field, "si_unit_xy"))
     rows, cols = _shape(field)
     pitches = (None, None) if unit_um is None else (field["xreal"] / cols * unit_um, field["yreal"] / rows * unit_um)
-    pixel_um = asked.pixel_um(*pitches)
+    pixel_um = options.pixel_um(*pitches)
     x0_um, y0_um = (field.get(name, 0.0) * (unit_um or 0.0) for name in ("xoff", "yoff"))
     place = pixel_um, x0_um + pixel_um / 2, -y0_um - pixel_um / 2
-    z_um = _heights(tree, number, channels, asked)
+    z_um = _heights(tree, number, channels, options)
     wanted = [titles.get(channel.title, titles.get(channel.older_title)) for channel in CHANNELS]
     if came_from is None or None in wanted or any(_shape(channels[n]) != (rows, cols) for n in wanted if n is not None):
-        return heights_only(asked, z_um, *place, came_from)
+        return heights_only(options, z_um, *place, came_from)
     confidence, grey, origin = (channels[n] for n in wanted[2:] if n is not None)
-    require_some(asked, np.isfinite(z_um))
+    require_some(options, np.isfinite(z_um))
     greys = grey["data"].reshape(rows, cols)
     return HeightMap(
         z_um=z_um,
-        z_raw_um=_heights(tree, wanted[1] or 0, channels, asked),
-        confidence=scaled(asked, confidence["data"].reshape(rows, cols), 1.0),
+        z_raw_um=_heights(tree, wanted[1] or 0, channels, options),
+        confidence=scaled(options, confidence["data"].reshape(rows, cols), 1.0),
         all_in_focus=greys.astype(np.uint16 if greys.max(initial=0) > 255 else np.uint8),
         origin=origin["data"].reshape(rows, cols).astype(np.uint8),
         pixel_um=place[0],
@@ -217,15 +219,15 @@ def _surface(
     )
 
 
-def _heights(tree: Tree, number: int, channels: dict[int, Tree], asked: ReadOptions) -> NDArray[np.float32]:
+def _heights(tree: Tree, number: int, channels: dict[int, Tree], options: ReadOptions) -> NDArray[np.float32]:
     """Return the heights of a channel; pixels under its mask are NaN."""
     field = channels[number]
-    z_um = scaled(asked, field["data"].reshape(_shape(field)), asked.z_scale_um(_unit(field, "si_unit_z")))
+    z_um = scaled(options, field["data"].reshape(_shape(field)), options.z_scale_um(_unit(field, "si_unit_z")))
     mask = tree.get(f"/{number}/mask")
     if _is_field(mask) and _shape(mask) == _shape(field):
         z_um[mask["data"].reshape(_shape(field)) > 0] = np.nan
         if OURS not in tree.get(f"/{number}/meta", {}):
-            asked.notes.append("What lies under its mask counts as unmeasured.")
+            options.notes.append("What lies under its mask counts as unmeasured.")
     return z_um
 
 
@@ -246,8 +248,8 @@ def _shape(field: Tree) -> tuple[int, int]:
 
 
 def _unit(field: Tree, name: str) -> str | None:
-    found = field.get(name)
-    return (found.get("unitstr") or None) if isinstance(found, dict) else None
+    unit = field.get(name)
+    return (unit.get("unitstr") or None) if isinstance(unit, dict) else None
 
 
 def _is_length(field: Tree) -> bool:
@@ -257,14 +259,14 @@ def _is_length(field: Tree) -> bool:
 def _parts(strips: Strips, channels: tuple[Channel, ...]) -> list[bytes | _Numbers]:
     """Return the components of the container, in order."""
     parts: list[bytes | _Numbers] = []
-    said = _object("GwyContainer", _string("Title", title(strips.surface)) + _string(OURS, about(strips)))
+    metadata = _object("GwyContainer", _string("Title", title(strips.surface)) + _string(OURS, about(strips)))
     for number, channel in enumerate(channels):
         parts += _field(strips, f"/{number}/data", _Numbers(channel))
         if channel.has_gaps:
             parts += _field(strips, f"/{number}/mask", _Numbers(channel, is_mask=True))
         parts.append(_string(f"/{number}/data/title", channel.title))
         parts.append(_named(f"/{number}/data/visible", "b") + struct.pack("<?", number == 0))
-        parts.append(_named(f"/{number}/meta", "o") + said)
+        parts.append(_named(f"/{number}/meta", "o") + metadata)
     return parts
 
 
@@ -280,8 +282,8 @@ def _field(strips: Strips, key: str, numbers: _Numbers) -> list[bytes | _Numbers
         "yoff": -(surface.y0_um + strips.pixel_um / 2) * _M,
     }
     inside += b"".join(_named(name, "d") + struct.pack("<d", length) for name, length in lengths.items())
-    for name, said in (("si_unit_xy", "m"), ("si_unit_z", unit)):
-        inside += _named(name, "o") + _object("GwySIUnit", _string("unitstr", said))
+    for name, unit_name in (("si_unit_xy", "m"), ("si_unit_z", unit)):
+        inside += _named(name, "o") + _object("GwySIUnit", _string("unitstr", unit_name))
     inside += _named("data", "D") + struct.pack("<I", rows * cols)
     n_bytes = len(inside) + 8 * rows * cols
     head = _named(key, "o") + b"GwyDataField\0" + struct.pack("<I", min(n_bytes, _LARGEST_BYTES))
@@ -292,14 +294,14 @@ def _data(strips: Strips, numbers: _Numbers, part: int, of: int) -> Iterator[byt
     """Yield the values of a layer; gaps get the first height of their strip and are set in the mask."""
     channel, before = numbers.channel, 0.0
     for layer in strips.layer(channel.layer, part, of):
-        known = np.isfinite(layer) if channel.has_gaps else np.True_
+        finite = np.isfinite(layer) if channel.has_gaps else np.True_
         if numbers.is_mask:
-            yield (~known).astype("<f8").tobytes()
+            yield (~finite).astype("<f8").tobytes()
             continue
         values = layer.astype("<f8") * channel.scale
         if channel.has_gaps:
-            before = float(values[known][0]) if known.any() else before
-            values[~known] = before
+            before = float(values[finite][0]) if finite.any() else before
+            values[~finite] = before
         yield values.tobytes()
 
 

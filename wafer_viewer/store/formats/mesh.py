@@ -59,7 +59,7 @@ def write_stl(strips: Strips, path: Path) -> None:
         for piece in _pieces(strips, path):
             record = np.zeros(len(piece.triangles), _STL)
             record["corners"] = _from_corner(strips, piece.vertices)[piece.triangles]
-            a, b, c = (record["corners"][:, at].astype(np.float64) for at in range(3))
+            a, b, c = (record["corners"][:, corner].astype(np.float64) for corner in range(3))
             normal = np.cross(b - a, c - a)
             record["normal"] = normal / np.linalg.norm(normal, axis=1, keepdims=True)
             file.write(record.tobytes())
@@ -88,11 +88,11 @@ def write_glb(strips: Strips, path: Path) -> None:
     sizes = 12 * n_points, 4 * n_points, 12 * n_triangles
     text = json.dumps(_document(strips, (low, high), sizes)).encode()
     text += b" " * (-len(text) % 4)
-    whole = 12 + 8 + len(text) + 8 + sum(sizes)
-    if whole > _LARGEST_BYTES:
+    n_bytes = 12 + 8 + len(text) + 8 + sum(sizes)
+    if n_bytes > _LARGEST_BYTES:
         raise DatasetError(f"{path.name} would pass the 4 GB of a GLB file: take fewer points.")
     with path.open("wb") as file:
-        file.write(struct.pack("<III", _GLB, 2, whole) + struct.pack("<II", len(text), _JSON) + text)
+        file.write(struct.pack("<III", _GLB, 2, n_bytes) + struct.pack("<II", len(text), _JSON) + text)
         file.write(struct.pack("<II", sum(sizes), _BIN))
         places = [file.tell() + sum(sizes[:n]) for n in range(len(sizes))]
         for piece in _pieces(strips, path, 1, 2):
@@ -107,16 +107,16 @@ def write_glb(strips: Strips, path: Path) -> None:
 def _pieces(strips: Strips, path: Path, part: int = 0, of: int = 1) -> Iterator[_Piece]:
     """Yield a mesh some rows at a time. Raises DatasetError when no four neighbouring pixels have a height."""
     first = n_triangles = 0
-    shared, known_above = np.empty((0, 3)), np.empty((0, strips.shape[1]), np.bool_)
+    shared, finite_above = np.empty((0, 3)), np.empty((0, strips.shape[1]), np.bool_)
     for rows in (rows for strip in strips.maps(part, of) for rows in _few_rows(strip)):
-        known = np.isfinite(rows.z_um)
-        vertices = np.concatenate([shared, points_of(rows, *np.nonzero(known))])
-        triangles = _triangles(np.concatenate([known_above, known]))
-        yield _Piece(vertices, triangles, first, len(shared), eight_bits(rows.all_in_focus)[known])
+        finite = np.isfinite(rows.z_um)
+        vertices = np.concatenate([shared, points_of(rows, *np.nonzero(finite))])
+        triangles = _triangles(np.concatenate([finite_above, finite]))
+        yield _Piece(vertices, triangles, first, len(shared), eight_bits(rows.all_in_focus)[finite])
         n_triangles += len(triangles)
-        known_above = known[-1:]
-        n_kept = len(vertices) - int(known_above.sum())
-        first, shared = first + n_kept, vertices[n_kept:]
+        finite_above = finite[-1:]
+        n_unshared = len(vertices) - int(finite_above.sum())
+        first, shared = first + n_unshared, vertices[n_unshared:]
     if n_triangles == 0:
         raise DatasetError(f"{path.name} would hold no triangle: no four neighbouring pixels have a height.")
 
@@ -128,10 +128,10 @@ def _few_rows(part: HeightMap) -> Iterator[HeightMap]:
         yield part.crop(slice(top, min(top + _ROWS_AT_A_TIME, rows)), slice(0, cols))
 
 
-def _triangles(known: NDArray[np.bool_]) -> NDArray[np.int64]:
+def _triangles(finite: NDArray[np.bool_]) -> NDArray[np.int64]:
     """Return two triangles for every 2 x 2 pixels without a gap, as indices of known pixels."""
-    n = np.cumsum(known).reshape(known.shape) - 1
-    square = known[:-1, :-1] & known[:-1, 1:] & known[1:, :-1] & known[1:, 1:]
+    n = np.cumsum(finite).reshape(finite.shape) - 1
+    square = finite[:-1, :-1] & finite[:-1, 1:] & finite[1:, :-1] & finite[1:, 1:]
     a, b, c, d = n[:-1, :-1][square], n[:-1, 1:][square], n[1:, :-1][square], n[1:, 1:][square]
     return np.concatenate([np.stack([a, c, b], axis=1), np.stack([b, c, d], axis=1)])
 

@@ -50,7 +50,7 @@ def write_npz_strips(strips: Strips, path: Path) -> None:
     corner = surface.window(Region.point(surface.x0_um, surface.y0_um))
     with_overlap = corner.overlap_um is not None and strips.every == 1
     names = (*LAYERS, OVERLAP) if with_overlap else LAYERS
-    said = {"provenance": encode(surface.provenance, "json"), "x0_um": surface.x0_um, "y0_um": surface.y0_um}
+    header = {"provenance": encode(surface.provenance, "json"), "x0_um": surface.x0_um, "y0_um": surface.y0_um}
     with zipfile.ZipFile(path, "w", allowZip64=True) as archive:
         for part, name in enumerate(names):
             dtype = getattr(corner, name).dtype
@@ -59,18 +59,18 @@ def write_npz_strips(strips: Strips, path: Path) -> None:
                 np.lib.format.write_array_header_1_0(file, head)
                 for layer in strips.layer(name, part, len(names)):
                     file.write(np.ascontiguousarray(layer).tobytes())
-        for name, value in {**said, "pixel_um": strips.pixel_um}.items():
+        for name, value in {**header, "pixel_um": strips.pixel_um}.items():
             with archive.open(f"{name}.npy", "w") as file:
                 np.lib.format.write_array(file, np.array(value))
     seal_archive(path)
 
 
-def read_npz_surface(path: Path, asked: ReadOptions) -> HeightMap:
+def read_npz_surface(path: Path, options: ReadOptions) -> HeightMap:
     """Read a height map, for which no options are needed. Raises DatasetError if there is no height."""
     from wafer_viewer.store.formats.reader_support import require_some
 
     surface = read_npz(path)
-    require_some(asked, np.isfinite(surface.z_um))
+    require_some(options, np.isfinite(surface.z_um))
     return surface
 
 
@@ -109,8 +109,8 @@ def read_npz(path: str | Path, *, verify: bool = True) -> HeightMap:
         if verify:
             require_good_archive(place)
         with zipfile.ZipFile(place) as archive, place.open("rb") as file:
-            there = (*LAYERS, OVERLAP) if f"{OVERLAP}.npy" in archive.namelist() else LAYERS
-            layers = {name: _map_member(place, file, archive.getinfo(f"{name}.npy")) for name in there}
+            names = (*LAYERS, OVERLAP) if f"{OVERLAP}.npy" in archive.namelist() else LAYERS
+            layers = {name: _map_member(place, file, archive.getinfo(f"{name}.npy")) for name in names}
             refused = _read_refused(place, file, archive)
         with np.load(place) as members:
             where: dict[str, Any] = {name: float(members[name]) for name in PLACE}

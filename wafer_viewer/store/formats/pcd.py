@@ -61,12 +61,14 @@ def write_pcd(strips: Strips, path: Path) -> None:
             file.write(points.tobytes())
 
 
-def read_pcd(path: Path, asked: ReadOptions) -> HeightMap:
+def read_pcd(path: Path, options: ReadOptions) -> HeightMap:
     """Read the surface sampled by the points of a PCD file."""
-    head = _head(path, asked)
+    head = _head(path, options)
     about = parse_metadata(head.comments.get(OURS))
-    points = PointCloud(lambda: _blocks(path, head, asked), units_of(head.comments.get("unit"), about, asked), about)
-    return surface_of_points(points, asked)
+    points = PointCloud(
+        lambda: _blocks(path, head, options), units_of(head.comments.get("unit"), about, options), about
+    )
+    return surface_of_points(points, options)
 
 
 @dataclass(frozen=True, slots=True)
@@ -79,36 +81,40 @@ class _Head:
     begin: int
 
 
-def _head(path: Path, asked: ReadOptions) -> _Head:
-    said, comments, begin = dict[str, list[str]](), dict[str, str](), 0
+def _head(path: Path, options: ReadOptions) -> _Head:
+    header, comments, begin = dict[str, list[str]](), dict[str, str](), 0
     with path.open("rb") as file:
-        while "DATA" not in said and begin < _LARGEST_HEADER and (line := file.readline(_LARGEST_HEADER)):
+        while "DATA" not in header and begin < _LARGEST_HEADER and (line := file.readline(_LARGEST_HEADER)):
             begin += len(line)
             if line.startswith(b"#"):
                 name, _, value = line[1:].decode("utf-8", "replace").partition(":")
                 comments[name.strip()] = comments.get(name.strip(), "") + value.strip()
             elif words := line.decode("ascii", "replace").split():
-                said[words[0]] = words[1:]
-    names, sizes, kinds = (said.get(name, []) for name in ("FIELDS", "SIZE", "TYPE"))
-    if "DATA" not in said or not len(names) == len(sizes) == len(kinds) or not said.get("POINTS", [""])[0].isdigit():
-        raise asked.refuse("has no header of a PCD file: give a file with FIELDS, SIZE, TYPE, POINTS and DATA.")
-    if said["DATA"] not in (["binary"], ["ascii"]):
-        raise asked.refuse(f"has its points as {' '.join(said['DATA'])}: write it as binary or ascii.")
-    if set(said.get("COUNT", ["1"])) != {"1"} or not set(kinds) <= _KINDS.keys():
-        raise asked.refuse("has fields of several numbers: write it with one number per field.")
+                header[words[0]] = words[1:]
+    names, sizes, kinds = (header.get(name, []) for name in ("FIELDS", "SIZE", "TYPE"))
+    if (
+        "DATA" not in header
+        or not len(names) == len(sizes) == len(kinds)
+        or not header.get("POINTS", [""])[0].isdigit()
+    ):
+        raise options.refuse("has no header of a PCD file: give a file with FIELDS, SIZE, TYPE, POINTS and DATA.")
+    if header["DATA"] not in (["binary"], ["ascii"]):
+        raise options.refuse(f"has its points as {' '.join(header['DATA'])}: write it as binary or ascii.")
+    if set(header.get("COUNT", ["1"])) != {"1"} or not set(kinds) <= _KINDS.keys():
+        raise options.refuse("has fields of several numbers: write it with one number per field.")
     for axis in "xyz":
         if axis not in names:
-            raise asked.refuse(f"has no {axis} among its fields: write it with x, y and z.")
+            raise options.refuse(f"has no {axis} among its fields: write it with x, y and z.")
     fields = {name: f"<{_KINDS[kind]}{size}" for name, kind, size in zip(names, kinds, sizes, strict=True)}
     corner = [float(number) for number in comments.get("corner", "0 0").split()] if OURS in comments else [0.0, 0.0]
-    return _Head(said["DATA"][0], int(said["POINTS"][0]), fields, comments, (corner[0], corner[1]), begin)
+    return _Head(header["DATA"][0], int(header["POINTS"][0]), fields, comments, (corner[0], corner[1]), begin)
 
 
-def _blocks(path: Path, head: _Head, asked: ReadOptions) -> Iterator[Block]:
+def _blocks(path: Path, head: _Head, options: ReadOptions) -> Iterator[Block]:
     starts = list(range(0, head.n_points, AT_A_TIME))
     read = text_records if head.form == "ascii" else records
     for block, _ in zip(
-        read(path, head.begin, head.n_points, list(head.fields.items()), asked), asked.watch(starts), strict=True
+        read(path, head.begin, head.n_points, list(head.fields.items()), options), options.watch(starts), strict=True
     ):
         x, y = (block[axis].astype(np.float64) + from_um for axis, from_um in zip("xy", head.corner, strict=True))
         yield {"x": x, "y": y, "z": block["z"]}

@@ -66,12 +66,14 @@ def write_ply(strips: Strips, path: Path) -> None:
             file.write(points.tobytes())
 
 
-def read_ply(path: Path, asked: ReadOptions) -> HeightMap:
+def read_ply(path: Path, options: ReadOptions) -> HeightMap:
     """Read the surface sampled by the points of a PLY file, or by the vertices of a mesh."""
-    head = _head(path, asked)
+    head = _head(path, options)
     about = parse_metadata(head.comments.get(OURS))
-    points = PointCloud(lambda: _blocks(path, head, asked), units_of(head.comments.get("unit"), about, asked), about)
-    return surface_of_points(points, asked)
+    points = PointCloud(
+        lambda: _blocks(path, head, options), units_of(head.comments.get("unit"), about, options), about
+    )
+    return surface_of_points(points, options)
 
 
 @dataclass(frozen=True, slots=True)
@@ -83,12 +85,12 @@ class _Head:
     begin: int
 
 
-def _head(path: Path, asked: ReadOptions) -> _Head:
+def _head(path: Path, options: ReadOptions) -> _Head:
     with path.open("rb") as file:
         text, end, _ = file.read(_LARGEST_HEADER).partition(b"end_header\n")
     lines = text.decode("ascii", "replace").splitlines()
     if not end or not lines or lines[0].strip() != "ply":
-        raise asked.refuse("has no header of a PLY file: give a file that begins with 'ply'.")
+        raise options.refuse("has no header of a PLY file: give a file that begins with 'ply'.")
     order, elements, fields, comments = "", list[str](), dict[str, str](), dict[str, str]()
     for line in lines[1:]:
         match line.split():
@@ -99,7 +101,7 @@ def _head(path: Path, asked: ReadOptions) -> _Head:
             case ["property", kind, name] if len(elements) == 1 and kind in _TYPES:
                 fields[name] = _TYPES[kind]
             case ["property", *_] if len(elements) == 1:
-                raise asked.refuse("has a list among the properties of its points: write it with plain numbers.")
+                raise options.refuse("has a list among the properties of its points: write it with plain numbers.")
             case ["comment", *words]:
                 name, _, value = " ".join(words).partition(":")
                 comments[name.strip()] = comments.get(name.strip(), "") + value.strip()
@@ -107,17 +109,17 @@ def _head(path: Path, asked: ReadOptions) -> _Head:
                 pass
     n_points = elements[0].split()[-1] if elements and elements[0].split()[1:2] == ["vertex"] else ""
     if not order or not n_points.isdigit():
-        raise asked.refuse("does not begin with its points (element vertex): write it again with them first.")
+        raise options.refuse("does not begin with its points (element vertex): write it again with them first.")
     for axis in "xyz":
         if axis not in fields:
-            raise asked.refuse(f"has no {axis} among the properties of its points: write it with x, y and z.")
+            raise options.refuse(f"has no {axis} among the properties of its points: write it with x, y and z.")
     return _Head(order, int(n_points), fields, comments, len(text) + len(end))
 
 
-def _blocks(path: Path, head: _Head, asked: ReadOptions) -> Iterator[Block]:
+def _blocks(path: Path, head: _Head, options: ReadOptions) -> Iterator[Block]:
     starts = list(range(0, head.n_points, AT_A_TIME))
     fields = [(name, _ORDERS[head.order] + kind) for name, kind in head.fields.items()]
     read = text_records if head.order == "ascii" else records
-    for block, _ in zip(read(path, head.begin, head.n_points, fields, asked), asked.watch(starts), strict=True):
+    for block, _ in zip(read(path, head.begin, head.n_points, fields, options), options.watch(starts), strict=True):
         named = {name: block[name] for name in ("x", "y", "z", "origin", "confidence") if name in head.fields}
         yield named | ({"grey": block["red"]} if head.fields.get("red") == "u1" else {})

@@ -55,39 +55,39 @@ class PointCloud:
     about: EmbeddedMetadata | None = None
 
 
-def surface_of_points(points: PointCloud, asked: ReadOptions) -> HeightMap:
+def surface_of_points(points: PointCloud, options: ReadOptions) -> HeightMap:
     """Return the gridded surface. Raises DatasetError for scattered points without a given pixel size."""
-    asked_um = asked.says.pixel_um
+    requested_um = options.overrides.pixel_um
     about = points.about
     if about is not None:
         lattice = PointLattice(about.pixel_um, about.x0_um, about.y0_um, about.rows, about.cols)
-        _require_room(lattice, asked)
-        if (found := _assign_to_lattice(points, lattice, asked)) is not None:
-            return found
-    lattice = _detect_lattice(points, asked)
-    if lattice is not None and (asked_um is None or abs(asked_um / lattice.pixel_um - 1) < _UNEVEN):
-        _require_room(lattice, asked)
-        if (found := _assign_to_lattice(points, lattice, asked)) is not None:
-            return found
-    if asked_um is None:
-        raise asked.refuse(
+        _require_room(lattice, options)
+        if (surface := _assign_to_lattice(points, lattice, options)) is not None:
+            return surface
+    lattice = _detect_lattice(points, options)
+    if lattice is not None and (requested_um is None or abs(requested_um / lattice.pixel_um - 1) < _UNEVEN):
+        _require_room(lattice, options)
+        if (surface := _assign_to_lattice(points, lattice, options)) is not None:
+            return surface
+    if requested_um is None:
+        raise options.refuse(
             "has scattered points, on no regular lattice: say on what to grid them, as in --pixel-um 0.5."
         )
-    return _gridded(points, asked_um, asked)
+    return _gridded(points, requested_um, options)
 
 
-def _assign_to_lattice(points: PointCloud, lattice: PointLattice, asked: ReadOptions) -> HeightMap | None:
+def _assign_to_lattice(points: PointCloud, lattice: PointLattice, options: ReadOptions) -> HeightMap | None:
     """Assign each point to its lattice position; None if one is off the lattice, outside, or a duplicate."""
     layers = _Layers(lattice)
     for block in points.blocks():
         x_um, y_um, z_um = _um(block, points)
         col, row = (x_um - lattice.x0_um) / lattice.pixel_um, (lattice.y0_um - y_um) / lattice.pixel_um
-        at_col, at_row = np.rint(col).astype(np.int64), np.rint(row).astype(np.int64)
-        off = max(float(np.abs(col - at_col).max(initial=0)), float(np.abs(row - at_row).max(initial=0)))
-        inside = (at_col >= 0) & (at_col < lattice.cols) & (at_row >= 0) & (at_row < lattice.rows)
-        if off > _OFF or not inside.all() or not layers.put(at_row * lattice.cols + at_col, z_um, block):
+        cols, rows = np.rint(col).astype(np.int64), np.rint(row).astype(np.int64)
+        off = max(float(np.abs(col - cols).max(initial=0)), float(np.abs(row - rows).max(initial=0)))
+        inside = (cols >= 0) & (cols < lattice.cols) & (rows >= 0) & (rows < lattice.rows)
+        if off > _OFF or not inside.all() or not layers.put(rows * lattice.cols + cols, z_um, block):
             return None
-    return layers.surface(points.about.provenance if points.about else None, asked)
+    return layers.surface(points.about.provenance if points.about else None, options)
 
 
 class _Layers:
@@ -100,34 +100,34 @@ class _Layers:
         self._confidence: NDArray[np.float32] | None = None
         self._grey: NDArray[np.uint8] | None = None
 
-    def put(self, at: NDArray[np.int64], z_um: Floats, block: Block) -> bool:
+    def put(self, index: NDArray[np.int64], z_um: Floats, block: Block) -> bool:
         """Store points; False if two share a position."""
-        if np.isfinite(self._z[at]).any():
+        if np.isfinite(self._z[index]).any():
             return False
-        self._z[at] = z_um
-        if len(at) != np.count_nonzero(np.diff(np.sort(at))) + 1 and len(at):
+        self._z[index] = z_um
+        if len(index) != np.count_nonzero(np.diff(np.sort(index))) + 1 and len(index):
             return False
         if "origin" in block:
             self._origin = np.full(self._n, Origin.NO_REASON, np.uint8) if self._origin is None else self._origin
-            self._origin[at] = block["origin"]
+            self._origin[index] = block["origin"]
         if "confidence" in block:
             self._confidence = np.zeros(self._n, np.float32) if self._confidence is None else self._confidence
-            self._confidence[at] = block["confidence"]
+            self._confidence[index] = block["confidence"]
         if "grey" in block:
             self._grey = np.zeros(self._n, np.uint8) if self._grey is None else self._grey
-            self._grey[at] = block["grey"]
+            self._grey[index] = block["grey"]
         return True
 
-    def surface(self, provenance: Provenance | None, asked: ReadOptions) -> HeightMap:
+    def surface(self, provenance: Provenance | None, options: ReadOptions) -> HeightMap:
         """Return the gridded surface."""
         shape, here = (self._lattice.rows, self._lattice.cols), self._lattice
         place = here.pixel_um, here.x0_um, here.y0_um
         more = [name for name, layer in (("confidence", self._confidence), ("grey", self._grey)) if layer is not None]
         held = " and ".join(["heights", *more]) if more else "heights only"
-        plain = heights_only(asked, self._z.reshape(shape), *place, provenance, held)
-        known = np.isfinite(plain.z_um)
+        plain = heights_only(options, self._z.reshape(shape), *place, provenance, held)
+        finite = np.isfinite(plain.z_um)
         layers: dict[str, Any] = {}
-        if self._origin is not None and bool((self._origin[known.ravel()] < Origin.NOT_COVERED).all()):
+        if self._origin is not None and bool((self._origin[finite.ravel()] < Origin.NOT_COVERED).all()):
             layers["origin"] = self._origin.reshape(shape)
             filled = layers["origin"] == Origin.FILLED
             if filled.any():
@@ -139,7 +139,7 @@ class _Layers:
         return replace(plain, **layers)
 
 
-def _gridded(points: PointCloud, pixel_um: float, asked: ReadOptions) -> HeightMap:
+def _gridded(points: PointCloud, pixel_um: float, options: ReadOptions) -> HeightMap:
     """Grid scattered points: each pixel is the mean of the points in it, NaN without any."""
     low, high = np.full(2, np.inf), np.full(2, -np.inf)
     for block in points.blocks():
@@ -147,10 +147,10 @@ def _gridded(points: PointCloud, pixel_um: float, asked: ReadOptions) -> HeightM
         low = np.minimum(low, [x_um.min(initial=np.inf), y_um.min(initial=np.inf)])
         high = np.maximum(high, [x_um.max(initial=-np.inf), y_um.max(initial=-np.inf)])
     if not np.isfinite(low).all():
-        raise asked.refuse("holds no height: write it again from a surface that has some.")
+        raise options.refuse("holds no height: write it again from a surface that has some.")
     cols, rows = (int(n) for n in np.floor((high - low) / pixel_um + 0.5) + 1)
     lattice = PointLattice(pixel_um, float(low[0]), float(high[1]), rows, cols)
-    _require_room(lattice, asked)
+    _require_room(lattice, options)
     sums, counts = np.zeros(rows * cols), np.zeros(rows * cols)
     for block in points.blocks():
         x_um, y_um, z_um = _um(block, points)
@@ -158,11 +158,11 @@ def _gridded(points: PointCloud, pixel_um: float, asked: ReadOptions) -> HeightM
         sums += np.bincount(row * cols + col, z_um, rows * cols)
         counts += np.bincount(row * cols + col, minlength=rows * cols)
     z_um = np.divide(sums, counts, out=np.full(rows * cols, np.nan), where=counts > 0).astype(np.float32)
-    asked.notes.append(f"Its points were gridded on {pixel_um:g} um: each pixel is the mean of those in it.")
-    return heights_only(asked, z_um.reshape(rows, cols), pixel_um, lattice.x0_um, lattice.y0_um, None)
+    options.notes.append(f"Its points were gridded on {pixel_um:g} um: each pixel is the mean of those in it.")
+    return heights_only(options, z_um.reshape(rows, cols), pixel_um, lattice.x0_um, lattice.y0_um, None)
 
 
-def _detect_lattice(points: PointCloud, asked: ReadOptions) -> PointLattice | None:
+def _detect_lattice(points: PointCloud, options: ReadOptions) -> PointLattice | None:
     """Detect the lattice of the points; None if there is none."""
     xs, ys, n_points = np.empty(0), np.empty(0), 0
     for block in points.blocks():
@@ -171,9 +171,9 @@ def _detect_lattice(points: PointCloud, asked: ReadOptions) -> PointLattice | No
         if max(len(xs), len(ys)) > MOST_LINES:
             return None
     if not n_points:
-        raise asked.refuse("holds no height: write it again from a surface that has some.")
+        raise options.refuse("holds no height: write it again from a surface that has some.")
     if min(len(xs), len(ys)) < _TOO_FEW:
-        raise asked.refuse("has its points on one line: give a file with a surface.")
+        raise options.refuse("has its points on one line: give a file with a surface.")
     along, across = _pitch(xs), _pitch(ys)
     if along is None or across is None:
         return None
@@ -181,7 +181,7 @@ def _detect_lattice(points: PointCloud, asked: ReadOptions) -> PointLattice | No
     if n_points < _SPARSE * rows * cols:
         return None
     if abs(along[0] / across[0] - 1) > _UNEVEN:
-        asked.pixel_um(along[0], across[0])
+        options.pixel_um(along[0], across[0])
     pixel_um = (xs[-1] - xs[0] + ys[-1] - ys[0]) / (cols + rows - 2)
     return PointLattice(float(pixel_um), float(xs[0]), float(ys[-1]), rows, cols)
 
@@ -200,19 +200,19 @@ def _pitch(values: Floats) -> tuple[float, int] | None:
     return (pitch, int(index[-1]) + 1) if off <= _OFF * pitch else None
 
 
-def _require_room(lattice: PointLattice, asked: ReadOptions) -> None:
+def _require_room(lattice: PointLattice, options: ReadOptions) -> None:
     if lattice.rows * lattice.cols > MOST_PIXELS:
-        raise asked.refuse(
+        raise options.refuse(
             f"would have {lattice.rows} x {lattice.cols} pixels of {lattice.pixel_um:g} um: give a larger --pixel-um."
         )
 
 
 def _um(block: Block, points: PointCloud) -> tuple[Floats, Floats, Floats]:
     """Return x, y and z in um of the points with a height; removes the other points from the block."""
-    known = np.isfinite(block["x"]) & np.isfinite(block["y"]) & np.isfinite(block["z"])
-    if not known.all():
+    finite = np.isfinite(block["x"]) & np.isfinite(block["y"]) & np.isfinite(block["z"])
+    if not finite.all():
         for name in block:
-            block[name] = block[name][known]
+            block[name] = block[name][finite]
     x, y, z = (block[name].astype(np.float64) * unit for name, unit in zip("xyz", points.unit_um, strict=True))
     return x, y, z
 
@@ -237,26 +237,30 @@ def eight_bits(grey: NDArray[np.uint8] | NDArray[np.uint16]) -> NDArray[np.uint8
     return grey.astype(np.uint8) if grey.dtype.itemsize == 1 else (grey >> 8).astype(np.uint8)
 
 
-def units_of(said: str | None, about: EmbeddedMetadata | None, asked: ReadOptions) -> tuple[float, float, float]:
+def units_of(
+    named_unit: str | None, about: EmbeddedMetadata | None, options: ReadOptions
+) -> tuple[float, float, float]:
     """Return the units of x, y and z in um; a point cloud has one unit, given by the file or the user."""
-    unit = "um" if about is not None else said
-    z_um = asked.z_scale_um(unit)
-    lateral_um = UNITS_UM[(unit or asked.says.z_unit or "").strip().lower()]
+    unit = "um" if about is not None else named_unit
+    z_um = options.z_scale_um(unit)
+    lateral_um = UNITS_UM[(unit or options.overrides.z_unit or "").strip().lower()]
     return lateral_um, lateral_um, z_um
 
 
-def records(path: Path, begin: int, n_points: int, fields: list[tuple[str, str]], asked: ReadOptions) -> Iterator[Any]:
+def records(
+    path: Path, begin: int, n_points: int, fields: list[tuple[str, str]], options: ReadOptions
+) -> Iterator[Any]:
     """Yield binary points in blocks, as views of the file. Raises DatasetError when the file ends too early."""
     point = np.dtype(fields)
     if path.stat().st_size < begin + n_points * point.itemsize:
-        raise asked.refuse(_CUT_OFF)
-    whole = np.memmap(path, point, "r", begin, (n_points,)) if n_points else np.empty(0, point)
+        raise options.refuse(_CUT_OFF)
+    table = np.memmap(path, point, "r", begin, (n_points,)) if n_points else np.empty(0, point)
     for start in range(0, n_points, AT_A_TIME):
-        yield whole[start : start + AT_A_TIME]
+        yield table[start : start + AT_A_TIME]
 
 
 def text_records(
-    path: Path, begin: int, n_points: int, fields: list[tuple[str, str]], asked: ReadOptions
+    path: Path, begin: int, n_points: int, fields: list[tuple[str, str]], options: ReadOptions
 ) -> Iterator[Any]:
     """Yield points from lines of text in blocks. Raises DatasetError for a truncated or non-numeric file."""
     with path.open("rb") as file:
@@ -265,8 +269,8 @@ def text_records(
             wanted = min(AT_A_TIME, n_points - start)
             lines = list(islice(file, wanted))
             if len(lines) != wanted:
-                raise asked.refuse(_CUT_OFF)
+                raise options.refuse(_CUT_OFF)
             try:
                 yield np.loadtxt(lines, np.dtype(fields), ndmin=1)
             except ValueError as fault:
-                raise asked.refuse("has points that are not numbers: write it again.") from fault
+                raise options.refuse("has points that are not numbers: write it again.") from fault

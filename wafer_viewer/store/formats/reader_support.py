@@ -37,7 +37,7 @@ class ReadOptions:
     """File being read: its name, the options of the user, and the progress callbacks."""
 
     name: str
-    says: Reading = Reading()
+    overrides: Reading = Reading()
     progress: Progress | None = None
     should_stop: ShouldStop | None = None
     notes: list[str] = field(default_factory=list[str])
@@ -49,13 +49,13 @@ class ReadOptions:
 
     def require_heights_up(self, quantity: str) -> None:
         """Raise DatasetError for depths, unless the user requested an inverted z."""
-        if quantity.strip().lower().startswith("depth") and not self.says.invert_z:
+        if quantity.strip().lower().startswith("depth") and not self.overrides.invert_z:
             raise self.refuse(f"holds depths, not heights ({quantity}): give --invert-z to invert them.")
 
     def z_scale_um(self, unit: str | None) -> float:
         """Return the factor from file heights to um, by the unit of the file or that given by the user."""
-        sign = -1.0 if self.says.invert_z else 1.0
-        given = self.says.z_unit
+        sign = -1.0 if self.overrides.invert_z else 1.0
+        given = self.overrides.z_unit
         if not unit and given is None:
             raise self.refuse("does not say the unit of its heights: give it, as in --z-unit um.")
         if not unit:
@@ -64,13 +64,13 @@ class ReadOptions:
             raise self.refuse(f"says that its heights are in {unit}, and --z-unit says {given}: leave --z-unit out.")
         return sign * self._length(unit, "its heights")
 
-    def lateral_um(self, unit: str | None, what: str = "its x and y") -> float | None:
+    def lateral_um(self, unit: str | None, quantity: str = "its x and y") -> float | None:
         """Return a lateral unit in um; None if the file gives none."""
-        return self._length(unit, what) if unit else None
+        return self._length(unit, quantity) if unit else None
 
     def pixel_um(self, dx_um: float | None, dy_um: float | None = None) -> float:
         """Return the pixel size in um. Raises DatasetError if not square, or the user's value differs."""
-        given = self.says.pixel_um
+        given = self.overrides.pixel_um
         if dx_um is None or not math.isfinite(dx_um) or dx_um == 0:
             if given is None:
                 raise self.refuse("does not say its pixel size: give it, as in --pixel-um 0.5.")
@@ -90,26 +90,26 @@ class ReadOptions:
         """Yield the items with a progress report after each. Raises DatasetError when stopped."""
         return with_progress(items, len(items), f"Reading {self.name}", self.progress, self.should_stop)
 
-    def _length(self, unit: str, what: str) -> float:
-        found = UNITS_UM.get(unit.strip()) or UNITS_UM.get(unit.strip().lower())
-        if found is None:
+    def _length(self, unit: str, quantity: str) -> float:
+        factor = UNITS_UM.get(unit.strip()) or UNITS_UM.get(unit.strip().lower())
+        if factor is None:
             raise self.refuse(
-                f"gives {what} in '{unit}', which is not a unit of length that is known: use m, mm, um or nm."
+                f"gives {quantity} in '{unit}', which is not a unit of length that is known: use m, mm, um or nm."
             )
-        return found
+        return factor
 
 
-def scaled(asked: ReadOptions, raw: NDArray[Any], factor: float, offset_um: float = 0.0) -> Heights:
+def scaled(options: ReadOptions, raw: NDArray[Any], factor: float, offset_um: float = 0.0) -> Heights:
     """Convert raw values [row, col] to heights in um, strip by strip."""
     heights = np.empty(raw.shape, np.float32)
-    for top in asked.watch(list(range(0, raw.shape[0], STRIP_ROWS))):
+    for top in options.watch(list(range(0, raw.shape[0], STRIP_ROWS))):
         rows = slice(top, top + STRIP_ROWS)
         heights[rows] = raw[rows].astype(np.float64) * factor + offset_um
     return heights
 
 
 def heights_only(
-    asked: ReadOptions,
+    options: ReadOptions,
     z_um: Heights,
     pixel_um: float,
     x0_um: float,
@@ -121,28 +121,28 @@ def heights_only(
 
     Raises DatasetError if there is no height.
     """
-    known = np.isfinite(z_um)
-    require_some(asked, known)
-    z_um[~known] = np.nan
+    finite = np.isfinite(z_um)
+    require_some(options, finite)
+    z_um[~finite] = np.nan
     came_from = provenance or Provenance()
-    asked.notes.insert(0, f"Read from {asked.name}: {held}.")
+    options.notes.insert(0, f"Read from {options.name}: {held}.")
     return HeightMap(
         z_um=z_um,
         z_raw_um=z_um,
         confidence=np.broadcast_to(np.float32(1), z_um.shape),
         all_in_focus=np.broadcast_to(np.uint8(0), z_um.shape),
-        origin=np.where(known, np.uint8(Origin.MEASURED), np.uint8(Origin.NO_REASON)),
+        origin=np.where(finite, np.uint8(Origin.MEASURED), np.uint8(Origin.NO_REASON)),
         pixel_um=pixel_um,
         x0_um=x0_um,
         y0_um=y0_um,
-        provenance=replace(came_from, notes=(*came_from.notes, *asked.notes)),
+        provenance=replace(came_from, notes=(*came_from.notes, *options.notes)),
     )
 
 
-def require_some(asked: ReadOptions, known: NDArray[np.bool_]) -> None:
+def require_some(options: ReadOptions, finite: NDArray[np.bool_]) -> None:
     """Raise DatasetError if no pixel is known."""
-    if not known.any():
-        raise asked.refuse("holds no height: write it again from a surface that has some.")
+    if not finite.any():
+        raise options.refuse("holds no height: write it again from a surface that has some.")
 
 
 def same(a: float, b: float) -> bool:

@@ -80,13 +80,15 @@ def read_surface(
     """
     place = Path(path)
     read = _reader_of(place)
-    asked = ReadOptions(place.name, Reading(z_unit=z_unit, pixel_um=pixel_um, invert_z=invert_z), progress, should_stop)
-    _require_file(place, asked)
+    options = ReadOptions(
+        place.name, Reading(z_unit=z_unit, pixel_um=pixel_um, invert_z=invert_z), progress, should_stop
+    )
+    _require_file(place, options)
     try:
         with np.errstate(over="ignore", invalid="ignore"):  # numbers beyond all heights are no heights
-            return read(place, asked)
+            return read(place, options)
     except DAMAGE as fault:
-        raise asked.refuse("cannot be read, it is damaged: copy it again.") from fault
+        raise options.refuse("cannot be read, it is damaged: copy it again.") from fault
 
 
 def is_surface_file(path: Path) -> bool:
@@ -109,10 +111,10 @@ def _reader_of(path: Path) -> Reader:
     raise DatasetError(f"{path.name} has no ending of a surface file: give one of {', '.join(READ)}.")
 
 
-def _require_file(path: Path, asked: ReadOptions) -> None:
+def _require_file(path: Path, options: ReadOptions) -> None:
     if not path.exists():
         raise DatasetError(f"{path} does not exist: check the path.")
     if path.is_dir():
-        raise asked.refuse("is a folder: give a file.")
+        raise options.refuse("is a folder: give a file.")
     if path.stat().st_size == 0:
-        raise asked.refuse("is empty: copy it again.")
+        raise options.refuse("is empty: copy it again.")

@@ -59,19 +59,19 @@ class Strips:
     def maps(self, part: int = 0, of: int = 1) -> Iterator[HeightMap]:
         """Yield all layers strip by strip."""
         for rows in self._watched(part, of, upward=False):
-            whole = _window(self.surface, rows)
-            yield whole if self.every == 1 else thinned(whole, self.every)
+            strip = _window(self.surface, rows)
+            yield strip if self.every == 1 else thinned(strip, self.every)
 
     def _watched(self, part: int, of: int, upward: bool) -> Iterator[slice]:
         rows, step = self.surface.shape[0], max(1, STRIP_ROWS // self.every) * self.every
         runs = [slice(top, min(top + step, rows)) for top in range(0, rows, step)]
         tell, total = self.progress, len(runs)
 
-        def told(done: float) -> None:
+        def report(done: float) -> None:
             if tell is not None:
                 tell((part + done) / of)
 
-        yield from with_progress(runs[::-1] if upward else runs, total, "Writing the surface", told, self.should_stop)
+        yield from with_progress(runs[::-1] if upward else runs, total, "Writing the surface", report, self.should_stop)
 
     def _read(self, name: str, rows: slice) -> NDArray[Any]:
         if isinstance(self.surface, ZarrMosaic):

@@ -32,11 +32,11 @@ def write_xyz(strips: Strips, path: Path) -> None:
     _write(strips, path, " ", (), with_origin=False)
 
 
-def read_table(path: Path, asked: ReadOptions) -> HeightMap:
+def read_table(path: Path, options: ReadOptions) -> HeightMap:
     """Read the surface sampled by the points of a table; x, y, z by name or as the first three columns."""
-    head = _head(path, asked)
-    points = PointCloud(lambda: _blocks(path, head, asked), _units(head, asked), head.about)
-    return surface_of_points(points, asked)
+    head = _head(path, options)
+    points = PointCloud(lambda: _blocks(path, head, options), _units(head, options), head.about)
+    return surface_of_points(points, options)
 
 
 def _write(strips: Strips, path: Path, between: str, above: tuple[str, ...], *, with_origin: bool) -> None:
@@ -73,7 +73,7 @@ class _Head:
     begin: int
 
 
-def _head(path: Path, asked: ReadOptions) -> _Head:
+def _head(path: Path, options: ReadOptions) -> _Head:
     comments, begin = dict[str, str](), 0
     with path.open("rb") as file:
         for raw in file:
@@ -85,64 +85,66 @@ def _head(path: Path, asked: ReadOptions) -> _Head:
             key = name.strip().lower()
             comments[key] = comments.get(key, "") + value.strip()
         else:
-            raise asked.refuse("holds no points: give a table with the columns x, y and z.")
+            raise options.refuse("holds no points: give a table with the columns x, y and z.")
     delimiter = next((d for d in _DELIMITERS if d in line), " ")
     cells = line.split(delimiter if delimiter != " " else None)
-    columns, units = _names(cells, asked)
+    columns, units = _names(cells, options)
     begin += 0 if _is_number(cells[0]) else len(raw)
     if (unit := comments.get("unit")) is not None:
-        _require_consistent_units(units, unit, asked)
+        _require_consistent_units(units, unit, options)
         units = units or dict.fromkeys("xyz", unit)
     return _Head(columns, units, delimiter, parse_metadata(comments.get(OURS.lower())), begin)
 
 
-def _names(cells: list[str], asked: ReadOptions) -> tuple[dict[str, int], dict[str, str]]:
+def _names(cells: list[str], options: ReadOptions) -> tuple[dict[str, int], dict[str, str]]:
     """Return columns and units from the line of names; the first three columns without one."""
     if _is_number(cells[0]):
         if len(cells) < 3:
-            raise asked.refuse("has fewer than three columns: give a table with x, y and z.")
+            raise options.refuse("has fewer than three columns: give a table with x, y and z.")
         return {"x": 0, "y": 1, "z": 2}, {}
     columns, units = dict[str, int](), dict[str, str]()
-    for at, cell in enumerate(cells):
+    for index, cell in enumerate(cells):
         match = _COLUMN.match(cell.strip().strip('"').strip())
         axis = _AXES.get(match[1].strip().lower()) if match else None
         if match and axis and axis not in columns:
-            columns[axis] = at
+            columns[axis] = index
             if match[2]:
                 units[axis] = match[2]
     if "depth" in columns and "z" not in columns:
-        asked.require_heights_up("depth")
+        options.require_heights_up("depth")
         columns["z"], units["z"] = columns.pop("depth"), units.get("depth", "")
     for axis in "xyz":
         if axis not in columns:
-            raise asked.refuse(f"has no column {axis}: name its columns x_um, y_um and z_um.")
+            raise options.refuse(f"has no column {axis}: name its columns x_um, y_um and z_um.")
     return columns, {axis: unit for axis, unit in units.items() if unit}
 
 
-def _units(head: _Head, asked: ReadOptions) -> tuple[float, float, float]:
+def _units(head: _Head, options: ReadOptions) -> tuple[float, float, float]:
     """Return the units of x, y and z in um, each from its own column."""
     if not head.units:
-        return units_of(None, head.about, asked)
+        return units_of(None, head.about, options)
     if missing := [axis for axis in "xyz" if axis not in head.units]:
-        raise asked.refuse(f"gives no unit for {' and '.join(missing)}: name its columns x_um, y_um, z_um.")
-    x_um, y_um = (asked.lateral_um(head.units[axis]) or 1.0 for axis in "xy")
-    return x_um, y_um, asked.z_scale_um(head.units["z"])
+        raise options.refuse(f"gives no unit for {' and '.join(missing)}: name its columns x_um, y_um, z_um.")
+    x_um, y_um = (options.lateral_um(head.units[axis]) or 1.0 for axis in "xy")
+    return x_um, y_um, options.z_scale_um(head.units["z"])
 
 
-def _require_consistent_units(units: dict[str, str], said: str, asked: ReadOptions) -> None:
+def _require_consistent_units(units: dict[str, str], named_unit: str, options: ReadOptions) -> None:
     """Raise DatasetError when the units of columns and comment contradict each other."""
     for axis, unit in units.items():
-        if asked.lateral_um(unit) != asked.lateral_um(said):
-            raise asked.refuse(f"says that its unit is {said} and that its {axis} is in {unit}: keep what is right.")
+        if options.lateral_um(unit) != options.lateral_um(named_unit):
+            raise options.refuse(
+                f"says that its unit is {named_unit} and that its {axis} is in {unit}: keep what is right."
+            )
 
 
-def _blocks(path: Path, head: _Head, asked: ReadOptions) -> Iterator[Block]:
+def _blocks(path: Path, head: _Head, options: ReadOptions) -> Iterator[Block]:
     n_bytes = path.stat().st_size - head.begin
     wanted = {axis: head.columns[axis] for axis in ("x", "y", "z", "origin") if axis in head.columns}
     starts = list(range(0, n_bytes, _BYTES_AT_A_TIME))
     with path.open("rb") as file:
         file.seek(head.begin)
-        for _ in asked.watch(starts):
+        for _ in options.watch(starts):
             lines = file.readlines(_BYTES_AT_A_TIME)
             try:
                 numbers = np.loadtxt(
@@ -152,8 +154,8 @@ def _blocks(path: Path, head: _Head, asked: ReadOptions) -> Iterator[Block]:
                     ndmin=2,
                 )
             except ValueError as fault:
-                raise asked.refuse("has lines without numbers in the columns x, y and z: take them out.") from fault
-            yield {axis: numbers[:, at] for at, axis in enumerate(wanted)}
+                raise options.refuse("has lines without numbers in the columns x, y and z: take them out.") from fault
+            yield {axis: numbers[:, index] for index, axis in enumerate(wanted)}
 
 
 def _is_number(cell: str) -> bool:

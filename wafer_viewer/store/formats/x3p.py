@@ -45,24 +45,24 @@ def write_x3p(strips: Strips, path: Path) -> None:
         archive.writestr(CHECKSUM, f"{hashlib.md5(main, usedforsecurity=False).hexdigest()} *{MAIN}\n")
 
 
-def read_x3p(path: Path, asked: ReadOptions) -> HeightMap:
+def read_x3p(path: Path, options: ReadOptions) -> HeightMap:
     """Read the heights of an X3P file. Raises DatasetError when damaged, or not one surface on a grid."""
     try:
         with zipfile.ZipFile(path) as archive:
-            return _read(archive, _main_of(archive, asked), asked)
+            return _read(archive, _main_of(archive, options), options)
     except (zipfile.BadZipFile, EOFError, zlib.error, NotImplementedError) as fault:
-        raise asked.refuse("is cut off or damaged: its zip archive cannot be read, so copy it again.") from fault
+        raise options.refuse("is cut off or damaged: its zip archive cannot be read, so copy it again.") from fault
 
 
-def _read(archive: zipfile.ZipFile, main: ElementTree.Element, asked: ReadOptions) -> HeightMap:
-    dx, dy, dz = (_axis(main, name, asked) for name in ("CX", "CY", "CZ"))
-    if dz[0] < 0 and not asked.says.invert_z:
-        raise asked.refuse("has z upside down, its increment is negative: give --invert-z to invert it.")
-    pixel_um, m_um = asked.pixel_um(dx[0] / _M, dy[0] / _M), asked.z_scale_um("m")
-    z_um = _heights(archive, main, dz[0] * m_um, dz[1] * m_um, asked)
-    told = parse_metadata((_text(main, "Record2/Comment") or "").partition("\n")[2])
+def _read(archive: zipfile.ZipFile, main: ElementTree.Element, options: ReadOptions) -> HeightMap:
+    dx, dy, dz = (_axis(main, name, options) for name in ("CX", "CY", "CZ"))
+    if dz[0] < 0 and not options.overrides.invert_z:
+        raise options.refuse("has z upside down, its increment is negative: give --invert-z to invert it.")
+    pixel_um, m_um = options.pixel_um(dx[0] / _M, dy[0] / _M), options.z_scale_um("m")
+    z_um = _heights(archive, main, dz[0] * m_um, dz[1] * m_um, options)
+    metadata = parse_metadata((_text(main, "Record2/Comment") or "").partition("\n")[2])
     y0_um = dy[1] / _M + (z_um.shape[0] - 1) * pixel_um
-    return heights_only(asked, z_um, pixel_um, dx[1] / _M, y0_um, told.provenance if told else None)
+    return heights_only(options, z_um, pixel_um, dx[1] / _M, y0_um, metadata.provenance if metadata else None)
 
 
 def _main(strips: Strips, digest: str) -> bytes:
@@ -120,47 +120,50 @@ def _append_elements(parent: ElementTree.Element, tree: dict[str, Any]) -> None:
             child.text = str(below)
 
 
-def _main_of(archive: zipfile.ZipFile, asked: ReadOptions) -> ElementTree.Element:
+def _main_of(archive: zipfile.ZipFile, options: ReadOptions) -> ElementTree.Element:
     """Return the root of main.xml after a check of its checksum and its feature type."""
     name = next((n for n in archive.namelist() if n.lower().endswith(MAIN)), None)
     if name is None:
-        raise asked.refuse(f"is not an X3P file, it has no {MAIN}: give one that has.")
+        raise options.refuse(f"is not an X3P file, it has no {MAIN}: give one that has.")
     with archive.open(name) as file:
         text = file.read(_LARGEST_XML)
     sums = next((n for n in archive.namelist() if n.lower().endswith(CHECKSUM)), None)
     if sums is not None:
-        said = archive.read(sums).split()[:1]
+        checksum_line = archive.read(sums).split()[:1]
         _require_sum(
-            said[0].decode("ascii", "replace") if said else "", hashlib.md5(text, usedforsecurity=False), MAIN, asked
+            checksum_line[0].decode("ascii", "replace") if checksum_line else "",
+            hashlib.md5(text, usedforsecurity=False),
+            MAIN,
+            options,
         )
     try:
         if b"<!DOCTYPE" in text:
-            raise asked.refuse(f"has a document type in its {MAIN}, which X3P has not: write it again.")
+            raise options.refuse(f"has a document type in its {MAIN}, which X3P has not: write it again.")
         root = ElementTree.fromstring(text)
     except ElementTree.ParseError as fault:
-        raise asked.refuse(f"is damaged: its {MAIN} cannot be read, so copy it again.") from fault
+        raise options.refuse(f"is damaged: its {MAIN} cannot be read, so copy it again.") from fault
     if (kind := _text(root, "Record1/FeatureType")) != "SUR":
-        raise asked.refuse(f"holds '{kind}' and no surface (SUR): give a file with a surface.")
+        raise options.refuse(f"holds '{kind}' and no surface (SUR): give a file with a surface.")
     return root
 
 
 def _heights(
-    archive: zipfile.ZipFile, main: ElementTree.Element, factor: float, offset_um: float, asked: ReadOptions
+    archive: zipfile.ZipFile, main: ElementTree.Element, factor: float, offset_um: float, options: ReadOptions
 ) -> NDArray[np.float32]:
     """Return the heights with the row of the largest y first; NaN where invalid."""
-    rows, cols, layers = (_size(main, name, asked) for name in ("SizeY", "SizeX", "SizeZ"))
+    rows, cols, layers = (_size(main, name, options) for name in ("SizeY", "SizeX", "SizeZ"))
     if layers != 1:
-        raise asked.refuse(f"has {layers} layers and one is read: write the one that is wanted into its own file.")
+        raise options.refuse(f"has {layers} layers and one is read: write the one that is wanted into its own file.")
     link, kind = _text(main, "Record3/DataLink/PointDataLink"), _text(main, "Record1/Axes/CZ/DataType") or "D"
     if link is None or kind not in _TYPES:
-        raise asked.refuse("keeps its heights as text or in an unknown type: write it again with binary data.")
-    name, dtype = _member_name(archive, link, asked), np.dtype(_TYPES[kind])
+        raise options.refuse("keeps its heights as text or in an unknown type: write it again with binary data.")
+    name, dtype = _member_name(archive, link, options), np.dtype(_TYPES[kind])
     if archive.getinfo(name).file_size < rows * cols * dtype.itemsize:
-        raise asked.refuse("is cut off: it has fewer heights than it says, so copy it again.")
+        raise options.refuse("is cut off: it has fewer heights than it says, so copy it again.")
     z_um, digest = np.empty((rows, cols), np.float32), hashlib.md5(usedforsecurity=False)
-    valid = _valid(archive, main, rows * cols, asked)
+    valid = _valid(archive, main, rows * cols, options)
     with archive.open(name) as file:
-        for first in asked.watch(list(range(0, rows, STRIP_ROWS))):
+        for first in options.watch(list(range(0, rows, STRIP_ROWS))):
             end = min(first + STRIP_ROWS, rows)
             data = file.read((end - first) * cols * dtype.itemsize)
             digest.update(data)
@@ -168,11 +171,13 @@ def _heights(
             if valid is not None:
                 strip[~valid[first * cols : end * cols]] = np.nan
             z_um[rows - end : rows - first] = strip.reshape(-1, cols)[::-1]
-    _require_sum(_text(main, "Record3/DataLink/MD5ChecksumPointData") or "", digest, "heights", asked)
+    _require_sum(_text(main, "Record3/DataLink/MD5ChecksumPointData") or "", digest, "heights", options)
     return z_um
 
 
-def _valid(archive: zipfile.ZipFile, main: ElementTree.Element, n: int, asked: ReadOptions) -> NDArray[np.bool_] | None:
+def _valid(
+    archive: zipfile.ZipFile, main: ElementTree.Element, n: int, options: ReadOptions
+) -> NDArray[np.bool_] | None:
     """Return the validity mask, as integers have no NaN; None if all points are valid.
 
     It is stored as bits, the lowest first.
@@ -180,48 +185,50 @@ def _valid(archive: zipfile.ZipFile, main: ElementTree.Element, n: int, asked: R
     link = _text(main, "Record3/DataLink/ValidPointsLink")
     if link is None:
         return None
-    with archive.open(_member_name(archive, link, asked)) as file:
+    with archive.open(_member_name(archive, link, options)) as file:
         bits = np.frombuffer(file.read(-(-n // 8)), np.uint8)
     return np.unpackbits(bits, count=n, bitorder="little").astype(bool)
 
 
-def _member_name(archive: zipfile.ZipFile, link: str, asked: ReadOptions) -> str:
+def _member_name(archive: zipfile.ZipFile, link: str, options: ReadOptions) -> str:
     wanted = link.replace("\\", "/").removeprefix("./").removeprefix("/")
-    found = next((n for n in archive.namelist() if n.replace("\\", "/") == wanted), None)
-    if found is None:
-        raise asked.refuse(f"has no {wanted}, which holds its heights: copy it again.")
-    return found
+    name = next((n for n in archive.namelist() if n.replace("\\", "/") == wanted), None)
+    if name is None:
+        raise options.refuse(f"has no {wanted}, which holds its heights: copy it again.")
+    return name
 
 
-def _require_sum(said: str, digest: Any, what: str, asked: ReadOptions) -> None:
+def _require_sum(expected: str, digest: Any, part: str, options: ReadOptions) -> None:
     """Raise DatasetError when a checksum differs; a missing one is not checked, as in other readers."""
-    if said.strip() and said.strip().lower() != digest.hexdigest():
-        raise asked.refuse(f"was changed after it was written, the checksum of its {what} is wrong: copy it again.")
+    if expected.strip() and expected.strip().lower() != digest.hexdigest():
+        raise options.refuse(f"was changed after it was written, the checksum of its {part} is wrong: copy it again.")
 
 
-def _axis(main: ElementTree.Element, name: str, asked: ReadOptions) -> tuple[float, float]:
+def _axis(main: ElementTree.Element, name: str, options: ReadOptions) -> tuple[float, float]:
     """Return increment and offset of an axis, in m."""
     kind = _text(main, f"Record1/Axes/{name}/AxisType")
     if kind != ("A" if name == "CZ" else "I"):
-        raise asked.refuse(f"has an axis {name} of type '{kind}': write it on a regular grid.")
+        raise options.refuse(f"has an axis {name} of type '{kind}': write it on a regular grid.")
     try:
-        said = [_text(main, f"Record1/Axes/{name}/{what}") for what in ("Increment", "Offset")]
-        increment, offset = float(said[0] or 1.0), float(said[1] or 0.0)
+        texts = [_text(main, f"Record1/Axes/{name}/{attribute}") for attribute in ("Increment", "Offset")]
+        increment, offset = float(texts[0] or 1.0), float(texts[1] or 0.0)
     except ValueError as fault:
-        raise asked.refuse(f"has an axis {name} whose increment or offset is not a number: write it again.") from fault
-    if said[0] is None and name != "CZ":
-        raise asked.refuse(f"does not say the increment of its axis {name}: write it again with its pixel size.")
+        raise options.refuse(
+            f"has an axis {name} whose increment or offset is not a number: write it again."
+        ) from fault
+    if texts[0] is None and name != "CZ":
+        raise options.refuse(f"does not say the increment of its axis {name}: write it again with its pixel size.")
     return increment, offset
 
 
-def _size(main: ElementTree.Element, name: str, asked: ReadOptions) -> int:
-    said = (_text(main, f"Record3/MatrixDimension/{name}") or "").strip()
-    if not said.isdigit() or int(said) < 1:
-        raise asked.refuse(f"does not say its {name}: write it again as a surface on a grid.")
-    return int(said)
+def _size(main: ElementTree.Element, name: str, options: ReadOptions) -> int:
+    text = (_text(main, f"Record3/MatrixDimension/{name}") or "").strip()
+    if not text.isdigit() or int(text) < 1:
+        raise options.refuse(f"does not say its {name}: write it again as a surface on a grid.")
+    return int(text)
 
 
 def _text(root: ElementTree.Element, path: str) -> str | None:
     """Return the text of an element, with or without a namespace."""
-    found = root.find("/".join(f"{{*}}{name}" for name in path.split("/")))
-    return None if found is None or found.text is None else found.text.strip()
+    element = root.find("/".join(f"{{*}}{name}" for name in path.split("/")))
+    return None if element is None or element.text is None else element.text.strip()

@@ -31,15 +31,15 @@ def atomic_write(path: Path) -> Generator[Path]:
 
     The path may be a file or a folder. Raises DatasetError when it cannot be written to.
     """
-    beside = path.with_name(f".{path.name}.{os.getpid()}-{secrets.token_hex(3)}.part")
+    temporary = path.with_name(f".{path.name}.{os.getpid()}-{secrets.token_hex(3)}.part")
     try:
         with os_errors_as_dataset_errors(path):
-            yield beside
-            _move(beside, path)
+            yield temporary
+            _move(temporary, path)
     except DatasetError as fault:  # people know the place by its own name
-        raise DatasetError(str(fault).replace(beside.name, path.name)) from fault
+        raise DatasetError(str(fault).replace(temporary.name, path.name)) from fault
     finally:
-        remove(beside)
+        remove(temporary)
 
 
 @contextmanager
@@ -54,8 +54,8 @@ def os_errors_as_dataset_errors(path: Path) -> Generator[None]:
 
 def write_text(path: Path, text: str) -> None:
     """Write a small text file atomically."""
-    with atomic_write(path) as beside:
-        beside.write_text(text, encoding="utf-8")
+    with atomic_write(path) as temporary:
+        temporary.write_text(text, encoding="utf-8")
 
 
 def remove(path: Path) -> None:
@@ -67,12 +67,12 @@ def remove(path: Path) -> None:
             path.unlink()
 
 
-def require_space(folder: Path, needed_bytes: int, what: str) -> None:
+def require_space(folder: Path, needed_bytes: int, purpose: str) -> None:
     """Raise DatasetError when the disk of `folder` has less free space than needed."""
     free = shutil.disk_usage(_existing(folder)).free
     if needed_bytes > free:
         raise DatasetError(
-            f"{what} needs {size(needed_bytes)} and {_existing(folder)} has {size(free)} free: "
+            f"{purpose} needs {size(needed_bytes)} and {_existing(folder)} has {size(free)} free: "
             "free some space or choose another folder."
         )
 

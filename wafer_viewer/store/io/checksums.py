@@ -76,8 +76,8 @@ def sealed_line(line: bytes) -> bytes:
 def sealed_node(node: dict[str, Any]) -> str:
     """Return the ``zarr.json`` of a group or an array with its checksum as the last attribute."""
     plain = {name: value for name, value in node.items() if name != "attributes"}
-    own = {name: value for name, value in node.get("attributes", {}).items() if name != "crc32c"}
-    text = json.dumps({**plain, "attributes": {**own, "crc32c": "0" * 8}}, indent=2)
+    attributes = {name: value for name, value in node.get("attributes", {}).items() if name != "crc32c"}
+    text = json.dumps({**plain, "attributes": {**attributes, "crc32c": "0" * 8}}, indent=2)
     start, end = text[: text.rindex("0" * 8)], text[text.rindex("0" * 8) + 8 :]
     return f"{start}{crc32c(start.encode()):08x}{end}"
 
@@ -85,8 +85,8 @@ def sealed_node(node: dict[str, Any]) -> str:
 def text_state(content: bytes) -> Checksum:
     """Return the checksum state of a JSON text."""
     tail = max(0, len(content) - _TAIL_BYTES)
-    if (found := _SEAL.search(content, tail)) is not None:
-        return _compared(found[1], crc32c(content[: found.start(1)]))
+    if (seal := _SEAL.search(content, tail)) is not None:
+        return _compared(seal[1], crc32c(content[: seal.start(1)]))
     return Checksum.DAMAGED if _NEARLY_KEY.search(content, tail) else Checksum.NONE
 
 
@@ -101,8 +101,8 @@ def line_state(line: bytes) -> Checksum:
 
 def strip_checksum(content: bytes) -> bytes:
     """Return a JSON text without its checksum, which is not tested."""
-    found = _SEAL.search(content, max(0, len(content) - _TAIL_BYTES))
-    return content if found is None else content[: found.start()] + b"}"
+    seal = _SEAL.search(content, max(0, len(content) - _TAIL_BYTES))
+    return content if seal is None else content[: seal.start()] + b"}"
 
 
 def save_json(path: Path, spec: Spec) -> None:
@@ -180,8 +180,8 @@ def archive_state(path: Path) -> Checksum:
     with path.open("rb") as file:
         file.seek(max(0, n_bytes - _END_BYTES))
         tail = file.read()
-    if (found := _COMMENT.search(tail)) is not None:
-        return _compared(found[1], _crc_of_file(path, n_bytes - len(found[1])))
+    if (comment := _COMMENT.search(tail)) is not None:
+        return _compared(comment[1], _crc_of_file(path, n_bytes - len(comment[1])))
     plain = tail.startswith(_END_OF_ARCHIVE) and tail.endswith(b"\0\0")
     return Checksum.NONE if plain or _END_OF_ARCHIVE not in tail + _before(path, n_bytes) else Checksum.DAMAGED
 
@@ -270,7 +270,7 @@ def append_line(path: Path, entry: Spec) -> None:
     text = sealed_line(msgspec.json.encode(entry)) + b"\n"
     with os_errors_as_dataset_errors(path):
         path.touch()
-        os.truncate(path, _end_of_whole_lines(path.read_bytes()))
+        os.truncate(path, _end_of_complete_lines(path.read_bytes()))
         with path.open("ab", buffering=0) as file:
             if file.write(text) != len(text):
                 raise DatasetError(f"{path} cannot be written: the disk is full: free some space.")
@@ -285,7 +285,7 @@ def read_lines(path: Path, kind: type[S]) -> tuple[S, ...]:
         text = path.read_bytes()
     except OSError as fault:
         raise DatasetError(f"{path} cannot be read: {fault.strerror}.") from fault
-    lines = text[: _end_of_whole_lines(text)].splitlines()
+    lines = text[: _end_of_complete_lines(text)].splitlines()
     return tuple(_decoded(line, kind, f"{path}, line {n}") for n, line in enumerate(lines, 1))
 
 
@@ -295,5 +295,5 @@ def _decoded(line: bytes, kind: type[S], name: str) -> S:
     return decode(strip_checksum(line), kind, name, "json")
 
 
-def _end_of_whole_lines(text: bytes) -> int:
+def _end_of_complete_lines(text: bytes) -> int:
     return text.rfind(b"\n") + 1

@@ -22,7 +22,7 @@ HEIGHTS = ("z_um", "z_raw_um", "origin")
 VANISHES = ("all_in_focus",)
 """Layers that may hold only fill values in a coarser level where the finer one has no file."""
 Place = tuple[int, int]
-_whole = KnownGood()
+_complete = KnownGood()
 """Complete mosaics, by the state of their header."""
 
 
@@ -44,35 +44,35 @@ def missing_files(mosaic: ZarrMosaic, *, heights_only: bool = False) -> Iterator
     """
     for name in HEIGHTS if heights_only else FILLS:
         levels = levels_of(name, mosaic.header)
-        there = {level: _shards(mosaic.path / name / str(level)) for level in levels}
+        shards = {level: _shards(mosaic.path / name / str(level)) for level in levels}
         for level in levels[1:]:
-            yield from _missing_finer_shards(mosaic, name, level, there[level - 1], there[level])
+            yield from _missing_finer_shards(mosaic, name, level, shards[level - 1], shards[level])
             if name not in VANISHES:
-                wanted = {(row // 2, col // 2) for row, col in there[level - 1]}
-                yield from (_path(mosaic, name, level, place) for place in sorted(wanted - there[level]))
+                wanted = {(row // 2, col // 2) for row, col in shards[level - 1]}
+                yield from (_path(mosaic, name, level, place) for place in sorted(wanted - shards[level]))
     for name in ("origin",) if heights_only else ("origin", *SPANS):
         for level in levels_of(name, mosaic.header):
             lacks = _shards(mosaic.path / "z_um" / str(level)) - _shards(mosaic.path / name / str(level))
             yield from (_path(mosaic, name, level, place) for place in sorted(lacks))
-    written, told = _shards(mosaic.path / "origin" / "0"), _shards(mosaic.path / FACTS)
-    of_facts = {(row // 2, col // 2) for row, col in written}
-    yield from (mosaic.path / FACTS / "c" / f"{row}" / f"{col}" / "0" for row, col in sorted(of_facts - told))
+    written, described = _shards(mosaic.path / "origin" / "0"), _shards(mosaic.path / FACTS)
+    expected = {(row // 2, col // 2) for row, col in written}
+    yield from (mosaic.path / FACTS / "c" / f"{row}" / f"{col}" / "0" for row, col in sorted(expected - described))
     if not heights_only:
         yield from _missing_by_statistics(mosaic)
 
 
-def require_whole(mosaic: ZarrMosaic) -> None:
+def require_complete(mosaic: ZarrMosaic) -> None:
     """Raise DatasetError, with the remedy, when a file needed for heights was deleted."""
     for path in missing_files(mosaic, heights_only=True):
         raise missing(path)
 
 
-def require_whole_once(mosaic: ZarrMosaic) -> None:
-    """Raise as `require_whole` does; an unchanged mosaic is checked once per process."""
+def require_complete_once(mosaic: ZarrMosaic) -> None:
+    """Raise as `require_complete` does; an unchanged mosaic is checked once per process."""
     key = file_mark(mosaic.path / GROUP)
-    if key not in _whole:
-        require_whole(mosaic)
-        _whole.add(key)
+    if key not in _complete:
+        require_complete(mosaic)
+        _complete.add(key)
 
 
 def missing(path: Path) -> DatasetError:
@@ -81,17 +81,17 @@ def missing(path: Path) -> DatasetError:
 
 
 def _missing_finer_shards(
-    mosaic: ZarrMosaic, name: str, level: int, finer: set[Place], there: set[Place]
+    mosaic: ZarrMosaic, name: str, level: int, finer: set[Place], coarser: set[Place]
 ) -> Iterator[Path]:
     """Yield missing shards of the finer level that are not empty according to a shard of this level."""
-    for row, col in sorted(there):
+    for row, col in sorted(coarser):
         children = {(2 * row + r, 2 * col + c) for r in (0, 1) for c in (0, 1)} - finer
         if children:
             array = mosaic.array(name, level)
             half = layout.SHARD // layout.CHUNK // 2
             chunks = array.shards.places(_path(mosaic, name, level, (row, col)))
-            held = {(2 * row + r // half, 2 * col + c // half) for r, c in chunks}
-            yield from (_path(mosaic, name, level - 1, place) for place in sorted(children & held))
+            occupied = {(2 * row + r // half, 2 * col + c // half) for r, c in chunks}
+            yield from (_path(mosaic, name, level - 1, place) for place in sorted(children & occupied))
 
 
 def _missing_by_statistics(mosaic: ZarrMosaic) -> Iterator[Path]:
@@ -99,8 +99,8 @@ def _missing_by_statistics(mosaic: ZarrMosaic) -> Iterator[Path]:
     per_shard = layout.SHARD // (2 * layout.CHUNK)
     wanted = {(row // per_shard, col // per_shard) for row, col in blocks_with_heights(mosaic.path, mosaic.shape)}
     for name in ("z_um", "origin"):
-        there = _shards(mosaic.path / name / "0")
-        yield from (_path(mosaic, name, 0, place) for place in sorted(wanted - there))
+        shards = _shards(mosaic.path / name / "0")
+        yield from (_path(mosaic, name, 0, place) for place in sorted(wanted - shards))
 
 
 def _shards(array: Path) -> set[Place]:

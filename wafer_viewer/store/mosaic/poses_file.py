@@ -34,10 +34,10 @@ _TABLES: dict[str, type[Any]] = {"shifts": Shifts, "seams": HeightOffsets, "form
 
 def write_poses(poses: Poses, path: Path) -> None:
     """Save poses, replacing earlier ones."""
-    with atomic_write(path) as beside:
-        with beside.open("wb") as file:
+    with atomic_write(path) as temporary:
+        with temporary.open("wb") as file:
             np.savez(file, allow_pickle=False, **_flat(poses, ""))
-        seal_archive(beside)
+        seal_archive(temporary)
 
 
 def read_poses(path: Path) -> Poses:
@@ -58,7 +58,7 @@ def write_poses_csv(poses: Poses, path: Path) -> None:
     """
     columns = ("numbers", *PLACES, "group", "left_out")
     lines = zip(*(getattr(poses, name).tolist() for name in columns), strict=True)
-    with atomic_write(path) as beside, beside.open("w", newline="", encoding="utf-8") as file:
+    with atomic_write(path) as temporary, temporary.open("w", newline="", encoding="utf-8") as file:
         table = csv.writer(file)
         table.writerow(("field", *PLACES, "group", "left_out"))
         table.writerows(
@@ -80,11 +80,11 @@ def _array(value: Any) -> Any:
     return np.asarray(value, dtype=str) if isinstance(value, tuple) and not value else np.asarray(value)
 
 
-def _built(kind: type[Any], arrays: Any, prefix: str, **known: Any) -> Any:
+def _built(kind: type[Any], arrays: Any, prefix: str, **given: Any) -> Any:
     """Build a table from its arrays, with the declared types."""
-    values = dict(known)
+    values = dict(given)
     for item in dataclasses.fields(kind):
-        if item.name not in known:
+        if item.name not in given:
             values[item.name] = _value(arrays[prefix + item.name], str(item.type))
     return kind(**values)
 
@@ -100,7 +100,7 @@ Planes = Mapping[str, NDArray[Any]]
 
 def write_planes(path: Path, planes: Planes) -> None:
     """Write arrays atomically. Raises DatasetError when the path cannot be written to."""
-    with atomic_write(path) as beside, beside.open("wb") as file:
+    with atomic_write(path) as temporary, temporary.open("wb") as file:
         np.savez(file, allow_pickle=False, **dict(planes))
 
 

@@ -110,11 +110,11 @@ def save_statistics(mosaic: Path, shape: tuple[int, int], top: int, left: int, l
     row, col = top // size, left // size
     path = mosaic / FACTS / "c" / str(row // n) / str(col // n) / "0"
     blocks = _blocks_of(layers, _step(shape))
-    whole = _loaded(path, blocks.dtype) if path.exists() else _empty_blocks((n, n), blocks.dtype)
-    whole[row % n : row % n + blocks.shape[0], col % n : col % n + blocks.shape[1]] = blocks
+    stored = _loaded(path, blocks.dtype) if path.exists() else _empty_blocks((n, n), blocks.dtype)
+    stored[row % n : row % n + blocks.shape[0], col % n : col % n + blocks.shape[1]] = blocks
     path.parent.mkdir(parents=True, exist_ok=True)
-    with atomic_write(path) as beside:
-        beside.write_bytes(append_checksum(whole.tobytes()) if _has_checksums(mosaic) else whole.tobytes())
+    with atomic_write(path) as temporary:
+        temporary.write_bytes(append_checksum(stored.tobytes()) if _has_checksums(mosaic) else stored.tobytes())
 
 
 def load_statistics(mosaic: Path, shape: tuple[int, int]) -> MosaicStatistics:
@@ -207,11 +207,11 @@ def _joined(blocks: Blocks) -> MosaicStatistics:
     blocks = blocks.ravel()
     lowest, highest = float(blocks["lowest"].min()), float(blocks["highest"].max())
     heights, overlaps = blocks["heights"].ravel(), blocks["overlaps"].ravel()
-    known = lowest <= highest
+    has_heights = lowest <= highest
     return MosaicStatistics(
         counts=blocks["counts"].sum(axis=0, dtype=np.int64),
-        lowest_um=lowest if known else float("nan"),
-        highest_um=highest if known else float("nan"),
+        lowest_um=lowest if has_heights else float("nan"),
+        highest_um=highest if has_heights else float("nan"),
         heights_um=heights[np.isfinite(heights)],
         overlaps_um=overlaps[np.isfinite(overlaps)],
     )

@@ -166,9 +166,9 @@ def write_mosaic(
 
     Raises DatasetError when the path cannot be written to or the work is stopped; then `path` is unchanged.
     """
-    with atomic_write(path) as beside:
-        lay_out(beside, source)
-        _write(beside, source, patches(source.shape), progress, should_stop, threads)
+    with atomic_write(path) as temporary:
+        lay_out(temporary, source)
+        _write(temporary, source, patches(source.shape), progress, should_stop, threads)
     return ZarrMosaic.open(path)
 
 
@@ -220,13 +220,13 @@ def write_patch(path: Path, source: Mosaic, patch: Patch) -> None:
 
     stored = ZarrMosaic.open(path)
     shape = patch.bottom - patch.top, patch.right - patch.left
-    whole: Layers = {name: np.full(shape, fill, shards_of(name, stored.header).dtype) for name, fill in FILLS.items()}
+    layers: Layers = {name: np.full(shape, fill, shards_of(name, stored.header).dtype) for name, fill in FILLS.items()}
     below = partial(_drawn, stored, source) if patch.level == 1 else partial(stored.layers, patch.level - 1)
     for rows, cols in patch.below(stored.header.shape_of(patch.level - 1)):
         top, left = rows.start // 2 - patch.top, cols.start // 2 - patch.left
         for name, half in halve(below(rows, cols)).items():
-            whole[name][top : top + half.shape[0], left : left + half.shape[1]] = half
-    _write_layers(stored, patch.level, patch.top, patch.left, whole)
+            layers[name][top : top + half.shape[0], left : left + half.shape[1]] = half
+    _write_layers(stored, patch.level, patch.top, patch.left, layers)
 
 
 def _write(
@@ -328,8 +328,8 @@ class ZarrMosaic:
     @cached_property
     def poses(self) -> Poses | None:
         """Field poses from the enclosing result; None if it has none."""
-        kept = self.path.parent / POSES
-        return read_poses(kept) if kept.exists() else None
+        file = self.path.parent / POSES
+        return read_poses(file) if file.exists() else None
 
     def window(self, region: Region | None = None, level: int = 0) -> HeightMap:
         """Return the part of a level that contains a region, by default all of it.

@@ -63,22 +63,22 @@ class Shards:
         """
         try:
             with path.open("rb") as file:
-                there = np.argwhere(self._index(file)[..., 0] != ABSENT).tolist()
+                occupied = np.argwhere(self._index(file)[..., 0] != ABSENT).tolist()
         except FileNotFoundError:
             return set()
         except (OSError, ValueError) as fault:
             raise DatasetError(f"{path} is damaged: {remedy(path)}.") from fault
-        return {(row, col) for row, col in there}
+        return {(row, col) for row, col in occupied}
 
     def require_good(self, path: Path) -> None:
         """Verify the checksums of the index and of all chunks. Raises DatasetError when one differs."""
-        for chunk in self._kept(path).values():
+        for chunk in self._stored_chunks(path).values():
             try:
                 strip_checksum(chunk)
             except ValueError as fault:
                 raise damaged(path) from fault
 
-    def write(self, path: Path, layer: NDArray[Any], top: int, left: int, *, whole: bool) -> None:
+    def write(self, path: Path, layer: NDArray[Any], top: int, left: int, *, covers_shard: bool) -> None:
         """Write a layer into the shard at `path`, from the chunk boundary (top, left) to a chunk boundary.
 
         Other chunks are preserved; whole: there are none, and the contents of `path` are ignored.
@@ -87,7 +87,7 @@ class Shards:
         """
         size = self.chunk_px
         places = [(r, c) for r in range(0, layer.shape[0], size) for c in range(0, layer.shape[1], size)]
-        chunks = {} if whole else self._kept(path)
+        chunks = {} if covers_shard else self._stored_chunks(path)
         for r, c in places:
             place = (top + r) // size, (left + c) // size
             chunks.pop(place, None)
@@ -106,17 +106,17 @@ class Shards:
             index[place] = offset, len(chunk)
             offset += len(chunk)
         path.parent.mkdir(parents=True, exist_ok=True)
-        with atomic_write(path) as beside, beside.open("wb") as file:
+        with atomic_write(path) as temporary, temporary.open("wb") as file:
             file.writelines(chunks.values())
             file.write(append_checksum(index.tobytes()))
 
-    def _kept(self, path: Path) -> Chunks:
+    def _stored_chunks(self, path: Path) -> Chunks:
         """Return all encoded chunks of a file."""
         try:
             with path.open("rb") as file:
                 index = self._index(file)
-                there = np.argwhere(index[..., 0] != ABSENT).tolist()
-                return {(r, c): _cut(file, *index[r, c]) for r, c in there}
+                occupied = np.argwhere(index[..., 0] != ABSENT).tolist()
+                return {(r, c): _cut(file, *index[r, c]) for r, c in occupied}
         except FileNotFoundError:
             return {}
         except (OSError, ValueError) as fault:
@@ -163,9 +163,9 @@ class ShardedArray:
         for part_r in cut(rows.start, rows.stop, self.shards.shard_px):
             for part_c in cut(cols.start, cols.stop, self.shards.shard_px):
                 path, inside_r, inside_c = self._inside(part_r, part_c)
-                there = np.s_[part_r.start - rows.start : part_r.stop - rows.start]
+                target_rows = np.s_[part_r.start - rows.start : part_r.stop - rows.start]
                 across = np.s_[part_c.start - cols.start : part_c.stop - cols.start]
-                out[there, across] = self.shards.read(path, inside_r, inside_c)
+                out[target_rows, across] = self.shards.read(path, inside_r, inside_c)
         return out
 
     def write(self, layer: NDArray[Any], top: int, left: int) -> None:
@@ -179,9 +179,9 @@ class ShardedArray:
             )
         rows, cols = slice(top, top + layer.shape[0]), slice(left, left + layer.shape[1])
         path, inside_r, inside_c = self._inside(rows, cols)
-        whole = self._fills(rows, self.shape[0]) and self._fills(cols, self.shape[1])
+        covers_shard = self._fills(rows, self.shape[0]) and self._fills(cols, self.shape[1])
         layer = layer.astype(self.shards.dtype, copy=False)
-        self.shards.write(path, layer, inside_r.start, inside_c.start, whole=whole)
+        self.shards.write(path, layer, inside_r.start, inside_c.start, covers_shard=covers_shard)
 
     def _inside(self, rows: slice, cols: slice) -> tuple[Path, slice, slice]:
         """Return the file of a part of one shard, and the part in pixels of the shard."""

@@ -57,12 +57,12 @@ def save_golden(golden: GoldenDie, path: str | Path) -> Path:
     folder, name = place.parent, place.name.removesuffix(ENDING)
     if not _NAME.fullmatch(name):
         raise DatasetError(f"A golden die cannot be called {name!r}: use letters, digits, spaces, + - and _ only.")
-    kept = versions_of(folder, name)
-    if kept:
-        _require_product(header_of(kept[-1]), golden.header.product)
+    versions = versions_of(folder, name)
+    if versions:
+        _require_product(header_of(versions[-1]), golden.header.product)
     with os_errors_as_dataset_errors(place):
         folder.mkdir(parents=True, exist_ok=True)
-    return _write_next(golden, folder, name, _version(kept[-1]) + 1 if kept else 1)
+    return _write_next(golden, folder, name, _version(versions[-1]) + 1 if versions else 1)
 
 
 def open_golden(path: str | Path) -> GoldenDie:
@@ -119,11 +119,11 @@ def golden_named(folder: Path, name: str, product: str = "") -> GoldenDie:
         If there is none, or it is of another product.
     """
     exact = folder / f"{name}{ENDING}"
-    kept = (exact,) if exact.exists() else versions_of(folder, name)
-    if not kept:
-        there = ", ".join(header.name for header in list_golden(folder)) or "none"
-        raise DatasetError(f"There is no golden die '{name}' in {folder}: choose one that is there ({there}).")
-    golden = open_golden(kept[-1])
+    versions = (exact,) if exact.exists() else versions_of(folder, name)
+    if not versions:
+        names = ", ".join(header.name for header in list_golden(folder)) or "none"
+        raise DatasetError(f"There is no golden die '{name}' in {folder}: choose one that is there ({names}).")
+    golden = open_golden(versions[-1])
     _require_product(golden.header, product)
     return golden
 
@@ -159,35 +159,35 @@ def _version(path: Path) -> int:
 
 def _write_next(golden: GoldenDie, folder: Path, name: str, version: int) -> Path:
     """Write a temporary file, then link it under the next free version number."""
-    beside = folder / f".{name}.{os.getpid()}.part"
+    temporary = folder / f".{name}.{os.getpid()}.part"
     try:
         while True:
             path = folder / f"{name}.{version}{ENDING}"
-            header = _kept_now(golden.header, name, version)
-            with os_errors_as_dataset_errors(path), beside.open("wb") as file:
+            header = _stamped(golden.header, name, version)
+            with os_errors_as_dataset_errors(path), temporary.open("wb") as file:
                 members: dict[str, Any] = {layer: getattr(golden, layer) for layer in LAYERS}
                 np.savez_compressed(file, header=np.array(encode(header, "json")), **members)
             with os_errors_as_dataset_errors(path):
-                seal_archive(beside)
-            if _named(beside, path):
+                seal_archive(temporary)
+            if _named(temporary, path):
                 return path
             version += 1
     finally:
-        remove(beside)
+        remove(temporary)
 
 
-def _kept_now(header: GoldenHeader, name: str, version: int) -> GoldenHeader:
+def _stamped(header: GoldenHeader, name: str, version: int) -> GoldenHeader:
     from wafer_viewer._version import __version__
 
     at = header.made_at or datetime.now().isoformat(timespec="seconds")
     return replace(header, name=name, version=version, made_at=at, software_version=__version__)
 
 
-def _named(beside: Path, path: Path) -> bool:
+def _named(temporary: Path, path: Path) -> bool:
     """Hard-link a file unless the target exists; unlike a rename, a link never overwrites."""
     try:
         with os_errors_as_dataset_errors(path):
-            path.hardlink_to(beside)
+            path.hardlink_to(temporary)
     except DatasetError as fault:
         if isinstance(fault.__cause__, FileExistsError):
             return False

@@ -79,7 +79,7 @@ def save_defect_recipe(folder: Path, recipe: DefectRecipe) -> Path:
 
 def rename_defect_recipe(folder: Path, recipe: DefectRecipe, name: str) -> Path:
     """Rename a saved recipe. Raises DatasetError when it does not exist, or the name is taken."""
-    old, new = _kept(folder, recipe), _place(folder, recipe.product, name)
+    old, new = _existing(folder, recipe), _place(folder, recipe.product, name)
     if new.exists():
         raise DatasetError(f"There is a recipe '{name}' of {recipe.product} already: choose another name.")
     save_defect_recipe(folder, replace(read_defect_recipe(old), name=name))
@@ -89,7 +89,7 @@ def rename_defect_recipe(folder: Path, recipe: DefectRecipe, name: str) -> Path:
 
 def delete_defect_recipe(folder: Path, recipe: DefectRecipe) -> None:
     """Delete a saved recipe. Raises DatasetError when it does not exist or cannot be deleted."""
-    path = _kept(folder, recipe)
+    path = _existing(folder, recipe)
     with os_errors_as_dataset_errors(path):
         path.unlink()
 
@@ -122,13 +122,15 @@ def _place(folder: Path, product: str, name: str) -> Path:
         raise DatasetError("A defect recipe is kept under a product and a name: give both.")
     path = folder / FOLDER / f"{_plain(product)}-{_plain(name)}{ENDING}"
     if path.exists():
-        there = read_defect_recipe(path)
-        if (there.product, there.name) != (product, name):
-            raise DatasetError(f"{path.name} is the recipe '{there.name}' of {there.product}: choose another name.")
+        existing = read_defect_recipe(path)
+        if (existing.product, existing.name) != (product, name):
+            raise DatasetError(
+                f"{path.name} is the recipe '{existing.name}' of {existing.product}: choose another name."
+            )
     return path
 
 
-def _kept(folder: Path, recipe: DefectRecipe) -> Path:
+def _existing(folder: Path, recipe: DefectRecipe) -> Path:
     path = _place(folder, recipe.product, recipe.name)
     if not path.exists():
         raise DatasetError(f"There is no recipe '{recipe.name}' of {recipe.product} any more: choose one of the list.")
@@ -166,10 +168,10 @@ def carry_over(before: Inspection, after: Inspection) -> Inspection:
     """
     judged = [defect for defect in before.defects if is_judged(defect)]
     pairs = _pairs(judged, after.defects)
-    said = {new: _words(judged[old]) for old, new in pairs}
-    kept = tuple(replace(defect, **said.get(n, {})) for n, defect in enumerate(after.defects))
+    review_by_index = {new: _words(judged[old]) for old, new in pairs}
+    defects = tuple(replace(defect, **review_by_index.get(n, {})) for n, defect in enumerate(after.defects))
     gone = sorted(judged[k].number for k in set(range(len(judged))) - {old for old, _ in pairs})
-    return replace(after, defects=kept, notes=(*after.notes, *_unmatched_note(gone)))
+    return replace(after, defects=defects, notes=(*after.notes, *_unmatched_note(gone)))
 
 
 def is_judged(defect: Defect) -> bool:

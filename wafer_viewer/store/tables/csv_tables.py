@@ -98,13 +98,13 @@ def _identity_cells(finding: AnyResult) -> list[object]:
 
 
 def _cells(number: CsvNumber) -> list[object]:
-    known = number.expanded is not None
+    has_uncertainty = number.expanded is not None
     return [
         number.name,
         f"{number.value:.6g}",
-        f"{number.expanded:.2g}" if known else "",
+        f"{number.expanded:.2g}" if has_uncertainty else "",
         number.unit,
-        2 if known else "",
+        2 if has_uncertainty else "",
         number.status,
     ]
 
@@ -266,14 +266,14 @@ def read_study(path: Path) -> NDArray[np.float64]:
 
 def _lines(path: Path) -> list[tuple[int, dict[str, str]]]:
     try:
-        kept = [(n, text) for n, text in enumerate(path.read_text("utf-8-sig").splitlines(), 1) if _counts(text)]
+        lines = [(n, text) for n, text in enumerate(path.read_text("utf-8-sig").splitlines(), 1) if _counts(text)]
     except (OSError, UnicodeDecodeError) as fault:
         raise MeasureError(f"{path} cannot be read ({fault}): {HOW}.") from fault
-    table = csv.DictReader(text for _, text in kept)
+    table = csv.DictReader(text for _, text in lines)
     missing = [name for name in STUDY_COLUMNS if name not in (table.fieldnames or ())]
     if missing:
         raise MeasureError(f"{path.name} has no column {missing[0]}: {HOW}.")
-    return [(n, line) for (n, _), line in zip(kept[1:], table, strict=False)]
+    return [(n, line) for (n, _), line in zip(lines[1:], table, strict=False)]
 
 
 def _counts(text: str) -> bool:

@@ -182,10 +182,10 @@ def _um_per_unit(records: Records, unit: KlarfUnit | None) -> tuple[float, tuple
     version = ".".join(records["FileVersion"].words[:2])
     if version not in VERSIONS:
         raise DatasetError(f"it is KLARF {version} and not one of {', '.join(VERSIONS)}: export it as 1.2.")
-    said = next((records[name].words[0].lower() for name in ("Units", "Unit") if name in records), "")
-    if said and unit and said != unit:
-        raise DatasetError(f"it says that its unit is {said}, not {unit}: leave the unit out.")
-    used = said or unit or "um"
+    named_unit = next((records[name].words[0].lower() for name in ("Units", "Unit") if name in records), "")
+    if named_unit and unit and named_unit != unit:
+        raise DatasetError(f"it says that its unit is {named_unit}, not {unit}: leave the unit out.")
+    used = named_unit or unit or "um"
     if used not in UM_PER:
         raise DatasetError(f"its unit is {used!r}, not one of {', '.join(UM_PER)}: export it in um.")
     return UM_PER[used], () if used == "um" else (f"Lengths were converted from {used} to um.",)
@@ -328,10 +328,10 @@ def _require_all(records: Records, klarf: Klarf) -> None:
     width = _parse_integer(_first(records, "SummarySpec") or "5")
     columns = records["SummarySpec"].words[1:] if "SummarySpec" in records else ("TESTNO", "NDEFECT")
     at = columns.index("NDEFECT")
-    said = sum(_parse_integer(count) for summary in records.all("SummaryList") for count in summary.words[at::width])
-    there = len(klarf.defects)
-    if said != there:
-        raise DatasetError(f"its summary counts {said} defects and {there} are listed: export it again.")
+    n_summary = sum(_parse_integer(count) for record in records.all("SummaryList") for count in record.words[at::width])
+    n_listed = len(klarf.defects)
+    if n_summary != n_listed:
+        raise DatasetError(f"its summary counts {n_summary} defects and {n_listed} are listed: export it again.")
 
 
 def _require_plausible(klarf: Klarf) -> None:

@@ -27,7 +27,7 @@ COLUMNS = (
     *("height_um", "mean_height_um", "major_um", "minor_um", "angle_deg", "area_um2", "volume_um3", "score"),
     *("confidence", "scale_px", "evidence", "pixel_um", "x0_um", "y0_um", "simulated"),
 )
-_TOLD = """heights: NAME.npy, float32 [row, col], um, NaN where unmeasured; row 0 is the largest y.
+_README = """heights: NAME.npy, float32 [row, col], um, NaN where unmeasured; row 0 is the largest y.
 picture: NAME.png, the all-in-focus picture of the same pixels.
 class: the operator's word, or that of the rules where nobody gave one (judged by is empty then).
 (x0_um, y0_um): stage place of the centre of pixel (0, 0); pixel_um its size.
@@ -72,11 +72,11 @@ def write_training_set(inspection: Inspection, surface: Mosaic, folder: str | Pa
         raise DatasetError(f"{place} exists already: give the name of a new folder.")
     if not inspection.found:
         raise DatasetError("There are no defects to write a training set of.")
-    with atomic_write(place) as beside:
-        beside.mkdir()
-        rows = [_write_one(beside, surface, defect) for defect in inspection.found]
-        (beside / "features.csv").write_text(_table(rows), encoding="utf-8")
-        (beside / "README.txt").write_text(_TOLD, encoding="utf-8")
+    with atomic_write(place) as temporary:
+        temporary.mkdir()
+        rows = [_write_one(temporary, surface, defect) for defect in inspection.found]
+        (temporary / "features.csv").write_text(_table(rows), encoding="utf-8")
+        (temporary / "README.txt").write_text(_README, encoding="utf-8")
     return place
 
 
