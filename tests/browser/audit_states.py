@@ -52,7 +52,7 @@ def shows(make: Callable[[], Snapshot], step: str) -> Act:
 
 
 def _given(now: Snapshot) -> dict[str, Any]:
-    return {f.name: getattr(now, f.name) for f in dataclasses.fields(now) if f.name not in ("version", "hands")}
+    return {f.name: getattr(now, f.name) for f in dataclasses.fields(now) if f.name not in ("version", "control")}
 
 
 def to(make: Callable[[], Snapshot], step: str) -> Act:
@@ -149,7 +149,7 @@ def lose(visit: Visit) -> None:
 def watch(visit: Visit) -> None:
     """Somebody else takes the controls."""
     escape(visit)
-    holder = visit.session.snapshot.hands.holder
+    holder = visit.session.snapshot.control.holder
     visit.session.control.arrive("another", "K. Adler")
     visit.session.control.hand_over(holder, "another")
 

@@ -56,7 +56,7 @@ def test_a_recipe_a_golden_die_and_a_klarf_are_kept_as_a_person_does(session: Se
     type_into(page, "Name", "lx7")
     expect(dialog).to_contain_text("It will be version 1.")
     dialog.get_by_role("button", name="Keep", exact=True).click()
-    eventually(lambda: len(session.snapshot.shelf.golden) == 1, "the golden die is listed")
+    eventually(lambda: len(session.snapshot.defect_files.golden) == 1, "the golden die is listed")
     assert open_golden(folder / "golden" / "lx7.1.golden.npz").header.made_of == "w7"
 
     page.locator("[data-pick=defect-errand][data-k=export]").press("Enter")

@@ -129,11 +129,11 @@ def test_both_edit_the_plan_and_tell_their_listeners(session: Any):
 def test_both_know_who_holds_the_controls(session: Any):
     session.control.arrive("a", "Anna").result()
     session.control.arrive("b", "Ben").result()
-    assert session.snapshot.hands.holder == "a"
+    assert session.snapshot.control.holder == "a"
     with pytest.raises(WaferViewerError):
         session.control.hand_over("b", "a").result()
     session.control.hand_over("a", "b").result()
-    assert session.snapshot.hands.holder == "b"
+    assert session.snapshot.control.holder == "b"
 
 
 def a_view() -> SavedView:

@@ -82,8 +82,8 @@ def trusted(folder):
 def line_for(trust, part, *, port):
     """The words that the command told us to run in the folder of certificates."""
     lines = (trust / "lines.txt").read_text().splitlines()
-    told = next(line for line in lines if f" dask {part}" in line)
-    folder, words = told.split(" && DASK_CONFIG=. ")
+    reported = next(line for line in lines if f" dask {part}" in line)
+    folder, words = reported.split(" && DASK_CONFIG=. ")
     assert folder.split() == ["cd", str(trust)]
     return shlex.split(words.replace(":8786", f":{port}"))
 
@@ -188,7 +188,7 @@ def test_a_cluster_of_ones_own_does_the_same(alone, fresh):
 
 
 @pytest.mark.parametrize("own", [True, False], ids=["own", "joined"])
-def test_ctrl_c_leaves_what_is_done_and_the_next_run_goes_on(alone, fresh, machines, own):
+def test_ctrl_c_keeps_finished_fields_and_the_next_run_continues(alone, fresh, machines, own):
     machines.worker()
     who = ("--workers", "2") if own else ("--scheduler", machines.address)
     running = started("wafer_viewer", "stitch", fresh, *who, trust=machines.trust)

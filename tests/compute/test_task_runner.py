@@ -52,7 +52,7 @@ def test_a_fault_is_the_items_own(crew):
     assert [done[i].value for i in (1, 2, 4, 5)] == [1, 4, 16, 25]
 
 
-def test_what_is_stopped_says_how_far_it_was_and_begins_nothing_more(crew, tmp_path):
+def test_a_stopped_run_reports_its_progress_and_starts_no_tasks(crew, tmp_path):
     some = [(tmp_path, number) for number in range(1000)]
     seen = []
     with pytest.raises(ComputeError, match=r"stopped at \d+ of 1000"):
@@ -63,7 +63,7 @@ def test_what_is_stopped_says_how_far_it_was_and_begins_nothing_more(crew, tmp_p
     assert len(list(tmp_path.iterdir())) == left
 
 
-def test_a_crew_that_nobody_listens_to_any_more_stops(crew, tmp_path):
+def test_a_runner_without_a_consumer_stops(crew, tmp_path):
     with closing(crew.each(worker_tasks.keep, [(tmp_path, number) for number in range(1000)])) as outcomes:
         next(outcomes)
     left = len(list(tmp_path.iterdir()))

@@ -45,7 +45,7 @@ def test_both_exposures_together_measure_more_than_either(scan):
 
 def test_the_command_line_fuses_them_too(scan, tmp_path):
     assert main(["reconstruct", str(scan), "-o", str(tmp_path / "a.npz")]) == 0
-    kept = wv.Dataset.open(scan).result("default")
-    surface = kept.surface(wv.Dataset.open(scan).field(1))
+    stored = wv.Dataset.open(scan).result("default")
+    surface = stored.surface(wv.Dataset.open(scan).field(1))
     assert "2 exposures were fused" in surface.provenance.notes[0]
     assert surface.all_in_focus.dtype == np.uint16

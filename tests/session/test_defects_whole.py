@@ -41,7 +41,7 @@ def inspected(tmp_path_factory, made):
     session.close()
 
 
-def test_nothing_is_lost_on_the_way_out_and_back(inspected, tmp_path: Path):
+def test_export_and_import_round_trip_without_loss(inspected, tmp_path: Path):
     session, path = inspected
     shown = session.snapshot.inspection.inspection
     assert (shown.reference, shown.grid.by, len(shown.found) >= 2) == ("dies", "given", True)
@@ -59,7 +59,7 @@ def test_nothing_is_lost_on_the_way_out_and_back(inspected, tmp_path: Path):
 
     session.close_dataset().result(PATIENCE_S)
     assert session.snapshot.inspection.inspection is None
-    assert session.snapshot.shelf.other is None
+    assert session.snapshot.defect_files.other is None
     session.open_dataset(path).result(PATIENCE_S)
     again = session.snapshot.inspection
     assert again.inspection == shown
@@ -69,12 +69,12 @@ def test_nothing_is_lost_on_the_way_out_and_back(inspected, tmp_path: Path):
 def test_a_golden_die_and_a_recipe_serve_the_next_inspection(inspected, made):
     session, _ = inspected
     files = session.defects.files
-    kept = files.keep_golden("lx7").result(PATIENCE_S)
-    assert (kept.parent.name, open_golden(kept).header.product) == ("golden", "LX-7")
-    session.wait_until(lambda now: bool(now.shelf.golden), PATIENCE_S)
+    stored = files.keep_golden("lx7").result(PATIENCE_S)
+    assert (stored.parent.name, open_golden(stored).header.product) == ("golden", "LX-7")
+    session.wait_until(lambda now: bool(now.defect_files.golden), PATIENCE_S)
     files.save_recipe(DefectRecipe(product="LX-7", golden="lx7", sensitivity=0.25)).result(PATIENCE_S)
-    assert [header.name for header in session.snapshot.shelf.golden] == ["lx7"]
-    found = session.defects.inspect(session.snapshot.shelf.recipe_of("LX-7"), made.grid).result(PATIENCE_S)
+    assert [header.name for header in session.snapshot.defect_files.golden] == ["lx7"]
+    found = session.defects.inspect(session.snapshot.defect_files.recipe_of("LX-7"), made.grid).result(PATIENCE_S)
     assert found.reference == "golden"
     judged = session.snapshot.inspection.inspection.found
     assert {"real", "nuisance"} <= {defect.judgement for defect in judged}

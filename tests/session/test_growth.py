@@ -37,9 +37,9 @@ def test_the_surface_grows_during_a_scan_and_is_whole_afterwards(session, job, s
 def test_a_stitching_that_was_broken_off_is_made_good_when_the_dataset_is_opened(session, surfaced, patience_s):
     path = session.snapshot.dataset.path
     session.close_dataset().result()
-    kept = Dataset.open(path).result()
-    kept.begin_mosaic_update(kept.poses())  # as a viewer leaves it that is killed while it draws
+    stored = Dataset.open(path).result()
+    stored.begin_mosaic_update(stored.poses())  # as a viewer leaves it that is killed while it draws
     session.open_dataset(path).result()
-    session.wait_until(lambda s: surfaced(s) and not kept.broken_off, patience_s)
-    assert kept.shows_all(session.snapshot.dataset.fields)
+    session.wait_until(lambda s: surfaced(s) and not stored.broken_off, patience_s)
+    assert stored.shows_all(session.snapshot.dataset.fields)
     assert session.snapshot.surface.n_fields == 9

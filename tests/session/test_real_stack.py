@@ -36,10 +36,12 @@ def test_a_folder_of_photographs_becomes_a_surface(tmp_path, capsys):
 
 def test_odd_and_even_frames_tell_the_same_heights():
     """Two half stacks share no frame: where both measured, they agree within their own, doubled step."""
-    whole = wv.open_stack(STACK, z_step_um=1.0, pixel_um=1.0)
+    complete = wv.open_stack(STACK, z_step_um=1.0, pixel_um=1.0)
     halves = [
         wv.reconstruct(
-            wv.FieldStack(whole.field, whole.images[first::2], whole.z_um[first::2], whole.present[first::2], 1.0)
+            wv.FieldStack(
+                complete.field, complete.images[first::2], complete.z_um[first::2], complete.present[first::2], 1.0
+            )
         )
         for first in (0, 1)
     ]

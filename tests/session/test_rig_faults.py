@@ -20,14 +20,14 @@ def session(tmp_path, patience_s):
 
 
 @pytest.mark.slow
-def test_the_page_is_told_what_slipped_and_what_hung_and_the_scan_is_continued(session, job, patience_s):
+def test_slipped_pulses_and_a_stuck_stage_are_reported_and_the_scan_continues(session, job, patience_s):
     session.edit_job(job(cols=2, n_frames=20)).result()
     path = session.start_scan("faults").result(patience_s)
     ended = session.wait_until(lambda s: not s.scanning and any(f.title == "The scan stopped" for f in s.faults), 60)
-    told = {f.title: f.text for f in ended.faults}
-    assert "125 quadrature errors on the z scale" in told["The scan reports a fault"]
-    assert "The stage does not report the end of its motion" in told["The scan stopped"]
-    assert "the x axis stands at" in told["The scan stopped"]
+    reported = {f.title: f.text for f in ended.faults}
+    assert "125 quadrature errors on the z scale" in reported["The scan reports a fault"]
+    assert "The stage does not report the end of its motion" in reported["The scan stopped"]
+    assert "the x axis stands at" in reported["The scan stopped"]
     assert len(Dataset.open(path).kept()) == 20
     session.continue_scan().result(patience_s)
     session.wait_until(lambda s: not s.scanning and s.dataset.finished, patience_s)

@@ -56,8 +56,8 @@ def test_from_a_plan_to_a_measured_surface_that_can_be_opened_again(session, job
     assert session.frame_near(why.field, why.peak_z_um)[why.row, why.col] in why.grey
     with pytest.raises(DatasetError, match="lies in no field"):
         session.focus_curve(9e5, y_um).result(patience_s)
-    kept = session.keep(profile).result()
-    assert (kept.number, kept.name) == (1, "Profile 1")
+    stored = session.keep(profile).result()
+    assert (stored.number, stored.name) == (1, "Profile 1")
     session.rename(1, "over the street").result()
     session.delete(1).result()
     assert session.snapshot.findings == ()
@@ -70,11 +70,11 @@ def test_from_a_plan_to_a_measured_surface_that_can_be_opened_again(session, job
     face = Region.rectangle(x_um - 20, y_um - 20, x_um + 20, y_um + 20)
     texture = session.measure("texture", (face,), levelling=Levelling(by="plane"))
     assert (texture.levelling.by, texture.show, texture.simulated) == ("plane", 0, True)
-    kept = session.keep(texture, b"\xff\xd8 small picture").result()
-    assert session.thumbnail(kept.number) == b"\xff\xd8 small picture"
+    stored = session.keep(texture, b"\xff\xd8 small picture").result()
+    assert session.thumbnail(stored.number) == b"\xff\xd8 small picture"
     assert session.measure("point", (Region.point(x_um, y_um),), show=1).show == 1
     assert session.datum(Levelling(by="form")).powers[-1] == (0, 0)
-    session.delete(kept.number).result()
+    session.delete(stored.number).result()
     csv = session.export_findings(tmp_path / "found.csv").result()
     assert "over the street" in csv.read_text()
     ply = session.export_surface(tmp_path / "surface.ply").result(patience_s)
@@ -94,7 +94,7 @@ def test_from_a_plan_to_a_measured_surface_that_can_be_opened_again(session, job
     assert [f.name for f in again.findings] == ["over the street"]
 
 
-def test_a_stopped_scan_is_listed_as_unfinished_and_goes_on_with_what_is_missing(session, job, surfaced, patience_s):
+def test_a_stopped_scan_is_listed_as_unfinished_and_continues_with_what_is_missing(session, job, surfaced, patience_s):
     session.edit_job(job(cols=2, rows=2, n_frames=60, z_step_um=0.8)).result()
     path = session.start_scan("stopped").result(patience_s)
     session.wait_until(lambda s: s.scan is not None and s.scan.frames_done > 5, patience_s)
@@ -150,7 +150,7 @@ def test_a_killed_compute_host_is_replaced(session, child, patience_s):
     assert fault not in session.snapshot.faults
 
 
-def test_a_killed_rig_process_loses_no_pass_that_ended_and_the_scan_goes_on(session, job, child, surfaced, patience_s):
+def test_a_killed_rig_process_loses_no_complete_pass_and_the_scan_continues(session, job, child, surfaced, patience_s):
     session.edit_job(job(cols=3, n_frames=80, z_step_um=0.6)).result()
     path = session.start_scan("killed").result(patience_s)
     session.wait_until(lambda s: s.scan is not None and s.scan.frames_done > 85, patience_s)
@@ -158,25 +158,25 @@ def test_a_killed_rig_process_loses_no_pass_that_ended_and_the_scan_goes_on(sess
     dead = session.wait_until(lambda s: s.rig.state == "fault", patience_s)
     assert "exit code -9" in dead.rig.message
     assert any(f.source == "rig" and f.needs_person for f in dead.faults)
-    kept = Dataset.open(path).kept()
-    assert len(kept) in (80, 160), "a frame counts once its pass has ended"
+    stored = Dataset.open(path).kept()
+    assert len(stored) in (80, 160), "a frame counts once its pass has ended"
 
     session.continue_scan().result(patience_s)
     session.wait_until(surfaced, patience_s)
     after = Dataset.open(path)
     assert after.check().ok
-    assert after.kept() > kept
+    assert after.kept() > stored
     assert session.snapshot.rig.state == "ready"
 
 
 def test_another_session_opens_a_held_dataset_to_read_only(session, patience_s, tmp_path):
     path = session.snapshot.dataset.path
     held = [sys.executable, "-c", _OPEN_ELSEWHERE, str(tmp_path), str(path)]
-    said = subprocess.run(held, capture_output=True, text=True, timeout=patience_s)
-    assert said.returncode == 0, said.stderr
-    assert f"process {os.getpid()}" in said.stdout
-    assert "cannot be kept" in said.stdout
-    assert "heavy: []" in said.stdout
+    message = subprocess.run(held, capture_output=True, text=True, timeout=patience_s)
+    assert message.returncode == 0, message.stderr
+    assert f"process {os.getpid()}" in message.stdout
+    assert "cannot be kept" in message.stdout
+    assert "heavy: []" in message.stdout
 
 
 _OPEN_ELSEWHERE = """
@@ -260,9 +260,9 @@ def test_a_cluster_that_runs_already_is_joined_with_certificates_only(monkeypatc
     cluster = {"n_workers": 1, "threads_per_worker": 1, "protocol": "tls://", "dashboard_address": "127.0.0.1:0"}
     with LocalCluster(security=security, **cluster) as running:
         joined = Session(tmp_path / "c", scheduler=running.scheduler_address)
-        there = joined.wait_until(lambda s: s.compute_ready or s.faults, patience_s)
+        present = joined.wait_until(lambda s: s.compute_ready or s.faults, patience_s)
         joined.close()
-    assert there.faults == ()
+    assert present.faults == ()
 
 
 def test_a_data_folder_that_cannot_be_is_refused_at_once(tmp_path):

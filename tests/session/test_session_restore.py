@@ -40,8 +40,8 @@ class Program:
         self.do(self.coordinator.start)
         return self.now
 
-    def do(self, verb, *args):
-        return self.coordinator.command_queue.do(verb, *args).result(10)
+    def do(self, command, *args):
+        return self.coordinator.command_queue.do(command, *args).result(10)
 
     @property
     def now(self):
@@ -76,7 +76,7 @@ def kept_file(program):
     return program.folder / KEPT_IN / NAME
 
 
-def test_a_first_start_opens_nothing_and_needs_no_word(program):
+def test_a_first_start_opens_nothing_and_asks_nothing(program):
     now = program.start()
     assert (now.dataset, now.draft.job, now.reopening) == (None, None, False)
     assert now.draft.confirmed
@@ -85,9 +85,9 @@ def test_a_first_start_opens_nothing_and_needs_no_word(program):
 
 def test_plan_dataset_and_what_was_half_typed_are_there_after_a_restart(program, dataset):
     program.start()
-    program.do(program.coordinator.drafting.edit, small_job())
+    program.do(program.coordinator.plan_editor.edit, small_job())
     program.do(program.coordinator.open, dataset)
-    program.do(program.coordinator.drafting.keep_typed, HALF)
+    program.do(program.coordinator.plan_editor.keep_typed, HALF)
     program.end()
     now = program.start()
     assert now.draft.job == small_job()
@@ -103,10 +103,10 @@ def test_nothing_moves_before_the_sample_is_confirmed(program, dataset):
     program.end()
     program.start()
     coordinator = program.coordinator
-    for verb, *args in ((coordinator.move_to, Move(x_um=0.0)), (coordinator.continue_scan,)):
+    for command, *args in ((coordinator.move_to, Move(x_um=0.0)), (coordinator.continue_scan,)):
         with pytest.raises(PlanError, match="confirm the sample before anything moves"):
-            program.do(verb, *args)
-    program.do(coordinator.drafting.confirm)
+            program.do(command, *args)
+    program.do(coordinator.plan_editor.confirm)
     assert program.now.draft.confirmed
     coordinator.rig.start = lambda: pytest.fail("the rig was asked")
     coordinator.rig.require_idle = refuse
@@ -120,21 +120,21 @@ def refuse(what):
 
 def test_what_is_half_typed_is_no_plan_until_it_is_mended(program):
     program.start()
-    drafting = program.coordinator.drafting
-    program.do(drafting.edit, small_job())
-    program.do(drafting.keep_typed, HALF)
+    plan_editor = program.coordinator.plan_editor
+    program.do(plan_editor.edit, small_job())
+    program.do(plan_editor.keep_typed, HALF)
     with pytest.raises(PlanError, match="read 'quick'"):
-        program.do(drafting.ready)
-    program.do(drafting.edit, small_job(cols=3))
+        program.do(plan_editor.ready)
+    program.do(plan_editor.edit, small_job(cols=3))
     assert program.now.draft.typed is None
-    program.do(drafting.keep_typed, HALF)
-    program.do(drafting.undo)
+    program.do(plan_editor.keep_typed, HALF)
+    program.do(plan_editor.undo)
     assert program.now.draft.typed is None
 
 
-def test_a_dataset_that_has_gone_is_told_and_the_plan_is_there_all_the_same(program, dataset):
+def test_a_dataset_that_has_gone_is_reported_and_the_plan_is_there_all_the_same(program, dataset):
     program.start()
-    program.do(program.coordinator.drafting.edit, small_job())
+    program.do(program.coordinator.plan_editor.edit, small_job())
     program.do(program.coordinator.open, dataset)
     program.end()
     shutil.move(dataset, dataset.with_name("elsewhere.wafer"))
@@ -144,7 +144,7 @@ def test_a_dataset_that_has_gone_is_told_and_the_plan_is_there_all_the_same(prog
     assert "begun.wafer was open and is not there any more" in now.faults[0].text
 
 
-def test_a_dataset_that_another_program_holds_is_open_for_reading_and_that_is_said(program, dataset, monkeypatch):
+def test_a_dataset_that_another_program_holds_is_open_for_reading_and_that_is_reported(program, dataset, monkeypatch):
     program.start()
     program.do(program.coordinator.open, dataset)
     program.end()
@@ -178,7 +178,7 @@ def test_a_file_that_cannot_be_read_costs_the_memory_and_not_the_start(program, 
     assert why.lower() in fault.text.lower()
     assert fault.text.endswith("Nothing to do.")
     assert not fault.needs_person
-    program.do(program.coordinator.drafting.edit, small_job())
+    program.do(program.coordinator.plan_editor.edit, small_job())
     program.end()
     assert program.start().draft.job == small_job()
 
@@ -193,10 +193,10 @@ def test_a_closed_dataset_stays_closed(program, dataset):
 
 def test_the_file_is_small_and_plain(program):
     program.start()
-    program.do(program.coordinator.drafting.edit, small_job())
+    program.do(program.coordinator.plan_editor.edit, small_job())
     program.end()
-    kept = msgspec.json.decode(kept_file(program).read_bytes())
-    assert set(kept) == {"version", "job"}
+    stored = msgspec.json.decode(kept_file(program).read_bytes())
+    assert set(stored) == {"version", "job"}
     assert {path.name for path in kept_file(program).parent.iterdir()} == {NAME, "lock"}
 
 
@@ -210,29 +210,29 @@ def second(program):
 
 def test_the_second_program_on_a_folder_says_that_it_remembers_nothing_and_leaves_the_first_alone(program, second):
     program.start()
-    program.do(program.coordinator.drafting.edit, small_job())
-    program.do(program.coordinator.drafting.keep_typed, HALF)
+    program.do(program.coordinator.plan_editor.edit, small_job())
+    program.do(program.coordinator.plan_editor.keep_typed, HALF)
     now = second.start()
     assert now.draft.job is None
     (fault,) = now.faults
     assert (fault.title, fault.needs_person) == ("What is open here is not remembered", False)
     assert f"process {os.getpid()}" in fault.text
-    second.do(second.coordinator.drafting.edit, small_job(cols=3))
+    second.do(second.coordinator.plan_editor.edit, small_job(cols=3))
     second.end()
     program.end()
     now = program.start()
     assert (now.draft.job, now.draft.typed, now.faults) == (small_job(), HALF, ())
 
 
-def test_who_comes_after_the_first_has_ended_remembers_again(program, second):
+def test_the_next_session_restores_the_plan(program, second):
     program.start()
-    program.do(program.coordinator.drafting.edit, small_job())
+    program.do(program.coordinator.plan_editor.edit, small_job())
     program.end()
     assert second.start().draft.job == small_job()
     assert second.now.faults == ()
 
 
-def test_a_program_that_was_killed_holds_nothing(program):
+def test_a_killed_process_holds_no_lock(program):
     held = program.folder / KEPT_IN
     held.mkdir()
     take = "import sys, pathlib; from wafer_viewer.store.dataset.lock import Lock; Lock.take(pathlib.Path(sys.argv[1]))"
@@ -244,7 +244,7 @@ def test_a_program_that_was_killed_holds_nothing(program):
     assert program.start().faults == ()
 
 
-def test_a_lock_of_another_machine_is_believed_and_the_way_out_is_said(program):
+def test_a_lock_of_another_machine_is_believed_and_the_way_out_is_reported(program):
     held = program.folder / KEPT_IN
     held.mkdir()
     (held / "lock").write_text('{"pid": 7, "host": "elsewhere", "since": "2026-01-01T00:00:00+00:00"}')
@@ -256,7 +256,7 @@ def test_a_lock_of_another_machine_is_believed_and_the_way_out_is_said(program):
 def test_a_folder_that_nobody_may_write_to_costs_the_memory_and_not_the_start(program, monkeypatch):
     monkeypatch.setattr(Lock, "take", held_elsewhere)
     assert program.start().faults == ()
-    program.do(program.coordinator.drafting.edit, small_job())
+    program.do(program.coordinator.plan_editor.edit, small_job())
     program.end()
     assert not kept_file(program).exists()
 

@@ -113,8 +113,8 @@ def _seams(pairs: np.ndarray, believed: np.ndarray, rng: np.random.Generator) ->
 def stitching_of(poses: Poses, notes: tuple[str, ...] = ()) -> StitchingInfo:
     """The numbers of poses."""
     counts = {d: int((poses.shifts.doubt == d).sum()) for d in RejectionReason if d != RejectionReason.NONE}
-    kept = ~poses.left_out
-    moved = np.hypot(poses.x_um - poses.stage_x_um, poses.y_um - poses.stage_y_um)[kept]
+    stored = ~poses.left_out
+    moved = np.hypot(poses.x_um - poses.stage_x_um, poses.y_um - poses.stage_y_um)[stored]
     steps = np.abs(poses.seams.step_um)
     return StitchingInfo(
         n_overlaps=len(poses.shifts.first),
@@ -124,12 +124,12 @@ def stitching_of(poses: Poses, notes: tuple[str, ...] = ()) -> StitchingInfo:
         z_error_um=poses.z_error_um,
         moved_rms_um=float(np.sqrt((moved**2).mean())),
         moved_max_um=float(moved.max()),
-        position_u_um=float(2 * np.sqrt((poses.u_x_um[kept] ** 2).mean())),
+        position_u_um=float(2 * np.sqrt((poses.u_x_um[stored] ** 2).mean())),
         height_u_um=0.062,
         step_median_um=float(np.median(steps)),
         step_p95_um=float(np.percentile(steps, 95)),
         form=tuple(zip(poses.form.names, poses.form.u_um, strict=True)),
-        n_groups=len(np.unique(poses.group[kept])),
+        n_groups=len(np.unique(poses.group[stored])),
         left_out=tuple(poses.numbers[poses.left_out].tolist()),
         notes=notes,
     )

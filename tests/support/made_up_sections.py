@@ -9,7 +9,7 @@ from wafer_viewer.model.measurement.sections import Section, SectionRequest
 from wafer_viewer.model.region import Region
 
 
-def section_of(z_um, place: int = 0, step_um: float = 0.5, simulated: bool = True, **asked) -> Section:
+def section_of(z_um, place: int = 0, step_um: float = 0.5, simulated: bool = True, **requested) -> Section:
     """A section along x from (0, 10 * place) with heights a step apart."""
     z = np.asarray(z_um, float)
     along = np.arange(len(z)) * step_um
@@ -22,10 +22,10 @@ def section_of(z_um, place: int = 0, step_um: float = 0.5, simulated: bool = Tru
         rise=Length(value_um=0.0),
         measured_fraction=1.0,
         simulated=simulated,
-        surface="filled" if asked.get("cleaned") else "unsmoothed",
+        surface="filled" if requested.get("cleaned") else "unsmoothed",
     )
     curve = ProfileCurve(along, z, along, np.full(len(z), 10.0 * place))
-    return Section(SectionRequest(place, line, **asked), found, curve, "coupon-07")
+    return Section(SectionRequest(place, line, **requested), found, curve, "coupon-07")
 
 
 def hill(n: int = 6001, height_um: float = 20.0) -> np.ndarray:

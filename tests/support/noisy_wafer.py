@@ -152,9 +152,9 @@ def _lay_dies(
             raised = np.zeros_like(mesa)
             for (bv, bu), (sv, su) in zip(blocks, sizes, strict=True):
                 raised = np.maximum(raised, _box(v, bv - sv, bv + sv)[:, None] * _box(u, bu - su, bu + su)[None, :])
-            there = (r, c) not in no_die
-            z[r0:r1, c0:c1] = there * (5 * mesa + raised)
-            grey[r0:r1, c0:c1] = 60 + there * (60 * mesa + 50 * raised)
+            present = (r, c) not in no_die
+            z[r0:r1, c0:c1] = present * (5 * mesa + raised)
+            grey[r0:r1, c0:c1] = 60 + present * (60 * mesa + 50 * raised)
 
 
 def _box(at: NDArray[np.float64], low: float, high: float) -> NDArray[np.float64]:

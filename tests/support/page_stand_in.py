@@ -63,7 +63,7 @@ class MemoryShelf:
 
 
 class StandIn:
-    """Answers what SceneView asks; paints on a thread. `asked` lists the requests in order."""
+    """Answers what SceneView asks; paints on a thread. `requested` lists the requests in order."""
 
     def __init__(self, shelf: MemoryShelf) -> None:
         self.shelf = shelf
@@ -147,11 +147,11 @@ def snapshot_of(surface: HeightMap, plan: ScanPlan, job: Job, done: tuple[int, .
     return Snapshot(rig=RigStatus(state="ready"), dataset=data, surface=info if done is None else None)
 
 
-def field_surfaces(whole: HeightMap, fields: tuple[Field, ...]) -> dict[int, HeightMap]:
+def field_surfaces(full: HeightMap, fields: tuple[Field, ...]) -> dict[int, HeightMap]:
     """The parts of a surface that fields cover."""
     parts: dict[int, HeightMap] = {}
     for f in fields:
-        col = round((f.x_um - (COLS - 1) / 2 * PIXEL_UM - whole.x0_um) / PIXEL_UM)
-        row = round((whole.y0_um - f.y_um - (ROWS - 1) / 2 * PIXEL_UM) / PIXEL_UM)
-        parts[f.number] = whole.crop(slice(max(0, row), row + ROWS), slice(max(0, col), col + COLS))
+        col = round((f.x_um - (COLS - 1) / 2 * PIXEL_UM - full.x0_um) / PIXEL_UM)
+        row = round((full.y0_um - f.y_um - (ROWS - 1) / 2 * PIXEL_UM) / PIXEL_UM)
+        parts[f.number] = full.crop(slice(max(0, row), row + ROWS), slice(max(0, col), col + COLS))
     return parts

@@ -1,4 +1,4 @@
-"""A browser that is not there: records what is put on its stage, and answers for its camera."""
+"""A browser that is not present: records what is put on its stage, and answers for its camera."""
 
 from __future__ import annotations
 

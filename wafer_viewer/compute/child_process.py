@@ -1,6 +1,6 @@
 """Child process and its pipe: requests go down, replies and events come up.
 
-Both ends detect the loss of the other by the end of the pipe: the viewer then calls `on_gone`, a child shuts down
+Both ends detect the loss of the other by the end of the pipe: the viewer then calls `on_exit`, a child shuts down
 its devices and exits.
 
 A page in use all day allocates and frees blocks of some hundred kilobytes: tiles, pictures, messages. The C library of
@@ -37,7 +37,7 @@ class Request:
     """Command to the child, with the number that its reply will carry."""
 
     number: int
-    verb: Any
+    command: Any
 
 
 @dataclass(frozen=True, slots=True)
@@ -58,14 +58,14 @@ class ChildProcess:
         target: Callable[..., None],
         args: tuple[Any, ...],
         on_event: Callable[[Any], None],
-        on_gone: Callable[[int | None], None],
+        on_exit: Callable[[int | None], None],
     ) -> None:
         spawn = get_context("spawn")
         self._pipe, theirs = spawn.Pipe()
         self.process = spawn.Process(target=target, args=(theirs, *args), name=name)
         self.process.start()
         theirs.close()
-        self._on_event, self._on_gone = on_event, on_gone
+        self._on_event, self._on_exit = on_event, on_exit
         self._numbers = count(1)
         self._waiting: dict[int, Future[Any]] = {}
         self._sending = threading.Lock()
@@ -78,16 +78,16 @@ class ChildProcess:
         """True while the child runs."""
         return self.process.is_alive() and self._reader.is_alive()
 
-    def ask(self, verb: Any) -> Future[Any]:
+    def ask(self, command: Any) -> Future[Any]:
         """Send a command; the future completes with the child's reply, or fails with ChildDied."""
         answer: Future[Any] = Future()
         with self._sending:
             number = next(self._numbers)
             self._waiting[number] = answer
             try:
-                self._pipe.send(Request(number, verb))
+                self._pipe.send(Request(number, command))
             except OSError:
-                self._waiting.pop(number).set_exception(_gone())
+                self._waiting.pop(number).set_exception(_child_ended())
         return answer
 
     def close(self, patience_s: float = 20.0) -> None:
@@ -108,9 +108,9 @@ class ChildProcess:
                 self._take(self._pipe.recv())
         self.process.join(1.0)
         for number in list(self._waiting):
-            self._waiting.pop(number).set_exception(_gone())
+            self._waiting.pop(number).set_exception(_child_ended())
         if not self._closing:
-            self._on_gone(self.process.exitcode)
+            self._on_exit(self.process.exitcode)
 
     def _take(self, message: Any) -> None:
         if not isinstance(message, Reply):
@@ -128,24 +128,24 @@ class ChildConnection:
         self._pipe = pipe
         self._sending = threading.Lock()
 
-    def verbs(self) -> Iterator[Request]:
+    def requests(self) -> Iterator[Request]:
         """Yield requests as they arrive, until the viewer closes the pipe or is gone."""
         with contextlib.suppress(EOFError, OSError):
-            while (ask := self._pipe.recv()) is not None:
-                yield ask
+            while (request := self._pipe.recv()) is not None:
+                yield request
 
     def tell(self, event: Any) -> None:
         """Send an event to the viewer; it is dropped if the viewer is gone."""
         with self._sending, contextlib.suppress(OSError):
             self._pipe.send(event)
 
-    def answer(self, ask: Request, value: Any = None) -> None:
+    def answer(self, request: Request, value: Any = None) -> None:
         """Reply to a request with its value."""
-        self.tell(Reply(ask.number, value))
+        self.tell(Reply(request.number, value))
 
-    def refuse(self, ask: Request, error: WaferViewerError) -> None:
+    def refuse(self, request: Request, error: WaferViewerError) -> None:
         """Reply to a request with an error."""
-        self.tell(Reply(ask.number, error=error))
+        self.tell(Reply(request.number, error=error))
 
 
 def run_in_background(niceness: int = 0) -> None:
@@ -155,7 +155,7 @@ def run_in_background(niceness: int = 0) -> None:
         os.nice(niceness)
 
 
-def _gone() -> WaferViewerError:
+def _child_ended() -> WaferViewerError:
     return ChildDied("The process that should do this has ended: try again, it is restarted.")
 
 

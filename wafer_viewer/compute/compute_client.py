@@ -24,17 +24,17 @@ class Compute:
         scheduler: str | None,
         warm_up: Callable[[], None],
         on_event: Callable[[Any], None],
-        on_gone: Callable[[int | None], None],
+        on_exit: Callable[[int | None], None],
     ) -> None:
         require_tls(scheduler)
         self._host_args = scheduler, warm_up
-        self._on_event, self._on_gone = on_event, on_gone
+        self._on_event, self._on_exit = on_event, on_exit
         self._link: ChildProcess | None = None
 
     def start(self) -> ChildProcess:
         """Return the connection to a running host; start one if needed."""
         if self._link is None or not self._link.alive:
-            self._link = ChildProcess("wafer-viewer compute", _host, self._host_args, self._on_event, self._on_gone)
+            self._link = ChildProcess("wafer-viewer compute", _host, self._host_args, self._on_event, self._on_exit)
         return self._link
 
     def run(self, work: str, task: WatchedTask[*Args, Answer], *args: *Args) -> Future[Answer]:

@@ -71,8 +71,8 @@ class Host:
         self._warm_up(list(self._client.scheduler_info(n_workers=-1)["workers"]))
         threading.Thread(target=self._count, name="count workers", daemon=True).start()
         try:
-            for ask in self._end.verbs():
-                self._do[type(ask.verb)](ask)
+            for request in self._end.requests():
+                self._do[type(request.command)](request)
         finally:
             self._closing.set()
             for stop in list(self._stops.values()):
@@ -81,56 +81,56 @@ class Host:
 
     def _count(self) -> None:
         """Report the number of workers whenever it changes."""
-        crew, told = DaskRunner(self._client), 0
+        crew, reported = DaskRunner(self._client), 0
         with suppress(ComputeError):
             while not self._closing.is_set():
-                if (now := crew.n_slots) != told:
+                if (now := crew.n_slots) != reported:
                     self._end.tell(ComputeUp(now))
-                    told = now
+                    reported = now
                 self._closing.wait(COUNT_EVERY_S)
 
-    def _run(self, ask: Request) -> None:
-        verb: RunTask = ask.verb
-        key = f"{verb.task.__name__}-{verb.work}-{ask.number}"
+    def _run(self, request: Request) -> None:
+        command: RunTask = request.command
+        key = f"{command.task.__name__}-{command.work}-{request.number}"
         future = self._client.submit(
-            run_watched, verb.work, verb.task, verb.args, key=key, pure=False, priority=RUN_PRIORITY
+            run_watched, command.work, command.task, command.args, key=key, pure=False, priority=RUN_PRIORITY
         )
-        self._futures[ask.number] = future
-        future.add_done_callback(lambda done: self._done(ask, done))
+        self._futures[request.number] = future
+        future.add_done_callback(lambda done: self._done(request, done))
 
-    def _lead(self, ask: Request) -> None:
-        verb: RunLedTask = ask.verb
-        stop = self._stops[verb.work] = threading.Event()
-        progress, crew = throttled(partial(self._tell, verb.work)), DaskRunner(self._client)
-        led = self._leader.submit(verb.task, *verb.args, crew=crew, progress=progress, should_stop=stop.is_set)
-        led.add_done_callback(partial(self._led, ask))
+    def _lead(self, request: Request) -> None:
+        command: RunLedTask = request.command
+        stop = self._stops[command.work] = threading.Event()
+        progress, crew = throttled(partial(self._tell, command.work)), DaskRunner(self._client)
+        led = self._leader.submit(command.task, *command.args, crew=crew, progress=progress, should_stop=stop.is_set)
+        led.add_done_callback(partial(self._led, request))
 
-    def _led(self, ask: Request, done: LocalFuture[Any]) -> None:
-        self._stops.pop(ask.verb.work, None)
+    def _led(self, request: Request, done: LocalFuture[Any]) -> None:
+        self._stops.pop(request.command.work, None)
         if done.cancelled() or done.exception() is not None:
-            self._end.refuse(ask, _sentence(ask.verb, done))
+            self._end.refuse(request, _sentence(request.command, done))
         else:
-            self._end.answer(ask, done.result())
+            self._end.answer(request, done.result())
 
-    def _cancel(self, ask: Request) -> None:
-        if stop := self._stops.get(ask.verb.work):
+    def _cancel(self, request: Request) -> None:
+        if stop := self._stops.get(request.command.work):
             stop.set()
-        Event(stop_sign(ask.verb.work), client=self._client).set()
-        self._end.answer(ask)
+        Event(stop_sign(request.command.work), client=self._client).set()
+        self._end.answer(request)
 
     def _progressed(self, event: tuple[float, dict[str, Any]]) -> None:
-        _, told = event
-        self._tell(told["work"], told["fraction"])
+        _, progress = event
+        self._tell(progress["work"], progress["fraction"])
 
     def _tell(self, work: str, fraction: float) -> None:
         self._end.tell(Progressed(work, fraction))
 
-    def _done(self, ask: Request, done: Future[Any]) -> None:
-        self._futures.pop(ask.number)
+    def _done(self, request: Request, done: Future[Any]) -> None:
+        self._futures.pop(request.number)
         if done.status == "finished":
-            self._end.answer(ask, done.result())
+            self._end.answer(request, done.result())
         else:
-            self._end.refuse(ask, _sentence(ask.verb, done))
+            self._end.refuse(request, _sentence(request.command, done))
 
     def _warm_up(self, addresses: list[str]) -> None:
         """Compile the kernels on one worker, which is enough to begin; the others then load them from the cache."""
@@ -147,11 +147,11 @@ class Host:
         return self._client.submit(self._warm_up_worker, workers=[address], pure=False)
 
 
-def _sentence(verb: RunTask | RunLedTask, done: Future[Any] | LocalFuture[Any]) -> WaferViewerError:
+def _sentence(command: RunTask | RunLedTask, done: Future[Any] | LocalFuture[Any]) -> WaferViewerError:
     """Return the failure of a task as an error that the viewer can show."""
     fault = None if done.cancelled() else done.exception()
     if isinstance(fault, WaferViewerError):
         return fault
     if fault is None or isinstance(fault, CancelledError):
-        return ComputeError("The work was given up, because the compute cluster ended.")
-    return ComputeError(f"{verb.task.__name__} failed: {type(fault).__name__}: {fault}.")
+        return ComputeError("The work stopped because the compute cluster ended.")
+    return ComputeError(f"{command.task.__name__} failed: {type(fault).__name__}: {fault}.")

@@ -23,7 +23,7 @@ from wafer_viewer.model.errors import ComputeError
 WORKER_MEMORY = "3GiB"
 PATIENCE_S = 20.0
 SETTINGS: dict[str, Any] = {
-    # Workers hand on small answers only: there is nothing to spill, and one that waits for room would wait for ever.
+    # Workers return small results only: there is nothing to spill, and a paused worker would never resume.
     "distributed.worker.memory.target": False,
     "distributed.worker.memory.spill": False,
     "distributed.worker.memory.pause": False,
@@ -32,7 +32,7 @@ SETTINGS: dict[str, Any] = {
         "OMP_NUM_THREADS": 1,
         "MKL_NUM_THREADS": 1,
         "OPENBLAS_NUM_THREADS": 1,
-        # dask has every freed array given back to the system at once: to get it anew costs more than most work on it.
+        # By default dask returns freed arrays to the system at once; allocating them again costs more than most tasks.
         "MALLOC_TRIM_THRESHOLD_": 256 * 2**20,
         "MALLOC_MMAP_THRESHOLD_": 32 * 2**20,
     },
@@ -43,11 +43,11 @@ SETTINGS: dict[str, Any] = {
     # dask closes a worker that was lost, 15 s later, also when it is back: it looks for it in a list that is empty now.
     "distributed.deploy.lost-worker-timeout": "1 day",
     "distributed.admin.tick.limit": "1 hour",
-    # Nobody looks at dask's own statistics, and to take them costs the workers some percent of their time.
+    # The statistics of dask are not used, and collecting them costs the workers some percent of their time.
     "distributed.admin.tick.interval": "500ms",
     "distributed.worker.profile.enabled": False,
     "distributed.scheduler.active-memory-manager.start": False,
-    # No pages of dask's own: they would be open to every program of this machine.
+    # The dashboard of dask is off: it would be open to every program on this machine.
     "distributed.scheduler.http.routes": [],
     "distributed.worker.http.routes": [],
 }

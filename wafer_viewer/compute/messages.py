@@ -103,17 +103,17 @@ def stop_sign(work: str) -> str:
     return f"stop-{work}"
 
 
-def throttled(tell: Progress) -> Progress:
+def throttled(report: Progress) -> Progress:
     """Return a progress callback that is throttled to `ASK_EVERY_S`, and always reports the end."""
-    told_at = 0.0
+    reported_at = 0.0
 
-    def tell_sometimes(fraction: float) -> None:
-        nonlocal told_at
-        if fraction >= 1 or time.monotonic() - told_at >= ASK_EVERY_S:
-            told_at = time.monotonic()
-            tell(fraction)
+    def report_sometimes(fraction: float) -> None:
+        nonlocal reported_at
+        if fraction >= 1 or time.monotonic() - reported_at >= ASK_EVERY_S:
+            reported_at = time.monotonic()
+            report(fraction)
 
-    return tell_sometimes
+    return report_sometimes
 
 
 def _teller(work: str) -> Progress:
@@ -125,12 +125,12 @@ def _teller(work: str) -> Progress:
 def _listener(work: str) -> ShouldStop:
     from distributed import Event
 
-    asked_at, stop = 0.0, False
+    checked_at, stop = 0.0, False
 
     def should_stop() -> bool:
-        nonlocal asked_at, stop
-        if not stop and time.monotonic() - asked_at >= ASK_EVERY_S:
-            asked_at = time.monotonic()
+        nonlocal checked_at, stop
+        if not stop and time.monotonic() - checked_at >= ASK_EVERY_S:
+            checked_at = time.monotonic()
             stop = bool(Event(stop_sign(work)).is_set())
         return stop
 

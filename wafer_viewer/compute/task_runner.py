@@ -153,7 +153,7 @@ class DaskRunner:
                     suspects.append(done.index)
                 else:
                     yield done
-        # Whatever a worker had in hand when it ended is suspected alike: the innocent are told by going alone.
+        # All tasks of a lost worker are suspects: each runs alone to find the one that crashes it.
         for index in suspects:
             yield from self._outcomes(f"{job}-alone", task, items, (index,), should_stop)
 
@@ -171,8 +171,8 @@ class DaskRunner:
     def _count(self) -> int:
         try:
             workers = self._client.scheduler_info(n_workers=-1)["workers"].values()
-        except (OSError, KeyError) as fault:  # a client that is being closed knows of no workers
-            raise _gone() from fault
+        except (OSError, KeyError) as fault:  # a closing client lists no workers
+            raise _cluster_ended() from fault
         return sum(worker["nthreads"] for worker in workers if worker["status"] == "running")
 
     def _give_up(self, job: str, futures: Iterable[Any]) -> None:
@@ -182,19 +182,19 @@ class DaskRunner:
         try:
             self._client.cancel(list(futures), force=True)
             until = time.monotonic() + LAST_TASKS_PATIENCE_S
-            while True in self._told_by_all(works_on, job) and time.monotonic() < until:
+            while True in self._ask_all_workers(works_on, job) and time.monotonic() < until:
                 time.sleep(LOOK_EVERY_S)
-        except (OSError, CancelledError, RuntimeError):  # the cluster is gone, and with it what it did
+        except (OSError, CancelledError, RuntimeError):  # the cluster ended, and its tasks with it
             return
 
     def _require_well(self, why_not: Callable[..., str], *args: Any) -> None:
-        for why in self._told_by_all(why_not, *args):
+        for why in self._ask_all_workers(why_not, *args):
             if isinstance(why, Exception):
                 raise ComputeError(f"A worker cannot say whether it fits ({why}): install the same version there.")
             if why:
                 raise ComputeError(why)
 
-    def _told_by_all(self, ask: Task, *args: Any) -> list[Any]:
+    def _ask_all_workers(self, ask: Task, *args: Any) -> list[Any]:
         """Return the answers of all workers; the exception in place of an answer that failed."""
         answers: Any = self._client.run(ask, *args, on_error="return")
         return list(answers.values())
@@ -263,15 +263,15 @@ def _outcome(what: str, index: int, future: Any) -> Done:
     if fault is None:
         return Done(index, *future.result())
     if isinstance(fault, CancelledError):
-        raise _gone()
+        raise _cluster_ended()
     if isinstance(fault, KilledWorker):
         times = fault.allowed_failures + 1
         return Done(index, fault=WorkerEnded(f"{what} ended its worker {times} times: it may need more memory."))
     return Done(index, fault=ComputeError(f"{what} failed: {type(fault).__name__}: {fault}."))
 
 
-def _gone() -> ComputeError:
-    return ComputeError("The work was given up, because the compute cluster ended; what was done is kept.")
+def _cluster_ended() -> ComputeError:
+    return ComputeError("The work stopped because the compute cluster ended; what was done is kept.")
 
 
 def _cancel_each(futures: Iterable[Any]) -> None:

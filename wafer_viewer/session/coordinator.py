@@ -31,7 +31,7 @@ from wafer_viewer.session.inspection.reference_views import DefectViews
 from wafer_viewer.session.measurement.dataset_queries import DatasetQueries
 from wafer_viewer.session.measurement.results import NotebookController, ResultsStore
 from wafer_viewer.session.planning.job_commands import JobController, TrialController
-from wafer_viewer.session.planning.plan_editor import Drafting, suggested_name
+from wafer_viewer.session.planning.plan_editor import PlanEditor, suggested_name
 from wafer_viewer.session.planning.preflight import preflight_of_snapshot, require_passed
 from wafer_viewer.session.planning.verdicts import Judge
 from wafer_viewer.session.session_restore import SessionRestore
@@ -59,28 +59,30 @@ class SessionCoordinator:
         )
         self.reopening = SessionRestore(self._folder)
         self.notices = Notifications(command_queue)
-        self.drafting = Drafting(command_queue, self._folder)
+        self.plan_editor = PlanEditor(command_queue, self._folder)
         self.library = Library(command_queue, self._folder)
         self.reconstruction = Reconstruction(command_queue, self.notices, self.library, scheduler)
         self.background = BackgroundWork(command_queue, self.notices, self.reconstruction.compute)
         self.files = FileJobs(command_queue, self.library, self.background, self.open.run)
         self.papers = Documents(command_queue, self.library, self.files)
         self.queries = DatasetQueries(self.library, lambda: command_queue.snapshot)
-        self.book = ResultsStore(command_queue, self.library)
+        self.results_store = ResultsStore(command_queue, self.library)
         self.notebook = NotebookController(command_queue, self.library)
         self.comparing = ComparisonController(command_queue, self.library, self.background)
         files = DefectFiles(command_queue, self.library, self.background, self._folder)
         views = DefectViews(self.paint, lambda: command_queue.snapshot)
         self.defects = DefectController(command_queue, self.library, self.background, files, views)
-        self.jobs = JobController(command_queue, self.drafting, self._folder)
-        self.gauge = GaugeController(command_queue, self.library, self.book, self.queries, self._folder)
-        self.trials = TrialController(command_queue, self.background, self.drafting)
+        self.jobs = JobController(command_queue, self.plan_editor, self._folder)
+        self.gauge = GaugeController(command_queue, self.library, self.results_store, self.queries, self._folder)
+        self.trials = TrialController(command_queue, self.background, self.plan_editor)
         self.judge = Judge(command_queue, self.library, self.notices)
-        reports = RigCallbacks(self._rig_ready, self._sample_seen, self._taken, self._field_complete, self._scan_ended)
+        reports = RigCallbacks(
+            self._rig_ready, self._overview_ready, self._frame_taken, self._field_complete, self._scan_ended
+        )
         self.rig = RigClient(command_queue, self.notices, config, reports)
         self._sample: Sample | None = None
         self._scan_over: Future[None] = Future()
-        self._asked = count(1)
+        self._query_numbers = count(1)
         self._painter: Painter | None = None
         self._painter_lock = threading.Lock()
 
@@ -94,7 +96,7 @@ class SessionCoordinator:
         self.command_queue.subscribe(
             lambda now: self.command_queue.note(self._load_sample) if _sample_of(now) != self._sample else None
         )
-        self.drafting.price()
+        self.plan_editor.price()
         self.library.refresh.run()
         self.jobs.refresh.run()
         self.defects.files.refresh.run()
@@ -144,18 +146,18 @@ class SessionCoordinator:
         if (why := self.reopening.claim()) is not None:
             self.notices.fault("What is open here is not remembered", why, "open", needs_person=False)
             return
-        kept = self.reopening.read()
-        if kept.is_empty:
+        restored = self.reopening.read()
+        if restored.is_empty:
             return
-        self.drafting.reopen(kept.plan(), kept.typed)
-        if kept.dataset is None:
+        self.plan_editor.reopen(restored.plan(), restored.typed)
+        if restored.dataset is None:
             return
-        path = Path(kept.dataset)
+        path = Path(restored.dataset)
         if not path.exists():
             raise DatasetError(f"{path} was open and is not there any more: open it from where it is now.")
         self.open.run(path)
-        if kept.result in self.library.shown.results:
-            self._look_at(kept.result)
+        if restored.result in self.library.shown.results:
+            self._look_at(restored.result)
         if (why := self.library.shown.read_only) is not None:
             self.notices.fault(f"{self.library.shown.name} can only be read", why, "open", needs_person=False)
 
@@ -175,7 +177,7 @@ class SessionCoordinator:
         return self._command_queue.do(self._move, Move(x_um, y_um, z_um), self.rig.n_stops)
 
     def _move(self, move: Move, n_stops: int) -> Future[None]:
-        self.drafting.require_confirmed()
+        self.plan_editor.require_confirmed()
         return self.rig.move_to(move, n_stops)
 
     @command
@@ -195,7 +197,7 @@ class SessionCoordinator:
         from wafer_viewer.store.io.atomic_files import require_space
 
         self.rig.require_idle("start another")
-        job, plan = self.drafting.ready()
+        job, plan = self.plan_editor.ready()
         path = self._path_for(name or free_name(self._folder, f"{suggested_name(job)}-{time.strftime('%Y%m%d')}"))
         require_space(self._folder, plan.bytes_on_disk, path.stem)
         require_passed(preflight_of_snapshot(self.command_queue.now, self.rig.latest_frame, today()))
@@ -205,7 +207,7 @@ class SessionCoordinator:
     def continue_scan(self) -> Future[Path]:
         """Scan the missing frames of the open dataset; the future is done once the scan has started."""
         self.rig.require_idle("start another")
-        self.drafting.require_confirmed()
+        self.plan_editor.require_confirmed()
         shown = self.library.shown
         if shown.read_only is not None:
             raise DatasetError(f"The scan cannot be continued: {shown.read_only}")
@@ -255,9 +257,9 @@ class SessionCoordinator:
         self.reconstruction.abandon()
         self.library.show_result(result)
         self._open_books()
-        answer: Future[None] = Future()
-        self.reconstruction.begin(recipe or shown.job.recipe, result, fields, answer)
-        return answer
+        completion: Future[None] = Future()
+        self.reconstruction.begin(recipe or shown.job.recipe, result, fields, completion)
+        return completion
 
     @observer_command
     def focus_curve(self, x_um: float, y_um: float, show: int = 0) -> Future[FocusCurve]:
@@ -265,12 +267,12 @@ class SessionCoordinator:
 
         Show 0 uses the field with the nearest centre.
         """
-        asked = (self.library.dataset.path, self.library.result_name, show, x_um, y_um)
-        return self.reconstruction.compute.run(f"why-{next(self._asked)}", focus_curve, *asked)
+        arguments = (self.library.dataset.path, self.library.result_name, show, x_um, y_um)
+        return self.reconstruction.compute.run(f"why-{next(self._query_numbers)}", focus_curve, *arguments)
 
     def _open_books(self) -> None:
         """Open the stored results, notes, comparisons and defects of the displayed surface."""
-        self.book.open()
+        self.results_store.open()
         self.notebook.open()
         self.comparing.open()
         self.defects.open()
@@ -312,15 +314,15 @@ class SessionCoordinator:
         self._sample = _sample_of(self.command_queue.now)
         self.rig.load(self._sample)
 
-    def _sample_seen(self, event: OverviewReady) -> None:
+    def _overview_ready(self, event: OverviewReady) -> None:
         self.command_queue.change(overview=event.overview)
         self.reconstruction.compute.start()
 
     def _rig_ready(self, event: RigReady) -> None:
-        self.drafting.tour = event.tour
-        self.drafting.price()
+        self.plan_editor.tour = event.tour
+        self.plan_editor.price()
 
-    def _taken(self, event: FrameTaken) -> None:
+    def _frame_taken(self, event: FrameTaken) -> None:
         if not event.progress.finished:
             self.library.taking(event.progress.field.number)
             self.reconstruction.coming(event.progress.field.number)
@@ -338,7 +340,7 @@ class SessionCoordinator:
         if event is not None and not event.stopped:
             self.reconstruction.add([n for n, s in self.library.shown.states.items() if s is FieldState.TO_REPEAT])
         self.reconstruction.go_on()
-        self.drafting.price()
+        self.plan_editor.price()
         self._scan_over.set_result(None)
 
     def _compute_missing(self) -> None:

@@ -28,7 +28,7 @@ from wafer_viewer.session.measurement.dataset_queries import DatasetQueries, Mea
 from wafer_viewer.session.measurement.results import NotebookController, ResultsStore
 from wafer_viewer.session.measurement.sections import Sections
 from wafer_viewer.session.planning.job_commands import JobController, TrialController
-from wafer_viewer.session.planning.plan_editor import Drafting
+from wafer_viewer.session.planning.plan_editor import PlanEditor
 from wafer_viewer.session.state.snapshot import LatestFrame, Snapshot
 from wafer_viewer.session.surface.comparison_commands import ComparisonController
 
@@ -43,17 +43,17 @@ class _Part(Generic[Part]):
     def __init__(self, part: Callable[[SessionCoordinator], Part]) -> None:
         self._part = part
 
-    def __call__(self, verb: Callable[Concatenate[Part, P], T]) -> Callable[Concatenate[Session, P], T]:
-        return forwarded(verb, lambda session: self._part(session._coordinator))
+    def __call__(self, command: Callable[Concatenate[Part, P], T]) -> Callable[Concatenate[Session, P], T]:
+        return forwarded(command, lambda session: self._part(session._coordinator))
 
 
-_plan = _Part(lambda coordinator: coordinator.drafting)
+_plan = _Part(lambda coordinator: coordinator.plan_editor)
 _rig = _Part(lambda coordinator: coordinator.rig)
-_whole = _Part(lambda coordinator: coordinator)
+_session = _Part(lambda coordinator: coordinator)
 _library = _Part(lambda coordinator: coordinator.library)
 _files = _Part(lambda coordinator: coordinator.files)
 _notices = _Part(lambda coordinator: coordinator.notices)
-_results = _Part(lambda coordinator: coordinator.book)
+_results = _Part(lambda coordinator: coordinator.results_store)
 _queries = _Part(lambda coordinator: coordinator.queries)
 _measuring = _Part(lambda coordinator: coordinator.queries.measuring)
 
@@ -81,32 +81,32 @@ class Session:
     browsing: Browsing
 
     # the plan
-    edit_job = _plan(Drafting.edit)
-    keep_typed = _plan(Drafting.keep_typed)
-    undo = _plan(Drafting.undo)
-    redo = _plan(Drafting.redo)
-    cover_sample = _plan(Drafting.cover_sample)
-    centre_on_stage = _plan(Drafting.centre_on_stage)
-    take_tour = _plan(Drafting.take_tour)
-    load_plan = _plan(Drafting.load)
-    save_plan = _plan(Drafting.save)
+    edit_job = _plan(PlanEditor.edit)
+    keep_typed = _plan(PlanEditor.keep_typed)
+    undo = _plan(PlanEditor.undo)
+    redo = _plan(PlanEditor.redo)
+    cover_sample = _plan(PlanEditor.cover_sample)
+    centre_on_stage = _plan(PlanEditor.centre_on_stage)
+    take_tour = _plan(PlanEditor.take_tour)
+    load_plan = _plan(PlanEditor.load)
+    save_plan = _plan(PlanEditor.save)
 
     # the rig
-    move_to = _whole(SessionCoordinator.move_to)
-    start_scan = _whole(SessionCoordinator.start_scan)
-    continue_scan = _whole(SessionCoordinator.continue_scan)
+    move_to = _session(SessionCoordinator.move_to)
+    start_scan = _session(SessionCoordinator.start_scan)
+    continue_scan = _session(SessionCoordinator.continue_scan)
     pause = _rig(RigClient.pause)
     resume = _rig(RigClient.resume)
-    stop = _whole(SessionCoordinator.stop)
-    stop_scan = _whole(SessionCoordinator.stop_scan)
+    stop = _session(SessionCoordinator.stop)
+    stop_scan = _session(SessionCoordinator.stop_scan)
 
     # datasets and work
     refresh_datasets = _library(Library.refresh)
-    open_dataset = _whole(SessionCoordinator.open)
-    close_dataset = _whole(SessionCoordinator.close_dataset)
+    open_dataset = _session(SessionCoordinator.open)
+    close_dataset = _session(SessionCoordinator.close_dataset)
     import_images = _files(FileJobs.import_images)
     export_surface = _files(FileJobs.export_surface)
-    reconstruct = _whole(SessionCoordinator.reconstruct)
+    reconstruct = _session(SessionCoordinator.reconstruct)
     cancel = _notices(Notifications.cancel)
     dismiss = _notices(Notifications.dismiss)
 
@@ -122,8 +122,8 @@ class Session:
     measure = _measuring(Measuring.measure)
     datum = _measuring(Measuring.datum)
     profile = _measuring(Measuring.profile)
-    paint = _whole(SessionCoordinator.paint)
-    focus_curve = _whole(SessionCoordinator.focus_curve)
+    paint = _session(SessionCoordinator.paint)
+    focus_curve = _session(SessionCoordinator.focus_curve)
 
     # the results
     keep = _results(ResultsStore.keep)

@@ -50,7 +50,7 @@ class RestorePoint(msgspec.Struct, frozen=True, kw_only=True, omit_defaults=True
         return None if self.job is None else decode(msgspec.json.encode(self.job), Job, "The plan", "json")
 
 
-def kept_of(snapshot: Snapshot, result: str) -> RestorePoint:
+def restore_point_of(snapshot: Snapshot, result: str) -> RestorePoint:
     """Return the restore point of a snapshot; `result` is the name of the displayed result."""
     draft, data = snapshot.draft, snapshot.dataset
     return RestorePoint(
@@ -70,7 +70,7 @@ class SessionRestore:
 
     def __init__(self, folder: Path) -> None:
         self._path = folder / KEPT_IN / NAME
-        self._seen: tuple[object, ...] = ()
+        self._last_key: tuple[object, ...] = ()
         self._waiting: RestorePoint | None = None
         self._timer: threading.Timer | None = None
         self._writing = threading.Lock()
@@ -101,10 +101,10 @@ class SessionRestore:
         Raises DatasetError, with the sentence to show, if the file cannot be read.
         """
         try:
-            kept = msgspec.json.decode(_small(self._path), type=RestorePoint)
-            if kept.version != VERSION:
-                raise DatasetError(f"it is of version {kept.version}, this program writes {VERSION}")
-            kept.plan()
+            point = msgspec.json.decode(_small(self._path), type=RestorePoint)
+            if point.version != VERSION:
+                raise DatasetError(f"it is of version {point.version}, this program writes {VERSION}")
+            point.plan()
         except FileNotFoundError:
             return RestorePoint(version=VERSION)
         except (OSError, msgspec.DecodeError, UnicodeDecodeError, WaferViewerError) as fault:
@@ -112,17 +112,17 @@ class SessionRestore:
                 f"{self._path} cannot be read ({str(fault).rstrip('.')}): the program starts with nothing open. "
                 "Datasets and results are as they were. Nothing to do."
             ) from fault
-        return kept
+        return point
 
     def keep(self, snapshot: Snapshot, result: str) -> None:
         """Schedule writing the state if it has changed."""
         if self._held is None:
             return
         draft, data = snapshot.draft, snapshot.dataset
-        seen = (draft.job, draft.typed, data.path if data is not None else None, result)
-        if seen == self._seen:
+        key = (draft.job, draft.typed, data.path if data is not None else None, result)
+        if key == self._last_key:
             return
-        self._seen, self._waiting = seen, kept_of(snapshot, result)
+        self._last_key, self._waiting = key, restore_point_of(snapshot, result)
         if self._timer is not None:
             self._timer.cancel()
         self._timer = threading.Timer(REST_S, self.write)
@@ -134,11 +134,11 @@ class SessionRestore:
         from wafer_viewer.store.io.atomic_files import write_text
 
         with self._writing:
-            kept, self._waiting = self._waiting, None
-            if kept is None:
+            point, self._waiting = self._waiting, None
+            if point is None:
                 return
             try:
-                write_text(self._path, msgspec.json.encode(kept).decode())
+                write_text(self._path, msgspec.json.encode(point).decode())
             except DatasetError as fault:
                 log.warning("What is open is not remembered: %s", fault)
 

@@ -16,11 +16,11 @@ from wafer_viewer.model.region import Point
 from wafer_viewer.model.spec import replace
 from wafer_viewer.session.inspection.inspection_files import SAME_PLACE_UM, DefectFiles
 from wafer_viewer.session.inspection.klarf_overlay import overlay_klarf
-from wafer_viewer.session.state.inspection_state import DefectShelf
+from wafer_viewer.session.state.inspection_state import DefectFilesState
 from wafer_viewer.store.tables.klarf import write_klarf
 
 
-def a_shelf() -> DefectShelf:
+def a_shelf() -> DefectFilesState:
     """Recipes of two products and three versions of golden dies."""
     recipes = (
         DefectRecipe(name="standard", product="LX-7", sensitivity=0.45),
@@ -33,7 +33,7 @@ def a_shelf() -> DefectShelf:
         golden_header("lx7 thick", 1, "2025-11-20T11:30:00"),
         golden_header("mems", 1, "2026-01-09T10:00:00", "MEMS-2"),
     )
-    return DefectShelf(recipes=recipes, golden=golden)
+    return DefectFilesState(recipes=recipes, golden=golden)
 
 
 def golden_header(name: str, version: int, at: str, product: str = "LX-7") -> GoldenHeader:
@@ -66,8 +66,8 @@ class FakeDefectFiles(Recording):
         self._session = session
 
     @property
-    def _shelf(self) -> DefectShelf:
-        return self._session.snapshot.shelf
+    def _shelf(self) -> DefectFilesState:
+        return self._session.snapshot.defect_files
 
     def save_recipe(self, recipe: DefectRecipe) -> Future[Any]:
         others = tuple(r for r in self._shelf.recipes if (r.product, r.name) != (recipe.product, recipe.name))
@@ -102,5 +102,5 @@ class FakeDefectFiles(Recording):
         return self._put("take_away", (), other=None)
 
     def _put(self, verb: str, asked: tuple[Any, ...], **changes: Any) -> Future[Any]:
-        self._session.change(shelf=dataclasses.replace(self._shelf, **changes))
+        self._session.change(defect_files=dataclasses.replace(self._shelf, **changes))
         return self._session._done(f"defects.files.{verb}", asked, {})

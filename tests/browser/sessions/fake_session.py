@@ -145,8 +145,8 @@ def draft_of(job: Job | None) -> Draft:
         return Draft(free_bytes=212_000_000_000)
     try:
         plan = plan_scan(job.all_fields(), job.sweep, job.exposures_us, LIMITS, job.strategy)
-        seen_um = (None,) * len(job.marks.places if job.marks else ())
-        return Draft(job=job, plan=plan, can_undo=True, free_bytes=212_000_000_000, seen_um=seen_um)
+        marked_um = (None,) * len(job.marks.places if job.marks else ())
+        return Draft(job=job, plan=plan, can_undo=True, free_bytes=212_000_000_000, marked_um=marked_um)
     except PlanError as fault:
         return Draft(job=job, problem=str(fault), can_undo=True, free_bytes=212_000_000_000)
 

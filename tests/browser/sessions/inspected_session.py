@@ -95,7 +95,7 @@ class InspectedSession(StitchedSession):
         self.shelf.surfaces[0] = _with(self.shelf.surfaces[0], planted)
         self.defects = FakeDefects(self)
         self.defects.views = DefectViews(self.paint, lambda: self.snapshot, lambda *_: EARLIER)
-        self.change(shelf=a_shelf())
+        self.change(defect_files=a_shelf())
         self.sections = CutSections(self.shelf.surfaces)
         self.change(inspection=dataclasses.replace(self.snapshot.inspection, inspection=found(planted)))
 
@@ -106,8 +106,8 @@ class CutSections(FakeSections):
     def __init__(self, surfaces: dict[int, HeightMap]) -> None:
         self._surfaces = surfaces
 
-    def section(self, asked: SectionRequest) -> Section:
-        return cut(asked, self._surfaces[asked.show], True, "coupon-07")
+    def section(self, request: SectionRequest) -> Section:
+        return cut(request, self._surfaces[request.show], True, "coupon-07")
 
 
 class FakeDefects(Recording):

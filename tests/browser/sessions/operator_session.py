@@ -32,7 +32,7 @@ def a_released_job(wafer_id: str = "", residual_um: float | None = None) -> Job:
 
 
 def released(job: Job, seen: tuple[Any, ...] = (None, None)) -> Snapshot:
-    draft = dataclasses.replace(fake.draft_of(job), seen_um=seen)
+    draft = dataclasses.replace(fake.draft_of(job), marked_um=seen)
     return dataclasses.replace(fake.planned(), draft=draft, operating=Operating(jobs=JOBS))
 
 

@@ -55,7 +55,7 @@ def lock(gui):
 
 
 def held_by(key: str) -> Snapshot:
-    return Snapshot(hands=ControlState(browsers=(ANNA, BEN), holder=key))
+    return Snapshot(control=ControlState(browsers=(ANNA, BEN), holder=key))
 
 
 def test_what_needs_control_is_locked_while_another_holds_it(gui, lock):

@@ -46,12 +46,12 @@ def go_on(scan):
 
 
 def test_it_tells_of_every_field_once_and_of_its_end(rig, scan):
-    told = []
+    reported = []
     with writer_of(scan, rig) as writer:
-        ended = run_scan_job(scan, rig, writer, told.append, Steering())
+        ended = run_scan_job(scan, rig, writer, reported.append, Steering())
     assert ended == ScanEnded(scan.path, stopped=False, n_missing=0, error=None)
-    assert sorted(e.number for e in told if isinstance(e, FieldComplete)) == [1, 2, 3]
-    last = [e for e in told if isinstance(e, FrameTaken)][-1]
+    assert sorted(e.number for e in reported if isinstance(e, FieldComplete)) == [1, 2, 3]
+    last = [e for e in reported if isinstance(e, FrameTaken)][-1]
     assert last.progress.finished
     assert (last.progress.frames_done, last.progress.frames_total, last.progress.seconds_left) == (30, 30, 0.0)
     assert (last.latest.brightest, last.latest.clipped_fraction) == (99, 0.0)
@@ -73,21 +73,21 @@ def test_a_full_disk_ends_it_with_a_sentence_and_what_is_kept_is_good(rig, scan,
     assert "the disk is full" in ended.error
     rig.stage.wait()
     assert rig.stage.position().z_um > scan.plan.sweep.z_um(scan.plan.fields[1], 0)
-    kept = Dataset.open(scan.path)
-    assert len(kept.kept()) == 10, "the frames of the pass that was broken off do not count"
-    assert not kept.finished
-    assert kept.check().damaged == ()
+    stored = Dataset.open(scan.path)
+    assert len(stored.kept()) == 10, "the frames of the pass that was broken off do not count"
+    assert not stored.finished
+    assert stored.check().damaged == ()
     with writer_of(go_on(scan), rig) as writer:
         assert run_scan_job(go_on(scan), rig, writer, lambda _: None, Steering()).error is None
     assert Dataset.open(scan.path).check().ok
 
 
-def test_a_stop_out_of_a_pause_is_told_and_ends_it(rig, scan):
-    told, steering = [], Steering()
+def test_a_stop_out_of_a_pause_is_reported_and_ends_it(rig, scan):
+    reported, steering = [], Steering()
     steering.pause()
 
     def tell(event):
-        told.append(event)
+        reported.append(event)
         if event == Paused(True):
             steering.stop()
 
@@ -95,7 +95,7 @@ def test_a_stop_out_of_a_pause_is_told_and_ends_it(rig, scan):
         ended = run_scan_job(scan, rig, writer, tell, steering)
     assert ended.stopped
     assert ended.error is None
-    assert told[:2] == [Paused(True), Paused(False)]
+    assert reported[:2] == [Paused(True), Paused(False)]
     assert Dataset.open(scan.path).kept() == set()
 
 
@@ -125,18 +125,18 @@ def test_an_error_of_a_device_is_not_told_as_a_full_disk(rig, scan, monkeypatch)
     assert Dataset.open(scan.path).faults == (ended.error,)
 
 
-def test_a_pass_that_slipped_is_told_and_none_of_its_frames_is_counted_as_done(job, tmp_path):
+def test_a_pass_that_slipped_is_reported_and_none_of_its_frames_is_counted_as_done(job, tmp_path):
     rig = VirtualRig(renderer=Grey(), faults=Faults(slips=(15,), slip_counts=250))
     made = job(cols=3, n_frames=10)
-    scan, told = Scan(tmp_path / "scan.wafer", plan_of(made, rig.limits), made), []
+    scan, reported = Scan(tmp_path / "scan.wafer", plan_of(made, rig.limits), made), []
     with writer_of(scan, rig) as writer:
-        ended = run_scan_job(scan, rig, writer, told.append, Steering())
+        ended = run_scan_job(scan, rig, writer, reported.append, Steering())
     rig.close()
     assert (ended.error, ended.n_missing) == (None, 0)
-    (fault,) = [event.what for event in told if isinstance(event, ScanFault)]
+    (fault,) = [event.what for event in reported if isinstance(event, ScanFault)]
     assert "125 quadrature errors" in fault
-    assert sorted(e.number for e in told if isinstance(e, FieldComplete)) == [1, 2, 3]
-    last = [e for e in told if isinstance(e, FrameTaken)][-1].progress
+    assert sorted(e.number for e in reported if isinstance(e, FieldComplete)) == [1, 2, 3]
+    last = [e for e in reported if isinstance(e, FrameTaken)][-1].progress
     assert (last.frames_done, last.frames_missing) == (30, 0)
     data = Dataset.open(scan.path)
     assert data.check().ok

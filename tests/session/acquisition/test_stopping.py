@@ -43,8 +43,8 @@ class NearEnd:
         self.pipe, self.events = pipe, []
 
     def ask(self, *asks):
-        for number, verb in asks:
-            self.pipe.send(Request(number, verb))
+        for number, command in asks:
+            self.pipe.send(Request(number, command))
 
     def answer(self, number):
         """What came to the asker; what the rig told meanwhile is in `events`."""
@@ -143,11 +143,11 @@ class StandingLink:
 
     alive = True
 
-    def __init__(self, name, target, args, on_event, on_gone):
+    def __init__(self, name, target, args, on_event, on_exit):
         self.tell, self.asked = on_event, []
 
-    def ask(self, verb):
-        self.asked.append((verb, Future()))
+    def ask(self, command):
+        self.asked.append((command, Future()))
         return self.asked[-1][1]
 
 
@@ -190,7 +190,7 @@ def test_a_move_that_waited_when_a_stop_came_is_not_begun(instrument):
     assert command_queue.snapshot.rig.state == "ready"
     command_queue.do(rig.move_to, Move(x_um=2.0), rig.n_stops)
     command_queue.wait_until(lambda s: s.rig.state == "moving", 60.0)
-    assert [verb for verb, _ in link.asked] == [Stop(), Move(x_um=2.0)]
+    assert [command for command, _ in link.asked] == [Stop(), Move(x_um=2.0)]
 
 
 def test_without_a_process_nothing_moves(instrument, monkeypatch):
@@ -201,7 +201,7 @@ def test_without_a_process_nothing_moves(instrument, monkeypatch):
 
 
 @pytest.mark.slow
-def test_a_session_stops_any_motion_and_goes_on(tmp_path, patience_s):
+def test_a_session_stops_any_motion_and_stays_usable(tmp_path, patience_s):
     session = Session(tmp_path, RigConfig(real_time=True))
     try:
         session.wait_until(lambda s: s.rig.state == "ready", patience_s)
@@ -218,8 +218,8 @@ def test_a_session_stops_any_motion_and_goes_on(tmp_path, patience_s):
         assert stood.state == "ready"
         assert 0.0 <= stood.x_um < FAR_UM
         session.move_to(x_um=stood.x_um + 250.0, z_um=40.0).result(patience_s)
-        there = session.snapshot.rig
-        assert (there.state, there.x_um - stood.x_um, there.z_um) == ("ready", pytest.approx(250.0), 40.0)
+        present = session.snapshot.rig
+        assert (present.state, present.x_um - stood.x_um, present.z_um) == ("ready", pytest.approx(250.0), 40.0)
     finally:
         session.close()
 

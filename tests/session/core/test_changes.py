@@ -48,9 +48,9 @@ def test_on_another_lattice_or_without_an_earlier_surface_everything_is_new():
     box = (10.0, 10.0, 20.0, 20.0)
     grown = with_change(surface(2), surface(1), box)
     assert stamp_of(grown, (500.0, 500.0, 600.0, 600.0)) == 1
-    for whole in (with_change(surface(3, rows=1200), grown, box), with_change(surface(3), None, box)):
-        assert whole.changed == ()
-        assert stamp_of(whole, (500.0, 500.0, 600.0, 600.0)) == 3
+    for complete in (with_change(surface(3, rows=1200), grown, box), with_change(surface(3), None, box)):
+        assert complete.changed == ()
+        assert stamp_of(complete, (500.0, 500.0, 600.0, 600.0)) == 3
 
 
 def test_a_surface_that_is_read_back_with_a_new_stamp_does_not_pass_for_an_old_one():

@@ -19,12 +19,12 @@ def command_queue():
 
 
 def test_verbs_run_in_order_on_one_thread(command_queue):
-    seen = []
-    asked = [command_queue.do(lambda i=i: seen.append((i, threading.get_ident()))) for i in range(50)]
-    for answer in asked:
+    observed = []
+    requested = [command_queue.do(lambda i=i: observed.append((i, threading.get_ident()))) for i in range(50)]
+    for answer in requested:
         answer.result(5)
-    assert [i for i, _ in seen] == list(range(50))
-    assert len({thread for _, thread in seen}) == 1
+    assert [i for i, _ in observed] == list(range(50))
+    assert len({thread for _, thread in observed}) == 1
 
 
 def test_an_error_of_a_verb_comes_out_of_its_result_and_the_next_verb_still_runs(command_queue):
@@ -46,7 +46,7 @@ def test_a_verb_that_answers_with_a_future_is_done_when_that_is(command_queue):
     assert answer.result(5) == "there"
 
 
-def test_what_comes_then_gets_the_value_or_is_left_out(command_queue):
+def test_a_chained_command_gets_the_value_or_the_error(command_queue):
     first, failing = Future(), Future()
     assert not (then := command_queue.then(first, lambda value: value + 1)).done()
     first.set_result(1)
@@ -84,7 +84,7 @@ def test_a_snapshot_is_frozen_and_versions_rise(command_queue):
     assert command_queue.snapshot.version == before.version + 1
 
 
-def test_waiting_for_what_does_not_come_says_so(command_queue):
+def test_waiting_times_out_with_a_message(command_queue):
     with pytest.raises(TimeoutError, match=r"within 0\.01 s"):
         command_queue.wait_until(lambda snapshot: snapshot.compute_ready, 0.01)
 

@@ -55,12 +55,12 @@ class Counter:
         return threading.current_thread().name
 
 
-class Whole:
+class SessionStandIn:
     """A session with one part."""
 
-    add = forwarded(Counter.add, lambda whole: whole.counter)
-    write = forwarded(Counter.write, lambda whole: whole.counter)
-    read = forwarded(Counter.read, lambda whole: whole.counter)
+    add = forwarded(Counter.add, lambda session: session.counter)
+    write = forwarded(Counter.write, lambda session: session.counter)
+    read = forwarded(Counter.read, lambda session: session.counter)
 
     def __init__(self, command_queue: CommandQueue) -> None:
         self.counter, self._command_queue = Counter(command_queue), command_queue
@@ -72,41 +72,41 @@ class Whole:
 
 @pytest.fixture
 def command_queue():
-    made = CommandQueue(Snapshot(hands=ControlState(browsers=(ANNA, BEN), holder="a")))
+    made = CommandQueue(Snapshot(control=ControlState(browsers=(ANNA, BEN), holder="a")))
     yield made
     made.close()
 
 
 @pytest.fixture
-def whole(command_queue):
-    return Whole(command_queue)
+def session(command_queue):
+    return SessionStandIn(command_queue)
 
 
-def test_commands_run_in_order_on_the_thread_of_the_queue(whole):
-    counter = whole.counter
-    answers = [counter.add(1), counter.add(2, times=3), whole.add(3), counter.add_two(), counter.add(n=4)]
+def test_commands_run_in_order_on_the_thread_of_the_queue(session):
+    counter = session.counter
+    answers = [counter.add(1), counter.add(2, times=3), session.add(3), counter.add_two(), counter.add(n=4)]
     assert [answer.result(10) for answer in answers] == [1, 7, 10, 12, 16]
     assert {name.split("_")[0] for name in counter.threads} == {"session"}
     assert counter.read() == threading.current_thread().name
 
 
-def test_an_exception_and_a_future_reach_the_caller(whole):
+def test_an_exception_and_a_future_reach_the_caller(session):
     with pytest.raises(WaferViewerError, match="too late"):
-        whole.counter.refuse().result(10)
+        session.counter.refuse().result(10)
     inner: Future[int] = Future()
-    answer = whole.counter.later(inner)
-    whole.add(1).result(10)
+    answer = session.counter.later(inner)
+    session.add(1).result(10)
     assert not answer.done()
     inner.set_result(5)
     assert answer.result(10) == 5
     with pytest.raises(TypeError):
-        whole.counter.add().result(10)
+        session.counter.add().result(10)
 
 
-def test_an_observer_is_refused_what_changes_anything_and_may_read(command_queue, whole):
-    whole.notebook = NotebookController(command_queue, None)  # a group of the session's own
-    watcher, holder = restricted_session(whole, lambda: "b"), restricted_session(whole, lambda: "a")
-    stranger = restricted_session(whole, lambda: "")
+def test_an_observer_is_refused_what_changes_anything_and_may_read(command_queue, session):
+    session.notebook = NotebookController(command_queue, None)  # a group of the session's own
+    watcher, holder = restricted_session(session, lambda: "b"), restricted_session(session, lambda: "a")
+    stranger = restricted_session(session, lambda: "")
     for refused in (watcher.add(1), watcher.notebook.undo(), watcher.notebook.open(), stranger.add(1)):
         with pytest.raises(ControlHeldError, match=REFUSED):
             refused.result(10)
@@ -116,8 +116,8 @@ def test_an_observer_is_refused_what_changes_anything_and_may_read(command_queue
     assert watcher.snapshot is command_queue.snapshot
 
 
-def test_help_shows_a_command_as_its_caller_sees_it(whole):
-    for verb in (whole.add, whole.counter.add):
+def test_help_shows_a_command_as_its_caller_sees_it(session):
+    for verb in (session.add, session.counter.add):
         assert str(inspect.signature(verb)) == "(n: 'int', times: 'int' = 1) -> 'Future[int]'"
         assert verb.__doc__ == "Add a number."
     assert str(inspect.signature(Counter.later)).endswith("-> 'Future[int]'")

@@ -45,135 +45,135 @@ def command_queue():
 
 
 @pytest.fixture
-def glass():
+def clock():
     return Hourglass()
 
 
 @pytest.fixture
-def control(command_queue, glass):
-    made = Control(command_queue, glass.later)
+def control(command_queue, clock):
+    made = Control(command_queue, clock.later)
     made.arrive("a", "Anna").result()
     made.arrive("b").result()
     return made
 
 
 @pytest.fixture
-def hands(command_queue):
+def state(command_queue):
     def now():
         command_queue.do(lambda: None).result()
-        return command_queue.snapshot.hands
+        return command_queue.snapshot.control
 
     return now
 
 
-def test_the_first_comer_holds_the_controls_and_the_others_are_told_who_does(control, hands):
-    assert hands().holds("a")
-    assert [b.name for b in hands().browsers] == ["Anna", "Browser 2"]
-    assert hands().why_not("a") is None
-    assert hands().why_not("b") == "Anna holds the controls."
+def test_the_first_browser_has_control_and_others_see_its_name(control, state):
+    assert state().holds("a")
+    assert [b.name for b in state().browsers] == ["Anna", "Browser 2"]
+    assert state().why_not("a") is None
+    assert state().why_not("b") == "Anna holds the controls."
 
 
-def test_who_asks_gets_the_controls_when_the_holder_hands_them_over(control, hands):
+def test_the_holder_can_hand_control_to_the_requester(control, state):
     control.ask("b").result()
-    assert (hands().asking, hands().answer_s) == ("b", ANSWER_S)
+    assert (state().requester, state().answer_s) == ("b", ANSWER_S)
     control.hand_over("a", "b").result()
-    assert hands().holds("b")
-    assert hands().asking is None
+    assert state().holds("b")
+    assert state().requester is None
 
 
-def test_who_asks_is_turned_down_by_a_holder_who_keeps_them(control, hands, glass):
+def test_the_holder_can_refuse_a_request(control, state, clock):
     control.ask("b").result()
     control.keep("a").result()
-    assert (hands().holder, hands().asking, hands().kept_from) == ("a", None, "b")
-    glass.pass_by(ANSWER_S)
-    assert hands().holds("a")
+    assert (state().holder, state().requester, state().refused) == ("a", None, "b")
+    clock.pass_by(ANSWER_S)
+    assert state().holds("a")
 
 
-def test_the_controls_pass_when_the_holder_does_not_answer(control, hands, glass):
+def test_control_passes_when_the_holder_does_not_answer(control, state, clock):
     control.ask("b").result()
-    glass.pass_by(ANSWER_S - 1)
-    assert hands().holds("a")
-    glass.pass_by(ANSWER_S)
-    assert hands().holds("b")
+    clock.pass_by(ANSWER_S - 1)
+    assert state().holds("a")
+    clock.pass_by(ANSWER_S)
+    assert state().holds("b")
 
 
-def test_two_who_ask_are_heard_one_after_the_other(control, hands):
+def test_a_second_request_waits_for_the_first(control, state):
     control.arrive("c", "Cleo").result()
     control.ask("b").result()
     with pytest.raises(WaferViewerError, match="Browser 2 asks for the controls already"):
         control.ask("c").result()
-    assert hands().asking == "b"
+    assert state().requester == "b"
 
 
-def test_a_reload_keeps_the_controls_and_one_who_stays_away_frees_them(control, hands, glass):
+def test_a_reload_keeps_control_and_a_long_absence_frees_it(control, state, clock):
     control.leave("a").result()
-    assert hands().holds("a")
-    assert not hands().browser("a").present
+    assert state().holds("a")
+    assert not state().browser("a").present
     control.arrive("a").result()
-    glass.pass_by(GRACE_S)
-    assert hands().holds("a")
-    assert hands().name_of("a") == "Anna"
+    clock.pass_by(GRACE_S)
+    assert state().holds("a")
+    assert state().name_of("a") == "Anna"
     control.leave("a").result()
-    glass.pass_by(GRACE_S)
-    assert hands().holds("b")
-    assert [b.key for b in hands().browsers] == ["b"]
+    clock.pass_by(GRACE_S)
+    assert state().holds("b")
+    assert [b.key for b in state().browsers] == ["b"]
 
 
-def test_of_two_windows_of_a_browser_one_may_be_closed(control, hands, glass):
+def test_one_of_two_windows_of_a_browser_can_be_closed(control, state, clock):
     control.arrive("a").result()
     control.leave("a").result()
-    glass.pass_by(GRACE_S)
-    assert hands().holds("a")
+    clock.pass_by(GRACE_S)
+    assert state().holds("a")
 
 
-def test_a_window_that_never_opened_cannot_be_closed(control, hands, glass):
+def test_a_window_that_never_opened_cannot_be_closed(control, state, clock):
     control.leave("a").result()
     control.leave("a").result()
     control.leave("z").result()
     control.arrive("a").result()
-    glass.pass_by(GRACE_S)
-    assert hands().holds("a")
+    clock.pass_by(GRACE_S)
+    assert state().holds("a")
 
 
-def test_nobody_is_handed_the_controls_unasked_where_several_watch(control, hands, glass):
+def test_control_stays_free_while_several_browsers_watch(control, state, clock):
     control.arrive("c", "Cleo").result()
     control.leave("a").result()
-    glass.pass_by(GRACE_S)
-    assert hands().holder is None
-    assert hands().why_not("c") == "Nobody holds the controls."
+    clock.pass_by(GRACE_S)
+    assert state().holder is None
+    assert state().why_not("c") == "Nobody holds the controls."
     control.ask("c").result()
-    assert hands().holds("c")
+    assert state().holds("c")
 
 
-def test_when_the_holder_goes_the_one_who_asked_has_them(control, hands, glass):
+def test_control_passes_to_the_requester_when_the_holder_disconnects(control, state, clock):
     control.arrive("c", "Cleo").result()
     control.ask("c").result()
     control.leave("a").result()
-    glass.pass_by(GRACE_S)
-    assert hands().holds("c")
+    clock.pass_by(GRACE_S)
+    assert state().holds("c")
 
 
-def test_one_who_asked_and_went_gets_nothing(control, hands, glass):
+def test_a_requester_that_disconnects_gets_no_control(control, state, clock):
     control.ask("b").result()
     control.leave("b").result()
-    glass.pass_only(GRACE_S)
-    assert (hands().holder, hands().asking) == ("a", None)
-    glass.pass_by(ANSWER_S)
-    assert hands().holds("a")
+    clock.pass_only(GRACE_S)
+    assert (state().holder, state().requester) == ("a", None)
+    clock.pass_by(ANSWER_S)
+    assert state().holds("a")
 
 
-def test_only_the_holder_passes_them_on(control, hands):
+def test_only_the_holder_can_hand_over_control(control, state):
     with pytest.raises(WaferViewerError, match="Ask for them first"):
         control.hand_over("b", "b").result()
     with pytest.raises(WaferViewerError, match="has disconnected"):
         control.hand_over("a", "z").result()
-    assert hands().holds("a")
+    assert state().holds("a")
 
 
-def test_a_name_can_be_changed_and_not_emptied(control, hands):
+def test_a_name_can_be_changed_and_not_emptied(control, state):
     control.rename("b", "  Ben  \n Weiss ").result()
     control.rename("b", "   ").result()
-    assert hands().name_of("b") == "Ben Weiss"
+    assert state().name_of("b") == "Ben Weiss"
 
 
 FREE = {

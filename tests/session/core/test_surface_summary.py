@@ -74,7 +74,7 @@ def test_fields_that_do_not_touch_have_no_misfit():
 
 
 @pytest.mark.slow
-def test_a_mosaic_on_disk_is_summarised_from_what_is_kept_beside_it(tmp_path):
+def test_a_mosaic_on_disk_is_summarised_from_what_is_stored_next_to_it(tmp_path):
     surface = unmeasured(flat(5.0, shape=(700, 1100), noise_um=0.1), slice(0, 70), slice(None), Origin.CLIPPED)
     surface = stitch([surface, flat(5.1, shape=(700, 1100), x0_um=500.0)], recipe=Recipe.paper())
     stored = write_mosaic(tmp_path / "m.zarr", surface)

@@ -58,7 +58,7 @@ def test_folders_come_first_then_the_newest_file(browsing: Browsing, data: Path)
     assert names(listed(browsing, data, order="size")) == ["b", "newest.toml", "newer.toml", "old.toml"]
 
 
-def test_only_what_is_asked_for_is_listed_and_the_rest_is_counted(browsing: Browsing, data: Path):
+def test_only_what_is_requested_is_listed_and_the_rest_is_counted(browsing: Browsing, data: Path):
     for name in ("a.klarf", "b.toml", "c.txt"):
         (data / name).write_text("x")
     found = listed(browsing, data, FILE_KINDS["plan"])
@@ -110,7 +110,7 @@ def test_a_folder_given_by_the_command_line_is_a_root_too(tmp_path: Path):
         Browsing(tmp_path / "data", (tmp_path / "nowhere",), home=None)
 
 
-def test_what_may_not_be_read_says_so(browsing: Browsing, data: Path, monkeypatch: pytest.MonkeyPatch):
+def test_an_unreadable_file_is_reported(browsing: Browsing, data: Path, monkeypatch: pytest.MonkeyPatch):
     for name in ("mine.toml", "theirs.toml"):
         (data / name).write_text("x")
     monkeypatch.setattr(os, "access", lambda path, mode: "theirs" not in str(path))
@@ -119,7 +119,7 @@ def test_what_may_not_be_read_says_so(browsing: Browsing, data: Path, monkeypatc
     assert "permission" in by_name["theirs.toml"].why_not
 
 
-def test_a_folder_that_cannot_be_listed_is_said_in_a_sentence(browsing: Browsing, data: Path):
+def test_a_folder_that_cannot_be_listed_is_reported(browsing: Browsing, data: Path):
     with pytest.raises(DatasetError, match="does not exist"):
         listed(browsing, data / "gone")
     (data / "file.toml").write_text("x")

@@ -37,7 +37,7 @@ def test_a_surface_file_becomes_a_dataset_without_frames(tmp_path):
     np.testing.assert_array_equal(mosaic.window().z_um, surface.z_um)
 
 
-def test_the_calibration_of_ours_holds_and_simulation_is_said(tmp_path):
+def test_the_calibration_of_ours_holds_and_simulation_is_reported(tmp_path):
     _, path = imported(tmp_path, calibration=CALIBRATION, simulated=True)
     data = Dataset.open(path)
     assert data.simulated
@@ -47,9 +47,9 @@ def test_the_calibration_of_ours_holds_and_simulation_is_said(tmp_path):
 
 def test_all_layers_of_a_file_that_has_them_are_kept(tmp_path):
     surface, path = imported(tmp_path, ".gwy")
-    kept = Dataset.open(path).result().mosaic().window()
+    stored = Dataset.open(path).result().mosaic().window()
     for name in ("z_raw_um", "confidence", "all_in_focus", "origin"):
-        np.testing.assert_array_equal(getattr(kept, name), getattr(surface, name))
+        np.testing.assert_array_equal(getattr(stored, name), getattr(surface, name))
 
 
 def test_nothing_is_left_of_an_import_that_is_refused_or_stopped(tmp_path):
@@ -64,7 +64,7 @@ def test_nothing_is_left_of_an_import_that_is_refused_or_stopped(tmp_path):
     assert sorted(p.name for p in tmp_path.iterdir()) == ["a.wafer", "part.x3p"]
 
 
-def test_what_needs_frames_says_that_there_are_none(tmp_path):
+def test_commands_that_need_frames_report_their_absence(tmp_path):
     _, path = imported(tmp_path)
     with pytest.raises(DatasetError, match="is a surface without frames: there is nothing to reconstruct"):
         make_again(path, Recipe(), "default", again=False, tell=lambda _: None, warn=lambda _: None)

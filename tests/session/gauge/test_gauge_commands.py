@@ -48,21 +48,21 @@ class Bench:
             Snapshot(data_folder=folder, rig=RigStatus(name=RIG, state="ready", calibration=CALIBRATION))
         )
         self.library = Library(self.command_queue, folder)
-        self.book = ResultsStore(self.command_queue, self.library)
+        self.results_store = ResultsStore(self.command_queue, self.library)
         questions = DatasetQueries(self.library, lambda: self.command_queue.snapshot)
-        self.gauge = GaugeController(self.command_queue, self.library, self.book, questions, folder)
+        self.gauge = GaugeController(self.command_queue, self.library, self.results_store, questions, folder)
 
     def open(self, path: Path) -> None:
         self.command_queue.do(self.library.open, path).result()
-        self.command_queue.do(self.book.open).result()
+        self.command_queue.do(self.results_store.open).result()
 
     def add(self, path: Path):
         self.open(path)
         return self.gauge.add_repeat(UPPER, LOWER, show=1).result()
 
-    def wait_refused(self, said: str) -> None:
+    def wait_refused(self, message: str) -> None:
         """Another dataset is seen to by itself, soon after it was opened."""
-        self.command_queue.wait_until(lambda now: said in (now.gauge.refusal or ""), 20.0)
+        self.command_queue.wait_until(lambda now: message in (now.gauge.refusal or ""), 20.0)
 
     @property
     def state(self):
@@ -110,9 +110,9 @@ def test_from_the_certificate_to_a_signed_check_in_log_and_results(bench, scans)
     assert state.signed == record.check
     assert [point.at for point in state.chart.points] == [record.check.at]
     assert (state.capability.n, state.capability.capable) == (3, None)
-    (kept,) = Dataset.open(scans[-1]).result(RESULT).findings().items
-    assert isinstance(kept, GaugeCheck)
-    assert replace(kept, number=0, name="") == record.check
+    (stored,) = Dataset.open(scans[-1]).result(RESULT).findings().items
+    assert isinstance(stored, GaugeCheck)
+    assert replace(stored, number=0, name="") == record.check
     with pytest.raises(MeasureError, match="is signed"):
         bench.gauge.sign("Ann").result()
 

@@ -34,14 +34,14 @@ def surface():
     return made(WAFER)
 
 
-def test_the_scans_own_job_is_laid_over_what_is_seen(surface):
+def test_the_scans_own_job_is_overlaid_on_what_is_seen(surface):
     dies = GivenDies().on(surface, OWN)
     assert dies.off is not None
     assert dies.grid.corner(0, 0) == pytest.approx((WAFER.x0_um, WAFER.y0_um), abs=0.5)
     assert len(dies.grid.places) == 16
 
 
-def test_the_operators_word_goes_before_the_job(surface):
+def test_the_operators_input_overrides_the_job(surface):
     dies = GivenDies((201.3, 147.7), (WAFER.x0_um, WAFER.y0_um), (173, 121), 1.0, as_given=True).on(surface, OWN)
     assert dies.off is None
     assert dies.grid.angle_rad == pytest.approx(math.radians(1.0))

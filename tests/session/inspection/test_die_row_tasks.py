@@ -1,4 +1,4 @@
-"""Rows of dies compared by other hands: the same to the last bit, whoever takes them and whoever dies meanwhile."""
+"""Rows of dies compared by other runner: the same to the last bit, whoever takes them and whoever dies meanwhile."""
 
 from __future__ import annotations
 
@@ -46,7 +46,7 @@ def by(made, crew, **more) -> Inspection:
     return inspect_dataset(path, "default", DULL, wafer.grid, crew=crew, **more)
 
 
-def kept(made):
+def stored(made):
     return Dataset.open(made[0]).result("default")
 
 
@@ -68,7 +68,7 @@ class Elsewhere:
 
 
 @pytest.mark.slow
-def test_hands_make_no_difference(made, alone):
+def test_the_number_of_workers_makes_no_difference(made, alone):
     assert len(alone.found) == len(PLANTED)
     for crew in (LocalRunner(1), LocalRunner(3), Elsewhere()):
         assert msgspec.to_builtins(by(made, crew)) == msgspec.to_builtins(alone)
@@ -81,7 +81,7 @@ def test_what_rows_are_compared_with_goes_by_a_file_that_is_gone_afterwards(made
     assert len(row) == 4
     assert len(others) == 2
     assert work.golden.z_um.size == 0
-    assert reference.parent == kept(made).path
+    assert reference.parent == stored(made).path
     assert not list(reference.parent.glob(".inspection-*"))
 
 
@@ -89,14 +89,14 @@ def test_what_a_killed_inspection_left_behind_is_swept_away(tmp_path):
     left = tmp_path / ".inspection-1f.npz"
     left.touch()
     quiet = NoiseModel({}, {}, {}, np.zeros((2, 2), np.uint8), np.ones(BINS, np.float32))
-    with inspection_job.kept(tmp_path, golden := ReferenceDie.nothing((2, 2), 1.0, 1.0), quiet):
+    with inspection_job.stored_golden(tmp_path, golden := ReferenceDie.nothing((2, 2), 1.0, 1.0), quiet):
         assert left.exists()  # another one is at work
     os.utime(left, (0, 0))
-    with inspection_job.kept(tmp_path, golden, quiet) as own:
+    with inspection_job.stored_golden(tmp_path, golden, quiet) as own:
         assert list(tmp_path.iterdir()) == [own]
 
 
-def test_a_reference_that_is_gone_or_damaged_is_told(made, tmp_path):
+def test_a_reference_that_is_gone_or_damaged_is_reported(made, tmp_path):
     torn = tmp_path / "torn.npz"
     torn.write_bytes(b"PK")
     for path in (torn, tmp_path / "gone.npz"):
@@ -112,23 +112,23 @@ def test_the_first_fault_of_a_row_ends_the_inspection():
 
 @pytest.mark.slow
 def test_a_stopped_inspection_says_so_and_leaves_nothing(made):
-    told: list[float] = []
+    reported: list[float] = []
     for crew in (None, Elsewhere()):
-        told.clear()
+        reported.clear()
         with pytest.raises(ComputeError, match="The inspection was stopped"):
-            by(made, crew, progress=told.append, should_stop=lambda: len(told) >= 1)
-        assert not list(kept(made).path.glob(".inspection-*"))
+            by(made, crew, progress=reported.append, should_stop=lambda: len(reported) >= 1)
+        assert not list(stored(made).path.glob(".inspection-*"))
 
 
 def test_no_more_than_a_strip_is_read_at_a_time(made, monkeypatch):
     wafer = made[1]
     monkeypatch.setattr(die_cells, "FORM_POINTS", 10_000)
-    mosaic, rows = kept(made).mosaic(), []
-    whole = type(mosaic).read
+    mosaic, rows = stored(made).mosaic(), []
+    complete = type(mosaic).read
     monkeypatch.setattr(
         type(mosaic),
         "read",
-        lambda self, name, level, r, c: rows.append((level, r.stop - r.start)) or whole(self, name, level, r, c),
+        lambda self, name, level, r, c: rows.append((level, r.stop - r.start)) or complete(self, name, level, r, c),
     )
     inspect(mosaic, wafer.grid, DULL)
     pitch_px = wafer.grid.pitch_y_um / mosaic.pixel_um
@@ -138,9 +138,9 @@ def test_no_more_than_a_strip_is_read_at_a_time(made, monkeypatch):
 @pytest.mark.slow
 def test_workers_find_the_same_and_one_may_die(made, alone):
     with crew_for(workers=2) as crew:
-        hands = Mortal(crew)
-        found = by(made, hands)
-    assert hands.killed
+        runner = Mortal(crew)
+        found = by(made, runner)
+    assert runner.killed
     assert msgspec.to_builtins(found) == msgspec.to_builtins(alone)
 
 

@@ -32,8 +32,8 @@ class Hired:
         self.asked: list[tuple[object, ...]] = []
         self.cancelled: list[str] = []
 
-    def lead(self, *asked: object) -> Future[object]:
-        self.asked.append(asked)
+    def lead(self, *requested: object) -> Future[object]:
+        self.asked.append(requested)
         return self.done
 
     def cancel(self, work: str) -> None:
@@ -57,8 +57,8 @@ class Bench:
         self.do(self.controller.watch)
         self.open(path)
 
-    def do(self, verb, *args):
-        return self.command_queue.do(verb, *args).result(20)
+    def do(self, command, *args):
+        return self.command_queue.do(command, *args).result(20)
 
     def open(self, path) -> None:
         self.do(self.library.open, path)
@@ -80,9 +80,9 @@ def pair(tmp_path_factory):
 
 @pytest.fixture
 def result(pair):
-    kept = Dataset.open(pair[0]).result("default")
-    write_inspection(kept.path, replace(FOUND, mark=mosaic_mark(kept)))
-    return kept
+    stored = Dataset.open(pair[0]).result("default")
+    write_inspection(stored.path, replace(FOUND, mark=mosaic_mark(stored)))
+    return stored
 
 
 @pytest.fixture
@@ -103,9 +103,9 @@ def test_a_judgement_is_kept_at_once_and_can_be_undone(bench, result):
     first = bench.state.defects[0].number
     bench.do(bench.controller.judge, first, "nuisance", None, None)
     bench.do(bench.controller.judge, first, None, "pit", " dust ")
-    kept = bench.state.defect(first)
-    assert (kept.judgement, kept.seen_as, kept.note, bool(kept.judged_at)) == ("nuisance", "pit", "dust", True)
-    assert kept.kind == FOUND.defects[0].kind
+    stored = bench.state.defect(first)
+    assert (stored.judgement, stored.seen_as, stored.note, bool(stored.judged_at)) == ("nuisance", "pit", "dust", True)
+    assert stored.kind == FOUND.defects[0].kind
     assert read_inspection(result.path).defects == bench.state.defects
     bench.do(bench.controller.undo)
     assert bench.state.defect(first).judgement == "nuisance"
@@ -122,7 +122,7 @@ def test_an_inspection_of_a_surface_that_is_another_now_is_stale(bench, result):
     assert bench.state.stale
 
 
-def test_what_people_said_outlives_a_new_inspection(bench, result):
+def test_judgements_survive_a_new_inspection(bench, result):
     first = bench.state.defects[0].number
     bench.do(bench.controller.judge, first, "real", None, None)
     found = bench.controller.inspect(DefectRecipe(sensitivity=0.7), None, "dies")
@@ -139,7 +139,7 @@ def test_what_people_said_outlives_a_new_inspection(bench, result):
     assert bench.command_queue.snapshot.works == ()
 
 
-def test_why_nothing_was_found_out_stands_where_the_list_would_be(bench, result):
+def test_a_failed_inspection_gives_its_reason_instead_of_the_list(bench, result):
     (result.path / "defects.json").unlink()
     bench.do(bench.controller.open)
     found = bench.controller.inspect(DefectRecipe(), None, "dies")
@@ -172,12 +172,12 @@ def test_a_dataset_that_is_held_elsewhere_is_looked_at_and_not_judged(pair, resu
 
 @pytest.mark.slow
 def test_a_bump_on_a_surface_is_found_by_the_work_and_belongs_to_its_surface(pair):
-    told: list[float] = []
-    found = inspect_dataset(pair[1], "default", DefectRecipe(), None, "form", progress=told.append)
+    reported: list[float] = []
+    found = inspect_dataset(pair[1], "default", DefectRecipe(), None, "form", progress=reported.append)
     assert found.mark == mosaic_mark(Dataset.open(pair[1]).result("default"))
     assert found.inspected_mm2 > 0.2
     assert found.simulated
-    assert told == sorted(told)
+    assert reported == sorted(reported)
     with pytest.raises(WaferViewerError, match="stopped"):
         inspect_dataset(pair[1], "default", DefectRecipe(), None, "form", should_stop=lambda: True)
     with pytest.raises(DatasetError, match="no golden die 'G'"):

@@ -60,12 +60,12 @@ class Bench:
         self.do(self.defects.open)
         self.do(self.controller.open)
 
-    def do(self, verb, *args):
-        return self.command_queue.do(verb, *args).result(20)
+    def do(self, command, *args):
+        return self.command_queue.do(command, *args).result(20)
 
     @property
     def shelf(self):
-        return self.command_queue.snapshot.shelf
+        return self.command_queue.snapshot.defect_files
 
     def close(self) -> None:
         self.do(self.library.close)
@@ -114,8 +114,8 @@ def test_limits_hold_for_what_was_found_and_can_be_undone(bench, inspected):
 def test_defects_go_out_as_they_are_judged(bench, tmp_path):
     bench.do(bench.defects.judge, 1, "nuisance", "pit", None)
     klarf = bench.do(bench.controller.write, "klarf", tmp_path / "w.klarf")
-    kept = read_klarf(klarf)
-    assert [(d.number, d.bin, d.class_name) for d in kept.defects] == [(1, 2, "Pit"), (2, 0, "Particle")]
+    stored = read_klarf(klarf)
+    assert [(d.number, d.bin, d.class_name) for d in stored.defects] == [(1, 2, "Pit"), (2, 0, "Particle")]
     table = bench.do(bench.controller.write, "csv", tmp_path / "w.csv").read_text()
     assert ",pit,particle," in table.splitlines()[1]
     folder = bench.do(bench.controller.write, "training", tmp_path / "set")
@@ -126,14 +126,14 @@ def test_defects_go_out_as_they_are_judged(bench, tmp_path):
 
 
 @pytest.mark.parametrize("what", ["klarf", "csv", "training"])
-def test_a_place_that_cannot_be_written_to_is_told_in_a_sentence(bench, tmp_path, what):
+def test_a_place_that_cannot_be_written_to_is_reported(bench, tmp_path, what):
     with pytest.raises(DatasetError, match=r"cannot be written: its folder does not exist"):
         bench.do(bench.controller.write, what, tmp_path / "gone" / "w.out")
     assert bench.command_queue.snapshot.works == ()
 
 
 @pytest.mark.parametrize("what", ["klarf", "csv", "training"])
-def test_a_full_disk_is_told_and_nothing_is_left_there(bench, tmp_path, monkeypatch, what):
+def test_a_full_disk_is_reported_and_nothing_is_left_there(bench, tmp_path, monkeypatch, what):
     def full(*_, **__):
         raise OSError(errno.ENOSPC, "No space left on device")
 
@@ -155,16 +155,16 @@ def test_what_was_not_inspected_is_not_handed_over(tmp_path):
 
 
 def test_places_on_a_surface_that_is_another_by_now_are_cut_out_of_none(inspected, tmp_path):
-    kept = Dataset.open(inspected).result("default").path
-    write_inspection(kept, replace(FOUND, mark="of an older surface"))
-    for asked in ((hand_over, "training", tmp_path / "set"), (keep_golden, "lx7")):
+    stored = Dataset.open(inspected).result("default").path
+    write_inspection(stored, replace(FOUND, mark="of an older surface"))
+    for requested in ((hand_over, "training", tmp_path / "set"), (keep_golden, "lx7")):
         with pytest.raises(DatasetError, match="reconstructed since it was inspected: inspect it again"):
-            asked[0](inspected, "default", *asked[1:])
+            requested[0](inspected, "default", *requested[1:])
     assert hand_over(inspected, "default", "csv", tmp_path / "w.csv").exists()
-    write_inspection(kept, FOUND)
+    write_inspection(stored, FOUND)
 
 
-def test_what_another_tool_found_is_laid_over_and_matched(bench, tmp_path):
+def test_what_another_tool_found_is_overlaid_and_matched(bench, tmp_path):
     more = replace(FOUND, defects=(FOUND.defects[0], defect(7, "2,1", 50.0, 60.0)))
     other = bench.do(bench.controller.lay_over, write_klarf(more, tmp_path / "other.klarf"), None, 25.0)
     assert other.matched(FOUND.defects) == {1: 1}
@@ -172,14 +172,14 @@ def test_what_another_tool_found_is_laid_over_and_matched(bench, tmp_path):
     assert (missed.number, missed.col, missed.row) == (7, 2, 1)
     at = more.defects[1].center
     assert (place.points[0].x_um, place.points[0].y_um) == pytest.approx((at.x_um, at.y_um), abs=0.01)
-    told = compared(other, FOUND)
-    assert (told["matched"], told["not_found_here"], told["not_in_file"]) == ({"1": 1}, [7], [2])
+    reported = compared(other, FOUND)
+    assert (reported["matched"], reported["not_found_here"], reported["not_in_file"]) == ({"1": 1}, [7], [2])
     assert bench.shelf.other is other
     bench.do(bench.controller.take_away)
     assert bench.shelf.other is None
 
 
-def test_it_goes_when_another_surface_is_looked_at(bench, tmp_path):
+def test_it_is_removed_when_another_surface_is_shown(bench, tmp_path):
     bench.do(bench.controller.lay_over, write_klarf(FOUND, tmp_path / "other.klarf"), None, 25.0)
     bench.do(bench.controller.open)
     assert bench.shelf.other is None
@@ -213,7 +213,7 @@ def test_a_distance_of_nothing_is_refused(bench, tmp_path):
         bench.do(bench.controller.lay_over, write_klarf(FOUND, tmp_path / "other.klarf"), None, 0.0)
 
 
-def test_another_numbering_of_dies_is_told_by_the_wafers_center(tmp_path):
+def test_another_numbering_of_dies_is_identified_by_the_wafers_center(tmp_path):
     center_um = (130.0, -40.0)
     lies = Alignment(shift_x_um=-center_um[0], shift_y_um=-center_um[1], n_marks=2)
     theirs = replace(GRID, x0_um=GRID.x0_um + GRID.pitch_x_um, y0_um=GRID.y0_um - 2 * GRID.pitch_y_um)
@@ -232,10 +232,10 @@ def test_another_numbering_of_dies_is_told_by_the_wafers_center(tmp_path):
     assert by.startswith("its own dies")
 
 
-def test_one_who_only_watches_may_write_a_file_and_keep_nothing(bench, tmp_path):
-    whole = SimpleNamespace(snapshot=bench.command_queue.snapshot, defects=bench.defects)
-    watcher = restricted_session(whole, lambda: "b").defects.files
+def test_an_observer_can_export_but_not_save(bench, tmp_path):
+    complete = SimpleNamespace(snapshot=bench.command_queue.snapshot, defects=bench.defects)
+    watcher = restricted_session(complete, lambda: "b").defects.files
     assert watcher.write("csv", tmp_path / "w.csv").result(20).exists()
-    for asked in (watcher.keep_golden("lx7"), watcher.save_recipe(DefectRecipe(product="LX-7"))):
+    for requested in (watcher.keep_golden("lx7"), watcher.save_recipe(DefectRecipe(product="LX-7"))):
         with pytest.raises(ControlHeldError):
-            asked.result(20)
+            requested.result(20)

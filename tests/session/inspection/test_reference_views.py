@@ -90,9 +90,9 @@ def found(**changes) -> Inspection:
         outline=Region.rectangle(x - 12, y - 12, x + 12, y + 12),
         in_die=Point(x_um=U_UM, y_um=V_UM),
     )
-    whole = [(0, 1), (1, 1), (2, 1), (0, 2), (1, 2), (2, 2)]
+    complete = [(0, 1), (1, 1), (2, 1), (0, 2), (1, 2), (2, 2)]
     dies = tuple(
-        DieStatus(name=GRID.name(*at), col=at[0], row=at[1], state="whole", measured_fraction=1.0) for at in whole
+        DieStatus(name=GRID.name(*at), col=at[0], row=at[1], state="whole", measured_fraction=1.0) for at in complete
     )
     return inspection(particle, **({"grid": GRID, "dies": dies} | changes))
 
@@ -117,7 +117,7 @@ def views(folder: Path, wafer_id: str = "W1", alignment=None, entries=(), **chan
 
 def shown(one: ComparisonViews | None) -> dict[str, ComparisonView]:
     assert one is not None
-    return {seen.like: seen for seen in one.seen}
+    return {observed.like: observed for observed in one.views}
 
 
 def middle_grey(jpeg: bytes) -> float:
@@ -127,21 +127,21 @@ def middle_grey(jpeg: bytes) -> float:
 
 
 @pytest.mark.slow
-def test_a_defect_stands_beside_the_other_dies_and_the_last_scan(folder: Path):
+def test_a_defect_is_compared_with_other_dies_and_the_last_scan(folder: Path):
     answer = views(folder).beside(1).result(20)
-    seen = shown(answer)
-    assert list(seen) == ["here", "dies", "before"]
-    assert (seen["dies"].dies, seen["before"].name) == (5, "second")
-    assert seen["before"].moved_um == pytest.approx((7.0, 0.0), abs=0.5)
-    assert all(one.height and one.picture and not one.why_not for one in seen.values())
-    assert middle_grey(seen["here"].height) > middle_grey(seen["dies"].height) + 40
-    assert middle_grey(seen["dies"].height) == pytest.approx(middle_grey(seen["before"].height), abs=12)
+    observed = shown(answer)
+    assert list(observed) == ["here", "dies", "before"]
+    assert (observed["dies"].dies, observed["before"].name) == (5, "second")
+    assert observed["before"].moved_um == pytest.approx((7.0, 0.0), abs=0.5)
+    assert all(one.height and one.picture and not one.why_not for one in observed.values())
+    assert middle_grey(observed["here"].height) > middle_grey(observed["dies"].height) + 40
+    assert middle_grey(observed["dies"].height) == pytest.approx(middle_grey(observed["before"].height), abs=12)
     assert answer.high_um - answer.low_um > 0.9 * HIGH_UM
     x0, y0, x1, y1 = answer.box_um
     assert (x1 - x0) / (y1 - y0) == pytest.approx(4 / 3, rel=0.02)
 
 
-def test_a_wafer_that_lay_turned_is_laid_on_by_the_alignment_of_both(tmp_path: Path):
+def test_a_rotated_earlier_scan_is_mapped_by_both_alignments(tmp_path: Path):
     turned = dataclasses.replace(WAFER, angle_deg=2.0, seed=8)
     about = Alignment(rotation_rad=math.radians(-2.0))
     x_um, y_um = about.to_wafer(WAFER.x0_um, WAFER.y0_um)
@@ -149,10 +149,10 @@ def test_a_wafer_that_lay_turned_is_laid_on_by_the_alignment_of_both(tmp_path: P
     written(tmp_path / "turned.wafer", made(turned), "2026-01-01T08:00:00", "W1", aligned)
     written(tmp_path / "now.wafer", surface(1, bump_um=HIGH_UM), "2026-01-04T08:00:00", "W1", Alignment())
     entry = DatasetEntry(tmp_path / "turned.wafer", "turned", "2026-01-01T08:00:00", False, True)
-    seen = shown(views(tmp_path, alignment=Alignment(), entries=(entry,)).beside(1).result(20))["before"]
-    assert (seen.name, seen.why_not) == ("turned", "")
-    assert seen.moved_um == pytest.approx((0.0, 0.0), abs=0.5)
-    assert seen.alike > 0.8
+    observed = shown(views(tmp_path, alignment=Alignment(), entries=(entry,)).beside(1).result(20))["before"]
+    assert (observed.name, observed.why_not) == ("turned", "")
+    assert observed.moved_um == pytest.approx((0.0, 0.0), abs=0.5)
+    assert observed.similarity > 0.8
 
 
 def test_a_comparison_that_is_kept_lays_the_earlier_scan_on(folder: Path):
@@ -164,28 +164,28 @@ def test_a_comparison_that_is_kept_lays_the_earlier_scan_on(folder: Path):
     first, second = (SurfaceName(path=str(folder / f"{name}.wafer")) for name in ("now", "second"))
     made_of = Comparison(number=1, first=first, second=second, registration=Registration(), change=change)
     now = views(folder)._snapshot()
-    kept = dataclasses.replace(now, comparisons=(Compared(1, "difference-second", made_of, 7),))
-    found = earlier_scan(kept, kept.dataset)
+    stored = dataclasses.replace(now, comparisons=(Compared(1, "difference-second", made_of, 7),))
+    found = earlier_scan(stored, stored.dataset)
     assert found.source == SurfaceKey(folder / "now.wafer", "difference-second", -ComparisonFace.SECOND, 7)
     assert found.at_um(3.0, 4.0) == (3.0, 4.0)
     outdated = dataclasses.replace(now, comparisons=(Compared(1, "difference-second", made_of, 7, True),))
     assert earlier_scan(outdated, outdated.dataset).source.dataset == folder / "second.wafer"
 
 
-def test_words_stand_where_there_is_no_earlier_scan_and_no_other_die(folder: Path):
+def test_missing_comparison_views_give_a_reason(folder: Path):
     alone = found().dies[1:2]
-    seen = shown(views(folder, "W9", dies=alone).beside(1).result(20))
-    assert seen["before"].why_not == "No earlier scan of wafer W9 with a surface lies in the data folder."
-    assert seen["dies"].why_not == "No other die was scanned completely."
-    assert seen["here"].height
-    seen = shown(views(folder, "", grid=None, dies=()).beside(1).result(20))
-    assert "no wafer id" in seen["before"].why_not
-    assert "compared with its form" in seen["dies"].why_not
+    observed = shown(views(folder, "W9", dies=alone).beside(1).result(20))
+    assert observed["before"].why_not == "No earlier scan of wafer W9 with a surface lies in the data folder."
+    assert observed["dies"].why_not == "No other die was scanned completely."
+    assert observed["here"].height
+    observed = shown(views(folder, "", grid=None, dies=()).beside(1).result(20))
+    assert "no wafer id" in observed["before"].why_not
+    assert "compared with its form" in observed["dies"].why_not
     with pytest.raises(DatasetError, match="There is no defect 7"):
         views(folder).beside(7)
 
 
-def test_a_place_without_heights_still_shows_its_picture(tmp_path: Path):
+def test_a_position_without_heights_still_has_a_picture(tmp_path: Path):
     """A dark particle whose heights were refused is seen in the picture alone."""
     blind = surface(1, bump_um=HIGH_UM)
     x, y = GRID.to_stage(*HERE, U_UM, V_UM)
@@ -193,9 +193,9 @@ def test_a_place_without_heights_still_shows_its_picture(tmp_path: Path):
     z = np.where(near, np.nan, blind.z_um).astype(np.float32)
     origin = np.where(near, Origin.NO_TEXTURE, blind.origin).astype(np.uint8)
     written(tmp_path / "now.wafer", dataclasses.replace(blind, z_um=z, z_raw_um=z, origin=origin), "2026-01-04", "")
-    seen = shown(views(tmp_path, "").beside(1).result(20))
-    assert seen["here"].picture
-    assert not seen["here"].height
+    observed = shown(views(tmp_path, "").beside(1).result(20))
+    assert observed["here"].picture
+    assert not observed["here"].height
 
 
 def test_the_golden_die_that_it_was_inspected_against_is_shown_and_only_if_it_fits(folder: Path):
@@ -204,11 +204,11 @@ def test_the_golden_die_that_it_was_inspected_against_is_shown_and_only_if_it_fi
     header = GoldenHeader(pixel_um=2.0, width_um=GRID.width_um, height_um=GRID.height_um, dies=9, product="LX-7")
     save_golden(GoldenDie(header, flat, flat + 1, flat + 90, flat + 1), folder / "golden" / "best")
     against = {"reference": "golden", "recipe": DefectRecipe(product="LX-7", golden="best")}
-    seen = shown(views(folder, **against).beside(1).result(20))
-    assert (seen["golden"].name, seen["golden"].dies) == ("best version 1", 9)
+    observed = shown(views(folder, **against).beside(1).result(20))
+    assert (observed["golden"].name, observed["golden"].dies) == ("best version 1", 9)
     assert views(folder, **against).die().result(20).golden == "best version 1"
-    seen = shown(views(folder, **against, product="other").beside(1).result(20))
-    assert "is of product 'LX-7'" in seen["golden"].why_not
+    observed = shown(views(folder, **against, product="other").beside(1).result(20))
+    assert "is of product 'LX-7'" in observed["golden"].why_not
 
 
 @pytest.mark.slow
@@ -218,8 +218,8 @@ def test_the_painter_makes_and_keeps_them_in_its_own_process(folder: Path):
         asking = DefectViews(painter.paint, lambda: now)
         first = asking.beside(1).result(60)
         assert shown(first)["before"].name == "second"
-        kept = asking.beside(1)
-        assert kept.result(60) == first
+        stored = asking.beside(1)
+        assert stored.result(60) == first
         assert asking.die().result(60).dies == 6
     finally:
         painter.close()

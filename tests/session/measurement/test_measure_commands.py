@@ -83,8 +83,8 @@ def test_every_tool_measures_on_what_is_shown(measuring, tool):
 
 
 def test_a_field_and_the_whole_are_different_surfaces(measuring):
-    whole, field = measuring.measure("point", (POINT,)), measuring.measure("point", (POINT,), 3)
-    assert field.height.value_um - whole.height.value_um == pytest.approx(15.0, abs=1e-5)
+    complete, field = measuring.measure("point", (POINT,)), measuring.measure("point", (POINT,), 3)
+    assert field.height.value_um - complete.height.value_um == pytest.approx(15.0, abs=1e-5)
 
 
 def test_a_height_is_read_from_the_zero_that_is_chosen(measuring):

@@ -32,7 +32,7 @@ def command_queue():
 
 
 @pytest.fixture
-def book(command_queue, tmp_path):
+def results_store(command_queue, tmp_path):
     return opened(command_queue, tmp_path)
 
 
@@ -52,30 +52,30 @@ def names(command_queue):
     return [f.name for f in command_queue.now.findings]
 
 
-def test_every_kind_is_counted_by_itself_and_named(book, command_queue):
+def test_every_kind_is_counted_by_itself_and_named(results_store, command_queue):
     line = Region.line(0, 0, 5, 0)
     nothing = Length(value_um=0.0)
     for finding in (point(), point(), Profile(line=line, length_um=5.0, pt=nothing, rise=nothing, measured_fraction=1)):
-        book.keep.run(finding)
-    book.keep.run(point(name="top of the bump"))
+        results_store.keep.run(finding)
+    results_store.keep.run(point(name="top of the bump"))
     assert names(command_queue) == ["Point 1", "Point 2", "Profile 1", "top of the bump"]
-    book.delete.run(1)
-    book.keep.run(point())
+    results_store.delete.run(1)
+    results_store.keep.run(point())
     assert names(command_queue) == ["Point 2", "Profile 1", "top of the bump", "Point 1"], "no two bear the same name"
 
 
-def test_what_was_undone_can_be_done_again_until_something_else_is_done(book, command_queue, tmp_path):
-    book.keep.run(point())
-    book.rename.run(1, "left bump")
+def test_what_was_undone_can_be_done_again_until_something_else_is_done(results_store, command_queue, tmp_path):
+    results_store.keep.run(point())
+    results_store.rename.run(1, "left bump")
     assert (command_queue.now.findings_undo, command_queue.now.findings_redo) == (True, False)
-    book.undo.run()
+    results_store.undo.run()
     assert names(command_queue) == ["Point 1"]
     assert command_queue.now.findings_redo
-    book.redo.run()
+    results_store.redo.run()
     assert names(command_queue) == ["left bump"]
     assert not command_queue.now.findings_redo
-    book.undo.run()
-    book.keep.run(point())
+    results_store.undo.run()
+    results_store.keep.run(point())
     assert not command_queue.now.findings_redo
     again = Desk()
     opened(again, tmp_path)
@@ -83,28 +83,28 @@ def test_what_was_undone_can_be_done_again_until_something_else_is_done(book, co
     assert (again.now.findings_undo, again.now.findings_redo) == (False, False)
 
 
-def test_a_small_picture_outlives_a_deletion_that_is_undone(book, command_queue, tmp_path):
+def test_a_small_picture_outlives_a_deletion_that_is_undone(results_store, command_queue, tmp_path):
     result = Result.of(tmp_path, "default")
-    first = book.keep.run(point(), b"\xff\xd8 first").number
-    book.delete.run(first)
-    second = book.keep.run(point(), b"\xff\xd8 second").number
-    book.undo.run()
-    book.undo.run()
+    first = results_store.keep.run(point(), b"\xff\xd8 first").number
+    results_store.delete.run(first)
+    second = results_store.keep.run(point(), b"\xff\xd8 second").number
+    results_store.undo.run()
+    results_store.undo.run()
     assert [f.number for f in command_queue.now.findings] == [first]
     assert result.thumbnail(first) == b"\xff\xd8 first"
     assert result.thumbnail(second) == b"\xff\xd8 second"
 
 
-def test_a_result_without_a_picture_has_none_though_a_deleted_one_had(book, command_queue, tmp_path):
-    book.delete.run(book.keep.run(point(), b"\xff\xd8 old").number)
+def test_a_result_without_a_picture_has_none_though_a_deleted_one_had(results_store, command_queue, tmp_path):
+    results_store.delete.run(results_store.keep.run(point(), b"\xff\xd8 old").number)
     later = opened(command_queue, tmp_path).keep.run(point())
     assert Result.of(tmp_path, "default").thumbnail(later.number) is None
 
 
-def test_a_dataset_that_others_hold_keeps_nothing(book, command_queue, tmp_path):
+def test_a_dataset_that_others_hold_keeps_nothing(results_store, command_queue, tmp_path):
     command_queue.now.dataset.read_only = "process 7 holds it."
     with pytest.raises(MeasureError, match="cannot be kept: process 7 holds it"):
-        book.keep.run(point(), b"\xff\xd8")
+        results_store.keep.run(point(), b"\xff\xd8")
     with pytest.raises(MeasureError, match="cannot be kept"):
-        book.redo.run()
+        results_store.redo.run()
     assert Result.of(tmp_path, "default").thumbnail(1) is None

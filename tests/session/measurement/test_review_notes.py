@@ -72,8 +72,8 @@ def test_a_judgement_keeps_its_note_when_the_verdict_changes(bench):
     judged = bench.command_queue.snapshot.notebook.book.judgement("result 3")
     assert (judged.verdict, judged.note) == ("rejected", "burr at the left")
     assert bench.command_queue.snapshot.notebook.book.judgement("result 4").verdict == "open"
-    kept = read_notebook(bench.folder / "result").judgements
-    assert kept == (judged,)
+    stored = read_notebook(bench.folder / "result").judgements
+    assert stored == (judged,)
 
 
 def test_the_same_judgement_twice_is_one_step_of_undo(bench):
@@ -91,14 +91,14 @@ def test_what_can_only_be_read_is_not_written_to(tmp_path):
     bench.command_queue.close()
 
 
-def test_a_notebook_that_is_none_is_said_by_its_name(bench):
+def test_a_notebook_that_is_none_is_reported_by_its_name(bench):
     bench.verbs.save_view(VIEW).result()
     (bench.folder / "result" / "notebook.json").write_text(json.dumps({"views": 3}))
     with pytest.raises(DatasetError, match=r"notebook.json"):
         read_notebook(bench.folder / "result")
 
 
-def test_pictures_are_numbered_beside_the_dataset(bench):
+def test_pictures_are_numbered_next_to_the_dataset(bench):
     papers = Documents(bench.command_queue, bench.library, None)
     first, second = (papers.keep_picture(png).result() for png in (b"one", b"two"))
     assert (first.name, second.name) == ("coupon-picture-1.png", "coupon-picture-2.png")

@@ -76,8 +76,8 @@ def other(folder, name, result=RESULT):
 
 
 def test_the_same_line_on_raw_and_cleaned_heights(sections):
-    asked = SectionRequest(1, LINE)
-    raw, cleaned = (sections.section(dataclasses.replace(asked, cleaned=which)) for which in (False, True))
+    requested = SectionRequest(1, LINE)
+    raw, cleaned = (sections.section(dataclasses.replace(requested, cleaned=which)) for which in (False, True))
     assert (raw.title, cleaned.title) == ("B", "B filtered and filled heights")
     assert np.isnan(raw.curve.z_um).any()
     np.testing.assert_allclose((raw.curve.z_um - cleaned.curve.z_um)[np.isfinite(raw.curve.z_um)], 1.0, atol=0.03)
@@ -86,13 +86,13 @@ def test_the_same_line_on_raw_and_cleaned_heights(sections):
 
 def test_the_same_line_on_another_dataset(sections, folder):
     here = sections.section(SectionRequest(0, LINE))
-    there = sections.section(SectionRequest(0, LINE, of=other(folder, "after")))
-    assert there.title == "A after"
-    known = np.isfinite(here.curve.z_um)
-    np.testing.assert_allclose((there.curve.z_um - here.curve.z_um)[known], 5.0, atol=1e-5)
+    present = sections.section(SectionRequest(0, LINE, of=other(folder, "after")))
+    assert present.title == "A after"
+    given = np.isfinite(here.curve.z_um)
+    np.testing.assert_allclose((present.curve.z_um - here.curve.z_um)[given], 5.0, atol=1e-5)
 
 
-def test_both_are_read_from_a_zero_laid_through_each(sections, folder):
+def test_each_surface_is_levelled_on_its_own_plane(sections, folder):
     level = Levelling(by="plane")
     for of in (None, other(folder, "after")):
         found = sections.section(SectionRequest(0, LINE, levelling=level, of=of))

@@ -72,19 +72,19 @@ def surface(tmp_path):
 
 def test_tables_page_jobs_and_files_have_it(package, surface):
     done = run_with(package, "-c", EVERYWHERE.format(surface=str(surface)))
-    told = json.loads(done.stdout)
-    assert told["command"]
-    assert told["placed"]
-    assert told["card"]
-    assert told["read_back"]
-    assert told["feature"]
-    assert told["height_um"] == pytest.approx(3.0, abs=1e-5)
-    assert "Median height" in told["answer"]
-    assert "3.00" in told["answer"]
-    assert told["symbol"] == "M3"
-    assert told["name"] == "Median"
-    assert "Points" in told["source"]
-    rows = list(csv.DictReader(io.StringIO(told["table"])))
+    reported = json.loads(done.stdout)
+    assert reported["command"]
+    assert reported["placed"]
+    assert reported["card"]
+    assert reported["read_back"]
+    assert reported["feature"]
+    assert reported["height_um"] == pytest.approx(3.0, abs=1e-5)
+    assert "Median height" in reported["answer"]
+    assert "3.00" in reported["answer"]
+    assert reported["symbol"] == "M3"
+    assert reported["name"] == "Median"
+    assert "Points" in reported["source"]
+    rows = list(csv.DictReader(io.StringIO(reported["table"])))
     (height,) = (row for row in rows if row["quantity"] == "height")
     assert float(height["value"]) == pytest.approx(3.0, abs=1e-5)
 
@@ -94,12 +94,12 @@ def test_its_command_measures_and_explains_its_flags(package, surface):
     found = json.loads(run_with(package, *flags, "--over-um", "1").stdout)
     assert found["type"] == "median_height"
     assert np.isclose(found["height"]["value_um"], 4.0)
-    told = run_with(package, *flags[:4], "--help").stdout
-    assert "Two opposite corners" in told
-    assert "counts as zero" in told
+    reported = run_with(package, *flags[:4], "--help").stdout
+    assert "Two opposite corners" in reported
+    assert "counts as zero" in reported
 
 
 def test_without_its_package_there_is_no_such_tool(package, surface):
     done = run_with(package.parent, "-m", "wafer_viewer", "measure", "median-height", str(surface), check=False)
     assert done.returncode == 2
-    assert "median-height" in done.stderr or "needs to be told what" in done.stderr
+    assert "median-height" in done.stderr or "needs a subcommand" in done.stderr

@@ -37,8 +37,8 @@ def inspection(session, surfaced, patience_s):
     session.wait_until(surfaced, 2 * patience_s)
     recipe = DefectRecipe(product=session.snapshot.dataset.job.sample.product)
     form: DefectForm = form_of(recipe, None)
-    verb = session.defects.inspect(recipe_of(form, recipe), dies_of(form), against_of(form))
-    return verb.result(2 * patience_s)
+    command = session.defects.inspect(recipe_of(form, recipe), dies_of(form), against_of(form))
+    return command.result(2 * patience_s)
 
 
 def near(found: tuple[Defect, ...], one: Planted) -> list[Defect]:

@@ -14,7 +14,7 @@ from wafer_viewer.rigs.virtual.rig import CALIBRATION, SETUP, virtual_limits
 from wafer_viewer.session.core.command_queue import CommandQueue
 from wafer_viewer.session.planning.job_commands import JobController
 from wafer_viewer.session.planning.job_releases import list_released, write_released
-from wafer_viewer.session.planning.plan_editor import Drafting
+from wafer_viewer.session.planning.plan_editor import PlanEditor
 from wafer_viewer.session.planning.preflight import preflight_of_snapshot, stops
 from wafer_viewer.session.state.snapshot import RigStatus, Snapshot
 
@@ -31,47 +31,47 @@ def command_queue():
 
 
 @pytest.fixture
-def drafting(command_queue, tmp_path):
-    return Drafting(command_queue, tmp_path)
+def plan_editor(command_queue, tmp_path):
+    return PlanEditor(command_queue, tmp_path)
 
 
 @pytest.fixture
-def taken_up(drafting, tmp_path):
+def taken_up(plan_editor, tmp_path):
     """A released job, taken up from its file."""
-    drafting.load.run(write_released(tmp_path, release_of(small_job())))
-    return drafting
+    plan_editor.load.run(write_released(tmp_path, release_of(small_job())))
+    return plan_editor
 
 
 def draft(command_queue):
     return command_queue.now.draft
 
 
-def test_a_release_settles_what_was_auto_and_forgets_the_wafer(command_queue, drafting, tmp_path):
+def test_a_release_settles_what_was_auto_and_forgets_the_wafer(command_queue, plan_editor, tmp_path):
     job = replace(engineered(small_job()), sample=Sample(wafer_id="W1", lot="L1", operator="me", width_um=6000.0))
-    drafting.edit.run(job)
-    path = drafting.release(SETTLED, (2.5, 0.9))
-    kept = decode(path.read_text(), type(job), path.name)
+    plan_editor.edit.run(job)
+    path = plan_editor.release(SETTLED, (2.5, 0.9))
+    stored = decode(path.read_text(), type(job), path.name)
     assert (path.parent.name, path.name) == ("jobs", "wafer-A.toml")
-    assert kept.released
-    assert not kept.recipe.has_auto
-    assert (kept.recipe.window, kept.recipe.stitching.stage_error_um) == (9, 2.5)
-    assert kept.strategy == draft(command_queue).plan.strategy == "z_snake"
-    assert kept.sample == Sample(width_um=6000.0)
-    assert kept.features == (DIE,)
-    assert draft(command_queue).job == kept
-    assert decode(encode(kept), type(kept), "again") == kept
+    assert stored.released
+    assert not stored.recipe.has_auto
+    assert (stored.recipe.window, stored.recipe.stitching.stage_error_um) == (9, 2.5)
+    assert stored.strategy == draft(command_queue).plan.strategy == "z_snake"
+    assert stored.sample == Sample(width_um=6000.0)
+    assert stored.features == (DIE,)
+    assert draft(command_queue).job == stored
+    assert decode(encode(stored), type(stored), "again") == stored
 
 
-def test_a_revision_is_never_overwritten(command_queue, drafting):
-    drafting.edit.run(engineered(small_job()))
-    drafting.release(SETTLED, None)
-    drafting.copy.run()
+def test_a_revision_is_never_overwritten(command_queue, plan_editor):
+    plan_editor.edit.run(engineered(small_job()))
+    plan_editor.release(SETTLED, None)
+    plan_editor.copy.run()
     assert not draft(command_queue).job.released
-    drafting.edit.run(replace(draft(command_queue).job, revision="A"))
+    plan_editor.edit.run(replace(draft(command_queue).job, revision="A"))
     with pytest.raises(PlanError, match=r"Revision A of wafer is released already .*: choose another revision"):
-        drafting.release(SETTLED, None)
-    drafting.edit.run(replace(draft(command_queue).job, revision="B"))
-    assert drafting.release(SETTLED, None).name == "wafer-B.toml"
+        plan_editor.release(SETTLED, None)
+    plan_editor.edit.run(replace(draft(command_queue).job, revision="B"))
+    assert plan_editor.release(SETTLED, None).name == "wafer-B.toml"
 
 
 @pytest.mark.parametrize(
@@ -85,19 +85,19 @@ def test_a_revision_is_never_overwritten(command_queue, drafting):
         ({}, None, "no surface"),
     ],
 )
-def test_what_is_missing_for_a_release_is_said(drafting, tmp_path, change, settled, words):
-    drafting.edit.run(replace(engineered(small_job()), **change))
+def test_what_is_missing_for_a_release_is_reported(plan_editor, tmp_path, change, settled, words):
+    plan_editor.edit.run(replace(engineered(small_job()), **change))
     with pytest.raises(PlanError, match=words):
-        drafting.release(settled, None)
+        plan_editor.release(settled, None)
     assert list_released(tmp_path) == ()
 
 
-def test_released_jobs_are_listed_by_product_newest_revision_first(command_queue, drafting, tmp_path):
+def test_released_jobs_are_listed_by_product_newest_revision_first(command_queue, plan_editor, tmp_path):
     for product, revision in (("wafer", "A"), ("Anchor", "1"), ("wafer", "B")):
         write_released(tmp_path, replace(release_of(small_job()), product=product, revision=revision))
     (tmp_path / "jobs" / "plan.toml").write_text(encode(small_job()))
     (tmp_path / "jobs" / "torn.toml").write_text("product = ")
-    JobController(command_queue, drafting, tmp_path).refresh.run()
+    JobController(command_queue, plan_editor, tmp_path).refresh.run()
     listed = [(e.product, e.revision, e.n_fields, e.n_features) for e in command_queue.now.operating.jobs]
     assert listed == [("Anchor", "1", 2, 1), ("wafer", "B", 2, 1), ("wafer", "A", 2, 1)]
 
@@ -118,14 +118,14 @@ def test_a_released_job_takes_names_and_nothing_else(command_queue, taken_up):
     assert draft(command_queue).job.exposures_us == (50.0,)
 
 
-def align(drafting):
-    drafting.mark.run(0, *LEFT)
-    drafting.mark.run(1, *RIGHT)
+def align(plan_editor):
+    plan_editor.mark.run(0, *LEFT)
+    plan_editor.mark.run(1, *RIGHT)
 
 
 def test_two_corners_align_the_wafer_and_move_its_fields(command_queue, taken_up):
     taken_up.mark.run(1, *RIGHT)
-    assert draft(command_queue).seen_um == (None, RIGHT)
+    assert draft(command_queue).marked_um == (None, RIGHT)
     assert draft(command_queue).job.alignment is None
     taken_up.mark.run(0, *LEFT)
     found = draft(command_queue).job.alignment
@@ -137,7 +137,7 @@ def test_two_corners_align_the_wafer_and_move_its_fields(command_queue, taken_up
     taken_up.mark.run(0, -1980.0, 5.0)
     assert draft(command_queue).job.alignment.residual_um == pytest.approx(5)
     taken_up.unmark.run()
-    assert (draft(command_queue).job.alignment, draft(command_queue).seen_um) == (None, (None, None))
+    assert (draft(command_queue).job.alignment, draft(command_queue).marked_um) == (None, (None, None))
 
 
 def test_corners_that_make_no_alignment_are_refused_and_can_be_marked_again(command_queue, taken_up):
@@ -161,7 +161,7 @@ def test_another_wafer_is_aligned_anew(command_queue, taken_up):
     assert draft(command_queue).job.alignment is not None, "the operator's name moves no wafer"
     now = draft(command_queue).job
     taken_up.edit.run(replace(now, sample=replace(now.sample, wafer_id="W2")))
-    assert (draft(command_queue).job.alignment, draft(command_queue).seen_um) == (None, (None, None))
+    assert (draft(command_queue).job.alignment, draft(command_queue).marked_um) == (None, (None, None))
     align(taken_up)
     taken_up.next_wafer.run()
     now = draft(command_queue)
@@ -173,12 +173,12 @@ def test_another_wafer_is_aligned_anew(command_queue, taken_up):
     ]
 
 
-def test_a_plan_that_is_opened_again_waits_for_a_person(command_queue, drafting):
-    drafting.reopen(replace(engineered(small_job()), alignment=Alignment(n_marks=2)))
+def test_a_plan_that_is_opened_again_waits_for_a_person(command_queue, plan_editor):
+    plan_editor.reopen(replace(engineered(small_job()), alignment=Alignment(n_marks=2)))
     assert draft(command_queue).job.alignment is None, "the wafer may have been taken off meanwhile"
-    drafting.reopen(small_job())
+    plan_editor.reopen(small_job())
     assert [c.what for c in stops(preflight_of_snapshot(command_queue.now, None, "2026-11-21"))] == ["Sample"]
-    drafting.edit.run(replace(small_job(), exposures_us=(50.0,)))
+    plan_editor.edit.run(replace(small_job(), exposures_us=(50.0,)))
     assert not draft(command_queue).confirmed
-    drafting.confirm.run()
+    plan_editor.confirm.run()
     assert stops(preflight_of_snapshot(command_queue.now, None, "2026-11-21")) == ()

@@ -18,7 +18,7 @@ LIMITS = virtual_limits(540, 720)
 
 def facts(job=None, **changes):
     job = job or small_job()
-    whole = {
+    complete = {
         "job": job,
         "plan": plan_of(job, LIMITS),
         "limits": LIMITS,
@@ -29,7 +29,7 @@ def facts(job=None, **changes):
         "z_um": 0.0,
         "today": "2026-11-21",
     }
-    return Preflight(**{**whole, **changes})
+    return Preflight(**{**complete, **changes})
 
 
 def line(what, now):

@@ -16,7 +16,7 @@ from wafer_viewer.rigs.virtual.rig import CALIBRATION, SETUP, virtual_limits
 from wafer_viewer.session.core.background_work import BackgroundWork, Notifications
 from wafer_viewer.session.core.command_queue import CommandQueue
 from wafer_viewer.session.planning.job_commands import TrialController
-from wafer_viewer.session.planning.plan_editor import Drafting
+from wafer_viewer.session.planning.plan_editor import PlanEditor
 from wafer_viewer.session.planning.revision_trial import try_job
 from wafer_viewer.session.session import Session
 from wafer_viewer.session.state.snapshot import RigStatus, Snapshot
@@ -43,13 +43,13 @@ class Workers:
 def trials(tmp_path):
     rig = RigStatus(state="ready", limits=virtual_limits(540, 720), calibration=CALIBRATION, setup=SETUP)
     command_queue = CommandQueue(Snapshot(rig=rig))
-    drafting = Drafting(command_queue, tmp_path)
+    plan_editor = PlanEditor(command_queue, tmp_path)
     controller = TrialController(
-        command_queue, BackgroundWork(command_queue, Notifications(command_queue), Workers()), drafting
+        command_queue, BackgroundWork(command_queue, Notifications(command_queue), Workers()), plan_editor
     )
-    controller.command_queue, controller.drafting, controller.workers = (
+    controller.command_queue, controller.plan_editor, controller.workers = (
         command_queue,
-        drafting,
+        plan_editor,
         controller._background._compute,
     )
     yield controller
@@ -62,7 +62,7 @@ def plan(**changes):
 
 def test_the_plan_is_tried_as_it_would_be_released_and_the_outcome_is_shown(trials, tmp_path):
     judged_dataset(tmp_path / "w1.wafer", 12.0, replace(released_job(), product="wafer"))
-    trials.drafting.edit.run(plan(revision=" "))
+    trials.plan_editor.edit.run(plan(revision=" "))
     done = trials.begin((tmp_path,))
     now = trials.command_queue.wait_until(lambda now: now.works, PATIENCE_S)
     assert (now.works[0].title, now.operating.trying) == ("Trial of wafer next", True)
@@ -79,7 +79,7 @@ def test_the_plan_is_tried_as_it_would_be_released_and_the_outcome_is_shown(tria
 
 def test_a_trial_can_be_cancelled_and_only_one_runs_at_a_time(trials, tmp_path):
     judged_dataset(tmp_path / "w1.wafer", 12.0, released_job())
-    trials.drafting.edit.run(plan())
+    trials.plan_editor.edit.run(plan())
     done = trials.begin((tmp_path,))
     work = trials.command_queue.wait_until(lambda now: now.works, PATIENCE_S).works[0]
     with pytest.raises(PlanError, match="being tried already"):
@@ -94,10 +94,10 @@ def test_a_trial_can_be_cancelled_and_only_one_runs_at_a_time(trials, tmp_path):
 
 
 def test_what_cannot_be_released_cannot_be_tried(trials, tmp_path):
-    trials.drafting.edit.run(plan(features=()))
+    trials.plan_editor.edit.run(plan(features=()))
     with pytest.raises(PlanError, match="no feature"):
         trials.begin((tmp_path,)).result(PATIENCE_S)
-    trials.drafting.edit.run(plan())
+    trials.plan_editor.edit.run(plan())
     with pytest.raises(DatasetError, match="There is no dataset"):
         trials.begin((tmp_path,)).result(PATIENCE_S)
     assert not trials.command_queue.now.operating.trying

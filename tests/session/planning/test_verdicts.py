@@ -87,11 +87,14 @@ def test_another_surface_is_judged_anew_and_none_without_a_dataset(command_queue
     came_to(command_queue, None)
 
 
-def test_what_cannot_be_judged_is_told(command_queue, verdicts):
+def test_what_cannot_be_judged_is_reported(command_queue, verdicts):
     verdicts.answers = [MeasureError("The disk is gone: look at it.")]
     change(command_queue, works=())
-    told = command_queue.wait_until(lambda now: now.faults, PATIENCE_S)
-    assert (told.faults[0].title, told.faults[0].text) == ("There is no verdict", "The disk is gone: look at it.")
+    reported = command_queue.wait_until(lambda now: now.faults, PATIENCE_S)
+    assert (reported.faults[0].title, reported.faults[0].text) == (
+        "There is no verdict",
+        "The disk is gone: look at it.",
+    )
 
 
 def test_without_a_feature_nothing_is_judged(command_queue, verdicts):

@@ -53,18 +53,18 @@ def field() -> HeightMap:
     )
 
 
-def asked(what: str, show: int = 1, **more: object) -> RenderRequest:
+def requested(what: str, show: int = 1, **more: object) -> RenderRequest:
     return RenderRequest(SurfaceKey(Path("x"), "default", show, 1), what, refused=True, **more)  # pyright: ignore[reportArgumentType]
 
 
-def drawn(shelf: MemoryShelf, **more: object) -> tuple[np.ndarray, np.ndarray]:
-    whole = {"rows": (0, ROWS), "cols": (0, COLS)}
-    places, colours = unpack_points(paint(shelf, asked("points", **{**whole, **more})))
+def drawn(provider: MemoryShelf, **more: object) -> tuple[np.ndarray, np.ndarray]:
+    complete = {"rows": (0, ROWS), "cols": (0, COLS)}
+    places, colours = unpack_points(paint(provider, requested("points", **{**complete, **more})))
     return places.astype(float) * 1e3, colours
 
 
-def counted(shelf: MemoryShelf, show: int = 1, **more: object) -> Statistics:
-    return msgspec.msgpack.decode(paint(shelf, asked("statistics", show, **more)), type=Statistics)
+def counted(provider: MemoryShelf, show: int = 1, **more: object) -> Statistics:
+    return msgspec.msgpack.decode(paint(provider, requested("statistics", show, **more)), type=Statistics)
 
 
 def test_a_field_keeps_them_on_disk(field: HeightMap, tmp_path: Path):
@@ -101,9 +101,9 @@ def test_they_stand_at_their_heights_in_the_colours_of_their_reasons(field: Heig
 
 
 def test_tiles_share_them_out_and_the_outer_ones_have_what_lies_beyond(field: HeightMap):
-    shelf = MemoryShelf({1: field})
+    provider = MemoryShelf({1: field})
     parts = [
-        drawn(shelf, rows=rows, cols=cols, skirts=(foot, top, left, right))[0]
+        drawn(provider, rows=rows, cols=cols, skirts=(foot, top, left, right))[0]
         for rows, foot, top in (((5, 15), True, False), ((15, 60), False, True))
         for cols, left, right in (((0, 40), False, True), ((40, 45), True, False))
     ]
@@ -116,7 +116,7 @@ def test_far_away_every_few_of_them_are_drawn(field: HeightMap):
 
 
 def test_a_clip_leaves_them_out_for_the_same_reasons(field: HeightMap):
-    shelf, line = MemoryShelf({1: field}), Region.line(0.0, -15 * PIXEL, 40.0, -15 * PIXEL, PIXEL)
+    provider, line = MemoryShelf({1: field}), Region.line(0.0, -15 * PIXEL, 40.0, -15 * PIXEL, PIXEL)
     clips = {
         "height": (Clip(heights_um=(0.0, 10.0)), 200),
         "confidence": (Clip(least_confidence=0.5), 200),
@@ -124,24 +124,26 @@ def test_a_clip_leaves_them_out_for_the_same_reasons(field: HeightMap):
         "slab": (Clip(slab=Slab(line, "hide")), 80),
     }
     for why, (clip, n_out) in clips.items():
-        told = counted(shelf, clip=clip).refused
-        assert told is not None
-        assert (told.n_heights, told.n_points) == (200, 200 - n_out)
-        assert told.left_out[why] == n_out
-        assert (drawn(shelf, clip=clip)[0][:, 2] > 20).sum() == 200 - n_out
-    assert (drawn(shelf, clip=Clip(slab=Slab(line, "pale")))[0][:, 2] > 20).sum() == 200
+        reported = counted(provider, clip=clip).refused
+        assert reported is not None
+        assert (reported.n_heights, reported.n_points) == (200, 200 - n_out)
+        assert reported.left_out[why] == n_out
+        assert (drawn(provider, clip=clip)[0][:, 2] > 20).sum() == 200 - n_out
+    assert (drawn(provider, clip=Clip(slab=Slab(line, "pale")))[0][:, 2] > 20).sum() == 200
 
 
 def test_they_are_counted_by_reason_and_read_from_the_datum(field: HeightMap):
-    shelf = MemoryShelf({1: field})
-    told = counted(shelf).refused
-    assert told is not None
-    assert told.by_reason == {Origin.OUTLIER: 1, Origin.NO_TEXTURE: 199}
-    assert (told.n_fields, told.n_fields_without) == (1, 0)
-    part = counted(shelf, box_um=(0.0, -100.0, 39.5 * PIXEL, 100.0)).refused
+    provider = MemoryShelf({1: field})
+    reported = counted(provider).refused
+    assert reported is not None
+    assert reported.by_reason == {Origin.OUTLIER: 1, Origin.NO_TEXTURE: 199}
+    assert (reported.n_fields, reported.n_fields_without) == (1, 0)
+    part = counted(provider, box_um=(0.0, -100.0, 39.5 * PIXEL, 100.0)).refused
     assert part is not None
     assert part.n_heights == 100
-    over = counted(shelf, datum=Datum(powers=((0, 0),), coefficients=(25.0,)), clip=Clip(heights_um=(4.0, 6.0))).refused
+    over = counted(
+        provider, datum=Datum(powers=((0, 0),), coefficients=(25.0,)), clip=Clip(heights_um=(4.0, 6.0))
+    ).refused
     assert over is not None
     assert over.n_points == 200
     old = counted(MemoryShelf({1: dataclasses.replace(field, refused=None)})).refused
@@ -158,16 +160,16 @@ def test_in_the_stitched_surface_they_lie_where_their_neighbours_do(tmp_path: Pa
     for place, height in enumerate(heights):
         at = np.arange(0, height.z_um.size, 97, dtype=np.uint32)
         z = height.z_um.ravel()[at]
-        there = np.isfinite(z)
-        reason = np.full(int(there.sum()), Origin.AMBIGUOUS, np.uint8)
-        heights[place] = dataclasses.replace(height, refused=RefusedHeights(at[there], z[there], reason))
+        present = np.isfinite(z)
+        reason = np.full(int(present.sum()), Origin.AMBIGUOUS, np.uint8)
+        heights[place] = dataclasses.replace(height, refused=RefusedHeights(at[present], z[present], reason))
     changed = dataclasses.replace(made, heights=tuple(heights))
     path = tmp_path / "grid.wafer"
     make_dataset(path, changed)
-    kept = add_surfaces(path, changed, range(len(heights)))
-    kept.save_recipe(REGISTERED)
+    stored = add_surfaces(path, changed, range(len(heights)))
+    stored.save_recipe(REGISTERED)
     bring_up_to_date(path, "default", REGISTERED)
-    poses = kept.poses()
+    poses = stored.poses()
     assert isinstance(poses, Poses)
     assert np.hypot(poses.x_um - poses.stage_x_um, poses.y_um - poses.stage_y_um).max() > 1
     mosaic = Dataset.open(path).result("default").mosaic().window()

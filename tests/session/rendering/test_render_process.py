@@ -35,30 +35,30 @@ def painter() -> Iterator[Painter]:
     made.close()
 
 
-def asked(number: int, k: int = 0) -> RenderRequest:
+def requested(number: int, k: int = 0) -> RenderRequest:
     return RenderRequest(SOURCE, "tile", rows=(0, number), k=k)
 
 
 def test_pictures_are_made_in_another_process_and_kept(painter: Painter) -> None:
-    first = painter.paint(asked(1)).result(30)
+    first = painter.paint(requested(1)).result(30)
     assert int(first) != os.getpid()
     end = time.monotonic() + 120
-    while not painter.paint(asked(1)).done():  # kept a moment after the future was done
+    while not painter.paint(requested(1)).done():  # kept a moment after the future was done
         assert time.monotonic() < end
-    assert painter.paint(asked(1)).result() == first
+    assert painter.paint(requested(1)).result() == first
 
 
-def test_what_went_wrong_comes_out_of_the_future_and_is_not_kept(painter: Painter) -> None:
+def test_an_error_is_raised_by_the_future_and_not_cached(painter: Painter) -> None:
     for _ in range(2):
         with pytest.raises(DatasetError, match=r"The frames are gone\."):
-            painter.paint(asked(2, k=1)).result(30)
+            painter.paint(requested(2, k=1)).result(30)
 
 
 def test_after_its_death_it_is_started_anew(painter: Painter) -> None:
-    before = painter.paint(asked(3)).result(30)
+    before = painter.paint(requested(3)).result(30)
     with pytest.raises(BrokenProcessPool):
-        painter.paint(asked(4, k=2)).result(30)
-    assert painter.paint(asked(5)).result(30) != before
+        painter.paint(requested(4, k=2)).result(30)
+    assert painter.paint(requested(5)).result(30) != before
 
 
 def test_the_page_draws_without_loading_what_is_heavy() -> None:

@@ -55,20 +55,20 @@ def test_it_tells_dies_classes_and_what_is_not_known(dataset: Path):
     assert contents(dataset, RESULT)["defects"].words == "2 defects, 1 judged"
 
 
-def test_all_dies_lie_on_one_and_what_repeats_is_said(dataset: Path):
+def test_all_dies_lie_on_one_and_what_repeats_is_reported(dataset: Path):
     on = ("0,0", "1,0", "2,0", "0,1")
     same = [defect(n, die, 300.0 + n, 200.0, kind="pattern") for n, die in enumerate(on, 1)]
     write_inspection(Dataset.open(dataset).result(RESULT).path, inspection(*same, defect(9, "1,1", 700.0, 500.0)))
     report = report_of(dataset, RESULT, ORDER)
-    said = " ".join(report.sections[0].sentences)
-    assert "Place 1, x 302.5, y 200.0 µm of the die: pattern in 4 of 6 whole dies" in said
+    message = " ".join(report.sections[0].sentences)
+    assert "Place 1, x 302.5, y 200.0 µm of the die: pattern in 4 of 6 whole dies" in message
     page = report_html(report)
     assert "All dies overlaid, their defects by class. Rings: places that repeat." in page
     assert page.count("<title>Place 1, in 4 of 6 whole dies</title>") == 1
     assert "<title>D9, Particle, die 1,1</title>" in page
 
 
-def test_the_limits_of_the_recipe_are_held_and_said(dataset: Path):
+def test_the_limits_of_the_recipe_are_held_and_reported(dataset: Path):
     strict = DefectRecipe(limits=DefectLimits(max_per_die=1))
     found = inspection(defect(1, "0,0", 100.0, 50.0), defect(2, "0,0", 200.0, 50.0), recipe=strict)
     write_inspection(Dataset.open(dataset).result(RESULT).path, found)

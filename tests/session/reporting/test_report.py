@@ -81,24 +81,24 @@ def test_the_same_dataset_makes_the_same_bytes_on_the_command_line_too(dataset, 
     assert "two.html" in capsys.readouterr().out
 
 
-def test_progress_is_told_by_section_and_a_stopped_report_leaves_nothing(dataset, tmp_path):
-    told: list[float] = []
+def test_progress_is_reported_by_section_and_a_stopped_report_leaves_nothing(dataset, tmp_path):
+    reported: list[float] = []
     out = tmp_path / "whole.html"
-    assert make_report(dataset, RESULT, ReportOrder(), out, progress=told.append, should_stop=lambda: False) == out
-    assert told == sorted(told)
-    assert len(told) >= 8
-    assert told[-1] == 1.0
-    told.clear()
+    assert make_report(dataset, RESULT, ReportOrder(), out, progress=reported.append, should_stop=lambda: False) == out
+    assert reported == sorted(reported)
+    assert len(reported) >= 8
+    assert reported[-1] == 1.0
+    reported.clear()
     with pytest.raises(ComputeError, match="The report was stopped"):
         make_report(
             dataset, RESULT, ReportOrder(), tmp_path / "half.html",
-            progress=told.append, should_stop=lambda: len(told) >= 3,
+            progress=reported.append, should_stop=lambda: len(reported) >= 3,
         )  # fmt: skip
-    assert len(told) == 3
+    assert len(reported) == 3
     assert [path.name for path in tmp_path.iterdir()] == ["whole.html"]
 
 
-def test_a_report_stands_alone_and_runs_nothing(dataset):
+def test_a_report_is_self_contained_and_has_no_scripts(dataset):
     text = report_html(report_of(dataset, RESULT, ReportOrder()))
     assert "<script" not in text
     assert "&lt;script&gt;alert(1)" in text
@@ -106,7 +106,7 @@ def test_a_report_stands_alone_and_runs_nothing(dataset):
     assert "http" not in text.replace("http-equiv", "")
 
 
-def test_what_was_measured_and_thought_of_it_stands_on_it(dataset):
+def test_the_report_contains_measurements_and_judgements(dataset):
     report = report_of(dataset, RESULT, ReportOrder(parts=("results",)))
     ((number, name, kind, value, place, thought),) = report.sections[0].table.rows
     assert (number, name, place, thought) == ("1", "Die <b>", "0.0, 0.0", "accepted · a burr")
@@ -130,12 +130,12 @@ def a_verdict() -> WaferVerdict:
 def test_the_verdict_on_a_wafer_and_its_features_stand_first(dataset):
     noted = Notebook(judgements=(Judgement(key="feature die", verdict="accepted", note="measured by hand"),))
     material = dataclasses.replace(gather(dataset, RESULT), verdict=a_verdict(), notebook=noted)
-    told = sections.verdict(material)
-    (row,) = told.table.rows
+    reported = sections.verdict(material)
+    (row,) = reported.table.rows
     assert row[:3] == ("F1", "die", "11 to 13\u202fµm, guard band")
     assert row[-2:] == ("INCONCLUSIVE", "accepted · measured by hand")
-    assert (told.word, told.beside) == ("inconclusive", "Coupon B · Calibrate.")
-    assert told.sentences == ("die: No uncertainty.",)
+    assert (reported.word, reported.beside) == ("inconclusive", "Coupon B · Calibrate.")
+    assert reported.sentences == ("die: No uncertainty.",)
     assert ("Verdict", "INCONCLUSIVE, Coupon B") in report._facts(material)
     assert gather(dataset, RESULT).verdict is None
 
@@ -171,27 +171,27 @@ def test_pictures_at_print_size_go_in_where_there_are_some(dataset):
 
 
 def test_every_part_says_beforehand_what_it_would_hold(dataset):
-    said = contents(dataset, RESULT)
-    assert set(said) == set(PARTS)
-    assert said["results"] == Holds("1 result, 1 judged")
-    assert said["surface"] == Holds("320 × 240 points")
-    assert said["pictures"] == Holds("no pictures yet: key P takes one", nothing=True)
+    message = contents(dataset, RESULT)
+    assert set(message) == set(PARTS)
+    assert message["results"] == Holds("1 result, 1 judged")
+    assert message["surface"] == Holds("320 × 240 points")
+    assert message["pictures"] == Holds("no pictures yet: key P takes one", nothing=True)
 
 
 def test_a_part_without_anything_says_so_and_features_count_as_what_they_are(dataset, monkeypatch):
     material = dataclasses.replace(gather(dataset, RESULT), findings=(), info=None)
     monkeypatch.setattr(report, "gather", lambda *_: material)
-    said = contents(dataset, RESULT)
-    assert {part for part, holds in said.items() if holds.nothing} == {
+    message = contents(dataset, RESULT)
+    assert {part for part, holds in message.items() if holds.nothing} == {
         *("verdict", "results", "defects", "profiles", "gauge", "pictures", "surface")
     }
-    assert (said["results"].words, said["surface"].words) == ("no results yet", "not stitched yet")
+    assert (message["results"].words, message["surface"].words) == ("no results yet", "not stitched yet")
     rejected = Notebook(judgements=(Judgement(key="feature die", verdict="rejected"),))
     material = dataclasses.replace(material, verdict=a_verdict(), notebook=rejected)
     assert contents(dataset, RESULT)["verdict"] == Holds("INCONCLUSIVE, 1 feature, 1 judged")
 
 
-def test_a_part_with_nothing_in_it_says_so():
+def test_an_empty_section_is_marked_empty():
     empty = ReportSection("Results", empty="No results were kept.")
     shown = ReportSection("Pictures", figures=(Figure("data:image/jpeg;base64,", "One"),))
     text = report_html(Report("a", "b", False, (), (empty, shown)))
@@ -199,7 +199,7 @@ def test_a_part_with_nothing_in_it_says_so():
     assert text.count("<figure>") == 1
 
 
-def test_what_is_no_dataset_is_refused_in_one_sentence(tmp_path, capsys):
+def test_an_invalid_dataset_is_refused_in_one_sentence(tmp_path, capsys):
     assert main(["report", str(tmp_path), "-o", str(tmp_path / "r.html")]) == 2
     assert "is not a dataset" in capsys.readouterr().err
     assert list(tmp_path.iterdir()) == []

@@ -53,8 +53,8 @@ def dataset(tmp_path_factory):
     judged_dataset(path, 12.3, released_job(ON_DIE, dies=DIES), operator="K. Adler")
     result = Dataset.open(path).result(RESULT)
     found = [measured(result.mosaic(), tool, places, True) for tool, places in KINDS]
-    kept = [replace(finding, number=n, name=f"{KINDS[n - 1][0]} {n}") for n, finding in enumerate(found, 1)]
-    result.save_findings(MeasurementResults(items=tuple(kept)))
+    stored = [replace(finding, number=n, name=f"{KINDS[n - 1][0]} {n}") for n, finding in enumerate(found, 1)]
+    result.save_findings(MeasurementResults(items=tuple(stored)))
     return path
 
 
@@ -80,7 +80,7 @@ def test_every_result_has_a_sheet_with_all_its_numbers_and_its_budget(report):
     assert all(sheet.picture for sheet in sheets)
 
 
-def test_numbers_are_told_of_any_kind_of_result_and_the_main_one_once(dataset):
+def test_numbers_are_given_for_any_kind_of_result_and_the_main_one_once(dataset):
     for finding in Dataset.open(dataset).result(RESULT).findings().items:
         pairs = numbers_of(finding)
         assert pairs, finding.name
@@ -89,7 +89,7 @@ def test_numbers_are_told_of_any_kind_of_result_and_the_main_one_once(dataset):
         assert not any("Region(" in text or "Length(" in text for _, text in pairs)
 
 
-def test_what_is_not_evaluated_is_told_with_its_result_and_among_the_warnings(report, dataset):
+def test_what_is_not_evaluated_is_reported_with_its_result_and_among_the_warnings(report, dataset):
     missing = [(sheet.number, what) for sheet in section(report, "Results").sheets for what in sheet.missing]
     warned = section(report, "Warnings").sentences
     for number, what in missing:
@@ -98,15 +98,15 @@ def test_what_is_not_evaluated_is_told_with_its_result_and_among_the_warnings(re
 
 
 def test_the_verdict_shows_every_die_with_its_word(report):
-    told = section(report, "Verdict")
-    assert told.word == "pass"
-    assert [row[1] for row in told.table.rows] == ["die over street, die 0,0", "die over street, die 0,<1>"]
-    assert told.figures[0].caption.startswith("2 dies: 2 pass.")
-    assert [(sheet.number, sheet.below) for sheet in told.sheets] == [("F1", "Step height")]
-    assert told.sheets[0].budget.rows[0][0] == "z scale"
-    assert "temperature" in told.sheets[0].missing
-    assert told.figures[0].svg.count("<g ") == 2
-    assert "<1>" not in told.figures[0].svg
+    reported = section(report, "Verdict")
+    assert reported.word == "pass"
+    assert [row[1] for row in reported.table.rows] == ["die over street, die 0,0", "die over street, die 0,<1>"]
+    assert reported.figures[0].caption.startswith("2 dies: 2 pass.")
+    assert [(sheet.number, sheet.below) for sheet in reported.sheets] == [("F1", "Step height")]
+    assert reported.sheets[0].budget.rows[0][0] == "z scale"
+    assert "temperature" in reported.sheets[0].missing
+    assert reported.figures[0].svg.count("<g ") == 2
+    assert "<1>" not in reported.figures[0].svg
 
 
 def test_a_profile_is_drawn_as_a_curve_with_axes(report):
@@ -117,7 +117,7 @@ def test_a_profile_is_drawn_as_a_curve_with_axes(report):
     assert len(re.findall(r"[\d.]+ [\d.]+", figure.svg)) > 150
 
 
-def test_data_is_told_by_checksums_that_change_with_it(report, dataset, tmp_path, capsys):
+def test_data_is_identified_by_checksums_that_change_with_it(report, dataset, tmp_path, capsys):
     rows = {row[0]: row[2] for row in section(report, PART_TITLES["checksums"]).table.rows}
     assert list(rows) == ["Frames", "Surface", "Results", "Verdict"]
     main(["check", str(dataset)])
@@ -130,14 +130,14 @@ def test_data_is_told_by_checksums_that_change_with_it(report, dataset, tmp_path
     assert [row[0] for row in again if row[2] != rows[row[0]]] == ["Frames"]
 
 
-def test_what_is_too_large_to_be_read_is_told_by_names_and_sizes(dataset, monkeypatch):
+def test_what_is_too_large_to_be_read_is_identified_by_names_and_sizes(dataset, monkeypatch):
     result = Dataset.open(dataset).result(RESULT)
-    whole = {digest.what: digest.sha256 for digest in digests_of_result(result)}
+    complete = {digest.what: digest.sha256 for digest in digests_of_result(result)}
     monkeypatch.setattr(integrity, "MOST_BYTES", 10_000)
     large = {digest.what: digest for digest in digests_of_result(result)}
     assert "names and sizes alone, because they are" in large["Surface"].of
-    assert large["Surface"].sha256 != whole["Surface"]
-    assert large["Verdict"].sha256 == whole["Verdict"]
+    assert large["Surface"].sha256 != complete["Surface"]
+    assert large["Verdict"].sha256 == complete["Verdict"]
 
 
 @pytest.mark.slow
@@ -150,7 +150,7 @@ def test_the_same_data_makes_the_same_report_in_another_folder_process_and_time_
     assert first.read_bytes() == (tmp_path / "second.html").read_bytes()
 
 
-def test_it_stands_alone_and_can_be_signed(report):
+def test_the_report_is_self_contained_and_has_a_signature_line(report):
     text = report_html(report)
     assert re.findall(r'(?:src|href)="(?!data:image/jpeg;base64,)', text) == []
     assert "Approved by: name, date, signature" in text
@@ -176,11 +176,11 @@ def test_a_gauge_check_among_the_results_stands_in_a_table_with_why_it_was_decid
     result.save_findings(MeasurementResults(items=(checked,)))
     report = report_of(dataset, RESULT, ReportOrder(parts=("results", "gauge")))
     result.save_findings(before)
-    told = section(report, "Gauge checks")
-    (row,) = told.table.rows
+    reported = section(report, "Gauge checks")
+    (row,) = reported.table.rows
     assert row[0] == "7"
-    assert "blocks A1, A2, to 2026-12-31; signed by Ann, 2026-03-02 12:00." in told.sentences[0]
-    assert checked.why.replace(" um", "\u202fµm") in told.sentences[0]
+    assert "blocks A1, A2, to 2026-12-31; signed by Ann, 2026-03-02 12:00." in reported.sentences[0]
+    assert checked.why.replace(" um", "\u202fµm") in reported.sentences[0]
     assert row[-1] == checked.verdict.upper()
     (sheet,) = section(report, "Results").sheets
     assert dict(sheet.pairs)["Repeats"] == "2"

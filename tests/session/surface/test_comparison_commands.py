@@ -27,32 +27,32 @@ def names(pair):
 
 
 @pytest.fixture(scope="module")
-def kept(pair, names):
-    told: list[float] = []
-    comparison = subtract(pair[0], NAME, *names, "auto", False, progress=told.append)
-    assert told == sorted(told)
-    assert told[-1] == pytest.approx(1.0)
+def stored(pair, names):
+    reported: list[float] = []
+    comparison = subtract(pair[0], NAME, *names, "auto", False, progress=reported.append)
+    assert reported == sorted(reported)
+    assert reported[-1] == pytest.approx(1.0)
     return comparison
 
 
 @pytest.mark.slow
-def test_a_difference_is_a_result_with_a_mosaic_of_its_own(pair, kept):
+def test_a_difference_is_a_result_with_a_mosaic_of_its_own(pair, stored):
     data = Dataset.open(pair[0])
     assert (data.results(), data.differences()) == (("default",), (NAME,))
-    assert data.result(NAME).comparison() == kept
-    found = kept.registration
+    assert data.result(NAME).comparison() == stored
+    found = stored.registration
     assert (found.x_um, found.y_um) == pytest.approx(SHIFT_UM, abs=found.u_xy_um)
-    assert kept.change.gained_um3 - kept.change.lost_um3 == pytest.approx(40 * 60 * BUMP_UM, rel=0.05)
-    assert kept.simulated
+    assert stored.change.gained_um3 - stored.change.lost_um3 == pytest.approx(40 * 60 * BUMP_UM, rel=0.05)
+    assert stored.simulated
     off = data.result(NAME).mosaic()
     assert off.levels > 1
-    whole = off.window()
-    assert int(np.isfinite(whole.z_raw_um).sum()) == kept.change.n_points
-    assert kept.change.mean_um == pytest.approx(float(np.nanmean(whole.z_raw_um)), abs=1e-4)
+    complete = off.window()
+    assert int(np.isfinite(complete.z_raw_um).sum()) == stored.change.n_points
+    assert stored.change.mean_um == pytest.approx(float(np.nanmean(complete.z_raw_um)), abs=1e-4)
     assert off.provenance.notes[0] == "after minus before."
 
 
-def test_every_face_of_a_comparison_lies_on_the_lattice_of_the_first(pair, kept):
+def test_every_face_of_a_comparison_lies_on_the_lattice_of_the_first(pair, stored):
     first, second, difference = (
         comparison_view(pair[0], NAME, f)
         for f in (ComparisonFace.FIRST, ComparisonFace.SECOND, ComparisonFace.DIFFERENCE)
@@ -79,16 +79,16 @@ def test_raw_and_cleaned_heights_of_one_surface(pair, names):
     assert made.change.n_points == np.isfinite(z.z_um - z.z_raw_um).sum()
 
 
-@pytest.mark.parametrize("asked", [1, 2])
-def test_one_that_is_stopped_before_or_while_it_is_written_leaves_nothing_behind(pair, names, asked):
-    answers = iter([False] * (asked - 1) + [True] * 9)
+@pytest.mark.parametrize("requested", [1, 2])
+def test_one_that_is_stopped_before_or_while_it_is_written_leaves_nothing_behind(pair, names, requested):
+    answers = iter([False] * (requested - 1) + [True] * 9)
     with pytest.raises(WaferViewerError, match="stopped"):
         subtract(pair[0], "difference-x", *names, "stage", False, should_stop=lambda: next(answers))
     assert not list((pair[0] / "results").glob("*difference-x*"))
     assert not list((pair[0] / "results").glob(".*"))
 
 
-def test_what_a_killed_one_left_is_no_result_and_goes_with_the_next(pair, names):
+def test_leftovers_of_a_killed_job_are_removed_by_the_next(pair, names):
     left = pair[0] / "results" / ".difference-y.999999999-abc123.part"
     left.mkdir()
     assert "difference-y" not in "".join(Dataset.open(pair[0]).results())
@@ -113,8 +113,8 @@ def test_the_session_offers_compares_shows_measures_exports_and_removes(tmp_path
         pairs = session.comparing.choices()
         assert [second.words for _, second in pairs] == ["after", "before · cleaned"]
         number = session.comparing.begin(*pairs[0]).result(patience_s)
-        known = session.wait_until(lambda now: now.comparisons and not now.works, patience_s).comparisons
-        assert [(c.number, c.name, c.outdated) for c in known] == [(number, "difference-after", False)]
+        given = session.wait_until(lambda now: now.comparisons and not now.works, patience_s).comparisons
+        assert [(c.number, c.name, c.outdated) for c in given] == [(number, "difference-after", False)]
 
         show = show_of(number, ComparisonFace.DIFFERENCE)
         on_pad = session.read_out(100 + 330 + 6, 700 - 220 - 4, show)

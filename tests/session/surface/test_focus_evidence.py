@@ -40,9 +40,9 @@ def test_the_field_whose_centre_is_nearest_answers_unless_another_is_named(taken
     shared = (left.x_um + 0.6 * (right.x_um - left.x_um), 0.0)
     assert focus_curve(taken, "default", 0, left.x_um, 0.0).field == 1
     assert focus_curve(taken, "default", 0, *shared).field == 2
-    asked = focus_curve(taken, "default", 1, *shared)
-    assert asked.field == 1
-    assert asked.peak_z_um == pytest.approx(2.0 * BEST[1], abs=1.0)
+    requested = focus_curve(taken, "default", 1, *shared)
+    assert requested.field == 1
+    assert requested.peak_z_um == pytest.approx(2.0 * BEST[1], abs=1.0)
 
 
 @pytest.mark.slow
@@ -50,8 +50,8 @@ def test_the_surface_that_is_looked_at_answers_by_its_own_settings(taken):
     left, right = Dataset.open(taken).fields
     shared = (left.x_um + 0.6 * (right.x_um - left.x_um), 0.0)
     reconstruct_field(taken, 1, "sml", Recipe(focus_measure="sml", window=7))
-    asked = focus_curve(taken, "sml", 0, *shared)
-    assert (asked.field, asked.focus_measure, asked.window) == (1, "sml", 7)
+    requested = focus_curve(taken, "sml", 0, *shared)
+    assert (requested.field, requested.focus_measure, requested.window) == (1, "sml", 7)
     other = focus_curve(taken, "sml", 0, *shared, Recipe(focus_measure="glv", window=5))
     assert (other.focus_measure, other.window) == ("glv", 5)
 

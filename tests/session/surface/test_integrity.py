@@ -14,7 +14,7 @@ import pytest
 from tests.support.datasets.complete_dataset import complete_dataset
 from wafer_viewer.model.errors import DatasetError
 from wafer_viewer.session.core.dataset_library import load_summary
-from wafer_viewer.session.planning.verdicts import kept_verdict
+from wafer_viewer.session.planning.verdicts import stored_verdict
 from wafer_viewer.session.surface.stitching_job import bring_up_to_date
 from wafer_viewer.session.surface.worker_tasks import reconstruct_field
 from wafer_viewer.store.dataset.dataset import Dataset
@@ -123,7 +123,7 @@ def use(dataset: Path, name: str) -> None:
         r".*/comparison\.json": result.comparison,
         r".*/defects\.json": lambda: read_inspection(result.path),
         r".*/notebook\.json": lambda: read_notebook(result.path),
-        r".*/verdict\.json": lambda: kept_verdict(result),
+        r".*/verdict\.json": lambda: stored_verdict(result),
     }
     (found,) = [make for pattern, make in uses.items() if re.fullmatch(pattern, name)]
     found()
@@ -263,11 +263,11 @@ def test_a_deleted_shard_is_no_ground_without_heights(dataset, tmp_path):
         content = (path / name).read_bytes()
         (path / name).unlink()
         report = Dataset.open(path).check()
-        said = [sentence for kind in report.files for sentence in kind.damaged]
+        message = [sentence for kind in report.files for sentence in kind.damaged]
         (path / name).write_bytes(content)
         if "/all_in_focus/1/" in name:
             continue  # a picture nobody measures on: dark ground may be nothing but fill there
-        assert any(name in sentence and "stitch the fields again" in sentence for sentence in said), name
+        assert any(name in sentence and "stitch the fields again" in sentence for sentence in message), name
         assert not report.ok
     assert Dataset.open(path).check().ok
     shutil.rmtree(result.mosaic_path / "z_um" / "0" / "c")

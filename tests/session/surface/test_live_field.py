@@ -57,10 +57,10 @@ def test_its_heights_are_those_of_the_finished_field(scan):
     data = Dataset.open(writer.path)
     settled = data.result().settled()
     assert settled is not None
-    live, whole = data.result().surface(data.field(2)), reconstruct(data.stack(2), settled)
+    live, complete = data.result().surface(data.field(2)), reconstruct(data.stack(2), settled)
     assert live.measured.mean() > 0.5
     for layer in ("z_um", "z_raw_um", "confidence", "origin", "all_in_focus"):
-        np.testing.assert_array_equal(getattr(live, layer), getattr(whole, layer), layer)
+        np.testing.assert_array_equal(getattr(live, layer), getattr(complete, layer), layer)
 
 
 def test_it_lets_go_when_the_scan_stops_or_misses_a_frame(scan):

@@ -37,9 +37,9 @@ def dataset_of(path: Path, height: HeightMap, checksum: str, when: str) -> Path:
     smooth = height.z_um.copy()
     smooth[1:-1] = (height.z_um[:-2] + height.z_um[1:-1] + height.z_um[2:]) / 3
     provenance = Provenance(recipe=RECIPE, input_checksum=checksum, simulated=True, z_step_um=2.0)
-    kept = Dataset.open(path).result()
-    kept.save_recipe(RECIPE)
-    kept.save_surface(field, dataclasses.replace(height, z_um=smooth.astype(np.float32), provenance=provenance))
+    stored = Dataset.open(path).result()
+    stored.save_recipe(RECIPE)
+    stored.save_surface(field, dataclasses.replace(height, z_um=smooth.astype(np.float32), provenance=provenance))
     bring_up_to_date(path, "default", RECIPE)
     return path
 

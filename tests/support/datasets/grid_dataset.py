@@ -41,7 +41,7 @@ def make_dataset(path: Path, made: Made) -> Path:
 
 def add_surfaces(path: Path, made: Made, places: range | list[int]) -> Result:
     """Give some fields, by their places in the list, their surfaces."""
-    kept = Dataset.open(path).result(RESULT)
+    stored = Dataset.open(path).result(RESULT)
     for place in places:
-        kept.save_surface(made.fields[place], made.heights[place])
-    return kept
+        stored.save_surface(made.fields[place], made.heights[place])
+    return stored

@@ -40,16 +40,16 @@ def defect(number: int, die: str, u_um: float, v_um: float, **changes: Any) -> D
 
 def inspection(*defects: Defect, states: dict[str, str] | None = None, **changes: Any) -> Inspection:
     """Six dies, all scanned but those that `states` says otherwise of."""
-    told = states or {}
+    reported = states or {}
     on = [d.die for d in defects if d.kind != "unmeasured"]
     dies = tuple(
         DieStatus(
             name=GRID.name(col, row),
             col=col,
             row=row,
-            state=told.get(GRID.name(col, row), "whole"),  # pyright: ignore[reportArgumentType]
+            state=reported.get(GRID.name(col, row), "whole"),  # pyright: ignore[reportArgumentType]
             measured_fraction=0.98,
-            defects=None if told.get(GRID.name(col, row)) == "not scanned" else on.count(GRID.name(col, row)),
+            defects=None if reported.get(GRID.name(col, row)) == "not scanned" else on.count(GRID.name(col, row)),
         )
         for col, row in GRID.places
     )

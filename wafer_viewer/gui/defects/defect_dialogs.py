@@ -97,7 +97,7 @@ def klarf_dialog(page: Page) -> None:
 
 def golden_dialog(page: Page) -> None:
     """Open the dialog that saves the median die of this wafer as the next version of a golden die."""
-    inspection, shelf = required_inspection(page), page.session.snapshot.shelf
+    inspection, shelf = required_inspection(page), page.session.snapshot.defect_files
     if inspection.grid is None:
         raise MeasureError("A golden die is made from dies and this inspection has none: inspect die to die first.")
     product = inspection.product
@@ -153,7 +153,7 @@ def save_recipe_dialog(page: Page, recipe: DefectRecipe, then: Callable[[DefectR
 
     def save() -> None:
         named = replace(recipe, product=product.value.strip(), name=name.value.strip())
-        kept = page.session.snapshot.shelf.recipes_of(named.product)
+        kept = page.session.snapshot.defect_files.recipes_of(named.product)
         if any(known.name == named.name and known != named for known in kept):
             _ask_to_replace(page, named, keep)
         else:
@@ -169,7 +169,7 @@ def save_recipe_dialog(page: Page, recipe: DefectRecipe, then: Callable[[DefectR
 
 def recipes_dialog(page: Page) -> None:
     """Open the dialog that lists the saved recipes, to rename or delete them."""
-    shelf = page.session.snapshot.shelf
+    shelf = page.session.snapshot.defect_files
     dialog = Dialog(
         page,
         "Recipes for defects",
@@ -243,7 +243,7 @@ def _ask_to_replace(page: Page, recipe: DefectRecipe, keep: Callable[[DefectReci
 
 
 def _next_version(page: Page, name: str) -> str:
-    known = [header.version for header in page.session.snapshot.shelf.golden if header.name == name]
+    known = [header.version for header in page.session.snapshot.defect_files.golden if header.name == name]
     return f"It will be version {max(known, default=0) + 1}." if name else ""
 
 

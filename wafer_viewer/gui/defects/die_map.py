@@ -65,7 +65,7 @@ class DefectMap:
         if inspection is None or not there:
             return False
         listing = replace(view.defects, sort="size")
-        of = inspection, snapshot.dataset_overview, listing, view.review_filter, snapshot.shelf.other
+        of = inspection, snapshot.dataset_overview, listing, view.review_filter, snapshot.defect_files.other
         if self._of is None or any(a is not b and a != b for a, b in zip(of, self._of, strict=True)):
             self._of = of
             self._draw(snapshot, view, inspection)
@@ -126,7 +126,7 @@ class DefectMap:
         self._head.show(map_head(view.defects))
         self._frame = die_frame(inspection, outline, width_px=WIDTH_PX, most_height_px=MOST_HEIGHT_PX)
         if self._frame is not None:
-            other = snapshot.shelf.other
+            other = snapshot.defect_files.other
             over = other_signs(self._frame, other) if other is not None else ""
             self._map.show(map_html(self._frame, inspection, _on_map(snapshot, view), view.defects, outline, over))
 

@@ -41,7 +41,7 @@ from wafer_viewer.model.inspection.defect import DefectLimits, DefectRecipe, Ins
 from wafer_viewer.model.inspection.golden_die import GoldenHeader
 from wafer_viewer.model.region import Region
 from wafer_viewer.model.spec import replace as changed
-from wafer_viewer.session.state.inspection_state import DefectShelf, product_of
+from wafer_viewer.session.state.inspection_state import DefectFilesState, product_of
 from wafer_viewer.session.state.snapshot import Snapshot
 
 WAFER_MM2 = math.pi * 150.0**2
@@ -61,7 +61,7 @@ def expectation(sensitivity: float, inspection: Inspection | None) -> str:
     )
 
 
-def recipe_origin_text(recipe: DefectRecipe, now: DefectRecipe, shelf: DefectShelf, inspected: bool) -> str:
+def recipe_origin_text(recipe: DefectRecipe, now: DefectRecipe, shelf: DefectFilesState, inspected: bool) -> str:
     """Return the origin of the form's settings and whether they were changed; `now` is its present recipe."""
     newest = shelf.recipe_of(recipe.product)
     if now in shelf.recipes:
@@ -78,13 +78,13 @@ def recipe_origin_text(recipe: DefectRecipe, now: DefectRecipe, shelf: DefectShe
     return f"No recipe of {now.product} is kept."
 
 
-def unreadable(shelf: DefectShelf) -> str:
+def unreadable(shelf: DefectFilesState) -> str:
     """Return a sentence with the number of unreadable recipe files; empty if there are none."""
     n = len(shelf.problems)
     return f"{n} recipe {'file' if n == 1 else 'files'} cannot be read: Recipes… says why." if n else ""
 
 
-def golden_table(shelf: DefectShelf, product: str, chosen: str) -> Markup:
+def golden_table(shelf: DefectFilesState, product: str, chosen: str) -> Markup:
     """Return the table of golden dies of a product as HTML; those of other products are only counted."""
     mine = [header for header in shelf.golden if not product or header.product in ("", product)]
     others = len(shelf.golden) - len(mine)
@@ -223,7 +223,7 @@ class InspectionForm:
         self._show_recipe(snapshot, form)
         self._expected.show(_label(expectation(form.sensitivity, snapshot.inspection.inspection)))
         golden = form.compare == GOLDEN
-        self._golden.show(golden_table(snapshot.shelf, form.product.strip(), form.golden) if golden else "")
+        self._golden.show(golden_table(snapshot.defect_files, form.product.strip(), form.golden) if golden else "")
         self._more.show(advanced_settings_header(form, self._shows_more))
         self._excluded.show(exclusion_line_html(form))
         set_prop(self._rest, "visible", self._shows_more)
@@ -321,7 +321,7 @@ class InspectionForm:
         self._page.redraw()
 
     def _choose_recipe(self, event: Any) -> None:
-        product, shelf = self._product.value.strip(), self._page.session.snapshot.shelf
+        product, shelf = self._product.value.strip(), self._page.session.snapshot.defect_files
         chosen = next((r for r in shelf.recipes_of(product) if r.name == event.target.value), None)
         if chosen is not None:
             self._put(chosen, form_of(chosen, None, self._typed()))
@@ -335,7 +335,7 @@ class InspectionForm:
         """Choose a golden die from a file; its name includes the version only if a newer version exists."""
 
         def take(header: GoldenHeader) -> None:
-            known = self._page.session.snapshot.shelf.golden
+            known = self._page.session.snapshot.defect_files.golden
             newest = max((h.version for h in known if h.name == header.name), default=header.version)
             self._choose_golden(header.name if header.version == newest else f"{header.name}.{header.version}")
 
@@ -364,7 +364,7 @@ class InspectionForm:
         """Fill the form in from the inspection, else from the recipe of the product, once per dataset and recipe."""
         inspection, data = snapshot.inspection.inspection, snapshot.dataset
         product = product_of(data.job) if data is not None else ""
-        own = snapshot.shelf.recipe_of(product) or DefectRecipe(product=product)
+        own = snapshot.defect_files.recipe_of(product) or DefectRecipe(product=product)
         recipe = inspection.recipe if inspection is not None else own
         of = (data.path if data is not None else None, changed(recipe, limits=DefectLimits()))
         if inspection is not None and recipe.limits != self._limits and not self._edits.under_way:
@@ -376,7 +376,7 @@ class InspectionForm:
 
     def _show_recipe(self, snapshot: Snapshot, form: DefectForm) -> None:
         """Show the name of the recipe that the form describes, or why its entries make no recipe."""
-        shelf, inspected = snapshot.shelf, snapshot.inspection.inspection is not None
+        shelf, inspected = snapshot.defect_files, snapshot.inspection.inspection is not None
         names = (NOT_KEPT, *(recipe.name for recipe in shelf.recipes_of(form.product.strip())))
         if tuple(self._recipes.handle.options) != names:
             self._recipes.handle.options = names

@@ -35,14 +35,14 @@ class OtherSection:
 
     def show(self, snapshot: Snapshot) -> None:
         """Bring the section up to date."""
-        other, defects = snapshot.shelf.other, snapshot.inspection.defects
+        other, defects = snapshot.defect_files.other, snapshot.inspection.defects
         if self._of[0] is not other or self._of[1] is not defects:  # thousands of places take a tenth of a second
             self._of = other, defects
             self._cell.show(overlay_html(other, defects) if other is not None else "")
 
     def _go_to(self, number_there: str) -> None:
         now = self._page.session.snapshot
-        other = now.shelf.other
+        other = now.defect_files.other
         if other is None or now.surface is None:
             return
         pairs = zip(other.klarf.defects, other.places, strict=True)

@@ -71,7 +71,7 @@ def sheet(defect: Defect, answer: ComparisonViews, sizes: Sizes) -> Markup:
         f"grid-template-columns:repeat({COLUMNS},{sizes.width_px}px) {BAR_PX}px;"
         f"grid-template-rows:{NAMES_PX}px repeat(2,{sizes.height_px}px)"
     )
-    columns = Markup("").join(_column(n, seen, defect, answer, sizes) for n, seen in enumerate(answer.seen, 1))
+    columns = Markup("").join(_column(n, seen, defect, answer, sizes) for n, seen in enumerate(answer.views, 1))
     bar = Markup('<div style="grid-column:{};grid-row:2">{}</div>').format(COLUMNS + 1, _bar(answer, sizes.height_px))
     foot = Markup('<div class="wv-lab" style="height:{}px;padding-top:5px">{}</div>').format(FOOT_PX, _foot(answer))
     return Markup('{head}<div class="wv-beside" style="{style}">{columns}{bar}</div>{foot}').format(
@@ -176,7 +176,7 @@ def _bar(answer: ComparisonViews, height_px: int) -> Markup:
 
 
 def _foot(answer: ComparisonViews) -> str:
-    compared = [seen for seen in answer.seen[1:] if not seen.why_not]
+    compared = [seen for seen in answer.views[1:] if not seen.why_not]
     if not compared:
         return "Heights over the middle of the place."
     words = {"dies": "the other dies", "golden": "the golden die", "before": "the last scan"}

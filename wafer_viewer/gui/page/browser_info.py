@@ -132,7 +132,7 @@ class BrowserEvents:
         if not self._restored:
             self._restored = True
             restore(self._page.browser.layout, self.left, self._page.gui.main_panel)
-        name = snapshot.hands.name_of(self._page.browser.key)
+        name = snapshot.control.name_of(self._page.browser.key)
         if self._system is not None and name and "·" not in name and not self._page.browser.name:
             self._page.session.control.rename(self._page.browser.key, f"{name} · {self._system}")
             self._system = None

@@ -27,7 +27,7 @@ class ControlLock:
 
     def __init__(self, page: Page) -> None:
         self._page = page
-        self._hands = ControlState()
+        self._control = ControlState()
         self._barred: dict[str, Any] = {}
         self._strip = HtmlBlock(page.gui)
         page.on_close(lambda: self._bar(False))
@@ -36,12 +36,12 @@ class ControlLock:
 
     def show(self, snapshot: Snapshot, view: View) -> None:
         """Update the locked widgets and the note."""
-        hands, key = snapshot.hands, self._page.browser.key
-        watching = hands.browser(key) is not None and not hands.holds(key)
-        self._strip.show(_watching(hands, key) + _STYLE if watching else "")
+        control, key = snapshot.control, self._page.browser.key
+        watching = control.browser(key) is not None and not control.holds(key)
+        self._strip.show(_watching(control, key) + _STYLE if watching else "")
         self._bar(watching)
-        self._tell(self._hands, hands)
-        self._hands = hands
+        self._tell(self._control, control)
+        self._control = control
 
     def _bar(self, watching: bool) -> None:
         """Disable the widgets of an observer, including those made since the last call; else enable them again."""
@@ -66,7 +66,7 @@ class ControlLock:
                     "You are watching. A running scan continues.",
                     "attention",
                 )
-        if now.kept_from == key and before.kept_from != key:
+        if now.refused == key and before.refused != key:
             page.say(f"{now.name_of(now.holder)} keeps the controls", "Ask again later.", "attention")
 
 
@@ -81,9 +81,9 @@ class ControlRequestPrompt:
 
     def show(self, snapshot: Snapshot, view: View) -> None:
         """Show the prompt as long as a request is open."""
-        hands = snapshot.hands
-        asked = hands.holds(self._page.browser.key) and hands.asking is not None
-        self._question.show(_question(hands) if asked else "")
+        control = snapshot.control
+        asked = control.holds(self._page.browser.key) and control.requester is not None
+        self._question.show(_question(control) if asked else "")
 
 
 def ask(page: Page) -> None:
@@ -101,12 +101,12 @@ def hand_over(page: Page, to: str) -> None:
 
 def hands_dialog(page: Page) -> None:
     """Open the dialog of connected browsers: holder of the controls, name of this browser, request for control."""
-    hands, key = page.session.snapshot.hands, page.browser.key
-    holds = hands.holds(key)
+    control, key = page.session.snapshot.control, page.browser.key
+    holds = control.holds(key)
     dialog = Dialog(page, "Connected browsers", "One holds the controls; all may look, measure and stop all motion.")
     with dialog.modal:
-        HtmlBlock(page.gui, _people(hands, key))
-        name = page.gui.add_text("Your name", hands.name_of(key))
+        HtmlBlock(page.gui, _people(control, key))
+        name = page.gui.add_text("Your name", control.name_of(key))
 
     def done() -> None:
         _call(page, name.value)
@@ -122,61 +122,61 @@ def hands_dialog(page: Page) -> None:
     if holds:
         dialog.answers("Done", viser.Icon.CHECK, done, "The name was not changed", needs_control=False)
     else:
-        verb = "Ask for the controls" if hands.holder else "Take the controls"
+        verb = "Ask for the controls" if control.holder else "Take the controls"
         dialog.answers(verb, viser.Icon.HAND_STOP, done, "Control was not handed over", needs_control=False)
 
 
 def _call(page: Page, name: str) -> None:
     """Rename this browser and store the name in it."""
     name = " ".join(name.split())
-    if name and name != page.session.snapshot.hands.name_of(page.browser.key):
+    if name and name != page.session.snapshot.control.name_of(page.browser.key):
         page.ask("The name was not changed", page.session.control.rename(page.browser.key, name))
     if name:
         page.remember(replace(page.browser, name=name))
 
 
-def _people(hands: ControlState, key: str) -> Markup:
+def _people(control: ControlState, key: str) -> Markup:
     def line(browser: Browser) -> Markup:
         me = " (this browser)" if browser.key == key else ""
-        return html.row([browser.name + me, _state(hands, browser, key)], " n")
+        return html.row([browser.name + me, _state(control, browser, key)], " n")
 
-    return html.table([], [line(browser) for browser in hands.browsers], " n") + Markup(
+    return html.table([], [line(browser) for browser in control.browsers], " n") + Markup(
         '<div style="height:8px"></div>'
     )
 
 
-def _state(hands: ControlState, browser: Browser, key: str) -> Markup:
-    if hands.holds(browser.key):
+def _state(control: ControlState, browser: Browser, key: str) -> Markup:
+    if control.holds(browser.key):
         return Markup("<b>holds the controls</b>")
     if not browser.present:
         return Markup('<span class="dim">disconnected</span>')
-    if hands.holds(key):
+    if control.holds(key):
         return Markup('<span class="wv-link" {}>Hand over</span>').format(html.pick("hands-to", browser.key))
     return Markup('<span class="dim">watches</span>')
 
 
-def _watching(hands: ControlState, key: str) -> Markup:
+def _watching(control: ControlState, key: str) -> Markup:
     """Return the note above an observer's panel."""
-    if hands.asking == key:
+    if control.requester == key:
         end = Markup('<span class="dim">Asked; {} has {:.0f} s.</span>').format(
-            hands.name_of(hands.holder), hands.answer_s
+            control.name_of(control.holder), control.answer_s
         )
     else:
-        verb = "Ask for them" if hands.holder else "Take them"
+        verb = "Ask for them" if control.holder else "Take them"
         end = Markup('<span class="wv-link" {}>{}</span>').format(html.pick("hands-ask"), verb)
     sign = html.icon(viser.Icon.EYE, 18)
-    return html.note("busy", hands.why_not(key) or "", "You may look, measure and stop all motion.", end, sign)
+    return html.note("busy", control.why_not(key) or "", "You may look, measure and stop all motion.", end, sign)
 
 
-def _question(hands: ControlState) -> Markup:
+def _question(control: ControlState) -> Markup:
     """Return the request with its two answers and a bar that runs down until control passes."""
-    name = hands.name_of(hands.asking)
-    gone_s = max(0.0, time.time() - hands.asked_at)
-    over, stay = html.pick("hands-over", hands.asking), html.pick("hands-keep")
+    name = control.name_of(control.requester)
+    gone_s = max(0.0, time.time() - control.requested_at)
+    over, stay = html.pick("hands-over", control.requester), html.pick("hands-keep")
     return Markup(
         '<div class="wv-asked" role="alertdialog" aria-label="{name} asks for the controls">'
         "<b>{name} asks for the controls</b>"
         "<span>Without an answer they pass in {answer_s:.0f} s. A running scan continues.</span>"
         '<div><span class="wv-yes" {over}>Hand over</span><span class="wv-no" {stay}>Keep</span></div>'
         '<i style="animation:wv-drain {answer_s:g}s linear -{gone_s:.1f}s both"></i></div>'
-    ).format(name=name, answer_s=hands.answer_s, over=over, stay=stay, gone_s=gone_s)
+    ).format(name=name, answer_s=control.answer_s, over=over, stay=stay, gone_s=gone_s)

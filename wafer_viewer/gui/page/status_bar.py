@@ -54,7 +54,7 @@ class StatusStrip:
         ]
         items = [_item(*words) for words in said if words[0]]
         left = Markup("").join([*items, Markup('<span class="wv-xyz">{}</span>').format(where(snapshot.rig))])
-        right = _controls(snapshot.hands, self._page.browser.key)
+        right = _controls(snapshot.control, self._page.browser.key)
         self._strip.show(Markup('<div class="wv-strip" role="contentinfo"><div>{}</div>{}</div>').format(left, right))
 
 
@@ -153,15 +153,15 @@ def _item(words: str, tone: str, more: str) -> Markup:
     return Markup('<span class="{}" title="{}">{}</span>').format(tone, html.with_micro_sign(tip), words)
 
 
-def _controls(hands: ControlState, key: str) -> Markup:
+def _controls(control: ControlState, key: str) -> Markup:
     """Return the holder of the controls; a click opens the list of browsers."""
-    if hands.browser(key) is None:
+    if control.browser(key) is None:
         return Markup()
-    watching = len([b for b in hands.browsers if b.present]) - (1 if hands.holder else 0)
-    others = f" · {watching} watch{'es' if watching == 1 else ''}" if watching > 0 and hands.holds(key) else ""
-    who = "You hold the controls" if hands.holds(key) else (hands.why_not(key) or "").rstrip(".")
-    sign = html.icon(viser.Icon.HAND_STOP if hands.holds(key) else viser.Icon.EYE, 14)
-    look = "mine" if hands.holds(key) else "theirs"
+    watching = len([b for b in control.browsers if b.present]) - (1 if control.holder else 0)
+    others = f" · {watching} watch{'es' if watching == 1 else ''}" if watching > 0 and control.holds(key) else ""
+    who = "You hold the controls" if control.holds(key) else (control.why_not(key) or "").rstrip(".")
+    sign = html.icon(viser.Icon.HAND_STOP if control.holds(key) else viser.Icon.EYE, 14)
+    look = "mine" if control.holds(key) else "theirs"
     told = Markup('title="{}: who is there, your name, and how to ask for the controls" {}').format(
         who, html.pick("hands")
     )

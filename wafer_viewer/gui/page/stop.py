@@ -28,7 +28,7 @@ def stop(page: Page) -> None:
 def _stopped(page: Page, anything: bool, was_scanning: bool) -> None:
     """Report the stop. The holder of the controls learns of a stopped move from its own command."""
     snapshot = page.session.snapshot
-    data, holds = snapshot.dataset, snapshot.hands.holds(page.browser.key)
+    data, holds = snapshot.dataset, snapshot.control.holds(page.browser.key)
     if not anything:
         page.say(NOT_STOPPED, "Nothing moves.", "attention")
     elif was_scanning and _is_interrupted(snapshot, data) and data is not None:

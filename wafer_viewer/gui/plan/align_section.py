@@ -45,7 +45,7 @@ class Square:
         return (place_um[0] - self.left_um) / self.side_um, (self.top_um - place_um[1]) / self.side_um
 
 
-def expected_um(job: Job, seen_um: tuple[Place | None, ...], n: int) -> Place:
+def expected_um(job: Job, marked_um: tuple[Place | None, ...], n: int) -> Place:
     """Return the expected stage position of corner n: by the alignment, else by the notch and the marked corners."""
     if job.marks is None:
         return 0.0, 0.0
@@ -53,7 +53,7 @@ def expected_um(job: Job, seen_um: tuple[Place | None, ...], n: int) -> Place:
     places = [lies.to_stage(mark.x_um, mark.y_um) for mark in job.marks.places]
     if job.alignment is not None:
         return places[n]
-    off = [(s[0] - p[0], s[1] - p[1]) for s, p in zip(seen_um, places, strict=True) if s is not None]
+    off = [(s[0] - p[0], s[1] - p[1]) for s, p in zip(marked_um, places, strict=True) if s is not None]
     dx, dy = (sum(d[axis] for d in off) / max(1, len(off)) for axis in (0, 1))
     return places[n][0] + dx, places[n][1] + dy
 
@@ -68,11 +68,11 @@ def square_round(overview: Overview, place_um: Place) -> tuple[Square, int, int,
     return Square(left_um, top_um, side_px * overview.pixel_um), row, col, side_px
 
 
-def corner_picture(overview: Overview | None, job: Job, seen_um: tuple[Place | None, ...], n: int) -> Markup:
+def corner_picture(overview: Overview | None, job: Job, marked_um: tuple[Place | None, ...], n: int) -> Markup:
     """Return the picture with expected and marked position of the corner; a click picks ``corner-at``."""
     if overview is None or overview.image is None or job.marks is None:
         return html.empty("No picture of the stage:", "drive there and mark", "where the stage stands.")
-    expected = expected_um(job, seen_um, n)
+    expected = expected_um(job, marked_um, n)
     square, row, col, side_px = square_round(overview, expected)
     url = patch_url(overview.image, row, col, side_px, greys(overview.image))
     name = f"Click corner {n + 1}: {job.marks.places[n].name}"
@@ -86,7 +86,7 @@ def corner_picture(overview: Overview | None, job: Job, seen_um: tuple[Place | N
         pick=_pick(),
         url=url,
         cross=_cross(square.shares(expected), "due"),
-        cross2=_cross(square.shares(p), "seen") if (p := seen_um[n]) else "",
+        cross2=_cross(square.shares(p), "seen") if (p := marked_um[n]) else "",
     )
 
 
@@ -124,15 +124,15 @@ class Aligning:
 
     def corner(self, draft: Draft) -> int:
         """Return the index of the corner to mark: the chosen one, else the first unmarked."""
-        if self.chosen is not None and self.chosen < len(draft.seen_um):
+        if self.chosen is not None and self.chosen < len(draft.marked_um):
             return self.chosen
-        return next((n for n, place in enumerate(draft.seen_um) if place is None), 0)
+        return next((n for n, place in enumerate(draft.marked_um) if place is None), 0)
 
     def go(self) -> None:
         """Move the stage to the expected position of the corner."""
         draft = self.page.session.snapshot.draft
         if draft.job is not None:
-            x_um, y_um = expected_um(draft.job, draft.seen_um, self.corner(draft))
+            x_um, y_um = expected_um(draft.job, draft.marked_um, self.corner(draft))
             self.page.ask("The stage did not move", self.page.session.move_to(x_um=x_um, y_um=y_um))
 
     def here(self) -> None:
@@ -185,11 +185,11 @@ class AlignSection:
             self._body.show("")
             set_prop(self._by_stage, "visible", False)
             return
-        n_seen = sum(place is not None for place in draft.seen_um)
+        n_seen = sum(place is not None for place in draft.marked_um)
         aligned = job.alignment is not None and self._aligning.chosen is None
         self._head.show(html.head(self._title, f"{n_seen} of {len(marks.places)} corners marked"))
         corner = self._aligning.corner(draft)
-        self._body.show(_fit(job) if aligned else _corner(snapshot, job, draft.seen_um, corner))
+        self._body.show(_fit(job) if aligned else _corner(snapshot, job, draft.marked_um, corner))
         set_prop(self._by_stage, "visible", not aligned)
         for handle in self._buttons:
             set_prop(handle, "disabled", snapshot.rig.state != "ready")
@@ -208,11 +208,11 @@ def _fit(job: Job) -> Markup:
     return html.note("good" if good else "fault", words, text, again, sign)
 
 
-def _corner(snapshot: Snapshot, job: Job, seen_um: tuple[Any, ...], n: int) -> Markup:
+def _corner(snapshot: Snapshot, job: Job, marked_um: tuple[Any, ...], n: int) -> Markup:
     """Return the picture of a corner, the instruction, and the list of corners."""
     if job.marks is None:
         return Markup()
-    chips = Markup("").join(_chip(k, n, seen_um[k] is not None) for k in range(len(job.marks.places)))
+    chips = Markup("").join(_chip(k, n, marked_um[k] is not None) for k in range(len(job.marks.places)))
     rig = snapshot.rig
     stage = f"{number(rig.x_um / 1000, 3)}, {with_unit(rig.y_um / 1000, 3, 'mm')}"
     text = Markup(
@@ -222,7 +222,7 @@ def _corner(snapshot: Snapshot, job: Job, seen_um: tuple[Any, ...], n: int) -> M
         '<p class="dim">Stage at {}</p>'
     ).format(chips, job.marks.places[n].name, stage)
     return Markup('<div class="wv-align">{}<div>{}</div></div>').format(
-        corner_picture(snapshot.overview, job, seen_um, n), text
+        corner_picture(snapshot.overview, job, marked_um, n), text
     )
 
 

@@ -7,7 +7,6 @@ from collections.abc import Callable
 from typing import Any
 
 import numpy as np
-from markupsafe import Markup
 from numpy.typing import NDArray
 
 from wafer_viewer.gui.scene.scene_contents import DisplayedSurface
@@ -38,8 +37,8 @@ class HeightField:
     def __init__(self, relief: CoarseHeightField, on_show: DisplayedSurface, holes: bool = True) -> None:
         self._relief, self.on_show, self._holes = relief, on_show, holes
         shape = (relief.rows, relief.cols)
-        self._z_um = np.frombuffer(relief.z_um, Markup("<f4")).reshape(shape)
-        self._there = np.frombuffer(relief.there, bool).reshape(shape)
+        self._z_um = np.frombuffer(relief.z_um, "<f4").reshape(shape)
+        self._there = np.frombuffer(relief.measured, bool).reshape(shape)
 
     @property
     def bounds_um(self) -> tuple[float, float, float, float]:
@@ -253,5 +252,5 @@ def _relief(part: HeightMap, height_field: HeightField) -> CoarseHeightField:
     there = np.isfinite(z_um)
     z_um = np.where(there, z_um, height_field.z_um(x_um, y_um))
     return CoarseHeightField(
-        *part.shape, part.pixel_um, part.x0_um, part.y0_um, z_um.astype(Markup("<f4")).tobytes(), there.tobytes()
+        *part.shape, part.pixel_um, part.x0_um, part.y0_um, z_um.astype("<f4").tobytes(), there.tobytes()
     )

@@ -8,7 +8,6 @@ from dataclasses import dataclass
 
 import numpy as np
 import viser
-from markupsafe import Markup
 from numpy.typing import NDArray
 
 from wafer_viewer.draw.colormaps import Rgb
@@ -172,7 +171,7 @@ class DrapedLines:
     def __init__(self, relief: CoarseHeightField | None, z0_um: float, span_um: float) -> None:
         self._relief, self._z0_um, self._span_um = relief, z0_um, span_um
         if relief is not None:
-            self._z_um = np.frombuffer(relief.z_um, Markup("<f4")).reshape(relief.rows, relief.cols)
+            self._z_um = np.frombuffer(relief.z_um, "<f4").reshape(relief.rows, relief.cols)
 
     def z_mm(self, x_um: Floats, y_um: Floats) -> Floats:
         """Return the height of the nearest pixel at each position; outside of the surface that of the edge."""

@@ -9,7 +9,6 @@ from typing import TypeVar
 
 import msgspec
 import numpy as np
-from markupsafe import Markup
 
 from wafer_viewer.draw.surface.display_style import DisplayStyle
 from wafer_viewer.gui.scene.quadtree import Heights, Span
@@ -130,7 +129,7 @@ def heights_of(on_show: DisplayedSurface, relief: CoarseHeightField | None) -> H
     whole = on_show.scene_z(facts.low_um), on_show.scene_z(facts.high_um)
     if relief is None:
         return lambda rows, cols: whole
-    z_um = np.frombuffer(relief.z_um, Markup("<f4")).reshape(relief.rows, relief.cols)
+    z_um = np.frombuffer(relief.z_um, "<f4").reshape(relief.rows, relief.cols)
     scale = relief.pixel_um / facts.pixel_um
 
     @lru_cache(maxsize=_KEPT_RANGES)

@@ -190,7 +190,7 @@ def _marks(snapshot: Snapshot, view: View) -> list[MapMark]:
         listed = review_items(snapshot, view.review_filter, view.defects)
         placed = [item for item in listed if item.box_um is not None]
         few = [*placed[:MOST_MARKS], *(item for item in placed[MOST_MARKS:] if item.key == view.review)]
-        return [*other_marks(snapshot.shelf.other), *(_judged(item, item.key == view.review) for item in few)]
+        return [*other_marks(snapshot.defect_files.other), *(_judged(item, item.key == view.review) for item in few)]
     if view.step != "measure":
         return []
     results = [item for item in review_items(snapshot) if item.number is not None]

@@ -61,8 +61,8 @@ def scan_to(
 
     with writer_of(scan, rig) as writer, _interrupt_stops(steering):
         ended = run_scan_job(scan, rig, writer, report, steering)
-        kept = len(writer.kept)
-    words = f"{kept} of {scan.plan.n_frames} frames kept"
+        n_stored = len(writer.kept)
+    words = f"{n_stored} of {scan.plan.n_frames} frames kept"
     more = "; the same command continues it" if ended.stopped else ""
     return Ended(f"{words}{more}", ended.stopped, ended.error)
 

@@ -41,8 +41,8 @@ class RigCallbacks:
     """Callbacks for events of the rig; called on the session's thread."""
 
     ready: Callable[[RigReady], None]
-    sample_seen: Callable[[OverviewReady], None]
-    taken: Callable[[FrameTaken], None]
+    overview_ready: Callable[[OverviewReady], None]
+    frame_taken: Callable[[FrameTaken], None]
     field_complete: Callable[[int], None]
     scan_ended: Callable[[ScanEnded | None], None]
     """Called with None when the rig process died during a scan."""
@@ -65,11 +65,11 @@ class RigClient:
         self.latest_frame: LatestFrame | None = None
         self._on = {
             RigReady: self._ready,
-            OverviewReady: reports.sample_seen,
+            OverviewReady: reports.overview_ready,
             RigAbsent: self._absent,
             StageMoved: self._at,
             Paused: self._paused,
-            FrameTaken: self._taken,
+            FrameTaken: self._frame_taken,
             FieldComplete: lambda event: reports.field_complete(event.number),
             ScanFault: self._scan_fault,
             ScanEnded: self._scan_ended,
@@ -151,10 +151,10 @@ class RigClient:
         self._show(state="stopping", message="")
         self.break_off()
 
-    def require_idle(self, what: str) -> None:
+    def require_idle(self, purpose: str) -> None:
         """Raise RigError while a scan is running."""
         if self._command_queue.now.scanning:
-            raise RigError(f"A scan is running: stop it or wait for its end to {what}.")
+            raise RigError(f"A scan is running: stop it or wait for its end to {purpose}.")
 
     def close(self) -> None:
         """Stop motion, disarm the pulse box and end the process."""
@@ -198,8 +198,8 @@ class RigClient:
 
     def _at(self, event: StageMoved) -> None:
         p, homed = event.position, event.homed
-        known = self._command_queue.now.rig.homed if homed is None else homed
-        self._show(x_um=p.x_um, y_um=p.y_um, z_um=p.z_um, homed=known)
+        is_homed = self._command_queue.now.rig.homed if homed is None else homed
+        self._show(x_um=p.x_um, y_um=p.y_um, z_um=p.z_um, homed=is_homed)
 
     def _move_over(self) -> None:
         self._moves -= 1
@@ -214,11 +214,11 @@ class RigClient:
         if self._command_queue.now.rig.state != "stopping":
             self._show(state="paused" if event.paused else "scanning", message="")
 
-    def _taken(self, event: FrameTaken) -> None:
+    def _frame_taken(self, event: FrameTaken) -> None:
         self.latest_frame = event.latest or self.latest_frame
         self._at(StageMoved(event.position))
         self._command_queue.change(scan=event.progress)
-        self._reports.taken(event)
+        self._reports.frame_taken(event)
 
     def _scan_fault(self, event: ScanFault) -> None:
         self._notices.fault("The scan reports a fault", event.what, "scan")
@@ -238,16 +238,16 @@ class RigClient:
         snapshot = self._command_queue.now
         if snapshot.rig.state == "absent":
             return
-        kept = " The frames of complete passes are kept." if snapshot.scanning else ""
-        text = f"The rig's process ended (exit code {exit_code}).{kept}"
+        remark = " The frames of complete passes are kept." if snapshot.scanning else ""
+        text = f"The rig's process ended (exit code {exit_code}).{remark}"
         self._show(state="fault", message=f"{text} The next move or scan restarts it.")
         self._notices.fault("The rig stopped answering", f"{text} The next move or scan restarts it.", "rig")
         if snapshot.scanning:
             self._reports.scan_ended(None)
 
-    def _require_scan(self, what: str) -> None:
+    def _require_scan(self, purpose: str) -> None:
         if not self._command_queue.now.scanning:
-            raise RigError(f"No scan is running: there is nothing to {what}.")
+            raise RigError(f"No scan is running: there is nothing to {purpose}.")
 
     def _show(self, **changes: Any) -> None:
         self._command_queue.change(rig=replace(self._command_queue.now.rig, **changes))

@@ -67,7 +67,7 @@ def _introduce(rig: Rig, config: RigConfig) -> RigReady:
 class RigCommand:
     """Queued command with the number of stops before it; a command queued before a stop is not started after it."""
 
-    ask: Request
+    request: Request
     n_stops: int
 
 
@@ -94,17 +94,17 @@ class RigExecutor:
             except WaferViewerError as fault:
                 if isinstance(fault, MotionStopped):
                     self._heeded = self._n_stops
-                self._end.refuse(order.ask, fault)
+                self._end.refuse(order.request, fault)
 
     def _listen(self) -> None:
-        for ask in self._end.verbs():
-            if (steer := self._steer.get(type(ask.verb))) is not None:
+        for request in self._end.requests():
+            if (steer := self._steer.get(type(request.command))) is not None:
                 steer()
-                self._end.answer(ask)
+                self._end.answer(request)
                 continue
-            if isinstance(ask.verb, Stop):
+            if isinstance(request.command, Stop):
                 self._stop()
-            self._todo.put(RigCommand(ask, self._n_stops))
+            self._todo.put(RigCommand(request, self._n_stops))
         self._steering.end()
         self._stop()
         self._todo.put(None)
@@ -114,16 +114,16 @@ class RigExecutor:
         self._steering.stop()
 
     def _carry_out(self, order: RigCommand) -> None:
-        match order.ask.verb:
+        match order.request.command:
             case Scan() as scan:
                 self._scan(order, scan)
             case Move() as goal:
                 self._move(order, goal)
             case LoadSample() as load:
                 self._load(load.sample)
-                self._end.answer(order.ask)
+                self._end.answer(order.request)
             case _:
-                self._end.answer(order.ask, order.n_stops <= self._heeded)
+                self._end.answer(order.request, order.n_stops <= self._heeded)
 
     def _stopped_since(self, order: RigCommand) -> bool:
         return self._n_stops > order.n_stops
@@ -136,7 +136,7 @@ class RigExecutor:
                 move(self._rig, goal_um, lambda: self._stopped_since(order))
         finally:
             self._report_position()
-        self._end.answer(order.ask)
+        self._end.answer(order.request)
 
     def _load(self, sample: Sample | None) -> None:
         """Load a sample on a rig with a sample changer, and report the new overview."""
@@ -149,7 +149,7 @@ class RigExecutor:
         if self._stopped_since(order):
             self._steering.stop()
         with writer_of(scan, self._rig) as writer:
-            self._end.answer(order.ask)
+            self._end.answer(order.request)
             ended = run_scan_job(scan, self._rig, writer, self._end.tell, self._steering)
         if ended.stopped:
             self._heeded = self._n_stops

@@ -102,8 +102,8 @@ class ScanWatch:
         writer.on_field_complete = lambda number: tell(FieldComplete(number))
         self._fields = {f.number: f for f in plan.fields}
         self._order = {number: i for i, number in enumerate(order_of_fields(plan), 1)}
-        self._kept_before = len(writer.kept)
-        self._done = self._kept_before
+        self._n_stored_before = len(writer.kept)
+        self._done = self._n_stored_before
         self._empty: set[Shot] = set()
         self._pulses = 0
         self._watch = Stopwatch()
@@ -198,10 +198,10 @@ class ScanWatch:
 
     def _seconds_left(self) -> float:
         """Return the remaining seconds: from the measured rate, or at the very beginning from the prediction."""
-        left, new = self._plan.n_frames - self._done, self._done - self._kept_before
+        remaining, new = self._plan.n_frames - self._done, self._done - self._n_stored_before
         if new < RATE_KNOWN_AFTER:
-            return self._plan.predicted_s * left / self._plan.n_frames
-        return self._watch.seconds() / new * left
+            return self._plan.predicted_s * remaining / self._plan.n_frames
+        return self._watch.seconds() / new * remaining
 
     def _latest(self, frame: Frame) -> LatestFrame | None:
         if frame.image is None:

@@ -35,9 +35,9 @@ class Notifications:
 
     def fault(self, title: str, text: str, source: Source, *, where: str = "", needs_person: bool = True) -> None:
         """Add a fault to the list; an identical earlier one is replaced."""
-        known = [f for f in self._command_queue.now.faults if (f.title, f.text, f.where) != (title, text, where)]
+        others = [f for f in self._command_queue.now.faults if (f.title, f.text, f.where) != (title, text, where)]
         fault = Fault(f"fault-{next(self._numbers)}", title, text, _clock(), where, needs_person, source)
-        self._command_queue.change(faults=(*known, fault)[-KEPT:])
+        self._command_queue.change(faults=(*others, fault)[-KEPT:])
 
     @command
     def dismiss(self, fault_id: str) -> None:

@@ -36,36 +36,36 @@ class CommandQueue:
         self._changed = threading.Condition()
         self._closed = False
 
-    def do(self, verb: Callable[..., Any], *args: Any, **kwargs: Any) -> Future[Any]:
+    def do(self, command: Callable[..., Any], *args: Any, **kwargs: Any) -> Future[Any]:
         """Run a command on the session's thread.
 
         If the command returns a future, the answer is done when that future is.
         """
-        answer: Future[Any] = Future()
+        future: Future[Any] = Future()
         if self._closed:
-            answer.set_exception(WaferViewerError("The session is closed: restart the viewer."))
+            future.set_exception(WaferViewerError("The session is closed: restart the viewer."))
         else:
-            done = self._thread.submit(self._carry_out, verb, *args, **kwargs)
-            done.add_done_callback(lambda done: _copy_outcome(done, answer))
-        return answer
+            done = self._thread.submit(self._carry_out, command, *args, **kwargs)
+            done.add_done_callback(lambda done: _copy_outcome(done, future))
+        return future
 
-    def then(self, first: Future[Any], verb: Callable[[Any], Any]) -> Future[Any]:
+    def then(self, first: Future[Any], command: Callable[[Any], Any]) -> Future[Any]:
         """Run a command with the result of `first`, unless that failed; the future is done when the command is."""
-        answer: Future[Any] = Future()
+        future: Future[Any] = Future()
 
         def go_on(done: Future[Any]) -> None:
             failed = done.cancelled() or done.exception() is not None
-            last = done if failed else self.do(verb, done.result())
-            last.add_done_callback(lambda last: _copy_outcome(last, answer))
+            last = done if failed else self.do(command, done.result())
+            last.add_done_callback(lambda last: _copy_outcome(last, future))
 
         first.add_done_callback(go_on)
-        return answer
+        return future
 
-    def afterwards(self, first: Future[Any], verb: Callable[[], None]) -> Future[Any]:
+    def afterwards(self, first: Future[Any], command: Callable[[], None]) -> Future[Any]:
         """Run a command after `first` is over, even if it failed; the future then has the outcome of `first`."""
-        answer: Future[Any] = Future()
-        first.add_done_callback(lambda done: self.do(verb).add_done_callback(lambda _: _copy_outcome(done, answer)))
-        return answer
+        future: Future[Any] = Future()
+        first.add_done_callback(lambda done: self.do(command).add_done_callback(lambda _: _copy_outcome(done, future)))
+        return future
 
     def note(self, event: Callable[..., None], *args: Any) -> None:
         """Run the handler of an event; nobody waits for it, so failures are logged."""
@@ -81,7 +81,7 @@ class CommandQueue:
         self._listeners = (*self._listeners, listener)
 
         def leave() -> None:
-            self._listeners = tuple(known for known in self._listeners if known is not listener)
+            self._listeners = tuple(other for other in self._listeners if other is not listener)
 
         return leave
 
@@ -102,9 +102,9 @@ class CommandQueue:
             self._timer.cancel()
         self._thread.shutdown(wait=True, cancel_futures=True)
 
-    def _carry_out(self, verb: Callable[..., Any], *args: Any, **kwargs: Any) -> Any:
+    def _carry_out(self, command: Callable[..., Any], *args: Any, **kwargs: Any) -> Any:
         try:
-            return verb(*args, **kwargs)
+            return command(*args, **kwargs)
         finally:
             if self.now is not self.snapshot:
                 self._publish()
@@ -129,16 +129,16 @@ class CommandQueue:
             listener(self.snapshot)
 
 
-def _copy_outcome(done: Future[Any], answer: Future[Any]) -> None:
-    """Copy the outcome of `done` to `answer`; if the result is a future, wait for it as well."""
+def _copy_outcome(done: Future[Any], future: Future[Any]) -> None:
+    """Copy the outcome of `done` to `future`; if the result is a future, wait for it as well."""
     if done.cancelled():
-        answer.cancel()
+        future.cancel()
     elif (fault := done.exception()) is not None:
-        answer.set_exception(fault)
+        future.set_exception(fault)
     elif isinstance(outcome := done.result(), Future):
-        outcome.add_done_callback(lambda last: _copy_outcome(last, answer))
+        outcome.add_done_callback(lambda last: _copy_outcome(last, future))
     else:
-        answer.set_result(outcome)
+        future.set_result(outcome)
 
 
 def _log_failure(done: Future[Any]) -> None:

@@ -110,12 +110,12 @@ def query(method: F) -> F:
     return method
 
 
-def forwarded(verb: Callable[Concatenate[Part, P], T], part: Callable[[S], Part]) -> Callable[Concatenate[S, P], T]:
+def forwarded(method: Callable[Concatenate[Part, P], T], part: Callable[[S], Part]) -> Callable[Concatenate[S, P], T]:
     """Return a command or query of a part as a method of the whole; it needs what it needs there."""
 
-    @functools.wraps(verb)
-    def forward(whole: S, *args: P.args, **kwargs: P.kwargs) -> T:
-        return verb(part(whole), *args, **kwargs)
+    @functools.wraps(method)
+    def forward(session: S, *args: P.args, **kwargs: P.kwargs) -> T:
+        return method(part(session), *args, **kwargs)
 
     return forward
 
@@ -126,28 +126,28 @@ def restricted_session(session: S, key: Callable[[], str]) -> S:
     It has all attributes of `session`. Commands that need control return a future that fails with ControlHeldError for
     browsers that only watch.
     """
-    whole: Any = session
-    return cast("S", _RestrictedView(whole, lambda: whole.snapshot.hands.why_not(key())))
+    everything: Any = session
+    return cast("S", _RestrictedView(everything, lambda: everything.snapshot.control.why_not(key())))
 
 
 class _RestrictedView:
     """Proxy of a session or of one of its command groups; checks `why_not` before everything that needs control."""
 
-    def __init__(self, whole: Any, why_not: Callable[[], str | None]) -> None:
-        self._whole, self._why_not = whole, why_not
+    def __init__(self, session: Any, why_not: Callable[[], str | None]) -> None:
+        self._session, self._why_not = session, why_not
 
     def __getattr__(self, name: str) -> Any:
-        member = getattr(self._whole, name)
+        member = getattr(self._session, name)
         if name.startswith("_"):
             return member
         if callable(member):
             return self._require_control(member) if getattr(member, "needs_control", True) else member
         return _RestrictedView(member, self._why_not) if _is_group(member) else member
 
-    def _require_control(self, verb: Callable[..., Any]) -> Callable[..., Any]:
+    def _require_control(self, method: Callable[..., Any]) -> Callable[..., Any]:
         def submit(*args: Any, **kwargs: Any) -> Any:
             why = self._why_not()
-            return verb(*args, **kwargs) if why is None else _refused(why)
+            return method(*args, **kwargs) if why is None else _refused(why)
 
         return submit
 

@@ -1,6 +1,6 @@
 """Control handover between browsers: the first browser has control, others request it.
 
-A browser that has gone keeps nobody out. A handover stops nothing: a running scan continues.
+A disconnected browser does not block others. A handover stops nothing: a running scan continues.
 """
 
 from __future__ import annotations
@@ -48,11 +48,11 @@ class Control:
         self._came = 0
 
     @property
-    def _hands(self) -> ControlState:
-        return self._command_queue.now.hands
+    def _control(self) -> ControlState:
+        return self._command_queue.now.control
 
     def _show(self, **changes: Any) -> None:
-        self._command_queue.change(hands=replace(self._hands, **changes))
+        self._command_queue.change(control=replace(self._control, **changes))
 
     @observer_command
     def arrive(self, key: str, name: str = "") -> None:
@@ -60,18 +60,18 @@ class Control:
         self._windows[key] += 1
         if (call_off := self._expected.pop(key, None)) is not None:
             call_off()
-        known = self._hands.browser(key)
-        if known is None:
+        browser = self._control.browser(key)
+        if browser is None:
             self._came += 1
-            known = Browser(key, _tidy(name) or f"Browser {self._came}")
-        self._put(replace(known, present=True))
-        if self._hands.holder is None and len(self._hands.browsers) == 1:
+            browser = Browser(key, _tidy(name) or f"Browser {self._came}")
+        self._put(replace(browser, present=True))
+        if self._control.holder is None and len(self._control.browsers) == 1:
             self._pass_to(key)
 
     @observer_command
     def leave(self, key: str) -> None:
         """Register a closed window; control becomes free if the browser does not return soon."""
-        browser = self._hands.browser(key)
+        browser = self._control.browser(key)
         if self._windows[key] < 1 or browser is None:
             return
         self._windows[key] -= 1
@@ -89,47 +89,49 @@ class Control:
         if self._expected.pop(key, None) is None:
             return
         del self._windows[key]
-        hands = self._hands
-        self._show(browsers=tuple(b for b in hands.browsers if b.key != key))
-        if hands.asking == key:
-            self._end_asking()
-        if hands.holder == key:
-            heirs = [b.key for b in self._hands.browsers if b.present]
-            asked = self._hands.asking
-            self._pass_to(asked if asked is not None else heirs[0] if len(heirs) == 1 else None)
+        control = self._control
+        self._show(browsers=tuple(b for b in control.browsers if b.key != key))
+        if control.requester == key:
+            self._end_request()
+        if control.holder == key:
+            heirs = [b.key for b in self._control.browsers if b.present]
+            requester = self._control.requester
+            self._pass_to(requester if requester is not None else heirs[0] if len(heirs) == 1 else None)
 
     @observer_command
     def rename(self, key: str, name: str) -> None:
         """Change the name of a browser."""
-        browser = self._hands.browser(key)
+        browser = self._control.browser(key)
         if browser is not None and _tidy(name):
             self._put(replace(browser, name=_tidy(name)))
 
     @observer_command
     def ask(self, key: str) -> None:
         """Take control if it is free, else request it from the holder, who has `ANSWER_S` seconds to refuse."""
-        hands = self._hands
-        if hands.browser(key) is None or hands.holds(key):
+        control = self._control
+        if control.browser(key) is None or control.holds(key):
             return
-        if hands.holder is None:
+        if control.holder is None:
             self._pass_to(key)
             return
-        if hands.asking == key:
+        if control.requester == key:
             return
-        if hands.asking is not None:
-            raise WaferViewerError(f"{hands.name_of(hands.asking)} asks for the controls already: wait for the answer.")
-        self._show(asking=key, asked_at=time.time(), answer_s=ANSWER_S, kept_from=None)
+        if control.requester is not None:
+            raise WaferViewerError(
+                f"{control.name_of(control.requester)} asks for the controls already: wait for the answer."
+            )
+        self._show(requester=key, requested_at=time.time(), answer_s=ANSWER_S, refused=None)
         self._waiting = self._later(ANSWER_S, lambda: self._command_queue.note(self._unanswered, key))
 
     def _unanswered(self, key: str) -> None:
-        if self._hands.asking == key:
+        if self._control.requester == key:
             self._pass_to(key)
 
     @observer_command
     def hand_over(self, key: str, to: str) -> None:
         """Pass control to another browser. Raises WaferViewerError if `key` does not hold it."""
         self._require_holder(key)
-        if self._hands.browser(to) is None:
+        if self._control.browser(to) is None:
             raise WaferViewerError("That browser has disconnected: control was not handed over.")
         self._pass_to(to)
 
@@ -137,28 +139,28 @@ class Control:
     def keep(self, key: str) -> None:
         """Refuse the pending request."""
         self._require_holder(key)
-        asking = self._hands.asking
-        self._end_asking()
-        self._show(kept_from=asking)
+        requester = self._control.requester
+        self._end_request()
+        self._show(refused=requester)
 
     def _pass_to(self, key: str | None) -> None:
-        self._end_asking()
-        self._show(holder=key, kept_from=None)
+        self._end_request()
+        self._show(holder=key, refused=None)
 
-    def _end_asking(self) -> None:
+    def _end_request(self) -> None:
         if self._waiting is not None:
             self._waiting()
             self._waiting = None
-        self._show(asking=None)
+        self._show(requester=None)
 
     def _require_holder(self, key: str) -> None:
-        if (why := self._hands.why_not(key)) is not None:
+        if (why := self._control.why_not(key)) is not None:
             raise WaferViewerError(f"{why} Ask for them first.")
 
     def _put(self, browser: Browser) -> None:
         """Add a browser, or replace its earlier entry."""
-        others = self._hands.browsers
-        if self._hands.browser(browser.key) is None:
+        others = self._control.browsers
+        if self._control.browser(browser.key) is None:
             self._show(browsers=(*others, browser))
         else:
             self._show(browsers=tuple(browser if b.key == browser.key else b for b in others))

@@ -220,7 +220,7 @@ class Library:
 
         try:
             info = load_summary(self.result) if self.result.has_mosaic and self.result.mosaic() else None
-        except DatasetError:  # told when its numbers are asked for
+        except DatasetError:  # reported when its statistics are requested
             return None
         return None if info is None else replace(info, stamp=next(self._stamps))
 
@@ -261,10 +261,10 @@ def _states(dataset: Dataset, result: Result) -> dict[int, FieldState]:
     measured = result.surfaces_done(dataset.fields)
     complete = dataset.complete_fields()
     empty = {shot.field for shot in dataset.missed()}
-    known = dict.fromkeys(empty, FieldState.TO_REPEAT)
-    known |= dict.fromkeys(complete, FieldState.TAKEN)
-    known |= dict.fromkeys(measured, FieldState.MEASURED)
-    return {f.number: known.get(f.number, FieldState.TO_COME) for f in dataset.fields}
+    state_of = dict.fromkeys(empty, FieldState.TO_REPEAT)
+    state_of |= dict.fromkeys(complete, FieldState.TAKEN)
+    state_of |= dict.fromkeys(measured, FieldState.MEASURED)
+    return {f.number: state_of.get(f.number, FieldState.TO_COME) for f in dataset.fields}
 
 
 SUMMARY = "surface.json"

@@ -47,10 +47,10 @@ def check_environment(config: RigConfig, data_folder: Path) -> Iterator[Environm
 
 def _package(name: str) -> EnvironmentCheck:
     try:
-        found = importlib.import_module(name)
+        module = importlib.import_module(name)
     except ImportError as fault:
         return EnvironmentCheck(name, f"cannot be imported: {fault}", "pip install --force-reinstall wafer-viewer")
-    return EnvironmentCheck(name, str(getattr(found, "__version__", "there")))
+    return EnvironmentCheck(name, str(getattr(module, "__version__", "there")))
 
 
 def _open3d() -> EnvironmentCheck:

@@ -105,7 +105,7 @@ def _read(path: Path) -> str:
         why = "is a symbolic link" if path.is_symlink() else f"cannot be read ({fault.strerror})"
         raise _refused(path, why) from fault
     with os.fdopen(opened, "rb") as file:
-        if (why := _why_not_ours(os.fstat(file.fileno()))) is not None:
+        if (why := _ownership_problem(os.fstat(file.fileno()))) is not None:
             raise _refused(path, why)
         text = file.read(_MOST_BYTES).decode("ascii", "replace").strip()
     if not _IS_TOKEN.fullmatch(text):
@@ -113,17 +113,17 @@ def _read(path: Path) -> str:
     return text
 
 
-def _why_not_ours(found: os.stat_result) -> str | None:
+def _ownership_problem(status: os.stat_result) -> str | None:
     """Return why others may have read or placed a file, or None; systems without such permissions pass."""
-    if not stat.S_ISREG(found.st_mode):
+    if not stat.S_ISREG(status.st_mode):
         return "is not a file"
     if not hasattr(os, "geteuid"):
         return None
-    if found.st_uid != os.geteuid():
+    if status.st_uid != os.geteuid():
         return "belongs to another user"
-    if stat.S_IMODE(found.st_mode) & _OTHERS:
+    if stat.S_IMODE(status.st_mode) & _OTHERS:
         return "can be read or written by others"
-    return "has a second name" if found.st_nlink > 1 else None
+    return "has a second name" if status.st_nlink > 1 else None
 
 
 def _refused(path: Path, why: str) -> DatasetError:

@@ -36,8 +36,8 @@ class Documents:
         from wafer_viewer.store.io.atomic_files import atomic_write
 
         path = free_path(self._library.shown.path, PICTURE, ".png")
-        with atomic_write(path) as beside:
-            beside.write_bytes(png)
+        with atomic_write(path) as temporary:
+            temporary.write_bytes(png)
         self.pictures_kept += 1
         return path
 
@@ -80,7 +80,7 @@ def read_report(name: str, folders: Iterable[Path], saved: Mapping[str, Path] = 
     return next((path.read_bytes() for folder in folders if (path := folder / name).is_file()), None)
 
 
-def free_path(dataset: Path, what: str, ending: str) -> Path:
+def free_path(dataset: Path, purpose: str, ending: str) -> Path:
     """Return the first of ``NAME-what-1``, ``NAME-what-2``, … next to a dataset that is not a file yet."""
-    paths = (dataset.with_name(f"{dataset.stem}-{what}-{n}{ending}") for n in count(1))
+    paths = (dataset.with_name(f"{dataset.stem}-{purpose}-{n}{ending}") for n in count(1))
     return next(path for path in paths if not path.exists())

@@ -132,8 +132,8 @@ class Browsing:
         for path in given:
             if not path.is_dir():
                 raise DatasetError(f"--browse {path} is not a folder: name one that is there.")
-        own = home.expanduser().absolute() if home is not None else None
-        named = [("Data folder", data_folder.absolute()), ("Home", own), *((path.name, path) for path in given)]
+        home_folder = home.expanduser().absolute() if home is not None else None
+        named = [("Data folder", data_folder.absolute()), ("Home", home_folder), *((path.name, path) for path in given)]
         roots = [Root(name or str(path), path) for name, path in named if path is not None and path.is_dir()]
         self.roots = tuple(root for n, root in enumerate(roots) if root.path not in {r.path for r in roots[:n]})
         self._recent_file = data_folder / RECENT
@@ -279,7 +279,7 @@ class Browsing:
         self._looks.move_to_end(key)
         return self._looks[key]
 
-    # --- what was taken last
+    # --- recent files
 
     @query
     def remember(self, kind: KindName, path: Path) -> None:
@@ -287,12 +287,12 @@ class Browsing:
         from wafer_viewer.store.io.atomic_files import write_text
 
         with self._writing:
-            kept = self._remembered()
-            others = [other for other in kept.get(kind, []) if other != str(path)]
-            kept[kind] = [str(path), *others][:KEPT_RECENT]
+            recent = self._remembered()
+            others = [other for other in recent.get(kind, []) if other != str(path)]
+            recent[kind] = [str(path), *others][:KEPT_RECENT]
             try:
                 self._recent_file.parent.mkdir(exist_ok=True)
-                write_text(self._recent_file, msgspec.json.encode(kept).decode())
+                write_text(self._recent_file, msgspec.json.encode(recent).decode())
             except (DatasetError, OSError) as fault:
                 log.warning("What was taken last is not remembered: %s", fault)
 
@@ -374,10 +374,10 @@ def _key(order: Order) -> Callable[[FileEntry], tuple[bool, float, list[str | in
 
 def _counted(entries: list[FileEntry], kind: FileKind) -> Iterator[FileEntry]:
     """Yield the entries; folders get the number of images in them if images are requested."""
-    left = COUNTED_FOLDERS if kind is FILE_KINDS["images"] else 0
+    n_remaining = COUNTED_FOLDERS if kind is FILE_KINDS["images"] else 0
     for entry in entries:
-        if entry.is_folder and left and not entry.why_not:
-            left -= 1
+        if entry.is_folder and n_remaining and not entry.why_not:
+            n_remaining -= 1
             yield replace(entry, note=_n_images(entry.path))
         else:
             yield entry
@@ -387,23 +387,23 @@ def _n_images(folder: Path) -> str:
     n = 0
     try:
         with os.scandir(folder) as items:
-            for n_seen, item in enumerate(items):
+            for n_checked, item in enumerate(items):
                 n += item.name.lower().endswith(IMAGE_ENDINGS) and not item.name.startswith(".")
-                if n_seen == MOST_COUNTED:
+                if n_checked == MOST_COUNTED:
                     return f"over {n} images" if n else ""
     except OSError:
         return ""
     return "" if n == 0 else f"{n} image{'' if n == 1 else 's'}"
 
 
-def _completion(folder: Path, prefix: str, found: list[FileEntry]) -> str:
+def _completion(folder: Path, prefix: str, entries: list[FileEntry]) -> str:
     """Return the common beginning of all names, as completion of the typed text.
 
     A single folder ends with a separator.
     """
-    if not prefix or not found:
+    if not prefix or not entries:
         return ""
-    names = [entry.path.name for entry in found]
+    names = [entry.path.name for entry in entries]
     common = os.path.commonprefix(names)  # noqa: RUF071 - of names, letter by letter
-    whole = str(folder / common) if common.casefold().startswith(prefix.casefold()) else ""
-    return whole + os.sep if whole and len(found) == 1 and found[0].is_folder else whole
+    completed = str(folder / common) if common.casefold().startswith(prefix.casefold()) else ""
+    return completed + os.sep if completed and len(entries) == 1 and entries[0].is_folder else completed

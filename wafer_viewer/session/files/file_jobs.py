@@ -60,9 +60,9 @@ def import_surface(
         raise DatasetError(f"{out} exists already. Nothing was written. Choose another name.")
     read = partial(_part, progress, 0.0, READ_SHARE)
     surface = read_surface(src, says.z_unit, says.pixel_um, says.invert_z, read, should_stop)
-    with atomic_write(out) as beside:
-        beside.mkdir(parents=True)
-        _write(beside, surface, src.name, partial(_part, progress, READ_SHARE, 1 - READ_SHARE), should_stop)
+    with atomic_write(out) as temporary:
+        temporary.mkdir(parents=True)
+        _write(temporary, surface, src.name, partial(_part, progress, READ_SHARE, 1 - READ_SHARE), should_stop)
     return out
 
 
@@ -70,10 +70,10 @@ def _write(folder: Path, surface: HeightMap, source: str, progress: Progress, sh
     from wafer_viewer.store.mosaic.zarr_mosaic import write_mosaic
 
     calibration, job = surface.provenance.calibration, _job(surface)
-    taken = datetime.datetime.now().astimezone().isoformat(timespec="seconds")
+    date = datetime.datetime.now().astimezone().isoformat(timespec="seconds")
     record = ScanRecord(
         software_version=surface.provenance.software_version,
-        taken=taken,
+        taken=date,
         simulated=surface.provenance.simulated,
         imported_from=source,
         setup=OpticalSetup() if calibration is None else calibration.setup,
@@ -82,7 +82,7 @@ def _write(folder: Path, surface: HeightMap, source: str, progress: Progress, sh
         plan=_plan(surface, job),
     )
     journal = JournalWriter(folder / JOURNAL)
-    journal.write(Finished(taken))
+    journal.write(Finished(date))
     journal.close()
     write_record(folder, record)
     result = Dataset.open(folder).result(DEFAULT_RESULT)
@@ -199,9 +199,9 @@ class FileJobs:
         The file ending determines the format. part: only the upright rectangle around this region.
         """
         out, dataset, result = Path(path).absolute(), self._library.dataset, self._library.result_name
-        if (asked := comparison_of(field or 0)) is not None:
-            result = next((c.name for c in self._command_queue.now.comparisons if c.number == asked[0]), result)
-            field = -asked[1]
+        if (face := comparison_of(field or 0)) is not None:
+            result = next((c.name for c in self._command_queue.now.comparisons if c.number == face[0]), result)
+            field = -face[1]
         return self._background.run(
             f"Export to {out.name}", export_surface, dataset.path, result, field, out, every, part
         ).done

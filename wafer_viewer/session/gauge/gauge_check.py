@@ -56,8 +56,8 @@ def find_faces(surface: Mosaic) -> Faces:
     """Return the automatically detected faces of two blocks. Raises MeasureError if there are none."""
     from wafer_viewer.measure.gauge.find_faces import find_faces
 
-    found = find_faces(surface)
-    return found.upper, found.lower
+    faces = find_faces(surface)
+    return faces.upper, faces.lower
 
 
 def measure_repeat(source: GaugeSource, certificate: Certificate, faces: Faces | None = None) -> GaugeRepeat:

@@ -38,17 +38,22 @@ class GaugeController:
     """
 
     def __init__(
-        self, command_queue: CommandQueue, library: Library, book: ResultsStore, questions: DatasetQueries, folder: Path
+        self,
+        command_queue: CommandQueue,
+        library: Library,
+        results: ResultsStore,
+        questions: DatasetQueries,
+        folder: Path,
     ) -> None:
         self._command_queue, self._library, self._book, self._questions, self._folder = (
             command_queue,
             library,
-            book,
+            results,
             questions,
             folder,
         )
         self._at_work = ThreadPoolExecutor(1, thread_name_prefix="gauge")
-        self._of: object = None
+        self._source: object = None
         command_queue.subscribe(self._look)
 
     @property
@@ -188,9 +193,9 @@ class GaugeController:
     def _look(self, now: Snapshot) -> None:
         """Update the state if another dataset is open or another rig is connected; called after every change."""
         data, rig = now.dataset, now.rig
-        of = (data and (data.path, data.calibration_problem), rig.name, rig.calibration)
-        if of != self._of:
-            self._of = of
+        source = (data and (data.path, data.calibration_problem), rig.name, rig.calibration)
+        if source != self._source:
+            self._source = source
             self._command_queue.note(self._show)
 
     def _show(self, **changes: Any) -> None:

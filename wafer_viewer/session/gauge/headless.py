@@ -90,9 +90,9 @@ def _keep(data: Dataset, name: str, check: GaugeCheck) -> GaugeCheck:
     items = result.findings().items
     number = max((result.highest_thumbnail(), *(item.number for item in items))) + 1
     nth = 1 + sum(isinstance(item, GaugeCheck) for item in items)
-    kept = replace(check, number=number, name=f"Gauge check {nth}")
-    result.save_findings(MeasurementResults(items=(*items, kept)))
-    return kept
+    numbered = replace(check, number=number, name=f"Gauge check {nth}")
+    result.save_findings(MeasurementResults(items=(*items, numbered)))
+    return numbered
 
 
 def _records(src: Sequence[Path], certificate: Certificate, log: Path | None) -> tuple[GaugeRecord, ...]:

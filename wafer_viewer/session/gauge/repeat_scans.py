@@ -16,7 +16,7 @@ from wafer_viewer.session.core.commands import query
 from wafer_viewer.session.core.dataset_library import DEFAULT_RESULT
 from wafer_viewer.session.planning.plan_editor import read_job
 from wafer_viewer.session.planning.revision_trial import datasets_of, judged_places
-from wafer_viewer.session.planning.verdicts import kept_verdict
+from wafer_viewer.session.planning.verdicts import stored_verdict
 from wafer_viewer.store.dataset.dataset import Dataset
 
 NOBODY = "not named"
@@ -88,11 +88,11 @@ def studies_of(paths: Sequence[Path], job: Path | Job | None = None, result: str
     """
     scans = [_Scan(Dataset.open(path), result) for path in datasets_of(paths)]
     scans.sort(key=lambda scan: (scan.data.scan.taken, scan.data.path.name))
-    asked = read_job(job) if isinstance(job, Path) else job or scans[0].data.scan.job
-    studied = [feature for feature in asked.features if feature.has_place]
+    studied_job = read_job(job) if isinstance(job, Path) else job or scans[0].data.scan.job
+    studied = [feature for feature in studied_job.features if feature.has_place]
     if not studied:
         raise MeasureError("The job has no feature with a place: there is nothing to study.")
-    return tuple(study_of(scans, feature, asked) for feature in studied)
+    return tuple(study_of(scans, feature, studied_job) for feature in studied)
 
 
 def study_of(scans: Sequence[_Scan], feature: Feature, job: Job) -> Study:
@@ -116,16 +116,16 @@ def study_of(scans: Sequence[_Scan], feature: Feature, job: Job) -> Study:
 
 
 def _measured(scan: _Scan, feature: Feature, job: Job) -> dict[str, Quantity]:
-    """Return the values of a feature in a scan, by die; a stored value is used if it is of the same feature."""
+    """Return the values of a feature in a scan, by die; a stored value is used if it belongs to the same feature."""
     result = scan.data.result(scan.result)
-    verdict, dies_then = kept_verdict(result), scan.data.scan.job.dies
-    kept = {
+    verdict, dies_then = stored_verdict(result), scan.data.scan.job.dies
+    values = {
         item.die: item.measured
         for item in (verdict.items if verdict is not None and (not feature.per_die or dies_then == job.dies) else ())
         if item.measured is not None and item.feature.name == feature.name and item.feature.measures == feature.measures
     }
-    dies = [die for of, die in judged_places(job) if of is feature]
-    return {(die.name if die else ""): kept.get(die.name if die else "") or _now(scan, feature, die) for die in dies}
+    dies = [die for other, die in judged_places(job) if other is feature]
+    return {(die.name if die else ""): values.get(die.name if die else "") or _now(scan, feature, die) for die in dies}
 
 
 def _now(scan: _Scan, feature: Feature, die: Die | None) -> Quantity:
@@ -135,8 +135,8 @@ def _now(scan: _Scan, feature: Feature, die: Die | None) -> Quantity:
     data = scan.data
     try:
         surface = data.result(scan.result).mosaic()
-        found = measured_feature(surface, feature, die, data.scan.job.alignment, calibration_valid=True)
-        return quantity_of(found, feature)
+        measurement = measured_feature(surface, feature, die, data.scan.job.alignment, calibration_valid=True)
+        return quantity_of(measurement, feature)
     except MeasureError as fault:
         on = f" on die {die.name}" if die is not None else ""
         raise MeasureError(f"'{feature.name}' was not measured{on} in {data.path.name}. {fault}") from fault

@@ -57,8 +57,8 @@ def last_check(folder: Path, serials: Sequence[str]) -> GaugeRecord:
     """
     records = signed_checks(folder, serials)
     if not records:
-        of = f" of block{'' if len(serials) == 1 else 's'} {' and '.join(serials)}" if serials else ""
-        raise MeasureError(f"{folder} has no signed check{of}: sign one with measure gauge … --sign NAME.")
+        blocks = f" of block{'' if len(serials) == 1 else 's'} {' and '.join(serials)}" if serials else ""
+        raise MeasureError(f"{folder} has no signed check{blocks}: sign one with measure gauge … --sign NAME.")
     return records[-1]
 
 
@@ -68,7 +68,7 @@ def in_force(folder: Path, record: GaugeRecord) -> Calibration:
     Raises MeasureError if there is none.
     """
     used = record.check.repeats[0].calibration
-    found = calibration_in_force(folder, record.rig, used)
-    if found is None:
+    calibration = calibration_in_force(folder, record.rig, used)
+    if calibration is None:
         raise MeasureError("The check was made without a calibration: there is no scale to correct.")
-    return found
+    return calibration

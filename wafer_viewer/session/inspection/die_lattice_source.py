@@ -43,8 +43,8 @@ class GivenDies:
         if self.pitch_um is not None and self.job is not None:
             raise MeasureError("Dies are given by a job or by their pitch and origin: leave --job or --pitch-um out.")
 
-    def on(self, surface: Mosaic, own: Job | None = None, evidence: Evidence = "both") -> FittedDies:
-        """Return the dies over a surface; `own`: the job that it was scanned by.
+    def on(self, surface: Mosaic, dataset_job: Job | None = None, evidence: Evidence = "both") -> FittedDies:
+        """Return the dies over a surface; `dataset_job`: the job that it was scanned by.
 
         Raises MeasureError if there are none, PlanError for a job that cannot be read or lists its dies one by one.
         """
@@ -54,7 +54,7 @@ class GivenDies:
         if self.pitch_um is not None:
             fitted = self._fitted(surface, self._lattice(), evidence)
             return FittedDies(over_surface(fitted.grid, surface), fitted.off)
-        named = self._of_file(own) if self.job is not None else dies_of_job(own)
+        named = self._of_file(dataset_job) if self.job is not None else dies_of_job(dataset_job)
         return self._fitted(surface, named, evidence) if named else FittedDies(find_dies(surface, evidence=evidence))
 
     def _fitted(self, surface: Mosaic, grid: DieGrid, evidence: Evidence) -> FittedDies:
@@ -75,7 +75,7 @@ class GivenDies:
             angle_rad=math.radians(self.angle_deg),
         )
 
-    def _of_file(self, own: Job | None) -> DieGrid:
+    def _of_file(self, dataset_job: Job | None) -> DieGrid:
         """Return the dies of the job file, with the wafer alignment of the scan's own job if the file has none."""
         from wafer_viewer.session.planning.plan_editor import read_job
 
@@ -84,12 +84,12 @@ class GivenDies:
         if job.dies is None:
             raise MeasureError(f"{path.name} names no dies: give --pitch-um and --origin-um, or leave --job out.")
         if job.marks is not None and job.alignment is None:
-            if own is None or own.alignment is None:
+            if dataset_job is None or dataset_job.alignment is None:
                 raise MeasureError(
                     f"{path.name} has its dies in wafer um and nothing says how the wafer lies on the stage: "
                     "give --pitch-um and --origin-um instead of --job."
                 )
-            return DieGrid.of(job.dies, own.alignment)
+            return DieGrid.of(job.dies, dataset_job.alignment)
         return DieGrid.of(job.dies, job.alignment or Alignment())
 
 

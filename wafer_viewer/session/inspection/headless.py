@@ -50,8 +50,8 @@ def wafer_of(src: Path, result: str) -> Wafer:
     data = Dataset.open(src)
     job = data.scan.job
     center_um = job.alignment.to_stage(0.0, 0.0) if job.alignment is not None else (0.0, 0.0)
-    kept = data.result(result).path
-    return Wafer(surface, calibrated, job.sample, center_um, job, (data.path, kept), read_inspection(kept))
+    folder = data.result(result).path
+    return Wafer(surface, calibrated, job.sample, center_um, job, (data.path, folder), read_inspection(folder))
 
 
 def inspected(
@@ -71,22 +71,22 @@ def inspected(
     from wafer_viewer.measure.defects.inspection import inspect
     from wafer_viewer.store.records.inspection_records import carry_over
 
-    known = replace(recipe, product=recipe.product or wafer.sample.product)
+    recipe_with_product = replace(recipe, product=recipe.product or wafer.sample.product)
     grid, no_dies = None, NOT_BY_DIES
     if against != "form":
         grid, no_dies = dies_or_why(lambda: dies_on(wafer, given), needed=golden is not None)
     with _rows_by(wafer, hire) as rows_by:
-        found = inspect(
+        inspection = inspect(
             wafer.surface,
             grid,
-            known,
+            recipe_with_product,
             golden,
             calibration_valid=wafer.calibrated,
             progress=tell,
             rows_by=rows_by,
             no_dies=no_dies,
         )
-    return found if wafer.before is None else carry_over(wafer.before, found)
+    return inspection if wafer.before is None else carry_over(wafer.before, inspection)
 
 
 @contextmanager

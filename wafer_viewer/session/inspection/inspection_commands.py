@@ -43,7 +43,7 @@ class DefectController:
         self._command_queue, self._library, self._background = command_queue, library, background
         self.files, self.views = files, views
         self._history: UndoHistory[Inspection | None] = UndoHistory(None)
-        self._of: tuple[Path, str] | None = None
+        self._opened_for: tuple[Path, str] | None = None
         self._work, self._problem, self._stamp = "", "", 0
 
     def watch(self) -> None:
@@ -56,16 +56,16 @@ class DefectController:
         """Read the inspection of the displayed surface; a running inspection of another one is cancelled."""
         from wafer_viewer.store.records.inspection_records import read_inspection
 
-        of = self._looked_at
-        if self._work and of != self._of:
+        looked_at = self._looked_at
+        if self._work and looked_at != self._opened_for:
             self._background.cancel(self._work)
-        self._problem, kept = "", None
-        if of is not None:
+        self._problem, stored = "", None
+        if looked_at is not None:
             try:
-                kept = read_inspection(self._library.result.path)
+                stored = read_inspection(self._library.result.path)
             except WaferViewerError as fault:
                 self._problem = str(fault)
-        self._history.restart(kept)
+        self._history.restart(stored)
         self._show()
 
     @command
@@ -83,9 +83,9 @@ class DefectController:
             raise DatasetError("Defects are being searched for already: wait, or cancel it in the job list.")
         if self._command_queue.now.surface is None:
             raise DatasetError("There is no stitched surface yet: defects are searched for on that.")
-        asked = (self._library.dataset.path, self._library.result_name, recipe or self._own_recipe, dies, against)
-        running = self._background.lead("Search for defects", inspect_dataset, *asked, ended=self._ended)
-        self._work, self._of, self._problem = running.id, self._looked_at, ""
+        arguments = (self._library.dataset.path, self._library.result_name, recipe or self._own_recipe, dies, against)
+        running = self._background.lead("Search for defects", inspect_dataset, *arguments, ended=self._ended)
+        self._work, self._opened_for, self._problem = running.id, self._looked_at, ""
         self._show()
         return running.done
 
@@ -140,19 +140,19 @@ class DefectController:
     def _ended(self, done: Future[Inspection]) -> None:
         """Store the inspection; if it failed, show the reason in place of the defect list."""
         self._work = ""
-        if self._of == self._looked_at:
+        if self._opened_for == self._looked_at:
             try:
                 self._take_over(done.result())
             except WaferViewerError as fault:
                 self._problem = str(fault)
         self._show()
 
-    def _take_over(self, found: Inspection) -> None:
+    def _take_over(self, new: Inspection) -> None:
         """Store the inspection, with earlier judgements of the same places carried over."""
         from wafer_viewer.store.records.inspection_records import carry_over, write_inspection
 
         before = self._history.value
-        inspection = found if before is None else carry_over(before, found)
+        inspection = new if before is None else carry_over(before, new)
         write_inspection(self._library.result.path, inspection)
         self._history.restart(inspection)
 
@@ -180,7 +180,7 @@ class DefectController:
     def _own_recipe(self) -> DefectRecipe:
         """Recipe stored for the product of the dataset, else the default one."""
         product = product_of(self._library.shown.job)
-        return self._command_queue.now.shelf.recipe_of(product) or DefectRecipe(product=product)
+        return self._command_queue.now.defect_files.recipe_of(product) or DefectRecipe(product=product)
 
     @property
     def _looked_at(self) -> tuple[Path, str] | None:
@@ -189,10 +189,10 @@ class DefectController:
 
     def _numbered(self, number: int) -> tuple[Inspection, Defect]:
         inspection = self._history.value
-        found = next((d for d in inspection.defects if d.number == number), None) if inspection is not None else None
-        if inspection is None or found is None:
+        defect = next((d for d in inspection.defects if d.number == number), None) if inspection is not None else None
+        if inspection is None or defect is None:
             raise DatasetError(f"There is no defect {number}: the surface was searched again, choose another.")
-        return inspection, found
+        return inspection, defect
 
     def _require_writable(self) -> None:
         if (why := self._library.shown.read_only) is not None:

@@ -13,7 +13,7 @@ from wafer_viewer.model.inspection.defect import DefectRecipe
 from wafer_viewer.model.progress import Progress, ShouldStop, never, silent
 from wafer_viewer.session.core.commands import command, observer_command
 from wafer_viewer.session.inspection.klarf_overlay import KlarfUnit, overlay_klarf
-from wafer_viewer.session.state.inspection_state import SAME_PLACE_UM, DefectShelf, OtherTool
+from wafer_viewer.session.state.inspection_state import SAME_PLACE_UM, DefectFilesState, OtherTool
 
 if TYPE_CHECKING:
     from wafer_viewer.model.inspection.defect import Inspection
@@ -27,27 +27,27 @@ if TYPE_CHECKING:
 Handover = Literal["klarf", "csv", "training"]
 
 
-def write_klarf(wafer: Wafer, found: Inspection, path: Path) -> Path:
+def write_klarf(wafer: Wafer, inspection: Inspection, path: Path) -> Path:
     """Write a KLARF 1.2 file."""
     from wafer_viewer.store.tables.klarf import write_klarf
 
-    return write_klarf(found, path, wafer.sample, center_um=wafer.center_um)
+    return write_klarf(inspection, path, wafer.sample, center_um=wafer.center_um)
 
 
-def write_csv(wafer: Wafer, found: Inspection, path: Path) -> Path:
+def write_csv(wafer: Wafer, inspection: Inspection, path: Path) -> Path:
     """Write a table for a spreadsheet."""
     from wafer_viewer.store.io.atomic_files import write_text
     from wafer_viewer.store.tables.csv_tables import defects_csv
 
-    write_text(path, defects_csv(found))
+    write_text(path, defects_csv(inspection))
     return path
 
 
-def write_training(wafer: Wafer, found: Inspection, path: Path) -> Path:
+def write_training(wafer: Wafer, inspection: Inspection, path: Path) -> Path:
     """Write a folder of image crops with the classes assigned by the rules and by people."""
     from wafer_viewer.store.tables.training_set import write_training_set
 
-    return write_training_set(found, wafer.surface, path)
+    return write_training_set(inspection, wafer.surface, path)
 
 
 WRITERS: dict[Handover, Callable[[Wafer, Inspection, Path], Path]] = {
@@ -60,7 +60,7 @@ WRITERS: dict[Handover, Callable[[Wafer, Inspection, Path], Path]] = {
 def hand_over(
     dataset: Path,
     result: str,
-    what: Handover,
+    kind: Handover,
     path: Path,
     *,
     progress: Progress = silent,
@@ -71,8 +71,8 @@ def hand_over(
     Raises DatasetError if there are none, the format cannot hold them, or the path cannot be written to; for image
     crops also if the surface has changed since.
     """
-    wafer, found = _inspected(dataset, result, same_surface=what == "training")
-    return WRITERS[what](wafer, found, path)
+    wafer, inspection = _inspected(dataset, result, same_surface=kind == "training")
+    return WRITERS[kind](wafer, inspection, path)
 
 
 def keep_golden(
@@ -91,10 +91,12 @@ def keep_golden(
     from wafer_viewer.measure.defects.inspection import golden_of_surface
     from wafer_viewer.store.records.golden_dies import FOLDER, save_golden
 
-    wafer, found = _inspected(dataset, result, same_surface=True)
-    if found.grid is None:
+    wafer, inspection = _inspected(dataset, result, same_surface=True)
+    if inspection.grid is None:
         raise MeasureError("A golden die is made from dies and this inspection has none: inspect die to die first.")
-    golden = golden_of_surface(wafer.surface, found.grid, found.recipe, product=found.product, made_of=dataset.stem)
+    golden = golden_of_surface(
+        wafer.surface, inspection.grid, inspection.recipe, product=inspection.product, made_of=dataset.stem
+    )
     return save_golden(golden, dataset.parent / FOLDER / name)
 
 
@@ -105,11 +107,11 @@ def _inspected(dataset: Path, result: str, *, same_surface: bool) -> tuple[Wafer
     from wafer_viewer.store.dataset.dataset import Dataset
 
     wafer = wafer_of(dataset, result)
-    if (found := wafer.before) is None:
+    if (inspection := wafer.before) is None:
         raise DatasetError(f"{dataset.stem} was not inspected for defects yet: inspect it first.")
-    if same_surface and found.mark not in ("", mosaic_mark(Dataset.open(dataset).result(result))):
+    if same_surface and inspection.mark not in ("", mosaic_mark(Dataset.open(dataset).result(result))):
         raise DatasetError(f"The surface of {dataset.stem} was reconstructed since it was inspected: inspect it again.")
-    return wafer, found
+    return wafer, inspection
 
 
 TITLES: dict[Handover, str] = {"klarf": "KLARF", "csv": "Table of defects", "training": "Training set"}
@@ -164,8 +166,8 @@ class DefectFiles:
     @command
     def keep_golden(self, name: str) -> Future[Path]:
         """Store the typical die of the inspected surface as the next version of a name; no version is overwritten."""
-        title, asked = f"Golden die {name}", (*self._looked_at, name)
-        return self._background.run(title, keep_golden, *asked, ended=lambda _: self.refresh.run()).done
+        title, arguments = f"Golden die {name}", (*self._looked_at, name)
+        return self._background.run(title, keep_golden, *arguments, ended=lambda _: self.refresh.run()).done
 
     @command
     def add_golden(self, path: Path) -> GoldenHeader:
@@ -186,10 +188,10 @@ class DefectFiles:
         return header
 
     @observer_command
-    def write(self, what: Handover, path: Path) -> Future[Path]:
+    def write(self, kind: Handover, path: Path) -> Future[Path]:
         """Write the defects with their judgements: ``klarf`` and ``csv`` to a file, ``training`` to a new folder."""
         out = Path(path).absolute()
-        return self._background.run(f"{TITLES[what]} {out.name}", hand_over, *self._looked_at, what, out).done
+        return self._background.run(f"{TITLES[kind]} {out.name}", hand_over, *self._looked_at, kind, out).done
 
     @command
     def lay_over(self, path: Path, unit: KlarfUnit | None = None, within_um: float = SAME_PLACE_UM) -> OtherTool:
@@ -205,7 +207,7 @@ class DefectFiles:
     @command
     def take_away(self) -> None:
         """Remove the overlay."""
-        if self._command_queue.now.shelf.other is not None:
+        if self._command_queue.now.defect_files.other is not None:
             self._put(other=None)
 
     @property
@@ -213,6 +215,6 @@ class DefectFiles:
         return self._library.dataset.path, self._library.result_name
 
     def _put(self, **changes: Any) -> None:
-        shelf: DefectShelf = with_changes(self._command_queue.now.shelf, **changes)
-        if shelf != self._command_queue.now.shelf:
-            self._command_queue.change(shelf=shelf)
+        defect_files: DefectFilesState = with_changes(self._command_queue.now.defect_files, **changes)
+        if defect_files != self._command_queue.now.defect_files:
+            self._command_queue.change(defect_files=defect_files)

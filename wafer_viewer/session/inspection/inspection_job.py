@@ -70,7 +70,7 @@ class RowHands:
         if isinstance(self.crew, LocalRunner):
             yield from self._done(compare_here, [(work, noise, row) for row in rows])
             return
-        with kept(self.folder, work.golden, noise) as reference:
+        with stored_golden(self.folder, work.golden, noise) as reference:
             lean = replace(work, golden=replace(work.golden, **dict.fromkeys(PLANES, np.empty((0, 0), np.float32))))
             yield from self._done(compare_row, [(lean, reference, row) for row in rows])
 
@@ -106,7 +106,7 @@ def in_order(outcomes: Iterable[Done]) -> Generator[Any]:
 
 
 @contextmanager
-def kept(folder: Path, golden: ReferenceDie, noise: NoiseModel) -> Generator[Path]:
+def stored_golden(folder: Path, golden: ReferenceDie, noise: NoiseModel) -> Generator[Path]:
     """Store the reference data of the comparison in a temporary file."""
     _sweep(folder)
     path = folder / f"{BEGINS}{uuid4().hex[:12]}{ENDS}"
@@ -118,9 +118,9 @@ def kept(folder: Path, golden: ReferenceDie, noise: NoiseModel) -> Generator[Pat
 
 
 def _sweep(folder: Path) -> None:
-    for left in folder.glob(f"{BEGINS}*{ENDS}"):
-        if time.time() - left.stat().st_mtime > LEFT_FOR_S:
-            remove(left)
+    for leftover in folder.glob(f"{BEGINS}*{ENDS}"):
+        if time.time() - leftover.stat().st_mtime > LEFT_FOR_S:
+            remove(leftover)
 
 
 @lru_cache(maxsize=1)
@@ -140,12 +140,12 @@ def _planes_of(noise: NoiseModel) -> dict[str, NDArray[Any]]:
 def _noise_of(planes: dict[str, NDArray[Any]]) -> NoiseModel:
     from wafer_viewer.measure.defects.noise_model import NoiseModel
 
-    whole: dict[str, Any] = {name: planes.pop(name) for name in OF_ALL}
+    shared: dict[str, Any] = {name: planes.pop(name) for name in OF_ALL}
     facts: dict[str, dict[tuple[str, float], Any]] = {name: {} for name in BY_KEY}
     for title, value in planes.items():
         name, layer, scale = title.split("/")
         facts[name][layer, float(scale)] = value
-    return NoiseModel(**facts, **whole)
+    return NoiseModel(**facts, **shared)
 
 
 Against = Literal["dies", "form"]
@@ -180,15 +180,15 @@ def inspect_dataset(
     from wafer_viewer.store.records.golden_dies import FOLDER, golden_named
 
     data = Dataset.open(dataset)
-    kept = data.result(result)
-    surface, mark, job = kept.mosaic(), mosaic_mark(kept), data.scan.job
+    stored = data.result(result)
+    surface, mark, job = stored.mosaic(), mosaic_mark(stored), data.scan.job
     recipe = replace(recipe, product=recipe.product or job.product or job.sample.product)
     golden = golden_named(dataset.parent / FOLDER, recipe.golden, recipe.product) if recipe.golden else None
     grid, no_dies = None, NOT_BY_DIES
     if against == "dies":
-        grid, no_dies = dies_or_why(lambda: _laid(dies, data, surface), needed=golden is not None)
+        grid, no_dies = dies_or_why(lambda: _die_grid(dies, data, surface), needed=golden is not None)
     with _until_stopped(should_stop):
-        found = inspect(
+        inspection = inspect(
             surface,
             grid,
             recipe,
@@ -196,10 +196,10 @@ def inspect_dataset(
             calibration_valid=data.calibration_problem(today()) is None,
             progress=progress,
             should_stop=should_stop,
-            rows_by=RowHands.of(crew or LocalRunner(), data.path, kept.path, should_stop),
+            rows_by=RowHands.of(crew or LocalRunner(), data.path, stored.path, should_stop),
             no_dies=no_dies,
         )
-    return replace(found, mark=mark)
+    return replace(inspection, mark=mark)
 
 
 @contextmanager
@@ -214,7 +214,7 @@ def _until_stopped(should_stop: ShouldStop) -> Generator[None]:
         raise ComputeError("The inspection was stopped. What was found before it is kept.")
 
 
-def _laid(dies: Dies, data: Dataset, surface: Mosaic) -> DieGrid:
+def _die_grid(dies: Dies, data: Dataset, surface: Mosaic) -> DieGrid:
     """Return the lattice on a surface.
 
     Raises MeasureError if none is found, or the given one does not match its dies.
@@ -227,7 +227,7 @@ def _laid(dies: Dies, data: Dataset, surface: Mosaic) -> DieGrid:
     return find_dies(surface) if dies == "found" else GivenDies().on(surface, data.scan.job).grid
 
 
-def mosaic_mark(kept: Result) -> str:
+def mosaic_mark(stored: Result) -> str:
     """Return a hash of the mosaic's metadata, which changes with recipe, frames or fields; a copy has the same one."""
-    header = kept.mosaic_path / "zarr.json"
+    header = stored.mosaic_path / "zarr.json"
     return hashlib.sha256(header.read_bytes()).hexdigest()[:MARK_DIGITS] if header.exists() else ""

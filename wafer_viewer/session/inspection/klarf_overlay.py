@@ -49,7 +49,7 @@ def compared(other: OtherTool, inspection: Inspection) -> dict[str, Any]:
         "places": len(other.klarf.defects),
         "same_within_um": other.within_um,
         "dies": other.by,
-        "matched": {str(theirs): ours for theirs, ours in sorted(matched.items())},
+        "matched": {str(their_number): our_number for their_number, our_number in sorted(matched.items())},
         "not_found_here": [defect.number for defect, _ in other.unmatched(found)],
         "not_in_file": sorted({defect.number for defect in found} - set(matched.values())),
         "notes": list(other.klarf.notes),
@@ -78,7 +78,7 @@ def lattice_for(
     if alignment is not None:
         return _by_center(klarf, alignment, grid), "dies by the wafer's centre"
     at_zero = _by_center(klarf, Alignment(), grid), "dies by the wafer's centre, taken to be at the stage's zero"
-    return max(by_numbers, at_zero, key=lambda way: len(klarf.matched(inspection.found, within_um, way[0])))
+    return max(by_numbers, at_zero, key=lambda candidate: len(klarf.matched(inspection.found, within_um, candidate[0])))
 
 
 def _by_center(klarf: Klarf, alignment: Alignment, grid: DieGrid) -> DieGrid:
@@ -91,9 +91,9 @@ def _about_center(klarf: Klarf, alignment: Alignment | None) -> DieGrid:
     """Return the file's lattice, rotated and shifted by the wafer's alignment on the stage."""
     if alignment is None:
         return klarf.grid
-    own = klarf.grid
-    x_um, y_um = alignment.to_stage(own.x0_um, own.y0_um)
-    return replace(own, x0_um=x_um, y0_um=y_um, angle_rad=-alignment.rotation_rad)
+    lattice = klarf.grid
+    x_um, y_um = alignment.to_stage(lattice.x0_um, lattice.y0_um)
+    return replace(lattice, x0_um=x_um, y0_um=y_um, angle_rad=-alignment.rotation_rad)
 
 
 def _steps(klarf: Klarf, alignment: Alignment, grid: DieGrid) -> tuple[int, int]:

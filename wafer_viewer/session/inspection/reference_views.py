@@ -110,18 +110,18 @@ def box_of(defect: Defect, pixel_um: float) -> Box:
 def like_die(inspection: Inspection) -> ComparisonRequest:
     """Return the request for a picture of the typical die, with the dies for its median."""
     return ComparisonRequest(
-        inspection.grid, None, _spread(_whole(inspection)), _golden(inspection), inspection.product
+        inspection.grid, None, _spread(_complete_dies(inspection)), _golden(inspection), inspection.product
     )
 
 
 def _like(inspection: Inspection, defect: Defect, box: Box, found: Earlier | str) -> ComparisonRequest:
-    here = _place(defect.die)
+    own_die = _place(defect.die)
     missing, before = (found, None) if isinstance(found, str) else ("", found)
     middle = (box[0] + box[2]) / 2, (box[1] + box[3]) / 2
     return ComparisonRequest(
         grid=inspection.grid,
-        die=here,
-        dies=_nearest(_whole(inspection), here),
+        die=own_die,
+        dies=_nearest(_complete_dies(inspection), own_die),
         golden=_golden(inspection),
         product=inspection.product,
         defect_um=defect.outline.bounds_um,
@@ -140,15 +140,15 @@ def _place(die: str) -> Place | None:
     return col, row
 
 
-def _whole(inspection: Inspection) -> list[Place]:
+def _complete_dies(inspection: Inspection) -> list[Place]:
     return [(die.col, die.row) for die in inspection.dies if die.state == "whole"]
 
 
-def _nearest(dies: list[Place], here: Place | None) -> tuple[Place, ...]:
-    if here is None:
+def _nearest(dies: list[Place], own_die: Place | None) -> tuple[Place, ...]:
+    if own_die is None:
         return ()
-    others = (die for die in dies if die != here)
-    return tuple(sorted(others, key=lambda d: ((d[0] - here[0]) ** 2 + (d[1] - here[1]) ** 2, d))[:MOST_DIES])
+    others = (die for die in dies if die != own_die)
+    return tuple(sorted(others, key=lambda d: ((d[0] - own_die[0]) ** 2 + (d[1] - own_die[1]) ** 2, d))[:MOST_DIES])
 
 
 def _spread(dies: list[Place]) -> tuple[Place, ...]:
@@ -188,18 +188,18 @@ def earlier_scan(now: Snapshot, data: OpenDataset) -> Earlier | str:
         return "The sample has no wafer id: an earlier scan of it cannot be found."
     before = (entry for entry in now.datasets if entry.path != data.path and entry.taken < data.taken)
     for entry in sorted(before, key=lambda entry: entry.taken, reverse=True):
-        known = _known(entry.path)
-        if known is not None and _same_wafer(data.job, known):
+        earlier_job = _known(entry.path)
+        if earlier_job is not None and _same_wafer(data.job, earlier_job):
             if (source := _compared(now, data, entry.path)) is not None:
                 return Earlier(source, entry.path.stem, lambda x, y: (x, y))
             if (source := _stitched(entry.path)) is not None:
-                return _laid(source, entry.path.stem, data.job.alignment, known.alignment)
+                return _earlier_at(source, entry.path.stem, data.job.alignment, earlier_job.alignment)
     return f"No earlier scan of wafer {sample.wafer_id} with a surface lies in the data folder."
 
 
-def _same_wafer(here: Job, there: Job) -> bool:
-    mine, theirs = here.product or here.sample.product, there.product or there.sample.product
-    return here.sample.wafer_id == there.sample.wafer_id and (not mine or mine == theirs)
+def _same_wafer(job: Job, other: Job) -> bool:
+    product, other_product = job.product or job.sample.product, other.product or other.sample.product
+    return job.sample.wafer_id == other.sample.wafer_id and (not product or product == other_product)
 
 
 def _known(path: Path) -> Job | None:
@@ -231,9 +231,9 @@ def _stitched(path: Path) -> SurfaceKey | None:
     return SurfaceKey(path, found[-1].parent.parent.name, 0, found[-1].stat().st_mtime_ns)
 
 
-def _laid(source: SurfaceKey, name: str, here: Alignment | None, there: Alignment | None) -> Earlier:
+def _earlier_at(source: SurfaceKey, name: str, alignment: Alignment | None, earlier: Alignment | None) -> Earlier:
     """Return the earlier scan mapped by the alignments of both scans, or by stage coordinates if one is missing."""
-    if here is None or there is None:
+    if alignment is None or earlier is None:
         return Earlier(source, name, lambda x_um, y_um: (x_um, y_um))
-    turn_rad = here.rotation_rad - there.rotation_rad
-    return Earlier(source, name, lambda x_um, y_um: there.to_stage(*here.to_wafer(x_um, y_um)), turn_rad)
+    turn_rad = alignment.rotation_rad - earlier.rotation_rad
+    return Earlier(source, name, lambda x_um, y_um: earlier.to_stage(*alignment.to_wafer(x_um, y_um)), turn_rad)

@@ -55,7 +55,7 @@ class Measuring:
         from wafer_viewer.measure.registry import measured
 
         found = measured(self._levelled(levelling, show), tool, places, self._calibrated(), options)
-        return self._told(found, show, levelling)
+        return self._labelled(found, show, levelling)
 
     @query
     def profile(
@@ -66,7 +66,7 @@ class Measuring:
 
         surface = self._levelled(levelling, show)
         found, curve = profile(surface, line, calibration_valid=self._calibrated(), layer=layer)
-        return self._told(found, show, levelling), curve
+        return self._labelled(found, show, levelling), curve
 
     @query
     def slab(
@@ -77,7 +77,7 @@ class Measuring:
 
         surface = self._levelled(levelling, show)
         found, curve, points = slab_profile(surface, line, calibration_valid=self._calibrated())
-        return self._told(found, show, levelling), curve, points
+        return self._labelled(found, show, levelling), curve, points
 
     @query
     def datum(self, levelling: Levelling, show: int = 0) -> Datum:
@@ -98,7 +98,7 @@ class Measuring:
             return surface
         return Levelled(surface, self.datum(levelling, show), levelling)
 
-    def _told(self, found: F, show: int, levelling: Levelling | None) -> F:
+    def _labelled(self, found: F, show: int, levelling: Levelling | None) -> F:
         return replace(found, show=show, levelling=levelling or BY_STAGE)
 
     def _calibrated(self) -> bool:
@@ -180,8 +180,10 @@ class DatasetQueries:
     @query
     def read_out(self, x_um: float, y_um: float, show: int = 0) -> ReadOut:
         """Return the surface at a point. Raises MeasureError if the point is outside."""
-        at = self.surface_source(show).window(Region.rectangle(x_um, y_um, x_um, y_um))
-        if 0 in at.shape:
+        pixel = self.surface_source(show).window(Region.rectangle(x_um, y_um, x_um, y_um))
+        if 0 in pixel.shape:
             raise MeasureError(f"({x_um:.1f}, {y_um:.1f}) um lies outside of the surface.")
-        z_um = float(at.z_um[0, 0])
-        return ReadOut(z_um if np.isfinite(z_um) else None, float(at.confidence[0, 0]), Origin(int(at.origin[0, 0])))
+        z_um = float(pixel.z_um[0, 0])
+        return ReadOut(
+            z_um if np.isfinite(z_um) else None, float(pixel.confidence[0, 0]), Origin(int(pixel.origin[0, 0]))
+        )

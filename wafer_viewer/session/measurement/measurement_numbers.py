@@ -70,7 +70,7 @@ def numbers_of(finding: AnyResult) -> tuple[Pair, ...]:
     """Return all numbers except the main quantity: quantities first, then the other fields."""
     main = main_field(finding)
     names = [name for name in finding.__struct_fields__ if name not in OF_ALL | TOLD_ELSEWHERE and name != main]
-    pairs = [(name, pair) for name in names for pair in _told(title_of(name), name, getattr(finding, name))]
+    pairs = [(name, pair) for name in names for pair in _pairs_of(title_of(name), name, getattr(finding, name))]
     quantities = [pair for name, pair in pairs if isinstance(getattr(finding, name), Length | Quantity)]
     return (*quantities, *(pair for _, pair in pairs if pair not in quantities))
 
@@ -92,8 +92,8 @@ def budget_of(finding: AnyResult) -> tuple[BudgetLine, ...]:
     """Return the budget lines of the main quantity's uncertainty (k = 1), or those of the result itself."""
     if finding.main.budget:
         return finding.main.budget
-    own: Any = getattr(finding, "budget", ())
-    return tuple(BudgetLine(name=line.name, u=line.u_um) for line in own)
+    lines: Any = getattr(finding, "budget", ())
+    return tuple(BudgetLine(name=line.name, u=line.u_um) for line in lines)
 
 
 def not_evaluated(finding: AnyResult) -> tuple[str, ...]:
@@ -101,7 +101,7 @@ def not_evaluated(finding: AnyResult) -> tuple[str, ...]:
     return tuple(getattr(finding, "not_evaluated", ()))
 
 
-def _told(title: str, name: str, value: Any) -> Iterator[Pair]:
+def _pairs_of(title: str, name: str, value: Any) -> Iterator[Pair]:
     """Yield a field as text; nothing for empty values and for regions, which are drawn."""
     match value:
         case None | "" | () | Region() | Point() | Levelling():
@@ -122,9 +122,9 @@ def _told(title: str, name: str, value: Any) -> Iterator[Pair]:
 
 def _of_spec(title: str, spec: Spec) -> Iterator[Pair]:
     """Yield a group of settings or numbers as one line."""
-    told = [pair for name in spec.__struct_fields__ for pair in _told(title_of(name), name, getattr(spec, name))]
-    if told:
-        yield title, " · ".join(f"{name[:1].lower()}{name[1:]} {words}" for name, words in told)
+    pairs = [pair for name in spec.__struct_fields__ for pair in _pairs_of(title_of(name), name, getattr(spec, name))]
+    if pairs:
+        yield title, " · ".join(f"{name[:1].lower()}{name[1:]} {words}" for name, words in pairs)
 
 
 def _of_many(title: str, values: tuple[Any, ...]) -> Iterator[Pair]:

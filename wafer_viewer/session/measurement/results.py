@@ -40,7 +40,7 @@ class ResultsStore:
     def open(self) -> None:
         """Read the results of the displayed surface; the list is empty without a dataset."""
         shown = self._command_queue.now.dataset
-        self._items.restart(())  # those of another dataset must not stay where these cannot be read
+        self._items.restart(())  # do not keep those of another dataset if these cannot be read
         self._items.restart(self._library.result.findings().items if shown is not None else ())
         pictured = self._library.result.highest_thumbnail() if shown is not None else 0
         self._highest = max((pictured, *(f.number for f in self._items.value)))
@@ -53,9 +53,9 @@ class ResultsStore:
         self._highest += 1
         if thumbnail is not None:
             self._library.result.save_thumbnail(self._highest, thumbnail)
-        kept = replace(finding, number=self._highest, name=finding.name or self._name_for(finding))
-        self._change((*self._items.value, kept))
-        return kept
+        numbered = replace(finding, number=self._highest, name=finding.name or self._name_for(finding))
+        self._change((*self._items.value, numbered))
+        return numbered
 
     @command
     def rename(self, number: int, name: str) -> None:
@@ -136,7 +136,7 @@ class NotebookController:
         from wafer_viewer.store.records.inspection_records import read_notebook
 
         shown = self._command_queue.now.dataset
-        self._history.restart(Notebook())  # that of another dataset must not stay where this cannot be read
+        self._history.restart(Notebook())  # do not keep that of another dataset if this cannot be read
         self._history.restart(read_notebook(self._library.result.path) if shown is not None else Notebook())
         self._show()
 
@@ -145,9 +145,9 @@ class NotebookController:
         """Save a view with a number; a view without a name is named after its number."""
         views = self._history.value.views
         number = next(n for n in range(1, len(views) + 2) if all(v.number != n for v in views))
-        kept = replace(view, number=number, name=view.name.strip() or f"View {number}")
-        self._put(views=tuple(sorted((*views, kept), key=lambda v: v.number)))
-        return kept
+        numbered = replace(view, number=number, name=view.name.strip() or f"View {number}")
+        self._put(views=tuple(sorted((*views, numbered), key=lambda v: v.number)))
+        return numbered
 
     @command
     def rename_view(self, number: int, name: str) -> None:

@@ -21,18 +21,18 @@ if TYPE_CHECKING:
     from wafer_viewer.draw.print_figures import ProfileFormat
 
 
-def cut(asked: SectionRequest, surface: Mosaic, calibrated: bool, source: str) -> Section:
+def cut(request: SectionRequest, surface: Mosaic, calibrated: bool, source: str) -> Section:
     """Return a section of a surface. Raises MeasureError when nothing was measured along the line."""
     from wafer_viewer.measure.tools.profile import profile
 
-    layer = other_layer(surface) if asked.cleaned else None
+    layer = other_layer(surface) if request.cleaned else None
     try:
-        found, curve = profile(surface, asked.line, calibration_valid=calibrated, layer=layer)
+        measurement, curve = profile(surface, request.line, calibration_valid=calibrated, layer=layer)
     except MeasureError as fault:
-        if asked.of is None:
+        if request.of is None:
             raise
-        raise MeasureError(f"{source} has no heights along line {asked.letter}. {fault}") from fault
-    return Section(asked, found, curve, source)
+        raise MeasureError(f"{source} has no heights along line {request.letter}. {fault}") from fault
+    return Section(request, measurement, curve, source)
 
 
 def other_layer(surface: Mosaic) -> Layer:
@@ -48,9 +48,9 @@ def file_of(sections: Sequence[Section], ending: str) -> bytes:
 
 def require_section_format(ending: str) -> None:
     """Raise DatasetError if sections cannot be written to a file with that ending."""
-    known = list(FILES)
-    if ending.lower() not in known:
-        raise DatasetError(f"Profiles cannot be written as '{ending}': use {', '.join(known[:-1])} or {known[-1]}.")
+    endings = list(FILES)
+    if ending.lower() not in endings:
+        raise DatasetError(f"Profiles cannot be written as '{ending}': use {', '.join(endings[:-1])} or {endings[-1]}.")
 
 
 def write_sections(sections: Sequence[Section], path: Path) -> None:
@@ -58,8 +58,8 @@ def write_sections(sections: Sequence[Section], path: Path) -> None:
     from wafer_viewer.store.io.atomic_files import atomic_write
 
     content = file_of(sections, path.suffix)
-    with atomic_write(path) as beside:
-        beside.write_bytes(content)
+    with atomic_write(path) as temporary:
+        temporary.write_bytes(content)
 
 
 def _table(sections: Sequence[Section]) -> bytes:
@@ -91,18 +91,18 @@ class Sections:
         self._zero: tuple[tuple[OtherSurface, Levelling], Datum] | None = None
 
     @query
-    def section(self, asked: SectionRequest) -> Section:
+    def section(self, request: SectionRequest) -> Section:
         """Return a section along a line of the displayed surface, or of another one."""
-        if asked.of is not None:
-            return self._of_other(asked, asked.of)
+        if request.of is not None:
+            return self._of_other(request, request.of)
         shown = self._snapshot().dataset
         name = shown.name if shown is not None else ""
-        source, measuring = name if asked.show <= 0 else f"{name}, field {asked.show}", self._questions.measuring
-        if asked.slab:
-            found, curve, points = measuring.slab(asked.line, asked.show, asked.levelling)
-            return Section(asked, found, curve, source, points)
-        layer = other_layer(self._questions.surface_source(asked.show)) if asked.cleaned else None
-        return Section(asked, *measuring.profile(asked.line, asked.show, asked.levelling, layer), source)
+        source, measuring = name if request.show <= 0 else f"{name}, field {request.show}", self._questions.measuring
+        if request.slab:
+            measurement, curve, points = measuring.slab(request.line, request.show, request.levelling)
+            return Section(request, measurement, curve, source, points)
+        layer = other_layer(self._questions.surface_source(request.show)) if request.cleaned else None
+        return Section(request, *measuring.profile(request.line, request.show, request.levelling, layer), source)
 
     @query
     def others(self) -> tuple[OtherSurface, ...]:
@@ -117,15 +117,15 @@ class Sections:
         looked_at = (shown, now.surface.result if now.surface is not None else "")
         return tuple(other for other in found if (other.folder, other.result) != looked_at)
 
-    def _of_other(self, asked: SectionRequest, other: OtherSurface) -> Section:
+    def _of_other(self, request: SectionRequest, other: OtherSurface) -> Section:
         """Return the section along the same line of another surface, levelled in the same way."""
         from wafer_viewer.session.core.dataset_library import today
         from wafer_viewer.store.dataset.dataset import Dataset
 
         dataset = Dataset.open(Path(other.folder))
         calibrated = dataset.calibration_problem(today()) is None
-        surface = self._levelled(other, dataset.result(other.result).mosaic(), asked.levelling)
-        return cut(asked, surface, calibrated, other.title)
+        surface = self._levelled(other, dataset.result(other.result).mosaic(), request.levelling)
+        return cut(request, surface, calibrated, other.title)
 
     def _levelled(self, other: OtherSurface, surface: Mosaic, levelling: Levelling) -> Mosaic:
         from wafer_viewer.measure.base.levelled_surface import Levelled, datum

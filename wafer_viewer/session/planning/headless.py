@@ -39,8 +39,8 @@ def tried(job: Job, against: Sequence[Path], result: str, tell: Progress) -> Tri
 
 def _settled(job: Job, data: Dataset, result: str) -> Job:
     """Return the job with the resolved recipe of a dataset."""
-    kept = data.result(result)
-    settled, info = kept.mosaic().provenance.recipe, load_summary(kept)
+    stored = data.result(result)
+    settled, info = stored.mosaic().provenance.recipe, load_summary(stored)
     stitched = info.stitching if info is not None else None
     errors_um = (stitched.stage_error_um, stitched.z_error_um) if stitched is not None else None
     return released(job, data.scan.plan, settled, errors_um)
@@ -60,7 +60,7 @@ def job_of_wafer(plan: Path, out: Path, names: dict[str, str | None], corners_um
     return _aligned(job, corners_um) if corners_um else job
 
 
-def verdict_kept_in(path: Path, result: str) -> WaferVerdict:
+def stored_verdict_of(path: Path, result: str) -> WaferVerdict:
     """Return the verdict on the wafer of a dataset; it is stored in the dataset unless another process holds that."""
     data = Dataset.open(path.absolute())
     try:
@@ -85,5 +85,5 @@ def _aligned(job: Job, corners_um: Sequence[float]) -> Job:
         raise PlanError("The plan names no corners to align by: leave --corners out, or name them in the plan.")
     if len(corners_um) % 2:
         raise PlanError(f"--corners has {len(corners_um)} numbers: give x and y of each corner.")
-    seen_um = list(zip(corners_um[::2], corners_um[1::2], strict=True))
-    return replace(job, alignment=fit_alignment(job.marks, seen_um, job.sample.notch))
+    marked_um = list(zip(corners_um[::2], corners_um[1::2], strict=True))
+    return replace(job, alignment=fit_alignment(job.marks, marked_um, job.sample.notch))

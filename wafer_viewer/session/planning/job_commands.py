@@ -16,29 +16,29 @@ from wafer_viewer.session.core.command_queue import CommandQueue
 from wafer_viewer.session.core.commands import command, forwarded
 from wafer_viewer.session.core.dataset_library import DEFAULT_RESULT
 from wafer_viewer.session.planning.job_releases import as_released, list_released
-from wafer_viewer.session.planning.plan_editor import Drafting
+from wafer_viewer.session.planning.plan_editor import PlanEditor
 from wafer_viewer.session.state.snapshot import Snapshot
 
 NEXT = "next"
 """Revision name of a plan that has none yet."""
 
 
-def _plan(jobs: JobController) -> Drafting:
-    return jobs._drafting
+def _plan(jobs: JobController) -> PlanEditor:
+    return jobs._plan_editor
 
 
 class JobController:
     """Controller of released jobs, ``session.jobs``; every command returns a future."""
 
-    take_up = forwarded(Drafting.load, _plan)
-    copy = forwarded(Drafting.copy, _plan)
-    confirm = forwarded(Drafting.confirm, _plan)
-    mark = forwarded(Drafting.mark, _plan)
-    unmark = forwarded(Drafting.unmark, _plan)
-    next_wafer = forwarded(Drafting.next_wafer, _plan)
+    take_up = forwarded(PlanEditor.load, _plan)
+    copy = forwarded(PlanEditor.copy, _plan)
+    confirm = forwarded(PlanEditor.confirm, _plan)
+    mark = forwarded(PlanEditor.mark, _plan)
+    unmark = forwarded(PlanEditor.unmark, _plan)
+    next_wafer = forwarded(PlanEditor.next_wafer, _plan)
 
-    def __init__(self, command_queue: CommandQueue, drafting: Drafting, folder: Path) -> None:
-        self._command_queue, self._drafting, self._folder = command_queue, drafting, folder
+    def __init__(self, command_queue: CommandQueue, plan_editor: PlanEditor, folder: Path) -> None:
+        self._command_queue, self._plan_editor, self._folder = command_queue, plan_editor, folder
 
     @command
     def refresh(self) -> None:
@@ -50,7 +50,7 @@ class JobController:
     @command
     def release(self) -> Path:
         """Release the plan under its product and revision; ``auto`` gets the values resolved for the open surface."""
-        path = self._drafting.release(*settled_by(self._command_queue.now))
+        path = self._plan_editor.release(*settled_by(self._command_queue.now))
         self.refresh.run()
         return path
 
@@ -69,8 +69,8 @@ def settled_by(now: Snapshot) -> tuple[Recipe | None, tuple[float, float] | None
 class TrialController:
     """Controller of the trial, ``session.trials``."""
 
-    def __init__(self, command_queue: CommandQueue, background: BackgroundWork, drafting: Drafting) -> None:
-        self._command_queue, self._background, self._drafting = command_queue, background, drafting
+    def __init__(self, command_queue: CommandQueue, background: BackgroundWork, plan_editor: PlanEditor) -> None:
+        self._command_queue, self._background, self._plan_editor = command_queue, background, plan_editor
 
     @command
     def begin(self, paths: tuple[Path, ...], result: str = DEFAULT_RESULT) -> Future[Trial]:
@@ -82,7 +82,7 @@ class TrialController:
 
         if self._command_queue.now.operating.trying:
             raise PlanError("The plan is being tried already: wait for it, or cancel it in the job list.")
-        job, plan = self._drafting.ready()
+        job, plan = self._plan_editor.ready()
         job = as_released(
             replace_in(job, revision=job.revision.strip() or NEXT), plan, *settled_by(self._command_queue.now)
         )

@@ -125,11 +125,11 @@ def _require_complete(job: Job) -> None:
         raise PlanError("The job has no corners to align by: name at least two corners of dies.")
     unplaced = [feature.name for feature in job.features if not feature.has_place]
     if unplaced or not job.features:
-        what = f"feature '{unplaced[0]}' has no place" if unplaced else "job has no feature"
-        raise PlanError(f"The {what} to be measured at: give it one, or there is no verdict.")
+        incomplete = f"feature '{unplaced[0]}' has no place" if unplaced else "job has no feature"
+        raise PlanError(f"The {incomplete} to be measured at: give it one, or there is no verdict.")
 
 
-def _stitching(asked: Stitching, plan: ScanPlan, errors_um: tuple[float, float] | None) -> Stitching:
+def _stitching(stitching: Stitching, plan: ScanPlan, errors_um: tuple[float, float] | None) -> Stitching:
     """Return the stitching settings with ``auto`` replaced by the measured stage errors."""
     in_plane_um, along_z_um = errors_um or (6 * plan.pixel_um, 1.0)
     found = {
@@ -138,7 +138,7 @@ def _stitching(asked: Stitching, plan: ScanPlan, errors_um: tuple[float, float] 
         "z_error_um": along_z_um,
         "tilt_error": NOMINAL_TILT,
     }
-    return replace(asked, **{name: value for name, value in found.items() if getattr(asked, name) == "auto"})
+    return replace(stitching, **{name: value for name, value in found.items() if getattr(stitching, name) == "auto"})
 
 
 def _entry(path: Path) -> JobEntry | None:

@@ -16,7 +16,7 @@ from wafer_viewer.model.surface.recipe import Recipe
 from wafer_viewer.session.core.command_queue import CommandQueue, UndoHistory
 from wafer_viewer.session.core.commands import command
 from wafer_viewer.session.planning.job_releases import as_released, for_next_wafer, require_as_released, write_released
-from wafer_viewer.session.state.snapshot import Draft, SeenMark, Typed
+from wafer_viewer.session.state.snapshot import Draft, MarkedPositions, Typed
 
 PLAN_ENDING = ".toml"
 RIG_STARTS = "The rig is starting: its time is estimated as soon as the rig answers."
@@ -27,13 +27,13 @@ UNCONFIRMED = (
 NO_JOB = "There is no plan yet: lay a field grid over the sample first."
 
 
-class Drafting:
+class PlanEditor:
     """Controller of the plan and its draft in the snapshot; every command returns a future."""
 
     def __init__(self, command_queue: CommandQueue, folder: Path) -> None:
         self._command_queue, self._folder = command_queue, folder
         self._jobs: UndoHistory[Job | None] = UndoHistory(None)
-        self._seen = SeenMark()
+        self._marks = MarkedPositions()
         self._confirmed = True
         self._typed: Typed | None = None
         self._typed_over: Job | None = None
@@ -88,24 +88,24 @@ class Drafting:
         job = self._jobs.value
         if job is None or job.marks is None:
             raise PlanError("The plan names no corners to align by: name them first.")
-        self._seen = self._seen.with_place(job, n, (x_um, y_um))
+        self._marks = self._marks.with_place(job, n, (x_um, y_um))
         self._put(replace(job, alignment=None))
-        seen_um = [place for place in self._seen.places_um(job) if place is not None]
-        if len(seen_um) == len(job.marks.places):
-            found = fit_alignment(job.marks, seen_um, job.sample.notch)
-            self._put(replace(job, alignment=found))
+        marked_um = [place for place in self._marks.places_um(job) if place is not None]
+        if len(marked_um) == len(job.marks.places):
+            fitted = fit_alignment(job.marks, marked_um, job.sample.notch)
+            self._put(replace(job, alignment=fitted))
 
     @command
     def unmark(self) -> None:
         """Clear the marked corners."""
-        self._seen = SeenMark()
+        self._marks = MarkedPositions()
         if (job := self._jobs.value) is not None:
             self._put(replace(job, alignment=None))
 
     @command
     def next_wafer(self) -> None:
         """Start the same job for another wafer; undo cannot restore the data of the last one."""
-        self._seen, self._confirmed = SeenMark(), True
+        self._marks, self._confirmed = MarkedPositions(), True
         self._jobs.restart(for_next_wafer(self._job()))
         self.price()
 
@@ -127,7 +127,7 @@ class Drafting:
 
     def _take_up(self, job: Job) -> None:
         """Load a job from a file; a released one has no wafer yet."""
-        self._seen, self._confirmed = SeenMark(), True
+        self._marks, self._confirmed = MarkedPositions(), True
         self._put(for_next_wafer(job) if job.released else job)
 
     @command
@@ -147,9 +147,9 @@ class Drafting:
         job, limits = self._jobs.value, self._command_queue.now.rig.limits
         plan, problem = _plan(job, limits)
         typed = self._typed if self._typed_over is job else None
-        seen_um = self._seen.places_um(job) if job is not None else ()
+        marked_um = self._marks.places_um(job) if job is not None else ()
         can = self._jobs.can_undo, self._jobs.can_redo
-        draft = Draft(job, plan, problem, *can, free_bytes(self._folder), seen_um, self._confirmed, typed)
+        draft = Draft(job, plan, problem, *can, free_bytes(self._folder), marked_um, self._confirmed, typed)
         self._command_queue.change(draft=draft)
 
     @command

@@ -76,7 +76,7 @@ def preflight_of_snapshot(now: Snapshot, latest: LatestFrame | None, today: str)
             today=today,
             confirmed=draft.confirmed,
             clipped_fraction=None if latest is None else latest.clipped_fraction,
-            n_marked=sum(seen is not None for seen in draft.seen_um),
+            n_marked=sum(place_um is not None for place_um in draft.marked_um),
         )
     )
 
@@ -100,13 +100,13 @@ def require_passed(checks: Iterable[PreflightCheck], *, confirmed: bool = True) 
 
 def sample(now: Preflight) -> PreflightCheck:
     """Check that the sample under the objective is known."""
-    who, released = now.job.sample, now.job.released
-    if released and not who.wafer_id:
+    sample_of_job, released = now.job.sample, now.job.released
+    if released and not sample_of_job.wafer_id:
         return PreflightCheck("Sample", "stop", "The wafer has no id.", "Type or scan it.")
-    if not now.simulated and not (who.name or who.wafer_id):
+    if not now.simulated and not (sample_of_job.name or sample_of_job.wafer_id):
         return PreflightCheck("Sample", "stop", "The sample has no name.", "Type a name or a wafer id.")
-    named = who.wafer_id or who.name or "a sample without a name"
-    of_lot = f"{named} of lot {who.lot}" if who.lot else named
+    named = sample_of_job.wafer_id or sample_of_job.name or "a sample without a name"
+    of_lot = f"{named} of lot {sample_of_job.lot}" if sample_of_job.lot else named
     if not now.confirmed:
         found = f"{of_lot}: not confirmed since the plan was opened again."
         return PreflightCheck("Sample", "stop", found, "Check and confirm it.")

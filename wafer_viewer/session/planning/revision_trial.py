@@ -24,7 +24,7 @@ from wafer_viewer.model.spec import Spec
 from wafer_viewer.model.surface.height_map import Mosaic
 from wafer_viewer.model.surface.recipe import Recipe
 from wafer_viewer.session.core.dataset_library import DEFAULT_RESULT, ENDING, today
-from wafer_viewer.session.planning.verdicts import kept_verdict
+from wafer_viewer.session.planning.verdicts import stored_verdict
 from wafer_viewer.session.surface.headless import LocalOrCluster, make_surface
 from wafer_viewer.store.dataset.dataset import Dataset
 from wafer_viewer.store.dataset.result import Result
@@ -50,8 +50,8 @@ def taken_off(then: FeatureVerdict, job: Job) -> str:
 
 def feature_changes(then: FeatureVerdict, now: FeatureVerdict, other_dies: bool) -> tuple[str, ...]:
     """Return the changes of a feature, one sentence each."""
-    said = tuple(_of_feature(then, now, other_dies))
-    return said or (() if then.measured == now.measured else (NOTHING_DIFFERS,))
+    sentences = tuple(_of_feature(then, now, other_dies))
+    return sentences or (() if then.measured == now.measured else (NOTHING_DIFFERS,))
 
 
 def recipe_changes(made_by: Recipe, wanted: Recipe) -> tuple[str, ...]:
@@ -131,7 +131,7 @@ def try_job(
         tell = partial(_tell, progress, should_stop, n, len(datasets))
         tell(0.0)
         try:
-            wafers.append(_tried(job, path, result, _Led(hands=crew) if crew is not None else LocalOrCluster(), tell))
+            wafers.append(_tried(job, path, result, _Led(runner=crew) if crew is not None else LocalOrCluster(), tell))
         except (ComputeError, DatasetError, MeasureError) as fault:
             if should_stop():
                 raise
@@ -144,11 +144,11 @@ def try_job(
 class _Led(LocalOrCluster):
     """Runner factory that returns an existing task runner."""
 
-    hands: TaskRunner | None = None
+    runner: TaskRunner | None = None
 
     def crew(self, work_bytes: float) -> AbstractContextManager[TaskRunner]:
         """Return the existing runner, whatever the amount of work."""
-        return nullcontext(self.hands) if self.hands is not None else LocalOrCluster.crew(self, work_bytes)
+        return nullcontext(self.runner) if self.runner is not None else LocalOrCluster.crew(self, work_bytes)
 
 
 @dataclass(frozen=True, slots=True)
@@ -156,7 +156,7 @@ class _Before:
     """Earlier verdicts of a dataset: by feature and die, with their surface, and the dies by name."""
 
     job: Job
-    kept: Result
+    stored: Result
     surface: Mosaic
     items: dict[Key, FeatureVerdict]
     dies: dict[str, Die]
@@ -169,13 +169,13 @@ def _tried(job: Job, path: Path, result: str, hire: LocalOrCluster, tell: Progre
     _require_judgeable(data, job)
     before = _judged_before(data, result)
     of_recipe = recipe_changes(before.surface.provenance.recipe, job.recipe)
-    kept = _remade(data, job, hire, tell) if of_recipe else before.kept
-    after = {_key(item): item for item in _judged_now(data, job, before, kept, bool(of_recipe))}
+    stored = _remade(data, job, hire, tell) if of_recipe else before.stored
+    after = {_key(item): item for item in _judged_now(data, job, before, stored, bool(of_recipe))}
     changes = tuple(_changes(before, after, job, of_recipe))
     return TriedWafer(
         dataset=path.name,
         wafer_id=data.scan.job.sample.wafer_id or data.scan.job.sample.name,
-        result=kept.name,
+        result=stored.name,
         before=overall(tuple(before.items.values())) if before.items else None,
         after=overall(tuple(after.values())),
         changes=changes,
@@ -196,30 +196,30 @@ def _judged_before(data: Dataset, result: str) -> _Before:
     """Return the stored verdicts of this very surface; if there are none, those by its own job."""
     from wafer_viewer.measure.verdict import judge_features
 
-    kept, job = data.result(result), data.scan.job
-    surface, verdict = kept.mosaic(), kept_verdict(kept)
+    stored, job = data.result(result), data.scan.job
+    surface, verdict = stored.mosaic(), stored_verdict(stored)
     items = (
         verdict.items
         if verdict is not None
         else judge_features(surface, job.features, job.alignment, calibration_valid=_calibrated(data), dies=job.dies)
     )
     dies = {die.name: die for die in job.dies.all()} if job.dies is not None else {}
-    return _Before(job, kept, surface, {_key(item): item for item in items}, dies)
+    return _Before(job, stored, surface, {_key(item): item for item in items}, dies)
 
 
-def _judged_now(data: Dataset, job: Job, before: _Before, kept: Result, remade: bool) -> Iterator[FeatureVerdict]:
+def _judged_now(data: Dataset, job: Job, before: _Before, stored: Result, remade: bool) -> Iterator[FeatureVerdict]:
     """Yield the verdict of every feature by the new job, from the stored value if it still applies, else remeasured."""
     from wafer_viewer.measure.verdict import judge, judge_at
     from wafer_viewer.model.spec import replace
 
-    surface = kept.mosaic() if remade else before.surface
-    lies = data.scan.job.alignment if job.marks is not None else None
+    surface = stored.mosaic() if remade else before.surface
+    alignment = data.scan.job.alignment if job.marks is not None else None
     for feature, die in judged_places(job):
         then = before.items.get((feature.name, die.name if die else ""))
         if then is not None and then.measured is not None and not remade and _same_number(then, before, feature, die):
             yield replace(judge(feature, then.measured), die=then.die, not_evaluated=then.not_evaluated)
         else:
-            yield judge_at(surface, feature, die, lies, _calibrated(data))
+            yield judge_at(surface, feature, die, alignment, _calibrated(data))
 
 
 def _same_number(then: FeatureVerdict, before: _Before, feature: Feature, die: Die | None) -> bool:

@@ -69,15 +69,15 @@ class Judge:
         )
 
 
-def kept_verdict(result: Result) -> WaferVerdict | None:
+def stored_verdict(result: Result) -> WaferVerdict | None:
     """Return the stored verdict on this very surface of a result; None if there is none."""
     from wafer_viewer.store.io.checksums import load_json
 
     path = result.path / FILE
     if not (path.exists() and result.has_mosaic):
         return None
-    kept = load_json(path, WaferVerdict)
-    return kept if kept.surface == _mark(result.mosaic().provenance) else None
+    verdict = load_json(path, WaferVerdict)
+    return verdict if verdict.surface == _mark(result.mosaic().provenance) else None
 
 
 def verdict_of(data: Dataset, result: Result, *, keep: bool) -> WaferVerdict:
@@ -90,8 +90,8 @@ def verdict_of(data: Dataset, result: Result, *, keep: bool) -> WaferVerdict:
 
     job, mosaic = data.scan.job, result.mosaic()
     require_features(job)
-    if (kept := kept_verdict(result)) is not None:
-        return kept
+    if (stored := stored_verdict(result)) is not None:
+        return stored
     calibrated = data.calibration_problem(today()) is None
     items = judge_features(mosaic, job.features, job.alignment, calibration_valid=calibrated, dies=job.dies)
     verdict = WaferVerdict(

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from wafer_viewer.draw.surface.pictures import Range, greys_of, heights_of, picture_of
 from wafer_viewer.measure.dies.die_crops import (
-    LEAST_ALIKE,
+    LEAST_SIMILARITY,
     AlignedPatch,
     DieCrop,
     DiePatch,
@@ -48,31 +48,31 @@ LEAST_MEASURED = 0.2
 Pair = tuple[ComparisonView, DieCrop | None]
 
 
-def beside(shelf: SurfaceProvider, request: RenderRequest) -> bytes:
+def comparison(provider: SurfaceProvider, request: RenderRequest) -> bytes:
     """Return `ComparisonViews` as msgpack; no bytes if nothing was scanned there."""
     like, box = request.like, request.box_um
     if like is None or box is None:
         return b""
-    surface = shelf.surface(request.source)
+    surface = provider.surface(request.source)
     patch = DiePatch.of_box(surface, box, PLACE_PX)
     own = crop(surface, patch)
     if own is None or not (np.isfinite(own.z_um).any() or np.isfinite(own.picture).any()):
         return b""
-    found = [(ComparisonView("here"), own), *_others(shelf, request.source, like, surface, patch, own)]
-    cuts = [one for _, one in found if one is not None]
+    pairs = [(ComparisonView("here"), own), *_others(provider, request.source, like, surface, patch, own)]
+    cuts = [one for _, one in pairs if one is not None]
     heights = heights_of([one.z_um for one in cuts], _inside(own, patch, like), patch.pixel_um)
     greys = greys_of([one.picture for one in cuts])
-    seen = tuple(_drawn(told, one, patch.pixel_um, heights, greys) for told, one in found)
-    answer = ComparisonViews(heights.low, heights.high, heights.zero, _box_of(patch), patch.pixel_um, seen)
-    return msgspec.msgpack.encode(answer)
+    views = tuple(_drawn(view, one, patch.pixel_um, heights, greys) for view, one in pairs)
+    result = ComparisonViews(heights.low, heights.high, heights.zero, _box_of(patch), patch.pixel_um, views)
+    return msgspec.msgpack.encode(result)
 
 
-def die(shelf: SurfaceProvider, request: RenderRequest) -> bytes:
+def die(provider: SurfaceProvider, request: RenderRequest) -> bytes:
     """Return a `DiePicture` as msgpack."""
     if request.like is None:
         return b""
     folder = request.source.dataset.parent
-    return msgspec.msgpack.encode(picture_of_die(shelf.surface(request.source), folder, request.like))
+    return msgspec.msgpack.encode(picture_of_die(provider.surface(request.source), folder, request.like))
 
 
 def picture_of_die(surface: Mosaic, folder: Path, like: ComparisonRequest) -> DiePicture:
@@ -92,12 +92,20 @@ def picture_of_die(surface: Mosaic, folder: Path, like: ComparisonRequest) -> Di
     own = crop(surface, patch)
     if own is None:
         return nothing
-    cuts = [own, *(one.cut for one in _laid(surface, replace(like, die=place, dies=like.dies[1:]), patch, own))]
+    cuts = [
+        own,
+        *(one.cut for one in _aligned_crops(surface, replace(like, die=place, dies=like.dies[1:]), patch, own)),
+    ]
     return DiePicture(_grey(median_crop(own, cuts)), len(cuts))
 
 
 def _others(
-    shelf: SurfaceProvider, source: SurfaceKey, like: ComparisonRequest, surface: Mosaic, patch: DiePatch, own: DieCrop
+    provider: SurfaceProvider,
+    source: SurfaceKey,
+    like: ComparisonRequest,
+    surface: Mosaic,
+    patch: DiePatch,
+    own: DieCrop,
 ) -> Iterator[Pair]:
     """Yield the reference, then the earlier scan; each with the reason if it is missing."""
     yield (
@@ -105,7 +113,7 @@ def _others(
         if like.golden
         else _of_dies(like, surface, patch, own)
     )
-    yield _of_before(shelf, like, patch, own)
+    yield _of_before(provider, like, patch, own)
 
 
 def _of_dies(like: ComparisonRequest, surface: Mosaic, patch: DiePatch, own: DieCrop) -> Pair:
@@ -115,19 +123,19 @@ def _of_dies(like: ComparisonRequest, surface: Mosaic, patch: DiePatch, own: Die
         ), None
     if like.die is None:
         return ComparisonView("dies", why_not="The place lies outside of the dies."), None
-    laid = list(_laid(surface, like, patch, own))
-    if not laid:
+    aligned = list(_aligned_crops(surface, like, patch, own))
+    if not aligned:
         return ComparisonView("dies", why_not="No other die was scanned completely."), None
-    return ComparisonView("dies", dies=len(laid)), median_crop(own, [one.cut for one in laid])
+    return ComparisonView("dies", dies=len(aligned)), median_crop(own, [one.cut for one in aligned])
 
 
-def _laid(surface: Mosaic, like: ComparisonRequest, patch: DiePatch, own: DieCrop) -> Iterator[AlignedPatch]:
+def _aligned_crops(surface: Mosaic, like: ComparisonRequest, patch: DiePatch, own: DieCrop) -> Iterator[AlignedPatch]:
     """Yield the same position of the other dies, as far as it is measured there."""
-    for there in like.dies:
-        if like.grid is not None and like.die is not None and there != like.die:
-            found = align_crop(own, surface, patch.on_die(like.grid, like.die, there), DIE_REACH_PX)
-            if found is not None and found.cut.measured >= LEAST_MEASURED:
-                yield found
+    for other in like.dies:
+        if like.grid is not None and like.die is not None and other != like.die:
+            aligned = align_crop(own, surface, patch.on_die(like.grid, like.die, other), DIE_REACH_PX)
+            if aligned is not None and aligned.cut.measured >= LEAST_MEASURED:
+                yield aligned
 
 
 def _of_golden(folder: Path, like: ComparisonRequest, surface: Mosaic, patch: DiePatch, own: DieCrop) -> Pair:
@@ -137,12 +145,12 @@ def _of_golden(folder: Path, like: ComparisonRequest, surface: Mosaic, patch: Di
         golden = _golden(folder, like, surface)
     except WaferViewerError as fault:
         return ComparisonView("golden", why_not=str(fault)), None
-    found = levelled_on(own, cut_of_golden(golden, like.grid, like.die, patch))
-    if found.measured < LEAST_MEASURED:
+    golden_crop = levelled_on(own, cut_of_golden(golden, like.grid, like.die, patch))
+    if golden_crop.measured < LEAST_MEASURED:
         return ComparisonView(
             "golden", why_not=f"{golden.title} knows nothing of this place: a street has no golden die."
         ), None
-    return ComparisonView("golden", name=golden.title, dies=golden.header.dies), found
+    return ComparisonView("golden", name=golden.title, dies=golden.header.dies), golden_crop
 
 
 def _golden(folder: Path, like: ComparisonRequest, surface: Mosaic) -> GoldenDie:
@@ -157,36 +165,43 @@ def _golden(folder: Path, like: ComparisonRequest, surface: Mosaic) -> GoldenDie
     return golden
 
 
-def _of_before(shelf: SurfaceProvider, like: ComparisonRequest, patch: DiePatch, own: DieCrop) -> Pair:
+def _of_before(provider: SurfaceProvider, like: ComparisonRequest, patch: DiePatch, own: DieCrop) -> Pair:
     if like.before is None or like.before_at_um is None:
         return ComparisonView("before", why_not=like.no_before), None
     name, (x_um, y_um) = like.before_name, like.before_at_um
     try:
-        earlier = shelf.surface(like.before)
+        earlier = provider.surface(like.before)
     except WaferViewerError as fault:
         return ComparisonView("before", name=name, why_not=str(fault)), None
-    there = replace(patch, x_um=x_um, y_um=y_um, angle_rad=like.before_turn_rad)
-    laid = align_crop(own, earlier, there, SCAN_REACH_PX)
-    if laid is None or laid.cut.measured < LEAST_MEASURED:
+    patch_there = replace(patch, x_um=x_um, y_um=y_um, angle_rad=like.before_turn_rad)
+    aligned = align_crop(own, earlier, patch_there, SCAN_REACH_PX)
+    if aligned is None or aligned.cut.measured < LEAST_MEASURED:
         return ComparisonView(
             "before", name=name, why_not=f"{name} was not scanned, or not measured, at this place."
         ), None
-    if laid.alike < LEAST_ALIKE:
-        told = f"What {name} has within {SCAN_REACH_PX * patch.pixel_um:.0f} um of this place does not look like it."
-        return ComparisonView("before", name=name, alike=laid.alike, why_not=told), None
-    down_um, right_um = laid.moved_um
-    return ComparisonView("before", name=name, moved_um=(right_um, -down_um), alike=laid.alike), laid.cut
+    if aligned.similarity < LEAST_SIMILARITY:
+        reason = f"What {name} has within {SCAN_REACH_PX * patch.pixel_um:.0f} um of this place does not look like it."
+        return ComparisonView("before", name=name, similarity=aligned.similarity, why_not=reason), None
+    down_um, right_um = aligned.moved_um
+    return ComparisonView(
+        "before", name=name, moved_um=(right_um, -down_um), similarity=aligned.similarity
+    ), aligned.cut
 
 
-def _drawn(told: ComparisonView, one: DieCrop | None, pixel_um: float, heights: Range, greys: Range) -> ComparisonView:
-    if one is None:
-        return told
-    height, picture = picture_of(one.z_um, pixel_um, heights), picture_of(one.picture, pixel_um, greys)
-    return msgspec.structs.replace(told, height=height, picture=picture)
+def _drawn(
+    view: ComparisonView, crop_of_view: DieCrop | None, pixel_um: float, heights: Range, greys: Range
+) -> ComparisonView:
+    if crop_of_view is None:
+        return view
+    height, picture = (
+        picture_of(crop_of_view.z_um, pixel_um, heights),
+        picture_of(crop_of_view.picture, pixel_um, greys),
+    )
+    return msgspec.structs.replace(view, height=height, picture=picture)
 
 
-def _grey(seen: DieCrop) -> bytes:
-    return picture_of(seen.picture, 1.0, greys_of([seen.picture]))
+def _grey(die_crop: DieCrop) -> bytes:
+    return picture_of(die_crop.picture, 1.0, greys_of([die_crop.picture]))
 
 
 def _inside(own: DieCrop, patch: DiePatch, like: ComparisonRequest) -> NDArray[np.float32]:

@@ -19,12 +19,12 @@ PAINTERS: dict[str, Callable[[SurfaceProvider, RenderRequest], bytes]] = {
     "frame": render_pictures.frame,
     "slice": render_pictures.stitched,
     "picture": render_pictures.picture,
-    "beside": render_comparisons.beside,
+    "beside": render_comparisons.comparison,
     "die": render_comparisons.die,
     "statistics": render_statistics.statistics,
 }
 
 
-def paint(shelf: SurfaceProvider, request: RenderRequest) -> bytes:
+def paint(provider: SurfaceProvider, request: RenderRequest) -> bytes:
     """Execute a render request; no bytes when nothing is visible. Raises WaferViewerError."""
-    return PAINTERS[request.what](shelf, request)
+    return PAINTERS[request.what](provider, request)

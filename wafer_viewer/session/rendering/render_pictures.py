@@ -40,9 +40,9 @@ _MARGIN_PX = 14
 """Margin in pixels read around a tile, so that shading continues across its edge."""
 
 
-def _baked(shelf: SurfaceProvider, request: RenderRequest) -> tuple[HeightMap, NDArray[np.float32], Picture]:
+def _baked(provider: SurfaceProvider, request: RenderRequest) -> tuple[HeightMap, NDArray[np.float32], Picture]:
     """Return the window of a request: its height map, its heights without gaps, its picture."""
-    surface = shelf.surface(request.source)
+    surface = provider.surface(request.source)
     (r0, r1), (c0, c1) = request.rows, request.cols
     margin = tuple(slice(max(0, a - _MARGIN_PX), b + _MARGIN_PX) for a, b in (request.rows, request.cols))
     around = levelled(at_level(surface, request.level, (margin[0], margin[1])), request.datum)
@@ -52,29 +52,29 @@ def _baked(shelf: SurfaceProvider, request: RenderRequest) -> tuple[HeightMap, N
     return around.crop(*inner), heights[inner], picture
 
 
-def tile(shelf: SurfaceProvider, request: RenderRequest) -> bytes:
+def tile(provider: SurfaceProvider, request: RenderRequest) -> bytes:
     """Return a window of the surface as GLB."""
-    part, heights, picture = _baked(shelf, request)
+    part, heights, picture = _baked(provider, request)
     return _draped(part, heights, picture, request)
 
 
-def flat(shelf: SurfaceProvider, request: RenderRequest) -> bytes:
+def flat(provider: SurfaceProvider, request: RenderRequest) -> bytes:
     """Return the same picture as a flat tile at height 0."""
-    part, heights, picture = _baked(shelf, request)
+    part, heights, picture = _baked(provider, request)
     return _draped(part, np.full_like(heights, request.z0_um), picture, request)
 
 
 def _draped(part: HeightMap, heights: NDArray[np.float32], picture: Picture, request: RenderRequest) -> bytes:
-    there = picture[..., 3] > 0
-    if not there.any():
+    visible = picture[..., 3] > 0
+    if not visible.any():
         return b""
     x_mm, y_mm = (part.x_um * 1e-3).astype(np.float32), (part.y_um * 1e-3).astype(np.float32)
-    return painted(mesh.surface(heights, there, x_mm, y_mm, request.z0_um, request.step, request.skirts), picture)
+    return painted(mesh.surface(heights, visible, x_mm, y_mm, request.z0_um, request.step, request.skirts), picture)
 
 
-def points(shelf: SurfaceProvider, request: RenderRequest) -> bytes:
+def points(provider: SurfaceProvider, request: RenderRequest) -> bytes:
     """Return a point for each pixel with a height, and on request for each refused one, inside the clip."""
-    part, heights, picture = _baked(shelf, request)
+    part, heights, picture = _baked(provider, request)
     codes = clip_codes(part, request.clip)
     slab = request.clip.slab
     pale = codes == CODES["slab"] if slab is not None and slab.before == "pale" else np.zeros(part.shape, bool)
@@ -84,13 +84,13 @@ def points(shelf: SurfaceProvider, request: RenderRequest) -> bytes:
     colours = np.where(pale[rows, cols, None], _pale(picture[rows, cols, :3], request.dark), picture[rows, cols, :3])
     if request.refused:
         middle = float(part.x_um.mean()), float(part.y_um.mean()), request.z0_um
-        more = [_refused(points, middle, request) for points in _refused_in_tile(shelf, request, part)]
+        more = [_refused(points, middle, request) for points in _refused_in_tile(provider, request, part)]
         xyz = np.concatenate([xyz, *(places for places, _ in more)])
         colours = np.concatenate([colours, *(tones for _, tones in more)])
     return pack_points((xyz * 1e-3).astype(np.float16), colours.astype(np.uint8))
 
 
-def _refused_in_tile(shelf: SurfaceProvider, request: RenderRequest, part: HeightMap) -> Iterator[RefusedPoints]:
+def _refused_in_tile(provider: SurfaceProvider, request: RenderRequest, part: HeightMap) -> Iterator[RefusedPoints]:
     """Yield the refused points of a tile; a tile at the border of the measured area includes those beyond it."""
     x0, y0, x1, y1 = part.bounds_um
     half = part.pixel_um / 2
@@ -101,7 +101,7 @@ def _refused_in_tile(shelf: SurfaceProvider, request: RenderRequest, part: Heigh
         x1 + half if right else np.inf,
         y1 + half if top else np.inf,
     )
-    return refused_in(shelf.fields(request.source), request, box_um)
+    return refused_in(provider.fields(request.source), request, box_um)
 
 
 def _refused(
@@ -123,9 +123,9 @@ def _pale(colours: NDArray[np.uint8], dark: bool) -> NDArray[np.float32]:
     return np.broadcast_to(np.float32(_PALE[dark]) * (np.float32(0.8) + np.float32(0.2) * shade), colours.shape)
 
 
-def walls(shelf: SurfaceProvider, request: RenderRequest) -> bytes:
+def walls(provider: SurfaceProvider, request: RenderRequest) -> bytes:
     """Return walls from the four edges of a window down to `z0_um`; they are grey, because they show no data."""
-    surface = shelf.surface(request.source)
+    surface = provider.surface(request.source)
     (r0, r1), (c0, c1) = request.rows, request.cols
     lines = (
         (slice(r1 - 1, r1), slice(c0, c1)), (slice(r0, r0 + 1), slice(c0, c1)),
@@ -156,9 +156,9 @@ _SLICE_PIXELS = 1_500_000
 _STRIP_ROWS = 512
 
 
-def frame(shelf: SurfaceProvider, request: RenderRequest) -> bytes:
+def frame(provider: SurfaceProvider, request: RenderRequest) -> bytes:
     """Return frame k of a field as a flat picture at height 0."""
-    stack = shelf.stacks(request.source)[0]
+    stack = provider.stacks(request.source)[0]
     if not stack.present[request.k]:
         return b""
     step = -(-max(stack.images.shape[1:]) // _FRAME_SIDE_PX)
@@ -169,12 +169,12 @@ def frame(shelf: SurfaceProvider, request: RenderRequest) -> bytes:
     return painted(lying, _grey(image))
 
 
-def stitched(shelf: SurfaceProvider, request: RenderRequest) -> bytes:
+def stitched(provider: SurfaceProvider, request: RenderRequest) -> bytes:
     """Return the image of all fields at one z, each from its nearest frame, blended like the surfaces."""
     from wafer_viewer.reconstruct.blending.mosaic_layout import layout
     from wafer_viewer.reconstruct.blending.stitched_mosaic import StackOutline, stitched_picture
 
-    stacks = shelf.stacks(request.source)
+    stacks = provider.stacks(request.source)
     if not stacks:
         return b""
     lattice = layout([StackOutline.of(s) for s in stacks])
@@ -202,26 +202,27 @@ _QUALITY = 80
 _UNMEASURED = np.array([200, 208, 216], np.uint8)
 
 
-def picture(shelf: SurfaceProvider, request: RenderRequest) -> bytes:
+def picture(provider: SurfaceProvider, request: RenderRequest) -> bytes:
     """Return the box of a request as JPEG, over its own range of heights; no bytes if nothing of it is measured.
 
     Coloured by ``grey`` it is the all-in-focus image.
     """
     if request.box_um is None:
         return b""
-    surface = shelf.surface(request.source)
+    surface = provider.surface(request.source)
     x0, y0, x1, y1 = request.box_um
     pixels = max(x1 - x0, y1 - y0) / surface.pixel_um
     level = max(0, math.ceil(math.log2(max(1.0, pixels / (request.side_px or SIDE_PX)))))
-    kept = min(level, surface.levels - 1)
+    stored_level = min(level, surface.levels - 1)
     part = levelled(
-        reduced(surface.window(Region.rectangle(*request.box_um), kept), 2 ** (level - kept)), request.datum
+        reduced(surface.window(Region.rectangle(*request.box_um), stored_level), 2 ** (level - stored_level)),
+        request.datum,
     )
-    there = np.isfinite(part.z_um)
-    if 0 in part.shape or not there.any():
+    measured = np.isfinite(part.z_um)
+    if 0 in part.shape or not measured.any():
         return b""
     grey = request.look.colour_by == "grey"
-    low, high = (float(v) for v in np.percentile(grey_image(part)[there] if grey else part.z_um[there], [1, 99]))
+    low, high = (float(v) for v in np.percentile(grey_image(part)[measured] if grey else part.z_um[measured], [1, 99]))
     span = max(high - low, 1e-3)
     heights = DisplayStyle(low=low, high=low + span, hillshade=0.6)
     look = replace(heights, colour_by="grey", colours="grey", hillshade=0.0) if grey else heights

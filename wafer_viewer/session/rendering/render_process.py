@@ -25,7 +25,7 @@ if TYPE_CHECKING:
 
 __all__ = ["Painter", "RenderRequest", "SurfaceKey"]
 
-_KEPT_BYTES = 48 * 2**20
+_CACHE_BYTES = 48 * 2**20
 """Cache size in bytes for answers to other browsers: a few views of one browser."""
 NICENESS = 5
 """Niceness of the render process."""
@@ -41,19 +41,19 @@ class Painter:
     def __init__(self, work: Callable[[RenderRequest], bytes] | None = None) -> None:
         self._work = work or paint_from_store
         self._lock = threading.Lock()
-        self._kept: OrderedDict[RenderRequest, bytes] = OrderedDict()
-        self._kept_bytes = 0
+        self._cache: OrderedDict[RenderRequest, bytes] = OrderedDict()
+        self._cache_bytes = 0
         self._pool = _new_pool()
         self._pool.submit(_warm_up)
 
     def paint(self, request: RenderRequest) -> Future[bytes]:
         """Return the answer to a request, rendered or from the cache. The future raises WaferViewerErrors."""
         with self._lock:
-            if request in self._kept:
-                self._kept.move_to_end(request)
-                return _done(self._kept[request])
+            if request in self._cache:
+                self._cache.move_to_end(request)
+                return _done(self._cache[request])
             future = self._submit(request)
-        future.add_done_callback(lambda done: self._keep(request, done))
+        future.add_done_callback(lambda done: self._store(request, done))
         return future
 
     def close(self) -> None:
@@ -67,14 +67,14 @@ class Painter:
             self._pool = _new_pool()
             return self._pool.submit(self._work, request)
 
-    def _keep(self, request: RenderRequest, done: Future[bytes]) -> None:
+    def _store(self, request: RenderRequest, done: Future[bytes]) -> None:
         if done.cancelled() or done.exception() is not None:
             return
         with self._lock:
-            self._kept_bytes += len(done.result()) - len(self._kept.pop(request, b""))
-            self._kept[request] = done.result()
-            while self._kept_bytes > _KEPT_BYTES and len(self._kept) > 1:
-                self._kept_bytes -= len(self._kept.popitem(last=False)[1])
+            self._cache_bytes += len(done.result()) - len(self._cache.pop(request, b""))
+            self._cache[request] = done.result()
+            while self._cache_bytes > _CACHE_BYTES and len(self._cache) > 1:
+                self._cache_bytes -= len(self._cache.popitem(last=False)[1])
 
 
 def _done(data: bytes) -> Future[bytes]:

@@ -116,19 +116,19 @@ def points_of(field: PlacedField, box_um: Box, datum: Datum | None = None, every
     rows, cols = field.shape
     top, foot = (int(np.clip((field.y0_um - y) / field.pixel_um, -1, rows)) for y in (box_um[3], box_um[1]))
     part = refused.of_rows(top, foot + 2, cols)
-    at = refused.at[part].astype(np.int64)
-    row, col = np.divmod(at, cols)
+    index = refused.at[part].astype(np.int64)
+    row, col = np.divmod(index, cols)
     x_um, y_um = field.x0_um + col * field.pixel_um, field.y0_um - row * field.pixel_um
     inside = (x_um >= box_um[0]) & (x_um < box_um[2]) & (y_um >= box_um[1]) & (y_um < box_um[3])
     if every > 1:
         inside &= (row % every == 0) & (col % every == 0)
-    taken = np.flatnonzero(inside)
-    row, col, x_um, y_um = row[taken], col[taken], x_um[taken], y_um[taken]
-    z_um = refused.z_um[part][taken] - field.lean.at((rows - 1) / 2 - row, col - (cols - 1) / 2)
+    selected = np.flatnonzero(inside)
+    row, col, x_um, y_um = row[selected], col[selected], x_um[selected], y_um[selected]
+    z_um = refused.z_um[part][selected] - field.lean.at((rows - 1) / 2 - row, col - (cols - 1) / 2)
     if datum is not None:
         z_um = z_um - datum.at(x_um, y_um)
-    confidence = field.height_map.confidence.ravel()[at[taken]]
-    return RefusedPoints(x_um, y_um, z_um.astype(np.float32), confidence, refused.reason[part][taken])
+    confidence = field.height_map.confidence.ravel()[index[selected]]
+    return RefusedPoints(x_um, y_um, z_um.astype(np.float32), confidence, refused.reason[part][selected])
 
 
 def refused_in(fields: Sequence[PlacedField], request: RenderRequest, box_um: Box) -> Iterator[RefusedPoints]:

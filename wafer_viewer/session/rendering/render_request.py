@@ -50,7 +50,7 @@ class ComparisonView(msgspec.Struct, frozen=True):
     """View in a side-by-side comparison: heights and the all-in-focus picture, as JPEG.
 
     name: of the golden die or the scan; dies: number of dies in the median; moved_um: shift (right, up) applied to
-    match the position; alike: their correlation. why_not: the reason if there is no view, a sentence.
+    match the position; similarity: their correlation. why_not: the reason if there is no view, a sentence.
     """
 
     like: Like
@@ -59,7 +59,7 @@ class ComparisonView(msgspec.Struct, frozen=True):
     name: str = ""
     dies: int = 0
     moved_um: tuple[float, float] = (0.0, 0.0)
-    alike: float = 1.0
+    similarity: float = 1.0
     why_not: str = ""
 
 
@@ -74,7 +74,7 @@ class ComparisonViews(msgspec.Struct, frozen=True):
     zero_um: float
     box_um: tuple[float, float, float, float]
     pixel_um: float
-    seen: tuple[ComparisonView, ...]
+    views: tuple[ComparisonView, ...]
 
 
 class DiePicture(msgspec.Struct, frozen=True):
@@ -197,7 +197,7 @@ class ColourScale(msgspec.Struct, frozen=True):
 class CoarseHeightField(msgspec.Struct, frozen=True):
     """Coarse surface for picking and draping, answer to ``relief``.
 
-    z_um: float32 [row, col], gaps filled with the height of the nearest neighbour; there: bool [row, col], False in
+    z_um: float32 [row, col], gaps filled with the height of the nearest neighbour; measured: bool [row, col], False in
     gaps.
     """
 
@@ -207,7 +207,7 @@ class CoarseHeightField(msgspec.Struct, frozen=True):
     x0_um: float
     y0_um: float
     z_um: bytes
-    there: bytes
+    measured: bytes
 
 
 class Brushed(msgspec.Struct, frozen=True):

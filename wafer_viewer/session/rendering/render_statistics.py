@@ -48,9 +48,9 @@ _CODES = 32
 MOST_PLACES = 200
 
 
-def statistics(shelf: SurfaceProvider, request: RenderRequest) -> bytes:
+def statistics(provider: SurfaceProvider, request: RenderRequest) -> bytes:
     """Return `Statistics` as msgpack. Raises MeasureError if the requested part is outside of the surface."""
-    surface = shelf.surface(request.source)
+    surface = provider.surface(request.source)
     rows, cols = _window(surface, request)
     n_rows, n_cols = rows.stop - rows.start, cols.stop - cols.start
     level = max(0, math.ceil(math.log2(max(1.0, n_rows * n_cols / MOST_POINTS)) / 2))
@@ -61,7 +61,7 @@ def statistics(shelf: SurfaceProvider, request: RenderRequest) -> bytes:
     for strip in strips:
         sums.add(strip)
     block = 2**level
-    told = Statistics(
+    result = Statistics(
         rows=n_rows,
         cols=n_cols,
         pixel_um=surface.pixel_um,
@@ -77,24 +77,24 @@ def statistics(shelf: SurfaceProvider, request: RenderRequest) -> bytes:
         span_um=(sums.low_um, sums.high_um) if sums.by_code.any() else (0.0, 0.0),
         block_px=block,
         brushed=None if request.brush_um is None else _brushed(strips, sums, block, request.brush_um, request.clip),
-        refused=count_refused(shelf.fields(request.source), request) if request.refused else None,
+        refused=count_refused(provider.fields(request.source), request) if request.refused else None,
         **_shares(sums.origins)._asdict(),
     )
     if request.box_um is None and isinstance(surface, ZarrMosaic):
-        told = _as_kept(told, surface, request)
-    return msgspec.msgpack.encode(told)
+        result = _with_stored_statistics(result, surface, request)
+    return msgspec.msgpack.encode(result)
 
 
-def _as_kept(told: Statistics, surface: ZarrMosaic, request: RenderRequest) -> Statistics:
+def _with_stored_statistics(result: Statistics, surface: ZarrMosaic, request: RenderRequest) -> Statistics:
     """Replace values by the stored statistics of all points of the mosaic, as far as they answer the request."""
-    kept = surface.facts()
-    told = msgspec.structs.replace(told, **_shares(kept.counts)._asdict())
-    if request.datum is not None or not kept.has_heights:
-        return told
-    told = msgspec.structs.replace(told, span_um=(kept.lowest_um, kept.highest_um))
+    stored = surface.facts()
+    result = msgspec.structs.replace(result, **_shares(stored.counts)._asdict())
+    if request.datum is not None or not stored.has_heights:
+        return result
+    result = msgspec.structs.replace(result, span_um=(stored.lowest_um, stored.highest_um))
     if request.clip.clips:
-        return told
-    return msgspec.structs.replace(told, lowest_um=kept.lowest_um, highest_um=kept.highest_um)
+        return result
+    return msgspec.structs.replace(result, lowest_um=stored.lowest_um, highest_um=stored.highest_um)
 
 
 def _window(surface: Mosaic, request: RenderRequest) -> Window:
@@ -182,9 +182,9 @@ class _Sums:
 
     def add(self, strip: HeightMap) -> None:
         """Add a strip."""
-        there = np.isfinite(strip.z_um)
-        codes = clip_codes(strip, self.clip)[there]
-        z = strip.z_um[there]
+        measured = np.isfinite(strip.z_um)
+        codes = clip_codes(strip, self.clip)[measured]
+        z = strip.z_um[measured]
         self.origins += np.bincount(strip.origin.ravel(), minlength=_CODES)[:_CODES]
         self.by_code += np.bincount(codes, minlength=len(CODES) + 1)
         if self.ends_um[1] > self.ends_um[0]:
@@ -244,15 +244,15 @@ _SUMMARY_BINS = 60
 _LEAST_FOR_FORM = 50
 
 
-def facts(shelf: SurfaceProvider, request: RenderRequest) -> bytes:
+def facts(provider: SurfaceProvider, request: RenderRequest) -> bytes:
     """Return `SurfaceStatistics` as msgpack."""
-    surface = shelf.surface(request.source)
+    surface = provider.surface(request.source)
     level = coarse_level(surface)
     part = levelled(at_level(surface, level), request.datum)
-    there = np.isfinite(part.z_um)
-    heights = part.z_um[there] if there.any() else np.zeros(1, np.float32)
+    measured = np.isfinite(part.z_um)
+    heights = part.z_um[measured] if measured.any() else np.zeros(1, np.float32)
     low, high = (float(v) for v in np.percentile(heights, [0.5, 99.5]))
-    rows, cols = (_extent(np.asarray(there.any(axis=1 - axis)), surface.shape[axis], 2**level) for axis in (0, 1))
+    rows, cols = (_extent(np.asarray(measured.any(axis=1 - axis)), surface.shape[axis], 2**level) for axis in (0, 1))
     facts = SurfaceStatistics(
         *surface.shape, surface.pixel_um, surface.x0_um, surface.y0_um, *rows, *cols,
         float(heights.min()), float(heights.max()), low, high,
@@ -265,9 +265,9 @@ def _has_overlaps(part: HeightMap) -> bool:
     return part.overlap_um is not None and bool(np.isfinite(part.overlap_um).any())
 
 
-def _extent(there: NDArray[np.bool_], n: int, scale: int) -> tuple[int, int]:
+def _extent(measured: NDArray[np.bool_], n: int, scale: int) -> tuple[int, int]:
     """Return the range [first, end) of the True values, in pixels of level 0."""
-    hits = np.flatnonzero(there)
+    hits = np.flatnonzero(measured)
     return (0, n) if hits.size == 0 else (int(hits[0]) * scale, min(n, (int(hits[-1]) + 1) * scale))
 
 
@@ -299,14 +299,14 @@ def _robust_least_squares(design: NDArray[np.float64], z: NDArray[np.float64]) -
     factors = np.asarray(np.linalg.lstsq(design, z, rcond=None)[0], np.float64)
     for _ in range(2):
         distance = np.abs(z - design @ factors)
-        kept = distance <= np.median(distance)
-        factors = np.asarray(np.linalg.lstsq(design[kept], z[kept], rcond=None)[0], np.float64)
+        inliers = distance <= np.median(distance)
+        factors = np.asarray(np.linalg.lstsq(design[inliers], z[inliers], rcond=None)[0], np.float64)
     return factors
 
 
-def scale(shelf: SurfaceProvider, request: RenderRequest) -> bytes:
+def scale(provider: SurfaceProvider, request: RenderRequest) -> bytes:
     """Return a `ColourScale` as msgpack."""
-    part = coarse(shelf, request)
+    part = coarse(provider, request)
     quantity = request.look.colour_by
     values = VALUES[quantity](part, request.light)
     values = values[np.isfinite(values)]
@@ -344,8 +344,10 @@ def _origin_shares(part: HeightMap) -> dict[int, float]:
     return {code: float(n / part.origin.size) for code, n in enumerate(counts) if n}
 
 
-def relief(shelf: SurfaceProvider, request: RenderRequest) -> bytes:
+def relief(provider: SurfaceProvider, request: RenderRequest) -> bytes:
     """Return a `CoarseHeightField` as msgpack."""
-    part = coarse(shelf, request)
-    heights, there = without_gaps(part.z_um).astype("<f4").tobytes(), np.isfinite(part.z_um).tobytes()
-    return msgspec.msgpack.encode(CoarseHeightField(*part.shape, part.pixel_um, part.x0_um, part.y0_um, heights, there))
+    part = coarse(provider, request)
+    heights, measured = without_gaps(part.z_um).astype("<f4").tobytes(), np.isfinite(part.z_um).tobytes()
+    return msgspec.msgpack.encode(
+        CoarseHeightField(*part.shape, part.pixel_um, part.x0_um, part.y0_um, heights, measured)
+    )

@@ -49,12 +49,12 @@ def coarse_level(surface: Mosaic) -> int:
 
 def at_level(surface: Mosaic, level: int, window: Window | None = None) -> HeightMap:
     """Return a window of a level's lattice; missing levels are computed from the coarsest stored one."""
-    kept = min(level, surface.levels - 1)
-    factor = 2 ** (level - kept)
+    stored_level = min(level, surface.levels - 1)
+    factor = 2 ** (level - stored_level)
     if window is None:
-        return reduced(surface.window(None, kept), factor)
+        return reduced(surface.window(None, stored_level), factor)
     rows, cols = (slice(w.start * factor, w.stop * factor) for w in window)
-    return reduced(surface.window(_region(surface, kept, rows, cols), kept), factor)
+    return reduced(surface.window(_region(surface, stored_level, rows, cols), stored_level), factor)
 
 
 def levelled(part: HeightMap, datum: Datum | None) -> HeightMap:
@@ -75,9 +75,9 @@ def _region(surface: Mosaic, level: int, rows: slice, cols: slice) -> Region:
     )
 
 
-def coarse(shelf: SurfaceProvider, request: RenderRequest) -> HeightMap:
+def coarse(provider: SurfaceProvider, request: RenderRequest) -> HeightMap:
     """Return the surface of a request above its datum: its window, or without one the complete coarse level."""
-    surface = shelf.surface(request.source)
+    surface = provider.surface(request.source)
     if request.rows[1]:
         return levelled(at_level(surface, request.level, (slice(*request.rows), slice(*request.cols))), request.datum)
     return levelled(at_level(surface, coarse_level(surface)), request.datum)

@@ -46,9 +46,9 @@ def taken_picture(path: Path) -> str:
         return _url(picture.convert("RGB"), PICTURE_PX)
 
 
-def _level(surface: Mosaic, wide_px: int, asked_px: int) -> int:
+def _level(surface: Mosaic, wide_px: int, target_px: int) -> int:
     """Return the coarsest level that still has the requested number of pixels."""
-    return min(surface.levels - 1, max(0, int(np.log2(max(wide_px, 1) / asked_px))))
+    return min(surface.levels - 1, max(0, int(np.log2(max(wide_px, 1) / target_px))))
 
 
 def _picture(part: HeightMap, low_um: float, high_um: float, most_px: int) -> str:

@@ -110,7 +110,7 @@ def contents(folder: Path, result_name: str) -> Contents:
     material = gather(folder, result_name)
     info, plan, why = material.info, material.dataset.scan.plan, material.uncalibrated
     pictures, warnings = len(material.pictures), len(_warnings(material).sentences)
-    taken = _count(pictures, "picture") if pictures else "no pictures yet: key P takes one"
+    counted = _count(pictures, "picture") if pictures else "no pictures yet: key P takes one"
     points = f"{number(info.cols, 0)} × {number(info.rows, 0)} points" if info is not None else "not stitched yet"
     settled = info is not None and info.settled is not None
     return {
@@ -119,7 +119,7 @@ def contents(folder: Path, result_name: str) -> Contents:
         "defects": defects_held(material),
         "profiles": _held(len(material.lines), "profile", "no result lies along a line"),
         "gauge": _held(len(material.gauge_checks), "check", "no gauge-block check was kept"),
-        "pictures": Holds(taken, nothing=not pictures),
+        "pictures": Holds(counted, nothing=not pictures),
         "surface": Holds(points, nothing=info is None),
         "plan": Holds(f"{_count(len(plan.fields), 'field')} of {_count(plan.sweep.n_frames, 'frame')}"),
         "recipe": Holds("the settings that were used" if settled else "the settings that were asked for"),
@@ -158,8 +158,8 @@ def _count(n: int, word: str) -> str:
 
 def _below(material: Material, order: ReportOrder) -> str:
     name = f"{material.dataset.path.stem} · " if order.title.strip() else ""
-    taken = material.dataset.scan.taken.replace("T", " ")[:16]
-    return f"{name}taken {taken} · result {material.result.name}"
+    date = material.dataset.scan.taken.replace("T", " ")[:16]
+    return f"{name}taken {date} · result {material.result.name}"
 
 
 def _facts(material: Material) -> tuple[tuple[str, str], ...]:
@@ -218,21 +218,25 @@ def _calibration(material: Material) -> ReportSection:
 def _warnings(material: Material) -> ReportSection:
     dataset, info = material.dataset, material.info
     missing = len(dataset.missing())
-    said = [f"{number(missing, 0)} of {number(dataset.scan.plan.n_frames, 0)} frames are missing."] if missing else []
+    warnings = (
+        [f"{number(missing, 0)} of {number(dataset.scan.plan.n_frames, 0)} frames are missing."] if missing else []
+    )
     if info is not None:
-        said += [*info.recipe_notes, *(info.stitching.notes if info.stitching else ())]
-    said += [f"Result {f.number}, {f.name}: {note}" for f in material.findings for note in f.notes]
-    told = tuple(dict.fromkeys(sentence.replace(" um", "\u202fµm") for sentence in (*said, *_left_out(material))))
-    return ReportSection(PART_TITLES["warnings"], sentences=told, empty="None.")
+        warnings += [*info.recipe_notes, *(info.stitching.notes if info.stitching else ())]
+    warnings += [f"Result {f.number}, {f.name}: {note}" for f in material.findings for note in f.notes]
+    sentences = tuple(
+        dict.fromkeys(sentence.replace(" um", "\u202fµm") for sentence in (*warnings, *_left_out(material)))
+    )
+    return ReportSection(PART_TITLES["warnings"], sentences=sentences, empty="None.")
 
 
 def _left_out(material: Material) -> Iterator[str]:
     """Yield the contributions not evaluated in U, with the numbers of the results."""
-    of: dict[tuple[str, ...], list[str]] = {}
+    numbers_by_missing: dict[tuple[str, ...], list[str]] = {}
     for finding in material.findings:
         if missing := not_evaluated(finding):
-            of.setdefault(tuple(what.rstrip(".") for what in missing), []).append(f"{finding.number}")
-    for missing, numbers in of.items():
+            numbers_by_missing.setdefault(tuple(what.rstrip(".") for what in missing), []).append(f"{finding.number}")
+    for missing, numbers in numbers_by_missing.items():
         results = f"{'result' if len(numbers) == 1 else 'results'} {', '.join(numbers)}"
         yield f"Not evaluated in U of {results}: {'; '.join(missing)}."
 
@@ -250,7 +254,9 @@ def _checksums(material: Material) -> ReportSection:
     return ReportSection(
         PART_TITLES["checksums"],
         pairs=tuple((name, f"Wafer Viewer {version}") for name, version in versions if version),
-        table=Table(("What", "Of which files", "SHA-256"), tuple((d.what, d.of, d.sha256) for d in digests)),
+        table=Table(
+            ("What", "Of which files", "SHA-256"), tuple((digest.what, digest.of, digest.sha256) for digest in digests)
+        ),
     )
 
 

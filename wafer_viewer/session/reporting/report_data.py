@@ -20,7 +20,7 @@ from wafer_viewer.model.spec import Spec
 from wafer_viewer.model.surface.focus_measures import focus_measures
 from wafer_viewer.model.surface.height_map import LAYER_TITLES
 from wafer_viewer.session.measurement.measurement_numbers import UNITS, quantity_text, spaced, title_of
-from wafer_viewer.session.planning.verdicts import kept_verdict
+from wafer_viewer.session.planning.verdicts import stored_verdict
 from wafer_viewer.session.state.snapshot import SurfaceInfo
 
 if TYPE_CHECKING:
@@ -34,8 +34,8 @@ Pairs = tuple[tuple[str, str], ...]
 
 def result_row(finding: AnyResult, notebook: Notebook) -> tuple[str, ...]:
     """Return number, name, kind, value, position and judgement of a result."""
-    said = judgement_text(notebook.judgement(key_of_result(finding.number)))
-    return (f"{finding.number}", finding.name, kind_of(finding), quantity_text(finding.main), where(finding), said)
+    judged = judgement_text(notebook.judgement(key_of_result(finding.number)))
+    return (f"{finding.number}", finding.name, kind_of(finding), quantity_text(finding.main), where(finding), judged)
 
 
 def kind_of(finding: AnyResult) -> str:
@@ -49,12 +49,12 @@ def feature_row(n: int, judged: FeatureVerdict, judgement: Judgement) -> tuple[s
     limits = limits_text(feature).replace(f" {feature.unit}", f"\u202f{UNITS.get(feature.unit, feature.unit)}")
     rule = f"{limits}, {feature.decision_rule.replace('_', ' ')}"
     value = quantity_text(judged.measured) if judged.measured is not None else "not measured"
-    what = f", {title_of(feature.quantity)}" if feature.quantity else ""
-    return (f"F{n}", f"{judged.name}{what}", rule, value, judged.word.upper(), judgement_text(judgement))
+    quantity = f", {title_of(feature.quantity)}" if feature.quantity else ""
+    return (f"F{n}", f"{judged.name}{quantity}", rule, value, judged.word.upper(), judgement_text(judgement))
 
 
 def verdict_text(verdict: WaferVerdict) -> str:
-    """Return the verdict on the wafer, and the job that it is of."""
+    """Return the verdict on the wafer, and its job."""
     return f"{verdict.word.upper()}{f', {verdict.job}' if verdict.job else ''}"
 
 
@@ -83,8 +83,8 @@ def where(finding: AnyResult) -> str:
     box = bounds_um(finding)
     if box is None:
         return ""
-    of = f"field {finding.show}, " if finding.show > 0 else ""
-    return f"{of}{number((box[0] + box[2]) / 2, 1)}, {number((box[1] + box[3]) / 2, 1)}"
+    prefix = f"field {finding.show}, " if finding.show > 0 else ""
+    return f"{prefix}{number((box[0] + box[2]) / 2, 1)}, {number((box[1] + box[3]) / 2, 1)}"
 
 
 def surface_pairs(info: SurfaceInfo) -> Pairs:
@@ -210,8 +210,8 @@ class Material:
     @property
     def lines(self) -> tuple[tuple[AnyResult, Region], ...]:
         """Results measured along a line of the surface or of a field, each with its line."""
-        found = ((f, next((r for r in regions(f) if r.kind == "line"), None)) for f in self.findings if f.show >= 0)
-        return tuple((finding, line) for finding, line in found if line is not None)
+        pairs = ((f, next((r for r in regions(f) if r.kind == "line"), None)) for f in self.findings if f.show >= 0)
+        return tuple((finding, line) for finding, line in pairs if line is not None)
 
     @property
     def pictures(self) -> list[Path]:
@@ -237,6 +237,6 @@ def gather(folder: Path, result_name: str) -> Material:
         info,
         result.findings().items,
         read_notebook(result.path),
-        kept_verdict(result),
+        stored_verdict(result),
         read_inspection(result.path),
     )

@@ -56,14 +56,14 @@ def verdict(material: Material) -> ReportSection:
         )
     keyed = enumerate(zip(keys_of_features(judged), judged.items, strict=True), 1)
     rows = tuple(feature_row(n, item, material.notebook.judgement(key)) for n, (key, item) in keyed)
-    told = (f"{item.name}: {item.why}" for item in judged.items if item.word != "pass")
+    sentences = (f"{item.name}: {item.why}" for item in judged.items if item.word != "pass")
     return ReportSection(
         title,
         word=judged.word,
         beside=" · ".join(part for part in (judged.job, judged.next) if part),
         table=Table(FEATURE_HEADS, rows, "n  n"),
         figures=_die_map(material, judged),
-        sentences=tuple(sentence.replace(" um", "\u202fµm") for sentence in told),
+        sentences=tuple(sentence.replace(" um", "\u202fµm") for sentence in sentences),
         sheets=tuple(_of_feature(n, item) for n, item in _one_of_each(judged)),
     )
 
@@ -79,11 +79,11 @@ def _one_of_each(judged: WaferVerdict) -> Iterator[tuple[int, FeatureVerdict]]:
 def _of_feature(n: int, item: FeatureVerdict) -> Sheet:
     """Return the uncertainty sheet of a feature."""
     feature, measured = item.feature, item.measured
-    what = (TOOLS[feature.tool].title, title_of(feature.quantity) if feature.quantity else "")
+    labels = (TOOLS[feature.tool].title, title_of(feature.quantity) if feature.quantity else "")
     return Sheet(
         number=f"F{n}",
         title=item.name,
-        below=", ".join(part for part in what if part),
+        below=", ".join(part for part in labels if part),
         value=quantity_text(measured) if measured is not None else "not measured",
         budget=budget_table(measured.budget, UNITS.get(measured.unit, measured.unit)) if measured else None,
         missing=item.not_evaluated,
@@ -155,8 +155,8 @@ def _place(material: Material, finding: AnyResult) -> str:
 def profiles(material: Material) -> ReportSection:
     """Return the section with the curve of every result along a line."""
     figures = (_curve(material, finding, line) for finding, line in material.lines[:MOST_PROFILES])
-    told = tuple(figure for figure in figures if figure is not None)
-    return ReportSection(PART_TITLES["profiles"], figures=told, empty="No result lies along a line.")
+    drawn = tuple(figure for figure in figures if figure is not None)
+    return ReportSection(PART_TITLES["profiles"], figures=drawn, empty="No result lies along a line.")
 
 
 def _curve(material: Material, finding: AnyResult, line: Region) -> Figure | None:
@@ -170,10 +170,12 @@ def _curve(material: Material, finding: AnyResult, line: Region) -> Figure | Non
     if surface is None:
         return None
     try:
-        found, curve = profile(levelled(surface, finding.levelling), line, layer=finding.surface)
+        measurement, curve = profile(levelled(surface, finding.levelling), line, layer=finding.surface)
     except MeasureError:
         return None
-    cut = Cut(SectionRequest(place=0, line=line, show=finding.show, levelling=finding.levelling), found, curve, "")
+    cut = Cut(
+        SectionRequest(place=0, line=line, show=finding.show, levelling=finding.levelling), measurement, curve, ""
+    )
     width = f", mean over {number(line.width_um, 1)}\u202fµm" if line.width_um else ""
     caption = f"{finding.number} · {finding.name}: {quantity_text(finding.main)}; {kind_of(finding)}{width}"
     return Figure("", caption, svg=profile_svg(cut))
@@ -191,8 +193,8 @@ def gauge(material: Material) -> ReportSection:
     """Return the section of the gauge-block checks among the results."""
     checks = material.gauge_checks
     table = Table(GAUGE_HEADS, tuple(_gauge_row(check) for check in checks), "n nnnnnn")
-    told = tuple(_of_check(check).replace(" um", "\u202fµm") for check in checks)
-    return ReportSection(PART_TITLES["gauge"], table=table, sentences=told, empty="No gauge-block check was kept.")
+    sentences = tuple(_of_check(check).replace(" um", "\u202fµm") for check in checks)
+    return ReportSection(PART_TITLES["gauge"], table=table, sentences=sentences, empty="No gauge-block check was kept.")
 
 
 def _gauge_row(check: GaugeCheck) -> tuple[str, ...]:
@@ -216,23 +218,23 @@ MOST_PLACES = 10
 WIDTH_PX = 420
 
 
-def stacked(material: Material, found: Inspection) -> Iterator[Figure]:
+def stacked(material: Material, inspection: Inspection) -> Iterator[Figure]:
     """Yield the figure with the defects of all dies overlaid; none without dies or without defects on them."""
     from wafer_viewer.measure.defects.repeaters import repeated_places
 
-    if found.grid is None or not any(defect.die for defect in found.found):
+    if inspection.grid is None or not any(defect.die for defect in inspection.found):
         return
-    places = repeated_places(found)
+    places = repeated_places(inspection)
     ringed = " Rings: places that repeat." if places else ""
     caption = f"All dies overlaid, their defects by class.{ringed}"
-    yield Figure("", caption, svg=die_stack_svg(found, places, _ground(material, found), width_px=WIDTH_PX))
+    yield Figure("", caption, svg=die_stack_svg(inspection, places, _ground(material, inspection), width_px=WIDTH_PX))
 
 
-def repeated(found: Inspection) -> Iterator[str]:
+def repeated(inspection: Inspection) -> Iterator[str]:
     """Yield the positions at which several dies have a defect."""
     from wafer_viewer.measure.defects.repeaters import repeated_places
 
-    places = repeated_places(found)
+    places = repeated_places(inspection)
     if places:
         yield "Defects that repeat at the same place of several dies are systematic, of the mask or the process."
     for k, place in enumerate(places[:MOST_PLACES], 1):
@@ -288,24 +290,24 @@ def defects_held(material: Material) -> Holds:
     return Holds(f"{number(n, 0)} defect{'' if n == 1 else 's'}, {judged} judged")
 
 
-def _inspected(found: Inspection) -> Pairs:
-    expected = found.expected_false_per_mm2
+def _inspected(inspection: Inspection) -> Pairs:
+    expected = inspection.expected_false_per_mm2
     false = f"{expected:.2g} per mm² expected" if expected is not None else "not known"
     return (
-        ("Defects", number(len(found.found), 0)),
-        ("Compared with", REFERENCES[found.reference]),
-        ("Inspected", f"{found.inspected_mm2:.3g}\u202fmm²; unmeasured {found.unmeasured_mm2:.3g}\u202fmm²"),
-        ("Recipe", f"{found.recipe.name}, sensitivity {found.recipe.sensitivity:g}"),
+        ("Defects", number(len(inspection.found), 0)),
+        ("Compared with", REFERENCES[inspection.reference]),
+        ("Inspected", f"{inspection.inspected_mm2:.3g}\u202fmm²; unmeasured {inspection.unmeasured_mm2:.3g}\u202fmm²"),
+        ("Recipe", f"{inspection.recipe.name}, sensitivity {inspection.recipe.sensitivity:g}"),
         ("False defects", false),
-        ("Limits", _held(found)),
+        ("Limits", _held(inspection)),
     )
 
 
-def _held(found: Inspection) -> str:
+def _held(inspection: Inspection) -> str:
     """Return the verdict by the limits of the recipe with its reasons, or that no limits are set."""
-    if not found.recipe.limits.are_set:
+    if not inspection.recipe.limits.are_set:
         return "none set"
-    verdict = verdict_of(found)
+    verdict = verdict_of(inspection)
     return f"within, {verdict.counted} counted" if verdict.within else " ".join(("not within.", *verdict.why))
 
 
@@ -317,16 +319,16 @@ def _row(defect: Defect) -> tuple[str, ...]:
     return (f"{defect.number}", defect.seen_as, defect.die, height, length, place, word)
 
 
-def _figures(material: Material, found: Inspection, largest: list[Defect]) -> Iterator[Figure]:
+def _figures(material: Material, inspection: Inspection, largest: list[Defect]) -> Iterator[Figure]:
     """Yield the map of dies, the Pareto chart, and pictures of the largest defects."""
     from wafer_viewer.session.reporting.pictures import place_picture
 
-    if dies := defect_map_svg(found):
-        yield Figure("", f"Defects on each die: {kinds_text(found.dies)}.", svg=dies)
-    if found.found:
-        chart = pareto_svg(defect.seen_as for defect in found.found)
+    if dies := defect_map_svg(inspection):
+        yield Figure("", f"Defects on each die: {kinds_text(inspection.dies)}.", svg=dies)
+    if inspection.found:
+        chart = pareto_svg(defect.seen_as for defect in inspection.found)
         yield Figure("", "Defects by class; at the right the share of all up to each.", svg=chart)
-    yield from stacked(material, found)
+    yield from stacked(material, inspection)
     info = material.info
     if info is None or not material.result.has_mosaic:
         return
@@ -336,12 +338,12 @@ def _figures(material: Material, found: Inspection, largest: list[Defect]) -> It
             yield Figure(url, f"{defect.number} · {defect.seen_as}", small=True)
 
 
-def _sentences(found: Inspection) -> Iterator[str]:
+def _sentences(inspection: Inspection) -> Iterator[str]:
     """Yield sentences on limitations of the numbers."""
-    if len(found.found) > MOST_ROWS:
-        yield f"The {MOST_ROWS} largest of {number(len(found.found), 0)} defects are listed."
-    not_clean = [die.name for die in found.dies if die.state in ("partly scanned", "not scanned")]
+    if len(inspection.found) > MOST_ROWS:
+        yield f"The {MOST_ROWS} largest of {number(len(inspection.found), 0)} defects are listed."
+    not_clean = [die.name for die in inspection.dies if die.state in ("partly scanned", "not scanned")]
     if not_clean:
         yield f"Not or only partly scanned, so not clean: {'; '.join(not_clean)}."
-    yield from repeated(found)
-    yield from found.notes
+    yield from repeated(inspection)
+    yield from inspection.notes

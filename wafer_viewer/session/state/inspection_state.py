@@ -85,7 +85,7 @@ class OtherTool:
 
 
 @dataclass(frozen=True, slots=True)
-class DefectShelf:
+class DefectFilesState:
     """Recipes, last saved first, and golden dies, newest version of each first.
 
     problems: invalid files. other: the overlay of another tool's defects, if there is one.

@@ -17,7 +17,7 @@ from wafer_viewer.model.findings import AnyResult
 from wafer_viewer.model.job import Job, Notebook, Trial, WaferVerdict
 from wafer_viewer.model.surface.comparison import Comparison
 from wafer_viewer.model.surface.recipe import Recipe
-from wafer_viewer.session.state.inspection_state import DefectShelf, GaugeState, InspectionState
+from wafer_viewer.session.state.inspection_state import DefectFilesState, GaugeState, InspectionState
 
 
 @dataclass(frozen=True, slots=True)
@@ -47,16 +47,16 @@ class Browser:
 class ControlState:
     """Connected browsers, and the holder and requester of control.
 
-    browsers: in order of arrival. holder, asking: keys, None for nobody. asked_at: clock time in s of the request,
-    after which the holder has `answer_s` to refuse it. kept_from: key of the last refused requester.
+    browsers: in order of arrival. holder, requester: keys, None for nobody. requested_at: clock time in s of the
+    request, after which the holder has `answer_s` to refuse it. refused: key of the last refused requester.
     """
 
     browsers: tuple[Browser, ...] = ()
     holder: str | None = None
-    asking: str | None = None
-    asked_at: float = 0.0
+    requester: str | None = None
+    requested_at: float = 0.0
     answer_s: float = 0.0
-    kept_from: str | None = None
+    refused: str | None = None
 
     def browser(self, key: str | None) -> Browser | None:
         """Return the browser with a key; None if it is not connected."""
@@ -168,7 +168,7 @@ class Draft:
     can_undo: bool = False
     can_redo: bool = False
     free_bytes: int | None = None
-    seen_um: tuple[tuple[float, float] | None, ...] = ()
+    marked_um: tuple[tuple[float, float] | None, ...] = ()
     """Marked stage positions of the alignment corners, in the order of the job's marks; None for an unmarked one."""
     confirmed: bool = True
     """False after a plan was restored, until a person confirms that the sample on the stage is the named one."""
@@ -356,12 +356,12 @@ class Snapshot:
     findings_redo: bool = False
     operating: Operating = Operating()
     compute_ready: bool = False
-    hands: ControlState = ControlState()
+    control: ControlState = ControlState()
     notebook: NotebookState = NotebookState()
     comparisons: tuple[Compared, ...] = ()
     gauge: GaugeState = GaugeState()
     inspection: InspectionState = InspectionState()
-    shelf: DefectShelf = DefectShelf()
+    defect_files: DefectFilesState = DefectFilesState()
     reopening: bool = False
     """True while the state of the last run is being restored."""
 
@@ -396,13 +396,13 @@ Place = tuple[float, float]
 
 
 @dataclass(frozen=True, slots=True)
-class SeenMark:
+class MarkedPositions:
     """Stage x, y in um of corners by number from 0; empty for another wafer or other corners."""
 
     of: tuple[object, ...] = ()
     at_um: dict[int, Place] = field(default_factory=dict[int, Place])
 
-    def with_place(self, job: Job, n: int, place_um: Place) -> SeenMark:
+    def with_place(self, job: Job, n: int, place_um: Place) -> MarkedPositions:
         """Return a copy with the position of the n-th corner. Raises PlanError when the job has no such corner."""
         if job.marks is None or not 0 <= n < len(job.marks.places):
             raise PlanError(f"There is no corner {n + 1} to mark: the job names how many there are.")

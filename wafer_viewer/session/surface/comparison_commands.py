@@ -81,12 +81,12 @@ class ComparisonController:
     @command
     def remove(self, number: int) -> None:
         """Delete a comparison. Raises DatasetError when there is none of that number, or it cannot be removed."""
-        found = next((c for c in self._command_queue.now.comparisons if c.number == number), None)
-        if found is None:
+        comparison = next((c for c in self._command_queue.now.comparisons if c.number == number), None)
+        if comparison is None:
             raise DatasetError(f"There is no comparison {number}: choose one of the list.")
         if (why := self._library.shown.read_only) is not None:
             raise DatasetError(f"The comparison was not removed: {why}")
-        path = self._library.dataset.result(found.name).path
+        path = self._library.dataset.result(comparison.name).path
         try:
             shutil.rmtree(path)
         except OSError as fault:
@@ -99,20 +99,20 @@ class ComparisonController:
 
     def _show(self) -> None:
         """Update the list from disk; unchanged comparisons get their earlier stamps."""
-        known = {(c.name, c.comparison): c.stamp for c in self._command_queue.now.comparisons}
+        stamps = {(c.name, c.comparison): c.stamp for c in self._command_queue.now.comparisons}
         self._command_queue.change(
-            comparisons=tuple(self._found(known)) if self._command_queue.now.dataset is not None else ()
+            comparisons=tuple(self._comparisons(stamps)) if self._command_queue.now.dataset is not None else ()
         )
 
-    def _found(self, known: dict[tuple[str, Comparison], int]) -> list[Compared]:
+    def _comparisons(self, stamps: dict[tuple[str, Comparison], int]) -> list[Compared]:
         from wafer_viewer.session.surface.comparison_job import comparisons_of
 
-        dataset, found = self._library.dataset, list[Compared]()
+        dataset, comparisons = self._library.dataset, list[Compared]()
         for name, comparison in comparisons_of(dataset).items():
-            stamp = known.get((name, comparison)) or next(self._stamps)
+            stamp = stamps.get((name, comparison)) or next(self._stamps)
             outdated = _outdated(dataset.result(name).path, comparison)
-            found.append(Compared(comparison.number, name, comparison, stamp, outdated))
-        return found
+            comparisons.append(Compared(comparison.number, name, comparison, stamp, outdated))
+        return comparisons
 
 
 def surface_of(now: Snapshot, show: int) -> Mosaic:
@@ -120,11 +120,11 @@ def surface_of(now: Snapshot, show: int) -> Mosaic:
 
     Raises DatasetError when there is no such comparison.
     """
-    asked = comparison_of(show)
-    found = next((c for c in now.comparisons if asked is not None and c.number == asked[0]), None)
-    if asked is None or found is None or now.dataset is None:
+    face = comparison_of(show)
+    comparison = next((c for c in now.comparisons if face is not None and c.number == face[0]), None)
+    if face is None or comparison is None or now.dataset is None:
         raise DatasetError("This comparison was deleted: choose another surface to look at.")
-    return _surface(now.dataset.path, found.name, asked[1], found.stamp)
+    return _surface(now.dataset.path, comparison.name, face[1], comparison.stamp)
 
 
 @lru_cache(maxsize=4)
@@ -134,13 +134,13 @@ def _surface(dataset: Path, name: str, face: ComparisonFace, stamp: int) -> Mosa
     return comparison_view(dataset, name, face)
 
 
-def free_result(taken: tuple[str, ...], second: SurfaceName) -> str:
+def free_result(existing: tuple[str, ...], second: SurfaceName) -> str:
     """Return an unused result name for the difference from a surface."""
     from wafer_viewer.session.surface.comparison_job import PREFIX
 
     words = re.sub(r"[^\w+-]+", "-", second.words).strip("-")
     names = (f"{PREFIX}{words}" if n == 1 else f"{PREFIX}{words}-{n}" for n in count(1))
-    return next(name for name in names if name not in taken)
+    return next(name for name in names if name not in existing)
 
 
 def _of(name: SurfaceName, heights: Any) -> SurfaceName:
@@ -156,10 +156,10 @@ def _surfaces_of(path: Path, field: int, same: bool) -> list[SurfaceName]:
     except WaferViewerError:
         return []
     if same and field:
-        there = [
+        names = [
             name for name in dataset.results() if field in dataset.result(name).surfaces_done([dataset.field(field)])
         ]
-        return [SurfaceName(path=str(path), result=name, field=field) for name in there]
+        return [SurfaceName(path=str(path), result=name, field=field) for name in names]
     return [SurfaceName(path=str(path), result=name) for name in dataset.results() if dataset.result(name).has_mosaic]
 
 

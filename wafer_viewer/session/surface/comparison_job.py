@@ -41,8 +41,8 @@ def open_surface(name: SurfaceName) -> Mosaic:
     if path.suffix != ENDING:
         return read_as(read_surface(path), name.heights)
     data = Dataset.open(path)
-    kept = data.result(name.result)
-    return read_as(kept.surface(data.field(name.field)) if name.field else kept.mosaic(), name.heights)
+    stored = data.result(name.result)
+    return read_as(stored.surface(data.field(name.field)) if name.field else stored.mosaic(), name.heights)
 
 
 def made_at(name: SurfaceName) -> float:
@@ -50,10 +50,10 @@ def made_at(name: SurfaceName) -> float:
     path = Path(name.path)
     if path.suffix == ENDING:
         data = Dataset.open(path)
-        kept = data.result(name.result)
+        stored = data.result(name.result)
         if name.field:
-            return kept.field_stamp(data.field(name.field)) * 1e-9
-        path = kept.mosaic_path / "zarr.json"
+            return stored.field_stamp(data.field(name.field)) * 1e-9
+        path = stored.mosaic_path / "zarr.json"
     return path.stat().st_mtime if path.exists() else 0.0
 
 
@@ -62,24 +62,24 @@ def comparison_view(dataset: Path, result: str, face: ComparisonFace) -> Mosaic:
     from wafer_viewer.reconstruct.comparison.height_difference import as_pyramid
     from wafer_viewer.reconstruct.comparison.resampled_surface import ResampledMosaic, SideBySideMosaic
 
-    kept = Dataset.open(dataset).result(result)
+    stored = Dataset.open(dataset).result(result)
     if face is ComparisonFace.DIFFERENCE:
-        return kept.mosaic()
-    comparison = kept.comparison()
+        return stored.mosaic()
+    comparison = stored.comparison()
     first = as_pyramid(open_surface(comparison.first))
     if face is ComparisonFace.FIRST:
         return first
-    laid = ResampledMosaic(first, as_pyramid(open_surface(comparison.second)), comparison.registration)
-    return laid if face is ComparisonFace.SECOND else SideBySideMosaic(laid)
+    resampled = ResampledMosaic(first, as_pyramid(open_surface(comparison.second)), comparison.registration)
+    return resampled if face is ComparisonFace.SECOND else SideBySideMosaic(resampled)
 
 
 def comparisons_of(data: Dataset) -> dict[str, Comparison]:
     """Return the comparisons of a dataset by the names of their results; unreadable ones are omitted."""
-    found: dict[str, Comparison] = {}
+    comparisons: dict[str, Comparison] = {}
     for name in data.differences():
         with suppress(DatasetError):
-            found[name] = data.result(name).comparison()
-    return found
+            comparisons[name] = data.result(name).comparison()
+    return comparisons
 
 
 def subtract(
@@ -108,11 +108,11 @@ def subtract(
     if should_stop():
         raise ComputeError("The comparison was stopped. Nothing was kept of it.")
     tallied = StreamingStatistics(difference)
-    with atomic_write(target.path) as beside:
-        beside.mkdir(parents=True)
-        write_mosaic(beside / MOSAIC, tallied, partial(_later, progress), should_stop, THREADS)
+    with atomic_write(target.path) as temporary:
+        temporary.mkdir(parents=True)
+        write_mosaic(temporary / MOSAIC, tallied, partial(_later, progress), should_stop, THREADS)
         comparison = replace(tallied.comparison(first, second), number=number)
-        save_json(beside / COMPARISON, comparison)
+        save_json(temporary / COMPARISON, comparison)
     return comparison
 
 
@@ -152,10 +152,10 @@ def _later(progress: Progress, done: float) -> None:
 
 def _sweep(folder: Path) -> None:
     """Remove files of comparisons whose process was killed; only one comparison runs at a time."""
-    for left in folder.glob(f".{PREFIX}*.part"):
-        pid = left.name.removesuffix(".part").rpartition(".")[2].partition("-")[0]
+    for leftover in folder.glob(f".{PREFIX}*.part"):
+        pid = leftover.name.removesuffix(".part").rpartition(".")[2].partition("-")[0]
         if pid != str(os.getpid()):
-            remove(left)
+            remove(leftover)
 
 
 @dataclasses.dataclass(eq=False)

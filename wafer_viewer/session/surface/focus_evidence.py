@@ -70,10 +70,10 @@ def as_stitched(fields: Sequence[Field], poses: Poses | None) -> list[Field]:
 
 def _doubts(codes: NDArray[np.uint8]) -> tuple[tuple[str, int], ...]:
     """Return the reasons for rejected overlaps and their numbers, the most frequent first."""
-    found = [
+    reasons = [
         (DOUBT_TITLES[doubt], int(np.sum(codes == doubt))) for doubt in RejectionReason if doubt != RejectionReason.NONE
     ]
-    return tuple(sorted(((title, n) for title, n in found if n), key=lambda reason: -reason[1]))
+    return tuple(sorted(((title, n) for title, n in reasons if n), key=lambda reason: -reason[1]))
 
 
 def focus_curve(
@@ -97,13 +97,13 @@ def focus_curve(
     from wafer_viewer.store.dataset.dataset import Dataset
 
     data = Dataset.open(dataset)
-    kept = data.result(result)
-    field = data.field(field_number) if field_number else field_at(data, kept, x_um, y_um)
+    stored = data.result(result)
+    field = data.field(field_number) if field_number else field_at(data, stored, x_um, y_um)
     stack = dataclasses.replace(data.stack(field.number), field=field)
-    return focus_evidence.focus_curve(stack, x_um, y_um, recipe or _recipe_of(kept, field))
+    return focus_evidence.focus_curve(stack, x_um, y_um, recipe or _recipe_of(stored, field))
 
 
-def field_at(data: Dataset, kept: Result, x_um: float, y_um: float) -> Field:
+def field_at(data: Dataset, stored: Result, x_um: float, y_um: float) -> Field:
     """Return the field with the nearest centre of those that contain a position, as displayed in the stitched surface.
 
     Fields with a surface take precedence. Raises DatasetError if there is none.
@@ -111,18 +111,18 @@ def field_at(data: Dataset, kept: Result, x_um: float, y_um: float) -> Field:
     plan = data.scan.plan
     if not data.fields:
         raise DatasetError(f"{data.path.name} is a surface without frames: there is no focus curve to look at.")
-    holding = [f for f in as_stitched(data.fields, kept.poses()) if _holds(plan, f, data.scan.pixel_um, x_um, y_um)]
+    holding = [f for f in as_stitched(data.fields, stored.poses()) if _holds(plan, f, data.scan.pixel_um, x_um, y_um)]
     if not holding:
         raise DatasetError(
             f"({x_um:.1f}, {y_um:.1f}) um lies in no field of {data.path.name}: "
             f"choose a place between {_ends(plan, data.fields, data.scan.pixel_um)} um."
         )
-    done = kept.surfaces_done(holding)
+    done = stored.surfaces_done(holding)
     return min(holding, key=lambda f: (f.number not in done, math.hypot(f.x_um - x_um, f.y_um - y_um)))
 
 
-def _recipe_of(kept: Result, field: Field) -> Recipe:
-    return kept.surface(field).provenance.recipe if kept.surfaces_done([field]) else Recipe()
+def _recipe_of(stored: Result, field: Field) -> Recipe:
+    return stored.surface(field).provenance.recipe if stored.surfaces_done([field]) else Recipe()
 
 
 def _holds(plan: ScanPlan, field: Field, pixel_um: float, x_um: float, y_um: float) -> bool:

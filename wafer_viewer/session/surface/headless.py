@@ -137,8 +137,8 @@ def measured_surface(src: Path, field_number: int, result: str) -> tuple[Mosaic,
         calibration = surface.provenance.calibration
         return surface, calibration is not None and calibration.problem(calibration.setup, today()) is None
     data = Dataset.open(src)
-    kept = data.result(result)
-    surface = kept.surface(data.field(field_number)) if field_number else kept.mosaic()
+    stored = data.result(result)
+    surface = stored.surface(data.field(field_number)) if field_number else stored.mosaic()
     return surface, data.calibration_problem(today()) is None
 
 
@@ -190,14 +190,14 @@ def is_dataset(path: Path) -> bool:
 
 
 def _fields_to_do(data: Dataset, recipe: Recipe, result: str, again: bool) -> list[int]:
-    kept, complete = data.result(result), sorted(data.complete_fields())
+    stored, complete = data.result(result), sorted(data.complete_fields())
     if not data.fields:
         raise DatasetError(f"{data.path.name} is a surface without frames: there is nothing to reconstruct.")
     if not complete:
         raise DatasetError(f"{data.path.name} has no field with all its frames yet: continue its scan.")
-    same = kept.exists and kept.surfaces_done(data.fields) and kept.matches_recipe(recipe)
-    kept.save_recipe(recipe)
-    done = kept.surfaces_done(data.fields) if same and not again else set[int]()
+    unchanged = stored.exists and stored.surfaces_done(data.fields) and stored.matches_recipe(recipe)
+    stored.save_recipe(recipe)
+    done = stored.surfaces_done(data.fields) if unchanged and not again else set[int]()
     return [number for number in complete if number not in done]
 
 
@@ -223,8 +223,8 @@ def _outcomes(
     Until the first field resolves `auto` for all, fields are processed one by one, so that heights do not depend on the
     number of workers.
     """
-    kept, n = data.result(result), 0
-    while n < len(todo) and (isinstance(crew, LocalRunner) or (recipe.heights_have_auto and kept.settled() is None)):
+    stored, n = data.result(result), 0
+    while n < len(todo) and (isinstance(crew, LocalRunner) or (recipe.heights_have_auto and stored.settled() is None)):
         task = partial(reconstruct_field, progress=partial(_part, tell, n / len(todo), 1 / len(todo)))
         _, fault = attempt(task, (data.path, todo[n], result, recipe, None))
         n += 1

@@ -48,7 +48,7 @@ class ReconstructionRun:
     stitching: bool = False
     grows_again_at: float = 0.0
     answered: bool = False
-    answer: Future[None] | None = None
+    completion: Future[None] | None = None
 
     @property
     def settling(self) -> bool:
@@ -88,7 +88,7 @@ class Reconstruction:
         self._command_queue, self._notices, self._library = command_queue, notices, library
         self.compute = Compute(scheduler, warm_up, self._heard, self._gone)
         self._n_workers, self._warm, self._restarts = 1, False, 0
-        self._told_why = False
+        self._failure_reported = False
         self._run: ReconstructionRun | None = None
         self._on = {
             ComputeUp: self._up,
@@ -102,7 +102,7 @@ class Reconstruction:
         recipe: Recipe,
         result: str,
         fields: Iterable[int],
-        answer: Future[None] | None = None,
+        completion: Future[None] | None = None,
         *,
         restitch: bool = False,
     ) -> None:
@@ -115,7 +115,7 @@ class Reconstruction:
         store.save_recipe(recipe)
         work = self._notices.begin("Heights of the fields", self._cancelled, waits_for="a field with all its frames")
         self._run = ReconstructionRun(
-            self._library.dataset.path, result, recipe, work, answer=answer, restitch=restitch
+            self._library.dataset.path, result, recipe, work, completion=completion, restitch=restitch
         )
         self.add(fields)
 
@@ -271,8 +271,8 @@ class Reconstruction:
         if run.stitching:
             self.compute.cancel(run.work)
             self.compute.cancel(run.growing_work)
-        if run.answer is not None:
-            run.answer.set_result(None) if fault is None else run.answer.set_exception(fault)
+        if run.completion is not None:
+            run.completion.set_result(None) if fault is None else run.completion.set_exception(fault)
 
     def _heard(self, event: Any) -> None:
         self._command_queue.note(self._on[type(event)], event)
@@ -289,7 +289,7 @@ class Reconstruction:
         self.go_on()
 
     def _absent(self, event: ComputeAbsent) -> None:
-        self._told_why = True
+        self._failure_reported = True
         self._notices.fault("Nothing can be reconstructed", event.why, "surface")
 
     def _gone(self, exit_code: int | None) -> None:
@@ -297,7 +297,7 @@ class Reconstruction:
 
     def _died(self, exit_code: int | None) -> None:
         """Restart the compute host after an unexpected end, a limited number of times."""
-        if self._told_why:
+        if self._failure_reported:
             return
         self._warm = False
         self._command_queue.change(compute_ready=False)

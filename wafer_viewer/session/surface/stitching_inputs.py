@@ -62,7 +62,7 @@ class StitchingInputs:
     """Surfaces of a result: its fields, the stamps of their files, and a sentence for each unreadable one."""
 
     data: Dataset
-    kept: Result
+    stored: Result
     recipe: Recipe
     fields: tuple[Field, ...]
     marks: NDArray[np.int64]
@@ -72,14 +72,14 @@ class StitchingInputs:
     def open(cls, dataset: Path, result: str, recipe: Recipe) -> StitchingInputs:
         """Return all existing surfaces. Raises DatasetError when there is none."""
         data = Dataset.open(dataset)
-        kept = data.result(result)
-        readable, faults = _readable(data, kept)
+        stored = data.result(result)
+        readable, faults = _readable(data, stored)
         if not readable:
             raise DatasetError(
                 " ".join(faults) or f"Result {result!r} has no surfaces to stitch: reconstruct it first."
             )
-        marks = np.array([kept.field_stamp(f) for f in readable], np.int64)
-        return cls(data, kept, recipe, tuple(readable), marks, tuple(faults))
+        marks = np.array([stored.field_stamp(f) for f in readable], np.int64)
+        return cls(data, stored, recipe, tuple(readable), marks, tuple(faults))
 
     @classmethod
     def drawn(cls, dataset: Path, result: str, recipe: Recipe, poses: Poses) -> StitchingInputs:
@@ -92,7 +92,7 @@ class StitchingInputs:
     @property
     def name(self) -> tuple[Path, str]:
         """Path of the dataset and name of the result, for a worker that opens them itself."""
-        return self.data.path, self.kept.name
+        return self.data.path, self.stored.name
 
     @property
     def numbers(self) -> list[int]:
@@ -111,22 +111,22 @@ class StitchingInputs:
         stays = len(outlines) == 1 or self.recipe.stitching.poses == "stage"
         return planned_lattice(outlines, 0) if stays else planned_lattice(outlines)
 
-    def known(self) -> PreviousSolution:
+    def previous_solution(self) -> PreviousSolution:
         """Return the previous solution for these surfaces; empty if it was made with other settings or interrupted."""
         poses, header = self._stitched()
         if header is not None:
-            there = header.x0_um, header.y0_um, header.pixel_um, (header.rows, header.cols)
+            placement = header.x0_um, header.y0_um, header.pixel_um, (header.rows, header.cols)
             wanted = self.lattice.x0_um, self.lattice.y0_um, self.lattice.pixel_um, self.lattice.shape
-            if there != wanted or header.provenance.recipe.stitching != self.recipe.stitching:
+            if placement != wanted or header.provenance.recipe.stitching != self.recipe.stitching:
                 poses = None
         return PreviousSolution.of(poses, np.array(self.numbers, np.int32), self.marks)
 
     def _stitched(self) -> tuple[Poses | None, MosaicHeader | None]:
         """Return poses and header of a complete mosaic on disk; None for both if it is missing or damaged."""
-        if not self.kept.has_mosaic or self.kept.broken_off:
+        if not self.stored.has_mosaic or self.stored.broken_off:
             return None, None
         try:
-            poses, header = self.kept.poses(), ZarrMosaic.open(self.kept.mosaic_path).header
+            poses, header = self.stored.poses(), ZarrMosaic.open(self.stored.mosaic_path).header
         except DatasetError:
             return None, None
         return (None, None) if poses is None else (poses, header)
@@ -134,7 +134,7 @@ class StitchingInputs:
     @property
     def surfaces(self) -> Surfaces:
         """Height maps, each opened on access."""
-        return Surfaces(self.kept, self.fields, self.marks)
+        return Surfaces(self.stored, self.fields, self.marks)
 
     def mosaic(self, poses: Poses, provenance: Provenance) -> StitchedMosaic:
         """Return the mosaic to be drawn."""
@@ -142,28 +142,28 @@ class StitchingInputs:
 
     def provenance(self, poses: Poses) -> Provenance:
         """Return the provenance of the mosaic: the common values of its fields, and all notes."""
-        opened = (_opened(self.kept, *name, verify=False) for name in zip(self.fields, self.marks, strict=True))
+        opened = (_opened(self.stored, *name, verify=False) for name in zip(self.fields, self.marks, strict=True))
         joint = mosaic_provenance([surface.provenance for surface in opened], self.recipe)
         return replace(joint, notes=(*joint.notes, *poses.notes, *self.faults))
 
-    def windows(self, known: PreviousSolution, poses: Poses, moved: NDArray[np.bool_]) -> list[Window]:
+    def windows(self, previous: PreviousSolution, poses: Poses, moved: NDArray[np.bool_]) -> list[Window]:
         """Return the windows of the mosaic to draw again: the earlier and the present positions of moved fields."""
         now = layout(self.outlines, poses, self.lattice)
         windows = [now.window_of(n) for n in np.flatnonzero(moved).tolist()]
-        if (before := known.poses) is not None:
+        if (before := previous.poses) is not None:
             fields = {f.number: f for f in self.data.fields}
             then = layout(
                 [FieldOutline.of(self.data, fields[n]) for n in before.numbers.tolist()], before, self.lattice
             )
-            windows += [then.window_of(row) for row in known.stale(moved).tolist()]
+            windows += [then.window_of(row) for row in previous.stale(moved).tolist()]
         return [window for window in windows if window is not None]
 
 
 class Surfaces(Sequence[HeightMap]):
     """Height maps of fields, each opened on access."""
 
-    def __init__(self, kept: Result, fields: Sequence[Field], marks: Iterable[int]) -> None:
-        self._kept = kept
+    def __init__(self, stored: Result, fields: Sequence[Field], marks: Iterable[int]) -> None:
+        self._stored = stored
         self._names = list(zip(fields, marks, strict=True))
 
     def __len__(self) -> int:
@@ -176,33 +176,33 @@ class Surfaces(Sequence[HeightMap]):
     def __getitem__(self, n: int | slice) -> HeightMap | list[HeightMap]:
         if isinstance(n, slice):
             return [self[i] for i in range(len(self))[n]]
-        return _opened(self._kept, *self._names[n])
+        return _opened(self._stored, *self._names[n])
 
 
 def surfaces_of(dataset: Path, result: str, numbers: Iterable[int]) -> Surfaces:
     """Return the height maps of some fields, in their present state."""
     data = Dataset.open(dataset)
-    kept = data.result(result)
+    stored = data.result(result)
     fields = [data.field(number) for number in numbers]
-    return Surfaces(kept, fields, [kept.field_stamp(f) for f in fields])
+    return Surfaces(stored, fields, [stored.field_stamp(f) for f in fields])
 
 
 @lru_cache(maxsize=OPEN_SURFACES)
-def _opened(kept: Result, field: Field, mark: int, verify: bool = True) -> HeightMap:
+def _opened(stored: Result, field: Field, mark: int, verify: bool = True) -> HeightMap:
     """Return a surface from the cache; its stamp is part of the key, so that a recomputed one is read again."""
-    return kept.surface(field, verify=verify)
+    return stored.surface(field, verify=verify)
 
 
-def _readable(data: Dataset, kept: Result) -> tuple[list[Field], list[str]]:
+def _readable(data: Dataset, stored: Result) -> tuple[list[Field], list[str]]:
     """Return the fields with a readable surface, and a sentence for each unreadable one.
 
     The heights are not read here; their checksums are verified on access.
     """
     readable, faults = list[Field](), list[str]()
-    done = kept.surfaces_done(data.fields)
+    done = stored.surfaces_done(data.fields)
     for field in (f for f in data.fields if f.number in done):
         try:
-            _require_own(_opened(kept, field, kept.field_stamp(field), verify=False), FieldOutline.of(data, field))
+            _require_own(_opened(stored, field, stored.field_stamp(field), verify=False), FieldOutline.of(data, field))
         except DatasetError as fault:
             faults.append(f"Field {field.number} is left out: {fault}")
         else:

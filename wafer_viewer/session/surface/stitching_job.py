@@ -58,10 +58,10 @@ def bring_up_to_date(
     inputs = StitchingInputs.open(dataset.absolute(), result, recipe)
     tasks = _Tasks(inputs, crew or LocalRunner(), progress, should_stop)
     tasks.crew.require_sight(inputs.data.path)
-    known, outline = inputs.known(), inputs.outlines[0]
-    solved = _solve_poses(tasks, known, final)
-    poses, moved = freeze_unmoved_fields(solved, known, outline.pixel_um, outline.corner_um)
-    windows = _windows_to_draw(inputs, known, poses, moved, final)
+    previous, outline = inputs.previous_solution(), inputs.outlines[0]
+    solved = _solve_poses(tasks, previous, final)
+    poses, moved = freeze_unmoved_fields(solved, previous, outline.pixel_um, outline.corner_um)
+    windows = _windows_to_draw(inputs, previous, poses, moved, final)
     drawn = _draw(tasks, poses, windows)
     info = _summary(inputs, poses)
     return info if drawn is None else replace(info, changed=tuple((0, box) for box in _hull_um(inputs.lattice, drawn)))
@@ -83,16 +83,16 @@ class _Tasks:
         search_um = self.inputs.recipe.stitching.search_um
         reach_um = None if search_um == "auto" else search_um
         items = [(*self._names(part), reach_um) for part in _batches(pairs)]
-        found = self._each(register_pairs, items, 0.0, 0.7 * OVERLAP_SHARE)
-        return _of_fields(joined(found), pairs) if found else no_shifts()
+        results = self._each(register_pairs, items, 0.0, 0.7 * OVERLAP_SHARE)
+        return _of_fields(joined(results), pairs) if results else no_shifts()
 
     def compare(self, pairs: NDArray[np.int32], x_um: NDArray[np.float64], y_um: NDArray[np.float64]) -> HeightOffsets:
         """Compare the heights of pairs of fields, with the centres of all fields given."""
         from wafer_viewer.model.surface.field_poses import joined, no_seams
 
         items = [(*self._names(part), x_um[np.unique(part)], y_um[np.unique(part)]) for part in _batches(pairs)]
-        found = self._each(compare_pairs, items, 0.7 * OVERLAP_SHARE, OVERLAP_SHARE)
-        return _of_fields(joined(found), pairs) if found else no_seams()
+        results = self._each(compare_pairs, items, 0.7 * OVERLAP_SHARE, OVERLAP_SHARE)
+        return _of_fields(joined(results), pairs) if results else no_seams()
 
     def draw(self, windows: Sequence[Window] | None, drawing: Path, canvas: Path) -> None:
         """Draw windows of the mosaic, or all of it; each task writes its own shards, level by level."""
@@ -134,11 +134,11 @@ def _of_fields(table: Any, pairs: NDArray[np.int32]) -> Any:
 # --------------------------------------------------------------------------------------------------------------- poses
 
 
-def _solve_poses(tasks: _Tasks, known: PreviousSolution, final: bool) -> Poses:
+def _solve_poses(tasks: _Tasks, previous: PreviousSolution, final: bool) -> Poses:
     from wafer_viewer.reconstruct.stitching import FieldsToPlace, OverlapObservers, find_poses
 
     inputs, stitching = tasks.inputs, tasks.inputs.recipe.stitching
-    fields = FieldsToPlace.of(inputs.outlines, inputs.numbers, inputs.marks, stitching, known, final=final)
+    fields = FieldsToPlace.of(inputs.outlines, inputs.numbers, inputs.marks, stitching, previous, final=final)
     return find_poses(fields, OverlapObservers(tasks.register, tasks.compare, inputs.surfaces.__getitem__))
 
 
@@ -171,15 +171,15 @@ def compare_pairs(
 
 
 def _windows_to_draw(
-    inputs: StitchingInputs, known: PreviousSolution, poses: Poses, moved: NDArray[np.bool_], final: bool
+    inputs: StitchingInputs, previous: PreviousSolution, poses: Poses, moved: NDArray[np.bool_], final: bool
 ) -> list[Window] | None:
     """Return the windows of the mosaic in which fields moved; None to draw all of it."""
     from wafer_viewer.store.dataset.integrity import is_mosaic_good
 
-    if known.poses is None:
+    if previous.poses is None:
         return None
-    windows = inputs.windows(known, poses, moved)
-    if final and not windows and not is_mosaic_good(inputs.kept.mosaic_path):
+    windows = inputs.windows(previous, poses, moved)
+    if final and not windows and not is_mosaic_good(inputs.stored.mosaic_path):
         return None
     return windows
 
@@ -190,18 +190,18 @@ def _draw(tasks: _Tasks, poses: Poses, windows: list[Window] | None) -> list[Win
         try:
             _draw_windows(tasks, poses, windows)
         except DatasetError:
-            windows = None  # the mosaic that is to be drawn over is damaged
+            windows = None  # the mosaic to be updated is damaged
     if windows is None:
         _draw_windows(tasks, poses, None)
     return windows
 
 
 def _draw_windows(tasks: _Tasks, poses: Poses, windows: Sequence[Window] | None) -> None:
-    """Draw windows of the mosaic on disk, or a new one beside it that replaces it when complete."""
-    drawing = tasks.inputs.kept.begin_mosaic_update(poses)
+    """Draw windows of the mosaic on disk, or a new one next to it that replaces it when complete."""
+    drawing = tasks.inputs.stored.begin_mosaic_update(poses)
     with _canvas(tasks.inputs, poses, fresh=windows is None) as canvas:
         tasks.draw(windows, drawing, canvas)
-    tasks.inputs.kept.commit_mosaic_update()
+    tasks.inputs.stored.commit_mosaic_update()
 
 
 @contextmanager
@@ -210,14 +210,14 @@ def _canvas(inputs: StitchingInputs, poses: Poses, *, fresh: bool) -> Generator[
     from wafer_viewer.store.io.atomic_files import atomic_write
     from wafer_viewer.store.mosaic.zarr_mosaic import lay_out, rewrite_header
 
-    path, mosaic = inputs.kept.mosaic_path, inputs.mosaic(poses, inputs.provenance(poses))
+    path, mosaic = inputs.stored.mosaic_path, inputs.mosaic(poses, inputs.provenance(poses))
     if not fresh:
         yield path
         rewrite_header(path, mosaic)
         return
-    with atomic_write(path) as beside:
-        lay_out(beside, mosaic)
-        yield beside
+    with atomic_write(path) as temporary:
+        lay_out(temporary, mosaic)
+        yield temporary
 
 
 def draw_patch(dataset: Path, result: str, recipe: Recipe, drawing: Path, canvas: Path, patch: Patch) -> None:
@@ -250,13 +250,13 @@ def describe_mosaic(
     from wafer_viewer.store.dataset.dataset import Dataset
 
     data = Dataset.open(dataset)
-    kept = data.result(result)
-    mosaic, recipe = kept.mosaic(), kept.recipe()
+    stored = data.result(result)
+    mosaic, recipe = stored.mosaic(), stored.recipe()
     if not data.fields:  # a surface of a file
         info = summarise(mosaic, 0, result, recipe)
-        save_summary(kept, info)
+        save_summary(stored, info)
         return info
-    return _summary(StitchingInputs.open(dataset, result, recipe), kept.poses())
+    return _summary(StitchingInputs.open(dataset, result, recipe), stored.poses())
 
 
 def _summary(inputs: StitchingInputs, poses: Poses | None) -> SurfaceInfo:
@@ -264,9 +264,9 @@ def _summary(inputs: StitchingInputs, poses: Poses | None) -> SurfaceInfo:
     from wafer_viewer.session.core.dataset_library import save_summary, summarise
     from wafer_viewer.session.surface.focus_evidence import stitching_info
 
-    info = summarise(inputs.kept.mosaic(), len(inputs.fields), inputs.kept.name, inputs.recipe)
+    info = summarise(inputs.stored.mosaic(), len(inputs.fields), inputs.stored.name, inputs.recipe)
     info = replace(info, stitching=None if poses is None else stitching_info(poses))
-    save_summary(inputs.kept, info)
+    save_summary(inputs.stored, info)
     return info
 
 

@@ -45,12 +45,12 @@ def reconstruct_field(
     from wafer_viewer.store.dataset.dataset import Dataset
 
     data = Dataset.open(dataset)
-    kept = data.result(result)
-    recipe = kept.settled() or recipe
+    stored = data.result(result)
+    recipe = stored.settled() or recipe
     surface = reconstruct(data.stack(field_number), recipe, progress=progress, threads=threads)
-    kept.save_surface(data.field(field_number), surface)
+    stored.save_surface(data.field(field_number), surface)
     if recipe.heights_have_auto and is_representative(surface):
-        kept.save_settled(surface.provenance.recipe)
+        stored.save_settled(surface.provenance.recipe)
 
 
 def reconstruct_live(
@@ -65,8 +65,8 @@ def reconstruct_live(
     from wafer_viewer.store.dataset.dataset import Dataset
 
     data = Dataset.open(dataset)
-    kept = data.result(result)
-    recipe = kept.settled()
+    stored = data.result(result)
+    recipe = stored.settled()
     if recipe is None or data.n_exposures > 1 or data.scan.pages.bits > LIVE_BITS:
         return False
     live: LiveField | None = None
@@ -74,7 +74,7 @@ def reconstruct_live(
         live = live or LiveField(stack.images, stack.z_step_um, recipe)
         live.take_new(stack.present)
         if field_number in data.complete_fields():
-            kept.save_surface(data.field(field_number), live.surface(stack))
+            stored.save_surface(data.field(field_number), live.surface(stack))
             return True
     return False
 
@@ -90,7 +90,7 @@ def _growing(data: Dataset, field_number: int, should_stop: ShouldStop) -> Itera
         complete = field_number in data.complete_fields()
         if complete or (now > before and now >= MIN_FRAMES):
             before, came_at = now, time.monotonic()
-            yield data.stack(field_number, verify=False)  # frames that came just now, at every one of them
+            yield data.stack(field_number, verify=False)  # frames just written are not verified each time
         else:
             time.sleep(LIVE_LOOK_EVERY_S)
 
@@ -132,12 +132,12 @@ def export_surface(
     from wafer_viewer.store.formats.exporters import export
 
     data = Dataset.open(dataset)
-    kept = data.result(result)
+    stored = data.result(result)
     surface: Mosaic
     if field_number is not None and field_number < 0:
         surface = comparison_view(dataset, result, ComparisonFace(-field_number))
     else:
-        surface = kept.mosaic() if field_number is None else kept.surface(data.field(field_number))
+        surface = stored.mosaic() if field_number is None else stored.surface(data.field(field_number))
     return export(surface if part is None else PartOfMosaic(surface, part), out, every, progress, should_stop)
 
 
