@@ -89,13 +89,13 @@ def test_the_truth_itself_is_perfect(truth_um):
     assert got.corr == pytest.approx(1)
 
 
-def test_nothing_measured_is_an_answer_too(truth_um):
+def test_a_map_without_heights_has_zero_completeness(truth_um):
     got = quality(np.full_like(truth_um, np.nan), truth_um, 4.0)
     assert got.completeness_fraction == 0
     assert all(np.isnan([got.rmse_um, got.corr, got.psnr_db, got.false_fraction, got.ssm_um2]))
 
 
-def test_no_truth_at_all_is_an_answer_too(truth_um):
+def test_a_truth_without_heights_compares_no_pixels(truth_um):
     got = quality(truth_um, np.full_like(truth_um, np.nan), 4.0)
     assert got.n_px == 0
     assert np.isnan(got.completeness_fraction)

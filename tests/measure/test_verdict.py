@@ -138,7 +138,7 @@ def test_features_are_measured_where_the_wafer_lies():
     assert turned.measured.value == pytest.approx(-STEP_UM, abs=0.3)
 
 
-def test_what_cannot_be_measured_has_no_verdict_and_says_why():
+def test_an_unmeasurable_feature_has_no_verdict_but_a_reason():
     nowhere = replace(BLOCKS, places=(Region.rectangle(9000, 0, 9100, 100), BLOCKS.places[1]))
     (item,) = judge_features(gauge_blocks(1), [nowhere], None, calibration_valid=True)
     assert (item.word, item.measured) == ("no verdict", None)
@@ -238,5 +238,5 @@ def test_a_step_in_the_older_words_is_the_same_feature():
     """
     assert decode(older, Feature, "older") == BLOCKS
     assert decode(encode(BLOCKS), Feature, "newer") == BLOCKS
-    kept = FeatureVerdict(feature=BLOCKS, height=Length(value_um=30.0), word="no verdict", why="")
-    assert kept.measured == Quantity(value=30.0, unit="um")
+    inliers = FeatureVerdict(feature=BLOCKS, height=Length(value_um=30.0), word="no verdict", why="")
+    assert inliers.measured == Quantity(value=30.0, unit="um")

@@ -29,11 +29,12 @@ def measured(
     options: ToolOptions | None = None,
 ) -> AnyResult:
     """Run a tool on its regions. Raises MeasureError for a wrong number of regions, or where there is no result."""
-    asked = TOOLS[tool].places
-    if len(places) != len(asked):
-        names = ", ".join(place.name for place in asked)
+    required = TOOLS[tool].places
+    if len(places) != len(required):
+        names = ", ".join(place.name for place in required)
         raise MeasureError(
-            f"{TOOLS[tool].title} is measured at {len(asked)} places ({names}), {len(places)} are given: give as many."
+            f"{TOOLS[tool].title} is measured at {len(required)} places ({names}), {len(places)} are given:"
+            " give as many."
         )
     chosen = keywords(options or ToolOptions(), tool)
     return measuring_function(tool)(surface, *places, calibration_valid=calibration_valid, **chosen)

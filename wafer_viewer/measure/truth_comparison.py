@@ -118,23 +118,23 @@ def quality(z_um: Heights, truth_um: Heights, tolerance_um: float, peak_um: floa
     Raises MeasureError when the shapes differ or the tolerance is not above 0.
     """
     _check(z_um, truth_um, tolerance_um)
-    known = np.isfinite(truth_um)
-    both = known & np.isfinite(z_um)
+    finite = np.isfinite(truth_um)
+    both = finite & np.isfinite(z_um)
     z, truth = z_um[both].astype(np.float64), truth_um[both].astype(np.float64)
     error = z - truth
-    peak = _range(truth_um[known]) if peak_um is None else peak_um
+    peak = _range(truth_um[finite]) if peak_um is None else peak_um
     return Quality(
         rmse_um=rmse(error),
         corr=correlation(z, truth),
         psnr_db=psnr(error, peak),
         peak_um=peak,
         bias_um=_median(error),
-        ssm_um2=smoothness(np.where(known, z_um, np.nan)),
-        completeness_fraction=_share(both.sum(), known.sum()),
+        ssm_um2=smoothness(np.where(finite, z_um, np.nan)),
+        completeness_fraction=_share(both.sum(), finite.sum()),
         false_fraction=_share((np.abs(error) > tolerance_um).sum(), error.size),
         true_rmse_um=rmse(error[np.abs(error) <= tolerance_um]),
         tolerance_um=tolerance_um,
-        n_px=int(known.sum()),
+        n_px=int(finite.sum()),
     )
 
 
@@ -196,24 +196,24 @@ def smoothness(z_um: Heights) -> float:
     yy = z[1:-1, 2:] - 2 * middle + z[1:-1, :-2]
     xy = z[2:, 2:] - z[1:-1, 2:] - z[2:, 1:-1] + middle
     bending = xx**2 + 2 * xy**2 + 2 * yy**2
-    known = np.isfinite(bending)
-    return float(bending[known].mean()) if known.any() else float("nan")
+    finite = np.isfinite(bending)
+    return float(bending[finite].mean()) if finite.any() else float("nan")
 
 
 def _band(
     z_um: Heights, truth_um: Heights, band: NDArray[np.bool_], bounds_px: tuple[float, float], tolerance_um: float
 ) -> ErrorBand:
-    known = band & np.isfinite(truth_um)
-    error: Floats = (z_um[known] - truth_um[known]).astype(np.float64)
+    finite = band & np.isfinite(truth_um)
+    error: Floats = (z_um[finite] - truth_um[finite]).astype(np.float64)
     error = error[np.isfinite(error)]
     return ErrorBand(
         from_px=bounds_px[0],
         to_px=bounds_px[1],
-        completeness_fraction=_share(error.size, known.sum()),
+        completeness_fraction=_share(error.size, finite.sum()),
         false_fraction=_share((np.abs(error) > tolerance_um).sum(), error.size),
         rmse_um=rmse(error),
         bias_um=_median(error),
-        n_px=int(known.sum()),
+        n_px=int(finite.sum()),
     )
 
 
@@ -235,5 +235,5 @@ def _range(heights_um: Heights) -> float:
     return float(np.ptp(heights_um)) if heights_um.size else float("nan")
 
 
-def _share(part: int | np.intp, whole: int | np.intp) -> float:
-    return float(part) / float(whole) if whole else float("nan")
+def _share(part: int | np.intp, total: int | np.intp) -> float:
+    return float(part) / float(total) if total else float("nan")

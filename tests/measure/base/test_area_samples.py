@@ -90,7 +90,7 @@ def test_the_budget_of_a_volume_counts_the_pixel_twice():
     assert found.area.budget[0].u == pytest.approx(2 * 0.01 * found.area.value)
 
 
-def test_unmeasured_pixels_are_no_volume_and_are_told():
+def test_unmeasured_pixels_are_no_volume_and_are_reported():
     surface = mesa()
     surface.z_raw_um[:, 100:110] = np.nan
     found = area_volume(surface, FACE)

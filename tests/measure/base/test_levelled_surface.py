@@ -74,12 +74,12 @@ def test_a_window_is_levelled_as_the_whole_is():
     flat = levelled(surface, Levelling(by="plane"))
     assert (flat.shape, flat.levels, flat.pixel_um) == (surface.shape, 1, surface.pixel_um)
     assert (flat.x0_um, flat.y0_um, flat.provenance) == (surface.x0_um, surface.y0_um, surface.provenance)
-    part, whole = flat.window(Region.rectangle(-10, -20, 10, 5)), flat.window()
-    row, col = (int(a[0]) for a in np.nonzero(whole.z_um == part.z_um[0, 0]))
+    part, full = flat.window(Region.rectangle(-10, -20, 10, 5)), flat.window()
+    row, col = (int(a[0]) for a in np.nonzero(full.z_um == part.z_um[0, 0]))
     rows, cols = part.shape
-    np.testing.assert_array_equal(part.z_um, whole.z_um[row : row + rows, col : col + cols])
+    np.testing.assert_array_equal(part.z_um, full.z_um[row : row + rows, col : col + cols])
     np.testing.assert_array_equal(part.origin, surface.origin[row : row + rows, col : col + cols])
-    assert surface.z_um[0, 0] != whole.z_um[0, 0], "the surface itself stays as it is"
+    assert surface.z_um[0, 0] != full.z_um[0, 0], "the surface itself stays as it is"
 
 
 def test_what_is_unmeasured_stays_so():
@@ -116,7 +116,7 @@ def test_a_large_surface_is_fitted_to_some_of_its_points(monkeypatch):
 
 def test_a_mosaic_is_fitted_at_a_coarse_level(monkeypatch):
     monkeypatch.setattr(module, "FITTED_PIXELS", ROWS * COLS // 4)
-    asked: list[int] = []
+    requested: list[int] = []
     fine, half = tilted(), tilted()
 
     class Pyramid:
@@ -126,11 +126,11 @@ def test_a_mosaic_is_fitted_at_a_coarse_level(monkeypatch):
             return getattr(fine, name)
 
         def window(self, region=None, level=0):
-            asked.append(level)
+            requested.append(level)
             return half
 
     datum(Pyramid(), Levelling(by="form"))
-    assert asked == [1]
+    assert requested == [1]
     assert level_for(fine, Region.rectangle(-5, -5, 5, 5)) == 0
 
 

@@ -25,7 +25,7 @@ def test_a_plane_far_from_the_origin_is_found_exactly(a, b, c):
     plane, fit = fit_plane(HeightSamples(x_um, y_um, a * x_um + b * y_um + c))
     assert (plane.slope_x, plane.slope_y) == pytest.approx((a, b), abs=1e-8)
     np.testing.assert_allclose(plane.at(x_um, y_um), a * x_um + b * y_um + c, atol=1e-5)
-    assert fit.kept.mean() > 0.9
+    assert fit.inliers.mean() > 0.9
 
 
 def test_outliers_are_left_out_and_good_points_are_not():
@@ -36,15 +36,15 @@ def test_outliers_are_left_out_and_good_points_are_not():
     plane, fit = fit_plane(HeightSamples(x_um, y_um, z_um))
     assert plane.slope_x == pytest.approx(1e-3, abs=4e-4)
     assert plane.at(90_000.0, -40_000.0) == pytest.approx(90, abs=0.15)
-    assert not fit.kept[bad].any()
-    assert fit.kept[~bad].mean() > 0.99
+    assert not fit.inliers[bad].any()
+    assert fit.inliers[~bad].mean() > 0.99
 
 
 def test_heights_in_whole_frames_are_not_taken_for_outliers():
     _, x_um, y_um = scattered()
     z_um = np.where(np.arange(x_um.size) % 5 < 3, 4.0, 8.0)
     plane, fit = fit_plane(HeightSamples(x_um, y_um, z_um))
-    assert fit.kept.all()
+    assert fit.inliers.all()
     assert plane.z_um == pytest.approx(z_um.mean())
 
 
@@ -76,4 +76,4 @@ def test_tiles_are_means_of_their_part():
 def test_nearly_empty_tiles_do_not_count():
     x_um, y_um = (a.ravel() for a in np.meshgrid(np.arange(80.0), np.arange(80.0)))
     sparse = ~((x_um < 20) & (y_um < 20)) | ((x_um == 3) & (y_um == 3))
-    assert len(tile_means(HeightSamples(x_um, y_um, x_um).kept(sparse), x_um[sparse], 4)[0]) == 15
+    assert len(tile_means(HeightSamples(x_um, y_um, x_um).select(sparse), x_um[sparse], 4)[0]) == 15

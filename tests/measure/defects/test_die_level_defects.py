@@ -1,4 +1,4 @@
-"""Dies that differ as a whole: none on wafers without a defect, and slivers of dies say nothing."""
+"""Dies that differ as a full: none on wafers without a defect, and slivers of dies say nothing."""
 
 from __future__ import annotations
 
@@ -40,7 +40,7 @@ def dies(**odd: CellResult) -> dict[str, str]:
     return {name: defect.kind for name, defect in found.items()}
 
 
-def test_a_tilted_die_is_told_from_the_sliver_of_one():
+def test_a_tilted_die_is_distinguished_from_the_sliver_of_one():
     odd = CellResult((0, 0), compared_px=4000, tilt=TILTED)
     assert list(dies(die5=odd).values()) == ["tilted die"]
     assert dies(die5=dataclasses.replace(odd, compared_px=300)) == {}

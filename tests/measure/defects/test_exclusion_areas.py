@@ -23,7 +23,7 @@ def around(defect: Defect, spare_um: float) -> Region:
     return Region.rectangle(u_um - half_um, v_um - half_um, u_um + half_um, v_um + half_um)
 
 
-def test_what_lies_in_an_excluded_area_is_not_found_the_rest_is_and_the_area_is_told() -> None:
+def test_what_lies_in_an_excluded_area_is_not_found_the_rest_is_and_the_area_is_reported() -> None:
     before = inspected(made())
     area = around(at(before, BUMP), 6 * PIXEL_UM)
     after = inspected(made(), replace(DULL, excluded=(area,)))
@@ -35,11 +35,11 @@ def test_what_lies_in_an_excluded_area_is_not_found_the_rest_is_and_the_area_is_
     assert note.startswith("Left out of every die, as the recipe asks: 1 area, ")
 
 
-def test_heights_beside_an_excluded_area_are_as_sure_as_elsewhere() -> None:
+def test_heights_next_to_an_excluded_area_are_as_sure_as_elsewhere() -> None:
     before = at(inspected(made()), BUMP)
     _, y0, x1, y1 = around(before, 2 * PIXEL_UM).bounds_um
-    beside = Region.rectangle(x1, y0, x1 + 20 * PIXEL_UM, y1)
-    after = at(inspected(made(), replace(DULL, excluded=(beside,))), BUMP)
+    neighbour = Region.rectangle(x1, y0, x1 + 20 * PIXEL_UM, y1)
+    after = at(inspected(made(), replace(DULL, excluded=(neighbour,))), BUMP)
     assert after.score == pytest.approx(before.score, rel=0.1)
     assert after.height.value_um == pytest.approx(before.height.value_um, rel=0.02)
 
@@ -57,7 +57,7 @@ def test_the_pixels_of_a_cell_that_are_left_out_are_those_inside() -> None:
 
 
 @pytest.mark.slow
-def test_without_dies_nothing_is_left_out_and_that_is_said() -> None:
+def test_without_dies_nothing_is_left_out_and_that_is_reported() -> None:
     inspection = inspect(made().surface, recipe=replace(DULL, excluded=(Region.circle(20.0, 14.0, 6.0),)))
     assert any(note.startswith("No area was left out") for note in inspection.notes)
 

@@ -34,10 +34,10 @@ def gathered(u: Floats, v: Floats, z_um: Floats, clear: Floats, peaks: dict[str,
     return Gathered.of([piece])
 
 
-def shaped(whole: Gathered) -> DefectShape:
-    height_um, inside = height_of(whole, 1.0)
-    outline = outline_of(whole.x_um[inside], whole.y_um[inside], 1.0)
-    return shape_of(whole, inside, outline, height_um, CELLS, DefectRecipe(), True)
+def shaped(full: Gathered) -> DefectShape:
+    height_um, inside = height_of(full, 1.0)
+    outline = outline_of(full.x_um[inside], full.y_um[inside], 1.0)
+    return shape_of(full, inside, outline, height_um, CELLS, DefectRecipe(), True)
 
 
 def disc(u: float, v: float, radius: float) -> tuple[Floats, Floats, Floats]:
@@ -52,23 +52,23 @@ def test_a_dark_pit_whose_rim_reads_as_high_as_it_is_deep_is_a_pit():
     u, v, away = disc(50.0, 50.0, 15.0)
     z_um = np.where(away < 10, -0.5 * (1 - (away / 10) ** 2), 0.0)
     z_um[(away > 12) & (u < 45)] = 0.6
-    whole = gathered(u, v, z_um, np.where(away < 10, 4.0, 0.0), {"height": 3.5, "picture": 9.0})
-    assert shaped(whole).height_um == pytest.approx(-0.5, abs=0.01)
-    assert classify(shaped(whole)).kind == "pit"
+    full = gathered(u, v, z_um, np.where(away < 10, 4.0, 0.0), {"height": 3.5, "picture": 9.0})
+    assert shaped(full).height_um == pytest.approx(-0.5, abs=0.01)
+    assert classify(shaped(full)).kind == "pit"
 
 
 def test_what_is_plainly_higher_than_deep_is_high():
     u, v, away = disc(50.0, 50.0, 15.0)
     z_um = np.where(away < 4, 3.0, -0.3)
-    whole = gathered(u, v, z_um, np.full(len(u), 4.0), {"height": 12.0, "picture": 9.0})
-    assert shaped(whole).height_um == 3.0
+    full = gathered(u, v, z_um, np.full(len(u), 4.0), {"height": 12.0, "picture": 9.0})
+    assert shaped(full).height_um == 3.0
 
 
 def test_a_groove_whose_heights_are_blurred_wide_is_a_scratch_by_its_picture():
     rows, cols = (a.ravel().astype(float) for a in np.mgrid[36:56, 30:54])
     z_um = -0.5 * np.exp(-(((rows - 46) / 9) ** 2))
-    whole = gathered(cols, rows, z_um, np.where(np.abs(rows - 46) < 2, 5.0, 0.0), {"height": 4.0, "picture": 7.0})
-    shape = shaped(whole)
+    full = gathered(cols, rows, z_um, np.where(np.abs(rows - 46) < 2, 5.0, 0.0), {"height": 4.0, "picture": 7.0})
+    shape = shaped(full)
     assert shape.major_um / shape.minor_um < 2.5
     assert shape.ratio == pytest.approx(8.0, rel=0.1)
     assert classify(shape).kind == "scratch"
@@ -92,9 +92,9 @@ def test_what_the_picture_shows_beside_an_error_of_heights_is_not_lost() -> None
 def test_the_heights_tell_how_long_it_is_where_they_show_it_more_clearly():
     u, v, away = disc(50.0, 50.0, 10.0)
     streak = np.where(np.abs(v - 50) < 1, 1.0, 0.0)
-    whole = gathered(u, v, 2.0 - away / 10, streak, {"height": 9.0, "picture": 4.0})
-    assert shaped(whole).picture_ratio > 2.5
-    assert shaped(whole).ratio < 1.2
+    full = gathered(u, v, 2.0 - away / 10, streak, {"height": 9.0, "picture": 4.0})
+    assert shaped(full).picture_ratio > 2.5
+    assert shaped(full).ratio < 1.2
 
 
 @pytest.mark.parametrize("v_um", [0.0, 100.0])
@@ -105,14 +105,14 @@ def test_a_chip_without_a_single_height_is_one_by_the_edge_it_lies_on(v_um: floa
     nothing, clear = np.full(len(u), np.nan), np.full(len(u), 3.0)
     shape = shaped(gathered(u, v, nothing, clear, {"height": 1.9, "picture": 8.0}))
     assert shape.on_edge_fraction > 0.2
-    seen = classify(replace(shape, unmeasured_fraction=0.0))
-    assert seen.kind == "edge chip"
-    assert seen.reasons[0] == "no height was measured here"
+    observed = classify(replace(shape, unmeasured_fraction=0.0))
+    assert observed.kind == "edge chip"
+    assert observed.reasons[0] == "no height was measured here"
 
 
-def test_what_crosses_the_edge_or_lies_off_it_is_not_on_it():
+def test_points_across_or_off_the_edge_are_excluded():
     clear_of, across = disc(40.0, 20.0, 5.0), disc(40.0, 0.0, 12.0)
     for u, v, _ in (clear_of, across):
-        whole = gathered(u, v, np.full(len(u), -2.0), np.full(len(u), 3.0), {"height": 9.0, "picture": 9.0})
-        assert shaped(whole).on_edge_fraction == 0.0
-        assert classify(shaped(whole)).kind == "pit"
+        full = gathered(u, v, np.full(len(u), -2.0), np.full(len(u), 3.0), {"height": 9.0, "picture": 9.0})
+        assert shaped(full).on_edge_fraction == 0.0
+        assert classify(shaped(full)).kind == "pit"

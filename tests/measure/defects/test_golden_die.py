@@ -35,7 +35,7 @@ def cells_of(of: Wafer):
             yield slice(round(r * down), round((r + 1) * down)), slice(round(c * right), round((c + 1) * right))
 
 
-def test_dies_that_are_tilted_each_in_its_own_way_are_laid_level() -> None:
+def test_individually_tilted_dies_are_levelled() -> None:
     of, dice = made(), np.random.default_rng(5)
     z_um = of.surface.z_raw_um.copy()
     for rows, cols in cells_of(of):

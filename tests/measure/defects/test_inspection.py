@@ -48,7 +48,7 @@ def at(inspection: Inspection, planted: Planted) -> Defect:
     return nearest
 
 
-def test_what_is_planted_is_found_and_nothing_else(found: Inspection) -> None:
+def test_planted_defects_are_found_without_false_ones(found: Inspection) -> None:
     assert len(found.found) == len(PLANTED)
     assert found.reference == "dies"
 
@@ -125,7 +125,7 @@ def test_a_stain_on_a_plain_surface_shows_in_its_picture() -> None:
     assert "compared with what is around" in inspection.notes[1]
 
 
-def test_the_picture_of_a_pattern_without_dies_is_left_out_and_that_is_said() -> None:
+def test_the_picture_of_a_pattern_without_dies_is_left_out_and_that_is_reported() -> None:
     inspection = inspect(made(1, ()).surface, recipe=DULL)
     assert inspection.recipe.evidence == "height"
     assert "shows a pattern, or nothing, and was not looked at" in inspection.notes[1]
@@ -143,7 +143,7 @@ def test_what_every_die_has_shows_against_a_stored_golden_die_only() -> None:
     assert sum(d.repeats for d in inspection.found) == 9
 
 
-def test_a_defect_in_a_street_shows_beside_a_stored_golden_die() -> None:
+def test_a_defect_in_a_street_shows_next_to_a_stored_golden_die() -> None:
     clean = made(1, ())
     golden = golden_of_surface(clean.surface, clean.grid)
     in_street = made(2, (Planted("bump", 70.0, 2 * 160.21, 12, 10),))
@@ -171,12 +171,12 @@ def test_the_dial_trades_misses_for_false_counts(found: Inspection) -> None:
     assert keen > 10 * dull
 
 
-def test_progress_is_told_and_the_work_can_be_stopped() -> None:
+def test_progress_is_reported_and_the_work_can_be_stopped() -> None:
     clean = made(5, ())
-    told: list[float] = []
+    reported: list[float] = []
     with pytest.raises(MeasureError, match="stopped"):
-        inspect(clean.surface, clean.grid, progress=told.append, should_stop=lambda: len(told) >= 2)
-    assert told == pytest.approx([1 / 3, 2 / 3])
+        inspect(clean.surface, clean.grid, progress=reported.append, should_stop=lambda: len(reported) >= 2)
+    assert reported == pytest.approx([1 / 3, 2 / 3])
 
 
 def test_uncalibrated_sizes_have_no_u(found: Inspection) -> None:
@@ -185,8 +185,8 @@ def test_uncalibrated_sizes_have_no_u(found: Inspection) -> None:
 
 def test_what_is_narrow_against_the_focus_window_says_that_it_is_higher_or_deeper() -> None:
     of = made()
-    told = replace(of.surface.provenance, recipe=Recipe(window=9), calibration=calibration())
-    inspection = inspect(dataclasses.replace(of.surface, provenance=told), of.grid, DULL)
+    reported = replace(of.surface.provenance, recipe=Recipe(window=9), calibration=calibration())
+    inspection = inspect(dataclasses.replace(of.surface, provenance=reported), of.grid, DULL)
     narrow = [any("focus windows (18 px)" in note for note in at(inspection, what).notes) for what in PLANTED]
     assert narrow == [what is not BUMP for what in PLANTED]
     assert at(inspection, SCRATCH).height.status == "not evaluated"
@@ -198,7 +198,7 @@ def test_a_surface_without_heights_is_refused() -> None:
         inspect(flat_surface(np.full((50, 60), np.nan)))
 
 
-def test_a_grid_beside_the_surface_is_refused() -> None:
+def test_a_grid_next_to_the_surface_is_refused() -> None:
     clean = made(5, ())
     with pytest.raises(MeasureError, match="No die of the lattice lies on the surface"):
         inspect(clean.surface, replace(clean.grid, x0_um=1e6))
@@ -233,7 +233,7 @@ def with_heights(surface: HeightMap, z: np.ndarray) -> HeightMap:
 
 
 @pytest.mark.slow
-def test_places_round_the_dies_that_hold_none_are_no_defects_and_that_is_said() -> None:
+def test_places_round_the_dies_that_hold_none_are_no_defects_and_that_is_reported() -> None:
     of = wafer(6, (5, 5), (120, 140), no_die=((0, 0), (0, 4), (4, 0), (4, 4)))
     found = inspect(of.surface, replace(of.grid, named=False), DULL)
     assert not found.found

@@ -64,7 +64,7 @@ def test_uncorrelated_noise_has_the_same_power_everywhere() -> None:
     assert spectrum_of(cells)[20:80] == pytest.approx(1, abs=0.15)
 
 
-def test_nothing_known_says_nothing() -> None:
+def test_unmeasured_pixels_give_no_result() -> None:
     nothing = np.full(SHAPE, np.nan, np.float32)
     assert spectrum_of([nothing]) == pytest.approx(1)
     assert matched(nothing, WHITE, (4.0,)) == {}

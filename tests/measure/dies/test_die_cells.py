@@ -35,9 +35,9 @@ def test_a_cell_of_a_strip_is_what_is_read_of_it_alone():
     source, cells = source_of(made.surface, "unsmoothed", 2), CellGrid.of(made.grid, made.surface.pixel_um)
     strip = source.strip(cells.around_all(((0, 1), (1, 1), (2, 1))))
     assert strip is not None
-    whole = slice(0, cells.shape[0]), slice(0, cells.shape[1])
+    full = slice(0, cells.shape[0]), slice(0, cells.shape[1])
     for shift in ((0.0, 0.0), (1.4, -2.7)):
-        alone, held = (one.read(cells, (1, 1), *whole, shift) for one in (source, strip))
+        alone, held = (one.read(cells, (1, 1), *full, shift) for one in (source, strip))
         for a, b in zip(alone, held, strict=True):
             np.testing.assert_array_equal(np.isnan(a), np.isnan(b))
             np.testing.assert_allclose(a, b, atol=1e-4)

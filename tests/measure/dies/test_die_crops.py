@@ -10,7 +10,7 @@ import pytest
 
 from tests.support.patterned_surface import Wafer, made
 from wafer_viewer.measure.dies.die_crops import (
-    LEAST_ALIKE,
+    LEAST_SIMILARITY,
     DieCrop,
     DiePatch,
     align_crop,
@@ -56,12 +56,12 @@ def middle(one: DieCrop) -> float:
 @pytest.mark.parametrize("angle_deg", [0.0, 3.0])
 def test_the_other_dies_show_the_place_without_the_defect(angle_deg: float):
     wafer = dataclasses.replace(WAFER, angle_deg=angle_deg)
-    seen, here = with_particle(wafer), patch(wafer)
-    own = crop(seen, here)
+    observed, here = with_particle(wafer), patch(wafer)
+    own = crop(observed, here)
     assert own is not None
-    laid = [align_crop(own, seen, here.on_die(wafer.grid, HERE, die), 3) for die in OTHERS]
-    assert all(one is not None and one.alike > LEAST_ALIKE for one in laid)
-    like = median_crop(own, [one.cut for one in laid if one is not None])
+    placed = [align_crop(own, observed, here.on_die(wafer.grid, HERE, die), 3) for die in OTHERS]
+    assert all(one is not None and one.similarity > LEAST_SIMILARITY for one in placed)
+    like = median_crop(own, [one.cut for one in placed if one is not None])
     assert middle(own) - middle(like) == pytest.approx(HEIGHT_UM, abs=0.3)
     apart = own.z_um - like.z_um
     assert abs(float(np.nanmedian(apart))) < 0.05
@@ -74,34 +74,34 @@ def test_another_scan_is_laid_on_to_parts_of_a_pixel_whatever_its_height_tilt_an
     tilt = 40 + 0.01 * moved.x_um[None, :] - 0.02 * moved.y_um[:, None]
     darker = (moved.all_in_focus * 0.6).astype(np.uint8)
     later = dataclasses.replace(moved, z_um=(moved.z_um + tilt).astype(np.float32), all_in_focus=darker)
-    laid = align_crop(own, later, patch(), 16)
-    assert laid is not None
-    assert laid.moved_um == pytest.approx((-5.1 * -1, 9.3), abs=0.35)
-    apart = own.z_um - laid.cut.z_um
+    placed = align_crop(own, later, patch(), 16)
+    assert placed is not None
+    assert placed.moved_um == pytest.approx((-5.1 * -1, 9.3), abs=0.35)
+    apart = own.z_um - placed.cut.z_um
     assert float(np.nanmedian(np.abs(apart))) < 0.15
-    assert middle(own) - middle(laid.cut) == pytest.approx(HEIGHT_UM, abs=0.4)
+    assert middle(own) - middle(placed.cut) == pytest.approx(HEIGHT_UM, abs=0.4)
 
 
 def test_what_is_not_alike_is_known_as_such_and_what_lies_outside_is_nothing():
     own = crop(with_particle(), patch())
     rng = np.random.default_rng(2)
     other = dataclasses.replace(surface(), all_in_focus=rng.integers(0, 255, surface().shape).astype(np.uint8))
-    laid = align_crop(own, other, patch(), 8)
-    assert laid is not None
-    assert laid.alike < LEAST_ALIKE
-    assert laid.moved_um == (0.0, 0.0)
+    placed = align_crop(own, other, patch(), 8)
+    assert placed is not None
+    assert placed.similarity < LEAST_SIMILARITY
+    assert placed.moved_um == (0.0, 0.0)
     far = dataclasses.replace(patch(), x_um=1e6)
     assert crop(surface(), far) is None
     assert align_crop(own, surface(), far, 8) is None
 
 
-def test_where_the_picture_shows_nothing_heights_lay_it():
+def test_without_image_contrast_heights_align_the_crop():
     blank = {"all_in_focus": np.full(surface().shape, 90, np.uint8)}
     own = crop(dataclasses.replace(with_particle(), **blank), patch())
     moved = dataclasses.replace(surface(x0_um=WAFER.x0_um + 6.0, seed=9), **blank)
-    laid = align_crop(own, moved, patch(), 8)
-    assert laid is not None
-    assert laid.moved_um == pytest.approx((0.0, 6.0), abs=0.5)
+    placed = align_crop(own, moved, patch(), 8)
+    assert placed is not None
+    assert placed.moved_um == pytest.approx((0.0, 6.0), abs=0.5)
 
 
 @pytest.mark.parametrize("angle_deg", [0.0, 3.0])
@@ -113,20 +113,22 @@ def test_a_stored_golden_die_is_read_at_the_place_of_the_die(angle_deg: float):
     ramp = (0.1 * u[None, :] + 0.3 * v[:, None]).astype(np.float32)
     header = GoldenHeader(pixel_um=2.0, width_um=wafer.width_um, height_um=wafer.height_um, dies=9)
     golden = GoldenDie(header, ramp, ramp * 0, ramp + 50, ramp * 0)
-    seen = cut_of_golden(golden, wafer.grid, HERE, patch(wafer, 20.0))
-    assert middle(seen) == pytest.approx(0.1 * U_UM + 0.3 * V_UM, abs=0.05)
-    assert middle(levelled_on(DieCrop(seen.z_um + 5, seen.picture), seen)) == pytest.approx(middle(seen) + 5, abs=1e-3)
+    observed = cut_of_golden(golden, wafer.grid, HERE, patch(wafer, 20.0))
+    assert middle(observed) == pytest.approx(0.1 * U_UM + 0.3 * V_UM, abs=0.05)
+    assert middle(levelled_on(DieCrop(observed.z_um + 5, observed.picture), observed)) == pytest.approx(
+        middle(observed) + 5, abs=1e-3
+    )
 
 
 def test_a_patch_of_a_large_box_or_a_die_has_few_pixels_and_lies_along_the_die():
     wafer = dataclasses.replace(WAFER, angle_deg=3.0)
-    seen = surface(wafer)
-    large = DiePatch.of_box(seen, (0, 0, 1000, 600), 200)
+    observed = surface(wafer)
+    large = DiePatch.of_box(observed, (0, 0, 1000, 600), 200)
     assert max(large.shape) <= 200
     assert large.pixel_um == 8.0
-    die = DiePatch.of_die(seen, wafer.grid, HERE, 300)
+    die = DiePatch.of_die(observed, wafer.grid, HERE, 300)
     x, y = die.to_stage(np.array([die.shape[0] - 0.5]), np.array([-0.5]))
     assert (float(x[0]), float(y[0])) == pytest.approx(wafer.grid.corner(*HERE), abs=1.5)
-    shown = crop(seen, die)
+    shown = crop(observed, die)
     assert shown is not None
     assert shown.measured > 0.9

@@ -109,7 +109,7 @@ def test_the_corners_of_a_round_wafer_hold_no_dies_and_one_in_the_middle_is_miss
     assert without_bare_rim(named, dies) is named
 
 
-def test_dies_missing_beside_a_gap_within_the_wafer_are_no_rim():
+def test_dies_missing_next_to_a_gap_within_the_wafer_are_no_rim():
     surface = made(gap=Region.rectangle(600, 500, 900, 800), no_die=((3, 3),))
     grid = on_surface(Wafer().grid, surface)
     assert without_bare_rim(grid, statuses(surface, grid)) == grid
@@ -158,10 +158,10 @@ def test_few_and_large_dies_are_found():
     ],
 )
 def test_what_is_no_lattice_is_refused_in_a_sentence(wafer, sentence):
-    with pytest.raises(MeasureError, match=sentence) as said:
+    with pytest.raises(MeasureError, match=sentence) as message:
         find_dies(made(wafer))
-    assert str(said.value).count(". ") == 0
-    assert "give pitch, origin and size of the dies instead" in str(said.value)
+    assert str(message.value).count(". ") == 0
+    assert "give pitch, origin and size of the dies instead" in str(message.value)
 
 
 def test_noise_and_a_blank_surface_are_no_dies():
@@ -196,11 +196,11 @@ def test_the_pitch_has_its_uncertainty_only_with_a_calibration():
     surface = made()
     grid = find_dies(surface)
     assert {length.status for length in pitches(surface, grid)} == {"uncalibrated"}
-    known = dataclasses.replace(surface, provenance=replace(surface.provenance, calibration=calibration()))
-    along_x, _ = pitches(known, grid)
+    valid = dataclasses.replace(surface, provenance=replace(surface.provenance, calibration=calibration()))
+    along_x, _ = pitches(valid, grid)
     assert along_x.status == "evaluated"
     assert along_x.expanded_um == pytest.approx(2 * grid.u_pitch_um)
-    assert {length.status for length in pitches(known, replace(grid, by="given", u_pitch_um=0.0))} == {"not evaluated"}
+    assert {length.status for length in pitches(valid, replace(grid, by="given", u_pitch_um=0.0))} == {"not evaluated"}
 
 
 def test_places_on_the_stage_and_on_a_die_are_one_and_the_same():
@@ -218,9 +218,9 @@ def test_a_job_names_the_same_dies():
     alignment = Alignment(rotation_rad=0.02, shift_x_um=30.0, shift_y_um=-8.0)
     grid = DieGrid.of(dies, alignment)
     assert len(grid.places) == 11
-    there, back = dies.all(), grid.as_dies(alignment).all()
-    assert [die.name for die in back] == [die.name for die in there]
-    assert np.allclose([(d.x_um, d.y_um) for d in back], [(d.x_um, d.y_um) for d in there])
+    present, back = dies.all(), grid.as_dies(alignment).all()
+    assert [die.name for die in back] == [die.name for die in present]
+    assert np.allclose([(d.x_um, d.y_um) for d in back], [(d.x_um, d.y_um) for d in present])
     assert len(grid.as_dies().listed) == 11
     with pytest.raises(PlanError, match="lists its dies one by one"):
         DieGrid.of(Dies(width_um=1, height_um=1, listed=(Die(name="A", x_um=0, y_um=0),)))

@@ -15,7 +15,7 @@ def tilted() -> np.ndarray:
     return (0.02 * rows - 0.01 * cols + 3).astype(np.float32)
 
 
-def test_a_tilted_die_is_laid_level_in_spite_of_a_tall_thing_on_it() -> None:
+def test_a_tilted_die_is_levelled_despite_a_tall_object_on_it() -> None:
     z_um = tilted()
     z_um[10:25, 30:50] += 40
     z_um[60:, 100:] = np.nan

@@ -49,13 +49,13 @@ def test_without_a_street_of_that_width_the_corner_is_as_given():
     assert "No street as wide as given is seen along x and y" in fitted.grid.notes[0]
 
 
-def test_a_lattice_beside_the_dies_is_refused():
-    with pytest.raises(MeasureError, match=r"lie \d+ um off those that the surface shows") as said:
+def test_a_lattice_next_to_the_dies_is_refused():
+    with pytest.raises(MeasureError, match=r"lie \d+ um off those that the surface shows") as message:
         fitted_dies(made(), replace(TRUE, x0_um=TRUE.x0_um + 70))
-    assert str(said.value).count(". ") == 0
+    assert str(message.value).count(". ") == 0
 
 
-def test_where_nothing_is_seen_they_stay_as_given_and_it_is_said():
+def test_where_nothing_is_seen_they_stay_as_given_and_it_is_reported():
     surface = made()
     noise = np.random.default_rng(5).standard_normal(surface.shape).astype(np.float32)
     blank = np.full(surface.shape, 80, np.uint8)

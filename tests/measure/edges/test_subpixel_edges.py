@@ -94,7 +94,7 @@ def test_what_is_missing_of_a_disc_does_not_move_its_circle():
     assert found.radius_um == pytest.approx(30.3, abs=0.05)
 
 
-def test_neighbours_that_err_alike_are_told_apart_from_those_that_do_not():
+def test_neighbours_that_err_alike_are_distinguished_from_those_that_do_not():
     rng = np.random.default_rng(0)
     white = rng.normal(size=4000)
     assert correlation_length(white) == pytest.approx(1, abs=0.4)

@@ -123,7 +123,7 @@ def test_two_blocks_make_a_step_of_their_difference():
 
 
 @pytest.mark.parametrize(
-    ("certified", "calibration", "problem", "day", "said"),
+    ("certified", "calibration", "problem", "day", "message"),
     [
         (certificate(), CALIBRATION, "the calibration was due on 2026-05-01", DAY, "the calibration was due"),
         (certificate(), None, None, DAY, "without a calibration"),
@@ -132,12 +132,12 @@ def test_two_blocks_make_a_step_of_their_difference():
         (certificate(), replace(CALIBRATION, z_against=("a1",)), None, DAY, "Block A1 set the z scale"),
     ],
 )
-def test_what_is_no_check_is_said_in_one_sentence(certified, calibration, problem, day, said):
-    told = refusal(certified, calibration, problem, day)
-    assert told is not None
-    assert said in told
-    assert told.count(". ") == 0
-    assert told.endswith(".")
+def test_an_invalid_check_is_refused_in_one_sentence(certified, calibration, problem, day, message):
+    reported = refusal(certified, calibration, problem, day)
+    assert reported is not None
+    assert message in reported
+    assert reported.count(". ") == 0
+    assert reported.endswith(".")
 
 
 def test_a_valid_certificate_of_other_blocks_is_not_refused():
@@ -146,7 +146,7 @@ def test_a_valid_certificate_of_other_blocks_is_not_refused():
 
 
 @pytest.mark.parametrize(
-    ("items", "said"),
+    ("items", "message"),
     [
         ((), "no repeat yet"),
         ((repeat(400.0, 1), repeat(400.0, 1)), "is in the check already"),
@@ -155,8 +155,8 @@ def test_a_valid_certificate_of_other_blocks_is_not_refused():
         ((repeat(350.0),), "these are other blocks"),
     ],
 )
-def test_what_makes_no_check_is_refused(items, said):
-    with pytest.raises(MeasureError, match=said):
+def test_what_makes_no_check_is_refused(items, message):
+    with pytest.raises(MeasureError, match=message):
         gauge_check(items, certificate())
 
 

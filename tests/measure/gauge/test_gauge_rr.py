@@ -89,7 +89,7 @@ def test_what_does_not_vary_has_no_share():
 
 
 @pytest.mark.parametrize(
-    ("values", "method", "said"),
+    ("values", "method", "message"),
     [
         (AIAG[:, :, :1], "anova", "two trials"),
         (AIAG[:1], "anova", "two parts"),
@@ -97,6 +97,6 @@ def test_what_does_not_vary_has_no_share():
         (np.concatenate([AIAG, AIAG]), "range", "20 parts"),
     ],
 )
-def test_a_study_that_is_none_is_refused(values, method, said):
-    with pytest.raises(MeasureError, match=said):
+def test_a_study_that_is_none_is_refused(values, method, message):
+    with pytest.raises(MeasureError, match=message):
         gauge_rr(values, method=method)

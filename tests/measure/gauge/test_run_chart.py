@@ -12,8 +12,8 @@ from wafer_viewer.model.spec import replace
 
 def of_errors(*errors_um, **terms):
     """A check a day from June 1 on, each of one scan with the error given."""
-    told = GaugeTerms(**{"limit_um": 0.5, **terms})
-    return [record(f"2026-06-{day:02d}", 400.0 + error, terms=told) for day, error in enumerate(errors_um, 1)]
+    reported = GaugeTerms(**{"limit_um": 0.5, **terms})
+    return [record(f"2026-06-{day:02d}", 400.0 + error, terms=reported) for day, error in enumerate(errors_um, 1)]
 
 
 def test_control_limits_are_three_deviations_by_moving_ranges():
@@ -51,7 +51,7 @@ def test_eight_on_one_side_are_more_than_chance():
     assert any(ONE_SIDE in warning for warning in chart.warnings)
 
 
-def test_drift_is_told_with_its_uncertainty():
+def test_drift_is_reported_with_its_uncertainty():
     """By hand: on days 0 to 3 a slope of 0.06, off which the errors lie by -0.01, 0.03, -0.03, 0.01."""
     drift = run_chart(of_errors(0.0, 0.1, 0.1, 0.2)).drift_um_per_day
     assert drift.value_um == pytest.approx(0.06)
@@ -64,13 +64,13 @@ def test_two_days_tell_no_drift():
 
 
 @pytest.mark.parametrize(
-    ("interval", "said"), [(30, "leaves the limit of 0.5 um in 21 days"), (7, "stays within the limit")]
+    ("interval", "message"), [(30, "leaves the limit of 0.5 um in 21 days"), (7, "stays within the limit")]
 )
-def test_a_drift_that_leaves_the_limit_before_the_next_check_is_warned_of(interval, said):
+def test_a_drift_that_leaves_the_limit_before_the_next_check_is_warned_of(interval, message):
     errors = [0.0, 0.021, 0.04, 0.059, 0.08]
     (warning,) = run_chart(of_errors(*errors, interval_days=interval)).warnings
     assert "drifts by +0.02 um per day" in warning
-    assert said in warning
+    assert message in warning
 
 
 def test_no_drift_is_warned_of_that_may_be_chance():
@@ -89,7 +89,7 @@ def test_checks_of_another_z_scale_are_left_out_and_counted():
 
 def test_the_scatter_of_single_scans_is_pooled_within_checks():
     records = [record("2026-06-01", 400.0, 400.2, 400.1), record("2026-06-02", 399.0, 399.4, 399.2)]
-    known = pooled_scatter(records)
-    assert known.freedom == 4
-    assert known.s_um == pytest.approx(((2 * 0.01 + 2 * 0.04) / 4) ** 0.5)
+    valid = pooled_scatter(records)
+    assert valid.freedom == 4
+    assert valid.s_um == pytest.approx(((2 * 0.01 + 2 * 0.04) / 4) ** 0.5)
     assert pooled_scatter(records[:1]) is None

@@ -126,14 +126,14 @@ PARAMETERS = ("sa", "sq", "sk", "spk", "svk", "sal")
 def test_a_fifth_of_holes_leaves_every_parameter_as_it_is(options):
     """To two per cent; an S-filter of five pixels has slopes of its own round single holes, to five."""
     z_um = smooth_noise() + 0.5 * wave(12, turned_deg=20) + 0.02 * lattice()[1]
-    whole, found = of(z_um, **options), of(holed(z_um), **options)
+    full, found = of(z_um, **options), of(holed(z_um), **options)
     assert found.measured_fraction == pytest.approx(0.8, abs=0.01)
     for name in PARAMETERS:
-        assert getattr(found, name).value_um == pytest.approx(getattr(whole, name).value_um, rel=0.02), name
+        assert getattr(found, name).value_um == pytest.approx(getattr(full, name).value_um, rel=0.02), name
     slopes = 0.05 if options else 0.02
-    assert found.sdq == pytest.approx(whole.sdq, rel=slopes)
-    assert found.sdr_fraction == pytest.approx(whole.sdr_fraction, rel=2.5 * slopes)
-    assert found.str_ratio == pytest.approx(whole.str_ratio, rel=0.04)
+    assert found.sdq == pytest.approx(full.sdq, rel=slopes)
+    assert found.sdr_fraction == pytest.approx(full.sdr_fraction, rel=2.5 * slopes)
+    assert found.str_ratio == pytest.approx(full.str_ratio, rel=0.04)
 
 
 def test_what_lies_outside_of_a_round_region_does_not_count():
@@ -148,7 +148,7 @@ def test_a_flat_surface_has_neither_slopes_nor_waves():
     assert (found.sdq, found.sdr_fraction, found.sk.value_um) == (0, 0, 0)
 
 
-def seen(z_um, *, window=9, z_step_um=4.0, peak="blur_law", objective="10x/0.28", **options):
+def observed(z_um, *, window=9, z_step_um=4.0, peak="blur_law", objective="10x/0.28", **options):
     """As a scan would give it."""
     held = replace(calibration(), setup=OpticalSetup(objective=objective))
     recipe = Recipe(window=window, peak=peak)
@@ -156,22 +156,22 @@ def seen(z_um, *, window=9, z_step_um=4.0, peak="blur_law", objective="10x/0.28"
     return texture(surface, FACE, **options).notes
 
 
-def test_a_scale_that_optics_cannot_see_is_said():
+def test_a_scale_that_optics_cannot_see_is_reported():
     z_um = wave(15)
     assert any(
-        "S-filter is 2 um" in n and "focus window of 9 pixels: take 4.5 um" in n for n in seen(z_um, s_filter_um=2)
+        "S-filter is 2 um" in n and "focus window of 9 pixels: take 4.5 um" in n for n in observed(z_um, s_filter_um=2)
     )
-    assert not any("cannot be seen" in n for n in seen(z_um, s_filter_um=5))
-    assert any("Waves under 4.5 um cannot be seen" in n for n in seen(z_um))
-    by_lens = seen(z_um, window=3, objective="5x/0.10", s_filter_um=2)
+    assert not any("cannot be seen" in n for n in observed(z_um, s_filter_um=5))
+    assert any("Waves under 4.5 um cannot be seen" in n for n in observed(z_um))
+    by_lens = observed(z_um, window=3, objective="5x/0.10", s_filter_um=2)
     assert any("waves under 2.75 um" in n and "aperture of 0.1" in n for n in by_lens)
 
 
 @pytest.mark.parametrize(
     ("peak", "amplitude_um", "warned"), [("blur_law", 0.1, True), ("argmax", 0.7, True), ("blur_law", 0.7, False)]
 )
-def test_heights_near_the_noise_of_the_sweep_are_said_to_be_so(peak, amplitude_um, warned):
-    notes = seen(wave(15, amplitude_um), peak=peak)
+def test_heights_near_the_noise_of_the_sweep_are_reported(peak, amplitude_um, warned):
+    notes = observed(wave(15, amplitude_um), peak=peak)
     assert any("much of it is noise" in note for note in notes) == warned
 
 

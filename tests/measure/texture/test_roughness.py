@@ -63,7 +63,7 @@ def test_rz_is_the_mean_of_sections_and_rt_of_all():
     assert found.rsk > 5
 
 
-def test_fewer_sampling_lengths_than_five_are_told():
+def test_fewer_sampling_lengths_than_five_are_reported():
     found = of(wave(5), lambda_c_um=290.0)
     assert found.sections == 2
     assert any("2 of 5 sampling lengths" in note for note in found.notes)
@@ -76,10 +76,10 @@ def test_a_fifth_of_gaps_leaves_the_numbers_as_they_are():
     gaps = z_um.copy()
     gaps[:, np.random.default_rng(1).random(SHAPE[1]) < 0.15] = np.nan
     gaps[:, 400:460] = np.nan
-    whole, found = of(z_um, lambda_c_um=60.0), of(gaps, lambda_c_um=60.0)
+    full, found = of(z_um, lambda_c_um=60.0), of(gaps, lambda_c_um=60.0)
     assert found.measured_fraction == pytest.approx(0.76, abs=0.06)
-    assert found.ra.value_um == pytest.approx(whole.ra.value_um, rel=0.03)
-    assert found.rq.value_um == pytest.approx(whole.rq.value_um, rel=0.03)
+    assert found.ra.value_um == pytest.approx(full.ra.value_um, rel=0.03)
+    assert found.rq.value_um == pytest.approx(full.rq.value_um, rel=0.03)
 
 
 def test_the_tool_takes_its_options_and_a_wide_line_is_averaged_across():

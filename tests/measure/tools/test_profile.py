@@ -66,7 +66,7 @@ def test_a_hole_is_a_gap_and_nothing_is_drawn_across_it():
     np.testing.assert_allclose(curve.z_um[~gap], slope()[39, 0] + 0.3 * (curve.x_um[~gap] - x_um[0]), atol=0.16)
 
 
-def test_filled_heights_are_left_out_unless_asked_for():
+def test_filled_heights_are_left_out_unless_requested():
     z, origin = slope(), np.zeros((80, 120), np.uint8)
     origin[:, 60:80] = Origin.FILLED
     surface = surface_of(z, np.where(origin == 0, z, np.nan), origin)
@@ -99,7 +99,7 @@ class Pyramid:
 
     def __init__(self):
         self.fine = surface_of(slope(800, 800, b=0.1))
-        self.asked = set()
+        self.requested = set()
         self.largest = 0
 
     def __getattr__(self, name):
@@ -115,7 +115,7 @@ class Pyramid:
         layers = {k: getattr(coarse, k) for k in ("z_um", "z_raw_um", "confidence", "all_in_focus", "origin")}
         place = {"pixel_um": n * 0.5, "x0_um": self.fine.x0_um + shift, "y0_um": self.fine.y0_um - shift}
         part = HeightMap(**layers, **place).window(region)
-        self.asked.add(level)
+        self.requested.add(level)
         self.largest = max(self.largest, part.z_um.size)
         return part
 
@@ -125,7 +125,7 @@ def test_a_long_line_is_read_coarsely_and_in_pieces(monkeypatch):
     monkeypatch.setattr(module, "_PIECE", 16)
     pyramid = Pyramid()
     found, curve = profile(pyramid, Region.line(-190, -190, 190, 190))
-    assert pyramid.asked == {2}
+    assert pyramid.requested == {2}
     assert len(curve.z_um) == pytest.approx(380 * np.sqrt(2) / 2, abs=2)
     assert pyramid.largest < 20 * 20
     np.testing.assert_allclose(curve.z_um, 0.3 * curve.x_um + 0.1 * curve.y_um, atol=1e-3)

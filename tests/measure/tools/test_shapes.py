@@ -156,8 +156,8 @@ def test_findings_survive_their_file_and_stand_in_the_table():
 
     assert msgspec.json.decode(msgspec.json.encode(found), type=MeasurementResults) == found
     table = findings_csv(found)
-    for told in ("die_size,height,", "kerf_width,widest,", "chipping,area,", "chip 1 depth"):
-        assert told in table
+    for reported in ("die_size,height,", "kerf_width,widest,", "chipping,area,", "chip 1 depth"):
+        assert reported in table
 
 
 def uncovered():

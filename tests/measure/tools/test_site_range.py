@@ -43,7 +43,7 @@ def test_each_site_has_its_range_about_its_own_plane():
 
 
 @pytest.mark.parametrize(
-    ("site_um", "region", "said"),
+    ("site_um", "region", "message"),
     [
         ((1e4, 1e4), None, "no site of 10000 x 10000 um"),
         ((0.0, 10.0), None, "no area"),
@@ -51,9 +51,9 @@ def test_each_site_has_its_range_about_its_own_plane():
         ((10.0, 10.0), Region.rectangle(0, -48, 22, -26), "None of 4 sites"),
     ],
 )
-def test_sites_that_cannot_be_are_refused(site_um, region, said):
+def test_sites_that_cannot_be_are_refused(site_um, region, message):
     z = np.full(SHAPE, np.nan)
-    with pytest.raises(MeasureError, match=said):
+    with pytest.raises(MeasureError, match=message):
         site_ranges(surface_of(z), site_um, region)
 
 
@@ -61,15 +61,15 @@ def test_from_the_command_line(tmp_path, capsys: pytest.CaptureFixture[str]):
     path = tmp_path / "wafer.npz"
     write_npz(surface_of(stepped(), calibration=calibration()), path)
     assert main(["measure", "site-range", str(path), "--site", str(SITE_UM), str(SITE_UM)]) == 0
-    told = json.loads(capsys.readouterr().out)
-    assert told["largest"]["value_um"] == pytest.approx(3.0, rel=0.03)
+    reported = json.loads(capsys.readouterr().out)
+    assert reported["largest"]["value_um"] == pytest.approx(3.0, rel=0.03)
 
 
 @pytest.mark.parametrize("term", ["TTV", *REFUSED])
 def test_what_needs_two_sides_is_refused_with_the_reason(term, capsys: pytest.CaptureFixture[str]):
     assert main(["measure", term, "wafer.npz"]) == 2
-    told = capsys.readouterr()
-    assert told.out == ""
-    assert told.err.count("\n") == 1
-    assert "front side" in told.err
-    assert "site-range" in told.err
+    reported = capsys.readouterr()
+    assert reported.out == ""
+    assert reported.err.count("\n") == 1
+    assert "front side" in reported.err
+    assert "site-range" in reported.err

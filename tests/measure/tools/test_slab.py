@@ -65,10 +65,10 @@ def test_a_slanted_slab_has_as_many_points_as_its_area(surface: HeightMap):
 
 def test_pieces_make_no_difference(surface: HeightMap, monkeypatch: pytest.MonkeyPatch):
     line = Region.line(10.0, -10.0, 130.0, -90.0, 2.0)
-    whole = slab_profile(surface, line)[2]
+    full = slab_profile(surface, line)[2]
     monkeypatch.setattr(slabs, "_LEAST_PIECE_PX", 8)
     parts = slab_profile(surface, line)[2]
-    assert sorted(parts.z_um) == sorted(whole.z_um)
+    assert sorted(parts.z_um) == sorted(full.z_um)
 
 
 def test_without_a_width_it_is_one_pixel_wide(surface: HeightMap):

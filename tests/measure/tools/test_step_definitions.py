@@ -110,11 +110,11 @@ def placed(*x_um, seam_u_um=0.05):
     seams = no_seams()
     if n > 1:
         mids = (np.array(x_um[1:]) + x_um[:-1]) / 2
-        known = np.diag([seam_u_um**-2.0, 1e12, 1e12])
+        valid = np.diag([seam_u_um**-2.0, 1e12, 1e12])
         one = np.ones(n - 1)
         seams = dataclasses.replace(
             seams, first=np.arange(n - 1, dtype=np.int32), second=np.arange(1, n, dtype=np.int32), mid_x_um=mids,
-            mid_y_um=0 * one, z_um=0 * one, slope_x=0 * one, slope_y=0 * one, information=np.tile(known, (n - 1, 1, 1)),
+            mid_y_um=0 * one, z_um=0 * one, slope_x=0 * one, slope_y=0 * one, information=np.tile(valid, (n - 1, 1, 1)),
             weight=one.astype(np.float32), step_um=0 * one, rms_um=0 * one,
         )  # fmt: skip
     return Poses(

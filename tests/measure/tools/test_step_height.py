@@ -35,9 +35,9 @@ def test_a_tilted_sample_and_outliers_do_not_change_the_step():
 
 def test_the_other_way_round_it_is_negative():
     surface = gauge_blocks(1)
-    there, back = step_height(surface, UPPER, LOWER), step_height(surface, LOWER, UPPER)
-    assert back.height.value_um == pytest.approx(-there.height.value_um, abs=1e-6)
-    assert back.height.expanded_um == pytest.approx(there.height.expanded_um, rel=1e-6)
+    present, back = step_height(surface, UPPER, LOWER), step_height(surface, LOWER, UPPER)
+    assert back.height.value_um == pytest.approx(-present.height.value_um, abs=1e-6)
+    assert back.height.expanded_um == pytest.approx(present.height.expanded_um, rel=1e-6)
 
 
 def test_the_bias_over_many_scans_is_under_ten_nanometres():
@@ -91,7 +91,7 @@ def test_whole_frames_are_less_certain_than_peaks_between_them():
     assert abs(step.height.value_um - 8.0) < 1e-6
 
 
-def test_faces_tilted_against_each_other_are_told():
+def test_faces_tilted_against_each_other_are_reported():
     step = step_height(gauge_blocks(1, noise_um=0.0, tilt=2e-3, level=0.0), UPPER, LOWER)
     assert step.relative_tilt_mrad == pytest.approx(2 * np.hypot(1, 0.4), rel=1e-3)
     # The lower face is 0.19 um higher under its own middle than at the joint.
@@ -108,7 +108,7 @@ def test_without_a_valid_calibration_there_is_no_uncertainty(about, valid):
     assert length.value_um == pytest.approx(STEP_UM, abs=1.0)
 
 
-def test_what_is_simulated_says_so():
+def test_simulated_data_are_marked():
     assert step_height(gauge_blocks(1, simulated=True), UPPER, LOWER).simulated
     assert not step_height(gauge_blocks(1), UPPER, LOWER).simulated
 
@@ -133,7 +133,7 @@ def test_a_result_names_the_heights_it_is_of(layer, height):
     assert step.upper_points < step.lower_points
 
 
-def test_filled_heights_count_only_when_asked_for():
+def test_filled_heights_count_only_when_requested():
     z, raw, origin = layered()
     upper, lower = Region.rectangle(-45, 2, -5, 24), Region.rectangle(5, 2, 45, 24)
     with pytest.raises(MeasureError, match="The upper region has 0 measured points"):
@@ -177,19 +177,19 @@ def test_a_large_region_is_read_at_a_coarser_level(monkeypatch):
 
     class Pyramid:
         levels = 2
-        asked = ()
+        requested = ()
 
         def __getattr__(self, name):
             return getattr(fine, name)
 
         def window(self, region=None, level=0):
-            self.asked += (level,)
+            self.requested += (level,)
             return surface_of_half(fine).window(region)
 
     monkeypatch.setattr(height_samples, "MAX_PIXELS", 20_000)
     pyramid = Pyramid()
     step = step_height(pyramid, UPPER, LOWER)
-    assert set(pyramid.asked) == {1}
+    assert set(pyramid.requested) == {1}
     assert "Read at level 1: each pixel is the mean of 4." in step.notes
     assert step.height.value_um == pytest.approx(STEP_UM, abs=0.05)
 

@@ -44,7 +44,7 @@ def test_zones_are_those_of_the_standard():
     assert by_name["B"] == pytest.approx((right + w / 3, right + w))
 
 
-def test_a_ridge_is_told_from_a_groove():
+def test_a_ridge_is_distinguished_from_a_groove():
     found = step_profile(grooved(depth_um=-8.0), ACROSS)
     assert found.kind == "ridge"
     assert found.height.value_um == pytest.approx(8.0, abs=0.1)
@@ -77,8 +77,8 @@ def test_single_false_heights_do_not_change_it():
 
 
 def test_the_budget_lists_what_nobody_knows():
-    known = Conditions(repeatability_um=0.01, temperature_c=23.0, u_temperature_c=0.0, drift_um=0.002)
-    found = step_profile(grooved(), ACROSS, conditions=known)
+    valid = Conditions(repeatability_um=0.01, temperature_c=23.0, u_temperature_c=0.0, drift_um=0.002)
+    found = step_profile(grooved(), ACROSS, conditions=valid)
     lines = {line.name: line.u_um for line in found.height.budget}
     assert lines["repeatability"] == 0.01
     assert lines["temperature"] == pytest.approx(8.0 * 11.5e-6 * 3, rel=0.05)

@@ -191,11 +191,11 @@ def extrapolated_uncertainty(found: Sequence[Spread], gradient: Floats, axes: in
     None without tiles. found: covariances by tile size, smallest first, each twice the one before; axes: 2 for tiles of
     an area, 1 for pieces of a line.
     """
-    known = [spread.scatter(gradient) for spread in found]
-    if len(known) < 2:
-        return known[0] if known else None
-    best = _extrapolated(known[0], known[1], axes)
-    for smallest, small, large in zip(known, known[1:], known[2:], strict=False):
+    scatters = [spread.scatter(gradient) for spread in found]
+    if len(scatters) < 2:
+        return scatters[0] if scatters else None
+    best = _extrapolated(scatters[0], scatters[1], axes)
+    for smallest, small, large in zip(scatters, scatters[1:], scatters[2:], strict=False):
         coarser = _extrapolated(small, large, axes)
         if small.u > STILL_GROWING * smallest.u or coarser.u > SURPRISING * best.u:
             best = coarser

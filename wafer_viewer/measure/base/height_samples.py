@@ -41,7 +41,7 @@ class HeightSamples:
     def __len__(self) -> int:
         return len(self.z_um)
 
-    def kept(self, mask: NDArray[np.bool_]) -> HeightSamples:
+    def select(self, mask: NDArray[np.bool_]) -> HeightSamples:
         """Return the points selected by a mask."""
         return HeightSamples(self.x_um[mask], self.y_um[mask], self.z_um[mask])
 

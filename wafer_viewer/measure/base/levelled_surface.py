@@ -112,8 +112,8 @@ def _stage(surface: Mosaic, levelling: Levelling, layer: Layer) -> Datum:
 
 
 def _three_points(surface: Mosaic, levelling: Levelling, layer: Layer) -> Datum:
-    at = [_round_point(surface, place, layer) for place in levelling.places]
-    points = HeightSamples(*(np.array(column) for column in zip(*at, strict=True)))
+    spots = [_round_point(surface, place, layer) for place in levelling.places]
+    points = HeightSamples(*(np.array(column) for column in zip(*spots, strict=True)))
     return _fitted(points, FLAT)
 
 
@@ -147,12 +147,12 @@ def _powers(order: int) -> Powers:
 
 def _round_point(surface: Mosaic, place: Region, layer: Layer) -> tuple[float, float, float]:
     """Return x, y and the median of the heights measured around a point."""
-    at = place.points[0]
-    disc = Region.circle(at.x_um, at.y_um, ROUND_POINT_PX * surface.pixel_um)
+    point = place.points[0]
+    disc = Region.circle(point.x_um, point.y_um, ROUND_POINT_PX * surface.pixel_um)
     near = points_in(surface, disc, layer, 0)
     if not len(near):
         raise MeasureError(
-            f"Nothing was measured round ({at.x_um:.1f}, {at.y_um:.1f}) um: "
+            f"Nothing was measured round ({point.x_um:.1f}, {point.y_um:.1f}) um: "
             "put the point for levelling where the surface has no holes."
         )
     return float(near.x_um.mean()), float(near.y_um.mean()), float(np.median(near.z_um))

@@ -105,7 +105,7 @@ class MeasurementContext:
         calibrated = calibration_valid and provenance.calibration is not None
         return cls(surface, layer_of(provenance.recipe, layer), calibrated)
 
-    def told(self, name: str, level: int = 0, *notes: str) -> dict[str, Any]:
+    def result_fields(self, name: str, level: int = 0, *notes: str) -> dict[str, Any]:
         """Return the fields common to all results."""
         return {
             "name": name,

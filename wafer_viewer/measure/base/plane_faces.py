@@ -86,17 +86,17 @@ def face_of(*parts: HeightSamples) -> Face:
     """Fit a face to the points of one or several regions. Raises MeasureError when they do not determine a plane."""
     points = joined(parts)
     plane, fit = fit_plane(points)
-    kept = points if fit.kept.all() else points.kept(fit.kept)
-    part = np.repeat(np.arange(len(parts)), [len(p) for p in parts])[fit.kept]
-    return Face(kept, plane, kept.z_um - plane.at(kept.x_um, kept.y_um), part)
+    used = points if fit.inliers.all() else points.select(fit.inliers)
+    part = np.repeat(np.arange(len(parts)), [len(p) for p in parts])[fit.inliers]
+    return Face(used, plane, used.z_um - plane.at(used.x_um, used.y_um), part)
 
 
 def joined(parts: Sequence[HeightSamples]) -> HeightSamples:
     """Return the points of several regions, concatenated in order."""
-    whole = parts[0]
+    union = parts[0]
     for part in parts[1:]:
-        whole = whole.and_also(part)
-    return whole
+        union = union.and_also(part)
+    return union
 
 
 Regions = Region | Sequence[Region]

@@ -44,7 +44,7 @@ class Fit:
 
     coefficients: Floats
     residuals: Floats
-    kept: NDArray[np.bool_]
+    inliers: NDArray[np.bool_]
 
 
 @dataclass(frozen=True, slots=True)
@@ -74,8 +74,8 @@ def robust_fit(design: Floats, values: Floats) -> Fit:
     if some.step == 1:
         return fit
     residuals = values - design @ fit.coefficients
-    kept = _within(residuals, fit.residuals[fit.kept], rounding)
-    return _settled(_fit(design, values, kept), design, values, rounding)
+    inliers = _within(residuals, fit.residuals[fit.inliers], rounding)
+    return _settled(_fit(design, values, inliers), design, values, rounding)
 
 
 def _begun(design: Floats, values: Floats) -> Fit:
@@ -84,8 +84,8 @@ def _begun(design: Floats, values: Floats) -> Fit:
 
 def _settled(fit: Fit, design: Floats, values: Floats, rounding: float) -> Fit:
     for _ in range(_MAX_ROUNDS):
-        within = _within(fit.residuals, fit.residuals[fit.kept], rounding)
-        if np.count_nonzero(within != fit.kept) <= SETTLED_FRACTION * len(values):
+        within = _within(fit.residuals, fit.residuals[fit.inliers], rounding)
+        if np.count_nonzero(within != fit.inliers) <= SETTLED_FRACTION * len(values):
             break
         fit = _fit(design, values, within)
     return fit
@@ -112,7 +112,7 @@ def fit_plane(points: HeightSamples) -> tuple[LevelPlane, Fit]:
     fit = robust_fit(plane_design(points, (x0_um, y0_um)), points.z_um)
     slope_x, slope_y, z0_um = fit.coefficients.tolist()
     about = LevelPlane(x0_um, y0_um, z0_um, slope_x, slope_y)
-    x_um, y_um = float(np.mean(points.x_um[fit.kept])), float(np.mean(points.y_um[fit.kept]))
+    x_um, y_um = float(np.mean(points.x_um[fit.inliers])), float(np.mean(points.y_um[fit.inliers]))
     return LevelPlane(x_um, y_um, float(about.at(x_um, y_um)), slope_x, slope_y), fit
 
 
@@ -121,20 +121,20 @@ def plane_design(points: HeightSamples, center_um: tuple[float, float]) -> Float
     return np.stack([points.x_um - center_um[0], points.y_um - center_um[1], np.ones(len(points))], axis=1)
 
 
-def _fit(design: Floats, values: Floats, kept: NDArray[np.bool_]) -> Fit:
-    coefficients = least_squares(design[kept], values[kept])
-    return Fit(coefficients, values - design @ coefficients, kept)
+def _fit(design: Floats, values: Floats, inliers: NDArray[np.bool_]) -> Fit:
+    coefficients = least_squares(design[inliers], values[inliers])
+    return Fit(coefficients, values - design @ coefficients, inliers)
 
 
 def _centroid(points: HeightSamples) -> tuple[float, float]:
     return float(np.mean(points.x_um)), float(np.mean(points.y_um))
 
 
-def _within(residuals: Floats, kept: Floats, rounding: float) -> NDArray[np.bool_]:
+def _within(residuals: Floats, inliers: Floats, rounding: float) -> NDArray[np.bool_]:
     """Return the mask of residuals within the rejection limit of the accepted ones."""
-    known = kept[_some_of(len(kept))]
-    middle = np.median(known)
-    return np.abs(residuals - middle) <= REJECT_BEYOND * _spread(np.abs(known - middle), rounding)
+    sampled = inliers[_some_of(len(inliers))]
+    middle = np.median(sampled)
+    return np.abs(residuals - middle) <= REJECT_BEYOND * _spread(np.abs(sampled - middle), rounding)
 
 
 def _some_of(n: int) -> slice:
@@ -217,24 +217,24 @@ def fit_line(x_um: Floats, y_um: Floats) -> EdgeLine:
     Raises MeasureError when the points do not determine a line.
     """
     along = _principal(x_um, y_um)
-    middle, kept = (float(x_um.mean()), float(y_um.mean())), np.ones(len(x_um), bool)
+    middle, inliers = (float(x_um.mean()), float(y_um.mean())), np.ones(len(x_um), bool)
     for _ in range(_TURNS):
         ahead, left = _turned(x_um, y_um, middle, along)
         fit = robust_fit(np.stack([ahead, np.ones(len(ahead))], axis=1), left)
-        turn, kept = math.atan(float(fit.coefficients[0])), fit.kept
+        turn, inliers = math.atan(float(fit.coefficients[0])), fit.inliers
         along = _rotated(along, turn)
-        middle = float(x_um[kept].mean()), float(y_um[kept].mean())
-    ahead, left = _turned(x_um[kept], y_um[kept], middle, along)
+        middle = float(x_um[inliers].mean()), float(y_um[inliers].mean())
+    ahead, left = _turned(x_um[inliers], y_um[inliers], middle, along)
     return EdgeLine(*middle, along, ahead, left)
 
 
 def _principal(x_um: Floats, y_um: Floats) -> tuple[float, float]:
     """Return the direction of largest variance of points, oriented from the first point to the last."""
     offsets = np.stack([x_um - x_um.mean(), y_um - y_um.mean()])
-    way = np.linalg.eigh(offsets @ offsets.T)[1][:, 1]
+    direction = np.linalg.eigh(offsets @ offsets.T)[1][:, 1]
     ends = x_um[-1] - x_um[0], y_um[-1] - y_um[0]
-    way = way if way @ np.array(ends) >= 0 else -way
-    return float(way[0]), float(way[1])
+    direction = direction if direction @ np.array(ends) >= 0 else -direction
+    return float(direction[0]), float(direction[1])
 
 
 def _turned(x_um: Floats, y_um: Floats, middle: tuple[float, float], along: tuple[float, float]) -> tuple[Floats, ...]:
@@ -242,9 +242,9 @@ def _turned(x_um: Floats, y_um: Floats, middle: tuple[float, float], along: tupl
     return x * along[0] + y * along[1], y * along[0] - x * along[1]
 
 
-def _rotated(way: tuple[float, float], angle: float) -> tuple[float, float]:
+def _rotated(direction: tuple[float, float], angle: float) -> tuple[float, float]:
     cos, sin = math.cos(angle), math.sin(angle)
-    return way[0] * cos - way[1] * sin, way[0] * sin + way[1] * cos
+    return direction[0] * cos - direction[1] * sin, direction[0] * sin + direction[1] * cos
 
 
 def angle_between_lines(first: EdgeLine, second: EdgeLine) -> float:
@@ -259,8 +259,8 @@ def crossing(first: EdgeLine, second: EdgeLine) -> tuple[float, float]:
     cross = first.direction[0] * second.direction[1] - first.direction[1] * second.direction[0]
     if abs(cross) < 1e-6:
         raise MeasureError("Two edges of the die run side by side: draw the region round one die.")
-    way = second.x_um - first.x_um, second.y_um - first.y_um
-    return first.at((way[0] * second.direction[1] - way[1] * second.direction[0]) / cross)
+    direction = second.x_um - first.x_um, second.y_um - first.y_um
+    return first.at((direction[0] * second.direction[1] - direction[1] * second.direction[0]) / cross)
 
 
 STEEPEST = 0.95
@@ -325,16 +325,16 @@ def fit_cap(points: HeightSamples, start: Cap | None = None) -> tuple[Cap, Heigh
         before, cap = cap, _nearer(points, cap)
         if abs(cap.curvature - before.curvature) <= _SETTLED * abs(cap.curvature):
             break
-    near = points.kept(cap.within_reach(points))
-    kept = near.kept(robust_fit(cap.slopes(near), near.z_um - cap.at(near)).kept)
-    if not cap.curvature or not len(kept):
+    near = points.select(cap.within_reach(points))
+    inliers = near.select(robust_fit(cap.slopes(near), near.z_um - cap.at(near)).inliers)
+    if not cap.curvature or not len(inliers):
         raise no_sphere()
-    return cap, kept
+    return cap, inliers
 
 
 def _nearer(points: HeightSamples, cap: Cap) -> Cap:
     """Return the sphere after one Gauss-Newton step with outlier rejection."""
-    near = points.kept(cap.within_reach(points))
+    near = points.select(cap.within_reach(points))
     if len(near) < LEAST_POINTS:
         raise no_sphere()
     return cap.moved(robust_fit(cap.slopes(near), near.z_um - cap.at(near)).coefficients)

@@ -105,8 +105,8 @@ def estimate_plainness(source: CellSource, cells: CellGrid, places: tuple[Place,
 
 
 def _usual(each: NDArray[np.float64]) -> float:
-    known = each[np.isfinite(each)]
-    return float(np.median(known)) if known.size else 1.0
+    finite = each[np.isfinite(each)]
+    return float(np.median(finite)) if finite.size else 1.0
 
 
 def _residual(work: ComparisonWork, source: Read, place: Place) -> tuple[Residual, Shift] | None:
@@ -148,5 +148,5 @@ def _result(work: ComparisonWork, strip: CellStrip, place: Place, noise: NoiseMo
 def _differs(z_um: Plane, spread_um: Plane) -> float:
     """Return the fraction of the compared pixels that deviate far from the reference."""
     some, by = np.abs(z_um[::3, ::3]), DIFFERS_SIGMA * spread_um[::3, ::3]
-    known = np.isfinite(some) & np.isfinite(by)
-    return float((some[known] > by[known]).mean()) if known.any() else 0.0
+    finite = np.isfinite(some) & np.isfinite(by)
+    return float((some[finite] > by[finite]).mean()) if finite.any() else 0.0

@@ -42,10 +42,10 @@ def defect_of(
     pieces: Sequence[DefectPiece], cells: CellGrid, reading: MeasurementContext, recipe: DefectRecipe, on_dies: bool
 ) -> Defect:
     """Build one defect from its pieces; on_dies: the cells are dies."""
-    whole = Gathered.of(pieces)
-    height_um, inside = height_of(whole, cells.pixel_um)
-    outline = outline_of(whole.x_um[inside], whole.y_um[inside], cells.pixel_um)
-    shape = shape_of(whole, inside, outline, height_um, cells, recipe, on_dies)
+    merged = Gathered.of(pieces)
+    height_um, inside = height_of(merged, cells.pixel_um)
+    outline = outline_of(merged.x_um[inside], merged.y_um[inside], cells.pixel_um)
+    shape = shape_of(merged, inside, outline, height_um, cells, recipe, on_dies)
     found = classify(shape, recipe.rules)
     unseen = found.kind == "unmeasured"
     if unseen:
@@ -53,19 +53,19 @@ def defect_of(
     resolved = outline.major_um >= RESOLVED_FROM_PX * cells.pixel_um
     narrow = _narrow(reading, outline) if height_um else ()
     return Defect(
-        **reading.told("", 0, *_notes(reading, resolved), *narrow, *((UNSEEN,) if unseen else ())),
+        **reading.result_fields("", 0, *_notes(reading, resolved), *narrow, *((UNSEEN,) if unseen else ())),
         center=Point(x_um=outline.x_um, y_um=outline.y_um),
         outline=_region(outline, cells.pixel_um),
         kind=found.kind,
         reasons=found.reasons,
-        confidence=confidence(whole.first.score, recipe, found.confidence),
+        confidence=confidence(merged.first.score, recipe, found.confidence),
         **_place(outline, cells, on_dies),
-        **_sizes(whole, inside, outline, height_um, cells.pixel_um, reading, resolved, not narrow),
+        **_sizes(merged, inside, outline, height_um, cells.pixel_um, reading, resolved, not narrow),
         mean_height_um=shape.mean_height_um,
         angle_deg=outline.angle_deg,
-        score=whole.first.score,
-        scale_px=whole.first.scale_px,
-        evidence=evidence_of(whole.peaks, recipe.threshold_sigma),
+        score=merged.first.score,
+        scale_px=merged.first.scale_px,
+        evidence=evidence_of(merged.peaks, recipe.threshold_sigma),
         size_resolved=resolved,
     )
 
@@ -101,7 +101,7 @@ def _place(outline: DefectOutline, cells: CellGrid, on_dies: bool) -> dict[str, 
 
 
 def _sizes(
-    whole: Gathered,
+    merged: Gathered,
     inside: Mask,
     outline: DefectOutline,
     height_um: float,
@@ -111,7 +111,7 @@ def _sizes(
     wide: bool,
 ) -> dict[str, Any]:
     """Return lengths, area and volume, with U where defensible; wide: heights are not reduced by averaging."""
-    volume_um3 = float(np.nansum(whole.z_um)) * pixel_um**2
+    volume_um3 = float(np.nansum(merged.z_um)) * pixel_um**2
     area = 0.0 if not resolved else outline.area_um2
     edge_um = U_EDGE_PX * pixel_um
     of_area: Lines | None = {
@@ -120,11 +120,11 @@ def _sizes(
     }
     n = int(np.count_nonzero(inside))
     of_height: Lines = {
-        "noise": whole.first.noise_um,
+        "noise": merged.first.noise_um,
         "z scale": reading.u_z_scale * abs(height_um),
         "interpolation between frames": reading.u_interpolation_um,
     }
-    measured = bool(np.isfinite(whole.smooth_um).any()) and n > 0
+    measured = bool(np.isfinite(merged.smooth_um).any()) and n > 0
     return {
         "major": reading.length(outline.major_um, _of_length(reading, outline.major_um, edge_um) if resolved else None),
         "minor": reading.length(outline.minor_um, _of_length(reading, outline.minor_um, edge_um) if resolved else None),
@@ -202,11 +202,11 @@ def whole_die_defects(
     results: Sequence[CellResult], work: ComparisonWork, reading: MeasurementContext, noise: NoiseModel
 ) -> dict[str, Defect]:
     """Return defects of entire dies by die name: those at another height or tilt than the others."""
-    seen = _measured_enough(results)
-    if len(seen) < DIE_LEVEL.least_dies:
+    measured = _measured_enough(results)
+    if len(measured) < DIE_LEVEL.least_dies:
         return {}
-    offsets = np.array([result.offset_um for result in seen])
-    tilts = np.array([result.tilt for result in seen])
+    offsets = np.array([result.offset_um for result in measured])
+    tilts = np.array([result.tilt for result in measured])
     noise_um = float(np.nanmedian(work.golden.z_spread_um))
     half_um = min(work.cells.grid.width_um, work.cells.grid.height_um) / 2
     offset_off, offset_limit = _off(offsets, DIE_LEVEL.least_offset * noise_um)
@@ -222,36 +222,44 @@ def whole_die_defects(
     for k in np.flatnonzero(tilted | offset):
         score = max(abs(offset_off[k]) / max(offset_limit, 1e-9), tilt_off[k] / max(tilt_limit, 1e-12)) * DIE_LEVEL.far
         height_um = float(offset_off[k]) if offset[k] else float(tilt_off[k]) * half_um
-        name = work.cells.grid.name(*seen[k].place)
-        found[name] = _whole(seen[k], work, reading, height_um, float(tilt_off[k]) * 1e3, float(score))
+        name = work.cells.grid.name(*measured[k].place)
+        found[name] = _whole(measured[k], work, reading, height_um, float(tilt_off[k]) * 1e3, float(score))
     return found
 
 
 def _measured_enough(results: Sequence[CellResult]) -> list[CellResult]:
     """Return the cells with enough compared pixels; a plane through a sliver of a die has a random tilt."""
-    known = [result for result in results if result.compared_px]
-    usual = float(np.median([result.compared_px for result in known])) if known else 0.0
-    return [result for result in known if result.compared_px >= DIE_LEVEL.least_compared * usual]
+    compared = [result for result in results if result.compared_px]
+    usual = float(np.median([result.compared_px for result in compared])) if compared else 0.0
+    return [result for result in compared if result.compared_px >= DIE_LEVEL.least_compared * usual]
 
 
 def mark_repeaters(defects: Sequence[Defect], n_dies: int, pixel_um: float) -> tuple[Defect, ...]:
     """Mark defects found at the same place in most dies as repeating; for stored golden dies only."""
     if n_dies < DIE_LEVEL.least_dies:
         return tuple(defects)
-    at = [(d.in_die.x_um, d.in_die.y_um) if d.in_die is not None else (math.inf, math.inf) for d in defects]
+    positions = [(d.in_die.x_um, d.in_die.y_um) if d.in_die is not None else (math.inf, math.inf) for d in defects]
     return tuple(
-        replace(d, repeats=True) if _dies_near(at[k], at, defects, pixel_um) >= DIE_LEVEL.repeats_from * n_dies else d
+        replace(d, repeats=True)
+        if _dies_near(positions[k], positions, defects, pixel_um) >= DIE_LEVEL.repeats_from * n_dies
+        else d
         for k, d in enumerate(defects)
     )
 
 
 def _dies_near(
-    here: tuple[float, float], at: list[tuple[float, float]], defects: Sequence[Defect], pixel_um: float
+    position: tuple[float, float], positions: list[tuple[float, float]], defects: Sequence[Defect], pixel_um: float
 ) -> int:
-    if math.isinf(here[0]):
+    if math.isinf(position[0]):
         return 0
     near = DIE_LEVEL.near_px * pixel_um
-    return len({d.die for d, (u, v) in zip(defects, at, strict=True) if math.hypot(u - here[0], v - here[1]) <= near})
+    return len(
+        {
+            d.die
+            for d, (u, v) in zip(defects, positions, strict=True)
+            if math.hypot(u - position[0], v - position[1]) <= near
+        }
+    )
 
 
 def _off(values: np.ndarray, least: float) -> tuple[np.ndarray, float]:
@@ -282,7 +290,7 @@ def _whole(
     )
     found = classify(shape, work.recipe.rules)
     return Defect(
-        **reading.told("", 0, "The die differs from the others as a whole; its area is that of a die."),
+        **reading.result_fields("", 0, "The die differs from the others as a whole; its area is that of a die."),
         center=Point(x_um=x_um, y_um=y_um),
         outline=grid.outline(*result.place),
         kind=found.kind,

@@ -107,43 +107,43 @@ class DefectOutline:
         return math.pi * (3 * (a + b) - math.sqrt((3 * a + b) * (a + 3 * b)))
 
 
-def height_of(whole: Gathered, pixel_um: float) -> tuple[float, Mask]:
+def height_of(merged: Gathered, pixel_um: float) -> tuple[float, Mask]:
     """Return the signed peak over the reference and the mask of pixels above half of it; all if unmeasured."""
-    known = np.isfinite(whole.smooth_um)
-    if not known.any():
-        return 0.0, np.ones(len(whole.x_um), bool)
-    height_um = _peak(whole, whole.smooth_um[known])
-    faint = whole.peaks.get("height", 0.0) < min(OUTLINE.height_sure, OUTLINE.height_share * whole.first.score)
-    if faint and abs(height_um) < OUTLINE.height_sure * whole.first.noise_um:
-        return height_um, np.ones(len(whole.x_um), bool)
+    finite = np.isfinite(merged.smooth_um)
+    if not finite.any():
+        return 0.0, np.ones(len(merged.x_um), bool)
+    height_um = _peak(merged, merged.smooth_um[finite])
+    faint = merged.peaks.get("height", 0.0) < min(OUTLINE.height_sure, OUTLINE.height_share * merged.first.score)
+    if faint and abs(height_um) < OUTLINE.height_sure * merged.first.noise_um:
+        return height_um, np.ones(len(merged.x_um), bool)
     with np.errstate(invalid="ignore"):
-        inside = known & (whole.smooth_um * math.copysign(1, height_um) >= OUTLINE.half * abs(height_um))
-    return height_um, inside | _seen_elsewhere(whole, inside, OUTLINE.apart_px * pixel_um)
+        inside = finite & (merged.smooth_um * math.copysign(1, height_um) >= OUTLINE.half * abs(height_um))
+    return height_um, inside | _measured_elsewhere(merged, inside, OUTLINE.apart_px * pixel_um)
 
 
-def _seen_elsewhere(whole: Gathered, inside: Mask, apart_um: float) -> Mask:
+def _measured_elsewhere(merged: Gathered, inside: Mask, apart_um: float) -> Mask:
     """Return the pixels with image contrast if most of them are apart from the height pixels.
 
     Two defects were then merged, and both must be included.
     """
     from scipy.spatial import KDTree
 
-    pictured = whole.pictured
-    if pictured is None or max(whole.peaks.get(layer, 0.0) for layer in (SHARP, SOFT)) < OUTLINE.picture_sure:
+    pictured = merged.pictured
+    if pictured is None or max(merged.peaks.get(layer, 0.0) for layer in (SHARP, SOFT)) < OUTLINE.picture_sure:
         return np.zeros(len(inside), bool)
-    heights, seen = (np.stack([whole.x_um[some], whole.y_um[some]], axis=1) for some in (inside, pictured))
-    away_um, _ = KDTree(heights).query(seen)
+    heights, measured = (np.stack([merged.x_um[some], merged.y_um[some]], axis=1) for some in (inside, pictured))
+    away_um, _ = KDTree(heights).query(measured)
     return pictured if np.mean(away_um > apart_um) > OUTLINE.half else np.zeros(len(inside), bool)
 
 
-def _peak(whole: Gathered, values: Floats) -> float:
+def _peak(merged: Gathered, values: Floats) -> float:
     """Return the larger extreme; if both are similar, the one with the sign of the median height in the image pixels.
 
     Focus errors have both signs around the rim of dark or bright areas.
     """
     upper, lower = float(values.max()), float(values.min())
     high, low = max(upper, 0.0), max(-lower, 0.0)
-    lying = whole.z_um if whole.pictured is None else whole.z_um[whole.pictured]
+    lying = merged.z_um if merged.pictured is None else merged.z_um[merged.pictured]
     lying = lying[np.isfinite(lying)]
     if min(high, low) <= OUTLINE.half * max(high, low) or not lying.size:
         return upper if upper >= -lower else lower
@@ -175,7 +175,7 @@ def ellipse_of(x_um: Floats, y_um: Floats, weight: Floats, pixel_um: float) -> D
 
 
 def shape_of(
-    whole: Gathered,
+    merged: Gathered,
     inside: Mask,
     outline: DefectOutline,
     height_um: float,
@@ -184,71 +184,71 @@ def shape_of(
     on_dies: bool,
 ) -> DefectShape:
     """Return the shape features of one defect; inside: mask of its pixels above half of its height."""
-    left = (whole.z_um - whole.smooth_um)[inside]
-    known = np.isfinite(left)
-    rough = float(np.sqrt(np.mean(left[known] ** 2))) if known.any() else 0.0
+    left = (merged.z_um - merged.smooth_um)[inside]
+    finite = np.isfinite(left)
+    rough = float(np.sqrt(np.mean(left[finite] ** 2))) if finite.any() else 0.0
     die_um2 = cells.grid.width_um * cells.grid.height_um
     return DefectShape(
         height_um=height_um,
-        mean_height_um=mean_height_um(whole, inside),
-        score=whole.first.score,
+        mean_height_um=mean_height_um(merged, inside),
+        score=merged.first.score,
         area_um2=outline.area_um2,
         major_um=outline.major_um,
         minor_um=outline.minor_um,
-        picture_ratio=_picture_ratio(whole, cells.pixel_um),
-        roughness_ratio=rough / whole.first.noise_um if whole.first.noise_um > 0 else 1.0,
-        steepness=_steepness(whole, height_um, outline),
-        on_edge_fraction=_on_edge(whole, inside, cells) if on_dies else 0.0,
+        picture_ratio=_picture_ratio(merged, cells.pixel_um),
+        roughness_ratio=rough / merged.first.noise_um if merged.first.noise_um > 0 else 1.0,
+        steepness=_steepness(merged, height_um, outline),
+        on_edge_fraction=_on_edge(merged, inside, cells) if on_dies else 0.0,
         die_fraction=min(1.0, outline.area_um2 / die_um2) if on_dies else 0.0,
-        unmeasured_fraction=float(np.isnan(whole.z_um).mean()),
-        evidence=evidence_of(whole.peaks, recipe.threshold_sigma),
-        height_score=whole.peaks.get("height", 0.0),
-        picture_score=whole.peaks.get("picture", 0.0),
-        detail_score=whole.peaks.get("detail", 0.0),
+        unmeasured_fraction=float(np.isnan(merged.z_um).mean()),
+        evidence=evidence_of(merged.peaks, recipe.threshold_sigma),
+        height_score=merged.peaks.get("height", 0.0),
+        picture_score=merged.peaks.get("picture", 0.0),
+        detail_score=merged.peaks.get("detail", 0.0),
         pixel_um=cells.pixel_um,
     )
 
 
-def mean_height_um(whole: Gathered, inside: Mask) -> float:
+def mean_height_um(merged: Gathered, inside: Mask) -> float:
     """Return the mean height over the defect's area, 0 where no height is known."""
-    values = whole.smooth_um[inside]
+    values = merged.smooth_um[inside]
     return float(np.nanmean(values)) if np.isfinite(values).any() else 0.0
 
 
-def _picture_ratio(whole: Gathered, pixel_um: float) -> float:
+def _picture_ratio(merged: Gathered, pixel_um: float) -> float:
     """Return length over width by the moments of the image contrast, which no focus window blurs; 0 if none."""
-    clear = whole.pictured
+    clear = merged.pictured
     if clear is None:
         return 0.0
-    seen = ellipse_of(whole.x_um[clear], whole.y_um[clear], whole.clear[clear], pixel_um)
-    return max(seen.major_um, pixel_um) / max(seen.minor_um, pixel_um)
+    ellipse = ellipse_of(merged.x_um[clear], merged.y_um[clear], merged.clear[clear], pixel_um)
+    return max(ellipse.major_um, pixel_um) / max(ellipse.minor_um, pixel_um)
 
 
-def _steepness(whole: Gathered, height_um: float, outline: DefectOutline) -> float:
+def _steepness(merged: Gathered, height_um: float, outline: DefectOutline) -> float:
     """Return the median slope at about half of the peak height, normalised to 1 for a cone; 0 if unknown."""
     if height_um == 0:
         return 0.0
-    share = whole.smooth_um / height_um
+    share = merged.smooth_um / height_um
     with np.errstate(invalid="ignore"):
-        slopes = whole.slope[(share > OUTLINE.flank[0]) & (share < OUTLINE.flank[1])]
+        slopes = merged.slope[(share > OUTLINE.flank[0]) & (share < OUTLINE.flank[1])]
     slopes = slopes[np.isfinite(slopes)]
     return (
         float(np.median(slopes)) * outline.minor_um / 2 / abs(height_um) if len(slopes) >= OUTLINE.least_slopes else 0.0
     )
 
 
-def _on_edge(whole: Gathered, inside: Mask, cells: CellGrid) -> float:
+def _on_edge(merged: Gathered, inside: Mask, cells: CellGrid) -> float:
     """Return the fraction of the defect's border on the die's edge, from the number of its pixels near that edge.
 
     The pixels are those with image contrast, because walls have few heights. A defect that continues into the street
     crosses the edge and has a fraction of 0.
     """
-    its = inside if whole.pictured is None else whole.pictured
+    its = inside if merged.pictured is None else merged.pictured
     pixel_um, near = cells.pixel_um, OUTLINE.edge_px * cells.pixel_um
-    u, v = whole.u_um[its], whole.v_um[its]
+    u, v = merged.u_um[its], merged.v_um[its]
     within = np.minimum.reduce((u, cells.grid.width_um - u, v, cells.grid.height_um - v))
     if np.mean(within < -near) > OUTLINE.crossing:
         return 0.0
     along_um = float(np.count_nonzero(np.abs(within) <= near)) * pixel_um**2 / (2 * near)
-    around = ellipse_of(whole.x_um[its], whole.y_um[its], np.ones(len(u)), pixel_um).around_um
+    around = ellipse_of(merged.x_um[its], merged.y_um[its], np.ones(len(u)), pixel_um).around_um
     return min(1.0, along_um / max(pixel_um, around))

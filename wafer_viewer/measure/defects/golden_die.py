@@ -40,7 +40,7 @@ class DieRegistrationParameters:
         Smallest number of dies for a median die.
     most_dies : int
         Largest number of dies used for the golden die, evenly spaced.
-    known_share : float
+    valid_share : float
         Smallest fraction of dies with a known value at a position. At a polished rim, the few dies with values
         there are chipped ones.
     block_pixels : int, px
@@ -51,9 +51,9 @@ class DieRegistrationParameters:
         Size of the central patch of the dies on which shifts are found.
     furthest_px : float, px
         Largest shift of a die from its place; a step beyond it is not taken.
-    least_known_px : int, px
+    least_valid_px : int, px
         Smallest number of known pixels for the registration of a die that is cut by the border.
-    enough_known : float
+    enough_valid : float
         Known fraction of a patch above which it is registered.
     within_sigmas : float
         Distance from the median difference within which pixels count for a shift, in robust deviations.
@@ -61,7 +61,7 @@ class DieRegistrationParameters:
         Smallest number of such pixels.
     rounds : int
         Number of rounds of median die and shifts.
-    laid_by : int
+    registered_by : int
         Largest number of dies used to find the offset between the wafer's median die and the stored one.
 
     Notes
@@ -72,17 +72,17 @@ class DieRegistrationParameters:
 
     least_dies: int = 5
     most_dies: int = 32
-    known_share: float = 0.5
+    valid_share: float = 0.5
     block_pixels: int = 24_000_000
     least_block_rows: int = 16
     patch_px: int = 384
     furthest_px: float = 3.0
-    least_known_px: int = 3_000
-    enough_known: float = 0.3
+    least_valid_px: int = 3_000
+    enough_valid: float = 0.3
     within_sigmas: float = 6
     least_common_px: int = 100
     rounds: int = 3
-    laid_by: int = 8
+    registered_by: int = 8
 
 
 REGISTRATION = DieRegistrationParameters()
@@ -141,7 +141,7 @@ SPREAD = SpreadParameters()
 Cell = tuple[Plane, Plane]
 
 SPREAD_SAMPLE = 20_000
-"""Approximate number of values of which a robust deviation is taken."""
+"""Approximate number of values sampled for a robust deviation."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -200,10 +200,12 @@ def golden_of(source: CellSource, cells: CellGrid, places: tuple[Place, ...]) ->
     layers = [np.full((rows, cols), np.nan, np.float32) for _ in range(4)]
     for block in _blocks(rows, cols, len(poses)):
         read = ((pose, source.read(cells, place, block, slice(0, cols), pose.shift)) for place, pose in poses.items())
-        known = [pose.levelled(cell, block.start) for pose, cell in read if cell is not None]
-        for k in range(2 if known else 0):
-            stack = np.stack([cell[k] for cell in known])
-            least = max(min(REGISTRATION.least_dies, len(known)), math.ceil(REGISTRATION.known_share * len(known)))
+        levelled = [pose.levelled(cell, block.start) for pose, cell in read if cell is not None]
+        for k in range(2 if levelled else 0):
+            stack = np.stack([cell[k] for cell in levelled])
+            least = max(
+                min(REGISTRATION.least_dies, len(levelled)), math.ceil(REGISTRATION.valid_share * len(levelled))
+            )
             median_and_spread(stack, least, layers[2 * k][block], layers[2 * k + 1][block])
     as_pooled = ((SPREAD.least_height_um, SPREAD.powers[0]), (SPREAD.least_contrast, SPREAD.powers[1]))
     steady = (pool_spread(layers[2 * k + 1], len(poses), *how) for k, how in enumerate(as_pooled))
@@ -215,16 +217,16 @@ def golden_of(source: CellSource, cells: CellGrid, places: tuple[Place, ...]) ->
     return ReferenceDie(layers[0], next(spreads), layers[2], next(spreads), len(poses), shifts)
 
 
-def golden_die(golden: ReferenceDie, cells: CellGrid, dark: float, **told: str | bool) -> GoldenDie:
+def golden_die(golden: ReferenceDie, cells: CellGrid, dark: float, **metadata: str | bool) -> GoldenDie:
     """Return the golden die for storage: without its streets, its image in grey levels again.
 
-    dark: as in `CellSource`; told: product, name, made_of and the like of the header.
+    dark: as in `CellSource`; metadata: product, name, made_of and the like of the header.
     """
     grid, (top, left) = cells.grid, cells.street
     rows, cols = (round(n / cells.pixel_um) for n in (grid.height_um, grid.width_um))
     part = slice(top, top + rows), slice(left, left + cols)
     sizes = {"pixel_um": cells.pixel_um, "width_um": grid.width_um, "height_um": grid.height_um}
-    header = GoldenHeader(dies=max(1, golden.n_dies), **sizes, **told)  # pyright: ignore[reportArgumentType]
+    header = GoldenHeader(dies=max(1, golden.n_dies), **sizes, **metadata)  # pyright: ignore[reportArgumentType]
     lit = np.exp(golden.picture)
     planes = (golden.z_um, golden.z_spread_um, lit - np.float32(dark), golden.picture_spread * lit)
     return GoldenDie(header, *(np.ascontiguousarray(plane[part]) for plane in planes))
@@ -236,19 +238,19 @@ def register_dies(source: CellSource, cells: CellGrid, places: tuple[Place, ...]
     strips = {place: source.strip(cells.around(place, *patch, (0.0, 0.0), MARGIN_PX + REACH_PX)) for place in places}
     held = {place: strip for place, strip in strips.items() if strip is not None}
     shifts: dict[Place, Shift] = dict.fromkeys(held, (0.0, 0.0))
-    known: dict[Place, Cell] = {}
+    valid_cells: dict[Place, Cell] = {}
     model: Cell | None = None
     for _ in range(REGISTRATION.rounds):
         read = {place: held[place].read(cells, place, *patch, shift) for place, shift in shifts.items()}
-        known = {place: cell for place, cell in read.items() if _enough(cell)}
-        if not known:
+        valid_cells = {place: cell for place, cell in read.items() if _enough(cell)}
+        if not valid_cells:
             return {}
-        flat = {place: levelled_pair(cell) for place, cell in known.items()}
+        flat = {place: levelled_pair(cell) for place, cell in valid_cells.items()}
         model = _middle([cell[0] for cell in flat.values()]), _middle([cell[1] for cell in flat.values()])
         moved = {place: _step(cell, model) for place, cell in flat.items()}
         center = np.median(list(moved.values()), axis=0)
-        shifts = {place: _held(shifts[place], moved[place] - center) for place in known}
-    return {place: _pose(shifts[place], cell, model, patch) for place, cell in known.items()} if model else {}
+        shifts = {place: _held(shifts[place], moved[place] - center) for place in valid_cells}
+    return {place: _pose(shifts[place], cell, model, patch) for place, cell in valid_cells.items()} if model else {}
 
 
 def _pose(shift: Shift, cell: Cell, model: Cell, patch: tuple[slice, slice]) -> DiePose:
@@ -264,10 +266,10 @@ def die_shift(source: Read, cells: CellGrid, place: Place, golden: ReferenceDie)
     """
     if place in golden.shifts:
         return golden.shifts[place]
-    whole = slice(0, cells.shape[0]), slice(0, cells.shape[1])
-    for rows, cols in (_patch(cells.shape), whole):
+    full = slice(0, cells.shape[0]), slice(0, cells.shape[1])
+    for rows, cols in (_patch(cells.shape), full):
         cell = source.read(cells, place, rows, cols, (0.0, 0.0))
-        if cell is not None and (_enough(cell) or np.isfinite(cell[0]).sum() >= REGISTRATION.least_known_px):
+        if cell is not None and (_enough(cell) or np.isfinite(cell[0]).sum() >= REGISTRATION.least_valid_px):
             model = golden.z_um[rows, cols], golden.picture[rows, cols]
             shift = _held((0.0, 0.0), _step(levelled_pair(cell), model))
             again = source.read(cells, place, rows, cols, shift)
@@ -294,13 +296,13 @@ def pool_spread(spread: Plane, n_dies: int, least: float, power: float) -> Plane
     """
     from scipy.ndimage import uniform_filter
 
-    known = np.isfinite(spread)
-    share, powers = known.astype(np.float32), np.where(known, spread, np.float32(0)) ** power
+    finite = np.isfinite(spread)
+    share, powers = finite.astype(np.float32), np.where(finite, spread, np.float32(0)) ** power
     near, wide = (uniform_filter(powers, n) / np.maximum(uniform_filter(share, n), 1e-3) for n in SPREAD.pooled_px)
     pooled = np.maximum(near, (n_dies * near + SPREAD.pooled_as * wide) / (n_dies + SPREAD.pooled_as))
-    usual = float(np.median(spread[known])) if known.any() else 1.0
+    usual = float(np.median(spread[finite])) if finite.any() else 1.0
     held = np.maximum(pooled ** (1 / power), max(SPREAD.floor * usual, least))
-    return np.where(known, np.maximum(held, SPREAD.own * np.where(known, spread, 0)), np.nan).astype(np.float32)
+    return np.where(finite, np.maximum(held, SPREAD.own * np.where(finite, spread, 0)), np.nan).astype(np.float32)
 
 
 def _with_edges(spread: Plane, middle: Plane) -> Plane:
@@ -353,13 +355,13 @@ def _median(plane: Plane) -> float:
 def _step(cell: Cell, model: Cell) -> NDArray[np.float64]:
     """Return the remaining shift of the cell from the model, (down, right), from heights and image together."""
     normal, right = np.zeros((2, 2)), np.zeros(2)
-    for here, typical_one in zip(cell, model, strict=True):
-        left = here - typical_one
+    for value, typical_one in zip(cell, model, strict=True):
+        left = value - typical_one
         sigma = robust_sigma(left)
         if not sigma > 0:
             continue
         offset = _median(left)
-        sums = shift_sums(here, np.ascontiguousarray(typical_one), offset, REGISTRATION.within_sigmas * sigma)
+        sums = shift_sums(value, np.ascontiguousarray(typical_one), offset, REGISTRATION.within_sigmas * sigma)
         if sums[0, 0] < REGISTRATION.least_common_px:
             continue
         normal += (sums[1:, 1:3] - np.outer(sums[1:, 0], sums[0, 1:3]) / sums[0, 0]) / sigma**2
@@ -376,7 +378,7 @@ def _held(shift: Shift, step: NDArray[np.float64]) -> Shift:
 
 
 def _enough(cell: Cell) -> bool:
-    return bool(np.isfinite(cell[0]).mean() > REGISTRATION.enough_known)
+    return bool(np.isfinite(cell[0]).mean() > REGISTRATION.enough_valid)
 
 
 def _less_median(plane: Plane) -> Plane:
@@ -420,24 +422,24 @@ def add_median_streets(
         own = golden_of(source, cells, places) if len(places) >= REGISTRATION.least_dies else None
     except MeasureError:
         own = None
-    off = _lies_off(stored, own, source, cells) if own is not None else None
+    off = _off_reference(stored, own, source, cells) if own is not None else None
     if own is None or off is None:
         return stored, (NOT_INSPECTED,)
     return _beside(stored, own, off), (BY_THEMSELVES,)
 
 
-def streets_known(golden: ReferenceDie, cells: CellGrid) -> bool:
+def streets_measured(golden: ReferenceDie, cells: CellGrid) -> bool:
     """Return whether the reference of a cell knows its streets, or has none; tested at the line next to the die."""
     top, left = cells.street
-    beside = golden.z_um[top - 1] if top else golden.z_um[:, left - 1]
-    return not (top or left) or bool(np.isfinite(beside).any())
+    neighbour = golden.z_um[top - 1] if top else golden.z_um[:, left - 1]
+    return not (top or left) or bool(np.isfinite(neighbour).any())
 
 
-def _lies_off(stored: ReferenceDie, own: ReferenceDie, source: CellSource, cells: CellGrid) -> np.ndarray | None:
+def _off_reference(stored: ReferenceDie, own: ReferenceDie, source: CellSource, cells: CellGrid) -> np.ndarray | None:
     """Return the offset (down, right) in pixels of the stored die relative to the wafer's own median die."""
-    some = evenly_spaced(tuple(own.shifts), REGISTRATION.laid_by)
-    laid = {place: die_shift(source, cells, place, stored) for place in some}
-    off = [np.subtract(shift, own.shifts[place]) for place, shift in laid.items() if shift is not None]
+    some = evenly_spaced(tuple(own.shifts), REGISTRATION.registered_by)
+    shifts = {place: die_shift(source, cells, place, stored) for place in some}
+    off = [np.subtract(shift, own.shifts[place]) for place, shift in shifts.items() if shift is not None]
     return np.median(off, axis=0) if off else None
 
 

@@ -29,7 +29,7 @@ from wafer_viewer.measure.defects.golden_die import (
     add_median_streets,
     golden_die,
     golden_of,
-    streets_known,
+    streets_measured,
 )
 from wafer_viewer.measure.defects.matched_filters import LEFT_OUT, LOOKED_AT
 from wafer_viewer.measure.defects.noise_model import NoiseModel
@@ -171,8 +171,8 @@ def inspect(
     with closing((rows_by or _one_by_one)(work, noise, rows)) as by_row:
         results = [result for row in _watched(by_row, len(rows), progress, should_stop) for result in row]
     _require_likeness(results, golden)
-    whole = whole_die_defects(results, work, reading, noise) if work.on_dies else {}
-    defects = _defects(results, whole, work, reading)
+    whole_dies = whole_die_defects(results, work, reading, noise) if work.on_dies else {}
+    defects = _defects(results, whole_dies, work, reading)
     if reference == "golden":
         defects = mark_repeaters(defects, sum(result.compared_px > 0 for result in results), surface.pixel_um)
     notes = (*notes, *_of_the_rim(grid, on_dies), *notes_on(recipe.excluded, work.excluded, work.on_dies))
@@ -180,7 +180,7 @@ def inspect(
 
 
 def golden_of_surface(
-    surface: Mosaic, grid: DieGrid, recipe: DefectRecipe = DefectRecipe(), **told: str | bool
+    surface: Mosaic, grid: DieGrid, recipe: DefectRecipe = DefectRecipe(), **metadata: str | bool
 ) -> GoldenDie:
     """Return the median die of a surface as a golden die, for storage.
 
@@ -192,7 +192,7 @@ def golden_of_surface(
         Die lattice, in stage um.
     recipe : DefectRecipe, optional
         Gives the order of the form that is removed first, and the product. By default `DefectRecipe()`.
-    **told : str or bool
+    **metadata : str or bool
         Fields of the header: `product`, `name`, `made_of`, `made_at`, `software_version`, `simulated`. By default the
         product of the recipe, and whether the surface is simulated.
 
@@ -209,8 +209,8 @@ def golden_of_surface(
         If hardly anything is measured, no die of the lattice lies on the surface, or fewer than five dies are measured
         in their middle (`DiesNotFound`).
     TypeError
-        If `told` names no field of the header, or one that follows from the surface (`dies`, `pixel_um`, `width_um`,
-        `height_um`).
+        If `metadata` names no field of the header, or one that follows from the surface (`dies`, `pixel_um`,
+        `width_um`, `height_um`).
 
     Notes
     -----
@@ -219,8 +219,8 @@ def golden_of_surface(
     reading = MeasurementContext.of(surface, None, True)
     source = source_of(surface, reading.layer, recipe.form_order)
     cells = CellGrid.of(without_bare_rim(grid, statuses(surface, grid)), surface.pixel_um)
-    told = {"product": recipe.product, "simulated": surface.provenance.simulated, **told}
-    return golden_die(golden_of(source, cells, _on_surface(source, cells)), cells, source.dark, **told)
+    metadata = {"product": recipe.product, "simulated": surface.provenance.simulated, **metadata}
+    return golden_die(golden_of(source, cells, _on_surface(source, cells)), cells, source.dark, **metadata)
 
 
 def _work(
@@ -283,9 +283,9 @@ def _by_form(source: CellSource, recipe: DefectRecipe, why: str) -> tuple[Compar
         notes.append(LOOKED_AT if by.plain else LEFT_OUT)
     if len(source.levels_um) > 1:
         notes.append(SEVERAL_LEVELS.format(len(source.levels_um), TERRACES.wall_px))
-    seen = recipe if by.plain else replace(recipe, evidence="height")
+    shown = recipe if by.plain else replace(recipe, evidence="height")
     return (
-        ComparisonWork(source, cells, ReferenceDie.nothing(cells.shape, by.z_um, by.grey), seen, False),
+        ComparisonWork(source, cells, ReferenceDie.nothing(cells.shape, by.z_um, by.grey), shown, False),
         "form",
         tuple(notes),
     )
@@ -337,16 +337,16 @@ def _require_likeness(results: Sequence[CellResult], golden: GoldenDie | None) -
 
 
 def _defects(
-    results: Sequence[CellResult], whole: dict[str, Defect], work: ComparisonWork, reading: MeasurementContext
+    results: Sequence[CellResult], whole_dies: dict[str, Defect], work: ComparisonWork, reading: MeasurementContext
 ) -> tuple[Defect, ...]:
     """Return defects numbered by descending score; a defect of an entire die replaces those on that die."""
     pieces = [
-        piece for result in results for piece in result.pieces if work.cells.grid.name(*result.place) not in whole
+        piece for result in results for piece in result.pieces if work.cells.grid.name(*result.place) not in whole_dies
     ]
     together = merge_border_pieces(pieces, work.cells.pixel_um)
     strongest = sorted(together, key=lambda group: -max(piece.score for piece in group))[:MOST_DEFECTS]
     single = [defect_of(group, work.cells, reading, work.recipe, work.on_dies) for group in strongest]
-    ordered = sorted([*whole.values(), *single], key=lambda d: -d.score)
+    ordered = sorted([*whole_dies.values(), *single], key=lambda d: -d.score)
     return tuple(replace(defect, number=n, name=f"Defect {n}") for n, defect in enumerate(ordered, 1))
 
 
@@ -369,7 +369,7 @@ def _inspection(
         recipe=work.recipe,
         reference=reference,
         grid=grid,
-        dies=_with_defects(dies, defects, not work.on_dies or streets_known(work.golden, work.cells)),
+        dies=_with_defects(dies, defects, not work.on_dies or streets_measured(work.golden, work.cells)),
         defects=defects,
         inspected_mm2=inspected_mm2,
         unmeasured_mm2=sum(_missing_px(result, work.cells) for result in results) * mm2,

@@ -50,16 +50,16 @@ def matched(quotient: Plane, spectrum: Spectrum, scales_px: Iterable[float]) -> 
     Wide filters are sampled on squares of `coarseness` pixels. scales_px: deviations of the Gaussian filters; those
     below FINE_PX are covered by the discs.
     """
-    known = np.isfinite(quotient)
-    if not known.any():
+    finite = np.isfinite(quotient)
+    if not finite.any():
         return {}
-    padded = _padded(quotient, known)
+    padded = _padded(quotient, finite)
     inner = tuple(slice(PADDED_PX, PADDED_PX + n) for n in quotient.shape)
     parts = np.fft.rfft2(padded)
     soft = tuple(scale for scale in scales_px if scale >= FINE_PX)
     filters = _filters((padded.shape[0], padded.shape[1]), spectrum.tobytes(), soft)
     answers = ((key, np.fft.irfft2(parts * weights, padded.shape)[inner]) for key, weights in filters.items())
-    return {key: _where_known(answer.astype(np.float32), known, side_of(*key)) for key, answer in answers}
+    return {key: _where_valid(answer.astype(np.float32), finite, side_of(*key)) for key, answer in answers}
 
 
 def side_of(layer: str, scale_px: float) -> int:
@@ -69,16 +69,16 @@ def side_of(layer: str, scale_px: float) -> int:
 
 def _power(plane: Plane) -> NDArray[np.float64] | None:
     """Return the mean power by frequency under a Hann window; None where too little is known."""
-    known = np.isfinite(plane)
-    window = (np.hanning(plane.shape[0])[:, None] * np.hanning(plane.shape[1])[None, :]).astype(np.float32) * known
+    finite = np.isfinite(plane)
+    window = (np.hanning(plane.shape[0])[:, None] * np.hanning(plane.shape[1])[None, :]).astype(np.float32) * finite
     weight = float(np.sum(window**2, dtype=np.float64))
-    if known.mean() < 0.5 or weight == 0:
+    if finite.mean() < 0.5 or weight == 0:
         return None
-    power = np.abs(np.fft.rfft2(np.where(known, plane, np.float32(0)) * window)) ** 2 / weight
-    at = np.minimum((_frequency(plane.shape) * (BINS / HIGHEST)).astype(np.int32), BINS - 1).ravel()
-    count = np.bincount(at, minlength=BINS)
+    power = np.abs(np.fft.rfft2(np.where(finite, plane, np.float32(0)) * window)) ** 2 / weight
+    bins = np.minimum((_frequency(plane.shape) * (BINS / HIGHEST)).astype(np.int32), BINS - 1).ravel()
+    count = np.bincount(bins, minlength=BINS)
     filled = np.flatnonzero(count)
-    mean = np.bincount(at, power.ravel(), BINS)[filled] / count[filled]
+    mean = np.bincount(bins, power.ravel(), BINS)[filled] / count[filled]
     return np.exp(np.interp(np.arange(BINS), filled, np.log(np.maximum(mean, 1e-12))))
 
 
@@ -110,22 +110,22 @@ def _frequency(shape: tuple[int, ...]) -> NDArray[np.float64]:
     return np.hypot(np.fft.fftfreq(shape[0])[:, None], np.fft.rfftfreq(shape[1])[None, :])
 
 
-def _padded(plane: Plane, known: NDArray[np.bool_]) -> Plane:
+def _padded(plane: Plane, finite: NDArray[np.bool_]) -> Plane:
     """Pad by mirroring to a fast transform size; unknown pixels take the nearest known value."""
     from scipy.fft import next_fast_len
     from scipy.ndimage import distance_transform_edt
 
-    if not known.all():
-        nearest = np.asarray(distance_transform_edt(~known, return_distances=False, return_indices=True))
+    if not finite.all():
+        nearest = np.asarray(distance_transform_edt(~finite, return_distances=False, return_indices=True))
         plane = plane[nearest[0], nearest[1]]
     more = [next_fast_len(n + 2 * PADDED_PX, real=True) - n - PADDED_PX for n in plane.shape]
     return np.pad(plane, [(PADDED_PX, after) for after in more], "symmetric")
 
 
-def _where_known(answer: Plane, known: NDArray[np.bool_], side: int) -> Plane:
+def _where_valid(answer: Plane, finite: NDArray[np.bool_], side: int) -> Plane:
     if side == 1:
-        return np.where(known, answer, np.float32(np.nan))
-    share = binned(known.astype(np.float32), side)
+        return np.where(finite, answer, np.float32(np.nan))
+    share = binned(finite.astype(np.float32), side)
     return np.where(share >= side**2 / 2, binned(answer, side), np.float32(np.nan))
 
 
@@ -161,12 +161,12 @@ LEFT_OUT = "The picture shows a pattern, or nothing, and was not looked at: only
 
 def subtract_local_mean(picture: Plane) -> Plane:
     """Subtract the local mean of the known pixels; NaN where unknown."""
-    known = np.isfinite(picture)
+    finite = np.isfinite(picture)
     total, weight = (
-        smooth(np.where(known, picture, np.float32(0)), PLAIN.around_px),
-        smooth(known.astype(np.float32), PLAIN.around_px),
+        smooth(np.where(finite, picture, np.float32(0)), PLAIN.around_px),
+        smooth(finite.astype(np.float32), PLAIN.around_px),
     )
-    return np.where(known, picture - total / np.maximum(weight, np.float32(1e-6)), np.float32(np.nan)).astype(
+    return np.where(finite, picture - total / np.maximum(weight, np.float32(1e-6)), np.float32(np.nan)).astype(
         np.float32
     )
 
@@ -181,9 +181,9 @@ def contrast_of(picture: Plane) -> tuple[float, float]:
     sigma = robust_sigma(contrast)
     if not sigma > 0:
         return float("nan"), float("nan")
-    known = np.isfinite(contrast)
-    wide = robust_sigma(smooth(np.where(known, contrast, np.float32(0)), PLAIN.wide_px)) / sigma
-    far = float((np.abs(contrast[known]) > PLAIN.far * max(sigma, SPREAD.least_contrast)).mean())
+    finite = np.isfinite(contrast)
+    wide = robust_sigma(smooth(np.where(finite, contrast, np.float32(0)), PLAIN.wide_px)) / sigma
+    far = float((np.abs(contrast[finite]) > PLAIN.far * max(sigma, SPREAD.least_contrast)).mean())
     return sigma, max(wide / PLAIN.even, far / PLAIN.few)
 
 

@@ -47,7 +47,7 @@ class NoiseParameters:
     least_pixels : int
         Smallest number of pixels of a class of ground for a spread.
     sample : int
-        Approximate number of pixels of all cells of which a spread is taken.
+        Approximate number of pixels of all cells sampled for a spread.
     local_from_cells : int
         Number of cells from which the noise at wide scales is local.
     least_local : int
@@ -100,8 +100,8 @@ def coarser(kinds: Kinds, side: int) -> Kinds:
 
 
 def _usual(spread: Plane) -> float:
-    known = spread[np.isfinite(spread)]
-    return float(np.median(known)) if known.size else 1.0
+    finite = spread[np.isfinite(spread)]
+    return float(np.median(finite)) if finite.size else 1.0
 
 
 Key = tuple[str, float]
@@ -169,8 +169,8 @@ def _by_kind(measured: Callable[[Mask], float | None], ground: Kinds, otherwise:
     """Evaluate a statistic on each ground class; a class with too few pixels takes that of plainer ground."""
     found: list[float] = []
     for kind in range(KINDS):
-        here = measured(ground == kind)
-        found.append(here if here is not None else found[-1] if found else otherwise)
+        of_kind = measured(ground == kind)
+        found.append(of_kind if of_kind is not None else found[-1] if found else otherwise)
     return np.array(found, np.float32)
 
 
@@ -200,10 +200,10 @@ def _fall(planes: Sequence[Plane], on: Mask) -> float | None:
 
 def _spread(planes: Sequence[Plane], on: Mask) -> float | None:
     """Return the median spread over all cells, which a missing one does not widen."""
-    at = np.flatnonzero(on)
-    if at.size < NOISE.least_pixels:
+    index = np.flatnonzero(on)
+    if index.size < NOISE.least_pixels:
         return None
-    some = at[:: max(1, at.size * len(planes) // NOISE.sample)]
+    some = index[:: max(1, index.size * len(planes) // NOISE.sample)]
     sigmas = [sigma for plane in planes if (sigma := robust_sigma(plane.ravel()[some])) > 0]
     return float(np.median(sigmas)) if sigmas else None
 

@@ -55,8 +55,8 @@ def repeated_places(
     if least_dies < 2:
         raise MeasureError(f"least_dies is {least_dies}: a place repeats in two dies at least.")
     on_dies = [d for d in inspection.found if d.die and d.in_die is not None and d.judgement != "nuisance"]
-    whole = sum(die.state == "whole" for die in inspection.dies)
-    found = (_place(group, whole) for group in _groups(on_dies, within_um, least_dies))
+    n_whole = sum(die.state == "whole" for die in inspection.dies)
+    found = (_place(group, n_whole) for group in _groups(on_dies, within_um, least_dies))
     return tuple(sorted(found, key=lambda place: (-len(place.dies), place.numbers)))
 
 
@@ -82,8 +82,8 @@ def _neighbours(defects: Sequence[Defect], within_um: float | None) -> list[list
 
     places = np.array([[d.in_die.x_um, d.in_die.y_um] for d in defects if d.in_die is not None])
     reach = np.array([_reach_um(defect, within_um) for defect in defects])
-    seen = [set(others) for others in KDTree(places).query_ball_point(places, reach).tolist()]
-    return [sorted(other for other in others if k in seen[other]) for k, others in enumerate(seen)]
+    neighbours = [set(others) for others in KDTree(places).query_ball_point(places, reach).tolist()]
+    return [sorted(other for other in others if k in neighbours[other]) for k, others in enumerate(neighbours)]
 
 
 def _reach_um(defect: Defect, within_um: float | None) -> float:
@@ -94,7 +94,7 @@ def _n_dies(defects: Sequence[Defect], group: Sequence[int]) -> int:
     return len({defects[k].die for k in group})
 
 
-def _place(group: Sequence[Defect], whole: int) -> RepeatedPlace:
+def _place(group: Sequence[Defect], n_whole: int) -> RepeatedPlace:
     in_order = sorted(group, key=lambda defect: (_col_row(defect.die), defect.number))
     places = np.array([[d.in_die.x_um, d.in_die.y_um] for d in in_order if d.in_die is not None])
     middle: Floats = np.median(places, axis=0)
@@ -102,7 +102,7 @@ def _place(group: Sequence[Defect], whole: int) -> RepeatedPlace:
         in_die=Point(x_um=float(middle[0]), y_um=float(middle[1])),
         reach_um=float(np.hypot(*(places - middle).T).max()),
         dies=tuple(dict.fromkeys(defect.die for defect in in_order)),
-        of_dies=whole,
+        of_dies=n_whole,
         numbers=tuple(defect.number for defect in in_order),
         kind=_usual(in_order),
     )

@@ -199,10 +199,10 @@ def quotients(residual: Residual, golden: ReferenceDie, recipe: DefectRecipe, sp
 
 
 def _at_scales(quotient: Plane, scales_px: tuple[float, ...]) -> dict[float, Plane]:
-    known = np.isfinite(quotient)
+    finite = np.isfinite(quotient)
     filled, weight = (
-        np.where(known, np.clip(quotient, -SCORES.loudest, SCORES.loudest), np.float32(0)),
-        known.astype(np.float32),
+        np.where(finite, np.clip(quotient, -SCORES.loudest, SCORES.loudest), np.float32(0)),
+        finite.astype(np.float32),
     )
     return {s: gaussian_sums(filled, weight, s) if s > 0 else quotient for s in dict.fromkeys(scales_px)}
 
@@ -211,8 +211,8 @@ def _sureness(left: Plane) -> Plane:
     """Return confidence weights: 1 where all neighbours are measured, less near holes."""
     from scipy.ndimage import uniform_filter
 
-    known = uniform_filter(np.isfinite(left).astype(np.float32), SCORES.near_holes_px)
-    return (1 / (1 + np.float32(SCORES.unsure) * (1 - known))).astype(np.float32)
+    finite = uniform_filter(np.isfinite(left).astype(np.float32), SCORES.near_holes_px)
+    return (1 / (1 + np.float32(SCORES.unsure) * (1 - finite))).astype(np.float32)
 
 
 def scores_of(planes: Planes, noise: NoiseModel) -> DefectScores:

@@ -205,15 +205,15 @@ def _piece(
     width = np.count_nonzero(inside) / math.hypot(*inside.shape)
     sigma = float(np.clip(width * SEGMENTATION.smoothing, *SEGMENTATION.smoothing_px))
     r, c = np.nonzero(inside)
-    at = (r + rows.start).astype(float), (c + cols.start).astype(float)
-    x_um, y_um = where.cells.to_stage(residual.place, *at, where.shift)
-    u_um, v_um = where.cells.in_die(*at)
-    smoothed = smoothed_known(z_um, sigma)
+    pixels = (r + rows.start).astype(float), (c + cols.start).astype(float)
+    x_um, y_um = where.cells.to_stage(residual.place, *pixels, where.shift)
+    u_um, v_um = where.cells.in_die(*pixels)
+    smoothed = smoothed_valid(z_um, sigma)
     down, right = np.gradient(smoothed)
     slope = np.hypot(down, right) / where.cells.pixel_um
     planes = z_um, smoothed, slope, _clear(scores, rows, cols)
     values, smooth_um, steep, clear = (plane[r, c].astype(float) for plane in planes)
-    border, noise_um = _at_border(*at, residual.z_um.shape), _median(spread_um[rows, cols][r, c])
+    border, noise_um = _at_border(*pixels, residual.z_um.shape), _median(spread_um[rows, cols][r, c])
     return DefectPiece(
         x_um, y_um, u_um, v_um, values, smooth_um, steep, clear, residual.place, border, peaks, scale, noise_um
     )
@@ -230,8 +230,8 @@ def _clear(scores: DefectScores, rows: slice, cols: slice) -> Plane:
 
 
 def _median(values: Float32s) -> float:
-    known = values[np.isfinite(values)]
-    return float(np.median(known)) if known.size else 0.0
+    finite = values[np.isfinite(values)]
+    return float(np.median(finite)) if finite.size else 0.0
 
 
 def _best(scores: DefectScores, inside: Mask, rows: slice, cols: slice) -> tuple[dict[str, float], float]:
@@ -249,11 +249,11 @@ def _best(scores: DefectScores, inside: Mask, rows: slice, cols: slice) -> tuple
     return peaks, max((best[layer] for layer in SEEKING if layer in best), default=(0.0, 0.0))[1]
 
 
-def smoothed_known(plane: Float32s, sigma_px: float) -> Float32s:
+def smoothed_valid(plane: Float32s, sigma_px: float) -> Float32s:
     """Return the Gaussian mean of the known pixels, NaN where too few are near."""
-    known = np.isfinite(plane)
-    weight = smooth(known.astype(np.float32), sigma_px)
-    value = smooth(np.where(known, plane, np.float32(0)), sigma_px)
+    finite = np.isfinite(plane)
+    weight = smooth(finite.astype(np.float32), sigma_px)
+    value = smooth(np.where(finite, plane, np.float32(0)), sigma_px)
     return np.divide(
         value, weight, out=np.full(plane.shape, np.nan, np.float32), where=weight > SEGMENTATION.least_weight
     )
@@ -286,10 +286,10 @@ def merge_border_pieces(pieces: Sequence[DefectPiece], pixel_um: float) -> list[
     if not pieces:
         return []
     owner = np.concatenate([np.full(int(piece.border.sum()), k) for k, piece in enumerate(pieces)])
-    at = np.concatenate([np.stack([p.x_um[p.border], p.y_um[p.border]], axis=1) for p in pieces])
+    border_um = np.concatenate([np.stack([p.x_um[p.border], p.y_um[p.border]], axis=1) for p in pieces])
     pairs = (
-        np.asarray(KDTree(at).query_pairs(SEGMENTATION.near_px * pixel_um, output_type="ndarray"))
-        if len(at)
+        np.asarray(KDTree(border_um).query_pairs(SEGMENTATION.near_px * pixel_um, output_type="ndarray"))
+        if len(border_um)
         else np.zeros((0, 2), int)
     )
     first, second = owner[pairs[:, 0]], owner[pairs[:, 1]]

@@ -83,8 +83,8 @@ def terraced(source: CellSource, order: int) -> CellSource:
             break
         left = points.z_um - terms @ found[: len(powers)]
         levels_um = levels_of(left)
-        at = Point(x_um=center.x_um, y_um=center.y_um)
-        datum = Datum(center=at, powers=powers, coefficients=tuple(found[: len(powers)].tolist()))
+        point = Point(x_um=center.x_um, y_um=center.y_um)
+        datum = Datum(center=point, powers=powers, coefficients=tuple(found[: len(powers)].tolist()))
         source = replace(source, form=datum, levels_um=levels_um)
     return source
 
@@ -105,7 +105,7 @@ def levels_of(left_um: Floats) -> tuple[float, ...]:
     parts = np.split(np.sort(left_um), np.searchsorted(np.sort(left_um), edges[borders]))
     parts = [part for part in parts if len(part) >= TERRACES.least_share * len(left_um)]
     levels = [float(np.median(part)) for part in parts]
-    sigmas = [MAD_TO_SIGMA * float(np.median(np.abs(part - at))) for part, at in zip(parts, levels, strict=True)]
+    sigmas = [MAD_TO_SIGMA * float(np.median(np.abs(part - level))) for part, level in zip(parts, levels, strict=True)]
     pairs = itertools.pairwise(zip(levels, sigmas, strict=True))
     apart = all(b - a > TERRACES.apart_sigma * max(s, t) for (a, s), (b, t) in pairs)
     return tuple(levels) if apart and 1 < len(levels) <= TERRACES.most_levels else middle
@@ -126,11 +126,11 @@ def over_levels(z_um: Plane, levels_um: tuple[float, ...]) -> tuple[Plane, Mask 
 
     if len(levels_um) < 2:
         return z_um, None
-    known = np.isfinite(z_um)
-    if not known.any():
+    finite = np.isfinite(z_um)
+    if not finite.any():
         return z_um, None
-    at: Any = distance_transform_edt(~known, return_distances=False, return_indices=True)
-    on = _without_islands(nearest(z_um[tuple(at)], levels_um), len(levels_um)).astype(np.uint8)
+    index: Any = distance_transform_edt(~finite, return_distances=False, return_indices=True)
+    on = _without_islands(nearest(z_um[tuple(index)], levels_um), len(levels_um)).astype(np.uint8)
     side = 2 * TERRACES.wall_px + 1
     walls = maximum_filter(on, side) != minimum_filter(on, side)
     return z_um - np.array(levels_um, np.float32)[on], walls

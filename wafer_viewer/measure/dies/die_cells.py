@@ -80,8 +80,8 @@ class CellGrid:
     def around_all(self, places: Sequence[Place]) -> Region:
         """Return the stage region to read for entire cells, with a margin for any shift within reach."""
         rows, cols = np.array([0, 0, self.shape[0], self.shape[0]]), np.array([0, self.shape[1], 0, self.shape[1]])
-        at = np.array(places)[:, :, None]
-        x_um, y_um = self.grid.to_stage(at[:, 0], at[:, 1], *self.in_die(rows.astype(float), cols.astype(float)))
+        cells = np.array(places)[:, :, None]
+        x_um, y_um = self.grid.to_stage(cells[:, 0], cells[:, 1], *self.in_die(rows.astype(float), cols.astype(float)))
         spare = (MARGIN_PX + REACH_PX) * self.pixel_um
         return Region.rectangle(x_um.min() - spare, y_um.min() - spare, x_um.max() + spare, y_um.max() + spare)
 
@@ -139,7 +139,7 @@ class CellStrip:
     """A part of a surface in memory: heights over the form, the same `fill_single_pixels`, and the log image."""
 
     z_um: Plane
-    whole_um: Plane
+    complete_um: Plane
     picture: Plane
     pixel_um: float
     x0_um: float
@@ -148,9 +148,9 @@ class CellStrip:
     def read(self, cells: CellGrid, place: Place, rows: slice, cols: slice, shift: Shift) -> tuple[Plane, Plane]:
         """Return heights and image of a part of a cell, NaN beyond the strip."""
         out_z, out_picture = (np.empty((rows.stop - rows.start, cols.stop - cols.start), np.float32) for _ in range(2))
-        way = _way(cells, place, (rows.start, cols.start), self, shift)
-        read_affine(self.z_um, self.whole_um, way, out_z)
-        read_affine(self.picture, self.picture, way, out_picture)
+        affine = _affine(cells, place, (rows.start, cols.start), self, shift)
+        read_affine(self.z_um, self.complete_um, affine, out_z)
+        read_affine(self.picture, self.picture, affine, out_picture)
         return out_z, out_picture
 
 
@@ -179,8 +179,8 @@ def source_of(surface: Mosaic, layer: Layer, order: int) -> CellSource:
     center = float(points.x_um.mean()), float(points.y_um.mean())
     u, v = points.x_um - center[0], points.y_um - center[1]
     fit = robust_fit(np.stack([u**i * v**j for i, j in powers], axis=1), points.z_um)
-    at = Point(x_um=center[0], y_um=center[1])
-    datum = Datum(center=at, powers=powers, coefficients=tuple(fit.coefficients.tolist()))
+    point = Point(x_um=center[0], y_um=center[1])
+    datum = Datum(center=point, powers=powers, coefficients=tuple(fit.coefficients.tolist()))
     return CellSource(surface, layer, datum, max(1.0, DARK_SHARE * grey))
 
 
@@ -206,7 +206,7 @@ def _half(street_um: float, pixel_um: float) -> int:
     return round(street_um / 2 / pixel_um)
 
 
-def _way(cells: CellGrid, place: Place, start: Place, part: CellStrip, shift: Shift) -> NDArray[np.float64]:
+def _affine(cells: CellGrid, place: Place, start: Place, part: CellStrip, shift: Shift) -> NDArray[np.float64]:
     """Return the affine map from cell pixels to strip pixels, as `read_affine` takes it."""
     corner = np.array([0.0, 1.0, 0.0]) + start[0], np.array([0.0, 0.0, 1.0]) + start[1]
     x_um, y_um = cells.to_stage(place, *corner, shift)

@@ -31,7 +31,7 @@ DETAIL_PX = 15
 """Window of the high-pass before alignment, px; slower brightness changes do not locate a patch."""
 BLOCK_PX = 40
 """Side of the blocks of the subpixel alignment, px."""
-LEAST_ALIKE = 0.35
+LEAST_SIMILARITY = 0.35
 """Correlation below which two patches do not show the same place."""
 AS_GOOD = 0.95
 """Fraction of the best correlation above which the place nearest to the stage position is taken: patterns repeat."""
@@ -68,11 +68,13 @@ class DiePatch:
         return replace(cls._over(surface, (float(x_um), float(y_um)), size, most_px), angle_rad=grid.angle_rad)
 
     @classmethod
-    def _over(cls, surface: Mosaic, at: tuple[float, float], size_um: tuple[float, float], most_px: int) -> DiePatch:
+    def _over(
+        cls, surface: Mosaic, center: tuple[float, float], size_um: tuple[float, float], most_px: int
+    ) -> DiePatch:
         coarser = max(0, math.ceil(math.log2(max(size_um) / surface.pixel_um / most_px)))
         pixel_um = surface.pixel_um * 2**coarser
         cols, rows = (max(LEAST_SIDE_PX, round(side / pixel_um)) for side in size_um)
-        return cls(*at, pixel_um, (rows, cols))
+        return cls(*center, pixel_um, (rows, cols))
 
     def to_stage(self, rows: Floats, cols: Floats) -> tuple[Floats, Floats]:
         """Return stage (x_um, y_um) of pixels."""
@@ -87,9 +89,9 @@ class DiePatch:
         x_um, y_um = self.to_stage(rows + down_px, cols + right_px)
         return replace(self, x_um=float(x_um[0]), y_um=float(y_um[0]))
 
-    def on_die(self, grid: DieGrid, here: Place, there: Place) -> DiePatch:
+    def on_die(self, grid: DieGrid, die: Place, other: Place) -> DiePatch:
         """Return the corresponding patch of another die."""
-        (xa, ya), (xb, yb) = grid.corner(*here), grid.corner(*there)
+        (xa, ya), (xb, yb) = grid.corner(*die), grid.corner(*other)
         return replace(self, x_um=self.x_um + xb - xa, y_um=self.y_um + yb - ya)
 
     def around(self, spare_px: float) -> Region:
@@ -119,7 +121,7 @@ class AlignedPatch:
 
     cut: DieCrop
     moved_um: tuple[float, float]
-    alike: float
+    similarity: float
 
 
 def crop(surface: Mosaic, patch: DiePatch) -> DieCrop | None:
@@ -131,17 +133,17 @@ def crop(surface: Mosaic, patch: DiePatch) -> DieCrop | None:
 def align_crop(own: DieCrop, surface: Mosaic, patch: DiePatch, reach_px: int) -> AlignedPatch | None:
     """Return the crop of a surface near a patch, aligned with `own` within `reach_px` pixels and levelled on it.
 
-    Alignment uses the image, or heights if there is none. Without a match the crop is not shifted, and `alike` is below
-    LEAST_ALIKE. None where the surface does not cover the patch.
+    Alignment uses the image, or heights if there is none. Without a match the crop is not shifted, and `similarity`
+    is below LEAST_SIMILARITY. None where the surface does not cover the patch.
     """
     part = _window(surface, patch, reach_px + MARGIN_PX)
     if part is None:
         return None
-    there = _sampled(part, patch)
-    lag, alike = _lag(own, there, reach_px)
+    sampled = _sampled(part, patch)
+    lag, similarity = _lag(own, sampled, reach_px)
     moved = patch.moved(-lag[0], -lag[1])
-    found = levelled_on(own, _sampled(part, moved) if any(lag) else there)
-    return AlignedPatch(found, (-lag[0] * patch.pixel_um, -lag[1] * patch.pixel_um), alike)
+    found = levelled_on(own, _sampled(part, moved) if any(lag) else sampled)
+    return AlignedPatch(found, (-lag[0] * patch.pixel_um, -lag[1] * patch.pixel_um), similarity)
 
 
 def median_crop(own: DieCrop, cuts: Sequence[DieCrop]) -> DieCrop:
@@ -163,8 +165,8 @@ def cut_of_golden(golden: GoldenDie, grid: DieGrid, place: Place, patch: DiePatc
         u_um, v_um = c * (x_um - x0) + s * (y_um - y0), c * (y_um - y0) - s * (x_um - x0)
         return (golden.header.height_um - v_um) / pixel_um - 0.5, u_um / pixel_um - 0.5
 
-    way = _way(patch, to_pixels)
-    return DieCrop(_read(golden.z_um, way, patch.shape), _read(golden.picture, way, patch.shape))
+    affine = _affine(patch, to_pixels)
+    return DieCrop(_read(golden.z_um, affine, patch.shape), _read(golden.picture, affine, patch.shape))
 
 
 def levelled_on(own: DieCrop, other: DieCrop) -> DieCrop:
@@ -188,34 +190,34 @@ def _sampled(part: HeightMap, patch: DiePatch) -> DieCrop:
     def to_pixels(x_um: Floats, y_um: Floats) -> tuple[Floats, Floats]:
         return (part.y0_um - y_um) / part.pixel_um, (x_um - part.x0_um) / part.pixel_um
 
-    way = _way(patch, to_pixels)
+    affine = _affine(patch, to_pixels)
     z_um = np.where(part.measured, part.z_um, np.float32(np.nan))
-    return DieCrop(_read(z_um, way, patch.shape), _read(picture, way, patch.shape))
+    return DieCrop(_read(z_um, affine, patch.shape), _read(picture, affine, patch.shape))
 
 
-def _way(patch: DiePatch, to_pixels: Callable[[Floats, Floats], tuple[Floats, Floats]]) -> Floats:
+def _affine(patch: DiePatch, to_pixels: Callable[[Floats, Floats], tuple[Floats, Floats]]) -> Floats:
     """Return the affine map from patch pixels to raster pixels, as `read_affine` takes it."""
     x_um, y_um = patch.to_stage(np.array([0.0, 1.0, 0.0]), np.array([0.0, 0.0, 1.0]))
     return np.concatenate([[v[0], v[1] - v[0], v[2] - v[0]] for v in to_pixels(x_um, y_um)])
 
 
-def _read(plane: Plane, way: Floats, shape: tuple[int, int]) -> Plane:
+def _read(plane: Plane, affine: Floats, shape: tuple[int, int]) -> Plane:
     out = np.empty(shape, np.float32)
-    known = np.ascontiguousarray(plane, np.float32)
-    read_affine(known, fill_single_pixels(known), way, out)
+    finite = np.ascontiguousarray(plane, np.float32)
+    read_affine(finite, fill_single_pixels(finite), affine, out)
     return out
 
 
 def _lag(own: DieCrop, other: DieCrop, reach_px: int) -> tuple[tuple[float, float], float]:
     """Return the shift in pixels (rows, cols) that aligns the other crop with its own, and their correlation."""
     one, two = _telling(own, other)
-    if not (one.known.sum() and two.known.sum()):
+    if not (one.valid.sum() and two.valid.sum()):
         return (0.0, 0.0), 0.0
-    contrasts = (contrast(p.values, p.known > 0, DETAIL_PX) for p in (one, two))
+    contrasts = (contrast(p.values, p.valid > 0, DETAIL_PX) for p in (one, two))
     found = normalised_cross_correlation(
-        next(contrasts), one.known > 0, next(contrasts), two.known > 0, (0, 0), reach_px
+        next(contrasts), one.valid > 0, next(contrasts), two.valid > 0, (0, 0), reach_px
     )
-    good = found.correlation >= AS_GOOD * max(float(found.correlation.max()), LEAST_ALIKE)
+    good = found.correlation >= AS_GOOD * max(float(found.correlation.max()), LEAST_SIMILARITY)
     if not good.any():
         return (0.0, 0.0), float(found.correlation.max())
     rows, cols = np.nonzero(good)
@@ -246,10 +248,10 @@ def _telling(own: DieCrop, other: DieCrop) -> tuple[RegisteredImage, RegisteredI
 
 
 def _picture(plane: Plane) -> RegisteredImage:
-    known = np.isfinite(plane)
-    middle = float(np.median(plane[known])) if known.any() else 0.0
-    values = np.where(known, plane - np.float32(middle), np.float32(0))
-    return RegisteredImage(values.astype(np.float32), known.astype(np.float32), 0.0)
+    finite = np.isfinite(plane)
+    middle = float(np.median(plane[finite])) if finite.any() else 0.0
+    values = np.where(finite, plane - np.float32(middle), np.float32(0))
+    return RegisteredImage(values.astype(np.float32), finite.astype(np.float32), 0.0)
 
 
 def _difference(own: Plane, other: Plane) -> Plane:

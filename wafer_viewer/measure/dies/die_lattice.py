@@ -44,7 +44,7 @@ class StreetParameters:
         Weight of both edges relative to the weaker one; it breaks ties near the maximum of a strong edge.
     bands : int
         Number of bands of the cell; the scatter of the edges between them gives their uncertainty.
-    least_known : float
+    least_valid : float
         Smallest known fraction of a layer that is searched.
     least_cols : int, px
         Smallest number of columns of a cell.
@@ -61,7 +61,7 @@ class StreetParameters:
     most_differing_px: float = 8
     on_top: float = 1e-3
     bands: int = 4
-    least_known: float = 0.3
+    least_valid: float = 0.3
     least_cols: int = 8
 
 
@@ -85,7 +85,7 @@ def street_of(layers: Sequence[Float32s], upright: bool) -> Street | None:
     image is blurred at the walls of a street. The cell repeats, so a street may cross its border.
     """
     planes = [
-        _filled(layer if upright else layer.T) for layer in layers if np.isfinite(layer).mean() > STREET.least_known
+        _filled(layer if upright else layer.T) for layer in layers if np.isfinite(layer).mean() > STREET.least_valid
     ]
     found = [street for plane in planes if (street := _street(plane)) is not None]
     if not found:
@@ -107,9 +107,9 @@ def _filled(plane: Float32s) -> Floats:
     """Interpolate unknown pixels along each line: heights at a wall are often unmeasured."""
     filled, places = plane.astype(np.float64), np.arange(plane.shape[1])
     for line in filled:
-        known = np.isfinite(line)
-        if known.any() and not known.all():
-            line[~known] = np.interp(places[~known], places[known], line[known], period=len(line))
+        finite = np.isfinite(line)
+        if finite.any() and not finite.all():
+            line[~finite] = np.interp(places[~finite], places[finite], line[finite], period=len(line))
     return filled[np.isfinite(filled).all(axis=1)]
 
 
@@ -176,7 +176,7 @@ def _near(slope: Floats, place: int, reach: int = 3) -> float:
 SURE_DIES = 9
 """Number of dies accepted without streets; fewer may be any similar places."""
 ACROSS = 10
-"""Number of sample points across a die and up it, by which its area on the surface is told."""
+"""Number of sample points across a die and up it, used to determine its area on the surface."""
 LEAST_ON_SURFACE = 0.1
 """Smallest fraction of them on the scanned surface, for a die that touches it."""
 NO_STREET = "No street stands out along {}: a die is taken as large as its pitch, and where it begins is open."
@@ -299,12 +299,12 @@ def with_streets(found: Registered) -> DieGrid:
 
 
 def _die_between(
-    street: Street | None, first_um: float, step_um: float, pitch_um: float, way: Literal[1, -1]
+    street: Street | None, first_um: float, step_um: float, pitch_um: float, step: Literal[1, -1]
 ) -> tuple[float, float]:
     """Return the start of the die along the cell's lines and its length, um."""
     if street is None:
         return first_um, pitch_um
-    return first_um + way * (street.begin + street.width) * step_um, pitch_um - street.width * step_um
+    return first_um + step * (street.begin + street.width) * step_um, pitch_um - street.width * step_um
 
 
 def on_surface(grid: DieGrid, surface: Mosaic) -> DieGrid:
@@ -323,9 +323,9 @@ def over_surface(grid: DieGrid, surface: Mosaic) -> DieGrid:
     first_col, first_row = int(cols.min()), int(rows.min())
     n_cols, n_rows = int(np.ptp(cols)) + 1, int(np.ptp(rows)) + 1
     extent = {"first_col": first_col, "first_row": first_row, "cols": n_cols, "rows": n_rows}
-    whole = replace(grid, **extent, left_out=(), named=False)
-    on = {grid.name(*at) for at in zip(cols.tolist(), rows.tolist(), strict=True)}
-    return replace(whole, left_out=tuple(name for at in whole.places if (name := grid.name(*at)) not in on))
+    covering = replace(grid, **extent, left_out=(), named=False)
+    on = {grid.name(*die) for die in zip(cols.tolist(), rows.tolist(), strict=True)}
+    return replace(covering, left_out=tuple(name for die in covering.places if (name := grid.name(*die)) not in on))
 
 
 def touching(grid: DieGrid, surface: Mosaic) -> tuple[np.ndarray, np.ndarray]:

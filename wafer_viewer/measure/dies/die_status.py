@@ -39,12 +39,12 @@ class DieStatusParameters:
         Fraction of a die's sample points from which it counts as completely scanned.
     least_measured : float
         Smallest measured fraction of a whole die, and of a cell for the median die.
-    least_alike : float
+    least_similarity : float
         Smallest correlation with the median die, relative to the typical one, of a place that holds a die. A
         typical correlation below half of this number is no pattern.
     as_clear : float
         Smallest typical correlation of a layer relative to the better layer, for its use.
-    half_alike : float
+    half_similarity : float
         Smallest correlation of an entire cell for a whole die, relative to the typical one.
     least_judged : float
         Smallest known fraction of a cell for a decision whether a die is present.
@@ -72,9 +72,9 @@ class DieStatusParameters:
     median_of: int = 200
     all_scanned: float = 0.998
     least_measured: float = 0.5
-    least_alike: float = 0.6
+    least_similarity: float = 0.6
     as_clear: float = 0.7
-    half_alike: float = 0.4
+    half_similarity: float = 0.4
     least_judged: float = 0.1
     cut_off: float = 0.1
     least_form_points: int = 100
@@ -139,18 +139,18 @@ def statuses(surface: Mosaic, grid: DieGrid) -> tuple[DieStatus, ...]:
     """
     places = grid.places
     lattice = CellLattice.of(grid, max(grid.pitch_x_um, grid.pitch_y_um) / STATUS.places)
-    seen = _seen(surface, grid, places, lattice)
-    if not seen.scanned.any():
+    coverage = _coverage(surface, grid, places, lattice)
+    if not coverage.scanned.any():
         raise MeasureError("No die of the lattice lies on the surface: give an origin and a pitch that fit it.")
     on_die = _on_die(grid, lattice)
-    scanned = seen.scanned[:, on_die].mean(axis=1)
-    measured = np.isfinite(seen.layers[0][:, on_die]).mean(axis=1)
-    there, cut_off = _looked_at(seen, on_die)
+    scanned = coverage.scanned[:, on_die].mean(axis=1)
+    measured = np.isfinite(coverage.layers[0][:, on_die]).mean(axis=1)
+    shows_die, cut_off = _examined(coverage, on_die)
     beyond = _beyond(surface, grid, places)
-    states = _states(places, scanned, measured, there, cut_off, beyond)
+    states = _states(places, scanned, measured, shows_die, cut_off, beyond)
     return tuple(
-        DieStatus(name=grid.name(*at), col=at[0], row=at[1], state=state, measured_fraction=float(share))
-        for at, state, share in zip(places, states, measured, strict=True)
+        DieStatus(name=grid.name(*die), col=die[0], row=die[1], state=state, measured_fraction=float(share))
+        for die, state, share in zip(places, states, measured, strict=True)
     )
 
 
@@ -163,21 +163,21 @@ def without_bare_rim(grid: DieGrid, dies: Sequence[DieStatus]) -> DieGrid:
     if grid.named:
         return grid
     places = {(die.col, die.row): die.state for die in dies}
-    empty = {at for at, state in places.items() if state in ("missing", "not scanned")}
-    waiting = [at for at in empty if not places.keys() >= set(_beside(at))]
+    empty = {place for place, state in places.items() if state in ("missing", "not scanned")}
+    waiting = [place for place in empty if not places.keys() >= set(_adjacent(place))]
     rim = set(waiting)
     while waiting:
-        met = (empty - rim).intersection(_beside(waiting.pop()))
+        met = (empty - rim).intersection(_adjacent(waiting.pop()))
         rim |= met
         waiting.extend(met)
-    bare = {at for at in rim if places[at] == "missing"}
+    bare = {place for place in rim if places[place] == "missing"}
     slivers = {(die.col, die.row) for die in dies if die.state == "cut" and die.measured_fraction < STATUS.least_judged}
-    bare |= {at for at in slivers if bare.intersection(_beside(at))}
-    return replace(grid, left_out=(*grid.left_out, *sorted(grid.name(*at) for at in bare)))
+    bare |= {place for place in slivers if bare.intersection(_adjacent(place))}
+    return replace(grid, left_out=(*grid.left_out, *sorted(grid.name(*place) for place in bare)))
 
 
-def _beside(at: tuple[int, int]) -> tuple[tuple[int, int], ...]:
-    col, row = at
+def _adjacent(die: tuple[int, int]) -> tuple[tuple[int, int], ...]:
+    col, row = die
     return (col - 1, row), (col + 1, row), (col, row - 1), (col, row + 1)
 
 
@@ -188,7 +188,7 @@ def not_scanned_mm2(surface: Mosaic) -> float:
     return share * rows * cols * (surface.pixel_um / 1000) ** 2
 
 
-def _seen(surface: Mosaic, grid: DieGrid, places: Places, lattice: CellLattice) -> DieCoverage:
+def _coverage(surface: Mosaic, grid: DieGrid, places: Places, lattice: CellLattice) -> DieCoverage:
     shorter_px = min(grid.pitch_x_um, grid.pitch_y_um) / surface.pixel_um
     level = min(surface.levels - 1, max(0, math.floor(math.log2(max(1.0, shorter_px / STATUS.die_px)))))
     parts = [_piece(surface, grid, piece, lattice, level) for piece in _pieces(surface, grid, places, level)]
@@ -210,8 +210,8 @@ def _pieces(surface: Mosaic, grid: DieGrid, places: Places, level: int) -> Itera
 
 
 def _piece(surface: Mosaic, grid: DieGrid, places: Places, lattice: CellLattice, level: int) -> DieCoverage:
-    at = np.array(places)[:, :, None, None]
-    x_um, y_um = grid.to_stage(at[:, 0], at[:, 1], *lattice.places(grid))
+    cells = np.array(places)[:, :, None, None]
+    x_um, y_um = grid.to_stage(cells[:, 0], cells[:, 1], *lattice.places(grid))
     low_x, low_y, high_x, high_y = bounds_of(surface)
     inside = (x_um >= low_x) & (x_um <= high_x) & (y_um >= low_y) & (y_um <= high_y)
     if not inside.any():
@@ -231,32 +231,32 @@ def _on_die(grid: DieGrid, lattice: CellLattice) -> Bools:
     return (u_um >= 0) & (u_um <= grid.width_um) & (v_um >= 0) & (v_um <= grid.height_um)
 
 
-def _looked_at(seen: DieCoverage, on_die: Bools) -> tuple[Bools, Floats]:
+def _examined(coverage: DieCoverage, on_die: Bools) -> tuple[Bools, Floats]:
     """Return which places hold a die, and each place's excess fraction of deviation from the median die.
 
     A die is present where the layers with good contrast correlate with the median one, on average. The deviation is
     that of the best layer. Without a pattern every place is taken to hold a die.
     """
-    levelled = _without_form(seen)
-    compared = [_compared(layer, on_die) for layer in (levelled, seen.layers[1])]
+    levelled = _without_form(coverage)
+    compared = [_compared(layer, on_die) for layer in (levelled, coverage.layers[1])]
     best = max(compared, key=lambda one: one[2])
-    if best[2] < STATUS.least_alike / 2:
+    if best[2] < STATUS.least_similarity / 2:
         return np.ones(len(best[0]), bool), np.zeros(len(best[0]))
     clear = [one[0] / one[2] for one in compared if one[2] >= STATUS.as_clear * best[2]]
-    known = np.maximum(*(np.isfinite(layer).mean(axis=(1, 2)) for layer in seen.layers))
-    there = (np.mean(clear, axis=0) >= STATUS.least_alike) | (known < STATUS.least_judged)
-    return there, best[1] - np.median(best[1][there] if there.any() else best[1])
+    finite = np.maximum(*(np.isfinite(layer).mean(axis=(1, 2)) for layer in coverage.layers))
+    shows_die = (np.mean(clear, axis=0) >= STATUS.least_similarity) | (finite < STATUS.least_judged)
+    return shows_die, best[1] - np.median(best[1][shows_die] if shows_die.any() else best[1])
 
 
-def _without_form(seen: DieCoverage) -> Float32s:
+def _without_form(coverage: DieCoverage) -> Float32s:
     """Subtract tilt and bow from the heights."""
-    z_um = seen.layers[0]
-    known = np.isfinite(z_um)
-    if known.sum() < STATUS.least_form_points:
+    z_um = coverage.layers[0]
+    finite = np.isfinite(z_um)
+    if finite.sum() < STATUS.least_form_points:
         return z_um
-    x_um, y_um = ((a - a.mean()) / max(float(np.ptp(a)), 1.0) for a in (seen.x_um, seen.y_um))
+    x_um, y_um = ((a - a.mean()) / max(float(np.ptp(a)), 1.0) for a in (coverage.x_um, coverage.y_um))
     powers = np.stack([np.ones_like(x_um), x_um, y_um, x_um**2, x_um * y_um, y_um**2], axis=-1)
-    some = powers[known], z_um[known].astype(np.float64)
+    some = powers[finite], z_um[finite].astype(np.float64)
     step = max(1, len(some[1]) // STATUS.most_form_points)
     form = powers @ least_squares(some[0][::step], some[1][::step])
     return (z_um - form).astype(np.float32)
@@ -268,19 +268,19 @@ def _compared(layer: Float32s, on_die: Bools) -> tuple[Floats, Floats, float]:
     cells = layer - middle[:, None, None].astype(np.float32)
     some = [one for one in cells if np.isfinite(one).mean() > STATUS.least_measured] or list(cells)
     median = median_of(np.stack(some[:: max(1, len(some) // STATUS.median_of)]))
-    n_known = (np.isfinite(cells) & np.isfinite(median)).sum(axis=(1, 2))
+    n_valid = (np.isfinite(cells) & np.isfinite(median)).sum(axis=(1, 2))
     each = np.array([_alike(cells[:, rows, cols], median[rows, cols]) for rows, cols in _parts(median.shape)])
-    usual = _usual(each[0], n_known)
-    # A place that is like the median die in one half only is no whole die, whatever its levels are.
-    unlike = np.where(each[0] < STATUS.half_alike * usual, 1.0, _unlike(cells, median, on_die))
+    usual = _usual(each[0], n_valid)
+    # A place that matches the median die in only one half is not a complete die, whatever its levels.
+    unlike = np.where(each[0] < STATUS.half_similarity * usual, 1.0, _unlike(cells, median, on_die))
     return each.max(axis=0), unlike, usual
 
 
 def _parts(shape: tuple[int, ...]) -> list[tuple[slice, slice]]:
     """Return slices of the entire cell and its four halves; the rest of a cut die still correlates."""
-    (rows, cols), whole = shape, slice(None)
+    (rows, cols), full = shape, slice(None)
     first, last = (slice(rows // 2), slice(cols // 2)), (slice(rows // 2, None), slice(cols // 2, None))
-    return [(whole, whole), (first[0], whole), (last[0], whole), (whole, first[1]), (whole, last[1])]
+    return [(full, full), (first[0], full), (last[0], full), (full, first[1]), (full, last[1])]
 
 
 def _alike(cells: Float32s, median: Float32s) -> Floats:
@@ -296,15 +296,15 @@ def _alike(cells: Float32s, median: Float32s) -> Floats:
 
 def _unlike(cells: Float32s, median: Float32s, on_die: Bools) -> Floats:
     """Return the fraction of each die's points that deviate by half of the contrast, or are unknown."""
-    known = median[np.isfinite(median)]
-    contrast = float(np.subtract(*np.percentile(known, STATUS.contrast_percentiles))) if known.size else 0.0
+    finite = median[np.isfinite(median)]
+    contrast = float(np.subtract(*np.percentile(finite, STATUS.contrast_percentiles))) if finite.size else 0.0
     like = np.abs(cells - median) <= STATUS.differs_by * contrast
     return cast("Floats", 1 - like[:, on_die].mean(axis=1))
 
 
-def _usual(alike: Floats, n_known: NDArray[np.int_]) -> float:
+def _usual(similarity: Floats, n_valid: NDArray[np.int_]) -> float:
     """Return the 75th percentile of the correlation of well-known cells; many places at a round rim hold no die."""
-    well = alike[n_known > 0.5 * n_known.max()]
+    well = similarity[n_valid > 0.5 * n_valid.max()]
     return float(np.percentile(well, STATUS.usual_percentile)) if well.size else 0.0
 
 
@@ -312,26 +312,26 @@ def _beyond(surface: Mosaic, grid: DieGrid, places: Places) -> Bools:
     """Return which dies extend beyond the border of the surface by more than half a pixel."""
     low_x, low_y, high_x, high_y = bounds_of(surface)
     half = surface.pixel_um / 2
-    at = np.array(places)[:, :, None]
+    cells = np.array(places)[:, :, None]
     u, v = grid.width_um * np.array([0, 1, 1, 0]), grid.height_um * np.array([0, 0, 1, 1])
-    x_um, y_um = grid.to_stage(at[:, 0], at[:, 1], u, v)
+    x_um, y_um = grid.to_stage(cells[:, 0], cells[:, 1], u, v)
     off = (x_um < low_x - half) | (x_um > high_x + half) | (y_um < low_y - half) | (y_um > high_y + half)
     return np.asarray(off.any(axis=1))
 
 
 def _states(
-    places: Places, scanned: Floats, measured: Floats, there: Bools, cut_off: Floats, beyond: Bools
+    places: Places, scanned: Floats, measured: Floats, shows_die: Bools, cut_off: Floats, beyond: Bools
 ) -> list[DieState]:
-    present = {at for at, share, die in zip(places, scanned, there, strict=True) if share > 0 and die}
+    present = {place for place, share, die in zip(places, scanned, shows_die, strict=True) if share > 0 and die}
     rim = [any((col + i, row + j) not in present for i in (-1, 0, 1) for j in (-1, 0, 1)) for col, row in places]
-    facts = zip(scanned, measured, there, (cut_off > STATUS.cut_off) & np.array(rim), beyond, strict=True)
+    facts = zip(scanned, measured, shows_die, (cut_off > STATUS.cut_off) & np.array(rim), beyond, strict=True)
     return [_state(*fact) for fact in facts]
 
 
-def _state(scanned: float, measured: float, there: bool, cut: bool, beyond: bool) -> DieState:
+def _state(scanned: float, measured: float, present: bool, cut: bool, beyond: bool) -> DieState:
     if scanned == 0:
         return "not scanned"
-    if not there:
+    if not present:
         return "missing"
     if beyond:
         return "cut"

@@ -82,15 +82,15 @@ def fitted_dies(surface: Mosaic, given: DieGrid, evidence: Evidence = "both") ->
     except MeasureError as fault:
         note = f"The dies are used as given, because they cannot be found on the surface: {fault}"
         return FittedDies(replace(given, notes=(*given.notes, note)))
-    seen = _seen(found, given, surface.pixel_um)
-    off = _offset(given, seen, cols, rows)
+    detected = _detected(found, given, surface.pixel_um)
+    off = _offset(given, detected, cols, rows)
     if off.farthest_um > FARTHEST * min(given.pitch_x_um, given.pitch_y_um):
         raise MeasureError(
             f"The dies as given lie {off.farthest_um:.0f} um off those that the surface shows, over a quarter of their "
             "pitch: give the corner of a die and the pitches again, or leave them out to have the dies found."
         )
     note = f"The dies lie up to {off.farthest_um:.2g} um off where they were given, and are taken as they lie."
-    return FittedDies(replace(seen, notes=(*seen.notes, note)), off)
+    return FittedDies(replace(detected, notes=(*detected.notes, note)), off)
 
 
 def _cells(given: DieGrid) -> DieGrid:
@@ -99,22 +99,22 @@ def _cells(given: DieGrid) -> DieGrid:
     return replace(given, x0_um=float(x_um), y0_um=float(y_um), width_um=given.pitch_x_um, height_um=given.pitch_y_um)
 
 
-def _seen(found: Registered, given: DieGrid, pixel_um: float) -> DieGrid:
+def _detected(found: Registered, given: DieGrid, pixel_um: float) -> DieGrid:
     """Return the given dies, of the given size, as located; an axis without a matching street keeps the centre."""
-    lattice, seen = found.grid, with_streets(found)
-    _, _, u, v = lattice.to_die(*seen.to_stage(0, 0, seen.width_um / 2, seen.height_um / 2))
-    along_x = _middle(float(u), lattice.pitch_x_um, abs(seen.width_um - given.width_um) / pixel_um)
-    along_y = _middle(float(v), lattice.pitch_y_um, abs(seen.height_um - given.height_um) / pixel_um)
-    open_axes = [axis for axis, at in (("x", along_x), ("y", along_y)) if at is None]
+    lattice, detected = found.grid, with_streets(found)
+    _, _, u, v = lattice.to_die(*detected.to_stage(0, 0, detected.width_um / 2, detected.height_um / 2))
+    along_x = _middle(float(u), lattice.pitch_x_um, abs(detected.width_um - given.width_um) / pixel_um)
+    along_y = _middle(float(v), lattice.pitch_y_um, abs(detected.height_um - given.height_um) / pixel_um)
+    open_axes = [axis for axis, position in (("x", along_x), ("y", along_y)) if position is None]
     notes = (f"No street as wide as given is seen along {' and '.join(open_axes)}: where dies begin is as given.",)
     middle = along_x or lattice.pitch_x_um / 2, along_y or lattice.pitch_y_um / 2
     x_um, y_um = lattice.to_stage(0, 0, middle[0] - given.width_um / 2, middle[1] - given.height_um / 2)
     return replace(
-        seen,
+        detected,
         x0_um=float(x_um),
         y0_um=float(y_um),
-        width_um=min(given.width_um, seen.pitch_x_um),
-        height_um=min(given.height_um, seen.pitch_y_um),
+        width_um=min(given.width_um, detected.pitch_x_um),
+        height_um=min(given.height_um, detected.pitch_y_um),
         by="given",
         notes=given.notes + (notes if open_axes else ()),
     )
@@ -127,14 +127,14 @@ def _middle(at_um: float, pitch_um: float, differs_px: float) -> float | None:
     return pitch_um / 2 + math.remainder(at_um - pitch_um / 2, pitch_um)
 
 
-def _offset(given: DieGrid, seen: DieGrid, cols: np.ndarray, rows: np.ndarray) -> DieOffset:
-    origin = np.subtract(seen.corner(0, 0), given.corner(0, 0))
-    each = np.hypot(*np.subtract(seen.to_stage(cols, rows), given.to_stage(cols, rows)))
+def _offset(given: DieGrid, detected: DieGrid, cols: np.ndarray, rows: np.ndarray) -> DieOffset:
+    origin = np.subtract(detected.corner(0, 0), given.corner(0, 0))
+    each = np.hypot(*np.subtract(detected.to_stage(cols, rows), given.to_stage(cols, rows)))
     return DieOffset(
         origin_x_um=float(origin[0]),
         origin_y_um=float(origin[1]),
-        pitch_x_ppm=(seen.pitch_x_um / given.pitch_x_um - 1) * 1e6,
-        pitch_y_ppm=(seen.pitch_y_um / given.pitch_y_um - 1) * 1e6,
-        turn_mrad=(seen.angle_rad - given.angle_rad) * 1e3,
+        pitch_x_ppm=(detected.pitch_x_um / given.pitch_x_um - 1) * 1e6,
+        pitch_y_ppm=(detected.pitch_y_um / given.pitch_y_um - 1) * 1e6,
+        turn_mrad=(detected.angle_rad - given.angle_rad) * 1e3,
         farthest_um=float(each.max()),
     )

@@ -75,8 +75,8 @@ def _binned(layer: Float32s, factor: int) -> Float32s:
     """Return the means of the known pixels in blocks of factor x factor."""
     if factor == 1:
         return layer
-    known = np.isfinite(layer)
-    totals, counts = binned(np.where(known, layer, np.float32(0)), factor), binned(known.astype(np.float32), factor)
+    finite = np.isfinite(layer)
+    totals, counts = binned(np.where(finite, layer, np.float32(0)), factor), binned(finite.astype(np.float32), factor)
     return np.divide(totals, counts, out=np.full(totals.shape, np.nan, np.float32), where=counts > 0)
 
 
@@ -146,23 +146,23 @@ class Cells:
         """Return the sample lattice of a cell at this level."""
         return CellLattice.of(grid, self._pixel_um)
 
-    def read(self, grid: DieGrid, at: tuple[int, int], lattice: CellLattice) -> tuple[Float32s, ...]:
+    def read(self, grid: DieGrid, die: tuple[int, int], lattice: CellLattice) -> tuple[Float32s, ...]:
         """Return the layers of one die, bilinearly sampled on the lattice of a cell; NaN off the surface.
 
         Raises MeasureError where the cell lies outside the surface.
         """
         u_um, v_um = lattice.places(grid)
-        x_um, y_um = grid.to_stage(*at, u_um, v_um)
-        part = self._part(at, x_um, y_um)
+        x_um, y_um = grid.to_stage(*die, u_um, v_um)
+        part = self._part(die, x_um, y_um)
         rows, cols = (part.y0_um - y_um) / part.pixel_um, (x_um - part.x0_um) / part.pixel_um
         return tuple(flattened(sampled(layer, rows, cols)) for layer in part.layers)
 
-    def _part(self, at: tuple[int, int], x_um: Floats, y_um: Floats) -> Coarse:
+    def _part(self, die: tuple[int, int], x_um: Floats, y_um: Floats) -> Coarse:
         needed = _box(x_um, y_um, self._pixel_um)
-        held = self._held.get(at)
+        held = self._held.get(die)
         if held is None or not _holds(held[0], needed):
             region = _box(x_um, y_um, SPARE_PX * self._pixel_um)
-            held = self._held[at] = region, self._softened(region)
+            held = self._held[die] = region, self._softened(region)
         return held[1]
 
     def _softened(self, region: Region) -> Coarse:
@@ -182,9 +182,9 @@ def _holds(outer: Region, inner: Region) -> bool:
 
 def softened(layer: Float32s) -> Float32s:
     """Blur the known pixels by about a pixel; sharper edges shift under interpolation."""
-    known = np.isfinite(layer)
-    share = blurred(known, SOFT_PX)
-    total = blurred(np.where(known, layer, np.float32(0)), SOFT_PX)
+    finite = np.isfinite(layer)
+    share = blurred(finite, SOFT_PX)
+    total = blurred(np.where(finite, layer, np.float32(0)), SOFT_PX)
     return np.divide(total, share, out=np.full(layer.shape, np.nan, np.float32), where=share > LEAST_SHARE)
 
 
@@ -214,15 +214,15 @@ def median_cell(cells: Sequence[tuple[Float32s, ...]]) -> tuple[Float32s, ...]:
 
 
 def _centred(layer: Float32s) -> Float32s:
-    known = layer[np.isfinite(layer)]
-    return layer - np.median(known) if known.size else layer
+    finite = layer[np.isfinite(layer)]
+    return layer - np.median(finite) if finite.size else layer
 
 
 def median_of(stack: Float32s) -> Float32s:
     """Return the median over the first axis; NaN where under a third of the values are known."""
-    known = np.isfinite(stack).sum(axis=0)
+    finite = np.isfinite(stack).sum(axis=0)
     ordered = np.sort(stack, axis=0)  # NaN goes last
-    low, high = np.maximum(known - 1, 0) // 2, known // 2
+    low, high = np.maximum(finite - 1, 0) // 2, finite // 2
     high = np.minimum(high, len(stack) - 1)
     middle = (np.take_along_axis(ordered, low[None], 0)[0] + np.take_along_axis(ordered, high[None], 0)[0]) / 2
-    return np.where(known * 3 >= len(stack), middle, np.float32(np.nan)).astype(np.float32)
+    return np.where(finite * 3 >= len(stack), middle, np.float32(np.nan)).astype(np.float32)

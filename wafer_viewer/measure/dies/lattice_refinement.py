@@ -37,9 +37,9 @@ class LatticeRefinementParameters:
         Largest number of pixels along the longer side of a cell at the level that is read.
     reach_px : int, px
         Largest shift of a cell from its place, in pixels of the cell.
-    least_known : float
+    least_valid : float
         Smallest measured fraction of a cell for registration; half of it for a layer.
-    least_alike : float
+    least_correlation : float
         Smallest correlation of a cell with the median die.
     as_clear : float
         Smallest correlation of a layer relative to the best layer; weaker layers are noise.
@@ -64,8 +64,8 @@ class LatticeRefinementParameters:
     cells_pixels: int = 2_000_000
     cell_px: int = 420
     reach_px: int = 6
-    least_known: float = 0.4
-    least_alike: float = 0.35
+    least_valid: float = 0.4
+    least_correlation: float = 0.35
     as_clear: float = 0.5
     least_share: float = 0.65
     most_u_pitch: float = 0.003
@@ -105,7 +105,7 @@ def refined(surface: Mosaic, rough: DieGrid, evidence: Evidence, pixel_um: float
     shifts = registered_shifts(cells, lattice)
     if grid.u_pitch_um > REFINEMENT.most_u_pitch * grid.pitch_x_um:
         raise DiesNotFound(*dissimilar_cells("Too few of the", lattice))
-    return Registered(grid, median_cell([cells[at] for at in shifts]), lattice, len(shifts))
+    return Registered(grid, median_cell([cells[die] for die in shifts]), lattice, len(shifts))
 
 
 def levels_for(surface: Mosaic, grid: DieGrid, pixel_um: float) -> tuple[int, ...]:
@@ -126,9 +126,13 @@ def cells_of(
     most = max(
         REFINEMENT.least_dies, min(REFINEMENT.most_dies, REFINEMENT.cells_pixels // (lattice.rows * lattice.cols))
     )
-    places = spread(_best_of(whole_cells(source.surface, grid), unlike, most), most)
-    read = {at: source.read(grid, at, lattice) for at in places}
-    cells = {at: cell for at, cell in read.items() if any(_known(layer) >= REFINEMENT.least_known for layer in cell)}
+    places = spread(_best_of(complete_cells(source.surface, grid), unlike, most), most)
+    read = {die: source.read(grid, die, lattice) for die in places}
+    cells = {
+        die: cell
+        for die, cell in read.items()
+        if any(_finite_fraction(layer) >= REFINEMENT.least_valid for layer in cell)
+    }
     if len(cells) < 2:
         found = f"{len(cells)} whole {'die' if len(cells) == 1 else 'dies'} found, 2 needed"
         raise DiesNotFound(
@@ -144,26 +148,26 @@ def _best_of(places: Sequence[tuple[int, int]], unlike: Set[tuple[int, int]], mo
 
     The origin of a die is undetermined, so that a cell may contain parts of its neighbours.
     """
-    like = [at for at in places if at not in unlike]
-    beside = {(col + i, row + j) for col, row in unlike for i in (-1, 0, 1) for j in (-1, 0, 1)}
-    inner = [at for at in like if at not in beside]
+    like = [die for die in places if die not in unlike]
+    adjacent = {(col + i, row + j) for col, row in unlike for i in (-1, 0, 1) for j in (-1, 0, 1)}
+    inner = [die for die in like if die not in adjacent]
     return inner if len(like) > most and len(inner) >= REFINEMENT.enough_inner * len(like) else like
 
 
-def _known(layer: Float32s) -> float:
+def _finite_fraction(layer: Float32s) -> float:
     """Return the known fraction of a layer; 0 where it has no contrast."""
-    known = layer[np.isfinite(layer)]
-    return known.size / layer.size if known.size and np.ptp(known) > 0 else 0.0
+    finite = layer[np.isfinite(layer)]
+    return finite.size / layer.size if finite.size and np.ptp(finite) > 0 else 0.0
 
 
-def whole_cells(surface: Mosaic, grid: DieGrid) -> list[tuple[int, int]]:
+def complete_cells(surface: Mosaic, grid: DieGrid) -> list[tuple[int, int]]:
     """Return (col, row) of the cells that lie completely on the surface."""
     low_x, low_y, high_x, high_y = bounds_of(surface)
     (cols, rows), (u, v) = cells_over(grid, (low_x, low_y, high_x, high_y)), half_cell(grid)
     x_um, y_um = grid.to_stage(cols[:, None], rows[:, None], u, v)
     inside = (x_um >= low_x) & (x_um <= high_x) & (y_um >= low_y) & (y_um <= high_y)
-    whole = inside.all(axis=1)
-    return list(zip(cols[whole].tolist(), rows[whole].tolist(), strict=True))
+    complete = inside.all(axis=1)
+    return list(zip(cols[complete].tolist(), rows[complete].tolist(), strict=True))
 
 
 def cells_over(grid: DieGrid, bounds_um: tuple[float, float, float, float]) -> tuple[np.ndarray, np.ndarray]:
@@ -184,10 +188,10 @@ def spread(places: Sequence[tuple[int, int]], most: int) -> list[tuple[int, int]
     """Return at most `most` places, nearest to a regular lattice over all of them including the corners."""
     if len(places) <= most:
         return list(places)
-    at, side = np.array(places, float), math.isqrt(most)
-    low, high = at.min(axis=0), at.max(axis=0)
+    positions, side = np.array(places, float), math.isqrt(most)
+    low, high = positions.min(axis=0), positions.max(axis=0)
     wanted = low + (high - low) * np.stack(np.meshgrid(*[np.linspace(0, 1, side)] * 2), axis=-1).reshape(-1, 2)
-    nearest = {int(np.argmin(((at - one) ** 2).sum(axis=1))) for one in wanted}
+    nearest = {int(np.argmin(((positions - one) ** 2).sum(axis=1))) for one in wanted}
     return [places[k] for k in sorted(nearest)]
 
 
@@ -200,8 +204,8 @@ def registered_shifts(cells: dict[tuple[int, int], Cell], lattice: CellLattice) 
     Raises MeasureError where fewer than `REFINEMENT.least_share` are similar.
     """
     reference = _contrasts(median_cell(list(cells.values())))
-    found = {at: _shift(reference, _contrasts(cell)) for at, cell in cells.items()}
-    shifts = {at: (-lag[1] * lattice.step_x_um, lag[0] * lattice.step_y_um) for at, lag in found.items() if lag}
+    found = {die: _shift(reference, _contrasts(cell)) for die, cell in cells.items()}
+    shifts = {die: (-lag[1] * lattice.step_x_um, lag[0] * lattice.step_y_um) for die, lag in found.items() if lag}
     if len(shifts) < max(2, REFINEMENT.least_share * len(cells)):
         raise DiesNotFound(*dissimilar_cells(f"Only {len(shifts)} of {len(cells)}", lattice))
     return shifts
@@ -226,10 +230,10 @@ def _contrasts(cell: Cell) -> list[Contrast | None]:
 
 
 def _contrast(layer: Float32s, size: int) -> Contrast | None:
-    known = np.isfinite(layer)
-    if known.mean() < REFINEMENT.least_known / 2 or float(np.ptp(layer[known])) == 0:
+    valid = np.isfinite(layer)
+    if valid.mean() < REFINEMENT.least_valid / 2 or float(np.ptp(layer[valid])) == 0:
         return None
-    return contrast(np.where(known, layer, np.float32(0)), known, size), known
+    return contrast(np.where(valid, layer, np.float32(0)), valid, size), valid
 
 
 def _shift(reference: Sequence[Contrast | None], cell: Sequence[Contrast | None]) -> tuple[float, float] | None:
@@ -238,13 +242,13 @@ def _shift(reference: Sequence[Contrast | None], cell: Sequence[Contrast | None]
     if not pairs:
         return None
     each = [normalised_cross_correlation(*a, *b, (0, 0), REFINEMENT.reach_px).correlation for a, b in pairs]
-    best = max(float(alike.max()) for alike in each)
-    if best < REFINEMENT.least_alike:
+    best = max(float(correlation.max()) for correlation in each)
+    if best < REFINEMENT.least_correlation:
         return None
-    clear = [k for k, alike in enumerate(each) if alike.max() >= REFINEMENT.as_clear * best]
-    alike = np.mean([each[k] for k in clear], axis=0)
-    row, col = (int(k) for k in np.unravel_index(int(np.argmax(alike)), alike.shape))
-    if alike[row, col] < REFINEMENT.least_alike or not (
+    clear = [k for k, correlation in enumerate(each) if correlation.max() >= REFINEMENT.as_clear * best]
+    correlation = np.mean([each[k] for k in clear], axis=0)
+    row, col = (int(k) for k in np.unravel_index(int(np.argmax(correlation)), correlation.shape))
+    if correlation[row, col] < REFINEMENT.least_correlation or not (
         0 < row < 2 * REFINEMENT.reach_px and 0 < col < 2 * REFINEMENT.reach_px
     ):
         return None
@@ -259,30 +263,30 @@ def _between(pairs: Sequence[tuple[Contrast, Contrast]], lag: tuple[int, int]) -
     The correlation peak of sharp edges is a cusp, and a parabola through it is biased to integer pixels.
     """
     normal, right = np.zeros((4, 4)), np.zeros(4)
-    for (first, first_known), (second, second_known) in pairs:
+    for (first, first_valid), (second, second_valid) in pairs:
         a, b = _overlap(first, lag, 1), _overlap(second, lag, -1)
-        known = _overlap(first_known, lag, 1) & _overlap(second_known, lag, -1)
+        valid = _overlap(first_valid, lag, 1) & _overlap(second_valid, lag, -1)
         down, across = np.gradient(a)
-        design = np.stack([plane[known] for plane in (down, across, a, np.ones_like(a))], axis=1).astype(np.float64)
-        values = b[known].astype(np.float64) / max(float(b[known].std()), 1e-9)
+        design = np.stack([plane[valid] for plane in (down, across, a, np.ones_like(a))], axis=1).astype(np.float64)
+        values = b[valid].astype(np.float64) / max(float(b[valid].std()), 1e-9)
         normal += design.T @ design
         right += design.T @ values
     found = np.linalg.lstsq(normal, right, rcond=None)[0]
     return np.asarray(np.clip(found[:2] / max(float(found[2]), 1e-9), -1, 1), np.float64)
 
 
-def _overlap(plane: np.ndarray, lag: tuple[int, int], way: int) -> np.ndarray:
+def _overlap(plane: np.ndarray, lag: tuple[int, int], sign: int) -> np.ndarray:
     """Return the part of the first of two cells (way 1) or the second (-1) that overlaps the other at a lag."""
-    (rows, cols), (down, right) = plane.shape, (way * k for k in lag)
+    (rows, cols), (down, right) = plane.shape, (sign * k for k in lag)
     return plane[max(0, down) : rows + min(0, down), max(0, right) : cols + min(0, right)]
 
 
 def fit_lattice(grid: DieGrid, shifts: Shifts) -> DieGrid:
     """Fit origin, both pitches and angle of the lattice by least squares with outlier rejection; with uncertainties."""
-    at, off = np.array(list(shifts), float), np.array(list(shifts.values()))
-    center = at.mean(axis=0)
-    i, j = (at - center).T
-    one, zero = np.ones(len(at)), np.zeros(len(at))
+    positions, off = np.array(list(shifts), float), np.array(list(shifts.values()))
+    center = positions.mean(axis=0)
+    i, j = (positions - center).T
+    one, zero = np.ones(len(positions)), np.zeros(len(positions))
     design = np.concatenate(
         [
             np.stack([one, zero, i, zero, -j * grid.pitch_y_um], axis=1),
@@ -299,7 +303,7 @@ def fit_lattice(grid: DieGrid, shifts: Shifts) -> DieGrid:
         width_um=grid.pitch_x_um + pitch_x,
         height_um=grid.pitch_y_um + pitch_y,
         angle_rad=grid.angle_rad + turn,
-        **_uncertainties(design[fit.kept], fit.residuals[fit.kept], center, grid),
+        **_uncertainties(design[fit.inliers], fit.residuals[fit.inliers], center, grid),
     )
     shift = np.subtract(middle, new.to_stage(center[0], center[1]))
     return replace(new, x0_um=new.x0_um + float(shift[0]), y0_um=new.y0_um + float(shift[1]))
@@ -311,6 +315,6 @@ def _uncertainties(design: Floats, residuals: Floats, center: Floats, grid: DieG
     covariance = np.linalg.pinv(design.T @ design) * float(residuals @ residuals) / freedom
     i, j = -center
     to_origin = np.array([[1, 0, i, 0, -j * grid.pitch_y_um], [0, 1, 0, j, i * grid.pitch_x_um]])
-    at_origin = np.diag(to_origin @ covariance @ to_origin.T)
+    variance = np.diag(to_origin @ covariance @ to_origin.T)
     u_pitch = math.sqrt(float(max(covariance[2, 2], covariance[3, 3])))
-    return {"u_pitch_um": u_pitch, "u_origin_um": math.sqrt(float(at_origin.max()))}
+    return {"u_pitch_um": u_pitch, "u_origin_um": math.sqrt(float(variance.max()))}

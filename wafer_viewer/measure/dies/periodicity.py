@@ -20,11 +20,11 @@ class PeriodicityParameters:
 
     Parameters
     ----------
-    least_alike : float
+    least_correlation : float
         Smallest autocorrelation of a lag at which a pattern repeats.
-    as_alike : float
+    equal_correlation : float
         Fraction of the best autocorrelation above which a shorter lag is the period.
-    half_alike : float
+    half_correlation : float
         Fraction of the autocorrelation of the period from which a part of it makes the period ambiguous.
     shortest_px : int, px
         Shortest lag of a period.
@@ -62,9 +62,9 @@ class PeriodicityParameters:
     `tests/bench/bench_dies.py` counts the lattices found, missed and wrong with these values on made-up wafers.
     """
 
-    least_alike: float = 0.15
-    as_alike: float = 0.85
-    half_alike: float = 0.5
+    least_correlation: float = 0.15
+    equal_correlation: float = 0.85
+    half_correlation: float = 0.5
     shortest_px: int = 5
     stands_out: float = 0.2
     goes_on: float = 0.3
@@ -92,7 +92,7 @@ class Peak:
 
     right: float
     up: float
-    alike: float
+    correlation: float
 
     @property
     def length(self) -> float:
@@ -112,50 +112,54 @@ def mean_autocorrelation(layers: Sequence[Float32s], size: int) -> Floats:
 
 
 def _detail(layer: Float32s, size: int) -> Floats | None:
-    known = np.isfinite(layer)
-    if not known.any() or float(np.ptp(layer[known])) == 0:
+    finite = np.isfinite(layer)
+    if not finite.any() or float(np.ptp(layer[finite])) == 0:
         return None
-    detail = contrast(layer, known, size).astype(np.float64)
-    return np.where(known, detail - detail[known].mean(), np.nan)
+    detail = contrast(layer, finite, size).astype(np.float64)
+    return np.where(finite, detail - detail[finite].mean(), np.nan)
 
 
-def peaks_of(alike: Floats) -> list[Peak]:
+def peaks_of(correlation: Floats) -> list[Peak]:
     """Return the local maxima of an autocorrelation, except the central one."""
     from scipy.ndimage import gaussian_filter
     from skimage.feature import peak_local_max
 
-    smooth = np.asarray(gaussian_filter(np.nan_to_num(alike, nan=-1.0), PERIODICITY.smoothing_px))
+    smooth = np.asarray(gaussian_filter(np.nan_to_num(correlation, nan=-1.0), PERIODICITY.smoothing_px))
     around = np.ones((PERIODICITY.top_px, PERIODICITY.top_px), bool)
-    rows, cols = peak_local_max(smooth, threshold_abs=PERIODICITY.least_alike, exclude_border=False, footprint=around).T
-    middle_row, middle_col = (n // 2 for n in alike.shape)
+    rows, cols = peak_local_max(
+        smooth, threshold_abs=PERIODICITY.least_correlation, exclude_border=False, footprint=around
+    ).T
+    middle_row, middle_col = (n // 2 for n in correlation.shape)
     lags = zip((cols - middle_col).tolist(), (middle_row - rows).tolist(), smooth[rows, cols].tolist(), strict=True)
     return [Peak(*lag) for lag in lags if math.hypot(lag[0], lag[1]) >= PERIODICITY.shortest_px]
 
 
-def peaks_near_axis(alike: Floats, peaks: Sequence[Peak], upright: bool, half_deg: float) -> list[Peak]:
+def peaks_near_axis(correlation: Floats, peaks: Sequence[Peak], upright: bool, half_deg: float) -> list[Peak]:
     """Return the peaks near the x axis, to the right, or near the y axis, upwards, that are prominent over the ridge.
 
     A pattern that is continuous along an axis, such as a street, correlates at every lag along it. A peak therefore
     counts by its excess over the median of all lags near the axis.
     """
     steep = math.tan(math.radians(half_deg))
-    ridge = _ridge(alike.T[::-1, ::-1] if upright else alike, steep)
+    ridge = _ridge(correlation.T[::-1, ::-1] if upright else correlation, steep)
 
     def within(along: float, aside: float) -> bool:
         return along >= PERIODICITY.shortest_px and abs(aside) <= steep * along + 1
 
     near = [peak for peak in peaks if within(*((peak.up, peak.right) if upright else (peak.right, peak.up)))]
-    over = [Peak(peak.right, peak.up, peak.alike - ridge) for peak in near]
+    over = [Peak(peak.right, peak.up, peak.correlation - ridge) for peak in near]
     return [
-        peak for peak in over if peak.alike >= PERIODICITY.stands_out * max(PERIODICITY.least_alike, peak.alike + ridge)
+        peak
+        for peak in over
+        if peak.correlation >= PERIODICITY.stands_out * max(PERIODICITY.least_correlation, peak.correlation + ridge)
     ]
 
 
-def _ridge(alike: Floats, steep: float) -> float:
+def _ridge(correlation: Floats, steep: float) -> float:
     """Return the median over lags of the largest autocorrelation within a cone about the axis; at least 0."""
-    row, col = (n // 2 for n in alike.shape)
+    row, col = (n // 2 for n in correlation.shape)
     most = [
-        float(np.nanmax(alike[max(0, row - aside) : row + aside + 1, col + along], initial=-1.0))
+        float(np.nanmax(correlation[max(0, row - aside) : row + aside + 1, col + along], initial=-1.0))
         for along in range(PERIODICITY.shortest_px, col + 1)
         for aside in [min(row, math.floor(steep * along + 1))]
     ]
@@ -164,40 +168,49 @@ def _ridge(alike: Floats, steep: float) -> float:
 
 def shortest(peaks: Sequence[Peak]) -> Peak:
     """Return the shortest lag with an autocorrelation close to the best."""
-    best = max(peak.alike for peak in peaks)
-    return min((peak for peak in peaks if peak.alike >= PERIODICITY.as_alike * best), key=lambda peak: peak.length)
+    best = max(peak.correlation for peak in peaks)
+    return min(
+        (peak for peak in peaks if peak.correlation >= PERIODICITY.equal_correlation * best),
+        key=lambda peak: peak.length,
+    )
 
 
-def persistent_lags(alike: Floats, peaks: Sequence[Peak]) -> list[Peak]:
+def persistent_lags(correlation: Floats, peaks: Sequence[Peak]) -> list[Peak]:
     """Return the lags that persist over the surface; patterns within a die, such as pads, end with the die."""
-    return [peak for peak in peaks if _goes_on(alike, peak)]
+    return [peak for peak in peaks if _persists(correlation, peak)]
 
 
-def _goes_on(alike: Floats, peak: Peak) -> bool:
+def _persists(correlation: Floats, peak: Peak) -> bool:
     """Return whether far multiples keep enough of the first lag's prominence over lags half a period away.
 
     On a round wafer the autocorrelation of peaks and valleys alike falls with the lag; prominence is independent of
     that.
     """
-    middle = np.array([n // 2 for n in alike.shape])
+    middle = np.array([n // 2 for n in correlation.shape])
     step = np.array([-peak.up, peak.right])
     most = math.floor(float(np.min((middle - 2) / np.maximum(1, np.abs(step))) - 0.5))
-    over = [_stands_out(alike, middle + times * step, step / 2) for times in range(1, most + 1)]
+    over = [_stands_out(correlation, middle + times * step, step / 2) for times in range(1, most + 1)]
     return len(over) < 2 or float(np.median(over[len(over) // 2 :])) >= PERIODICITY.goes_on * over[0]
 
 
-def _stands_out(alike: Floats, place: Floats, half: Floats) -> float:
+def _stands_out(correlation: Floats, place: Floats, half: Floats) -> float:
     near = max(1, round(PERIODICITY.near * 2 * float(np.hypot(*half))))
     row, col = (max(0, round(float(k))) for k in place)
-    top = float(np.nanmax(alike[max(0, row - near) : row + near + 1, max(0, col - near) : col + near + 1], initial=-1))
-    valleys = [alike[tuple(np.rint(place + side * half).astype(int))] for side in (-1, 1)]
+    top = float(
+        np.nanmax(correlation[max(0, row - near) : row + near + 1, max(0, col - near) : col + near + 1], initial=-1)
+    )
+    valleys = [correlation[tuple(np.rint(place + side * half).astype(int))] for side in (-1, 1)]
     return top - float(np.mean(valleys))
 
 
 def ambiguous_fraction(periods: Sequence[Peak]) -> Peak | None:
     """Return a half or a third of the period that may also be the period; None where unambiguous."""
     period = shortest(periods)
-    near = (peak for peak in periods if _is_part(peak, period) and peak.alike >= PERIODICITY.half_alike * period.alike)
+    near = (
+        peak
+        for peak in periods
+        if _is_part(peak, period) and peak.correlation >= PERIODICITY.half_correlation * period.correlation
+    )
     return next(near, None)
 
 
@@ -216,7 +229,7 @@ class Periods:
     pitch_x: float
     pitch_y: float
     angle_rad: float
-    alike: float
+    correlation: float
 
 
 @dataclass(frozen=True, slots=True)
@@ -238,7 +251,7 @@ def periods_of(layers: Sequence[Float32s]) -> Periods:
     if best is None:
         raise nothing_repeats(layers)
     across, up = (unambiguous_period(periods, axis) for periods, axis in ((best.right, "x"), (best.up, "y")))
-    return _checked(fitted(best.alike, across, up), _askew(best.alike, best.peaks))
+    return _checked(fitted(best.correlation, across, up), _askew(best.correlation, best.peaks))
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -248,7 +261,7 @@ class Periodicity:
     An autocorrelation, its peaks, and those along x and y that persist over the surface.
     """
 
-    alike: Floats
+    correlation: Floats
     peaks: list[Peak]
     right: list[Peak]
     up: list[Peak]
@@ -257,7 +270,7 @@ class Periodicity:
     def clear(self) -> tuple[bool, float]:
         """Sort key: True if both periods are unambiguous, and the autocorrelation of the weaker one."""
         plain = ambiguous_fraction(self.right) is None and ambiguous_fraction(self.up) is None
-        return plain, min(shortest(self.right).alike, shortest(self.up).alike)
+        return plain, min(shortest(self.right).correlation, shortest(self.up).correlation)
 
 
 def clearest(layers: Sequence[Float32s], sizes: Sequence[int]) -> Periodicity | None:
@@ -271,12 +284,13 @@ def clearest(layers: Sequence[Float32s], sizes: Sequence[int]) -> Periodicity | 
 
 
 def _repeats(layers: Sequence[Float32s], size: int) -> Periodicity | None:
-    alike = mean_autocorrelation(layers, size)
-    peaks = peaks_of(alike)
+    correlation = mean_autocorrelation(layers, size)
+    peaks = peaks_of(correlation)
     right, up = (
-        persistent_lags(alike, peaks_near_axis(alike, peaks, upright, PERIODICITY.searched_deg)) for upright, _ in AXES
+        persistent_lags(correlation, peaks_near_axis(correlation, peaks, upright, PERIODICITY.searched_deg))
+        for upright, _ in AXES
     )
-    return Periodicity(alike, peaks, right, up) if right and up else None
+    return Periodicity(correlation, peaks, right, up) if right and up else None
 
 
 def unambiguous_period(periods: Sequence[Peak], axis: str) -> Peak:
@@ -285,29 +299,29 @@ def unambiguous_period(periods: Sequence[Peak], axis: str) -> Peak:
     if part is not None:
         raise DiesNotFound(
             f"The pitch along {axis} may be all or 1/{round(period.length / part.length)} of what repeats best, for "
-            f"neighbours are {100 * part.alike / period.alike:.0f} % as much alike: {MEND}.",
+            f"neighbours are {100 * part.correlation / period.correlation:.0f} % as much alike: {MEND}.",
             f"No dies found: their pitch along {axis} is ambiguous",
         )
     return period
 
 
-def fitted(alike: Floats, across: Peak, up: Peak) -> tuple[Floats, Floats, float]:
+def fitted(correlation: Floats, across: Peak, up: Peak) -> tuple[Floats, Floats, float]:
     """Fit both periods [right, up] in px to all similar lags of their lattice; also return the autocorrelation."""
     basis = np.array([[across.right, across.up], [up.right, up.up]])
     reach = 1
     while True:
-        nodes, places = _nodes_near(alike, basis, reach)
+        nodes, places = _nodes_near(correlation, basis, reach)
         if len(nodes) > 2:
             basis = np.asarray(np.linalg.lstsq(nodes, places, rcond=None)[0], np.float64)
-        limits = [half / (2 * reach) for half in (alike.shape[1] // 2, alike.shape[0] // 2)]
+        limits = [half / (2 * reach) for half in (correlation.shape[1] // 2, correlation.shape[0] // 2)]
         if reach > PERIODICITY.most_nodes or all(abs(basis[k, k]) > limits[k] for k in (0, 1)):
-            return basis[0], basis[1], min(across.alike, up.alike)
+            return basis[0], basis[1], min(across.correlation, up.correlation)
         reach *= 2
 
 
-def _nodes_near(alike: Floats, basis: Floats, reach: int) -> tuple[Floats, Floats]:
+def _nodes_near(correlation: Floats, basis: Floats, reach: int) -> tuple[Floats, Floats]:
     """Return multiples (i, j) of the periods, and the subpixel lag of the local maximum near each."""
-    middle = np.array([n // 2 for n in alike.shape])
+    middle = np.array([n // 2 for n in correlation.shape])
     near = max(2, round(PERIODICITY.near * float(np.abs(np.diag(basis)).min())))
     nodes: list[tuple[int, int]] = []
     places: list[tuple[float, float]] = []
@@ -315,34 +329,34 @@ def _nodes_near(alike: Floats, basis: Floats, reach: int) -> tuple[Floats, Float
         for j in range(reach + 1):
             right, up = np.array([i, j]) @ basis
             row, col = round(middle[0] - up), round(middle[1] + right)
-            if (j > 0 or i > 0) and (top := top_near(alike, row, col, near)) is not None:
+            if (j > 0 or i > 0) and (top := top_near(correlation, row, col, near)) is not None:
                 nodes.append((i, j))
                 places.append((top[1] - middle[1], middle[0] - top[0]))
     return np.array(nodes, float), np.array(places, float)
 
 
-def top_near(alike: Floats, row: int, col: int, near: int) -> tuple[float, float] | None:
+def top_near(correlation: Floats, row: int, col: int, near: int) -> tuple[float, float] | None:
     """Return (row, col) of the maximum near a place, to subpixels by parabolas; None at the border or if too low."""
     low_row, low_col = row - near, col - near
-    part = alike[max(0, low_row) : row + near + 1, max(0, low_col) : col + near + 1]
-    if low_row < 1 or low_col < 1 or row + near + 2 > alike.shape[0] or col + near + 2 > alike.shape[1]:
+    part = correlation[max(0, low_row) : row + near + 1, max(0, low_col) : col + near + 1]
+    if low_row < 1 or low_col < 1 or row + near + 2 > correlation.shape[0] or col + near + 2 > correlation.shape[1]:
         return None
-    if np.isnan(part).any() or part.max() < PERIODICITY.least_alike / 2:
+    if np.isnan(part).any() or part.max() < PERIODICITY.least_correlation / 2:
         return None
     r, c = (int(k) for k in np.unravel_index(int(np.argmax(part)), part.shape))
     r, c = r + low_row, c + low_col
-    return r + vertex(*alike[r - 1 : r + 2, c].tolist()), c + vertex(*alike[r, c - 1 : c + 2].tolist())
+    return r + vertex(*correlation[r - 1 : r + 2, c].tolist()), c + vertex(*correlation[r, c - 1 : c + 2].tolist())
 
 
-def vertex(before: float, at: float, after: float) -> float:
+def vertex(before: float, middle: float, after: float) -> float:
     """Return the vertex of a parabola through three values, relative to the middle one."""
-    bend = before - 2 * at + after
+    bend = before - 2 * middle + after
     return float(np.clip((before - after) / (2 * bend), -0.5, 0.5)) if bend < 0 else 0.0
 
 
 def _checked(found: tuple[Floats, Floats, float], askew: Askew | None) -> Periods:
     """Return the periods. Raises MeasureError where the lattice is rotated too far or not square."""
-    across, up, alike = found
+    across, up, correlation = found
     if askew is not None and askew.area < PERIODICITY.smaller * abs(float(np.linalg.det([across, up]))):
         raise turned_too_far(askew.turn_deg)
     turn_x, turn_y = math.atan2(across[1], across[0]), math.atan2(-up[0], up[1])
@@ -357,7 +371,7 @@ def _checked(found: tuple[Floats, Floats, float], askew: Askew | None) -> Period
     angle = (turn_x * lengths[0] + turn_y * lengths[1]) / sum(lengths)
     if abs(math.degrees(angle)) > PERIODICITY.limit_deg:
         raise turned_too_far(math.degrees(angle))
-    return Periods(*lengths, angle, alike)
+    return Periods(*lengths, angle, correlation)
 
 
 def turned_too_far(angle_deg: float) -> DiesNotFound:
@@ -371,12 +385,13 @@ def turned_too_far(angle_deg: float) -> DiesNotFound:
 
 def nothing_repeats(layers: Sequence[Float32s]) -> DiesNotFound:
     """Return the error for a missing lattice: along which axis, or that it is rotated too far."""
-    alike = mean_autocorrelation(layers, max(3, min(layers[0].shape) // 6))
-    peaks = peaks_of(alike)
+    correlation = mean_autocorrelation(layers, max(3, min(layers[0].shape) // 6))
+    peaks = peaks_of(correlation)
     right, up = (
-        persistent_lags(alike, peaks_near_axis(alike, peaks, upright, PERIODICITY.searched_deg)) for upright, _ in AXES
+        persistent_lags(correlation, peaks_near_axis(correlation, peaks, upright, PERIODICITY.searched_deg))
+        for upright, _ in AXES
     )
-    if (askew := _askew(alike, peaks)) is not None:
+    if (askew := _askew(correlation, peaks)) is not None:
         return turned_too_far(askew.turn_deg)
     axes = " or ".join(name for name, some in (("x", right), ("y", up)) if not some) or "x and y together"
     return DiesNotFound(
@@ -386,9 +401,9 @@ def nothing_repeats(layers: Sequence[Float32s]) -> DiesNotFound:
     )
 
 
-def _askew(alike: Floats, peaks: Sequence[Peak]) -> Askew | None:
+def _askew(correlation: Floats, peaks: Sequence[Peak]) -> Askew | None:
     """Return the lattice of the shortest lags if both axes are rotated together beyond the limit; None otherwise."""
-    wide = [peaks_near_axis(alike, peaks, upright, PERIODICITY.wide_deg) for upright in (False, True)]
+    wide = [peaks_near_axis(correlation, peaks, upright, PERIODICITY.wide_deg) for upright in (False, True)]
     if not all(wide):
         return None
     across, up = map(shortest, wide)

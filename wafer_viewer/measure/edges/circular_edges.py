@@ -50,10 +50,10 @@ class CircleSearchParameters:
         Distance from a circle within which a candidate supports it.
     seed : int
         Seed of the random circles, fixed so that the same image gives the same circle.
-    beside_px : float, px
+    margin_px : float, px
         Points closer to the detected circle than this support no other circle.
     elsewhere : float
-        Distance from the detected circle beyond which a place on a ray is elsewhere, in `beside_px`.
+        Distance from the detected circle beyond which a place on a ray is elsewhere, in `margin_px`.
     over_rest : float
         Smallest ratio of the steepness of a circular edge to that elsewhere on the rays.
     bands : int
@@ -86,7 +86,7 @@ class CircleSearchParameters:
     draws: int = 600
     near_px: float = 1.5
     seed: int = 1
-    beside_px: float = 4.0
+    margin_px: float = 4.0
     elsewhere: float = 1.5
     over_rest: float = 1.25
     bands: int = 24
@@ -118,7 +118,7 @@ class Ring:
 class RoundEdge:
     """A circle through the points of a circular edge, in stage um, and their ordered radial residuals.
 
-    sign: 1 where it is brighter outside; kept: mask of the accepted points.
+    sign: 1 where it is brighter outside; inliers: mask of the accepted points.
     """
 
     x_um: float
@@ -127,14 +127,14 @@ class RoundEdge:
     sign: Sign
     angle: Floats
     off_um: Floats
-    kept: NDArray[np.bool_]
+    inliers: NDArray[np.bool_]
 
     @property
     def u_radius_um(self) -> float | None:
         """Standard uncertainty of the radius from the scatter of the points; None with too few."""
-        angle = self.angle[self.kept]
+        angle = self.angle[self.inliers]
         design = np.stack([np.cos(angle), np.sin(angle), np.ones(len(angle))], axis=1)
-        return chain_uncertainty(design, self.off_um[self.kept], np.array([0.0, 0.0, 1.0]))
+        return chain_uncertainty(design, self.off_um[self.inliers], np.array([0.0, 0.0, 1.0]))
 
     @property
     def roundness_um(self) -> float:
@@ -174,16 +174,18 @@ class _Rays:
         angle = np.arange(n, dtype=np.float64) * (2 * math.pi / n)
         radius = np.arange(first, last + 1)
         line, place = _polar(center, angle[:, None], radius[None, :])
-        at = np.stack([line, place])
-        grey = map_coordinates(strip.grey, at, order=3, mode="nearest")
-        there = map_coordinates(strip.there.astype(np.float32), at, order=1, mode="constant") > CIRCLE_SEARCH.covered
-        return cls(center, angle, first, responses(grey, there))
+        samples = np.stack([line, place])
+        grey = map_coordinates(strip.grey, samples, order=3, mode="nearest")
+        covered = (
+            map_coordinates(strip.covered.astype(np.float32), samples, order=1, mode="constant") > CIRCLE_SEARCH.covered
+        )
+        return cls(center, angle, first, responses(grey, covered))
 
     def elsewhere(self, ring: Ring) -> float:
         """Return the root mean square gradient away from a circle; 0 where there is none."""
         step = np.arange(self.response.shape[1], dtype=np.float64)
         off = ring.off(*_polar(self.center, self.angle[:, None], self.first + step[None, :]))
-        apart = np.abs(off) > CIRCLE_SEARCH.elsewhere * CIRCLE_SEARCH.beside_px
+        apart = np.abs(off) > CIRCLE_SEARCH.elsewhere * CIRCLE_SEARCH.margin_px
         return float(np.sqrt(np.mean(self.response[apart].astype(np.float64) ** 2))) if apart.any() else 0.0
 
     def points(self, ray: NDArray[np.intp], step: Floats) -> tuple[Floats, Floats]:
@@ -214,7 +216,7 @@ class _Candidates:
     place: Floats
     steep: Floats
 
-    def kept(self, mask: NDArray[np.bool_]) -> _Candidates:
+    def select(self, mask: NDArray[np.bool_]) -> _Candidates:
         return _Candidates(self.ray[mask], self.line[mask], self.place[mask], self.steep[mask])
 
 
@@ -223,7 +225,7 @@ def _consensus(rays: _Rays, drawn: Ring, sign: Sign) -> _Consensus:
     ring, score = _best_ring(found, drawn, len(rays.angle))
     if ring is None:
         return _Consensus(drawn, sign, 0.0, 0.0)
-    others = found.kept(np.abs(ring.off(found.line, found.place)) > CIRCLE_SEARCH.beside_px)
+    others = found.select(np.abs(ring.off(found.line, found.place)) > CIRCLE_SEARCH.margin_px)
     return _Consensus(ring, sign, score, _best_ring(others, drawn, len(rays.angle))[1])
 
 
@@ -287,11 +289,11 @@ def _require_clear(rays: _Rays, best: _Consensus, rival: float) -> None:
 
 def _fitted(strip: SearchStrip, start: Ring, sign: Sign) -> RoundEdge:
     """Fit a least-squares circle to the edge near a ring, along rays from its own centre."""
-    ring, line, place, kept = _nearer(strip, _nearer(strip, start, sign)[0], sign)
+    ring, line, place, inliers = _nearer(strip, _nearer(strip, start, sign)[0], sign)
     x_um, y_um = (float(v) for v in strip.at(np.array(ring.line), np.array(ring.place)))
     angle = np.arctan2(ring.line - line, place - ring.place)
     off_um = ring.off(line, place) * strip.pixel_um
-    return RoundEdge(x_um, y_um, ring.radius * strip.pixel_um, sign, angle, off_um, kept)
+    return RoundEdge(x_um, y_um, ring.radius * strip.pixel_um, sign, angle, off_um, inliers)
 
 
 def _nearer(strip: SearchStrip, ring: Ring, sign: Sign) -> tuple[Ring, Floats, Floats, NDArray[np.bool_]]:
@@ -302,20 +304,20 @@ def _nearer(strip: SearchStrip, ring: Ring, sign: Sign) -> tuple[Ring, Floats, F
     require_found(points, len(rising))
     _require_all_round(rising, expected, points.place)
     line, place = rays.points(points.line.astype(np.intp), points.place)
-    found, kept = fit_ring(line, place, ring)
-    return found, line, place, kept
+    found, inliers = fit_ring(line, place, ring)
+    return found, line, place, inliers
 
 
 def _require_all_round(rising: Responses, expected: Floats, place: Floats) -> None:
     """Raise MeasureError where an edge is not detected in most directions, as for chance alignments of noise."""
-    at = np.round(expected).astype(np.intp)
+    bins = np.round(expected).astype(np.intp)
     near = np.stack(
-        [rising[np.arange(len(at)), at + k] for k in range(-CIRCLE_SEARCH.near_steps, CIRCLE_SEARCH.near_steps + 1)]
+        [rising[np.arange(len(bins)), bins + k] for k in range(-CIRCLE_SEARCH.near_steps, CIRCLE_SEARCH.near_steps + 1)]
     ).max(axis=0)
     bands = np.array([part.mean() for part in np.array_split(near, CIRCLE_SEARCH.bands)])
     jumps = float(np.median(np.abs(np.diff(place))))
     if (
-        np.mean(bands > STRAIGHT_EDGE.seen * np.median(bands)) < STRAIGHT_EDGE.all_along
+        np.mean(bands > STRAIGHT_EDGE.least_score * np.median(bands)) < STRAIGHT_EDGE.all_along
         or jumps > CIRCLE_SEARCH.jumps_px
     ):
         raise MeasureError("The round edge is not seen all round: draw the circle round one that the picture shows.")
@@ -327,13 +329,13 @@ def fit_ring(line: Floats, place: Floats, start: Ring) -> tuple[Ring, NDArray[np
     start: initial estimate. Also returns the mask of accepted points. Raises MeasureError when the points do not
     determine a circle.
     """
-    ring, kept = start, np.ones(len(line), bool)
+    ring, inliers = start, np.ones(len(line), bool)
     for _ in range(CIRCLE_SEARCH.most_rounds):
         away = np.maximum(np.hypot(line - ring.line, place - ring.place), 1e-9)
         design = np.stack([(line - ring.line) / away, (place - ring.place) / away, np.ones(len(away))], axis=1)
         fit = robust_fit(design, away - ring.radius)
-        step, kept = fit.coefficients, fit.kept
+        step, inliers = fit.coefficients, fit.inliers
         ring = Ring(ring.line + float(step[0]), ring.place + float(step[1]), ring.radius + float(step[2]))
         if float(np.abs(step).max()) < 1e-6:
             break
-    return ring, kept
+    return ring, inliers

@@ -40,7 +40,7 @@ class SearchStrip:
     """
 
     grey: NDArray[np.float32]
-    there: NDArray[np.bool_]
+    covered: NDArray[np.bool_]
     corner_um: Way
     line_um: Way
     place_um: Way
@@ -48,8 +48,8 @@ class SearchStrip:
     @classmethod
     def of(cls, grey: NDArray[np.generic], pixel_um: float, x0_um: float, y0_um: float) -> SearchStrip:
         """Return a strip of a complete image [row, col]; search lines run along x."""
-        there = np.ones(grey.shape, bool)
-        return cls(grey.astype(np.float32), there, (x0_um, y0_um), (0.0, -pixel_um), (pixel_um, 0.0))
+        covered = np.ones(grey.shape, bool)
+        return cls(grey.astype(np.float32), covered, (x0_um, y0_um), (0.0, -pixel_um), (pixel_um, 0.0))
 
     @property
     def pixel_um(self) -> float:
@@ -59,7 +59,7 @@ class SearchStrip:
     @property
     def turned(self) -> SearchStrip:
         """The same strip with its search lines transposed."""
-        return SearchStrip(self.grey.T, self.there.T, self.corner_um, self.place_um, self.line_um)
+        return SearchStrip(self.grey.T, self.covered.T, self.corner_um, self.place_um, self.line_um)
 
     @property
     def reversed(self) -> SearchStrip:
@@ -67,13 +67,13 @@ class SearchStrip:
         last = self.grey.shape[1] - 1
         corner = self.corner_um[0] + last * self.place_um[0], self.corner_um[1] + last * self.place_um[1]
         back = -self.place_um[0], -self.place_um[1]
-        return SearchStrip(self.grey[:, ::-1], self.there[:, ::-1], corner, self.line_um, back)
+        return SearchStrip(self.grey[:, ::-1], self.covered[:, ::-1], corner, self.line_um, back)
 
     def part(self, lines: slice, places: slice) -> SearchStrip:
         """Return some lines and places of it, as views; slices need a start and a step of one."""
         x, y = self.at(np.array(float(lines.start or 0)), np.array(float(places.start or 0)))
-        grey, there = self.grey[lines, places], self.there[lines, places]
-        return SearchStrip(grey, there, (float(x), float(y)), self.line_um, self.place_um)
+        grey, covered = self.grey[lines, places], self.covered[lines, places]
+        return SearchStrip(grey, covered, (float(x), float(y)), self.line_um, self.place_um)
 
     def at(self, line: Floats, place: Floats) -> tuple[Floats, Floats]:
         """Return stage x and y of lines and places, which may be fractional."""
@@ -84,7 +84,7 @@ class SearchStrip:
         """Return lines and places of stage x and y: the inverse of `at`."""
         x, y = x_um - self.corner_um[0], y_um - self.corner_um[1]
         square = self.pixel_um**2
-        line, place = ((x * way[0] + y * way[1]) / square for way in (self.line_um, self.place_um))
+        line, place = ((x * axis[0] + y * axis[1]) / square for axis in (self.line_um, self.place_um))
         return line, place
 
 
@@ -99,7 +99,7 @@ def read_strip(surface: Mosaic, region: Region, what: str) -> tuple[SearchStrip,
     part = surface.window(region, level)
     _require_size(region, part, what)
     strip = strip_of(part)
-    covered = np.count_nonzero(strip.there) * part.pixel_um**2
+    covered = np.count_nonzero(strip.covered) * part.pixel_um**2
     x0, y0, x1, y1 = region.bounds_um
     share = covered / ((x1 - x0) * (y1 - y0))
     if share < LEAST_COVERED:
@@ -113,8 +113,8 @@ def read_strip(surface: Mosaic, region: Region, what: str) -> tuple[SearchStrip,
 def strip_of(part: HeightMap) -> SearchStrip:
     """Return the image of a height map, without pixels that no field covers."""
     image = SearchStrip.of(part.all_in_focus, part.pixel_um, part.x0_um, part.y0_um)
-    there = part.origin != Origin.NOT_COVERED
-    return SearchStrip(image.grey, there, image.corner_um, image.line_um, image.place_um)
+    covered = part.origin != Origin.NOT_COVERED
+    return SearchStrip(image.grey, covered, image.corner_um, image.line_um, image.place_um)
 
 
 def require_rectangle(region: Region, what: str) -> None:
@@ -192,7 +192,7 @@ class EdgePoints:
 
 
 def responses(
-    grey: NDArray[np.floating], there: NDArray[np.bool_] | None = None, sigma_px: float = EDGE_FILTER.sigma_px
+    grey: NDArray[np.floating], covered: NDArray[np.bool_] | None = None, sigma_px: float = EDGE_FILTER.sigma_px
 ) -> Responses:
     """Return the gradient along search lines, [line, place], grey values per pixel; 0 near missing pixels."""
     found: Responses = np.zeros(grey.shape, np.float32)
@@ -205,9 +205,9 @@ def responses(
         mode="nearest",
         truncate=EDGE_FILTER.truncate_sigmas,
     )
-    if there is not None and not there.all():
-        near_missing: NDArray[np.bool_] = np.empty(there.shape, bool)
-        maximum_filter1d(~there, 2 * round(EDGE_FILTER.reach_sigmas * sigma_px) + 1, axis=1, output=near_missing)
+    if covered is not None and not covered.all():
+        near_missing: NDArray[np.bool_] = np.empty(covered.shape, bool)
+        maximum_filter1d(~covered, 2 * round(EDGE_FILTER.reach_sigmas * sigma_px) + 1, axis=1, output=near_missing)
         found[near_missing] = 0.0
     found[:, : EDGE_FILTER.reach_px // 2] = found[:, -(EDGE_FILTER.reach_px // 2) :] = 0.0
     return found
@@ -260,9 +260,9 @@ def edges_near(
     good = peaks(rising) & (away >= -reach[0]) & (away <= reach[1])
     good &= rising >= EDGE_FILTER.as_steep * typical(rising, expected)
     worth = np.where(good, -np.abs(away) if choose == "nearest" else rising, -np.inf)
-    at = np.argmax(worth, axis=1)
-    line = np.flatnonzero(np.isfinite(worth[np.arange(len(at)), at]))
-    return EdgePoints(line.astype(np.float64), between_pixels(rising, line, at[line]))
+    best = np.argmax(worth, axis=1)
+    line = np.flatnonzero(np.isfinite(worth[np.arange(len(best)), best]))
+    return EdgePoints(line.astype(np.float64), between_pixels(rising, line, best[line]))
 
 
 def typical(rising: Responses, expected: Floats) -> float:
@@ -293,13 +293,13 @@ class StraightEdgeParameters:
         Smallest gradient of an edge.
     least_rest : int
         Smallest number of places for the noise estimate.
-    seen : float
+    least_score : float
         Fraction of an edge's mean steepness required in a band.
     all_along : float
         Fraction of the bands that must reach it.
-    half_way : float
+    half_level : float
         Fraction of its maximum that bounds a peak.
-    beside_px : int, px
+    margin_px : int, px
         Smallest half-width of a peak.
 
     Notes
@@ -314,10 +314,10 @@ class StraightEdgeParameters:
     stands_out: float = 5.0
     least_steep: float = 0.05
     least_rest: int = 16
-    seen: float = 0.4
+    least_score: float = 0.4
     all_along: float = 0.8
-    half_way: float = 0.5
-    beside_px: int = 10
+    half_level: float = 0.5
+    margin_px: int = 10
 
 
 STRAIGHT_EDGE = StraightEdgeParameters()
@@ -378,22 +378,22 @@ class EdgeScores:
 
     def _all_along(self, place: int) -> bool:
         """Return whether an edge is present in most bands; chance alignments of noise are not."""
-        at = np.round(place + float(self.slope[place]) * self.middles).astype(np.intp)
-        seen = self.bands[np.arange(len(at)), np.clip(at, 0, self.bands.shape[1] - 1)]
-        return bool(np.mean(seen > STRAIGHT_EDGE.seen * self.best[place]) >= STRAIGHT_EDGE.all_along)
+        bins = np.round(place + float(self.slope[place]) * self.middles).astype(np.intp)
+        scores = self.bands[np.arange(len(bins)), np.clip(bins, 0, self.bands.shape[1] - 1)]
+        return bool(np.mean(scores > STRAIGHT_EDGE.least_score * self.best[place]) >= STRAIGHT_EDGE.all_along)
 
     def _extent(self, place: int) -> tuple[int, int]:
         """Return the first place of a peak and the first after it; at least the width of the filter response."""
-        below = self.best < STRAIGHT_EDGE.half_way * self.best[place]
+        below = self.best < STRAIGHT_EDGE.half_level * self.best[place]
         low, high = np.flatnonzero(below[:place]), np.flatnonzero(below[place:])
         first = int(low[-1]) + 1 if len(low) else 0
         last = place + int(high[0]) if len(high) else len(self.best)
-        return max(0, min(first, place - STRAIGHT_EDGE.beside_px)), max(last, place + STRAIGHT_EDGE.beside_px + 1)
+        return max(0, min(first, place - STRAIGHT_EDGE.margin_px)), max(last, place + STRAIGHT_EDGE.margin_px + 1)
 
 
 def scores_of(strip: SearchStrip, sign: Sign) -> EdgeScores:
     """Return the strength of a straight edge of a sign at every place of the middle line, over all slopes."""
-    middles, bands = _bands(responses(strip.grey, strip.there, EDGE_FILTER.search_sigma_px), sign)
+    middles, bands = _bands(responses(strip.grey, strip.covered, EDGE_FILTER.search_sigma_px), sign)
     n_lines = len(strip.grey)
     slopes = np.linspace(
         -STRAIGHT_EDGE.most_slope,

@@ -83,7 +83,7 @@ def require_clear(scores: EdgeScores, place: int, where: str) -> None:
 
 def fitted(strip: SearchStrip, sign: Sign, scores: EdgeScores, place: int) -> Found:
     """Return the edge through a place of the middle line: its points and a line fit."""
-    points = edge_points(responses(strip.grey, strip.there), sign, scores, place)
+    points = edge_points(responses(strip.grey, strip.covered), sign, scores, place)
     return Found(sign, points, fit_line(*strip.at(points.line, points.place)))
 
 
@@ -105,7 +105,7 @@ def find_edge(strip: SearchStrip, where: str = "in the region", signs: tuple[Sig
     return fitted(strip, sign, scores, place)
 
 
-def find_edge_any_way(strip: SearchStrip) -> tuple[SearchStrip, Found]:
+def find_edge_in_any_direction(strip: SearchStrip) -> tuple[SearchStrip, Found]:
     """Find the strongest straight edge of a strip, upright or level, and the strip whose search lines cross it.
 
     Raises the same MeasureErrors as `find_edge`.
@@ -123,7 +123,7 @@ def follow(strip: SearchStrip, sign: Sign, line: EdgeLine) -> Found:
 
     Raises MeasureError when too few search lines detect it.
     """
-    rising = sign * responses(strip.grey, strip.there)
+    rising = sign * responses(strip.grey, strip.covered)
     points = edges_near(rising, expected_on(strip, line), (REACH_PX, REACH_PX))
     require_found(points, len(rising))
     return Found(sign, points, fit_line(*strip.at(points.line, points.place)))
@@ -243,7 +243,7 @@ def _first(side: SearchStrip, name: Side, sign: Sign, scores: EdgeScores, others
     place, where = scores.first(OUTERMOST), f"on the {name} side of the region"
     if not scores.stands_out(place, only_before=True):
         raise no_edge(where)
-    outside = float(others.best[: max(0, place - STRAIGHT_EDGE.beside_px)].max(initial=0.0)) / float(scores.best[place])
+    outside = float(others.best[: max(0, place - STRAIGHT_EDGE.margin_px)].max(initial=0.0)) / float(scores.best[place])
     if outside > AS_STRONG:
         raise MeasureError(
             f"Two edges {where} may be the die's, because further out the brightness changes the other way with "

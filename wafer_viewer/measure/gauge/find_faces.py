@@ -61,7 +61,7 @@ class FaceSearchParameters:
         Distance of the upper square from its face's rim, relative to the shaded distance.
     tight : float
         Largest fraction of the available room that a square takes.
-    whole_px : int, px
+    least_window_px : int, px
         Step to which the side of a reduced square is rounded.
     round_about : int, lattice px
         Window in which the majority must lie on a face.
@@ -88,7 +88,7 @@ class FaceSearchParameters:
     shade: float = 0.3
     rim: float = 0.25
     tight: float = 0.9
-    whole_px: int = 10
+    least_window_px: int = 10
     round_about: int = 9
     smallest_px: int = 50
     seed: int = 0
@@ -108,7 +108,7 @@ class FoundFaces(NamedTuple):
     notes: tuple[str, ...] = ()
 
 
-class SeenFace(NamedTuple):
+class VisibleFace(NamedTuple):
     """The surface on a coarse lattice, heights float64 [row, col], and its measured points, [n, 3]."""
 
     z_um: Floats
@@ -166,13 +166,13 @@ def find_faces(surface: Mosaic, *, size_px: float = SIZE_PX, layer: Layer | None
     ----------
     M. A. Fischler and R. C. Bolles, Random sample consensus, Commun. ACM 24 (1981) 381.
     """
-    seen = _seen(surface, layer_of(surface.provenance.recipe, layer))
-    middle = float(seen.x_um.mean()), float(seen.y_um.mean())
-    low, high = sorted(_two_parallel(seen), key=lambda plane: plane.fitted.at(*middle))
+    faces = _visible_faces(surface, layer_of(surface.provenance.recipe, layer))
+    middle = float(faces.x_um.mean()), float(faces.y_um.mean())
+    low, high = sorted(_two_parallel(faces), key=lambda plane: plane.fitted.at(*middle))
     shade_um = FACE_SEARCH.shade * float(high.fitted.at(*middle) - low.fitted.at(*middle))
-    above_um, below_um = _room_um(seen, high, low, FACE_SEARCH.rim * shade_um), _room_um(seen, low, high, shade_um)
+    above_um, below_um = _room_um(faces, high, low, FACE_SEARCH.rim * shade_um), _room_um(faces, low, high, shade_um)
     room_px = FACE_SEARCH.tight * 2 * float(min(above_um.max(), below_um.max())) / surface.pixel_um
-    side_px = size_px if room_px >= size_px else FACE_SEARCH.whole_px * (room_px // FACE_SEARCH.whole_px)
+    side_px = size_px if room_px >= size_px else FACE_SEARCH.least_window_px * (room_px // FACE_SEARCH.least_window_px)
     if room_px < FACE_SEARCH.smallest_px:
         which = "upper" if above_um.max() < below_um.max() else "lower"
         raise MeasureError(
@@ -180,21 +180,21 @@ def find_faces(surface: Mosaic, *, size_px: float = SIZE_PX, layer: Layer | None
             "draw the two regions by hand."
         )
     side_um = side_px * surface.pixel_um
-    at_upper, at_lower = _nearest_pair(seen, above_um >= side_um / 2, below_um >= side_um / 2)
-    return FoundFaces(_square(at_upper, side_um), _square(at_lower, side_um), _note(side_px, size_px))
+    upper_um, lower_um = _nearest_pair(faces, above_um >= side_um / 2, below_um >= side_um / 2)
+    return FoundFaces(_square(upper_um, side_um), _square(lower_um, side_um), _note(side_px, size_px))
 
 
-def _seen(surface: Mosaic, layer: Layer) -> SeenFace:
+def _visible_faces(surface: Mosaic, layer: Layer) -> VisibleFace:
     rows, cols = surface.shape
     level = min(surface.levels - 1, max(0, math.ceil(math.log(rows * cols / FACE_SEARCH.lattice, 4))))
     part = height_window(surface, layer, _whole(surface), level)
     step = max(1, math.ceil(math.sqrt(part.z_um.size / FACE_SEARCH.lattice)))
     z_um, x_um, y_um = _thinned(part, step)
-    known_rows, known_cols = np.nonzero(np.isfinite(z_um))
-    if len(known_rows) < FACE_SEARCH.least_points:
+    finite_rows, finite_cols = np.nonzero(np.isfinite(z_um))
+    if len(finite_rows) < FACE_SEARCH.least_points:
         raise MeasureError("Too little of the surface is measured to look for faces: scan it again.")
-    points = np.stack([x_um[known_cols], y_um[known_rows], z_um[known_rows, known_cols]], axis=1)
-    return SeenFace(z_um, x_um, y_um, points)
+    points = np.stack([x_um[finite_cols], y_um[finite_rows], z_um[finite_rows, finite_cols]], axis=1)
+    return VisibleFace(z_um, x_um, y_um, points)
 
 
 def _whole(surface: Mosaic) -> Region:
@@ -207,8 +207,8 @@ def _thinned(part: Heights, step: int) -> tuple[Floats, Floats, Floats]:
     return part.z_um[::step, ::step].astype(np.float64), part.x_um[::step], part.y_um[::step]
 
 
-def _two_parallel(seen: SeenFace) -> tuple[FacePlane, FacePlane]:
-    planes = _planes(seen)
+def _two_parallel(faces: VisibleFace) -> tuple[FacePlane, FacePlane]:
+    planes = _planes(faces)
     if len(planes) != 2:
         count = {0: "no face", 1: "one face"}.get(len(planes), f"{len(planes)} faces or more")
         raise MeasureError(
@@ -224,12 +224,12 @@ def _two_parallel(seen: SeenFace) -> tuple[FacePlane, FacePlane]:
     return planes[0], planes[1]
 
 
-def _planes(seen: SeenFace) -> list[FacePlane]:
+def _planes(faces: VisibleFace) -> list[FacePlane]:
     """Return up to three planes in order of their number of points; each removes its points from the search."""
-    left, found = seen.points, list[FacePlane]()
-    least = FACE_SEARCH.least_share * len(seen.points)
+    left, found = faces.points, list[FacePlane]()
+    least = FACE_SEARCH.least_share * len(faces.points)
     while len(left) >= least and len(found) < FACE_SEARCH.most_planes:
-        plane = _searched(left, _noise_um(seen.z_um))
+        plane = _searched(left, _noise_um(faces.z_um))
         off_um = np.abs(left[:, 2] - plane.fitted.at(left[:, 0], left[:, 1]))
         near_um = off_um[off_um <= plane.band_um]
         if len(near_um) < least / 2:
@@ -274,19 +274,22 @@ def _noise_um(z_um: Floats) -> float:
     )
 
 
-def _room_um(seen: SeenFace, own: FacePlane, other: FacePlane, shade_um: float) -> Floats:
+def _room_um(faces: VisibleFace, own: FacePlane, other: FacePlane, shade_um: float) -> Floats:
     """Return half the side of the largest square about each pixel on its own face and out of the wall's shade."""
-    free, wall = (_on(seen, plane) for plane in (own, other))
-    to_end_um, to_wall_um = seen.pixel_um * _distance(free, beyond=False), seen.pixel_um * _distance(~wall, beyond=True)
+    free, wall = (_on(faces, plane) for plane in (own, other))
+    to_end_um, to_wall_um = (
+        faces.pixel_um * _distance(free, beyond=False),
+        faces.pixel_um * _distance(~wall, beyond=True),
+    )
     return np.minimum(to_end_um, to_wall_um - shade_um)
 
 
-def _on(seen: SeenFace, plane: FacePlane) -> Mask:
+def _on(faces: VisibleFace, plane: FacePlane) -> Mask:
     """Return the mask of pixels whose neighbourhood lies mostly on a plane; single holes are ignored."""
     from scipy.ndimage import uniform_filter
 
-    z_um = plane.fitted.at(seen.x_um[None, :], seen.y_um[:, None])
-    on = np.abs(seen.z_um - z_um) <= plane.band_um
+    z_um = plane.fitted.at(faces.x_um[None, :], faces.y_um[:, None])
+    on = np.abs(faces.z_um - z_um) <= plane.band_um
     return uniform_filter(on.astype(np.float32), FACE_SEARCH.round_about, mode="constant") > 0.5
 
 
@@ -298,17 +301,17 @@ def _distance(mask: Mask, *, beyond: bool) -> Floats:
     return np.asarray(inside, np.float64)[1:-1, 1:-1] - 0.5
 
 
-def _nearest_pair(seen: SeenFace, upper: Mask, lower: Mask) -> tuple[Place, Place]:
+def _nearest_pair(faces: VisibleFace, upper: Mask, lower: Mask) -> tuple[Place, Place]:
     """Return the closest pair of places for both squares, centred along the joint: a short lever arm."""
-    above, below = (np.stack([seen.x_um[c], seen.y_um[r]], 1) for r, c in (np.nonzero(m) for m in (upper, lower)))
-    at = above.mean(axis=0)
+    above, below = (np.stack([faces.x_um[c], faces.y_um[r]], 1) for r, c in (np.nonzero(m) for m in (upper, lower)))
+    start = above.mean(axis=0)
     for places in (below, above, below, above):
-        other, at = at, places[np.argmin(np.hypot(*(places - at).T))]
-    return at, other
+        other, start = start, places[np.argmin(np.hypot(*(places - start).T))]
+    return start, other
 
 
-def _square(at: Place, side_um: float) -> Region:
-    (x_um, y_um), half_um = np.round(at, 2).tolist(), side_um / 2
+def _square(center: Place, side_um: float) -> Region:
+    (x_um, y_um), half_um = np.round(center, 2).tolist(), side_um / 2
     return Region.rectangle(x_um - half_um, y_um - half_um, x_um + half_um, y_um + half_um)
 
 
@@ -324,6 +327,6 @@ def _open3d() -> Any:
         return importlib.import_module("open3d")
     except (ImportError, OSError) as fault:
         raise MeasureError(
-            "Faces are looked for with Open3D, which cannot be loaded here: 'wafer-viewer doctor' says what it lacks, "
+            "Detecting faces needs Open3D, which cannot be loaded: run 'wafer-viewer doctor' for the reason, "
             "or draw the two regions by hand."
         ) from fault

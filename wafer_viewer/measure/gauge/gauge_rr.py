@@ -143,7 +143,7 @@ def _by_anova(x: Values, tolerance: float | None) -> GaugeRR:
     within, df_within = float(((x - of_cell[..., None]) ** 2).sum()), parts * appraisers * (trials - 1)
     together, df_together = trials * float((both**2).sum()), (parts - 1) * (appraisers - 1)
     p = _chance(together, df_together, within, df_within)
-    if p is None or p > ALPHA:  # what appraisers and parts do together is no more than noise
+    if p is None or p > ALPHA:  # the interaction of appraisers and parts is not significant
         within, df_within, together_var = within + together, df_within + df_together, 0.0
         base = within / df_within
     else:
@@ -212,9 +212,11 @@ def _chance(together: float, df_together: int, within: float, df_within: int) ->
     return float(stats.f.sf((together / df_together) / (within / df_within), df_together, df_within))
 
 
-def _factor(table: dict[int, float], n: int, of: str) -> float:
+def _factor(table: dict[int, float], n: int, effect: str) -> float:
     if n not in table:
-        raise MeasureError(f"There are {n} {of}: the method of ranges has factors for {min(table)} to {max(table)}.")
+        raise MeasureError(
+            f"There are {n} {effect}: the method of ranges has factors for {min(table)} to {max(table)}."
+        )
     return table[n]
 
 

@@ -139,17 +139,17 @@ def _last(points: Sequence[ChartPoint]) -> tuple[str, ...]:
 def _drifting(checks: Sequence[GaugeCheck], drift: Length | None) -> tuple[str, ...]:
     if drift is None or abs(drift.value_um) <= (drift.expanded_um or 0.0):
         return ()
-    said = f"The error drifts by {drift.value_um:+.2g} um per day, U = {drift.expanded_um:.1g} um per day (k = 2)"
+    sentence = f"The error drifts by {drift.value_um:+.2g} um per day, U = {drift.expanded_um:.1g} um per day (k = 2)"
     limit_um, due_days = checks[-1].terms.limit_um, checks[-1].terms.interval_days
     if limit_um is None:
-        return (f"{said}.",)
+        return (f"{sentence}.",)
     days = _days(checks)
     now_um = fmean(check.deviation.value_um for check in checks) + drift.value_um * float(days[-1] - days.mean())
     left_days = (limit_um - math.copysign(1, drift.value_um) * now_um) / abs(drift.value_um)
     if left_days > due_days:
-        return (f"{said}; it stays within the limit of {limit_um:g} um until the next check.",)
+        return (f"{sentence}; it stays within the limit of {limit_um:g} um until the next check.",)
     return (
-        f"{said}, and leaves the limit of {limit_um:g} um in {max(0.0, left_days):.0f} days, "
+        f"{sentence}, and leaves the limit of {limit_um:g} um in {max(0.0, left_days):.0f} days, "
         "before the next check is due.",
     )
 

@@ -44,8 +44,8 @@ def developed_fraction(z_um: Floats, pixel_um: float) -> float | None:
     ratio = sum(
         _triangle_areas(one - middle, other - middle, pixel_um) for one, other in ((a, b), (b, c), (c, d), (d, a))
     )
-    known = np.isfinite(middle)
-    return float(np.mean(np.asarray(ratio)[known])) / 4 - 1 if known.any() else None
+    finite = np.isfinite(middle)
+    return float(np.mean(np.asarray(ratio)[finite])) / 4 - 1 if finite.any() else None
 
 
 def _triangle_areas(one: Floats, other: Floats, pixel_um: float) -> Floats:
@@ -141,17 +141,17 @@ def scale_limited(z_um: Floats, pixel_um: float, options: TextureOptions) -> Flo
     return left - np.nanmean(left)
 
 
-def filter_words(options: TextureOptions) -> str:
+def filter_names(options: TextureOptions) -> str:
     """Return the description of the filters for a result."""
     named = (("S", options.s_filter_um), ("L", options.l_filter_um))
-    told = [f"{name} {cutoff_um:g} um" for name, cutoff_um in named if cutoff_um is not None]
-    return f"Gaussian (ISO 16610-61), {', '.join(told)}" if told else "none"
+    names = [f"{name} {cutoff_um:g} um" for name, cutoff_um in named if cutoff_um is not None]
+    return f"Gaussian (ISO 16610-61), {', '.join(names)}" if names else "none"
 
 
 def form_notes(options: TextureOptions) -> tuple[str, ...]:
     """Return notes on the removed form and on the filter borders."""
     form = FORMS.get(options.form_order, f"Form removed: polynomial of least squares of order {options.form_order}.")
-    return form, UNFILTERED if filter_words(options) == "none" else BORDERS
+    return form, UNFILTERED if filter_names(options) == "none" else BORDERS
 
 
 def _require_room(shape: tuple[int, ...], pixel_um: float, options: TextureOptions) -> None:
@@ -214,81 +214,81 @@ def spatial(z_um: Floats) -> Spatial | None:
 
     Lags are limited to half of the region's sides; beyond, too few pairs remain.
     """
-    alike = autocorrelation(z_um)
+    acf = autocorrelation(z_um)
     degrees = np.arange(0.0, 180.0, 1.0)
-    ways, ends = _ways(alike, degrees)
+    lags_px, ends = _decay_lags(acf, degrees)
     if not ends.any():
         return None
-    shortest = _finer(alike, degrees[int(np.argmin(np.where(ends, ways, np.inf)))], np.min, ends_only=True)
-    longest = _finer(alike, degrees[int(np.argmax(ways))], np.max)
+    shortest = _finer(acf, degrees[int(np.argmin(np.where(ends, lags_px, np.inf)))], np.min, ends_only=True)
+    longest = _finer(acf, degrees[int(np.argmax(lags_px))], np.max)
     all_end = bool(ends.all())
     lay = shortest / longest < WITH_LAY
-    return Spatial(shortest, longest, all_end, direction_deg(alike) if lay else None)
+    return Spatial(shortest, longest, all_end, direction_deg(acf) if lay else None)
 
 
-def direction_deg(alike: Floats) -> float:
+def direction_deg(acf: Floats) -> float:
     """Return Std: direction of the largest angular spectrum, in 0 ... 180, counter-clockwise from +x.
 
     The spectrum is the Fourier transform of the autocorrelation under a Hann window, which suppresses border effects.
     """
-    spectrum = _spectrum(alike)
+    spectrum = _spectrum(acf)
     degrees = np.arange(0.0, 180.0, 1.0)
-    best = degrees[int(np.argmax(_angular(spectrum, alike.shape, degrees)))]
+    best = degrees[int(np.argmax(_angular(spectrum, acf.shape, degrees)))]
     finer = best + np.arange(-1.0, 1.01, STD_STEP_DEG)
-    return round(float(finer[int(np.argmax(_angular(spectrum, alike.shape, finer)))]), 1) % 180
+    return round(float(finer[int(np.argmax(_angular(spectrum, acf.shape, finer)))]), 1) % 180
 
 
-def _ways(alike: Floats, degrees: Floats) -> tuple[Floats, NDArray[np.bool_]]:
+def _decay_lags(acf: Floats, degrees: Floats) -> tuple[Floats, NDArray[np.bool_]]:
     """Return the decay length along each direction, px, and whether decay occurs within the range."""
-    middle = np.array([n // 2 for n in alike.shape])
-    ways, ends, reach = np.zeros(len(degrees)), np.zeros(len(degrees), bool), FIRST_REACH_PX
+    middle = np.array([n // 2 for n in acf.shape])
+    lags_px, ends, reach = np.zeros(len(degrees)), np.zeros(len(degrees), bool), FIRST_REACH_PX
     while True:
         down, across = np.minimum(middle, reach)
-        part = alike[middle[0] - down : middle[0] + down + 1, middle[1] - across : middle[1] + across + 1]
+        part = acf[middle[0] - down : middle[0] + down + 1, middle[1] - across : middle[1] + across + 1]
         going = np.flatnonzero(~ends)
-        ways[going], ends[going] = _ways_within(part, degrees[going])
+        lags_px[going], ends[going] = _decay_lags_within(part, degrees[going])
         if ends.all() or reach >= middle.max():
-            return ways, ends
+            return lags_px, ends
         reach *= GROWTH
 
 
-def _ways_within(alike: Floats, degrees: Floats) -> tuple[Floats, NDArray[np.bool_]]:
+def _decay_lags_within(acf: Floats, degrees: Floats) -> tuple[Floats, NDArray[np.bool_]]:
     from scipy.ndimage import map_coordinates
 
-    middle = np.array([n // 2 for n in alike.shape])
+    middle = np.array([n // 2 for n in acf.shape])
     along = np.arange(0.0, np.hypot(*middle) + 1, STEP_PX)
     rows, cols = middle[0] - np.outer(_sin(degrees), along), middle[1] + np.outer(_cos(degrees), along)
-    known = np.isfinite(alike)
-    values: Any = map_coordinates(np.where(known, alike, 0.0), [rows, cols], order=3, mode="nearest")
-    seen = (rows >= 0) & (rows <= alike.shape[0] - 1) & (cols >= 0) & (cols <= alike.shape[1] - 1)
-    seen &= np.asarray(map_coordinates(known.astype(np.uint8), [rows, cols], order=0, mode="constant")) > 0
-    return _first_crossings(np.asarray(values), seen)
+    finite = np.isfinite(acf)
+    values: Any = map_coordinates(np.where(finite, acf, 0.0), [rows, cols], order=3, mode="nearest")
+    valid = (rows >= 0) & (rows <= acf.shape[0] - 1) & (cols >= 0) & (cols <= acf.shape[1] - 1)
+    valid &= np.asarray(map_coordinates(finite.astype(np.uint8), [rows, cols], order=0, mode="constant")) > 0
+    return _first_crossings(np.asarray(values), valid)
 
 
-def _first_crossings(values: Floats, seen: NDArray[np.bool_]) -> tuple[Floats, NDArray[np.bool_]]:
+def _first_crossings(values: Floats, valid: NDArray[np.bool_]) -> tuple[Floats, NDArray[np.bool_]]:
     """Return, for each ray [ray, sample], the first crossing of DECAYED, or the end of the known range."""
-    stops = (values <= DECAYED) | ~seen
+    stops = (values <= DECAYED) | ~valid
     stops[:, -1] = True
-    at = np.argmax(stops, axis=1)
-    ray = np.arange(len(at))
-    ends = seen[ray, at] & (values[ray, at] <= DECAYED)
-    before, after = values[ray, at - 1], values[ray, at]
-    share = np.divide(before - DECAYED, before - after, out=np.zeros(len(at)), where=ends & (before > after))
-    return (at - 1 + share) * STEP_PX, ends
+    crossing = np.argmax(stops, axis=1)
+    ray = np.arange(len(crossing))
+    ends = valid[ray, crossing] & (values[ray, crossing] <= DECAYED)
+    before, after = values[ray, crossing - 1], values[ray, crossing]
+    share = np.divide(before - DECAYED, before - after, out=np.zeros(len(crossing)), where=ends & (before > after))
+    return (crossing - 1 + share) * STEP_PX, ends
 
 
-def _finer(alike: Floats, degree: float, extreme: Any, *, ends_only: bool = False) -> float:
+def _finer(acf: Floats, degree: float, extreme: Any, *, ends_only: bool = False) -> float:
     """Return the extreme decay length about a direction, in steps of a twentieth of a degree."""
-    ways, ends = _ways(alike, degree + np.arange(-1.0, 1.01, DECAY_STEP_DEG))
-    return float(extreme(ways[ends] if ends_only else ways))
+    lags_px, ends = _decay_lags(acf, degree + np.arange(-1.0, 1.01, DECAY_STEP_DEG))
+    return float(extreme(lags_px[ends] if ends_only else lags_px))
 
 
-def _spectrum(alike: Floats) -> Floats:
+def _spectrum(acf: Floats) -> Floats:
     """Return the power spectrum [row, col], with frequency 0 at the centre."""
     from scipy.fft import fft2
 
-    windows = [np.hanning(n + 2)[1:-1] for n in alike.shape]
-    tapered = np.nan_to_num(alike) * np.outer(*windows)
+    windows = [np.hanning(n + 2)[1:-1] for n in acf.shape]
+    tapered = np.nan_to_num(acf) * np.outer(*windows)
     transformed: Any = fft2(np.fft.ifftshift(tapered))
     return np.abs(np.fft.fftshift(transformed.real))
 
@@ -394,15 +394,15 @@ def texture(
     left = z_um[np.isfinite(z_um)]
     sq_um = float(np.sqrt(np.mean(left**2)))
     flat = sq_um <= ROUNDING * float(np.abs(area.points.z_um).max())
-    waves, told = _spatial(reading, z_um, area.pixel_um, flat)
+    waves, names = _spatial(reading, z_um, area.pixel_um, flat)
     notes = (
         *form_notes(options),
-        *told,
+        *names,
         *unseen_waves(surface.provenance, area.pixel_um, s_filter_um, "The S-filter"),
         *near_noise(surface.provenance, sq_um, "Sq"),
     )
     return Texture(
-        **{**reading.told(name, area.level, *notes), "filter": filter_words(options)},
+        **{**reading.result_fields(name, area.level, *notes), "filter": filter_names(options)},
         region=region,
         options=options,
         **_heights(reading, left, sq_um, flat),

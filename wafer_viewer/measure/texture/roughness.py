@@ -138,7 +138,7 @@ def roughness(
         *section.notes,
     )
     return Roughness(
-        **{**reading.told(name, 0, *notes), "filter": _filter_words(options, line)},
+        **{**reading.result_fields(name, 0, *notes), "filter": _filter_names(options, line)},
         line=line,
         options=options,
         **_heights(reading, evaluated, left, rq_um, rq_um <= ROUNDING * float(np.nanmax(np.abs(curve.z_um)))),
@@ -185,7 +185,7 @@ def _heights(
     reading: MeasurementContext, evaluated: Evaluated, left: Floats, rq_um: float, flat: bool
 ) -> dict[str, Any]:
     parts = list(evaluated.split())
-    highest, lowest = (float(np.mean([of(part) for part in parts])) for of in (np.max, np.min))
+    highest, lowest = (float(np.mean([extreme(part) for part in parts])) for extreme in (np.max, np.min))
     return {
         "ra": reading.length(float(np.mean(np.abs(left))), None),
         "rq": reading.length(rq_um, None),
@@ -199,10 +199,10 @@ def _heights(
 
 
 def _without_line(curve: ProfileCurve) -> Floats:
-    known = np.isfinite(curve.z_um)
-    from_middle = curve.distance_um - curve.distance_um[known].mean()
-    z_um = curve.z_um - curve.z_um[known].mean()
-    slope = float(from_middle[known] @ z_um[known] / (from_middle[known] @ from_middle[known]))
+    finite = np.isfinite(curve.z_um)
+    from_middle = curve.distance_um - curve.distance_um[finite].mean()
+    z_um = curve.z_um - curve.z_um[finite].mean()
+    slope = float(from_middle[finite] @ z_um[finite] / (from_middle[finite] @ from_middle[finite]))
     return z_um - slope * from_middle
 
 
@@ -234,10 +234,10 @@ def _pixel_um(curve: ProfileCurve) -> float:
     return float(curve.distance_um[-1]) / (len(curve.distance_um) - 1)
 
 
-def _filter_words(options: RoughnessOptions, line: Region) -> str:
+def _filter_names(options: RoughnessOptions, line: Region) -> str:
     named = (("lambda-s", options.lambda_s_um), ("lambda-c", options.lambda_c_um))
     cutoffs = [f"{name} {cutoff_um:g} um" for name, cutoff_um in named if cutoff_um is not None]
-    told = [f"Gaussian (ISO 16610-21), {', '.join(cutoffs)}"] if cutoffs else []
+    names = [f"Gaussian (ISO 16610-21), {', '.join(cutoffs)}"] if cutoffs else []
     if line.width_um:
-        told.append(f"mean over {line.width_um:g} um across the line")
-    return ", ".join(told) or "none"
+        names.append(f"mean over {line.width_um:g} um across the line")
+    return ", ".join(names) or "none"

@@ -78,7 +78,7 @@ def face_angle(
         for region, which in ((first, "first"), (second, "second"))
     )
     return FaceAngle(
-        **reading.told(name, level, *reading.not_in_budget()),
+        **reading.result_fields(name, level, *reading.not_in_budget()),
         first=first,
         second=second,
         angle=reading.quantity(_angle_deg(_slopes(a), _slopes(b)), "deg", _lines(reading, a, b)),

@@ -23,7 +23,13 @@ from wafer_viewer.measure.edges.edge_search import (
     require_rectangle,
     responses,
 )
-from wafer_viewer.measure.edges.straight_edges import REACH_PX, Found, expected_on, find_edge_any_way, require_found
+from wafer_viewer.measure.edges.straight_edges import (
+    REACH_PX,
+    Found,
+    expected_on,
+    find_edge_in_any_direction,
+    require_found,
+)
 from wafer_viewer.model.errors import MeasureError
 from wafer_viewer.model.measurement.measurements import Chip, Chipping, Side
 from wafer_viewer.model.measurement.tool_options import ChippingOptions
@@ -82,10 +88,10 @@ class Depths:
         return max(0.0, float(median_filter(self.depth_um, NEIGHBOURS, mode="nearest").max()))
 
     def _chip(self, run: slice, smooth: Floats) -> Chip:
-        at = run.start + int(np.argmax(smooth[run]))
+        deepest = run.start + int(np.argmax(smooth[run]))
         return Chip(
-            place=Point(x_um=round(float(self.x_um[at]), 3), y_um=round(float(self.y_um[at]), 3)),
-            depth_um=float(smooth[at]),
+            place=Point(x_um=round(float(self.x_um[deepest]), 3), y_um=round(float(self.y_um[deepest]), 3)),
+            depth_um=float(smooth[deepest]),
             length_um=float(np.ptp(self.along_um[run])) + self.spacing_um,
             area_um2=max(0.0, float(np.trapezoid(self.depth_um[run], self.along_um[run]))),
         )
@@ -153,7 +159,7 @@ def chipping(
     require_rectangle(region, "Chipping")
     reading = MeasurementContext.of(surface, layer, calibration_valid)
     strip, level = read_strip(surface, region, "chipping")
-    strip, edge = find_edge_any_way(strip)
+    strip, edge = find_edge_in_any_direction(strip)
     if die == "auto":
         inwards = _higher_behind(reading, region, level, strip, edge)
     else:
@@ -165,7 +171,7 @@ def chipping(
     u_deep = None if u_um is None else math.hypot(u_um, U_OF_MEDIAN * noise_um)
     length_um = float(np.ptp(edge.line.along_um))
     return Chipping(
-        **reading.told(name, level, *notes(reading)),
+        **reading.result_fields(name, level, *notes(reading)),
         region=region,
         options=ChippingOptions(limit_um=limit_um, die=die),
         deepest=between_edges(reading, depths.deepest_um, strip.pixel_um, u_deep),
@@ -188,7 +194,7 @@ def edge_depths(strip: SearchStrip, edge: Found, inwards: bool) -> Depths:
     inwards: True if the die is in the direction of the search lines. On each line the nearest sufficiently steep edge
     point counts, however far inside it lies. Raises MeasureError when too few lines detect one.
     """
-    rising = edge.sign * responses(strip.grey, strip.there)
+    rising = edge.sign * responses(strip.grey, strip.covered)
     far, near = float(strip.grey.shape[1]), REACH_PX
     found = edges_near(rising, expected_on(strip, edge.line), (near, far) if inwards else (far, near), "nearest")
     require_found(found, len(rising))
@@ -203,8 +209,8 @@ def _depths(strip: SearchStrip, found: EdgePoints, line: EdgeLine, inwards: bool
 
 def _behind(strip: SearchStrip, line: EdgeLine, inwards: bool) -> float:
     """Return 1 if the die is to the left of the line, else -1."""
-    way = 1 if inwards else -1
-    off = float(line.off(line.x_um + way * strip.place_um[0], line.y_um + way * strip.place_um[1]))
+    sign = 1 if inwards else -1
+    off = float(line.off(line.x_um + sign * strip.place_um[0], line.y_um + sign * strip.place_um[1]))
     return math.copysign(1.0, off)
 
 
@@ -234,7 +240,7 @@ def _higher_behind(reading: MeasurementContext, region: Region, level: int, stri
 
 
 def _side(strip: SearchStrip, inwards: bool) -> Side:
-    x, y = (way if inwards else -way for way in strip.place_um)
+    x, y = (sign if inwards else -sign for sign in strip.place_um)
     if abs(x) > abs(y):
         return "right" if x > 0 else "left"
     return "upper" if y > 0 else "lower"

@@ -85,7 +85,7 @@ def circle_size(
     u_um = edge.u_radius_um
     x_um, y_um, radius_um = (round(v, 4) for v in (edge.x_um, edge.y_um, edge.radius_um))
     return CircleSize(
-        **reading.told(name, level, *notes(reading, ROUNDNESS)),
+        **reading.result_fields(name, level, *notes(reading, ROUNDNESS)),
         circle=circle,
         options=CircleOptions(inside=inside),
         diameter=between_edges(reading, 2 * edge.radius_um, strip.pixel_um, None if u_um is None else 2 * u_um),

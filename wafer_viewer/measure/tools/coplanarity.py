@@ -40,7 +40,7 @@ class BumpSearchParameters:
     ----------
     stands_out : float
         Smallest prominence of a bump over the ground, in deviations of the ground.
-    half_way : float
+    half_level : float
         Fraction of a bump's height for its width.
     cap_from : float
         Fraction of a bump's height above which its top is fitted.
@@ -74,7 +74,7 @@ class BumpSearchParameters:
     """
 
     stands_out: float = 6.0
-    half_way: float = 0.5
+    half_level: float = 0.5
     cap_from: float = 0.7
     alike: float = 4.0
     least_px: int = 12
@@ -132,7 +132,7 @@ def find_bumps(part: Heights, within: Mask) -> Bumps:
     found, left_out = list[Top](), 0
     for box, outline in zip(boxes, outlines, strict=True):
         if max(usual_px / BUMP_SEARCH.alike, BUMP_SEARCH.least_px) <= outline.sum() <= BUMP_SEARCH.alike * usual_px:
-            top = _top(part, z_um, over, box, outline) if _whole(outline, box, within, z_um) else None
+            top = _top(part, z_um, over, box, outline) if _complete_bumps(outline, box, within, z_um) else None
             found, left_out = (found, left_out + 1) if top is None else ([*found, top], left_out)
     return Bumps(tuple(found), left_out)
 
@@ -152,7 +152,7 @@ def _over_ground(part: Heights, z_um: Floats) -> tuple[Floats, float]:
     if len(points) < BUMP_SEARCH.least_round:
         raise MeasureError("Nothing is measured in the region: move it to where the surface has heights.")
     every = max(1, len(points) // BUMP_SEARCH.ground_points)
-    some = points.kept(np.arange(len(points)) % every == 0)
+    some = points.select(np.arange(len(points)) % every == 0)
     plane, noise_um = _ground(some)
     return z_um - np.asarray(plane.at(part.x_um[None, :], part.y_um[:, None])), noise_um
 
@@ -160,16 +160,16 @@ def _over_ground(part: Heights, z_um: Floats) -> tuple[Floats, float]:
 def _ground(points: HeightSamples) -> tuple[LevelPlane, float]:
     center = float(points.x_um.mean()), float(points.y_um.mean())
     design = plane_design(points, center)
-    kept, below = np.ones(len(points), bool), 0.0
+    inliers, below = np.ones(len(points), bool), 0.0
     slope_x = slope_y = z_um = 0.0
     for _ in range(BUMP_SEARCH.most_rounds):
-        slope_x, slope_y, z_um = robust_fit(design[kept], points.z_um[kept]).coefficients.tolist()
+        slope_x, slope_y, z_um = robust_fit(design[inliers], points.z_um[inliers]).coefficients.tolist()
         left = points.z_um - design @ np.array([slope_x, slope_y, z_um])
         below = float(np.sqrt(np.mean(left[left < 0] ** 2))) if (left < 0).any() else 0.0
         lower = left <= BUMP_SEARCH.ground_sigmas * max(below, 1e-9)
-        if np.array_equal(lower, kept) or np.count_nonzero(lower) < BUMP_SEARCH.least_round:
+        if np.array_equal(lower, inliers) or np.count_nonzero(lower) < BUMP_SEARCH.least_round:
             break
-        kept = lower
+        inliers = lower
     return LevelPlane(*center, z_um, slope_x, slope_y), below
 
 
@@ -183,7 +183,7 @@ def _outlines(over: Floats, noise_um: float) -> tuple[NDArray[np.int32], list[Bo
             f"No bump stands out of the ground by {BUMP_SEARCH.stands_out:g} of its deviations "
             f"({BUMP_SEARCH.stands_out * noise_um:.2f} um): draw the region over bumps that are measured."
         )
-    return _labelled(over > max(BUMP_SEARCH.half_way * _usual(tops), BUMP_SEARCH.stands_out * noise_um))
+    return _labelled(over > max(BUMP_SEARCH.half_level * _usual(tops), BUMP_SEARCH.stands_out * noise_um))
 
 
 def _usual(values: list[tuple[float, int]]) -> float:
@@ -199,12 +199,14 @@ def _labelled(mask: Mask) -> tuple[NDArray[np.int32], list[Box]]:
     return numbers, find_objects(numbers)
 
 
-def _whole(outline: Mask, box: Box, within: Mask, z_um: Floats) -> bool:
+def _complete_bumps(outline: Mask, box: Box, within: Mask, z_um: Floats) -> bool:
     """Return whether a bump lies completely within the searched area, and enough of it is measured."""
     rows, cols = (slice(max(0, side.start - 1), side.stop + 1) for side in box)
-    at_border = box[0].start == 0 or box[1].start == 0 or box[0].stop == len(within) or box[1].stop == within.shape[1]
+    touches_border = (
+        box[0].start == 0 or box[1].start == 0 or box[0].stop == len(within) or box[1].stop == within.shape[1]
+    )
     measured = np.isfinite(z_um[box])[outline].mean()
-    return not at_border and bool(within[rows, cols].all()) and measured >= BUMP_SEARCH.least_measured
+    return not touches_border and bool(within[rows, cols].all()) and measured >= BUMP_SEARCH.least_measured
 
 
 def _top(part: Heights, z_um: Floats, over: Floats, box: Box, outline: Mask) -> Top | None:
@@ -214,7 +216,7 @@ def _top(part: Heights, z_um: Floats, over: Floats, box: Box, outline: Mask) -> 
     if len(points) < BUMP_SEARCH.least_top_points:
         return None
     try:
-        cap, kept = fit_cap(points)
+        cap, inliers = fit_cap(points)
     except MeasureError:
         return None
     radius_um = math.sqrt(np.count_nonzero(outline) / math.pi) * part.pixel_um
@@ -223,27 +225,27 @@ def _top(part: Heights, z_um: Floats, over: Floats, box: Box, outline: Mask) -> 
     ground = _round(part, z_um, over, (cap.x_um, cap.y_um), radius_um)
     if ground is None:
         return None
-    u_um = parameter_u(kept, cap.slopes(kept), kept.z_um - cap.at(kept), np.array([0.0, 0.0, 1.0, 0.0]))
+    u_um = parameter_u(inliers, cap.slopes(inliers), inliers.z_um - cap.at(inliers), np.array([0.0, 0.0, 1.0, 0.0]))
     return Top(cap.x_um, cap.y_um, cap.z_um, u_um, cap.z_um - ground[0], ground[1], 2 * radius_um)
 
 
 def _round(
-    part: Heights, z_um: Floats, over: Floats, at: tuple[float, float], radius_um: float
+    part: Heights, z_um: Floats, over: Floats, centre: tuple[float, float], radius_um: float
 ) -> tuple[float, float | None] | None:
     """Return the height of the surroundings under a bump's top, and its standard uncertainty; None if unmeasured."""
     reach = BUMP_SEARCH.ring[1] * radius_um
-    col, row = (at[0] - part.x0_um) / part.pixel_um, (part.y0_um - at[1]) / part.pixel_um
+    col, row = (centre[0] - part.x0_um) / part.pixel_um, (part.y0_um - centre[1]) / part.pixel_um
     px = reach / part.pixel_um
     box = slice(max(0, round(row - px)), round(row + px) + 1), slice(max(0, round(col - px)), round(col + px) + 1)
     ring = _points(part, z_um, box, over[box] < BUMP_SEARCH.ring_below * np.nanmax(over[box]))
-    away = np.hypot(ring.x_um - at[0], ring.y_um - at[1]) / radius_um
-    ring = ring.kept((away >= BUMP_SEARCH.ring[0]) & (away <= BUMP_SEARCH.ring[1]))
+    away = np.hypot(ring.x_um - centre[0], ring.y_um - centre[1]) / radius_um
+    ring = ring.select((away >= BUMP_SEARCH.ring[0]) & (away <= BUMP_SEARCH.ring[1]))
     if len(ring) < BUMP_SEARCH.least_round:
         return None
-    design = plane_design(ring, at)
+    design = plane_design(ring, centre)
     fit = robust_fit(design, ring.z_um)
-    kept, left = ring.kept(fit.kept), fit.residuals[fit.kept]
-    return float(fit.coefficients[2]), parameter_u(kept, design[fit.kept], left, np.array([0.0, 0.0, 1.0]))
+    inliers, residuals = ring.select(fit.inliers), fit.residuals[fit.inliers]
+    return float(fit.coefficients[2]), parameter_u(inliers, design[fit.inliers], residuals, np.array([0.0, 0.0, 1.0]))
 
 
 def _points(part: Heights, z_um: Floats, box: Box, mask: Mask) -> HeightSamples:
@@ -353,7 +355,7 @@ def coplanarity(
     listed = tuple(_bump(reading, top, off) for top, off in zip(bumps.tops, fitted.deviation_um.tolist(), strict=True))
     heights = sorted((bump.height for bump in listed), key=lambda height: height.value_um)
     return Coplanarity(
-        **reading.told(name, level, DEFINITIONS[reference], EXTREMES, *reading.not_in_budget()),
+        **reading.result_fields(name, level, DEFINITIONS[reference], EXTREMES, *reading.not_in_budget()),
         region=region,
         options=CoplanarityOptions(reference=reference),
         coplanarity=_coplanarity(reading, bumps.tops, fitted),

@@ -77,7 +77,7 @@ def die_size(
     )
     u_turn, (x_um, y_um) = edges.u_angle_deg, edges.center
     return DieSize(
-        **reading.told(name, level, *notes(reading, TURN)),
+        **reading.result_fields(name, level, *notes(reading, TURN)),
         region=region,
         options=DieOptions(die=die),
         width=width,

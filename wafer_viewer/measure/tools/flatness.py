@@ -71,7 +71,7 @@ def flatness(
     _, left = least_squares_plane(area.points)
     low, high = np.percentile(left, BAND)
     return Flatness(
-        **reading.told(name, area.level, EXTREMES),
+        **reading.result_fields(name, area.level, EXTREMES),
         region=region,
         reference="least_squares",
         flt_t=reading.length(float(np.ptp(left)), None),

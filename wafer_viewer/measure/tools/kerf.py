@@ -144,7 +144,7 @@ def kerf_width(
     lowest, highest = edges.extremes_um
     u_angle = root_sum_of_squares(edges.first.line.u_angle_deg, edges.second.line.u_angle_deg)
     return KerfWidth(
-        **reading.told(name, level, *notes(reading, EXTREMES)),
+        **reading.result_fields(name, level, *notes(reading, EXTREMES)),
         region=region,
         options=KerfOptions(kerf=kerf),
         width=between_edges(reading, edges.width_um, strip.pixel_um, edges.u_um),
@@ -160,14 +160,14 @@ def kerf_width(
 
 def kerf_edges(strip: SearchStrip, signs: tuple[Sign, ...] = (1, -1)) -> KerfEdges:
     """Find the two edges of the kerf in a strip, in either direction. Raises MeasureError where there is no pair."""
-    ways = [_Way.of(one, sign) for one in (strip, strip.turned) for sign in signs]
-    best = max(ways, key=lambda way: way.strength)
+    directions = [_SearchDirection.of(one, sign) for one in (strip, strip.turned) for sign in signs]
+    best = max(directions, key=lambda direction: direction.strength)
     best.require_clear()
     return best.edges()
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class _Way:
+class _SearchDirection:
     """The strongest pair of edges of opposite signs along the search lines of a strip."""
 
     strip: SearchStrip
@@ -177,7 +177,7 @@ class _Way:
     strength: float
 
     @classmethod
-    def of(cls, strip: SearchStrip, sign: Sign) -> _Way:
+    def of(cls, strip: SearchStrip, sign: Sign) -> _SearchDirection:
         scores = scores_of(strip, sign), scores_of(strip, 1 if sign < 0 else -1)
         places, strength = _strongest_pair(*scores)
         return cls(strip, sign, scores, places, strength)
@@ -224,6 +224,6 @@ def _widths_um(strip: SearchStrip, first: Found, second: Found) -> Floats:
             "draw the region longer."
         )
     places = second.points.place[two] - first.points.place[one]
-    way = np.add(first.line.direction, second.line.direction)
-    slant = np.hypot(*way) * strip.pixel_um
-    return places * strip.pixel_um * abs(way[0] * strip.place_um[1] - way[1] * strip.place_um[0]) / slant
+    direction = np.add(first.line.direction, second.line.direction)
+    slant = np.hypot(*direction) * strip.pixel_um
+    return places * strip.pixel_um * abs(direction[0] * strip.place_um[1] - direction[1] * strip.place_um[0]) / slant

@@ -82,7 +82,7 @@ def point_height(
     reading = MeasurementContext.of(surface, layer, calibration_valid)
     spot = _spot(reading, place)
     return PointHeight(
-        **reading.told(name, 0, *reading.not_in_budget()),
+        **reading.result_fields(name, 0, *reading.not_in_budget()),
         place=place,
         height=reading.length(spot.z_um, _lines(reading, spot)),
         points=spot.points,
@@ -142,9 +142,11 @@ def distance(
     across: Lines = {"pixel scale": reading.u_pixel_scale * lateral_um}
     along = _lines_along_z(reading, a, b)
     space_um = math.hypot(lateral_um, dz_um)
-    steepest_um = abs(dz_um) + math.hypot(*(along or {}).values())  # on level ground errors of dz count by their square
+    steepest_um = abs(dz_um) + math.hypot(
+        *(along or {}).values()
+    )  # on level ground the effect of errors of dz is quadratic
     return Distance(
-        **reading.told(name, 0, *reading.not_in_budget(BY_HAND)),
+        **reading.result_fields(name, 0, *reading.not_in_budget(BY_HAND)),
         start=start,
         end=end,
         distance=reading.length(space_um, _joined(across, along, lateral_um / space_um, steepest_um / space_um)),
@@ -165,16 +167,18 @@ def _slope(
 def _spot(reading: MeasurementContext, place: Region) -> Spot:
     if place.kind != "point":
         raise MeasureError(f"A height is measured at a point, this region is a {place.kind}: set a point.")
-    at, pixel_um = place.points[0], reading.surface.pixel_um
+    point, pixel_um = place.points[0], reading.surface.pixel_um
     reading.surface.window(place)
-    near = points_in(reading.surface, Region.circle(at.x_um, at.y_um, _reach_px(reading) * pixel_um), reading.layer, 0)
-    beside = np.hypot(near.x_um - at.x_um, near.y_um - at.y_um) <= NEXT_PX * pixel_um
-    if not beside.any():
+    near = points_in(
+        reading.surface, Region.circle(point.x_um, point.y_um, _reach_px(reading) * pixel_um), reading.layer, 0
+    )
+    adjacent = np.hypot(near.x_um - point.x_um, near.y_um - point.y_um) <= NEXT_PX * pixel_um
+    if not adjacent.any():
         raise MeasureError(
-            f"No height was measured at ({at.x_um:.1f}, {at.y_um:.1f}) um: "
+            f"No height was measured at ({point.x_um:.1f}, {point.y_um:.1f}) um: "
             "set the point where the surface has no holes."
         )
-    return Spot(at.x_um, at.y_um, float(np.median(near.z_um[beside])), _noise_um(near), int(beside.sum()))
+    return Spot(point.x_um, point.y_um, float(np.median(near.z_um[adjacent])), _noise_um(near), int(adjacent.sum()))
 
 
 def _reach_px(reading: MeasurementContext) -> int:
@@ -187,8 +191,8 @@ def _noise_um(near: HeightSamples) -> float | None:
     if len(near) < MIN_NOISE_POINTS:
         return None
     plane, fit = fit_plane(near)
-    kept = near.kept(fit.kept)
-    return float(np.sqrt(np.mean((kept.z_um - plane.at(kept.x_um, kept.y_um)) ** 2)))
+    inliers = near.select(fit.inliers)
+    return float(np.sqrt(np.mean((inliers.z_um - plane.at(inliers.x_um, inliers.y_um)) ** 2)))
 
 
 def _lines(reading: MeasurementContext, spot: Spot) -> Lines | None:

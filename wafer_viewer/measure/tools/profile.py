@@ -114,10 +114,10 @@ def numbers_of(
     MeasureError
         If fewer than two of its points were measured.
     """
-    known = np.flatnonzero(np.isfinite(curve.z_um))
-    if len(known) < 2:
+    finite = np.flatnonzero(np.isfinite(curve.z_um))
+    if len(finite) < 2:
         raise MeasureError("No heights were measured along the line: draw it where the surface has no holes.")
-    z_um = curve.z_um[known]
+    z_um = curve.z_um[finite]
     return Profile(
         name=name,
         surface=measured_on,
@@ -128,7 +128,7 @@ def numbers_of(
         length_um=length_um_of(line),
         pt=length_without_budget(float(z_um.max() - z_um.min()), surface.provenance, calibration_valid),
         rise=length_without_budget(float(z_um[-1] - z_um[0]), surface.provenance, calibration_valid),
-        measured_fraction=len(known) / len(curve.z_um),
+        measured_fraction=len(finite) / len(curve.z_um),
     )
 
 
@@ -148,7 +148,7 @@ def samples_along(line: Region, pixel_um: float) -> ProfileCurve:
     """Return sample places along a line, about a pixel apart, with heights NaN."""
     (xa, ya), (xb, yb) = ((p.x_um, p.y_um) for p in line.points)
     length_um = length_um_of(line)
-    # A line from pixel centre to pixel centre has them all and no more, whatever the last digit of its length.
+    # A line between pixel centres contains exactly these pixels, whatever the rounding of its length.
     share = np.linspace(0.0, 1.0, max(2, math.ceil(length_um / pixel_um - 1e-6) + 1))
     x_um, y_um = xa + share * (xb - xa), ya + share * (yb - ya)
     return ProfileCurve(distance_um=share * length_um, z_um=np.full(len(share), np.nan), x_um=x_um, y_um=y_um)

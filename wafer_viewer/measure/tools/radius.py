@@ -102,28 +102,28 @@ def bump_radius(
     level = level_for(surface, outer)
     points = _thinned(points_in(surface, outer, reading.layer, level))
     inside = circle.contains(points.x_um, points.y_um)
-    around = _surroundings(points.kept(~inside))
-    cap, kept = _cap(points.kept(inside), around, circle)
+    around = _surroundings(points.select(~inside))
+    cap, inliers = _cap(points.select(inside), around, circle)
     return Radius(
-        **reading.told(name, level, *reading.not_in_budget()),
+        **reading.result_fields(name, level, *reading.not_in_budget()),
         circle=circle,
         kind="bump" if cap.curvature > 0 else "pit",
-        radius=reading.length(cap.radius_um, _radius_lines(reading, cap, kept, around)),
-        top=reading.length(_top_um(cap, around.plane), _top_lines(reading, cap, kept, around)),
+        radius=reading.length(cap.radius_um, _radius_lines(reading, cap, inliers, around)),
+        top=reading.length(_top_um(cap, around.plane), _top_lines(reading, cap, inliers, around)),
         center=Point(x_um=cap.x_um, y_um=cap.y_um),
-        sq_um=float(np.sqrt(np.mean((kept.z_um - cap.at(kept)) ** 2))),
-        points=len(kept),
+        sq_um=float(np.sqrt(np.mean((inliers.z_um - cap.at(inliers)) ** 2))),
+        points=len(inliers),
     )
 
 
 def _thinned(points: HeightSamples) -> HeightSamples:
     every = -(-len(points) // RADIUS.fitted_points) or 1
-    return points.kept(np.arange(len(points)) % every == 0)
+    return points.select(np.arange(len(points)) % every == 0)
 
 
 def _wider(circle: Region) -> Region:
-    at = circle.points[0]
-    return Region.circle(at.x_um, at.y_um, RADIUS.ring * circle.radius_um)
+    center = circle.points[0]
+    return Region.circle(center.x_um, center.y_um, RADIUS.ring * circle.radius_um)
 
 
 def _surroundings(points: HeightSamples) -> Face:
@@ -144,18 +144,18 @@ def _over(points: HeightSamples, plane: LevelPlane) -> Floats:
 def _cap(points: HeightSamples, around: Face, circle: Region) -> tuple[Cap, HeightSamples]:
     """Fit the sphere to points that rise over the surroundings; return it and its points."""
     over, top_um = _over(points, around.plane), _first_top_um(points, around, circle)
-    cap, kept = _fitted(points.kept(over / top_um >= RADIUS.cap_from))
+    cap, inliers = _fitted(points.select(over / top_um >= RADIUS.cap_from))
     for _ in range(RADIUS.rounds):
         if cap.curvature * top_um < 0 or not circle.contains(np.array(cap.x_um), np.array(cap.y_um)):
             raise no_sphere()
-        cap, kept = _fitted(points.kept(_in_cap(points, cap, around)), cap)
-    return cap, kept
+        cap, inliers = _fitted(points.select(_in_cap(points, cap, around)), cap)
+    return cap, inliers
 
 
 def _in_cap(points: HeightSamples, cap: Cap, around: Face) -> NDArray[np.bool_]:
     """Return which points have a sufficiently high sphere; selection by their own noisy heights would be biased."""
     reached = cap.within_reach(points)
-    near = points.kept(reached)
+    near = points.select(reached)
     rises = cap.at(near) - np.asarray(around.plane.at(near.x_um, near.y_um))
     reached[reached] = rises / _top_um(cap, around.plane) >= RADIUS.cap_from
     return reached
@@ -171,11 +171,13 @@ def _fitted(rising: HeightSamples, start: Cap | None = None) -> tuple[Cap, Heigh
 
 
 def _first_top_um(points: HeightSamples, around: Face, circle: Region) -> float:
-    at = circle.points[0]
-    middle = Region.circle(at.x_um, at.y_um, RADIUS.middle * circle.radius_um).contains(points.x_um, points.y_um)
+    center = circle.points[0]
+    middle = Region.circle(center.x_um, center.y_um, RADIUS.middle * circle.radius_um).contains(
+        points.x_um, points.y_um
+    )
     if not middle.any():
         raise MeasureError("Nothing is measured in the middle of the circle: draw it round a bump that is measured.")
-    top_um = float(np.median(_over(points.kept(middle), around.plane)))
+    top_um = float(np.median(_over(points.select(middle), around.plane)))
     if abs(top_um) <= around.sq_um:
         raise MeasureError("Nothing stands out of the surroundings in the middle of the circle: draw it round a bump.")
     return top_um
@@ -187,12 +189,14 @@ def _top_um(cap: Cap, plane: LevelPlane) -> float:
     return to_center / math.hypot(1.0, plane.slope_x, plane.slope_y) + 1 / cap.curvature
 
 
-def _radius_lines(reading: MeasurementContext, cap: Cap, kept: HeightSamples, around: Face) -> Lines | None:
+def _radius_lines(reading: MeasurementContext, cap: Cap, inliers: HeightSamples, around: Face) -> Lines | None:
     """Return the budget lines of the radius; None if the scatter is unknown.
 
     A cap of radius a and height h has R = a^2 / 2 h: relative errors of h enter once, those of a twice.
     """
-    u_curvature = parameter_u(kept, cap.slopes(kept), kept.z_um - cap.at(kept), np.array([0.0, 0.0, 0.0, 1.0]))
+    u_curvature = parameter_u(
+        inliers, cap.slopes(inliers), inliers.z_um - cap.at(inliers), np.array([0.0, 0.0, 0.0, 1.0])
+    )
     if u_curvature is None:
         return None
     cap_um = (1 - RADIUS.cap_from) * abs(_top_um(cap, around.plane))
@@ -204,8 +208,8 @@ def _radius_lines(reading: MeasurementContext, cap: Cap, kept: HeightSamples, ar
     }
 
 
-def _top_lines(reading: MeasurementContext, cap: Cap, kept: HeightSamples, around: Face) -> Lines | None:
-    u_cap = parameter_u(kept, cap.slopes(kept), kept.z_um - cap.at(kept), np.array([0.0, 0.0, 1.0, 0.0]))
+def _top_lines(reading: MeasurementContext, cap: Cap, inliers: HeightSamples, around: Face) -> Lines | None:
+    u_cap = parameter_u(inliers, cap.slopes(inliers), inliers.z_um - cap.at(inliers), np.array([0.0, 0.0, 1.0, 0.0]))
     design = plane_design(around.points, (cap.x_um, cap.y_um))
     u_plane = parameter_u(around.points, design, around.residuals_um, np.array([0.0, 0.0, 1.0]))
     if u_cap is None or u_plane is None:

@@ -97,10 +97,13 @@ def running_median(distance_um: Floats, z_um: Floats, length_um: float, n: int) 
     place, z = place[order], z[order]
     wanted = np.arange(n)
     first, end = np.searchsorted(place, wanted), np.searchsorted(place, wanted, side="right")
-    there = first < end
-    low, high = first[there] + (end[there] - first[there] - 1) // 2, first[there] + (end[there] - first[there]) // 2
+    occupied = first < end
+    low, high = (
+        first[occupied] + (end[occupied] - first[occupied] - 1) // 2,
+        first[occupied] + (end[occupied] - first[occupied]) // 2,
+    )
     out = np.full(n, np.nan)
-    out[there] = (z[low] + z[high]) / 2
+    out[occupied] = (z[low] + z[high]) / 2
     return out
 
 

@@ -73,9 +73,9 @@ class StepFaces:
 
         Where regions of both faces alternate there is no such place; then the midpoint of their centres.
         """
-        start, way = np.array([self.low.plane.x_um, self.low.plane.y_um]), self.apart_um
-        length = float(np.hypot(*way))
-        along = way / length if length > 0 else way
+        start, direction = np.array([self.low.plane.x_um, self.low.plane.y_um]), self.apart_um
+        length = float(np.hypot(*direction))
+        along = direction / length if length > 0 else direction
         last_low = float(_along(self.low, start, along).max())
         first_high = float(_along(self.high, start, along).min())
         return start + along * ((last_low + first_high if last_low <= first_high else length) / 2)
@@ -178,9 +178,9 @@ class PoseSensitivities(NamedTuple):
     weight: Floats
 
 
-def pose_sensitivities(faces: StepFaces, of: LinearFunctional) -> PoseSensitivities:
+def pose_sensitivities(faces: StepFaces, functional: LinearFunctional) -> PoseSensitivities:
     """Return the sensitivity coefficients of a linear functional of two faces, at the centres of tiles."""
-    pairs = zip(_weights(faces.high, of.high), _weights(faces.low, of.low), strict=True)
+    pairs = zip(_weights(faces.high, functional.high), _weights(faces.low, functional.low), strict=True)
     return PoseSensitivities(*(np.concatenate(pair) for pair in pairs))
 
 
@@ -226,11 +226,11 @@ def _field_of(poses: Poses, x_um: Floats, y_um: Floats) -> NDArray[np.intp]:
     """Return the field whose centre is nearest to each place, relative to the field size."""
     from scipy.spatial import KDTree
 
-    there = np.flatnonzero(~poses.left_out)
+    placed = np.flatnonzero(~poses.left_out)
     size = np.array(poses.form.field_size_um)
-    middles = np.column_stack([poses.x_um[there], poses.y_um[there]]) / size
+    middles = np.column_stack([poses.x_um[placed], poses.y_um[placed]]) / size
     _, nearest = KDTree(middles).query(np.column_stack([x_um, y_um]) / size, p=np.inf)
-    return there[nearest]
+    return placed[nearest]
 
 
 def _nearest(poses: Poses, x_um: float, y_um: float) -> NDArray[np.intp]:
@@ -240,7 +240,7 @@ def _nearest(poses: Poses, x_um: float, y_um: float) -> NDArray[np.intp]:
 def _information(poses: Poses, some: NDArray[np.intp]) -> Floats:
     """Return the inverse covariance of (height, slope x, slope y) of some fields, from stage and overlaps."""
     n, seams = len(some), poses.seams
-    told = np.diag(np.tile([poses.z_error_um**-2.0, TILT_ERROR**-2.0, TILT_ERROR**-2.0], n))
+    information = np.diag(np.tile([poses.z_error_um**-2.0, TILT_ERROR**-2.0, TILT_ERROR**-2.0], n))
     place = np.full(len(poses.x_um), -1)
     place[some] = np.arange(n)
     tells = (seams.weight > 0) & np.isfinite(seams.mid_x_um) & (seams.information[:, 0, 0] > 0)
@@ -249,8 +249,8 @@ def _information(poses: Poses, some: NDArray[np.intp]) -> Floats:
         arms = (_at(poses, field, float(seams.mid_x_um[k]), float(seams.mid_y_um[k])) for field in (a, b))
         difference = np.concatenate([sign * arm for sign, arm in zip((-1, 1), arms, strict=True)], axis=1)
         rows = np.concatenate([3 * place[field] + np.arange(3) for field in (a, b)])
-        told[np.ix_(rows, rows)] += seams.weight[k] * difference.T @ seams.information[k] @ difference
-    return told
+        information[np.ix_(rows, rows)] += seams.weight[k] * difference.T @ seams.information[k] @ difference
+    return information
 
 
 def _at(poses: Poses, field: int, x_um: float, y_um: float) -> Floats:
@@ -337,7 +337,7 @@ def step_height(
     h = gradients(faces, definition)
     budget = _budget(reading, faces, h, definition, conditions)
     return StepHeight(
-        **reading.told(name, level, *_other_definitions(faces), *reading.not_in_budget(own=True)),
+        **reading.result_fields(name, level, *_other_definitions(faces), *reading.not_in_budget(own=True)),
         upper=uppers[0],
         lower=lowers[0],
         also_upper=uppers[1:],

@@ -282,10 +282,10 @@ def step_profile(
     height_um = plan.times * fitted.h_um
     kind = shape if shape == "step" else "groove" if height_um > 0 else "ridge"
     lines, missing = _budget(reading, fitted, plan, scatter, conditions)
-    told = reading.told(name, 0, *section.notes, *reading.not_in_budget(own=True))
-    told["filter"] = section.filter
+    fields = reading.result_fields(name, 0, *section.notes, *reading.not_in_budget(own=True))
+    fields["filter"] = section.filter
     return StepProfile(
-        **told,
+        **fields,
         line=line,
         kind=kind,
         height=reading.length(height_um if kind == "step" else abs(height_um), lines),
@@ -339,13 +339,13 @@ PLANS: dict[Shape, Callable[[Floats, Floats, float], StepPlan]] = {"groove": _gr
 def _fitted(curve: ProfileCurve, samples_um: Floats, zones: tuple[Zone, ...]) -> FittedStep:
     """Fit z = a x + b + h delta to the zones; samples_um: all sample places, measured or not."""
     zone = np.full(len(curve.z_um), -1)
-    for k, of in enumerate(zones):
-        inside = of.holds(curve.distance_um)
+    for k, segment in enumerate(zones):
+        inside = segment.holds(curve.distance_um)
         zone[inside] = k
-        _require_enough(of, int(np.count_nonzero(inside)), int(np.count_nonzero(of.holds(samples_um))))
+        _require_enough(segment, int(np.count_nonzero(inside)), int(np.count_nonzero(segment.holds(samples_um))))
     counts = zone >= 0
     at_um, z_um = curve.distance_um[counts], curve.z_um[counts]
-    delta = np.array([of.delta for of in zones])[zone[counts]]
+    delta = np.array([segment.delta for segment in zones])[zone[counts]]
     design = np.column_stack([at_um - at_um.mean(), np.ones(len(at_um)), delta])
     coefficients = least_squares(design, z_um)
     left_um = z_um - design @ coefficients
@@ -357,8 +357,10 @@ def _fitted(curve: ProfileCurve, samples_um: Floats, zones: tuple[Zone, ...]) ->
 def _trusted(curve: ProfileCurve) -> ProfileCurve:
     """Remove samples far from a running median: single false heights."""
     off_um = np.abs(curve.z_um - smooth(curve.z_um))
-    kept = off_um <= max(STEP_PROFILE.false * float(np.quantile(off_um, STEP_PROFILE.usual)), STEP_PROFILE.rounding_um)
-    return _some(curve, kept)
+    inliers = off_um <= max(
+        STEP_PROFILE.false * float(np.quantile(off_um, STEP_PROFILE.usual)), STEP_PROFILE.rounding_um
+    )
+    return _some(curve, inliers)
 
 
 def _drawn(curve: ProfileCurve) -> tuple[tuple[float, float], ...]:

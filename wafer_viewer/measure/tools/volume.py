@@ -108,7 +108,7 @@ def area_volume(
     noise_um3 = _noise_um3(border, area) if from_where == "border" else None
     above, below = (_side(reading, area, rises, noise_um, noise_um3) for rises in (over, -over))
     return AreaVolume(
-        **reading.told(name, area.level, REFERENCES[from_where], *reading.not_in_budget()),
+        **reading.result_fields(name, area.level, REFERENCES[from_where], *reading.not_in_budget()),
         region=region,
         reference=from_where,
         volume_above=above.volume,
@@ -126,7 +126,7 @@ def area_volume(
 def _border(area: Area, region: Region) -> Face:
     """Fit the face along a region's outline. Raises MeasureError with too few points."""
     width_um = max(LEAST_BORDER_PX * area.pixel_um, BORDER * math.sqrt(region.area_um2))
-    points = area.points.kept(_from_outline_um(region, area.points) <= width_um)
+    points = area.points.select(_from_outline_um(region, area.points) <= width_um)
     if len(points) < MIN_BORDER_POINTS:
         raise MeasureError(
             f"Along its border the region has {len(points)} measured points and a volume needs at least "
@@ -149,8 +149,8 @@ def _noise_um3(border: Face, area: Area) -> float | None:
 def _from_outline_um(region: Region, points: HeightSamples) -> Floats:
     """Return the distances of points inside a region from its outline."""
     if region.kind == "circle":
-        at = region.points[0]
-        return region.radius_um - np.hypot(points.x_um - at.x_um, points.y_um - at.y_um)
+        center = region.points[0]
+        return region.radius_um - np.hypot(points.x_um - center.x_um, points.y_um - center.y_um)
     corners = [(p.x_um, p.y_um) for p in region.points]
     if region.kind == "rectangle":
         x0, y0, x1, y1 = region.bounds_um
@@ -163,11 +163,11 @@ def _from_outline_um(region: Region, points: HeightSamples) -> Floats:
 
 def _from_side_um(points: HeightSamples, start: tuple[float, float], end: tuple[float, float]) -> Floats:
     """Return the distances of points from a straight side."""
-    way_x, way_y = end[0] - start[0], end[1] - start[1]
+    along_x, along_y = end[0] - start[0], end[1] - start[1]
     x, y = points.x_um - start[0], points.y_um - start[1]
-    length2 = way_x**2 + way_y**2
-    along = np.clip((x * way_x + y * way_y) / length2, 0.0, 1.0) if length2 else np.zeros(len(points))
-    return np.hypot(x - along * way_x, y - along * way_y)
+    length2 = along_x**2 + along_y**2
+    along = np.clip((x * along_x + y * along_y) / length2, 0.0, 1.0) if length2 else np.zeros(len(points))
+    return np.hypot(x - along * along_x, y - along * along_y)
 
 
 @dataclass(frozen=True, slots=True)
@@ -183,9 +183,9 @@ def _side(
 ) -> VolumeSide:
     """Return volume and area where `rises` are positive; pixels within the noise count on the larger side."""
     beyond, pixel_um2 = rises > noise_um, area.pixel_um**2
-    here, there = float(rises[beyond].sum()), -float(rises[rises < -noise_um].sum())
-    within = float(rises[np.abs(rises) <= noise_um].sum()) if here >= there else 0.0
-    um2, um3 = float(np.count_nonzero(beyond)) * pixel_um2, max(0.0, here + within) * pixel_um2
+    beyond_um3, opposite_um3 = float(rises[beyond].sum()), -float(rises[rises < -noise_um].sum())
+    within = float(rises[np.abs(rises) <= noise_um].sum()) if beyond_um3 >= opposite_um3 else 0.0
+    um2, um3 = float(np.count_nonzero(beyond)) * pixel_um2, max(0.0, beyond_um3 + within) * pixel_um2
     volume = reading.quantity(um3, "um3", _lines(reading, um3, um2, noise_um3))
     return VolumeSide(volume, reading.quantity(um2, "um2", None))
 
