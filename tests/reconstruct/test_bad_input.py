@@ -47,13 +47,13 @@ def test_a_constant_stack_says_why_it_has_no_height(plane_stack: FieldStack, gre
 
 
 def test_a_missing_frame_in_the_middle_costs_little(make_stack: MakeStack, plane_um: NDArray) -> None:
-    whole = make_stack(plane_um, np.arange(20.0, 104.0, 2.0))
-    present = np.arange(whole.n_frames) != 17
-    height = wv.reconstruct(changed(whole, present=present))
+    full = make_stack(plane_um, np.arange(20.0, 104.0, 2.0))
+    present = np.arange(full.n_frames) != 17
+    height = wv.reconstruct(changed(full, present=present))
     assert "1 of 42 frames" in height.provenance.notes[0]
-    beside = np.abs(plane_um - whole.z_um[17]) < 4
-    error = np.abs(height.z_raw_um - plane_um)[beside & height.measured]
-    assert height.measured[beside].mean() > 0.9
+    neighbour = np.abs(plane_um - full.z_um[17]) < 4
+    error = np.abs(height.z_raw_um - plane_um)[neighbour & height.measured]
+    assert height.measured[neighbour].mean() > 0.9
     assert np.sqrt(np.mean(error**2)) < 0.5
     assert error.max() < 3
 
@@ -161,9 +161,9 @@ def test_the_command_line_refuses_in_one_sentence(
 ) -> None:
     path = on_disk(tmp_path, make(plane_stack.images))
     assert reconstructed(path) == 2
-    said = capsys.readouterr()
-    assert words in said.err
-    assert said.err.count("\n") == 1
+    message = capsys.readouterr()
+    assert words in message.err
+    assert message.err.count("\n") == 1
     assert not path.with_suffix(".npz").exists()
 
 

@@ -34,7 +34,7 @@ def test_a_plane_comes_out_as_it_is(plane_map: HeightMap, plane_um: NDArray) -> 
     assert abs(np.nanmean(plane_map.z_raw_um - plane_um)) < 0.05
 
 
-def test_it_lies_where_the_field_was(make_stack: MakeStack, plane_um: NDArray) -> None:
+def test_the_surface_keeps_the_stage_position_of_its_field(make_stack: MakeStack, plane_um: NDArray) -> None:
     from wafer_viewer.model.acquisition.plan import Field
 
     field = Field(number=3, row=0, col=2, x_um=1000.0, y_um=-500.0, z_start_um=0.0)
@@ -116,10 +116,10 @@ def test_threads_do_not_change_the_map(plane_stack: FieldStack, plane_map: Heigh
 
 
 def test_progress_rises_to_one_and_can_stop_the_work(plane_stack: FieldStack) -> None:
-    seen: list[float] = []
-    reconstruct(plane_stack, progress=seen.append)
-    assert seen == sorted(seen)
-    assert seen[-1] == 1
+    observed: list[float] = []
+    reconstruct(plane_stack, progress=observed.append)
+    assert observed == sorted(observed)
+    assert observed[-1] == 1
 
     def stop(share: float) -> None:
         raise ComputeError("stopped")

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 import tifffile
 
-from tests.truth.bleeding import PIXEL_UM, Bleeding, Seen, drawn, seen
+from tests.truth.bleeding import PIXEL_UM, Bleeding, Seen, drawn, observed
 from wafer_viewer.model.acquisition.calibration import Calibration, OpticalSetup, depth_of_field_um
 from wafer_viewer.model.acquisition.focus_stack import FieldStack
 from wafer_viewer.model.spec import replace
@@ -25,10 +25,10 @@ SEEDS = (4, 11, 13, 17, 1002, 1003)
 
 @cache
 def scene(seed: int) -> Seen:
-    return seen(drawn(seed))
+    return observed(drawn(seed))
 
 
-def known(one: Seen) -> FieldStack:
+def valid(one: Seen) -> FieldStack:
     """The stack of a scene with the depth of field of its optics."""
     return dataclasses.replace(one.stack, depth_of_field_um=depth_of_field_um(one.scene.na, PIXEL_UM))
 
@@ -41,7 +41,7 @@ def width_um(stack: FieldStack) -> float:
 def test_the_width_stays_within_what_optics_allow(seed: int):
     one = scene(seed)
     depth_um = one.scene.depth_of_field_um
-    assert 0.5 * depth_um < width_um(known(one)) <= depth_of_field_um(one.scene.na, PIXEL_UM)
+    assert 0.5 * depth_um < width_um(valid(one)) <= depth_of_field_um(one.scene.na, PIXEL_UM)
     assert 0.5 * depth_um < width_um(one.stack) < 2.1 * depth_um
 
 
@@ -50,7 +50,7 @@ def test_the_width_stays_within_what_optics_allow(seed: int):
 def test_a_bounded_width_keeps_false_heights_away(depth: str):
     shares = []
     for one in map(scene, SEEDS):
-        stack = known(one) if depth == "known" else one.stack
+        stack = valid(one) if depth == "known" else one.stack
         shares.append(one.false_share(reconstruct(stack, threads=1).z_raw_um))
     assert np.mean(shares) < 0.002
     assert max(shares) < 0.006
@@ -74,32 +74,32 @@ def test_the_aperture_given_with_images_bounds_the_width(tmp_path):
         tifffile.imwrite(tmp_path / f"z{k:03d}.tif", image)
     step_um = one.stack.z_step_um
     stack = open_stack(tmp_path, z_step_um=step_um, pixel_um=PIXEL_UM, numerical_aperture=one.scene.na)
-    assert stack.optical_depth_um == known(one).optical_depth_um
-    assert width_um(stack) == pytest.approx(width_um(known(one)))
+    assert stack.optical_depth_um == valid(one).optical_depth_um
+    assert width_um(stack) == pytest.approx(width_um(valid(one)))
 
 
-def test_a_width_that_hides_walls_is_told():
+def test_a_width_that_hides_walls_is_reported():
     one = scene(SEEDS[0])
-    stack = known(one)
+    stack = valid(one)
     wide = replace(Recipe(), focus_width_um=1.5 * TOO_WIDE * stack.depth_of_field_um)
-    told = [note for note in reconstruct(stack, wide, threads=1).provenance.notes if "could not be tested" in note]
-    assert len(told) == 1
-    assert "times the depth of field" in told[0]
+    reported = [note for note in reconstruct(stack, wide, threads=1).provenance.notes if "could not be tested" in note]
+    assert len(reported) == 1
+    assert "times the depth of field" in reported[0]
     assert not any("tested" in note for note in reconstruct(stack, threads=1).provenance.notes)
 
 
-def test_a_sweep_too_short_for_walls_is_told():
+def test_a_sweep_too_short_for_walls_is_reported():
     one = scene(SEEDS[0])
     wide = replace(Recipe(), focus_width_um=float(np.ptp(one.stack.z_um)) / 3)
     assert any("this one is" in note for note in reconstruct(one.stack, wide, threads=1).provenance.notes)
 
 
-def test_a_width_that_no_optics_of_the_pixel_has_is_bounded_and_told():
+def test_a_width_that_no_optics_of_the_pixel_has_is_bounded_and_reported():
     flat = Bleeding(
         na=0.1, step_dof=0.2, trench_px=1, pitch_px=200, depth_um=0, ratio=1, die_contrast=0.1, trench_contrast=0.1,
         trench_grain_px=0.8, bare_share=0, sweep_um=400, clipped=0, full_well_e=1e4, lines=True, seed=3,
     )  # fmt: skip
-    stack = dataclasses.replace(seen(flat, (96, 128)).stack, pixel_um=0.2)
+    stack = dataclasses.replace(observed(flat, (96, 128)).stack, pixel_um=0.2)
     found = reconstruct(stack, threads=1).provenance
     assert float(found.recipe.focus_width_um) < 0.5 * flat.depth_of_field_um
     assert any("Name the objective with its aperture" in note for note in found.notes)

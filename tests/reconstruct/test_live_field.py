@@ -39,16 +39,16 @@ def live(stack: FieldStack, recipe: Recipe, chunks: Iterable[tuple[int, int]]) -
 @pytest.mark.parametrize("chunks", [FROM_BELOW, FROM_BELOW[::-1]], ids=["from below", "from above"])
 def test_it_is_the_same_map_bit_for_bit(stack: FieldStack, measure: str, chunks: list[tuple[int, int]]) -> None:
     recipe = settled_recipe(stack, Recipe(focus_measure=measure))
-    whole, grown = reconstruct(stack, recipe), live(stack, recipe, chunks)
+    full, grown = reconstruct(stack, recipe), live(stack, recipe, chunks)
     for layer in ("z_um", "z_raw_um", "confidence", "origin", "all_in_focus"):
-        np.testing.assert_array_equal(getattr(grown, layer), getattr(whole, layer), layer)
-    assert grown.provenance == whole.provenance
+        np.testing.assert_array_equal(getattr(grown, layer), getattr(full, layer), layer)
+    assert grown.provenance == full.provenance
 
 
 def test_with_a_frame_missing_it_is_the_map_of_what_is_there(stack: FieldStack) -> None:
     recipe = settled_recipe(stack)
-    there = np.arange(len(Z_UM)) != 9
-    partial = dataclasses.replace(stack, present=there)
+    present = np.arange(len(Z_UM)) != 9
+    partial = dataclasses.replace(stack, present=present)
     grown = live(partial, recipe, [(0, 9), (10, 21)])
     np.testing.assert_array_equal(grown.z_um, reconstruct(partial, recipe).z_um)
 

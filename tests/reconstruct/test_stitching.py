@@ -35,10 +35,10 @@ def odd():
 
 
 def test_fields_lie_where_they_truly_are_and_neighbours_meet(made):
-    told: list[float] = []
-    mosaic = wv.stitch(made.heights, made.fields, progress=told.append)
+    reported: list[float] = []
+    mosaic = wv.stitch(made.heights, made.fields, progress=reported.append)
     poses = mosaic.poses
-    assert max(told) == pytest.approx(1.0)
+    assert max(reported) == pytest.approx(1.0)
     assert _off_px(poses, made).max() < 0.3
     assert poses.shifts.believed.all()
     assert np.median(np.abs(poses.seams.step_um)) < 0.02
@@ -63,8 +63,8 @@ def test_a_field_that_fits_nowhere_is_named_and_left_out(odd, what, sentence):
     mosaic = wv.stitch(made.heights, made.fields)
     assert [n for n, out in zip(mosaic.poses.numbers, mosaic.poses.left_out, strict=True) if out] == [6]
     assert any(sentence in note for note in mosaic.provenance.notes)
-    kept = ~mosaic.poses.left_out
-    assert _off_px(mosaic.poses, made)[kept].max() < 0.4
+    stored = ~mosaic.poses.left_out
+    assert _off_px(mosaic.poses, made)[stored].max() < 0.4
     field = made.fields[5]
     middle = mosaic.window(wv.Region.rectangle(field.x_um, field.y_um, field.x_um + 2, field.y_um + 2))
     assert (middle.origin == wv.Origin.NOT_COVERED).all()
@@ -100,7 +100,7 @@ def test_a_wrong_pixel_size_is_refused(made):
         wv.stitch(wrong, made.fields)
 
 
-def test_fields_of_two_scans_are_told_apart(made):
+def test_fields_of_two_scans_are_distinguished(made):
     real = dataclasses.replace(made.heights[1], provenance=Provenance())
     notes = " ".join(wv.stitch([made.heights[0], real]).provenance.notes)
     assert "1 of the 2 fields are simulated" in notes
@@ -118,7 +118,7 @@ def test_without_a_field_there_is_nothing_to_stitch():
         wv.stitch([])
 
 
-def test_a_search_that_is_too_narrow_is_doubted_and_the_stage_stands(made):
+def test_a_search_at_its_limit_is_rejected_for_the_stage_position(made):
     mosaic = wv.stitch(made.heights, made.fields, Recipe(stitching=Stitching(search_um=0.5)))
     doubt = mosaic.poses.shifts.doubt
     assert (doubt != RejectionReason.NONE).sum() > len(doubt) / 2
@@ -127,8 +127,8 @@ def test_a_search_that_is_too_narrow_is_doubted_and_the_stage_stands(made):
 def _off_px(poses, made) -> np.ndarray:
     """How far each field lies from the truth; the whole, which only the stage knows, moved as well as possible."""
     off_x, off_y = poses.x_um - made.known.x_um, poses.y_um - made.known.y_um
-    kept = ~poses.left_out
-    return np.hypot(off_x - off_x[kept].mean(), off_y - off_y[kept].mean()) / PIXEL_UM
+    stored = ~poses.left_out
+    return np.hypot(off_x - off_x[stored].mean(), off_y - off_y[stored].mean()) / PIXEL_UM
 
 
 def _with_pixel(height, field, pixel_um):

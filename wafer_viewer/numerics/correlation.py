@@ -37,22 +37,22 @@ class Likeness:
     sigmas: NDArray[np.float64]
 
 
-def contrast(picture: Float32s, known: Bools, size: int) -> Float32s:
+def contrast(picture: Float32s, valid: Bools, size: int) -> Float32s:
     """Return the picture minus its local mean of size x size pixels, with saturated contrast; 0 where unknown.
 
     Invariant, except for scale, to uniform or slowly varying changes of brightness.
     """
-    from wafer_viewer.numerics.filters.sliding_filters import mean, mean_of_known
+    from wafer_viewer.numerics.filters.sliding_filters import mean, mean_of_valid
 
-    local = mean(picture, size) if known.all() else mean_of_known(picture, known, size)
-    detail = np.where(known, picture - local, np.float32(0))
-    usual = _STEEPEST * float(np.median(np.abs(detail[known][::3]))) if known.any() else 0.0
+    local = mean(picture, size) if valid.all() else mean_of_valid(picture, valid, size)
+    detail = np.where(valid, picture - local, np.float32(0))
+    usual = _STEEPEST * float(np.median(np.abs(detail[valid][::3]))) if valid.any() else 0.0
     held: Float32s = np.sqrt(1 + (detail / np.float32(usual)) ** 2) if usual > 0 else np.ones_like(detail)
     return np.asarray(detail / held, np.float32)
 
 
 def normalised_cross_correlation(
-    first: Float32s, first_known: Bools, second: Float32s, second_known: Bools, lag: tuple[int, int], reach: int
+    first: Float32s, first_valid: Bools, second: Float32s, second_valid: Bools, lag: tuple[int, int], reach: int
 ) -> Likeness:
     """Correlate two contrast images at all lags within `reach` of a lag (rows, cols).
 
@@ -62,18 +62,18 @@ def normalised_cross_correlation(
 
     shape = _transform_shape(first.shape, second.shape, lag, reach)
     size: list[int] = [scipy.fft.next_fast_len(n, real=True) or n for n in shape]
-    a: Any = scipy.fft.rfft2(_moments(first, first_known), size)
-    b: Any = scipy.fft.rfft2(_moments(second, second_known), size)
+    a: Any = scipy.fft.rfft2(_moments(first, first_valid), size)
+    b: Any = scipy.fft.rfft2(_moments(second, second_valid), size)
     products = np.stack([a[0] * b[0].conj(), a[1] * b[2].conj(), a[2] * b[1].conj(), a[2] * b[2].conj()])
     sums: Any = scipy.fft.irfft2(products, size)
     rows, cols = (np.arange(n - reach, n + reach + 1) % m for n, m in zip(lag, size, strict=True))
-    common, of_first, of_second, pixels = (s[np.ix_(rows, cols)].astype(np.float64) for s in sums)
+    common, first_sums, second_sums, pixels = (s[np.ix_(rows, cols)].astype(np.float64) for s in sums)
     pixels = np.rint(pixels)
-    energy = np.sqrt(np.maximum(of_first, 0) * np.maximum(of_second, 0))
+    energy = np.sqrt(np.maximum(first_sums, 0) * np.maximum(second_sums, 0))
     floor = _LEAST_ENERGY * float(energy.max(initial=0)) + 1e-12
     correlation = np.where(energy > floor, common / np.maximum(energy, floor), 0.0).clip(-1, 1)
-    alike = _correlated_pixels(sums[0], first, second)
-    sigmas = np.arctanh(correlation.clip(-_MOST_CORRELATION, _MOST_CORRELATION)) * np.sqrt(pixels / alike)
+    n_correlated = _correlated_pixels(sums[0], first, second)
+    sigmas = np.arctanh(correlation.clip(-_MOST_CORRELATION, _MOST_CORRELATION)) * np.sqrt(pixels / n_correlated)
     return Likeness(correlation, pixels, sigmas)
 
 
@@ -85,8 +85,8 @@ def _transform_shape(
     return rows, cols
 
 
-def _moments(picture: Float32s, known: Bools) -> Float32s:
-    return np.stack([picture, picture * picture, known.astype(np.float32)])
+def _moments(picture: Float32s, valid: Bools) -> Float32s:
+    return np.stack([picture, picture * picture, valid.astype(np.float32)])
 
 
 def _correlated_pixels(common: Float32s, first: Float32s, second: Float32s) -> float:
@@ -110,13 +110,13 @@ def autocorrelation(z: Floats) -> Floats:
     Shape [2 r + 1, 2 c + 1], 1 in the middle. The value of a lag is the mean product over pairs of measured points at
     this lag, divided by the mean square; NaN with fewer pairs than a twentieth of the measured points.
     """
-    known = np.isfinite(z)
-    n_known = int(known.sum())
+    valid = np.isfinite(z)
+    n_valid = int(valid.sum())
     reach = z.shape[0] // 2, z.shape[1] // 2
-    products = _lagged(np.where(known, z, 0.0), reach)
-    pairs = _full_pairs(z.shape, reach) if n_known == z.size else np.rint(_lagged(known.astype(np.float64), reach))
-    middle = float(products[reach]) / n_known
-    return np.divide(products / middle, pairs, out=np.full(pairs.shape, np.nan), where=pairs >= LEAST_PAIRS * n_known)
+    products = _lagged(np.where(valid, z, 0.0), reach)
+    pairs = _full_pairs(z.shape, reach) if n_valid == z.size else np.rint(_lagged(valid.astype(np.float64), reach))
+    middle = float(products[reach]) / n_valid
+    return np.divide(products / middle, pairs, out=np.full(pairs.shape, np.nan), where=pairs >= LEAST_PAIRS * n_valid)
 
 
 def _lagged(plane: Floats, reach: tuple[int, int]) -> Floats:

@@ -21,7 +21,7 @@ from numba.core import config as numba_config
 from numpy.typing import NDArray
 
 KERNEL_ROOMS = ("numerics", "reconstruct", "rigs/virtual")
-_UNCOUNTED: dict[str, Any] = {"_nrt": False}  # numba's run time with reference counts, an option its stubs leave out
+_UNCOUNTED: dict[str, Any] = {"_nrt": False}  # numba's runtime with reference counts, an option missing from its stubs
 _LEAN: dict[str, Any] = {"error_model": "numpy", "no_cfunc_wrapper": True, **_UNCOUNTED}
 _PART: dict[str, Any] = {"no_cpython_wrapper": True, **_LEAN}
 F = TypeVar("F", bound=Callable[..., Any])
@@ -95,12 +95,12 @@ Int32s: TypeAlias = NDArray[np.int32]
 Int64s: TypeAlias = NDArray[np.int64]
 UInt8s: TypeAlias = NDArray[np.uint8]
 UInt16s: TypeAlias = NDArray[np.uint16]
-Wholes: TypeAlias = NDArray[Any]
+Ints: TypeAlias = NDArray[Any]
 """int32 if the sums of 8-bit grey fit, int64 for 16-bit grey."""
 Greys: TypeAlias = NDArray[Any]
 """uint8 or uint16."""
 
-Whole: TypeAlias = int | np.integer[Any]
+Int: TypeAlias = int | np.integer[Any]
 Real: TypeAlias = float | np.floating[Any]
 
 CACHE_LINE_BYTES = 64

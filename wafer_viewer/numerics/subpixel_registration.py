@@ -41,9 +41,9 @@ def taps(part: float) -> Float32s:
 
 def block_sums(
     first: Float32s,
-    first_known: Float32s,
+    first_valid: Float32s,
     second: Float32s,
-    second_known: Float32s,
+    second_valid: Float32s,
     lag: tuple[float, float],
     side: int,
 ) -> NDArray[np.float64]:
@@ -51,7 +51,7 @@ def block_sums(
 
     float64 [block row, block col, 5, 5], over blocks of about side x side pixels. Pixel (r, c) of the first is compared
     with the second at (r - lag row, c - lag col), both smoothed equally; the slopes are those of the second. Pixels
-    unknown in either (known: 1 or 0) and a rim of 3 do not count. Empty without common pixels.
+    unknown in either (valid: 1 or 0) and a rim of 3 do not count. Empty without common pixels.
     """
     spans = [_span(a, b, n) for a, b, n in zip(first.shape, second.shape, lag, strict=True)]
     n_rows, n_cols = (stop - start for start, stop, _ in spans)
@@ -63,14 +63,14 @@ def block_sums(
     n_bands = max(1, n_rows // side)
     sums = np.zeros((n_bands, N_PRODUCTS, n_cols), np.float32)
     lines = np.zeros((N_LINES + 2, n_cols + 2 * REACH), np.float32)
-    _sum(first, first_known, second, second_known, corner, weights, n_rows, lines, sums)
+    _sum(first, first_valid, second, second_valid, corner, weights, n_rows, lines, sums)
     return _square(np.add.reduceat(sums, _starts(n_cols, side), axis=2, dtype=np.float64))
 
 
 def _span(first: int, second: int, lag: float) -> tuple[int, int, int]:
     """Return the range of the first's pixels with all neighbours in both, and the integer part of the lag."""
-    whole = round(lag)
-    return max(0, whole) + REACH, min(first, whole + second) - REACH, whole
+    nearest = round(lag)
+    return max(0, nearest) + REACH, min(first, nearest + second) - REACH, nearest
 
 
 def _starts(n: int, side: int) -> NDArray[np.intp]:
@@ -90,9 +90,9 @@ def _square(sums: NDArray[np.float64]) -> NDArray[np.float64]:
 @lean_kernel
 def _sum(
     first: Float32s,
-    first_known: Float32s,
+    first_valid: Float32s,
     second: Float32s,
-    second_known: Float32s,
+    second_valid: Float32s,
     corner: Int64s,
     weights: Float32s,
     n_rows: int,
@@ -101,7 +101,7 @@ def _sum(
 ) -> None:
     n_bands, n_cols = sums.shape[0], sums.shape[2]
     left, other_left = corner[1], corner[3]
-    known, a, b, down, right = lines[0], lines[1], lines[2], lines[3], lines[4]
+    valid, a, b, down, right = lines[0], lines[1], lines[2], lines[3], lines[4]
     smooth, slope = lines[5], lines[6]
     for r in range(n_rows):
         row, other = corner[0] + r, corner[2] + r
@@ -112,8 +112,8 @@ def _sum(
         _along(smooth, weights[2, 0], b)
         _along(slope, weights[2, 0], down)
         _along(smooth, weights[2, 1], right)
-        _multiply(first_known[row, left:], second_known[other, other_left:], known[:n_cols])
-        _apply_mask(known[:n_cols], a, b, down, right)
+        _multiply(first_valid[row, left:], second_valid[other, other_left:], valid[:n_cols])
+        _apply_mask(valid[:n_cols], a, b, down, right)
         band = sums[r * n_bands // n_rows]
         n = 0
         for i in range(N_LINES):
@@ -149,9 +149,9 @@ def _multiply(first: Float32s, second: Float32s, out: Float32s) -> None:
 
 
 @lean_part
-def _apply_mask(known: Float32s, a: Float32s, b: Float32s, down: Float32s, right: Float32s) -> None:
-    for x in range(known.size):
-        a[x], b[x], down[x], right[x] = a[x] * known[x], b[x] * known[x], down[x] * known[x], right[x] * known[x]
+def _apply_mask(valid: Float32s, a: Float32s, b: Float32s, down: Float32s, right: Float32s) -> None:
+    for x in range(valid.size):
+        a[x], b[x], down[x], right[x] = a[x] * valid[x], b[x] * valid[x], down[x] * valid[x], right[x] * valid[x]
 
 
 @lean_part
@@ -201,11 +201,11 @@ def block_gradients(sums: Numbers, index: NDArray[np.intp], place: Numbers) -> B
     first, second, both = np.maximum(spread[:, 0, 0], 0), np.maximum(spread[:, 1, 1], 0), spread[:, 0, 1]
     room = np.maximum(second, 1e-9 * n)
     gain = np.maximum(both, 0) / room
-    left = spread - spread[:, :, 1:2] * spread[:, 1:2, :] / room[:, None, None]
-    weight = n / np.maximum(left[:, 0, 0], 1e-9 * n)
+    projector = spread - spread[:, :, 1:2] * spread[:, 1:2, :] / room[:, None, None]
+    weight = n / np.maximum(projector[:, 0, 0], 1e-9 * n)
     weight = weight / (1 + weight / (4 * np.median(weight))) if len(weight) else weight
-    pull = -(weight * gain)[:, None] * left[:, 0, 2:]
-    stiffness = (weight * gain**2)[:, None, None] * left[:, 2:, 2:]
+    pull = -(weight * gain)[:, None] * projector[:, 0, 2:]
+    stiffness = (weight * gain**2)[:, None, None] * projector[:, 2:, 2:]
     return BlockGradients(index, place, n, first, second, both, pull, stiffness, weight * gain**2)
 
 
@@ -261,12 +261,12 @@ def agreement_fraction(blocks: BlockGradients, noise: float) -> float:
     A block of strong contrast has no more weight than others with a signal above noise.
     """
     strength = np.sqrt(blocks.first * blocks.second) / np.maximum(blocks.pixels, 1)
-    seen = blocks.pixels * strength**2 / (strength**2 + (_SHOWS * (_SMOOTHED * noise) ** 2) ** 2 + 1e-30)
-    if not seen.sum() > 0:
+    visible = blocks.pixels * strength**2 / (strength**2 + (_SHOWS * (_SMOOTHED * noise) ** 2) ** 2 + 1e-30)
+    if not visible.sum() > 0:
         return 0.0
-    alike = blocks.both / np.maximum(strength * blocks.pixels, 1e-30)
-    best = alike[np.argsort(seen)[len(seen) // 2 :]].max()
-    return float(seen[alike > 0.5 * best].sum() / seen.sum())
+    correlation = blocks.both / np.maximum(strength * blocks.pixels, 1e-30)
+    best = correlation[np.argsort(visible)[len(visible) // 2 :]].max()
+    return float(visible[correlation > 0.5 * best].sum() / visible.sum())
 
 
 def shift_gradient(blocks: BlockGradients) -> tuple[float, float]:
@@ -283,8 +283,8 @@ def shift_gradient(blocks: BlockGradients) -> tuple[float, float]:
     stiffness += (1e-6 * np.trace(stiffness) + 1e-30) * np.eye(4)
     inverse = np.linalg.inv(stiffness)
     bend = inverse @ pulls.sum(axis=0)
-    left = np.einsum("bpj,bj->bp", basis, blocks.pull - np.einsum("bij,bqj,q->bi", blocks.stiffness, basis, bend))
-    spread = inverse @ (left.T @ left) @ inverse
+    residual = np.einsum("bpj,bj->bp", basis, blocks.pull - np.einsum("bij,bqj,q->bi", blocks.stiffness, basis, bend))
+    spread = inverse @ (residual.T @ residual) @ inverse
     most = int(np.argmax(np.abs(bend)))
     return float(np.abs(bend[most])), float(np.abs(bend[most]) / np.sqrt(max(spread[most, most], 1e-30)))
 
@@ -347,7 +347,7 @@ class RegisteredImage:
     """
 
     values: Float32s
-    known: Float32s
+    valid: Float32s
     noise: float
 
 
@@ -400,9 +400,10 @@ def align(first: RegisteredImage, second: RegisteredImage, lag: Lag, side: int, 
 
 def _hessian_fraction(before: BlockGradients, after: BlockGradients, step: Numbers) -> float:
     """Return the real fraction of the Hessian: slopes of the noise do not move with the picture."""
-    told = float(step @ (before.pull.sum(axis=0) - after.pull.sum(axis=0)))
+    decrease = float(step @ (before.pull.sum(axis=0) - after.pull.sum(axis=0)))
     return min(
-        1.0, max(ALIGNMENT.least_hessian_fraction, told / max(float(step @ before.stiffness.sum(axis=0) @ step), 1e-30))
+        1.0,
+        max(ALIGNMENT.least_hessian_fraction, decrease / max(float(step @ before.stiffness.sum(axis=0) @ step), 1e-30)),
     )
 
 
@@ -425,7 +426,7 @@ def _hessian_by_differences(first: RegisteredImage, second: RegisteredImage, lag
 
 
 def _gradients(first: RegisteredImage, second: RegisteredImage, lag: Lag, side: int) -> BlockGradients:
-    sums = block_sums(first.values, first.known, second.values, second.known, lag, side)
+    sums = block_sums(first.values, first.valid, second.values, second.valid, lag, side)
     index = np.indices(sums.shape[:2]).reshape(2, -1).T
     place = 2 * (index + 0.5) / np.array(sums.shape[:2]) - 1
     flat = sums.reshape(-1, *sums.shape[2:])

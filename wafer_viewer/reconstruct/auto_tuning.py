@@ -144,12 +144,12 @@ def focus_width(frames: Frames, recipe: Recipe) -> FocusWidth:
     probe = Search(recipe.focus_measure, FOCUS_WIDTH.probe_window, "argmax", 1, camera=camera_of(recipe.noise))
     power = focus_measures()[recipe.focus_measure].power
     widths = np.concatenate([_clean_widths(bench, peaks, power) for bench, peaks in _tiles(frames, probe)])
-    step_um, known_um = frames.step_um, frames.depth_of_field_um
+    step_um, depth_um = frames.step_um, frames.depth_of_field_um
     if len(widths) < FOCUS_WIDTH.enough_curves:
-        return FocusWidth(max(step_um, known_um), () if known_um > 0 else (_NO_CURVES,))
+        return FocusWidth(max(step_um, depth_um), () if depth_um > 0 else (_NO_CURVES,))
     found_um = max(step_um, step_um * float(np.percentile(widths, FOCUS_WIDTH.percentile)))
-    most_um = max(step_um, known_um or _largest_depth_um(frames.pixel_um))
-    if known_um > 0 or found_um <= most_um:
+    most_um = max(step_um, depth_um or _largest_depth_um(frames.pixel_um))
+    if depth_um > 0 or found_um <= most_um:
         return FocusWidth(min(found_um, most_um))
     return FocusWidth(most_um, (_too_wide(found_um, most_um, frames.pixel_um),))
 
@@ -202,9 +202,9 @@ def _clean_widths(bench: ThreadScratch, peaks: Peaks, power: float) -> NDArray[n
     single = (np.count_nonzero(over[1:] & ~over[:-1], axis=0) == 1) & ~over[0] & ~over[-1]
     levels, half, over = levels[:, single], half[single], over[:, single]
     first, last = over.argmax(axis=0), len(over) - 1 - over[::-1].argmax(axis=0)
-    at = np.arange(len(first))
+    index = np.arange(len(first))
     rise, fall = (
-        (levels[inside, at] - half) / (levels[inside, at] - levels[outside, at])
+        (levels[inside, index] - half) / (levels[inside, index] - levels[outside, index])
         for inside, outside in ((first, first - 1), (last, last + 1))
     )
     return last - first + rise + fall
@@ -236,7 +236,7 @@ def _untested(frames: Frames, recipe: Recipe, edges: EdgeSearch | None) -> tuple
         ("windows are not compared", recipe.compare_windows),
         ("edges are not looked for", recipe.edges != "none"),
     )
-    off = " and ".join(words for words, asked in wanted if asked)
+    off = " and ".join(words for words, is_wanted in wanted if is_wanted)
     return (f"The stack has {frames.n_frames} frames: in fewer than {LEAST_FRAMES} {off}.",) if off else ()
 
 

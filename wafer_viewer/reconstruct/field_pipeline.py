@@ -210,13 +210,13 @@ class CleanedHeights:
 def clean_heights(field: PreparedField, corrected: CorrectedPeaks) -> CleanedHeights:
     """Smooth heights, remove outliers and the edges of steps, and fill small gaps."""
     tuned, origin, edges = field.tuned, corrected.origin, corrected.edges
-    side_known = bleeding_um = None
+    side_is_known = bleeding_um = None
     if tuned.edges is not None:
-        side_known = np.zeros(origin.shape, np.bool_) if edges is None else edges.side != EdgeSide.AWAY
+        side_is_known = np.zeros(origin.shape, np.bool_) if edges is None else edges.side != EdgeSide.AWAY
     if edges is not None:
         bleeding_um = np.where(origin == Origin.BLEEDING_EDGE, corrected.searched_um, np.float32(np.nan))
     found = clean(
-        corrected.measured_um, field.stack.pixel_um, tuned.recipe, tuned.resolution_um, side_known, bleeding_um
+        corrected.measured_um, field.stack.pixel_um, tuned.recipe, tuned.resolution_um, side_is_known, bleeding_um
     )
     origin = np.where(found.outlier, np.uint8(Origin.OUTLIER), origin)
     origin = np.where(found.step_edge, np.uint8(Origin.STEP_EDGE), origin)
@@ -232,8 +232,8 @@ def _refused_heights(corrected: CorrectedPeaks, origin: NDArray[np.uint8]) -> Re
     """
     z_um = np.where(corrected.origin == Origin.MEASURED, corrected.z_um, corrected.searched_um)
     refused = (origin != Origin.MEASURED) & (origin != Origin.NOT_COVERED) & np.isfinite(z_um)
-    at = np.flatnonzero(refused)
-    return RefusedHeights(at.astype(np.uint32), z_um.ravel()[at], origin.ravel()[at].astype(np.uint8))
+    indices = np.flatnonzero(refused)
+    return RefusedHeights(indices.astype(np.uint32), z_um.ravel()[indices], origin.ravel()[indices].astype(np.uint8))
 
 
 # ---------------------------------------------------------------------------------------------------------- height map

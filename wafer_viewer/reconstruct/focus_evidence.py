@@ -97,14 +97,14 @@ def focus_curve(stack: FieldStack, x_um: float, y_um: float, recipe: Recipe = Re
 
 def curve_at(field: PreparedField, row: int, col: int) -> tuple[NDArray[np.float64], NDArray[np.int64]]:
     """Return the focus measure of a pixel in each frame, as a fraction of its maximum, and its grey values."""
-    frames, search, at = field.frames, field.tuned.search, (slice(row, row + 1), slice(col, col + 1))
+    frames, search, pixel = field.frames, field.tuned.search, (slice(row, row + 1), slice(col, col + 1))
     bench = ThreadScratch.make(frames.n_frames, (1, 1), search, frames.dtype)
-    search_part(frames, *at, search, bench, Peaks.empty((1, 1), bench.block.dtype))
+    search_part(frames, *pixel, search, bench, Peaks.empty((1, 1), bench.block.dtype))
     levels = bench.curves.levels[:, 0, 0].astype(np.int64)
     bits, table = bench.spots.bits, bench.spots.table
     log2 = (levels >> bits) + table[levels & (table.size - 1)]
     grey = np.empty((frames.n_frames, 1, 1), frames.dtype)
-    read_block(frames, *at, 0, grey)
+    read_block(frames, *pixel, 0, grey)
     return np.exp2(log2 - log2.max()), grey[:, 0, 0].astype(np.int64)
 
 
@@ -165,18 +165,18 @@ def _edge_verdicts(corrected: CorrectedPeaks, row: int, col: int) -> tuple[Verdi
     if edges is None or edges.side[row, col] == EdgeSide.AWAY:
         return ()
     off_um = abs(float(corrected.searched_um[row, col]) - float(edges.expected_um[row, col]))
-    known = edges.side[row, col] != EdgeSide.OUTLINE
-    beside = Verdict(
+    side_is_known = edges.side[row, col] != EdgeSide.OUTLINE
+    outline_verdict = Verdict(
         gate="edge",
         question="Is the height that of the surface further from the wall?",
         score=_finite(off_um),
         limit=edges.tolerance_um,
         unit="um",
-        passed=bool(known and off_um < edges.tolerance_um),
+        passed=bool(side_is_known and off_um < edges.tolerance_um),
         note=_wall_side_note(edges, row, col),
     )
     if edges.side[row, col] != EdgeSide.DARK:
-        return (beside,)
+        return (outline_verdict,)
     along = Verdict(
         gate="along",
         question="Does the focus along the wall peak at that height?",
@@ -185,18 +185,18 @@ def _edge_verdicts(corrected: CorrectedPeaks, row: int, col: int) -> tuple[Verdi
         unit=POWERS,
         passed=bool(edges.along[row, col]),
     )
-    return beside, along
+    return outline_verdict, along
 
 
 def _wall_side_note(edges: BleedingEdges, row: int, col: int) -> str:
     """Return a note with the pixel's side of the wall and any missing reference height."""
-    where = {
+    labels = {
         EdgeSide.DARK: "On the dark side of a wall",
         EdgeSide.BRIGHT: "On the bright side of a wall",
         EdgeSide.OUTLINE: "On the outline of a wall, neither side's for sure",
     }[EdgeSide(int(edges.side[row, col]))]
-    known = np.isfinite(edges.expected_um[row, col]) or edges.side[row, col] == EdgeSide.OUTLINE
-    return f"{where}." if known else f"{where}, with nothing measured further from it."
+    side_is_known = np.isfinite(edges.expected_um[row, col]) or edges.side[row, col] == EdgeSide.OUTLINE
+    return f"{labels}." if side_is_known else f"{labels}, with nothing measured further from it."
 
 
 def _finite(value: float | np.floating[Any]) -> float | None:

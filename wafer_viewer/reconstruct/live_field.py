@@ -37,7 +37,7 @@ class LiveField:
 
     def __init__(self, images: Image, z_step_um: float, recipe: Recipe) -> None:
         if recipe.heights_have_auto:
-            raise ComputeError("A live field needs a settled recipe: this one leaves choices to data yet to come.")
+            raise ComputeError("A live field needs a recipe whose automatic values have been chosen.")
         if images.dtype != np.uint8 or not images.flags.c_contiguous:
             raise ComputeError(f"A live field needs whole pages of 8-bit grey, not {images.dtype}: wait for its stack.")
         self._images, self._recipe = images, recipe
@@ -63,9 +63,9 @@ class LiveField:
         """Pages that have been measured, bool [k]."""
         return self._came.copy()
 
-    def take_new(self, there: NDArray[np.bool_]) -> None:
+    def take_new(self, present: NDArray[np.bool_]) -> None:
         """Measure the available pages, bool [k], that have not been measured yet."""
-        new = np.flatnonzero(there & ~self._came)
+        new = np.flatnonzero(present & ~self._came)
         for run in np.split(new, np.flatnonzero(np.diff(new) > 1) + 1):
             if run.size:
                 self.take(int(run[0]), int(run[-1]) + 1)
@@ -95,10 +95,10 @@ class LiveField:
 
     def _is_complete(self, field: PreparedField) -> bool:
         """Return whether all frames were measured, unmodified, with the measure, window and camera noise in use."""
-        frames, search, own = field.frames, field.tuned.search, self._search
-        whole = frames.as_stored and np.array_equal(frames.slots, np.arange(len(frames.images)))
-        alike = (search.measure, search.window, search.camera) == (own.measure, own.window, own.camera)
-        return bool(self._came.all()) and whole and alike
+        frames, search, used = field.frames, field.tuned.search, self._search
+        complete = frames.as_stored and np.array_equal(frames.slots, np.arange(len(frames.images)))
+        same_settings = (search.measure, search.window, search.camera) == (used.measure, used.window, used.camera)
+        return bool(self._came.all()) and complete and same_settings
 
     def _found(self, field: PreparedField) -> Peaks:
         slots, z_um, search = np.arange(len(self._images)), field.frames.z_um, field.tuned.search

@@ -119,7 +119,7 @@ class FieldsToPlace:
     numbers: NDArray[np.int32]
     marks: NDArray[np.int64]
     stitching: Stitching
-    known: PreviousSolution
+    previous: PreviousSolution
     fixed: NDArray[np.bool_] | None
 
     @classmethod
@@ -129,14 +129,14 @@ class FieldsToPlace:
         numbers: Sequence[int],
         marks: NDArray[np.int64],
         stitching: Stitching,
-        known: PreviousSolution | None = None,
+        previous: PreviousSolution | None = None,
         *,
         final: bool = True,
     ) -> FieldsToPlace:
         """Return fields to be solved jointly or, if not `final`, new ones to be placed against the fixed others."""
         listed = np.array(numbers, np.int32)
-        known = known or PreviousSolution.of(None, listed, marks)
-        return cls(outlines, listed, marks, stitching, known, None if final else known.unchanged)
+        previous = previous or PreviousSolution.of(None, listed, marks)
+        return cls(outlines, listed, marks, stitching, previous, None if final else previous.unchanged)
 
     @property
     def centres_um(self) -> tuple[Um, Um]:
@@ -148,7 +148,7 @@ class FieldsToPlace:
     @property
     def form(self) -> Form | None:
         """Shared terms of the earlier solution; None where they are to be estimated again."""
-        poses = self.known.poses
+        poses = self.previous.poses
         return None if self.fixed is None or poses is None or not self.fixed.any() else poses.form
 
 
@@ -199,7 +199,7 @@ class RegisteredOverlaps:
 def register_overlaps(fields: FieldsToPlace, observers: OverlapObservers) -> RegisteredOverlaps:
     """Register all overlaps, except those of unchanged fields, and exclude the fields that fit no neighbour."""
     pairs, n_fields = neighbours(fields.outlines), len(fields.outlines)
-    shifts = fields.known.shifts(pairs, observers.register)
+    shifts = fields.previous.shifts(pairs, observers.register)
     return RegisteredOverlaps(pairs, shifts, np.isin(np.arange(n_fields), misplaced_fields(n_fields, shifts)))
 
 
@@ -216,7 +216,7 @@ def solve_lateral(fields: FieldsToPlace, registered: RegisteredOverlaps) -> Posi
         fields.outlines[0].pixel_um,
         stage_error_um=fields.stitching.stage_error_um,
         fixed=fields.fixed,
-        start=(fields.known.earlier("x_um", x_um), fields.known.earlier("y_um", y_um)),
+        start=(fields.previous.earlier("x_um", x_um), fields.previous.earlier("y_um", y_um)),
         camera=fields.form and CameraAxes.of(fields.form),
     )
 
@@ -229,17 +229,17 @@ def solve_vertical(
     def look(pairs: Pairs) -> HeightOffsets:
         return observers.compare(pairs, lateral.x_um, lateral.y_um)
 
-    pairs, known = registered.usable_pairs, fields.known
+    pairs, previous = registered.usable_pairs, fields.previous
     first, zero = fields.outlines[0], np.zeros(len(fields.outlines))
     return solve_heights(
         lateral.x_um,
         lateral.y_um,
-        look(pairs) if fields.fixed is None else known.seams(pairs, look),
+        look(pairs) if fields.fixed is None else previous.seams(pairs, look),
         z_error_um=fields.stitching.z_error_um,
         tilt_error=fields.stitching.tilt_error,
         field_size_um=(first.shape[1] * first.pixel_um, first.shape[0] * first.pixel_um),
         fixed=fields.fixed,
-        start=(known.earlier("z_um", zero), known.earlier("tilt_x", zero), known.earlier("tilt_y", zero)),
+        start=(previous.earlier("z_um", zero), previous.earlier("tilt_x", zero), previous.earlier("tilt_y", zero)),
         form=fields.form,
     )
 

@@ -33,9 +33,9 @@ def test_a_slope_hangs_together() -> None:
 @given(seed=st.integers(0, 500), share=st.floats(0.6, 0.98), side=st.integers(2, 5))
 def test_narrow_parts_are_what_an_opening_removes(seed: int, share: float, side: int) -> None:
     z = np.where(np.random.default_rng(seed).random((24, 33)) < share, 0.0, np.nan).astype(np.float32)
-    known = np.isfinite(z)
-    opened = binary_opening(np.pad(known, side, mode="edge"), np.ones((side, side)))[side:-side, side:-side]
-    np.testing.assert_array_equal(narrow_parts(z, 6.0, side), known & ~opened)
+    valid = np.isfinite(z)
+    opened = binary_opening(np.pad(valid, side, mode="edge"), np.ones((side, side)))[side:-side, side:-side]
+    np.testing.assert_array_equal(narrow_parts(z, 6.0, side), valid & ~opened)
 
 
 def test_a_strip_between_steps_is_narrow() -> None:

@@ -49,8 +49,8 @@ def test_polynomials_are_those_of_least_squares(order):
     z = holed((30, 45)) + 100
     y, x = (np.linspace(-1, 1, n) for n in z.shape)
     design = np.stack([np.outer(y**i, x ** (t - i)).ravel() for t in range(order + 1) for i in range(t + 1)], axis=1)
-    known = np.isfinite(z).ravel()
-    expected = design @ np.linalg.lstsq(design[known], z.ravel()[known], rcond=None)[0]
+    valid = np.isfinite(z).ravel()
+    expected = design @ np.linalg.lstsq(design[valid], z.ravel()[valid], rcond=None)[0]
     assert polynomial(z, order) == pytest.approx(expected.reshape(z.shape), abs=1e-9)
 
 
@@ -73,10 +73,10 @@ def test_a_lag_is_over_the_pairs_that_it_has():
 
 
 def test_without_holes_pairs_are_counted_alike():
-    whole = RNG.normal(size=(40, 50))
-    edge = whole.copy()
+    full = RNG.normal(size=(40, 50))
+    edge = full.copy()
     edge[0, 0] = np.nan
-    assert autocorrelation(whole) == pytest.approx(autocorrelation(edge), abs=0.02)
+    assert autocorrelation(full) == pytest.approx(autocorrelation(edge), abs=0.02)
 
 
 def test_lags_with_hardly_any_pairs_have_no_value():

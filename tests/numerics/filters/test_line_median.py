@@ -52,7 +52,7 @@ def test_the_replacement_is_the_middle_of_the_four_medians(seed: int, holes: flo
 
 
 @pytest.mark.parametrize("wide", [1, 3, 5])
-def test_a_blob_up_to_five_wide_stands_apart_and_a_wider_one_does_not(wide: int) -> None:
+def test_a_blob_up_to_five_pixels_wide_is_an_outlier(wide: int) -> None:
     for side, apart in ((wide, True), (wide + 6, False)):
         z = np.zeros((40, 40), np.float32)
         z[15 : 15 + side, 15 : 15 + side] = 9

@@ -13,7 +13,7 @@ from wafer_viewer.numerics.filters.sliding_filters import (
     highest,
     lowest,
     mean,
-    mean_of_known,
+    mean_of_valid,
     nearest,
 )
 
@@ -32,9 +32,9 @@ def test_highest_and_lowest_keep_the_kind_of_number(size: int, kind: type) -> No
 
 def test_the_mean_of_what_is_known_leaves_out_the_rest() -> None:
     plane = np.array([[1.0, np.nan, 3.0], [5.0, np.nan, np.nan], [np.nan] * 3], np.float32)
-    found = mean_of_known(plane, np.isfinite(plane), 3)
+    found = mean_of_valid(plane, np.isfinite(plane), 3)
     assert found[0, 1] == pytest.approx((2 * 1 + 5 + 2 * 3) / 5)
-    assert mean_of_known(plane, np.zeros((3, 3), bool), 3).max() == 0
+    assert mean_of_valid(plane, np.zeros((3, 3), bool), 3).max() == 0
 
 
 def test_the_nearest_is_found_and_how_far_it_is() -> None:

@@ -16,15 +16,15 @@ def test_gaps_take_the_values_of_a_natural_cubic_spline(seed: int, share: float)
     rng = np.random.default_rng(seed)
     z = rng.normal(0, 3, (1, 60)).astype(np.float32)
     z[0, rng.random(60) < share] = np.nan
-    known = np.flatnonzero(np.isfinite(z[0]))
-    if known.size < 3:
+    valid = np.flatnonzero(np.isfinite(z[0]))
+    if valid.size < 3:
         return
-    inside = np.arange(known[0], known[-1] + 1)
-    expected = CubicSpline(known, z[0, known].astype(float), bc_type="natural")(inside)
+    inside = np.arange(valid[0], valid[-1] + 1)
+    expected = CubicSpline(valid, z[0, valid].astype(float), bc_type="natural")(inside)
     filled = fill_rows(z, 60, np.inf)
     np.testing.assert_allclose(filled[0, inside], expected, atol=1e-4)
-    assert np.isnan(filled[0, : known[0]]).all()
-    assert np.isnan(filled[0, known[-1] + 1 :]).all()
+    assert np.isnan(filled[0, : valid[0]]).all()
+    assert np.isnan(filled[0, valid[-1] + 1 :]).all()
 
 
 @settings(max_examples=40)

@@ -23,20 +23,20 @@ def bent(rows: np.ndarray, cols: np.ndarray) -> np.ndarray:
     return 0.01 * rows**2 - 0.3 * rows + 0.02 * cols**2 + 0.001 * rows * cols
 
 
-def read(plane: np.ndarray, way: tuple[float, ...], shape: tuple[int, int] = (40, 60)) -> np.ndarray:
+def read(plane: np.ndarray, direction: tuple[float, ...], shape: tuple[int, int] = (40, 60)) -> np.ndarray:
     out = np.empty(shape, np.float32)
-    read_affine(plane.astype(np.float32), fill_single_pixels(plane.astype(np.float32)), np.array(way), out)
+    read_affine(plane.astype(np.float32), fill_single_pixels(plane.astype(np.float32)), np.array(direction), out)
     return out
 
 
-def places(way: tuple[float, ...], shape: tuple[int, int] = (40, 60)) -> tuple[np.ndarray, np.ndarray]:
+def places(direction: tuple[float, ...], shape: tuple[int, int] = (40, 60)) -> tuple[np.ndarray, np.ndarray]:
     i, j = np.mgrid[: shape[0], : shape[1]]
-    return way[0] + way[1] * i + way[2] * j, way[3] + way[4] * i + way[5] * j
+    return direction[0] + direction[1] * i + direction[2] * j, direction[3] + direction[4] * i + direction[5] * j
 
 
-@pytest.mark.parametrize("way", WAYS.values(), ids=WAYS)
-def test_a_bent_surface_is_read_between_its_pixels(way: tuple[float, ...]) -> None:
-    np.testing.assert_allclose(read(bent(ROWS, COLS), way), bent(*places(way)), atol=2e-4)
+@pytest.mark.parametrize("direction", WAYS.values(), ids=WAYS)
+def test_a_bent_surface_is_read_between_its_pixels(direction: tuple[float, ...]) -> None:
+    np.testing.assert_allclose(read(bent(ROWS, COLS), direction), bent(*places(direction)), atol=2e-4)
 
 
 def test_products_of_rows_and_columns_are_taken_off() -> None:
@@ -46,13 +46,13 @@ def test_products_of_rows_and_columns_are_taken_off() -> None:
     assert np.abs(out).max() < 1e-4
 
 
-@pytest.mark.parametrize("way", WAYS.values(), ids=WAYS)
-def test_what_has_no_pixel_next_to_it_is_unknown_and_no_more(way: tuple[float, ...]) -> None:
+@pytest.mark.parametrize("direction", WAYS.values(), ids=WAYS)
+def test_what_has_no_pixel_next_to_it_is_unknown_and_no_more(direction: tuple[float, ...]) -> None:
     plane = bent(ROWS, COLS)
     plane[40:50, 45:60] = np.nan
-    rows, cols = places(way)
+    rows, cols = places(direction)
     hole = np.isnan(plane[np.floor(rows + 0.5).astype(int), np.floor(cols + 0.5).astype(int)])
-    found = read(plane, way)
+    found = read(plane, direction)
     assert hole.any()
     assert np.isnan(found[hole]).all()
     rim = np.isnan(found) & ~hole

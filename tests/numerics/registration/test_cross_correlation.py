@@ -12,15 +12,15 @@ from wafer_viewer.numerics.correlation import contrast, normalised_cross_correla
 def test_it_is_the_correlation_of_the_common_known_pixels():
     rng = np.random.default_rng(0)
     first, second = rng.normal(size=(30, 20)).astype(np.float32), rng.normal(size=(26, 23)).astype(np.float32)
-    known, other = rng.random(first.shape) < 0.8, rng.random(second.shape) < 0.9
-    first, second = first * known, second * other
-    alike = normalised_cross_correlation(first, known, second, other, (3, -2), 4)
+    valid, other = rng.random(first.shape) < 0.8, rng.random(second.shape) < 0.9
+    first, second = first * valid, second * other
+    alike = normalised_cross_correlation(first, valid, second, other, (3, -2), 4)
     for row in (-4, 0, 3):
         for col in (-4, 1, 4):
             down, right = 3 + row, -2 + col
             a = np.s_[max(0, down) : min(30, 26 + down), max(0, right) : min(20, 23 + right)]
             b = tuple(slice(s.start - n, s.stop - n) for s, n in zip(a, (down, right), strict=True))
-            both = known[a] & other[b]
+            both = valid[a] & other[b]
             expected = (first[a] * second[b]).sum() / np.sqrt(
                 (first[a] ** 2)[both].sum() * (second[b] ** 2)[both].sum()
             )
@@ -31,10 +31,10 @@ def test_it_is_the_correlation_of_the_common_known_pixels():
 @pytest.mark.parametrize("blur", [0.0, 2.0])
 def test_unlike_pictures_are_few_deviations_alike(blur):
     rng = np.random.default_rng(0)
-    highest, known = [], np.ones((80, 40), bool)
+    highest, valid = [], np.ones((80, 40), bool)
     for _ in range(20):
         a, b = (gaussian_filter(rng.normal(size=(80, 40)), blur).astype(np.float32) for _ in range(2))
-        highest.append(normalised_cross_correlation(a, known, b, known, (0, 0), 8).sigmas.max())
+        highest.append(normalised_cross_correlation(a, valid, b, valid, (0, 0), 8).sigmas.max())
     assert 1.0 < np.mean(highest) < 4.0
     assert np.max(highest) < 5.5
 
@@ -42,9 +42,9 @@ def test_unlike_pictures_are_few_deviations_alike(blur):
 def test_contrast_does_not_change_with_light():
     rng = np.random.default_rng(0)
     picture = gaussian_filter(rng.normal(size=(90, 70)), 1.0).astype(np.float32)
-    known = np.ones(picture.shape, bool)
-    plain = contrast(picture, known, 11)
-    lit = contrast((3 * picture + 40 + 0.01 * np.arange(70)).astype(np.float32), known, 11)
+    valid = np.ones(picture.shape, bool)
+    plain = contrast(picture, valid, 11)
+    lit = contrast((3 * picture + 40 + 0.01 * np.arange(70)).astype(np.float32), valid, 11)
     assert np.corrcoef(plain.ravel(), lit.ravel())[0, 1] > 0.9999
     assert not contrast(np.full((9, 9), 5, np.float32), np.ones((9, 9), bool), 5).any()
     assert not contrast(picture, np.zeros(picture.shape, bool), 11).any()

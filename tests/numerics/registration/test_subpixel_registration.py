@@ -12,8 +12,8 @@ from wafer_viewer.numerics.subpixel_registration import RegisteredImage, align, 
 SHAPE = 160, 90
 
 
-def picture(values: NDArray, known: NDArray | None = None, noise: float = 0.1) -> RegisteredImage:
-    mask = np.ones(values.shape) if known is None else known
+def picture(values: NDArray, valid: NDArray | None = None, noise: float = 0.1) -> RegisteredImage:
+    mask = np.ones(values.shape) if valid is None else valid
     return RegisteredImage(values.astype(np.float32), mask.astype(np.float32), noise)
 
 
@@ -47,19 +47,19 @@ def test_reading_between_pixels_keeps_a_plane(part):
 def test_sums_of_blocks_are_those_of_the_pixels():
     rng = np.random.default_rng(0)
     a, b = rng.normal(size=(2, 50, 41)).astype(np.float32)
-    known = (rng.random((50, 41)) < 0.8).astype(np.float32)
-    sums = block_sums(a, known, b, np.ones_like(b), (4.0, -3.0), 12)
+    valid = (rng.random((50, 41)) < 0.8).astype(np.float32)
+    sums = block_sums(a, valid, b, np.ones_like(b), (4.0, -3.0), 12)
     assert sums.shape == (3, 2, 5, 5)
-    assert sums[:, :, 0, 0].sum() == known[7:47, 3:35].sum()
+    assert sums[:, :, 0, 0].sum() == valid[7:47, 3:35].sum()
     smooth = np.stack([np.convolve(row, taps(0)[0], "valid") for row in a])
     smooth = np.stack([np.convolve(col, taps(0)[0], "valid") for col in smooth.T]).T
-    inner = known[7:47, 3:35]
+    inner = valid[7:47, 3:35]
     np.testing.assert_allclose(sums[:, :, 0, 1].sum(), (smooth[4:44, :32] * inner).sum(), rtol=1e-4)
     np.testing.assert_allclose(sums[:, :, 1, 1].sum(), (smooth[4:44, :32] ** 2 * inner).sum(), rtol=1e-4)
     np.testing.assert_array_equal(sums, sums.swapaxes(2, 3))
 
 
-def test_nothing_in_common_tells_nothing():
+def test_surfaces_without_overlap_give_no_measurement():
     first, second = two((0, 0), 0.1)
     found = align(first, second, (0.0, 300.0), 20)
     assert np.isinf(found.covariance).all()
@@ -93,12 +93,12 @@ def test_along_lines_nothing_is_known():
 def test_pixels_that_are_not_known_count_nothing():
     first, second = two((0.4, -0.3), 0.05)
     rng = np.random.default_rng(0)
-    known = rng.random(SHAPE) < 0.9
-    known[60:90] = False
-    spoilt = np.where(known, second.values, second.values.mean())
-    found = align(first, picture(spoilt, known), (0.0, 0.0), 20)
-    whole = align(first, second, (0.0, 0.0), 20)
-    assert found.n_pixels < 0.8 * whole.n_pixels
+    valid = rng.random(SHAPE) < 0.9
+    valid[60:90] = False
+    spoilt = np.where(valid, second.values, second.values.mean())
+    found = align(first, picture(spoilt, valid), (0.0, 0.0), 20)
+    full = align(first, second, (0.0, 0.0), 20)
+    assert found.n_pixels < 0.8 * full.n_pixels
     assert np.abs(np.array(found.lag) - (0.4, -0.3)).max() < 0.08
 
 

@@ -27,9 +27,9 @@ def test_a_pixel_is_the_mean_of_what_was_measured_below_it(make_map: MakeMap, ro
     for r in range(half.shape[0]):
         for c in range(half.shape[1]):
             below = z[2 * r : 2 * r + 2, 2 * c : 2 * c + 2]
-            known = below[np.isfinite(below)]
-            if known.size:
-                assert half.z_um[r, c] == pytest.approx(known.mean(), abs=1e-6)
+            valid = below[np.isfinite(below)]
+            if valid.size:
+                assert half.z_um[r, c] == pytest.approx(valid.mean(), abs=1e-6)
             else:
                 assert np.isnan(half.z_um[r, c])
 

@@ -46,42 +46,42 @@ def placed(make_map: MakeMap, *corners: tuple[float, float]) -> MosaicLayout:
     return layout([make_map(np.zeros((ROWS, COLS)), col * 0.5, -row * 0.5) for row, col in corners])
 
 
-def ramps_px(laid: MosaicLayout, n: int) -> tuple[float, ...]:
-    place = laid.place(n)
+def ramps_px(arranged: MosaicLayout, n: int) -> tuple[float, ...]:
+    place = arranged.place(n)
     assert place is not None
     return place.ramps_px
 
 
 def test_a_ramp_is_as_long_as_the_overlap_with_the_neighbour_there(make_map: MakeMap) -> None:
-    laid = placed(make_map, (0, 0), (0, 64), (48, 0), (48, 64))
-    assert ramps_px(laid, 0) == (0, 11, 0, 15)
-    assert ramps_px(laid, 3) == (11, 0, 15, 0)
+    arranged = placed(make_map, (0, 0), (0, 64), (48, 0), (48, 64))
+    assert ramps_px(arranged, 0) == (0, 11, 0, 15)
+    assert ramps_px(arranged, 3) == (11, 0, 15, 0)
 
 
 @pytest.mark.parametrize("drift", [-9, 0, 9])
 def test_a_neighbour_below_that_lies_a_little_aside_is_not_one_beside(make_map: MakeMap, drift: int) -> None:
-    laid = placed(make_map, (0, 20), (48, 20 + drift))
-    assert ramps_px(laid, 0) == (0, 11, 0, 0)
-    assert ramps_px(laid, 1) == (11, 0, 0, 0)
+    arranged = placed(make_map, (0, 20), (48, 20 + drift))
+    assert ramps_px(arranged, 0) == (0, 11, 0, 0)
+    assert ramps_px(arranged, 1) == (11, 0, 0, 0)
 
 
 def test_fields_like_bricks_fade_into_those_above(make_map: MakeMap) -> None:
-    laid = placed(make_map, (0, 40), (48, 0), (48, 64))
-    assert ramps_px(laid, 0) == (0, 11, 0, 0)
-    assert ramps_px(laid, 1) == (11, 0, 0, 15)
+    arranged = placed(make_map, (0, 40), (48, 0), (48, 64))
+    assert ramps_px(arranged, 0) == (0, 11, 0, 0)
+    assert ramps_px(arranged, 1) == (11, 0, 0, 15)
 
 
 def test_an_island_does_not_fade(make_map: MakeMap) -> None:
-    laid = placed(make_map, (0, 0), (0, 500))
-    assert ramps_px(laid, 0) == ramps_px(laid, 1) == (0, 0, 0, 0)
-    assert laid.touching(slice(0, 10), slice(100, 400)) == []
-    assert laid.touching(slice(0, 10), slice(79, 501)) == [0, 1]
+    arranged = placed(make_map, (0, 0), (0, 500))
+    assert ramps_px(arranged, 0) == ramps_px(arranged, 1) == (0, 0, 0, 0)
+    assert arranged.touching(slice(0, 10), slice(100, 400)) == []
+    assert arranged.touching(slice(0, 10), slice(79, 501)) == [0, 1]
 
 
-def test_whoever_lies_between_the_pixels_covers_those_within(make_map: MakeMap) -> None:
-    laid = placed(make_map, (0, 0), (0.4, 64.7))
-    assert laid.window_of(1) == (slice(1, ROWS), slice(65, 64 + COLS))
-    assert laid.window_of(0) == (slice(0, ROWS), slice(0, COLS))
+def test_a_fractional_window_covers_the_pixels_inside(make_map: MakeMap) -> None:
+    arranged = placed(make_map, (0, 0), (0.4, 64.7))
+    assert arranged.window_of(1) == (slice(1, ROWS), slice(65, 64 + COLS))
+    assert arranged.window_of(0) == (slice(0, ROWS), slice(0, COLS))
 
 
 def test_a_line_of_pixels_between_two_of_the_mosaic_is_not_seen(make_map: MakeMap) -> None:

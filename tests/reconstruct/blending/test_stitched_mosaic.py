@@ -26,7 +26,7 @@ MakeMap = Callable[..., HeightMap]
 ROWS, COLS, STEP_R, STEP_C = 60, 80, 48, 64
 
 
-def laid(maps: list[HeightMap], blend: str = "ramp", poses: Poses | None = None) -> StitchedMosaic:
+def stitched(maps: list[HeightMap], blend: str = "ramp", poses: Poses | None = None) -> StitchedMosaic:
     recipe = Recipe(stitching=Stitching(poses="stage", blend=blend))
     return StitchedMosaic(maps, layout(maps, poses), mosaic_provenance([m.provenance for m in maps], recipe))
 
@@ -63,21 +63,21 @@ def _progressive(maps: list[HeightMap], rows: int, cols: int) -> NDArray:
         for c in range(1, cols):
             strip = append(strip, maps[r * cols + c].z_um, COLS - STEP_C)
         strips.append(strip)
-    whole = strips[0].T
+    full = strips[0].T
     for strip in strips[1:]:
-        whole = append(whole, strip.T, ROWS - STEP_R)
-    return whole.T
+        full = append(full, strip.T, ROWS - STEP_R)
+    return full.T
 
 
 def test_a_regular_grid_is_blended_as_the_paper_says(grid_of_maps: Any) -> None:
     maps = grid_of_maps(3, 4, noise_um=5.0)
-    np.testing.assert_allclose(laid(maps).window().z_um, _progressive(maps, 3, 4), atol=2e-4)
+    np.testing.assert_allclose(stitched(maps).window().z_um, _progressive(maps, 3, 4), atol=2e-4)
 
 
 @pytest.mark.parametrize("blend", BLENDS)
 def test_the_order_of_the_fields_does_not_matter(grid_of_maps: Any, blend: str) -> None:
     maps = grid_of_maps(2, 3, jitter_um=1.0, noise_um=1.0)
-    forward, back = laid(maps, blend).window(), laid(maps[::-1], blend).window()
+    forward, back = stitched(maps, blend).window(), stitched(maps[::-1], blend).window()
     for name in ("z_um", "z_raw_um", "confidence", "overlap_um"):
         np.testing.assert_allclose(getattr(forward, name), getattr(back, name), atol=1e-4, err_msg=name)
     np.testing.assert_array_equal(forward.origin, back.origin)
@@ -92,11 +92,11 @@ def test_weights_add_up_to_one_wherever_the_fields_lie(
 ) -> None:
     maps = grid_of_maps(3, 3, jitter_um=jitter_um, seed=seed)
     del maps[lost]
-    whole = laid(maps, blend).window()
-    covered = whole.origin == Origin.MEASURED
-    np.testing.assert_allclose(whole.z_um[covered], _plane(whole)[covered], atol=1e-4)
-    assert (whole.origin[~covered] == Origin.NOT_COVERED).all()
-    assert np.isnan(whole.z_um[~covered]).all()
+    full = stitched(maps, blend).window()
+    covered = full.origin == Origin.MEASURED
+    np.testing.assert_allclose(full.z_um[covered], _plane(full)[covered], atol=1e-4)
+    assert (full.origin[~covered] == Origin.NOT_COVERED).all()
+    assert np.isnan(full.z_um[~covered]).all()
     assert covered.mean() > 0.75
 
 
@@ -104,20 +104,20 @@ def test_a_mosaic_of_one_map_is_that_map(make_map: MakeMap) -> None:
     z = np.random.default_rng(1).normal(0, 1, (40, 50))
     z[10:15, 20:30] = np.nan
     one = make_map(z, 7.0, 9.0)
-    whole = laid([one]).window()
-    np.testing.assert_array_equal(whole.z_um, one.z_um)
-    np.testing.assert_array_equal(whole.origin, one.origin)
-    np.testing.assert_array_equal(whole.all_in_focus, one.all_in_focus)
-    assert (whole.x0_um, whole.y0_um) == (7.0, 9.0)
+    full = stitched([one]).window()
+    np.testing.assert_array_equal(full.z_um, one.z_um)
+    np.testing.assert_array_equal(full.origin, one.origin)
+    np.testing.assert_array_equal(full.all_in_focus, one.all_in_focus)
+    assert (full.x0_um, full.y0_um) == (7.0, 9.0)
 
 
-def test_what_one_field_did_not_see_comes_from_the_other(make_map: MakeMap) -> None:
+def test_gaps_of_one_field_are_filled_by_the_other(make_map: MakeMap) -> None:
     left, right = np.full((40, 60), 1.0), np.full((40, 60), 2.0)
     left[10:20, 45:] = np.nan
-    whole = laid([make_map(left), make_map(right, x0_um=20.0)]).window()
-    np.testing.assert_array_equal(whole.z_um[10:20, 45:60], 2.0)
-    assert whole.z_um[30, 50] == pytest.approx(1 + (50 - 40) / 19)
-    assert np.isfinite(whole.z_um).all()
+    full = stitched([make_map(left), make_map(right, x0_um=20.0)]).window()
+    np.testing.assert_array_equal(full.z_um[10:20, 45:60], 2.0)
+    assert full.z_um[30, 50] == pytest.approx(1 + (50 - 40) / 19)
+    assert np.isfinite(full.z_um).all()
 
 
 def test_a_measured_height_beats_a_filled_one_in_either_order(make_map: MakeMap) -> None:
@@ -125,11 +125,11 @@ def test_a_measured_height_beats_a_filled_one_in_either_order(make_map: MakeMap)
     filled = dataclasses.replace(filled, z_raw_um=np.full((20, 20), np.nan, np.float32))
     measured = make_map(np.full((20, 20), 1.0))
     for maps, blend in itertools.product(([filled, measured], [measured, filled]), BLENDS):
-        whole = laid(maps, blend).window()
-        np.testing.assert_array_equal(whole.z_um, 1.0)
-        np.testing.assert_array_equal(whole.z_raw_um, 1.0)
-        assert (whole.origin == Origin.MEASURED).all()
-    alone = laid([filled, filled]).window()
+        full = stitched(maps, blend).window()
+        np.testing.assert_array_equal(full.z_um, 1.0)
+        np.testing.assert_array_equal(full.z_raw_um, 1.0)
+        assert (full.origin == Origin.MEASURED).all()
+    alone = stitched([filled, filled]).window()
     assert np.isnan(alone.z_raw_um).all()
     np.testing.assert_array_equal(alone.z_um, 5.0)
     assert (alone.origin == Origin.FILLED).all()
@@ -139,19 +139,19 @@ def test_between_pixels_nothing_is_mixed_across_nan_or_a_step(make_map: MakeMap)
     z = np.zeros((40, 60))
     z[:, 30:] = 50
     z[20:25, 10:20] = np.nan
-    whole = laid([make_map(z), make_map(z, x0_um=10.2, y0_um=-0.1)]).window()
-    only_second = whole.z_um[:, 62:]
+    full = stitched([make_map(z), make_map(z, x0_um=10.2, y0_um=-0.1)]).window()
+    only_second = full.z_um[:, 62:]
     heights = only_second[np.isfinite(only_second)]
     assert heights.size > 100
     assert np.minimum(np.abs(heights), np.abs(heights - 50)).max() < 1e-4
 
 
 def test_a_window_is_the_same_part_of_the_whole(grid_of_maps: Any) -> None:
-    mosaic = laid(grid_of_maps(3, 3, jitter_um=1.0, noise_um=1.0))
-    whole = mosaic.window()
+    mosaic = stitched(grid_of_maps(3, 3, jitter_um=1.0, noise_um=1.0))
+    full = mosaic.window()
     part = mosaic.window(Region.rectangle(20.0, -20.0, 60.0, -50.0))
-    row, col = round((whole.y0_um - part.y0_um) / 0.5), round((part.x0_um - whole.x0_um) / 0.5)
-    same = whole.z_um[row : row + part.shape[0], col : col + part.shape[1]]
+    row, col = round((full.y0_um - part.y0_um) / 0.5), round((part.x0_um - full.x0_um) / 0.5)
+    same = full.z_um[row : row + part.shape[0], col : col + part.shape[1]]
     np.testing.assert_array_equal(part.z_um, same)
     assert part.x0_um <= 20.0 + 0.25
     assert part.bounds_um[2] >= 60.0 - 0.25
@@ -160,12 +160,12 @@ def test_a_window_is_the_same_part_of_the_whole(grid_of_maps: Any) -> None:
 def test_shards_put_together_are_the_whole(grid_of_maps: Any) -> None:
     maps = grid_of_maps(2, 2, jitter_um=1.0)
     lattice = layout(maps)
-    whole = laid(maps, "confidence").window()
+    full = stitched(maps, "confidence").window()
     rows, cols = lattice.shape
     for r in range(0, rows, 50):
         for c in range(0, cols, 50):
             part = slice(r, min(r + 50, rows)), slice(c, min(c + 50, cols))
-            np.testing.assert_array_equal(blend_window(maps, *part).z_um, whole.z_um[part])
+            np.testing.assert_array_equal(blend_window(maps, *part).z_um, full.z_um[part])
 
 
 def test_a_window_looks_only_at_the_fields_it_touches(grid_of_maps: Any) -> None:
@@ -183,7 +183,7 @@ def test_a_window_looks_only_at_the_fields_it_touches(grid_of_maps: Any) -> None
 
 def test_a_coarser_level_is_the_mean_of_what_was_measured(make_map: MakeMap, grid_of_maps: Any) -> None:
     maps = [make_map(np.random.default_rng(n).normal(0, 1, (400, 500)), n * 200.0, 0.0) for n in range(3)]
-    mosaic = laid(maps)
+    mosaic = stitched(maps)
     assert mosaic.levels == 3
     fine, coarse = mosaic.window(), mosaic.window(level=1)
     rows, cols = coarse.shape
@@ -194,25 +194,25 @@ def test_a_coarser_level_is_the_mean_of_what_was_measured(make_map: MakeMap, gri
     assert coarse.x0_um == fine.x0_um + 0.25
     region = Region.rectangle(100.0, -20.0, 300.0, -80.0)
     part = mosaic.window(region, level=2)
-    whole = mosaic.window(level=2)
-    row, col = round((whole.y0_um - part.y0_um) / 2), round((part.x0_um - whole.x0_um) / 2)
-    np.testing.assert_array_equal(part.z_um, whole.z_um[row : row + part.shape[0], col : col + part.shape[1]])
+    full = mosaic.window(level=2)
+    row, col = round((full.y0_um - part.y0_um) / 2), round((part.x0_um - full.x0_um) / 2)
+    np.testing.assert_array_equal(part.z_um, full.z_um[row : row + part.shape[0], col : col + part.shape[1]])
 
 
 def test_a_mosaic_of_a_simulated_field_is_simulated(make_map: MakeMap) -> None:
     real = make_map(np.zeros((20, 20)))
     virtual = make_map(np.zeros((20, 20)), x0_um=8.0, provenance=Provenance(simulated=True, z_step_um=4.0))
-    assert laid([real, virtual]).provenance.simulated
-    assert laid([real, virtual]).window().provenance.simulated
-    assert not laid([real, real]).provenance.simulated
+    assert stitched([real, virtual]).provenance.simulated
+    assert stitched([real, virtual]).window().provenance.simulated
+    assert not stitched([real, real]).provenance.simulated
 
 
-def test_what_cannot_be_stitched_is_said(make_map: MakeMap) -> None:
+def test_what_cannot_be_stitched_is_reported(make_map: MakeMap) -> None:
     with pytest.raises(ComputeError, match="no field to stitch"):
-        laid([])
+        stitched([])
     with pytest.raises(ComputeError, match=r"0\.5 and of 0\.6 um per pixel"):
-        laid([make_map(np.zeros((9, 9))), make_map(np.zeros((9, 9)), pixel_um=0.6)])
-    mosaic = laid([make_map(np.zeros((9, 9)))])
+        stitched([make_map(np.zeros((9, 9))), make_map(np.zeros((9, 9)), pixel_um=0.6)])
+    mosaic = stitched([make_map(np.zeros((9, 9)))])
     with pytest.raises(MeasureError, match="level 7"):
         mosaic.window(level=7)
     with pytest.raises(MeasureError, match="outside"):
@@ -243,14 +243,14 @@ def test_fields_are_drawn_where_they_lie_and_upright(grid_of_maps: Any, blend: s
     true = solved(
         maps, z_um=rng.normal(0, 2, 9), tilt_x=rng.normal(0, 0.01, 9), tilt_y=rng.normal(0, 0.01, 9), form=form
     )
-    seen = [lying(m, true, n) for n, m in enumerate(maps)]
-    moved = [dataclasses.replace(m, x0_um=m.x0_um + 3.3, y0_um=m.y0_um - 1.7) for m in seen]
-    whole = laid(moved, blend, true).window()
-    covered = whole.origin == Origin.MEASURED
+    observed = [lying(m, true, n) for n, m in enumerate(maps)]
+    moved = [dataclasses.replace(m, x0_um=m.x0_um + 3.3, y0_um=m.y0_um - 1.7) for m in observed]
+    full = stitched(moved, blend, true).window()
+    covered = full.origin == Origin.MEASURED
     assert covered.mean() > 0.9
-    np.testing.assert_allclose(whole.z_um[covered], _plane(whole)[covered], atol=1e-3)
-    np.testing.assert_allclose(whole.z_raw_um[covered], _plane(whole)[covered], atol=1e-3)
-    assert np.nanmax(whole.overlap_um) < 2e-3
+    np.testing.assert_allclose(full.z_um[covered], _plane(full)[covered], atol=1e-3)
+    np.testing.assert_allclose(full.z_raw_um[covered], _plane(full)[covered], atol=1e-3)
+    assert np.nanmax(full.overlap_um) < 2e-3
 
 
 def lying(height: HeightMap, poses: Poses, n: int) -> HeightMap:
@@ -264,7 +264,7 @@ def lying(height: HeightMap, poses: Poses, n: int) -> HeightMap:
 def test_a_field_that_is_left_out_is_not_there(grid_of_maps: Any) -> None:
     maps = grid_of_maps(1, 3)
     out = np.array([False, False, True])
-    mosaic = laid(maps, poses=solved(maps, left_out=out))
+    mosaic = stitched(maps, poses=solved(maps, left_out=out))
     assert mosaic.shape == (ROWS, STEP_C + COLS)
     assert mosaic.layout.place(2) is None
     assert mosaic.layout.window_of(2) is None
@@ -282,18 +282,18 @@ def test_a_planned_lattice_has_room_and_does_not_move(grid_of_maps: Any) -> None
     away = solved(maps[:3], x_um=solved(maps[:3]).x_um - 15.0)
     placed = layout(maps[:3], away, lattice)
     assert placed.lattice == lattice
-    whole = StitchedMosaic(maps[:3], placed, maps[0].provenance).window()
-    assert np.flatnonzero((whole.origin == Origin.MEASURED).any(axis=0))[0] == 2
+    full = StitchedMosaic(maps[:3], placed, maps[0].provenance).window()
+    assert np.flatnonzero((full.origin == Origin.MEASURED).any(axis=0))[0] == 2
     beyond = layout(maps[:3], solved(maps[:3], x_um=away.x_um - 5.0), lattice)
     assert beyond.window_of(0)[1].start == 0
 
 
 def test_where_nothing_is_covered_the_picture_is_of_the_same_kind(make_map: MakeMap) -> None:
     deep = make_map(np.zeros((20, 20)), all_in_focus=np.full((20, 20), 3000, np.uint16))
-    whole = StitchedMosaic([deep], layout([deep], None, planned_lattice([deep])), deep.provenance)
-    corner = whole.window(Region.rectangle(whole.x0_um, whole.y0_um, whole.x0_um, whole.y0_um))
+    full = StitchedMosaic([deep], layout([deep], None, planned_lattice([deep])), deep.provenance)
+    corner = full.window(Region.rectangle(full.x0_um, full.y0_um, full.x0_um, full.y0_um))
     assert (corner.all_in_focus.dtype, corner.origin.item()) == (np.uint16, Origin.NOT_COVERED)
-    assert whole.window().all_in_focus.max() == 3000
+    assert full.window().all_in_focus.max() == 3000
 
 
 # ---------------------------------------------------------------------------------------------- overlaps
@@ -307,18 +307,18 @@ def pair(make_map: MakeMap, left: NDArray, right: NDArray, **changes: Any) -> li
 def test_the_better_measured_height_wins(make_map: MakeMap) -> None:
     sure, unsure = pair(make_map, np.full((40, 60), 1.0), np.full((40, 60), 2.0))
     unsure = dataclasses.replace(unsure, confidence=np.full((40, 60), 0.1, np.float32))
-    believed = laid([sure, unsure], "confidence").window().z_um[:, 20:60]
-    by_ramp = laid([sure, unsure]).window().z_um[:, 20:60]
+    believed = stitched([sure, unsure], "confidence").window().z_um[:, 20:60]
+    by_ramp = stitched([sure, unsure]).window().z_um[:, 20:60]
     assert believed[:, 5:25].max() < 1.05
     assert by_ramp[0, 20] == pytest.approx(1.5, abs=0.05)
 
 
 def test_no_step_is_seen_where_fields_begin_and_end(make_map: MakeMap) -> None:
     for blend in BLENDS:
-        whole = laid(pair(make_map, np.full((40, 60), 1.0), np.full((40, 60), 2.0)), blend).window()
-        assert np.abs(np.diff(whole.z_um, axis=1)).max() < 0.15
-        assert (whole.z_um[:, 20] < 1.001).all()
-        assert (whole.z_um[:, 59] > 1.999).all()
+        full = stitched(pair(make_map, np.full((40, 60), 1.0), np.full((40, 60), 2.0)), blend).window()
+        assert np.abs(np.diff(full.z_um, axis=1)).max() < 0.15
+        assert (full.z_um[:, 20] < 1.001).all()
+        assert (full.z_um[:, 59] > 1.999).all()
 
 
 def test_of_two_heights_far_apart_one_is_taken_not_the_middle(make_map: MakeMap) -> None:
@@ -326,19 +326,19 @@ def test_of_two_heights_far_apart_one_is_taken_not_the_middle(make_map: MakeMap)
     right[:, 15:] = 50  # it has the edge of the step five pixels too far left
     left = np.zeros((40, 60))
     left[:, 40:] = 50
-    z = laid(pair(make_map, left, right), "confidence").window().z_um
+    z = stitched(pair(make_map, left, right), "confidence").window().z_um
     assert np.minimum(np.abs(z), np.abs(z - 50)).max() < 1e-3
-    mixed = laid(pair(make_map, left, right)).window().z_um[:, 35:40]
+    mixed = stitched(pair(make_map, left, right)).window().z_um[:, 35:40]
     assert (np.abs(mixed - 25) < 15).all()
 
 
-def test_a_false_height_that_stands_alone_gives_way(make_map: MakeMap) -> None:
+def test_an_isolated_false_height_gets_little_weight(make_map: MakeMap) -> None:
     rng = np.random.default_rng(3)
     left, right = np.zeros((40, 60)), np.zeros((40, 60))
     for z in (left, right):
         z[rng.integers(2, 38, 8), rng.integers(24, 36, 8)] = 30.0
     left[:, :20], right[:, 40:] = 0, 0
-    z = laid(pair(make_map, left, right), "confidence").window().z_um
+    z = stitched(pair(make_map, left, right), "confidence").window().z_um
     assert np.abs(z[:, 24:56]).max() < 0.5
 
 
@@ -351,11 +351,11 @@ def test_differences_of_overlaps_are_those_of_what_was_measured(make_map: MakeMa
     for n, (row, col) in enumerate(((0, 0), (0, 20), (10, 0), (10, 20))):
         raw[n, row : row + 40, col : col + 60] = maps[n].z_raw_um
     for blend in BLENDS:
-        found = laid(maps, blend).window().overlap_um
-        seen = np.isfinite(raw).sum(axis=0)
-        assert (np.isfinite(found) == (seen >= 2)).all()
-        span = np.nanmax(raw[:, seen >= 2], axis=0) - np.nanmin(raw[:, seen >= 2], axis=0)
-        np.testing.assert_allclose(found[seen >= 2], span, atol=1e-6)
+        found = stitched(maps, blend).window().overlap_um
+        observed = np.isfinite(raw).sum(axis=0)
+        assert (np.isfinite(found) == (observed >= 2)).all()
+        span = np.nanmax(raw[:, observed >= 2], axis=0) - np.nanmin(raw[:, observed >= 2], axis=0)
+        np.testing.assert_allclose(found[observed >= 2], span, atol=1e-6)
 
 
 def test_brightness_changes_without_a_line(make_map: MakeMap) -> None:
@@ -363,7 +363,7 @@ def test_brightness_changes_without_a_line(make_map: MakeMap) -> None:
         make_map(np.zeros((40, 90)), x, all_in_focus=np.full((40, 90), g, np.uint8))
         for x, g in ((0.0, 90), (15.0, 120))
     )
-    grey = laid([dark, light], "confidence").window().all_in_focus.astype(int)
+    grey = stitched([dark, light], "confidence").window().all_in_focus.astype(int)
     assert np.abs(np.diff(grey, axis=1)).max() <= 1
     assert (grey[:, 0].max(), grey[:, -1].min()) == (90, 120)
 
@@ -372,5 +372,5 @@ def test_fields_that_lie_like_bricks_have_no_hard_seam(make_map: MakeMap) -> Non
     above, left, right = (
         make_map(np.full((60, 80), z), x, y) for z, x, y in ((0.0, 0.0, 0.0), (1.0, -21.0, -24.0), (1.0, 15.0, -24.0))
     )
-    z = laid([above, left, right], "confidence").window().z_um
+    z = stitched([above, left, right], "confidence").window().z_um
     assert np.nanmax(np.abs(np.diff(z, axis=0))) < 0.4

@@ -36,6 +36,6 @@ def test_pictures_of_neighbours_are_blended_over_their_overlap() -> None:
 
 def test_a_window_of_the_stitched_picture_is_the_same_part_of_it() -> None:
     stacks = [_stack(0.0, 100), _stack(15.3, 180)]
-    whole, _ = stitched_picture(stacks, 12.0)
+    full, _ = stitched_picture(stacks, 12.0)
     part, _ = stitched_picture(stacks, 12.0, slice(3, 9), slice(25, 55))
-    np.testing.assert_array_equal(part, whole[3:9, 25:55])
+    np.testing.assert_array_equal(part, full[3:9, 25:55])

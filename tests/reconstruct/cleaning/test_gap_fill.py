@@ -40,7 +40,7 @@ def test_nothing_is_filled_across_a_step() -> None:
     assert np.isnan(filled[:, 27:33]).all()
 
 
-def test_a_spline_does_not_feel_the_step_beside_its_gap() -> None:
+def test_a_spline_does_not_feel_the_step_next_to_its_gap() -> None:
     z = np.zeros((60, 60), np.float32)
     z[:, 30:] = 40
     z[10:14, 22:26] = np.nan

@@ -65,7 +65,7 @@ def test_the_literal_form_is_that_of_the_equations() -> None:
     assert len({float(e[0, 0]) for e in estimates}) > 2
 
 
-def test_only_what_stands_out_flies_or_is_switched(step: tuple[NDArray, NDArray]) -> None:
+def test_smoothing_changes_only_outliers(step: tuple[NDArray, NDArray]) -> None:
     _, z = step
     for mode in ("guided", "switching_median"):
         assert np.mean(smooth(z, _levy(mode), 10.0) != z) < 0.07
@@ -182,7 +182,7 @@ def test_flights_of_the_chosen_length_converge_for_any_beta(step: tuple[NDArray,
 
 
 @pytest.mark.slow
-def test_rounds_end_when_nothing_changes(step: tuple[NDArray, NDArray]) -> None:
+def test_the_iteration_ends_when_nothing_changes(step: tuple[NDArray, NDArray]) -> None:
     quiet = np.zeros((64, 64), np.float32)
     assert all(settle_levy([quiet], Levy(mode=mode), 2.0).iterations == 1 for mode in SMOOTHERS if mode != "literal")
     assert settle_levy([step[1]], Levy(mode="literal"), 10.0).iterations == 1

@@ -40,7 +40,7 @@ def test_clean_steps_keep_their_edges_and_corners() -> None:
     assert not _found(_die(noise_um=0.0), _recipe()).any()
 
 
-def test_a_step_keeps_its_edges_beside_unmeasured_pixels() -> None:
+def test_a_step_keeps_its_edges_next_to_unmeasured_pixels() -> None:
     z = _die()
     z[:, 38:42] = np.nan
     z[10:20, 10:90] = np.nan
@@ -100,9 +100,9 @@ def test_spikes_do_not_take_what_is_around_them() -> None:
     z[rng.random(z.shape) < 0.02] = np.nan
     recipe = settle_cleaning([z.astype(np.float32)], Recipe(window=9), 4.0)
     dropped = clean(z.astype(np.float32), 0.5, recipe, 4.0).outlier
-    known = np.isfinite(z)
-    assert dropped[spikes & known].mean() > 0.97
-    assert dropped[~spikes & known].mean() < 0.01
+    valid = np.isfinite(z)
+    assert dropped[spikes & valid].mean() > 0.97
+    assert dropped[~spikes & valid].mean() < 0.01
 
 
 def test_nothing_is_dropped_when_it_is_not_wanted() -> None:

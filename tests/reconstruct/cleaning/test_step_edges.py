@@ -63,16 +63,16 @@ def test_no_sliver_of_a_steep_slope_is_left() -> None:
     assert found.outlier[31, 68]
 
 
-def test_what_goes_on_from_bled_heights_is_left_out() -> None:
+def test_heights_continuing_from_bleeding_are_rejected() -> None:
     everything = 1.6 * np.arange(80, dtype=np.float32) * np.ones((60, 1), np.float32)
     beyond = np.arange(80) >= 76
     z_um, bled_um = (np.where(where, everything, np.float32(np.nan)) for where in (beyond, ~beyond))
-    alone, beside = cleaned_of(z_um), cleaned_of(z_um, bled_um)
+    alone, neighbour = cleaned_of(z_um), cleaned_of(z_um, bled_um)
     assert np.isfinite(alone.raw_um[:, 76:]).all()
-    assert beside.step_edge[:, 76:].all()
+    assert neighbour.step_edge[:, 76:].all()
 
 
-def test_what_stays_beside_a_step_is_of_its_own_side(stair: Taken) -> None:
+def test_heights_next_to_a_step_belong_to_their_side(stair: Taken) -> None:
     guarded, open_ = (reconstruct(stair.stack, Recipe(window=9, edges=edges)) for edges in ("rims", "none"))
     wrong = [int((np.abs(h.z_raw_um - stair.scene.truth_um) > 4).sum()) for h in (guarded, open_)]
     assert wrong[1] > 20
@@ -82,7 +82,7 @@ def test_what_stays_beside_a_step_is_of_its_own_side(stair: Taken) -> None:
     assert not left_out[stair.scene.edge_distance_px > 10].any()
 
 
-def test_the_pixel_says_so(stair: Taken) -> None:
+def test_the_pixel_gives_the_reason(stair: Taken) -> None:
     height = reconstruct(stair.stack, Recipe(window=9))
     row, col = np.argwhere(height.origin == Origin.STEP_EDGE)[40]
     found = focus_curve(stair.stack, float(height.x_um[col]), float(height.y_um[row]), height.provenance.recipe)

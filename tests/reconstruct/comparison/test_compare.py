@@ -58,8 +58,8 @@ def test_what_was_added_is_seen_at_its_place_with_its_volume_and_moves_nothing_e
     off = made.window()
     changed = off.z_um > 1.0
     x, y = off.x_um[changed.any(axis=0)], off.y_um[changed.any(axis=1)]
-    whole = changed[np.ix_(np.abs(off.y_um - (Y0_UM - 220 - 4)) < 15, np.abs(off.x_um - (X0_UM + 330 + 6)) < 25)]
-    assert whole.mean() > 0.98
+    full = changed[np.ix_(np.abs(off.y_um - (Y0_UM - 220 - 4)) < 15, np.abs(off.x_um - (X0_UM + 330 + 6)) < 25)]
+    assert full.mean() > 0.98
     assert (x.min(), y.max()) != (off.x_um[0], off.y_um[0])
     numbers = made.change()
     assert numbers.gained_um3 - numbers.lost_um3 == pytest.approx(40 * 60 * 2.0, rel=0.05)
@@ -78,7 +78,7 @@ def test_raw_and_cleaned_of_the_same_frames_need_no_alignment(first):
     assert np.array_equal(made.window().all_in_focus, first.all_in_focus)
 
 
-def test_a_golden_surface_keeps_z_when_asked(first):
+def test_a_golden_surface_keeps_z_when_requested(first):
     second = tilted(taken(4.0, 3.0, seed=1, wafer=Wafer(seed=2)), 3.0)
     made = compare(first, second, keep_z=True)
     assert not made.registration.levelled
@@ -90,8 +90,8 @@ def test_by_the_stage_only_z_and_tilt_are_taken_out(first):
     made = compare(first, tilted(with_heights(first, first.z_um), 2.0, 1.0), align="stage")
     assert (made.registration.by, made.registration.x_um, made.registration.u_xy_um) == ("stage", 0.0, None)
     assert made.change().sq_um < 0.01
-    kept = compare(first, with_heights(first, first.z_um + 2), align="none").registration
-    assert (kept.z_um, kept.levelled) == (0.0, False)
+    stored = compare(first, with_heights(first, first.z_um + 2), align="none").registration
+    assert (stored.z_um, stored.levelled) == (0.0, False)
 
 
 def test_unmeasured_stays_unmeasured_for_the_reason_it_has(first):

@@ -66,8 +66,8 @@ def test_the_sharpest_frame_is_that_of_a_float64_focus_volume(measure: str, plan
 
 def test_stripes_leave_no_seam(plane_stack: FieldStack, monkeypatch: pytest.MonkeyPatch) -> None:
     frames, search = prepare(plane_stack), Search("tenengrad", 9, "tent", 4)
-    whole = search_field(frames, search, threads=2)
+    full = search_field(frames, search, threads=2)
     monkeypatch.setattr(search_module, "STRIPE_ROWS", 20)
     striped = search_field(frames, search, threads=1)
     for name in ("z_um", "lead", "fall", "contrast", "clipped", "all_in_focus", "coarse"):
-        np.testing.assert_array_equal(getattr(whole, name), getattr(striped, name))
+        np.testing.assert_array_equal(getattr(full, name), getattr(striped, name))

@@ -89,9 +89,9 @@ def pages(tmp_path_factory: pytest.TempPathFactory, plane_stack: FieldStack) -> 
 
 
 def assert_is_plane(z_um: NDArray, plane_um: NDArray) -> None:
-    known = np.isfinite(z_um)
-    assert known.mean() > 0.9
-    assert np.sqrt(np.mean((z_um - plane_um)[known] ** 2)) < 0.5
+    valid = np.isfinite(z_um)
+    assert valid.mean() > 0.9
+    assert np.sqrt(np.mean((z_um - plane_um)[valid] ** 2)) < 0.5
 
 
 @pytest.mark.slow
@@ -119,9 +119,9 @@ def test_the_command_line_takes_it(installed: Path, pages: Path, tmp_path: Path,
     words = ["reconstruct", pages, "--z-step-um", 4, "--pixel-um", 0.5, "-o", out]
     flag = "--recipe.focus-measure"
     run_with(installed, "-W", "error", "-m", "wafer_viewer", *map(str, words), flag, NAME)
-    with np.load(out) as kept:
-        assert json.loads(str(kept["provenance"]))["recipe"]["focus_measure"] == NAME
-        assert_is_plane(kept["z_um"] + 20, plane_um)
+    with np.load(out) as stored:
+        assert json.loads(str(stored["provenance"]))["recipe"]["focus_measure"] == NAME
+        assert_is_plane(stored["z_um"] + 20, plane_um)
     refused = run_with(installed, "-m", "wafer_viewer", *map(str, words), flag, "sharpness", check=False)
     assert refused.returncode == 2
     assert f"it must be one of log_laplacian, tenengrad, sml, glv, {NAME};" in refused.stderr
@@ -154,10 +154,10 @@ def contrast(image: NDArray, window: int) -> NDArray:
 def test_blocks_equal_the_whole_frame(added, plane_stack: FieldStack) -> None:
     added(contrast)
     frames, search = prepare(plane_stack), Search("own", 9, "argmax", 4)
-    whole = np.stack(
+    full = np.stack(
         [contrast(np.pad(image.astype(np.float32), 5, "edge"), 9)[5:-5, 5:-5] for image in plane_stack.images]
     )
-    expected = np.rint(512 * (np.log2(whole) + 64)).astype(int)
+    expected = np.rint(512 * (np.log2(full) + 64)).astype(int)
     n_rows, cols = frames.shape
     for rows, columns in ((0, 0), (3, 90), (40, 61), (n_rows - 32, cols - 32), (0, cols - 32)):
         block = slice(rows, rows + 32), slice(columns, columns + 32)
@@ -195,15 +195,15 @@ def test_peaks_of_pure_noise_are_simulated_for_it(added) -> None:
 
 
 def test_one_that_asks_for_it_gets_the_grey_in_units_of_the_noise(added) -> None:
-    seen: list[float] = []
+    observed: list[float] = []
 
     def spread(image: NDArray, window: int) -> NDArray:
-        seen.append(float(image.std()))
+        observed.append(float(image.std()))
         return image
 
     added(spread, uses_camera_noise=True)
     noise_scores(Search("own", 9, "argmax", 3), 12)
-    assert seen == pytest.approx([1.0] * 12, abs=0.05)
+    assert observed == pytest.approx([1.0] * 12, abs=0.05)
 
 
 def test_one_that_cannot_be_used_is_named(added, plane_stack: FieldStack) -> None:

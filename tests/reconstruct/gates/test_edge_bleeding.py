@@ -74,9 +74,9 @@ def made(stack: FieldStack, mode: str, **changes: object) -> HeightMap:
 def kept_and_false(height: HeightMap, taken: Taken, where: NDArray[np.bool_] | None = None) -> tuple[float, float]:
     """The share of pixels that have a measured height, and of these the share that is more than a step off."""
     where = np.ones(height.shape, bool) if where is None else where
-    kept = np.isfinite(height.z_raw_um) & where
-    false = kept & (np.abs(height.z_raw_um - taken.scene.truth_um) > STEP_UM)
-    return float(kept.sum() / where.sum()), float(false.sum() / max(1, kept.sum()))
+    stored = np.isfinite(height.z_raw_um) & where
+    false = stored & (np.abs(height.z_raw_um - taken.scene.truth_um) > STEP_UM)
+    return float(stored.sum() / where.sum()), float(false.sum() / max(1, stored.sum()))
 
 
 def rims_of(taken: Taken) -> NDArray[np.bool_]:
@@ -97,18 +97,18 @@ def test_the_rims_of_the_dies_come_back(dies: Taken, mapped: dict[str, HeightMap
     rims = rims_of(dies)
     assert kept_and_false(mapped["none"], dies, rims)[1] > 0.15
     assert kept_and_false(mapped["band"], dies, rims)[0] < 0.4
-    kept, false = kept_and_false(mapped["rims"], dies, rims)
-    assert kept > 0.5
+    stored, false = kept_and_false(mapped["rims"], dies, rims)
+    assert stored > 0.5
     assert false < 0.01
 
 
 def test_the_floor_of_the_trench_stays(dies: Taken, mapped: dict[str, HeightMap]) -> None:
-    kept, false = kept_and_false(mapped["rims"], dies, dies.scene.layer == 0)
-    assert kept > 0.8
+    stored, false = kept_and_false(mapped["rims"], dies, dies.scene.layer == 0)
+    assert stored > 0.8
     assert false < 0.01
 
 
-def test_bleeding_is_a_reason_beside_walls_only(dies: Taken, mapped: dict[str, HeightMap]) -> None:
+def test_bleeding_is_a_reason_next_to_walls_only(dies: Taken, mapped: dict[str, HeightMap]) -> None:
     bled = mapped["rims"].origin == Origin.BLEEDING_EDGE
     assert 0.01 < bled.mean() < 0.2
     assert dies.scene.edge_distance_px[bled].max() < NEAR_WALL_PX
@@ -141,7 +141,7 @@ def test_the_glow_of_a_polished_rim_is_no_surface() -> None:
     assert after[0] > 0.25
 
 
-def test_sides_are_told_where_the_nearest_wall_is_sharp() -> None:
+def test_sides_are_distinguished_where_the_nearest_wall_is_sharp() -> None:
     found = Silhouette.empty((60, 100))
     for col, contrast, frame in ((20, 1.0, 10), (26, 2.0, 30)):
         found.contrast[:, col], found.frame[:, col], found.standing[:, col] = contrast, frame, 20

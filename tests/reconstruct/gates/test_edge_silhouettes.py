@@ -62,9 +62,9 @@ def test_the_map_is_its_definition(rows: int, cols: int, dtype: type, every: int
 
 def test_stripes_fit_together() -> None:
     images = np.random.default_rng(2).integers(0, 256, (3, 50, 40), np.uint8)
-    whole = by_kernel(images)
+    full = by_kernel(images)
     for top, bottom in ((0, 18), (18, 50)):
-        for part, same in zip(by_kernel(images, 1, top, bottom), whole.rows(slice(top, bottom)), strict=True):
+        for part, same in zip(by_kernel(images, 1, top, bottom), full.rows(slice(top, bottom)), strict=True):
             np.testing.assert_array_equal(part, same)
 
 

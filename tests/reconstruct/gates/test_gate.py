@@ -131,7 +131,7 @@ def a_peak(**changes: float) -> Peaks:
         ({"clipped": 9, "contrast": 0.1}, Origin.CLIPPED),
     ],
 )
-def test_the_reason_that_explains_most_is_told(changes: dict[str, float], reason: Origin) -> None:
+def test_the_reason_that_explains_most_is_reported(changes: dict[str, float], reason: Origin) -> None:
     gate = Gate(0.5, 0.5, 0.5, 0.3, 9, window_tolerance_um=6.0)
     peaks, wide_um = a_peak(**changes), np.full((1, 1), 40.0, np.float32)
     assert origins(peaks, gate, 60, wide_um)[0, 0] == reason
@@ -143,9 +143,14 @@ def test_a_gate_that_is_off_lets_everything_pass() -> None:
     noise = NoiseScores(0.2, 0.4, 0.6)
     gate = gate_of(noise, 0.0, 1.0, 9, window_tolerance_um=6.0)
     peaks = a_peak(lead=0, fall=-1, contrast=0, z_um=90)
-    asked = checks(peaks, gate, 60, np.full((1, 1), 40.0, np.float32))
-    assert all(check.passed.all() for check in asked)
-    assert [check.name for check in asked if not np.isfinite(check.limit)] == ["texture", "flanks", "rival", "windows"]
+    requested = checks(peaks, gate, 60, np.full((1, 1), 40.0, np.float32))
+    assert all(check.passed.all() for check in requested)
+    assert [check.name for check in requested if not np.isfinite(check.limit)] == [
+        "texture",
+        "flanks",
+        "rival",
+        "windows",
+    ]
 
 
 def test_windows_disagree_where_a_wider_one_sees_something_else(make_stack: MakeStack) -> None:

@@ -16,8 +16,8 @@ EDGES = st.lists(st.tuples(st.integers(0, N - 1), st.integers(0, N - 1)).filter(
 @settings(max_examples=150)
 def test_a_bridge_is_what_falls_apart_without_it(edges):
     first, second = np.array(edges, np.int32).reshape(-1, 2).T
-    whole = groups(N, first, second).max()
-    falls_apart = [groups(N, np.delete(first, e), np.delete(second, e)).max() > whole for e in range(len(edges))]
+    full = groups(N, first, second).max()
+    falls_apart = [groups(N, np.delete(first, e), np.delete(second, e)).max() > full for e in range(len(edges))]
     assert bridges(N, first, second).tolist() == falls_apart
 
 

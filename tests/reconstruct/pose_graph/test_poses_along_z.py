@@ -15,13 +15,13 @@ from wafer_viewer.reconstruct.pose_graph.vertical_poses import VerticalPoses, so
 WHOLE = grid(13, 16)
 
 
-def told(fields: Fields, seed: int, **how: object) -> tuple[HeightOffsets, Numbers]:
+def observations(fields: Fields, seed: int, **how: object) -> tuple[HeightOffsets, Numbers]:
     return seams_of(fields, np.random.default_rng(seed), **how)  # type: ignore[arg-type]
 
 
 def solved(fields: Fields, seams: HeightOffsets, **how: object) -> VerticalPoses:
-    asked = {"z_error_um": "auto", "tilt_error": "auto", "field_size_um": FIELD_UM} | how
-    return solve_heights(fields.x_um, fields.y_um, seams, **asked)  # type: ignore[arg-type]
+    requested = {"z_error_um": "auto", "tilt_error": "auto", "field_size_um": FIELD_UM} | how
+    return solve_heights(fields.x_um, fields.y_um, seams, **requested)  # type: ignore[arg-type]
 
 
 def rms(values: Numbers) -> float:
@@ -39,7 +39,7 @@ def terms(fields: Fields, z_um: Numbers) -> Numbers:
 
 
 def test_offsets_and_tilts_of_the_stage_are_found():
-    seams, poses = told(WHOLE, 1)
+    seams, poses = observations(WHOLE, 1)
     found = solved(WHOLE, seams)
     assert terms(WHOLE, found.z_um - poses[:, 0])[-1] < 0.03
     assert rms(found.tilt_x - poses[:, 1]) < 0.4 * TILT
@@ -49,10 +49,10 @@ def test_offsets_and_tilts_of_the_stage_are_found():
     assert np.all(found.seams.weight > 0.1)
 
 
-def test_a_bowed_wafer_comes_through():
+def test_a_bowed_wafer_is_stitched_without_distortion():
     x, y = WHOLE.x_um - WHOLE.x_um.mean(), WHOLE.y_um - WHOLE.y_um.mean()
     bow = 50 * (x**2 + y**2) / np.max(x**2 + y**2)
-    seams, poses = told(WHOLE, 2, sag_um=(0.05, 0.0, 0.05))
+    seams, poses = observations(WHOLE, 2, sag_um=(0.05, 0.0, 0.05))
     found = solved(WHOLE, seams)
     corrected = bow + poses[:, 0] - found.z_um
     assert terms(WHOLE, corrected)[3] == pytest.approx(50, abs=found.form.u_um[3] * 1.5)
@@ -60,7 +60,7 @@ def test_a_bowed_wafer_comes_through():
 
 
 def test_a_bowl_in_every_field_does_not_bend_the_whole():
-    seams, poses = told(WHOLE, 3, sag_um=(0.07, 0.02, 0.03))
+    seams, poses = observations(WHOLE, 3, sag_um=(0.07, 0.02, 0.03))
     found = solved(WHOLE, seams)
     assert found.form.field_form_um == pytest.approx((0.07, 0.02, 0.03), abs=0.005)
     assert found.form.sag_um(np.array(FIELD_UM[0] / 2), np.array(FIELD_UM[1] / 2)) == pytest.approx(0.12, abs=0.01)
@@ -69,7 +69,7 @@ def test_a_bowl_in_every_field_does_not_bend_the_whole():
 
 
 def test_a_camera_that_leans_does_not_tilt_the_whole():
-    seams, poses = told(WHOLE, 4, lean=(1e-3, -5e-4))
+    seams, poses = observations(WHOLE, 4, lean=(1e-3, -5e-4))
     found = solved(WHOLE, seams)
     assert np.all(np.abs(terms(WHOLE, found.z_um - poses[:, 0])[1:3]) < np.array(found.form.u_um[1:3]) * 1.5)
     assert (found.tilt_x.mean(), found.tilt_y.mean()) == pytest.approx((1e-3, -5e-4), abs=1e-4)
@@ -78,7 +78,7 @@ def test_a_camera_that_leans_does_not_tilt_the_whole():
 
 def test_along_a_row_nothing_drifts():
     row = grid(1, 300)
-    seams, poses = told(row, 5)
+    seams, poses = observations(row, 5)
     found = solved(row, seams)
     off = found.z_um - poses[:, 0]
     assert np.abs(off / found.u_z_um).max() < 4.5
@@ -86,8 +86,8 @@ def test_along_a_row_nothing_drifts():
 
 
 def test_wrong_seams_lose_their_weight():
-    seams, poses = told(WHOLE, 6, wrong=0.03)
-    clean, _ = told(WHOLE, 6)
+    seams, poses = observations(WHOLE, 6, wrong=0.03)
+    clean, _ = observations(WHOLE, 6)
     found = solved(WHOLE, seams)
     wrong = seams.slope_x != clean.slope_x
     assert np.all(found.seams.weight[wrong] < 0.1)
@@ -97,7 +97,7 @@ def test_wrong_seams_lose_their_weight():
 
 def test_islands_are_each_held_by_the_stage():
     fields = grid(6, 10)
-    seams, poses = told(fields, 7)
+    seams, poses = observations(fields, 7)
     across = (fields.pairs % 10 < 5).sum(axis=1) == 1
     found = solved(fields, selected(seams, ~across))
     left = np.arange(60) % 10 < 5
@@ -109,15 +109,15 @@ def test_islands_are_each_held_by_the_stage():
 
 @pytest.mark.parametrize("fields", [grid(1, 1), grid(1, 2), grid(5, 1), wafer(100)])
 def test_any_list_of_fields_is_levelled(fields):
-    seams, poses = told(fields, 8)
+    seams, poses = observations(fields, 8)
     found = solved(fields, seams)
     assert np.all(np.isfinite(found.z_um))
     assert np.all(np.abs(found.z_um - poses[:, 0]) < 5 * found.u_z_um)
     assert len(found.form.u_um) == len(found.form.names) == 6
 
 
-def test_seams_that_tell_nothing_leave_all_to_the_stage():
-    seams, _ = told(WHOLE, 9)
+def test_uninformative_seams_leave_the_stage_positions():
+    seams, _ = observations(WHOLE, 9)
     nothing = np.full(len(seams.z_um), np.nan)
     empty = dataclasses.replace(
         seams, z_um=nothing, mid_x_um=nothing, mid_y_um=nothing, rms_um=nothing, information=0 * seams.information
@@ -130,20 +130,20 @@ def test_seams_that_tell_nothing_leave_all_to_the_stage():
     assert found.form.field_form_um == (0.0, 0.0, 0.0)
 
 
-def test_what_is_left_in_a_seam_is_told():
-    seams, _ = told(WHOLE, 10)
+def test_what_is_left_in_a_seam_is_reported():
+    seams, _ = observations(WHOLE, 10)
     found = solved(WHOLE, dataclasses.replace(seams, rms_um=np.full(len(seams.z_um), 0.5)))
     assert found.seams.rms_um == pytest.approx(np.hypot(0.5, found.seams.step_um))
 
 
 def test_fields_that_are_fixed_stay_and_others_join_them():
-    seams, _ = told(WHOLE, 11, sag_um=(0.05, 0.0, 0.05))
+    seams, _ = observations(WHOLE, 11, sag_um=(0.05, 0.0, 0.05))
     before = solved(WHOLE, seams)
     late = np.isin(np.arange(len(WHOLE.x_um)), (0, 17, 100, 207))
-    beside = selected(seams, late[WHOLE.pairs].any(axis=1))
+    neighbour = selected(seams, late[WHOLE.pairs].any(axis=1))
     start = tuple(np.where(late, np.nan, a) for a in (before.z_um, before.tilt_x, before.tilt_y))
-    known = dataclasses.replace(before.form, camera_turn=1e-3)
-    found = solved(WHOLE, beside, fixed=~late, start=start, form=known, z_error_um=1.0, tilt_error=1e-4)
+    valid = dataclasses.replace(before.form, camera_turn=1e-3)
+    found = solved(WHOLE, neighbour, fixed=~late, start=start, form=valid, z_error_um=1.0, tilt_error=1e-4)
     assert np.array_equal(found.z_um[~late], before.z_um[~late])
     assert np.array_equal(found.tilt_x[~late], before.tilt_x[~late])
     assert np.abs(found.z_um - before.z_um)[late].max() < 0.03
@@ -155,7 +155,7 @@ def test_fields_that_are_fixed_stay_and_others_join_them():
 def test_uncertainties_cover_the_errors():
     fields, of_fields, of_form = grid(7, 7), [], []
     for seed in range(60):
-        seams, poses = told(fields, seed)
+        seams, poses = observations(fields, seed)
         found = solved(fields, seams, z_error_um=Z_UM, tilt_error=TILT)
         off = found.z_um - poses[:, 0]
         of_fields.append(off / found.u_z_um)
@@ -171,7 +171,7 @@ def rms_of_columns(values: Numbers) -> Numbers:
 @pytest.mark.slow
 def test_many_fields_are_solved_like_few(monkeypatch):
     fields = wafer(600)
-    seams, _ = told(fields, 12, wrong=0.02, sag_um=(0.05, 0.0, 0.05), lean=(1e-3, 0.0))
+    seams, _ = observations(fields, 12, wrong=0.02, sag_um=(0.05, 0.0, 0.05), lean=(1e-3, 0.0))
     at_once = solved(fields, seams)
     monkeypatch.setattr(amg_solver, "DIRECT_FIELDS", 60)
     by_levels = solved(fields, seams)

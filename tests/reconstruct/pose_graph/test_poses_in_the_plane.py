@@ -30,7 +30,7 @@ def rms(values: Numbers) -> float:
     return float(np.sqrt(np.mean(values**2)))
 
 
-def told(fields: Fields, seed: int, **how: float) -> tuple[Shifts, Numbers]:
+def observations(fields: Fields, seed: int, **how: float) -> tuple[Shifts, Numbers]:
     return shifts_of(fields, np.random.default_rng(seed), **how)
 
 
@@ -43,7 +43,7 @@ def only(shifts: Shifts, edges: Numbers, **values: float) -> Shifts:
 
 
 def test_all_overlaps_together_know_each_field_to_a_tenth_of_a_pixel():
-    shifts, true = told(WHOLE, 1)
+    shifts, true = observations(WHOLE, 1)
     found = solved(WHOLE, shifts)
     off = off_px(found, true)
     assert rms(off) <= 0.10
@@ -58,9 +58,9 @@ def test_all_overlaps_together_know_each_field_to_a_tenth_of_a_pixel():
 
 @pytest.mark.parametrize("seed", [1, 3, 4])
 def test_wrong_and_blank_overlaps_change_little(seed):
-    shifts, true = told(WHOLE, seed, wrong=0.03, blank=0.1)
+    shifts, true = observations(WHOLE, seed, wrong=0.03, blank=0.1)
     found = solved(WHOLE, shifts)
-    clean, _ = told(WHOLE, seed)
+    clean, _ = observations(WHOLE, seed)
     wrong = np.hypot(shifts.x_um - clean.x_um, shifts.y_um - clean.y_um) > PIXEL_UM
     assert rms(off_px(found, true)) <= 0.2
     assert np.all(found.shifts.doubt[wrong] == RejectionReason.DISAGREES)
@@ -70,8 +70,8 @@ def test_wrong_and_blank_overlaps_change_little(seed):
 
 @pytest.mark.parametrize("seed", [2, 5, 6, 7])
 def test_a_field_that_two_good_overlaps_hold_is_right(seed):
-    shifts, true = told(WHOLE, seed, wrong=0.03, blank=0.1)
-    clean, _ = told(WHOLE, seed)
+    shifts, true = observations(WHOLE, seed, wrong=0.03, blank=0.1)
+    clean, _ = observations(WHOLE, seed)
     good = shifts.believed & (np.hypot(shifts.x_um - clean.x_um, shifts.y_um - clean.y_um) < PIXEL_UM)
     held = np.bincount(WHOLE.pairs[good].ravel(), minlength=len(true)) >= 2
     assert not np.all(held)
@@ -79,7 +79,7 @@ def test_a_field_that_two_good_overlaps_hold_is_right(seed):
 
 
 def test_what_an_overlap_doubts_by_itself_does_not_count():
-    shifts, _ = told(WHOLE, 4, blank=0.1)
+    shifts, _ = observations(WHOLE, 4, blank=0.1)
     doubtful = dataclasses.replace(shifts, doubt=np.where(np.arange(len(shifts.doubt)) % 7, 0, 2).astype(np.uint8))
     found = solved(WHOLE, only(doubtful, np.flatnonzero(doubtful.doubt), x_px=3.0))
     assert np.all(found.shifts.weight[doubtful.doubt == RejectionReason.UNLIKE] == 0)
@@ -89,7 +89,7 @@ def test_what_an_overlap_doubts_by_itself_does_not_count():
 
 def test_of_contradicting_ties_of_a_field_those_win_that_agree():
     fields = grid(5, 5)
-    shifts, true = told(fields, 5)
+    shifts, true = observations(fields, 5)
     ties = np.flatnonzero((fields.pairs == 12).any(axis=1))
     misled = only(only(shifts, ties[:1], x_px=14.8), ties[1:2], y_px=-11.0)
     found = solved(fields, misled)
@@ -99,7 +99,7 @@ def test_of_contradicting_ties_of_a_field_those_win_that_agree():
 
 def test_a_field_that_hangs_on_one_overlap_is_not_dragged_far_from_the_stage():
     fields = grid(4, 4)
-    shifts, true = told(fields, 6)
+    shifts, true = observations(fields, 6)
     ties = np.flatnonzero((fields.pairs == 0).any(axis=1))
     found = solved(fields, selected(only(shifts, ties[:1], x_px=80.0), np.arange(len(shifts.first)) != ties[1]))
     assert found.shifts.weight[ties[0]] < 0.1
@@ -111,7 +111,7 @@ def test_a_field_that_hangs_on_one_overlap_is_not_dragged_far_from_the_stage():
 @pytest.mark.parametrize("seed", [1, 2, 3])
 def test_one_wrong_overlap_does_not_drag_half_of_the_fields_along_a_known_camera(seed):
     fields = grid(4, 8)
-    shifts, _ = told(fields, seed)
+    shifts, _ = observations(fields, seed)
     across = np.flatnonzero((fields.pairs % 8 < 4).sum(axis=1) == 1)
     misled = selected(only(shifts, across[:1], x_px=-38.0), ~np.isin(np.arange(52), across[1:]))
     found = solved(fields, misled, camera=CameraAxes())
@@ -121,7 +121,7 @@ def test_one_wrong_overlap_does_not_drag_half_of_the_fields_along_a_known_camera
 
 
 def test_a_turned_camera_is_found_and_the_surface_lies_along_its_axes():
-    shifts, true = told(WHOLE, 7, turn=1.2e-3, scale=-4e-3)
+    shifts, true = observations(WHOLE, 7, turn=1.2e-3, scale=-4e-3)
     found = solved(WHOLE, shifts)
     assert found.camera.turn == pytest.approx(1.2e-3, abs=4 * found.camera.u_turn)
     assert found.camera.scale == pytest.approx(-4e-3, abs=4 * found.camera.u_scale)
@@ -142,24 +142,24 @@ def test_a_turned_camera_is_found_and_the_surface_lies_along_its_axes():
 @pytest.mark.parametrize(("rows", "cols"), [(2, 2), (4, 4), (13, 16)])
 def test_a_wrong_pixel_size_is_refused_with_both_sizes(rows, cols):
     fields = grid(rows, cols)
-    shifts, _ = told(fields, 8, scale=0.07)
+    shifts, _ = observations(fields, 8, scale=0.07)
     with pytest.raises(ComputeError, match=r"a pixel is 0\.43\d+ um, not 0\.46729 um: give the pixel size"):
         solved(fields, shifts)
 
 
 def test_one_wrong_overlap_is_not_a_wrong_pixel_size():
     fields = grid(1, 2)
-    shifts, _ = told(fields, 9)
+    shifts, _ = observations(fields, 9)
     assert not solved(fields, only(shifts, np.array([0]), x_px=60.0)).notes
 
 
-def test_fields_that_are_fixed_stay_and_others_are_placed_beside_them():
-    shifts, true = told(WHOLE, 10, turn=2e-3)
+def test_fields_that_are_fixed_stay_and_others_are_placed_next_to_them():
+    shifts, true = observations(WHOLE, 10, turn=2e-3)
     before = solved(WHOLE, shifts)
     late = np.isin(np.arange(len(WHOLE.x_um)), (0, 17, 100, 207))
-    beside = selected(shifts, late[WHOLE.pairs].any(axis=1))
+    neighbour = selected(shifts, late[WHOLE.pairs].any(axis=1))
     start = (np.where(late, np.nan, before.x_um), np.where(late, np.nan, before.y_um))
-    found = solved(WHOLE, beside, fixed=~late, start=start, camera=before.camera)
+    found = solved(WHOLE, neighbour, fixed=~late, start=start, camera=before.camera)
     assert np.array_equal(found.x_um[~late], before.x_um[~late])
     assert np.array_equal(found.y_um[~late], before.y_um[~late])
     assert off_px(found, true)[late].max() < 0.3
@@ -169,7 +169,7 @@ def test_fields_that_are_fixed_stay_and_others_are_placed_beside_them():
 
 
 def test_a_late_field_without_overlaps_lies_where_the_turned_camera_sees_it():
-    shifts, _ = told(WHOLE, 11, turn=2e-3)
+    shifts, _ = observations(WHOLE, 11, turn=2e-3)
     before = solved(WHOLE, shifts)
     late = np.arange(len(WHOLE.x_um)) == 0
     none = selected(shifts, np.zeros(len(shifts.first), np.bool_))
@@ -180,7 +180,7 @@ def test_a_late_field_without_overlaps_lies_where_the_turned_camera_sees_it():
 
 def test_islands_are_each_held_by_the_stage():
     fields = grid(6, 10)
-    shifts, true = told(fields, 12)
+    shifts, true = observations(fields, 12)
     across = (fields.pairs % 10 < 5).sum(axis=1) == 1
     found = solved(fields, selected(shifts, ~across))
     left = np.arange(60) % 10 < 5
@@ -194,7 +194,7 @@ def test_islands_are_each_held_by_the_stage():
 
 @pytest.mark.parametrize("fields", [grid(1, 30), grid(30, 1), wafer(150), grid(1, 1), grid(1, 2)])
 def test_any_list_of_fields_is_placed(fields):
-    shifts, true = told(fields, 13)
+    shifts, true = observations(fields, 13)
     found = solved(fields, shifts)
     assert off_px(found, true).max() < 1.0
     assert np.all(np.isfinite(found.u_x_um))
@@ -202,7 +202,7 @@ def test_any_list_of_fields_is_placed(fields):
 
 
 def test_without_overlaps_fields_lie_where_the_stage_says():
-    shifts, _ = told(WHOLE, 14, blank=1.0)
+    shifts, _ = observations(WHOLE, 14, blank=1.0)
     found = solved(WHOLE, shifts, stage_error_um=3.0)
     assert np.array_equal(found.x_um, WHOLE.x_um)
     assert len(np.unique(found.group)) == len(WHOLE.x_um)
@@ -211,11 +211,11 @@ def test_without_overlaps_fields_lie_where_the_stage_says():
     assert len(nobody.x_um) == 0
 
 
-def test_an_overlap_that_tells_one_direction_is_used_for_that_one():
+def test_an_overlap_constraining_one_direction_is_used_for_it():
     fields = grid(6, 6)
-    shifts, true = told(fields, 15)
-    beside = np.abs(fields.pairs[:, 0] - fields.pairs[:, 1]) == 1
-    blind = dataclasses.replace(shifts, u_y_um=np.where(beside, np.inf, shifts.u_y_um))
+    shifts, true = observations(fields, 15)
+    neighbour = np.abs(fields.pairs[:, 0] - fields.pairs[:, 1]) == 1
+    blind = dataclasses.replace(shifts, u_y_um=np.where(neighbour, np.inf, shifts.u_y_um))
     found = solved(fields, blind)
     off = found.x_um - true[:, 0]
     assert np.abs(off - off.mean()).max() < 0.5 * PIXEL_UM
@@ -226,7 +226,7 @@ def test_an_overlap_that_tells_one_direction_is_used_for_that_one():
 def test_uncertainties_cover_the_errors():
     fields, ratios = grid(7, 7), []
     for seed in range(60):
-        shifts, true = told(fields, seed)
+        shifts, true = observations(fields, seed)
         found = solved(fields, shifts, stage_error_um=STAGE_PX * PIXEL_UM)
         ratios.append(((found.x_um - true[:, 0]) / found.u_x_um, (found.y_um - true[:, 1]) / found.u_y_um))
     assert 0.85 < rms(np.array(ratios)) < 1.15
@@ -235,7 +235,7 @@ def test_uncertainties_cover_the_errors():
 @pytest.mark.slow
 def test_many_fields_are_solved_like_few(monkeypatch):
     fields = wafer(900)
-    shifts, _ = told(fields, 16, wrong=0.03, blank=0.1, turn=1e-3)
+    shifts, _ = observations(fields, 16, wrong=0.03, blank=0.1, turn=1e-3)
     at_once = solved(fields, shifts)
     monkeypatch.setattr(amg_solver, "DIRECT_FIELDS", 60)
     by_levels = solved(fields, shifts)

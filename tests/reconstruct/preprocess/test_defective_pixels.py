@@ -27,22 +27,22 @@ FLAWS = {
 
 def flawed(stack: FieldStack, rows: slice | int, cols: slice | int, value: int | str) -> FieldStack:
     images = stack.images.copy()
-    seen = images[:, rows, cols].astype(int)
-    images[:, rows, cols] = np.clip(seen + int(value), 0, 255) if isinstance(value, str) else value
+    observed = images[:, rows, cols].astype(int)
+    images[:, rows, cols] = np.clip(observed + int(value), 0, 255) if isinstance(value, str) else value
     return dataclasses.replace(stack, images=images)
 
 
 @pytest.mark.parametrize("name", FLAWS)
 def test_flaws_are_found_and_nothing_else(plane_stack: FieldStack, name: str) -> None:
     rows, cols, value = FLAWS[name]
-    there = np.zeros(plane_stack.images.shape[1:], bool)
-    there[rows, cols] = True
+    present = np.zeros(plane_stack.images.shape[1:], bool)
+    present[rows, cols] = True
     flaws = prepare(flawed(plane_stack, rows, cols, value)).flaws
     assert flaws is not None
-    found = np.zeros_like(there)
+    found = np.zeros_like(present)
     found[tuple(flaws.at.T)] = True
-    assert np.mean(found[there]) > 0.95
-    assert not found[~there].any()
+    assert np.mean(found[present]) > 0.95
+    assert not found[~present].any()
 
 
 @pytest.mark.parametrize("name", FLAWS)
@@ -59,12 +59,12 @@ def test_a_sound_sensor_has_none(plane_stack: FieldStack) -> None:
 
 def test_blocks_and_parts_are_mended_alike(plane_stack: FieldStack) -> None:
     frames = prepare(flawed(plane_stack, slice(None), 60, 255))
-    whole = np.empty((21, *frames.shape), np.uint8)
-    read_block(frames, slice(0, 96), slice(0, 128), 0, whole)
-    assert whole[:, :, 60].max() < 255
+    full = np.empty((21, *frames.shape), np.uint8)
+    read_block(frames, slice(0, 96), slice(0, 128), 0, full)
+    assert full[:, :, 60].max() < 255
     part = np.empty((21, 20, 40), np.uint8)
     read_block(frames.part(slice(30, 60), slice(40, 100)), slice(5, 25), slice(10, 50), 0, part)
-    np.testing.assert_array_equal(part, whole[:, 35:55, 50:90])
+    np.testing.assert_array_equal(part, full[:, 35:55, 50:90])
 
 
 @pytest.mark.parametrize("name", FLAWS)

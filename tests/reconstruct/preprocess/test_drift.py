@@ -45,8 +45,8 @@ def moved(stack: FieldStack, rows_px: NDArray, cols_px: NDArray, growth: NDArray
     for k, image in enumerate(stack.images):
         scale = 1 / (1 + growth[k])
         offset = MARGIN + middle - scale * (middle + np.array([rows_px[k], cols_px[k]]))
-        seen = affine_transform(image.astype(np.float32), [scale, scale], offset, (n_rows, n_cols), order=3)
-        out[k] = np.clip(np.rint(seen), 0, 255)
+        observed = affine_transform(image.astype(np.float32), [scale, scale], offset, (n_rows, n_cols), order=3)
+        out[k] = np.clip(np.rint(observed), 0, 255)
     return dataclasses.replace(stack, images=out)
 
 
@@ -107,7 +107,7 @@ def test_heights_are_nearly_as_good_as_without_drift(
     assert "put right" in height.provenance.notes[0]
 
 
-def test_one_frame_beside_the_others_is_found(wide_stack: FieldStack) -> None:
+def test_one_displaced_frame_is_found(wide_stack: FieldStack) -> None:
     aside = np.where(np.arange(25) == 12, 20.0, 0.0)
     drift = prepare(moved(wide_stack, aside, STILL)).drift
     assert drift is not None
@@ -123,7 +123,7 @@ def test_what_not_every_frame_shows_is_unmeasured(wide_stack: FieldStack) -> Non
     assert np.isnan(height.z_um[height.origin == Origin.TOO_FEW_FRAMES]).all()
 
 
-def test_the_pixels_are_touched_only_when_asked_for(wide_stack: FieldStack) -> None:
+def test_the_pixels_are_touched_only_when_requested(wide_stack: FieldStack) -> None:
     stack = moved(wide_stack, 3 * EVENLY, STILL)
     assert prepare(stack, LEFT_ALONE).as_stored
     assert not prepare(stack).as_stored
@@ -131,15 +131,15 @@ def test_the_pixels_are_touched_only_when_asked_for(wide_stack: FieldStack) -> N
 
 def test_blocks_and_parts_are_read_as_the_whole(wide_stack: FieldStack) -> None:
     frames = prepare(moved(wide_stack, 20 * EVENLY, 5 * EVENLY, 0.004 * EVENLY))
-    whole = np.empty((25, *frames.shape), np.uint8)
-    read_block(frames, slice(0, frames.shape[0]), slice(0, frames.shape[1]), 0, whole)
+    full = np.empty((25, *frames.shape), np.uint8)
+    read_block(frames, slice(0, frames.shape[0]), slice(0, frames.shape[1]), 0, full)
     rows, cols = slice(96, 144), slice(40, 300)
     block = np.empty((25, 48 + 10, 260 + 10), np.uint8)
     read_block(frames, rows, cols, 5, block)
-    np.testing.assert_array_equal(block, whole[:, 91:149, 35:305])
+    np.testing.assert_array_equal(block, full[:, 91:149, 35:305])
     part, inner = frames.part(rows, cols), np.empty((25, 8, 200), np.uint8)
     read_block(part, slice(20, 28), slice(30, 230), 0, inner)
-    np.testing.assert_array_equal(inner, whole[:, 116:124, 70:270])
+    np.testing.assert_array_equal(inner, full[:, 116:124, 70:270])
 
 
 def test_a_field_too_small_for_tiles_is_left_alone(plane_stack: FieldStack) -> None:

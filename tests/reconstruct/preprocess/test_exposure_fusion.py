@@ -46,7 +46,7 @@ def bracketed(stack: FieldStack, light: NDArray, *gains: float, black: float = 0
     return dataclasses.replace(stack, images=images[0], exposure_us=100 * gains[0], brackets=others)
 
 
-def whole(frames: Frames) -> NDArray:
+def full(frames: Frames) -> NDArray:
     block = np.empty((frames.n_frames, *frames.shape), frames.dtype)
     read_block(frames, slice(0, frames.shape[0]), slice(0, frames.shape[1]), 0, block)
     return block
@@ -61,7 +61,7 @@ def test_the_fused_picture_is_linear_in_light(
     assert frames.fusion is not None
     assert frames.fusion.gains[1] == pytest.approx(ratio, rel=0.03)
     assert frames.fusion.black_counts == pytest.approx(black, abs=1.0)
-    fused = whole(frames) / FULL
+    fused = full(frames) / FULL
     for low, high in ((0.03, 0.06), (0.06, 0.2), (0.2, 0.6), (0.6, 0.9)):
         there = (light > low) & (light < high)
         assert np.mean(fused[there]) == pytest.approx(np.mean(light[there]) * 255 / (255 - black), rel=0.04, abs=0.003)
@@ -73,7 +73,7 @@ def test_dark_pixels_are_as_quiet_as_the_photons_of_all_exposures_allow(
     """The variance is that of the sum of both exposures where both hold, the shortest's own where it is alone."""
     level = np.full_like(light, 0.05)
     level[:, :, 64:] = 0.7
-    fused = whole(prepare(bracketed(plane_stack, level, 1, 4))).astype(float) * 255 / FULL
+    fused = full(prepare(bracketed(plane_stack, level, 1, 4))).astype(float) * 255 / FULL
     dark, bright = fused[:, :, :60], fused[:, :, 70:]
     dark_counts, bright_counts = 0.05 * 255, 0.7 * 255
     rounding = 1 / 12
@@ -85,7 +85,7 @@ def test_dark_pixels_are_as_quiet_as_the_photons_of_all_exposures_allow(
 def test_a_pixel_is_clipped_only_where_the_shortest_exposure_is(plane_stack: FieldStack, light: NDArray) -> None:
     stack = bracketed(plane_stack, 2 * light, 1, 4)
     frames = prepare(stack)
-    np.testing.assert_array_equal(whole(frames) >= frames.clipped_counts, stack.images >= 250)
+    np.testing.assert_array_equal(full(frames) >= frames.clipped_counts, stack.images >= 250)
     assert np.mean(stack.brackets[0].images >= 250) > 2 * np.mean(stack.images >= 250)
 
 
@@ -93,13 +93,13 @@ def test_the_order_of_the_exposures_does_not_matter(plane_stack: FieldStack, lig
     up = bracketed(plane_stack, light, 1, 4)
     short = Bracket(up.images, up.present, up.exposure_us)
     down = dataclasses.replace(up, images=up.brackets[0].images, exposure_us=400.0, brackets=(short,))
-    np.testing.assert_array_equal(whole(prepare(up)), whole(prepare(down)))
+    np.testing.assert_array_equal(full(prepare(up)), full(prepare(down)))
 
 
 def test_sixteen_bits_and_three_exposures_are_fused_too(plane_stack: FieldStack, light: NDArray) -> None:
     frames = prepare(bracketed(plane_stack, light, 1, 2, 4, white=4095))
     there = (light > 0.1) & (light < 0.9)
-    assert np.mean(whole(frames)[there]) / FULL == pytest.approx(np.mean(light[there]), rel=0.02)
+    assert np.mean(full(frames)[there]) / FULL == pytest.approx(np.mean(light[there]), rel=0.02)
     assert "x2, x4 as bright" in frames.notes[0]
 
 

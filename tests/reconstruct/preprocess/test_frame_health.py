@@ -10,7 +10,7 @@ import pytest
 from numpy.typing import NDArray
 
 from tests.reconstruct.conftest import MakeStack
-from tests.truth.bleeding import drawn, seen
+from tests.truth.bleeding import drawn, observed
 from wafer_viewer.model.acquisition.focus_stack import Bracket, FieldStack
 from wafer_viewer.reconstruct.field_pipeline import reconstruct
 from wafer_viewer.reconstruct.preprocess.frames import prepare
@@ -45,15 +45,15 @@ def with_frame(stack: FieldStack, k: int, frame: NDArray | float) -> FieldStack:
     return changed(stack, put)
 
 
-def told(stack: FieldStack) -> list[str]:
+def reported(stack: FieldStack) -> list[str]:
     return [note for note in prepare(stack).notes if "left out" in note]
 
 
 def false_share(stack: FieldStack) -> tuple[float, float]:
     """(measured share, share of those more than a step off)."""
     z_um = reconstruct(stack, threads=1).z_raw_um
-    kept = np.isfinite(z_um)
-    return float(kept.mean()), float((np.abs(z_um - plane_um())[kept] > STEP_UM).mean())
+    stored = np.isfinite(z_um)
+    return float(stored.mean()), float((np.abs(z_um - plane_um())[stored] > STEP_UM).mean())
 
 
 @pytest.mark.parametrize(
@@ -62,32 +62,32 @@ def false_share(stack: FieldStack) -> tuple[float, float]:
     ids=["flash", "black", "blank"],
 )
 @pytest.mark.parametrize("k", [8, 17, 30])
-def test_one_faulty_frame_costs_no_field_and_is_told(sound: FieldStack, k: int, frame: float, words: str):
+def test_one_faulty_frame_costs_no_field_and_is_reported(sound: FieldStack, k: int, frame: float, words: str):
     stack = with_frame(sound, k, frame)
-    (note,) = told(stack)
+    (note,) = reported(stack)
     assert note.startswith(f"Frame {k + 1} of {N_FRAMES} of field 1")
     assert words in note
-    kept, wrong = false_share(stack)
-    assert kept > 0.9 * false_share(sound)[0]
+    stored, wrong = false_share(stack)
+    assert stored > 0.9 * false_share(sound)[0]
     assert wrong < 0.002
 
 
-def test_a_flash_that_does_not_saturate_is_told_with_its_greys(sound: FieldStack):
-    (note,) = told(with_frame(sound, 12, 1.7 * sound.images[12].astype(float)))
+def test_a_flash_that_does_not_saturate_is_reported_with_its_greys(sound: FieldStack):
+    (note,) = reported(with_frame(sound, 12, 1.7 * sound.images[12].astype(float)))
     assert "Frame 13 of 34" in note
     assert "mean grey 186 against 109 of 255" in note
 
 
 def test_two_faulty_frames_side_by_side_are_both_left_out(sound: FieldStack):
     stack = with_frame(with_frame(sound, 15, 255.0), 16, 255.0)
-    assert [note[:8] for note in told(stack)] == ["Frame 16", "Frame 17"]
+    assert [note[:8] for note in reported(stack)] == ["Frame 16", "Frame 17"]
 
 
 def test_a_flash_in_one_exposure_takes_its_slot_out(sound: FieldStack):
     longer = changed(sound, lambda grey: 1.5 * grey)
     flashed = with_frame(longer, 9, 255.0)
     stack = dataclasses.replace(sound, brackets=(Bracket(flashed.images, sound.present, 2.0),), exposure_us=1.0)
-    assert [note[:8] for note in told(stack)] == ["Frame 10"]
+    assert [note[:8] for note in reported(stack)] == ["Frame 10"]
     assert prepare(stack).n_frames == N_FRAMES - 1
 
 
@@ -95,7 +95,7 @@ def test_absent_frames_keep_the_numbers_of_the_slots(sound: FieldStack):
     present = sound.present.copy()
     present[[3, 4]] = False
     stack = dataclasses.replace(with_frame(sound, 20, 0.0), present=present)
-    assert [note[:8] for note in told(stack)] == ["Frame 21"]
+    assert [note[:8] for note in reported(stack)] == ["Frame 21"]
 
 
 def flickering(sigma: float) -> Callable[[NDArray], NDArray]:
@@ -128,23 +128,23 @@ SOUND_CHANGES = {
 
 @pytest.mark.parametrize("change", SOUND_CHANGES.values(), ids=SOUND_CHANGES)
 def test_what_light_does_to_a_sound_stack_is_no_fault(sound: FieldStack, change: Callable[[NDArray], NDArray]):
-    assert told(changed(sound, change)) == []
+    assert reported(changed(sound, change)) == []
 
 
 @pytest.mark.parametrize("step", [1, 2, 4, 5])
 def test_coarse_steps_through_a_level_surface_are_no_fault(make_stack: MakeStack, step: int):
     for seed in range(5):
         level = make_stack(np.full(SHAPE, 30.0 + seed), 2.0 * step * np.arange(30 // step), seed=seed, noise_counts=0.0)
-        assert told(level) == []
+        assert reported(level) == []
 
 
 def test_a_slit_of_light_that_is_in_focus_in_one_frame_is_no_fault(make_stack: MakeStack):
     """As a confocal microscope sees a level surface: nearly all light comes in the frame that is in focus."""
     level = make_stack(np.full(SHAPE, 30.0), 6.0 * np.arange(11))
     light = 0.1 + np.exp(-((6.0 * np.arange(11) - 30.0) ** 2) / (2 * 3.0**2))
-    assert told(changed(level, along_z(light))) == []
+    assert reported(changed(level, along_z(light))) == []
 
 
 @pytest.mark.parametrize("seed", range(20, 32))
 def test_bleeding_and_clipped_light_is_no_fault(seed: int):
-    assert told(seen(drawn(seed), (64, 96)).stack) == []
+    assert reported(observed(drawn(seed), (64, 96)).stack) == []

@@ -37,11 +37,11 @@ def leant(height: HeightMap, z_um: float, tilt_x: float, tilt_y: float, at_um: t
     return with_heights(height, height.z_raw_um + z_um + tilt_x * x + tilt_y * y)
 
 
-@pytest.mark.parametrize("beside", [BESIDE, BELOW], ids=["beside", "below"])
+@pytest.mark.parametrize("neighbour", [BESIDE, BELOW], ids=["beside", "below"])
 @pytest.mark.parametrize("off_px", [(0.0, 0.0), (-6.4, 3.7)])
-def test_offset_and_tilts_are_found(sample, beside, off_px):
+def test_offset_and_tilts_are_found(sample, neighbour, off_px):
     first = a_field(sample, 50, 50, SHAPE, seed=1)
-    second = a_field(sample, 50 + beside[0], 50 + beside[1], SHAPE, off_px=off_px, seed=2)
+    second = a_field(sample, 50 + neighbour[0], 50 + neighbour[1], SHAPE, off_px=off_px, seed=2)
     at, other_at = centre(first), centre(second, off_px)
     lean = 1.3, 2e-3, -1e-3
     seam = compare_pair(first, leant(second, *lean, other_at), at, other_at)
@@ -51,7 +51,7 @@ def test_offset_and_tilts_are_found(sample, beside, off_px):
     assert seam.slope_x == pytest.approx(lean[1], abs=4 * u[1])
     assert seam.slope_y == pytest.approx(lean[2], abs=4 * u[2])
     assert u[0] < 0.01
-    thin, long = (u[1], u[2]) if beside == BESIDE else (u[2], u[1])
+    thin, long = (u[1], u[2]) if neighbour == BESIDE else (u[2], u[1])
     assert thin > 2 * long
     smoothed = 1.0 if off_px == (0, 0) else 0.52 * 0.58
     assert seam.rms_um == pytest.approx(0.05 * (1 + smoothed) ** 0.5, rel=0.1)
@@ -98,7 +98,7 @@ def test_without_heights_or_overlap_nothing_is_known(sample):
 def test_order_of_the_two_turns_the_sign(sample):
     first = a_field(sample, 50, 50, SHAPE, seed=1)
     second = leant(a_field(sample, 50, 200, SHAPE, seed=2), 0.7, 1e-3, 0, (0, 0))
-    there, back = compare(
+    present, back = compare(
         [first, second], np.array([[0, 1], [1, 0]], np.int32), *np.array([centre(first), centre(second)]).T
     ).z_um
-    assert there == pytest.approx(-back, abs=2e-3)
+    assert present == pytest.approx(-back, abs=2e-3)

@@ -23,7 +23,7 @@ SHAPE = (120, 140)
 PITCH = (95, 112)
 
 
-def told(edges: list[tuple[int, int, RejectionReason]]) -> Shifts:
+def observations(edges: list[tuple[int, int, RejectionReason]]) -> Shifts:
     first, second, doubt = (np.array(column) for column in zip(*edges, strict=True))
     zeros = np.zeros(len(edges))
     return Shifts(
@@ -53,43 +53,43 @@ def grid_edges(
 
 @pytest.mark.parametrize("misfits", [{4}, {0}, {4, 7}, {0, 8}, set()], ids=str)
 def test_fields_that_fit_none_of_their_neighbours_are_suspects(misfits):
-    assert set(misplaced_fields(9, told(grid_edges(3, 3, misfits)))) == misfits
+    assert set(misplaced_fields(9, observations(grid_edges(3, 3, misfits)))) == misfits
 
 
 def test_blank_and_ambiguous_fields_are_innocent():
-    assert len(misplaced_fields(9, told(grid_edges(3, 3, {4}, RejectionReason.BLANK)))) == 0
-    assert len(misplaced_fields(9, told(grid_edges(3, 3, {4}, RejectionReason.AMBIGUOUS)))) == 0
+    assert len(misplaced_fields(9, observations(grid_edges(3, 3, {4}, RejectionReason.BLANK)))) == 0
+    assert len(misplaced_fields(9, observations(grid_edges(3, 3, {4}, RejectionReason.AMBIGUOUS)))) == 0
 
 
 def test_an_ambiguous_overlap_does_not_save_a_field_that_three_speak_against():
     edges = grid_edges(3, 3, {4})
     edges[2] = (*edges[2][:2], RejectionReason.AMBIGUOUS)
     assert 4 in edges[2][:2]
-    assert misplaced_fields(9, told(edges)).tolist() == [4]
+    assert misplaced_fields(9, observations(edges)).tolist() == [4]
 
 
 def test_one_overlap_that_fits_is_enough_to_stay():
     edges = grid_edges(3, 3, {4})
     edges[2] = (*edges[2][:2], RejectionReason.NONE)
     assert 4 in edges[2][:2]
-    assert len(misplaced_fields(9, told(edges))) == 0
+    assert len(misplaced_fields(9, observations(edges))) == 0
 
 
 def test_the_end_of_a_row_is_named_but_stays():
     edges = [(0, 1, RejectionReason.NONE), (1, 2, RejectionReason.NONE), (2, 3, RejectionReason.UNLIKE)]
-    assert misplaced_fields(4, told(edges)).tolist() == []
-    assert unverifiable_fields(4, told(edges)).tolist() == [3]
+    assert misplaced_fields(4, observations(edges)).tolist() == []
+    assert unverifiable_fields(4, observations(edges)).tolist() == [3]
 
 
 def test_two_datasets_in_one_the_smaller_is_left_out():
     own = [(a, b, d) for a, b, d in grid_edges(4, 4, set()) if (a % 4 == 3) == (b % 4 == 3)]
     across = [(a, a + 1, RejectionReason.UNLIKE) for a in (2, 6, 10, 14)]
-    assert misplaced_fields(16, told(own + across)).tolist() == [3, 7, 11, 15]
+    assert misplaced_fields(16, observations(own + across)).tolist() == [3, 7, 11, 15]
 
 
 def test_islands_do_not_judge_each_other():
     one, two = grid_edges(2, 2, set()), [(a + 4, b + 4, d) for a, b, d in grid_edges(3, 3, {8})]
-    assert misplaced_fields(13, told(one + two)).tolist() == [12]
+    assert misplaced_fields(13, observations(one + two)).tolist() == [12]
 
 
 @pytest.fixture(scope="module")
@@ -106,7 +106,7 @@ def heights() -> list[HeightMap]:
 
 
 @pytest.mark.parametrize("how", TURNS)
-def test_a_field_held_the_wrong_way_is_found_and_told(heights, how):
+def test_a_field_held_the_wrong_way_is_found_and_reported(heights, how):
     back = {
         "turned by 90 degrees clockwise": "turned by 90 degrees anticlockwise",
         "turned by 90 degrees anticlockwise": "turned by 90 degrees clockwise",
@@ -147,6 +147,6 @@ def test_turning_keeps_the_centre(heights):
 
 def test_of_two_halves_that_do_not_fit_neither_is_left_out():
     none, unlike = RejectionReason.NONE, RejectionReason.UNLIKE
-    halves = told([(0, 1, none), (2, 3, none), (0, 2, unlike), (1, 3, unlike)])
+    halves = observations([(0, 1, none), (2, 3, none), (0, 2, unlike), (1, 3, unlike)])
     assert misplaced_fields(4, halves).size == 0
     assert unverifiable_fields(4, halves).tolist() == [2, 3]

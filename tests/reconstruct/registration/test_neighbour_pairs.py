@@ -30,11 +30,11 @@ def as_set(pairs: np.ndarray) -> set[tuple[int, int]]:
     return {(int(a), int(b)) for a, b in pairs}
 
 
-def test_of_a_grid_those_beside_and_below_not_the_corners():
+def test_grid_neighbours_are_beside_and_below_not_diagonal():
     number = np.arange(20).reshape(4, 5)
-    beside = zip(number[:, :-1].ravel(), number[:, 1:].ravel(), strict=True)
+    neighbour = zip(number[:, :-1].ravel(), number[:, 1:].ravel(), strict=True)
     below = zip(number[:-1].ravel(), number[1:].ravel(), strict=True)
-    assert as_set(neighbours(grid(4, 5, 0.3))) == {(int(a), int(b)) for a, b in (*beside, *below)}
+    assert as_set(neighbours(grid(4, 5, 0.3))) == {(int(a), int(b)) for a, b in (*neighbour, *below)}
 
 
 def test_they_are_sorted_whole_numbers_and_first_is_lower():

@@ -24,20 +24,20 @@ def sample() -> Sample:
 
 
 def pair(
-    sample: Sample, beside: tuple[int, int], off_px: tuple[float, float], seed: int = 5, **noise: float
+    sample: Sample, neighbour: tuple[int, int], off_px: tuple[float, float], seed: int = 5, **noise: float
 ) -> tuple[HeightMap, HeightMap]:
     first = a_field(sample, 40, 40, SHAPE, seed=seed, **noise)
-    return first, a_field(sample, 40 + beside[0], 40 + beside[1], SHAPE, off_px=off_px, seed=seed + 1, **noise)
+    return first, a_field(sample, 40 + neighbour[0], 40 + neighbour[1], SHAPE, off_px=off_px, seed=seed + 1, **noise)
 
 
 def error_px(found: PairShift, off_px: tuple[float, float]) -> NDArray:
     return np.array([-found.y_um / PIXEL_UM - off_px[0], found.x_um / PIXEL_UM - off_px[1]])
 
 
-@pytest.mark.parametrize("beside", [BESIDE, BELOW], ids=["beside", "below"])
+@pytest.mark.parametrize("neighbour", [BESIDE, BELOW], ids=["beside", "below"])
 @pytest.mark.parametrize("off_px", [(0.0, 0.0), (0.37, -0.5), (-7.4, 11.2), (24.3, 17.8), (-19.6, -31.1)])
-def test_a_shift_is_found_to_a_small_part_of_a_pixel(sample, beside, off_px):
-    found = register_pair(*pair(sample, beside, off_px))
+def test_a_shift_is_found_to_a_small_part_of_a_pixel(sample, neighbour, off_px):
+    found = register_pair(*pair(sample, neighbour, off_px))
     assert (found.doubt, found.by) == (RejectionReason.NONE, ObservationSource.PICTURE)
     assert np.abs(error_px(found, off_px)).max() < 0.06
     assert found.correlation > 0.9
@@ -75,7 +75,7 @@ def test_where_the_picture_is_blank_the_heights_tell(sample):
 
 
 @pytest.mark.parametrize("noise_counts", [0.0, 2.0])
-def test_where_both_are_blank_the_stage_stands(sample, noise_counts):
+def test_blank_overlaps_keep_the_stage_position(sample, noise_counts):
     rng = np.random.default_rng(0)
     blank = [with_picture(h, 90 + rng.normal(0, noise_counts, SHAPE)) for h in pair(sample, BESIDE, (2.0, 2.0))]
     found = register_pair(*(with_heights(h, np.full(SHAPE, np.nan)) for h in blank))
@@ -110,14 +110,15 @@ def test_a_grating_is_never_believed_at_a_wrong_period(sample, period_px):
         assert found.doubt is RejectionReason.AMBIGUOUS or np.abs(error_px(found, off)).max() < 0.1
 
 
-@pytest.mark.parametrize("beside", [BESIDE, BELOW], ids=["beside", "below"])
+@pytest.mark.parametrize("neighbour", [BESIDE, BELOW], ids=["beside", "below"])
 @pytest.mark.parametrize("noise_counts", [0.0, 2.0])
-def test_lines_in_one_direction_are_ambiguous(sample, beside, noise_counts):
+def test_lines_in_one_direction_are_ambiguous(sample, neighbour, noise_counts):
     cols = np.arange(520) / 6
     lines = 110 + 40 * np.clip(8 * (np.sin(cols) + np.sin(cols * 2.3)), -1, 1)
     striped = Sample(np.tile(lines, (460, 1)), sample.z_um)
     assert (
-        register_pair(*pair(striped, beside, (2.0, 3.5), noise_counts=noise_counts)).doubt is RejectionReason.AMBIGUOUS
+        register_pair(*pair(striped, neighbour, (2.0, 3.5), noise_counts=noise_counts)).doubt
+        is RejectionReason.AMBIGUOUS
     )
 
 

@@ -61,7 +61,7 @@ def stitched(samples: list[Sample], n: int, recipe: Recipe = Recipe()) -> tuple[
     return mosaic.poses, mosaic.provenance.notes
 
 
-def test_dies_finer_than_the_search_are_told_to_lie_where_the_stage_says():
+def test_dies_finer_than_the_search_are_reported_to_lie_where_the_stage_says():
     poses, notes = stitched([dies(30, wafer(4))], 4)
     assert not poses.shifts.believed.any()
     (note,) = [note for note in notes if note.startswith(BY_STAGE_ALONE)]
@@ -87,7 +87,7 @@ def test_the_mend_that_the_note_names_helps():
     assert not any(note.startswith(BY_STAGE_ALONE) for note in notes)
 
 
-def test_fields_that_hang_on_the_stage_beside_others_are_named():
+def test_fields_that_hang_on_the_stage_next_to_others_are_named():
     """The left half is of random texture, the right half of fine dies."""
     shape = wafer(4)
     left, right = a_sample(shape), dies(30, shape)
@@ -116,8 +116,8 @@ def test_the_command_line_says_that_the_stage_alone_placed_the_fields(
         tmp_path / "images", tmp_path / "dies.wafer", 2.0, PIXEL_UM, "r{row}c{col}.tif", overlap_fraction=overlap
     )
     assert main(["stitch", str(data.path), "--workers", "1"]) == 0
-    told = json.loads(capsys.readouterr().out)
+    observations = json.loads(capsys.readouterr().out)
     start = f"{BY_STAGE_ALONE}: 4 of 4 overlaps ambiguous (repeating pattern)."
-    assert any(note.startswith(start) for note in told["recipe_notes"])
-    assert any(note.startswith(start) for note in told["stitching"]["notes"])
-    assert told["stitching"]["n_by_stage"] == 4
+    assert any(note.startswith(start) for note in observations["recipe_notes"])
+    assert any(note.startswith(start) for note in observations["stitching"]["notes"])
+    assert observations["stitching"]["n_by_stage"] == 4

@@ -11,7 +11,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from wafer_viewer.numerics.jit import Bools, Float32s, Int32s, Int64s, Real, Whole, kernel, lean_kernel
+from wafer_viewer.numerics.jit import Bools, Float32s, Int, Int32s, Int64s, Real, kernel, lean_kernel
 
 LINE_REACH_PX = 5
 """Half length of a line: on its 11 pixels, a feature of up to 5 pixels is a minority."""
@@ -35,7 +35,10 @@ def line_medians_at(padded: Float32s, rows: Int64s, cols: Int64s) -> Float32s:
     Only for measured pixels, such as those of `line_outliers`.
     """
     out = np.empty(rows.size, np.float32)
-    places = np.ascontiguousarray(rows), np.ascontiguousarray(cols)  # views would be compiled for once more
+    places = (
+        np.ascontiguousarray(rows),
+        np.ascontiguousarray(cols),
+    )  # a separate specialisation would be compiled for views
     _middle_medians(padded, *places, np.empty((2, 2 * LINE_REACH_PX + 1), np.float32), out)
     return out
 
@@ -48,7 +51,7 @@ def _mark_far(padded: Float32s, limit: Real, counts: Int32s, far: Bools) -> None
     """
     above, below, lines = counts[0], counts[1], counts[2]
     for r in range(far.shape[0]):
-        here = padded[r + LINE_REACH_PX, LINE_REACH_PX:]
+        centre_line = padded[r + LINE_REACH_PX, LINE_REACH_PX:]
         lines[:] = 0
         for line in range(4):
             down, right = (0, 1) if line == 0 else (1, line - 2)
@@ -57,7 +60,7 @@ def _mark_far(padded: Float32s, limit: Real, counts: Int32s, far: Bools) -> None
             for s in range(-LINE_REACH_PX, LINE_REACH_PX + 1):
                 other = padded[r + LINE_REACH_PX + s * down, LINE_REACH_PX + s * right :]
                 for x in range(above.size):
-                    v, low, high = other[x], here[x] - limit, here[x] + limit
+                    v, low, high = other[x], centre_line[x] - limit, centre_line[x] + limit
                     above[x] += np.int32(v > high) - np.int32(v <= high)
                     below[x] += np.int32(v < low) - np.int32(v >= low)
             for x in range(above.size):
@@ -83,13 +86,13 @@ def _middle_medians(padded: Float32s, rows: Int64s, cols: Int64s, scratch: Float
 
 
 @lean_kernel
-def insert_sorted(values: Float32s, count: Whole, v: Real) -> int:
+def insert_sorted(values: Float32s, count: Int, v: Real) -> int:
     """Insert v into the first `count` values, which ascend; return the new count."""
-    at = count
-    while at > 0 and values[at - 1] > v:
-        values[at] = values[at - 1]
-        at -= 1
-    values[at] = v
+    position = count
+    while position > 0 and values[position - 1] > v:
+        values[position] = values[position - 1]
+        position -= 1
+    values[position] = v
     return count + 1
 
 
@@ -136,38 +139,38 @@ def median_outliers(padded: Float32s, limit: Real) -> Bools:
     finite = np.zeros(n_cols, np.int32)
     for r in range(n_rows):
         above[:], below[:], finite[:] = 0, 0, 0
-        here = padded[r + MEDIAN_REACH_PX, MEDIAN_REACH_PX:]
+        centre_line = padded[r + MEDIAN_REACH_PX, MEDIAN_REACH_PX:]
         for d in range(2 * MEDIAN_REACH_PX + 1):
             for e in range(2 * MEDIAN_REACH_PX + 1):
-                _count(here, padded[r + d, e:], limit, above, below, finite)
-        _judge(here, above, below, finite, far[r])
+                _count(centre_line, padded[r + d, e:], limit, above, below, finite)
+        _judge(centre_line, above, below, finite, far[r])
     return far
 
 
 @kernel
-def _insert(window: Float32s, count: Whole, v: Real) -> int:
-    at = count
-    while at > 0 and window[at - 1] > v:
-        window[at] = window[at - 1]
-        at -= 1
-    window[at] = v
+def _insert(window: Float32s, count: Int, v: Real) -> int:
+    position = count
+    while position > 0 and window[position - 1] > v:
+        window[position] = window[position - 1]
+        position -= 1
+    window[position] = v
     return count + 1
 
 
 @kernel
-def _count(here: Float32s, other: Float32s, limit: Real, above: Int32s, below: Int32s, finite: Int32s) -> None:
+def _count(centre_line: Float32s, other: Float32s, limit: Real, above: Int32s, below: Int32s, finite: Int32s) -> None:
     for x in range(above.size):
-        v, low, high = other[x], here[x] - limit, here[x] + limit
+        v, low, high = other[x], centre_line[x] - limit, centre_line[x] + limit
         above[x] += np.int32(v >= low)
         below[x] += np.int32(v <= high)
         finite[x] += np.int32(v == v)
 
 
 @kernel
-def _judge(here: Float32s, above: Int32s, below: Int32s, finite: Int32s, far: Bools) -> None:
+def _judge(centre_line: Float32s, above: Int32s, below: Int32s, finite: Int32s, far: Bools) -> None:
     for x in range(far.size):
         enough = (above[x] + above[x] >= finite[x]) & (below[x] + below[x] >= finite[x])
-        far[x] = (here[x] == here[x]) & (not enough)
+        far[x] = (centre_line[x] == centre_line[x]) & (not enough)
 
 
 PAIR_REACH_PX = 4
@@ -189,7 +192,7 @@ def _average(padded: Float32s, limit: Real, scratch: Float32s, out: Float32s) ->
     """Average with the pixel itself at half weight, because the mean of a pair has half the variance of a pixel."""
     total, count = scratch[0], scratch[1]
     for r in range(out.shape[0]):
-        here = padded[r + PAIR_REACH_PX, PAIR_REACH_PX:]
+        centre_line = padded[r + PAIR_REACH_PX, PAIR_REACH_PX:]
         total[:] = 0.0
         count[:] = 0.5
         for down in range(0, PAIR_REACH_PX + 1, _STRIDE_PX):
@@ -198,25 +201,28 @@ def _average(padded: Float32s, limit: Real, scratch: Float32s, out: Float32s) ->
                     ahead = padded[r + PAIR_REACH_PX + down, PAIR_REACH_PX + right :]
                     behind = padded[r + PAIR_REACH_PX - down, PAIR_REACH_PX - right :]
                     for x in range(total.size):
-                        off = np.float32(0.5) * (ahead[x] + behind[x]) - here[x]
+                        off = np.float32(0.5) * (ahead[x] + behind[x]) - centre_line[x]
                         agrees = abs(off) <= limit
                         total[x] += off if agrees else np.float32(0.0)
                         count[x] += np.float32(agrees)
         for x in range(total.size):
-            out[r, x] = here[x] + total[x] / count[x]
+            out[r, x] = centre_line[x] + total[x] / count[x]
 
 
 NEIGHBOUR_REACH_PX = 3
 """Half width of the window of the nearest neighbours, in pixels."""
 
 
-def mean_distances(padded: Float32s, rows: Int64s, cols: Int64s, neighbours: Whole) -> Float32s:
+def mean_distances(padded: Float32s, rows: Int64s, cols: Int64s, neighbours: Int) -> Float32s:
     """Return the mean |dz| from each (row, col) to the `neighbours` nearest measured pixels of its 7 x 7 window.
 
     padded: a map with a border of 3 NaN; inf if fewer than half as many are measured.
     """
     out = np.empty(rows.size, np.float32)
-    places = np.ascontiguousarray(rows), np.ascontiguousarray(cols)  # views would be compiled for once more
+    places = (
+        np.ascontiguousarray(rows),
+        np.ascontiguousarray(cols),
+    )  # a separate specialisation would be compiled for views
     _mean_distances(padded, *places, np.empty(neighbours, np.float32), out)
     return out
 
@@ -231,12 +237,12 @@ def near_counts(padded: Float32s, limit: Real) -> Int32s:
 @lean_kernel
 def _count_near(padded: Float32s, limit: Real, out: Int32s) -> None:
     for r in range(out.shape[0]):
-        near, here = out[r], padded[r + NEIGHBOUR_REACH_PX, NEIGHBOUR_REACH_PX:]
+        near, centre_line = out[r], padded[r + NEIGHBOUR_REACH_PX, NEIGHBOUR_REACH_PX:]
         for down in range(2 * NEIGHBOUR_REACH_PX + 1):
             for right in range(2 * NEIGHBOUR_REACH_PX + 1):
                 other = padded[r + down, right:]
                 for x in range(near.size):
-                    near[x] += np.int32(abs(other[x] - here[x]) <= limit)
+                    near[x] += np.int32(abs(other[x] - centre_line[x]) <= limit)
 
 
 @lean_kernel
@@ -253,11 +259,11 @@ def _mean_distances(padded: Float32s, rows: Int64s, cols: Int64s, nearest: Float
                 and (count < nearest.size or v < nearest[count - 1])
             ):
                 count = min(count + 1, nearest.size)
-                at = count - 1
-                while at > 0 and nearest[at - 1] > v:
-                    nearest[at] = nearest[at - 1]
-                    at -= 1
-                nearest[at] = v
+                position = count - 1
+                while position > 0 and nearest[position - 1] > v:
+                    nearest[position] = nearest[position - 1]
+                    position -= 1
+                nearest[position] = v
         total = np.float32(0.0)
         for k in range(count):
             total += nearest[k]

@@ -30,14 +30,14 @@ def coarseness(sigma_px: float) -> int:
     return 1 if sigma_px < FINE_PX else 2 ** max(1, math.floor(math.log2(sigma_px / 2)))
 
 
-def gaussian_sums(filled: Float32s, known: Float32s, sigma_px: float) -> Float32s:
+def gaussian_sums(filled: Float32s, valid: Float32s, sigma_px: float) -> Float32s:
     """Return Gaussian-weighted sums divided by the square root of the known weight, which makes their noise uniform.
 
     At borders and around holes a mean of fewer pixels would scatter more. One value per block of `coarseness(sigma_px)`
-    pixels, NaN if too little is known. filled: 0 where unknown; known: 1 or 0.
+    pixels, NaN if too little is known. filled: 0 where unknown; valid: 1 or 0.
     """
     side = coarseness(sigma_px)
-    value, weight = (filled, known) if side == 1 else (binned(filled, side), binned(known, side))
+    value, weight = (filled, valid) if side == 1 else (binned(filled, side), binned(valid, side))
     if sigma_px > 0:
         value, weight = smooth(value, sigma_px / side), np.maximum(0, smooth(weight, sigma_px / side))
     enough = weight >= LEAST_KNOWN * side**2 if sigma_px > 0 else weight > 0
@@ -82,13 +82,13 @@ def gaussian_mean(z: Floats, cutoff_px: float) -> Floats:
     Unmeasured points (NaN) have no weight and stay unmeasured. At borders and around holes the remaining weights are
     normalised to sum to one (moment criterion of order zero, ISO 16610-28).
     """
-    known = np.isfinite(z)
-    total, weight = np.where(known, z, 0.0), known.astype(np.float64)
-    whole = bool(known.all())
+    valid = np.isfinite(z)
+    total, weight = np.where(valid, z, 0.0), valid.astype(np.float64)
+    complete = bool(valid.all())
     for axis in range(z.ndim):
         total = _along(total, axis, cutoff_px)
-        weight = _border_weight(z.shape, axis, cutoff_px) * weight if whole else _along(weight, axis, cutoff_px)
-    return np.divide(total, weight, out=np.full(z.shape, np.nan), where=known)
+        weight = _border_weight(z.shape, axis, cutoff_px) * weight if complete else _along(weight, axis, cutoff_px)
+    return np.divide(total, weight, out=np.full(z.shape, np.nan), where=valid)
 
 
 def weighting(cutoff_px: float) -> Floats:

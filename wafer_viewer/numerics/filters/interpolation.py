@@ -6,7 +6,7 @@ import numpy as np
 from numpy.polynomial.legendre import legvander
 from numpy.typing import NDArray
 
-from wafer_viewer.numerics.jit import Float32s, Float64s, Real, Whole, lean_kernel
+from wafer_viewer.numerics.jit import Float32s, Float64s, Int, Real, lean_kernel
 
 Floats = NDArray[np.float64]
 TOO_FEW = 1e-10
@@ -18,14 +18,14 @@ def polynomial(z: Floats, order: int) -> Floats | None:
 
     Unmeasured points (NaN) have no weight. None if the measured points do not determine it.
     """
-    known = np.isfinite(z)
+    valid = np.isfinite(z)
     down, across = (_basis(n, order) for n in z.shape)
     i, j = (np.array(power) for power in zip(*_powers(order), strict=True))
     # Sums over the lattice of products of Legendre polynomials, first along rows, then along columns.
     pairs_down, pairs_across = (_pairs(basis) for basis in (down, across))
-    sums = (pairs_down.T @ (known.astype(np.float64) @ pairs_across)).reshape((order + 1,) * 4)
+    sums = (pairs_down.T @ (valid.astype(np.float64) @ pairs_across)).reshape((order + 1,) * 4)
     normal = sums[i[:, None], i[None, :], j[:, None], j[None, :]]
-    wanted = (down.T @ np.where(known, z, 0.0) @ across)[i, j]
+    wanted = (down.T @ np.where(valid, z, 0.0) @ across)[i, j]
     values, vectors = np.linalg.eigh(normal)
     if values[0] <= TOO_FEW * values[-1]:
         return None
@@ -48,7 +48,7 @@ def _pairs(basis: Floats) -> Floats:
     return (basis[:, :, None] * basis[:, None, :]).reshape(len(basis), -1)
 
 
-def fill_rows(z: Float32s, max_gap: Whole, max_step: Real) -> Float32s:
+def fill_rows(z: Float32s, max_gap: Int, max_step: Real) -> Float32s:
     """Return a copy of z with gaps of NaN up to `max_gap` pixels along each row filled, without extrapolation.
 
     A gap whose two sides differ by more than `max_step` is a step: it is not filled, and no spline crosses it or a
@@ -59,7 +59,7 @@ def fill_rows(z: Float32s, max_gap: Whole, max_step: Real) -> Float32s:
     return out
 
 
-def fill_gaps(z: Float32s, max_gap: Whole, max_step: Real) -> Float32s:
+def fill_gaps(z: Float32s, max_gap: Int, max_step: Real) -> Float32s:
     """Return a copy of z with its gaps filled along rows and along columns, by the mean where both are available.
 
     Both start from the measured pixels, so neither direction leaves streaks and no gap is longer than allowed.
@@ -70,34 +70,34 @@ def fill_gaps(z: Float32s, max_gap: Whole, max_step: Real) -> Float32s:
 
 
 @lean_kernel
-def _fill(z: Float32s, max_gap: Whole, max_step: Real, scratch: Float64s) -> None:
+def _fill(z: Float32s, max_gap: Int, max_step: Real, scratch: Float64s) -> None:
     """Fill run by run: from its first measured pixel to the last one before a step or a long gap."""
-    at, bend, factor = scratch[0], scratch[1], scratch[2]
+    knots, bend, factor = scratch[0], scratch[1], scratch[2]
     for r in range(z.shape[0]):
         row, count = z[r], np.int64(0)
         for x in range(row.size + 1):
             ends = x == row.size
             if not ends and row[x] == row[x]:
                 if count > 0:
-                    last = int(at[count - 1])
+                    last = int(knots[count - 1])
                     ends = x - last - 1 > max_gap or abs(row[x] - row[last]) > max_step
             elif not ends:
                 continue
-            if ends and count > 1 and at[count - 1] - at[0] > count - 1:
-                _spline(row, at, count, bend, factor)
+            if ends and count > 1 and knots[count - 1] - knots[0] > count - 1:
+                _spline(row, knots, count, bend, factor)
             count = np.int64(0) if ends else count
-            at[count] = x
+            knots[count] = x
             count += 1
 
 
 @lean_kernel
-def _spline(row: Float32s, at: Float64s, count: Whole, bend: Float64s, factor: Float64s) -> None:
+def _spline(row: Float32s, knots: Float64s, count: Int, bend: Float64s, factor: Float64s) -> None:
     """Solve for the second derivatives at the measured pixels, zero at both ends, then interpolate."""
     last = count - 1
     bend[0], factor[0], bend[last] = 0.0, 0.0, 0.0
     for n in range(1, last):
-        x0, x1, x2 = int(at[n - 1]), int(at[n]), int(at[n + 1])
-        before, after = at[n] - at[n - 1], at[n + 1] - at[n]
+        x0, x1, x2 = int(knots[n - 1]), int(knots[n]), int(knots[n + 1])
+        before, after = knots[n] - knots[n - 1], knots[n + 1] - knots[n]
         rise = (row[x2] - row[x1]) / after - (row[x1] - row[x0]) / before
         pivot = 2.0 * (before + after) - before * factor[n - 1]
         factor[n] = after / pivot
@@ -105,7 +105,7 @@ def _spline(row: Float32s, at: Float64s, count: Whole, bend: Float64s, factor: F
     for n in range(last - 1, 0, -1):
         bend[n] -= factor[n] * bend[n + 1]
     for n in range(last):
-        a, b = int(at[n]), int(at[n + 1])
+        a, b = int(knots[n]), int(knots[n + 1])
         wide = float(b - a)
         for x in range(a + 1, b):
             s, t = (b - x) / wide, (x - a) / wide

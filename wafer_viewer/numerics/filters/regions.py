@@ -7,10 +7,10 @@ from __future__ import annotations
 
 import numpy as np
 
-from wafer_viewer.numerics.jit import Bools, Float32s, Int32s, Int64s, Real, UInt8s, Whole, kernel, lean_kernel
+from wafer_viewer.numerics.jit import Bools, Float32s, Int, Int32s, Int64s, Real, UInt8s, kernel, lean_kernel
 
 
-def small_components(z: Float32s, max_step: Real, min_pixels: Whole) -> Bools:
+def small_components(z: Float32s, max_step: Real, min_pixels: Int) -> Bools:
     """Return a mask of finite pixels in components of fewer than `min_pixels`; bool [row, col].
 
     4-connectivity; two neighbours are connected if they differ by at most `max_step`.
@@ -21,7 +21,7 @@ def small_components(z: Float32s, max_step: Real, min_pixels: Whole) -> Bools:
     return np.isfinite(z) & (size[root] < min_pixels).reshape(z.shape)
 
 
-def narrow_parts(z: Float32s, max_step: Real, side: Whole) -> Bools:
+def narrow_parts(z: Float32s, max_step: Real, side: Int) -> Bools:
     """Return a mask of finite pixels in no fully connected square of side x side finite pixels; bool [row, col].
 
     The map is extended by its edge values, so a component cut by the border does not count as narrow for that.
@@ -54,7 +54,7 @@ def _join_alike(z: Float32s, max_step: Real, root: Int32s) -> None:
 
 
 @lean_kernel
-def _cover(z: Float32s, max_step: Real, side: Whole, scratch: Int32s, covered: Bools) -> None:
+def _cover(z: Float32s, max_step: Real, side: Int, scratch: Int32s, covered: Bools) -> None:
     """Mark the pixels covered by connected squares: from their lower right pixels leftward, then upward.
 
     squares: side of the largest connected square with its lower right pixel at each pixel of the row.
@@ -81,7 +81,7 @@ def _cover(z: Float32s, max_step: Real, side: Whole, scratch: Int32s, covered: B
             covered[r, c] = up[c] > 0
 
 
-def region_maxima(plane: Float32s, least: Real, least_px: Whole = 1) -> Float32s:
+def region_maxima(plane: Float32s, least: Real, least_px: Int = 1) -> Float32s:
     """Return the maximum of each region of at least `least_px` pixels at or above `least`, in row-major order."""
     over = plane >= np.float32(least)
     n = int(np.count_nonzero(over))
@@ -98,7 +98,7 @@ def regions_with_peaks(low: Bools, peaks: Bools) -> Bools:
     return found
 
 
-def dilated(mask: Bools, reach_px: Whole) -> Bools:
+def dilated(mask: Bools, reach_px: Int) -> Bools:
     """Dilate the mask by a square of `reach_px` rows and columns to each side; bool [row, col]."""
     out = np.zeros(mask.shape, np.bool_)
     _widen(np.ascontiguousarray(mask), int(reach_px), out)
@@ -106,7 +106,7 @@ def dilated(mask: Bools, reach_px: Whole) -> Bools:
 
 
 @kernel
-def _tops(plane: Float32s, over: Bools, waiting: Int32s, least_px: Whole, tops: Float32s) -> int:
+def _tops(plane: Float32s, over: Bools, waiting: Int32s, least_px: Int, tops: Float32s) -> int:
     """Write the maxima and return their number; `over` is cleared."""
     n_cols, n = plane.shape[1], 0
     for r in range(plane.shape[0]):
@@ -134,7 +134,7 @@ def _mark_regions_with_peaks(peaks: Bools, low: Bools, waiting: Int32s, found: B
 
 
 @kernel
-def _flood_fill(row: Whole, col: Whole, open_ones: Bools, waiting: Int32s) -> int:
+def _flood_fill(row: Int, col: Int, open_ones: Bools, waiting: Int32s) -> int:
     """Flood fill from one pixel; return the region's size. Its pixels are written to `waiting` and closed."""
     n_rows, n_cols = open_ones.shape
     open_ones[row, col] = False
@@ -153,7 +153,7 @@ def _flood_fill(row: Whole, col: Whole, open_ones: Bools, waiting: Int32s) -> in
 
 
 @kernel
-def _widen(mask: Bools, reach: Whole, out: Bools) -> None:
+def _widen(mask: Bools, reach: Int, out: Bools) -> None:
     n_rows, n_cols = mask.shape
     for r in range(n_rows):
         until = 0

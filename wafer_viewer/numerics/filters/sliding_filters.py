@@ -7,7 +7,7 @@ from typing import Any, TypeVar
 import numpy as np
 from numpy.typing import NDArray
 
-from wafer_viewer.numerics.jit import Int64s, Wholes, inlined_part, lean_part
+from wafer_viewer.numerics.jit import Int64s, Ints, inlined_part, lean_part
 
 Plane = TypeVar("Plane", bound=NDArray[Any])
 Floats = NDArray[np.float32]
@@ -29,9 +29,9 @@ def lowest(plane: Plane, size: int) -> Plane:
 
 def sliding_range(plane: Floats, size: int) -> Floats:
     """Sliding range of the finite values of size x size pixels, 0 if there are none."""
-    known = np.isfinite(plane)
-    high = highest(np.where(known, plane, np.float32(-np.inf)), size)
-    low = lowest(np.where(known, plane, np.float32(np.inf)), size)
+    valid = np.isfinite(plane)
+    high = highest(np.where(valid, plane, np.float32(-np.inf)), size)
+    low = lowest(np.where(valid, plane, np.float32(np.inf)), size)
     return np.where(high >= low, high - low, np.float32(0))
 
 
@@ -42,10 +42,10 @@ def mean(plane: NDArray[Any], size: int) -> Floats:
     return np.asarray(uniform_filter(plane.astype(np.float32), size, mode="nearest"), np.float32)
 
 
-def mean_of_known(plane: NDArray[Any], known: NDArray[np.bool_], size: int) -> Floats:
+def mean_of_valid(plane: NDArray[Any], valid: NDArray[np.bool_], size: int) -> Floats:
     """Sliding mean of the known ones of size x size pixels; 0 if there are none."""
-    share = mean(known, size)
-    total = mean(np.where(known, plane, np.zeros_like(plane)), size)
+    share = mean(valid, size)
+    total = mean(np.where(valid, plane, np.zeros_like(plane)), size)
     return total / np.where(share > 0.5 / size**2, share, np.float32(np.inf)).astype(np.float32)
 
 
@@ -60,8 +60,8 @@ def nearest(wanted: NDArray[np.bool_]) -> tuple[NDArray[np.float64], tuple[NDArr
     """Return the distance to the nearest True pixel and its position as (rows, cols); one must be True."""
     from scipy.ndimage import distance_transform_edt
 
-    distance, where = (np.asarray(a) for a in distance_transform_edt(~wanted, return_indices=True) or ())
-    rows, cols = where.astype(np.intp)
+    distance, indices = (np.asarray(a) for a in distance_transform_edt(~wanted, return_indices=True) or ())
+    rows, cols = indices.astype(np.intp)
     return distance.astype(np.float64), (rows, cols)
 
 
@@ -100,7 +100,7 @@ def window_pieces(window: int) -> NDArray[np.int64]:
 
 
 @inlined_part
-def box(sums: Wholes, pieces: Int64s, out: Wholes) -> None:
+def box(sums: Ints, pieces: Int64s, out: Ints) -> None:
     """Sliding sum of the row sums[0] over the window, with the fewest additions that its pieces allow.
 
     sums: [4, row]; the other rows are overwritten.
@@ -118,14 +118,14 @@ def box(sums: Wholes, pieces: Int64s, out: Wholes) -> None:
 
 
 @lean_part
-def _add_three(a: Wholes, b: Wholes, c: Wholes, out: Wholes) -> None:
+def _add_three(a: Ints, b: Ints, c: Ints, out: Ints) -> None:
     i = a.dtype.type
     for x in range(min(out.size, c.size)):
         out[x] = i(i(a[x] + b[x]) + c[x])
 
 
 @lean_part
-def _add_neighbours(row: Wholes, out: Wholes) -> None:
+def _add_neighbours(row: Ints, out: Ints) -> None:
     """Sums of three neighbours; two of them stay in registers."""
     i = row.dtype.type
     first, second, ahead = row[0], row[1], row[2:]

@@ -34,7 +34,7 @@ def halve(layers: Layers) -> Layers:
     _lowest(_even(layers["z_min_um"], np.nan) if "z_min_um" in layers else heights, half["z_min_um"])
     _highest(_even(layers["z_max_um"], np.nan) if "z_max_um" in layers else heights, half["z_max_um"])
     for name in set(_MEANS) & set(layers):
-        _mean_of_known(_even(layers[name], np.nan), half[name])
+        _mean_of_valid(_even(layers[name], np.nan), half[name])
     half["all_in_focus"] = np.empty(shape, layers["all_in_focus"].dtype)
     _mean_of_covered(_even(layers["all_in_focus"], 0), origins, half["all_in_focus"])
     return half
@@ -79,14 +79,14 @@ def _of_best(a: Float32s, b: Float32s, origin_a: UInt8s, origin_b: UInt8s, best:
 
 
 @lean_kernel
-def _mean_of_known(layer: Float32s, out: Float32s) -> None:
+def _mean_of_valid(layer: Float32s, out: Float32s) -> None:
     """Mean of those of the four pixels that are not NaN."""
     for r in range(out.shape[0]):
-        _of_known(layer[2 * r], layer[2 * r + 1], out[r])
+        _of_valid(layer[2 * r], layer[2 * r + 1], out[r])
 
 
 @lean_part
-def _of_known(a: Float32s, b: Float32s, out: Float32s) -> None:
+def _of_valid(a: Float32s, b: Float32s, out: Float32s) -> None:
     zero = np.float32(0)
     for x in range(out.size):
         i, j = 2 * x, 2 * x + 1

@@ -28,11 +28,11 @@ class Rectangles:
     @classmethod
     def of(cls, top: Float64s, bottom: Float64s, left: Float64s, right: Float64s) -> Rectangles:
         """Return the rectangles with these borders, inclusive row and column numbers."""
-        there = np.flatnonzero(np.isfinite(top + left))
-        tallest, widest = (float(np.max((b - a)[there], initial=0.0)) + 1 for a, b in ((top, bottom), (left, right)))
-        keys = _keys(np.floor(top[there] / tallest), np.floor(left[there] / widest))
+        placed = np.flatnonzero(np.isfinite(top + left))
+        tallest, widest = (float(np.max((b - a)[placed], initial=0.0)) + 1 for a, b in ((top, bottom), (left, right)))
+        keys = _keys(np.floor(top[placed] / tallest), np.floor(left[placed] / widest))
         order = np.argsort(keys, kind="stable")
-        return cls(top, bottom, left, right, (tallest, widest), keys[order], there[order])
+        return cls(top, bottom, left, right, (tallest, widest), keys[order], placed[order])
 
     def intersecting(self, top: float, bottom: float, left: float, right: float) -> list[int]:
         """Return the indices of the rectangles that intersect a window, ascending."""

@@ -18,10 +18,10 @@ from wafer_viewer.numerics.jit import (
     Float32s,
     Float64s,
     Greys,
+    Int,
     Int64s,
     Real,
     UInt8s,
-    Whole,
     fast_kernel,
     kernel,
     lean_kernel,
@@ -122,7 +122,7 @@ class TiltedField(NamedTuple):
 
 @lean_kernel
 def read_heights(
-    layer: Float32s, shift: Shift, leaning: TiltedField, max_step: Real, out: Float32s, row: Whole, col: Whole
+    layer: Float32s, shift: Shift, leaning: TiltedField, max_step: Real, out: Float32s, row: Int, col: Int
 ) -> None:
     """Read the heights of a field into `out` from (row, col) on, in the size of `leaning`.
 

@@ -89,8 +89,8 @@ def fit_plane(differences: Float32s, side: int) -> Plane | None:
     plane: Numbers = np.array([float(np.median(sample[:, 0])), 0.0, 0.0])
     limit = 1.0
     for _ in range(PLANE_FIT.most_steps):
-        left = sample[:, 0] - plane[0] - sample[:, 1:] @ plane[1:]
-        limit = _TUKEY * (MAD_TO_SIGMA * float(np.median(np.abs(left))) + PLANE_FIT.least_scale)
+        residuals = sample[:, 0] - plane[0] - sample[:, 1:] @ plane[1:]
+        limit = _TUKEY * (MAD_TO_SIGMA * float(np.median(np.abs(residuals))) + PLANE_FIT.least_scale)
         normal, right = _normal(_band_sums(differences, plane, limit, side))
         step = np.linalg.lstsq(normal, right, rcond=1e-9)[0]
         plane += step
@@ -151,14 +151,14 @@ def _with_covariance(plane: Numbers, sums: Numbers, side: int) -> Plane | None:
     return Plane(row0, col0, value, float(plane[1]), float(plane[2]), information, round(weight), rms)
 
 
-def _variance_inflation(left: Numbers, squares: float, side: int) -> float:
+def _variance_inflation(residuals: Numbers, squares: float, side: int) -> float:
     """Return the number of pixels equivalent to one independent pixel, from the excess variance of block sums.
 
     Rows and columns of blocks are also used, for residuals along a straight wall that is not quite aligned.
     """
-    n_blocks = max(1, left.shape[1] // side)
-    starts = np.arange(n_blocks) * left.shape[1] // n_blocks
-    blocks = np.add.reduceat(left, starts, axis=1)
+    n_blocks = max(1, residuals.shape[1] // side)
+    starts = np.arange(n_blocks) * residuals.shape[1] // n_blocks
+    blocks = np.add.reduceat(residuals, starts, axis=1)
     alone = _scatter(blocks.ravel(), 3)
     lines = _scatter(blocks.sum(axis=0), 1) + _scatter(blocks.sum(axis=1), 1) - alone
     return max(1.0, alone / max(squares, 1e-30), lines / max(squares, 1e-30))
@@ -194,12 +194,12 @@ def _weigh(
 ) -> None:
     one, five, none = np.float32(1), np.float32(5), np.float32(0)
     for x in range(row.size):
-        left = row[x] - (start + slope * np.float32(x))
-        share = (left * per_limit) * (left * per_limit)
+        residuals = row[x] - (start + slope * np.float32(x))
+        share = (residuals * per_limit) * (residuals * per_limit)
         room = one - share
         counts = room > none
         weight[x] = room * room if counts else none
-        pull[x] = room * room * left if counts else none
+        pull[x] = room * room * residuals if counts else none
         bend[x] = room * (one - five * share) if counts else none
 
 

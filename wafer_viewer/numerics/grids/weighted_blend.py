@@ -9,7 +9,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from wafer_viewer.numerics.jit import Float32s, Greys, Real, UInt8s, Whole, lean_kernel, lean_part
+from wafer_viewer.numerics.jit import Float32s, Greys, Int, Real, UInt8s, lean_kernel, lean_part
 
 _MEASURED = 0
 """Code of a measured height, `Origin.MEASURED`."""
@@ -55,7 +55,7 @@ class Tally(NamedTuple):
 
 
 @lean_kernel
-def blend_weights(layer: Float32s, confidence: Float32s, row: Whole, col: Whole, limit: Real, out: Float32s) -> None:
+def blend_weights(layer: Float32s, confidence: Float32s, row: Int, col: Int, limit: Real, out: Float32s) -> None:
     """Compute the weights of a field's heights for a piece whose pixel (0, 0) is nearest to (row, col) of the field.
 
     Product of the squared confidence, because errors grow as it falls, and the fraction of the eight neighbours within
@@ -76,7 +76,7 @@ def blend_weights(layer: Float32s, confidence: Float32s, row: Whole, col: Whole,
 
 @lean_kernel
 def accumulate(
-    piece: BlendPiece, limit: Real, tally: Tally, scratch: Float32s, window: Blended, row: Whole, col: Whole
+    piece: BlendPiece, limit: Real, tally: Tally, scratch: Float32s, window: Blended, row: Int, col: Int
 ) -> None:
     """Blend one more field into a piece of the window that starts at (row, col).
 
@@ -109,7 +109,7 @@ def blend_grey(grey: Float32s, row_weights: Float32s, col_weights: Float32s, wei
 
 
 @lean_kernel
-def round_grey(grey: Float32s, out: Greys, row: Whole, col: Whole) -> None:
+def round_grey(grey: Float32s, out: Greys, row: Int, col: Int) -> None:
     """Round the grey of a piece to integers and write it to `out` from (row, col) on."""
     n = grey.shape[1]
     for r in range(grey.shape[0]):
@@ -121,11 +121,11 @@ def _count_near(a: Float32s, b: Float32s, c: Float32s, limit: Real, out: Float32
     """Write the fraction of near neighbours plus a minimum; the input rows start one pixel before `out`."""
     for x in range(out.size):
         z = b[x + 1]
-        over = np.float32(abs(a[x] - z) <= limit) + np.float32(abs(a[x + 1] - z) <= limit)
-        beside = np.float32(abs(b[x] - z) <= limit) + np.float32(abs(b[x + 2] - z) <= limit)
+        vertical = np.float32(abs(a[x] - z) <= limit) + np.float32(abs(a[x + 1] - z) <= limit)
+        sideways = np.float32(abs(b[x] - z) <= limit) + np.float32(abs(b[x + 2] - z) <= limit)
         under = np.float32(abs(c[x] - z) <= limit) + np.float32(abs(c[x + 1] - z) <= limit)
         corners = np.float32(abs(a[x + 2] - z) <= limit) + np.float32(abs(c[x + 2] - z) <= limit)
-        out[x] = np.float32(0.125) * (over + beside + under + corners) + _LEAST_SHARE
+        out[x] = np.float32(0.125) * (vertical + sideways + under + corners) + _LEAST_SHARE
 
 
 @lean_part
@@ -153,13 +153,13 @@ def _share(
 ) -> None:
     """Write the weight of the new height in the blend: 0 if it does not count, 1 if it replaces the old one."""
     for x in range(share.size):
-        there, had = new[x] == new[x], old[x] == old[x]
+        has_new, has_old = new[x] == new[x], old[x] == old[x]
         measured, was_measured = new_origin[x] == _MEASURED, old_origin[x] == _MEASURED
         off = abs(new[x] - old[x]) > limit
         wins = (measured & (not was_measured)) | ((measured == was_measured) & off & (new_weight[x] > old_weight[x]))
         joins = (measured == was_measured) & (not off)
         part = new_weight[x] / (old_weight[x] + new_weight[x]) if joins else np.float32(0)
-        share[x] = np.float32(0) if not there else (np.float32(1) if wins | (not had) else part)
+        share[x] = np.float32(0) if not has_new else (np.float32(1) if wins | (not has_old) else part)
 
 
 @lean_part
@@ -179,8 +179,8 @@ def _update_origins(origin: UInt8s, codes: UInt8s, share: Float32s) -> None:
 @lean_part
 def _update_weights(weight: Float32s, new: Float32s, share: Float32s) -> None:
     for x in range(weight.size):
-        kept = weight[x] if share[x] < 1 else np.float32(0)
-        weight[x] = kept + (new[x] if share[x] > 0 else np.float32(0))
+        remaining = weight[x] if share[x] < 1 else np.float32(0)
+        weight[x] = remaining + (new[x] if share[x] > 0 else np.float32(0))
 
 
 @lean_part

@@ -221,8 +221,8 @@ class StackOutline:
 
 def picture_at(stack: FieldStack, z_um: float) -> Image:
     """Return the frame of a stack that was taken nearest to z_um, as a view."""
-    there = np.flatnonzero(stack.present)
-    return stack.images[there[np.argmin(np.abs(stack.z_um[there] - z_um))]]
+    present = np.flatnonzero(stack.present)
+    return stack.images[present[np.argmin(np.abs(stack.z_um[present] - z_um))]]
 
 
 def stitched_picture(

@@ -32,15 +32,15 @@ def pieces(window: Part, parts: Sequence[Part]) -> Iterator[tuple[Part, list[int
     """
     rows, cols = window
     for band in _cut(rows, (part[0] for part in parts)):
-        here = [n for n, (of_part, _) in enumerate(parts) if _holds(of_part, band)]
-        for strip in _cut(cols, (parts[n][1] for n in here)):
-            yield (band, strip), [n for n in here if _holds(parts[n][1], strip)]
+        covering = [n for n, (of_part, _) in enumerate(parts) if _holds(of_part, band)]
+        for strip in _cut(cols, (parts[n][1] for n in covering)):
+            yield (band, strip), [n for n in covering if _holds(parts[n][1], strip)]
 
 
-def _cut(whole: slice, parts: Iterable[slice]) -> Iterator[slice]:
+def _cut(full: slice, parts: Iterable[slice]) -> Iterator[slice]:
     """Split a range of pixels wherever a part begins or ends."""
-    inside = {end for part in parts for end in (part.start, part.stop) if whole.start < end < whole.stop}
-    ends = [whole.start, *sorted(inside), whole.stop]
+    inside = {end for part in parts for end in (part.start, part.stop) if full.start < end < full.stop}
+    ends = [full.start, *sorted(inside), full.stop]
     return (slice(a, b) for a, b in itertools.pairwise(ends))
 
 
@@ -192,25 +192,27 @@ def blend_layers(
     heights: Sequence[HeightMap], layout: MosaicLayout, rows: slice, cols: slice, blend: Blend
 ) -> dict[str, Any]:
     """Return the layers of a window [rows, cols] of the mosaic by name; only fields that touch it are read."""
-    fields = _laid(heights, layout, rows, cols, blend)
-    seen = [height for height, _ in fields] or [heights[0]]
-    window = _empty((rows.stop - rows.start, cols.stop - cols.start), _type([height.all_in_focus for height in seen]))
-    for piece, numbers in pieces((rows, cols), [laid.part for _, laid in fields]):
-        here = [(fields[n][0], fields[n][1].over(piece)) for n in numbers]
-        if here:
-            _fill(window, piece[0].start - rows.start, piece[1].start - cols.start, here, blend)
+    fields = _placed_fields(heights, layout, rows, cols, blend)
+    sources = [height for height, _ in fields] or [heights[0]]
+    window = _empty(
+        (rows.stop - rows.start, cols.stop - cols.start), _type([height.all_in_focus for height in sources])
+    )
+    for piece, numbers in pieces((rows, cols), [placed.part for _, placed in fields]):
+        covering = [(fields[n][0], fields[n][1].over(piece)) for n in numbers]
+        if covering:
+            _fill(window, piece[0].start - rows.start, piece[1].start - cols.start, covering, blend)
     return window
 
 
 def lay_pictures(pictures: Sequence[Image], layout: MosaicLayout, rows: slice, cols: slice, blend: Blend) -> Image:
     """Return the window for one image per field; 0 where there is none."""
-    fields = _laid(pictures, layout, rows, cols, blend)
-    seen = [picture for picture, _ in fields] or [pictures[0]]
-    out = np.zeros((rows.stop - rows.start, cols.stop - cols.start), _type(seen))
-    for piece, numbers in pieces((rows, cols), [laid.part for _, laid in fields]):
-        here = [(fields[n][0], fields[n][1].over(piece)) for n in numbers]
-        if here:
-            weighted_blend.round_grey(_grey(here), out, piece[0].start - rows.start, piece[1].start - cols.start)
+    fields = _placed_fields(pictures, layout, rows, cols, blend)
+    sources = [picture for picture, _ in fields] or [pictures[0]]
+    out = np.zeros((rows.stop - rows.start, cols.stop - cols.start), _type(sources))
+    for piece, numbers in pieces((rows, cols), [placed.part for _, placed in fields]):
+        covering = [(fields[n][0], fields[n][1].over(piece)) for n in numbers]
+        if covering:
+            weighted_blend.round_grey(_grey(covering), out, piece[0].start - rows.start, piece[1].start - cols.start)
     return out
 
 
@@ -221,7 +223,7 @@ def fixed(layer: NDArray[Any]) -> NDArray[Any]:
     return view if view.flags.c_contiguous else fixed(np.ascontiguousarray(layer))
 
 
-def _laid(
+def _placed_fields(
     items: Sequence[Any], layout: MosaicLayout, rows: slice, cols: slice, blend: Blend
 ) -> list[tuple[Any, PlacedWindow]]:
     """Return the items that touch a window, with their placements; fields between two pixel lines are omitted."""
@@ -251,9 +253,9 @@ def _faded(place: FieldPlacement, down: Weights, right: Weights, fade: Callable[
 def _within_ramps(from_start: Weights, to_end: Weights, start_px: float, end_px: float) -> Weights:
     """Return the relative position within the ramps, 1 beyond them."""
     share = np.ones(from_start.shape)
-    for way, ramp_px in ((from_start, start_px), (to_end, end_px)):
+    for distance, ramp_px in ((from_start, start_px), (to_end, end_px)):
         if ramp_px > 0:
-            share = np.minimum(share, way / ramp_px)
+            share = np.minimum(share, distance / ramp_px)
     return share
 
 
@@ -279,41 +281,41 @@ def _fill(
     window: dict[str, Any], row: int, col: int, fields: Sequence[tuple[HeightMap, PlacedWindow]], blend: Blend
 ) -> None:
     """Fill a piece of a window from (row, col) on: copy the first field, then blend in the others."""
-    first, laid = fields[0]
-    here = slice(row, row + laid.shape[0]), slice(col, col + laid.shape[1])
-    laid.heights(first.z_um, _max_step_um(first), window["z_um"], row, col)
-    laid.heights(first.z_raw_um, _max_step_um(first), window["z_raw_um"], row, col)
-    window["confidence"][here] = laid.nearest(first.confidence)
-    window["origin"][here] = laid.nearest(first.origin)
+    first, placed = fields[0]
+    area = slice(row, row + placed.shape[0]), slice(col, col + placed.shape[1])
+    placed.heights(first.z_um, _max_step_um(first), window["z_um"], row, col)
+    placed.heights(first.z_raw_um, _max_step_um(first), window["z_raw_um"], row, col)
+    window["confidence"][area] = placed.nearest(first.confidence)
+    window["origin"][area] = placed.nearest(first.origin)
     if len(fields) > 1:
-        _blend_in(window, here, fields, blend)
+        _blend_in(window, area, fields, blend)
     weighted_blend.round_grey(
-        _grey([(height.all_in_focus, laid) for height, laid in fields]), window["all_in_focus"], row, col
+        _grey([(height.all_in_focus, placed) for height, placed in fields]), window["all_in_focus"], row, col
     )
 
 
 def _blend_in(
-    window: dict[str, Any], here: Part, fields: Sequence[tuple[HeightMap, PlacedWindow]], blend: Blend
+    window: dict[str, Any], area: Part, fields: Sequence[tuple[HeightMap, PlacedWindow]], blend: Blend
 ) -> None:
     """Blend the other fields into a piece that holds the first."""
     blended = Blended(*(window[name] for name in ("z_um", "z_raw_um", "confidence", "origin", "overlap_um")))
-    first, laid = fields[0]
-    raw = blended.raw[here]
-    tally = Tally(laid.fade.weights * laid.belief(first, blend), raw.copy(), raw.copy())
+    first, placed = fields[0]
+    raw = blended.raw[area]
+    tally = Tally(placed.fade.weights * placed.belief(first, blend), raw.copy(), raw.copy())
     limit_um = max(_max_step_um(height) for height, _ in fields) if blend.judges else 0.0
-    scratch = np.empty((2, here[1].stop - here[1].start), np.float32)
-    for height, laid in fields[1:]:
-        piece = _read(height, laid, blend)
-        weighted_blend.accumulate(piece, limit_um or np.inf, tally, scratch, blended, here[0].start, here[1].start)
+    scratch = np.empty((2, area[1].stop - area[1].start), np.float32)
+    for height, placed in fields[1:]:
+        piece = _read(height, placed, blend)
+        weighted_blend.accumulate(piece, limit_um or np.inf, tally, scratch, blended, area[0].start, area[1].start)
 
 
-def _read(height: HeightMap, laid: PlacedWindow, blend: Blend) -> BlendPiece:
+def _read(height: HeightMap, placed: PlacedWindow, blend: Blend) -> BlendPiece:
     """Return the layers of a field over a piece."""
-    z, raw = (np.empty(laid.shape, np.float32) for _ in range(2))
-    laid.heights(height.z_um, _max_step_um(height), z, 0, 0)
-    laid.heights(height.z_raw_um, _max_step_um(height), raw, 0, 0)
-    confidence, origin = (fixed(laid.nearest(layer)) for layer in (height.confidence, height.origin))
-    return BlendPiece(z, raw, confidence, origin, laid.belief(height, blend), laid.fade.rows, laid.fade.cols)
+    z, raw = (np.empty(placed.shape, np.float32) for _ in range(2))
+    placed.heights(height.z_um, _max_step_um(height), z, 0, 0)
+    placed.heights(height.z_raw_um, _max_step_um(height), raw, 0, 0)
+    confidence, origin = (fixed(placed.nearest(layer)) for layer in (height.confidence, height.origin))
+    return BlendPiece(z, raw, confidence, origin, placed.belief(height, blend), placed.fade.rows, placed.fade.cols)
 
 
 def _grey(fields: Sequence[tuple[Image, PlacedWindow]]) -> Float32s:
@@ -321,8 +323,8 @@ def _grey(fields: Sequence[tuple[Image, PlacedWindow]]) -> Float32s:
     total = fields[0][1].grey(fields[0][0])
     if len(fields) > 1:
         weight = fields[0][1].grey_fade.weights
-        for picture, laid in fields[1:]:
-            weighted_blend.blend_grey(laid.grey(picture), laid.grey_fade.rows, laid.grey_fade.cols, weight, total)
+        for picture, placed in fields[1:]:
+            weighted_blend.blend_grey(placed.grey(picture), placed.grey_fade.rows, placed.grey_fade.cols, weight, total)
     return total
 
 

@@ -88,8 +88,8 @@ def _lattice(raw_um: Map, smoothed_um: Map, pixel_um: float, recipe: Recipe) -> 
     floor_um, window = float(recipe.outliers.floor_um), int(recipe.window)
     found = far_on_lattice(smoothed_um, recipe.outliers) | _moved(raw_um, smoothed_um, floor_um)
     found |= narrow_parts(fill_gaps(smoothed_um, BRIDGED_PX, floor_um), floor_um, 3 * window // 4)
-    rest = np.where(found, np.float32(np.nan), smoothed_um)
-    found |= small_components(rest, floor_um, (2 * window) ** 2)
+    remaining = np.where(found, np.float32(np.nan), smoothed_um)
+    found |= small_components(remaining, floor_um, (2 * window) ** 2)
     return found & np.isfinite(raw_um)
 
 
@@ -143,10 +143,10 @@ def far_in_cloud(z_um: Map, pixel_um: float, how: Outliers) -> Found:
 
 
 def _threshold(distances: NDArray[np.floating], how: Outliers) -> float:
-    known, floor_um = distances[np.isfinite(distances)], float(how.floor_um)
-    if not known.size:
+    finite, floor_um = distances[np.isfinite(distances)], float(how.floor_um)
+    if not finite.size:
         return floor_um
-    return float(known.mean() + max(how.n_sigma * known.std(), floor_um))
+    return float(finite.mean() + max(how.n_sigma * finite.std(), floor_um))
 
 
 FINDERS: dict[str, Callable[[Map, Map, float, Recipe], Found]] = {"none": _none, "lattice": _lattice, "cloud": _cloud}
@@ -170,10 +170,10 @@ def height_range_um(z_um: NDArray[np.float32], window: int) -> NDArray[np.float3
     reach = window // 4
     high = highest(_of_cells(np.where(np.isnan(z_um), -_BEYOND_UM, z_um), np.maximum), 2 * reach + 1)
     low = lowest(_of_cells(np.where(np.isnan(z_um), _BEYOND_UM, z_um), np.minimum), 2 * reach + 1)
-    return doubled(_whole_windows(high - low, reach), z_um.shape)
+    return doubled(_full_windows(high - low, reach), z_um.shape)
 
 
-def _whole_windows(plane: NDArray[np.float32], reach: int) -> NDArray[np.float32]:
+def _full_windows(plane: NDArray[np.float32], reach: int) -> NDArray[np.float32]:
     """Replace border values by those of the nearest window inside; unchanged if none fits."""
     if min(plane.shape) <= 2 * reach or not reach:
         return plane
@@ -245,23 +245,23 @@ def clean(
     pixel_um: float,
     recipe: Recipe,
     resolution_um: float,
-    side_known: NDArray[np.bool_] | None = None,
+    side_is_known: NDArray[np.bool_] | None = None,
     bleeding_um: Map | None = None,
 ) -> Cleaned:
     """Clean a gated map, NaN where unmeasured, by a settled recipe.
 
-    resolution_um: axial resolution of the optics, the reference for steps of the surface; side_known: mask of pixels
+    resolution_um: axial resolution of the optics, the reference for steps of the surface; side_is_known: mask of pixels
     with a known wall side, None if step edges are not requested; bleeding_um: heights rejected because light bled
     there, NaN elsewhere: measured heights that continue from them also lie next to a jump.
     """
     smoothed = smooth(z_um, recipe.levy, resolution_um)
     outlier = find_outliers(z_um, smoothed, pixel_um, recipe)
     raw, step_edge = np.where(outlier, np.float32(np.nan), z_um), np.zeros(z_um.shape, np.bool_)
-    if side_known is not None:
-        step_edge = _step_edges(raw, bleeding_um, recipe, resolution_um) & ~side_known
+    if side_is_known is not None:
+        step_edge = _step_edges(raw, bleeding_um, recipe, resolution_um) & ~side_is_known
         raw[step_edge] = np.nan
         if step_edge.any():
-            outlier |= _leftovers(raw, recipe, resolution_um) & ~side_known
+            outlier |= _leftovers(raw, recipe, resolution_um) & ~side_is_known
             raw[outlier] = np.nan
     smoothed[outlier | step_edge] = np.nan
     return Cleaned(fill(smoothed, recipe.fill, resolution_um), raw, outlier, step_edge)
@@ -269,8 +269,8 @@ def clean(
 
 def _step_edges(z_um: Map, bleeding_um: Map | None, recipe: Recipe, resolution_um: float) -> NDArray[np.bool_]:
     """Return a mask of heights with another surface within about half a window."""
-    seen_um = z_um if bleeding_um is None else np.where(np.isnan(z_um), bleeding_um, z_um)
-    return (height_range_um(seen_um, int(recipe.window)) > JUMP_STEPS * resolution_um) & np.isfinite(z_um)
+    edge_um = z_um if bleeding_um is None else np.where(np.isnan(z_um), bleeding_um, z_um)
+    return (height_range_um(edge_um, int(recipe.window)) > JUMP_STEPS * resolution_um) & np.isfinite(z_um)
 
 
 def _leftovers(z_um: Map, recipe: Recipe, resolution_um: float) -> NDArray[np.bool_]:

@@ -79,19 +79,19 @@ def compare(first: Mosaic, second: Mosaic, align: Align = "auto", keep_z: bool =
     one = as_pyramid(first)
     other = one if second is first else as_pyramid(second)
     registration = register_surfaces(one, other, align, keep_z)
-    laid = ResampledMosaic(one, other, registration)
+    resampled = ResampledMosaic(one, other, registration)
     region = _common(one, other, registration)
-    median_um, limit_um = noise_of(laid, region)
+    median_um, limit_um = noise_of(resampled, region)
     notes = ("Heights are those of the second surface minus the first.", f"Aligned {FOUND_BY[registration.by]}.")
-    return Difference(laid, median_um, limit_um, provenance_of(first.provenance, second.provenance, notes))
+    return Difference(resampled, median_um, limit_um, provenance_of(first.provenance, second.provenance, notes))
 
 
 def register_surfaces(first: Mosaic, second: Mosaic, align: Align = "auto", keep_z: bool = False) -> Registration:
     """Return the registration that aligns the second surface to the first; see `compare`."""
-    same = align == "auto" and of_same_frames(first, second)
-    found = Registration(by="same" if same else "stage")
+    identical = align == "auto" and of_same_frames(first, second)
+    found = Registration(by="same" if identical else "stage")
     region = _common(first, second, found)
-    if align == "images" or (align == "auto" and not same):
+    if align == "images" or (align == "auto" and not identical):
         found = _by_images(first, second, region, keep_z)
     elif align == "stage" and not keep_z:
         found = levelled(first, second, _about(found, region), region)

@@ -62,12 +62,12 @@ class DifferenceStatistics:
 
 @dataclass(frozen=True, eq=False)
 class Difference:
-    """A `Mosaic` of one level on the first's lattice: `laid` over `laid.first`, minus it.
+    """A `Mosaic` of one level on the first's lattice: `resampled` over `resampled.first`, minus it.
 
     Unmeasured where either surface is, with the first's origin code if it has one. median_um, limit_um: see `Change`.
     """
 
-    laid: ResampledMosaic
+    resampled: ResampledMosaic
     median_um: float
     limit_um: float
     provenance: Provenance
@@ -75,27 +75,27 @@ class Difference:
     @property
     def registration(self) -> Registration:
         """Registration of the second surface to the first."""
-        return self.laid.registration
+        return self.resampled.registration
 
     @property
     def pixel_um(self) -> float:
         """Pixel size."""
-        return self.laid.pixel_um
+        return self.resampled.pixel_um
 
     @property
     def x0_um(self) -> float:
         """Stage x of pixel (0, 0)."""
-        return self.laid.x0_um
+        return self.resampled.x0_um
 
     @property
     def y0_um(self) -> float:
         """Stage y of pixel (0, 0)."""
-        return self.laid.y0_um
+        return self.resampled.y0_um
 
     @property
     def shape(self) -> tuple[int, int]:
         """(rows, cols)."""
-        return self.laid.shape
+        return self.resampled.shape
 
     @property
     def levels(self) -> int:
@@ -106,7 +106,7 @@ class Difference:
         """Return the part that holds a region, or all of it without one. Raises MeasureError when it is outside."""
         if level:
             raise MeasureError(f"A difference has one level until it is written, level {level} was asked for.")
-        return dataclasses.replace(subtracted(self.laid, region), provenance=self.provenance)
+        return dataclasses.replace(subtracted(self.resampled, region), provenance=self.provenance)
 
     def sums(self, part: HeightMap) -> DifferenceStatistics:
         """Return the statistics sums of a window."""
@@ -148,10 +148,10 @@ class Difference:
             yield self.window(Region.rectangle(self.x0_um, next(ends), x1, next(ends)))
 
 
-def subtracted(laid: ResampledMosaic, region: Region | None) -> HeightMap:
+def subtracted(resampled: ResampledMosaic, region: Region | None) -> HeightMap:
     """Return second minus first in a window of the first's lattice."""
-    one = laid.first.window(region)
-    other = laid.on(SampleGrid(one.pixel_um, one.x0_um, one.y0_um, one.shape))
+    one = resampled.first.window(region)
+    other = resampled.on(SampleGrid(one.pixel_um, one.x0_um, one.y0_um, one.shape))
     return HeightMap(
         z_um=other.z_um - one.z_um,
         z_raw_um=other.z_raw_um - one.z_raw_um,
@@ -164,12 +164,12 @@ def subtracted(laid: ResampledMosaic, region: Region | None) -> HeightMap:
     )
 
 
-def noise_of(laid: ResampledMosaic, region: Region) -> tuple[float, float]:
+def noise_of(resampled: ResampledMosaic, region: Region) -> tuple[float, float]:
     """Return (median, limit of unchanged heights) of the differences, from samples over a region, in um.
 
     Raises MeasureError when no sampled pixel is measured in both.
     """
-    found = [off for look in _looks(laid, region) if (off := _differences(laid, look)).size]
+    found = [off for block in _noise_blocks(resampled, region) if (off := _differences(resampled, block)).size]
     if not found:
         raise MeasureError("No place is measured in both surfaces: take surfaces of the same part of the sample.")
     off = np.concatenate(found)
@@ -177,17 +177,17 @@ def noise_of(laid: ResampledMosaic, region: Region) -> tuple[float, float]:
     return median, max(_LEAST_LIMIT_UM, CHANGED_SIGMAS * MAD_TO_SIGMA * float(np.median(np.abs(off - median))))
 
 
-def _looks(laid: ResampledMosaic, region: Region) -> Iterator[Region]:
+def _noise_blocks(resampled: ResampledMosaic, region: Region) -> Iterator[Region]:
     xa, ya, xb, yb = region.bounds_um
-    half = _LOOK_PX / 2 * laid.pixel_um
+    half = _LOOK_PX / 2 * resampled.pixel_um
     for x in np.unique(np.linspace(min(xa + half, xb), max(xb - half, xa), _LOOKS)):
         for y in np.unique(np.linspace(min(ya + half, yb), max(yb - half, ya), _LOOKS)):
             yield Region.rectangle(float(x) - half, float(y) - half, float(x) + half, float(y) + half)
 
 
-def _differences(laid: ResampledMosaic, look: Region) -> NDArray[np.float32]:
+def _differences(resampled: ResampledMosaic, block: Region) -> NDArray[np.float32]:
     try:
-        off = subtracted(laid, look).z_raw_um
+        off = subtracted(resampled, block).z_raw_um
     except MeasureError:
         return np.empty(0, np.float32)
     return off[np.isfinite(off)]
@@ -214,28 +214,28 @@ _COARSEST_PX = 256
 class Reduced:
     """A `Mosaic` over a map in memory."""
 
-    whole: HeightMap
+    full: HeightMap
     _made: list[HeightMap] = field(default_factory=list[HeightMap])
 
     @property
     def pixel_um(self) -> float:
         """Pixel size of level 0."""
-        return self.whole.pixel_um
+        return self.full.pixel_um
 
     @property
     def x0_um(self) -> float:
         """Stage x of pixel (0, 0) of level 0."""
-        return self.whole.x0_um
+        return self.full.x0_um
 
     @property
     def y0_um(self) -> float:
         """Stage y of pixel (0, 0) of level 0."""
-        return self.whole.y0_um
+        return self.full.y0_um
 
     @property
     def shape(self) -> tuple[int, int]:
         """(rows, cols) of level 0."""
-        return self.whole.shape
+        return self.full.shape
 
     @property
     def levels(self) -> int:
@@ -245,7 +245,7 @@ class Reduced:
     @property
     def provenance(self) -> Provenance:
         """Provenance of the map."""
-        return self.whole.provenance
+        return self.full.provenance
 
     def window(self, region: Region | None = None, level: int = 0) -> HeightMap:
         """Return the part of a level that holds a region. Raises MeasureError if either does not exist."""
@@ -257,9 +257,9 @@ class Reduced:
 
     def _at(self, level: int) -> HeightMap:
         if level == 0:
-            return self.whole
+            return self.full
         while len(self._made) < level:
-            self._made.append(halved(self._made[-1] if self._made else self.whole))
+            self._made.append(halved(self._made[-1] if self._made else self.full))
         return self._made[level - 1]
 
 

@@ -124,8 +124,8 @@ def _by(read: Read, by: FoundBy, first: Mosaic, second: Mosaic, overlap_um: Boun
     levels = _levels(first, overlap_um)
     for level in levels:
         begun = best.doubt is RejectionReason.NONE
-        seen = _sightings(read, ResampledMosaic(first, second, best.registration), overlap_um, level, begun)
-        now = _solved(best.registration, seen, first.pixel_um * 2**level)
+        sightings = _sightings(read, ResampledMosaic(first, second, best.registration), overlap_um, level, begun)
+        now = _solved(best.registration, sightings, first.pixel_um * 2**level)
         if level == levels[0] and now.doubt is not RejectionReason.NONE:
             now = _turned(read, first, second, best.registration, overlap_um, level) or now
         if now.doubt is RejectionReason.NONE or not begun:
@@ -143,15 +143,15 @@ def _levels(first: Mosaic, overlap_um: Bounds) -> list[int]:
     return [*range(coarsest, 0, -PATCHES.levels_at_once), 0, 0]
 
 
-def _sightings(read: Read, laid: ResampledMosaic, overlap_um: Bounds, level: int, begun: bool) -> _Sightings:
+def _sightings(read: Read, resampled: ResampledMosaic, overlap_um: Bounds, level: int, begun: bool) -> _Sightings:
     """Match the patches of a level, with a wide search until a coarser level has succeeded."""
-    pixel = laid.first.pixel_um * 2**level
+    pixel = resampled.first.pixel_um * 2**level
     found = [
-        _sighting(read, laid, at, level, PATCHES.near_px if begun else PATCHES.reach_px)
-        for at in _centres(overlap_um, pixel)
+        _sighting(read, resampled, centre, level, PATCHES.near_px if begun else PATCHES.reach_px)
+        for centre in _centres(overlap_um, pixel)
     ]
-    at, off, u, doubts = zip(*found, strict=True)
-    return _Sightings(np.array(at), np.array(off), np.array(u), list(doubts))
+    centre, off, u, doubts = zip(*found, strict=True)
+    return _Sightings(np.array(centre), np.array(off), np.array(u), list(doubts))
 
 
 def _centres(overlap_um: Bounds, pixel_um: float) -> list[tuple[float, float]]:
@@ -170,16 +170,16 @@ def _along(low: float, high: float, half: float) -> Numbers:
 
 
 def _sighting(
-    read: Read, laid: ResampledMosaic, at_um: tuple[float, float], level: int, reach_px: float
+    read: Read, resampled: ResampledMosaic, at_um: tuple[float, float], level: int, reach_px: float
 ) -> tuple[tuple[float, float], tuple[float, float], tuple[float, float], RejectionReason]:
     """Match a patch of the second against the first and return its centre, offset, uncertainty and doubt."""
-    pixel = laid.first.pixel_um * 2**level
+    pixel = resampled.first.pixel_um * 2**level
     nowhere = at_um, (0.0, 0.0), (math.inf, math.inf), RejectionReason.BLANK
     try:
-        one = laid.first.window(_square(at_um, pixel, PATCHES.side_px).region, level)
+        one = resampled.first.window(_square(at_um, pixel, PATCHES.side_px).region, level)
     except MeasureError:
         return nowhere
-    other = laid.on(_on_pixels_of(one, _square(at_um, pixel, PATCHES.side_px)))
+    other = resampled.on(_on_pixels_of(one, _square(at_um, pixel, PATCHES.side_px)))
     if not (_holds_enough(one) and _holds_enough(other)):
         return nowhere
     fit = match(one, other, reach_px, read)
@@ -203,17 +203,17 @@ def _holds_enough(part: HeightMap) -> bool:
     return min(part.shape) >= PATCHES.side_px // 8
 
 
-def _solved(before: Registration, seen: _Sightings, pixel_um: float) -> InPlane:
+def _solved(before: Registration, sightings: _Sightings, pixel_um: float) -> InPlane:
     """Fit a rigid motion to the accepted patches, and add it to the registration used for the search."""
-    believed = np.array([doubt is RejectionReason.NONE for doubt in seen.doubts])
+    believed = np.array([doubt is RejectionReason.NONE for doubt in sightings.doubts])
     if not believed.any():
-        return InPlane(before, np.full((3, 3), np.inf), _usual(seen.doubts))
+        return InPlane(before, np.full((3, 3), np.inf), _usual(sightings.doubts))
     about = np.array([before.about_x_um, before.about_y_um])
-    at, off, u = seen.at_um[believed] - about, seen.off_um[believed], seen.u_um[believed]
-    kept, motion, covariance = _agreed(at, off, u, pixel_um)
-    if kept.sum() < believed.sum() / 2:
+    positions, off, u = sightings.at_um[believed] - about, sightings.off_um[believed], sightings.u_um[believed]
+    inliers, motion, covariance = _agreed(positions, off, u, pixel_um)
+    if inliers.sum() < believed.sum() / 2:
         return InPlane(before, covariance, RejectionReason.AMBIGUOUS)
-    if kept.sum() < min(PATCHES.least, max(1, len(believed) // 2)):
+    if inliers.sum() < min(PATCHES.least, max(1, len(believed) // 2)):
         return InPlane(before, covariance, RejectionReason.UNLIKE)
     after = replace(
         before,
@@ -221,45 +221,49 @@ def _solved(before: Registration, seen: _Sightings, pixel_um: float) -> InPlane:
         y_um=before.y_um + float(motion[1]),
         turn_mrad=before.turn_mrad + float(motion[2]) * 1e3,
     )
-    reach_um = max(float(np.hypot(*at.T).max()), pixel_um)
+    reach_um = max(float(np.hypot(*positions.T).max()), pixel_um)
     floor = np.diag([1.0, 1.0, 1 / reach_um**2]) * (PATCHES.least_u_px * pixel_um) ** 2
     return InPlane(after, covariance + floor, RejectionReason.NONE)
 
 
-def _agreed(at: Numbers, off: Numbers, u: Numbers, pixel_um: float) -> tuple[NDArray[np.bool_], Numbers, Numbers]:
+def _agreed(
+    positions: Numbers, off: Numbers, u: Numbers, pixel_um: float
+) -> tuple[NDArray[np.bool_], Numbers, Numbers]:
     """Return (mask of agreeing patches, shift and rotation, covariance); the others may have changed."""
     u = np.hypot(u, PATCHES.least_spread_px * pixel_um)
-    kept = np.hypot(*(off - np.median(off, axis=0)).T) <= max(
-        PATCHES.far_off * pixel_um, PATCHES.most_turn * float(np.abs(at).max(initial=0))
+    inliers = np.hypot(*(off - np.median(off, axis=0)).T) <= max(
+        PATCHES.far_off * pixel_um, PATCHES.most_turn * float(np.abs(positions).max(initial=0))
     )
     motion, covariance = np.zeros(3), np.diag([np.inf] * 3)
     for _ in range(4):
-        motion, covariance, left = _through(at, off, u, kept)
-        if kept.sum() < PATCHES.least:
+        motion, covariance, residuals = _through(positions, off, u, inliers)
+        if inliers.sum() < PATCHES.least:
             break
-        spread = max(MAD_TO_SIGMA * float(np.median(np.abs(left[kept]))), PATCHES.least_spread_px * pixel_um)
-        kept = np.abs(left).max(axis=1) <= PATCHES.far_off * spread
-    return kept, motion, covariance
+        spread = max(MAD_TO_SIGMA * float(np.median(np.abs(residuals[inliers]))), PATCHES.least_spread_px * pixel_um)
+        inliers = np.abs(residuals).max(axis=1) <= PATCHES.far_off * spread
+    return inliers, motion, covariance
 
 
-def _through(at: Numbers, off: Numbers, u: Numbers, kept: NDArray[np.bool_]) -> tuple[Numbers, Numbers, Numbers]:
+def _through(
+    positions: Numbers, off: Numbers, u: Numbers, inliers: NDArray[np.bool_]
+) -> tuple[Numbers, Numbers, Numbers]:
     """Return weighted least squares of (x, y, turn), its covariance, and the residuals [n, 2].
 
     One or two patches determine a shift only.
     """
-    n = len(at)
+    n = len(positions)
     design = np.zeros((n, 2, 3))
     design[:, 0, 0] = design[:, 1, 1] = 1
-    if kept.sum() >= PATCHES.least:
-        design[:, 0, 2], design[:, 1, 2] = -at[:, 1], at[:, 0]
-    rows, values, weights = design[kept].reshape(-1, 3), off[kept].ravel(), 1 / u[kept].ravel()
+    if inliers.sum() >= PATCHES.least:
+        design[:, 0, 2], design[:, 1, 2] = -positions[:, 1], positions[:, 0]
+    rows, values, weights = design[inliers].reshape(-1, 3), off[inliers].ravel(), 1 / u[inliers].ravel()
     normal = (rows * weights[:, None] ** 2).T @ rows
     inverse = np.linalg.pinv(normal, rcond=1e-12, hermitian=True)
     motion = inverse @ ((rows * weights[:, None] ** 2).T @ values)
-    left = off - design @ motion
+    residuals = off - design @ motion
     freedom = max(1, values.size - 3)
-    excess = max(1.0, float((((left[kept].ravel()) * weights) ** 2).sum()) / freedom)
-    return motion, np.asarray(inverse * excess, np.float64), left
+    excess = max(1.0, float((((residuals[inliers].ravel()) * weights) ** 2).sum()) / freedom)
+    return motion, np.asarray(inverse * excess, np.float64), residuals
 
 
 def _usual(doubts: list[RejectionReason]) -> RejectionReason:
@@ -279,13 +283,13 @@ def _turned(
     """Return the fit at the rotation with the best match of the middle patch; None if it is rejected."""
     pixel = first.pixel_um * 2**level
     middle = _centres(overlap_um, pixel)
-    at = middle[len(middle) // 2]
+    angle = middle[len(middle) // 2]
     best: tuple[float, Registration] | None = None
     for turn in _turns():
         turned = replace(start, turn_mrad=turn)
-        alike = _alike(read, ResampledMosaic(first, second, turned), at, level)
-        if best is None or alike > best[0]:
-            best = alike, turned
+        correlation = _match_sigmas(read, ResampledMosaic(first, second, turned), angle, level)
+        if best is None or correlation > best[0]:
+            best = correlation, turned
     if best is None:
         return None
     begun = _sightings(read, ResampledMosaic(first, second, best[1]), overlap_um, level, begun=False)
@@ -298,19 +302,21 @@ def _turns() -> Iterator[float]:
     return (k * PATCHES.turn_step_mrad for k in range(-n, n + 1))
 
 
-def _alike(read: Read, laid: ResampledMosaic, at_um: tuple[float, float], level: int) -> float:
+def _match_sigmas(read: Read, resampled: ResampledMosaic, at_um: tuple[float, float], level: int) -> float:
     """Return the significance of the correlation of a patch, in standard deviations."""
     from wafer_viewer.numerics.correlation import contrast, normalised_cross_correlation
 
-    pixel = laid.first.pixel_um * 2**level
-    one = laid.first.window(_square(at_um, pixel, PATCHES.side_px).region, level)
-    other = laid.on(_on_pixels_of(one, _square(at_um, pixel, PATCHES.side_px)))
+    pixel = resampled.first.pixel_um * 2**level
+    one = resampled.first.window(_square(at_um, pixel, PATCHES.side_px).region, level)
+    other = resampled.on(_on_pixels_of(one, _square(at_um, pixel, PATCHES.side_px)))
     pictures = [read(part, slice(0, part.shape[0]), slice(0, part.shape[1])) for part in (one, other)]
-    known = [picture.known > 0 for picture in pictures]
-    details = [contrast(p.values, k, 11) for p, k in zip(pictures, known, strict=True)]
-    alike = normalised_cross_correlation(details[0], known[0], details[1], known[1], (0, 0), int(PATCHES.reach_px))
-    enough = alike.pixels >= 0.3 * alike.pixels.max(initial=1.0)
-    return float(np.where(enough, alike.sigmas, 0.0).max(initial=0.0))
+    valid = [picture.valid > 0 for picture in pictures]
+    details = [contrast(p.values, k, 11) for p, k in zip(pictures, valid, strict=True)]
+    correlation = normalised_cross_correlation(
+        details[0], valid[0], details[1], valid[1], (0, 0), int(PATCHES.reach_px)
+    )
+    enough = correlation.pixels >= 0.3 * correlation.pixels.max(initial=1.0)
+    return float(np.where(enough, correlation.sigmas, 0.0).max(initial=0.0))
 
 
 @dataclass(frozen=True, slots=True)
@@ -396,12 +402,12 @@ def settled(
     return levelled(first, second, moved, region)
 
 
-def _sample(laid: ResampledMosaic, region: Region) -> _Sample:
+def _sample(resampled: ResampledMosaic, region: Region) -> _Sample:
     xa, ya, xb, yb = region.bounds_um
-    side_px = max(xb - xa, yb - ya) / laid.first.pixel_um
-    level = min(laid.first.levels - 1, max(0, int(np.ceil(np.log2(max(side_px, 1.0) / RELIEF.sample_px)))))
-    one = laid.first.window(region, level)
-    other = laid.on(SampleGrid(one.pixel_um, one.x0_um, one.y0_um, one.shape))
+    side_px = max(xb - xa, yb - ya) / resampled.first.pixel_um
+    level = min(resampled.first.levels - 1, max(0, int(np.ceil(np.log2(max(side_px, 1.0) / RELIEF.sample_px)))))
+    one = resampled.first.window(region, level)
+    other = resampled.on(SampleGrid(one.pixel_um, one.x0_um, one.y0_um, one.shape))
     return _Sample(SampleGrid(one.pixel_um, one.x0_um, one.y0_um, one.shape), _heights(one), _heights(other))
 
 
@@ -426,11 +432,13 @@ def _on_plane(registration: Registration, sample: _Sample, plane: Plane) -> Regi
     pixel = sample.lattice.pixel_um
     x_um, y_um = sample.lattice.x0_um + plane.col0 * pixel, sample.lattice.y0_um - plane.row0 * pixel
     slope_x, slope_y = plane.slope_right / pixel, -plane.slope_down / pixel
-    at_centre = plane.value + slope_x * (registration.about_x_um - x_um) + slope_y * (registration.about_y_um - y_um)
+    offset_at_centre = (
+        plane.value + slope_x * (registration.about_x_um - x_um) + slope_y * (registration.about_y_um - y_um)
+    )
     spread = np.linalg.pinv(plane.information, hermitian=True)
     return replace(
         registration,
-        z_um=float(registration.z_um - at_centre),
+        z_um=float(registration.z_um - offset_at_centre),
         tilt_x_mrad=registration.tilt_x_mrad - float(1e3 * slope_x),
         tilt_y_mrad=registration.tilt_y_mrad - float(1e3 * slope_y),
         u_z_um=2 * float(np.sqrt(spread[0, 0])),
@@ -461,13 +469,13 @@ def _icp(sample: _Sample, plane: Plane, about_um: tuple[float, float]) -> tuple[
 def _points(sample: _Sample, about_um: tuple[float, float]) -> tuple[Numbers, Numbers, Numbers]:
     """Return points of both, [n, 3] in um from the centre, and normals of the first, without walls and edges."""
     down, right = (np.asarray(d, np.float64) for d in np.gradient(sample.first_um, sample.lattice.pixel_um))
-    there = np.isfinite(down + right + sample.second_um) & (np.hypot(down, right) < RELIEF.steepest)
-    rows, cols = np.nonzero(there)
+    usable = np.isfinite(down + right + sample.second_um) & (np.hypot(down, right) < RELIEF.steepest)
+    rows, cols = np.nonzero(usable)
     x = sample.lattice.x0_um + cols * sample.lattice.pixel_um - about_um[0]
     y = sample.lattice.y0_um - rows * sample.lattice.pixel_um - about_um[1]
-    normals = np.stack([-right[there], down[there], np.ones(len(rows))], axis=1).astype(np.float64)
+    normals = np.stack([-right[usable], down[usable], np.ones(len(rows))], axis=1).astype(np.float64)
     normals /= np.sqrt((normals**2).sum(axis=1, keepdims=True))
-    target, source = (_xyz(x, y, z[there]) for z in (sample.first_um, sample.second_um))
+    target, source = (_xyz(x, y, z[usable]) for z in (sample.first_um, sample.second_um))
     return target, source, normals
 
 
@@ -482,8 +490,8 @@ def _information(target: Numbers, normals: Numbers, source: Numbers, plane: Plan
     design = np.stack([nx, ny, x * ny - y * nx, nz, x * nz, y * nz], axis=1)
     sigma = max(plane.rms, RELIEF.least_sigma_um)
     design = design[np.abs(((source - target) * normals).sum(axis=1)) < RELIEF.tukey * sigma]
-    alike = max(1.0, plane.n_pixels / sigma**2 / max(float(plane.information[0, 0]), 1e-30))
-    full = design.T @ design / (sigma**2 * alike)
+    correlation = max(1.0, plane.n_pixels / sigma**2 / max(float(plane.information[0, 0]), 1e-30))
+    full = design.T @ design / (sigma**2 * correlation)
     free = full[:3, :3] - full[:3, 3:] @ np.linalg.pinv(full[3:, 3:], hermitian=True) @ full[3:, :3]
     reach_um = max(float(np.hypot(x, y).max()), pixel_um)
     floor = np.diag([1.0, 1.0, 1 / reach_um**2]) * (RELIEF.least_u_px * pixel_um) ** 2
@@ -502,4 +510,4 @@ def _open3d() -> Any:
     try:
         return importlib.import_module("open3d")
     except (ImportError, OSError) as fault:
-        raise ComputeError(f"Open3D cannot be loaded ({fault}): `wafer-viewer doctor` says what it lacks.") from fault
+        raise ComputeError(f"Open3D cannot be loaded ({fault}): run `wafer-viewer doctor` for the reason.") from fault

@@ -1,4 +1,4 @@
-"""The second of two surfaces on the first's lattice, one window at a time, or beside it."""
+"""Second of two surfaces resampled to the lattice of the first, window by window, or shown side by side."""
 
 from __future__ import annotations
 
@@ -193,50 +193,50 @@ GAP = 0.06
 class SideBySideMosaic:
     """A `Mosaic` of the first surface and the one aligned to it, which is `offset` columns further right."""
 
-    laid: ResampledMosaic
+    resampled: ResampledMosaic
 
     @property
     def pixel_um(self) -> float:
         """Pixel size of level 0."""
-        return self.laid.pixel_um
+        return self.resampled.pixel_um
 
     @property
     def x0_um(self) -> float:
         """Stage x of pixel (0, 0) of level 0, of the first."""
-        return self.laid.x0_um
+        return self.resampled.x0_um
 
     @property
     def y0_um(self) -> float:
         """Stage y of pixel (0, 0) of level 0."""
-        return self.laid.y0_um
+        return self.resampled.y0_um
 
     @property
     def offset(self) -> int:
         """Columns of level 0 between a position on the first and on the second; a multiple of every level's pixel."""
-        whole = 2 ** (self.levels - 1)
-        return -(-round((1 + GAP) * self.laid.shape[1]) // whole) * whole
+        multiple = 2 ** (self.levels - 1)
+        return -(-round((1 + GAP) * self.resampled.shape[1]) // multiple) * multiple
 
     @property
     def shape(self) -> tuple[int, int]:
         """(rows, cols) of level 0."""
-        return self.laid.shape[0], self.offset + self.laid.shape[1]
+        return self.resampled.shape[0], self.offset + self.resampled.shape[1]
 
     @property
     def levels(self) -> int:
         """Number of levels available in both."""
-        return self.laid.levels
+        return self.resampled.levels
 
     @property
     def provenance(self) -> Provenance:
         """Provenance of the first surface."""
-        return self.laid.first.provenance
+        return self.resampled.first.provenance
 
     def window(self, region: Region | None = None, level: int = 0) -> HeightMap:
         """Return the part of a level that holds a region, which may span both surfaces."""
         lattice = SampleGrid.of(self, region, level)
         parts = [self._part(k, lattice, level) for k in (0, 1)]
-        known = [part for part in parts if part is not None]
-        grey = known[0].all_in_focus.dtype if known else np.dtype(np.uint8)
+        given = [part for part in parts if part is not None]
+        grey = given[0].all_in_focus.dtype if given else np.dtype(np.uint8)
         layers: dict[str, Any] = {
             "z_um": np.full(lattice.shape, np.nan, np.float32),
             "z_raw_um": np.full(lattice.shape, np.nan, np.float32),
@@ -264,7 +264,7 @@ class SideBySideMosaic:
         xa, ya, xb, yb = lattice.bounds_um
         off = k * self._off_um
         try:
-            part = (self.laid.first, self.laid)[k].window(Region.rectangle(xa - off, ya, xb - off, yb), level)
+            part = (self.resampled.first, self.resampled)[k].window(Region.rectangle(xa - off, ya, xb - off, yb), level)
         except MeasureError:
             return None
         return part

@@ -18,7 +18,7 @@ import numpy as np
 
 from wafer_viewer.model.acquisition.focus_stack import Image
 from wafer_viewer.numerics.intrinsics import prefetch
-from wafer_viewer.numerics.jit import Float32s, Greys, Int64s, UInt16s, Whole, inlined_part, lean_kernel, lean_part
+from wafer_viewer.numerics.jit import Float32s, Greys, Int, Int64s, UInt16s, inlined_part, lean_kernel, lean_part
 from wafer_viewer.reconstruct.preprocess.camera_noise import CameraNoise
 from wafer_viewer.reconstruct.preprocess.frames import Frames, read_block
 
@@ -101,12 +101,12 @@ def empty(volume: Volume) -> None:
 
 
 @inlined_part
-def take_grey(source: StackSource, k: Whole, y: Whole, margin: Whole, cols: Whole, grey: Greys) -> None:
+def take_grey(source: StackSource, k: Int, y: Int, margin: Int, cols: Int, grey: Greys) -> None:
     """Read row y of the block in frame k, extended by `margin` pixels at both ends; image borders repeat."""
     images = source.images
-    at = min(max(source.top + y, 0), images.shape[1] - 1)
-    row = images[source.slots[k], at]
-    prefetch(images[source.slots[min(k + 1, source.slots.size - 1)], at])
+    source_row = min(max(source.top + y, 0), images.shape[1] - 1)
+    row = images[source.slots[k], source_row]
+    prefetch(images[source.slots[min(k + 1, source.slots.size - 1)], source_row])
     first = source.left - margin
     begin, end = max(0, -first), min(cols + 2 * margin, row.size - first)
     inner, ours = row[begin + first :], grey[begin:]
@@ -119,7 +119,7 @@ def take_grey(source: StackSource, k: Whole, y: Whole, margin: Whole, cols: Whol
 
 
 @lean_part
-def count_clipped(grey: Greys, clipped_counts: Whole, clipped: UInt16s) -> None:
+def count_clipped(grey: Greys, clipped_counts: Int, clipped: UInt16s) -> None:
     """Count the clipped pixels of a grey row."""
     limit = np.uint16(min(clipped_counts, 65535))
     for x in range(clipped.size):
@@ -127,7 +127,7 @@ def count_clipped(grey: Greys, clipped_counts: Whole, clipped: UInt16s) -> None:
 
 
 @inlined_part
-def accumulate_row(volume: Volume, k: Whole, y: Whole) -> None:
+def accumulate_row(volume: Volume, k: Int, y: Int) -> None:
     """Update best level, peak frame and coarse volume from row y of frame k, whose levels are in the volume."""
     levels = volume.levels[k]
     last = levels.shape[0] - 1
@@ -157,31 +157,31 @@ def accumulate_levels(source: StackSource, volume: Volume) -> None:
 
 
 @lean_part
-def note(level: UInt16s, k: Whole, best: UInt16s, peak: UInt16s) -> None:
+def note(level: UInt16s, k: Int, best: UInt16s, peak: UInt16s) -> None:
     """Update the best level of a row and its frame."""
     for x in range(level.size):
-        q, old, at = level[x], best[x], peak[x]
+        q, old, peak_now = level[x], best[x], peak[x]
         best[x] = q if q > old else old
-        peak[x] = k if q > old else at
+        peak[x] = k if q > old else peak_now
 
 
 @lean_part
 def _coarsen(a: UInt16s, b: UInt16s, c: UInt16s, d: UInt16s, coarse: UInt16s) -> None:
     """Average 4 x 4 levels, rounded; where the row ends early its last level repeats."""
     i = np.int32
-    whole = a.size // COARSE_PX
-    for x in range(whole):
+    n_full = a.size // COARSE_PX
+    for x in range(n_full):
         total = i(8)
         for j in range(COARSE_PX):
-            at = COARSE_PX * x + j
-            total = i(total + i(i(i(a[at]) + i(b[at])) + i(i(c[at]) + i(d[at]))))
+            index = COARSE_PX * x + j
+            total = i(total + i(i(i(a[index]) + i(b[index])) + i(i(c[index]) + i(d[index]))))
         coarse[x] = total >> 4
-    if whole < coarse.size:
+    if n_full < coarse.size:
         total = i(8)
         for j in range(COARSE_PX):
-            at = min(COARSE_PX * whole + j, a.size - 1)
-            total = i(total + i(i(i(a[at]) + i(b[at])) + i(i(c[at]) + i(d[at]))))
-        coarse[whole] = total >> 4
+            index = min(COARSE_PX * n_full + j, a.size - 1)
+            total = i(total + i(i(i(a[index]) + i(b[index])) + i(i(c[index]) + i(d[index]))))
+        coarse[n_full] = total >> 4
 
 
 Part = TypeVar("Part")
@@ -230,9 +230,9 @@ def source_of_rows(frames: Frames, rows: slice, margin: int) -> StackSource:
 
 def read_part(frames: Frames, some: slice, rows: slice, cols: slice, margin: int) -> Image:
     """Read a range of frames of a part of a field, with a margin; beyond the field its border repeats."""
-    alone = frames.drift is None  # the drift of a frame is known by its place among all of them
-    chosen = dataclasses.replace(frames, index=frames.slots[some]) if alone else frames
-    n_frames = some.stop - some.start if alone else frames.n_frames
+    independent = frames.drift is None  # the drift of a frame is indexed by its place among all frames
+    chosen = dataclasses.replace(frames, index=frames.slots[some]) if independent else frames
+    n_frames = some.stop - some.start if independent else frames.n_frames
     block = np.empty((n_frames, rows.stop - rows.start + 2 * margin, cols.stop - cols.start + 2 * margin), frames.dtype)
     read_block(chosen, rows, cols, margin, block)
-    return block if alone else block[some]
+    return block if independent else block[some]

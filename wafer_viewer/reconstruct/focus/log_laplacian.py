@@ -33,11 +33,11 @@ from wafer_viewer.numerics.intrinsics import quick_log2
 from wafer_viewer.numerics.jit import (
     Float32s,
     Greys,
+    Int,
     Int32s,
     Int64s,
     Real,
     UInt16s,
-    Whole,
     aligned,
     inlined_part,
     lean_kernel,
@@ -141,7 +141,7 @@ def log_margin_px(window: int) -> int:
 
 @lean_kernel
 def log_laplacian_block(
-    source: StackSource, window: Whole, stabiliser: Stabiliser, lag: Whole, rows: LogRows, volume: Volume
+    source: StackSource, window: Int, stabiliser: Stabiliser, lag: Int, rows: LogRows, volume: Volume
 ) -> None:
     """Compute the focus volume of a block of frames.
 
@@ -182,7 +182,7 @@ KERNELS = FocusKernels(lambda _: fraction_table(LEVEL_BITS), LogRows.make, _fill
 
 
 @inlined_part
-def _ring_unit(window: Whole) -> Real:
+def _ring_unit(window: Int) -> Real:
     """Return the scale of log2 in the ring: a power of two, so that window^4 maximal logarithms fit 31 bits."""
     unit = 1 << LEVEL_BITS
     while window**4 * 32 * unit >= 1 << 31:
@@ -201,10 +201,10 @@ def _begin(rows: LogRows) -> None:
 def _stabilise(
     source: StackSource,
     volume: Volume,
-    k: Whole,
-    y: Whole,
-    margin: Whole,
-    lag: Whole,
+    k: Int,
+    y: Int,
+    margin: Int,
+    lag: Int,
     stabiliser: Stabiliser,
     rows: LogRows,
     stable: Float32s,
@@ -218,8 +218,8 @@ def _stabilise(
     if lag == 0:
         _root(grey[0], scale, offset, stable)
     else:
-        here = np.float32(_HIGH_PASS_AT_AN_END if k < lag or k + lag > last else _HIGH_PASS)
-        _roots(grey[0], grey[1], grey[2], here, np.float32(-0.5) * here, scale, offset, stable)
+        centre = np.float32(_HIGH_PASS_AT_AN_END if k < lag or k + lag > last else _HIGH_PASS)
+        _roots(grey[0], grey[1], grey[2], centre, np.float32(-0.5) * centre, scale, offset, stable)
 
 
 @inlined_part
@@ -230,17 +230,17 @@ def _root(grey: Greys, scale: Real, offset: Real, stable: Float32s) -> None:
 
 @lean_part
 def _roots(
-    grey: Greys, before: Greys, after: Greys, here: Real, side: Real, scale: Real, offset: Real, stable: Float32s
+    grey: Greys, before: Greys, after: Greys, centre: Real, side: Real, scale: Real, offset: Real, stable: Float32s
 ) -> None:
     for x in range(stable.size - AHEAD):
         v = np.sqrt(np.float32(grey[x]) * scale + offset)
         a = np.sqrt(np.float32(before[x]) * scale + offset)
         b = np.sqrt(np.float32(after[x]) * scale + offset)
-        stable[x] = here * v + side * (a + b)
+        stable[x] = centre * v + side * (a + b)
 
 
 @inlined_part
-def _energy_row(rows: LogRows, r: Whole) -> None:
+def _energy_row(rows: LogRows, r: Int) -> None:
     """Compute L^2 of the row r - 2, from the five rows up to r, and its sum with the two rows above."""
     v, e = rows.stable, rows.energy
     _columns_of_five(v[(r - 4) % 5], v[(r - 3) % 5], v[(r - 2) % 5], v[(r - 1) % 5], v[r % 5], rows.wide, rows.narrow)

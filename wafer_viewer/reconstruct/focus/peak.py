@@ -21,9 +21,9 @@ from wafer_viewer.numerics.jit import (
     Float32s,
     Float64s,
     Greys,
+    Int,
     Real,
     UInt16s,
-    Whole,
     aligned,
     inline_kernel,
     inlined_part,
@@ -197,8 +197,8 @@ def _exp2(exponent: Real) -> Real:
     series = 1.0
     for n in (10.0, 9.0, 8.0, 7.0, 6.0, 5.0, 4.0, 3.0, 2.0, 1.0):
         series = 1.0 + t * series / n
-    whole = np.float64(shifted).view(np.int64) << 52
-    return np.int64(whole + np.float64(series).view(np.int64)).view(np.float64)
+    power = np.float64(shifted).view(np.int64) << 52
+    return np.int64(power + np.float64(series).view(np.int64)).view(np.float64)
 
 
 _AHEAD = 4
@@ -312,7 +312,7 @@ def describe(
 
 
 @inlined_part
-def _find_rivals(levels: UInt16s, y: Whole, gap: Whole, peak: UInt16s, rival: UInt16s, least: UInt16s) -> None:
+def _find_rivals(levels: UInt16s, y: Int, gap: Int, peak: UInt16s, rival: UInt16s, least: UInt16s) -> None:
     """Find the highest other local maximum at least `gap` frames from the peak, and the lowest level.
 
     Without a rival the lowest level is used.
@@ -322,8 +322,8 @@ def _find_rivals(levels: UInt16s, y: Whole, gap: Whole, peak: UInt16s, rival: UI
     least[:] = 65535
     for k in range(last + 1):
         prefetch(levels[min(k + _AHEAD, last), y])
-        before, here, after = levels[max(k - 1, 0), y], levels[k, y], levels[min(k + 1, last), y]
-        _rival_row(before, here, after, k, gap, peak, rival, least)
+        before, level, after = levels[max(k - 1, 0), y], levels[k, y], levels[min(k + 1, last), y]
+        _rival_row(before, level, after, k, gap, peak, rival, least)
     for x in range(rival.size):
         a, b = rival[x], least[x]
         rival[x] = a if a > b else b
@@ -332,18 +332,18 @@ def _find_rivals(levels: UInt16s, y: Whole, gap: Whole, peak: UInt16s, rival: UI
 @lean_part
 def _rival_row(
     before: UInt16s,
-    here: UInt16s,
+    level: UInt16s,
     after: UInt16s,
-    k: Whole,
-    gap: Whole,
+    k: Int,
+    gap: Int,
     peak: UInt16s,
     rival: UInt16s,
     least: UInt16s,
 ) -> None:
     u = np.uint16
     first, width = u(k - gap + 1), u(2 * gap - 1)
-    for x in range(here.size):
-        q, old, low = here[x], rival[x], least[x]
+    for x in range(level.size):
+        q, old, low = level[x], rival[x], least[x]
         far = u(peak[x] - first) >= width
         higher = far & (q >= before[x]) & (q >= after[x]) & (q > old)
         rival[x] = q if higher else old
@@ -351,7 +351,7 @@ def _rival_row(
 
 
 @lean_part
-def gather(curves: FocusCurves, y: Whole, z_um: Float64s, how: PeakInterpolation, spots: InterpolationScratch) -> None:
+def gather(curves: FocusCurves, y: Int, z_um: Float64s, how: PeakInterpolation, spots: InterpolationScratch) -> None:
     """Gather z and log2 of focus at the peaks of row y and on both sides of them."""
     levels, bits, table = curves.levels, spots.bits, spots.table
     last = levels.shape[0] - 1
@@ -367,7 +367,7 @@ def gather(curves: FocusCurves, y: Whole, z_um: Float64s, how: PeakInterpolation
 
 @lean_part
 def gather_blended(
-    curves: FocusCurves, y: Whole, z_um: Float64s, how: PeakInterpolation, spots: InterpolationScratch
+    curves: FocusCurves, y: Int, z_um: Float64s, how: PeakInterpolation, spots: InterpolationScratch
 ) -> None:
     """Gather the same from curves averaged along z, [1 2 1] / 4, at the best average near the peak.
 
@@ -380,9 +380,9 @@ def gather_blended(
         peak = np.int64(curves.peak[y, x])
         k, top = peak, np.float32(-1.0)
         for j in range(-_NEAR_TOPS, _NEAR_TOPS + 1):
-            at = min(max(peak + j * s, 0), last)
-            level = _blended(levels, at, y, x, s, bits, table)
-            k, top = (at, level) if level > top else (k, top)
+            frame = min(max(peak + j * s, 0), last)
+            level = _blended(levels, frame, y, x, s, bits, table)
+            k, top = (frame, level) if level > top else (k, top)
         near = min(how.reach, k, last - k)
         spots.left[x] = _blended(levels, k - near, y, x, s, bits, table)
         spots.top[x] = top
@@ -392,7 +392,7 @@ def gather_blended(
 
 
 @inline_kernel
-def _blended(levels: UInt16s, k: Whole, y: Whole, x: Whole, s: Whole, bits: Whole, table: Float32s) -> Real:
+def _blended(levels: UInt16s, k: Int, y: Int, x: Int, s: Int, bits: Int, table: Float32s) -> Real:
     last = levels.shape[0] - 1
     before = _log2(levels[max(k - s, 0), y, x], bits, table)
     after = _log2(levels[min(k + s, last), y, x], bits, table)
@@ -400,7 +400,7 @@ def _blended(levels: UInt16s, k: Whole, y: Whole, x: Whole, s: Whole, bits: Whol
 
 
 @lean_part
-def _score(curves: FocusCurves, y: Whole, gap: Whole, spots: InterpolationScratch, out: PeakScores) -> None:
+def _score(curves: FocusCurves, y: Int, gap: Int, spots: InterpolationScratch, out: PeakScores) -> None:
     """Compute lead, fall and contrast of the peaks of row y: against rivals, flanks and the lowest frame."""
     levels, bits, table = curves.levels, spots.bits, spots.table
     last = levels.shape[0] - 1
@@ -413,6 +413,6 @@ def _score(curves: FocusCurves, y: Whole, gap: Whole, spots: InterpolationScratc
 
 
 @inline_kernel
-def _log2(level: Whole, bits: Whole, table: Float32s) -> Real:
+def _log2(level: Int, bits: Int, table: Float32s) -> Real:
     q = np.int64(level)
     return np.float32(q >> bits) + table[q & (table.size - 1)]

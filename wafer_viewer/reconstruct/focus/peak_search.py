@@ -27,9 +27,9 @@ from wafer_viewer.model.surface.focus_measures import focus_measures
 from wafer_viewer.numerics.jit import (
     Float32s,
     Float64s,
+    Int,
     Int32s,
     UInt16s,
-    Whole,
     aligned,
     inlined_part,
     lean_kernel,
@@ -330,7 +330,7 @@ def wide_heights(
 @lean_kernel
 def _search_rows(
     coarse: UInt16s,
-    cells: Whole,
+    cells: Int,
     line: Int32s,
     z_um: Float64s,
     how: PeakInterpolation,
@@ -338,7 +338,7 @@ def _search_rows(
     spots: InterpolationScratch,
     out: Float32s,
 ) -> None:
-    only = np.int64(0)  # a plain 0 would be a type of its own, and what takes it compiled once more
+    only = np.int64(0)  # a plain 0 has another type, for which numba would compile the kernel again
     for y in range(out.shape[0]):
         curves.best[:] = 0
         curves.peak[:] = 0
@@ -353,7 +353,7 @@ def _search_rows(
 
 
 @inlined_part
-def _average(coarse: UInt16s, k: Whole, y: Whole, cells: Whole, line: Int32s, level: UInt16s) -> None:
+def _average(coarse: UInt16s, k: Int, y: Int, cells: Int, line: Int32s, level: UInt16s) -> None:
     """Compute a row of means over cells x cells levels: column sums with repeated borders, then along the row."""
     half, last = cells // 2, coarse.shape[1] - 1
     columns = line[half : half + level.size]
@@ -373,7 +373,7 @@ def _add(level: UInt16s, columns: Int32s) -> None:
 
 
 @lean_part
-def _mean_along(line: Int32s, cells: Whole, level: UInt16s) -> None:
+def _mean_along(line: Int32s, cells: Int, level: UInt16s) -> None:
     per_cell, half = np.float32(1 / cells**2), np.float32(0.5)
     for x in range(level.size):
         total = np.int32(0)

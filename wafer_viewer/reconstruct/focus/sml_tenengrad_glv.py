@@ -17,10 +17,10 @@ from wafer_viewer.numerics.filters.sliding_filters import AHEAD, box, window_pie
 from wafer_viewer.numerics.jit import (
     Float32s,
     Greys,
+    Int,
     Int64s,
+    Ints,
     UInt16s,
-    Whole,
-    Wholes,
     aligned,
     inlined_part,
     lean_kernel,
@@ -52,10 +52,10 @@ class Rows(NamedTuple):
     """
 
     grey: Greys
-    half: Wholes
-    ring: Wholes
-    sums: Wholes
-    total: Wholes
+    half: Ints
+    ring: Ints
+    sums: Ints
+    total: Ints
     value: Float32s
     pieces: Int64s
 
@@ -65,21 +65,21 @@ class Rows(NamedTuple):
 
         int32 holds all sums of 8-bit grey up to a window of 25, int64 those of 16-bit grey.
         """
-        short, whole = (np.int16, np.int32) if np.dtype(dtype).itemsize == 1 else (np.int32, np.int64)
+        short, long = (np.int16, np.int32) if np.dtype(dtype).itemsize == 1 else (np.int32, np.int64)
         wide = -(-(cols + window - 1) // AHEAD) * AHEAD
         return cls(
             grey=aligned((4, wide + AHEAD), dtype),
             half=aligned((2, wide + AHEAD), short),
-            ring=aligned((window, wide), whole),
-            sums=aligned((2, 4, wide + AHEAD), whole),
-            total=aligned((2, cols), whole),
+            ring=aligned((window, wide), long),
+            sums=aligned((2, 4, wide + AHEAD), long),
+            total=aligned((2, cols), long),
             value=aligned((cols,), np.float32),
             pieces=window_pieces(window),
         )
 
 
 @lean_kernel
-def focus_block(source: StackSource, measure: Whole, window: Whole, rows: Rows, volume: Volume) -> None:
+def focus_block(source: StackSource, measure: Int, window: Int, rows: Rows, volume: Volume) -> None:
     """Compute the focus volume of a block of frames; its margin is half the window, and a pixel for the derivatives."""
     empty(volume)
     shift = np.int32(12 if source.images.itemsize == 1 else 13)
@@ -89,9 +89,9 @@ def focus_block(source: StackSource, measure: Whole, window: Whole, rows: Rows, 
         _begin(rows)
         for r in range(n_rows + 2 * margin + 1):
             _take_row(source, k, r, measure, window, rows)
-            here, y = r - margin - 2, r - 2 * margin - 1
-            if 0 <= here < n_rows:
-                count_clipped(rows.grey[(r + 2) % 4, margin:], source.clipped_counts, volume.clipped[here])
+            centre, y = r - margin - 2, r - 2 * margin - 1
+            if 0 <= centre < n_rows:
+                count_clipped(rows.grey[(r + 2) % 4, margin:], source.clipped_counts, volume.clipped[centre])
             if y >= 0:
                 _add_up(measure, window, rows)
                 if measure == GLV:
@@ -102,7 +102,7 @@ def focus_block(source: StackSource, measure: Whole, window: Whole, rows: Rows, 
 
 
 @lean_kernel
-def focus_values(source: StackSource, measure: Whole, window: Whole, rows: Rows, out: Float32s) -> None:
+def focus_values(source: StackSource, measure: Int, window: Int, rows: Rows, out: Float32s) -> None:
     """Compute the measure of the first frame of a source into `out` [row, col].
 
     Eq. 4 is multiplied by the number of pixels of the window.
@@ -154,7 +154,7 @@ def _begin(rows: Rows) -> None:
 
 
 @inlined_part
-def _take_row(source: StackSource, k: Whole, r: Whole, measure: Whole, window: Whole, rows: Rows) -> None:
+def _take_row(source: StackSource, k: Int, r: Int, measure: Int, window: Int, rows: Rows) -> None:
     """Read grey row r of a frame, and update the column sums: add row r - 2, remove the oldest row.
 
     The row just read is not used yet, because reading a freshly written row at other alignments is slow.
@@ -163,14 +163,14 @@ def _take_row(source: StackSource, k: Whole, r: Whole, measure: Whole, window: W
     take_grey(source, k, r - margin, margin, rows.value.size, rows.grey[r % 4])
     if r < 3:
         return
-    above, here, below = rows.grey[(r + 1) % 4], rows.grey[(r + 2) % 4], rows.grey[(r + 3) % 4]
+    above, centre, below = rows.grey[(r + 1) % 4], rows.grey[(r + 2) % 4], rows.grey[(r + 3) % 4]
     ring, columns = rows.ring[r % window], rows.sums[0, 0]
     if measure == GLV:
-        _slide_grey(here, ring, columns, rows.sums[1, 0])
+        _slide_grey(centre, ring, columns, rows.sums[1, 0])
     elif measure == SML:
-        _slide_sml(above, here, below, ring, columns)
+        _slide_sml(above, centre, below, ring, columns)
     else:
-        _halve_sobel(above, here, below, rows.half[0], rows.half[1])
+        _halve_sobel(above, centre, below, rows.half[0], rows.half[1])
         _slide_tenengrad(rows.half[0], rows.half[1], ring, columns)
 
 
@@ -178,12 +178,12 @@ def _take_row(source: StackSource, k: Whole, r: Whole, measure: Whole, window: W
 
 
 @lean_part
-def _slide_sml(above: Greys, here: Greys, below: Greys, ring: Wholes, columns: Wholes) -> None:
+def _slide_sml(above: Greys, centre: Greys, below: Greys, ring: Ints, columns: Ints) -> None:
     """Update the sums of |Ixx|^2 + |Iyy|^2 of eq. 2."""
     i = ring.dtype.type
     for x in range(ring.size):
-        twice = i(i(here[x + 1]) + i(here[x + 1]))
-        xx = i(i(i(here[x]) + i(here[x + 2])) - twice)
+        twice = i(i(centre[x + 1]) + i(centre[x + 1]))
+        xx = i(i(i(centre[x]) + i(centre[x + 2])) - twice)
         yy = i(i(i(above[x + 1]) + i(below[x + 1])) - twice)
         new = i(i(xx * xx) + i(yy * yy))
         columns[x] = i(columns[x] + i(new - ring[x]))
@@ -191,16 +191,16 @@ def _slide_sml(above: Greys, here: Greys, below: Greys, ring: Wholes, columns: W
 
 
 @lean_part
-def _halve_sobel(above: Greys, here: Greys, below: Greys, smooth: Wholes, slope: Wholes) -> None:
+def _halve_sobel(above: Greys, centre: Greys, below: Greys, smooth: Ints, slope: Ints) -> None:
     """Apply the column pass of the Sobel operator."""
     i = smooth.dtype.type
     for x in range(smooth.size):
-        smooth[x] = i(i(i(above[x]) + i(below[x])) + i(i(here[x]) + i(here[x])))
+        smooth[x] = i(i(i(above[x]) + i(below[x])) + i(i(centre[x]) + i(centre[x])))
         slope[x] = i(i(below[x]) - i(above[x]))
 
 
 @lean_part
-def _slide_tenengrad(smooth: Wholes, slope: Wholes, ring: Wholes, columns: Wholes) -> None:
+def _slide_tenengrad(smooth: Ints, slope: Ints, ring: Ints, columns: Ints) -> None:
     """Update the sums of Gx^2 + Gy^2 of eq. 3."""
     i = ring.dtype.type
     for x in range(ring.size):
@@ -212,11 +212,11 @@ def _slide_tenengrad(smooth: Wholes, slope: Wholes, ring: Wholes, columns: Whole
 
 
 @lean_part
-def _slide_grey(here: Greys, ring: Wholes, columns: Wholes, squares: Wholes) -> None:
+def _slide_grey(centre: Greys, ring: Ints, columns: Ints, squares: Ints) -> None:
     """Update the sums of grey and of its square from the difference d and sum s of entering and leaving values."""
     i = ring.dtype.type
     for x in range(ring.size):
-        new = i(here[x + 1])
+        new = i(centre[x + 1])
         d = i(new - ring[x])
         s = i(new + ring[x])
         columns[x] = i(columns[x] + d)
@@ -225,7 +225,7 @@ def _slide_grey(here: Greys, ring: Wholes, columns: Wholes, squares: Wholes) -> 
 
 
 @inlined_part
-def _add_up(measure: Whole, window: Whole, rows: Rows) -> None:
+def _add_up(measure: Int, window: Int, rows: Rows) -> None:
     """Sum the measure of one row of pixels into rows.total; eq. 4, times the window's pixels, into rows.value."""
     for n in range(2 if measure == GLV else 1):
         box(rows.sums[n], rows.pieces, rows.total[n])
@@ -234,7 +234,7 @@ def _add_up(measure: Whole, window: Whole, rows: Rows) -> None:
 
 
 @lean_part
-def _deviations(total: Wholes, square_total: Wholes, n_pixels: Whole, value: Float32s) -> None:
+def _deviations(total: Ints, square_total: Ints, n_pixels: Int, value: Float32s) -> None:
     """Compute the sum of squared deviations from the mean.
 
     Integer deviations from a grey value near the mean are summed first; the remainder is corrected in float.
@@ -251,7 +251,7 @@ def _deviations(total: Wholes, square_total: Wholes, n_pixels: Whole, value: Flo
 
 
 @lean_part
-def _as_levels(values: Wholes, shift: Whole, level: UInt16s) -> None:
+def _as_levels(values: Ints, shift: Int, level: UInt16s) -> None:
     """Convert a row to log2 as 16 bits.
 
     The bits of a float32 approximate its logarithm, with a mantissa that is linear between powers of two. Cut to 16

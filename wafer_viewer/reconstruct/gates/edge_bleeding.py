@@ -10,7 +10,7 @@ l = log2(noise + mean3x3(L^2)), F = box_w(box_w(l)) as for the log-Laplacian.
 A nearby height limits the search to about a dozen frames, in tiles of a few thousand pixels that stay in cache.
 
 Walls are silhouettes that persist through many frames. Near them a height is accepted only where it agrees with the
-surface of its own side further from the wall. On the dark side the focus is also measured along the wall, which is
+surface on the same side further from the wall. On the dark side the focus is also measured along the wall, which is
 insensitive to light that bleeds across it; this recovers the rims of dies.
 """
 
@@ -33,8 +33,8 @@ from wafer_viewer.numerics.jit import (
     Float32s,
     Float64s,
     Greys,
+    Int,
     Real,
-    Whole,
     aligned,
     inlined_part,
     lean_kernel,
@@ -123,7 +123,7 @@ def tangential_margin_px(window: int) -> int:
 
 
 @lean_kernel
-def tangential_levels(block: Greys, window: Whole, stabiliser: Stabiliser, wall: Wall, tile: Tile) -> None:
+def tangential_levels(block: Greys, window: Int, stabiliser: Stabiliser, wall: Wall, tile: Tile) -> None:
     """Compute the levels of a block [k, row, col], which extends `tangential_margin_px` beyond the tile.
 
     wall: at the pixels of the block less three at each border, where the Hessian is defined.
@@ -159,7 +159,7 @@ def _binomial(values: Float32s, out: Float32s) -> None:
 
 
 @inlined_part
-def _binomial_down(plane: Float32s, r: Whole, out: Float32s) -> None:
+def _binomial_down(plane: Float32s, r: Int, out: Float32s) -> None:
     v, a, b, c, d = plane[r], plane[r + 1], plane[r + 2], plane[r + 3], plane[r + 4]
     part = np.float32(1 / 16)
     for x in range(out.size):
@@ -168,7 +168,7 @@ def _binomial_down(plane: Float32s, r: Whole, out: Float32s) -> None:
 
 @lean_part
 def _energy_row(
-    plane: Float32s, r: Whole, rows: Float32s, w_xx: Float32s, w_xy: Float32s, w_yy: Float32s, energy: Float32s
+    plane: Float32s, r: Int, rows: Float32s, w_xx: Float32s, w_xy: Float32s, w_yy: Float32s, energy: Float32s
 ) -> None:
     """Compute the squared second derivative along the wall, with the Hessian from rows r to r + 2."""
     a, b, c = plane[r], plane[r + 1], plane[r + 2]
@@ -189,7 +189,7 @@ def _energy_row(
 
 
 @lean_part
-def _log_row(energy: Float32s, r: Whole, columns: Float32s, out: Float32s) -> None:
+def _log_row(energy: Float32s, r: Int, columns: Float32s, out: Float32s) -> None:
     a, b, c = energy[r], energy[r + 1], energy[r + 2]
     part, floor = np.float32(1 / 9), np.float32(NOISE_ENERGY)
     for x in range(columns.size):
@@ -200,7 +200,7 @@ def _log_row(energy: Float32s, r: Whole, columns: Float32s, out: Float32s) -> No
 
 
 @lean_part
-def _double_box(logs: Float32s, n_logs: Whole, window: Whole, rows: Float32s, sums: Float32s, levels: Float32s) -> None:
+def _double_box(logs: Float32s, n_logs: Int, window: Int, rows: Float32s, sums: Float32s, levels: Float32s) -> None:
     """Apply the mean of `window` pixels twice, along columns and rows."""
     twice, spread, again = rows[0], rows[1], rows[2]
     twice[:] = 0
@@ -226,7 +226,7 @@ def _slide(before: Float32s, held: Real, new: Float32s, old: Float32s, full: Rea
 
 
 @lean_part
-def _along(values: Float32s, window: Whole, out: Float32s) -> None:
+def _along(values: Float32s, window: Int, out: Float32s) -> None:
     n = values.size - window + 1
     for x in range(n):
         out[x] = values[x]
@@ -245,11 +245,11 @@ def _scaled(values: Float32s, part: Real, level: Float32s) -> None:
 @lean_kernel
 def peaks_near(
     levels: Float32s,
-    first: Whole,
+    first: Int,
     z_um: Float64s,
     expected: Float32s,
-    reach: Whole,
-    gap: Whole,
+    reach: Int,
+    gap: Int,
     height: Float32s,
     fall: Float32s,
 ) -> None:
@@ -278,7 +278,7 @@ def peaks_near(
 
 
 @lean_part
-def _height(levels: Float32s, best: Whole, first: Whole, z_um: Float64s, y: Whole, x: Whole) -> Real:
+def _height(levels: Float32s, best: Int, first: Int, z_um: Float64s, y: Int, x: Int) -> Real:
     """Interpolate with a symmetric tent on levels smoothed by [1 2 1] / 4 along z.
 
     Specular grains produce peaks with two maxima.
@@ -300,7 +300,7 @@ def _height(levels: Float32s, best: Whole, first: Whole, z_um: Float64s, y: Whol
 
 
 @lean_part
-def _smoothed(levels: Float32s, k: Whole, y: Whole, x: Whole) -> Real:
+def _smoothed(levels: Float32s, k: Int, y: Int, x: Int) -> Real:
     return np.float32(0.25) * (levels[k - 1, y, x] + levels[k + 1, y, x]) + np.float32(0.5) * levels[k, y, x]
 
 
@@ -420,9 +420,9 @@ def judge_edges(
     the focus along the wall gives a height it is used, whatever the gates decided.
     """
     along = edges.along
-    beside = edges.side != EdgeSide.AWAY
+    near_edge = edges.side != EdgeSide.AWAY
     agrees = edges.agrees(z_um) & (edges.side != EdgeSide.OUTLINE)
-    bleeding = beside & (origin == Origin.MEASURED) & ~agrees
+    bleeding = near_edge & (origin == Origin.MEASURED) & ~agrees
     origin = np.where(bleeding, np.uint8(Origin.BLEEDING_EDGE), origin)
     return np.where(along, edges.z_um, z_um), np.where(along, np.uint8(Origin.MEASURED), origin)
 
@@ -468,8 +468,8 @@ def _expected(
 
 def _wall_of(band: Band, sides: Sides) -> Wall:
     """Return the direction along the nearest wall at half resolution, from the dark-bright boundary."""
-    known = lowest(band.inside, 2 * _BORDER + 1)
-    down, right = (np.where(known, slope, np.float32(0)) for slope in np.gradient(blurred(sides.bright_share, 1.0)))
+    reliable = lowest(band.inside, 2 * _BORDER + 1)
+    down, right = (np.where(reliable, slope, np.float32(0)) for slope in np.gradient(blurred(sides.bright_share, 1.0)))
     xx, xy, yy = (blurred(product, _WALL_SIGMA) for product in (right * right, right * down, down * down))
     across = np.float32(0.5) * np.arctan2(2 * xy, xx - yy)
     return Wall.along(np.cos(across), -np.sin(across))
@@ -490,7 +490,10 @@ def _search_along(
     stabiliser, margin = Stabiliser.of(how.camera), tangential_margin_px(how.window)
 
     def one(at: tuple[slice, slice]) -> None:
-        part, (rows, cols) = np.ascontiguousarray(expected[at]), at  # views would be compiled for once more
+        part, (rows, cols) = (
+            np.ascontiguousarray(expected[at]),
+            at,
+        )  # a separate specialisation would be compiled for views
         first = max(0, int(np.nanmin(part)) - near.frames)
         stop = min(frames.n_frames, int(np.nanmax(part)) + 2 + near.frames)
         tile = Tile.make(stop - first, part.shape, how.window)
@@ -518,8 +521,8 @@ def _tiles(wanted: NDArray[np.bool_]) -> Iterator[tuple[slice, slice]]:
     n_rows, n_cols = wanted.shape
     for top in range(0, n_rows, _TILE_PX):
         for left in range(0, n_cols, _TILE_PX):
-            here = wanted[top : top + _TILE_PX, left : left + _TILE_PX]
-            rows, cols = np.flatnonzero(here.any(axis=1)), np.flatnonzero(here.any(axis=0))
+            tile = wanted[top : top + _TILE_PX, left : left + _TILE_PX]
+            rows, cols = np.flatnonzero(tile.any(axis=1)), np.flatnonzero(tile.any(axis=0))
             if rows.size:
                 yield slice(top + rows[0], top + rows[-1] + 1), slice(left + cols[0], left + cols[-1] + 1)
 

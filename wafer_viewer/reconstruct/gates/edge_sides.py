@@ -31,7 +31,7 @@ from wafer_viewer.numerics.filters.sliding_filters import (
     highest,
     lowest,
     mean,
-    mean_of_known,
+    mean_of_valid,
     nearest,
 )
 from wafer_viewer.numerics.intrinsics import quick_log2
@@ -39,11 +39,11 @@ from wafer_viewer.numerics.jit import (
     Bools,
     Float32s,
     Greys,
+    Int,
     Int32s,
     Real,
     UInt8s,
     UInt16s,
-    Whole,
     lean_kernel,
     lean_part,
 )
@@ -145,7 +145,7 @@ def silhouette_of(frames: Frames, threads: int | None = None) -> Silhouette:
 
 @lean_kernel
 def silhouette_block(
-    source: StackSource, first: Whole, every: Whole, dark_counts: Real, rows: SilhouetteRows, out: Silhouette
+    source: StackSource, first: Int, every: Int, dark_counts: Real, rows: SilhouetteRows, out: Silhouette
 ) -> None:
     """Accumulate the silhouettes of a block in `out`, which is empty initially; every: 1 for all frames, 2 for half.
 
@@ -181,9 +181,9 @@ def _bin(upper: Greys, lower: Greys, pairs: Int32s, bins: Int32s) -> None:
 def _log_row(bins: Int32s, dark_counts: Real, columns: Int32s, log: Float32s) -> None:
     """Compute ln(mean of 6 x 6 pixels + dark)."""
     i = np.int32
-    above, here, below = bins[0], bins[1], bins[2]
+    above, centre, below = bins[0], bins[1], bins[2]
     for x in range(columns.size):
-        columns[x] = i(i(above[x] + here[x]) + below[x])
+        columns[x] = i(i(above[x] + centre[x]) + below[x])
     part, one, two = np.float32(1 / _PIXELS), columns[1:], columns[2:]
     for x in range(log.size):
         total = i(i(columns[x] + one[x]) + two[x])
@@ -191,16 +191,16 @@ def _log_row(bins: Int32s, dark_counts: Real, columns: Int32s, log: Float32s) ->
 
 
 @lean_part
-def _contrast_row(log: Float32s, r: Whole, change: Float32s) -> None:
+def _contrast_row(log: Float32s, r: Int, change: Float32s) -> None:
     """Compute the largest change of the logarithm over three half-resolution pixels around one, along x and y."""
-    a, b, here, c, d = (
+    a, b, centre, c, d = (
         log[(r - 4) % 5, 2:],
         log[(r - 3) % 5, 2:],
         log[(r - 2) % 5],
         log[(r - 1) % 5, 2:],
         log[r % 5, 2:],
     )
-    left_2, left, right, right_2 = here, here[1:], here[3:], here[4:]
+    left_2, left, right, right_2 = centre, centre[1:], centre[3:], centre[4:]
     for x in range(change.size):
         along = max(abs(right_2[x] - left[x]), abs(right[x] - left_2[x]))
         down = max(abs(d[x] - b[x]), abs(c[x] - a[x]))
@@ -208,13 +208,13 @@ def _contrast_row(log: Float32s, r: Whole, change: Float32s) -> None:
 
 
 @lean_part
-def _note(change: Float32s, k: Whole, every: Whole, contrast: Float32s, frame: UInt16s, standing: UInt16s) -> None:
+def _note(change: Float32s, k: Int, every: Int, contrast: Float32s, frame: UInt16s, standing: UInt16s) -> None:
     u, least = np.uint16, np.float32(STANDING_CONTRAST)
-    here, step = u(k), u(every)
+    centre, step = u(k), u(every)
     for x in range(change.size):
         d, most, at = change[x], contrast[x], frame[x]
         contrast[x] = d if d > most else most
-        frame[x] = here if d > most else at
+        frame[x] = centre if d > most else at
         standing[x] = u(standing[x] + (step if d >= least else u(0)))
 
 
@@ -322,7 +322,7 @@ def classify_sides(grey: NDArray[np.float32], band: Band, dark_counts: float) ->
     )
     inside, bright = doubled(band.inside, grey.shape), grey >= middle
     share = np.where(band.inside, halved(bright), np.float32(0))
-    around = doubled(mean_of_known(share, band.inside, 3), grey.shape)
+    around = doubled(mean_of_valid(share, band.inside, 3), grey.shape)
     side = np.where(inside, np.uint8(EdgeSide.OUTLINE), np.uint8(EdgeSide.AWAY))
     side[inside & ~bright & ((grey < surely_dark) | (around <= 1 - SIDE.deep_share))] = EdgeSide.DARK
     side[inside & bright & ((grey > surely_bright) | (around >= SIDE.deep_share))] = EdgeSide.BRIGHT
@@ -330,7 +330,7 @@ def classify_sides(grey: NDArray[np.float32], band: Band, dark_counts: float) ->
 
 
 @lean_kernel
-def outline_grey(source: StackSource, first: Whole, inside: Bools, frame: UInt16s, grey: Float32s) -> None:
+def outline_grey(source: StackSource, first: Int, inside: Bools, frame: UInt16s, grey: Float32s) -> None:
     """Compute 3 x 3 means in the band's frame, inside the band, for the rows of `grey` [row, col].
 
     source: frames that begin at row `first` of the field, which is even; inside, frame: of the entire field.
@@ -365,7 +365,7 @@ def _strongest(contrast: NDArray[np.float32], carried: NDArray[np.uint16]) -> ND
 def _spread(contrast: NDArray[np.float32], log: NDArray[np.float32]) -> NDArray[np.float32]:
     """Return a logarithm propagated from the nearest wall, slightly smoothed."""
     found = _strongest(contrast, (np.clip(log, 0, 15) * np.float32(_LOG_UNIT)).astype(np.uint16))
-    return mean_of_known(found & np.uint32(0xFFFF), found > 0, 3) / np.float32(_LOG_UNIT)
+    return mean_of_valid(found & np.uint32(0xFFFF), found > 0, 3) / np.float32(_LOG_UNIT)
 
 
 def _extremes(log: NDArray[np.float32], inside: NDArray[np.bool_]) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
@@ -438,14 +438,14 @@ def _cell_sides(
 
     Beyond the band, cells are classified by their grey against the threshold at the nearest wall.
     """
-    known = halved(inside)
-    in_band = known > 0
-    per_known = 1 / np.maximum(known, np.float32(1e-6))
+    coverage = halved(inside)
+    in_band = coverage > 0
+    per_coverage = 1 / np.maximum(coverage, np.float32(1e-6))
     grey = _cell_means(all_in_focus, in_band.shape)
-    _, at = nearest(in_band)
-    threshold = (halved(sides.threshold) * per_known)[at]
+    _, nearest_cell = nearest(in_band)
+    threshold = (halved(sides.threshold) * per_coverage)[nearest_cell]
     brighter = np.log(grey + np.float32(dark_counts)) >= threshold
-    bright = mean(np.where(in_band, halved(sides.bright_share) * per_known, brighter), 2 * ANCHOR.pure_cells + 1)
+    bright = mean(np.where(in_band, halved(sides.bright_share) * per_coverage, brighter), 2 * ANCHOR.pure_cells + 1)
     return bright <= 1 - ANCHOR.pure_share, bright >= ANCHOR.pure_share
 
 
@@ -456,16 +456,16 @@ def _from_anchors(heights: NDArray[np.float32], tolerance_um: float) -> NDArray[
     anchors = remove_small_objects(_flat(heights, tolerance_um), max_size=ANCHOR.enough_cells - 1)
     if not anchors.any():
         return np.full_like(heights, np.nan)
-    smooth = mean_of_known(heights, anchors, 3)
-    distance, at = nearest(anchors)
-    return np.where(distance <= _ANCHOR_REACH, smooth[at], np.float32(np.nan))
+    smooth = mean_of_valid(heights, anchors, 3)
+    distance, nearest_anchor = nearest(anchors)
+    return np.where(distance <= _ANCHOR_REACH, smooth[nearest_anchor], np.float32(np.nan))
 
 
 def _flat(heights: NDArray[np.float32], tolerance_um: float) -> NDArray[np.bool_]:
     """Return the cells with enough neighbours, all of the same height."""
-    known, far = np.isfinite(heights), np.float32(np.inf)
-    high, low = highest(np.where(known, heights, -far), 3), lowest(np.where(known, heights, far), 3)
-    return known & (high - low < tolerance_um) & (9 * mean(known, 3) > ANCHOR.enough_neighbours - 0.5)
+    finite, far = np.isfinite(heights), np.float32(np.inf)
+    high, low = highest(np.where(finite, heights, -far), 3), lowest(np.where(finite, heights, far), 3)
+    return finite & (high - low < tolerance_um) & (9 * mean(finite, 3) > ANCHOR.enough_neighbours - 0.5)
 
 
 def _cell_means(image: Image, shape: tuple[int, int]) -> NDArray[np.float32]:

@@ -134,7 +134,7 @@ class Solver:
         """Solve by direct factorisation: long rows of fields converge slowly but are cheap to factorise."""
         if len(right) > MULTIGRID.most_unknowns:
             raise ComputeError(
-                f"The poses of so many fields ({len(right)} unknowns) were not found in {MULTIGRID.most_steps} steps: "
+                f"The poses of the fields ({len(right)} unknowns) did not converge in {MULTIGRID.most_steps} steps: "
                 "stitch fewer fields at a time."
             )
         return _factorised(self.system)(right)

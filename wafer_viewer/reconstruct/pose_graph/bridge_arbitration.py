@@ -17,11 +17,11 @@ from numpy.typing import NDArray
 from wafer_viewer.model.surface.field_poses import Numbers
 from wafer_viewer.reconstruct.pose_graph.pose_graph import Flags, PoseGraph
 
-Whole32s = NDArray[np.int32]
-Wholes = NDArray[np.intp]
+Int32s = NDArray[np.int32]
+Ints = NDArray[np.intp]
 
 
-def groups(n: int, first: Whole32s, second: Whole32s) -> Whole32s:
+def groups(n: int, first: Int32s, second: Int32s) -> Int32s:
     """Return the component number [n] of each vertex, with components joined by edges (first, second)."""
     from scipy.sparse import csr_array
     from scipy.sparse.csgraph import connected_components
@@ -30,7 +30,7 @@ def groups(n: int, first: Whole32s, second: Whole32s) -> Whole32s:
     return np.asarray(connected_components(joined, directed=False)[1], np.int32)
 
 
-def bridges(n: int, first: Whole32s, second: Whole32s) -> Flags:
+def bridges(n: int, first: Int32s, second: Int32s) -> Flags:
     """Return a mask [e] of the edges that lie on no cycle.
 
     Every edge outside of a spanning tree gets a random number, and every edge of the tree the exclusive or of the
@@ -51,7 +51,7 @@ def bridges(n: int, first: Whole32s, second: Whole32s) -> Flags:
     return in_tree & (marks[below] == 0)
 
 
-def _tree(n: int, first: Whole32s, second: Whole32s) -> tuple[Wholes, Wholes]:
+def _tree(n: int, first: Int32s, second: Int32s) -> tuple[Ints, Ints]:
     """Return the parent [n] of each vertex in a spanning tree, and its depth below a common root, vertex n."""
     from scipy.sparse import csr_array
     from scipy.sparse.csgraph import breadth_first_order
@@ -65,7 +65,7 @@ def _tree(n: int, first: Whole32s, second: Whole32s) -> tuple[Wholes, Wholes]:
     return above[:n], _depths(place[above[order[1:]]])[place[:n] - 1]
 
 
-def _depths(parents: Wholes) -> Wholes:
+def _depths(parents: Ints) -> Ints:
     """Return the depth of each vertex except the root, in breadth-first order, where parents never decrease."""
     depth = np.zeros(len(parents), np.intp)
     begin, level = 0, 0
@@ -76,7 +76,7 @@ def _depths(parents: Wholes) -> Wholes:
     return depth
 
 
-def count_up(lengths: Wholes) -> Wholes:
+def count_up(lengths: Ints) -> Ints:
     """Return concatenated ranges 0, 1, ... of the given lengths."""
     return np.arange(lengths.sum()) - np.repeat(np.cumsum(lengths) - lengths, lengths)
 
@@ -124,7 +124,7 @@ def arbitrate_bridges(network: PoseGraph, values: Numbers, shared: Numbers, exce
     ties = np.flatnonzero((cluster[network.first] != cluster[network.second]) & network.tells.any(axis=1))
     decided = np.full(len(network.first), np.nan)
     if len(ties):
-        of = _Ties(
+        open_ties = _Ties(
             cluster[network.first[ties]],
             cluster[network.second[ties]],
             network.misfit(values, shared)[ties],
@@ -132,7 +132,7 @@ def arbitrate_bridges(network: PoseGraph, values: Numbers, shared: Numbers, exce
         )
         size = np.bincount(cluster).astype(float)
         size[cluster[~network.ties.free]] = np.inf
-        decided[ties] = of.agree(_placed(of, size, _mean_of(surprise, cluster), sigma))
+        decided[ties] = open_ties.agree(_placed(open_ties, size, _mean_of(surprise, cluster), sigma))
     return decided
 
 
@@ -140,32 +140,32 @@ def arbitrate_bridges(network: PoseGraph, values: Numbers, shared: Numbers, exce
 class _Ties:
     """Edges between clusters, [t]: misfit, [t, d], measured minus solved; precision: inverse of twice its variance."""
 
-    first: Whole32s
-    second: Whole32s
+    first: Int32s
+    second: Int32s
     misfit: Numbers
     precision: Numbers
 
     def agree(self, moved: Numbers) -> Flags:
         """Return which edges fit once clusters have moved by [clusters, d]."""
-        left = self.misfit - moved[self.second] + moved[self.first]
-        return np.sum(self.precision * left**2, axis=1) < ARBITRATION.agrees
+        residual = self.misfit - moved[self.second] + moved[self.first]
+        return np.sum(self.precision * residual**2, axis=1) < ARBITRATION.agrees
 
     def proposals(self, placed: Flags, moved: Numbers) -> _Proposals:
         """Return the proposals of edges between placed and unplaced clusters."""
-        at = np.flatnonzero(placed[self.first] != placed[self.second])
-        second_moves = placed[self.first[at]]
-        mover = np.where(second_moves, self.second[at], self.first[at])
-        anchor = np.where(second_moves, self.first[at], self.second[at])
-        move = moved[anchor] + np.where(second_moves, 1.0, -1.0)[:, None] * self.misfit[at]
+        crossing = np.flatnonzero(placed[self.first] != placed[self.second])
+        second_moves = placed[self.first[crossing]]
+        mover = np.where(second_moves, self.second[crossing], self.first[crossing])
+        anchor = np.where(second_moves, self.first[crossing], self.second[crossing])
+        move = moved[anchor] + np.where(second_moves, 1.0, -1.0)[:, None] * self.misfit[crossing]
         order = np.argsort(mover, kind="stable")
-        return _Proposals(mover[order], move[order], self.precision[at][order])
+        return _Proposals(mover[order], move[order], self.precision[crossing][order])
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _Proposals:
     """Proposed moves, sorted by cluster: cluster [p], displacement [p, d] and precision [p, d]."""
 
-    cluster: Whole32s
+    cluster: Int32s
     move: Numbers
     precision: Numbers
 
@@ -174,13 +174,13 @@ class _Proposals:
 class _Choice:
     """Best proposal of each cluster, [c]: move, confirmation by another edge, and prior residual cost."""
 
-    cluster: Whole32s
+    cluster: Int32s
     move: Numbers
     confirmed: Flags
     surprise: Numbers
 
 
-def _scatter(surprise: Numbers, core: Whole32s, sigma: Numbers) -> Numbers:
+def _scatter(surprise: Numbers, core: Int32s, sigma: Numbers) -> Numbers:
     """Return the stage error [d] within cores, at most `sigma`, which a misplaced core overestimates."""
     degrees = len(core) - len(np.unique(core))
     if degrees < ARBITRATION.least_degrees:
@@ -189,7 +189,7 @@ def _scatter(surprise: Numbers, core: Whole32s, sigma: Numbers) -> Numbers:
     return np.minimum(sigma, np.sqrt(np.sum(inside**2, axis=0) / degrees))
 
 
-def _suspect(network: PoseGraph, surprise: Numbers, core: Whole32s, sigma: Numbers, believed: Flags) -> Flags:
+def _suspect(network: PoseGraph, surprise: Numbers, core: Int32s, sigma: Numbers, believed: Flags) -> Flags:
     """Return a mask of cores with rejected edges or implausible stage residuals."""
     far = np.minimum(np.bincount(core), ARBITRATION.most_together) * _chi2(_mean_of(surprise, core), sigma) / 2
     rejected = network.tells.any(axis=1) & ~believed
@@ -198,16 +198,16 @@ def _suspect(network: PoseGraph, surprise: Numbers, core: Whole32s, sigma: Numbe
     return suspect
 
 
-def _clusters(network: PoseGraph, lone: Flags, suspect: Flags, believed: Flags) -> Whole32s:
+def _clusters(network: PoseGraph, lone: Flags, suspect: Flags, believed: Flags) -> Int32s:
     """Return the cluster [n] of each field, connected by accepted overlaps; fixed fields form one cluster.
 
     Contested edges are cut: an edge is contested when it is the only one between its two sides (`lone`, [e]) and one of
     these is suspect, [n].
     """
     first, second = network.first, network.second
-    kept = believed & ~(lone & (suspect[first] | suspect[second]))
+    remaining = believed & ~(lone & (suspect[first] | suspect[second]))
     fixed = np.flatnonzero(~network.ties.free).astype(np.int32)
-    return groups(len(suspect), np.append(first[kept], fixed[:-1]), np.append(second[kept], fixed[1:]))
+    return groups(len(suspect), np.append(first[remaining], fixed[:-1]), np.append(second[remaining], fixed[1:]))
 
 
 def _placed(ties: _Ties, size: Numbers, surprise: Numbers, sigma: Numbers) -> Numbers:
@@ -227,39 +227,43 @@ def _placed(ties: _Ties, size: Numbers, surprise: Numbers, sigma: Numbers) -> Nu
 
 def _largest(ties: _Ties, size: Numbers) -> Flags:
     """Return a mask of the largest cluster of each connected set."""
-    whole = groups(len(size), ties.first, ties.second)
-    order = np.lexsort((-size, whole))
+    component = groups(len(size), ties.first, ties.second)
+    order = np.lexsort((-size, component))
     largest = np.zeros(len(size), np.bool_)
-    largest[order[np.unique(whole[order], return_index=True)[1]]] = True
+    largest[order[np.unique(component[order], return_index=True)[1]]] = True
     return largest
 
 
-def _best(of: _Proposals, surprise: Numbers, sigma: Numbers, together: Numbers) -> _Choice:
+def _best(proposals: _Proposals, surprise: Numbers, sigma: Numbers, together: Numbers) -> _Choice:
     """Return for each cluster the proposal with the least disagreement of its edges and prior residual."""
-    cluster, start, count = np.unique(of.cluster, return_index=True, return_counts=True)
+    cluster, start, count = np.unique(proposals.cluster, return_index=True, return_counts=True)
     voting = np.minimum(count, ARBITRATION.most_ties)
     some = np.repeat(start, voting) + count_up(voting)
     many = np.repeat(voting, voting)
     one, other = np.repeat(some, many), np.repeat(np.repeat(start, voting), many) + count_up(many)
-    apart = np.sum(of.precision[other] * (of.move[other] - of.move[one]) ** 2, axis=1)
-    disagreement = np.bincount(one, np.minimum(apart, ARBITRATION.agrees), len(of.cluster))
-    agreeing = np.bincount(one, apart < ARBITRATION.agrees, len(of.cluster))
-    far = together[of.cluster] * _chi2(surprise[of.cluster] + of.move * (of.precision > 0), sigma) / 2
+    distance2 = np.sum(proposals.precision[other] * (proposals.move[other] - proposals.move[one]) ** 2, axis=1)
+    disagreement = np.bincount(one, np.minimum(distance2, ARBITRATION.agrees), len(proposals.cluster))
+    agreeing = np.bincount(one, distance2 < ARBITRATION.agrees, len(proposals.cluster))
+    far = (
+        together[proposals.cluster]
+        * _chi2(surprise[proposals.cluster] + proposals.move * (proposals.precision > 0), sigma)
+        / 2
+    )
     best = some[_least(disagreement[some] + far[some], voting)]
-    return _Choice(cluster, of.move[best], agreeing[best] > 1, far[best])
+    return _Choice(cluster, proposals.move[best], agreeing[best] > 1, far[best])
 
 
 def _least_prior_residual(best: _Choice, ties: _Ties, n: int) -> Flags:
     """Return which choices the stage confirms with a prior residual no larger than that of adjacent clusters."""
     of_cluster = np.full(n, np.inf)
     of_cluster[best.cluster] = best.surprise
-    beside = np.full(n, np.inf)
-    np.minimum.at(beside, ties.first, of_cluster[ties.second])
-    np.minimum.at(beside, ties.second, of_cluster[ties.first])
-    return (best.surprise < ARBITRATION.alone) & (best.surprise <= beside[best.cluster])
+    least = np.full(n, np.inf)
+    np.minimum.at(least, ties.first, of_cluster[ties.second])
+    np.minimum.at(least, ties.second, of_cluster[ties.first])
+    return (best.surprise < ARBITRATION.alone) & (best.surprise <= least[best.cluster])
 
 
-def _mean_of(values: Numbers, cluster: Whole32s) -> Numbers:
+def _mean_of(values: Numbers, cluster: Int32s) -> Numbers:
     return np.column_stack([np.bincount(cluster, column) for column in values.T]) / np.bincount(cluster)[:, None]
 
 
@@ -267,7 +271,7 @@ def _chi2(values: Numbers, sigma: Numbers) -> Numbers:
     return np.sum((values / sigma) ** 2, axis=1)
 
 
-def _least(cost: Numbers, lengths: Wholes) -> Wholes:
+def _least(cost: Numbers, lengths: Ints) -> Ints:
     """Return the index of the least cost of each segment."""
     order = np.lexsort((cost, np.repeat(np.arange(len(lengths)), lengths)))
     return order[np.cumsum(lengths) - lengths]

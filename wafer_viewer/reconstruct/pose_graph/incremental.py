@@ -41,8 +41,8 @@ class PreviousSolution:
         if poses is None or poses.numbers.size == 0:
             return cls(np.full(len(numbers), -1), poses)
         order = np.argsort(poses.numbers)
-        at = np.minimum(np.searchsorted(poses.numbers, numbers, sorter=order), len(order) - 1)
-        row = order[at]
+        position = np.minimum(np.searchsorted(poses.numbers, numbers, sorter=order), len(order) - 1)
+        row = order[position]
         same = (poses.numbers[row] == numbers) & (poses.marks[row] == marks)
         return cls(np.where(same, row, -1), poses)
 
@@ -62,23 +62,23 @@ class PreviousSolution:
         n_before = 0 if self.poses is None else self.poses.numbers.size
         return np.setdiff1d(np.arange(n_before), self.row[self.unchanged & ~moved])
 
-    def shifts(self, pairs: Pairs, look: Callable[[Pairs], Shifts]) -> Shifts:
+    def shifts(self, pairs: Pairs, observe: Callable[[Pairs], Shifts]) -> Shifts:
         """Return the lateral shifts of overlaps; only changed overlaps are measured again."""
-        return self._and(pairs, look, None if self.poses is None else _without_disagreement(self.poses.shifts))
+        return self._and(pairs, observe, None if self.poses is None else _without_disagreement(self.poses.shifts))
 
-    def seams(self, pairs: Pairs, look: Callable[[Pairs], HeightOffsets]) -> HeightOffsets:
+    def seams(self, pairs: Pairs, observe: Callable[[Pairs], HeightOffsets]) -> HeightOffsets:
         """Return the height offsets of overlaps, reusing those between unchanged fields."""
-        return self._and(pairs, look, None if self.poses is None else _unsolved(self.poses.seams))
+        return self._and(pairs, observe, None if self.poses is None else _unsolved(self.poses.seams))
 
-    def _and(self, pairs: Pairs, look: Callable[[Pairs], T], earlier: T | None) -> T:
+    def _and(self, pairs: Pairs, observe: Callable[[Pairs], T], earlier: T | None) -> T:
         if earlier is None or earlier.first.size == 0:
-            return look(pairs)
+            return observe(pairs)
         n, first, second = len(self.row), self._now(earlier.first), self._now(earlier.second)
-        asked, there = _keys(pairs[:, 0], pairs[:, 1], n), _keys(first, second, n)
-        of_use = (first >= 0) & (second >= 0) & np.isin(there, asked)
-        kept = replace(selected(earlier, of_use), first=first[of_use], second=second[of_use])
-        new = ~np.isin(asked, there[of_use])
-        return joined([kept, look(pairs[new])]) if new.any() else kept
+        wanted, known_pairs = _keys(pairs[:, 0], pairs[:, 1], n), _keys(first, second, n)
+        of_use = (first >= 0) & (second >= 0) & np.isin(known_pairs, wanted)
+        reused = replace(selected(earlier, of_use), first=first[of_use], second=second[of_use])
+        new = ~np.isin(wanted, known_pairs[of_use])
+        return joined([reused, observe(pairs[new])]) if new.any() else reused
 
     def _now(self, rows: NDArray[np.int32]) -> NDArray[np.int32]:
         """Convert earlier indices to current ones, -1 for fields that were removed or recomputed."""
@@ -105,19 +105,19 @@ def _unsolved(seams: HeightOffsets) -> HeightOffsets:
 
 
 def freeze_unmoved_fields(
-    poses: Poses, known: PreviousSolution, pixel_um: float, corner_um: float
+    poses: Poses, previous: PreviousSolution, pixel_um: float, corner_um: float
 ) -> tuple[Poses, NDArray[np.bool_]]:
     """Restore the drawn poses of fields that hardly moved, and return which fields are to be redrawn.
 
     corner_um: from the centre of a field to its corner.
     """
-    if known.poses is None:
+    if previous.poses is None:
         return poses, np.ones(poses.numbers.size, bool)
-    before = {name: known.earlier(name, getattr(poses, name)) for name in POSE}
-    apart = {name: getattr(poses, name) - before[name] for name in POSE}
-    away_px = np.hypot(apart["x_um"], apart["y_um"]) / pixel_um
-    higher_um = np.abs(apart["z_um"]) + corner_um * np.hypot(apart["tilt_x"], apart["tilt_y"])
-    turned_up = poses.left_out != known.earlier("left_out", poses.left_out)
-    moved = ~known.unchanged | (away_px > STILL_PX) | (higher_um > STILL_UM) | turned_up
-    kept = {name: np.where(moved, getattr(poses, name), before[name]) for name in POSE}
-    return replace(poses, **kept), moved
+    before = {name: previous.earlier(name, getattr(poses, name)) for name in POSE}
+    change = {name: getattr(poses, name) - before[name] for name in POSE}
+    away_px = np.hypot(change["x_um"], change["y_um"]) / pixel_um
+    higher_um = np.abs(change["z_um"]) + corner_um * np.hypot(change["tilt_x"], change["tilt_y"])
+    turned_up = poses.left_out != previous.earlier("left_out", poses.left_out)
+    moved = ~previous.unchanged | (away_px > STILL_PX) | (higher_um > STILL_UM) | turned_up
+    frozen = {name: np.where(moved, getattr(poses, name), before[name]) for name in POSE}
+    return replace(poses, **frozen), moved

@@ -91,10 +91,10 @@ class CameraAxes:
             notes.append(f"The camera is turned by {turned} against the stage: calibrate its angle.")
         if self._matters(self.scale, self.u_scale, field_um, pixel_um):
             found_um = pixel_um / (1 + self.scale)
-            said = f"The overlaps say a pixel is {found_um:.5g} um, not {pixel_um:.5g} um"
+            observed = f"The overlaps say a pixel is {found_um:.5g} um, not {pixel_um:.5g} um"
             if abs(self.scale) > _WRONG_SCALE:
-                raise ComputeError(f"{said}: give the pixel size of this objective and camera.")
-            notes.append(f"{said}: calibrate the pixel size.")
+                raise ComputeError(f"{observed}: give the pixel size of this objective and camera.")
+            notes.append(f"{observed}: calibrate the pixel size.")
         return tuple(notes)
 
     def _matters(self, value: float, u: float, field_um: float, pixel_um: float) -> bool:
@@ -160,13 +160,13 @@ def solve_positions(
     if camera is not None:
         return task.positions(*task.settled(camera), camera, camera)
     unturned = task.unturned()
-    network, at = task.settled(unturned, (SIGMA, SIGMA))
-    found = _found(unturned, at)
-    notes = found.notes(task.neighbours_um, pixel_um) if np.sum(at.weight >= REJECTED) >= LEAST_OVERLAPS else ()
+    network, solution = task.settled(unturned, (SIGMA, SIGMA))
+    found = _found(unturned, solution)
+    notes = found.notes(task.neighbours_um, pixel_um) if np.sum(solution.weight >= REJECTED) >= LEAST_OVERLAPS else ()
     if not notes:
-        network, at = task.settled(unturned, like=at)
+        network, solution = task.settled(unturned, like=solution)
         found = dataclasses.replace(found, turn=0.0, scale=0.0)
-    return dataclasses.replace(task.positions(network, at, unturned, found), notes=notes)
+    return dataclasses.replace(task.positions(network, solution, unturned, found), notes=notes)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -197,8 +197,8 @@ class _Task:
     def neighbours_um(self) -> float:
         """Median distance between overlapping fields."""
         i, j = self.shifts.first[self.usable], self.shifts.second[self.usable]
-        apart = np.hypot(self.stage_x_um[j] - self.stage_x_um[i], self.stage_y_um[j] - self.stage_y_um[i])
-        return float(np.median(apart)) if len(apart) else 0.0
+        distance_um = np.hypot(self.stage_x_um[j] - self.stage_x_um[i], self.stage_y_um[j] - self.stage_y_um[i])
+        return float(np.median(distance_um)) if len(distance_um) else 0.0
 
     def settled(
         self, camera: CameraAxes, shared_sigma: tuple[float, ...] = (), like: RobustSolution | None = None
@@ -242,47 +242,48 @@ class _Task:
 
     def _information(self) -> Numbers:
         u = np.column_stack((self.shifts.u_x_um, self.shifts.u_y_um))
-        told = self.usable[:, None] & np.isfinite(np.column_stack((self.shifts.x_um, self.shifts.y_um)))
-        precision = np.where(told, 1 / (u**2 + (_FLOOR_PX * self.pixel_um) ** 2), 0.0)
+        observed = self.usable[:, None] & np.isfinite(np.column_stack((self.shifts.x_um, self.shifts.y_um)))
+        precision = np.where(observed, 1 / (u**2 + (_FLOOR_PX * self.pixel_um) ** 2), 0.0)
         return precision[:, :, None] * np.eye(2)
 
-    def positions(self, network: PoseGraph, at: RobustSolution, known: CameraAxes, found: CameraAxes) -> Positions:
+    def positions(self, network: PoseGraph, solution: RobustSolution, axes: CameraAxes, found: CameraAxes) -> Positions:
         """Return positions, uncertainties and groups from the displacements against a known camera."""
         x_um, y_um = (
-            a + moved for a, moved in zip(known.from_stage(self.stage_x_um, self.stage_y_um), at.values.T, strict=True)
+            a + moved
+            for a, moved in zip(axes.from_stage(self.stage_x_um, self.stage_y_um), solution.values.T, strict=True)
         )
         if self.start is not None:
             x_um, y_um = np.where(self.fixed, self.start[0], x_um), np.where(self.fixed, self.start[1], y_um)
-        u = standard_uncertainties(network, at, (0, 1))
-        shifts = self._judged(network, at)
+        u = standard_uncertainties(network, solution, (0, 1))
+        shifts = self._judged(network, solution)
         believed = shifts.weight >= REJECTED
         group = groups(len(x_um), shifts.first[believed], shifts.second[believed])
         error_um = float(network.prior_sigma[0])
         return Positions(x_um, y_um, u[:, 0], u[:, 1], group, shifts, error_um, found)
 
-    def _judged(self, network: PoseGraph, at: RobustSolution) -> Shifts:
+    def _judged(self, network: PoseGraph, solution: RobustSolution) -> Shifts:
         """Return the shifts with their weights, residuals and doubts."""
         residual = np.where(
             np.isfinite(np.column_stack((self.shifts.x_um, self.shifts.y_um))),
-            network.misfit(at.values, at.shared),
+            network.misfit(solution.values, solution.shared),
             np.nan,
         )
-        verdict = np.where(at.weight >= REJECTED, RejectionReason.NONE, RejectionReason.DISAGREES)
+        verdict = np.where(solution.weight >= REJECTED, RejectionReason.NONE, RejectionReason.DISAGREES)
         return dataclasses.replace(
             self.shifts,
-            weight=at.weight.astype(np.float32),
+            weight=solution.weight.astype(np.float32),
             doubt=np.where(self.usable, verdict, self.shifts.doubt).astype(np.uint8),
             residual_x_um=residual[:, 0],
             residual_y_um=residual[:, 1],
         )
 
 
-def _found(unturned: CameraAxes, at: RobustSolution) -> CameraAxes:
+def _found(unturned: CameraAxes, solution: RobustSolution) -> CameraAxes:
     """Return the camera axes from the shared unknowns."""
-    (scale, turn), (u_scale, u_turn) = at.shared.tolist(), shared_uncertainties(at).tolist()
+    (scale, turn), (u_scale, u_turn) = solution.shared.tolist(), shared_uncertainties(solution).tolist()
     return dataclasses.replace(unturned, turn=turn, u_turn=u_turn, scale=scale, u_scale=u_scale)
 
 
-def _decide(network: PoseGraph, at: RobustSolution) -> Numbers:
+def _decide(network: PoseGraph, solution: RobustSolution) -> Numbers:
     """Return the overlap weights forced by the arbitration of clusters."""
-    return arbitrate_bridges(network, at.values, at.shared, at.excess, at.weight >= REJECTED)
+    return arbitrate_bridges(network, solution.values, solution.shared, solution.excess, solution.weight >= REJECTED)

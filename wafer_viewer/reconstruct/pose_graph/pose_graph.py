@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from wafer_viewer.model.surface.field_poses import Numbers
 from wafer_viewer.reconstruct.pose_graph.amg_solver import Sparse, System
 
-Whole32s = NDArray[np.int32]
+Int32s = NDArray[np.int32]
 Flags = NDArray[np.bool_]
 
 
@@ -33,16 +33,16 @@ class GraphEdges:
     from_second: Sparse
     free: Flags
     order: NDArray[np.intp]
-    cols: Whole32s
-    row_ends: Whole32s
+    cols: Int32s
+    row_ends: Int32s
 
     @classmethod
-    def of(cls, first: Whole32s, second: Whole32s, free: Flags) -> GraphEdges:
+    def of(cls, first: Int32s, second: Int32s, free: Flags) -> GraphEdges:
         """Return the edges of overlaps between `first` and `second`, without the fields that are not free."""
         to, none = np.cumsum(free) - 1, -1
         a, b = (np.where(free[at], to[at], none) for at in (first, second))
-        own = np.where(free, to, none)
-        rows, cols = np.concatenate((own, a, b)), np.concatenate((own, b, a))
+        index = np.where(free, to, none)
+        rows, cols = np.concatenate((index, a, b)), np.concatenate((index, b, a))
         order = np.lexsort((cols, rows))
         order = order[(rows[order] >= 0) & (cols[order] >= 0)]
         ends = np.cumsum(np.bincount(rows[order], minlength=int(free.sum())))
@@ -56,7 +56,7 @@ class GraphEdges:
         )
 
 
-def _adder(field: Whole32s, n: int) -> Sparse:
+def _adder(field: Int32s, n: int) -> Sparse:
     from scipy.sparse import csr_array
 
     return csr_array((np.ones(len(field)), (field, np.arange(len(field)))), (n, len(field)))
@@ -74,8 +74,8 @@ class PoseGraph:
 
     x_um: Numbers
     y_um: Numbers
-    first: Whole32s
-    second: Whole32s
+    first: Int32s
+    second: Int32s
     at_first: Numbers
     at_second: Numbers
     at_shared: Numbers

@@ -48,7 +48,7 @@ class RobustSolverParameters:
         Change of a weight, or of the logarithm of a prior's width, that is no longer followed.
     restless_fraction : float
         Largest fraction of overlaps with a larger change in the last round.
-    on_the_way : float
+    intermediate : float
         Relative error of an intermediate solution that only determines weights.
     enough_each : float, variances per unknown
         Negligible energy of the error of an intermediate solution.
@@ -69,7 +69,7 @@ class RobustSolverParameters:
     most_verdicts: int = 8
     steady: float = 0.05
     restless_fraction: float = 1e-3
-    on_the_way: float = 3e-2
+    intermediate: float = 3e-2
     enough_each: float = 1e-4
     enough: float = 1e-2
     probes: int = 4
@@ -113,60 +113,66 @@ def solve_robust(
     """
     telling = np.linalg.matrix_rank(network.information, hermitian=True) if len(network.first) else np.zeros(0, int)
     shared = np.zeros(len(network.shared_sigma))
-    at = RobustSolution(values.copy(), shared, (telling > 0).astype(float))
+    solution = RobustSolution(values.copy(), shared, (telling > 0).astype(float))
     if like is not None:
-        at = RobustSolution(like.values, shared, like.weight, like.excess, like.scale)
+        solution = RobustSolution(like.values, shared, like.weight, like.excess, like.scale)
     decided = np.full(len(telling), np.nan)
     for _ in range(ROBUST.most_verdicts if decide else 1):
-        network, at = _rounds(network, at, telling, decided)
-        decided, before = decide(network, at) if decide else decided, decided
+        network, solution = _rounds(network, solution, telling, decided)
+        decided, before = decide(network, solution) if decide else decided, decided
         if np.array_equal(decided, before, equal_nan=True):
             break
-    return network, _least_squares_step(network, at, on_the_way=False)
+    return network, _least_squares_step(network, solution, intermediate=False)
 
 
 def _rounds(
-    network: PoseGraph, at: RobustSolution, telling: NDArray[np.intp], decided: Numbers
+    network: PoseGraph, solution: RobustSolution, telling: NDArray[np.intp], decided: Numbers
 ) -> tuple[PoseGraph, RobustSolution]:
     """Solve and reweight until the weights converge, except those that are `decided` (not NaN)."""
     for _ in range(ROBUST.most_rounds):
-        before, sigma = at.weight, network.prior_sigma
-        at = _least_squares_step(network, at, on_the_way=True)
-        network = _with_estimated_priors(network, at)
-        at = _reweighted(network, at, telling, decided)
-        restless = np.count_nonzero(np.abs(at.weight - before) > ROBUST.steady)
+        before, sigma = solution.weight, network.prior_sigma
+        solution = _least_squares_step(network, solution, intermediate=True)
+        network = _with_estimated_priors(network, solution)
+        solution = _reweighted(network, solution, telling, decided)
+        restless = np.count_nonzero(np.abs(solution.weight - before) > ROBUST.steady)
         moved = np.abs(np.log(network.prior_sigma / sigma)).max()
         if (
-            at.scale <= ROBUST.misfits * at.excess
+            solution.scale <= ROBUST.misfits * solution.excess
             and restless <= ROBUST.restless_fraction * len(before)
             and moved < ROBUST.steady
         ):
             break
-    return network, at
+    return network, solution
 
 
-def _least_squares_step(network: PoseGraph, at: RobustSolution, on_the_way: bool) -> RobustSolution:
+def _least_squares_step(network: PoseGraph, solution: RobustSolution, intermediate: bool) -> RobustSolution:
     """Perform one least squares step with the current weights."""
-    weight = at.weight / at.excess**2
+    weight = solution.weight / solution.excess**2
     free = network.ties.free
     solver = prepare(normal_equations(network, weight), network.x_um[free], network.y_um[free])
-    downhill = _gradient(network, at, weight)
-    probes = _probes(network, solver) if on_the_way else downhill[:, :0]
-    begun = np.hstack((np.zeros_like(downhill), 0 * probes if at.echoes is None else at.echoes[:, : probes.shape[1]]))
+    downhill = _gradient(network, solution, weight)
+    probes = _probes(network, solver) if intermediate else downhill[:, :0]
+    begun = np.hstack(
+        (np.zeros_like(downhill), 0 * probes if solution.echoes is None else solution.echoes[:, : probes.shape[1]])
+    )
     enough = np.zeros(begun.shape[1])
-    enough[0] = ROBUST.enough_each * len(downhill) if on_the_way else ROBUST.enough
-    solved = solver.solve(np.hstack((downhill, probes)), ROBUST.on_the_way if on_the_way else 0.0, begun, enough)
+    enough[0] = ROBUST.enough_each * len(downhill) if intermediate else ROBUST.enough
+    solved = solver.solve(np.hstack((downhill, probes)), ROBUST.intermediate if intermediate else 0.0, begun, enough)
     step, shared_step = np.split(solved[:, 0], (network.size * int(free.sum()),))
-    values = at.values.copy()
+    values = solution.values.copy()
     values[free] += step.reshape(-1, network.size)
-    return RobustSolution(values, at.shared + shared_step, at.weight, at.excess, at.scale, solver, solved[:, 1:])
+    return RobustSolution(
+        values, solution.shared + shared_step, solution.weight, solution.excess, solution.scale, solver, solved[:, 1:]
+    )
 
 
-def _gradient(network: PoseGraph, at: RobustSolution, weight: Numbers) -> Numbers:
+def _gradient(network: PoseGraph, solution: RobustSolution, weight: Numbers) -> Numbers:
     """Return the gradient of residuals and priors, [unknowns, 1]."""
-    by_overlap = weight[:, None, None] * (network.information @ network.misfit(at.values, at.shared)[:, :, None])
-    by_prior = -network.surprise(at.values, at.shared) / network.prior_sigma**2
-    by_shared = -at.shared / network.shared_sigma**2
+    by_overlap = weight[:, None, None] * (
+        network.information @ network.misfit(solution.values, solution.shared)[:, :, None]
+    )
+    by_prior = -network.surprise(solution.values, solution.shared) / network.prior_sigma**2
+    by_shared = -solution.shared / network.shared_sigma**2
     return gradient(network, by_overlap, by_prior[:, :, None], by_shared[:, None])
 
 
@@ -186,12 +192,18 @@ def _probes(network: PoseGraph, solver: Solver) -> Numbers:
     return gradient(network, nothing, signs, np.zeros((m, signs.shape[2])))
 
 
-def _with_estimated_priors(network: PoseGraph, at: RobustSolution) -> PoseGraph:
+def _with_estimated_priors(network: PoseGraph, solution: RobustSolution) -> PoseGraph:
     """Update the prior widths from prior residuals and their uncertainty (EM, Dempster 1977)."""
-    if not network.auto or at.solver is None or at.echoes is None:
+    if not network.auto or solution.solver is None or solution.echoes is None:
         return network
-    surprise = np.clip(network.surprise(at.values, at.shared), *ROBUST.far * np.outer((-1, 1), network.prior_sigma))
-    traces = np.einsum("nk,nk->k", _probes(network, at.solver), at.echoes).reshape(len(network.auto), -1).mean(axis=1)
+    surprise = np.clip(
+        network.surprise(solution.values, solution.shared), *ROBUST.far * np.outer((-1, 1), network.prior_sigma)
+    )
+    traces = (
+        np.einsum("nk,nk->k", _probes(network, solution.solver), solution.echoes)
+        .reshape(len(network.auto), -1)
+        .mean(axis=1)
+    )
     sigma = network.prior_sigma.copy()
     for group, trace in zip(network.auto, traces, strict=True):
         total = np.sum(surprise[:, group] ** 2) + trace + ROBUST.usually * np.sum(network.prior_guess[list(group)] ** 2)
@@ -199,17 +211,19 @@ def _with_estimated_priors(network: PoseGraph, at: RobustSolution) -> PoseGraph:
     return dataclasses.replace(network, prior_sigma=sigma)
 
 
-def _reweighted(network: PoseGraph, at: RobustSolution, telling: NDArray[np.intp], decided: Numbers) -> RobustSolution:
+def _reweighted(
+    network: PoseGraph, solution: RobustSolution, telling: NDArray[np.intp], decided: Numbers
+) -> RobustSolution:
     """Compute new weights at the next smaller scale, and the inflation of the residuals."""
     counts = telling > 0
     if not np.any(counts):
-        return dataclasses.replace(at, scale=0.0)
-    misfit = network.misfit(at.values, at.shared)
+        return dataclasses.replace(solution, scale=0.0)
+    misfit = network.misfit(solution.values, solution.shared)
     chi2 = np.einsum("ea,eab,eb->e", misfit, network.information, misfit) / np.maximum(telling, 1)
     excess = _variance_inflation(network, chi2, telling)
-    scale = max(ROBUST.misfits * excess, min(at.scale, float(np.sqrt(chi2[counts].max()))) / 2)
+    scale = max(ROBUST.misfits * excess, min(solution.scale, float(np.sqrt(chi2[counts].max()))) / 2)
     weight = np.where(np.isnan(decided), counts / (1 + chi2 / scale**2) ** 2, decided)
-    return dataclasses.replace(at, weight=weight, excess=excess, scale=scale)
+    return dataclasses.replace(solution, weight=weight, excess=excess, scale=scale)
 
 
 def _variance_inflation(network: PoseGraph, chi2: Numbers, telling: NDArray[np.intp]) -> float:
@@ -235,26 +249,26 @@ _TOLERANCE = 1e-2
 """Relative error of the solutions from which uncertainties are computed."""
 
 
-def standard_uncertainties(network: PoseGraph, at: RobustSolution, wanted: tuple[int, ...]) -> Numbers:
+def standard_uncertainties(network: PoseGraph, solution: RobustSolution, wanted: tuple[int, ...]) -> Numbers:
     """Return the uncertainties [n, len(wanted)] of the unknowns `wanted` of each field; 0 if it is fixed."""
-    solver, free = at.solver, network.ties.free
+    solver, free = solution.solver, network.ties.free
     found = np.zeros((len(network.x_um), len(wanted)))
     if solver is None or not np.any(free):
         return found
     n = network.size * int(free.sum())
-    variance = _sampled(network, at, solver, n) if solver.levels else _exact(solver, n, network.size, wanted)
+    variance = _sampled(network, solution, solver, n) if solver.levels else _exact(solver, n, network.size, wanted)
     found[free] = np.sqrt(variance.reshape(-1, network.size)[:, wanted])
     return found
 
 
-def shared_uncertainties(at: RobustSolution) -> Numbers:
+def shared_uncertainties(solution: RobustSolution) -> Numbers:
     """Return the uncertainties [m] of the shared unknowns; infinite without a solver."""
-    m = len(at.shared)
-    if at.solver is None or m == 0:
+    m = len(solution.shared)
+    if solution.solver is None or m == 0:
         return np.full(m, np.inf)
-    n = len(at.solver.system.border)
+    n = len(solution.solver.system.border)
     unit = np.vstack((np.zeros((n, m)), np.eye(m)))
-    return np.sqrt(np.diag(at.solver.solve(unit, _TOLERANCE)[n:]))
+    return np.sqrt(np.diag(solution.solver.solve(unit, _TOLERANCE)[n:]))
 
 
 def _exact(solver: Solver, n: int, size: int, wanted: tuple[int, ...]) -> Numbers:
@@ -268,16 +282,16 @@ def _exact(solver: Solver, n: int, size: int, wanted: tuple[int, ...]) -> Number
     return variance
 
 
-def _sampled(network: PoseGraph, at: RobustSolution, solver: Solver, n: int) -> Numbers:
+def _sampled(network: PoseGraph, solution: RobustSolution, solver: Solver, n: int) -> Numbers:
     """Return the mean square [n] of the solutions of drawn errors."""
     random = np.random.default_rng(5)
-    values, vectors = np.linalg.eigh((at.weight / at.excess**2)[:, None, None] * network.information)
+    values, vectors = np.linalg.eigh((solution.weight / solution.excess**2)[:, None, None] * network.information)
     root = vectors * np.sqrt(np.maximum(values, 0))[:, None, :]
     variance = np.zeros(n)
     for _ in range(_SAMPLES // _AT_ONCE):
         by_overlap = root @ random.normal(size=(*values.shape, _AT_ONCE))
         by_prior = random.normal(size=(len(network.x_um), network.size, _AT_ONCE)) / network.prior_sigma[:, None]
-        by_shared = random.normal(size=(len(at.shared), _AT_ONCE)) / network.shared_sigma[:, None]
+        by_shared = random.normal(size=(len(solution.shared), _AT_ONCE)) / network.shared_sigma[:, None]
         drawn = solver.solve(gradient(network, by_overlap, by_prior, by_shared), _TOLERANCE)[:n]
         variance += np.einsum("nk,nk->n", drawn, drawn)
     return variance / _SAMPLES

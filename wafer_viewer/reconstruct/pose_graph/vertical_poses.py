@@ -55,11 +55,11 @@ def uncertainty_of_form(
     height = np.column_stack((one, x, y, x**2 + y**2, 2 * x * y, x**2 - y**2, zero, zero))
     along_x = np.column_stack((zero, one, zero, 2 * x, 2 * y, 2 * x, -one, zero)) / rim_um
     along_y = np.column_stack((zero, zero, one, 2 * y, 2 * x, -2 * y, zero, -one)) / rim_um
-    told = height.T @ height / z_error_um**2 + (along_x.T @ along_x + along_y.T @ along_y) / tilt_error**2
+    information = height.T @ height / z_error_um**2 + (along_x.T @ along_x + along_y.T @ along_y) / tilt_error**2
     before = np.array([10 * _UNKNOWN_UM] * 6 + [lean * rim_um] * 2)
-    told += np.diag(before**-2.0)
-    scale = 1 / np.sqrt(np.diag(told))
-    covariance = scale[:, None] * np.linalg.inv(told * scale[:, None] * scale + _RIDGE * np.eye(8)) * scale
+    information += np.diag(before**-2.0)
+    scale = 1 / np.sqrt(np.diag(information))
+    covariance = scale[:, None] * np.linalg.inv(information * scale[:, None] * scale + _RIDGE * np.eye(8)) * scale
     u_um = 2 * np.sqrt(np.diag(covariance)[:6])
     return tuple(float(u) if u < _UNKNOWN_UM else float("inf") for u in u_um)
 
@@ -130,16 +130,20 @@ def solve_heights(
     values = np.zeros((len(x_um), 3))
     if start is not None:
         values[fixed] = np.column_stack(start)[fixed]
-    network, at = solve_robust(network, values)
-    sag_um = form.field_form_um if form is not None else (float(at.shared[2]), float(at.shared[3]), float(at.shared[4]))
-    z_um, tilt_x, tilt_y = at.values.T
+    network, solution = solve_robust(network, values)
+    sag_um = (
+        form.field_form_um
+        if form is not None
+        else (float(solution.shared[2]), float(solution.shared[3]), float(solution.shared[4]))
+    )
+    z_um, tilt_x, tilt_y = solution.values.T
     z_sigma, tilt_sigma = float(network.prior_sigma[0]), float(network.prior_sigma[1])
     return VerticalPoses(
         z_um=z_um,
         tilt_x=tilt_x,
         tilt_y=tilt_y,
-        u_z_um=standard_uncertainties(network, at, (0,))[:, 0],
-        seams=_judged(seams, network, at),
+        u_z_um=standard_uncertainties(network, solution, (0,))[:, 0],
+        seams=_judged(seams, network, solution),
         form=dataclasses.replace(
             form or Form(),
             names=FORM_TERMS,
@@ -195,14 +199,14 @@ def _network(
 def _floored(seams: HeightOffsets) -> Numbers:
     """Return the information [e, 3, 3] of seams, with the minimum error added to their covariances."""
     floor = np.diag(np.array([_FLOOR_UM, _FLOOR_SLOPE, _FLOOR_SLOPE]) ** 2)
-    told = np.isfinite(seams.z_um) & np.isfinite(seams.mid_x_um) & np.isfinite(seams.mid_y_um)
-    information = np.where(told[:, None, None], seams.information, 0.0)
+    finite = np.isfinite(seams.z_um) & np.isfinite(seams.mid_x_um) & np.isfinite(seams.mid_y_um)
+    information = np.where(finite[:, None, None], seams.information, 0.0)
     floored = np.linalg.solve(np.eye(3) + information @ floor, information)
     return (floored + np.swapaxes(floored, 1, 2)) / 2
 
 
-def _judged(seams: HeightOffsets, network: PoseGraph, at: RobustSolution) -> HeightOffsets:
+def _judged(seams: HeightOffsets, network: PoseGraph, solution: RobustSolution) -> HeightOffsets:
     """Return the seams with their weights, and the residual step in the middle of each."""
-    step_um = np.where(at.weight > 0, network.misfit(at.values, at.shared)[:, 0], np.nan)
+    step_um = np.where(solution.weight > 0, network.misfit(solution.values, solution.shared)[:, 0], np.nan)
     rms_um = np.hypot(seams.rms_um, step_um)
-    return dataclasses.replace(seams, weight=at.weight.astype(np.float32), step_um=step_um, rms_um=rms_um)
+    return dataclasses.replace(seams, weight=solution.weight.astype(np.float32), step_um=step_um, rms_um=rms_um)

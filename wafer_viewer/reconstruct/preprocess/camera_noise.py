@@ -164,8 +164,8 @@ def _by_cell(values: Floats) -> Floats:
         return values.ravel()
     high, wide = (min(size, cell) for size, cell in zip(values.shape[1:], NOISE_ESTIMATE.cell_px, strict=True))
     n_rows, n_cols = values.shape[1] // high, values.shape[2] // wide
-    whole = values[:, : n_rows * high, : n_cols * wide]
-    return whole.reshape(len(values), n_rows, high, n_cols, wide).mean(axis=(2, 4)).ravel()
+    cropped = values[:, : n_rows * high, : n_cols * wide]
+    return cropped.reshape(len(values), n_rows, high, n_cols, wide).mean(axis=(2, 4)).ravel()
 
 
 def _levels(cells: _Cells) -> tuple[Floats, Floats, Floats]:
@@ -187,8 +187,8 @@ def _line(grey: Floats, variance: Floats, weight: Floats, least: CameraNoise) ->
     through_two = (variance[j] - variance[i]) / (grey[j] - grey[i])
     steepest = (variance - least.floor_counts2) / np.maximum(grey, 1.0)
     gain = np.maximum(np.concatenate([through_two, steepest, np.zeros_like(grey)]), least.gain_counts)
-    at = np.concatenate([i, np.arange(grey.size), np.arange(grey.size)])
-    floor = np.maximum(variance[at] - gain * grey[at], least.floor_counts2)
+    pixel = np.concatenate([i, np.arange(grey.size), np.arange(grey.size)])
+    floor = np.maximum(variance[pixel] - gain * grey[pixel], least.floor_counts2)
     best = int(np.argmin([_misfit(grey, variance, weight, g, f) for g, f in zip(gain, floor, strict=True)]))
     return CameraNoise(float(gain[best]), float(floor[best]))
 

@@ -249,7 +249,7 @@ _MEAN_OVER_FIELD = 3**-0.5
 """Ratio of the rms distance from the middle of a rectangle to that of its corner."""
 
 Floats = NDArray[np.float64]
-Wholes = NDArray[np.intp]
+Ints = NDArray[np.intp]
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -272,22 +272,22 @@ class Drift:
 
     def covered(self, axis: int, length: int) -> slice:
         """Return the range of the first `length` rows or columns that is covered by every frame."""
-        there = np.array([self.places(k, axis, 0, length) for k in range(len(self.growth))]) + self.corner[axis]
-        seen = np.flatnonzero(((there > -0.5) & (there < self.shape[axis] - 0.5)).all(axis=0))
-        return slice(int(seen[0]), int(seen[-1]) + 1) if seen.size else slice(0, 0)
+        positions = np.array([self.places(k, axis, 0, length) for k in range(len(self.growth))]) + self.corner[axis]
+        inside = np.flatnonzero(((positions > -0.5) & (positions < self.shape[axis] - 0.5)).all(axis=0))
+        return slice(int(inside[0]), int(inside[-1]) + 1) if inside.size else slice(0, 0)
 
 
-def drift_of(seen: Sightings, n_frames: int, shape: tuple[int, int]) -> Drift | None:
+def drift_of(sightings: Sightings, n_frames: int, shape: tuple[int, int]) -> Drift | None:
     """Estimate the drift from tile displacements; None if it is below half a pixel or undetermined.
 
     Shift and growth are judged separately, each over runs of frames that are connected by sharp tiles.
     """
-    seen = _agreed(seen, n_frames)
+    sightings = _agreed(sightings, n_frames)
     radius_px = float(np.hypot(*shape)) / 2
-    free = _solve(seen, n_frames, radius_px, DRIFT.growth_tie)
-    grows = _least_extent(free, seen, [2]) * _MEAN_OVER_FIELD > DRIFT.least_px
-    rigid = free if grows else _solve(seen, n_frames, radius_px, DRIFT.rigid)
-    shifts = _least_extent(rigid, seen, [0, 1]) > DRIFT.least_px
+    free = _solve(sightings, n_frames, radius_px, DRIFT.growth_tie)
+    grows = _least_extent(free, sightings, [2]) * _MEAN_OVER_FIELD > DRIFT.least_px
+    rigid = free if grows else _solve(sightings, n_frames, radius_px, DRIFT.rigid)
+    shifts = _least_extent(rigid, sightings, [0, 1]) > DRIFT.least_px
     if not grows and not shifts:
         return None
     return Drift(rigid.moves[:, :2] * shifts, rigid.moves[:, 2] / radius_px * grows, shape)
@@ -303,29 +303,31 @@ def drift_note(drift: Drift, pixel_um: float) -> str:
     return f"{both[0].upper()}{both[1:]} through the stack: its frames were put right."
 
 
-def _agreed(seen: Sightings, n_frames: int) -> Sightings:
+def _agreed(sightings: Sightings, n_frames: int) -> Sightings:
     """Return the measurements of frame pairs with enough tiles."""
-    _, of_pair, count = np.unique(seen.first * n_frames + seen.second, return_inverse=True, return_counts=True)
-    return seen.where(count[of_pair] >= DRIFT.least_tiles) if len(seen) else seen
+    _, of_pair, count = np.unique(
+        sightings.first * n_frames + sightings.second, return_inverse=True, return_counts=True
+    )
+    return sightings.where(count[of_pair] >= DRIFT.least_tiles) if len(sightings) else sightings
 
 
-def _runs(seen: Sightings, n_frames: int) -> list[Wholes]:
+def _runs(sightings: Sightings, n_frames: int) -> list[Ints]:
     """Return the sets of frames connected by measurements, directly or through others."""
     label = np.arange(n_frames)
-    for a, b in np.unique(np.stack([seen.first, seen.second], axis=1), axis=0):
+    for a, b in np.unique(np.stack([sightings.first, sightings.second], axis=1), axis=0):
         label[label == label[b]] = label[a]
     runs = [np.flatnonzero(label == one) for one in np.unique(label)]
     return [run for run in runs if len(run) > 1]
 
 
-def _least_extent(solved: _Solved, seen: Sightings, axes: list[int]) -> float:
+def _least_extent(solved: _Solved, sightings: Sightings, axes: list[int]) -> float:
     """Return a lower bound of the drift range: the largest range minus three jackknife standard errors.
 
     The jackknife leaves out one tile at a time. Tiles on the two sides of a trench, whose light moves to the two sides
     with defocus, disagree.
     """
     surely = 0.0
-    for run in _runs(seen, len(solved.moves)):
+    for run in _runs(sightings, len(solved.moves)):
         path = solved.moves[run][:, axes]
         ends = run[[path.sum(axis=1).argmin(), path.sum(axis=1).argmax()]]
         without = np.array([one[ends[1]] - one[ends[0]] for one in solved.without])[:, axes]
@@ -335,35 +337,35 @@ def _least_extent(solved: _Solved, seen: Sightings, axes: list[int]) -> float:
     return surely
 
 
-def _solve(seen: Sightings, n_frames: int, radius_px: float, growth_tie: float) -> _Solved:
+def _solve(sightings: Sightings, n_frames: int, radius_px: float, growth_tie: float) -> _Solved:
     """Estimate the moves of the frames, and the moves without each of the tiles.
 
     Each measurement states moves[second] - moves[first] = moved - growth x place. Its place is taken halfway between
     the two frames and relative to the moved middle of the field, so that growth adds up as a logarithm.
     """
     moves = np.zeros((n_frames, 3))
-    if not len(seen):
+    if not len(sightings):
         return _Solved(moves, [])
-    problem = _Problem.of(seen, n_frames, np.array([DRIFT.shift_tie, DRIFT.shift_tie, growth_tie]))
-    pace, trust, rows = np.zeros(3), seen.weight, _rows(seen, moves, radius_px)
+    problem = _Problem.of(sightings, n_frames, np.array([DRIFT.shift_tie, DRIFT.shift_tie, growth_tie]))
+    pace, trust, rows = np.zeros(3), sightings.weight, _rows(sightings, moves, radius_px)
     for n in range(DRIFT.rounds):
         moves = problem.moves(rows, trust, pace)
-        rows = _rows(seen, moves, radius_px)
-        off = seen.moved_px - np.einsum("nab,nb->na", rows, moves[seen.second] - moves[seen.first])
+        rows = _rows(sightings, moves, radius_px)
+        off = sightings.moved_px - np.einsum("nab,nb->na", rows, moves[sightings.second] - moves[sightings.first])
         far = np.hypot(off[:, 0], off[:, 1])
-        trust = seen.weight / (1 + (far / max(DRIFT.scatter_px, MAD_TO_SIGMA * float(np.median(far)))) ** 2)
+        trust = sightings.weight / (1 + (far / max(DRIFT.scatter_px, MAD_TO_SIGMA * float(np.median(far)))) ** 2)
         if n >= DRIFT.rounds // 2:
             pace = problem.pace(moves)
-    without = [problem.moves(rows, trust * (seen.tile != tile), pace) for tile in np.unique(seen.tile)]
+    without = [problem.moves(rows, trust * (sightings.tile != tile), pace) for tile in np.unique(sightings.tile)]
     return _Solved(moves, without)
 
 
-def _rows(seen: Sightings, moves: Floats, radius_px: float) -> Floats:
+def _rows(sightings: Sightings, moves: Floats, radius_px: float) -> Floats:
     """Return the two equations of each measurement: [n, (rows, cols), (rows, cols, growth)]."""
-    carried = (moves[seen.first, :2] + moves[seen.second, :2]) / 2
-    rows = np.zeros((len(seen), 2, 3))
+    carried = (moves[sightings.first, :2] + moves[sightings.second, :2]) / 2
+    rows = np.zeros((len(sightings), 2, 3))
     rows[:, 0, 0] = rows[:, 1, 1] = 1
-    rows[:, :, 2] = (seen.at_px + seen.moved_px / 2 - carried) / radius_px
+    rows[:, :, 2] = (sightings.at_px + sightings.moved_px / 2 - carried) / radius_px
     return rows
 
 
@@ -379,25 +381,25 @@ class _Solved:
 class _Problem:
     """Least squares over the measured frames, `tied`; others are interpolated or follow the common rate."""
 
-    seen: Sightings
+    sightings: Sightings
     n_frames: int
-    tied: Wholes
-    first: Wholes
-    second: Wholes
+    tied: Ints
+    first: Ints
+    second: Ints
     tie: Floats
 
     @classmethod
-    def of(cls, seen: Sightings, n_frames: int, tie: Floats) -> _Problem:
-        tied, places = np.unique(np.concatenate([seen.first, seen.second]), return_inverse=True)
+    def of(cls, sightings: Sightings, n_frames: int, tie: Floats) -> _Problem:
+        tied, places = np.unique(np.concatenate([sightings.first, sightings.second]), return_inverse=True)
         first, second = np.split(places, 2)
-        return cls(seen, n_frames, tied, first, second, tie)
+        return cls(sightings, n_frames, tied, first, second, tie)
 
     def moves(self, rows: Floats, trust: Floats, pace: Floats) -> Floats:
         """Return the moves of all frames; neighbours are weakly tied to the common rate."""
         n, gaps = len(self.tied), np.diff(self.tied)
         normal, right = np.zeros((n, n, 3, 3)), np.zeros((n, 3))
         one = np.einsum("n,nab,nac->nbc", trust, rows, rows)
-        moved = np.einsum("n,nab,na->nb", trust, rows, self.seen.moved_px)
+        moved = np.einsum("n,nab,na->nb", trust, rows, self.sightings.moved_px)
         k, loose = np.arange(n - 1), self.tie / gaps[:, None]
         between = loose[:, :, None] * np.eye(3), self.tie * np.tile(pace, (n - 1, 1))
         for first, second, matrix, side in ((self.first, self.second, one, moved), (k, k + 1, *between)):

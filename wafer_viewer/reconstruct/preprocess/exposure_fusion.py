@@ -134,20 +134,20 @@ def _compare(short: Cells, long: Cells, nominal: float, clipped_counts: int) -> 
     does not bias the grouping. Where all well-exposed cells are about equally bright, the ratio is that of the times;
     if these are unknown, black is taken as 0.
     """
-    known = bool(np.isfinite(nominal)) and nominal > 1
-    seen = long[1] < clipped_counts
-    if np.count_nonzero(seen) < EXPOSURE_RATIO.enough_cells:
-        return _by_times(nominal if known else None), 0.0
-    x, y = short[0][seen].astype(np.float64), long[0][seen].astype(np.float64)
+    has_nominal = bool(np.isfinite(nominal)) and nominal > 1
+    unclipped = long[1] < clipped_counts
+    if np.count_nonzero(unclipped) < EXPOSURE_RATIO.enough_cells:
+        return _by_times(nominal if has_nominal else None), 0.0
+    x, y = short[0][unclipped].astype(np.float64), long[0][unclipped].astype(np.float64)
     groups = np.array_split(np.argsort(x * y.mean() / max(x.mean(), 1.0) + y), EXPOSURE_RATIO.groups)
     means = np.array([(x[g].mean(), y[g].mean()) for g in groups])
     if np.ptp(means[:, 1]) > EXPOSURE_RATIO.enough_range * clipped_counts:
         slope, offset = np.polyfit(means[:, 0], means[:, 1], 1)
     else:
-        slope = nominal if known else y.mean() / max(x.mean(), 1.0)
-        offset = y.mean() - slope * x.mean() if known else 0.0
+        slope = nominal if has_nominal else y.mean() / max(x.mean(), 1.0)
+        offset = y.mean() - slope * x.mean() if has_nominal else 0.0
     if slope < 1 / EXPOSURE_RATIO.alike:
-        return _by_times(nominal if known else None), 0.0
+        return _by_times(nominal if has_nominal else None), 0.0
     return float(slope), float(offset / (1 - slope)) if slope > EXPOSURE_RATIO.alike else 0.0
 
 
@@ -156,7 +156,7 @@ def _by_times(nominal: float | None) -> float:
     if nominal is not None:
         return nominal
     raise ComputeError(
-        "The exposures of the stack cannot be compared, hardly a pixel is well lit in two of them: "
+        "The exposures of the stack cannot be compared, too few pixels are well exposed in two of them: "
         "take them at most 8 times apart, or give their times."
     )
 
@@ -181,5 +181,5 @@ def _finish(shortest: Greys, black: Real, scale: Real, light: Float32s, gain: Fl
     for r in range(shortest.shape[0]):
         row, light_row, gain_row, out_row = shortest[r], light[r], gain[r], out[r]
         for x in range(row.size):
-            whole = (light_row[x] + np.float32(row[x]) - black) / (gain_row[x] + np.float32(1)) * scale
-            out_row[x] = np.uint16(np.int32(min(full, max(none, whole + half))))
+            fused = (light_row[x] + np.float32(row[x]) - black) / (gain_row[x] + np.float32(1)) * scale
+            out_row[x] = np.uint16(np.int32(min(full, max(none, fused + half))))

@@ -68,7 +68,7 @@ class Frames:
     @property
     def as_stored(self) -> bool:
         """True if the kernels can read the images in place: complete rows without corrections."""
-        return self.steady and self.flaws is None and self._in_whole_rows
+        return self.steady and self.flaws is None and self._in_complete_rows
 
     @property
     def steady(self) -> bool:
@@ -76,12 +76,12 @@ class Frames:
         return self.fusion is None and self.drift is None
 
     @property
-    def _in_whole_rows(self) -> bool:
+    def _in_complete_rows(self) -> bool:
         return self.images.flags.c_contiguous and self.images.dtype.isnative
 
     def ready(self, rows: slice, margin: int) -> bool:
         """Return whether the kernels can read these rows, and `margin` more on both sides, in place."""
-        if not (self.steady and self._in_whole_rows):
+        if not (self.steady and self._in_complete_rows):
             return False
         return self.flaws is None or not self.flaws.touch(slice(rows.start - margin, rows.stop + margin))
 
@@ -166,10 +166,10 @@ def read_block(frames: Frames, rows: slice, cols: slice, margin: int, block: Ima
     block[:, r_end:] = block[:, r_end - 1 : r_end]
 
 
-def _shrunk(seen: slice, margin: int, length: int) -> slice:
+def _shrunk(covered: slice, margin: int, length: int) -> slice:
     """Shrink a range by a margin where it does not end with the frame."""
-    first = seen.start + (margin if seen.start > 0 else 0)
-    return slice(first, max(first, seen.stop - (margin if seen.stop < length else 0)))
+    first = covered.start + (margin if covered.start > 0 else 0)
+    return slice(first, max(first, covered.stop - (margin if covered.stop < length else 0)))
 
 
 def _develop(frames: Frames, rows: slice, cols: slice, out: Image) -> None:
@@ -218,8 +218,8 @@ def _fused(stack: FieldStack, frames: Frames, white_counts: int) -> Frames:
     images = tuple(one.images for one in stack.exposures)
     times_us = tuple(one.exposure_us for one in stack.exposures)
     fusion = fusion_of(images, frames.slots, times_us, white_counts, frames.clipped_counts)
-    apart = ", ".join(f"x{gain:.3g}" for gain in fusion.gains[1:])
-    note = f"{len(images)} exposures were fused, the longer ones {apart} as bright as the shortest."
+    ratios = ", ".join(f"x{gain:.3g}" for gain in fusion.gains[1:])
+    note = f"{len(images)} exposures were fused, the longer ones {ratios} as bright as the shortest."
     clipped = fusion.fused_clipped_counts
     return dataclasses.replace(frames, fusion=fusion, clipped_counts=clipped, notes=(*frames.notes, note))
 
@@ -260,10 +260,10 @@ def _check(stack: FieldStack, z_um: NDArray[np.float64]) -> None:
         raise ComputeError(f"Field {stack.field.number} has {len(z_um)} frames: at least {MIN_FRAMES} are needed.")
     if not np.isfinite(z_um).all():
         raise ComputeError(f"Field {stack.field.number} has frames without a z position: give every frame its z.")
-    same = np.flatnonzero(np.diff(z_um) <= 0)
-    if same.size:
+    repeated = np.flatnonzero(np.diff(z_um) <= 0)
+    if repeated.size:
         raise ComputeError(
-            f"Field {stack.field.number} has two frames at z = {z_um[same[0]]:.3f} um: "
+            f"Field {stack.field.number} has two frames at z = {z_um[repeated[0]]:.3f} um: "
             "give every frame a z of its own, or a z step over 0."
         )
 

@@ -110,13 +110,13 @@ def find_flaws(exposures: Iterable[Image], slots: NDArray[np.intp], white_counts
     picked: NDArray[np.intp] = slots[np.unique(np.linspace(0, len(slots) - 1, FLAW.frames).astype(int))]
     found = [_flawed(images, picked, white_counts) for images in exposures]
     shape = found[0].shape
-    flawed = _whole_lines(np.logical_or.reduce(found))
+    flawed = _complete_lines(np.logical_or.reduce(found))
     if not flawed.any() or flawed.mean() > FLAW.most_flawed or min(shape) <= 2 * FLAW.reach_px:
         return None
     return _with_neighbours(flawed)
 
 
-def _whole_lines(flawed: NDArray[np.bool_]) -> NDArray[np.bool_]:
+def _complete_lines(flawed: NDArray[np.bool_]) -> NDArray[np.bool_]:
     """Complete rows and columns of which half is defective, because texture hides weak defects in places."""
     lines = [flawed.mean(axis=axis, keepdims=True) >= 0.5 for axis in (0, 1)]
     return flawed | lines[0] | lines[1]
@@ -148,22 +148,22 @@ def _stands_out(frame: Image, axis: int, brighter: bool, least: int) -> NDArray[
     """Return a mask of pixels beyond both neighbours two pixels away along the axis by more than `least`."""
     turned = frame if axis else frame.T
     ahead = turned[:, 2 * FLAW.apart_px :]
-    behind, here = turned[:, : -2 * FLAW.apart_px], turned[:, FLAW.apart_px : -FLAW.apart_px]
+    behind, pixel = turned[:, : -2 * FLAW.apart_px], turned[:, FLAW.apart_px : -FLAW.apart_px]
     out = np.zeros(turned.shape, bool)
     inner = out[:, FLAW.apart_px : -FLAW.apart_px]
     if brighter:
         top = np.iinfo(frame.dtype).max - least
-        np.greater(here, np.minimum(np.maximum(ahead, behind), top) + frame.dtype.type(least), out=inner)
+        np.greater(pixel, np.minimum(np.maximum(ahead, behind), top) + frame.dtype.type(least), out=inner)
     else:
-        np.less(here, np.maximum(np.minimum(ahead, behind), least) - frame.dtype.type(least), out=inner)
+        np.less(pixel, np.maximum(np.minimum(ahead, behind), least) - frame.dtype.type(least), out=inner)
     return out if axis else out.T
 
 
 def _stand_out_at(frame: Image, at: Places, axis: int, brighter: bool, least: int) -> NDArray[np.bool_]:
     """Apply the test of `_stands_out` to selected pixels."""
     step = np.array([0, FLAW.apart_px] if axis else [FLAW.apart_px, 0])
-    here, ahead, behind = (frame[tuple(p.T)].astype(np.int32) for p in (at, at + step, at - step))
-    return here > np.maximum(ahead, behind) + least if brighter else here < np.minimum(ahead, behind) - least
+    pixel, ahead, behind = (frame[tuple(p.T)].astype(np.int32) for p in (at, at + step, at - step))
+    return pixel > np.maximum(ahead, behind) + least if brighter else pixel < np.minimum(ahead, behind) - least
 
 
 def _with_neighbours(flawed: NDArray[np.bool_]) -> Flaws | None:
@@ -183,11 +183,11 @@ def _nearest_sound(flawed: NDArray[np.bool_], at: Places, step: NDArray[np.intp]
     """Return the first sound pixel from each in steps, or the pixel itself if there is none within reach."""
     out = at.copy()
     for n in range(FLAW.reach_px, 0, -1):
-        there = at + n * step
-        inside = ((there >= 0) & (there < flawed.shape)).all(axis=1)
+        target = at + n * step
+        inside = ((target >= 0) & (target < flawed.shape)).all(axis=1)
         good = np.zeros(len(at), bool)
-        good[inside] = ~flawed[tuple(there[inside].T)]
-        out[good] = there[good]
+        good[inside] = ~flawed[tuple(target[inside].T)]
+        out[good] = target[good]
     return out
 
 
@@ -321,15 +321,15 @@ def _faults(stats: FrameStats, white_counts: int) -> Iterator[tuple[int, str]]:
 def _abrupt(flagged: NDArray[np.bool_], log: Stats) -> NDArray[np.bool_]:
     """Select the runs of flagged frames that begin and end with a jump, unlike the top of a smooth curve."""
     step = np.abs(np.diff(log))
-    kept = flagged.copy()
+    remaining = flagged.copy()
     for run in np.split(np.flatnonzero(flagged), np.flatnonzero(np.diff(np.flatnonzero(flagged)) > 1) + 1):
         if not run.size:
             continue
         first, last = run[0], run[-1]
         begins = first < 2 or step[first - 1] > FAULT.least_jump * step[first - 2]
         ends = last > len(log) - 3 or step[last] > FAULT.least_jump * step[last + 1]
-        kept[run] = begins and ends
-    return kept
+        remaining[run] = begins and ends
+    return remaining
 
 
 def _sides(values: Stats) -> tuple[Stats, Stats]:

@@ -85,9 +85,9 @@ def compare_pair(
         return Seam()
     one, other = _part(first, rows.first, cols.first), _part(second, rows.second, cols.second)
     step_um = MAX_STEP_FRAMES * second.provenance.z_step_um or math.inf
-    left = differences(one, other, rows.part, cols.part, step_um)
-    left[_walls(one)] = np.nan
-    plane = fit_plane(left, _block_side(left))
+    residuals = differences(one, other, rows.part, cols.part, step_um)
+    residuals[_walls(one)] = np.nan
+    plane = fit_plane(residuals, _block_side(residuals))
     return Seam() if plane is None else _seam(plane, corner, rows.first.start, cols.first.start, pixel_um)
 
 
@@ -107,9 +107,9 @@ class _Common:
 def _common(first: int, second: int, offset: float) -> _Common:
     """Return the pixels of the first that have neighbours in the second, whose pixel i lies at i + offset."""
     start = max(0, math.ceil(offset))
-    part, whole = math.modf(start - offset)
-    stop = max(start, min(first, start + second - 1 - int(whole)))
-    return _Common(slice(start, stop), slice(int(whole), int(whole) + stop - start + 1), part)
+    part, integer = math.modf(start - offset)
+    stop = max(start, min(first, start + second - 1 - int(integer)))
+    return _Common(slice(start, stop), slice(int(integer), int(integer) + stop - start + 1), part)
 
 
 def _corner(height: HeightMap, at_um: tuple[float, float]) -> tuple[float, float]:
@@ -127,14 +127,14 @@ def _walls(z_um: NDArray[np.float32]) -> NDArray[np.bool_]:
 
     Walls are detected on means of several pixels, above their noise.
     """
-    known = z_um == z_um
-    count = binned(known.astype(np.float32), CELL_PX)
-    total = binned(np.where(known, z_um, np.float32(0)), CELL_PX)
+    valid = z_um == z_um
+    count = binned(valid.astype(np.float32), CELL_PX)
+    total = binned(np.where(valid, z_um, np.float32(0)), CELL_PX)
     mean = np.divide(total, count, out=np.full(count.shape, np.nan, np.float32), where=count > 0)
     steep = np.zeros(mean.shape, np.bool_)
     apart = np.abs(np.diff(mean, axis=0)), np.abs(np.diff(mean, axis=1))
-    told = np.concatenate([a[a == a][::_EVERY] for a in apart])
-    limit_um = STEEP * float(np.quantile(told, _USUAL)) if told.size else math.inf
+    steps = np.concatenate([a[a == a][::_EVERY] for a in apart])
+    limit_um = STEEP * float(np.quantile(steps, _USUAL)) if steps.size else math.inf
     for off, ahead, behind in ((apart[0], steep[1:], steep[:-1]), (apart[1], steep[:, 1:], steep[:, :-1])):
         ahead |= off > limit_um
         behind |= off > limit_um

@@ -63,13 +63,13 @@ def placed_by_stage(poses: Poses) -> NDArray[np.bool_]:
     """
     n_fields, shifts = poses.numbers.size, poses.shifts
     between = ~(poses.left_out[shifts.first] | poses.left_out[shifts.second])
-    group, whole = (_joined(n_fields, shifts, some) for some in (between & shifts.believed, between))
-    size, of_whole = (np.bincount(numbers, minlength=n_fields) for numbers in (group, whole))
-    largest = np.lexsort((np.arange(n_fields), -size[group], whole))
-    _, first = np.unique(whole[largest], return_index=True)
+    group, component = (_joined(n_fields, shifts, some) for some in (between & shifts.believed, between))
+    size, component_size = (np.bincount(numbers, minlength=n_fields) for numbers in (group, component))
+    largest = np.lexsort((np.arange(n_fields), -size[group], component))
+    _, first = np.unique(component[largest], return_index=True)
     leading = group[largest[first]]
-    held = (group == leading[whole]) & (size[group] > 1)
-    return ~held & (of_whole[whole] > 1) & ~poses.left_out
+    held = (group == leading[component]) & (size[group] > 1)
+    return ~held & (component_size[component] > 1) & ~poses.left_out
 
 
 def has_no_heights(height: HeightMap) -> bool:
@@ -136,14 +136,14 @@ def _lost_overlaps(n_fields: int, shifts: Shifts) -> NDArray[np.intp]:
     0 for the fields of accepted groups, and for groups with at least as many ambiguous overlaps.
     """
     fits, lost, open_ = (np.isin(shifts.doubt, some) for some in (_FITS, _LOST, (RejectionReason.AMBIGUOUS,)))
-    group, whole = _joined(n_fields, shifts, fits), _joined(n_fields, shifts, fits | lost | open_)
+    group, component = _joined(n_fields, shifts, fits), _joined(n_fields, shifts, fits | lost | open_)
     size = np.bincount(group, minlength=n_fields)
-    largest = np.lexsort((np.arange(n_fields), -size[group], whole))
-    _, first = np.unique(whole[largest], return_index=True)
+    largest = np.lexsort((np.arange(n_fields), -size[group], component))
+    _, first = np.unique(component[largest], return_index=True)
     leading = group[largest[first]]
     believed = np.isin(group, leading[size[leading] > 1])
     n_lost, n_open = (_of_groups(shifts, some, group, believed) for some in (lost, open_))
-    nearly_as_large = FEWER * size[group] > size[leading][whole]
+    nearly_as_large = FEWER * size[group] > size[leading][component]
     n_lost = np.where(nearly_as_large, np.minimum(n_lost, LEAST_NEIGHBOURS - 1), n_lost)
     return np.where(believed | (n_lost <= n_open), 0, n_lost)
 
@@ -157,12 +157,12 @@ def _of_groups(
     return np.bincount(group[outside], minlength=len(group))[group]
 
 
-def _joined(n_fields: int, shifts: Shifts, kept: NDArray[np.bool_]) -> NDArray[np.intp]:
+def _joined(n_fields: int, shifts: Shifts, used: NDArray[np.bool_]) -> NDArray[np.intp]:
     """Return the group number of each field, for groups connected by the selected overlaps."""
     from scipy.sparse import coo_array
     from scipy.sparse.csgraph import connected_components
 
-    links = (np.ones(int(kept.sum()), np.int8), (shifts.first[kept], shifts.second[kept]))
+    links = (np.ones(int(used.sum()), np.int8), (shifts.first[used], shifts.second[used]))
     return np.asarray(connected_components(coo_array(links, (n_fields, n_fields)), directed=False)[1], np.intp)
 
 
@@ -212,10 +212,10 @@ def _by_stage(poses: Poses, empty: Sequence[int]) -> Iterator[str]:
 
 def _undecided(shifts: Shifts, some: NDArray[np.bool_]) -> str:
     """Return ``24 of 24 overlaps ambiguous (repeating pattern)``, the most frequent reason first."""
-    of = int(np.count_nonzero(some))
+    n_open = int(np.count_nonzero(some))
     counts = [(int(np.count_nonzero(shifts.doubt[some] == doubt)), words) for doubt, words in DOUBT_WORDS.items()]
     first, *others = sorted((c for c in counts if c[0]), key=lambda count: -count[0])
-    return ", ".join([f"{first[0]} of {of} overlaps {first[1]}", *(f"{n} {words}" for n, words in others)])
+    return ", ".join([f"{first[0]} of {n_open} overlaps {first[1]}", *(f"{n} {words}" for n, words in others)])
 
 
 def _pattern_advice(shifts: Shifts) -> str:
@@ -227,8 +227,8 @@ def _pattern_advice(shifts: Shifts) -> str:
 
 def _left_out(poses: Poses, pairs: NDArray[np.int32], opened: Open) -> Iterator[str]:
     for place in np.flatnonzero(poses.left_out).tolist():
-        beside = pairs[(pairs == place).any(axis=1)]
-        others = [n for n in beside[beside != place].tolist() if not poses.left_out[n]]
+        adjacent = pairs[(pairs == place).any(axis=1)]
+        others = [n for n in adjacent[adjacent != place].tolist() if not poses.left_out[n]]
         yield judge_misfit(int(poses.numbers[place]), opened(place), [opened(n) for n in others])
 
 
@@ -240,20 +240,20 @@ def _loose(poses: Poses) -> Iterator[str]:
 def _empty(poses: Poses, opened: Open) -> Iterator[int]:
     """Yield the indices of fields without heights, among those whose heights could not be compared anywhere."""
     compared = poses.seams.n_pixels > 0
-    seen = np.zeros(poses.numbers.size, bool)
-    seen[poses.seams.first[compared]] = seen[poses.seams.second[compared]] = True
-    for place in np.flatnonzero(~seen & ~poses.left_out).tolist():
+    has_pixels = np.zeros(poses.numbers.size, bool)
+    has_pixels[poses.seams.first[compared]] = has_pixels[poses.seams.second[compared]] = True
+    for place in np.flatnonzero(~has_pixels & ~poses.left_out).tolist():
         if has_no_heights(opened(place)):
             yield place
 
 
 def _alone(poses: Poses, pairs: NDArray[np.int32]) -> Iterator[str]:
     """Note the fields without overlap, in one sentence; nothing for a single field."""
-    alone = np.setdiff1d(np.arange(poses.numbers.size), pairs)
-    if alone.size and poses.numbers.size > 1:
-        one = alone.size == 1
+    isolated = np.setdiff1d(np.arange(poses.numbers.size), pairs)
+    if isolated.size and poses.numbers.size > 1:
+        one = isolated.size == 1
         yield (
-            f"{_listed(poses.numbers[alone].tolist())} {'overlaps' if one else 'overlap'} no other field: "
+            f"{_listed(poses.numbers[isolated].tolist())} {'overlaps' if one else 'overlap'} no other field: "
             f"{'it lies' if one else 'they lie'} where the stage says."
         )
 

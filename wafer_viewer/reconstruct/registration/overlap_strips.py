@@ -73,23 +73,23 @@ class _Part(NamedTuple):
 
 
 def _part(first: int, second: int, offset: float, reach: int, step: int) -> _Part:
-    whole = round(offset)
-    start, stop = max(0, whole - reach), min(first, whole + second + reach)
-    other, other_stop = max(0, -whole - reach), min(second, first - whole + reach)
-    other += (start - whole - other) % step
-    common = slice(max(0, whole), min(first, whole + second))
-    of_second = slice(common.start - whole, common.stop - whole)
-    lag = whole + other - start
-    return _Part(slice(start, stop), slice(other, other_stop), lag, offset - whole, common, of_second)
+    nearest = round(offset)
+    start, stop = max(0, nearest - reach), min(first, nearest + second + reach)
+    other, other_stop = max(0, -nearest - reach), min(second, first - nearest + reach)
+    other += (start - nearest - other) % step
+    common = slice(max(0, nearest), min(first, nearest + second))
+    of_second = slice(common.start - nearest, common.stop - nearest)
+    lag = nearest + other - start
+    return _Part(slice(start, stop), slice(other, other_stop), lag, offset - nearest, common, of_second)
 
 
 def picture_of(height: HeightMap, rows: slice, cols: slice) -> RegisteredImage:
     """Return the all-in-focus image."""
     grey = np.asarray(height.all_in_focus[rows, cols]).astype(np.float32)
     origin = height.origin[rows, cols]
-    seen = (origin != _NOT_SEEN[0]) & (origin != _NOT_SEEN[1])
+    covered = (origin != _NOT_SEEN[0]) & (origin != _NOT_SEEN[1])
     grey -= np.float32(grey[::7, ::7].mean(dtype=np.float64))
-    return RegisteredImage(grey, seen.astype(np.float32), _noise(grey))
+    return RegisteredImage(grey, covered.astype(np.float32), _noise(grey))
 
 
 def _noise(plane: NDArray[np.float32]) -> float:
@@ -106,32 +106,32 @@ def _noise(plane: NDArray[np.float32]) -> float:
 
 def height_of(height: HeightMap, rows: slice, cols: slice) -> RegisteredImage:
     """Return the high-pass filtered measured heights with clipped outliers; 0 where nothing is measured nearby."""
-    from wafer_viewer.numerics.filters.sliding_filters import mean, mean_of_known
+    from wafer_viewer.numerics.filters.sliding_filters import mean, mean_of_valid
 
     z = np.asarray(height.z_raw_um[rows, cols])
-    known = np.isfinite(z)
-    if not known.any():
-        return RegisteredImage(np.zeros(z.shape, np.float32), known.astype(np.float32), _FOCUS_NOISE)
-    z = np.where(known, z - np.float32(np.median(z[known][::5])), np.float32(0))
-    usual = _STEEPEST * float(np.median(np.abs(z[known][::5]))) + 1e-6
-    around = mean_of_known(z.clip(-usual, usual), known, _AROUND_PX)
-    detail = np.where(known, z - around, np.float32(0))
-    usual = _STEEPEST * float(np.median(np.abs(detail[known][::5]))) + 1e-6
+    valid = np.isfinite(z)
+    if not valid.any():
+        return RegisteredImage(np.zeros(z.shape, np.float32), valid.astype(np.float32), _FOCUS_NOISE)
+    z = np.where(valid, z - np.float32(np.median(z[valid][::5])), np.float32(0))
+    usual = _STEEPEST * float(np.median(np.abs(z[valid][::5]))) + 1e-6
+    around = mean_of_valid(z.clip(-usual, usual), valid, _AROUND_PX)
+    detail = np.where(valid, z - around, np.float32(0))
+    usual = _STEEPEST * float(np.median(np.abs(detail[valid][::5]))) + 1e-6
     detail = detail.clip(-usual, usual)
-    near = mean(detail, 3) / np.maximum(mean(known, 3), np.float32(0.1))
-    return RegisteredImage(np.where(known, detail, near), known.astype(np.float32), _FOCUS_NOISE)
+    near = mean(detail, 3) / np.maximum(mean(valid, 3), np.float32(0.1))
+    return RegisteredImage(np.where(valid, detail, near), valid.astype(np.float32), _FOCUS_NOISE)
 
 
-def binned_known(picture: RegisteredImage, factor: int) -> RegisteredImage:
+def binned_valid(picture: RegisteredImage, factor: int) -> RegisteredImage:
     """Return means of the known ones of factor x factor pixels; known where at least half of them are."""
     if factor == 1:
         return picture
-    if picture.known.all():
+    if picture.valid.all():
         total = binned(picture.values, factor) * np.float32(factor**-2)
         return RegisteredImage(total, np.ones_like(total), picture.noise / factor)
-    total, known = binned(picture.values * picture.known, factor), binned(picture.known, factor)
-    mean = np.divide(total, known, out=np.zeros_like(total), where=known > 0)
-    return RegisteredImage(mean, (known >= 0.5 * factor**2).astype(np.float32), picture.noise / factor)
+    total, valid = binned(picture.values * picture.valid, factor), binned(picture.valid, factor)
+    mean = np.divide(total, valid, out=np.zeros_like(total), where=valid > 0)
+    return RegisteredImage(mean, (valid >= 0.5 * factor**2).astype(np.float32), picture.noise / factor)
 
 
 LEAST_SIDE_FRACTION = 0.5
@@ -154,16 +154,16 @@ def neighbours(outlines: Sequence[Outline]) -> NDArray[np.int32]:
     first, second = pairs[:, 0], pairs[:, 1]
     shared = np.minimum(high[first], high[second]) - np.maximum(low[first], low[second])
     side = np.minimum(high[first] - low[first], high[second] - low[second])
-    beside = (shared >= LEAST_SIDE_FRACTION * side).any(axis=1)
+    adjacent = (shared >= LEAST_SIDE_FRACTION * side).any(axis=1)
     enough = (shared >= LEAST_WIDTH_PX * pixel_um[first, None]).all(axis=1)
-    kept = pairs[beside & enough]
-    return kept[np.lexsort((kept[:, 1], kept[:, 0]))].astype(np.int32)
+    overlapping = pairs[adjacent & enough]
+    return overlapping[np.lexsort((overlapping[:, 1], overlapping[:, 0]))].astype(np.int32)
 
 
 def _boxes(outlines: Sequence[Outline]) -> tuple[Numbers, Numbers, Numbers]:
     """Return the low and high corners (x, y) of all fields, [n, 2], including border pixels, and pixel sizes."""
-    told = np.array([(o.x0_um, o.y0_um, o.pixel_um, *o.shape) for o in outlines], np.float64).reshape(-1, 5)
-    x0, y0, pixel, rows, cols = told.T
+    table = np.array([(o.x0_um, o.y0_um, o.pixel_um, *o.shape) for o in outlines], np.float64).reshape(-1, 5)
+    x0, y0, pixel, rows, cols = table.T
     low = np.stack([x0 - pixel / 2, y0 - (rows - 0.5) * pixel], axis=1)
     high = np.stack([x0 + (cols - 0.5) * pixel, y0 + pixel / 2], axis=1)
     return low, high, pixel

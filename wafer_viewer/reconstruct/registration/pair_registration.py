@@ -22,7 +22,7 @@ from wafer_viewer.reconstruct.focus.focus_volume import on_threads
 from wafer_viewer.reconstruct.registration.overlap_strips import (
     OverlapWindow,
     Read,
-    binned_known,
+    binned_valid,
     height_of,
     picture_of,
 )
@@ -173,27 +173,27 @@ def _candidates(
     one: RegisteredImage, other: RegisteredImage, window: OverlapWindow, factor: int, reach: int
 ) -> tuple[list[Lag], bool]:
     """Return candidate lags in full pixels, the most significant first, and whether they may be chance."""
-    one, other = binned_known(one, factor), binned_known(other, factor)
-    knowns = one.known > 0, other.known > 0
+    one, other = binned_valid(one, factor), binned_valid(other, factor)
+    valids = one.valid > 0, other.valid > 0
     details = (
-        contrast(one.values, knowns[0], MATCH_SEARCH.around),
-        contrast(other.values, knowns[1], MATCH_SEARCH.around),
+        contrast(one.values, valids[0], MATCH_SEARCH.around),
+        contrast(other.values, valids[1], MATCH_SEARCH.around),
     )
     middle = window.lag[0] // factor, window.lag[1] // factor
-    alike = normalised_cross_correlation(details[0], knowns[0], details[1], knowns[1], middle, reach)
+    likeness = normalised_cross_correlation(details[0], valids[0], details[1], valids[1], middle, reach)
     least = MATCH_SEARCH.least_share * window.overlap[0] * window.overlap[1] / factor**2
-    peaks, by_chance = _peaks(alike, least, reach)
+    peaks, by_chance = _peaks(likeness, least, reach)
     return [((r + middle[0]) * factor, (c + middle[1]) * factor) for r, c in peaks], by_chance
 
 
-def _peaks(alike: Likeness, least_pixels: float, reach: int) -> tuple[list[tuple[int, int]], bool]:
+def _peaks(likeness: Likeness, least_pixels: float, reach: int) -> tuple[list[tuple[int, int]], bool]:
     """Return the highest local maxima relative to the middle, none without correlation, and the chance flag."""
     from wafer_viewer.numerics.filters.sliding_filters import highest
 
-    sigmas = np.where(alike.pixels >= least_pixels, alike.sigmas, 0.0)
+    sigmas = np.where(likeness.pixels >= least_pixels, likeness.sigmas, 0.0)
     top = float(sigmas.max())
     by_chance = top < MATCH_SEARCH.sure_sigmas
-    if by_chance and float(alike.correlation[sigmas == top].max()) < MATCH_SEARCH.like:
+    if by_chance and float(likeness.correlation[sigmas == top].max()) < MATCH_SEARCH.like:
         return [], by_chance
     rows, cols = np.nonzero((sigmas == highest(sigmas, 3)) & (sigmas >= MATCH_SEARCH.nearly * top))
     order = np.argsort(-sigmas[rows, cols], kind="stable")[: MATCH_SEARCH.candidates]
@@ -206,7 +206,7 @@ def _refined(
     """Refine all candidates, and the best fit with its rivals again at each finer resolution."""
     fits: list[SubpixelShift] = []
     for f in MATCH_SEARCH.factors[MATCH_SEARCH.factors.index(factor) :]:
-        levels = binned_known(one, f), binned_known(other, f)
+        levels = binned_valid(one, f), binned_valid(other, f)
         fits = [_scaled(align(*levels, (r / f, c / f), max(6, side // f), f > 1), f) for r, c in lags]
         near = [fit for fit, lag in zip(fits, lags, strict=True) if _distance(fit.lag, lag) <= 2.0 * f]
         fits = _with_rivals(near, 1.5 * factor)
@@ -286,9 +286,9 @@ def _difference(picture: RegisteredImage, lag: int, axis: int) -> float:
     ahead, behind = [slice(None), slice(None)], [slice(None), slice(None)]
     ahead[axis], behind[axis] = slice(lag, None), slice(None, -lag)
     a, b = tuple(ahead), tuple(behind)
-    known = picture.known[a] * picture.known[b]
-    off = (picture.values[a] - picture.values[b]) * known
-    return float(np.vdot(off, off)) / max(1.0, float(known.sum()))
+    valid = picture.valid[a] * picture.valid[b]
+    off = (picture.values[a] - picture.values[b]) * valid
+    return float(np.vdot(off, off)) / max(1.0, float(valid.sum()))
 
 
 REACH_PX, WIDE_REACH_PX, WIDE_FRACTION = 40.0, 120.0, 0.125
@@ -359,11 +359,11 @@ def register_pair(first: HeightMap, second: HeightMap, reach_px: float | None = 
 
 def _within(first: HeightMap, second: HeightMap, reach_px: float) -> PairShift:
     """Register by images, by heights where the images are blank, or else by the stage."""
-    seen = match(first, second, reach_px, picture_of)
-    if seen.doubt in _LOST and _measured_share(first, second) < LEAST_MEASURED:
+    match_window = match(first, second, reach_px, picture_of)
+    if match_window.doubt in _LOST and _measured_share(first, second) < LEAST_MEASURED:
         return _by_stage(RejectionReason.BLANK)
-    if seen.doubt is not RejectionReason.BLANK:
-        return _pair_shift(seen, first.pixel_um, ObservationSource.PICTURE)
+    if match_window.doubt is not RejectionReason.BLANK:
+        return _pair_shift(match_window, first.pixel_um, ObservationSource.PICTURE)
     felt = match(first, second, reach_px, height_of)
     if felt.doubt is RejectionReason.NONE:
         return _pair_shift(felt, first.pixel_um, ObservationSource.HEIGHT)
@@ -390,15 +390,15 @@ def _by_stage(doubt: RejectionReason) -> PairShift:
 
 
 def _table(pairs: NDArray[np.int32], found: Sequence[PairShift]) -> Shifts:
-    told = np.array([(f.x_um, f.y_um, f.u_x_um, f.u_y_um) for f in found], np.float64).reshape(-1, 4)
+    table = np.array([(f.x_um, f.y_um, f.u_x_um, f.u_y_um) for f in found], np.float64).reshape(-1, 4)
     doubt = np.array([f.doubt for f in found], np.uint8)
     return Shifts(
         first=np.array(pairs[:, 0], np.int32),
         second=np.array(pairs[:, 1], np.int32),
-        x_um=told[:, 0].copy(),
-        y_um=told[:, 1].copy(),
-        u_x_um=told[:, 2].copy(),
-        u_y_um=told[:, 3].copy(),
+        x_um=table[:, 0].copy(),
+        y_um=table[:, 1].copy(),
+        u_x_um=table[:, 2].copy(),
+        u_y_um=table[:, 3].copy(),
         correlation=np.array([f.correlation for f in found], np.float32),
         by=np.array([f.by for f in found], np.uint8),
         doubt=doubt,
