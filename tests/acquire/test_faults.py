@@ -144,10 +144,10 @@ def test_a_pass_that_cannot_be_trusted_is_taken_again_and_named(case, scan):
     assert len(ledger.kept) == N
     assert len(ledger.summaries) == 5, "four passes, one of them again"
     assert len(ledger.missed_why) == 60
-    (told,) = ledger.faults
-    assert "None of the 60 frames of the pass that begins at field 1 is kept" in told
-    assert "try 2 of 3" in told
-    assert re.search(says, told), told
+    (reported,) = ledger.faults
+    assert "None of the 60 frames of the pass that begins at field 1 is kept" in reported
+    assert "try 2 of 3" in reported
+    assert re.search(says, reported), reported
 
 
 @pytest.mark.parametrize("direction", ["up", "down"])
@@ -196,9 +196,9 @@ def test_a_counter_that_starts_anywhere_is_set_by_the_stages_position(virtual_ri
 def test_a_stage_that_reports_motion_for_ever_is_given_up(strategy, virtual_rig, small_plan, control):
     rig, ledger = virtual_rig(faults=Faults(endless_motions=(1,))), Ledger()
     began_s = rig.clock.now_s()
-    with pytest.raises(RigTimeout) as told:
+    with pytest.raises(RigTimeout) as reported:
         run_scan(small_plan(rig, strategy, **FIELDS), rig, ledger, control())
-    text = str(told.value)
+    text = str(reported.value)
     assert "does not report the end of its motion" in text
     assert "the z axis stands at" in text
     assert "should be at" in text
@@ -226,7 +226,7 @@ def test_a_stage_that_does_not_arrive_is_named_with_its_place_and_its_goal(motio
     assert "instead of" in str(error)
 
 
-def test_a_stage_that_says_too_early_that_it_stands_is_waited_for(virtual_rig, monkeypatch):
+def test_an_early_standstill_report_is_waited_out(virtual_rig, monkeypatch):
     rig = virtual_rig()
     monkeypatch.setattr(rig.stage, "_arrive", lambda should_stop: None)
     move(rig, {"x": 5_000.0, "z": 40.0}, lambda: False)
@@ -235,7 +235,7 @@ def test_a_stage_that_says_too_early_that_it_stands_is_waited_for(virtual_rig, m
 
 
 @pytest.mark.parametrize(("device", "call"), [("camera", "next_image"), ("camera", "start"), ("stage", "start")])
-def test_an_error_of_a_devices_driver_is_told_as_that_devices(
+def test_an_error_of_a_devices_driver_is_reported_as_that_devices(
     device, call, virtual_rig, small_plan, control, monkeypatch
 ):
     rig = virtual_rig()
@@ -278,6 +278,6 @@ def test_the_hole_of_an_ignored_trigger_is_its_own(scan):
 def test_a_stop_that_the_stage_does_not_obey_is_no_wait_for_ever(virtual_rig, monkeypatch):
     rig = virtual_rig()
     monkeypatch.setattr(rig.stage, "moving", lambda: True)
-    with pytest.raises(RigTimeout, match=r"still reports motion .* after it was told to stop.*emergency stop"):
+    with pytest.raises(RigTimeout, match=r"still reports motion .* after the stop command.*emergency stop"):
         come_to_rest(rig)
     assert rig.clock.now_s() < 5.0

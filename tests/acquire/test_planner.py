@@ -116,7 +116,7 @@ def test_the_operator_may_choose_a_slower_one():
 
 @pytest.mark.parametrize("exposure_us", [20.0, 100.0, 5_000.0, 60_000.0])
 @pytest.mark.parametrize("strategy", ["z_snake", "x_lines", "y_lines"])
-def test_nothing_smears(strategy, exposure_us):
+def test_motion_during_the_exposure_stays_below_its_limit(strategy, exposure_us):
     sweep = FocusSweep(z_step_um=4.0, n_frames=3)
     for leg in plan_scan(GAUGE_BLOCKS, sweep, (exposure_us,), LIMITS, strategy).legs:
         moved_um = leg.speed_um_s * exposure_us * 1e-6
@@ -184,7 +184,7 @@ def test_a_run_up_out_of_range_is_named_with_value_and_limit():
         ({"strategy": "zigzag"}, r"'zigzag'.*z_snake"),
     ],
 )
-def test_what_cannot_be_is_said_in_a_sentence(change, says):
+def test_invalid_input_is_refused_in_one_sentence(change, says):
     wanted = {"fields": GAUGE_BLOCKS, "sweep": SWEEP, "exposures_us": (100.0,), "limits": LIMITS, **change}
     with pytest.raises(PlanError, match=says) as error:
         plan_scan(**wanted)

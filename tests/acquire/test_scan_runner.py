@@ -126,7 +126,7 @@ def test_frames_reach_the_sink_while_the_pass_is_running(virtual_rig, small_plan
     assert sum(moving) >= len(moving) - 2 * len(plan.legs)
 
 
-def test_a_stopped_scan_goes_on_where_it_was(virtual_rig, small_plan, recorder, control, place):
+def test_a_stopped_scan_continues_where_it_was(virtual_rig, small_plan, recorder, control, place):
     rig = virtual_rig()
     plan = small_plan(rig)
     first = run_scan(plan, rig, recorder, control(stop_after=33))
@@ -134,8 +134,8 @@ def test_a_stopped_scan_goes_on_where_it_was(virtual_rig, small_plan, recorder, 
     assert first.missing == ()
     assert 33 <= first.kept < plan.n_frames
     assert not rig.stage.moving()
-    kept = {f.shot for f in recorder.frames}
-    second = run_scan(plan, rig, recorder, control(), skip=kept)
+    stored = {f.shot for f in recorder.frames}
+    second = run_scan(plan, rig, recorder, control(), skip=stored)
     assert not second.stopped
     assert first.kept + second.kept == plan.n_frames == len(recorder.frames)
     assert {f.shot for f in recorder.frames} == all_shots(plan)
@@ -184,9 +184,9 @@ def test_a_box_that_lost_its_power_aborts_the_pass_and_leaves_the_rig_at_rest(
         run_scan(plan, rig, recorder, control())
     rig.stage.wait()
     assert not rig.stage.moving()
-    kept = {f.shot for f in recorder.frames}
-    assert 20 <= len(kept) < plan.n_frames
-    run_scan(plan, rig, recorder, control(), skip=kept)
+    stored = {f.shot for f in recorder.frames}
+    assert 20 <= len(stored) < plan.n_frames
+    run_scan(plan, rig, recorder, control(), skip=stored)
     assert {f.shot for f in recorder.frames} == all_shots(plan)
     assert len(recorder.frames) == plan.n_frames
 

@@ -25,7 +25,7 @@ from tests.bench.tables import met, percent, show
 from tests.support.bumped_surface import bumped
 from tests.support.made_up_pictures import all_of, chipped_edge, covered, die, disc, edge, kerf, strip
 from wafer_viewer.measure.edges.circular_edges import find_circle
-from wafer_viewer.measure.edges.straight_edges import DieEdges, die_edges, find_edge, find_edge_any_way
+from wafer_viewer.measure.edges.straight_edges import DieEdges, die_edges, find_edge, find_edge_in_any_direction
 from wafer_viewer.measure.tools.chipping import edge_depths
 from wafer_viewer.measure.tools.coplanarity import coplanarity
 from wafer_viewer.measure.tools.kerf import kerf_edges
@@ -71,7 +71,7 @@ def a_chip(answer: Callable[[float, float], float]) -> Callable[[int], Answer]:
     """Of a half disc of 9 px radius that is missing: depth and area go into the answer."""
 
     def measure(seed: int) -> Answer:
-        across, found = find_edge_any_way(strip(chipped_edge(slope=0.0, seed=seed)))
+        across, found = find_edge_in_any_direction(strip(chipped_edge(slope=0.0, seed=seed)))
         chips = edge_depths(across, found, inwards=True).chips(4.0)
         return answer(chips[0].depth_um, chips[0].area_um2), None
 

@@ -40,15 +40,15 @@ def test_turn_and_shift_are_found_again(notch, more_deg, x_um, y_um):
 
 
 def test_the_residual_is_the_distance_of_the_worst_mark_and_no_other_fit_is_better():
-    seen = np.array(seen_through(Alignment(rotation_rad=0.01, shift_x_um=50.0)))
-    seen[1] += (6.0, -2.0)
-    found = fit_alignment(MARKS, [tuple(place) for place in seen], "down")
-    off = np.array([found.to_wafer(*place) for place in seen]) - PLACES
+    observed = np.array(seen_through(Alignment(rotation_rad=0.01, shift_x_um=50.0)))
+    observed[1] += (6.0, -2.0)
+    found = fit_alignment(MARKS, [tuple(place) for place in observed], "down")
+    off = np.array([found.to_wafer(*place) for place in observed]) - PLACES
     assert found.residual_um == pytest.approx(np.hypot(*off.T).max())
     assert 1.5 < found.residual_um < 6.4
 
     def squares(alignment):
-        return sum(math.dist(alignment.to_wafer(*p), w) ** 2 for p, w in zip(seen, PLACES, strict=True))
+        return sum(math.dist(alignment.to_wafer(*p), w) ** 2 for p, w in zip(observed, PLACES, strict=True))
 
     for change in (1e-5, -1e-5):
         assert squares(found) < squares(replace(found, rotation_rad=found.rotation_rad + change))
@@ -62,7 +62,7 @@ def test_two_marks_show_in_the_residual_that_their_distance_is_wrong():
 
 
 @pytest.mark.parametrize(
-    ("seen", "notch", "words"),
+    ("observed", "notch", "words"),
     [
         ([(0.0, 0.0)], "down", "1 of 3 corners are marked"),
         ([(5.0, 5.0)] * 3, "down", "in one place"),
@@ -70,9 +70,9 @@ def test_two_marks_show_in_the_residual_that_their_distance_is_wrong():
         ([(-2500.0, -400.0), (2400.0, 900.0), (100.0, 2900.0)], "down", "mark the corners named"),
     ],
 )
-def test_what_is_no_alignment_is_refused_in_a_sentence(seen, notch, words):
+def test_what_is_no_alignment_is_refused_in_a_sentence(observed, notch, words):
     with pytest.raises(PlanError, match=words):
-        fit_alignment(MARKS, seen, notch)
+        fit_alignment(MARKS, observed, notch)
 
 
 def test_the_fields_of_an_aligned_job_lie_where_the_wafer_is():

@@ -52,14 +52,14 @@ def test_a_scale_that_is_surer_than_the_check_is_left_alone():
 
 
 @pytest.mark.parametrize(
-    ("values", "changes", "said"),
+    ("values", "changes", "message"),
     [
         (SCANS[:2], {}, "has 2 repeats"),
         (SCANS, {"height": Length(value_um=400.8)}, "no uncertainty"),
         (SCANS, {"calibration": replace(CALIBRATION, setup=OpticalSetup(objective="5x"))}, "is of 5x"),
     ],
 )
-def test_what_sets_no_scale_is_refused(values, changes, said):
+def test_what_sets_no_scale_is_refused(values, changes, message):
     check = gauge_check(repeats(*values, **changes), certificate(), GaugeTerms())
-    with pytest.raises(MeasureError, match=said):
+    with pytest.raises(MeasureError, match=message):
         scale_correction(check, CALIBRATION, TODAY)

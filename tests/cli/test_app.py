@@ -92,19 +92,19 @@ def images(tmp_path):
 
 
 def test_the_overview_names_every_command():
-    said = viewer("--help")
-    assert said.returncode == 0
-    assert all(f"  {name} " in said.stdout for name in commands())
+    printed = viewer("--help")
+    assert printed.returncode == 0
+    assert all(f"  {name} " in printed.stdout for name in commands())
     assert viewer("--version").stdout.startswith("wafer-viewer ")
 
 
 @pytest.mark.parametrize("command", commands())
 def test_every_command_explains_itself_without_frames(command):
-    said = viewer(*command.split(), "--help")
-    assert said.returncode == 0, said.stderr
-    assert said.stdout.startswith(f"usage: wafer-viewer {command} ")
-    assert not set("│╭─╰") & set(said.stdout)
-    assert "---" not in said.stdout
+    printed = viewer(*command.split(), "--help")
+    assert printed.returncode == 0, printed.stderr
+    assert printed.stdout.startswith(f"usage: wafer-viewer {command} ")
+    assert not set("│╭─╰") & set(printed.stdout)
+    assert "---" not in printed.stdout
 
 
 def test_a_plan_is_priced_as_a_table_and_as_json(plan):
@@ -135,10 +135,10 @@ def test_a_scan_is_checked_stitched_measured_and_converted(scan, surface, tmp_pa
 
 
 def test_a_pixel_says_why_it_has_its_height(scan, surface, images):
-    asked = json.loads(viewer("why", scan, "--at", 745, 560).stdout)
-    assert (asked["field"], asked["simulated"]) == (1, True)
-    assert len(asked["z_um"]) == len(asked["focus"]) == 12
-    assert {"gate", "question", "score", "limit", "passed"} <= asked["verdicts"][0].keys()
+    requested = json.loads(viewer("why", scan, "--at", 745, 560).stdout)
+    assert (requested["field"], requested["simulated"]) == (1, True)
+    assert len(requested["z_um"]) == len(requested["focus"]) == 12
+    assert {"gate", "question", "score", "limit", "passed"} <= requested["verdicts"][0].keys()
     other = json.loads(viewer("why", scan, "--at", 745, 560, "--field", 2, "--recipe.window", 5).stdout)
     assert (other["field"], other["window"]) == (2, 5)
     taken = ["why", images, "--z-step-um", 2, "--pixel-um", 0.5]
@@ -240,7 +240,7 @@ def test_a_stage_that_never_arrives_ends_the_scan(plan, tmp_path):
     assert "the z axis stands at" in done.stderr
 
 
-def test_a_scan_that_was_interrupted_goes_on(tmp_path):
+def test_a_scan_that_was_interrupted_continues(tmp_path):
     (tmp_path / "plan.toml").write_text(PLAN.format(frames=400).replace("z_step_um = 4.0", "z_step_um = 0.1"))
     first = start("scan", "plan.toml", "-o", "long.wafer", cwd=tmp_path)
     journal = tmp_path / "long.wafer" / "journal.jsonl"
@@ -266,10 +266,10 @@ def test_images_become_a_surface_in_one_line(images, tmp_path):
     done = viewer("reconstruct", images, "-o", out, *flags)
     assert done.returncode == 0, done.stderr
     assert "% measured" in done.stdout
-    with np.load(out) as kept:
+    with np.load(out) as stored:
         keys = {"z_um", "confidence", "origin", "all_in_focus", "pixel_um", "x0_um", "y0_um"}
-        assert keys <= set(kept.files)
-        assert np.nanmedian(kept["z_um"]) == pytest.approx(10, abs=0.5)
+        assert keys <= set(stored.files)
+        assert np.nanmedian(stored["z_um"]) == pytest.approx(10, abs=0.5)
 
 
 def test_a_recipe_is_a_file_and_its_settings_are_flags(images, tmp_path):
@@ -277,8 +277,8 @@ def test_a_recipe_is_a_file_and_its_settings_are_flags(images, tmp_path):
     recipe.write_text('focus_measure = "glv"\nwindow = 7\n')
     src = ["reconstruct", images, "--z-step-um", 2, "--pixel-um", 0.5, "-o", tmp_path / "z.npz"]
     assert viewer(*src, "--recipe", recipe, "--recipe.window", 9).returncode == 0
-    with np.load(tmp_path / "z.npz") as kept:
-        used = json.loads(str(kept["provenance"]))["recipe"]
+    with np.load(tmp_path / "z.npz") as stored:
+        used = json.loads(str(stored["provenance"]))["recipe"]
     assert (used["focus_measure"], used["window"]) == ("glv", 9)
     recipe.write_text("windwo = 7\n")
     assert "windwo" in refused(*src, f"--recipe={recipe}")
@@ -295,10 +295,10 @@ def test_an_import_is_a_dataset(images, tmp_path):
 
 
 def test_the_doctor_says_what_there_is(tmp_path):
-    said = viewer("doctor", "--data", tmp_path)
-    assert said.returncode in (0, 1), said.stderr
-    assert "SIMULATED, answers" in said.stdout
-    assert all(line[:4] in ("ok  ", "LACK", "    ") for line in said.stdout.splitlines())
+    printed = viewer("doctor", "--data", tmp_path)
+    assert printed.returncode in (0, 1), printed.stderr
+    assert "SIMULATED, answers" in printed.stdout
+    assert all(line[:4] in ("ok  ", "LACK", "    ") for line in printed.stdout.splitlines())
 
 
 BAD_FLAGS = {
@@ -327,8 +327,8 @@ BAD_FLAGS = {
 
 @pytest.mark.parametrize("case", BAD_FLAGS)
 def test_a_wrong_command_line_is_one_sentence_and_leaves_nothing(case, tmp_path):
-    words, said = BAD_FLAGS[case]
-    assert said in refused(*words, cwd=tmp_path)
+    words, printed = BAD_FLAGS[case]
+    assert printed in refused(*words, cwd=tmp_path)
     assert not list(tmp_path.iterdir())
 
 
@@ -345,9 +345,9 @@ BAD_PLANS = {
 
 @pytest.mark.parametrize("case", BAD_PLANS)
 def test_a_wrong_plan_is_one_sentence_and_nothing_is_scanned(case, tmp_path):
-    good, bad, said = BAD_PLANS[case]
+    good, bad, printed = BAD_PLANS[case]
     (tmp_path / "plan.toml").write_text(PLAN.format(frames=12).replace(good, bad))
-    assert said in refused("scan", "plan.toml", "-o", "new.wafer", cwd=tmp_path)
+    assert printed in refused("scan", "plan.toml", "-o", "new.wafer", cwd=tmp_path)
     assert [p.name for p in tmp_path.iterdir()] == ["plan.toml"]
 
 
@@ -367,8 +367,8 @@ def test_bad_images_are_one_sentence_and_nothing_is_written(command, case, image
     else:
         flags = flags[:2]
     out = "x.wafer" if command == "import" else "x.npz"
-    said = refused(command, images, "-o", out, *flags, cwd=tmp_path)
-    assert ("k4.tif" in said) == (case in ("size", "truncated", "text"))
+    printed = refused(command, images, "-o", out, *flags, cwd=tmp_path)
+    assert ("k4.tif" in printed) == (case in ("size", "truncated", "text"))
     assert [p.name for p in tmp_path.iterdir()] == ["images"]
 
 

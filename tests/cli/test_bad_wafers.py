@@ -55,9 +55,9 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
 @pytest.mark.parametrize(("make", "says"), WITHOUT_DIES.values(), ids=WITHOUT_DIES.keys())
 def test_without_dies_the_fitted_form_is_the_reference(folder, capsys, make, says):
     surface, path = make(), folder / "without.npz"
-    with pytest.raises(DiesNotFound, match=says) as said:
+    with pytest.raises(DiesNotFound, match=says) as printed:
         find_dies(surface)
-    assert str(said.value).count(". ") <= 1
+    assert str(printed.value).count(". ") <= 1
     write_npz(surface, path)
     assert main(["measure", "defects", str(path)]) in (0, 1)
     found = json.loads(capsys.readouterr().out)["inspection"]
@@ -68,31 +68,31 @@ def test_without_dies_the_fitted_form_is_the_reference(folder, capsys, make, say
 def test_a_surface_without_heights_is_refused_in_one_sentence(folder, capsys):
     says = "hardly any measured pixels|shows no contrast"
     surface, path = unmeasured(made()), folder / "bad.npz"
-    with pytest.raises(MeasureError, match=says) as said:
+    with pytest.raises(MeasureError, match=says) as printed:
         inspect(surface, find_dies(surface))
-    assert str(said.value).count(". ") == 0
+    assert str(printed.value).count(". ") == 0
     write_npz(surface, path)
     assert main(["measure", "defects", str(path)]) == 2
-    told = capsys.readouterr()
-    assert (told.out, told.err.count("\n")) == ("", 1)
-    assert str(said.value) in told.err
+    reported = capsys.readouterr()
+    assert (reported.out, reported.err.count("\n")) == ("", 1)
+    assert str(printed.value) in reported.err
 
 
 def test_given_dies_on_a_surface_without_heights_are_refused(folder, capsys):
     write_npz(unmeasured(made()), folder / "blank.npz")
     assert main(["measure", "defects", str(folder / "blank.npz"), *GIVEN]) == 2
-    told = capsys.readouterr()
-    assert told.out == ""
-    assert "hardly any measured pixels: there is nothing to inspect" in told.err
+    reported = capsys.readouterr()
+    assert reported.out == ""
+    assert "hardly any measured pixels: there is nothing to inspect" in reported.err
 
 
 @pytest.mark.slow
 def test_a_wafer_turned_by_3_degrees_is_inspected(folder, capsys):
     write_npz(made(Wafer(angle_deg=3, unmeasured_fraction=0)), folder / "turned.npz")
     assert main(["measure", "defects", str(folder / "turned.npz"), "--sensitivity", "0.1"]) == 0
-    told = json.loads(capsys.readouterr().out)["inspection"]
-    assert told["grid"]["angle_rad"] == pytest.approx(np.radians(3), abs=1e-4)
-    assert told["inspected_mm2"] > 1
+    reported = json.loads(capsys.readouterr().out)["inspection"]
+    assert reported["grid"]["angle_rad"] == pytest.approx(np.radians(3), abs=1e-4)
+    assert reported["inspected_mm2"] > 1
 
 
 @pytest.mark.slow
@@ -100,9 +100,9 @@ def test_a_wafer_turned_by_3_degrees_is_inspected(folder, capsys):
 def test_with_a_field_missing_no_list_is_clean(folder, capsys, against):
     write_npz(made(Wafer(unmeasured_fraction=0), gap=GAP), folder / "gap.npz")
     assert main(["measure", "defects", str(folder / "gap.npz"), "--against", against, "--sensitivity", "0"]) == 1
-    told = json.loads(capsys.readouterr().out)
-    assert not told["verdict"]["within"]
-    assert any("clean" in why for why in told["verdict"]["why"])
+    reported = json.loads(capsys.readouterr().out)
+    assert not reported["verdict"]["within"]
+    assert any("clean" in why for why in reported["verdict"]["why"])
 
 
 def test_what_no_field_covers_counts_as_not_scanned_and_not_measured():
@@ -118,8 +118,8 @@ def test_dies_of_which_half_is_refused_are_never_clean(folder, capsys):
     origin = np.where(np.isnan(z), np.uint8(Origin.NO_TEXTURE), surface.origin)
     write_npz(dataclasses.replace(surface, z_um=z, z_raw_um=z, origin=origin), folder / "halves.npz")
     assert main(["measure", "defects", str(folder / "halves.npz"), *GIVEN, "--as-given"]) == 1
-    told = json.loads(capsys.readouterr().out)
-    assert len(told["verdict"]["not_inspected"]) == sum(
-        die["state"] == "partly scanned" for die in told["inspection"]["dies"]
+    reported = json.loads(capsys.readouterr().out)
+    assert len(reported["verdict"]["not_inspected"]) == sum(
+        die["state"] == "partly scanned" for die in reported["inspection"]["dies"]
     )
-    assert not any(die["state"] == "whole" for die in told["inspection"]["dies"])
+    assert not any(die["state"] == "whole" for die in reported["inspection"]["dies"])

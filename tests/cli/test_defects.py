@@ -46,27 +46,27 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 @pytest.mark.slow
-def test_the_defect_is_told_counted_and_handed_over(folder: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]):
+def test_the_defect_is_reported_counted_and_exported(folder: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]):
     out = {what: str(tmp_path / f"w.{what}") for what in ("klarf", "csv", "training")}
     flags = [word for what, path in out.items() for word in (f"--{what}", path)]
     golden = ("--save-golden", str(tmp_path / "std"))
     status = main(["measure", "defects", str(folder / "bumped.npz"), *flags, *golden, "--max-per-die", "0"])
-    told = json.loads(capsys.readouterr().out)
-    worst = told["inspection"]["defects"][0]
-    assert (status, worst["kind"], told["inspection"]["grid"]["by"]) == (1, "particle", "found")
-    assert worst["die"] in told["verdict"]["failing"]
-    assert not any(worst["number"] in place["numbers"] for place in told["repeats"])
+    reported = json.loads(capsys.readouterr().out)
+    worst = reported["inspection"]["defects"][0]
+    assert (status, worst["kind"], reported["inspection"]["grid"]["by"]) == (1, "particle", "found")
+    assert worst["die"] in reported["verdict"]["failing"]
+    assert not any(worst["number"] in place["numbers"] for place in reported["repeats"])
     assert worst["center"] == pytest.approx(AT_UM, abs=2.0)
     klarf = read_klarf(out["klarf"])
-    assert len(klarf.defects) == told["verdict"]["counted"]
+    assert len(klarf.defects) == reported["verdict"]["counted"]
     with Path(out["csv"]).open() as file:
-        assert len(list(csv.DictReader(file))) == len(told["inspection"]["defects"])
+        assert len(list(csv.DictReader(file))) == len(reported["inspection"]["defects"])
     with (Path(out["training"]) / "features.csv").open() as file:
         row = next(csv.DictReader(file))
     heights = np.load(Path(out["training"]) / row["heights"])
     assert row["class"] == "particle"
     assert np.nanmax(heights) - np.nanmedian(heights) > 8
-    assert open_golden(told["files"]["golden"]).header.version == 1
+    assert open_golden(reported["files"]["golden"]).header.version == 1
     assert main(["measure", "defects", str(folder / "bumped.npz"), *GIVEN, "--other", out["klarf"]]) < 2
     beside = json.loads(capsys.readouterr().out)["other"]
     assert beside["places"] == len(klarf.defects)
@@ -89,7 +89,7 @@ def test_a_wafer_with_a_missing_field_is_not_clean(folder: Path, capsys: pytest.
 
 
 @pytest.mark.slow
-def test_areas_that_a_recipe_names_are_left_out_and_told(
+def test_areas_that_a_recipe_names_are_left_out_and_reported(
     folder: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ):
     recipe = tmp_path / "areas.toml"
@@ -121,10 +121,10 @@ def test_bad_input_is_one_sentence(
     folder: Path, capsys: pytest.CaptureFixture[str], flags: tuple[str, ...], sentence: str
 ):
     assert main(["measure", "defects", str(folder / "bumped.npz"), *flags]) == 2
-    said = capsys.readouterr()
-    assert said.out == ""
-    assert sentence in said.err
-    assert said.err.count("\n") == 1
+    printed = capsys.readouterr()
+    assert printed.out == ""
+    assert sentence in printed.err
+    assert printed.err.count("\n") == 1
 
 
 @pytest.mark.slow
@@ -171,8 +171,12 @@ def test_the_recipe_of_the_product_is_taken_by_itself_with_its_golden_die(
     assert main(["measure", "defects", str(dataset), *GIVEN, "--recipe", str(plain), "--save-golden", str(golden)]) < 2
     assert "is used because" not in capsys.readouterr().err
     assert main(["measure", "defects", str(dataset), *GIVEN]) < 2
-    told = json.loads(capsys.readouterr().out)["inspection"]
-    assert (told["recipe"]["name"], told["reference"], told["recipe"]["sensitivity"]) == ("keen", "golden", 0.2)
+    reported = json.loads(capsys.readouterr().out)["inspection"]
+    assert (reported["recipe"]["name"], reported["reference"], reported["recipe"]["sensitivity"]) == (
+        "keen",
+        "golden",
+        0.2,
+    )
 
 
 @pytest.mark.parametrize(

@@ -41,7 +41,7 @@ def test_dies_are_found_or_taken_as_given(surface, capsys):
     assert found["off"] is given["off"] is None
 
 
-def test_given_dies_are_laid_over_those_seen(surface, capsys):
+def test_given_dies_are_overlaid_on_those_seen(surface, capsys):
     given = dies_of(surface, capsys, *GIVEN[:4], 36.7, 22.9, *GIVEN[6:])
     assert given["off"]["origin_x_um"] == pytest.approx(-5, abs=0.5)
     assert given["grid"]["x0_um"] == pytest.approx(31.7, abs=0.5)
@@ -77,9 +77,9 @@ def test_the_dies_of_a_job_keep_its_names(surface, tmp_path, capsys):
         (("--pitch-um", 9000, 9000, *GIVEN[3:4], 2000, 2000, *GIVEN[6:]), "No die of the lattice lies on the surface"),
     ],
 )
-def test_what_cannot_be_is_one_sentence(surface, capsys, flags, sentence):
+def test_invalid_input_is_refused_in_one_sentence(surface, capsys, flags, sentence):
     assert main(["measure", "dies", str(surface), *map(str, flags)]) == 2
-    said = capsys.readouterr()
-    assert said.out == ""
-    assert sentence in said.err
-    assert said.err.count("\n") == 1
+    printed = capsys.readouterr()
+    assert printed.out == ""
+    assert sentence in printed.err
+    assert printed.err.count("\n") == 1

@@ -26,7 +26,7 @@ def refused(capsys, *words):
     return err
 
 
-def test_what_a_format_cannot_hold_is_said_when_it_is_written(part, tmp_path, capsys):
+def test_what_a_format_cannot_hold_is_reported_when_it_is_written(part, tmp_path, capsys):
     assert main(["convert", str(part), str(tmp_path / "a.stl"), "--every", "2"]) == 0
     out, err = capsys.readouterr()
     assert out.strip() == str(tmp_path / "a.stl")
@@ -57,10 +57,10 @@ def test_a_surface_file_is_measured_without_uncertainty_unless_it_carries_our_ca
     assert found["foreign"]["value_um"] == found["ours"]["value_um"]
 
 
-def test_what_the_file_does_not_say_is_asked_for_and_given(tmp_path, capsys):
+def test_what_the_file_does_not_say_is_requested_and_applied(tmp_path, capsys):
     path = tmp_path / "a.csv"
     path.write_text("\n".join(f"{c},{-r},{r * c}" for r, c in np.ndindex(4, 5)))
-    assert "a.csv does not say the unit of its heights: give it, as in --z-unit um." in refused(
+    assert "a.csv states no unit of its heights: give it, as in --z-unit um." in refused(
         capsys, "convert", path, tmp_path / "a.x3p"
     )
     assert main(["convert", str(path), str(tmp_path / "a.x3p"), "--z-unit", "mm"]) == 0

@@ -30,16 +30,16 @@ def study(tmp_path: Path):
 
 def test_the_manuals_example(study, capsys: pytest.CaptureFixture[str]):
     assert main(["measure", "rr", study(LINES), "--tolerance", "4"]) == 0
-    told = json.loads(capsys.readouterr().out)
-    assert (told["parts"], told["appraisers"], told["trials"]) == (10, 3, 3)
-    assert told["gauge_rr"] == pytest.approx(0.30237, abs=1e-5)
-    assert told["share_of_tolerance"] == pytest.approx(6 * 0.30237 / 4, abs=1e-4)
+    reported = json.loads(capsys.readouterr().out)
+    assert (reported["parts"], reported["appraisers"], reported["trials"]) == (10, 3, 3)
+    assert reported["gauge_rr"] == pytest.approx(0.30237, abs=1e-5)
+    assert reported["share_of_tolerance"] == pytest.approx(6 * 0.30237 / 4, abs=1e-4)
     assert main(["measure", "rr", study(LINES), "--method", "range"]) == 0
     assert json.loads(capsys.readouterr().out)["distinct_categories"] == 5
 
 
 @pytest.mark.parametrize(
-    ("lines", "head", "said"),
+    ("lines", "head", "printed"),
     [
         (LINES[:-1], "part,appraiser,value", "part 10 has 2 values of C"),
         ([*LINES, "11,A,1", "11,A,1", "11,A,1"], "part,appraiser,value", "part 11 has 0 values of B"),
@@ -50,12 +50,12 @@ def test_the_manuals_example(study, capsys: pytest.CaptureFixture[str]):
         ([line for line in LINES if line.startswith("1,")], "part,appraiser,value", "two parts"),
     ],
 )
-def test_what_is_no_study_is_refused_in_one_sentence(study, capsys, lines, head, said):
+def test_an_invalid_study_is_refused_in_one_sentence(study, capsys, lines, head, printed):
     assert main(["measure", "rr", study(lines, head)]) == 2
-    told = capsys.readouterr()
-    assert told.out == ""
-    assert told.err.count("\n") == 1
-    assert said in told.err
+    reported = capsys.readouterr()
+    assert reported.out == ""
+    assert reported.err.count("\n") == 1
+    assert printed in reported.err
 
 
 def test_a_table_that_is_not_there_is_named(tmp_path: Path, capsys: pytest.CaptureFixture[str]):

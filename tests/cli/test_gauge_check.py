@@ -25,7 +25,7 @@ def scans(tmp_path):
 
 
 @pytest.fixture
-def told(capsys: pytest.CaptureFixture[str]):
+def reported(capsys: pytest.CaptureFixture[str]):
     """Runs a command that answers; gives its status and what it says."""
 
     def run(*argv: str):
@@ -50,51 +50,55 @@ def refused(capsys: pytest.CaptureFixture[str]):
     return run
 
 
-def test_a_check_says_error_en_and_verdict_with_its_status(scans, told):
-    status, said = told("measure", "gauge", *scans, *CHECK, "--limit-um", "1", "--temperature-c", "21")
-    assert (status, said["verdict"], said["simulated"]) == (0, "pass", True)
-    assert said["deviation"]["value_um"] == pytest.approx(0.3, abs=0.05)
-    assert said["reference"]["value_um"] == pytest.approx(399.88 * (1 + 11.5e-6))
-    assert abs(said["en"]) > 1
-    assert "too small" in said["en_why"]
-    assert {line["of"] for line in said["budget"]} == {"scale", "measurement", "reference"}
-    assert said["not_evaluated"]
-    assert told("measure", "gauge", *scans, *CHECK, "--limit-um", "0.1")[0] == 1
-    status, said = told("measure", "gauge", *scans, *CHECK)
-    assert (status, said["verdict"]) == (1, "no verdict")
+def test_a_check_says_error_en_and_verdict_with_its_status(scans, reported):
+    status, printed = reported("measure", "gauge", *scans, *CHECK, "--limit-um", "1", "--temperature-c", "21")
+    assert (status, printed["verdict"], printed["simulated"]) == (0, "pass", True)
+    assert printed["deviation"]["value_um"] == pytest.approx(0.3, abs=0.05)
+    assert printed["reference"]["value_um"] == pytest.approx(399.88 * (1 + 11.5e-6))
+    assert abs(printed["en"]) > 1
+    assert "too small" in printed["en_why"]
+    assert {line["of"] for line in printed["budget"]} == {"scale", "measurement", "reference"}
+    assert printed["not_evaluated"]
+    assert reported("measure", "gauge", *scans, *CHECK, "--limit-um", "0.1")[0] == 1
+    status, printed = reported("measure", "gauge", *scans, *CHECK)
+    assert (status, printed["verdict"]) == (1, "no verdict")
 
 
-def test_surface_files_are_repeats_too(tmp_path, told):
+def test_surface_files_are_repeats_too(tmp_path, reported):
     for seed in (1, 2):
         write_npz(surface(seed), tmp_path / f"{seed}.npz")
     files = [str(tmp_path / f"{seed}.npz") for seed in (1, 2)]
-    status, said = told("measure", "gauge", *files, "--certificate", str(CERTIFICATE), *CORNERS, "--limit-um", "1")
-    assert (status, len(said["repeats"])) == (0, 2)
+    status, printed = reported(
+        "measure", "gauge", *files, "--certificate", str(CERTIFICATE), *CORNERS, "--limit-um", "1"
+    )
+    assert (status, len(printed["repeats"])) == (0, 2)
 
 
-def test_a_signed_check_is_in_log_and_results_and_makes_history(scans, tmp_path, told, refused):
+def test_a_signed_check_is_in_log_and_results_and_makes_history(scans, tmp_path, reported, refused):
     folder, terms = str(tmp_path), ("--limit-um", "1", "--tolerance-um", "10")
     for name, of in (("Ann", scans[:1]), ("Bob", scans[1:])):
-        _, said = told("measure", "gauge", *of, *CHECK, *terms, "--sign", name)
-        assert (said["signed_by"], said["capability"]["n"]) == (name, 1 if name == "Ann" else 3)
+        _, printed = reported("measure", "gauge", *of, *CHECK, *terms, "--sign", name)
+        assert (printed["signed_by"], printed["capability"]["n"]) == (name, 1 if name == "Ann" else 3)
     assert "is in the check that Ann signed" in refused("measure", "gauge", *scans, *CHECK, "--sign", "Cy")
     assert (tmp_path / GAUGE_LOG).read_text().count("\n") == 2
-    (kept,) = Dataset.open(scans[-1]).result("default").findings().items
-    assert (kept.name, kept.signed_by, kept.n) == ("Gauge check 1", "Bob", 2)
-    status, said = told("measure", "gauge", "--log", folder, "--serial", "V-1000", "V-1400", "--tolerance-um", "10")
+    (stored,) = Dataset.open(scans[-1]).result("default").findings().items
+    assert (stored.name, stored.signed_by, stored.n) == ("Gauge check 1", "Bob", 2)
+    status, printed = reported(
+        "measure", "gauge", "--log", folder, "--serial", "V-1000", "V-1400", "--tolerance-um", "10"
+    )
     assert status == 0
-    assert [point["signed_by"] for point in said["chart"]["points"]] == ["Ann", "Bob"]
-    assert (said["rig"], said["capability"]["n"], said["capability"]["capable"]) == (RIG, 3, None)
+    assert [point["signed_by"] for point in printed["chart"]["points"]] == ["Ann", "Bob"]
+    assert (printed["rig"], printed["capability"]["n"], printed["capability"]["capable"]) == (RIG, 3, None)
 
 
-def test_the_z_scale_is_shown_then_set_by_a_person(scans, tmp_path, told, refused):
+def test_the_z_scale_is_shown_then_set_by_a_person(scans, tmp_path, reported, refused):
     folder = str(tmp_path)
     assert "no signed check" in refused("calibrate", "z", folder)
-    told("measure", "gauge", *scans, *CHECK, "--sign", "Ann")
-    _, offered = told("calibrate", "z", folder)
+    reported("measure", "gauge", *scans, *CHECK, "--sign", "Ann")
+    _, offered = reported("calibrate", "z", folder)
     assert offered["recorded"] is False
     assert calibration_in_force(tmp_path, RIG, CALIBRATION) == CALIBRATION
-    _, done = told("calibrate", "z", folder, "--by", "Ann", "--why", "yearly")
+    _, done = reported("calibrate", "z", folder, "--by", "Ann", "--why", "yearly")
     assert done["recorded"] is True
     corrected = calibration_in_force(tmp_path, RIG, CALIBRATION)
     assert corrected.z_scale == pytest.approx(done["factor"])
@@ -104,7 +108,7 @@ def test_the_z_scale_is_shown_then_set_by_a_person(scans, tmp_path, told, refuse
 
 
 @pytest.mark.parametrize(
-    ("change", "argv", "said"),
+    ("change", "argv", "printed"),
     [
         ({"calibration": None}, CHECK, "no check without a calibration"),
         ({"calibration": replace(CALIBRATION, due="2026-01-02")}, CHECK, "was due on 2026-01-02"),
@@ -116,9 +120,9 @@ def test_the_z_scale_is_shown_then_set_by_a_person(scans, tmp_path, told, refuse
         ({}, (*CHECK, "--sign", " "), "signed with a name"),
     ],
 )
-def test_what_is_no_check_is_refused_in_one_sentence(tmp_path, refused, change, argv, said):
+def test_an_invalid_check_is_refused_in_one_sentence(tmp_path, refused, change, argv, printed):
     scan = scan_of_blocks(tmp_path, 1, **change)
-    assert said in refused("measure", "gauge", str(scan), *argv)
+    assert printed in refused("measure", "gauge", str(scan), *argv)
     assert not (tmp_path / GAUGE_LOG).exists()
 
 
@@ -133,20 +137,20 @@ def test_scans_of_two_rigs_are_no_repeats(tmp_path, refused):
     assert "several rigs" in refused("measure", "gauge", scan, str(tmp_path / "other.npz"), *CHECK)
 
 
-def test_a_history_is_of_one_pair_of_blocks_on_one_rig(tmp_path, told, refused):
+def test_a_history_is_of_one_pair_of_blocks_on_one_rig(tmp_path, reported, refused):
     for rig in ("Rig 1", "Rig 2"):
         sign(tmp_path, replace(record("2026-06-01", 400.0), rig=rig))
     assert "A1 A2 on Rig 1; A1 A2 on Rig 2" in refused("measure", "gauge", "--log", str(tmp_path))
-    assert told("measure", "gauge", "--log", str(tmp_path), "--rig", "Rig 2")[1]["rig"] == "Rig 2"
+    assert reported("measure", "gauge", "--log", str(tmp_path), "--rig", "Rig 2")[1]["rig"] == "Rig 2"
     assert "no signed checks" in refused("measure", "gauge", "--log", str(tmp_path), "--serial", "A1")
 
 
-def test_a_drift_out_of_the_limit_is_told_with_status_1(tmp_path, told):
+def test_a_drift_out_of_the_limit_is_reported_with_status_1(tmp_path, reported):
     for day, error_um in enumerate([0.0, 0.021, 0.04, 0.059, 0.08], 1):
         sign(tmp_path, record(f"2026-06-{day:02d}", 400.0 + error_um))
-    status, said = told("measure", "gauge", "--log", str(tmp_path))
+    status, printed = reported("measure", "gauge", "--log", str(tmp_path))
     assert status == 1
-    assert "before the next check is due" in said["chart"]["warnings"][0]
+    assert "before the next check is due" in printed["chart"]["warnings"][0]
 
 
 def test_a_history_of_nothing_is_refused(tmp_path, refused):

@@ -30,17 +30,19 @@ def judged(tmp_path_factory):
 
 
 def test_a_released_job_goes_from_the_wafers_id_to_its_verdict(judged):
-    path, said = judged
-    assert said.returncode == 0, said.stderr
-    assert "ok        Sample: W07 of lot L1." in said.stdout
-    assert "ok        Alignment: 2 corners, residual" in said.stdout
-    assert "PASS         die over street: 30.0" in said.stdout or "PASS         die over street: 29.9" in said.stdout
-    assert said.stdout.splitlines()[-1] == "PASS SIMULATED: Take the next wafer."
-    kept = json.loads((path / "results" / "default" / "verdict.json").read_text())
-    assert len(kept.pop("crc32c")) == 8
-    assert (kept["wafer_id"], kept["job"], kept["simulated"]) == ("W07", "demonstration wafer A", True)
+    path, printed = judged
+    assert printed.returncode == 0, printed.stderr
+    assert "ok        Sample: W07 of lot L1." in printed.stdout
+    assert "ok        Alignment: 2 corners, residual" in printed.stdout
+    assert (
+        "PASS         die over street: 30.0" in printed.stdout or "PASS         die over street: 29.9" in printed.stdout
+    )
+    assert printed.stdout.splitlines()[-1] == "PASS SIMULATED: Take the next wafer."
+    stored = json.loads((path / "results" / "default" / "verdict.json").read_text())
+    assert len(stored.pop("crc32c")) == 8
+    assert (stored["wafer_id"], stored["job"], stored["simulated"]) == ("W07", "demonstration wafer A", True)
     again = viewer("measure", "verdict", path)
-    assert (again.returncode, json.loads(again.stdout)) == (0, kept)
+    assert (again.returncode, json.loads(again.stdout)) == (0, stored)
 
 
 def test_a_wafer_beyond_its_limits_has_status_1(judged, tmp_path):
@@ -49,9 +51,9 @@ def test_a_wafer_beyond_its_limits_has_status_1(judged, tmp_path):
     record = read_record(path)
     low = replace(record.job.features[0], lower_limit=20.0, upper_limit=29.0)
     write_record(path, replace(record, job=replace(record.job, features=(low,))))
-    said = viewer("measure", "verdict", path)
-    assert said.returncode == 1
-    assert json.loads(said.stdout)["word"] == "fail"
+    printed = viewer("measure", "verdict", path)
+    assert printed.returncode == 1
+    assert json.loads(printed.stdout)["word"] == "fail"
     write_record(path, replace(record, job=replace(record.job, features=())))
     (path / "results" / "default" / "verdict.json").unlink()
     assert "no feature with a place" in viewer("measure", "verdict", path).stderr
@@ -68,11 +70,11 @@ def test_a_wafer_beyond_its_limits_has_status_1(judged, tmp_path):
     ],
 )  # fmt: skip
 def test_what_is_missing_ends_it_before_anything_moves(tmp_path, flags, line, sentence):
-    said = viewer("scan", JOB, "-o", tmp_path / "w.wafer", *flags)
-    assert said.returncode == 2
-    assert line in said.stdout
-    assert sentence in said.stderr
-    assert said.stderr.count("\n") == 1
+    printed = viewer("scan", JOB, "-o", tmp_path / "w.wafer", *flags)
+    assert printed.returncode == 2
+    assert line in printed.stdout
+    assert sentence in printed.stderr
+    assert printed.stderr.count("\n") == 1
     assert list(tmp_path.iterdir()) == []
 
 
@@ -83,10 +85,10 @@ def test_an_engineer_releases_a_plan_with_a_good_dataset(judged, tmp_path):
     plan.write_text(encode(fresh))
     words = ("release", plan, "--good", judged[0], "--data", tmp_path)
     assert "no revision" in viewer(*words).stderr
-    said = viewer(*words, "--revision", "B")
-    assert said.returncode == 0, said.stderr
+    printed = viewer(*words, "--revision", "B")
+    assert printed.returncode == 0, printed.stderr
     path = tmp_path / "jobs" / "demonstration-wafer-B.toml"
-    assert said.stdout.strip() == str(path)
+    assert printed.stdout.strip() == str(path)
     made = decode(path.read_bytes(), Job, path.name)
     assert made.released
     assert (made.strategy, made.recipe.window, made.sample.lot) == ("z_snake", job.recipe.window, "")
@@ -100,9 +102,9 @@ def test_another_recipe_is_tried_on_a_stored_wafer_in_a_result_of_its_own(judged
     tight = replace(job.features[0], lower_limit=20.0, upper_limit=29.0)
     plan = tmp_path / "plan.toml"
     plan.write_text(encode(replace(job, recipe=replace(job.recipe, window=11), features=(tight,))))
-    said = viewer("release", plan, "--revision", "B", "--data", tmp_path, "--against", path, "--dry-run")
-    assert said.returncode == 0, said.stderr
-    lines = said.stdout.splitlines()
+    printed = viewer("release", plan, "--revision", "B", "--data", tmp_path, "--against", path, "--dry-run")
+    assert printed.returncode == 0, printed.stderr
+    lines = printed.stdout.splitlines()
     assert lines[0] == "w9.wafer: PASS -> FAIL, 0 features as before, judged on revision B"
     assert lines[2].strip().startswith("Limits: 29 to 31 um before, 20 to 29 um now. Recipe: window 9 before, 11 now.")
     assert (path / "results" / "revision B" / "mosaic.zarr").is_dir()

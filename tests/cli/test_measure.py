@@ -44,11 +44,11 @@ def measured(surface, capsys):
 def refused(surface, capsys):
     def run(tool, *flags):
         assert main(["measure", tool, str(surface), *map(str, flags)]) == 2
-        said = capsys.readouterr()
-        assert said.out == ""
-        assert said.err.startswith("wafer-viewer: ")
-        assert said.err.count("\n") == 1
-        return said.err
+        printed = capsys.readouterr()
+        assert printed.out == ""
+        assert printed.err.startswith("wafer-viewer: ")
+        assert printed.err.count("\n") == 1
+        return printed.err
 
     return run
 
@@ -64,10 +64,10 @@ def test_a_point_and_the_way_to_another(measured):
     assert holds(point["height"], TILT * -60)
     assert point["height"]["status"] == "evaluated"
     assert point["simulated"]
-    way = measured("distance", "--start", -60, 40, "--end", 60, 40)
-    assert holds(way["dz"], TILT * 120)
-    assert way["slope"]["unit"] == "deg"
-    assert way["slope"]["value"] == pytest.approx(np.degrees(np.arctan(TILT)), abs=way["slope"]["expanded"])
+    mode = measured("distance", "--start", -60, 40, "--end", 60, 40)
+    assert holds(mode["dz"], TILT * 120)
+    assert mode["slope"]["unit"] == "deg"
+    assert mode["slope"]["value"] == pytest.approx(np.degrees(np.arctan(TILT)), abs=mode["slope"]["expanded"])
 
 
 def test_a_step_and_an_angle(measured):

@@ -24,20 +24,20 @@ def tilted(tmp_path_factory):
     return path
 
 
-def told(capsys, *argv):
+def reported(capsys, *argv):
     assert main(["measure", "profile", *map(str, argv)]) == 0
     return json.loads(capsys.readouterr().out)
 
 
 def test_one_line_is_one_answer(tilted, capsys):
-    found = told(capsys, tilted, "--line", -15, 0, 15, 0, "--width-um", 2)
+    found = reported(capsys, tilted, "--line", -15, 0, 15, 0, "--width-um", 2)
     assert found["pt"]["value_um"] == pytest.approx(9.0, abs=0.01)
     assert found["filter"] == "mean over 2 um across the line"
     assert found["measured_fraction"] < 0.9
 
 
 def test_rows_and_columns_are_cut_by_number_from_edge_to_edge(tilted, capsys):
-    row, column = told(capsys, tilted, "--row", 0, "--column", 79, "--points")
+    row, column = reported(capsys, tilted, "--row", 0, "--column", 79, "--points")
     assert row["line"]["points"] == [[-19.75, 14.75], [19.75, 14.75]]
     assert len(row["points"]["z_um"]) == 80
     assert len(column["points"]["z_um"]) == 60
@@ -45,13 +45,13 @@ def test_rows_and_columns_are_cut_by_number_from_edge_to_edge(tilted, capsys):
 
 
 def test_raw_and_cleaned_heights_are_two_curves_of_one_line(tilted, capsys):
-    raw, cleaned = told(capsys, tilted, "--row", 30, "--cleaned")
+    raw, cleaned = reported(capsys, tilted, "--row", 30, "--cleaned")
     assert (raw["curve"], cleaned["curve"]) == ("A", "A filtered and filled heights")
     assert raw["measured_fraction"] < cleaned["measured_fraction"] == 1.0
 
 
 def test_heights_are_read_from_another_zero(tilted, capsys, tmp_path):
-    flat = told(capsys, tilted, "--row", 30, "--level", "plane", "-o", tmp_path / "flat.csv")
+    flat = reported(capsys, tilted, "--row", 30, "--level", "plane", "-o", tmp_path / "flat.csv")
     assert flat["pt"]["value_um"] == pytest.approx(0.0, abs=1e-3)
     assert flat["levelling"]["by"] == "plane"
     text = (tmp_path / "flat.csv").read_text()
@@ -61,7 +61,7 @@ def test_heights_are_read_from_another_zero(tilted, capsys, tmp_path):
 
 def test_figures_and_a_table_are_written_of_several_lines(tilted, capsys, tmp_path):
     for name in ("cuts.png", "cuts.pdf", "cuts.svg", "cuts.csv"):
-        told(capsys, tilted, "--line", -15, 0, 15, 0, -15, 5, 15, 5, "--column", 10, "-o", tmp_path / name)
+        reported(capsys, tilted, "--line", -15, 0, 15, 0, -15, 5, 15, 5, "--column", 10, "-o", tmp_path / name)
     assert Image.open(io.BytesIO((tmp_path / "cuts.png").read_bytes())).size == (2008, 1063)
     assert (tmp_path / "cuts.pdf").read_bytes().startswith(b"%PDF")
     drawn = (tmp_path / "cuts.svg").read_text()

@@ -52,7 +52,7 @@ def test_each_shape_is_measured_with_its_uncertainty(measured):
 )
 def test_what_is_none_is_one_sentence(surface, capsys, tool, flags, sentence):
     assert main(["measure", tool, str(surface), *map(str, flags)]) == 2
-    said = capsys.readouterr()
-    assert said.out == ""
-    assert sentence in said.err
-    assert said.err.count("\n") == 1
+    printed = capsys.readouterr()
+    assert printed.out == ""
+    assert sentence in printed.err
+    assert printed.err.count("\n") == 1

@@ -20,7 +20,7 @@ def blocks(tmp_path_factory):
     return path
 
 
-def told(capsys, *words):
+def reported(capsys, *words):
     assert main(["measure", *map(str, words)]) == 0, capsys.readouterr().err
     return json.loads(capsys.readouterr().out)
 
@@ -30,7 +30,7 @@ def covers(length, truth_um):
 
 
 def test_a_step_of_several_rectangles_by_a_definition(blocks, capsys):
-    found = told(
+    found = reported(
         capsys, "step", blocks, "--upper", *(-150, -50, -100, 50), *(-90, -50, -40, 50), "--lower", *LOWER,
         *("--definition", "lower_face", "--repeatability-um", 0.02, "--temperature-c", 21),
     )  # fmt: skip
@@ -44,13 +44,13 @@ def test_a_step_of_several_rectangles_by_a_definition(blocks, capsys):
 @pytest.mark.slow
 @pytest.mark.parametrize("words", [(), ("--faces", "auto")])
 def test_faces_are_found_where_none_are_given(blocks, capsys, words):
-    found = told(capsys, "step", blocks, *words)
+    found = reported(capsys, "step", blocks, *words)
     assert abs(found["height"]["value_um"] - STEP_UM) < 1
     assert found["notes"][0] == "The faces were found automatically."
 
 
 def test_a_single_step_along_a_line(blocks, capsys):
-    found = told(
+    found = reported(
         capsys, "groove", blocks, "--line", *(-150, 0, 150, 0), "--width-um", 60, "--shape", "step", "--drift-um", 0.01
     )
     assert abs(found["height"]["value_um"] + STEP_UM) < 1
@@ -75,7 +75,7 @@ def test_a_single_step_along_a_line(blocks, capsys):
 def test_what_cannot_be_measured_is_one_sentence(blocks, capsys, words, sentence):
     tool, *flags = words
     assert main(["measure", tool, str(blocks), *map(str, flags)]) == 2
-    said = capsys.readouterr()
-    assert said.out == ""
-    assert said.err.count("\n") == 1
-    assert sentence in said.err
+    printed = capsys.readouterr()
+    assert printed.out == ""
+    assert printed.err.count("\n") == 1
+    assert sentence in printed.err

@@ -30,8 +30,8 @@ def release(tmp_path, stored, capsys):
         plan.write_text(encode(job))
         words = ["release", plan, "--revision", "B", "--data", tmp_path, "--against", stored, *flags]
         status = main([str(word) for word in words])
-        said = capsys.readouterr()
-        return status, (said.out + said.err).splitlines()
+        printed = capsys.readouterr()
+        return status, (printed.out + printed.err).splitlines()
 
     return run
 
@@ -71,9 +71,9 @@ def test_a_place_that_changed_is_measured_anew(release):
     assert lines[2] == "    Place: another one; measured again."
 
 
-def test_features_that_are_new_or_gone_are_said(release):
-    way = (Region.point(-40, 0), Region.point(40, 0))
-    other = replace(STEP, name="pad over die", tool="distance", quantity="dz", places=way)
+def test_features_that_are_new_or_gone_are_reported(release):
+    mode = (Region.point(-40, 0), Region.point(40, 0))
+    other = replace(STEP, name="pad over die", tool="distance", quantity="dz", places=mode)
     _, lines = release(released_job(other), "--dry-run")
     assert "  pad over die: not judged -> " in lines[1]
     assert lines[2] == "    The feature is new."

@@ -32,8 +32,8 @@ def scans(tmp_path_factory):
 
 def rr(capsys, *words):
     status = main(["measure", "rr", *(str(word) for word in words)])
-    said = capsys.readouterr()
-    return status, json.loads(said.out) if status == 0 else said.err
+    printed = capsys.readouterr()
+    return status, json.loads(printed.out) if status == 0 else printed.err
 
 
 def test_scans_of_wafers_are_trials_of_parts_in_order_of_time(scans, capsys):
@@ -70,25 +70,25 @@ def test_how_well_a_feature_repeats_is_a_line_for_budgets(scans):
 
 def test_a_study_that_is_not_balanced_is_refused_in_one_sentence(scans, capsys):
     five = sorted(scans.glob("*.wafer"))[1:]
-    status, said = rr(capsys, *five)
+    status, printed = rr(capsys, *five)
     assert status == 2
-    assert "part W1 has 2 scans by K. Adler where others have 3" in said
-    status, said = rr(capsys, *five[2:])
-    assert (status, said.count("\n")) == (2, 1)
-    assert "two parts" in said
+    assert "part W1 has 2 scans by K. Adler where others have 3" in printed
+    status, printed = rr(capsys, *five[2:])
+    assert (status, printed.count("\n")) == (2, 1)
+    assert "two parts" in printed
 
 
 def test_a_feature_that_one_scan_does_not_show_is_named_with_its_dataset(scans, capsys, tmp_path):
     away = replace(STEP, places=(Region.rectangle(500, 0, 540, 40), STEP.places[1]))
     (tmp_path / "job.toml").write_text(encode(released_job(away)))
-    status, said = rr(capsys, scans, "--job", tmp_path / "job.toml")
+    status, printed = rr(capsys, scans, "--job", tmp_path / "job.toml")
     assert status == 2
-    assert "'die over street' was not measured in W1-c.wafer." in said
+    assert "'die over street' was not measured in W1-c.wafer." in printed
 
 
 def test_a_scan_without_a_wafers_id_is_no_part(scans, capsys, tmp_path):
     judged_dataset(tmp_path / "lost.wafer", 12.0, released_job(), wafer="")
-    status, said = rr(capsys, scans, tmp_path)
+    status, printed = rr(capsys, scans, tmp_path)
     assert status == 2
-    assert "lost.wafer names no wafer" in said
+    assert "lost.wafer names no wafer" in printed
     shutil.rmtree(tmp_path / "lost.wafer")

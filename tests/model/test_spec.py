@@ -32,7 +32,7 @@ JOB = Job(grid=GRID, sweep=FocusSweep(z_step_um=1.0, n_frames=60), sample=Sample
     ],
     ids=lambda s: type(s).__name__,
 )
-def test_a_spec_comes_back_from_its_file_as_it_was(spec, form):
+def test_a_spec_round_trips_through_its_file(spec, form):
     assert decode(encode(spec, form), type(spec), "file", form) == spec
 
 

@@ -70,9 +70,9 @@ class Seen:
 
     def false_share(self, z_um: NDArray[np.float32]) -> float:
         """The share of the measured heights that are more than a step off."""
-        kept = np.isfinite(z_um)
+        stored = np.isfinite(z_um)
         off = np.abs(z_um - self.truth_um) > self.scene.step_um
-        return float((off & kept).sum() / max(1, kept.sum()))
+        return float((off & stored).sum() / max(1, stored.sum()))
 
 
 def drawn(seed: int) -> Bleeding:

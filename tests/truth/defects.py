@@ -88,7 +88,7 @@ def _inner_dies(plan: Plan) -> NDArray[np.bool_]:
 
 def _laid(plan: Plan, scene: Scene) -> tuple[HeightMap, Floats]:
     """All fields of a plan side by side."""
-    whole: dict[str, NDArray] = {}
+    full: dict[str, NDArray] = {}
     truth = np.empty(plan.shape, np.float32)
     one = None
     for n, (rows, cols) in enumerate(_parts(plan.shape)):
@@ -98,10 +98,10 @@ def _laid(plan: Plan, scene: Scene) -> tuple[HeightMap, Floats]:
         truth[rows, cols] = true[inner]
         for name in _LAYERS:
             layer = getattr(one, name)
-            whole.setdefault(name, np.empty(plan.shape, layer.dtype))[rows, cols] = layer[inner]
+            full.setdefault(name, np.empty(plan.shape, layer.dtype))[rows, cols] = layer[inner]
     x0_um, y0_um = first_um(plan)
     assert one is not None
-    return dataclasses.replace(one, **whole, x0_um=x0_um, y0_um=y0_um), truth
+    return dataclasses.replace(one, **full, x0_um=x0_um, y0_um=y0_um), truth
 
 
 def first_um(plan: Plan) -> tuple[float, float]:

@@ -77,15 +77,17 @@ class Grid:
     def edges(self) -> NDArray[np.int32]:
         """The neighbours, [n, 2]: those in a row, then those in a column."""
         number = np.arange(self.rows * self.cols, dtype=np.int32).reshape(self.rows, self.cols)
-        beside = np.stack([number[:, :-1].ravel(), number[:, 1:].ravel()], axis=1)
+        neighbour = np.stack([number[:, :-1].ravel(), number[:, 1:].ravel()], axis=1)
         below = np.stack([number[:-1].ravel(), number[1:].ravel()], axis=1)
-        return np.concatenate([beside, below])
+        return np.concatenate([neighbour, below])
 
     @property
     def name(self) -> str:
         """A name for all its parameters that are not as a rule."""
-        told = [(f.name, getattr(self, f.name)) for f in dataclasses.fields(self) if getattr(self, f.name) != f.default]
-        return f"{self.rows}x{self.cols}-{hashlib.sha256(f'{VERSION} {told}'.encode()).hexdigest()[:12]}"
+        reported = [
+            (f.name, getattr(self, f.name)) for f in dataclasses.fields(self) if getattr(self, f.name) != f.default
+        ]
+        return f"{self.rows}x{self.cols}-{hashlib.sha256(f'{VERSION} {reported}'.encode()).hexdigest()[:12]}"
 
 
 SMALL = Grid(rows=4, cols=3, field_rows=270, field_cols=360)

@@ -27,18 +27,18 @@ class Fields:
     def without(self, gone: NDArray[np.bool_]) -> Fields:
         """The fields that are left, and the pairs of these."""
         to = np.cumsum(~gone) - 1
-        kept = ~gone[self.pairs].any(axis=1)
-        return Fields(self.x_um[~gone], self.y_um[~gone], to[self.pairs[kept]].astype(np.int32))
+        stored = ~gone[self.pairs].any(axis=1)
+        return Fields(self.x_um[~gone], self.y_um[~gone], to[self.pairs[stored]].astype(np.int32))
 
 
 def grid(rows: int, cols: int) -> Fields:
     """Fields of the full size in rows and columns."""
     place = np.arange(rows * cols, dtype=np.int32).reshape(rows, cols)
-    beside = np.column_stack((place[:, :-1].ravel(), place[:, 1:].ravel()))
+    neighbour = np.column_stack((place[:, :-1].ravel(), place[:, 1:].ravel()))
     below = np.column_stack((place[:-1].ravel(), place[1:].ravel()))
     pitch_x, pitch_y = (side * (1 - OVERLAP) for side in FIELD_UM)
     x, y = np.meshgrid(np.arange(cols) * pitch_x, -np.arange(rows) * pitch_y)
-    return Fields(x.ravel(), y.ravel(), np.concatenate((beside, below)))
+    return Fields(x.ravel(), y.ravel(), np.concatenate((neighbour, below)))
 
 
 def wafer(n: int) -> Fields:
@@ -68,15 +68,15 @@ def shifts_of(
     true = true + scale * arm + turn * np.column_stack((arm[:, 1], -arm[:, 0]))
     first, second = fields.pairs.T
     e = len(first)
-    said = (true - stage)[second] - (true - stage)[first] + random.normal(size=(e, 2)) * EDGE_PX * PIXEL_UM
+    message = (true - stage)[second] - (true - stage)[first] + random.normal(size=(e, 2)) * EDGE_PX * PIXEL_UM
     shuffled = random.permutation(e)
     is_blank, is_wrong = np.split(shuffled[: round(blank * e) + round(wrong * e)], [round(blank * e)])
-    said[is_wrong] += random.uniform(-SEARCH_PX, SEARCH_PX, (len(is_wrong), 2)) * PIXEL_UM
+    message[is_wrong] += random.uniform(-SEARCH_PX, SEARCH_PX, (len(is_wrong), 2)) * PIXEL_UM
     u_um, doubt = np.full(e, EDGE_PX * PIXEL_UM), np.zeros(e, np.uint8)
     u_um[is_blank], doubt[is_blank] = np.inf, RejectionReason.BLANK
     nothing, flat = np.zeros(e), np.zeros(e, np.float32)
     by = np.zeros(e, np.uint8)
-    return Shifts(first, second, *said.T, u_um, u_um, flat + 0.9, by, doubt, flat, nothing, nothing), true
+    return Shifts(first, second, *message.T, u_um, u_um, flat + 0.9, by, doubt, flat, nothing, nothing), true
 
 
 def seams_of(
@@ -94,18 +94,18 @@ def seams_of(
     first, second = fields.pairs.T
     poses = random.normal(size=(len(fields.x_um), 3)) * (Z_UM, TILT, TILT) + (0, *lean)
     middle_x, middle_y = (a[fields.pairs].mean(axis=1) for a in (fields.x_um, fields.y_um))
-    beside = np.abs(fields.x_um[second] - fields.x_um[first]) > np.abs(fields.y_um[second] - fields.y_um[first])
-    width = np.where(beside, OVERLAP, 1.0) * FIELD_UM[0]
-    height = np.where(beside, 1.0, OVERLAP) * FIELD_UM[1]
+    neighbour = np.abs(fields.x_um[second] - fields.x_um[first]) > np.abs(fields.y_um[second] - fields.y_um[first])
+    width = np.where(neighbour, OVERLAP, 1.0) * FIELD_UM[0]
+    height = np.where(neighbour, 1.0, OVERLAP) * FIELD_UM[1]
     sigma = SEAM_UM * np.column_stack((np.ones_like(width), np.sqrt(12) / width, np.sqrt(12) / height))
     planes = [_plane(poses[k], middle_x - fields.x_um[k], middle_y - fields.y_um[k], sag_um) for k in (first, second)]
-    said = planes[1] - planes[0] + random.normal(size=sigma.shape) * sigma
+    message = planes[1] - planes[0] + random.normal(size=sigma.shape) * sigma
     is_wrong = random.permutation(len(first))[: round(wrong * len(first))]
-    said[is_wrong] += random.normal(size=(len(is_wrong), 3)) * (3 * Z_UM, 100 * TILT, 100 * TILT)
+    message[is_wrong] += random.normal(size=(len(is_wrong), 3)) * (3 * Z_UM, 100 * TILT, 100 * TILT)
     information = sigma[:, :, None] ** -2.0 * np.eye(3)
     flat, n_pixels = np.zeros(len(first), np.float32), np.full(len(first), 170_000, np.int32)
     return HeightOffsets(
-        first, second, middle_x, middle_y, *said.T, information, n_pixels, flat, said[:, 0], 0 * width
+        first, second, middle_x, middle_y, *message.T, information, n_pixels, flat, message[:, 0], 0 * width
     ), poses
 
 

@@ -75,7 +75,7 @@ def _at(x, y, footprint, form, errors, defects):
     """(height A, radiance A, height B, radiance B, cover of A): die tops over the street's floor."""
     col, row = math.floor(x / PITCH_X), math.floor(y / PITCH_Y)
     i, j = min(max(col + 1, 0), errors.shape[0] - 1), min(max(row + 1, 0), errors.shape[1] - 1)
-    off_x, off_y, there, tilt = errors[i, j]
+    off_x, off_y, present, tilt = errors[i, j]
     u, v = x - col * PITCH_X - STREET / 2 - off_x, y - row * PITCH_Y - STREET / 2 - off_y
     dx, dy = x - form[0], y - form[1]
     base = -form[2] * (dx * dx + dy * dy)
@@ -83,7 +83,7 @@ def _at(x, y, footprint, form, errors, defects):
     fine, coarse = grain(gx / 1.5, gy / 1.5, FINE), grain(gx / 3.1, gy / 3.1, COARSE)
     speckle = 0.8 * fine + 0.6 * coarse
     street = 0.40 * (1 + CONTRAST * speckle) * (1 - 0.6 * box(u, v, -8.0, -3.0, 30.0, 50.0, footprint))
-    inset = _inset(u, v) - 0.2 * grain(gx / 2.6, gy / 2.6, RAGGED) if there > 0 else -1e3
+    inset = _inset(u, v) - 0.2 * grain(gx / 2.6, gy / 2.6, RAGGED) if present > 0 else -1e3
     radiance, rise = _pattern(u, v, footprint)
     contrast = CONTRAST
     for n in range(len(defects)):

@@ -39,8 +39,10 @@ def stitched(plan: Plan, what: tuple[Planted, ...]) -> Mosaic:
             x0_um, y0_um = first_um(plan)
             off_um = dice.normal(0, STAGE_OFF_PX, 2) * PIXEL_UM
             at = {"x_um": x0_um + (sum(cols) - 1) / 2 * PIXEL_UM, "y_um": y0_um - (sum(rows) - 1) / 2 * PIXEL_UM}
-            told = {"x_um": at["x_um"] + off_um[0], "y_um": at["y_um"] + off_um[1], "number": len(fields) + 1}
-            fields.append(Field(row=int(rows[0] > 0), col=int(cols[0] > 0), z_start_um=stack.field.z_start_um, **told))
+            reported = {"x_um": at["x_um"] + off_um[0], "y_um": at["y_um"] + off_um[1], "number": len(fields) + 1}
+            fields.append(
+                Field(row=int(rows[0] > 0), col=int(cols[0] > 0), z_start_um=stack.field.z_start_um, **reported)
+            )
             heights.append(reconstruct(dataclasses.replace(stack, field=fields[-1]), Recipe(), threads=1))
     return stitch(heights, fields, Recipe())
 
@@ -60,7 +62,7 @@ def test_stitched_fields_show_what_is_plain_and_little_else():
     assert len(matched.false) <= MOST_FALSE
 
 
-def test_what_only_stands_out_in_height_is_found_where_it_is_large():
+def test_defects_visible_only_in_height_are_found_if_large():
     """About six in ten: on single wafers it is two of five to six of seven."""
     wafers = [make(Plan(cols=6, rows=5, seed=seed, seen=False, odd_dies=False), SIGMA_UM) for seed in (31, 33)]
     matched = [matched_on(made.surface, made.planted) for made in wafers]

@@ -40,7 +40,7 @@ def seen() -> Seen:
     return Seen(made, grid, found, match(made.planted, found.found))
 
 
-def test_the_wafer_is_as_the_goal_says(seen: Seen):
+def test_the_wafer_matches_the_specification(seen: Seen):
     assert 0.02 < seen.made.unmeasured < 0.06
     error = seen.made.surface.z_raw_um - seen.made.truth_um
     assert np.nanmedian(np.abs(error)) < 2 * SIGMA_UM

@@ -76,7 +76,7 @@ def test_neighbours_agree_where_they_overlap():
     assert np.corrcoef(a.ravel(), b.ravel())[0, 1] > 0.9
 
 
-def test_noise_gaps_and_confidence_are_those_asked_for(made):
+def test_noise_gaps_and_confidence_are_those_requested(made):
     heights, known = made.heights[4], made.known
     error = heights.z_um - true_surface(SMALL, 4) - known.z_um[4]
     sure, unsure = heights.confidence > 0.6, heights.measured & (heights.confidence < 0.2)
@@ -102,7 +102,7 @@ def test_the_truth_is_the_surface_the_fields_saw(made):
     assert float(at[0, 0]) == pytest.approx(float(made.truth(-30.0, 20.0, (1, 1))[0, 0]), abs=1e-5)
 
 
-def test_stage_errors_are_as_wide_as_asked_for():
+def test_stage_errors_are_as_wide_as_requested():
     truth = truth_of(Grid())
     stage = Grid().plan.fields()
     off = np.concatenate([truth.x_um - [f.x_um for f in stage], truth.y_um - [f.y_um for f in stage]]) / PIXEL_UM
@@ -115,9 +115,11 @@ def test_blank_and_wrong_overlaps():
     truth = truth_of(grid)
     assert (truth.blank.sum(), truth.wrong.sum()) == (4, 2)
     first, second = grid.edges[truth.blank][0]
-    beside = second == first + 1
-    strip = field(grid, int(first)).all_in_focus[60:-60, -40:] if beside else field(grid, int(first)).all_in_focus[-30:]
-    assert strip[:, 60:-60].std() < 4 if not beside else strip.std() < 4
+    neighbour = second == first + 1
+    strip = (
+        field(grid, int(first)).all_in_focus[60:-60, -40:] if neighbour else field(grid, int(first)).all_in_focus[-30:]
+    )
+    assert strip[:, 60:-60].std() < 4 if not neighbour else strip.std() < 4
     wrong = int(grid.edges[truth.wrong][0, 1])
     plain = replace(grid, wrong_fraction=0.0)
     assert np.mean(field(grid, wrong).all_in_focus != field(plain, wrong).all_in_focus) > 0.05

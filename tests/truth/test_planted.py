@@ -39,7 +39,7 @@ def test_each_planted_defect_takes_the_nearest_found_one_and_the_rest_are_parts_
     assert not matched.missed
 
 
-def test_a_place_beside_a_scratch_is_false_and_the_scratch_is_missed():
+def test_a_place_next_to_a_scratch_is_false_and_the_scratch_is_missed():
     matched = match((SCRATCH,), [found(200, 60)])
     assert (matched.missed, len(matched.false)) == ((SCRATCH,), 1)
 

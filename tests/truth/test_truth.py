@@ -157,9 +157,9 @@ def test_the_same_seed_gives_the_same_bits_and_another_one_does_not():
 
 def test_frames_do_not_depend_on_tiles(monkeypatch: pytest.MonkeyPatch):
     scene, optics, z_um = dies(3, SMALL), Optics(views=10), np.array([100.0, 140.0, 180.0])
-    whole = light_of(scene, optics, z_um)
+    full = light_of(scene, optics, z_um)
     monkeypatch.setattr("tests.truth.views.TILE_PX", 30)
-    np.testing.assert_allclose(light_of(scene, optics, z_um), whole, atol=2e-3)
+    np.testing.assert_allclose(light_of(scene, optics, z_um), full, atol=2e-3)
 
 
 @pytest.mark.parametrize("full_well_e", [4_000.0, 15_000.0, 60_000.0, None])
@@ -172,7 +172,7 @@ def test_noise_is_that_of_the_full_well_and_of_a_third_of_a_grey_level(full_well
     assert counts.mean() == pytest.approx(127.5, rel=0.001)
 
 
-def test_the_share_that_is_clipped_is_the_one_asked_for():
+def test_the_share_that_is_clipped_is_the_one_requested():
     scene = plane(3, SMALL, tilt=0.0)
     z_um = LEVEL_UM + np.array([-4.0, 0.0, 4.0])
     light = light_of(scene, Optics(views=40), z_um)

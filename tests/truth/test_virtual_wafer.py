@@ -15,12 +15,12 @@ def cover(x_um, y_um):
     return wafer.wafer(x_um, y_um, 0.2)[4]
 
 
-def test_where_a_chip_is_said_to_be_the_die_is_missing():
+def test_where_a_chip_is_specified_the_die_is_missing():
     along = [(LEFT_UM + u, LOW_UM + 0.3) for u in np.arange(20.0, die.WIDTH_UM - 20, 0.5)]
     chipped = [place for place in along if _chipped_um(*place) > 2.0]
-    whole = [place for place in along if own_to_the_die(*place) == ""]
+    full = [place for place in along if own_to_the_die(*place) == ""]
     assert np.mean([cover(*place) for place in chipped]) < 0.1
-    assert np.mean([cover(*place) for place in whole]) > 0.5
+    assert np.mean([cover(*place) for place in full]) > 0.5
 
 
 def test_dies_differ_by_their_numbers_and_where_probes_touched_them():
@@ -32,9 +32,9 @@ def test_dies_differ_by_their_numbers_and_where_probes_touched_them():
 
 
 def test_the_gel_and_the_dust_are_where_the_scene_has_them():
-    there = known(LEFT_UM, LOW_UM, LEFT_UM + die.WIDTH_UM, LOW_UM + die.HEIGHT_UM)
-    (gel,) = (one for one in there if one.kind == "gel")
+    present = known(LEFT_UM, LOW_UM, LEFT_UM + die.WIDTH_UM, LOW_UM + die.HEIGHT_UM)
+    (gel,) = (one for one in present if one.kind == "gel")
     assert (gel.x_um, gel.y_um) == (LEFT_UM + wafer.GEL_U_UM, LOW_UM + wafer.GEL_V_UM)
-    for speck in (one for one in there if one.kind == "particle"):
+    for speck in (one for one in present if one.kind == "particle"):
         assert wafer.particle(speck.x_um, speck.y_um, 0.2)[0] > 0.9
         assert speck.on == ground(speck.x_um, speck.y_um)

@@ -28,10 +28,10 @@ class Deadline:
     def __init__(self, rig: Rig, goal_um: Mapping[Axis, float], speed_um_s: float | None = None) -> None:
         self._rig, self._goal_um = rig, goal_um
         here = rig.stage.position()
-        ways_um: dict[Axis, float] = {axis: abs(um - at_um(here, axis)) for axis, um in goal_um.items()}
-        times_s = {axis: rig.limits.axis(axis).move_s(way_um, speed_um_s) for axis, way_um in ways_um.items()}
+        travels_um: dict[Axis, float] = {axis: abs(um - at_um(here, axis)) for axis, um in goal_um.items()}
+        times_s = {axis: rig.limits.axis(axis).move_s(travel_um, speed_um_s) for axis, travel_um in travels_um.items()}
         self._expected_s = max(times_s.values())
-        self._longest: Axis = max(ways_um, key=lambda axis: (ways_um[axis] > 0, times_s[axis]))
+        self._longest: Axis = max(travels_um, key=lambda axis: (travels_um[axis] > 0, times_s[axis]))
         """Axis expected to arrive last."""
         if not rig.stage.homed():
             self._expected_s += max(_homing_s(rig, axis) for axis in goal_um)
@@ -55,13 +55,13 @@ class Deadline:
         axis, away_um = self._farthest()
         if away_um <= ARRIVED_WITHIN_UM:
             axis = self._longest
-        at, goal = at_um(self._rig.stage.position(), axis), self._goal_um[axis]
+        position_um, goal = at_um(self._rig.stage.position(), axis), self._goal_um[axis]
         late = f"{gone_s:.1f} s after it set out, where {self._expected_s:.1f} s were expected"
         where = (
-            f"The {axis} axis did not arrive: {late}, it stands at {at:.2f} um instead of {goal:.2f} um."
+            f"The {axis} axis did not arrive: {late}, it stands at {position_um:.2f} um instead of {goal:.2f} um."
             if away_um > ARRIVED_WITHIN_UM
-            else f"The stage does not report the end of its motion: {late}, the {axis} axis stands at {at:.2f} um "
-            f"and should be at {goal:.2f} um."
+            else f"The stage does not report the end of its motion: {late}, the {axis} axis stands at "
+            f"{position_um:.2f} um and should be at {goal:.2f} um."
         )
         return RigTimeout(
             f"{where} It was stopped and the pulse box disarmed. Check the drive, the cable and the limit switches of "
@@ -121,11 +121,11 @@ def come_to_rest(rig: Rig) -> None:
     begun_s = rig.clock.now_s()
     while stage.moving():
         if rig.clock.now_s() - begun_s > halt_s * (1 + SPARE_FRACTION) + SPARE_S:
-            at = stage.position()
+            now = stage.position()
             raise RigTimeout(
-                f"The stage still reports motion {rig.clock.now_s() - begun_s:.1f} s after it was told to stop; it "
-                f"stands at x {at.x_um:.2f}, y {at.y_um:.2f}, z {at.z_um:.2f} um. Use the emergency stop if it truly "
-                "moves; check its drives, and home it before the next scan."
+                f"The stage still reports motion {rig.clock.now_s() - begun_s:.1f} s after the stop command; it "
+                f"stands at x {now.x_um:.2f}, y {now.y_um:.2f}, z {now.z_um:.2f} um. Use the emergency stop if it "
+                "truly moves; check its drives, and home it before the next scan."
             )
         rig.clock.sleep(LOOK_S)
     rig.clock.sleep(max(axis.settle_s for axis in axes))

@@ -290,7 +290,7 @@ def _chosen(prices: tuple[Price, ...], strategy: str) -> str:
         raise PlanError(f"There is no strategy '{strategy}': choose auto or one of {', '.join(STRATEGIES)}.")
     if strategy == "auto" and feasible:
         return min(feasible, key=lambda p: p.predicted_s or 0.0).strategy
-    asked = next(p for p in prices if strategy in ("auto", p.strategy))
-    if asked.ruled_out is not None:
-        raise PlanError(f"The strategy '{asked.title}' is ruled out: {asked.ruled_out}")
-    return asked.strategy
+    price = next(p for p in prices if strategy in ("auto", p.strategy))
+    if price.ruled_out is not None:
+        raise PlanError(f"The strategy '{price.title}' is ruled out: {price.ruled_out}")
+    return price.strategy

@@ -213,8 +213,8 @@ class Reconciler:
         clock = self._timing.clock
         off_us = median(self._off_us) if self._off_us else 0.0
         shift_us = clock.image_us(self._pulses[-1]) - self._pulses[-1].time_us + off_us
-        at = bisect_left(self._times_us, image.device_time_us - shift_us)
-        near = self._pulses[max(0, at - 1) : at + 1]
+        index = bisect_left(self._times_us, image.device_time_us - shift_us)
+        near = self._pulses[max(0, index - 1) : index + 1]
         nearest = min(near, key=lambda p: abs(p.time_us + shift_us - image.device_time_us))
         away_us = abs(nearest.time_us + shift_us - image.device_time_us)
         return nearest if away_us < PAIRING.at_once * self._timing.period_us else None
@@ -228,7 +228,7 @@ class Reconciler:
         off_us = np.array([match.device_time_us - match.pulse.time_us for match in matches], np.float64)
         at_us = float(times_us.mean())
         if len(matches) < PAIRING.fit_from:
-            # A few images do not say which of them is the odd one: they move the clock of before by a little only.
+            # Few images cannot show which of them is the outlier: they change the clock estimate only a little.
             carried_us = before.offset_us + before.drift * (at_us - before.at_us)
             step_us = self._limit_us(before) * PAIRING.followed
             moved_us = min(max(float(np.median(off_us)) - carried_us, -step_us), step_us)

@@ -160,12 +160,12 @@ def scan(
 
 def _judged(out: Path, job: Job) -> int:
     """Reconstruct the surface of a released job, print its verdict, and return the exit status."""
-    from wafer_viewer.session.planning.headless import verdict_kept_in
+    from wafer_viewer.session.planning.headless import stored_verdict_of
     from wafer_viewer.session.surface.headless import make_surface
 
     with progress("Surface") as tell:
         make_surface(out, job.recipe, "default", again=False, tell=tell, warn=warn)
-    return print_verdict(verdict_kept_in(out, "default"))
+    return print_verdict(stored_verdict_of(out, "default"))
 
 
 def import_(
@@ -363,8 +363,8 @@ def measure_verdict(dataset: DatasetFolder, result: str = "default") -> int:
         dataset: The dataset, stitched.
         result: Name of the reconstruction.
     """
-    from wafer_viewer.session.planning.headless import verdict_kept_in
+    from wafer_viewer.session.planning.headless import stored_verdict_of
 
-    verdict = verdict_kept_in(dataset, result)
+    verdict = stored_verdict_of(dataset, result)
     print_json(msgspec.to_builtins(verdict))
     return 0 if verdict.word == "pass" else 1

@@ -107,7 +107,7 @@ def _command(argv: list[str]) -> tuple[str, list[str]]:
     if argv[0] == "measure":
         _refuse_two_sided(argv[1:2])
     if group:
-        raise PlanError(f"'{argv[0]}' needs to be told what: {', '.join(group)}.")
+        raise PlanError(f"'{argv[0]}' needs a subcommand: {', '.join(group)}.")
     raise PlanError(f"There is no command '{argv[0]}': choose one of {', '.join(commands())}.")
 
 

@@ -72,8 +72,8 @@ def levelling_from(words: tuple[str, ...]) -> Levelling:
     """
     if not words:
         return Levelling()
-    way, numbers = words[0], _numbers(words[1:])
-    match way, len(numbers):
+    method, numbers = words[0], _numbers(words[1:])
+    match method, len(numbers):
         case "plane", 0:
             return Levelling(by="plane")
         case "form", 0:

@@ -90,15 +90,15 @@ def measure_defects(
     limits = DefectLimits(max_per_die=max_per_die, max_per_mm2=max_per_mm2)
     _require_readable(other)
     wafer = wafer_of(src, result)
-    asked = _recipe(recipe, wafer, src, sensitivity, limits)
-    stored = _golden(golden, against, asked, src)
+    used_recipe = _recipe(recipe, wafer, src, sensitivity, limits)
+    stored = _golden(golden, against, used_recipe, src)
     with progress("Looking for defects") as tell:
-        found = inspected(wafer, asked, given, stored, against, tell, hire)
-    kept = _files(wafer, found, {"klarf": klarf, "csv": csv, "training": training})
-    kept |= _keep_golden(wafer, found, given, save_golden)
-    verdict = verdict_of(found)
-    told = {"verdict": verdict, "files": kept, "repeats": repeated_places(found), "inspection": found}
-    print_json(msgspec.to_builtins(told | _beside(other, wafer, found)))
+        inspection = inspected(wafer, used_recipe, given, stored, against, tell, hire)
+    files = _files(wafer, inspection, {"klarf": klarf, "csv": csv, "training": training})
+    files |= _keep_golden(wafer, inspection, given, save_golden)
+    verdict = verdict_of(inspection)
+    summary = {"verdict": verdict, "files": files, "repeats": repeated_places(inspection), "inspection": inspection}
+    print_json(msgspec.to_builtins(summary | _beside(other, wafer, inspection)))
     return 0 if verdict.within else BEYOND
 
 
@@ -120,10 +120,10 @@ def _of_product(wafer: Wafer, src: Path) -> DefectRecipe:
     from wafer_viewer.store.records.inspection_records import readable_recipes
 
     product = product_of(wafer.job) if wafer.job is not None else ""
-    kept, problems = readable_recipes(src.absolute().parent) if product else ((), ())
+    recipes, problems = readable_recipes(src.absolute().parent) if product else ((), ())
     for problem in problems:
         warn(problem)
-    recipe = next((recipe for recipe in kept if recipe.product == product), None)
+    recipe = next((recipe for recipe in recipes if recipe.product == product), None)
     if recipe is None:
         return DefectRecipe(product=product)
     warn(f"Recipe '{recipe.name}' of {product} is used because it was saved last: --recipe takes another.")
@@ -142,9 +142,9 @@ def _golden(path: Path | None, against: str, recipe: DefectRecipe, src: Path) ->
     return golden_named(src.absolute().parent / FOLDER, named, recipe.product) if named else None
 
 
-def _files(wafer: Wafer, found: Inspection, asked: dict[Handover, Path | None]) -> dict[str, str]:
+def _files(wafer: Wafer, found: Inspection, paths: dict[Handover, Path | None]) -> dict[str, str]:
     """Write the requested files and return their paths."""
-    return {what: str(WRITERS[what](wafer, found, path)) for what, path in asked.items() if path is not None}
+    return {what: str(WRITERS[what](wafer, found, path)) for what, path in paths.items() if path is not None}
 
 
 def _require_readable(other: Path | None) -> None:

@@ -66,9 +66,9 @@ def measure_gauge(
     if not src:
         if log is None:
             raise MeasureError("There is nothing to check: give scans and --certificate, or --log for the history.")
-        told = history(log, serial, rig, terms.tolerance_um)
-        print_json(msgspec.to_builtins(told))
-        return 1 if told.chart.warnings else 0
+        summary = history(log, serial, rig, terms.tolerance_um)
+        print_json(msgspec.to_builtins(summary))
+        return 1 if summary.chart.warnings else 0
     if certificate is None:
         raise MeasureError("There is no check without a certificate: give --certificate FILE.toml.")
     faces = _faces(upper, lower)

@@ -193,14 +193,16 @@ def measure_profile(
     surface, calibrated = _opened(src, field, result)
     lines = _lines(surface, line, row, column, width_um)
     levelling = levelling_from(level)
-    asked = [SectionRequest(place, at, field, levelling) for place, at in enumerate(lines)]
+    requests = [SectionRequest(place, at, field, levelling) for place, at in enumerate(lines)]
     source = src.stem if field == 0 else f"{src.stem}, field {field}"
-    sections = _cut(asked, surface, calibrated, source)
+    sections = _cut(requests, surface, calibrated, source)
     if cleaned:
-        sections += _cut([replace(one, cleaned=True) for one in asked], surface, calibrated, source)
+        sections += _cut([replace(one, cleaned=True) for one in requests], surface, calibrated, source)
     if other is not None:
-        beside = OtherSurface(str(other), "default")
-        sections += _cut([replace(one, show=0, of=beside) for one in asked], *_opened(other, 0, "default"), other.stem)
+        other_surface = OtherSurface(str(other), "default")
+        sections += _cut(
+            [replace(one, show=0, of=other_surface) for one in requests], *_opened(other, 0, "default"), other.stem
+        )
     if out is not None:
         write_sections(sections, out)
     facts = [_facts(section, points) for section in sections]
@@ -227,19 +229,19 @@ def _lines(surface: Outline, ends: Numbers, rows: Integers, columns: Integers, w
     return lines
 
 
-def _cut(asked: Sequence[SectionRequest], surface: Mosaic, calibrated: bool, source: str) -> list[Section]:
+def _cut(requests: Sequence[SectionRequest], surface: Mosaic, calibrated: bool, source: str) -> list[Section]:
     """Return the sections along all lines, with their common levelling."""
     from wafer_viewer.measure.base.levelled_surface import levelled
     from wafer_viewer.session.measurement.sections import cut
 
-    from_zero = levelled(surface, asked[0].levelling)
-    return [cut(one, from_zero, calibrated, source) for one in asked]
+    from_zero = levelled(surface, requests[0].levelling)
+    return [cut(one, from_zero, calibrated, source) for one in requests]
 
 
 def _facts(section: Section, points: bool) -> dict[str, Any]:
     """Return the numbers of a section and its source."""
-    found = replace(section.profile, levelling=section.asked.levelling, show=section.asked.show)
-    facts: dict[str, Any] = {"curve": section.title, "source": section.source, **msgspec.to_builtins(found)}
+    profile = replace(section.profile, levelling=section.asked.levelling, show=section.asked.show)
+    facts: dict[str, Any] = {"curve": section.title, "source": section.source, **msgspec.to_builtins(profile)}
     if points:
         curve = section.curve
         facts["points"] = {"distance_um": curve.distance_um.tolist(), "z_um": curve.z_um.tolist()}

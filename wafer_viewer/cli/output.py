@@ -181,14 +181,14 @@ def print_checks(checks: Iterable[EnvironmentCheck]) -> int:
 
 def print_cluster(folder: Path, host: str) -> None:
     """Print the commands to run on each machine of a cluster."""
-    there = f"cd {shlex.quote(str(folder))} && DASK_CONFIG=."
+    prefix = f"cd {shlex.quote(str(folder))} && DASK_CONFIG=."
     ours = f"DASK_CONFIG={shlex.quote(str(folder))} wafer-viewer"
     closed = "--dashboard-address 127.0.0.1:0"
     print(rf"""{folder} has the cluster's certificates. Copy it to every machine, wherever it fits there, and keep it
 secret: whoever has it can run code on them. On {host}, which shares out the work:
-  {there} dask scheduler {closed}
+  {prefix} dask scheduler {closed}
 On every machine that works, with as many workers as it has processors and 3 GiB for each:
-  {there} dask worker tls://{host}:8786 --nworkers 2 --nthreads 1 --memory-limit 3GiB \
+  {prefix} dask worker tls://{host}:8786 --nworkers 2 --nthreads 1 --memory-limit 3GiB \
     --preload-nanny wafer_viewer.compute.dask_worker {closed}
 Where the viewer or the command line runs:
   {ours} serve --scheduler tls://{host}:8786

@@ -115,7 +115,7 @@ class Certificate(Spec, frozen=True, kw_only=True):
         if self.blocks[0].nominal_um == self.blocks[1].nominal_um:
             self._wrong(f"names two blocks of {self.blocks[0].nominal_um:g} um, which make no step")
         if self.grade and self.variation_um is None and max(b.nominal_um for b in self.blocks) > LONGEST_UM:
-            self._wrong("is of blocks over 10 mm: give their variation_um, because the grade alone does not say it")
+            self._wrong("is of blocks over 10 mm: give their variation_um, because the grade alone does not limit it")
 
     def _require_a_step(self) -> None:
         if self.value_um is None or self.nominal_um is None:
@@ -123,7 +123,7 @@ class Certificate(Spec, frozen=True, kw_only=True):
         if self.expanded_um is None:
             self._wrong(f"gives no U (expanded_um, k = 2): {WITHOUT}")
         if not any(self.serial_numbers):
-            self._wrong("gives no serial_numbers: what blocks it is of must be told")
+            self._wrong("gives no serial_numbers: name the blocks that it certifies")
 
     def _wrong(self, how: str) -> None:
         raise self.error(f"Certificate {self.number!r} {how}.")

@@ -251,11 +251,11 @@ def key_of_result(number: int) -> str:
 
 def keys_of_features(verdict: WaferVerdict | None) -> tuple[str, ...]:
     """Return the keys of the features of a verdict, in its order; repeated names are numbered."""
-    seen: Counter[str] = Counter()
+    counts: Counter[str] = Counter()
     keys: list[str] = []
     for name in (item.name for item in (verdict.items if verdict is not None else ())):
-        seen[name] += 1
-        keys.append(f"feature {name}" if seen[name] == 1 else f"feature {name} ({seen[name]})")
+        counts[name] += 1
+        keys.append(f"feature {name}" if counts[name] == 1 else f"feature {name} ({counts[name]})")
     return tuple(keys)
 
 

@@ -72,8 +72,8 @@ def test_a_line_beside_another_is_parallel_to_it_on_the_side_where_there_is_room
     assert parallel_line(Region.line(0, 295, 120, 295), LATTICE) == Region.line(0, 275, 120, 275)
     lower, upper = parallel_line(Region.line(0, -199, 0, 299), LATTICE).points
     assert upper.x_um == lower.x_um < 0
-    whole = parallel_line(row_line(LATTICE, 500), dataclasses.replace(LATTICE, shape=(1001, 2000)))
-    assert whole.bounds_um[0] >= LATTICE.x0_um
+    full = parallel_line(row_line(LATTICE, 500), dataclasses.replace(LATTICE, shape=(1001, 2000)))
+    assert full.bounds_um[0] >= LATTICE.x0_um
 
 
 def curve_of(z):
@@ -88,10 +88,10 @@ def test_cursors_read_the_gap_between_measured_points():
 
 
 def test_the_angle_is_the_surfaces_whichever_cursor_stands_left():
-    there, back = (cursor_difference(curve_of([0, 1, 2, 3]), ends) for ends in ((0.0, 1.0), (1.0, 0.0)))
-    assert back.dx_um == -there.dx_um
-    assert back.dz_um == -there.dz_um
-    assert back.angle_deg == pytest.approx(there.angle_deg)
+    present, back = (cursor_difference(curve_of([0, 1, 2, 3]), ends) for ends in ((0.0, 1.0), (1.0, 0.0)))
+    assert back.dx_um == -present.dx_um
+    assert back.dz_um == -present.dz_um
+    assert back.angle_deg == pytest.approx(present.angle_deg)
     assert np.isnan(cursor_difference(curve_of([0, 1, 2, 3]), (0.5, 0.5)).angle_deg)
 
 

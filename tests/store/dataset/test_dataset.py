@@ -77,7 +77,7 @@ def test_exposures_are_stacks_of_their_own(tmp_path):
         data.stack(1, 2)
 
 
-def test_a_stack_holds_all_exposures_unless_one_is_asked_for(tmp_path):
+def test_a_stack_holds_all_exposures_unless_one_is_requested(tmp_path):
     data = scanned(tmp_path / "a.wafer", job=make_job(exposures=2))
     stack = data.stack(1)
     assert [one.exposure_us for one in stack.exposures] == [100.0, 200.0]
@@ -135,7 +135,7 @@ def test_sixteen_bits_are_kept(tmp_path):
     np.testing.assert_array_equal(stack.images[1], make_image(Shot(1, 1), dtype=np.uint16))
 
 
-def test_a_stopped_scan_goes_on_where_it_was(tmp_path):
+def test_a_stopped_scan_continues_where_it_was(tmp_path):
     done = []
     plan = make_plan(make_job())
     scanned(tmp_path / "a.wafer", all_shots(plan)[:3])

@@ -41,7 +41,7 @@ def journal(tmp_path_factory):
 
 @given(lines=LINES, cut=st.integers(0, 3000), more=FRAMES)
 @settings(max_examples=80)
-def test_wherever_a_journal_is_torn_its_whole_lines_are_read_and_it_goes_on(journal, lines, cut, more):
+def test_wherever_a_journal_is_torn_its_whole_lines_are_read_and_it_continues(journal, lines, cut, more):
     journal.unlink(missing_ok=True)
     writer = JournalWriter(journal)
     for line in lines:

@@ -52,9 +52,9 @@ def test_frames_at_the_times_of_their_pulses_are_in_no_doubt(scan):
 def test_a_frame_that_is_missing_is_no_doubt(scan):
     data = scan()
     lines = data.path / JOURNAL
-    kept = [line for line in lines.read_bytes().splitlines(keepends=True) if b'"pulse_count":340,' not in line]
-    assert len(kept) == N + 1
-    lines.write_bytes(b"".join(kept))
+    stored = [line for line in lines.read_bytes().splitlines(keepends=True) if b'"pulse_count":340,' not in line]
+    assert len(stored) == N + 1
+    lines.write_bytes(b"".join(stored))
     assert check_passes(Dataset.open(data.path)).ok
 
 

@@ -52,7 +52,7 @@ def test_surfaces_are_kept_by_field(data):
     assert [p.name for p in (result.path / "surfaces").iterdir()] == ["r0000c0001.npz"]
 
 
-def test_the_mosaic_lies_beside_them(data):
+def test_the_mosaic_lies_next_to_them(data):
     result = data.result()
     with pytest.raises(DatasetError, match="has no stitched surface"):
         result.mosaic()

@@ -140,7 +140,7 @@ def grid(root, cells, n_frames=4, name="r{}_c{}_k{}.tif", dtype=np.uint8):
     return root
 
 
-def test_a_grid_of_fields_is_told_by_the_names(tmp_path):
+def test_a_grid_of_fields_is_identified_by_the_names(tmp_path):
     cells = [(1, 1), (1, 2), (2, 1), (2, 2), (2, 10)]
     src = grid(tmp_path / "src", cells, dtype=np.uint16)
     data = import_dataset(src, tmp_path / "a.wafer", pattern="r{row}_c{col}_k{k}.tif", overlap_fraction=0.25, **STEP)
@@ -179,7 +179,7 @@ BRACKETS = {
 
 @pytest.mark.slow
 @pytest.mark.parametrize("pattern", BRACKETS)
-def test_exposures_are_told_by_the_names_and_fused(tmp_path, tilted, pattern):
+def test_exposures_are_identified_by_the_names_and_fused(tmp_path, tilted, pattern):
     for number, gain in ((1, 0.5), (2, 1.0)):
         for k, light in enumerate(tilted):
             write(tmp_path / "src" / BRACKETS[pattern].format(number, k), (gain * light).clip(0, 255).astype(np.uint8))

@@ -21,7 +21,7 @@ TEXTS = [ending for ending in WRITTEN if ending not in (".npz", ".glb")]
 
 
 @pytest.mark.parametrize("grey", [np.uint8, np.uint16])
-def test_npz_comes_back_as_it_was(tmp_path, grey):
+def test_npz_round_trips(tmp_path, grey):
     surface = make_surface(grey=grey, recipe=Recipe(window=9), calibration=CALIBRATION, simulated=True, notes=("a",))
     export(surface, tmp_path / "a.npz")
     back = read_npz(tmp_path / "a.npz")
@@ -121,19 +121,19 @@ def test_stl_is_a_mesh_that_faces_up_and_leaves_holes(tmp_path):
     )
     export(flat, tmp_path / "a.stl")
     mesh = trimesh.load(tmp_path / "a.stl")
-    known = np.isfinite(flat.z_um)
-    squares = known[:-1, :-1] & known[1:, :-1] & known[:-1, 1:] & known[1:, 1:]
+    valid = np.isfinite(flat.z_um)
+    squares = valid[:-1, :-1] & valid[1:, :-1] & valid[:-1, 1:] & valid[1:, 1:]
     assert mesh.area == pytest.approx(squares.sum() * 0.25)
     assert (mesh.face_normals[:, 2] > 0.99).all()
     np.testing.assert_allclose(mesh.bounds, [[0, -9.5, 7], [19.5, 0, 7]])
 
 
 @pytest.mark.parametrize("ending", TEXTS)
-def test_what_is_simulated_and_uncalibrated_says_so(tmp_path, ending):
+def test_simulated_and_uncalibrated_data_are_marked(tmp_path, ending):
     export(make_surface(simulated=True), tmp_path / f"a{ending}")
-    said = (tmp_path / f"a{ending}").read_bytes()
-    assert b"SIMULATED" in said
-    assert b"uncalibrated: no calibration" in said
+    message = (tmp_path / f"a{ending}").read_bytes()
+    assert b"SIMULATED" in message
+    assert b"uncalibrated: no calibration" in message
     export(make_surface(calibration=CALIBRATION), tmp_path / f"b{ending}")
     assert b"SIMULATED" not in (tmp_path / f"b{ending}").read_bytes()
 

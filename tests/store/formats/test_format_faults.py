@@ -99,26 +99,26 @@ UM = json.dumps({"unit": "um", "pixel_um": 1.0})
 
 FAULTS = {
     # no unit, two units
-    "no unit.gsf": (gsf(ZUnits=None), "does not say the unit of its heights: give it, as in --z-unit um"),
-    "no pixel.gsf": (gsf(XYUnits=None), "does not say its pixel size: give it, as in --pixel-um 0.5"),
+    "no unit.gsf": (gsf(ZUnits=None), "states no unit of its heights: give it, as in --z-unit um"),
+    "no pixel.gsf": (gsf(XYUnits=None), "states no pixel size: give it, as in --pixel-um 0.5"),
     "volts.gsf": (gsf(ZUnits="V"), "gives its heights in 'V', which is not a unit of length"),
     "twice.gsf": (gsf().replace(b"ZUnits = m\n", b"ZUnits = m\nZUnits = nm\n"), "says ZUnits twice, m and nm"),
     "oblong.gsf": (gsf(YReal=4e-6), "has pixels of 1 x 1.33333 um: resample it to square pixels"),
-    "no unit.csv": (TABLE.encode(), "does not say the unit of its heights"),
+    "no unit.csv": (TABLE.encode(), "states no unit of its heights"),
     "two units.csv": (
         f"# unit: mm\nx_um,y_um,z_um\n{TABLE}".encode(),
-        "says that its unit is mm and that its x is in um",
+        "states the unit mm, but its x is in um",
     ),
     "one unit.csv": (f"x_um,y,z\n{TABLE}".encode(), "gives no unit for y and z"),
-    "no unit.ply": (ASCII_PLY.format(z="property float z\n").encode(), "does not say the unit of its heights"),
-    "no unit.tif": (tiff(Z), "does not say the unit of its heights"),
+    "no unit.ply": (ASCII_PLY.format(z="property float z\n").encode(), "states no unit of its heights"),
+    "no unit.tif": (tiff(Z), "states no unit of its heights"),
     "a screen's.tif": (
         tiff(Z, resolution=(72, 72), description='{"unit": "um"}', metadata=None),
-        "does not say its pixel",
+        "states no pixel",
     ),
     "two pixels.tif": (
         tiff(Z, description=json.dumps({"unit": "um", "pixel_um": 2.0}), metadata=None, **CM),
-        "says that a pixel is 2 um and 1 um by its resolution",
+        "states pixels of 2 um, but 1 um by its resolution",
     ),
     # z upside down, mirrored
     "depth.gsf": (gsf(Title="Depth map"), "holds depths, not heights .*--invert-z"),
@@ -146,7 +146,7 @@ FAULTS = {
         lambda p: x3p(p, leave_out=("bindata/data.bin",)),
         "has no bindata/data.bin, which holds its heights",
     ),
-    "short.x3p": (in_main(rb"<SizeY>30", b"<SizeY>31"), "has fewer heights than it says"),
+    "short.x3p": (in_main(rb"<SizeY>30", b"<SizeY>31"), "has fewer heights than its header states"),
     # something else
     "text.gsf": (b"Gwyddion", "has no header of a GSF file"),
     "no size.gsf": (gsf(XRes=None), "has no XRes in its header"),
@@ -173,7 +173,9 @@ FAULTS = {
     # nothing
     "nothing.csv": (b"# only words\n", "holds no points"),
     "nothing.gsf": (b"", "is empty: copy it again"),
-    **{f"blind{e}": (blind(e), "holds no height") for e in (".npz", ".gwy", ".x3p", ".gsf", ".tif", ".ply", ".pcd")},
+    **{
+        f"blind{e}": (blind(e), "contains no heights") for e in (".npz", ".gwy", ".x3p", ".gsf", ".tif", ".ply", ".pcd")
+    },
 }
 
 
@@ -214,8 +216,8 @@ def test_a_file_that_is_not_there_and_one_of_no_known_kind(tmp_path):
 @pytest.mark.parametrize(
     ("says", "sentence"),
     [
-        ({"z_unit": "mm"}, "says that its heights are in m, and --z-unit says mm: leave --z-unit out"),
-        ({"pixel_um": 2.0}, "says that a pixel is 1 um, and --pixel-um 2: leave --pixel-um out"),
+        ({"z_unit": "mm"}, "states heights in m, but --z-unit is mm: leave --z-unit out"),
+        ({"pixel_um": 2.0}, "states pixels of 1 um, but --pixel-um is 2: leave --pixel-um out"),
         ({"z_unit": "ells"}, "gives --z-unit in 'ells', which is not a unit of length"),
     ],
 )

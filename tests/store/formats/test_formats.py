@@ -110,39 +110,39 @@ def test_points_keep_grey_confidence_and_what_was_filled(tmp_path):
     surface = make_surface()
     export(surface, tmp_path / "a.ply")
     back = read_surface(tmp_path / "a.ply")
-    known = np.isfinite(surface.z_um)
-    np.testing.assert_array_equal(back.origin[known], surface.origin[known])
-    assert (back.origin[~known] == Origin.NO_REASON).all()
-    np.testing.assert_array_equal(back.all_in_focus[known], surface.all_in_focus[known])
-    np.testing.assert_array_equal(back.confidence[known], surface.confidence[known])
+    valid = np.isfinite(surface.z_um)
+    np.testing.assert_array_equal(back.origin[valid], surface.origin[valid])
+    assert (back.origin[~valid] == Origin.NO_REASON).all()
+    np.testing.assert_array_equal(back.all_in_focus[valid], surface.all_in_focus[valid])
+    np.testing.assert_array_equal(back.confidence[valid], surface.confidence[valid])
     assert np.isnan(back.z_raw_um[surface.origin == Origin.FILLED]).all()
 
 
 @pytest.mark.parametrize("ending", [e for e in READ if e not in (".npz", ".gwy", ".ply")])
-def test_what_has_heights_only_says_so_on_both_ways(tmp_path, ending):
+def test_formats_with_heights_only_report_it_on_export_and_import(tmp_path, ending):
     surface = make_surface()
     export(surface, tmp_path / f"a{ending}")
     back = read_surface(tmp_path / f"a{ending}")
     assert back.provenance.notes == (f"Read from a{ending}: heights only.",)
     assert not back.all_in_focus.any()
     assert set(np.unique(back.origin)) <= {Origin.MEASURED, Origin.FILLED, Origin.NO_REASON}
-    said = losses(surface, tmp_path / f"a{ending}")
-    assert "confidence" in said[0]
-    assert "why pixels are unmeasured" in said[0]
+    message = losses(surface, tmp_path / f"a{ending}")
+    assert "confidence" in message[0]
+    assert "why pixels are unmeasured" in message[0]
 
 
-def test_what_holds_all_says_nothing(tmp_path):
+def test_a_lossless_format_reports_no_losses(tmp_path):
     assert losses(make_surface(), tmp_path / "a.npz") == ()
 
 
 @pytest.mark.parametrize("ending", WRITTEN)
 def test_a_mosaic_is_written_strip_by_strip_as_a_map_is(tmp_path, ending):
     surface = make_surface(rows=300, cols=100, x0_um=0.0, y0_um=0.0)
-    told: list[float] = []
+    reported: list[float] = []
     export(surface, tmp_path / f"a{ending}", every=3)
-    export(write_mosaic(tmp_path / "m.zarr", surface), tmp_path / f"b{ending}", every=3, progress=told.append)
-    assert told == sorted(told)
-    assert told[-1] == pytest.approx(1.0)
+    export(write_mosaic(tmp_path / "m.zarr", surface), tmp_path / f"b{ending}", every=3, progress=reported.append)
+    assert reported == sorted(reported)
+    assert reported[-1] == pytest.approx(1.0)
     if ending not in READ:
         assert (tmp_path / f"a{ending}").read_bytes() == (tmp_path / f"b{ending}").read_bytes()
         return
@@ -154,14 +154,14 @@ def test_a_mosaic_is_written_strip_by_strip_as_a_map_is(tmp_path, ending):
 
 @pytest.mark.parametrize("ending", WRITTEN)
 def test_a_writing_that_is_stopped_leaves_nothing(tmp_path, ending):
-    asked = iter([False, True, True])
+    requested = iter([False, True, True])
     with pytest.raises(DatasetError, match=r"was stopped at 1 of \d\. Nothing was kept"):
-        export(make_surface(rows=300), tmp_path / f"a{ending}", every=1, should_stop=lambda: next(asked))
+        export(make_surface(rows=300), tmp_path / f"a{ending}", every=1, should_stop=lambda: next(requested))
     assert not list(tmp_path.iterdir())
 
 
 @pytest.mark.parametrize("ending", WRITTEN)
-def test_a_full_disk_is_said_and_leaves_nothing(tmp_path, ending):
+def test_a_full_disk_is_reported_and_leaves_nothing(tmp_path, ending):
     def full(_):
         raise OSError(errno.ENOSPC, "No space left on device")
 
@@ -170,7 +170,7 @@ def test_a_full_disk_is_said_and_leaves_nothing(tmp_path, ending):
     assert not list(tmp_path.iterdir())
 
 
-def test_what_passes_four_gigabytes_is_said_before_anything_is_written(tmp_path):
+def test_what_passes_four_gigabytes_is_reported_before_anything_is_written(tmp_path):
     assert len(losses(MadeWafer(8_000), tmp_path / "a.gwy")) == 1
     assert "holds heights only" in losses(MadeWafer(12_850), tmp_path / "a.gwy")[1]
     with pytest.raises(DatasetError, match=r"a\.gwy would pass the 4 GB of a GWY file: take X3P"):
@@ -188,7 +188,7 @@ def test_a_reading_can_be_stopped(tmp_path):
 
 
 @pytest.mark.parametrize("ending", MESHES)
-def test_a_mesh_lies_as_the_surface_does(tmp_path, ending):
+def test_a_mesh_has_the_orientation_of_the_surface(tmp_path, ending):
     surface = letter_f(pixel_um=0.5, x0_um=1000.25, y0_um=2000.75)
     export(surface, tmp_path / f"a{ending}", every=2)
     mesh = trimesh.load(tmp_path / f"a{ending}", force="mesh", process=False)
@@ -215,14 +215,14 @@ def test_a_mesh_has_no_seam_where_its_pieces_meet(tmp_path, ending):
     surface = plain(z, pixel_um=1.0, x0_um=0.0, y0_um=0.0)
     export(surface, tmp_path / f"a{ending}")
     mesh = trimesh.load(tmp_path / f"a{ending}", force="mesh", process=False)
-    known = np.isfinite(z)
-    squares = known[:-1, :-1] & known[:-1, 1:] & known[1:, :-1] & known[1:, 1:]
+    valid = np.isfinite(z)
+    squares = valid[:-1, :-1] & valid[:-1, 1:] & valid[1:, :-1] & valid[1:, 1:]
     assert len(mesh.faces) == 2 * squares.sum()
     flat = trimesh.Trimesh(mesh.vertices * (1, 1, 0) if ending != ".glb" else mesh.vertices * (1, 0, 1), mesh.faces)
     assert flat.area == pytest.approx(squares.sum() * (1e-12 if ending == ".glb" else 1.0))
     assert flat.euler_number == trimesh.Trimesh(*by_hand(z)).euler_number
     if ending == ".glb":
-        np.testing.assert_array_equal(mesh.visual.vertex_colors[:, 0], surface.all_in_focus[known])
+        np.testing.assert_array_equal(mesh.visual.vertex_colors[:, 0], surface.all_in_focus[valid])
 
 
 def by_hand(z):
@@ -268,7 +268,7 @@ def test_the_density_of_a_mesh_is_chosen(tmp_path):
 
 
 @pytest.mark.parametrize("ending", MESHES)
-def test_a_mesh_is_not_read_and_the_reason_is_said(tmp_path, ending):
+def test_a_mesh_is_not_read_and_the_reason_is_reported(tmp_path, ending):
     with pytest.raises(DatasetError, match=rf"^a\{ending} is a mesh, a drawing .*: give the file it was made of"):
         read_surface(tmp_path / f"a{ending}")
 
@@ -277,7 +277,7 @@ def test_a_mesh_is_not_read_and_the_reason_is_said(tmp_path, ending):
 
 
 def test_scales_and_units_of_others(tmp_path):
-    """x in mm and z in nm, both said: no contradiction."""
+    """x in mm and z in nm, both message: no contradiction."""
     z = np.arange(12, dtype="<f4").reshape(3, 4)
     head = "Gwyddion Simple Field 1.0\nXRes = 4\nYRes = 3\nXReal = 0.004\nYReal = 0.003\nXYUnits = mm\nZUnits = nm\n"
     (tmp_path / "a.gsf").write_bytes(head.encode() + b"\0" * (4 - len(head) % 4) + z.tobytes())

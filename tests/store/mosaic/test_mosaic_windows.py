@@ -68,7 +68,7 @@ def changed_within(surface, windows):
     return dataclasses.replace(surface, z_um=z, origin=origin)
 
 
-def test_what_lies_beside_a_window_is_neither_read_nor_written(stored, tmp_path, surface):
+def test_pixels_outside_a_window_are_neither_read_nor_written(stored, tmp_path, surface):
     path = shutil.copytree(stored.path, tmp_path / "m.zarr")
     before = {file: file.stat().st_mtime_ns for file in path.rglob("*") if file.is_file()}
     watched = Source(surface)
@@ -112,8 +112,8 @@ def test_a_damaged_shard_is_named(stored, tmp_path, surface, harm):
     shard.write_bytes({"short": content[:-7], "empty": b""}.get(harm, content))
     with pytest.raises(DatasetError, match="z_um/0/c/1/2 is damaged: stitch the fields again"):
         ZarrMosaic.open(path).window()
-    beside = Region.rectangle(surface.x0_um, surface.y0_um, surface.x0_um + 9, surface.y0_um - 9)
-    assert_same_surface(ZarrMosaic.open(path).window(beside), surface.window(beside))
+    neighbour = Region.rectangle(surface.x0_um, surface.y0_um, surface.x0_um + 9, surface.y0_um - 9)
+    assert_same_surface(ZarrMosaic.open(path).window(neighbour), surface.window(neighbour))
     write_windows(path, surface, [(slice(0, 150), slice(0, 201))])
     assert_same_surface(ZarrMosaic.open(path).window(), surface)
 
@@ -137,13 +137,13 @@ def test_readers_never_see_half_a_shard(stored, tmp_path, surface):
     done = threading.Event()
 
     def read():
-        seen = set()
+        observed = set()
         reader = ZarrMosaic.open(path)
         while not done.is_set():
             z = reader.read("z_um", 0, slice(0, 64), slice(0, 64))
             assert (z == z[0, 0]).all()
-            seen.add(float(z[0, 0]))
-        return seen
+            observed.add(float(z[0, 0]))
+        return observed
 
     with ThreadPoolExecutor(2) as pool:
         readers = [pool.submit(read) for _ in range(2)]

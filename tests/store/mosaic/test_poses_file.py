@@ -16,10 +16,10 @@ from wafer_viewer.store.mosaic.poses_file import read_poses, write_poses, write_
 NUMBERS = np.random.default_rng(1)
 
 
-def _table(kind: type, n: int, **known: object) -> dict[str, object]:
+def _table(kind: type, n: int, **valid: object) -> dict[str, object]:
     fresh = {f.name: NUMBERS.normal(size=n) for f in dataclasses.fields(kind) if "Numbers" in str(f.type)}
-    whole = {f.name: NUMBERS.integers(0, 5, n) for f in dataclasses.fields(kind) if "NDArray" in str(f.type)}
-    return fresh | whole | known
+    full = {f.name: NUMBERS.integers(0, 5, n) for f in dataclasses.fields(kind) if "NDArray" in str(f.type)}
+    return fresh | full | valid
 
 
 def some_poses() -> Poses:
@@ -35,10 +35,10 @@ def test_poses_come_back_as_they_were(tmp_path: Path) -> None:
     again = read_poses(tmp_path / "poses.npz")
     assert again.form == poses.form
     assert again.notes == poses.notes
-    for table, kept in ((poses, again), (poses.shifts, again.shifts), (poses.seams, again.seams)):
+    for table, stored in ((poses, again), (poses.shifts, again.shifts), (poses.seams, again.seams)):
         for item in dataclasses.fields(table):
             if isinstance(value := getattr(table, item.name), np.ndarray):
-                np.testing.assert_array_equal(getattr(kept, item.name), value)
+                np.testing.assert_array_equal(getattr(stored, item.name), value)
 
 
 def test_a_torn_file_is_named(tmp_path: Path) -> None:

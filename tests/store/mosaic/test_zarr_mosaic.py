@@ -54,8 +54,8 @@ def test_one_layer_of_heights_is_read_alone_as_a_window_has_it(stored, monkeypat
     region = Region.rectangle(-10.2, 20.0, 33.0, 61.7)
     part = stored.window(region, level)
     read = []
-    whole = ZarrMosaic.read
-    monkeypatch.setattr(ZarrMosaic, "read", lambda self, name, *at: read.append(name) or whole(self, name, *at))
+    full = ZarrMosaic.read
+    monkeypatch.setattr(ZarrMosaic, "read", lambda self, name, *at: read.append(name) or full(self, name, *at))
     alone = stored.one_layer(layer, region, level)
     np.testing.assert_array_equal(alone.z_um, heights(part, layer))
     assert (alone.pixel_um, alone.x0_um, alone.y0_um) == (part.pixel_um, part.x0_um, part.y0_um)
@@ -66,13 +66,15 @@ def test_heights_and_picture_are_read_without_the_rest_as_a_window_has_them(stor
     region = Region.rectangle(-10.2, 20.0, 33.0, 61.7)
     part = stored.window(region)
     read = []
-    whole = ZarrMosaic.read
-    monkeypatch.setattr(ZarrMosaic, "read", lambda self, name, *at: read.append(name) or whole(self, name, *at))
-    seen = stored.pictured("unsmoothed", region)
-    np.testing.assert_array_equal(seen.z_um, part.z_raw_um)
-    np.testing.assert_array_equal(np.isnan(seen.picture), part.origin == Origin.NOT_COVERED)
-    np.testing.assert_array_equal(np.nan_to_num(seen.picture), np.where(np.isnan(seen.picture), 0, part.all_in_focus))
-    assert (seen.pixel_um, seen.x0_um, seen.y0_um) == (part.pixel_um, part.x0_um, part.y0_um)
+    full = ZarrMosaic.read
+    monkeypatch.setattr(ZarrMosaic, "read", lambda self, name, *at: read.append(name) or full(self, name, *at))
+    observed = stored.pictured("unsmoothed", region)
+    np.testing.assert_array_equal(observed.z_um, part.z_raw_um)
+    np.testing.assert_array_equal(np.isnan(observed.picture), part.origin == Origin.NOT_COVERED)
+    np.testing.assert_array_equal(
+        np.nan_to_num(observed.picture), np.where(np.isnan(observed.picture), 0, part.all_in_focus)
+    )
+    assert (observed.pixel_um, observed.x0_um, observed.y0_um) == (part.pixel_um, part.x0_um, part.y0_um)
     assert sorted(read) == ["all_in_focus", "origin", "z_raw_um"]
 
 

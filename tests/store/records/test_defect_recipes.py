@@ -44,7 +44,7 @@ def test_a_recipe_is_read_as_it_was_kept(tmp_path: Path):
         ("sensitivity = ", r"r\.toml: "),
     ],
 )
-def test_what_is_wrong_is_told(tmp_path: Path, text: str, says: str):
+def test_errors_are_reported(tmp_path: Path, text: str, says: str):
     path = tmp_path / "r.toml"
     path.write_text(text)
     with pytest.raises(MeasureError, match=says):
@@ -58,7 +58,7 @@ def test_one_without_a_product_or_a_file_is_refused(tmp_path: Path):
         read_defect_recipe(tmp_path / "gone.toml")
 
 
-def test_the_recipe_saved_last_comes_first_and_damaged_files_are_told(tmp_path: Path):
+def test_the_recipe_saved_last_comes_first_and_damaged_files_are_reported(tmp_path: Path):
     for n, name in enumerate(("standard", "keen", "dull")):
         path = save_defect_recipe(tmp_path, DefectRecipe(product="LX-7", name=name))
         os.utime(path, ns=(n, n))
@@ -93,7 +93,7 @@ def test_names_that_come_to_one_file_do_not_write_over_each_other(tmp_path: Path
         save_defect_recipe(tmp_path, DefectRecipe(product="LX/7"))
 
 
-def test_a_full_disk_is_told_and_nothing_is_left_there(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
+def test_a_full_disk_is_reported_and_nothing_is_left_there(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
     def full(*_: object, **__: object) -> None:
         raise OSError(errno.ENOSPC, "No space left on device")
 
@@ -103,7 +103,7 @@ def test_a_full_disk_is_told_and_nothing_is_left_there(tmp_path: Path, monkeypat
     assert list((tmp_path / "recipes").iterdir()) == []
 
 
-def test_a_folder_that_cannot_be_written_is_told(tmp_path: Path):
+def test_a_folder_that_cannot_be_written_is_reported(tmp_path: Path):
     (tmp_path / "recipes").write_text("a file")
     with pytest.raises(DatasetError, match=r"cannot be written: .*choose another"):
         save_defect_recipe(tmp_path, DefectRecipe(product="LX-7"))

@@ -34,7 +34,7 @@ def test_the_examples_are_certificates_of_the_virtual_blocks():
 
 
 @pytest.mark.parametrize(
-    ("text", "said"),
+    ("text", "message"),
     [
         (STEP.replace("expanded_um", "# expanded_um"), "gives no U"),
         (BLOCKS.replace("expanded_um = 0.06", "", 1), "gives no U (expanded_um, k = 2) of block V-1400"),
@@ -55,15 +55,15 @@ def test_the_examples_are_certificates_of_the_virtual_blocks():
         (BLOCKS.replace("1400.0", "20400.0"), "over 10 mm"),
     ],
 )
-def test_a_certificate_that_lacks_something_is_refused_in_one_sentence(tmp_path, text, said):
+def test_a_certificate_that_lacks_something_is_refused_in_one_sentence(tmp_path, text, message):
     path = tmp_path / "blocks.toml"
     path.write_text(text)
     with pytest.raises(MeasureError) as refused:
         read_certificate(path)
-    told = str(refused.value)
-    assert said in told
-    assert told.startswith("blocks.toml")
-    assert "\n" not in told
+    reported = str(refused.value)
+    assert message in reported
+    assert reported.startswith("blocks.toml")
+    assert "\n" not in reported
 
 
 def test_a_certificate_that_is_not_there_is_named(tmp_path):
@@ -75,11 +75,11 @@ def test_a_certificate_that_is_not_there_is_named(tmp_path):
 
 
 def test_signed_checks_are_read_back_whole(tmp_path):
-    kept = [record("2026-06-01", 400.0, 400.1), record("2026-06-02", 400.2)]
-    for one in kept:
+    stored = [record("2026-06-01", 400.0, 400.1), record("2026-06-02", 400.2)]
+    for one in stored:
         sign(tmp_path, one)
-    assert signed_checks(tmp_path) == tuple(kept)
-    assert signed_checks(tmp_path, ("A2", "A1")) == tuple(kept)
+    assert signed_checks(tmp_path) == tuple(stored)
+    assert signed_checks(tmp_path, ("A2", "A1")) == tuple(stored)
     assert signed_checks(tmp_path, ("A2",)) == ()
     assert signed_checks(tmp_path / "elsewhere") == ()
 
@@ -88,8 +88,8 @@ def test_a_torn_last_line_is_ignored_and_the_next_check_takes_its_place(tmp_path
     first, second = record("2026-06-01", 400.0), record("2026-06-02", 400.2)
     sign(tmp_path, first)
     log = tmp_path / GAUGE_LOG
-    whole = log.read_bytes()
-    log.write_bytes(whole + whole[: len(whole) // 2])
+    full = log.read_bytes()
+    log.write_bytes(full + full[: len(full) // 2])
     assert signed_checks(tmp_path) == (first,)
     sign(tmp_path, second)
     assert signed_checks(tmp_path) == (first, second)

@@ -25,14 +25,14 @@ def golden() -> GoldenDie:
 
 def test_what_is_read_is_what_was_kept(golden: GoldenDie, tmp_path: Path):
     path = save_golden(golden, tmp_path / "std")
-    kept = open_golden(path)
+    stored = open_golden(path)
     assert path.name == "std.1.golden.npz"
-    assert (kept.header.name, kept.header.version) == ("std", 1)
-    assert kept.header.made_at
-    told = {"name": "", "version": 0, "made_at": "", "software_version": ""}
-    assert replace(kept.header, **told) == golden.header
+    assert (stored.header.name, stored.header.version) == ("std", 1)
+    assert stored.header.made_at
+    reported = {"name": "", "version": 0, "made_at": "", "software_version": ""}
+    assert replace(stored.header, **reported) == golden.header
     for name, layer in golden.layers.items():
-        np.testing.assert_array_equal(kept.layers[name], layer)
+        np.testing.assert_array_equal(stored.layers[name], layer)
 
 
 def test_a_version_is_never_written_over(golden: GoldenDie, tmp_path: Path):
@@ -89,7 +89,7 @@ def test_layers_of_different_sizes_are_no_golden_die(golden: GoldenDie):
         with_changes(golden, picture=golden.picture[1:])
 
 
-def test_a_full_disk_is_told_and_nothing_is_left_there(golden: GoldenDie, tmp_path: Path, monkeypatch):
+def test_a_full_disk_is_reported_and_nothing_is_left_there(golden: GoldenDie, tmp_path: Path, monkeypatch):
     def full(*_: object, **__: object) -> None:
         raise OSError(errno.ENOSPC, "No space left on device")
 

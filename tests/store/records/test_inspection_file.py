@@ -19,7 +19,7 @@ def test_an_inspection_is_read_as_it_was_kept(tmp_path: Path):
     assert [path.name for path in (tmp_path / "default").iterdir()] == ["defects.json"]
 
 
-def test_a_torn_file_is_told_and_not_taken_for_a_clean_wafer(tmp_path: Path):
+def test_a_torn_file_is_reported_and_not_taken_for_a_clean_wafer(tmp_path: Path):
     write_inspection(tmp_path, inspection(defect(1, "0,0", 100.0, 50.0)))
     path = tmp_path / "defects.json"
     path.write_bytes(path.read_bytes()[:200])
@@ -27,18 +27,24 @@ def test_a_torn_file_is_told_and_not_taken_for_a_clean_wafer(tmp_path: Path):
         read_inspection(tmp_path)
 
 
-def test_a_folder_that_is_a_file_is_told(tmp_path: Path):
+def test_a_folder_that_is_a_file_is_reported(tmp_path: Path):
     (tmp_path / "default").write_text("")
     with pytest.raises(DatasetError, match="cannot be written"):
         write_inspection(tmp_path / "default", inspection())
 
 
-def test_words_go_with_the_place_and_not_with_the_number():
-    said = {"judgement": "real", "judged_kind": "residue", "note": "gel", "judged_by": "RB", "judged_at": "2026-11-22"}
-    before = inspection(defect(1, "0,0", 100.0, 50.0, **said), defect(2, "0,0", 300.0, 50.0))
+def test_judgements_follow_the_position_not_the_number():
+    message = {
+        "judgement": "real",
+        "judged_kind": "residue",
+        "note": "gel",
+        "judged_by": "RB",
+        "judged_at": "2026-11-22",
+    }
+    before = inspection(defect(1, "0,0", 100.0, 50.0, **message), defect(2, "0,0", 300.0, 50.0))
     again = carry_over(before, inspection(defect(1, "0,0", 300.0, 50.0), defect(2, "0,0", 103.0, 51.0)))
     assert [d.judgement for d in again.defects] == ["open", "real"]
-    assert {name: getattr(again.defects[1], name) for name in said} == said
+    assert {name: getattr(again.defects[1], name) for name in message} == message
     assert again.defects[1].kind == "particle"
     assert again.notes == ()
 
@@ -49,7 +55,7 @@ def test_a_word_is_given_once_and_to_the_nearest():
     assert [d.judgement for d in again.defects] == ["open", "nuisance"]
 
 
-def test_a_judged_defect_that_is_gone_is_told():
+def test_a_judged_defect_that_is_gone_is_reported():
     before = inspection(defect(7, "0,0", 100.0, 50.0, note="look again"))
     again = carry_over(before, inspection(defect(1, "1,0", 100.0, 50.0)))
     assert again.notes == ("Judged before and not found this time: 7 of the inspection before.",)

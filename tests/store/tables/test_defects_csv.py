@@ -9,7 +9,7 @@ from tests.support.datasets.inspections import defect, inspection
 from wafer_viewer.store.tables.csv_tables import DEFECT_COLUMNS, defects_csv
 
 
-def test_a_line_for_each_with_its_u_and_whose_word_it_is():
+def test_each_result_row_has_its_uncertainty_and_judge():
     found = inspection(
         defect(1, "0,0", 100.0, 50.5, judged_kind="pit", judged_by="RB", judged_at="2026-11-22T05:00:00"),
         defect(2, "1,0", 1.0, 2.0, size_resolved=False),

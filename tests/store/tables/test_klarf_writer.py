@@ -69,7 +69,7 @@ def test_every_class_but_unmeasured_has_a_number():
     assert sorted(CLASS_NUMBERS.values()) == list(range(1, 9))
 
 
-def test_without_dies_it_says_so(tmp_path: Path):
+def test_missing_dies_are_reported(tmp_path: Path):
     with pytest.raises(DatasetError, match="gives places by dies and this inspection has none"):
         write_klarf(inspection(grid=None), tmp_path / "no.klarf")
     assert not list(tmp_path.iterdir())
@@ -110,7 +110,7 @@ def _replaced(old: str, new: str) -> Callable[[str], str]:
         (_replaced("DiePitch", "DiePatch"), "it has no record DiePitch"),
     ],
 )
-def test_what_is_wrong_is_said_in_one_sentence(file: Path, damage: Callable[[str], str], says: str):
+def test_errors_are_reported(file: Path, damage: Callable[[str], str], says: str):
     damaged = damage(file.read_text())
     assert damaged != file.read_text()
     file.write_text(damaged)
@@ -119,9 +119,9 @@ def test_what_is_wrong_is_said_in_one_sentence(file: Path, damage: Callable[[str
     assert str(fault.value).count(". ") == 0
 
 
-def test_without_a_summary_it_is_said_that_nothing_was_counted(file: Path):
+def test_without_a_summary_it_is_reported_that_nothing_was_counted(file: Path):
     file.write_text(file.read_text().replace("SummaryList", "SummaryLost"))
-    assert read_klarf(file).notes == ("The file has no summary: whether records are missing cannot be told.",)
+    assert read_klarf(file).notes == ("The file has no summary: missing records cannot be detected.",)
 
 
 def test_lines_that_list_images_are_no_defects(file: Path):
@@ -135,7 +135,7 @@ def test_numbers_of_a_defect_may_go_on_in_the_next_line(file: Path):
     assert read_klarf(file) == expected
 
 
-def test_a_file_that_is_not_there_is_told(tmp_path: Path):
+def test_a_file_that_is_not_there_is_reported(tmp_path: Path):
     with pytest.raises(DatasetError, match="does not exist"):
         read_klarf(tmp_path / "gone.klarf")
 

@@ -48,7 +48,7 @@ def test_a_number_has_its_uncertainty_or_the_word_why_not():
 def test_what_is_no_length_has_its_own_unit():
     slope = Quantity.evaluated(3.25, "deg", (BudgetLine(name="noise", u=0.05),))
     length, point = Length(value_um=7.0), Region.point(1.0, 2.0)
-    way = Distance(number=1, start=point, end=point, distance=length, lateral=length, dz=length, slope=slope)
+    direction = Distance(number=1, start=point, end=point, distance=length, lateral=length, dz=length, slope=slope)
     um2, um3 = (Quantity(value=v, unit=u) for v, u in ((200.0, "um2"), (1234.5, "um3")))
     none = Quantity(value=0.0, unit="um3")
     over = AreaVolume(
@@ -65,7 +65,7 @@ def test_what_is_no_length_has_its_own_unit():
         noise_um=0.1,
         measured_fraction=0.75,
     )
-    found = table(way, over)
+    found = table(direction, over)
     assert [found[1, "slope"][c] for c in ("value", "U", "unit")] == ["3.25", "0.1", "deg"]
     assert [found[2, "volume_below"][c] for c in ("value", "unit", "status")] == ["1234.5", "um3", "not evaluated"]
     assert [found[2, "measured_fraction"][c] for c in ("value", "unit", "status")] == ["0.75", "1", ""]

@@ -48,9 +48,9 @@ class AxisLimits(Spec, frozen=True, kw_only=True):
 
     def move_s(self, distance_um: float, speed_um_s: float | None = None) -> float:
         """Return the duration of a move in s, with settling, at full speed or a given speed."""
-        way_um, speed = abs(distance_um), speed_um_s or self.speed_um_s
-        top = min(speed, math.sqrt(way_um * self.acceleration_um_s2))
-        return (way_um / top + top / self.acceleration_um_s2 if top > 0 else 0.0) + self.settle_s
+        travel_um, speed = abs(distance_um), speed_um_s or self.speed_um_s
+        top = min(speed, math.sqrt(travel_um * self.acceleration_um_s2))
+        return (travel_um / top + top / self.acceleration_um_s2 if top > 0 else 0.0) + self.settle_s
 
 
 class CameraLimits(Spec, frozen=True, kw_only=True):

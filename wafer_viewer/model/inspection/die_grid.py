@@ -104,7 +104,7 @@ class DieGrid(Spec, frozen=True, kw_only=True):
         )
 
     def _listed(self, alignment: Alignment) -> Dies:
-        places = ((self.name(*at), alignment.to_wafer(*self.corner(*at))) for at in self.places)
+        places = ((self.name(*place), alignment.to_wafer(*self.corner(*place))) for place in self.places)
         listed = tuple(Die(name=name, x_um=x_um, y_um=y_um) for name, (x_um, y_um) in places)
         return Dies(width_um=self.width_um, height_um=self.height_um, listed=listed)
 

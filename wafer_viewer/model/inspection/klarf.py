@@ -68,8 +68,8 @@ class Klarf(Spec, frozen=True, kw_only=True):
     @property
     def grid(self) -> DieGrid:
         """Lattice with the wafer centre at stage zero; dies are as large as their pitch."""
-        at = [*self.dies, *((d.col, d.row) for d in self.defects)] or [(0, 0)]
-        (first_col, last_col), (first_row, last_row) = ((min(part), max(part)) for part in zip(*at, strict=True))
+        places = [*self.dies, *((d.col, d.row) for d in self.defects)] or [(0, 0)]
+        (first_col, last_col), (first_row, last_row) = ((min(part), max(part)) for part in zip(*places, strict=True))
         return DieGrid(
             pitch_x_um=self.pitch_x_um,
             pitch_y_um=self.pitch_y_um,

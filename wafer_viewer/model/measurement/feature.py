@@ -54,9 +54,9 @@ class Feature(Spec, frozen=True, kw_only=True, omit_defaults=True):
             self.refuse("upper_limit", f"over the lower limit {self.lower_limit:g} {self.unit}")
         if self.tool not in TOOLS:
             self.refuse("tool", f"one of {', '.join(map(repr, TOOLS))}")
-        asked = TOOLS[self.tool].places
-        if self.places and [place.kind for place in self.places] != [place.kind for place in asked]:
-            self._require_places(len(asked))
+        required = TOOLS[self.tool].places
+        if self.places and [place.kind for place in self.places] != [place.kind for place in required]:
+            self._require_places(len(required))
 
     @property
     def has_place(self) -> bool:
@@ -89,8 +89,12 @@ class Feature(Spec, frozen=True, kw_only=True, omit_defaults=True):
 
     def _require_places(self, n: int) -> None:
         """Refuse regions of the wrong number or kind; rectangle, polygon and circle may replace each other."""
-        kinds = [(given.kind, asked.kind) for given, asked in zip(self.places, TOOLS[self.tool].places, strict=False)]
-        same = all(given == asked or {given, asked} <= {"rectangle", "polygon", "circle"} for given, asked in kinds)
+        kinds = [
+            (given.kind, required.kind) for given, required in zip(self.places, TOOLS[self.tool].places, strict=False)
+        ]
+        same = all(
+            given == required or {given, required} <= {"rectangle", "polygon", "circle"} for given, required in kinds
+        )
         if len(self.places) != n or not same:
             names = ", ".join(f"{place.name} ({place.kind})" for place in TOOLS[self.tool].places)
             given = ", ".join(place.kind for place in self.places)

@@ -69,8 +69,8 @@ def numbered(outline: Outline, along: Along, number: int, width_um: float = 0.0)
 
 def nearest(outline: Outline, along: Along, x_um: float, y_um: float) -> int:
     """Return the number of the row or column nearest to a position."""
-    at = (outline.y0_um - y_um) if along == "row" else (x_um - outline.x0_um)
-    return min(max(round(at / outline.pixel_um), 0), outline.shape[along == "column"] - 1)
+    offset_um = (outline.y0_um - y_um) if along == "row" else (x_um - outline.x0_um)
+    return min(max(round(offset_um / outline.pixel_um), 0), outline.shape[along == "column"] - 1)
 
 
 def perpendicular_line(line: Region, outline: Outline) -> Region:
@@ -86,8 +86,8 @@ def parallel_line(line: Region, outline: Outline) -> Region:
     """Return a parallel line, offset by a sixth of the line's length to a side that fits on the surface."""
     (xa, ya), (xb, yb) = ((p.x_um, p.y_um) for p in line.points)
     u, v = (xb - xa) / 6, (yb - ya) / 6
-    ways = [Region.line(xa - k * v, ya + k * u, xb - k * v, yb + k * u, line.width_um) for k in (1, -1)]
-    return next((way for way in ways if _holds(outline, way)), _clipped(outline, ways[0]))
+    lines = [Region.line(xa - k * v, ya + k * u, xb - k * v, yb + k * u, line.width_um) for k in (1, -1)]
+    return next((candidate for candidate in lines if _holds(outline, candidate)), _clipped(outline, lines[0]))
 
 
 def middle(line: Region) -> tuple[float, float]:
@@ -154,9 +154,9 @@ def _clipped(outline: Outline, line: Region) -> Region:
     return Region.line(xa, ya, xb, yb, line.width_um)
 
 
-def _room(at: float, half: float, low: float, high: float) -> tuple[float, ...]:
+def _room(position: float, half: float, low: float, high: float) -> tuple[float, ...]:
     """Return the free length to both sides of a line's midpoint, as a fraction of half its length."""
-    return (max(0.0, min(at - low, high - at)) / abs(half),) if half else ()
+    return (max(0.0, min(position - low, high - position)) / abs(half),) if half else ()
 
 
 @dataclass(frozen=True, slots=True)

@@ -195,13 +195,15 @@ def joined(tables: Sequence[T]) -> T:
 
 def no_shifts() -> Shifts:
     """Return an empty table."""
-    whole, real = np.zeros(0, np.int32), np.zeros(0)
+    integers, floats = np.zeros(0, np.int32), np.zeros(0)
     code, share = np.zeros(0, np.uint8), np.zeros(0, np.float32)
-    return Shifts(whole, whole, real, real, real, real, share, code, code, share, real, real)
+    return Shifts(integers, integers, floats, floats, floats, floats, share, code, code, share, floats, floats)
 
 
 def no_seams() -> HeightOffsets:
     """Return an empty table."""
-    whole, real = np.zeros(0, np.int32), np.zeros(0)
+    integers, floats = np.zeros(0, np.int32), np.zeros(0)
     share = np.zeros(0, np.float32)
-    return HeightOffsets(whole, whole, real, real, real, real, real, np.zeros((0, 3, 3)), whole, share, real, real)
+    return HeightOffsets(
+        integers, integers, floats, floats, floats, floats, floats, np.zeros((0, 3, 3)), integers, share, floats, floats
+    )

@@ -120,7 +120,7 @@ def _missing(mosaic: Path) -> list[Checksum | str]:
     try:
         return [str(missing(path)) for path in dict.fromkeys(missing_files(ZarrMosaic.open(mosaic)))]
     except DatasetError:
-        return []  # the damaged file has a sentence of its own
+        return []  # the damaged file is reported separately
 
 
 def _report(title: str, states: list[Checksum | str]) -> KindReport:
@@ -183,7 +183,7 @@ KINDS = (
     _kind("Results", _RESULT + r"(findings|defects|verdict|comparison)\.json", _json_state),
     _kind("Notebooks", _RESULT + r"notebook\.json", _json_state),
     _kind("Frames", rf"{FRAMES}/[^/]+\.tif", None),  # compared with the journal
-    _kind("Pictures of results", _RESULT + r"thumbnails/\d+\.jpg", None),  # looked at, never measured on
+    _kind("Pictures of results", _RESULT + r"thumbnails/\d+\.jpg", None),  # for viewing only, never measured
     _kind("Lock", r"lock", None),  # names the process that writes; the lock of the operating system counts
     _kind("Left by a process that ended", r"(.+/)?\.[^/]+\.part(/.*)?", None),  # never read
 )

@@ -147,7 +147,7 @@ def _gridded(points: PointCloud, pixel_um: float, options: ReadOptions) -> Heigh
         low = np.minimum(low, [x_um.min(initial=np.inf), y_um.min(initial=np.inf)])
         high = np.maximum(high, [x_um.max(initial=-np.inf), y_um.max(initial=-np.inf)])
     if not np.isfinite(low).all():
-        raise options.refuse("holds no height: write it again from a surface that has some.")
+        raise options.refuse("contains no heights: export it again from a measured surface.")
     cols, rows = (int(n) for n in np.floor((high - low) / pixel_um + 0.5) + 1)
     lattice = PointLattice(pixel_um, float(low[0]), float(high[1]), rows, cols)
     _require_room(lattice, options)
@@ -171,7 +171,7 @@ def _detect_lattice(points: PointCloud, options: ReadOptions) -> PointLattice | 
         if max(len(xs), len(ys)) > MOST_LINES:
             return None
     if not n_points:
-        raise options.refuse("holds no height: write it again from a surface that has some.")
+        raise options.refuse("contains no heights: export it again from a measured surface.")
     if min(len(xs), len(ys)) < _TOO_FEW:
         raise options.refuse("has its points on one line: give a file with a surface.")
     along, across = _pitch(xs), _pitch(ys)
@@ -219,7 +219,7 @@ def _um(block: Block, points: PointCloud) -> tuple[Floats, Floats, Floats]:
 
 AT_A_TIME = 1_000_000
 """Number of points in memory at a time."""
-_CUT_OFF = "is cut off: it has fewer points than it says, so copy it again."
+_CUT_OFF = "is truncated, it has fewer points than its header states: copy it again."
 
 
 def count(strips: Strips, part: int, of: int) -> int:

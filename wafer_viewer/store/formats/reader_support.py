@@ -57,11 +57,11 @@ class ReadOptions:
         sign = -1.0 if self.overrides.invert_z else 1.0
         given = self.overrides.z_unit
         if not unit and given is None:
-            raise self.refuse("does not say the unit of its heights: give it, as in --z-unit um.")
+            raise self.refuse("states no unit of its heights: give it, as in --z-unit um.")
         if not unit:
             return sign * self._length(given or "", "--z-unit")
         if given is not None and not same(self._length(given, "--z-unit"), self._length(unit, "its heights")):
-            raise self.refuse(f"says that its heights are in {unit}, and --z-unit says {given}: leave --z-unit out.")
+            raise self.refuse(f"states heights in {unit}, but --z-unit is {given}: leave --z-unit out.")
         return sign * self._length(unit, "its heights")
 
     def lateral_um(self, unit: str | None, quantity: str = "its x and y") -> float | None:
@@ -73,7 +73,7 @@ class ReadOptions:
         given = self.overrides.pixel_um
         if dx_um is None or not math.isfinite(dx_um) or dx_um == 0:
             if given is None:
-                raise self.refuse("does not say its pixel size: give it, as in --pixel-um 0.5.")
+                raise self.refuse("states no pixel size: give it, as in --pixel-um 0.5.")
             return given
         dy_um = dx_um if dy_um is None else dy_um
         if dx_um < 0 or dy_um < 0:
@@ -83,7 +83,7 @@ class ReadOptions:
                 f"has pixels of {dx_um:.6g} x {dy_um:.6g} um: resample it to square pixels before, as Gwyddion does."
             )
         if given is not None and not same(given, dx_um):
-            raise self.refuse(f"says that a pixel is {dx_um:.6g} um, and --pixel-um {given:g}: leave --pixel-um out.")
+            raise self.refuse(f"states pixels of {dx_um:.6g} um, but --pixel-um is {given:g}: leave --pixel-um out.")
         return dx_um
 
     def watch(self, items: list[Any]) -> Iterator[Any]:
@@ -142,7 +142,7 @@ def heights_only(
 def require_some(options: ReadOptions, finite: NDArray[np.bool_]) -> None:
     """Raise DatasetError if no pixel is known."""
     if not finite.any():
-        raise options.refuse("holds no height: write it again from a surface that has some.")
+        raise options.refuse("contains no heights: export it again from a measured surface.")
 
 
 def same(a: float, b: float) -> bool:

@@ -85,7 +85,7 @@ def read_surface(
     )
     _require_file(place, options)
     try:
-        with np.errstate(over="ignore", invalid="ignore"):  # numbers beyond all heights are no heights
+        with np.errstate(over="ignore", invalid="ignore"):  # numbers beyond the range of heights are invalid
             return read(place, options)
     except DAMAGE as fault:
         raise options.refuse("cannot be read, it is damaged: copy it again.") from fault

@@ -85,7 +85,9 @@ def thinned(surface: HeightMap, every: int) -> HeightMap:
     """Return every n-th row and column of a map: measured heights, not means."""
     sparse = slice(None, None, every)
     names = ("z_um", "z_raw_um", "confidence", "all_in_focus", "origin")
-    layers = {name: getattr(surface, name)[sparse, sparse].copy() for name in names}  # a view would keep it all
+    layers = {
+        name: getattr(surface, name)[sparse, sparse].copy() for name in names
+    }  # a view would keep the full array in memory
     return dataclasses.replace(surface, **layers, overlap_um=None, pixel_um=surface.pixel_um * every)
 
 

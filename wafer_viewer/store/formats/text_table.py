@@ -133,9 +133,7 @@ def _require_consistent_units(units: dict[str, str], named_unit: str, options: R
     """Raise DatasetError when the units of columns and comment contradict each other."""
     for axis, unit in units.items():
         if options.lateral_um(unit) != options.lateral_um(named_unit):
-            raise options.refuse(
-                f"says that its unit is {named_unit} and that its {axis} is in {unit}: keep what is right."
-            )
+            raise options.refuse(f"states the unit {named_unit}, but its {axis} is in {unit}: correct the wrong one.")
 
 
 def _blocks(path: Path, head: _Head, options: ReadOptions) -> Iterator[Block]:

@@ -39,7 +39,7 @@ def write_tiff(strips: Strips, path: Path) -> None:
         resolutionunit="CENTIMETER",
         returnoffset=True,
     ) or (0, 0)
-    with path.open("r+b") as file:  # what the disk cannot hold is refused here, as it would not be by a mapped file
+    with path.open("r+b") as file:  # a full disk fails here; a memory-mapped file would fail later
         file.seek(begin)
         for z_um in strips.layer("z_um"):
             file.write(z_um.astype("<f4").tobytes())
@@ -71,7 +71,7 @@ def read_tiff(path: Path, options: ReadOptions) -> HeightMap:
         and not same(float(described_um), lateral_um[0])
     ):
         raise options.refuse(
-            f"says that a pixel is {described_um:g} um and {lateral_um[0]:g} um by its resolution: keep what is right."
+            f"states pixels of {described_um:g} um, but {lateral_um[0]:g} um by its resolution: correct the wrong one."
         )
     dx_um, dy_um = (
         (described_um, described_um) if isinstance(described_um, float | int) else (lateral_um or (None, None))

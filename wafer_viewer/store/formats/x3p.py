@@ -138,7 +138,7 @@ def _main_of(archive: zipfile.ZipFile, options: ReadOptions) -> ElementTree.Elem
         )
     try:
         if b"<!DOCTYPE" in text:
-            raise options.refuse(f"has a document type in its {MAIN}, which X3P has not: write it again.")
+            raise options.refuse(f"has a document type in its {MAIN}, which X3P does not allow: export it again.")
         root = ElementTree.fromstring(text)
     except ElementTree.ParseError as fault:
         raise options.refuse(f"is damaged: its {MAIN} cannot be read, so copy it again.") from fault
@@ -159,7 +159,7 @@ def _heights(
         raise options.refuse("keeps its heights as text or in an unknown type: write it again with binary data.")
     name, dtype = _member_name(archive, link, options), np.dtype(_TYPES[kind])
     if archive.getinfo(name).file_size < rows * cols * dtype.itemsize:
-        raise options.refuse("is cut off: it has fewer heights than it says, so copy it again.")
+        raise options.refuse("is truncated, it has fewer heights than its header states: copy it again.")
     z_um, digest = np.empty((rows, cols), np.float32), hashlib.md5(usedforsecurity=False)
     valid = _valid(archive, main, rows * cols, options)
     with archive.open(name) as file:
@@ -217,14 +217,14 @@ def _axis(main: ElementTree.Element, name: str, options: ReadOptions) -> tuple[f
             f"has an axis {name} whose increment or offset is not a number: write it again."
         ) from fault
     if texts[0] is None and name != "CZ":
-        raise options.refuse(f"does not say the increment of its axis {name}: write it again with its pixel size.")
+        raise options.refuse(f"states no increment of its axis {name}: export it again with its pixel size.")
     return increment, offset
 
 
 def _size(main: ElementTree.Element, name: str, options: ReadOptions) -> int:
     text = (_text(main, f"Record3/MatrixDimension/{name}") or "").strip()
     if not text.isdigit() or int(text) < 1:
-        raise options.refuse(f"does not say its {name}: write it again as a surface on a grid.")
+        raise options.refuse(f"states no {name}: export it again as a surface on a grid.")
     return int(text)
 
 

@@ -36,7 +36,7 @@ def atomic_write(path: Path) -> Generator[Path]:
         with os_errors_as_dataset_errors(path):
             yield temporary
             _move(temporary, path)
-    except DatasetError as fault:  # people know the place by its own name
+    except DatasetError as fault:  # report the name that the user knows
         raise DatasetError(str(fault).replace(temporary.name, path.name)) from fault
     finally:
         remove(temporary)

@@ -1,6 +1,6 @@
 """Sharded arrays: files of individually encoded chunks with an index of their offsets (``sharding_indexed``).
 
-Zarr's own library takes 1.1 to 2.4 times as long, zarrs with all cores as long as ours with one
+Zarr's own library takes 1.1 to 2.4 times as long, the zarrs package on all cores as long as this module on one
 (tests/bench/shard_peers.py). Both open the file separately for the index and the chunks, between which another process
 may have replaced it. Here a shard is replaced by one rename and read through one open file; unchanged chunks are copied
 without decoding.

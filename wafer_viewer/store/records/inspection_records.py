@@ -119,7 +119,7 @@ def _files(folder: Path) -> list[Path]:
 def _place(folder: Path, product: str, name: str) -> Path:
     """Return the path of a recipe. Raises DatasetError for an empty name, or if another recipe has the same file."""
     if not product.strip() or not name.strip():
-        raise DatasetError("A defect recipe is kept under a product and a name: give both.")
+        raise DatasetError("A defect recipe is saved under a product and a name: give both.")
     path = folder / FOLDER / f"{_plain(product)}-{_plain(name)}{ENDING}"
     if path.exists():
         existing = read_defect_recipe(path)

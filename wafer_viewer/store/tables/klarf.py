@@ -184,7 +184,7 @@ def _um_per_unit(records: Records, unit: KlarfUnit | None) -> tuple[float, tuple
         raise DatasetError(f"it is KLARF {version} and not one of {', '.join(VERSIONS)}: export it as 1.2.")
     named_unit = next((records[name].words[0].lower() for name in ("Units", "Unit") if name in records), "")
     if named_unit and unit and named_unit != unit:
-        raise DatasetError(f"it says that its unit is {named_unit}, not {unit}: leave the unit out.")
+        raise DatasetError(f"it states the unit {named_unit}, not {unit}: leave the unit out.")
     used = named_unit or unit or "um"
     if used not in UM_PER:
         raise DatasetError(f"its unit is {used!r}, not one of {', '.join(UM_PER)}: export it in um.")
@@ -289,7 +289,7 @@ def _rows(listed: DefectList) -> Iterator[dict[str, str]]:
             continue
         begun = begun if pending else n
         joined = pending + words
-        if pending and len(words) >= least and len(joined) > len(listed.columns):  # the next defect, whole by itself
+        if pending and len(words) >= least and len(joined) > len(listed.columns):  # this line is a complete defect
             raise DatasetError(_too_few(begun, len(pending), least))
         pending = joined if len(joined) < least else ()
         if not pending:
@@ -357,7 +357,7 @@ def _require_plausible(klarf: Klarf) -> None:
 
 
 def _unchecked(klarf: Klarf) -> Klarf:
-    note = "The file has no summary: whether records are missing cannot be told."
+    note = "The file has no summary: missing records cannot be detected."
     return replace(klarf, notes=(*klarf.notes, note))
 
 
