@@ -54,7 +54,7 @@ def test_with_a_frame_missing_it_is_the_map_of_what_is_there(stack: FieldStack) 
 
 
 def test_what_cannot_be_live_says_why(stack: FieldStack) -> None:
-    with pytest.raises(ComputeError, match="settled recipe"):
+    with pytest.raises(ComputeError, match="automatic values have been chosen"):
         LiveField(stack.images, 4.0, Recipe())
     recipe = settled_recipe(stack)
     with pytest.raises(ComputeError, match="8-bit grey, not uint16"):

@@ -102,7 +102,7 @@ FAULTS = {
     "no unit.gsf": (gsf(ZUnits=None), "states no unit of its heights: give it, as in --z-unit um"),
     "no pixel.gsf": (gsf(XYUnits=None), "states no pixel size: give it, as in --pixel-um 0.5"),
     "volts.gsf": (gsf(ZUnits="V"), "gives its heights in 'V', which is not a unit of length"),
-    "twice.gsf": (gsf().replace(b"ZUnits = m\n", b"ZUnits = m\nZUnits = nm\n"), "says ZUnits twice, m and nm"),
+    "twice.gsf": (gsf().replace(b"ZUnits = m\n", b"ZUnits = m\nZUnits = nm\n"), "states ZUnits twice, m and nm"),
     "oblong.gsf": (gsf(YReal=4e-6), "has pixels of 1 x 1.33333 um: resample it to square pixels"),
     "no unit.csv": (TABLE.encode(), "states no unit of its heights"),
     "two units.csv": (
@@ -134,8 +134,8 @@ FAULTS = {
     "cut.x3p": (lambda p: written(p, ".x3p")[:4000], "is cut off or damaged: its zip archive"),
     "cut.gwy": (lambda p: written(p, ".gwy")[:4000], "is cut off or damaged"),
     "cut.gsf": (gsf()[:-4], "is cut off or too long"),
-    "cut.ply": (lambda p: written(p, ".ply")[:-9], "is cut off: it has fewer points"),
-    "cut.pcd": (lambda p: written(p, ".pcd")[:-9], "is cut off: it has fewer points"),
+    "cut.ply": (lambda p: written(p, ".ply")[:-9], "is truncated, it has fewer points"),
+    "cut.pcd": (lambda p: written(p, ".pcd")[:-9], "is truncated, it has fewer points"),
     "cut.tif": (lambda p: written(p, ".tif")[:3000], "cannot be read as TIFF"),
     "changed.x3p": (changed_data, "was changed after it was written, the checksum of its heights is wrong"),
     "main.x3p": (
