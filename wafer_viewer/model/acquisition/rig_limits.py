@@ -30,6 +30,20 @@ class AxisLimits(Spec, frozen=True, kw_only=True):
         if self.high_um <= self.low_um:
             self.refuse("high_um", f"over low_um, which is {self.low_um:g}")
 
+    def require_reachable(self, axis: str, to_um: float) -> None:
+        """Raise RigError when a position is out of range."""
+        if not self.low_um <= to_um <= self.high_um:
+            raise RigError(
+                f"The {axis} axis cannot go to {to_um:.2f} um: its range is {self.low_um:g} to {self.high_um:g} um."
+            )
+
+    def require_speed(self, axis: str, speed_um_s: float) -> None:
+        """Raise RigError when the axis cannot move at a speed."""
+        if not 0 < speed_um_s <= self.speed_um_s:
+            raise RigError(
+                f"The {axis} axis cannot go at {speed_um_s:g} um/s: its limit is {self.speed_um_s:g} um/s."
+            )
+
     def counts(self, position_um: float) -> int:
         """Return the scale count at a position."""
         return round(position_um * self.counts_per_um)

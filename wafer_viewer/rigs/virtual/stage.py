@@ -153,14 +153,6 @@ class VirtualAxis:
         self.limits = limits
         self.profile = standing(0.0)
 
-    def check(self, to_um: float) -> None:
-        """Raise RigError when a position is out of range."""
-        if not self.limits.low_um <= to_um <= self.limits.high_um:
-            raise RigError(
-                f"The {self.name} axis cannot go to {to_um:.2f} um: its range is {self.limits.low_um:g} to "
-                f"{self.limits.high_um:g} um."
-            )
-
     def start(self, now_s: float, to_um: float, speed_um_s: float, late_s: float = 0.0) -> None:
         """Begin a motion, `late_s` after its command."""
         self.profile = trapezoid(
@@ -261,10 +253,7 @@ class VirtualStage:
         """Begin a motion of one axis at a given speed, and return at once."""
         one = self.axes[axis]
         self._check(one, to_um)
-        if not 0 < speed_um_s <= one.limits.speed_um_s:
-            raise RigError(
-                f"The {axis} axis cannot go at {speed_um_s:g} um/s: its limit is {one.limits.speed_um_s:g} um/s."
-            )
+        one.limits.require_speed(axis, speed_um_s)
         self._start(one, to_um, speed_um_s, self._command())
 
     def homed(self) -> bool:
@@ -285,12 +274,21 @@ class VirtualStage:
 
     def stop(self) -> None:
         """Decelerate every axis to a halt. This is not an emergency stop."""
+        self._endless = False
+        for axis in self.axes:
+            self.halt(axis)
+
+    def redirect(self, axis: Axis, to_um: float, speed_um_s: float) -> None:
+        """Begin a motion of one axis, even out of its range or in the middle of another: for simulated controllers."""
+        self._start(self.axes[axis], to_um, speed_um_s, self._command())
+
+    def halt(self, axis: Axis) -> None:
+        """Decelerate one axis to a halt."""
         self._clock.catch_up()
-        now_s, self._endless = self._clock.now_s(), False
-        for axis in self.axes.values():
-            if axis.moving(now_s):
-                axis.stop(now_s)
-                self._tell(axis, now_s)
+        now_s, one = self._clock.now_s(), self.axes[axis]
+        if one.moving(now_s):
+            one.stop(now_s)
+            self._tell(one, now_s)
 
     def _arrive(self, should_stop: ShouldStop | None) -> None:
         """Wait for the end of a motion, or interrupt it; settling alone is not interrupted."""
@@ -311,7 +309,7 @@ class VirtualStage:
         return MotionStopped.at(here.x_um, here.y_um, here.z_um)
 
     def _check(self, axis: VirtualAxis, to_um: float) -> None:
-        axis.check(to_um)
+        axis.limits.require_reachable(axis.name, to_um)
         if axis.moving(self._clock.now_s()):
             raise RigError(f"The {axis.name} axis is still moving: wait for it or stop it first.")
 

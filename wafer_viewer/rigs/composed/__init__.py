@@ -1,0 +1,1 @@
+"""Rigs composed of devices by role, and their checks."""
