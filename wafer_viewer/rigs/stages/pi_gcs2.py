@@ -81,8 +81,8 @@ class PiController:
             self._searching.clear()
         mask = self._ask(MOVING, lambda lines: int(lines[0], 16))
         moving = {address for bit, address in enumerate(self._order) if mask >> bit & 1} & set(self._names)
+        self._require_no_error("motion", also=(STOPPED_BY_COMMAND,))
         if not moving:
-            self._require_no_error("motion", also=(STOPPED_BY_COMMAND,))
             servo, on_target = self._values("SVO?", FLAG), self._values("ONT?", FLAG)
             return [name for name in self._addresses if servo[name] and not on_target[name]]
         return [self._names[address] for address in moving]

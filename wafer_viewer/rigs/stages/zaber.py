@@ -90,6 +90,8 @@ class ZaberController:
         self._axes = axes
         self._places = {name: _place(axis.address) for name, axis in axes.items()}
         self._number = 0
+        self._lost: set[str] = set()
+        """Axes that had a fault and were not homed since."""
         for device in sorted({device for device, _ in self._places.values()}):
             self._ask((device, 0), "set comm.checksum 1")
         for name, axis in axes.items():
@@ -109,28 +111,29 @@ class ZaberController:
         return {name: self._number_of(place, "get pos") for name, place in self._places.items()}
 
     def moving(self) -> Collection[str]:
-        """Return the axes that move. Raises RigError when one has stopped by a fault."""
+        """Return the axes that move. Raises RigError once when one has stopped by a fault; it has to be homed then."""
         replies = {name: self._ask(place, "") for name, place in self._places.items()}
         for name, reply in replies.items():
             if (fault := FAULTS.get(reply.flag)) is not None:
+                self._lost.add(name)
+                self._ask(self._places[name], "warnings clear")
                 raise RigError(f"The {name} axis of the Zaber controller reports {reply.flag}: {fault}.")
         return [name for name, reply in replies.items() if reply.busy]
 
     def homed(self) -> Collection[str]:
-        """Return the axes that have a reference."""
+        """Return the axes that have a reference, and no fault since."""
         flags = {name: self._ask(place, "warnings").data.split() for name, place in self._places.items()}
-        return [name for name, warned in flags.items() if not set(warned) & set(NOT_HOMED)]
+        return [name for name, warned in flags.items() if name not in self._lost and not {*warned} & {*NOT_HOMED}]
 
     def home(self, axes: Collection[str]) -> None:
         """Begin to search the references."""
         for name in axes:
-            self._ask(self._places[name], "warnings clear")
             self._ask(self._places[name], "home")
+        self._lost -= set(axes)
 
     def move(self, goals: Mapping[str, float], speeds: Mapping[str, float]) -> None:
         """Begin to move, after the speeds were set."""
         for name in goals:
-            self._ask(self._places[name], "warnings clear")
             self._ask(self._places[name], f"set maxspeed {max(1, round(speeds[name] * SPEED_UNIT))}")
         for name, goal in goals.items():
             self._ask(self._places[name], f"move abs {round(goal)}")

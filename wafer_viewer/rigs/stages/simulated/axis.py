@@ -29,7 +29,7 @@ class SimulatedAxis:
 
     def switch_on(self) -> None:
         """Lose the reference: the counter starts at 0 here."""
-        self.homed = self._searching = self.stalled = False
+        self.homed = self._searching = self.stalled = self.endless = False
         self._zero_um = self._true_um()
         self._zero_units = 0.0
 
@@ -40,8 +40,8 @@ class SimulatedAxis:
 
     @property
     def moving(self) -> bool:
-        """True while the axis moves; the end of a search sets the counter."""
-        moving = self._stage.axes[self._name].moving(self._clock.now_s())
+        """True while the axis reports motion, for ever with `endless`; the end of a search sets the counter."""
+        moving = self.endless or self._stage.axes[self._name].moving(self._clock.now_s())
         if self._searching and not moving:
             self._searching, self.homed = False, True
             self._zero_um, self._zero_units = 0.0, self._config.zero_units
@@ -77,7 +77,7 @@ class SimulatedAxis:
     def stop(self) -> None:
         """Decelerate to a halt; a search that is interrupted has found nothing."""
         if self.moving:
-            self._searching = False
+            self._searching = self.endless = False
             self._stage.halt(self._name)
 
     def stall(self) -> None:

@@ -150,8 +150,8 @@ class SimulatedPi(SimulatedController):
     def _see_stalls(self) -> None:
         """Switch the servo of a stalled axis off."""
         for address, axis in self._by_address.items():
-            if axis.stalled and self._servos[address]:
-                self._servos[address], self._error = False, MOTION_ERROR
+            if axis.stalled:
+                self._servos[address], self._error, axis.stalled = False, MOTION_ERROR, False
 
 
 def _lines(texts: list[str]) -> bytes:
