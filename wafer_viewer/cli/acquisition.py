@@ -269,16 +269,19 @@ def cluster(folder: Folder, host: Text = None) -> None:
     print_cluster(folder.absolute(), host or socket.gethostname())
 
 
-def doctor(rig: File = None, data: Path = DATA_FOLDER) -> int:
+def doctor(rig: File = None, data: Path = DATA_FOLDER, move: bool = False) -> int:
     """List what this machine has and lacks, and how to fix it; status 1 when something is lacking.
+
+    Also connects to each device of the rig, says what answers, and compares the counts of the pulse box with the stage.
 
     Args:
         rig: RIG.toml of the instrument; the virtual rig without it.
         data: Folder of the datasets.
+        move: Home the stage and move each axis by a mm at most, there and back. Nothing moves without it.
     """
     from wafer_viewer.session.core.environment_check import check_environment
 
-    return print_checks(check_environment(_config(rig), data.expanduser()))
+    return print_checks(check_environment(_config(rig), data.expanduser(), move=move))
 
 
 def glossary(word: Word = "") -> int:

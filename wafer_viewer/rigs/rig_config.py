@@ -4,18 +4,23 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from pathlib import Path
-from typing import Annotated, ClassVar, Literal
+from typing import TYPE_CHECKING, Annotated, ClassVar, Literal
 
 from wafer_viewer.model.acquisition.devices import Rig
 from wafer_viewer.model.errors import RigError, WaferViewerError
 from wafer_viewer.model.spec import Spec, Within, decode
+from wafer_viewer.rigs.composed.devices import DevicesConfig
 from wafer_viewer.rigs.virtual.faults import Faults
+
+if TYPE_CHECKING:
+    from wafer_viewer.rigs.composed.rig import DeviceOpener
 
 
 class RigConfig(Spec, frozen=True, kw_only=True):
     """Configuration of a rig in FILE.toml; the default is the virtual wafer with a small camera.
 
-    faults: simulated faults of the virtual rig, to test the scan's response.
+    scene, size, seed, faults: of the virtual rig, with simulated faults to test the scan's response; devices: by role, of
+    a composed rig; real_time: time of simulated devices follows the wall clock.
     """
 
     error: ClassVar[type[WaferViewerError]] = RigError
@@ -26,11 +31,14 @@ class RigConfig(Spec, frozen=True, kw_only=True):
     real_time: bool = False
     seed: Annotated[int, Within(0, 2**31)] = 0
     faults: Faults = Faults()
+    devices: DevicesConfig | None = None
 
     def __post_init__(self) -> None:
         super().__post_init__()
         if self.kind not in RIGS:
             self.refuse("kind", f"one of {', '.join(RIGS)}")
+        if (self.devices is not None) != (self.kind == "composed"):
+            raise RigError("RigConfig.devices is for kind 'composed', which needs it: give both, or leave both out.")
 
 
 def open_virtual(config: RigConfig) -> Rig:
@@ -47,7 +55,24 @@ def open_virtual(config: RigConfig) -> Rig:
     )
 
 
-RIGS: dict[str, Callable[[RigConfig], Rig]] = {"virtual": open_virtual}
+def device_opener(config: RigConfig) -> DeviceOpener | None:
+    """Return the opener of the devices of a composed rig, None for other kinds."""
+    from wafer_viewer.rigs.composed.rig import DeviceOpener
+
+    return config.devices and DeviceOpener(config.name, config.devices, real_time=config.real_time)
+
+
+def open_composed(config: RigConfig) -> Rig:
+    """Open the rig of the devices that its file names."""
+    from wafer_viewer.rigs.composed.rig import ComposedRig
+
+    opener = device_opener(config)
+    if opener is None:
+        raise RigError("RigConfig.devices is missing: a composed rig needs it.")
+    return ComposedRig(opener)
+
+
+RIGS: dict[str, Callable[[RigConfig], Rig]] = {"virtual": open_virtual, "composed": open_composed}
 
 
 def read_config(path: Path) -> RigConfig:

@@ -14,6 +14,7 @@ from wafer_viewer.model.acquisition.devices import Clock, SerialPort
 from wafer_viewer.model.acquisition.plan import Axis
 from wafer_viewer.model.acquisition.rig_limits import AxisLimits
 from wafer_viewer.model.errors import RigError, WaferViewerError
+from wafer_viewer.rigs.virtual.clock import VirtualClock
 from wafer_viewer.rigs.virtual.serial_port import Device
 from wafer_viewer.rigs.virtual.stage import VirtualStage
 
@@ -114,6 +115,14 @@ class MotionController(Protocol):
         ...
 
 
+class SimulatedDevice(Device, Protocol):
+    """Simulated controller at the far end of a virtual port."""
+
+    def connect(self, deliver: Callable[[bytes, float], None], /) -> None:
+        """Set what sends bytes that answer no command."""
+        ...
+
+
 @dataclass(frozen=True, slots=True)
 class ControllerDriver:
     """Driver of a kind of controllers.
@@ -135,4 +144,4 @@ class ControllerDriver:
     address: str
     address_words: str
     connect: Callable[[SerialPort, Clock, Mapping[str, ControllerAxis]], MotionController]
-    simulate: Callable[[Clock, VirtualStage, Mapping[Axis, AxisConfig]], Device]
+    simulate: Callable[[VirtualClock, VirtualStage, Mapping[Axis, AxisConfig]], SimulatedDevice]

@@ -11,8 +11,11 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
 
+from wafer_viewer.model.acquisition.plan import Axis
+from wafer_viewer.model.acquisition.rig_limits import AxisLimits
 from wafer_viewer.model.errors import WaferViewerError
-from wafer_viewer.rigs.rig_config import RigConfig, open_rig
+from wafer_viewer.rigs.composed.device_checks import check_devices, check_stage
+from wafer_viewer.rigs.rig_config import RigConfig, device_opener, open_rig
 
 PACKAGES = ("numpy", "scipy", "numba", "distributed", "zarr", "tifffile", "viser", "serial")
 OPEN3D_LIBRARIES = {"usb-1.0": "libusb-1.0-0", "GL": "libgl1", "gomp": "libgomp1"}
@@ -34,15 +37,15 @@ class EnvironmentCheck:
         return not self.mend
 
 
-def check_environment(config: RigConfig, data_folder: Path) -> Iterator[EnvironmentCheck]:
-    """Run all checks, one after the other."""
+def check_environment(config: RigConfig, data_folder: Path, *, move: bool = False) -> Iterator[EnvironmentCheck]:
+    """Run all checks, one after the other. The stage moves with `move` only."""
     yield EnvironmentCheck("Python", sys.version.split()[0])
     yield from (_package(name) for name in PACKAGES)
     yield _open3d()
     yield _processors()
     yield _disk(data_folder)
     yield _cache()
-    yield _rig(config)
+    yield from _rig(config, move)
 
 
 def _package(name: str) -> EnvironmentCheck:
@@ -90,10 +93,19 @@ def _cache() -> EnvironmentCheck:
     return EnvironmentCheck("Kernel cache", str(folder))
 
 
-def _rig(config: RigConfig) -> EnvironmentCheck:
+def _rig(config: RigConfig, move: bool) -> Iterator[EnvironmentCheck]:
+    """Check a composed rig device by device, any other one as a whole."""
+    if (opener := device_opener(config)) is not None:
+        yield from (EnvironmentCheck(*check) for check in check_devices(opener, move=move))
+        return
     try:
         rig = open_rig(config)
     except WaferViewerError as fault:
-        return EnvironmentCheck(f"Rig '{config.name}'", str(fault), "check its cables and its RIG.toml")
-    rig.close()
-    return EnvironmentCheck(f"Rig '{config.name}'", "SIMULATED, answers" if rig.simulated else "answers")
+        yield EnvironmentCheck(f"Rig '{config.name}'", str(fault), "check its cables and its RIG.toml")
+        return
+    try:
+        yield EnvironmentCheck(f"Rig '{config.name}'", "SIMULATED, answers" if rig.simulated else "answers")
+        axes: dict[Axis, AxisLimits] = {"x": rig.limits.x, "y": rig.limits.y, "z": rig.limits.z}
+        yield from (EnvironmentCheck(*check) for check in check_stage(rig.stage, rig.box, axes, move=move))
+    finally:
+        rig.close()

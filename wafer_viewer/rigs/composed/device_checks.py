@@ -1,0 +1,140 @@
+"""Checks of the devices of a rig: what answers, and whether the pulse box counts what the stage moves."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Mapping
+from typing import NamedTuple
+
+from wafer_viewer.model.acquisition.devices import PulseBox, Stage
+from wafer_viewer.model.acquisition.plan import Axis
+from wafer_viewer.model.acquisition.rig_limits import AxisLimits
+from wafer_viewer.model.errors import RigError
+from wafer_viewer.rigs.composed.rig import DeviceOpener
+from wafer_viewer.rigs.pulse_box.client import PulseBoxClient
+from wafer_viewer.rigs.stages.controller_stage import ControllerStage
+from wafer_viewer.rigs.stages.motion_controller import MotionController
+
+ORDER: tuple[Axis, ...] = ("z", "x", "y")
+"""Order of motions: the objective first."""
+STEP_UM, STEP_FRACTION = 1_000.0, 0.05
+"""Longest motion of a check in um, and as a fraction of the range."""
+COUNTS_OFF, COUNTS_OFF_FRACTION = 2, 0.002
+"""Difference between stage and pulse box after a motion that is allowed: counts, and fraction of the motion."""
+MEND = "check its cables and its RIG.toml"
+
+
+class DeviceCheck(NamedTuple):
+    """Result of a check; `mend` says what to do, empty if nothing is wrong."""
+
+    what: str
+    found: str
+    mend: str = ""
+
+
+def check_devices(opener: DeviceOpener, *, move: bool) -> Iterator[DeviceCheck]:
+    """Connect to each device of a composed rig and check it; a device that fails does not hide the others.
+
+    move: home the stage, move each axis by a mm at most, and compare the counts.
+    """
+    devices = opener.devices
+    controllers: dict[str, MotionController] = {}
+    boxes: list[PulseBoxClient] = []
+
+    def connect(name: str) -> str:
+        controllers[name] = opener.controller(name)
+        return controllers[name].identity()
+
+    def connect_box() -> str:
+        boxes.append(opener.box())
+        return "answers"
+
+    try:
+        for name, config in devices.controllers.items():
+            yield _answer(opener, f"Controller '{name}' at {config.port}", lambda name=name: connect(name))
+        yield _answer(opener, f"Pulse box at {devices.pulse_box.port}", connect_box)
+        yield _answer(opener, f"Camera '{devices.camera.driver}'", lambda: opener.camera() and "answers")
+        if len(controllers) == len(devices.controllers):
+            axes = devices.axes.by_name()
+            stage = ControllerStage(controllers, axes, opener.clock)
+            yield from check_stage(stage, boxes[0] if boxes else None, axes, move=move)
+    finally:
+        for device in (*controllers.values(), *boxes):
+            device.close()
+
+
+def check_stage(
+    stage: Stage, box: PulseBox | None, axes: Mapping[Axis, AxisLimits], *, move: bool
+) -> Iterator[DeviceCheck]:
+    """Check a stage and, if there is a pulse box, its counts against the positions; an interruption stops the stage."""
+    try:
+        if move:
+            _home(stage, axes)
+        yield _position(stage)
+        if box is None:
+            return
+        for axis in ORDER if move else ORDER if stage.homed() else ():
+            yield (_motion if move else _count)(stage, box, axis, axes[axis])
+    except RigError as fault:
+        yield DeviceCheck("Stage", str(fault), MEND)
+    except BaseException:
+        stage.stop()
+        raise
+
+
+def _answer(opener: DeviceOpener, what: str, ask: Callable[[], object]) -> DeviceCheck:
+    try:
+        found = f"{ask()}"
+    except RigError as fault:
+        return DeviceCheck(what, str(fault), MEND)
+    return DeviceCheck(what, f"SIMULATED, {found}" if opener.devices.simulated else found)
+
+
+def _position(stage: Stage) -> DeviceCheck:
+    at, homed = stage.position(), stage.homed()
+    words = "homed" if homed else "not homed, so that positions mean nothing; --move, or the first move of a scan, homes it"
+    return DeviceCheck("Stage", f"at x {at.x_um:.2f}, y {at.y_um:.2f}, z {at.z_um:.2f} um, {words}")
+
+
+def _home(stage: Stage, axes: Mapping[Axis, AxisLimits]) -> None:
+    """Home a stage that is not homed: z goes to its lower end, then x and y to the middle of their ranges."""
+    if not stage.homed():
+        stage.move_to(z_um=axes["z"].low_um)
+        stage.move_to(**{f"{axis}_um": (axes[axis].low_um + axes[axis].high_um) / 2 for axis in ("x", "y")})
+
+
+def _count(stage: Stage, box: PulseBox, axis: Axis, limits: AxisLimits) -> DeviceCheck:
+    counted, expected = box.count(axis), limits.counts(_at_um(stage, axis))
+    words = "as the stage" if abs(counted - expected) <= COUNTS_OFF else "a scan sets it before its first pass"
+    return DeviceCheck(f"Count of {axis}", f"{counted}, by the position of the stage {expected}: {words}")
+
+
+def _motion(stage: Stage, box: PulseBox, axis: Axis, limits: AxisLimits) -> DeviceCheck:
+    """Move an axis there and back, down if there is room, and compare what the box counted."""
+    here_um, before = _at_um(stage, axis), box.count(axis)
+    step_um = min(STEP_UM, STEP_FRACTION * (limits.high_um - limits.low_um))
+    there_um = here_um - step_um if here_um - step_um >= limits.low_um else here_um + step_um
+    stage.move_to(**{f"{axis}_um": there_um})
+    moved_um, counted = _at_um(stage, axis) - here_um, box.count(axis) - before
+    stage.move_to(**{f"{axis}_um": here_um})
+    expected = moved_um * limits.counts_per_um
+    found = f"the stage moved by {moved_um:+.2f} um, the box counted {counted:+d}, expected were {expected:+.0f}"
+    off = abs(counted - expected)
+    if off <= max(COUNTS_OFF, COUNTS_OFF_FRACTION * abs(expected)):
+        return DeviceCheck(f"Count of {axis}", found)
+    return DeviceCheck(f"Count of {axis}", found, _mend_of_counts(axis, counted / moved_um, limits.counts_per_um))
+
+
+def _mend_of_counts(axis: Axis, found_per_um: float, counts_per_um: float) -> str:
+    if found_per_um == 0:
+        return f"connect the scale of the {axis} axis to its input of the pulse box"
+    if abs(found_per_um + counts_per_um) <= 2 * COUNTS_OFF_FRACTION * counts_per_um:
+        return f"swap the channels A and B of the scale of the {axis} axis, or the sign of its units_per_um"
+    return (
+        f"counts_per_um of the {axis} axis is {counts_per_um:g} in the rig's file and {found_per_um:.4f} by this motion: "
+        "correct it or units_per_um, or check the scale and its cable"
+    )
+
+
+def _at_um(stage: Stage, axis: Axis) -> float:
+    at = stage.position()
+    return {"x": at.x_um, "y": at.y_um, "z": at.z_um}[axis]

@@ -1,0 +1,212 @@
+"""Rig composed of devices by role."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from functools import cached_property
+from typing import Any, ClassVar, Literal
+
+import msgspec
+
+from wafer_viewer.model.acquisition.calibration import Calibration, OpticalSetup
+from wafer_viewer.model.acquisition.devices import Camera, Clock, Overview, PulseBox, SerialPort
+from wafer_viewer.model.acquisition.plan import ScanPlan
+from wafer_viewer.model.acquisition.rig_limits import CameraLimits, RigLimits
+from wafer_viewer.model.errors import RigError, WaferViewerError
+from wafer_viewer.model.progress import ShouldStop
+from wafer_viewer.model.spec import Spec
+from wafer_viewer.rigs.composed.devices import DevicesConfig
+from wafer_viewer.rigs.pulse_box.client import PulseBoxClient
+from wafer_viewer.rigs.serial_ports import SystemClock, open_port
+from wafer_viewer.rigs.stages.controller_stage import ControllerStage
+from wafer_viewer.rigs.stages.controllers import CONTROLLERS
+from wafer_viewer.rigs.stages.motion_controller import ControllerAxis, MotionController
+from wafer_viewer.rigs.virtual.rig import SIZES, VirtualRig, virtual_limits
+from wafer_viewer.rigs.virtual.serial_port import VirtualPort
+
+
+class VirtualCameraOptions(Spec, frozen=True, kw_only=True):
+    """Settings of the virtual camera: the scene on the simulated stage, and its size."""
+
+    error: ClassVar[type[WaferViewerError]] = RigError
+    scene: str = "wafer"
+    size: Literal["small", "full"] = "small"
+
+
+class DeviceOpener:
+    """Opener of the devices of a rig, one by one; simulated ones belong to one virtual rig.
+
+    name : display name of the rig; real_time : time of simulated devices follows the wall clock.
+    """
+
+    def __init__(self, name: str, devices: DevicesConfig, *, real_time: bool = False) -> None:
+        self.name, self.devices = name, devices
+        self._real_time = real_time
+
+    @cached_property
+    def virtual(self) -> VirtualRig | None:
+        """Virtual rig at the far end of simulated ports; None where the ports are real."""
+        if not self.devices.simulated:
+            return None
+        options = _options(self.devices.camera.options)
+        limits = self.devices.limits(virtual_limits(*SIZES[options.size]).camera)
+        return VirtualRig(options.scene, name=self.name, limits=limits, real_time=self._real_time)
+
+    @cached_property
+    def clock(self) -> Clock:
+        """Clock of the rig."""
+        return SystemClock() if self.virtual is None else self.virtual.clock
+
+    def controller(self, name: str) -> MotionController:
+        """Connect to a motion controller."""
+        axes = self.devices.axes_of(name)
+        driver = CONTROLLERS[self.devices.controllers[name].driver]
+        port = self._controller_port(name)
+        try:
+            return driver.connect(port, self.clock, {axis: ControllerAxis.of(config) for axis, config in axes.items()})
+        except RigError as fault:
+            port.close()
+            raise type(fault)(f"{driver.title} '{name}' at {self.devices.controllers[name].port}: {fault}") from fault
+
+    def stage(self) -> ControllerStage:
+        """Connect to all controllers; those that answered are closed when one does not."""
+        opened: dict[str, MotionController] = {}
+        try:
+            for name in self.devices.controllers:
+                opened[name] = self.controller(name)
+        except RigError:
+            for controller in opened.values():
+                controller.close()
+            raise
+        return ControllerStage(opened, self.devices.axes.by_name(), self.clock)
+
+    def box(self) -> PulseBoxClient:
+        """Connect to the pulse box."""
+        if self.virtual is not None:
+            return self.virtual.box
+        config = self.devices.pulse_box
+        return PulseBoxClient(open_port(config.port, config.baud), self.clock)
+
+    def camera(self) -> ComposedCamera:
+        """Connect to the camera."""
+        driver = self.devices.camera.driver
+        if driver not in CAMERAS:
+            raise RigError(f"devices.camera.driver is '{driver}': it must be one of {', '.join(CAMERAS)}.")
+        return CAMERAS[driver](self)
+
+    def _controller_port(self, name: str) -> SerialPort:
+        config, virtual = self.devices.controllers[name], self.virtual
+        driver = CONTROLLERS[config.driver]
+        if virtual is None:
+            return open_port(config.port, config.baud or driver.baud)
+        simulated = driver.simulate(virtual.clock, virtual.stage, self.devices.axes_of(name))
+        port = VirtualPort(virtual.clock, simulated)
+        simulated.connect(port.deliver)
+        return port
+
+
+@dataclass(frozen=True, slots=True)
+class ComposedCamera:
+    """Connected camera with its limits."""
+
+    device: Camera
+    limits: CameraLimits
+
+
+def _options(given: dict[str, Any]) -> VirtualCameraOptions:
+    try:
+        return msgspec.convert(given, VirtualCameraOptions)
+    except msgspec.ValidationError as fault:
+        raise RigError(f"devices.camera.options: {fault}: correct it in the rig's file.") from fault
+
+
+def _virtual_camera(opener: DeviceOpener) -> ComposedCamera:
+    if opener.virtual is None:
+        raise RigError(
+            "devices.camera.driver is 'virtual', which sees simulated stages only: name the driver of the camera, or give "
+            "all devices the port 'simulated'."
+        )
+    return ComposedCamera(opener.virtual.camera, opener.virtual.limits.camera)
+
+
+CAMERAS: dict[str, Callable[[DeviceOpener], ComposedCamera]] = {"virtual": _virtual_camera}
+"""Functions that connect to a camera, by the name of its driver."""
+
+
+class ComposedRig:
+    """Implementation of Rig from the devices of its file."""
+
+    def __init__(self, opener: DeviceOpener) -> None:
+        self._opener = opener
+        self._camera = opener.camera()
+        self._stage = opener.stage()
+        try:
+            self._box = opener.box()
+        except RigError:
+            self._stage.close()
+            raise
+
+    @property
+    def name(self) -> str:
+        """Display name of the rig."""
+        return self._opener.name
+
+    @property
+    def simulated(self) -> bool:
+        """True if its ports are simulated."""
+        return self._opener.devices.simulated
+
+    @property
+    def limits(self) -> RigLimits:
+        """Limits of the rig."""
+        return self._opener.devices.limits(self._camera.limits)
+
+    @property
+    def setup(self) -> OpticalSetup:
+        """Optical setup."""
+        return self._opener.devices.setup
+
+    @property
+    def calibration(self) -> Calibration | None:
+        """Calibration of its file."""
+        return self._opener.devices.calibration
+
+    @property
+    def clock(self) -> Clock:
+        """Clock of the rig."""
+        return self._opener.clock
+
+    @property
+    def stage(self) -> ControllerStage:
+        """Stage of the rig."""
+        return self._stage
+
+    @property
+    def box(self) -> PulseBox:
+        """Pulse box of the rig."""
+        return self._box
+
+    @property
+    def camera(self) -> Camera:
+        """Camera of the rig."""
+        return self._camera.device
+
+    def overview(self) -> Overview | None:
+        """Return the overview of a simulated sample, or None."""
+        return None if self._opener.virtual is None else self._opener.virtual.overview()
+
+    def prepare(self, plan: ScanPlan, should_stop: ShouldStop) -> None:
+        """Prepare the simulated camera for a plan; real devices need no preparation."""
+        if self._opener.virtual is not None:
+            self._opener.virtual.prepare(plan, should_stop)
+
+    def close(self) -> None:
+        """Stop motion, stop the pulses, and close the ports. What fails does not keep the rest from being done."""
+        virtual = self._opener.virtual
+        ends = (self._stage.close, self._box.close if virtual is None else virtual.close)
+        for step in (self._box.halt, self._stage.stop, self._camera.device.stop, *ends):
+            try:
+                step()
+            except (RigError, OSError):
+                continue
