@@ -12,6 +12,7 @@ import numpy as np
 import pytest
 import tifffile
 
+from tests.support.paths import ROOT
 from wafer_viewer.cli.app import commands
 from wafer_viewer.store.dataset.dataset import Dataset
 
@@ -299,6 +300,15 @@ def test_the_doctor_says_what_there_is(tmp_path):
     assert printed.returncode in (0, 1), printed.stderr
     assert "SIMULATED, answers" in printed.stdout
     assert all(line[:4] in ("ok  ", "LACK", "    ") for line in printed.stdout.splitlines())
+
+
+def test_the_doctor_checks_the_devices_of_a_rig_and_moves_on_request_only(tmp_path):
+    rig = ROOT / "assets/rigs/zaber_simulated.toml"
+    still = viewer("doctor", "--data", tmp_path, "--rig", rig).stdout
+    assert "Controller 'stage' at simulated: SIMULATED, Zaber device 1" in still
+    assert "not homed" in still
+    moved = viewer("doctor", "--data", tmp_path, "--rig", rig, "--move").stdout
+    assert "the stage moved by +500.00 um, the box counted +50000, expected were +50000" in moved
 
 
 BAD_FLAGS = {

@@ -25,7 +25,7 @@ def test_a_rigs_file_can_give_the_virtual_rig_faults(tmp_path):
 @pytest.mark.parametrize(
     ("text", "says"),
     [
-        ('kind = "zeiss"', r"rig.toml.*kind is 'zeiss'.*one of virtual"),
+        ('kind = "zeiss"', r"rig.toml.*kind is 'zeiss'.*one of virtual, composed"),
         ("size = 3", r"rig.toml.*size"),
         ('colour = "red"', r"rig.toml.*unknown key.*colour"),
         ("scene = ", r"rig.toml"),

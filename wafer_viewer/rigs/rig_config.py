@@ -19,8 +19,8 @@ if TYPE_CHECKING:
 class RigConfig(Spec, frozen=True, kw_only=True):
     """Configuration of a rig in FILE.toml; the default is the virtual wafer with a small camera.
 
-    scene, size, seed, faults: of the virtual rig, with simulated faults to test the scan's response; devices: by role, of
-    a composed rig; real_time: time of simulated devices follows the wall clock.
+    scene, size, seed, faults: of the virtual rig, with simulated faults to test the scan's response; devices: by role,
+    of a composed rig; real_time: time of simulated devices follows the wall clock.
     """
 
     error: ClassVar[type[WaferViewerError]] = RigError

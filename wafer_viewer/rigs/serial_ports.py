@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import time
+from typing import cast
 
 from wafer_viewer.model.acquisition.devices import SerialPort
 from wafer_viewer.model.errors import RigError
@@ -32,10 +33,11 @@ def open_port(name: str, baud: int) -> SerialPort:
     from serial.tools import list_ports
 
     try:
-        return serial.Serial(name, baud, timeout=0.0, write_timeout=WRITE_TIMEOUT_S, exclusive=True)
+        port = serial.Serial(name, baud, timeout=0.0, write_timeout=WRITE_TIMEOUT_S, exclusive=True)
     except (OSError, ValueError) as fault:
         there = ", ".join(sorted(port.device for port in list_ports.comports())) or "none"
         raise RigError(
-            f"The port {name} cannot be opened ({fault}): check its name, its cable and the right to use it; close other "
-            f"programs that use it. Ports of this machine: {there}."
+            f"The port {name} cannot be opened ({fault}): check its name, its cable and the right to use it; close "
+            f"other programs that use it. Ports of this machine: {there}."
         ) from fault
+    return cast(SerialPort, port)

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from itertools import pairwise
+
 import pytest
 
 from tests.rigs.stages.conftest import DRIVERS, axis_config, small_limits, switch_on
@@ -47,7 +49,7 @@ def test_a_search_that_is_stopped_has_found_nothing_and_the_next_one_does(cold):
 
 
 def test_a_motion_at_a_speed_needs_a_reference(cold):
-    with pytest.raises(RigError, match="z axis is not homed.*home the stage"):
+    with pytest.raises(RigError, match=r"z axis is not homed.*home the stage"):
         cold.stage.start("z", 10.0, 100.0)
     assert not cold.true_stage.moving()
 
@@ -61,7 +63,7 @@ def test_a_stop_comes_within_one_look_of_the_stage(bench):
 
     with pytest.raises(MotionStopped):
         bench.stage.move_to(z_um=9_000.0, should_stop=should_stop)
-    assert max(after - before for before, after in zip(looks, looks[1:], strict=False)) < 0.02
+    assert max(after - before for before, after in pairwise(looks)) < 0.02
     ramp_s = bench.limits.z.speed_um_s / bench.limits.z.acceleration_um_s2
     assert bench.clock.now_s() - looks[-1] < ramp_s + bench.limits.z.settle_s + bench.limits.x.settle_s + 0.03
 

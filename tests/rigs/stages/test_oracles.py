@@ -1,8 +1,8 @@
 """Independent parties: the makers' packages on the simulated controllers, and the true firmware of GRBL on its driver.
 
-``zaber-motion`` and ``pipython`` are skipped where they are not installed. The GRBL simulator, GPL C code from
-github.com/gnea/grbl with github.com/grbl/grbl-sim in its folder grbl, is built by ``make main CC="gcc -fcommon"``; it is
-skipped where the variable GRBL_SIM does not name its program.
+``zaber-motion`` and ``pipython`` (with ``pyusb``) are skipped where they are not installed. The GRBL simulator, GPL C
+code from github.com/gnea/grbl with github.com/grbl/grbl-sim in its folder grbl, is built by
+``make main CC="gcc -fcommon"``; it is skipped where the variable GRBL_SIM does not name its program.
 """
 
 from __future__ import annotations
@@ -86,11 +86,11 @@ def test_the_makers_package_drives_the_simulated_zaber():
         axis.home()
         assert axis.is_homed()
         config = wire.axes["z"]
-        assert axis.get_position() == round(config.units(config.low_um))
-        axis.move_absolute(round(config.units(250.0)))
+        assert axis.get_position() == round(config.units_at(config.low_um))
+        axis.move_absolute(round(config.units_at(250.0)))
         assert wire.stage.position().z_um == pytest.approx(250.0, abs=0.05)
         axis.move_relative(-2_000)
-        assert axis.get_position() == round(config.units(250.0)) - 2_000
+        assert axis.get_position() == round(config.units_at(250.0)) - 2_000
         axis.settings.set("maxspeed", 1000)
         assert axis.settings.get("maxspeed") == 1000
         axis.move_velocity(20_000)
@@ -98,7 +98,7 @@ def test_the_makers_package_drives_the_simulated_zaber():
         axis.stop()
         assert not axis.is_busy()
         with pytest.raises(errors.exceptions.CommandFailedException, match="BADDATA"):
-            axis.move_absolute(round(config.units(1e6)))
+            axis.move_absolute(round(config.units_at(1e6)))
         wire.device.axes["z"].stall()
         with pytest.raises(errors.exceptions.MovementFailedException, match="FS"):
             axis.wait_until_idle()
@@ -167,6 +167,11 @@ def send(port, line: bytes) -> None:
     assert port.read_until(b"ok\r\n").endswith(b"ok\r\n")
 
 
+def wait_for_rest(grbl: GrblController, clock: SystemClock) -> None:
+    while grbl.moving():
+        clock.sleep(0.01)
+
+
 def test_the_driver_drives_grbl_itself(grbl_port):
     clock, port = SystemClock(), open_port(grbl_port, 115_200)
     with pytest.raises(RigError, match=r"\$22 of the GRBL controller must be 1"):
@@ -180,22 +185,19 @@ def test_the_driver_drives_grbl_itself(grbl_port):
     send(port, b"$X")
     grbl.move({"x": -4.0, "y": 2.0}, {"x": 8.0, "y": 4.0})
     assert sorted(grbl.moving()) == ["x", "y"]
-    while grbl.moving():
-        clock.sleep(0.01)
+    wait_for_rest(grbl, clock)
     assert grbl.positions() == {"x": -4.0, "y": 2.0}
     grbl.move({"x": 20.0}, {"x": 8.0})
     clock.sleep(1.0)
     grbl.stop()
-    while grbl.moving():
-        clock.sleep(0.01)
+    wait_for_rest(grbl, clock)
     stood = grbl.positions()["x"]
     assert -4.0 < stood < 15.0
     grbl.move({"x": stood}, {"x": 8.0})
     assert not grbl.moving()
+    grbl.home(["x", "y"])
     with pytest.raises(RigError, match=r"ALARM:8: it did not leave the limit switch"):
-        grbl.home(["x", "y"])
-        while grbl.moving():
-            clock.sleep(0.01)
+        wait_for_rest(grbl, clock)
     assert grbl.homed() == []
     grbl.close()
 

@@ -40,9 +40,7 @@ class AxisLimits(Spec, frozen=True, kw_only=True):
     def require_speed(self, axis: str, speed_um_s: float) -> None:
         """Raise RigError when the axis cannot move at a speed."""
         if not 0 < speed_um_s <= self.speed_um_s:
-            raise RigError(
-                f"The {axis} axis cannot go at {speed_um_s:g} um/s: its limit is {self.speed_um_s:g} um/s."
-            )
+            raise RigError(f"The {axis} axis cannot go at {speed_um_s:g} um/s: its limit is {self.speed_um_s:g} um/s.")
 
     def counts(self, position_um: float) -> int:
         """Return the scale count at a position."""

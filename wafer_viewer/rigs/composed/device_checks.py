@@ -91,7 +91,9 @@ def _answer(opener: DeviceOpener, what: str, ask: Callable[[], object]) -> Devic
 
 def _position(stage: Stage) -> DeviceCheck:
     at, homed = stage.position(), stage.homed()
-    words = "homed" if homed else "not homed, so that positions mean nothing; --move, or the first move of a scan, homes it"
+    words = (
+        "homed" if homed else "not homed, so that positions mean nothing; --move, or the first move of a scan, homes it"
+    )
     return DeviceCheck("Stage", f"at x {at.x_um:.2f}, y {at.y_um:.2f}, z {at.z_um:.2f} um, {words}")
 
 
@@ -99,7 +101,8 @@ def _home(stage: Stage, axes: Mapping[Axis, AxisLimits]) -> None:
     """Home a stage that is not homed: z goes to its lower end, then x and y to the middle of their ranges."""
     if not stage.homed():
         stage.move_to(z_um=axes["z"].low_um)
-        stage.move_to(**{f"{axis}_um": (axes[axis].low_um + axes[axis].high_um) / 2 for axis in ("x", "y")})
+        x, y = axes["x"], axes["y"]
+        stage.move_to(x_um=(x.low_um + x.high_um) / 2, y_um=(y.low_um + y.high_um) / 2)
 
 
 def _count(stage: Stage, box: PulseBox, axis: Axis, limits: AxisLimits) -> DeviceCheck:
@@ -113,9 +116,9 @@ def _motion(stage: Stage, box: PulseBox, axis: Axis, limits: AxisLimits) -> Devi
     here_um, before = _at_um(stage, axis), box.count(axis)
     step_um = min(STEP_UM, STEP_FRACTION * (limits.high_um - limits.low_um))
     there_um = here_um - step_um if here_um - step_um >= limits.low_um else here_um + step_um
-    stage.move_to(**{f"{axis}_um": there_um})
+    _move(stage, axis, there_um)
     moved_um, counted = _at_um(stage, axis) - here_um, box.count(axis) - before
-    stage.move_to(**{f"{axis}_um": here_um})
+    _move(stage, axis, here_um)
     expected = moved_um * limits.counts_per_um
     found = f"the stage moved by {moved_um:+.2f} um, the box counted {counted:+d}, expected were {expected:+.0f}"
     off = abs(counted - expected)
@@ -130,9 +133,14 @@ def _mend_of_counts(axis: Axis, found_per_um: float, counts_per_um: float) -> st
     if abs(found_per_um + counts_per_um) <= 2 * COUNTS_OFF_FRACTION * counts_per_um:
         return f"swap the channels A and B of the scale of the {axis} axis, or the sign of its units_per_um"
     return (
-        f"counts_per_um of the {axis} axis is {counts_per_um:g} in the rig's file and {found_per_um:.4f} by this motion: "
-        "correct it or units_per_um, or check the scale and its cable"
+        f"counts_per_um of the {axis} axis is {counts_per_um:g} in the rig's file and {found_per_um:.4f} by this "
+        "motion: correct it or units_per_um, or check the scale and its cable"
     )
+
+
+def _move(stage: Stage, axis: Axis, to_um: float) -> None:
+    x_um, y_um, z_um = (to_um if axis == name else None for name in ("x", "y", "z"))
+    stage.move_to(x_um=x_um, y_um=y_um, z_um=z_um)
 
 
 def _at_um(stage: Stage, axis: Axis) -> float:

@@ -141,7 +141,8 @@ class DevicesConfig(Spec, frozen=True, kw_only=True):
         driver = CONTROLLERS[self.controllers[config.controller].driver]
         if re.fullmatch(driver.address, config.address) is None:
             raise RigError(
-                f"devices.axes.{axis}.address is '{config.address}': it must be {driver.address_words}, for {driver.title}."
+                f"devices.axes.{axis}.address is '{config.address}': it must be {driver.address_words}, for "
+                f"{driver.title}."
             )
 
     def _require_own_places(self) -> None:
@@ -149,10 +150,14 @@ class DevicesConfig(Spec, frozen=True, kw_only=True):
         places = [(config.controller, config.address) for config in self.axes.by_name().values()]
         for place in places:
             if places.count(place) > 1:
-                raise RigError(f"devices.axes: two axes have the address '{place[1]}' of '{place[0]}': give each its own.")
+                raise RigError(
+                    f"devices.axes: two axes have the address '{place[1]}' of '{place[0]}': give each its own."
+                )
         for port in self.ports:
             if port != SIMULATED and self.ports.count(port) > 1:
                 raise RigError(f"devices: two devices have the port {port}: give each its own.")
         for name in self.controllers:
             if not self.axes_of(name):
-                raise RigError(f"devices.controllers.{name} has no axis: name it as the controller of one, or leave it out.")
+                raise RigError(
+                    f"devices.controllers.{name} has no axis: name it as the controller of one, or leave it out."
+                )

@@ -124,8 +124,8 @@ def _options(given: dict[str, Any]) -> VirtualCameraOptions:
 def _virtual_camera(opener: DeviceOpener) -> ComposedCamera:
     if opener.virtual is None:
         raise RigError(
-            "devices.camera.driver is 'virtual', which sees simulated stages only: name the driver of the camera, or give "
-            "all devices the port 'simulated'."
+            "devices.camera.driver is 'virtual', which sees simulated stages only: name the driver of the camera, or "
+            "give all devices the port 'simulated'."
         )
     return ComposedCamera(opener.virtual.camera, opener.virtual.limits.camera)
 

@@ -120,14 +120,14 @@ class ControllerStage:
         if goals_um and "z" not in self._homed():
             self._home(["z"], should_stop)
         homed = self._homed()
-        if lost := [axis for axis in goals_um if axis not in homed]:
+        lost: list[Axis] = [axis for axis in goals_um if axis not in homed]
+        if lost:
             self._home(lost, should_stop)
 
     def _home(self, axes: list[Axis], should_stop: ShouldStop | None) -> None:
         """Search the references of some axes at the same time. Raises RigError when one is not found."""
         expected_s = max(
-            (self._axes[axis].high_um - self._axes[axis].low_um)
-            / (self._axes[axis].speed_um_s * SEARCH_SPEED_FRACTION)
+            (self._axes[axis].high_um - self._axes[axis].low_um) / (self._axes[axis].speed_um_s * SEARCH_SPEED_FRACTION)
             for axis in axes
         )
         for name, of_it in self._by_controller(axes).items():
@@ -136,7 +136,8 @@ class ControllerStage:
         self._come_to_rest(should_stop)
         if lost := sorted(set(axes) - self._homed()):
             raise RigError(
-                f"The {' and '.join(lost)} axis did not find its reference: check its switches and its way, and home it again."
+                f"The {' and '.join(lost)} axis did not find its reference: check its switches and its way, and home "
+                "it again."
             )
 
     def _begin(self, goals_um: Mapping[Axis, float], speeds_um_s: Mapping[Axis, float]) -> None:
@@ -146,7 +147,7 @@ class ControllerStage:
         ]
         for name, of_it in self._by_controller(goals_um).items():
             self._controllers[name].move(
-                {axis: self._axes[axis].units(goals_um[axis]) for axis in of_it},
+                {axis: self._axes[axis].units_at(goals_um[axis]) for axis in of_it},
                 {axis: self._axes[axis].rate(speeds_um_s[axis]) for axis in of_it},
             )
         self._expect(max(expected_s, default=0.0))
@@ -161,13 +162,13 @@ class ControllerStage:
             while moving := self._moving():
                 if should_stop is not None and should_stop():
                     self.stop()
-                    self._expect(max(self._axes[axis].speed_um_s / self._axes[axis].acceleration_um_s2 for axis in moving))
+                    self._expect(max(axis.speed_um_s / axis.acceleration_um_s2 for axis in self._axes.values()))
                     self._come_to_rest(None)
                     raise self._stopped()
                 if self._clock.now_s() > self._until_s:
                     raise RigTimeout(
-                        f"The {' and '.join(sorted(moving))} axis still reports motion long after it should stand: it was "
-                        "stopped; check its drive and its way, and home it."
+                        f"The {' and '.join(sorted(moving))} axis still reports motion long after it should stand: it "
+                        "was stopped; check its drive and its way, and home it."
                     )
                 self._clock.sleep(POLL_S)
         except MotionStopped:
@@ -190,7 +191,7 @@ class ControllerStage:
 
     def _positions_um(self) -> dict[str, float]:
         units = {name: at for controller in self._controllers.values() for name, at in controller.positions().items()}
-        return {axis: config.position_um(units[axis]) for axis, config in self._axes.items()}
+        return {axis: config.position_at(units[axis]) for axis, config in self._axes.items()}
 
     def _moving(self) -> set[str]:
         return {axis for controller in self._controllers.values() for axis in controller.moving()}

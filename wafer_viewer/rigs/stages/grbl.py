@@ -1,9 +1,9 @@
 """GRBL 1.1 controllers, for motion only: jogs in machine coordinates, in mm.
 
-A line is answered by ``ok`` or ``error:n``, in order; ``?`` by a status at once, except while it homes. Every motion is a
-jog, which is cancelled without loss of the position; a search is ended by a reset only, after which the position is
-unknown. A feed hold is left to the operator's button, because a program that waits in it must not be continued from here.
-Pulses never come from g-code.
+A line is answered by ``ok`` or ``error:n``, in order; ``?`` by a status at once, except while it homes. Every motion is
+a jog, which is cancelled without loss of the position; a search is ended by a reset only, after which the position is
+unknown. A feed hold is left to the operator's button, because it would lock an idle board. Pulses never come from
+g-code.
 """
 
 from __future__ import annotations
@@ -26,6 +26,8 @@ LETTERS = "XYZ"
 INCHES, HOMING = 13, 22
 STEPS_PER_MM, MAX_RATE, ACCELERATION = 100, 110, 120
 """First of the settings of the three axes; rates are in mm/min."""
+ROUNDING = 1e-6
+"""Fraction by which a setting may be rounded."""
 REPORTED_MM = 0.001
 """Resolution of reported positions; coarser steps are found from them exactly."""
 RESTART_S = 1.0
@@ -162,23 +164,30 @@ class GrblController:
                 self._line.discard(QUIET_S)
                 return status
         raise RigTimeout(
-            f"No GRBL controller answered in {WAKE_S:g} s: check its power, its cable, and port and baud in the rig's file."
+            f"No GRBL controller answered in {WAKE_S:g} s: check its power, its cable, and port and baud in the rig's "
+            "file."
         )
 
     def _require_settings(self) -> None:
         """Raise RigError where the settings of the board contradict the rig's file."""
         for number, wanted, why in ((INCHES, 0, "reports in mm"), (HOMING, 1, "homing needs limit switches")):
             if self._settings.get(number) != wanted:
-                raise RigError(f"Setting ${number} of the GRBL controller must be {wanted}: {why}. Send ${number}={wanted}.")
+                raise RigError(
+                    f"Setting ${number} of the GRBL controller must be {wanted}: {why}. Send ${number}={wanted}."
+                )
         for name, index in self._indices.items():
             axis = self._axes[name]
-            for first, word, value in ((MAX_RATE, "speed", axis.speed * 60), (ACCELERATION, "acceleration", axis.acceleration)):
-                most = self._settings.get(first + index, 0.0)
-                if value > most * (1 + 1e-6):
-                    raise RigError(
-                        f"The {word} of the {name} axis in the rig's file is {value:g}, over ${first + index}={most:g} of the "
-                        "GRBL controller (mm, min for rates): lower it in the file, or raise the setting if the drive can do it."
-                    )
+            self._require_reach(f"speed of the {name} axis", axis.speed * 60, MAX_RATE + index, "mm/min")
+            self._require_reach(f"acceleration of the {name} axis", axis.acceleration, ACCELERATION + index, "mm/s^2")
+
+    def _require_reach(self, what: str, value: float, number: int, unit: str) -> None:
+        """Raise RigError when a value of the rig's file is over the setting that bounds it."""
+        most = self._settings.get(number, 0.0)
+        if value > most * (1 + ROUNDING):
+            raise RigError(
+                f"The {what} in the rig's file is {value:g} {unit}, over ${number}={most:g} of the GRBL controller: lower "
+                "it in the file, or raise the setting if the drive can do it."
+            )
 
     def _on_step(self, index: int, mm: float) -> float:
         """Return the position of the step nearest to a reported one, if steps are no finer than what is reported."""

@@ -48,11 +48,11 @@ class AxisConfig(AxisLimits, frozen=True, kw_only=True):
         """Limits of the axis, for the planner."""
         return AxisLimits(**{name: getattr(self, name) for name in AxisLimits.__struct_fields__})
 
-    def units(self, position_um: float) -> float:
+    def units_at(self, position_um: float) -> float:
         """Return the position on the controller."""
         return self.zero_units + position_um * self.units_per_um
 
-    def position_um(self, units: float) -> float:
+    def position_at(self, units: float) -> float:
         """Return the position in um of a position on the controller."""
         return (units - self.zero_units) / self.units_per_um
 

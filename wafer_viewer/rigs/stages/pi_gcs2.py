@@ -1,8 +1,8 @@
 """PI controllers, by the PI General Command Set (GCS 2), in mm.
 
-A question ends with ``?`` and is answered; a command is not answered, its error is asked for by ``ERR?``. Answers have no
-ids: after one that was late or does not fit, the line is cleared before the question is repeated. A single byte 5 asks which
-axes move, byte 7 whether the controller is ready, byte 24 stops everything.
+A question ends with ``?`` and is answered; a command is not answered, its error is asked for by ``ERR?``. Answers have
+no ids: after one that was late or does not fit, the line is cleared before the question is repeated. A single byte 5
+asks which axes move, byte 7 whether the controller is ready, byte 24 stops everything.
 """
 
 from __future__ import annotations

@@ -69,8 +69,8 @@ class SerialLine:
     def silent(self, command: str) -> RigTimeout:
         """Return the error for a command without an answer."""
         return RigTimeout(
-            f"The {self.device} did not answer '{command}' in {TRIES} tries of {REPLY_S:g} s: check its power, its cable, "
-            "the port and its speed in the rig's file."
+            f"The {self.device} did not answer '{command}' in {TRIES} tries of {REPLY_S:g} s: check its power, its "
+            "cable, the port and its speed in the rig's file."
         )
 
     def close(self) -> None:

@@ -45,7 +45,7 @@ FAULTS = {
 }
 """Flags of a stopped axis, with the mend."""
 REJECTED = {
-    "BADDATA": "the value is out of its range: compare the range, speed and microsteps in the rig's file with the stage",
+    "BADDATA": "the value is out of its range: compare range, speed and microsteps in the rig's file with the stage",
     "BADCOMMAND": "it does not know the command: update its firmware",
     "BADAXIS": "it has no such axis: correct the address in the rig's file",
     "BUSY": "it is busy: wait for it or stop it",
@@ -153,7 +153,9 @@ class ZaberController:
         try:
             return float(reply.data)
         except ValueError:
-            raise RigError(f"The Zaber controller answered '{command}' by '{reply.data}', which is no number.") from None
+            raise RigError(
+                f"The Zaber controller answered '{command}' by '{reply.data}', which is no number."
+            ) from None
 
     def _ask(self, place: tuple[int, int], command: str) -> Reply:
         """Send a command and return its reply; one that is not answered in time is sent again with another id."""

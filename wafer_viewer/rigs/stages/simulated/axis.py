@@ -22,7 +22,8 @@ class SimulatedAxis:
     def __init__(
         self, clock: VirtualClock, stage: VirtualStage, name: Axis, config: AxisConfig, *, middle: bool = False
     ) -> None:
-        self._clock, self._stage, self._name, self._config = clock, stage, name, config
+        self._clock, self._stage, self._config = clock, stage, config
+        self._name: Axis = name
         self._reference_um = (config.low_um + config.high_um) / 2 if middle else config.low_um
         self._searching = False
         self.switch_on()
@@ -54,12 +55,12 @@ class SimulatedAxis:
 
     def reachable(self, units: float) -> bool:
         """Return whether a position lies in the travel; anything does before the axis is homed."""
-        inside = self._config.low_um - 1e-3 <= self._config.position_um(units) <= self._config.high_um + 1e-3
+        inside = self._config.low_um - 1e-3 <= self._config.position_at(units) <= self._config.high_um + 1e-3
         return inside or not self.homed
 
     def end(self, direction: float) -> float:
         """Return the end of the travel in a direction of the counter."""
-        ends = self._config.units(self._config.low_um), self._config.units(self._config.high_um)
+        ends = self._config.units_at(self._config.low_um), self._config.units_at(self._config.high_um)
         return max(ends) if direction > 0 else min(ends)
 
     def move(self, units: float, speed: float) -> None:
@@ -102,7 +103,9 @@ class SimulatedController:
     def __init__(
         self, clock: VirtualClock, stage: VirtualStage, axes: Mapping[Axis, AxisConfig], *, middle: bool = False
     ) -> None:
-        self.axes = {name: SimulatedAxis(clock, stage, name, axes[name], middle=middle) for name in axes}
+        self.axes: dict[Axis, SimulatedAxis] = {
+            name: SimulatedAxis(clock, stage, name, axes[name], middle=middle) for name in axes
+        }
         self._clock = clock
         self._inbox, self._processing = b"", False
         self._deliver: Callable[[bytes, float], None] = lambda data, time_s: None

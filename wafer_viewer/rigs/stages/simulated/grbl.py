@@ -25,7 +25,7 @@ class SimulatedGrbl(SimulatedController):
 
     def __init__(self, clock: VirtualClock, stage: VirtualStage, axes: Mapping[Axis, AxisConfig]) -> None:
         super().__init__(clock, stage, axes)
-        self._by_letter = {axes[name].address: axis for name, axis in self.axes.items()}
+        self._by_letter = {axes[name].address: self.axes[name] for name in axes}
         self.settings = {13: 0.0, 20: 1.0, 22: 1.0}
         for letter in LETTERS:
             config = next((config for config in axes.values() if config.address == letter), None)
@@ -134,7 +134,8 @@ class SimulatedGrbl(SimulatedController):
         return f"<{state}|MPos:{at}|FS:0,0>\r\n".encode()
 
     def _moving(self) -> bool:
-        return any([axis.moving for axis in self._by_letter.values()])
+        moving = [axis.moving for axis in self._by_letter.values()]
+        return any(moving)
 
     def _stop(self) -> None:
         for axis in self._by_letter.values():

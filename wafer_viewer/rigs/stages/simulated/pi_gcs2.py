@@ -20,7 +20,7 @@ class SimulatedPi(SimulatedController):
 
     def __init__(self, clock: VirtualClock, stage: VirtualStage, axes: Mapping[Axis, AxisConfig]) -> None:
         super().__init__(clock, stage, axes, middle=True)
-        self._by_address = {axes[name].address: axis for name, axis in self.axes.items()}
+        self._by_address = {axes[name].address: self.axes[name] for name in axes}
         self._most = {config.address: config.rate(config.speed_um_s) * 1.001 for config in axes.values()}
         self._speeds = dict(self._most)
         self._servos = dict.fromkeys(self._by_address, False)

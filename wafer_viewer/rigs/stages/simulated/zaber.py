@@ -62,7 +62,7 @@ class SimulatedZaber(SimulatedController):
             return b""
         words = body.decode("latin-1").split()
         numbers = [int(words.pop(0)) for _ in range(3) if words and words[0].isdigit()]
-        device, axis = (numbers + [0, 0])[:2]
+        device, axis = [*numbers, 0, 0][:2]
         number = f"{numbers[2]:02d} " if len(numbers) > 2 else ""
         devices = sorted(self._checksums) if device == 0 else [device] if device in self._checksums else []
         return b"".join(self._reply(one, axis, number, words) for one in devices)

@@ -1,0 +1,129 @@
+"""Checks of devices: each alone, and the counts of the pulse box against the motion of the stage."""
+
+from __future__ import annotations
+
+import pytest
+
+from tests.support.paths import ROOT
+from wafer_viewer.model.acquisition.rig_limits import AxisLimits
+from wafer_viewer.model.errors import RigError
+from wafer_viewer.model.spec import replace
+from wafer_viewer.rigs.composed.device_checks import check_devices, check_stage
+from wafer_viewer.rigs.rig_config import device_opener, read_config
+from wafer_viewer.rigs.virtual.rig import VirtualRig, virtual_limits
+
+RIGS = ROOT / "assets/rigs"
+
+
+def checks_of(name, *, move):
+    return list(check_devices(device_opener(read_config(RIGS / f"{name}.toml")), move=move))
+
+
+@pytest.fixture
+def rig():
+    rig = VirtualRig(limits=virtual_limits(16, 24), renderer=object())
+    yield rig
+    rig.close()
+
+
+def axes_of(rig) -> dict[str, AxisLimits]:
+    return {"x": rig.limits.x, "y": rig.limits.y, "z": rig.limits.z}
+
+
+def test_without_a_word_nothing_moves():
+    opener = device_opener(read_config(RIGS / "zaber_simulated.toml"))
+    checks = list(check_devices(opener, move=False))
+    assert [check.what for check in checks] == [
+        "Controller 'stage' at simulated",
+        "Pulse box at simulated",
+        "Camera 'virtual'",
+        "Stage",
+    ]
+    assert not any(check.mend for check in checks)
+    assert "firmware 7.35" in checks[0].found
+    assert "not homed" in checks[-1].found
+    at = opener.virtual.stage.position()
+    assert (at.x_um, at.y_um, at.z_um) == (0.0, 0.0, 0.0)
+
+
+def test_on_request_it_homes_and_compares_counts_with_motion():
+    *_, stage, z, x, y = checks_of("zaber_simulated", move=True)
+    assert "homed" in stage.found
+    assert "moved by +500.00 um, the box counted +50000" in z.found
+    assert "moved by -999.98 um, the box counted -19999" in x.found
+    assert "moved by -999.98 um, the box counted -20000" in y.found
+    assert not any(check.mend for check in (z, x, y))
+
+
+def test_every_device_that_does_not_answer_is_named():
+    checks = checks_of("grbl_pi", move=True)
+    assert [check.what.split("'")[0].split(" at")[0] for check in checks] == [
+        "Controller ",
+        "Controller ",
+        "Pulse box",
+        "Camera ",
+    ]
+    assert all(check.mend for check in checks)
+    assert "/dev/ttyUSB0 cannot be opened" in checks[0].found
+
+
+def test_counts_at_rest_are_compared(rig):
+    rig.stage.move_to(x_um=100.0)
+    rig.box.correct_count("y", 50)
+    _, z, x, y = check_stage(rig.stage, rig.box, axes_of(rig), move=False)
+    assert "2000, by the position of the stage 2000: as the stage" in x.found
+    assert "-50, by the position of the stage 0: a scan sets it" in y.found
+    assert not any(check.mend for check in (z, x, y))
+
+
+@pytest.mark.parametrize(
+    ("counts_per_um", "mend"),
+    [
+        (20.0, ""),
+        (20.2, r"counts_per_um of the x axis is 20.2 in the rig's file and 20.0000 by this motion: correct it"),
+        (80.0, r"is 80 in the rig's file and 20.0000"),
+    ],
+)
+def test_a_wrong_scale_is_found_by_motion(counts_per_um, mend, rig):
+    axes = axes_of(rig) | {"x": replace(rig.limits.x, counts_per_um=counts_per_um)}
+    checks = {check.what: check for check in check_stage(rig.stage, rig.box, axes, move=True)}
+    assert mend in checks["Count of x"].mend
+    assert (checks["Count of x"].mend == "") == (mend == "")
+    assert checks["Count of y"].mend == checks["Count of z"].mend == ""
+
+
+class Counter:
+    """A pulse box whose count follows by a factor."""
+
+    def __init__(self, box, factor):
+        self.box, self.factor = box, factor
+
+    def count(self, axis):
+        return self.factor * self.box.count(axis)
+
+
+@pytest.mark.parametrize(
+    ("factor", "mend"), [(-1, "swap the channels A and B"), (0, "connect the scale of the z axis")]
+)
+def test_a_wrongly_connected_scale_is_found_by_motion(factor, mend, rig):
+    _, z, *_ = check_stage(rig.stage, Counter(rig.box, factor), axes_of(rig), move=True)
+    assert mend in z.mend
+
+
+def test_a_stage_that_fails_is_a_finding_and_an_interruption_stops_it(rig):
+    class Broken:
+        def __init__(self, fault):
+            self.fault, self.stopped = fault, False
+
+        def position(self):
+            raise self.fault
+
+        def stop(self):
+            self.stopped = True
+
+    (check,) = check_stage(Broken(RigError("The stage was lost.")), None, axes_of(rig), move=False)
+    assert check.mend
+    stage = Broken(KeyboardInterrupt())
+    with pytest.raises(KeyboardInterrupt):
+        list(check_stage(stage, None, axes_of(rig), move=False))
+    assert stage.stopped
