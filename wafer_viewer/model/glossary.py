@@ -34,6 +34,8 @@ GLOSSARY: tuple[Term, ...] = (
     Term("count", "Acquisition", "The smallest step of a scale."),
     Term("pulse", "Acquisition", "A trigger for the camera, fired when a scale reaches a count.", "paper"),
     Term("pulse box", "Acquisition", "The device that counts the scales and fires the pulses."),
+    Term("motion controller", "Acquisition", "The device that drives axes of the stage, in units of its own."),
+    Term("homing", "Acquisition", "The search of an axis for its reference, after which its position is known."),
     Term("pass", "Acquisition", "One continuous motion of an axis with the pulses that it fires."),
     Term("strategy", "Acquisition", "The order of passes that takes all frames of a plan; the fastest is chosen."),
     Term("plan", "Acquisition", "Fields, sweep, exposures and strategy of a scan, with its predicted time."),

@@ -117,12 +117,13 @@ class ControllerStage:
 
     def _find_references(self, goals_um: Mapping[Axis, float], should_stop: ShouldStop | None) -> None:
         """Home the axes of a move that need it; z goes first, as its objective may stand low."""
-        if goals_um and "z" not in self._homed():
+        lost = set(self._axes) - self._homed() if goals_um else set[str]()
+        if "z" in lost:
             self._home(["z"], should_stop)
-        homed = self._homed()
-        lost: list[Axis] = [axis for axis in goals_um if axis not in homed]
-        if lost:
-            self._home(lost, should_stop)
+            lost = set(self._axes) - self._homed()
+        needed: list[Axis] = [axis for axis in goals_um if axis in lost]
+        if needed:
+            self._home(needed, should_stop)
 
     def _home(self, axes: list[Axis], should_stop: ShouldStop | None) -> None:
         """Search the references of some axes at the same time. Raises RigError when one is not found."""

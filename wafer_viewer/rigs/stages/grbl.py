@@ -185,8 +185,8 @@ class GrblController:
         most = self._settings.get(number, 0.0)
         if value > most * (1 + ROUNDING):
             raise RigError(
-                f"The {what} in the rig's file is {value:g} {unit}, over ${number}={most:g} of the GRBL controller: lower "
-                "it in the file, or raise the setting if the drive can do it."
+                f"The {what} in the rig's file is {value:g} {unit}, over ${number}={most:g} of the GRBL controller: "
+                "lower it in the file, or raise the setting if the drive can do it."
             )
 
     def _on_step(self, index: int, mm: float) -> float:
