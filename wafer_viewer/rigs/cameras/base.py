@@ -1,0 +1,131 @@
+"""Common parts of the camera drivers: their protocol, their options and the errors that they share."""
+
+from __future__ import annotations
+
+import importlib
+from typing import Annotated, Any, ClassVar, Literal, Protocol
+
+from wafer_viewer.model.acquisition.devices import Camera
+from wafer_viewer.model.acquisition.rig_limits import CameraLimits
+from wafer_viewer.model.errors import RigError, WaferViewerError
+from wafer_viewer.model.spec import NonNegative, Spec, Within
+
+Trigger = Literal["hardware", "software", "free"]
+"""Start of an exposure: an edge on the trigger input, `fire`, or the camera by itself."""
+MIN_BUFFERS = 30
+"""Smallest number of frame buffers: half a second at 60 frames/s, for pauses of the reader."""
+NO_TIME = -1
+"""Device time of an incomplete frame whose time did not arrive."""
+
+
+class ConnectedCamera(Camera, Protocol):
+    """A camera connected to this computer. Only one with a hardware trigger can scan."""
+
+    @property
+    def name(self) -> str:
+        """Maker, model and serial number."""
+        ...
+
+    @property
+    def limits(self) -> CameraLimits:
+        """Limits at the current region and pixel format."""
+        ...
+
+    @property
+    def trigger(self) -> Trigger:
+        """Start of an exposure."""
+        ...
+
+    def fire(self) -> None:
+        """Take one frame now. Raises RigError unless the trigger is "software"."""
+        ...
+
+    def close(self) -> None:
+        """Stop and disconnect; a second call does nothing."""
+        ...
+
+
+class CameraOptions(Spec, frozen=True, kw_only=True):
+    """Settings of every connected camera in a rig file.
+
+    left, top, cols, rows: region in pixels, 0 columns or rows for the whole sensor; buffers: frames that can wait to
+    be fetched; readout_us: dead time after an exposure, from the data sheet; frame_rate_hz: highest rate of triggers,
+    0 for that of the camera.
+    """
+
+    error: ClassVar[type[WaferViewerError]] = RigError
+    left: Annotated[int, Within(0)] = 0
+    top: Annotated[int, Within(0)] = 0
+    cols: Annotated[int, Within(0)] = 0
+    rows: Annotated[int, Within(0)] = 0
+    buffers: Annotated[int, Within(MIN_BUFFERS)] = 32
+    readout_us: NonNegative = 0.0
+    frame_rate_hz: NonNegative = 0.0
+
+
+class GenICamOptions(CameraOptions, frozen=True, kw_only=True):
+    """Settings of a GenICam camera.
+
+    device: identifier, serial number or address, empty if only one camera is connected; trigger: name of the input
+    line, `Software` or `Free`; gain: in the camera's unit, left as it is if not given; pixel_format: a name of the
+    GenICam pixel format naming convention.
+    """
+
+    device: str = ""
+    trigger: str = "Line0"
+    gain: float | None = None
+    pixel_format: str = "Mono8"
+
+    @property
+    def trigger_kind(self) -> Trigger:
+        """Start of an exposure."""
+        if self.trigger == "Software":
+            return "software"
+        return "free" if self.trigger == "Free" else "hardware"
+
+
+def import_library(module: str, what: str, mend: str) -> Any:
+    """Import a camera library. Raises RigError with the remedy when it is missing."""
+    try:
+        return importlib.import_module(module)
+    except (ImportError, OSError) as fault:
+        raise RigError(f"{what} is not installed ({fault}): {mend}.") from fault
+
+
+def select_device(wanted: str, found: list[tuple[str, ...]], where: str) -> int:
+    """Return the index of the wanted camera in a list of identifiers, the first of each its display name."""
+    names = ", ".join(identifiers[0] for identifiers in found)
+    if not found:
+        raise RigError(f"No camera was found {where}: check its power, its cable and its network address.")
+    if not wanted and len(found) > 1:
+        raise RigError(f"{len(found)} cameras were found {where}: choose one as device: {names}.")
+    matches = [i for i, identifiers in enumerate(found) if not wanted or wanted in identifiers]
+    if not matches:
+        raise RigError(f"The camera {wanted!r} was not found {where}; found are: {names}.")
+    return matches[0]
+
+
+def require_choice(name: str, what: str, wanted: str, choices: list[str]) -> None:
+    """Raise RigError if a camera does not offer a setting."""
+    if wanted not in choices:
+        raise RigError(f"{name} has no {what} {wanted!r}: choose one of {', '.join(choices) or 'none'}.")
+
+
+def require_exposure(limits: CameraLimits, exposure_us: float) -> None:
+    """Raise RigError if an exposure is outside the range of the camera."""
+    if not limits.exposure_min_us <= exposure_us <= limits.exposure_max_us:
+        raise RigError(
+            f"The camera cannot expose for {exposure_us:g} us: its range is {limits.exposure_min_us:g} to "
+            f"{limits.exposure_max_us:g} us."
+        )
+
+
+def require_software_trigger(name: str, trigger: Trigger) -> None:
+    """Raise RigError if frames are not taken on command."""
+    if trigger != "software":
+        raise RigError(f"{name} takes no frame on command: its trigger is {trigger!r}.")
+
+
+def limited_rate_hz(wanted_hz: float, highest_hz: float) -> float:
+    """Return the highest rate of triggers: that of the camera, or a lower one from its options."""
+    return min(wanted_hz, highest_hz) if wanted_hz else highest_hz
