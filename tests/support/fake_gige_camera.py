@@ -1,4 +1,4 @@
-"""A GigE Vision camera on the loopback interface: its argument is the lost packets per thousand."""
+"""A GigE Vision camera on the loopback interface: its argument is the fraction of lost packets."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from wafer_viewer.rigs.cameras.aravis import import_aravis
 
 if __name__ == "__main__":
     camera = import_aravis().GvFakeCamera.new("127.0.0.1", "GV01")
-    camera.set_property("gvsp-lost-ratio", int(sys.argv[1]))
+    camera.set_property("gvsp-lost-ratio", float(sys.argv[1]))
     print("ready" if camera.is_running() else "refused", flush=True)
     while camera.is_running():
         time.sleep(0.1)

@@ -65,11 +65,21 @@ def virtual(exits):
     return Bench(rig.camera, rig.limits.camera, fire, rig.close)
 
 
+def installed(driver):
+    """Return a driver, or skip the test if its library is missing."""
+    if CAMERAS[driver].missing:
+        pytest.skip(CAMERAS[driver].missing)
+    return CAMERAS[driver]
+
+
+def fake_gige_address(exits):
+    fake_gige(exits)
+    return {"device": "127.0.0.1", "packet_bytes": 8000}
+
+
 def connected(driver, **options):
     def bench(exits):
-        chosen = CAMERAS[driver]
-        if chosen.missing:
-            pytest.skip(chosen.missing)
+        chosen = installed(driver)
         camera = chosen.open(chosen.options(**OTHERS_SIMULATORS[driver](exits), **options))
         exits.append(camera.close)
         return Bench(camera, camera.limits, camera.fire, camera.close, camera.trigger == "free")
@@ -77,9 +87,9 @@ def connected(driver, **options):
     return bench
 
 
-def fake_gige(exits, lost=0):
-    """Start the fake GigE camera and return the options to reach it; one at a time, as it has a fixed port."""
-    lock = (Path(tempfile.gettempdir()) / "wafer_viewer_fake_gige_camera.lock").open("w")  # noqa: SIM115
+def fake_gige(exits, lost=0.0):
+    """Start the fake GigE camera; one on this computer at a time, as its port is fixed."""
+    lock = (Path(tempfile.gettempdir()) / "wafer_viewer_fake_gige_camera.lock").open("w")
     fcntl.flock(lock, fcntl.LOCK_EX)
     exits.append(lock.close)
     process = subprocess.Popen([sys.executable, fake_gige_camera.__file__, str(lost)], stdout=subprocess.PIPE)
@@ -90,7 +100,7 @@ def fake_gige(exits, lost=0):
 
     exits.append(end)
     assert process.stdout.readline() == b"ready\n"
-    return {"device": "127.0.0.1", "packet_bytes": 8000}
+    return process
 
 
 def demo_adapters(_):
@@ -104,13 +114,12 @@ def genicam_producer(_):
     return {"producer": str(Path(genicam.__file__).parent / "viky.cti"), "device": "VikyTL_DEV_red"}
 
 
-OTHERS_SIMULATORS = {"aravis": fake_gige, "micro_manager": demo_adapters, "gentl": genicam_producer}
+OTHERS_SIMULATORS = {"aravis": fake_gige_address, "micro_manager": demo_adapters, "gentl": genicam_producer}
 DEMO = {"library": "DemoCamera", "device": "DCam", "frame_rate_hz": 100.0}
 KINDS = {
     "virtual": virtual,
     "aravis, software": connected("aravis", trigger="Software", **REGION),
-    "aravis, software, 16 bits": connected("aravis", trigger="Software", pixel_format="Mono16", **REGION),
-    "aravis, free": connected("aravis", trigger="Free", frame_rate_hz=60.0, **REGION),
+    "aravis, free, 16 bits": connected("aravis", trigger="Free", pixel_format="Mono16", frame_rate_hz=60.0, **REGION),
     "micro-manager, software": connected("micro_manager", trigger="software", **DEMO, **REGION),
     "micro-manager, free, 12 bits": connected(
         "micro_manager", trigger="free", **DEMO, **REGION, properties={"PixelType": "16bit", "BitDepth": "12"}
@@ -137,10 +146,39 @@ def bench(request, exits):
 
 
 @pytest.fixture
-def connect(exits):
-    """A function that connects to a camera of a driver by its options, on top of those of its simulator."""
+def aravis(exits):
+    """A function that starts the fake GigE camera with a fraction of packets lost, and one that connects to it."""
+    driver = installed("aravis")
 
-    def open_camera(driver, **options):
-        return connected(driver, **options)(exits).camera
+    def connect(**options):
+        camera = driver.open(driver.options(**{"device": "127.0.0.1", "packet_bytes": 8000, **options}))
+        exits.append(camera.close)
+        return camera
 
-    return open_camera
+    return lambda lost=0.0: fake_gige(exits, lost), connect
+
+
+@pytest.fixture
+def micro_manager(exits):
+    """A function that connects to a simulated Micro-Manager camera, by default the demonstration camera."""
+    driver = installed("micro_manager")
+
+    def connect(**options):
+        camera = driver.open(driver.options(**demo_adapters(exits), **({} if "config" in options else DEMO) | options))
+        exits.append(camera.close)
+        return camera
+
+    return connect
+
+
+@pytest.fixture
+def gentl(exits):
+    """A function that connects to a camera of genicam's virtual producer."""
+    driver = installed("gentl")
+
+    def connect(**options):
+        camera = driver.open(driver.options(**genicam_producer(exits) | options))
+        exits.append(camera.close)
+        return camera
+
+    return connect

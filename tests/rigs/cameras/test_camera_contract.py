@@ -75,10 +75,10 @@ def test_a_start_during_a_run_drops_it(bench):
     assert complete(bench.take(1))[0].trigger_count in (0, None)
 
 
-@pytest.mark.parametrize("exposure_us", [0.0, -1.0, 1e12])
-def test_an_exposure_out_of_range_is_refused_in_words(bench, exposure_us):
-    with pytest.raises(RigError, match="cannot expose for .* us: its range is .* to .* us"):
-        bench.camera.start(exposure_us)
+def test_an_exposure_out_of_range_is_refused_in_words(bench):
+    for exposure_us in (0.0, -1.0, 1e12):
+        with pytest.raises(RigError, match=r"cannot expose for .* us: its range is .* to .* us"):
+            bench.camera.start(exposure_us)
 
 
 def test_closing_ends_a_run_and_can_be_repeated(bench):

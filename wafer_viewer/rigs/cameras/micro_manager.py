@@ -29,6 +29,8 @@ from wafer_viewer.rigs.cameras.pixel_formats import full_range
 MEND = "pip install 'wafer-viewer[micro-manager]'"
 LABEL = "Camera"
 POLL_S = 0.0005
+ENDLESS = 2**31 - 1
+"""Number of images of a sequence; unlike a continuous one it stops when the buffer is full, and loses none."""
 ARRIVAL, CAMERA_MS = "TimeReceivedByCore", "ElapsedTime-ms"
 """Metadata with the time of an image: of its arrival at this computer, and from the device adapter."""
 
@@ -110,7 +112,7 @@ class MicroManagerCamera:
         with self._errors():
             self._core.setExposure(exposure_us / 1000)
             if self.trigger != "software":
-                self._core.startContinuousSequenceAcquisition(0)
+                self._core.startSequenceAcquisition(ENDLESS, 0.0, True)
         self._armed = True
 
     def fire(self) -> None:
