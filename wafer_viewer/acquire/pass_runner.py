@@ -72,7 +72,7 @@ def device_clock(rig: Rig, exposure_us: float, before: DeviceClock | None = None
         rig.box.arm(train, on_command=True)
         rig.box.fire()
         with device_errors("camera"):
-            image = rig.camera.next_image(_image_s(rig, exposure_us))
+            image = rig.camera.next_image(image_wait_s(rig, exposure_us))
         rig.box.disarm()
         pulses = rig.box.pulses()
         with device_errors("camera"):
@@ -178,7 +178,7 @@ class _Pass:
 
     def finish(self, stopped: bool, mended: int) -> PassResult:
         """Wait for outstanding images, end the run and check it."""
-        deadline_s = self._rig.clock.now_s() + _image_s(self._rig, self._exposure_us)
+        deadline_s = self._rig.clock.now_s() + image_wait_s(self._rig, self._exposure_us)
         while not stopped and not self._reconciler.all_paired and self._rig.clock.now_s() < deadline_s:
             self._look(POLL_S)
         summary = self._rig.box.disarm()
@@ -313,6 +313,6 @@ def _delay_us(rig: Rig) -> float:
     return rig.calibration.trigger_delay_us if rig.calibration is not None else 0.0
 
 
-def _image_s(rig: Rig, exposure_us: float) -> float:
+def image_wait_s(rig: Rig, exposure_us: float) -> float:
     """Return the longest time from a pulse to its image."""
     return rig.limits.camera.period_s(exposure_us) + (exposure_us + rig.limits.camera.readout_us) * 1e-6 + GRACE_S
