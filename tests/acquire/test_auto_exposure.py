@@ -86,7 +86,7 @@ def test_light_that_does_not_follow_the_exposure_is_reported():
     def flicker(exposure_us):
         return [np.full((4, 4), 255 * next(levels), np.uint8)]
 
-    with pytest.raises(RigError, match=r"did not settle in 12 tries: .* Check that the light is steady"):
+    with pytest.raises(RigError, match=r"did not settle in 15 tries: .* Check that the light is steady"):
         settle_exposure(flicker, 100.0, replace(CAMERA, exposure_min_us=1e-9, exposure_max_us=1e9))
 
 

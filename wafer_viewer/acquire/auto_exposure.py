@@ -45,7 +45,7 @@ class ExposureParameters:
     ignored: float = 1e-4
     longest_step: float = 8.0
     overexposed_step: float = 0.35
-    tries: int = 12
+    tries: int = 15
 
 
 EXPOSURE = ExposureParameters()

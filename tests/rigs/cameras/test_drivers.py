@@ -38,6 +38,15 @@ def test_options_are_specs(name):
         CAMERAS[name].options(**OPTIONS[name], left=-1)
 
 
+def test_settings_of_a_rig_file_are_checked():
+    with pytest.raises(
+        RigError, match=r"settings of the aravis camera are wrong \(.*unknown field `colour`\): correct"
+    ):
+        CAMERAS["aravis"].connect({"colour": "red"})
+    with pytest.raises(RigError, match="buffers is 2: it must be at least 30"):
+        CAMERAS["aravis"].connect({"buffers": 2})
+
+
 def test_nothing_is_imported_before_a_camera_is_opened():
     libraries = ("gi", "pymmcore", "harvesters", "genicam")
     code = f"import sys, wafer_viewer.rigs.cameras.drivers; print([m for m in {libraries} if m in sys.modules])"

@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from typing import Any
+
+import msgspec
 
 from wafer_viewer.model.errors import RigError
 from wafer_viewer.rigs.cameras import aravis, gentl, micro_manager
@@ -34,6 +36,16 @@ class CameraDriver:
         except RigError as fault:
             return str(fault)
         return ""
+
+    def connect(self, settings: Mapping[str, Any]) -> ConnectedCamera:
+        """Connect to a camera by its settings in a rig file. Raises RigError where they are wrong or it refuses."""
+        try:
+            options = msgspec.convert(settings, self.options)
+        except msgspec.ValidationError as fault:
+            raise RigError(
+                f"The settings of the {self.name} camera are wrong ({fault}): correct the rig file."
+            ) from fault
+        return self.open(options)
 
 
 CAMERAS: dict[str, CameraDriver] = {
