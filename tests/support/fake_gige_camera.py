@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import sys
-import time
 
 from wafer_viewer.rigs.cameras.aravis import import_aravis
 
@@ -11,5 +10,4 @@ if __name__ == "__main__":
     camera = import_aravis().GvFakeCamera.new("127.0.0.1", "GV01")
     camera.set_property("gvsp-lost-ratio", float(sys.argv[1]))
     print("ready" if camera.is_running() else "refused", flush=True)
-    while camera.is_running():
-        time.sleep(0.1)
+    sys.stdin.read()  # ends with the program that started this one

@@ -92,7 +92,8 @@ def fake_gige(exits, lost=0.0):
     lock = (Path(tempfile.gettempdir()) / "wafer_viewer_fake_gige_camera.lock").open("w")
     fcntl.flock(lock, fcntl.LOCK_EX)
     exits.append(lock.close)
-    process = subprocess.Popen([sys.executable, fake_gige_camera.__file__, str(lost)], stdout=subprocess.PIPE)
+    command = [sys.executable, fake_gige_camera.__file__, str(lost)]
+    process = subprocess.Popen(command, stdin=subprocess.PIPE, stdout=subprocess.PIPE)
 
     def end():
         process.kill()

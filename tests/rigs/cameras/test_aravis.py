@@ -77,7 +77,7 @@ def test_the_trigger_line_and_the_region_are_set(aravis):
         ({"pixel_format": "RGB8"}, "'RGB8' cannot be read"),
         ({"gain": 99.0}, "has no gain 99: its range is 0 to 10"),
         ({"device": "GV99"}, "'GV99' was not found by Aravis; found are: Aravis-Fake-GV01"),
-        ({"device": "127.0.0.99"}, "refuses or does not answer"),
+        pytest.param({"device": "127.0.0.99"}, "refuses or does not answer", marks=pytest.mark.slow),
     ],
 )
 def test_settings_that_the_camera_lacks_are_refused_in_words(aravis, options, words):
@@ -87,6 +87,7 @@ def test_settings_that_the_camera_lacks_are_refused_in_words(aravis, options, wo
         connect(**options)
 
 
+@pytest.mark.slow
 def test_a_camera_is_found_by_its_serial_number_and_has_one_controller(aravis):
     fake, connect = aravis
     fake()

@@ -4,13 +4,14 @@ from __future__ import annotations
 
 import pytest
 
+from wafer_viewer.model.acquisition.focus_stack import FrameStatus
 from wafer_viewer.model.errors import RigError
 
 
 @pytest.mark.parametrize(
     ("options", "words"),
     [
-        ({"exposure_us": 1000.0}, "offers no TriggerSelector: it cannot be used with these options"),
+        ({"exposure_us": 1000.0}, "offers no TriggerSource: it cannot be used with these options"),
         ({"trigger": "Free"}, "offers no exposure time: give its fixed one as exposure_us"),
         ({"trigger": "Free", "gain": 2.0}, "offers no Gain"),
         ({"trigger": "Free", "pixel_format": "Mono12p"}, "has no PixelFormat 'Mono12p': choose one of RGBa8, Mono8"),
@@ -33,3 +34,14 @@ def test_a_camera_can_be_opened_again(gentl):
     with pytest.raises(RigError, match="is closed"):
         camera.start(1000.0)
     gentl(**options)
+
+
+def test_a_frame_that_the_producer_calls_incomplete_has_no_image(gentl, monkeypatch):
+    camera = gentl(trigger="Free", exposure_us=1000.0, rows=100, cols=120)
+    acquirer = camera._acquirer
+    camera.start(1000.0)
+    with monkeypatch.context() as patched:
+        patched.setattr(acquirer, "try_fetch", lambda **_: acquirer._emit_callbacks(acquirer.Events.INCOMPLETE_BUFFER))
+        image = camera.next_image(1.0)
+    assert (image.image, image.trigger_count, image.status) == (None, None, FrameStatus.INCOMPLETE)
+    assert camera.next_image(1.0).status is FrameStatus.OK

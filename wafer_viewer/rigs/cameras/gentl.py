@@ -173,22 +173,20 @@ class GenTLCamera:
                 self._require(name).value = value
         if options.gain is not None:
             self._require("Gain").value = options.gain
-        if self._node("ExposureMode") is not None:
-            self._select("ExposureMode", "Timed")
+        self._select("ExposureMode", "Timed", optional=True)
         self._set_trigger()
         self._acquirer.num_buffers = options.buffers
 
     def _set_trigger(self) -> None:
         if self.trigger == "free":
-            if self._node("TriggerMode") is not None:
-                self._select("TriggerMode", "Off")
+            self._select("TriggerMode", "Off", optional=True)
             if self._options.frame_rate_hz and (rate := self._node("AcquisitionFrameRate")) is not None:
                 rate.value = min(self._options.frame_rate_hz, rate.max)
             return
-        self._select("TriggerSelector", "FrameStart")
+        self._select("TriggerSelector", "FrameStart", optional=True)
         self._select("TriggerSource", self._options.trigger)
         if self.trigger == "hardware":
-            self._select("TriggerActivation", "RisingEdge")
+            self._select("TriggerActivation", "RisingEdge", optional=True)
         self._select("TriggerMode", "On")
 
     def _read_limits(self) -> CameraLimits:
@@ -228,7 +226,9 @@ class GenTLCamera:
             raise RigError(f"{self._name} offers no {name}: it cannot be used with these options.")
         return node
 
-    def _select(self, name: str, value: str) -> None:
+    def _select(self, name: str, value: str, *, optional: bool = False) -> None:
+        if optional and self._node(name) is None:
+            return
         node = self._require(name)
         require_choice(self._name, name, value, list(node.symbolics))
         node.value = value
