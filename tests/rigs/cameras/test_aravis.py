@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import time
-from itertools import pairwise
 
 import pytest
 
@@ -30,10 +29,11 @@ def test_frames_with_lost_packets_have_no_image_and_no_number(aravis):
     assert len(incomplete) > 10
     assert len(complete) > 10
     assert all(image.image is None and image.trigger_count is None for image in incomplete)
-    period_us = 1e6 / RATE_HZ
-    for one, next_one in pairwise(complete):
-        elapsed = (next_one.device_time_us - one.device_time_us) / period_us
-        assert next_one.trigger_count - one.trigger_count == pytest.approx(elapsed, abs=0.5)
+    counts = [image.trigger_count for image in complete]
+    assert counts == sorted(set(counts))
+    between = images[images.index(complete[0]) : images.index(complete[-1]) + 1]
+    periods = (complete[-1].device_time_us - complete[0].device_time_us) * 1e-6 * RATE_HZ
+    assert len(between) - 1 <= counts[-1] - counts[0] <= periods + 1
 
 
 @pytest.mark.slow
