@@ -4,7 +4,9 @@ from __future__ import annotations
 
 import pickle
 import tomllib
+from dataclasses import replace
 
+import msgspec
 import pytest
 import tomli_w
 
@@ -13,6 +15,9 @@ from wafer_viewer.acquire.planner import plan_scan
 from wafer_viewer.acquire.scan_runner import run_scan
 from wafer_viewer.model.acquisition.plan import FieldGrid, FocusSweep
 from wafer_viewer.model.errors import RigError
+from wafer_viewer.rigs.cameras.drivers import CAMERAS
+from wafer_viewer.rigs.composed.devices import DevicesConfig
+from wafer_viewer.rigs.composed.rig import DeviceOpener
 from wafer_viewer.rigs.rig_config import RigConfig, open_rig, read_config
 
 RIGS = ROOT / "assets/rigs"
@@ -153,6 +158,7 @@ def test_two_devices_do_not_share_a_port(tmp_path):
     ("path", "value", "words"),
     [
         ("devices.camera.driver", "zeiss", r"camera\.driver is 'zeiss'.*one of .*virtual"),
+        ("devices.camera.driver", "micro_manager", r"micro_manager.*does not see a simulated stage.*real ports"),
         ("devices.camera.options", {"scene": "moon"}, r"'moon'.*gauge_blocks"),
         ("devices.camera.options", {"colour": 3}, r"camera\.options.*colour"),
     ],
@@ -160,6 +166,26 @@ def test_two_devices_do_not_share_a_port(tmp_path):
 def test_a_camera_that_cannot_be_opened_is_named(path, value, words, opened):
     with pytest.raises(RigError, match=words):
         opened(changed(path, value))
+
+
+class CameraByHand:
+    """A camera set to its software trigger."""
+
+    name, trigger, closed = "CAM-7", "software", False
+
+    def close(self) -> None:
+        self.closed = True
+
+
+def test_a_camera_that_does_not_hear_the_pulses_is_refused_and_let_go(monkeypatch):
+    camera = CameraByHand()
+    driver = replace(CAMERAS["gentl"], open=lambda options: camera)
+    monkeypatch.setitem(CAMERAS, "gentl", driver)
+    data = example("grbl_pi")
+    data["devices"]["camera"] = {"driver": "gentl", "options": {"producer": "maker.cti"}}
+    with pytest.raises(RigError, match=r"CAM-7 is set to its software trigger.*'hardware'"):
+        DeviceOpener("bench", msgspec.convert(data["devices"], DevicesConfig)).camera()
+    assert camera.closed
 
 
 def test_a_port_that_is_not_there_is_named_with_those_that_are(opened):

@@ -48,11 +48,15 @@ def check_devices(opener: DeviceOpener, *, move: bool) -> Iterator[DeviceCheck]:
         boxes.append(opener.box())
         return "answers"
 
+    def connect_camera() -> str:
+        opener.camera().close()
+        return "answers"
+
     try:
         for name, config in devices.controllers.items():
             yield _answer(opener, f"Controller '{name}' at {config.port}", lambda name=name: connect(name))
         yield _answer(opener, f"Pulse box at {devices.pulse_box.port}", connect_box)
-        yield _answer(opener, f"Camera '{devices.camera.driver}'", lambda: opener.camera() and "answers")
+        yield _answer(opener, f"Camera '{devices.camera.driver}'", connect_camera)
         if len(controllers) == len(devices.controllers):
             axes = devices.axes.by_name()
             stage = ControllerStage(controllers, axes, opener.clock)

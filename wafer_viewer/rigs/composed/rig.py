@@ -16,6 +16,7 @@ from wafer_viewer.model.acquisition.rig_limits import CameraLimits, RigLimits
 from wafer_viewer.model.errors import RigError, WaferViewerError
 from wafer_viewer.model.progress import ShouldStop
 from wafer_viewer.model.spec import Spec
+from wafer_viewer.rigs.cameras.drivers import CAMERAS
 from wafer_viewer.rigs.composed.devices import DevicesConfig
 from wafer_viewer.rigs.pulse_box.client import PulseBoxClient
 from wafer_viewer.rigs.serial_ports import SystemClock, open_port
@@ -24,6 +25,9 @@ from wafer_viewer.rigs.stages.controllers import CONTROLLERS
 from wafer_viewer.rigs.stages.motion_controller import ControllerAxis, MotionController
 from wafer_viewer.rigs.virtual.rig import SIZES, VirtualRig, virtual_limits
 from wafer_viewer.rigs.virtual.serial_port import VirtualPort
+
+VIRTUAL_CAMERA = "virtual"
+"""Driver of the camera over a simulated stage, in a rig's file."""
 
 
 class VirtualCameraOptions(Spec, frozen=True, kw_only=True):
@@ -90,10 +94,27 @@ class DeviceOpener:
 
     def camera(self) -> ComposedCamera:
         """Connect to the camera."""
-        driver = self.devices.camera.driver
-        if driver not in CAMERAS:
-            raise RigError(f"devices.camera.driver is '{driver}': it must be one of {', '.join(CAMERAS)}.")
-        return CAMERAS[driver](self)
+        config = self.devices.camera
+        if config.driver == VIRTUAL_CAMERA:
+            return _virtual_camera(self)
+        if config.driver not in CAMERAS:
+            raise RigError(
+                f"devices.camera.driver is '{config.driver}': it must be one of "
+                f"{', '.join((VIRTUAL_CAMERA, *CAMERAS))}."
+            )
+        if self.devices.simulated:
+            raise RigError(
+                f"devices.camera.driver is '{config.driver}', which does not see a simulated stage: name the "
+                f"'{VIRTUAL_CAMERA}' camera, or give the devices their real ports."
+            )
+        camera = CAMERAS[config.driver].connect(config.options)
+        if camera.trigger != "hardware":
+            camera.close()
+            raise RigError(
+                f"The {camera.name} is set to its {camera.trigger} trigger, and a scan needs frames at the pulses of "
+                "the box: set the trigger of devices.camera.options to 'hardware'."
+            )
+        return ComposedCamera(camera, camera.limits, camera.close)
 
     def _controller_port(self, name: str) -> SerialPort:
         config, virtual = self.devices.controllers[name], self.virtual
@@ -108,10 +129,11 @@ class DeviceOpener:
 
 @dataclass(frozen=True, slots=True)
 class ComposedCamera:
-    """Connected camera with its limits."""
+    """Connected camera with its limits; `close` disconnects from it."""
 
     device: Camera
     limits: CameraLimits
+    close: Callable[[], None] = lambda: None
 
 
 def _options(given: dict[str, Any]) -> VirtualCameraOptions:
@@ -124,14 +146,10 @@ def _options(given: dict[str, Any]) -> VirtualCameraOptions:
 def _virtual_camera(opener: DeviceOpener) -> ComposedCamera:
     if opener.virtual is None:
         raise RigError(
-            "devices.camera.driver is 'virtual', which sees simulated stages only: name the driver of the camera, or "
-            "give all devices the port 'simulated'."
+            f"devices.camera.driver is '{VIRTUAL_CAMERA}', which sees simulated stages only: name the driver of the "
+            "camera, or give all devices the port 'simulated'."
         )
     return ComposedCamera(opener.virtual.camera, opener.virtual.limits.camera)
-
-
-CAMERAS: dict[str, Callable[[DeviceOpener], ComposedCamera]] = {"virtual": _virtual_camera}
-"""Functions that connect to a camera, by the name of its driver."""
 
 
 class ComposedRig:
@@ -140,11 +158,16 @@ class ComposedRig:
     def __init__(self, opener: DeviceOpener) -> None:
         self._opener = opener
         self._camera = opener.camera()
-        self._stage = opener.stage()
+        try:
+            self._stage = opener.stage()
+        except RigError:
+            self._camera.close()
+            raise
         try:
             self._box = opener.box()
         except RigError:
             self._stage.close()
+            self._camera.close()
             raise
 
     @property
@@ -205,7 +228,7 @@ class ComposedRig:
         """Stop motion, stop the pulses, and close the ports. What fails does not keep the rest from being done."""
         virtual = self._opener.virtual
         ends = (self._stage.close, self._box.close if virtual is None else virtual.close)
-        for step in (self._box.halt, self._stage.stop, self._camera.device.stop, *ends):
+        for step in (self._box.halt, self._stage.stop, self._camera.device.stop, self._camera.close, *ends):
             try:
                 step()
             except (RigError, OSError):
