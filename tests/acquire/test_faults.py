@@ -185,11 +185,50 @@ def test_a_counter_that_starts_anywhere_is_set_by_the_stages_position(virtual_ri
     rig, ledger = virtual_rig(), Ledger()
     rig.stage.move_to(z_um=50.0)
     rig._firmware.reboot()
-    with pytest.raises(RigError, match="restarted during a pass"):
-        rig.box.count("z")
     run_scan(small_plan(rig, **FIELDS), rig, ledger, control())
     assert len(ledger.kept) == N
     assert all(abs(place(f.image)[0][2] - f.z_um) < 0.12 for f in ledger.kept.values())
+    assert ledger.faults == [
+        "The pulse box restarted (boot 2, before 1): check its power. Its counts are set again from the position of "
+        "the stage."
+    ]
+
+
+@pytest.mark.parametrize("strategy", ["z_snake", "x_lines", "stop_and_shoot"])
+def test_a_pass_in_which_the_box_restarts_is_taken_again(strategy, scan):
+    ledger, wrong, error = scan(strategy, reboots=(0, 30, 100))
+    assert error is None
+    assert wrong == []
+    assert len(ledger.kept) == N
+    assert "the pulse box restarted in the pass. It is taken again (try 2 of 3)." in ledger.faults[1]
+
+
+def test_a_box_that_restarts_in_every_pass_ends_the_scan(scan):
+    ledger, wrong, error = scan(reboots=tuple(range(20, 1_000, 10)))
+    assert wrong == []
+    assert len(ledger.kept) == 0
+    assert re.search("in 3 tries .* the pulse box restarted in the pass. Check the power of the pulse box", str(error))
+
+
+def test_a_box_too_slow_for_moves_is_set_before_each_pass_and_limits_the_speed_of_passes(
+    virtual_rig, small_plan, control, place, monkeypatch
+):
+    monkeypatch.setattr("wafer_viewer.rigs.virtual.pulse_box_firmware.COUNT_RATE_HZ", 4_000)
+    rig, ledger = virtual_rig(), Ledger()
+    plan = small_plan(rig, **FIELDS)
+    assert {leg.speed_um_s for leg in plan.legs} == {40.0}
+    move_to = rig.stage.move_to
+
+    def lose_counts(**goal):
+        move_to(**goal)
+        if rig._firmware._settings["AX"]:
+            rig._firmware.slip(500, reported=False)
+
+    monkeypatch.setattr(rig.stage, "move_to", lose_counts)
+    run_scan(plan, rig, ledger, control())
+    assert len(ledger.kept) == N
+    assert all(abs(place(f.image)[0][2] - f.z_um) < 0.12 for f in ledger.kept.values())
+    assert ledger.faults == []
 
 
 @pytest.mark.parametrize("strategy", ["z_snake", "stop_and_shoot"])

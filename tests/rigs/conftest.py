@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
+from wafer_viewer.acquire.pass_runner import reference_axes
 from wafer_viewer.rigs.virtual.faults import Faults
 from wafer_viewer.rigs.virtual.rig import VirtualRig, virtual_limits
 from wafer_viewer.rigs.virtual.serial_port import Interference
@@ -27,11 +28,12 @@ class HeightRenderer:
 
 @pytest.fixture
 def switch_on():
-    """A function that switches a virtual rig on."""
+    """A function that switches a virtual rig on and sets the counts of its pulse box."""
     rigs = []
 
     def virtual(**settings):
         rigs.append(VirtualRig(**{"renderer": HeightRenderer(), "limits": virtual_limits(16, 24), **settings}))
+        reference_axes(rigs[-1])
         return rigs[-1]
 
     yield virtual

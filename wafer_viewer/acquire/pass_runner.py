@@ -11,9 +11,10 @@ from wafer_viewer.acquire.pulse_reconciliation import DeviceClock, Pairing, Reco
 from wafer_viewer.model.acquisition.devices import CameraImage, PulseSummary, Rig
 from wafer_viewer.model.acquisition.focus_stack import Frame
 from wafer_viewer.model.acquisition.plan import Axis, Leg, PulseTrain
-from wafer_viewer.model.errors import MissedPulse, MotionStopped, RigError
+from wafer_viewer.model.errors import MissedPulse, MotionStopped, PulseBoxRestarted, RigError
 from wafer_viewer.model.progress import ShouldStop
 
+AXES: tuple[Axis, ...] = ("x", "y", "z")
 POLL_S = 0.05
 """Longest wait for an image before the next heartbeat to the pulse box."""
 GRACE_S = 0.25
@@ -38,8 +39,8 @@ class PassDoubt:
 class PassResult:
     """Outcome of a pass.
 
-    doubts: reasons for discarding all of its frames; pairing: None if it was stopped on the approach; count_mended:
-    difference of box and stage counts before the pass, which was corrected.
+    doubts: reasons for discarding all of its frames; pairing: None if it was stopped on the approach or the pulse box
+    restarted; count_mended: difference of box and stage counts before the pass, which was corrected.
     """
 
     summary: PulseSummary
@@ -57,6 +58,14 @@ def rig_at_rest(rig: Rig) -> Generator[None]:
         afterwards.callback(rig.stage.stop)
         afterwards.callback(rig.box.halt)
         yield
+
+
+def reference_axes(rig: Rig) -> None:
+    """Set the counts of the pulse box from the position of the stage at rest."""
+    with device_errors("stage"):
+        here = rig.stage.position()
+    for axis in AXES:
+        rig.box.reference(axis, rig.limits.axis(axis).counts(at_um(here, axis)))
 
 
 def device_clock(rig: Rig, exposure_us: float, before: DeviceClock | None = None) -> DeviceClock:
@@ -98,17 +107,16 @@ def run_pass(
 ) -> PassResult:
     """Execute a leg; frames go to `take` during the pass and are valid only by its result.
 
-    Raises MissedPulse if the box sent no pulse at all, RigTimeout if the stage does not arrive in time, RigError if no
-    image arrived at all or a device refuses.
+    A restart of the pulse box leaves stage and camera at rest and is a doubt of the result. Raises MissedPulse if the
+    box sent no pulse at all, RigTimeout if the stage does not arrive in time, RigError if no image arrived at all or a
+    device refuses.
     """
     one = _Pass(rig, leg, exposure_us, clock, take, should_stop)
-    if not one.move_to_start():
-        return PassResult(NOTHING_SENT, None, (), count_mended=0, stopped=True)
-    mended = one.mend_count()
-    with device_errors("camera"):
-        rig.camera.start(exposure_us)
-    stopped = one.shoot() if leg.speed_um_s == 0 else one.sweep()
-    return one.finish(stopped, mended)
+    try:
+        return one.run()
+    except PulseBoxRestarted:
+        one.abort()
+        return PassResult(NOTHING_SENT, None, (RESTARTED,), count_mended=0, stopped=False)
 
 
 class _Pass:
@@ -128,6 +136,23 @@ class _Pass:
         self._should_stop = should_stop
         self._reconciler = Reconciler(leg, rig.limits, _timing(rig, leg, exposure_us, clock))
 
+    def run(self) -> PassResult:
+        """Execute the pass from approach to checks."""
+        if not self.move_to_start():
+            return PassResult(NOTHING_SENT, None, (), count_mended=0, stopped=True)
+        mended = self.mend_count()
+        with device_errors("camera"):
+            self._rig.camera.start(self._exposure_us)
+        stopped = self.shoot() if self._leg.speed_um_s == 0 else self.sweep()
+        return self.finish(stopped, mended)
+
+    def abort(self) -> None:
+        """Leave stage and camera at rest."""
+        with device_errors("stage"):
+            come_to_rest(self._rig)
+        with device_errors("camera"):
+            self._rig.camera.stop()
+
     def move_to_start(self) -> bool:
         """Move to the start of the pass; return False if stopped on the way."""
         train = self._leg.train
@@ -139,7 +164,7 @@ class _Pass:
         off = self._count_error()
         if abs(off) <= COUNT_TOLERANCE:
             return 0
-        self._rig.box.correct_count(self._leg.train.axis, off)
+        self._rig.box.reference(self._leg.train.axis, self._stage_count())
         return off
 
     def sweep(self) -> bool:
@@ -147,7 +172,7 @@ class _Pass:
         stage, train, speed = self._rig.stage, self._leg.train, self._leg.speed_um_s
         end_um = self._rig.limits.axis(train.axis).position_um(train.last_count) + self._run_up_um()
         deadline = Deadline(self._rig, {train.axis: end_um}, speed)
-        self._rig.box.arm(train)
+        self._rig.box.arm(train, min_gap_us=self._rig.limits.camera.period_s(self._exposure_us) * 1e6)
         with device_errors("stage"):
             stage.start(train.axis, end_um, speed)
         while self._moving():
@@ -202,10 +227,12 @@ class _Pass:
 
     def _count_error(self) -> int:
         """Return the box's count of the pass axis minus that of the stage's position; valid only at rest."""
+        return self._rig.box.count(self._leg.train.axis) - self._stage_count()
+
+    def _stage_count(self) -> int:
         axis = self._leg.train.axis
-        counted = self._rig.box.count(axis)
         with device_errors("stage"):
-            return counted - self._rig.limits.axis(axis).counts(at_um(self._rig.stage.position(), axis))
+            return self._rig.limits.axis(axis).counts(at_um(self._rig.stage.position(), axis))
 
     def _run_up_um(self) -> float:
         train = self._leg.train
@@ -296,6 +323,7 @@ def doubts_of(summary: PulseSummary, pairing: Pairing, axis: Axis, slip: int, ri
 _SCALE = "check the cable and the signal of the scale, and that the box can follow its speed"
 _SPEED = "lower the frame rate or check the scale's signal for noise"
 _TRIGGER = "check the cables between pulse box and camera, trigger and exposure signal, for noise and loose contact"
+RESTARTED = PassDoubt("the pulse box restarted in the pass", "check the power of the pulse box")
 
 
 def _n(number: int, what: str) -> str:

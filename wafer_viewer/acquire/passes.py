@@ -171,14 +171,14 @@ def _line_pass(task: Task, fields: list[Field], line: Line, k: int, exposure: in
 def _axial_speed_um_s(task: Task, exposure: int) -> float:
     by_camera = task.sweep.z_step_um / task.period_s(exposure)
     by_smear = AXIAL_SMEAR * task.sweep.z_step_um / task.lit_s(exposure)
-    return min(by_camera, by_smear, task.limits.z.speed_um_s)
+    return min(by_camera, by_smear, task.limits.pass_speed_um_s("z"))
 
 
 def _lateral_speed_um_s(task: Task, line: Line, pitch_counts: int, exposure: int) -> float:
     axis = task.limits.axis(line)
     by_camera = axis.position_um(pitch_counts) / task.period_s(exposure)
     by_smear = SMEAR_PX * task.limits.pixel_um / task.lit_s(exposure)
-    return min(by_camera, by_smear, axis.speed_um_s)
+    return min(by_camera, by_smear, task.limits.pass_speed_um_s(line))
 
 
 def _pitch_counts(task: Task, fields: list[Field], line: Line) -> int:

@@ -5,13 +5,13 @@ from __future__ import annotations
 from collections.abc import Callable, Container
 from dataclasses import dataclass
 
-from wafer_viewer.acquire.pass_runner import PassResult, device_clock, rig_at_rest, run_pass
+from wafer_viewer.acquire.pass_runner import PassResult, device_clock, reference_axes, rig_at_rest, run_pass
 from wafer_viewer.acquire.pulse_reconciliation import DeviceClock, MissingFrame
 from wafer_viewer.model.acquisition.devices import Rig, ScanControl, ScanSink
 from wafer_viewer.model.acquisition.focus_stack import Frame
 from wafer_viewer.model.acquisition.plan import Axis, Leg, ScanPlan, Shot
 from wafer_viewer.model.acquisition.rig_limits import RigLimits
-from wafer_viewer.model.errors import RigError
+from wafer_viewer.model.errors import PulseBoxRestarted, RigError
 from wafer_viewer.model.spec import replace
 
 REPAIRS = 2
@@ -43,10 +43,11 @@ class ScanOutcome:
 def run_scan(plan: ScanPlan, rig: Rig, sink: ScanSink, control: ScanControl, skip: Container[Shot] = ()) -> ScanOutcome:
     """Execute a plan. Slots in `skip` are already stored: their frames are not passed on again.
 
-    A pass with inconsistent counts or times is repeated immediately, at most PASS_TRIES times in all. Empty slots are
-    taken again after the last leg, at most twice; those still empty are reported to the sink. A pause takes effect at
-    the end of a leg, a stop immediately. In every case the rig is left at rest: no pulses, stage halted, camera idle.
-    Raises RigError if a device fails, the pulse box restarted, or a pass remains doubtful in all of its tries.
+    The counts of the pulse box are set from the position of the stage at the beginning, after a doubtful pass and after
+    a restart of the box. A pass with inconsistent counts or times is repeated immediately, at most PASS_TRIES times in
+    all. Empty slots are taken again after the last leg, at most twice; those still empty are reported to the sink. A
+    pause takes effect at the end of a leg, a stop immediately. In every case the rig is left at rest: no pulses, stage
+    halted, camera idle. Raises RigError if a device fails or a pass remains doubtful in all of its tries.
     """
     with rig_at_rest(rig):
         return _Scan(plan, rig, sink, control, skip).run()
@@ -79,7 +80,9 @@ class _Scan:
         self._holes: dict[Shot, MissingFrame] = {}
         self._repaired = 0
         self._stopped = False
-        self._referenced: set[Axis] = set()
+        self._referenced = False
+        """Whether the pulse box counts from the position of the stage."""
+        self._agreed: set[Axis] = set()
         """Axes whose count agreed with the stage at the end of their last pass."""
         self._remarks = _Remarks(sink.fault)
 
@@ -134,7 +137,7 @@ class _Scan:
             if not result.doubts:
                 return True
             self._report_doubts(leg, result, attempt)
-            self._clock = None
+            self._distrust_box()
         return False
 
     def _interrupted(self) -> bool:
@@ -158,7 +161,23 @@ class _Scan:
         return result
 
     def _clock_at(self, exposure_us: float) -> DeviceClock:
+        """Return the camera's clock relative to the box's, with the counts of the box set before."""
+        try:
+            return self._compared_clock(exposure_us)
+        except PulseBoxRestarted as restart:
+            self._sink.fault(f"{restart} Its counts are set again from the position of the stage.")
+            self._distrust_box()
+            return self._compared_clock(exposure_us)
+
+    def _distrust_box(self) -> None:
+        self._clock, self._referenced = None, False
+        self._agreed.clear()
+
+    def _compared_clock(self, exposure_us: float) -> DeviceClock:
         """Return the camera's clock relative to the box's, measured again if the last comparison is too old."""
+        if not self._referenced:
+            reference_axes(self._rig)
+            self._referenced = True
         if self._clock is None or self._rig.clock.now_s() - self._clock_known_s > CLOCK_HOLDS_S:
             self._clock = device_clock(self._rig, exposure_us, self._clock)
             self._clock_known_s = self._rig.clock.now_s()
@@ -210,13 +229,13 @@ class _Scan:
 
     def _remark(self, leg: Leg, result: PassResult) -> None:
         """Record corrected and harmless faults of a pass."""
-        axis, pairing = leg.train.axis, result.pairing
-        if result.count_mended and axis in self._referenced:
-            self._remarks.slipped(axis, result.count_mended, self._rig.limits)
+        axis, pairing, limits = leg.train.axis, result.pairing, self._rig.limits
+        followed = limits.pass_speed_um_s(axis) == limits.axis(axis).speed_um_s
+        if result.count_mended and axis in self._agreed and followed:
+            self._remarks.slipped(axis, result.count_mended, limits)
         if result.doubts:
-            self._referenced.discard(axis)
             return
-        self._referenced.add(axis)
+        self._agreed.add(axis)
         if pairing is not None:
             self._remarks.paired(pairing.extra_edges, pairing.uncounted, pairing.strays)
 

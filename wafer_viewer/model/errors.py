@@ -32,6 +32,10 @@ class MotionStopped(RigError):
         return cls(f"The move was stopped at X {x}, Y {y}, Z {z} mm.")
 
 
+class PulseBoxRestarted(RigError):
+    """The pulse box restarted: its run, its counts and its clock are lost."""
+
+
 class MissedPulse(RigError):
     """The pulse box did not send a pulse that it should have sent."""
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import os
 import threading
 import time
@@ -11,25 +12,26 @@ from itertools import pairwise
 import pytest
 import serial
 
+from wafer_viewer.acquire.pass_runner import reference_axes
 from wafer_viewer.model.acquisition.plan import PulseTrain
-from wafer_viewer.model.errors import RigError, WireError
+from wafer_viewer.model.errors import PulseBoxRestarted, RigError, RigTimeout, WireError
 from wafer_viewer.rigs.pulse_box.client import PulseBoxClient
 from wafer_viewer.rigs.virtual.clock import VirtualClock
 from wafer_viewer.rigs.virtual.faults import Faults
-from wafer_viewer.rigs.virtual.pulse_box_firmware import VirtualPulseBox
+from wafer_viewer.rigs.virtual.pulse_box_firmware import BOOT_S, VirtualPulseBox
 from wafer_viewer.rigs.virtual.rig import virtual_limits
-from wafer_viewer.rigs.virtual.serial_port import VirtualPort
+from wafer_viewer.rigs.virtual.serial_port import Interference, VirtualPort
 from wafer_viewer.rigs.virtual.stage import VirtualStage
 
 UPWARD = PulseTrain(axis="z", first_count=500, counts_per_frame=100, n_frames=8, direction=1)
 DOWNWARD = PulseTrain(axis="z", first_count=1_500, counts_per_frame=200, n_frames=5, direction=-1)
 
 
-def pass_over(rig, train, speed_um_s=500.0, spare_um=3.0):
+def pass_over(rig, train, speed_um_s=500.0, spare_um=3.0, min_gap_us=0.0):
     """Move through a train from before its first to behind its last pulse; returns the pulses as they came."""
     z = rig.limits.z
     rig.stage.move_to(z_um=z.position_um(train.first_count) - train.direction * spare_um)
-    rig.box.arm(train)
+    rig.box.arm(train, min_gap_us=min_gap_us)
     rig.stage.start("z", z.position_um(train.last_count) + train.direction * spare_um, speed_um_s)
     pulses = []
     while rig.stage.moving():
@@ -131,18 +133,19 @@ def test_a_box_that_is_asked_for_pulses_stays_armed(switch_on):
 def test_a_box_that_was_started_anew_is_noticed(switch_on):
     rig = switch_on(faults=Faults(reboots=(3,)))
     rig.camera.start(100.0)
-    pass_over(rig, UPWARD)
-    with pytest.raises(RigError, match=r"restarted.*boot 2, before 1"):
-        rig.box.disarm()
-    z = rig.limits.z.counts(rig.stage.position().z_um)
-    rig.box.correct_count("z", rig.box.count("z") - z)  # it counts from 0 again where it lost its power
+    with pytest.raises(PulseBoxRestarted, match=r"boot 2, before 1"):
+        pass_over(rig, UPWARD, speed_um_s=50.0)
+    rig.stage.wait()
+    with pytest.raises(RigError, match="refused ARM: z axis not referenced since the box started"):
+        rig.box.arm(UPWARD)
+    reference_axes(rig)
     assert len(pass_over(rig, UPWARD)) >= 7
 
 
 def test_pulses_too_near_to_each_other_are_suppressed_and_counted(switch_on):
     rig = switch_on()
     close = PulseTrain(axis="z", first_count=500, counts_per_frame=100, n_frames=40, direction=1)
-    pass_over(rig, close, speed_um_s=1_500.0, spare_um=30.0)
+    pass_over(rig, close, speed_um_s=1_500.0, spare_um=30.0, min_gap_us=1_000.0)
     summary = rig.box.disarm()
     assert summary.suppressed == 20
     assert summary.emitted == 20
@@ -160,7 +163,7 @@ def test_a_trigger_during_readout_is_ignored_and_the_box_knows(switch_on):
 
 def test_it_needs_a_box_that_speaks_its_protocol(switch_on, monkeypatch):
     monkeypatch.setattr("wafer_viewer.rigs.virtual.pulse_box_firmware.VERSION", "WPC/9")
-    with pytest.raises(RigError, match=r"WPC/9, not WPC/1.*update"):
+    with pytest.raises(RigError, match=r"WPC/9, not WPC/2.*update"):
         switch_on()
 
 
@@ -185,8 +188,65 @@ def test_a_silent_port_is_a_timeout():
             return b""
 
     clock = VirtualClock()
-    with pytest.raises(RigError, match="did not answer HELLO within 12 tries"):
+    with pytest.raises(RigTimeout, match="did not answer HELLO within 3 s"):
         PulseBoxClient(VirtualPort(clock, Silent()), clock)
+    assert clock.now_s() == pytest.approx(3.0, abs=0.1)
+
+
+def test_a_box_that_boots_when_its_port_opens_is_waited_for_and_later_silence_is_strict(switch_on):
+    rig = switch_on()
+    rig._firmware.reboot()
+    began_s = rig.clock.now_s()
+    box = PulseBoxClient(rig._port, rig.clock)
+    assert rig.clock.now_s() - began_s == pytest.approx(BOOT_S, abs=0.1)
+    rig._firmware._ready_s = math.inf
+    began_s = rig.clock.now_s()
+    with pytest.raises(RigTimeout, match="did not answer HELLO within 3 s"):
+        box.count("z")
+    assert rig.clock.now_s() - began_s < 4.0
+
+
+def test_one_lost_second_without_a_restart_is_a_timeout_of_the_command(switch_on):
+    rig = switch_on()
+    rig._firmware._ready_s = rig.clock.now_s() + 1.0
+    with pytest.raises(RigTimeout, match=r"did not answer GET within 0\.6 s"):
+        rig.box.count("z")
+    assert rig.box.count("z") == 0
+
+
+def test_counts_begin_at_0_wherever_the_stage_stands_and_are_set_by_a_reference(switch_on):
+    rig = switch_on()
+    rig.stage.move_to(z_um=50.0)
+    rig._firmware.reboot()
+    box = PulseBoxClient(rig._port, rig.clock)
+    assert box.count("z") == 0
+    with pytest.raises(RigError, match="not referenced"):
+        box.arm(UPWARD)
+    box.reference("z", 5_000)
+    assert box.count("z") == 5_000
+    rig.stage.move_to(z_um=49.0)
+    assert box.count("z") == 4_900
+
+
+def test_an_armed_box_takes_no_reference(switch_on):
+    rig = switch_on()
+    rig.box.arm(UPWARD)
+    with pytest.raises(RigError, match="refused REF: armed"):
+        rig.box.reference("z", 0)
+
+
+def test_a_pass_may_be_longer_than_the_ring_as_records_are_fetched_while_it_runs(switch_on, monkeypatch):
+    monkeypatch.setattr("wafer_viewer.rigs.virtual.pulse_box_firmware.RING_RECORDS", 64)
+    rig = switch_on(faults=Faults(wire=Interference(lost_fraction=0.02, damaged_fraction=0.02, seed=5)))
+    assert rig.box.identity.ring == 64
+    long = PulseTrain(axis="z", first_count=500, counts_per_frame=100, n_frames=200, direction=1)
+    pulses = pass_over(rig, long, speed_um_s=50.0, min_gap_us=16_000.0)
+    assert rig.box.disarm().emitted == 200
+    assert [p.number for p in pulses + rig.box.pulses()] == list(range(200))
+    rig.box.arm(long, min_gap_us=16_000.0)
+    rig.clock.sleep(0.6)
+    with pytest.raises(RigError, match="no heartbeat for 512 ms"):
+        rig.box.pulses()
 
 
 def test_records_that_left_the_ring_are_a_refusal_not_a_guess(switch_on, monkeypatch):
@@ -236,6 +296,7 @@ def pseudo_terminal():
 
 def test_it_works_through_pyserial(pseudo_terminal):
     box = PulseBoxClient(pseudo_terminal, WallClock())
+    box.reference("z", 0)
     for run in range(3):
         box.arm(UPWARD, on_command=True)
         for _ in range(run + 1):
@@ -257,7 +318,7 @@ def test_a_count_that_slipped_is_read_and_corrected(train, switch_on):
     true = rig.limits.z.counts(rig.stage.position().z_um)
     off = rig.box.count("z") - true
     assert off == -250 * train.direction
-    rig.box.correct_count("z", off)
+    rig.box.reference("z", true)
     assert rig.box.count("z") == true
     pulses = pass_over(rig, train)
     rig.box.disarm()

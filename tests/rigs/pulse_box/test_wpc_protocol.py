@@ -2,12 +2,24 @@
 
 from __future__ import annotations
 
+import string
+
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from wafer_viewer.model.errors import WireError
-from wafer_viewer.rigs.pulse_box.wpc_protocol import ANSWER, COMMAND, Line, LineReader, WireClient, crc, decode, encode
+from wafer_viewer.rigs.pulse_box.wpc_protocol import (
+    ANSWER,
+    COMMAND,
+    HALT,
+    Line,
+    LineReader,
+    WireClient,
+    crc,
+    decode,
+    encode,
+)
 from wafer_viewer.rigs.virtual.clock import VirtualClock
 from wafer_viewer.rigs.virtual.serial_port import Interference, VirtualPort
 
@@ -49,6 +61,11 @@ def test_lines_are_found_however_the_stream_is_cut(lines, cuts):
         found += reader.feed(stream[at : at + size])
         at, i = at + size, i + 1
     assert found == lines
+
+
+def test_no_flipped_bit_turns_a_line_into_a_halt():
+    characters = string.ascii_letters + string.digits + " *=-_/.\n"
+    assert all(bin(ord(c) ^ HALT[0]).count("1") > 1 for c in characters)
 
 
 def test_a_number_that_is_none_is_a_wire_error():

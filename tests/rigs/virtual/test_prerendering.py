@@ -7,6 +7,7 @@ import shutil
 import numpy as np
 import pytest
 
+from wafer_viewer.acquire.pass_runner import reference_axes
 from wafer_viewer.model.acquisition.plan import Field, FocusSweep, Leg, PulseTrain, ScanPlan, Shot
 from wafer_viewer.model.errors import RigError
 from wafer_viewer.rigs.virtual.prerendering import PrerenderJob, prerender
@@ -48,6 +49,7 @@ def take(rig):
     """The frames of the only leg."""
     rig.stage.move_to(x_um=LEG.x_um, y_um=LEG.y_um, z_um=LEG.z_um - 0.5)
     rig.camera.start(100.0)
+    reference_axes(rig)
     rig.box.arm(LEG.train)
     rig.stage.start("z", LEG.z_um + N, LEG.speed_um_s)
     images = [rig.camera.next_image(1.0).image for _ in range(N)]

@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
+from wafer_viewer.acquire.pass_runner import reference_axes
 from wafer_viewer.model.acquisition.plan import PulseTrain
 from wafer_viewer.model.acquisition.sample import Sample
 from wafer_viewer.rigs.virtual.rig import VIRTUAL_MOUNT, VirtualRig, virtual_limits
@@ -15,6 +16,7 @@ ON_COMMAND = PulseTrain(axis="z", first_count=0, counts_per_frame=100, n_frames=
 def picture(rig, z_um, exposure_us=100.0):
     rig.stage.move_to(z_um=z_um)
     rig.camera.start(exposure_us)
+    reference_axes(rig)
     rig.box.arm(ON_COMMAND, on_command=True)
     rig.box.fire()
     image = rig.camera.next_image(1.0).image

@@ -27,12 +27,11 @@ class Position:
 
 @dataclass(frozen=True, slots=True)
 class Pulse:
-    """One pulse recorded by the box: its number in the run from 0, scale count, box time and flags."""
+    """One pulse recorded by the box: its number in the run from 0, scale count and box time."""
 
     number: int
     count: int
     time_us: int
-    flags: int = 0
 
 
 @dataclass(frozen=True, slots=True)
@@ -144,11 +143,21 @@ class Stage(Protocol):
 
 
 class PulseBox(Protocol):
-    """Counts scale pulses, divides them and triggers the camera (WPC/1)."""
+    """Counts scale pulses, divides them and triggers the camera (WPC/2).
 
-    def arm(self, train: PulseTrain, *, on_command: bool = False) -> None:
-        """Arm the box for one pass and discard pulses of earlier runs. Raises RigError on refusal.
+    After power-up its counts are 0 wherever the stage stands. Every call raises PulseBoxRestarted, once, if the box
+    restarted since the last one: its counts must then be set again by `reference`.
+    """
 
+    def reference(self, axis: Axis, count: int) -> None:
+        """Set the box's count of an axis at rest. Raises RigError while the box is armed."""
+        ...
+
+    def arm(self, train: PulseTrain, *, min_gap_us: float = 0.0, on_command: bool = False) -> None:
+        """Arm the box for one pass and discard pulses of earlier runs.
+
+        Raises RigError on refusal, as for an axis that was not referenced since the box started.
+        min_gap_us: least time between two pulses of the scale; the box suppresses and counts nearer ones.
         on_command: pulses are triggered only by `fire`, not by the scale (stop and shoot).
         """
         ...
@@ -158,11 +167,7 @@ class PulseBox(Protocol):
         ...
 
     def count(self, axis: Axis) -> int:
-        """Return the box's current count of an axis. The box may emit a pulse for this: no camera may be armed."""
-        ...
-
-    def correct_count(self, axis: Axis, off: int) -> None:
-        """Subtract `off` counts from an axis from now on, to correct a slip of the count."""
+        """Return the box's current count of an axis."""
         ...
 
     def pulses(self) -> list[Pulse]:
@@ -170,7 +175,7 @@ class PulseBox(Protocol):
         ...
 
     def disarm(self) -> PulseSummary:
-        """End the run. Raises RigError if the box restarted in the meantime."""
+        """End the run and return its summary."""
         ...
 
     def halt(self) -> None:

@@ -99,7 +99,11 @@ class ObjectiveLimits(Spec, frozen=True, kw_only=True):
 
 
 class RigLimits(Spec, frozen=True, kw_only=True):
-    """All limits of a rig. pixel_um: nominal size of a pixel on the sample."""
+    """All limits of a rig.
+
+    pixel_um: nominal size of a pixel on the sample; count_rate_hz: greatest count rate that the pulse box follows, 0
+    for no limit. It holds for passes only: a count lost in a move between them is set again from the stage.
+    """
 
     error: ClassVar[type[WaferViewerError]] = RigError
     x: AxisLimits
@@ -109,10 +113,16 @@ class RigLimits(Spec, frozen=True, kw_only=True):
     objective: ObjectiveLimits
     pixel_um: Positive
     strobe_us: NonNegative = 0.0
+    count_rate_hz: NonNegative = 0.0
 
     def axis(self, name: Axis) -> AxisLimits:
         """Return the limits of one axis."""
         return {"x": self.x, "y": self.y, "z": self.z}[name]
+
+    def pass_speed_um_s(self, name: Axis) -> float:
+        """Return the greatest speed of an axis at which the pulse box follows its scale."""
+        axis = self.axis(name)
+        return min(axis.speed_um_s, axis.position_um(self.count_rate_hz)) if self.count_rate_hz else axis.speed_um_s
 
     @property
     def field_width_um(self) -> float:

@@ -1,23 +1,48 @@
-"""Pulse box client for the scan: WPC/1 over a serial port, without loss of pulse records."""
+"""Pulse box client for the scan: WPC/2 over a serial port, without loss of pulse records."""
 
 from __future__ import annotations
 
+from dataclasses import dataclass
+
 from wafer_viewer.model.acquisition.devices import Clock, Pulse, PulseSummary, SerialPort
 from wafer_viewer.model.acquisition.plan import Axis, PulseTrain
-from wafer_viewer.model.errors import RigError, WireError
-from wafer_viewer.rigs.pulse_box.wpc_protocol import VERSION, Line, WireClient
+from wafer_viewer.model.errors import PulseBoxRestarted, RigError, RigTimeout, WireError
+from wafer_viewer.rigs.pulse_box.wpc_protocol import PATIENCE_S, VERSION, Line, WireClient
 
 PULSE_WIDTH_US = 50
-MIN_GAP_US = 1000
-"""Least time between pulses in us; the box suppresses nearer ones, as no camera here reaches 1 kHz."""
+"""Preferred width of a pulse in us; the box may need a longer or a shorter one."""
 HEARTBEAT_S = 2.0
-"""Heartbeat timeout of the box in s."""
-BEAT_S = HEARTBEAT_S / 10
+"""Longest heartbeat timeout of the box in s."""
+BEATS = 10
+"""Heartbeats within one timeout."""
+BOOT_PATIENCE_S = 3.0
+"""Time in s that a box may take to answer after its port was opened or its power returned: common boards reset then."""
+DUMP_RECORDS = 32
+"""Largest number of records requested at once: their transfer takes no longer than the wait for an answer."""
 DUMP_TRIES = 8
+"""Requests for lost records in a row that may bring none."""
+
+
+@dataclass(frozen=True, slots=True)
+class BoxIdentity:
+    """Name and capacity of a pulse box, as it reports them.
+
+    ring: number of pulse records kept by the box; count_rate_hz: greatest count rate of a scale that it follows;
+    width_us: shortest and longest pulse.
+    """
+
+    name: str
+    ring: int
+    count_rate_hz: int
+    width_us: tuple[int, int]
 
 
 class PulseBoxClient:
-    """Implementation of PulseBox on any device that speaks WPC/1."""
+    """Implementation of PulseBox on any device that speaks WPC/2.
+
+    Records are fetched while the box runs, so a pass may have more pulses than the ring of the box. The heartbeat
+    timeout is chosen such that the box disarms itself before a record can leave the ring unread.
+    """
 
     def __init__(self, port: SerialPort, clock: Clock) -> None:
         self._wire = WireClient(port, clock)
@@ -26,33 +51,38 @@ class PulseBoxClient:
         self._given = 0
         self._run = 0
         self._armed = False
-        self._axis: Axis = "z"
-        self._zero: dict[Axis, int] = {"x": 0, "y": 0, "z": 0}
-        """Count of the box at count 0 of each axis."""
+        self._heartbeat_s = HEARTBEAT_S
         self._beaten_s = clock.now_s()
         self._boot: int | None = None
-        self._boot = self._hello()
+        self.identity = _identity(self._hello())
 
     @property
     def retries(self) -> int:
         """Number of repeated commands, for the maintainer's log."""
         return self._wire.retries
 
-    def arm(self, train: PulseTrain, *, on_command: bool = False) -> None:
+    def reference(self, axis: Axis, count: int) -> None:
+        """Set the box's count of an axis at rest. Raises RigError while the box is armed."""
+        self._ask("REF", AX=axis.upper(), COUNT=count)
+
+    def arm(self, train: PulseTrain, *, min_gap_us: float = 0.0, on_command: bool = False) -> None:
         """Arm the box for one pass; pulses of an earlier run are discarded. Raises RigError on refusal."""
-        self._axis, zero = train.axis, self._zero[train.axis]
+        shortest_us, longest_us = self.identity.width_us
         self._ask(
             "CFG",
             AX=train.axis.upper(),
             DIV=train.counts_per_frame,
-            WIDTH_US=PULSE_WIDTH_US,
+            WIDTH_US=min(max(PULSE_WIDTH_US, shortest_us), longest_us),
             DIR=train.direction,
-            START=train.first_count + zero,
-            STOP=train.last_count + zero,
+            START=train.first_count,
+            STOP=train.last_count,
             MAX=train.n_frames,
-            MINGAP_US=MIN_GAP_US,
+            MINGAP_US=int(min_gap_us),
             SOURCE="COMMAND" if on_command else "SCALE",
         )
+        # Half a ring may fill within a timeout, the other half until the records of the first are all fetched.
+        half_ring_s = self.identity.ring / 2 * min_gap_us * 1e-6
+        self._heartbeat_s = min(HEARTBEAT_S, half_ring_s or HEARTBEAT_S)
         self._beat()
         self._run += 1
         self._ask("ARM", RUN=self._run)
@@ -60,16 +90,8 @@ class PulseBoxClient:
         self._records, self._given, self._armed = {}, 0, True
 
     def count(self, axis: Axis) -> int:
-        """Return the box's current count of an axis, from a pulse on command; no camera may be waiting."""
-        self.arm(PulseTrain(axis=axis, first_count=0, counts_per_frame=1, n_frames=1, direction=1), on_command=True)
-        self.fire()
-        self.disarm()
-        (pulse,) = self.pulses()
-        return pulse.count
-
-    def correct_count(self, axis: Axis, off: int) -> None:
-        """Subtract excess counts of the box on an axis from now on, to correct a slip."""
-        self._zero[axis] += off
+        """Return the box's current count of an axis."""
+        return self._ask("GET", AX=axis.upper()).number("COUNT")
 
     def fire(self) -> None:
         """Send one pulse of the armed run now."""
@@ -78,20 +100,20 @@ class PulseBoxClient:
     def pulses(self) -> list[Pulse]:
         """Return the pulses sent since the last call, in order; also sends the heartbeat.
 
-        Records lost on the wire are requested again. Raises RigError when the box disarmed itself or restarted.
+        Records lost on the wire are requested again. Raises RigError when the box disarmed itself.
         """
         self._take_events()
-        if self._armed and self._clock.now_s() - self._beaten_s >= BEAT_S:
+        if self._armed and self._clock.now_s() - self._beaten_s >= self._heartbeat_s / BEATS:
             self._fetch(self._beat())
         self._fetch(max(self._records, default=-1) + 1)
         fresh: list[Pulse] = []
-        while (pulse := self._records.get(self._given)) is not None:
+        while (pulse := self._records.pop(self._given, None)) is not None:
             fresh.append(pulse)
             self._given += 1
         return fresh
 
     def disarm(self) -> PulseSummary:
-        """End the run; `pulses` still returns records not fetched yet. Raises RigError if the box restarted."""
+        """End the run; `pulses` still returns records not fetched yet."""
         self._armed = False
         answer = self._ask("DISARM")
         summary = PulseSummary(
@@ -113,27 +135,34 @@ class PulseBoxClient:
         """Close the port."""
         self._wire.close()
 
-    def _hello(self) -> int:
-        answer = self._ask("HELLO")
+    def _hello(self) -> Line:
+        answer = self._checked("HELLO", self._wire.ask("HELLO", patience_s=BOOT_PATIENCE_S))
         if answer.values.get("VERSION") != VERSION:
             raise RigError(f"The pulse box speaks {answer.values.get('VERSION')}, not {VERSION}: update its firmware.")
-        return answer.number("BOOT")
+        return answer
 
     def _beat(self) -> int:
         """Send the heartbeat; return the number of pulses sent by the box."""
-        answer = self._ask("HB", MS=round(HEARTBEAT_S * 1000))
+        answer = self._ask("HB", MS=round(self._heartbeat_s * 1000))
         self._beaten_s = self._clock.now_s()
         return answer.number("EMITTED")
 
     def _ask(self, verb: str, **values: int | str) -> Line:
-        answer = self._wire.ask(verb, **values)
-        boot = answer.number("BOOT")
-        if self._boot is not None and boot != self._boot:
-            was, self._boot, self._armed = self._boot, boot, False
-            raise RigError(
-                f"The pulse box restarted during a pass (boot {boot}, before {was}): this pass is lost; "
-                "check its power and continue the scan."
-            )
+        """Send a command and return its answer; a box that is silent may have restarted, which HELLO finds out."""
+        try:
+            answer = self._wire.ask(verb, patience_s=PATIENCE_S, **values)
+        except RigTimeout:
+            self._hello()
+            raise
+        return self._checked(verb, answer)
+
+    def _checked(self, verb: str, answer: Line) -> Line:
+        """Return an answer. Raises PulseBoxRestarted or, if the box refused the command, RigError."""
+        boot, before = answer.number("BOOT"), self._boot
+        self._boot = boot
+        if before not in (None, boot):
+            self._armed = False
+            raise PulseBoxRestarted(f"The pulse box restarted (boot {boot}, before {before}): check its power.")
         if answer.verb != "OK":
             raise RigError(f"The pulse box refused {verb}: {_why(answer)}.")
         return answer
@@ -141,26 +170,35 @@ class PulseBoxClient:
     def _take_events(self) -> None:
         for event in self._wire.events():
             if event.verb == "P":
-                pulse = _pulse(event, self._zero[self._axis])
-                self._records[pulse.number] = pulse
+                pulse = Pulse(event.number("N"), event.number("ENC"), event.number("T_US"))
+                if pulse.number >= self._given:
+                    self._records[pulse.number] = pulse
             elif event.verb == "F":
                 self._armed = False
                 raise RigError(f"The pulse box disarmed itself: {_why(event)}; continue the scan when that is fixed.")
 
     def _fetch(self, emitted: int) -> None:
         """Request the records that were lost on the wire."""
-        for _ in range(DUMP_TRIES):
-            lost = [n for n in range(self._given, emitted) if n not in self._records]
-            if not lost:
-                return
-            self._ask("DUMP", FROM=lost[0], TO=lost[-1])
+        n_lost, tries = emitted, 0
+        while lost := [n for n in range(self._given, emitted) if n not in self._records]:
+            tries = 0 if len(lost) < n_lost else tries + 1
+            if tries > DUMP_TRIES:
+                raise WireError(
+                    f"The pulse box's records up to {emitted} did not come in {DUMP_TRIES} tries: check its cable."
+                )
+            n_lost = len(lost)
+            self._ask("DUMP", FROM=lost[0], TO=min(lost[-1], lost[0] + DUMP_RECORDS - 1))
             self._take_events()
-        raise WireError(f"The pulse box's records up to {emitted} did not come in {DUMP_TRIES} tries: check its cable.")
+
+
+def _identity(hello: Line) -> BoxIdentity:
+    return BoxIdentity(
+        name=hello.values.get("NAME", "").replace("_", " "),
+        ring=hello.number("RING"),
+        count_rate_hz=hello.number("RATE"),
+        width_us=(hello.number("WIDTH_MIN"), hello.number("WIDTH_MAX")),
+    )
 
 
 def _why(line: Line) -> str:
     return line.values.get("WHY", "no reason given").replace("_", " ")
-
-
-def _pulse(event: Line, zero: int) -> Pulse:
-    return Pulse(event.number("N"), event.number("ENC") - zero, event.number("T_US"), event.number("FLAGS"))

@@ -1,8 +1,9 @@
-"""WPC/1, the line protocol of the pulse box: framing and checksums for both ends, and the client end.
+"""WPC/2, the line protocol of the pulse box: framing and checksums for both ends, and the client end.
 
 A line is ``<C|A|E><sequence, 4 hex> <VERB key=value …>*<crc, 4 hex>`` and a line feed: a command, its answer, or an
 event. The checksum is CRC-16/CCITT-FALSE over everything before the asterisk. A repeated command has the same sequence
-number; the box executes it once and repeats its answer.
+number; the box executes it once and repeats its answer. The verbs are described in
+assets/docs/reference/pulse-box-protocol.md.
 """
 
 from __future__ import annotations
@@ -17,13 +18,15 @@ from wafer_viewer.model.errors import RigError, RigTimeout, WireError
 
 Kind = Literal["C", "A", "E"]
 COMMAND, ANSWER, EVENT = cast(tuple[Kind, Kind, Kind], ("C", "A", "E"))
-VERSION = "WPC/1"
-HALT = b"!"
-"""Raw byte outside the line format: stops pulses at once."""
+VERSION = "WPC/2"
+HALT = b"\x98"
+"""Raw byte that stops pulses at once; no flipped bit turns a character of a line into it."""
 LONGEST_LINE = 256
 SEQUENCES = 0x10000
 ANSWER_S = 0.05
-TRIES = 12
+"""Time in s after which a command without an answer is sent again."""
+PATIENCE_S = 12 * ANSWER_S
+"""Time in s after which a command without an answer fails."""
 
 _LINE = re.compile(rb"([CAE])([0-9A-F]{4}) ([A-Z]+)((?: [A-Z_]+=[^ *=]+)*)\*([0-9A-F]{4})")
 
@@ -100,24 +103,23 @@ class WireClient:
         self._events: list[Line] = []
         self.retries = 0
 
-    def ask(self, verb: str, **values: int | str) -> Line:
+    def ask(self, verb: str, *, patience_s: float = PATIENCE_S, **values: int | str) -> Line:
         """Send a command and return its answer, OK or NO.
 
         Pending input is read first, so that a late answer to an earlier command does not cause a repetition. Raises
-        RigTimeout when the box does not answer.
+        RigTimeout when the box does not answer within `patience_s`.
         """
         self._sort(self._read_waiting())
         self._sequence = (self._sequence + 1) % SEQUENCES
         raw = encode(Line(COMMAND, self._sequence, verb, {k: str(v) for k, v in values.items()}))
-        for attempt in range(TRIES):
-            self.retries += attempt > 0
+        deadline_s = self._clock.now_s() + patience_s
+        self._write(raw)
+        while (answer := self._answer()) is None:
+            if self._clock.now_s() >= deadline_s:
+                raise RigTimeout(f"The pulse box did not answer {verb} within {patience_s:g} s: check its cable.")
+            self.retries += 1
             self._write(raw)
-            answer = self._answer()
-            if answer is not None:
-                return answer
-        raise RigTimeout(
-            f"The pulse box did not answer {verb} within {TRIES} tries of {ANSWER_S * 1000:g} ms: check its cable."
-        )
+        return answer
 
     def events(self) -> list[Line]:
         """Return the events received since the last call."""

@@ -1,4 +1,4 @@
-"""Firmware of the virtual pulse box: WPC/1 byte by byte, pulses at the crossings of the scales."""
+"""Firmware of the virtual pulse box: WPC/2 byte by byte, pulses at the crossings of the scales."""
 
 from __future__ import annotations
 
@@ -22,9 +22,16 @@ from wafer_viewer.rigs.pulse_box.wpc_protocol import (
 from wafer_viewer.rigs.virtual.clock import Event, VirtualClock
 from wafer_viewer.rigs.virtual.stage import VirtualStage
 
+NAME = "virtual_pulse_box"
 RING_RECORDS = 2048
+COUNT_RATE_HZ = 10_000_000
+WIDTHS_US = (1, 10_000)
+BOOT_S = 1.5
+"""Time in s without answers after a restart, as of common boards."""
+HEARTBEAT_S = 2.0
+"""Heartbeat timeout in s until one is given."""
 SETTINGS = {
-    "AX": "X", "DIV": "1", "WIDTH_US": "50", "DIR": "1", "START": "0", "STOP": "0", "MAX": "1", "MINGAP_US": "0",
+    "AX": "", "DIV": "1", "WIDTH_US": "50", "DIR": "1", "START": "0", "STOP": "0", "MAX": "1", "MINGAP_US": "0",
     "SOURCE": "SCALE",
 }  # fmt: skip
 CHOICES = {"AX": ("X", "Y", "Z"), "DIR": ("1", "-1"), "SOURCE": ("SCALE", "COMMAND")}
@@ -37,6 +44,8 @@ class CommandRefused(Exception):
 
 class VirtualPulseBox:
     """Pulse box that counts the virtual scales, divides the counts and triggers the camera.
+
+    As in a real one, counts and time start at 0 at power-up, wherever the stage stands.
 
     trigger: sends a trigger and returns whether the camera exposed; suppresses: returns whether the due pulse is held
     back.
@@ -53,10 +62,10 @@ class VirtualPulseBox:
         self._stage = stage
         self._trigger = trigger
         self._suppresses = suppresses
-        self._counted_off: dict[Axis, int] = dict.fromkeys(AXES.values(), 0)
-        """Count of the box for each axis minus that of its scale."""
         self._send: Callable[[bytes, float], None] = lambda data, time_s: None
         self._boot = 1
+        self._ready_s = -math.inf
+        """Time from which commands are answered."""
         self.executed = 0
         self._power_up()
         stage.on_motion(self._motion_changed)
@@ -66,14 +75,12 @@ class VirtualPulseBox:
         self._send = send
 
     def reboot(self) -> None:
-        """Simulate a power loss; counts restart from 0 at the current stage position."""
+        """Simulate a power loss."""
         self._unwatch()
         if self._heart is not None:
             self._heart.cancel()
         self._boot += 1
-        at = self._stage.position()
-        for axis, um in zip(AXES.values(), (at.x_um, at.y_um, at.z_um), strict=True):
-            self._counted_off[axis] = -self._stage.axes[axis].limits.counts(um)
+        self._ready_s = self._clock.now_s() + BOOT_S
         self._power_up()
 
     def slip(self, counts: int, *, reported: bool) -> None:
@@ -87,6 +94,8 @@ class VirtualPulseBox:
 
     def receive(self, data: bytes, time_s: float) -> bytes:
         """Process bytes that arrive at a time; return the answers to the completed commands."""
+        if time_s < self._ready_s:
+            return b""
         if HALT in data:
             self._disarm()
             data = data.replace(HALT, b"")
@@ -94,6 +103,10 @@ class VirtualPulseBox:
         return b"".join(self._answer(command, time_s) for command in commands)
 
     def _power_up(self) -> None:
+        self._powered_s = self._clock.now_s()
+        self._counted_off = {axis: -self._on_scale(axis, self._powered_s) for axis in AXES.values()}
+        """Count of the box for each axis minus that of its scale."""
+        self._referenced: set[Axis] = set()
         self._reader = LineReader()
         self._settings = dict(SETTINGS)
         self._answered: tuple[Line, bytes] | None = None
@@ -101,7 +114,7 @@ class VirtualPulseBox:
         self._armed = False
         self._watched: Event | None = None
         self._heart: Event | None = None
-        self._heartbeat_s = math.inf
+        self._heartbeat_s = HEARTBEAT_S
         self._begin_run()
 
     def _begin_run(self) -> None:
@@ -115,12 +128,20 @@ class VirtualPulseBox:
         if self._answered is not None and self._answered[0] == command:
             return self._answered[1]
         try:
-            values = self._carry_out(command, time_s)
-            line = Line(ANSWER, command.sequence, "OK", {"BOOT": str(self._boot), **values})
+            verb, values = "OK", self._carry_out(command, time_s)
         except CommandRefused as why:
-            line = Line(ANSWER, command.sequence, "NO", {"BOOT": str(self._boot), "WHY": str(why).replace(" ", "_")})
-        self._answered = command, encode(line)
+            verb, values = "NO", {"WHY": str(why).replace(" ", "_")}
+        axis = command.values.get("AX", self._settings["AX"])
+        values = {"BOOT": str(self._boot), **self._where(axis, time_s), **values}
+        self._answered = command, encode(Line(ANSWER, command.sequence, verb, values))
         return self._answered[1]
+
+    def _where(self, name: str, time_s: float) -> dict[str, str]:
+        """Return count and reference of an axis, for every answer."""
+        if name not in AXES:
+            return {}
+        axis = AXES[name]
+        return {"AX": name, "COUNT": str(self._count_at(axis, time_s)), "REF": str(int(axis in self._referenced))}
 
     def _carry_out(self, command: Line, time_s: float) -> dict[str, str]:
         verb = VERBS.get(command.verb)
@@ -130,23 +151,39 @@ class VirtualPulseBox:
         return verb(self, command.values, time_s)
 
     def _hello(self, values: dict[str, str], time_s: float) -> dict[str, str]:
-        return {"VERSION": VERSION}
+        low_us, high_us = map(str, WIDTHS_US)
+        ring, rate = str(RING_RECORDS), str(COUNT_RATE_HZ)
+        return {
+            "VERSION": VERSION, "NAME": NAME, "RING": ring, "RATE": rate, "WIDTH_MIN": low_us, "WIDTH_MAX": high_us,
+        }  # fmt: skip
+
+    def _reference(self, values: dict[str, str], time_s: float) -> dict[str, str]:
+        self._refuse_if_armed()
+        if values.get("AX") not in AXES or not _is_integer(values.get("COUNT", "")):
+            raise CommandRefused("no axis or no count")
+        axis = AXES[values["AX"]]
+        self._counted_off[axis] = int(values["COUNT"]) - self._on_scale(axis, time_s)
+        self._referenced.add(axis)
+        return {}
 
     def _configure(self, values: dict[str, str], time_s: float) -> dict[str, str]:
-        if self._armed:
-            raise CommandRefused("armed")
+        self._refuse_if_armed()
         for name, value in values.items():
             allowed = CHOICES.get(name)
-            if name not in SETTINGS or not (value in allowed if allowed else value.lstrip("-").isdecimal()):
+            if name not in SETTINGS or not (value in allowed if allowed else _is_integer(value)):
                 raise CommandRefused(f"no setting {name} {value}")
         self._settings |= values
         return {}
 
     def _arm(self, values: dict[str, str], time_s: float) -> dict[str, str]:
-        if self._armed:
-            raise CommandRefused("armed already")
+        self._refuse_if_armed()
+        if self._settings["AX"] not in AXES:
+            raise CommandRefused("no axis configured")
+        if self._axis not in self._referenced:
+            raise CommandRefused(f"{self._axis} axis not referenced since the box started")
         self._begin_run()
         self._armed = True
+        self._watch_heart(time_s)
         self._watch(time_s)
         return {"RUN": values.get("RUN", "0")}
 
@@ -155,7 +192,7 @@ class VirtualPulseBox:
         return self._summary()
 
     def _get(self, values: dict[str, str], time_s: float) -> dict[str, str]:
-        return {"ARMED": str(int(self._armed)), **self._settings, **self._summary()}
+        return {"ARMED": str(int(self._armed)), **self._summary()}
 
     def _dump(self, values: dict[str, str], time_s: float) -> dict[str, str]:
         low, high = int(values.get("FROM", "0")), int(values.get("TO", "-1"))
@@ -164,25 +201,34 @@ class VirtualPulseBox:
             raise CommandRefused(f"records {low} to {high} are not in the ring")
         for pulse in records:
             self._report(pulse, time_s)
-        return {"COUNT": str(len(records))}
+        return {"RECORDS": str(len(records))}
 
     def _heart_beats(self, values: dict[str, str], time_s: float) -> dict[str, str]:
         self._heartbeat_s = int(values["MS"]) / 1000 if "MS" in values else self._heartbeat_s
-        if self._heart is not None:
-            self._heart.cancel()
-        self._heart = self._clock.at(time_s + self._heartbeat_s, self._heart_stops)
+        self._watch_heart(time_s)
         return {"EMITTED": str(self._emitted), "ARMED": str(int(self._armed))}
 
     def _fire(self, values: dict[str, str], time_s: float) -> dict[str, str]:
         if not self._armed:
             raise CommandRefused("not armed")
-        self._pulse(self._count_at(time_s), time_s)
+        if (time_s - self._last_pulse_s) * 1e6 < self._setting("WIDTH_US"):
+            raise CommandRefused("pulse not over")
+        self._pulse(self._count_at(self._axis, time_s), time_s)
         return {"EMITTED": str(self._emitted)}
+
+    def _watch_heart(self, time_s: float) -> None:
+        if self._heart is not None:
+            self._heart.cancel()
+        self._heart = self._clock.at(time_s + self._heartbeat_s, self._heart_stops)
 
     def _heart_stops(self, time_s: float) -> None:
         if self._armed:
             self._disarm()
             self._event("F", {"WHY": f"no_heartbeat_for_{self._heartbeat_s * 1000:.0f}_ms"}, time_s)
+
+    def _refuse_if_armed(self) -> None:
+        if self._armed:
+            raise CommandRefused("armed")
 
     def _disarm(self) -> None:
         self._armed = False
@@ -213,14 +259,15 @@ class VirtualPulseBox:
 
     def _cross(self, count: int, time_s: float) -> None:
         self._crossed += 1
-        if (time_s - self._last_pulse_s) * 1e6 < self._setting("MINGAP_US") or self._suppresses():
+        gap_us = max(self._setting("MINGAP_US"), 2 * self._setting("WIDTH_US"))
+        if (time_s - self._last_pulse_s) * 1e6 < gap_us or self._suppresses():
             self._suppressed += 1
         else:
             self._pulse(count, time_s)
         self._watch(time_s)
 
     def _pulse(self, count: int, time_s: float) -> None:
-        pulse = Pulse(self._emitted, count, round(time_s * 1e6))
+        pulse = Pulse(self._emitted, count, round((time_s - self._powered_s) * 1e6))
         self._ring.append(pulse)
         self._emitted += 1
         self._last_pulse_s = time_s
@@ -228,10 +275,9 @@ class VirtualPulseBox:
         self._report(pulse, time_s)
         if self._emitted >= self._setting("MAX"):
             self._disarm()
-            self._event("S", self._summary(), time_s)
 
     def _report(self, pulse: Pulse, time_s: float) -> None:
-        record = {"N": pulse.number, "ENC": pulse.count, "T_US": pulse.time_us, "FLAGS": pulse.flags}
+        record = {"N": pulse.number, "ENC": pulse.count, "T_US": pulse.time_us}
         self._event("P", {name: str(value) for name, value in record.items()}, time_s)
 
     def _event(self, verb: str, values: dict[str, str], time_s: float) -> None:
@@ -254,14 +300,22 @@ class VirtualPulseBox:
     def _axis(self) -> Axis:
         return AXES[self._settings["AX"]]
 
-    def _count_at(self, time_s: float) -> int:
-        axis = self._stage.axes[self._axis]
-        return axis.limits.counts(axis.profile.position_at(time_s)) + self._counted_off[self._axis]
+    def _count_at(self, axis: Axis, time_s: float) -> int:
+        return self._on_scale(axis, time_s) + self._counted_off[axis]
+
+    def _on_scale(self, axis: Axis, time_s: float) -> int:
+        virtual = self._stage.axes[axis]
+        return virtual.limits.counts(virtual.profile.position_at(time_s))
+
+
+def _is_integer(value: str) -> bool:
+    return value.removeprefix("-").isdecimal()
 
 
 Verb = Callable[[VirtualPulseBox, dict[str, str], float], dict[str, str]]
 VERBS: dict[str, Verb] = {
     "HELLO": VirtualPulseBox._hello,
+    "REF": VirtualPulseBox._reference,
     "CFG": VirtualPulseBox._configure,
     "ARM": VirtualPulseBox._arm,
     "DISARM": VirtualPulseBox._disarm_verb,

@@ -13,6 +13,7 @@ from wafer_viewer.model.acquisition.plan import ScanPlan
 from wafer_viewer.model.acquisition.rig_limits import AxisLimits, CameraLimits, ObjectiveLimits, RigLimits
 from wafer_viewer.model.acquisition.sample import Sample
 from wafer_viewer.model.progress import ShouldStop
+from wafer_viewer.model.spec import replace
 from wafer_viewer.rigs.pulse_box.client import PulseBoxClient
 from wafer_viewer.rigs.virtual.camera import TRIGGER_DELAY_US, Renderer, VirtualCamera
 from wafer_viewer.rigs.virtual.clock import VirtualClock
@@ -105,17 +106,18 @@ class VirtualRig:
         self._own_scene = self._scene = scene
         self._seed = seed
         self._real_time = real_time
-        self._limits = limits or virtual_limits(*SIZES[size])
+        limits = limits or virtual_limits(*SIZES[size])
         self._faults = faults or Faults()
         self._clock = VirtualClock(real_time=real_time)
-        self._stage = VirtualStage(self._clock, self._limits, seed, self._faults)
-        self._renderer = renderer or scene_renderer(scene, self._limits)
-        self._camera = VirtualCamera(self._clock, self._stage, self._limits.camera, self._renderer, self._faults, seed)
+        self._stage = VirtualStage(self._clock, limits, seed, self._faults)
+        self._renderer = renderer or scene_renderer(scene, limits)
+        self._camera = VirtualCamera(self._clock, self._stage, limits.camera, self._renderer, self._faults, seed)
         self._firmware = VirtualPulseBox(self._clock, self._stage, self._triggered, self._suppresses)
         self._held_back: set[int] = set()
         self._port = VirtualPort(self._clock, self._firmware, self._faults.wire)
         self._firmware.connect(self._port.deliver)
         self._box = PulseBoxClient(self._port, self._clock)
+        self._limits = replace(limits, count_rate_hz=float(self._box.identity.count_rate_hz))
 
     @property
     def name(self) -> str:
