@@ -120,8 +120,8 @@ void shell_send(const char *bytes, uint16_t length) {
 }
 
 static void start_serial(void) {
-  UBRR0 = BAUD_DIVIDER;
   UCSR0A = 1 << U2X0;
+  UBRR0 = BAUD_DIVIDER;
   UCSR0C = 1 << UCSZ01 | 1 << UCSZ00;
   UCSR0B = 1 << RXEN0 | 1 << TXEN0 | 1 << RXCIE0;
 }

@@ -2,6 +2,7 @@
    The orders on standard input are those of host/world.h.
 
      atmega2560 pulse_box.elf */
+#include <poll.h>
 #include <stdio.h>
 #include <stdlib.h>
 #include <string.h>
@@ -10,7 +11,6 @@
 
 #include <simavr/avr_ioport.h>
 #include <simavr/avr_uart.h>
-#include <simavr/parts/uart_pty.h>
 #include <simavr/sim_avr.h>
 #include <simavr/sim_elf.h>
 
@@ -18,7 +18,8 @@
 
 #define CLOCK_HZ 16000000
 #define N_AXES 3
-#define ORDERS_EVERY 4000 /* instructions between looks at the clock and at standard input */
+#define LOOK_EVERY 4000             /* instructions between looks at the clock, the line and standard input */
+#define BYTE_CYCLES (CLOCK_HZ / 25000) /* of the serial line at 250 000 baud */
 
 /* Pins of A and B of each scale, as in avr/main.c. */
 static const struct {
@@ -27,7 +28,8 @@ static const struct {
 } pins[N_AXES] = {{'K', 0, 1}, {'K', 2, 3}, {'B', 4, 5}};
 
 static avr_t *avr;
-static avr_irq_t *a[N_AXES], *b[N_AXES], *exposure;
+static avr_irq_t *a[N_AXES], *b[N_AXES], *exposure, *uart;
+static int line_fd;
 static long position[N_AXES];
 static uint8_t moving;
 static long left;
@@ -97,6 +99,32 @@ static void on_trigger(avr_irq_t *irq, uint32_t value, void *unused) {
   avr_raise_irq(exposure, value);
 }
 
+/* -- serial line -------------------------------------------------------------------------------------------------- */
+
+static uint8_t incoming[256];
+static ssize_t n_incoming, n_fed;
+
+static void on_byte(avr_irq_t *irq, uint32_t value, void *unused) {
+  (void)irq, (void)unused;
+  uint8_t byte = (uint8_t)value;
+  if (write(line_fd, &byte, 1) != 1) return; /* nobody listens: lost, as on a wire */
+}
+
+/* The bytes reach the board one after the other, in the time that they need on the line. */
+static avr_cycle_count_t feed(avr_t *of, avr_cycle_count_t when, void *unused) {
+  (void)of, (void)unused;
+  avr_raise_irq(uart, incoming[n_fed++]);
+  return n_fed < n_incoming ? when + BYTE_CYCLES : 0;
+}
+
+static void look_at_line(void) {
+  struct pollfd input = {.fd = line_fd, .events = POLLIN};
+  if (n_fed < n_incoming || poll(&input, 1, 0) <= 0) return;
+  n_incoming = read(line_fd, incoming, sizeof incoming);
+  n_fed = 0;
+  if (n_incoming > 0) avr_cycle_timer_register(avr, BYTE_CYCLES, feed, NULL);
+}
+
 static bool obey(const order_t *order) {
   switch (order->kind) {
     case ORDER_MOVE: begin_move(order); return true;
@@ -121,7 +149,6 @@ static void load(const char *image) {
 }
 
 static void wire(void) {
-  static uart_pty_t line;
   uint32_t flags = 0;
   for (uint8_t axis = 0; axis < N_AXES; axis++) {
     a[axis] = pin(pins[axis].port, pins[axis].a);
@@ -133,10 +160,9 @@ static void wire(void) {
   avr_ioctl(avr, AVR_IOCTL_UART_GET_FLAGS('0'), &flags);
   flags &= ~(uint32_t)AVR_UART_FLAG_STDIO;
   avr_ioctl(avr, AVR_IOCTL_UART_SET_FLAGS('0'), &flags);
-  uart_pty_init(avr, &line);
-  uart_pty_connect(&line, '0');
-  printf("PTY %s\n", line.pty.slavename);
-  fflush(stdout);
+  uart = avr_io_getirq(avr, AVR_IOCTL_UART_GETIRQ('0'), UART_IRQ_INPUT);
+  avr_irq_register_notify(avr_io_getirq(avr, AVR_IOCTL_UART_GETIRQ('0'), UART_IRQ_OUTPUT), on_byte, NULL);
+  line_fd = world_open_line();
 }
 
 static double wall_s(void) {
@@ -154,9 +180,10 @@ int main(int n_args, char **args) {
   for (unsigned long n = 1;; n++) {
     int state = avr_run(avr);
     if (state == cpu_Done || state == cpu_Crashed) return 2;
-    if (n % ORDERS_EVERY != 0) continue;
+    if (n % LOOK_EVERY != 0) continue;
     double ahead_s = (double)avr->cycle / CLOCK_HZ - (wall_s() - began_s);
     if (ahead_s > 2e-4) usleep((useconds_t)(ahead_s * 1e6));
+    look_at_line();
     if (world_order(&order) && !obey(&order)) return 0;
   }
 }

@@ -1,10 +1,7 @@
 /* Shell for a computer: the core behind a pseudo-terminal, with simulated scales. For tests, and to try a client. */
-#define _GNU_SOURCE
-#include <fcntl.h>
+#define _POSIX_C_SOURCE 200809L
 #include <poll.h>
-#include <stdio.h>
 #include <stdlib.h>
-#include <termios.h>
 #include <time.h>
 #include <unistd.h>
 
@@ -42,12 +39,7 @@ void shell_trigger(uint16_t width) {
 }
 
 void shell_send(const char *bytes, uint16_t length) {
-  while (length > 0) {
-    ssize_t n = write(line_fd, bytes, length);
-    if (n < 0) return; /* nobody listens */
-    bytes += n;
-    length = (uint16_t)(length - n);
-  }
+  if (write(line_fd, bytes, length) != length) return; /* nobody listens: lost, as on a wire */
 }
 
 uint8_t shell_lock(void) { return 0; }
@@ -106,22 +98,6 @@ static bool obey(const order_t *order) {
   }
 }
 
-static void open_line(void) {
-  line_fd = posix_openpt(O_RDWR | O_NOCTTY);
-  if (line_fd < 0 || grantpt(line_fd) != 0 || unlockpt(line_fd) != 0) {
-    perror("no pseudo-terminal");
-    exit(1);
-  }
-  /* Held open here too, so that the line survives a client that closes it; raw, so that no byte has a meaning. */
-  int far_fd = open(ptsname(line_fd), O_RDWR | O_NOCTTY);
-  struct termios raw;
-  tcgetattr(far_fd, &raw);
-  cfmakeraw(&raw);
-  tcsetattr(far_fd, TCSANOW, &raw);
-  printf("PTY %s\n", ptsname(line_fd));
-  fflush(stdout);
-}
-
 static void receive(int patience_ms) {
   struct pollfd inputs[2] = {{.fd = line_fd, .events = POLLIN}, {.fd = 0, .events = POLLIN}};
   char bytes[256];
@@ -132,7 +108,7 @@ static void receive(int patience_ms) {
 
 int main(void) {
   order_t order;
-  open_line();
+  line_fd = world_open_line();
   start_box();
   for (;;) {
     if (world_order(&order) && !obey(&order)) return 0;

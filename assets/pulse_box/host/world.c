@@ -1,8 +1,29 @@
+#define _GNU_SOURCE
 #include "world.h"
 
+#include <fcntl.h>
 #include <poll.h>
 #include <stdio.h>
+#include <stdlib.h>
 #include <string.h>
+#include <termios.h>
+
+int world_open_line(void) {
+  int near_fd = posix_openpt(O_RDWR | O_NOCTTY | O_NONBLOCK);
+  if (near_fd < 0 || grantpt(near_fd) != 0 || unlockpt(near_fd) != 0) {
+    perror("no pseudo-terminal");
+    exit(1);
+  }
+  /* Held open here too, so that the line survives a client that closes it; raw, so that no byte has a meaning. */
+  int far_fd = open(ptsname(near_fd), O_RDWR | O_NOCTTY);
+  struct termios raw;
+  tcgetattr(far_fd, &raw);
+  cfmakeraw(&raw);
+  tcsetattr(far_fd, TCSANOW, &raw);
+  printf("PTY %s\n", ptsname(near_fd));
+  fflush(stdout);
+  return near_fd;
+}
 
 bool world_order(order_t *order) {
   struct pollfd input = {.fd = 0, .events = POLLIN};

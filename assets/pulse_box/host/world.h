@@ -20,6 +20,10 @@ typedef struct {
   double rate;
 } order_t;
 
+/* Open the serial line and print its name; return the end of the box.
+   Bytes that nobody reads are lost when its buffer is full, as on a wire: the box never waits for its reader. */
+int world_open_line(void);
+
 /* Read an order if one has come. False if none has, or it is none. */
 bool world_order(order_t *order);
 

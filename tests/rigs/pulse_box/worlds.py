@@ -15,8 +15,8 @@ from pathlib import Path
 import numpy as np
 import serial
 
-from tests.support.patience import PATIENCE_S
 from tests.support.paths import ROOT
+from tests.support.patience import PATIENCE_S
 from wafer_viewer.model.acquisition.devices import Pulse
 from wafer_viewer.rigs.pulse_box.client import PulseBoxClient
 from wafer_viewer.rigs.virtual.clock import VirtualClock

@@ -23,7 +23,7 @@ from wafer_viewer.rigs.virtual.clock import Event, VirtualClock
 from wafer_viewer.rigs.virtual.stage import VirtualStage
 
 NAME = "virtual_pulse_box"
-RING_RECORDS = 2048
+RING_RECORDS = 512
 COUNT_RATE_HZ = 10_000_000
 WIDTHS_US = (1, 10_000)
 BOOT_S = 1.5
@@ -33,6 +33,11 @@ HEARTBEAT_S = 2.0
 SETTINGS = {
     "AX": "", "DIV": "1", "WIDTH_US": "50", "DIR": "1", "START": "0", "STOP": "0", "MAX": "1", "MINGAP_US": "0",
     "SOURCE": "SCALE",
+}  # fmt: skip
+INT32 = (-(2**31), 2**31 - 1)
+RANGES = {
+    "DIV": (1, INT32[1]), "WIDTH_US": WIDTHS_US, "START": INT32, "STOP": INT32, "MAX": (1, INT32[1]),
+    "MINGAP_US": (0, 60_000_000), "COUNT": INT32, "MS": (1, 60_000), "FROM": (0, INT32[1]), "TO": (0, INT32[1]),
 }  # fmt: skip
 CHOICES = {"AX": ("X", "Y", "Z"), "DIR": ("1", "-1"), "SOURCE": ("SCALE", "COMMAND")}
 AXES: dict[str, Axis] = {"X": "x", "Y": "y", "Z": "z"}
@@ -159,19 +164,20 @@ class VirtualPulseBox:
 
     def _reference(self, values: dict[str, str], time_s: float) -> dict[str, str]:
         self._refuse_if_armed()
-        if values.get("AX") not in AXES or not _is_integer(values.get("COUNT", "")):
-            raise CommandRefused("no axis or no count")
+        if values.get("AX") not in AXES:
+            raise CommandRefused("no axis")
         axis = AXES[values["AX"]]
-        self._counted_off[axis] = int(values["COUNT"]) - self._on_scale(axis, time_s)
+        self._counted_off[axis] = _integer(values, "COUNT") - self._on_scale(axis, time_s)
         self._referenced.add(axis)
         return {}
 
     def _configure(self, values: dict[str, str], time_s: float) -> dict[str, str]:
         self._refuse_if_armed()
         for name, value in values.items():
-            allowed = CHOICES.get(name)
-            if name not in SETTINGS or not (value in allowed if allowed else _is_integer(value)):
+            if name not in SETTINGS or value not in CHOICES.get(name, (value,)):
                 raise CommandRefused(f"no setting {name} {value}")
+            if name in RANGES:
+                _integer(values, name)
         self._settings |= values
         return {}
 
@@ -195,22 +201,24 @@ class VirtualPulseBox:
         return {"ARMED": str(int(self._armed)), **self._summary()}
 
     def _dump(self, values: dict[str, str], time_s: float) -> dict[str, str]:
-        low, high = int(values.get("FROM", "0")), int(values.get("TO", "-1"))
+        low, high = _integer(values, "FROM"), _integer(values, "TO")
         records = [p for p in self._ring if low <= p.number <= high]
-        if len(records) != high - low + 1:
+        if not records or len(records) != high - low + 1:
             raise CommandRefused(f"records {low} to {high} are not in the ring")
         for pulse in records:
             self._report(pulse, time_s)
         return {"RECORDS": str(len(records))}
 
     def _heart_beats(self, values: dict[str, str], time_s: float) -> dict[str, str]:
-        self._heartbeat_s = int(values["MS"]) / 1000 if "MS" in values else self._heartbeat_s
+        self._heartbeat_s = _integer(values, "MS") / 1000 if "MS" in values else self._heartbeat_s
         self._watch_heart(time_s)
         return {"EMITTED": str(self._emitted), "ARMED": str(int(self._armed))}
 
     def _fire(self, values: dict[str, str], time_s: float) -> dict[str, str]:
         if not self._armed:
             raise CommandRefused("not armed")
+        if self._settings["SOURCE"] != "COMMAND":
+            raise CommandRefused("armed for the scale")
         if (time_s - self._last_pulse_s) * 1e6 < self._setting("WIDTH_US"):
             raise CommandRefused("pulse not over")
         self._pulse(self._count_at(self._axis, time_s), time_s)
@@ -308,8 +316,12 @@ class VirtualPulseBox:
         return virtual.limits.counts(virtual.profile.position_at(time_s))
 
 
-def _is_integer(value: str) -> bool:
-    return value.removeprefix("-").isdecimal()
+def _integer(values: dict[str, str], name: str) -> int:
+    """Return a value in its range. Raises CommandRefused."""
+    value, (least, most) = values.get(name, ""), RANGES[name]
+    if not value.removeprefix("-").isdecimal() or not least <= int(value) <= most:
+        raise CommandRefused(f"no number {name} between {least} and {most}")
+    return int(value)
 
 
 Verb = Callable[[VirtualPulseBox, dict[str, str], float], dict[str, str]]

@@ -1,0 +1,27 @@
+"""The firmware under the sanitizers, and its image for the board."""
+
+from __future__ import annotations
+
+import re
+import subprocess
+
+import pytest
+
+
+@pytest.mark.parametrize("seed", [1, 2, 3])
+def test_random_bytes_lines_edges_and_times_break_nothing(seed, built):
+    fuzz = built("fuzz") / "fuzz"
+    run = subprocess.run([fuzz, str(seed), "150000"], capture_output=True, text=True, timeout=60, check=False)
+    assert run.returncode == 0, run.stderr
+    n_rounds, n_sent, n_done, n_pulses = map(int, re.findall(r"\d+", run.stdout))
+    assert n_rounds == 150_000
+    assert n_sent > n_done > 10_000
+    assert n_pulses > 500
+
+
+def test_the_image_leaves_the_board_a_kilobyte_for_its_stack(built):
+    image = built("avr") / "pulse_box_atmega2560.elf"
+    told = subprocess.run(["avr-size", image], capture_output=True, text=True, check=True).stdout
+    text, data, bss = map(int, told.splitlines()[1].split()[:3])
+    assert text + data < 32_768
+    assert data + bss < 8_192 - 1_024
