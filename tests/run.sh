@@ -42,7 +42,7 @@ make_environment() {
   fi
 }
 
-# The library's file name, or the program's name, and the Debian package that brings it.
+# The library's file name, or the program's name, and the Debian packages that bring it.
 needs_package() {
   case "$1" in
     *.so.*) [[ "$(ldconfig -p 2>/dev/null || true)" != *"$1"* ]] ;;
@@ -53,7 +53,8 @@ needs_package() {
 install_system_packages() {
   [ "$(uname -s)" = Linux ] || return 0
   local wanted=() pair run=()
-  for pair in chromium:chromium libusb-1.0.so.0:libusb-1.0-0 libGL.so.1:libgl1 libgomp.so.1:libgomp1; do
+  for pair in chromium:chromium libusb-1.0.so.0:libusb-1.0-0 libGL.so.1:libgl1 libgomp.so.1:libgomp1 make:make \
+    'gcc:gcc libc6-dev' 'avr-gcc:gcc-avr avr-libc' 'simavr:simavr libsimavr-dev libelf-dev'; do
     if needs_package "${pair%%:*}"; then wanted+=("${pair#*:}"); fi
   done
   [ ${#wanted[@]} -gt 0 ] || return 0

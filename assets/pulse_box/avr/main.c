@@ -1,8 +1,8 @@
 /* Shell for an ATmega2560 at 16 MHz, as on the Arduino Mega 2560.
 
      signal            pin   Arduino
-     scale X, A and B  PK0/1 A8, A9
-     scale Y, A and B  PK2/3 A10, A11
+     scale X, A and B  PB0/1 53, 52
+     scale Y, A and B  PB2/3 51, 50
      scale Z, A and B  PB4/5 10, 11
      exposure, in      PD0   21
      trigger, out      PA0   22
@@ -23,14 +23,9 @@
 
 /* -- scales and camera -------------------------------------------------------------------------------------------- */
 
-#define LINES_X (PINK & 3)
-#define LINES_Y (PINK >> 2 & 3)
-#define LINES_Z (PINB >> 4 & 3)
-
-ISR(PCINT0_vect) { box_lines(AXIS_Z, LINES_Z); }
-
-ISR(PCINT2_vect) {
-  uint8_t port = PINK; /* read once: both axes at the same time */
+ISR(PCINT0_vect) {
+  uint8_t port = PINB; /* read once: what changes later brings an interrupt of its own */
+  box_lines(AXIS_Z, port >> 4 & 3);
   box_lines(AXIS_X, port & 3);
   box_lines(AXIS_Y, port >> 2 & 3);
 }
@@ -38,11 +33,9 @@ ISR(PCINT2_vect) {
 ISR(INT0_vect) { box_exposure(); }
 
 static void start_inputs(void) {
-  PORTK = 0x0F; /* pull-ups: an open cable is quiet */
-  PORTB = 0x30;
-  PCMSK0 = 0x30;
-  PCMSK2 = 0x0F;
-  PCICR = 1 << PCIE0 | 1 << PCIE2;
+  PORTB = 0x3F; /* pull-ups: an open cable is quiet */
+  PCMSK0 = 0x3F;
+  PCICR = 1 << PCIE0;
   EICRA = 1 << ISC01 | 1 << ISC00; /* rising edge */
   EIMSK = 1 << INT0;
   DDRA = 1 << PA0;
@@ -150,8 +143,9 @@ static uint16_t next_boot(void) {
 
 int main(void) {
   start_inputs();
-  uint8_t lines[BOX_AXES] = {LINES_X, LINES_Y, LINES_Z};
-  box_start(next_boot(), lines);
+  uint16_t boot = next_boot();
+  uint8_t port = PINB, lines[BOX_AXES] = {port & 3, port >> 2 & 3, port >> 4 & 3};
+  box_start(boot, lines);
   start_timer();
   start_serial();
   sei();

@@ -25,7 +25,7 @@
 static const struct {
   char port;
   uint8_t a, b;
-} pins[N_AXES] = {{'K', 0, 1}, {'K', 2, 3}, {'B', 4, 5}};
+} pins[N_AXES] = {{'B', 0, 1}, {'B', 2, 3}, {'B', 4, 5}};
 
 static avr_t *avr;
 static avr_irq_t *a[N_AXES], *b[N_AXES], *exposure, *uart;

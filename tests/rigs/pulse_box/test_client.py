@@ -12,6 +12,7 @@ from itertools import pairwise
 import pytest
 import serial
 
+from tests.rigs.pulse_box.worlds import WallClock
 from wafer_viewer.acquire.pass_runner import reference_axes
 from wafer_viewer.model.acquisition.plan import PulseTrain
 from wafer_viewer.model.errors import PulseBoxRestarted, RigError, RigTimeout, WireError
@@ -259,16 +260,6 @@ def test_records_that_left_the_ring_are_a_refusal_not_a_guess(switch_on, monkeyp
     monkeypatch.setattr(rig.box._wire, "events", list)
     with pytest.raises((RigError, WireError), match="not in the ring"):
         rig.box.disarm()
-
-
-class WallClock:
-    """Fulfils the role Clock with the wall's time."""
-
-    def now_s(self):
-        return time.monotonic()
-
-    def sleep(self, seconds):
-        time.sleep(seconds)
 
 
 @pytest.fixture

@@ -61,6 +61,19 @@ def test_at_the_start_the_count_is_0_wherever_the_scale_stands_and_arming_is_ref
         box.reference("z", 0)
 
 
+def test_each_axis_has_a_count_and_a_reference_of_its_own(world, box):
+    box.reference("x", 1_000)
+    world.move(300, axis="x")
+    world.move(-200, axis="y")
+    assert [box.count(axis) for axis in ("x", "y", "z")] == [1_300, -200, world.position]
+    box.arm(PulseTrain(axis="x", first_count=1_350, counts_per_frame=50, n_frames=4, direction=1))
+    world.move(260, axis="x")
+    box.disarm()
+    assert [p.count for p in box.pulses()] == [1_350, 1_400, 1_450, 1_500]
+    with pytest.raises(RigError, match="y axis not referenced"):
+        box.arm(PulseTrain(axis="y", first_count=0, counts_per_frame=50, n_frames=4, direction=1))
+
+
 @pytest.mark.parametrize("direction", [1, -1])
 @pytest.mark.parametrize("rate", [20_000, 40_000])
 def test_126_of_126_pulses_fall_on_their_counts(rate, direction, world, box):

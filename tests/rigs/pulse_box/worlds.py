@@ -96,8 +96,8 @@ class World:
             pulses += box.pulses()
         return pulses
 
-    def move(self, counts, rate=20_000):
-        self.begin_move(counts, rate)
+    def move(self, counts, rate=20_000, axis="z"):
+        self.begin_move(counts, rate, axis)
         while self.moving():
             self.clock.sleep(POLL_S)
 
@@ -120,8 +120,10 @@ class VirtualWorld(World):
         self.edges.append(self.limits.counts(self.stage.scales_at(time_s).z_um))
         return True
 
-    def begin_move(self, counts, rate):
-        self.stage.start("z", self.limits.position_um(self.position + counts), self.limits.position_um(rate))
+    def begin_move(self, counts, rate, axis="z"):
+        virtual = self.stage.axes[axis]
+        at_um, limits = virtual.profile.position_at(self.clock.now_s()), virtual.limits
+        self.stage.start(axis, at_um + limits.position_um(counts), limits.position_um(rate))
 
     def moving(self):
         return self.stage.moving()
@@ -143,7 +145,7 @@ class ProgramWorld(World):
     def __init__(self, *command):
         super().__init__()
         self.clock = WallClock()
-        self.position = 0
+        self.position, self.axis = 0, "z"
         self.done: queue.Queue[int] = queue.Queue()
         self.going = False
         self.program = subprocess.Popen(
@@ -167,12 +169,14 @@ class ProgramWorld(World):
         self.program.stdin.flush()
         self.going = True
 
-    def begin_move(self, counts, rate):
-        self.order(f"MOVE Z {counts} {rate}")
+    def begin_move(self, counts, rate, axis="z"):
+        self.axis = axis
+        self.order(f"MOVE {axis.upper()} {counts} {rate}")
 
     def moving(self):
         if self.going and not self.done.empty():
-            self.position, self.going = self.done.get(), False
+            position, self.going = self.done.get(), False
+            self.position = position if self.axis == "z" else self.position
         return self.going
 
     def jump(self, counts):
