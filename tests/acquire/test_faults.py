@@ -7,6 +7,7 @@ import re
 import numpy as np
 import pytest
 
+from tests.acquire.ledger import Ledger
 from wafer_viewer.acquire.motion import ARRIVED_WITHIN_UM, come_to_rest, move
 from wafer_viewer.acquire.scan_runner import PASS_TRIES, run_scan
 from wafer_viewer.model.acquisition.plan import Shot
@@ -15,35 +16,6 @@ from wafer_viewer.rigs.virtual.faults import Faults
 
 FIELDS = {"rows": 2, "cols": 2, "n_frames": 60}
 N = 240
-
-
-class Ledger:
-    """Fulfils ScanSink: keeps the frames that count, as the dataset's writer does."""
-
-    def __init__(self):
-        self.kept, self.open = {}, {}
-        self.missed_why, self.faults, self.summaries = {}, [], []
-
-    def pass_begun(self, number, leg):
-        self.open = {}
-
-    def frame(self, frame):
-        self.open[frame.shot] = frame
-
-    def missed(self, shot, pulse_count, why):
-        self.open.pop(shot, None)
-        self.missed_why.setdefault(shot, []).append(why)
-
-    def repaired(self, shot):
-        pass
-
-    def pass_ended(self, number, summary):
-        self.summaries.append(summary)
-        self.kept |= self.open
-        self.open = {}
-
-    def fault(self, what):
-        self.faults.append(what)
 
 
 @pytest.fixture

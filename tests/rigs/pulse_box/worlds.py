@@ -199,6 +199,7 @@ class ProgramWorld(World):
 TOOLS = {
     "host": ("make", "gcc"),
     "sanitize": ("make", "gcc"),
+    "library": ("make", "gcc"),
     "fuzz": ("make", "gcc"),
     "avr": ("make", "avr-gcc"),
     "emulator": ("make", "gcc", "simavr"),
