@@ -119,6 +119,15 @@ def test_a_box_that_does_not_hear_us_disarms_itself(switch_on):
     assert rig.box.disarm().emitted == 0
 
 
+def test_a_report_of_disarming_that_was_lost_is_found_by_the_next_heartbeat(switch_on):
+    rig = switch_on()
+    rig.box.arm(UPWARD)
+    rig._firmware._disarm()
+    rig.clock.sleep(0.5)
+    with pytest.raises(RigError, match="disarmed itself before its last pulse"):
+        rig.box.pulses()
+
+
 def test_a_box_that_is_asked_for_pulses_stays_armed(switch_on):
     rig = switch_on()
     rig.stage.move_to(z_um=2.0)

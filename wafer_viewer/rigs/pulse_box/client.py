@@ -50,6 +50,7 @@ class PulseBoxClient:
         self._records: dict[int, Pulse] = {}
         self._given = 0
         self._run = 0
+        self._n_pulses = 0
         self._armed = False
         self._heartbeat_s = HEARTBEAT_S
         self._beaten_s = clock.now_s()
@@ -84,6 +85,7 @@ class PulseBoxClient:
         half_ring_s = self.identity.ring / 2 * min_gap_us * 1e-6
         self._heartbeat_s = min(HEARTBEAT_S, half_ring_s or HEARTBEAT_S)
         self._beat()
+        self._n_pulses = train.n_frames
         self._run += 1
         self._ask("ARM", RUN=self._run)
         self._wire.events()
@@ -104,7 +106,7 @@ class PulseBoxClient:
         """
         self._take_events()
         if self._armed and self._clock.now_s() - self._beaten_s >= self._heartbeat_s / BEATS:
-            self._fetch(self._beat())
+            self._fetch(self._beat(self._n_pulses))
         self._fetch(max(self._records, default=-1) + 1)
         fresh: list[Pulse] = []
         while (pulse := self._records.pop(self._given, None)) is not None:
@@ -141,11 +143,19 @@ class PulseBoxClient:
             raise RigError(f"The pulse box speaks {answer.values.get('VERSION')}, not {VERSION}: update its firmware.")
         return answer
 
-    def _beat(self) -> int:
-        """Send the heartbeat; return the number of pulses sent by the box."""
+    def _beat(self, n_pulses: int = 0) -> int:
+        """Send the heartbeat; return the number of pulses sent by the box.
+
+        Raises RigError if the box is not armed any more before it sent `n_pulses`: its report was lost on the wire.
+        """
         answer = self._ask("HB", MS=round(self._heartbeat_s * 1000))
-        self._beaten_s = self._clock.now_s()
-        return answer.number("EMITTED")
+        self._beaten_s, emitted = self._clock.now_s(), answer.number("EMITTED")
+        if emitted < n_pulses and not answer.number("ARMED"):
+            self._armed = False
+            raise RigError(
+                "The pulse box disarmed itself before its last pulse: check its cable and continue the scan."
+            )
+        return emitted
 
     def _ask(self, verb: str, **values: int | str) -> Line:
         """Send a command and return its answer; a box that is silent may have restarted, which HELLO finds out."""
