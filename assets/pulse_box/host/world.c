@@ -20,6 +20,7 @@ int world_open_line(void) {
   tcgetattr(far_fd, &raw);
   cfmakeraw(&raw);
   tcsetattr(far_fd, TCSANOW, &raw);
+  setvbuf(stdin, NULL, _IONBF, 0); /* so that poll sees every order */
   printf("PTY %s\n", ptsname(near_fd));
   fflush(stdout);
   return near_fd;

@@ -7,6 +7,9 @@ import subprocess
 
 import pytest
 
+from tests.rigs.pulse_box.worlds import ProgramWorld
+from wafer_viewer.model.acquisition.plan import PulseTrain
+
 
 @pytest.mark.parametrize("seed", [1, 2, 3])
 def test_random_bytes_lines_edges_and_times_break_nothing(seed, built):
@@ -25,3 +28,22 @@ def test_the_image_leaves_the_board_a_kilobyte_for_its_stack(built):
     text, data, bss = map(int, told.splitlines()[1].split()[:3])
     assert text + data < 32_768
     assert data + bss < 8_192 - 1_024
+
+
+@pytest.mark.slow
+def test_a_scale_faster_than_the_board_follows_is_found(built):
+    """At 60 000 counts/s; from 80 000 on simavr itself loses an interrupt for ever, which a board does not."""
+    folder = built("avr", "emulator")
+    world = ProgramWorld(folder / "atmega2560", folder / "pulse_box_atmega2560.elf")
+    box = world.box()
+    box.reference("z", 0)
+    train = PulseTrain(axis="z", first_count=500, counts_per_frame=100, n_frames=126, direction=1)
+    box.arm(train)
+    world.move(14_000, 60_000)
+    summary = box.disarm()
+    assert summary.quadrature_errors > 0
+    assert abs(box.count("z") - world.position) > 2
+    box.reference("z", world.position)
+    world.move(-1_000, box.identity.count_rate_hz)
+    assert box.count("z") == world.position
+    world.close()
