@@ -61,18 +61,16 @@ uint32_t shell_ticks(void) {
 void shell_trigger(uint16_t width) {
   PORTA |= 1 << PA0;
   OCR1A = TCNT1 + width;
-  TIFR1 = 1 << OCF1A; /* forget a match of an earlier pulse */
-  TIMSK1 |= 1 << OCIE1A;
 }
 
+/* The end of a pulse. The match of an earlier one may still wait for its interrupt when a new one begins. */
 ISR(TIMER1_COMPA_vect) {
-  PORTA &= (uint8_t) ~(1 << PA0);
-  TIMSK1 &= (uint8_t) ~(1 << OCIE1A);
+  if ((int16_t)(TCNT1 - OCR1A) >= 0) PORTA &= (uint8_t) ~(1 << PA0);
 }
 
 static void start_timer(void) {
   TCCR1B = 1 << CS11;
-  TIMSK1 = 1 << TOIE1;
+  TIMSK1 = 1 << TOIE1 | 1 << OCIE1A;
 }
 
 /* -- serial line -------------------------------------------------------------------------------------------------- */

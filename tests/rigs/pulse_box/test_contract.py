@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from itertools import pairwise
+
 import pytest
 
 from tests.rigs.pulse_box.worlds import BadPort
@@ -85,8 +87,8 @@ def test_126_of_126_pulses_fall_on_their_counts(rate, direction, world, box):
     assert (summary.emitted, summary.suppressed, summary.quadrature_errors, summary.exposures) == (N, 0, 0, N)
     assert box.count("z") == world.position
     times_us = [p.time_us for p in pulses]
-    assert times_us == sorted(times_us)
-    assert (times_us[-1] - times_us[0]) / (N - 1) == pytest.approx(100 / rate * 1e6, rel=0.02)
+    gaps_us = [b - a for a, b in pairwise(times_us)]
+    assert gaps_us == pytest.approx([100 / rate * 1e6] * (N - 1), abs=30)
 
 
 def test_a_pass_up_and_down_meets_each_count_once(world, box):
@@ -191,7 +193,7 @@ def test_arming_twice_is_refused_and_arming_forgets_the_run_before(world, box):
 def test_a_halt_stops_pulses_at_once(world, box):
     train = train_from(world.position)
     box.arm(train)
-    world.begin_move(length_of(train), 20_000)
+    world.begin_move(length_of(train), 8_000)
     world.clock.sleep(0.2)
     box.halt()
     while world.moving():
@@ -220,7 +222,7 @@ def test_records_that_left_the_ring_are_refused(world, box):
     n = box.identity.ring + 20
     train = train_from(world.position, n=n, pitch=20)
     box.arm(train)
-    world.move(length_of(train), 10_000)
+    world.move(length_of(train), 20_000)
     with pytest.raises(RigError, match="not in the ring"):
         box._ask("DUMP", FROM=0, TO=3)
 

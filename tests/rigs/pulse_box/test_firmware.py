@@ -32,7 +32,6 @@ def test_the_image_leaves_the_board_a_kilobyte_for_its_stack(built):
 
 @pytest.mark.slow
 def test_a_scale_faster_than_the_board_follows_is_found(built):
-    """At 60 000 counts/s; from 80 000 on simavr itself loses an interrupt for ever, which a board does not."""
     folder = built("avr", "emulator")
     world = ProgramWorld(folder / "atmega2560", folder / "pulse_box_atmega2560.elf")
     box = world.box()
@@ -43,7 +42,4 @@ def test_a_scale_faster_than_the_board_follows_is_found(built):
     summary = box.disarm()
     assert summary.quadrature_errors > 0
     assert abs(box.count("z") - world.position) > 2
-    box.reference("z", world.position)
-    world.move(-1_000, box.identity.count_rate_hz)
-    assert box.count("z") == world.position
     world.close()

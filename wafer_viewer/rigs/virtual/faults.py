@@ -33,7 +33,8 @@ class Faults(Spec, frozen=True, kw_only=True):
     suppressed_pulses : triggers that the pulse box holds back once, and reports as suppressed.
     slips : triggers at which the pulse box loses `slip_counts` counts of the moving axis. With `slips_reported` it
         reports a quadrature error for every two of them.
-    reboots : triggers at which the pulse box loses its power; it restarts with count 0 at the current stage position.
+    reboots : triggers at which the pulse box loses its power; it answers again after 1.5 s,
+        with time and counts at 0 where the stage stands.
     endless_motions : motions after which the stage reports motion until it is stopped.
     late_motions : motions that begin `late_s` after their command.
     wire : interference on the serial line.
