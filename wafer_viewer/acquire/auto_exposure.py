@@ -198,6 +198,7 @@ def _frames(rig: Rig, z_um: Sequence[float], exposure_us: float, should_stop: Sh
     train = PulseTrain(axis="z", first_count=here, counts_per_frame=1, n_frames=len(z_um), direction=1)
     with device_errors("camera"):
         rig.camera.start(exposure_us)
+    rig.box.reference("z", here)
     rig.box.arm(train, on_command=True)
     for position_um in z_um:
         with device_errors("stage"):

@@ -55,6 +55,7 @@ class GreyRenderer:
 
 def virtual(exits):
     rig = VirtualRig(renderer=GreyRenderer(), limits=virtual_limits(ROWS, COLS))
+    rig.box.reference(ON_COMMAND.axis, 0)
     rig.box.arm(ON_COMMAND, on_command=True)
 
     def fire():

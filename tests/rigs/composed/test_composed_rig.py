@@ -103,6 +103,7 @@ def test_limits_setup_and_name_are_those_of_the_file(opened):
     assert rig.simulated
     assert rig.limits.x.high_um == 100_000.0
     assert rig.limits.pixel_um == 0.46729
+    assert rig.limits.count_rate_hz == rig.box.identity.count_rate_hz > 0
     assert rig.setup.objective == "10x/0.28"
     assert rig.calibration is None
     assert rig.overview() is not None

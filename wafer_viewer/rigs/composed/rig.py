@@ -10,12 +10,12 @@ from typing import Any, ClassVar, Literal
 import msgspec
 
 from wafer_viewer.model.acquisition.calibration import Calibration, OpticalSetup
-from wafer_viewer.model.acquisition.devices import Camera, Clock, Overview, PulseBox, SerialPort
+from wafer_viewer.model.acquisition.devices import Camera, Clock, Overview, SerialPort
 from wafer_viewer.model.acquisition.plan import ScanPlan
 from wafer_viewer.model.acquisition.rig_limits import CameraLimits, RigLimits
 from wafer_viewer.model.errors import RigError, WaferViewerError
 from wafer_viewer.model.progress import ShouldStop
-from wafer_viewer.model.spec import Spec
+from wafer_viewer.model.spec import Spec, replace
 from wafer_viewer.rigs.cameras.drivers import CAMERAS
 from wafer_viewer.rigs.composed.devices import DevicesConfig
 from wafer_viewer.rigs.pulse_box.client import PulseBoxClient
@@ -182,8 +182,9 @@ class ComposedRig:
 
     @property
     def limits(self) -> RigLimits:
-        """Limits of the rig."""
-        return self._opener.devices.limits(self._camera.limits)
+        """Limits of the rig: those of its file, its camera and its pulse box."""
+        limits = self._opener.devices.limits(self._camera.limits)
+        return replace(limits, count_rate_hz=float(self._box.identity.count_rate_hz))
 
     @property
     def setup(self) -> OpticalSetup:
@@ -206,7 +207,7 @@ class ComposedRig:
         return self._stage
 
     @property
-    def box(self) -> PulseBox:
+    def box(self) -> PulseBoxClient:
         """Pulse box of the rig."""
         return self._box
 
