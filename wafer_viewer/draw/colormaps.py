@@ -69,8 +69,8 @@ def rgb(text: str) -> Rgb:
 def table(name: str) -> NDArray[np.uint8]:
     """Return a colour map as uint8 [256, 3], from low to high. Raises KeyError for an unknown name."""
     stops = np.array([rgb(stop) for stop in _STOPS[name].split()], float)
-    at = np.linspace(0, len(stops) - 1, 256)
-    channels = [np.interp(at, np.arange(len(stops)), stops[:, k]) for k in range(3)]
+    positions = np.linspace(0, len(stops) - 1, 256)
+    channels = [np.interp(positions, np.arange(len(stops)), stops[:, k]) for k in range(3)]
     out = np.stack(channels, axis=1).round().astype(np.uint8)
     out.setflags(write=False)
     return out

@@ -49,8 +49,8 @@ def duration(seconds: float | None) -> str:
     """Format a duration as ``0:23``, ``10:19``, ``1:02:03``; rounded up, so that time left never reads 0:00."""
     if seconds is None or not math.isfinite(seconds):
         return NOTHING
-    whole = math.ceil(max(0.0, seconds) - 1e-6)
-    minutes, rest = divmod(whole, 60)
+    rounded = math.ceil(max(0.0, seconds) - 1e-6)
+    minutes, rest = divmod(rounded, 60)
     hours, minutes = divmod(minutes, 60)
     return f"{hours}:{minutes:02d}:{rest:02d}" if hours else f"{minutes}:{rest:02d}"
 

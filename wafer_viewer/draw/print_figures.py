@@ -123,13 +123,13 @@ def print_picture(
         "ytick.labelcolor": _hex(on.ink),
     }
     with _style(settings):
-        whole = height + foot_px
-        figure = Figure((width / DOTS_PER_INCH, whole / DOTS_PER_INCH), DOTS_PER_INCH, facecolor=_hex(on.paper))
+        page_px = height + foot_px
+        figure = Figure((width / DOTS_PER_INCH, page_px / DOTS_PER_INCH), DOTS_PER_INCH, facecolor=_hex(on.paper))
         figure.figimage(scene, 0, foot_px, origin="upper", zorder=-1)
-        page = figure.add_axes((0, 0, 1, 1), xlim=(0, width), ylim=(whole, 0))
+        page = figure.add_axes((0, 0, 1, 1), xlim=(0, width), ylim=(page_px, 0))
         page.set_axis_off()
         if key is not None:
-            _colour_bar(figure, page, key, width, whole, letter_px)
+            _colour_bar(figure, page, key, width, page_px, letter_px)
         bar_end = _scale_bar(page, on, um_per_pixel, width, height + foot_px / 2, letter_px)
         _caption(page, on, caption, bar_end + 2 * letter_px, width, height + foot_px / 2, letter_px)
         canvas = FigureCanvasAgg(figure)

@@ -18,7 +18,7 @@ _LETTER_PX = 62
 _PAD_PX, _MARGIN_PX = 26, 3
 _FINER = 3
 """Supersampling factor of tags."""
-_SHEET_PX = 2048
+_ATLAS_PX = 2048
 _SUBSTITUTES = str.maketrans({"\u202f": " ", "\u2212": "-", "–": "-", "×": "x", "\u03bc": "µ"})
 
 
@@ -38,7 +38,7 @@ def length_px(text: str, face: ImageFont.FreeTypeFont) -> float:
 
 def write(
     pen: ImageDraw.ImageDraw,
-    at: tuple[float, float],
+    position: tuple[float, float],
     text: str,
     face: ImageFont.FreeTypeFont,
     fill: Rgb | tuple[int, int, int, int] | int,
@@ -46,10 +46,10 @@ def write(
     align: str = "l",
     weight: float = 0.0,
 ) -> None:
-    """Draw one line of text; `at`: mid-height of the capitals at its left end, middle or right end (l, m, r)."""
+    """Draw one line of text; `position`: mid-height of the capitals at its left end, middle or right end (l, m, r)."""
     spelled = _substitute_glyphs(text)
-    x = at[0] - {"l": 0.0, "m": 0.5, "r": 1.0}[align] * face.getlength(spelled)
-    baseline = at[1] + 0.36 * face.size
+    x = position[0] - {"l": 0.0, "m": 0.5, "r": 1.0}[align] * face.getlength(spelled)
+    baseline = position[1] + 0.36 * face.size
     pen.text((x, baseline), spelled, font=face, fill=fill, anchor="ls", stroke_width=weight, stroke_fill=fill)
     for place, letter in enumerate(text.translate(_SUBSTITUTES)):
         if letter == "µ":
@@ -75,7 +75,7 @@ def tag(text: str, colour: Rgb, pill: Rgb | None = None, high_px: int = LINE_PX)
     return np.dstack([np.rint(mixed), ground if pill else ink]).astype(np.uint8)
 
 
-def sheet(tags: Sequence[NDArray[np.uint8]]) -> tuple[NDArray[np.uint8], NDArray[np.float32]]:
+def text_atlas(tags: Sequence[NDArray[np.uint8]]) -> tuple[NDArray[np.uint8], NDArray[np.float32]]:
     """Pack tags into one image, rgba, and return it with their texture boxes.
 
     The boxes are float32 [n, 4]: u0, v0, u1, v1 in 0 ... 1, v downwards.
@@ -84,15 +84,15 @@ def sheet(tags: Sequence[NDArray[np.uint8]]) -> tuple[NDArray[np.uint8], NDArray
     x, y = 0, 0
     for picture in tags:
         wide = picture.shape[1]
-        if x and x + wide > _SHEET_PX:
+        if x and x + wide > _ATLAS_PX:
             x, y = 0, y + LINE_PX
         places.append((x, y, wide))
         x += wide
-    whole = np.zeros((y + LINE_PX, max(x + wide for x, _, wide in places), 4), np.uint8)
+    atlas = np.zeros((y + LINE_PX, max(x + wide for x, _, wide in places), 4), np.uint8)
     for picture, (left, top, wide) in zip(tags, places, strict=True):
-        whole[top : top + LINE_PX, left : left + wide] = picture
+        atlas[top : top + LINE_PX, left : left + wide] = picture
     boxes = np.array([(x, y, x + wide, y + LINE_PX) for x, y, wide in places], np.float32)
-    return whole, boxes / np.array([whole.shape[1], whole.shape[0]] * 2, np.float32)
+    return atlas, boxes / np.array([atlas.shape[1], atlas.shape[0]] * 2, np.float32)
 
 
 def _substitute_glyphs(text: str) -> str:

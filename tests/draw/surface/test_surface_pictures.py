@@ -15,7 +15,7 @@ from PIL import Image
 
 from tests.support.page_stand_in import height_map
 from wafer_viewer.draw.colormaps import COLOUR_MAPS, ELSEWHERE, table
-from wafer_viewer.draw.raster_text import sheet, tag
+from wafer_viewer.draw.raster_text import tag, text_atlas
 from wafer_viewer.draw.surface import mesh
 from wafer_viewer.draw.surface.display_style import DisplayStyle, Light
 from wafer_viewer.draw.surface.mesh import as_shown, painted, plates, to_texture
@@ -223,7 +223,7 @@ def test_a_coarser_map_keeps_what_is_known_of_overlaps():
 
 def test_words_in_one_picture_are_each_found_again():
     tags = [tag(str(n), (255, 255, 255), (10, 20, 30)) for n in range(1, 60)]
-    picture, uv = sheet(tags)
+    picture, uv = text_atlas(tags)
     height, width = picture.shape[:2]
     for word, (u0, v0, u1, v1) in zip(tags, uv.tolist(), strict=True):
         part = picture[round(v0 * height) : round(v1 * height), round(u0 * width) : round(u1 * width)]

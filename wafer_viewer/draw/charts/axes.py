@@ -89,11 +89,11 @@ class Axes:
             Markup('<i class="x" style="left:{:.2f}%">{}</i>').format(self.x.percent(x), text)
             for x, text in self.x.ticks
         )
-        beside = (
+        row_labels = (
             Markup('<i class="y" style="top:{:.2f}%">{}</i>').format(self.y.percent(y), text)
             for y, text in self.y.ticks
         )
-        return Markup("").join([*below, *beside])
+        return Markup("").join([*below, *row_labels])
 
     def labels_svg(self) -> Markup:
         """Return the tick labels as text elements below and left of the plot."""
@@ -102,11 +102,11 @@ class Axes:
             Markup('<text x="{:.1f}" y="{:g}" text-anchor="middle">{}</text>').format(self.x.at(x), foot, text)
             for x, text in self.x.ticks
         )
-        beside = (
+        row_labels = (
             Markup('<text x="{:g}" y="{:.1f}" text-anchor="end">{}</text>').format(left, self.y.at(y) + 4, text)
             for y, text in self.y.ticks
         )
-        return Markup("").join([*below, *beside])
+        return Markup("").join([*below, *row_labels])
 
     def frame(self) -> str:
         """Return the path around the plot."""

@@ -43,7 +43,7 @@ def die_stack_svg(
     scale = min(room[0] / grid.width_um, room[1] / grid.height_um)
     width, height = grid.width_um * scale, grid.height_um * scale
 
-    def at(u_um: float, v_um: float) -> tuple[float, float]:
+    def to_map(u_um: float, v_um: float) -> tuple[float, float]:
         """Return the image position; marks outside the die are clamped to its margin."""
         x, y = _MARGIN_PX + u_um * scale, _MARGIN_PX + height - v_um * scale
         return min(max(x, 2.0), width + 2 * _MARGIN_PX - 2), min(max(y, 2.0), height + 2 * _MARGIN_PX - 2)
@@ -56,9 +56,9 @@ def die_stack_svg(
     )
     frame = Markup('<rect {} fill="{}" stroke="var(--ink3)"/>').format(box, "none" if picture_url else "var(--fill)")
     drawn = shown(inspection, places)
-    areas = Markup("").join(_left_out(area, at) for area in inspection.recipe.excluded)
-    marks = Markup("").join(_mark(d, at, d.number == chosen, attributes) for d in drawn if d.in_die is not None)
-    rings = Markup("").join(_ring(k, one, at, scale, k == place, attributes) for k, one in enumerate(places))
+    areas = Markup("").join(_left_out(area, to_map) for area in inspection.recipe.excluded)
+    marks = Markup("").join(_mark(d, to_map, d.number == chosen, attributes) for d in drawn if d.in_die is not None)
+    rings = Markup("").join(_ring(k, one, to_map, scale, k == place, attributes) for k, one in enumerate(places))
     w, h = width + 2 * _MARGIN_PX, height + 2 * _MARGIN_PX
     return Markup(
         '<svg class="wv-stack" viewBox="0 0 {w:.0f} {h:.0f}" width="{w:.0f}" height="{h:.0f}" role="img" '
@@ -79,13 +79,13 @@ def not_drawn(inspection: Inspection, drawn: Collection[Defect]) -> int:
     return sum(bool(d.die) and d.in_die is not None for d in inspection.found) - len(drawn)
 
 
-def _left_out(area: Region, at: Callable[[float, float], tuple[float, float]]) -> Markup:
+def _left_out(area: Region, to_map: Callable[[float, float], tuple[float, float]]) -> Markup:
     """Return an excluded area: a translucent fill with a dashed outline."""
     x0, y0, x1, y1 = area.bounds_um
     corners = (
         [(p.x_um, p.y_um) for p in area.points] if area.kind == "polygon" else [(x0, y0), (x1, y0), (x1, y1), (x0, y1)]
     )
-    (left, low), (right, high) = at(x0, y0), at(x1, y1)
+    (left, low), (right, high) = to_map(x0, y0), to_map(x1, y1)
     look = Markup('fill="#fff" fill-opacity=".55" stroke="#15202B" stroke-width="1.2" stroke-dasharray="4 3"')
     if area.kind == "circle":
         middle = Markup('cx="{:.1f}" cy="{:.1f}"').format((left + right) / 2, (low + high) / 2)
@@ -94,17 +94,17 @@ def _left_out(area: Region, at: Callable[[float, float], tuple[float, float]]) -
         )
     else:
         shape = Markup('<polygon points="{}" {}/>').format(
-            Markup(" ").join(f"{x:.1f},{y:.1f}" for x, y in (at(*c) for c in corners)), look
+            Markup(" ").join(f"{x:.1f},{y:.1f}" for x, y in (to_map(*c) for c in corners)), look
         )
     return Markup("<g><title>Left out: not searched</title>{}</g>").format(shape)
 
 
 def _mark(
-    defect: Defect, at: Callable[[float, float], tuple[float, float]], chosen: bool, attributes: Attributes
+    defect: Defect, to_map: Callable[[float, float], tuple[float, float]], chosen: bool, attributes: Attributes
 ) -> Markup:
     if defect.in_die is None:
         return Markup()
-    x, y = at(defect.in_die.x_um, defect.in_die.y_um)
+    x, y = to_map(defect.in_die.x_um, defect.in_die.y_um)
     look = DEFECT_CLASSES[defect.seen_as]
     name = f"D{defect.number}, {look.title}, die {defect.die}"
     ring = (
@@ -129,12 +129,12 @@ def _mark(
 def _ring(
     k: int,
     place: RepeatedPlace,
-    at: Callable[[float, float], tuple[float, float]],
+    to_map: Callable[[float, float], tuple[float, float]],
     scale: float,
     chosen: bool,
     attributes: Attributes,
 ) -> Markup:
-    x, y = at(place.in_die.x_um, place.in_die.y_um)
+    x, y = to_map(place.in_die.x_um, place.in_die.y_um)
     radius = max(_LEAST_RING_PX, place.reach_um * scale + 6)
     name = f"Place {k + 1}, {place.words}"
     lines = Markup("").join(

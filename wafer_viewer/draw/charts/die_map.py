@@ -39,7 +39,7 @@ class DieLook:
     opacity: float = 0.0
     dashed: bool = False
     lines: tuple[Segment, ...] = ()
-    told: str = ""
+    explanation: str = ""
 
 
 DIE_LOOKS: dict[str, DieLook] = {
@@ -77,14 +77,14 @@ def kind_of(die: DieStatus) -> str:
 
 def kinds_of(dies: Sequence[DieStatus]) -> dict[str, int]:
     """Return the number of dies in each state that occurs."""
-    there = Counter(map(kind_of, dies))
-    return {kind: there[kind] for kind in DIE_LOOKS if there[kind]}
+    counts = Counter(map(kind_of, dies))
+    return {kind: counts[kind] for kind in DIE_LOOKS if counts[kind]}
 
 
 def kinds_text(dies: Sequence[DieStatus]) -> str:
     """Return the number of dies in each state, with the name of its hatching, as text."""
-    told = ((n, kind, DIE_LOOKS[kind].told) for kind, n in kinds_of(dies).items())
-    return ", ".join(f"{n} {kind}{f' ({how})' if how else ''}" for n, kind, how in told)
+    legend = ((n, kind, DIE_LOOKS[kind].explanation) for kind, n in kinds_of(dies).items())
+    return ", ".join(f"{n} {kind}{f' ({how})' if how else ''}" for n, kind, how in legend)
 
 
 def fills_by_count(counts: Mapping[str, int], colour: str = "var(--fault)") -> dict[str, DieFill]:
@@ -128,8 +128,8 @@ def die_shapes(
     draw = _merged_shapes if len(dies) > MOST_SINGLE else _singly
     places = _places(frame, grid, dies)
     kinds = Markup("").join(draw(_DieShape.of(frame, grid), list(zip(dies, places, strict=True)), fills))
-    heavy = (at for die, at in zip(dies, places, strict=True) if die.name == chosen)
-    edge = "".join(_DieShape.of(frame, grid).edge(at) for at in heavy)
+    heavy = (place for die, place in zip(dies, places, strict=True) if die.name == chosen)
+    edge = "".join(_DieShape.of(frame, grid).edge(place) for place in heavy)
     chosen_edge = Markup('<path class="wv-die-on" d="{}" fill="none" stroke="var(--ink)" stroke-width="2.4"/>').format(
         edge
     )
@@ -237,10 +237,10 @@ def _singly(shape: _DieShape, dies: Placed, fills: Mapping[str, DieFill]) -> Ite
 
 
 def _merged_shapes(shape: _DieShape, dies: Placed, fills: Mapping[str, DieFill]) -> Iterator[str]:
-    alike: dict[tuple[str, DieFill | None], list[Place]] = {}
+    groups: dict[tuple[str, DieFill | None], list[Place]] = {}
     for die, place in dies:
-        alike.setdefault((kind_of(die), fills.get(die.name)), []).append(place)
-    for (kind, fill), places in alike.items():
+        groups.setdefault((kind_of(die), fills.get(die.name)), []).append(place)
+    for (kind, fill), places in groups.items():
         yield shape.drawn(places, DIE_LOOKS[kind], fill)
         yield Markup("").join(shape.text(place, fill.text) for place in places if fill is not None)
 
@@ -361,35 +361,35 @@ _LEAST_CONTRAST = 128
 """Luma (of 255) below which text on a cell is white."""
 
 
-def site_map_svg(found: SiteRanges, colours: str = "mako") -> Markup:
+def site_map_svg(ranges: SiteRanges, colours: str = "mako") -> Markup:
     """Return the lattice with row 0 at the top; each cell has its position and range as a tooltip."""
-    side = _WIDTH / found.cols
-    height = side * found.site_height_um / found.site_width_um
-    low, high = spread_um(found)
+    side = _WIDTH / ranges.cols
+    height = side * ranges.site_height_um / ranges.site_width_um
+    low, high = spread_um(ranges)
     cells = Markup("").join(
         _cell(
             site,
-            (k % found.cols) * side,
-            (k // found.cols) * height,
+            (k % ranges.cols) * side,
+            (k // ranges.cols) * height,
             side,
             height,
             _relative_range(site, low, high),
             colours,
         )
-        for k, site in enumerate(found.sites)
+        for k, site in enumerate(ranges.sites)
     )
     return Markup(
         '<svg class="wv-sites" viewBox="0 0 {:g} {:.1f}" role="img" '
         'aria-label="Site ranges"><defs><pattern id="wv-no-range" width="6" height="6" patternUnits="userSpaceOnUse" '
         'patternTransform="rotate(45)"><path d="M0 0V6" stroke="var(--ink3)" stroke-width="1.4"/></pattern></defs>'
         "{}</svg>"
-    ).format(_WIDTH, height * found.rows, cells)
+    ).format(_WIDTH, height * ranges.rows, cells)
 
 
-def spread_um(found: SiteRanges) -> tuple[float, float]:
+def spread_um(ranges: SiteRanges) -> tuple[float, float]:
     """Return the smallest and the largest range of all sites."""
-    ranges = [site.range.value_um for site in found.sites if site.range is not None]
-    return min(ranges), max(ranges)
+    spreads = [site.range.value_um for site in ranges.sites if site.range is not None]
+    return min(spreads), max(spreads)
 
 
 def _relative_range(site: Site, low: float, high: float) -> float | None:
@@ -402,18 +402,18 @@ def _relative_range(site: Site, low: float, high: float) -> float | None:
 def _cell(site: Site, x: float, y: float, side: float, height: float, share: float | None, colours: str) -> Markup:
     gap = _GAP * min(side, height)
     fill, ink = _inks(share, colours)
-    told = f"{number(site.range.value_um, 3)}{THIN}µm" if site.range is not None else "too little of it is measured"
+    text = f"{number(site.range.value_um, 3)}{THIN}µm" if site.range is not None else "too little of it is measured"
     where = f"x {number(site.x_um, 1)}, y {number(site.y_um, 1)}"
     box = Markup('x="{x:.2f}" y="{y:.2f}" width="{width:.2f}" height="{height:.2f}"').format(
         x=x + gap, y=y + gap, width=side - 2 * gap, height=height - 2 * gap
     )
-    drawn = Markup('<rect {} rx="2" fill="{}"><title>{}</title></rect>').format(box, fill, f"{where}: {told}")
+    drawn = Markup('<rect {} rx="2" fill="{}"><title>{}</title></rect>').format(box, fill, f"{where}: {text}")
     if site.range is None or min(side, 2 * height) < _WORDS_FROM:
         return drawn
-    at = Markup('x="{:.1f}" y="{:.1f}"').format(x + side / 2, y + height / 2)
+    middle = Markup('x="{:.1f}" y="{:.1f}"').format(x + side / 2, y + height / 2)
     size = min(12.0, 0.26 * side)
     words = Markup('{} fill="{}" font-size="{:.1f}" text-anchor="middle" dominant-baseline="central"').format(
-        at, ink, size
+        middle, ink, size
     )
     return Markup('{}<text {} pointer-events="none">{}</text>').format(drawn, words, number(site.range.value_um, 2))
 

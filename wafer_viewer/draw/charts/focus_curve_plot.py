@@ -51,14 +51,14 @@ def _peak_colour(curve: FocusCurve) -> str:
 
 
 def _ring(axes: Axes, rival: Rival) -> Markup:
-    at = [_point(axes, rival.z_um, rival.share)]
-    return _dots(at, "attention", 10) + _dots(at, "panel", 6)
+    points = [_point(axes, rival.z_um, rival.share)]
+    return _dots(points, "attention", 10) + _dots(points, "panel", 6)
 
 
 def _peak_label(axes: Axes, curve: FocusCurve) -> Markup:
     believed = "" if curve.height_um is not None else ", not believed"
     text = f"peak {with_unit(curve.peak_z_um, 2, signed=True)}{believed}"
-    return _beside(_percent(axes, curve.peak_z_um), "top:-1px", _peak_colour(curve), text)
+    return _plot_label(_percent(axes, curve.peak_z_um), "top:-1px", _peak_colour(curve), text)
 
 
 def _named(axes: Axes, curve: FocusCurve) -> list[Rival]:
@@ -75,14 +75,14 @@ def _named(axes: Axes, curve: FocusCurve) -> list[Rival]:
 
 def _rival_label(axes: Axes, rival: Rival) -> Markup:
     where = f"top:calc({axes.y.percent(rival.share):.2f}% - 20px)"
-    return _beside(_percent(axes, rival.z_um), where, "attention", f"rival {share(rival.share, 0)}")
+    return _plot_label(_percent(axes, rival.z_um), where, "attention", f"rival {share(rival.share, 0)}")
 
 
 def _percent(axes: Axes, z_um: float) -> float:
     return axes.x.percent(axes.x.within(z_um))
 
 
-def _beside(across: float, where: str, colour: str, text: str) -> Markup:
+def _plot_label(across: float, where: str, colour: str, text: str) -> Markup:
     """Return a label right of a position in percent, or left of it in the right half of the plot."""
     side = f"left:calc({across:.2f}% + 7px)" if across < 50 else f"right:calc({100 - across:.2f}% + 7px)"
     return Markup('<b style="{side};{where};color:var(--{colour})">{text}</b>').format(

@@ -44,9 +44,9 @@ def frame_of(sections: Sequence[Section], span_um: Ends | None = None) -> Profil
     low, high = (max(0.0, span_um[0]), min(longest, span_um[1])) if span_um is not None else (0.0, longest)
     if not high - low > _LEAST_SPAN_UM:
         low, high = 0.0, longest
-    seen = [s.curve.z_um[(s.curve.distance_um >= low) & (s.curve.distance_um <= high)] for s in sections]
-    seen += [_nearly_all(s.points, (low, high)) for s in sections if s.points is not None]
-    return ProfileFrame((low, high), round_ends(np.concatenate([*seen, np.empty(0)])))
+    heights = [s.curve.z_um[(s.curve.distance_um >= low) & (s.curve.distance_um <= high)] for s in sections]
+    heights += [_nearly_all(s.points, (low, high)) for s in sections if s.points is not None]
+    return ProfileFrame((low, high), round_ends(np.concatenate([*heights, np.empty(0)])))
 
 
 def dots(points: SlabPoints, frame: ProfileFrame, most: int = MOST_DOTS) -> tuple[Floats, Floats]:
@@ -109,13 +109,13 @@ def thinned(x: Floats, z: Floats, most: int) -> tuple[Floats, Floats]:
         return x, z
     length = -(-len(z) // (most // 2))
     padded = np.pad(z, (0, -len(z) % length), constant_values=np.nan).reshape(-1, length)
-    known = np.isfinite(padded)
+    measured = np.isfinite(padded)
     picked = np.sort(
-        [np.where(known, padded, np.inf).argmin(axis=1), np.where(known, padded, -np.inf).argmax(axis=1)], 0
+        [np.where(measured, padded, np.inf).argmin(axis=1), np.where(measured, padded, -np.inf).argmax(axis=1)], 0
     )
     index = np.minimum(picked.T + length * np.arange(len(padded))[:, None], len(z) - 1).ravel()
-    kept = np.where(np.repeat(known.any(axis=1), 2), z[index], np.nan)
-    return x[index], kept
+    envelope = np.where(np.repeat(measured.any(axis=1), 2), z[index], np.nan)
+    return x[index], envelope
 
 
 _SIDE = 8000
@@ -138,7 +138,9 @@ def profile_plot_html(
     if brush_um is not None:
         brushed = Markup("").join(_brushed(section, frame, axes, brush_um) for section in sections)
         curves = _band(axes, brush_um) + curves + brushed
-    cursors = Markup("").join(_cursor(axes, at) for at in cursors_um if frame.x_um[0] <= at <= frame.x_um[1])
+    cursors = Markup("").join(
+        _cursor(axes, cursor_um) for cursor_um in cursors_um if frame.x_um[0] <= cursor_um <= frame.x_um[1]
+    )
     x_title = f"Distance along the {'slab' if points else 'profile'}, µm"
     look = PlotLook("Profiles", "z, µm", x_title, left_px=58, classes="wv-profiles")
     return plot_html(axes, look, Markup("<g>{}</g>{}").format(curves, cursors))
@@ -147,8 +149,8 @@ def profile_plot_html(
 def _dots(points: SlabPoints, frame: ProfileFrame, axes: Axes) -> Markup:
     """Return the points of a slab as dots; the running median is drawn over them."""
     x_um, z_um = dots(points, frame)
-    at = np.rint(np.column_stack([axes.x.at(x_um), axes.y.at(z_um)])).astype(int).tolist()
-    d = "".join(f"M{x} {y}h1" for x, y in at)
+    pixels = np.rint(np.column_stack([axes.x.at(x_um), axes.y.at(z_um)])).astype(int).tolist()
+    d = "".join(f"M{x} {y}h1" for x, y in pixels)
     look = Markup('stroke="var(--ink3)" stroke-opacity=".5" stroke-width="{}" stroke-linecap="round"').format(_DOT_PX)
     return Markup('<path class="wv-slab-points" data-points="{}" d="{}" {}/>').format(len(points), d, look)
 

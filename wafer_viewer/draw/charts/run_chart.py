@@ -67,9 +67,9 @@ def _lines(chart: RunChart) -> list[_Line]:
 
 def _axes(chart: RunChart, points: Sequence[ChartPoint]) -> Axes:
     """Return the axes: errors over the number of the check, each in the middle of its interval."""
-    told = [line.um for line in _lines(chart)]
-    told += [p.value.value_um + side * (p.value.expanded_um or 0.0) for p in points for side in (-1, 1)]
-    low, high = min(told), max(told)
+    values = [line.um for line in _lines(chart)]
+    values += [p.value.value_um + side * (p.value.expanded_um or 0.0) for p in points for side in (-1, 1)]
+    low, high = min(values), max(values)
     room = _ROOM * (high - low) or 0.1
     ends_um = low - room, high + room
     return Axes.stretched((-0.5, len(points) - 0.5), ends_um, _days(points), round_ticks(ends_um, _MOST_Y, signed=True))
@@ -81,10 +81,10 @@ def _level(axes: Axes, line: _Line) -> Markup:
 
 def _bars(axes: Axes, points: Sequence[ChartPoint]) -> Markup:
     """Return the U of every check as a vertical line through its point."""
-    known = [
+    measured = [
         (k, p.value.value_um, p.value.expanded_um) for k, p in enumerate(points) if p.value.expanded_um is not None
     ]
-    upright = "".join(f"M{axes.x.at(k):.1f} {axes.y.at(um + u):.1f}V{axes.y.at(um - u):.1f}" for k, um, u in known)
+    upright = "".join(f"M{axes.x.at(k):.1f} {axes.y.at(um + u):.1f}V{axes.y.at(um - u):.1f}" for k, um, u in measured)
     return line_svg(upright, "ink3", 1.2, Markup('opacity=".55"')) if upright else Markup()
 
 
@@ -96,19 +96,19 @@ def _connecting_line(axes: Axes, points: Sequence[ChartPoint]) -> Markup:
 
 
 def _dot(axes: Axes, k: int, point: ChartPoint, attributes: str, chosen: str) -> Markup:
-    at = f"left:{axes.x.percent(k):.2f}%;top:{axes.y.percent(point.value.value_um):.2f}%"
+    position = f"left:{axes.x.percent(k):.2f}%;top:{axes.y.percent(point.value.value_um):.2f}%"
     look = f"{point.verdict.replace(' ', '-')}{' sel' if point.at == chosen else ''}{' breaks' if point.breaks else ''}"
-    told = _point_title(point)
-    return Markup('<u class="wv-dot {look}" style="{at}" title="{told}" aria-label="{told}" {attributes}></u>').format(
-        look=look, at=at, told=told, attributes=attributes
-    )
+    title = _point_title(point)
+    return Markup(
+        '<u class="wv-dot {look}" style="{position}" title="{title}" aria-label="{title}" {attributes}></u>'
+    ).format(look=look, position=position, title=title, attributes=attributes)
 
 
 def _point_title(point: ChartPoint) -> str:
     value, u = value_and_u(point.value.value_um, point.value.expanded_um, 3, signed=True)
     with_u = f"{value} ± {u} µm" if point.value.expanded_um is not None else f"{value} µm"
-    at = datetime.fromisoformat(point.at)
-    return " · ".join((f"{_day(point)} {at:%H:%M}", with_u, point.verdict, *point.breaks))
+    moment = datetime.fromisoformat(point.at)
+    return " · ".join((f"{_day(point)} {moment:%H:%M}", with_u, point.verdict, *point.breaks))
 
 
 def _days(points: Sequence[ChartPoint]) -> tuple[Tick, ...]:
@@ -123,8 +123,8 @@ def _days(points: Sequence[ChartPoint]) -> tuple[Tick, ...]:
 
 
 def _day(point: ChartPoint) -> str:
-    at = datetime.fromisoformat(point.at)
-    return f"{at.day} {at:%b}"
+    moment = datetime.fromisoformat(point.at)
+    return f"{moment.day} {moment:%b}"
 
 
 def _names(axes: Axes, lines: Sequence[_Line]) -> str:

@@ -96,10 +96,10 @@ def map_frame(
 ) -> MapViewport | None:
     """Return the viewport of the map of these fields; None if there is nothing to draw."""
     of_fields = _bounds(_corners(fields, field_width_um, field_height_um))
-    whole = _bounds([*outline_um, *_corners(fields, field_width_um, field_height_um)])
-    if whole is None:
+    extent = _bounds([*outline_um, *_corners(fields, field_width_um, field_height_um)])
+    if extent is None:
         return None
-    return _fitted(_padded(of_fields, 0.16) if _zoomed(of_fields, whole) else whole, width_px, most_height_px)
+    return _fitted(_padded(of_fields, 0.16) if _zoomed(of_fields, extent) else extent, width_px, most_height_px)
 
 
 def field_map_svg(
@@ -127,7 +127,7 @@ def field_map_svg(
     )
     if frame is None:
         return Markup()
-    whole = _bounds([*outline_um, *_corners(fields, field_width_um, field_height_um)])
+    extent = _bounds([*outline_um, *_corners(fields, field_width_um, field_height_um)])
     of_fields = _bounds(_corners(fields, field_width_um, field_height_um))
     inks = [(f, FIELD_INKS[(states or {}).get(f.number, "planned")]) for f in fields]
     draw = _merged_shapes if len(fields) > MOST_SINGLE else _singly
@@ -135,8 +135,8 @@ def field_map_svg(
         _sample(frame, outline_um, dies_um),
         draw(frame, inks, (field_width_um, field_height_um), selected, onclick),
     ]
-    if whole and of_fields and _zoomed(of_fields, whole):
-        parts.append(_inset(frame, whole, of_fields, outline_um))
+    if extent and of_fields and _zoomed(of_fields, extent):
+        parts.append(_inset(frame, extent, of_fields, outline_um))
     size = Markup('width="{:.0f}" height="{:.0f}"').format(frame.width_px, frame.height_px)
     place = Markup(' onclick="{}"').format(_located(frame) + onplace) if onplace else Markup()
     head = Markup('<svg {} class="wv-map" role="img" aria-label="Map of the sample" style="display:block"{}>').format(
@@ -163,7 +163,7 @@ def _singly(
     onclick: str,
 ) -> Markup:
     """Return every field with its number, the selected one on top."""
-    order = sorted(inks, key=lambda of: (of[0].number == selected, of[0].number))
+    order = sorted(inks, key=lambda pair: (pair[0].number == selected, pair[0].number))
     return Markup("").join(_field(frame, f, *size_um, ink, f.number == selected, onclick) for f, ink in order)
 
 
@@ -197,7 +197,7 @@ def _sample(frame: MapViewport, outline_um: Outline, dies_um: Sequence[Outline])
         return Markup()
     edge = _points(frame, outline_um)
     out = Markup('<polygon points="{}" fill="var(--fill)" stroke="var(--ink3)" stroke-width="1.3"/>').format(edge)
-    shown = [die for die in dies_um if _seen(frame, die)]
+    shown = [die for die in dies_um if _is_visible(frame, die)]
     dies = Markup("").join(Markup('<polygon points="{}"/>').format(_points(frame, die)) for die in shown)
     return out + Markup('<g fill="none" stroke="var(--line)" stroke-width="1.2">{}</g>').format(dies)
 
@@ -246,10 +246,10 @@ def _number(number: int, ink: FieldStyle, x: float, y: float, room_px: float) ->
     ).format(x=x, y=y + 0.36 * size, size=size, weight=weight, colour=colour, text=text)
 
 
-def _inset(frame: MapViewport, whole: Box, of_fields: Box, outline_um: Outline) -> Markup:
+def _inset(frame: MapViewport, extent: Box, of_fields: Box, outline_um: Outline) -> Markup:
     """Return an overview of the sample in the lower right corner, with the area of the fields."""
     left, top = frame.width_px - _INSET_PX, frame.height_px - _INSET_PX
-    small = MapViewport(whole, _INSET_PX, _INSET_PX, left, top)
+    small = MapViewport(extent, _INSET_PX, _INSET_PX, left, top)
     x, y = small.x(of_fields[0]), small.y(of_fields[3])
     w, h = (max(3.0, (of_fields[k + 2] - of_fields[k]) * small.scale) for k in (0, 1))
     return Markup(
@@ -272,14 +272,14 @@ def _bounds(points: Sequence[tuple[float, float]]) -> Box | None:
     return min(xs), min(ys), max(xs), max(ys)
 
 
-def _zoomed(of_fields: Box | None, whole: Box) -> bool:
+def _zoomed(of_fields: Box | None, extent: Box) -> bool:
     """Return whether the fields are enlarged, with the sample as an inset."""
-    return of_fields is not None and _share(of_fields, whole) < _ZOOM_UNDER
+    return of_fields is not None and _share(of_fields, extent) < _ZOOM_UNDER
 
 
-def _share(part: Box, whole: Box) -> float:
+def _share(part: Box, total: Box) -> float:
     """Return the larger of the fractions of width and height."""
-    return max((part[k + 2] - part[k]) / max(whole[k + 2] - whole[k], 1e-9) for k in (0, 1))
+    return max((part[k + 2] - part[k]) / max(total[k + 2] - total[k], 1e-9) for k in (0, 1))
 
 
 def _padded(box: Box | None, share: float) -> Box:
@@ -296,7 +296,7 @@ def _fitted(box: Box, width_px: int, most_height_px: int) -> MapViewport:
     )
 
 
-def _seen(frame: MapViewport, die: Outline) -> bool:
+def _is_visible(frame: MapViewport, die: Outline) -> bool:
     box = _bounds(die)
     if box is None or (box[2] - box[0]) * frame.scale < 3:
         return False
@@ -308,7 +308,7 @@ def _points(frame: MapViewport, corners: Outline) -> str:
     return " ".join(f"{frame.x(x):.1f},{frame.y(y):.1f}" for x, y in corners)
 
 
-_LEAST_SEEN_PX = 5.0
+_LEAST_VIEW_PX = 5.0
 """Size of a view in px below which it is drawn as a cross."""
 
 _LEAST_AREA_PX = 3.0
@@ -341,10 +341,10 @@ class MarkedArea:
 
 
 def map_marks_svg(
-    frame: MapViewport, seen_um: Outline, marks: Sequence[MapMark], areas: Sequence[MarkedArea] = ()
+    frame: MapViewport, view_um: Outline, marks: Sequence[MapMark], areas: Sequence[MarkedArea] = ()
 ) -> Markup:
-    """Return the overlay in the size of the map; `seen_um`: corners of the area in the camera view."""
-    shapes = [*(_area(frame, area) for area in areas), *_camera_view(frame, seen_um)]
+    """Return the overlay in the size of the map; `view_um`: corners of the area in the camera view."""
+    shapes = [*(_area(frame, area) for area in areas), *_camera_view(frame, view_um)]
     shapes += [*(_mark(frame, mark) for mark in sorted(marks, key=lambda mark: mark.chosen))]
     w, h = f"{frame.width_px:.0f}", f"{frame.height_px:.0f}"
     size = Markup('width="{w}" height="{h}" viewBox="0 0 {w} {h}"').format(w=w, h=h)
@@ -373,7 +373,7 @@ def _camera_view(frame: MapViewport, corners_um: Outline) -> list[str]:
     points = [(frame.x(x), frame.y(y)) for x, y in corners_um]
     xs, ys = [x for x, _ in points], [y for _, y in points]
     style = Markup('fill="none" stroke="var(--attention)" stroke-width="1.6" stroke-linejoin="round"')
-    if max(max(xs) - min(xs), max(ys) - min(ys)) < _LEAST_SEEN_PX:
+    if max(max(xs) - min(xs), max(ys) - min(ys)) < _LEAST_VIEW_PX:
         x, y = sum(xs) / len(xs), sum(ys) / len(ys)
         return [
             Markup('<path d="M{x:.1f} {y:.1f}h14M{x2:.1f} {y2:.1f}v14" {style}/>').format(

@@ -49,7 +49,7 @@ def picked(n: int, step: int) -> NDArray[np.intp]:
 
 def surface(
     z_um: Floats,
-    there: NDArray[np.bool_],
+    measured: NDArray[np.bool_],
     x_mm: Floats,
     y_mm: Floats,
     z0_um: float,
@@ -66,33 +66,35 @@ def surface(
     grid_y, grid_x = np.meshgrid(y_mm[rows], x_mm[cols], indexing="ij")
     height = (z_um[np.ix_(rows, cols)] - np.float32(z0_um)) * np.float32(1e-3)
     v, u = np.meshgrid((rows + 0.5) / len(y_mm), (cols + 0.5) / len(x_mm), indexing="ij")
-    kept = _cells(there, rows, cols, np.logical_or)
-    ragged = kept & ~(_cells(there, rows, cols, np.logical_and) & _corners(there[np.ix_(rows, cols)]).all(axis=0))
-    kept &= ~(ragged & (_rise(height) > _STEEP * step * abs(float(x_mm[-1] - x_mm[0])) / max(1, len(x_mm) - 1)))
-    whole = Mesh(
+    cells = _cells(measured, rows, cols, np.logical_or)
+    ragged = cells & ~(
+        _cells(measured, rows, cols, np.logical_and) & _corners(measured[np.ix_(rows, cols)]).all(axis=0)
+    )
+    cells &= ~(ragged & (_rise(height) > _STEEP * step * abs(float(x_mm[-1] - x_mm[0])) / max(1, len(x_mm) - 1)))
+    surface = Mesh(
         np.stack([grid_x, grid_y, height], axis=-1).reshape(-1, 3).astype(np.float32),
         np.stack([u, v], axis=-1).reshape(-1, 2).astype(np.float32),
-        quads(len(rows), len(cols))[kept.ravel()].reshape(-1, 3),
+        quads(len(rows), len(cols))[cells.ravel()].reshape(-1, 3),
     )
-    return _joined([whole, *_skirts(whole, height, kept, skirts)])
+    return _joined([surface, *_skirts(surface, height, cells, skirts)])
 
 
-def _skirts(of: Mesh, height: Floats, kept: NDArray[np.bool_], skirts: Skirts) -> list[Mesh]:
+def _skirts(mesh: Mesh, height: Floats, cells: NDArray[np.bool_], skirts: Skirts) -> list[Mesh]:
     """Return a skirt for each requested edge, along the cells that are kept."""
     index = np.arange(height.size).reshape(height.shape)
-    edges = (index[-1], kept[-1]), (index[0], kept[0]), (index[:, 0], kept[:, 0]), (index[:, -1], kept[:, -1])
-    return [_skirt(of, line, there) for wanted, (line, there) in zip(skirts, edges, strict=True) if wanted]
+    edges = (index[-1], cells[-1]), (index[0], cells[0]), (index[:, 0], cells[:, 0]), (index[:, -1], cells[:, -1])
+    return [_skirt(mesh, line, present) for wanted, (line, present) in zip(skirts, edges, strict=True) if wanted]
 
 
-def _skirt(of: Mesh, line: NDArray[np.intp], there: NDArray[np.bool_]) -> Mesh:
-    top, width = of.vertices[line], 2 * _SKIRT_STEPS + 1
+def _skirt(mesh: Mesh, line: NDArray[np.intp], present: NDArray[np.bool_]) -> Mesh:
+    top, width = mesh.vertices[line], 2 * _SKIRT_STEPS + 1
     around = np.lib.stride_tricks.sliding_window_view(np.pad(top[:, 2], _SKIRT_STEPS, mode="edge"), width)
     spacing = float(np.hypot(*(top[-1, :2] - top[0, :2]))) / max(1, len(line) - 1)
     foot = np.column_stack([top[:, :2], around.min(axis=1) - 0.1 * spacing])
     return Mesh(
         np.concatenate([top, foot]).astype(np.float32),
-        np.concatenate([of.uv[line]] * 2),
-        quads(2, len(line))[there].reshape(-1, 3),
+        np.concatenate([mesh.uv[line]] * 2),
+        quads(2, len(line))[present].reshape(-1, 3),
     )
 
 
@@ -107,13 +109,13 @@ def _joined(parts: list[Mesh]) -> Mesh:
 
 
 def _cells(
-    there: NDArray[np.bool_], rows: NDArray[np.intp], cols: NDArray[np.intp], how: np.ufunc
+    measured: NDArray[np.bool_], rows: NDArray[np.intp], cols: NDArray[np.intp], how: np.ufunc
 ) -> NDArray[np.bool_]:
     """Return for each cell between picked rows and columns whether any or every pixel in it is valid.
 
     how: logical_or for any, logical_and for every.
     """
-    by_row = how.reduceat(there, rows[:-1], axis=0)
+    by_row = how.reduceat(measured, rows[:-1], axis=0)
     return how.reduceat(by_row, cols[:-1], axis=1)
 
 
@@ -172,15 +174,15 @@ def walls(edges: dict[int, tuple[Floats, Floats, Floats]], base_mm: float) -> Me
 
 
 def _wall(x: Floats, y: Floats, z: Floats, base_mm: float, u: float) -> Mesh:
-    there = np.isfinite(z)
-    top = np.stack([x, y, np.where(there, z, base_mm)], axis=1)
+    measured = np.isfinite(z)
+    top = np.stack([x, y, np.where(measured, z, base_mm)], axis=1)
     foot = np.stack([x, y, np.full(len(x), base_mm)], axis=1)
     v = np.repeat([0.0, 1.0], len(x))
-    kept = there[:-1] & there[1:]
+    cells = measured[:-1] & measured[1:]
     return Mesh(
         np.concatenate([top, foot]).astype(np.float32),
         np.stack([np.full(2 * len(x), u), v], axis=1).astype(np.float32),
-        quads(2, len(x))[kept].reshape(-1, 3),
+        quads(2, len(x))[cells].reshape(-1, 3),
     )
 
 

@@ -44,8 +44,8 @@ def heights_of(planes: Sequence[Plane], inside: Plane, pixel_um: float) -> Range
         least, most = np.nanpercentile(inside, _INNER_ENDS)
         low, high = min(low, float(least)), max(high, float(most))
     spare = max(0.0, _LEAST_SPAN_UM - (high - low)) / 2
-    known = [plane[np.isfinite(plane)] for plane in (*planes[1:2], planes[0])]
-    zero = next((float(np.median(values)) for values in known if values.size), 0.0)
+    measured = [plane[np.isfinite(plane)] for plane in (*planes[1:2], planes[0])]
+    zero = next((float(np.median(values)) for values in measured if values.size), 0.0)
     return Range(low - spare, high + spare, zero, light_gain(planes[0], pixel_um))
 
 
@@ -58,8 +58,8 @@ def greys_of(planes: Sequence[Plane]) -> Range:
 
 def picture_of(plane: Plane, pixel_um: float, over: Range) -> bytes:
     """Return heights as lit colours, or grey values; unknown pixels have a uniform colour."""
-    known = np.isfinite(plane)
-    if not known.any():
+    measured = np.isfinite(plane)
+    if not measured.any():
         return b""
     filled = without_gaps(plane)
     share = np.clip((filled - over.low) / max(over.high - over.low, 1e-9), 0, 1)
@@ -68,13 +68,13 @@ def picture_of(plane: Plane, pixel_um: float, over: Range) -> bytes:
     if over.gain:
         light = shade(filled, pixel_um, over.gain, over.high - over.low).lambert
         colour = colour * (1 + np.float32(0.85 * _HILLSHADE) * (np.minimum(light, 1.6) - 1))[..., None]
-    seen = np.clip(colour, 0, 255).astype(np.uint8)
-    return jpeg(np.where(known[..., None], seen, UNMEASURED), _QUALITY)
+    pixels = np.clip(colour, 0, 255).astype(np.uint8)
+    return jpeg(np.where(measured[..., None], pixels, UNMEASURED), _QUALITY)
 
 
 def _ends(planes: Sequence[Plane], ends: tuple[float, float]) -> tuple[float, float]:
-    known = [plane[np.isfinite(plane)] for plane in planes]
-    values = np.concatenate([*known, np.zeros(0, np.float32)])
+    measured = [plane[np.isfinite(plane)] for plane in planes]
+    values = np.concatenate([*measured, np.zeros(0, np.float32)])
     if values.size == 0:
         return 0.0, 1.0
     low, high = np.percentile(values, ends)
@@ -103,14 +103,14 @@ def patch_url(image: Image, row: int, col: int, side_px: int, between: Greys) ->
     """Return the square around a pixel as a PNG data URL; pixels outside the frame are transparent."""
     from PIL import Image as Pictures
 
-    seen = patch(image, row, col, side_px)
+    pixels = patch(image, row, col, side_px)
     low, high = between
-    grey = np.clip((seen - low) * (255 / (high - low)), 0, 255).astype(np.uint8)
-    whole = np.zeros((side_px, side_px, 2), np.uint8)
+    grey = np.clip((pixels - low) * (255 / (high - low)), 0, 255).astype(np.uint8)
+    canvas = np.zeros((side_px, side_px, 2), np.uint8)
     r, c = max(0, side_px // 2 - row), max(0, side_px // 2 - col)
-    whole[r : r + seen.shape[0], c : c + seen.shape[1]] = _opaque(grey)
+    canvas[r : r + pixels.shape[0], c : c + pixels.shape[1]] = _opaque(grey)
     file = io.BytesIO()
-    Pictures.fromarray(whole, "LA").save(file, "PNG", compress_level=1)
+    Pictures.fromarray(canvas, "LA").save(file, "PNG", compress_level=1)
     return f"data:image/png;base64,{base64.b64encode(file.getvalue()).decode()}"
 
 

@@ -236,8 +236,10 @@ def _coloured(part: HeightMap, look: DisplayStyle, light: Light, heights: NDArra
         return origin_table()[part.origin].astype(np.float32)
     values = VALUES[look.colour_by](part, light)
     if look.colour_by == "overlap":
-        known = np.isfinite(values)
-        return np.where(known[..., None], _by_value(np.where(known, values, 0), look), np.array(ELSEWHERE, np.float32))
+        measured = np.isfinite(values)
+        return np.where(
+            measured[..., None], _by_value(np.where(measured, values, 0), look), np.array(ELSEWHERE, np.float32)
+        )
     return _by_value(heights if values is part.z_um else without_gaps(values), look)
 
 

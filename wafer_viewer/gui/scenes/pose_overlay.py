@@ -16,7 +16,7 @@ import viser
 from numpy.typing import NDArray
 
 from wafer_viewer.draw.colormaps import Rgb
-from wafer_viewer.draw.raster_text import sheet, tag
+from wafer_viewer.draw.raster_text import tag, text_atlas
 from wafer_viewer.draw.surface import mesh
 from wafer_viewer.draw.surface.mesh import painted
 from wafer_viewer.gui.scene.primitives import DrapedLines, Layer, Layers, lines
@@ -322,7 +322,7 @@ class _Pen:
         """Add labels above the heights they cover; `anchor`: fraction of their size (from below) at the position."""
         if not tags:
             return
-        picture, uv = sheet(tags)
+        picture, uv = text_atlas(tags)
         wide_um = np.array([high_um * t.shape[1] / t.shape[0] for t in tags])
         x, y = at_um[:, 0] - anchor[0] * wide_um, at_um[:, 1] - anchor[1] * high_um
         boxes = np.stack([x, y, x + wide_um, y + high_um], axis=1)
