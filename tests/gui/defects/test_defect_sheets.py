@@ -35,12 +35,12 @@ def answer(*seen: ComparisonView) -> ComparisonViews:
 def test_three_pairs_and_their_bar_fit_the_scene(room: SheetRoom):
     sizes = beside.Sizes.within(room)
     assert 3 * sizes.width_px + beside.BAR_PX + 3 * beside.GAP_PX + 2 * beside.PAD_PX <= room.width_px
-    assert sizes.sheet_px <= room.height_px
+    assert sizes.panel_px <= room.height_px
     assert sizes.width_px / sizes.height_px == pytest.approx(4 / 3, rel=0.02)
 
 
 def test_every_pair_says_what_it_is_and_has_the_outline_and_the_same_scale_bar():
-    text = beside.sheet(
+    text = beside.comparison_html(
         DEFECT,
         answer(
             ComparisonView("here", b"h", b"p"),
@@ -58,7 +58,7 @@ def test_every_pair_says_what_it_is_and_has_the_outline_and_the_same_scale_bar()
 
 def test_words_stand_where_there_is_nothing_to_compare_with():
     why = "No earlier scan of wafer <W> with a surface lies in the data folder."
-    text = beside.sheet(
+    text = beside.comparison_html(
         DEFECT, answer(ComparisonView("here", b"h"), ComparisonView("before", why_not=why)), beside.Sizes.within(SMALL)
     )
     assert "wafer &lt;W&gt;" in text
@@ -84,14 +84,14 @@ def test_of_thousands_those_of_repeated_places_are_drawn_first(repeating):
     drawn = shown(crowded, places)
     assert len(drawn) == MOST_MARKS
     assert {n for place in places for n in place.numbers} <= {defect.number for defect in drawn}
-    assert f"{len(crowded.found) - MOST_MARKS} weaker ones are not drawn" in stacked.sheet(
+    assert f"{len(crowded.found) - MOST_MARKS} weaker ones are not drawn" in stacked.die_stack_html(
         crowded, places, None, (300, 300), None, None
     )
 
 
 def test_the_list_names_places_dies_and_the_one_that_is_chosen(repeating):
     places = repeated_places(repeating)
-    text = stacked.sheet(repeating, places, DiePicture(b"p", 9), stacked.drawing_px(repeating, SMALL), None, 1)
+    text = stacked.die_stack_html(repeating, places, DiePicture(b"p", 9), stacked.drawing_px(repeating, SMALL), None, 1)
     assert "Pattern<small>x 9" in text
     assert "<b>17</b><small>of 20 dies</small>" in text
     assert "Picture: median of 9 dies" in text
@@ -102,12 +102,12 @@ def test_the_list_names_places_dies_and_the_one_that_is_chosen(repeating):
 
 
 def test_words_stand_where_nothing_repeats_or_there_are_no_dies(repeating):
-    nothing = stacked.sheet(
+    nothing = stacked.die_stack_html(
         INSPECTION, (), DiePicture(why_not="No die was scanned completely."), (300, 300), None, None
     )
     assert "No 3 dies have a defect at the same place." in nothing
     assert "No die was scanned completely." in nothing
-    assert stacked.NO_DIES in stacked.sheet(replace(INSPECTION, grid=None), (), None, (300, 300), None, None)
+    assert stacked.NO_DIES in stacked.die_stack_html(replace(INSPECTION, grid=None), (), None, (300, 300), None, None)
     width, height = stacked.drawing_px(repeating, SMALL)
     assert width + stacked.LIST_PX + 3 * stacked.PAD_PX <= SMALL.width_px
     assert height < SMALL.height_px

@@ -56,13 +56,13 @@ def export_defects_dialog(page: Page) -> None:
         name = f"{stem}{FORMATS[first][1]}"
         files = FileList(dialog, "any", rows=7, saving=name, ending=Path(name).suffix)
         kind = page.gui.add_dropdown("Format", tuple(FORMATS))
-        said = HtmlBlock(page.gui, _lab(LOSES[FORMATS[first][0]]))
+        description = HtmlBlock(page.gui, _lab(LOSES[FORMATS[first][0]]))
 
     @kind.on_update
     def _(_: Any) -> None:
         what, ending = FORMATS[kind.value]
         files.save_as(f"{stem}{ending}", Path(ending).suffix)
-        said.show(_lab(LOSES[what]))
+        description.show(_lab(LOSES[what]))
 
     def write() -> None:
         what, target = FORMATS[kind.value][0], files.target()
@@ -97,7 +97,7 @@ def klarf_dialog(page: Page) -> None:
 
 def golden_dialog(page: Page) -> None:
     """Open the dialog that saves the median die of this wafer as the next version of a golden die."""
-    inspection, shelf = required_inspection(page), page.session.snapshot.defect_files
+    inspection, files = required_inspection(page), page.session.snapshot.defect_files
     if inspection.grid is None:
         raise MeasureError("A golden die is made from dies and this inspection has none: inspect die to die first.")
     product = inspection.product
@@ -106,14 +106,14 @@ def golden_dialog(page: Page) -> None:
         "Under an existing name it becomes the next version; earlier versions are kept."
     )
     dialog = Dialog(page, "Keep as golden die", below)
-    named = next((header.name for header in shelf.golden if product and header.product == product), product)
+    named = next((header.name for header in files.golden if product and header.product == product), product)
     with dialog.modal:
         name = page.gui.add_text("Name", named)
-        said = HtmlBlock(page.gui, _lab(_next_version(page, named)))
+        description = HtmlBlock(page.gui, _lab(_next_version(page, named)))
 
     @name.on_update
     def _(_: Any) -> None:
-        said.show(_lab(_next_version(page, name.value.strip())))
+        description.show(_lab(_next_version(page, name.value.strip())))
 
     def keep() -> None:
         if not name.value.strip():
@@ -153,8 +153,8 @@ def save_recipe_dialog(page: Page, recipe: DefectRecipe, then: Callable[[DefectR
 
     def save() -> None:
         named = replace(recipe, product=product.value.strip(), name=name.value.strip())
-        kept = page.session.snapshot.defect_files.recipes_of(named.product)
-        if any(known.name == named.name and known != named for known in kept):
+        stored = page.session.snapshot.defect_files.recipes_of(named.product)
+        if any(recipe.name == named.name and recipe != named for recipe in stored):
             _ask_to_replace(page, named, keep)
         else:
             keep(named)
@@ -169,18 +169,18 @@ def save_recipe_dialog(page: Page, recipe: DefectRecipe, then: Callable[[DefectR
 
 def recipes_dialog(page: Page) -> None:
     """Open the dialog that lists the saved recipes, to rename or delete them."""
-    shelf = page.session.snapshot.defect_files
+    files = page.session.snapshot.defect_files
     dialog = Dialog(
         page,
         "Recipes for defects",
         "The one saved last is applied automatically when a dataset of its product is opened.",
     )
     with dialog.modal:
-        HtmlBlock(page.gui, recipe_table(shelf.recipes) + _lab("") + Markup("").join(map(_lab, shelf.problems)))
+        HtmlBlock(page.gui, recipe_table(files.recipes) + _lab("") + Markup("").join(map(_lab, files.problems)))
 
     def choose(ask: Callable[[Page, DefectRecipe], None], key: str) -> None:
         dialog.close()
-        ask(page, shelf.recipes[int(key)])
+        ask(page, files.recipes[int(key)])
 
     page.on_pick("defect-recipe-name", lambda key: choose(_rename_dialog, key))
     page.on_pick("defect-recipe-away", lambda key: choose(_delete_dialog, key))
@@ -243,8 +243,8 @@ def _ask_to_replace(page: Page, recipe: DefectRecipe, keep: Callable[[DefectReci
 
 
 def _next_version(page: Page, name: str) -> str:
-    known = [header.version for header in page.session.snapshot.defect_files.golden if header.name == name]
-    return f"It will be version {max(known, default=0) + 1}." if name else ""
+    versions = [header.version for header in page.session.snapshot.defect_files.golden if header.name == name]
+    return f"It will be version {max(versions, default=0) + 1}." if name else ""
 
 
 def _wait(verb: Future[Any]) -> None:

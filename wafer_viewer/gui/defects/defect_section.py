@@ -61,17 +61,19 @@ class DefectSection:
 
     def show(self, snapshot: Snapshot, view: View) -> None:
         """Bring the section up to date."""
-        there = view.step == "review" and snapshot.surface is not None
-        set_prop(self._folder, "visible", there)
-        if not there:
+        visible = view.step == "review" and snapshot.surface is not None
+        set_prop(self._folder, "visible", visible)
+        if not visible:
             return
         state = snapshot.inspection
         if state.work:
             self._unfolded = False
-        found = state.inspection
-        self._head.show(self._top(snapshot) + words.summary(state) + (verdict(found) if found is not None else ""))
-        self.form.show(snapshot, (self._unfolded or found is None) and not state.work, _why_not(snapshot))
-        self._errands.show(_command_links_html() if found is not None else "")
+        inspection = state.inspection
+        self._head.show(
+            self._top(snapshot) + words.summary(state) + (verdict(inspection) if inspection is not None else "")
+        )
+        self.form.show(snapshot, (self._unfolded or inspection is None) and not state.work, _why_not(snapshot))
+        self._errands.show(_command_links_html() if inspection is not None else "")
         self._other.show(snapshot)
         self._list.show(self._listed(snapshot, view))
 
@@ -112,8 +114,8 @@ class DefectSection:
 
     def _run(self, errand: str) -> None:
         """Open the dialog of one of the commands on all defects."""
-        asked = ERRANDS[errand]
-        guarded(self._page, asked.failed)(asked.ask)(self._page)
+        dialog = ERRANDS[errand]
+        guarded(self._page, dialog.failed)(dialog.ask)(self._page)
 
     def _edit_excluded_areas(self, *, here: bool = False) -> None:
         """Open the dialog of areas to exclude on every die.
@@ -144,8 +146,10 @@ class DefectSection:
             return html.head("Defects") + ("" if state.problem else first)
         fold = "Less" if self._unfolded else "Inspect again…"
         link = Markup('<span class="wv-link" {}>{}</span>').format(html.pick("defect-form"), fold)
-        told = words.judged(state.inspection)
-        return Markup('<div class="wv-h">Defects<span class="wv-mid">{}</span><span>{}</span></div>').format(told, link)
+        judged = words.judged(state.inspection)
+        return Markup('<div class="wv-h">Defects<span class="wv-mid">{}</span><span>{}</span></div>').format(
+            judged, link
+        )
 
     def _listed(self, snapshot: Snapshot, view: View) -> Markup:
         inspection = snapshot.inspection.inspection
@@ -157,9 +161,9 @@ class DefectSection:
         now = chosen_item(snapshot, view.review, view.defects)
         chart = chart_of(snapshot.inspection, view.defects, view.review_filter)
         shown = rows_of(items, now)
-        there = rows(items, shown, now, [self._thumbs(item, snapshot) for item in shown])
+        table = rows(items, shown, now, [self._thumbs(item, snapshot) for item in shown])
         choices = filters(view) + sorting(view.defects, inspection)
-        return chart + choices + there + words.facts(inspection)
+        return chart + choices + table + words.facts(inspection)
 
     def _thumbs(self, item: ReviewItem, snapshot: Snapshot) -> Markup:
         """Return the thumbnails of a defect, heights and picture, as HTML."""

@@ -40,18 +40,18 @@ class DefectMap:
         self._folder = page.gui.add_folder(None, visible=False)
         with self._folder:
             self._head, self._over, self._map = (HtmlBlock(page.gui) for _ in range(3))
-        self._seen: Callable[[], Outline | None] = lambda: None
+        self._camera_view: Callable[[], Outline | None] = lambda: None
         self._go_to: Callable[[str], Any] = lambda _: None
-        self._of: tuple[object, ...] | None = None
+        self._drawn: tuple[object, ...] | None = None
         self._frame: MapViewport | None = None
         page.on_pick("defect-map-by", lambda by: self._list_by(map_by=by))
         page.on_pick("defect-kind", lambda kind: self._list_by(kind="" if page.view.defects.kind == kind else kind))
         page.on_pick("defect-all", lambda _: page.change(defects=page.view.defects.widened))
         page.on_pick("defect-at", lambda at: self._choose_at(*(float(um) for um in at.split(","))))
 
-    def on_seen(self, seen_um: Callable[[], Outline | None]) -> None:
+    def on_camera_view(self, view_um: Callable[[], Outline | None]) -> None:
         """Set the function that returns the ground area in the camera's view."""
-        self._seen = seen_um
+        self._camera_view = view_um
 
     def on_chosen(self, go_to: Callable[[str], Any]) -> None:
         """Set the callback that shows the first defect of a new filter, given its key."""
@@ -60,14 +60,14 @@ class DefectMap:
     def show(self, snapshot: Snapshot, view: View) -> bool:
         """Bring the map up to date; return whether it is visible."""
         inspection = snapshot.inspection.inspection
-        there = view.step == "review" and inspection is not None and bool(inspection.grid and inspection.dies)
-        set_prop(self._folder, "visible", there)
-        if inspection is None or not there:
+        visible = view.step == "review" and inspection is not None and bool(inspection.grid and inspection.dies)
+        set_prop(self._folder, "visible", visible)
+        if inspection is None or not visible:
             return False
         listing = replace(view.defects, sort="size")
-        of = inspection, snapshot.dataset_overview, listing, view.review_filter, snapshot.defect_files.other
-        if self._of is None or any(a is not b and a != b for a, b in zip(of, self._of, strict=True)):
-            self._of = of
+        sources = inspection, snapshot.dataset_overview, listing, view.review_filter, snapshot.defect_files.other
+        if self._drawn is None or any(a is not b and a != b for a, b in zip(sources, self._drawn, strict=True)):
+            self._drawn = sources
             self._draw(snapshot, view, inspection)
         self._overlay(snapshot, view)
         return True
@@ -134,7 +134,7 @@ class DefectMap:
         if self._frame is None:
             return
         here = chosen_defect(snapshot, view.review)
-        drawing = map_marks_svg(self._frame, self._seen() or (), [_mark(here)] if here is not None else ())
+        drawing = map_marks_svg(self._frame, self._camera_view() or (), [_mark(here)] if here is not None else ())
         self._over.show(drawing and Markup('<div class="wv-over-map wv-dies">{}</div>').format(drawing))
 
 

@@ -40,7 +40,7 @@ def drawing_px(inspection: Inspection, room: SheetRoom) -> tuple[int, int]:
     return int(min(width, height * aspect)), int(min(height, width / aspect))
 
 
-def sheet(
+def die_stack_html(
     inspection: Inspection,
     places: Sequence[RepeatedPlace],
     picture: DiePicture | None,
@@ -62,21 +62,21 @@ def sheet(
         place=place,
         attributes=html.pick,
     )
-    beside = Markup('<div class="wv-stack-list" style="max-height:{}px">{}</div>').format(
+    side = Markup('<div class="wv-stack-list" style="max-height:{}px">{}</div>').format(
         size_px[1], _list(inspection, places, place)
     )
     foot = Markup('<div class="wv-lab" style="height:{}px;padding-top:6px">{}</div>').format(
         FOOT_PX, _foot(inspection, places, picture)
     )
-    return Markup('{head}<div class="wv-stacked"><div>{drawn}</div>{beside}</div>{foot}').format(
-        head=head(inspection), drawn=drawn, beside=beside, foot=foot
+    return Markup('{head}<div class="wv-stacked"><div>{drawn}</div>{side}</div>{foot}').format(
+        head=head(inspection), drawn=drawn, side=side, foot=foot
     )
 
 
 def head(inspection: Inspection) -> Markup:
     """Return the header with title and close link as HTML."""
-    whole = sum(die.state == "whole" for die in inspection.dies)
-    name = f"All {whole} whole dies overlaid" if whole else "All dies overlaid"
+    n_complete = sum(die.state == "whole" for die in inspection.dies)
+    name = f"All {n_complete} whole dies overlaid" if n_complete else "All dies overlaid"
     away = Markup('<span class="wv-link" {}>Close · Esc</span>').format(html.pick("sheet", "none"))
     return Markup('<div class="wv-over-head" style="height:{}px"><b>{}</b><span>{}</span></div>').format(
         HEAD_PX, name, away
@@ -106,16 +106,16 @@ def _list(inspection: Inspection, places: Sequence[RepeatedPlace], chosen: int |
 
 
 def _row(k: int, place: RepeatedPlace, chosen: bool) -> Markup:
-    look, at = DEFECT_CLASSES[place.kind], place.in_die
+    look, position = DEFECT_CLASSES[place.kind], place.in_die
     name = Markup("{symbol_svg} {title}<small>x {number}, y {number2}\u202fµm</small>").format(
         symbol_svg=symbol_svg(look.shape, look.colour),
         title=look.title,
-        number=number(at.x_um, 1),
-        number2=number(at.y_um, 1),
+        number=number(position.x_um, 1),
+        number2=number(position.y_um, 1),
     )
     dies = Markup("<b>{}</b><small>of {} dies</small>").format(len(place.dies), place.of_dies)
-    told = f"Place {k + 1}, {look.title}, {place.words}"
-    attributes = Markup('{} aria-label="{}"').format(html.pick("defect-place", k), told)
+    title = f"Place {k + 1}, {look.title}, {place.words}"
+    attributes = Markup('{} aria-label="{}"').format(html.pick("defect-place", k), title)
     return html.row([f"{k + 1}", name, dies], "  n", attributes, "sel" if chosen else "")
 
 
@@ -126,8 +126,12 @@ def _foot(inspection: Inspection, places: Sequence[RepeatedPlace], picture: DieP
         ground = picture.why_not
     else:
         ground = f"Picture: {picture.golden or f'median of {picture.dies} dies'}"
-    left = not_drawn(inspection, shown(inspection, places))
-    parts = [ground, f"{left} weaker ones are not drawn" if left else "", "Backspace: next place" if places else ""]
+    n_hidden = not_drawn(inspection, shown(inspection, places))
+    parts = [
+        ground,
+        f"{n_hidden} weaker ones are not drawn" if n_hidden else "",
+        "Backspace: next place" if places else "",
+    ]
     return escape(" · ".join(part for part in parts if part))
 
 
@@ -139,9 +143,9 @@ class DefectStack:
 
     def __init__(self, page: Page, look_at: Callable[[str], None]) -> None:
         self._page, self._look_at = page, look_at
-        self._sheet = OverScene(page)
+        self._panel = OverScene(page)
         self._worker = LatestOnlyWorker("dies overlaid")
-        self._asked: tuple[Any, ...] | None = None
+        self._requested: tuple[Any, ...] | None = None
         self._defects: tuple[Defect, ...] = ()
         self._places: tuple[RepeatedPlace, ...] | None = None
         self._picture: DiePicture | None = None
@@ -152,19 +156,21 @@ class DefectStack:
         """Bring the sheet up to date."""
         inspection = snapshot.inspection.inspection
         if view.sheet_over != "stack" or inspection is None or snapshot.surface is None or snapshot.dataset is None:
-            self._sheet.show("")
+            self._panel.show("")
             return
         self._ask((snapshot.dataset.path, snapshot.surface.stamp, inspection.mark, inspection.recipe), inspection)
-        width, height = drawing_px(inspection, self._sheet.room)
+        width, height = drawing_px(inspection, self._panel.room)
         if self._places is None:
             waits = Markup('{}<div style="height:{}px">{}</div>').format(
                 head(inspection), WAITING_PX, html.empty("Comparing dies …")
             )
-            self._sheet.show(waits, HEAD_PX + WAITING_PX + 2 * PAD_PX)
+            self._panel.show(waits, HEAD_PX + WAITING_PX + 2 * PAD_PX)
             return
         place = place_of(view.defects.numbers, self._places)
-        content = sheet(inspection, self._places, self._picture, (width, height), number_of(view.review), place)
-        self._sheet.show(content, height + HEAD_PX + FOOT_PX + 2 * PAD_PX)
+        content = die_stack_html(
+            inspection, self._places, self._picture, (width, height), number_of(view.review), place
+        )
+        self._panel.show(content, height + HEAD_PX + FOOT_PX + 2 * PAD_PX)
 
     def commands(self) -> list[Command]:
         """Return the command that opens the sheet and then steps from place to place."""
@@ -192,24 +198,24 @@ class DefectStack:
         if shown:
             self._look_at(key_of(shown[0]))
 
-    def _ask(self, of: tuple[Any, ...], inspection: Inspection) -> None:
+    def _ask(self, request: tuple[Any, ...], inspection: Inspection) -> None:
         """Request the picture once per surface and reference, and the places whenever a defect changed."""
-        if of != self._asked:
-            self._asked, self._picture, self._places, self._defects = of, None, None, ()
+        if request != self._requested:
+            self._requested, self._picture, self._places, self._defects = request, None, None, ()
         if inspection.defects is not self._defects or self._places is None:
             self._defects = inspection.defects
             look = guarded(self._page, "The dies were not overlaid")(self._look)
-            self._worker.ask(lambda: look(of))
+            self._worker.ask(lambda: look(request))
 
-    def _look(self, of: tuple[Any, ...]) -> None:
+    def _look(self, request: tuple[Any, ...]) -> None:
         """Compute places and picture on the worker's thread; drop the result if the surface has changed by then."""
         views = self._page.session.defects.views
         places = views.repeats()
-        if of == self._asked:
+        if request == self._requested:
             self._places = places
             self._page.redraw()
-        if of == self._asked and self._picture is None:
+        if request == self._requested and self._picture is None:
             picture = views.die().result()
-            if of == self._asked:
+            if request == self._requested:
                 self._picture = picture or DiePicture(why_not="No die was scanned completely.")
                 self._page.redraw()

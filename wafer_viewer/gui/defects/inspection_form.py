@@ -61,42 +61,46 @@ def expectation(sensitivity: float, inspection: Inspection | None) -> str:
     )
 
 
-def recipe_origin_text(recipe: DefectRecipe, now: DefectRecipe, shelf: DefectFilesState, inspected: bool) -> str:
+def recipe_origin_text(recipe: DefectRecipe, now: DefectRecipe, files: DefectFilesState, inspected: bool) -> str:
     """Return the origin of the form's settings and whether they were changed; `now` is its present recipe."""
-    newest = shelf.recipe_of(recipe.product)
-    if now in shelf.recipes:
+    newest = files.recipe_of(recipe.product)
+    if now in files.recipes:
         by_itself = " Applied automatically because it was saved last." if not inspected and now == newest else ""
         return f"Recipe “{now.name}” of {now.product}, as saved.{by_itself}"
     if inspected and now == recipe:
         return "As the surface was inspected; not saved."
-    if recipe in shelf.recipes:
+    if recipe in files.recipes:
         return f"Recipe “{recipe.name}” of {recipe.product}, changed, not saved."
     if not now.product:
         return "Without a product no recipe can be saved."
-    if shelf.recipes_of(now.product):
+    if files.recipes_of(now.product):
         return f"As no recipe of {now.product} that is kept."
     return f"No recipe of {now.product} is kept."
 
 
-def unreadable(shelf: DefectFilesState) -> str:
+def unreadable(files: DefectFilesState) -> str:
     """Return a sentence with the number of unreadable recipe files; empty if there are none."""
-    n = len(shelf.problems)
+    n = len(files.problems)
     return f"{n} recipe {'file' if n == 1 else 'files'} cannot be read: Recipes… says why." if n else ""
 
 
-def golden_table(shelf: DefectFilesState, product: str, chosen: str) -> Markup:
+def golden_table(files: DefectFilesState, product: str, chosen: str) -> Markup:
     """Return the table of golden dies of a product as HTML; those of other products are only counted."""
-    mine = [header for header in shelf.golden if not product or header.product in ("", product)]
-    others = len(shelf.golden) - len(mine)
-    left = f"{others} of other products" if others else ""
+    mine = [header for header in files.golden if not product or header.product in ("", product)]
+    others = len(files.golden) - len(mine)
+    others_text = f"{others} of other products" if others else ""
     link = Markup('<div class="wv-lab"><span class="wv-link" {}>From a file…</span></div>').format(
         html.command_pick("defect-golden-file")
     )
     if not mine:
-        return html.empty("No golden die is kept", "compare with the fitted form, or die to die.") + _lab(left) + link
+        return (
+            html.empty("No golden die is kept", "compare with the fitted form, or die to die.")
+            + _lab(others_text)
+            + link
+        )
     rows = [_row(header, name, name == chosen) for header, name in _named(mine)][:MOST_GOLDEN]
     hidden = f"{len(mine) - MOST_GOLDEN} older ones" if len(mine) > MOST_GOLDEN else ""
-    more = " and ".join(part for part in (hidden, left) if part)
+    more = " and ".join(part for part in (hidden, others_text) if part)
     return (
         html.table(["Golden die", "Dies", "Kept"], rows, " nn") + _lab(f"{more} are not listed." if more else "") + link
     )
@@ -110,22 +114,22 @@ def advanced_settings_header(form: DefectForm, unfolded: bool) -> Markup:
     if unfolded:
         return Markup('<div class="wv-h">More settings<span>{}</span></div>').format(link)
     limits = [text for text in (form.max_per_die and f"{form.max_per_die} per die", _a_mm2(form.max_per_mm2)) if text]
-    told = (
+    parts = (
         form.evidence,
         f"scales {form.scales_px} px",
         *((areas(form),) if form.excluded else ()),
         f"dies: {form.dies[0].lower()}{form.dies[1:]}",
         f"at most {' and '.join(limits)}" if limits else "no limits",
     )
-    return Markup('<div class="wv-lab" style="margin:2px 0 6px">{} · {}</div>').format("; ".join(told), link)
+    return Markup('<div class="wv-lab" style="margin:2px 0 6px">{} · {}</div>').format("; ".join(parts), link)
 
 
 def exclusion_line_html(form: DefectForm) -> Markup:
     """Return the form's line about excluded areas, with a link to edit them, as HTML."""
     link = Markup('<span class="wv-link" {}>Areas…</span>').format(html.pick("defect-excluded"))
-    told = areas(form)
+    text = areas(form)
     return Markup('<div class="wv-lab" style="margin:2px 0 6px">{}{} · {}</div>').format(
-        told[0].upper(), told[1:], link
+        text[0].upper(), text[1:], link
     )
 
 
@@ -144,23 +148,23 @@ def _named(headers: tuple[GoldenHeader, ...] | list[GoldenHeader]) -> Iterator[t
 
     The newest version is named without a number, so that the recipe follows later versions.
     """
-    seen: set[str] = set()
+    names: set[str] = set()
     for header in headers:
-        yield header, f"{header.name}.{header.version}" if header.name in seen else header.name
-        seen.add(header.name)
+        yield header, f"{header.name}.{header.version}" if header.name in names else header.name
+        names.add(header.name)
 
 
 def _row(header: GoldenHeader, name: str, chosen: bool) -> Markup:
     version = f"version {header.version}" + ("" if "." in name else ", the newest")
-    of, made_of = header.product or "no product", header.made_of or "a file"
-    title = f"{header.name} version {header.version} of {of}, made of {made_of}"
-    told = Markup('<span class="wv-cut wv-short" title="{}">{}</span>').format(title, header.name)
-    cells = [Markup("{}<small>{}</small>").format(told, version), number(header.dies, 0), _kept(header)]
+    product, made_of = header.product or "no product", header.made_of or "a file"
+    title = f"{header.name} version {header.version} of {product}, made of {made_of}"
+    label = Markup('<span class="wv-cut wv-short" title="{}">{}</span>').format(title, header.name)
+    cells = [Markup("{}<small>{}</small>").format(label, version), number(header.dies, 0), _kept_on(header)]
     attributes = Markup('{} aria-pressed="{}"').format(html.pick("defect-golden", name), str(chosen).lower())
     return html.row(cells, " nn", attributes, "sel" if chosen else "")
 
 
-def _kept(header: GoldenHeader) -> str:
+def _kept_on(header: GoldenHeader) -> str:
     return format_time(header.made_at, datetime.now().astimezone())
 
 
@@ -177,7 +181,7 @@ def _lab(text: str) -> Markup:
     return Markup('<div class="wv-lab">{}</div>').format(text) if text else Markup()
 
 
-NOT_KEPT = "not kept"
+NOT_SAVED = "not kept"
 DIAL = "0 finds only clear defects, 1 everything that may be one"
 FAILED = "Inspection failed"
 
@@ -189,14 +193,14 @@ class InspectionForm:
         self._page = page
         self._recipe = DefectRecipe()
         """Recipe that supplies the settings that the form does not show."""
-        self._of: object = None
+        self._shown_for: object = None
         self._limits = DefectLimits()
         self._shows_more = False
         self._form = DefectForm()
         gui = page.gui
         self._folder = gui.add_folder(None, visible=False)
         with self._folder:
-            self._said = HtmlBlock(gui)
+            self._origin = HtmlBlock(gui)
             self._build_search(gui)
             self._more = HtmlBlock(gui)
             self._rest = gui.add_folder(None, visible=False)
@@ -239,8 +243,8 @@ class InspectionForm:
     def inspect(self) -> None:
         """Inspect the surface with the settings of the form."""
         form, page = self._typed(), self._page
-        asked = recipe_of(form, self._recipe)
-        verb = page.session.defects.inspect(asked, dies_of(form), against_of(form))
+        recipe = recipe_of(form, self._recipe)
+        verb = page.session.defects.inspect(recipe, dies_of(form), against_of(form))
         verb.add_done_callback(self._tell_refusal)
         page.redraw()
 
@@ -256,16 +260,16 @@ class InspectionForm:
         page = self._page
         HtmlBlock(gui, html.head("Recipe"))
         listed = gui.add_dropdown(
-            "Kept as", (NOT_KEPT,), hint="Saved by product; the one saved last is applied automatically"
+            "Kept as", (NOT_SAVED,), hint="Saved by product; the one saved last is applied automatically"
         )
         self._recipes: BoundInput[str] = BoundInput(listed, self._choose_recipe, page, "The recipe was not changed")
         self._product = gui.add_text("Product", "", hint="A golden die of another product is refused")
         self._product.on_update(self._redrawing())
         save = button(gui, "Save recipe…", viser.Icon.DEVICE_FLOPPY, self._on("It was not saved", self.save))
-        kept = button(
+        recipes = button(
             gui, "Recipes…", viser.Icon.LIST, self._on("The recipes were not changed", lambda: recipes_dialog(page))
         )
-        in_a_row(gui, [save, kept], 30)
+        in_a_row(gui, [save, recipes], 30)
 
     def _build_search(self, gui: Any) -> None:
         self._dial = gui.add_slider("Sensitivity", 0.0, 1.0, 0.05, DefectRecipe().sensitivity, hint=DIAL)
@@ -313,7 +317,9 @@ class InspectionForm:
 
     def save(self) -> None:
         """Open the dialog that saves the form as a recipe of its product."""
-        save_recipe_dialog(self._page, self.recipe, lambda kept: self._put(kept, form_of(kept, None, self._typed())))
+        save_recipe_dialog(
+            self._page, self.recipe, lambda recipe: self._put(recipe, form_of(recipe, None, self._typed()))
+        )
 
     def exclude(self, areas: tuple[Region, ...]) -> None:
         """Set the areas of every die that the next inspection excludes."""
@@ -321,8 +327,8 @@ class InspectionForm:
         self._page.redraw()
 
     def _choose_recipe(self, event: Any) -> None:
-        product, shelf = self._product.value.strip(), self._page.session.snapshot.defect_files
-        chosen = next((r for r in shelf.recipes_of(product) if r.name == event.target.value), None)
+        product, files = self._product.value.strip(), self._page.session.snapshot.defect_files
+        chosen = next((r for r in files.recipes_of(product) if r.name == event.target.value), None)
         if chosen is not None:
             self._put(chosen, form_of(chosen, None, self._typed()))
         self._page.redraw()
@@ -335,8 +341,8 @@ class InspectionForm:
         """Choose a golden die from a file; its name includes the version only if a newer version exists."""
 
         def take(header: GoldenHeader) -> None:
-            known = self._page.session.snapshot.defect_files.golden
-            newest = max((h.version for h in known if h.name == header.name), default=header.version)
+            stored = self._page.session.snapshot.defect_files.golden
+            newest = max((h.version for h in stored if h.name == header.name), default=header.version)
             self._choose_golden(header.name if header.version == newest else f"{header.name}.{header.version}")
 
         golden_file_dialog(self._page, take)
@@ -366,29 +372,29 @@ class InspectionForm:
         product = product_of(data.job) if data is not None else ""
         own = snapshot.defect_files.recipe_of(product) or DefectRecipe(product=product)
         recipe = inspection.recipe if inspection is not None else own
-        of = (data.path if data is not None else None, changed(recipe, limits=DefectLimits()))
+        sources = (data.path if data is not None else None, changed(recipe, limits=DefectLimits()))
         if inspection is not None and recipe.limits != self._limits and not self._edits.under_way:
             self._limits = recipe.limits
             self._per_die.handle.value, self._per_mm2.handle.value = text_of(recipe.limits)
-        if of != self._of:
-            self._of = of
+        if sources != self._shown_for:
+            self._shown_for = sources
             self._put(recipe, form_of(recipe, inspection, self._typed()))
 
     def _show_recipe(self, snapshot: Snapshot, form: DefectForm) -> None:
         """Show the name of the recipe that the form describes, or why its entries make no recipe."""
-        shelf, inspected = snapshot.defect_files, snapshot.inspection.inspection is not None
-        names = (NOT_KEPT, *(recipe.name for recipe in shelf.recipes_of(form.product.strip())))
+        files, inspected = snapshot.defect_files, snapshot.inspection.inspection is not None
+        names = (NOT_SAVED, *(recipe.name for recipe in files.recipes_of(form.product.strip())))
         if tuple(self._recipes.handle.options) != names:
             self._recipes.handle.options = names
         try:
             now = recipe_of(form, self._recipe)
         except MeasureError as fault:
-            self._recipes.show(NOT_KEPT)
-            self._said.show(_label(str(fault)))
+            self._recipes.show(NOT_SAVED)
+            self._origin.show(_label(str(fault)))
             return
-        self._recipes.show(now.name if now in shelf.recipes else NOT_KEPT)
-        told = recipe_origin_text(self._recipe, now, shelf, inspected)
-        self._said.show(_label(f"{told} {unreadable(shelf)}".rstrip()))
+        self._recipes.show(now.name if now in files.recipes else NOT_SAVED)
+        origin = recipe_origin_text(self._recipe, now, files, inspected)
+        self._origin.show(_label(f"{origin} {unreadable(files)}".rstrip()))
 
     def _put(self, recipe: DefectRecipe, form: DefectForm) -> None:
         """Fill in the form."""

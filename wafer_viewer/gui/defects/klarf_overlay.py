@@ -28,7 +28,7 @@ class OtherSection:
 
     def __init__(self, page: Page, fly: Callable[[Box], object]) -> None:
         self._page, self._fly = page, fly
-        self._of: tuple[object, object] = None, None
+        self._shown_for: tuple[object, object] = None, None
         self._cell = HtmlBlock(page.gui)
         page.on_pick("defect-other", self._go_to)
         page.on_pick("defect-other-away", lambda _: self._take_away())
@@ -36,17 +36,19 @@ class OtherSection:
     def show(self, snapshot: Snapshot) -> None:
         """Bring the section up to date."""
         other, defects = snapshot.defect_files.other, snapshot.inspection.defects
-        if self._of[0] is not other or self._of[1] is not defects:  # thousands of places take a tenth of a second
-            self._of = other, defects
+        if (
+            self._shown_for[0] is not other or self._shown_for[1] is not defects
+        ):  # thousands of places take a tenth of a second
+            self._shown_for = other, defects
             self._cell.show(overlay_html(other, defects) if other is not None else "")
 
-    def _go_to(self, number_there: str) -> None:
+    def _go_to(self, other_number: str) -> None:
         now = self._page.session.snapshot
         other = now.defect_files.other
         if other is None or now.surface is None:
             return
         pairs = zip(other.klarf.defects, other.places, strict=True)
-        place = next((place for defect, place in pairs if defect.number == int(number_there)), None)
+        place = next((place for defect, place in pairs if defect.number == int(other_number)), None)
         if place is not None:
             self._fly(_box_around(place.bounds_um, LEAST_PX * now.surface.pixel_um))
 
@@ -74,14 +76,14 @@ def other_marks(other: OtherTool | None) -> list[MapMark]:
 
 def overlay_html(other: OtherTool, defects: tuple[Defect, ...]) -> Markup:
     """Return the match counts and the table of unmatched defects as HTML."""
-    found = tuple(defect for defect in defects if defect.kind != "unmeasured")
-    rest = other.unmatched(found)
+    compared = tuple(defect for defect in defects if defect.kind != "unmeasured")
+    rest = other.unmatched(compared)
     both, n = len(other.klarf.defects) - len(rest), len(other.klarf.defects)
     away = Markup('<span class="wv-link" {}>Remove overlay</span>').format(html.pick("defect-other-away"))
     head = Markup('<div class="wv-h">{}<span>{}</span></div>').format(other.name, away)
-    said = (
+    summary = (
         f"{_counted(n, 'place')} of another tool: {both} found here too, {len(rest)} not. "
-        f"{len(found) - both} found here {'is' if len(found) - both == 1 else 'are'} not in the file. "
+        f"{len(compared) - both} found here {'is' if len(compared) - both == 1 else 'are'} not in the file. "
         f"The same within {number(other.within_um, 0)} µm; {other.by}."
     )
     notes = Markup("").join(_lab(note) for note in other.klarf.notes)
@@ -89,7 +91,7 @@ def overlay_html(other: OtherTool, defects: tuple[Defect, ...]) -> Markup:
     rows = [_row(defect) for defect, _ in rest[:MOST_ROWS]]
     table = html.table(["Not found here", "Die", "Size, µm"], rows, " nn") if rows else ""
     return Markup('{head}{lab}{notes}{table}{more}<div style="height:8px"></div>').format(
-        head=head, lab=_lab(said), notes=notes, table=table, more=more
+        head=head, lab=_lab(summary), notes=notes, table=table, more=more
     )
 
 

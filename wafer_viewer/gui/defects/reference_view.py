@@ -52,7 +52,7 @@ class Sizes:
 
     width_px: int
     height_px: int
-    sheet_px: int
+    panel_px: int
 
     @classmethod
     def within(cls, room: SheetRoom) -> Sizes:
@@ -65,13 +65,13 @@ class Sizes:
         return cls(width, height, 2 * height + rest)
 
 
-def sheet(defect: Defect, answer: ComparisonViews, sizes: Sizes) -> Markup:
+def comparison_html(defect: Defect, answer: ComparisonViews, sizes: Sizes) -> Markup:
     """Return the sheet as HTML."""
     style = (
         f"grid-template-columns:repeat({COLUMNS},{sizes.width_px}px) {BAR_PX}px;"
         f"grid-template-rows:{NAMES_PX}px repeat(2,{sizes.height_px}px)"
     )
-    columns = Markup("").join(_column(n, seen, defect, answer, sizes) for n, seen in enumerate(answer.views, 1))
+    columns = Markup("").join(_column(n, shown, defect, answer, sizes) for n, shown in enumerate(answer.views, 1))
     bar = Markup('<div style="grid-column:{};grid-row:2">{}</div>').format(COLUMNS + 1, _bar(answer, sizes.height_px))
     foot = Markup('<div class="wv-lab" style="height:{}px;padding-top:5px">{}</div>').format(FOOT_PX, _foot(answer))
     return Markup('{head}<div class="wv-beside" style="{style}">{columns}{bar}</div>{foot}').format(
@@ -89,36 +89,36 @@ def head(defect: Defect) -> Markup:
     )
 
 
-def _column(place: int, seen: ComparisonView, defect: Defect, answer: ComparisonViews, sizes: Sizes) -> Markup:
-    title, below = _named(seen, defect, answer.pixel_um)
+def _column(place: int, shown: ComparisonView, defect: Defect, answer: ComparisonViews, sizes: Sizes) -> Markup:
+    title, below = _named(shown, defect, answer.pixel_um)
     names = Markup(
         '<div style="grid-column:{place};grid-row:1" class="wv-over-name"><b>{title}</b>'
         '<small title="{below}">{below}</small></div>'
     ).format(place=place, title=title, below=below)
-    if seen.why_not:
-        why = Markup('<div class="wv-empty">{}</div>').format(html.with_micro_sign(seen.why_not))
+    if shown.why_not:
+        why = Markup('<div class="wv-empty">{}</div>').format(html.with_micro_sign(shown.why_not))
         return Markup('{}<div style="grid-column:{};grid-row:2/4">{}</div>').format(names, place, why)
     over = _over(defect, answer, sizes)
-    at = Markup('<div class="wv-over-picture" style="grid-column:{};grid-row:').format(place)
-    height, picture = _image(seen.height, title, "heights"), _image(seen.picture, title, "in focus everywhere")
-    return Markup('{names}{at}2">{height}{over}</div>{at}3">{picture}{over}</div>').format(
-        names=names, at=at, height=height, over=over, picture=picture
+    cell = Markup('<div class="wv-over-picture" style="grid-column:{};grid-row:').format(place)
+    height, picture = _image(shown.height, title, "heights"), _image(shown.picture, title, "in focus everywhere")
+    return Markup('{names}{cell}2">{height}{over}</div>{cell}3">{picture}{over}</div>').format(
+        names=names, cell=cell, height=height, over=over, picture=picture
     )
 
 
-def _named(seen: ComparisonView, defect: Defect, pixel_um: float) -> tuple[str, str]:
+def _named(shown: ComparisonView, defect: Defect, pixel_um: float) -> tuple[str, str]:
     """Return the title and subtitle of a pair of pictures."""
-    if seen.like == "here":
+    if shown.like == "here":
         return "This place", f"Die {defect.die}" if defect.die else "Outside of the dies"
-    if seen.like == "before":
-        return TITLES["before"], " · ".join(part for part in (seen.name, _moved(seen, pixel_um)) if part)
-    of = f"median of {seen.dies}" if seen.dies else ""
-    return TITLES[seen.like], " · ".join(part for part in (seen.name, of) if part)
+    if shown.like == "before":
+        return TITLES["before"], " · ".join(part for part in (shown.name, _moved(shown, pixel_um)) if part)
+    median = f"median of {shown.dies}" if shown.dies else ""
+    return TITLES[shown.like], " · ".join(part for part in (shown.name, median) if part)
 
 
-def _moved(seen: ComparisonView, pixel_um: float) -> str:
-    away_um = math.hypot(*seen.moved_um)
-    return "" if seen.why_not or away_um < _STILL_PX * pixel_um else f"found {with_unit(away_um, 1)} off"
+def _moved(shown: ComparisonView, pixel_um: float) -> str:
+    away_um = math.hypot(*shown.moved_um)
+    return "" if shown.why_not or away_um < _STILL_PX * pixel_um else f"found {with_unit(away_um, 1)} off"
 
 
 def _image(jpeg: bytes, title: str, what: str) -> Markup:
@@ -176,7 +176,7 @@ def _bar(answer: ComparisonViews, height_px: int) -> Markup:
 
 
 def _foot(answer: ComparisonViews) -> str:
-    compared = [seen for seen in answer.views[1:] if not seen.why_not]
+    compared = [shown for shown in answer.views[1:] if not shown.why_not]
     if not compared:
         return "Heights over the middle of the place."
     words = {"dies": "the other dies", "golden": "the golden die", "before": "the last scan"}
@@ -185,7 +185,7 @@ def _foot(answer: ComparisonViews) -> str:
 
 
 WAITING_PX = 120
-Asked = tuple[Any, ...]
+Request = tuple[Any, ...]
 
 
 class DefectBeside:
@@ -193,11 +193,11 @@ class DefectBeside:
 
     def __init__(self, page: Page) -> None:
         self._page = page
-        self._sheet = OverScene(page)
+        self._panel = OverScene(page)
         self._worker = LatestOnlyWorker("a defect compared")
-        self._asked: Asked | None = None
+        self._requested: Request | None = None
         self._answer: ComparisonViews | None = None
-        self._told = ""
+        self._problem = ""
         page.on_close(self._worker.close)
         page.on_pick("sheet", lambda which: page.change(sheet=which))
 
@@ -205,15 +205,15 @@ class DefectBeside:
         """Bring the sheet up to date."""
         defect = chosen_defect(snapshot, view.review) if view.sheet_over == "beside" else None
         if defect is None or snapshot.surface is None or snapshot.dataset is None:
-            self._sheet.show("")
+            self._panel.show("")
             return
         recipe = snapshot.inspection.inspection.recipe if snapshot.inspection.inspection is not None else None
         self._ask((defect.number, defect.outline, snapshot.dataset.path, snapshot.surface.stamp, recipe))
-        sizes = Sizes.within(self._sheet.room)
+        sizes = Sizes.within(self._panel.room)
         if self._answer is not None:
-            self._sheet.show(sheet(defect, self._answer, sizes), sizes.sheet_px)
+            self._panel.show(comparison_html(defect, self._answer, sizes), sizes.panel_px)
         else:
-            self._sheet.show(_placeholder_html(defect, self._told), HEAD_PX + WAITING_PX + 2 * PAD_PX)
+            self._panel.show(_placeholder_html(defect, self._problem), HEAD_PX + WAITING_PX + 2 * PAD_PX)
 
     def commands(self) -> list[Command]:
         """Return the command that opens and closes the sheet."""
@@ -225,24 +225,24 @@ class DefectBeside:
         shown = self._page.view.sheet_over == "beside"
         self._page.change(sheet="none" if shown else "beside")
 
-    def _ask(self, asked: Asked) -> None:
+    def _ask(self, request: Request) -> None:
         """Request the pictures, once per defect and surface."""
-        if asked != self._asked:
-            self._asked, self._answer, self._told = asked, None, ""
+        if request != self._requested:
+            self._requested, self._answer, self._problem = request, None, ""
             look = guarded(self._page, "The pictures were not made")(self._look)
-            self._worker.ask(lambda: look(asked))
+            self._worker.ask(lambda: look(request))
 
-    def _look(self, asked: Asked) -> None:
+    def _look(self, request: Request) -> None:
         """Fetch the pictures on the worker's thread; drop them if another defect is under review by then."""
-        answer, told = None, "This place was not scanned."
+        answer, problem = None, "This place was not scanned."
         try:
-            answer = self._page.session.defects.views.beside(asked[0]).result()
+            answer = self._page.session.defects.views.beside(request[0]).result()
         except WaferViewerError as fault:
-            told = str(fault)
-        if asked == self._asked:
-            self._answer, self._told = answer, told
+            problem = str(fault)
+        if request == self._requested:
+            self._answer, self._problem = answer, problem
             self._page.redraw()
-            self._make_next(asked[0])
+            self._make_next(request[0])
 
     def _make_next(self, number: int) -> None:
         """Request the pictures of the next defect ahead of time; the painter caches them."""
@@ -253,10 +253,10 @@ class DefectBeside:
             page.session.defects.views.beside(item.defect)
 
 
-def _placeholder_html(defect: Defect, told: str) -> Markup:
+def _placeholder_html(defect: Defect, problem: str) -> Markup:
     """Return the placeholder shown until the pictures are ready, or if there are none, as HTML."""
-    said = html.empty(html.with_micro_sign(told) if told else "Making the pictures …")
-    return Markup('{}<div style="height:{}px">{}</div>').format(head(defect), WAITING_PX, said)
+    text = html.empty(html.with_micro_sign(problem) if problem else "Making the pictures …")
+    return Markup('{}<div style="height:{}px">{}</div>').format(head(defect), WAITING_PX, text)
 
 
 CUTTING = "Measuring the profile …"
@@ -268,7 +268,7 @@ class DefectDock:
     def __init__(self, page: Page) -> None:
         self._page = page
         self._worker = LatestOnlyWorker("section through a defect")
-        self._asked: tuple[DefectCut, int] | None = None
+        self._requested: tuple[DefectCut, int] | None = None
         self._sections: tuple[Section, ...] = ()
         self._problem = ""
         self._panel = BottomPanel(page, "defect")
@@ -282,16 +282,16 @@ class DefectDock:
         if not self._panel.show(view) or defect is None or snapshot.surface is None:
             return
         cut = cut_through(defect, snapshot.inspection.inspection, snapshot.surface.pixel_um)
-        if (cut, snapshot.surface.stamp) != self._asked:
-            self._asked, self._sections, self._problem = (cut, snapshot.surface.stamp), (), ""
+        if (cut, snapshot.surface.stamp) != self._requested:
+            self._requested, self._sections, self._problem = (cut, snapshot.surface.stamp), (), ""
             measure = guarded(self._page, "The profile was not measured")(self._measure)
-            asked = self._asked
-            self._worker.ask(lambda: measure(asked))
+            request = self._requested
+            self._worker.ask(lambda: measure(request))
         self._plot.show(Markup('<div class="wv-below">{}{}</div>').format(self._head(defect, cut), self._curves()))
 
-    def _measure(self, asked: tuple[DefectCut, int]) -> None:
+    def _measure(self, request: tuple[DefectCut, int]) -> None:
         """Measure the profiles on the worker's thread; drop the result if another defect is under review by then."""
-        cut, problem = asked[0], ""
+        cut, problem = request[0], ""
         sections: list[Section] = []
         for place, line in enumerate(cut.lines):
             try:
@@ -299,7 +299,7 @@ class DefectDock:
                 sections.append(self._page.session.sections.section(wanted))
             except WaferViewerError as fault:
                 problem = problem or (str(fault) if place == 0 else "")
-        if asked == self._asked:
+        if request == self._requested:
             self._sections, self._problem = tuple(sections), problem
             self._page.redraw()
 
@@ -323,7 +323,7 @@ def _header_parts(defect: Defect, cut: DefectCut, n_curves: int) -> Iterator[str
         html.chip("A", PROFILE_COLOURS[0]), height
     )
     if cut.beside and n_curves > 1:
-        beside = f"same row, die {cut.beside}"
+        other = f"same row, die {cut.beside}"
         yield Markup('{} <span class="dim" title="{}">{}</span>').format(
-            html.chip("B", PROFILE_COLOURS[1]), beside, beside
+            html.chip("B", PROFILE_COLOURS[1]), other, other
         )

@@ -65,11 +65,11 @@ def sign_dialog(page: Page, check: GaugeCheck) -> None:
         page, "Sign this check?", "It is saved with the dataset and in the log of checks and cannot be changed."
     )
     error = with_unit(check.deviation.value_um, 3, signed=True)
-    told = Markup('<b style="color:var(--{tone})">{word}</b> · error {error} · {n} scan{n2}').format(
+    summary = Markup('<b style="color:var(--{tone})">{word}</b> · error {error} · {n} scan{n2}').format(
         tone=tone, word=word, error=error, n=check.n, n2="" if check.n == 1 else "s"
     )
     with dialog.modal:
-        HtmlBlock(page.gui, Markup('<div style="padding:2px 0 8px">{}</div>').format(told))
+        HtmlBlock(page.gui, Markup('<div style="padding:2px 0 8px">{}</div>').format(summary))
         name = page.gui.add_text("Signed by", page.browser.name or _operator(page))
 
     def sign() -> None:
@@ -110,21 +110,21 @@ def _warned(offered: ScaleCorrection) -> Markup:
     return html.note("attention", same, offered.advice)
 
 
-def _form(page: Page, known: Certificate | None) -> _Form:
-    gui, height = page.gui, known.step if known is not None else None
+def _form(page: Page, previous: Certificate | None) -> _Form:
+    gui, height = page.gui, previous.step if previous is not None else None
     certified_um, u_um = (height.value_um, height.expanded_um) if height is not None else (None, None)
-    nominal_um = known.step_nominal_um if known is not None else None
+    nominal_um = previous.step_nominal_um if previous is not None else None
     duo(gui)
-    serials = gui.add_text("Blocks", " / ".join(known.serials) if known is not None else "")
-    number = gui.add_text("Number", known.number if known is not None else "")
+    serials = gui.add_text("Blocks", " / ".join(previous.serials) if previous is not None else "")
+    number = gui.add_text("Number", previous.number if previous is not None else "")
     duo(gui)
     step = OptionalNumber(gui, "Step, µm", certified_um, over=0, hint="The certified step")
     expanded = OptionalNumber(gui, "U (k = 2), µm", u_um, over=0)
     nominal = OptionalNumber(gui, "Nominal, µm", nominal_um, over=0, hint="What the step is called")
-    laboratory = gui.add_text("Laboratory", known.laboratory if known is not None else "")
+    laboratory = gui.add_text("Laboratory", previous.laboratory if previous is not None else "")
     duo(gui)
-    issued = gui.add_text("Issued", known.issued.isoformat() if known is not None else "")
-    expires = gui.add_text("Valid until", known.expires.isoformat() if known is not None else "")
+    issued = gui.add_text("Issued", previous.issued.isoformat() if previous is not None else "")
+    expires = gui.add_text("Valid until", previous.expires.isoformat() if previous is not None else "")
     return _Form(serials, step, expanded, nominal, laboratory, number, issued, expires)
 
 
@@ -142,11 +142,11 @@ def _typed(form: _Form) -> Certificate:
     )
 
 
-def _day(of: str, text: str) -> date:
+def _day(event: str, text: str) -> date:
     try:
         return date.fromisoformat(text.strip())
     except ValueError as fault:
-        raise MeasureError(f"The day of {of} {text.strip()!r} is not a date: write it as 2027-03-14.") from fault
+        raise MeasureError(f"The day of {event} {text.strip()!r} is not a date: write it as 2027-03-14.") from fault
 
 
 def _operator(page: Page) -> str:

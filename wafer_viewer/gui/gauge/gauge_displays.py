@@ -57,7 +57,7 @@ def below(chart: RunChart | None, serials: str, chosen: str) -> Markup:
 
 def _head(chart: RunChart, serials: str) -> Markup:
     n = len(chart.points)
-    of = f"Last {MOST_POINTS} of {n} checks" if n > MOST_POINTS else f"{n} check{'' if n == 1 else 's'}"
+    counted = f"Last {MOST_POINTS} of {n} checks" if n > MOST_POINTS else f"{n} check{'' if n == 1 else 's'}"
     spread = (
         Markup("<span>s <b>{}{}µm</b></span>").format(number(chart.s_um, 3), THIN)
         if chart.s_um is not None
@@ -68,16 +68,16 @@ def _head(chart: RunChart, serials: str) -> Markup:
         if n > 1
         else Markup()
     )
-    whole = f"{of} of {serials}"
+    caption = f"{counted} of {serials}"
     limit = (
         Markup('<span class="wv-hint">limit ± {}{}µm · </span>').format(number(chart.limit_um, 2), THIN)
         if chart.limit_um is not None
         else Markup()
     )
     return Markup(
-        '<div class="wv-dock wv-run-head"><b>Run chart</b><span class="dim wv-cut" title="{whole}">{whole}</span>'
+        '<div class="wv-dock wv-run-head"><b>Run chart</b><span class="dim wv-cut" title="{caption}">{caption}</span>'
         '{mean}{spread}<span class="wv-end">{limit}{drift}</span></div>'
-    ).format(whole=whole, mean=mean, spread=spread, limit=limit, drift=_drift(chart))
+    ).format(caption=caption, mean=mean, spread=spread, limit=limit, drift=_drift(chart))
 
 
 def _drift(chart: RunChart) -> Markup:
@@ -85,8 +85,8 @@ def _drift(chart: RunChart) -> Markup:
     if drift is None:
         return Markup()
     value, u = value_and_u(drift.value_um, drift.expanded_um, 4, signed=True)
-    beside = f" ± {u}" if drift.expanded_um is not None else ""
-    return Markup("drift <b>{}{}{}µm per day</b>").format(value, beside, THIN)
+    uncertainty = f" ± {u}" if drift.expanded_um is not None else ""
+    return Markup("drift <b>{}{}{}µm per day</b>").format(value, uncertainty, THIN)
 
 
 MOST_ROWS = 30
@@ -102,8 +102,8 @@ class GaugeList:
 
     def show(self, snapshot: Snapshot, view: View) -> None:
         """Bring the list up to date."""
-        there = view.step == "gauge"
-        self._cell.show(procedure(snapshot) + earlier(snapshot.gauge.records, view.check) if there else "")
+        visible = view.step == "gauge"
+        self._cell.show(procedure(snapshot) + earlier(snapshot.gauge.records, view.check) if visible else "")
 
     def _choose(self, key: str) -> None:
         self._page.change(check=None if self._page.view.check == key else key)
@@ -128,8 +128,8 @@ def _row(check: GaugeCheck, chosen: bool) -> Markup:
     verdict = Markup('<span style="color:var(--{});white-space:nowrap">{} {}</span>').format(
         tone, html.icon(sign, 15), word.lower()
     )
-    told = f"{day_and_time(check.at)}, {check.verdict}, signed by {check.signed_by}"
-    attributes = Markup('{} title="{}"').format(html.pick("gauge-record", check.at), told)
+    title = f"{day_and_time(check.at)}, {check.verdict}, signed by {check.signed_by}"
+    attributes = Markup('{} title="{}"').format(html.pick("gauge-record", check.at), title)
     error = number(check.deviation.value_um, 3, signed=True)
     return html.row([day_and_time(check.at), error, verdict], " n", attributes, "sel" if chosen else "")
 
@@ -139,18 +139,18 @@ class StepReadout:
 
     def __init__(self, page: Page, live: Callable[[], Answer]) -> None:
         self._live = live
-        self._glass = FloatingPanel(page.gui, -EDGE_PX, EDGE_PX, 330, 88, align="right")
+        self._panel = FloatingPanel(page.gui, -EDGE_PX, EDGE_PX, 330, 88, align="right")
 
     def show(self, snapshot: Snapshot, view: View) -> None:
         """Bring the figure up to date."""
-        self._glass.show(self._content(snapshot, view) if view.step == "gauge" and not view.explains else "")
+        self._panel.show(self._content(snapshot, view) if view.step == "gauge" and not view.explains else "")
 
     def _content(self, snapshot: Snapshot, view: View) -> Markup:
         earlier = selected_check(snapshot, view)
         check = earlier or snapshot.gauge.signed or snapshot.gauge.check
         if check is not None:
-            of = f", {day_and_time(check.at)}" if check.at else f", mean of {check.n}" if check.n > 1 else ""
-            return scene_step_label(f"Measured step{of}", check.height)
+            source = f", {day_and_time(check.at)}" if check.at else f", mean of {check.n}" if check.n > 1 else ""
+            return scene_step_label(f"Measured step{source}", check.height)
         step = self._live().finding
         return (
             scene_step_label("Step between the regions, live", step.height)

@@ -215,7 +215,7 @@ class TermsSection:
                 "limit_um": self._number("Limit, ± µm", over=0),
                 "temperature_c": self._number("Blocks, °C"),
                 "tolerance_um": self._number("Tolerance, µm", over=0),
-                "interval_days": self._number("Next in, days", over=0, whole=True),
+                "interval_days": self._number("Next in, days", over=0, integer=True),
             }
 
     def show(self, snapshot: Snapshot, earlier: bool) -> None:
@@ -225,9 +225,9 @@ class TermsSection:
             field.show(text_of(getattr(snapshot.gauge.terms, name)))
 
     def _number(
-        self, label: str, over: float | None = None, whole: bool = False
+        self, label: str, over: float | None = None, integer: bool = False
     ) -> tuple[OptionalNumber, BoundInput[str]]:
-        number = OptionalNumber(self._page.gui, label, over=over, whole=whole)
+        number = OptionalNumber(self._page.gui, label, over=over, whole=integer)
         return number, BoundInput(controlled(number.handle), lambda _: self._edits.made(), self._page, FAILED)
 
     def _put(self) -> Future[Any] | None:
@@ -250,7 +250,7 @@ class StudySection:
 
     def __init__(self, page: Page) -> None:
         self._page = page
-        self._told = ""
+        self._studies = ""
         self._cell = HtmlBlock(page.gui)
         ask = guarded(page, STUDY_FAILED)(lambda _: self.ask())
         in_a_row(page.gui, [button(page.gui, "Gauge R&R study…", viser.Icon.TABLE_IMPORT, ask)])
@@ -259,7 +259,7 @@ class StudySection:
         """Bring the section up to date."""
         what = "Share of the variation that comes from the gauge, by AIAG."
         waits = Markup('<div class="wv-lab" style="margin-bottom:6px">{}</div>').format(what)
-        self._cell.show(html.head(HEAD) + (self._told or waits))
+        self._cell.show(html.head(HEAD) + (self._studies or waits))
 
     def ask(self) -> None:
         """Open the dialog that reads a study with a method and a tolerance."""
@@ -279,7 +279,7 @@ class StudySection:
 
     def _read(self, path: Path, method: str, tolerance: float | None) -> None:
         made = self._page.session.studies.gauge_rr(path, METHOD_OF[method], tolerance)
-        self._told = Markup("").join(study(one) for one in made)
+        self._studies = Markup("").join(study(one) for one in made)
         self._page.redraw()
 
 
@@ -304,9 +304,9 @@ class GaugePanel:
 
     def show(self, snapshot: Snapshot, view: View) -> None:
         """Bring the panel up to date; find the faces, and measure the step again if they moved."""
-        there = view.step == "gauge" and not view.explains
-        set_prop(self._folder, "visible", there)
-        if not there:
+        visible = view.step == "gauge" and not view.explains
+        set_prop(self._folder, "visible", visible)
+        if not visible:
             return
         self.finder.follow(snapshot, view)
         self.live.follow(snapshot, in_scene(view))
@@ -384,8 +384,8 @@ class GaugePanel:
         if self.finder.looking:
             return html.empty("Looking for the two faces.")
         if self.finder.problem and not view.faces:
-            way = Markup('<span class="wv-link" {}>Place the regions by hand</span>').format(html.pick("gauge-lay"))
-            return html.note("attention", "The faces were not found", self.finder.problem, way)
+            link = Markup('<span class="wv-link" {}>Place the regions by hand</span>').format(html.pick("gauge-lay"))
+            return html.note("attention", "The faces were not found", self.finder.problem, link)
         if view.faces and not isinstance(self.live.answer.finding, StepHeight) and self.live.answer.problem:
             return html.note("attention", "Nothing is measured there", self.live.answer.problem)
         waits = snapshot.gauge.check is None and snapshot.gauge.signed is None and bool(view.faces)
@@ -432,8 +432,8 @@ class GaugePanel:
 
 def _at_foot(handle: Any) -> str:
     """Return CSS that keeps a button visible above the leading button while the panel scrolls."""
-    at, sticks = by_id(handle._impl.uuid), f"position:sticky;bottom:{LEAD_PX}px;z-index:3;padding-top:6px"
-    return f"div:has(>{at}){{{sticks};background:var(--panel);box-shadow:6px 0 0 var(--panel)}}"
+    selector, sticks = by_id(handle._impl.uuid), f"position:sticky;bottom:{LEAD_PX}px;z-index:3;padding-top:6px"
+    return f"div:has(>{selector}){{{sticks};background:var(--panel);box-shadow:6px 0 0 var(--panel)}}"
 
 
 def _title(earlier: GaugeCheck | None) -> Markup:

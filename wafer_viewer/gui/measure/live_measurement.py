@@ -33,32 +33,32 @@ class Answering:
     def __init__(self, page: Page) -> None:
         self._page = page
         self._worker = LatestOnlyWorker("measure")
-        self._asked: tuple[object, ...] | None = None
+        self._requested: tuple[object, ...] | None = None
         self.answer = Answer()
 
     def follow(self, snapshot: Snapshot, view: View) -> None:
         """Request a measurement if the tool, its regions or options, the levelling or the surface have changed."""
-        asked = (view.tool, _places(view), view.options, view.levelling, view.show, _stamp(snapshot, view.show))
-        if asked == self._asked:
+        request = (view.tool, _places(view), view.options, view.levelling, view.show, _stamp(snapshot, view.show))
+        if request == self._requested:
             return
-        if self._asked is None or asked[0] != self._asked[0]:
+        if self._requested is None or request[0] != self._requested[0]:
             self.answer = Answer()
-        self._asked = asked
-        if asked[-1] is None or not _places(view):
+        self._requested = request
+        if request[-1] is None or not _places(view):
             self.answer = Answer()
             return
-        self._worker.ask(lambda: guarded(self._page, "The measurement failed")(self._measure)(view, asked))
+        self._worker.ask(lambda: guarded(self._page, "The measurement failed")(self._measure)(view, request))
 
     def close(self) -> None:
         """Stop measuring, when the browser has disconnected."""
         self._worker.close()
 
-    def _measure(self, view: View, asked: tuple[object, ...]) -> None:
+    def _measure(self, view: View, request: tuple[object, ...]) -> None:
         try:
             answer = self._measured(view)
         except WaferViewerError as fault:
             answer = Answer(problem=str(fault))
-        if self._asked is not None and asked[0] == self._asked[0]:
+        if self._requested is not None and request[0] == self._requested[0]:
             self.answer = answer  # of the tool in use: one that came too late would stand under another's title
         self._page.redraw()
 
@@ -106,8 +106,8 @@ class LiveProfiles:
     def __init__(self, page: Page) -> None:
         self._page = page
         self._worker = LatestOnlyWorker("profile")
-        self._known: dict[SectionRequest, Section | Missing] = {}
-        self._asked: object = None
+        self._sections: dict[SectionRequest, Section | Missing] = {}
+        self._requested: object = None
         self._surface: object = None
         self._line = 0
         self._lock, self._measured = threading.Lock(), threading.Event()
@@ -164,33 +164,33 @@ class LiveProfiles:
             if view.step != "measure" or view.tool != "profile" or snapshot.surface is None:
                 return
             self._line = view.line
-            surface, wanted = _profile_stamp(snapshot, view.show), tuple(_asked(view))
-            if (surface, wanted) == self._asked:
+            surface, wanted = _profile_stamp(snapshot, view.show), tuple(_section_requests(view))
+            if (surface, wanted) == self._requested:
                 return
-            self._asked = surface, wanted
+            self._requested = surface, wanted
             self._measured.clear()
             measure = guarded(self._page, "The measurement failed")(self._measure)
             self._worker.ask(lambda: measure(surface, wanted))
 
     def _measure(self, surface: object, wanted: tuple[SectionRequest, ...]) -> None:
         if surface != self._surface:
-            self._surface, self._known = surface, {}
-        answers = {asked: self._known.get(asked) or self._section(asked) for asked in wanted}
-        self._known = answers
+            self._surface, self._sections = surface, {}
+        answers = {request: self._sections.get(request) or self._section(request) for request in wanted}
+        self._sections = answers
         self.sections = tuple(answer for answer in answers.values() if isinstance(answer, Section))
         self.problems = tuple(answer.why for answer in answers.values() if isinstance(answer, Missing))
         self._news()
         self._measured.set()
         self._page.redraw()
 
-    def _section(self, asked: SectionRequest) -> Section | Missing:
+    def _section(self, request: SectionRequest) -> Section | Missing:
         try:
-            return self._page.session.sections.section(asked)
+            return self._page.session.sections.section(request)
         except WaferViewerError as fault:
             return Missing(str(fault))
 
 
-def _asked(view: View) -> Iterator[SectionRequest]:
+def _section_requests(view: View) -> Iterator[SectionRequest]:
     """Yield the request of every line, followed for the active one by its comparisons."""
     for place, line in enumerate(view.lines):
         yield SectionRequest(place, line, view.show, view.levelling, slab=view.look == "points")

@@ -60,14 +60,16 @@ class FacesSection:
         outlined(page.gui, self._button)
         self._why = HtmlBlock(page.gui)
 
-    def show(self, view: View, *, kept: bool) -> None:
+    def show(self, view: View, *, stored: bool) -> None:
         """Bring the section up to date; it is shown for the step tool while no saved result is selected."""
-        there = view.tool == "step" and not kept
-        set_prop(self._button, "visible", there)
+        visible = view.tool == "step" and not stored
+        set_prop(self._button, "visible", visible)
         set_prop(self._button, "disabled", self._looking)
         set_prop(self._button, "label", LOOKING if self._looking else FIND)
-        told = self._problem if there and not self._looking else ""
-        self._why.show(Markup('<div class="wv-why">{}</div>').format(html.with_micro_sign(told)) if told else Markup())
+        problem = self._problem if visible and not self._looking else ""
+        self._why.show(
+            Markup('<div class="wv-why">{}</div>').format(html.with_micro_sign(problem)) if problem else Markup()
+        )
 
     def _look_for(self, _: Any) -> None:
         if not self._looking:
@@ -78,9 +80,9 @@ class FacesSection:
     def _find(self) -> None:
         before = self._page.view
         try:
-            found = self._page.session.gauge.find_faces(max(0, before.show))
+            regions = self._page.session.gauge.find_faces(max(0, before.show))
             if self._page.view.tool == "step":
-                self._page.change(places=found)
+                self._page.change(places=regions)
         except WaferViewerError as fault:
             self._problem = str(fault)
         finally:
@@ -105,7 +107,7 @@ class LevellingSection:
         self._page, self._scene = page, scene
         choice = page.gui.add_dropdown("Heights from", tuple(NAMES))
         self._choice: BoundInput[str] = BoundInput(choice, self._choose, page, "The zero of heights was not changed")
-        self._told = HtmlBlock(page.gui)
+        self._status = HtmlBlock(page.gui)
         page.on_pick("stage-zero", lambda _: page.change(levelling=Levelling(), range_um=None))
 
     def show(self, view: View) -> None:
@@ -113,18 +115,20 @@ class LevellingSection:
         reads_heights = view.tool == "none" or not TOOLS[view.tool].on_picture
         set_prop(self._choice.handle, "visible", reads_heights)
         if not reads_heights:
-            self._told.show("")
+            self._status.show("")
             return
         by = view.levelling.by
-        self._choice.show(next(name for name, way in NAMES.items() if way == by))
+        self._choice.show(next(name for name, label in NAMES.items() if label == by))
         back = (
             Markup(' <span class="wv-link" {}>Back to the stage</span>').format(html.pick("stage-zero"))
             if by != "stage"
             else Markup()
         )
         how = f" {_HOW[by]}" if by in _HOW else ""
-        told = f"Heights are read from {ZERO[by]}.{how}"
-        self._told.show(Markup('<div class="wv-zero{}">{}{}</div>').format(" on" if by != "stage" else "", told, back))
+        text = f"Heights are read from {ZERO[by]}.{how}"
+        self._status.show(
+            Markup('<div class="wv-zero{}">{}{}</div>').format(" on" if by != "stage" else "", text, back)
+        )
 
     def _choose(self, event: Any) -> None:
         levelling = self._scene.first_levelling(NAMES[event.target.value])
@@ -169,10 +173,10 @@ class OptionsSection:
                     field = BoundInput(_widget(page.gui, control), self._hear(tool, control), page, FAILED)
                     self._fields[tool, control.field] = control, field
 
-    def show(self, view: View, *, kept: bool) -> None:
+    def show(self, view: View, *, stored: bool) -> None:
         """Bring the section up to date; a saved result has no controls."""
         for tool, folder in self._folders.items():
-            set_prop(folder, "visible", tool == view.tool and not kept)
+            set_prop(folder, "visible", tool == view.tool and not stored)
         for (tool, name), (control, field) in self._fields.items():
             if tool == view.tool:
                 field.show(_shown(control, attrgetter(name)(getattr(view.options, tool))))
@@ -221,9 +225,9 @@ class MeasurePanel:
 
     def show(self, snapshot: Snapshot, view: View) -> None:
         """Bring the panel up to date, and measure again if handles have moved."""
-        there = view.step == "measure" and not view.explains
-        set_prop(self._folder, "visible", there)
-        if not there:
+        visible = view.step == "measure" and not view.explains
+        set_prop(self._folder, "visible", visible)
+        if not visible:
             return
         self._answering.follow(snapshot, view)
         chosen = next((f for f in snapshot.findings if f.number == view.selected), None)
@@ -233,8 +237,8 @@ class MeasurePanel:
         self._tools.show(tool_cards() if view.tool == "none" and chosen is None else "")
         self._show_answer(view, finding, chosen)
         self._level.show(view)
-        self._faces.show(view, kept=chosen is not None)
-        self._options.show(view, kept=chosen is not None)
+        self._faces.show(view, stored=chosen is not None)
+        self._options.show(view, stored=chosen is not None)
         self._profiles.show(snapshot, view)
         self._source.show(_evidence_html(finding) if finding is not None else "")
         self._show_keep(snapshot, view, finding, chosen)

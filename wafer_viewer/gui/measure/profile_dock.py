@@ -25,7 +25,7 @@ from wafer_viewer.session.state.snapshot import Snapshot
 
 ZOOM, CURSOR = "plot", "cursor"
 """Events: start and end of a drag as shares of the plot's width; a cursor and its distance."""
-WHOLE = "whole"
+FULL_RANGE = "whole"
 _ALONG = "(event.clientX-this.getBoundingClientRect().left)/this.clientWidth"
 _DOWN = f"if(event.button===0){{this.setPointerCapture(event.pointerId);window.plotFrom={_ALONG}}}"
 """The drag is stored in the window, so that it continues on a plot that is redrawn meanwhile."""
@@ -38,14 +38,14 @@ _UP = (
     f"if(window.plotFrom!==undefined){{this.dataset.k=window.plotFrom+':'+{_ALONG};window.plotFrom=undefined;"
     f"this.firstElementChild.style.display='none';{html.pick_script(ZOOM)}}}"
 )
-_WHOLE = f"this.dataset.k='{WHOLE}';{html.pick_script(ZOOM)}"
+_ZOOM_OUT = f"this.dataset.k='{FULL_RANGE}';{html.pick_script(ZOOM)}"
 _KEYS = "if(event.key.startsWith('Arrow'))event.stopPropagation()"
 """Stops the arrow keys from moving the camera as well."""
 
 
 def zoom_area() -> Markup:
     """Return the element over the curves as HTML: a drag zooms, a click moves the nearer cursor."""
-    heard = {"pointerdown": _DOWN, "pointermove": _MOVE, "pointerup": _UP, "dblclick": _WHOLE}
+    heard = {"pointerdown": _DOWN, "pointermove": _MOVE, "pointerup": _UP, "dblclick": _ZOOM_OUT}
     handlers = " ".join(Markup('on{}="{}"').format(event, script) for event, script in heard.items())
     return Markup('<div class="wv-zoom" {}><div></div></div>').format(handlers)
 
@@ -59,7 +59,7 @@ def cursor_sliders(at_um: Sequence[float], ends_um: tuple[float, float], step_um
     return Markup("").join(
         Markup(
             '<input type="range" class="wv-slide" name="{k}" aria-label="Cursor {aria_label}, µm" '
-            'min="{min!r}" max="{max!r}" step="{step!r}" value="{at!r}" '
+            'min="{min!r}" max="{max!r}" step="{step!r}" value="{x!r}" '
             'oninput="{moved}" onchange="{released}" onpointerdown="this.dataset.by=\'hand\'" onkeydown="{keys}">'
         ).format(
             k=k,
@@ -67,13 +67,13 @@ def cursor_sliders(at_um: Sequence[float], ends_um: tuple[float, float], step_um
             min=ends_um[0],
             max=ends_um[1],
             step=step_um * (1 - 1e-9),
-            at=at,
+            x=x,
             moved=moved,
             released=released,
             keys=_KEYS,
         )
-        for k, at in enumerate(at_um)
-        if ends_um[0] <= at <= ends_um[1]
+        for k, x in enumerate(at_um)
+        if ends_um[0] <= x <= ends_um[1]
     )
 
 
@@ -190,7 +190,7 @@ class ProfileDock:
 
     def _pointed(self, key: str) -> None:
         plot = self._page.view.plot
-        if key == WHOLE:
+        if key == FULL_RANGE:
             self._page.change(plot=replace(plot, span_um=None))
             return
         low, high = self._frame.x_um
@@ -213,19 +213,19 @@ class ProfileDock:
 
         Released at an unmeasured point it snaps to the nearest measured one; keys jump over the gap.
         """
-        told, active, before = parse_cursor_event(key), self._curves.active, self._curves.gap
+        event, active, before = parse_cursor_event(key), self._curves.active, self._curves.gap
         if active is None or before is None:
             return
         length_um = float(active.curve.distance_um[-1])
-        stands_um = cursor_difference(active.curve, (told.at_um / length_um, 0.0)).at_um[0]
-        beside = abs(stands_um - told.at_um) > _step_um(active) / 2
-        self._focused = told.number if told.by_key else None
-        if told.by_key and told.released and beside:
-            forward = told.at_um > before.at_um[told.number]
-            stands_um = next_measured(active.curve, before.at_um[told.number], forward)
-        resting = beside and told.released
+        stands_um = cursor_difference(active.curve, (event.at_um / length_um, 0.0)).at_um[0]
+        off_curve = abs(stands_um - event.at_um) > _step_um(active) / 2
+        self._focused = event.number if event.by_key else None
+        if event.by_key and event.released and off_curve:
+            forward = event.at_um > before.at_um[event.number]
+            stands_um = next_measured(active.curve, before.at_um[event.number], forward)
+        resting = off_curve and event.released
         self._rests += resting  # a grip that goes back to where it was is sent all the same
-        self._put_cursor(told.number, (stands_um if resting else told.at_um) / length_um, slid=not resting)
+        self._put_cursor(event.number, (stands_um if resting else event.at_um) / length_um, slid=not resting)
 
     def _put_cursor(self, number: int, share: float, *, slid: bool) -> None:
         plot = with_cursor(self._page.view.plot, number, share)

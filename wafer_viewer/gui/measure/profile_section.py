@@ -124,9 +124,9 @@ class ProfileSection:
 
     def show(self, snapshot: Snapshot, view: View) -> None:
         """Bring the section up to date."""
-        there = view.step == "measure" and view.tool == "profile" and not view.explains
-        set_prop(self._folder, "visible", there)
-        if not there:
+        visible = view.step == "measure" and view.tool == "profile" and not view.explains
+        set_prop(self._folder, "visible", visible)
+        if not visible:
             return
         self._list_others(snapshot)
         line = view.active_line

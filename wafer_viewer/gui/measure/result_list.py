@@ -70,8 +70,8 @@ class ResultList:
         chosen = self._chosen(snapshot, view) is not None
         for act in (self._csv, self._rename, self._delete):
             set_prop(act, "visible", bool(snapshot.findings))
-        for way in (self._undo, self._redo):
-            set_prop(way, "visible", bool(snapshot.findings or snapshot.findings_undo or snapshot.findings_redo))
+        for act in (self._undo, self._redo):
+            set_prop(act, "visible", bool(snapshot.findings or snapshot.findings_undo or snapshot.findings_redo))
         set_prop(self._rename, "disabled", not chosen)
         set_prop(self._delete, "disabled", not chosen)
         set_prop(self._undo, "disabled", not snapshot.findings_undo)
@@ -132,11 +132,11 @@ def _row(finding: AnyResult, view: View, thumbnail: str) -> Markup:
     sign = html.chip(symbol(finding), "" if colour == REGION_COLOUR else colour)
     name = Markup('<span class="wv-cut wv-short" title="{}">{}</span>').format(finding.name, finding.name)
     elsewhere = " · ".join(_source_differences(finding, view))
-    beside = Markup('<small class="wv-cut wv-short" title="{}">{}</small>').format(elsewhere, elsewhere)
+    detail = Markup('<small class="wv-cut wv-short" title="{}">{}</small>').format(elsewhere, elsewhere)
     return html.row(
         [
             thumbnail,
-            Markup('<div class="wv-result">{}<div>{}{}</div></div>').format(sign, name, beside if elsewhere else ""),
+            Markup('<div class="wv-result">{}<div>{}{}</div></div>').format(sign, name, detail if elsewhere else ""),
             list_text(finding),
         ],
         "  n",
@@ -147,8 +147,8 @@ def _row(finding: AnyResult, view: View, thumbnail: str) -> Markup:
 
 def _source_differences(finding: AnyResult, view: View) -> list[str]:
     """Return the surface and levelling of a result, each only if it differs from the displayed one."""
-    told = [surface_name(finding)] if finding.show != view.show else []
-    return told + ([f"zero: {finding.levelling.by}"] if finding.levelling != view.levelling else [])
+    notes = [surface_name(finding)] if finding.show != view.show else []
+    return notes + ([f"zero: {finding.levelling.by}"] if finding.levelling != view.levelling else [])
 
 
 def _as_measured(finding: AnyResult, view: View) -> dict[str, Any]:

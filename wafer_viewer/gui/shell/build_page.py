@@ -215,7 +215,7 @@ def _listen_to_page(page: Page, scene: SceneView, left: LeftPanel, measure: Meas
     left.defects.on_chosen(scene.fly_to)
     left.map.on_seen(scene.seen_um)
     left.map.on_brushed(lambda: page.statistics.brushed if page.statistics is not None else None)
-    left.dies.on_seen(scene.seen_um)
+    left.dies.on_camera_view(scene.seen_um)
     MapClicks(page, scene)
     page.on_pick("dismiss", page.dismiss)
     page.on_pick("theme", lambda _: page.change(dark=not page.view.dark))
