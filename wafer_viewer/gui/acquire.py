@@ -94,11 +94,11 @@ class AcquirePanel:
         self._why = HtmlBlock(gui)
         self._go_on = command_button(gui, "Continue the scan", viser.Icon.PLAYER_PLAY, self._continue())
         look = button(gui, "Look at the surface", viser.Icon.CUBE, lambda _: page.change(step="surface"))
-        beside = button(gui, "Look at the surface", viser.Icon.CUBE, lambda _: page.change(step="surface"))
-        self._look, self._look_beside = look, beside
+        look_small = button(gui, "Look at the surface", viser.Icon.CUBE, lambda _: page.change(step="surface"))
+        self._look, self._look_small = look, look_small
         self._next = command_button(gui, "Next wafer", viser.Icon.PLAYER_TRACK_NEXT, self._next_wafer())
         self._again = button(gui, "Scan it again", viser.Icon.REPEAT, lambda _: page.change(step="plan"))
-        outlined(gui, beside, 36)
+        outlined(gui, look_small, 36)
         outlined(gui, self._again, 36)
         for handle in (self._go_on, look, self._next):
             leading(gui, handle)
@@ -134,7 +134,7 @@ class AcquirePanel:
         done = not running and not unfinished and snapshot.surface is not None
         onward = done and _released(snapshot) and not awaited(snapshot)
         set_prop(self._look, "visible", done and not onward)
-        set_prop(self._look_beside, "visible", onward)
+        set_prop(self._look_small, "visible", onward)
         set_prop(self._next, "visible", onward)
         verdict = snapshot.operating.verdict
         set_prop(self._again, "visible", onward and verdict is not None and verdict.word == "inconclusive")
@@ -203,8 +203,8 @@ def _how(scan: ScanProgress, data: OpenDataset | None) -> str:
 
 
 def _missing(data: OpenDataset) -> str:
-    left = sum(state.value in ("to come", "being taken", "to repeat") for state in data.states.values())
-    return f"{left} of {len(data.fields)} fields are not complete; only the missing frames are taken."
+    remaining = sum(state.value in ("to come", "being taken", "to repeat") for state in data.states.values())
+    return f"{remaining} of {len(data.fields)} fields are not complete; only the missing frames are taken."
 
 
 def _waits(snapshot: Snapshot) -> str:
@@ -258,7 +258,7 @@ def _frame_words(frame: LatestFrame, snapshot: Snapshot) -> Markup:
     ]
     data, scan = snapshot.dataset, snapshot.scan
     if data is not None and scan is not None:
-        whole = data.plan.bytes_on_disk
+        total = data.plan.bytes_on_disk
         free = f" · {size(snapshot.draft.free_bytes)} free" if snapshot.draft.free_bytes is not None else ""
-        rows.append(("Disk", f"{size(whole * _done(scan))} of {size(whole)}{free}"))
+        rows.append(("Disk", f"{size(total * _done(scan))} of {size(total)}{free}"))
     return html.pairs(rows) + Markup('<div style="height:10px"></div>')

@@ -66,7 +66,7 @@ def serve(
 
     Raises WaferViewerError when the port is in use.
     """
-    asked = _hear_requests_to_end()
+    ended = _hear_requests_to_end()
     running = start(session, host, port, token)
     try:
         with contextlib.suppress(KeyboardInterrupt):
@@ -75,7 +75,7 @@ def serve(
                 import webbrowser
 
                 webbrowser.open(running.address)
-            while not asked.wait(HEARD_WITHIN_S):
+            while not ended.wait(HEARD_WITHIN_S):
                 pass
         announce("Wafer Viewer ends.")
     finally:
@@ -87,16 +87,16 @@ def _hear_requests_to_end() -> threading.Event:
 
     The event covers an exception that a finalizer happens to swallow.
     """
-    asked = threading.Event()
+    ended = threading.Event()
 
     def hear(*_: object) -> None:
-        asked.set()
+        ended.set()
         raise KeyboardInterrupt
 
     if threading.current_thread() is threading.main_thread():
         for number in (signal.SIGINT, signal.SIGTERM):
             signal.signal(number, hear)
-    return asked
+    return ended
 
 
 def start(session: Session, host: str = "127.0.0.1", port: int = 0, token: str | None = None) -> Running:
@@ -141,8 +141,8 @@ def start(session: Session, host: str = "127.0.0.1", port: int = 0, token: str |
 
 def _report_folders(session: Session) -> tuple[Path, ...]:
     now = session.snapshot
-    beside = (now.dataset.path.parent,) if now.dataset is not None else ()
-    return *beside, now.data_folder
+    folders = (now.dataset.path.parent,) if now.dataset is not None else ()
+    return *folders, now.data_folder
 
 
 def sweep_up() -> None:

@@ -33,7 +33,7 @@ class ReportPanel:
         self._contents: Contents = {}
         self._left_out: set[Part] = set()
         """Sections that the user deselected; sections that are empty now are not among them, as they may fill later."""
-        self._of: object = None
+        self._shown_for: object = None
         self._written: tuple[Path, Path] | None = None
         """Dataset and path of the report written last."""
         self._writing: Future[Any] | None = None
@@ -46,17 +46,17 @@ class ReportPanel:
         set_prop(self._folder, "visible", view.step == "report")
         data = snapshot.dataset
         if view.step != "report" or data is None:
-            self._of = None
+            self._shown_for = None
             return
         self._ask_contents(snapshot)
         self._title.show(html.title("Report", "A self-contained HTML file that prints on A4."))
         self._notes.show(self._page.notes(snapshot))
         chosen = self._chosen()
-        for part, told in self._told.items():
+        for part, summary in self._summaries.items():
             holds = self._contents.get(part, UNKNOWN)
             self._boxes[part].show(part in chosen)
             self._boxes[part].enable(not holds.nothing)
-            told.show(_line(holds, part in chosen))
+            summary.show(_line(holds, part in chosen))
         self._outcome.show(
             _newest(self._last(data.path))
             if chosen
@@ -111,14 +111,14 @@ class ReportPanel:
         self._name = gui.add_text("Title", "", hint="Heading of the report; without one the dataset's name")
         HtmlBlock(gui, html.head("Contents"))
         self._boxes: dict[Part, BoundInput[bool]] = {}
-        self._told: dict[Part, HtmlBlock] = {}
+        self._summaries: dict[Part, HtmlBlock] = {}
         for part in PARTS:
             hint = f"Include the section {PART_TITLES[part]}"
             box = gui.add_checkbox(PART_TITLES[part], True, hint=hint)
             self._boxes[part] = BoundInput(
                 box, lambda event, p=part: self._tick(p, event.target.value), page, "The report was not changed"
             )
-            self._told[part] = HtmlBlock(gui)
+            self._summaries[part] = HtmlBlock(gui)
         failed = guarded(page, "The report was not written")
         self._elsewhere = button(gui, "Save report as…", viser.Icon.DEVICE_FLOPPY, failed(lambda _: self.ask_where()))
         in_a_row(gui, [self._elsewhere], 34)
@@ -148,17 +148,17 @@ class ReportPanel:
         """Request the contents of the sections if they may have changed."""
         data, book = snapshot.dataset, snapshot.notebook.book
         papers, verdict = self._page.session.papers, snapshot.operating.verdict
-        of = (data.path if data else None, snapshot.findings, book.judgements, snapshot.surface, verdict)
-        of = (*of, papers.pictures_kept, self._written)
-        if of == self._of:
+        sources = (data.path if data else None, snapshot.findings, book.judgements, snapshot.surface, verdict)
+        sources = (*sources, papers.pictures_kept, self._written)
+        if sources == self._shown_for:
             return
-        self._of = of
+        self._shown_for = sources
 
-        def found(contents: Contents) -> None:
+        def listed(contents: Contents) -> None:
             self._contents = contents
             self._page.redraw()
 
-        self._page.ask("The contents were not read", papers.contents(), found)
+        self._page.ask("The contents were not read", papers.contents(), listed)
 
     def _last(self, dataset: Path) -> Path | None:
         """Return the newest report of a dataset: written by this page, or found next to it."""

@@ -85,10 +85,10 @@ class ReviewPanel:
 
     def show(self, snapshot: Snapshot, view: View) -> None:
         """Update the panel."""
-        there = view.step == "review" and not view.explains
-        item = chosen_item(snapshot, view.review, view.defects) if there else None
+        visible = view.step == "review" and not view.explains
+        item = chosen_item(snapshot, view.review, view.defects) if visible else None
         set_prop(self._folder, "visible", item is not None)
-        waits = there and item is None
+        waits = visible and item is None
         self._waiting.show(self._page.notes(snapshot) + _nothing_yet(snapshot) if waits else "")
         if item is None:
             return
@@ -160,8 +160,8 @@ class ReviewPanel:
     @property
     def _chosen(self) -> ReviewItem | None:
         view = self._page.view
-        there = view.step == "review"
-        return chosen_item(self._page.session.snapshot, view.review, view.defects) if there else None
+        visible = view.step == "review"
+        return chosen_item(self._page.session.snapshot, view.review, view.defects) if visible else None
 
     def _build(self) -> None:
         page, gui = self._page, self._page.gui
@@ -233,9 +233,11 @@ def _nothing_yet(snapshot: Snapshot) -> Markup:
     """Return the hint shown when nothing is under review."""
     if awaited(snapshot):
         return waiting(snapshot.operating.judging)
-    there = snapshot.inspection.inspection is not None
+    inspected = snapshot.inspection.inspection is not None
     say = (
-        "No defect was found, and no result is kept." if there else "Inspect for defects on the left, or keep a result."
+        "No defect was found, and no result is kept."
+        if inspected
+        else "Inspect for defects on the left, or keep a result."
     )
     return html.title("Review", "One item after the other, by keyboard alone.") + html.empty(say)
 

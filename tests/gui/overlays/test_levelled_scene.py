@@ -152,7 +152,7 @@ def test_the_read_out_is_over_the_chosen_zero_and_says_so() -> None:
     )
     page = SimpleNamespace(view=view, session=session, redraw=lambda: None)
     box = object.__new__(ReadOutBox)
-    box._page, box._glass = page, SimpleNamespace(show=lambda text, **_: shown.append(text))  # type: ignore
+    box._page, box._panel = page, SimpleNamespace(show=lambda text, **_: shown.append(text))  # type: ignore
     box.at(100.0, 30.0)
     box.show(SNAPSHOT, view)
     assert "+10.00" in shown[-1]

@@ -184,7 +184,7 @@ def recipes_dialog(page: Page) -> None:
 
     page.on_pick("defect-recipe-name", lambda key: choose(_rename_dialog, key))
     page.on_pick("defect-recipe-away", lambda key: choose(_delete_dialog, key))
-    dialog.way_out("Close")
+    dialog.close_button("Close")
 
 
 def recipe_table(recipes: tuple[DefectRecipe, ...]) -> Markup:

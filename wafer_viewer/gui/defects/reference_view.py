@@ -322,8 +322,8 @@ def _header_parts(defect: Defect, cut: DefectCut, n_curves: int) -> Iterator[str
     yield Markup('{} {} <span class="dim wv-hint">through the middle</span>').format(
         html.chip("A", PROFILE_COLOURS[0]), height
     )
-    if cut.beside and n_curves > 1:
-        other = f"same row, die {cut.beside}"
+    if cut.neighbour and n_curves > 1:
+        other = f"same row, die {cut.neighbour}"
         yield Markup('{} <span class="dim" title="{}">{}</span>').format(
             html.chip("B", PROFILE_COLOURS[1]), other, other
         )

@@ -41,7 +41,7 @@ class Legend:
     """Legend of the plan's lines, top right; in Acquire position of the current frame."""
 
     def __init__(self, page: Page) -> None:
-        self._glass = FloatingPanel(page.gui, -EDGE_PX, EDGE_PX, 340, 44, align="right")
+        self._panel = FloatingPanel(page.gui, -EDGE_PX, EDGE_PX, 340, 44, align="right")
 
     def show(self, snapshot: Snapshot, view: View) -> None:
         """Update the legend."""
@@ -50,7 +50,7 @@ class Legend:
             content = _plan_legend(snapshot)
         elif view.step == "acquire" and snapshot.scanning and snapshot.scan is not None:
             content = _frame_place(snapshot.scan, snapshot)
-        self._glass.show(content and Markup('<div class="wv-glass wv-legend-card">{}</div>').format(content))
+        self._panel.show(content and Markup('<div class="wv-glass wv-legend-card">{}</div>').format(content))
 
 
 class ScaleBar:
@@ -58,7 +58,7 @@ class ScaleBar:
 
     def __init__(self, page: Page, scene: Any) -> None:
         self._scene, self._viewport = scene, page.viewport
-        self._glass = FloatingPanel(page.gui, EDGE_PX, -EDGE_PX, 500, 44)
+        self._panel = FloatingPanel(page.gui, EDGE_PX, -EDGE_PX, 500, 44)
 
     def show(self, snapshot: Snapshot, view: View) -> None:
         """Update the scale bar."""
@@ -66,7 +66,7 @@ class ScaleBar:
         y_px = -(EDGE_PX + bottom_panel_height_px(view))
         narrow = self._viewport.width_px < NARROW_SCENE_PX
         drawn = _drawn(snapshot, in_scene(view), narrow)
-        self._glass.show(_scale_bar(um_per_pixel, drawn) if um_per_pixel else "", y_px=y_px)
+        self._panel.show(_scale_bar(um_per_pixel, drawn) if um_per_pixel else "", y_px=y_px)
 
 
 class ReadOutBox:
@@ -74,9 +74,9 @@ class ReadOutBox:
 
     def __init__(self, page: Page) -> None:
         self._page = page
-        self._glass = FloatingPanel(page.gui, -EDGE_PX, -EDGE_PX, 420, READ_OUT_PX, align="right")
+        self._panel = FloatingPanel(page.gui, -EDGE_PX, -EDGE_PX, 420, READ_OUT_PX, align="right")
         self._text = Markup()
-        self._of: object = None
+        self._shown_for: object = None
 
     def at(self, x_um: float, y_um: float) -> None:
         """Read the surface at a position. Blocks: call on a worker thread."""
@@ -89,16 +89,16 @@ class ReadOutBox:
         self._text = Markup('{}{}<br><span class="dim">{}</span>&ensp;').format(
             place, _height(read, view), _trust(read)
         )
-        self._of = _surface(session.snapshot, view)
+        self._shown_for = _surface(session.snapshot, view)
         self._page.redraw()
 
     def show(self, snapshot: Snapshot, view: View) -> None:
         """Show the last read-out as long as the surface is the same."""
-        on_surface = view.on_surface and self._of == _surface(snapshot, view)
+        on_surface = view.on_surface and self._shown_for == _surface(snapshot, view)
         y_px = -(EDGE_PX + bottom_panel_height_px(view))
         ask = Markup('<span class="wv-link" title="Key C" {}>Why this height?</span>').format(html.pick("why"))
         shown = self._text + ("" if view.explains else ask) if on_surface else Markup()
-        self._glass.show(shown and Markup('<div class="wv-glass wv-read">{}</div>').format(shown), y_px=y_px)
+        self._panel.show(shown and Markup('<div class="wv-glass wv-read">{}</div>').format(shown), y_px=y_px)
 
 
 def _surface(snapshot: Snapshot, view: View) -> tuple[object, ...]:
@@ -137,10 +137,10 @@ def _plan_legend(snapshot: Snapshot) -> Markup:
 
 def _frame_place(scan: ScanProgress, snapshot: Snapshot) -> Markup:
     data = snapshot.dataset
-    of = f" of {data.plan.sweep.n_frames}" if data else ""
+    total = f" of {data.plan.sweep.n_frames}" if data else ""
     return Markup(
-        '<span>Field {number}</span><span>z <b>{with_unit}</b></span><span class="dim">frame {k}{of}</span>'
-    ).format(number=scan.field.number, with_unit=with_unit(scan.z_um, 1, signed=True), k=scan.k + 1, of=of)
+        '<span>Field {number}</span><span>z <b>{with_unit}</b></span><span class="dim">frame {k}{total}</span>'
+    ).format(number=scan.field.number, with_unit=with_unit(scan.z_um, 1, signed=True), k=scan.k + 1, total=total)
 
 
 def _drawn(snapshot: Snapshot, view: View, narrow: bool) -> str:
@@ -160,12 +160,12 @@ def _drawn(snapshot: Snapshot, view: View, narrow: bool) -> str:
     return f"z drawn × {view.exaggeration:g}{shape}{light}"
 
 
-def _scale_bar(um_per_pixel: float, beside: str) -> Markup:
+def _scale_bar(um_per_pixel: float, label: str) -> Markup:
     length_um = round_length(BAR_PX * um_per_pixel)
     ruler = Markup('<div style="width:{:.0f}px"><b>{}</b><i></i></div>').format(
         length_um / um_per_pixel, length_text(length_um)
     )
-    return Markup('<div class="wv-glass wv-scale">{}<span>{}</span></div>').format(ruler, beside)
+    return Markup('<div class="wv-glass wv-scale">{}<span>{}</span></div>').format(ruler, label)
 
 
 FIRST_PX = 892, 640

@@ -33,7 +33,7 @@ class ColourLegend:
 
     def __init__(self, page: Page) -> None:
         self._page = page
-        self._glass = FloatingPanel(page.gui, -EDGE_PX, EDGE_PX, WIDTH_PX, MOST_BAR_PX + HEAD_AND_FOOT_PX)
+        self._panel = FloatingPanel(page.gui, -EDGE_PX, EDGE_PX, WIDTH_PX, MOST_BAR_PX + HEAD_AND_FOOT_PX)
         self._of_origins = FloatingPanel(page.gui, -EDGE_PX, EDGE_PX, 236, _origins_px(1), align="right")
 
     def show(self, snapshot: Snapshot, view: View) -> None:
@@ -42,10 +42,10 @@ class ColourLegend:
         of_origins = scale is not None and scale.quantity == "origin"
         bar_px = self._bar_px()
         bar = _bar(scale, view, self._page.coloured_by(view), bar_px) if scale is not None and not of_origins else ""
-        self._glass.show(_on_glass(bar), height_px=bar_px + HEAD_AND_FOOT_PX + 2 + _foot_px(scale))
+        self._panel.show(_card(bar), height_px=bar_px + HEAD_AND_FOOT_PX + 2 + _foot_px(scale))
         origins = scale.origins if scale is not None and of_origins else {}
         rows = sum(share > 0 for share in origins.values())
-        self._of_origins.show(_on_glass(origin_legend_html(origins) if rows else ""), height_px=_origins_px(rows))
+        self._of_origins.show(_card(origin_legend_html(origins) if rows else ""), height_px=_origins_px(rows))
 
     def _bar_px(self) -> int:
         room = self._page.viewport.height_px - EDGE_PX - HEAD_AND_FOOT_PX - BELOW_PX
@@ -78,7 +78,7 @@ def _bar(scale: ColourScale, view: View, quantity: ColourBy, bar_px: int) -> Mar
     )
 
 
-def _on_glass(content: Markup | Literal[""]) -> Markup:
+def _card(content: Markup | Literal[""]) -> Markup:
     return Markup('<div class="wv-glass">{}</div>').format(content) if content else Markup()
 
 
@@ -107,43 +107,43 @@ class PoseLegend:
 
     def __init__(self, page: Page, poses: PoseCache, um_per_pixel: Callable[[], float]) -> None:
         self._poses, self._um_per_pixel = poses, um_per_pixel
-        self._glass = FloatingPanel(page.gui, EDGE_PX, -EDGE_PX - ABOVE_SCALE_PX, POSE_LEGEND_PX, ROW_PX)
-        self._known: CachedPoses | None = None
+        self._panel = FloatingPanel(page.gui, EDGE_PX, -EDGE_PX - ABOVE_SCALE_PX, POSE_LEGEND_PX, ROW_PX)
+        self._cached: CachedPoses | None = None
         self._fields: Fields | None = None
         self._rows: list[tuple[str, str]] = []
 
     def show(self, snapshot: Snapshot, view: View) -> None:
         """Update the legend."""
         fields = self._on_show(snapshot, view)
-        rows = self._seen(fields) if fields is not None else []
+        rows = self._visible_rows(fields) if fields is not None else []
         lines = Markup("").join(
             Markup("<div>{}<span>{}</span></div>").format(_sign(kind, view.dark), words) for kind, words in rows
         )
         down = f"grid-template-rows:repeat({-(-len(rows) // 2)},18px)"
         content = Markup('<div class="wv-glass wv-lines" style="{}">{}</div>').format(down, lines) if rows else Markup()
-        self._glass.show(content, height_px=ROW_PX * max(1, -(-len(rows) // 2)) + EDGES_PX)
+        self._panel.show(content, height_px=ROW_PX * max(1, -(-len(rows) // 2)) + EDGES_PX)
 
-    def _seen(self, fields: Fields) -> list[tuple[str, str]]:
+    def _visible_rows(self, fields: Fields) -> list[tuple[str, str]]:
         """Return the visible rows: stitches are drawn only at close range."""
         near = STITCH * fields.unit_um >= LEAST_STITCH_PX * self._um_per_pixel()
         return [(kind, words) for kind, words in self._rows if near or kind != "stitch"]
 
     def _on_show(self, snapshot: Snapshot, view: View) -> Fields | None:
         source, data = source_of(snapshot, 0), snapshot.dataset
-        known = self._poses.at(source) if view.shows_fields and source is not None else None
-        if known is None or known.poses is None or data is None:
+        cached = self._poses.at(source) if view.shows_fields and source is not None else None
+        if cached is None or cached.poses is None or data is None:
             return None
-        if known is not self._known:
-            self._known, self._fields = known, fields_of(known, data)
+        if cached is not self._cached:
+            self._cached, self._fields = cached, fields_of(cached, data)
             self._rows = _rows(self._fields) if self._fields is not None else []
         return self._fields
 
 
-def fields_of(known: CachedPoses, data: OpenDataset) -> Fields | None:
+def fields_of(cached: CachedPoses, data: OpenDataset) -> Fields | None:
     """Return the fields as placed by the pose solution; None if only the stage positions are known."""
-    if known.poses is None:
+    if cached.poses is None:
         return None
-    return Fields(known.poses, data.plan.cols * data.plan.pixel_um, data.plan.rows * data.plan.pixel_um)
+    return Fields(cached.poses, data.plan.cols * data.plan.pixel_um, data.plan.rows * data.plan.pixel_um)
 
 
 def _rows(fields: Fields) -> list[tuple[str, str]]:
@@ -158,7 +158,7 @@ def _rows(fields: Fields) -> list[tuple[str, str]]:
         ("doubt", "overlap rejected"),
         ("out", "field left out"),
     ]
-    there = {
+    present = {
         "arrow": len(fields.arrows()),
         "circle": len(fields.circles()),
         "stitch": len(fields.stitches()),
@@ -166,7 +166,7 @@ def _rows(fields: Fields) -> list[tuple[str, str]]:
         "doubt": len(fields.doubted(blank=False)),
         "out": len(fields.left_out()),
     }
-    return [(kind, words) for kind, words in rows if there.get(kind, 1)]
+    return [(kind, words) for kind, words in rows if present.get(kind, 1)]
 
 
 def _sign(kind: str, dark: bool) -> Markup:

@@ -55,18 +55,18 @@ class PrintPicture:
         self._work.ask(guarded(self._page, "The picture was not taken")(self._take))
 
     def _take(self) -> None:
-        told = self._page.client.add_notification(
+        notification = self._page.client.add_notification(
             "Picture", "Refining the surface …", loading=True, with_close_button=False, color=RGB_OF_TONE["busy"]
         )
         try:
-            whole = self._scene.settle(PRINT_WIDTH_PX, SETTLE_S)
-            told.body = f"The browser draws {PRINT_WIDTH_PX} px …"
+            complete = self._scene.settle(PRINT_WIDTH_PX, SETTLE_S)
+            notification.body = f"The browser draws {PRINT_WIDTH_PX} px …"
             rendered, um_per_pixel = self._rendered()
         finally:
             self._scene.settle(None, 0.0)
             self._busy = False
-            told.remove()
-        self._keep(rendered, um_per_pixel, whole)
+            notification.remove()
+        self._keep(rendered, um_per_pixel, complete)
 
     def _rendered(self) -> tuple[NDArray[np.uint8], float]:
         """Return the scene as rendered by the browser, and its µm per pixel at the look-at point."""
@@ -85,7 +85,7 @@ class PrintPicture:
                 f"The browser could not draw {PRINT_WIDTH_PX} x {height_px} px: close its other windows, press P again."
             ) from fault
 
-    def _keep(self, rendered: NDArray[np.uint8], um_per_pixel: float, whole: bool) -> None:
+    def _keep(self, rendered: NDArray[np.uint8], um_per_pixel: float, complete: bool) -> None:
         from wafer_viewer.draw.print_figures import DARK, LIGHT, png, print_picture
 
         page, snapshot, view = self._page, self._page.session.snapshot, self._page.view
@@ -93,13 +93,13 @@ class PrintPicture:
         picture = print_picture(rendered, um_per_pixel, caption_of(snapshot, view), self._key(view), paper)
         data = png(picture)
 
-        def kept(path: Any) -> None:
-            coarse = "" if whole else " Parts were still being drawn finer: press P again for a sharper one."
+        def saved(path: Any) -> None:
+            coarse = "" if complete else " Parts were still being drawn finer: press P again for a sharper one."
             page.say("Picture saved", f"{path}{coarse}")
             page.client.send_file_download(path.name, data)
             page.redraw()
 
-        page.ask("The picture was not saved", page.session.papers.keep_picture(data), kept)
+        page.ask("The picture was not saved", page.session.papers.keep_picture(data), saved)
 
     def _key(self, view: View) -> ColourKey | None:
         from wafer_viewer.draw.print_figures import ColourKey

@@ -34,7 +34,7 @@ _SOFTWARE = ("swiftshader", "llvmpipe", "softpipe", "software", "basic render")
 _EVERY_MS = 600
 _SCRIPT = f"""
 clearInterval(window.wvTelling);
-let told = '';
+let reported = '';
 const still = () => matchMedia('(prefers-reduced-motion: reduce)').matches;
 const drawnBy = () => {{
   const gl = document.createElement('canvas').getContext('webgl2');
@@ -67,8 +67,8 @@ const tell = () => {{
     scene: scene(),
   }});
   const field = document.querySelector('div:has(>.wv-tells)+div input');
-  if (now === told || !field) return;
-  told = now;
+  if (now === reported || !field) return;
+  reported = now;
   const timed = JSON.stringify({{...JSON.parse(now), at_ms: performance.now()}});
   Object.getOwnPropertyDescriptor(HTMLInputElement.prototype, 'value').set.call(field, timed);
   field.dispatchEvent(new Event('input', {{bubbles: true}}));
@@ -138,33 +138,33 @@ class BrowserEvents:
             self._system = None
 
     def _hear(self, text: str) -> None:
-        told = msgspec.json.decode(text, type=BrowserInfo)
+        info = msgspec.json.decode(text, type=BrowserInfo)
         with self._one_at_a_time:
-            if told.at_ms < self._latest_ms:
+            if info.at_ms < self._latest_ms:
                 return
-            self._latest_ms = told.at_ms
-            self._take(told)
+            self._latest_ms = info.at_ms
+            self._take(info)
         self._page.redraw()
 
-    def _take(self, told: BrowserInfo) -> None:
+    def _take(self, info: BrowserInfo) -> None:
         page = self._page
-        self._system = system_name(told.system)
-        self._can_fly = may_fly(told)
+        self._system = system_name(info.system)
+        self._can_fly = may_fly(info)
         self._let_fly(self._can_fly)
-        page.viewport.set_size(*told.scene)
-        layout = layout_of(told, page.browser.layout)
-        if told.left is not None and not told.left[1]:
+        page.viewport.set_size(*info.scene)
+        layout = layout_of(info, page.browser.layout)
+        if info.left is not None and not info.left[1]:
             self._unfolding = False
         if self._cramped or self._unfolding:  # folded for want of room, not by a person
             layout = replace(layout, left_folded=page.browser.layout.left_folded)
         if self._restored and layout != page.browser.layout:
             page.remember(replace(page.browser, layout=layout))
         if self._restored:
-            self._make_room(told, layout)
+            self._make_room(info, layout)
 
-    def _make_room(self, told: BrowserInfo, layout: PanelLayout) -> None:
+    def _make_room(self, info: BrowserInfo, layout: PanelLayout) -> None:
         """Fold the left panel if the scene gets too narrow, and unfold it when there is room again."""
-        if (cramped := is_cramped(told, layout)) == self._cramped:
+        if (cramped := is_cramped(info, layout)) == self._cramped:
             return
         self._cramped = cramped
         if cramped:
@@ -184,23 +184,23 @@ def restore(layout: PanelLayout, left: Any, right: Any) -> None:
         right.minimize()
 
 
-def layout_of(told: BrowserInfo, before: PanelLayout) -> PanelLayout:
+def layout_of(info: BrowserInfo, before: PanelLayout) -> PanelLayout:
     """Return the layout after a report; a folded panel keeps its width."""
-    left_px, left_folded = _side(told.left, before.left_px, before.left_folded)
-    right_px, right_folded = _side(told.right, before.right_px, before.right_folded)
+    left_px, left_folded = _side(info.left, before.left_px, before.left_folded)
+    right_px, right_folded = _side(info.right, before.right_px, before.right_folded)
     return PanelLayout(left_px, right_px, left_folded, right_folded)
 
 
-def is_cramped(told: BrowserInfo, layout: PanelLayout) -> bool:
+def is_cramped(info: BrowserInfo, layout: PanelLayout) -> bool:
     """Return whether the window leaves too little width for the scene between both panels."""
     panels = (layout.left_px or LEFT_PX) + (layout.right_px or RIGHT_PX)
-    return 0 < told.window < panels + LEAST_SCENE_PX
+    return 0 < info.window < panels + LEAST_SCENE_PX
 
 
-def may_fly(told: BrowserInfo) -> bool:
+def may_fly(info: BrowserInfo) -> bool:
     """Return whether the camera may be animated: hardware rendering, and no preference for reduced motion."""
-    renderer = told.renderer.lower()
-    return not told.still and not any(name in renderer for name in _SOFTWARE)
+    renderer = info.renderer.lower()
+    return not info.still and not any(name in renderer for name in _SOFTWARE)
 
 
 def system_name(platform: str) -> str:
@@ -208,8 +208,8 @@ def system_name(platform: str) -> str:
     return next((name for sign, name in _SYSTEMS.items() if platform.startswith(sign)), platform or "unknown")
 
 
-def _side(told: tuple[int, bool] | None, before_px: int | None, before_folded: bool) -> tuple[int | None, bool]:
-    if told is None:
+def _side(panel: tuple[int, bool] | None, before_px: int | None, before_folded: bool) -> tuple[int | None, bool]:
+    if panel is None:
         return before_px, before_folded
-    width_px, folded = told
+    width_px, folded = panel
     return (width_px - EDGE_PX if not folded and LEAST_PX <= width_px <= MOST_PX else before_px), folded

@@ -31,7 +31,7 @@ class ControlLock:
         self._barred: dict[str, Any] = {}
         self._strip = HtmlBlock(page.gui)
         page.on_close(lambda: self._bar(False))
-        page.on_pick("hands", lambda _: hands_dialog(page))
+        page.on_pick("hands", lambda _: control_dialog(page))
         page.on_pick("hands-ask", lambda _: ask(page))
 
     def show(self, snapshot: Snapshot, view: View) -> None:
@@ -82,8 +82,8 @@ class ControlRequestPrompt:
     def show(self, snapshot: Snapshot, view: View) -> None:
         """Show the prompt as long as a request is open."""
         control = snapshot.control
-        asked = control.holds(self._page.browser.key) and control.requester is not None
-        self._question.show(_question(control) if asked else "")
+        requested = control.holds(self._page.browser.key) and control.requester is not None
+        self._question.show(_question(control) if requested else "")
 
 
 def ask(page: Page) -> None:
@@ -91,7 +91,7 @@ def ask(page: Page) -> None:
     if page.browser.name:
         page.ask("Control was not handed over", page.session.control.ask(page.browser.key))
     else:
-        hands_dialog(page)
+        control_dialog(page)
 
 
 def hand_over(page: Page, to: str) -> None:
@@ -99,7 +99,7 @@ def hand_over(page: Page, to: str) -> None:
     page.ask("Control was not handed over", page.session.control.hand_over(page.browser.key, to))
 
 
-def hands_dialog(page: Page) -> None:
+def control_dialog(page: Page) -> None:
     """Open the dialog of connected browsers: holder of the controls, name of this browser, request for control."""
     control, key = page.session.snapshot.control, page.browser.key
     holds = control.holds(key)

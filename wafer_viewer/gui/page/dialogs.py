@@ -59,7 +59,7 @@ class Dialog:
             HtmlBlock(self.page.gui, _on_key("wv-away", leave) + _on_key("wv-do", do), padded=False)
         add_hints(self.page.gui)
 
-    def way_out(self, name: str) -> None:
+    def close_button(self, name: str) -> None:
         """Add the single close button of an information dialog."""
         with self.modal:
             away = button(self.page.gui, name, None, lambda _: self.close())
@@ -133,14 +133,14 @@ def dataset_table(entries: tuple[DatasetEntry, ...], opened: Path | None, what: 
 def format_time(taken: str, now: datetime) -> str:
     """Format an ISO 8601 time: today 08:41, yesterday 17:02, 12 Nov, 3 Feb 2025; return other text unchanged."""
     try:
-        at = datetime.fromisoformat(taken).astimezone(now.tzinfo)
+        moment = datetime.fromisoformat(taken).astimezone(now.tzinfo)
     except ValueError:
         return taken
-    if at.date() == now.date():
-        return f"today {at:%H:%M}"
-    if at.date() == (now - timedelta(days=1)).date():
-        return f"yesterday {at:%H:%M}"
-    return f"{at.day} {at:%b}" + (f" {at.year}" if at.year != now.year else "")
+    if moment.date() == now.date():
+        return f"today {moment:%H:%M}"
+    if moment.date() == (now - timedelta(days=1)).date():
+        return f"yesterday {moment:%H:%M}"
+    return f"{moment.day} {moment:%b}" + (f" {moment.year}" if moment.year != now.year else "")
 
 
 def confirm_overwrite(page: Page, path: Path, write: Callable[[], None]) -> None:

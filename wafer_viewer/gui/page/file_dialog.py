@@ -84,7 +84,7 @@ class FileList:
         self._order: Order = "date"
         self._limit, self._prefix = PAGE, ""
         self._typing = False
-        self._of = 0
+        self._listing_id = 0
         self._shown: Listing | None = None
         self._sent: dict[str, Path] = {}
         gui = self._page.gui
@@ -93,7 +93,7 @@ class FileList:
         self._looks = HtmlBlock(gui, padded=False)
         add_html(gui, Markup('<div class="wv-file-field"></div>'))
         self.field = gui.add_text("File name", saving) if self._saving else gui.add_text("Path", "")
-        self._told = HtmlBlock(gui)
+        self._status = HtmlBlock(gui)
         self._listen()
         self.go(self._folder)
 
@@ -175,7 +175,7 @@ class FileList:
         @upload.on_upload
         def _(event: Any) -> None:
             self.put(save_upload(event.target.value), event.target.value.name)
-            self._told.show(_told(f"{event.target.value.name} was sent and is chosen."))
+            self._status.show(_status_line(f"{event.target.value.name} was sent and is chosen."))
             if then is not None:
                 then()
 
@@ -189,38 +189,43 @@ class FileList:
         if (folder, prefix) != (self._folder, self._prefix):
             self._limit = PAGE
         self._prefix, self._typing = prefix, typing
-        self._of = of = next(_listings)
-        asked = self._browsing.list_folder(folder, self.kind, prefix=prefix, order=self._order, limit=self._limit)
-        asked.add_done_callback(lambda done: self._came(of, done))
+        self._listing_id = listing_id = next(_listings)
+        request = self._browsing.list_folder(folder, self.kind, prefix=prefix, order=self._order, limit=self._limit)
+        request.add_done_callback(lambda done: self._came(listing_id, done))
 
-    def _came(self, of: int, done: Future[Listing]) -> None:
-        if of != self._of or self._dialog.modal.closed or done.cancelled():
+    def _came(self, listing_id: int, done: Future[Listing]) -> None:
+        if listing_id != self._listing_id or self._dialog.modal.closed or done.cancelled():
             return
         if (fault := done.exception()) is not None:
             if not isinstance(fault, WaferViewerError):
                 raise fault
-            self._told.show(Markup('<div class="wv-note fault">{}</div>').format(str(fault)))
+            self._status.show(Markup('<div class="wv-note fault">{}</div>').format(str(fault)))
             return
         listing = done.result()
         self._folder, self._shown = listing.folder, listing
         if not self._typing:
             self._base = listing.folder
         self._places.show(_places(listing, self._browsing.roots, self._recent_shown(listing)))
-        self._list.show(_list(listing, of, self._order, self.kind, self._rows))
-        self._told.show(_told(_summary(listing, self.kind, self._saving)))
-        self._ask_looks(of, listing)
+        self._list.show(_list(listing, listing_id, self._order, self.kind, self._rows))
+        self._status.show(_status_line(_summary(listing, self.kind, self._saving)))
+        self._ask_looks(listing_id, listing)
 
     def _recent_shown(self, listing: Listing) -> tuple[Path, ...]:
         return () if self._saving else listing.recent
 
-    def _ask_looks(self, of: int, listing: Listing) -> None:
+    def _ask_looks(self, listing_id: int, listing: Listing) -> None:
         """Request the previews; they arrive in batches as a style sheet, without a change of the list."""
         rules: list[str] = []
-        asked = [(n, e) for n, e in enumerate(listing.entries) if _has_look(e)][:MOST_LOOKS]
+        previewed = [(n, e) for n, e in enumerate(listing.entries) if _has_look(e)][:MOST_LOOKS]
         self._looks.show("")
 
         def came(n: int, last: bool, done: Future[bytes]) -> None:
-            if of != self._of or self._dialog.modal.closed or done.cancelled() or done.exception() is not None:
+            if (
+                listing_id != self._listing_id
+                or self._dialog.modal.closed
+                or done.cancelled()
+                or done.exception() is not None
+            ):
                 return
             if jpeg := done.result():
                 url = f"data:image/jpeg;base64,{base64.b64encode(jpeg).decode()}"
@@ -229,9 +234,9 @@ class FileList:
             if rules and (last or len(rules) % LOOKS_AT_ONCE == 0):
                 self._looks.show(html.style_sheet("".join(rules)))
 
-        for n, entry in asked:
+        for n, entry in previewed:
             future = self._browsing.look(entry.path)
-            future.add_done_callback(lambda done, n=n: came(n, n == asked[-1][0], done))
+            future.add_done_callback(lambda done, n=n: came(n, n == previewed[-1][0], done))
 
     # --- what a person does
 
@@ -272,8 +277,8 @@ class FileList:
 
     def _entries(self, key: str) -> list[FileEntry]:
         """Return the entries of a click; empty if the list was replaced meanwhile."""
-        of, _, numbers = key.partition(":")
-        if self._shown is None or of != str(self._of):
+        listing_id, _, numbers = key.partition(":")
+        if self._shown is None or listing_id != str(self._listing_id):
             return []
         return [self._shown.entries[int(n)] for n in numbers.split(",") if n.isdigit()]
 
@@ -286,7 +291,7 @@ class FileList:
             return
         if chosen:
             self.field.value = _text_of([entry.path for entry in chosen])
-        self._told.show(_told(_chosen(chosen)))
+        self._status.show(_status_line(_chosen(chosen)))
 
     def _open(self, key: str) -> None:
         for entry in self._entries(key)[:1]:
@@ -311,7 +316,7 @@ class FileList:
             self._go_and_leave(self._shown.parent)
 
     def _sort(self, order: str) -> None:
-        self._order = next((known for known in get_args(Order) if known == order), "date")
+        self._order = next((option for option in get_args(Order) if option == order), "date")
         self.go(self._folder, self._prefix, typing=self._typing)
 
     def _more(self) -> None:
@@ -346,12 +351,12 @@ def _places(listing: Listing, roots: tuple[Root, ...], recent: tuple[Path, ...])
     chips = Markup("").join(_place(each.path, each.name, "on" if each is root else "") for each in roots)
     parts = listing.folder.relative_to(root.path).parts if root is not None else ()
     ways = [] if root is None else [root.path.joinpath(*parts[: k + 1]) for k in range(len(parts))]
-    crumbs = Markup("").join(Markup("<i>/</i>{}").format(_place(way, way.name)) for way in ways)
+    crumbs = Markup("").join(Markup("<i>/</i>{}").format(_place(folder, folder.name)) for folder in ways)
     up = ""
     if listing.parent is not None:
-        told = Markup('class="wv-act" title="Folder above (Backspace)" aria-label="Folder above"')
+        label = Markup('class="wv-act" title="Folder above (Backspace)" aria-label="Folder above"')
         up = Markup("<span {} {}>{}</span>").format(
-            told, html.pick("file-go", listing.parent), html.icon(viser.Icon.ARROW_UP, 15)
+            label, html.pick("file-go", listing.parent), html.icon(viser.Icon.ARROW_UP, 15)
         )
     names = Markup("").join(_place(path, path.name, what="file-recent") for path in recent)
     last = Markup('<div class="wv-file-recent"><em>Recent</em>{}</div>').format(names) if names else Markup()
@@ -366,7 +371,7 @@ def _place(path: Path, name: str, look: str = "", what: str = "file-go") -> Mark
     )
 
 
-def _list(listing: Listing, of: int, order: Order, kind: FileKind, rows: int) -> Markup:
+def _list(listing: Listing, listing_id: int, order: Order, kind: FileKind, rows: int) -> Markup:
     heads = Markup("").join(
         Markup('<span class="{}" {}>{}</span>').format(
             "on" if name == order else "", html.pick("file-order", name), title
@@ -382,30 +387,32 @@ def _list(listing: Listing, of: int, order: Order, kind: FileKind, rows: int) ->
     return Markup(
         '<div class="wv wv-file-box"><div class="wv-file-heads"><span></span>{heads}</div>'
         '<div class="wv-files" role="listbox" tabindex="0" aria-label="{title}" '
-        'data-of="{of}"{several} data-completion="{completion}" style="--rows:{rows}">'
+        'data-of="{listing_id}"{several} data-completion="{completion}" style="--rows:{rows}">'
         "{lines}{left}{sign}</div></div>"
     ).format(
         heads=heads,
         title=kind.title,
-        of=of,
+        listing_id=listing_id,
         several=several,
         completion=listing.completion,
         rows=rows,
         lines=lines,
-        left=_left(listing),
+        left=_remaining(listing),
         sign=sign,
     )
 
 
-def _left(listing: Listing) -> Markup:
+def _remaining(listing: Listing) -> Markup:
     """Return the number of entries not listed yet, with a link or hint to reach them."""
-    left = listing.n_matching - len(listing.entries)
-    if left <= 0:
+    remaining = listing.n_matching - len(listing.entries)
+    if remaining <= 0:
         return Markup()
     if len(listing.entries) < MOST_SHOWN:
         more = Markup('<span class="wv-link" {}>Show more</span>').format(html.pick("file-more"))
-        return Markup('<div class="wv-file-more">{} ({} left)</div>').format(more, number(left, 0))
-    return Markup('<div class="wv-file-more">{} more: type the beginning of the name.</div>').format(number(left, 0))
+        return Markup('<div class="wv-file-more">{} ({} left)</div>').format(more, number(remaining, 0))
+    return Markup('<div class="wv-file-more">{} more: type the beginning of the name.</div>').format(
+        number(remaining, 0)
+    )
 
 
 def _row(n: int, entry: FileEntry, now: datetime) -> Markup:
@@ -426,13 +433,13 @@ def _summary(listing: Listing, kind: FileKind, saving: bool) -> str:
     """Return the number of omitted entries; when saving, the folder and its free disk space."""
     if saving:
         return f"Saved in {listing.folder}. {size(listing.free_bytes)} free on this disk."
-    told = []
+    sentences = []
     if listing.is_cut:
-        told.append("The folder holds more than can be listed: type the beginning of the name.")
+        sentences.append("The folder holds more than can be listed: type the beginning of the name.")
     if listing.n_hidden:
         files = "1 other file is" if listing.n_hidden == 1 else f"{number(listing.n_hidden, 0)} other files are"
-        told.append(f"{kind.title} only: {files} not shown.")
-    return " ".join(told)
+        sentences.append(f"{kind.title} only: {files} not shown.")
+    return " ".join(sentences)
 
 
 def _chosen(entries: list[FileEntry]) -> str:
@@ -441,5 +448,5 @@ def _chosen(entries: list[FileEntry]) -> str:
     return f"{entries[0].note} chosen." if entries and entries[0].is_folder and entries[0].note else ""
 
 
-def _told(text: str) -> Markup:
+def _status_line(text: str) -> Markup:
     return Markup('<div class="wv-lab wv-file-told">{}</div>').format(text)

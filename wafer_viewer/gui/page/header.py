@@ -206,14 +206,14 @@ def _placed(ids: dict[Step, str], places: list[str]) -> str:
     return "".join(f"{by_id(uuid)}{{{place}}}#wv-tip-{step}{{{place.split(';')[0]}}}" for (step, uuid), place in each)
 
 
-def _look(at: str, step: Step, current: Step, snapshot: Snapshot) -> str:
-    label, sign = f"{at} .mantine-Button-label", f"{at} .mantine-Button-section"
+def _look(selector: str, step: Step, current: Step, snapshot: Snapshot) -> str:
+    label, sign = f"{selector} .mantine-Button-label", f"{selector} .mantine-Button-section"
     if step == current:
         look = "color:var(--accent)!important;box-shadow:inset 0 -3px 0 var(--accent)!important"
-        return f"{at}{{{look}}}{label}{{font-weight:650!important}}"
+        return f"{selector}{{{look}}}{label}{{font-weight:650!important}}"
     can = possible(step, snapshot)
     look = "color:var(--ink)!important" if can else "color:var(--ink3)!important;cursor:default"
-    rules = f"{at}{{{look}}}{label}{{font-weight:{500 if can else 400}!important}}"
+    rules = f"{selector}{{{look}}}{label}{{font-weight:{500 if can else 400}!important}}"
     hidden = "position:absolute;width:1px;height:1px;overflow:hidden;clip-path:inset(50%)"
     rules += f"@media(max-width:{WIDE_PX - 1}px){{{label}{{{hidden}}}{sign}{{margin:0}}}}"
     mark = _LOCK if not can else _TICK if done(step, snapshot) else ""
@@ -245,10 +245,10 @@ def _tips(ids: dict[Step, str], current: Step, snapshot: Snapshot) -> Markup:
     tips, rules, ties = "", "", list[tuple[str, str, bool, bool]]()
     for step, uuid in ids.items():
         why = why_not(step, snapshot)
-        said = f"Not yet: {why}" if why is not None else "Done." if done(step, snapshot) else ""
+        state = f"Not yet: {why}" if why is not None else "Done." if done(step, snapshot) else ""
         tip = f"wv-tip-{step}"
         tips += Markup('<div class="wv-tip" role="tooltip" id="{}"><b>{}</b><span>{}</span></div>').format(
-            tip, TITLES[step], said
+            tip, TITLES[step], state
         )
         rules += f"body:has({by_id(uuid)}:is(:hover,:focus-visible)) #{tip}{{visibility:visible}}"
         ties.append((uuid, tip, why is not None, step == current))
@@ -304,10 +304,10 @@ def _pill_over(snapshot: Snapshot, view: View) -> Markup:
     if data is None or not data.imported or data.simulated or not view.on_surface or not at_rest:
         return _pill(rig)
     state = f"{rig.name}{', simulated' if rig.simulated else ''}: {rig.state}"
-    told = f"The data were taken elsewhere. {state}."
+    title = f"The data were taken elsewhere. {state}."
     return Markup(
         '<span class="wv-pill imported" title="{}"><i></i><span><em>Imported</em> · no rig</span></span>'
-    ).format(told)
+    ).format(title)
 
 
 def _pill(rig: RigStatus) -> Markup:

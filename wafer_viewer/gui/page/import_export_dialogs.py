@@ -135,27 +135,33 @@ def export_dialog(page: Page) -> None:
     snapshot, field = page.session.snapshot, page.view.show or None
     data, info = snapshot.dataset, snapshot.surface if field is None else None
     stem = f"{data.path.stem if data else 'surface'}{_ending_of(field)}"
-    told, box_um = page.statistics, page.counted_um
+    statistics, box_um = page.statistics, page.counted_um
     part = Region.rectangle(*box_um) if box_um is not None else None
     dialog = Dialog(page, "Export the surface", f"Writes: {surface_name(page.view)}.")
-    size = (told.rows, told.cols, told.pixel_um) if told else (info.rows, info.cols, info.pixel_um) if info else None
+    size = (
+        (statistics.rows, statistics.cols, statistics.pixel_um)
+        if statistics
+        else (info.rows, info.cols, info.pixel_um)
+        if info
+        else None
+    )
     with dialog.modal:
         first = next(iter(WRITTEN_TITLES.values()))
         files = FileList(dialog, "any", rows=6, saving=f"{stem}{first}", ending=first)
         kind = page.gui.add_dropdown("Format", tuple(WRITTEN_TITLES))
         every = page.gui.add_number("One pixel in", 1, min=1, max=1000, step=1)
-        said = HtmlBlock(page.gui, _said(first, 1, size))
+        description = HtmlBlock(page.gui, _description(first, 1, size))
 
     @kind.on_update
     def _(_: Any) -> None:
         ending = WRITTEN_TITLES[kind.value]
         files.save_as(f"{Path(files.field.value).stem}{ending}", ending)
         every.value = every_for(size[:2], MESH_POINTS) if size and BY_SUFFIX[ending].is_mesh else 1
-        said.show(_said(ending, every.value, size))
+        description.show(_description(ending, every.value, size))
 
     @every.on_update
     def _(_: Any) -> None:
-        said.show(_said(WRITTEN_TITLES[kind.value], every.value, size))
+        description.show(_description(WRITTEN_TITLES[kind.value], every.value, size))
 
     def write() -> None:
         target = files.target()
@@ -168,7 +174,7 @@ def export_dialog(page: Page) -> None:
     dialog.answers("Export", viser.Icon.DOWNLOAD, write, "Export failed", needs_control=False)
 
 
-def _said(ending: str, every: float, size: tuple[int, int, float] | None) -> Markup:
+def _description(ending: str, every: float, size: tuple[int, int, float] | None) -> Markup:
     """Return output size and losses of the format. size: rows, columns, µm per pixel of the surface, or None."""
     written = ""
     if size is not None:

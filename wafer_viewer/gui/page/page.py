@@ -59,7 +59,7 @@ class Page:
         self.recalled = Remembered()
         self._restored = False
         asking = ThreadPoolExecutor(1, thread_name_prefix="recall")
-        self._asked = asking.submit(browser_storage.recall, client)  # the browser answers while the parts are made
+        self._recalling = asking.submit(browser_storage.recall, client)  # the browser answers while the parts are made
         asking.shutdown(wait=False)
         self.notices: tuple[Fault, ...] = ()
         self.as_of_s = 0.0
@@ -73,7 +73,7 @@ class Page:
         self._picks: dict[str, Callable[[Any], Any]] = {}
         self._last_pick = 0
         self._at_close: list[Callable[[], None]] = []
-        self._told: dict[str, viser.NotificationHandle | None] = {
+        self._notifications: dict[str, viser.NotificationHandle | None] = {
             fault.id: None for fault in session.snapshot.faults if not fault.needs_person
         }
         self._lock = threading.Lock()
@@ -201,8 +201,8 @@ class Page:
 
     def notes(self, snapshot: Snapshot) -> Markup:
         """Return all open notes as HTML, the newest first."""
-        told = {(f.title, f.text) for f in snapshot.faults}
-        own = tuple(n for n in self.notices if (n.title, n.text) not in told)
+        reported = {(f.title, f.text) for f in snapshot.faults}
+        own = tuple(n for n in self.notices if (n.title, n.text) not in reported)
         return Markup("").join(_note(fault) for fault in reversed((*snapshot.faults, *own)))
 
     def _note_down(self, notices: tuple[Fault, ...]) -> None:
@@ -212,7 +212,7 @@ class Page:
         self._due.set()
 
     def _notify(self, fault: Fault) -> None:
-        self._told[fault.id] = self.client.add_notification(
+        self._notifications[fault.id] = self.client.add_notification(
             fault.title,
             with_micro_sign(fault.text),
             auto_close_seconds=None if fault.needs_person else 8.0,
@@ -259,7 +259,7 @@ class Page:
             guarded(self, "A part of the page could not be drawn")(part.show)(snapshot, view)
 
     def _recall(self) -> None:
-        self.recalled = recalled = self._asked.result()
+        self.recalled = recalled = self._recalling.result()
         self.view = recalled.view
         if recalled.browser.key:
             self.browser = recalled.browser
@@ -280,10 +280,10 @@ class Page:
         """Notify of every new note (after a reload, again of those that need action); remove those of settled notes."""
         standing = (*snapshot.faults, *self.notices)
         for fault in standing:
-            if fault.id not in self._told:
+            if fault.id not in self._notifications:
                 self._notify(fault)
-        for settled in set(self._told) - {fault.id for fault in standing}:
-            if (notification := self._told.pop(settled)) is not None:
+        for settled in set(self._notifications) - {fault.id for fault in standing}:
+            if (notification := self._notifications.pop(settled)) is not None:
                 notification.remove()
 
 

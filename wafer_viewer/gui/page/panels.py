@@ -38,9 +38,9 @@ class BottomPanel:
 
     def show(self, view: View) -> bool:
         """Show or hide the panel by the view; return whether it is visible."""
-        there = view.below == self._curve
-        set_prop(self._panel, "visible", there)
-        return there
+        visible = view.below == self._curve
+        set_prop(self._panel, "visible", visible)
+        return visible
 
     def _follow(self, width_px: int) -> None:
         """Match the width of the scene, which depends on the side panels."""
@@ -102,14 +102,14 @@ def state_of(work: Work, snapshot: Snapshot) -> str:
             return "queued: waiting for the workers"
         return f"queued: waiting for {work.waits_for}" if work.waits_for else "running"
     left_s = work.seconds_left
-    left = f"{duration(left_s)} left · " if left_s is not None and left_s >= HINT_S else ""
-    return left + share(work.fraction, 0)
+    remaining = f"{duration(left_s)} left · " if left_s is not None and left_s >= HINT_S else ""
+    return remaining + share(work.fraction, 0)
 
 
 def _job(work: Work, snapshot: Snapshot) -> Markup:
     name = f"Cancel: {work.title}"
-    told = Markup('title="{}" aria-label="{}" {}').format(name, name, html.command_pick("cancel", work.id))
-    link = Markup('<span class="wv-link" {}>{}</span>').format(told, html.icon(viser.Icon.X, 14))
+    label = Markup('title="{}" aria-label="{}" {}').format(name, name, html.command_pick("cancel", work.id))
+    link = Markup('<span class="wv-link" {}>{}</span>').format(label, html.icon(viser.Icon.X, 14))
     stop = link if work.cancellable else Markup('<span class="dim">stopping</span>') if work.stopping else Markup()
     waits = work.fraction is None and (bool(work.waits_for) or not snapshot.compute_ready)
     bar = "" if waits else html.bar(work.fraction)

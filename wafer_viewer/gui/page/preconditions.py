@@ -85,7 +85,7 @@ def surface_not_shown(snapshot: Snapshot, view: View) -> str | None:
     return missing or (None if view.on_surface else "the surface is not shown: go to Surface first.")
 
 
-def no_way_to(step: Step) -> Obstacle:
+def cannot_go_to(step: Step) -> Obstacle:
     """Return the precondition that `step` is available."""
     return lambda snapshot, _: why_not(step, snapshot)
 
@@ -96,7 +96,7 @@ def require_step(step: Step) -> Obstacle:
     def why_not(snapshot: Snapshot, view: View) -> str | None:
         if view.step == step:
             return None
-        return no_way_to(step)(snapshot, view) or f"go to {TITLES[step]} first."
+        return cannot_go_to(step)(snapshot, view) or f"go to {TITLES[step]} first."
 
     return why_not
 
@@ -108,7 +108,7 @@ def no_comparison(_: Snapshot, view: View) -> str | None:
 
 def no_defects(snapshot: Snapshot, view: View) -> str | None:
     """Require that the step Review is available."""
-    return no_way_to("review")(snapshot, view)
+    return cannot_go_to("review")(snapshot, view)
 
 
 def no_defect(snapshot: Snapshot, view: View) -> str | None:
@@ -121,8 +121,8 @@ def no_defect(snapshot: Snapshot, view: View) -> str | None:
 
 def nothing_inspected(snapshot: Snapshot, view: View) -> str | None:
     """Require the step Review and an inspection."""
-    there = snapshot.inspection.inspection is not None
-    return require_step("review")(snapshot, view) or (None if there else "the surface has not been inspected yet.")
+    inspected = snapshot.inspection.inspection is not None
+    return require_step("review")(snapshot, view) or (None if inspected else "the surface has not been inspected yet.")
 
 
 def no_line(_: Snapshot, view: View) -> str | None:
@@ -152,11 +152,11 @@ def no_result(snapshot: Snapshot, view: View) -> str | None:
 
 def nothing_to_undo(snapshot: Snapshot, view: View) -> str | None:
     """Require a change to undo in the current step."""
-    of = {"plan": snapshot.draft.can_undo, "acquire": snapshot.draft.can_undo, "measure": snapshot.findings_undo}
-    return None if of.get(view.step, can_undo(snapshot, view)) else f"nothing was changed in {TITLES[view.step]}."
+    undoable = {"plan": snapshot.draft.can_undo, "acquire": snapshot.draft.can_undo, "measure": snapshot.findings_undo}
+    return None if undoable.get(view.step, can_undo(snapshot, view)) else f"nothing was changed in {TITLES[view.step]}."
 
 
 def nothing_to_redo(snapshot: Snapshot, view: View) -> str | None:
     """Require a change to redo in the current step."""
-    of = {"plan": snapshot.draft.can_redo, "acquire": snapshot.draft.can_redo, "measure": snapshot.findings_redo}
-    return None if of.get(view.step, can_redo(snapshot, view)) else f"nothing was undone in {TITLES[view.step]}."
+    redoable = {"plan": snapshot.draft.can_redo, "acquire": snapshot.draft.can_redo, "measure": snapshot.findings_redo}
+    return None if redoable.get(view.step, can_redo(snapshot, view)) else f"nothing was undone in {TITLES[view.step]}."

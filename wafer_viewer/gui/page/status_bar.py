@@ -45,14 +45,14 @@ class StatusStrip:
     def show(self, snapshot: Snapshot, view: View) -> None:
         """Update the status bar."""
         today = datetime.date.today()
-        said = [
+        entries = [
             sample(job_shown(snapshot, view)),
             motion(snapshot.rig),
             calibration(snapshot, view, today),
             *surface(snapshot.surface if view.on_surface else None, self._page.statistics, view),
             placement(snapshot.surface if view.on_surface else None),
         ]
-        items = [_item(*words) for words in said if words[0]]
+        items = [_item(*words) for words in entries if words[0]]
         left = Markup("").join([*items, Markup('<span class="wv-xyz">{}</span>').format(where(snapshot.rig))])
         right = _controls(snapshot.control, self._page.browser.key)
         self._strip.show(Markup('<div class="wv-strip" role="contentinfo"><div>{}</div>{}</div>').format(left, right))
@@ -112,14 +112,16 @@ def calibration_due(made: Calibration | None, today: datetime.date) -> Words:
     return (f"Calibrated, due in {_days(days)}" if days <= FAR_DAYS else f"Calibrated until {made.due}"), "", more
 
 
-def surface(info: SurfaceInfo | None, told: Statistics | None = None, view: View | None = None) -> tuple[Words, Words]:
-    """Return filter state and missing fraction of the heights; `told`: statistics of the displayed part."""
+def surface(
+    info: SurfaceInfo | None, statistics: Statistics | None = None, view: View | None = None
+) -> tuple[Words, Words]:
+    """Return filter state and missing fraction of the heights; `statistics`: statistics of the displayed part."""
     if info is None:
         return ("", "", ""), ("", "", "")
     smooth = info.settled is not None and info.settled.levy.mode != "none"
     done = "Filtered heights" if smooth else "Measured heights"
-    counted = told if told is not None else info
-    if told is None and view is not None and view.show:
+    counted = statistics if statistics is not None else info
+    if statistics is None and view is not None and view.show:
         return (done, "", f"Result {info.result}."), ("", "", "")
     filled = f", {share(counted.filled_fraction)} filled" if counted.filled_fraction else ", none filled"
     reasons = ", ".join(f"{why} {share(part)}" for why, part in counted.unmeasured)
@@ -130,10 +132,10 @@ def surface(info: SurfaceInfo | None, told: Statistics | None = None, view: View
 def where(rig: RigStatus) -> Markup:
     """Return the stage position in mm as HTML, for the header, or for the status bar in narrow windows."""
     axes = (("X", rig.x_um), ("Y", rig.y_um), ("Z", rig.z_um))
-    said = Markup("").join(
+    position = Markup("").join(
         Markup("{}&nbsp;<span>{}</span> ").format(axis, number(um / 1000, 4, signed=True)) for axis, um in axes
     )
-    return said + f"{THIN}mm"
+    return position + f"{THIN}mm"
 
 
 def placement(info: SurfaceInfo | None) -> Words:
@@ -162,11 +164,11 @@ def _controls(control: ControlState, key: str) -> Markup:
     who = "You hold the controls" if control.holds(key) else (control.why_not(key) or "").rstrip(".")
     sign = html.icon(viser.Icon.HAND_STOP if control.holds(key) else viser.Icon.EYE, 14)
     look = "mine" if control.holds(key) else "theirs"
-    told = Markup('title="{}: who is there, your name, and how to ask for the controls" {}').format(
+    label = Markup('title="{}: who is there, your name, and how to ask for the controls" {}').format(
         who, html.pick("hands")
     )
-    return Markup('<span class="wv-hand {look}" {told}>{sign}{who}</span>').format(
-        look=look, told=told, sign=sign, who=who + others
+    return Markup('<span class="wv-hand {look}" {label}>{sign}{who}</span>').format(
+        look=look, label=label, sign=sign, who=who + others
     )
 
 
@@ -187,7 +189,7 @@ class Reopened:
 def _words(snapshot: Snapshot, view: View) -> Markup:
     data = snapshot.dataset
     name = sample(job_shown(snapshot, view))[0] or (data.path.stem if data is not None else "an unfinished plan")
-    said = f"Reopened from last time: {name}. Another sample may be on the stage now."
+    text = f"Reopened from last time: {name}. Another sample may be on the stage now."
     yes = Markup('<span class="wv-link" {}>It is this sample</span>').format(html.command_pick("confirm-sample"))
     sign = html.icon(viser.Icon.ALERT_TRIANGLE, 18)
-    return html.note("attention", "Nothing moves before you confirm the sample", said, yes, sign)
+    return html.note("attention", "Nothing moves before you confirm the sample", text, yes, sign)

@@ -42,10 +42,10 @@ def _stopped(page: Page, anything: bool, was_scanning: bool) -> None:
 
 def _ask_what_next(page: Page, data: OpenDataset) -> None:
     """Ask whether to continue or end the scan; close the dialog when it no longer applies."""
-    said = (
+    text = (
         f"{complete_fields_sentence(data)} To continue takes only the missing frames; that is possible later as well."
     )
-    dialog = Dialog(page, "The scan is stopped", said)
+    dialog = Dialog(page, "The scan is stopped", text)
     dialog.answers(
         "Continue the scan",
         viser.Icon.PLAYER_PLAY,

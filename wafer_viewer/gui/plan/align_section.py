@@ -76,13 +76,13 @@ def corner_picture(overview: Overview | None, job: Job, marked_um: tuple[Place |
     square, row, col, side_px = square_round(overview, expected)
     url = patch_url(overview.image, row, col, side_px, greys(overview.image))
     name = f"Click corner {n + 1}: {job.marks.places[n].name}"
-    at = f"{n};{square.left_um!r};{square.top_um!r};{square.side_um!r}"
+    key = f"{n};{square.left_um!r};{square.top_um!r};{square.side_um!r}"
     return Markup(
-        '<div class="wv-corner" aria-label="{name}" title="{name}" data-at="{at}" {pick}><img src="{url}" alt="">'
+        '<div class="wv-corner" aria-label="{name}" title="{name}" data-at="{key}" {pick}><img src="{url}" alt="">'
         "{cross}{cross2}</div>"
     ).format(
         name=name,
-        at=at,
+        key=key,
         pick=_pick(),
         url=url,
         cross=_cross(square.shares(expected), "due"),
@@ -105,8 +105,8 @@ def _pick() -> Markup:
     )
 
 
-def _cross(at: tuple[float, float], kind: str) -> Markup:
-    return Markup('<i class="{}" style="left:{:.2f}%;top:{:.2f}%"></i>').format(kind, 100 * at[0], 100 * at[1])
+def _cross(shares: tuple[float, float], kind: str) -> Markup:
+    return Markup('<i class="{}" style="left:{:.2f}%;top:{:.2f}%"></i>').format(kind, 100 * shares[0], 100 * shares[1])
 
 
 FAILED = "The corner was not marked"
@@ -185,9 +185,9 @@ class AlignSection:
             self._body.show("")
             set_prop(self._by_stage, "visible", False)
             return
-        n_seen = sum(place is not None for place in draft.marked_um)
+        n_marked = sum(place is not None for place in draft.marked_um)
         aligned = job.alignment is not None and self._aligning.chosen is None
-        self._head.show(html.head(self._title, f"{n_seen} of {len(marks.places)} corners marked"))
+        self._head.show(html.head(self._title, f"{n_marked} of {len(marks.places)} corners marked"))
         corner = self._aligning.corner(draft)
         self._body.show(_fit(job) if aligned else _corner(snapshot, job, draft.marked_um, corner))
         set_prop(self._by_stage, "visible", not aligned)
@@ -197,11 +197,11 @@ class AlignSection:
 
 def _fit(job: Job) -> Markup:
     """Return the residual of the alignment, with its limit."""
-    found, marks = job.alignment, job.marks
-    if found is None or marks is None:
+    alignment, marks = job.alignment, job.marks
+    if alignment is None or marks is None:
         return Markup()
-    good = found.residual_um <= marks.limit_um
-    words = f"{found.n_marks} corners, residual {with_unit(found.residual_um, 1)} of {with_unit(marks.limit_um, 0)}"
+    good = alignment.residual_um <= marks.limit_um
+    words = f"{alignment.n_marks} corners, residual {with_unit(alignment.residual_um, 1)} of {with_unit(marks.limit_um, 0)}"
     again = Markup('<span class="wv-link" {}>Mark again</span>').format(html.command_pick("unmark"))
     text = "" if good else "Too large: mark the named corners again."
     sign = html.icon(viser.Icon.CIRCLE_CHECK if good else viser.Icon.HAND_STOP, 18)
@@ -226,8 +226,8 @@ def _corner(snapshot: Snapshot, job: Job, marked_um: tuple[Any, ...], n: int) ->
     )
 
 
-def _chip(k: int, current: int, seen: bool) -> Markup:
-    sign = html.icon(viser.Icon.CHECK, 13) if seen else ""
+def _chip(k: int, current: int, marked: bool) -> Markup:
+    sign = html.icon(viser.Icon.CHECK, 13) if marked else ""
     chosen = Markup(' class="on"') if k == current else Markup()
     return Markup("<span{chosen} {pick}>{sign}Corner {k}</span>").format(
         chosen=chosen, pick=html.pick("corner", k), sign=sign, k=k + 1

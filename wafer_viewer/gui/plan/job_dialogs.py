@@ -98,7 +98,10 @@ def corners_dialog(page: Page) -> None:
         limit = gui.add_number("Limit, µm", marks.limit_um, min=0.1, step=0.5)
 
     def keep() -> None:
-        places = tuple(AlignmentMark(name=name.value.strip(), x_um=at.value[0], y_um=at.value[1]) for name, at in rows)
+        places = tuple(
+            AlignmentMark(name=name.value.strip(), x_um=position.value[0], y_um=position.value[1])
+            for name, position in rows
+        )
         edit(page, marks=Marks(places=places, limit_um=limit.value), alignment=None)
 
     dialog.answers("Keep", viser.Icon.CHECK, keep, "The corners were not changed")
@@ -137,8 +140,8 @@ def release_dialog(page: Page) -> None:
         edit(page, then=write, product=product.value.strip(), revision=revision.value.strip())
 
     def write(_: Any) -> None:
-        told = "The job was not released"
-        page.ask(told, page.session.jobs.release(), lambda path: page.say("Released", str(path)))
+        failed = "The job was not released"
+        page.ask(failed, page.session.jobs.release(), lambda path: page.say("Released", str(path)))
 
     dialog.answers("Release", viser.Icon.LOCK, release, "The job was not released")
 
@@ -226,12 +229,12 @@ def within_fields(lattice: Dies, job: Job) -> Dies:
     if job.grid is None:
         return lattice
     fields = [_box(f.x_um, f.y_um, job.grid.field_width_um, job.grid.field_height_um) for f in job.grid.fields()]
-    seen = tuple(die for die in lattice.all() if all(_in_any(x, y, fields) for x, y in _places(die, lattice)))
-    if not seen:
+    listed = tuple(die for die in lattice.all() if all(_in_any(x, y, fields) for x, y in _places(die, lattice)))
+    if not listed:
         raise PlanError(
             "No die of this lattice lies within the fields of the plan: correct the lattice, or add fields."
         )
-    return Dies(width_um=lattice.width_um, height_um=lattice.height_um, listed=seen)
+    return Dies(width_um=lattice.width_um, height_um=lattice.height_um, listed=listed)
 
 
 def lattice_of(dies: Dies) -> Dies:
@@ -262,7 +265,7 @@ def relative_to_die(places: tuple[Region, ...], dies: Dies) -> tuple[Region, ...
 
 def _lattice(corners: list[tuple[float, float]], width_um: float, height_um: float) -> Dies:
     xs, ys = (sorted({round(corner[k], 1) for corner in corners}) for k in (0, 1))
-    pitch_x, pitch_y = ((of[1] - of[0]) if len(of) > 1 else 0.0 for of in (xs, ys))
+    pitch_x, pitch_y = ((values[1] - values[0]) if len(values) > 1 else 0.0 for values in (xs, ys))
     return Dies(
         width_um=round(width_um, 1),
         height_um=round(height_um, 1),
@@ -312,7 +315,7 @@ class FeatureDialog:
         self._options: ToolOptions | None = old.options if old else None
         self._was_per_die = old.per_die if old else False
         self._dies = required_job(page).dies
-        self._kept = kept_features(page.session.snapshot)
+        self._stored = kept_features(page.session.snapshot)
         dialog = Dialog(page, "Feature", FEATURE_TEXT)
         with dialog.modal:
             self._ask_what()
@@ -324,7 +327,7 @@ class FeatureDialog:
     def _ask_what(self) -> None:
         gui, old = self._page.gui, self._old
         self._name = gui.add_text("Name", old.name if old else "")
-        self._source = gui.add_dropdown("Measured as", (AS_BEFORE if old else BY_HAND, *self._kept))
+        self._source = gui.add_dropdown("Measured as", (AS_BEFORE if old else BY_HAND, *self._stored))
         self._quantity = gui.add_dropdown("Quantity", ((old.quantity if old else "") or MAIN,))
         self._what = HtmlBlock(gui)
         self._source.on_update(guarded(self._page, STAYS)(lambda _: self._take()))
@@ -372,7 +375,7 @@ class FeatureDialog:
         self._what.show(Markup('<div class="wv-lab">{}</div>').format(html.with_micro_sign(words)))
 
     def _chosen(self) -> KeptFeature | None:
-        return self._kept.get(self._source.value)
+        return self._stored.get(self._source.value)
 
     @property
     def _quantity_name(self) -> str:
@@ -381,12 +384,12 @@ class FeatureDialog:
     def _keep(self) -> None:
         page, features = self._page, required_job(self._page).features
         made = self._made(f"{TOOLS[self._tool].title} {len(features) + 1}")
-        kept = (*features, made) if self._n is None else (*features[: self._n], made, *features[self._n + 1 :])
-        edit(page, features=kept)
+        changed = (*features, made) if self._n is None else (*features[: self._n], made, *features[self._n + 1 :])
+        edit(page, features=changed)
 
     def _made(self, unnamed: str) -> Feature:
         """Return the feature of the form. Raises PlanError if it is invalid."""
-        places = self._asked_places()
+        places = self._required_places()
         return Feature(
             name=self._name.value.strip() or unnamed,
             tool=self._tool,
@@ -401,7 +404,7 @@ class FeatureDialog:
             options=self._options,
         )
 
-    def _asked_places(self) -> tuple[Region, ...]:
+    def _required_places(self) -> tuple[Region, ...]:
         """Return the regions on the wafer or relative to a die's corner; convert them only if that choice changed."""
         places = tuple(_region(h) for h in (self._upper, self._lower)) if self._tool == "step" else self._places
         if not places:

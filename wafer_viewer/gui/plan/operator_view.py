@@ -47,10 +47,10 @@ class OperatorView:
     def show(self, snapshot: Snapshot, view: View, checks: tuple[PreflightCheck, ...]) -> None:
         """Update the view; it is visible only if the plan is a released job and the full form is folded."""
         job = snapshot.draft.job
-        there = view.step == "plan" and folded(snapshot, view)
-        set_prop(self._folder, "visible", there)
-        self._align.show(snapshot, there)
-        if job is None or not there:
+        visible = view.step == "plan" and folded(snapshot, view)
+        set_prop(self._folder, "visible", visible)
+        self._align.show(snapshot, visible)
+        if job is None or not visible:
             self._focus.show("")
             return
         self._title.show(_title(snapshot, job))

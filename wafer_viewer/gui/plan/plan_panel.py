@@ -254,8 +254,8 @@ class PlanPanel:
             self._show_everything(snapshot, snapshot.draft, checks)
         why = self._why_not(snapshot, checks)
         set_prop(self._start, "disabled", why is not None)
-        told = bool(stops(checks)) and folded(snapshot, view)
-        self._foot.show("" if told else words.start_hint(snapshot.draft, why))
+        explained = bool(stops(checks)) and folded(snapshot, view)
+        self._foot.show("" if explained else words.start_hint(snapshot.draft, why))
 
     def start(self) -> None:
         """Start the scan and go to Acquire; ask for confirmation first if a preflight check is open."""

@@ -93,8 +93,8 @@ def _dies(dies: Dies | None) -> Markup:
     """Return number and size of the dies; empty if none are defined."""
     if dies is None:
         return Markup()
-    told = f"{len(dies.all())} of {number(dies.width_um, 0)} × {number(dies.height_um, 0)} µm"
-    return html.head("Dies", told)
+    summary = f"{len(dies.all())} of {number(dies.width_um, 0)} × {number(dies.height_um, 0)} µm"
+    return html.head("Dies", summary)
 
 
 def _features(job: Job) -> Markup:

@@ -67,7 +67,7 @@ def below(defect: Defect) -> str:
     return f"{where} · {place} · {by}"
 
 
-def said(defect: Defect) -> str:
+def verdict_reason(defect: Defect) -> str:
     """Describe score and reasons of detection and classification."""
     repeats = ("on every die: compare with a golden die",) if defect.repeats else ()
     small = () if defect.size_resolved else ("detected, size not resolved",)
@@ -110,13 +110,13 @@ def facts(inspection: Inspection) -> Markup:
 def unknown(inspection: Inspection) -> Markup:
     """Return a warning on dies and areas not inspected; empty if everything was inspected."""
     blind = [die for die in inspection.dies if die.state not in ("whole", "missing")]
-    told = [f"{n} {'die' if n == 1 else 'dies'} {state}" for state, n in Counter(d.state for d in blind).items()]
+    causes = [f"{n} {'die' if n == 1 else 'dies'} {state}" for state, n in Counter(d.state for d in blind).items()]
     if inspection.unmeasured_mm2 > 0:
-        told.append(f"{number(inspection.unmeasured_mm2, 2)} mm² unmeasured")
-    if not told:
+        causes.append(f"{number(inspection.unmeasured_mm2, 2)} mm² unmeasured")
+    if not causes:
         return Markup()
-    said = f"{', '.join(told)}: these parts were not inspected."
-    return Markup('<div class="wv-blind">{}</div>').format(html.note("attention", "Not all of it was inspected", said))
+    text = f"{', '.join(causes)}: these parts were not inspected."
+    return Markup('<div class="wv-blind">{}</div>').format(html.note("attention", "Not all of it was inspected", text))
 
 
 def nothing_found(inspection: Inspection) -> Markup:
@@ -155,11 +155,11 @@ def classes(defect: Defect) -> Markup:
 
 
 def _facts(inspection: Inspection) -> list[str]:
-    found, area = len(inspection.found), inspection.inspected_mm2
-    density = f", {number(found / area, 2)} per mm²" if area > 0 else ""
+    n_found, area = len(inspection.found), inspection.inspected_mm2
+    density = f", {number(n_found / area, 2)} per mm²" if area > 0 else ""
     words = {True: "SIMULATED · ", False: ""}[inspection.simulated]
     return [
-        f"{words}{found} on {number(area, 2)} mm²{density} · {REFERENCES[inspection.reference]}",
+        f"{words}{n_found} on {number(area, 2)} mm²{density} · {REFERENCES[inspection.reference]}",
         f"Over {number(inspection.threshold_sigma, 1)} times the noise; expected to be false by noise alone: "
         f"{per_mm2(inspection.expected_false_per_mm2)}",
         *inspection.notes,
@@ -169,7 +169,7 @@ def _facts(inspection: Inspection) -> list[str]:
 VERDICT_OF: dict[Judgement, Verdict] = {"open": "open", "real": "accepted", "nuisance": "rejected"}
 JUDGEMENT_OF: dict[Verdict, Judgement] = {verdict: judgement for judgement, verdict in VERDICT_OF.items()}
 """Defect judgement by review verdict: an accepted defect is real."""
-_known: dict[int, tuple[Defect, ReviewItem]] = {}
+_items: dict[int, tuple[Defect, ReviewItem]] = {}
 """Cache of review items by defect number: a judgement changes one of thousands."""
 
 
@@ -212,10 +212,10 @@ def _listed(state: InspectionState, listing: DefectListing) -> tuple[ReviewItem,
 
 
 def _item(defect: Defect) -> ReviewItem:
-    known = _known.get(defect.number)
-    if known is None or known[0] is not defect:
-        known = _known[defect.number] = defect, _made(defect)
-    return known[1]
+    cached = _items.get(defect.number)
+    if cached is None or cached[0] is not defect:
+        cached = _items[defect.number] = defect, _made(defect)
+    return cached[1]
 
 
 def _made(defect: Defect) -> ReviewItem:
@@ -232,7 +232,7 @@ def _made(defect: Defect) -> ReviewItem:
         box_um=bounds_of(defect),
         show=defect.show,
         levelling=defect.levelling,
-        said=said(defect),
+        reason=verdict_reason(defect),
         defect=defect.number,
         shape=look.shape,
     )
@@ -272,20 +272,20 @@ def map_head(listing: DefectListing) -> Markup:
 def map_html(
     frame: MapViewport,
     inspection: Inspection,
-    there: Sequence[Defect],
+    defects: Sequence[Defect],
     listing: DefectListing,
     outline_um: Outline = (),
     over: str = "",
 ) -> Markup:
-    """Return the map of dies with the defects `there`, and its legend; the SVG `over` is drawn on top."""
-    many, by_class = len(there) > MOST_SIGNS, listing.map_by == "class"
-    fills = fills_by_count(counts_of(there)) if not by_class else fills_by_class(there) if many else {}
+    """Return the map of dies with the defects `defects`, and its legend; the SVG `over` is drawn on top."""
+    many, by_class = len(defects) > MOST_SIGNS, listing.map_by == "class"
+    fills = fills_by_count(counts_of(defects)) if not by_class else fills_by_class(defects) if many else {}
     shapes = die_shapes(frame, inspection, fills, outline_um=outline_um, chosen=listing.die)
-    signs = Markup("").join(_sign(frame, defect) for defect in there) if by_class and not many else ""
+    signs = Markup("").join(_sign(frame, defect) for defect in defects) if by_class and not many else ""
     kinds = kinds_of(inspection.dies).items()
     legend = html.legend((look_svg(kind), f"{number(n, 0)} {kind}") for kind, n in kinds)
-    said = "Each die has the colour of its commonest class." if by_class and many else ""
-    below = Markup('<div class="wv-lab">{}</div>').format(said) if said else Markup()
+    note = "Each die has the colour of its commonest class." if by_class and many else ""
+    below = Markup('<div class="wv-lab">{}</div>').format(note) if note else Markup()
     return Markup('<div class="wv-dies-and">{}{}</div>{}').format(_svg(frame, shapes + signs + over), legend, below)
 
 
@@ -321,7 +321,7 @@ def other_signs(frame: MapViewport, other: OtherTool) -> Markup:
 
 
 def _sign(frame: MapViewport, defect: Defect) -> Markup:
-    look, at = DEFECT_CLASSES[defect.seen_as], (frame.x(defect.center.x_um), frame.y(defect.center.y_um))
+    look, centre = DEFECT_CLASSES[defect.seen_as], (frame.x(defect.center.x_um), frame.y(defect.center.y_um))
     faint = Markup() if defect.judgement == "open" else Markup(' opacity="{}"').format(JUDGED_OPACITY)
     return Markup(
         '<g data-d="{data_d}" class="wv-go"{faint} stroke="var(--panel)" stroke-width="1.2" '
@@ -333,7 +333,7 @@ def _sign(frame: MapViewport, defect: Defect) -> Markup:
         number=defect.number,
         title=look.title,
         judged=JUDGED[defect.judgement],
-        symbol=symbol(look.shape, look.colour, *at, 3.6),
+        symbol=symbol(look.shape, look.colour, *centre, 3.6),
     )
 
 
@@ -374,8 +374,8 @@ def pareto_html(defects: Iterable[Defect], chosen: str) -> Markup:
     Unmeasured areas are no defects and have no share.
     """
     kinds: list[DefectClass] = [defect.seen_as for defect in defects]
-    found: list[DefectClass] = [kind for kind in kinds if kind != "unmeasured"]
-    bars = pareto(found)
+    classes: list[DefectClass] = [kind for kind in kinds if kind != "unmeasured"]
+    bars = pareto(classes)
     rows = [_class_row(bar.kind, bar.count, chosen, _bar(bar), f"{number(100 * bar.cumulated, 0)} %") for bar in bars]
     if (unmeasured := kinds.count("unmeasured")) > 0:
         rows.append(_class_row("unmeasured", unmeasured, chosen, Markup("<i></i>"), ""))
@@ -409,11 +409,11 @@ def _class_row(kind: DefectClass, n: int, chosen: str, bar: str, cumulated: str)
 
 def _bar(bar: Bar) -> Markup:
     """Return the bar with the share of a class, and in a paler colour the cumulative share."""
-    told = f"{number(100 * bar.share, 0)} % of all, {number(100 * bar.cumulated, 0)} % with those above"
+    title = f"{number(100 * bar.share, 0)} % of all, {number(100 * bar.cumulated, 0)} % with those above"
     return Markup(
-        '<i title="{told}"><i style="width:{width:.1f}%"></i>'
+        '<i title="{title}"><i style="width:{width:.1f}%"></i>'
         '<i style="width:{width2:.1f}%;background:{colour}"></i></i>'
-    ).format(told=told, width=100 * bar.cumulated, width2=100 * bar.share, colour=DEFECT_CLASSES[bar.kind].colour)
+    ).format(title=title, width=100 * bar.cumulated, width2=100 * bar.share, colour=DEFECT_CLASSES[bar.kind].colour)
 
 
 MOST_ROWS, ROWS_BEFORE = 40, 2
@@ -424,8 +424,8 @@ JUDGED_BRIEFLY = {"open": "open", "accepted": "real", "rejected": "not a defect"
 def rows_of(items: Sequence[ReviewItem], now: ReviewItem | None) -> Sequence[ReviewItem]:
     """Return the items to show: from shortly before the one under review, which is always visible."""
     keys = [item.key for item in items]
-    at = keys.index(now.key) if now is not None and now.key in keys else 0
-    first = max(0, at - ROWS_BEFORE)
+    index = keys.index(now.key) if now is not None and now.key in keys else 0
+    first = max(0, index - ROWS_BEFORE)
     return items[first : first + MOST_ROWS]
 
 
@@ -463,13 +463,13 @@ def sorting(listing: DefectListing, inspection: Inspection) -> Markup:
 def _alone(listing: DefectListing, inspection: Inspection) -> Markup:
     """Return the active filters with a link that clears them; empty if everything is listed."""
     state = next((die.word for die in inspection.dies if die.name == listing.die), "")
-    told = [f"Die {listing.die} ({state})" if state else f"Die {listing.die}"] if listing.die else []
-    told += [DEFECT_CLASSES[kind].title for kind in DEFECT_CLASSES if kind == listing.kind]
-    told += [f"{len(listing.numbers)} of one place on the dies"] if listing.numbers else []
+    filters = [f"Die {listing.die} ({state})" if state else f"Die {listing.die}"] if listing.die else []
+    filters += [DEFECT_CLASSES[kind].title for kind in DEFECT_CLASSES if kind == listing.kind]
+    filters += [f"{len(listing.numbers)} of one place on the dies"] if listing.numbers else []
     link = Markup('<span class="wv-link" {}>all</span>').format(html.pick("defect-all"))
     return (
-        Markup('<div class="wv-lab wv-alone">{} alone · {}</div>').format(Markup(" · ").join(told), link)
-        if told
+        Markup('<div class="wv-lab wv-alone">{} alone · {}</div>').format(Markup(" · ").join(filters), link)
+        if filters
         else Markup()
     )
 
@@ -484,21 +484,21 @@ def _more(items: Sequence[ReviewItem], word: str) -> Markup:
 def _row(item: ReviewItem, chosen: bool, thumbs: str) -> Markup:
     sign, colour = VERDICT_LOOKS[item.judgement.verdict]
     title, where = item.title, item.below.split(" · ")[0].lower()
-    told = f"{item.sign}, {item.title}, {where}, {JUDGED_BRIEFLY[item.judgement.verdict]}"
+    tip = f"{item.sign}, {item.title}, {where}, {JUDGED_BRIEFLY[item.judgement.verdict]}"
     name = Markup(
         '<span class="wv-cut wv-short" title="{title}">{symbol_svg} {title}</span>'
-        '<small title="{told}"><span style="color:var(--{colour})">{icon}</span> '
+        '<small title="{tip}"><span style="color:var(--{colour})">{icon}</span> '
         "{sign} · {value}</small>"
     ).format(
         title=title,
         symbol_svg=symbol_svg(item.shape, item.colour),
-        told=told,
+        tip=tip,
         colour=colour,
         icon=html.icon(sign, 13),
         sign=item.sign,
         value=where.removeprefix("die "),
     )
-    attributes = Markup('{} aria-label="{}"').format(html.pick("review", item.key), told)
+    attributes = Markup('{} aria-label="{}"').format(html.pick("review", item.key), tip)
     return html.row(
         [Markup('<div class="wv-pair">{}</div>').format(thumbs), name, item.value],
         "  n",
@@ -513,10 +513,10 @@ TIMES, LEAST_PX = 4.0, 160
 
 @dataclass(frozen=True, slots=True)
 class DefectCut:
-    """Line through a defect, then the same line on the good die `beside`, if any; surface and levelling."""
+    """Line through a defect, then the same line on the good die `neighbour`, if any; surface and levelling."""
 
     lines: tuple[Region, ...]
-    beside: str = ""
+    neighbour: str = ""
     show: int = 0
     levelling: Levelling = Levelling()
 
@@ -529,13 +529,15 @@ def cut_through(defect: Defect, inspection: Inspection | None, pixel_um: float) 
     angle = grid.angle_rad if grid is not None else 0.0
     half_x, half_y = length_um / 2 * math.cos(angle), length_um / 2 * math.sin(angle)
     middle = defect.center.x_um, defect.center.y_um
-    beside = neighbour_of(defect, inspection) if inspection is not None else None
+    neighbour = neighbour_of(defect, inspection) if inspection is not None else None
     middles = [middle]
-    if grid is not None and beside is not None and defect.in_die is not None:
-        x_um, y_um = grid.to_stage(beside.col, beside.row, defect.in_die.x_um, defect.in_die.y_um)
+    if grid is not None and neighbour is not None and defect.in_die is not None:
+        x_um, y_um = grid.to_stage(neighbour.col, neighbour.row, defect.in_die.x_um, defect.in_die.y_um)
         middles.append((float(x_um), float(y_um)))
     lines = tuple(Region.line(x - half_x, y - half_y, x + half_x, y + half_y) for x, y in middles)
-    return DefectCut(lines, beside.name if len(lines) > 1 and beside is not None else "", defect.show, defect.levelling)
+    return DefectCut(
+        lines, neighbour.name if len(lines) > 1 and neighbour is not None else "", defect.show, defect.levelling
+    )
 
 
 def neighbour_of(defect: Defect, inspection: Inspection) -> DieStatus | None:

@@ -37,18 +37,18 @@ SOON_DAYS = 30
 _MICRO = f"{THIN}µm"
 
 
-def day_and_time(at: str, day_too: bool = True) -> str:
+def day_and_time(moment: str, day_too: bool = True) -> str:
     """Format an ISO 8601 time as ``21 Nov 09:37``; return other text unchanged."""
     try:
-        when = datetime.fromisoformat(at)
+        when = datetime.fromisoformat(moment)
     except ValueError:
-        return at
+        return moment
     return f"{when.day} {when:%b} {when:%H:%M}" if day_too else f"{when:%H:%M}"
 
 
-def day(of: date) -> str:
+def day(when: date) -> str:
     """Format a date as ``14 Mar 2027``."""
-    return f"{of.day} {of:%b} {of.year}"
+    return f"{when.day} {when:%b} {when.year}"
 
 
 def verdict_card(check: GaugeCheck) -> Markup:
@@ -56,8 +56,8 @@ def verdict_card(check: GaugeCheck) -> Markup:
     word, sign, tone = LOOKS[check.verdict]
     simulated = Markup('<em class="wv-sim">SIMULATED</em>') if check.simulated else Markup()
     size = Markup(' class="long"') if len(word) > 6 else Markup()
-    told = html.with_micro_sign(check.why).replace(" µm", _MICRO)
-    why = Markup('<p class="wv-gauge-why">{}</p>').format(told)
+    reason = html.with_micro_sign(check.why).replace(" µm", _MICRO)
+    why = Markup('<p class="wv-gauge-why">{}</p>').format(reason)
     return Markup(
         '<div class="wv-verdict wv-gauge {tone}" role="status" aria-label="Verdict">'
         "<div{size}>{icon}<b>{word}</b>{simulated}</div><p>{in_short}</p>{why}</div>"
@@ -157,12 +157,12 @@ def rejected_scan_note(sentence: str, has_others: bool) -> Markup:
 def scene_step_label(label: str, length: Length) -> Markup:
     """Return the step in large type for the scene."""
     value, u = value_and_u(length.value_um, length.expanded_um, 3)
-    beside = f" ± {u}{_MICRO}" if length.expanded_um is not None else _MICRO
+    uncertainty = f" ± {u}{_MICRO}" if length.expanded_um is not None else _MICRO
     word = Markup() if length.expanded_um is not None else Markup('<div class="wv-lab">{}</div>').format(_no_u(length))
     return Markup(
         '<div class="wv-glass wv-gauge-glass"><div class="wv-lab">{label}</div>'
-        "<b>{value}</b><span>{beside}</span>{word}</div>"
-    ).format(label=label, value=value, beside=beside, word=word)
+        "<b>{value}</b><span>{uncertainty}</span>{word}</div>"
+    ).format(label=label, value=value, uncertainty=uncertainty, word=word)
 
 
 def _in_short(check: GaugeCheck) -> Markup:
@@ -186,8 +186,8 @@ def _line(name: str, length: Length, digits: int, signed: bool = False, look: st
 
 def _digits(*lengths: Length) -> int:
     """Return the decimals that show the smallest U to two significant digits, at most 3 (1 nm)."""
-    told = [digits_of_u(length.expanded_um) for length in lengths if length.expanded_um]
-    return min(3, max(told, default=3))
+    digits = [digits_of_u(length.expanded_um) for length in lengths if length.expanded_um]
+    return min(3, max(digits, default=3))
 
 
 def _no_u(length: Length) -> str:
@@ -205,10 +205,12 @@ def _repeat(k: int, repeat: GaugeRepeat, may_drop: bool) -> Markup:
 
 
 def _runs_out(paper: Certificate, today: date) -> Markup:
-    left = (paper.expires - today).days
-    if left < 0 or left > SOON_DAYS:
+    days_left = (paper.expires - today).days
+    if days_left < 0 or days_left > SOON_DAYS:
         return Markup()
-    return html.note("attention", f"It expires in {left} day{'' if left == 1 else 's'}", "Have the blocks recertified.")
+    return html.note(
+        "attention", f"It expires in {days_left} day{'' if days_left == 1 else 's'}", "Have the blocks recertified."
+    )
 
 
 def _size(face: Region) -> str:
@@ -241,8 +243,8 @@ class ProcedurePoint:
 def points(snapshot: Snapshot) -> tuple[ProcedurePoint, ...]:
     """Return all points of the current check, in order."""
     gauge, data = snapshot.gauge, snapshot.dataset
-    said = {tick.point: tick.at for tick in gauge.ticks}
-    by_hand = [ProcedurePoint(name, TITLES[name], name in said, said.get(name, "")) for name in BY_HAND]
+    notes = {tick.point: tick.at for tick in gauge.ticks}
+    by_hand = [ProcedurePoint(name, TITLES[name], name in notes, notes.get(name, "")) for name in BY_HAND]
     scanned = snapshot.surface is not None or bool(gauge.repeats)
     taken = gauge.repeats[-1].taken if gauge.repeats else data.taken if data is not None and scanned else ""
     signed = gauge.signed is not None
@@ -283,18 +285,18 @@ def _row(point: ProcedurePoint, now: bool) -> Markup:
     sign = viser.Icon.CIRCLE_CHECK if point.done else viser.Icon.CIRCLE_DOT if now else viser.Icon.CIRCLE
     tone = "good" if point.done else "accent" if now else "ink3"
     state = "done" if point.done else "next" if now else "to do"
-    at = Markup('<span class="dim" title="{}">{}</span>').format(day_and_time(point.at), _clock(point.at))
+    moment = Markup('<span class="dim" title="{}">{}</span>').format(day_and_time(point.at), _clock(point.at))
     click = html.command_pick("gauge-tick", point.name) if point.name in BY_HAND else ""
     look = f"{'now ' if now else ''}{'go' if click else ''}"
     return Markup(
         '<div class="{look}" aria-label="{title}, {state}" {click}>'
-        '<span style="color:var(--{tone})">{icon}</span><span>{title}</span>{at}</div>'
-    ).format(look=look, title=point.title, state=state, click=click, tone=tone, icon=html.icon(sign, 18), at=at)
+        '<span style="color:var(--{tone})">{icon}</span><span>{title}</span>{moment}</div>'
+    ).format(look=look, title=point.title, state=state, click=click, tone=tone, icon=html.icon(sign, 18), moment=moment)
 
 
-def _clock(at: str) -> str:
+def _clock(moment: str) -> str:
     try:
-        return f"{datetime.fromisoformat(at).astimezone():%H:%M}"
+        return f"{datetime.fromisoformat(moment).astimezone():%H:%M}"
     except ValueError:
         return ""
 
@@ -306,46 +308,46 @@ METHODS: dict[Method, str] = {"anova": "analysis of variance", "range": "average
 
 def study(studied: Studied) -> Markup:
     """Return study size, verdict by the AIAG rule, and every standard deviation with its share."""
-    found = studied.found
-    by = f"{studied.name} · {METHODS[found.method]}{' · SIMULATED' if studied.simulated else ''}"
-    notes = Markup("").join(_small(text) for text in found.notes)
+    study = studied.found
+    by = f"{studied.name} · {METHODS[study.method]}{' · SIMULATED' if studied.simulated else ''}"
+    notes = Markup("").join(_small(text) for text in study.notes)
     return Markup('<div class="wv-lab" title="{by}">{by}</div>{study_size}{word}{table}{rest}{notes}').format(
         by=by,
-        study_size=_study_size(found),
-        word=_word(found),
-        table=_table(found, studied.unit),
-        rest=_rest(found),
+        study_size=_study_size(study),
+        word=_word(study),
+        table=_table(study, studied.unit),
+        rest=_rest(study),
         notes=notes,
     )
 
 
-def _study_size(found: GaugeRR) -> Markup:
-    told = ((found.parts, "part"), (found.appraisers, "appraiser"), (found.trials, "trial"))
-    words = Markup(" · ").join(Markup("<b>{}</b> {}{}").format(n, word, "" if n == 1 else "s") for n, word in told)
+def _study_size(study: GaugeRR) -> Markup:
+    counts = ((study.parts, "part"), (study.appraisers, "appraiser"), (study.trials, "trial"))
+    words = Markup(" · ").join(Markup("<b>{}</b> {}{}").format(n, word, "" if n == 1 else "s") for n, word in counts)
     return Markup('<div style="margin:3px 0 4px">{}</div>').format(words)
 
 
-def _word(found: GaugeRR) -> Markup:
-    grr = found.share_of_variation
+def _word(study: GaugeRR) -> Markup:
+    grr = study.share_of_variation
     if math.isnan(grr):
         return html.note("busy", "Nothing varies", "All values are the same: there is nothing to compare.")
-    told = f"Gauge R&R is {share(grr)} of the total variation; {found.distinct_categories} distinct categories."
-    if grr <= GOOD and found.distinct_categories >= LEAST_CATEGORIES:
-        return html.note("good", "Acceptable", told)
+    text = f"Gauge R&R is {share(grr)} of the total variation; {study.distinct_categories} distinct categories."
+    if grr <= GOOD and study.distinct_categories >= LEAST_CATEGORIES:
+        return html.note("good", "Acceptable", text)
     if grr <= MARGINAL:
-        return html.note("attention", "Acceptable for some uses", told)
-    return html.note("fault", "Not acceptable", told)
+        return html.note("attention", "Acceptable for some uses", text)
+    return html.note("fault", "Not acceptable", text)
 
 
-def _table(found: GaugeRR, unit: Unit | None) -> Markup:
+def _table(study: GaugeRR, unit: Unit | None) -> Markup:
     rows = (
-        ("Repeatability, EV", found.repeatability, ""),
-        ("Reproducibility, AV", found.reproducibility, ""),
-        ("Gauge R&R", found.gauge_rr, "strong"),
-        ("Part variation, PV", found.part_variation, ""),
-        ("Total variation, TV", found.total_variation, "strong"),
+        ("Repeatability, EV", study.repeatability, ""),
+        ("Reproducibility, AV", study.reproducibility, ""),
+        ("Gauge R&R", study.gauge_rr, "strong"),
+        ("Part variation, PV", study.part_variation, ""),
+        ("Total variation, TV", study.total_variation, "strong"),
     )
-    lines = [_variation_line(name, s, found.total_variation, look) for name, s, look in rows]
+    lines = [_variation_line(name, s, study.total_variation, look) for name, s, look in rows]
     return html.table(["", f"s, {UNIT_SIGNS[unit]}" if unit else "s", "of total", ""], lines, " nn")
 
 
@@ -356,14 +358,14 @@ def _variation_line(name: str, s: float, total: float, look: str) -> Markup:
     return html.row([name, number(s, 4), share(part), bar], " nn", look=look)
 
 
-def _rest(found: GaugeRR) -> Markup:
-    of_tolerance = found.share_of_tolerance
+def _rest(study: GaugeRR) -> Markup:
+    of_tolerance = study.share_of_tolerance
     pairs = [
-        ("Distinct categories", number(found.distinct_categories, 0)),
+        ("Distinct categories", number(study.distinct_categories, 0)),
         ("6 s of the gauge, of the tolerance", NOTHING if of_tolerance is None else share(of_tolerance)),
     ]
-    if found.interaction is not None:
-        pairs.append(("Parts with appraisers, p", number(found.interaction, 3)))
+    if study.interaction is not None:
+        pairs.append(("Parts with appraisers, p", number(study.interaction, 3)))
     return Markup('<div style="height:4px"></div>{}').format(html.pairs(pairs)) + _small(
         "Shares are of deviations, and do not sum up to 100 %."
     )
@@ -373,7 +375,7 @@ def _small(text: str) -> Markup:
     return Markup('<div class="wv-lab" style="margin-top:4px">{}</div>').format(html.with_micro_sign(text))
 
 
-_OF: dict[Role, str] = {
+_PARTS: dict[Role, str] = {
     "scale": "Of the measured step alone",
     "measurement": "Of the measured step and of the error",
     "reference": "Of the certified step",
@@ -386,7 +388,7 @@ def budget(check: GaugeCheck) -> Markup:
     """Return the contributions grouped by role, and the three expanded uncertainties; empty without a budget."""
     if not check.budget:
         return Markup()
-    rows = [row for role in _OF for row in _part(role, [line for line in check.budget if line.of == role])]
+    rows = [row for role in _PARTS for row in _part(role, [line for line in check.budget if line.of == role])]
     sums = (("U measured", check.height), ("U certificate", check.reference), ("U error", check.deviation))
     rows += [
         html.row([name, number(length.expanded_um, _DIGITS - 1)], " n", look="strong")
@@ -404,15 +406,15 @@ def not_evaluated(check: GaugeCheck) -> Markup:
     return html.head("Not evaluated") + Markup('<ul class="wv-left-out">{}</ul>').format(items)
 
 
-def capability(found: Capability | None) -> Markup:
+def capability(result: Capability | None) -> Markup:
     """Return Cg and Cgk, or the reason why there are none."""
-    if found is None:
+    if result is None:
         return Markup()
-    pairs = [("Repeats", number(found.n, 0)), ("Tolerance of the product", with_unit(found.tolerance_um, 2))]
-    if found.cg is not None and found.cgk is not None:
-        word = "" if found.capable is None else " · capable" if found.capable else " · not capable"
-        pairs.append(("Cg · Cgk", f"{number(found.cg, 2)} · {number(found.cgk, 2)}{word}"))
-    words = " ".join(part for part in (found.why, found.variant) if part)
+    pairs = [("Repeats", number(result.n, 0)), ("Tolerance of the product", with_unit(result.tolerance_um, 2))]
+    if result.cg is not None and result.cgk is not None:
+        word = "" if result.capable is None else " · capable" if result.capable else " · not capable"
+        pairs.append(("Cg · Cgk", f"{number(result.cg, 2)} · {number(result.cgk, 2)}{word}"))
+    words = " ".join(part for part in (result.why, result.variant) if part)
     below = (
         Markup('<div class="wv-lab" style="margin-top:4px">{}</div>').format(html.with_micro_sign(words))
         if words
@@ -438,7 +440,7 @@ def _part(role: Role, lines: Sequence[GaugeLine]) -> list[Markup]:
         return []
     together = math.sqrt(sum(line.u_um**2 for line in lines))
     head = html.row(
-        [Markup("<b>{}</b>").format(_OF[role]), Markup("<b>{}</b>").format(number(together, _DIGITS))], " n"
+        [Markup("<b>{}</b>").format(_PARTS[role]), Markup("<b>{}</b>").format(number(together, _DIGITS))], " n"
     )
     return [head, *(html.row([_name(line.name), number(line.u_um, _DIGITS)], " n") for line in lines)]
 

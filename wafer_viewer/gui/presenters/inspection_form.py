@@ -39,18 +39,18 @@ def verdict(inspection: Inspection) -> Markup:
     limits = inspection.recipe.limits
     if not limits.are_set:
         return Markup()
-    said = verdict_of(inspection, limits)
-    if said.within:
-        note = html.note("good", "Within the limits", f"{said.counted} counted, {_allowed(limits)} allowed.")
+    outcome = verdict_of(inspection, limits)
+    if outcome.within:
+        note = html.note("good", "Within the limits", f"{outcome.counted} counted, {_allowed(limits)} allowed.")
     else:
-        note = html.note("fault", "Not within the limits", " ".join(said.why).replace("mm2", "mm²"))
+        note = html.note("fault", "Not within the limits", " ".join(outcome.why).replace("mm2", "mm²"))
     return Markup('<div class="wv-blind">{}</div>').format(note)
 
 
 def _allowed(limits: DefectLimits) -> str:
     per_die, per_mm2 = limits.max_per_die, limits.max_per_mm2
-    told = [] if per_die is None else [f"{per_die} per die"]
-    return " and ".join(told + ([] if per_mm2 is None else [f"{number(per_mm2, 3)} per mm²"]))
+    parts = [] if per_die is None else [f"{per_die} per die"]
+    return " and ".join(parts + ([] if per_mm2 is None else [f"{number(per_mm2, 3)} per mm²"]))
 
 
 def _typed(text: str, where: str) -> float | None:

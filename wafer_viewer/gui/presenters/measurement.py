@@ -111,16 +111,16 @@ def main_label(finding: AnyResult) -> str:
 def list_text(finding: AnyResult) -> Markup:
     """Return value, uncertainty and unit for the list, as HTML."""
     value, u, unit = value_texts(finding.main, signed=_is_signed(finding))
-    beside = f"± {u}" if finding.main.expanded is not None else NO_U.get(finding.main.status, "")
-    return Markup("<b>{}</b>{}<small>{}</small>").format(value, with_unit_sign("", unit), beside)
+    uncertainty = f"± {u}" if finding.main.expanded is not None else NO_U.get(finding.main.status, "")
+    return Markup("<b>{}</b>{}<small>{}</small>").format(value, with_unit_sign("", unit), uncertainty)
 
 
 def answer(name: str, quantity: Quantity, signed: bool = False) -> Markup:
     """Return the card with a quantity in large type."""
     value, u, unit = value_texts(quantity, signed=signed)
     if quantity.expanded is not None:
-        told = with_unit_sign(f"± {u}", unit)
-        below = Markup('{} <span class="dim" style="font-size:13px">expanded, k = 2</span>').format(told)
+        uncertainty = with_unit_sign(f"± {u}", unit)
+        below = Markup('{} <span class="dim" style="font-size:13px">expanded, k = 2</span>').format(uncertainty)
     else:
         below = Markup('<span style="color:var(--attention)">{}</span>').format(
             NO_U.get(quantity.status, "U not evaluated")
@@ -222,7 +222,7 @@ def circle(finding: CircleSize) -> Markup:
 
 def chipping(finding: Chipping) -> Markup:
     """Return chip threshold, totals over all chips, and a table of the worst."""
-    told = html.pairs(
+    table = html.pairs(
         [
             ("Deeper than", with_unit(finding.limit_um)),
             ("Chips", number(finding.n_chips, 0)),
@@ -234,20 +234,20 @@ def chipping(finding: Chipping) -> Markup:
         ]
     )
     if not finding.chips:
-        return told
+        return table
     rows = [
         html.row(
             [_place(chip.place), number(chip.depth_um), number(chip.length_um, 1), number(chip.area_um2, 1)], " nnn"
         )
         for chip in finding.chips[:LISTED]
     ]
-    return told + html.table(["Chip at x, y", "Depth", "Length", "Area"], rows, " nnn") + _more(finding.n_chips)
+    return table + html.table(["Chip at x, y", "Depth", "Length", "Area"], rows, " nnn") + _more(finding.n_chips)
 
 
 def coplanarity(finding: Coplanarity) -> Markup:
     """Return statistics of all bumps, and a table of those furthest from the plane."""
     reference = {"least_squares": "least squares", "seating": "seating plane"}[finding.options.reference]
-    told = html.pairs(
+    table = html.pairs(
         [
             ("Plane", reference),
             ("Bumps", number(finding.n_bumps, 0)),
@@ -269,7 +269,9 @@ def coplanarity(finding: Coplanarity) -> Markup:
         )
         for bump in finding.bumps[:LISTED]
     ]
-    return told + html.table(["Bump at x, y", "Off plane", "Height", "Diameter"], rows, " nnn") + _more(finding.n_bumps)
+    return (
+        table + html.table(["Bump at x, y", "Off plane", "Height", "Diameter"], rows, " nnn") + _more(finding.n_bumps)
+    )
 
 
 def _place(place: Point) -> str:
@@ -279,35 +281,35 @@ def _place(place: Point) -> str:
 def _more(count: int) -> Markup:
     if count <= LISTED:
         return Markup()
-    told = f"The worst {LISTED} of {count}; all are in the exported table."
-    return Markup('<div class="wv-lab" style="margin-top:4px">{}</div>').format(told)
+    text = f"The worst {LISTED} of {count}; all are in the exported table."
+    return Markup('<div class="wv-lab" style="margin-top:4px">{}</div>').format(text)
 
 
 MOST_ROWS = 12
 """Number of sites listed, the largest ranges first; the map shows all."""
 
 
-def sites(found: SiteRanges) -> Markup:
+def sites(ranges: SiteRanges) -> Markup:
     """Return the map with its colour scale, and the table of the largest ranges."""
-    n, known = len(found.sites), [site for site in found.sites if site.range is not None]
-    size = f"{number(found.site_width_um, 1)} × {number(found.site_height_um, 1)}{THIN}µm"
-    pairs = [("Sites, columns × rows", f"{found.cols} × {found.rows}"), ("Size of a site", size)]
-    if len(known) < n:
-        pairs.append(("Without a range", f"{n - len(known)} of {n}"))
-    return html.pairs(pairs) + site_map_svg(found) + _scale(found) + _table(known)
+    n, measured = len(ranges.sites), [site for site in ranges.sites if site.range is not None]
+    size = f"{number(ranges.site_width_um, 1)} × {number(ranges.site_height_um, 1)}{THIN}µm"
+    pairs = [("Sites, columns × rows", f"{ranges.cols} × {ranges.rows}"), ("Size of a site", size)]
+    if len(measured) < n:
+        pairs.append(("Without a range", f"{n - len(measured)} of {n}"))
+    return html.pairs(pairs) + site_map_svg(ranges) + _scale(ranges) + _table(measured)
 
 
-def _scale(found: SiteRanges) -> Markup:
-    low, high = (f"{number(um, 2)}{THIN}µm" for um in spread_um(found))
+def _scale(ranges: SiteRanges) -> Markup:
+    low, high = (f"{number(um, 2)}{THIN}µm" for um in spread_um(ranges))
     gradient = css_gradient("mako").replace("to top", "to right")
     return Markup(
         '<div class="wv-site-scale"><span>{}</span><i style="background:{}"></i><span>{}</span></div>'
     ).format(low, gradient, high)
 
 
-def _table(known: list[Site]) -> Markup:
-    largest = sorted(known, key=lambda site: -(site.range.value_um if site.range else 0.0))[:MOST_ROWS]
-    more = f"the largest {len(largest)} of {len(known)}" if len(largest) < len(known) else ""
+def _table(measured: list[Site]) -> Markup:
+    largest = sorted(measured, key=lambda site: -(site.range.value_um if site.range else 0.0))[:MOST_ROWS]
+    more = f"the largest {len(largest)} of {len(measured)}" if len(largest) < len(measured) else ""
     return html.head("Range of each site", more) + html.table(
         ["Middle x, y", "Measured", "Range"], [_row(site) for site in largest], " nn"
     )
@@ -486,13 +488,13 @@ def head(
         Markup('<span class="wv-curve-note">{}</span>').format(html.with_micro_sign(text)) for text in problems
     )
     waits = Markup('<span class="dim">{}</span>').format(WAITS) if not sections and not problems else Markup()
-    whole = (
+    zoom_out = (
         Markup('<span class="wv-link" {}>Whole line</span>').format(html.pick("plot", "whole")) if zoomed else Markup()
     )
     name = "Section" if any(s.points is not None for s in own.values()) else "Profile"
     return Markup(
         '<div class="wv-dock wv-lines{crowded}"><b>{name}</b>{lines}{seconds}{notes}{waits}'
-        '<span class="wv-end">{whole}{cursor_readout}</span></div>'
+        '<span class="wv-end">{zoom_out}{cursor_readout}</span></div>'
     ).format(
         crowded=_CROWDED[min(n_lines, 3)],
         name=name,
@@ -500,7 +502,7 @@ def head(
         seconds=seconds,
         notes=notes,
         waits=waits,
-        whole=whole,
+        zoom_out=zoom_out,
         cursor_readout=cursor_readout(gap) if gap is not None else "",
     )
 

@@ -164,8 +164,8 @@ def section(checks: Sequence[PreflightCheck], name: str = "Before the start") ->
     if not checks:
         return Markup()
     open_lines = sum(check.state != "ok" for check in checks)
-    beside = "all fine" if not open_lines else f"{open_lines} of {len(checks)} to look at"
-    return html.head(name, beside) + lines(checks)
+    status = "all fine" if not open_lines else f"{open_lines} of {len(checks)} to look at"
+    return html.head(name, status) + lines(checks)
 
 
 def lines(checks: Sequence[PreflightCheck]) -> Markup:
@@ -178,10 +178,10 @@ def lines(checks: Sequence[PreflightCheck]) -> Markup:
 def _line(check: PreflightCheck) -> Markup:
     sign, word = SIGNS[check.state]
     mend = Markup(" <b>{}</b>").format(html.with_micro_sign(check.mend)) if check.mend else Markup()
-    told = Markup('<span role="img" aria-label="{}">{}</span>').format(word, html.icon(sign, 17))
+    label = Markup('<span role="img" aria-label="{}">{}</span>').format(word, html.icon(sign, 17))
     text = Markup("<span>{}{}</span>").format(html.with_micro_sign(check.found), mend)
-    return Markup('<div class="{state}" role="listitem">{told}<em>{what}</em>{text}</div>').format(
-        state=check.state, told=told, what=check.what, text=text
+    return Markup('<div class="{state}" role="listitem">{label}<em>{what}</em>{text}</div>').format(
+        state=check.state, label=label, what=check.what, text=text
     )
 
 
@@ -196,7 +196,7 @@ def trial(done: Trial | None, trying: bool, outdated: bool = False) -> Markup:
     if done is None:
         return Markup()
     head = html.head("On stored wafers", done.job)
-    said = html.note(_tone(done), "Verdicts change" if done.n_changes else "No verdict changes", done.summary)
+    outcome = html.note(_tone(done), "Verdicts change" if done.n_changes else "No verdict changes", done.summary)
     changes = [(wafer, change) for wafer in done.wafers for change in wafer.changes]
     rows = [_change(wafer, change) for wafer, change in changes[:MOST_CHANGES]]
     more = len(changes) - len(rows)
@@ -204,8 +204,8 @@ def trial(done: Trial | None, trying: bool, outdated: bool = False) -> Markup:
     table = html.table(["Wafer, feature", "Before", "Now"], rows, "   ") if rows else ""
     since = html.note("attention", "The plan has changed since", "Try it again.") if outdated else ""
     left_out = Markup("").join(_left_out(item) for item in done.not_tried)
-    return Markup('{head}{since}{said}{table}{rest}{left_out}<div style="height:8px"></div>').format(
-        head=head, since=since, said=said, table=table, rest=rest, left_out=left_out
+    return Markup('{head}{since}{outcome}{table}{rest}{left_out}<div style="height:8px"></div>').format(
+        head=head, since=since, outcome=outcome, table=table, rest=rest, left_out=left_out
     )
 
 

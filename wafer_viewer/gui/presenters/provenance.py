@@ -9,7 +9,7 @@ from markupsafe import Markup
 
 from wafer_viewer.draw.number_format import number, share, with_unit
 from wafer_viewer.gui.presenters import measurement
-from wafer_viewer.gui.presenters.gauge import stored_check as gauge_told
+from wafer_viewer.gui.presenters.gauge import stored_check as gauge_text
 from wafer_viewer.gui.presenters.measurement import averaging, format_quantity, roughness, sites, texture
 from wafer_viewer.gui.widgets import html
 from wafer_viewer.model.findings import AnyResult
@@ -52,7 +52,7 @@ Pairs = list[tuple[str, str]]
 
 def source(finding: AnyResult) -> Markup:
     """Return the provenance of a result: regions, points, surface."""
-    tell = _TOLD.get(type(finding))
+    tell = _TEXTS.get(type(finding))
     body = tell(finding) if tell is not None else html.pairs(numbers_of(finding))
     return html.head("Where it comes from", "µm") + body + _measured_on(finding)
 
@@ -142,7 +142,7 @@ def _flatness(finding: Flatness) -> Markup:
     )
 
 
-_TOLD: dict[type, Callable[..., str]] = {
+_TEXTS: dict[type, Callable[..., str]] = {
     Profile: _profile,
     PointHeight: _point,
     Distance: _distance,
@@ -160,7 +160,7 @@ _TOLD: dict[type, Callable[..., str]] = {
     Chipping: measurement.chipping,
     Coplanarity: measurement.coplanarity,
     SiteRanges: sites,
-    GaugeCheck: gauge_told,
+    GaugeCheck: gauge_text,
 }
 
 

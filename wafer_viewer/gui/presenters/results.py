@@ -25,24 +25,28 @@ class KeptFeature:
     main: Quantity
     quantities: dict[str, Quantity]
 
-    def of(self, quantity: str) -> Quantity:
+    def get(self, quantity: str) -> Quantity:
         """Return a quantity by name; the main one for an unknown or empty name."""
         return self.quantities.get(quantity, self.main)
 
     def value(self, quantity: str) -> float:
         """Return the value of a quantity."""
-        return self.of(quantity).value
+        return self.get(quantity).value
 
     def unit(self, quantity: str) -> Unit:
         """Return the unit of a quantity."""
-        return self.of(quantity).unit
+        return self.get(quantity).unit
 
 
 def kept_features(snapshot: Snapshot) -> dict[str, KeptFeature]:
     """Return the features of kept results by display name; results on comparisons are excluded."""
     lies = snapshot.dataset.job.alignment if snapshot.dataset is not None else None
-    found = ((finding, _feature(finding, lies)) for finding in snapshot.findings if finding.show >= 0)
-    return {f"{finding.name} ({number(finding.main.value, 2)})": kept for finding, kept in found if kept is not None}
+    features = ((finding, _feature(finding, lies)) for finding in snapshot.findings if finding.show >= 0)
+    return {
+        f"{finding.name} ({number(finding.main.value, 2)})": feature
+        for finding, feature in features
+        if feature is not None
+    }
 
 
 def _feature(finding: AnyResult, lies: Alignment | None) -> KeptFeature | None:

@@ -50,9 +50,9 @@ def review_items(
 
 def chosen_item(snapshot: Snapshot, key: str | None, listing: DefectListing = EVERYTHING) -> ReviewItem | None:
     """Return the item of a key; the first item if the key is None or unknown; None without items."""
-    known = defect_item(snapshot, key)
-    if known is not None:
-        return known
+    defect = defect_item(snapshot, key)
+    if defect is not None:
+        return defect
     items = review_items(snapshot, "all", listing)
     return next((item for item in items if item.key == key), items[0] if items else None)
 
@@ -69,8 +69,8 @@ def neighbour(
     Without another open item, return the next of the items that match the filter `only`; None without any.
     """
     items = review_items(snapshot, "all", listing)
-    at = next((k for k, item in enumerate(items) if item.key == key), -1 if by > 0 else 0)
-    round_trip = (items[(at + by * n) % len(items)] for n in range(1, len(items) + 1))
+    index = next((k for k, item in enumerate(items) if item.key == key), -1 if by > 0 else 0)
+    round_trip = (items[(index + by * n) % len(items)] for n in range(1, len(items) + 1))
     ahead = [item for item in round_trip if only in ("all", item.judgement.verdict)]
     still_open = (item for item in ahead if by > 0 and item.key != key and item.judgement.verdict == "open")
     return next(still_open, next(iter(ahead), None))
@@ -93,7 +93,7 @@ def _results(snapshot: Snapshot, _: DefectListing) -> Iterator[ReviewItem]:
             levelling=finding.levelling,
             number=finding.number,
             word=finding.verdict if isinstance(finding, GaugeCheck) else None,
-            said=finding.why if isinstance(finding, GaugeCheck) else "",
+            reason=finding.why if isinstance(finding, GaugeCheck) else "",
         )
 
 
@@ -102,7 +102,7 @@ def _features(snapshot: Snapshot, _: DefectListing) -> Iterator[ReviewItem]:
     if verdict is None or data is None:
         return
     keyed = enumerate(zip(keys_of_features(verdict), verdict.items, strict=True), 1)
-    for n, (key, judged) in sorted(keyed, key=lambda of: GRAVEST.index(of[1][1].word)):
+    for n, (key, judged) in sorted(keyed, key=lambda entry: GRAVEST.index(entry[1][1].word)):
         places = _places(judged, data.job)
         yield ReviewItem(
             key=key,
@@ -115,7 +115,7 @@ def _features(snapshot: Snapshot, _: DefectListing) -> Iterator[ReviewItem]:
             judgement=snapshot.notebook.book.judgement(key),
             box_um=_box_on_stage(places, data.job.alignment),
             word=judged.word,
-            said=judged.why,
+            reason=judged.why,
         )
 
 
@@ -201,19 +201,19 @@ def numbers(item: ReviewItem) -> Markup:
     """Return all quantities of an item with their U, and the verdict with its reason."""
     rows = [html.row(row, " nn") for row in item.rows]
     word = verdict.state(item.word) + " · " if item.word is not None else Markup()
-    said = word + html.with_micro_sign(item.said)
-    below = Markup('<div class="wv-sub" style="margin-top:6px">{}</div>').format(said) if said else Markup()
+    reason = word + html.with_micro_sign(item.reason)
+    below = Markup('<div class="wv-sub" style="margin-top:6px">{}</div>').format(reason) if reason else Markup()
     table = html.table(["", "Value", "± U, k = 2", ""], rows, " nn") if rows else ""
     return html.head("Numbers") + table + below
 
 
 def progress(items: tuple[ReviewItem, ...]) -> Markup:
     """Describe the progress of the review."""
-    left = sum(item.judgement.verdict == "open" for item in items)
+    n_open = sum(item.judgement.verdict == "open" for item in items)
     rejected = sum(item.judgement.verdict == "rejected" for item in items)
-    said = f"{left} still open" if left else "Everything is judged"
-    on = "Page Down goes to the next open one" if left else "Page Down continues"
-    return Markup('<div class="wv-why">{}{} · {}</div>').format(said, f" · {rejected} rejected" if rejected else "", on)
+    text = f"{n_open} still open" if n_open else "Everything is judged"
+    on = "Page Down goes to the next open one" if n_open else "Page Down continues"
+    return Markup('<div class="wv-why">{}{} · {}</div>').format(text, f" · {rejected} rejected" if rejected else "", on)
 
 
 def _row(item: ReviewItem, chosen: bool) -> Markup:
@@ -229,7 +229,9 @@ def _row(item: ReviewItem, chosen: bool) -> Markup:
         icon=html.icon(sign, 14),
         verdicts=VERDICTS[item.judgement.verdict],
     )
-    attributes = Markup('{} aria-label="{}"').format(html.pick("review", item.key), f"{item.title}, {item.told}")
+    attributes = Markup('{} aria-label="{}"').format(
+        html.pick("review", item.key), f"{item.title}, {item.verdict_text}"
+    )
     return html.row([html.chip(item.sign, item.colour), name, item.value], "  n", attributes, "sel" if chosen else "")
 
 

@@ -37,12 +37,12 @@ class ReviewItem:
     levelling: Levelling = Levelling()
     number: int | None = None
     word: Word | None = None
-    said: str = ""
+    reason: str = ""
     defect: int | None = None
     shape: str = "disc"
 
     @property
-    def told(self) -> str:
+    def verdict_text(self) -> str:
         """Verdict of the instrument, if any, and judgement of the user, as text."""
         people = VERDICTS[self.judgement.verdict]
         return people if self.word is None else f"{LOOKS[self.word][0]}, {people}"

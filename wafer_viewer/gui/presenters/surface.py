@@ -37,7 +37,7 @@ FACES: dict[ComparisonFace, tuple[str, str]] = {
 """Faces of a comparison: label of the choice, and name of what is shown."""
 FACE_CHOICES = tuple((face, label) for face, (label, _) in FACES.items())
 OUTDATED = "One of the surfaces has changed or was deleted: compare again."
-BESIDE_SAID = "The second stands to the right of the first, in the same colours and range."
+SIDE_BY_SIDE = "The second stands to the right of the first, in the same colours and range."
 LITTLE_OVERLAP = 0.5
 """Overlap fraction below which the page warns that little is compared."""
 _UM3_PER_PL = 1e3
@@ -91,39 +91,43 @@ def volume(um3: float) -> str:
     return with_unit(pl / _LARGE_PL, 2, "nl") if pl >= _LARGE_PL else with_unit(pl, 2, "pl")
 
 
-def alignment(found: Registration) -> Markup:
+def alignment(registration: Registration) -> Markup:
     """Return the table of registration parameters of the second surface, each with its U."""
-    rows = [("Found", FOUND_BY[found.by])] if found.by == "same" else []
-    if found.by in ("images", "heights"):
+    rows = [("Found", FOUND_BY[registration.by])] if registration.by == "same" else []
+    if registration.by in ("images", "heights"):
         rows += [
-            ("Shift x", _with_u(found.x_um, found.u_xy_um, "µm")),
-            ("Shift y", _with_u(found.y_um, found.u_xy_um, "µm")),
-            ("Turn", _with_u(found.turn_mrad, found.u_turn_mrad, "mrad")),
+            ("Shift x", _with_u(registration.x_um, registration.u_xy_um, "µm")),
+            ("Shift y", _with_u(registration.y_um, registration.u_xy_um, "µm")),
+            ("Turn", _with_u(registration.turn_mrad, registration.u_turn_mrad, "mrad")),
         ]
-    if found.levelled:
+    if registration.levelled:
         rows += [
-            ("Height", _with_u(found.z_um, found.u_z_um, "µm")),
-            ("Tilt along x", _with_u(found.tilt_x_mrad, found.u_tilt_mrad, "mrad")),
-            ("Tilt along y", _with_u(found.tilt_y_mrad, found.u_tilt_mrad, "mrad")),
-            ("Residual, rms", with_unit(found.residual_um, digits_of_u(found.residual_um))),
+            ("Height", _with_u(registration.z_um, registration.u_z_um, "µm")),
+            ("Tilt along x", _with_u(registration.tilt_x_mrad, registration.u_tilt_mrad, "mrad")),
+            ("Tilt along y", _with_u(registration.tilt_y_mrad, registration.u_tilt_mrad, "mrad")),
+            ("Residual, rms", with_unit(registration.residual_um, digits_of_u(registration.residual_um))),
         ]
-    rows.append(("Share of the first compared", share(found.overlap_fraction)))
+    rows.append(("Share of the first compared", share(registration.overlap_fraction)))
     how = (
         Markup()
-        if found.by == "same"
-        else Markup('<div class="wv-lab">Found {}; k = 2.</div>').format(FOUND_BY[found.by])
+        if registration.by == "same"
+        else Markup('<div class="wv-lab">Found {}; k = 2.</div>').format(FOUND_BY[registration.by])
     )
     return html.head("Alignment") + how + html.pairs(rows)
 
 
 def warnings(comparison: Comparison, outdated: bool) -> Markup:
     """Return warnings: outdated surface, small overlap, missing or different calibration."""
-    said = [OUTDATED] if outdated else []
+    warnings = [OUTDATED] if outdated else []
     if comparison.registration.overlap_fraction < LITTLE_OVERLAP:
-        said.append(f"Only {share(comparison.registration.overlap_fraction)} of the first surface lies on the second.")
+        warnings.append(
+            f"Only {share(comparison.registration.overlap_fraction)} of the first surface lies on the second."
+        )
     if not comparison.calibrated:
-        said.append("Lengths are uncalibrated, or the calibrations differ.")
-    return Markup("").join(Markup('<div class="wv-lab" style="margin:4px 0">{}</div>').format(text) for text in said)
+        warnings.append("Lengths are uncalibrated, or the calibrations differ.")
+    return Markup("").join(
+        Markup('<div class="wv-lab" style="margin:4px 0">{}</div>').format(text) for text in warnings
+    )
 
 
 def _with_u(value: float, expanded: float | None, unit: str) -> str:
@@ -137,8 +141,10 @@ PARTS = {"all": "", "view": ", in view", "selection": ", selection"}
 def surface_name(view: View) -> str:
     """Return the name of the surface part that statistics cover, such as ``Field 5, in view``."""
     compared = comparison_of(view.show)
-    whole = FACES[compared[1]][1] if compared is not None else f"Field {view.show}" if view.show else "Stitched surface"
-    return whole + PARTS[view.counted]
+    surface = (
+        FACES[compared[1]][1] if compared is not None else f"Field {view.show}" if view.show else "Stitched surface"
+    )
+    return surface + PARTS[view.counted]
 
 
 READY = {"Default": "default", "The paper's method": "paper"}
@@ -185,9 +191,9 @@ def summary(recipe: Recipe) -> str:
     )
 
 
-def chosen_by_data(asked: Recipe, settled: Recipe) -> list[tuple[str, str]]:
-    """Return name and value of each setting that is auto in `asked` and fixed in `settled`, in order of use."""
-    return [(name, told(settled)) for name, get, told in _LEFT_TO_DATA if get(asked) == "auto" != get(settled)]
+def chosen_by_data(requested: Recipe, settled: Recipe) -> list[tuple[str, str]]:
+    """Return name and value of each setting that is auto in `requested` and fixed in `settled`, in order of use."""
+    return [(name, text(settled)) for name, get, text in _AUTOMATIC if get(requested) == "auto" != get(settled)]
 
 
 def notes(sentences: Iterable[str], sign: Any = viser.Icon.INFO_CIRCLE, tone: str = "") -> Markup:
@@ -195,12 +201,12 @@ def notes(sentences: Iterable[str], sign: Any = viser.Icon.INFO_CIRCLE, tone: st
     kinds: dict[str, list[str]] = {}
     for sentence in sentences:
         kinds.setdefault(re.sub(r"\d[\d.]*", "0", sentence), []).append(sentence)
-    said = Markup("").join(_kind(alike, sign) for alike in kinds.values())
-    return said and Markup('<div class="wv-notes {}">{}</div>').format(tone, said)
+    lines = Markup("").join(_kind(alike, sign) for alike in kinds.values())
+    return lines and Markup('<div class="wv-notes {}">{}</div>').format(tone, lines)
 
 
-def _kind(alike: list[str], sign: Any) -> Markup:
-    first, *others = (_sentence(text) for text in alike)
+def _kind(group: list[str], sign: Any) -> Markup:
+    first, *others = (_sentence(text) for text in group)
     if others:
         more = Markup("").join(Markup("<p>{}</p>").format(other) for other in others)
         first = Markup("<details><summary>{} <u>{} more like it</u></summary>{}</details>").format(
@@ -228,7 +234,7 @@ def _flight(recipe: Recipe) -> str:
     return f"{scale} µm" if recipe.levy.mode == "literal" else f"{scale} × distance to the guide"
 
 
-_LEFT_TO_DATA: tuple[tuple[str, Callable[[Recipe], Any], Callable[[Recipe], str]], ...] = (
+_AUTOMATIC: tuple[tuple[str, Callable[[Recipe], Any], Callable[[Recipe], str]], ...] = (
     ("Camera noise, gain", lambda r: r.noise.gain_counts, lambda r: f"{_figures(r.noise.gain_counts)} counts"),
     ("Camera noise, floor", lambda r: r.noise.floor_counts2, lambda r: f"{_figures(r.noise.floor_counts2)} counts²"),
     ("Window", lambda r: r.window, lambda r: _px(r.window)),
@@ -285,25 +291,25 @@ def details(info: StitchingInfo) -> Markup:
         ("Error of the stage, x and y", _length(info.stage_error_um)),
         ("– along z", _length(info.z_error_um)),
     ]
-    said = Markup('<div class="wv-chosen">{}</div>').format(html.pairs(rows))
+    table = Markup('<div class="wv-chosen">{}</div>').format(html.pairs(rows))
     form = [(name[:1].upper() + name[1:], _plus_minus(u)) for name, u in info.form]
     if form:
         head = Markup('<div class="wv-lab">Known only from the stage, U (k = 2) at the edge</div>')
-        said += Markup('<div class="wv-chosen">{}{}</div>').format(head, html.pairs(form))
-    return said
+        table += Markup('<div class="wv-chosen">{}{}</div>').format(head, html.pairs(form))
+    return table
 
 
 def cautions(info: StitchingInfo) -> Markup:
     """Return the warnings; an excluded field that a note already names is not listed again."""
     noted = " ".join(info.notes)
     unsaid = tuple(n for n in info.left_out if f"ield {n} " not in noted)
-    said = [_left_out(unsaid)] if unsaid else []
+    sentences = [_left_out(unsaid)] if unsaid else []
     if info.n_groups > 1 and not info.n_by_stage:
-        said.append(
+        sentences.append(
             f"The fields fall into {info.n_groups} islands: no overlap joins them, so between islands "
             "positions and heights are the stage's."
         )
-    return notes((*said, *info.notes), viser.Icon.ALERT_TRIANGLE, "attention")
+    return notes((*sentences, *info.notes), viser.Icon.ALERT_TRIANGLE, "attention")
 
 
 def by_stage(info: StitchingInfo, n_fields: int) -> tuple[str, str]:
@@ -321,7 +327,7 @@ def rejected_overlaps(poses: Poses, pixel_um: float) -> Markup:
     rows = _doubted_rows(poses, pixel_um)
     if not rows:
         return Markup()
-    said = _table(("Fields", "Rejected because", "Offset, µm", "px"), rows[:SHOWN])
+    content = _table(("Fields", "Rejected because", "Offset, µm", "px"), rows[:SHOWN])
     if len(rows) > SHOWN:
         beyond = len(rows) - LISTED
         tail = (
@@ -330,8 +336,10 @@ def rejected_overlaps(poses: Poses, pixel_um: float) -> Markup:
             else Markup()
         )
         more = Markup("<summary><u>{} more</u></summary>").format(number(len(rows) - SHOWN, 0))
-        said += Markup('<details class="wv-more">{}{}{}</details>').format(more, _table((), rows[SHOWN:LISTED]), tail)
-    return Markup('<div class="wv-chosen">{}</div>').format(said)
+        content += Markup('<details class="wv-more">{}{}{}</details>').format(
+            more, _table((), rows[SHOWN:LISTED]), tail
+        )
+    return Markup('<div class="wv-chosen">{}</div>').format(content)
 
 
 def _table(heads: tuple[str, ...], rows: list[Markup]) -> Markup:
@@ -394,8 +402,8 @@ FIGURES: dict[str, tuple[str, Callable[[float], str]]] = {
 
 def close_action(word: str = "Close") -> Markup:
     """Return the Close action for the head of a panel."""
-    told = Markup('class="wv-action" title="Close · Esc" aria-label="Close" {}').format(html.pick("why-close"))
-    return Markup("<span {}>{}{}</span>").format(told, html.icon(viser.Icon.X), word)
+    label = Markup('class="wv-action" title="Close · Esc" aria-label="Close" {}').format(html.pick("why-close"))
+    return Markup("<span {}>{}{}</span>").format(label, html.icon(viser.Icon.X), word)
 
 
 def format_position(at_um: tuple[float, float] | None) -> str:
@@ -421,8 +429,8 @@ def verdicts(curve: FocusCurve) -> Markup:
     """Return the table of gates: question, result, score and limit."""
     ratios = any(v.unit == "powers of two" for v in curve.verdicts)
     heads = ("", "Question", "Score", "Limit")
-    beside = "×: the peak over the rest of the curve" if ratios else ""
-    return html.head("What the gates found", beside) + html.table(heads, map(_row, curve.verdicts), "  nn")
+    legend = "×: the peak over the rest of the curve" if ratios else ""
+    return html.head("What the gates found", legend) + html.table(heads, map(_row, curve.verdicts), "  nn")
 
 
 def rivals(curve: FocusCurve) -> Markup:
@@ -438,8 +446,8 @@ def rivals(curve: FocusCurve) -> Markup:
 
 def focus_measurement_text(curve: FocusCurve) -> str:
     """Describe the focus measurement: measure, window, number of frames; an unknown measure by its name."""
-    known = focus_measures().get(curve.focus_measure)
-    measure = known.title if known else _capital(curve.focus_measure.replace("_", " "))
+    entry = focus_measures().get(curve.focus_measure)
+    measure = entry.title if entry else _capital(curve.focus_measure.replace("_", " "))
     simulated = "SIMULATED · " if curve.simulated else ""
     return f"{simulated}{measure}, window {curve.window} × {curve.window} px, {len(curve.z_um)} frames"
 
@@ -449,9 +457,9 @@ def _row(verdict: Verdict) -> Markup:
     before, figure = FIGURES.get(verdict.unit, ("", lambda value: number(value, 2)))
     unit = f"in {verdict.unit}" if verdict.unit and verdict.unit not in FIGURES else ""
     note = "" if verdict.note.rstrip(".").casefold().endswith(GATE_IS_OFF) else verdict.note
-    said = " · ".join(text for text in (word, unit, html.with_micro_sign(note)) if text)
+    detail = " · ".join(text for text in (word, unit, html.with_micro_sign(note)) if text)
     sign = Markup('<span style="color:var(--{})" aria-hidden="true">{}</span>').format(tone, html.icon(icon, 17))
-    question = Markup('{}<small style="color:var(--{})">{}</small>').format(verdict.question, tone, said)
+    question = Markup('{}<small style="color:var(--{})">{}</small>').format(verdict.question, tone, detail)
     score = NOTHING if verdict.score is None else figure(verdict.score)
     limit = NOTHING if verdict.limit is None else figure(verdict.limit)
     bound = Markup('<span class="dim">{}</span> {}').format(before, limit) if before and limit != NOTHING else limit

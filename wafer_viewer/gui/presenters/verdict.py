@@ -82,10 +82,10 @@ def limits(feature: Feature) -> str:
     """Format the limits of a feature, with their unit."""
     low, high = feature.lower_limit, feature.upper_limit
     if low is not None and high is not None:
-        told = f"{_plain(low)} … {_plain(high)}"
+        text = f"{_plain(low)} … {_plain(high)}"
     else:
-        told = f"≤ {_plain(high)}" if high is not None else f"≥ {_plain(low)}"
-    return with_unit_sign(told, display_unit(Quantity(value=0.0, unit=feature.unit)).unit)
+        text = f"≤ {_plain(high)}" if high is not None else f"≥ {_plain(low)}"
+    return with_unit_sign(text, display_unit(Quantity(value=0.0, unit=feature.unit)).unit)
 
 
 def value_and_its_u(item: FeatureVerdict) -> Markup:
@@ -122,10 +122,10 @@ def _on_dies(verdict: WaferVerdict) -> Iterator[Markup]:
 def _row(item: FeatureVerdict) -> Markup:
     feature, (word, sign, tone) = item.feature, LOOKS[item.word]
     why = Markup() if item.word == "pass" else Markup("<small>{}</small>").format(html.with_micro_sign(item.why))
-    told = Markup(
+    shown = Markup(
         '<span style="color:var(--{tone})" title="{word}" role="img" aria-label="{word}">{icon}</span>'
     ).format(tone=tone, word=word, icon=html.icon(sign, 17))
-    return html.row([item.name + why, value_and_its_u(item), limits(feature), told], " nn ")
+    return html.row([item.name + why, value_and_its_u(item), limits(feature), shown], " nn ")
 
 
 def _plain(value: float | None) -> str:

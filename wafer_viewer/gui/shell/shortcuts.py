@@ -25,13 +25,13 @@ from wafer_viewer.gui.page.header import TITLES
 from wafer_viewer.gui.page.import_export_dialogs import export_dialog, import_dialog, load_plan_dialog, open_dialog
 from wafer_viewer.gui.page.page import Page
 from wafer_viewer.gui.page.preconditions import (
+    cannot_go_to,
     no_dataset,
     no_fields_to_show,
     no_other_line,
     no_result,
     no_room_for_lines,
     no_surface,
-    no_way_to,
     nothing_to_redo,
     nothing_to_undo,
     surface_not_drawable,
@@ -96,7 +96,7 @@ def _going(page: Page) -> list[Command]:
         page.change(step=step, why=None)
 
     return [
-        Command(TITLES[step], key, lambda s=step: go(s), ICON.ARROW_RIGHT, "shift", "Go to", why_not=no_way_to(step))
+        Command(TITLES[step], key, lambda s=step: go(s), ICON.ARROW_RIGHT, "shift", "Go to", why_not=cannot_go_to(step))
         for step, key in STEP_KEYS.items()
     ]
 
@@ -346,7 +346,7 @@ def add_keys_sheet(page: Page, commands: Sequence[Command]) -> Command:
         dialog = Dialog(page, "Keys", "Every command is also in the command palette: Ctrl + K.")
         with dialog.modal:
             HtmlBlock(page.gui, sheet_html(commands))
-        dialog.way_out("Close")
+        dialog.close_button("Close")
 
     page.on_pick("keys", lambda _: show())
     add_html(page.gui, html.run_script(_script()))
@@ -376,7 +376,7 @@ def glossary_command(page: Page) -> Command:
         dialog = Dialog(page, "Glossary", "The words of this page, of the command line and of reports.")
         with dialog.modal:
             HtmlBlock(page.gui, glossary_html())
-        dialog.way_out("Close")
+        dialog.close_button("Close")
 
     return Command("Glossary", None, show, group="Page")
 

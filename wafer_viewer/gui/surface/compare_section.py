@@ -236,7 +236,7 @@ def _row(compared: Compared, chosen: bool) -> Markup:
 def _told(known: Compared, face: ComparisonFace) -> Markup:
     comparison: Any = known.comparison
     beside = (
-        Markup('<div class="wv-lab">{}</div>').format(words.BESIDE_SAID) if face is ComparisonFace.BESIDE else Markup()
+        Markup('<div class="wv-lab">{}</div>').format(words.SIDE_BY_SIDE) if face is ComparisonFace.BESIDE else Markup()
     )
     return (
         Markup('<div class="wv-lab" style="margin-bottom:8px">{}</div>').format(words.surfaces_sentence(comparison))

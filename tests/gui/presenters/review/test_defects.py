@@ -47,7 +47,7 @@ def test_defects_are_items_with_their_numbers_place_and_reasons():
     assert (item.sign, item.title, item.shape) == ("D1", "Particle", "disc")
     assert ("Height from its surroundings", "+14.00", "0.40", "µm") in item.rows
     assert item.below.startswith("Die -1,0 · x ")
-    assert "6 um high" in item.said
+    assert "6 um high" in item.reason
     assert "6 µm high" in numbers(item)
 
 
@@ -55,7 +55,7 @@ def test_what_is_too_small_to_be_sized_has_no_size():
     small = replace(INSPECTION.defects[0], size_resolved=False)
     item = chosen_item(inspected(replace(INSPECTION, defects=(small,))), "defect 1")
     assert [row[0] for row in item.rows] == ["Height from its surroundings"]
-    assert "detected, size not resolved" in item.said
+    assert "detected, size not resolved" in item.reason
 
 
 @pytest.mark.parametrize(
@@ -145,7 +145,7 @@ def test_the_section_runs_through_the_defect_and_through_the_same_place_of_a_goo
     (a, b), (c, _) = (line.points for line in cut.lines)
     assert ((a.x_um + b.x_um) / 2, a.y_um) == pytest.approx((defect.center.x_um, defect.center.y_um))
     assert b.x_um - a.x_um >= 2 * defect.major.value_um
-    assert cut.beside != defect.die
+    assert cut.neighbour != defect.die
     grid = INSPECTION.grid
     assert (c.x_um - a.x_um) % grid.pitch_x_um == pytest.approx(0.0, abs=1e-6) or c.x_um != a.x_um
     alone = replace(INSPECTION, dies=(), grid=None)

@@ -40,7 +40,7 @@ def test_results_are_items_with_their_place_numbers_and_judgement():
 def test_features_of_a_released_job_come_first_with_the_word_of_the_instrument():
     items = review_items(operator.judged(operator.FAIL))
     assert [item.sign for item in items[:2]] == ["F1", "F2"]
-    assert (items[0].word, items[0].said) == ("fail", "Over the upper limit.")
+    assert (items[0].word, items[0].reason) == ("fail", "Over the upper limit.")
     assert {"Step height", "Lower limit", "Upper limit"} <= {row[0] for row in items[0].rows}
     x0, y0, x1, y1 = items[0].box_um
     assert x0 < x1
