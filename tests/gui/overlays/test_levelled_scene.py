@@ -103,7 +103,7 @@ def test_the_camera_flies_to_a_rectangle_and_tells_what_it_sees(browser: Browser
     settled(scene)
     scene.fly_to((-50.0, 20.0, 50.0, 90.0))
     settled(scene)
-    corners = np.array(scene.seen_um())
+    corners = np.array(scene.visible_um())
     assert corners.min(axis=0)[0] < -50 < 50 < corners.max(axis=0)[0]
     assert np.ptp(corners, axis=0).max() < 400
     pose = scene.pose

@@ -20,7 +20,7 @@ from wafer_viewer.gui.presenters import measurement, surface
 from wafer_viewer.gui.state.view_state import View
 from wafer_viewer.gui.widgets import html
 from wafer_viewer.gui.widgets.error_guard import guarded
-from wafer_viewer.gui.widgets.style import DARK, LIGHT, sheet
+from wafer_viewer.gui.widgets.style import DARK, LIGHT, page_style
 from wafer_viewer.model.errors import DatasetError
 from wafer_viewer.model.job import Judgement, Notebook, key_of_result
 from wafer_viewer.model.measurement.measurements import Length
@@ -97,7 +97,7 @@ def test_a_step_is_possible_when_it_has_contents():
 
 def test_both_palettes_name_the_same_colours():
     assert LIGHT.keys() == DARK.keys()
-    assert "--accent:#58BDE8" in sheet(dark=True, bottom_px=0)
+    assert "--accent:#58BDE8" in page_style(dark=True, bottom_px=0)
 
 
 def luminance(colour: str) -> float:

@@ -71,7 +71,7 @@ def test_the_first_picture_of_the_scene_holds_no_sample(fields: bool):
     shown = snapshot(imported=True)
     data = replace(shown.dataset, stamps={}, **({} if fields else {"fields": (), "states": {}}))
     waiting = replace(shown, dataset=data, surface=None)
-    book: Any = SimpleNamespace(facts_known=lambda _: {})
+    book: Any = SimpleNamespace(available_facts=lambda _: {})
     contents = acquire_contents(book, waiting, View(step="surface"), None)
     assert not [item for item in contents.items if item.name.startswith(("sample/", "stage"))]
     own = replace(waiting, dataset=replace(fake.measured().dataset, stamps={}))

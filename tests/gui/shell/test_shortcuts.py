@@ -18,7 +18,7 @@ from wafer_viewer.gui.overlays.screenshot import PrintPicture
 from wafer_viewer.gui.report import ReportPanel
 from wafer_viewer.gui.review import ReviewPanel
 from wafer_viewer.gui.shell.saved_views import SavedViews
-from wafer_viewer.gui.shell.shortcuts import Palette, Parts, commands_of, sheet_html
+from wafer_viewer.gui.shell.shortcuts import Palette, Parts, commands_of, shortcut_table
 from wafer_viewer.gui.shell.tour_guide import Welcome
 from wafer_viewer.gui.state.view_state import View
 from wafer_viewer.gui.surface.compare_section import CompareSection
@@ -78,7 +78,7 @@ def test_every_tool_for_measuring_has_a_key():
 
 def test_the_sheet_lists_every_key_and_says_it_as_people_do():
     commands = all_commands()
-    text = sheet_html(commands)
+    text = shortcut_table(commands)
     assert all(c.spoken_key in text for c in commands if c.key and c.listed)
     assert spoken("Z", "cmd/ctrl+shift") == "Ctrl + Shift + Z"
     assert spoken("pagedown") == "Page Down"

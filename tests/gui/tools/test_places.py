@@ -14,7 +14,7 @@ from tests.support.page_stand_in import MemoryShelf, height_map
 from wafer_viewer.gui.scene.heightfield import HeightField
 from wafer_viewer.gui.scene.scene_contents import DisplayedSurface
 from wafer_viewer.gui.tools.initial_regions import first_levelling, initial_regions
-from wafer_viewer.gui.tools.region_shapes import SHAPES, WHOLE, outline_of
+from wafer_viewer.gui.tools.region_shapes import CENTRE, SHAPES, outline_of
 from wafer_viewer.gui.tools.region_tools import has_required_kinds
 from wafer_viewer.gui.widgets.callback_timing import EchoFilter
 from wafer_viewer.model.measurement.levelling import PLACES
@@ -189,7 +189,7 @@ def test_whatever_is_pulled_stays_on_the_surface_and_of_its_kind(kind, to) -> No
 
 
 def test_the_middle_moves_a_region_whole_and_the_rim_its_radius() -> None:
-    moved = SHAPES["rectangle"].pulled(SHAPED["rectangle"], WHOLE, (200, 200), LAND)
+    moved = SHAPES["rectangle"].pulled(SHAPED["rectangle"], CENTRE, (200, 200), LAND)
     assert moved.bounds_um == (170, 180, 230, 220)
     wider = SHAPES["circle"].pulled(SHAPED["circle"], "rim", (130, 140), LAND)
     assert (wider.points, wider.radius_um) == (SHAPED["circle"].points, 40)

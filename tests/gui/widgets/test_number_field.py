@@ -38,8 +38,8 @@ def test_limits_are_said_with_the_value():
     with pytest.raises(WaferViewerError, match="over 0"):
         number_of("0", "Pixel, µm", over=0)
     with pytest.raises(WaferViewerError, match="whole"):
-        number_of("1.5", "Next in, days", whole=True)
-    assert number_of("3", "Next in, days", whole=True) == 3
+        number_of("1.5", "Next in, days", integer=True)
+    assert number_of("3", "Next in, days", integer=True) == 3
 
 
 @pytest.mark.parametrize("value", [None, 0.0, 23.5, 0.123456789, -5.0, 400.0, 1e-7])

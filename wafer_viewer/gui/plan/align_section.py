@@ -197,11 +197,11 @@ class AlignSection:
 
 def _fit(job: Job) -> Markup:
     """Return the residual of the alignment, with its limit."""
-    alignment, marks = job.alignment, job.marks
-    if alignment is None or marks is None:
+    fit, marks = job.alignment, job.marks
+    if fit is None or marks is None:
         return Markup()
-    good = alignment.residual_um <= marks.limit_um
-    words = f"{alignment.n_marks} corners, residual {with_unit(alignment.residual_um, 1)} of {with_unit(marks.limit_um, 0)}"
+    good = fit.residual_um <= marks.limit_um
+    words = f"{fit.n_marks} corners, residual {with_unit(fit.residual_um, 1)} of {with_unit(marks.limit_um, 0)}"
     again = Markup('<span class="wv-link" {}>Mark again</span>').format(html.command_pick("unmark"))
     text = "" if good else "Too large: mark the named corners again."
     sign = html.icon(viser.Icon.CIRCLE_CHECK if good else viser.Icon.HAND_STOP, 18)

@@ -36,13 +36,13 @@ class Billboard:
         """Place the label `right_px` right (negative: left) and `up_px` above a scene point, clear of any occluder."""
         pixel = view_axes.pixel_at(by)
         right, up, _ = view_axes.axes.T * pixel
-        at = by + right * (right_px + (self._wide_px if right_px > 0 else 0)) + up * up_px
-        foot = at - right * self._wide_px - up * self._high_px / 2
+        anchor = by + right * (right_px + (self._wide_px if right_px > 0 else 0)) + up * up_px
+        foot = anchor - right * self._wide_px - up * self._high_px / 2
         corners = np.stack([foot, foot + right * self._wide_px, foot + up * self._high_px])
         share = view_axes.before(height_field, corners, _SPARE_PX * pixel)
         self._node.wxyz = view_axes.wxyz
         self._node.scale = pixel * (1 - share)
-        self._node.position = tuple((at + (view_axes.eye - at) * share).tolist())
+        self._node.position = tuple((anchor + (view_axes.eye - anchor) * share).tolist())
 
     def remove(self) -> None:
         """Remove the label from the scene."""

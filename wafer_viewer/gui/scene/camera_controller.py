@@ -65,13 +65,13 @@ class CameraTransition:
         self.over, self.late = False, False
         self._began_s = now_s
         self._sent: list[tuple[float, CameraPose]] = []
-        self._known = 0
+        self._acknowledged = 0
 
     def step(self, now_s: float) -> CameraPose | None:
         """Return the pose to set now; None when the transition is over."""
         if self.over:
             return None
-        self.late = self._known < len(self._sent) and now_s - self._sent[self._known][0] > LATE_S
+        self.late = self._acknowledged < len(self._sent) and now_s - self._sent[self._acknowledged][0] > LATE_S
         share = 1.0 if self.late else (now_s - self._began_s + STEP_S) / FLIGHT_S
         pose = between(self.start, self.goal, share)
         self._sent.append((now_s, pose))
@@ -83,10 +83,10 @@ class CameraTransition:
         for number in range(len(self._sent), 0, -1):
             sent = self._sent[number - 1][1]
             if np.linalg.norm(sent.position - position) < _SAME * _distance(sent):
-                self._known = max(self._known, number)
+                self._acknowledged = max(self._acknowledged, number)
                 return True
         # Before the first step has come back the browser may still tell of what it did on its own before.
-        return self._known == 0
+        return self._acknowledged == 0
 
 
 class CameraAnimator:
@@ -198,7 +198,7 @@ class CameraController:
         self._clear = Clear()
         self._set: CameraPose | None = None
         self._size_px = (0, 0)
-        self._left: Vector | None = None
+        self._last_seen: Vector | None = None
         self._pilot = CameraAnimator(self._put, lambda: self.pose)
         client.camera.on_update(self._heard)
 
@@ -261,7 +261,7 @@ class CameraController:
     def aim(self, place: Vector) -> None:
         """Look at a point in the centre of the view without changing the image: the pivot of rotation and zoom."""
         pose = self.pose
-        if self._left is not None and np.allclose(pose.position, self._left) and not pose.is_near(self._set):
+        if self._last_seen is not None and np.allclose(pose.position, self._last_seen) and not pose.is_near(self._set):
             return  # as a slow browser still has it: it was told where to stand, and has not come there yet
         moved = float(np.linalg.norm(place - pose.look_at))
         if self._pilot.goal is None and moved > _AIMED * float(np.linalg.norm(place - pose.position)):
@@ -315,7 +315,7 @@ class CameraController:
 
     def _put(self, pose: CameraPose) -> None:
         camera = self._client.camera
-        self._left = np.array(camera.position, float)
+        self._last_seen = np.array(camera.position, float)
         with self._client.atomic():
             camera.up_direction = (0.0, 0.0, 1.0)
             camera.fov = FOV_RAD

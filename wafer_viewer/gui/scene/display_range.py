@@ -36,9 +36,9 @@ class DisplayRangeHysteresis:
 
     def facts(self, source: SurfaceKey, view: View, now: SurfaceStatistics) -> SurfaceStatistics:
         """Return the statistics of a surface with the previous heights and lighting, if they still fit."""
-        of = (_place(source), view.colour_by in ("deviation", "form"))
-        if self._facts is None or self._facts[0] != of or not _fits(self._facts[1], now, of[1]):
-            self._facts = of, now
+        key = (_place(source), view.colour_by in ("deviation", "form"))
+        if self._facts is None or self._facts[0] != key or not _fits(self._facts[1], now, key[1]):
+            self._facts = key, now
         held = self._facts[1]
         return msgspec.structs.replace(
             now,
@@ -54,10 +54,10 @@ class DisplayRangeHysteresis:
         """Return the scale with the previous colour range if it still fits; a manual range is unchanged."""
         if view.range_um is not None:
             return now
-        of, spare = (_place(source), now.quantity), _RANGE * (now.high - now.low)
-        held = self._scale[1] if self._scale is not None and self._scale[0] == of else None
+        key, spare = (_place(source), now.quantity), _RANGE * (now.high - now.low)
+        held = self._scale[1] if self._scale is not None and self._scale[0] == key else None
         if held is None or max(abs(held.low - now.low), abs(held.high - now.high)) > spare:
-            self._scale = of, now
+            self._scale = key, now
             return now
         return msgspec.structs.replace(now, low=held.low, high=held.high)
 
@@ -124,12 +124,12 @@ def range_in_view(
     request = RenderRequest(on_show.source, "scale", light=facts.light, datum=on_show.datum)
     request = replace(request, look=DisplayStyle(colour_by=quantity), level=level, rows=rows, cols=cols)  # pyright: ignore[reportArgumentType]
 
-    def told(done: Future[bytes]) -> None:
+    def completed(done: Future[bytes]) -> None:
         if not done.cancelled() and done.exception() is None:
             scale = msgspec.msgpack.decode(done.result(), type=ColourScale)
             then((scale.own_low, max(scale.own_high, scale.own_low + 1e-3)))
 
-    paint(request).add_done_callback(told)
+    paint(request).add_done_callback(completed)
 
 
 def _window(facts: SurfaceStatistics, corners_um: Corners | None) -> tuple[int, Span, Span]:

@@ -36,12 +36,12 @@ class DragHandle:
             for part in (self._rim, self._ball):
                 part.on_drag("left")(_in_order(name, dragged))
 
-    def place(self, at: NDArray[np.float32], mm_per_pixel: float, towards: NDArray[np.float64]) -> None:
+    def place(self, position: NDArray[np.float32], mm_per_pixel: float, towards: NDArray[np.float64]) -> None:
         """Move to a scene point. `towards`: direction of the camera, in which the ball protrudes from the rim."""
         radius = self.radius_px * mm_per_pixel
         for part, size, out in ((self._rim, 1.24, 0.0), (self._ball, 1.0, 0.62)):
             part.scale = radius * size
-            part.position = tuple(np.asarray(at, float) + towards * radius * out)
+            part.position = tuple(np.asarray(position, float) + towards * radius * out)
 
     def remove(self) -> None:
         """Remove the handle from the scene."""
@@ -92,8 +92,8 @@ class PlaceMark:
     def draw(self, height_field: HeightField, view_axes: ViewAxes) -> None:
         """Draw the marker on the displayed surface, or at the bottom of a hole."""
         x, y = (np.array([v]) for v in self.place)
-        at = height_field.visible_points(x, y, 2 * view_axes.mm_per_pixel)[0]
-        self._knob.place(at, view_axes.mm_per_pixel, view_axes.towards)
+        position = height_field.visible_points(x, y, 2 * view_axes.mm_per_pixel)[0]
+        self._knob.place(position, view_axes.mm_per_pixel, view_axes.towards)
 
     def remove(self) -> None:
         """Remove the marker from the scene."""

@@ -51,7 +51,10 @@ class Frustum:
 
     def px_per_mm(self, box: AABB) -> float:
         """Return the pixels per millimetre at the nearest point of a box."""
-        away = [max(low - at, 0.0, at - high) for low, at, high in zip(box.low, self.eye, box.high, strict=True)]
+        away = [
+            max(low - coordinate, 0.0, coordinate - high)
+            for low, coordinate, high in zip(box.low, self.eye, box.high, strict=True)
+        ]
         return self.focal_px / max(math.hypot(*away), 1e-6)
 
     def aside(self, box: AABB) -> float:
@@ -74,8 +77,8 @@ class Frustum:
     def _reach(self, normal: Triple, box: AABB) -> float:
         """Return the largest extent of a box on the inner side of a plane through the eye."""
         return sum(
-            n * ((high if n > 0 else low) - at)
-            for n, low, high, at in zip(normal, box.low, box.high, self.eye, strict=True)
+            n * ((high if n > 0 else low) - coordinate)
+            for n, low, high, coordinate in zip(normal, box.low, box.high, self.eye, strict=True)
         )
 
 

@@ -38,7 +38,7 @@ class HeightField:
         self._relief, self.on_show, self._holes = relief, on_show, holes
         shape = (relief.rows, relief.cols)
         self._z_um = np.frombuffer(relief.z_um, "<f4").reshape(shape)
-        self._there = np.frombuffer(relief.measured, bool).reshape(shape)
+        self._measured = np.frombuffer(relief.measured, bool).reshape(shape)
 
     @property
     def bounds_um(self) -> tuple[float, float, float, float]:
@@ -62,9 +62,9 @@ class HeightField:
         return self._z_um.astype(float)
 
     @property
-    def there(self) -> NDArray[np.bool_]:
+    def measured_mask(self) -> NDArray[np.bool_]:
         """Mask of the measured pixels."""
-        return self._there
+        return self._measured
 
     def place(self, row: Any, col: Any) -> tuple[Any, Any]:
         """Return x, y in um of coarse pixels: scalars for scalars, arrays for arrays."""
@@ -76,11 +76,11 @@ class HeightField:
         left, right = (round((x - r.x0_um) / r.pixel_um) for x in (x0, x1))
         top, foot = (round((r.y0_um - y) / r.pixel_um) for y in (y1, y0))
         rows, cols = slice(max(0, top), max(0, foot + 1)), slice(max(0, left), max(0, right + 1))
-        z, there = self._z_um[rows, cols], self._there[rows, cols]
-        if min(z.shape) < LEAST_IN_SIGHT_PX or not there.any():
+        z, mask = self._z_um[rows, cols], self._measured[rows, cols]
+        if min(z.shape) < LEAST_IN_SIGHT_PX or not mask.any():
             return self
         x, y = self.place(rows.start, cols.start)
-        part = CoarseHeightField(z.shape[0], z.shape[1], r.pixel_um, x, y, z.tobytes(), there.tobytes())
+        part = CoarseHeightField(z.shape[0], z.shape[1], r.pixel_um, x, y, z.tobytes(), mask.tobytes())
         return HeightField(part, self.on_show, self._holes)
 
     def clamped(self, place: Place) -> Place:
@@ -102,26 +102,26 @@ class HeightField:
         r = self._relief
         col = np.clip(np.round((np.asarray(x_um) - r.x0_um) / r.pixel_um), 0, r.cols - 1).astype(int)
         row = np.clip(np.round((r.y0_um - np.asarray(y_um)) / r.pixel_um), 0, r.rows - 1).astype(int)
-        return self._there[row, col]
+        return self._measured[row, col]
 
     def nearest_measured(self, place: Place) -> Place:
         """Return the position, or the nearest one that has a height."""
         x, y = self.clamped(place)
-        if self.measured(np.array([x]), np.array([y]))[0] or not self._there.any():
+        if self.measured(np.array([x]), np.array([y]))[0] or not self._measured.any():
             return x, y
-        row, col = np.nonzero(self._there)
+        row, col = np.nonzero(self._measured)
         xs, ys = self.place(row.astype(float), col.astype(float))
         best = int(np.argmin(np.hypot(xs - x, ys - y)))
         return self.clamped((float(xs[best]), float(ys[best])))
 
-    def seen_um(self, x_um: Floats, y_um: Floats) -> Floats:
+    def visible_z_um(self, x_um: Floats, y_um: Floats) -> Floats:
         """Return the visible heights: the surface, or the ground through a hole."""
         z = self.z_um(x_um, y_um)
         return np.where(self.measured(x_um, y_um), z, self.on_show.z0_um) if self._holes else z
 
     def visible_z_mm(self, x_mm: Floats, y_mm: Floats) -> Floats:
         """Return scene z of the visible heights: the surface; in holes and outside of it the ground."""
-        z_mm = (self.seen_um(x_mm * 1e3, y_mm * 1e3) - self.on_show.z0_um) * 1e-3 * self.on_show.stretch
+        z_mm = (self.visible_z_um(x_mm * 1e3, y_mm * 1e3) - self.on_show.z0_um) * 1e-3 * self.on_show.stretch
         return np.where(self._inside(x_mm, y_mm), z_mm, 0.0)
 
     def scene_points(self, x_um: Floats, y_um: Floats, lift_mm: float = 0.0) -> NDArray[np.float32]:
@@ -131,17 +131,17 @@ class HeightField:
 
     def visible_points(self, x_um: Floats, y_um: Floats, lift_mm: float) -> NDArray[np.float32]:
         """Return positions at their visible heights (in a hole the ground) as scene points, float32 [n, 3]."""
-        z = (self.seen_um(x_um, y_um) - self.on_show.z0_um) * 1e-3 * self.on_show.stretch + lift_mm
+        z = (self.visible_z_um(x_um, y_um) - self.on_show.z0_um) * 1e-3 * self.on_show.stretch + lift_mm
         return np.stack([np.asarray(x_um) * 1e-3, np.asarray(y_um) * 1e-3, z], axis=1).astype(np.float32)
 
     def drape_line(self, a: Place, b: Place, lift_mm: float) -> tuple[NDArray[np.float32], NDArray[np.bool_]]:
         """Return a line from a to b draped on the surface, as points [n, 3] and the mask of measured pieces [n - 1]."""
         t = np.linspace(0, 1, 480)
         x, y = a[0] + (b[0] - a[0]) * t, a[1] + (b[1] - a[1]) * t
-        there = self.measured(x, y)
-        return self.laid(x, y, lift_mm), there[:-1] & there[1:]
+        ends_measured = self.measured(x, y)
+        return self.drape(x, y, lift_mm), ends_measured[:-1] & ends_measured[1:]
 
-    def laid(self, x_um: Floats, y_um: Floats, lift_mm: float) -> NDArray[np.float32]:
+    def drape(self, x_um: Floats, y_um: Floats, lift_mm: float) -> NDArray[np.float32]:
         """Return a path draped on the surface as points [n, 3]; it passes over narrow pits."""
         points = self.scene_points(x_um, y_um, lift_mm)
         padded = np.pad(points[:, 2], 2, mode="edge")
@@ -152,8 +152,8 @@ class HeightField:
         """Return the closed outline through corners [n, 2] draped on the surface, as segments [m, 2, 3]."""
         ends = np.roll(corners_um, -1, axis=0)
         t = np.linspace(0, 1, max(1, _ROUND_PIECES // len(corners_um)), endpoint=False)[:, None]
-        way = np.concatenate([a + (b - a) * t for a, b in zip(corners_um, ends, strict=True)])
-        points = self.laid(way[:, 0], way[:, 1], lift_mm)
+        path = np.concatenate([a + (b - a) * t for a, b in zip(corners_um, ends, strict=True)])
+        points = self.drape(path[:, 0], path[:, 1], lift_mm)
         return np.stack([points, np.roll(points, -1, axis=0)], axis=1)
 
     def hit(self, origin: Floats, direction: Floats) -> Place | None:
@@ -194,7 +194,7 @@ class HeightField:
     def _depth(self, origin: Floats, direction: Floats, t: Floats) -> Floats:
         """Return the heights of ray points above the surface, in um; infinite outside of the surface."""
         x, y, z = (origin[k] + direction[k] * t for k in range(3))
-        over = z * 1e3 / self.on_show.stretch + self.on_show.z0_um - self.seen_um(x * 1e3, y * 1e3)
+        over = z * 1e3 / self.on_show.stretch + self.on_show.z0_um - self.visible_z_um(x * 1e3, y * 1e3)
         return np.where(self._inside(x, y), over, np.inf)
 
     def _inside(self, x_mm: Floats, y_mm: Floats) -> NDArray[np.bool_]:
@@ -249,8 +249,8 @@ def _relief(part: HeightMap, height_field: HeightField) -> CoarseHeightField:
     x_um, y_um = (np.asarray(a, np.float64) for a in np.meshgrid(part.x_um, part.y_um))
     datum = height_field.on_show.datum
     z_um = part.z_um - (datum.at(x_um, y_um) if datum is not None else 0.0)
-    there = np.isfinite(z_um)
-    z_um = np.where(there, z_um, height_field.z_um(x_um, y_um))
+    finite = np.isfinite(z_um)
+    z_um = np.where(finite, z_um, height_field.z_um(x_um, y_um))
     return CoarseHeightField(
-        *part.shape, part.pixel_um, part.x0_um, part.y0_um, z_um.astype("<f4").tobytes(), there.tobytes()
+        *part.shape, part.pixel_um, part.x0_um, part.y0_um, z_um.astype("<f4").tobytes(), finite.tobytes()
     )

@@ -106,8 +106,8 @@ def _figures(box: Box, pad: float) -> tuple[ground_plane.GroundLabel, ...]:
         ground_plane.GroundLabel(number(v, 0) + unit.get(v, ""), pad + v * 1e-3, foot + gap + high / 2, high, "m")
         for v in along_x
     ]
-    beside = [ground_plane.GroundLabel(number(v, 0), pad - gap, foot - v * 1e-3, high, "r") for v in along_y]
-    return (*below, *beside)
+    side_labels = [ground_plane.GroundLabel(number(v, 0), pad - gap, foot - v * 1e-3, high, "r") for v in along_y]
+    return (*below, *side_labels)
 
 
 def _scale_lines(scene: viser.SceneApi, name: str, _: bytes, *, box: Box, dark: bool, z: float) -> Handle:

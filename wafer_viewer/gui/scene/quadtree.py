@@ -50,10 +50,10 @@ class Node:
 
 @dataclass(frozen=True, slots=True)
 class Leaf:
-    """A node to be drawn; `seen`: True if in view, drawn at full resolution."""
+    """A node to be drawn; `in_view`: True if in view, drawn at full resolution."""
 
     node: Node
-    seen: bool
+    in_view: bool
 
 
 @dataclass(frozen=True, slots=True)
@@ -127,9 +127,9 @@ def leaves(ground: Ground, sight: Frustum, sharp_px: float, most: int) -> list[L
         for quarter in node.quarters:
             if ground.holds(quarter):
                 sort_in(quarter)
-    seen = sorted([*settled, *(node for _, _, node in heap)], key=lambda node: sight.aside(ground.box(node)))
+    visible = sorted([*settled, *(node for _, _, node in heap)], key=lambda node: sight.aside(ground.box(node)))
     unseen.sort(key=lambda node: -node.level)
-    return [*(Leaf(node, True) for node in seen), *(Leaf(node, False) for node in unseen)]
+    return [*(Leaf(node, True) for node in visible), *(Leaf(node, False) for node in unseen)]
 
 
 def _meet(a: Span, b: Span) -> bool:

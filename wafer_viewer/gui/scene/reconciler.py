@@ -60,13 +60,13 @@ class SendWindow:
                 self._due.wait_for(lambda: self._since > 0 or self._closed)
                 if self._closed:
                     return
-                asked, self._since = self._since, 0
+                requested, self._since = self._since, 0
             began = self._clock()
             try:
                 self._fence()
             except RuntimeError:
                 return
-            self._answered(asked, self._clock() - began)
+            self._answered(requested, self._clock() - began)
 
     def _answered(self, n_bytes: int, took_s: float) -> None:
         with self._due:

@@ -69,7 +69,7 @@ class SceneContents:
     rough: tuple[SceneItem, ...] = ()
     on_show: DisplayedSurface | None = None
     awaits_more: bool = False
-    seen: Callable[[Frustum, float], Sequence[SceneItem]] | None = None
+    visible: Callable[[Frustum, float], Sequence[SceneItem]] | None = None
     clear: Clear = field(default_factory=Clear)
 
 

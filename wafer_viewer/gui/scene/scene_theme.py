@@ -23,7 +23,7 @@ class SceneColours:
     doubt: Rgb
     casing: Rgb = (255, 255, 255)
     arrow: Rgb = rgb("15202B")
-    way: Rgb = (200, 80, 0)
+    path: Rgb = (200, 80, 0)
     profile: Rgb = rgb("E8590C")
     region: Rgb = rgb("15202B")
     mark: Rgb = rgb("0B6E99")

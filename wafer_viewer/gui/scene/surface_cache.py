@@ -25,7 +25,7 @@ from wafer_viewer.session.rendering.render_request import (
 )
 
 FindDatum = Callable[[Levelling, int], Datum]
-_KEPT_DATUMS = 64
+_MAX_DATUMS = 64
 
 
 class DatumCache:
@@ -33,22 +33,22 @@ class DatumCache:
 
     def __init__(self, find: FindDatum, arrived: Callable[[], None]) -> None:
         self._find, self._arrived = find, arrived
-        self._asked: dict[tuple[SurfaceKey, Levelling], Future[Datum]] = {}
+        self._requested: dict[tuple[SurfaceKey, Levelling], Future[Datum]] = {}
         self._pool = ThreadPoolExecutor(1, thread_name_prefix="datum")
 
     def of(self, source: SurfaceKey, levelling: Levelling) -> Datum | None:
         """Return the datum, None for the stage's zero. Raises NotReady; MeasureError if it cannot be determined."""
         if levelling.by == "stage":
             return None
-        found = self._asked.get((source, levelling))
-        if found is None:
-            while len(self._asked) >= _KEPT_DATUMS:
-                del self._asked[next(iter(self._asked))]
-            found = self._asked[source, levelling] = self._pool.submit(self._find, levelling, source.show)
-            found.add_done_callback(lambda _: self._arrived())
-        if not found.done():
+        future = self._requested.get((source, levelling))
+        if future is None:
+            while len(self._requested) >= _MAX_DATUMS:
+                del self._requested[next(iter(self._requested))]
+            future = self._requested[source, levelling] = self._pool.submit(self._find, levelling, source.show)
+            future.add_done_callback(lambda _: self._arrived())
+        if not future.done():
             raise NotReady
-        return found.result()
+        return future.result()
 
     def close(self) -> None:
         """Stop the thread."""
@@ -56,7 +56,7 @@ class DatumCache:
 
 
 Answer = TypeVar("Answer", SurfaceStatistics, ColourScale, CoarseHeightField)
-_KEPT = 256
+_MAX_ENTRIES = 256
 
 
 class SurfaceInfoCache:
@@ -67,7 +67,7 @@ class SurfaceInfoCache:
 
     def __init__(self, paint: Paint, arrived: Callable[[], None], find_datum: FindDatum) -> None:
         self._orders = RenderQueue(paint, arrived)
-        self._known: dict[RenderRequest, SurfaceStatistics | ColourScale | CoarseHeightField] = {}
+        self._answers: dict[RenderRequest, SurfaceStatistics | ColourScale | CoarseHeightField] = {}
         self._datums = DatumCache(find_datum, arrived)
 
     def close(self) -> None:
@@ -82,15 +82,15 @@ class SurfaceInfoCache:
         """Return the statistics of the surface."""
         return self._look_up(RenderRequest(source, "facts", datum=datum), SurfaceStatistics)
 
-    def facts_known(self, sources: dict[int, SurfaceKey]) -> dict[int, SurfaceStatistics]:
+    def available_facts(self, sources: dict[int, SurfaceKey]) -> dict[int, SurfaceStatistics]:
         """Return the statistics of the surfaces for which they are available, and request the others."""
-        known: dict[int, SurfaceStatistics] = {}
+        facts: dict[int, SurfaceStatistics] = {}
         for number, source in sources.items():
             try:
-                known[number] = self.facts(source)
+                facts[number] = self.facts(source)
             except NotReady:
                 continue
-        return known
+        return facts
 
     def scale(self, source: SurfaceKey, view: View, datum: Datum | None = None) -> ColourScale:
         """Return the colour scale of the displayed quantity, with the selected range or its default."""
@@ -98,11 +98,11 @@ class SurfaceInfoCache:
         request = RenderRequest(source, "scale", look=look, light=light, range_values=view.range_um, datum=datum)
         return self._look_up(request, ColourScale)
 
-    def relief(self, of: DisplayedSurface) -> CoarseHeightField:
+    def relief(self, shown: DisplayedSurface) -> CoarseHeightField:
         """Return the coarse heights of the displayed surface."""
-        return self._look_up(RenderRequest(of.source, "relief", datum=of.datum), CoarseHeightField)
+        return self._look_up(RenderRequest(shown.source, "relief", datum=shown.datum), CoarseHeightField)
 
-    def relief_if_known(self, source: SurfaceKey, datum: Datum | None) -> CoarseHeightField | None:
+    def available_relief(self, source: SurfaceKey, datum: Datum | None) -> CoarseHeightField | None:
         """Return the coarse heights; None while they are pending."""
         try:
             return self._look_up(RenderRequest(source, "relief", datum=datum), CoarseHeightField)
@@ -110,29 +110,29 @@ class SurfaceInfoCache:
             return None
 
     def _look_up(self, request: RenderRequest, kind: type[Answer]) -> Answer:
-        known = self._known.get(request)
-        if isinstance(known, kind):
-            return known
+        cached = self._answers.get(request)
+        if isinstance(cached, kind):
+            return cached
         answer = msgspec.msgpack.decode(self._orders.outcome(request).result(), type=kind)
-        while len(self._known) >= _KEPT:
-            del self._known[next(iter(self._known))]
-        self._known[request] = answer
+        while len(self._answers) >= _MAX_ENTRIES:
+            del self._answers[next(iter(self._answers))]
+        self._answers[request] = answer
         return answer
 
 
-_KEPT_RANGES = 4096
+_MAX_RANGES = 4096
 
 
 def heights_of(on_show: DisplayedSurface, relief: CoarseHeightField | None) -> Heights:
     """Return a function for the lowest and highest scene z (mm) of a part; the global range without a relief."""
     facts = on_show.facts
-    whole = on_show.scene_z(facts.low_um), on_show.scene_z(facts.high_um)
+    full_range = on_show.scene_z(facts.low_um), on_show.scene_z(facts.high_um)
     if relief is None:
-        return lambda rows, cols: whole
+        return lambda rows, cols: full_range
     z_um = np.frombuffer(relief.z_um, "<f4").reshape(relief.rows, relief.cols)
     scale = relief.pixel_um / facts.pixel_um
 
-    @lru_cache(maxsize=_KEPT_RANGES)
+    @lru_cache(maxsize=_MAX_RANGES)
     def heights(rows: Span, cols: Span) -> tuple[float, float]:
         (r0, r1), (c0, c1) = (_part(span, scale, n) for span, n in zip((rows, cols), z_um.shape, strict=True))
         part = z_um[r0:r1, c0:c1]

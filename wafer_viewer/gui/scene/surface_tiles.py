@@ -15,7 +15,7 @@ from wafer_viewer.draw.surface.display_style import DisplayStyle, Light
 from wafer_viewer.gui.scene.frustum import Frustum
 from wafer_viewer.gui.scene.quadtree import DRAFT_LEVELS, Ground, Heights, Leaf, Span, leaves, roots
 from wafer_viewer.gui.scene.reconciler import Handle, SceneItem, TileExtent
-from wafer_viewer.gui.state.view_state import Look as Way
+from wafer_viewer.gui.state.view_state import Look as LookMode
 from wafer_viewer.gui.state.view_state import View
 from wafer_viewer.model.measurement.levelling import Datum
 from wafer_viewer.session.rendering.render_request import (
@@ -31,8 +31,8 @@ Box = tuple[float, float, float, float]
 """x low, y low, x high, y high in um."""
 VERTICES = 200_000
 """Most vertices of a surface drawn at one level."""
-SHARP_PX: dict[Way, float] = {"surface": 1.5, "points": 2.6, "plan": 1.5}
-MOST_TILES: dict[Way, int] = {"surface": 34, "points": 9, "plan": 34}
+SHARP_PX: dict[LookMode, float] = {"surface": 1.5, "points": 2.6, "plan": 1.5}
+MOST_TILES: dict[LookMode, int] = {"surface": 34, "points": 9, "plan": 34}
 """Largest texel in view, in screen pixels, and the limit of tiles, which takes precedence."""
 _STEP, _FLAT_STEP = 8, 64
 """Pixels between vertices of a tile at its own level."""
@@ -47,7 +47,7 @@ _NEARLY = 0.96, 1.04
 """Relative tolerance within which the point size is not updated."""
 READ_AROUND_PX = 16
 """Margin that the renderer reads around a tile, for continuous lighting across its edge."""
-_SHAPES: dict[Way, Kind] = {"surface": "tile", "points": "points", "plan": "flat"}
+_SHAPES: dict[LookMode, Kind] = {"surface": "tile", "points": "points", "plan": "flat"}
 
 
 @dataclasses.dataclass(frozen=True, slots=True)
@@ -78,8 +78,8 @@ def cut(facts: SurfaceStatistics, texture_pixels: int) -> TileCut:
     level = max(0, math.ceil(math.log2(max(1.0, rows * cols / texture_pixels)) / 2))
     scale = 2**level
     step = max(1, math.ceil(math.sqrt(rows * cols / scale**2 / VERTICES)))
-    rows_there, cols_there = (_at_level(window, level) for window in _window(facts))
-    return TileCut(level, rows_there, cols_there, step)
+    level_rows, level_cols = (_at_level(window, level) for window in _window(facts))
+    return TileCut(level, level_rows, level_cols, step)
 
 
 def _at_level(window: Span, level: int) -> Span:
@@ -157,8 +157,8 @@ def surface_items(
         )
         for rows, cols in part.tiles()
     ]
-    whole = dataclasses.replace(base, level=part.level, step=part.step)
-    return items + (_walls(f"{prefix}/{part.level}/walls", whole, shown) if view.look == "surface" else [])
+    request = dataclasses.replace(base, level=part.level, step=part.step)
+    return items + (_walls(f"{prefix}/{part.level}/walls", request, shown) if view.look == "surface" else [])
 
 
 def _base(shown: Shown, look: DisplayStyle, view: View, z0_um: float) -> RenderRequest:
@@ -186,8 +186,8 @@ class TiledSurface:
 
     def items(self, sight: Frustum, finer: float = 1.0) -> list[SceneItem]:
         """Return the items for a view, its centre first; `finer`: rendered pixels per screen pixel."""
-        way = self.view.look
-        return self._items(leaves(self._ground, sight, SHARP_PX[way] / finer, round(MOST_TILES[way] * finer**2)))
+        look = self.view.look
+        return self._items(leaves(self._ground, sight, SHARP_PX[look] / finer, round(MOST_TILES[look] * finer**2)))
 
     @property
     def _ground(self) -> Ground:
@@ -200,9 +200,9 @@ class TiledSurface:
     def _items(self, cover: list[Leaf]) -> list[SceneItem]:
         base = _base(self.shown, self.look, self.view, self.z0_um)
         base = dataclasses.replace(base, refused=self.view.draws_refused)
-        return [item for leaf in cover for item in self._of(leaf, base)]
+        return [item for leaf in cover for item in self._leaf_items(leaf, base)]
 
-    def _of(self, leaf: Leaf, base: RenderRequest) -> Iterator[SceneItem]:
+    def _leaf_items(self, leaf: Leaf, base: RenderRequest) -> Iterator[SceneItem]:
         """Yield the tile of a leaf, and the walls at the surface edges within it."""
         node, shown = leaf.node, self.shown
         request = _cut_out(base, leaf, shown.facts)
@@ -221,14 +221,17 @@ def _cut_out(base: RenderRequest, leaf: Leaf, facts: SurfaceStatistics) -> Rende
     Points have no overlap, because each must be drawn only once.
     """
     node = leaf.node
-    level = max(0, node.level if leaf.seen else node.level + DRAFT_LEVELS)
+    level = max(0, node.level if leaf.in_view else node.level + DRAFT_LEVELS)
     side = node.side_px >> level
-    step = max(1, _STEP >> max(0, -node.level)) if leaf.seen else _STEP
+    step = max(1, _STEP >> max(0, -node.level)) if leaf.in_view else _STEP
     window = [_at_level(span, level) for span in _window(facts)]
     more = 0 if base.what == "points" else 1
     rows, cols = (
-        (max(first, at * side - more), max(min(end, (at + 1) * side + more), max(first, at * side - more) + 1 + more))
-        for at, (first, end) in zip((node.row, node.col), window, strict=True)
+        (
+            max(first, index * side - more),
+            max(min(end, (index + 1) * side + more), max(first, index * side - more) + 1 + more),
+        )
+        for index, (first, end) in zip((node.row, node.col), window, strict=True)
     )
     inner = (rows[1] < window[0][1], rows[0] > window[0][0], cols[0] > window[1][0], cols[1] < window[1][1])
     step = _FLAT_STEP if base.what == "flat" else step

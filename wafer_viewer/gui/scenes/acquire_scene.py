@@ -35,7 +35,7 @@ _NOT_TAKEN = (FieldState.TO_COME, FieldState.TO_REPEAT, FieldState.TAKING, Field
 
 
 def acquire_contents(
-    book: SurfaceInfoCache, snapshot: Snapshot, view: View, latest: LatestFrame | None
+    cache: SurfaceInfoCache, snapshot: Snapshot, view: View, latest: LatestFrame | None
 ) -> SceneContents:
     """Return the fields of the open dataset at their current state; the plan if no dataset is open."""
     data = snapshot.dataset
@@ -46,7 +46,7 @@ def acquire_contents(
             items=(), corners_mm=corners_of((-1.0, -1.0, 1.0, 1.0), 0.0, 0.0), place=("file", data.path)
         )
     size = data.plan.cols * data.plan.pixel_um, data.plan.rows * data.plan.pixel_um
-    facts = book.facts_known({n: _source(data, snapshot, n) for n in sorted(data.stamps)})
+    facts = cache.available_facts({n: _source(data, snapshot, n) for n in sorted(data.stamps)})
     z0 = min((f.lowest_um for f in facts.values()), default=min(f.z_start_um for f in data.fields))
     box = fields_box(data.fields, *size)
     floor = -0.006 * max(box[2] - box[0], box[3] - box[1])
@@ -137,11 +137,11 @@ def _box(
     scene: viser.SceneApi, name: str, _: bytes, *, field: Field, box: Box, low: float, high: float, dark: bool
 ) -> Group:
     accent, unit = colours(dark).accent, min(box[2] - box[0], box[3] - box[1])
-    at = (box[0] + 0.06 * unit, box[1] + 0.06 * unit, high + 0.01 * unit)
+    corner = (box[0] + 0.06 * unit, box[1] + 0.06 * unit, high + 0.01 * unit)
     ink = (255, 255, 255) if not dark else (11, 15, 19)
     return Group(
         lines(scene, f"{name}/edges", box_edges(box, low, high), accent, 1.6),
-        word(scene, f"{name}/number", str(field.number), at, 0.24 * unit, ink, accent, (0.0, 0.0)),
+        word(scene, f"{name}/number", str(field.number), corner, 0.24 * unit, ink, accent, (0.0, 0.0)),
     )
 
 

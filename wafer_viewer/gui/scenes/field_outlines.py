@@ -58,9 +58,9 @@ def planned_items(
     ]
     if len(fields) <= _MOST_NUMBERS:
         items.append(SceneItem("grid/numbers", key, partial(_numbers, fields=fields, boxes=boxes, dark=dark)))
-    points = stage_way(plan) if plan is not None else []
+    points = stage_path(plan) if plan is not None else []
     if len(points) > 1:
-        items.append(SceneItem("grid/way", (tuple(points), dark), partial(_way, points=points, unit=_unit(boxes))))
+        items.append(SceneItem("grid/way", (tuple(points), dark), partial(_path, points=points, unit=_unit(boxes))))
     return items
 
 
@@ -111,14 +111,14 @@ def _size(scene: viser.SceneApi, name: str, _: bytes, *, box: Box) -> Group:
     side = max(box[2] - box[0], box[3] - box[1])
     high, gap, z = 0.042 * side, 0.02 * side, 0.004 * side
     width_um, height_um = (box[2] - box[0]) * 1e3, (box[3] - box[1]) * 1e3
-    below, beside = ((box[0] + box[2]) / 2, box[1] - gap, z), (box[0] - gap, (box[1] + box[3]) / 2, z)
+    at_foot, at_left = ((box[0] + box[2]) / 2, box[1] - gap, z), (box[0] - gap, (box[1] + box[3]) / 2, z)
     return Group(
-        word(scene, f"{name}/w", with_unit(width_um, 0), below, high, _WHITE, _DARK_PLATE, (0.5, 1.0)),
-        word(scene, f"{name}/h", with_unit(height_um, 0), beside, high, _WHITE, _DARK_PLATE, (1.0, 0.5)),
+        word(scene, f"{name}/w", with_unit(width_um, 0), at_foot, high, _WHITE, _DARK_PLATE, (0.5, 1.0)),
+        word(scene, f"{name}/h", with_unit(height_um, 0), at_left, high, _WHITE, _DARK_PLATE, (1.0, 0.5)),
     )
 
 
-def stage_way(plan: ScanPlan) -> list[tuple[float, float]]:
+def stage_path(plan: ScanPlan) -> list[tuple[float, float]]:
     """Return the stage path, x and y in um: the fields of each leg's first and last shot, each segment once."""
     places = {f.number: (f.x_um, f.y_um) for f in plan.fields}
     points: list[tuple[float, float]] = []
@@ -135,11 +135,16 @@ def stage_way(plan: ScanPlan) -> list[tuple[float, float]]:
     return points
 
 
-def _way(scene: viser.SceneApi, name: str, _: bytes, *, points: list[tuple[float, float]], unit: float) -> Group:
-    at = np.array([(x * 1e-3, y * 1e-3, 0.016 * unit) for x, y in points], np.float32)
-    dashes = dashed(polyline_segments(at), 0.13 * unit, 0.5)
+def _path(scene: viser.SceneApi, name: str, _: bytes, *, points: list[tuple[float, float]], unit: float) -> Group:
+    vertices = np.array([(x * 1e-3, y * 1e-3, 0.016 * unit) for x, y in points], np.float32)
+    dashes = dashed(polyline_segments(vertices), 0.13 * unit, 0.5)
     start = scene.add_icosphere(
-        f"{name}/start", 0.055 * unit, (213, 94, 0), position=tuple(at[0]), cast_shadow=False, receive_shadow=False
+        f"{name}/start",
+        0.055 * unit,
+        (213, 94, 0),
+        position=tuple(vertices[0]),
+        cast_shadow=False,
+        receive_shadow=False,
     )
     return Group(cased(scene, f"{name}/line", dashes, (200, 80, 0), 2.2, 0.004 * unit, _WHITE), start)
 

@@ -148,7 +148,7 @@ def _stage_grid(scene: viser.SceneApi, name: str, _: bytes, *, box: Box, dark: b
     )
 
 
-_WHOLE_OVER = 0.3
+_FULL_OVER = 0.3
 """Size ratio of grid to sample from which the view frames both; below it only the grid."""
 _AROUND = 0.28
 
@@ -190,7 +190,7 @@ def _in_sight(snapshot: Snapshot, size: tuple[float, float] | None) -> Box:
         if sample is None
         else max(grid[k + 2] - grid[k] for k in (0, 1)) / max(sample[k + 2] - sample[k] for k in (0, 1))
     )
-    if sample is not None and share >= _WHOLE_OVER:
+    if sample is not None and share >= _FULL_OVER:
         return min(grid[0], sample[0]), min(grid[1], sample[1]), max(grid[2], sample[2]), max(grid[3], sample[3])
     pad = _AROUND * max(grid[2] - grid[0], grid[3] - grid[1])
     return grid[0] - pad, grid[1] - pad, grid[2] + pad, grid[3] + pad

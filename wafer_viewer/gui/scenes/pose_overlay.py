@@ -42,8 +42,8 @@ class PoseCache:
 
     def __init__(self, read: Callable[[], Poses | None], failed: Callable[[Exception], None]) -> None:
         self._read, self._failed = read, failed
-        self._asked: SurfaceKey | None = None
-        self._known: CachedPoses | None = None
+        self._requested: SurfaceKey | None = None
+        self._cached: CachedPoses | None = None
         self._listeners: list[Callable[[], object]] = []
         self._worker = LatestOnlyWorker("poses")
 
@@ -53,12 +53,12 @@ class PoseCache:
 
     def at(self, source: SurfaceKey) -> CachedPoses | None:
         """Return the poses of a surface, the previous ones while new ones are read; None if there are none yet."""
-        if source != self._asked:
-            self._asked = source
+        if source != self._requested:
+            self._requested = source
             self._worker.ask(lambda: self._look_up(source))
-        known = self._known
-        same = known is not None and (known.of.dataset, known.of.result) == (source.dataset, source.result)
-        return known if same else None
+        cached = self._cached
+        same = cached is not None and (cached.of.dataset, cached.of.result) == (source.dataset, source.result)
+        return cached if same else None
 
     def close(self) -> None:
         """Stop the thread."""
@@ -66,9 +66,9 @@ class PoseCache:
 
     def _look_up(self, source: SurfaceKey) -> None:
         try:
-            self._known = CachedPoses(source, self._read())
+            self._cached = CachedPoses(source, self._read())
         except WaferViewerError as fault:  # told, and the page goes on without poses
-            self._known = CachedPoses(source, None)
+            self._cached = CachedPoses(source, None)
             self._failed(fault)
         for listener in self._listeners:
             listener()
@@ -102,13 +102,13 @@ class Fields:
         half = width_um / 2, height_um / 2
         self.boxes: Floats = np.stack([x - half[0], y - half[1], x + half[0], y + half[1]], axis=1)
         self.every = max(1, math.ceil(len(x) / most))
-        self.kept: Mask = ~poses.left_out & (np.arange(len(x)) % self.every == 0)
+        self.drawn: Mask = ~poses.left_out & (np.arange(len(x)) % self.every == 0)
         self.times = self._times()
 
     def _times(self) -> float:
         """Return the magnification of arrows and circles: 1, 2 or 5 times a power of ten, limited by the field size."""
-        poses, there = self.poses, ~self.poses.left_out
-        moved, u_um = np.hypot(*self._moved(there)), 2 * np.maximum(poses.u_x_um, poses.u_y_um)[there]
+        poses, included = self.poses, ~self.poses.left_out
+        moved, u_um = np.hypot(*self._moved(included)), 2 * np.maximum(poses.u_x_um, poses.u_y_um)[included]
         u_um = u_um[np.isfinite(u_um)]
         shares = [float(np.percentile(um, 90)) / room for um, room in ((moved, _LONG), (u_um, _WIDE)) if len(um)]
         largest = max(shares, default=0.0)
@@ -122,7 +122,7 @@ class Fields:
 
     def outlines(self) -> Floats:
         """Return the frames of the included fields."""
-        return sides(self.boxes[self.kept])
+        return sides(self.boxes[self.drawn])
 
     def left_out(self) -> Floats:
         """Return the crosses through the excluded fields."""
@@ -138,27 +138,27 @@ class Fields:
 
     def arrows(self) -> Floats:
         """Return arrows with heads from stage to solved positions, magnified by `times`: [n, 3, 2, 2]."""
-        tails = np.stack([self.poses.stage_x_um, self.poses.stage_y_um], axis=1)[self.kept]
-        way = np.stack(self._moved(self.kept), axis=1) * self.times
-        long = np.hypot(way[:, 0], way[:, 1])
-        seen = long > _LEAST_CIRCLE * self.unit_um
-        tails, way, long = tails[seen], way[seen], long[seen, None]
-        along = way / long
-        beside = along[:, ::-1] * (-1.0, 1.0)
-        head, tips = np.minimum(0.4 * long, _HEAD * self.unit_um), tails + way
-        barbs = [tips - head * (along + side * beside) for side in (0.5, -0.5)]
+        tails = np.stack([self.poses.stage_x_um, self.poses.stage_y_um], axis=1)[self.drawn]
+        shifts = np.stack(self._moved(self.drawn), axis=1) * self.times
+        long = np.hypot(shifts[:, 0], shifts[:, 1])
+        large = long > _LEAST_CIRCLE * self.unit_um
+        tails, shifts, long = tails[large], shifts[large], long[large, None]
+        along = shifts / long
+        normals = along[:, ::-1] * (-1.0, 1.0)
+        head, tips = np.minimum(0.4 * long, _HEAD * self.unit_um), tails + shifts
+        barbs = [tips - head * (along + side * normals) for side in (0.5, -0.5)]
         return np.stack([_pieces(tails, tips), *(_pieces(tips, barb) for barb in barbs)], axis=1)
 
     def circles(self) -> Floats:
         """Return the expanded uncertainties (k = 2), magnified by `times`, around the arrow tips: [n, 24, 2, 2]."""
         poses = self.poses
-        tips = np.stack([poses.stage_x_um, poses.stage_y_um], axis=1)[self.kept]
-        tips = tips + np.stack(self._moved(self.kept), axis=1) * self.times
-        radii = 2 * self.times * np.stack([poses.u_x_um, poses.u_y_um], axis=1)[self.kept]
-        seen = np.isfinite(radii).all(axis=1) & (radii.max(axis=1) > _LEAST_CIRCLE * self.unit_um)
-        radii = np.minimum(radii[seen], _MOST_CIRCLE * self.unit_um)
+        tips = np.stack([poses.stage_x_um, poses.stage_y_um], axis=1)[self.drawn]
+        tips = tips + np.stack(self._moved(self.drawn), axis=1) * self.times
+        radii = 2 * self.times * np.stack([poses.u_x_um, poses.u_y_um], axis=1)[self.drawn]
+        large = np.isfinite(radii).all(axis=1) & (radii.max(axis=1) > _LEAST_CIRCLE * self.unit_um)
+        radii = np.minimum(radii[large], _MOST_CIRCLE * self.unit_um)
         round_ = np.stack([np.cos(_TURN), np.sin(_TURN)], axis=1)
-        rims = tips[seen, None] + radii[:, None] * round_
+        rims = tips[large, None] + radii[:, None] * round_
         return np.stack([rims[:, :-1], rims[:, 1:]], axis=2)
 
     # ---------------------------------------------------------------- overlaps
@@ -193,7 +193,7 @@ class Fields:
         """Return first and second fields of the selected overlaps, without those of excluded fields."""
         shifts = self.poses.shifts
         which = which & ~self.poses.left_out[shifts.first] & ~self.poses.left_out[shifts.second]
-        which = which & (self.kept[shifts.first] | self.kept[shifts.second])
+        which = which & (self.drawn[shifts.first] | self.drawn[shifts.second])
         return shifts.first[which], shifts.second[which]
 
     def _centres(self, k: NDArray[np.int32]) -> Floats:
@@ -218,11 +218,11 @@ def sides(boxes: Floats) -> Floats:
 def in_dashes(pieces: Floats, dash_um: float, share: float = 0.55) -> Floats:
     """Return pieces in dashes. Each is divided into full periods, so that a dash begins at every corner."""
     counts = np.maximum(1, np.round(np.hypot(*(pieces[:, 1] - pieces[:, 0]).T) / dash_um)).astype(int)
-    of = np.repeat(np.arange(len(pieces)), counts)
-    place = np.arange(len(of)) - np.repeat(np.cumsum(counts) - counts, counts)
-    begin, way = pieces[of, 0], pieces[of, 1] - pieces[of, 0]
-    first, last = (((place + end) / counts[of])[:, None] for end in (0.0, share))
-    return _pieces(begin + way * first, begin + way * last)
+    piece = np.repeat(np.arange(len(pieces)), counts)
+    place = np.arange(len(piece)) - np.repeat(np.cumsum(counts) - counts, counts)
+    begin, vector = pieces[piece, 0], pieces[piece, 1] - pieces[piece, 0]
+    first, last = (((place + end) / counts[piece])[:, None] for end in (0.0, share))
+    return _pieces(begin + vector * first, begin + vector * last)
 
 
 def _pieces(begin: Floats, end: Floats) -> Floats:
@@ -230,9 +230,9 @@ def _pieces(begin: Floats, end: Floats) -> Floats:
 
 
 Place = tuple[float, float]
-Seen = tuple[float, float]
+VisibleRange = tuple[float, float]
 """A length in mm and its least size in pixels for the layer to be visible."""
-ALWAYS: Seen = (math.inf, 0.0)
+ALWAYS: VisibleRange = (math.inf, 0.0)
 LEAST_WORD_PX, LEAST_STITCH_PX = 10.0, 7.0
 _FEW = 40
 """Largest number of fields drawn with lines of full width."""
@@ -273,13 +273,13 @@ def inks(dark: bool) -> Inks:
 
 
 def pose_items(
-    known: CachedPoses, on_show: DisplayedSurface, size_um: tuple[float, float], dark: bool, flat: bool
+    cached: CachedPoses, on_show: DisplayedSurface, size_um: tuple[float, float], dark: bool, flat: bool
 ) -> list[SceneItem]:
     """Return the layer as one item that requires the coarse heights; none if only stage positions are known."""
-    if known.poses is None:
+    if cached.poses is None:
         return []
-    make = partial(_overlay, poses=known.poses, size_um=size_um, dark=dark, flat=flat, z0_um=on_show.z0_um)
-    content = (known.of, on_show.source, on_show.z0_um, size_um, dark, flat)
+    make = partial(_overlay, poses=cached.poses, size_um=size_um, dark=dark, flat=flat, z0_um=on_show.z0_um)
+    content = (cached.of, on_show.source, on_show.z0_um, size_um, dark, flat)
     return [
         SceneItem("poses", content, make, RenderRequest(on_show.source, "relief", datum=on_show.datum), stretched=True)
     ]
@@ -305,7 +305,9 @@ class _Pen:
         self._scene, self._name, self._drape, self._casing, self._weight = scene, name, drape, casing, weight
         self.layers: list[Layer] = []
 
-    def line(self, layer: int, kind: str, pieces_um: Floats, colour: Rgb, width_px: float, seen: Seen = ALWAYS) -> None:
+    def line(
+        self, layer: int, kind: str, pieces_um: Floats, colour: Rgb, width_px: float, visible: VisibleRange = ALWAYS
+    ) -> None:
         """Add cased lines; nothing for no pieces. Figures, [n, m, 2, 2], are drawn level."""
         segments = self._drape.level(pieces_um) if pieces_um.ndim == 4 else self._drape.segments(pieces_um)
         wide = width_px * self._weight
@@ -314,7 +316,7 @@ class _Pen:
         casing = lines(self._scene, f"{self._name}/{kind}/casing", segments, self._casing, wide + 2.8 * self._weight)
         line = lines(self._scene, f"{self._name}/{kind}/line", segments, colour, wide)
         foot_px = layer * _LAYER_PX
-        self.layers += [Layer(casing, foot_px + 1.0, *seen), Layer(line, foot_px + 3.0, *seen)]
+        self.layers += [Layer(casing, foot_px + 1.0, *visible), Layer(line, foot_px + 3.0, *visible)]
 
     def words(
         self, layer: int, kind: str, tags: list[NDArray[np.uint8]], at_um: Floats, high_um: float, anchor: Place
@@ -352,9 +354,9 @@ def _numbers(fields: Fields, pen: _Pen, ink: Inks) -> None:
     """Draw field numbers in the upper left corners of the included fields."""
     if len(fields.poses.numbers) > _MOST_NUMBERS:
         return
-    tags = [tag(str(n), ink.on_plate, ink.field) for n in fields.poses.numbers[fields.kept].tolist()]
+    tags = [tag(str(n), ink.on_plate, ink.field) for n in fields.poses.numbers[fields.drawn].tolist()]
     inset = _CORNER * fields.unit_um
-    corners = fields.boxes[fields.kept][:, (0, 3)] + np.array([inset, -inset])
+    corners = fields.boxes[fields.drawn][:, (0, 3)] + np.array([inset, -inset])
     pen.words(2, "numbers", tags, corners, _NUMBER * fields.unit_um, (0.0, 1.0))
 
 
@@ -372,10 +374,10 @@ def _reasons(fields: Fields, pen: _Pen, ink: Inks) -> None:
     rows = np.flatnonzero((doubt != RejectionReason.NONE) & (doubt != RejectionReason.BLANK))
     if len(rows) > _MOST_REASONS:
         return
-    found = [
+    labels = [
         (fields.overlaps(np.arange(len(doubt)) == row), DOUBT_TITLES[RejectionReason(int(doubt[row]))]) for row in rows
     ]
-    found = [(box, words) for box, words in found if len(box)]
-    middles = np.array([(box[0, :2] + box[0, 2:]) / 2 for box, _ in found]).reshape(-1, 2)
-    tags = [tag(words, ink.on_plate, ink.doubt) for _, words in found]
+    labels = [(box, words) for box, words in labels if len(box)]
+    middles = np.array([(box[0, :2] + box[0, 2:]) / 2 for box, _ in labels]).reshape(-1, 2)
+    tags = [tag(words, ink.on_plate, ink.doubt) for _, words in labels]
     pen.words(3, "reasons", tags, middles, _REASON * fields.unit_um, (0.5, 0.5))

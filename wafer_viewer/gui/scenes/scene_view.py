@@ -57,11 +57,11 @@ class SceneView:
         self._due = threading.Condition()
         self._wanted: Wanted | None = None
         self._begun: Wanted | None = None
-        self._asked: Hashable = None
+        self._requested: Hashable = None
         self._more, self._closed, self._settled = False, False, True
         self._gate = SendWindow(lambda: client.local_storage.get_item(_FENCE), self._arrived)
         self._stage = SceneReconciler(client.scene, session.paint, self._arrived, self._gate)
-        self._book = SurfaceInfoCache(
+        self._cache = SurfaceInfoCache(
             session.paint, self._arrived, lambda levelling, show: session.datum(levelling, show)
         )
         self._poses = poses or PoseCache(lambda: session.poses(), self._on_fault)
@@ -91,9 +91,9 @@ class SceneView:
         """Show a snapshot with a view from now on; repeated calls with the same arguments cost nothing."""
         essence = self._essence(snapshot, view)
         with self._due:
-            if essence == self._asked:
+            if essence == self._requested:
                 return
-            self._asked, self._wanted, self._more = essence, (snapshot, view), True
+            self._requested, self._wanted, self._more = essence, (snapshot, view), True
             self._due.notify_all()
 
     def look_from(self, preset: str) -> None:
@@ -124,9 +124,9 @@ class SceneView:
     def range_in_view(self, then: Callable[[Range], None]) -> None:
         """Call back, on another thread, with the range of the displayed quantity within the view."""
         if self._shown is not None and self._shown.on_show is not None:
-            range_in_view(self._session.paint, self._shown.on_show, self.seen_um(), then)
+            range_in_view(self._session.paint, self._shown.on_show, self.visible_um(), then)
 
-    def seen_um(self) -> tuple[tuple[float, float], ...] | None:
+    def visible_um(self) -> tuple[tuple[float, float], ...] | None:
         """Return the corners of the visible ground in stage um; None if it reaches the horizon."""
         return self._eye.sight().ground_um(float(self._eye.goal.look_at[2])) if self._place is not None else None
 
@@ -203,7 +203,7 @@ class SceneView:
         with self._due:
             self._closed = True
             self._due.notify_all()
-        for part in (self._gate, self._book, self._tools, self._moves, self._poses, self._eye):
+        for part in (self._gate, self._cache, self._tools, self._moves, self._poses, self._eye):
             part.close()
 
     # ---------------------------------------------------------------- the scene's thread
@@ -248,13 +248,13 @@ class SceneView:
                     return
                 self._more, self._settled = False, False
                 self._begun = wanted = self._next()
-            whole = self._turn(wanted)
+            complete = self._turn(wanted)
             pause = self._stage.remove_expired()
             with self._due:
-                if whole:
+                if complete:
                     self._begun = None
                     self._more |= wanted is not self._wanted
-                self._settled = whole and pause is None
+                self._settled = complete and pause is None
                 self._due.notify_all()
 
     def _next(self) -> Wanted | None:
@@ -265,16 +265,16 @@ class SceneView:
 
     def _turn(self, wanted: Wanted | None) -> bool:
         """Draw once and run the pending camera command; return whether everything is drawn."""
-        whole = True
+        complete = True
         try:
             if wanted is not None:
-                whole = self._draw(*wanted)
+                complete = self._draw(*wanted)
         except NotReady:
             return False
         except Exception as fault:  # noqa: BLE001 - this is the guard of the scene's thread: told, and the scene lives on
             self._on_fault(fault)
         self._run_errand()
-        return whole
+        return complete
 
     def _run_errand(self) -> None:
         """Run the pending camera command after the requested contents have been set."""
@@ -292,13 +292,13 @@ class SceneView:
             return False
         self._stands = contents.place
         self._scale_listener(contents.on_show)
-        seen = () if contents.seen is None else contents.seen(self._eye.sight(), self._finer)
-        whole = self._stage.show((*seen, *contents.items), contents.stretch)
+        visible = () if contents.visible is None else contents.visible(self._eye.sight(), self._finer)
+        whole = self._stage.show((*visible, *contents.items), contents.stretch)
         self._tell_points(view)
         self._stage.settle(self._eye.um_per_pixel() * 1e-3)
         handled = view, marked(snapshot, view), contents.on_show
         if whole or handled != self._handled:  # handles do not wait for the last tile
-            self._tools.show(view, contents.on_show, self._book, handled[1])
+            self._tools.show(view, contents.on_show, self._cache, handled[1])
             self._handled = handled
         return whole and not contents.awaits_more
 
@@ -322,8 +322,8 @@ class SceneView:
             return plan_contents(snapshot, view)
         source = source_of(snapshot, view.show) if view.step != "acquire" else None
         if source is not None:
-            return surface_contents(self._book, self._steady, self._poses, snapshot, view, source)
-        return acquire_contents(self._book, snapshot, view, self._session.latest_frame)
+            return surface_contents(self._cache, self._steady, self._poses, snapshot, view, source)
+        return acquire_contents(self._cache, snapshot, view, self._session.latest_frame)
 
     def _place_camera(self, contents: SceneContents) -> None:
         if contents.place != self._place:

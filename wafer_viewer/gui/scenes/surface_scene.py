@@ -32,9 +32,9 @@ def source_of(snapshot: Snapshot, show: int) -> SurfaceKey | None:
     data = snapshot.dataset
     if data is None:
         return None
-    if (asked := comparison_of(show)) is not None:
-        found = next((c for c in snapshot.comparisons if c.number == asked[0]), None)
-        return None if found is None else SurfaceKey(data.path, found.name, -asked[1], found.stamp)
+    if (requested := comparison_of(show)) is not None:
+        comparison = next((c for c in snapshot.comparisons if c.number == requested[0]), None)
+        return None if comparison is None else SurfaceKey(data.path, comparison.name, -requested[1], comparison.stamp)
     if show:
         stamp = data.stamps.get(show)
         return None if stamp is None else SurfaceKey(data.path, result_of(snapshot), show, stamp)
@@ -66,7 +66,7 @@ def result_of(snapshot: Snapshot) -> str:
 
 
 def surface_contents(
-    book: SurfaceInfoCache,
+    cache: SurfaceInfoCache,
     steady: DisplayRangeHysteresis,
     poses: PoseCache,
     snapshot: Snapshot,
@@ -75,20 +75,20 @@ def surface_contents(
 ) -> SceneContents:
     """Return the block with its surface and the field layer. Raises NotReady while information is pending."""
     basis = _basis(source)
-    datum = book.datum(basis, view.levelling)
-    told = book.facts(basis, datum)
-    view = _with_available_quantity(view, told)
-    shown = _shown(snapshot, source, steady.facts(basis, view, told), datum)
-    facts, scale = shown.facts, steady.scale(basis, view, book.scale(basis, view, datum))
+    datum = cache.datum(basis, view.levelling)
+    base_facts = cache.facts(basis, datum)
+    view = _with_available_quantity(view, base_facts)
+    shown = _shown(snapshot, source, steady.facts(basis, view, base_facts), datum)
+    facts, scale = shown.facts, steady.scale(basis, view, cache.scale(basis, view, datum))
     z0 = facts.lowest_um - 0.02 * (facts.high_um - facts.low_um)
     on_show = DisplayedSurface(source, facts, scale, z0, view.exaggeration, datum)
     box, solid = bounds_mm(facts), view.look == "surface"
-    heights = heights_of(on_show, book.relief_if_known(source, datum))
+    heights = heights_of(on_show, cache.available_relief(source, datum))
     tiled = TiledSurface(shown, display_style_of(view, scale), view, z0, heights if view.look != "plan" else _level)
     ground = block_items(box, view.dark, plinth=solid)
     return SceneContents(
         items=(*ground, *_picture_at_z(snapshot, view, on_show), *_fields(poses, snapshot, view, on_show)),
-        seen=tiled.items,
+        visible=tiled.items,
         rough=(*tiled.first_items(), *ground),
         corners_mm=corners_of(_with_figures(box), -plinth_mm(box), 0.0 if view.look == "plan" else _top(on_show)),
         place=("surface", source.dataset, _framed_surface(snapshot, view.show), view.look == "plan"),
@@ -131,19 +131,23 @@ def _basis(source: SurfaceKey) -> SurfaceKey:
 
 def _framed_surface(snapshot: Snapshot, show: int) -> int:
     """Return the surface that the camera frames: that of a comparison's first surface, except side by side."""
-    asked = comparison_of(show)
-    found = next((c for c in snapshot.comparisons if asked is not None and c.number == asked[0]), None)
-    return show if asked is None or found is None or asked[1] is ComparisonFace.BESIDE else found.comparison.first.field
+    requested = comparison_of(show)
+    comparison = next((c for c in snapshot.comparisons if requested is not None and c.number == requested[0]), None)
+    return (
+        show
+        if requested is None or comparison is None or requested[1] is ComparisonFace.BESIDE
+        else comparison.comparison.first.field
+    )
 
 
 def _fields(poses: PoseCache, snapshot: Snapshot, view: View, on_show: DisplayedSurface) -> list[SceneItem]:
     """Return the layer of solved field positions."""
     data = snapshot.dataset
-    known = poses.at(on_show.source) if view.shows_fields and data is not None else None
-    if known is None or data is None:
+    cached = poses.at(on_show.source) if view.shows_fields and data is not None else None
+    if cached is None or data is None:
         return []
     size_um = (data.plan.cols * data.plan.pixel_um, data.plan.rows * data.plan.pixel_um)
-    return pose_items(known, on_show, size_um, view.dark, flat=view.look == "plan")
+    return pose_items(cached, on_show, size_um, view.dark, flat=view.look == "plan")
 
 
 def _top(on_show: DisplayedSurface) -> float:

@@ -30,7 +30,7 @@ class Thumbnails:
 
     def __init__(self, page: Page) -> None:
         self._page = page
-        self._asked: dict[RenderRequest, Future[bytes]] = {}
+        self._requested: dict[RenderRequest, Future[bytes]] = {}
 
     def of(self, finding: AnyResult, snapshot: Snapshot) -> Markup:
         """Return the thumbnail of a result, with its regions outlined in its colour, as HTML."""
@@ -40,9 +40,9 @@ class Thumbnails:
 
     def painted(self, request: RenderRequest) -> bytes:
         """Return an image as JPEG; empty while it is pending or if it failed."""
-        future = self._asked.get(request)
+        future = self._requested.get(request)
         if future is None or future.cancelled():
-            future = self._asked[request] = self._page.session.paint(request)
+            future = self._requested[request] = self._page.session.paint(request)
             future.add_done_callback(lambda _: self._page.redraw())
         return future.result() if future.done() and future.exception() is None else b""
 

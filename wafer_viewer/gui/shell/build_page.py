@@ -36,7 +36,7 @@ from wafer_viewer.gui.scenes.scene_view import SceneView
 from wafer_viewer.gui.shell.left_panel import LeftPanel, MapClicks
 from wafer_viewer.gui.shell.lost_connection import Contact
 from wafer_viewer.gui.shell.saved_views import SavedViews, Viewpoint
-from wafer_viewer.gui.shell.shortcuts import Palette, Parts, add_keys_sheet, commands_of, glossary_command
+from wafer_viewer.gui.shell.shortcuts import Palette, Parts, add_shortcut_dialog, commands_of, glossary_command
 from wafer_viewer.gui.shell.tour_guide import TourGuide, Welcome
 from wafer_viewer.gui.state.view_state import Step, View, with_cursor
 from wafer_viewer.gui.surface.focus_evidence import WhyDock, WhyPanel
@@ -46,9 +46,9 @@ from wafer_viewer.gui.surface.surface_panel import SurfacePanel
 from wafer_viewer.gui.tools.region_tools import in_scene, take_places
 from wafer_viewer.gui.widgets.callback_timing import LatestOnlyWorker
 from wafer_viewer.gui.widgets.command import Command, looking
-from wafer_viewer.gui.widgets.controls import HtmlBlock, always_there
+from wafer_viewer.gui.widgets.controls import HtmlBlock, always_mounted
 from wafer_viewer.gui.widgets.error_guard import guarded, tell_failure
-from wafer_viewer.gui.widgets.style import BRAND, RIGHT_PX, sheet
+from wafer_viewer.gui.widgets.style import BRAND, RIGHT_PX, page_style
 from wafer_viewer.model.region import Region
 from wafer_viewer.session.state.snapshot import Snapshot
 
@@ -62,11 +62,11 @@ class PageTheme:
     def __init__(self, page: Page) -> None:
         self._gui = page.gui
         self._dark: bool | None = None
-        self._sheet = HtmlBlock(page.gui, padded=False)
+        self._styles = HtmlBlock(page.gui, padded=False)
 
     def show(self, snapshot: Snapshot, view: View) -> None:
         """Bring the theme up to date."""
-        self._sheet.show(sheet(view.dark, bottom_panel_height_px(view)))
+        self._styles.show(page_style(view.dark, bottom_panel_height_px(view)))
         if view.dark != self._dark:
             self._dark = view.dark
             self._gui.configure_theme(
@@ -116,7 +116,7 @@ def build_page(client: viser.ClientHandle, session: Session) -> Page:
     page = Page(client, session)
     page.gui.main_panel.dock_right()
     page.gui.main_panel.set_width(RIGHT_PX)
-    with always_there(page.gui):
+    with always_mounted(page.gui):
         frame = PageTheme(page)
         page.add_picks()
         ear = BrowserEvents(page)
@@ -124,7 +124,7 @@ def build_page(client: viser.ClientHandle, session: Session) -> Page:
         header = Header(page.gui, lambda step: go_to(page, step), halt)
         strip, question, contact, tour = StatusStrip(page), ControlRequestPrompt(page), Contact(page), TourGuide(page)
     left = LeftPanel(page)  # docked before anything is drawn: whenever the scene changes its size it is drawn anew
-    hands, reopened = ControlLock(page), Reopened(page)
+    control_lock, reopened = ControlLock(page), Reopened(page)
     poses = PoseCache(session.poses, lambda fault: tell_failure(page, "The overlaps are not shown", fault))
     poses.on_arrival(page.redraw)
     failed = partial(tell_failure, page, "The scene is not complete")
@@ -133,11 +133,11 @@ def build_page(client: viser.ClientHandle, session: Session) -> Page:
     curves = LiveProfiles(page)
     viewpoint, drawing, welcome = Viewpoint(page, scene), ScenePart(scene, curves), Welcome(page)
     page.show_first([frame, header, welcome, viewpoint, drawing])
-    statistics = ShownStatistics(page, scene.seen_um)
+    statistics = ShownStatistics(page, scene.visible_um)
     plan, acquire = PlanPanel(page), AcquirePanel(page)
     surface, measure = SurfacePanel(page, poses, scene.range_in_view, statistics), MeasurePanel(page, scene, curves)
     gauge, review, report = GaugePanel(page), ReviewPanel(page, scene), ReportPanel(page)
-    beside, stack = DefectBeside(page), DefectStack(page, review.go_to)
+    comparison, stack = DefectBeside(page), DefectStack(page, review.go_to)
     why = WhyPanel(page)
     ear.left = left.panel
     read_out = ReadOutBox(page)
@@ -171,7 +171,7 @@ def build_page(client: viser.ClientHandle, session: Session) -> Page:
             WhyDock(page, why),
             GaugeDock(page),
             DefectDock(page),
-            beside,
+            comparison,
             stack,
             StepReadout(page, lambda: gauge.live.answer),
         ),
@@ -180,7 +180,7 @@ def build_page(client: viser.ClientHandle, session: Session) -> Page:
         strip,
         question,
         reopened,
-        hands,
+        control_lock,
         contact,
         viewpoint,
         drawing,
@@ -189,7 +189,7 @@ def build_page(client: viser.ClientHandle, session: Session) -> Page:
     left.dies.on_chosen(review.go_to)
     _listen_to_scene(page, scene, read_out, why)
     _listen_to_lines(page, scene, curves)
-    with_verbs = welcome, tour, gauge, review, report, left.compare, left.defects, left.dies, beside, stack
+    with_verbs = welcome, tour, gauge, review, report, left.compare, left.defects, left.dies, comparison, stack
     of_parts = [command for part in with_verbs for command in part.commands()]
     verbs = [*of_parts, *commands_of(page, Parts(plan, acquire, surface, measure, why))]
     parts.insert(1, _palette(page, scene, verbs))
@@ -203,7 +203,7 @@ def _palette(page: Page, scene: SceneView, of_parts: list[Command]) -> Palette:
     """Create the command palette and the key sheet, and add titles and hints to widgets."""
     views, picture = SavedViews(page, scene), PrintPicture(page, scene)
     commands = [*looking(scene.look_from), *views.commands(), *picture.commands(), *of_parts, glossary_command(page)]
-    palette = Palette(page, [*commands, add_keys_sheet(page, commands)], views.going)
+    palette = Palette(page, [*commands, add_shortcut_dialog(page, commands)], views.going)
     add_titles(page, commands)
     add_hints(page.gui)
     return palette
@@ -213,9 +213,9 @@ def _listen_to_page(page: Page, scene: SceneView, left: LeftPanel, measure: Meas
     """Connect clicks in the left panel, on the overlays and in the header."""
     left.results.on_chosen(scene.fly_to)
     left.defects.on_chosen(scene.fly_to)
-    left.map.on_seen(scene.seen_um)
+    left.map.on_camera_view(scene.visible_um)
     left.map.on_brushed(lambda: page.statistics.brushed if page.statistics is not None else None)
-    left.dies.on_camera_view(scene.seen_um)
+    left.dies.on_camera_view(scene.visible_um)
     MapClicks(page, scene)
     page.on_pick("dismiss", page.dismiss)
     page.on_pick("theme", lambda _: page.change(dark=not page.view.dark))

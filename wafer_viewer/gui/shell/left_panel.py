@@ -64,14 +64,14 @@ class FieldMap:
         HtmlBlock(gui, html.head("Map", first=True))
         self._marks = HtmlBlock(gui)
         self._map = HtmlBlock(gui)
-        self._seen: Callable[[], Outline | None] = lambda: None
+        self._camera_view: Callable[[], Outline | None] = lambda: None
         self._brushed: Callable[[], Brushed | None] = lambda: None
-        self._of: tuple[object, ...] | None = None
+        self._drawn: tuple[object, ...] | None = None
         self._frame: MapViewport | None = None
 
-    def on_seen(self, seen_um: Callable[[], Outline | None]) -> None:
+    def on_camera_view(self, view_um: Callable[[], Outline | None]) -> None:
         """Set the function that returns the ground area in the camera's view."""
-        self._seen = seen_um
+        self._camera_view = view_um
 
     def on_brushed(self, brushed: Callable[[], Brushed | None]) -> None:
         """Set the function that returns the brushed points."""
@@ -79,15 +79,15 @@ class FieldMap:
 
     def show(self, snapshot: Snapshot, view: View) -> None:
         """Bring map and marks up to date."""
-        of = _redraw_key(snapshot, view)
-        if self._of is None or any(a is not b and a != b for a, b in zip(of, self._of, strict=True)):
-            self._of = of
+        key = _redraw_key(snapshot, view)
+        if self._drawn is None or any(a is not b and a != b for a, b in zip(key, self._drawn, strict=True)):
+            self._drawn = key
             self._draw(snapshot, view)
         if self._frame is None or not view.on_surface:
             self._marks.show("")
             return
         areas = _areas(view, self._brushed())
-        drawing = map_marks_svg(self._frame, self._seen() or (), _marks(snapshot, view), areas)
+        drawing = map_marks_svg(self._frame, self._camera_view() or (), _marks(snapshot, view), areas)
         self._marks.show(drawing and Markup('<div class="wv-over-map">{}</div>').format(drawing))
 
     def _draw(self, snapshot: Snapshot, view: View) -> None:
@@ -205,9 +205,9 @@ def _judged(item: ReviewItem, chosen: bool) -> MapMark:
     return _at(item, colours[verdict], chosen, html.pick("review", item.key), f", {verdict}")
 
 
-def _at(item: ReviewItem, colour: str, chosen: bool, attributes: str, told: str = "") -> MapMark:
+def _at(item: ReviewItem, colour: str, chosen: bool, attributes: str, state: str = "") -> MapMark:
     x0, y0, x1, y1 = item.box_um or (0.0, 0.0, 0.0, 0.0)
-    return MapMark((x0 + x1) / 2, (y0 + y1) / 2, colour, f"{item.sign} · {item.title}{told}", chosen, attributes)
+    return MapMark((x0 + x1) / 2, (y0 + y1) / 2, colour, f"{item.sign} · {item.title}{state}", chosen, attributes)
 
 
 def _legend(states: dict[int, str]) -> Markup:
@@ -348,7 +348,7 @@ class MapClicks:
 
     def _fly(self, x_um: float, y_um: float) -> None:
         """Fly to a place and keep the size of the view."""
-        corners = self._scene.seen_um()
+        corners = self._scene.visible_um()
         xs, ys = ([corner[k] for corner in corners] for k in (0, 1)) if corners else ((0.0, WIDE_UM), (0.0, WIDE_UM))
         half_x, half_y = (max(xs) - min(xs)) / 2, (max(ys) - min(ys)) / 2
         self._scene.fly_to((x_um - half_x, y_um - half_y, x_um + half_x, y_um + half_y))

@@ -46,12 +46,12 @@ class SavedViews:
 
     def going(self, snapshot: Snapshot) -> list[Command]:
         """Return the commands that go to the saved views; the first ones have their numbers as keys."""
-        return [self._going_to(kept) for kept in snapshot.notebook.book.views] if snapshot.dataset is not None else []
+        return [self._going_to(saved) for saved in snapshot.notebook.book.views] if snapshot.dataset is not None else []
 
-    def _going_to(self, kept: SavedView) -> Command:
-        key, held = (f"{kept.number}", "shift") if kept.number <= WITH_KEYS else (None, None)
-        name = f"Go to view: {kept.name}"
-        return Command(name, key, lambda: self.go_to(kept.number), viser.Icon.BOOKMARK, held, "Look", listed=False)
+    def _going_to(self, saved: SavedView) -> Command:
+        key, held = (f"{saved.number}", "shift") if saved.number <= WITH_KEYS else (None, None)
+        name = f"Go to view: {saved.name}"
+        return Command(name, key, lambda: self.go_to(saved.number), viser.Icon.BOOKMARK, held, "Look", listed=False)
 
     def ask_name(self) -> None:
         """Open the dialog that saves the camera pose and the display settings under a name."""
@@ -70,21 +70,21 @@ class SavedViews:
 
     def go_to(self, number: int) -> None:
         """Go to a saved view."""
-        page, kept = self._page, self._page.session.snapshot.notebook.book.view(number)
-        if kept is None:
+        page, saved = self._page, self._page.session.snapshot.notebook.book.view(number)
+        if saved is None:
             return
         step = page.view.step if page.view.on_surface else "surface"
-        page.change(step=step, frame_k=None, slice_z_um=None, why=None, **choices(kept, page.session.snapshot))
+        page.change(step=step, frame_k=None, slice_z_um=None, why=None, **choices(saved, page.session.snapshot))
         self._scene.draw(page.session.snapshot, page.view)  # before the camera moves: another surface is framed anew
-        self._scene.go_to(CameraPose(np.array(kept.position_mm), np.array(kept.look_at_mm)))
+        self._scene.go_to(CameraPose(np.array(saved.position_mm), np.array(saved.look_at_mm)))
 
     def _ask_other_name(self, number: int) -> None:
-        page, kept = self._page, self._page.session.snapshot.notebook.book.view(number)
-        if kept is None:
+        page, saved = self._page, self._page.session.snapshot.notebook.book.view(number)
+        if saved is None:
             raise DatasetError(f"There is no view {number}: it was deleted.")
         dialog = Dialog(page, "Rename the view", "The name appears in every browser's list.")
         with dialog.modal:
-            name = page.gui.add_text("Name", kept.name)
+            name = page.gui.add_text("Name", saved.name)
 
         def rename() -> None:
             page.ask("The name was not changed", page.session.notebook.rename_view(number, name.value))
@@ -103,17 +103,17 @@ def saved(view: View, pose: CameraPose, name: str) -> SavedView:
     return SavedView(name=name, position_mm=(x, y, z), look_at_mm=(at_x, at_y, at_z), **looked)
 
 
-def choices(kept: SavedView, snapshot: Snapshot) -> dict[str, Any]:
+def choices(saved: SavedView, snapshot: Snapshot) -> dict[str, Any]:
     """Return the view changes of a saved view; unknown styles get the default, a missing field the whole surface."""
-    looked = {key: getattr(kept, key) for key in LOOKED}
+    looked = {key: getattr(saved, key) for key in LOOKED}
     data = snapshot.dataset
-    if kept.show > 0 and (data is None or kept.show not in data.stamps):
+    if saved.show > 0 and (data is None or saved.show not in data.stamps):
         looked["show"] = 0
     try:
-        known = msgspec.convert({key: looked[key] for key in ("look", "colour_by")}, View)
+        valid = msgspec.convert({key: looked[key] for key in ("look", "colour_by")}, View)
     except msgspec.ValidationError:
         return {**looked, "look": View().look, "colour_by": View().colour_by}
-    return {**looked, "look": known.look, "colour_by": known.colour_by}
+    return {**looked, "look": valid.look, "colour_by": valid.colour_by}
 
 
 def views_html(snapshot: Snapshot, view: View) -> Markup:
@@ -121,42 +121,42 @@ def views_html(snapshot: Snapshot, view: View) -> Markup:
     if not view.on_surface or snapshot.dataset is None:
         return Markup()
     state = snapshot.notebook
-    rows = [_row(kept) for kept in state.book.views]
+    rows = [_row(saved) for saved in state.book.views]
     listed = html.table([], rows) if rows else ""
     undone = state.can_undo and view.step != "review"  # where judgements are taken back, too
     undo = Markup('<span class="wv-link" {}>undo</span>').format(html.command_pick("view-undo")) if undone else Markup()
     save = Markup('<span class="wv-link" title="Key Shift + 0" {}>Save view…</span>').format(
         html.command_pick("view-save")
     )
-    told = "3000 px wide, with scale and colours · Key P"
-    picture = Markup('<span class="wv-link" title="{}" {}>Picture</span>').format(told, html.pick("picture"))
+    title = "3000 px wide, with scale and colours · Key P"
+    picture = Markup('<span class="wv-link" title="{}" {}>Picture</span>').format(title, html.pick("picture"))
     foot = Markup('<div style="display:flex;justify-content:space-between;margin:4px 6px 6px">{}{}{}</div>').format(
         save, picture, undo
     )
     return html.head("Views") + listed + foot
 
 
-def _row(kept: SavedView) -> Markup:
-    key = Markup("<kbd>{}</kbd>").format(spoken(str(kept.number), "shift")) if kept.number <= WITH_KEYS else Markup()
+def _row(saved: SavedView) -> Markup:
+    key = Markup("<kbd>{}</kbd>").format(spoken(str(saved.number), "shift")) if saved.number <= WITH_KEYS else Markup()
     name = Markup('<span class="wv-cut wv-short" title="Look from here" {}>{}</span>').format(
-        html.pick("view", kept.number), kept.name
+        html.pick("view", saved.number), saved.name
     )
     return html.row(
         [
             name,
             key,
-            _act("view-rename", kept, "Rename", viser.Icon.PENCIL)
-            + _act("view-delete", kept, "Delete", viser.Icon.TRASH),
+            _act("view-rename", saved, "Rename", viser.Icon.PENCIL)
+            + _act("view-delete", saved, "Delete", viser.Icon.TRASH),
         ],
         "  n",
     )
 
 
-def _act(what: str, kept: SavedView, word: str, sign: Any) -> Markup:
-    label = f"{word} {kept.name}"
-    told = Markup('title="{}" aria-label="{}"').format(label, label)
+def _act(what: str, saved: SavedView, word: str, sign: Any) -> Markup:
+    label = f"{word} {saved.name}"
+    attributes = Markup('title="{}" aria-label="{}"').format(label, label)
     return Markup('<span class="wv-act" {} {}>{}</span>').format(
-        told, html.command_pick(what, kept.number), html.icon(sign, 14)
+        attributes, html.command_pick(what, saved.number), html.icon(sign, 14)
     )
 
 
@@ -168,20 +168,20 @@ class Viewpoint:
 
     def __init__(self, page: Page, scene: SceneView) -> None:
         self._page, self._scene = page, scene
-        self._kept: SavedCamera | None = None
+        self._saved: SavedCamera | None = None
 
     def show(self, snapshot: Snapshot, view: View) -> None:
         """Restore the camera pose on the first call; save it later whenever it has changed."""
-        of = camera_key(snapshot, view)
-        if self._kept is None:
-            self._kept = self._page.recalled.standpoint
-            if self._kept.of == of:
-                self._scene.reopen(CameraPose(np.array(self._kept.position_mm), np.array(self._kept.look_at_mm)))
+        key = camera_key(snapshot, view)
+        if self._saved is None:
+            self._saved = self._page.recalled.standpoint
+            if self._saved.of == key:
+                self._scene.reopen(CameraPose(np.array(self._saved.position_mm), np.array(self._saved.look_at_mm)))
             return
         pose = self._scene.pose
-        if pose is not None and not (of == self._kept.of and _same(pose, self._kept)):
-            self._kept = SavedCamera(of, _vector(pose.position), _vector(pose.look_at))
-            keep_standpoint(self._page.client, self._kept)
+        if pose is not None and not (key == self._saved.of and _same(pose, self._saved)):
+            self._saved = SavedCamera(key, _vector(pose.position), _vector(pose.look_at))
+            keep_standpoint(self._page.client, self._saved)
 
 
 def camera_key(snapshot: Snapshot, view: View) -> str:
@@ -190,9 +190,9 @@ def camera_key(snapshot: Snapshot, view: View) -> str:
     return f"{data.path}" if view.on_surface and data is not None else view.step
 
 
-def _same(pose: CameraPose, kept: SavedCamera) -> bool:
+def _same(pose: CameraPose, saved: SavedCamera) -> bool:
     now = (*_vector(pose.position), *_vector(pose.look_at))
-    return all(abs(a - b) < MOVED_MM for a, b in zip(now, (*kept.position_mm, *kept.look_at_mm), strict=True))
+    return all(abs(a - b) < MOVED_MM for a, b in zip(now, (*saved.position_mm, *saved.look_at_mm), strict=True))
 
 
 def _vector(place: np.ndarray) -> tuple[float, float, float]:

@@ -318,7 +318,7 @@ def _asking(page: Page) -> Callable[..., Callable[[], None]]:
 SCRIPTS = "accessible_names.js", "file_dialog.js", "keyboard.js"
 """Scripts in this order: the file dialog handles its keys before the keyboard script."""
 FILE_PICKS = "file-mark", "file-open", "file-parent"
-BESIDE_THE_TABLE: dict[Group, tuple[tuple[str, str], ...]] = {
+FIXED_KEYS: dict[Group, tuple[tuple[str, str], ...]] = {
     "Page": (
         ("Every command by name", "Ctrl + K"),
         ("This list", "F1 or ?"),
@@ -330,7 +330,7 @@ BESIDE_THE_TABLE: dict[Group, tuple[tuple[str, str], ...]] = {
 """Keys without a command in the table, and keys that stand for several commands."""
 
 
-def sheet_html(commands: Sequence[Command]) -> Markup:
+def shortcut_table(commands: Sequence[Command]) -> Markup:
     """Return all keys by group as HTML."""
     groups = [(group, _rows(group, commands)) for group in get_args(Group)]
     drawn = Markup("").join(_group(group, rows) for group, rows in groups if rows)
@@ -339,13 +339,13 @@ def sheet_html(commands: Sequence[Command]) -> Markup:
     )
 
 
-def add_keys_sheet(page: Page, commands: Sequence[Command]) -> Command:
+def add_shortcut_dialog(page: Page, commands: Sequence[Command]) -> Command:
     """Add the keyboard script to the page and return the command that shows the sheet."""
 
     def show() -> None:
         dialog = Dialog(page, "Keys", "Every command is also in the command palette: Ctrl + K.")
         with dialog.modal:
-            HtmlBlock(page.gui, sheet_html(commands))
+            HtmlBlock(page.gui, shortcut_table(commands))
         dialog.close_button("Close")
 
     page.on_pick("keys", lambda _: show())
@@ -383,7 +383,7 @@ def glossary_command(page: Page) -> Command:
 
 def _rows(group: Group, commands: Sequence[Command]) -> list[tuple[str, str]]:
     named = [(c.name, c.spoken_key) for c in commands if c.group == group and c.key and c.listed]
-    return [*named, *BESIDE_THE_TABLE.get(group, ())]
+    return [*named, *FIXED_KEYS.get(group, ())]
 
 
 def _group(group: Group, rows: list[tuple[str, str]]) -> Markup:
@@ -408,17 +408,17 @@ class Palette:
 
     def __init__(self, page: Page, commands: Sequence[Command], more: Source) -> None:
         self._page, self._commands, self._more = page, commands, more
-        self._known: dict[Name, Any] = {}
+        self._registered: dict[Name, Any] = {}
 
     def show(self, snapshot: Snapshot, view: View) -> None:
         """Bring the browser's list up to date."""
         everything = (*self._commands, *self._more(snapshot))
         now = {_name(c): c for c in everything if c.here is None or c.here(snapshot, view)}
-        for gone in self._known.keys() - now.keys():
-            self._known.pop(gone).remove()
+        for gone in self._registered.keys() - now.keys():
+            self._registered.pop(gone).remove()
         for name, command in now.items():
-            if name not in self._known:
-                self._known[name] = self._add(command)
+            if name not in self._registered:
+                self._registered[name] = self._add(command)
 
     def _add(self, command: Command) -> Any:
         handle = self._page.gui.add_command(

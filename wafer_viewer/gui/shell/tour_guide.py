@@ -83,13 +83,13 @@ class TourGuide:
         def why_not(snapshot: Snapshot, _: View) -> str | None:
             return None if snapshot.rig.simulated else "the tour is for the virtual rig, this one is real."
 
-        def under_way(_: Snapshot, view: View) -> bool:
+        def running(_: Snapshot, view: View) -> bool:
             return view.tour is not None
 
         icon, name = viser.Icon.PLAYER_PLAY, "Take the tour on the virtual rig"
         return [
             Command(name, None, self.begin, icon, group="Plan", why_not=why_not),
-            Command("End the tour", None, self.end, viser.Icon.X, group="Page", here=under_way),
+            Command("End the tour", None, self.end, viser.Icon.X, group="Page", here=running),
         ]
 
     def begin(self) -> None:
@@ -146,15 +146,15 @@ def present_step(snapshot: Snapshot, view: View, report: Path | None) -> int:
     data, inspection = snapshot.dataset, snapshot.inspection
     started = data is not None and is_tour(data.job)
     finished = started and data is not None and data.finished and snapshot.surface is not None
-    kept = started and any(isinstance(finding, StepHeight) for finding in snapshot.findings)
-    found = inspection.inspection.found if started and inspection.inspection is not None else None
+    measured = started and any(isinstance(finding, StepHeight) for finding in snapshot.findings)
+    defects = inspection.inspection.found if started and inspection.inspection is not None else None
     done = {
         SCAN: started,
         LOOK: finished and view.on_surface,
         MEASURE: finished and view.step == "measure",
-        KEEP: kept,
-        INSPECT: found is not None,
-        JUDGE: found is not None and (not found or any(defect.judgement != "open" for defect in found)),
+        KEEP: measured,
+        INSPECT: defects is not None,
+        JUDGE: defects is not None and (not defects or any(defect.judgement != "open" for defect in defects)),
         REPORT: report is not None,
     }
     lasting = max((step for step in (KEEP, INSPECT, JUDGE, REPORT) if done[step]), default=-1)
@@ -284,10 +284,10 @@ def end_card(snapshot: Snapshot, tour: Tour, report: Path | None) -> Markup:
     took = duration((tour.ended_s or tour.since_s) - tour.since_s)
     name = data.path.stem if data is not None else ""
     results = Markup("").join(
-        Markup('<div class="{there}"><small>{what}</small><b>{value}</b><span>{below}</span></div>').format(
-            there="" if there else "none", what=what, value=value, below=below
+        Markup('<div class="{present}"><small>{what}</small><b>{value}</b><span>{below}</span></div>').format(
+            present="" if present else "none", what=what, value=value, below=below
         )
-        for what, value, below, there in (_scanned(snapshot), _stepped(snapshot), _found(snapshot), _written(report))
+        for what, value, below, present in (_scanned(snapshot), _stepped(snapshot), _found(snapshot), _written(report))
     )
     link = (
         Markup('<a class="yes" href="{}" target="_blank" rel="noopener">Open the report</a>').format(
@@ -395,8 +395,8 @@ class Welcome:
         link = Markup('<span class="wv-link" {}>Take the tour on the virtual rig</span>, {}').format(
             html.command_pick("tour"), TOUR_TIME
         )
-        way = link if snapshot.rig.limits is not None else "The virtual rig is starting …"
-        tour = Markup("No sample at hand? &ensp;{}").format(way) if snapshot.rig.simulated else Markup()
+        link_or_wait = link if snapshot.rig.limits is not None else "The virtual rig is starting …"
+        tour = Markup("No sample at hand? &ensp;{}").format(link_or_wait) if snapshot.rig.simulated else Markup()
         self._tour.show(Markup('<div class="wv-lab" style="text-align:center;padding:4px 0 6px">{}</div>').format(tour))
 
     def commands(self) -> list[Command]:

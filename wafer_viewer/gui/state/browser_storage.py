@@ -86,11 +86,11 @@ def recall(client: viser.ClientHandle) -> Remembered:
 
 def read(text: str) -> Remembered:
     """Return a view from its text; settings unknown to this version are omitted."""
-    kept = _items(text)
-    chosen = {name: value for name, hint in _hints().items() if (value := _as(kept.get(name), hint)) is not None}
+    stored = _items(text)
+    chosen = {name: value for name, hint in _hints().items() if (value := _as(stored.get(name), hint)) is not None}
     view = View(**{name: value for name, value in chosen.items() if name in EVERYWHERE})
     rest = {name: value for name, value in chosen.items() if name not in EVERYWHERE}
-    return Remembered(view=view, of=str(kept.get(OF, "")), chosen=rest)
+    return Remembered(view=view, of=str(stored.get(OF, "")), chosen=rest)
 
 
 def read_self(text: str) -> BrowserIdentity:

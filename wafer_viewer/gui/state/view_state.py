@@ -69,21 +69,21 @@ SORTS: dict[DefectSort, tuple[str, Callable[[Defect], Any]]] = {
 
 def listed(defects: Iterable[Defect], listing: DefectListing) -> tuple[Defect, ...]:
     """Return the filtered defects in order; unmeasured areas, which are not defects, last."""
-    kept = (d for d in defects if listing.kind in ("", d.seen_as) and listing.die in ("", d.die))
-    kept = (d for d in kept if not listing.numbers or d.number in listing.numbers)
+    listed = (d for d in defects if listing.kind in ("", d.seen_as) and listing.die in ("", d.die))
+    listed = (d for d in listed if not listing.numbers or d.number in listing.numbers)
     order = SORTS[listing.sort][1]
-    return tuple(sorted(kept, key=lambda defect: (defect.seen_as == "unmeasured", order(defect))))
+    return tuple(sorted(listed, key=lambda defect: (defect.seen_as == "unmeasured", order(defect))))
 
 
 def next_die(defects: Iterable[Defect], listing: DefectListing, by: int) -> str | None:
     """Return the next or previous die with open defects, by rows from the top; None if there is none."""
-    there = {d.die for d in defects if d.die and d.judgement == "open" and listing.kind in ("", d.seen_as)}
-    if not there:
+    open_dies = {d.die for d in defects if d.die and d.judgement == "open" and listing.kind in ("", d.seen_as)}
+    if not open_dies:
         return None
-    order = sorted({*there, listing.die} - {""}, key=_rank)
+    order = sorted({*open_dies, listing.die} - {""}, key=_rank)
     ahead = order if by > 0 else order[::-1]
-    at = ahead.index(listing.die) + 1 if listing.die else 0
-    return next(die for die in (*ahead[at:], *ahead[:at]) if die in there)
+    index = ahead.index(listing.die) + 1 if listing.die else 0
+    return next(die for die in (*ahead[index:], *ahead[:index]) if die in open_dies)
 
 
 def next_kind(defects: Iterable[Defect], listing: DefectListing) -> str:
@@ -245,8 +245,8 @@ class View:
     @property
     def shows_difference(self) -> bool:
         """True if the difference of two surfaces is displayed, the second minus the first."""
-        asked = comparison_of(self.show)
-        return asked is not None and asked[1] is ComparisonFace.DIFFERENCE
+        comparison = comparison_of(self.show)
+        return comparison is not None and comparison[1] is ComparisonFace.DIFFERENCE
 
     @property
     def active_line(self) -> Region | None:

@@ -40,7 +40,7 @@ class CompareSection:
     def __init__(self, page: Page) -> None:
         self._page = page
         self._pairs: dict[str, tuple[SurfaceName, SurfaceName]] = {}
-        self._asked: Hashable = None
+        self._requested: Hashable = None
         self._unfolded = False
         self._looking = LatestOnlyWorker("choices of comparing")
         page.on_close(self._looking.close)
@@ -53,18 +53,18 @@ class CompareSection:
 
     def show(self, snapshot: Snapshot, view: View) -> None:
         """Bring the section up to date."""
-        there = view.step == "surface" and snapshot.surface is not None
-        set_prop(self._folder, "visible", there)
-        if not there:
+        visible = view.step == "surface" and snapshot.surface is not None
+        set_prop(self._folder, "visible", visible)
+        if not visible:
             return
-        known = self._known(snapshot, view)
-        if known is None and view.show < 0:
+        compared = self._compared(snapshot, view)
+        if compared is None and view.show < 0:
             self._page.change(show=0, range_um=None)
         if self._unfolded:
             self._ask_choices(snapshot, view)
-        self._show_form(known)
-        self._list.show(_list(snapshot, known, self._unfolded))
-        self._show_known(known, view)
+        self._show_form(compared)
+        self._list.show(_list(snapshot, compared, self._unfolded))
+        self._show_compared(compared, view)
 
     def commands(self) -> list[Command]:
         """Return the comparison commands with their keys."""
@@ -87,8 +87,10 @@ class CompareSection:
 
     def blink(self) -> None:
         """Switch between the first and the second surface with the same camera."""
-        if (asked := comparison_of(self._page.view.show)) is not None:
-            self._look(asked[0], ComparisonFace.FIRST if asked[1] is ComparisonFace.SECOND else ComparisonFace.SECOND)
+        if (requested := comparison_of(self._page.view.show)) is not None:
+            self._look(
+                requested[0], ComparisonFace.FIRST if requested[1] is ComparisonFace.SECOND else ComparisonFace.SECOND
+            )
 
     def close(self) -> None:
         """Close the comparison and show the surface again."""
@@ -115,7 +117,7 @@ class CompareSection:
             self._faces = ToggleGroup(gui, "Look at", words.FACE_CHOICES, self._choose_face)
             close = button(gui, "Close comparison", ICON.X, lambda _: self.close())
             in_a_row(gui, [close])
-            self._told = HtmlBlock(gui)
+            self._summary = HtmlBlock(gui)
 
     # --- what a person does
 
@@ -156,23 +158,23 @@ class CompareSection:
         self._page.change(show=show_of(number, face), range_um=None, frame_k=None, slice_z_um=None, why=None)
 
     def _choose_face(self, face: ComparisonFace) -> None:
-        if (asked := comparison_of(self._page.view.show)) is not None:
-            self._look(asked[0], face)
+        if (requested := comparison_of(self._page.view.show)) is not None:
+            self._look(requested[0], face)
 
     def _remove(self, number: int) -> None:
         page = self._page
-        if (asked := comparison_of(page.view.show)) is not None and asked[0] == number:
+        if (requested := comparison_of(page.view.show)) is not None and requested[0] == number:
             self.close()
         page.ask("The comparison was not removed", page.session.comparing.remove(number))
 
     # --- showing
 
-    def _known(self, snapshot: Snapshot, view: View) -> Compared | None:
-        asked = comparison_of(view.show)
-        return next((c for c in snapshot.comparisons if asked is not None and c.number == asked[0]), None)
+    def _compared(self, snapshot: Snapshot, view: View) -> Compared | None:
+        requested = comparison_of(view.show)
+        return next((c for c in snapshot.comparisons if requested is not None and c.number == requested[0]), None)
 
-    def _show_form(self, known: Compared | None) -> None:
-        set_prop(self._form, "visible", self._unfolded and known is None)
+    def _show_form(self, compared: Compared | None) -> None:
+        set_prop(self._form, "visible", self._unfolded and compared is None)
         titles = tuple(self._pairs) or (NOTHING_TO_COMPARE,)
         if tuple(self._with.options) != titles:
             self._with.options = titles
@@ -180,20 +182,20 @@ class CompareSection:
         why = "" if self._pairs else "Not yet: there is no other surface in the data folder."
         self._why_not.show(Markup('<div class="wv-lab">{}</div>').format(why) if why else Markup())
 
-    def _show_known(self, known: Compared | None, view: View) -> None:
-        set_prop(self._on_show, "visible", known is not None)
-        asked = comparison_of(view.show)
-        if known is None or asked is None:
+    def _show_compared(self, compared: Compared | None, view: View) -> None:
+        set_prop(self._on_show, "visible", compared is not None)
+        requested = comparison_of(view.show)
+        if compared is None or requested is None:
             return
-        self._faces.show(asked[1])
-        self._told.show(_told(known, asked[1]))
+        self._faces.show(requested[1])
+        self._summary.show(_summary_html(compared, requested[1]))
 
     def _ask_choices(self, snapshot: Snapshot, view: View) -> None:
         """List the surfaces to compare with on a worker thread, whenever they may have changed."""
         data, info = snapshot.dataset, snapshot.surface
-        asked = (data and (data.path, data.results), info and info.result, snapshot.datasets, view.show)
-        if asked != self._asked:
-            self._asked = asked
+        request = (data and (data.path, data.results), info and info.result, snapshot.datasets, view.show)
+        if request != self._requested:
+            self._requested = request
             self._looking.ask(
                 lambda: guarded(self._page, "The surfaces to compare were not listed")(self._take)(view.show)
             )
@@ -208,15 +210,15 @@ def _align(title: str) -> Align:
     return next(key for key, name in ALIGN_TITLES.items() if name == title)
 
 
-def _list(snapshot: Snapshot, known: Compared | None, unfolded: bool) -> Markup:
+def _list(snapshot: Snapshot, compared: Compared | None, unfolded: bool) -> Markup:
     """Return the header with the link for a new comparison, and the list of comparisons, as HTML."""
     link = (
         Markup()
-        if known is not None
+        if compared is not None
         else Markup('<span class="wv-link" {}>{}</span>').format(html.pick("compare-new"), _fold_word(unfolded))
     )
     head = Markup('<div class="wv-h">Compare<span>{}</span></div>').format(link)
-    rows = [_row(c, chosen=known is not None and c.number == known.number) for c in snapshot.comparisons]
+    rows = [_row(c, chosen=compared is not None and c.number == compared.number) for c in snapshot.comparisons]
     return head + (html.table((), rows, " n") + Markup('<div style="height:8px"></div>') if rows else "")
 
 
@@ -233,16 +235,16 @@ def _row(compared: Compared, chosen: bool) -> Markup:
     return html.row(cells, " n", html.pick("compare-look", str(compared.number)), "sel" if chosen else "")
 
 
-def _told(known: Compared, face: ComparisonFace) -> Markup:
-    comparison: Any = known.comparison
-    beside = (
+def _summary_html(compared: Compared, face: ComparisonFace) -> Markup:
+    comparison: Any = compared.comparison
+    side_by_side = (
         Markup('<div class="wv-lab">{}</div>').format(words.SIDE_BY_SIDE) if face is ComparisonFace.BESIDE else Markup()
     )
     return (
         Markup('<div class="wv-lab" style="margin-bottom:8px">{}</div>').format(words.surfaces_sentence(comparison))
-        + beside
+        + side_by_side
         + words.change_figures(comparison.change)
-        + words.warnings(comparison, known.outdated)
+        + words.warnings(comparison, compared.outdated)
         + words.change_numbers(comparison.change)
         + words.alignment(comparison.registration)
     )

@@ -45,8 +45,8 @@ class WhyPanel:
         self._page = page
         self.evidence = Evidence()
         self._clicked: tuple[Place, Hashable] | None = None
-        self._asked: Hashable = None
-        self._of: Hashable = None
+        self._requested: Hashable = None
+        self._surface: Hashable = None
         self._folder = page.gui.add_folder(None, visible=False)
         with self._folder:
             self._title = HtmlBlock(page.gui)
@@ -59,9 +59,9 @@ class WhyPanel:
         """Bring the panel up to date; request the evidence of another pixel, close it for another surface."""
         set_prop(self._folder, "visible", view.explains)
         if not view.explains:
-            self._asked, self.evidence = None, Evidence()
+            self._requested, self.evidence = None, Evidence()
             return
-        if self._asked is not None and self._of != surface_of(snapshot, view):
+        if self._requested is not None and self._surface != surface_of(snapshot, view):
             self.close()
             return
         self._ask_if_new(snapshot, view)
@@ -74,7 +74,7 @@ class WhyPanel:
             )
         )
         self._notes.show(self._page.notes(snapshot))
-        self._body.show(self._said())
+        self._body.show(self._content())
 
     def clicked(self, x_um: float, y_um: float) -> None:
         """Remember a click on the surface; explain that place at once if the panel is open."""
@@ -97,24 +97,24 @@ class WhyPanel:
         """Close the panel."""
         self._page.change(why=None)
 
-    def _said(self) -> Markup:
+    def _content(self) -> Markup:
         curve = self.evidence.curve
         if curve is None:
             return Markup()
-        said = Markup("").join(part(curve) for part in (words.answer, words.verdicts, words.rivals))
-        return Markup('<div class="wv-pale">{}</div>').format(said) if self.evidence.reading else said
+        parts = Markup("").join(part(curve) for part in (words.answer, words.verdicts, words.rivals))
+        return Markup('<div class="wv-pale">{}</div>').format(parts) if self.evidence.reading else parts
 
     def _ask_if_new(self, snapshot: Snapshot, view: View) -> None:
-        asked = (view.why, view.show, _stamp(snapshot, view))
-        if asked == self._asked or view.why is None:
+        request = (view.why, view.show, _stamp(snapshot, view))
+        if request == self._requested or view.why is None:
             return
-        self._asked, self._of = asked, surface_of(snapshot, view)
+        self._requested, self._surface = request, surface_of(snapshot, view)
         self.evidence = replace(self.evidence, reading=True, problem="")
         answer = self._page.session.focus_curve(*view.why, max(0, view.show))
-        answer.add_done_callback(lambda done: self._answered(asked, done))
+        answer.add_done_callback(lambda done: self._answered(request, done))
 
-    def _answered(self, asked: Hashable, done: Future[FocusCurve]) -> None:
-        if asked != self._asked or done.cancelled():
+    def _answered(self, request: Hashable, done: Future[FocusCurve]) -> None:
+        if request != self._requested or done.cancelled():
             return
         fault = done.exception()
         if fault is None:

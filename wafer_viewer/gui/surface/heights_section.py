@@ -69,8 +69,8 @@ def histogram_area(ends_um: Span, brush_um: Span | None, clip_um: Span | None, *
     if clips:
         places = (0.0, 1.0) if clip_um is None else tuple(place_of(z, ends_um) for z in clip_um)
         grips = Markup("").join(
-            Markup('<b data-grip="{}" style="left:{:.3f}%"></b>').format(name, 100 * at)
-            for name, at in zip(("low", "high"), places, strict=True)
+            Markup('<b data-grip="{}" style="left:{:.3f}%"></b>').format(name, 100 * fraction)
+            for name, fraction in zip(("low", "high"), places, strict=True)
         )
     heard = {"pointerdown": _DOWN, "pointermove": _MOVE, "pointerup": _UP}
     handlers = " ".join(Markup('on{}="{}"').format(event, script) for event, script in heard.items())
@@ -136,12 +136,12 @@ class HeightsSection:
 
     def show(self, view: View) -> None:
         """Bring the section up to date with the page's statistics."""
-        told = self._page.statistics
-        there = told is not None and sum(told.counts) > 0
-        self._shown = told if there else None
+        statistics = self._page.statistics
+        counted = statistics is not None and sum(statistics.counts) > 0
+        self._shown = statistics if counted else None
         clips = view.look == "points"
-        set_prop(self._brush.handle, "visible", there)
-        if told is None or not there:
+        set_prop(self._brush.handle, "visible", counted)
+        if statistics is None or not counted:
             self._head.show("")
             self._area.show("")
             self._bars.show("")
@@ -149,12 +149,12 @@ class HeightsSection:
             return
         self._head.show(_head(view))
         self._area.show(
-            histogram_area(told.ends_um, view.brush_um, view.clip.heights_um if clips else None, clips=clips)
+            histogram_area(statistics.ends_um, view.brush_um, view.clip.heights_um if clips else None, clips=clips)
         )
         within = view.clip.heights_um if clips else None
-        self._bars.show(histogram_html(told.counts, told.ends_um, self._colours(view), within))
-        self._show_ends(self._brush, view.brush_um, told.span_um)
-        self._show_brushed(told.brushed if view.brush_um is not None else None)
+        self._bars.show(histogram_html(statistics.counts, statistics.ends_um, self._colours(view), within))
+        self._show_ends(self._brush, view.brush_um, statistics.span_um)
+        self._show_brushed(statistics.brushed if view.brush_um is not None else None)
 
     # ---------------------------------------------------------------- bring up to date
 
@@ -165,8 +165,8 @@ class HeightsSection:
             return None
         return OWN_COLOURS.get(by, view.colours), scale.low, scale.high
 
-    def _show_ends(self, field: BoundInput[Any], span_um: Span | None, whole_um: Span) -> None:
-        low, high = span_um or whole_um
+    def _show_ends(self, field: BoundInput[Any], span_um: Span | None, full_um: Span) -> None:
+        low, high = span_um or full_um
         field.show((round(low, _DECIMALS), round(high, _DECIMALS)))
 
     def _show_brushed(self, brushed: Brushed | None) -> None:
@@ -220,10 +220,10 @@ def brushed_rows(brushed: Brushed) -> list[tuple[str, str]]:
     spread = with_unit(brushed.spread_um, 2)
     rows.append(("Mean, spread (1 σ)", f"{number(brushed.mean_um, 2, signed=True)} · {spread}"))
     x0, y0, x1, y1 = brushed.places[0]
-    at = f"x {number((x0 + x1) / 2, 0)}, y {with_unit((y0 + y1) / 2, 0)}"
+    position = f"x {number((x0 + x1) / 2, 0)}, y {with_unit((y0 + y1) / 2, 0)}"
     size = f"{number(x1 - x0, 0)} × {with_unit(y1 - y0, 0)}"
     many = "1 place" if brushed.n_places == 1 else f"Largest of {number(brushed.n_places, 0)} places"
-    return [*rows, (many, at), ("Its size", size)]
+    return [*rows, (many, position), ("Its size", size)]
 
 
 def around(box: Box) -> Region:
@@ -247,15 +247,15 @@ def _sorted(a: float, b: float) -> Span:
     return (a, b) if a <= b else (b, a)
 
 
-def _range_or_none(ends: Span, whole_um: Span) -> Span | None:
+def _range_or_none(ends: Span, full_um: Span) -> Span | None:
     """Return a range of heights; None if it contains all heights or is empty."""
     low, high = float(ends[0]), float(ends[1])
-    all_of_it = low <= whole_um[0] + 10**-_DECIMALS and high >= whole_um[1] - 10**-_DECIMALS
+    all_of_it = low <= full_um[0] + 10**-_DECIMALS and high >= full_um[1] - 10**-_DECIMALS
     return None if high <= low or all_of_it else (low, high)
 
 
 Corners = tuple[tuple[float, float], ...]
-_KEPT = 64
+_MAX_STORED = 64
 _ROUNDED = 200
 """The view is rounded to this part of the surface, so that small camera moves start no new count."""
 
@@ -263,11 +263,11 @@ _ROUNDED = 200
 class ShownStatistics:
     """Part of the page that updates the statistics before the parts that show them; the painter counts."""
 
-    def __init__(self, page: Page, seen_um: Callable[[], Corners | None]) -> None:
-        self._page, self._seen_um = page, seen_um
+    def __init__(self, page: Page, view_um: Callable[[], Corners | None]) -> None:
+        self._page, self._view_um = page, view_um
         self._orders = RenderQueue(page.session.paint, page.redraw)
-        self._known: dict[RenderRequest, Statistics] = {}
-        self._of: RenderRequest | None = None
+        self._stored: dict[RenderRequest, Statistics] = {}
+        self._counted_request: RenderRequest | None = None
         self.problem = ""
 
     def show(self, snapshot: Snapshot, view: View) -> None:
@@ -281,14 +281,14 @@ class ShownStatistics:
             return
         self._orders.keep_only({request})
         try:
-            self._page.statistics, self._of = self._counted(request), request
+            self._page.statistics, self._counted_request = self._counted(request), request
         except NotReady:
-            if self._of is None or not _same_part(self._of, request):
+            if self._counted_request is None or not _same_part(self._counted_request, request):
                 self._page.statistics = _of_all(snapshot, view)
         except WaferViewerError as fault:
             self._page.statistics, self.problem = None, str(fault)
 
-    def seen_um(self) -> Box | None:
+    def view_box_um(self) -> Box | None:
         """Return the box of the surface in view; None if all of it is."""
         return self._box_um(self._page.on_show, replace(self._page.view, counted="view"))
 
@@ -312,7 +312,7 @@ class ShownStatistics:
     def _box_um(self, on_show: DisplayedSurface | None, view: View) -> Box | None:
         if view.counted == "selection":
             return view.selection
-        corners = self._seen_um() if view.counted == "view" else None
+        corners = self._view_um() if view.counted == "view" else None
         if corners is None or on_show is None:
             return None
         facts = on_show.facts
@@ -325,11 +325,11 @@ class ShownStatistics:
 
     def _counted(self, request: RenderRequest) -> Statistics:
         """Return the statistics of a request. Raises NotReady, or WaferViewerError if they cannot be computed."""
-        if request not in self._known:
-            told = msgspec.msgpack.decode(self._orders.outcome(request).result(), type=Statistics)
-            self._known = dict(list(self._known.items())[1 - _KEPT :])
-            self._known[request] = told
-        return self._known[request]
+        if request not in self._stored:
+            statistics = msgspec.msgpack.decode(self._orders.outcome(request).result(), type=Statistics)
+            self._stored = dict(list(self._stored.items())[1 - _MAX_STORED :])
+            self._stored[request] = statistics
+        return self._stored[request]
 
 
 def _same_part(a: RenderRequest, b: RenderRequest) -> bool:
@@ -343,8 +343,8 @@ def _same_part(a: RenderRequest, b: RenderRequest) -> bool:
 def _of_all(snapshot: Snapshot, view: View) -> Statistics | None:
     """Return the statistics that the session has of the whole stitched surface; None for any other part."""
     info = snapshot.surface
-    whole = view.show == 0 and view.counted == "all" and view.levelling.by == "stage"
-    return _as_statistics(info) if info is not None and whole else None
+    unrestricted = view.show == 0 and view.counted == "all" and view.levelling.by == "stage"
+    return _as_statistics(info) if info is not None and unrestricted else None
 
 
 def _as_statistics(info: SurfaceInfo) -> Statistics:

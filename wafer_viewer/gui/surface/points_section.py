@@ -39,7 +39,7 @@ from wafer_viewer.session.state.snapshot import Snapshot
 FAILED = "The points were not changed"
 REFUSED: tuple[tuple[bool, str], ...] = ((False, "Hide"), (True, "Show"))
 NO_FIELDS = "This surface has no fields, and so no refused points."
-NOT_KEPT = "The fields were reconstructed before refused points were kept: reconstruct them again."
+NOT_STORED = "The fields were reconstructed before refused points were kept: reconstruct them again."
 _MEGA, _KILO = 1e6, 1e3
 WORDS: dict[LeftOut, str] = {
     "box": "outside of the box",
@@ -69,17 +69,19 @@ class PointsSection:
 
     def show(self, view: View) -> None:
         """Bring the section up to date."""
-        there = view.look == "points"
-        set_prop(self._folder, "visible", there)
-        if not there:
+        visible = view.look == "points"
+        set_prop(self._folder, "visible", visible)
+        if not visible:
             return
-        told = self._page.statistics
-        self._count.show(html.head("Points") + (_shares(told, self._page.drawn_points) if told is not None else ""))
+        statistics = self._page.statistics
+        self._count.show(
+            html.head("Points") + (_shares(statistics, self._page.drawn_points) if statistics is not None else "")
+        )
         self._size.show(view.point_px)
         self._shade.show(round(100 * view.depth_shade, 3))
         self._least.show(view.clip.least_confidence)
         self._refused.show(view.refused)
-        self._legend.show(_refused_words(told, view))
+        self._legend.show(_refused_words(statistics, view))
 
     def _set_least(self, least: float) -> None:
         clip = self._page.view.clip
@@ -89,10 +91,10 @@ class PointsSection:
         return BoundInput(handle, lambda event: act(event.target.value), self._page, FAILED)
 
 
-def counted(told: Statistics, drawn: int, view: View) -> Markup:
+def counted(statistics: Statistics, drawn: int, view: View) -> Markup:
     """Return the number of drawn points of all, and the reasons for the others, as HTML."""
-    refused = told.refused
-    n_all, n_left, left_out = _totals(told)
+    refused = statistics.refused
+    n_all, n_left, left_out = _totals(statistics)
     rest = [
         f"{amount(left_out[why])} {words.format(confidence=number(view.clip.least_confidence, 2))}"
         for why, words in WORDS.items()
@@ -103,8 +105,8 @@ def counted(told: Statistics, drawn: int, view: View) -> Markup:
         rest.append(f"{amount(nearer)} when nearer or in view")
     if refused is not None and refused.n_heights:
         rest.insert(0, f"{amount(refused.n_heights)} of them refused")
-    beside = Markup(' <span class="dim">· {}</span>').format(Markup(" · ").join(rest)) if rest else Markup()
-    return Markup("<b>{} of {} points</b>{}").format(amount(min(drawn, n_all)), amount(n_all), beside)
+    details = Markup(' <span class="dim">· {}</span>').format(Markup(" · ").join(rest)) if rest else Markup()
+    return Markup("<b>{} of {} points</b>{}").format(amount(min(drawn, n_all)), amount(n_all), details)
 
 
 def amount(n: float) -> str:
@@ -116,31 +118,31 @@ def amount(n: float) -> str:
 
 def refused_legend(refused: RefusedCounts) -> Markup:
     """Return the legend of rejection reasons with their colours and counts, most frequent first, as HTML."""
-    found = sorted(refused.by_reason.items(), key=lambda item: -item[1])
+    reasons = sorted(refused.by_reason.items(), key=lambda item: -item[1])
     rows = Markup("").join(
         Markup("{}<span>{}</span><b>{}</b>").format(
             html.swatch(f"rgb{ORIGIN_COLOURS[Origin(code)]}!important", "var(--ink3)"),
             ORIGIN_TITLES[Origin(code)],
             number(n, 0),
         )
-        for code, n in found
+        for code, n in reasons
     )
     return Markup('<div class="wv-reasons">{}</div>').format(rows) if rows else Markup()
 
 
-def _refused_words(told: Statistics | None, view: View) -> Markup:
+def _refused_words(statistics: Statistics | None, view: View) -> Markup:
     """Return the legend of rejected points, or the reason why there are none, as HTML."""
     if not view.refused:
         return Markup()
     if view.show < 0:
         return _remark(NO_FIELDS)
-    refused = told.refused if told is not None else None
+    refused = statistics.refused if statistics is not None else None
     if refused is None:
         return _remark("Counting …")
     if refused.n_fields == 0:
         return _remark(NO_FIELDS)
     if refused.n_fields_without == refused.n_fields:
-        return _remark(NOT_KEPT)
+        return _remark(NOT_STORED)
     some = f"Not kept for {refused.n_fields_without} of {refused.n_fields} fields: reconstruct those again."
     none = "No point was refused here." if not refused.n_heights else "The clip leaves none of the refused points."
     return (refused_legend(refused) or _remark(none)) + (_remark(some) if refused.n_fields_without else "")
@@ -150,23 +152,23 @@ def _remark(text: str) -> Markup:
     return Markup('<div class="wv-lab">{}</div>').format(text)
 
 
-def _totals(told: Statistics) -> tuple[int, int, dict[LeftOut, int]]:
+def _totals(statistics: Statistics) -> tuple[int, int, dict[LeftOut, int]]:
     """Return the number of all points, of those within the clip, and of the others by reason.
 
     Rejected points are included if they are drawn.
     """
-    refused = told.refused
+    refused = statistics.refused
     if refused is None:
-        return told.n_heights, told.n_points, told.left_out
-    left_out: dict[LeftOut, int] = {why: told.left_out.get(why, 0) + n for why, n in refused.left_out.items()}
-    return told.n_heights + refused.n_heights, told.n_points + refused.n_points, left_out
+        return statistics.n_heights, statistics.n_points, statistics.left_out
+    left_out: dict[LeftOut, int] = {why: statistics.left_out.get(why, 0) + n for why, n in refused.left_out.items()}
+    return statistics.n_heights + refused.n_heights, statistics.n_points + refused.n_points, left_out
 
 
-def _shares(told: Statistics, drawn: int) -> Markup:
+def _shares(statistics: Statistics, drawn: int) -> Markup:
     """Return a bar of the points drawn, drawn when closer, and clipped, as HTML."""
-    n_all, n_left, _ = _totals(told)
-    whole = max(1, n_all)
-    now, later = 100 * min(1.0, drawn / whole), 100 * max(0.0, (n_left - drawn) / whole)
+    n_all, n_left, _ = _totals(statistics)
+    total = max(1, n_all)
+    now, later = 100 * min(1.0, drawn / total), 100 * max(0.0, (n_left - drawn) / total)
     return Markup(
         '<div class="wv-share" style="margin:0 0 6px">'
         '<i style="width:{:.1f}%"></i><i style="width:{:.1f}%;opacity:.3"></i></div>'
@@ -182,7 +184,7 @@ AXES = ("X", "Y", "Z")
 class ClipSection:
     """Section shown for point clouds; the handles on the faces of the box in the scene are equivalent."""
 
-    def __init__(self, page: Page, seen_um: Callable[[], Box | None]) -> None:
+    def __init__(self, page: Page, view_um: Callable[[], Box | None]) -> None:
         self._page = page
         gui = page.gui
         self._folder = gui.add_folder(None, visible=False)
@@ -190,12 +192,12 @@ class ClipSection:
             HtmlBlock(gui, html.head("Clip box", "Drag its balls, or type"))
             self._ends = [self._field(axis) for axis in range(3)]
             place = [
-                self._button("To view", viser.Icon.EYE, seen_um),
+                self._button("To view", viser.Icon.EYE, view_um),
                 self._button("To selection", viser.Icon.MARQUEE_2, lambda: page.view.selection),
             ]
             in_a_row(gui, place, 30)
             ends = [
-                self._button("Whole surface", viser.Icon.BOX, self._whole),
+                self._button("Whole surface", viser.Icon.BOX, self._full_box),
                 button(gui, "Reset", viser.Icon.X, lambda _: self._reset()),
             ]
             in_a_row(gui, ends, 30)
@@ -203,15 +205,15 @@ class ClipSection:
 
     def show(self, view: View) -> None:
         """Bring the section up to date."""
-        there = view.look == "points"
-        set_prop(self._folder, "visible", there)
-        if not there:
+        visible = view.look == "points"
+        set_prop(self._folder, "visible", visible)
+        if not visible:
             return
-        known = self._known(view)
+        extent = self._extent(view)
         for axis, field in enumerate(self._ends):
-            field.enable(known is not None)
-            if known is not None:
-                low, high = known[axis]
+            field.enable(extent is not None)
+            if extent is not None:
+                low, high = extent[axis]
                 field.show((round(low, DECIMALS), round(high, DECIMALS)))
         set_prop(self._to_selection, "disabled", view.selection is None)
         set_prop(self._reset_button, "disabled", view.clip.box_um is None and view.clip.heights_um is None)
@@ -219,7 +221,7 @@ class ClipSection:
     def _button(self, label: str, icon: Any, box: Callable[[], Box | None]) -> Any:
         return button(self._page.gui, label, icon, guarded(self._page, CLIP_FAILED)(lambda _: self._put(box())))
 
-    def _known(self, view: View) -> tuple[Ends, Ends, Ends] | None:
+    def _extent(self, view: View) -> tuple[Ends, Ends, Ends] | None:
         """Return the extent of the box along each axis; the whole surface where nothing is clipped."""
         on_show = self._page.on_show
         if on_show is None:
@@ -227,7 +229,7 @@ class ClipSection:
         x0, y0, x1, y1 = view.clip.box_um or on_show.box_um
         return (x0, x1), (y0, y1), view.clip.heights_um or all_heights_um(self._page, on_show)
 
-    def _whole(self) -> Box:
+    def _full_box(self) -> Box:
         on_show = self._page.on_show
         if on_show is None:
             raise MeasureError("The surface is not drawn yet: place the box when it is.")
@@ -241,18 +243,18 @@ class ClipSection:
         low, high = float(ends[0]), float(ends[1])
         if not low < high:
             raise MeasureError(f"{AXES[axis]} ends at {high:g} um, before it begins at {low:g} um: swap them.")
-        known = self._known(self._page.view)
-        if known is None:
+        extent = self._extent(self._page.view)
+        if extent is None:
             return
         if axis == 2:
             self._clip(heights_um=(low, high))
             return
-        (x0, x1), (y0, y1) = known[:2]
+        (x0, x1), (y0, y1) = extent[:2]
         self._clip(box_um=(low, y0, high, y1) if axis == 0 else (x0, low, x1, high))
 
     def _put(self, box_um: Box | None) -> None:
         """Clip to a rectangle in stage um; None clips to all of the surface, so that its faces can be dragged."""
-        self._clip(box_um=box_um or self._whole())
+        self._clip(box_um=box_um or self._full_box())
 
     def _reset(self) -> None:
         self._clip(box_um=None, heights_um=None)
@@ -280,12 +282,12 @@ def clip_box_callback(page: Page) -> Callable[[ClipBoxFaces, str], ClipBoxFaces]
 
 def all_heights_um(page: Page, on_show: DisplayedSurface) -> Span:
     """Return the lowest and the highest displayed point, um; includes rejected points if they are drawn."""
-    told = page.statistics
-    if told is None or not told.n_heights:
+    statistics = page.statistics
+    if statistics is None or not statistics.n_heights:
         return on_show.heights_um
-    low, high = told.span_um if told.counts else on_show.heights_um
-    if told.refused is not None and told.refused.n_heights:
-        low, high = min(low, told.refused.span_um[0]), max(high, told.refused.span_um[1])
+    low, high = statistics.span_um if statistics.counts else on_show.heights_um
+    if statistics.refused is not None and statistics.refused.n_heights:
+        low, high = min(low, statistics.refused.span_um[0]), max(high, statistics.refused.span_um[1])
     return low, high
 
 
@@ -299,18 +301,18 @@ class PointCount:
 
     def __init__(self, page: Page) -> None:
         self._page = page
-        self._glass = FloatingPanel(page.gui, EDGE_PX, EDGE_PX + _BELOW_TOOLBAR_PX, _MOST_PX, _LINE_PX + _EDGES_PX)
+        self._panel = FloatingPanel(page.gui, EDGE_PX, EDGE_PX + _BELOW_TOOLBAR_PX, _MOST_PX, _LINE_PX + _EDGES_PX)
 
     def show(self, snapshot: Snapshot, view: View) -> None:
         """Bring the count up to date."""
-        told = self._page.statistics
-        there = view.step in ("surface", "measure") and view.look == "points" and view.counted == "all"
-        if not there or told is None or not told.counts:
-            self._glass.show("")
+        statistics = self._page.statistics
+        visible = view.step in ("surface", "measure") and view.look == "points" and view.counted == "all"
+        if not visible or statistics is None or not statistics.counts:
+            self._panel.show("")
             return
-        words = counted(told, self._page.drawn_points, view)
+        words = counted(statistics, self._page.drawn_points, view)
         width_px, height_px = size_px(words, self._page.client.camera.image_width)
-        self._glass.show(
+        self._panel.show(
             Markup('<div class="wv-glass wv-points">{}</div>').format(words), width_px=width_px, height_px=height_px
         )
 

@@ -31,7 +31,7 @@ class RecipeSection:
         self._page = page
         self._unfolded: set[str] = set()
         self._recipe: Recipe | None = None
-        self._of: object = None
+        self._dataset: object = None
         self._fields: list[tuple[BoundInput[str], dict[str, Any], Callable[[Recipe], Any]]] = []
         gui = page.gui
         self._head = HtmlBlock(gui)
@@ -44,9 +44,9 @@ class RecipeSection:
         """Bring the section up to date."""
         data, info = snapshot.dataset, snapshot.surface
         self._discard_edited_recipe(data)
-        self._head.show(_said(data, info, self._unfolded))
+        self._head.show(_summary(data, info, self._unfolded))
         set_prop(self._form, "visible", "form" in self._unfolded and data is not None)
-        self._show_form(self._recipe or _asked(data, info))
+        self._show_form(self._recipe or _requested_recipe(data, info))
         busy = data is None or data.read_only is not None or bool(snapshot.works)
         set_prop(self._button, "disabled", busy)
 
@@ -94,7 +94,7 @@ class RecipeSection:
 
     def _now(self) -> Recipe:
         snapshot = self._page.session.snapshot
-        return self._recipe or _asked(snapshot.dataset, snapshot.surface)
+        return self._recipe or _requested_recipe(snapshot.dataset, snapshot.surface)
 
     def _choose(self, recipe: Recipe) -> None:
         self._recipe = recipe
@@ -116,9 +116,9 @@ class RecipeSection:
 
     def _discard_edited_recipe(self, data: OpenDataset | None) -> None:
         """Discard the edited recipe when another dataset is open."""
-        of = data.path if data else None
-        if of != self._of:
-            self._of, self._recipe = of, None
+        dataset = data.path if data else None
+        if dataset != self._dataset:
+            self._dataset, self._recipe = dataset, None
 
     def _show_form(self, recipe: Recipe) -> None:
         ready = words.ready_name(recipe)
@@ -132,29 +132,29 @@ class RecipeSection:
         self._why_not.show(Markup() if doubts else Markup('<div class="wv-why">{}</div>').format(words.BELIEVES_ALL))
 
 
-def _asked(data: OpenDataset | None, info: SurfaceInfo | None) -> Recipe:
+def _requested_recipe(data: OpenDataset | None, info: SurfaceInfo | None) -> Recipe:
     """Return the recipe as requested; values left to the data are not resolved."""
     if info is not None and info.asked is not None:
         return info.asked
     return data.job.recipe if data is not None else Recipe()
 
 
-def _said(data: OpenDataset | None, info: SurfaceInfo | None, unfolded: set[str]) -> Markup:
+def _summary(data: OpenDataset | None, info: SurfaceInfo | None, unfolded: set[str]) -> Markup:
     """Return header, recipe in one line, values chosen from the data, and notes, as HTML."""
-    asked = _asked(data, info)
-    settled = (info.settled if info else None) or asked
-    values = words.chosen_by_data(asked, settled)
+    requested = _requested_recipe(data, info)
+    settled = (info.settled if info else None) or requested
+    values = words.chosen_by_data(requested, settled)
     links = [_link("values", "Details", unfolded)] if values else []
     links += [_link("form", "Change", unfolded)] if data else []
-    ready = words.ready_name(asked)
+    ready = words.ready_name(requested)
     lead = f"{ready}: " if ready not in ("Default", words.OWN) else ""
-    said = Markup('<div class="wv-h">Reconstruction<span>{}</span></div>').format(Markup(" · ").join(links))
-    said += Markup("<div>{}</div>").format(lead + words.summary(settled))
+    content = Markup('<div class="wv-h">Reconstruction<span>{}</span></div>').format(Markup(" · ").join(links))
+    content += Markup("<div>{}</div>").format(lead + words.summary(settled))
     if values and "values" in unfolded:
-        said += Markup('<div class="wv-chosen"><div class="wv-lab">Chosen from the data</div>{}</div>').format(
+        content += Markup('<div class="wv-chosen"><div class="wv-lab">Chosen from the data</div>{}</div>').format(
             html.pairs(values)
         )
-    return said + words.notes(_noted(info) if info else ())
+    return content + words.notes(_noted(info) if info else ())
 
 
 def _noted(info: SurfaceInfo) -> list[str]:
@@ -183,20 +183,20 @@ class StitchingSection:
             self._on = BoundInput(
                 box, lambda event: page.change(fields=bool(event.target.value)), page, "The display was not changed"
             )
-            self._said = HtmlBlock(gui)
+            self._text = HtmlBlock(gui)
         page.on_pick("stitching", self._toggle)
 
     def show(self, snapshot: Snapshot, view: View) -> None:
         """Bring the section up to date."""
         info = snapshot.surface
-        there = info is not None and info.n_fields > 1 and view.show == 0
-        set_prop(self._folder, "visible", there)
-        if info is None or not there:
+        visible = info is not None and info.n_fields > 1 and view.show == 0
+        set_prop(self._folder, "visible", visible)
+        if info is None or not visible:
             return
         self._head.show(self._headed(info))
         self._on.show(view.fields)
         self._on.enable(info.stitching is not None)
-        self._said.show(self._all_said(snapshot, info, view))
+        self._text.show(self._stitching_text(snapshot, info, view))
 
     def _toggle(self, _: str) -> None:
         self._unfolded = not self._unfolded
@@ -211,22 +211,22 @@ class StitchingSection:
         )
         return Markup('<div class="wv-h">Stitching<span>{}</span></div>').format(link)
 
-    def _all_said(self, snapshot: Snapshot, info: SurfaceInfo, view: View) -> Markup:
-        found = info.stitching
-        if found is None:
+    def _stitching_text(self, snapshot: Snapshot, info: SurfaceInfo, view: View) -> Markup:
+        stitching = info.stitching
+        if stitching is None:
             return Markup('<div class="wv-lab">{}</div>').format(words.BY_STAGE)
-        said = words.cautions(found) + words.stitching_numbers(found)
+        text = words.cautions(stitching) + words.stitching_numbers(stitching)
         if self._unfolded:
-            said += words.details(found)
+            text += words.details(stitching)
         if self._unfolded or view.shows_fields:
-            said += self._doubted(snapshot, info)
-        return said
+            text += self._doubted(snapshot, info)
+        return text
 
     def _doubted(self, snapshot: Snapshot, info: SurfaceInfo) -> Markup:
         source = source_of(snapshot, 0)
-        known = self._poses.at(source) if source is not None else None
+        cached = self._poses.at(source) if source is not None else None
         return (
-            words.rejected_overlaps(known.poses, info.pixel_um)
-            if known is not None and known.poses is not None
+            words.rejected_overlaps(cached.poses, info.pixel_um)
+            if cached is not None and cached.poses is not None
             else Markup()
         )

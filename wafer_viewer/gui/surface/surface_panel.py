@@ -136,12 +136,12 @@ class SurfacePanel:
 
     def show(self, snapshot: Snapshot, view: View) -> None:
         """Bring the panel up to date."""
-        there = view.step == "surface" and not view.explains
-        set_prop(self._folder, "visible", there)
-        if not there:
+        visible = view.step == "surface" and not view.explains
+        set_prop(self._folder, "visible", visible)
+        if not visible:
             return
-        data, info, told = snapshot.dataset, snapshot.surface, self._page.statistics
-        self._title.show(html.title("Surface", _below(data, info, told, view)))
+        data, info, statistics = snapshot.dataset, snapshot.surface, self._page.statistics
+        self._title.show(html.title("Surface", _below(data, info, statistics, view)))
         self._notes.show(self._page.notes(snapshot))
         self._verdict.show(snapshot)
         self._show_look(data, view)
@@ -184,7 +184,7 @@ class SurfacePanel:
         self._look = ToggleGroup(gui, "Look", LOOKS, lambda key: page.change(look=key))
         self._shown = self._field(gui.add_dropdown("Show", (STITCHED,)), lambda text: self._choose_shown(text))
         self._points = PointsSection(page)
-        self._clip = ClipSection(page, self._statistics.seen_um)
+        self._clip = ClipSection(page, self._statistics.view_box_um)
         self._build_colour()
         self._heights = HeightsSection(page)
         self._build_light()
@@ -219,10 +219,10 @@ class SurfacePanel:
         by_hand = gui.add_vector2("By hand", (-1.0, 1.0), step=0.1)
         self._by_hand = self._field(by_hand, self._set_range)
         usual = button(gui, "0.5 – 99.5 %", viser.Icon.CHART_HISTOGRAM, lambda _: page.change(range_um=None))
-        whole = button(gui, "Whole range", viser.Icon.ARROWS_MAXIMIZE, lambda _: self._whole_range())
-        in_a_row(gui, [usual, whole])
-        seen = button(gui, "What is in view", viser.Icon.EYE, lambda _: self._in_view(self._set_range))
-        in_a_row(gui, [seen])
+        full_range = button(gui, "Whole range", viser.Icon.ARROWS_MAXIMIZE, lambda _: self._set_full_range())
+        in_a_row(gui, [usual, full_range])
+        in_view = button(gui, "What is in view", viser.Icon.EYE, lambda _: self._in_view(self._set_range))
+        in_a_row(gui, [in_view])
 
     def _build_light(self) -> None:
         page, gui = self._page, self._page.gui
@@ -262,10 +262,10 @@ class SurfacePanel:
         if high > low:
             self._page.change(range_um=(low, high))
 
-    def _whole_range(self) -> None:
-        whole = self._whole(self._page.view)
-        if whole is not None and whole[1] > whole[0]:
-            self._page.change(range_um=whole)
+    def _set_full_range(self) -> None:
+        full_range = self._full_range(self._page.view)
+        if full_range is not None and full_range[1] > full_range[0]:
+            self._page.change(range_um=full_range)
 
     def _go_measure(self) -> None:
         tool = self._page.view.tool
@@ -284,9 +284,9 @@ class SurfacePanel:
             self._shown.show(shown)
 
     def _numbers_of(self, data: OpenDataset | None, info: SurfaceInfo | None, view: View) -> Markup:
-        told = self._page.statistics
-        if told is not None:
-            return _numbers(data, info if view.show == 0 and view.counted == "all" else None, told)
+        statistics = self._page.statistics
+        if statistics is not None:
+            return _numbers(data, info if view.show == 0 and view.counted == "all" else None, statistics)
         if view.counted == "selection" and view.selection is None:
             return html.empty("Drag a rectangle over the surface:", "its numbers come here.")
         if self._statistics.problem:
@@ -302,17 +302,17 @@ class SurfacePanel:
         self._colours.show(COLOUR_MAPS[view.colours])
         in_colours = view.colour_by not in ("grey", "origin")
         self._colours.enable(in_colours and by not in OWN_COLOURS)
-        whole = self._whole(view)
-        ranged = in_colours and whole is not None and scale is not None
+        full_range = self._full_range(view)
+        ranged = in_colours and full_range is not None and scale is not None
         for widget in (self._range, self._by_hand):
             widget.enable(ranged)
-        if not ranged or whole is None or scale is None:
+        if not ranged or full_range is None or scale is None:
             return
         low, high = view.range_um or (scale.low, scale.high)
-        step = _slider_step(*whole)
+        step = _slider_step(*full_range)
         set_prop(self._range.handle, "step", step)
-        set_prop(self._range.handle, "min", _down(min(whole[0], low), 10 * step))
-        set_prop(self._range.handle, "max", _up(max(whole[1], high), 10 * step))
+        set_prop(self._range.handle, "min", _down(min(full_range[0], low), 10 * step))
+        set_prop(self._range.handle, "max", _up(max(full_range[1], high), 10 * step))
         self._range.show((round(round(low / step) * step, 6), round(round(high / step) * step, 6)))
         self._show_by_hand(low, high, step)
 
@@ -322,11 +322,13 @@ class SurfacePanel:
         set_prop(self._by_hand.handle, "precision", decimals)
         self._by_hand.show((round(low, decimals) + 0.0, round(high, decimals) + 0.0))  # no zero has a sign
 
-    def _whole(self, view: View) -> tuple[float, float] | None:
+    def _full_range(self, view: View) -> tuple[float, float] | None:
         """Return the limits of the colour range: all heights; for other quantities a margin around the usual range."""
-        scale, told = self._page.scale, self._page.statistics
-        if self._page.coloured_by(view) == "height" and told is not None and told.lowest_um is not None:
-            return min(told.lowest_um, told.span_um[0]), max(told.highest_um or 0.0, told.span_um[1])
+        scale, statistics = self._page.scale, self._page.statistics
+        if self._page.coloured_by(view) == "height" and statistics is not None and statistics.lowest_um is not None:
+            return min(statistics.lowest_um, statistics.span_um[0]), max(
+                statistics.highest_um or 0.0, statistics.span_um[1]
+            )
         if scale is None:
             return None
         spare = (scale.own_high - scale.own_low) / 2
@@ -346,7 +348,7 @@ def _quantities(overlaps: bool) -> tuple[str, ...]:
     return tuple(name for name, key in COLOUR_BY.items() if overlaps or key != "overlap")
 
 
-def _below(data: OpenDataset | None, info: SurfaceInfo | None, told: Statistics | None, view: View) -> str:
+def _below(data: OpenDataset | None, info: SurfaceInfo | None, statistics: Statistics | None, view: View) -> str:
     """Return one line about the displayed surface: name, number of points, measured share."""
     if data is None:
         return "Open a dataset, or scan one."
@@ -356,33 +358,40 @@ def _below(data: OpenDataset | None, info: SurfaceInfo | None, told: Statistics 
     name = surface_name(view)
     if view.show == 0 and view.counted == "all" and info is not None:
         name = "From a file" if not data.fields else "1 field" if info.n_fields == 1 else f"{info.n_fields} fields"
-    if told is None:
+    if statistics is None:
         return f"{name}{calibrated}"
-    size = f"{number(told.cols, 0)} × {number(told.rows, 0)} points"
-    return f"{name} · {size} · {share(told.measured_fraction)} measured{calibrated}"
+    size = f"{number(statistics.cols, 0)} × {number(statistics.rows, 0)} points"
+    return f"{name} · {size} · {share(statistics.measured_fraction)} measured{calibrated}"
 
 
-def _numbers(data: OpenDataset | None, info: SurfaceInfo | None, told: Statistics) -> Markup:
+def _numbers(data: OpenDataset | None, info: SurfaceInfo | None, statistics: Statistics) -> Markup:
     """Return the statistics as HTML; `info` is that of the stitched surface if all of it is counted."""
     rows = [
-        ("Highest", with_unit(told.highest_um, 2, signed=True)),
-        ("Lowest", with_unit(told.lowest_um, 2, signed=True)),
+        ("Highest", with_unit(statistics.highest_um, 2, signed=True)),
+        ("Lowest", with_unit(statistics.lowest_um, 2, signed=True)),
     ]
-    if told.mean_um is not None:
-        rows.append(("Mean", with_unit(told.mean_um, 2, signed=True)))
-        rows.append(("Spread (1 σ)", with_unit(told.spread_um, 2)))
-    if told.counts and told.n_points != told.n_heights:
-        rows.append(("Points drawn", f"{share(told.n_points / max(1, told.n_heights))} of {number(told.n_heights, 0)}"))
-    elif told.counts:
-        rows.append(("Points", number(told.n_heights, 0)))
+    if statistics.mean_um is not None:
+        rows.append(("Mean", with_unit(statistics.mean_um, 2, signed=True)))
+        rows.append(("Spread (1 σ)", with_unit(statistics.spread_um, 2)))
+    if statistics.counts and statistics.n_points != statistics.n_heights:
+        rows.append(
+            (
+                "Points drawn",
+                f"{share(statistics.n_points / max(1, statistics.n_heights))} of {number(statistics.n_heights, 0)}",
+            )
+        )
+    elif statistics.counts:
+        rows.append(("Points", number(statistics.n_heights, 0)))
     rows += [
-        ("Not measured", share(1 - told.measured_fraction - told.filled_fraction)),
-        *((f"– {words}", share(part)) for words, part in told.unmeasured if part > 0),
-        ("Filled", share(told.filled_fraction)),
+        ("Not measured", share(1 - statistics.measured_fraction - statistics.filled_fraction)),
+        *((f"– {words}", share(part)) for words, part in statistics.unmeasured if part > 0),
+        ("Filled", share(statistics.filled_fraction)),
     ]
     if info is not None and info.overlap_rms_um is not None and info.stitching is None:
         rows.append(("Height difference in overlaps, rms", with_unit(info.overlap_rms_um, 2)))
-    blocks = f"Heights are means of {told.block_px} × {told.block_px} points." if told.block_px > 1 else ""
+    blocks = (
+        f"Heights are means of {statistics.block_px} × {statistics.block_px} points." if statistics.block_px > 1 else ""
+    )
     note = Markup('<div class="wv-lab">{}</div>').format(blocks) if blocks else Markup()
     problem = data.calibration_problem if data else None
     why = (

@@ -50,10 +50,10 @@ class DieOutline:
         x0, y0, x1, y1 = self.box
         return x1 - x0, y1 - y0
 
-    def away(self, at: Place) -> float:
+    def away(self, place: Place) -> float:
         """Return the distance of a position from the centre."""
         x0, y0, x1, y1 = self.box
-        return float(np.hypot((x0 + x1) / 2 - at[0], (y0 + y1) / 2 - at[1]))
+        return float(np.hypot((x0 + x1) / 2 - place[0], (y0 + y1) / 2 - place[1]))
 
     @property
     def street(self) -> float:
@@ -105,17 +105,17 @@ def initial_circle(height_field: HeightField, near: Place) -> tuple[Region, ...]
     """Return a circle around the nearest round feature above the upper level; else around the most prominent bump."""
     _, high = _levels(height_field, near)
     out = _evened(height_field) > high + STANDS_OUT * span_um(height_field)
-    found = [
+    dies = [
         _in_um(height_field, out, *box)
         for box in _boxes(out, 0.0)
         if ROUND_FILL[0] <= _fill(out, *box) <= ROUND_FILL[1]
     ]
-    disc = [die for die in found if min(die.size) >= ASPECT * max(die.size)]
+    disc = [die for die in dies if min(die.size) >= ASPECT * max(die.size)]
     if not disc:
         middle, radius_um = bump(height_field, near)
         return (Region.circle(*height_field.clamped(middle), round(radius_um, 2)),)
-    at = height_field.inner(near)
-    nearest = min(disc, key=lambda die: die.away(at))
+    centre = height_field.inner(near)
+    nearest = min(disc, key=lambda die: die.away(centre))
     (x0, y0, x1, y1), radius_um = nearest.box, ROOM * max(nearest.size) / 2
     return (Region.circle(*height_field.clamped(((x0 + x1) / 2, (y0 + y1) / 2)), round(radius_um, 2)),)
 
@@ -129,13 +129,13 @@ def _die(height_field: HeightField, near: Place) -> DieOutline:
     """Return the complete die nearest to a position; the central half of the visible part if there is none."""
     low, high = _levels(height_field, near)
     over = _evened(height_field) > (low + high) / 2
-    found = [_in_um(height_field, over, *box) for box in _boxes(over, LEAST_SHARE) if _fill(over, *box) >= FILLED]
-    if not found:
+    dies = [_in_um(height_field, over, *box) for box in _boxes(over, LEAST_SHARE) if _fill(over, *box) >= FILLED]
+    if not dies:
         x0, y0, x1, y1 = height_field.bounds_um
         x, y, half_x, half_y = (x0 + x1) / 2, (y0 + y1) / 2, (x1 - x0) / 4, (y1 - y0) / 4
         return DieOutline((x - half_x, y - half_y, x + half_x, y + half_y), (None, None, None, None))
-    at = height_field.inner(near)
-    return min(found, key=lambda die: die.away(at))
+    centre = height_field.inner(near)
+    return min(dies, key=lambda die: die.away(centre))
 
 
 def _evened(height_field: HeightField) -> Floats:
@@ -151,11 +151,11 @@ def _levels(height_field: HeightField, near: Place) -> tuple[float, float]:
     upper, lower, _ = plateaus(height_field, near)
     z, (x0, y0, x1, y1) = _evened(height_field), height_field.bounds_um
     rows, cols = z.shape
-    found = [
+    candidates = [
         float(z[round((y1 - y) / (y1 - y0) * (rows - 1)), round((x - x0) / (x1 - x0) * (cols - 1))])
         for x, y in (height_field.clamped(lower), height_field.clamped(upper))
     ]
-    return found[0], found[1]
+    return candidates[0], candidates[1]
 
 
 def _boxes(over: NDArray[np.bool_], share: float) -> list[tuple[slice, slice]]:
@@ -164,13 +164,13 @@ def _boxes(over: NDArray[np.bool_], share: float) -> list[tuple[slice, slice]]:
 
     numbers = np.zeros(over.shape, np.int32)
     label(binary_opening(binary_fill_holes(over), np.ones((3, 3), bool)), output=numbers)
-    found: list[tuple[slice, slice]] = []
+    boxes: list[tuple[slice, slice]] = []
     for rows, cols in find_objects(numbers):
-        whole = rows.start > 0 and cols.start > 0 and rows.stop < over.shape[0] and cols.stop < over.shape[1]
+        inside = rows.start > 0 and cols.start > 0 and rows.stop < over.shape[0] and cols.stop < over.shape[1]
         sides = rows.stop - rows.start, cols.stop - cols.start
-        if whole and min(sides) >= LEAST_PX and sides[0] * sides[1] >= share * over.size:
-            found.append((rows, cols))
-    return found
+        if inside and min(sides) >= LEAST_PX and sides[0] * sides[1] >= share * over.size:
+            boxes.append((rows, cols))
+    return boxes
 
 
 def _fill(over: NDArray[np.bool_], rows: slice, cols: slice) -> float:
@@ -188,7 +188,7 @@ def _in_um(height_field: HeightField, over: NDArray[np.bool_], rows: slice, cols
         over[row, cols.stop :],
         over[: rows.start, col][::-1],
     )
-    left, lower, right, upper = (float(np.argmax(way)) * height_field.pixel_um if way.any() else None for way in ways)
+    left, lower, right, upper = (float(np.argmax(gap)) * height_field.pixel_um if gap.any() else None for gap in ways)
     return DieOutline((float(x0), float(y0), float(x1), float(y1)), (left, lower, right, upper))
 
 
@@ -205,16 +205,16 @@ LEAST_MEASURED = 0.9
 
 def groove_line(height_field: HeightField, near: Place) -> tuple[Place, Place]:
     """Return both ends of a line across a groove or ridge; the initial profile line if there is none."""
-    widest, found = 0.0, None
+    widest, ends = 0.0, None
     for start, end in _lines(height_field, height_field.inner(near)):
         first, last = _widest(height_field, start, end)
         width = float(np.hypot(*(last - first)))
         if width > 1.2 * widest:
             middle = (first + last) / 2
-            widest, found = width, (middle + REACH * (first - last), middle + REACH * (last - first))
-    if found is None:
+            widest, ends = width, (middle + REACH * (first - last), middle + REACH * (last - first))
+    if ends is None:
         return first_line(height_field, near)
-    begin, end = (height_field.clamped((float(x), float(y))) for x, y in found)
+    begin, end = (height_field.clamped((float(x), float(y))) for x, y in ends)
     return begin, end
 
 
@@ -235,7 +235,7 @@ def _widest(height_field: HeightField, start: Floats, end: Floats) -> tuple[Floa
     """Return both edges of the widest trench or ridge along a line; two equal positions if there is none."""
     share = np.linspace(0, 1, SAMPLES)
     places = start + share[:, None] * (end - start)
-    there = height_field.measured(places[:, 0], places[:, 1])
+    measured = height_field.measured(places[:, 0], places[:, 1])
     z_um = height_field.z_um(places[:, 0], places[:, 1])
     z_um = z_um - np.polyval(np.polyfit(share, z_um, 1), share)
     edges = _edges(z_um)
@@ -243,8 +243,8 @@ def _widest(height_field: HeightField, start: Floats, end: Floats) -> tuple[Floa
     for before, first, last, after in zip(edges, edges[1:], edges[2:], edges[3:], strict=False):
         width = last - first
         room = min(first - before, after - last) >= REACH * width - width / 2
-        seen = there[max(0, first - width) : last + width].mean() >= LEAST_MEASURED
-        if width >= LEAST_SAMPLES and room and seen and width > best[1] - best[0]:
+        enough = measured[max(0, first - width) : last + width].mean() >= LEAST_MEASURED
+        if width >= LEAST_SAMPLES and room and enough and width > best[1] - best[0]:
             best = first, last
     return places[best[0]], places[best[1]]
 
@@ -262,13 +262,13 @@ _WELL_INSIDE = 0.8
 """Side of an initial region, as a fraction of the flat square found."""
 
 
-def _square(height_field: HeightField, at: Place, side_um: float) -> Region:
-    (x, y), half = at, side_um / 2
+def _square(height_field: HeightField, centre: Place, side_um: float) -> Region:
+    (x, y), half = centre, side_um / 2
     return Region.rectangle(*height_field.clamped((x - half, y - half)), *height_field.clamped((x + half, y + half)))
 
 
-def _inside(height_field: HeightField, at: Place, side_um: float) -> Region:
-    return _square(height_field, at, _WELL_INSIDE * side_um)
+def _inside(height_field: HeightField, centre: Place, side_um: float) -> Region:
+    return _square(height_field, centre, _WELL_INSIDE * side_um)
 
 
 def _point(height_field: HeightField, near: Place) -> tuple[Region, ...]:
@@ -352,11 +352,11 @@ def _three_points(height_field: HeightField, near: Place) -> tuple[Region, ...]:
     """Return three distant points, if possible all on the level of most of the surface."""
     x0, y0, x1, y1 = height_field.bounds_um
     wanted = [(x0 + u * (x1 - x0), y0 + v * (y1 - y0)) for u, v in ((0.15, 0.15), (0.85, 0.15), (0.5, 0.85))]
-    found = patches(height_field, PATCH_SHARES[-1])
+    flat = patches(height_field, PATCH_SHARES[-1])
     level = (
-        found.only(np.abs(found.level - np.median(found.level)) <= SAME_LEVEL * span_um(height_field))
-        if len(found)
-        else found
+        flat.only(np.abs(flat.level - np.median(flat.level)) <= SAME_LEVEL * span_um(height_field))
+        if len(flat)
+        else flat
     )
     if len(level) < 3:
         return tuple(Region.point(*height_field.nearest_measured(place)) for place in wanted)

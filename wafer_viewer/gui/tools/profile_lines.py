@@ -21,10 +21,10 @@ from wafer_viewer.model.region import Region
 
 _CURSOR = rgb("15202B")
 _CURSOR_PX = 6.0
-_SIGN_PX, _BESIDE_PX = 26, 15
+_SIGN_PX, _OFFSET_PX = 26, 15
 CursorMoved = Callable[[int, float], None]
 """Called with a cursor's number and its new position, as a fraction of the active line's length."""
-Told = Callable[[tuple[Region, ...], int], None]
+LinesChanged = Callable[[tuple[Region, ...], int], None]
 """Called with all lines and the number of the active one."""
 
 
@@ -51,10 +51,10 @@ class LineTool:
         points, measured = height_field.drape_line(first, last, 1.5 * mm_per_pixel)
         self._line.lay(np.stack([points[:-1], points[1:]], axis=1), measured, 1.8 * mm_per_pixel)
         up = np.array([0, 0, 5 * mm_per_pixel], np.float32)
-        for knob, at in zip(self._knobs, (points[0], points[-1]), strict=True):
-            knob.place(at + up, mm_per_pixel, view_axes.towards)
+        for knob, end in zip(self._knobs, (points[0], points[-1]), strict=True):
+            knob.place(end + up, mm_per_pixel, view_axes.towards)
         outwards = -1 if float((points[-1] - points[0]) @ view_axes.axes[:, 0]) >= 0 else 1
-        self._sign.place(np.asarray(points[0] + up, float), height_field, view_axes, outwards * _BESIDE_PX)
+        self._sign.place(np.asarray(points[0] + up, float), height_field, view_axes, outwards * _OFFSET_PX)
 
     def remove(self) -> None:
         """Remove the line from the scene."""
@@ -97,8 +97,8 @@ class Cursors:
 class LineTools:
     """All profile lines. Lines of a view are applied unless they only echo changes made here."""
 
-    def __init__(self, scene: viser.SceneApi, dragged: Dragged, told: Told) -> None:
-        self._scene, self._dragged, self._tell = scene, dragged, told
+    def __init__(self, scene: viser.SceneApi, dragged: Dragged, changed: LinesChanged) -> None:
+        self._scene, self._dragged, self._tell = scene, dragged, changed
         self._tools: list[LineTool] = []
         self._had_lines = False
         self._echoes = EchoFilter[tuple[Region, ...]]()
@@ -113,7 +113,7 @@ class LineTools:
         elif self._had_lines or not self._tools:
             first, last = first_line(height_field, near)
             self._lay((Region.line(*first, *last),))
-            self._told(0)
+            self._report(0)
         self._had_lines = bool(view.lines)
         self._cursors.line, self._cursors.shares = view.line, view.plot.cursors
 
@@ -122,7 +122,7 @@ class LineTools:
         _, place, end = name.split("/")[:3]
         if int(place) < len(self._tools):
             self._tools[int(place)].drag(int(end), to)
-            self._told(int(place))
+            self._report(int(place))
 
     def on_cursor(self, callback: CursorMoved) -> None:
         """Call back when a cursor was moved in the scene."""
@@ -134,12 +134,12 @@ class LineTools:
         if line is not None:
             self._cursor_moved(int(name.split("/")[1]), nearest_share(line, to)[0])
 
-    def put_cursor(self, at: Place, within_um: float) -> bool:
+    def put_cursor(self, place: Place, within_um: float) -> bool:
         """Move the nearer cursor to a position on the active line; return False if the position is off the line."""
         line = self._active
         if line is None:
             return False
-        share, away_um = nearest_share(line, at)
+        share, away_um = nearest_share(line, place)
         if away_um > within_um:
             return False
         first, second = (abs(share - stands) for stands in self._cursors.shares)
@@ -175,7 +175,7 @@ class LineTools:
         for place in range(len(self._tools), len(lines)):
             self._tools.append(LineTool(self._scene, place, lines[place], self._dragged))
 
-    def _told(self, active: int) -> None:
+    def _report(self, active: int) -> None:
         self._tell(self._echoes.tell(tuple(tool.line for tool in self._tools)), active)
 
 

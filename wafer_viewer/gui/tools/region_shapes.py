@@ -16,7 +16,7 @@ Corners = NDArray[np.float64]
 """[n, 2] in stage um, in order around the region."""
 LEAST_PX = 4
 """Smallest size of a region in pixels of the surface."""
-WHOLE = "whole"
+CENTRE = "whole"
 """Name of the handle that moves a region without changing its shape."""
 _ROUND = np.linspace(0, 2 * np.pi, 72, endpoint=False)
 
@@ -36,7 +36,7 @@ class Shape:
 
 
 def _point_holds(region: Region) -> dict[str, Place]:
-    return {WHOLE: (region.points[0].x_um, region.points[0].y_um)}
+    return {CENTRE: (region.points[0].x_um, region.points[0].y_um)}
 
 
 def _point_pulled(region: Region, hold: str, to: Place, height_field: HeightField) -> Region:
@@ -51,14 +51,14 @@ def _corners(region: Region) -> Corners:
 def _rectangle_holds(region: Region) -> dict[str, Place]:
     x0, y0, x1, y1 = region.bounds_um
     corners = {str(k): (float(x), float(y)) for k, (x, y) in enumerate(_corners(region))}
-    return {**corners, WHOLE: ((x0 + x1) / 2, (y0 + y1) / 2)}
+    return {**corners, CENTRE: ((x0 + x1) / 2, (y0 + y1) / 2)}
 
 
 def _rectangle_pulled(region: Region, hold: str, to: Place, height_field: HeightField) -> Region:
     x0, y0, x1, y1 = region.bounds_um
-    if hold == WHOLE:
+    if hold == CENTRE:
         half = (x1 - x0) / 2, (y1 - y0) / 2
-        x, y = _kept_inside(to, half, height_field)
+        x, y = _clamped_inside(to, half, height_field)
         return _rectangle(x - half[0], y - half[1], x + half[0], y + half[1])
     least, k = LEAST_PX * height_field.on_show.facts.pixel_um, int(hold)
     x0, x1 = (min(to[0], x1 - least), x1) if k in (0, 3) else (x0, max(to[0], x0 + least))
@@ -73,15 +73,15 @@ def _round_outline(region: Region) -> Corners:
 
 def _circle_holds(region: Region) -> dict[str, Place]:
     center = region.points[0]
-    return {"rim": (center.x_um + region.radius_um, center.y_um), WHOLE: (center.x_um, center.y_um)}
+    return {"rim": (center.x_um + region.radius_um, center.y_um), CENTRE: (center.x_um, center.y_um)}
 
 
 def _circle_pulled(region: Region, hold: str, to: Place, height_field: HeightField) -> Region:
     """Move the circle by its centre, or set its radius by its rim, limited to the surface."""
     x0, y0, x1, y1 = height_field.bounds_um
     center = region.points[0]
-    if hold == WHOLE:
-        x, y = _kept_inside(to, (region.radius_um, region.radius_um), height_field)
+    if hold == CENTRE:
+        x, y = _clamped_inside(to, (region.radius_um, region.radius_um), height_field)
         return Region.circle(_hundredth(x), _hundredth(y), region.radius_um)
     x, y = center.x_um, center.y_um
     most = min(x - x0, x1 - x, y - y0, y1 - y)
@@ -95,14 +95,14 @@ def _ends(region: Region) -> Corners:
 
 def _line_holds(region: Region) -> dict[str, Place]:
     (xa, ya), (xb, yb) = ((p.x_um, p.y_um) for p in region.points)
-    return {"0": (xa, ya), "1": (xb, yb), WHOLE: ((xa + xb) / 2, (ya + yb) / 2)}
+    return {"0": (xa, ya), "1": (xb, yb), CENTRE: ((xa + xb) / 2, (ya + yb) / 2)}
 
 
 def _line_pulled(region: Region, hold: str, to: Place, height_field: HeightField) -> Region:
     """Move the line by its centre, or one end by its handle."""
     (xa, ya), (xb, yb) = ((p.x_um, p.y_um) for p in region.points)
-    if hold == WHOLE:
-        x, y = _kept_inside(to, (abs(xb - xa) / 2, abs(yb - ya) / 2), height_field)
+    if hold == CENTRE:
+        x, y = _clamped_inside(to, (abs(xb - xa) / 2, abs(yb - ya) / 2), height_field)
         dx, dy = x - (xa + xb) / 2, y - (ya + yb) / 2
         ends = (xa + dx, ya + dy, xb + dx, yb + dy)
     else:
@@ -112,7 +112,7 @@ def _line_pulled(region: Region, hold: str, to: Place, height_field: HeightField
     return line if math.dist(ends[:2], ends[2:]) >= LEAST_PX * height_field.on_show.facts.pixel_um else region
 
 
-def _kept_inside(to: Place, half: Place, height_field: HeightField) -> Place:
+def _clamped_inside(to: Place, half: Place, height_field: HeightField) -> Place:
     """Return the centre nearest to `to` for which the given half extents stay on the surface."""
     x0, y0, x1, y1 = height_field.bounds_um
     return min(max(to[0], x0 + half[0]), x1 - half[0]), min(max(to[1], y0 + half[1]), y1 - half[1])

@@ -16,7 +16,7 @@ from wafer_viewer.gui.scene.scene_theme import colours
 from wafer_viewer.gui.scene.viewport import ViewAxes
 from wafer_viewer.gui.state.view_state import Tool, View
 from wafer_viewer.gui.tools.initial_regions import initial_regions
-from wafer_viewer.gui.tools.region_shapes import SHAPES, WHOLE
+from wafer_viewer.gui.tools.region_shapes import CENTRE, SHAPES
 from wafer_viewer.gui.widgets.callback_timing import EchoFilter
 from wafer_viewer.model.measurement.levelling import Levelling
 from wafer_viewer.model.measurement.measuring_tool import MeasuringTool
@@ -25,11 +25,11 @@ from wafer_viewer.model.region import Region
 from wafer_viewer.model.spec import replace
 from wafer_viewer.session.state.snapshot import SurfaceInfo
 
-_WHOLE_PX, _EDGE_PX, _POINT_PX = 7.5, 5.5, 8.5
-_SIGN_PX, _BESIDE_PX = 26, 12
+_CENTRE_PX, _EDGE_PX, _POINT_PX = 7.5, 5.5, 8.5
+_SIGN_PX, _OFFSET_PX = 26, 12
 _ROOMY_PX, _LEAST_KNOB = 60, 0.4
 """Size of a region in pixels from which handles have full size, and the smallest fraction of that size."""
-_ENDS_OF_A_WAY = ("point", "point")
+_PATH_ENDS = ("point", "point")
 """Region kinds that are joined by a line: exactly two points."""
 
 
@@ -43,9 +43,9 @@ class PlaceHandle:
         self._shape = SHAPES[region.kind]
         outlined = len(self._shape.outline(region)) > 0
         self._outline = CasedLine(scene, name, colour, 2.6) if outlined else None
-        whole_px = _WHOLE_PX if outlined else _POINT_PX
+        centre_px = _CENTRE_PX if outlined else _POINT_PX
         self._knobs = {
-            hold: DragHandle(scene, f"{name}/{hold}", colour, whole_px if hold == WHOLE else _EDGE_PX, dragged)
+            hold: DragHandle(scene, f"{name}/{hold}", colour, centre_px if hold == CENTRE else _EDGE_PX, dragged)
             for hold in self._shape.holds(region)
         }
         self._sign = Billboard(scene, f"{name}/sign", title, colour, _SIGN_PX)
@@ -61,8 +61,8 @@ class PlaceHandle:
             pieces = height_field.drape_outline(self._shape.outline(self.region), 2 * mm_per_pixel)
             self._outline.lay(pieces, None, 1.6 * mm_per_pixel)
         for hold, (x, y) in self._shape.holds(self.region).items():
-            at = height_field.visible_points(np.array([x]), np.array([y]), 3 * mm_per_pixel)[0]
-            self._knobs[hold].place(at, mm_per_pixel * self._knob_share(mm_per_pixel), view_axes.towards)
+            position = height_field.visible_points(np.array([x]), np.array([y]), 3 * mm_per_pixel)[0]
+            self._knobs[hold].place(position, mm_per_pixel * self._knob_share(mm_per_pixel), view_axes.towards)
         self._place_sign(height_field, view_axes)
 
     def remove(self) -> None:
@@ -81,7 +81,7 @@ class PlaceHandle:
     def _place_sign(self, height_field: HeightField, view_axes: ViewAxes) -> None:
         """Place the label to the left of the region on the screen."""
         left = corner_on_screen(self.region, height_field, view_axes, -1, 0)
-        self._sign.place(left, height_field, view_axes, -_BESIDE_PX)
+        self._sign.place(left, height_field, view_axes, -_OFFSET_PX)
 
 
 class Places:
@@ -93,7 +93,7 @@ class Places:
         self._kinds: tuple[str, ...] = ()
         self._colour: Rgb | None = None
         self._handles: list[PlaceHandle] = []
-        self._way: CasedLine | None = None
+        self._path: CasedLine | None = None
 
     @property
     def regions(self) -> tuple[Region, ...]:
@@ -112,8 +112,8 @@ class Places:
             PlaceHandle(self._scene, f"{self._name}/{k}", title, region, colour, self._dragged)
             for k, (title, region) in enumerate(zip(titles, regions, strict=True))
         ]
-        if kinds == _ENDS_OF_A_WAY:
-            self._way = CasedLine(self._scene, f"{self._name}/way", colour, 2.0)
+        if kinds == _PATH_ENDS:
+            self._path = CasedLine(self._scene, f"{self._name}/way", colour, 2.0)
 
     def move(self, regions: Sequence[Region]) -> None:
         """Move to these regions of the same kinds."""
@@ -130,22 +130,22 @@ class Places:
         """Draw the regions on the displayed surface."""
         for handle in self._handles:
             handle.draw(height_field, view_axes)
-        if self._way is not None:
+        if self._path is not None:
             start, end = ((r.points[0].x_um, r.points[0].y_um) for r in self.regions)
             points, measured = height_field.drape_line(start, end, 1.5 * view_axes.mm_per_pixel)
-            self._way.lay(np.stack([points[:-1], points[1:]], axis=1), measured, 1.6 * view_axes.mm_per_pixel)
+            self._path.lay(np.stack([points[:-1], points[1:]], axis=1), measured, 1.6 * view_axes.mm_per_pixel)
 
     def remove(self) -> None:
         """Remove the regions from the scene."""
         for handle in self._handles:
             handle.remove()
-        if self._way is not None:
-            self._way.remove()
-            self._way = None
+        if self._path is not None:
+            self._path.remove()
+            self._path = None
         self._handles, self._titles, self._kinds, self._colour = [], (), (), None
 
 
-Told = Callable[[tuple[Region, ...]], None]
+RegionsChanged = Callable[[tuple[Region, ...]], None]
 InSight = Callable[[HeightField], HeightField]
 LEVEL_SIGNS = {"three points": ("1", "2", "3"), "region": ("Zero",)}
 
@@ -153,9 +153,9 @@ LEVEL_SIGNS = {"three points": ("1", "2", "3"), "region": ("Zero",)}
 class PlaceTools:
     """Regions of every tool except the profile. A view without regions gets initial ones in the visible part."""
 
-    def __init__(self, scene: viser.SceneApi, dragged: Dragged, told: Told, in_sight: InSight) -> None:
+    def __init__(self, scene: viser.SceneApi, dragged: Dragged, changed: RegionsChanged, in_sight: InSight) -> None:
         self._places = Places(scene, "place", dragged)
-        self._tell, self._in_sight = told, in_sight
+        self._tell, self._in_sight = changed, in_sight
         self._tool: Tool = "none"
         self._named = False
         self._echoes: EchoFilter[tuple[Region, ...]] = EchoFilter()
@@ -171,19 +171,19 @@ class PlaceTools:
             self._become(tool, view.places, view.dark)
         elif not named and (new or self._named):
             self._become(tool, initial_regions(view.tool, self._in_sight(height_field), near), view.dark)
-            self._told()
+            self._report()
         self._tool, self._named = view.tool, named
 
     def drag(self, name: str, to: Place, height_field: HeightField, last: bool) -> None:
         """Apply the new position of a handle."""
         self._places.pull(name, to, height_field)
-        self._told()
+        self._report()
 
     def put(self, to: Place) -> None:
         """Measure at a clicked position with the point tool; other tools ignore clicks."""
         if self._tool == "point":
             self._places.move((Region.point(*to),))
-            self._told()
+            self._report()
 
     def draw(self, height_field: HeightField, view_axes: ViewAxes) -> None:
         """Draw the regions on the displayed surface."""
@@ -196,18 +196,18 @@ class PlaceTools:
         self._echoes.forget()
 
     def _become(self, tool: MeasuringTool, regions: tuple[Region, ...], dark: bool) -> None:
-        self._places.become([asked.name.capitalize() for asked in tool.places], regions, colours(dark).region)
+        self._places.become([expected.name.capitalize() for expected in tool.places], regions, colours(dark).region)
 
-    def _told(self) -> None:
+    def _report(self) -> None:
         self._tell(self._echoes.tell(self._places.regions))
 
 
 class LevelTools:
     """Points or region that define zero height. The surface is updated when a handle is released."""
 
-    def __init__(self, scene: viser.SceneApi, dragged: Dragged, told: Callable[[Levelling], None]) -> None:
+    def __init__(self, scene: viser.SceneApi, dragged: Dragged, changed: Callable[[Levelling], None]) -> None:
         self._places = Places(scene, "level", dragged)
-        self._tell = told
+        self._tell = changed
         self._levelling = Levelling()
         self._echoes: EchoFilter[Levelling] = EchoFilter()
 
@@ -237,7 +237,7 @@ class LevelTools:
 
 def has_required_kinds(tool: MeasuringTool, places: tuple[Region, ...]) -> bool:
     """Return whether the regions have the kinds that a tool requires."""
-    return tuple(place.kind for place in places) == tuple(asked.kind for asked in tool.places)
+    return tuple(place.kind for place in places) == tuple(expected.kind for expected in tool.places)
 
 
 _SHARE = 0.28

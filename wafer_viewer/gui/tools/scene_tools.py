@@ -38,12 +38,12 @@ from wafer_viewer.model.surface.clipping import Box
 MOST_SIGNS = 60
 """Largest number of marked results, the newest ones, because overlapping labels are illegible."""
 _LINE_PX, _SIGN_PX, _RING_PX, _UP_PX = 1.8, 20, 6.0, 1.2
-_BESIDE_PX, _ABOVE_PX = 8, 16
+_OFFSET_PX, _ABOVE_PX = 8, 16
 _ROUND = np.linspace(0, 2 * np.pi, 24, endpoint=False)
 
 
 @dataclass(frozen=True, slots=True)
-class _Kept:
+class _ResultMark:
     """One result: its regions, its label and its selection."""
 
     places: tuple[Region, ...]
@@ -57,43 +57,43 @@ class KeptMarks:
 
     def __init__(self, scene: viser.SceneApi) -> None:
         self._scene = scene
-        self._kept: list[_Kept] = []
+        self._marks: list[_ResultMark] = []
         self._lines: dict[Rgb, CasedLine] = {}
         self._signs: list[Billboard] = []
 
     def show(self, findings: Sequence[AnyResult], view: View) -> None:
         """Show the results that were measured on the surface of a view."""
-        kept = [_kept(f, view) for f in findings if f.show == view.show][-MOST_SIGNS:]
-        if kept == self._kept:
+        marks = [_result_mark(f, view) for f in findings if f.show == view.show][-MOST_SIGNS:]
+        if marks == self._marks:
             return
         self.remove()
-        self._kept = kept
-        outlined = {one.colour for one in kept if not one.chosen}
+        self._marks = marks
+        outlined = {one.colour for one in marks if not one.chosen}
         self._lines = {c: CasedLine(self._scene, f"kept/line/{k}", c, _LINE_PX) for k, c in enumerate(outlined)}
         self._signs = [
-            Billboard(self._scene, f"kept/sign/{k}", one.sign, one.colour, _SIGN_PX) for k, one in enumerate(kept)
+            Billboard(self._scene, f"kept/sign/{k}", one.sign, one.colour, _SIGN_PX) for k, one in enumerate(marks)
         ]
 
     def draw(self, height_field: HeightField, view_axes: ViewAxes) -> None:
         """Draw the markers on the displayed surface."""
         for colour, line in self._lines.items():
-            drawn = [p for one in self._kept if one.colour == colour and not one.chosen for p in one.places]
+            drawn = [p for one in self._marks if one.colour == colour and not one.chosen for p in one.places]
             pieces = np.concatenate([_outline(p, height_field, view_axes.mm_per_pixel) for p in drawn])
             line.lay(pieces, None, 1.6 * view_axes.mm_per_pixel)
-        for one, sign in zip(self._kept, self._signs, strict=True):
+        for one, sign in zip(self._marks, self._signs, strict=True):
             _place(sign, one.places[0], height_field, view_axes)
 
     def remove(self) -> None:
         """Remove all markers from the scene."""
         for part in (*self._lines.values(), *self._signs):
             part.remove()
-        self._kept, self._lines, self._signs = [], {}, []
+        self._marks, self._lines, self._signs = [], {}, []
 
 
-def _kept(finding: AnyResult, view: View) -> _Kept:
+def _result_mark(finding: AnyResult, view: View) -> _ResultMark:
     chosen = finding.number == view.selected
     colour = colours(view.dark).mark if chosen else rgb(sign_colour(finding)[1:])
-    return _Kept(finding.drawn, symbol(finding), colour, chosen)
+    return _ResultMark(finding.drawn, symbol(finding), colour, chosen)
 
 
 def _outline(region: Region, height_field: HeightField, mm_per_pixel: float) -> NDArray[np.float32]:
@@ -105,8 +105,8 @@ def _outline(region: Region, height_field: HeightField, mm_per_pixel: float) -> 
         return np.stack([points[:-1], points[1:]], axis=1)
     corners = outline_of(region)
     if len(corners) == 0:
-        ring_um, at = _RING_PX * 1e3 * mm_per_pixel, region.points[0]
-        corners = np.stack([at.x_um + ring_um * np.cos(_ROUND), at.y_um + ring_um * np.sin(_ROUND)], axis=1)
+        ring_um, centre = _RING_PX * 1e3 * mm_per_pixel, region.points[0]
+        corners = np.stack([centre.x_um + ring_um * np.cos(_ROUND), centre.y_um + ring_um * np.sin(_ROUND)], axis=1)
     return height_field.drape_outline(corners, lift)
 
 
@@ -115,9 +115,9 @@ def _place(sign: Billboard, region: Region, height_field: HeightField, view_axes
     place = region if region.kind != "line" else Region.point(region.points[1].x_um, region.points[1].y_um)
     corner, up_px = (
         corner_on_screen(place, height_field, view_axes, -1, 1),
-        _ABOVE_PX if region.kind == "point" else _BESIDE_PX,
+        _ABOVE_PX if region.kind == "point" else _OFFSET_PX,
     )
-    sign.place(corner, height_field, view_axes, -_BESIDE_PX, up_px)
+    sign.place(corner, height_field, view_axes, -_OFFSET_PX, up_px)
 
 
 _ON_LINE_PX = 9.0
@@ -135,7 +135,7 @@ class Tools:
         self._places = PlaceTools(scene, self._dragged, lambda places: self._placed(places), self._in_sight)
         self._level = LevelTools(scene, self._dragged, lambda levelling: self._levelled(levelling))
         self._clip = ClipBox(scene, self._dragged, lambda faces, key: self._clipped(faces, key))
-        self._kept = KeptMarks(scene)
+        self._results = KeptMarks(scene)
         self._mark: PlaceMark | None = None
         self._lock = threading.RLock()
         self._drags, self._clicks = LatestOnlyWorker("drag"), LatestOnlyWorker("pick")
@@ -222,16 +222,18 @@ class Tools:
         self._clicks.close()
 
     def show(
-        self, view: View, on_show: DisplayedSurface | None, book: SurfaceInfoCache, findings: Sequence[AnyResult] = ()
+        self, view: View, on_show: DisplayedSurface | None, cache: SurfaceInfoCache, findings: Sequence[AnyResult] = ()
     ) -> None:
         """Show the view's tool, the saved results, the marker and the selection on the displayed surface."""
         height_field = (
-            HeightField(book.relief(on_show), on_show, view.colour_by != "origin") if on_show is not None else None
+            HeightField(cache.relief(on_show), on_show, view.colour_by != "origin") if on_show is not None else None
         )
         with self._lock:
             self._height_field = height_field
             self._show_tools(view, height_field if view.step in ("measure", "gauge") else None)
-            self._kept.show(findings if view.step in ("measure", "review") and height_field is not None else (), view)
+            self._results.show(
+                findings if view.step in ("measure", "review") and height_field is not None else (), view
+            )
             self._show_mark(view, height_field)
             self._show_selection(view, height_field)
             if on_show is None:
@@ -299,7 +301,15 @@ class Tools:
                 return
             view_axes = ViewAxes.of(self._eye.pose, self._eye.um_per_pixel() * 1e-3)
             with self._client.atomic():
-                for tool in (self._lines, self._places, self._level, self._kept, self._clip, self._mark, self._outline):
+                for tool in (
+                    self._lines,
+                    self._places,
+                    self._level,
+                    self._results,
+                    self._clip,
+                    self._mark,
+                    self._outline,
+                ):
                     if tool is not None:
                         tool.draw(self._height_field, view_axes)
 

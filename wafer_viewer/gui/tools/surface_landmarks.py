@@ -37,8 +37,8 @@ class Patches:
 
     def only(self, good: NDArray[np.bool_]) -> Patches:
         """Return the patches selected by a mask."""
-        kept = (values[good] for values in (self.places, self.level, self.spread, self.rough, self.tilt))
-        return Patches(self.side_um, *kept)
+        columns = (values[good] for values in (self.places, self.level, self.spread, self.rough, self.tilt))
+        return Patches(self.side_um, *columns)
 
     def nearest(self, to: Place) -> int:
         """Return the index of the patch nearest to a position."""
@@ -59,7 +59,9 @@ def patches(height_field: HeightField, share: float) -> Patches:
     side = max(_LEAST_PATCH_PX, round(min(rows, cols) * share) // 2 * 2)
     step, half = side // 2, side // 2
     z = height_field.heights - height_field.on_show.z0_um
-    n, total, squares = (_box_sums(layer, (side, side), step) for layer in (height_field.there.astype(float), z, z * z))
+    n, total, squares = (
+        _box_sums(layer, (side, side), step) for layer in (height_field.measured_mask.astype(float), z, z * z)
+    )
     left, top = _box_sums(z, (side, half), step), _box_sums(z, (half, side), step)
     row, col = np.nonzero(n > 0.98 * side * side)
     mean = total[row, col] / side**2
@@ -93,11 +95,11 @@ def first_line(height_field: HeightField, near: Place) -> tuple[Place, Place]:
 def _row_score(height_field: HeightField, x_um: Floats, y_um: float) -> float:
     """Return the score of a row: its measured fraction, weighted by its height range, rounded to one decimal."""
     y = np.full_like(x_um, y_um)
-    there = height_field.measured(x_um, y)
-    if not there.any():
+    measured = height_field.measured(x_um, y)
+    if not measured.any():
         return 0.0
-    climb = float(np.ptp(height_field.z_um(x_um, y)[there])) / max(span_um(height_field), 1e-9)
-    return round(float(there.mean()) * (1 + min(climb, 1.5)), 1)
+    climb = float(np.ptp(height_field.z_um(x_um, y)[measured])) / max(span_um(height_field), 1e-9)
+    return round(float(measured.mean()) * (1 + min(climb, 1.5)), 1)
 
 
 def plateaus(height_field: HeightField, near: Place) -> tuple[Place, Place, float]:
@@ -106,8 +108,8 @@ def plateaus(height_field: HeightField, near: Place) -> tuple[Place, Place, floa
     The plateaus are on the two most frequent levels of the surface, so that a bump on the upper one is not selected.
     """
     for share in PATCH_SHARES:
-        found = patches(height_field, share)
-        flat = found.only(_small(found.spread, height_field))
+        candidates = patches(height_field, share)
+        flat = candidates.only(_small(candidates.spread, height_field))
         levels = _two_levels(flat.level, span_um(height_field))
         if levels is None:
             continue
@@ -144,8 +146,8 @@ def _two_levels(levels: Floats, span: float) -> tuple[float, float] | None:
 def face(height_field: HeightField, near: Place) -> tuple[Place, float]:
     """Return the centre of a flat face near a position, and the side of a square that fits on it."""
     for share in PATCH_SHARES:
-        found = patches(height_field, share)
-        flat = found.only(_small(found.rough, height_field))
+        candidates = patches(height_field, share)
+        flat = candidates.only(_small(candidates.rough, height_field))
         if len(flat):
             return flat.middle(flat.nearest(height_field.inner(near))), flat.side_um
     return height_field.inner(near), _least_side(height_field)
@@ -154,8 +156,8 @@ def face(height_field: HeightField, near: Place) -> tuple[Place, float]:
 def two_faces(height_field: HeightField, near: Place) -> tuple[Place, Place, float]:
     """Return centres of the steepest plane face and a nearby face of low tilt, and the side of the squares."""
     for share in PATCH_SHARES[1:]:
-        found = patches(height_field, share)
-        even = found.only(_small(found.rough, height_field))
+        candidates = patches(height_field, share)
+        even = candidates.only(_small(candidates.rough, height_field))
         if len(even) < 2:
             continue
         steep = even.middle(int(np.argmax(even.tilt)))
@@ -177,9 +179,9 @@ def bump(height_field: HeightField, near: Place) -> tuple[Place, float]:
     best, middle, radius_um = _STANDS_OUT, None, 0.0
     for share in _BUMP_SHARES:
         side = max(_LEAST_PATCH_PX, round(min(rows, cols) * share))
-        found = _standing_out(height_field, side)
-        if found is not None and found[0] > best:
-            best, middle, radius_um = *found, 0.5 * _ROOM_ROUND_BUMP * side * height_field.pixel_um
+        bump = _standing_out(height_field, side)
+        if bump is not None and bump[0] > best:
+            best, middle, radius_um = *bump, 0.5 * _ROOM_ROUND_BUMP * side * height_field.pixel_um
     return (
         (middle, radius_um)
         if middle is not None
@@ -208,18 +210,18 @@ def _standing_out(height_field: HeightField, side: int) -> tuple[float, Place] |
     z, wide, step = height_field.heights - height_field.on_show.z0_um, 2 * side, max(1, side // 4)
     if min(z.shape) < wide:
         return None
-    there = _box_sums(height_field.there.astype(float), (wide, wide), step)
+    measured = _box_sums(height_field.measured_mask.astype(float), (wide, wide), step)
     total, squares = (_box_sums(layer, (wide, wide), step) for layer in (z, z * z))
     edge = side // 2
     inner = z[edge : z.shape[0] - (wide - side - edge), edge : z.shape[1] - (wide - side - edge)]
     mine, mine2 = (
-        _box_sums(layer, (side, side), step)[: there.shape[0], : there.shape[1]] for layer in (inner, inner**2)
+        _box_sums(layer, (side, side), step)[: measured.shape[0], : measured.shape[1]] for layer in (inner, inner**2)
     )
     n = wide**2 - side**2
     ring = (total - mine) / n
     spread = np.sqrt(np.maximum((squares - mine2) / n - ring**2, 0))
     out = np.abs(mine / side**2 - ring) / (spread + 0.02 * span_um(height_field))
-    out[there < 0.98 * wide**2] = 0
+    out[measured < 0.98 * wide**2] = 0
     row, col = np.unravel_index(int(np.argmax(out)), out.shape)
     middle = height_field.place(float(row * step + wide / 2), float(col * step + wide / 2))
     return float(out[row, col]), middle

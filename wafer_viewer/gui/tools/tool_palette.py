@@ -52,16 +52,16 @@ def tool_cards() -> Markup:
 
 def _icon(tool: MeasuringTool, chosen: bool) -> Markup:
     on, word = (Markup(' class="on"'), tool.short) if chosen else ("", "")
-    told = Markup('title="{}" aria-label="{}"').format(hint(tool), tool.short)
-    return Markup("<span{on} {told} {pick}>{icon}{word}</span>").format(
-        on=on, told=told, pick=html.pick("tool", tool.name), icon=html.icon(icon_of(tool), 17), word=word
+    label = Markup('title="{}" aria-label="{}"').format(hint(tool), tool.short)
+    return Markup("<span{on} {label} {pick}>{icon}{word}</span>").format(
+        on=on, label=label, pick=html.pick("tool", tool.name), icon=html.icon(icon_of(tool), 17), word=word
     )
 
 
 def _card(tool: MeasuringTool) -> Markup:
     keys = Markup("<kbd>{}{}</kbd>").format("⇧" if tool.shift else "", tool.key) if tool.key else Markup()
-    told = Markup('title="{}" aria-label="{}"').format(tool.how, tool.title)
+    label = Markup('title="{}" aria-label="{}"').format(tool.how, tool.title)
     name = tool.short
-    return Markup("<div {told} {pick}>{icon}<span>{name}</span>{keys}</div>").format(
-        told=told, pick=html.pick("tool", tool.name), icon=html.icon(icon_of(tool), 18), name=name, keys=keys
+    return Markup("<div {label} {pick}>{icon}<span>{name}</span>{keys}</div>").format(
+        label=label, pick=html.pick("tool", tool.name), icon=html.icon(icon_of(tool), 18), name=name, keys=keys
     )

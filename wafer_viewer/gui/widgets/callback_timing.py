@@ -61,12 +61,12 @@ class EchoFilter(Generic[T]):
     """Values that were sent and may be received again, in the order in which they were sent."""
 
     def __init__(self) -> None:
-        self._told: deque[T] = deque(maxlen=_MOST)
+        self._sent: deque[T] = deque(maxlen=_MOST)
         self._heard: T | None = None
 
     def tell(self, value: T) -> T:
         """Record a value that is being sent and return it."""
-        self._told.append(value)
+        self._sent.append(value)
         return value
 
     def is_echo(self, value: T) -> bool:
@@ -74,16 +74,16 @@ class EchoFilter(Generic[T]):
         if value == self._heard:
             return True
         self._heard = value
-        if value not in self._told:
-            self._told.clear()
+        if value not in self._sent:
+            self._sent.clear()
             return False
-        while self._told.popleft() != value:
+        while self._sent.popleft() != value:
             pass
         return True
 
     def forget(self) -> None:
         """Discard all sent values, so that nothing counts as an echo."""
-        self._told.clear()
+        self._sent.clear()
         self._heard = None
 
 

@@ -70,4 +70,4 @@ def looking(look: Callable[[str], None]) -> list[Command]:
         ("Three-quarter view", "I", "iso"),
         ("Show all", "home", "all"),
     )
-    return [Command(name, key, lambda w=way: look(w), viser.Icon.EYE, group="Look") for name, key, way in ways]
+    return [Command(name, key, lambda w=mode: look(w), viser.Icon.EYE, group="Look") for name, key, mode in ways]

@@ -73,7 +73,7 @@ class BoundInput(Generic[T]):
         """True if there was user input that `show` has not replaced since."""
         self._page = page
         self._touched_at = -QUIET_S
-        self._known: T = handle.value
+        self._last: T = handle.value
         """Last value shown or received; viser updates its handle before it calls back."""
         self._on_change = guarded(page, failed)(on_change)
         handle.on_update(self._update)
@@ -87,18 +87,18 @@ class BoundInput(Generic[T]):
         """Show a value, unless the user is moving the widget or has changed it since the value was read."""
         if time.monotonic() - self._touched_at <= QUIET_S or self._page.as_of_s <= self._touched_at:
             return
-        if not _alike(self._known, self.handle.value):  # put in, and not heard of yet
+        if not _equal(self._last, self.handle.value):  # put in, and not heard of yet
             return
         self.edited = False
-        if not _alike(value, self.handle.value):
-            self._known = self.handle.value = value
+        if not _equal(value, self.handle.value):
+            self._last = self.handle.value = value
 
     def enable(self, enabled: bool) -> None:
         """Enable or disable user input."""
         set_prop(self.handle, "disabled", not enabled)
 
     def _update(self, event: Any) -> None:
-        self._known = self.handle.value
+        self._last = self.handle.value
         if event.client is not None:
             self._touched_at, self.edited = time.monotonic(), True
             self._on_change(event)
@@ -175,11 +175,13 @@ def outlined(gui: Gui, handle: Any, height_px: int = 36) -> None:
 
 def leading(gui: Gui, handle: Any, height_px: int = 44, sticky: bool = True) -> None:
     """Draw a button filled, as the primary action; `sticky`: always visible at the foot of the panel."""
-    at = by_id(handle._impl.uuid)
-    rules = f"{at}{{height:{height_px}px!important}}{at} .mantine-Button-label{{font-size:15.5px!important}}"
+    selector = by_id(handle._impl.uuid)
+    rules = (
+        f"{selector}{{height:{height_px}px!important}}{selector} .mantine-Button-label{{font-size:15.5px!important}}"
+    )
     if sticky:
         foot = "position:sticky;bottom:0;z-index:3;background:var(--panel);padding:6px 0 8px!important"
-        rules += f"div:has(>{at}){{{foot}}}"
+        rules += f"div:has(>{selector}){{{foot}}}"
     add_html(gui, html.style_sheet(rules))
 
 
@@ -218,7 +220,7 @@ class ToggleGroup:
 
 
 @contextlib.contextmanager
-def always_there(gui: Gui) -> Generator[None]:
+def always_mounted(gui: Gui) -> Generator[None]:
     """Context for content that stays on the page while panels are folded, because viser removes folded content."""
     panel = gui.add_panel()
     with panel.add_tab("·"):
@@ -265,12 +267,12 @@ class FloatingPanel:
 
 def _tight(handle: Any) -> str:
     """Return compact styles for an icon and a label in a third of the left panel."""
-    at = by_id(handle._impl.uuid)
+    selector = by_id(handle._impl.uuid)
     label, sign = (
-        f"{at} .mantine-Button-label{{font-size:12.5px}}",
-        f"{at} .mantine-Button-section{{margin-inline-end:4px}}",
+        f"{selector} .mantine-Button-label{{font-size:12.5px}}",
+        f"{selector} .mantine-Button-section{{margin-inline-end:4px}}",
     )
-    return f"{at}{{padding:0 2px!important}}{label}{sign}"
+    return f"{selector}{{padding:0 2px!important}}{label}{sign}"
 
 
 def _high(handle: Any, height_px: int) -> str:
@@ -278,18 +280,18 @@ def _high(handle: Any, height_px: int) -> str:
 
 
 def _outlined(handle: Any, height_px: int) -> str:
-    at = by_id(handle._impl.uuid)
+    selector = by_id(handle._impl.uuid)
     return (
-        f"{at}{{height:{height_px}px!important;background:transparent!important;color:var(--ink)!important;"
+        f"{selector}{{height:{height_px}px!important;background:transparent!important;color:var(--ink)!important;"
         f"border:1px solid var(--line)!important;padding:0 6px!important}}"
-        f"{at}:hover{{background:var(--fill)!important}}{at}[data-disabled]{{color:var(--ink3)!important}}"
+        f"{selector}:hover{{background:var(--fill)!important}}{selector}[data-disabled]{{color:var(--ink3)!important}}"
     )
 
 
-def _alike(a: Any, b: Any) -> bool:
+def _equal(a: Any, b: Any) -> bool:
     """Return whether two values of a widget are equal, numbers within rounding errors."""
     if isinstance(a, tuple) and isinstance(b, tuple):
-        return len(a) == len(b) and all(_alike(p, q) for p, q in zip(a, b, strict=True))
+        return len(a) == len(b) and all(_equal(p, q) for p, q in zip(a, b, strict=True))
     if isinstance(a, int | float) and isinstance(b, int | float):
         return abs(a - b) <= 1e-9 * max(1.0, abs(a), abs(b))
     return a == b

@@ -109,17 +109,17 @@ def command_pick(what: str, key: object = "") -> Markup:
     return pick(what, key) + f" {NEEDS_CONTROL}"
 
 
-def title(text: str, below: str = "", beside: str = "") -> Markup:
+def title(text: str, below: str = "", detail: str = "") -> Markup:
     """Return the title of a panel, with a subtitle and small actions."""
     sub = Markup('<div class="wv-sub">{}</div>').format(below) if below else Markup()
     return Markup('<div class="wv-title"><span>{}</span><span class="wv-actions">{}</span></div>{}').format(
-        text, beside, sub
+        text, detail, sub
     )
 
 
-def head(text: str, beside: str = "", first: bool = False) -> Markup:
+def head(text: str, detail: str = "", first: bool = False) -> Markup:
     """Return the heading of a section with a line above it, and a small remark at its right end."""
-    return Markup('<div class="wv-h{}">{}<span>{}</span></div>').format(" first" if first else "", text, beside)
+    return Markup('<div class="wv-h{}">{}<span>{}</span></div>').format(" first" if first else "", text, detail)
 
 
 def empty(*lines: str) -> Markup:

@@ -117,7 +117,7 @@ def pair_of(text: str, name: str, *, over: float | None = None) -> Pair | None:
     bare = text.strip()
     if not bare:
         return None
-    parts = next((found for by in _BETWEEN if len(found := re.split(by, bare)) == 2), [])
+    parts = next((pieces for by in _BETWEEN if len(pieces := re.split(by, bare)) == 2), [])
     values = [number_of(part, name, over=over) for part in parts]
     if len(values) != 2 or values[0] is None or values[1] is None:
         raise WaferViewerError(f"{name}: {bare!r} are no two numbers. Type two, such as 12.5 × 8, or leave it empty.")
@@ -136,7 +136,7 @@ def number_of(
     over: float | None = None,
     least: float | None = None,
     most: float | None = None,
-    whole: bool = False,
+    integer: bool = False,
 ) -> float | None:
     """Return the entered number, None for empty text. A comma is a decimal point.
 
@@ -151,7 +151,7 @@ def number_of(
         value = math.nan
     if not math.isfinite(value):
         raise WaferViewerError(f"{name}: {text.strip()!r} is not a number. Type one, or leave the field empty.")
-    if whole and not value.is_integer():
+    if integer and not value.is_integer():
         raise WaferViewerError(f"{name} is {value:g}: it must be a whole number, or empty.")
     if over is not None and value <= over:
         raise WaferViewerError(f"{name} is {value:g}: it must be over {over:g}, or empty.")

@@ -74,7 +74,7 @@ def palette(dark: bool) -> dict[str, str]:
     return DARK if dark else LIGHT
 
 
-def sheet(dark: bool, bottom_px: int) -> Markup:
+def page_style(dark: bool, bottom_px: int) -> Markup:
     """Return the style element of the page; `bottom_px`: height of the panel with a curve below the scene."""
     colours = ";".join(f"--{name}:{value}" for name, value in palette(dark).items())
     return style_sheet(f":root,[data-mantine-color-scheme]{{{colours};--bottom:{bottom_px}px}}\n{_page_css()}")

@@ -43,13 +43,13 @@ def test_leaves_cover_all_of_the_surface_and_nothing_twice(
     )
     assert inside == rows * cols
     assert len(set(squares)) == len(squares)
-    assert sum(leaf.seen for leaf in found) <= MOST
+    assert sum(leaf.in_view for leaf in found) <= MOST
 
 
 @given(CAMERAS)
 def test_what_is_in_sight_is_sharp_as_far_as_tiles_go(camera: tuple[float, float, float, float]) -> None:
     over, seen_from = ground(12_850, 12_850), sight(*camera)
-    found = [leaf.node for leaf in leaves(over, seen_from, SHARP_PX, MOST) if leaf.seen]
+    found = [leaf.node for leaf in leaves(over, seen_from, SHARP_PX, MOST) if leaf.in_view]
     coarse = [n for n in found if over.texel_px(n, over.box(n), seen_from) > SHARP_PX and n.level > FINEST_LEVEL]
     assert not coarse or len(found) > MOST - 4
 
