@@ -30,18 +30,18 @@ def seen_by(eyes, colours):
 @pytest.mark.parametrize("eyes", EYES)
 def test_no_two_origins_look_alike(eyes):
     assert set(ORIGIN_COLOURS) == set(Origin)
-    seen = dict(zip(ORIGIN_COLOURS, seen_by(eyes, list(ORIGIN_COLOURS.values())), strict=True))
-    apart = {(a.name, b.name): float(deltaE_ciede2000(seen[a], seen[b])) for a, b in combinations(seen, 2)}
+    shown = dict(zip(ORIGIN_COLOURS, seen_by(eyes, list(ORIGIN_COLOURS.values())), strict=True))
+    apart = {(a.name, b.name): float(deltaE_ciede2000(shown[a], shown[b])) for a, b in combinations(shown, 2)}
     assert min(apart.values()) >= 12, min(apart, key=lambda pair: apart[pair])
 
 
 @pytest.mark.parametrize("eyes", EYES)
 def test_what_lies_above_and_below_zero_is_told_apart_by_all_eyes(eyes):
-    seen = seen_by(eyes, table(DIVERGING))
-    lightness = seen[:, 0]
+    shown = seen_by(eyes, table(DIVERGING))
+    lightness = shown[:, 0]
     assert (np.diff(lightness[:120]) >= -0.3).all()
     assert (np.diff(lightness[136:]) <= 0.3).all()
     assert lightness[128] > 85
     assert abs(lightness[127] - lightness[128]) < 1
-    apart = [float(deltaE_ciede2000(seen[127 - k], seen[128 + k])) for k in range(24, 128, 8)]
+    apart = [float(deltaE_ciede2000(shown[127 - k], shown[128 + k])) for k in range(24, 128, 8)]
     assert min(apart) > 10

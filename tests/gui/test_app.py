@@ -26,10 +26,10 @@ def restored_signals():
 @pytest.mark.slow
 @pytest.mark.usefixtures("restored_signals")
 def test_a_request_to_end_that_a_finalizer_swallows_is_still_heard(tmp_path: Path) -> None:
-    said: list[str] = []
+    messages: list[str] = []
 
     def announce(text: str) -> None:
-        said.append(text)
+        messages.append(text)
         try:
             signal.raise_signal(signal.SIGINT)
         except KeyboardInterrupt:
@@ -37,10 +37,10 @@ def test_a_request_to_end_that_a_finalizer_swallows_is_still_heard(tmp_path: Pat
 
     session = Session(tmp_path)
     try:
-        serve(session, port=0, announce=lambda text: announce(text) if not said else said.append(text))
+        serve(session, port=0, announce=lambda text: announce(text) if not messages else messages.append(text))
     finally:
         session.close()
-    assert said[-1] == "Wafer Viewer ends."
+    assert messages[-1] == "Wafer Viewer ends."
 
 
 def doing(thread: int | None) -> list[str]:

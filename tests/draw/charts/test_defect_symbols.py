@@ -17,8 +17,8 @@ COLOURS = {kind: [int(look.colour[k : k + 2], 16) for k in (1, 3, 5)] for kind, 
 
 @pytest.mark.parametrize("eyes", ["all colours", "red-blind", "green-blind"])
 def test_no_two_classes_look_alike(eyes):
-    seen = dict(zip(COLOURS, seen_by(eyes, list(COLOURS.values())), strict=True))
-    apart = {pair: float(deltaE_ciede2000(seen[pair[0]], seen[pair[1]])) for pair in combinations(seen, 2)}
+    shown = dict(zip(COLOURS, seen_by(eyes, list(COLOURS.values())), strict=True))
+    apart = {pair: float(deltaE_ciede2000(shown[pair[0]], shown[pair[1]])) for pair in combinations(shown, 2)}
     assert min(apart.values()) >= 10, min(apart, key=lambda pair: apart[pair])
 
 

@@ -25,10 +25,10 @@ def svg(**kwargs: object) -> ElementTree.Element:
 
 
 def boxes(picture: ElementTree.Element) -> dict[str, dict[str, float]]:
-    found = {g.attrib["data-k"]: g.find("rect") for g in picture.iter("g") if "data-k" in g.attrib}
+    result = {g.attrib["data-k"]: g.find("rect") for g in picture.iter("g") if "data-k" in g.attrib}
     return {
         k: {name: float(box.attrib[name]) for name in ("x", "y", "width", "height")}
-        for k, box in found.items()
+        for k, box in result.items()
         if box is not None
     }
 

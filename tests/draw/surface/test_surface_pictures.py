@@ -118,10 +118,10 @@ def test_a_mesh_reaches_every_edge_of_its_pixels(rows: int, cols: int, step: int
 
 
 def test_cells_without_a_measured_pixel_are_left_out() -> None:
-    there = np.ones((9, 9), bool)
-    there[:, 4:] = False
+    present = np.ones((9, 9), bool)
+    present[:, 4:] = False
     axis = np.arange(9, dtype=np.float32)
-    made = mesh.surface(np.zeros((9, 9), np.float32), there, axis, -axis, 0.0, 2)
+    made = mesh.surface(np.zeros((9, 9), np.float32), present, axis, -axis, 0.0, 2)
     used = made.vertices[np.unique(made.triangles)]
     assert used[:, 0].max() == 4
 
@@ -129,10 +129,10 @@ def test_cells_without_a_measured_pixel_are_left_out() -> None:
 def test_no_rags_hang_from_the_edge_of_a_hole_in_a_wall() -> None:
     z = np.zeros((9, 9), np.float32)
     z[:, 5:] = 100.0
-    there = np.ones((9, 9), bool)
-    there[::2, 4] = False
+    present = np.ones((9, 9), bool)
+    present[::2, 4] = False
     axis = np.arange(9, dtype=np.float32) * 1e-3
-    made = mesh.surface(z, there, axis, -axis, 0.0, 1)
+    made = mesh.surface(z, present, axis, -axis, 0.0, 1)
     rise = np.ptp(made.vertices[made.triangles][..., 2], axis=1)
     assert rise.max() < 0.05
 

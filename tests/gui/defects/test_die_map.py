@@ -74,11 +74,11 @@ class Reviewer:
 
 def test_keys_go_from_die_to_die_by_rows_from_the_top_to_those_with_open_defects():
     page = Reviewer()
-    seen = []
+    shown = []
     for _ in range(9):
         page.press("Next die with open defects")
-        seen.append(page.view.defects.die)
-    assert seen == ["-2,0", "-1,0", "0,0", "1,0", "-2,-1", "-1,-1", "0,-1", "1,-1", "-2,0"]
+        shown.append(page.view.defects.die)
+    assert shown == ["-2,0", "-1,0", "0,0", "1,0", "-2,-1", "-1,-1", "0,-1", "1,-1", "-2,0"]
     page.press("Previous die with open defects")
     assert page.view.defects.die == "1,-1"
     assert page.gone_to[1] == "defect 1"
@@ -205,8 +205,8 @@ def test_the_class_that_is_listed_alone_is_pressed(kind):
 
 
 def test_the_chart_goes_by_the_operators_word():
-    told = (replace(INSPECTION.defects[0], judged_kind="residue"), *INSPECTION.defects[1:])
-    assert re.search(r"Residue</span>.*?<b>2</b>", pareto_html(told, ""))
+    text = (replace(INSPECTION.defects[0], judged_kind="residue"), *INSPECTION.defects[1:])
+    assert re.search(r"Residue</span>.*?<b>2</b>", pareto_html(text, ""))
     assert pareto_html((), "") == ""
 
 

@@ -106,8 +106,8 @@ def test_a_form_that_makes_no_recipe_is_told_in_a_sentence(form: DefectForm, say
 
 
 def test_turning_the_dial_says_what_it_costs_here_and_on_a_whole_wafer():
-    said = expectation(0.5, INSPECTION)
-    assert "0.040 per mm², under 0.1 here, 2\u202f800 on a wafer of 300 mm" in said
+    text = expectation(0.5, INSPECTION)
+    assert "0.040 per mm², under 0.1 here, 2\u202f800 on a wafer of 300 mm" in text
     assert "2\u202f800" not in expectation(0.8, INSPECTION)
     assert "after the first inspection" in expectation(0.5, None)
 

@@ -15,12 +15,12 @@ INSPECTION = found(PLANTED)
 
 def test_both_sides_are_counted_and_the_rest_is_listed(tmp_path: Path):
     other = overlay_klarf(other_file(tmp_path, INSPECTION), None, INSPECTION, within_um=20.0)
-    said = unescape(overlay_html(other, INSPECTION.defects))
-    assert "8 places of another tool: 6 found here too, 2 not." in said
-    assert "1 found here is not in the file." in said
-    assert "The same within 20 µm" in said
-    assert said.count('data-pick="defect-other"') == 2
-    assert 'data-k="90"' in said
+    text = unescape(overlay_html(other, INSPECTION.defects))
+    assert "8 places of another tool: 6 found here too, 2 not." in text
+    assert "1 found here is not in the file." in text
+    assert "The same within 20 µm" in text
+    assert text.count('data-pick="defect-other"') == 2
+    assert 'data-k="90"' in text
 
 
 def test_all_of_it_is_on_the_map_and_can_be_clicked(tmp_path: Path):

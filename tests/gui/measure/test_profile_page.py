@@ -86,10 +86,10 @@ def test_only_the_line_that_moved_is_measured_again(page):
 
 
 def test_a_moved_handle_has_its_curve_before_the_line_is_drawn(page):
-    curves, told = LiveProfiles(page), []
-    curves.on_news(lambda: told.append(len(curves.sections)))
+    curves, text = LiveProfiles(page), []
+    curves.on_news(lambda: text.append(len(curves.sections)))
     curves.follow()
-    assert told == [2]
+    assert text == [2]
 
 
 def test_the_active_line_alone_is_compared(page):

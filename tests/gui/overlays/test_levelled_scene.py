@@ -89,10 +89,10 @@ def test_colours_run_between_the_heights_that_are_in_view(browser: Browser, scen
     on_show(scene, View(step="surface", levelling=BY_PLANE))
     browser.camera.look_at = np.array([0.0, 0.0, 0.0])
     browser.camera.position = np.array([0.0, -0.001, 0.3])
-    told: list[tuple[float, float]] = []
-    scene.range_in_view(told.append)
-    until(lambda: told)
-    assert told[0] == pytest.approx((12.0, 12.0), abs=0.3)
+    messages: list[tuple[float, float]] = []
+    scene.range_in_view(messages.append)
+    until(lambda: messages)
+    assert messages[0] == pytest.approx((12.0, 12.0), abs=0.3)
 
 
 @pytest.mark.slow

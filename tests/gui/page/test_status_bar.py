@@ -95,7 +95,7 @@ def test_a_surface_that_only_the_stage_placed_is_drawn_attention_to():
     info = fake.measured().surface
     assert info is not None
     assert placement(info) == placement(None) == ("", "", "")
-    found = stitching_of(made_up_poses(grid(3, 3).fields(0.0), 600.0, 400.0))
-    undecided = dataclasses.replace(found, n_believed=0, n_by_stage=9)
-    said, tone, _ = placement(dataclasses.replace(info, stitching=undecided, n_fields=9))
-    assert (said, tone) == ("Stitched by the stage alone", "attention")
+    result = stitching_of(made_up_poses(grid(3, 3).fields(0.0), 600.0, 400.0))
+    undecided = dataclasses.replace(result, n_believed=0, n_by_stage=9)
+    text, tone, _ = placement(dataclasses.replace(info, stitching=undecided, n_fields=9))
+    assert (text, tone) == ("Stitched by the stage alone", "attention")

@@ -21,7 +21,7 @@ BY_SCRIPT = {"picks", "tells", "plot"}
 
 
 def test_every_input_says_what_it_is():
-    made = [found for path in sorted(FOLDER.rglob("*.py")) for found in INPUT.findall(path.read_text())]
+    made = [result for path in sorted(FOLDER.rglob("*.py")) for result in INPUT.findall(path.read_text())]
     assert len(made) > 30
     unsaid = {label for label, rest in made if label not in FIELDS and "hint=" not in rest} - BY_SCRIPT
     assert unsaid == set()

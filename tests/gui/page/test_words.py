@@ -132,66 +132,66 @@ class Told:
 
 
 def test_the_guard_tells_in_the_programs_own_sentence():
-    told = Told()
+    text = Told()
 
-    @guarded(told, "Import stopped")
+    @guarded(text, "Import stopped")
     def stop():
         raise DatasetError("Import stopped at a.tif: it is truncated. Nothing was written.")
 
     stop()
-    assert [(f.title, f.text) for f in told.faults] == [
+    assert [(f.title, f.text) for f in text.faults] == [
         ("Import stopped at a.tif", "It is truncated. Nothing was written.")
     ]
 
 
 def test_the_guard_watches_a_verb_until_it_is_done():
-    told, verb = Told(), Future()
-    guarded(told, "The scan did not start")(lambda: verb)()
-    assert told.faults == []
+    text, verb = Told(), Future()
+    guarded(text, "The scan did not start")(lambda: verb)()
+    assert text.faults == []
     verb.set_exception(DatasetError("The folder cannot be written to."))
-    assert told.faults[0].title == "The scan did not start"
+    assert text.faults[0].title == "The scan did not start"
 
 
 def test_the_guard_tells_what_nobody_foresaw(caplog):
-    told = Told()
-    guarded(told, "The grid was not changed")(lambda: 1 / 0)()
-    assert "Unexpected error: division by zero" in told.faults[0].text
+    text = Told()
+    guarded(text, "The grid was not changed")(lambda: 1 / 0)()
+    assert "Unexpected error: division by zero" in text.faults[0].text
     assert "ZeroDivisionError" in caplog.text
 
 
 def test_every_verdict_says_in_words_what_its_sign_says():
     curve = seen.a_focus_curve(0.0, 0.0, measured=False)
-    said = surface.verdicts(curve)
+    text = surface.verdicts(curve)
     for words in ("passed", "not passed", "gate is off", "Is there texture to focus on?"):
-        assert words in said
-    assert said.count("<tr") == 1 + len(curve.verdicts)
+        assert words in text
+    assert text.count("<tr") == 1 + len(curve.verdicts)
     assert "Not measured" in surface.answer(curve)
     assert "Ambiguous peak" in surface.answer(curve)
 
 
 def test_scores_and_limits_read_in_one_unit_that_needs_no_logarithm():
     curve = seen.a_focus_curve(0.0, 0.0)
-    said = surface.verdicts(curve)
+    text = surface.verdicts(curve)
     for words in ("× 2.89", 'over</span> × 1.56"', "× 21.1", "up to</span> 30.0\u202f%", "0.31\u202fµm"):
-        assert words.replace('"', "") in said
-    assert "powers" not in said
-    assert "1 at an end" not in said
+        assert words.replace('"', "") in text
+    assert "powers" not in text
+    assert "1 at an end" not in text
     assert {v.unit for v in curve.verdicts} <= set(surface.FIGURES)
 
 
 def test_the_units_of_gates_are_known():
     assert POWERS in surface.FIGURES
     odd = replace(seen.a_focus_curve(0.0, 0.0).verdicts[0], unit="furlongs", score=1.0, limit=2.0)
-    said = surface.verdicts(replace(seen.a_focus_curve(0.0, 0.0), verdicts=(odd,)))
-    assert "in furlongs" in said
-    assert "1.00" in said
+    text = surface.verdicts(replace(seen.a_focus_curve(0.0, 0.0), verdicts=(odd,)))
+    assert "in furlongs" in text
+    assert "1.00" in text
 
 
 def test_what_is_off_says_so_once():
     curve = seen.a_focus_curve(0.0, 0.0)
     assert surface.verdicts(curve).count("gate is off") == 1
-    told = replace(curve.verdicts[-1], note="Fewer than 12 frames.")
-    assert "gate is off · Fewer than 12 frames." in surface.verdicts(replace(curve, verdicts=(told,)))
+    text = replace(curve.verdicts[-1], note="Fewer than 12 frames.")
+    assert "gate is off · Fewer than 12 frames." in surface.verdicts(replace(curve, verdicts=(text,)))
 
 
 @given(st.text())

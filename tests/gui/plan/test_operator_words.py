@@ -59,12 +59,12 @@ def test_dies_suggest_corners_far_apart():
 
 
 def test_each_line_of_the_look_round_has_a_word_beside_its_colour():
-    said = section(preflight_of_snapshot(day.aligned(14.6), None, "2026-11-21"))
-    assert [re.search(r'aria-label="(\w+)"', part).group(1) for part in said.split('role="listitem"')[1:]] == [
+    text = section(preflight_of_snapshot(day.aligned(14.6), None, "2026-11-21"))
+    assert [re.search(r'aria-label="(\w+)"', part).group(1) for part in text.split('role="listitem"')[1:]] == [
         *("ok", "stop", "ok", "ok", "ok", "ok")
     ]
-    assert "1 of 6 to look at" in said
-    assert "14.6 µm of 10 µm: too large" in words(said)
+    assert "1 of 6 to look at" in text
+    assert "14.6 µm of 10 µm: too large" in words(text)
     assert section(()) == ""
 
 
@@ -77,11 +77,11 @@ def test_each_line_of_the_look_round_has_a_word_beside_its_colour():
     ],
 )
 def test_a_verdict_is_a_word_the_wafer_and_what_to_do(verdict, word, then):
-    said = words(card(verdict))
-    assert said.startswith(word)
-    assert "W07 · L2231 · Coupon 6 mm B SIMULATED" in said
-    assert then in said
-    assert "not released" not in said
+    text = words(card(verdict))
+    assert text.startswith(word)
+    assert "W07 · L2231 · Coupon 6 mm B SIMULATED" in text
+    assert then in text
+    assert "not released" not in text
     assert "a trial: the job is not released" in words(card(replace(verdict, released=False)))
     hostile = replace(verdict, wafer_id="<img src=x>")
     assert "<img src=x>" not in card(hostile)

@@ -31,13 +31,13 @@ def test_pairs_are_called_by_what_tells_them_apart():
 
 
 def test_every_number_of_an_alignment_stands_with_its_uncertainty():
-    said = plain(words.alignment(ALIGNED))
-    assert "Shift x||+5.991 ± 0.045 µm" in said
-    assert "Shift y||−3.986 ± 0.045 µm" in said
-    assert "Turn||−0.01 ± 0.21 mrad" in said
-    assert "Height||−1.0000 ± 0.0010 µm" in said
-    assert "97.9 %" in said
-    assert "k = 2" in said
+    text = plain(words.alignment(ALIGNED))
+    assert "Shift x||+5.991 ± 0.045 µm" in text
+    assert "Shift y||−3.986 ± 0.045 µm" in text
+    assert "Turn||−0.01 ± 0.21 mrad" in text
+    assert "Height||−1.0000 ± 0.0010 µm" in text
+    assert "97.9 %" in text
+    assert "k = 2" in text
     assert "both are of the same frames" in plain(words.alignment(Registration()))
     by_stage = plain(words.alignment(Registration(by="stage", levelled=True, u_z_um=0.1, u_tilt_mrad=0.1)))
     assert "Shift" not in by_stage
@@ -45,10 +45,10 @@ def test_every_number_of_an_alignment_stands_with_its_uncertainty():
 
 
 def test_numbers_have_signs_and_limits():
-    said = plain(words.change_numbers(CHANGE))
-    assert "+0.016 µm" in said
-    assert "beyond ±0.22 µm" in said
-    assert "4.97 pl" in said
+    text = plain(words.change_numbers(CHANGE))
+    assert "+0.016 µm" in text
+    assert "beyond ±0.22 µm" in text
+    assert "4.97 pl" in text
     assert words.volume(2.5e6).replace("\u202f", " ") == "2.50 nl"
     assert "1.3" in plain(words.change_figures(CHANGE))
 

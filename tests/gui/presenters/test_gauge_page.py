@@ -52,9 +52,9 @@ def test_the_verdict_stands_with_error_limit_and_en(state: GaugeState):
 
 def test_every_line_of_the_budget_is_told_with_what_is_left_out(state: GaugeState):
     assert state.check is not None
-    told = unsure.budget(state.check)
+    text = unsure.budget(state.check)
     for line in state.check.budget:
-        assert line.name[1:] in told
+        assert line.name[1:] in text
     for item in state.check.not_evaluated:
         assert item in unsure.not_evaluated(state.check)
 
@@ -103,8 +103,8 @@ def test_earlier_checks_stand_newest_first(state: GaugeState):
 
 def test_the_scene_has_the_faces_as_a_steps_places_in_true_shape():
     faces = Region.rectangle(0, 0, 10, 10), Region.rectangle(20, 0, 30, 10)
-    seen = in_scene(View(step="gauge", faces=faces, exaggeration=5.0))
-    assert (seen.tool, seen.places, seen.exaggeration) == ("step", faces, 1.0)
+    shown = in_scene(View(step="gauge", faces=faces, exaggeration=5.0))
+    assert (shown.tool, shown.places, shown.exaggeration) == ("step", faces, 1.0)
     assert in_scene(View(step="gauge", faces=faces, check="x")).tool == "none"
     other = View(step="measure", exaggeration=5.0)
     assert in_scene(other) is other
@@ -125,22 +125,22 @@ def test_a_study_is_told_with_what_was_studied(tmp_path):
     path = tmp_path / "study.csv"
     path.write_text(a_study())
     (made,) = Studies().gauge_rr(path)
-    told = study(made)
+    text = study(made)
     for part in ("<b>10</b> parts", "<b>3</b> appraisers", "<b>3</b> trials", "Acceptable", "Distinct categories"):
-        assert part in told
+        assert part in text
 
 
 def test_sites_are_coloured_by_their_range_and_never_called_sfqr():
     session = MeasuringSession()
     options = ToolOptions(site_range=SiteRangeOptions(width_um=60, height_um=40))
-    found = session.measure("site_range", (Region.rectangle(-120, -80, 120, 80),), 0, None, options)
+    result = session.measure("site_range", (Region.rectangle(-120, -80, 120, 80),), 0, None, options)
     session.close()
-    assert (found.cols, found.rows, len(found.outlines)) == (4, 4, 16)
-    drawn = site_map_svg(found)
+    assert (result.cols, result.rows, len(result.outlines)) == (4, 4, 16)
+    drawn = site_map_svg(result)
     assert drawn.count("<rect") == 16
-    told = sites(found)
-    assert "SFQR" not in told
-    assert "the largest 12 of 16" in told
+    text = sites(result)
+    assert "SFQR" not in text
+    assert "the largest 12 of 16" in text
 
 
 def test_terms_that_cannot_be_are_refused():

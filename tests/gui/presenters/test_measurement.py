@@ -71,10 +71,10 @@ def test_quantities_read_in_units_of_their_size_with_u_to_two_figures(value, uni
 
 def test_a_budget_stands_in_the_unit_of_its_answer():
     lines = (BudgetLine(name="z scale", u=9000.0), BudgetLine(name="noise", u=12_000.0))
-    told = words.budget(Quantity.evaluated(1_302_000.0, "um3", lines))
-    assert "nl, k = 1" in told
-    assert "0.0090" in told
-    assert "0.0150 · 0.0300" in told
+    text = words.budget(Quantity.evaluated(1_302_000.0, "um3", lines))
+    assert "nl, k = 1" in text
+    assert "0.0090" in text
+    assert "0.0150 · 0.0300" in text
 
 
 @pytest.mark.parametrize("tool", list(TOOLS))
@@ -86,10 +86,10 @@ def test_every_result_leads_back_to_its_tool_and_its_places(tool, found):
 
 @pytest.mark.parametrize("tool", list(TOOLS))
 def test_every_result_says_where_it_comes_from_and_from_which_zero(tool, found):
-    told = source(found[tool])
-    assert "On the stitched surface" in told
-    assert (stage_zero() in told) == (tool not in SHAPED or tool == "coplanarity")
-    assert "SIMULATED" in told or not found[tool].simulated
+    text = source(found[tool])
+    assert "On the stitched surface" in text
+    assert (stage_zero() in text) == (tool not in SHAPED or tool == "coplanarity")
+    assert "SIMULATED" in text or not found[tool].simulated
 
 
 def stage_zero() -> str:

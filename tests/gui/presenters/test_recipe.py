@@ -58,9 +58,9 @@ def test_only_what_was_left_to_the_data_is_told_as_chosen_by_them():
 
 @pytest.mark.parametrize(("mode", "said"), [("literal", "0.50 µm"), ("guided", "0.50 × distance to the guide")])
 def test_flights_are_told_where_there_are_any(mode, said):
-    asked = replace(Recipe(), levy=Levy(mode=mode))
+    requested = replace(Recipe(), levy=Levy(mode=mode))
     settled = replace(fake.SETTLED, levy=Levy(mode=mode, n_sigma=3.0, alpha=0.5, iterations=30))
-    assert dict(words.chosen_by_data(asked, settled))["Scale of the Lévy flights"] == said
+    assert dict(words.chosen_by_data(requested, settled))["Scale of the Lévy flights"] == said
 
 
 def test_only_the_papers_method_believes_every_peak():
@@ -68,12 +68,12 @@ def test_only_the_papers_method_believes_every_peak():
 
 
 def test_notes_that_differ_by_numbers_alone_are_told_once_and_unfold():
-    said = words.notes(fake.NOTES)
-    assert said.count("<details>") == 2
-    assert "2 more like it" in said
-    assert "1 of 60 frames of field 3 are missing." in said
-    assert "longer ones × 3.98, × 15.8 as bright" in said
-    assert "1.45 µm" in said
+    text = words.notes(fake.NOTES)
+    assert text.count("<details>") == 2
+    assert "2 more like it" in text
+    assert "1 of 60 frames of field 3 are missing." in text
+    assert "longer ones × 3.98, × 15.8 as bright" in text
+    assert "1.45 µm" in text
     assert words.notes(()) == ""
 
 

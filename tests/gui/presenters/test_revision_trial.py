@@ -38,15 +38,15 @@ LEFT_OUT = NotTried(dataset="w3.wafer", why="The wafer was not aligned.")
 
 def test_each_change_is_told_with_its_reason_and_what_was_left_out():
     done = Trial(job="coupon B", wafers=(WAFER,), not_tried=(LEFT_OUT,))
-    said = words(trial(done, trying=False))
-    assert "1 of 4 verdicts changes; 1 of 1 wafer gets another word, 1 dataset not judged." in said
-    assert "W2, die &lt;over&gt; street" in said
-    assert "Limits: 11 to 13 µm before, 11 to 12.5 µm now." in said
-    assert "PASS" in said
-    assert "FAIL" in said
-    assert "w3.wafer was not judged. The wafer was not aligned." in said
+    text = words(trial(done, trying=False))
+    assert "1 of 4 verdicts changes; 1 of 1 wafer gets another word, 1 dataset not judged." in text
+    assert "W2, die &lt;over&gt; street" in text
+    assert "Limits: 11 to 13 µm before, 11 to 12.5 µm now." in text
+    assert "PASS" in text
+    assert "FAIL" in text
+    assert "w3.wafer was not judged. The wafer was not aligned." in text
     assert "<over>" not in trial(done, trying=False)
-    assert "12.80" not in said, "what did not change is not told twice"
+    assert "12.80" not in text, "what did not change is not told twice"
 
 
 def test_many_changes_are_counted_and_nothing_stands_there_before_a_trial():
@@ -91,10 +91,10 @@ def test_good_dies_are_counted_and_the_others_listed():
     items = (replace(good, die="0,0"), replace(good, die="1,0"), replace(bad, die="2,0"))
     judged = (die("0,0", 0, "pass"), die("1,0", 10, "pass"), die("2,0", 20, "fail"))
     verdict = replace(day.FAIL, items=items, dies=judged)
-    said = words(features(verdict))
-    assert "die over street, die 2,0" in said
-    assert "die over street, die 0,0" not in said
-    assert "2 of 3 dies pass" in said
+    text = words(features(verdict))
+    assert "die over street, die 2,0" in text
+    assert "die over street, die 0,0" not in text
+    assert "2 of 3 dies pass" in text
     assert "1 fail, 2 pass" in words(dies(verdict))
     assert dies(day.FAIL) == ""
 
@@ -102,8 +102,8 @@ def test_good_dies_are_counted_and_the_others_listed():
 def test_a_result_that_was_kept_can_be_a_feature():
     from tests.browser.sessions import fake_session as fake
 
-    kept = kept_features(fake.measured())
-    steps = [feature for feature in kept.values() if feature.tool == "step"]
+    stored = kept_features(fake.measured())
+    steps = [feature for feature in stored.values() if feature.tool == "step"]
     assert steps
     assert len(steps[0].places) == 2
     assert steps[0].unit("") == "um"
@@ -114,14 +114,14 @@ def test_the_dies_that_the_fields_show_whole_are_kept_and_a_place_is_counted_fro
     grid = FieldGrid(rows=1, cols=2, field_width_um=100, field_height_um=100, overlap_x_fraction=0, x0_um=50, y0_um=50)
     job = replace(small_job(), grid=grid)
     lattice = Dies(width_um=40, height_um=40, rows=3, cols=5, pitch_x_um=45, pitch_y_um=45, x0_um=5, y0_um=5)
-    seen = within_fields(lattice, job)
-    assert [die.name for die in seen.listed] == ["0,0", "1,0", "2,0", "3,0", "0,1", "1,1", "2,1", "3,1"]
-    assert lattice_of(seen).cols == 4
+    shown = within_fields(lattice, job)
+    assert [die.name for die in shown.listed] == ["0,0", "1,0", "2,0", "3,0", "0,1", "1,1", "2,1", "3,1"]
+    assert lattice_of(shown).cols == 4
     assert lattice_of(lattice) == lattice
     place = Region.rectangle(60, 10, 80, 20)
-    (counted,) = relative_to_die((place,), seen)
+    (counted,) = relative_to_die((place,), shown)
     assert counted == Region.rectangle(10, 5, 30, 15)
     with pytest.raises(PlanError, match="lie on no die"):
-        relative_to_die((Region.point(300, 300),), seen)
+        relative_to_die((Region.point(300, 300),), shown)
     with pytest.raises(PlanError, match="No die of this lattice"):
         within_fields(replace(lattice, x0_um=900.0), job)

@@ -60,11 +60,11 @@ def test_a_sign_keeps_its_place_and_size_on_the_screen_though_it_comes_before_a_
     height_field, view_axes = walled(), view_axes_from(direction_of(preset))
     by = np.array([0.15, 0.15, 0.0])
     corners = stand(height_field, view_axes, by, right_px)
-    seen, place = on_screen(view_axes, corners), on_screen(view_axes, by[None])[0]
-    near, far = (seen[1], seen[0]) if right_px < 0 else (seen[0], seen[1])
+    shown, place = on_screen(view_axes, corners), on_screen(view_axes, by[None])[0]
+    near, far = (shown[1], shown[0]) if right_px < 0 else (shown[0], shown[1])
     assert near[0] - place[0] == pytest.approx(right_px, abs=0.1)
     assert np.sign(far[0] - near[0]) == np.sign(right_px)
-    assert seen[2, 1] - seen[0, 1] == pytest.approx(HIGH_PX, abs=0.1)
+    assert shown[2, 1] - shown[0, 1] == pytest.approx(HIGH_PX, abs=0.1)
 
 
 @pytest.mark.parametrize("preset", VIEWS)

@@ -49,9 +49,9 @@ def test_a_click_hits_the_pixel_it_seems_to(surface, datum):
         top = np.array([x_um * 1e-3, -0.4, on_show.scene_z(60.0 - float(over))])
         origin = top + np.array([0.0, -0.8, 1.1])
         near = refine_height_field(lambda show: surface, height_field, origin, top - origin)
-        found = near.hit(origin, top - origin)
-        assert found is not None
-        assert np.hypot(found[0] - x_um, found[1] + 400.0) < 0.71 * PIXEL_UM
+        result = near.hit(origin, top - origin)
+        assert result is not None
+        assert np.hypot(result[0] - x_um, result[1] + 400.0) < 0.71 * PIXEL_UM
         assert near.reached(origin, top - origin) == pytest.approx(1.0, abs=1e-3)
 
 

@@ -126,20 +126,20 @@ def test_a_surface_stands_as_tiles_on_a_plinth_with_figures(browser: Browser, sc
 def test_the_same_again_asks_for_nothing(browser: Browser, session: StandIn, scene: SceneView) -> None:
     scene.draw(SNAPSHOT, View(step="surface"))
     settled(scene)
-    asked, nodes = len(session.asked), set(browser.scene.nodes)
+    requested, nodes = len(session.asked), set(browser.scene.nodes)
     scene.draw(dataclasses.replace(SNAPSHOT, version=2), View(step="surface"))
     settled(scene)
-    assert len(session.asked) == asked
+    assert len(session.asked) == requested
     assert set(browser.scene.nodes) == nodes
 
 
 def test_another_exaggeration_stretches_what_is_there(browser: Browser, session: StandIn, scene: SceneView) -> None:
     scene.draw(SNAPSHOT, View(step="surface"))
     settled(scene)
-    tiles, asked = browser.scene.names("/surface/"), len(session.asked)
+    tiles, requested = browser.scene.names("/surface/"), len(session.asked)
     scene.draw(SNAPSHOT, View(step="surface", exaggeration=8.0))
     settled(scene)
-    assert len(session.asked) == asked
+    assert len(session.asked) == requested
     assert browser.scene.names("/surface/") == tiles
     assert all(browser.scene.nodes[name].scale == (1.0, 1.0, 8.0) for name in tiles)
 
@@ -202,13 +202,13 @@ def test_the_plan_shows_its_fields_and_goes_when_it_is_given_up(browser: Browser
 
 
 def test_what_cannot_be_drawn_is_told_once_and_the_rest_stands(browser: Browser, session: StandIn) -> None:
-    told: list[Exception] = []
+    messages: list[Exception] = []
     session.shelf.stacks = lambda source: (_ for _ in ()).throw(DatasetError("The frames are gone."))  # type: ignore
-    scene = SceneView(browser, session, told.append)  # pyright: ignore[reportArgumentType]
+    scene = SceneView(browser, session, messages.append)  # pyright: ignore[reportArgumentType]
     scene.draw(SNAPSHOT, View(step="surface", show=1, frame_k=3))
-    until(lambda: told)
+    until(lambda: messages)
     until(lambda: not scene.busy)
-    assert [str(fault) for fault in told] == ["The frames are gone."]
+    assert [str(fault) for fault in messages] == ["The frames are gone."]
     assert browser.scene.names("/surface/")
     scene.close()
 
@@ -329,11 +329,11 @@ def test_a_profile_begins_on_the_surface_and_follows_its_handles(browser: Browse
 
 
 def test_regions_begin_on_two_plateaus(browser: Browser, scene: SceneView) -> None:
-    told: list[tuple[Region, ...]] = []
-    scene.on_places(told.append)
+    messages: list[tuple[Region, ...]] = []
+    scene.on_places(messages.append)
     scene.draw(SNAPSHOT, View(step="measure", tool="step"))
-    until(lambda: told)
-    upper, lower = told[0]
+    until(lambda: messages)
+    upper, lower = messages[0]
     assert upper.bounds_um[2] < 0 < lower.bounds_um[0]
     settled(scene)
     scene.draw(SNAPSHOT, View(step="measure", tool="none"))
@@ -341,30 +341,30 @@ def test_regions_begin_on_two_plateaus(browser: Browser, scene: SceneView) -> No
 
 
 def test_a_region_moves_whole_by_its_middle_and_stays_on_the_surface(browser: Browser, scene: SceneView) -> None:
-    told: list[tuple[Region, ...]] = []
-    scene.on_places(told.append)
+    messages: list[tuple[Region, ...]] = []
+    scene.on_places(messages.append)
     scene.draw(SNAPSHOT, View(step="measure", tool="step", exaggeration=1.0))
-    until(lambda: told)
+    until(lambda: messages)
     settled(scene)
-    before = told[0][1].bounds_um
+    before = messages[0][1].bounds_um
     drag(browser, "place/1/whole/ball", 9e5, 0.0)
-    until(lambda: len(told) > 1)
-    after = told[-1][1].bounds_um
+    until(lambda: len(messages) > 1)
+    after = messages[-1][1].bounds_um
     assert after[2] <= GRID.width_um / 2
     assert after[2] - after[0] == pytest.approx(before[2] - before[0])
-    assert told[-1][0] == told[0][0]
+    assert messages[-1][0] == messages[0][0]
 
 
 def test_a_click_moves_the_point_of_its_tool_there(browser: Browser, scene: SceneView) -> None:
-    told: list[tuple[Region, ...]] = []
-    scene.on_places(told.append)
+    messages: list[tuple[Region, ...]] = []
+    scene.on_places(messages.append)
     scene.on_pick(lambda x_um, y_um: None)
     scene.draw(SNAPSHOT, View(step="measure", tool="point", exaggeration=1.0))
-    until(lambda: told)
+    until(lambda: messages)
     settled(scene)
     browser.scene.clicked[0](SimpleNamespace(ray_origin=(0.12, -0.06, 3.0), ray_direction=(0.0, 0.0, -1.0)))
-    until(lambda: len(told) > 1)
-    at = told[-1][0].points[0]
+    until(lambda: len(messages) > 1)
+    at = messages[-1][0].points[0]
     assert (at.x_um, at.y_um) == pytest.approx((120.0, -60.0), abs=4.0)
 
 
@@ -372,8 +372,8 @@ def test_a_place_that_heights_are_levelled_at_is_told_when_it_is_let_go(
     browser: Browser, session: StandIn, scene: SceneView
 ) -> None:
     session.datum = lambda levelling, show=0: Datum()  # type: ignore[attr-defined]
-    told: list[Levelling] = []
-    scene.on_levelling(told.append)
+    messages: list[Levelling] = []
+    scene.on_levelling(messages.append)
     scene.draw(SNAPSHOT, View(step="measure", exaggeration=1.0))
     settled(scene)
     scene.draw(SNAPSHOT, View(step="measure", exaggeration=1.0, levelling=Levelling(by="region", places=(FACE,))))
@@ -382,11 +382,11 @@ def test_a_place_that_heights_are_levelled_at_is_told_when_it_is_let_go(
     node = browser.scene.nodes[browser.scene.names("level/0/whole/ball")[0]]
     for phase in ("update", "end"):
         asyncio.run(node.dragged[0](SimpleNamespace(end_position=(0.15, -0.05, 0.0), phase=phase)))
-    until(lambda: told)
+    until(lambda: messages)
     settled(scene)
-    assert len(told) == 1
-    assert told[0].by == "region"
-    assert told[0].places != (FACE,)
+    assert len(messages) == 1
+    assert messages[0].by == "region"
+    assert messages[0].places != (FACE,)
 
 
 def test_kept_results_stand_where_they_were_measured_but_not_on_another_surface(
@@ -395,12 +395,12 @@ def test_kept_results_stand_where_they_were_measured_but_not_on_another_surface(
     length = Length(value_um=3.0)
     here = PointHeight(number=1, place=Region.point(-100, 20), height=length, points=9)
     elsewhere = PointHeight(number=2, show=1, place=Region.point(100, 20), height=length, points=9)
-    kept = dataclasses.replace(SNAPSHOT, findings=(here, elsewhere))
-    scene.draw(kept, View(step="measure"))
+    stored = dataclasses.replace(SNAPSHOT, findings=(here, elsewhere))
+    scene.draw(stored, View(step="measure"))
     until(lambda: browser.scene.names("/tools/kept/"))
     settled(scene)
     assert len(browser.scene.names("/tools/kept/sign")) == 1
-    scene.draw(kept, View(step="surface"))
+    scene.draw(stored, View(step="surface"))
     until(lambda: not browser.scene.names("/tools/kept/"))
 
 

@@ -156,13 +156,13 @@ def test_no_share_tunnel_can_be_opened(server: Server) -> None:
 def test_a_restart_with_the_same_token_and_port_lets_the_open_page_in_again() -> None:
     token = new_token()
     opened, guard = open_server("127.0.0.1", 0, token)
-    kept, port = cookie((opened, guard)), opened.get_port()
+    stored, port = cookie((opened, guard)), opened.get_port()
     opened.stop()
     again = open_server("127.0.0.1", port, token)
     try:
         assert again[1].address == guard.address
         own = f"http://127.0.0.1:{port}"
-        assert socket_status(again, Cookie=kept, Origin=own) == 101
+        assert socket_status(again, Cookie=stored, Origin=own) == 101
     finally:
         again[0].stop()
 

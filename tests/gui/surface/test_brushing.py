@@ -43,9 +43,9 @@ def test_ranges_of_heights_hold_for_the_surface_they_were_chosen_on():
 
 def test_a_browser_remembers_clip_and_selection():
     view = View(clip=Clip(heights_um=(0.0, 3.0), box_um=(0.0, 1.0, 2.0, 3.0)), selection=(1.0, 2.0, 3.0, 4.0))
-    kept = read(write(view, "x.wafer"))
-    assert kept.chosen["clip"] == view.clip
-    assert kept.chosen["selection"] == view.selection
+    stored = read(write(view, "x.wafer"))
+    assert stored.chosen["clip"] == view.clip
+    assert stored.chosen["selection"] == view.selection
 
 
 def test_the_profiles_line_cuts_points_alone():

@@ -70,10 +70,10 @@ def test_a_ray_along_the_axis_tells_nothing():
 def test_refused_points_are_counted_among_all_and_named_by_reason():
     left_out = {"box": 0, "height": 30_000, "confidence": 0, "slab": 0}
     refused = RefusedCounts(80_000, 50_000, left_out, {Origin.NO_TEXTURE: 20_000, Origin.OUTLIER: 30_000}, 4, 1)
-    told = Statistics(
+    text = Statistics(
         1000, 1000, 1.0, 900_000, 850_000, 0.9, 0.0, (), 0.0, 1.0, 0.5, 0.1, {**left_out, "height": 50_000}
     )
-    words = counted(msgspec.structs.replace(told, refused=refused), 900_000, View())
+    words = counted(msgspec.structs.replace(text, refused=refused), 900_000, View())
     assert words.startswith("<b>900 k of 980 k points</b>")
     assert "80 k of them refused · 80 k clipped" in words
     legend = refused_legend(refused)

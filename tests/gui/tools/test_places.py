@@ -121,7 +121,7 @@ def test_a_face_is_looked_for_where_nothing_stands_out(tool) -> None:
 def test_every_tool_begins_with_the_places_it_asks_for_on_the_surface(tool, surface: Callable[[], np.ndarray]) -> None:
     height_field = height_field_of(surface())
     places = initial_regions(tool, height_field, (250.0, 40.0))
-    assert tuple(p.kind for p in places) == tuple(asked.kind for asked in TOOLS[tool].places)
+    assert tuple(p.kind for p in places) == tuple(requested.kind for requested in TOOLS[tool].places)
     for place in places:
         for point in place.points:
             assert height_field.clamped((point.x_um, point.y_um)) == (point.x_um, point.y_um)

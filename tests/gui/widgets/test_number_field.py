@@ -71,10 +71,10 @@ def test_what_is_no_pair_is_refused_by_name(typed: str):
 
 
 def test_no_hint_says_that_zero_stands_for_nothing():
-    told = [
+    text = [
         line.strip()
         for path in GUI.rglob("*.py")
         for line in path.read_text().splitlines()
         if any(word in line for word in ("0: not", "0: no ", "0: none", "0: a ", "0: four"))
     ]
-    assert told == []
+    assert text == []

@@ -312,12 +312,12 @@ class MeasurePanel:
             return
         name = self._name.value.strip()
 
-        def kept(result: AnyResult) -> None:
+        def select_result(result: AnyResult) -> None:
             self._name.value = ""
             page.change(selected=result.number)
 
         picture = painted(page, finding, PICTURE_WAIT_S)
-        page.ask("The result was not kept", page.session.keep(replace(finding, name=name), picture), kept)
+        page.ask("The result was not kept", page.session.keep(replace(finding, name=name), picture), select_result)
 
 
 _GAP = Markup('<div style="height:8px"></div>')

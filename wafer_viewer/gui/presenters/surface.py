@@ -201,7 +201,7 @@ def notes(sentences: Iterable[str], sign: Any = viser.Icon.INFO_CIRCLE, tone: st
     kinds: dict[str, list[str]] = {}
     for sentence in sentences:
         kinds.setdefault(re.sub(r"\d[\d.]*", "0", sentence), []).append(sentence)
-    lines = Markup("").join(_kind(alike, sign) for alike in kinds.values())
+    lines = Markup("").join(_kind(group, sign) for group in kinds.values())
     return lines and Markup('<div class="wv-notes {}">{}</div>').format(tone, lines)
 
 

@@ -293,14 +293,14 @@ class SceneView:
         self._stands = contents.place
         self._scale_listener(contents.on_show)
         visible = () if contents.visible is None else contents.visible(self._eye.sight(), self._finer)
-        whole = self._stage.show((*visible, *contents.items), contents.stretch)
+        complete = self._stage.show((*visible, *contents.items), contents.stretch)
         self._tell_points(view)
         self._stage.settle(self._eye.um_per_pixel() * 1e-3)
         handled = view, marked(snapshot, view), contents.on_show
-        if whole or handled != self._handled:  # handles do not wait for the last tile
+        if complete or handled != self._handled:  # handles do not wait for the last tile
             self._tools.show(view, contents.on_show, self._cache, handled[1])
             self._handled = handled
-        return whole and not contents.awaits_more
+        return complete and not contents.awaits_more
 
     def _tell_points(self, view: View) -> None:
         """Set the size of all points and report their number."""

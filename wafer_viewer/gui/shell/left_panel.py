@@ -194,18 +194,20 @@ def _marks(snapshot: Snapshot, view: View) -> list[MapMark]:
     if view.step != "measure":
         return []
     results = [item for item in review_items(snapshot) if item.number is not None]
-    return [_at(r, r.colour, r.number == view.selected, html.pick("finding", r.number or 0)) for r in results]
+    return [_marked(r, r.colour, r.number == view.selected, html.pick("finding", r.number or 0)) for r in results]
 
 
 def _judged(item: ReviewItem, chosen: bool) -> MapMark:
     colours = {"open": "var(--ink3)", "accepted": "var(--good)", "rejected": "var(--fault)"}
     verdict = item.judgement.verdict
     if item.defect is not None:
-        return replace(_at(item, item.colour, chosen, html.pick("review", item.key), f", {verdict}"), shape=item.shape)
-    return _at(item, colours[verdict], chosen, html.pick("review", item.key), f", {verdict}")
+        return replace(
+            _marked(item, item.colour, chosen, html.pick("review", item.key), f", {verdict}"), shape=item.shape
+        )
+    return _marked(item, colours[verdict], chosen, html.pick("review", item.key), f", {verdict}")
 
 
-def _at(item: ReviewItem, colour: str, chosen: bool, attributes: str, state: str = "") -> MapMark:
+def _marked(item: ReviewItem, colour: str, chosen: bool, attributes: str, state: str = "") -> MapMark:
     x0, y0, x1, y1 = item.box_um or (0.0, 0.0, 0.0, 0.0)
     return MapMark((x0 + x1) / 2, (y0 + y1) / 2, colour, f"{item.sign} · {item.title}{state}", chosen, attributes)
 

@@ -287,7 +287,12 @@ def end_card(snapshot: Snapshot, tour: Tour, report: Path | None) -> Markup:
         Markup('<div class="{present}"><small>{what}</small><b>{value}</b><span>{below}</span></div>').format(
             present="" if present else "none", what=what, value=value, below=below
         )
-        for what, value, below, present in (_scanned(snapshot), _stepped(snapshot), _found(snapshot), _written(report))
+        for what, value, below, present in (
+            _scanned(snapshot),
+            _stepped(snapshot),
+            _inspected(snapshot),
+            _written(report),
+        )
     )
     link = (
         Markup('<a class="yes" href="{}" target="_blank" rel="noopener">Open the report</a>').format(
@@ -340,7 +345,7 @@ def _stepped(snapshot: Snapshot) -> Result:
     return "Step", value, f"{step.name}, k = 2", True
 
 
-def _found(snapshot: Snapshot) -> Result:
+def _inspected(snapshot: Snapshot) -> Result:
     inspection = snapshot.inspection.inspection
     if inspection is None:
         return "Found", "not inspected", "skipped", False

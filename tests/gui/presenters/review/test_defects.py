@@ -82,8 +82,8 @@ def test_a_class_a_die_or_what_was_judged_can_be_listed_alone():
 
 
 def test_the_class_that_a_person_gave_counts():
-    told = replace(INSPECTION.defects[0], judged_kind="residue")
-    now = inspected(replace(INSPECTION, defects=(told, *INSPECTION.defects[1:])))
+    text = replace(INSPECTION.defects[0], judged_kind="residue")
+    now = inspected(replace(INSPECTION, defects=(text, *INSPECTION.defects[1:])))
     item = chosen_item(now, "defect 1")
     assert item.title == "Residue"
     assert "proposed: particle" in item.below
@@ -111,12 +111,12 @@ def test_thousands_are_shown_a_page_at_a_time_with_the_one_under_review():
 
 
 def test_a_die_that_was_not_inspected_never_looks_clean():
-    said = summary(InspectionState(INSPECTION)) + facts(INSPECTION)
-    assert "Not all of it was inspected" in said
-    assert "1 die not scanned" in said
-    assert "2 dies cut" in said
-    assert "SIMULATED" in said
-    assert "7 on 0.61 mm²" in said
+    text = summary(InspectionState(INSPECTION)) + facts(INSPECTION)
+    assert "Not all of it was inspected" in text
+    assert "1 die not scanned" in text
+    assert "2 dies cut" in text
+    assert "SIMULATED" in text
+    assert "7 on 0.61 mm²" in text
     empty = replace(INSPECTION, defects=(), inspected_mm2=0.0)
     assert "does not mean that the wafer is clean" in nothing_found(empty)
     assert "No defect was found" in nothing_found(replace(empty, inspected_mm2=0.5))

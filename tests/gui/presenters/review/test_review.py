@@ -102,15 +102,15 @@ def test_a_review_of_features_ends_when_they_are_judged():
 
 def test_a_view_is_kept_and_taken_up_again_as_it_was():
     view = View(step="surface", look="plan", colour_by="slope", range_um=(1.0, 5.0), exaggeration=7.0, show=3)
-    kept = saved(view, POSE, "near")
-    assert kept.position_mm == (0.1, -0.9, 0.8)
-    assert dataclasses.replace(View(step="surface"), **choices(kept, fake.measured())) == view
-    assert set(LOOKED) == set(choices(kept, fake.measured()))
+    stored = saved(view, POSE, "near")
+    assert stored.position_mm == (0.1, -0.9, 0.8)
+    assert dataclasses.replace(View(step="surface"), **choices(stored, fake.measured())) == view
+    assert set(LOOKED) == set(choices(stored, fake.measured()))
 
 
 def test_a_view_of_a_field_that_is_gone_or_in_words_of_another_version_still_opens():
-    kept = replace(saved(View(show=99), POSE, ""), look="hologram")
-    taken = choices(kept, fake.measured())
+    stored = replace(saved(View(show=99), POSE, ""), look="hologram")
+    taken = choices(stored, fake.measured())
     assert taken["show"] == 0
     assert taken["look"] == "surface"
 

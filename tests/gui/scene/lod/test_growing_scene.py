@@ -193,12 +193,12 @@ def test_poses_that_cannot_be_read_are_told_once_and_the_surface_stands(
         raise DatasetError("poses.npz is torn")
 
     monkeypatch.setattr(whole, "poses", fail)
-    told: list[Exception] = []
-    scene = SceneView(browser, whole, told.append)  # pyright: ignore[reportArgumentType]
+    messages: list[Exception] = []
+    scene = SceneView(browser, whole, messages.append)  # pyright: ignore[reportArgumentType]
     scene.draw(whole.snapshot, View(step="surface", fields=True))
-    until(lambda: told)
+    until(lambda: messages)
     settled(scene)
-    assert [str(fault) for fault in told] == ["poses.npz is torn"]
+    assert [str(fault) for fault in messages] == ["poses.npz is torn"]
     assert browser.scene.names("/surface/")
     scene.close()
 

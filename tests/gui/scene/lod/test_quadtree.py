@@ -35,23 +35,23 @@ def test_leaves_cover_all_of_the_surface_and_nothing_twice(
     camera: tuple[float, float, float, float], rows: int, cols: int, first: int
 ) -> None:
     over = ground(rows, cols, first)
-    found = leaves(over, sight(*camera), SHARP_PX, MOST)
-    squares = [leaf.node.spans for leaf in found]
+    result = leaves(over, sight(*camera), SHARP_PX, MOST)
+    squares = [leaf.node.spans for leaf in result]
     inside = sum(
         (min(r[1], over.rows[1]) - max(r[0], over.rows[0])) * (min(c[1], over.cols[1]) - max(c[0], over.cols[0]))
         for r, c in squares
     )
     assert inside == rows * cols
     assert len(set(squares)) == len(squares)
-    assert sum(leaf.in_view for leaf in found) <= MOST
+    assert sum(leaf.in_view for leaf in result) <= MOST
 
 
 @given(CAMERAS)
 def test_what_is_in_sight_is_sharp_as_far_as_tiles_go(camera: tuple[float, float, float, float]) -> None:
     over, seen_from = ground(12_850, 12_850), sight(*camera)
-    found = [leaf.node for leaf in leaves(over, seen_from, SHARP_PX, MOST) if leaf.in_view]
-    coarse = [n for n in found if over.texel_px(n, over.box(n), seen_from) > SHARP_PX and n.level > FINEST_LEVEL]
-    assert not coarse or len(found) > MOST - 4
+    result = [leaf.node for leaf in leaves(over, seen_from, SHARP_PX, MOST) if leaf.in_view]
+    coarse = [n for n in result if over.texel_px(n, over.box(n), seen_from) > SHARP_PX and n.level > FINEST_LEVEL]
+    assert not coarse or len(result) > MOST - 4
 
 
 def test_cost_does_not_grow_with_the_surface() -> None:
