@@ -80,6 +80,10 @@ def test_html_is_written_as_markup(module):
     texts = (node for node in ast.walk(tree) if isinstance(node, ast.JoinedStr))
     literals = [part.value for text in texts for part in text.values if isinstance(part, ast.Constant)]
     assert not [text for text in literals if re.search(r"<[a-zA-Z/!]", text)]
+    calls = (node for node in ast.walk(tree) if isinstance(node, ast.Call))
+    joins = [call for call in calls if isinstance(call.func, ast.Attribute) and call.func.attr == "join"]
+    plain = [call for call in joins if isinstance(call.func.value, ast.Constant)]
+    assert not [ast.unparse(call) for call in plain if "Markup(" in ast.unparse(call.args[0])], "text joins to text"
 
 
 def test_a_room_has_no_room_hidden_in_it():

@@ -227,7 +227,7 @@ class TermsSection:
     def _number(
         self, label: str, over: float | None = None, integer: bool = False
     ) -> tuple[OptionalNumber, BoundInput[str]]:
-        number = OptionalNumber(self._page.gui, label, over=over, whole=integer)
+        number = OptionalNumber(self._page.gui, label, over=over, integer=integer)
         return number, BoundInput(controlled(number.handle), lambda _: self._edits.made(), self._page, FAILED)
 
     def _put(self) -> Future[Any] | None:

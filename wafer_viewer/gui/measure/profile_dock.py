@@ -46,7 +46,7 @@ _KEYS = "if(event.key.startsWith('Arrow'))event.stopPropagation()"
 def zoom_area() -> Markup:
     """Return the element over the curves as HTML: a drag zooms, a click moves the nearer cursor."""
     heard = {"pointerdown": _DOWN, "pointermove": _MOVE, "pointerup": _UP, "dblclick": _ZOOM_OUT}
-    handlers = " ".join(Markup('on{}="{}"').format(event, script) for event, script in heard.items())
+    handlers = Markup(" ").join(Markup('on{}="{}"').format(event, script) for event, script in heard.items())
     return Markup('<div class="wv-zoom" {}><div></div></div>').format(handlers)
 
 

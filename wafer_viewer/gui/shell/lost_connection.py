@@ -33,7 +33,7 @@ class Contact:
     def __init__(self, page: Page) -> None:
         self._page = secrets.token_hex(8)
         self._beats = itertools.count()
-        self._words = ""
+        self._words = Markup()
         self._cell = HtmlBlock(page.gui, padded=False)
         self._closed = threading.Event()
         self._lock = threading.Lock()
@@ -54,7 +54,7 @@ class Contact:
             "anew": restart_summary(snapshot),
             "look": "Look, and confirm the sample" if not snapshot.draft.confirmed else "Look",
         }
-        self._words = " ".join(Markup('data-{}="{}"').format(name, text) for name, text in words.items())
+        self._words = Markup(" ").join(Markup('data-{}="{}"').format(name, text) for name, text in words.items())
         self._tell()
 
     def _beat(self) -> None:

@@ -73,7 +73,7 @@ def histogram_area(ends_um: Span, brush_um: Span | None, clip_um: Span | None, *
             for name, fraction in zip(("low", "high"), places, strict=True)
         )
     heard = {"pointerdown": _DOWN, "pointermove": _MOVE, "pointerup": _UP}
-    handlers = " ".join(Markup('on{}="{}"').format(event, script) for event, script in heard.items())
+    handlers = Markup(" ").join(Markup('on{}="{}"').format(event, script) for event, script in heard.items())
     return Markup(
         '<div class="wv-over-hist"><div class="wv-brush" style="height:{height_px}px" '
         'title="Drag to brush heights, click to clear" {handlers}><div style="{band}"></div>{grips}</div></div>'
