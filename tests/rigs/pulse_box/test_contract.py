@@ -79,8 +79,11 @@ def test_each_axis_has_a_count_and_a_reference_of_its_own(world, box):
 @pytest.mark.parametrize("direction", [1, -1])
 @pytest.mark.parametrize("rate", [20_000, 40_000])
 def test_126_of_126_pulses_fall_on_their_counts(rate, direction, world, box):
-    train = train_from(world.position, direction)
-    pulses, summary = take(world, box, train, rate)
+    for _ in range(5):
+        train, retries = train_from(world.position, direction), box.retries
+        pulses, summary = take(world, box, train, rate)
+        if box.retries == retries:  # else a busy machine let the client repeat commands, which takes the board's time
+            break
     assert [p.number for p in pulses] == list(range(N))
     assert [p.count for p in pulses] == counts_of(train)
     assert world.edges == counts_of(train), "where the trigger truly rose"
