@@ -21,7 +21,7 @@ def built(tmp_path_factory):
     return make
 
 
-@pytest.fixture(params=["virtual", "host", pytest.param("atmega2560", marks=pytest.mark.slow)])
+@pytest.fixture(params=["virtual", "host", pytest.param("atmega2560", marks=[pytest.mark.slow, pytest.mark.real_time])])
 def world(request, built):
     """Each kind of box in turn, with a scale and a watched trigger."""
     if request.param == "virtual":

@@ -31,6 +31,7 @@ def test_the_image_leaves_the_board_a_kilobyte_for_its_stack(built):
 
 
 @pytest.mark.slow
+@pytest.mark.real_time
 def test_a_scale_faster_than_the_board_follows_is_found(built):
     folder = built("avr", "emulator")
     world = ProgramWorld(folder / "atmega2560", folder / "pulse_box_atmega2560.elf")
