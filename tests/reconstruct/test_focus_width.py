@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 import tifffile
 
-from tests.truth.bleeding import PIXEL_UM, Bleeding, Seen, drawn, observed
+from tests.truth.bleeding import PIXEL_UM, Bleeding, Seen, drawn, seen
 from wafer_viewer.model.acquisition.calibration import Calibration, OpticalSetup, depth_of_field_um
 from wafer_viewer.model.acquisition.focus_stack import FieldStack
 from wafer_viewer.model.spec import replace
@@ -25,7 +25,7 @@ SEEDS = (4, 11, 13, 17, 1002, 1003)
 
 @cache
 def scene(seed: int) -> Seen:
-    return observed(drawn(seed))
+    return seen(drawn(seed))
 
 
 def valid(one: Seen) -> FieldStack:
@@ -99,7 +99,7 @@ def test_a_width_that_no_optics_of_the_pixel_has_is_bounded_and_reported():
         na=0.1, step_dof=0.2, trench_px=1, pitch_px=200, depth_um=0, ratio=1, die_contrast=0.1, trench_contrast=0.1,
         trench_grain_px=0.8, bare_share=0, sweep_um=400, clipped=0, full_well_e=1e4, lines=True, seed=3,
     )  # fmt: skip
-    stack = dataclasses.replace(observed(flat, (96, 128)).stack, pixel_um=0.2)
+    stack = dataclasses.replace(seen(flat, (96, 128)).stack, pixel_um=0.2)
     found = reconstruct(stack, threads=1).provenance
     assert float(found.recipe.focus_width_um) < 0.5 * flat.depth_of_field_um
     assert any("Name the objective with its aperture" in note for note in found.notes)

@@ -10,7 +10,7 @@ import pytest
 from numpy.typing import NDArray
 
 from tests.reconstruct.conftest import MakeStack
-from tests.truth.bleeding import drawn, observed
+from tests.truth.bleeding import drawn, seen
 from wafer_viewer.model.acquisition.focus_stack import Bracket, FieldStack
 from wafer_viewer.reconstruct.field_pipeline import reconstruct
 from wafer_viewer.reconstruct.preprocess.frames import prepare
@@ -147,4 +147,4 @@ def test_a_slit_of_light_that_is_in_focus_in_one_frame_is_no_fault(make_stack: M
 
 @pytest.mark.parametrize("seed", range(20, 32))
 def test_bleeding_and_clipped_light_is_no_fault(seed: int):
-    assert reported(observed(drawn(seed), (64, 96)).stack) == []
+    assert reported(seen(drawn(seed), (64, 96)).stack) == []
