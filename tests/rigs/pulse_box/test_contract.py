@@ -34,6 +34,7 @@ def take(world, box, train, rate=20_000, **settings):
     box.arm(train, **settings)
     pulses = world.sweep(box, length_of(train), rate)
     summary = box.disarm()
+    world.heard(summary.emitted)
     return pulses + box.pulses(), summary
 
 
@@ -132,6 +133,7 @@ def test_300_commands_on_a_bad_line_are_carried_out_300_times(seed, world, box):
         box.fire()
         box.pulses()
     box._wire._port = world.port
+    world.heard(300)
     assert box.disarm().emitted == len(world.edges) == 300
     assert port.disturbed > 10
     assert box.retries > 5

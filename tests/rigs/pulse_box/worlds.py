@@ -96,6 +96,12 @@ class World:
             pulses += box.pulses()
         return pulses
 
+    def heard(self, n_edges):
+        """Wait for the edges of the trigger pin, which a program tells on a line of its own."""
+        end_s = time.monotonic() + 5.0
+        while len(self.edges) < n_edges and time.monotonic() < end_s:
+            time.sleep(POLL_S)
+
     def move(self, counts, rate=20_000, axis="z"):
         self.begin_move(counts, rate, axis)
         while self.moving():
