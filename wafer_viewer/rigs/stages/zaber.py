@@ -57,8 +57,8 @@ REJECTED = {
 }
 
 
-class Reply(NamedTuple):
-    """Reply of a controller."""
+class ZaberReply(NamedTuple):
+    """ZaberReply of a controller."""
 
     source: tuple[int, int]
     number: int | None
@@ -73,13 +73,13 @@ def checksum(body: str) -> str:
     return f"{-sum(body.encode('latin-1')) & 0xFF:02X}"
 
 
-def parse(line: str) -> Reply | None:
+def parse(line: str) -> ZaberReply | None:
     """Return a reply, or None for a damaged line and for anything else than a reply."""
     found = REPLY.fullmatch(line)
     if found is None or (found[8] and checksum(line[1 : line.rindex(":")]) != found[8]):
         return None
     number = int(found[3]) if found[3] else None
-    return Reply((int(found[1]), int(found[2])), number, found[4] == "OK", found[5] == "BUSY", found[6], found[7])
+    return ZaberReply((int(found[1]), int(found[2])), number, found[4] == "OK", found[5] == "BUSY", found[6], found[7])
 
 
 class ZaberController:
@@ -157,7 +157,7 @@ class ZaberController:
                 f"The Zaber controller answered '{command}' by '{reply.data}', which is no number."
             ) from None
 
-    def _ask(self, place: tuple[int, int], command: str) -> Reply:
+    def _ask(self, place: tuple[int, int], command: str) -> ZaberReply:
         """Send a command and return its reply; one that is not answered in time is sent again with another id."""
         for _ in range(TRIES):
             self._number = (self._number + 1) % N_IDS

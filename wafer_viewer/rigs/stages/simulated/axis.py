@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from abc import ABC, abstractmethod
 from collections.abc import Callable, Mapping
 
 from wafer_viewer.model.acquisition.plan import Axis
@@ -90,7 +91,7 @@ class SimulatedAxis:
         return self._stage.axes[self._name].profile.position_at(self._clock.now_s())
 
 
-class SimulatedController:
+class SimulatedController(ABC):
     """Implementation of Device: the far end of a serial cable.
 
     Parameters
@@ -122,13 +123,13 @@ class SimulatedController:
         self._inbox += data
         if self._processing:
             return b""
-        self._processing, said = True, b""
+        self._processing, answer = True, b""
         while self._inbox:
             data, self._inbox = self._inbox, b""
-            said += self.process(data)
+            answer += self.process(data)
         self._processing = False
-        return said
+        return answer
 
+    @abstractmethod
     def process(self, data: bytes) -> bytes:
         """Process bytes; return the immediate answer."""
-        raise NotImplementedError
