@@ -13,6 +13,10 @@ from wafer_viewer.gui.defects.die_stack_view import DefectStack
 from wafer_viewer.gui.defects.reference_view import DefectBeside, DefectDock
 from wafer_viewer.gui.gauge.gauge_displays import GaugeDock, StepReadout
 from wafer_viewer.gui.gauge.gauge_panel import GaugePanel
+from wafer_viewer.gui.gauge.instrument_panel import CalibrationDock, InstrumentPanel
+from wafer_viewer.gui.live.live_curve import LiveDock
+from wafer_viewer.gui.live.live_panel import LivePanel
+from wafer_viewer.gui.live.live_picture import LivePicture
 from wafer_viewer.gui.measure.live_measurement import LiveProfiles
 from wafer_viewer.gui.measure.measure_panel import MeasurePanel
 from wafer_viewer.gui.measure.profile_dock import ProfileDock
@@ -117,9 +121,11 @@ def build_page(client: viser.ClientHandle, session: Session) -> Page:
     page.gui.main_panel.dock_right()
     page.gui.main_panel.set_width(RIGHT_PX)
     with always_mounted(page.gui):
-        frame = PageTheme(page)
         page.add_picks()
+    with always_mounted(page.gui):
         ear = BrowserEvents(page)
+    with always_mounted(page.gui):
+        frame = PageTheme(page)
         halt = guarded(page, NOT_STOPPED)(lambda: stop(page))
         header = Header(page.gui, lambda step: go_to(page, step), halt)
         strip, question, contact, tour = StatusStrip(page), ControlRequestPrompt(page), Contact(page), TourGuide(page)
@@ -135,6 +141,7 @@ def build_page(client: viser.ClientHandle, session: Session) -> Page:
     page.show_first([frame, header, welcome, viewpoint, drawing])
     statistics = ShownStatistics(page, scene.visible_um)
     plan, acquire = PlanPanel(page), AcquirePanel(page)
+    live, instrument = LivePanel(page), InstrumentPanel(page)
     surface, measure = SurfacePanel(page, poses, scene.range_in_view, statistics), MeasurePanel(page, scene, curves)
     gauge, review, report = GaugePanel(page), ReviewPanel(page, scene), ReportPanel(page)
     comparison, stack = DefectBeside(page), DefectStack(page, review.go_to)
@@ -154,6 +161,7 @@ def build_page(client: viser.ClientHandle, session: Session) -> Page:
             curves,
             measure,
             gauge,
+            instrument,
             review,
             report,
             why,
@@ -170,7 +178,11 @@ def build_page(client: viser.ClientHandle, session: Session) -> Page:
             ProfileDock(page, curves),
             WhyDock(page, why),
             GaugeDock(page),
+            CalibrationDock(page),
             DefectDock(page),
+            LiveDock(page),
+            LivePicture(page),
+            live,
             comparison,
             stack,
             StepReadout(page, lambda: gauge.live.answer),
@@ -189,7 +201,7 @@ def build_page(client: viser.ClientHandle, session: Session) -> Page:
     left.dies.on_chosen(review.go_to)
     _listen_to_scene(page, scene, read_out, why)
     _listen_to_lines(page, scene, curves)
-    with_verbs = welcome, tour, gauge, review, report, left.compare, left.defects, left.dies, comparison, stack
+    with_verbs = live, welcome, tour, gauge, instrument, review, report, *left.with_commands, comparison, stack
     of_parts = [command for part in with_verbs for command in part.commands()]
     verbs = [*of_parts, *commands_of(page, Parts(plan, acquire, surface, measure, why))]
     parts.insert(1, _palette(page, scene, verbs))

@@ -11,6 +11,9 @@ from typing import Any, Generic, TypeVar
 COMMIT_S = 0.25
 """Pause in typing after which edits are sent to the session: one number typed is one undo step."""
 
+MOVE_S = 1.0
+"""Pause in typing after which something moves: longer, because half a number cannot be undone."""
+
 
 class Debouncer:
     """Counter of form edits. `commit` submits the form and returns a future if the session is queried.
@@ -18,8 +21,13 @@ class Debouncer:
     Until the last edit has arrived the form shows the typed text, because the session's value is older.
     """
 
-    def __init__(self, commit: Callable[[], Future[Any] | None], guard: Callable[[Callable[[], None]], Any]) -> None:
-        self._commit = commit
+    def __init__(
+        self,
+        commit: Callable[[], Future[Any] | None],
+        guard: Callable[[Callable[[], None]], Any],
+        pause_s: float = COMMIT_S,
+    ) -> None:
+        self._commit, self._pause_s = commit, pause_s
         self._hand_over = guard(self._hand_over_now)
         self._made = self._arrived = 0
         self._timer: threading.Timer | None = None
@@ -34,7 +42,7 @@ class Debouncer:
         self._made += 1
         if self._timer is not None:
             self._timer.cancel()
-        self._timer = threading.Timer(COMMIT_S, self._hand_over)
+        self._timer = threading.Timer(self._pause_s, self._hand_over)
         self._timer.daemon = True
         self._timer.start()
 

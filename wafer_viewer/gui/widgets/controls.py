@@ -221,7 +221,11 @@ class ToggleGroup:
 
 @contextlib.contextmanager
 def always_mounted(gui: Gui) -> Generator[None]:
-    """Context for content that stays on the page while panels are folded, because viser removes folded content."""
+    """Context for content that stays on the page while panels are folded, because viser removes folded content.
+
+    Of the changes within one panel in 50 ms, viser sends only the last: what must not replace another goes into a panel
+    of its own.
+    """
     panel = gui.add_panel()
     with panel.add_tab("·"):
         add_html(gui, Markup('<div class="wv-ov wv-frame"></div>'))
@@ -289,11 +293,16 @@ def _outlined(handle: Any, height_px: int) -> str:
 
 
 def _equal(a: Any, b: Any) -> bool:
-    """Return whether two values of a widget are equal, numbers within rounding errors."""
+    """Return whether two values of a widget are equal: numbers within rounding errors, texts but for outer spaces.
+
+    The session strips texts; shown again, they would take the space from under a hand that pauses between two words.
+    """
     if isinstance(a, tuple) and isinstance(b, tuple):
         return len(a) == len(b) and all(_equal(p, q) for p, q in zip(a, b, strict=True))
     if isinstance(a, int | float) and isinstance(b, int | float):
         return abs(a - b) <= 1e-9 * max(1.0, abs(a), abs(b))
+    if isinstance(a, str) and isinstance(b, str):
+        return a.strip() == b.strip()
     return a == b
 
 
