@@ -5,3 +5,4 @@
 #define BOX_WIDTH_MIN_US 20
 #define BOX_WIDTH_MAX_US 10000
 #define BOX_TICKS_PER_US 2 /* timer 1 at clock / 8 */
+#define BOX_LINKS 1

@@ -4,6 +4,7 @@
      scale X, A and B  PB0/1 53, 52
      scale Y, A and B  PB2/3 51, 50
      scale Z, A and B  PB4/5 10, 11
+     index X, Y and Z  PD1-3 20, 19, 18
      exposure, in      PD0   21
      trigger, out      PA0   22
      serial line       UART 0 at 250 000 baud, which divides 16 MHz without error */
@@ -21,29 +22,46 @@
 #define AXIS_Z 2
 #define BAUD_DIVIDER 7 /* 16 MHz / 8 / 250 000 - 1 */
 
+static volatile uint16_t overflows; /* of timer 1, every 32.8 ms */
+
 /* -- scales and camera -------------------------------------------------------------------------------------------- */
 
-ISR(PCINT0_vect) {
+static inline void read_scales(void) {
   uint8_t port = PINB; /* read once: what changes later brings an interrupt of its own */
   box_lines(AXIS_Z, port >> 4 & 3);
   box_lines(AXIS_X, port & 3);
   box_lines(AXIS_Y, port >> 2 & 3);
+  /* Edges faster than this follows keep the interrupt of the timer waiting, which would miss turns. */
+  if (TIFR1 & 1 << TOV1) {
+    TIFR1 = 1 << TOV1;
+    overflows++;
+  }
 }
 
+ISR(PCINT0_vect) { read_scales(); }
 ISR(INT0_vect) { box_exposure(); }
+
+/* An edge of the scale that came with the mark, or just before it, is counted first. */
+static void meet_mark(uint8_t axis) {
+  read_scales();
+  box_index(axis);
+}
+
+ISR(INT1_vect) { meet_mark(AXIS_X); }
+ISR(INT2_vect) { meet_mark(AXIS_Y); }
+ISR(INT3_vect) { meet_mark(AXIS_Z); }
 
 static void start_inputs(void) {
   PORTB = 0x3F; /* pull-ups: an open cable is quiet */
+  PORTD = 0x0E;
   PCMSK0 = 0x3F;
   PCICR = 1 << PCIE0;
-  EICRA = 1 << ISC01 | 1 << ISC00; /* rising edge */
-  EIMSK = 1 << INT0;
+  EICRA = 0xFF; /* rising edges of INT0 to INT3 */
+  EIMSK = 0x0F;
   DDRA = 1 << PA0;
 }
 
 /* -- time and trigger --------------------------------------------------------------------------------------------- */
-
-static volatile uint16_t overflows; /* of timer 1, every 32.8 ms */
 
 ISR(TIMER1_OVF_vect) {
   overflows++;
@@ -100,7 +118,8 @@ ISR(USART0_UDRE_vect) {
   else UDR0 = pop(&outgoing);
 }
 
-void shell_send(const char *bytes, uint16_t length) {
+void shell_send(uint8_t link, const char *bytes, uint16_t length) {
+  (void)link; /* it has one */
   while (length--) {
     while (is_full(&outgoing)) {}
     ATOMIC_BLOCK(ATOMIC_RESTORESTATE) {
@@ -148,7 +167,7 @@ int main(void) {
   start_serial();
   sei();
   for (;;) {
-    if (!is_empty(&incoming)) box_receive(pop(&incoming));
+    if (!is_empty(&incoming)) box_receive(0, pop(&incoming));
     box_report();
   }
 }

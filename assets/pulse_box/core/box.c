@@ -12,8 +12,10 @@ box_t box;
 /* The order 00, 01, 11, 10 of (B, A) counts up. */
 const int8_t box_steps[16] = {0, 1, -1, BOX_ERROR, -1, 0, BOX_ERROR, 1, 1, BOX_ERROR, 0, -1, BOX_ERROR, -1, 1, 0};
 
-static char received[WPC_LONGEST];
-static uint16_t n_received;
+static struct {
+  char text[WPC_LONGEST];
+  uint16_t length;
+} received[BOX_LINKS];
 static uint16_t event_sequence;
 
 void box_start(uint16_t boot, const uint8_t lines[BOX_AXES]) {
@@ -23,7 +25,30 @@ void box_start(uint16_t boot, const uint8_t lines[BOX_AXES]) {
   box.watched = BOX_NONE;
   box.timeout = HEARTBEAT_MS * 1000UL * BOX_TICKS_PER_US;
   box.settings = (box_settings_t){.axis = BOX_NONE, .direction = 1, .divider = 1, .max = 1, .width_us = BOX_WIDTH_MIN_US};
-  n_received = 0;
+  for (uint8_t link = 0; link < BOX_LINKS; link++) received[link].length = 0;
+}
+
+/* -- references --------------------------------------------------------------------------------------------------- */
+
+/* Set the count of an axis now or, by index, when it meets its mark; until then it is not referenced. */
+void box_reference(uint8_t axis, int32_t count, bool by_index) {
+  box_axis_t *one = &box.axes[axis];
+  uint8_t state = shell_lock();
+  one->referenced = !by_index;
+  one->awaits_index = by_index;
+  one->has_latched = false;
+  one->index_count = count;
+  if (!by_index) one->count = count;
+  shell_unlock(state);
+}
+
+void box_index(uint8_t axis) {
+  box_axis_t *one = &box.axes[axis];
+  if (!one->awaits_index) return;
+  one->latched = one->count;
+  one->count = one->index_count;
+  one->awaits_index = false;
+  one->has_latched = one->referenced = true;
 }
 
 /* -- the run ------------------------------------------------------------------------------------------------------ */
@@ -37,7 +62,7 @@ static uint32_t crossings(const box_settings_t *set) {
   return most < UINT32_MAX ? most + 1 : most;
 }
 
-void box_arm(int32_t run) {
+void box_arm(uint8_t link, int32_t run) {
   const box_settings_t *set = &box.settings;
   /* Pulses never overlap, whatever MINGAP_US. */
   int32_t apart_us = 2 * set->width_us;
@@ -51,6 +76,7 @@ void box_arm(int32_t run) {
   box.emitted = box.suppressed = box.exposures = box.reported = 0;
   box.axes[set->axis].errors = 0;
   box.run = run;
+  box.link = link;
   box.direction = set->direction;
   box.next = set->start;
   box.crossings = to_come;
@@ -66,6 +92,10 @@ void box_halt(void) {
 }
 
 void box_exposure(void) { box.exposures++; }
+
+void box_overrun(void) {
+  for (uint8_t axis = 0; axis < BOX_AXES; axis++) box.axes[axis].errors++;
+}
 
 static void send_pulse(int32_t count, uint32_t now) {
   shell_trigger(box.width);
@@ -116,18 +146,18 @@ void box_tick(void) {
   box.heart_stopped = true;
 }
 
-/* -- the serial line ---------------------------------------------------------------------------------------------- */
+/* -- the serial lines --------------------------------------------------------------------------------------------- */
 
 static wpc_line_t event;
 
 static void begin_event(const char *verb) { wpc_begin(&event, 'E', ++event_sequence, verb); }
 
-static void send_event(void) {
+static void send_event(uint8_t link) {
   wpc_end(&event);
-  shell_send(event.text, event.length);
+  shell_send(link, event.text, event.length);
 }
 
-void box_send_record(uint32_t number) {
+void box_send_record(uint8_t link, uint32_t number) {
   uint8_t state = shell_lock();
   box_record_t record = box.ring[number % BOX_RING];
   uint32_t now = shell_ticks();
@@ -138,13 +168,13 @@ void box_send_record(uint32_t number) {
   wpc_number(&event, "N", (int32_t)number);
   wpc_number(&event, "ENC", record.count);
   wpc_time(&event, "T_US", ((uint64_t)turns << 32 | record.ticks) / BOX_TICKS_PER_US);
-  send_event();
+  send_event(link);
 }
 
 static void report_heart(void) {
   begin_event("F");
   wpc_word(&event, "WHY", "no_heartbeat_in_time");
-  send_event();
+  send_event(box.link);
 }
 
 void box_report(void) {
@@ -154,20 +184,20 @@ void box_report(void) {
   box.heart_stopped = false;
   shell_unlock(state);
   if (emitted - box.reported > BOX_RING) box.reported = emitted - BOX_RING; /* the others are overwritten */
-  if (box.reported < emitted) box_send_record(box.reported++);
+  if (box.reported < emitted) box_send_record(box.link, box.reported++);
   if (stopped) report_heart();
 }
 
-void box_receive(uint8_t byte) {
+void box_receive(uint8_t link, uint8_t byte) {
   if (byte == WPC_HALT) {
     uint8_t state = shell_lock();
     box_halt();
     shell_unlock(state);
   } else if (byte != '\n') {
     /* Of a line that is too long the length alone matters: the parser refuses it. */
-    if (n_received < WPC_LONGEST) received[n_received++] = (char)byte;
+    if (received[link].length < WPC_LONGEST) received[link].text[received[link].length++] = (char)byte;
   } else {
-    box_execute(received, n_received);
-    n_received = 0;
+    box_execute(link, received[link].text, received[link].length);
+    received[link].length = 0;
   }
 }

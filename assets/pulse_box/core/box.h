@@ -1,7 +1,9 @@
 /* The pulse box without its devices: quadrature counting, divider, records, heartbeat and commands.
 
-   Interrupt side: box_lines, box_exposure, box_tick and box_halt may be called at any time.
-   Main loop: box_start once, then box_receive for every byte and box_report again and again. */
+   Interrupt side: box_lines, box_overrun, box_index, box_exposure, box_tick and box_halt may be called at any time.
+   Main loop: box_start once, then box_receive for every byte and box_report again and again.
+   A shell may have several serial lines: each command is answered where it came from, the events of a run go where it
+   was armed from, and only heartbeats from there keep it armed. */
 #ifndef BOX_H
 #define BOX_H
 
@@ -18,6 +20,9 @@ typedef struct {
   uint16_t errors; /* quadrature errors of the run */
   uint8_t lines;   /* B and A as last seen */
   bool referenced;
+  bool awaits_index;   /* the index mark sets the count to index_count */
+  bool has_latched;    /* it did, at the count `latched` */
+  int32_t index_count, latched;
 } box_axis_t;
 
 typedef struct {
@@ -39,6 +44,7 @@ typedef struct {
 
   /* The run. `watched` is the axis whose crossings of `next` give pulses, or BOX_NONE. */
   bool armed;
+  uint8_t link; /* serial line that armed it */
   uint8_t watched;
   int8_t direction;
   int32_t next;
@@ -68,8 +74,8 @@ extern const int8_t box_steps[16];
 /* Begin with the boot number of this start and the state of each axis' lines, A in bit 0 and B in bit 1. */
 void box_start(uint16_t boot, const uint8_t lines[BOX_AXES]);
 
-/* Take a byte of the serial line; executes a command when it ends a line. */
-void box_receive(uint8_t byte);
+/* Take a byte of a serial line; executes a command when it ends a line. */
+void box_receive(uint8_t link, uint8_t byte);
 
 /* Send what happened since: new records, and a heartbeat that stopped. */
 void box_report(void);
@@ -79,6 +85,12 @@ void box_halt(void);
 
 /* Count an exposure of the camera. */
 void box_exposure(void);
+
+/* Edges came faster than they were taken: a quadrature error on every axis. */
+void box_overrun(void);
+
+/* Take the rising edge of an axis' index mark, after the lines of its scale: it sets the count where REF awaits it. */
+void box_index(uint8_t axis);
 
 /* Disarm if no heartbeat came in time. Several times a second. */
 void box_tick(void);
@@ -102,10 +114,11 @@ static inline void box_lines(uint8_t axis, uint8_t lines) {
 
 /* -- between box.c and commands.c --------------------------------------------------------------------------------- */
 
-void box_arm(int32_t run);
+void box_arm(uint8_t link, int32_t run);
 void box_beat(void);
-void box_send_record(uint32_t number);
-void box_execute(char *text, uint16_t length);
+void box_reference(uint8_t axis, int32_t count, bool by_index);
+void box_send_record(uint8_t link, uint32_t number);
+void box_execute(uint8_t link, char *text, uint16_t length);
 const char *box_fire(void);
 
 #endif

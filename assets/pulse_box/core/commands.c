@@ -21,6 +21,12 @@ static uint8_t axis_of(const char *name) {
   return BOX_NONE;
 }
 
+/* The axis named in a command, or else the configured one. */
+static uint8_t axis_named(const wpc_command_t *command) {
+  const char *name = wpc_value(command, "AX");
+  return name != NULL ? axis_of(name) : box.settings.axis;
+}
+
 static bool is_armed(void) {
   uint8_t state = shell_lock();
   bool armed = box.armed;
@@ -48,19 +54,20 @@ static void report_identity(const wpc_command_t *command, wpc_line_t *answer) {
   wpc_number(answer, "RATE", BOX_RATE);
   wpc_number(answer, "WIDTH_MIN", BOX_WIDTH_MIN_US);
   wpc_number(answer, "WIDTH_MAX", BOX_WIDTH_MAX_US);
+  wpc_number(answer, "INDEX", 1);
 }
 
 /* -- REF ---------------------------------------------------------------------------------------------------------- */
 
 static const char *reference(const wpc_command_t *command) {
   uint8_t axis = axis_of(wpc_value(command, "AX"));
+  const char *mode = wpc_value(command, "MODE");
+  bool by_index = mode != NULL && strcmp(mode, "INDEX") == 0;
   int32_t count;
   if (is_armed()) return "armed";
+  if (mode != NULL && !by_index && strcmp(mode, "SET") != 0) return "no_such_mode";
   if (axis == BOX_NONE || !wpc_integer(wpc_value(command, "COUNT"), &count)) return "no_axis_or_no_count";
-  uint8_t state = shell_lock();
-  box.axes[axis].count = count;
-  box.axes[axis].referenced = true;
-  shell_unlock(state);
+  box_reference(axis, count, by_index);
   return NULL;
 }
 
@@ -138,7 +145,7 @@ static const char *arm(const wpc_command_t *command) {
   if (axis == BOX_NONE) return "no_axis_configured";
   if (!box.axes[axis].referenced) return not_referenced[axis];
   (void)wpc_integer(wpc_value(command, "RUN"), &run);
-  box_arm(run);
+  box_arm(command->link, run);
   return NULL;
 }
 
@@ -171,6 +178,7 @@ static void report_emitted(const wpc_command_t *command, wpc_line_t *answer) {
 static const char *beat(const wpc_command_t *command) {
   const char *text = wpc_value(command, "MS");
   int32_t ms;
+  if (is_armed() && command->link != box.link) return "armed_from_another_serial_line";
   if (text != NULL) {
     if (!wpc_integer(text, &ms) || ms < 1 || ms > LONGEST_TIMEOUT_MS) return "no_such_timeout";
     uint8_t state = shell_lock();
@@ -202,8 +210,15 @@ static void report_summary(const wpc_command_t *command, wpc_line_t *answer) {
 }
 
 static void report_state(const wpc_command_t *command, wpc_line_t *answer) {
+  uint8_t axis = axis_named(command);
   wpc_number(answer, "ARMED", is_armed());
   report_summary(command, answer);
+  if (axis == BOX_NONE) return;
+  uint8_t state = shell_lock();
+  bool has_latched = box.axes[axis].has_latched;
+  int32_t latched = box.axes[axis].latched;
+  shell_unlock(state);
+  if (has_latched) wpc_number(answer, "LATCHED", latched);
 }
 
 static bool read_records(const wpc_command_t *command, int32_t *first, int32_t *last) {
@@ -219,7 +234,7 @@ static bool read_records(const wpc_command_t *command, int32_t *first, int32_t *
 static const char *dump(const wpc_command_t *command) {
   int32_t first, last;
   if (!read_records(command, &first, &last)) return "records_not_in_the_ring";
-  for (int32_t number = first; number <= last; number++) box_send_record((uint32_t)number);
+  for (int32_t number = first; number <= last; number++) box_send_record(command->link, (uint32_t)number);
   return NULL;
 }
 
@@ -247,16 +262,16 @@ static const verb_t *verb_of(const char *name) {
 
 /* BOOT, and count and reference of the axis named in the command or else configured. */
 static void report_place(const wpc_command_t *command, wpc_line_t *answer) {
-  const char *name = wpc_value(command, "AX");
-  uint8_t axis = name != NULL ? axis_of(name) : box.settings.axis;
+  uint8_t axis = axis_named(command);
   wpc_number(answer, "BOOT", box.boot);
   if (axis == BOX_NONE) return;
   uint8_t state = shell_lock();
   int32_t count = box.axes[axis].count;
+  bool referenced = box.axes[axis].referenced;
   shell_unlock(state);
   wpc_word(answer, "AX", axis_names[axis]);
   wpc_number(answer, "COUNT", count);
-  wpc_number(answer, "REF", box.axes[axis].referenced);
+  wpc_number(answer, "REF", referenced);
 }
 
 static void answer_command(const wpc_command_t *command, wpc_line_t *answer) {
@@ -270,17 +285,21 @@ static void answer_command(const wpc_command_t *command, wpc_line_t *answer) {
 }
 
 /* A repeated command is executed once; its answer is sent again. */
-void box_execute(char *text, uint16_t length) {
-  static wpc_line_t answer;
-  static uint16_t sequence, crc, boot;
+void box_execute(uint8_t link, char *text, uint16_t length) {
+  static struct {
+    wpc_line_t answer;
+    uint16_t sequence, crc, boot;
+  } answered[BOX_LINKS], *last;
   wpc_command_t command;
   if (!wpc_parse(text, length, &command)) return;
-  bool repeated = answer.length > 0 && boot == box.boot && sequence == command.sequence && crc == command.crc;
-  if (!repeated) {
-    answer_command(&command, &answer);
-    sequence = command.sequence;
-    crc = command.crc;
-    boot = box.boot;
+  command.link = link;
+  last = &answered[link];
+  bool same = last->sequence == command.sequence && last->crc == command.crc;
+  if (!same || last->answer.length == 0 || last->boot != box.boot) {
+    answer_command(&command, &last->answer);
+    last->sequence = command.sequence;
+    last->crc = command.crc;
+    last->boot = box.boot;
   }
-  shell_send(answer.text, answer.length);
+  shell_send(link, last->answer.text, last->answer.length);
 }

@@ -17,6 +17,7 @@ typedef struct {
 
 /* A command. Its texts point into the line that was parsed. */
 typedef struct {
+  uint8_t link; /* serial line that brought it, for the box */
   uint16_t sequence, crc;
   const char *verb;
   uint8_t n_pairs;

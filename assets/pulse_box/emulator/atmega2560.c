@@ -2,62 +2,31 @@
    The orders on standard input are those of host/world.h.
 
      atmega2560 pulse_box.elf */
+#include <limits.h>
 #include <poll.h>
 #include <stdio.h>
 #include <stdlib.h>
-#include <string.h>
 #include <time.h>
 #include <unistd.h>
 
-#include <simavr/avr_ioport.h>
-#include <simavr/avr_uart.h>
-#include <simavr/sim_avr.h>
-#include <simavr/sim_elf.h>
-
+#include "board.h"
 #include "world.h"
 
-#define CLOCK_HZ 16000000
-#define N_AXES 3
-#define LOOK_EVERY 4000             /* instructions between looks at the clock, the line and standard input */
-#define BYTE_CYCLES (CLOCK_HZ / 25000) /* of the serial line at 250 000 baud */
+#define LOOK_EVERY 4000 /* instructions between looks at the clock, the line and standard input */
 
-/* Pins of A and B of each scale, as in avr/main.c. */
-static const struct {
-  char port;
-  uint8_t a, b;
-} pins[N_AXES] = {{'B', 0, 1}, {'B', 2, 3}, {'B', 4, 5}};
-
-static avr_t *avr;
-static avr_irq_t *a[N_AXES], *b[N_AXES], *exposure, *uart;
 static int line_fd;
 static long position[N_AXES];
+static long mark[N_AXES] = {LONG_MAX, LONG_MAX, LONG_MAX}; /* of the index; none yet */
 static uint8_t moving;
 static long left;
 static int direction;
 static double cycles_per_count, next_cycle;
 
-static avr_irq_t *pin(char port, uint8_t number) {
-  return avr_io_getirq(avr, AVR_IOCTL_IOPORT_GETIRQ(port), number);
-}
-
-/* Drive both lines of a scale, also against the pull-ups that the firmware switches on. */
-static void set_lines(uint8_t axis) {
-  uint8_t lines = world_lines(position[axis]);
-  avr_ioport_external_t external = {.name = (unsigned char)pins[axis].port};
-  for (uint8_t other = 0; other < N_AXES; other++) {
-    if (pins[other].port != pins[axis].port) continue;
-    external.mask |= (unsigned long)(3 << pins[other].a);
-    external.value |= (unsigned long)(world_lines(position[other]) << pins[other].a);
-  }
-  avr_ioctl(avr, AVR_IOCTL_IOPORT_SET_EXTERNAL(pins[axis].port), &external);
-  avr_raise_irq(a[axis], lines & 1);
-  avr_raise_irq(b[axis], lines >> 1);
-}
-
 static avr_cycle_count_t step(avr_t *of, avr_cycle_count_t when, void *unused) {
   (void)of, (void)when, (void)unused;
   position[moving] += direction;
-  set_lines(moving);
+  board_scale(moving, position);
+  board_index(position, mark);
   if (--left == 0) {
     world_print("DONE", position[moving]);
     return 0;
@@ -71,15 +40,15 @@ static void begin_move(const order_t *order) {
   direction = order->counts < 0 ? -1 : 1;
   left = labs(order->counts);
   cycles_per_count = CLOCK_HZ / (order->rate > 0 ? order->rate : 1.0);
-  next_cycle = (double)avr->cycle + cycles_per_count;
-  if (left > 0) avr_cycle_timer_register(avr, (avr_cycle_count_t)cycles_per_count, step, NULL);
+  next_cycle = (double)board->cycle + cycles_per_count;
+  if (left > 0) avr_cycle_timer_register(board, (avr_cycle_count_t)cycles_per_count, step, NULL);
 }
 
 /* Two counts at once, with time for the board to see each pair. */
 static avr_cycle_count_t leap(avr_t *of, avr_cycle_count_t when, void *unused) {
   (void)of, (void)unused;
   position[moving] += 2 * direction;
-  set_lines(moving);
+  board_scale(moving, position);
   left -= 2;
   if (left > 1) return when + CLOCK_HZ / 10000;
   world_print("DONE", position[moving]);
@@ -90,13 +59,12 @@ static void begin_jump(const order_t *order) {
   moving = order->axis;
   direction = order->counts < 0 ? -1 : 1;
   left = labs(order->counts);
-  if (left > 1) avr_cycle_timer_register(avr, CLOCK_HZ / 10000, leap, NULL);
+  if (left > 1) avr_cycle_timer_register(board, CLOCK_HZ / 10000, leap, NULL);
 }
 
-static void on_trigger(avr_irq_t *irq, uint32_t value, void *unused) {
-  (void)irq, (void)unused;
-  if (value) world_print("EDGE", position[moving]);
-  avr_raise_irq(exposure, value);
+static void on_trigger(bool high) {
+  if (high) world_print("EDGE", position[moving]);
+  board_exposure(high);
 }
 
 /* -- serial line -------------------------------------------------------------------------------------------------- */
@@ -104,16 +72,14 @@ static void on_trigger(avr_irq_t *irq, uint32_t value, void *unused) {
 static uint8_t incoming[256];
 static ssize_t n_incoming, n_fed;
 
-static void on_byte(avr_irq_t *irq, uint32_t value, void *unused) {
-  (void)irq, (void)unused;
-  uint8_t byte = (uint8_t)value;
+static void on_byte(uint8_t byte) {
   if (write(line_fd, &byte, 1) != 1) return; /* nobody listens: lost, as on a wire */
 }
 
 /* The bytes reach the board one after the other, in the time that they need on the line. */
 static avr_cycle_count_t feed(avr_t *of, avr_cycle_count_t when, void *unused) {
   (void)of, (void)unused;
-  avr_raise_irq(uart, incoming[n_fed++]);
+  board_receive(incoming[n_fed++]);
   return n_fed < n_incoming ? when + BYTE_CYCLES : 0;
 }
 
@@ -122,47 +88,17 @@ static void look_at_line(void) {
   if (n_fed < n_incoming || poll(&input, 1, 0) <= 0) return;
   n_incoming = read(line_fd, incoming, sizeof incoming);
   n_fed = 0;
-  if (n_incoming > 0) avr_cycle_timer_register(avr, BYTE_CYCLES, feed, NULL);
+  if (n_incoming > 0) avr_cycle_timer_register(board, BYTE_CYCLES, feed, NULL);
 }
 
 static bool obey(const order_t *order) {
   switch (order->kind) {
     case ORDER_MOVE: begin_move(order); return true;
     case ORDER_JUMP: begin_jump(order); return true;
-    case ORDER_REBOOT: avr_reset(avr); world_print("DONE", 0); return true;
+    case ORDER_INDEX: mark[order->axis] = order->counts; return true;
+    case ORDER_REBOOT: avr_reset(board); world_print("DONE", 0); return true;
     default: return false;
   }
-}
-
-static void load(const char *image) {
-  static elf_firmware_t firmware;
-  if (elf_read_firmware(image, &firmware) != 0) {
-    fprintf(stderr, "%s cannot be read\n", image);
-    exit(1);
-  }
-  strcpy(firmware.mmcu, "atmega2560");
-  firmware.frequency = CLOCK_HZ;
-  avr = avr_make_mcu_by_name(firmware.mmcu);
-  avr_init(avr);
-  avr->log = LOG_ERROR;
-  avr_load_firmware(avr, &firmware);
-}
-
-static void wire(void) {
-  uint32_t flags = 0;
-  for (uint8_t axis = 0; axis < N_AXES; axis++) {
-    a[axis] = pin(pins[axis].port, pins[axis].a);
-    b[axis] = pin(pins[axis].port, pins[axis].b);
-    set_lines(axis);
-  }
-  exposure = pin('D', 0);
-  avr_irq_register_notify(pin('A', 0), on_trigger, NULL);
-  avr_ioctl(avr, AVR_IOCTL_UART_GET_FLAGS('0'), &flags);
-  flags &= ~(uint32_t)AVR_UART_FLAG_STDIO;
-  avr_ioctl(avr, AVR_IOCTL_UART_SET_FLAGS('0'), &flags);
-  uart = avr_io_getirq(avr, AVR_IOCTL_UART_GETIRQ('0'), UART_IRQ_INPUT);
-  avr_irq_register_notify(avr_io_getirq(avr, AVR_IOCTL_UART_GETIRQ('0'), UART_IRQ_OUTPUT), on_byte, NULL);
-  line_fd = world_open_line();
 }
 
 static double wall_s(void) {
@@ -174,14 +110,14 @@ static double wall_s(void) {
 int main(int n_args, char **args) {
   order_t order;
   if (n_args < 2) return 1;
-  load(args[1]);
-  wire();
+  board_start(args[1], on_trigger, on_byte);
+  line_fd = world_open_line();
   double began_s = wall_s();
   for (unsigned long n = 1;; n++) {
-    int state = avr_run(avr);
+    int state = avr_run(board);
     if (state == cpu_Done || state == cpu_Crashed) return 2;
     if (n % LOOK_EVERY != 0) continue;
-    double ahead_s = (double)avr->cycle / CLOCK_HZ - (wall_s() - began_s);
+    double ahead_s = (double)board->cycle / CLOCK_HZ - (wall_s() - began_s);
     if (ahead_s > 2e-4) usleep((useconds_t)(ahead_s * 1e6));
     look_at_line();
     if (world_order(&order) && !obey(&order)) return 0;

@@ -4,3 +4,4 @@
 #define BOX_WIDTH_MIN_US 1
 #define BOX_WIDTH_MAX_US 10000
 #define BOX_TICKS_PER_US 1
+#define BOX_LINKS 2

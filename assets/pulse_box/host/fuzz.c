@@ -3,7 +3,8 @@
      fuzz SEED ROUNDS
 
    Valid lines are made of known and unknown verbs, keys and extreme values; some are damaged afterwards. Checked: all
-   that the box sends is well-formed, it never fires more than MAX pulses nor when it is not armed. */
+   that the box sends is well-formed, it never fires more than MAX pulses nor when it is not armed, and never for the scale
+   of an axis that still awaits its index mark. */
 #include <stdio.h>
 #include <stdlib.h>
 #include <string.h>
@@ -32,12 +33,14 @@ void shell_unlock(uint8_t state) { (void)state; }
 
 void shell_trigger(uint16_t width) {
   demand(box.armed, "a pulse of a box that is not armed");
+  demand(!box.axes[box.settings.axis].awaits_index, "a pulse of an axis that awaits its index mark");
   demand(box.emitted < (uint32_t)box.settings.max, "more than MAX pulses");
   demand(width >= BOX_WIDTH_MIN_US && width <= BOX_WIDTH_MAX_US, "a pulse of a wrong width");
   n_pulses++;
 }
 
-void shell_send(const char *bytes, uint16_t length) {
+void shell_send(uint8_t link, const char *bytes, uint16_t length) {
+  demand(link < BOX_LINKS, "a line for no serial line");
   demand(length > 12 && length <= WPC_LONGEST && bytes[length - 1] == '\n', "a line of a wrong length");
   char crc[6];
   snprintf(crc, sizeof crc, "*%04X", wpc_crc(bytes, (uint16_t)(length - 6)));
@@ -48,11 +51,14 @@ void shell_send(const char *bytes, uint16_t length) {
 }
 
 static void feed(const char *bytes, size_t length) {
-  for (size_t i = 0; i < length; i++) box_receive((uint8_t)bytes[i]);
+  uint8_t link = (uint8_t)any(BOX_LINKS);
+  for (size_t i = 0; i < length; i++) box_receive(link, (uint8_t)bytes[i]);
 }
 
 static const char *const words[] = {
     "HELLO", "REF AX=Z COUNT=0", "REF AX=X COUNT=-2147483648", "REF AX=Y COUNT=2147483647", "REF AX=Q COUNT=1", "GET",
+    "REF AX=Z COUNT=7 MODE=INDEX", "REF AX=Y COUNT=-2147483648 MODE=INDEX", "REF AX=X COUNT=0 MODE=SOON", "GET AX=Z",
+    "REF AX=X COUNT=0 MODE=SET",
     "CFG AX=Z DIV=1 START=0 STOP=100 MAX=50 SOURCE=SCALE DIR=1 MINGAP_US=0", "CFG DIR=-1 START=50 STOP=-50", "CFG DIR=7",
     "CFG AX=X START=-2147483648 STOP=2147483647 DIV=2147483647", "CFG SOURCE=COMMAND MAX=2147483647", "CFG DIV=0",
     "CFG START=2147483647 STOP=-2147483648 DIR=-1", "CFG WIDTH_US=99999999999", "CFG AX=Y", "ARM RUN=1", "ARM", "DISARM",
@@ -81,6 +87,14 @@ static void send_noise(void) {
   feed(bytes, length);
 }
 
+static void meet_mark(uint8_t axis) {
+  bool awaited = box.axes[axis].awaits_index;
+  int32_t count = box.axes[axis].count, wanted = awaited ? box.axes[axis].index_count : count;
+  box_index(axis);
+  demand(box.axes[axis].count == wanted, "a count that the index mark set wrongly");
+  demand(!awaited || (box.axes[axis].latched == count && box.axes[axis].referenced), "an index mark without an effect");
+}
+
 static void turn_scale(void) {
   uint8_t axis = (uint8_t)any(BOX_AXES);
   int turn = any(2) ? 1 : 3;
@@ -89,6 +103,8 @@ static void turn_scale(void) {
     static unsigned at[BOX_AXES];
     at[axis] += (unsigned)turn;
     box_lines(axis, any(500) ? up[at[axis] & 3] : (uint8_t)any(4));
+    if (any(50) == 0) meet_mark(axis);
+    if (any(5000) == 0) box_overrun();
     now_us += any(60);
   }
 }

@@ -6,19 +6,19 @@
 static uint32_t now_us;
 static long position[BOX_AXES];
 static void (*on_trigger)(void);
-static void (*on_send)(const char *bytes, uint16_t length);
+static void (*on_send)(uint8_t link, const char *bytes, uint16_t length);
 
 uint32_t shell_ticks(void) { return now_us; }
 uint8_t shell_lock(void) { return 0; }
 void shell_unlock(uint8_t state) { (void)state; }
-void shell_send(const char *bytes, uint16_t length) { on_send(bytes, length); }
+void shell_send(uint8_t link, const char *bytes, uint16_t length) { on_send(link, bytes, length); }
 
 void shell_trigger(uint16_t width) {
   (void)width;
   on_trigger();
 }
 
-void library_connect(void (*trigger)(void), void (*send)(const char *, uint16_t)) {
+void library_connect(void (*trigger)(void), void (*send)(uint8_t, const char *, uint16_t)) {
   on_trigger = trigger;
   on_send = send;
 }

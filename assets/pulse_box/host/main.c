@@ -1,5 +1,6 @@
 /* Shell for a computer: the core behind a pseudo-terminal, with simulated scales. For tests, and to try a client. */
 #define _POSIX_C_SOURCE 200809L
+#include <limits.h>
 #include <poll.h>
 #include <stdlib.h>
 #include <time.h>
@@ -16,6 +17,7 @@ static uint64_t started_us; /* wall time of the last start */
 static uint64_t edge_us = NEVER; /* time of the edge being simulated, which is the time of the box meanwhile */
 
 static long position[BOX_AXES];
+static long mark[BOX_AXES] = {LONG_MAX, LONG_MAX, LONG_MAX}; /* of the index; none yet */
 static uint8_t moving; /* axis that moved last */
 static long left;      /* counts still to go, without sign */
 static int direction;
@@ -38,7 +40,8 @@ void shell_trigger(uint16_t width) {
   box_exposure();
 }
 
-void shell_send(const char *bytes, uint16_t length) {
+void shell_send(uint8_t link, const char *bytes, uint16_t length) {
+  (void)link; /* it has one */
   if (write(line_fd, bytes, length) != length) return; /* nobody listens: lost, as on a wire */
 }
 
@@ -58,6 +61,7 @@ static void start_box(void) {
 static void shift(long counts) {
   position[moving] += counts;
   box_lines(moving, world_lines(position[moving]));
+  if (position[moving] == mark[moving]) box_index(moving);
 }
 
 /* Make the edges that are due by now, each at its own time. */
@@ -93,6 +97,7 @@ static bool obey(const order_t *order) {
   switch (order->kind) {
     case ORDER_MOVE: begin_move(order); return true;
     case ORDER_JUMP: jump(order); return true;
+    case ORDER_INDEX: mark[order->axis] = order->counts; return true;
     case ORDER_REBOOT: start_box(); world_print("DONE", 0); return true;
     default: return false;
   }
@@ -103,7 +108,7 @@ static void receive(int patience_ms) {
   char bytes[256];
   if (poll(inputs, 2, patience_ms) <= 0 || !(inputs[0].revents & POLLIN)) return;
   ssize_t n = read(line_fd, bytes, sizeof bytes);
-  for (ssize_t i = 0; i < n; i++) box_receive((uint8_t)bytes[i]);
+  for (ssize_t i = 0; i < n; i++) box_receive(0, (uint8_t)bytes[i]);
 }
 
 int main(void) {

@@ -36,6 +36,7 @@ bool world_order(order_t *order) {
   order->axis = (uint8_t)(axis == 'Z' ? 2 : axis == 'Y' ? 1 : 0);
   if (strcmp(verb, "MOVE") == 0) order->kind = ORDER_MOVE;
   else if (strcmp(verb, "JUMP") == 0) order->kind = ORDER_JUMP;
+  else if (strcmp(verb, "INDEX") == 0) order->kind = ORDER_INDEX;
   else if (strcmp(verb, "REBOOT") == 0) order->kind = ORDER_REBOOT;
   else return strcmp(verb, "QUIT") == 0;
   return true;

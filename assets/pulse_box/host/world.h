@@ -2,6 +2,7 @@
 
      MOVE AXIS COUNTS RATE   move a scale by counts (with sign) at counts/s; "DONE POSITION" when it has arrived
      JUMP AXIS COUNTS        move it by counts in steps of two, which no counter can follow; "DONE POSITION"
+     INDEX AXIS POSITION     put the index mark of a scale at a position; its line is high there, and low elsewhere
      REBOOT                  take the power away and give it back; "DONE 0"
      QUIT                    end, as the end of the input does
 
@@ -14,7 +15,7 @@
 #include <stdint.h>
 
 typedef struct {
-  enum { ORDER_MOVE, ORDER_JUMP, ORDER_REBOOT, ORDER_QUIT } kind;
+  enum { ORDER_MOVE, ORDER_JUMP, ORDER_INDEX, ORDER_REBOOT, ORDER_QUIT } kind;
   uint8_t axis;
   long counts;
   double rate;

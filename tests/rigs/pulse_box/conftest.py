@@ -4,7 +4,17 @@ from __future__ import annotations
 
 import pytest
 
-from tests.rigs.pulse_box.worlds import ProgramWorld, VirtualWorld, build, missing_tools
+from tests.rigs.pulse_box.worlds import (
+    ATMEGA2560,
+    RP2040,
+    RP2040_USB,
+    RP2040JS,
+    ProgramWorld,
+    Rp2040World,
+    VirtualWorld,
+    build,
+    missing_tools,
+)
 
 
 @pytest.fixture(scope="session")
@@ -21,13 +31,23 @@ def built(tmp_path_factory):
     return make
 
 
-@pytest.fixture(params=["virtual", "host", pytest.param("atmega2560", marks=[pytest.mark.slow, pytest.mark.real_time])])
+@pytest.fixture(scope="session")
+def rp2040_image(built):
+    """The image for the RP2040, where its emulator is installed too."""
+    if not RP2040JS.exists():
+        pytest.skip("The emulator of the RP2040 is not installed: npm package rp2040js.")
+    return built("rp2040") / "pulse_box_rp2040.uf2"
+
+
+@pytest.fixture(params=["virtual", "host", ATMEGA2560, RP2040, RP2040_USB])
 def world(request, built):
     """Each kind of box in turn, with a scale and a watched trigger."""
     if request.param == "virtual":
         one = VirtualWorld()
     elif request.param == "host":
         one = ProgramWorld(built("sanitize") / "pulse_box_host_sanitized")
+    elif request.param.startswith("rp2040"):
+        one = Rp2040World(request.getfixturevalue("rp2040_image"), over_usb=request.param == "rp2040_usb")
     else:
         folder = built("avr", "emulator")
         one = ProgramWorld(folder / "atmega2560", folder / "pulse_box_atmega2560.elf")

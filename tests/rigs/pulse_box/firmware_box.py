@@ -9,7 +9,7 @@ from wafer_viewer.rigs.virtual.pulse_box_firmware import BOOT_S, HEARTBEAT_S
 
 AXES = ("x", "y", "z")
 Trigger = ctypes.CFUNCTYPE(None)
-Send = ctypes.CFUNCTYPE(None, ctypes.POINTER(ctypes.c_char), ctypes.c_uint16)
+Send = ctypes.CFUNCTYPE(None, ctypes.c_uint8, ctypes.POINTER(ctypes.c_char), ctypes.c_uint16)
 
 
 class FirmwareBox:
@@ -64,7 +64,7 @@ class FirmwareBox:
             return b""
         self.go_to(time_s)
         for byte in data:
-            self.core.box_receive(byte)
+            self.core.box_receive(0, byte)
         self.carry_out_slips()
         self.core.library_report()
         answers, self.out = self.out, b""
@@ -130,7 +130,7 @@ class FirmwareBox:
         if self.on_trigger(self.now_s):
             self.core.box_exposure()
 
-    def collect(self, data, length):
+    def collect(self, link, data, length):
         self.out += data[:length]
 
     def um(self, axis, time_s):

