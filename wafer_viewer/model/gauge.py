@@ -13,7 +13,7 @@ from typing import Annotated, ClassVar, Literal
 from wafer_viewer.model.acquisition.calibration import Calibration
 from wafer_viewer.model.errors import MeasureError, WaferViewerError
 from wafer_viewer.model.measurement.measurements import MeasurementResult
-from wafer_viewer.model.quantity import Length, Quantity, Unit, Word
+from wafer_viewer.model.quantity import Length, Unit, Word
 from wafer_viewer.model.region import Region
 from wafer_viewer.model.spec import NonNegative, Positive, Spec, Within
 
@@ -188,6 +188,7 @@ class GaugeCheck(MeasurementResult, frozen=True, kw_only=True, tag="gauge_check"
     """
 
     input_fields: ClassVar[tuple[str, ...]] = ("upper", "lower")
+    main_fields: ClassVar[tuple[str, ...]] = ("deviation",)
     certificate: Certificate
     terms: GaugeTerms = GaugeTerms()
     repeats: tuple[GaugeRepeat, ...]
@@ -206,11 +207,6 @@ class GaugeCheck(MeasurementResult, frozen=True, kw_only=True, tag="gauge_check"
     not_evaluated: tuple[str, ...] = ()
     signed_by: str = ""
     at: str = ""
-
-    @property
-    def main(self) -> Quantity:
-        """The error."""
-        return self.deviation.quantity
 
     @property
     def n(self) -> int:

@@ -8,6 +8,7 @@ from typing import Annotated, ClassVar, Literal
 
 import msgspec
 
+from wafer_viewer.model.acquisition.focus_following import FollowFocus
 from wafer_viewer.model.acquisition.plan import Field, FieldGrid, FocusSweep
 from wafer_viewer.model.acquisition.sample import Alignment, Marks, Sample
 from wafer_viewer.model.errors import DatasetError, MeasureError, WaferViewerError
@@ -18,13 +19,18 @@ from wafer_viewer.model.quantity import Length, Quantity, Word
 from wafer_viewer.model.spec import Positive, Spec, Within
 from wafer_viewer.model.surface.recipe import Recipe
 
+Compression = Literal["none", "zstd", "deflate", "jpeg2000"]
+"""Lossless compression of the frames of a dataset."""
+
 
 class Job(Spec, frozen=True, kw_only=True):
     """Complete definition of a job: the file ``PLAN.toml``.
 
     Either `grid` or `fields` gives the positions, in wafer um if `marks` are given for alignment, else in stage um;
-    `strategy` is a strategy of the planner or ``auto``. `alignment` applies to the wafer now on the stage. Features
-    measured per die are repeated on `dies`.
+    `strategy` is a strategy of the planner or ``auto``; with `follow_focus` also that of the windows that follow the
+    focus. `objective` and `zoom`, where given, are those that the plan was made for. `alignment` applies to the wafer
+    now on the stage. Features measured per die are repeated on `dies`. `compression` is that of the frames after their
+    reconstruction.
     """
 
     product: str = ""
@@ -36,13 +42,17 @@ class Job(Spec, frozen=True, kw_only=True):
     sweep: FocusSweep
     exposures_us: tuple[Positive, ...] = (100.0,)
     light_fraction: Annotated[float, Within(0, 1)] = 1.0
+    objective: str = ""
+    zoom: Positive | None = None
     strategy: str = "auto"
+    follow_focus: FollowFocus | None = None
     recipe: Recipe = Recipe()
     marks: Marks | None = None
     alignment: Alignment | None = None
     features: tuple[Feature, ...] = ()
     dies: Dies | None = None
     defect_sensitivity: Positive = 5.0
+    compression: Compression = "none"
     released: bool = False
 
     def __post_init__(self) -> None:

@@ -1,6 +1,11 @@
-"""Constants of the normal distribution that robust statistics take."""
+"""Constants of the normal distribution that robust statistics take, and the quantile of Student's t."""
 
 from __future__ import annotations
+
+import math
+
+import numpy as np
+from numpy.typing import NDArray
 
 MAD_TO_SIGMA = 1.4826
 """Ratio of the standard deviation to the median absolute deviation of normal values."""
@@ -8,3 +13,17 @@ HALF_NORMAL_MEDIAN = 0.6745
 """Median of the absolute value of a normal variable of standard deviation 1."""
 TWO_SIGMA_QUANTILE = 0.97725
 """Probability of a normal variable below two standard deviations: both sides together leave 95.45 %."""
+
+
+def student(freedom: float) -> float:
+    """Two-sided 95.45 % point of Student's t, which is 2 for many degrees of freedom."""
+    from scipy.special import stdtrit
+
+    return float(stdtrit(freedom, TWO_SIGMA_QUANTILE))
+
+
+def u_of_mean(values: NDArray[np.floating]) -> NDArray[np.float64]:
+    """Return the standard uncertainty of the mean along the first axis, for few values widened by Student's t."""
+    scatter = np.asarray(values, np.float64).std(axis=0, ddof=1)
+    widened: NDArray[np.float64] = student(len(values) - 1) / 2 / math.sqrt(len(values)) * scatter
+    return widened

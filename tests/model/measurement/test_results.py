@@ -2,11 +2,14 @@
 
 from __future__ import annotations
 
+import dataclasses
 import typing
 
 import pytest
 
 from wafer_viewer.model.findings import AnyResult
+from wafer_viewer.model.measurement.measurements import MeasurementResult
+from wafer_viewer.model.measurement.tools import TOOLS
 
 RESULTS = typing.get_args(AnyResult)
 
@@ -15,4 +18,16 @@ RESULTS = typing.get_args(AnyResult)
 def test_every_result_names_the_fields_with_its_regions(kind):
     assert kind.input_fields
     assert set(kind.input_fields) <= set(kind.__struct_fields__)
-    assert "main" in vars(kind)
+
+
+@pytest.mark.parametrize("kind", RESULTS, ids=lambda kind: kind.__name__)
+def test_the_main_quantity_of_every_result_is_one_of_its_fields(kind):
+    assert {kind.__annotations__[name] for name in kind.main_fields} <= {"Length", "Quantity"}
+
+
+def test_a_tool_is_refused_whose_result_names_no_main_quantity():
+    class Unnamed(MeasurementResult, frozen=True, kw_only=True, tag="unnamed"):
+        pass
+
+    with pytest.raises(TypeError, match="Unnamed must name the field with its main quantity in main_fields"):
+        dataclasses.replace(TOOLS["step"], result=Unnamed)

@@ -9,6 +9,9 @@ from typing import ClassVar
 from wafer_viewer.model.errors import RigError, WaferViewerError
 from wafer_viewer.model.spec import NonNegative, Positive, Spec
 
+UNKNOWN_OBJECTIVE = "unknown"
+"""Objective of a setup while a nosepiece is at none of its positions, or the zoom is not homed."""
+
 
 class OpticalSetup(Spec, frozen=True, kw_only=True):
     """Optical setup of a calibration. Another objective, zoom, camera or binning needs another calibration."""
@@ -25,7 +28,10 @@ class Calibration(Spec, frozen=True, kw_only=True):
 
     z_scale multiplies the counts of the stage; u_z_scale is relative. u_z_linearity_um: uncertainty of a height
     difference from the nonlinearity of the z axis; u_abbe_um: the same from the pitch of the stage; None if unknown.
-    against: the standard used. Dates are ISO 8601 days.
+    camera_rotation_rad: from the x axis of the stage to the rows of the camera, anticlockwise. u_flatness_um:
+    uncertainty of a height difference within a field from the flatness deviation; u_mapping_um: uncertainty of a
+    lateral length from the x-y mapping deviation; None if unknown. flat_field: digest of the flat field of the camera,
+    empty without one. against: the standard used. Dates are ISO 8601 days.
     """
 
     error: ClassVar[type[WaferViewerError]] = RigError
@@ -35,8 +41,12 @@ class Calibration(Spec, frozen=True, kw_only=True):
     u_z_scale: NonNegative
     u_z_linearity_um: NonNegative | None = None
     u_abbe_um: NonNegative | None = None
+    u_flatness_um: NonNegative | None = None
+    u_mapping_um: NonNegative | None = None
     camera_rotation_rad: float = 0.0
+    u_camera_rotation_rad: NonNegative | None = None
     trigger_delay_us: NonNegative = 0.0
+    u_trigger_delay_us: NonNegative | None = None
     flat_field: str = ""
     setup: OpticalSetup = OpticalSetup()
     made: str
@@ -53,6 +63,11 @@ class Calibration(Spec, frozen=True, kw_only=True):
             except ValueError:
                 self.refuse(name, "a day such as 2026-03-14")
 
+    @property
+    def flat_field_digest(self) -> str | None:
+        """Digest of the flat field, None without one."""
+        return self.flat_field if _DIGEST.fullmatch(self.flat_field) else None
+
     def problem(self, setup: OpticalSetup, today: str) -> str | None:
         """Return why lengths are uncalibrated under this calibration, or None when it is valid."""
         if setup != self.setup:
@@ -65,6 +80,7 @@ class Calibration(Spec, frozen=True, kw_only=True):
 WAVELENGTH_UM = 0.55
 """Green light, the default."""
 
+_DIGEST = re.compile(r"[0-9a-f]{64}")
 _ENGRAVED = re.compile(r"\d\s*[xX×]?\s*/\s*([01]\.\d+)")
 
 

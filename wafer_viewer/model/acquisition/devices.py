@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import Protocol, runtime_checkable
+from typing import ClassVar, Protocol, runtime_checkable
 
 import numpy as np
 from numpy.typing import NDArray
@@ -11,9 +12,12 @@ from numpy.typing import NDArray
 from wafer_viewer.model.acquisition.calibration import Calibration, OpticalSetup
 from wafer_viewer.model.acquisition.focus_stack import Frame, FrameStatus, Image
 from wafer_viewer.model.acquisition.plan import Axis, Leg, PulseTrain, ScanPlan, Shot
+from wafer_viewer.model.acquisition.positioners import Positioner
 from wafer_viewer.model.acquisition.rig_limits import RigLimits
 from wafer_viewer.model.acquisition.sample import Sample
+from wafer_viewer.model.errors import RigError, WaferViewerError
 from wafer_viewer.model.progress import ShouldStop
+from wafer_viewer.model.spec import Spec
 
 
 @dataclass(frozen=True, slots=True)
@@ -50,13 +54,40 @@ class CameraImage:
 
     trigger_count counts trigger edges from 0 at `start`, including ignored ones. Images are paired with pulses by
     device_time_us, the time of the trigger or a fixed delay after it. The counter is only a cross-check: it may be
-    wrong, wrap around or be missing.
+    wrong, wrap around or be missing. exposure_us: as reported with the image; None if the camera does not report it.
     """
 
     image: Image | None
     trigger_count: int | None
     device_time_us: int
     status: FrameStatus
+    exposure_us: float | None = None
+
+
+@dataclass(frozen=True, slots=True)
+class BoxIdentity:
+    """Name and capacity of a pulse box, as it reports them.
+
+    ring: number of pulse records kept by the box; count_rate_hz: greatest count rate of a scale that it follows;
+    width_us: shortest and longest pulse; has_index: it has inputs for the index marks of the scales; boot: another
+    number after each start.
+    """
+
+    name: str
+    ring: int
+    count_rate_hz: int
+    width_us: tuple[int, int]
+    has_index: bool
+    boot: int
+
+
+class DeviceIdentity(Spec, frozen=True, kw_only=True):
+    """One device of a rig: its role, the name of its driver, and what it says that it is, with its firmware."""
+
+    error: ClassVar[type[WaferViewerError]] = RigError
+    role: str
+    driver: str
+    identity: str
 
 
 class Clock(Protocol):
@@ -146,11 +177,30 @@ class PulseBox(Protocol):
     """Counts scale pulses, divides them and triggers the camera (WPC/2).
 
     After power-up its counts are 0 wherever the stage stands. Every call raises PulseBoxRestarted, once, if the box
-    restarted since the last one: its counts must then be set again by `reference`.
+    restarted since the last one: its counts must then be set again by `reference` or `reference_by_index`.
     """
+
+    def hello(self) -> BoxIdentity:
+        """Ask the box for its name, its capacity and the number of its starts."""
+        ...
+
+    def referenced(self, axis: Axis) -> bool:
+        """Return whether the count of an axis was set since the box started."""
+        ...
 
     def reference(self, axis: Axis, count: int) -> None:
         """Set the box's count of an axis at rest. Raises RigError while the box is armed."""
+        ...
+
+    def reference_by_index(self, axis: Axis, count: int) -> None:
+        """Let the box set its count of an axis when the axis next meets its index mark; arming is refused before.
+
+        Raises RigError while the box is armed, and if it has no inputs for index marks.
+        """
+        ...
+
+    def latched(self, axis: Axis) -> int | None:
+        """Return the count at which the index mark set a new one since the last reference; None if it has not yet."""
         ...
 
     def arm(self, train: PulseTrain, *, min_gap_us: float = 0.0, on_command: bool = False) -> None:
@@ -199,6 +249,19 @@ class Camera(Protocol):
         ...
 
 
+@runtime_checkable
+class ExposureSequencer(Protocol):
+    """A camera that changes its exposure from frame to frame, as `CameraLimits.exposure_sequence` says.
+
+    Its images report their exposure, because a trigger that it ignores or an extra edge shifts the sequence. Its device
+    time is that of the trigger or of the start of the exposure, whatever the exposure.
+    """
+
+    def start_sequence(self, exposures_us: tuple[float, ...]) -> None:
+        """Start waiting for triggers; the exposures follow each other in turn from the first one on."""
+        ...
+
+
 @dataclass(frozen=True, slots=True, eq=False)
 class Overview:
     """Overview picture of the sample, if the rig has one, and its known layout.
@@ -231,7 +294,7 @@ class Rig(Protocol):
 
     @property
     def limits(self) -> RigLimits:
-        """Limits of the rig."""
+        """Limits of the rig; those of the objective and its pixel are of the one in the light path."""
         ...
 
     @property
@@ -262,6 +325,15 @@ class Rig(Protocol):
     @property
     def camera(self) -> Camera:
         """Camera of the rig."""
+        ...
+
+    @property
+    def positioners(self) -> Mapping[str, Positioner]:
+        """Light, objective, zoom, tilts and rotation by the names of the rig's file, as far as they are motorised."""
+        ...
+
+    def identities(self) -> tuple[DeviceIdentity, ...]:
+        """Return all devices with their drivers and what they say that they are."""
         ...
 
     def overview(self) -> Overview | None:

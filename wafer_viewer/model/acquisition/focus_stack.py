@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from wafer_viewer.model.acquisition.calibration import Calibration, depth_of_field_um, engraved_aperture
+from wafer_viewer.model.acquisition.flat_field import ImageShading
 from wafer_viewer.model.acquisition.plan import MIN_FRAMES, Field, Shot
 from wafer_viewer.model.errors import DatasetError
 
@@ -58,7 +59,9 @@ class FieldStack:
     images: [k, row, col], uint8 or uint16, may be memory-mapped; z_um: float64 [k], rising;
     present: bool [k], False for a missing frame (an empty slot is not a black frame);
     brackets: further exposures of the same slots, in any order: a reconstruction fuses them with `images`;
-    depth_of_field_um: of the objective; 0 if unknown.
+    exposure_z_um: z [k] of each exposure's own images, `images` first, where they differ from z_um; else empty;
+    depth_of_field_um: of the objective; 0 if unknown;
+    shading: of the camera, None without a flat field; the images are as the camera gave them.
 
     Raises DatasetError when the shapes disagree or fewer than three frames are present.
     """
@@ -75,6 +78,8 @@ class FieldStack:
     exposure_us: float = np.nan
     brackets: tuple[Bracket, ...] = ()
     depth_of_field_um: float = 0.0
+    exposure_z_um: tuple[NDArray[np.float64], ...] = ()
+    shading: ImageShading | None = None
 
     def __post_init__(self) -> None:
         if self.images.ndim != 3 or len(self.z_um) != len(self.images) or len(self.present) != len(self.images):
@@ -127,7 +132,8 @@ class FieldStack:
     def part(self, rows: slice, cols: slice) -> FieldStack:
         """Return the stack restricted to the pixels [rows, cols], as views; the field keeps its position."""
         brackets = tuple(dataclasses.replace(b, images=b.images[:, rows, cols]) for b in self.brackets)
-        return dataclasses.replace(self, images=self.images[:, rows, cols], brackets=brackets)
+        shading = None if self.shading is None else self.shading.part(rows, cols)
+        return dataclasses.replace(self, images=self.images[:, rows, cols], brackets=brackets, shading=shading)
 
     def _require_alike(self, other: Bracket) -> None:
         if other.images.shape != self.images.shape or other.images.dtype != self.images.dtype:

@@ -10,16 +10,24 @@ from typing import Annotated, Literal
 
 import msgspec
 
+from wafer_viewer.model.acquisition.focus_following import CoarseLook
 from wafer_viewer.model.spec import Count, NonNegative, Positive, Spec, Within
 
 Axis = Literal["x", "y", "z"]
+AXES: tuple[Axis, ...] = ("x", "y", "z")
 Overlap = Annotated[float, Within(0, 0.5)]
 MIN_FRAMES = 3
 """Fewest frames that can hold a peak with a neighbour on either side."""
 
 
-class Field(Spec, frozen=True, kw_only=True):
-    """One camera position: number from 1, row and column in the grid, centre, and lowest z of its sweep."""
+FrameCount = Annotated[int, Within(MIN_FRAMES, 65535)]
+
+
+class Field(Spec, frozen=True, kw_only=True, omit_defaults=True):
+    """One camera position: number from 1, row and column in the grid, centre, and lowest z of its sweep.
+
+    n_frames: length of its own z window; None for the whole sweep.
+    """
 
     number: Count
     row: Annotated[int, Within(0)]
@@ -27,6 +35,7 @@ class Field(Spec, frozen=True, kw_only=True):
     x_um: float
     y_um: float
     z_start_um: float
+    n_frames: FrameCount | None = None
 
     @property
     def name(self) -> str:
@@ -126,10 +135,13 @@ class FieldGrid(Spec, frozen=True, kw_only=True):
 
 
 class FocusSweep(Spec, frozen=True, kw_only=True):
-    """The frames of one field: n_frames, z_step_um apart, upward from the field's z_start_um."""
+    """The frames of one field: n_frames, z_step_um apart, upward from the field's z_start_um.
+
+    A field may have a window of its own with fewer frames.
+    """
 
     z_step_um: Positive
-    n_frames: Annotated[int, Within(MIN_FRAMES, 65535)]
+    n_frames: FrameCount
 
     @property
     def range_um(self) -> float:
@@ -139,6 +151,14 @@ class FocusSweep(Spec, frozen=True, kw_only=True):
     def z_um(self, field: Field, k: int) -> float:
         """Return the z of frame k of a field."""
         return field.z_start_um + k * self.z_step_um
+
+    def frames_of(self, field: Field) -> int:
+        """Return the number of frames of a field at one exposure."""
+        return self.n_frames if field.n_frames is None else field.n_frames
+
+    def top_um(self, field: Field) -> float:
+        """Return the z of the last frame of a field."""
+        return self.z_um(field, self.frames_of(field) - 1)
 
 
 class Shot(msgspec.Struct, frozen=True, array_like=True):
@@ -185,19 +205,26 @@ class Leg(Spec, frozen=True, kw_only=True):
 
 
 class Price(Spec, frozen=True, kw_only=True):
-    """Predicted cost of one strategy, or the reason why it is ruled out."""
+    """Predicted cost of one strategy, or the reason why it is ruled out.
+
+    look_s: the part of predicted_s that a coarse look before the scan takes; estimated: the sample decides the number
+    of frames, and was not looked at yet.
+    """
 
     strategy: str
     title: str
     predicted_s: NonNegative | None = None
     motions: int = 0
     ruled_out: str | None = None
+    n_frames: Annotated[int, Within(0)] = 0
+    look_s: NonNegative = 0.0
+    estimated: bool = False
 
 
-class ScanPlan(Spec, frozen=True, kw_only=True):
+class ScanPlan(Spec, frozen=True, kw_only=True, omit_defaults=True):
     """Complete plan of a scan: fields, sweep, exposures, legs in order, predicted time and all prices.
 
-    depth_of_field_um: of the objective; 0 if unknown.
+    depth_of_field_um: of the objective; 0 if unknown; coarse_look: the look that the windows of the fields follow.
     """
 
     fields: tuple[Field, ...]
@@ -211,6 +238,7 @@ class ScanPlan(Spec, frozen=True, kw_only=True):
     cols: Count
     pixel_um: Positive
     depth_of_field_um: NonNegative = 0.0
+    coarse_look: CoarseLook | None = None
 
     def field(self, number: int) -> Field:
         """Return the field with a number."""
@@ -219,7 +247,14 @@ class ScanPlan(Spec, frozen=True, kw_only=True):
     @property
     def n_frames(self) -> int:
         """Number of frames of the scan, over all fields and exposures."""
-        return len(self.fields) * self.sweep.n_frames * len(self.exposures_us)
+        return sum(map(self.sweep.frames_of, self.fields)) * len(self.exposures_us)
+
+    @property
+    def frames_each(self) -> str:
+        """Number of frames of a field at one exposure, as a range where fields have windows of their own."""
+        numbers = [self.sweep.frames_of(field) for field in self.fields] or [self.sweep.n_frames]
+        low, high = min(numbers), max(numbers)
+        return f"{low}" if low == high else f"{low} to {high}"
 
     @property
     def field_by_field(self) -> bool:

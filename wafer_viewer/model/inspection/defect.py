@@ -103,6 +103,7 @@ class Defect(MeasurementResult, frozen=True, kw_only=True, tag="defect"):
     center: Point
     outline: Region
     input_fields: ClassVar[tuple[str, ...]] = ("outline",)
+    main_fields: ClassVar[tuple[str, ...]] = ("height",)
     kind: DefectClass
     die: str = ""
     in_die: Point | None = None
@@ -125,11 +126,6 @@ class Defect(MeasurementResult, frozen=True, kw_only=True, tag="defect"):
     note: str = ""
     judged_by: str = ""
     judged_at: str = ""
-
-    @property
-    def main(self) -> Quantity:
-        """The height."""
-        return self.height.quantity
 
     @property
     def seen_as(self) -> DefectClass:

@@ -49,10 +49,26 @@ class MeasurementResult(Spec, frozen=True, kw_only=True):
     input_fields: ClassVar[tuple[str, ...]] = ("region",)
     """Fields with the regions that the tool was given, in its order."""
 
+    main_fields: ClassVar[tuple[str, ...]]
+    """Field with the main quantity; of several, the one with the largest value."""
+
+    @property
+    def quantities(self) -> dict[str, Quantity]:
+        """Quantities and lengths, by field name."""
+        fields = {name: getattr(self, name) for name in self.__struct_fields__}
+        values = {name: value for name, value in fields.items() if isinstance(value, Length | Quantity)}
+        return {name: value.quantity if isinstance(value, Length) else value for name, value in values.items()}
+
+    @property
+    def main_field(self) -> str:
+        """Name of the field with the main quantity."""
+        quantities = self.quantities
+        return max(self.main_fields, key=lambda name: quantities[name].value)
+
     @property
     def main(self) -> Quantity:
         """Quantity that represents the result in a list."""
-        raise NotImplementedError
+        return self.quantities[self.main_field]
 
     @property
     def inputs(self) -> tuple[Region, ...]:
@@ -84,36 +100,29 @@ class Profile(MeasurementResult, frozen=True, kw_only=True, tag="profile"):
     """A profile along a line: total height Pt, and rise from its first to its last measured point."""
 
     input_fields: ClassVar[tuple[str, ...]] = ("line",)
+    main_fields: ClassVar[tuple[str, ...]] = ("pt",)
     line: Region
     length_um: NonNegative
     pt: Length
     rise: Length
     measured_fraction: NonNegative
 
-    @property
-    def main(self) -> Quantity:
-        """Pt."""
-        return self.pt.quantity
-
 
 class PointHeight(MeasurementResult, frozen=True, kw_only=True, tag="point"):
     """Height at a point: the median of the measured pixels around it."""
 
     input_fields: ClassVar[tuple[str, ...]] = ("place",)
+    main_fields: ClassVar[tuple[str, ...]] = ("height",)
     place: Region
     height: Length
     points: int
-
-    @property
-    def main(self) -> Quantity:
-        """The height."""
-        return self.height.quantity
 
 
 class Distance(MeasurementResult, frozen=True, kw_only=True, tag="distance"):
     """Distance between two points on the surface: in space, lateral, along z, and the slope."""
 
     input_fields: ClassVar[tuple[str, ...]] = ("start", "end")
+    main_fields: ClassVar[tuple[str, ...]] = ("distance",)
     start: Region
     end: Region
     distance: Length
@@ -127,16 +136,12 @@ class Distance(MeasurementResult, frozen=True, kw_only=True, tag="distance"):
         (a,), (b,) = self.start.points, self.end.points
         return (Region.line(a.x_um, a.y_um, b.x_um, b.y_um),)
 
-    @property
-    def main(self) -> Quantity:
-        """The distance in space."""
-        return self.distance.quantity
-
 
 class FaceAngle(MeasurementResult, frozen=True, kw_only=True, tag="angle"):
     """Angle between the normals of two faces, 0 if parallel; the tilts are those of the single faces."""
 
     input_fields: ClassVar[tuple[str, ...]] = ("first", "second")
+    main_fields: ClassVar[tuple[str, ...]] = ("angle",)
     first: Region
     second: Region
     angle: Quantity
@@ -147,11 +152,6 @@ class FaceAngle(MeasurementResult, frozen=True, kw_only=True, tag="angle"):
     first_points: int
     second_points: int
 
-    @property
-    def main(self) -> Quantity:
-        """The angle."""
-        return self.angle
-
 
 class Radius(MeasurementResult, frozen=True, kw_only=True, tag="radius"):
     """Sphere fitted to a bump or a pit; top: height of its highest (lowest) point over (under) its surroundings.
@@ -160,6 +160,7 @@ class Radius(MeasurementResult, frozen=True, kw_only=True, tag="radius"):
     """
 
     input_fields: ClassVar[tuple[str, ...]] = ("circle",)
+    main_fields: ClassVar[tuple[str, ...]] = ("radius",)
     circle: Region
     kind: Literal["bump", "pit"]
     radius: Length
@@ -167,11 +168,6 @@ class Radius(MeasurementResult, frozen=True, kw_only=True, tag="radius"):
     center: Point
     sq_um: NonNegative
     points: int
-
-    @property
-    def main(self) -> Quantity:
-        """The radius of the sphere."""
-        return self.radius.quantity
 
 
 class AreaVolume(MeasurementResult, frozen=True, kw_only=True, tag="volume"):
@@ -181,6 +177,7 @@ class AreaVolume(MeasurementResult, frozen=True, kw_only=True, tag="volume"):
     count for neither area; their volume counts, summed, on the side with more volume.
     """
 
+    main_fields: ClassVar[tuple[str, ...]] = ("volume_above", "volume_below")
     region: Region
     reference: Literal["border", "zero"]
     volume_above: Quantity
@@ -193,15 +190,11 @@ class AreaVolume(MeasurementResult, frozen=True, kw_only=True, tag="volume"):
     noise_um: NonNegative
     measured_fraction: Fraction
 
-    @property
-    def main(self) -> Quantity:
-        """Volume above the plane, or below it if that is larger."""
-        return max(self.volume_above, self.volume_below, key=lambda volume: volume.value)
-
 
 class Flatness(MeasurementResult, frozen=True, kw_only=True, tag="flatness"):
     """Flatness of a region, ISO 12781: FLTt and FLTq about a reference plane, and FLTt of the minimum zone."""
 
+    main_fields: ClassVar[tuple[str, ...]] = ("flt_t",)
     region: Region
     reference: Literal["least_squares", "minimum_zone"]
     flt_t: Length
@@ -210,11 +203,6 @@ class Flatness(MeasurementResult, frozen=True, kw_only=True, tag="flatness"):
     band_9973_um: NonNegative = 0.0
     points: int = 0
     measured_fraction: Fraction = 1.0
-
-    @property
-    def main(self) -> Quantity:
-        """FLTt."""
-        return self.flt_t.quantity
 
 
 class StepHeight(MeasurementResult, frozen=True, kw_only=True, tag="step_height"):
@@ -226,6 +214,7 @@ class StepHeight(MeasurementResult, frozen=True, kw_only=True, tag="step_height"
     """
 
     input_fields: ClassVar[tuple[str, ...]] = ("upper", "lower")
+    main_fields: ClassVar[tuple[str, ...]] = ("height",)
     upper: Region
     lower: Region
     also_upper: tuple[Region, ...] = ()
@@ -249,11 +238,6 @@ class StepHeight(MeasurementResult, frozen=True, kw_only=True, tag="step_height"
         """Further regions of the two faces."""
         return (*self.also_upper, *self.also_lower)
 
-    @property
-    def main(self) -> Quantity:
-        """The step height."""
-        return self.height.quantity
-
 
 class StepProfile(MeasurementResult, frozen=True, kw_only=True, tag="step_profile"):
     """A groove, ridge or single step across a line, after ISO 5436-1: z = a x + b + h delta.
@@ -264,6 +248,7 @@ class StepProfile(MeasurementResult, frozen=True, kw_only=True, tag="step_profil
     """
 
     input_fields: ClassVar[tuple[str, ...]] = ("line",)
+    main_fields: ClassVar[tuple[str, ...]] = ("height",)
     line: Region
     kind: Literal["groove", "ridge", "step"]
     height: Length
@@ -277,11 +262,6 @@ class StepProfile(MeasurementResult, frozen=True, kw_only=True, tag="step_profil
     points: int
     measured_fraction: NonNegative
     not_evaluated: tuple[str, ...] = ()
-
-    @property
-    def main(self) -> Quantity:
-        """The height or depth."""
-        return self.height.quantity
 
 
 MOST_SITES = 400
@@ -303,6 +283,7 @@ class SiteRanges(MeasurementResult, frozen=True, kw_only=True, tag="site_range")
     Rows and columns count complete sites; the remaining border belongs to none.
     """
 
+    main_fields: ClassVar[tuple[str, ...]] = ("largest",)
     region: Region
     site_width_um: Positive
     site_height_um: Positive
@@ -322,11 +303,6 @@ class SiteRanges(MeasurementResult, frozen=True, kw_only=True, tag="site_range")
         """Outlines of the sites, unless there are very many."""
         return self.outlines if len(self.sites) <= MOST_SITES else ()
 
-    @property
-    def main(self) -> Quantity:
-        """The largest range of all sites."""
-        return self.largest.quantity
-
 
 class Texture(MeasurementResult, frozen=True, kw_only=True, tag="texture"):
     """ISO 25178-2 parameters of a region, after removal of form and filtered wavelengths.
@@ -336,6 +312,7 @@ class Texture(MeasurementResult, frozen=True, kw_only=True, tag="texture"):
     surface; ssk, sku and sal for a flat one, std for one without a lay.
     """
 
+    main_fields: ClassVar[tuple[str, ...]] = ("sa",)
     region: Region
     options: TextureOptions = TextureOptions()
     sa: Length
@@ -358,11 +335,6 @@ class Texture(MeasurementResult, frozen=True, kw_only=True, tag="texture"):
     points: int
     measured_fraction: Fraction
 
-    @property
-    def main(self) -> Quantity:
-        """Sa."""
-        return self.sa.quantity
-
 
 class Roughness(MeasurementResult, frozen=True, kw_only=True, tag="roughness"):
     """ISO 21920-2 parameters along a line.
@@ -372,6 +344,7 @@ class Roughness(MeasurementResult, frozen=True, kw_only=True, tag="roughness"):
     """
 
     input_fields: ClassVar[tuple[str, ...]] = ("line",)
+    main_fields: ClassVar[tuple[str, ...]] = ("ra",)
     line: Region
     options: RoughnessOptions = RoughnessOptions()
     ra: Length
@@ -387,11 +360,6 @@ class Roughness(MeasurementResult, frozen=True, kw_only=True, tag="roughness"):
     points: int
     measured_fraction: Fraction
 
-    @property
-    def main(self) -> Quantity:
-        """Ra."""
-        return self.ra.quantity
-
 
 Side = Literal["left", "right", "lower", "upper"]
 
@@ -402,6 +370,7 @@ class KerfWidth(MeasurementResult, frozen=True, kw_only=True, tag="kerf_width"):
     first, second: the lines over the length of the detected edges; angle: between them, 0 if parallel.
     """
 
+    main_fields: ClassVar[tuple[str, ...]] = ("width",)
     region: Region
     options: KerfOptions = KerfOptions()
     width: Length
@@ -418,11 +387,6 @@ class KerfWidth(MeasurementResult, frozen=True, kw_only=True, tag="kerf_width"):
         """Both edges."""
         return self.first, self.second
 
-    @property
-    def main(self) -> Quantity:
-        """The mean width."""
-        return self.width.quantity
-
 
 class DieSize(MeasurementResult, frozen=True, kw_only=True, tag="die_size"):
     """A die measured by its four edges: width and height through the centre, rotation and squareness.
@@ -431,6 +395,7 @@ class DieSize(MeasurementResult, frozen=True, kw_only=True, tag="die_size"):
     the four corners where the edges intersect, anticlockwise from the lower left.
     """
 
+    main_fields: ClassVar[tuple[str, ...]] = ("width",)
     region: Region
     options: DieOptions = DieOptions()
     width: Length
@@ -447,11 +412,6 @@ class DieSize(MeasurementResult, frozen=True, kw_only=True, tag="die_size"):
         """Outline of the die."""
         return (self.outline,)
 
-    @property
-    def main(self) -> Quantity:
-        """The width."""
-        return self.width.quantity
-
 
 class CircleSize(MeasurementResult, frozen=True, kw_only=True, tag="circle"):
     """Least-squares circle through the edge of a round shape; roundness: RONt of ISO 12181 about it.
@@ -460,6 +420,7 @@ class CircleSize(MeasurementResult, frozen=True, kw_only=True, tag="circle"):
     """
 
     input_fields: ClassVar[tuple[str, ...]] = ("circle",)
+    main_fields: ClassVar[tuple[str, ...]] = ("diameter",)
     circle: Region
     options: CircleOptions = CircleOptions()
     diameter: Length
@@ -474,11 +435,6 @@ class CircleSize(MeasurementResult, frozen=True, kw_only=True, tag="circle"):
     def detected(self) -> tuple[Region, ...]:
         """The fitted circle."""
         return (self.found,)
-
-    @property
-    def main(self) -> Quantity:
-        """The diameter."""
-        return self.diameter.quantity
 
 
 class Chip(Spec, frozen=True, kw_only=True):
@@ -498,6 +454,7 @@ class Chipping(MeasurementResult, frozen=True, kw_only=True, tag="chipping"):
     than limit_um; chips: the deepest first; edge: the line; die: side of the edge on which the die lies.
     """
 
+    main_fields: ClassVar[tuple[str, ...]] = ("deepest",)
     region: Region
     options: ChippingOptions = ChippingOptions()
     deepest: Length
@@ -516,11 +473,6 @@ class Chipping(MeasurementResult, frozen=True, kw_only=True, tag="chipping"):
     def detected(self) -> tuple[Region, ...]:
         """Line of the edge."""
         return (self.edge,)
-
-    @property
-    def main(self) -> Quantity:
-        """The largest depth."""
-        return self.deepest.quantity
 
 
 class Bump(Spec, frozen=True, kw_only=True):
@@ -544,6 +496,7 @@ class Coplanarity(MeasurementResult, frozen=True, kw_only=True, tag="coplanarity
     left_out: bumps cut by the region, or with unmeasured tops.
     """
 
+    main_fields: ClassVar[tuple[str, ...]] = ("coplanarity",)
     region: Region
     options: CoplanarityOptions = CoplanarityOptions()
     coplanarity: Length
@@ -553,8 +506,3 @@ class Coplanarity(MeasurementResult, frozen=True, kw_only=True, tag="coplanarity
     left_out: int
     tilt_mrad: NonNegative
     bumps: tuple[Bump, ...] = ()
-
-    @property
-    def main(self) -> Quantity:
-        """The coplanarity."""
-        return self.coplanarity.quantity

@@ -109,6 +109,11 @@ class MeasuringTool:
     options: type[OptionsSpec] | None = None
     controls: tuple[Control, ...] = field(default=())
 
+    def __post_init__(self) -> None:
+        names = getattr(self.result, "main_fields", ())
+        if not names or not set(names) <= set(self.result.__struct_fields__):
+            raise TypeError(f"{self.result.__name__} must name the field with its main quantity in main_fields")
+
     @property
     def tag(self) -> str:
         """Name of its result type in files."""
