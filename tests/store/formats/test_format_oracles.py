@@ -20,6 +20,8 @@ from wafer_viewer.store.formats.readers import read_surface
 PLACE = {"pixel_um": 0.5, "x0_um": 1000.25, "y0_um": 2000.75}
 LOW, HIGH = (1000.25, 1971.25, 0.0), (1039.75, 2000.75, 40.915)
 """The corners of the points, in um."""
+EXTENTS = (*LOW, *HIGH, 1035.25, 1971.25, 1039.75, 1975.75)
+"""The corners, and those of the tall part, where x is large and y small, in um."""
 WIDTH_M, HEIGHT_M = 40e-6, 30e-6
 POINTS = 60 * 80 - 60
 
@@ -116,20 +118,22 @@ def test_open3d(written, ending):
         assert len(points) == POINTS
     else:
         points = np.asarray(open3d.io.read_triangle_mesh(str(written / f"a{ending}")).vertices)
-    hold_corners(points, ending)
+    np.testing.assert_allclose(extents(points, ending), EXTENTS, atol=1e-3)
 
 
 @pytest.mark.filterwarnings("ignore")
 @pytest.mark.parametrize("ending", [".ply", ".obj", ".stl"])
 def test_meshio(written, ending):
-    hold_corners(pytest.importorskip("meshio").read(written / f"a{ending}").points, ending)
+    points = pytest.importorskip("meshio").read(written / f"a{ending}").points
+    np.testing.assert_allclose(extents(points, ending), EXTENTS, atol=1e-3)
 
 
 @pytest.mark.slow
 @pytest.mark.filterwarnings("ignore")
 @pytest.mark.parametrize("ending", [".ply", ".obj", ".stl"])
 def test_pyvista(written, ending):
-    hold_corners(np.asarray(pytest.importorskip("pyvista").read(written / f"a{ending}").points), ending)
+    points = np.asarray(pytest.importorskip("pyvista").read(written / f"a{ending}").points)
+    np.testing.assert_allclose(extents(points, ending), EXTENTS, atol=1e-3)
 
 
 def test_cloud_compare(written, tmp_path):
@@ -145,17 +149,14 @@ def test_cloud_compare(written, tmp_path):
     )
     points = np.loadtxt(out)[:, :3]
     assert len(points) == POINTS
-    hold_corners(points, ".ply")
+    np.testing.assert_allclose(extents(points, ".ply"), EXTENTS, atol=1e-3)
 
 
-def hold_corners(points, ending):
-    """Extents, and the tall corner where x is large and y small."""
+def extents(points, ending):
+    """Lowest and highest corner of the points, then the same of those over 30 um in x and y, in stage um."""
     if ending == ".glb":  # m, and y up
         points = np.stack([points[:, 0], -points[:, 2], points[:, 1]], axis=1) * 1e6
     if ending in (".stl", ".pcd"):  # from the corner of the surface
         points = points + np.array([PLACE["x0_um"], PLACE["y0_um"], 0])
-    np.testing.assert_allclose(points.min(axis=0), LOW, atol=1e-3)
-    np.testing.assert_allclose(points.max(axis=0), HIGH, atol=1e-3)
     tall = points[points[:, 2] > 30]
-    np.testing.assert_allclose(tall.min(axis=0)[:2], (1035.25, 1971.25), atol=1e-3)
-    np.testing.assert_allclose(tall.max(axis=0)[:2], (1039.75, 1975.75), atol=1e-3)
+    return (*points.min(axis=0), *points.max(axis=0), *tall.min(axis=0)[:2], *tall.max(axis=0)[:2])

@@ -12,12 +12,14 @@ import hashlib
 import zlib
 from collections.abc import Iterable
 from dataclasses import dataclass
+from functools import cached_property
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 import numpy as np
 
 from wafer_viewer.model.acquisition.devices import PulseSummary
+from wafer_viewer.model.acquisition.flat_field import ImageShading
 from wafer_viewer.model.acquisition.focus_stack import Bracket, FieldStack, Image
 from wafer_viewer.model.acquisition.plan import MIN_FRAMES, Field, Shot
 from wafer_viewer.model.errors import DatasetError
@@ -25,10 +27,12 @@ from wafer_viewer.model.progress import Progress, ShouldStop, with_progress
 from wafer_viewer.store.dataset.frame_pages import map_pages, tags_crc32c
 from wafer_viewer.store.dataset.result import Result
 from wafer_viewer.store.dataset.scan_record import (
+    FLAT_FIELD,
     JOURNAL,
     RESULTS,
     FaultNoted,
     Finished,
+    FocusAtEnd,
     FrameKept,
     JournalReader,
     Line,
@@ -36,12 +40,15 @@ from wafer_viewer.store.dataset.scan_record import (
     PassBegun,
     PassEnded,
     ScanRecord,
+    WindowChanged,
     frames_file,
     read_record,
 )
 from wafer_viewer.store.io.checksums import KnownGood, file_mark, remedy
+from wafer_viewer.store.records.flat_fields import read_flat_field
 
 if TYPE_CHECKING:
+    from wafer_viewer.store.dataset.compression import CompressionReport
     from wafer_viewer.store.dataset.integrity import KindReport
 
 
@@ -81,6 +88,7 @@ class Dataset:
         self._is_provisional = False
         self._missed: dict[Shot, Missed] = {}
         self._faults: list[str] = []
+        self._focus_at_end: dict[int, tuple[bool, bool]] = {}
         self._ended = False
         self.refresh()
 
@@ -104,6 +112,10 @@ class Dataset:
                     self._provisional, self._is_provisional = {}, False
                 case FaultNoted():
                     self._faults.append(line.what)
+                case FocusAtEnd():
+                    self._focus_at_end[line.field] = line.low, line.high
+                case WindowChanged():
+                    self._change_window(line)
                 case PassBegun():
                     self._provisional, self._is_provisional = {}, line.provisional
                     self._ended = False
@@ -111,6 +123,13 @@ class Dataset:
                     self._ended = True
                 case _:
                     pass
+
+    def _change_window(self, line: WindowChanged) -> None:
+        self.scan = self.scan.with_window(line)
+        self._focus_at_end.pop(line.field, None)
+        for slots in (self._frames, self._provisional, self._missed):
+            for shot in [shot for shot in slots if shot.field == line.field]:
+                del slots[shot]
 
     @property
     def name(self) -> str:
@@ -155,6 +174,10 @@ class Dataset:
         """Return why lengths are uncalibrated, or None if calibrated. `today`: ISO 8601 date."""
         return self.scan.calibration_problem(today)
 
+    def focus_at_end(self) -> dict[int, tuple[bool, bool]]:
+        """Return the fields whose heights in focus touch the low or the high end of their window, by number."""
+        return dict(self._focus_at_end)
+
     def kept(self) -> set[Shot]:
         """Return the slots that have a frame, without those of the current pass."""
         return set(self._frames)
@@ -193,17 +216,18 @@ class Dataset:
         field = self.field(field_number)
         wanted = range(self.n_exposures) if exposure is None else (self._exposure(exposure),)
         lines = [self._lines(field_number, e) for e in wanted]
-        pages = map_pages(frames_file(self.path, field), self.scan.pages)
+        pages = map_pages(frames_file(self.path, field), self.scan.pages(field))
         first, *others = (self._bracket(pages, e, exposed) for e, exposed in zip(wanted, lines, strict=True))
         self._require_frames(field, int(first.present.sum()))
         present = [line for exposed in lines for line in exposed if line is not None]
         checksum = _checksum(present)
+        z_um = [self._z_um(field, exposed) for exposed in lines]
         if verify:
             self._require_valid_pages(field, pages, present, checksum)
         return FieldStack(
             field=field,
             images=first.images,
-            z_um=np.mean([self._z_um(field, exposed) for exposed in lines], axis=0),
+            z_um=np.mean(z_um, axis=0),
             present=first.present,
             pixel_um=self.scan.pixel_um,
             calibration=self.scan.calibration,
@@ -213,7 +237,30 @@ class Dataset:
             exposure_us=first.exposure_us,
             brackets=tuple(others),
             depth_of_field_um=self.scan.plan.depth_of_field_um,
+            exposure_z_um=tuple(z_um) if others else (),
+            shading=self.shading,
         )
+
+    @cached_property
+    def shading(self) -> ImageShading | None:
+        """Shading of the camera by the flat field of the calibration, None without one.
+
+        Raises
+        ------
+        DatasetError
+            If its file is missing, was changed, or has another size than the frames.
+        """
+        digest = None if self.scan.calibration is None else self.scan.calibration.flat_field_digest
+        if digest is None:
+            return None
+        path, plan = self.path / FLAT_FIELD, self.scan.plan
+        found = read_flat_field(path, digest)
+        if (found.rows, found.cols) != (plan.rows, plan.cols):
+            raise DatasetError(
+                f"{path} is of frames of {found.cols} x {found.rows} pixels, these have {plan.cols} x {plan.rows}: "
+                "restore it from a copy."
+            )
+        return found.shading()
 
     def check(self, progress: Progress | None = None, should_stop: ShouldStop | None = None) -> CheckReport:
         """Verify the checksum of every page against the journal, and the checksums of all other files."""
@@ -235,6 +282,23 @@ class Dataset:
         missing = sorted(self.missing(), key=lambda s: (s.field, s.k, s.exposure))
         return CheckReport(good, tuple(missing), tuple(damaged), tuple(faults), files)
 
+    def journal_lines(self, field: Field) -> list[FrameKept]:
+        """Return the journal lines of a field's frames, including those of the current pass."""
+        return [line for e in range(self.n_exposures) for line in self._lines(field.number, e) if line is not None]
+
+    def frame_bytes(self) -> int:
+        """Return the size of all frame files in bytes; a missing file counts 0."""
+        paths = [frames_file(self.path, field) for field in self.fields]
+        return sum(path.stat().st_size for path in paths if path.exists())
+
+    def compress(
+        self, codec: str = "zstd", progress: Progress | None = None, should_stop: ShouldStop | None = None
+    ) -> CompressionReport:
+        """Compress the frames without loss, or decompress them with the codec "none", as `compression.compress`."""
+        from wafer_viewer.store.dataset.compression import compress
+
+        return compress(self.path, codec, progress, should_stop)
+
     def results(self) -> tuple[str, ...]:
         """Return the names of the reconstructions."""
         return tuple(sorted(result.name for result in self._results() if not result.is_difference))
@@ -255,9 +319,9 @@ class Dataset:
         return [Result(p) for p in folders if not p.name.startswith(".")]
 
     def _lines(self, field_number: int, exposure: int) -> list[FrameKept | None]:
-        n_frames = self.scan.plan.sweep.n_frames
-        frames = self._provisional | self._frames
-        return [frames.get(Shot(field_number, k, exposure)) for k in range(n_frames)]
+        n_frames = self.scan.plan.sweep.frames_of(self.field(field_number))
+        shots = (Shot(field_number, k, exposure) for k in range(n_frames))
+        return [self._provisional.get(shot, self._frames.get(shot)) for shot in shots]
 
     def _bracket(self, pages: Image, exposure: int, lines: list[FrameKept | None]) -> Bracket:
         present = np.array([line is not None for line in lines])
@@ -272,7 +336,7 @@ class Dataset:
         return exposure
 
     def _shots(self, field: Field) -> list[Shot]:
-        n_frames = self.scan.plan.sweep.n_frames
+        n_frames = self.scan.plan.sweep.frames_of(field)
         return [Shot(field.number, k, e) for k in range(n_frames) for e in range(self.n_exposures)]
 
     def _z_um(self, field: Field, lines: list[FrameKept | None]) -> np.ndarray:
@@ -283,19 +347,24 @@ class Dataset:
     def _require_frames(self, field: Field, n_present: int) -> None:
         if n_present < MIN_FRAMES:
             raise DatasetError(
-                f"Field {field.number} of {self.path.name} has {n_present} of {self.scan.plan.sweep.n_frames} frames "
-                f"and at least {MIN_FRAMES} are needed: continue the scan."
+                f"Field {field.number} of {self.path.name} has {n_present} of "
+                f"{self.scan.plan.sweep.frames_of(field)} frames and at least {MIN_FRAMES} are needed: continue the "
+                "scan."
             )
 
     def _require_good_tags(self, field: Field, expected: int | None) -> None:
         """Raise DatasetError when the bytes around the pages changed; older datasets have no such checksum."""
         path = frames_file(self.path, field)
-        if expected is not None and tags_crc32c(path, self.scan.pages) != expected:
-            raise DatasetError(f"{path} is damaged, the checksum of its tags differs: restore it from a copy.")
+        if expected is not None and tags_crc32c(path, self.scan.pages(field)) != expected:
+            raise DatasetError(
+                f"{path} is damaged, the checksum of its tags differs: restore it from a copy, or have it written "
+                f"again from its frames (wafer-viewer compress {self.path.name} --codec none)."
+            )
 
     def _damaged(self, field: Field) -> list[Shot]:
         lines = [self._frames[shot] for shot in self._shots(field) if shot in self._frames]
-        return self._damaged_slots(map_pages(frames_file(self.path, field), self.scan.pages), lines) if lines else []
+        pages = map_pages(frames_file(self.path, field), self.scan.pages(field)) if lines else None
+        return self._damaged_slots(pages, lines) if pages is not None else []
 
     def _damaged_slots(self, pages: Image, lines: Iterable[FrameKept]) -> list[Shot]:
         """Return the slots of the journal lines whose checksum differs from that of their page."""

@@ -18,7 +18,7 @@ import numpy as np
 from wafer_viewer.model.errors import DatasetError
 from wafer_viewer.model.progress import Progress, ShouldStop, with_progress
 from wafer_viewer.store.dataset.result import DRAWING, FINDINGS, MOSAIC, POSES, SURFACES, Result
-from wafer_viewer.store.dataset.scan_record import FRAMES, JOURNAL
+from wafer_viewer.store.dataset.scan_record import FRAMES, JOURNAL, SCHEMA_VERSION, with_version
 from wafer_viewer.store.io.atomic_files import natural_sort_key, size
 from wafer_viewer.store.io.checksums import (
     Checksum,
@@ -172,6 +172,7 @@ def _kind(title: str, pattern: str, examine: Examine | None) -> FileRole:
 _RESULT = r"results/[^/]+/"
 KINDS = (
     _kind("Scan record", r"scan\.json", _json_state),
+    _kind("Flat field", r"flat-field\.json", _json_state),
     _kind("Journal", re.escape(JOURNAL), _journal_state),
     _kind("Recipes", _RESULT + r"(recipe|settled)\.json", _json_state),
     _kind("Surfaces of fields", _RESULT + r"surfaces/[^/]+\.npz", archive_state),
@@ -247,6 +248,10 @@ def _digest(what: str, subject: str, folder: Path, files: list[Path]) -> Digest:
 
 
 def _add(digest: hashlib._Hash, path: Path) -> None:
+    """Add a file; the record as it was before its frames were compressed, which changes no number of the scan."""
+    if path.name == SCAN:
+        digest.update(with_version(path.read_bytes(), SCHEMA_VERSION))
+        return
     with path.open("rb") as file:
         while piece := file.read(PIECE):
             digest.update(piece)

@@ -53,6 +53,11 @@ class Lock:
         _write(descriptor, msgspec.json.encode(Holder(os.getpid(), socket.gethostname(), _now())))
         return cls(descriptor)
 
+    @property
+    def held(self) -> bool:
+        """True until the lock is released."""
+        return self._descriptor >= 0
+
     def release(self) -> None:
         """Release the lock; idempotent."""
         if self._descriptor >= 0:

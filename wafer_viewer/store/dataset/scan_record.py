@@ -6,6 +6,7 @@ A torn last line, as after a power failure, is ignored; a damaged line anywhere 
 from __future__ import annotations
 
 import os
+import re
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Annotated, Any, ClassVar
@@ -15,31 +16,38 @@ import msgspec
 from wafer_viewer.model.acquisition.calibration import Calibration, OpticalSetup
 from wafer_viewer.model.acquisition.devices import PulseSummary
 from wafer_viewer.model.acquisition.plan import Axis, Field, ScanPlan, Shot
+from wafer_viewer.model.acquisition.positioners import PositionerReading
 from wafer_viewer.model.errors import DatasetError, WaferViewerError
 from wafer_viewer.model.job import Job
 from wafer_viewer.model.spec import Spec, Within, decode
 from wafer_viewer.store.dataset.frame_pages import PageShape
-from wafer_viewer.store.io.atomic_files import os_errors_as_dataset_errors
+from wafer_viewer.store.io.atomic_files import os_errors_as_dataset_errors, write_text
 from wafer_viewer.store.io.checksums import (
     Checksum,
     damaged,
     line_state,
     save_json,
     sealed_line,
+    sealed_text,
     strip_checksum,
     text_state,
 )
 
-SCHEMA_VERSION = 1
+SCHEMA_VERSION, COMPRESSED_VERSION = 1, 2
+"""Format of a dataset as it is scanned, and of one with compressed frame files, which older programs cannot read."""
+_VERSION = re.compile(rb'("schema_version": ?)\d+')
 RECORD, FRAMES, JOURNAL, RESULTS = "scan.json", "frames", "journal.jsonl", "results"
+FLAT_FIELD = "flat-field.json"
+"""Flat field that the calibration names; absent without one."""
 
 
 class ScanRecord(Spec, frozen=True, kw_only=True):
     """Plan, job, rig, calibration, program version and format version.
 
-    bits: 8, or up to 16 stored in 16; taken: start of the scan, ISO 8601; imported_from: source of imported images,
-    empty for a scan; frame_tag_checksums: CRC-32C of all bytes outside the pages in the file of each field, in the
-    order of the fields, empty in datasets of older versions.
+    schema_version: 1, or 2 when frame files may be compressed; bits: 8, or up to 16 stored in 16; taken: start of the
+    scan, ISO 8601; positioners: positions of light, objective, zoom, tilts and rotation at its start, as far as they
+    are motorised; imported_from: source of imported images, empty for a scan; frame_tag_checksums: CRC-32C of all
+    bytes outside the pages in the file of each field, in the order of the fields, empty in datasets of older versions.
     """
 
     error: ClassVar[type[WaferViewerError]] = DatasetError
@@ -51,21 +59,39 @@ class ScanRecord(Spec, frozen=True, kw_only=True):
     imported_from: str = ""
     bits: Annotated[int, Within(8, 16)] = 8
     setup: OpticalSetup = OpticalSetup()
+    positioners: tuple[PositionerReading, ...] = ()
     calibration: Calibration | None = None
     job: Job
     plan: ScanPlan
     frame_tag_checksums: tuple[int, ...] = ()
 
     @property
+    def is_compressed(self) -> bool:
+        """True if frame files may be compressed."""
+        return self.schema_version == COMPRESSED_VERSION
+
+    @property
     def n_exposures(self) -> int:
         """Number of frames at each z."""
         return len(self.plan.exposures_us)
 
-    @property
-    def pages(self) -> PageShape:
-        """Page layout of each frame file."""
+    def pages(self, field: Field) -> PageShape:
+        """Return the page layout of the frame file of a field."""
         plan = self.plan
-        return PageShape(plan.sweep.n_frames * self.n_exposures, plan.rows, plan.cols, self.bits)
+        return PageShape(plan.sweep.frames_of(field) * self.n_exposures, plan.rows, plan.cols, self.bits)
+
+    def with_window(self, window: WindowChanged) -> ScanRecord:
+        """Return the record with another z window of a field, which then has another frame file."""
+        fields = tuple(
+            msgspec.structs.replace(field, z_start_um=window.z_start_um, n_frames=window.n_frames)
+            if field.number == window.field
+            else field
+            for field in self.plan.fields
+        )
+        tags = {**self.tags_crc32c(), window.field: window.tags_crc32c}
+        checksums = tuple(tags[field.number] for field in fields) if self.frame_tag_checksums else ()
+        plan = msgspec.structs.replace(self.plan, fields=fields)
+        return msgspec.structs.replace(self, plan=plan, frame_tag_checksums=checksums)
 
     @property
     def pixel_um(self) -> float:
@@ -108,12 +134,27 @@ def read_record(folder: Path) -> ScanRecord:
     if text_state(text) is Checksum.DAMAGED:
         raise damaged(folder / RECORD)
     version = _schema_version(text)
-    if version > SCHEMA_VERSION:
+    if version > COMPRESSED_VERSION:
         raise DatasetError(
-            f"{folder} has format {version} and this program reads formats up to {SCHEMA_VERSION}: "
+            f"{folder} has format {version} and this program reads formats up to {COMPRESSED_VERSION}: "
             "open it with a newer Wafer Viewer."
         )
     return decode(strip_checksum(text), ScanRecord, str(folder / RECORD), "json")
+
+
+def set_version(folder: Path, version: int) -> None:
+    """Change the format version in ``scan.json`` and nothing else, atomically."""
+    text = _record_text(folder)
+    if (changed := with_version(text, version)) != text:
+        write_text(folder / RECORD, changed.decode())
+
+
+def with_version(text: bytes, version: int) -> bytes:
+    """Return the text of a ``scan.json`` with another format version, sealed if it was before."""
+    changed = _VERSION.sub(rb"\g<1>%d" % version, strip_checksum(text), count=1)
+    if text_state(text) is Checksum.NONE:
+        return changed
+    return sealed_text(changed.decode()).encode()
 
 
 def _record_text(folder: Path) -> bytes:
@@ -193,13 +234,34 @@ class FaultNoted(msgspec.Struct, frozen=True, tag="fault"):
     time: str
 
 
+class FocusAtEnd(msgspec.Struct, frozen=True, tag="focus_at_end"):
+    """Field with heights in focus at the lowest or the highest frame of its window."""
+
+    field: int
+    low: bool
+    high: bool
+
+
+class WindowChanged(msgspec.Struct, frozen=True, tag="window_changed"):
+    """Another z window of a field, which is taken again: its earlier frames do not count.
+
+    n_frames: None for the whole sweep; tags_crc32c: CRC-32C of all bytes outside the pages of its new file.
+    """
+
+    field: int
+    z_start_um: float
+    n_frames: int | None
+    tags_crc32c: int
+    time: str
+
+
 class Finished(msgspec.Struct, frozen=True, tag="finished"):
     """End of the scan; slots that are empty now stay empty."""
 
     time: str
 
 
-Line = PassBegun | FrameKept | Missed | Repaired | PassEnded | FaultNoted | Finished
+Line = PassBegun | FrameKept | Missed | Repaired | PassEnded | FaultNoted | FocusAtEnd | WindowChanged | Finished
 _DECODER = msgspec.json.Decoder(Line)
 _DAMAGE = (msgspec.DecodeError, ValueError)
 

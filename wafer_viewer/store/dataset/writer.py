@@ -17,17 +17,29 @@ import numpy as np
 from wafer_viewer._version import __version__
 from wafer_viewer.model.acquisition.calibration import Calibration, OpticalSetup
 from wafer_viewer.model.acquisition.devices import PulseSummary
+from wafer_viewer.model.acquisition.flat_field import FlatField
 from wafer_viewer.model.acquisition.focus_stack import Frame, FrameStatus, Image
-from wafer_viewer.model.acquisition.plan import Leg, ScanPlan, Shot
+from wafer_viewer.model.acquisition.plan import Field, Leg, ScanPlan, Shot
+from wafer_viewer.model.acquisition.positioners import PositionerReading
 from wafer_viewer.model.errors import DatasetError
 from wafer_viewer.model.job import Job
 from wafer_viewer.model.spec import replace
 from wafer_viewer.store.dataset import scan_record
+from wafer_viewer.store.dataset.compression import decompress_fields, write_headers
 from wafer_viewer.store.dataset.dataset import Dataset
 from wafer_viewer.store.dataset.frame_pages import PageWriter, create_pages, tags_crc32c
 from wafer_viewer.store.dataset.lock import Lock
-from wafer_viewer.store.dataset.scan_record import FRAMES, JOURNAL, RESULTS, ScanRecord, frames_file, write_record
+from wafer_viewer.store.dataset.scan_record import (
+    FLAT_FIELD,
+    FRAMES,
+    JOURNAL,
+    RESULTS,
+    ScanRecord,
+    frames_file,
+    write_record,
+)
 from wafer_viewer.store.io.atomic_files import os_errors_as_dataset_errors, remove, require_space
+from wafer_viewer.store.io.checksums import save_json
 
 OnFieldComplete = Callable[[int], None]
 
@@ -46,8 +58,11 @@ class DatasetWriter:
         self._files: dict[int, PageWriter] = {}
         self._journal = scan_record.JournalWriter(path / JOURNAL)
         self._stored = Dataset(path, record).kept()
+        self._focus_at_end = Dataset(path, record).focus_at_end()
         self._provisional: set[Shot] | None = None
         """Slots with a frame of the current pass; None between passes, where a frame counts at once."""
+        self._changed: set[int] = set()
+        """Numbers of the fields that got frames."""
         self._n_stored_of_field = Counter(shot.field for shot in self._stored)
 
     @classmethod
@@ -63,9 +78,13 @@ class DatasetWriter:
         simulated: bool = False,
         imported_from: str = "",
         bits: int = 8,
+        flat_field: FlatField | None = None,
+        positioners: tuple[PositionerReading, ...] = (),
         on_field_complete: OnFieldComplete | None = None,
     ) -> Self:
         """Create a dataset with all its disk space, and lock it.
+
+        flat_field: that of the calibration.
 
         Raises DatasetError, with everything removed, when the path exists, cannot be written to or has not enough
         space.
@@ -79,6 +98,7 @@ class DatasetWriter:
             imported_from=imported_from,
             bits=bits,
             setup=setup,
+            positioners=positioners,
             calibration=calibration,
             job=job,
             plan=plan,
@@ -88,20 +108,28 @@ class DatasetWriter:
         with contextlib.ExitStack() as undo:
             undo.callback(remove, folder)
             lock = Lock.take(folder)
-            _create_files(folder, record)
+            record = _create_files(folder, record, flat_field)
             made = cls(folder, record, lock, on_field_complete)
             undo.pop_all()
             return made
 
     @classmethod
     def resume(cls, path: str | Path, *, on_field_complete: OnFieldComplete | None = None) -> Self:
-        """Lock a dataset to continue its scan. Raises DatasetError when it is none or is locked."""
+        """Lock a dataset to continue its scan; files that lack frames are decompressed.
+
+        Raises DatasetError when it is none or is locked, and when there is no space for what is decompressed.
+        """
         folder = Path(path)
-        record = Dataset.open(folder).scan
+        data = Dataset.open(folder)
         lock = Lock.take(folder)
         with contextlib.ExitStack() as undo:
             undo.callback(lock.release)
-            held = cls(folder, record, lock, on_field_complete)
+            data.refresh()
+            held = cls(folder, data.scan, lock, on_field_complete)
+            held._mend_files()
+            if data.scan.is_compressed:
+                complete = data.complete_fields()
+                decompress_fields(data, [field for field in data.fields if field.number not in complete])
             undo.pop_all()
             return held
 
@@ -148,6 +176,44 @@ class DatasetWriter:
         shots, self._provisional = self._provisional or set[Shot](), None
         self._count(shots)
 
+    @property
+    def focus_at_end(self) -> dict[int, tuple[bool, bool]]:
+        """Fields whose heights in focus touch the low or the high end of their window, by number."""
+        return dict(self._focus_at_end)
+
+    def note_focus_at_end(self, field_number: int, ends: tuple[bool, bool]) -> None:
+        """Record that heights in focus touch the ends (low, high) of the window of a field."""
+        self._journal.write(scan_record.FocusAtEnd(field_number, *ends))
+        self._focus_at_end[field_number] = ends
+
+    def change_window(self, field: Field) -> None:
+        """Give a field another z window: a new file replaces its frames, which no longer count."""
+        path = frames_file(self.path, field)
+        pages = self.record.pages(field)
+        require_space(self.path, pages.file_bytes, self.path.name)
+        new = _part(path)
+        create_pages(new, pages, self.record.pixel_um, _description(self.record, field.number))
+        changed = scan_record.WindowChanged(
+            field.number, field.z_start_um, field.n_frames, tags_crc32c(new, pages), _now()
+        )
+        self._journal.write(changed)
+        with os_errors_as_dataset_errors(path):
+            new.replace(path)
+        self.record = self.record.with_window(changed)
+        self._fields[field.number] = field
+        self._files.pop(field.number, None)
+        self._focus_at_end.pop(field.number, None)
+        self._stored = {shot for shot in self._stored if shot.field != field.number}
+        self._n_stored_of_field[field.number] = 0
+
+    def _mend_files(self) -> None:
+        """Make the file of a window again that was changed when the program ended."""
+        for field in self.record.plan.fields:
+            path = frames_file(self.path, field)
+            part = _part(path)
+            if part.exists():
+                part.unlink() if self._n_stored_of_field[field.number] else part.replace(path)
+
     def fault(self, what: str) -> None:
         """Record a fault for the operator."""
         self._journal.write(scan_record.FaultNoted(what, _now()))
@@ -157,9 +223,17 @@ class DatasetWriter:
         self._journal.write(scan_record.Finished(_now()))
 
     def close(self) -> None:
-        """Close the journal and release the lock; idempotent."""
+        """Describe the frames in their files, close the journal and release the lock; idempotent.
+
+        A description that cannot be written is left out: the frames and the journal are complete without it.
+        """
         self._journal.close()
-        self._lock.release()
+        try:
+            if self._lock.held:
+                with contextlib.suppress(DatasetError, OSError):
+                    write_headers(Dataset(self.path, self.record), self._changed)
+        finally:
+            self._lock.release()
 
     def __enter__(self) -> Self:
         return self
@@ -171,6 +245,7 @@ class DatasetWriter:
 
     def _store(self, frame: Frame, image: Image) -> None:
         shot = frame.shot
+        self._changed.add(shot.field)
         self._file(shot.field).write(self.record.page_of(shot.k, shot.exposure), image)
         self._journal.write(
             scan_record.FrameKept(
@@ -194,12 +269,14 @@ class DatasetWriter:
         self._stored |= shots
         for number, n_new in Counter(shot.field for shot in shots).items():
             self._n_stored_of_field[number] += n_new
-            if self._n_stored_of_field[number] == self.record.pages.n_pages and self.on_field_complete is not None:
+            n_pages = self.record.pages(self._fields[number]).n_pages
+            if self._n_stored_of_field[number] == n_pages and self.on_field_complete is not None:
                 self.on_field_complete(number)
 
     def _checked(self, shot: Shot, image: Image) -> Image:
-        pages = self.record.pages
-        if shot.field not in self._fields or not 0 <= self.record.page_of(shot.k, shot.exposure) < pages.n_pages:
+        field = self._fields.get(shot.field)
+        pages = self.record.pages(field or self.record.plan.fields[0])
+        if field is None or not 0 <= self.record.page_of(shot.k, shot.exposure) < pages.n_pages:
             raise DatasetError(
                 f"{shot} is not in the plan of {self.path.name}: continue with the plan it was started with."
             )
@@ -213,9 +290,14 @@ class DatasetWriter:
 
     def _file(self, field_number: int) -> PageWriter:
         if field_number not in self._files:
-            path = frames_file(self.path, self._fields[field_number])
-            self._files[field_number] = PageWriter(path, self.record.pages)
+            field = self._fields[field_number]
+            self._files[field_number] = PageWriter(frames_file(self.path, field), self.record.pages(field))
         return self._files[field_number]
+
+
+def _part(path: Path) -> Path:
+    """Return the path of a frame file that is not in force yet."""
+    return path.with_name(f".{path.name}.window")
 
 
 def _make_folder(folder: Path) -> None:
@@ -225,24 +307,30 @@ def _make_folder(folder: Path) -> None:
         folder.mkdir()
 
 
-def _create_files(folder: Path, record: ScanRecord) -> None:
-    """Create everything except the frames; ``scan.json`` is last, so that a partial folder is no dataset."""
-    pages = record.pages
-    require_space(folder, pages.file_bytes * len(record.plan.fields), folder.name)
+def _create_files(folder: Path, record: ScanRecord, flat_field: FlatField | None) -> ScanRecord:
+    """Create everything except the frames and return the record with the checksums of their files.
+
+    ``scan.json`` is last, so that a partial folder is no dataset.
+    """
+    require_space(folder, sum(record.pages(field).file_bytes for field in record.plan.fields), folder.name)
     with os_errors_as_dataset_errors(folder):
         (folder / FRAMES).mkdir()
         (folder / RESULTS).mkdir()
         (folder / JOURNAL).touch()
+    if flat_field is not None:
+        save_json(folder / FLAT_FIELD, flat_field)
     tags: list[int] = []
     for field in record.plan.fields:
-        path = frames_file(folder, field)
+        path, pages = frames_file(folder, field), record.pages(field)
         create_pages(path, pages, record.pixel_um, _description(record, field.number))
         tags.append(tags_crc32c(path, pages))
-    write_record(folder, replace(record, frame_tag_checksums=tuple(tags)))
+    complete = replace(record, frame_tag_checksums=tuple(tags))
+    write_record(folder, complete)
+    return complete
 
 
-def _description(record: ScanRecord, field_number: int) -> str:
-    """Return the metadata for the first page of the TIFF, as ASCII JSON, for other TIFF readers."""
+def _description(record: ScanRecord, field_number: int) -> bytes:
+    """Return the metadata for the first page of a TIFF that is being scanned, as ASCII JSON, for other readers."""
     about = {
         "field": field_number,
         "page": "k * n_exposures + exposure",
@@ -253,7 +341,7 @@ def _description(record: ScanRecord, field_number: int) -> str:
         "SIMULATED": record.simulated,
         "software": f"Wafer Viewer {record.software_version}",
     }
-    return msgspec.json.encode(about).decode()
+    return msgspec.json.encode(about)
 
 
 def _require_distinct_names(plan: ScanPlan) -> None:

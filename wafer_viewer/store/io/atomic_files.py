@@ -9,6 +9,7 @@ import secrets
 import shutil
 from collections.abc import Generator
 from contextlib import contextmanager, suppress
+from itertools import count
 from pathlib import Path
 
 from wafer_viewer.model.errors import DatasetError
@@ -50,6 +51,23 @@ def os_errors_as_dataset_errors(path: Path) -> Generator[None]:
     except OSError as fault:
         mend = _MENDS.get(fault.errno or 0, f"{(fault.strerror or str(fault)).lower()}: choose another folder")
         raise DatasetError(f"{path} cannot be written: {mend}.") from fault
+
+
+def new_file(folder: Path, name: str, ending: str) -> Path:
+    """Make an empty file with the first free number, as ``NAME-3.ENDING``; nobody else gets the same one.
+
+    Raises DatasetError when the folder cannot be written to.
+    """
+    paths = (folder / f"{name}-{n}{ending}" for n in count(1))
+    return next(path for path in paths if _claimed(path))
+
+
+def _claimed(path: Path) -> bool:
+    """Make an empty file; return False if there is a file of that name."""
+    with os_errors_as_dataset_errors(path), suppress(FileExistsError):
+        path.touch(exist_ok=False)
+        return True
+    return False
 
 
 def write_text(path: Path, text: str) -> None:

@@ -57,6 +57,30 @@ def crc32c(content: bytes, before: int = 0) -> int:
     return google_crc32c.extend(before, content)
 
 
+def closing_bytes(before: int, after: bytes, wanted: int) -> bytes:
+    """Return four bytes that, between bytes of CRC-32C `before` and the bytes `after`, make the CRC-32C `wanted`.
+
+    The CRC is affine in the bits of the four bytes, so 32 linear equations modulo 2 give them.
+    """
+
+    def crc(bits: int) -> int:
+        return crc32c(after, crc32c(bits.to_bytes(4, "little"), before))
+
+    basis: dict[int, tuple[int, int]] = {}
+
+    def reduced(value: int, bits: int) -> tuple[int, int]:
+        while value.bit_length() in basis:
+            of_basis, its_bits = basis[value.bit_length()]
+            value, bits = value ^ of_basis, bits ^ its_bits
+        return value, bits
+
+    zero = crc(0)
+    for bits in (1 << i for i in range(32)):
+        value, combined = reduced(crc(bits) ^ zero, bits)
+        basis[value.bit_length()] = value, combined
+    return reduced(wanted ^ zero, 0)[1].to_bytes(4, "little")
+
+
 # ------------------------------------------------------------------------------------------------ JSON
 
 
@@ -169,7 +193,7 @@ def seal_archive(path: Path) -> None:
         file.seek(-2, os.SEEK_END)
         file.write(_COMMENT_BYTES.to_bytes(2, "little"))
         file.write(b"crc32c=")
-    crc = _crc_of_file(path, path.stat().st_size)
+    crc = crc_of_file(path, path.stat().st_size)
     with path.open("ab") as file:
         file.write(b"%08x" % crc)
 
@@ -181,7 +205,7 @@ def archive_state(path: Path) -> Checksum:
         file.seek(max(0, n_bytes - _END_BYTES))
         tail = file.read()
     if (comment := _COMMENT.search(tail)) is not None:
-        return _compared(comment[1], _crc_of_file(path, n_bytes - len(comment[1])))
+        return _compared(comment[1], crc_of_file(path, n_bytes - len(comment[1])))
     plain = tail.startswith(_END_OF_ARCHIVE) and tail.endswith(b"\0\0")
     return Checksum.NONE if plain or _END_OF_ARCHIVE not in tail + _before(path, n_bytes) else Checksum.DAMAGED
 
@@ -209,7 +233,8 @@ def _before(path: Path, n_bytes: int) -> bytes:
         return file.read(_COMMENT_BYTES)
 
 
-def _crc_of_file(path: Path, n_bytes: int) -> int:
+def crc_of_file(path: Path, n_bytes: int) -> int:
+    """Return the CRC-32C of the first bytes of a file."""
     if not n_bytes:
         return 0
     mapped, crc = np.memmap(path, np.uint8, "r", shape=(n_bytes,)), 0

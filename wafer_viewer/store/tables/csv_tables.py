@@ -57,9 +57,8 @@ def findings_csv(findings: MeasurementResults) -> str:
 
 def _numbers(finding: AnyResult) -> Iterator[CsvNumber]:
     """Yield the numbers of a result, the main one first."""
-    found = [n for name in finding.__struct_fields__ if name not in OF_ALL and (n := _number(finding, name))]
-    main = finding.main
-    return iter(sorted(found, key=lambda n: (n.value, n.unit, n.status) != (main.value, main.unit, main.status)))
+    names = sorted(finding.__struct_fields__, key=lambda name: name != finding.main_field)
+    return (n for name in names if name not in OF_ALL and (n := _number(finding, name)))
 
 
 def _parts(finding: AnyResult) -> Iterator[tuple[CsvNumber, list[str]]]:
