@@ -10,6 +10,7 @@ from wafer_viewer.model.acquisition.devices import Rig
 from wafer_viewer.model.errors import RigError, WaferViewerError
 from wafer_viewer.model.spec import Spec, Within, decode
 from wafer_viewer.rigs.composed.devices import DevicesConfig
+from wafer_viewer.rigs.virtual.calibration_errors import CalibrationErrors
 from wafer_viewer.rigs.virtual.faults import Faults
 
 if TYPE_CHECKING:
@@ -19,8 +20,10 @@ if TYPE_CHECKING:
 class RigConfig(Spec, frozen=True, kw_only=True):
     """Configuration of a rig in FILE.toml; the default is the virtual wafer with a small camera.
 
-    scene, size, seed, faults: of the virtual rig, with simulated faults to test the scan's response; devices: by role,
-    of a composed rig; real_time: time of simulated devices follows the wall clock.
+    scene, size, faults: of the virtual rig, with simulated faults to test the scan's response; calibration_errors: of
+    the virtual rig, hidden, for calibrations to find; devices: by role, of a composed rig; real_time: time of simulated
+    devices follows the wall clock; seed: of the camera noise and the scale errors of simulated devices, so that a scan
+    can be reproduced. Without it the noise differs in every scan.
     """
 
     error: ClassVar[type[WaferViewerError]] = RigError
@@ -29,8 +32,9 @@ class RigConfig(Spec, frozen=True, kw_only=True):
     scene: str = "wafer"
     size: Literal["small", "full"] = "small"
     real_time: bool = False
-    seed: Annotated[int, Within(0, 2**31)] = 0
+    seed: Annotated[int, Within(0, 2**31)] | None = None
     faults: Faults = Faults()
+    calibration_errors: CalibrationErrors = CalibrationErrors()
     devices: DevicesConfig | None = None
 
     def __post_init__(self) -> None:
@@ -52,6 +56,7 @@ def open_virtual(config: RigConfig) -> Rig:
         real_time=config.real_time,
         seed=config.seed,
         faults=config.faults,
+        errors=config.calibration_errors,
     )
 
 
@@ -59,7 +64,7 @@ def device_opener(config: RigConfig) -> DeviceOpener | None:
     """Return the opener of the devices of a composed rig, None for other kinds."""
     from wafer_viewer.rigs.composed.rig import DeviceOpener
 
-    return config.devices and DeviceOpener(config.name, config.devices, real_time=config.real_time)
+    return config.devices and DeviceOpener(config.name, config.devices, real_time=config.real_time, seed=config.seed)
 
 
 def open_composed(config: RigConfig) -> Rig:

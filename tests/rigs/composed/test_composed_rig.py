@@ -97,6 +97,20 @@ def test_a_whole_scan_through_the_drivers_takes_every_frame_where_it_should(name
         assert (frame.x_um, frame.y_um) == pytest.approx((field.x_um, field.y_um), abs=1.0)
 
 
+def test_a_scan_through_the_drivers_is_referenced_by_the_index_marks_of_its_axes(opened):
+    data = simulated("zaber_simulated")
+    for axis, index_um in {"x": 1_000.0, "y": -1_000.0, "z": -500.0}.items():
+        data["devices"]["axes"][axis]["index_um"] = index_um
+    rig = opened(data)
+    limits = rig.limits
+    grid = FieldGrid(rows=1, cols=2, field_width_um=limits.field_width_um, field_height_um=limits.field_height_um)
+    plan = plan_scan(grid.fields(-10.0), FocusSweep(z_step_um=2.0, n_frames=6), (100.0,), limits, "z_snake")
+    sink = Sink()
+    outcome = run_scan(plan, rig, sink, sink)
+    assert (outcome.kept, outcome.missing, sink.faults) == (plan.n_frames, (), [])
+    assert all(rig.box.latched(axis) is not None for axis in "xyz")
+
+
 def test_limits_setup_and_name_are_those_of_the_file(opened):
     rig = opened(simulated("grbl_pi"))
     assert rig.name == "GRBL and PI bench"
@@ -130,6 +144,8 @@ WRONG = {
     "devices.axes.x.units_per_um": (0.0, r"units_per_um is 0\.0.*over 0"),
     "devices.axes.x.speed_um_s": (-1.0, r"speed_um_s is -1\.0.*over 0"),
     "devices.axes.x.high_um": (-60_000.0, r"high_um is -60000.*over low_um"),
+    "devices.axes.x.index_um": (60_000.0, r"index_um is 60000.*between -50000 and 50000, within the range"),
+    "devices.axes.z.index_um": (4_600.0, r"axes\.z\.index_um is 4600: it must be below .*safe_z_um, which is 4500"),
     "devices.axes.x.range": (3, r"unknown key.*range.*devices\.axes\.x"),
     "devices.axes.x.counts_per_um": (None, r"counts_per_um.*devices\.axes\.x"),
     "devices.axes.y": (None, r"y.*devices\.axes"),
@@ -197,4 +213,4 @@ def test_a_port_that_is_not_there_is_named_with_those_that_are(opened):
 
     opener = device_opener(read_config(RIGS / "grbl_pi.toml"))
     with pytest.raises(RigError, match=r"/dev/ttyUSB0 cannot be opened.*Ports of this machine"):
-        opener.stage()
+        opener.controllers()

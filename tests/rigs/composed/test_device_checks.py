@@ -2,13 +2,15 @@
 
 from __future__ import annotations
 
+import dataclasses
+
 import pytest
 
 from tests.support.paths import ROOT
 from wafer_viewer.model.acquisition.rig_limits import AxisLimits
 from wafer_viewer.model.errors import RigError
 from wafer_viewer.model.spec import replace
-from wafer_viewer.rigs.composed.device_checks import check_devices, check_stage
+from wafer_viewer.rigs.composed.device_checks import check_devices, check_index_marks, check_stage
 from wafer_viewer.rigs.rig_config import device_opener, read_config
 from wafer_viewer.rigs.virtual.rig import VirtualRig, virtual_limits
 
@@ -127,3 +129,59 @@ def test_a_stage_that_fails_is_a_finding_and_an_interruption_stops_it(rig):
     with pytest.raises(KeyboardInterrupt):
         list(check_stage(stage, None, axes_of(rig), move=False))
     assert stage.stopped
+
+
+SAFE_UM = 5_000.0
+MARKS_UM = {"z": -4_000.0, "y": -3_000.0}
+
+
+@pytest.fixture
+def marked():
+    """A rig whose z and y scales have index marks, and its axes."""
+    limits = virtual_limits(16, 24)
+    known = {axis: replace(limits.axis(axis), index_um=um) for axis, um in MARKS_UM.items()}
+    rig = VirtualRig(limits=replace(limits, **known), renderer=object())
+    rig.stage.move_to(x_um=100.0, y_um=200.0, z_um=50.0)
+    yield rig
+    rig.close()
+
+
+def marks_of(rig, *, move, box=None):
+    return list(check_index_marks(rig.stage, box or rig.box, axes_of(rig), SAFE_UM, move=move))
+
+
+def test_marks_are_named_at_rest_and_passed_on_request_only(marked):
+    z, y = marks_of(marked, move=False)
+    assert z.what == "Index mark of z"
+    assert "at -3000.00 um by the rig's file; the pulse box has an input for it" in y.found
+    assert marked.box.latched("y") is None
+    z, y = marks_of(marked, move=True)
+    assert "met at -4000.00 um by the position of the stage, -4000.00 um by the rig's file" in z.found
+    assert z.mend == y.mend == ""
+    at = marked.stage.position()
+    assert (at.x_um, at.y_um, at.z_um) == pytest.approx((100.0, 200.0, 50.0), abs=0.1), "back at the start"
+
+
+def test_a_mark_elsewhere_or_nowhere_is_told_with_its_mend(marked):
+    marked.stage.axes["y"].index_um += 3.5
+    marked.stage.axes["z"].index_um = None
+    z, y = marks_of(marked, move=True)
+    assert z.found == "not met between -4200.00 and -3800.00 um"
+    assert "check its cable" in z.mend
+    assert "set index_um of the y axis to -2996.50" in y.mend
+
+
+def test_a_box_without_inputs_for_marks_is_told_before_anything_moves(marked):
+    class Old:
+        def hello(self):
+            return dataclasses.replace(marked.box.hello(), name="old", has_index=False)
+
+    checks = marks_of(marked, move=True, box=Old())
+    assert [check.what for check in checks] == ["Index mark of z", "Index mark of y"]
+    assert "(old) has no inputs for index marks" in checks[0].found
+    assert "update its firmware" in checks[0].mend
+    assert marked.stage.position().y_um == pytest.approx(200.0)
+
+
+def test_a_rig_without_marks_has_no_such_check(rig):
+    assert marks_of(rig, move=True) == []

@@ -4,18 +4,20 @@ from __future__ import annotations
 
 import pytest
 
+from tests.rigs.stages.conftest import BENCHES
+from wafer_viewer.acquire.conformance import stage_checks
+from wafer_viewer.acquire.conformance.bench import ConformanceBench
 from wafer_viewer.model.errors import MotionStopped, RigError
 
 LATE_S = 0.1
 """A busy machine may look that late at a rig that lives in real time."""
 
 
-def test_it_goes_where_it_is_told_and_leaves_the_other_axes(rig):
-    rig.stage.move_to(x_um=40.0, z_um=12.0)
-    rig.stage.move_to(y_um=-20.0)
-    at = rig.stage.position()
-    assert (at.x_um, at.y_um, at.z_um) == pytest.approx((40.0, -20.0, 12.0), abs=0.1)
-    assert not rig.stage.moving()
+@pytest.mark.parametrize("check", stage_checks.CHECKS, ids=lambda check: check.name)
+@pytest.mark.parametrize("kind", [kind for kind in BENCHES if "real time" not in kind])
+def test_it_meets_the_demands_of_the_conformance_checks(kind, check):
+    outcome = check.run(ConformanceBench(BENCHES[kind]()))
+    assert (outcome.fault, outcome.skipped) == ("", "")
 
 
 def test_it_is_off_at_once_and_keeps_its_speed(rig):
@@ -43,13 +45,12 @@ def test_a_stop_ends_a_motion_on_its_way(rig):
     assert rig.stage.position().z_um == pytest.approx(stood - 10.0, abs=0.1)
 
 
-def test_out_of_range_nothing_moves(rig):
-    far_um = rig.limits.x.high_um + 1
-    with pytest.raises(RigError, match=rf"x axis.*{far_um:.2f}.*{rig.limits.x.high_um:g}"):
-        rig.stage.move_to(z_um=5.0, x_um=far_um)
-    assert rig.stage.position().z_um == 0.0
+def test_out_of_range_nothing_starts(rig):
     with pytest.raises(RigError, match="z axis"):
         rig.stage.start("z", rig.limits.z.low_um - 1, 100.0)
+    with pytest.raises(RigError, match=rf"x axis.*{rig.limits.x.high_um + 1:.2f}.*{rig.limits.x.high_um:g}"):
+        rig.stage.move_to(z_um=5.0, x_um=rig.limits.x.high_um + 1)
+    assert rig.stage.position().z_um == 0.0
 
 
 @pytest.mark.parametrize("speed_um_s", [0.0, -5.0, 1e9])

@@ -1,17 +1,18 @@
-"""Checks of the devices of a rig: what answers, and whether the pulse box counts what the stage moves."""
+"""Checks of the devices of a rig: what answers, whether the pulse box counts what the stage moves, and index marks."""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Generator, Iterator, Mapping
+from contextlib import ExitStack, contextmanager
 from typing import NamedTuple
 
 from wafer_viewer.model.acquisition.devices import PulseBox, Stage
 from wafer_viewer.model.acquisition.plan import Axis
+from wafer_viewer.model.acquisition.positioners import Positioner, PositionerState, read_position
 from wafer_viewer.model.acquisition.rig_limits import AxisLimits
 from wafer_viewer.model.errors import RigError
 from wafer_viewer.rigs.composed.rig import DeviceOpener
 from wafer_viewer.rigs.pulse_box.client import PulseBoxClient
-from wafer_viewer.rigs.stages.controller_stage import ControllerStage
 from wafer_viewer.rigs.stages.motion_controller import MotionController
 
 ORDER: tuple[Axis, ...] = ("z", "x", "y")
@@ -34,7 +35,7 @@ class DeviceCheck(NamedTuple):
 def check_devices(opener: DeviceOpener, *, move: bool) -> Iterator[DeviceCheck]:
     """Connect to each device of a composed rig and check it; a device that fails does not hide the others.
 
-    move: home the stage, move each axis by a mm at most, and compare the counts.
+    move: home the stage, move each axis by a mm at most and over its index mark, and compare the counts.
     """
     devices = opener.devices
     controllers: dict[str, MotionController] = {}
@@ -58,9 +59,13 @@ def check_devices(opener: DeviceOpener, *, move: bool) -> Iterator[DeviceCheck]:
         yield _answer(opener, f"Pulse box at {devices.pulse_box.port}", connect_box)
         yield _answer(opener, f"Camera '{devices.camera.driver}'", connect_camera)
         if len(controllers) == len(devices.controllers):
-            axes = devices.axes.by_name()
-            stage = ControllerStage(controllers, axes, opener.clock)
+            axes, stage = devices.axes.by_name(), opener.stage(controllers)
             yield from check_stage(stage, boxes[0] if boxes else None, axes, move=move)
+            if boxes:
+                safe_z_um = min(objective.safe_z_um for objective in devices.objectives)
+                yield from check_index_marks(stage, boxes[0], axes, safe_z_um, move=move)
+            for name in devices.positioners:
+                yield _answer(opener, f"Positioner '{name}'", lambda name=name: _found(opener, name, controllers))
     finally:
         for device in (*controllers.values(), *boxes):
             device.close()
@@ -70,19 +75,108 @@ def check_stage(
     stage: Stage, box: PulseBox | None, axes: Mapping[Axis, AxisLimits], *, move: bool
 ) -> Iterator[DeviceCheck]:
     """Check a stage and, if there is a pulse box, its counts against the positions; an interruption stops the stage."""
-    try:
-        if move:
-            _home(stage, axes)
-        yield _position(stage)
-        if box is None:
-            return
-        for axis in ORDER if move else ORDER if stage.homed() else ():
-            yield (_motion if move else _count)(stage, box, axis, axes[axis])
-    except RigError as fault:
-        yield DeviceCheck("Stage", str(fault), MEND)
-    except BaseException:
-        stage.stop()
-        raise
+    with _stopped_by_interruption(stage):
+        try:
+            if move:
+                _home(stage, axes)
+            yield _position(stage)
+            if box is None:
+                return
+            for axis in ORDER if move else ORDER if stage.homed() else ():
+                yield (_motion if move else _count)(stage, box, axis, axes[axis])
+        except RigError as fault:
+            yield DeviceCheck("Stage", str(fault), MEND)
+
+
+def check_index_marks(
+    stage: Stage, box: PulseBox, axes: Mapping[Axis, AxisLimits], safe_z_um: float, *, move: bool
+) -> Iterator[DeviceCheck]:
+    """Check the axes whose limits name an index mark; an interruption stops the stage.
+
+    move: pass each mark upward, with z at its lower end for the others, and return to the start.
+    """
+    marked: list[Axis] = [axis for axis in ORDER if axes[axis].index_um is not None]
+    if not marked:
+        return
+    with _stopped_by_interruption(stage):
+        try:
+            identity = box.hello()
+            if not identity.has_index:
+                for axis in marked:
+                    yield _without_inputs(axis, axes[axis], identity.name)
+            elif not move:
+                yield from (_at_rest(axis, axes[axis]) for axis in marked)
+            else:
+                yield from _passed(stage, box, axes, marked, safe_z_um, identity.count_rate_hz)
+        except RigError as fault:
+            yield DeviceCheck("Index marks", str(fault), MEND)
+
+
+@contextmanager
+def _stopped_by_interruption(stage: Stage) -> Generator[None]:
+    """Context manager that stops the stage unless its body comes to its end."""
+    with ExitStack() as on_interruption:
+        on_interruption.callback(stage.stop)
+        yield
+        on_interruption.pop_all()
+
+
+def _without_inputs(axis: Axis, limits: AxisLimits, name: str) -> DeviceCheck:
+    return DeviceCheck(
+        f"Index mark of {axis}",
+        f"at {limits.index_um:.2f} um by the rig's file, but the pulse box ({name}) has no inputs for index marks",
+        "update its firmware, or leave index_um out of the rig's file",
+    )
+
+
+def _at_rest(axis: Axis, limits: AxisLimits) -> DeviceCheck:
+    found = f"at {limits.index_um:.2f} um by the rig's file; the pulse box has an input for it; --move passes it"
+    return DeviceCheck(f"Index mark of {axis}", found)
+
+
+def _passed(
+    stage: Stage,
+    box: PulseBox,
+    axes: Mapping[Axis, AxisLimits],
+    marked: list[Axis],
+    safe_z_um: float,
+    count_rate_hz: float,
+) -> Iterator[DeviceCheck]:
+    starts_um: dict[Axis, float] = {axis: _at_um(stage, axis) for axis in ("x", "y", "z")}
+    _move(stage, "z", axes["z"].low_um)
+    for axis in marked:
+        yield _pass(stage, box, axis, axes[axis], safe_z_um, count_rate_hz)
+        _move(stage, axis, axes["z"].low_um if axis == "z" else starts_um[axis])
+    _move(stage, "z", starts_um["z"])
+
+
+def _pass(
+    stage: Stage, box: PulseBox, axis: Axis, limits: AxisLimits, safe_z_um: float, count_rate_hz: float
+) -> DeviceCheck:
+    """Pass the mark of an axis upward, and compare the count that it sets with the stage."""
+    what, mark_um, way_um = f"Index mark of {axis}", limits.index_um, limits.over_index_um(_highest(axis, safe_z_um))
+    if mark_um is None or way_um is None:
+        return DeviceCheck(what, "none by the rig's file")
+    _move(stage, axis, way_um[0])
+    box.reference_by_index(axis, limits.counts(mark_um))
+    stage.start(axis, way_um[1], limits.index_speed_um_s(count_rate_hz))
+    stage.wait()
+    if box.latched(axis) is None:
+        return DeviceCheck(
+            what,
+            f"not met between {way_um[0]:.2f} and {way_um[1]:.2f} um",
+            "check its cable, and index_um of the axis in the rig's file",
+        )
+    counted, expected = box.count(axis), limits.counts(_at_um(stage, axis))
+    found_um = mark_um + limits.position_um(expected - counted)
+    found = f"met at {found_um:.2f} um by the position of the stage, {mark_um:.2f} um by the rig's file"
+    if abs(counted - expected) <= COUNTS_OFF:
+        return DeviceCheck(what, found)
+    return DeviceCheck(what, found, f"home the stage, or set index_um of the {axis} axis to {found_um:.2f}")
+
+
+def _highest(axis: Axis, safe_z_um: float) -> float | None:
+    return safe_z_um if axis == "z" else None
 
 
 def _answer(opener: DeviceOpener, what: str, ask: Callable[[], object]) -> DeviceCheck:
@@ -91,6 +185,15 @@ def _answer(opener: DeviceOpener, what: str, ask: Callable[[], object]) -> Devic
     except RigError as fault:
         return DeviceCheck(what, str(fault), MEND)
     return DeviceCheck(what, f"SIMULATED, {found}" if opener.devices.simulated else found)
+
+
+def positioner_words(name: str, positioner: Positioner) -> str:
+    """Return title, position, range and named positions of a positioner."""
+    return PositionerState(positioner.limits, read_position(name, positioner)).words
+
+
+def _found(opener: DeviceOpener, name: str, controllers: Mapping[str, MotionController]) -> str:
+    return positioner_words(name, opener.positioner(name, controllers))
 
 
 def _position(stage: Stage) -> DeviceCheck:

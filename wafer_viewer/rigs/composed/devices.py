@@ -3,21 +3,29 @@
 from __future__ import annotations
 
 import re
+from collections.abc import Mapping
 from typing import Annotated, Any, ClassVar
 
 import msgspec
 
-from wafer_viewer.model.acquisition.calibration import Calibration, OpticalSetup
+from wafer_viewer.model.acquisition.calibration import UNKNOWN_OBJECTIVE, Calibration, OpticalSetup
 from wafer_viewer.model.acquisition.plan import Axis
-from wafer_viewer.model.acquisition.rig_limits import CameraLimits, ObjectiveLimits, RigLimits
+from wafer_viewer.model.acquisition.rig_limits import CameraLimits, RigLimits
 from wafer_viewer.model.errors import RigError, WaferViewerError
-from wafer_viewer.model.spec import NonNegative, Positive, Spec, Within
+from wafer_viewer.model.spec import NonNegative, Spec, Within, replace
+from wafer_viewer.rigs.composed.positioners import (
+    ObjectiveConfig,
+    PositionerConfig,
+    require_positioners,
+    unknown_objective,
+)
 from wafer_viewer.rigs.stages.controllers import CONTROLLERS
 from wafer_viewer.rigs.stages.motion_controller import AxisConfig
 
 SIMULATED = "simulated"
 """Port at whose far end a simulated device answers."""
-AXES: tuple[Axis, ...] = ("x", "y", "z")
+ZOOM_DIGITS = 3
+"""Decimals of a zoom factor; a calibration belongs to one of them."""
 Baud = Annotated[int, Within(0, 12_000_000)]
 
 
@@ -66,35 +74,31 @@ class CameraConfig(Spec, frozen=True, kw_only=True):
     options: dict[str, Any] = msgspec.field(default_factory=dict)
 
 
-class ObjectiveConfig(ObjectiveLimits, frozen=True, kw_only=True):
-    """Objective and zoom, the table ``[devices.objective]``; pixel_um: size of a camera pixel on the sample."""
-
-    name: str
-    zoom: Positive = 1.0
-    pixel_um: Positive
-
-    @property
-    def limits(self) -> ObjectiveLimits:
-        """Optics and clearance, for the planner."""
-        return ObjectiveLimits(**{name: getattr(self, name) for name in ObjectiveLimits.__struct_fields__})
-
-
 class DevicesConfig(Spec, frozen=True, kw_only=True):
-    """All devices of a rig, the table ``[devices]`` of its file."""
+    """All devices of a rig, the table ``[devices]`` of its file.
+
+    objective: left out where a positioner names the objectives; calibrations: one for each optical setup that is
+    calibrated, beside or in place of `calibration`.
+    """
 
     error: ClassVar[type[WaferViewerError]] = RigError
     controllers: dict[str, ControllerConfig]
     axes: AxesConfig
     pulse_box: PulseBoxConfig
     camera: CameraConfig
-    objective: ObjectiveConfig
+    objective: ObjectiveConfig | None = None
+    positioners: dict[str, PositionerConfig] = msgspec.field(default_factory=dict)
     calibration: Calibration | None = None
+    calibrations: tuple[Calibration, ...] = ()
 
     def __post_init__(self) -> None:
         super().__post_init__()
-        for axis, config in self.axes.by_name().items():
-            self._require_place(axis, config)
+        require_positioners(self.positioners)
+        self._require_objective()
+        for place, config in self._placed.items():
+            self._require_place(place, config)
         self._require_own_places()
+        self._require_safe_mark()
         simulated = {port == SIMULATED for port in self.ports}
         if len(simulated) > 1:
             raise RigError(f"devices: the ports are {', '.join(self.ports)}: they must be '{SIMULATED}' all, or none.")
@@ -109,49 +113,120 @@ class DevicesConfig(Spec, frozen=True, kw_only=True):
         """True if all ports are simulated."""
         return self.pulse_box.port == SIMULATED
 
-    @property
-    def setup(self) -> OpticalSetup:
-        """Optical setup."""
+    def optics(self, positions: Mapping[str, float | None]) -> ObjectiveConfig:
+        """Return the objective and the zoom in the light path.
+
+        positions: of the positioners; None where one is not homed. Between the positions of a nosepiece, and at an
+        unknown zoom, the objective has no name, and its limits suit all of them.
+        """
+        objective = self.objective or unknown_objective(self.objectives)
+        zoom: float | None = None
+        for name, config in self.positioners.items():
+            at = positions.get(name)
+            named = "" if at is None else config.limits.name_at(at)
+            if config.role == "objective":
+                objective = config.objectives.get(named, objective)
+            elif config.role == "zoom" and at is None:
+                objective = replace(objective, name="")
+            elif config.role == "zoom" and at is not None:
+                zoom = config.limits.named.get(named, round(at, ZOOM_DIGITS))
+        return objective if zoom is None else objective.zoomed(zoom)
+
+    def setup(self, optics: ObjectiveConfig) -> OpticalSetup:
+        """Return the optical setup with an objective and its zoom."""
         return OpticalSetup(
-            objective=self.objective.name, zoom=self.objective.zoom, camera=self.camera.name or self.camera.driver
+            objective=optics.name or UNKNOWN_OBJECTIVE,
+            zoom=optics.zoom,
+            camera=self.camera.name or self.camera.driver,
         )
 
-    def axes_of(self, controller: str) -> dict[Axis, AxisConfig]:
-        """Return the axes on a controller."""
-        return {axis: config for axis, config in self.axes.by_name().items() if config.controller == controller}
+    def calibration_of(self, setup: OpticalSetup) -> Calibration | None:
+        """Return the calibration of an optical setup, None without one.
 
-    def limits(self, camera: CameraLimits) -> RigLimits:
-        """Return the limits of the rig with a camera."""
+        On a rig whose optics do not change, that of another setup is returned, which says why it is not valid.
+        """
+        calibrations = (*self.calibrations, *(() if self.calibration is None else (self.calibration,)))
+        fitting = next((one for one in calibrations if one.setup == setup), None)
+        changes = any(config.role in ("objective", "zoom") for config in self.positioners.values())
+        return fitting if fitting is not None or changes else self.calibration
+
+    @property
+    def objectives(self) -> tuple[ObjectiveConfig, ...]:
+        """All objectives."""
+        on_nosepiece = (one for config in self.positioners.values() for one in config.objectives.values())
+        return (*(() if self.objective is None else (self.objective,)), *on_nosepiece)
+
+    def axes_of(self, controller: str) -> dict[str, AxisConfig]:
+        """Return the axes on a controller, those of positioners by their names."""
+        axes = {**self.axes.by_name(), **{name: config.axis for name, config in self.positioners.items()}}
+        return {name: config for name, config in axes.items() if config.controller == controller}
+
+    def limits(self, camera: CameraLimits, optics: ObjectiveConfig) -> RigLimits:
+        """Return the limits of the rig with a camera and an objective."""
         return RigLimits(
             x=self.axes.x.limits,
             y=self.axes.y.limits,
             z=self.axes.z.limits,
             camera=camera,
-            objective=self.objective.limits,
-            pixel_um=self.objective.pixel_um,
+            objective=optics.limits,
+            pixel_um=optics.pixel_um,
             strobe_us=self.pulse_box.strobe_us,
         )
 
-    def _require_place(self, axis: Axis, config: AxisConfig) -> None:
+    @property
+    def _placed(self) -> dict[str, AxisConfig | PositionerConfig]:
+        """All that is on a controller, by its table."""
+        axes = {f"axes.{axis}": config for axis, config in self.axes.by_name().items()}
+        return {**axes, **{f"positioners.{name}": config for name, config in self.positioners.items()}}
+
+    def _require_objective(self) -> None:
+        turrets = [name for name, config in self.positioners.items() if config.role == "objective"]
+        if self.objective is None and not turrets:
+            raise RigError(
+                "devices.objective is missing: give it, or a positioner with the role 'objective' and its positions."
+            )
+        if self.objective is not None and turrets:
+            raise RigError(
+                f"devices.objective and devices.positioners.{turrets[0]} both name objectives: leave the first out."
+            )
+
+    def _require_place(self, table: str, config: AxisConfig | PositionerConfig) -> None:
         if config.controller not in self.controllers:
             raise RigError(
-                f"devices.axes.{axis}.controller is '{config.controller}': it must be one of the tables in "
+                f"devices.{table}.controller is '{config.controller}': it must be one of the tables in "
                 f"devices.controllers: {', '.join(self.controllers)}."
             )
         driver = CONTROLLERS[self.controllers[config.controller].driver]
         if re.fullmatch(driver.address, config.address) is None:
             raise RigError(
-                f"devices.axes.{axis}.address is '{config.address}': it must be {driver.address_words}, for "
-                f"{driver.title}."
+                f"devices.{table}.address is '{config.address}': it must be {driver.address_words}, for {driver.title}."
             )
+
+    def _require_safe_mark(self) -> None:
+        index_um, z = self.axes.z.index_um, self.axes.z
+        for objective in self.objectives:
+            if index_um is not None and index_um >= objective.safe_z_um:
+                raise RigError(
+                    f"devices.axes.z.index_um is {index_um:g}: it must be below devices.objective.safe_z_um, which is "
+                    f"{objective.safe_z_um:g}."
+                )
+            if self.positioners and objective.safe_z_um > z.high_um:
+                raise RigError(
+                    f"safe_z_um of the objective '{objective.name}' is {objective.safe_z_um:g}: it must be at most "
+                    f"devices.axes.z.high_um, which is {z.high_um:g}, as z goes there before a positioner turns."
+                )
 
     def _require_own_places(self) -> None:
         """Raise RigError where two axes share an address or two devices a port, or a controller has no axis."""
-        places = [(config.controller, config.address) for config in self.axes.by_name().values()]
-        for place in places:
-            if places.count(place) > 1:
+        placed = self._placed
+        places = {table: _place(config) for table, config in placed.items()}
+        for table, place in places.items():
+            other = next((one for one in places if one != table and places[one] == place), None)
+            if other is not None:
+                of_stage = table.startswith("axes.") and other.startswith("axes.")
+                both = "axes: two axes" if of_stage else f"{table} and devices.{other} both"
                 raise RigError(
-                    f"devices.axes: two axes have the address '{place[1]}' of '{place[0]}': give each its own."
+                    f"devices.{both} have the address '{placed[table].address}' of '{place[0]}': give each its own."
                 )
         for port in self.ports:
             if port != SIMULATED and self.ports.count(port) > 1:
@@ -161,3 +236,8 @@ class DevicesConfig(Spec, frozen=True, kw_only=True):
                 raise RigError(
                     f"devices.controllers.{name} has no axis: name it as the controller of one, or leave it out."
                 )
+
+
+def _place(config: AxisConfig | PositionerConfig) -> tuple[str, str]:
+    """Return controller and address; the first axis of a device has the address of the device too."""
+    return config.controller, config.address.removesuffix(" 1")

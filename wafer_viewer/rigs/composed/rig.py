@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from functools import cached_property
 from typing import Any, ClassVar, Literal
@@ -10,7 +10,7 @@ from typing import Any, ClassVar, Literal
 import msgspec
 
 from wafer_viewer.model.acquisition.calibration import Calibration, OpticalSetup
-from wafer_viewer.model.acquisition.devices import Camera, Clock, Overview, SerialPort
+from wafer_viewer.model.acquisition.devices import Camera, Clock, DeviceIdentity, Overview, SerialPort
 from wafer_viewer.model.acquisition.plan import ScanPlan
 from wafer_viewer.model.acquisition.rig_limits import CameraLimits, RigLimits
 from wafer_viewer.model.errors import RigError, WaferViewerError
@@ -18,11 +18,14 @@ from wafer_viewer.model.progress import ShouldStop
 from wafer_viewer.model.spec import Spec, replace
 from wafer_viewer.rigs.cameras.drivers import CAMERAS
 from wafer_viewer.rigs.composed.devices import DevicesConfig
+from wafer_viewer.rigs.composed.positioners import ObjectiveConfig
 from wafer_viewer.rigs.pulse_box.client import PulseBoxClient
-from wafer_viewer.rigs.serial_ports import SystemClock, open_port
+from wafer_viewer.rigs.serial_ports import ReopenedPort, SystemClock, open_port
+from wafer_viewer.rigs.stages.controller_positioner import ControllerPositioner
 from wafer_viewer.rigs.stages.controller_stage import ControllerStage
 from wafer_viewer.rigs.stages.controllers import CONTROLLERS
 from wafer_viewer.rigs.stages.motion_controller import ControllerAxis, MotionController
+from wafer_viewer.rigs.virtual.positioners import SimulatedPositioner
 from wafer_viewer.rigs.virtual.rig import SIZES, VirtualRig, virtual_limits
 from wafer_viewer.rigs.virtual.serial_port import VirtualPort
 
@@ -41,12 +44,12 @@ class VirtualCameraOptions(Spec, frozen=True, kw_only=True):
 class DeviceOpener:
     """Opener of the devices of a rig, one by one; simulated ones belong to one virtual rig.
 
-    name : display name of the rig; real_time : time of simulated devices follows the wall clock.
+    name : display name of the rig; real_time, seed : of simulated devices, as in a rig's file.
     """
 
-    def __init__(self, name: str, devices: DevicesConfig, *, real_time: bool = False) -> None:
+    def __init__(self, name: str, devices: DevicesConfig, *, real_time: bool = False, seed: int | None = None) -> None:
         self.name, self.devices = name, devices
-        self._real_time = real_time
+        self._real_time, self._seed = real_time, seed
 
     @cached_property
     def virtual(self) -> VirtualRig | None:
@@ -54,8 +57,19 @@ class DeviceOpener:
         if not self.devices.simulated:
             return None
         options = _options(self.devices.camera.options)
-        limits = self.devices.limits(virtual_limits(*SIZES[options.size]).camera)
-        return VirtualRig(options.scene, name=self.name, limits=limits, real_time=self._real_time)
+        devices = {
+            name: SimulatedPositioner.resting(config.limits) for name, config in self.devices.positioners.items()
+        }
+        optics = self.devices.optics({name: device.at for name, device in devices.items()})
+        limits = self.devices.limits(virtual_limits(*SIZES[options.size]).camera, optics)
+        return VirtualRig(
+            options.scene,
+            name=self.name,
+            limits=limits,
+            real_time=self._real_time,
+            seed=self._seed,
+            positioners=devices,
+        )
 
     @cached_property
     def clock(self) -> Clock:
@@ -73,7 +87,7 @@ class DeviceOpener:
             port.close()
             raise type(fault)(f"{driver.title} '{name}' at {self.devices.controllers[name].port}: {fault}") from fault
 
-    def stage(self) -> ControllerStage:
+    def controllers(self) -> dict[str, MotionController]:
         """Connect to all controllers; those that answered are closed when one does not."""
         opened: dict[str, MotionController] = {}
         try:
@@ -83,14 +97,23 @@ class DeviceOpener:
             for controller in opened.values():
                 controller.close()
             raise
-        return ControllerStage(opened, self.devices.axes.by_name(), self.clock)
+        return opened
+
+    def stage(self, controllers: Mapping[str, MotionController]) -> ControllerStage:
+        """Return the stage on all connected controllers."""
+        return ControllerStage(controllers, self.devices.axes.by_name(), self.clock)
+
+    def positioner(self, name: str, controllers: Mapping[str, MotionController]) -> ControllerPositioner:
+        """Return a positioner on a connected controller, whose position is asked for."""
+        config = self.devices.positioners[name]
+        return ControllerPositioner(name, config.limits, controllers[config.controller], config.axis, self.clock)
 
     def box(self) -> PulseBoxClient:
         """Connect to the pulse box."""
         if self.virtual is not None:
             return self.virtual.box
         config = self.devices.pulse_box
-        return PulseBoxClient(open_port(config.port, config.baud), self.clock)
+        return PulseBoxClient(ReopenedPort(config.port, config.baud), self.clock)
 
     def camera(self) -> ComposedCamera:
         """Connect to the camera."""
@@ -114,7 +137,7 @@ class DeviceOpener:
                 f"The {camera.name} is set to its {camera.trigger} trigger, and a scan needs frames at the pulses of "
                 "the box: set the trigger of devices.camera.options to 'hardware'."
             )
-        return ComposedCamera(camera, camera.limits, camera.close)
+        return ComposedCamera(camera, camera.limits, camera.name, camera.close)
 
     def _controller_port(self, name: str) -> SerialPort:
         config, virtual = self.devices.controllers[name], self.virtual
@@ -129,10 +152,11 @@ class DeviceOpener:
 
 @dataclass(frozen=True, slots=True)
 class ComposedCamera:
-    """Connected camera with its limits; `close` disconnects from it."""
+    """Connected camera with its limits and its own name; `close` disconnects from it."""
 
     device: Camera
     limits: CameraLimits
+    name: str
     close: Callable[[], None] = lambda: None
 
 
@@ -149,7 +173,7 @@ def _virtual_camera(opener: DeviceOpener) -> ComposedCamera:
             f"devices.camera.driver is '{VIRTUAL_CAMERA}', which sees simulated stages only: name the driver of the "
             "camera, or give all devices the port 'simulated'."
         )
-    return ComposedCamera(opener.virtual.camera, opener.virtual.limits.camera)
+    return ComposedCamera(opener.virtual.camera, opener.virtual.limits.camera, "virtual camera")
 
 
 class ComposedRig:
@@ -157,18 +181,24 @@ class ComposedRig:
 
     def __init__(self, opener: DeviceOpener) -> None:
         self._opener = opener
+        self._found: ObjectiveConfig | None = None
+        self._found_at: dict[str, float | None] = {}
         self._camera = opener.camera()
         try:
-            self._stage = opener.stage()
+            controllers = opener.controllers()
         except RigError:
             self._camera.close()
             raise
+        self._stage = opener.stage(controllers)
         try:
+            self._positioners = {name: opener.positioner(name, controllers) for name in opener.devices.positioners}
             self._box = opener.box()
         except RigError:
             self._stage.close()
             self._camera.close()
             raise
+        for positioner in self._positioners.values():
+            positioner.on_arrival(self._look_through)
 
     @property
     def name(self) -> str:
@@ -182,19 +212,37 @@ class ComposedRig:
 
     @property
     def limits(self) -> RigLimits:
-        """Limits of the rig: those of its file, its camera and its pulse box."""
-        limits = self._opener.devices.limits(self._camera.limits)
+        """Limits of the rig: those of its file, its camera, its pulse box and the objective in the light path."""
+        limits = self._opener.devices.limits(self._camera.limits, self._optics)
         return replace(limits, count_rate_hz=float(self._box.identity.count_rate_hz))
 
     @property
     def setup(self) -> OpticalSetup:
-        """Optical setup."""
-        return self._opener.devices.setup
+        """Optical setup, by the last known positions of nosepiece and zoom."""
+        return self._opener.devices.setup(self._optics)
 
     @property
     def calibration(self) -> Calibration | None:
-        """Calibration of its file."""
-        return self._opener.devices.calibration
+        """Calibration of its file for the optical setup."""
+        return self._opener.devices.calibration_of(self.setup)
+
+    @property
+    def positioners(self) -> Mapping[str, ControllerPositioner]:
+        """Positioners of its file."""
+        return self._positioners
+
+    @property
+    def _optics(self) -> ObjectiveConfig:
+        """Objective in the light path, found again when a positioner has moved: limits are asked for often."""
+        positions = {name: one.known for name, one in self._positioners.items()}
+        if self._found is None or positions != self._found_at:
+            self._found, self._found_at = self._opener.devices.optics(positions), positions
+        return self._found
+
+    def _look_through(self) -> None:
+        """Show the simulated sample through the objective that is in the light path now."""
+        if self._opener.virtual is not None:
+            self._opener.virtual.look_through(self.limits)
 
     @property
     def clock(self) -> Clock:
@@ -215,6 +263,18 @@ class ComposedRig:
     def camera(self) -> Camera:
         """Camera of the rig."""
         return self._camera.device
+
+    def identities(self) -> tuple[DeviceIdentity, ...]:
+        """Ask the controllers and the pulse box what they are; the camera was asked when it was opened."""
+        devices = self._opener.devices
+        return (
+            *(
+                DeviceIdentity(role=f"controller '{name}'", driver=devices.controllers[name].driver, identity=identity)
+                for name, identity in self._stage.identities().items()
+            ),
+            DeviceIdentity(role="pulse box", driver="WPC/2", identity=self._box.identity.name),
+            DeviceIdentity(role="camera", driver=devices.camera.driver, identity=self._camera.name),
+        )
 
     def overview(self) -> Overview | None:
         """Return the overview of a simulated sample, or None."""

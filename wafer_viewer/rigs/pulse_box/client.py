@@ -2,9 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-
-from wafer_viewer.model.acquisition.devices import Clock, Pulse, PulseSummary, SerialPort
+from wafer_viewer.model.acquisition.devices import BoxIdentity, Clock, Pulse, PulseSummary, SerialPort
 from wafer_viewer.model.acquisition.plan import Axis, PulseTrain
 from wafer_viewer.model.errors import PulseBoxRestarted, RigError, RigTimeout, WireError
 from wafer_viewer.rigs.pulse_box.wpc_protocol import PATIENCE_S, VERSION, Line, WireClient
@@ -21,20 +19,6 @@ DUMP_RECORDS = 32
 """Largest number of records requested at once: their transfer takes no longer than the wait for an answer."""
 DUMP_TRIES = 8
 """Requests for lost records in a row that may bring none."""
-
-
-@dataclass(frozen=True, slots=True)
-class BoxIdentity:
-    """Name and capacity of a pulse box, as it reports them.
-
-    ring: number of pulse records kept by the box; count_rate_hz: greatest count rate of a scale that it follows;
-    width_us: shortest and longest pulse.
-    """
-
-    name: str
-    ring: int
-    count_rate_hz: int
-    width_us: tuple[int, int]
 
 
 class PulseBoxClient:
@@ -55,16 +39,41 @@ class PulseBoxClient:
         self._heartbeat_s = HEARTBEAT_S
         self._beaten_s = clock.now_s()
         self._boot: int | None = None
-        self.identity = _identity(self._hello())
+        self.identity = self.hello()
 
     @property
     def retries(self) -> int:
         """Number of repeated commands, for the maintainer's log."""
         return self._wire.retries
 
+    def hello(self) -> BoxIdentity:
+        """Ask the box for its name, its capacity and the number of its starts."""
+        return _identity(self._hello())
+
+    def referenced(self, axis: Axis) -> bool:
+        """Return whether the count of an axis was set since the box started."""
+        return bool(self._ask("GET", AX=axis.upper()).number("REF"))
+
     def reference(self, axis: Axis, count: int) -> None:
         """Set the box's count of an axis at rest. Raises RigError while the box is armed."""
         self._ask("REF", AX=axis.upper(), COUNT=count)
+
+    def reference_by_index(self, axis: Axis, count: int) -> None:
+        """Let the box set its count of an axis when the axis next meets its index mark; arming is refused before.
+
+        Raises RigError while the box is armed, and if its firmware knows no index marks.
+        """
+        if not self.identity.has_index:
+            raise RigError(
+                f"The pulse box ({self.identity.name}) has no inputs for index marks: update its firmware, or leave "
+                "index_um out of the rig's file."
+            )
+        self._ask("REF", AX=axis.upper(), COUNT=count, MODE="INDEX")
+
+    def latched(self, axis: Axis) -> int | None:
+        """Return the count at which the index mark set a new one since the last reference; None if it has not yet."""
+        answer = self._ask("GET", AX=axis.upper())
+        return answer.number("LATCHED") if "LATCHED" in answer.values else None
 
     def arm(self, train: PulseTrain, *, min_gap_us: float = 0.0, on_command: bool = False) -> None:
         """Arm the box for one pass; pulses of an earlier run are discarded. Raises RigError on refusal."""
@@ -207,6 +216,8 @@ def _identity(hello: Line) -> BoxIdentity:
         ring=hello.number("RING"),
         count_rate_hz=hello.number("RATE"),
         width_us=(hello.number("WIDTH_MIN"), hello.number("WIDTH_MAX")),
+        has_index=hello.values.get("INDEX") == "1",
+        boot=hello.number("BOOT"),
     )
 
 

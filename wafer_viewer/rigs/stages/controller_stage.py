@@ -2,30 +2,25 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping
+from collections.abc import Mapping
 
 from wafer_viewer.model.acquisition.devices import Clock, Position
 from wafer_viewer.model.acquisition.plan import Axis
-from wafer_viewer.model.errors import MotionStopped, RigError, RigTimeout
+from wafer_viewer.model.errors import MotionStopped, RigError
 from wafer_viewer.model.progress import ShouldStop
+from wafer_viewer.rigs.stages.axis_group import AxisGroup
 from wafer_viewer.rigs.stages.motion_controller import AxisConfig, MotionController
 
-POLL_S = 0.005
-"""Time between two looks at moving axes and at a request to stop, s."""
-SPARE_FRACTION, SPARE_S = 0.5, 2.0
-"""Margin of the deadline of a motion: fraction of its expected time, and s."""
-SEARCH_SPEED_FRACTION = 0.1
-"""Least speed that is expected of a search for the reference, as a fraction of the full speed."""
 ARRIVED_WITHIN_UM = 0.1
 """Distance from its goal at which a stopped axis had arrived already."""
 
 
-class ControllerStage:
+class ControllerStage(AxisGroup[Axis]):
     """Implementation of Stage on motion controllers.
 
     Parameters
     ----------
-    controllers : by the names that the axes refer to.
+    controllers : by the names that the axes refer to. Those of positioners are stopped with the stage.
     axes : settings of x, y and z.
     clock : clock of the rig.
     """
@@ -33,13 +28,15 @@ class ControllerStage:
     def __init__(
         self, controllers: Mapping[str, MotionController], axes: Mapping[Axis, AxisConfig], clock: Clock
     ) -> None:
-        self._controllers, self._axes, self._clock = controllers, axes, clock
-        self._until_s = clock.now_s()
-        """Deadline of the motions that have begun."""
+        super().__init__(controllers, axes, clock, ARRIVED_WITHIN_UM)
+
+    def identities(self) -> dict[str, str]:
+        """Return what each controller says that it is, by its name."""
+        return {name: controller.identity() for name, controller in self._controllers.items()}
 
     def position(self) -> Position:
         """Return the current position."""
-        at_um = self._positions_um()
+        at_um = self._positions()
         return Position(at_um["x"], at_um["y"], at_um["z"])
 
     def move_to(
@@ -61,13 +58,7 @@ class ControllerStage:
         if should_stop is not None and should_stop():
             raise self._stopped()
         self._find_references(goals_um, should_stop)
-        self._begin(goals_um, {axis: self._axes[axis].speed_um_s for axis in goals_um})
-        try:
-            self._come_to_rest(should_stop)
-        except MotionStopped:
-            at_um = self._positions_um()
-            if any(abs(at_um[axis] - to_um) > ARRIVED_WITHIN_UM for axis, to_um in goals_um.items()):
-                raise
+        self._go(goals_um, should_stop)
 
     def start(self, axis: Axis, to_um: float, speed_um_s: float) -> None:
         """Begin a motion of one axis at a given speed, and return at once."""
@@ -88,20 +79,6 @@ class ControllerStage:
     def wait(self) -> None:
         """Wait until every axis is at rest and settled. Raises RigTimeout when it does not report so in time."""
         self._come_to_rest(None)
-
-    def stop(self) -> None:
-        """Decelerate every axis to a halt. This is not an emergency stop.
-
-        A controller that fails does not keep the others from being stopped; its error is raised after that.
-        """
-        faults: list[RigError] = []
-        for controller in self._controllers.values():
-            try:
-                controller.stop()
-            except RigError as fault:
-                faults.append(fault)
-        if faults:
-            raise faults[0]
 
     def close(self) -> None:
         """Close the ports."""
@@ -125,84 +102,6 @@ class ControllerStage:
         if needed:
             self._home(needed, should_stop)
 
-    def _home(self, axes: list[Axis], should_stop: ShouldStop | None) -> None:
-        """Search the references of some axes at the same time. Raises RigError when one is not found."""
-        expected_s = max(
-            (self._axes[axis].high_um - self._axes[axis].low_um) / (self._axes[axis].speed_um_s * SEARCH_SPEED_FRACTION)
-            for axis in axes
-        )
-        for name, of_it in self._by_controller(axes).items():
-            self._controllers[name].home(of_it)
-        self._expect(expected_s)
-        self._come_to_rest(should_stop)
-        if lost := sorted(set(axes) - self._homed()):
-            raise RigError(
-                f"The {' and '.join(lost)} axis did not find its reference: check its switches and its way, and home "
-                "it again."
-            )
-
-    def _begin(self, goals_um: Mapping[Axis, float], speeds_um_s: Mapping[Axis, float]) -> None:
-        here_um = self._positions_um()
-        expected_s = [
-            self._axes[axis].move_s(to_um - here_um[axis], speeds_um_s[axis]) for axis, to_um in goals_um.items()
-        ]
-        for name, of_it in self._by_controller(goals_um).items():
-            self._controllers[name].move(
-                {axis: self._axes[axis].units_at(goals_um[axis]) for axis in of_it},
-                {axis: self._axes[axis].rate(speeds_um_s[axis]) for axis in of_it},
-            )
-        self._expect(max(expected_s, default=0.0))
-
-    def _expect(self, duration_s: float) -> None:
-        """Set the deadline of what has just begun, unless an earlier motion has a later one."""
-        self._until_s = max(self._until_s, self._clock.now_s() + duration_s * (1 + SPARE_FRACTION) + SPARE_S)
-
-    def _come_to_rest(self, should_stop: ShouldStop | None) -> None:
-        """Wait until all axes are at rest and settled; stop all when one fails, is late or `should_stop` says so."""
-        try:
-            while moving := self._moving():
-                if should_stop is not None and should_stop():
-                    self.stop()
-                    self._expect(max(axis.speed_um_s / axis.acceleration_um_s2 for axis in self._axes.values()))
-                    self._come_to_rest(None)
-                    raise self._stopped()
-                if self._clock.now_s() > self._until_s:
-                    raise RigTimeout(
-                        f"The {' and '.join(sorted(moving))} axis still reports motion long after it should stand: it "
-                        "was stopped; check its drive and its way, and home it."
-                    )
-                self._clock.sleep(POLL_S)
-        except MotionStopped:
-            raise
-        except RigError:
-            self._stop_after_fault()
-            raise
-        self._clock.sleep(max(axis.settle_s for axis in self._axes.values()))
-        self._until_s = self._clock.now_s()
-
-    def _stop_after_fault(self) -> None:
-        try:
-            self.stop()
-        except RigError:
-            return
-
     def _stopped(self) -> MotionStopped:
         here = self.position()
         return MotionStopped.at(here.x_um, here.y_um, here.z_um)
-
-    def _positions_um(self) -> dict[str, float]:
-        units = {name: at for controller in self._controllers.values() for name, at in controller.positions().items()}
-        return {axis: config.position_at(units[axis]) for axis, config in self._axes.items()}
-
-    def _moving(self) -> set[str]:
-        return {axis for controller in self._controllers.values() for axis in controller.moving()}
-
-    def _homed(self) -> set[str]:
-        return {axis for controller in self._controllers.values() for axis in controller.homed()}
-
-    def _by_controller(self, axes: Iterable[Axis]) -> dict[str, list[Axis]]:
-        """Return axes by the names of their controllers."""
-        groups: dict[str, list[Axis]] = {}
-        for axis in axes:
-            groups.setdefault(self._axes[axis].controller, []).append(axis)
-        return groups

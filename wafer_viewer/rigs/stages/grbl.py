@@ -22,10 +22,11 @@ from wafer_viewer.rigs.stages.simulated.grbl import SimulatedGrbl
 STATUS = re.compile(r"<([A-Za-z]+)(?::\d+)?\|(?:[^>]*\|)?([MW])Pos:([-\d.,]+)(?:\|[^>]*)?>")
 SETTING = re.compile(r"\$(\d+)=([-\d.]+)")
 STATUS_QUERY, JOG_CANCEL, RESET = b"?", b"\x85", b"\x18"
-LETTERS = "XYZ"
+LETTERS = "XYZABC"
+"""Axes by their order in settings and reports; A, B and C, in degrees, are of boards with more than three."""
 INCHES, HOMING = 13, 22
 STEPS_PER_MM, MAX_RATE, ACCELERATION = 100, 110, 120
-"""First of the settings of the three axes; rates are in mm/min."""
+"""First of the settings of the axes; rates are in mm/min, of A, B and C in deg/min."""
 ROUNDING = 1e-6
 """Fraction by which a setting may be rounded."""
 REPORTED_MM = 0.001
@@ -96,6 +97,7 @@ class GrblController:
         self._homed = self._searching = False
         self._settings: dict[int, float] = {}
         self._last = self._wake()
+        self._require_reported()
         self._settings = {int(n): float(v) for n, v in SETTING.findall("\n".join(self._command("$$")))}
         self._require_settings()
 
@@ -168,6 +170,16 @@ class GrblController:
             "file."
         )
 
+    def _require_reported(self) -> None:
+        """Raise RigError for an axis that the board does not have."""
+        n_axes = len(self._last.position_mm)
+        for name, index in self._indices.items():
+            if index >= n_axes:
+                raise RigError(
+                    f"The GRBL controller has no axis {LETTERS[index]} for {name}: it reports {n_axes} axes, "
+                    f"{', '.join(LETTERS[:n_axes])}. Correct the address in the rig's file."
+                )
+
     def _require_settings(self) -> None:
         """Raise RigError where the settings of the board contradict the rig's file."""
         for number, wanted, why in ((INCHES, 0, "reports in mm"), (HOMING, 1, "homing needs limit switches")):
@@ -190,7 +202,7 @@ class GrblController:
             )
 
     def _on_step(self, index: int, mm: float) -> float:
-        """Return the position of the step nearest to a reported one, if steps are no finer than what is reported."""
+        """Return the position of the step nearest to a reported one, if steps are no finer than reported positions."""
         steps = self._settings.get(STEPS_PER_MM + index, 0.0)
         return round(mm * steps) / steps if 0 < steps * REPORTED_MM <= 1 else mm
 
@@ -220,7 +232,7 @@ class GrblController:
         return None
 
     def _command(self, text: str) -> list[str]:
-        """Send a line and return what it answers before its ``ok``; what answers an earlier line is dropped before."""
+        """Send a line and return its answer before the ``ok``; late answers to earlier lines are discarded."""
         for attempt in range(TRIES):
             self._line.discard(QUIET_S if attempt else 0.0)
             self._line.send(f"{text}\n".encode())
@@ -252,8 +264,8 @@ DRIVER = ControllerDriver(
     name="grbl",
     title="GRBL 1.1",
     baud=115_200,
-    address="[XYZ]",
-    address_words="X, Y or Z",
+    address="[XYZABC]",
+    address_words="X, Y, Z, A, B or C",
     connect=GrblController,
     simulate=SimulatedGrbl,
 )

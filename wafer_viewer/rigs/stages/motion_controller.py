@@ -11,7 +11,6 @@ from dataclasses import dataclass
 from typing import ClassVar, Protocol
 
 from wafer_viewer.model.acquisition.devices import Clock, SerialPort
-from wafer_viewer.model.acquisition.plan import Axis
 from wafer_viewer.model.acquisition.rig_limits import AxisLimits
 from wafer_viewer.model.errors import RigError, WaferViewerError
 from wafer_viewer.rigs.virtual.clock import VirtualClock
@@ -29,6 +28,8 @@ class AxisConfig(AxisLimits, frozen=True, kw_only=True):
     units_per_um : units of the controller in a um; negative where the controller counts the other way.
     zero_units : position of the controller at 0 um.
     counts_per_um : counts of the scale that the pulse box counts, in a um.
+    index_um : position of the index mark that is wired to the pulse box, which a scan then moves over; left out if
+        there is none.
     low_um, high_um : range in which the axis may move. It lies within the travel of the controller.
     """
 
@@ -135,7 +136,7 @@ class ControllerDriver:
     address : pattern of the address of an axis.
     address_words : the same in words.
     connect : opens a controller on a port. Raises RigError when it does not answer as this kind does.
-    simulate : makes a simulated controller that moves the virtual stage.
+    simulate : makes a simulated controller that moves the virtual stage and its positioners.
     """
 
     name: str
@@ -144,4 +145,4 @@ class ControllerDriver:
     address: str
     address_words: str
     connect: Callable[[SerialPort, Clock, Mapping[str, ControllerAxis]], MotionController]
-    simulate: Callable[[VirtualClock, VirtualStage, Mapping[Axis, AxisConfig]], SimulatedDevice]
+    simulate: Callable[[VirtualClock, VirtualStage, Mapping[str, AxisConfig]], SimulatedDevice]

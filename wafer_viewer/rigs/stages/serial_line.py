@@ -23,7 +23,7 @@ LONGEST_LINE = 4096
 
 
 class SerialLine:
-    """Sender of commands and reader of lines; what its port raises becomes a RigError that names the device."""
+    """Sender of commands and reader of lines; errors of its port become a RigError that names the device."""
 
     def __init__(self, port: SerialPort, clock: Clock, device: str) -> None:
         self._port, self._clock, self.device = port, clock, device

@@ -33,10 +33,14 @@ class Faults(Spec, frozen=True, kw_only=True):
     suppressed_pulses : triggers that the pulse box holds back once, and reports as suppressed.
     slips : triggers at which the pulse box loses `slip_counts` counts of the moving axis. With `slips_reported` it
         reports a quadrature error for every two of them.
+    slipping_motions : motions in which the pulse box loses `slip_counts` counts of the axis that it is set to.
     reboots : triggers at which the pulse box loses its power; it answers again after 1.5 s,
         with time and counts at 0 where the stage stands.
     endless_motions : motions after which the stage reports motion until it is stopped.
     late_motions : motions that begin `late_s` after their command.
+    overshooting_motions : motions that end `overshoot_um` beyond their goal.
+    cut_images : triggers whose image lacks its lower half, and is not marked as incomplete.
+    ignores_heartbeat : true for a pulse box that stays armed without a heartbeat.
     wire : interference on the serial line.
     """
 
@@ -53,10 +57,15 @@ class Faults(Spec, frozen=True, kw_only=True):
     unseen_exposures: Numbers = ()
     suppressed_pulses: Numbers = ()
     slips: Numbers = ()
+    slipping_motions: Numbers = ()
     slip_counts: Count = 14
     slips_reported: bool = True
     reboots: Numbers = ()
     endless_motions: Numbers = ()
     late_motions: Numbers = ()
     late_s: NonNegative = 0.5
+    overshooting_motions: Numbers = ()
+    overshoot_um: float = 5.0
+    cut_images: Numbers = ()
+    ignores_heartbeat: bool = False
     wire: Interference = Interference()

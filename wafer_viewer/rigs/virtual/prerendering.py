@@ -11,7 +11,7 @@ import shutil
 import subprocess
 import sys
 import tempfile
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import ClassVar, Literal
 
@@ -25,7 +25,8 @@ from wafer_viewer.model.acquisition.rig_limits import RigLimits
 from wafer_viewer.model.errors import RigError, WaferViewerError
 from wafer_viewer.model.progress import ShouldStop
 from wafer_viewer.model.spec import Spec, decode, encode
-from wafer_viewer.rigs.virtual.camera import TRIGGER_DELAY_US, Renderer
+from wafer_viewer.rigs.virtual.calibration_errors import CalibrationErrors
+from wafer_viewer.rigs.virtual.camera import LEVEL, TRIGGER_DELAY_US, Renderer
 from wafer_viewer.rigs.virtual.clock import VirtualClock
 from wafer_viewer.rigs.virtual.stage import VirtualStage
 
@@ -36,14 +37,22 @@ ORDER, FRAMES = "rehearsal.json", "frames.raw"
 
 
 class PrerenderJob(Spec, frozen=True, kw_only=True):
-    """Prerender job: a plan on a virtual rig, and a frame at the current stage position for the test pulse."""
+    """Prerender job: a plan on a virtual rig, and a frame at the current stage position for the test pulse.
+
+    seed: of the scale errors; frame_seed: of the noise of the first frame, later ones have the next numbers; light:
+    fraction of the full light; slopes: of the sample along x and y.
+    """
 
     error: ClassVar[type[WaferViewerError]] = RigError
     scene: str
     seed: int
+    frame_seed: int = 0
     limits: RigLimits
     plan: ScanPlan
     here_um: tuple[float, ...]
+    errors: CalibrationErrors = CalibrationErrors()
+    light: float = 1.0
+    slopes: tuple[float, ...] = LEVEL
 
     @property
     def dtype(self) -> type[np.unsignedinteger]:
@@ -51,21 +60,27 @@ class PrerenderJob(Spec, frozen=True, kw_only=True):
         return np.uint8 if self.limits.camera.bits == 8 else np.uint16
 
     def views(self) -> NDArray[np.float64]:
-        """Return the position of every frame: true x, y, z in um and the exposure in us, [frame, 4]."""
-        stage = VirtualStage(VirtualClock(), self.limits, self.seed)
+        """Return the position of every frame: true x, y, z in um and the exposure at full light in us, [frame, 4]."""
+        stage = VirtualStage(VirtualClock(), self.limits, self.seed, z_fraction=self.errors.z_fraction)
+        delay_us = TRIGGER_DELAY_US + self.errors.trigger_delay_us
         exposures_us = self.plan.exposures_us
         places = [(Position(*self.here_um), exposures_us[0])]
         for leg in self.plan.legs:
-            exposure_us = exposures_us[leg.shots[0].exposure]
-            places += [(at, exposure_us) for at in scales_at_exposure(leg, self.limits, exposure_us)]
+            places += scales_at_exposures(leg, self.limits, exposures_us, delay_us)
         truths = [(stage.truth_of(at), exposure_us) for at, exposure_us in places]
-        return np.array([(at.x_um, at.y_um, at.z_um, exposure_us) for at, exposure_us in truths])
+        return np.array([(at.x_um, at.y_um, at.z_um, exposure_us * self.light) for at, exposure_us in truths])
 
 
 class ReplayRenderer:
-    """Implementation of Renderer: stored frames where available, otherwise those of the live renderer."""
+    """Implementation of Renderer: stored frames where available, otherwise those of the live renderer.
 
-    def __init__(self, views: NDArray[np.float64], frames: Image, live: Renderer) -> None:
+    fits: returns whether the sample still stands as it was rendered.
+    """
+
+    def __init__(
+        self, views: NDArray[np.float64], frames: Image, live: Renderer, fits: Callable[[], bool] = lambda: True
+    ) -> None:
+        self._fits = fits
         self._views = views
         self._frames = frames
         self.live = live
@@ -74,23 +89,28 @@ class ReplayRenderer:
         """Return the image at the true stage position (x, y, z)."""
         away = np.abs(self._views - (x_um, y_um, z_um, exposure_us)).max(axis=1)
         nearest = int(away.argmin())
-        if away[nearest] > NEAR_UM:
+        if away[nearest] > NEAR_UM or not self._fits():
             return self.live.frame(x_um, y_um, z_um, exposure_us, seed)
         return np.array(self._frames[nearest])
 
 
-def scales_at_exposure(leg: Leg, limits: RigLimits, exposure_us: float) -> Iterator[Position]:
-    """Yield the scale readings at every mid-exposure of a leg."""
+def scales_at_exposures(
+    leg: Leg, limits: RigLimits, exposures_us: tuple[float, ...], delay_us: float = TRIGGER_DELAY_US
+) -> Iterator[tuple[Position, float]]:
+    """Yield the scale reading at every mid-exposure of a leg, with the exposure in us."""
     train, axis = leg.train, limits.axis(leg.train.axis)
-    moved_um = train.direction * leg.speed_um_s * (TRIGGER_DELAY_US + exposure_us / 2) * 1e-6
     at = {"x": leg.x_um, "y": leg.y_um, "z": leg.z_um}
-    for i in range(train.n_frames):
+    for i, shot in enumerate(leg.shots):
+        exposure_us = exposures_us[shot.exposure]
         count = train.first_count + train.direction * train.counts_per_frame * i
+        moved_um = train.direction * leg.speed_um_s * (delay_us + exposure_us / 2) * 1e-6
         at[train.axis] = axis.position_um(count) + moved_um
-        yield Position(at["x"], at["y"], at["z"])
+        yield Position(at["x"], at["y"], at["z"]), exposure_us
 
 
-def prerender(order: PrerenderJob, live: Renderer, should_stop: ShouldStop) -> ReplayRenderer | None:
+def prerender(
+    order: PrerenderJob, live: Renderer, should_stop: ShouldStop, fits: Callable[[], bool] = lambda: True
+) -> ReplayRenderer | None:
     """Render all frames in a separate process and wait for it; None if stopped.
 
     Raises RigError when the disk is too small or the process fails.
@@ -101,7 +121,7 @@ def prerender(order: PrerenderJob, live: Renderer, should_stop: ShouldStop) -> R
         (Path(folder) / ORDER).write_text(encode(order, "json"))
         rendered = _wait_for(_started(folder), should_stop)
     # The mapping keeps the frames alive after their folder is gone: no crash leaves them behind.
-    return ReplayRenderer(views, frames, live) if rendered else None
+    return ReplayRenderer(views, frames, live, fits) if rendered else None
 
 
 def main(folder: Path) -> None:
@@ -111,11 +131,12 @@ def main(folder: Path) -> None:
     order, parent = decode((folder / ORDER).read_bytes(), PrerenderJob, ORDER, "json"), os.getppid()
     views = order.views()
     frames = _frames_file(folder, order, len(views), "r+")
-    renderer = scene_renderer(order.scene, order.limits)
+    along_x, along_y = order.slopes
+    renderer = scene_renderer(order.scene, order.limits, order.errors, lambda: (along_x, along_y))
     for i, (x_um, y_um, z_um, exposure_us) in enumerate(views.tolist()):
         if os.getppid() != parent:
             return
-        frames[i] = renderer.frame(x_um, y_um, z_um, exposure_us, order.seed * 1_000_003 + i)
+        frames[i] = renderer.frame(x_um, y_um, z_um, exposure_us, order.frame_seed + i)
 
 
 def _frames_file(folder: Path, order: PrerenderJob, n_frames: int, mode: Literal["w+", "r+"]) -> Image:

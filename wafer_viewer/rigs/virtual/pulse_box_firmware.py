@@ -39,7 +39,7 @@ RANGES = {
     "DIV": (1, INT32[1]), "WIDTH_US": WIDTHS_US, "START": INT32, "STOP": INT32, "MAX": (1, INT32[1]),
     "MINGAP_US": (0, 60_000_000), "COUNT": INT32, "MS": (1, 60_000), "FROM": (0, INT32[1]), "TO": (0, INT32[1]),
 }  # fmt: skip
-CHOICES = {"AX": ("X", "Y", "Z"), "DIR": ("1", "-1"), "SOURCE": ("SCALE", "COMMAND")}
+CHOICES = {"AX": ("X", "Y", "Z"), "MODE": ("SET", "INDEX"), "DIR": ("1", "-1"), "SOURCE": ("SCALE", "COMMAND")}
 AXES: dict[str, Axis] = {"X": "x", "Y": "y", "Z": "z"}
 
 
@@ -53,8 +53,10 @@ class VirtualPulseBox:
     As in a real one, counts and time start at 0 at power-up, wherever the stage stands.
 
     trigger: sends a trigger and returns whether the camera exposed; suppresses: returns whether the due pulse is held
-    back.
+    back; ignores_heartbeat: true for one that stays armed without a heartbeat.
     """
+
+    ignores_heartbeat = False
 
     def __init__(
         self,
@@ -82,6 +84,8 @@ class VirtualPulseBox:
     def reboot(self) -> None:
         """Simulate a power loss."""
         self._unwatch()
+        for axis in AXES.values():
+            self._forget_index(axis)
         if self._heart is not None:
             self._heart.cancel()
         self._boot += 1
@@ -112,6 +116,10 @@ class VirtualPulseBox:
         self._counted_off = {axis: -self._on_scale(axis, self._powered_s) for axis in AXES.values()}
         """Count of the box for each axis minus that of its scale."""
         self._referenced: set[Axis] = set()
+        self._index_counts: dict[Axis, int] = {}
+        """Count that an axis gets when it meets its index mark."""
+        self._marks: dict[Axis, Event] = {}
+        self._latched: dict[Axis, int] = {}
         self._reader = LineReader()
         self._settings = dict(SETTINGS)
         self._answered: tuple[Line, bytes] | None = None
@@ -160,16 +168,51 @@ class VirtualPulseBox:
         ring, rate = str(RING_RECORDS), str(COUNT_RATE_HZ)
         return {
             "VERSION": VERSION, "NAME": NAME, "RING": ring, "RATE": rate, "WIDTH_MIN": low_us, "WIDTH_MAX": high_us,
+            "INDEX": "1",
         }  # fmt: skip
 
     def _reference(self, values: dict[str, str], time_s: float) -> dict[str, str]:
         self._refuse_if_armed()
         if values.get("AX") not in AXES:
             raise CommandRefused("no axis")
-        axis = AXES[values["AX"]]
-        self._counted_off[axis] = _integer(values, "COUNT") - self._on_scale(axis, time_s)
-        self._referenced.add(axis)
+        axis, count, mode = AXES[values["AX"]], _integer(values, "COUNT"), values.get("MODE", "SET")
+        if mode not in CHOICES["MODE"]:
+            raise CommandRefused(f"no mode {mode}")
+        self._forget_index(axis)
+        if mode == "INDEX":
+            self._referenced.discard(axis)
+            self._index_counts[axis] = count
+            self._watch_index(axis, time_s)
+        else:
+            self._set_count(axis, count, time_s)
         return {}
+
+    def _set_count(self, axis: Axis, count: int, time_s: float) -> None:
+        self._counted_off[axis] = count - self._on_scale(axis, time_s)
+        self._referenced.add(axis)
+
+    def _forget_index(self, axis: Axis) -> None:
+        self._latched.pop(axis, None)
+        self._index_counts.pop(axis, None)
+        if axis in self._marks:
+            self._marks.pop(axis).cancel()
+
+    def _watch_index(self, axis: Axis, time_s: float) -> None:
+        """Schedule the crossing of an awaited index mark."""
+        if axis in self._marks:
+            self._marks.pop(axis).cancel()
+        one = self._stage.axes[axis]
+        if one.index_um is None:
+            return
+        crossing_s = one.profile.crossing_s(one.index_um, one.profile.direction, time_s)
+        if crossing_s is not None:
+            self._marks[axis] = self._clock.at(crossing_s, lambda t: self._meet_index(axis, t))
+
+    def _meet_index(self, axis: Axis, time_s: float) -> None:
+        latched, count = self._count_at(axis, time_s), self._index_counts[axis]
+        self._forget_index(axis)
+        self._latched[axis] = latched
+        self._set_count(axis, count, time_s)
 
     def _configure(self, values: dict[str, str], time_s: float) -> dict[str, str]:
         self._refuse_if_armed()
@@ -198,7 +241,9 @@ class VirtualPulseBox:
         return self._summary()
 
     def _get(self, values: dict[str, str], time_s: float) -> dict[str, str]:
-        return {"ARMED": str(int(self._armed)), **self._summary()}
+        axis = AXES.get(values.get("AX", self._settings["AX"]))
+        latched = {} if axis not in self._latched else {"LATCHED": str(self._latched[axis])}
+        return {"ARMED": str(int(self._armed)), **self._summary(), **latched}
 
     def _dump(self, values: dict[str, str], time_s: float) -> dict[str, str]:
         low, high = _integer(values, "FROM"), _integer(values, "TO")
@@ -230,7 +275,7 @@ class VirtualPulseBox:
         self._heart = self._clock.at(time_s + self._heartbeat_s, self._heart_stops)
 
     def _heart_stops(self, time_s: float) -> None:
-        if self._armed:
+        if self._armed and not self.ignores_heartbeat:
             self._disarm()
             self._event("F", {"WHY": f"no_heartbeat_for_{self._heartbeat_s * 1000:.0f}_ms"}, time_s)
 
@@ -245,6 +290,8 @@ class VirtualPulseBox:
     def _motion_changed(self, axis: Axis, time_s: float) -> None:
         if self._armed and axis == self._axis:
             self._watch(time_s)
+        if axis in self._index_counts:
+            self._watch_index(axis, time_s)
 
     def _watch(self, time_s: float) -> None:
         """Schedule a pulse at the next crossing of the scale."""

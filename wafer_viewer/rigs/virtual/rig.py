@@ -2,22 +2,32 @@
 
 from __future__ import annotations
 
+import secrets
+from collections.abc import Callable, Mapping
 from typing import Literal
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from wafer_viewer.model.acquisition.calibration import Calibration, OpticalSetup
-from wafer_viewer.model.acquisition.devices import Overview
-from wafer_viewer.model.acquisition.plan import ScanPlan
+from wafer_viewer.model.acquisition.devices import DeviceIdentity, Overview
+from wafer_viewer.model.acquisition.plan import Axis, ScanPlan
 from wafer_viewer.model.acquisition.rig_limits import AxisLimits, CameraLimits, ObjectiveLimits, RigLimits
 from wafer_viewer.model.acquisition.sample import Sample
 from wafer_viewer.model.progress import ShouldStop
 from wafer_viewer.model.spec import replace
 from wafer_viewer.rigs.pulse_box.client import PulseBoxClient
-from wafer_viewer.rigs.virtual.camera import TRIGGER_DELAY_US, Renderer, VirtualCamera
+from wafer_viewer.rigs.virtual.calibration_errors import CalibrationErrors
+from wafer_viewer.rigs.virtual.camera import LEVEL, TRIGGER_DELAY_US, Renderer, VirtualCamera
 from wafer_viewer.rigs.virtual.clock import VirtualClock
 from wafer_viewer.rigs.virtual.faults import Faults
+from wafer_viewer.rigs.virtual.positioners import (
+    OWN,
+    SimulatedPositioner,
+    Slopes,
+    VirtualPositioner,
+    VirtualPositioners,
+)
 from wafer_viewer.rigs.virtual.pulse_box_firmware import VirtualPulseBox
 from wafer_viewer.rigs.virtual.serial_port import VirtualPort
 from wafer_viewer.rigs.virtual.stage import VirtualStage
@@ -30,6 +40,7 @@ U_Z_SCALE = 2e-4
 NUMERICAL_APERTURE, WAVELENGTH_UM = 0.28, 0.55
 SETUP = OpticalSetup(objective="10x/0.28 (simulated)", camera="virtual")
 OVERVIEW_PX = 1000
+NOISE_SEED_BITS = 31
 VIRTUAL_MOUNT = "virtual stage"
 """`Sample.mount` of the samples that come with the virtual rig."""
 
@@ -79,6 +90,7 @@ def virtual_limits(rows: int, cols: int) -> RigLimits:
         readout_us=15_000.0,
         rows=rows,
         cols=cols,
+        exposure_sequence=True,
     )
     return RigLimits(x=LATERAL, y=LATERAL, z=AXIAL, camera=camera, objective=OBJECTIVE, pixel_um=PIXEL_UM)
 
@@ -87,7 +99,9 @@ class VirtualRig:
     """Implementation of Rig with simulated devices, operated by the same drivers as real ones.
 
     scene: name of a scene; size: of the camera; real_time: time follows the wall clock, and frames are rendered in
-    advance by `prepare`; renderer: replacement for the scene's renderer, for tests.
+    advance by `prepare`; seed: of the camera noise and the scale errors. Without it the noise is fresh, and the scale
+    errors, which belong to the instrument, are those of seed 0; renderer: replacement for the scene's renderer, for
+    tests; errors: hidden errors of the calibration; positioners: in place of its own lamp and tilts.
     """
 
     def __init__(
@@ -97,23 +111,40 @@ class VirtualRig:
         *,
         name: str = "Virtual rig",
         real_time: bool = False,
-        seed: int = 0,
+        seed: int | None = None,
         faults: Faults | None = None,
         limits: RigLimits | None = None,
         renderer: Renderer | None = None,
+        errors: CalibrationErrors = CalibrationErrors(),
+        positioners: Mapping[str, SimulatedPositioner] = OWN,
     ) -> None:
         self._name = name
         self._own_scene = self._scene = scene
-        self._seed = seed
+        self._scale_seed = seed or 0
+        self._noise_seed = secrets.randbits(NOISE_SEED_BITS) if seed is None else seed
         self._real_time = real_time
         limits = limits or virtual_limits(*SIZES[size])
         self._faults = faults or Faults()
+        self._errors = errors
         self._clock = VirtualClock(real_time=real_time)
-        self._stage = VirtualStage(self._clock, limits, seed, self._faults)
-        self._renderer = renderer or scene_renderer(scene, limits)
-        self._camera = VirtualCamera(self._clock, self._stage, limits.camera, self._renderer, self._faults, seed)
+        self._stage = VirtualStage(self._clock, limits, self._scale_seed, self._faults, errors.z_fraction)
+        self._positioners = VirtualPositioners(self._clock, self._stage, positioners)
+        self._renderer = renderer or scene_renderer(scene, limits, errors, self._positioners.slopes)
+        self._camera = VirtualCamera(
+            self._clock,
+            self._stage,
+            limits.camera,
+            self._renderer,
+            self._faults,
+            self._noise_seed,
+            TRIGGER_DELAY_US + errors.trigger_delay_us,
+            self._positioners.light_at,
+        )
         self._firmware = VirtualPulseBox(self._clock, self._stage, self._triggered, self._suppresses)
+        self._firmware.ignores_heartbeat = self._faults.ignores_heartbeat
         self._held_back: set[int] = set()
+        self._slipped: set[int] = set()
+        self._stage.on_motion(self._moved)
         self._port = VirtualPort(self._clock, self._firmware, self._faults.wire)
         self._firmware.connect(self._port.deliver)
         self._box = PulseBoxClient(self._port, self._clock)
@@ -164,6 +195,19 @@ class VirtualRig:
         """Camera of the rig."""
         return self._camera
 
+    @property
+    def positioners(self) -> Mapping[str, VirtualPositioner]:
+        """Its lamp and the tilts of its sample."""
+        return self._positioners.by_name
+
+    def identities(self) -> tuple[DeviceIdentity, ...]:
+        """Return its devices, all of them virtual."""
+        return (
+            DeviceIdentity(role="stage", driver="virtual", identity="virtual stage"),
+            DeviceIdentity(role="pulse box", driver="WPC/2", identity=self._box.identity.name),
+            DeviceIdentity(role="camera", driver="virtual", identity="virtual camera"),
+        )
+
     def overview(self) -> Overview:
         """Return an overview image of the sample, as from a camera of low magnification."""
         return scene_overview(self._scene)
@@ -179,9 +223,19 @@ class VirtualRig:
         wanted = sample.product if sample is not None and virtual else self._own_scene
         if wanted == self._scene:
             return False
-        self._scene, self._renderer = wanted, scene_renderer(wanted, self._limits)
-        self._camera.renderer = self._renderer
+        self._scene = wanted
+        self._render()
         return True
+
+    def look_through(self, limits: RigLimits) -> None:
+        """Show the sample through the objective and with the pixels of other limits, as when a nosepiece was turned."""
+        if limits.objective != self._limits.objective or limits.pixel_um != self._limits.pixel_um:
+            self._limits = replace(self._limits, objective=limits.objective, pixel_um=limits.pixel_um)
+            self._render()
+
+    def _render(self) -> None:
+        self._renderer = scene_renderer(self._scene, self._limits, self._errors, self._positioners.slopes)
+        self._camera.renderer = self._renderer
 
     def prepare(self, plan: ScanPlan, should_stop: ShouldStop) -> None:
         """In real time, prerender the plan's frames in a separate process; otherwise do nothing."""
@@ -192,12 +246,19 @@ class VirtualRig:
         here = self._stage.position()
         order = PrerenderJob(
             scene=self._scene,
-            seed=self._seed,
+            seed=self._scale_seed,
+            frame_seed=self._camera.next_frame_seed,
             limits=self._limits,
             plan=plan,
             here_um=(here.x_um, here.y_um, here.z_um),
+            errors=self._errors,
+            light=self._positioners.light_at(self._clock.now_s()),
+            slopes=self._positioners.slopes(),
         )
-        self._camera.renderer = prerender(order, self._renderer, should_stop) or self._renderer
+        self._camera.renderer = (
+            prerender(order, self._renderer, should_stop, lambda: self._positioners.slopes() == order.slopes)
+            or self._renderer
+        )
 
     def close(self) -> None:
         """Stop motion, stop the pulses, and close the port."""
@@ -212,7 +273,10 @@ class VirtualRig:
         """Return true heights in um at points of any shape. Only tests may use it."""
         from wafer_viewer.rigs.virtual.scenes.catalogue import scene
 
-        return scene(self._scene).truth(x_um, y_um)
+        flat, (along_x, along_y) = scene(self._scene).truth(x_um, y_um), self._positioners.slopes()
+        if (along_x, along_y) == LEVEL:
+            return flat
+        return flat + (along_x * np.asarray(x_um) + along_y * np.asarray(y_um)).astype(np.float32)
 
     def _triggered(self, time_s: float) -> bool:
         """Send a pulse to the camera, with its faults; return whether the box detected an exposure."""
@@ -233,6 +297,13 @@ class VirtualRig:
         if self._camera.disturb(time_s):
             self._firmware.see_exposure()
 
+    def _moved(self, axis: Axis, time_s: float) -> None:
+        """Let the box lose counts in a motion, once for each number in its faults."""
+        number, faults = self._stage.motions - 1, self._faults
+        if number in faults.slipping_motions and number not in self._slipped:
+            self._slipped.add(number)
+            self._firmware.slip(faults.slip_counts, reported=faults.slips_reported)
+
     def _suppresses(self) -> bool:
         """Return whether the box holds back the next trigger: once for each number in its faults."""
         number = self._camera.triggers
@@ -242,15 +313,35 @@ class VirtualRig:
         return True
 
 
-def scene_renderer(name: str, limits: RigLimits) -> Renderer:
-    """Return the renderer of a scene for the camera and objective of a rig."""
+def scene_renderer(
+    name: str,
+    limits: RigLimits,
+    errors: CalibrationErrors = CalibrationErrors(),
+    slopes: Callable[[], Slopes] = lambda: LEVEL,
+) -> Renderer:
+    """Return the renderer of a scene for the camera and objective of a rig, with the hidden errors of its pixels."""
     from wafer_viewer.rigs.virtual.camera import FrameRenderer, Sensor
     from wafer_viewer.rigs.virtual.optics.optics import Optics
     from wafer_viewer.rigs.virtual.scenes.catalogue import scene
 
     objective, camera = limits.objective, limits.camera
-    optics = Optics(na=objective.numerical_aperture, wavelength_um=objective.wavelength_um, pixel_um=limits.pixel_um)
-    return FrameRenderer(scene(name), optics, Sensor(rows=camera.rows, cols=camera.cols, bits=camera.bits))
+    pixel_um = limits.pixel_um * (1 + errors.pixel_fraction)
+    optics = Optics(na=objective.numerical_aperture, wavelength_um=objective.wavelength_um, pixel_um=pixel_um)
+    sensor = Sensor(
+        rows=camera.rows,
+        cols=camera.cols,
+        bits=camera.bits,
+        shading_fraction=errors.shading_fraction,
+        black_counts=errors.black_counts,
+    )
+    return FrameRenderer(
+        scene(name),
+        optics,
+        sensor,
+        camera_rotation_rad=errors.camera_rotation_rad,
+        distortion_fraction=errors.distortion_fraction,
+        slopes=slopes,
+    )
 
 
 def scene_overview(name: str) -> Overview:

@@ -146,12 +146,13 @@ class ScaleError:
 
 
 class VirtualAxis:
-    """One axis: its limits, its motion, and its ringing after a halt."""
+    """One axis: its limits, its motion, its ringing after a halt, and the position of its index mark on the scale."""
 
-    def __init__(self, name: Axis, limits: AxisLimits) -> None:
-        self.name: Axis = name
+    def __init__(self, name: str, limits: AxisLimits, at_um: float = 0.0) -> None:
+        self.name = name
         self.limits = limits
-        self.profile = standing(0.0)
+        self.index_um = limits.index_um
+        self.profile = standing(at_um)
 
     def start(self, now_s: float, to_um: float, speed_um_s: float, late_s: float = 0.0) -> None:
         """Begin a motion, `late_s` after its command."""
@@ -183,14 +184,25 @@ class VirtualAxis:
 class VirtualStage:
     """Implementation of Stage on a virtual clock; the pulse box uses its scales, the camera its true position."""
 
-    def __init__(self, clock: VirtualClock, limits: RigLimits, seed: int = 0, faults: Faults | None = None) -> None:
+    def __init__(
+        self,
+        clock: VirtualClock,
+        limits: RigLimits,
+        seed: int = 0,
+        faults: Faults | None = None,
+        z_fraction: float = 0.0,
+    ) -> None:
         self._clock = clock
+        self._z_factor = 1 + z_fraction
+        """True distance over distance on the scale."""
         self._faults = faults or Faults()
         self._motions = 0
         """Number of motions commanded since the rig was switched on."""
         self._endless = False
         """Whether the stage permanently reports motion."""
         self.axes: dict[Axis, VirtualAxis] = {n: VirtualAxis(n, limits.axis(n)) for n in ("x", "y", "z")}
+        self._further: dict[str, VirtualAxis] = {}
+        """Axes of positioners, by name, in their units."""
         self._error_x = ScaleError((seed, 1), LATERAL_ERROR_UM, LATERAL_WAVES_UM)
         self._error_y = ScaleError((seed, 2), LATERAL_ERROR_UM, LATERAL_WAVES_UM)
         self._error_z = ScaleError((seed, 3), AXIAL_ERROR_UM, AXIAL_WAVES_UM)
@@ -199,6 +211,23 @@ class VirtualStage:
     def on_motion(self, follower: Callable[[Axis, float], None]) -> None:
         """Register a callback for axis and time of every start and interruption of a motion."""
         self._followers.append(follower)
+
+    def add(self, name: str, limits: AxisLimits, at: float) -> None:
+        """Add an axis of a positioner, which no pulse counts, at a position in its unit."""
+        self._further[name] = VirtualAxis(name, limits, at)
+
+    def axis(self, name: str) -> VirtualAxis:
+        """Return an axis of the stage or of a positioner."""
+        return next(axis for axis in self._all if axis.name == name)
+
+    @property
+    def _all(self) -> tuple[VirtualAxis, ...]:
+        return (*self.axes.values(), *self._further.values())
+
+    @property
+    def motions(self) -> int:
+        """Number of motions commanded since the rig was switched on."""
+        return self._motions
 
     def position(self) -> Position:
         """Return the current scale readings."""
@@ -221,7 +250,7 @@ class VirtualStage:
         return Position(
             x_um + self._error_x.at(x_um, y_um),
             y_um + self._error_y.at(x_um, y_um),
-            scales.z_um + self._error_z.at(scales.z_um),
+            scales.z_um * self._z_factor + self._error_z.at(scales.z_um),
         )
 
     def move_to(
@@ -244,9 +273,9 @@ class VirtualStage:
             raise self._stopped()
         now_s = self._clock.now_s()
         goals = [(axis, to_um) for axis, to_um in goals if to_um != axis.profile.position_at(now_s)]
-        late_s = self._command() if goals else 0.0
+        late_s, beyond_um = self._command() if goals else (0.0, 0.0)
         for axis, to_um in goals:
-            self._start(axis, to_um, axis.limits.speed_um_s, late_s)
+            self._start(axis, to_um + beyond_um, axis.limits.speed_um_s, late_s)
         self._arrive(should_stop)
 
     def start(self, axis: Axis, to_um: float, speed_um_s: float) -> None:
@@ -254,7 +283,8 @@ class VirtualStage:
         one = self.axes[axis]
         self._check(one, to_um)
         one.limits.require_speed(axis, speed_um_s)
-        self._start(one, to_um, speed_um_s, self._command())
+        late_s, beyond_um = self._command()
+        self._start(one, to_um + beyond_um, speed_um_s, late_s)
 
     def homed(self) -> bool:
         """Return True, as the scales are absolute."""
@@ -263,7 +293,7 @@ class VirtualStage:
     def moving(self) -> bool:
         """Return whether any axis is in motion."""
         now_s = self._clock.now_s()
-        return self._endless or any(axis.moving(now_s) for axis in self.axes.values())
+        return self._endless or any(axis.moving(now_s) for axis in self._all)
 
     def wait(self) -> None:
         """Wait until every axis is at rest and settled. Raises RigTimeout when it does not report so in time."""
@@ -273,19 +303,20 @@ class VirtualStage:
             raise RigTimeout("The stage still reports motion long after it should stand: stop it and check its drives.")
 
     def stop(self) -> None:
-        """Decelerate every axis to a halt. This is not an emergency stop."""
+        """Decelerate every axis to a halt, those of positioners too. This is not an emergency stop."""
         self._endless = False
-        for axis in self.axes:
-            self.halt(axis)
+        for axis in self._all:
+            self.halt(axis.name)
 
-    def redirect(self, axis: Axis, to_um: float, speed_um_s: float) -> None:
+    def redirect(self, axis: str, to_um: float, speed_um_s: float) -> None:
         """Begin a motion of one axis, even out of its range or in the middle of another: for simulated controllers."""
-        self._start(self.axes[axis], to_um, speed_um_s, self._command())
+        late_s, beyond_um = self._command()
+        self._start(self.axis(axis), to_um + beyond_um, speed_um_s, late_s)
 
-    def halt(self, axis: Axis) -> None:
+    def halt(self, axis: str) -> None:
         """Decelerate one axis to a halt."""
         self._clock.catch_up()
-        now_s, one = self._clock.now_s(), self.axes[axis]
+        now_s, one = self._clock.now_s(), self.axis(axis)
         if one.moving(now_s):
             one.stop(now_s)
             self._tell(one, now_s)
@@ -301,7 +332,7 @@ class VirtualStage:
         self.wait()
 
     def _unsettled_s(self) -> float:
-        settled_s = max(axis.settled_s() for axis in self.axes.values())
+        settled_s = max(axis.settled_s() for axis in self._all)
         return max(0.0, settled_s - self._clock.now_s())
 
     def _stopped(self) -> MotionStopped:
@@ -313,12 +344,13 @@ class VirtualStage:
         if axis.moving(self._clock.now_s()):
             raise RigError(f"The {axis.name} axis is still moving: wait for it or stop it first.")
 
-    def _command(self) -> float:
-        """Number a motion, with its faults; return its start delay in s."""
-        number = self._motions
+    def _command(self) -> tuple[float, float]:
+        """Number a motion, with its faults; return its start delay in s and its overshoot in um."""
+        number, faults = self._motions, self._faults
         self._motions += 1
-        self._endless = self._endless or number in self._faults.endless_motions
-        return self._faults.late_s if number in self._faults.late_motions else 0.0
+        self._endless = self._endless or number in faults.endless_motions
+        late_s = faults.late_s if number in faults.late_motions else 0.0
+        return late_s, faults.overshoot_um if number in faults.overshooting_motions else 0.0
 
     def _start(self, axis: VirtualAxis, to_um: float, speed_um_s: float, late_s: float) -> None:
         self._clock.catch_up()
@@ -326,6 +358,9 @@ class VirtualStage:
         axis.start(now_s, to_um, speed_um_s, late_s)
         self._tell(axis, now_s)
 
-    def _tell(self, axis: VirtualAxis, now_s: float) -> None:
-        for follower in self._followers:
-            follower(axis.name, now_s)
+    def _tell(self, moved: VirtualAxis, now_s: float) -> None:
+        """Tell the followers of a motion of the stage; the pulse box does not count positioners."""
+        for name, axis in self.axes.items():
+            if axis is moved:
+                for follower in self._followers:
+                    follower(name, now_s)

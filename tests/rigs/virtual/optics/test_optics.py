@@ -170,3 +170,35 @@ def test_the_overview_shows_the_whole_sample(name, shape):
     assert picture.shape == shape
     assert picture.dtype == np.uint8
     assert picture[shape[0] // 2, 8] > 100
+
+
+@pytest.mark.parametrize("bits", [8, 16])
+def test_hidden_shading_and_black_are_those_asked_for_and_none_by_default(bits):
+    radiance = np.full((90, 120), 0.5, np.float32)
+    plain = Sensor(90, 120, bits=bits)
+    np.testing.assert_array_equal(plain.expose(radiance, 1.0, 3), Sensor(90, 120, bits=bits).expose(radiance, 1.0, 3))
+    np.testing.assert_array_equal(flat_field(90, 120, 7), flat_field(90, 120, 7, 0.0))
+    hidden = replace(plain, shading_fraction=0.2, black_counts=10).expose(radiance, 1.0, 3).astype(float)
+    black = 10 * 2 ** (bits - 8)
+    ratio = (hidden - black).mean(axis=0) / plain.expose(radiance, 1.0, 3).mean(axis=0)
+    assert ratio[-1] - ratio[0] == pytest.approx(0.2, abs=0.02)
+    white = replace(plain, black_counts=10).expose(np.ones((90, 120), np.float32), 5.0, 3)
+    assert white.min() == 2**bits - 1, "no counts beyond white"
+
+
+def test_a_pixel_of_a_distorting_lens_shows_what_lies_nearer_to_the_centre():
+    sensor, at = Sensor(121, 121), 20.0
+    corner_um = np.hypot(121, 121) / 2 * OPTICS.pixel_um
+
+    def dot_at(x, y, footprint, out):
+        a_dot(x - at, y, footprint, out)
+
+    def place_px(distortion):
+        made = FrameRenderer(replace(scene("plane"), fill=dot_at), OPTICS, sensor, distortion_fraction=distortion)
+        picture = made.frame(0, 0, 0, 100.0, 1).astype(float)
+        light = np.maximum(picture - 30, 0)
+        return float((light * np.arange(121)).sum() / light.sum()) - 60
+
+    apart_um = place_px(0.05) * OPTICS.pixel_um
+    assert apart_um * (1 - 0.05 * (apart_um / corner_um) ** 2) == pytest.approx(at, abs=0.1)
+    assert place_px(0.0) * OPTICS.pixel_um == pytest.approx(at, abs=0.1)

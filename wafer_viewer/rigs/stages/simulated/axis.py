@@ -5,7 +5,6 @@ from __future__ import annotations
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Mapping
 
-from wafer_viewer.model.acquisition.plan import Axis
 from wafer_viewer.rigs.stages.motion_controller import AxisConfig
 from wafer_viewer.rigs.virtual.clock import VirtualClock
 from wafer_viewer.rigs.virtual.stage import VirtualStage
@@ -21,10 +20,10 @@ class SimulatedAxis:
     """
 
     def __init__(
-        self, clock: VirtualClock, stage: VirtualStage, name: Axis, config: AxisConfig, *, middle: bool = False
+        self, clock: VirtualClock, stage: VirtualStage, name: str, config: AxisConfig, *, middle: bool = False
     ) -> None:
         self._clock, self._stage, self._config = clock, stage, config
-        self._name: Axis = name
+        self._name = name
         self._reference_um = (config.low_um + config.high_um) / 2 if middle else config.low_um
         self._searching = False
         self.switch_on()
@@ -43,7 +42,7 @@ class SimulatedAxis:
     @property
     def moving(self) -> bool:
         """True while the axis reports motion, for ever with `endless`; the end of a search sets the counter."""
-        moving = self.endless or self._stage.axes[self._name].moving(self._clock.now_s())
+        moving = self.endless or self._stage.axis(self._name).moving(self._clock.now_s())
         if self._searching and not moving:
             self._searching, self.homed = False, True
             self._zero_um, self._zero_units = 0.0, self._config.zero_units
@@ -88,7 +87,7 @@ class SimulatedAxis:
         self.stalled = True
 
     def _true_um(self) -> float:
-        return self._stage.axes[self._name].profile.position_at(self._clock.now_s())
+        return self._stage.axis(self._name).profile.position_at(self._clock.now_s())
 
 
 class SimulatedController(ABC):
@@ -97,14 +96,14 @@ class SimulatedController(ABC):
     Parameters
     ----------
     clock, stage : of the virtual rig.
-    axes : the axes of the stage that this controller moves.
+    axes : the axes of the stage and the positioners that this controller moves.
     middle : true if the reference of an axis lies in the middle of its travel, else at its low end.
     """
 
     def __init__(
-        self, clock: VirtualClock, stage: VirtualStage, axes: Mapping[Axis, AxisConfig], *, middle: bool = False
+        self, clock: VirtualClock, stage: VirtualStage, axes: Mapping[str, AxisConfig], *, middle: bool = False
     ) -> None:
-        self.axes: dict[Axis, SimulatedAxis] = {
+        self.axes: dict[str, SimulatedAxis] = {
             name: SimulatedAxis(clock, stage, name, axes[name], middle=middle) for name in axes
         }
         self._clock = clock

@@ -5,7 +5,6 @@ from __future__ import annotations
 import re
 from collections.abc import Mapping
 
-from wafer_viewer.model.acquisition.plan import Axis
 from wafer_viewer.rigs.stages.motion_controller import AxisConfig
 from wafer_viewer.rigs.stages.simulated.axis import SimulatedController
 from wafer_viewer.rigs.virtual.clock import VirtualClock
@@ -13,21 +12,23 @@ from wafer_viewer.rigs.virtual.stage import VirtualStage
 
 GREETING = b"\r\nGrbl 1.1h ['$' for help]\r\n[MSG:'$H'|'$X' to unlock]\r\n"
 OK = b"ok\r\n"
-JOG = re.compile(r"\$J=G90 ?G21 ?G53 ?((?:[XYZ]-?[\d.]+ ?)+)F([\d.]+)")
+JOG = re.compile(r"\$J=G90 ?G21 ?G53 ?((?:[XYZABC]-?[\d.]+ ?)+)F([\d.]+)")
 STEPS_PER_MM = 1000.0
 LOOK_S = 0.01
 """Time between two looks at the end of a search, s."""
-LETTERS = "XYZ"
+LETTERS = "XYZABC"
+"""Axes by their order; a board reports X, Y and Z, and those after them up to the last that it has."""
 
 
 class SimulatedGrbl(SimulatedController):
     """A board that is locked at power-up and does not answer while it homes."""
 
-    def __init__(self, clock: VirtualClock, stage: VirtualStage, axes: Mapping[Axis, AxisConfig]) -> None:
+    def __init__(self, clock: VirtualClock, stage: VirtualStage, axes: Mapping[str, AxisConfig]) -> None:
         super().__init__(clock, stage, axes)
         self._by_letter = {axes[name].address: self.axes[name] for name in axes}
         self.settings = {13: 0.0, 20: 1.0, 22: 1.0}
-        for letter in LETTERS:
+        self._letters = LETTERS[: max((3, *(1 + LETTERS.index(letter) for letter in self._by_letter)))]
+        for letter in self._letters:
             config = next((config for config in axes.values() if config.address == letter), None)
             rate = config.rate(config.speed_um_s) * 60 if config else 500.0
             acceleration = config.rate(config.acceleration_um_s2) if config else 10.0
@@ -108,7 +109,7 @@ class SimulatedGrbl(SimulatedController):
             return b"error:20\r\n"
         if self.state == "Alarm":
             return b"error:9\r\n"
-        goals = {word[0]: float(word[1:]) for word in re.findall(r"[XYZ]-?[\d.]+", found[1])}
+        goals = {word[0]: float(word[1:]) for word in re.findall(r"[XYZABC]-?[\d.]+", found[1])}
         goals = {letter: round(mm * STEPS_PER_MM) / STEPS_PER_MM for letter, mm in goals.items()}
         if any(not self._by_letter[letter].reachable(mm) for letter, mm in goals.items()):
             return b"error:15\r\n"
@@ -130,7 +131,7 @@ class SimulatedGrbl(SimulatedController):
         return self._report("Jog" if self._moving() else self.state)
 
     def _report(self, state: str) -> bytes:
-        at = ",".join(f"{self._by_letter[x].units if x in self._by_letter else 0.0:.3f}" for x in LETTERS)
+        at = ",".join(f"{self._by_letter[x].units if x in self._by_letter else 0.0:.3f}" for x in self._letters)
         return f"<{state}|MPos:{at}|FS:0,0>\r\n".encode()
 
     def _moving(self) -> bool:

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 
-from wafer_viewer.model.acquisition.plan import Axis
 from wafer_viewer.rigs.stages.motion_controller import AxisConfig
 from wafer_viewer.rigs.stages.simulated.axis import SimulatedController
 from wafer_viewer.rigs.virtual.clock import VirtualClock
@@ -18,7 +17,7 @@ MOVING, READY, STOP = 5, 7, 24
 class SimulatedPi(SimulatedController):
     """A controller whose servos are off and whose axes have no reference at power-up."""
 
-    def __init__(self, clock: VirtualClock, stage: VirtualStage, axes: Mapping[Axis, AxisConfig]) -> None:
+    def __init__(self, clock: VirtualClock, stage: VirtualStage, axes: Mapping[str, AxisConfig]) -> None:
         super().__init__(clock, stage, axes, middle=True)
         self._by_address = {axes[name].address: self.axes[name] for name in axes}
         self._most = {config.address: config.rate(config.speed_um_s) * 1.001 for config in axes.values()}

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 
-from wafer_viewer.model.acquisition.plan import Axis
 from wafer_viewer.rigs.stages.motion_controller import AxisConfig
 from wafer_viewer.rigs.stages.simulated.axis import SimulatedAxis, SimulatedController
 from wafer_viewer.rigs.virtual.clock import VirtualClock
@@ -38,7 +37,7 @@ def checksum(body: bytes) -> int:
 class SimulatedZaber(SimulatedController):
     """The axes of all devices of a chain."""
 
-    def __init__(self, clock: VirtualClock, stage: VirtualStage, axes: Mapping[Axis, AxisConfig]) -> None:
+    def __init__(self, clock: VirtualClock, stage: VirtualStage, axes: Mapping[str, AxisConfig]) -> None:
         super().__init__(clock, stage, axes)
         self._places: dict[Place, SimulatedAxis] = {}
         self._speeds: dict[Place, float] = {}
