@@ -8,6 +8,7 @@ import pytest
 from tests.acquire.ledger import Ledger
 from tests.rigs.pulse_box.firmware_box import FirmwareBox
 from tests.rigs.pulse_box.worlds import build, missing_tools
+from wafer_viewer.acquire.conformance.runner import CHECKS, run_checks
 from wafer_viewer.acquire.scan_runner import run_scan
 from wafer_viewer.rigs.virtual.faults import Faults
 from wafer_viewer.rigs.virtual.serial_port import Interference
@@ -87,3 +88,11 @@ def test_slips_restarts_and_disturbed_lines_at_random_put_no_frame_into_a_wrong_
     for shot, frame in ledger.kept.items():
         assert place(frame.image)[0][2] == pytest.approx(frame.z_um, abs=0.12)
         assert frame.z_um == pytest.approx(plan.sweep.z_um(plan.field(shot.field), shot.k), abs=0.12)
+
+
+def test_the_firmware_meets_the_demands_of_the_conformance_checks(virtual_rig, with_firmware):
+    with_firmware()
+    rig = virtual_rig()
+    results = run_checks(rig, move=True, checks=[check for check in CHECKS if "camera" not in check.roles])
+    assert {result.name: result.why for result in results if result.verdict != "passed"} == {}
+    assert "host" in rig.identities()[1].identity

@@ -46,7 +46,7 @@ def image_of(pulse, offset_us=123_456_789, counter=True, drift=0.0, jitter_us=0,
 
 
 def reconciler(one, offset_us=123_456_789, delay_us=12.0, exposure_us=100.0):
-    return Reconciler(one, LIMITS, Timing(delay_us, exposure_us, DeviceClock(offset_us), PERIOD_US))
+    return Reconciler(one, LIMITS, Timing(delay_us, (exposure_us,), DeviceClock(offset_us), PERIOD_US))
 
 
 def right(frame, one):

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import numpy as np
 import pytest
 
 from tests.support.gauge_repeats import CALIBRATION, certificate, repeats, signed
@@ -63,3 +64,20 @@ def test_what_sets_no_scale_is_refused(values, changes, message):
     check = gauge_check(repeats(*values, **changes), certificate(), GaugeTerms())
     with pytest.raises(MeasureError, match=message):
         scale_correction(check, CALIBRATION, TODAY)
+
+
+def test_a_hidden_error_of_a_hundredth_of_a_percent_is_found_within_u():
+    hidden, covered, shares = 1e-4, [], []
+    used = replace(CALIBRATION, u_z_scale=5e-4)
+    for seed in range(60):
+        rng = np.random.default_rng(seed)
+        true_um = 1_000.0 + rng.normal(0, 0.015)
+        measured_um = true_um / (1 + hidden) + rng.normal(0, 0.02, 6)
+        steps = repeats(*measured_um.tolist(), noise_um=0.02, calibration=used)
+        sure = certificate(nominal_um=1_000.0, value_um=1_000.0, expanded_um=0.03, variation_um=0.02)
+        check = gauge_check(steps, sure, GaugeTerms(limit_um=0.5, temperature_c=20.0))
+        found = scale_correction(check, used, TODAY).calibration
+        covered.append(abs(found.z_scale - (1 + hidden)) <= 2 * found.u_z_scale)
+        shares.append(2 * found.u_z_scale)
+    assert np.mean(covered) >= 0.9
+    assert max(shares) < hidden, "the checks are good enough to see it"

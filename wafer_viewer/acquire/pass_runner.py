@@ -6,25 +6,40 @@ from collections.abc import Callable, Generator
 from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass
 
-from wafer_viewer.acquire.motion import Deadline, at_um, await_arrival, come_to_rest, device_errors, move
+from wafer_viewer.acquire.axis_reference import COUNT_TOLERANCE, stage_count
+from wafer_viewer.acquire.motion import Deadline, await_arrival, come_to_rest, device_errors, move
 from wafer_viewer.acquire.pulse_reconciliation import DeviceClock, Pairing, Reconciler, Timing
-from wafer_viewer.model.acquisition.devices import CameraImage, PulseSummary, Rig
+from wafer_viewer.model.acquisition.devices import CameraImage, ExposureSequencer, PulseSummary, Rig
 from wafer_viewer.model.acquisition.focus_stack import Frame
 from wafer_viewer.model.acquisition.plan import Axis, Leg, PulseTrain
 from wafer_viewer.model.errors import MissedPulse, MotionStopped, PulseBoxRestarted, RigError
 from wafer_viewer.model.progress import ShouldStop
 
-AXES: tuple[Axis, ...] = ("x", "y", "z")
 POLL_S = 0.05
 """Longest wait for an image before the next heartbeat to the pulse box."""
 GRACE_S = 0.25
 """Extra time for an image after the last pulse's exposure and readout."""
 SYNC_TRIES = 3
 """Largest number of test pulses for the clock of the camera."""
-COUNT_TOLERANCE = 2
-"""Permitted difference of pulse box and stage at rest in counts: both round, and an axis at rest still vibrates."""
+COUNT_READINGS = 5
+"""Readings at rest that agree if 1 or 2 counts are a slip and not vibration, a settling time apart."""
 NOTHING_SENT = PulseSummary(emitted=0, suppressed=0, quadrature_errors=0, exposures=0)
 """Counts of a pass that was stopped before its pulses."""
+
+
+@dataclass(frozen=True, slots=True)
+class PassSettings:
+    """Exposures and timing of a pass, and the slip that it may have.
+
+    exposures_us: exposure times of the plan, by the numbers that the shots name; clock: of the camera against the box;
+    count_tolerance: largest slip in counts that is no doubt, at most COUNT_TOLERANCE; delay_us: from a pulse to the
+    exposure, None for that of the rig's own calibration.
+    """
+
+    exposures_us: tuple[float, ...]
+    clock: DeviceClock
+    count_tolerance: int = COUNT_TOLERANCE
+    delay_us: float | None = None
 
 
 @dataclass(frozen=True, slots=True)
@@ -40,7 +55,8 @@ class PassResult:
     """Outcome of a pass.
 
     doubts: reasons for discarding all of its frames; pairing: None if it was stopped on the approach or the pulse box
-    restarted; count_mended: difference of box and stage counts before the pass, which was corrected.
+    restarted; count_mended: difference of box and stage counts before the pass, which was corrected; slip: this
+    difference after the pass, 0 if it is the one before; a doubt only beyond the permitted one.
     """
 
     summary: PulseSummary
@@ -48,6 +64,7 @@ class PassResult:
     doubts: tuple[PassDoubt, ...]
     count_mended: int
     stopped: bool
+    slip: int = 0
 
 
 @contextmanager
@@ -58,14 +75,6 @@ def rig_at_rest(rig: Rig) -> Generator[None]:
         afterwards.callback(rig.stage.stop)
         afterwards.callback(rig.box.halt)
         yield
-
-
-def reference_axes(rig: Rig) -> None:
-    """Set the counts of the pulse box from the position of the stage at rest."""
-    with device_errors("stage"):
-        here = rig.stage.position()
-    for axis in AXES:
-        rig.box.reference(axis, rig.limits.axis(axis).counts(at_um(here, axis)))
 
 
 def device_clock(rig: Rig, exposure_us: float, before: DeviceClock | None = None) -> DeviceClock:
@@ -100,18 +109,17 @@ def device_clock(rig: Rig, exposure_us: float, before: DeviceClock | None = None
 def run_pass(
     rig: Rig,
     leg: Leg,
-    exposure_us: float,
-    clock: DeviceClock,
+    settings: PassSettings,
     take: Callable[[Frame], None],
     should_stop: ShouldStop,
 ) -> PassResult:
-    """Execute a leg; frames go to `take` during the pass and are valid only by its result.
+    """Execute a leg of a plan; frames go to `take` and are valid only by the result.
 
     A restart of the pulse box leaves stage and camera at rest and is a doubt of the result. Raises MissedPulse if the
     box sent no pulse at all, RigTimeout if the stage does not arrive in time, RigError if no image arrived at all or a
     device refuses.
     """
-    one = _Pass(rig, leg, exposure_us, clock, take, should_stop)
+    one = _Pass(rig, leg, settings, take, should_stop)
     try:
         return one.run()
     except PulseBoxRestarted:
@@ -124,17 +132,23 @@ class _Pass:
         self,
         rig: Rig,
         leg: Leg,
-        exposure_us: float,
-        clock: DeviceClock,
+        settings: PassSettings,
         take: Callable[[Frame], None],
         should_stop: ShouldStop,
     ) -> None:
+        exposures_us = settings.exposures_us
         self._rig = rig
         self._leg = leg
-        self._exposure_us = exposure_us
+        self._sequence_us = tuple(exposures_us[e] for e in dict.fromkeys(shot.exposure for shot in leg.shots))
+        self._longest_us = max(self._sequence_us)
+        self._delay_us = _own_delay_us(rig) if settings.delay_us is None else settings.delay_us
         self._take = take
         self._should_stop = should_stop
-        self._reconciler = Reconciler(leg, rig.limits, _timing(rig, leg, exposure_us, clock))
+        self._count_tolerance = settings.count_tolerance
+        self._off_before = 0
+        """Difference of box and stage counts when the pass began."""
+        timing = _timing(rig, leg, exposures_us, self._longest_us, settings.clock, self._delay_us)
+        self._reconciler = Reconciler(leg, rig.limits, timing)
 
     def run(self) -> PassResult:
         """Execute the pass from approach to checks."""
@@ -142,7 +156,7 @@ class _Pass:
             return PassResult(NOTHING_SENT, None, (), count_mended=0, stopped=True)
         mended = self.mend_count()
         with device_errors("camera"):
-            self._rig.camera.start(self._exposure_us)
+            _start_camera(self._rig, self._sequence_us)
         stopped = self.shoot() if self._leg.speed_um_s == 0 else self.sweep()
         return self.finish(stopped, mended)
 
@@ -162,9 +176,13 @@ class _Pass:
     def mend_count(self) -> int:
         """Correct the box's count by the stage's position if they differ at rest; return the difference in counts."""
         off = self._count_error()
-        if abs(off) <= COUNT_TOLERANCE:
+        if self._count_tolerance < abs(off) <= COUNT_TOLERANCE:
+            off = self._standing_error()
+        if abs(off) <= self._count_tolerance:
+            self._off_before = off
             return 0
-        self._rig.box.reference(self._leg.train.axis, self._stage_count())
+        axis = self._leg.train.axis
+        self._rig.box.reference(axis, stage_count(self._rig, axis))
         return off
 
     def sweep(self) -> bool:
@@ -172,7 +190,7 @@ class _Pass:
         stage, train, speed = self._rig.stage, self._leg.train, self._leg.speed_um_s
         end_um = self._rig.limits.axis(train.axis).position_um(train.last_count) + self._run_up_um()
         deadline = Deadline(self._rig, {train.axis: end_um}, speed)
-        self._rig.box.arm(train, min_gap_us=self._rig.limits.camera.period_s(self._exposure_us) * 1e6)
+        self._rig.box.arm(train, min_gap_us=self._rig.limits.camera.period_s(self._longest_us) * 1e6)
         with device_errors("stage"):
             stage.start(train.axis, end_um, speed)
         while self._moving():
@@ -194,7 +212,7 @@ class _Pass:
             count = train.first_count + train.direction * train.counts_per_frame * i
             if not self._go_to(axis.position_um(count)):
                 return True
-            self._wait_until(last_s + self._rig.limits.camera.period_s(self._exposure_us))
+            self._wait_until(last_s + self._rig.limits.camera.period_s(self._longest_us))
             last_s = self._rig.clock.now_s()
             self._rig.box.fire()
             self._wait_until(last_s + exposed_s)
@@ -203,7 +221,7 @@ class _Pass:
 
     def finish(self, stopped: bool, mended: int) -> PassResult:
         """Wait for outstanding images, end the run and check it."""
-        deadline_s = self._rig.clock.now_s() + image_wait_s(self._rig, self._exposure_us)
+        deadline_s = self._rig.clock.now_s() + image_wait_s(self._rig, self._longest_us)
         while not stopped and not self._reconciler.all_paired and self._rig.clock.now_s() < deadline_s:
             self._look(POLL_S)
         summary = self._rig.box.disarm()
@@ -211,28 +229,33 @@ class _Pass:
         with device_errors("camera"):
             self._rig.camera.stop()
         pairing = self._reconciler.close()
-        doubts = doubts_of(summary, pairing, self._leg.train.axis, self._slip(), self._rig)
+        slip = self._slip()
+        doubted = slip if abs(slip) > self._count_tolerance else 0
+        doubts = doubts_of(summary, pairing, self._leg.train.axis, doubted, self._rig)
         if not stopped:
             self._check_anything_came(summary, pairing)
-        return PassResult(summary, pairing, doubts, mended, stopped)
+        return PassResult(summary, pairing, doubts, mended, stopped, slip)
 
     def _slip(self) -> int:
-        """Return the count error of the box after the pass, measured again after settling."""
-        off = self._count_error()
-        if abs(off) <= COUNT_TOLERANCE:
+        """Return the count error of the box after the pass, or 0 if it is the one before."""
+        if self._count_error() == self._off_before:
             return 0
-        self._wait_until(self._rig.clock.now_s() + self._rig.limits.axis(self._leg.train.axis).settle_s)
-        off = self._count_error()
-        return off if abs(off) > COUNT_TOLERANCE else 0
+        off = self._standing_error()
+        return off if off != self._off_before else 0
+
+    def _standing_error(self) -> int:
+        """Return the count error that remains after settling; 1 or 2 counts in all readings alike, else none."""
+        settle_s, readings = self._rig.limits.axis(self._leg.train.axis).settle_s, list[int]()
+        for _ in range(COUNT_READINGS):
+            self._wait_until(self._rig.clock.now_s() + settle_s)
+            readings.append(self._count_error())
+        off = sorted(readings)[COUNT_READINGS // 2]
+        return off if abs(off) > COUNT_TOLERANCE or min(readings) == max(readings) else self._off_before
 
     def _count_error(self) -> int:
         """Return the box's count of the pass axis minus that of the stage's position; valid only at rest."""
-        return self._rig.box.count(self._leg.train.axis) - self._stage_count()
-
-    def _stage_count(self) -> int:
         axis = self._leg.train.axis
-        with device_errors("stage"):
-            return self._rig.limits.axis(axis).counts(at_um(self._rig.stage.position(), axis))
+        return self._rig.box.count(axis) - stage_count(self._rig, axis)
 
     def _run_up_um(self) -> float:
         train = self._leg.train
@@ -276,7 +299,7 @@ class _Pass:
         self._rig.clock.sleep(max(0.0, time_s - self._rig.clock.now_s()))
 
     def _exposed_s(self) -> float:
-        return (self._exposure_us + _delay_us(self._rig)) * 1e-6
+        return (self._longest_us + self._delay_us) * 1e-6
 
     def _check_anything_came(self, summary: PulseSummary, pairing: Pairing) -> None:
         n, shot = self._leg.train.n_frames, self._leg.shots[0]
@@ -330,14 +353,30 @@ def _n(number: int, what: str) -> str:
     return f"{number} {what}{'' if abs(number) == 1 else 's'}"
 
 
-def _timing(rig: Rig, leg: Leg, exposure_us: float, clock: DeviceClock) -> Timing:
-    period_us = rig.limits.camera.period_s(exposure_us) * 1e6
+def _start_camera(rig: Rig, exposures_us: tuple[float, ...]) -> None:
+    """Start the camera at an exposure, or at several in turn."""
+    camera = rig.camera
+    if len(exposures_us) == 1:
+        camera.start(exposures_us[0])
+    elif isinstance(camera, ExposureSequencer):
+        camera.start_sequence(exposures_us)
+    else:
+        raise RigError(
+            "The plan takes its exposures in turn, and the camera cannot change its exposure from frame to frame: plan "
+            "the scan again on this rig."
+        )
+
+
+def _timing(
+    rig: Rig, leg: Leg, exposures_us: tuple[float, ...], longest_us: float, clock: DeviceClock, delay_us: float
+) -> Timing:
+    period_us = rig.limits.camera.period_s(longest_us) * 1e6
     if leg.speed_um_s:
         period_us = rig.limits.axis(leg.train.axis).position_um(leg.train.counts_per_frame) / leg.speed_um_s * 1e6
-    return Timing(_delay_us(rig), exposure_us, clock, period_us)
+    return Timing(delay_us, exposures_us, clock, period_us)
 
 
-def _delay_us(rig: Rig) -> float:
+def _own_delay_us(rig: Rig) -> float:
     return rig.calibration.trigger_delay_us if rig.calibration is not None else 0.0
 
 

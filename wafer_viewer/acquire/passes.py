@@ -10,7 +10,7 @@ from dataclasses import dataclass
 from itertools import groupby
 from typing import Literal
 
-from wafer_viewer.model.acquisition.plan import Axis, Field, FocusSweep, Leg, PulseTrain, Shot
+from wafer_viewer.model.acquisition.plan import AXES, Axis, Field, FocusSweep, Leg, PulseTrain, Shot
 from wafer_viewer.model.acquisition.rig_limits import RigLimits
 
 SMEAR_PX = 0.5
@@ -22,7 +22,6 @@ PERIOD_SPARE = 1.02
 
 Line = Literal["x", "y"]
 Point = tuple[float, float, float]
-AXES: tuple[Axis, ...] = ("x", "y", "z")
 
 
 @dataclass(frozen=True, slots=True)
@@ -48,7 +47,7 @@ class Task:
 class Pass:
     """One continuous motion along `axis`: the frames ks of every field, in that order. Speed 0 is stop and shoot.
 
-    start_um: position (x, y, z) of the first pulse.
+    start_um: position (x, y, z) of the first pulse; exposures: taken in turn on consecutive pulses.
     """
 
     axis: Axis
@@ -58,12 +57,12 @@ class Pass:
     speed_um_s: float
     fields: tuple[Field, ...]
     ks: Sequence[int]
-    exposure: int
+    exposures: Sequence[int]
 
     @property
     def n_frames(self) -> int:
         """Number of pulses."""
-        return len(self.fields) * len(self.ks)
+        return len(self.fields) * len(self.ks) * len(self.exposures)
 
     def end_um(self, limits: RigLimits) -> Point:
         """Return the position of the last pulse."""
@@ -80,7 +79,7 @@ class Pass:
             n_frames=self.n_frames,
             direction=self.direction,
         )
-        shots = tuple(Shot(f.number, k, self.exposure) for f in self.fields for k in self.ks)
+        shots = tuple(Shot(f.number, k, e) for f in self.fields for k in self.ks for e in self.exposures)
         return Leg(train=train, shots=shots, x_um=x_um, y_um=y_um, z_um=z_um, speed_um_s=self.speed_um_s)
 
 
@@ -89,15 +88,38 @@ def z_passes(task: Task, *, snake: bool) -> Iterable[Pass]:
     up = True
     for field in snake_order(task.fields):
         for exposure in range(len(task.exposures_us)):
-            yield _z_pass(task, field, exposure, _axial_speed_um_s(task, exposure), up=up)
+            yield _z_pass(task, field, (exposure,), _axial_speed_um_s(task, (exposure,)), up=up)
             up = up != snake
+
+
+def alternating_passes(task: Task) -> Iterable[Pass]:
+    """Yield one z pass per field with the exposures in turn, alternately up and down; fields in a snake."""
+    exposures = range(len(task.exposures_us))
+    speed_um_s = _axial_speed_um_s(task, exposures)
+    for i, field in enumerate(snake_order(task.fields)):
+        yield _z_pass(task, field, exposures, speed_um_s, up=i % 2 == 0)
+
+
+def alternation_obstacle(task: Task) -> str | None:
+    """Return the reason why exposures cannot be taken in turn, or None."""
+    n, counts = len(task.exposures_us), task.limits.z.counts(task.sweep.z_step_um)
+    if not task.limits.camera.exposure_sequence:
+        return "the camera cannot change its exposure from frame to frame."
+    if counts % n:
+        nearest = sorted({n * max(1, counts // n + more) for more in (0, 1)})
+        steps = " or ".join(f"{task.limits.z.position_um(near):g} um" for near in nearest)
+        return (
+            f"the z step of {task.sweep.z_step_um:g} um is {counts} counts of the z scale, no multiple of the {n} "
+            f"exposures: choose {steps}."
+        )
+    return None
 
 
 def shoot_passes(task: Task) -> Iterable[Pass]:
     """Yield one upward stop-and-shoot pass per field and exposure."""
     for field in snake_order(task.fields):
         for exposure in range(len(task.exposures_us)):
-            yield _z_pass(task, field, exposure, speed_um_s=0.0, up=True)
+            yield _z_pass(task, field, (exposure,), speed_um_s=0.0, up=True)
 
 
 def line_passes(task: Task, line: Line) -> Iterable[Pass]:
@@ -129,6 +151,8 @@ def lines_of(fields: Iterable[Field], line: Line) -> list[list[Field]]:
 
 def line_obstacle(task: Task, line: Line) -> str | None:
     """Return the reason why line passes are impossible, or None."""
+    if any(field.n_frames is not None for field in task.fields):
+        return "fields with a z window of their own are not taken one z at a time."
     for fields in lines_of(task.fields, line):
         wrong = _uneven_pitch(task, fields, line) or _uneven_line(task, fields, line)
         if wrong is not None:
@@ -136,19 +160,23 @@ def line_obstacle(task: Task, line: Line) -> str | None:
     return None
 
 
-def _z_pass(task: Task, field: Field, exposure: int, speed_um_s: float, *, up: bool) -> Pass:
-    z, frames = task.limits.z, range(task.sweep.n_frames)
+def _z_pass(task: Task, field: Field, exposures: Sequence[int], speed_um_s: float, *, up: bool) -> Pass:
+    """Return a pass in which every exposure has the z step; a slot has the same z upward and downward."""
+    z, frames = task.limits.z, range(task.sweep.frames_of(field))
+    pitch_counts = z.counts(task.sweep.z_step_um) // len(exposures)
     lowest_um = z.position_um(z.counts(field.z_start_um))
-    start_um = lowest_um if up else lowest_um + task.sweep.range_um
+    range_um = task.sweep.z_step_um * (len(frames) - 1)
+    top_um = lowest_um + range_um + z.position_um(pitch_counts * (len(exposures) - 1))
+    start_um = lowest_um if up else top_um
     return Pass(
         axis="z",
         direction=1 if up else -1,
         start_um=(field.x_um, field.y_um, start_um),
-        pitch_counts=z.counts(task.sweep.z_step_um),
+        pitch_counts=pitch_counts,
         speed_um_s=speed_um_s,
         fields=(field,),
         ks=frames if up else frames[::-1],
-        exposure=exposure,
+        exposures=exposures if up else exposures[::-1],
     )
 
 
@@ -164,13 +192,13 @@ def _line_pass(task: Task, fields: list[Field], line: Line, k: int, exposure: in
         speed_um_s=_lateral_speed_um_s(task, line, pitch_counts, exposure),
         fields=tuple(fields if forward else fields[::-1]),
         ks=(k,),
-        exposure=exposure,
+        exposures=(exposure,),
     )
 
 
-def _axial_speed_um_s(task: Task, exposure: int) -> float:
-    by_camera = task.sweep.z_step_um / task.period_s(exposure)
-    by_smear = AXIAL_SMEAR * task.sweep.z_step_um / task.lit_s(exposure)
+def _axial_speed_um_s(task: Task, exposures: Sequence[int]) -> float:
+    by_camera = task.sweep.z_step_um / len(exposures) / max(map(task.period_s, exposures))
+    by_smear = AXIAL_SMEAR * task.sweep.z_step_um / max(map(task.lit_s, exposures))
     return min(by_camera, by_smear, task.limits.pass_speed_um_s("z"))
 
 

@@ -10,8 +10,17 @@ from functools import partial
 import numpy as np
 from numpy.typing import NDArray
 
-from wafer_viewer.acquire.passes import AXES, Pass, Task, line_obstacle, line_passes, shoot_passes, z_passes
-from wafer_viewer.model.acquisition.plan import Field, FocusSweep, Price, ScanPlan
+from wafer_viewer.acquire.passes import (
+    Pass,
+    Task,
+    alternating_passes,
+    alternation_obstacle,
+    line_obstacle,
+    line_passes,
+    shoot_passes,
+    z_passes,
+)
+from wafer_viewer.model.acquisition.plan import AXES, Field, FocusSweep, Price, ScanPlan
 from wafer_viewer.model.acquisition.rig_limits import AxisLimits, RigLimits
 from wafer_viewer.model.errors import PlanError
 from wafer_viewer.model.spec import replace
@@ -76,7 +85,7 @@ def _check_place(field: Field, limits: RigLimits) -> None:
 
 
 def _check_height(field: Field, sweep: FocusSweep, limits: RigLimits) -> None:
-    low_um, high_um = field.z_start_um, field.z_start_um + sweep.range_um
+    low_um, high_um = field.z_start_um, sweep.top_um(field)
     if low_um < limits.z.low_um or high_um > limits.z.high_um:
         raise PlanError(
             f"Field {field.number} sweeps z {low_um:.1f} to {high_um:.1f} um, out of the stage's range "
@@ -87,8 +96,7 @@ def _check_height(field: Field, sweep: FocusSweep, limits: RigLimits) -> None:
 def _check_clearance(fields: tuple[Field, ...], sweep: FocusSweep, limits: RigLimits) -> None:
     """Check the clearance: at the start of the lowest sweep the lens is closest to the highest point of the sample."""
     lowest = min(fields, key=lambda f: f.z_start_um)
-    highest = max(fields, key=lambda f: f.z_start_um)
-    drop_um = highest.z_start_um + sweep.range_um - lowest.z_start_um
+    drop_um = max(map(sweep.top_um, fields)) - lowest.z_start_um
     objective = limits.objective
     free_um = objective.working_distance_um - objective.clearance_um
     if drop_um > free_um:
@@ -179,18 +187,22 @@ def _moving_s(limits: RigLimits, one: Pass) -> float:
 
 
 def _shooting_s(task: Task, one: Pass) -> float:
-    axis, exposure_s = task.limits.axis(one.axis), task.exposures_us[one.exposure] * 1e-6
+    axis, exposure_s = task.limits.axis(one.axis), task.exposures_us[one.exposures[0]] * 1e-6
     step_s = float(travel_s(axis, np.array([axis.position_um(one.pitch_counts)]))[0])
-    return one.n_frames * max(exposure_s + step_s, task.period_s(one.exposure))
+    return one.n_frames * max(exposure_s + step_s, task.period_s(one.exposures[0]))
 
 
 @dataclass(frozen=True, slots=True)
 class Strategy:
-    """A scan strategy: its passes in order, and the reason why it is impossible, if any."""
+    """A scan strategy: its passes in order, and the reason why it is impossible, if any.
+
+    min_exposures: number of exposures from which it differs from the others and is priced.
+    """
 
     title: str
     passes: Callable[[Task], Iterable[Pass]]
     obstacle: Callable[[Task], str | None] = lambda task: None
+    min_exposures: int = 1
 
 
 STRATEGIES: dict[str, Strategy] = {
@@ -202,8 +214,12 @@ STRATEGIES: dict[str, Strategy] = {
     "y_lines": Strategy(
         "Y passes, one z each", partial(line_passes, line="y"), obstacle=partial(line_obstacle, line="y")
     ),
+    "z_alternating": Strategy(
+        "Z passes, exposures in turn", alternating_passes, obstacle=alternation_obstacle, min_exposures=2
+    ),
     "stop_and_shoot": Strategy("Stop and shoot", shoot_passes),
 }
+"""Strategies by name; those that take exposures in turn are for two exposures or more."""
 
 
 def plan_scan(
@@ -220,7 +236,7 @@ def plan_scan(
     counts, and if the strategy is unknown or ruled out.
     """
     task = checked_task(fields, sweep, exposures_us, limits)
-    priced = {name: _priced(task, name) for name in STRATEGIES}
+    priced = {name: _priced(task, name) for name in _strategies_of(task)}
     prices = tuple(price for price, _ in priced.values())
     price, passes = priced[_chosen(prices, strategy)]
     return ScanPlan(
@@ -243,7 +259,7 @@ def price_all(
 ) -> tuple[Price, ...]:
     """Return the price of every strategy, or the reason against it. Raises PlanError as plan_scan does."""
     task = checked_task(fields, sweep, exposures_us, limits)
-    return tuple(_priced(task, name)[0] for name in STRATEGIES)
+    return tuple(_priced(task, name)[0] for name in _strategies_of(task))
 
 
 def checked_task(
@@ -257,6 +273,10 @@ def checked_task(
     return Task(fields=tuple(fields), sweep=sweep, exposures_us=tuple(exposures_us), limits=limits)
 
 
+def _strategies_of(task: Task) -> list[str]:
+    return [name for name, strategy in STRATEGIES.items() if len(task.exposures_us) >= strategy.min_exposures]
+
+
 def _priced(task: Task, name: str) -> tuple[Price, list[Pass]]:
     strategy = STRATEGIES[name]
     obstacle = strategy.obstacle(task)
@@ -268,7 +288,9 @@ def _priced(task: Task, name: str) -> tuple[Price, list[Pass]]:
     if obstacle is not None:
         return Price(strategy=name, title=strategy.title, ruled_out=obstacle), []
     seconds, n_motions = predicted_s(task, passes, travel), motions(passes, travel)
-    return Price(strategy=name, title=strategy.title, predicted_s=seconds, motions=n_motions), passes
+    n_frames = sum(one.n_frames for one in passes)
+    price = Price(strategy=name, title=strategy.title, predicted_s=seconds, motions=n_motions, n_frames=n_frames)
+    return price, passes
 
 
 def _out_of_range(limits: RigLimits, travel: Travel) -> str | None:
@@ -290,7 +312,10 @@ def _chosen(prices: tuple[Price, ...], strategy: str) -> str:
         raise PlanError(f"There is no strategy '{strategy}': choose auto or one of {', '.join(STRATEGIES)}.")
     if strategy == "auto" and feasible:
         return min(feasible, key=lambda p: p.predicted_s or 0.0).strategy
-    price = next(p for p in prices if strategy in ("auto", p.strategy))
+    price = next((p for p in prices if strategy in ("auto", p.strategy)), None)
+    if price is None:
+        title, least = STRATEGIES[strategy].title, STRATEGIES[strategy].min_exposures
+        raise PlanError(f"The strategy '{title}' is for {least} exposures or more: choose auto, or add an exposure.")
     if price.ruled_out is not None:
         raise PlanError(f"The strategy '{price.title}' is ruled out: {price.ruled_out}")
     return price.strategy

@@ -40,6 +40,8 @@ class PairingParameters:
         Distance below which an image is assigned to a pulse immediately.
     sharp : float, pulse periods
         Permitted distance of an image from its pulse, in any case: a twentieth of a step in z.
+    precise : float, pulse periods
+        The same for an image beside edges at the camera that the box did not send: a two-hundredth of a step in z.
     sigmas : float
         Permitted distance of an image from its pulse, in standard deviations of all images of the pass.
     one_off : tuple[float, float], pulse periods
@@ -51,11 +53,18 @@ class PairingParameters:
     followed: float = 0.25
     at_once: float = 0.25
     sharp: float = 0.05
+    precise: float = 0.005
     sigmas: float = 5.0
     one_off: tuple[float, float] = (0.5, 1.5)
 
 
 PAIRING = PairingParameters()
+ALL_PAIRS = 32
+"""Largest number of images of which all pairs give the drift; of more, pairs half a pass apart."""
+COUNTER_WRAPS = (1 << 8, 1 << 16, 1 << 32)
+"""Moduli of common counters of cameras."""
+NEAR_WRAP = 0.125
+"""Difference from the expected edges, as a fraction of the modulus, below which a counter that falls has wrapped."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -78,17 +87,16 @@ class DeviceClock:
 
 @dataclass(frozen=True, slots=True)
 class Timing:
-    """Delay and exposure of the camera after a pulse, its clock relative to the box's, and the pulse period."""
+    """Delay of the camera after a pulse, exposures of the plan, the camera's clock against the box's, pulse period."""
 
     delay_us: float
-    exposure_us: float
+    exposures_us: tuple[float, ...]
     clock: DeviceClock
     period_us: float
 
-    @property
-    def middle_s(self) -> float:
-        """Time from the pulse to mid-exposure."""
-        return (self.delay_us + self.exposure_us / 2) * 1e-6
+    def middle_s(self, shot: Shot) -> float:
+        """Return the time from the pulse to mid-exposure."""
+        return (self.delay_us + self.exposures_us[shot.exposure] / 2) * 1e-6
 
 
 @dataclass(frozen=True, slots=True)
@@ -140,6 +148,8 @@ class Reconciler:
         self._waiting: list[CameraImage] = []
         self._matches: dict[int, _Match] = {}
         self._spoilt: set[int] = set()
+        self._other_exposure_us: dict[int, float] = {}
+        """Reported exposures of images that are not of their slot's exposure, by place in the leg."""
         self._seen: set[tuple[int, int | None]] = set()
         self._rivals = 0
         """Images for slots that already have one."""
@@ -170,18 +180,31 @@ class Reconciler:
             if abs(off_us := match.device_time_us - clock.image_us(match.pulse)) > limit_us
         }
         sure = [match for place, match in matches if place not in revoked]
-        extra, uncounted = _counter_steps(sure)
-        n_images = len(self._matches) + len(self._spoilt) + self._rivals + len(self._waiting)
+        extra, uncounted, beside = _counter_steps(sure)
+        if len(matches) >= PAIRING.fit_from:
+            revoked |= self._off_beside_steps(matches, beside, clock)
+        rejected = self._spoilt | (self._other_exposure_us.keys() - self._matches.keys())
+        n_images = len(self._matches) + len(rejected) + self._rivals + len(self._waiting)
         return Pairing(
             holes=self._holes(revoked),
             doubt=self._doubt(clock, counter_differs=bool(extra or uncounted), has_counter=_has_counter(sure)),
             n_images=n_images,
-            n_unexposed=len(self._pulses) - len(self._matches) - len(self._spoilt),
+            n_unexposed=len(self._pulses) - len(self._matches) - len(rejected),
             extra_edges=extra,
             uncounted=uncounted,
             strays=len(self._waiting) + self._rivals,
             clock=clock,
         )
+
+    def _off_beside_steps(
+        self, matches: Sequence[tuple[int, _Match]], beside: set[int], clock: DeviceClock
+    ) -> dict[int, float]:
+        """Return the images beside a step of the counter that stand out in time: an extra edge may have taken them."""
+        limit_us = max(PAIRING.precise * self._timing.period_us, PAIRING.sigmas * clock.spread_us)
+        off_us = {
+            place: abs(m.device_time_us - clock.image_us(m.pulse)) for place, m in matches if m.pulse.number in beside
+        }
+        return {place: off for place, off in off_us.items() if off > limit_us}
 
     def _is_new(self, image: CameraImage) -> bool:
         key = image.device_time_us, image.trigger_count
@@ -201,10 +224,23 @@ class Reconciler:
         if image.status is not FrameStatus.OK:
             self._spoilt.add(place)
             return None
+        if self._is_of_other_exposure(image, place):
+            return None
         self._spoilt.discard(place)
         self._matches[place] = _Match(pulse, image.device_time_us, image.trigger_count)
         self._off_us.append(image.device_time_us - self._timing.clock.image_us(pulse))
         return frame_of(image, pulse, self._leg, self._leg.shots[place], self._limits, self._timing)
+
+    def _is_of_other_exposure(self, image: CameraImage, place: int) -> bool:
+        """Return whether the camera reports another exposure than the slot's, as after an ignored trigger."""
+        planned_us, reported_us = self._timing.exposures_us[self._leg.shots[place].exposure], image.exposure_us
+        if reported_us is None or len(self._timing.exposures_us) == 1:
+            return False
+        nearest_us = min(self._timing.exposures_us, key=lambda us: abs(us - reported_us))
+        if nearest_us == planned_us:
+            return False
+        self._other_exposure_us[place] = reported_us
+        return True
 
     def _pulse_of(self, image: CameraImage) -> Pulse | None:
         """Return the pulse at the time of an image, as far as known so far."""
@@ -291,39 +327,57 @@ class Reconciler:
             return f"its image was taken {off_us / 1000:.2f} ms off its pulse"
         if place in self._spoilt:
             return "its image came incomplete"
+        if place in self._other_exposure_us:
+            planned_us = self._timing.exposures_us[self._leg.shots[place].exposure]
+            return f"its image was exposed for {self._other_exposure_us[place]:g} us instead of {planned_us:g} us"
         return "no image came for its pulse" if place in sent else "the pulse box sent no pulse"
 
 
 def _slope(times_us: np.ndarray, off_us: np.ndarray) -> float:
-    """Return the drift between the medians of the first and the last third, robust against outliers."""
-    third = len(times_us) // 3
-    run_us = float(np.median(times_us[-third:]) - np.median(times_us[:third]))
-    return float(np.median(off_us[-third:]) - np.median(off_us[:third])) / run_us if run_us > 0 else 0.0
+    """Return the drift: the median slope of pairs of images, robust against outliers (Theil and Sen)."""
+    n = len(times_us)
+    if n <= ALL_PAIRS:
+        first, second = np.triu_indices(n, 1)
+    else:
+        first = np.arange(n // 2)
+        second = first + n - n // 2
+    run_us = times_us[second] - times_us[first]
+    far = run_us > 0
+    return float(np.median((off_us[second] - off_us[first])[far] / run_us[far])) if far.any() else 0.0
 
 
 def _has_counter(matches: Sequence[_Match]) -> bool:
     return any(match.trigger_count is not None for match in matches)
 
 
-def _counter_steps(matches: Sequence[_Match]) -> tuple[int, int]:
+def _counter_steps(matches: Sequence[_Match]) -> tuple[int, int, set[int]]:
     """Return how many edges the camera counted too many, and too few, relative to the pulses at the same times.
 
-    A counter that falls has wrapped or was reset, so the edges in between are unknown.
+    Also the numbers of the pulses before and after them.
+
+    A counter that falls has wrapped, or was reset: then the edges in between are unknown.
     """
     extra = uncounted = 0
+    beside: set[int] = set()
     counted = [(m.pulse.number, m.trigger_count) for m in matches if m.trigger_count is not None]
+    most = max((count for _, count in counted), default=0)
+    wraps_at = next((wrap for wrap in COUNTER_WRAPS if wrap > most), 0)
     for (number, count), (next_number, next_count) in zip([(-1, -1), *counted], counted, strict=False):
-        step = (next_count - count) - (next_number - number)
-        if next_count > count:
+        edges = next_count - count
+        if edges <= 0:
+            edges += wraps_at
+        step = edges - (next_number - number)
+        if next_count > count or abs(step) < wraps_at * NEAR_WRAP:
             extra += max(0, step)
             uncounted += max(0, -step)
-    return extra, uncounted
+            beside |= {number, next_number} if step else set()
+    return extra, uncounted, beside
 
 
 def frame_of(image: CameraImage, pulse: Pulse, leg: Leg, shot: Shot, limits: RigLimits, timing: Timing) -> Frame:
     """Return the frame of a pulse: the moving axis at the pulse's scale count, extrapolated to mid-exposure."""
     train = leg.train
-    moved_um = train.direction * leg.speed_um_s * timing.middle_s
+    moved_um = train.direction * leg.speed_um_s * timing.middle_s(shot)
     at_um = {"x": leg.x_um, "y": leg.y_um, "z": leg.z_um}
     at_um[train.axis] = limits.axis(train.axis).position_um(pulse.count) + moved_um
     return Frame(
@@ -332,7 +386,7 @@ def frame_of(image: CameraImage, pulse: Pulse, leg: Leg, shot: Shot, limits: Rig
         x_um=at_um["x"],
         y_um=at_um["y"],
         z_um=at_um["z"],
-        exposure_us=timing.exposure_us,
+        exposure_us=timing.exposures_us[shot.exposure],
         device_time_us=image.device_time_us,
         status=image.status,
         image=image.image,

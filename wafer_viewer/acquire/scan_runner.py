@@ -5,13 +5,14 @@ from __future__ import annotations
 from collections.abc import Callable, Container
 from dataclasses import dataclass
 
-from wafer_viewer.acquire.pass_runner import PassResult, device_clock, reference_axes, rig_at_rest, run_pass
+from wafer_viewer.acquire.axis_reference import COUNT_TOLERANCE, marked_axes, reference_axes
+from wafer_viewer.acquire.pass_runner import PassResult, PassSettings, device_clock, rig_at_rest, run_pass
 from wafer_viewer.acquire.pulse_reconciliation import DeviceClock, MissingFrame
 from wafer_viewer.model.acquisition.devices import Rig, ScanControl, ScanSink
 from wafer_viewer.model.acquisition.focus_stack import Frame
 from wafer_viewer.model.acquisition.plan import Axis, Leg, ScanPlan, Shot
 from wafer_viewer.model.acquisition.rig_limits import RigLimits
-from wafer_viewer.model.errors import PulseBoxRestarted, RigError
+from wafer_viewer.model.errors import MotionStopped, PulseBoxRestarted, RigError
 from wafer_viewer.model.spec import replace
 
 REPAIRS = 2
@@ -20,6 +21,13 @@ PASS_TRIES = 3
 """Attempts at a pass with doubtful frames before the scan ends."""
 CLOCK_HOLDS_S = 5.0
 """Time without images after which the clocks are compared again; 100 ppm of it are a small part of a pulse period."""
+SMALL_SLIPS = 2
+"""Slips of 1 or 2 counts after which the position of the stage is trusted to tell such slips, whatever their share.
+
+Also the repetitions of a pass for them, which are not counted among PASS_TRIES.
+"""
+SMALL_SLIPS_SHARE = 0.2
+"""Largest further share of passes with such slips. With more of them the position of the stage is too uncertain."""
 NAMED = 5
 """Number of missing frames named in a report."""
 
@@ -40,17 +48,27 @@ class ScanOutcome:
     prepared_s: float = 0.0
 
 
-def run_scan(plan: ScanPlan, rig: Rig, sink: ScanSink, control: ScanControl, skip: Container[Shot] = ()) -> ScanOutcome:
+def run_scan(
+    plan: ScanPlan,
+    rig: Rig,
+    sink: ScanSink,
+    control: ScanControl,
+    skip: Container[Shot] = (),
+    delay_us: float | None = None,
+) -> ScanOutcome:
     """Execute a plan. Slots in `skip` are already stored: their frames are not passed on again.
 
-    The counts of the pulse box are set from the position of the stage at the beginning, after a doubtful pass and after
-    a restart of the box. A pass with inconsistent counts or times is repeated immediately, at most PASS_TRIES times in
-    all. Empty slots are taken again after the last leg, at most twice; those still empty are reported to the sink. A
-    pause takes effect at the end of a leg, a stop immediately. In every case the rig is left at rest: no pulses, stage
-    halted, camera idle. Raises RigError if a device fails or a pass remains doubtful in all of its tries.
+    The counts of the pulse box are set from the position of the stage, or by the index marks of its axes, at the
+    beginning, after a doubtful pass and after a restart of the box. A pass with inconsistent counts or times is
+    repeated immediately, at most PASS_TRIES times in all. Empty slots are taken again after the last leg, at most
+    twice; those still empty are reported to the sink. A pause takes effect at the end of a leg, a stop immediately.
+    In every case the rig is left at rest: no pulses, stage halted, camera idle. Raises RigError if a device fails or
+    a pass remains doubtful in all of its tries.
+
+    delay_us: delay from a pulse to the exposure; by default that of the rig's own calibration.
     """
     with rig_at_rest(rig):
-        return _Scan(plan, rig, sink, control, skip).run()
+        return _Scan(plan, rig, sink, control, skip, delay_us).run()
 
 
 def trimmed(leg: Leg, wanted: Callable[[Shot], bool], limits: RigLimits) -> Leg | None:
@@ -66,12 +84,21 @@ def trimmed(leg: Leg, wanted: Callable[[Shot], bool], limits: RigLimits) -> Leg 
 
 
 class _Scan:
-    def __init__(self, plan: ScanPlan, rig: Rig, sink: ScanSink, control: ScanControl, skip: Container[Shot]) -> None:
+    def __init__(
+        self,
+        plan: ScanPlan,
+        rig: Rig,
+        sink: ScanSink,
+        control: ScanControl,
+        skip: Container[Shot],
+        delay_us: float | None,
+    ) -> None:
         self._plan = plan
         self._rig = rig
         self._sink = sink
         self._control = control
         self._skip = skip
+        self._delay_us = delay_us
         self._clock: DeviceClock | None = None
         self._clock_known_s = 0.0
         self._taken: set[Shot] = set()
@@ -81,9 +108,11 @@ class _Scan:
         self._repaired = 0
         self._stopped = False
         self._referenced = False
-        """Whether the pulse box counts from the position of the stage."""
+        """Whether the counts of the pulse box are set."""
         self._agreed: set[Axis] = set()
         """Axes whose count agreed with the stage at the end of their last pass."""
+        self._ended: list[tuple[Axis, bool]] = []
+        """Passes so far: their axis, and whether box and stage differed by 1 or 2 counts more than before."""
         self._remarks = _Remarks(sink.fault)
 
     def run(self) -> ScanOutcome:
@@ -92,8 +121,11 @@ class _Scan:
         legs = self._legs_with(self._wanted)
         self._rig.prepare(replace(self._plan, legs=tuple(leg for _, leg in legs)), self._control.should_stop)
         started_s = self._rig.clock.now_s()
-        self._take_all(legs)
-        self._repair()
+        try:
+            self._take_all(legs)
+            self._repair()
+        except MotionStopped:  # on the way to an index mark
+            self._stopped = True
         self._report()
         return ScanOutcome(
             kept=len(self._kept),
@@ -128,15 +160,16 @@ class _Scan:
 
     def _take_until_trusted(self, number: int, leg: Leg) -> bool:
         """Repeat a leg while its frames are doubtful; return False if stopped."""
-        for attempt in range(1, PASS_TRIES + 1):
-            if self._interrupted():
-                return False
-            result = self._carry_out(number, leg)
+        attempt = small_slips = 0
+        while not self._interrupted():
+            attempt += 1
+            result = self._carry_out(number, leg, self._count_tolerance(leg.train.axis, small_slips))
             if result.stopped:
                 return False
             if not result.doubts:
                 return True
-            self._report_doubts(leg, result, attempt)
+            small_slips += len(result.doubts) == 1 and 0 < abs(result.slip) <= COUNT_TOLERANCE
+            self._report_doubts(leg, result, attempt, PASS_TRIES + small_slips)
             self._distrust_box()
         return False
 
@@ -146,16 +179,28 @@ class _Scan:
         self._stopped = self._stopped or self._control.should_stop()
         return self._stopped
 
-    def _carry_out(self, number: int, leg: Leg) -> PassResult:
-        exposure_us = self._plan.exposures_us[leg.shots[0].exposure]
-        clock = self._clock_at(exposure_us)
+    def _count_tolerance(self, axis: Axis, small_slips: int) -> int:
+        """Return the permitted slip in counts of a pass that was repeated for so many small slips already.
+
+        None as long as the position of the stage tells single counts, but slips of 1 or 2 counts never end a scan.
+        """
+        small = [small for of, small in self._ended if of == axis]
+        telling = sum(small) <= SMALL_SLIPS + SMALL_SLIPS_SHARE * len(small)
+        return 0 if telling and small_slips < SMALL_SLIPS else COUNT_TOLERANCE
+
+    def _carry_out(self, number: int, leg: Leg, count_tolerance: int) -> PassResult:
+        exposures_us = self._plan.exposures_us
+        clock = self._clock_at(exposures_us[leg.shots[0].exposure])
         self._sink.pass_begun(number, leg)
         self._taken.clear()
-        result = run_pass(self._rig, leg, exposure_us, clock, self._frame, self._control.should_stop)
+        settings = PassSettings(exposures_us, clock, count_tolerance, self._delay_us)
+        result = run_pass(self._rig, leg, settings, self._frame, self._control.should_stop)
         self._stopped = result.stopped
         self._settle(leg, result)
         self._sink.pass_ended(number, result.summary)
         if result.pairing is not None:
+            changes = abs(result.slip), abs(result.count_mended)
+            self._ended.append((leg.train.axis, any(0 < n <= COUNT_TOLERANCE for n in changes)))
             self._clock, self._clock_known_s = result.pairing.clock, self._rig.clock.now_s()
             self._remark(leg, result)
         return result
@@ -165,7 +210,8 @@ class _Scan:
         try:
             return self._compared_clock(exposure_us)
         except PulseBoxRestarted as restart:
-            self._sink.fault(f"{restart} Its counts are set again from the position of the stage.")
+            source = "by the index marks" if marked_axes(self._rig.limits) else "from the position of the stage"
+            self._sink.fault(f"{restart} Its counts are set again {source}.")
             self._distrust_box()
             return self._compared_clock(exposure_us)
 
@@ -176,7 +222,7 @@ class _Scan:
     def _compared_clock(self, exposure_us: float) -> DeviceClock:
         """Return the camera's clock relative to the box's, measured again if the last comparison is too old."""
         if not self._referenced:
-            reference_axes(self._rig)
+            reference_axes(self._rig, self._control.should_stop)
             self._referenced = True
         if self._clock is None or self._rig.clock.now_s() - self._clock_known_s > CLOCK_HOLDS_S:
             self._clock = device_clock(self._rig, exposure_us, self._clock)
@@ -211,19 +257,19 @@ class _Scan:
             self._repaired += 1
             self._sink.repaired(shot)
 
-    def _report_doubts(self, leg: Leg, result: PassResult, attempt: int) -> None:
+    def _report_doubts(self, leg: Leg, result: PassResult, attempt: int, tries: int) -> None:
         """Report a doubtful pass. Raises RigError after the last try."""
         why = ", and ".join(doubt.why for doubt in result.doubts)
         which = f"the pass that begins at field {leg.shots[0].field}"
-        if attempt < PASS_TRIES:
+        if attempt < tries:
             self._sink.fault(
                 f"None of the {len(leg.shots)} frames of {which} is kept: {why}. It is taken again (try {attempt + 1} "
-                f"of {PASS_TRIES})."
+                f"of {tries})."
             )
             return
         mends = "; ".join(dict.fromkeys(doubt.mend for doubt in result.doubts))
         raise RigError(
-            f"The scan cannot be trusted: in {PASS_TRIES} tries of {which} no frame could be kept, in the last one "
+            f"The scan cannot be trusted: in {tries} tries of {which} no frame could be kept, in the last one "
             f"because {why}. {mends[0].upper()}{mends[1:]}; then continue the scan."
         )
 
@@ -236,6 +282,8 @@ class _Scan:
         if result.doubts:
             return
         self._agreed.add(axis)
+        if result.slip:
+            self._remarks.drifted(axis, result.slip, limits)
         if pairing is not None:
             self._remarks.paired(pairing.extra_edges, pairing.uncounted, pairing.strays)
 
@@ -259,6 +307,16 @@ class _Remarks:
             f"({limits.axis(axis).position_um(counts):+.2f} um) at first; it was set by the stage's position before "
             "any frame was taken. Check the cable and the signal of the scale.",
             f"the pulse box's count of the {axis} axis slipped between passes",
+            1,
+        )
+
+    def drifted(self, axis: Axis, counts: int, limits: RigLimits) -> None:
+        """Record a change of 1 or 2 counts in a pass whose frames are kept."""
+        self._add(
+            f"In a pass the pulse box's count of the {axis} axis moved by {counts:+d} counts against the position of "
+            f"the stage ({limits.axis(axis).position_um(counts):+.3f} um). Its frames are kept: such differences are "
+            "too frequent to be told from errors of that position. Check the scale, and the stage's resolution.",
+            f"the pulse box's count of the {axis} axis moved by 1 or 2 counts",
             1,
         )
 

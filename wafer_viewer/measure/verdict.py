@@ -13,7 +13,7 @@ from wafer_viewer.model.errors import MeasureError
 from wafer_viewer.model.findings import AnyResult
 from wafer_viewer.model.job import GRAVEST, FeatureVerdict, JudgedDie, Word
 from wafer_viewer.model.measurement.feature import Die, Dies, Feature, on_die
-from wafer_viewer.model.quantity import Length, Quantity
+from wafer_viewer.model.quantity import Quantity
 from wafer_viewer.model.region import Point, Region
 from wafer_viewer.model.spec import replace
 from wafer_viewer.model.surface.height_map import Mosaic
@@ -79,12 +79,10 @@ def named_quantity(found: AnyResult, name: str) -> Quantity:
     """Return a quantity of a result by field name, the main one by default. Raises MeasureError for others."""
     if not name:
         return found.main
-    held = {field: getattr(found, field) for field in found.__struct_fields__}
-    known = {field: value for field, value in held.items() if isinstance(value, Length | Quantity)}
-    if name not in known:
-        raise MeasureError(f"Its result has no quantity '{name}': choose one of {', '.join(known)}.")
-    quantity = known[name]
-    return quantity.quantity if isinstance(quantity, Length) else quantity
+    quantities = found.quantities
+    if name not in quantities:
+        raise MeasureError(f"Its result has no quantity '{name}': choose one of {', '.join(quantities)}.")
+    return quantities[name]
 
 
 def judge(feature: Feature, quantity: Quantity) -> FeatureVerdict:

@@ -29,6 +29,7 @@ from wafer_viewer.reconstruct.gates.edge_bleeding import BleedingEdges, find_edg
 from wafer_viewer.reconstruct.gates.edge_bleeding import warm_up as warm_up_edges
 from wafer_viewer.reconstruct.gates.edge_sides import EdgeSide
 from wafer_viewer.reconstruct.gates.gate import LEAST_FRAMES, GateTest, checks, first_failed
+from wafer_viewer.reconstruct.preprocess.flat_field import without_shading
 from wafer_viewer.reconstruct.preprocess.frames import Frames, prepare
 
 SEARCH_SHARE, EDGES_SHARE = 0.6, 0.9
@@ -246,7 +247,7 @@ def assemble(field: PreparedField, corrected: CorrectedPeaks, cleaned: CleanedHe
         z_um=cleaned.z_um,
         z_raw_um=cleaned.z_raw_um,
         confidence=peaks.confidence,
-        all_in_focus=peaks.all_in_focus,
+        all_in_focus=without_shading(peaks.all_in_focus, stack.shading, field.frames.fusion),
         origin=cleaned.origin,
         pixel_um=stack.pixel_um,
         x0_um=stack.x0_um,

@@ -56,9 +56,13 @@ def test_the_lattice_is_found_to_a_quarter_pixel(wafer):
     assert 0 < grid.u_pitch_um < 200e-6 * grid.pitch_x_um
 
 
-@pytest.mark.parametrize("evidence", ["height", "picture"])
-def test_either_evidence_is_enough(evidence):
-    require_found(find_dies(made(), evidence=evidence), Wafer())
+@pytest.mark.parametrize(("evidence", "other"), [("height", "all_in_focus"), ("picture", "z_um")])
+def test_either_evidence_is_enough(evidence, other):
+    surface = made()
+    blank = dataclasses.replace(surface, **{other: np.zeros_like(getattr(surface, other))})
+    grid = find_dies(blank, evidence=evidence)
+    require_found(grid, Wafer())
+    assert grid == find_dies(surface, evidence=evidence), "the other evidence is not looked at"
 
 
 def test_a_missing_field_leaves_the_lattice_and_names_its_dies():
@@ -119,7 +123,14 @@ def test_a_lattice_is_found_whose_corners_hold_no_dies(monkeypatch):
     few = dataclasses.replace(lattice_refinement.REFINEMENT, cells_pixels=1)
     monkeypatch.setattr(lattice_refinement, "REFINEMENT", few)
     out, _, _ = corners(Wafer())
-    require_found(find_dies(made(no_die=tuple(sorted(out)))), Wafer())
+    surface = made(no_die=tuple(sorted(out)))
+    grid = find_dies(surface)
+    require_found(grid, Wafer())
+    missing = [(die.col, die.row) for die in statuses(surface, grid) if die.state == "missing"]
+    assert len(missing) > 4
+    middles = [grid.to_stage(col, row, grid.width_um / 2, grid.height_um / 2) for col, row in missing]
+    col, row, _, _ = Wafer().grid.to_die(*np.transpose(middles))
+    assert set(zip(col.astype(int).tolist(), row.astype(int).tolist(), strict=True)) <= out
 
 
 def test_a_turned_surface_has_only_the_dies_that_lie_on_it():

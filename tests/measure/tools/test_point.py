@@ -20,13 +20,13 @@ TILT = 0.05
 SWEEP = {"recipe": Recipe(window=9), "z_step_um": 4.0}
 
 
-def slope(seed=0, noise_um=0.1, correlation_px=8.0, holes=(), u_pixel_um=0.0):
+def slope(seed=0, noise_um=0.1, correlation_px=8.0, holes=(), u_pixel_um=0.0, u_mapping_um=None):
     """z = 0.05 x + 20 with noise."""
     x_um, _ = np.meshgrid(*coordinates(200, 300))
     z = TILT * x_um + 20 + noise_of(seed, x_um.shape, noise_um, correlation_px)
     for rows, cols in holes:
         z[rows, cols] = np.nan
-    return surface_of(z, calibration=replace(calibration(), u_pixel_um=u_pixel_um), **SWEEP)
+    return surface_of(z, calibration=replace(calibration(), u_pixel_um=u_pixel_um, u_mapping_um=u_mapping_um), **SWEEP)
 
 
 def test_a_height_without_noise_is_that_of_the_surface():
@@ -96,6 +96,16 @@ def test_the_pixel_counts_across_and_the_z_scale_along_z():
     both = {line.name: line.u_um for line in found.distance.budget}
     assert set(both) == set(across) | set(along)
     assert both["pixel scale"] == pytest.approx(0.6, rel=0.01)
+
+
+def test_a_measured_mapping_deviation_is_in_the_budget_across_and_no_longer_missing():
+    ends = Region.point(-30, 0), Region.point(30, 0)
+    before, after = distance(slope(), *ends), distance(slope(u_mapping_um=0.2), *ends)
+    across = {line.name: line.u_um for line in after.lateral.budget}
+    assert across == {"pixel scale": 0.0, "x-y mapping deviation": 0.2}
+    assert after.lateral.expanded_um == pytest.approx(0.4)
+    assert "x-y mapping deviation" not in {line.name for line in after.dz.budget}
+    assert [any("distortion of the lens" in note for note in found.notes) for found in (before, after)] == [True, False]
 
 
 def test_the_uncertainty_covers_the_errors_of_a_way():

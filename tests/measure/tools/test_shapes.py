@@ -59,6 +59,9 @@ def test_the_pixel_scale_stands_in_the_budget_and_without_a_calibration_there_is
     assert budget["pixel scale"] == pytest.approx(1e-3 * found.width.value_um)
     assert set(budget) == {"pixel scale", "scatter of the edge points", "place between two pixels"}
     assert any("Not in the budget: where light and focus put an edge" in note for note in found.notes)
+    mapped = kerf_width(surface(kerf(), calibration=replace(held, u_mapping_um=0.3)), all_of(made))
+    assert {line.name: line.u_um for line in mapped.width.budget}["x-y mapping deviation"] == 0.3
+    assert not any("distortion" in note for note in mapped.notes)
     bare = kerf_width(made, all_of(made), calibration_valid=False)
     assert (bare.width.status, bare.width.expanded_um, bare.angle.status) == ("uncalibrated", None, "uncalibrated")
 

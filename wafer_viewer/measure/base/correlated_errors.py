@@ -19,7 +19,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from wafer_viewer.measure.base.height_samples import Floats, HeightSamples
-from wafer_viewer.numerics.normal_statistics import TWO_SIGMA_QUANTILE
+from wafer_viewer.numerics.normal_statistics import student
 
 PIECE = 3.0
 """Block length, in correlation lengths of the errors."""
@@ -46,7 +46,7 @@ def chain_uncertainty(design: Floats, residuals: Floats, gradient: Floats) -> fl
     scale = np.where((found := np.sqrt(np.mean(means**2, axis=0))) > 0, found, 1.0)
     inverse = np.linalg.pinv((means / scale).T @ (means / scale), hermitian=True)
     factor = float((gradient / scale) @ inverse @ (gradient / scale))
-    return math.sqrt(max(0.0, factor) * float(np.sum(left**2)) / freedom) * _student(freedom) / 2
+    return math.sqrt(max(0.0, factor) * float(np.sum(left**2)) / freedom) * student(freedom) / 2
 
 
 def correlation_length(residuals: Floats) -> float:
@@ -67,13 +67,6 @@ def correlation_length(residuals: Floats) -> float:
 
 def _means(rows: Floats, pieces: int, length: int) -> Floats:
     return rows[: pieces * length].reshape(pieces, length, -1).mean(axis=1)
-
-
-def _student(freedom: int) -> float:
-    """Two-sided 95.45 % point of Student's t, which is 2 for many degrees of freedom."""
-    from scipy.special import stdtrit
-
-    return float(stdtrit(freedom, TWO_SIGMA_QUANTILE))
 
 
 SIDES = (16, 8, 4)
@@ -102,9 +95,7 @@ class Scatter:
     @property
     def widened(self) -> float:
         """Standard uncertainty widened by Student's t, so that k = 2 covers 95.45 % with few degrees of freedom."""
-        from scipy.special import stdtrit
-
-        return self.u * float(stdtrit(self.freedom, TWO_SIGMA_QUANTILE)) / 2
+        return self.u * student(self.freedom) / 2
 
     @classmethod
     def joined(cls, *parts: Scatter) -> Scatter:

@@ -26,7 +26,8 @@ NOT_IN_BUDGET = (
 NOISE, Z_SCALE, LINEARITY, LEVELLING = "noise and form of the faces", "z scale", "z linearity", "levelling"
 DRIFT, POSES, INTERPOLATION = "drift during the scan", "poses of the fields", "interpolation between frames"
 REPEATABILITY, TEMPERATURE, ABBE = "repeatability", "temperature", "Abbe offset"
-LINES = (NOISE, Z_SCALE, LINEARITY, LEVELLING, DRIFT, POSES, INTERPOLATION, REPEATABILITY, TEMPERATURE, ABBE)
+FLATNESS = "flatness deviation"
+LINES = (NOISE, Z_SCALE, LINEARITY, FLATNESS, LEVELLING, DRIFT, POSES, INTERPOLATION, REPEATABILITY, TEMPERATURE, ABBE)
 """All lines of a step's budget, in reporting order."""
 LESS_WITH_REPEATS = (NOISE, DRIFT, POSES, INTERPOLATION, REPEATABILITY)
 """Lines reduced by averaging several scans; the others are common to all scans."""
@@ -61,6 +62,7 @@ def from_conditions(height_um: float, conditions: Conditions, provenance: Proven
     if calibration is not None:
         linearity_um = calibration.u_z_linearity_um if linearity_um is None else linearity_um
         abbe_um = calibration.u_abbe_um if abbe_um is None else abbe_um
+    flatness_um = None if calibration is None else calibration.u_flatness_um
     return {
         Z_SCALE: None if calibration is None else calibration.u_z_scale * abs(height_um),
         LINEARITY: linearity_um,
@@ -69,6 +71,7 @@ def from_conditions(height_um: float, conditions: Conditions, provenance: Proven
         REPEATABILITY: conditions.repeatability_um,
         TEMPERATURE: _temperature_um(height_um, conditions),
         ABBE: abbe_um,
+        **({} if flatness_um is None else {FLATNESS: flatness_um}),
     }
 
 
@@ -149,6 +152,17 @@ class MeasurementContext:
         """Relative standard uncertainty of the lateral scale (k = 1)."""
         calibration = self.surface.provenance.calibration
         return 0.0 if calibration is None else calibration.u_pixel_um / calibration.pixel_um
+
+    def lateral_lines(self, length_um: float) -> dict[str, float]:
+        """Return the budget lines in um that every lateral length has: pixel scale and, if measured, mapping."""
+        lines = {"pixel scale": self.u_pixel_scale * abs(length_um)}
+        return lines if self.u_mapping_um is None else {**lines, "x-y mapping deviation": self.u_mapping_um}
+
+    @property
+    def u_mapping_um(self) -> float | None:
+        """Standard uncertainty of a lateral length from the x-y mapping deviation (k = 1); None if not measured."""
+        calibration = self.surface.provenance.calibration
+        return None if calibration is None else calibration.u_mapping_um
 
     @property
     def u_interpolation_um(self) -> float:

@@ -135,7 +135,7 @@ def _sizes(
 
 
 def _of_length(reading: MeasurementContext, length_um: float, edge_um: float) -> Lines:
-    return {"pixel scale": reading.u_pixel_scale * length_um, "place of the outline": math.sqrt(2) * edge_um}
+    return {**reading.lateral_lines(length_um), "place of the outline": math.sqrt(2) * edge_um}
 
 
 def _narrow(reading: MeasurementContext, outline: DefectOutline) -> tuple[str, ...]:

@@ -424,15 +424,18 @@ def _along(bands: Responses, shifts: NDArray[np.intp]) -> Floats:
 
 
 NOT_IN_BUDGET = (
-    "Not in the budget: where light and focus put an edge on the picture, distortion and shear of the picture, "
-    "positions of fields against each other, repeat scans, temperature other than 20 C."
+    "Not in the budget: where light and focus put an edge on the picture, {distortion}positions of fields against each "
+    "other, repeat scans, temperature other than 20 C."
 )
+DISTORTION = "distortion and shear of the picture, "
 ON_PICTURE = "Measured on the picture that is in focus everywhere."
 
 
 def notes(reading: MeasurementContext, *more: str) -> tuple[str, ...]:
     """Return the notes of an image measurement; those on budgets only if calibrated."""
-    return (ON_PICTURE, *more, NOT_IN_BUDGET) if reading.calibrated else (ON_PICTURE, *more)
+    if not reading.calibrated:
+        return (ON_PICTURE, *more)
+    return (ON_PICTURE, *more, NOT_IN_BUDGET.format(distortion=DISTORTION if reading.u_mapping_um is None else ""))
 
 
 def between_edges(
@@ -442,7 +445,7 @@ def between_edges(
     if scatter_um is None:
         return reading.length(value_um, None)
     lines = {
-        "pixel scale": reading.u_pixel_scale * abs(value_um),
+        **reading.lateral_lines(value_um),
         "scatter of the edge points": scatter_um,
         "place between two pixels": math.sqrt(n_edges) * U_SUBPIXEL_PX * pixel_um,
     }

@@ -24,7 +24,7 @@ from wafer_viewer.model.quantity import Contribution, Length, Word
 from wafer_viewer.model.region import Region
 from wafer_viewer.model.spec import encode
 from wafer_viewer.model.surface.height_map import Mosaic
-from wafer_viewer.numerics.normal_statistics import TWO_SIGMA_QUANTILE
+from wafer_viewer.numerics.normal_statistics import student
 
 OF_THE_SCALE = (Z_SCALE, LINEARITY, ABBE)
 """Lines of a step's budget that are errors of the instrument's scale."""
@@ -75,13 +75,6 @@ def not_evaluated(
         "wringing of the blocks": True,
     }
     return tuple(what for what, lacks in missing.items() if lacks)
-
-
-def student(freedom: int) -> float:
-    """Two-sided 95.45 % point of Student's t, which is 2 for many degrees of freedom."""
-    from scipy.special import stdtrit
-
-    return float(stdtrit(freedom, TWO_SIGMA_QUANTILE))
 
 
 def _of_scans(repeats: Sequence[GaugeRepeat]) -> list[tuple[str, float, Role]]:

@@ -10,9 +10,10 @@ from statistics import fmean, stdev, variance
 
 import numpy as np
 
-from wafer_viewer.measure.gauge.gauge_check import KnownTerms, student
+from wafer_viewer.measure.gauge.gauge_check import KnownTerms
 from wafer_viewer.model.gauge import Capability, ChartPoint, GaugeCheck, GaugeRecord, RunChart
 from wafer_viewer.model.quantity import Contribution, Length
+from wafer_viewer.numerics.normal_statistics import student
 
 D2 = 1.128
 """Mean range of two normal values, in standard deviations."""

@@ -28,7 +28,7 @@ UNKNOWN_WINDOW = 15
 """Focus window assumed where the surface does not specify one."""
 MIN_NOISE_POINTS = 100
 """Smallest number of measured points around a point for its noise."""
-BY_HAND = "Not in the budget: where the points were set, distortion of the lens, places of the fields."
+BY_HAND = "Not in the budget: where the points were set, {distortion}places of the fields."
 
 
 @dataclass(frozen=True, slots=True)
@@ -132,21 +132,23 @@ def distance(
 
     Notes
     -----
-    Not in the budget: the placement of the points, the distortion of the lens and the positions of the fields.
+    Not in the budget: the placement of the points, the positions of the fields and, before its x-y mapping deviation is
+    measured, the distortion of the lens.
     """
     reading = MeasurementContext.of(surface, layer, calibration_valid)
     a, b = _spot(reading, start), _spot(reading, end)
     lateral_um, dz_um = math.hypot(b.x_um - a.x_um, b.y_um - a.y_um), b.z_um - a.z_um
     if lateral_um == 0:
         raise MeasureError(f"Both points are at ({a.x_um:.1f}, {a.y_um:.1f}) um: move one of them.")
-    across: Lines = {"pixel scale": reading.u_pixel_scale * lateral_um}
+    by_hand = BY_HAND.format(distortion="distortion of the lens, " if reading.u_mapping_um is None else "")
+    across: Lines = reading.lateral_lines(lateral_um)
     along = _lines_along_z(reading, a, b)
     space_um = math.hypot(lateral_um, dz_um)
     steepest_um = abs(dz_um) + math.hypot(
         *(along or {}).values()
     )  # on level ground the effect of errors of dz is quadratic
     return Distance(
-        **reading.result_fields(name, 0, *reading.not_in_budget(BY_HAND)),
+        **reading.result_fields(name, 0, *reading.not_in_budget(by_hand)),
         start=start,
         end=end,
         distance=reading.length(space_um, _joined(across, along, lateral_um / space_um, steepest_um / space_um)),

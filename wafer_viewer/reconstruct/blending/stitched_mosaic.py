@@ -28,6 +28,7 @@ from wafer_viewer.model.surface.recipe import Recipe
 from wafer_viewer.numerics.grids.pyramid_level import halve
 from wafer_viewer.reconstruct.blending.mosaic_layout import MosaicLayout, layout
 from wafer_viewer.reconstruct.blending.window_blend import BLENDS, blend_layers, lay_pictures
+from wafer_viewer.reconstruct.preprocess.flat_field import without_shading
 
 LAYERS = ("z_um", "z_raw_um", "confidence", "all_in_focus", "origin")
 
@@ -231,4 +232,5 @@ def stitched_picture(
     """Return the pixels [rows, cols] (default: all) of the stitched image at one z, and its lattice."""
     lattice = layout([StackOutline.of(s) for s in stacks])
     rows, cols = rows or slice(0, lattice.shape[0]), cols or slice(0, lattice.shape[1])
-    return blend_pictures([picture_at(s, z_um) for s in stacks], lattice, rows, cols), lattice
+    pictures = [without_shading(picture_at(s, z_um), s.shading) for s in stacks]
+    return blend_pictures(pictures, lattice, rows, cols), lattice

@@ -7,10 +7,14 @@ are not too bright, divided by the sum of their gains. This is optimal for photo
 dominates. An exposure fades out as it nears white, to avoid a contour from a small gain error. The variance of the
 result is again linear in grey where all exposures are valid; above, where the longer ones have faded out, the gain of
 that line is higher by the ratio of the missing light: three times for x2, nine times for x8.
+
+Exposures that were taken in turn lie at different z: each is interpolated linearly between its own frames to the z of
+the stack, else dark and bright areas would differ in height by a part of the z step.
 """
 
 from __future__ import annotations
 
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from itertools import pairwise
 
@@ -25,6 +29,11 @@ FULL_COUNTS = 65535
 """White of the shortest exposure in a fused image."""
 FADES_FROM = 0.8
 """An exposure loses weight from this fraction of the clipping level on."""
+
+
+OFFSET_STEPS = 0.06
+"""Largest offset of an exposure from the z of the stack that is not interpolated, as a fraction of the z step: half the
+motion in an exposure, 5 % of the step at most, by which passes one after the other differ."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -65,15 +74,58 @@ EXPOSURE_RATIO = ExposureRatioParameters()
 Cells = tuple[NDArray[np.float32], NDArray[np.float32]]
 
 
+ReadPart = Callable[[Image, int], Image]
+"""Reads a part [row, col] of one slot of an exposure's images."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class ZTaps:
+    """Interpolation of an exposure to the z of the stack: the slots of two of its frames and the weight of the upper.
+
+    All are arrays over the slots of the stack.
+    """
+
+    lower: NDArray[np.intp]
+    upper: NDArray[np.intp]
+    weight: NDArray[np.float32]
+
+    def part(self, images: Image, slot: int, read: ReadPart, clipped_counts: int) -> Image:
+        """Return the part of a slot between two frames; clipped where one of them is."""
+        below, above = read(images, int(self.lower[slot])), read(images, int(self.upper[slot]))
+        between = below + self.weight[slot] * (above.astype(np.float32) - below)
+        part: Image = np.maximum(below, above)
+        np.copyto(part, np.rint(between), where=part < clipped_counts, casting="unsafe")
+        return part
+
+
+def z_taps(own_um: NDArray[np.float64], z_um: NDArray[np.float64], slots: NDArray[np.intp]) -> ZTaps | None:
+    """Return the interpolation of an exposure at own_um [slot] to z_um [slot]; None if they hardly differ.
+
+    slots: those in use, in order of rising z. At the ends the nearest frame is used.
+    """
+    own, wanted = own_um[slots], z_um[slots]
+    if np.abs(own - wanted).max() <= OFFSET_STEPS * np.median(np.diff(wanted)):
+        return None
+    above = np.clip(np.searchsorted(own, wanted), 1, len(own) - 1)
+    weight = np.clip((wanted - own[above - 1]) / (own[above] - own[above - 1]), 0.0, 1.0)
+    lower, upper, weights = np.arange(len(z_um)), np.arange(len(z_um)), np.zeros(len(z_um), np.float32)
+    lower[slots], upper[slots], weights[slots] = slots[above - 1], slots[above], weight
+    return ZTaps(lower, upper, weights)
+
+
 @dataclass(frozen=True, slots=True, eq=False)
 class Fusion:
-    """Exposures of a stack, the shortest first: images [slot, row, col] and gains relative to the shortest."""
+    """Exposures of a stack, the shortest first: images [slot, row, col] and gains relative to the shortest.
+
+    taps: interpolation to the z of the stack, for each exposure that was taken at other z.
+    """
 
     images: tuple[Image, ...]
     gains: tuple[float, ...]
     black_counts: float
     white_counts: int
     clipped_counts: int
+    taps: tuple[ZTaps | None, ...]
 
     @property
     def scale(self) -> float:
@@ -85,8 +137,12 @@ class Fusion:
         """Grey from which a pixel of the fused image counts as clipped."""
         return int(self.scale * (self.clipped_counts - self.black_counts)) - 1
 
-    def fused(self, parts: list[Image]) -> NDArray[np.uint16]:
-        """Fuse the same part of a frame [row, col] from all exposures."""
+    def fused(self, slot: int, read: ReadPart) -> NDArray[np.uint16]:
+        """Fuse a part of a slot [row, col] from all exposures."""
+        parts = [
+            read(images, slot) if taps is None else taps.part(images, slot, read, self.clipped_counts)
+            for images, taps in zip(self.images, self.taps, strict=True)
+        ]
         shape = parts[0].shape
         light, gain = np.zeros(shape, np.float32), np.zeros(shape, np.float32)
         knee = np.float32(FADES_FROM * self.clipped_counts)
@@ -99,12 +155,17 @@ class Fusion:
 
 
 def fusion_of(
-    images: tuple[Image, ...], slots: NDArray[np.intp], nominal: tuple[float, ...], white_counts: int, clipped: int
+    images: tuple[Image, ...],
+    slots: NDArray[np.intp],
+    nominal: tuple[float, ...],
+    white_counts: int,
+    clipped: int,
+    taps: Sequence[ZTaps | None],
 ) -> Fusion:
     """Estimate the fusion parameters of exposures (order, gains, black level) from a sample of frames `slots`.
 
-    nominal: exposure times, used where too few pixels are well exposed in two exposures; nan if unknown. Raises
-    ComputeError if the gain is undetermined.
+    nominal: exposure times, used where too few pixels are well exposed in two exposures; nan if unknown. taps: of the
+    exposures. Raises ComputeError if the gain is undetermined.
     """
     cells = [_cells(one, slots) for one in images]
     order = np.argsort([mean.mean() for mean, _ in cells], kind="stable")
@@ -112,7 +173,8 @@ def fusion_of(
     black = [pair[1] for pair in pairs if pair[0] > EXPOSURE_RATIO.alike]
     black_counts = float(np.clip(np.median(black), 0, EXPOSURE_RATIO.most_black * white_counts)) if black else 0.0
     gains = np.cumprod([1.0, *(pair[0] for pair in pairs)])
-    return Fusion(tuple(images[i] for i in order), tuple(gains.tolist()), black_counts, white_counts, clipped)
+    in_order = tuple(images[i] for i in order), tuple(gains.tolist())
+    return Fusion(*in_order, black_counts, white_counts, clipped, tuple(taps[i] for i in order))
 
 
 def _cells(images: Image, slots: NDArray[np.intp]) -> Cells:

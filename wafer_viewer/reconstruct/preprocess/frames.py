@@ -21,7 +21,7 @@ from wafer_viewer.model.errors import ComputeError
 from wafer_viewer.model.surface.recipe import Recipe
 from wafer_viewer.numerics.grids.resampling import Taps, resampled
 from wafer_viewer.reconstruct.preprocess.drift import Drift, drift_note, drift_of, measure_displacements
-from wafer_viewer.reconstruct.preprocess.exposure_fusion import Fusion, fusion_of
+from wafer_viewer.reconstruct.preprocess.exposure_fusion import Fusion, fusion_of, z_taps
 from wafer_viewer.reconstruct.preprocess.sensor_faults import Flaws, faulty_frames, find_flaws
 
 CLIPPED_SHARE_OF_WHITE = 0.98
@@ -197,9 +197,9 @@ def _within(span: tuple[int, int], length: int) -> slice:
 
 def _pixels(frames: Frames, slot: int, rows: slice, cols: slice) -> Image:
     """Return the pixels [rows, cols] of one slot, with defects replaced and exposures fused."""
-    exposures = (frames.images,) if frames.fusion is None else frames.fusion.images
-    parts = [_sound(frames.flaws, images, slot, rows, cols) for images in exposures]
-    return parts[0] if frames.fusion is None else frames.fusion.fused(parts)
+    if frames.fusion is None:
+        return _sound(frames.flaws, frames.images, slot, rows, cols)
+    return frames.fusion.fused(slot, lambda images, at: _sound(frames.flaws, images, at, rows, cols))
 
 
 def _sound(flaws: Flaws | None, images: Image, slot: int, rows: slice, cols: slice) -> Image:
@@ -217,7 +217,8 @@ def _fused(stack: FieldStack, frames: Frames, white_counts: int) -> Frames:
         return frames
     images = tuple(one.images for one in stack.exposures)
     times_us = tuple(one.exposure_us for one in stack.exposures)
-    fusion = fusion_of(images, frames.slots, times_us, white_counts, frames.clipped_counts)
+    taps = [z_taps(own_um, stack.z_um, frames.slots) for own_um in stack.exposure_z_um or (stack.z_um,) * len(images)]
+    fusion = fusion_of(images, frames.slots, times_us, white_counts, frames.clipped_counts, taps)
     ratios = ", ".join(f"x{gain:.3g}" for gain in fusion.gains[1:])
     note = f"{len(images)} exposures were fused, the longer ones {ratios} as bright as the shortest."
     clipped = fusion.fused_clipped_counts

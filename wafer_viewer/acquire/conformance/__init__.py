@@ -1,0 +1,1 @@
+"""Conformance checks: what a rig has to do for a scan, measured on the rig itself."""

@@ -1,0 +1,203 @@
+"""Prediction of the z range in focus of every field from a coarse look at a few of them, with its uncertainty.
+
+Two models are fitted. On a smooth sample, the lowest and the highest z in focus of a field are kriged over the stage.
+On a sample with steps longer than a field, the parts of a field are predicted from the nearest parts of the places
+around, weighted by an inverse power of their distance, and the disagreement of these places is the uncertainty: near a
+step the window becomes as long as the step, away from it the window stays short.
+
+Both are checked by leaving out one place after the other: where the windows of the places that were left out do not
+hold the heights found there, all deviations are scaled up. The smooth model is used unless the windows of the other
+are clearly shorter.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+from numpy.typing import NDArray
+
+from wafer_viewer.acquire.focus_kriging import Kriging
+from wafer_viewer.model.acquisition.focus_following import FocusPlace
+from wafer_viewer.model.errors import RigError
+
+Floats = NDArray[np.float64]
+NEIGHBOURS = 8
+"""Number of places around that predict the parts of a field."""
+POWER = 6.0
+"""Power of the distance by which they are weighted: beyond a nearer place, others hardly count."""
+COVERED = 0.954
+"""Share of the fields whose heights lie within two standard uncertainties."""
+CLEARLY_SHORTER = 0.75
+"""Mean length of the windows over that of the smooth model under which a sample counts as stepped."""
+FOLDS = 16
+"""Largest number of groups in which places are left out."""
+CHUNK = 20_000
+"""Number of fields that are predicted at once."""
+CELL_ROWS, CELL_COLS = 3, 4
+"""Parts of a field."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class FocusRange:
+    """Predicted z range in focus of fields [field], with the standard uncertainty of its ends."""
+
+    low_um: Floats
+    high_um: Floats
+    u_low_um: Floats
+    u_high_um: Floats
+
+    def reach(self, factor: float) -> tuple[Floats, Floats]:
+        """Return the lowest and the highest z, farther out by `factor` standard uncertainties."""
+        return self.low_um - factor * self.u_low_um, self.high_um + factor * self.u_high_um
+
+    @property
+    def mean_length_um(self) -> float:
+        """Mean length of the windows at twice the uncertainty."""
+        low_um, high_um = self.reach(2)
+        return float(np.mean(high_um - low_um))
+
+    def scaled(self, factor: float) -> FocusRange:
+        """Return the same range with other uncertainties."""
+        return FocusRange(self.low_um, self.high_um, factor * self.u_low_um, factor * self.u_high_um)
+
+
+def predicted_ranges(
+    places: Sequence[FocusPlace], x_um: Floats, y_um: Floats, field_um: tuple[float, float]
+) -> FocusRange:
+    """Return the predicted range in focus of fields by the places of a coarse look.
+
+    Parameters
+    ----------
+    places : sequence of FocusPlace
+        Places of the look; those without a focus are left out.
+    x_um, y_um : float64 [field]
+        Centres of the fields, um.
+    field_um : tuple of float
+        Width and height of a field, um.
+
+    Returns
+    -------
+    FocusRange
+        Range of heights in focus within each field.
+
+    Raises
+    ------
+    RigError
+        If no place has a focus.
+    """
+    found = [place for place in places if place.found]
+    if not found:
+        raise RigError("The coarse look found no focus: look again with a longer sweep or other light.")
+    centers_um = np.stack([x_um, y_um], axis=-1)
+    smooth, stepped = (_predicted(fit, found, field_um, centers_um) for fit in (_Smooth, _Stepped))
+    return stepped if stepped.mean_length_um < CLEARLY_SHORTER * smooth.mean_length_um else smooth
+
+
+def _predicted(
+    fit: type[_Smooth] | type[_Stepped],
+    places: Sequence[FocusPlace],
+    field_um: tuple[float, float],
+    centers_um: Floats,
+) -> FocusRange:
+    """Return the ranges by one model, with calibrated uncertainties."""
+    model = fit(places, field_um)
+    parts = [model.ranges(centers_um[i : i + CHUNK]) for i in range(0, len(centers_um), CHUNK)]
+    columns = ((part.low_um, part.high_um, part.u_low_um, part.u_high_um) for part in parts)
+    return FocusRange(*map(np.concatenate, zip(*columns, strict=True))).scaled(_factor(fit, places, field_um))
+
+
+class _Smooth:
+    """Kriging of the ends of whole fields."""
+
+    def __init__(self, places: Sequence[FocusPlace], field_um: tuple[float, float]) -> None:
+        at_um = np.array([(place.x_um, place.y_um) for place in places])
+        ends_um = np.array([(place.low_um, place.high_um) for place in places])
+        self._kriging = Kriging(at_um, ends_um, np.array([place.u_um for place in places]))
+
+    def ranges(self, centers_um: Floats) -> FocusRange:
+        """Return the ranges of fields by their centres [field, 2]."""
+        ends_um, u_um = self._kriging.predict(centers_um)
+        return FocusRange(ends_um[:, 0], ends_um[:, 1], u_um[:, 0], u_um[:, 1])
+
+
+@dataclass(frozen=True, eq=False)
+class _Stepped:
+    """Parts of fields by the nearest parts of the places around."""
+
+    places: Sequence[FocusPlace]
+    field_um: tuple[float, float]
+
+    def ranges(self, centers_um: Floats) -> FocusRange:
+        """Return the ranges of fields by their centres [field, 2]."""
+        at_um = centers_um[:, None] + part_centres(*self.field_um)
+        shape = at_um.shape[:2]
+        ends_um, u_um = (each.reshape(*shape, 2) for each in self._predict(at_um.reshape(-1, 2)))
+        low = (ends_um - 2 * u_um)[..., 0].argmin(1)
+        high = (ends_um + 2 * u_um)[..., 1].argmax(1)
+        field = np.arange(len(centers_um))
+        return FocusRange(ends_um[field, low, 0], ends_um[field, high, 1], u_um[field, low, 0], u_um[field, high, 1])
+
+    @cached_property
+    def _parts(self) -> tuple[Floats, Floats]:
+        """Centres [place, part, 2] and ranges [place, part, 2] of the parts in focus; NaN for others."""
+        n_parts = max(len(place.cells) for place in self.places)
+        cells = np.full((len(self.places), n_parts, 4), np.nan)
+        for i, place in enumerate(self.places):
+            cells[i, : len(place.cells)] = [(cell.x_um, cell.y_um, cell.low_um, cell.high_um) for cell in place.cells]
+        return cells[..., :2], cells[..., 2:]
+
+    @cached_property
+    def _centers(self) -> tuple[Floats, Floats]:
+        """Centres [place, 2] and uncertainties [place]."""
+        return np.array([(p.x_um, p.y_um) for p in self.places]), np.array([p.u_um for p in self.places])
+
+    def _predict(self, at_um: Floats) -> tuple[Floats, Floats]:
+        """Return the ends and their uncertainties [n, 2] at positions [n, 2]."""
+        (parts_um, ranges_um), (centers_um, u_um) = self._parts, self._centers
+        n_near = min(NEIGHBOURS, len(self.places))
+        away = np.hypot(*(at_um[:, None] - centers_um).transpose(2, 0, 1))
+        near = np.argpartition(away, n_near - 1, axis=1)[:, :n_near]
+        gaps = np.hypot(*(parts_um[near] - at_um[:, None, None]).transpose(3, 0, 1, 2))
+        part = np.nanargmin(gaps, axis=2)
+        values = ranges_um[near, part]
+        softened = np.take_along_axis(gaps, part[..., None], 2)[..., 0] ** 2 + (0.1 * self.field_um[1]) ** 2
+        weights = softened ** (-POWER / 2)
+        weights /= weights.sum(1, keepdims=True)
+        mean = (weights[..., None] * values).sum(1)
+        spread2 = (weights[..., None] * (values - mean[:, None]) ** 2).sum(1)
+        return mean, np.sqrt(spread2 + (weights * u_um[near] ** 2).sum(1, keepdims=True))
+
+
+def _factor(fit: type[_Smooth] | type[_Stepped], places: Sequence[FocusPlace], field_um: tuple[float, float]) -> float:
+    """Return the factor of the deviations, at least 1, at which COVERED of the left out places are held."""
+    left_out = ((fit(rest, field_um), some) for rest, some in _left_out(places))
+    factors = [_needed(model.ranges(np.array([(p.x_um, p.y_um) for p in some])), some) for model, some in left_out]
+    if not factors:
+        return 1.0
+    ordered = np.sort(np.concatenate(factors))
+    n, rank = len(ordered), int(np.ceil(COVERED * (len(ordered) + 1)))
+    return max(1.0, float(ordered[rank - 1]) if rank <= n else float(ordered[-1]) * (1 + 1 / n))
+
+
+def _needed(ranges: FocusRange, places: Sequence[FocusPlace]) -> Floats:
+    """Return the factor of the deviations at which the window at twice the uncertainty holds each place."""
+    low = (ranges.low_um - [place.low_um for place in places]) / (2 * ranges.u_low_um)
+    high = ([place.high_um for place in places] - ranges.high_um) / (2 * ranges.u_high_um)
+    return np.maximum(np.maximum(low, high), 0.0)
+
+
+def _left_out(places: Sequence[FocusPlace]) -> Iterable[tuple[list[FocusPlace], list[FocusPlace]]]:
+    """Yield the other places and those left out, one at a time or, of many, several together."""
+    n_folds = min(FOLDS, len(places)) if len(places) > 1 else 0
+    for fold in range(n_folds):
+        yield [place for i, place in enumerate(places) if i % n_folds != fold], list(places[fold::n_folds])
+
+
+def part_centres(width_um: float, height_um: float) -> Floats:
+    """Return the centres [part, 2] of the parts of a field relative to its centre, um."""
+    x_um = ((np.arange(CELL_COLS) + 0.5) / CELL_COLS - 0.5) * width_um
+    y_um = (0.5 - (np.arange(CELL_ROWS) + 0.5) / CELL_ROWS) * height_um
+    return np.stack(np.meshgrid(x_um, y_um), axis=-1).reshape(-1, 2)
