@@ -18,7 +18,7 @@ import pytest
 
 from tests.support.datasets import worker_tasks
 from tests.support.paths import ROOT
-from wafer_viewer.compute.local_or_cluster import crew_for
+from wafer_viewer.compute.task_runner import crew_for
 from wafer_viewer.model.errors import ComputeError
 from wafer_viewer.store.dataset.dataset import Dataset
 from wafer_viewer.store.dataset.stack_import import import_dataset

@@ -10,9 +10,8 @@ import pytest
 
 from tests.support.datasets import worker_tasks
 from wafer_viewer.compute.compute_client import Compute
-from wafer_viewer.compute.local_or_cluster import crew_for
 from wafer_viewer.compute.messages import Progressed
-from wafer_viewer.compute.task_runner import LocalRunner
+from wafer_viewer.compute.task_runner import LocalRunner, crew_for
 from wafer_viewer.model.errors import ComputeError, DatasetError
 from wafer_viewer.session.surface.worker_tasks import warm_up
 

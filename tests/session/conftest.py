@@ -10,6 +10,7 @@ from tests.support.patience import PATIENCE_S
 from wafer_viewer.model.acquisition.plan import FieldGrid, FocusSweep
 from wafer_viewer.model.acquisition.sample import Sample
 from wafer_viewer.model.job import Job
+from wafer_viewer.rigs.rig_config import RigConfig
 from wafer_viewer.session.session import Session
 
 
@@ -31,7 +32,7 @@ def process_of(part):
 
 @pytest.fixture(scope="module")
 def session(tmp_path_factory):
-    made = Session(tmp_path_factory.mktemp("data"))
+    made = Session(tmp_path_factory.mktemp("data"), RigConfig(seed=0))
     made.wait_until(lambda s: s.rig.state == "ready" and s.compute_ready, PATIENCE_S)
     yield made
     made.close()

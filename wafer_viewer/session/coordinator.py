@@ -10,20 +10,26 @@ from itertools import count
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from wafer_viewer.model.acquisition.focus_following import CoarseLook
 from wafer_viewer.model.acquisition.plan import MIN_FRAMES
 from wafer_viewer.model.acquisition.sample import Sample
-from wafer_viewer.model.errors import DatasetError, WaferViewerError
+from wafer_viewer.model.errors import DatasetError, PlanError, WaferViewerError
+from wafer_viewer.model.job import Job
 from wafer_viewer.model.surface.focus_curve import FocusCurve
 from wafer_viewer.model.surface.recipe import Recipe
 from wafer_viewer.rigs.rig_config import RigConfig
+from wafer_viewer.session.acquisition.exposure_search import ExposureController
+from wafer_viewer.session.acquisition.live_controller import LiveController
 from wafer_viewer.session.acquisition.rig_client import RigCallbacks, RigClient
 from wafer_viewer.session.acquisition.rig_messages import FrameTaken, Move, OverviewReady, RigReady, Scan, ScanEnded
+from wafer_viewer.session.calibration.calibration_controller import CalibrationController
 from wafer_viewer.session.core.background_work import BackgroundWork, Notifications
 from wafer_viewer.session.core.command_queue import CommandQueue
 from wafer_viewer.session.core.commands import command, observer_command, query
 from wafer_viewer.session.core.dataset_library import DEFAULT_RESULT, ENDING, Library, free_name, today
 from wafer_viewer.session.files.documents import Documents
 from wafer_viewer.session.files.file_jobs import FileJobs
+from wafer_viewer.session.files.frame_compression import FrameCompression
 from wafer_viewer.session.gauge.gauge_controller import GaugeController
 from wafer_viewer.session.inspection.inspection_commands import DefectController
 from wafer_viewer.session.inspection.inspection_files import DefectFiles
@@ -31,7 +37,14 @@ from wafer_viewer.session.inspection.reference_views import DefectViews
 from wafer_viewer.session.measurement.dataset_queries import DatasetQueries
 from wafer_viewer.session.measurement.results import NotebookController, ResultsStore
 from wafer_viewer.session.planning.job_commands import JobController, TrialController
-from wafer_viewer.session.planning.plan_editor import PlanEditor, suggested_name
+from wafer_viewer.session.planning.plan_editor import (
+    RIG_STARTS,
+    PlanEditor,
+    look_before,
+    look_for,
+    look_further,
+    suggested_name,
+)
 from wafer_viewer.session.planning.preflight import preflight_of_snapshot, require_passed
 from wafer_viewer.session.planning.verdicts import Judge
 from wafer_viewer.session.session_restore import SessionRestore
@@ -41,6 +54,7 @@ from wafer_viewer.session.surface.focus_evidence import focus_curve
 from wafer_viewer.session.surface.reconstruction_queue import Reconstruction
 
 if TYPE_CHECKING:
+    from wafer_viewer.acquire.coarse_look import LookForFocus
     from wafer_viewer.session.rendering.render_process import Painter
     from wafer_viewer.session.rendering.render_request import RenderRequest
 
@@ -61,8 +75,11 @@ class SessionCoordinator:
         self.notices = Notifications(command_queue)
         self.plan_editor = PlanEditor(command_queue, self._folder)
         self.library = Library(command_queue, self._folder)
-        self.reconstruction = Reconstruction(command_queue, self.notices, self.library, scheduler)
+        self.reconstruction = Reconstruction(
+            command_queue, self.notices, self.library, scheduler, lambda: self.compression.begin()
+        )
         self.background = BackgroundWork(command_queue, self.notices, self.reconstruction.compute)
+        self.compression = FrameCompression(self.library, self.background, self.notices)
         self.files = FileJobs(command_queue, self.library, self.background, self.open.run)
         self.papers = Documents(command_queue, self.library, self.files)
         self.queries = DatasetQueries(self.library, lambda: command_queue.snapshot)
@@ -77,9 +94,15 @@ class SessionCoordinator:
         self.trials = TrialController(command_queue, self.background, self.plan_editor)
         self.judge = Judge(command_queue, self.library, self.notices)
         reports = RigCallbacks(
-            self._rig_ready, self._overview_ready, self._frame_taken, self._field_complete, self._scan_ended
+            *(self._rig_ready, self._overview_ready, self._frame_taken, self._field_complete, self._scan_ended),
+            live_frame=lambda frame: self.live.frame_arrived(frame),
+            live_failed=lambda why: self.live.failed(why),
+            optics_changed=lambda: self.plan_editor.price(),
         )
         self.rig = RigClient(command_queue, self.notices, config, reports)
+        self.exposure = ExposureController(command_queue, self.plan_editor, self.rig)
+        self.live = LiveController(command_queue, self.rig, self.plan_editor)
+        self.calibration = CalibrationController(command_queue, self.plan_editor, self.rig, self._folder)
         self._sample: Sample | None = None
         self._scan_over: Future[None] = Future()
         self._query_numbers = count(1)
@@ -99,6 +122,7 @@ class SessionCoordinator:
         self.plan_editor.price()
         self.library.refresh.run()
         self.jobs.refresh.run()
+        self.calibration.refresh.run()
         self.defects.files.refresh.run()
         try:
             self._reopen()
@@ -190,7 +214,7 @@ class SessionCoordinator:
 
     @command
     def start_scan(self, name: str | None = None) -> Future[Path]:
-        """Scan the plan into a new dataset, which is then the open one.
+        """Scan the plan into a new dataset, which is then the open one; a coarse look precedes it where it needs one.
 
         The future is done once the scan has started.
         """
@@ -198,10 +222,43 @@ class SessionCoordinator:
 
         self.rig.require_idle("start another")
         job, plan = self.plan_editor.ready()
+        if look_before(job, plan) is not None:
+            require_passed(preflight_of_snapshot(self.command_queue.now, self.rig.latest_frame, today()))
+            return self.command_queue.then(self.look_for_focus.run(), lambda _: self.start_scan.run(name))
         path = self._path_for(name or free_name(self._folder, f"{suggested_name(job)}-{time.strftime('%Y%m%d')}"))
         require_space(self._folder, plan.bytes_on_disk, path.stem)
         require_passed(preflight_of_snapshot(self.command_queue.now, self.rig.latest_frame, today()))
         return self._begin(Scan(path, plan, job))
+
+    @command
+    def look_for_focus(self) -> Future[CoarseLook]:
+        """Look for the focus at a few fields; the fields of the plan then have windows that follow it.
+
+        Raises PlanError if the plan does not follow the focus.
+        """
+        self.plan_editor.require_confirmed()
+        job, plan = self.plan_editor.ready()
+        return self._looked(job, look_for(job, plan))
+
+    @command
+    def look_at_more_places(self) -> Future[CoarseLook]:
+        """Look for the focus at more fields, where the prediction of the last look is least certain.
+
+        Raises PlanError if there was no look yet, or all fields were looked at.
+        """
+        self.plan_editor.require_confirmed()
+        job, plan = self.plan_editor.ready()
+        limits = self.command_queue.now.rig.limits
+        if limits is None:
+            raise PlanError(RIG_STARTS)
+        return self._looked(job, look_further(job, plan, limits))
+
+    def _looked(self, job: Job, look: LookForFocus) -> Future[CoarseLook]:
+        def take(found: CoarseLook) -> CoarseLook:
+            self.plan_editor.take_look(job, found)
+            return found
+
+        return self.command_queue.then(self.rig.run_procedure(look), take)
 
     @command
     def continue_scan(self) -> Future[Path]:
@@ -209,6 +266,7 @@ class SessionCoordinator:
         self.rig.require_idle("start another")
         self.plan_editor.require_confirmed()
         shown = self.library.shown
+        self.compression.require_over(shown.path)
         if shown.read_only is not None:
             raise DatasetError(f"The scan cannot be continued: {shown.read_only}")
         if not self.library.dataset.missing():

@@ -12,7 +12,10 @@ from pathlib import Path
 from typing import Concatenate, Generic, ParamSpec, TypeVar
 
 from wafer_viewer.rigs.rig_config import RigConfig
+from wafer_viewer.session.acquisition.exposure_search import ExposureController
+from wafer_viewer.session.acquisition.live_controller import LiveController
 from wafer_viewer.session.acquisition.rig_client import RigClient
+from wafer_viewer.session.calibration.calibration_controller import CalibrationController
 from wafer_viewer.session.coordinator import SessionCoordinator
 from wafer_viewer.session.core.background_work import Notifications
 from wafer_viewer.session.core.commands import forwarded, query
@@ -49,6 +52,7 @@ class _Part(Generic[Part]):
 
 _plan = _Part(lambda coordinator: coordinator.plan_editor)
 _rig = _Part(lambda coordinator: coordinator.rig)
+_exposure = _Part(lambda coordinator: coordinator.exposure)
 _session = _Part(lambda coordinator: coordinator)
 _library = _Part(lambda coordinator: coordinator.library)
 _files = _Part(lambda coordinator: coordinator.files)
@@ -76,6 +80,8 @@ class Session:
     sections: Sections
     studies: Studies
     gauge: GaugeController
+    calibration: CalibrationController
+    live: LiveController
     papers: Documents
     exchange: FileJobs
     browsing: Browsing
@@ -93,7 +99,11 @@ class Session:
 
     # the rig
     move_to = _session(SessionCoordinator.move_to)
+    find_exposure = _exposure(ExposureController.find)
+    take_bracket = _exposure(ExposureController.take_bracket)
     start_scan = _session(SessionCoordinator.start_scan)
+    look_for_focus = _session(SessionCoordinator.look_for_focus)
+    look_at_more_places = _session(SessionCoordinator.look_at_more_places)
     continue_scan = _session(SessionCoordinator.continue_scan)
     pause = _rig(RigClient.pause)
     resume = _rig(RigClient.resume)
@@ -146,6 +156,7 @@ class Session:
         self.control = Control(coordinator.command_queue)
         self.notebook, self.comparing, self.defects = coordinator.notebook, coordinator.comparing, coordinator.defects
         self.jobs, self.trials, self.gauge = coordinator.jobs, coordinator.trials, coordinator.gauge
+        self.live, self.calibration = coordinator.live, coordinator.calibration
         self.papers, self.exchange = coordinator.papers, coordinator.files
         self.sections, self.studies = Sections(coordinator.queries, lambda: self.snapshot), Studies()
         self._command_queue.note(coordinator.start)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 import threading
 import time
 from concurrent.futures import Future
@@ -156,7 +157,7 @@ def instrument(monkeypatch):
     """An instrument whose rig is ready and stands still, and its session's desk."""
     monkeypatch.setattr(instrument_module, "ChildProcess", StandingLink)
     command_queue = SessionDesk(Snapshot(rig=RigStatus(state="ready", homed=True)))
-    nobody = RigCallbacks(*[lambda _: None] * 5)
+    nobody = RigCallbacks(*[lambda _: None] * len(dataclasses.fields(RigCallbacks)))
     made = RigClient(command_queue, Notifications(command_queue), RigConfig(), nobody)
     link = command_queue.do(made.start).result()
     command_queue.do(command_queue.change, rig=RigStatus(state="ready", homed=True)).result()

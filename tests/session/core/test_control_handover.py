@@ -181,11 +181,13 @@ FREE = {
     *("profile", "read_out", "focus_curve", "measure", "datum", "thumbnail", "refresh_datasets"),
     *("export_surface", "export_findings", "exchange.is_surface", "exchange.export_surface", "stop", "stop_scan"),
     *("control.arrive", "control.leave", "control.rename", "control.ask", "control.hand_over", "control.keep"),
+    *("live.keep_picture", "calibration.refresh"),
     *("papers.keep_picture", "papers.write_report", "papers.contents"),
     *("browsing.list_folder", "browsing.look", "browsing.allowed"),
     *("browsing.path_of", "browsing.existing", "browsing.remember"),
     *("comparing.choices", "sections.section", "sections.others", "sections.file", "defects.files.write"),
     *("gauge.find_faces", "gauge.check", "studies.gauge_rr"),
+    *("live.look", "live.on_frame"),
     *("defects.views.beside", "defects.views.die", "defects.views.repeats"),
 }
 

@@ -107,3 +107,26 @@ def test_a_stop_forbids_and_attention_asks():
     with pytest.raises(PlanError, match="Light"):
         require_passed(warned, confirmed=False)
     assert [c.what for c in stops(preflight(facts(free_bytes=1, confirmed=False)))] == ["Sample", "Disk"]
+
+
+def test_gaps_that_another_objective_leaves_between_the_fields_need_a_person():
+    nearer = replace(LIMITS, pixel_um=LIMITS.pixel_um / 2)
+    job = replace(small_job(), grid=replace(small_job().grid, cols=2))
+    check = line("Objective", facts(job, limits=nearer))
+    assert check.state == "attention"
+    assert "168 x 126 um" in check.found
+
+
+@pytest.mark.parametrize(
+    ("wish", "setup", "state"),
+    [
+        ({}, {}, None),
+        ({"objective": SETUP.objective}, {}, "ok"),
+        ({"zoom": 2.0}, {}, "stop"),
+        ({"objective": "50x/0.55"}, {}, "stop"),
+        ({}, {"objective": "unknown"}, "stop"),
+    ],
+)
+def test_an_objective_is_checked_where_the_plan_names_one_or_the_rig_does_not_know_it(wish, setup, state):
+    checks = preflight(facts(replace(small_job(), **wish), setup=replace(SETUP, **setup)))
+    assert [check.state for check in checks[6:]] == ([] if state is None else [state])

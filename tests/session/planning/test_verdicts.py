@@ -83,8 +83,10 @@ def test_another_surface_is_judged_anew_and_none_without_a_dataset(command_queue
     command_queue.wait_until(lambda now: now.operating.verdict is None, PATIENCE_S)
     change(command_queue, works=())
     came_to(command_queue, day.FAIL)
+    assert verdicts.n == 2
     change(command_queue, dataset=None, surface=None)
     came_to(command_queue, None)
+    assert verdicts.n == 2, "without a dataset there is nothing to judge"
 
 
 def test_what_cannot_be_judged_is_reported(command_queue, verdicts):

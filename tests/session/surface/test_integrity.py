@@ -168,7 +168,8 @@ def harmless_place(dataset: Path, flip: str) -> bool:
     if name.startswith("frames/"):  # tags that say how the pages lie are held against the scan record
         record = Dataset.open(dataset).scan
         begin = Dataset.open(dataset).stack(1).images.offset
-        return not begin <= byte < begin + record.pages.n_pages * record.pages.page_bytes
+        pages = record.pages(record.plan.fields[0])
+        return not begin <= byte < begin + pages.n_pages * pages.page_bytes
     if name == "journal.jsonl":  # its last line says that the scan came to its end; a torn last line is left out
         return byte >= content.rfind(b"\n", 0, -1)
     return False

@@ -1,25 +1,36 @@
-"""Scans without a browser: start or continue a scan; Ctrl-C stops it with the rig at rest."""
+"""Scans and procedures on the rig without a browser; Ctrl-C stops them with the rig at rest."""
 
 from __future__ import annotations
 
 import signal
-from collections.abc import Callable, Generator
+from collections.abc import Callable, Generator, Sequence
 from contextlib import contextmanager
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeVar
 
+from wafer_viewer.acquire.focus_at_place import FocusAtPlace, FocusedPlace
+from wafer_viewer.acquire.motion import device_errors
+from wafer_viewer.acquire.pass_runner import rig_at_rest
+from wafer_viewer.acquire.positioning import move_positioner, positioner_of, read_positioners
 from wafer_viewer.model.acquisition.devices import Rig, SampleChanger
+from wafer_viewer.model.acquisition.exposure import FoundExposure
+from wafer_viewer.model.acquisition.positioners import PositionerState
+from wafer_viewer.model.acquisition.procedure import Procedure, ProcedureStep
 from wafer_viewer.model.errors import DatasetError, PlanError
 from wafer_viewer.model.job import Job
-from wafer_viewer.model.progress import Progress
+from wafer_viewer.model.progress import Progress, silent
+from wafer_viewer.model.spec import replace as replace_spec
+from wafer_viewer.session.acquisition.exposure_search import exposure_search
 from wafer_viewer.session.acquisition.rig_messages import FrameTaken, Scan, ScanFault
 from wafer_viewer.session.acquisition.scan_run import Steering, run_scan_job, writer_of
 from wafer_viewer.session.core.dataset_library import today
-from wafer_viewer.session.planning.plan_editor import free_bytes, plan_of
+from wafer_viewer.session.planning.plan_editor import free_bytes, look_before, plan_of
 from wafer_viewer.session.planning.preflight import Preflight, PreflightCheck, preflight
 from wafer_viewer.store.dataset.dataset import Dataset
 from wafer_viewer.store.records.gauge_records import calibration_in_force
+
+Result = TypeVar("Result")
 
 
 @dataclass(frozen=True, slots=True)
@@ -52,6 +63,8 @@ def scan_to(
     if isinstance(rig, SampleChanger):
         rig.load_sample(job.sample)
     steering = Steering()
+    if (look := look_before(job, scan.plan)) is not None:
+        scan = replace(scan, plan=plan_of(job, rig.limits, run_procedure(look, rig, tell)))
 
     def report(event: Any) -> None:
         if isinstance(event, FrameTaken):
@@ -59,7 +72,7 @@ def scan_to(
         elif isinstance(event, ScanFault):
             warn(event.what)
 
-    with writer_of(scan, rig) as writer, _interrupt_stops(steering):
+    with writer_of(scan, rig) as writer, interrupt_stops(steering.stop):
         ended = run_scan_job(scan, rig, writer, report, steering)
         n_stored = len(writer.kept)
     words = f"{n_stored} of {scan.plan.n_frames} frames kept"
@@ -67,9 +80,100 @@ def scan_to(
     return Ended(f"{words}{more}", ended.stopped, ended.error)
 
 
+def find_exposure(job: Job, rig: Rig, fields: Sequence[int], tell: Progress) -> FoundExposure:
+    """Find the exposure of a plan over fields with these numbers, or a few spread over it; Ctrl-C stops the rig.
+
+    Raises PlanError when the rig cannot do the plan or it is released, RigError if no exposure suits, MotionStopped.
+    """
+    search = exposure_search(job, plan_of(job, rig.limits), fields)
+    if isinstance(rig, SampleChanger):
+        rig.load_sample(job.sample)
+    return run_procedure(search, rig, tell)
+
+
+def go_to_focus(
+    rig: Rig,
+    *,
+    x_um: float | None = None,
+    y_um: float | None = None,
+    z_um: float | None = None,
+    z_range_um: float | None = None,
+    exposure_us: float | None = None,
+    highest_um: float | None = None,
+    progress: Progress | None = None,
+) -> FocusedPlace:
+    """Drive to a place and go to its focus; Ctrl-C stops the rig.
+
+    Parameters
+    ----------
+    rig : Rig
+        Open rig.
+    x_um, y_um, z_um : float, optional
+        Place on the stage and middle of the search, um. Default: where the stage stands.
+    z_range_um : float, optional
+        Range of z about the middle that the search looks at, um. Default: six depths of field to either side, and
+        farther if nothing is in focus there.
+    exposure_us : float, optional
+        Exposure, us. Default: found automatically.
+    highest_um : float, optional
+        Highest z of the sample, which the objective stays clear of, um. Default: the middle of the search.
+    progress : callable, optional
+        Receives the finished fraction, 0 to 1.
+
+    Returns
+    -------
+    FocusedPlace
+        Place and exposure, and the focus with its z, standard uncertainty u (k = 1) and scores over z.
+
+    Raises
+    ------
+    RigError
+        If a device fails, nothing is in focus, or the place is out of range or too near to the sample.
+    MotionStopped
+        If interrupted by Ctrl-C: the rig is then at rest.
+    """
+    order = FocusAtPlace(
+        x_um=x_um, y_um=y_um, z_um=z_um, z_range_um=z_range_um, exposure_us=exposure_us, highest_um=highest_um
+    )
+    return run_procedure(order, rig, progress or silent)
+
+
+def run_procedure(procedure: Procedure[Result], rig: Rig, tell: Progress) -> Result:
+    """Carry a procedure out; Ctrl-C stops it with the rig at rest, by MotionStopped."""
+    control = ProcedureSteering(tell)
+    with interrupt_stops(control.stop), device_errors("rig"), rig_at_rest(rig):
+        return procedure.run(rig, control)
+
+
+def move_positioners(rig: Rig, goals: Sequence[tuple[str, str]]) -> tuple[PositionerState, ...]:
+    """Move positioners one after the other, and return all of the rig with their positions; Ctrl-C stops the rig.
+
+    Raises RigError if one does not exist or cannot go there, before any of them moves. MotionStopped if stopped.
+    """
+    for name, to in goals:
+        positioner_of(rig, name).limits.goal(name, to)
+    steering = Steering()
+    with interrupt_stops(steering.stop), rig_at_rest(rig):
+        for name, to in goals:
+            move_positioner(rig, name, to, steering.should_stop)
+    return read_positioners(rig)
+
+
+class ProcedureSteering(Steering):
+    """Stop flag of a procedure, and its progress."""
+
+    def __init__(self, tell: Progress) -> None:
+        super().__init__()
+        self._tell = tell
+
+    def report(self, step: ProcedureStep) -> None:
+        """Report the progress."""
+        self._tell(step.fraction)
+
+
 def _continued_scan(path: Path, job: Job) -> Scan:
     data = Dataset.open(path)
-    if data.scan.job != job:
+    if replace_spec(data.scan.job, compression=job.compression) != job:
         raise PlanError(
             f"{path} was started with another plan: choose another name, or give the plan it was started with."
         )
@@ -95,9 +199,9 @@ def _preflight_checks(scan: Scan, rig: Rig) -> tuple[PreflightCheck, ...]:
 
 
 @contextmanager
-def _interrupt_stops(steering: Steering) -> Generator[None]:
-    """Make Ctrl-C stop the scan instead of the program, which ends once the rig is at rest."""
-    before = signal.signal(signal.SIGINT, lambda *_: steering.stop())
+def interrupt_stops(stop: Callable[[], None]) -> Generator[None]:
+    """Make Ctrl-C call `stop` instead of ending the program, which ends once the rig is at rest."""
+    before = signal.signal(signal.SIGINT, lambda *_: stop())
     try:
         yield
     finally:

@@ -5,35 +5,61 @@ from __future__ import annotations
 from collections.abc import Callable
 from concurrent.futures import Future
 from dataclasses import dataclass, replace
+from itertools import count
 from multiprocessing.connection import Connection
-from typing import Any
+from typing import Any, TypeVar
 
 from wafer_viewer.compute.child_process import ChildProcess
 from wafer_viewer.model.acquisition.calibration import Calibration
+from wafer_viewer.model.acquisition.procedure import Procedure, ProcedureStep
 from wafer_viewer.model.acquisition.sample import Sample
 from wafer_viewer.model.errors import DatasetError, MotionStopped, RigError
 from wafer_viewer.rigs.rig_config import RigConfig
 from wafer_viewer.session.acquisition.rig_messages import (
+    Drive,
     FieldComplete,
     FrameTaken,
+    Jog,
+    Jogging,
+    LiveFailed,
+    LiveTaken,
     LoadSample,
     Move,
+    MovePositioner,
     OverviewReady,
     Pause,
     Paused,
+    PositionersMoved,
+    ProcedureProgress,
     Resume,
     RigAbsent,
     RigReady,
+    RunProcedure,
     Scan,
     ScanEnded,
     ScanFault,
     StageMoved,
     Stop,
+    WatchLive,
 )
 from wafer_viewer.session.core.background_work import Notifications
 from wafer_viewer.session.core.command_queue import CommandQueue
 from wafer_viewer.session.core.commands import command
-from wafer_viewer.session.state.snapshot import LatestFrame, RigStatus
+from wafer_viewer.session.state.live_state import LiveFrame
+from wafer_viewer.session.state.snapshot import LatestFrame, RigStatus, Snapshot
+
+Result = TypeVar("Result")
+
+
+def _ignore_step(_: ProcedureStep) -> None: ...
+
+
+@dataclass(frozen=True, slots=True)
+class RunningProcedure:
+    """Work item of a running procedure and the receiver of its steps."""
+
+    work_id: str
+    on_step: Callable[[ProcedureStep], None]
 
 
 @dataclass(frozen=True, slots=True)
@@ -46,6 +72,11 @@ class RigCallbacks:
     field_complete: Callable[[int], None]
     scan_ended: Callable[[ScanEnded | None], None]
     """Called with None when the rig process died during a scan."""
+    live_frame: Callable[[LiveFrame], None]
+    """Called on the thread that reads the pipe, so that frames do not wait for commands."""
+    live_failed: Callable[[str], None]
+    optics_changed: Callable[[], None]
+    """Called when another objective or zoom has changed the limits."""
 
 
 class RigClient:
@@ -60,6 +91,8 @@ class RigClient:
         """Sample of the last load request."""
         self._moves = 0
         """Number of moves requested and not finished."""
+        self._numbers = count(1)
+        self._procedures: dict[int, RunningProcedure] = {}
         self.n_stops = 0
         """Number of stops requested from other threads, ahead of the queued commands."""
         self.latest_frame: LatestFrame | None = None
@@ -68,8 +101,12 @@ class RigClient:
             OverviewReady: reports.overview_ready,
             RigAbsent: self._absent,
             StageMoved: self._at,
+            PositionersMoved: self._positioners_moved,
             Paused: self._paused,
+            Jogging: self._jogging,
+            LiveFailed: lambda event: reports.live_failed(event.why),
             FrameTaken: self._frame_taken,
+            ProcedureProgress: self._procedure_step,
             FieldComplete: lambda event: reports.field_complete(event.number),
             ScanFault: self._scan_fault,
             ScanEnded: self._scan_ended,
@@ -92,13 +129,13 @@ class RigClient:
         if self._link is not None and self._link.alive:
             self._link.ask(LoadSample(sample))
 
-    def move_to(self, move: Move, n_stops: int | None = None) -> Future[None]:
-        """Move the stage.
+    def move_to(self, move: Move | Drive | MovePositioner, n_stops: int | None = None) -> Future[Any]:
+        """Move the stage or a positioner.
 
         The future is done on arrival, or fails with MotionStopped. Raises MotionStopped when more than `n_stops` stops
         were requested since.
         """
-        self.require_idle("move the stage")
+        self.require_idle("move a positioner" if isinstance(move, MovePositioner) else "move the stage")
         if n_stops is not None and n_stops < self.n_stops:
             stood = self._command_queue.now.rig
             raise MotionStopped.at(stood.x_um, stood.y_um, stood.z_um)
@@ -106,6 +143,38 @@ class RigClient:
         self._moves += 1
         self._show_moves()
         return self._command_queue.afterwards(link.ask(move), self._move_over)
+
+    def jog(self, word: Jog) -> Future[None]:
+        """Send a word of a jog, from any thread: it must not wait for commands.
+
+        The future of the first word is done when the stage is at rest again.
+        """
+        self.require_idle("move the stage", self._command_queue.snapshot)
+        if self._link is None or not self._link.alive:
+            raise RigError("The rig does not answer: move the stage once to start it again.")
+        return self._link.ask(word)
+
+    def watch_live(self, exposure_us: float) -> None:
+        """Show the live view for some more seconds, from any thread; without effect while the rig is busy."""
+        now = self._command_queue.snapshot
+        if self._link is not None and self._link.alive and now.rig.state in ("ready", "moving"):
+            self._link.ask(WatchLive(exposure_us))
+
+    def run_procedure(
+        self, procedure: Procedure[Result], on_step: Callable[[ProcedureStep], None] = _ignore_step
+    ) -> Future[Result]:
+        """Carry out a procedure, shown as work that can be cancelled; cancelling it stops the rig.
+
+        The future has its result. `on_step` is called with its progress on the session's thread.
+        """
+        self.require_idle(procedure.title[0].lower() + procedure.title[1:])
+        link, number = self.start(), next(self._numbers)
+        work_id = self._notices.begin(procedure.title, stop=self._cancel_procedure)
+        self._procedures[number] = RunningProcedure(work_id, on_step)
+        self._show(state="working", message=procedure.title)
+        return self._command_queue.afterwards(
+            link.ask(RunProcedure(number, procedure)), lambda: self._procedure_over(number)
+        )
 
     def scan(self, scan: Scan) -> Future[None]:
         """Start a scan; the future is done once the scan has started."""
@@ -151,10 +220,13 @@ class RigClient:
         self._show(state="stopping", message="")
         self.break_off()
 
-    def require_idle(self, purpose: str) -> None:
-        """Raise RigError while a scan is running."""
-        if self._command_queue.now.scanning:
+    def require_idle(self, purpose: str, now: Snapshot | None = None) -> None:
+        """Raise RigError while a scan or a procedure is running; `now`: on another thread than the session's."""
+        now = now or self._command_queue.now
+        if now.scanning:
             raise RigError(f"A scan is running: stop it or wait for its end to {purpose}.")
+        if now.rig.state == "working":
+            raise RigError(f"The rig is at work ({now.rig.message}): stop it or wait for its end to {purpose}.")
 
     def close(self) -> None:
         """Stop motion, disarm the pulse box and end the process."""
@@ -162,6 +234,11 @@ class RigClient:
             self._link.close()
 
     def _heard(self, event: Any) -> None:
+        if isinstance(event, LiveFrame):
+            self._reports.live_frame(event)
+            if self._link is not None:
+                self._link.ask(LiveTaken())
+            return
         self._command_queue.note(self._on[type(event)], event)
 
     def _gone(self, exit_code: int | None) -> None:
@@ -174,8 +251,9 @@ class RigClient:
             event.simulated,
             state,
             limits=event.limits,
-            calibration=self._calibration(event),
+            calibration=self._calibration(event.name, event.calibration),
             setup=event.setup,
+            positioners=event.positioners,
             homed=event.homed,
         )
         self._command_queue.change(rig=status)
@@ -183,12 +261,19 @@ class RigClient:
         self._show_moves()
         self._reports.ready(event)
 
-    def _calibration(self, event: RigReady) -> Calibration | None:
+    def _positioners_moved(self, event: PositionersMoved) -> None:
+        before = self._command_queue.now.rig
+        calibration = self._calibration(before.name, event.calibration)
+        self._show(positioners=event.positioners, limits=event.limits, setup=event.setup, calibration=calibration)
+        if event.limits != before.limits:
+            self._reports.optics_changed()
+
+    def _calibration(self, rig: str, own: Calibration | None) -> Calibration | None:
         """Return the calibration in force: a later correction if there is one, else the rig's own."""
         from wafer_viewer.store.records.gauge_records import calibration_in_force
 
         try:
-            return calibration_in_force(self._command_queue.now.data_folder, event.name, event.calibration)
+            return calibration_in_force(self._command_queue.now.data_folder, rig, own)
         except DatasetError as fault:
             self._notices.fault("The rig's calibration is not known", str(fault), "rig")
             return None
@@ -200,6 +285,10 @@ class RigClient:
         p, homed = event.position, event.homed
         is_homed = self._command_queue.now.rig.homed if homed is None else homed
         self._show(x_um=p.x_um, y_um=p.y_um, z_um=p.z_um, homed=is_homed)
+
+    def _jogging(self, event: Jogging) -> None:
+        self._moves += 1 if event.jogging else -1
+        self._show_moves()
 
     def _move_over(self) -> None:
         self._moves -= 1
@@ -219,6 +308,19 @@ class RigClient:
         self._at(StageMoved(event.position))
         self._command_queue.change(scan=event.progress)
         self._reports.frame_taken(event)
+
+    def _procedure_step(self, event: ProcedureProgress) -> None:
+        if (running := self._procedures.get(event.number)) is not None:
+            self._notices.progress(running.work_id, event.step.fraction)
+            running.on_step(event.step)
+
+    def _cancel_procedure(self) -> None:
+        self.stop_at_once()
+
+    def _procedure_over(self, number: int) -> None:
+        self._notices.end(self._procedures.pop(number).work_id)
+        if self._command_queue.now.rig.state == "working":
+            self._show(state="moving" if self._moves else "ready", message="")
 
     def _scan_fault(self, event: ScanFault) -> None:
         self._notices.fault("The scan reports a fault", event.what, "scan")

@@ -7,29 +7,46 @@ from __future__ import annotations
 
 import queue
 import threading
+import time
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 from multiprocessing.connection import Connection
+from typing import Any
 
-from wafer_viewer.acquire.motion import come_to_rest, device_errors, move
+from wafer_viewer.acquire.hand_drive import drive, jog
+from wafer_viewer.acquire.motion import at_um, come_to_rest, device_errors, move
+from wafer_viewer.acquire.pass_runner import rig_at_rest
+from wafer_viewer.acquire.positioning import move_positioner, read_positioners
 from wafer_viewer.compute.child_process import ChildConnection, Request, run_in_background
 from wafer_viewer.model.acquisition.devices import Rig, SampleChanger
 from wafer_viewer.model.acquisition.plan import Axis
+from wafer_viewer.model.acquisition.procedure import Procedure, ProcedureStep
 from wafer_viewer.model.acquisition.sample import Sample
 from wafer_viewer.model.errors import MotionStopped, RigError, WaferViewerError
 from wafer_viewer.rigs.rig_config import RigConfig, open_rig
+from wafer_viewer.session.acquisition.live_camera import JogHandle, LiveCamera
 from wafer_viewer.session.acquisition.rig_messages import (
+    Drive,
+    Jog,
+    Jogging,
+    LiveTaken,
     LoadSample,
     Move,
+    MovePositioner,
     OverviewReady,
     Pause,
+    PositionersMoved,
+    ProcedureProgress,
     Resume,
     RigAbsent,
     RigReady,
+    RunProcedure,
     Scan,
     StageMoved,
     Stop,
+    WatchLive,
 )
-from wafer_viewer.session.acquisition.scan_run import Steering, run_scan_job, writer_of
+from wafer_viewer.session.acquisition.scan_run import REPORT_EVERY_S, Steering, run_scan_job, writer_of
 from wafer_viewer.session.planning.guided_tour import tour_of
 
 
@@ -60,6 +77,7 @@ def _introduce(rig: Rig, config: RigConfig) -> RigReady:
         position=rig.stage.position(),
         tour=tour_of(rig, config),
         homed=rig.stage.homed(),
+        positioners=read_positioners(rig),
     )
 
 
@@ -84,11 +102,12 @@ class RigExecutor:
         self._steer = {Pause: self._steering.pause, Resume: self._steering.resume}
         self._n_stops = self._heeded = 0
         """Stops received so far, and the number received when motion was last interrupted."""
+        self._handle, self._live = JogHandle(), LiveCamera(rig, end.tell)
 
     def work(self) -> None:
-        """Execute commands until the pipe ends."""
+        """Execute commands until the pipe ends, and take live frames between them."""
         threading.Thread(target=self._listen, name="verbs", daemon=True).start()
-        while (order := self._todo.get()) is not None:
+        while (order := self._next()) is not None:
             try:
                 self._carry_out(order)
             except WaferViewerError as fault:
@@ -96,8 +115,21 @@ class RigExecutor:
                     self._heeded = self._n_stops
                 self._end.refuse(order.request, fault)
 
+    def _next(self) -> RigCommand | None:
+        """Return the next command; take live frames until there is one."""
+        while self._live.watched:
+            try:
+                return self._todo.get(timeout=self._live.wait_s)
+            except queue.Empty:
+                self._live.take()
+        self._live.suspend()
+        return self._todo.get()
+
     def _listen(self) -> None:
         for request in self._end.requests():
+            if self._renewed(request):
+                self._end.answer(request)
+                continue
             if (steer := self._steer.get(type(request.command))) is not None:
                 steer()
                 self._end.answer(request)
@@ -109,16 +141,44 @@ class RigExecutor:
         self._stop()
         self._todo.put(None)
 
+    def _renewed(self, request: Request) -> bool:
+        """Take a word that nothing has to be done about by the executor."""
+        match request.command:
+            case Jog() as word:
+                return not self._handle.tell(word)
+            case LiveTaken():
+                self._live.acknowledge()
+                return True
+            case WatchLive(exposure_us):
+                self._live.watch(exposure_us)
+            case _:
+                pass
+        return False
+
     def _stop(self) -> None:
+        self._handle.break_off()
         self._n_stops += 1
         self._steering.stop()
 
     def _carry_out(self, order: RigCommand) -> None:
+        if not isinstance(order.request.command, Jog | WatchLive):
+            self._live.suspend()
         match order.request.command:
             case Scan() as scan:
+                self._live.end()
                 self._scan(order, scan)
+            case Jog():
+                self._jog(order)
+            case Drive() as way:
+                self._drive(order, way)
+            case WatchLive():
+                self._end.answer(order.request)
             case Move() as goal:
                 self._move(order, goal)
+            case MovePositioner() as goal:
+                self._move_positioner(order, goal)
+            case RunProcedure(number, procedure):
+                self._run_procedure(order, number, procedure)
             case LoadSample() as load:
                 self._load(load.sample)
                 self._end.answer(order.request)
@@ -137,6 +197,61 @@ class RigExecutor:
         finally:
             self._report_position()
         self._end.answer(order.request)
+
+    def _drive(self, order: RigCommand, way: Drive) -> None:
+        here = self._rig.stage.position()
+        wanted: dict[Axis, float | None] = {"x": way.x_um, "y": way.y_um, "z": way.z_um}
+        goal_um: dict[Axis, float] = {
+            axis: um + at_um(here, axis) if way.by else um for axis, um in wanted.items() if um is not None
+        }
+        try:
+            drive(self._rig, goal_um, way.highest_um, lambda: self._stopped_since(order))
+        finally:
+            self._report_position()
+        self._end.answer(order.request)
+
+    def _move_positioner(self, order: RigCommand, goal: MovePositioner) -> None:
+        rig = self._rig
+        try:
+            reading = move_positioner(rig, goal.name, goal.to, lambda: self._stopped_since(order))
+        finally:
+            self._report_position()
+            self._end.tell(PositionersMoved(read_positioners(rig), rig.limits, rig.setup, rig.calibration))
+        self._end.answer(order.request, reading)
+
+    def _jog(self, order: RigCommand) -> None:
+        """Jog until the handle is released; the words may have ended while another command was executed."""
+        self._end.tell(Jogging(True))
+        self._live.begin_motion()
+        try:
+            jog(
+                self._rig,
+                self._handle.velocity,
+                self._handle.highest_um,
+                lambda: self._live.take_within(self._handle.left_s),
+            )
+        finally:
+            self._handle.taken = False
+            if self._stopped_since(order):
+                self._heeded = self._n_stops
+            self._report_position()
+            self._end.tell(Jogging(False))
+        self._end.answer(order.request)
+
+    def _run_procedure(self, order: RigCommand, number: int, procedure: Procedure[Any]) -> None:
+        if self._stopped_since(order):
+            raise MotionStopped(f"{procedure.title} was stopped before it began.")
+        watch = _ProcedureWatch(
+            lambda: self._stopped_since(order), lambda step: self._end.tell(ProcedureProgress(number, step))
+        )
+        try:
+            with device_errors("rig"), rig_at_rest(self._rig):
+                result = procedure.run(self._rig, watch)
+        finally:
+            with device_errors("stage"):
+                come_to_rest(self._rig)
+            self._report_position()
+        self._end.answer(order.request, result)
 
     def _load(self, sample: Sample | None) -> None:
         """Load a sample on a rig with a sample changer, and report the new overview."""
@@ -165,3 +280,21 @@ class RigExecutor:
         """Report the position and whether the stage is homed; an interrupted reference search leaves it not homed."""
         stage = self._rig.stage
         self._end.tell(StageMoved(stage.position(), stage.homed()))
+
+
+class _ProcedureWatch:
+    """Stop flag and reports of a procedure; it reports at most a few times a second, and always its end."""
+
+    def __init__(self, should_stop: Callable[[], bool], tell: Callable[[ProcedureStep], None]) -> None:
+        self._should_stop, self._tell = should_stop, tell
+        self._reported_s = -REPORT_EVERY_S
+
+    def should_stop(self) -> bool:
+        """Return whether a stop was requested since the procedure was."""
+        return self._should_stop()
+
+    def report(self, step: ProcedureStep) -> None:
+        """Report progress."""
+        if step.fraction >= 1.0 or time.monotonic() - self._reported_s >= REPORT_EVERY_S:
+            self._reported_s = time.monotonic()
+            self._tell(step)

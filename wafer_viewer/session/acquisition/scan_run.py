@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import threading
 import time
 from collections.abc import Callable
@@ -11,18 +12,26 @@ from typing import Any
 import numpy as np
 
 from wafer_viewer.acquire.motion import device_errors
-from wafer_viewer.acquire.scan_runner import run_scan
+from wafer_viewer.acquire.positioning import read_positioners
+from wafer_viewer.acquire.scan_runner import ScanOutcome, run_scan
 from wafer_viewer.model.acquisition.devices import Position, PulseSummary, Rig
+from wafer_viewer.model.acquisition.focus_following import FOLLOW_FOCUS
 from wafer_viewer.model.acquisition.focus_stack import Frame, Image
 from wafer_viewer.model.acquisition.plan import Leg, ScanPlan, Shot
-from wafer_viewer.model.errors import DatasetError, WaferViewerError
+from wafer_viewer.model.errors import DatasetError, PlanError, WaferViewerError
+from wafer_viewer.session.acquisition.focus_watch import FocusWatch, plan_to_continue
 from wafer_viewer.session.acquisition.rig_messages import FieldComplete, FrameTaken, Paused, Scan, ScanEnded, ScanFault
 from wafer_viewer.session.state.snapshot import LatestFrame, ScanProgress
+from wafer_viewer.store.dataset.dataset import Dataset
 from wafer_viewer.store.dataset.writer import DatasetWriter
 from wafer_viewer.store.io.atomic_files import os_errors_as_dataset_errors
+from wafer_viewer.store.records.calibration_records import FOLDER as CALIBRATIONS
+from wafer_viewer.store.records.flat_fields import flat_field_in_force
 from wafer_viewer.store.records.gauge_records import calibration_in_force
 
 REPORT_EVERY_S = 0.12
+SAME_PIXEL_FRACTION = 1e-6
+"""Difference of two nominal pixel sizes that rounding may make."""
 RATE_KNOWN_AFTER = 10
 """Number of frames after which the remaining time follows from the measured rate instead of the plan's prediction."""
 
@@ -97,11 +106,18 @@ class ScanWatch:
     Write errors of the operating system become DatasetErrors here, so any other OSError comes from a device.
     """
 
-    def __init__(self, writer: DatasetWriter, plan: ScanPlan, tell: Callable[[Any], None], steering: Steering) -> None:
-        self._writer, self._plan, self._tell, self._steering = writer, plan, tell, steering
-        writer.on_field_complete = lambda number: tell(FieldComplete(number))
-        self._fields = {f.number: f for f in plan.fields}
-        self._order = {number: i for i, number in enumerate(order_of_fields(plan), 1)}
+    def __init__(
+        self,
+        writer: DatasetWriter,
+        plan: ScanPlan,
+        tell: Callable[[Any], None],
+        steering: Steering,
+        focus: FocusWatch | None = None,
+    ) -> None:
+        self._writer, self._tell, self._steering, self._focus = writer, tell, steering, focus
+        self._order: dict[int, int] = {}
+        writer.on_field_complete = self._field_complete
+        self.follow(plan)
         self._n_stored_before = len(writer.kept)
         self._done = self._n_stored_before
         self._empty: set[Shot] = set()
@@ -110,6 +126,17 @@ class ScanWatch:
         self._started = time.strftime("%H:%M:%S")
         self._reported_at = -REPORT_EVERY_S
         self._last: Frame | None = None
+
+    def follow(self, plan: ScanPlan) -> None:
+        """Take up a plan, also one with other legs during the scan."""
+        self._plan = plan
+        self._fields = {f.number: f for f in plan.fields}
+        self._order |= {number: i for i, number in enumerate(order_of_fields(plan), 1)}
+
+    def _field_complete(self, number: int) -> None:
+        if self._focus is not None:
+            self._focus.judge(number)
+        self._tell(FieldComplete(number))
 
     def pass_begun(self, number: int, leg: Leg) -> None:
         """Start a leg."""
@@ -120,6 +147,8 @@ class ScanWatch:
         """Store a frame, and report progress a few times a second."""
         with os_errors_as_dataset_errors(self._writer.path):
             self._writer.frame(frame)
+        if self._focus is not None:
+            self._focus.add(frame)
         self._pulses += 1
         self._done = self._writer.n_arrived
         self._last = frame
@@ -228,28 +257,52 @@ def order_of_fields(plan: ScanPlan) -> list[int]:
 
 def writer_of(scan: Scan, rig: Rig) -> DatasetWriter:
     """Return the writer of a new dataset, or of the continued one. Raises DatasetError when it cannot be written."""
+    positioners = tuple(state.reading for state in read_positioners(rig))
+    require_same_optics(scan, rig)
     if scan.goes_on:
         return DatasetWriter.resume(scan.path)
+    folder = scan.path.absolute().parent
+    calibration = calibration_in_force(folder, rig.name, rig.calibration)
     return DatasetWriter.create(
         scan.path,
         scan.plan,
         scan.job,
-        calibration=calibration_in_force(scan.path.absolute().parent, rig.name, rig.calibration),
+        calibration=calibration,
+        flat_field=flat_field_in_force(folder / CALIBRATIONS, calibration),
         setup=rig.setup,
         rig=rig.name,
         simulated=rig.simulated,
         bits=rig.limits.camera.bits,
+        positioners=positioners,
     )
+
+
+def require_same_optics(scan: Scan, rig: Rig) -> None:
+    """Raise PlanError when the rig has another objective or zoom than the plan, or the begun scan, was made with."""
+    now_um, setup = rig.limits.pixel_um, rig.setup
+    if not math.isclose(scan.plan.pixel_um, now_um, rel_tol=SAME_PIXEL_FRACTION):
+        raise PlanError(
+            f"The plan was made for pixels of {scan.plan.pixel_um:g} um on the sample, and they are {now_um:g} um with "
+            f"the objective {setup.objective or 'of the rig'} at zoom {setup.zoom:g}: change it, or plan again."
+        )
+    begun = Dataset.open(scan.path).scan.setup if scan.goes_on else setup
+    if begun.objective and (begun.objective, begun.zoom) != (setup.objective, setup.zoom):
+        raise PlanError(
+            f"{scan.path.name} was begun with the objective {begun.objective} at zoom {begun.zoom:g}, and the rig has "
+            f"{setup.objective} at zoom {setup.zoom:g}: change it before the scan is continued."
+        )
 
 
 def run_scan_job(
     scan: Scan, rig: Rig, writer: DatasetWriter, tell: Callable[[Any], None], steering: Steering
 ) -> ScanEnded:
     """Run a scan; a fault that ends it early becomes the `error` text, because its dataset can be continued."""
-    watch = ScanWatch(writer, scan.plan, tell, steering)
+    follows = scan.plan.strategy == FOLLOW_FOCUS
+    focus = FocusWatch(writer, scan.job, rig.limits) if follows else None
+    watch = ScanWatch(writer, scan.plan, tell, steering, focus)
     try:
         with device_errors("rig"):
-            outcome = run_scan(scan.plan, rig, watch, watch, skip=writer.kept)
+            outcome = _run_plan(scan, rig, writer, watch, focus)
         if not outcome.stopped:
             with os_errors_as_dataset_errors(scan.path):
                 writer.finish()
@@ -258,6 +311,20 @@ def run_scan_job(
     finally:
         watch.finish()
     return ScanEnded(scan.path, outcome.stopped, len(outcome.missing), error=None)
+
+
+def _run_plan(scan: Scan, rig: Rig, writer: DatasetWriter, watch: ScanWatch, focus: FocusWatch | None) -> ScanOutcome:
+    """Run the plan of a scan, and once more for the fields whose window was too short."""
+    plan = plan_to_continue(scan.plan, writer, rig.limits) if scan.goes_on else scan.plan
+    calibration = writer.record.calibration
+    delay_us = None if calibration is None else calibration.trigger_delay_us
+    while True:
+        watch.follow(plan)
+        outcome = run_scan(plan, rig, watch, watch, skip=writer.kept, delay_us=delay_us)
+        wider = focus.next_round(plan, watch.fault) if focus is not None and not outcome.stopped else None
+        if wider is None:
+            return outcome
+        plan = wider
 
 
 def _scan_end_after_fault(scan: Scan, writer: DatasetWriter, fault: WaferViewerError) -> ScanEnded:

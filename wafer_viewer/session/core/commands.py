@@ -111,7 +111,7 @@ def query(method: F) -> F:
 
 
 def forwarded(method: Callable[Concatenate[Part, P], T], part: Callable[[S], Part]) -> Callable[Concatenate[S, P], T]:
-    """Return a command or query of a part as a method of the whole; it needs what it needs there."""
+    """Return a command or query of a part as a method of the whole, with the same need of control."""
 
     @functools.wraps(method)
     def forward(session: S, *args: P.args, **kwargs: P.kwargs) -> T:

@@ -18,7 +18,7 @@ from wafer_viewer.model.surface.recipe import Recipe
 from wafer_viewer.numerics.normal_statistics import HALF_NORMAL_MEDIAN
 from wafer_viewer.session.core.command_queue import CommandQueue
 from wafer_viewer.session.core.commands import observer_command
-from wafer_viewer.session.state.snapshot import Box, DatasetEntry, FieldState, OpenDataset, SurfaceInfo
+from wafer_viewer.session.state.snapshot import Box, DatasetEntry, FieldState, FrameStorage, OpenDataset, SurfaceInfo
 from wafer_viewer.store.dataset.result import Result
 from wafer_viewer.store.io.atomic_files import write_text
 from wafer_viewer.store.io.checksums import sealed_text, verified_text
@@ -141,9 +141,14 @@ class Library:
                 job=record.job,
                 results=dataset.results(),
                 imported=bool(record.imported_from),
+                storage=_storage(dataset),
             ),
             surface=self._stored_surface(),
         )
+
+    def is_open(self, path: Path) -> bool:
+        """Return whether the open dataset is the one at this path."""
+        return self._dataset is not None and self._dataset.path == path
 
     def close(self) -> None:
         """Close the dataset."""
@@ -176,8 +181,18 @@ class Library:
         states = {
             n: fresh[n] if s in (FieldState.TO_COME, FieldState.TAKING) else s for n, s in self.shown.states.items()
         }
-        self._show(states=states, finished=self.dataset.finished, read_only=read_only)
+        plan = self.dataset.scan.plan
+        self._show(
+            states=states, finished=self.dataset.finished, read_only=read_only, plan=plan, fields=self.dataset.fields
+        )
         self.refresh.run()
+
+    def compressed(self) -> None:
+        """Take the lock again after another process changed the compression of the frames, and read their size."""
+        from wafer_viewer.store.dataset.dataset import Dataset
+
+        self._dataset = Dataset.open(self.dataset.path)
+        self._show(read_only=self.hold(), storage=_storage(self._dataset))
 
     def set_state(self, field_number: int, state: FieldState) -> None:
         """Set the state of a field; a measured field gets a new stamp."""
@@ -228,6 +243,11 @@ class Library:
         self._command_queue.change(dataset=replace(self.shown, **changes))
 
 
+def now() -> str:
+    """Return the current time, ISO 8601 with the time zone."""
+    return datetime.datetime.now().astimezone().isoformat(timespec="milliseconds")
+
+
 def today() -> str:
     """Return today's date, ISO 8601."""
     return datetime.date.today().isoformat()
@@ -255,6 +275,13 @@ def _newest_result(dataset: Dataset) -> str:
     if not names or DEFAULT_RESULT in names:
         return DEFAULT_RESULT
     return max(names, key=lambda name: dataset.result(name).path.stat().st_mtime)
+
+
+def _storage(dataset: Dataset) -> FrameStorage | None:
+    """Return the size of frames that may be compressed; None for others."""
+    if not dataset.scan.is_compressed:
+        return None
+    return FrameStorage(dataset.frame_bytes(), sum(dataset.scan.pages(field).file_bytes for field in dataset.fields))
 
 
 def _states(dataset: Dataset, result: Result) -> dict[int, FieldState]:

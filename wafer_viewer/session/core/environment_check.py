@@ -14,7 +14,12 @@ from pathlib import Path
 from wafer_viewer.model.acquisition.plan import Axis
 from wafer_viewer.model.acquisition.rig_limits import AxisLimits
 from wafer_viewer.model.errors import WaferViewerError
-from wafer_viewer.rigs.composed.device_checks import check_devices, check_stage
+from wafer_viewer.rigs.composed.device_checks import (
+    check_devices,
+    check_index_marks,
+    check_stage,
+    positioner_words,
+)
 from wafer_viewer.rigs.rig_config import RigConfig, device_opener, open_rig
 
 PACKAGES = ("numpy", "scipy", "numba", "distributed", "zarr", "tifffile", "viser", "serial")
@@ -107,5 +112,9 @@ def _rig(config: RigConfig, move: bool) -> Iterator[EnvironmentCheck]:
         yield EnvironmentCheck(f"Rig '{config.name}'", "SIMULATED, answers" if rig.simulated else "answers")
         axes: dict[Axis, AxisLimits] = {"x": rig.limits.x, "y": rig.limits.y, "z": rig.limits.z}
         yield from (EnvironmentCheck(*check) for check in check_stage(rig.stage, rig.box, axes, move=move))
+        marks = check_index_marks(rig.stage, rig.box, axes, rig.limits.objective.safe_z_um, move=move)
+        yield from (EnvironmentCheck(*check) for check in marks)
+        for name, positioner in rig.positioners.items():
+            yield EnvironmentCheck(f"Positioner '{name}'", f"SIMULATED, {positioner_words(name, positioner)}")
     finally:
         rig.close()

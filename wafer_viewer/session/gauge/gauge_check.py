@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import datetime
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -12,7 +11,7 @@ from wafer_viewer.model.errors import MeasureError
 from wafer_viewer.model.gauge import Capability, Certificate, GaugeCheck, GaugeRecord, GaugeRepeat, GaugeTerms
 from wafer_viewer.model.spec import replace
 from wafer_viewer.model.surface.height_map import Mosaic
-from wafer_viewer.session.core.dataset_library import today
+from wafer_viewer.session.core.dataset_library import now, today
 from wafer_viewer.session.state.inspection_state import Faces
 
 
@@ -127,8 +126,3 @@ def capability_of(
     if latest is not None:
         records = [*_others(records, latest.repeats), GaugeRecord(check=replace(latest, at=now()))]
     return capability(errors_of_scans(same_scale(records)), tolerance_um)
-
-
-def now() -> str:
-    """Return the current time, ISO 8601 with the time zone."""
-    return datetime.datetime.now().astimezone().isoformat(timespec="milliseconds")

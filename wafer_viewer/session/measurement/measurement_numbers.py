@@ -68,24 +68,11 @@ def quantity_text(quantity: Quantity) -> str:
 
 def numbers_of(finding: AnyResult) -> tuple[Pair, ...]:
     """Return all numbers except the main quantity: quantities first, then the other fields."""
-    main = main_field(finding)
-    names = [name for name in finding.__struct_fields__ if name not in OF_ALL | TOLD_ELSEWHERE and name != main]
+    omitted = {*OF_ALL, *TOLD_ELSEWHERE, finding.main_field}
+    names = [name for name in finding.__struct_fields__ if name not in omitted]
     pairs = [(name, pair) for name in names for pair in _pairs_of(title_of(name), name, getattr(finding, name))]
-    quantities = [pair for name, pair in pairs if isinstance(getattr(finding, name), Length | Quantity)]
+    quantities = [pair for name, pair in pairs if name in finding.quantities]
     return (*quantities, *(pair for _, pair in pairs if pair not in quantities))
-
-
-def main_field(finding: AnyResult) -> str:
-    """Return the name of the field with the main quantity; empty if no field holds it."""
-    main = finding.main
-    return next((name for name, quantity in quantities_of(finding).items() if quantity == main), "")
-
-
-def quantities_of(finding: AnyResult) -> dict[str, Quantity]:
-    """Return the quantities with their unit and, if evaluated, U, by field name."""
-    held = {name: getattr(finding, name) for name in finding.__struct_fields__ if name not in OF_ALL}
-    quantities = {name: value for name, value in held.items() if isinstance(value, Length | Quantity)}
-    return {name: value.quantity if isinstance(value, Length) else value for name, value in quantities.items()}
 
 
 def budget_of(finding: AnyResult) -> tuple[BudgetLine, ...]:

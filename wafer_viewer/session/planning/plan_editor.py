@@ -5,9 +5,13 @@ from __future__ import annotations
 import math
 import shutil
 from pathlib import Path
+from typing import TYPE_CHECKING
+
+import numpy as np
 
 from wafer_viewer.model.acquisition.devices import Overview
-from wafer_viewer.model.acquisition.plan import FieldGrid, FocusSweep, ScanPlan
+from wafer_viewer.model.acquisition.focus_following import FOLLOW_FOCUS, CoarseLook, FieldFocus
+from wafer_viewer.model.acquisition.plan import MIN_FRAMES, FieldGrid, FocusSweep, ScanPlan
 from wafer_viewer.model.acquisition.rig_limits import RigLimits
 from wafer_viewer.model.errors import PlanError, WaferViewerError
 from wafer_viewer.model.job import Job
@@ -16,9 +20,14 @@ from wafer_viewer.model.surface.recipe import Recipe
 from wafer_viewer.session.core.command_queue import CommandQueue, UndoHistory
 from wafer_viewer.session.core.commands import command
 from wafer_viewer.session.planning.job_releases import as_released, for_next_wafer, require_as_released, write_released
-from wafer_viewer.session.state.snapshot import Draft, MarkedPositions, Typed
+from wafer_viewer.session.state.snapshot import Draft, MarkedPositions, Place, Typed
+
+if TYPE_CHECKING:
+    from wafer_viewer.acquire.coarse_look import LookForFocus
 
 PLAN_ENDING = ".toml"
+MOST_SHOWN = 5000
+"""Greatest number of fields whose focus is shown."""
 RIG_STARTS = "The rig is starting: its time is estimated as soon as the rig answers."
 UNCONFIRMED = (
     "What was open is open again, and another sample may lie on the stage by now: confirm the sample before anything "
@@ -38,6 +47,8 @@ class PlanEditor:
         self._typed: Typed | None = None
         self._typed_over: Job | None = None
         self.tour: Job | None = None
+        self._look: CoarseLook | None = None
+        self._look_of: tuple[object, ...] = ()
 
     @command
     def edit(self, job: Job | None) -> None:
@@ -145,29 +156,25 @@ class PlanEditor:
     def price(self) -> None:
         """Recalculate the plan of the job: after an edit, and when the rig is ready."""
         job, limits = self._jobs.value, self._command_queue.now.rig.limits
-        plan, problem = _plan(job, limits)
+        plan, problem = _plan(job, limits, self._look if job is not None and self._look_of == _place(job) else None)
         typed = self._typed if self._typed_over is job else None
         marked_um = self._marks.places_um(job) if job is not None else ()
         can = self._jobs.can_undo, self._jobs.can_redo
-        draft = Draft(job, plan, problem, *can, free_bytes(self._folder), marked_um, self._confirmed, typed)
+        focus = focus_of(plan, limits)
+        draft = Draft(job, plan, problem, *can, free_bytes(self._folder), marked_um, self._confirmed, typed, focus)
         self._command_queue.change(draft=draft)
+
+    def take_look(self, job: Job, look: CoarseLook) -> None:
+        """Plan by a coarse look; it holds as long as fields, sweep, exposures and sample stay the same."""
+        self._look, self._look_of = look, _place(job)
+        self.price()
 
     @command
     def cover_sample(self) -> None:
         """Set the grid to cover the sample, centred on it."""
         job = self._job()
         x_um, y_um, width_um, height_um = _extent(job, self._command_queue.now.overview)
-        grid = self._grid(job)
-        covering = FieldGrid.covering(
-            width_um,
-            height_um,
-            field_width_um=grid.field_width_um,
-            field_height_um=grid.field_height_um,
-            overlap_x_fraction=grid.overlap_x_fraction,
-            overlap_y_fraction=grid.overlap_y_fraction,
-            center_x_um=x_um,
-            center_y_um=y_um,
-        )
+        covering = covering_grid(self._grid(job), (x_um, y_um), (width_um, height_um))
         self.edit.run(replace(job, grid=covering, fields=()))
 
     @command
@@ -175,6 +182,30 @@ class PlanEditor:
         """Centre the grid on the current stage position."""
         job, rig = self._job(), self._command_queue.now.rig
         self.edit.run(replace(job, grid=self._grid(job).centred_on(rig.x_um, rig.y_um), fields=()))
+
+    @command
+    def lay_out(self, corners_um: tuple[Place, Place] | None = None, z_um: tuple[float, float] | None = None) -> None:
+        """Set the grid to cover the rectangle between two corners, and the sweep to a z range, in one edit.
+
+        None leaves it unchanged. The step of the sweep stays.
+        """
+        job = self._job()
+        if corners_um is not None:
+            (xa, ya), (xb, yb) = corners_um
+            covering = covering_grid(self._grid(job), ((xa + xb) / 2, (ya + yb) / 2), (abs(xa - xb), abs(ya - yb)))
+            job = replace(job, grid=covering, fields=())
+        if z_um is not None:
+            low_um, high_um = z_um
+            if high_um <= low_um:
+                raise PlanError(
+                    f"The highest point, {high_um:.1f} um, is not above the lowest, {low_um:.1f} um: mark them again."
+                )
+            step_um = job.sweep.z_step_um
+            n_frames = max(MIN_FRAMES, 1 + math.ceil((high_um - low_um) / step_um - 1e-6))
+            middle_um = (low_um + high_um) / 2
+            start_um = round(middle_um - step_um * (n_frames - 1) / 2, 2)
+            job = replace(job, sweep=FocusSweep(z_step_um=step_um, n_frames=n_frames), z_start_um=start_um)
+        self.edit.run(job)
 
     @command
     def take_tour(self) -> None:
@@ -242,6 +273,19 @@ def one_field(limits: RigLimits) -> FieldGrid:
     return FieldGrid(rows=1, cols=1, field_width_um=limits.field_width_um, field_height_um=limits.field_height_um)
 
 
+def covering_grid(grid: FieldGrid, center_um: Place, size_um: tuple[float, float]) -> FieldGrid:
+    """Return the smallest grid of the same fields and overlaps that covers a rectangle of width x height."""
+    return FieldGrid.covering(
+        *size_um,
+        field_width_um=grid.field_width_um,
+        field_height_um=grid.field_height_um,
+        overlap_x_fraction=grid.overlap_x_fraction,
+        overlap_y_fraction=grid.overlap_y_fraction,
+        center_x_um=center_um[0],
+        center_y_um=center_um[1],
+    )
+
+
 def read_job(path: Path) -> Job:
     """Return the job in a PLAN.toml. Raises PlanError when it cannot be read or is invalid."""
     try:
@@ -266,21 +310,71 @@ def free_bytes(folder: Path) -> int | None:
         return None
 
 
-def plan_of(job: Job, limits: RigLimits) -> ScanPlan:
-    """Plan the scan of a job on a rig. Raises PlanError when the rig cannot do it."""
+def plan_of(job: Job, limits: RigLimits, look: CoarseLook | None = None) -> ScanPlan:
+    """Plan the scan of a job on a rig, by the coarse look if there is one. Raises PlanError when it is impossible."""
+    from wafer_viewer.acquire.focus_windows import plan_following
     from wafer_viewer.acquire.planner import plan_scan
 
-    return plan_scan(job.all_fields(), job.sweep, job.exposures_us, limits, job.strategy)
+    scan = job.all_fields(), job.sweep, job.exposures_us, limits, job.strategy
+    if job.follow_focus is None:
+        return plan_scan(*scan)
+    return plan_following(*scan, job.follow_focus, look)
 
 
-def _plan(job: Job | None, limits: RigLimits | None) -> tuple[ScanPlan | None, str | None]:
+def look_for(job: Job, plan: ScanPlan) -> LookForFocus:
+    """Return the coarse look of a plan. Raises PlanError if it does not follow the focus."""
+    from wafer_viewer.acquire.coarse_look import LookForFocus
+
+    if job.follow_focus is None:
+        raise PlanError("The plan does not follow the focus: give it the depth about the focus first.")
+    return LookForFocus(job.all_fields(), plan.sweep, plan.exposures_us[0])
+
+
+def look_further(job: Job, plan: ScanPlan, limits: RigLimits) -> LookForFocus:
+    """Return the look at more places, where the prediction of a plan is least certain. Raises PlanError without any."""
+    from wafer_viewer.acquire.coarse_look import LookForFocus, more_places
+
+    if plan.coarse_look is None:
+        raise PlanError("The plan follows no coarse look yet: look for the focus first, with Follow the focus chosen.")
+    places = more_places(plan.fields, plan.coarse_look, plan.sweep, limits)
+    if not places:
+        raise PlanError("Every field was looked at: there are no more places.")
+    return LookForFocus(job.all_fields(), plan.sweep, plan.exposures_us[0], places, plan.coarse_look)
+
+
+def focus_of(plan: ScanPlan | None, limits: RigLimits | None) -> tuple[FieldFocus, ...]:
+    """Return the focus of each field of a plan that follows a coarse look; empty for others, and for large plans."""
+    if plan is None or limits is None or plan.coarse_look is None or len(plan.fields) > MOST_SHOWN:
+        return ()
+    from wafer_viewer.acquire.focus_windows import ranges_of
+
+    ranges = ranges_of(plan.fields, plan.coarse_look, limits)
+    u_um = np.maximum(ranges.u_low_um, ranges.u_high_um)
+    ends = zip(plan.fields, ranges.low_um.tolist(), ranges.high_um.tolist(), u_um.tolist(), strict=True)
+    return tuple(FieldFocus(field.number, low_um, high_um, u) for field, low_um, high_um, u in ends)
+
+
+def look_before(job: Job, plan: ScanPlan) -> LookForFocus | None:
+    """Return the coarse look that has to precede the scan of a plan, None if there is nothing to look for."""
+    needs = plan.strategy == FOLLOW_FOCUS and plan.coarse_look is None
+    return look_for(job, plan) if needs else None
+
+
+def _place(job: Job) -> tuple[object, ...]:
+    """Return the parts of a job on which a coarse look depends."""
+    return job.grid, job.fields, job.z_start_um, job.sweep, job.exposures_us, job.alignment, job.sample
+
+
+def _plan(
+    job: Job | None, limits: RigLimits | None, look: CoarseLook | None = None
+) -> tuple[ScanPlan | None, str | None]:
     """Return the plan of a job, and the reason if there is none."""
     if job is None:
         return None, None
     if limits is None:
         return None, RIG_STARTS
     try:
-        return plan_of(job, limits), None
+        return plan_of(job, limits, look), None
     except WaferViewerError as fault:
         return None, str(fault)
 

@@ -7,8 +7,8 @@ from collections.abc import Callable, Iterable
 from dataclasses import dataclass
 from typing import Literal
 
-from wafer_viewer.model.acquisition.calibration import Calibration, OpticalSetup
-from wafer_viewer.model.acquisition.plan import ScanPlan
+from wafer_viewer.model.acquisition.calibration import UNKNOWN_OBJECTIVE, Calibration, OpticalSetup
+from wafer_viewer.model.acquisition.plan import FieldGrid, ScanPlan
 from wafer_viewer.model.acquisition.rig_limits import RigLimits
 from wafer_viewer.model.errors import PlanError
 from wafer_viewer.model.job import Job
@@ -82,8 +82,8 @@ def preflight_of_snapshot(now: Snapshot, latest: LatestFrame | None, today: str)
 
 
 def preflight(now: Preflight) -> tuple[PreflightCheck, ...]:
-    """Return the six checks, always in the same order."""
-    return tuple(look(now) for look in LOOKS)
+    """Return the six checks, always in the same order, and that of the objective where the plan or the rig needs it."""
+    return (*(look(now) for look in LOOKS), *objective(now))
 
 
 def stops(checks: Iterable[PreflightCheck]) -> tuple[PreflightCheck, ...]:
@@ -197,6 +197,32 @@ def light(now: Preflight) -> PreflightCheck:
             "Light", "attention", f"{words}.", "Expose for a shorter time, or add a shorter exposure."
         )
     return PreflightCheck("Light", "ok", f"{words}.")
+
+
+def objective(now: Preflight) -> tuple[PreflightCheck, ...]:
+    """Check that the objective is known, and the one that the plan was made for; none if any will do."""
+    wanted, setup = now.job, now.setup or OpticalSetup()
+    if setup.objective == UNKNOWN_OBJECTIVE:
+        found, mend = "The objective in the light path is not known.", "Turn the nosepiece and set the zoom in Live."
+        return (PreflightCheck("Objective", "stop", found, mend),)
+    has = f"{setup.objective or 'an objective without a name'} at zoom {setup.zoom:g}"
+    wants = f"{wanted.objective or setup.objective} at zoom {wanted.zoom or setup.zoom:g}"
+    if wanted.objective not in ("", setup.objective) or wanted.zoom not in (None, setup.zoom):
+        found = f"The plan is for {wants}, the rig has {has}."
+        return (PreflightCheck("Objective", "stop", found, "Change it, or plan again."),)
+    if (grid := wanted.grid) is not None and not _fields_meet(grid, now.limits):
+        found = (
+            f"A frame of {has} is {now.limits.field_width_um:.0f} x {now.limits.field_height_um:.0f} um, the fields of "
+            f"the plan are {grid.pitch_x_um:.0f} x {grid.pitch_y_um:.0f} um apart: there are gaps between them."
+        )
+        return (PreflightCheck("Objective", "attention", found, "Change the objective, or the size of the fields."),)
+    return (PreflightCheck("Objective", "ok", f"{has}, as planned."),) if wanted.objective or wanted.zoom else ()
+
+
+def _fields_meet(grid: FieldGrid, limits: RigLimits) -> bool:
+    """Return whether frames of the rig leave no gaps between the fields of a grid."""
+    across = grid.cols == 1 or grid.pitch_x_um <= limits.field_width_um
+    return across and (grid.rows == 1 or grid.pitch_y_um <= limits.field_height_um)
 
 
 LOOKS: tuple[Callable[[Preflight], PreflightCheck], ...] = (sample, alignment, calibration, disk, clearance, light)

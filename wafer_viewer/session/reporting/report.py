@@ -30,6 +30,7 @@ from wafer_viewer.session.reporting.report_data import (
     calibration_pairs,
     gather,
     plan_pairs,
+    positioner_pairs,
     recipe_pairs,
     surface_pairs,
     verdict_text,
@@ -121,7 +122,7 @@ def contents(folder: Path, result_name: str) -> Contents:
         "gauge": _held(len(material.gauge_checks), "check", "no gauge-block check was kept"),
         "pictures": Holds(counted, nothing=not pictures),
         "surface": Holds(points, nothing=info is None),
-        "plan": Holds(f"{_count(len(plan.fields), 'field')} of {_count(plan.sweep.n_frames, 'frame')}"),
+        "plan": Holds(f"{_count(len(plan.fields), 'field')} of {plan.frames_each} frames"),
         "recipe": Holds("the settings that were used" if settled else "the settings that were asked for"),
         **({} if plan.fields else dict.fromkeys(OF_A_SCAN, Holds("a surface from a file has none", nothing=True))),
         "calibration": Holds("lengths are calibrated" if why is None else f"uncalibrated: {why}"),
@@ -199,7 +200,9 @@ def _surface(material: Material) -> ReportSection:
 
 def _plan(material: Material) -> ReportSection:
     scan = material.dataset.scan
-    return ReportSection(PART_TITLES["plan"], pairs=plan_pairs(scan.plan, scan.job))
+    return ReportSection(
+        PART_TITLES["plan"], pairs=plan_pairs(scan.plan, scan.job) + positioner_pairs(scan.positioners)
+    )
 
 
 def _recipe(material: Material) -> ReportSection:

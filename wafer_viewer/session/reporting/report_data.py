@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, cast
@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Any, cast
 from wafer_viewer.draw.number_format import duration, number, share, size, with_unit
 from wafer_viewer.model.acquisition.calibration import Calibration
 from wafer_viewer.model.acquisition.plan import ScanPlan
+from wafer_viewer.model.acquisition.positioners import ROLES, PositionerReading
 from wafer_viewer.model.findings import AnyResult
 from wafer_viewer.model.gauge import GaugeCheck
 from wafer_viewer.model.inspection.defect import Inspection
@@ -114,12 +115,17 @@ def plan_pairs(plan: ScanPlan, job: Job) -> Pairs:
     grid = f", {job.grid.rows} rows × {job.grid.cols} columns" if job.grid else ""
     return (
         ("Fields", f"{len(plan.fields)}{grid}"),
-        ("Frames per field", f"{plan.sweep.n_frames}, {number(plan.sweep.z_step_um, 3)}\u202fµm apart"),
+        ("Frames per field", f"{plan.frames_each}, {number(plan.sweep.z_step_um, 3)}\u202fµm apart"),
         ("Exposures", ", ".join(f"{e:g}" for e in plan.exposures_us) + "\u202fµs"),
         ("Strategy", plan.strategy.replace("_", " ")),
         ("Predicted time", duration(plan.predicted_s)),
         ("Frames", f"{number(plan.n_frames, 0)}, {size(plan.bytes_on_disk)}"),
     )
+
+
+def positioner_pairs(readings: Iterable[PositionerReading]) -> Pairs:
+    """Return the positions of light, objective, zoom, tilts and rotation at the start of a scan."""
+    return tuple((f"{ROLES[one.role].title} ({one.name})", one.words) for one in readings)
 
 
 def recipe_pairs(spec: Spec, before: str = "") -> Pairs:

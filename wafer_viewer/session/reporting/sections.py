@@ -24,7 +24,6 @@ from wafer_viewer.model.surface.height_map import Mosaic
 from wafer_viewer.session.measurement.measurement_numbers import (
     UNITS,
     budget_of,
-    main_field,
     not_evaluated,
     numbers_of,
     quantity_text,
@@ -112,9 +111,8 @@ def results(material: Material) -> ReportSection:
 
 
 def _sheet(material: Material, finding: AnyResult) -> Sheet:
-    main = main_field(finding)
     judgement = judgement_text(material.notebook.judgement(key_of_result(finding.number)))
-    below = (kind_of(finding), title_of(main) if main else "", where(finding), judgement)
+    below = (kind_of(finding), title_of(finding.main_field), where(finding), judgement)
     return Sheet(
         number=f"{finding.number}",
         title=finding.name,

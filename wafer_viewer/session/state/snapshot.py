@@ -9,15 +9,20 @@ from typing import Literal
 
 from wafer_viewer.model.acquisition.calibration import Calibration, OpticalSetup
 from wafer_viewer.model.acquisition.devices import Overview
+from wafer_viewer.model.acquisition.exposure import FoundExposure
+from wafer_viewer.model.acquisition.focus_following import FieldFocus
 from wafer_viewer.model.acquisition.focus_stack import Image
 from wafer_viewer.model.acquisition.plan import Field, ScanPlan
+from wafer_viewer.model.acquisition.positioners import PositionerState
 from wafer_viewer.model.acquisition.rig_limits import RigLimits
 from wafer_viewer.model.errors import PlanError
 from wafer_viewer.model.findings import AnyResult
 from wafer_viewer.model.job import Job, Notebook, Trial, WaferVerdict
 from wafer_viewer.model.surface.comparison import Comparison
 from wafer_viewer.model.surface.recipe import Recipe
+from wafer_viewer.session.state.calibration_state import CalibrationState
 from wafer_viewer.session.state.inspection_state import DefectFilesState, GaugeState, InspectionState
+from wafer_viewer.session.state.live_state import LiveState
 
 
 @dataclass(frozen=True, slots=True)
@@ -129,12 +134,15 @@ class FieldState(Enum):
 
 Box = tuple[float, float, float, float]
 """x low, y low, x high, y high in um."""
-RigState = Literal["absent", "starting", "ready", "moving", "scanning", "paused", "stopping", "fault"]
+RigState = Literal["absent", "starting", "ready", "moving", "working", "scanning", "paused", "stopping", "fault"]
 
 
 @dataclass(frozen=True, slots=True)
 class RigStatus:
-    """Rig status of the page header. `message` gives the reason for the state ``fault`` or ``absent``."""
+    """Rig status of the page header. `message` gives the reason for the state ``fault`` or ``absent``.
+
+    ``working``: a procedure runs, such as the search for the exposure.
+    """
 
     name: str = "Virtual rig"
     simulated: bool = True
@@ -145,6 +153,7 @@ class RigStatus:
     limits: RigLimits | None = None
     calibration: Calibration | None = None
     setup: OpticalSetup | None = None
+    positioners: tuple[PositionerState, ...] = ()
     message: str = ""
     homed: bool | None = None
     """True if all axes are homed; None before the rig has reported it."""
@@ -173,6 +182,8 @@ class Draft:
     confirmed: bool = True
     """False after a plan was restored, until a person confirms that the sample on the stage is the named one."""
     typed: Typed | None = None
+    focus: tuple[FieldFocus, ...] = ()
+    """Focus of the fields by the coarse look that the plan follows, in their order."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -311,6 +322,19 @@ class SurfaceInfo:
 
 
 @dataclass(frozen=True, slots=True)
+class FrameStorage:
+    """Size of compressed frames on the disk, and uncompressed, in bytes."""
+
+    stored_bytes: int
+    raw_bytes: int
+
+    @property
+    def saved_bytes(self) -> int:
+        """Bytes that the compression saves."""
+        return self.raw_bytes - self.stored_bytes
+
+
+@dataclass(frozen=True, slots=True)
 class OpenDataset:
     """Open dataset. calibration_problem None: calibrated; otherwise lengths read 'uncalibrated'."""
 
@@ -334,6 +358,8 @@ class OpenDataset:
     results: tuple[str, ...] = ()
     imported: bool = False
     """True if it was imported: it is unrelated to this program's rig and the sample on it."""
+    storage: FrameStorage | None = None
+    """Size of its frames if they may be compressed."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -344,6 +370,7 @@ class Snapshot:
     rig: RigStatus = RigStatus()
     overview: Overview | None = None
     draft: Draft = Draft()
+    exposure: FoundExposure | None = None
     data_folder: Path = Path()
     datasets: tuple[DatasetEntry, ...] = ()
     dataset: OpenDataset | None = None
@@ -360,7 +387,9 @@ class Snapshot:
     notebook: NotebookState = NotebookState()
     comparisons: tuple[Compared, ...] = ()
     gauge: GaugeState = GaugeState()
+    calibration: CalibrationState = CalibrationState()
     inspection: InspectionState = InspectionState()
+    live: LiveState = LiveState()
     defect_files: DefectFilesState = DefectFilesState()
     reopening: bool = False
     """True while the state of the last run is being restored."""

@@ -79,13 +79,20 @@ RESTARTS = 3
 class Reconstruction:
     """Reconstruction queue of the session.
 
-    Use on the session's thread only. While a scan runs one worker stays free for the rig.
+    Use on the session's thread only. While a scan runs one worker stays free for the rig. `completed` is called after
+    each run that ends by itself.
     """
 
     def __init__(
-        self, command_queue: CommandQueue, notices: Notifications, library: Library, scheduler: str | None
+        self,
+        command_queue: CommandQueue,
+        notices: Notifications,
+        library: Library,
+        scheduler: str | None,
+        completed: Callable[[], None],
     ) -> None:
         self._command_queue, self._notices, self._library = command_queue, notices, library
+        self._completed = completed
         self.compute = Compute(scheduler, warm_up, self._heard, self._gone)
         self._n_workers, self._warm, self._restarts = 1, False, 0
         self._failure_reported = False
@@ -220,6 +227,7 @@ class Reconstruction:
         """Stitch all available fields at the end of a run."""
         if not (run.restitch or run.grown):
             self._end(run, None)
+            self._completed()
             return
         self._notices.end(run.work)
         run.work = self._notices.begin("Stitching the fields", self._cancelled)
@@ -242,6 +250,7 @@ class Reconstruction:
             if fault is not None:
                 self._notices.fault("The fields were not stitched", str(fault), "surface")
             self._end(run, fault)
+            self._completed()
             return
         run.grown = True
         run.restitch |= fault is not None

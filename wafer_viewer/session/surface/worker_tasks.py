@@ -18,6 +18,7 @@ from wafer_viewer.model.region import Region
 from wafer_viewer.model.surface.recipe import Recipe
 
 if TYPE_CHECKING:
+    from wafer_viewer.store.dataset.compression import CompressionReport
     from wafer_viewer.store.dataset.dataset import Dataset
 
 LIVE_BITS = 8
@@ -53,6 +54,15 @@ def reconstruct_field(
         stored.save_settled(surface.provenance.recipe)
 
 
+def compress_frames(
+    dataset: Path, codec: str, *, progress: Progress = silent, should_stop: ShouldStop = never
+) -> CompressionReport:
+    """Compress the frames of a dataset without loss; the fields that are done stay so when it is stopped."""
+    from wafer_viewer.store.dataset.compression import compress
+
+    return compress(dataset, codec, progress, should_stop)
+
+
 def reconstruct_live(
     dataset: Path, field_number: int, result: str, *, progress: Progress = silent, should_stop: ShouldStop = never
 ) -> bool:
@@ -67,7 +77,7 @@ def reconstruct_live(
     data = Dataset.open(dataset)
     stored = data.result(result)
     recipe = stored.settled()
-    if recipe is None or data.n_exposures > 1 or data.scan.pages.bits > LIVE_BITS:
+    if recipe is None or data.n_exposures > 1 or data.scan.bits > LIVE_BITS:
         return False
     live: LiveField | None = None
     for stack in _growing(data, field_number, should_stop):
