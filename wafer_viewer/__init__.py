@@ -40,6 +40,8 @@ if TYPE_CHECKING:
     from wafer_viewer.measure.tools.volume import area_volume
     from wafer_viewer.measure.truth_comparison import Quality, compare_with_truth
     from wafer_viewer.model.acquisition.calibration import Calibration
+    from wafer_viewer.model.acquisition.characteristics import CalibrationRecord, CalibrationResult
+    from wafer_viewer.model.acquisition.conformance import ConformanceReport
     from wafer_viewer.model.acquisition.focus_stack import FieldStack
     from wafer_viewer.model.acquisition.plan import Field, FieldGrid, FocusSweep, ScanPlan
     from wafer_viewer.model.acquisition.sample import Sample
@@ -81,13 +83,19 @@ if TYPE_CHECKING:
     from wafer_viewer.reconstruct.focus_evidence import focus_curve
     from wafer_viewer.reconstruct.stitching import stitch
     from wafer_viewer.rigs.rig_config import RigConfig
+    from wafer_viewer.session.acquisition.conformance import check_conformance
+    from wafer_viewer.session.acquisition.headless import go_to_focus
+    from wafer_viewer.session.calibration.frames import CalibrationSite
+    from wafer_viewer.session.calibration.headless import accept_calibration, run_calibration
     from wafer_viewer.session.gauge.repeat_scans import studies_of
+    from wafer_viewer.session.reporting.conformance_report import verify_conformance, write_conformance
     from wafer_viewer.session.session import Session
     from wafer_viewer.store.dataset.dataset import Dataset
     from wafer_viewer.store.dataset.stack_import import import_dataset, open_stack
     from wafer_viewer.store.formats.exporters import export, write_surface
     from wafer_viewer.store.formats.npz_file import read_npz
     from wafer_viewer.store.formats.readers import read_surface
+    from wafer_viewer.store.records.calibration_records import calibration_records
     from wafer_viewer.store.records.gauge_records import read_certificate
     from wafer_viewer.store.records.golden_dies import open_golden, save_golden
     from wafer_viewer.store.records.inspection_records import read_defect_recipe, save_defect_recipe
@@ -97,10 +105,14 @@ if TYPE_CHECKING:
 __all__ = [
     "AreaVolume",
     "Calibration",
+    "CalibrationRecord",
+    "CalibrationResult",
+    "CalibrationSite",
     "Certificate",
     "Chipping",
     "CircleSize",
     "Conditions",
+    "ConformanceReport",
     "Coplanarity",
     "Dataset",
     "DefectLimits",
@@ -144,8 +156,11 @@ __all__ = [
     "Texture",
     "WaferViewerError",
     "__version__",
+    "accept_calibration",
     "area_volume",
     "bump_radius",
+    "calibration_records",
+    "check_conformance",
     "chipping",
     "circle_size",
     "compare",
@@ -163,6 +178,7 @@ __all__ = [
     "gauge_check",
     "gauge_repeat",
     "gauge_rr",
+    "go_to_focus",
     "golden_of_surface",
     "import_dataset",
     "inspect",
@@ -181,6 +197,7 @@ __all__ = [
     "repeated_places",
     "repeats_of",
     "roughness",
+    "run_calibration",
     "save_defect_recipe",
     "save_golden",
     "site_ranges",
@@ -192,6 +209,8 @@ __all__ = [
     "study_rr",
     "texture",
     "verdict_of",
+    "verify_conformance",
+    "write_conformance",
     "write_klarf",
     "write_surface",
     "write_training_set",

@@ -11,8 +11,10 @@ from tests.support.gauge_repeats import record
 from tests.support.paths import ASSETS
 from wafer_viewer.cli.app import main
 from wafer_viewer.model.spec import replace
+from wafer_viewer.session.calibration.records import calibration_rows
 from wafer_viewer.store.dataset.dataset import Dataset
 from wafer_viewer.store.formats.npz_file import write_npz
+from wafer_viewer.store.records.calibration_records import calibration_records
 from wafer_viewer.store.records.gauge_records import GAUGE_LOG, calibration_in_force, sign
 
 CERTIFICATE = ASSETS / "gauge" / "step.toml"
@@ -102,6 +104,11 @@ def test_the_z_scale_is_shown_then_set_by_a_person(scans, tmp_path, reported, re
     assert done["recorded"] is True
     corrected = calibration_in_force(tmp_path, RIG, CALIBRATION)
     assert corrected.z_scale == pytest.approx(done["factor"])
+    (record,) = calibration_records(tmp_path, RIG, "z")
+    assert (record.after, record.signed_by, record.why) == (corrected, "Ann", "yearly")
+    (scale,) = record.result.characteristics
+    assert (scale.value, scale.expanded) == (corrected.z_scale, 2 * corrected.u_z_scale * corrected.z_scale)
+    assert "z" not in {row.kind for row in calibration_rows(tmp_path, RIG) if row.record is None}
     assert "corrected by this check already" in refused("calibrate", "z", folder, "--by", "Ann")
     again = scan_of_blocks(tmp_path, 9, calibration=corrected)
     assert "so a comparison with it checks nothing" in refused("measure", "gauge", str(again), *CHECK)

@@ -10,6 +10,7 @@ import socket
 from collections.abc import Generator
 from contextlib import contextmanager
 from pathlib import Path
+from threading import Event
 from typing import TYPE_CHECKING, Annotated
 
 import msgspec
@@ -20,13 +21,17 @@ from wafer_viewer.cli.arguments import (
     File,
     Folder,
     Folders,
+    Integers,
     Numbers,
     Out,
+    OutFile,
     PlanFile,
+    Range,
     Ratio,
     Sources,
     Text,
     Um,
+    Us,
     Word,
     require_sources,
 )
@@ -35,18 +40,28 @@ from wafer_viewer.cli.output import (
     print_check,
     print_checks,
     print_cluster,
+    print_compression,
+    print_conformance,
     print_digests,
+    print_exposure,
     print_files,
+    print_focus,
     print_json,
+    print_motion,
     print_passes,
     print_plan,
+    print_positioners,
     print_preflight,
+    print_result,
+    print_running,
+    print_storage,
     print_trial,
     print_verdict,
     progress,
     warn,
 )
-from wafer_viewer.model.errors import PlanError, RigError
+from wafer_viewer.model.errors import MotionStopped, PlanError, RigError
+from wafer_viewer.model.spec import replace
 
 if TYPE_CHECKING:
     from wafer_viewer.model.acquisition.devices import Rig
@@ -113,6 +128,77 @@ def plan(plan_file: PlanFile, rig: File = None, json: bool = False) -> None:
     print_json(plan_facts(priced)) if json else print_plan(priced)
 
 
+def exposure(
+    plan_file: PlanFile,
+    rig: File = None,
+    fields: Integers = (),
+    write: bool = False,
+    bracket: bool = False,
+    json: bool = False,
+) -> None:
+    """Find the exposure of a plan, at which the brightest pixels in focus reach 80 % of white. The stage moves.
+
+    It takes frames over the z range of the plan in some of its fields. Where one exposure leaves over 2 % of the pixels
+    darker than 5 % of white, it proposes a bracket with figures.
+
+    Args:
+        plan_file: The plan.
+        rig: RIG.toml of the instrument; the virtual rig without it.
+        fields: Numbers of the fields to look at; up to five spread over the plan without it.
+        write: Write the exposure into the plan.
+        bracket: Take the proposed bracket instead of the single exposure, if there is one.
+        json: Print JSON instead of sentences.
+    """
+    from wafer_viewer.session.acquisition.exposure_search import write_exposures
+    from wafer_viewer.session.acquisition.headless import find_exposure
+    from wafer_viewer.session.planning.plan_editor import read_job
+
+    job = read_job(plan_file)
+    with _opened(rig) as device, progress("Exposure") as tell:
+        found = find_exposure(job, device, fields, tell)
+    taken_us = found.bracket_us if bracket and found.bracket else found.single_us
+    if write:
+        write_exposures(plan_file, taken_us)
+    print_json(found) if json else print_exposure(found)
+    if write and not json:
+        print(f"{plan_file}: exposures_us = {', '.join(f'{us:g}' for us in taken_us)}")
+
+
+def focus(
+    rig: File = None,
+    x_um: Um = None,
+    y_um: Um = None,
+    z_um: Um = None,
+    z_range_um: Um = None,
+    exposure_us: Us = None,
+    highest_um: Um = None,
+    json: bool = False,
+) -> int:
+    """Go to the focus at a place, and print its z with U (k = 2). The stage moves; Ctrl-C leaves the rig at rest.
+
+    Args:
+        rig: RIG.toml of the instrument; the virtual rig without it.
+        x_um: Place on the stage; where it stands by default.
+        y_um: Place on the stage; where it stands by default.
+        z_um: Middle of the search; where the stage stands by default.
+        z_range_um: Range of z that is searched; six depths of field to either side by default, and farther if need be.
+        exposure_us: Exposure; found by itself by default.
+        highest_um: Highest z of the sample, which the objective stays clear of; the middle of the search by default.
+        json: Print JSON, with the scores over z, instead of a sentence.
+    """
+    from wafer_viewer.session.acquisition.headless import go_to_focus
+
+    place = {"x_um": x_um, "y_um": y_um, "z_um": z_um, "z_range_um": z_range_um, "highest_um": highest_um}
+    try:
+        with _opened(rig) as device, progress("Focus") as tell:
+            found = go_to_focus(device, **place, exposure_us=exposure_us, progress=tell)
+    except MotionStopped as stop:
+        print(f"{stop} The rig is at rest.")
+        return INTERRUPTED
+    print_json(found) if json else print_focus(found)
+    return 0
+
+
 def scan(
     plan_file: PlanFile,
     out: Out,
@@ -121,6 +207,7 @@ def scan(
     lot: Text = None,
     operator: Text = None,
     corners: Numbers = (),
+    compress: Text = None,
     yes: bool = False,
 ) -> int:
     """Scan without the browser. An unfinished dataset of the same plan is continued. Ctrl-C stops the rig.
@@ -136,6 +223,7 @@ def scan(
         lot: Its lot.
         operator: Who scans it.
         corners: Where on the stage each corner was seen that the job aligns by, x and y, in the job's order.
+        compress: Compress the frames without loss at the end: zstd, deflate or jpeg2000; as the plan says by default.
         yes: Start although something is not as it should be, as long as nothing forbids the scan.
     """
     from wafer_viewer.session.acquisition.headless import scan_to
@@ -143,6 +231,8 @@ def scan(
     from wafer_viewer.session.planning.preflight import require_passed
 
     job = job_of_wafer(plan_file, out, {"wafer_id": wafer, "lot": lot, "operator": operator}, corners)
+    if compress is not None:
+        job = replace(job, compression=compress)
 
     def ready(checks: tuple[PreflightCheck, ...]) -> None:
         print_preflight(checks)
@@ -155,7 +245,8 @@ def scan(
     print(f"{out}: {ended.words}")
     if ended.stopped:
         return INTERRUPTED
-    return _judged(out, job) if job.released else 0
+    status = _judged(out, job) if job.released else 0
+    return status if job.compression == "none" else max(status, _compressed(out, job.compression))
 
 
 def _judged(out: Path, job: Job) -> int:
@@ -247,6 +338,8 @@ def check(dataset: DatasetFolder) -> int:
         report = data.check(tell)
     print_files(report.files)
     print_check(data, report)
+    if data.scan.is_compressed:
+        print_storage(data)
     passes = check_passes(data)
     if passes.n_passes or passes.noted:
         print_passes(passes)
@@ -254,6 +347,31 @@ def check(dataset: DatasetFolder) -> int:
     for name in data.results():
         print_digests(digests_of_result(data.result(name)))
     return 0 if report.ok and passes.ok else 1
+
+
+def compress(dataset: DatasetFolder, codec: str = "zstd") -> int:
+    """Make the frames of a dataset smaller without loss; status 1 when a file was left because a frame is damaged.
+
+    Every new file is read back and compared with the checksums of the scan before it replaces the old one. Ctrl-C stops
+    it; started again it continues. Heights stay the same, to the bit.
+
+    Args:
+        dataset: The dataset; nothing may be scanning into it.
+        codec: zstd is read fastest, jpeg2000 is smallest and slow, deflate opens in most programs; none undoes it.
+    """
+    return _compressed(dataset, codec)
+
+
+def _compressed(dataset: Path, codec: str) -> int:
+    """Compress the frames of a dataset, print the sizes, and return the exit status."""
+    from wafer_viewer.store.dataset.dataset import Dataset
+
+    data = Dataset.open(dataset)
+    with progress("Compress") as tell:
+        report = data.compress(codec, tell)
+    print_storage(data)
+    print_compression(report)
+    return 1 if report.left else 0
 
 
 def cluster(folder: Folder, host: Text = None) -> None:
@@ -277,11 +395,97 @@ def doctor(rig: File = None, data: Path = DATA_FOLDER, move: bool = False) -> in
     Args:
         rig: RIG.toml of the instrument; the virtual rig without it.
         data: Folder of the datasets.
-        move: Home the stage and move each axis by a mm at most, there and back. Nothing moves without it.
+        move: Home the stage, move each axis by a mm at most and over its index mark, if it has one, and back.
     """
     from wafer_viewer.session.core.environment_check import check_environment
 
     return print_checks(check_environment(_config(rig), data.expanduser(), move=move))
+
+
+def positioners(rig: File = None, move: Annotated[tuple[str, ...], arg(metavar="NAME=POSITION ...")] = ()) -> None:
+    """List light, objective, zoom, tilts and rotation of a rig with their positions and ranges; move them.
+
+    z goes to the safe z before an objective, a tilt or the rotation turns. Ctrl-C stops the rig.
+
+    Args:
+        rig: RIG.toml of the instrument; the virtual rig without it.
+        move: Positions to go to, in this order, as numbers or by name, such as lamp=40 nosepiece=20x.
+    """
+    from wafer_viewer.session.acquisition.headless import move_positioners
+
+    goals = [(name.strip(), to.strip()) for name, _, to in (text.partition("=") for text in move)]
+    if any(not (name and to) for name, to in goals):
+        raise RigError(f"--move is '{' '.join(move)}': it must be NAME=POSITION, such as lamp=40.")
+    with _opened(rig) as device:
+        print_positioners(move_positioners(device, goals))
+
+
+def conformance(
+    rig: File = None,
+    out: OutFile = None,
+    move: bool = False,
+    travel_um: Um = None,
+    z_um: Range | None = None,
+    by: str = "",
+    data: Path = DATA_FOLDER,
+    verify: File = None,
+    key: Text = None,
+) -> int:
+    """Check on the rig itself that it does what a scan needs, with a signed report; status 1 when a check fails.
+
+    Nothing moves without --move. Before anything moves it says which axes move, and how far. Ctrl-C stops the stage and
+    leaves the rig at rest. With --verify it opens no rig and says whether a report was altered since it was signed.
+
+    Args:
+        rig: RIG.toml of the instrument; the virtual rig without it.
+        out: The report, NAME.html; NAME.json with all figures lies beside it. None is written without it.
+        move: Home the stage if need be and move every axis, also at full speed. Clear the way first.
+        travel_um: Longest motion of x and y; as much as their full speed needs by default.
+        z_um: Range of z; by default below where it stands, away from the objective.
+        by: Lab or person, for the report.
+        data: Folder of the datasets; the key that signs reports lies in it.
+        verify: A report to verify, NAME.html or NAME.json.
+        key: With --verify, the public key of the lab that has to have signed it.
+    """
+    if verify is not None:
+        return _verified(verify, key or "", data.expanduser())
+    from wafer_viewer.session.acquisition.conformance import check_conformance
+    from wafer_viewer.session.acquisition.headless import interrupt_stops
+    from wafer_viewer.store.records.conformance_reports import report_paths
+
+    if out is not None:
+        report_paths(out)  # refuses a wrong name before the rig is opened
+    stopped = Event()
+    with interrupt_stops(stopped.set):
+        report = check_conformance(
+            _config(rig),
+            move=move,
+            longest_um=travel_um,
+            z_um=z_um,
+            by=by,
+            rig_file="" if rig is None else rig.name,
+            tell=print_motion,
+            begin=print_running,
+            done=print_result,
+            should_stop=stopped.is_set,
+        )
+    print_conformance(report)
+    if out is not None:
+        from wafer_viewer.session.reporting.conformance_report import write_conformance
+
+        print(*write_conformance(report, out, data.expanduser()), sep="\n")
+    return INTERRUPTED if stopped.is_set() else int(report.counts["failed"] > 0)
+
+
+def _verified(report: Path, key: str, data: Path) -> int:
+    """Verify a report and print what its signature shows."""
+    from wafer_viewer.session.reporting.conformance_report import own_key, verify_conformance
+
+    found = verify_conformance(report, key)
+    print_conformance(found.report)
+    whose = "of this data folder" if found.key == own_key(data) else "of another data folder"
+    print(f"{report}: not altered since it was signed with the key {found.key}, {whose}")
+    return 0
 
 
 def glossary(word: Word = "") -> int:

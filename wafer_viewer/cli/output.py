@@ -12,18 +12,26 @@ import msgspec
 from rich.console import Console
 from rich.table import Table
 
-from wafer_viewer.model.acquisition.plan import ScanPlan
+from wafer_viewer.draw.number_format import value_and_u
+from wafer_viewer.model.acquisition.plan import Price, ScanPlan
 from wafer_viewer.model.measurement.feature import limits_text
 from wafer_viewer.model.progress import Progress
+from wafer_viewer.store.io.atomic_files import size
 
 if TYPE_CHECKING:
     from pathlib import Path
 
+    from wafer_viewer.acquire.conformance.check import ConformanceCheck
+    from wafer_viewer.acquire.focus_at_place import FocusedPlace
+    from wafer_viewer.model.acquisition.conformance import ConformanceReport, ConformanceResult
+    from wafer_viewer.model.acquisition.exposure import FoundExposure
+    from wafer_viewer.model.acquisition.positioners import PositionerState
     from wafer_viewer.model.job import Trial, WaferVerdict
     from wafer_viewer.model.quantity import Quantity
     from wafer_viewer.session.core.environment_check import EnvironmentCheck
     from wafer_viewer.session.planning.preflight import PreflightCheck
     from wafer_viewer.session.state.snapshot import SurfaceInfo
+    from wafer_viewer.store.dataset.compression import CompressionReport
     from wafer_viewer.store.dataset.dataset import CheckReport, Dataset, PassReport
     from wafer_viewer.store.dataset.integrity import Digest, KindReport
 
@@ -38,15 +46,50 @@ def print_json(facts: Any) -> None:
 
 def print_plan(plan: ScanPlan) -> None:
     """Print the strategies with their predicted times, the chosen one marked, and the totals of the scan."""
-    table = Table("", "Strategy", "Time, s", "Motions", "", box=None, pad_edge=False)
+    table = Table("", "Strategy", "Frames", "Time, s", "Motions", "", box=None, pad_edge=False)
     for price in plan.prices:
         chosen = "*" if price.strategy == plan.strategy else ""
         seconds = "" if price.predicted_s is None else f"{price.predicted_s:.1f}"
-        table.add_row(chosen, price.title, seconds, str(price.motions or ""), price.ruled_out or "")
+        table.add_row(chosen, price.title, str(price.n_frames or ""), seconds, str(price.motions or ""), _remark(price))
     Console(soft_wrap=True).print(table)
     print(
-        f"{len(plan.fields)} fields, {plan.sweep.n_frames} frames each, {plan.n_frames} in all; "
+        f"{len(plan.fields)} fields, {plan.frames_each} frames each, {plan.n_frames} in all; "
         f"{plan.predicted_s:.1f} s, {plan.bytes_on_disk / 1e9:.2f} GB on disk"
+    )
+
+
+def _remark(price: Price) -> str:
+    """Return the reason against a strategy, or the coarse look in its price."""
+    if price.ruled_out is not None or not price.look_s:
+        return price.ruled_out or ""
+    return f"with {price.look_s:.1f} s of coarse look{', estimated' if price.estimated else ''}"
+
+
+def print_exposure(found: FoundExposure) -> None:
+    """Print the exposure found with the brightness in focus, what was looked at, and the bracket if one is proposed."""
+    single, fields = found.single, ", ".join(map(str, found.fields))
+    print(
+        f"{single.exposure_us:g} us: the brightest pixels in focus reach {single.level:.0%} of white, in field "
+        f"{single.brightest_field}; {single.dark_fraction:.1%} of the pixels are under 5 % of white"
+    )
+    print(
+        f"Fields {fields}, {len(found.z_um)} positions over {found.z_um[-1]:g} um in z; {found.n_frames} frames in all"
+    )
+    if not found.bracket:
+        return
+    table = Table("Exposure, us", "Clipped", "Under 5 % of white", box=None, pad_edge=False)
+    for levels in found.bracket:
+        table.add_row(f"{levels.exposure_us:g}", f"{levels.clipped_fraction:.1%}", f"{levels.dark_fraction:.1%}")
+    print("A bracket brings more pixels to light; take it with --bracket:")
+    Console(soft_wrap=True).print(table)
+
+
+def print_focus(found: FocusedPlace) -> None:
+    """Print the z of the focus with its expanded uncertainty, the place, and the exposure."""
+    z, u = value_and_u(found.focus.z_um, 2 * found.focus.u_um)
+    print(
+        f"z {z} um, U = {u} um (k = 2, of the fit) at x {found.x_um:.1f}, y {found.y_um:.1f} um; "
+        f"{len(found.focus.curve)} frames of {found.exposure_us:g} us. The stage stands there."
     )
 
 
@@ -150,6 +193,21 @@ def print_check(data: Dataset, report: CheckReport) -> None:
         print(f"  {fault}")
 
 
+def print_storage(data: Dataset) -> None:
+    """Print the size of the frames on disk, and how many times smaller they are than uncompressed."""
+    stored = data.frame_bytes()
+    raw = sum(data.scan.pages(field).file_bytes for field in data.fields)
+    print(f"{data.path}: the frames take {size(stored)}, {size(raw)} uncompressed: {raw / max(1, stored):.2f} to 1")
+
+
+def print_compression(report: CompressionReport) -> None:
+    """Print the number of files that changed, and one line for each that was left as it was."""
+    files = "1 file" if report.n_changed == 1 else f"{report.n_changed} files"
+    print(f"{files} changed, {len(report.left) or 'none'} left as before")
+    for fault in report.left:
+        print(f"  {fault}")
+
+
 def print_passes(report: PassReport) -> None:
     """Print whether counts and times of the passes match their frames, and the notes of the scan."""
     print(
@@ -177,6 +235,37 @@ def print_checks(checks: Iterable[EnvironmentCheck]) -> int:
             print(f"     mend: {check.mend}")
             status = 1
     return status
+
+
+def print_positioners(states: Iterable[PositionerState]) -> None:
+    """Print one line per positioner: name, title, position, range and named positions."""
+    for state in states:
+        print(f"{state.reading.name}: {state.words}")
+
+
+def print_motion(sentence: str) -> None:
+    """Print a motion before it begins."""
+    print(f"MOVES     {sentence}", flush=True)
+
+
+def print_running(check: ConformanceCheck) -> None:
+    """Show on a terminal which check is running."""
+    if sys.stderr.isatty():
+        print(f"running   {check.name}: {check.title} ...", end="\r", file=sys.stderr, flush=True)
+
+
+def print_result(result: ConformanceResult) -> None:
+    """Print a check with its figures, and the reason where it did not pass."""
+    figures = "; ".join(figure.text for figure in result.figures)
+    print(f"{result.verdict:<9} {result.name}: {' '.join(part for part in (result.why, figures) if part)}", flush=True)
+
+
+def print_conformance(report: ConformanceReport) -> None:
+    """Print the rig, its devices, and the number of checks with each verdict."""
+    for device in report.devices:
+        print(f"{device.role}: {device.identity} (driver {device.driver})")
+    simulated = "SIMULATED, " if report.simulated else ""
+    print(f"{report.rig}, {report.at}, Wafer Viewer {report.program_version}: {simulated}{report.summary}")
 
 
 def print_cluster(folder: Path, host: str) -> None:
