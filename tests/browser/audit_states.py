@@ -8,18 +8,22 @@ from typing import Any
 
 from tests.browser.audit import Act, Group, State, Visit
 from tests.browser.screen_list import EXPIRED, moving, noted
+from tests.browser.sessions import calibrated_states as calibrated
 from tests.browser.sessions import fake_session as fake
 from tests.browser.sessions import operator_session as operator
 from tests.browser.sessions.compared_session import ComparedSession
 from tests.browser.sessions.fake_session import FakeSession
+from tests.browser.sessions.followed_session import followed
 from tests.browser.sessions.gauge_blocks import certificate
 from tests.browser.sessions.gauge_session import TERMS, GaugeSession, checked, correctable, worked_out
 from tests.browser.sessions.inspected_session import inspected_session, repeating_session
 from tests.browser.sessions.inspected_states import whole_wafer
+from tests.browser.sessions.live_session import live_session
 from tests.browser.sessions.measuring_session import MeasuringSession
 from tests.browser.sessions.seen_session import SeenSession
 from wafer_viewer.model.spec import replace
 from wafer_viewer.session.planning.guided_tour import TOUR_LOT
+from wafer_viewer.session.state.calibration_state import CalibrationState
 from wafer_viewer.session.state.inspection_state import GaugeState, InspectionState
 from wafer_viewer.session.state.snapshot import Snapshot
 
@@ -164,6 +168,10 @@ def _gauge(make: Callable[[], GaugeState]) -> Act:
     return then(escape, change(gauge=lambda: worked_out(make())))
 
 
+def _waits() -> Snapshot:
+    return calibrated.instrument_session(calibrated.pending(drift=1.6)).snapshot
+
+
 def _first() -> GaugeState:
     return GaugeState(certificate=certificate(), terms=TERMS)
 
@@ -207,6 +215,7 @@ GROUPS = {
             State("glossary", command("Glossary"), ".wv-glossary"),
             State("palette", keys("Control+k"), ".mantine-Spotlight-content"),
             State("plan", shows(fake.planned, "Plan"), ":text('Predicted time')"),
+            State("following", shows(followed, "Plan"), ":text('from the side')"),
             State("moving", shows(moving, "Plan"), ".wv-pill.simulated:has-text('moving')"),
             State("scanning", shows(fake.scanning, "Acquire"), ":text('Frame 173 did not arrive')"),
             State("stop asked", keys("Shift+Escape"), DIALOG),
@@ -228,6 +237,7 @@ GROUPS = {
             State("taking", shows(operator.taking, "Acquire")),
             State("passed", shows(lambda: operator.judged(operator.PASS), "Acquire"), ".wv-verdict"),
             State("failed", shows(lambda: operator.judged(operator.FAIL), "Acquire"), ".wv-verdict"),
+            State("inconclusive", shows(lambda: operator.judged(operator.OPEN), "Acquire"), ".wv-verdict.attention"),
             State("judged", shows(lambda: operator.judged(operator.on_dies()), "Surface"), ".wv-verdict"),
             State("trial", shows(operator.tried, "Plan")),
             State("feature", then(click(":text('For operators')"), press("Feature…")), DIALOG),
@@ -235,6 +245,7 @@ GROUPS = {
             State("no contact", lose, ".wv-bar-over.lost.on"),
         ),
     ),
+    "live": Group(live_session, "plan", (State("live", keys("c"), ".wv-live-focus"),)),
     "surface": Group(
         noted,
         "surface",
@@ -282,6 +293,25 @@ GROUPS = {
                 "correct",
                 then(click("[data-pick=gauge-record]"), _gauge(correctable), press("Correct the z scale…")),
                 DIALOG,
+            ),
+        ),
+    ),
+    "instrument": Group(
+        lambda: calibrated.instrument_session(CalibrationState()),
+        "gauge",
+        (
+            State("nothing measured", click("[data-pick=gauge-look][data-k=instrument]"), ".wv-kinds"),
+            State("run", press("Run here…"), DIALOG),
+            State("calibrating", shows(calibrated.running, "Gauge check"), ".wv-calibrating"),
+            State("result", shows(_waits, "Gauge check"), button("Keep…")),
+            State("keep", press("Keep…"), DIALOG),
+            State("another waits", click("[data-pick=calibration-kind][data-k=pixel]"), ":text('A result waits')"),
+            State(
+                "by checks",
+                then(
+                    click("[data-pick=calibration-kind][data-k=linearity]"), change(calibration=calibrated.calibrated)
+                ),
+                button("Evaluate the checks"),
             ),
         ),
     ),

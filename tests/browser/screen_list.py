@@ -13,15 +13,18 @@ from typing import Any
 
 from playwright.sync_api import Page
 
+from tests.browser.sessions import calibrated_states as calibrated
 from tests.browser.sessions import fake_session as fake
 from tests.browser.sessions import operator_session as operator
 from tests.browser.sessions.compared_session import ComparedSession
 from tests.browser.sessions.fake_session import FakeSession
+from tests.browser.sessions.followed_session import followed
 from tests.browser.sessions.gauge_blocks import certificate
 from tests.browser.sessions.gauge_session import TERMS, GaugeSession, a_study, checked, correctable
 from tests.browser.sessions.handed_session import with_golden, with_other_tool
 from tests.browser.sessions.inspected_session import inspected_session, repeating_session
 from tests.browser.sessions.inspected_states import failed, held_elsewhere, inspected_as, whole_wafer
+from tests.browser.sessions.live_session import live_session
 from tests.browser.sessions.measuring_session import MeasuringSession
 from tests.browser.sessions.reviewed_session import reviewed_session
 from tests.browser.sessions.seen_session import SeenSession, a_focus_curve, came_to
@@ -221,6 +224,8 @@ UNCALIBRATED = "no calibration was given"
 SCREENS: dict[str, Screen] = {
     "start": still(fake.empty, "plan"),
     "plan": still(fake.planned, "plan"),
+    "follow": still(followed, "plan"),
+    "live": Screen(live_session, "plan", then=(press("c"),)),
     "acquire": still(fake.scanning, "acquire"),
     "unfinished": still(fake.unfinished, "acquire"),
     "uncalibrated": still(lambda: fake.measured(UNCALIBRATED), "surface"),
@@ -283,6 +288,16 @@ SCREENS: dict[str, Screen] = {
     "gauge-correct": gauge(correctable, click("[data-dock-region=right] button:has-text('Correct the z scale')")),
     "gauge-watched": Screen(lambda: watching(GaugeSession(checked())), "gauge", then=(see_blocks,)),
     "gauge-empty": Screen(lambda: GaugeSession(with_surface=False), "gauge"),
+    "instrument": Screen(calibrated.instrument_session, "gauge", chosen={"instrument": True}),
+    "instrument-run": Screen(
+        calibrated.instrument_session,
+        "gauge",
+        chosen={"instrument": True, "calibration": "pixel"},
+        then=(press_button("Run here…"),),
+    ),
+    "instrument-result": Screen(
+        lambda: calibrated.instrument_session(calibrated.pending(drift=1.6)), "gauge", chosen={"instrument": True}
+    ),
     "review": Screen(noted, "review", seen=True, then=(press("PageDown"),)),
     "review-open": Screen(noted, "review", seen=True, then=(click("[data-pick=review-filter][data-k=open]"),)),
     "review-features": Screen(reviewed_session, "review", seen=True, then=(press("n", "PageDown"),)),

@@ -97,6 +97,21 @@ def test_typing_on_and_on_loses_nothing_of_what_was_typed_first(serve: Serve):
     assert (grid.cols, grid.rows) == (2, 1)
 
 
+def test_a_pause_between_two_words_keeps_the_space(serve: Serve):
+    session = fake.FakeSession(fake.planned())
+    page = serve(session)
+    lot = text_field(page, "Lot")
+    lot.fill("A ")
+    eventually(lambda: session.snapshot.draft.job.sample.lot == "A", "the lot was taken over")
+    for _ in range(20):
+        session.change()  # the rig tells where it stands meanwhile
+        page.wait_for_timeout(120)
+    lot.press_sequentially("lot")
+    eventually(lambda: session.snapshot.draft.job.sample.lot == "A lot", "the rest was taken over", within_s=20)
+    expect(lot).to_have_value("A lot")
+    assert session.snapshot.draft.job.sample.lot == "A lot"
+
+
 def test_a_plan_that_cannot_be_says_why_and_leaves_the_last_good_one(serve: Serve):
     session = fake.FakeSession(fake.planned())
     page = serve(session)
@@ -158,6 +173,7 @@ def test_an_unfinished_dataset_is_gone_on_with(serve: Serve):
     title_is(page, "The scan is unfinished")
     press(page, "Continue the scan")
     eventually(lambda: "continue_scan" in verbs(session), "the scan was continued")
+    assert "start_scan" not in verbs(session), "the fields that are there are not taken again"
 
 
 def test_an_import_without_a_pixel_size_is_asked_for_it(serve: Serve, tmp_path):
@@ -263,14 +279,18 @@ def test_the_dark_page_and_the_step_come_back_after_a_reload(serve: Serve):
 def test_keys_do_what_the_buttons_do(serve: Serve):
     session = fake.FakeSession(fake.measured())
     page = serve(session)
-    page.keyboard.press("k")
-    title_is(page, "Step height")
-    page.keyboard.press("l")
-    title_is(page, "Profile")
-    page.keyboard.press("Escape")
-    title_is(page, "Measure")
+    for key, tool, title in (("k", "step", "Step height"), ("l", "profile", "Profile")):
+        page.keyboard.press(key)
+        title_is(page, title)
+        page.keyboard.press("Escape")
+        title_is(page, "Measure")
+        page.locator(f".wv-tools [data-pick=tool][data-k={tool}]").click()
+        title_is(page, title)
+        page.keyboard.press("Escape")
+        title_is(page, "Measure")
     page.keyboard.press("Control+z")
     eventually(lambda: "undo_findings" in verbs(session), "the last change to the results was taken back")
+    assert "redo_findings" not in verbs(session)
 
 
 def test_a_second_browser_sees_the_same_and_chooses_for_itself(serve: Serve, look_at):

@@ -46,15 +46,14 @@ def test_colours_are_those_of_the_bar(browser: Browser, stripes: StandIn) -> Non
     page.goto(guard.address)
     until(lambda: scenes and not scenes[0].busy, 60)
     wanted = table("mako")[[0, 127, 255]].astype(int)
-    found: list[int] = []
 
-    def shown() -> bool:
+    def rarest_colour_px() -> int:
         picture = Image.open(io.BytesIO(page.screenshot())).convert("RGB")
         pixels = np.asarray(picture, int).reshape(-1, 3)
-        found[:] = [int((np.abs(pixels - colour).max(axis=1) <= 9).sum()) for colour in wanted]
-        return min(found) > 2000
+        return min(int((np.abs(pixels - colour).max(axis=1) <= 9).sum()) for colour in wanted)
 
-    until(shown, 60)
+    until(lambda: rarest_colour_px() > 0, 60)
+    assert rarest_colour_px() > 2000
     page.close()
     scenes[0].close()
     server.stop()

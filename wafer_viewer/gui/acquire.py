@@ -260,5 +260,8 @@ def _frame_words(frame: LatestFrame, snapshot: Snapshot) -> Markup:
     if data is not None and scan is not None:
         total = data.plan.bytes_on_disk
         free = f" · {size(snapshot.draft.free_bytes)} free" if snapshot.draft.free_bytes is not None else ""
+        if data.storage is not None:
+            stored, saved = data.storage.stored_bytes, data.storage.saved_bytes
+            rows.append(("Frames", f"{size(stored)} compressed · {size(saved)} saved"))
         rows.append(("Disk", f"{size(total * _done(scan))} of {size(total)}{free}"))
     return html.pairs(rows) + Markup('<div style="height:10px"></div>')

@@ -31,6 +31,7 @@ from wafer_viewer.model.region import Region
 from wafer_viewer.model.surface.field_poses import Poses, RejectionReason
 from wafer_viewer.model.surface.recipe import Levy, Noise, Outliers, Recipe
 from wafer_viewer.rigs.virtual.rig import CALIBRATION, SETUP, virtual_limits
+from wafer_viewer.session.acquisition.live_controller import LiveController, LiveLook
 from wafer_viewer.session.files.file_browser import Browsing
 from wafer_viewer.session.gauge.gauge_controller import GaugeController
 from wafer_viewer.session.session import Session
@@ -67,6 +68,7 @@ class FakeSession(Recording):
         self.exchange = FakeExchange(self)
         self.sections = FakeSections()
         self.browsing = Browsing(DATA, (Path(tempfile.gettempdir()),), home=None)
+        self.live: Any = FakeLive(LiveController, self._done, "live.")
         self.notebook, self.papers = FakeNotebook(self), FakePapers(self)
         self.gauge: Any = NoFaces(GaugeController, self._done, "gauge.")
 
@@ -119,6 +121,26 @@ class FakeSession(Recording):
         else:
             answer.set_result(None)
         return answer
+
+
+class FakeLive(Recording):
+    """A live view whose frame a test puts in; listeners are called by `arrive`."""
+
+    def __init__(self, *of: Any) -> None:
+        super().__init__(*of)
+        self.latest, self.listeners = LiveLook(), []
+
+    def look(self) -> LiveLook:
+        return self.latest
+
+    def on_frame(self, listener: Callable[[], None]) -> Callable[[], None]:
+        self.listeners.append(listener)
+        return lambda: self.listeners.remove(listener)
+
+    def arrive(self, look: LiveLook) -> None:
+        self.latest = look
+        for listener in list(self.listeners):
+            listener()
 
 
 class NoFaces(Recording):

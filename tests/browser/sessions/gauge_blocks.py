@@ -10,8 +10,9 @@ import numpy as np
 from scipy import ndimage
 
 from tests.support.page_stand_in import height_map
+from tests.support.plans import plan_without_motion
 from wafer_viewer.model.acquisition.calibration import Calibration
-from wafer_viewer.model.acquisition.plan import Field, FocusSweep, ScanPlan
+from wafer_viewer.model.acquisition.plan import Field, FocusSweep
 from wafer_viewer.model.gauge import Certificate, GaugeBlock
 from wafer_viewer.model.job import Job
 from wafer_viewer.model.surface.height_map import HeightMap, Provenance
@@ -81,14 +82,12 @@ def dataset_of_blocks(path: Path, step_um: float, seed: int, taken: str) -> Path
     height = blocks(step_um, seed)
     field = Field(number=1, row=0, col=0, x_um=0.0, y_um=0.0, z_start_um=-10.0)
     sweep = FocusSweep(z_step_um=4.0, n_frames=5)
-    plan = ScanPlan(
-        fields=(field,), sweep=sweep, exposures_us=(100.0,), strategy="z_up", legs=(), predicted_s=1.0, prices=(),
-        rows=ROWS, cols=COLS, pixel_um=PIXEL_UM,
-    )  # fmt: skip
+    job = Job(fields=(field,), sweep=sweep)
+    plan = plan_without_motion(job, (ROWS, COLS), PIXEL_UM)
     path.mkdir(parents=True)
     (path / JOURNAL).touch()
     record = ScanRecord(
-        software_version="test", taken=taken, job=Job(fields=(field,), sweep=sweep), plan=plan, simulated=True,
+        software_version="test", taken=taken, job=job, plan=plan, simulated=True,
         calibration=CALIBRATION, setup=SETUP, rig=RIG_NAME,
     )  # fmt: skip
     write_record(path, record)

@@ -217,6 +217,8 @@ def test_a_simulated_curve_says_so():
         (View(step="surface", why=(1.0, 2.0)), "why"),
         (View(step="plan", why=(1.0, 2.0)), "none"),
         (View(step="surface", tool="profile"), "none"),
+        (View(step="plan", live=True), "live"),
+        (View(step="surface", live=True), "none"),
     ],
 )
 def test_one_curve_at_a_time_takes_the_room_below_the_scene(view, below):

@@ -114,3 +114,12 @@ def test_without_a_size_or_a_rig_there_is_no_first_job():
         job_of(PlanForm(), None, LIMITS)
     with pytest.raises(PlanError, match="rig has not reported"):
         job_of(PlanForm(size_mm="1 × 1"), None, None)
+
+
+def test_the_depth_about_the_focus_makes_a_plan_follow_it_and_empty_takes_the_whole_sweep():
+    followed = job_of(dataclasses.replace(form_of(a_job()), follow_um="14, 8"), a_job(), LIMITS)
+    assert (followed.follow_focus.below_um, followed.follow_focus.above_um) == (14.0, 8.0)
+    assert form_of(followed).follow_um == "14, 8"
+    assert job_of(dataclasses.replace(form_of(followed), follow_um=""), followed, LIMITS) == a_job()
+    with pytest.raises(PlanError, match="below_um"):
+        job_of(dataclasses.replace(form_of(a_job()), follow_um="-14, 8"), a_job(), LIMITS)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import threading
 from types import SimpleNamespace
 
 import pytest
@@ -35,3 +36,21 @@ def test_listeners_hear_of_another_size_once(camera):
     for size in ((800, 600), (800, 600), (700, 600)):
         viewport.set_size(*size)
     assert heard == [800, 700]
+
+
+def test_the_last_size_is_heard_last_though_reports_come_on_several_threads(camera):
+    viewport, heard, begun = Viewport(camera), [], threading.Event()
+    later = threading.Thread(target=lambda: viewport.set_size(900, 600))
+
+    def listen():
+        width_px = viewport.width_px
+        if not begun.is_set():  # the thread with the older size is held up
+            begun.set()
+            later.start()
+            later.join(0.1)
+        heard.append(width_px)
+
+    viewport.on_change(listen)
+    camera.listeners[0](None)
+    later.join()
+    assert heard == [1600, 900]

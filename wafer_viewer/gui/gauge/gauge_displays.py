@@ -43,7 +43,7 @@ class GaugeDock:
 
 
 def below(chart: RunChart | None, serials: str, chosen: str) -> Markup:
-    """Return the content of the panel as HTML; a placeholder if no check is signed yet."""
+    """Return the content of the panel as HTML; a note if no check is signed yet."""
     if chart is None or not chart.points:
         head = Markup('<div class="wv-dock"><b>Run chart</b></div>')
         return Markup('{}<div class="wv-run-empty">{}</div>').format(head, html.empty(_EMPTY))
@@ -102,7 +102,7 @@ class GaugeList:
 
     def show(self, snapshot: Snapshot, view: View) -> None:
         """Bring the list up to date."""
-        visible = view.step == "gauge"
+        visible = view.checks_blocks
         self._cell.show(procedure(snapshot) + earlier(snapshot.gauge.records, view.check) if visible else "")
 
     def _choose(self, key: str) -> None:
@@ -134,16 +134,24 @@ def _row(check: GaugeCheck, chosen: bool) -> Markup:
     return html.row([day_and_time(check.at), error, verdict], " n", attributes, "sel" if chosen else "")
 
 
+_BESIDE_TOOLS_PX = 880
+"""Scene width from which the read-out has its place beside the toolbar; below the toolbar in a narrower one."""
+_TOOLS_PX = 52
+"""Height of the toolbar, with its distance."""
+
+
 class StepReadout:
     """Read-out of the mean of the repeats, of an earlier check, or of the live step before the first repeat."""
 
     def __init__(self, page: Page, live: Callable[[], Answer]) -> None:
-        self._live = live
+        self._live, self._viewport = live, page.viewport
         self._panel = FloatingPanel(page.gui, -EDGE_PX, EDGE_PX, 330, 88, align="right")
 
     def show(self, snapshot: Snapshot, view: View) -> None:
         """Bring the figure up to date."""
-        self._panel.show(self._content(snapshot, view) if view.step == "gauge" and not view.explains else "")
+        is_narrow = 0 < self._viewport.width_px < _BESIDE_TOOLS_PX
+        content = self._content(snapshot, view) if view.checks_blocks and not view.explains else ""
+        self._panel.show(content, y_px=EDGE_PX + _TOOLS_PX if is_narrow else EDGE_PX)
 
     def _content(self, snapshot: Snapshot, view: View) -> Markup:
         earlier = selected_check(snapshot, view)

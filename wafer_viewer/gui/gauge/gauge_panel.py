@@ -304,7 +304,7 @@ class GaugePanel:
 
     def show(self, snapshot: Snapshot, view: View) -> None:
         """Bring the panel up to date; find the faces, and measure the step again if they moved."""
-        visible = view.step == "gauge" and not view.explains
+        visible = view.checks_blocks and not view.explains
         set_prop(self._folder, "visible", visible)
         if not visible:
             return
@@ -327,7 +327,7 @@ class GaugePanel:
         verbs = self._verbs
 
         def here(_: Snapshot, view: View) -> bool:
-            return view.step == "gauge"
+            return view.checks_blocks
 
         return [
             Command("Next point of the check", "enter", verbs.go_on, ICON.ARROW_RIGHT, group="Gauge check", here=here),
@@ -356,7 +356,7 @@ class GaugePanel:
         self._again = command_button(gui, "Measure again", ICON.REFRESH, lambda _: verbs.measure())
         self._other = command_button(gui, "Certificate…", ICON.CERTIFICATE, lambda _: verbs.certificate())
         in_a_row(gui, [self._again, self._other], 34)
-        add_html(gui, html.style_sheet(_at_foot(self._again) + _at_foot(self._other)))
+        add_html(gui, html.style_sheet(at_foot(self._again) + at_foot(self._other)))
         self._leads = {
             "certificate": command_button(
                 gui, "Load the certificate…", ICON.CERTIFICATE, lambda _: verbs.certificate()
@@ -430,7 +430,7 @@ class GaugePanel:
         self._why.show(why if own else "")
 
 
-def _at_foot(handle: Any) -> str:
+def at_foot(handle: Any) -> str:
     """Return CSS that keeps a button visible above the leading button while the panel scrolls."""
     selector, sticks = by_id(handle._impl.uuid), f"position:sticky;bottom:{LEAD_PX}px;z-index:3;padding-top:6px"
     return f"div:has(>{selector}){{{sticks};background:var(--panel);box-shadow:6px 0 0 var(--panel)}}"

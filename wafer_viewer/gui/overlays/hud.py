@@ -35,6 +35,9 @@ OVER: dict[LevelBy, str] = {
 """Height reference by levelling method; empty for the stage's zero."""
 NARROW_SCENE_PX = 740
 """Scene width from which the full scale bar and the read-out fit in one row."""
+ONE_ROW_PX = 780
+"""Scene width from which the legend of the plan fits beside the toolbar; in a narrower one it lies under it."""
+SECOND_ROW_PX = EDGE_PX + 52
 
 
 class Legend:
@@ -42,15 +45,18 @@ class Legend:
 
     def __init__(self, page: Page) -> None:
         self._panel = FloatingPanel(page.gui, -EDGE_PX, EDGE_PX, 340, 44, align="right")
+        self._viewport = page.viewport
 
     def show(self, snapshot: Snapshot, view: View) -> None:
         """Update the legend."""
-        content = ""
-        if view.step == "plan" and snapshot.draft.job is not None:
+        content, y_px = "", EDGE_PX
+        if view.step == "plan" and not view.live and snapshot.draft.job is not None:
             content = _plan_legend(snapshot)
+            if 0 < self._viewport.width_px < ONE_ROW_PX:
+                y_px = SECOND_ROW_PX
         elif view.step == "acquire" and snapshot.scanning and snapshot.scan is not None:
             content = _frame_place(snapshot.scan, snapshot)
-        self._panel.show(content and Markup('<div class="wv-glass wv-legend-card">{}</div>').format(content))
+        self._panel.show(content and Markup('<div class="wv-glass wv-legend-card">{}</div>').format(content), y_px)
 
 
 class ScaleBar:
@@ -66,7 +72,8 @@ class ScaleBar:
         y_px = -(EDGE_PX + bottom_panel_height_px(view))
         narrow = self._viewport.width_px < NARROW_SCENE_PX
         drawn = _drawn(snapshot, in_scene(view), narrow)
-        self._panel.show(_scale_bar(um_per_pixel, drawn) if um_per_pixel else "", y_px=y_px)
+        visible = um_per_pixel and not view.at_bench
+        self._panel.show(_scale_bar(um_per_pixel, drawn) if visible else "", y_px=y_px)
 
 
 class ReadOutBox:
@@ -137,7 +144,7 @@ def _plan_legend(snapshot: Snapshot) -> Markup:
 
 def _frame_place(scan: ScanProgress, snapshot: Snapshot) -> Markup:
     data = snapshot.dataset
-    total = f" of {data.plan.sweep.n_frames}" if data else ""
+    total = f" of {data.plan.sweep.frames_of(scan.field)}" if data else ""
     return Markup(
         '<span>Field {number}</span><span>z <b>{with_unit}</b></span><span class="dim">frame {k}{total}</span>'
     ).format(number=scan.field.number, with_unit=with_unit(scan.z_um, 1, signed=True), k=scan.k + 1, total=total)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import Any
 
 import viser
@@ -37,7 +38,7 @@ class Toolbar:
 
     def show(self, snapshot: Snapshot, view: View) -> None:
         """Update the toolbar."""
-        if view.sheet_over != "none":  # what lies over the scene would lie over the tools
+        if view.sheet_over != "none" or view.at_bench:  # what lies over the scene would lie over the tools
             self._panel.show("")
             return
         measuring = view.step == "measure"
@@ -47,6 +48,10 @@ class Toolbar:
         parts = tool_strip(view.tool) + GAP + looks if measuring else looks
         if view.step == "surface":
             parts += GAP + _select(view.selecting)
+        if view.step == "plan":
+            parts = sample_or_live(live=False) + GAP + parts
+        if view.step == "gauge":
+            parts = blocks_or_instrument(view.instrument) + GAP + parts
         two_rows = measuring and 0 < scene_px < NARROW_SCENE_PX
         room = (
             Markup(' style="flex-wrap:wrap;max-width:{}px"').format(scene_px - _SIDE_TOOLS_PX - EDGE_PX)
@@ -64,6 +69,36 @@ def _preset(key: str, name: str, hint: str, sign: Any, short: bool) -> Markup:
     label = Markup('title="{}" aria-label="{}"').format(hint, name)
     return Markup("<span {label} {pick}>{icon}{words}</span>").format(
         label=label, pick=html.pick("look", key), icon=html.icon(sign, 17), words=words
+    )
+
+
+def sample_or_live(live: bool) -> Markup:
+    """Return the choice between the sample and the live view in Plan."""
+    ways = (("sample", "Sample", viser.Icon.MAP_2, not live), ("live", "Live", viser.Icon.VIDEO, live))
+    return _ways("plan-look", ways, " · C")
+
+
+def blocks_or_instrument(instrument: bool) -> Markup:
+    """Return the choice between the gauge blocks and the calibrations of the instrument in Gauge check."""
+    ways = (
+        ("blocks", "Blocks", viser.Icon.CERTIFICATE, not instrument),
+        ("instrument", "Instrument", viser.Icon.MICROSCOPE, instrument),
+    )
+    return _ways("gauge-look", ways)
+
+
+def _ways(what: str, ways: Sequence[tuple[str, str, Any, bool]], key_hint: str = "") -> Markup:
+    """Return a choice between looks of a step: key, name, icon, and whether it is the present one."""
+    return Markup("").join(
+        Markup('<span{on} title="{name}{hint}" aria-pressed="{pressed}" {pick}>{icon}{name}</span>').format(
+            on=Markup(' class="on"') if on else "",
+            name=name,
+            hint=key_hint,
+            pressed=str(on).lower(),
+            pick=html.pick(what, key),
+            icon=html.icon(sign, 17),
+        )
+        for key, name, sign, on in ways
     )
 
 

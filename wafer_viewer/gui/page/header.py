@@ -76,6 +76,7 @@ _TONE = {
     "ready": "good",
     "starting": "busy",
     "moving": "busy",
+    "working": "busy",
     "scanning": "busy",
     "paused": "busy",
     "stopping": "busy",

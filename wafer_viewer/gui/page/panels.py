@@ -17,10 +17,13 @@ from wafer_viewer.session.state.snapshot import Snapshot, Work
 FIRST_WIDTH_PX = 892
 """Initial width, until the browser reports the width of its scene."""
 
+HEIGHTS_PX: dict[Below, int] = {"none": 0, "live": 208}
+"""Heights other than `PROFILE_PX`: the live picture needs the room."""
+
 
 def bottom_panel_height_px(view: View) -> int:
     """Return the height of the bottom panel in CSS pixels; 0 if no curve is shown."""
-    return PROFILE_PX if view.below != "none" else 0
+    return HEIGHTS_PX.get(view.below, PROFILE_PX)
 
 
 class BottomPanel:
@@ -32,7 +35,7 @@ class BottomPanel:
         self.tab = self._panel.add_tab(curve.capitalize())
         with self.tab:
             add_html(page.gui, Markup('<div class="wv-bottom"></div>'))
-        self._panel.float(x=0, y=-1, width=FIRST_WIDTH_PX, height=PROFILE_PX)
+        self._panel.float(x=0, y=-1, width=FIRST_WIDTH_PX, height=HEIGHTS_PX.get(curve, PROFILE_PX))
         self._width = 0
         page.viewport.on_change(lambda: self._follow(page.viewport.width_px))
 

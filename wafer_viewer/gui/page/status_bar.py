@@ -24,6 +24,7 @@ FAR_DAYS = 400
 _MOTION = {
     "ready": "at rest",
     "moving": "moving",
+    "working": "at work",
     "scanning": "scanning",
     "paused": "paused",
     "stopping": "stopping",

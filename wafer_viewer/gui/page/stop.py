@@ -15,8 +15,8 @@ COMPLETE = (FieldState.TAKEN, FieldState.RECONSTRUCTING, FieldState.MEASURED)
 
 
 def can_stop(snapshot: Snapshot) -> bool:
-    """Return whether the rig moves, scans or is paused."""
-    return snapshot.rig.state in ("moving", "scanning", "paused")
+    """Return whether the rig moves, works, scans or is paused."""
+    return snapshot.rig.state in ("moving", "working", "scanning", "paused")
 
 
 def stop(page: Page) -> None:

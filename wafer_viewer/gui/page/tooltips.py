@@ -40,6 +40,7 @@ FIELDS: dict[str, str] = {
     "From, to, µm": "Lowest and highest frame, stage z in µm",
     "Step, µm": _limited("From frame to frame along z, µm", FocusSweep, "z_step_um")
     + "; finer than half the depth of field",
+    "Exposure, µs": "Of the live picture and of the search for the focus",
     "Exposures, µs": "One time, or several with commas: the frames of one z are then fused",
     # Surface
     "Show": "The stitched surface, or one field",

@@ -15,6 +15,8 @@ import viser
 from wafer_viewer.gui.page.import_export_dialogs import load_plan_dialog, save_dialog
 from wafer_viewer.gui.page.page import Page
 from wafer_viewer.gui.plan.align_section import Aligning, AlignSection
+from wafer_viewer.gui.plan.exposure_section import ExposureSection
+from wafer_viewer.gui.plan.follow_section import FollowSection
 from wafer_viewer.gui.plan.job_dialogs import job_table, jobs_dialog, load_job, required_job, start_dialog
 from wafer_viewer.gui.plan.operator_view import OperatorView, folded, unfold
 from wafer_viewer.gui.plan.release_section import ReleaseSection
@@ -35,11 +37,12 @@ from wafer_viewer.gui.widgets.controls import (
 )
 from wafer_viewer.gui.widgets.error_guard import guarded
 from wafer_viewer.gui.widgets.number_field import OptionalPair, Pair, pair_of, pair_text
+from wafer_viewer.model.acquisition.focus_following import FollowFocus
 from wafer_viewer.model.acquisition.plan import FieldGrid, FocusSweep
 from wafer_viewer.model.acquisition.rig_limits import RigLimits
 from wafer_viewer.model.acquisition.sample import Sample
 from wafer_viewer.model.errors import PlanError, WaferViewerError
-from wafer_viewer.model.job import Job
+from wafer_viewer.model.job import Compression, Job
 from wafer_viewer.model.spec import replace
 from wafer_viewer.session.core.dataset_library import today
 from wafer_viewer.session.planning.plan_editor import PLAN_ENDING, suggested_name
@@ -48,6 +51,23 @@ from wafer_viewer.session.state.snapshot import Draft, Snapshot, Typed
 
 FIRST_FRAMES = 31
 """Number of frames of the first sweep over a sample of which only the size is known."""
+FOLLOW_LABEL = "Below, above focus, µm"
+FOLLOW_HINT = (
+    "Depth about the focus, such as 5, 5: a coarse look finds the focus, and every field takes its own part of the "
+    "sweep. Empty: the whole sweep."
+)
+
+
+COMPRESSIONS: dict[Compression, str] = {
+    "none": "As they are",
+    "zstd": "Compressed, zstd",
+    "deflate": "Compressed, deflate",
+    "jpeg2000": "Compressed, JPEG 2000",
+}
+COMPRESSION_HINT = (
+    "Without loss, field by field once the heights are made: zstd is read fastest, JPEG 2000 is smallest and slow, "
+    "deflate opens in most programs."
+)
 
 
 @dataclass(frozen=True, slots=True)
@@ -66,6 +86,8 @@ class PlanForm:
     range_um: tuple[float, float] = (0.0, 0.0)
     step_um: float = 1.0
     exposures_us: str = "100"
+    follow_um: str = ""
+    compression: str = COMPRESSIONS["none"]
 
 
 def form_of(job: Job | None) -> PlanForm:
@@ -87,6 +109,8 @@ def form_of(job: Job | None) -> PlanForm:
         range_um=_rounded((z0_um, z0_um + sweep.range_um)),
         step_um=sweep.z_step_um,
         exposures_us=", ".join(f"{e:g}" for e in job.exposures_us),
+        follow_um=_follow_text(job.follow_focus),
+        compression=COMPRESSIONS[job.compression],
     )
 
 
@@ -118,6 +142,8 @@ def job_of(form: PlanForm, old: Job | None, limits: RigLimits | None) -> Job:
         z_start_um=old.z_start_um if form.range_um[0] == before.range_um[0] else form.range_um[0],
         sweep=old.sweep if _same_sweep(form, before) else sweep_of(form),
         exposures_us=_exposures(form.exposures_us),
+        follow_focus=old.follow_focus if form.follow_um == before.follow_um else _follow(form, old.follow_focus),
+        compression=_compression(form),
     )
 
 
@@ -164,7 +190,12 @@ def _first_job(form: PlanForm, limits: RigLimits | None) -> Job:
         z_start_um=-step_um * (FIRST_FRAMES - 1) / 2,
         sweep=FocusSweep(z_step_um=step_um, n_frames=FIRST_FRAMES),
         exposures_us=_exposures(form.exposures_us),
+        compression=_compression(form),
     )
+
+
+def _compression(form: PlanForm) -> Compression:
+    return next(codec for codec, title in COMPRESSIONS.items() if title == form.compression)
 
 
 def _size_um(form: PlanForm) -> Pair | None:
@@ -221,6 +252,21 @@ def _exposures(text: str) -> tuple[float, ...]:
         raise PlanError(f"The exposures read '{text}': they must be times in µs, separated by commas.") from None
 
 
+def _follow(form: PlanForm, old: FollowFocus | None) -> FollowFocus | None:
+    """Return the depth about the focus; None where it is empty, and the whole sweep is taken."""
+    try:
+        depth_um = pair_of(form.follow_um, FOLLOW_LABEL)
+    except WaferViewerError as fault:
+        raise PlanError(str(fault)) from fault
+    if depth_um is None:
+        return None
+    return replace(old or FollowFocus(), below_um=depth_um[0], above_um=depth_um[1])
+
+
+def _follow_text(follow: FollowFocus | None) -> str:
+    return "" if follow is None else pair_text((follow.below_um, follow.above_um), ", ")
+
+
 def _rounded(pair: tuple[float, float]) -> tuple[float, float]:
     return round(pair[0], 2), round(pair[1], 2)
 
@@ -244,14 +290,16 @@ class PlanPanel:
 
     def show(self, snapshot: Snapshot, view: View) -> None:
         """Update the panel."""
-        set_prop(self._folder, "visible", view.step == "plan")
-        if view.step != "plan":
+        visible = view.step == "plan" and not view.live
+        set_prop(self._folder, "visible", visible)
+        if not visible:
             return
         checks = self._checks(snapshot)
         self._actions.show(snapshot, view, checks)
         set_prop(self._form, "visible", not folded(snapshot, view))
         if not folded(snapshot, view):
             self._show_everything(snapshot, snapshot.draft, checks)
+            self._following.show(snapshot, view)
         why = self._why_not(snapshot, checks)
         set_prop(self._start, "disabled", why is not None)
         explained = bool(stops(checks)) and folded(snapshot, view)
@@ -317,6 +365,7 @@ class PlanPanel:
         self._build_sample()
         self._build_grid()
         self._build_sweep()
+        self._following = FollowSection(self._page)
         self._strategies = HtmlBlock(gui)
         save = command_button(
             gui, "Save plan…", viser.Icon.DEVICE_FLOPPY, self._on("The plan was not saved", self.save)
@@ -365,14 +414,19 @@ class PlanPanel:
                 controlled(sweep), self._typed, self._page, "The plan was not changed"
             )
             self._step = self._field(gui.add_number("Step, µm", 1.0, min=0.0, step=0.05))
+            self._follow = self._field(OptionalPair(gui, FOLLOW_LABEL, between=", ", hint=FOLLOW_HINT).handle)
             self._exposures = self._field(gui.add_text("Exposures, µs", "100"))
+            self._exposure = ExposureSection(self._page)
+            self._compression = self._field(
+                gui.add_dropdown("Frames on disk", tuple(COMPRESSIONS.values()), hint=COMPRESSION_HINT)
+            )
             self._depth = HtmlBlock(gui)
 
     @property
     def _prepared(self) -> tuple[BoundInput[Any], ...]:
         """Inputs fixed by a released job; the other inputs identify the wafer."""
         places = (self._product, self._size, self._columns_rows, self._overlap, self._centre)
-        return (*places, self._range, self._step, self._exposures)
+        return (*places, self._range, self._step, self._follow, self._exposures, self._compression)
 
     def _field(self, handle: Any) -> BoundInput[Any]:
         return BoundInput(controlled(handle), lambda _: self._edits.made(), self._page, "The plan was not changed")
@@ -393,6 +447,7 @@ class PlanPanel:
             field.enable(not released)
         for handle in self._moves:
             set_prop(handle, "disabled", released)
+        self._exposure.show(snapshot)
         self._release.show(snapshot)
         self._align.show(snapshot, True)
         self._preflight.show(preflight.section(checks))
@@ -407,12 +462,14 @@ class PlanPanel:
             "product": self._product,
             "operator": self._operator,
             "size_mm": self._size,
+            "follow_um": self._follow,
             "columns_rows": self._columns_rows,
             "overlap_percent": self._overlap,
             "centre_um": self._centre,
             "range_um": self._range,
             "step_um": self._step,
             "exposures_us": self._exposures,
+            "compression": self._compression,
         }
 
     def _show_form(self, form: PlanForm) -> None:

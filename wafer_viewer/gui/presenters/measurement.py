@@ -103,7 +103,7 @@ def sign_colour(finding: AnyResult) -> str:
 def main_label(finding: AnyResult) -> str:
     """Return the label of a result's main quantity; empty if the tool's name tells it."""
     if isinstance(finding, AreaVolume):
-        return "below" if finding.main == finding.volume_below else "above"
+        return "below" if finding.main_field == "volume_below" else "above"
     tool = TOOL_OF_RESULT.get(type(finding))
     return tool.main if tool is not None else "error" if isinstance(finding, GaugeCheck) else ""
 

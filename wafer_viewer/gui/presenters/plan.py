@@ -90,6 +90,7 @@ def strategies(snapshot: Snapshot, draft: Draft) -> Markup:
                 if draft.problem
                 else "The time of every strategy is being estimated."
             )
+            + _by_hand(draft.job.strategy)
             + _GAP
         )
     plan, limits = draft.plan, snapshot.rig.limits
@@ -130,7 +131,10 @@ def _by_price(prices: tuple[Price, ...]) -> list[Price]:
 
 
 def _price_row(price: Price, best_s: float, chosen: bool) -> Markup:
-    name = price.title
+    name = Markup("{}").format(price.title)
+    if price.look_s:
+        look = f"{'about ' if price.estimated else ''}{duration(price.look_s)} of it coarse look"
+        name += Markup("<small>{}</small>").format(look)
     if price.ruled_out is not None or price.predicted_s is None:
         why = html.with_micro_sign(price.ruled_out or "not estimated")
         return Markup('<tr class="off"><td colspan="4">{}<small>{}</small></td></tr>').format(name, why)

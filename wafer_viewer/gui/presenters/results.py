@@ -9,7 +9,7 @@ from wafer_viewer.model.acquisition.sample import Alignment
 from wafer_viewer.model.findings import AnyResult
 from wafer_viewer.model.measurement.measuring_tool import MeasuringTool, ToolName
 from wafer_viewer.model.measurement.tools import TOOL_OF_RESULT, ToolOptions
-from wafer_viewer.model.quantity import Length, Quantity, Unit
+from wafer_viewer.model.quantity import Quantity, Unit
 from wafer_viewer.model.region import Point, Region
 from wafer_viewer.model.spec import replace
 from wafer_viewer.session.state.snapshot import Snapshot
@@ -54,15 +54,9 @@ def _feature(finding: AnyResult, lies: Alignment | None) -> KeptFeature | None:
     if made_by is None or (places := _places(finding, made_by)) is None:
         return None
     tool = made_by.name
-    held = {name: getattr(finding, name) for name in finding.__struct_fields__}
-    quantities = {name: q for name, value in held.items() if (q := _quantity(value)) is not None}
-    options = held.get("options")
+    options = getattr(finding, "options", None)
     own = replace(ToolOptions(), **{tool: options}) if options is not None and hasattr(ToolOptions(), tool) else None
-    return KeptFeature(tool, tuple(_on_wafer(place, lies) for place in places), own, finding.main, quantities)
-
-
-def _quantity(value: object) -> Quantity | None:
-    return value.quantity if isinstance(value, Length) else value if isinstance(value, Quantity) else None
+    return KeptFeature(tool, tuple(_on_wafer(place, lies) for place in places), own, finding.main, finding.quantities)
 
 
 def _places(finding: AnyResult, tool: MeasuringTool) -> tuple[Region, ...] | None:

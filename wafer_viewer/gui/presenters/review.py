@@ -23,7 +23,7 @@ from wafer_viewer.model.gauge import GaugeCheck
 from wafer_viewer.model.job import FeatureVerdict, Job, Word, key_of_result, keys_of_features
 from wafer_viewer.model.measurement.feature import on_die
 from wafer_viewer.model.measurement.tools import TOOLS
-from wafer_viewer.model.quantity import Length, Quantity
+from wafer_viewer.model.quantity import Quantity
 from wafer_viewer.model.region import Region
 from wafer_viewer.model.surface.height_map import LAYER_TITLES
 from wafer_viewer.session.measurement.measurement_numbers import title_of
@@ -130,11 +130,8 @@ def _kind(finding: AnyResult) -> str:
 
 
 def _rows(finding: AnyResult) -> Iterator[Row]:
-    for name in finding.__struct_fields__:
-        held = getattr(finding, name)
-        if isinstance(held, Length | Quantity):
-            quantity = held.quantity if isinstance(held, Length) else held
-            yield (title_of(name), *value_texts(quantity))
+    for name, quantity in finding.quantities.items():
+        yield (title_of(name), *value_texts(quantity))
 
 
 def _feature_rows(judged: FeatureVerdict) -> tuple[Row, ...]:

@@ -7,6 +7,7 @@ to an earlier buffer. The browser therefore reports the size of the scene itself
 
 from __future__ import annotations
 
+import threading
 from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any
@@ -21,6 +22,9 @@ from wafer_viewer.gui.scene.heightfield import HeightField
 class Viewport:
     """The scene of one browser.
 
+    Its sizes are reported on several threads. Listeners are called by one at a time and read the size themselves: else
+    one with an older size could be the last, and no further report would correct it.
+
     Parameters
     ----------
     camera : viser.CameraHandle
@@ -31,6 +35,7 @@ class Viewport:
         self._camera = camera
         self._size_px = 0, 0
         self._listeners: list[Callable[[], object]] = []
+        self._one_at_a_time = threading.RLock()
         camera.on_update(lambda _: self._changed())
 
     @property
@@ -54,8 +59,9 @@ class Viewport:
             self._changed()
 
     def _changed(self) -> None:
-        for listener in tuple(self._listeners):
-            listener()
+        with self._one_at_a_time:
+            for listener in tuple(self._listeners):
+                listener()
 
 
 _STEPS = 40

@@ -12,12 +12,14 @@ from PIL import Image, ImageDraw
 
 from wafer_viewer.draw.colormaps import Rgb
 from wafer_viewer.draw.surface import ground_plane
+from wafer_viewer.gui.presenters.focus import followed
 from wafer_viewer.gui.scene.camera_presets import Clear
 from wafer_viewer.gui.scene.primitives import Box, Group, add_image_plane, closed, dashed, lines, rectangle
 from wafer_viewer.gui.scene.reconciler import Handle, SceneItem
 from wafer_viewer.gui.scene.scene_contents import SceneContents, corners_of
 from wafer_viewer.gui.scene.scene_theme import colours
 from wafer_viewer.gui.scenes.field_outlines import fields_box, planned_items
+from wafer_viewer.gui.scenes.focus_items import focus_items, highest_mm
 from wafer_viewer.gui.state.view_state import View
 from wafer_viewer.model.acquisition.devices import Overview
 from wafer_viewer.model.acquisition.rig_limits import RigLimits
@@ -160,12 +162,15 @@ def plan_contents(snapshot: Snapshot, view: View) -> SceneContents:
     size = _field_size(snapshot)
     if job is not None and size is not None:
         items += planned_items(job.all_fields(), *size, plan, view.dark)
-    box = _in_sight(snapshot, size)
+    box, top_mm = _in_sight(snapshot, size), 0.0
+    if (shown := followed(snapshot.draft, view.focus_row)) is not None:
+        items += focus_items(shown, view.dark)
+        box, top_mm = fields_box(shown.plan.fields, *shown.frame_um()), highest_mm(shown)
     return SceneContents(
         items=tuple(items),
-        corners_mm=corners_of(box, 0.0, 0.0),
-        place=("plan", snapshot.overview is None, job is None),
-        preset="top" if sample_box(snapshot) is not None or job is not None else "iso",
+        corners_mm=corners_of(box, 0.0, top_mm),
+        place=("plan", snapshot.overview is None, job is None, shown is not None),
+        preset="iso" if shown is not None else "top" if sample_box(snapshot) is not None or job is not None else "iso",
         clear=Clear(right=40),
     )
 

@@ -271,7 +271,7 @@ class SceneView:
                 complete = self._draw(*wanted)
         except NotReady:
             return False
-        except Exception as fault:  # noqa: BLE001 - this is the guard of the scene's thread: told, and the scene lives on
+        except Exception as fault:  # noqa: BLE001 - reported, so that the thread goes on to draw
             self._on_fault(fault)
         self._run_errand()
         return complete

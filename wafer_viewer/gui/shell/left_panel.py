@@ -31,6 +31,8 @@ from wafer_viewer.gui.defects.defect_section import DefectSection
 from wafer_viewer.gui.defects.die_map import DefectMap
 from wafer_viewer.gui.defects.klarf_overlay import other_marks
 from wafer_viewer.gui.gauge.gauge_displays import GaugeList
+from wafer_viewer.gui.gauge.instrument_panel import CalibrationList
+from wafer_viewer.gui.live.live_places import LivePlaces
 from wafer_viewer.gui.measure.result_list import ResultList
 from wafer_viewer.gui.page.dialogs import Dialog, dataset_table, open_dataset
 from wafer_viewer.gui.page.import_export_dialogs import import_dialog, open_dialog
@@ -45,8 +47,9 @@ from wafer_viewer.gui.widgets import html
 from wafer_viewer.gui.widgets.controls import Gui, HtmlBlock, command_button, in_a_row, set_prop
 from wafer_viewer.gui.widgets.style import LEFT_PX
 from wafer_viewer.model.acquisition.plan import Field
+from wafer_viewer.model.acquisition.rig_limits import RigLimits
 from wafer_viewer.session.rendering.render_request import Brushed
-from wafer_viewer.session.state.snapshot import Snapshot
+from wafer_viewer.session.state.snapshot import RigStatus, Snapshot
 
 if TYPE_CHECKING:
     from wafer_viewer.gui.scenes.scene_view import SceneView
@@ -83,6 +86,10 @@ class FieldMap:
         if self._drawn is None or any(a is not b and a != b for a, b in zip(key, self._drawn, strict=True)):
             self._drawn = key
             self._draw(snapshot, view)
+        if self._frame is not None and view.at_bench and snapshot.rig.limits is not None:
+            drawing = map_marks_svg(self._frame, _in_view(snapshot.rig, snapshot.rig.limits), [], _live_areas(snapshot))
+            self._marks.show(Markup('<div class="wv-over-map">{}</div>').format(drawing))
+            return
         if self._frame is None or not view.on_surface:
             self._marks.show("")
             return
@@ -114,6 +121,22 @@ class FieldMap:
             _legend(states) + _hint(snapshot, view) if fields else html.empty("A surface from a file:", "no fields.")
         )
         self._map.show(drawing + below)
+
+
+def _in_view(rig: RigStatus, limits: RigLimits) -> Outline:
+    """Return the corners of the camera's field at the stage position."""
+    x0, x1 = rig.x_um - limits.field_width_um / 2, rig.x_um + limits.field_width_um / 2
+    y0, y1 = rig.y_um - limits.field_height_um / 2, rig.y_um + limits.field_height_um / 2
+    return (x0, y0), (x1, y0), (x1, y1), (x0, y1)
+
+
+def _live_areas(snapshot: Snapshot) -> list[MarkedArea]:
+    """Return the area between the two marked corners."""
+    if snapshot.live.area_um is None:
+        return []
+    (xa, ya), (xb, yb) = snapshot.live.area_um
+    box = min(xa, xb), min(ya, yb), max(xa, xb), max(ya, yb)
+    return [MarkedArea(box, "var(--accent)", "area to scan", dashed=True)]
 
 
 def _nothing(snapshot: Snapshot, view: View) -> Markup:
@@ -249,11 +272,13 @@ class LeftPanel:
             with self._where:
                 self.map = FieldMap(page.gui)
             self.dies = DefectMap(page)
+            self.live = LivePlaces(page)
             self._works = HtmlBlock(page.gui)
             self._views = HtmlBlock(page.gui)
             self.defects = DefectSection(page)
             self._review = HtmlBlock(page.gui)
             self._gauge = GaugeList(page)
+            self._calibrations = CalibrationList(page)
             self.compare = CompareSection(page)
             self._build_datasets()
             self.results = ResultList(page)
@@ -261,6 +286,11 @@ class LeftPanel:
         panel.set_width(LEFT_PX)
         page.on_pick("open", lambda path: open_dataset(page, Path(path)))
         page.on_pick("cancel", page.session.cancel)
+
+    @property
+    def with_commands(self) -> tuple[CompareSection, DefectSection, DefectMap]:
+        """Sections that have commands of their own."""
+        return self.compare, self.defects, self.dies
 
     def show(self, snapshot: Snapshot, view: View) -> None:
         """Bring the panel up to date."""
@@ -275,8 +305,10 @@ class LeftPanel:
         self.defects.show(snapshot, view)
         self._review.show(review_list(snapshot, view))
         self._gauge.show(snapshot, view)
+        self._calibrations.show(snapshot, view)
         self.compare.show(snapshot, view)
-        set_prop(self._datasets, "visible", view.step in ("plan", "surface"))
+        self.live.show(snapshot, view)
+        set_prop(self._datasets, "visible", view.step in ("plan", "surface") and not view.at_bench)
         opened = snapshot.dataset.path if snapshot.dataset else None
         self._list.show(html.head("Datasets", _shortened(snapshot.data_folder)) + self._dataset_rows(snapshot, opened))
         self.results.show(snapshot, view)

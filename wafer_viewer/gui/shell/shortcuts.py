@@ -176,7 +176,15 @@ def _looking_at_surface(page: Page, parts: Parts) -> list[Command]:
             Command("Fields and overlaps", "O", surface.toggle_fields, ICON.GRID_DOTS, group="Surface"),
         ),
         *with_precondition(
-            surface_not_shown, Command("Why this height?", "C", parts.why.toggle, ICON.ZOOM_QUESTION, group="Surface")
+            surface_not_shown,
+            Command(
+                "Why this height?",
+                "C",
+                parts.why.toggle,
+                ICON.ZOOM_QUESTION,
+                group="Surface",
+                here=lambda _, view: view.step != "plan",
+            ),
         ),
         Command("Higher z", "pageup", lambda: exaggerate(EXAGGERATION_STEP), ICON.ARROWS_VERTICAL, "shift", "Surface"),
         Command(
@@ -324,6 +332,14 @@ FIXED_KEYS: dict[Group, tuple[tuple[str, str], ...]] = {
         ("This list", "F1 or ?"),
         ("Next, previous field or button", "Tab"),
         ("Leave a text field", "Enter or Esc"),
+    ),
+    "Plan": (
+        ("Live: X and Y of the stage, in the ringed pad", "8 2 4 6"),
+        ("Live: Z up, Z down", "9 3"),
+        ("Live: go to focus", "5"),
+        ("Live: smaller, larger steps", "7 1"),
+        ("Live: ten times as far", "Shift"),
+        ("Live: leave the pad", "Esc"),
     ),
     "Look": (("Saved view 1 … 9", "Shift + 1 … 9"), ("Move the camera", "W A S D Q E"), ("Turn it", "arrows")),
 }

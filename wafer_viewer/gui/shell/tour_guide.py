@@ -329,9 +329,8 @@ def _scanned(snapshot: Snapshot) -> Result:
     data, scan = snapshot.dataset, snapshot.scan
     if data is None:
         return "Scanned", "nothing", "", False
-    frames = len(data.fields) * data.plan.sweep.n_frames
     took = f" in {duration(scan.seconds_gone)}" if scan is not None else ""
-    return "Scanned", f"{number(len(data.fields), 0)} fields", f"{number(frames, 0)} frames{took}", True
+    return "Scanned", f"{number(len(data.fields), 0)} fields", f"{number(data.plan.n_frames, 0)} frames{took}", True
 
 
 def _stepped(snapshot: Snapshot) -> Result:

@@ -20,7 +20,7 @@ from wafer_viewer.session.state.snapshot import Fault
 VIEW_KEY, SELF_KEY, CAMERA_KEY = "wafer-viewer-view", "wafer-viewer-browser", "wafer-viewer-camera"
 EVERYWHERE = (
     *("step", "look", "colour_by", "colours", "exaggeration", "hillshade", "all_in_focus", "fields", "dark"),
-    *("point_px", "depth_shade", "tour"),
+    *("point_px", "depth_shade", "tour", "live", "jog_step_um", "instrument", "calibration"),
 )
 """View settings that apply to every dataset; all others belong to the dataset they were chosen for."""
 OF = "of"

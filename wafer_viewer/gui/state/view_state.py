@@ -7,6 +7,7 @@ from collections.abc import Callable, Iterable
 from dataclasses import dataclass, replace
 from typing import Any, Literal
 
+from wafer_viewer.model.acquisition.characteristics import CalibrationKind
 from wafer_viewer.model.inspection.defect import Defect
 from wafer_viewer.model.measurement.levelling import Levelling
 from wafer_viewer.model.measurement.measuring_tool import ToolName
@@ -122,7 +123,7 @@ Tool = ToolName
 ReviewFilter = Literal["all", "open", "accepted", "rejected"]
 Sheet = Literal["none", "beside", "stack"]
 Counted = Literal["all", "view", "selection"]
-Below = Literal["none", "profile", "why", "gauge", "defect"]
+Below = Literal["none", "profile", "why", "gauge", "defect", "live", "calibration"]
 
 OF_DEFECT = "defect "
 """Prefix of defect keys."""
@@ -171,6 +172,11 @@ class View:
     refused: True if points rejected by gates are drawn too.
     before: treatment of points in front of the slab along the active profile line.
     tour: the running tour; None for none.
+    live: True if the step Plan shows the camera.
+    jog_step_um: step of the stage in x and y by a key; that in z is a fiftieth.
+    instrument: True if the step Gauge check shows the calibrations of the instrument.
+    calibration: the displayed kind of calibration.
+    focus_row: row of fields whose z windows are shown, in Plan; None for the middle one.
     """
 
     step: Step = "plan"
@@ -212,11 +218,31 @@ class View:
     refused: bool = False
     before: BeforeSlab = "show"
     tour: Tour | None = None
+    live: bool = False
+    jog_step_um: float = 50.0
+    instrument: bool = False
+    calibration: CalibrationKind = "delay"
+    focus_row: int | None = None
 
     @property
     def on_surface(self) -> bool:
         """True if the step displays the surface."""
         return self.step not in ("plan", "acquire")
+
+    @property
+    def at_bench(self) -> bool:
+        """True if the camera is shown live."""
+        return self.step == "plan" and self.live
+
+    @property
+    def checks_blocks(self) -> bool:
+        """True if the page shows the check against gauge blocks."""
+        return self.step == "gauge" and not self.instrument
+
+    @property
+    def at_instrument(self) -> bool:
+        """True if the page shows the calibrations of the instrument."""
+        return self.step == "gauge" and self.instrument
 
     @property
     def brush(self) -> Span | None:
@@ -273,8 +299,10 @@ class View:
         """Curve in the panel below the scene."""
         if self.explains:
             return "why"
+        if self.at_bench:
+            return "live"
         if self.step == "gauge":
-            return "gauge"
+            return "calibration" if self.instrument else "gauge"
         if self.step == "review" and self.review is not None and self.review.startswith(OF_DEFECT):
             return "defect"
         return "profile" if self.step == "measure" and self.tool == "profile" else "none"

@@ -45,7 +45,7 @@ if (!window.wvKeyboard) {
 
   window.addEventListener('keydown', event => {
     if (event.wvAgain || event.isComposing || last('.mantine-Spotlight-content')) return;
-    if (event.target.getAttribute?.('aria-expanded') === 'true') return;
+    if (event.target.getAttribute?.('aria-expanded') === 'true' || event.target.closest?.('.wv-pad')) return;
     const typing = isTyping(event.target);
     if (last('.mantine-Modal-content')) inDialog(event, typing);
     else if (!typing) elsewhere(event);

@@ -53,7 +53,8 @@ class SliceSection:
         set_prop(self._z.handle, "visible", not single and on)
         if plan is None:
             return
-        set_prop(self._frame.handle, "max", plan.sweep.n_frames)
+        if single:
+            set_prop(self._frame.handle, "max", plan.sweep.frames_of(plan.field(view.show)))
         if view.frame_k is not None:
             self._frame.show(view.frame_k + 1)
         if view.slice_z_um is not None:
@@ -70,14 +71,15 @@ class SliceSection:
         page, data = self._page, self._page.session.snapshot.dataset
         if data is None:
             return
-        middle = data.plan.sweep.n_frames // 2
+        plan, show = data.plan, page.view.show
         if not event.target.value:
             page.change(frame_k=None, slice_z_um=None)
-        elif page.view.show > 0:
-            page.change(frame_k=middle, slice_z_um=None)
+        elif show > 0:
+            page.change(frame_k=plan.sweep.frames_of(plan.field(show)) // 2, slice_z_um=None)
         else:
-            low, _ = _z_range(data.plan)
-            page.change(frame_k=None, slice_z_um=low + middle * data.plan.sweep.z_step_um)
+            low, high = _z_range(plan)
+            steps = round((high - low) / plan.sweep.z_step_um)
+            page.change(frame_k=None, slice_z_um=low + steps // 2 * plan.sweep.z_step_um)
 
     def _choose_frame(self, event: Any) -> None:
         self._page.change(frame_k=int(event.target.value) - 1)
@@ -87,16 +89,16 @@ class SliceSection:
 
 
 def _z_range(plan: ScanPlan) -> tuple[float, float]:
-    low = min(field.z_start_um for field in plan.fields)
-    return low, max(field.z_start_um for field in plan.fields) + plan.sweep.range_um
+    return min(field.z_start_um for field in plan.fields), max(map(plan.sweep.top_um, plan.fields))
 
 
 def _where(plan: ScanPlan | None, view: View) -> str:
     if plan is None:
         return ""
     if view.show > 0 and view.frame_k is not None:
-        z_um = plan.sweep.z_um(plan.field(view.show), view.frame_k)
-        return f"frame {view.frame_k + 1} of {plan.sweep.n_frames} · z {with_unit(z_um, 1, signed=True)}"
+        field = plan.field(view.show)
+        z_um = plan.sweep.z_um(field, view.frame_k)
+        return f"frame {view.frame_k + 1} of {plan.sweep.frames_of(field)} · z {with_unit(z_um, 1, signed=True)}"
     if not view.show and view.slice_z_um is not None:
         return f"stitched, z {with_unit(view.slice_z_um, 1, signed=True)}"
     return "as the camera took them"

@@ -251,7 +251,7 @@ def in_scene(view: View, surface: SurfaceInfo | None = None) -> View:
     """
     if view.step != "gauge":
         return view
-    dragged = bool(view.faces) and view.check is None
+    dragged = bool(view.faces) and view.check is None and not view.instrument
     return replace(
         view,
         show=max(0, view.show),

@@ -44,7 +44,7 @@ def guarded(page: ErrorSink, name: str) -> Callable[[Callable[..., Any]], Callab
         def run(*args: Any, **kwargs: Any) -> None:
             try:
                 outcome = callback(*args, **kwargs)
-            except Exception as fault:  # noqa: BLE001 - the one wide catch of the page
+            except Exception as fault:  # noqa: BLE001 - callbacks run code of any kind: each failure is reported to the operator
                 tell_failure(page, name, fault)
             else:
                 if isinstance(outcome, Future):

@@ -9,6 +9,8 @@ from functools import partial
 from typing import Any, Generic, TypeVar
 
 from wafer_viewer.gui.widgets.controls import Gui
+from wafer_viewer.model.acquisition.characteristics import FOCUS_RANGE_UM, KINDS, CalibrationOption
+from wafer_viewer.model.acquisition.positioners import ROLES, RoleOfPositioner
 from wafer_viewer.model.errors import WaferViewerError
 
 T = TypeVar("T")
@@ -17,7 +19,29 @@ SIDES, PLACE = " × ", ", "
 """Separator of two numbers: side lengths, or a position."""
 _BETWEEN = (r"\s*[×xX*]\s*", r"\s*;\s*", r"\s*,\s+", r"\s+", r",")
 NOT_GIVEN, NOT_KNOWN, NO_FILTER, NO_LIMIT = "not given", "not known", "no filter", "no limit"
+
+
+def option_label(option: CalibrationOption) -> str:
+    """Return the label of an option of a calibration: its title with the unit."""
+    unit = re.sub(r"\bu([ms])\b", "µ\\1", option.unit)
+    return f"{option.title}, {unit}" if unit else option.title
+
+
+def role_label(role: RoleOfPositioner) -> str:
+    """Return the label of the position of a positioner: the title of its role with the unit."""
+    return f"{role.title}, {role.unit}"
+
+
 EMPTY: dict[str, str] = {
+    **{
+        option_label(option): NOT_GIVEN if option.default is None else "the default"
+        for kind in KINDS.values()
+        for option in kind.options
+    },
+    **{role_label(role): "not homed" for role in ROLES.values()},
+    "z range, µm": f"{FOCUS_RANGE_UM:g}",
+    "Exposure, µs": "found by itself",
+    "Reason": NOT_GIVEN,
     **dict.fromkeys(("Repeats s, µm", "Drift u, µm", "Sample, °C"), NOT_KNOWN),
     **dict.fromkeys(("S-filter, µm", "L-filter, µm", "λc, µm", "λs, µm"), NO_FILTER),
     "Chip over, µm": "4 σ of the edge",
@@ -31,6 +55,7 @@ EMPTY: dict[str, str] = {
     "Size, mm": "not given: width × height",
     "Lower limit": NO_LIMIT,
     "Upper limit": NO_LIMIT,
+    "Below, above focus, µm": "whole range",
     "Pitch, µm": "not given: x × y",
     "Die, µm": "as the pitch",
     "Corner, µm": "not given: x, y",
