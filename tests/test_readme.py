@@ -8,13 +8,14 @@ import shlex
 import subprocess
 import sys
 from pathlib import Path
+from textwrap import dedent
 
 import pytest
 
 from tests.support.paths import ROOT
 
-BLOCK = re.compile(r"^```(console|python)\n(.*?)^```", re.MULTILINE | re.DOTALL)
-
+BLOCK = re.compile(r"^( *)```(console|python)\n(.*?)^\1```", re.MULTILINE | re.DOTALL)
+"""A block of code, in a numbered list too."""
 
 LINK = re.compile(r"\]\(([^)#:]+)\)")
 MOST_WORDS = 900
@@ -27,7 +28,7 @@ def pages() -> list[Path]:
 
 
 def examples() -> list[tuple[str, str]]:
-    return [found for page in pages() for found in BLOCK.findall(page.read_text())]
+    return [(kind, dedent(body)) for page in pages() for _, kind, body in BLOCK.findall(page.read_text())]
 
 
 def test_the_readme_is_short_and_every_page_is_linked():

@@ -26,8 +26,7 @@ import psutil
 sys.path.insert(0, str(Path(__file__).parents[2]))
 
 from tests.bench.tables import met, show
-from wafer_viewer.compute.local_or_cluster import crew_for
-from wafer_viewer.compute.task_runner import TaskRunner
+from wafer_viewer.compute.task_runner import TaskRunner, crew_for
 from wafer_viewer.model.acquisition.focus_stack import Frame, FrameStatus
 from wafer_viewer.model.acquisition.plan import FieldGrid, FocusSweep, ScanPlan, Shot
 from wafer_viewer.model.job import Job

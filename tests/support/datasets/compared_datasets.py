@@ -8,7 +8,8 @@ from pathlib import Path
 import numpy as np
 
 from tests.support.compared_surfaces import taken, tilted, with_bump
-from wafer_viewer.model.acquisition.plan import Field, FocusSweep, ScanPlan
+from tests.support.plans import plan_without_motion
+from wafer_viewer.model.acquisition.plan import Field, FocusSweep
 from wafer_viewer.model.job import Job
 from wafer_viewer.model.surface.height_map import HeightMap, Provenance
 from wafer_viewer.model.surface.recipe import Recipe, Stitching
@@ -22,17 +23,13 @@ SHIFT_UM, BUMP_UM = (6.0, -4.0), 2.0
 
 def dataset_of(path: Path, height: HeightMap, checksum: str, when: str) -> Path:
     """A dataset with one field, which has its surface."""
-    rows, cols = height.shape
     x0, y0, x1, y1 = height.bounds_um
     field = Field(number=1, row=0, col=0, x_um=(x0 + x1) / 2, y_um=(y0 + y1) / 2, z_start_um=-10.0)
     sweep = FocusSweep(z_step_um=2.0, n_frames=5)
-    plan = ScanPlan(
-        fields=(field,), sweep=sweep, exposures_us=(100.0,), strategy="z_up", legs=(), predicted_s=1.0, prices=(),
-        rows=rows, cols=cols, pixel_um=height.pixel_um,
-    )  # fmt: skip
+    job = Job(fields=(field,), sweep=sweep)
+    plan = plan_without_motion(job, height.shape, height.pixel_um)
     path.mkdir(parents=True)
     (path / JOURNAL).touch()
-    job = Job(fields=(field,), sweep=sweep)
     write_record(path, ScanRecord(software_version="test", taken=when, job=job, plan=plan, simulated=True))
     smooth = height.z_um.copy()
     smooth[1:-1] = (height.z_um[:-2] + height.z_um[1:-1] + height.z_um[2:]) / 3

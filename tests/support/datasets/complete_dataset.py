@@ -8,7 +8,8 @@ import numpy as np
 
 from tests.support.datasets.inspections import defect, inspection
 from tests.support.datasets.samples import CALIBRATION, SUMMARY, make_frame
-from wafer_viewer.model.acquisition.plan import FieldGrid, FocusSweep, ScanPlan, Shot
+from tests.support.plans import plan_without_motion
+from wafer_viewer.model.acquisition.plan import FieldGrid, FocusSweep, Shot
 from wafer_viewer.model.findings import MeasurementResults
 from wafer_viewer.model.job import Job, Notebook, SavedView
 from wafer_viewer.model.measurement.feature import Feature
@@ -47,7 +48,7 @@ def complete_dataset(path: Path) -> Path:
 
 def _scan(path: Path) -> None:
     job = _job()
-    plan = _plan(job)
+    plan = plan_without_motion(job, (ROWS, COLS), PIXEL_UM)
     texture = np.random.default_rng(3).normal(0, 1, (ROWS, 2 * COLS))
     with DatasetWriter.create(path, plan, job, calibration=replace(CALIBRATION, due="2099-01-01")) as writer:
         for number, leg in enumerate(plan.fields, 1):
@@ -68,13 +69,6 @@ def _job() -> Job:
         exposures_us=(100.0,),
         features=(STEP,),
     )
-
-
-def _plan(job: Job) -> ScanPlan:
-    return ScanPlan(
-        fields=job.all_fields(), sweep=job.sweep, exposures_us=job.exposures_us, strategy="z_up", legs=(),
-        predicted_s=1.0, prices=(), rows=ROWS, cols=COLS, pixel_um=PIXEL_UM,
-    )  # fmt: skip
 
 
 def _measured(path: Path):

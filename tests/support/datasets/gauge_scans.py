@@ -4,9 +4,10 @@ from __future__ import annotations
 
 from pathlib import Path
 
+from tests.support.plans import plan_without_motion
 from tests.support.surfaces import PIXEL_UM, STEP_UM, gauge_blocks
 from wafer_viewer.model.acquisition.calibration import Calibration
-from wafer_viewer.model.acquisition.plan import Field, FocusSweep, ScanPlan
+from wafer_viewer.model.acquisition.plan import Field, FocusSweep
 from wafer_viewer.model.job import Job
 from wafer_viewer.model.region import Region
 from wafer_viewer.model.surface.height_map import HeightMap
@@ -38,24 +39,12 @@ def surface(seed: int, error_um: float = 0.0, calibration: Calibration | None = 
 def scan_of_blocks(folder: Path, seed: int, error_um: float = 0.0, calibration=CALIBRATION, taken="2026-06-01") -> Path:
     """A finished scan ``scan-SEED.wafer`` in a data folder."""
     path, heights = folder / f"scan-{seed}.wafer", surface(seed, error_um, calibration)
-    rows, cols = heights.shape
     sweep = FocusSweep(z_step_um=4.0, n_frames=5)
     field = Field(number=1, row=0, col=0, x_um=0.0, y_um=0.0, z_start_um=0.0)
-    plan = ScanPlan(
-        fields=(field,),
-        sweep=sweep,
-        exposures_us=(100.0,),
-        strategy="z_up",
-        legs=(),
-        predicted_s=1.0,
-        prices=(),
-        rows=rows,
-        cols=cols,
-        pixel_um=PIXEL_UM,
-    )
+    job = Job(fields=(field,), sweep=sweep)
+    plan = plan_without_motion(job, heights.shape, PIXEL_UM)
     path.mkdir(parents=True)
     (path / JOURNAL).touch()
-    job = Job(fields=(field,), sweep=sweep)
     facts = {"software_version": "test", "taken": f"{taken}T10:00:00", "rig": RIG, "simulated": True}
     write_record(path, ScanRecord(**facts, calibration=calibration, job=job, plan=plan))
     Dataset.open(path).result(RESULT).save_surface(field, heights)
