@@ -10,6 +10,7 @@ from contextlib import ExitStack
 import pytest
 from playwright.sync_api import Browser, Page, expect, sync_playwright
 
+from tests.browser.audit import SMALL_PICTURE
 from tests.browser.screens import FLAGS, dismiss_viser_warning
 from tests.browser.sessions.fake_session import FakeSession
 from wafer_viewer.gui.app import start
@@ -36,11 +37,12 @@ def browser() -> Iterator[Browser]:
 
 @pytest.fixture
 def look_at(browser: Browser) -> Iterator[Callable[[str], Page]]:
-    """Opens an address in a context of its own."""
+    """Opens an address in a context of its own, with a small picture: software draws slowly."""
     with ExitStack() as stack:
 
         def open_page(address: str) -> Page:
             context = stack.enter_context(browser.new_context(viewport=WINDOW))
+            context.add_init_script(SMALL_PICTURE)
             page = context.new_page()
             page.set_default_timeout(PATIENCE_MS)
             page.goto(address)
