@@ -17,7 +17,7 @@ from wafer_viewer.model.spec import replace
 from wafer_viewer.rigs.virtual.rig import VirtualRig, virtual_limits
 from wafer_viewer.session.acquisition import live_camera
 from wafer_viewer.session.acquisition.live_camera import WORD_S, JogHandle
-from wafer_viewer.session.acquisition.rig_messages import Drive, Jog, LiveTaken, Move, Stop, WatchLive
+from wafer_viewer.session.acquisition.rig_messages import Drive, Jog, LiveTaken, Move, StageMoved, Stop, WatchLive
 from wafer_viewer.session.acquisition.rig_process import RigExecutor
 from wafer_viewer.session.state.live_state import LiveFrame
 
@@ -202,6 +202,18 @@ def test_live_frames_go_on_during_a_jog_with_their_positions(talk, rig):
     assert len(heights_um) >= 4
     assert heights_um == sorted(heights_um)
     assert heights_um[-1] > 5.0
+
+
+def test_positions_are_told_during_a_jog_that_nobody_takes_frames_of(talk, rig):
+    first = talk.say(jog(z=20.0))
+    for _ in range(8):
+        talk.say(jog(z=20.0))
+        talk.listen(0.1)
+    heights_um = [event.position.z_um for event in talk.events if isinstance(event, StageMoved)]
+    talk.say(jog())
+    talk.answer(first)
+    assert len(heights_um) >= 2
+    assert heights_um[-1] > 2.0
 
 
 def test_a_handle_is_at_rest_without_a_fresh_word():

@@ -220,16 +220,23 @@ class RigExecutor:
         self._end.answer(order.request, reading)
 
     def _jog(self, order: RigCommand) -> None:
-        """Jog until the handle is released; the words may have ended while another command was executed."""
+        """Jog until the handle is released; the words may have ended while another command was executed.
+
+        The position is reported besides that of the frames, because a busy machine takes none during a motion.
+        """
         self._end.tell(Jogging(True))
         self._live.begin_motion()
+        reported_s = time.monotonic()
+
+        def look() -> None:
+            nonlocal reported_s
+            self._live.take_within(self._handle.left_s)
+            if time.monotonic() - reported_s >= REPORT_EVERY_S:
+                reported_s = time.monotonic()
+                self._end.tell(StageMoved(self._rig.stage.position()))
+
         try:
-            jog(
-                self._rig,
-                self._handle.velocity,
-                self._handle.highest_um,
-                lambda: self._live.take_within(self._handle.left_s),
-            )
+            jog(self._rig, self._handle.velocity, self._handle.highest_um, look)
         finally:
             self._handle.taken = False
             if self._stopped_since(order):
