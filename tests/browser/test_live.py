@@ -68,6 +68,14 @@ def test_an_operator_drives_by_keys_finds_the_focus_and_hands_the_marks_to_the_p
     session.live.set_positioner("lamp", 100.0).result(WORK_S)
     expect(lamp).to_have_value("100")
 
+    exposure = page.get_by_label("Exposure, µs")
+    exposures: set[float | None] = set()
+    session.subscribe(lambda now: exposures.add(now.live.exposure_us))
+    exposure.fill("")
+    exposure.press_sequentially("120", delay=20)
+    until(lambda: session.snapshot.live.exposure_us == 120.0, "the camera follows its row")
+    assert not exposures & {1.0, 12.0}, "half a number is no exposure"
+
     page.keyboard.press("6")
     pad = page.locator(".wv-pad")
     pad.focus()

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from concurrent.futures import Future
 from pathlib import Path
 from typing import Any
 
@@ -14,6 +15,7 @@ from wafer_viewer.gui.live.live_positioners import PositionerRows
 from wafer_viewer.gui.page.page import Page
 from wafer_viewer.gui.state.view_state import View
 from wafer_viewer.gui.widgets import html
+from wafer_viewer.gui.widgets.callback_timing import MOVE_S, Debouncer
 from wafer_viewer.gui.widgets.command import Command
 from wafer_viewer.gui.widgets.controls import (
     BoundInput,
@@ -31,6 +33,7 @@ from wafer_viewer.session.state.live_state import LiveFrame, LiveState
 from wafer_viewer.session.state.snapshot import Snapshot
 
 NOT_FOUND, NOT_USED, NOT_MARKED = "The focus was not found", "The plan was not changed", "Nothing was marked"
+NOT_EXPOSED = "The exposure was not changed"
 ICON = viser.Icon
 HISTOGRAM_PX = 44
 
@@ -88,7 +91,8 @@ class LivePanel:
         self._free.show("" if free else html.style_sheet(".wv-pad{opacity:.45;pointer-events:none}"))
         self._search.show(_search_words(snapshot, look))
         self._light.show(_light(look.frame))
-        self._exposure.show(exposure_us(snapshot))
+        if not self._exposure_edits.under_way:
+            self._exposure.show(exposure_us(snapshot))
         self._positioners.show(snapshot)
         self._where.show(html.head("Where to scan", _area_words(snapshot)))
         self._deep.show(html.head("How deep", _depth_words(live)))
@@ -119,8 +123,9 @@ class LivePanel:
         self._search = HtmlBlock(gui)
         self._light = HtmlBlock(gui)
         exposure = controlled(gui.add_number("Exposure, µs", 100.0, min=1.0, step=10.0))
+        self._exposure_edits = Debouncer(self._set_exposure, guarded(page, NOT_EXPOSED), MOVE_S)
         self._exposure: BoundInput[float] = BoundInput(
-            exposure, self._set_exposure, page, "The exposure was not changed"
+            exposure, lambda _: self._exposure_edits.made(), page, NOT_EXPOSED
         )
         self._positioners = PositionerRows(page)
         live = page.session.live
@@ -154,9 +159,10 @@ class LivePanel:
     def _up(self) -> None:
         self._page.ask("The stage did not move", self._page.session.live.up_to_safe_z())
 
-    def _set_exposure(self, event: Any) -> None:
-        answer = self._page.session.live.set_exposure(float(event.target.value))
-        self._page.ask("The exposure was not changed", answer)
+    def _set_exposure(self) -> Future[Any]:
+        answer = self._page.session.live.set_exposure(float(self._exposure.value))
+        self._page.ask(NOT_EXPOSED, answer)
+        return answer
 
     def _go_to_focus(self) -> None:
         self._page.ask(NOT_FOUND, self._page.session.live.go_to_focus())

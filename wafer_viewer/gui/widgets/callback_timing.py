@@ -12,7 +12,7 @@ COMMIT_S = 0.25
 """Pause in typing after which edits are sent to the session: one number typed is one undo step."""
 
 MOVE_S = 1.0
-"""Pause in typing after which something moves: longer, because half a number cannot be undone."""
+"""Pause in typing after which the instrument follows: longer, because half a number cannot be undone."""
 
 
 class Debouncer:
