@@ -19,6 +19,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from wafer_viewer.measure.base.height_samples import Floats, HeightSamples
+from wafer_viewer.numerics.correlation import autocorrelation
 from wafer_viewer.numerics.normal_statistics import student
 
 PIECE = 3.0
@@ -27,6 +28,8 @@ MIN_CHAIN_FREEDOM = 4
 """Lower limit of the degrees of freedom; it bounds the block length."""
 MOST_LAGS = 200
 """Largest lag of the autocorrelation of errors, in points."""
+LOST_CORRELATION = 0.05
+"""Correlation of an area's errors, as a mean over a distance, below which it is lost in its own scatter."""
 
 
 def chain_uncertainty(design: Floats, residuals: Floats, gradient: Floats) -> float | None:
@@ -63,6 +66,80 @@ def correlation_length(residuals: Floats) -> float:
             break
         total += 2 * share
     return total
+
+
+def area_correlation(residuals: Floats) -> tuple[Floats, float]:
+    """Return the correlation of errors by lag, and the number of independent ones.
+
+    Parameters
+    ----------
+    residuals : ndarray
+        Residuals of a fit to an area [row, col], NaN where there is none.
+
+    Returns
+    -------
+    correlation : ndarray
+        Correlation at each lag, [2 r + 1, 2 c + 1], 1 in the middle; NaN at lags with few pairs.
+    independent : float
+        Number of residuals over their integrated correlation, which ends at the distance where it is lost.
+    """
+    correlation = autocorrelation(residuals)
+    down, across = np.indices(correlation.shape) - np.array(correlation.shape)[:, None, None] // 2
+    distance = np.rint(np.hypot(down, across)).astype(np.intp)
+    known = np.isfinite(correlation)
+    sums = np.bincount(distance[known], correlation[known], minlength=distance.max() + 2)
+    pairs = np.bincount(distance[known], minlength=distance.max() + 2)
+    alike = sums > LOST_CORRELATION * pairs
+    end = int(np.argmin(alike))
+    return correlation, float(np.isfinite(residuals).sum()) / max(1.0, float(sums[:end].sum()))
+
+
+def functional_scatter(weights: Floats, residuals: Floats, n_parameters: int) -> Scatter | None:
+    """Uncertainty of a weighted sum of values on a line, by the covariance of the residuals along all of it.
+
+    Parameters
+    ----------
+    weights : ndarray
+        Weight of each sample in the sum [n], 0 where it does not contribute; samples are equally spaced.
+    residuals : ndarray
+        Residuals [n] of a fit to the line, NaN where there is none.
+    n_parameters : int
+        Number of parameters of that fit.
+
+    Returns
+    -------
+    Scatter or None
+        Standard uncertainty with its degrees of freedom, the number of independent residuals less the parameters; None
+        with no more residuals than parameters.
+
+    Notes
+    -----
+    A part of the line that is shorter than the correlation length does not show its own error: its residuals are alike.
+    The covariance is therefore that of the whole line, up to the lag at which it is lost in its own scatter. The fit
+    has removed a share of it, which is returned by the degrees of freedom.
+    """
+    known = np.isfinite(residuals)
+    n = int(known.sum())
+    if n <= n_parameters:
+        return None
+    left = np.where(known, residuals, 0.0)
+    pairs, power, pull = (_autocorrelation(row) for row in (known.astype(float), left, weights))
+    covariance = power / np.maximum(np.round(pairs), 1.0)
+    if covariance[0] <= 0:
+        return Scatter(0.0, n - n_parameters)
+    noise = covariance < 2 / math.sqrt(n) * covariance[0]
+    last = int(noise.argmax()) if noise.any() else len(covariance)
+    length = 2 * float(covariance[:last].sum()) / float(covariance[0]) - 1
+    freedom = max(1.0, n / length - n_parameters)
+    variance = 2 * float(pull[:last] @ covariance[:last]) - float(pull[0] * covariance[0])
+    return Scatter(math.sqrt(max(0.0, variance) * (freedom + n_parameters) / freedom), freedom)
+
+
+def _autocorrelation(row: Floats) -> Floats:
+    """Return the sums of products of samples at each lag from 0 to n - 1."""
+    size = 2 * len(row)
+    spectrum = np.fft.rfft(row, size)
+    return np.fft.irfft(np.abs(spectrum) ** 2, size)[: len(row)]
 
 
 def _means(rows: Floats, pieces: int, length: int) -> Floats:
@@ -176,29 +253,28 @@ def tile_covariances(
     return [spread for spread in found if spread is not None]
 
 
-def extrapolated_uncertainty(found: Sequence[Spread], gradient: Floats, axes: int = 2) -> Scatter | None:
+def extrapolated_uncertainty(found: Sequence[Spread], gradient: Floats) -> Scatter | None:
     """Return the uncertainty of gradient [p] times the parameters, extrapolated to infinitely large tiles.
 
-    None without tiles. found: covariances by tile size, smallest first, each twice the one before; axes: 2 for tiles of
-    an area, 1 for pieces of a line.
+    None without tiles. found: covariances by tile size, smallest first, each twice the one before.
     """
     scatters = [spread.scatter(gradient) for spread in found]
     if len(scatters) < 2:
         return scatters[0] if scatters else None
-    best = _extrapolated(scatters[0], scatters[1], axes)
+    best = _extrapolated(scatters[0], scatters[1])
     for smallest, small, large in zip(scatters, scatters[1:], scatters[2:], strict=False):
-        coarser = _extrapolated(small, large, axes)
+        coarser = _extrapolated(small, large)
         if small.u > STILL_GROWING * smallest.u or coarser.u > SURPRISING * best.u:
             best = coarser
     return best
 
 
-def _extrapolated(small: Scatter, large: Scatter, axes: int) -> Scatter:
+def _extrapolated(small: Scatter, large: Scatter) -> Scatter:
     """Extrapolate from a pair of tile sizes; never below the value of the larger.
 
-    The variance of means over areas lacks (1 - a/T) for each axis, so for two axes u itself goes as 1 - a/T.
+    The variance of means over areas lacks (1 - a/T) for each axis, so u itself goes as 1 - a/T.
     """
-    u = 2 * large.u - small.u if axes == 2 else math.sqrt(max(0.0, 2 * large.u**2 - small.u**2))
+    u = 2 * large.u - small.u
     lost = 4 / large.freedom - 3 / small.freedom
     return Scatter(max(u, large.u), 1 / lost if lost > 0 else large.freedom)
 

@@ -17,7 +17,7 @@ from typing import Literal
 import numpy as np
 from numpy.typing import NDArray
 
-from wafer_viewer.measure.base.correlated_errors import Scatter, covariance_of_means, extrapolated_uncertainty
+from wafer_viewer.measure.base.correlated_errors import Scatter, functional_scatter
 from wafer_viewer.measure.base.height_samples import Floats, Layer
 from wafer_viewer.measure.base.measurement_context import (
     INTERPOLATION,
@@ -51,8 +51,6 @@ class StepProfileParameters:
         Smallest width of the bottom and of each side, in means; for a single step in samples.
     rounds : int
         Number of times that both edges are moved in turn, sample by sample.
-    pieces : tuple[int, ...]
-        Numbers of pieces per zone unit, by piece size; the means of the pieces are the observations.
     least_samples : int
         Smallest number of measured samples of a zone.
     usual : float
@@ -73,7 +71,6 @@ class StepProfileParameters:
     median_of: int = 5
     least_bins: int = 2
     rounds: int = 3
-    pieces: tuple[int, ...] = (8, 4, 2)
     least_samples: int = 10
     usual: float = 0.9
     false: float = 3.0
@@ -199,6 +196,11 @@ class FittedStep:
     left_um: Floats
     h_um: float
 
+    @property
+    def weights(self) -> Floats:
+        """Weight of each sample in h, [n]."""
+        return np.linalg.pinv(self.design)[2]
+
 
 def step_profile(
     surface: Mosaic,
@@ -275,8 +277,9 @@ def step_profile(
             "Too few heights were measured along the line: draw it longer, or where the surface has fewer holes."
         )
     plan = PLANS[shape](measured.distance_um, measured.z_um, section.length_um)
-    fitted = _fitted(_trusted(measured), curve.distance_um, plan.zones)
-    scatter = _scatter(fitted, plan.zones)
+    trusted = _trusted(measured)
+    fitted = _fitted(trusted, curve.distance_um, plan.zones)
+    scatter = _scatter(fitted, plan, trusted)
     if scatter is not None and abs(fitted.h_um) <= STEP_PROFILE.stands_out * scatter.u:
         raise MeasureError(f"No {shape} stands out of the noise along the line: draw it across one.")
     height_um = plan.times * fitted.h_um
@@ -385,24 +388,31 @@ def _require_enough(zone: Zone, measured: int, samples: int) -> None:
         )
 
 
-def _scatter(fitted: FittedStep, zones: tuple[Zone, ...]) -> Scatter | None:
-    """Return the uncertainty of h from means of equally long pieces of the zones."""
-    unit_um = min(zone.end_um - zone.start_um for zone in zones)
-    start_um = np.array([zone.start_um for zone in zones])
-    columns = np.column_stack([fitted.design, fitted.left_um])
-    found = []
-    for pieces in STEP_PROFILE.pieces:
-        piece = ((fitted.at_um - start_um[fitted.zone]) / unit_um * pieces).astype(np.intp)
-        found.append(covariance_of_means(_means(columns, fitted.zone * 2 * (pieces + 1) + piece)))
-    return extrapolated_uncertainty(
-        [spread for spread in found if spread is not None], np.array([0.0, 0.0, 1.0]), axes=1
-    )
+def _scatter(fitted: FittedStep, plan: StepPlan, curve: ProfileCurve) -> Scatter | None:
+    """Return the uncertainty of h by the residuals of the whole line; None where they do not determine it.
 
-
-def _means(columns: Floats, label: np.ndarray) -> Floats:
-    _, label = np.unique(label, return_inverse=True)
-    count = np.bincount(label)
-    return np.stack([np.bincount(label, column) / count for column in columns.T], axis=1)
+    A zone shorter than the correlation length of the errors does not show its own. curve: the trusted samples. Samples
+    within a third of the width of an edge do not count, nor what lies beyond the next thing that stands out half as far
+    as this.
+    """
+    at_um, edges_um = curve.distance_um, np.array(plan.edges_um)
+    before, beyond = plan.zones[:2]
+    third_um = beyond.start_um - edges_um[0]
+    inside = (at_um > edges_um[0]) & (at_um < (edges_um[-1] if len(edges_um) > 1 else np.inf))
+    design = np.column_stack([at_um - at_um.mean(), np.ones(len(at_um)), np.where(inside, beyond.delta, before.delta)])
+    flat = np.abs(at_um[:, None] - edges_um).min(axis=1) >= third_um
+    for _ in range(STEP_PROFILE.rounds):
+        left_um = curve.z_um - design @ least_squares(design[flat], curve.z_um[flat])
+        stands_out = flat & (np.abs(left_um) > abs(fitted.h_um * (beyond.delta - before.delta)) / 2)
+        if not stands_out.any():
+            break
+        away_um = at_um[stands_out]
+        flat &= (at_um > away_um[away_um < edges_um[0]].max(initial=-np.inf)) & (
+            at_um < away_um[away_um > edges_um[-1]].min(initial=np.inf)
+        )
+    weights = np.zeros(len(at_um))
+    weights[np.searchsorted(at_um, fitted.at_um)] = fitted.weights
+    return functional_scatter(weights, np.where(flat, left_um, np.nan), design.shape[1])
 
 
 def _budget(
@@ -410,7 +420,7 @@ def _budget(
 ) -> tuple[Lines | None, tuple[str, ...]]:
     if not reading.calibrated or scatter is None:
         return None, ()
-    weight = plan.times * np.linalg.pinv(fitted.design)[2]
+    weight = plan.times * fitted.weights
     of_points = {
         NOISE: plan.times * scatter.widened,
         POSES: poses_u_um(reading.surface, PoseSensitivities(fitted.x_um, fitted.y_um, weight)),
