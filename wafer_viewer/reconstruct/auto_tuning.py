@@ -113,7 +113,7 @@ def tune_recipe(frames: Frames, recipe: Recipe) -> TunedRecipe:
     width = focus_width(frames, recipe) if recipe.focus_width_um == "auto" else FocusWidth(recipe.focus_width_um)
     recipe = replace(recipe, focus_width_um=width.um)
     recipe = replace(recipe, window=best_window(frames, recipe) if recipe.window == "auto" else recipe.window)
-    search = search_of(recipe, n_frames, frames.step_um)
+    search = search_of(recipe, n_frames, frames.step_um, frames.scale)
     resolution_um = max(1.0, width.um / frames.step_um / SUITABLE_WIDTH) * frames.step_um
     gate = gate_for(recipe, search, n_frames, resolution_um)
     recipe = replace(recipe, min_confidence=gate.min_confidence)
@@ -141,7 +141,9 @@ def focus_width(frames: Frames, recipe: Recipe) -> FocusWidth:
     or, where that is unknown, to the depth of field of the smallest aperture that fits the pixel size. Without enough
     curves the result is the known depth of field, at least one step.
     """
-    probe = Search(recipe.focus_measure, FOCUS_WIDTH.probe_window, "argmax", 1, camera=camera_of(recipe.noise))
+    probe = Search(
+        recipe.focus_measure, FOCUS_WIDTH.probe_window, "argmax", 1, camera=camera_of(recipe.noise, frames.scale)
+    )
     power = focus_measures()[recipe.focus_measure].power
     widths = np.concatenate([_clean_widths(bench, peaks, power) for bench, peaks in _tiles(frames, probe)])
     step_um, depth_um = frames.step_um, frames.depth_of_field_um
@@ -165,7 +167,7 @@ def best_window(frames: Frames, recipe: Recipe) -> int:
     return next((w for w in smaller if coverage(w) >= enough), largest)
 
 
-def search_of(recipe: Recipe, n_frames: int, step_um: float) -> Search:
+def search_of(recipe: Recipe, n_frames: int, step_um: float, scale: float = 1.0) -> Search:
     """Return the search parameters of a recipe with settled window, focus width and noise.
 
     Rivals are two widths from the peak, at most a quarter of the stack; interpolation points half a width.
@@ -176,13 +178,13 @@ def search_of(recipe: Recipe, n_frames: int, step_um: float) -> Search:
     reach = int(np.clip(round(REACH_WIDTHS * width), 1, gap))
     blend = max(1, round(BLEND_WIDTHS * width)) if n_frames >= LEAST_FRAMES else 0
     floored = n_frames >= max(LEAST_FRAMES, FLOOR_WIDTHS * width)
-    camera = camera_of(recipe.noise)
+    camera = camera_of(recipe.noise, scale)
     return Search(recipe.focus_measure, int(recipe.window), recipe.peak, gap, reach, blend, floored, camera)
 
 
 def _coverage(frames: Frames, recipe: Recipe) -> float:
     """Return the fraction of pixels that pass the gate, ignoring clipping."""
-    search = search_of(recipe, frames.n_frames, frames.step_um)
+    search = search_of(recipe, frames.n_frames, frames.step_um, frames.scale)
     gate = gate_for(replace(recipe, clipped_fraction=1.0), search, frames.n_frames, np.inf)
     return float(np.mean([np.mean(np.isfinite(z_um)) for z_um in gated_tiles(frames, search, gate)]))
 

@@ -19,6 +19,7 @@ from wafer_viewer._version import __version__
 from wafer_viewer.model.acquisition.focus_stack import FieldStack
 from wafer_viewer.model.acquisition.plan import Field
 from wafer_viewer.model.progress import Progress, silent
+from wafer_viewer.model.surface.frame_health import FrameHealth, flicker_u_um, jitter_u_um
 from wafer_viewer.model.surface.height_map import HeightMap, Origin, Provenance, RefusedHeights
 from wafer_viewer.model.surface.recipe import Recipe
 from wafer_viewer.reconstruct.auto_tuning import TunedRecipe, tune_recipe
@@ -31,9 +32,13 @@ from wafer_viewer.reconstruct.gates.edge_sides import EdgeSide
 from wafer_viewer.reconstruct.gates.gate import LEAST_FRAMES, GateTest, checks, first_failed
 from wafer_viewer.reconstruct.preprocess.flat_field import without_shading
 from wafer_viewer.reconstruct.preprocess.frames import Frames, prepare
+from wafer_viewer.reconstruct.z_jitter import jitter_effect_um
 
 SEARCH_SHARE, EDGES_SHARE = 0.6, 0.9
 """Finished fraction after the peak search and after the edges, from 60 frames of 1000 x 1320 pixels."""
+
+FOCUS_WIDTH_DEPTHS = 1.2
+"""Full width at half maximum of a focus curve in depths of field, where the depth of field is unknown."""
 
 ENOUGH_TO_SETTLE = 0.2
 """Fraction of measured pixels from which the settled recipe of a field may be reused for its neighbours."""
@@ -243,11 +248,14 @@ def _refused_heights(corrected: CorrectedPeaks, origin: NDArray[np.uint8]) -> Re
 def assemble(field: PreparedField, corrected: CorrectedPeaks, cleaned: CleanedHeights) -> HeightMap:
     """Return the height map with its layers, position and provenance."""
     stack, peaks = field.stack, corrected.gated.peaks
+    health, jitter_note = frame_health(field, cleaned.z_raw_um)
     return HeightMap(
         z_um=cleaned.z_um,
         z_raw_um=cleaned.z_raw_um,
         confidence=peaks.confidence,
-        all_in_focus=without_shading(peaks.all_in_focus, stack.shading, field.frames.fusion),
+        all_in_focus=without_shading(
+            field.frames.as_stored_counts(peaks.all_in_focus), stack.shading, field.frames.fusion
+        ),
         origin=cleaned.origin,
         pixel_um=stack.pixel_um,
         x0_um=stack.x0_um,
@@ -259,10 +267,33 @@ def assemble(field: PreparedField, corrected: CorrectedPeaks, cleaned: CleanedHe
             input_checksum=stack.checksum,
             simulated=stack.simulated,
             z_step_um=field.frames.step_um,
-            notes=(*field.frames.notes, *field.tuned.notes),
+            frame_health=health,
+            notes=(*field.frames.notes, *field.tuned.notes, *jitter_note),
         ),
         refused=cleaned.refused,
     )
+
+
+def frame_health(field: PreparedField, z_raw_um: NDArray[np.float32]) -> tuple[FrameHealth, tuple[str, ...]]:
+    """Return the uncertainty of a height from the z and the light of the frames, and a note if jitter shows.
+
+    The peaks of the paper's estimator are rounded to frames, which hides both.
+    """
+    frames, step_um = field.frames, field.frames.step_um
+    if field.tuned.recipe.peak == "argmax":
+        return FrameHealth(), ()
+    depth_um = frames.depth_of_field_um or float(field.tuned.recipe.focus_width_um) / FOCUS_WIDTH_DEPTHS
+    flicker_um = flicker_u_um(frames.flicker_rest, step_um, depth_um)
+    jitter_um = jitter_effect_um(z_raw_um, frames.z_um, depth_um)
+    health = FrameHealth(u_jitter_um=jitter_um, u_flicker_um=flicker_um)
+    if jitter_um == 0:
+        return health, ()
+    single_um = jitter_um / jitter_u_um(1.0, step_um, depth_um)
+    note = (
+        f"The z of single frames jitters by {single_um:.2g} um or more (standard deviation), which adds "
+        f"{jitter_um:.2g} um to the standard uncertainty of heights: check the z axis for vibration."
+    )
+    return health, (note,)
 
 
 # ------------------------------------------------------------------------------------------ recipes of a scan, warm-up

@@ -105,7 +105,7 @@ def curve_at(field: PreparedField, row: int, col: int) -> tuple[NDArray[np.float
     log2 = (levels >> bits) + table[levels & (table.size - 1)]
     grey = np.empty((frames.n_frames, 1, 1), frames.dtype)
     read_block(frames, *pixel, 0, grey)
-    return np.exp2(log2 - log2.max()), grey[:, 0, 0].astype(np.int64)
+    return np.exp2(log2 - log2.max()), frames.as_stored_counts(grey[:, 0, 0]).astype(np.int64)
 
 
 def verdicts_of(corrected: CorrectedPeaks, row: int, col: int) -> tuple[Verdict, ...]:

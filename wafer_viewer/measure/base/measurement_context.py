@@ -25,11 +25,13 @@ NOT_IN_BUDGET = (
 )
 NOISE, Z_SCALE, LINEARITY, LEVELLING = "noise and form of the faces", "z scale", "z linearity", "levelling"
 DRIFT, POSES, INTERPOLATION = "drift during the scan", "poses of the fields", "interpolation between frames"
+Z_JITTER, FLICKER = "z jitter of the frames", "flicker of the light"
 REPEATABILITY, TEMPERATURE, ABBE = "repeatability", "temperature", "Abbe offset"
 FLATNESS = "flatness deviation"
-LINES = (NOISE, Z_SCALE, LINEARITY, FLATNESS, LEVELLING, DRIFT, POSES, INTERPOLATION, REPEATABILITY, TEMPERATURE, ABBE)
+OF_FRAMES = (INTERPOLATION, Z_JITTER, FLICKER)
+LINES = (NOISE, Z_SCALE, LINEARITY, FLATNESS, LEVELLING, DRIFT, POSES, *OF_FRAMES, REPEATABILITY, TEMPERATURE, ABBE)
 """All lines of a step's budget, in reporting order."""
-LESS_WITH_REPEATS = (NOISE, DRIFT, POSES, INTERPOLATION, REPEATABILITY)
+LESS_WITH_REPEATS = (NOISE, DRIFT, POSES, *OF_FRAMES, REPEATABILITY)
 """Lines reduced by averaging several scans; the others are common to all scans."""
 REFERENCE_C = 20.0
 """Reference temperature of lengths (ISO 1)."""
@@ -67,7 +69,7 @@ def from_conditions(height_um: float, conditions: Conditions, provenance: Proven
         Z_SCALE: None if calibration is None else calibration.u_z_scale * abs(height_um),
         LINEARITY: linearity_um,
         DRIFT: conditions.drift_um,
-        INTERPOLATION: interpolation_um(provenance),
+        **frame_lines_um(provenance),
         REPEATABILITY: conditions.repeatability_um,
         TEMPERATURE: _temperature_um(height_um, conditions),
         ABBE: abbe_um,
@@ -79,6 +81,13 @@ def interpolation_um(provenance: Provenance) -> float:
     """Standard uncertainty of a height difference due to peak interpolation between frames."""
     per_step = ARGMAX_INTERPOLATION if provenance.recipe.peak == "argmax" else INTERPOLATION_SHARE
     return per_step * provenance.z_step_um
+
+
+def frame_lines_um(provenance: Provenance) -> dict[str, float]:
+    """Return the lines of a height difference that its frames cause; those of jitter and flicker only if they show."""
+    health = provenance.frame_health
+    seen = {Z_JITTER: math.sqrt(2) * health.u_jitter_um, FLICKER: math.sqrt(2) * health.u_flicker_um}
+    return {INTERPOLATION: interpolation_um(provenance), **{name: u for name, u in seen.items() if u > 0}}
 
 
 def _temperature_um(height_um: float, conditions: Conditions) -> float | None:
@@ -164,10 +173,9 @@ class MeasurementContext:
         calibration = self.surface.provenance.calibration
         return None if calibration is None else calibration.u_mapping_um
 
-    @property
-    def u_interpolation_um(self) -> float:
-        """Standard uncertainty of a height difference due to peak interpolation between frames (k = 1)."""
-        return interpolation_um(self.surface.provenance)
+    def frame_lines(self, factor: float = 1.0) -> Lines:
+        """Return the budget lines of `factor` times a height difference that the frames of its stack cause."""
+        return {name: factor * u_um for name, u_um in frame_lines_um(self.surface.provenance).items()}
 
     def _no_budget(self) -> UStatus:
         return "not evaluated" if self.calibrated else "uncalibrated"

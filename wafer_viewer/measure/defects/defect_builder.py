@@ -122,7 +122,7 @@ def _sizes(
     of_height: Lines = {
         "noise": merged.first.noise_um,
         "z scale": reading.u_z_scale * abs(height_um),
-        "interpolation between frames": reading.u_interpolation_um,
+        **reading.frame_lines(),
     }
     measured = bool(np.isfinite(merged.smooth_um).any()) and n > 0
     return {

@@ -439,6 +439,6 @@ def _length(reading: MeasurementContext, value_um: float, noise_um: float | None
     lines = {
         "z scale": reading.u_z_scale * abs(value_um),
         "noise and form of the tops": noise_um,
-        "interpolation between frames": reading.u_interpolation_um,
+        **reading.frame_lines(),
     }
     return reading.length(value_um, lines)

@@ -234,7 +234,7 @@ def _lines(reading: MeasurementContext, spot: Spot) -> Lines | None:
     return {
         "z scale": reading.u_z_scale * abs(spot.z_um),
         "noise and form round the point": spot.noise_um,
-        "interpolation between frames": reading.u_interpolation_um,
+        **reading.frame_lines(),
     }
 
 
@@ -244,7 +244,7 @@ def _lines_along_z(reading: MeasurementContext, a: Spot, b: Spot) -> Lines | Non
     return {
         "z scale": reading.u_z_scale * abs(b.z_um - a.z_um),
         "noise and form round the points": math.hypot(a.noise_um, b.noise_um),
-        "interpolation between frames": reading.u_interpolation_um,
+        **reading.frame_lines(),
     }
 
 

@@ -204,7 +204,7 @@ def _radius_lines(reading: MeasurementContext, cap: Cap, inliers: HeightSamples,
         "z scale": reading.u_z_scale * cap.radius_um,
         "pixel scale": 2 * reading.u_pixel_scale * cap.radius_um,
         "noise and form of the cap": u_curvature * cap.radius_um**2,
-        "interpolation between frames": reading.u_interpolation_um * cap.radius_um / cap_um,
+        **reading.frame_lines(cap.radius_um / cap_um),
     }
 
 
@@ -218,5 +218,5 @@ def _top_lines(reading: MeasurementContext, cap: Cap, inliers: HeightSamples, ar
         "z scale": reading.u_z_scale * abs(_top_um(cap, around.plane)),
         "noise and form of the cap": u_cap,
         "noise and form of the surroundings": u_plane,
-        "interpolation between frames": reading.u_interpolation_um,
+        **reading.frame_lines(),
     }

@@ -20,7 +20,6 @@ from numpy.typing import NDArray
 from wafer_viewer.measure.base.correlated_errors import Scatter, functional_scatter
 from wafer_viewer.measure.base.height_samples import Floats, Layer
 from wafer_viewer.measure.base.measurement_context import (
-    INTERPOLATION,
     NOISE,
     POSES,
     Lines,
@@ -424,7 +423,6 @@ def _budget(
     of_points = {
         NOISE: plan.times * scatter.widened,
         POSES: poses_u_um(reading.surface, PoseSensitivities(fitted.x_um, fitted.y_um, weight)),
-        INTERPOLATION: reading.u_interpolation_um,
     }
     budget = step_budget(plan.times * fitted.h_um, of_points, conditions, reading.surface.provenance)
     return budget.lines, budget.not_evaluated

@@ -197,5 +197,5 @@ def _lines(reading: MeasurementContext, um3: float, um2: float, noise_um3: float
         "z scale": reading.u_z_scale * um3,
         "pixel scale": 2 * reading.u_pixel_scale * um3,
         "noise and form of the border": noise_um3,
-        "interpolation between frames": reading.u_interpolation_um * um2,
+        **reading.frame_lines(um2),
     }

@@ -14,6 +14,7 @@ from wafer_viewer.model.acquisition.calibration import Calibration
 from wafer_viewer.model.errors import MeasureError
 from wafer_viewer.model.region import Region
 from wafer_viewer.model.spec import Spec
+from wafer_viewer.model.surface.frame_health import FrameHealth
 from wafer_viewer.model.surface.recipe import Recipe
 
 
@@ -93,7 +94,10 @@ ORIGIN_TITLES: dict[Origin, str] = {
 
 
 class Provenance(Spec, frozen=True, kw_only=True):
-    """Provenance of a surface: recipe with the values chosen by ``auto``, calibration, version, input, simulation."""
+    """Provenance of a surface: recipe with the values chosen by ``auto``, calibration, version, input, simulation.
+
+    frame_health: uncertainty of heights from the z and the light of the frames.
+    """
 
     recipe: Recipe = Recipe()
     calibration: Calibration | None = None
@@ -101,6 +105,7 @@ class Provenance(Spec, frozen=True, kw_only=True):
     input_checksum: str = ""
     simulated: bool = False
     z_step_um: float = 0.0
+    frame_health: FrameHealth = FrameHealth()
     notes: tuple[str, ...] = ()
 
 

@@ -89,13 +89,15 @@ class Recipe(Spec, frozen=True, kw_only=True):
 
     focus_measure: a name in `focus_measures`; focus_width_um: full width at half maximum of a focus curve, which sets
     the scale for competing maxima, flanks and edges; drift: correct frames shifted or scaled by more than half a pixel,
-    estimated per field; compare_windows: require agreement with the height from a window twice as wide; edges:
+    estimated per field; flicker: divide frames by their part of the light that
+    changes from frame to frame; compare_windows: require agreement with the height from a window twice as wide; edges:
     treatment of walls between bright and dark heights: unchecked (`none`), required to agree with the surface further
     from the wall (`band`), or searched again along the wall as well (`rims`).
     """
 
     error: ClassVar[type[WaferViewerError]] = ComputeError
     drift: Literal["none", "correct"] = "correct"
+    flicker: Literal["none", "correct"] = "correct"
     focus_measure: FocusMeasureName = "log_laplacian"
     window: Window | Auto = "auto"
     peak: Literal["argmax", "gaussian", "tent", "blur_law"] = "blur_law"
@@ -122,6 +124,7 @@ class Recipe(Spec, frozen=True, kw_only=True):
             window=9,
             peak="argmax",
             drift="none",
+            flicker="none",
             min_confidence=0.0,
             clipped_fraction=1.0,
             compare_windows=False,

@@ -23,6 +23,7 @@ from wafer_viewer.model.errors import ComputeError, MeasureError
 from wafer_viewer.model.region import Region
 from wafer_viewer.model.spec import replace
 from wafer_viewer.model.surface.field_poses import Poses
+from wafer_viewer.model.surface.frame_health import FrameHealth
 from wafer_viewer.model.surface.height_map import HeightMap, Provenance, pixel_window
 from wafer_viewer.model.surface.recipe import Recipe
 from wafer_viewer.numerics.grids.pyramid_level import halve
@@ -189,6 +190,7 @@ def mosaic_provenance(parts: Sequence[Provenance], recipe: Recipe) -> Provenance
         software_version=__version__,
         input_checksum=first.input_checksum if len(parts) == 1 else joint,
         simulated=any(p.simulated for p in parts),
+        frame_health=FrameHealth.worst(*(p.frame_health for p in parts)),
         notes=(*dict.fromkeys(note for p in parts for note in p.notes), *_mixture(parts)),
     )
 

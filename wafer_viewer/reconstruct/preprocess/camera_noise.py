@@ -96,7 +96,9 @@ def estimate_camera_noise(frames: Frames) -> CameraNoise:
     """
     strips = _sample(frames)
     step = _count_step(strips)
-    least = CameraNoise(_white(frames) / NOISE_ESTIMATE.most_electrons, QUANTISATION_COUNTS2 * step**2)
+    least = CameraNoise(
+        _white(frames) / NOISE_ESTIMATE.most_electrons, QUANTISATION_COUNTS2 * max(step, frames.scale) ** 2
+    )
     grey, variance, weight = _levels(_unclipped_cells(strips, frames.clipped_counts))
     if not grey.size:
         return CameraNoise(_white(frames) / NOISE_ESTIMATE.usual_electrons, least.floor_counts2)
@@ -104,18 +106,18 @@ def estimate_camera_noise(frames: Frames) -> CameraNoise:
 
 
 def settled_noise(frames: Frames, noise: Noise) -> Noise:
-    """Replace every `auto` of a recipe's noise by an estimate from the stack."""
+    """Replace every `auto` of a recipe's noise, in counts of the camera, by an estimate from the stack."""
     if "auto" not in (noise.gain_counts, noise.floor_counts2):
         return noise
     found = estimate_camera_noise(frames)
-    gain = found.gain_counts if noise.gain_counts == "auto" else noise.gain_counts
-    floor = found.floor_counts2 if noise.floor_counts2 == "auto" else noise.floor_counts2
+    gain = found.gain_counts / frames.scale if noise.gain_counts == "auto" else noise.gain_counts
+    floor = found.floor_counts2 / frames.scale**2 if noise.floor_counts2 == "auto" else noise.floor_counts2
     return Noise(gain_counts=gain, floor_counts2=floor)
 
 
-def camera_of(noise: Noise) -> CameraNoise:
-    """Return the camera noise of a recipe whose noise is settled."""
-    return CameraNoise(float(noise.gain_counts), float(noise.floor_counts2))
+def camera_of(noise: Noise, scale: float = 1.0) -> CameraNoise:
+    """Return the camera noise of a recipe whose noise is settled, in frames with `scale` counts per count."""
+    return CameraNoise(scale * float(noise.gain_counts), scale**2 * float(noise.floor_counts2))
 
 
 def _sample(frames: Frames) -> Greys:

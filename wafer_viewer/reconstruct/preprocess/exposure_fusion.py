@@ -14,6 +14,7 @@ the stack, else dark and bright areas would differ in height by a part of the z 
 
 from __future__ import annotations
 
+import dataclasses
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from itertools import pairwise
@@ -117,7 +118,8 @@ def z_taps(own_um: NDArray[np.float64], z_um: NDArray[np.float64], slots: NDArra
 class Fusion:
     """Exposures of a stack, the shortest first: images [slot, row, col] and gains relative to the shortest.
 
-    taps: interpolation to the z of the stack, for each exposure that was taken at other z.
+    taps: interpolation to the z of the stack, for each exposure that was taken at other z; order: of the images among
+    the exposures of the stack; flicker: gains of each exposure [slot] relative to their median, empty without flicker.
     """
 
     images: tuple[Image, ...]
@@ -126,6 +128,8 @@ class Fusion:
     white_counts: int
     clipped_counts: int
     taps: tuple[ZTaps | None, ...]
+    order: tuple[int, ...]
+    flicker: tuple[NDArray[np.float32], ...] = ()
 
     @property
     def scale(self) -> float:
@@ -137,20 +141,39 @@ class Fusion:
         """Grey from which a pixel of the fused image counts as clipped."""
         return int(self.scale * (self.clipped_counts - self.black_counts)) - 1
 
+    def with_flicker(self, gains: Sequence[NDArray[np.float64]], slots: NDArray[np.intp]) -> Fusion:
+        """Return the fusion of exposures that flicker: the gains [k] of each, in the order of the stack."""
+        found: list[NDArray[np.float32]] = []
+        for n, taps in zip(self.order, self.taps, strict=True):
+            of_slot = np.ones(len(self.images[0]), np.float32)
+            of_slot[slots] = gains[n]
+            between = (
+                None if taps is None else of_slot[taps.lower] * (1 - taps.weight) + of_slot[taps.upper] * taps.weight
+            )
+            found.append(of_slot if between is None else between)
+        return dataclasses.replace(self, flicker=tuple(found))
+
+    def _gains_at(self, slot: int) -> list[np.float32]:
+        """Return the gain of each exposure in a slot."""
+        steady = [np.float32(gain) for gain in self.gains]
+        if not self.flicker:
+            return steady
+        return [np.float32(gain * of_slot[slot]) for gain, of_slot in zip(steady, self.flicker, strict=True)]
+
     def fused(self, slot: int, read: ReadPart) -> NDArray[np.uint16]:
         """Fuse a part of a slot [row, col] from all exposures."""
         parts = [
             read(images, slot) if taps is None else taps.part(images, slot, read, self.clipped_counts)
             for images, taps in zip(self.images, self.taps, strict=True)
         ]
-        shape = parts[0].shape
+        shape, gains = parts[0].shape, self._gains_at(slot)
         light, gain = np.zeros(shape, np.float32), np.zeros(shape, np.float32)
         knee = np.float32(FADES_FROM * self.clipped_counts)
         fade = np.float32(1 / (self.clipped_counts - knee))
-        for part, of_part in zip(parts[1:], self.gains[1:], strict=True):
-            _add(part, np.float32(self.black_counts), np.float32(of_part), knee, fade, light, gain)
+        for part, of_part in zip(parts[1:], gains[1:], strict=True):
+            _add(part, np.float32(self.black_counts), of_part, knee, fade, light, gain)
         out = np.empty(shape, np.uint16)
-        _finish(parts[0], np.float32(self.black_counts), np.float32(self.scale), light, gain, out)
+        _finish(parts[0], np.float32(self.black_counts), gains[0], np.float32(self.scale), light, gain, out)
         return out
 
 
@@ -174,7 +197,7 @@ def fusion_of(
     black_counts = float(np.clip(np.median(black), 0, EXPOSURE_RATIO.most_black * white_counts)) if black else 0.0
     gains = np.cumprod([1.0, *(pair[0] for pair in pairs)])
     in_order = tuple(images[i] for i in order), tuple(gains.tolist())
-    return Fusion(*in_order, black_counts, white_counts, clipped, tuple(taps[i] for i in order))
+    return Fusion(*in_order, black_counts, white_counts, clipped, tuple(taps[i] for i in order), tuple(order.tolist()))
 
 
 def _cells(images: Image, slots: NDArray[np.intp]) -> Cells:
@@ -237,11 +260,13 @@ def _add(counts: Greys, black: Real, of_part: Real, knee: Real, fade: Real, ligh
 
 
 @kernel
-def _finish(shortest: Greys, black: Real, scale: Real, light: Float32s, gain: Float32s, out: UInt16s) -> None:
+def _finish(
+    shortest: Greys, black: Real, of_shortest: Real, scale: Real, light: Float32s, gain: Float32s, out: UInt16s
+) -> None:
     """Add the shortest exposure, which always counts, and scale to 16 bits."""
     half, none, full = np.float32(0.5), np.float32(0), np.float32(65535)
     for r in range(shortest.shape[0]):
         row, light_row, gain_row, out_row = shortest[r], light[r], gain[r], out[r]
         for x in range(row.size):
-            fused = (light_row[x] + np.float32(row[x]) - black) / (gain_row[x] + np.float32(1)) * scale
+            fused = (light_row[x] + np.float32(row[x]) - black) / (gain_row[x] + of_shortest) * scale
             out_row[x] = np.uint16(np.int32(min(full, max(none, fused + half))))

@@ -22,7 +22,9 @@ from wafer_viewer.model.surface.recipe import Recipe
 from wafer_viewer.numerics.grids.resampling import Taps, resampled
 from wafer_viewer.reconstruct.preprocess.drift import Drift, drift_note, drift_of, measure_displacements
 from wafer_viewer.reconstruct.preprocess.exposure_fusion import Fusion, fusion_of, z_taps
+from wafer_viewer.reconstruct.preprocess.flicker import Flicker, divide_by_gain, fineness, measure_flicker
 from wafer_viewer.reconstruct.preprocess.sensor_faults import Flaws, faulty_frames, find_flaws
+from wafer_viewer.reconstruct.preprocess.torn_frames import torn_frames
 
 CLIPPED_SHARE_OF_WHITE = 0.98
 """Fraction of white from which a pixel counts as clipped: 250 of 255."""
@@ -32,11 +34,20 @@ _SAMPLED_ROWS = 24
 
 
 @dataclass(frozen=True, slots=True, eq=False)
+class FrameFactors:
+    """Factors of the frames that remove flicker, by slot; scale: the corrected counts per count of the camera."""
+
+    factors: NDArray[np.float32]
+    scale: float
+
+
+@dataclass(frozen=True, slots=True, eq=False)
 class Frames:
     """Frames in use: images[index] are at z_um, which rises; pixels are clipped from clipped_counts on.
 
-    pixel_um: on the sample; depth_of_field_um: of the objective, 0 if unknown; fusion, flaws and drift: corrections
-    applied when pixels are read; notes: findings, a sentence each.
+    pixel_um: on the sample; depth_of_field_um: of the objective, 0 if unknown; fusion, flaws, flicker and drift:
+    corrections applied when pixels are read; flicker_rest: standard deviation of what is left of the flicker, as a
+    fraction; notes: findings, a sentence each.
     """
 
     images: Image
@@ -48,6 +59,8 @@ class Frames:
     fusion: Fusion | None = None
     flaws: Flaws | None = None
     drift: Drift | None = None
+    flicker: FrameFactors | None = None
+    flicker_rest: float = 0.0
     notes: tuple[str, ...] = ()
 
     @property
@@ -63,7 +76,8 @@ class Frames:
     @property
     def dtype(self) -> np.dtype[Any]:
         """Data type of `read_block`, in native byte order."""
-        return np.dtype(np.uint16) if self.fusion is not None else self.images.dtype.newbyteorder("=")
+        rescaled = self.fusion is not None or self.flicker is not None
+        return np.dtype(np.uint16) if rescaled else self.images.dtype.newbyteorder("=")
 
     @property
     def as_stored(self) -> bool:
@@ -72,8 +86,21 @@ class Frames:
 
     @property
     def steady(self) -> bool:
-        """True if each pixel comes from the same pixel of one image, or from its neighbours where it is defective."""
-        return self.fusion is None and self.drift is None
+        """True if each pixel is the same pixel of one image, or comes from its neighbours where it is defective."""
+        return self.fusion is None and self.drift is None and self.flicker is None
+
+    @property
+    def scale(self) -> float:
+        """Counts of `read_block` per count of the camera; 1 where exposures are fused."""
+        return 1.0 if self.flicker is None else self.flicker.scale
+
+    def as_stored_counts(self, grey: Image) -> Image:
+        """Return greys of `read_block` in the counts and the type of the images, or of the fused exposures."""
+        if self.flicker is None:
+            return grey
+        kind = self.images.dtype.newbyteorder("=")
+        counts = np.rint(grey / np.float32(self.scale))
+        return np.minimum(counts, np.iinfo(kind).max).astype(kind)
 
     @property
     def _in_complete_rows(self) -> bool:
@@ -120,9 +147,9 @@ class Frames:
 def prepare(stack: FieldStack, recipe: Recipe = Recipe()) -> Frames:
     """Select valid frames in order of rising z and determine the pixel corrections.
 
-    Absent slots, flashes and dead frames are skipped. Raises ComputeError for pixels that are neither uint8 nor uint16,
-    for a z that is not a number, for frames that share a z, for fewer than three frames, and for exposures that cannot
-    be compared.
+    Absent slots, flashes, dead and torn frames are skipped. Raises ComputeError for pixels that are neither uint8 nor
+    uint16, for a z that is not a number, for frames that share a z, for fewer than three frames, and for exposures that
+    cannot be compared.
     """
     if stack.images.dtype.kind != "u" or stack.images.dtype.itemsize > 2:
         raise ComputeError(
@@ -139,7 +166,10 @@ def prepare(stack: FieldStack, recipe: Recipe = Recipe()) -> Frames:
     optics = stack.pixel_um, stack.optical_depth_um
     z_um, notes = np.asarray(stack.z_um, np.float64)[slots], (*_missing(stack, len(present)), *faults)
     frames = Frames(stack.images, _as_slice(slots), z_um, clipped, *optics, notes=notes)
-    frames = _fused(stack, frames, white)
+    corrected = stack.exposures if recipe.flicker == "correct" else ()
+    flickers = [measure_flicker(one.images, slots, white, clipped) for one in corrected]
+    frames = _fused(stack, frames, white, flickers)
+    frames = _without_flicker(frames, flickers, white)
     frames = dataclasses.replace(frames, flaws=find_flaws([e.images for e in stack.exposures], slots, white))
     return frames if recipe.drift == "none" else _with_drift_correction(stack, frames)
 
@@ -198,7 +228,8 @@ def _within(span: tuple[int, int], length: int) -> slice:
 def _pixels(frames: Frames, slot: int, rows: slice, cols: slice) -> Image:
     """Return the pixels [rows, cols] of one slot, with defects replaced and exposures fused."""
     if frames.fusion is None:
-        return _sound(frames.flaws, frames.images, slot, rows, cols)
+        part = _sound(frames.flaws, frames.images, slot, rows, cols)
+        return part if frames.flicker is None else _divided(part, frames.flicker.factors[slot])
     return frames.fusion.fused(slot, lambda images, at: _sound(frames.flaws, images, at, rows, cols))
 
 
@@ -211,7 +242,34 @@ def _sound(flaws: Flaws | None, images: Image, slot: int, rows: slice, cols: sli
     return part
 
 
-def _fused(stack: FieldStack, frames: Frames, white_counts: int) -> Frames:
+def _divided(part: Image, factor: np.float32) -> Image:
+    out = np.empty(part.shape, np.uint16)
+    divide_by_gain(part, factor, out)
+    return out
+
+
+def _without_flicker(frames: Frames, flickers: list[Flicker], white_counts: int) -> Frames:
+    """Return frames that are divided by their gains when they are read, where these differ significantly."""
+    if not flickers:
+        return frames
+    spread, rest = max(f.spread for f in flickers), max(f.rest for f in flickers)
+    frames = dataclasses.replace(frames, flicker_rest=rest)
+    if spread == 0:
+        return frames
+    note = (
+        f"The light flickered by {spread:.1%} from frame to frame (standard deviation): it was divided out, to "
+        f"{max(rest, 1e-4):.2%}. Let the lamp warm up, or trigger it with the camera."
+    )
+    frames = dataclasses.replace(frames, notes=(*frames.notes, note))
+    if frames.fusion is not None:
+        return frames
+    scale, factors = fineness(flickers[0].gains, white_counts), np.ones(len(frames.images), np.float32)
+    factors[frames.slots] = scale / flickers[0].gains
+    clipped = round(scale * frames.clipped_counts)
+    return dataclasses.replace(frames, flicker=FrameFactors(factors, scale), clipped_counts=clipped)
+
+
+def _fused(stack: FieldStack, frames: Frames, white_counts: int, flickers: list[Flicker]) -> Frames:
     """Return frames that fuse all exposures, if there are several."""
     if not stack.brackets:
         return frames
@@ -219,6 +277,8 @@ def _fused(stack: FieldStack, frames: Frames, white_counts: int) -> Frames:
     times_us = tuple(one.exposure_us for one in stack.exposures)
     taps = [z_taps(own_um, stack.z_um, frames.slots) for own_um in stack.exposure_z_um or (stack.z_um,) * len(images)]
     fusion = fusion_of(images, frames.slots, times_us, white_counts, frames.clipped_counts, taps)
+    if any(f.spread > 0 for f in flickers):
+        fusion = fusion.with_flicker([f.gains for f in flickers], frames.slots)
     ratios = ", ".join(f"x{gain:.3g}" for gain in fusion.gains[1:])
     note = f"{len(images)} exposures were fused, the longer ones {ratios} as bright as the shortest."
     clipped = fusion.fused_clipped_counts
@@ -249,6 +309,8 @@ def _sound_slots(
 ) -> tuple[NDArray[np.intp], tuple[str, ...]]:
     """Return the slots without flashes and dead frames, and a sentence for each of those."""
     faults = faulty_frames(stack.exposures, slots, white_counts, clipped_counts)
+    for one in stack.exposures:
+        faults |= torn_frames(one.images, slots[~np.isin(slots, list(faults))], white_counts)
     sound = slots[~np.isin(slots, list(faults))]
     if len(sound) < MIN_FRAMES:
         return slots, ()
