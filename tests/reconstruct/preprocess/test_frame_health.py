@@ -148,3 +148,31 @@ def test_a_slit_of_light_that_is_in_focus_in_one_frame_is_no_fault(make_stack: M
 @pytest.mark.parametrize("seed", range(20, 32))
 def test_bleeding_and_clipped_light_is_no_fault(seed: int):
     assert reported(seen(drawn(seed), (64, 96)).stack) == []
+
+
+def torn(stack: FieldStack, k: int, other: int) -> FieldStack:
+    """The stack with the lower rows of frame k from another frame."""
+    images = stack.images.copy()
+    images[k, 40:] = images[other, 40:]
+    return dataclasses.replace(stack, images=images)
+
+
+@pytest.mark.parametrize(("k", "other"), [(5, 11), (12, 18), (30, 21), (12, 11), (17, 18)])
+def test_a_torn_frame_is_left_out_and_named(sound: FieldStack, k: int, other: int):
+    (note,) = reported(torn(sound, k, other))
+    assert note.startswith(f"Frame {k + 1} of {N_FRAMES} of field 1 is torn")
+
+
+@pytest.mark.parametrize("k", [5, 12, 17])
+def test_a_frame_whose_rows_slipped_is_left_out(sound: FieldStack, k: int):
+    images = sound.images.copy()
+    images[k, 40:] = np.roll(images[k], 6, axis=0)[40:]
+    (note,) = reported(dataclasses.replace(sound, images=images))
+    assert note.startswith(f"Frame {k + 1} of {N_FRAMES}")
+    assert "torn" in note
+
+
+def test_frames_that_tremble_by_a_pixel_are_not_torn(sound: FieldStack):
+    rng = np.random.default_rng(0)
+    images = np.stack([np.roll(frame, int(rng.integers(-1, 2)), axis=0) for frame in sound.images])
+    assert reported(dataclasses.replace(sound, images=images)) == []

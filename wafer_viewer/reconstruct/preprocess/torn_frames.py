@@ -44,17 +44,20 @@ class TearParameters:
         Largest number of frames that share bands with a neighbour; more are a stack without noise.
     most_torn : float
         Largest fraction of torn frames; with more, the differences are the sample's.
+    dark : float
+        Smallest mean grey of a frame relative to the stack: a darker one is dead, not torn.
     """
 
     bands: int = 16
     sampled: tuple[int, int] = (8, 512)
-    least_ratio: float = 2.5
+    least_ratio: float = 3.0
     sound_ratio: float = 1.5
     sharper: float = 1.1
     alike: float = 0.3
     least_share_of_white: float = 0.004
     most_stale: int = 2
     most_torn: float = 0.2
+    dark: float = 0.25
 
 
 TEAR = TearParameters()
@@ -86,6 +89,7 @@ def _torn(images: Image, slots: NDArray[np.intp], white_counts: int) -> list[tup
     ratio = own / np.maximum(across, 1e-6)
     suspect = (ratio > TEAR.least_ratio) & (own > least)
     suspect &= ratio.min(axis=1, keepdims=True) < TEAR.sound_ratio
+    suspect[level[1:-1].mean(axis=(1, 2, 3)) < TEAR.dark * level.mean()] = False
     found = _stale(raw)
     for k in np.flatnonzero(suspect.any(axis=1)):
         torn = [_is_torn(bands[:, b], energy[:, b], int(k) + 1, float(own[k, b])) for b in np.flatnonzero(suspect[k])]

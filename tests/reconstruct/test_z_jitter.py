@@ -1,0 +1,53 @@
+"""z jitter of single frames: seen on tilted ground, told, and in the budget of every height."""
+
+from __future__ import annotations
+
+import dataclasses
+
+import numpy as np
+import pytest
+
+from tests.reconstruct.conftest import MakeStack
+from wafer_viewer.measure.base.measurement_context import FLICKER, Z_JITTER, frame_lines_um
+from wafer_viewer.model.acquisition.focus_stack import FieldStack
+from wafer_viewer.model.surface.frame_health import FrameHealth, jitter_u_um
+from wafer_viewer.model.surface.height_map import HeightMap, Provenance
+from wafer_viewer.model.surface.recipe import Recipe
+from wafer_viewer.reconstruct.blending.stitched_mosaic import mosaic_provenance
+from wafer_viewer.reconstruct.field_pipeline import reconstruct
+
+Z_UM = np.arange(0, 56, 1.5)
+
+
+def tilted(make_stack: MakeStack, seed: int, jitter_um: float) -> FieldStack:
+    rows, cols = np.indices((160, 256))
+    off_um = np.random.default_rng(seed + 50).normal(0, 1, len(Z_UM)) * jitter_um
+    stack = make_stack(8 + 0.16 * cols + 0.02 * rows, Z_UM + off_um, seed=seed, contrast=0.5)
+    return dataclasses.replace(stack, z_um=Z_UM)
+
+
+def u_um(surface: HeightMap) -> float:
+    return surface.provenance.frame_health.u_jitter_um
+
+
+@pytest.mark.parametrize("seed", [1001, 1002])
+def test_jitter_shows_on_tilted_ground_and_is_told(make_stack: MakeStack, seed: int):
+    surface = reconstruct(tilted(make_stack, seed, 0.3), threads=1)
+    expected_um = jitter_u_um(0.3, 1.5, surface.provenance.recipe.focus_width_um / 1.2)
+    assert 0.25 * expected_um < u_um(surface) < 1.5 * expected_um  # a lower bound: the fit absorbs slow deviations
+    assert any("jitters by" in note for note in surface.provenance.notes)
+    assert frame_lines_um(surface.provenance)[Z_JITTER] == pytest.approx(2**0.5 * u_um(surface))
+
+
+@pytest.mark.parametrize("seed", [1001, 1002])
+def test_exact_frames_have_no_jitter(make_stack: MakeStack, seed: int):
+    surface = reconstruct(tilted(make_stack, seed, 0.0), threads=1)
+    assert u_um(surface) == 0
+    assert Z_JITTER not in frame_lines_um(surface.provenance)
+
+
+def test_a_mosaic_has_the_worst_of_its_fields():
+    parts = [Provenance(frame_health=FrameHealth(u_jitter_um=j, u_flicker_um=f)) for j, f in ((0.1, 0.0), (0.0, 0.2))]
+    joint = mosaic_provenance(parts, Recipe()).frame_health
+    assert joint == FrameHealth(u_jitter_um=0.1, u_flicker_um=0.2)
+    assert set(frame_lines_um(mosaic_provenance(parts, Recipe()))) >= {Z_JITTER, FLICKER}
