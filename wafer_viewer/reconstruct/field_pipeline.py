@@ -16,16 +16,17 @@ import numpy as np
 from numpy.typing import NDArray
 
 from wafer_viewer._version import __version__
-from wafer_viewer.model.acquisition.focus_stack import FieldStack
+from wafer_viewer.model.acquisition.focus_stack import FieldStack, Image
 from wafer_viewer.model.acquisition.plan import Field
 from wafer_viewer.model.progress import Progress, silent
 from wafer_viewer.model.surface.frame_health import FrameHealth, flicker_u_um, jitter_u_um
-from wafer_viewer.model.surface.height_map import HeightMap, Origin, Provenance, RefusedHeights
+from wafer_viewer.model.surface.height_map import UNMEASURED_FROM, HeightMap, Origin, Provenance, RefusedHeights
 from wafer_viewer.model.surface.recipe import Recipe
 from wafer_viewer.reconstruct.auto_tuning import TunedRecipe, tune_recipe
 from wafer_viewer.reconstruct.cleaning.clean import clean, mark_filled
 from wafer_viewer.reconstruct.focus.peak import Peaks
 from wafer_viewer.reconstruct.focus.peak_search import search_field, wide_heights
+from wafer_viewer.reconstruct.focus.smooth_depth import SMOOTH_DEPTH, at_smooth_depth
 from wafer_viewer.reconstruct.gates.edge_bleeding import BleedingEdges, find_edges, judge_edges
 from wafer_viewer.reconstruct.gates.edge_bleeding import warm_up as warm_up_edges
 from wafer_viewer.reconstruct.gates.edge_sides import EdgeSide
@@ -249,13 +250,12 @@ def assemble(field: PreparedField, corrected: CorrectedPeaks, cleaned: CleanedHe
     """Return the height map with its layers, position and provenance."""
     stack, peaks = field.stack, corrected.gated.peaks
     health, jitter_note = frame_health(field, cleaned.z_raw_um)
+    picture = field.frames.as_stored_counts(smooth_picture(field, peaks, cleaned))
     return HeightMap(
         z_um=cleaned.z_um,
         z_raw_um=cleaned.z_raw_um,
         confidence=peaks.confidence,
-        all_in_focus=without_shading(
-            field.frames.as_stored_counts(peaks.all_in_focus), stack.shading, field.frames.fusion
-        ),
+        all_in_focus=without_shading(picture, stack.shading, field.frames.fusion),
         origin=cleaned.origin,
         pixel_um=stack.pixel_um,
         x0_um=stack.x0_um,
@@ -272,6 +272,13 @@ def assemble(field: PreparedField, corrected: CorrectedPeaks, cleaned: CleanedHe
         ),
         refused=cleaned.refused,
     )
+
+
+def smooth_picture(field: PreparedField, peaks: Peaks, cleaned: CleanedHeights) -> Image:
+    """Return the all-in-focus image, with a smooth depth where the focus curves hardly exceed noise."""
+    limit = field.tuned.gate.min_contrast + SMOOTH_DEPTH.over_noise
+    blank = (cleaned.origin >= UNMEASURED_FROM) & (peaks.contrast < limit)
+    return at_smooth_depth(peaks.all_in_focus, cleaned.z_um, blank, field.frames)
 
 
 def frame_health(field: PreparedField, z_raw_um: NDArray[np.float32]) -> tuple[FrameHealth, tuple[str, ...]]:
