@@ -32,8 +32,8 @@ class TearParameters:
         Largest number of sampled rows of a band, and of sampled columns.
     least_ratio : float
         Smallest mean square difference from both neighbours, relative to that between the neighbours.
-    sound_ratio : float
-        Largest such ratio of the soundest band of a torn frame.
+    displaced_ratio : float
+        Smallest such ratio of a band that looks like no other frame; trembling by a pixel stays below.
     sharper : float
         Largest focus energy of a displaced band relative to the same rows beside it.
     alike : float
@@ -51,7 +51,7 @@ class TearParameters:
     bands: int = 16
     sampled: tuple[int, int] = (8, 512)
     least_ratio: float = 3.0
-    sound_ratio: float = 1.5
+    displaced_ratio: float = 6.0
     sharper: float = 1.1
     alike: float = 0.3
     least_share_of_white: float = 0.004
@@ -88,12 +88,14 @@ def _torn(images: Image, slots: NDArray[np.intp], white_counts: int) -> list[tup
     own = np.minimum(off[1:], off[:-1])
     ratio = own / np.maximum(across, 1e-6)
     suspect = (ratio > TEAR.least_ratio) & (own > least)
-    suspect &= ratio.min(axis=1, keepdims=True) < TEAR.sound_ratio
     suspect[level[1:-1].mean(axis=(1, 2, 3)) < TEAR.dark * level.mean()] = False
     found = _stale(raw)
     for k in np.flatnonzero(suspect.any(axis=1)):
-        torn = [_is_torn(bands[:, b], energy[:, b], int(k) + 1, float(own[k, b])) for b in np.flatnonzero(suspect[k])]
-        if any(torn):
+        torn = [
+            _is_torn(bands[:, b], energy[:, b], int(k) + 1, float(own[k, b]), float(ratio[k, b]))
+            for b in np.flatnonzero(suspect[k])
+        ]
+        if 0 < sum(torn) < bands.shape[1]:
             found[int(k) + 1] = sum(torn) / bands.shape[1]
     return sorted(found.items())
 
@@ -123,9 +125,9 @@ def _jump(raw: Floats, near: int, far: int) -> float:
     return float(np.mean((raw[near] - raw[far]) ** 2) / max(1e-6, np.mean((raw[far] - raw[beyond]) ** 2)))
 
 
-def _is_torn(band: Floats, energy: Floats, k: int, off: float) -> bool:
+def _is_torn(band: Floats, energy: Floats, k: int, off: float, ratio: float) -> bool:
     """Return whether a band of frame k is no sharper than beside it, or looks like another frame."""
-    if energy[k] <= TEAR.sharper * max(energy[k - 1], energy[k + 1]):
+    if ratio > TEAR.displaced_ratio and energy[k] <= TEAR.sharper * max(energy[k - 1], energy[k + 1]):
         return True
     others = np.delete(np.arange(len(band)), (k - 1, k, k + 1))
     return bool(others.size) and float(_mean_square(band[others], band[k]).min()) < TEAR.alike * off
