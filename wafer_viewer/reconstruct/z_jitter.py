@@ -14,6 +14,8 @@ from itertools import combinations
 import numpy as np
 from numpy.typing import NDArray
 
+from wafer_viewer.numerics.normal_statistics import MAD_TO_SIGMA
+
 Floats = NDArray[np.float64]
 
 
@@ -111,11 +113,12 @@ def _profile(z_um: Floats, bin_um: float, n_bins: int, depth_um: float) -> Float
         return None
     design = np.stack([np.ones_like(x), x, y, x * x, x * y, y * y], axis=1)
     keep = np.ones(len(x), np.bool_)
+    fitted, residual, spread = height, height, np.inf
     for _ in range(3):
         coefficients = np.linalg.lstsq(design[keep], height[keep], rcond=None)[0]
         fitted = design @ coefficients
         residual = height - fitted
-        spread = 1.4826 * float(np.median(np.abs(residual)))
+        spread = MAD_TO_SIGMA * float(np.median(np.abs(residual)))
         keep = np.abs(residual) <= 4 * spread
     if spread > Z_JITTER.most_residual * depth_um:
         return None

@@ -39,6 +39,7 @@ class SmoothDepthParameters:
 
 SMOOTH_DEPTH = SmoothDepthParameters()
 _ROWS = 64
+"""Rows of the image that are read together."""
 
 
 def at_smooth_depth(picture: Image, z_um: Floats, without: NDArray[np.bool_], frames: Frames) -> Image:

@@ -32,8 +32,10 @@ class TearParameters:
         Largest number of sampled rows of a band, and of sampled columns.
     least_ratio : float
         Smallest mean square difference from both neighbours, relative to that between the neighbours.
-    displaced_ratio : float
-        Smallest such ratio of a band that looks like no other frame; trembling by a pixel stays below.
+    clear_ratio : float
+        Such a ratio of a single band makes a frame torn; trembling by a pixel stays below.
+    enough_bands : int
+        Smallest number of torn bands of a frame without such a band.
     sharper : float
         Largest focus energy of a displaced band relative to the same rows beside it.
     alike : float
@@ -51,7 +53,8 @@ class TearParameters:
     bands: int = 16
     sampled: tuple[int, int] = (8, 512)
     least_ratio: float = 3.0
-    displaced_ratio: float = 6.0
+    clear_ratio: float = 6.0
+    enough_bands: int = 3
     sharper: float = 1.1
     alike: float = 0.3
     least_share_of_white: float = 0.004
@@ -91,12 +94,10 @@ def _torn(images: Image, slots: NDArray[np.intp], white_counts: int) -> list[tup
     suspect[level[1:-1].mean(axis=(1, 2, 3)) < TEAR.dark * level.mean()] = False
     found = _stale(raw)
     for k in np.flatnonzero(suspect.any(axis=1)):
-        torn = [
-            _is_torn(bands[:, b], energy[:, b], int(k) + 1, float(own[k, b]), float(ratio[k, b]))
-            for b in np.flatnonzero(suspect[k])
-        ]
-        if 0 < sum(torn) < bands.shape[1]:
-            found[int(k) + 1] = sum(torn) / bands.shape[1]
+        torn = [b for b in np.flatnonzero(suspect[k]) if _is_torn(bands[:, b], energy[:, b], int(k) + 1, own[k, b])]
+        clear = len(torn) >= TEAR.enough_bands or bool(np.any(ratio[k, torn] > TEAR.clear_ratio))
+        if clear and len(torn) < bands.shape[1]:
+            found[int(k) + 1] = len(torn) / bands.shape[1]
     return sorted(found.items())
 
 
@@ -111,9 +112,9 @@ def _stale(raw: Floats) -> dict[int, float]:
     if len(pairs) > TEAR.most_stale or len(pairs) < np.count_nonzero(same.any(axis=1)):
         return {}
     found: dict[int, float] = {}
-    for k in pairs:
+    for k in pairs.tolist():
         before, after = (_jump(raw[:, same[k]], near, far) for near, far in ((k, k - 1), (k + 1, k + 2)))
-        found[int(k) if before > after else int(k) + 1] = float(same[k].mean())
+        found[k if before > after else k + 1] = float(same[k].mean())
     return found
 
 
@@ -125,9 +126,9 @@ def _jump(raw: Floats, near: int, far: int) -> float:
     return float(np.mean((raw[near] - raw[far]) ** 2) / max(1e-6, np.mean((raw[far] - raw[beyond]) ** 2)))
 
 
-def _is_torn(band: Floats, energy: Floats, k: int, off: float, ratio: float) -> bool:
+def _is_torn(band: Floats, energy: Floats, k: int, off: float) -> bool:
     """Return whether a band of frame k is no sharper than beside it, or looks like another frame."""
-    if ratio > TEAR.displaced_ratio and energy[k] <= TEAR.sharper * max(energy[k - 1], energy[k + 1]):
+    if energy[k] <= TEAR.sharper * max(energy[k - 1], energy[k + 1]):
         return True
     others = np.delete(np.arange(len(band)), (k - 1, k, k + 1))
     return bool(others.size) and float(_mean_square(band[others], band[k]).min()) < TEAR.alike * off
