@@ -45,7 +45,7 @@ class ZJitterParameters:
         Factor for the jitter that the fit absorbs, from simulated planes.
     """
 
-    sampled_px: int = 1 << 18
+    sampled_px: int = 1 << 17
     per_step: int = 5
     least_depths: float = 3.0
     least_fill: float = 0.3
@@ -115,7 +115,8 @@ def _profile(z_um: Floats, bin_um: float, n_bins: int, depth_um: float) -> Float
     keep = np.ones(len(x), np.bool_)
     fitted, residual, spread = height, height, np.inf
     for _ in range(3):
-        coefficients = np.linalg.lstsq(design[keep], height[keep], rcond=None)[0]
+        used = design[keep]
+        coefficients = np.linalg.lstsq(used.T @ used, used.T @ height[keep], rcond=None)[0]
         fitted = design @ coefficients
         residual = height - fitted
         spread = MAD_TO_SIGMA * float(np.median(np.abs(residual)))

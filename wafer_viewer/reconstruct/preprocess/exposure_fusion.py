@@ -150,7 +150,7 @@ class Fusion:
             between = (
                 None if taps is None else of_slot[taps.lower] * (1 - taps.weight) + of_slot[taps.upper] * taps.weight
             )
-            found.append(of_slot if between is None else between)
+            found.append(of_slot if between is None else between.astype(np.float32))
         return dataclasses.replace(self, flicker=tuple(found))
 
     def _gains_at(self, slot: int) -> list[np.float32]:

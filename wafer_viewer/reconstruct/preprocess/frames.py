@@ -98,8 +98,8 @@ class Frames:
         """Return greys of `read_block` in the counts and the type of the images, or of the fused exposures."""
         if self.flicker is None:
             return grey
-        kind = self.images.dtype.newbyteorder("=")
-        counts = np.rint(grey / np.float32(self.scale))
+        kind: Any = self.images.dtype.newbyteorder("=")
+        counts: Any = np.rint(grey / np.float32(self.scale))
         return np.minimum(counts, np.iinfo(kind).max).astype(kind)
 
     @property
