@@ -15,6 +15,7 @@ from wafer_viewer.model.surface.height_map import Origin
 from wafer_viewer.model.surface.recipe import Recipe
 from wafer_viewer.reconstruct.cleaning.clean import settle_cleaning
 from wafer_viewer.reconstruct.focus.peak import Peaks
+from wafer_viewer.reconstruct.focus.peak_centring import LEAST_SIGMA
 from wafer_viewer.reconstruct.focus.peak_search import Search, ThreadScratch, coarse_step, search_part
 from wafer_viewer.reconstruct.gates.edge_bleeding import EdgeSearch, edge_search_for
 from wafer_viewer.reconstruct.gates.edge_sides import STANDING_GAPS
@@ -34,6 +35,8 @@ REACH_WIDTHS = 0.55
 """Distance from a peak to its interpolation points, in widths of the focus curve."""
 BLEND_WIDTHS = 0.33
 """Averaging distance along z before interpolation, in widths of the focus curve."""
+SIGMA_WIDTHS = 0.8
+"""Standard deviation of the window of a centred peak, in widths of the curve of a measure of power 1."""
 FLOOR_WIDTHS = 5.0
 """A sweep at least this many focus-curve widths long reaches the noise floor of the curve."""
 
@@ -178,8 +181,10 @@ def search_of(recipe: Recipe, n_frames: int, step_um: float, scale: float = 1.0)
     reach = int(np.clip(round(REACH_WIDTHS * width), 1, gap))
     blend = max(1, round(BLEND_WIDTHS * width)) if n_frames >= LEAST_FRAMES else 0
     floored = n_frames >= max(LEAST_FRAMES, FLOOR_WIDTHS * width)
+    sigma = max(LEAST_SIGMA, SIGMA_WIDTHS * width / focus_measures()[recipe.focus_measure].power ** 0.5)
     camera = camera_of(recipe.noise, scale)
-    return Search(recipe.focus_measure, int(recipe.window), recipe.peak, gap, reach, blend, floored, camera)
+    window = int(recipe.window)
+    return Search(recipe.focus_measure, window, recipe.peak, gap, reach, blend, floored, camera, sigma=sigma)
 
 
 def _coverage(frames: Frames, recipe: Recipe) -> float:

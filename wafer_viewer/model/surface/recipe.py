@@ -100,7 +100,7 @@ class Recipe(Spec, frozen=True, kw_only=True):
     flicker: Literal["none", "correct"] = "correct"
     focus_measure: FocusMeasureName = "log_laplacian"
     window: Window | Auto = "auto"
-    peak: Literal["argmax", "gaussian", "tent", "blur_law"] = "blur_law"
+    peak: Literal["argmax", "gaussian", "tent", "blur_law", "centred"] = "centred"
     focus_width_um: Positive | Auto = "auto"
     min_confidence: Annotated[float, Within(0, 1)] | Auto = "auto"
     clipped_fraction: Annotated[float, Within(0, 1)] = 0.3

@@ -1,8 +1,8 @@
 """Peak position of each pixel along z, with sub-frame interpolation, and its score.
 
-A Gaussian through three points is a parabola in the logarithm, a tent has straight flanks; both are biased towards or
-away from the nearest frame by up to a twentieth of a step. The blur law is unbiased: the variance of the blur is a
-parabola in z, and the focus measure is a known power of it once the noise floor of the curve is subtracted.
+Most estimators take three points. A Gaussian is a parabola in the logarithm, a tent has straight flanks, and the blur
+law makes the variance of the blur a parabola in z; all are biased towards or away from the nearest frame by up to a
+twentieth of a step (`tests/bench/bench_phase.py`). The centred peak takes all frames of a curve's top.
 
 All values of the focus volume are logarithms (base 2).
 """
@@ -31,8 +31,9 @@ from wafer_viewer.numerics.jit import (
     lean_part,
 )
 from wafer_viewer.reconstruct.focus.focus_volume import COARSE_PX, StackSource
+from wafer_viewer.reconstruct.focus.peak_centring import CentringWindow, centre_row, modulations
 
-_ARGMAX, _GAUSSIAN, _TENT, _BLUR_LAW = 0, 1, 2, 3
+_ARGMAX, _GAUSSIAN, _TENT, _BLUR_LAW, _CENTRED = 0, 1, 2, 3, 4
 """Codes of the estimators, for the kernels."""
 
 _LEAST_SHARE = 0.02
@@ -62,6 +63,7 @@ PEAKS: dict[str, PeakEstimator] = {
     "gaussian": PeakEstimator(_GAUSSIAN, "Gaussian through three points", "Nayar and Nakagawa 1994"),
     "tent": PeakEstimator(_TENT, "Symmetric tent through three points", "flanks of equal slope on log focus"),
     "blur_law": PeakEstimator(_BLUR_LAW, "Parabola of the blur's variance", "sigma^2 = s0^2 + (c z)^2", blended=True),
+    "centred": PeakEstimator(_CENTRED, "Top of the smoothed focus curve", "mean shift, Comaniciu and Meer 2002"),
 }
 
 
@@ -84,7 +86,7 @@ class InterpolationScratch(NamedTuple):
     """Scratch rows for peak interpolation: rival and lowest level, and z and log2 of focus at three frames.
 
     floor: log2 of the focus where the curve is lowest. bits, table: the number of fraction bits of a level, and their
-    contribution to log2.
+    contribution to log2. modulation: focus^0.4 of every level.
     """
 
     bits: int
@@ -98,13 +100,14 @@ class InterpolationScratch(NamedTuple):
     right: Float64s
     floor: Float64s
     table: Float32s
+    modulation: Float32s
 
     @classmethod
     def make(cls, cols: int, table: Float32s) -> InterpolationScratch:
         """Allocate rows of `cols` pixels for levels whose lower bits `table` decodes."""
         shorts = (aligned((cols,), np.uint16) for _ in range(2))
         reals = (aligned((cols,), np.float64) for _ in range(7))
-        return cls(table.size.bit_length() - 1, *shorts, *reals, table=table)
+        return cls(table.size.bit_length() - 1, *shorts, *reals, table=table, modulation=modulations(table.tobytes()))
 
 
 @lean_kernel
@@ -294,6 +297,7 @@ def describe(
     source: StackSource,
     z_um: Float64s,
     how: PeakInterpolation,
+    window: CentringWindow,
     spots: InterpolationScratch,
     out: PeakScores,
 ) -> None:
@@ -303,12 +307,29 @@ def describe(
         _find_rivals(curves.levels, y, how.gap, curves.peak[y], spots.rival, spots.least)
         gather(curves, y, z_um, how, spots)
         _score(curves, y, how.gap, spots, out)
-        if how.blend:
-            gather_blended(curves, y, z_um, how, spots)
-        place_row(how, spots, out.z_um[y])
+        place_peaks(curves, y, z_um, how, window, spots, out.z_um[y])
         row = source.top + y
         for x in range(cols):
             out.all_in_focus[y, x] = source.images[source.slots[curves.peak[y, x]], row, source.left + x]
+
+
+@inlined_part
+def place_peaks(
+    curves: FocusCurves,
+    y: Int,
+    z_um: Float64s,
+    how: PeakInterpolation,
+    window: CentringWindow,
+    spots: InterpolationScratch,
+    found_um: Float32s,
+) -> None:
+    """Place the peaks of row y, whose three points are gathered."""
+    if how.estimator == _CENTRED:
+        centre_row(curves.levels, curves.peak[y], y, z_um, window, spots.modulation, found_um)
+    else:
+        if how.blend:
+            gather_blended(curves, y, z_um, how, spots)
+        place_row(how, spots, found_um)
 
 
 @inlined_part

@@ -14,7 +14,7 @@ from __future__ import annotations
 import queue
 from collections.abc import Callable, Iterator
 from concurrent.futures import ThreadPoolExecutor
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import lru_cache
 from typing import Any
 
@@ -55,9 +55,9 @@ from wafer_viewer.reconstruct.focus.peak import (
     Peaks,
     describe,
     gather,
-    gather_blended,
-    place_row,
+    place_peaks,
 )
+from wafer_viewer.reconstruct.focus.peak_centring import LEAST_SIGMA, CentringWindow
 from wafer_viewer.reconstruct.preprocess.camera_noise import CameraNoise
 from wafer_viewer.reconstruct.preprocess.frames import Frames
 
@@ -72,7 +72,8 @@ class Search:
     gap: minimum distance of a rival maximum from the peak, in frames; reach: frames from the peak to the two
     interpolation points, half a width of the focus curve, because neighbours in a finer sweep differ by noise alone;
     blend: averaging distance along z before interpolation, no average where it is 0; floored: True if the lowest level
-    is the noise floor. camera, lag: camera noise and high-pass along z, for the measures that use them.
+    is the noise floor; sigma: standard deviation of the window of a centred peak, in steps. camera, lag: camera noise
+    and high-pass along z, for the measures that use them.
     """
 
     measure: str
@@ -84,6 +85,7 @@ class Search:
     floored: bool = False
     camera: CameraNoise = USUAL_CAMERA
     lag: int = 0
+    sigma: float = LEAST_SIGMA
 
     @property
     def margin_px(self) -> int:
@@ -190,7 +192,8 @@ def find_peaks(
     out: Peaks,
 ) -> None:
     """Compute the peaks of measured frames and store them in `out`."""
-    describe(curves, source, z_um, search.placing, spots, out.scores)
+    window = CentringWindow.of(z_um, search.sigma)
+    describe(curves, source, z_um, search.placing, window, spots, out.scores)
     out.at_end[:] = (curves.peak == 0) | (curves.peak == len(z_um) - 1)
 
 
@@ -243,7 +246,8 @@ class NoiseScores:
 
 def noise_scores(search: Search, n_frames: int) -> NoiseScores:
     """Return the scores on a fixed patch of white noise of `n_frames` frames."""
-    return _noise_scores(replace(search, camera=_CAMERA), n_frames)
+    scored = Search(search.measure, search.window, "argmax", search.gap, camera=_CAMERA, lag=search.lag)
+    return _noise_scores(scored, n_frames)
 
 
 @lru_cache(maxsize=64)
@@ -319,6 +323,7 @@ def wide_heights(
         line,
         np.asarray(z_um, np.float64),
         search.placing._replace(floored=False),
+        CentringWindow.of(np.asarray(z_um, np.float64), search.sigma),
         curves,
         spots,
         out,
@@ -334,6 +339,7 @@ def _search_rows(
     line: Int32s,
     z_um: Float64s,
     how: PeakInterpolation,
+    window: CentringWindow,
     curves: FocusCurves,
     spots: InterpolationScratch,
     out: Float32s,
@@ -345,11 +351,8 @@ def _search_rows(
         for k in range(coarse.shape[0]):
             _average(coarse, k, y, cells, line, curves.levels[k, 0])
             note(curves.levels[k, 0], np.uint16(k), curves.best[0], curves.peak[0])
-        if how.blend:
-            gather_blended(curves, only, z_um, how, spots)
-        else:
-            gather(curves, only, z_um, how, spots)
-        place_row(how, spots, out[y])
+        gather(curves, only, z_um, how, spots)
+        place_peaks(curves, only, z_um, how, window, spots, out[y])
 
 
 @inlined_part

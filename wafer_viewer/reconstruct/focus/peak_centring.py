@@ -1,0 +1,269 @@
+"""Centred peaks: a Gaussian window that moves along z until the focus in it is centred.
+
+The estimate is the top of the focus curve smoothed by the window (mean shift, [1]_), or what comes to the same in an
+even sweep, the vertex of a local least-squares parabola. Three points of a curve tie a peak
+to whole frames, by up to a twentieth of a step; here all frames in the window count, and the window moves with the
+estimate, so nothing jumps half way between two frames. Sums over frames are integrals as long as the curve has little
+power at one period a frame, which holds to about one depth of field a step because the transfer of a lens is
+band-limited: the phase of the frames drops out.
+
+References
+----------
+.. [1] D. Comaniciu, P. Meer, Mean shift: a robust approach toward feature space analysis, IEEE Trans. Pattern Anal.
+   Mach. Intell. 24 (2002) 603.
+"""
+
+from __future__ import annotations
+
+from functools import lru_cache
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from wafer_viewer.numerics.jit import (
+    Float32s,
+    Float64s,
+    Int,
+    Int64s,
+    Real,
+    UInt16s,
+    aligned,
+    inline_kernel,
+    inlined_part,
+    lean_part,
+)
+
+LEAST_SIGMA = 0.8
+"""Least standard deviation of the window, in steps: one of 0.7 or of 1 is worse where frames are far apart."""
+_LANES = 64
+"""Pixels whose peaks are centred at the same time."""
+_REACH_SIGMAS = 3.5
+"""Reach of the window in standard deviations: at 3 its edge shows in the phase of the frames."""
+_SLACK = 1.0
+"""Largest distance of an estimate from the frame that its taps surround, in steps."""
+_LARGEST_MOVE, _BLIND_MOVE = 0.7, 0.5
+"""Largest move of a window, and that where the curve bends upwards, in standard deviations."""
+_TURNS, _STANDING = 5, 0.02
+"""Most moves of a window, and the move after which it stands, in steps: the next is of the order of its cube."""
+_EVEN = 1e-6
+"""Largest difference of the steps of an even sweep, in steps."""
+_FLAT = 1e-5
+"""Fraction of the focus below which slopes and bends are rounding."""
+
+_MODULATION_POWER = 0.4
+"""Power of the focus that is about the modulation of the image: 0.3 to 0.5 serve alike, 0 and 1 do not."""
+_PER_OCTAVE = np.float32(1.4426950408889634)
+"""1 / ln 2."""
+_LN2 = np.float32(np.log(2))
+_ROUNDER = np.float32(1.5 * 2.0**23)
+"""A float32 this large has no fraction bits; its lowest mantissa bits hold an integer."""
+
+
+@lru_cache(maxsize=4)
+def modulations(table: bytes) -> Float32s:
+    """Return focus^0.4 of all levels whose lower bits `table`, the bytes of float32, decodes; float32 [65536]."""
+    fraction = np.frombuffer(table, np.float32).astype(np.float64)
+    octaves = np.arange(2**16 // fraction.size)[:, None] + fraction
+    return np.exp2(_MODULATION_POWER * octaves).astype(np.float32).ravel()
+
+
+class CentringWindow(NamedTuple):
+    """Gaussian window of the centred peak: its taps around every frame, and work space for `_LANES` pixels.
+
+    step_um: unit of all distances, the median step; sigma: standard deviation in steps; distance, weight: float32
+    [frame, tap], distance of a tap from the frame, and its Gaussian weight times the share of z that it stands for, 0
+    outside of the stack; even: the same for all frames, so that `taps` holds them already. at: frame that the taps
+    surround; shift: estimate as a distance from it; moved: its last move; lowest, highest: distances of the ends of the
+    stack; taps: float32 [distance, weight, modulation][tap, pixel]; sums: float32 [sum, pixel], of weight times the
+    powers 0 to 4 of the distance from the estimate, then of weight and modulation times the powers 0 to 2.
+    """
+
+    step_um: float
+    sigma: float
+    even: bool
+    distance: Float32s
+    weight: Float32s
+    at: Int64s
+    shift: Float32s
+    moved: Float32s
+    lowest: Float32s
+    highest: Float32s
+    taps: Float32s
+    sums: Float32s
+
+    @classmethod
+    def of(cls, z_um: NDArray[np.float64], sigma: float) -> CentringWindow:
+        """Return the window for frames at `z_um`, with taps that cover its reach from every frame."""
+        n, step_um = len(z_um), float(np.median(np.diff(z_um)))
+        reach_um = (_REACH_SIGMAS * sigma + _SLACK) * step_um * (1 + 1e-9)
+        first, stop = (np.searchsorted(z_um, z_um + way * reach_um, side) for way, side in ((-1, "left"), (1, "right")))
+        half = int(max(np.max(np.arange(n) - first), np.max(stop - 1 - np.arange(n))))
+        frame = np.arange(n)[:, None] + np.arange(-half, half + 1)
+        inside, nearest = (frame >= 0) & (frame < n), frame.clip(0, n - 1)
+        distance = (z_um[nearest] - z_um[:, None]) / step_um
+        share = (np.diff(z_um, prepend=2 * z_um[0] - z_um[1]) + np.diff(z_um, append=2 * z_um[-1] - z_um[-2])) / 2
+        weight = np.where(inside, share[nearest] / step_um * np.exp(-(distance**2) / (2 * sigma**2)), 0.0)
+        even = bool(np.ptp(np.diff(z_um)) < _EVEN * step_um)
+        taps = aligned((3, 2 * half + 1, _LANES), np.float32)
+        if even:
+            d = np.arange(-half, half + 1)[:, None]
+            taps[0], taps[1] = d, np.exp(-(d**2) / (2 * sigma**2))
+        return cls(
+            step_um,
+            sigma,
+            even,
+            distance.astype(np.float32),
+            weight.astype(np.float32),
+            aligned((_LANES,), np.int64),
+            *(aligned((_LANES,), np.float32) for _ in range(4)),
+            taps,
+            aligned((8, _LANES), np.float32),
+        )
+
+
+@inlined_part
+def centre_row(
+    levels: UInt16s,
+    best: UInt16s,
+    y: Int,
+    z_um: Float64s,
+    window: CentringWindow,
+    modulation: Float32s,
+    found_um: Float32s,
+) -> None:
+    """Centre the peaks of row y of a focus volume, levels [k, row, col], from the best frames `best` [col]."""
+    for start in range(0, found_um.size, _LANES):
+        _begin(best, start, z_um, window)
+        for turn in range(_TURNS):
+            if turn == 0 or _surround(z_um, window):
+                _take_taps(levels, y, start, window, modulation)
+            _sum_taps(window)
+            if _move(window) < _STANDING:
+                break
+        for i in range(min(_LANES, found_um.size - start)):
+            found_um[start + i] = z_um[window.at[i]] + window.shift[i] * window.step_um
+
+
+@lean_part
+def _begin(best: UInt16s, start: Int, z_um: Float64s, window: CentringWindow) -> None:
+    for i in range(_LANES):
+        _surround_by(np.int64(best[min(start + i, best.size - 1)]), i, z_um, window)
+        window.shift[i], window.moved[i] = 0, _STANDING
+
+
+@inline_kernel
+def _surround_by(k: Int, i: Int, z_um: Float64s, window: CentringWindow) -> None:
+    """Let the taps of pixel i surround frame k."""
+    window.at[i] = k
+    window.lowest[i] = (z_um[0] - z_um[k]) / window.step_um
+    window.highest[i] = (z_um[z_um.size - 1] - z_um[k]) / window.step_um
+
+
+@lean_part
+def _surround(z_um: Float64s, window: CentringWindow) -> bool:
+    """Surround estimates that have left their frame by the taps of the nearest one; return whether there are any."""
+    changed = False
+    for i in range(_LANES):
+        if abs(window.shift[i]) > _SLACK:
+            k = window.at[i]
+            at_um = z_um[k] + window.shift[i] * window.step_um
+            while k > 0 and at_um < 0.5 * (z_um[k - 1] + z_um[k]):
+                k -= 1
+            while k < z_um.size - 1 and at_um > 0.5 * (z_um[k] + z_um[k + 1]):
+                k += 1
+            _surround_by(k, i, z_um, window)
+            window.shift[i] = (at_um - z_um[k]) / window.step_um
+            changed = True
+    return changed
+
+
+@lean_part
+def _take_taps(levels: UInt16s, y: Int, start: Int, window: CentringWindow, modulation: Float32s) -> None:
+    """Gather the taps of all pixels: distance, weight and modulation."""
+    last_x, last_k = levels.shape[2] - 1, levels.shape[0] - 1
+    n_taps = window.taps.shape[1]
+    for j in range(n_taps):
+        focus = window.taps[2, j]
+        for i in range(_LANES):
+            k = min(max(window.at[i] + j - n_taps // 2, 0), last_k)
+            focus[i] = modulation[levels[k, y, min(start + i, last_x)]]
+    if not window.even:
+        for j in range(n_taps):
+            for i in range(_LANES):
+                window.taps[0, j, i] = window.distance[window.at[i], j]
+                window.taps[1, j, i] = window.weight[window.at[i], j]
+
+
+@lean_part
+def _sum_taps(window: CentringWindow) -> None:
+    """Sum weights and weighted modulations of all pixels, times powers of the distance from the estimate.
+
+    A Gaussian about the estimate is one about the frame times an exponential, up to a factor that cancels. Near an end
+    of the stack the window is cut at the same distance on both sides, so that a symmetric curve keeps its middle.
+    """
+    f = np.float32
+    zero, one = f(0), f(1)
+    window.sums[:] = 0
+    p0, p1, p2, p3, p4 = window.sums[0], window.sums[1], window.sums[2], window.sums[3], window.sums[4]
+    v0, v1, v2 = window.sums[5], window.sums[6], window.sums[7]
+    shift, lowest, highest = window.shift, window.lowest, window.highest
+    rate = f(_PER_OCTAVE / window.sigma**2)
+    for j in range(window.taps.shape[1]):
+        distance, weight, focus = window.taps[0, j], window.taps[1, j], window.taps[2, j]
+        for i in range(_LANES):
+            d, t, v = distance[i], shift[i], focus[i]
+            u = d - t
+            room = one + min(t - lowest[i], highest[i] - t)
+            g = weight[i] * min(max(room - abs(u), zero), one) * _quick_exp2(d * t * rate)
+            gu = g * u
+            guu = gu * u
+            p0[i] += g
+            p1[i] += gu
+            p2[i] += guu
+            p3[i] += guu * u
+            p4[i] += guu * u * u
+            v0[i] += g * v
+            v1[i] += gu * v
+            v2[i] += guu * v
+
+
+@lean_part
+def _move(window: CentringWindow) -> Real:
+    """Move all windows to the vertex of the parabola that fits best in them; return the largest move in steps.
+
+    In an even sweep this is a step of Newton towards the centre of gravity; where distances vary, the parabola allows
+    for it. A window that stands is left alone, so that no pixel depends on those beside it.
+    """
+    f = np.float32
+    shift, moved, sums, standing = window.shift, window.moved, window.sums, f(_STANDING)
+    most, blind = f(_LARGEST_MOVE * window.sigma), f(_BLIND_MOVE * window.sigma)
+    flat, zero, one, two = f(_FLAT * window.sigma**4), f(0), f(1), f(2)
+    largest = zero
+    for i in range(_LANES):
+        t, p1, p2 = shift[i], sums[1, i], sums[2, i]
+        per_weight = one / (sums[0, i] if sums[0, i] > 0 else one)
+        mean = sums[5, i] * per_weight
+        y1, y2 = sums[6, i] - mean * p1, sums[7, i] - mean * p2
+        s11, s12, s22 = p2 - p1 * p1 * per_weight, sums[3, i] - p1 * p2 * per_weight, sums[4, i] - p2 * p2 * per_weight
+        bend, slope = two * (y1 * s12 - y2 * s11), y1 * s22 - y2 * s12
+        least = flat * sums[5, i]
+        bends = bend > least
+        ahead = blind if slope > least else (-blind if slope < -least else zero)
+        move = slope / (bend if bends else one) if bends else ahead
+        found = min(max(t + min(max(move, -most), most), window.lowest[i]), window.highest[i])
+        found = found if abs(moved[i]) >= standing else t
+        shift[i], moved[i] = found, found - t
+        largest = max(largest, abs(moved[i]))
+    return largest
+
+
+@inline_kernel
+def _quick_exp2(exponent: Real) -> Real:
+    """Return 2^exponent of a small float32 to five digits: the Taylor series about the nearest integer."""
+    f = np.float32
+    shifted = exponent + _ROUNDER
+    t = (exponent - (shifted - _ROUNDER)) * _LN2
+    series = f(1) + t * (f(1) + t * (f(1 / 2) + t * (f(1 / 6) + t * (f(1 / 24) + t * f(1 / 120)))))
+    power = np.int32(np.float32(shifted).view(np.int32) << np.int32(23))
+    return np.int32(power + np.float32(series).view(np.int32)).view(np.float32)
