@@ -91,6 +91,16 @@ def test_whole_frames_are_less_certain_than_peaks_between_them():
     assert abs(step.height.value_um - 8.0) < 1e-6
 
 
+@pytest.mark.parametrize(("width_um", "per_step"), [(8.0, 0.003), (6.4, 0.006), (4.8, 0.0295), (1.0, 0.045)])
+def test_coarser_steps_in_depths_of_field_are_less_certain(width_um, per_step):
+    z = np.where(np.arange(400) < 200, 8.0, 0.0) * np.ones((200, 1))
+    recipe = Recipe(focus_width_um=width_um)
+    surface = surface_of(z, calibration=calibration(), recipe=recipe, z_step_um=4.0)
+    step = step_height(surface, Region.rectangle(-90, -40, -10, 40), Region.rectangle(10, -40, 90, 40))
+    um = budget_of(step)["interpolation between frames"]
+    assert um == pytest.approx(4 * np.sqrt(2) * per_step, rel=0.01)
+
+
 def test_faces_tilted_against_each_other_are_reported():
     step = step_height(gauge_blocks(1, noise_um=0.0, tilt=2e-3, level=0.0), UPPER, LOWER)
     assert step.relative_tilt_mrad == pytest.approx(2 * np.hypot(1, 0.4), rel=1e-3)

@@ -6,6 +6,8 @@ import math
 from dataclasses import dataclass
 from typing import Any, Self
 
+import numpy as np
+
 from wafer_viewer.measure.base.height_samples import Layer, layer_of, level_note
 from wafer_viewer.measure.base.levelled_surface import levelling_of
 from wafer_viewer.model.measurement.tool_options import Conditions
@@ -15,10 +17,15 @@ from wafer_viewer.model.surface.height_map import Mosaic, Provenance
 ARGMAX_INTERPOLATION = 1 / math.sqrt(6)
 """Standard uncertainty of a step, in z steps, when both faces are rounded to frames (two uniform roundings)."""
 INTERPOLATION_SHARE = 0.005
-"""Standard uncertainty of a step, in z steps, for peaks interpolated between frames.
-
-It is the largest bias observed on simulated planes with z steps up to half the depth of field.
-"""
+"""Standard uncertainty of a step, in z steps, for interpolated peaks where the depth of field is unknown."""
+STEPS_DOF = (0.0, 0.6, 0.75, 0.9, 1.1)
+"""Steps in depths of field to which `CENTRED_U` belongs."""
+CENTRED_U = (0.002, 0.003, 0.006, 0.014, 0.045)
+"""Standard uncertainty of one height, in z steps, for centred peaks: tests/bench/bench_phase.py."""
+THREE_POINT_U = 0.03
+"""The same for peaks through three points, rms of the blur law at any step up to a depth of field."""
+WIDTH_DOF = 1.2
+"""Width of a focus curve in depths of field."""
 NOT_IN_BUDGET = (
     "Not in the budget: repeat scans, drift during the scan, z offsets between fields, linearity and Abbe offset of "
     "the z axis, temperature other than 20 C."
@@ -79,8 +86,20 @@ def from_conditions(height_um: float, conditions: Conditions, provenance: Proven
 
 def interpolation_um(provenance: Provenance) -> float:
     """Standard uncertainty of a height difference due to peak interpolation between frames."""
-    per_step = ARGMAX_INTERPOLATION if provenance.recipe.peak == "argmax" else INTERPOLATION_SHARE
-    return per_step * provenance.z_step_um
+    return _per_step(provenance) * provenance.z_step_um
+
+
+def _per_step(provenance: Provenance) -> float:
+    """Return the standard uncertainty of a height difference between frames, in z steps."""
+    recipe = provenance.recipe
+    if recipe.peak == "argmax":
+        return ARGMAX_INTERPOLATION
+    if isinstance(recipe.focus_width_um, str):
+        return INTERPOLATION_SHARE
+    if recipe.peak != "centred":
+        return math.sqrt(2) * THREE_POINT_U
+    step_dof = provenance.z_step_um * WIDTH_DOF / recipe.focus_width_um
+    return math.sqrt(2) * float(np.interp(step_dof, STEPS_DOF, CENTRED_U))
 
 
 def frame_lines_um(provenance: Provenance) -> dict[str, float]:
