@@ -56,6 +56,7 @@ _MODULATION_POWER = 0.4
 _PER_OCTAVE = np.float32(1.4426950408889634)
 """1 / ln 2."""
 _LN2 = np.float32(np.log(2))
+"""Natural logarithm of 2."""
 _ROUNDER = np.float32(1.5 * 2.0**23)
 """A float32 this large has no fraction bits; its lowest mantissa bits hold an integer."""
 
@@ -97,7 +98,8 @@ class CentringWindow(NamedTuple):
         """Return the window for frames at `z_um`, with taps that cover its reach from every frame."""
         n, step_um = len(z_um), float(np.median(np.diff(z_um)))
         reach_um = (_REACH_SIGMAS * sigma + _SLACK) * step_um * (1 + 1e-9)
-        first, stop = (np.searchsorted(z_um, z_um + way * reach_um, side) for way, side in ((-1, "left"), (1, "right")))
+        first = np.searchsorted(z_um, z_um - reach_um, "left")
+        stop = np.searchsorted(z_um, z_um + reach_um, "right")
         half = int(max(np.max(np.arange(n) - first), np.max(stop - 1 - np.arange(n))))
         frame = np.arange(n)[:, None] + np.arange(-half, half + 1)
         inside, nearest = (frame >= 0) & (frame < n), frame.clip(0, n - 1)
