@@ -400,6 +400,7 @@ def _scatter(fitted: FittedStep, plan: StepPlan, curve: ProfileCurve) -> Scatter
     inside = (at_um > edges_um[0]) & (at_um < (edges_um[-1] if len(edges_um) > 1 else np.inf))
     design = np.column_stack([at_um - at_um.mean(), np.ones(len(at_um)), np.where(inside, beyond.delta, before.delta)])
     flat = np.abs(at_um[:, None] - edges_um).min(axis=1) >= third_um
+    left_um = np.zeros(len(at_um))
     for _ in range(STEP_PROFILE.rounds):
         left_um = curve.z_um - design @ least_squares(design[flat], curve.z_um[flat])
         stands_out = flat & (np.abs(left_um) > abs(fitted.h_um * (beyond.delta - before.delta)) / 2)

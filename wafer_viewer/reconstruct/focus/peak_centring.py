@@ -111,6 +111,7 @@ class CentringWindow(NamedTuple):
         if even:
             d = np.arange(-half, half + 1)[:, None]
             taps[0], taps[1] = d, np.exp(-(d**2) / (2 * sigma**2))
+        shift, moved, lowest, highest = (aligned((_LANES,), np.float32) for _ in range(4))
         return cls(
             step_um,
             sigma,
@@ -118,7 +119,10 @@ class CentringWindow(NamedTuple):
             distance.astype(np.float32),
             weight.astype(np.float32),
             aligned((_LANES,), np.int64),
-            *(aligned((_LANES,), np.float32) for _ in range(4)),
+            shift,
+            moved,
+            lowest,
+            highest,
             taps,
             aligned((8, _LANES), np.float32),
         )
