@@ -37,7 +37,7 @@ def test_a_surface_is_made_again_by_a_ready_recipe_with_one_change(serve: Callab
     go_to(page, "Surface")
     title_is(page, "Surface")
     panel = page.locator("[data-dock-region=right]")
-    expect(panel).to_contain_text("Log-Laplacian · window 9\u202fpx · Blur law")
+    expect(panel).to_contain_text("Log-Laplacian · window 9\u202fpx · Centred")
     expect(panel).not_to_contain_text("Chosen from the data")
     page.locator("[data-pick=recipe][data-k=values]").click()
     expect(panel).to_contain_text("Width of a focus curve7.6\u202fµm")

@@ -39,8 +39,8 @@ def test_ready_recipes_go_by_their_names_and_others_are_ones_own():
 
 
 def test_one_line_says_how():
-    assert words.summary(fake.SETTLED) == "Log-Laplacian · window 9\u202fpx · Blur law"
-    assert words.summary(Recipe()) == "Log-Laplacian · window from the data · Blur law"
+    assert words.summary(fake.SETTLED) == "Log-Laplacian · window 9\u202fpx · Centred"
+    assert words.summary(Recipe()) == "Log-Laplacian · window from the data · Centred"
 
 
 def test_only_what_was_left_to_the_data_is_told_as_chosen_by_them():

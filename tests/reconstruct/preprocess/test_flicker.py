@@ -59,7 +59,7 @@ def test_flicker_is_divided_out_and_told(make_stack: MakeStack, seed: int):
     uncorrected, _ = measured(reconstruct(flickering, LEAVE, threads=1))
     surface = reconstruct(flickering, threads=1)
     corrected, _ = measured(surface)
-    assert abs(uncorrected - steady) > 0.08
+    assert abs(uncorrected - steady) > 0.06
     assert abs(corrected - steady) < 0.5 * abs(uncorrected - steady)
     assert any(note.startswith("The light flickered by ") for note in surface.provenance.notes)
     assert surface.all_in_focus.dtype == np.uint8

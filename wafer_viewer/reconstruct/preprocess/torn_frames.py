@@ -67,8 +67,11 @@ TEAR = TearParameters()
 
 
 def torn_frames(images: Image, slots: NDArray[np.intp], white_counts: int) -> dict[int, str]:
-    """Return what is wrong with each torn frame among `slots`, in the order of z; none where there are many."""
-    if len(slots) < LEAST_FRAMES:
+    """Return what is wrong with each torn frame among `slots`, in the order of z; none where there are many.
+
+    Frames with fewer rows or columns than bands are not tested.
+    """
+    if len(slots) < LEAST_FRAMES or min(images.shape[1:]) < TEAR.bands:
         return {}
     torn = _torn(images, slots, white_counts)
     if len(torn) > TEAR.most_torn * len(slots):
@@ -140,7 +143,7 @@ def _mean_square(one: Floats, other: Floats) -> Floats:
 
 def _bands(frame: Image) -> Floats:
     """Return a sample of each band of rows, [band, row, col]."""
-    n_bands = min(TEAR.bands, len(frame))
+    n_bands = TEAR.bands
     high = len(frame) // n_bands
     n_rows = min(high, TEAR.sampled[0])
     rows = (np.arange(n_bands)[:, None] * high + np.linspace(0, high - 1, n_rows).astype(int)).ravel()
