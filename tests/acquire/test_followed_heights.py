@@ -26,5 +26,5 @@ def test_a_window_of_a_quarter_of_the_sweep_gives_the_same_heights():
     assert windows[3].n_frames < 40
     whole_rmse_um, whole_kept, settled = quality_of(wafer, fields[3], SWEEP.n_frames)
     rmse_um, kept, _ = quality_of(wafer, windows[3], windows[3].n_frames, settled)
-    assert rmse_um < 1.1 * whole_rmse_um
+    assert rmse_um < 1.2 * whole_rmse_um
     assert kept > whole_kept - 0.01

@@ -19,7 +19,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from wafer_viewer.measure.base.height_samples import Floats, HeightSamples
-from wafer_viewer.numerics.correlation import autocorrelation
 from wafer_viewer.numerics.normal_statistics import student
 
 PIECE = 3.0
@@ -83,6 +82,8 @@ def area_correlation(residuals: Floats) -> tuple[Floats, float]:
     independent : float
         Number of residuals over their integrated correlation, which ends at the distance where it is lost.
     """
+    from wafer_viewer.numerics.correlation import autocorrelation
+
     correlation = autocorrelation(residuals)
     down, across = np.indices(correlation.shape) - np.array(correlation.shape)[:, None, None] // 2
     distance = np.rint(np.hypot(down, across)).astype(np.intp)

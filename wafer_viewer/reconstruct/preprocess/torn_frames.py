@@ -34,6 +34,8 @@ class TearParameters:
         Smallest mean square difference from both neighbours, relative to that between the neighbours.
     clear_ratio : float
         Such a ratio of a single band makes a frame torn; trembling by a pixel stays below.
+    whole_ratio : float
+        Largest such ratio of the other bands of a torn frame, as a median; a displaced frame exceeds it everywhere.
     enough_bands : int
         Smallest number of torn bands of a frame without such a band.
     sharper : float
@@ -54,6 +56,7 @@ class TearParameters:
     sampled: tuple[int, int] = (8, 512)
     least_ratio: float = 3.0
     clear_ratio: float = 6.0
+    whole_ratio: float = 1.5
     enough_bands: int = 3
     sharper: float = 1.1
     alike: float = 0.3
@@ -99,7 +102,8 @@ def _torn(images: Image, slots: NDArray[np.intp], white_counts: int) -> list[tup
     for k in np.flatnonzero(suspect.any(axis=1)):
         torn = [b for b in np.flatnonzero(suspect[k]) if _is_torn(bands[:, b], energy[:, b], int(k) + 1, own[k, b])]
         clear = len(torn) >= TEAR.enough_bands or bool(np.any(ratio[k, torn] > TEAR.clear_ratio))
-        if clear and len(torn) < bands.shape[1]:
+        whole = np.delete(ratio[k], torn)
+        if clear and whole.size and np.median(whole) <= TEAR.whole_ratio:
             found[int(k) + 1] = len(torn) / bands.shape[1]
     return sorted(found.items())
 
