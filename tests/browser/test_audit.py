@@ -30,11 +30,9 @@ FAULTS = {
         title.style.cssText = 'display: block; width: 20px; overflow: hidden; white-space: nowrap';""",
     'pale: "mm"': "document.querySelector('.wv-where').style.color = '#8FA0AF';",
     'name: input[text] "': """
-        window.wvNames.disconnect();
-        const inputs = [...document.querySelectorAll(".mantine-Input-input")];
-        const input = inputs.find(e => e.getBoundingClientRect().width);
-        input.removeAttribute('id');
-        input.removeAttribute('aria-label');""",
+        const inputs = [...document.querySelectorAll("[data-dock-region=right] .mantine-Input-input")];
+        const row = inputs.find(e => e.getBoundingClientRect().width).closest('.mantine-Flex-root');
+        row.insertAdjacentHTML('afterend', '<input type="text" style="width: 90px; height: 20px">');""",
     "overlap: input[checkbox]": """
         const boxes = [...document.querySelectorAll("input[type=checkbox]")];
         const [a, b] = boxes.filter(e => e.checkVisibility() && !e.disabled);

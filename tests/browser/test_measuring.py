@@ -83,6 +83,7 @@ def keep(page: Page, name: str) -> None:
     type_into(page, "Name", name)
     press(page, "Keep result")
     expect(results(page)).to_have_count(n + 1)
+    expect(answer(page)).not_to_contain_text("Not kept yet")
 
 
 def test_every_tool_answers_with_its_uncertainty_and_is_kept(page: Page, session: MeasuringSession):
