@@ -6,6 +6,7 @@ import re
 from collections.abc import Callable, Iterator
 from pathlib import Path
 
+import msgspec
 import pytest
 from PIL import Image
 from playwright.sync_api import Locator, Page, expect
@@ -16,6 +17,7 @@ from tests.browser.sessions.stitched_session import StitchedSession
 from tests.browser.steps import eventually, go_to, notes, numbers, press, text_field, title_is
 from wafer_viewer.gui.app import start
 from wafer_viewer.gui.overlays.screenshot import PRINT_WIDTH_PX
+from wafer_viewer.model.acquisition.plan import FieldGrid
 from wafer_viewer.model.errors import DatasetError
 from wafer_viewer.model.region import Region
 
@@ -183,3 +185,20 @@ def test_in_plan_a_place_on_the_map_is_asked_about_before_the_stage_moves(serve)
     page.locator("svg.wv-map").click(position={"x": 20, "y": 20})
     press(page, "Move there")
     eventually(lambda: [name for name, _, _ in session.asked] == ["move_to"], "the stage was moved")
+
+
+def test_a_click_on_the_map_counts_though_the_map_is_drawn_anew_while_the_button_is_down(serve):
+    width_um, height_um = fake.LIMITS.field_width_um, fake.LIMITS.field_height_um
+    narrower = FieldGrid(rows=3, cols=2, field_width_um=width_um, field_height_um=height_um)
+    job = msgspec.structs.replace(fake.a_job(), grid=narrower.centred_on(200, -100))
+    session = fake.FakeSession(fake.planned())
+    page = serve(session)
+    shown = page.locator("svg.wv-map")
+    expect(shown.locator("[data-k]")).to_have_count(9)
+    box = shown.bounding_box()
+    page.mouse.move(box["x"] + 20, box["y"] + 20)
+    page.mouse.down()
+    session.change(draft=fake.draft_of(job))
+    expect(shown.locator("[data-k]")).to_have_count(6)
+    page.mouse.up()
+    expect(page.get_by_role("dialog")).to_contain_text("Move the stage?", timeout=5000)

@@ -323,7 +323,7 @@ def _asking(page: Page) -> Callable[..., Callable[[], None]]:
     return ask
 
 
-SCRIPTS = "accessible_names.js", "file_dialog.js", "keyboard.js"
+SCRIPTS = "accessible_names.js", "clicks.js", "file_dialog.js", "keyboard.js"
 """Scripts in this order: the file dialog handles its keys before the keyboard script."""
 FILE_PICKS = "file-mark", "file-open", "file-parent"
 FIXED_KEYS: dict[Group, tuple[tuple[str, str], ...]] = {
