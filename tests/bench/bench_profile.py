@@ -31,7 +31,7 @@ sys.path.insert(0, str(Path(__file__).parents[2]))
 from tests.bench.big_mosaic import BLOCKS_PX, QUICK_PX, big_dataset
 from tests.bench.page_driver import SIZE, Viewer
 from tests.bench.tables import met, show
-from tests.browser.screens import FLAGS, dismiss_viser_warning, remember
+from tests.browser.screens import FLAGS, hide_viser_warning, remember
 from wafer_viewer.draw.colormaps import PROFILE_COLOURS, rgb
 
 GOAL_S = 0.1
@@ -102,7 +102,7 @@ def begin(page: Page, address: str, dataset: Path) -> None:
     page.get_by_role("button", name="Measure", exact=True).first.click()
     page.locator("[data-pick=tool][data-k=profile]").first.click()
     page.get_by_role("button", name="Add line", exact=True).and_(page.locator(":enabled")).wait_for(timeout=60_000)
-    dismiss_viser_warning(page)
+    hide_viser_warning(page)
     page.keyboard.press("t")
     page.wait_for_timeout(REST_MS)
     page.get_by_role("button", name="Horizontal cut", exact=True).click()

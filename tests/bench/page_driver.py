@@ -27,7 +27,7 @@ from numpy.typing import NDArray
 from PIL import Image
 from playwright.sync_api import BrowserContext, Error, Page, TimeoutError, sync_playwright
 
-from tests.browser.screens import FLAGS, dismiss_viser_warning, remember
+from tests.browser.screens import FLAGS, hide_viser_warning, remember
 from wafer_viewer.session.rendering.render_process import NICENESS
 
 ROOT = Path(__file__).parents[2]
@@ -188,7 +188,7 @@ class Seat:
         self.page.locator(f'[data-pick=open][data-k="{dataset}"]').first.click()
         self.page.get_by_role("button", name="Surface", exact=True).first.click()
         self.page.locator("[data-floating-window]", has_text="Height").first.wait_for()
-        dismiss_viser_warning(self.page)
+        hide_viser_warning(self.page)
 
     def first_picture_s(self) -> tuple[float, float]:
         """From opening the page, and from connecting, to the first picture of the surface."""

@@ -20,7 +20,7 @@ from typing import Any
 
 from playwright.sync_api import Browser, Error, Page, sync_playwright
 
-from tests.browser.screens import FLAGS, dismiss_viser_warning, remember
+from tests.browser.screens import FLAGS, hide_viser_warning, remember
 from wafer_viewer.gui.app import Running, start
 
 SIZES = (1366, 768), (1024, 768), (1280, 720), (1600, 900), (2560, 1440)
@@ -115,7 +115,7 @@ def opened(browser: Browser, group: Group, script: str = SMALL_PICTURE) -> Itera
         page.goto(running.address + STEADY)
         page.locator(".wv-title").first.wait_for(timeout=60_000)
         page.locator(".wv-contact").wait_for(state="attached", timeout=60_000)
-        dismiss_viser_warning(page)
+        hide_viser_warning(page)
         page.evaluate(LOOK)
         yield visit
     finally:

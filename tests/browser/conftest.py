@@ -11,7 +11,7 @@ import pytest
 from playwright.sync_api import Browser, Page, expect, sync_playwright
 
 from tests.browser.audit import SMALL_PICTURE
-from tests.browser.screens import FLAGS, dismiss_viser_warning
+from tests.browser.screens import FLAGS, hide_viser_warning
 from tests.browser.sessions.fake_session import FakeSession
 from wafer_viewer.gui.app import start
 from wafer_viewer.session.session import Session
@@ -47,7 +47,7 @@ def look_at(browser: Browser) -> Iterator[Callable[[str], Page]]:
             page.set_default_timeout(PATIENCE_MS)
             page.goto(address)
             page.locator(".wv-title").first.wait_for()
-            dismiss_viser_warning(page)
+            hide_viser_warning(page)
             return page
 
         yield open_page

@@ -29,12 +29,9 @@ REST_S = 2.5
 """Pictures are taken when the scene has had time to come to rest."""
 
 
-def dismiss_viser_warning(page: Page) -> None:
-    """Close viser's own notice that the graphics card is missing."""
-    page.evaluate(
-        "[...document.querySelectorAll('.mantine-Notification-root')]"
-        ".filter(n => n.textContent.includes('Software WebGL')).forEach(n => n.querySelector('button').click())"
-    )
+def hide_viser_warning(page: Page) -> None:
+    """Hide viser's own notice that the graphics card is missing, which comes at any time and covers the map."""
+    page.add_style_tag(content="#webgl-software-rendering { display: none !important }")
 
 
 def remember(page: Page, step: str, dark: bool, **chosen: object) -> None:
@@ -57,7 +54,7 @@ def picture(page: Page, folder: Path, name: str, dark: bool) -> None:
         page.locator(".wv-title").first.wait_for()
         if screen.seen:
             page.locator("[data-floating-window] .wv-glass", has_text="not measured").wait_for()
-        dismiss_viser_warning(page)
+        hide_viser_warning(page)
         for act in screen.then:
             act(page)
         take(page, folder / f"{name}.png", 2 * REST_S if screen.seen else REST_S)
@@ -117,7 +114,7 @@ def tour(page: Page, folder: Path, dark: bool) -> None:
 def take(page: Page, path: Path, rest_s: float = REST_S) -> None:
     """Wait for the page to come to rest and take its picture."""
     time.sleep(rest_s)
-    dismiss_viser_warning(page)
+    hide_viser_warning(page)
     time.sleep(0.5)
     page.screenshot(path=path, timeout=120_000)
     print(path, flush=True)
