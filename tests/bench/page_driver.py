@@ -165,6 +165,7 @@ class Seat:
     def __init__(self, context: BrowserContext, viewer: Viewer) -> None:
         self.viewer, self._context = viewer, context
         context.add_init_script(WATCH)
+        hide_viser_warning(context)
         self.page = self._new_page()
         remember(self.page, "surface", False)
 
@@ -188,7 +189,6 @@ class Seat:
         self.page.locator(f'[data-pick=open][data-k="{dataset}"]').first.click()
         self.page.get_by_role("button", name="Surface", exact=True).first.click()
         self.page.locator("[data-floating-window]", has_text="Height").first.wait_for()
-        hide_viser_warning(self.page)
 
     def first_picture_s(self) -> tuple[float, float]:
         """From opening the page, and from connecting, to the first picture of the surface."""

@@ -105,6 +105,7 @@ def opened(browser: Browser, group: Group, script: str = SMALL_PICTURE) -> Itera
     width, height = SIZES[0]
     context = browser.new_context(viewport={"width": width, "height": height}, reduced_motion="reduce")
     context.add_init_script(script)
+    hide_viser_warning(context)
     page = context.new_page()
     page.set_default_timeout(PATIENCE_MS)
     visit = Visit(page, session, running)
@@ -115,7 +116,6 @@ def opened(browser: Browser, group: Group, script: str = SMALL_PICTURE) -> Itera
         page.goto(running.address + STEADY)
         page.locator(".wv-title").first.wait_for(timeout=60_000)
         page.locator(".wv-contact").wait_for(state="attached", timeout=60_000)
-        hide_viser_warning(page)
         page.evaluate(LOOK)
         yield visit
     finally:

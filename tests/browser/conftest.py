@@ -43,11 +43,11 @@ def look_at(browser: Browser) -> Iterator[Callable[[str], Page]]:
         def open_page(address: str) -> Page:
             context = stack.enter_context(browser.new_context(viewport=WINDOW))
             context.add_init_script(SMALL_PICTURE)
+            hide_viser_warning(context)
             page = context.new_page()
             page.set_default_timeout(PATIENCE_MS)
             page.goto(address)
             page.locator(".wv-title").first.wait_for()
-            hide_viser_warning(page)
             return page
 
         yield open_page

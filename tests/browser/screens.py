@@ -16,7 +16,7 @@ import tempfile
 import time
 from pathlib import Path
 
-from playwright.sync_api import Page, sync_playwright
+from playwright.sync_api import BrowserContext, Page, sync_playwright
 
 FLAGS = (
     *("--headless=new", "--no-sandbox", "--disable-quic", "--no-first-run", "--disable-background-networking"),
@@ -29,9 +29,18 @@ REST_S = 2.5
 """Pictures are taken when the scene has had time to come to rest."""
 
 
-def hide_viser_warning(page: Page) -> None:
-    """Hide viser's own notice that the graphics card is missing, which comes at any time and covers the map."""
-    page.add_style_tag(content="#webgl-software-rendering { display: none !important }")
+HIDE_WARNING = """
+document.addEventListener('DOMContentLoaded', () => {
+  const style = document.createElement('style');
+  style.textContent = '#webgl-software-rendering { display: none !important }';
+  document.head.append(style);
+});
+"""
+
+
+def hide_viser_warning(pages: BrowserContext | Page) -> None:
+    """Hide viser's own notice that the graphics card is missing, from the next load: it covers the map."""
+    pages.add_init_script(HIDE_WARNING)
 
 
 def remember(page: Page, step: str, dark: bool, **chosen: object) -> None:
@@ -54,7 +63,6 @@ def picture(page: Page, folder: Path, name: str, dark: bool) -> None:
         page.locator(".wv-title").first.wait_for()
         if screen.seen:
             page.locator("[data-floating-window] .wv-glass", has_text="not measured").wait_for()
-        hide_viser_warning(page)
         for act in screen.then:
             act(page)
         take(page, folder / f"{name}.png", 2 * REST_S if screen.seen else REST_S)
@@ -114,8 +122,6 @@ def tour(page: Page, folder: Path, dark: bool) -> None:
 def take(page: Page, path: Path, rest_s: float = REST_S) -> None:
     """Wait for the page to come to rest and take its picture."""
     time.sleep(rest_s)
-    hide_viser_warning(page)
-    time.sleep(0.5)
     page.screenshot(path=path, timeout=120_000)
     print(path, flush=True)
 
@@ -137,6 +143,7 @@ def main() -> int:
         browser = playwright.chromium.launch(executable_path=shutil.which("chromium"), args=FLAGS)
         for name in ["tour"] if asked.true else asked.only:
             page = browser.new_context(viewport={"width": width, "height": height}).new_page()
+            hide_viser_warning(page)
             page.set_default_timeout(60_000)
             tour(page, asked.folder, asked.dark) if asked.true else picture(page, asked.folder, name, asked.dark)
             page.context.close()

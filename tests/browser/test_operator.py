@@ -11,7 +11,6 @@ from pathlib import Path
 import pytest
 from playwright.sync_api import Locator, Page, expect
 
-from tests.browser.conftest import hide_viser_warning
 from tests.browser.sessions import fake_session as fake
 from tests.browser.sessions import operator_session as day
 from tests.browser.steps import eventually, notes, press, put, set_numbers, text_field, title_is, type_into
@@ -61,7 +60,6 @@ def test_four_actions_from_the_wafers_id_to_its_verdict(page: Page, session: Ses
 
     page.reload()
     page.locator(".wv-title").first.wait_for()
-    hide_viser_warning(page)
     expect(text_field(page, "Wafer id")).to_have_value("W07")
     mark(page, 2, across=0.5, down=0.49)
     expect(page.locator(".wv-note.good")).to_contain_text("2 corners, residual")
