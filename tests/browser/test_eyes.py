@@ -6,7 +6,6 @@ import re
 from collections.abc import Callable, Iterator
 from pathlib import Path
 
-import msgspec
 import pytest
 from PIL import Image
 from playwright.sync_api import Locator, Page, expect
@@ -20,6 +19,7 @@ from wafer_viewer.gui.overlays.screenshot import PRINT_WIDTH_PX
 from wafer_viewer.model.acquisition.plan import FieldGrid
 from wafer_viewer.model.errors import DatasetError
 from wafer_viewer.model.region import Region
+from wafer_viewer.model.spec import replace
 
 pytestmark = [
     pytest.mark.browser,
@@ -190,7 +190,7 @@ def test_in_plan_a_place_on_the_map_is_asked_about_before_the_stage_moves(serve)
 def test_a_click_on_the_map_counts_though_the_map_is_drawn_anew_while_the_button_is_down(serve):
     width_um, height_um = fake.LIMITS.field_width_um, fake.LIMITS.field_height_um
     narrower = FieldGrid(rows=3, cols=2, field_width_um=width_um, field_height_um=height_um)
-    job = msgspec.structs.replace(fake.a_job(), grid=narrower.centred_on(200, -100))
+    job = replace(fake.a_job(), grid=narrower.centred_on(200, -100))
     session = fake.FakeSession(fake.planned())
     page = serve(session)
     shown = page.locator("svg.wv-map")
@@ -201,4 +201,4 @@ def test_a_click_on_the_map_counts_though_the_map_is_drawn_anew_while_the_button
     session.change(draft=fake.draft_of(job))
     expect(shown.locator("[data-k]")).to_have_count(6)
     page.mouse.up()
-    expect(page.get_by_role("dialog")).to_contain_text("Move the stage?", timeout=5000)
+    expect(page.get_by_role("dialog")).to_contain_text("Move the stage?")

@@ -5,11 +5,10 @@ if (!window.wvClicks) {
   window.wvClicks = true;
   const MOST_MOTION_PX = 4;
   const clickable = at => at?.closest?.('[onclick]');
-  /* A button is pressed for its key; the key of a drawing as a whole is where it was clicked last. */
-  const purpose = element => [
-    element.tagName, element.getAttribute('class'), element.dataset.pick,
-    element.getAttribute('role') === 'button' ? element.dataset.k : '',
-  ].join();
+  /* A button is pressed for its key, whatever its style; the key of a drawing is only where it was clicked last. */
+  const purpose = element => (element.getAttribute('role') === 'button'
+    ? [element.tagName, element.dataset.pick, element.dataset.k]
+    : [element.tagName, element.getAttribute('class')]).join();
   let pressed = null;
 
   document.addEventListener('pointerdown', event => {
