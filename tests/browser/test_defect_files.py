@@ -110,7 +110,7 @@ def test_an_area_is_searched_again_once_it_is_taken_away(session: Session, page:
     page.keyboard.press("Control+k")
     page.get_by_placeholder("Search commands...").fill("areas left out")
     page.keyboard.press("Enter")
-    dialog = page.get_by_role("dialog")
+    dialog = page.get_by_role("dialog", name="Areas left out")
     dialog.locator("[data-pick=defect-area-change][data-k='1']").press("Enter")
     expect(text_field(page, "From, µm")).to_have_value("5, 5")
     dialog.locator("[data-pick=defect-area-away][data-k='0']").press("Enter")
