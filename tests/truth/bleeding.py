@@ -101,30 +101,42 @@ def drawn(seed: int) -> Bleeding:
 def seen(scene: Bleeding, shape: tuple[int, int] = (256, 256)) -> Seen:
     """The focus stack of a scene, 8 bits."""
     rng = np.random.default_rng((scene.seed, 1))
-    padded = tuple(n + 2 * _MARGIN_PX for n in shape)
-    die = _dies(scene, padded, rng)
-    low_um = scene.sweep_um / 2
-    heights_um = low_um + scene.depth_um, low_um
-    bare = gaussian_filter(rng.standard_normal(padded), 12)
-    bare = bare < np.quantile(bare, scene.bare_share)
-    texture = _grain(padded, 0.8, rng) * scene.die_contrast * np.where(bare, 1 / 6, 1.0)
-    shine = _grain(padded, scene.trench_grain_px, rng) * scene.trench_contrast
-    layers = [
-        (rfft2(die * np.clip(1 + texture, 0.05, None)), heights_um[0]),
-        (rfft2(scene.ratio * (1 - die) * np.clip(1 + shine, 0.05, None)), heights_um[1]),
-    ]
-    z_um = np.arange(0.0, heights_um[0] + scene.sweep_um / 2, scene.step_um)
-    white = _white(scene)
+    z_um = np.arange(0.0, scene.depth_um + scene.sweep_um, scene.step_um)
     images = np.empty((len(z_um), *shape), np.uint8)
-    inner = slice(_MARGIN_PX, -_MARGIN_PX)
+    lit = Lit(scene, shape, rng)
     for k, z in enumerate(z_um):
-        spread = sum(layer * _transfer(padded, scene.na, z - at_um) for layer, at_um in layers)
-        share = np.clip(irfft2(spread, padded)[inner, inner] / white, 0, None)
+        share = lit.light_at(z)
         noisy = share + np.sqrt(share / scene.full_well_e + (0.4 / _WHITE) ** 2) * rng.standard_normal(shape)
         images[k] = np.clip(np.rint(noisy * _WHITE), 0, _WHITE)
-    truth_um = np.where(die[inner, inner] > 0.5, heights_um[0], heights_um[1]).astype(np.float32)
     field = Field(number=1, row=0, col=0, x_um=0.0, y_um=0.0, z_start_um=0.0)
-    return Seen(scene, FieldStack(field, images, z_um, np.ones(len(z_um), bool), PIXEL_UM), truth_um)
+    return Seen(scene, FieldStack(field, images, z_um, np.ones(len(z_um), bool), PIXEL_UM), lit.truth_um)
+
+
+class Lit:
+    """The layers of a scene and the light on the camera, whatever the height of the focus."""
+
+    def __init__(self, scene: Bleeding, shape: tuple[int, int], rng: np.random.Generator):
+        padded = tuple(n + 2 * _MARGIN_PX for n in shape)
+        die = _dies(scene, padded, rng)
+        low_um = scene.sweep_um / 2
+        high_um = low_um + scene.depth_um
+        bare = gaussian_filter(rng.standard_normal(padded), 12)
+        bare = bare < np.quantile(bare, scene.bare_share)
+        texture = _grain(padded, 0.8, rng) * scene.die_contrast * np.where(bare, 1 / 6, 1.0)
+        shine = _grain(padded, scene.trench_grain_px, rng) * scene.trench_contrast
+        self._layers = [
+            (rfft2(die * np.clip(1 + texture, 0.05, None)), high_um),
+            (rfft2(scene.ratio * (1 - die) * np.clip(1 + shine, 0.05, None)), low_um),
+        ]
+        self._scene, self._padded, self._inner = scene, padded, slice(_MARGIN_PX, -_MARGIN_PX)
+        on_die = die[self._inner, self._inner] > 0.5
+        self.truth_um = np.where(on_die, high_um, low_um).astype(np.float32)
+
+    def light_at(self, z_um: float) -> NDArray[np.float64]:
+        """The light with the focus at a height, as a share of white, [row, col]."""
+        na, inner = self._scene.na, self._inner
+        spread = sum(layer * _transfer(self._padded, na, z_um - at_um) for layer, at_um in self._layers)
+        return np.clip(irfft2(spread, self._padded)[inner, inner] / _white(self._scene), 0, None)
 
 
 def _dies(scene: Bleeding, shape: tuple[int, ...], rng: np.random.Generator) -> NDArray[np.float64]:

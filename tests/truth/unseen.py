@@ -1,0 +1,227 @@
+"""Scenes drawn from a wide distribution by seed, by two renderers of different origin, with faults of the instrument.
+
+Even seeds are drawn by `bleeding` (layers blurred by FFT; dies beside bright trenches), odd ones by `views` (rays past
+walls that hide; dies, steps and smooth relief without walls). Frames jitter in z, drift, flicker, flash or stay dark in
+about a third of the scenes. Tuning sees seeds below 1000; figures are reported on seeds from 1000 on.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.ndimage import distance_transform_edt, shift, sobel
+
+from tests.truth.bleeding import PIXEL_UM, WAVELENGTH_UM, Bleeding, Lit
+from tests.truth.scene import TruthScene
+from tests.truth.scenes import cone, cosine, dies, plane, rim, step
+from tests.truth.views import Camera, Optics, light_of, white_light_of
+from wafer_viewer.model.acquisition.focus_stack import FieldStack
+from wafer_viewer.model.acquisition.plan import Field
+
+FIRST_REPORTED_SEED = 1000
+BORDER_PX = 24
+FEWEST_FRAMES, MOST_FRAMES = 25, 150
+VIEWS = 120
+"""Points of the pupil: fewer than for a picture to look at, each blurred by the part of the pupil it stands for."""
+
+
+@dataclass(frozen=True)
+class Instrument:
+    """Optics, sweep and faults of a scene.
+
+    step_dof: distance of frames in depths of field; jitter_dof: standard deviation of a frame's z in depths of field;
+    drift_px: of the image over the sweep, along rows and columns; flicker: standard deviation of a frame's light;
+    flashes, dark: frames that are all white, or black; aperture_known: whether the stack tells its depth of field.
+    """
+
+    na: float
+    step_dof: float
+    margin_um: float
+    full_well_e: float
+    read_grey: float
+    jitter_dof: float
+    drift_px: tuple[float, float]
+    flicker: float
+    flashes: int
+    dark: int
+    aperture_known: bool
+
+    @property
+    def depth_of_field_um(self) -> float:
+        """lambda / NA^2."""
+        return WAVELENGTH_UM / self.na**2
+
+    def sweep_um(self, low_um: float, high_um: float) -> NDArray[np.float64]:
+        """The z of the frames, for a sample between two heights: 25 to 150 frames, coarser if that is too few."""
+        step_um = self.step_dof * self.depth_of_field_um
+        wanted_um = high_um - low_um + 2 * self.margin_um
+        n = int(np.clip(np.ceil(wanted_um / step_um), FEWEST_FRAMES, MOST_FRAMES))
+        step_um = max(step_um, (high_um - low_um + 0.5 * self.margin_um) / n)
+        return (low_um + high_um) / 2 + step_um * (np.arange(n) - (n - 1) / 2)
+
+
+@dataclass(frozen=True, eq=False)
+class Unseen:
+    """A drawn scene: its stack, its true heights, and how far each pixel is from a wall; all [row, col]."""
+
+    seed: int
+    about: str
+    instrument: Instrument
+    stack: FieldStack
+    truth_um: NDArray[np.float32]
+    wall_distance_px: NDArray[np.floating]
+
+    @property
+    def limit_um(self) -> float:
+        """A height is false when it is further off: a step of the sweep, or half a depth of field if that is more."""
+        step_um = float(np.median(np.diff(self.stack.z_um)))
+        return max(step_um, self.instrument.depth_of_field_um / 2)
+
+    @property
+    def interior(self) -> NDArray[np.bool_]:
+        """Where no wall and no border of the frame is near."""
+        inner = np.zeros(self.truth_um.shape, bool)
+        inner[BORDER_PX:-BORDER_PX, BORDER_PX:-BORDER_PX] = True
+        return inner & (self.wall_distance_px > BORDER_PX)
+
+
+def drawn_scene(seed: int, side: int = 256) -> Unseen:
+    """The scene of a seed, `side` pixels wide."""
+    rng = np.random.default_rng((seed, 19))
+    instrument = _instrument(rng)
+    return _bled(seed, side, instrument, rng) if seed % 2 == 0 else _traced(seed, side, instrument, rng)
+
+
+def _instrument(rng: np.random.Generator) -> Instrument:
+    def at_times(often: float, value: float) -> float:
+        return value if rng.random() < often else 0.0
+
+    drift = at_times(0.2, float(rng.uniform(0.3, 2.0)))
+    towards = rng.uniform(0, 2 * np.pi)
+    return Instrument(
+        na=_log_uniform(rng, 0.14, 0.45),
+        step_dof=float(rng.uniform(0.2, 0.9)),
+        margin_um=float(rng.uniform(20, 70)),
+        full_well_e=_log_uniform(rng, 4e3, 4e4),
+        read_grey=float(rng.uniform(0.2, 1.0)),
+        jitter_dof=at_times(0.2, float(rng.uniform(0.01, 0.06))),
+        drift_px=(drift * float(np.sin(towards)), drift * float(np.cos(towards))),
+        flicker=at_times(0.2, float(rng.uniform(0.01, 0.05))),
+        flashes=int(at_times(0.1, 1.0)),
+        dark=int(at_times(0.1, 1.0)),
+        aperture_known=bool(rng.random() < 0.5),
+    )
+
+
+def _log_uniform(rng: np.random.Generator, low: float, high: float) -> float:
+    return float(np.exp(rng.uniform(np.log(low), np.log(high))))
+
+
+def _bled(seed: int, side: int, instrument: Instrument, rng: np.random.Generator) -> Unseen:
+    trench_px = _log_uniform(rng, 8, 90)
+    scene = Bleeding(
+        na=instrument.na,
+        step_dof=instrument.step_dof,
+        trench_px=trench_px,
+        pitch_px=trench_px + float(rng.uniform(90, 400)),  # wide dies often leave a frame with a wall just outside
+        depth_um=float(rng.uniform(10, 80)),
+        ratio=_log_uniform(rng, 1, 20),
+        die_contrast=_log_uniform(rng, 0.02, 0.3),
+        trench_contrast=_log_uniform(rng, 0.1, 0.6),
+        trench_grain_px=float(rng.uniform(0.8, 4.0)),
+        bare_share=float(rng.choice([0.0, rng.uniform(0.0, 0.5), 1.0], p=[0.3, 0.6, 0.1])),
+        sweep_um=0.0,
+        clipped=float(rng.choice([0.0, 0.1, 0.9])),
+        full_well_e=instrument.full_well_e,
+        lines=bool(rng.random() < 0.5),
+        seed=seed,
+    )
+    lit = Lit(scene, (side, side), rng)
+    z_um = instrument.sweep_um(0.0, scene.depth_um)
+    true_z_um = _jittered(z_um, instrument, rng)
+    light = np.stack([lit.light_at(z).astype(np.float32) for z in true_z_um])
+    about = f"layers, trench {trench_px:.0f} px, {scene.depth_um:.0f} um deep, {scene.ratio:.1f}:1"
+    on_die = lit.truth_um > scene.depth_um / 2
+    return _shot(seed, about, instrument, z_um, light, lit.truth_um, _wall_distance_px(on_die), rng)
+
+
+def _traced(seed: int, side: int, instrument: Instrument, rng: np.random.Generator) -> Unseen:
+    scene = _traced_scene(seed, (side, side), rng)
+    optics = Optics(na=instrument.na, apodised=bool(rng.random() < 0.5), views=VIEWS)
+    truth_um = scene.truth_um
+    z_um = instrument.sweep_um(float(truth_um.min()), float(truth_um.max()))
+    light = light_of(scene, optics, _jittered(z_um, instrument, rng))
+    light /= np.float32(white_light_of(scene, light, z_um, float(rng.choice([0.0005, 0.01, 0.1]))))
+    about = f"rays, {scene.name}"
+    return _shot(seed, about, instrument, z_um, light, truth_um, scene.edge_distance_px, rng)
+
+
+def _traced_scene(seed: int, shape: tuple[int, int], rng: np.random.Generator) -> TruthScene:
+    name = rng.choice(["dies", "rim", "step", "plane", "cone", "cosine"], p=[0.35, 0.15, 0.15, 0.1, 0.1, 0.15])
+    contrast = _log_uniform(rng, 0.05, 0.5)
+    if name == "plane":
+        return plane(seed, shape, tilt=float(rng.uniform(0.0, 0.8)), contrast=contrast)
+    if name == "cone":
+        return cone(seed, shape, height_um=float(rng.uniform(10, 60)), contrast=contrast)
+    if name == "cosine":
+        return cosine(seed, shape, height_um=float(rng.uniform(5, 40)), contrast=contrast)
+    if name == "step":
+        return step(seed, shape, step_um=float(rng.uniform(10, 90)), angle_deg=float(rng.uniform(0, 90)))
+    trench_px = _log_uniform(rng, 8, 90)
+    make = dies if name == "dies" else rim
+    return make(
+        seed,
+        shape,
+        trench_px=trench_px,
+        pitch_px=trench_px + float(rng.uniform(90, 400)),
+        corner_fraction=float(rng.choice([0.02, 0.3, 1.0])),
+        angle_deg=float(rng.choice([0.0, rng.uniform(0, 90)])),
+        die_grey=float(rng.uniform(0.05, 0.5)),
+        trench_grey=float(rng.uniform(0.4, 0.9)),
+        die_contrast=_log_uniform(rng, 0.03, 0.3),
+        trench_contrast=_log_uniform(rng, 0.1, 0.5),
+        bare_share=float(rng.uniform(0.0, 0.4)),
+        glossy=bool(rng.random() < 0.5),
+    )
+
+
+def _jittered(z_um: NDArray[np.float64], instrument: Instrument, rng: np.random.Generator) -> NDArray[np.float64]:
+    return z_um + instrument.jitter_dof * instrument.depth_of_field_um * rng.standard_normal(len(z_um))
+
+
+def _shot(
+    seed: int,
+    about: str,
+    instrument: Instrument,
+    z_um: NDArray[np.float64],
+    light: NDArray[np.float32],
+    truth_um: NDArray[np.float32],
+    wall_distance_px: NDArray[np.floating],
+    rng: np.random.Generator,
+) -> Unseen:
+    """What the camera makes of light [k, row, col], given as a share of white."""
+    n = len(z_um)
+    _drift(light, instrument.drift_px)
+    light *= (1 + instrument.flicker * rng.standard_normal(n)).clip(0.5, 1.5).astype(np.float32)[:, None, None]
+    faulty = rng.choice(n, instrument.flashes + instrument.dark, replace=False)
+    light[faulty[: instrument.flashes]] += 2.0
+    light[faulty[instrument.flashes :]] = 0.0
+    images = Camera(instrument.full_well_e, instrument.read_grey).shoot(light, 1.0, seed)
+    field = Field(number=1, row=0, col=0, x_um=0.0, y_um=0.0, z_start_um=float(z_um[0]))
+    depth_um = instrument.depth_of_field_um if instrument.aperture_known else 0.0
+    stack = FieldStack(field, images, z_um, np.ones(n, bool), PIXEL_UM, simulated=True, depth_of_field_um=depth_um)
+    return Unseen(seed, about, instrument, stack, truth_um, wall_distance_px)
+
+
+def _drift(light: NDArray[np.float32], drift_px: tuple[float, float]) -> None:
+    if not any(drift_px):
+        return
+    for k, share in enumerate(np.linspace(-0.5, 0.5, len(light))):
+        light[k] = shift(light[k], [share * d for d in drift_px], order=1, mode="nearest")
+
+
+def _wall_distance_px(on_die: NDArray[np.bool_]) -> NDArray[np.floating]:
+    edges = np.hypot(sobel(on_die.astype(float), 0), sobel(on_die.astype(float), 1)) > 0
+    return distance_transform_edt(~edges) if edges.any() else np.full(on_die.shape, np.inf)
