@@ -13,7 +13,7 @@ from wafer_viewer.model.spec import replace
 from wafer_viewer.rigs.virtual.rig import VirtualRig, virtual_limits
 
 ROWS, COLS = 48, 64
-RATE_HZ = 4.0  # slow: a software trigger comes late by tens of ms on a busy machine
+RATE_HZ = 1.0  # slow: software triggers come tens of ms late on a busy machine; a twentieth of the period is allowed
 
 
 class PolledCamera:
@@ -96,7 +96,7 @@ def slots_off(leg, frames, limits):
 @pytest.mark.slow
 def test_frames_with_lost_packets_are_taken_again_and_none_slips(aravis):
     fake, connect = aravis
-    fake(lost=0.02)  # of the packets; a frame has several, and late triggers can cost a whole pass one of its repairs
+    fake(lost=0.05)
     rig = GigERig(connect(trigger="Software", rows=ROWS, cols=COLS))
     fields = tuple(Field(number=i, row=0, col=i, x_um=50.0 * i, y_um=0.0, z_start_um=0.0) for i in (1, 2))
     plan = plan_scan(fields, FocusSweep(z_step_um=1.0, n_frames=12), (1000.0,), rig.limits, "z_snake")
