@@ -190,6 +190,7 @@ def test_on_command_the_scale_gives_no_pulse_and_fire_gives_one(world, box):
     assert box.disarm().emitted == 2
     counts = [world.position - 200, world.position]
     assert [(p.number, p.count) for p in box.pulses()] == [(0, counts[0]), (1, counts[1])]
+    world.heard(len(counts))
     assert world.edges == counts
     with pytest.raises(RigError, match="refused FIRE: not armed"):
         box.fire()
