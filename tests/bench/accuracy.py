@@ -61,7 +61,9 @@ def main() -> None:
     parser.add_argument("--measures", nargs="+", choices=list(MEASURES), default=[DEFAULT.focus_measure])
     parser.add_argument("--each", action="store_true", help="show each scene as well")
     wanted = parser.parse_args()
-    if wanted.scenes:
+    if wanted.scenes is not None:
+        if wanted.scenes < 1:
+            parser.error("--scenes needs a number of scenes, 1 or more")
         show_scenes(wanted.scenes, wanted.first_seed, wanted.measures, wanted.each)
         return
     for name in wanted.only:

@@ -1,7 +1,8 @@
-"""How right the heights are on scenes drawn by seed, with the defaults of every measure."""
+"""How right the heights are on scenes drawn by seed, with the defaults of the measures."""
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from concurrent.futures import ProcessPoolExecutor
 from functools import partial
 
@@ -10,12 +11,16 @@ import numpy as np
 from tests.bench.recipes import MEASURES
 from tests.bench.tables import percent, show
 from tests.truth.unseen import FIRST_REPORTED_SEED, drawn_scene
+from wafer_viewer.measure.truth_comparison import Quality, quality
 from wafer_viewer.reconstruct.field_pipeline import reconstruct
 
-Judged = tuple[float, float, float, float]
-"""Kept share, false share, false share of the interior, and RMSE in um of what is not false."""
+Judged = tuple[Quality, Quality]
+"""Of the whole frame, and of its interior."""
 RENDERERS = {"layers blurred by FFT": 0, "rays past walls": 1}
-HEADER = ("renderer, measure", "scenes", "kept %", "false %", "median", "worst tenth", "worst", "interior", "RMSE um")
+HEADER = (
+    "renderer, measure", "scenes", "of them empty", "kept %", "false %", "median", "worst tenth", "worst", "interior",
+    "RMSE um",
+)  # fmt: skip
 
 
 def show_scenes(count: int, first_seed: int, measures: list[str], one_by_one: bool) -> None:
@@ -25,7 +30,7 @@ def show_scenes(count: int, first_seed: int, measures: list[str], one_by_one: bo
         judged = list(pool.map(partial(judge_scene, measures=measures), seeds))
     if one_by_one:
         rows = [
-            (f"{seed} {about}, {measure}", *percents(found[:3]), found[3])
+            (f"{seed} {about}, {measure}", *percents(figures(found)), found[0].true_rmse_um)
             for seed, (about, of_measures) in zip(seeds, judged, strict=True)
             for measure, found in of_measures.items()
         ]
@@ -42,27 +47,33 @@ def show_scenes(count: int, first_seed: int, measures: list[str], one_by_one: bo
 def judge_scene(seed: int, measures: list[str]) -> tuple[str, dict[str, Judged]]:
     """Return what the scene is, and what each measure makes of it."""
     scene = drawn_scene(seed)
+    inside_um = np.where(scene.interior, scene.truth_um, np.float32(np.nan))
     found = {}
     for measure in measures:
         z_um = reconstruct(scene.stack, MEASURES[measure], threads=1).to_measure()
-        kept, off_um = np.isfinite(z_um), np.abs(z_um - scene.truth_um)
-        false = kept & (off_um > scene.limit_um)
-        interior = kept & scene.interior
-        true_um = off_um[kept & ~false]
-        rmse_um = float(np.sqrt(np.mean(true_um**2))) if true_um.size else np.nan
-        shares = (part.sum() / max(1, whole.sum()) for part, whole in ((false, kept), (false & interior, interior)))
-        found[measure] = (float(kept.mean()), *map(float, shares), rmse_um)
+        whole, interior = (quality(z_um, truth_um, scene.limit_um) for truth_um in (scene.truth_um, inside_um))
+        found[measure] = whole, interior
     return scene.about, found
 
 
-def summary(found: list[Judged]) -> tuple[str | float, ...]:
-    """Means over scenes; false shares also as median, mean of the worst tenth, and worst."""
-    kept, false, interior, rmse_um = np.array(found).T
-    worst = np.sort(false)[-max(1, len(false) // 10) :]
-    shares = (kept.mean(), false.mean(), np.median(false), worst.mean(), worst[-1], interior.mean())
-    return (*percents(shares), float(np.nanmedian(rmse_um)) if np.isfinite(rmse_um).any() else np.nan)
+def figures(found: Judged) -> tuple[float, ...]:
+    """Kept share, false share of what is kept, and false share of the interior; NaN where nothing is kept."""
+    whole, interior = found
+    return whole.completeness_fraction, whole.false_fraction, interior.false_fraction
 
 
-def percents(shares: tuple[float, ...]) -> tuple[str, ...]:
+def summary(found: list[Judged]) -> tuple[str | float | int, ...]:
+    """Means over scenes; false shares, of the scenes where anything is kept, also as median, worst tenth and worst."""
+    kept, false, interior = np.array([figures(one) for one in found]).T
+    empty = int(np.isnan(false).sum())
+    false = np.sort(false[np.isfinite(false)])
+    if not false.size:
+        return (empty, percent(float(kept.mean()), 2), *(None,) * 6)
+    worst = false[-max(1, len(false) // 10) :]
+    shares = (kept.mean(), false.mean(), np.median(false), worst.mean(), worst[-1], np.nanmean(interior))
+    return (empty, *percents(shares), float(np.nanmedian([whole.true_rmse_um for whole, _ in found])))
+
+
+def percents(shares: Iterable[float]) -> tuple[str, ...]:
     """Return shares as percentages."""
     return tuple(percent(float(share), 2) for share in shares)

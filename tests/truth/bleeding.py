@@ -103,17 +103,17 @@ def seen(scene: Bleeding, shape: tuple[int, int] = (256, 256)) -> Seen:
     rng = np.random.default_rng((scene.seed, 1))
     z_um = np.arange(0.0, scene.depth_um + scene.sweep_um, scene.step_um)
     images = np.empty((len(z_um), *shape), np.uint8)
-    lit = Lit(scene, shape, rng)
+    layers = BlurredLayers(scene, shape, rng)
     for k, z in enumerate(z_um):
-        share = lit.light_at(z)
+        share = layers.light_at(z)
         noisy = share + np.sqrt(share / scene.full_well_e + (0.4 / _WHITE) ** 2) * rng.standard_normal(shape)
         images[k] = np.clip(np.rint(noisy * _WHITE), 0, _WHITE)
     field = Field(number=1, row=0, col=0, x_um=0.0, y_um=0.0, z_start_um=0.0)
-    return Seen(scene, FieldStack(field, images, z_um, np.ones(len(z_um), bool), PIXEL_UM), lit.truth_um)
+    return Seen(scene, FieldStack(field, images, z_um, np.ones(len(z_um), bool), PIXEL_UM), layers.truth_um)
 
 
-class Lit:
-    """The layers of a scene and the light on the camera, whatever the height of the focus."""
+class BlurredLayers:
+    """The dies and the trench of a scene, their true heights, and their light on the camera at any focus."""
 
     def __init__(self, scene: Bleeding, shape: tuple[int, int], rng: np.random.Generator):
         padded = tuple(n + 2 * _MARGIN_PX for n in shape)
