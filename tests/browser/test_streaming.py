@@ -16,7 +16,8 @@ from tests.browser.steps import click_the_surface, eventually, go_to
 from tests.support.page_stand_in import grid, height_map, job_and_plan, snapshot_of
 from wafer_viewer.gui.app import start
 from wafer_viewer.gui.scene import surface_tiles
-from wafer_viewer.gui.scene.reconciler import MOST_BYTES
+from wafer_viewer.gui.scene.reconciler import MOST_BYTES, SendWindow
+from wafer_viewer.gui.scenes import scene_view
 from wafer_viewer.model.region import Region
 from wafer_viewer.model.surface.height_map import Mosaic, Origin
 from wafer_viewer.session.core.dataset_library import load_summary
@@ -74,17 +75,28 @@ class StoredSession(FakeSession):
 
 
 class Sent:
-    """Bytes of tiles that were given to viser to be sent."""
+    """Bytes of tiles that were given to viser to be sent, and whether the browsers have processed them."""
 
     def __init__(self, monkeypatch: pytest.MonkeyPatch) -> None:
         self.n_bytes, self.n_tiles = 0, 0
+        self._windows: list[SendWindow] = []
         add = surface_tiles.add_glb
 
         def counted(scene, name, data):
             self.n_bytes, self.n_tiles = self.n_bytes + len(data), self.n_tiles + 1
             return add(scene, name, data)
 
+        def window(fence, arrived) -> SendWindow:
+            self._windows.append(SendWindow(fence, arrived))
+            return self._windows[-1]
+
         monkeypatch.setattr(surface_tiles, "add_glb", counted)
+        monkeypatch.setattr(scene_view, "SendWindow", window)
+
+    @property
+    def processed(self) -> bool:
+        """A page that is hidden before it has processed its tiles is sent no more, whatever changes."""
+        return all(window.is_idle for window in self._windows)
 
 
 @pytest.fixture
@@ -109,9 +121,9 @@ def line(address: str) -> Iterator[SlowLine]:
 
 
 def at_rest(page: Page, sent: Sent) -> None:
-    """Until no more tiles are sent."""
+    """Until no more tiles are sent, and those sent are processed."""
     before = -1
-    while before != sent.n_tiles:
+    while before != sent.n_tiles or not sent.processed:
         before = sent.n_tiles
         page.wait_for_timeout(1500)
 

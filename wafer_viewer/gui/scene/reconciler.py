@@ -29,7 +29,7 @@ class SendWindow:
 
     def __init__(self, fence: Fence, arrived: Callable[[], None], clock: Callable[[], float] = time.monotonic) -> None:
         self._fence, self._arrived, self._clock = fence, arrived, clock
-        self._room, self._pairs_in_cells, self._since = FIRST_BYTES, 0, 0
+        self._room, self._in_flight, self._since = FIRST_BYTES, 0, 0
         self._due = threading.Condition()
         self._closed = False
         threading.Thread(target=self._run, name="fence", daemon=True).start()
@@ -38,12 +38,18 @@ class SendWindow:
     def has_room(self) -> bool:
         """True if more may be sent now."""
         with self._due:
-            return self._pairs_in_cells < self._room
+            return self._in_flight < self._room
+
+    @property
+    def is_idle(self) -> bool:
+        """True if the browser has processed all that was sent, or has gone."""
+        with self._due:
+            return self._in_flight == 0 or self._closed
 
     def sent(self, n_bytes: int) -> None:
         """Add bytes to those in flight."""
         with self._due:
-            self._pairs_in_cells += n_bytes
+            self._in_flight += n_bytes
             self._since += n_bytes
             self._due.notify()
 
@@ -65,13 +71,14 @@ class SendWindow:
             try:
                 self._fence()
             except RuntimeError:
+                self.close()
                 return
             self._answered(requested, self._clock() - began)
 
     def _answered(self, n_bytes: int, took_s: float) -> None:
         with self._due:
-            was_full = self._pairs_in_cells >= self._room
-            self._pairs_in_cells -= n_bytes
+            was_full = self._in_flight >= self._room
+            self._in_flight -= n_bytes
             if was_full or took_s > _GOAL_S:
                 wanted = int(n_bytes * _GOAL_S / max(took_s, 1e-3))
                 self._room = min(max(wanted, LEAST_BYTES, self._room // 2), MOST_BYTES, 2 * self._room)
