@@ -8,6 +8,7 @@ scenes each, a flash and a dark frame in a tenth each. Tuning sees seeds below 1
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
@@ -26,8 +27,12 @@ FIRST_REPORTED_SEED = 1000
 BORDER_PX = 24
 """How far the interior is from walls and from the border of the frame."""
 FEWEST_FRAMES, MOST_FRAMES = 25, 150
-VIEWS = 120
-"""Points of the pupil: fewer than for a picture to look at, each blurred by the part of the pupil it stands for."""
+VIEWS, RIM_VIEWS = 120, 960
+"""Points of the pupil: fewer than for a picture to look at, each blurred by the part of the pupil it stands for.
+
+Of the bright line along a polished rim few points make as many sharp copies, which look in focus where nothing is: 28,
+14 and 0 % of the heights of seed 45 were false with 120, 480 and 1500 points.
+"""
 
 
 @dataclass(frozen=True)
@@ -152,29 +157,40 @@ def _bled(seed: int, side: int, instrument: Instrument, rng: np.random.Generator
 
 
 def _traced(seed: int, side: int, instrument: Instrument, rng: np.random.Generator) -> Unseen:
-    scene = _traced_scene(seed, (side, side), rng)
-    optics = Optics(na=instrument.na, apodised=bool(rng.random() < 0.5), views=VIEWS)
+    scene, name = _traced_scene(seed, (side, side), rng)
+    apodised = bool(rng.random() < 0.5)
+    optics = Optics(instrument.na, apodised, RIM_VIEWS if name == "polished rim" else VIEWS)
     truth_um = scene.truth_um
     z_um = instrument.sweep_um(float(truth_um.min()), float(truth_um.max()))
     light = light_of(scene, optics, _jittered(z_um, instrument, rng))
     light /= np.float32(white_light_of(scene, light, z_um, float(rng.choice([0.0005, 0.01, 0.1]))))
-    about = f"rays, {scene.name}"
+    about = f"rays, {name}"
     return _shot(seed, about, instrument, z_um, light, truth_um, scene.edge_distance_px, rng)
 
 
-def _traced_scene(seed: int, shape: tuple[int, int], rng: np.random.Generator) -> TruthScene:
-    name = rng.choice(["dies", "rim", "step", "plane", "cone", "cosine"], p=[0.35, 0.15, 0.15, 0.1, 0.1, 0.15])
+def _traced_scene(seed: int, shape: tuple[int, int], rng: np.random.Generator) -> tuple[TruthScene, str]:
+    """A scene and its name."""
+    name = str(
+        rng.choice(["dies", "polished rim", "step", "plane", "cone", "cosine"], p=[0.35, 0.15, 0.15, 0.1, 0.1, 0.15])
+    )
     contrast = _log_uniform(rng, 0.05, 0.5)
-    if name == "plane":
-        return plane(seed, shape, tilt=float(rng.uniform(0.0, 0.8)), contrast=contrast)
-    if name == "cone":
-        return cone(seed, shape, height_um=float(rng.uniform(10, 60)), contrast=contrast)
-    if name == "cosine":
-        return cosine(seed, shape, height_um=float(rng.uniform(5, 40)), contrast=contrast)
-    if name == "step":
-        return step(seed, shape, step_um=float(rng.uniform(10, 90)), angle_deg=float(rng.uniform(0, 90)))
+    match name:
+        case "plane":
+            scene = plane(seed, shape, tilt=float(rng.uniform(0.0, 0.8)), contrast=contrast)
+        case "cone":
+            scene = cone(seed, shape, height_um=float(rng.uniform(10, 60)), contrast=contrast)
+        case "cosine":
+            scene = cosine(seed, shape, height_um=float(rng.uniform(5, 40)), contrast=contrast)
+        case "step":
+            step_um, angle_deg = float(rng.uniform(10, 90)), float(rng.uniform(0, 90))
+            scene = step(seed, shape, step_um=step_um, angle_deg=angle_deg)
+        case _:
+            scene = _dies(dies if name == "dies" else rim, seed, shape, rng)
+    return scene, name
+
+
+def _dies(make: Callable[..., TruthScene], seed: int, shape: tuple[int, int], rng: np.random.Generator) -> TruthScene:
     trench_px = _log_uniform(rng, 8, 90)
-    make = dies if name == "dies" else rim
     return make(
         seed,
         shape,
