@@ -25,7 +25,7 @@ from wafer_viewer.model.surface.recipe import Recipe
 from wafer_viewer.reconstruct.auto_tuning import TunedRecipe, tune_recipe
 from wafer_viewer.reconstruct.cleaning.clean import clean, mark_filled
 from wafer_viewer.reconstruct.focus.peak import Peaks
-from wafer_viewer.reconstruct.focus.peak_search import search_field, wide_heights
+from wafer_viewer.reconstruct.focus.peak_search import FOCUS_WIDTH_DEPTHS, search_field, wide_heights
 from wafer_viewer.reconstruct.focus.smooth_depth import SMOOTH_DEPTH, at_smooth_depth
 from wafer_viewer.reconstruct.gates.edge_bleeding import BleedingEdges, find_edges, judge_edges
 from wafer_viewer.reconstruct.gates.edge_bleeding import warm_up as warm_up_edges
@@ -37,9 +37,6 @@ from wafer_viewer.reconstruct.z_jitter import jitter_effect_um
 
 SEARCH_SHARE, EDGES_SHARE = 0.6, 0.9
 """Finished fraction after the peak search and after the edges, from 60 frames of 1000 x 1320 pixels."""
-
-FOCUS_WIDTH_DEPTHS = 1.2
-"""Full width at half maximum of a focus curve in depths of field, where the depth of field is unknown."""
 
 ENOUGH_TO_SETTLE = 0.2
 """Fraction of measured pixels from which the settled recipe of a field may be reused for its neighbours."""

@@ -45,8 +45,9 @@ def test_a_slope_is_as_steep_at_the_border_as_inside() -> None:
 
 
 def cleaned_of(z_um: NDArray[np.float32], bled_um: NDArray[np.float32] | None = None) -> Cleaned:
-    """A map whose resolution is 4 um and in which no silhouette tells sides apart."""
-    recipe = settle_cleaning([z_um], changed(Recipe(window=9), outliers=Outliers(mode="none")), 4.0)
+    """A map whose resolution is 4 um, under a cone of light as steep as 3.9, where no silhouette tells sides apart."""
+    recipe = changed(Recipe(window=9, focus_width_um=10.0), outliers=Outliers(mode="none"))
+    recipe = settle_cleaning([z_um], recipe, 4.0)
     return clean(z_um, 0.5, recipe, 4.0, np.zeros(z_um.shape, np.bool_), bled_um)
 
 
@@ -61,6 +62,14 @@ def test_no_sliver_of_a_steep_slope_is_left() -> None:
     assert np.isnan(found.raw_um[:, 22:]).all()
     assert found.step_edge[20, 30]
     assert found.outlier[31, 68]
+
+
+@pytest.mark.parametrize(("slope", "kept"), [(0.5, True), (0.8, False)])
+def test_one_surface_is_less_steep_than_the_cone_of_light(slope: float, kept: bool) -> None:
+    cone_um_per_px = 3.9 * 0.5
+    found = cleaned_of(slope * cone_um_per_px * np.arange(80, dtype=np.float32) * np.ones((60, 1), np.float32))
+    assert np.isfinite(found.raw_um).all() == kept
+    assert found.step_edge.all() != kept
 
 
 def test_heights_continuing_from_bleeding_are_rejected() -> None:

@@ -26,6 +26,7 @@ from itertools import islice
 import numpy as np
 from numpy.typing import NDArray
 
+from wafer_viewer.model.acquisition.calibration import WAVELENGTH_UM
 from wafer_viewer.model.spec import replace
 from wafer_viewer.model.surface.height_map import Origin
 from wafer_viewer.model.surface.recipe import Fill, Levy, Outliers, Recipe
@@ -35,6 +36,7 @@ from wafer_viewer.numerics.filters.regions import narrow_parts, small_components
 from wafer_viewer.numerics.filters.sliding_filters import doubled, highest, lowest
 from wafer_viewer.numerics.normal_statistics import MAD_TO_SIGMA
 from wafer_viewer.reconstruct.cleaning.levy_flight import SMOOTHERS, bends_of, flight_lengths, height_noise_um, smooth
+from wafer_viewer.reconstruct.focus.peak_search import FOCUS_WIDTH_DEPTHS
 
 MAX_STEP_FRAMES = 1.5
 """A gap whose sides differ by more than one and a half steps of the sweep is a step of the surface."""
@@ -153,8 +155,24 @@ FINDERS: dict[str, Callable[[Map, Map, float, Recipe], Found]] = {"none": _none,
 """Each takes the raw and the smoothed map, the pixel size and the settled recipe."""
 
 
-JUMP_STEPS = 2.0
-"""Difference between two surfaces a few pixels apart, in steps of the resolution."""
+@dataclass(frozen=True, slots=True)
+class JumpParameters:
+    """Limits of the height range within a window that one surface may have: tests/truth/unseen.py.
+
+    Parameters
+    ----------
+    steps : float
+        Range from which there may be two surfaces, in steps of the resolution.
+    cone_share : float
+        Steepest slope of a surface, relative to the cone of light of the objective: bleeding light makes surfaces as
+        steep as the cone.
+    """
+
+    steps: float = 1.0
+    cone_share: float = 0.6
+
+
+JUMP = JumpParameters()
 
 _BEYOND_UM = np.float32(1e9)
 """Magnitude of a height beyond all others, which stands for unmeasured ones."""
@@ -167,10 +185,15 @@ def height_range_um(z_um: NDArray[np.float32], window: int) -> NDArray[np.float3
     taken within a full window, because heights cut off by the border are missing, and a slope must not look flatter
     there.
     """
-    reach = window // 4
-    high = highest(_of_cells(np.where(np.isnan(z_um), -_BEYOND_UM, z_um), np.maximum), 2 * reach + 1)
-    low = lowest(_of_cells(np.where(np.isnan(z_um), _BEYOND_UM, z_um), np.minimum), 2 * reach + 1)
-    return doubled(_full_windows(high - low, reach), z_um.shape)
+    cells = _range_cells(window)
+    high = highest(_of_cells(np.where(np.isnan(z_um), -_BEYOND_UM, z_um), np.maximum), cells)
+    low = lowest(_of_cells(np.where(np.isnan(z_um), _BEYOND_UM, z_um), np.minimum), cells)
+    return doubled(_full_windows(high - low, cells // 2), z_um.shape)
+
+
+def _range_cells(window: int) -> int:
+    """Return the side of the square of `height_range_um`, in cells of 2 x 2 pixels."""
+    return 2 * (window // 4) + 1
 
 
 def _full_windows(plane: NDArray[np.float32], reach: int) -> NDArray[np.float32]:
@@ -258,7 +281,7 @@ def clean(
     outlier = find_outliers(z_um, smoothed, pixel_um, recipe)
     raw, step_edge = np.where(outlier, np.float32(np.nan), z_um), np.zeros(z_um.shape, np.bool_)
     if side_is_known is not None:
-        step_edge = _step_edges(raw, bleeding_um, recipe, resolution_um) & ~side_is_known
+        step_edge = _step_edges(raw, bleeding_um, pixel_um, recipe, resolution_um) & ~side_is_known
         raw[step_edge] = np.nan
         if step_edge.any():
             outlier |= _leftovers(raw, recipe, resolution_um) & ~side_is_known
@@ -267,10 +290,23 @@ def clean(
     return Cleaned(fill(smoothed, recipe.fill, resolution_um), raw, outlier, step_edge)
 
 
-def _step_edges(z_um: Map, bleeding_um: Map | None, recipe: Recipe, resolution_um: float) -> NDArray[np.bool_]:
+def _step_edges(
+    z_um: Map, bleeding_um: Map | None, pixel_um: float, recipe: Recipe, resolution_um: float
+) -> NDArray[np.bool_]:
     """Return a mask of heights with another surface within about half a window."""
     edge_um = z_um if bleeding_um is None else np.where(np.isnan(z_um), bleeding_um, z_um)
-    return (height_range_um(edge_um, int(recipe.window)) > JUMP_STEPS * resolution_um) & np.isfinite(z_um)
+    limit_um = _jump_limit_um(recipe, pixel_um, resolution_um)
+    return (height_range_um(edge_um, int(recipe.window)) > limit_um) & np.isfinite(z_um)
+
+
+def _jump_limit_um(recipe: Recipe, pixel_um: float, resolution_um: float) -> float:
+    """Return the largest height range of one surface within the pixels of `height_range_um`.
+
+    The cone of light is as steep as the root of the depth of field, lambda / NA^2, in wavelengths, for small apertures.
+    """
+    depth_um = float(recipe.focus_width_um) / FOCUS_WIDTH_DEPTHS
+    extent_um = (2 * _range_cells(int(recipe.window)) - 1) * pixel_um
+    return max(JUMP.steps * resolution_um, JUMP.cone_share * math.sqrt(depth_um / WAVELENGTH_UM) * extent_um)
 
 
 def _leftovers(z_um: Map, recipe: Recipe, resolution_um: float) -> NDArray[np.bool_]:

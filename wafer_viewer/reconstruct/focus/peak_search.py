@@ -279,6 +279,10 @@ NARROWEST_STEPS = 1.2
 """Focus curves no wider than this at half maximum, in steps, have a single frame at their peak."""
 
 
+FOCUS_WIDTH_DEPTHS = 1.2
+"""Full width at half maximum of a focus curve in depths of field, where the depth of field is unknown."""
+
+
 def coarse_step(step_um: float, depth_of_field_um: float, focus_width_um: float) -> tuple[str, ...]:
     """Return a note when the step is too coarse for the depth of field or, if that is 0 (unknown), the focus width."""
     half_um = depth_of_field_um / 2
