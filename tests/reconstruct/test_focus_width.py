@@ -90,7 +90,7 @@ def test_a_width_that_hides_walls_is_reported():
 
 def test_a_sweep_too_short_for_walls_is_reported():
     one = scene(SEEDS[0])
-    wide = replace(Recipe(), focus_width_um=float(np.ptp(one.stack.z_um)) / 3)
+    wide = replace(Recipe(), focus_width_um=float(np.ptp(one.stack.z_um)) / 1.5)
     assert any("this one is" in note for note in reconstruct(one.stack, wide, threads=1).provenance.notes)
 
 

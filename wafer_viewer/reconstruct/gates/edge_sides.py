@@ -2,16 +2,18 @@
 
 With b = ln(mean of 6 x 6 pixels + a dark grey), D is the largest change of b over 6 pixels along a row or a column. A
 pattern in one plane has such a contrast only within the depth of focus about that plane; the outline of a die next to a
-bright trench has it in all frames from the foot of its wall to the top. A silhouette that persists through many frames
-is therefore a wall, and can be detected before depth is known. Maps have half the resolution: pixel (i, j) stands for
-the 2 x 2 pixels from (2 i, 2 j).
+bright trench has it in all frames from the foot of its wall to the top. A long silhouette that persists through many
+frames is therefore a wall, and can be detected before depth is known; coarse texture persists too, in patches. Maps
+have half the resolution: pixel (i, j) stands for the 2 x 2 pixels from (2 i, 2 j).
 
 The frame in which the wall is sharpest is used: there, at the foot or the top of the wall, light does not bleed over
 it. A pixel next to the outline that is neither clearly dark nor clearly bright is assigned to no side.
 
 Heights come from cells of 4 x 4 pixels, as in the coarse focus volume. A cell is an anchor of a side when it lies
 entirely on it, its pixels passed the gate, and it is flat together with its neighbours: false heights by bleeding light
-are not flat, they rise with the distance from the wall divided by the aperture. Small groups of cells are not accepted.
+are not flat, they rise with the distance from the wall divided by the aperture. An anchor of the dark side lies at
+least a focus window from the wall: nearer, a dark die without texture shows the texture of the bright trench, in focus
+and flat. Small groups of cells are not accepted.
 """
 
 from __future__ import annotations
@@ -23,6 +25,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy import ndimage
 
 from wafer_viewer.model.acquisition.focus_stack import Image
 from wafer_viewer.numerics.filters.sliding_filters import (
@@ -218,8 +221,27 @@ def _note(change: Float32s, k: Int, every: Int, contrast: Float32s, frame: UInt1
         standing[x] = u(standing[x] + (step if d >= least else u(0)))
 
 
-STANDING_GAPS = 2.0
-"""A silhouette is a wall if it persists for twice the rival gap; patterns in one plane reach half of that."""
+STANDING_GAPS = 1.0
+"""Frames through which a silhouette persists that may be a wall, in rival gaps; coarse texture may reach twice that."""
+
+
+@dataclass(frozen=True, slots=True)
+class WallParameters:
+    """Limits that distinguish the silhouettes of walls from those of coarse texture: tests/truth/unseen.py.
+
+    Parameters
+    ----------
+    least_length_px : int, px
+        Smallest length of a wall along rows or columns; texture forms patches.
+    short_gaps : float
+        Persistence beyond which a shorter silhouette is a wall too, relative to that of a long one.
+    """
+
+    least_length_px: int = 48
+    short_gaps: float = 3.0
+
+
+WALL = WallParameters()
 
 BAND_REACH_PX = 8
 """Distance beyond the silhouette, which is about 8 pixels wide, over which light bleeds visibly."""
@@ -251,10 +273,8 @@ class SideParameters:
 
 
 SIDE = SideParameters()
-_REACH = BAND_REACH_PX // 2
-"""`BAND_REACH_PX` in pixels of half resolution."""
-_NEARER_FIRST = (_REACH // 2, 2 * _REACH)
-"""Distances at which walls are searched for, one after the other, in pixels of half resolution."""
+_NEARER_FIRST = (0.25, 1.0)
+"""Distances at which walls are searched for, one after the other, as shares of the reach of a band."""
 _CONTRAST_UNIT = 16384.0
 """Integer steps per unit of contrast, in the upper 16 bits of a key."""
 _LOG_UNIT = 4096.0
@@ -273,12 +293,14 @@ class EdgeSide(IntEnum):
 class Band(NamedTuple):
     """Surroundings of walls at half resolution: mask, frame for the side classification, and wall contrast.
 
-    inside: bool; frame: index of the frame; contrast: of the silhouette along the middle of a wall, 0 elsewhere.
+    inside: bool; frame: index of the frame; contrast: of the silhouette along the middle of a wall, 0 elsewhere;
+    reach_px: how far the band extends beyond a silhouette, in pixels of the field.
     """
 
     inside: Bools
     frame: UInt16s
     contrast: Float32s
+    reach_px: int
 
 
 class Sides(NamedTuple):
@@ -293,17 +315,28 @@ class Sides(NamedTuple):
     threshold: Float32s
 
 
-def find_band(silhouette: Silhouette, gap: int) -> Band | None:
-    """Return the surroundings of all walls, None if there are none; gap: frames from a peak to a rival."""
-    wall = silhouette.standing >= STANDING_GAPS * gap
+def find_band(silhouette: Silhouette, standing_frames: float, reach_px: int = BAND_REACH_PX) -> Band | None:
+    """Return the surroundings of all walls, None if there are none; standing_frames: in which a wall shows at least."""
+    if not (silhouette.standing >= standing_frames).any():
+        return None
+    wall = _walls(silhouette.standing, standing_frames)
     if not wall.any():
         return None
     contrast = np.where(wall, silhouette.contrast, np.float32(0))
     ridge = np.where(
         contrast >= np.float32(SIDE.ridge_share) * highest(contrast, SIDE.levels_px), contrast, np.float32(0)
     )
-    frame = (_strongest(ridge, silhouette.frame) & np.uint32(0xFFFF)).astype(np.uint16)
-    return Band(highest(wall, 2 * _REACH + 1), frame, ridge)
+    frame = (_strongest(ridge, silhouette.frame, reach_px) & np.uint32(0xFFFF)).astype(np.uint16)
+    return Band(highest(wall, 2 * (reach_px // 2) + 1), frame, ridge, reach_px)
+
+
+def _walls(standing: NDArray[np.uint16], least_frames: float) -> NDArray[np.bool_]:
+    """Return the silhouettes that are walls: long ones, and short ones that persist far longer than a pattern does."""
+    parts, n = ndimage.label(standing >= least_frames, np.ones((3, 3)))
+    extents = [max(rows.stop - rows.start, cols.stop - cols.start) for rows, cols in ndimage.find_objects(parts)]
+    longest = ndimage.maximum(standing, parts, np.arange(1, n + 1))
+    is_wall = (np.array(extents) >= WALL.least_length_px // 2) | (longest >= WALL.short_gaps * least_frames)
+    return np.concatenate([[False], is_wall])[parts]
 
 
 def classify_sides(grey: NDArray[np.float32], band: Band, dark_counts: float) -> Sides:
@@ -311,7 +344,7 @@ def classify_sides(grey: NDArray[np.float32], band: Band, dark_counts: float) ->
     halves = halved(grey)
     log = np.log(halves + np.float32(dark_counts))
     low, high = _extremes(log, band.inside)
-    threshold = _spread(band.contrast, np.float32(0.5) * (low + high))
+    threshold = _spread(band, np.float32(0.5) * (low + high))
     surely_dark, middle, surely_bright = (
         doubled(np.exp(level) - np.float32(dark_counts), grey.shape)
         for level in (
@@ -349,7 +382,7 @@ def outline_grey(source: StackSource, first: Int, inside: Bools, frame: UInt16s,
             grey[y, x] = total / 9.0
 
 
-def _strongest(contrast: NDArray[np.float32], carried: NDArray[np.uint16]) -> NDArray[np.uint32]:
+def _strongest(contrast: NDArray[np.float32], carried: NDArray[np.uint16], reach_px: int) -> NDArray[np.uint32]:
     """Return `carried` of the wall next to each pixel in the lower 16 bits; 0 where there is no wall.
 
     Of walls at about the same distance the strongest is used: a bright line near a wall affects itself only.
@@ -357,14 +390,14 @@ def _strongest(contrast: NDArray[np.float32], carried: NDArray[np.uint16]) -> ND
     strength = np.minimum(contrast * np.float32(_CONTRAST_UNIT), np.float32(65535)).astype(np.uint32)
     keyed = np.where(contrast > 0, (strength << np.uint32(16)) | carried.astype(np.uint32), np.uint32(0))
     found = np.zeros_like(keyed)
-    for reach in _NEARER_FIRST:
-        found = np.where(found > 0, found, highest(keyed, 2 * reach + 1))
+    for share in _NEARER_FIRST:
+        found = np.where(found > 0, found, highest(keyed, 2 * round(share * reach_px) + 1))
     return found
 
 
-def _spread(contrast: NDArray[np.float32], log: NDArray[np.float32]) -> NDArray[np.float32]:
+def _spread(band: Band, log: NDArray[np.float32]) -> NDArray[np.float32]:
     """Return a logarithm propagated from the nearest wall, slightly smoothed."""
-    found = _strongest(contrast, (np.clip(log, 0, 15) * np.float32(_LOG_UNIT)).astype(np.uint16))
+    found = _strongest(band.contrast, (np.clip(log, 0, 15) * np.float32(_LOG_UNIT)).astype(np.uint16), band.reach_px)
     return mean_of_valid(found & np.uint32(0xFFFF), found > 0, 3) / np.float32(_LOG_UNIT)
 
 
@@ -391,16 +424,17 @@ class AnchorParameters:
         Smallest number of connected anchors.
     pure_share : float
         Smallest fraction of the pixels around an anchor that lie on its side.
-    pure_cells : int, cells
-        Distance within which these pixels lie: a focus window of 9, applied twice, reaches over two cells.
+    bright_cells : int, cells
+        Distance within which these pixels lie on the bright side. On the dark side it is the reach of the band: there
+        the light of the bright side wins within the focus window.
     """
 
     reach_px: int = 48
     enough_pixels: int = 6
     enough_neighbours: int = 5
-    enough_cells: int = 10
+    enough_cells: int = 20
     pure_share: float = 0.95
-    pure_cells: int = 2
+    bright_cells: int = 1
 
 
 ANCHOR = AnchorParameters()
@@ -423,7 +457,7 @@ def side_heights_um(
     """
     near = highest(halved(band.inside) > 0, 2 * (_ANCHOR_REACH + 1) + 1)
     heights = _cell_medians(z_um, passed, near)
-    dark, bright = _cell_sides(all_in_focus, band.inside, sides, dark_counts)
+    dark, bright = _cell_sides(all_in_focus, band, sides, dark_counts)
     nothing = np.float32(np.nan)
     return (
         _from_anchors(np.where(dark, heights, nothing), tolerance_um),
@@ -432,21 +466,23 @@ def side_heights_um(
 
 
 def _cell_sides(
-    all_in_focus: Image, inside: NDArray[np.bool_], sides: Sides, dark_counts: float
+    all_in_focus: Image, band: Band, sides: Sides, dark_counts: float
 ) -> tuple[NDArray[np.bool_], NDArray[np.bool_]]:
     """Return masks of the cells entirely on the dark and on the bright side.
 
     Beyond the band, cells are classified by their grey against the threshold at the nearest wall.
     """
-    coverage = halved(inside)
+    coverage = halved(band.inside)
     in_band = coverage > 0
     per_coverage = 1 / np.maximum(coverage, np.float32(1e-6))
     grey = _cell_means(all_in_focus, in_band.shape)
     _, nearest_cell = nearest(in_band)
     threshold = (halved(sides.threshold) * per_coverage)[nearest_cell]
     brighter = np.log(grey + np.float32(dark_counts)) >= threshold
-    bright = mean(np.where(in_band, halved(sides.bright_share) * per_coverage, brighter), 2 * ANCHOR.pure_cells + 1)
-    return bright <= 1 - ANCHOR.pure_share, bright >= ANCHOR.pure_share
+    bright = np.where(in_band, halved(sides.bright_share) * per_coverage, brighter)
+    dark_cells = -(-band.reach_px // COARSE_PX)
+    dark_pure, bright_pure = (mean(bright, 2 * cells + 1) for cells in (dark_cells, ANCHOR.bright_cells))
+    return dark_pure <= 1 - ANCHOR.pure_share, bright_pure >= ANCHOR.pure_share
 
 
 def _from_anchors(heights: NDArray[np.float32], tolerance_um: float) -> NDArray[np.float32]:
