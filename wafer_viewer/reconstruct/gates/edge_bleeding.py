@@ -56,6 +56,7 @@ from wafer_viewer.reconstruct.gates.edge_sides import (
     outline_grey,
     side_heights_um,
     silhouette_of,
+    smooth_surroundings,
 )
 from wafer_viewer.reconstruct.gates.gate import LEAST_FRAMES
 from wafer_viewer.reconstruct.preprocess.camera_noise import CameraNoise
@@ -312,7 +313,7 @@ AGREEING_STEPS = 0.75
 LEAST_GAP = 4
 """Minimum rival gap in frames: focus along a wall is smoothed over three frames and placed by three more."""
 
-OUTLINE_MARGIN_PX = 2
+OUTLINE_MARGIN_PX = 1
 """Distance from the outline of a wall over which sides are least certain, in pixels: tests/truth/unseen.py."""
 
 _TILE_PX = 96
@@ -354,7 +355,7 @@ class BleedingEdges:
     def along(self) -> NDArray[np.bool_]:
         """Mask of pixels whose focus along the wall gives an accepted height, bool [row, col].
 
-        The last pixels before the outline are excluded: which side they belong to is least certain.
+        The last pixel before the outline is excluded: which side it belongs to is least certain.
         """
         uncertain = highest(self.side >= EdgeSide.BRIGHT, 2 * OUTLINE_MARGIN_PX + 1)
         dark = (self.side == EdgeSide.DARK) & ~uncertain
@@ -407,12 +408,13 @@ def find_edges(
     frames: Frames, how: EdgeSearch, peaks: Peaks, origin: NDArray[np.uint8], threads: int | None = None
 ) -> BleedingEdges | None:
     """Return the edges of a field, None where there are no walls. threads: all cores if omitted."""
-    band = find_band(silhouette_of(frames, threads), how.standing_frames, how.reach_px)
+    passed = origin == Origin.MEASURED
+    smooth = smooth_surroundings(peaks.z_um, passed, how.tolerance_um)
+    band = find_band(silhouette_of(frames, threads), how.standing_frames, how.reach_px, smooth)
     if band is None:
         return None
     dark_counts = DARK_SHARE_OF_WHITE * frames.clipped_counts
     sides = classify_sides(_outline_grey(frames, band, threads), band, dark_counts)
-    passed = origin == Origin.MEASURED
     dark_um, bright_um = side_heights_um(
         peaks.z_um, passed, peaks.all_in_focus, band, sides, dark_counts, how.tolerance_um
     )

@@ -11,9 +11,9 @@ it. A pixel next to the outline that is neither clearly dark nor clearly bright 
 
 Heights come from cells of 4 x 4 pixels, as in the coarse focus volume. A cell is an anchor of a side when it lies
 entirely on it, its pixels passed the gate, and it is flat together with its neighbours: false heights by bleeding light
-are not flat, they rise with the distance from the wall divided by the aperture. An anchor of the dark side lies at
-least a focus window from the wall: nearer, a dark die without texture shows the texture of the bright trench, in focus
-and flat. Small groups of cells are not accepted.
+are not flat, they rise with the distance from the wall divided by the aperture. Within a focus window of the wall a
+dark die without texture shows the texture of the bright trench, in focus and flat: there an anchor of the dark side has
+another height than the bright side. Small groups of cells are not accepted.
 """
 
 from __future__ import annotations
@@ -25,7 +25,6 @@ from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy import ndimage
 
 from wafer_viewer.model.acquisition.focus_stack import Image
 from wafer_viewer.numerics.filters.sliding_filters import (
@@ -235,10 +234,16 @@ class WallParameters:
         Smallest length of a wall along rows or columns; texture forms patches.
     short_gaps : float
         Persistence beyond which a shorter silhouette is a wall too, relative to that of a long one.
+    measured_share : float
+        Share of measured pixels around texture that looks like a wall.
+    jump_tolerances : float
+        Largest height range of neighbouring cells there, in tolerances for equal heights.
     """
 
     least_length_px: int = 48
     short_gaps: float = 3.0
+    measured_share: float = 0.97
+    jump_tolerances: float = 2.0
 
 
 WALL = WallParameters()
@@ -315,11 +320,22 @@ class Sides(NamedTuple):
     threshold: Float32s
 
 
-def find_band(silhouette: Silhouette, standing_frames: float, reach_px: int = BAND_REACH_PX) -> Band | None:
-    """Return the surroundings of all walls, None if there are none; standing_frames: in which a wall shows at least."""
+def find_band(
+    silhouette: Silhouette,
+    standing_frames: float,
+    reach_px: int = BAND_REACH_PX,
+    smooth: NDArray[np.bool_] | None = None,
+) -> Band | None:
+    """Return the surroundings of all walls, None if there are none.
+
+    standing_frames: number of frames through which a wall persists; reach_px: of the band beyond a silhouette; smooth:
+    from `smooth_surroundings`.
+    """
     if not (silhouette.standing >= standing_frames).any():
         return None
     wall = _walls(silhouette.standing, standing_frames)
+    if smooth is not None:
+        wall &= ~doubled(smooth, wall.shape)
     if not wall.any():
         return None
     contrast = np.where(wall, silhouette.contrast, np.float32(0))
@@ -332,11 +348,27 @@ def find_band(silhouette: Silhouette, standing_frames: float, reach_px: int = BA
 
 def _walls(standing: NDArray[np.uint16], least_frames: float) -> NDArray[np.bool_]:
     """Return the silhouettes that are walls: long ones, and short ones that persist far longer than a pattern does."""
-    parts, n = ndimage.label(standing >= least_frames, np.ones((3, 3)))
-    extents = [max(rows.stop - rows.start, cols.stop - cols.start) for rows, cols in ndimage.find_objects(parts)]
-    longest = ndimage.maximum(standing, parts, np.arange(1, n + 1))
-    is_wall = (np.array(extents) >= WALL.least_length_px // 2) | (longest >= WALL.short_gaps * least_frames)
-    return np.concatenate([[False], is_wall])[parts]
+    from skimage.measure import label, regionprops
+
+    parts: NDArray[np.int64] = np.asarray(label(standing >= least_frames, connectivity=2))
+    walls = [
+        part.label
+        for part in regionprops(parts, standing)
+        if max(part.image.shape) >= WALL.least_length_px // 2 or part.intensity_max >= WALL.short_gaps * least_frames
+    ]
+    return np.isin(parts, walls)
+
+
+def smooth_surroundings(z_um: NDArray[np.float32], passed: NDArray[np.bool_], tolerance_um: float) -> NDArray[np.bool_]:
+    """Return the cells that one measured surface without jumps surrounds, where no wall is; bool [row / 4, col / 4].
+
+    z_um, passed: [row, col], passed is the gate mask; tolerance_um: tolerance for equal heights. A wall separates two
+    heights, or a surface from one that is too weakly textured to be measured as far as an anchor reaches.
+    """
+    shape = -(-z_um.shape[0] // COARSE_PX), -(-z_um.shape[1] // COARSE_PX)
+    heights, size = _cell_medians(z_um, passed, np.ones(shape, np.bool_)), 2 * _ANCHOR_REACH + 1
+    jumps = _ranges(heights) > WALL.jump_tolerances * tolerance_um
+    return (mean(_cell_means(passed.view(np.uint8), shape), size) >= WALL.measured_share) & ~highest(jumps, size)
 
 
 def classify_sides(grey: NDArray[np.float32], band: Band, dark_counts: float) -> Sides:
@@ -424,17 +456,21 @@ class AnchorParameters:
         Smallest number of connected anchors.
     pure_share : float
         Smallest fraction of the pixels around an anchor that lie on its side.
-    bright_cells : int, cells
-        Distance within which these pixels lie on the bright side. On the dark side it is the reach of the band: there
-        the light of the bright side wins within the focus window.
+    bright_cells, dark_cells : int, cells
+        Distance within which these pixels lie, on the bright and on the dark side.
+    apart : float
+        Smallest difference from the bright side, in tolerances, of an anchor of the dark side nearer to the wall than
+        the focus window reaches.
     """
 
     reach_px: int = 48
     enough_pixels: int = 6
     enough_neighbours: int = 5
-    enough_cells: int = 20
+    enough_cells: int = 10
     pure_share: float = 0.95
     bright_cells: int = 1
+    dark_cells: int = 2
+    apart: float = 2.0
 
 
 ANCHOR = AnchorParameters()
@@ -457,18 +493,18 @@ def side_heights_um(
     """
     near = highest(halved(band.inside) > 0, 2 * (_ANCHOR_REACH + 1) + 1)
     heights = _cell_medians(z_um, passed, near)
-    dark, bright = _cell_sides(all_in_focus, band, sides, dark_counts)
+    far_dark, near_dark, bright = _cell_sides(all_in_focus, band, sides, dark_counts)
     nothing = np.float32(np.nan)
-    return (
-        _from_anchors(np.where(dark, heights, nothing), tolerance_um),
-        _from_anchors(np.where(bright, heights, nothing), tolerance_um),
-    )
+    bright_um = _from_anchors(np.where(bright, heights, nothing), tolerance_um)
+    apart = np.abs(heights - bright_um) > ANCHOR.apart * tolerance_um
+    dark_um = _from_anchors(np.where(far_dark | (near_dark & apart), heights, nothing), tolerance_um)
+    return dark_um, bright_um
 
 
 def _cell_sides(
     all_in_focus: Image, band: Band, sides: Sides, dark_counts: float
-) -> tuple[NDArray[np.bool_], NDArray[np.bool_]]:
-    """Return masks of the cells entirely on the dark and on the bright side.
+) -> tuple[NDArray[np.bool_], NDArray[np.bool_], NDArray[np.bool_]]:
+    """Return masks of the cells on the dark side beyond the window, entirely on the dark, and on the bright side.
 
     Beyond the band, cells are classified by their grey against the threshold at the nearest wall.
     """
@@ -480,9 +516,9 @@ def _cell_sides(
     threshold = (halved(sides.threshold) * per_coverage)[nearest_cell]
     brighter = np.log(grey + np.float32(dark_counts)) >= threshold
     bright = np.where(in_band, halved(sides.bright_share) * per_coverage, brighter)
-    dark_cells = -(-band.reach_px // COARSE_PX)
-    dark_pure, bright_pure = (mean(bright, 2 * cells + 1) for cells in (dark_cells, ANCHOR.bright_cells))
-    return dark_pure <= 1 - ANCHOR.pure_share, bright_pure >= ANCHOR.pure_share
+    around = (-(-band.reach_px // COARSE_PX), ANCHOR.dark_cells, ANCHOR.bright_cells)
+    far, near, nearest_px = (mean(bright, 2 * cells + 1) for cells in around)
+    return far <= 1 - ANCHOR.pure_share, near <= 1 - ANCHOR.pure_share, nearest_px >= ANCHOR.pure_share
 
 
 def _from_anchors(heights: NDArray[np.float32], tolerance_um: float) -> NDArray[np.float32]:
@@ -499,9 +535,14 @@ def _from_anchors(heights: NDArray[np.float32], tolerance_um: float) -> NDArray[
 
 def _flat(heights: NDArray[np.float32], tolerance_um: float) -> NDArray[np.bool_]:
     """Return the cells with enough neighbours, all of the same height."""
+    finite = np.isfinite(heights)
+    return (_ranges(heights) < tolerance_um) & finite & (9 * mean(finite, 3) > ANCHOR.enough_neighbours - 0.5)
+
+
+def _ranges(heights: NDArray[np.float32]) -> NDArray[np.float32]:
+    """Return the range of the heights of 3 x 3 cells, -inf where there is none."""
     finite, far = np.isfinite(heights), np.float32(np.inf)
-    high, low = highest(np.where(finite, heights, -far), 3), lowest(np.where(finite, heights, far), 3)
-    return finite & (high - low < tolerance_um) & (9 * mean(finite, 3) > ANCHOR.enough_neighbours - 0.5)
+    return highest(np.where(finite, heights, -far), 3) - lowest(np.where(finite, heights, far), 3)
 
 
 def _cell_means(image: Image, shape: tuple[int, int]) -> NDArray[np.float32]:
