@@ -149,6 +149,7 @@ def test_a_dataset_and_a_certificate_are_opened_by_the_keyboard_alone(page: Page
 def test_a_path_outside_of_what_may_be_shown_is_refused_with_the_way_out(page: Page, tmp_path: Path):
     (tmp_path / "elsewhere").mkdir()
     press(page, "Open a dataset…")
+    expect(row(page, "stacks")).to_be_visible()
     text_field(page, "Path").fill(str(tmp_path / "elsewhere"))
     answer(page, "Open")
     expect(page.get_by_role("dialog")).to_contain_text("start the viewer with --browse")
