@@ -456,8 +456,10 @@ class AnchorParameters:
         Smallest number of connected anchors.
     pure_share : float
         Smallest fraction of the pixels around an anchor that lie on its side.
-    bright_cells, dark_cells : int, cells
-        Distance within which these pixels lie, on the bright and on the dark side.
+    bright_cells : int, cells
+        Distance within which these pixels lie on the bright side.
+    dark_cells : int, cells
+        Distance within which they lie on the dark side.
     apart : float
         Smallest difference from the bright side, in tolerances, of an anchor of the dark side nearer to the wall than
         the focus window reaches.
