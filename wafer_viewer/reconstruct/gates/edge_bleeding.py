@@ -313,7 +313,7 @@ AGREEING_STEPS = 0.75
 LEAST_GAP = 4
 """Minimum rival gap in frames: focus along a wall is smoothed over three frames and placed by three more."""
 
-OUTLINE_MARGIN_PX = 1
+OUTLINE_MARGIN_PX = 2
 """Distance from the outline of a wall over which sides are least certain, in pixels: tests/truth/unseen.py."""
 
 _TILE_PX = 96
@@ -355,7 +355,7 @@ class BleedingEdges:
     def along(self) -> NDArray[np.bool_]:
         """Mask of pixels whose focus along the wall gives an accepted height, bool [row, col].
 
-        The last pixel before the outline is excluded: which side it belongs to is least certain.
+        The last pixels before the outline are excluded: which side they belong to is least certain.
         """
         uncertain = highest(self.side >= EdgeSide.BRIGHT, 2 * OUTLINE_MARGIN_PX + 1)
         dark = (self.side == EdgeSide.DARK) & ~uncertain
