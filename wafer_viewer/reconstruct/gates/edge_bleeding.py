@@ -408,9 +408,11 @@ def find_edges(
     frames: Frames, how: EdgeSearch, peaks: Peaks, origin: NDArray[np.uint8], threads: int | None = None
 ) -> BleedingEdges | None:
     """Return the edges of a field, None where there are no walls. threads: all cores if omitted."""
-    passed = origin == Origin.MEASURED
-    smooth = smooth_surroundings(peaks.z_um, passed, how.tolerance_um)
-    band = find_band(silhouette_of(frames, threads), how.standing_frames, how.reach_px, smooth)
+    silhouette, passed = silhouette_of(frames, threads), origin == Origin.MEASURED
+    if not (silhouette.standing >= how.standing_frames).any():
+        return None
+    smooth = smooth_surroundings(silhouette, how.standing_frames, peaks.z_um, passed, how.tolerance_um)
+    band = find_band(silhouette, how.standing_frames, how.reach_px, smooth)
     if band is None:
         return None
     dark_counts = DARK_SHARE_OF_WHITE * frames.clipped_counts

@@ -331,8 +331,6 @@ def find_band(
     standing_frames: number of frames through which a wall persists; reach_px: of the band beyond a silhouette; smooth:
     from `smooth_surroundings`.
     """
-    if not (silhouette.standing >= standing_frames).any():
-        return None
     wall = _walls(silhouette.standing, standing_frames)
     if smooth is not None:
         wall &= ~doubled(smooth, wall.shape)
@@ -359,16 +357,24 @@ def _walls(standing: NDArray[np.uint16], least_frames: float) -> NDArray[np.bool
     return np.isin(parts, walls)
 
 
-def smooth_surroundings(z_um: NDArray[np.float32], passed: NDArray[np.bool_], tolerance_um: float) -> NDArray[np.bool_]:
+def smooth_surroundings(
+    silhouette: Silhouette,
+    standing_frames: float,
+    z_um: NDArray[np.float32],
+    passed: NDArray[np.bool_],
+    tolerance_um: float,
+) -> NDArray[np.bool_]:
     """Return the cells that one measured surface without jumps surrounds, where no wall is; bool [row / 4, col / 4].
 
-    z_um, passed: [row, col], passed is the gate mask; tolerance_um: tolerance for equal heights. A wall separates two
-    heights, or a surface from one that is too weakly textured to be measured as far as an anchor reaches.
+    Jumps are looked for around silhouettes that persist through `standing_frames` only. z_um, passed: [row, col],
+    passed is the gate mask; tolerance_um: tolerance for equal heights. A wall separates two heights, or a surface from
+    one that is too weakly textured to be measured as far as an anchor reaches.
     """
-    shape = -(-z_um.shape[0] // COARSE_PX), -(-z_um.shape[1] // COARSE_PX)
-    heights, size = _cell_medians(z_um, passed, np.ones(shape, np.bool_)), 2 * _ANCHOR_REACH + 1
-    jumps = _ranges(heights) > WALL.jump_tolerances * tolerance_um
-    return (mean(_cell_means(passed.view(np.uint8), shape), size) >= WALL.measured_share) & ~highest(jumps, size)
+    size = 2 * _ANCHOR_REACH + 1
+    near = highest(halved(silhouette.standing >= standing_frames) > 0, size + 2)
+    jumps = _ranges(_cell_medians(z_um, passed, near)) > WALL.jump_tolerances * tolerance_um
+    measured_share = mean(_cell_means(passed.view(np.uint8), near.shape), size)
+    return (measured_share >= WALL.measured_share) & ~highest(jumps, size)
 
 
 def classify_sides(grey: NDArray[np.float32], band: Band, dark_counts: float) -> Sides:
@@ -519,8 +525,8 @@ def _cell_sides(
     brighter = np.log(grey + np.float32(dark_counts)) >= threshold
     bright = np.where(in_band, halved(sides.bright_share) * per_coverage, brighter)
     around = (-(-band.reach_px // COARSE_PX), ANCHOR.dark_cells, ANCHOR.bright_cells)
-    far, near, nearest_px = (mean(bright, 2 * cells + 1) for cells in around)
-    return far <= 1 - ANCHOR.pure_share, near <= 1 - ANCHOR.pure_share, nearest_px >= ANCHOR.pure_share
+    beyond, beside, bright = (mean(bright, 2 * cells + 1) for cells in around)
+    return beyond <= 1 - ANCHOR.pure_share, beside <= 1 - ANCHOR.pure_share, bright >= ANCHOR.pure_share
 
 
 def _from_anchors(heights: NDArray[np.float32], tolerance_um: float) -> NDArray[np.float32]:
