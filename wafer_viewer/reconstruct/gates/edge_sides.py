@@ -460,6 +460,12 @@ class AnchorParameters:
         Smallest number of cells with a height among 3 x 3 cells around an anchor.
     enough_cells : int
         Smallest number of connected anchors.
+    solid_cells : int, cells
+        Side of the square that anchors fill: the outline of a polished rim is a strip of one height.
+    around_cells : int, cells
+        Distance within which the heights of a side are compared with those of its anchors.
+    agreeing_share : float
+        Smallest share of these heights that agrees with an anchor.
     pure_share : float
         Smallest fraction of the pixels around an anchor that lie on its side.
     bright_cells : int, cells
@@ -475,6 +481,9 @@ class AnchorParameters:
     enough_pixels: int = 6
     enough_neighbours: int = 5
     enough_cells: int = 10
+    solid_cells: int = 2
+    around_cells: int = 6
+    agreeing_share: float = 0.5
     pure_share: float = 0.95
     bright_cells: int = 1
     dark_cells: int = 2
@@ -530,15 +539,39 @@ def _cell_sides(
 
 
 def _from_anchors(heights: NDArray[np.float32], tolerance_um: float) -> NDArray[np.float32]:
-    """Return the height of the nearest anchor, NaN beyond its reach; small components are no anchors."""
-    from skimage.morphology import remove_small_objects
+    """Return the height of the nearest anchor, NaN beyond its reach."""
+    from skimage.morphology import opening
 
-    anchors = remove_small_objects(_flat(heights, tolerance_um), max_size=ANCHOR.enough_cells - 1)
+    square = np.ones((ANCHOR.solid_cells, ANCHOR.solid_cells), np.bool_)
+    anchors = _large(opening(_flat(heights, tolerance_um), square))
+    anchors = _large(anchors & _agreed(heights, anchors, tolerance_um))
     if not anchors.any():
         return np.full_like(heights, np.nan)
-    smooth = mean_of_valid(heights, anchors, 3)
+    distance, anchor_um = _of_nearest(anchors, heights)
+    return np.where(distance <= _ANCHOR_REACH, anchor_um, np.float32(np.nan))
+
+
+def _agreed(heights: NDArray[np.float32], anchors: NDArray[np.bool_], tolerance_um: float) -> NDArray[np.bool_]:
+    """Return the cells around which enough heights agree with that of their nearest anchor."""
+    if not anchors.any():
+        return anchors
+    size, known = 2 * ANCHOR.around_cells + 1, np.isfinite(heights)
+    agreeing = known & (np.abs(heights - _of_nearest(anchors, heights)[1]) < tolerance_um)
+    return mean(agreeing, size) >= ANCHOR.agreeing_share * mean(known, size)
+
+
+def _large(cells: NDArray[np.bool_]) -> NDArray[np.bool_]:
+    from skimage.morphology import remove_small_objects
+
+    return remove_small_objects(cells, max_size=ANCHOR.enough_cells - 1)
+
+
+def _of_nearest(
+    anchors: NDArray[np.bool_], heights: NDArray[np.float32]
+) -> tuple[NDArray[np.float64], NDArray[np.float32]]:
+    """Return the distance of the nearest anchor in cells, and its height, smoothed."""
     distance, nearest_anchor = nearest(anchors)
-    return np.where(distance <= _ANCHOR_REACH, smooth[nearest_anchor], np.float32(np.nan))
+    return distance, mean_of_valid(heights, anchors, 3)[nearest_anchor]
 
 
 def _flat(heights: NDArray[np.float32], tolerance_um: float) -> NDArray[np.bool_]:
