@@ -91,8 +91,12 @@ def _lattice(raw_um: Map, smoothed_um: Map, pixel_um: float, recipe: Recipe) -> 
     found = far_on_lattice(smoothed_um, recipe.outliers) | _moved(raw_um, smoothed_um, floor_um)
     found |= narrow_parts(fill_gaps(smoothed_um, BRIDGED_PX, floor_um), floor_um, 3 * window // 4)
     remaining = np.where(found, np.float32(np.nan), smoothed_um)
-    found |= small_components(remaining, floor_um, (2 * window) ** 2)
+    found |= small_components(remaining, floor_um, _least_island_px(window))
     return found & np.isfinite(raw_um)
+
+
+def _least_island_px(window: int) -> int:
+    return (2 * window) ** 2
 
 
 def _cloud(raw_um: Map, smoothed_um: Map, pixel_um: float, recipe: Recipe) -> Found:
@@ -310,11 +314,11 @@ def _jump_limit_um(recipe: Recipe, pixel_um: float, resolution_um: float) -> flo
 
 
 def _leftovers(z_um: Map, recipe: Recipe, resolution_um: float) -> NDArray[np.bool_]:
-    """Return a mask of small remnants after the removal of step edges, which shrinks pieces by half a window.
+    """Return a mask of the islands that the removal of step edges leaves.
 
-    A sliver of a slope caused by bleeding light may look flat by itself, and is smaller than the focus window.
+    A sliver of a slope caused by bleeding light may look flat by itself.
     """
-    return small_components(z_um, OUTLIER_FLOOR_STEPS * resolution_um, int(recipe.window) ** 2)
+    return small_components(z_um, OUTLIER_FLOOR_STEPS * resolution_um, _least_island_px(int(recipe.window)))
 
 
 def settle_cleaning(maps: Sequence[Map], recipe: Recipe, resolution_um: float) -> Recipe:
