@@ -103,7 +103,7 @@ class Recipe(Spec, frozen=True, kw_only=True):
     peak: Literal["argmax", "gaussian", "tent", "blur_law", "centred"] = "centred"
     focus_width_um: Positive | Auto = "auto"
     min_confidence: Annotated[float, Within(0, 1)] | Auto = "auto"
-    clipped_fraction: Annotated[float, Within(0, 1)] = 0.3
+    clipped_fraction: Annotated[float, Within(0, 1)] = 0.75
     compare_windows: bool = True
     edges: Literal["none", "band", "rims"] = "rims"
     noise: Noise = Noise()
