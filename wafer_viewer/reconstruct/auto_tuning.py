@@ -16,7 +16,7 @@ from wafer_viewer.model.surface.recipe import Recipe
 from wafer_viewer.reconstruct.cleaning.clean import settle_cleaning
 from wafer_viewer.reconstruct.focus.peak import Peaks
 from wafer_viewer.reconstruct.focus.peak_centring import LEAST_SIGMA
-from wafer_viewer.reconstruct.focus.peak_search import Search, ThreadScratch, coarse_step, search_part
+from wafer_viewer.reconstruct.focus.peak_search import Search, ThreadScratch, coarse_step, largest_gap, search_part
 from wafer_viewer.reconstruct.gates.edge_bleeding import EdgeSearch, edge_search_for
 from wafer_viewer.reconstruct.gates.edge_sides import STANDING_GAPS
 from wafer_viewer.reconstruct.gates.gate import LEAST_FRAMES, Gate, gate_for, origins
@@ -176,8 +176,7 @@ def search_of(recipe: Recipe, n_frames: int, step_um: float, scale: float = 1.0)
     Rivals are two widths from the peak, at most a quarter of the stack; interpolation points half a width.
     """
     width = float(recipe.focus_width_um) / step_um
-    most = max(1, (n_frames - 1) // 4)
-    gap = int(np.clip(round(GAP_WIDTHS * width), 1, most))
+    gap = int(np.clip(round(GAP_WIDTHS * width), 1, largest_gap(n_frames)))
     reach = int(np.clip(round(REACH_WIDTHS * width), 1, gap))
     blend = max(1, round(BLEND_WIDTHS * width)) if n_frames >= LEAST_FRAMES else 0
     floored = n_frames >= max(LEAST_FRAMES, FLOOR_WIDTHS * width)

@@ -126,13 +126,15 @@ def a_peak(**changes: float) -> Peaks:
         ({"z_um": 47}, Origin.WINDOWS_DISAGREE),
         ({"lead": 0.1, "z_um": 47}, Origin.AMBIGUOUS),
         ({"fall": 0.1}, Origin.AMBIGUOUS),
+        ({"fall": 1.1, "contrast": 3.0}, Origin.AMBIGUOUS),
+        ({"fall": 1.3, "contrast": 3.0}, Origin.MEASURED),
         ({"at_end": 1, "lead": 0.1}, Origin.END_OF_RANGE),
         ({"contrast": 0.1, "at_end": 1}, Origin.NO_TEXTURE),
         ({"clipped": 9, "contrast": 0.1}, Origin.CLIPPED),
     ],
 )
 def test_the_reason_that_explains_most_is_reported(changes: dict[str, float], reason: Origin) -> None:
-    gate = Gate(0.5, 0.5, 0.5, 0.3, 9, window_tolerance_um=6.0)
+    gate = Gate(0.5, 0.5, 0.5, 0.3, 9, window_tolerance_um=6.0, min_fall_share=0.4)
     peaks, wide_um = a_peak(**changes), np.full((1, 1), 40.0, np.float32)
     assert origins(peaks, gate, 60, wide_um)[0, 0] == reason
     failed = [check.origin for check in checks(peaks, gate, 60, wide_um) if not check.passed[0, 0]]
@@ -148,6 +150,7 @@ def test_a_gate_that_is_off_lets_everything_pass() -> None:
     assert [check.name for check in requested if not np.isfinite(check.limit)] == [
         "texture",
         "flanks",
+        "width",
         "rival",
         "windows",
     ]

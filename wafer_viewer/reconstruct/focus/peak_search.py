@@ -65,6 +65,11 @@ STRIPE_ROWS = 32
 """A multiple of `COARSE_PX`; the focus volumes of two threads then fit the L3 cache of most processors."""
 
 
+def largest_gap(n_frames: int) -> int:
+    """Return the largest distance of a rival from the peak, in frames: a quarter of the stack."""
+    return max(1, (n_frames - 1) // 4)
+
+
 @dataclass(frozen=True, slots=True)
 class Search:
     """Parameters of the peak search: measure and estimator by name, and the window.
