@@ -24,6 +24,7 @@ from numpy.typing import NDArray
 from wafer_viewer.model.acquisition.focus_stack import Image
 from wafer_viewer.model.progress import Progress
 from wafer_viewer.model.surface.focus_measures import focus_measures
+from wafer_viewer.numerics.filters.sliding_filters import repeated
 from wafer_viewer.numerics.jit import (
     Float32s,
     Float64s,
@@ -337,8 +338,7 @@ def wide_heights(
         spots,
         out,
     )
-    rows, cols = peaks.z_um.shape
-    return out.repeat(COARSE_PX, axis=0)[:rows].repeat(COARSE_PX, axis=1)[:, :cols]
+    return repeated(out, COARSE_PX, peaks.z_um.shape)
 
 
 @lean_kernel
