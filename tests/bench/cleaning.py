@@ -179,7 +179,7 @@ def compile_all() -> None:
         "lines": lambda: denoising.line_outliers(padded[5], 0.5),
         "medians of lines": lambda: denoising.line_medians_at(padded[5], *at),
         "pairs": lambda: denoising.pair_mean(z, 1.0),
-        "neighbours near": lambda: denoising.near_counts(padded[3], 1.0),
+        "neighbours near": lambda: denoising.few_near(padded[3], 1.0, 15),
         "distances": lambda: denoising.mean_distances(padded[3], *at, 15),
         "narrow parts": lambda: regions.narrow_parts(z, 1.0, 6),
         "islands": lambda: regions.small_components(z, 1.0, 81),

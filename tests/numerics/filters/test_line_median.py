@@ -8,7 +8,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from numpy.typing import NDArray
 
-from wafer_viewer.numerics.filters.denoising import LINE_REACH_PX, line_medians_at, line_outliers
+from wafer_viewer.numerics.filters.denoising import LINE_REACH_PX, beside_lines, line_medians_at, line_outliers
 
 ALONG = ((0, 1), (1, 0), (1, 1), (1, -1))
 
@@ -49,6 +49,23 @@ def test_the_replacement_is_the_middle_of_the_four_medians(seed: int, holes: flo
     rows, cols = np.nonzero(np.isfinite(padded[LINE_REACH_PX:-LINE_REACH_PX, LINE_REACH_PX:-LINE_REACH_PX]))
     expected = [np.median([np.median(line) for line in _lines(padded, r, c)]) for r, c in zip(rows, cols, strict=True)]
     np.testing.assert_allclose(line_medians_at(padded, rows, cols), expected, atol=1e-6)
+
+
+@settings(max_examples=20)
+@given(seed=st.integers(0, 500), changed=st.integers(0, 6))
+def test_what_changes_shows_only_beside_the_lines_through_it(seed: int, changed: int) -> None:
+    rng = np.random.default_rng(seed)
+    z = np.repeat(rng.normal(0, 1, (40, 5)), 60, axis=1).astype(np.float32)
+    padded = np.pad(z, LINE_REACH_PX, constant_values=np.nan)
+    inner = padded[LINE_REACH_PX:-LINE_REACH_PX, LINE_REACH_PX:-LINE_REACH_PX]
+    before = line_outliers(padded, 1.0)
+    rows, cols = rng.integers(0, 40, changed), rng.integers(0, 300, changed)
+    inner[rows, cols] += 5
+    near = beside_lines(rows, cols, z.shape)
+    found, beside = line_outliers(padded, 1.0, near), line_outliers(padded, 1.0)
+    covered = near.repeat(64, axis=1)[:, :300]
+    np.testing.assert_array_equal(found, beside & covered)
+    np.testing.assert_array_equal(beside[~covered], before[~covered])
 
 
 @pytest.mark.parametrize("wide", [1, 3, 5])

@@ -17,16 +17,38 @@ LINE_REACH_PX = 5
 """Half length of a line: on its 11 pixels, a feature of up to 5 pixels is a minority."""
 
 
-def line_outliers(padded: Float32s, limit: Real) -> Bools:
+_BATCH_PX = 64
+"""Pixels of a row that are tested together, so that a test that decides about all of them is the last one."""
+
+
+def line_outliers(padded: Float32s, limit: Real, near: Bools | None = None) -> Bools:
     """Return a mask of pixels further than `limit` from the median of each of their four lines; bool [row, col].
 
-    padded: a map with a border of `LINE_REACH_PX` NaN, which is removed. For an even number of measured pixels, any
-    value between the two middle ones counts as the median of a line.
+    padded: a map with a border of `LINE_REACH_PX` NaN, which is removed. near: from `beside_lines`, the batches that
+    are tested; all if omitted. For an even number of measured pixels, any value between the two middle ones counts as
+    the median of a line.
     """
     shape = padded.shape[0] - 2 * LINE_REACH_PX, padded.shape[1] - 2 * LINE_REACH_PX
     far = np.zeros(shape, np.bool_)
-    _mark_far(padded, np.float32(limit), np.zeros((3, shape[1]), np.int32), far)
+    tested = np.ones((shape[0], _batches(shape[1])), np.bool_) if near is None else near
+    _mark_far(padded, np.float32(limit), tested, np.zeros((3, _BATCH_PX), np.int32), far)
     return far
+
+
+def beside_lines(rows: Int64s, cols: Int64s, shape: tuple[int, ...]) -> Bools:
+    """Return the batches of a map of `shape` that hold a pixel on a line through any (row, col); bool [row, batch]."""
+    n_rows, n_batches = shape[0], _batches(shape[1])
+    beside = np.zeros((n_rows + 2 * LINE_REACH_PX, n_batches), np.bool_)
+    for reach in (-LINE_REACH_PX, LINE_REACH_PX):
+        beside[rows + LINE_REACH_PX, (cols + reach).clip(0, shape[1] - 1) // _BATCH_PX] = True
+    near = np.zeros((n_rows, n_batches), np.bool_)
+    for down in range(2 * LINE_REACH_PX + 1):
+        near |= beside[down : down + n_rows]
+    return near
+
+
+def _batches(cols: int) -> int:
+    return -(-cols // _BATCH_PX)
 
 
 def line_medians_at(padded: Float32s, rows: Int64s, cols: Int64s) -> Float32s:
@@ -44,29 +66,39 @@ def line_medians_at(padded: Float32s, rows: Int64s, cols: Int64s) -> Float32s:
 
 
 @lean_kernel
-def _mark_far(padded: Float32s, limit: Real, counts: Int32s, far: Bools) -> None:
+def _mark_far(padded: Float32s, limit: Real, tested: Bools, counts: Int32s, far: Bools) -> None:
     """Mark pixels by counting, without sorting: most of each line is out of reach on one side.
 
-    Comparisons with NaN are false, so unmeasured pixels do not count.
+    Comparisons with NaN are false, so unmeasured pixels do not count. A batch without a pixel that is far along all
+    lines so far is done.
     """
     above, below, lines = counts[0], counts[1], counts[2]
     for r in range(far.shape[0]):
-        centre_line = padded[r + LINE_REACH_PX, LINE_REACH_PX:]
-        lines[:] = 0
-        for line in range(4):
-            down, right = (0, 1) if line == 0 else (1, line - 2)
-            above[:] = 0
-            below[:] = 0
-            for s in range(-LINE_REACH_PX, LINE_REACH_PX + 1):
-                other = padded[r + LINE_REACH_PX + s * down, LINE_REACH_PX + s * right :]
-                for x in range(above.size):
-                    v, low, high = other[x], centre_line[x] - limit, centre_line[x] + limit
-                    above[x] += np.int32(v > high) - np.int32(v <= high)
-                    below[x] += np.int32(v < low) - np.int32(v >= low)
-            for x in range(above.size):
-                lines[x] += np.int32((above[x] > 0) | (below[x] > 0))
-        for x in range(above.size):
-            far[r, x] = lines[x] == 4
+        for batch in range(tested.shape[1]):
+            if not tested[r, batch]:
+                continue
+            first = batch * _BATCH_PX
+            n = min(_BATCH_PX, far.shape[1] - first)
+            centre_line = padded[r + LINE_REACH_PX, LINE_REACH_PX + first :]
+            lines[:] = 0
+            for line in range(4):
+                down, right = (0, 1) if line == 0 else (1, line - 2)
+                above[:] = 0
+                below[:] = 0
+                for s in range(-LINE_REACH_PX, LINE_REACH_PX + 1):
+                    other = padded[r + LINE_REACH_PX + s * down, LINE_REACH_PX + first + s * right :]
+                    for x in range(n):
+                        v, low, high = other[x], centre_line[x] - limit, centre_line[x] + limit
+                        above[x] += np.int32(v > high) - np.int32(v <= high)
+                        below[x] += np.int32(v < low) - np.int32(v >= low)
+                most = np.int32(0)
+                for x in range(n):
+                    lines[x] += np.int32((above[x] > 0) | (below[x] > 0))
+                    most = max(most, lines[x])
+                if most <= line:
+                    break
+            for x in range(n):
+                far[r, first + x] = lines[x] == 4
 
 
 @lean_kernel
@@ -227,22 +259,39 @@ def mean_distances(padded: Float32s, rows: Int64s, cols: Int64s, neighbours: Int
     return out
 
 
-def near_counts(padded: Float32s, limit: Real) -> Int32s:
-    """Return the number of other pixels within `limit` of each pixel in its 7 x 7 window, unpadded; -1 for NaN."""
-    out = np.full((padded.shape[0] - 2 * NEIGHBOUR_REACH_PX, padded.shape[1] - 2 * NEIGHBOUR_REACH_PX), -1, np.int32)
-    _count_near(padded, np.float32(limit), out)
-    return out
+def few_near(padded: Float32s, limit: Real, enough: Int) -> Bools:
+    """Return a mask of pixels with fewer than `enough` others within `limit` in their 7 x 7 window; bool [row, col].
+
+    padded: a map with a border of 3 NaN, which is removed. Pixels that are NaN may be marked or not.
+    """
+    shape = padded.shape[0] - 2 * NEIGHBOUR_REACH_PX, padded.shape[1] - 2 * NEIGHBOUR_REACH_PX
+    few = np.zeros(shape, np.bool_)
+    _mark_lonely(padded, np.float32(limit), np.int32(enough), np.empty(_BATCH_PX, np.int32), few)
+    return few
 
 
 @lean_kernel
-def _count_near(padded: Float32s, limit: Real, out: Int32s) -> None:
-    for r in range(out.shape[0]):
-        near, centre_line = out[r], padded[r + NEIGHBOUR_REACH_PX, NEIGHBOUR_REACH_PX:]
-        for down in range(2 * NEIGHBOUR_REACH_PX + 1):
-            for right in range(2 * NEIGHBOUR_REACH_PX + 1):
-                other = padded[r + down, right:]
-                for x in range(near.size):
-                    near[x] += np.int32(abs(other[x] - centre_line[x]) <= limit)
+def _mark_lonely(padded: Float32s, limit: Real, enough: Int, near: Int32s, few: Bools) -> None:
+    """Count row by row of the window, the nearest first, until all pixels of a batch have enough neighbours."""
+    reach = NEIGHBOUR_REACH_PX
+    for r in range(few.shape[0]):
+        for first in range(0, few.shape[1], _BATCH_PX):
+            n = min(_BATCH_PX, few.shape[1] - first)
+            centre_line = padded[r + reach, reach + first :]
+            near[:] = -1
+            for turn in range(2 * reach + 1):
+                down = reach + (turn + 1) // 2 * (1 - 2 * (turn % 2))
+                for right in range(2 * reach + 1):
+                    other = padded[r + down, first + right :]
+                    for x in range(n):
+                        near[x] += np.int32(abs(other[x] - centre_line[x]) <= limit)
+                least = np.int32(enough)
+                for x in range(n):
+                    least = min(least, near[x] if centre_line[x] == centre_line[x] else np.int32(enough))
+                if least >= enough:
+                    break
+            for x in range(n):
+                few[r, first + x] = near[x] < enough
 
 
 @lean_kernel

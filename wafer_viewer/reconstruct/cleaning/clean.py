@@ -30,7 +30,7 @@ from wafer_viewer.model.acquisition.calibration import WAVELENGTH_UM
 from wafer_viewer.model.spec import replace
 from wafer_viewer.model.surface.height_map import Origin
 from wafer_viewer.model.surface.recipe import Fill, Levy, Outliers, Recipe
-from wafer_viewer.numerics.filters.denoising import NEIGHBOUR_REACH_PX, mean_distances, near_counts
+from wafer_viewer.numerics.filters.denoising import NEIGHBOUR_REACH_PX, few_near, mean_distances
 from wafer_viewer.numerics.filters.interpolation import fill_gaps, fill_rows
 from wafer_viewer.numerics.filters.regions import narrow_parts, small_components
 from wafer_viewer.numerics.filters.sliding_filters import doubled, highest, lowest
@@ -124,7 +124,7 @@ def far_on_lattice(z_um: Map, how: Outliers) -> Found:
         return found
     usual = mean_distances(padded, rows * _SAMPLE_EVERY_PX, cols * _SAMPLE_EVERY_PX, neighbours)
     threshold_um = _threshold(usual, how)
-    rows, cols = np.nonzero(np.isfinite(z_um) & (near_counts(padded, threshold_um) < neighbours))
+    rows, cols = np.nonzero(np.isfinite(z_um) & few_near(padded, threshold_um, neighbours))
     found[rows, cols] = mean_distances(padded, rows, cols, neighbours) > threshold_um
     return found
 

@@ -20,6 +20,7 @@ from numpy.typing import NDArray
 from wafer_viewer.model.surface.recipe import Levy
 from wafer_viewer.numerics.filters.denoising import (
     LINE_REACH_PX,
+    beside_lines,
     line_medians_at,
     line_outliers,
     median_outliers,
@@ -170,16 +171,20 @@ def _limit_um(noise_um: float, levy: Levy, resolution_um: float) -> float:
 
 
 def _without_spikes(z_um: Map, limit_um: float) -> Map:
-    """Remove adjacent spikes in several passes; stop where there are too many to repair."""
+    """Remove adjacent spikes in several passes; stop where there are too many to repair.
+
+    A later pass tests only pixels with a replaced one on a line through them: the others see what they saw before.
+    """
     padded = np.pad(z_um, LINE_REACH_PX, constant_values=np.nan)
-    inner = padded[LINE_REACH_PX:-LINE_REACH_PX, LINE_REACH_PX:-LINE_REACH_PX]
+    inner, near = padded[LINE_REACH_PX:-LINE_REACH_PX, LINE_REACH_PX:-LINE_REACH_PX], None
     for _ in range(_SPIKE_PASSES):
-        rows, cols = np.nonzero(line_outliers(padded, limit_um))
+        rows, cols = np.divmod(np.flatnonzero(line_outliers(padded, limit_um, near)), z_um.shape[1])
         if rows.size > _MANY_SPIKES * z_um.size:
             break
         inner[rows, cols] = line_medians_at(padded, rows, cols)
         if not rows.size:
             break
+        near = beside_lines(rows, cols, z_um.shape)
     return inner
 
 
