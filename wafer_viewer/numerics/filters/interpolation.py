@@ -64,9 +64,27 @@ def fill_gaps(z: Float32s, max_gap: Int, max_step: Real) -> Float32s:
 
     Both start from the measured pixels, so neither direction leaves streaks and no gap is longer than allowed.
     """
-    by_row, by_col = fill_rows(z, max_gap, max_step), fill_rows(z.T, max_gap, max_step).T
-    by_row = np.where(np.isnan(by_row), by_col, by_row)
-    return np.float32(0.5) * (by_row + np.where(np.isnan(by_col), by_row, by_col))
+    by_row, by_col = fill_rows(z, max_gap, max_step), fill_rows(z.T, max_gap, max_step)
+    _average(by_col, by_row)
+    return by_row
+
+
+_TILE_PX = 32
+"""Side of the squares in which a map is combined with a transposed one, so that both stay in cache."""
+
+
+@lean_kernel
+def _average(by_col: Float32s, by_row: Float32s) -> None:
+    """Average `by_row` with the transposed map `by_col`; where one is NaN, take the other."""
+    n_rows, n_cols = by_row.shape
+    for top in range(0, n_rows, _TILE_PX):
+        for left in range(0, n_cols, _TILE_PX):
+            for r in range(top, min(top + _TILE_PX, n_rows)):
+                for c in range(left, min(left + _TILE_PX, n_cols)):
+                    a, b = by_row[r, c], by_col[c, r]
+                    a = a if a == a else b
+                    b = b if b == b else a
+                    by_row[r, c] = np.float32(0.5) * (a + b)
 
 
 @lean_kernel

@@ -15,10 +15,10 @@ def small_components(z: Float32s, max_step: Real, min_pixels: Int) -> Bools:
 
     4-connectivity; two neighbours are connected if they differ by at most `max_step`.
     """
-    root = np.arange(z.size, dtype=np.int32)
+    root, small = np.arange(z.size, dtype=np.int32), np.empty(z.shape, np.bool_)
     _join_alike(z, np.float32(max_step), root)
-    size = np.bincount(root, minlength=z.size)
-    return np.isfinite(z) & (size[root] < min_pixels).reshape(z.shape)
+    _mark_small(z, root, np.zeros(z.size, np.int32), np.int64(min_pixels), small)
+    return small
 
 
 def narrow_parts(z: Float32s, max_step: Real, side: Int) -> Bools:
@@ -51,6 +51,17 @@ def _join_alike(z: Float32s, max_step: Real, root: Int32s) -> None:
                     root[max(a, b)] = min(a, b)
     for n in range(root.size):
         root[n] = root[root[n]]
+
+
+@lean_kernel
+def _mark_small(z: Float32s, root: Int32s, size: Int32s, min_pixels: Int, small: Bools) -> None:
+    """Mark the finite pixels whose root has fewer than `min_pixels`; size: zeros, one for each pixel."""
+    n_cols = z.shape[1]
+    for n in range(root.size):
+        size[root[n]] += 1
+    for r in range(z.shape[0]):
+        for c in range(n_cols):
+            small[r, c] = abs(z[r, c]) < np.inf and size[root[r * n_cols + c]] < min_pixels
 
 
 @lean_kernel
