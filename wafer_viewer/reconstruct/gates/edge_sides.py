@@ -346,15 +346,16 @@ def find_band(
 
 def _walls(standing: NDArray[np.uint16], least_frames: float) -> NDArray[np.bool_]:
     """Return the silhouettes that are walls: long ones, and short ones that persist far longer than a pattern does."""
-    from skimage.measure import label, regionprops
+    from scipy.ndimage import find_objects
+    from skimage.measure import label
 
     parts: NDArray[np.int64] = np.asarray(label(standing >= least_frames, connectivity=2))
-    walls = [
-        part.label
-        for part in regionprops(parts, standing)
-        if max(part.image.shape) >= WALL.least_length_px // 2 or part.intensity_max >= WALL.short_gaps * least_frames
-    ]
-    return np.isin(parts, walls)
+    extents = [max(side.stop - side.start for side in part) for part in find_objects(parts)]
+    longest = np.zeros(len(extents) + 1, standing.dtype)
+    np.maximum.at(longest, parts.ravel(), standing.ravel())
+    is_wall = (np.array([0, *extents]) >= WALL.least_length_px // 2) | (longest >= WALL.short_gaps * least_frames)
+    is_wall[0] = False
+    return is_wall[parts]
 
 
 def smooth_surroundings(
