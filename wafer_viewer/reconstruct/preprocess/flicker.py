@@ -146,16 +146,16 @@ def _cells(frame: Image, clipped_counts: int) -> tuple[NDArray[np.float64], NDAr
     """Return mean grey and clipped fraction of each cell [row, col] of a frame."""
     n = FLICKER.cells
     every = max(1, min(frame.size // FLICKER.sampled_px, len(frame) // n))
-    rows = frame[::every]
+    rows = np.asarray(frame)[::every]
     high, wide = len(rows) // n, rows.shape[1] // n
     cut = rows[: high * n, : wide * n]
-    over = (cut >= clipped_counts).view(np.uint8)
 
     def means(values: NDArray[Any]) -> NDArray[np.float64]:
         columns = values.reshape(n, high, -1).sum(axis=1, dtype=np.uint32)
         return columns.reshape(n, n, wide).sum(axis=2) / (high * wide)
 
-    return means(cut), means(over)
+    clipped = means((cut >= clipped_counts).view(np.uint8)) if cut.max() >= clipped_counts else np.zeros((n, n))
+    return means(cut), clipped
 
 
 def _roughness(log: Gains, as_good: float) -> Callable[[Gains], Gains]:

@@ -124,7 +124,7 @@ def _complete_lines(flawed: NDArray[np.bool_]) -> NDArray[np.bool_]:
 
 def _flawed(images: Image, slots: NDArray[np.intp], white_counts: int) -> NDArray[np.bool_]:
     """Return a mask of pixels that stand out in all frames, up or down, along the row or the column."""
-    first, last = images[slots[0]], images[slots[-1]]
+    first, last = np.asarray(images[slots[0]]), np.asarray(images[slots[-1]])
     least = _least_difference(first, white_counts)
     flawed = np.zeros(first.shape, bool)
     if min(first.shape) <= 2 * FLAW.reach_px or least > white_counts // 2:
@@ -146,17 +146,17 @@ def _least_difference(frame: Image, white_counts: int) -> int:
 
 def _stands_out(frame: Image, axis: int, brighter: bool, least: int) -> NDArray[np.bool_]:
     """Return a mask of pixels beyond both neighbours two pixels away along the axis by more than `least`."""
-    turned = frame if axis else frame.T
-    ahead = turned[:, 2 * FLAW.apart_px :]
-    behind, pixel = turned[:, : -2 * FLAW.apart_px], turned[:, FLAW.apart_px : -FLAW.apart_px]
-    out = np.zeros(turned.shape, bool)
-    inner = out[:, FLAW.apart_px : -FLAW.apart_px]
+    apart = FLAW.apart_px
+    before, at, after = slice(None, -2 * apart), slice(apart, -apart), slice(2 * apart, None)
+    behind, pixel, ahead = (frame[:, part] if axis else frame[part] for part in (before, at, after))
+    out = np.zeros(frame.shape, bool)
+    inner = out[:, at] if axis else out[at]
     if brighter:
         top = np.iinfo(frame.dtype).max - least
         np.greater(pixel, np.minimum(np.maximum(ahead, behind), top) + frame.dtype.type(least), out=inner)
     else:
         np.less(pixel, np.maximum(np.minimum(ahead, behind), least) - frame.dtype.type(least), out=inner)
-    return out if axis else out.T
+    return out
 
 
 def _stand_out_at(frame: Image, at: Places, axis: int, brighter: bool, least: int) -> NDArray[np.bool_]:

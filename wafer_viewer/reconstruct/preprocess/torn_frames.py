@@ -8,6 +8,7 @@ is torn when it is no sharper than the same rows beside it, or when it looks lik
 
 from __future__ import annotations
 
+import itertools
 from dataclasses import dataclass
 
 import numpy as np
@@ -86,13 +87,20 @@ def torn_frames(images: Image, slots: NDArray[np.intp], white_counts: int) -> di
 
 
 def _torn(images: Image, slots: NDArray[np.intp], white_counts: int) -> list[tuple[int, float]]:
-    """Return the index along z and the torn fraction of each torn frame."""
+    """Return the index along z and the torn fraction of each torn frame.
+
+    Frame by frame, so that a frame and the two before it stay in cache.
+    """
     raw = np.stack([_bands(images[slot]) for slot in slots])
-    level = raw.mean(axis=(2, 3), keepdims=True)
-    bands = (raw - level) * (level.mean() / np.maximum(level, 1.0))  # flicker is no tear
-    energy = np.mean(np.diff(bands, axis=3) ** 2, axis=(2, 3))
-    off = _mean_square(bands[1:], bands[:-1])
-    across = _mean_square(bands[2:], bands[:-2])
+    level = np.stack([frame.astype(np.float32).mean(axis=(1, 2), keepdims=True) for frame in raw])
+    bands = _Bands(raw, level, level.mean() / np.maximum(level, 1.0))
+    off, across = np.empty((len(raw) - 1, raw.shape[1]), np.float32), np.empty((len(raw) - 2, raw.shape[1]), np.float32)
+    before, last = bands[0], bands[1]
+    off[0] = _mean_square(last, before)
+    for k in range(2, len(raw)):
+        frame = bands[k]
+        off[k - 1], across[k - 2] = _mean_square(frame, last), _mean_square(frame, before)
+        before, last = last, frame
     least = (TEAR.least_share_of_white * white_counts) ** 2
     own = np.minimum(off[1:], off[:-1])
     ratio = own / np.maximum(across, 1e-6)
@@ -100,27 +108,47 @@ def _torn(images: Image, slots: NDArray[np.intp], white_counts: int) -> list[tup
     suspect[level[1:-1].mean(axis=(1, 2, 3)) < TEAR.dark * level.mean()] = False
     found = _stale(raw)
     for k in np.flatnonzero(suspect.any(axis=1)):
-        torn = [b for b in np.flatnonzero(suspect[k]) if _is_torn(bands[:, b], energy[:, b], int(k) + 1, own[k, b])]
+        torn = [b for b in np.flatnonzero(suspect[k]) if _is_torn(bands, int(b), int(k) + 1, own[k, b])]
         clear = len(torn) >= TEAR.enough_bands or bool(np.any(ratio[k, torn] > TEAR.clear_ratio))
         whole = np.delete(ratio[k], torn)
         if clear and whole.size and np.median(whole) <= TEAR.whole_ratio:
-            found[int(k) + 1] = len(torn) / bands.shape[1]
+            found[int(k) + 1] = len(torn) / raw.shape[1]
     return sorted(found.items())
 
 
-def _stale(raw: Floats) -> dict[int, float]:
+@dataclass(frozen=True, slots=True, eq=False)
+class _Bands:
+    """Samples of the bands of all frames, [k][band, row, col], brought to one mean: flicker is no tear."""
+
+    raw: Image
+    level: Floats
+    factor: Floats
+
+    def __getitem__(self, k: int) -> Floats:
+        return (self.raw[k].astype(np.float32) - self.level[k]) * self.factor[k]
+
+    def of_band(self, band: int) -> Floats:
+        """Return one band of all frames, [k, row, col]."""
+        return (self.raw[:, band].astype(np.float32) - self.level[:, band]) * self.factor[:, band]
+
+
+def _stale(raw: Image) -> dict[int, float]:
     """Return the torn fraction of frames that share some bands, to the last count, with a frame beside them.
 
     Noise makes that impossible, so a stack without noise is not tested. The frame with the larger jump to its other
     neighbour is the stale one.
     """
-    same = (raw[1:] == raw[:-1]).all(axis=(2, 3)) & (raw[1:].std(axis=(2, 3)) > 1)
+    same = np.array([(one == other).all(axis=(1, 2)) for one, other in itertools.pairwise(raw)])
+    for k in np.flatnonzero(same.any(axis=1)):
+        same[k] &= raw[k + 1].astype(np.float32).std(axis=(1, 2)) > 1
     pairs = np.flatnonzero(same.any(axis=1) & ~same.all(axis=1))
     if len(pairs) > TEAR.most_stale or len(pairs) < np.count_nonzero(same.any(axis=1)):
         return {}
     found: dict[int, float] = {}
     for k in pairs.tolist():
-        before, after = (_jump(raw[:, same[k]], near, far) for near, far in ((k, k - 1), (k + 1, k + 2)))
+        before, after = (
+            _jump(raw[:, same[k]].astype(np.float32), near, far) for near, far in ((k, k - 1), (k + 1, k + 2))
+        )
         found[k if before > after else k + 1] = float(same[k].mean())
     return found
 
@@ -133,9 +161,11 @@ def _jump(raw: Floats, near: int, far: int) -> float:
     return float(np.mean((raw[near] - raw[far]) ** 2) / max(1e-6, np.mean((raw[far] - raw[beyond]) ** 2)))
 
 
-def _is_torn(band: Floats, energy: Floats, k: int, off: float) -> bool:
-    """Return whether a band of frame k is no sharper than beside it, or looks like another frame."""
-    if energy[k] <= TEAR.sharper * max(energy[k - 1], energy[k + 1]):
+def _is_torn(bands: _Bands, b: int, k: int, off: float) -> bool:
+    """Return whether band b of frame k is no sharper than beside it, or looks like another frame."""
+    band = bands.of_band(b)
+    energy = np.mean(np.diff(band[k - 1 : k + 2], axis=2) ** 2, axis=(1, 2))
+    if energy[1] <= TEAR.sharper * max(energy[0], energy[2]):
         return True
     others = np.delete(np.arange(len(band)), (k - 1, k, k + 1))
     return bool(others.size) and float(_mean_square(band[others], band[k]).min()) < TEAR.alike * off
@@ -145,11 +175,11 @@ def _mean_square(one: Floats, other: Floats) -> Floats:
     return np.mean((one - other) ** 2, axis=(-2, -1))
 
 
-def _bands(frame: Image) -> Floats:
+def _bands(frame: Image) -> Image:
     """Return a sample of each band of rows, [band, row, col]."""
     n_bands = TEAR.bands
     high = len(frame) // n_bands
     n_rows = min(high, TEAR.sampled[0])
     rows = (np.arange(n_bands)[:, None] * high + np.linspace(0, high - 1, n_rows).astype(int)).ravel()
     every = -(-frame.shape[1] // TEAR.sampled[1])
-    return frame[rows, ::every].astype(np.float32).reshape(n_bands, n_rows, -1)
+    return np.asarray(frame)[rows, ::every].reshape(n_bands, n_rows, -1)
