@@ -29,7 +29,7 @@ from wafer_viewer.reconstruct.focus.peak_search import FOCUS_WIDTH_DEPTHS, searc
 from wafer_viewer.reconstruct.focus.smooth_depth import SMOOTH_DEPTH, at_smooth_depth
 from wafer_viewer.reconstruct.gates.edge_bleeding import BleedingEdges, find_edges, judge_edges
 from wafer_viewer.reconstruct.gates.edge_bleeding import warm_up as warm_up_edges
-from wafer_viewer.reconstruct.gates.edge_sides import EdgeSide
+from wafer_viewer.reconstruct.gates.edge_sides import EdgeSide, Silhouette
 from wafer_viewer.reconstruct.gates.gate import LEAST_FRAMES, GateTest, checks, first_failed
 from wafer_viewer.reconstruct.preprocess.flat_field import without_shading
 from wafer_viewer.reconstruct.preprocess.frames import Frames, prepare
@@ -88,11 +88,18 @@ def reconstruct(
 
 
 def reconstruct_from_peaks(
-    field: PreparedField, peaks: Peaks, threads: int | None = None, progress: Progress = silent
+    field: PreparedField,
+    peaks: Peaks,
+    threads: int | None = None,
+    progress: Progress = silent,
+    silhouette: Silhouette | None = None,
 ) -> ReconstructedField:
-    """Run the stages after the peak search; progress continues from `SEARCH_SHARE` to 1."""
+    """Run the stages after the peak search; progress continues from `SEARCH_SHARE` to 1.
+
+    silhouette: that of the frames, where it is known already.
+    """
     gated = gate_peaks(field, peaks)
-    corrected = correct_edges(field, gated, threads)
+    corrected = correct_edges(field, gated, threads, silhouette)
     progress(EDGES_SHARE)
     cleaned = clean_heights(field, corrected)
     height_map = assemble(field, corrected, cleaned)
@@ -185,10 +192,12 @@ class CorrectedPeaks:
         return np.where(self.origin == Origin.MEASURED, self.z_um, np.float32(np.nan))
 
 
-def correct_edges(field: PreparedField, gated: GatedPeaks, threads: int | None = None) -> CorrectedPeaks:
+def correct_edges(
+    field: PreparedField, gated: GatedPeaks, threads: int | None = None, silhouette: Silhouette | None = None
+) -> CorrectedPeaks:
     """Reject heights made by light that bleeds over walls, and search them again along the wall."""
     how, z_um = field.tuned.edges, gated.peaks.z_um
-    edges = None if how is None else find_edges(field.frames, how, gated.peaks, gated.origin, threads)
+    edges = None if how is None else find_edges(field.frames, how, gated.peaks, gated.origin, threads, silhouette)
     if edges is None:
         return CorrectedPeaks(gated, z_um, gated.origin, None)
     return CorrectedPeaks(gated, *judge_edges(z_um, gated.origin, edges), edges)

@@ -1,6 +1,6 @@
 """Incremental reconstruction of a field: frames are measured as they arrive.
 
-The focus volume of the entire field is stored, 2 bytes per pixel and frame. The map is bit-identical to the one that
+The focus volume of the entire field is stored, 2 bytes per pixel and frame, and the silhouettes of its walls. The map is bit-identical to the one that
 `reconstruct` makes of the finished stack.
 """
 
@@ -19,6 +19,12 @@ from wafer_viewer.reconstruct.focus.focus_measures import focus_kernels
 from wafer_viewer.reconstruct.focus.focus_volume import StackSource, Volume
 from wafer_viewer.reconstruct.focus.peak import FocusCurves, InterpolationScratch, Peaks
 from wafer_viewer.reconstruct.focus.peak_search import fill_volume, find_peaks, stripes
+from wafer_viewer.reconstruct.gates.edge_sides import (
+    DARK_SHARE_OF_WHITE,
+    Silhouette,
+    SilhouetteRows,
+    silhouette_block,
+)
 from wafer_viewer.reconstruct.preprocess.frames import clipped_from
 
 WHITE_COUNTS = 255
@@ -56,6 +62,9 @@ class LiveField:
         kernels = focus_kernels(self._search.measure)
         self._rows = kernels.make_rows(cols, self._search.window, images.dtype)
         self._spots = InterpolationScratch.make(cols, kernels.table(images.dtype))
+        looks_for_edges = recipe.edges != "none"
+        self._silhouette = Silhouette.empty(images.shape[1:]) if looks_for_edges else None
+        self._silhouette_rows = SilhouetteRows.make(cols, images.dtype)
         self._came = np.zeros(len(images), np.bool_)
 
     @property
@@ -82,7 +91,16 @@ class LiveField:
             fill_volume(source, self._search, self._rows, volume)
             out.clipped[:] += volume.clipped
             _keep_better(curves, volume.best, volume.peak + np.uint16(first))
+            self._add_silhouettes(rows, source, first)
         self._came[first:stop] = True
+
+    def _add_silhouettes(self, rows: slice, source: StackSource, first: int) -> None:
+        """Add the silhouettes in the frames of a source, of which the first is `first`, to those of some rows."""
+        if self._silhouette is None:
+            return
+        found = Silhouette.empty((_length(rows), self._images.shape[2]))
+        silhouette_block(source, first, 1, DARK_SHARE_OF_WHITE * source.clipped_counts, self._silhouette_rows, found)
+        self._silhouette.rows(rows).include(found)
 
     def surface(self, stack: FieldStack) -> HeightMap:
         """Return the height map once all frames have arrived; stack: the same pages with their z.
@@ -90,8 +108,9 @@ class LiveField:
         If the pixels need correction after all, or frames are missing, the complete stack is searched again.
         """
         field = prepare_field(stack, self._recipe)
-        peaks = self._found(field) if self._is_complete(field) else search_peaks(field, threads=1)
-        return reconstruct_from_peaks(field, peaks).height_map
+        if not self._is_complete(field):
+            return reconstruct_from_peaks(field, search_peaks(field, threads=1)).height_map
+        return reconstruct_from_peaks(field, self._found(field), silhouette=self._silhouette).height_map
 
     def _is_complete(self, field: PreparedField) -> bool:
         """Return whether all frames were measured, unmodified, with the measure, window and camera noise in use."""

@@ -51,6 +51,7 @@ from wafer_viewer.reconstruct.gates.edge_sides import (
     Band,
     EdgeSide,
     Sides,
+    Silhouette,
     classify_sides,
     find_band,
     outline_grey,
@@ -405,10 +406,18 @@ def _window_along(search: Search) -> int:
 
 
 def find_edges(
-    frames: Frames, how: EdgeSearch, peaks: Peaks, origin: NDArray[np.uint8], threads: int | None = None
+    frames: Frames,
+    how: EdgeSearch,
+    peaks: Peaks,
+    origin: NDArray[np.uint8],
+    threads: int | None = None,
+    silhouette: Silhouette | None = None,
 ) -> BleedingEdges | None:
-    """Return the edges of a field, None where there are no walls. threads: all cores if omitted."""
-    silhouette, passed = silhouette_of(frames, threads), origin == Origin.MEASURED
+    """Return the edges of a field, None where there are no walls.
+
+    threads: all cores if omitted; silhouette: that of the frames, where it is known.
+    """
+    silhouette, passed = silhouette or silhouette_of(frames, threads), origin == Origin.MEASURED
     if not (silhouette.standing >= how.standing_frames).any():
         return None
     smooth = smooth_surroundings(silhouette, how.standing_frames, peaks.z_um, passed, how.tolerance_um)

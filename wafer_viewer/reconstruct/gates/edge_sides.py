@@ -124,6 +124,14 @@ class Silhouette(NamedTuple):
         half = slice(part.start // 2, half_size(part.stop))
         return Silhouette(self.contrast[half], self.frame[half], self.standing[half])
 
+    def include(self, other: Silhouette) -> None:
+        """Add the silhouettes of other frames; of two equal contrasts that of the lower frame counts."""
+        sharper = other.contrast > self.contrast
+        sharper |= (other.contrast == self.contrast) & (other.frame < self.frame)
+        np.copyto(self.contrast, other.contrast, where=sharper)
+        np.copyto(self.frame, other.frame, where=sharper)
+        self.standing[:] += other.standing
+
 
 def half_size(pixels: int) -> int:
     """Return the size of the silhouette map for a number of rows or columns."""
