@@ -162,8 +162,9 @@ def gate_peaks(field: PreparedField, peaks: Peaks) -> GatedPeaks:
     frames, search, gate = field.frames, field.tuned.search, field.tuned.gate
     wide_um = wide_heights(peaks, frames.z_um, search) if np.isfinite(gate.window_tolerance_um) else None
     tests = checks(peaks, gate, frames.n_frames, wide_um)
-    covered = frames.covered(search.margin_px)
-    return GatedPeaks(peaks, tests, np.where(covered, first_failed(tests), np.uint8(Origin.TOO_FEW_FRAMES)))
+    origin = first_failed(tests)
+    np.copyto(origin, np.uint8(Origin.TOO_FEW_FRAMES), where=~frames.covered(search.margin_px))
+    return GatedPeaks(peaks, tests, origin)
 
 
 # --------------------------------------------------------------------------------------------------------------- edges

@@ -96,28 +96,17 @@ class CentringWindow(NamedTuple):
     @classmethod
     def of(cls, z_um: NDArray[np.float64], sigma: float) -> CentringWindow:
         """Return the window for frames at `z_um`, with taps that cover its reach from every frame."""
-        n, step_um = len(z_um), float(np.median(np.diff(z_um)))
-        reach_um = (_REACH_SIGMAS * sigma + _SLACK) * step_um * (1 + 1e-9)
-        first = np.searchsorted(z_um, z_um - reach_um, "left")
-        stop = np.searchsorted(z_um, z_um + reach_um, "right")
-        half = int(max(np.max(np.arange(n) - first), np.max(stop - 1 - np.arange(n))))
-        frame = np.arange(n)[:, None] + np.arange(-half, half + 1)
-        inside, nearest = (frame >= 0) & (frame < n), frame.clip(0, n - 1)
-        distance = (z_um[nearest] - z_um[:, None]) / step_um
-        share = (np.diff(z_um, prepend=2 * z_um[0] - z_um[1]) + np.diff(z_um, append=2 * z_um[-1] - z_um[-2])) / 2
-        weight = np.where(inside, share[nearest] / step_um * np.exp(-(distance**2) / (2 * sigma**2)), 0.0)
-        even = bool(np.ptp(np.diff(z_um)) < _EVEN * step_um)
-        taps = aligned((3, 2 * half + 1, _LANES), np.float32)
+        step_um, even, distance, weight, even_taps = _taps_of(np.asarray(z_um, np.float64).tobytes(), sigma)
+        taps = aligned((3, distance.shape[1], _LANES), np.float32)
         if even:
-            d = np.arange(-half, half + 1)[:, None]
-            taps[0], taps[1] = d, np.exp(-(d**2) / (2 * sigma**2))
+            taps[:2] = even_taps[:, :, None]
         shift, moved, lowest, highest = (aligned((_LANES,), np.float32) for _ in range(4))
         return cls(
             step_um,
             sigma,
             even,
-            distance.astype(np.float32),
-            weight.astype(np.float32),
+            distance,
+            weight,
             aligned((_LANES,), np.int64),
             shift,
             moved,
@@ -126,6 +115,26 @@ class CentringWindow(NamedTuple):
             taps,
             aligned((8, _LANES), np.float32),
         )
+
+
+@lru_cache(maxsize=8)
+def _taps_of(z_um: bytes, sigma: float) -> tuple[float, bool, Float32s, Float32s, Float32s]:
+    """Return step, evenness, distance and weight of a `CentringWindow`, and both of an even sweep, [2, tap]."""
+    at_um = np.frombuffer(z_um, np.float64)
+    n, step_um = len(at_um), float(np.median(np.diff(at_um)))
+    reach_um = (_REACH_SIGMAS * sigma + _SLACK) * step_um * (1 + 1e-9)
+    first = np.searchsorted(at_um, at_um - reach_um, "left")
+    stop = np.searchsorted(at_um, at_um + reach_um, "right")
+    half = int(max(np.max(np.arange(n) - first), np.max(stop - 1 - np.arange(n))))
+    frame = np.arange(n)[:, None] + np.arange(-half, half + 1)
+    inside, nearest = (frame >= 0) & (frame < n), frame.clip(0, n - 1)
+    distance = (at_um[nearest] - at_um[:, None]) / step_um
+    share = (np.diff(at_um, prepend=2 * at_um[0] - at_um[1]) + np.diff(at_um, append=2 * at_um[-1] - at_um[-2])) / 2
+    weight = np.where(inside, share[nearest] / step_um * np.exp(-(distance**2) / (2 * sigma**2)), 0.0)
+    even = bool(np.ptp(np.diff(at_um)) < _EVEN * step_um)
+    d = np.arange(-half, half + 1)
+    even_taps = np.stack([d, np.exp(-(d**2) / (2 * sigma**2))])
+    return step_um, even, *(taps.astype(np.float32) for taps in (distance, weight, even_taps))
 
 
 @inlined_part

@@ -14,6 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from wafer_viewer.model.acquisition.focus_stack import Image
+from wafer_viewer.numerics.jit import Bools, Float32s, lean_kernel
 from wafer_viewer.reconstruct.focus.focus_volume import row_parts
 from wafer_viewer.reconstruct.preprocess.frames import Frames, read_block
 
@@ -82,11 +83,33 @@ def membrane(values: Floats) -> Floats:
     if min(values.shape) == 1:
         return np.where(known, values, np.nanmean(values) if known.any() else np.float32(0))
     found = np.where(known, values, _finer(membrane(_halved(values, known)), values.shape))
+    rows = np.empty((2, found.shape[1]), np.float32)
     for _ in range(SMOOTH_DEPTH.relaxations):
-        around = np.pad(found, 1, mode="edge")
-        mean = around[:-2, 1:-1] + around[2:, 1:-1] + around[1:-1, :-2] + around[1:-1, 2:]
-        np.multiply(mean, np.float32(0.25), out=found, where=~known)
+        _relax(found, known, rows)
     return found
+
+
+@lean_kernel
+def _relax(found: Float32s, known: Bools, rows: Float32s) -> None:
+    """Replace unknown values by the mean of their four neighbours before any is replaced; the border repeats.
+
+    rows: two rows of work space for unreplaced values.
+    """
+    n_rows, last = found.shape[0], found.shape[1] - 1
+    quarter = np.float32(0.25)
+    for x in range(last + 1):
+        rows[1, x] = found[0, x]
+    for r in range(n_rows):
+        above, row, below = rows[(r + 1) % 2], rows[r % 2], found[min(r + 1, n_rows - 1)]
+        for x in range(last + 1):
+            row[x] = found[r, x]
+        for x in range(1, last):
+            mean = quarter * (above[x] + below[x] + row[x - 1] + row[x + 1])
+            found[r, x] = row[x] if known[r, x] else mean
+        for x in (0, last):
+            if not known[r, x]:
+                both = above[x] + (below[x] if r < n_rows - 1 else row[x])
+                found[r, x] = quarter * (both + row[max(x - 1, 0)] + row[min(x + 1, last)])
 
 
 def _halved(values: Floats, known: NDArray[np.bool_]) -> Floats:

@@ -517,7 +517,8 @@ def _search_along(
     threads: int | None,
 ) -> None:
     """Search tile by tile for peaks of the focus along the wall near the expected heights."""
-    expected = np.interp(wanted_um, frames.z_um, np.arange(frames.n_frames)).astype(np.float32)
+    is_wanted, expected = np.isfinite(wanted_um), np.full(wanted_um.shape, np.nan, np.float32)
+    expected[is_wanted] = np.interp(wanted_um[is_wanted], frames.z_um, np.arange(frames.n_frames))
     stabiliser, margin = Stabiliser.of(how.camera), tangential_margin_px(how.window)
 
     def one(at: tuple[slice, slice]) -> None:
@@ -534,7 +535,7 @@ def _search_along(
         peaks_near(tile.levels, first, frames.z_um, part, near.reach, near.gap, found_um, found_fall)
         z_um[at], fall[at] = found_um, found_fall
 
-    on_threads(one, _tiles(np.isfinite(wanted_um)), threads)
+    on_threads(one, _tiles(is_wanted), threads)
 
 
 def _around(wall: Wall, rows: slice, cols: slice, margin: int) -> Wall:
@@ -544,7 +545,7 @@ def _around(wall: Wall, rows: slice, cols: slice, margin: int) -> Wall:
         np.clip(np.arange(part.start - margin, part.stop + margin) // 2, 0, n - 1)
         for part, n in zip((rows, cols), limits, strict=True)
     ]
-    return Wall(*(plane[at[0][:, None], at[1]] for plane in wall))
+    return Wall(*(plane.take(at[0], axis=0).take(at[1], axis=1) for plane in wall))
 
 
 def _tiles(wanted: NDArray[np.bool_]) -> Iterator[tuple[slice, slice]]:

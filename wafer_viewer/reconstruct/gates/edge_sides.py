@@ -19,6 +19,7 @@ another height than the bright side. Small groups of cells are not accepted.
 from __future__ import annotations
 
 import math
+from collections.abc import Iterator
 from dataclasses import dataclass
 from enum import IntEnum
 from typing import Any, NamedTuple
@@ -393,20 +394,36 @@ def classify_sides(grey: NDArray[np.float32], band: Band, dark_counts: float) ->
     low, high = _extremes(log, band.inside)
     threshold = _spread(band, np.float32(0.5) * (low + high))
     surely_dark, middle, surely_bright = (
-        doubled(np.exp(level) - np.float32(dark_counts), grey.shape)
+        np.exp(level) - np.float32(dark_counts)
         for level in (
             low + np.float32(SIDE.surely_dark) * (high - low),
             threshold,
             low + np.float32(SIDE.surely_bright) * (high - low),
         )
     )
-    inside, bright = doubled(band.inside, grey.shape), grey >= middle
+    bright, side = np.empty(grey.shape, np.bool_), np.empty(grey.shape, np.uint8)
+    for part, half in _quarters(grey.shape):
+        np.greater_equal(grey[part], middle[half], out=bright[part])
     share = np.where(band.inside, halved(bright), np.float32(0))
-    around = doubled(mean_of_valid(share, band.inside, 3), grey.shape)
-    side = np.where(inside, np.uint8(EdgeSide.OUTLINE), np.uint8(EdgeSide.AWAY))
-    side[inside & ~bright & ((grey < surely_dark) | (around <= 1 - SIDE.deep_share))] = EdgeSide.DARK
-    side[inside & bright & ((grey > surely_bright) | (around >= SIDE.deep_share))] = EdgeSide.BRIGHT
+    around = mean_of_valid(share, band.inside, 3)
+    deep_dark, deep_bright = around <= 1 - SIDE.deep_share, around >= SIDE.deep_share
+    outline = np.where(band.inside, np.uint8(EdgeSide.OUTLINE), np.uint8(EdgeSide.AWAY))
+    for part, half in _quarters(grey.shape):
+        inside, is_bright = band.inside[half], bright[part]
+        dark_side = inside & ~is_bright & ((grey[part] < surely_dark[half]) | deep_dark[half])
+        bright_side = inside & is_bright & ((grey[part] > surely_bright[half]) | deep_bright[half])
+        of_part = outline[half].copy()
+        np.copyto(of_part, np.uint8(EdgeSide.DARK), where=dark_side)
+        np.copyto(of_part, np.uint8(EdgeSide.BRIGHT), where=bright_side)
+        side[part] = of_part
     return Sides(side, share, np.where(band.inside, threshold, np.float32(0)))
+
+
+def _quarters(shape: tuple[int, ...]) -> Iterator[tuple[tuple[slice, slice], tuple[slice, slice]]]:
+    """Yield each pixel of the squares of 2 x 2 pixels in a field of `shape`, and its square at half resolution."""
+    for row, col in np.ndindex(2, 2):
+        half = slice(None, (shape[0] - row + 1) // 2), slice(None, (shape[1] - col + 1) // 2)
+        yield (slice(row, None, 2), slice(col, None, 2)), half
 
 
 @lean_kernel

@@ -130,7 +130,7 @@ def first_failed(tests: tuple[GateTest, ...]) -> NDArray[np.uint8]:
     """Return the origin of the first failed test of each pixel, measured where none failed; uint8 [row, col]."""
     origin = np.full(tests[0].score.shape, Origin.MEASURED, np.uint8)
     for test in reversed(tests):
-        origin[~test.passed] = test.origin
+        np.copyto(origin, np.uint8(test.origin), where=~test.passed)
     return origin
 
 

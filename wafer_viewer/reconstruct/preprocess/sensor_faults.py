@@ -131,7 +131,8 @@ def _flawed(images: Image, slots: NDArray[np.intp], white_counts: int) -> NDArra
         return flawed
     for brighter in (True, False):
         for axis in (0, 1):
-            at = np.argwhere(_stands_out(first, axis, brighter, least) & _stands_out(last, axis, brighter, least))
+            suspect = _stands_out(first, axis, brighter, least) & _stands_out(last, axis, brighter, least)
+            at = np.stack(np.divmod(np.flatnonzero(suspect), suspect.shape[1]), axis=1)
             for slot in slots[1:-1]:
                 at = at[_stand_out_at(images[slot], at, axis, brighter, least)]
             flawed[tuple(at.T)] = True
